@@ -8,12 +8,12 @@ use std::path::Path;
 /// External crates for networking, messages, the engine `rapier` and the command line, each with the crates that may
 /// depend on it.
 const OUTSIDE: [(&str, &[&str]); 7] = [
-    ("tokio", &["service", "client", "bench", "root"]),
-    ("tonic", &["service", "client", "bench"]),
+    ("tokio", &["service", "dm_env_rpc", "client", "bench", "root"]),
+    ("tonic", &["service", "dm_env_rpc", "client", "bench"]),
     ("axum", &["service"]),
     // ONNX files and TensorBoard's event files are protobuf, too.
-    ("prost", &["service", "policy", "train"]),
-    ("prost-types", &["service", "client", "bench"]),
+    ("prost", &["service", "dm_env_rpc", "policy", "train"]),
+    ("prost-types", &["service", "dm_env_rpc", "client", "bench"]),
     ("rapier3d", &["sim"]),
     ("clap", &["diagnose", "root"]),
 ];

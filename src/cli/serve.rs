@@ -109,44 +109,41 @@ struct Pages {
     #[arg(long)]
     viewer_insecure: bool,
     /// Largest number of simultaneous streams of the live page
-    #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = LIMITS.watchers as u32, value_parser = clap::value_parser!(u32).range(1..))]
     max_watchers: u32,
 }
 
-/// Limits of connections and requests.
+/// Limits of connections.
 #[derive(clap::Args)]
 struct Peers {
     /// Largest number of connections; lower if there are not enough file descriptors
-    #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = Connected::DEFAULT.all, value_parser = clap::value_parser!(u32).range(1..))]
     max_connections: u32,
-    /// Largest number of connections from one address (IPv6: from one /64)
-    #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..))]
-    max_connections_per_peer: u32,
     /// Largest number of simultaneous calls on one connection; further calls wait
-    #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = Connected::DEFAULT.streams, value_parser = clap::value_parser!(u32).range(1..))]
     max_streams: u32,
-    /// Largest rate of requests from one address, on all its connections [1/s]; 0: no limit
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    max_requests_per_second: u32,
 }
+
+/// The default limits, in the units of the options.
+const LIMITS: Limits = Limits::DEFAULT;
 
 /// Limits of sessions and memory.
 #[derive(clap::Args)]
 struct SessionLimits {
     /// Largest number of sessions
-    #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = LIMITS.sessions as u32, value_parser = clap::value_parser!(u32).range(1..))]
     max_sessions: u32,
     /// Largest number of environments of one session
-    #[arg(long, value_name = "N", default_value_t = 65_536, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = LIMITS.environments as u32, value_parser = clap::value_parser!(u32).range(1..))]
     max_envs: u32,
     /// Largest memory of all environments (estimated) and large requests together [MiB]
-    #[arg(long, value_name = "MIB", default_value_t = 8192, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "MIB", default_value_t = (LIMITS.memory >> 20) as u32, value_parser = clap::value_parser!(u32).range(1..))]
     max_memory_mib: u32,
     /// Largest size of a request [MiB]
-    #[arg(long, value_name = "MIB", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..4096))]
+    #[arg(long, value_name = "MIB", default_value_t = (LIMITS.request >> 20) as u32, value_parser = clap::value_parser!(u32).range(1..4096))]
     max_message_mib: u32,
     /// The server frees a session that has been without a client for this time [s]
-    #[arg(long, value_name = "S", default_value_t = 300, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "S", default_value_t = LIMITS.lease.as_secs() as u32, value_parser = clap::value_parser!(u32).range(1..))]
     lease_seconds: u32,
 }
 
@@ -170,7 +167,7 @@ impl Serve {
         setup.threads = self.threads.into();
         setup.limits = self.limits();
         setup.connected = self.peers.connected();
-        setup.dm_env_rpc = self.dm_env_rpc;
+        setup.others = self.dm_env_rpc.then(dm_env_rpc).transpose()?;
         setup.state = self.state_dir.as_deref().map(StateDir::new).transpose()?;
         let Security { token_file, tls_key, snapshot_key, .. } = &self.security;
         let secrets = [token_file, tls_key, snapshot_key, &self.state_dir];
@@ -196,8 +193,8 @@ impl Serve {
             memory: (max_memory_mib as usize) << 20,
             lease: Duration::from_secs(lease_seconds.into()),
             request: (max_message_mib as usize) << 20,
-            rate: Some(self.peers.max_requests_per_second).filter(|n| *n > 0),
             watchers: self.pages.max_watchers as usize,
+            ..LIMITS
         }
     }
 
@@ -224,6 +221,16 @@ impl Serve {
         }
         service::serve(listener, setup, stop).await
     }
+}
+
+#[cfg(feature = "dm-env-rpc")]
+fn dm_env_rpc() -> Result<service::AddServices> {
+    Ok(sandgait_dm_env_rpc::service())
+}
+
+#[cfg(not(feature = "dm-env-rpc"))]
+fn dm_env_rpc() -> Result<service::AddServices> {
+    Err(Error::invalid("--dm-env-rpc", "this sandgait was built without the feature dm-env-rpc"))
 }
 
 impl Security {
@@ -298,7 +305,7 @@ fn bind_plain(name: &str, address: SocketAddr) -> Result<(TcpListener, SocketAdd
 
 impl Peers {
     fn connected(&self) -> Connected {
-        Connected { all: self.max_connections, peer: self.max_connections_per_peer, streams: self.max_streams }
+        Connected { all: self.max_connections, streams: self.max_streams }
     }
 }
 

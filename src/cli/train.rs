@@ -1,7 +1,7 @@
 //! `sandgait train`
 
 use super::Bar;
-use sandgait::client::Place;
+use sandgait::client::ServerAddress;
 use sandgait::client::training::Session;
 use sandgait::env::Task;
 use sandgait::env::gait::HexapodGait;
@@ -100,7 +100,7 @@ pub struct Training {
     /// Number of simulating threads; 0: one for each processor.
     pub threads: usize,
     /// The server that has the environments.
-    pub place: Option<Place>,
+    pub place: Option<ServerAddress>,
 }
 
 /// Largest number of threads: our choice, because usual machines have fewer cores.
@@ -144,7 +144,7 @@ impl Train {
 }
 
 /// The server's address. A token is sent only over TLS, over a Unix socket or to this machine.
-fn place(address: String, token: Option<&Path>, ca: Option<&Path>) -> Result<Place> {
+fn place(address: String, token: Option<&Path>, ca: Option<&Path>) -> Result<ServerAddress> {
     let port = address.rsplit_once(':').is_some_and(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok());
     if !port && !address.starts_with("unix:") {
         return Err(Error::invalid("--address", format!("{address:?} is neither host:port nor unix:/path")));
@@ -158,7 +158,7 @@ fn place(address: String, token: Option<&Path>, ca: Option<&Path>) -> Result<Pla
         let reason = format!("it would be sent to {address} without encryption; add --ca");
         return Err(Error::invalid("--token-file", reason));
     }
-    Ok(Place { tls: ca.is_some(), address, token, ca, identity: None })
+    Ok(ServerAddress { tls: ca.is_some(), address, token, ca, identity: None })
 }
 
 impl Training {
@@ -190,7 +190,7 @@ impl Training {
     }
 }
 
-fn connected(place: Place) -> Box<Connect> {
+fn connected(place: ServerAddress) -> Box<Connect> {
     Box::new(move |blueprint, options, envs, pause| {
         let session = Session::new(place.clone(), blueprint, options, envs, pause)?;
         Ok(Box::new(session) as Box<dyn Remote>)

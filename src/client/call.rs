@@ -1,6 +1,6 @@
 //! Calls with one answer. Each has a connection of its own.
 
-use super::place::Place;
+use super::address::ServerAddress;
 use super::{environments, lost};
 use crate::service::PROTOCOL;
 use crate::service::proto::{CloseSessionRequest, CreateSessionRequest, CreateSessionResponse};
@@ -19,13 +19,13 @@ async fn soon<T>(call: impl Future<Output = Result<T, Status>>) -> Result<T, Sta
 }
 
 /// Properties of the server, and its tasks.
-pub async fn describe(place: &Place) -> Result<DescribeResponse, Status> {
+pub async fn describe(place: &ServerAddress) -> Result<DescribeResponse, Status> {
     soon(async { Ok(environments(place).await?.describe(DescribeRequest {}).await?.into_inner()) }).await
 }
 
 /// Reserves environments, which have no state before their first reset.
 pub async fn create_session(
-    place: &Place,
+    place: &ServerAddress,
     task_id: String,
     num_envs: u32,
     options: &Value,
@@ -39,7 +39,7 @@ pub async fn create_session(
 }
 
 /// Frees a session, if the server answers within `time`.
-pub async fn close_session(place: &Place, session_id: String, time: Duration) -> Result<(), Status> {
+pub async fn close_session(place: &ServerAddress, session_id: String, time: Duration) -> Result<(), Status> {
     let call = async {
         environments(place).await?.close_session(CloseSessionRequest { session_id }).await?;
         Ok(())

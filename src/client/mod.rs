@@ -3,7 +3,7 @@
 //! The waiting thread reads and writes the socket itself, so no other thread has to be woken for an answer. While
 //! no thread waits, [`keeper`] answers the server's pings and sends queued requests.
 //!
-//! * [`place`]: a server's address and credentials.
+//! * [`address`]: a server's address and credentials.
 //! * [`stream`]: one RunSession stream; [`call`]: calls with one answer; [`study`]: studies with progress reports.
 //! * [`training`]: a training's environments.
 
@@ -11,20 +11,20 @@ use sandgait_base::error;
 use sandgait_service as service;
 use sandgait_train as train;
 
+mod address;
 pub mod call;
 mod keeper;
-mod place;
 mod stream;
 mod study;
 pub mod training;
 
-pub use place::Place;
+pub use address::ServerAddress;
 pub use stream::{PATIENCE, Stream};
 pub use study::{Event, next, study};
 
 use crate::service::proto::environment_service_client::EnvironmentServiceClient;
 use crate::service::proto::study_service_client::StudyServiceClient;
-use place::Bearer;
+use address::Bearer;
 use std::future::Future;
 use std::pin::Pin;
 use std::time::Duration;
@@ -48,14 +48,14 @@ pub fn wait<F: Future + ?Sized>(runtime: &Runtime, future: Pin<&mut F>, time: Du
 }
 
 /// A client for environments at `place`.
-pub async fn environments(place: &Place) -> Result<Environments, Status> {
+pub async fn environments(place: &ServerAddress) -> Result<Environments, Status> {
     let (channel, bearer) = place.connect().await?;
     let client = EnvironmentServiceClient::with_interceptor(channel, bearer);
     Ok(client.max_decoding_message_size(usize::MAX).max_encoding_message_size(usize::MAX))
 }
 
 /// A client for studies at `place`.
-pub async fn studies(place: &Place) -> Result<Studies, Status> {
+pub async fn studies(place: &ServerAddress) -> Result<Studies, Status> {
     let (channel, bearer) = place.connect().await?;
     let client = StudyServiceClient::with_interceptor(channel, bearer);
     Ok(client.max_decoding_message_size(usize::MAX).max_encoding_message_size(usize::MAX))

@@ -1,7 +1,7 @@
 //! One RunSession stream. Answers come in the order of the requests.
 
+use super::address::ServerAddress;
 use super::keeper::Keeper;
-use super::place::Place;
 use super::{cut, environments, runtime, wait};
 use crate::service::proto::run_session_request::Request;
 use crate::service::proto::run_session_response::Response;
@@ -27,7 +27,7 @@ pub struct Stream {
 impl Stream {
     /// Attaches to session `session_id` at `place`. `stopped` is called now and then, and can interrupt this.
     pub fn open<E>(
-        place: Place,
+        place: ServerAddress,
         session_id: String,
         mut stopped: impl FnMut() -> Result<(), E>,
     ) -> Result<Result<Self, Status>, E> {

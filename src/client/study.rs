@@ -1,6 +1,6 @@
 //! Studies on a server: progress, then the result.
 
-use super::place::Place;
+use super::address::ServerAddress;
 use super::{lost, studies};
 use crate::service::proto::{self, DiagnoseResponse, EvaluateResponse, SweepResponse, TrialsResponse, WalkResponse};
 use crate::service::proto::{diagnose_response, evaluate_response, sweep_response, trials_response, walk_response};
@@ -73,7 +73,7 @@ where
 }
 
 /// Requests a study; dropping its events stops it.
-pub async fn study(place: &Place, study: Study) -> Result<Events, Status> {
+pub async fn study(place: &ServerAddress, study: Study) -> Result<Events, Status> {
     let mut client = studies(place).await?;
     Ok(match study {
         Study::Intrude(request) => {

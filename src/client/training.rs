@@ -1,11 +1,11 @@
 //! The environments of `sandgait train --address`: a session on a server.
 
+use super::address::ServerAddress;
 use super::call::{close_session, create_session};
-use super::place::Place;
 use super::stream::{PATIENCE, Stream};
 use super::{runtime, wait};
 use crate::error::{Error, Result};
-use crate::service::proto::run_session_request::Request as Asked;
+use crate::service::proto::run_session_request::Request as SessionRequest;
 use crate::service::proto::run_session_response::Response as Answer;
 use crate::service::proto::{Batch, Reset, Restore, RunSessionRequest, Save, Step, Task};
 use crate::train::remote::{Pause, Remote, Rows};
@@ -25,7 +25,7 @@ const CLOSING: Duration = Duration::from_secs(2);
 
 /// A session with one request in flight at most.
 pub struct Session {
-    place: Place,
+    place: ServerAddress,
     id: String,
     stream: Stream,
     sequence: u64,
@@ -34,14 +34,20 @@ pub struct Session {
 }
 
 /// The error for a server's refusal or a lost connection.
-fn failed(place: &Place, status: &Status) -> Error {
+fn failed(place: &ServerAddress, status: &Status) -> Error {
     let what = if status.code() == Code::Unavailable { "it cannot be reached: " } else { "" };
     Error::invalid(format!("server {}", place.address), format!("{what}{}", status.message()))
 }
 
 impl Session {
     /// `envs` environments of `blueprint`, made with `options`.
-    pub fn new(place: Place, blueprint: &Blueprint, options: &Value, envs: usize, pause: Pause) -> Result<Self> {
+    pub fn new(
+        place: ServerAddress,
+        blueprint: &Blueprint,
+        options: &Value,
+        envs: usize,
+        pause: Pause,
+    ) -> Result<Self> {
         let spec = blueprint.task.spec();
         let runtime = runtime().map_err(|e| failed(&place, &e))?;
         let created = {
@@ -65,7 +71,7 @@ impl Session {
 
     /// The answer to `asked`. If the stream breaks, new streams are tried for a while. Requests are numbered, so
     /// none is carried out twice.
-    fn ask(&mut self, asked: Asked, pause: Pause) -> Result<Answer> {
+    fn ask(&mut self, asked: SessionRequest, pause: Pause) -> Result<Answer> {
         self.sequence += 1;
         let request = RunSessionRequest { session_id: String::new(), sequence: self.sequence, request: Some(asked) };
         self.stream.send(request.clone(), true);
@@ -105,7 +111,7 @@ impl Session {
         }
     }
 
-    fn rows(&mut self, asked: Asked, pause: Pause) -> Result<Rows> {
+    fn rows(&mut self, asked: SessionRequest, pause: Pause) -> Result<Rows> {
         match self.ask(asked, pause)? {
             Answer::Batch(batch) => unpacked(&batch, self.envs, self.observation).ok_or_else(|| self.wrong()),
             _ => Err(self.wrong()),
@@ -119,16 +125,16 @@ impl Session {
 
 impl Remote for Session {
     fn reset(&mut self, seeds: &[u64], pause: Pause) -> Result<Rows> {
-        self.rows(Asked::Reset(Reset { seeds: seeds.to_vec(), ..Reset::default() }), pause)
+        self.rows(SessionRequest::Reset(Reset { seeds: seeds.to_vec(), ..Reset::default() }), pause)
     }
 
     fn step(&mut self, actions: &[f32], pause: Pause) -> Result<Rows> {
         let actions: Vec<u8> = actions.iter().flat_map(|x| x.to_le_bytes()).collect();
-        self.rows(Asked::Step(Step { actions: actions.into(), ..Step::default() }), pause)
+        self.rows(SessionRequest::Step(Step { actions: actions.into(), ..Step::default() }), pause)
     }
 
     fn save(&mut self, pause: Pause) -> Result<Vec<u8>> {
-        match self.ask(Asked::Save(Save {}), pause)? {
+        match self.ask(SessionRequest::Save(Save {}), pause)? {
             Answer::Snapshot(snapshot) => Ok(snapshot.data.to_vec()),
             _ => Err(self.wrong()),
         }
@@ -136,7 +142,7 @@ impl Remote for Session {
 
     fn restore(&mut self, snapshot: &[u8], pause: Pause) -> Result<Rows> {
         let snapshot = snapshot.to_vec().into();
-        self.rows(Asked::Restore(Restore { snapshot, ..Restore::default() }), pause)
+        self.rows(SessionRequest::Restore(Restore { snapshot, ..Restore::default() }), pause)
     }
 }
 
@@ -150,7 +156,7 @@ impl Drop for Session {
     }
 }
 
-fn open(place: &Place, id: &str, pause: Pause) -> Result<Stream> {
+fn open(place: &ServerAddress, id: &str, pause: Pause) -> Result<Stream> {
     Stream::open(place.clone(), id.to_owned(), pause)?.map_err(|e| failed(place, &e))
 }
 

@@ -162,10 +162,14 @@ impl Blueprint {
         self.task.rows().into_iter().map(keyword).collect()
     }
 
-    /// Estimated memory of one environment [bytes]: rows twice (final observations), its episode, its robot.
-    pub fn bytes_per_env(&self) -> usize {
-        let spec = self.task.spec();
+    /// Estimated memory of `envs` environments [bytes]: their model, and for each the rows (twice, because of final
+    /// observations), its robot, its episode, the one before it, and the copy that a rollout or restore makes.
+    pub fn bytes(&self, envs: usize) -> usize {
+        let (spec, model) = (self.task.spec(), self.task.model());
         let rows = 4 * (2 * spec.observation.len() + spec.info.len() + spec.action.len());
-        rows + self.episode_bytes + self.engine.robot_bytes()
+        // The models of other engines' episodes are in the measured constant, which is for two episodes.
+        let drawn = if model.tree.is_some() { model.copy_bytes() } else { 0 };
+        let episode = self.episode_bytes / 2 + drawn;
+        model.bytes() + envs * (rows + 3 * episode) + self.engine.bytes(model, envs)
     }
 }

@@ -9,11 +9,28 @@ use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::sync::Arc;
 
+/// Is asked for memory [bytes] before a request takes it; an error refuses the request.
+pub type Account = Arc<dyn Fn(usize) -> Result<()> + Send + Sync>;
+
+/// Number of environments of a batch, from 1 to `most`.
+///
+/// # Errors
+/// The number is outside; too many are a matter of the limit, and the caller may ask another server.
+pub fn check_envs(envs: usize, most: usize) -> Result<usize> {
+    let range = format!("{envs} is outside [1, {most}]");
+    match envs {
+        0 => Err(Error::invalid("num_envs", range)),
+        _ if envs > most => Err(Error::Exhausted(format!("num_envs: {range}"))),
+        _ => Ok(envs),
+    }
+}
+
 /// The environments of one session. `Pool::run` takes it and gives it back.
 pub struct Batch {
     pub(super) shards: Vec<Shard>,
     task: Arc<dyn AnyTask>,
     envs: usize,
+    account: Option<Account>,
     pub(super) begun: Vec<bool>,
 }
 
@@ -87,7 +104,7 @@ impl Batch {
     /// `envs` environments of `blueprint`, which need a first reset.
     pub(super) fn of(blueprint: &Blueprint, shards: Vec<Shard>) -> Self {
         let envs = shards.iter().map(Shard::envs).sum();
-        Self { shards, task: blueprint.task.clone(), envs, begun: vec![false; envs] }
+        Self { shards, task: blueprint.task.clone(), envs, account: None, begun: vec![false; envs] }
     }
 
     pub fn envs(&self) -> usize {
@@ -101,6 +118,22 @@ impl Batch {
 
     pub fn spec(&self) -> &Spec {
         self.task.spec()
+    }
+
+    /// From now on `account` is asked for the memory of models and snapshots; None: nobody is.
+    pub fn set_account(&mut self, account: Option<Account>) {
+        self.account = account;
+    }
+
+    pub(super) fn charge(&self, bytes: usize) -> Result<()> {
+        self.account.as_ref().map_or(Ok(()), |account| account(bytes))
+    }
+
+    /// Memory of the environments' models [bytes]. Resets and restores make models.
+    pub fn model_bytes(&self) -> usize {
+        let tasks = self.shards.iter().flat_map(|shard| (0..shard.envs()).map(|i| shard.task(i)));
+        let models: HashMap<usize, &Arc<dyn AnyTask>> = tasks.map(|task| (task.id(), task)).collect();
+        models.values().map(|task| task.model().bytes()).sum()
     }
 
     /// The shards in order of the environments; `rows` of each hold the results of the last operation.
@@ -144,7 +177,9 @@ impl Batch {
             let index = match known.entry(old.id()) {
                 Entry::Occupied(known) => *known.get(),
                 Entry::Vacant(new) => {
-                    tasks.all.push(old.changed(options)?);
+                    let task = old.changed(options)?;
+                    self.charge(task.model().bytes())?;
+                    tasks.all.push(task);
                     *new.insert(tasks.all.len() as u32 - 1)
                 }
             };

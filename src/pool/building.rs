@@ -1,9 +1,9 @@
 //! Environments under construction. Thousands of them take seconds, so they can be made some at a time.
 
-use super::batch::Batch;
+use super::batch::{Batch, check_envs};
 use crate::env::Shard;
 use crate::env::registry::Blueprint;
-use crate::error::{Error, Result};
+use crate::error::Result;
 use std::time::{Duration, Instant};
 
 /// A [`Batch`] of which some shards are complete.
@@ -23,9 +23,7 @@ impl Batch {
 impl Building {
     /// `envs` environments, none of which is made yet.
     pub fn new(blueprint: &Blueprint, envs: usize) -> Result<Self> {
-        if envs == 0 {
-            return Err(Error::invalid("num_envs", "0 is outside [1, 4294967295]"));
-        }
+        check_envs(envs, usize::MAX)?;
         Ok(Self { blueprint: blueprint.clone(), envs, shards: Vec::new() })
     }
 

@@ -21,7 +21,7 @@ mod seal;
 mod snapshot;
 mod threads;
 
-pub use batch::{Batch, Operation, Roll};
+pub use batch::{Account, Batch, Operation, Roll, check_envs};
 pub use building::Building;
 pub use seal::Seal;
 pub use snapshot::Snapshot;

@@ -26,6 +26,9 @@ const VERSION: &str = env!("CARGO_PKG_VERSION");
 /// than the shortest, which prevents a small snapshot with very many empty parts.
 const PART: std::ops::RangeInclusive<usize> = 64..=1 << 19;
 
+/// Copies of a snapshot while it is made: its parts, the CBOR of all of them, and the finished bytes.
+const COPIES: usize = 3;
+
 /// Environments in the middle of their episodes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -130,8 +133,15 @@ impl Batch {
                 });
                 episodes.push((index as u32, Part::pack(&shard.save(i))?));
             }
+            let packed = &episodes[episodes.len() - shard.envs()..];
+            self.charge(COPIES * packed.iter().map(|(_, part)| part.0.len()).sum::<usize>())?;
         }
-        let options = tasks.iter().map(|t| Part::pack(&t.options())).collect::<Result<_>>()?;
+        let options = |t: &&Arc<dyn AnyTask>| {
+            let part = Part::pack(&t.options())?;
+            self.charge(COPIES * part.0.len())?;
+            Ok(part)
+        };
+        let options = tasks.iter().map(options).collect::<Result<_>>()?;
         Ok(Snapshot { task: self.spec().id.into(), options, episodes })
     }
 
@@ -166,7 +176,13 @@ impl Batch {
             let options = snapshot.options.get(*index as usize).ok_or_else(|| broken("it is inconsistent"))?;
             let task = match tasks.get(options) {
                 Some(task) => task,
-                None => tasks.entry(options).or_insert(self.task_with(options.unpack()?)?),
+                None => {
+                    let task = self.task_with(options.unpack()?)?;
+                    if task.id() != self.task().id() {
+                        self.charge(task.model().bytes())?;
+                    }
+                    tasks.entry(options).or_insert(task)
+                }
             };
             let episode: SavedEpisode = episode.unpack()?;
             let new = Arc::new(Resumed::new(&episode, task)?);

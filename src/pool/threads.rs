@@ -21,7 +21,7 @@ type Done = Box<dyn FnOnce(Result<Batch>) + Send>;
 const WATCH: Duration = Duration::from_micros(100);
 
 /// A shard that waits for a worker.
-struct Piece {
+struct QueuedShard {
     /// Index of its first environment in the batch.
     start: usize,
     shard: Shard,
@@ -33,7 +33,7 @@ struct Piece {
 struct Job {
     operation: Arc<Operation>,
     /// Shards that no worker has now; the last one is taken first.
-    waiting: Vec<Piece>,
+    waiting: Vec<QueuedShard>,
     id: u64,
 }
 
@@ -127,10 +127,10 @@ impl Pool {
         done: impl FnOnce(Result<Batch>) + Send + 'static,
     ) -> u64 {
         let mut start = 0;
-        let mut waiting: Vec<Piece> = Vec::with_capacity(batch.shards.len());
+        let mut waiting: Vec<QueuedShard> = Vec::with_capacity(batch.shards.len());
         for shard in batch.shards.drain(..) {
             let envs = shard.envs();
-            waiting.push(Piece { start, shard, done: 0 });
+            waiting.push(QueuedShard { start, shard, done: 0 });
             start += envs;
         }
         waiting.reverse();
@@ -158,9 +158,9 @@ impl Pool {
         });
         let mut queue = self.shared.lock();
         while let Some(place) = queue.jobs.iter().position(|job| job.id == id) {
-            let Some((id, operation, piece)) = take(&mut queue, place) else { break };
+            let Some((id, operation, queued)) = take(&mut queue, place) else { break };
             drop(queue);
-            queue = carry_out(&self.shared, id, operation, piece);
+            queue = carry_out(&self.shared, id, operation, queued);
         }
         drop(queue);
         receiver.recv().unwrap_or_else(|_| Err(Error::Exhausted("the worker pool was closed".into())))
@@ -175,9 +175,9 @@ impl Pool {
         let mut queue = self.shared.lock();
         while queue.active < self.most_active && start.elapsed() < time {
             let Some(place) = queue.jobs.iter().position(|job| job.operation.parts() == 1) else { break };
-            let Some((id, operation, piece)) = take(&mut queue, place) else { break };
+            let Some((id, operation, queued)) = take(&mut queue, place) else { break };
             drop(queue);
-            queue = carry_out(&self.shared, id, operation, piece);
+            queue = carry_out(&self.shared, id, operation, queued);
         }
     }
 
@@ -210,31 +210,31 @@ impl Drop for Pool {
 }
 
 /// Takes one shard of the job at `place`, and puts the job behind all others.
-fn take(queue: &mut Queue, place: usize) -> Option<(u64, Arc<Operation>, Piece)> {
+fn take(queue: &mut Queue, place: usize) -> Option<(u64, Arc<Operation>, QueuedShard)> {
     let mut job = queue.jobs.remove(place)?;
-    let piece = job.waiting.pop()?;
+    let queued = job.waiting.pop()?;
     let (id, operation) = (job.id, job.operation.clone());
     if !job.waiting.is_empty() {
         queue.jobs.push_back(job);
     }
     queue.active += 1;
-    Some((id, operation, piece))
+    Some((id, operation, queued))
 }
 
 /// Puts a shard with parts left behind all other jobs.
-fn put_back(queue: &mut Queue, id: u64, operation: Arc<Operation>, piece: Piece) {
+fn put_back(queue: &mut Queue, id: u64, operation: Arc<Operation>, queued: QueuedShard) {
     match queue.jobs.iter_mut().find(|job| job.id == id) {
-        Some(job) => job.waiting.insert(0, piece),
-        None => queue.jobs.push_back(Job { operation, waiting: vec![piece], id }),
+        Some(job) => job.waiting.insert(0, queued),
+        None => queue.jobs.push_back(Job { operation, waiting: vec![queued], id }),
     }
 }
 
 fn worker(shared: &Shared) {
     let mut queue = shared.lock();
     loop {
-        if let Some((id, operation, piece)) = take(&mut queue, 0) {
+        if let Some((id, operation, queued)) = take(&mut queue, 0) {
             drop(queue);
-            queue = carry_out(shared, id, operation, piece);
+            queue = carry_out(shared, id, operation, queued);
         } else if queue.closed {
             return;
         } else {
@@ -266,28 +266,28 @@ fn rest<'a>(shared: &'a Shared, mut queue: MutexGuard<'a, Queue>) -> MutexGuard<
 }
 
 /// Works on a shard and returns it to its batch or to the queue.
-fn carry_out(shared: &Shared, id: u64, operation: Arc<Operation>, mut piece: Piece) -> MutexGuard<'_, Queue> {
-    let outcome = catch_unwind(AssertUnwindSafe(|| work(shared, id, &operation, &mut piece)));
+fn carry_out(shared: &Shared, id: u64, operation: Arc<Operation>, mut queued: QueuedShard) -> MutexGuard<'_, Queue> {
+    let outcome = catch_unwind(AssertUnwindSafe(|| work(shared, id, &operation, &mut queued)));
     if matches!(outcome, Ok(false)) {
         let mut queue = shared.lock();
         queue.active -= 1;
         if !queue.closed {
-            put_back(&mut queue, id, operation, piece);
+            put_back(&mut queue, id, operation, queued);
         }
         return queue;
     }
     drop(operation);
-    give_back(shared, id, piece.start, piece.shard, outcome.is_err())
+    give_back(shared, id, queued.start, queued.shard, outcome.is_err())
 }
 
 /// Works on a shard until its operation is done, and then returns true. If another session waits, it stops earlier,
 /// after at least one part. So a rollout does not delay the steps of other sessions, and a rollout without other
 /// sessions does not return to the queue.
-fn work(shared: &Shared, id: u64, operation: &Operation, piece: &mut Piece) -> bool {
+fn work(shared: &Shared, id: u64, operation: &Operation, queued: &mut QueuedShard) -> bool {
     loop {
-        operation.run(&mut piece.shard, piece.start, piece.done);
-        piece.done += 1;
-        if piece.done >= operation.parts() {
+        operation.run(&mut queued.shard, queued.start, queued.done);
+        queued.done += 1;
+        if queued.done >= operation.parts() {
             return true;
         }
         let queue = shared.lock();

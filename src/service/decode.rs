@@ -41,14 +41,27 @@ pub fn operation(batch: &mut Batch, request: Option<Request>, seal: &Seal) -> Re
 /// take microseconds.
 const LIGHT: usize = 16 << 10;
 
-/// Is this request cheap enough to check on the thread that received it? Models are built from reset options.
-pub fn is_light(request: &proto::RunSessionRequest) -> bool {
+/// How long a request keeps the thread that checks it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Weight {
+    /// Some microseconds: the thread that received it.
+    Light,
+    /// Some milliseconds: a blocking thread.
+    Short,
+    /// Longer: a blocking thread, in turns.
+    Long,
+}
+
+/// Where this request is checked. Models are built from reset options.
+pub fn weight(request: &proto::RunSessionRequest) -> Weight {
     match &request.request {
-        Some(Request::Step(step)) => step.actions.len() + step.held.len() <= LIGHT,
-        Some(Request::Reset(reset)) => reset.options.is_none() && 8 * reset.seeds.len() + reset.mask.len() <= LIGHT,
-        Some(Request::Save(_) | Request::Restore(_) | Request::Rollout(_) | Request::PolicyRollout(_)) => false,
-        Some(Request::Render(_) | Request::Observe(_)) => false,
-        Some(Request::Attach(_)) | None => true,
+        Some(Request::Step(step)) if step.actions.len() + step.held.len() <= LIGHT => Weight::Light,
+        Some(Request::Step(_) | Request::Observe(_)) => Weight::Short,
+        Some(Request::Reset(reset)) if reset.options.is_some() => Weight::Long,
+        Some(Request::Reset(reset)) if 8 * reset.seeds.len() + reset.mask.len() <= LIGHT => Weight::Light,
+        Some(Request::Reset(_)) => Weight::Short,
+        Some(Request::Attach(_)) | None => Weight::Light,
+        Some(_) => Weight::Long,
     }
 }
 

@@ -1,53 +1,41 @@
 //! A request as it arrived: bytes that are not unpacked yet.
 
-use super::intake::{Door, Share};
-use super::wire::{self, MessageLayout};
+use super::intake::{Messages, Share};
+use super::price::{self, SMALL};
 use super::{off_runtime, status};
 use crate::error::{Error, Result};
 use bytes::{Buf as _, Bytes};
 use prost::Message;
 use std::marker::PhantomData;
+use tonic::Status;
 use tonic::codec::{BufferSettings, Codec, DecodeBuf, Decoder};
-use tonic::{Request, Status};
 use tonic_prost::{ProstCodec, ProstEncoder};
 
-/// The bytes of a message `T`. Empty for a large one, which is in the call's [`Door`].
+/// The bytes of a message `T` that is not unpacked yet.
 pub struct Frame<T>(Bytes, PhantomData<fn() -> T>);
 
-/// Largest request [bytes] that is unpacked on the thread that received it: some 0.3 ms at worst.
-const LIGHT: usize = 16 << 10;
-
 impl<T: Message + Default + 'static> Frame<T> {
-    /// The message, with its share of the memory for requests. Its parts are counted before any is unpacked.
-    pub fn open(self, door: &Door, layout: MessageLayout) -> Result<(T, Option<Share>)> {
-        let (bytes, share) = door.take(self.0);
-        Ok((unpacked(bytes, layout)?, share))
+    /// The message of a call that has only one, with its share of the memory for requests.
+    pub async fn only(request: tonic::Request<Self>) -> std::result::Result<(T, Option<Share>), Status> {
+        let messages = Messages::of(&request);
+        request.into_inner().open(&messages).await
     }
 
-    /// The same as [`Self::receive`] for a call with a single message.
-    pub async fn only(
-        request: Request<Self>,
-        layout: MessageLayout,
-    ) -> std::result::Result<(T, Option<Share>), Status> {
-        let door = Door::of(&request);
-        request.into_inner().receive(&door, layout).await
-    }
-
-    /// The same as [`Self::open`]; large messages are unpacked on another thread than the async runtime's.
-    pub async fn receive(self, door: &Door, layout: MessageLayout) -> std::result::Result<(T, Option<Share>), Status> {
-        let (bytes, share) = door.take(self.0);
-        let message = if bytes.len() <= LIGHT {
-            unpacked(bytes, layout).map_err(|e| status::status(&e))?
-        } else {
-            off_runtime(move || unpacked(bytes, layout)).await?
+    /// The message, with its share. Its parts are counted before any is unpacked, and large messages are unpacked on
+    /// another thread than the async runtime's: [`SMALL`] ones take 0.3 ms at worst.
+    pub async fn open(self, messages: &Messages) -> std::result::Result<(T, Option<Share>), Status> {
+        let (bytes, share) = (self.0, messages.take_share());
+        let layout = messages.layout();
+        let unpack = move |bytes: Bytes| -> Result<T> {
+            price::check(&bytes, layout)?;
+            T::decode(bytes).map_err(|e| Error::invalid("message", format!("cannot be read: {e}")))
+        };
+        let message = match bytes.len() <= SMALL {
+            true => unpack(bytes).map_err(|e| status::status(&e))?,
+            false => off_runtime(move || unpack(bytes)).await?,
         };
         Ok((message, share))
     }
-}
-
-fn unpacked<T: Message + Default>(bytes: Bytes, layout: MessageLayout) -> Result<T> {
-    wire::check(&bytes, layout)?;
-    T::decode(bytes).map_err(|e| Error::invalid("message", format!("cannot be read: {e}")))
 }
 
 /// Takes requests as frames and writes answers as protobuf.

@@ -6,7 +6,7 @@ mod mutate;
 use super::proto::run_session_request::Request;
 use super::proto::{CreateSessionRequest, PolicyRollout, Reset, Restore, Rollout, RunSessionRequest, Step};
 use super::sessions::{Limits, Sessions};
-use super::{decode, values, wire};
+use super::{decode, price, values};
 use crate::env::Task;
 use crate::env::registry::{Blueprint, TASK_IDS};
 use crate::env::rocks::HexapodRocks;
@@ -178,10 +178,10 @@ fn wrong_requests_are_refused_or_carried_out() {
             let [one, other] = [(); 2].map(|()| &valid[random.random_range(0..valid.len())]);
             let request = if k % 2 == 0 {
                 let message = mutate::mutated(&mut random, one, other);
-                let sized = wire::check(&message, &wire::RUN_SESSION).is_ok();
+                let sized = price::check(&message, price::of_call("RunSession").layout).is_ok();
                 sized.then(|| RunSessionRequest::decode(&message[..]).ok()).flatten().map(|message| message.request)
             } else {
-                wire::check(one, &wire::RUN_SESSION).unwrap();
+                price::check(one, price::of_call("RunSession").layout).unwrap();
                 let whole = RunSessionRequest::decode(&one[..]).unwrap().request;
                 Some(whole.map(|request| spoiled(&mut random, request)))
             };

@@ -1,4 +1,4 @@
-//! The layer around all calls: checks the token, limits the peer's rate, and counts failures.
+//! The layer around all calls: checks the token, and counts failures.
 
 use super::connections::Link;
 use super::metrics::Metrics;
@@ -32,11 +32,8 @@ pub async fn pass(State(gate): State<Gate>, call: Request, next: Next) -> Respon
     let admitted = open || gate.token.as_ref().is_none_or(|t| t.admits(given));
     let link = call.extensions().get::<Link>().cloned();
     // The connection has a call until the body of the answer is dropped.
-    let begun = link.as_ref().map(Link::begin);
+    let begun = link.as_ref().map(|link| link.begin(admitted && !open));
     let answer = if admitted {
-        if let Some(link) = link.filter(|_| !open) {
-            link.turn().await;
-        }
         next.run(call).await
     } else {
         let peer = link.map_or_else(String::new, |l| l.name());

@@ -7,24 +7,21 @@
 //! Small messages pass. Large messages of all calls together may take [`Intake::room`]. While one waits, HTTP/2's
 //! flow control stops its sender. A request holds its [`Share`] until it has released its memory.
 
+use super::price::{self, COPIES, Call, LONGEST_OPTIONS, MessageLayout, SMALL};
 use super::sessions::Limits;
-use super::wire::{LARGEST_DIAGNOSIS, LARGEST_POLICY, LARGEST_TRIALS, LONGEST_OPTIONS};
 use crate::error::{Error, Result};
 use axum::body::{Body, BodyDataStream};
 use axum::extract::{Request, State};
 use axum::middleware::Next;
 use axum::response::Response;
-use bytes::{Bytes, BytesMut};
+use bytes::Bytes;
 use futures_util::{StreamExt as _, stream};
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::{Instant, timeout, timeout_at};
 use tonic::Status;
-
-/// Messages of at most this size [bytes] need no share.
-const SMALL: usize = 16 << 10;
 
 /// Unit of shares [bytes].
 const UNIT: usize = 1 << 10;
@@ -33,12 +30,9 @@ const UNIT: usize = 1 << 10;
 /// of clients.
 const WAIT: Duration = Duration::from_secs(30);
 
-/// Time limit for the arrival of a large message, in addition to its transfer at 1 MiB/s. Our choice, because a slow or
-/// busy client may pause for some seconds.
+/// Time limit for the arrival of a call's first message, and of a large message in addition to its transfer at 1 MiB/s.
+/// Our choice, because a slow or busy client may pause for some seconds.
 const ARRIVAL: Duration = Duration::from_secs(10);
-
-/// Memory of a message with its unpacked parts, as a multiple of the message's size: actions are copied once.
-const COPIES: usize = 2;
 
 /// Bytes before a message: a flag and its length.
 const HEADER: usize = 5;
@@ -50,12 +44,36 @@ pub struct Intake {
     shares: Arc<Semaphore>,
     /// [bytes]
     room: usize,
-    /// Largest message [bytes].
+    /// Largest message of any call [bytes].
     largest: usize,
 }
 
 /// Part of the memory for requests; given back when it is dropped.
-pub struct Share(#[expect(dead_code, reason = "held for its end")] OwnedSemaphorePermit);
+pub struct Share {
+    permit: Mutex<OwnedSemaphorePermit>,
+    room: usize,
+}
+
+impl Share {
+    pub fn bytes(&self) -> usize {
+        self.permit.lock().unwrap_or_else(PoisonError::into_inner).num_permits() * UNIT
+    }
+
+    /// Takes `bytes` more, if they are free now.
+    pub fn grow(&self, bytes: usize) -> Result<()> {
+        let mut permit = self.permit.lock().unwrap_or_else(PoisonError::into_inner);
+        let more = permit.semaphore().clone().try_acquire_many_owned(units(bytes)).map_err(|_| {
+            let room = self.room >> 20;
+            Error::Exhausted(format!("needs more than is left of the {room} MiB that requests may take"))
+        })?;
+        permit.merge(more);
+        Ok(())
+    }
+}
+
+fn units(bytes: usize) -> u32 {
+    u32::try_from(bytes.div_ceil(UNIT)).unwrap_or(u32::MAX)
+}
 
 impl Limits {
     /// Memory for requests: a quarter of all, but no more than the largest request needs.
@@ -84,167 +102,159 @@ impl Intake {
         (self.room / 64).clamp(64 << 10, 4 << 20) as u32
     }
 
-    /// Largest message of the call `path` [bytes].
-    fn limit(&self, path: &str) -> usize {
-        let limit = match path.rsplit('/').next() {
-            Some("RunSession") => self.largest,
-            Some("CreateSession" | "Process") => LONGEST_OPTIONS + SMALL,
-            // A robot and sand as files.
-            Some("Intrude" | "Walk" | "Sweep") => LONGEST_OPTIONS + SMALL,
-            Some("Evaluate") => LARGEST_POLICY + LONGEST_OPTIONS + SMALL,
-            Some("Trials") => LARGEST_TRIALS,
-            Some("Diagnose") => LARGEST_DIAGNOSIS,
-            _ => SMALL,
-        };
-        limit.min(self.largest)
+    /// A share for a request's work and results, if it is free now.
+    pub fn try_share(&self, bytes: usize) -> Option<Share> {
+        let permit = self.shares.clone().try_acquire_many_owned(units(bytes)).ok()?;
+        Some(Share { permit: Mutex::new(permit), room: self.room })
     }
 
-    /// Waits for memory for a request's results.
+    /// Waits for a share.
     pub async fn share(&self, bytes: usize) -> Result<Share> {
         if bytes > self.room {
             let [needed, room] = [bytes, self.room].map(|b| b.div_ceil(1 << 20));
             return Err(Error::Exhausted(format!("needs about {needed} MiB, requests may take {room} MiB")));
         }
-        let units = bytes.div_ceil(UNIT).min(self.room / UNIT) as u32;
+        let units = units(bytes).min((self.room / UNIT) as u32);
         match timeout(WAIT, self.shares.clone().acquire_many_owned(units)).await {
-            Ok(Ok(permit)) => Ok(Share(permit)),
+            Ok(Ok(permit)) => Ok(Share { permit: Mutex::new(permit), room: self.room }),
             _ => Err(Error::Exhausted("the memory for large requests is taken by others; try again".into())),
         }
     }
 }
 
-/// Holds a call's large messages until they are taken, and the limit of its small ones.
-#[derive(Clone, Default)]
-pub struct Door(Arc<Inner>);
+/// The bounds of a call's messages, and the share of its present one.
+#[derive(Clone)]
+pub struct Messages(Arc<Inner>);
 
-#[derive(Default)]
 struct Inner {
+    call: &'static Call,
     /// Size of messages [bytes] for which the call's session has reserved memory already.
     free: AtomicUsize,
-    large: Mutex<Option<(Bytes, Share)>>,
+    share: Mutex<Option<Share>>,
 }
 
-impl Door {
+impl Messages {
+    fn new(call: &'static Call) -> Self {
+        Self(Arc::new(Inner { call, free: AtomicUsize::new(SMALL), share: Mutex::default() }))
+    }
+
     pub fn of<T>(request: &tonic::Request<T>) -> Self {
-        request.extensions().get::<Self>().cloned().unwrap_or_default()
+        // Only calls that did not come through [`pass`], in tests, have none.
+        request.extensions().get::<Self>().cloned().unwrap_or_else(|| Self::new(price::of_call("")))
     }
 
     /// From now on messages of up to `bytes` need no share, because the session's reservation includes them.
     pub fn let_pass(&self, bytes: usize) {
-        self.0.free.store(bytes, Ordering::Relaxed);
+        self.0.free.store(bytes.max(SMALL), Ordering::Relaxed);
     }
 
-    fn free(&self) -> usize {
-        self.0.free.load(Ordering::Relaxed).max(SMALL)
+    pub fn layout(&self) -> MessageLayout {
+        self.0.call.layout
     }
 
-    /// The message: `bytes` or, if `bytes` is empty, the large message that the empty one stands for.
-    pub fn take(&self, bytes: Bytes) -> (Bytes, Option<Share>) {
-        let mut large = self.0.large.lock().unwrap_or_else(PoisonError::into_inner);
-        match large.take_if(|_| bytes.is_empty()) {
-            Some((bytes, share)) => (bytes, Some(share)),
-            None => (bytes, None),
-        }
+    /// The share of the message that tonic reads or has just read, if it is large.
+    pub fn take_share(&self) -> Option<Share> {
+        self.slot().take()
     }
 
-    fn put(&self, bytes: Bytes, share: Share) -> std::result::Result<(), Status> {
-        let mut large = self.0.large.lock().unwrap_or_else(PoisonError::into_inner);
-        if large.is_some() {
-            return Err(Status::invalid_argument("message: this call takes only one message"));
-        }
-        *large = Some((bytes, share));
-        Ok(())
+    fn slot(&self) -> MutexGuard<'_, Option<Share>> {
+        self.0.share.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 /// Reads a call's messages one by one, each when there is memory for it.
 pub async fn pass(State(intake): State<Arc<Intake>>, mut call: Request, next: Next) -> Response {
-    let (door, limit) = (Door::default(), intake.limit(call.uri().path()));
-    call.extensions_mut().insert(door.clone());
+    let bounds = price::of_call(call.uri().path());
+    let messages = Messages::new(bounds);
+    call.extensions_mut().insert(messages.clone());
     let metered = |body: Body| {
-        let messages =
-            Messages { body: body.into_data_stream(), arrived: Bytes::new(), missing: 0, door, intake, limit };
-        Body::from_stream(stream::try_unfold(messages, Messages::next))
+        let limit = bounds.largest.min(intake.largest).min(intake.room / bounds.copies);
+        let (body, first) = (body.into_data_stream(), Some(Instant::now() + ARRIVAL));
+        let reader = Reader { body, arrived: Bytes::new(), missing: 0, deadline: first, messages, intake, limit };
+        Body::from_stream(stream::try_unfold(reader, Reader::next))
     };
     next.run(call.map(metered)).await
 }
 
-/// The messages of a call.
-struct Messages {
+/// The messages of a call as they arrive.
+struct Reader {
     body: BodyDataStream,
     /// Bytes that have arrived and were not passed on yet.
     arrived: Bytes,
-    /// Missing bytes of the incomplete small message.
+    /// Missing bytes of the present message.
     missing: usize,
-    door: Door,
+    /// Time by which the present message must have arrived; only a first or large message has one.
+    deadline: Option<Instant>,
+    messages: Messages,
     intake: Arc<Intake>,
     limit: usize,
 }
 
-impl Messages {
-    /// The next bytes for tonic: small messages unchanged, and an empty message in place of a large one.
+impl Reader {
+    /// The next bytes for tonic: those of the present message, or of some small ones.
     async fn next(mut self) -> std::result::Result<Option<(Bytes, Self)>, BoxError> {
         loop {
-            let small = self.small();
-            if small > 0 {
-                let bytes = self.arrived.split_to(small);
+            let ready = self.ready();
+            if ready > 0 {
+                let bytes = self.arrived.split_to(ready);
                 return Ok(Some((bytes, self)));
             }
-            if let Some(length) = length(&self.arrived) {
-                let flag = self.arrived[0];
-                self.large(length).await?;
-                return Ok(Some((vec![flag, 0, 0, 0, 0].into(), self)));
+            if self.missing == 0
+                && let Some(length) = length(&self.arrived)
+            {
+                self.begin(length).await?;
+                continue;
             }
-            match self.body.next().await.transpose()? {
+            let late = |_| Status::deadline_exceeded("message: it has not arrived in time");
+            let next = match self.deadline {
+                Some(deadline) => timeout_at(deadline, self.body.next()).await.map_err(late)?,
+                None => self.body.next().await,
+            };
+            match next.transpose()? {
                 Some(bytes) if self.arrived.is_empty() => self.arrived = bytes,
                 Some(bytes) => self.arrived = [&self.arrived[..], &bytes].concat().into(),
+                // tonic refuses a message that is cut off.
                 None if self.arrived.is_empty() => return Ok(None),
-                // An incomplete header, which tonic refuses.
                 None => return Ok(Some((std::mem::take(&mut self.arrived), self))),
             }
         }
     }
 
-    /// Number of the bytes that have arrived and belong to small messages.
-    fn small(&mut self) -> usize {
+    /// Number of the bytes that have arrived and belong to the present message, or to small ones after it. A large
+    /// message comes alone, because its share is that of the message which tonic reads.
+    fn ready(&mut self) -> usize {
         let mut end = self.missing.min(self.arrived.len());
         self.missing -= end;
-        let small = self.door.free().min(self.limit);
+        if self.missing == 0 && end > 0 {
+            self.deadline = None;
+        }
+        let small = self.messages.0.free.load(Ordering::Relaxed).min(self.limit);
         while self.missing == 0
             && let Some(length) = length(&self.arrived[end..]).filter(|length| *length <= small)
         {
             let whole = end + HEADER + length;
             end = whole.min(self.arrived.len());
             self.missing = whole - end;
+            self.deadline = self.deadline.filter(|_| self.missing > 0);
         }
         end
     }
 
-    /// Reads the present large message and puts it into the [`Door`].
-    async fn large(&mut self, length: usize) -> std::result::Result<(), Status> {
+    /// Waits for the share of a large message that begins here.
+    async fn begin(&mut self, length: usize) -> std::result::Result<(), Status> {
+        let refused = |why: String| Status::resource_exhausted(format!("message: {why}"));
         if length > self.limit {
-            let limit = self.limit;
-            return Err(Status::resource_exhausted(format!(
-                "message: {length} bytes are more than this call takes, {limit}"
-            )));
+            return Err(refused(format!("{length} bytes are more than this call takes, {}", self.limit)));
         }
-        let share = self.intake.share(COPIES * length).await;
-        let share = share.map_err(|e| Status::resource_exhausted(format!("message: {e}")))?;
-        let time = ARRIVAL + Duration::from_secs((length >> 20) as u64);
-        let deadline = Instant::now() + time;
-        let late = |_| Status::resource_exhausted(format!("message: not there within {} s", time.as_secs()));
-        let mut message = BytesMut::with_capacity(length);
-        drop(self.arrived.split_to(HEADER));
-        loop {
-            let part = self.arrived.split_to(self.arrived.len().min(length - message.len()));
-            message.extend_from_slice(&part);
-            if message.len() == length {
-                return self.door.put(message.freeze(), share);
-            }
-            let cut_off = || Status::invalid_argument("message: cannot be read: it is cut off");
-            let next = timeout_at(deadline, self.body.next()).await.map_err(late)?;
-            self.arrived = next.ok_or_else(cut_off)?.map_err(|_| cut_off())?;
+        if self.messages.slot().is_some() {
+            return Err(Status::invalid_argument("message: this call takes only one message"));
         }
+        let share =
+            self.intake.share(self.messages.0.call.copies * length).await.map_err(|e| refused(e.to_string()))?;
+        *self.messages.slot() = Some(share);
+        self.missing = HEADER + length;
+        self.deadline = Some(Instant::now() + ARRIVAL + Duration::from_secs((length >> 20) as u64));
+        Ok(())
     }
 }
 

@@ -1,6 +1,6 @@
 //! A server's counters, as a page for Prometheus.
 
-use super::pages;
+use super::connections;
 use super::refusals::Refusals;
 use crate::error::{Error, Result};
 use crate::pool::{Batch, Operation};
@@ -142,7 +142,7 @@ pub async fn serve(
         Ok::<_, String>(([(CONTENT_TYPE, FORMAT)], page).into_response())
     };
     let app = axum::Router::new().route("/metrics", get(page));
-    pages::serve(listener, app, pages::METRICS, refusals, stop).await;
+    connections::pages(listener, app, connections::METRICS, refusals, stop).await;
 }
 
 const FORMAT: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";

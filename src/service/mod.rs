@@ -4,15 +4,13 @@
 //!
 //! * [`address`]: the address of a server; [`server`]: its services until it is stopped.
 //! * [`connections`]: incoming connections and their limits; [`refusals`]: the sampled log of refusals.
-//! * [`security`]: TLS and the token; [`gate`]: the layer around all calls; [`rate`]: the limit of a peer's requests.
-//! * [`metrics`]: counters; [`pages`]: HTTP/1 for metrics and the live page.
+//! * [`security`]: TLS and the token; [`gate`]: the layer around all calls.
+//! * [`metrics`]: counters, as a page.
 //! * [`sessions`]: the environments of clients, and the limits; [`state`]: sessions that outlive their server.
-//! * [`stream`]: one RunSession stream, request by request; [`work`]: the work of one request; [`rollout`]: the request
-//!   of many steps.
+//! * [`stream`]: one RunSession stream, request by request; [`work`]: the work of one request; [`rollout`]: the request of many steps.
 //! * [`view`]: requests for pictures and moments; [`viewer`]: the page that follows sessions.
 //! * [`studies`]: the offline tools, one at a time.
-//! * [`dm_env_rpc`]: the same environments for DeepMind's protocol.
-//! * [`intake`]: the memory of requests; [`frame`], [`wire`]: requests whose size is checked before they are unpacked.
+//! * [`price`]: what each call may cost; [`intake`]: the memory of requests; [`frame`]: requests that are not unpacked.
 //! * [`decode`], [`encode`], [`values`]: messages from and to the crate's types.
 //! * [`status`]: the map from errors to gRPC codes.
 
@@ -30,31 +28,27 @@ use sandgait_sweep as sweep;
 pub mod address;
 mod connections;
 mod decode;
-pub mod dm_env_rpc;
 mod encode;
-mod frame;
+pub mod frame;
 #[cfg(test)]
 mod fuzz;
 mod gate;
-mod intake;
-mod loan;
+pub mod intake;
 mod metrics;
 mod names;
-mod pages;
-mod rate;
+mod price;
 mod refusals;
 mod rollout;
 mod security;
 pub mod server;
-mod sessions;
+pub mod sessions;
 mod state;
-mod status;
+pub mod status;
 mod stream;
 pub mod studies;
-mod values;
+pub mod values;
 mod view;
 mod viewer;
-mod wire;
 mod work;
 
 /// Generated from `proto/sandgait/v1/` by `make proto`; `tests/generated.rs` checks that it is current.
@@ -70,7 +64,7 @@ pub use crate::pool::Seal;
 pub use address::{Address, Listener, bind_tcp};
 pub use encode::task;
 pub use security::{Tls, Token, warn_if_shared};
-pub use server::{Connected, Setup, serve};
+pub use server::{AddServices, Connected, Setup, serve};
 pub use sessions::Limits;
 pub use state::StateDir;
 pub use values::{from_json, number};
@@ -80,7 +74,7 @@ use crate::error::Error;
 use crate::pool::Pool;
 use frame::Frame;
 use futures_util::Stream;
-use intake::{Door, Intake};
+use intake::{Intake, Messages};
 use proto::environment_service_server::EnvironmentService;
 use proto::{CloseSessionRequest, CloseSessionResponse, CreateSessionRequest, CreateSessionResponse};
 use proto::{DescribeRequest, DescribeResponse, RunSessionRequest, RunSessionResponse};
@@ -138,7 +132,7 @@ impl EnvironmentService for Service {
         request: Request<Frame<CreateSessionRequest>>,
     ) -> Result<Response<CreateSessionResponse>, Status> {
         let lease_seconds = self.sessions.limits().lease.as_secs_f64();
-        let (request, _share) = Frame::only(request, &wire::CREATE_SESSION).await?;
+        let (request, _share) = Frame::only(request).await?;
         let CreateSessionRequest { task_id, num_envs, options, protocol } = request;
         let made = async {
             check_protocol(protocol)?;
@@ -155,10 +149,10 @@ impl EnvironmentService for Service {
         &self,
         request: Request<Streaming<Frame<RunSessionRequest>>>,
     ) -> Result<Response<Self::RunSessionStream>, Status> {
-        let (door, link) = (Door::of(&request), request.extensions().get().cloned());
+        let (messages, link) = (Messages::of(&request), request.extensions().get().cloned());
         let answers = stream::run(
             request.into_inner(),
-            stream::Call { door, intake: self.intake.clone(), link },
+            stream::Call { messages, intake: self.intake.clone(), link },
             self.sessions.clone(),
             self.pool.clone(),
         );
@@ -169,7 +163,7 @@ impl EnvironmentService for Service {
         &self,
         request: Request<Frame<DescribeSessionRequest>>,
     ) -> Result<Response<DescribeSessionResponse>, Status> {
-        let (request, _) = Frame::only(request, &wire::SESSION_ID).await?;
+        let (request, _) = Frame::only(request).await?;
         let summary = self.sessions.describe(&request.session_id).map_err(|e| status::status(&e))?;
         let task = Some(encode::task(&summary.blueprint));
         Ok(Response::new(DescribeSessionResponse { task, summary: Some(encode::summary(&summary)) }))
@@ -187,7 +181,7 @@ impl EnvironmentService for Service {
         &self,
         request: Request<Frame<CloseSessionRequest>>,
     ) -> Result<Response<CloseSessionResponse>, Status> {
-        let (request, _) = Frame::only(request, &wire::SESSION_ID).await?;
+        let (request, _) = Frame::only(request).await?;
         self.sessions.close(&request.session_id).map_err(|e| status::status(&e))?;
         Ok(Response::new(CloseSessionResponse {}))
     }

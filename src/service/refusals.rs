@@ -1,4 +1,4 @@
-//! The log of refusals, sampled, so that a thousand refusals a second do not fill a disk.
+//! The log of refusals: at most one line a second of each kind, so that refusals do not fill a disk.
 
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -6,38 +6,23 @@ use std::time::{Duration, Instant};
 /// Time between two lines of one kind: our choice, 86,400 lines a day at most.
 const PAUSE: Duration = Duration::from_secs(1);
 
-/// Kinds of refusals; each is sampled separately.
 #[derive(Clone, Copy, Debug)]
 pub enum Refusal {
-    /// A call without the server's token.
     Token,
-    /// A TLS handshake that failed or took too long.
     Handshake,
-    /// A connection that did not send the first bytes of its protocol.
-    Silent,
-    /// A connection beyond the limits, or one that was closed to make room.
     Connection,
-    /// The system could not accept a connection: no file descriptors are left.
     Accept,
-    /// A watcher beyond the limit.
     Watcher,
 }
 
-const KINDS: [Refusal; 6] =
-    [Refusal::Token, Refusal::Handshake, Refusal::Silent, Refusal::Connection, Refusal::Accept, Refusal::Watcher];
-
-impl Refusal {
-    fn says(self) -> &'static str {
-        match self {
-            Self::Token => "a call without this server's token was refused",
-            Self::Handshake => "a TLS handshake failed",
-            Self::Silent => "a connection was closed that sent no first bytes",
-            Self::Connection => "a connection was closed: the limit is reached",
-            Self::Accept => "cannot accept a connection",
-            Self::Watcher => "a watcher was refused: the limit is reached",
-        }
-    }
-}
+const KINDS: [(Refusal, &str); 5] = [
+    (Refusal::Token, "a call without this server's token was refused"),
+    (Refusal::Handshake, "a TLS handshake failed"),
+    (Refusal::Connection, "a connection was closed"),
+    // No file descriptors are left.
+    (Refusal::Accept, "cannot accept a connection"),
+    (Refusal::Watcher, "a watcher was refused: the limit is reached"),
+];
 
 /// The lines of one kind.
 #[derive(Default)]
@@ -54,22 +39,21 @@ impl Refusals {
     /// Logs a refusal, unless a line of its kind was written within the last second.
     pub fn log(&self, kind: Refusal, peer: &str, reason: &str) {
         if let Some(suppressed) = self.due(kind, Instant::now(), true) {
-            tracing::warn!(peer, reason, suppressed, "{}", kind.says());
+            tracing::warn!(peer, reason, suppressed, "{}", KINDS[kind as usize].1);
         }
     }
 
     /// Logs how many refusals had no line, so that the last ones of a burst are not lost. Must be called from time
     /// to time.
     pub fn log_suppressed(&self) {
-        for kind in KINDS {
+        for (kind, words) in KINDS {
             if let Some(suppressed) = self.due(kind, Instant::now(), false) {
-                tracing::warn!(suppressed, "{}", kind.says());
+                tracing::warn!(suppressed, "{words}");
             }
         }
     }
 
-    /// If a line may be written now, the number of refusals since the last one. `more` means that there is a new
-    /// refusal.
+    /// If a line may be written now, the number of refusals since the last one. `more`: there is a new refusal.
     fn due(&self, kind: Refusal, now: Instant, more: bool) -> Option<u64> {
         let mut lines = self.0[kind as usize].lock().unwrap_or_else(PoisonError::into_inner);
         let early = lines.last.is_some_and(|last| now < last + PAUSE);

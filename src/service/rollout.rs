@@ -1,14 +1,15 @@
-//! A rollout request: some steps at a time, so that it ends when the client leaves; then all environments are
-//! restored.
+//! A rollout request: some steps at a time, so that it ends when nobody waits for it any more; then all environments
+//! are restored.
 
-use super::proto;
-use super::proto::RunSessionResponse;
+use super::encode;
 use super::proto::run_session_response::Response;
+use super::proto::{self, RolloutPart};
+use super::sessions::broken;
 use super::work::Work;
-use super::{decode, encode};
-use crate::error::Result;
+use crate::decode;
+use crate::error::{Error, Result};
 use crate::pool::{Batch, Operation, Pool, Roll};
-use crate::session::roll::pace;
+use crate::session::roll::Rolling;
 use std::sync::Arc;
 use std::time::Instant;
 use tokio::sync::oneshot;
@@ -26,78 +27,87 @@ pub fn start_network(work: Work, request: &proto::PolicyRollout, pool: Arc<Pool>
     begin(work, |batch| batch.roll_network(onnx, *steps, *trajectories), *trajectories, pool);
 }
 
-fn begin(work: Work, roll: impl FnOnce(&Batch) -> Result<Roll>, trajectories: bool, pool: Arc<Pool>) {
-    let batch = &work.environments.batch;
-    let plan = roll(batch).and_then(|roll| Ok((roll, batch.keep()?)));
-    match plan {
+fn begin(mut work: Work, roll: impl FnOnce(&Batch) -> Result<Roll>, trajectories: bool, pool: Arc<Pool>) {
+    let batch = work.batch();
+    match roll(batch).and_then(|roll| Ok((roll, batch.keep()?))) {
         Ok((roll, back)) => drop(tokio::spawn(run(work, roll, back, trajectories, pool))),
         Err(error) => work.refuse(&error),
     }
 }
 
-async fn run(work: Work, roll: Roll, back: Operation, trajectories: bool, pool: Arc<Pool>) {
-    let Work { environments, mut reply } = work;
-    let (batch, rest) = environments.into_parts();
-    let (sequence, sessions, answers) = (reply.sequence, reply.loan.sessions.clone(), reply.answers.clone());
-    let begun = Instant::now();
-    let part = |part| RunSessionResponse { sequence, response: Some(Response::Rollout(part)) };
-    let stop = sessions.stop();
-    let rolled = async {
-        let (mut batch, mut last, mut count) = (batch, roll.clone(), 1);
-        let mut answer = None;
-        let mut failed = None;
-        while let Some(steps) = last.next(count) {
-            last = steps.clone();
-            let (made, is_last) = (steps.made(), steps.made() == steps.total());
-            let turn = Instant::now();
-            batch = pooled(&pool, batch, Operation::Roll(steps)).await?;
-            failed = batch.shards().iter().find_map(|s| s.rollout.failed.clone());
-            if failed.is_some() {
-                break;
-            }
-            count = pace(count, turn.elapsed());
-            let rows = encode::rollout(&batch, made, is_last, roll.chooses());
-            if is_last {
-                answer = Some(rows);
-            } else if answers.is_closed() || stop.is_cancelled() {
-                break;
-            } else if trajectories {
-                // A client that does not read slows the rollout. A client that has left ends the rollout, and so does the
-                // server's end.
-                let sent = stop.run_until_cancelled(answers.send(part(rows))).await;
-                if !matches!(sent, Some(Ok(()))) {
-                    break;
-                }
-            }
-        }
-        sessions.metrics.rolled(begun.elapsed(), &batch);
-        pooled(&pool, batch, back).await.map(|batch| (batch, answer, failed))
+async fn run(mut work: Work, roll: Roll, back: Operation, trajectories: bool, pool: Arc<Pool>) {
+    let rolled = parts(&mut work, &roll, trajectories, &pool).await;
+    let restored = match rolled {
+        Ok(rolled) => pooled(&mut work, &pool, back, |_| ()).await.map(|()| rolled),
+        Err(error) => Err(error),
     };
-    match rolled.await {
-        Ok((batch, _, Some(error))) => {
-            reply.with(rest, batch).refuse(&error);
-        }
-        Ok((batch, answer, None)) => {
-            let work = reply.with(rest, batch);
-            // The stream has room for the last answer after it has read the earlier ones.
-            let room = stop.run_until_cancelled(answers.reserve()).await.is_some_and(|room| room.is_ok());
-            let Some(mut last) = answer.filter(|_| room) else { return work.give_back() };
+    match restored {
+        Err(error) => work.lose(&error),
+        Ok(Err(Error::Cancelled(_))) => {}
+        Ok(Err(error)) => work.refuse(&error),
+        Ok(Ok(mut last)) => {
             if !trajectories {
                 (last.first_step, last.steps) = (0, roll.total() as u32);
             }
-            work.finish(Response::Rollout(last), false);
+            let (answers, end) = (work.answers.clone(), work.end.clone());
+            let answer = work.response(Response::Rollout(last));
+            work.settle(None);
+            // The environments are back before a slow client reads the answer; its memory is in use until then.
+            let _share = work.share.clone();
+            drop(work);
+            let _ = end.run_until_cancelled(answers.send(answer)).await;
         }
-        Err(error) => reply.lose(&error),
     }
 }
 
-/// [`Pool::run`] as a future.
-async fn pooled(pool: &Pool, batch: Batch, operation: Operation) -> Result<Batch> {
+/// Makes all steps; the results after the last one. The outer error means that the environments are lost.
+async fn parts(work: &mut Work, roll: &Roll, trajectories: bool, pool: &Arc<Pool>) -> Result<Result<RolloutPart>> {
+    let begun = Instant::now();
+    let sessions = work.guard.sessions.clone();
+    let mut rolling = Rolling::new(roll);
+    let stopped = || Ok(Err(Error::Cancelled("nobody waits for the rollout any more".into())));
+    while let Some(operation) = rolling.next() {
+        let (made, is_last, chooses) = (rolling.made(), rolling.is_last(), roll.chooses());
+        // Encoded on the thread that made the last step.
+        let encoded =
+            move |batch: &Batch| Rolling::check(batch).map(|()| encode::rollout(batch, made, is_last, chooses));
+        let part = match pooled(work, pool, operation, encoded).await? {
+            Ok(part) => part,
+            Err(error) => return Ok(Err(error)),
+        };
+        rolling.went();
+        if is_last {
+            sessions.metrics.rolled(begun.elapsed(), work.batch());
+            return Ok(Ok(part));
+        }
+        if work.end.is_cancelled() {
+            return stopped();
+        }
+        if trajectories {
+            // A client that does not read slows the rollout.
+            let part = work.response(Response::Rollout(part));
+            let sent = work.end.run_until_cancelled(work.answers.send(part)).await;
+            if !matches!(sent, Some(Ok(()))) {
+                return stopped();
+            }
+        }
+    }
+    Err(Error::Internal("the rollout ended without a last part".into()))
+}
+
+/// [`Pool::run`] as a future; `then` reads the results on the pool's thread.
+async fn pooled<T: Send + 'static>(
+    work: &mut Work,
+    pool: &Pool,
+    operation: Operation,
+    then: impl FnOnce(&Batch) -> T + Send + 'static,
+) -> Result<T> {
     let (sender, receiver) = oneshot::channel();
-    pool.run(batch, operation, |batch| {
+    pool.run(work.guard.take(), operation, |batch| {
         // The receiver below waits until it has the batch.
-        let _ = sender.send(batch);
+        let _ = sender.send(batch.map(|batch| (then(&batch), batch)));
     });
-    let closed = |_| Err(crate::error::Error::Exhausted("the worker pool was closed".into()));
-    receiver.await.unwrap_or_else(closed)
+    let (read, batch) = receiver.await.unwrap_or_else(|_| Err(broken()))?;
+    work.guard.put(batch);
+    Ok(read)
 }

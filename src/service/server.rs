@@ -5,17 +5,13 @@
 //! ```
 
 use super::address::Listener;
-use super::connections::{Caps, Connection, Door, Greeting, KEEPALIVE, Socket, Table};
-use super::dm_env_rpc::DmEnvRpc;
-use super::dm_env_rpc::proto::environment_server::EnvironmentServer as DmEnvRpcServer;
+use super::connections::{self, Connections, Protocol, Socket, Table};
 use super::gate::{self, Gate};
 use super::intake::{self, Intake};
 use super::metrics;
-use super::pages;
 use super::proto::DESCRIPTORS;
 use super::proto::environment_service_server::EnvironmentServiceServer;
 use super::proto::study_service_server::StudyServiceServer;
-use super::rate::Rate;
 use super::refusals::Refusals;
 use super::security::{Tls, Token};
 use super::sessions::{Limits, Sessions};
@@ -28,10 +24,7 @@ use axum::middleware;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::net::TcpListener;
-use tokio::sync::mpsc;
 use tokio::time::Instant;
-use tokio_stream::StreamExt as _;
-use tokio_stream::wrappers::ReceiverStream;
 use tokio_util::sync::CancellationToken;
 use tonic::body::Body;
 use tonic::server::NamedService;
@@ -39,31 +32,26 @@ use tonic::service::{Routes, RoutesBuilder};
 use tonic_health::ServingStatus;
 use tonic_health::server::{HealthReporter, HealthService};
 
-/// Time limit for connections to end after the server stops; a step takes milliseconds.
-const GRACE: Duration = Duration::from_secs(3);
-
 /// Time limit for saving sessions after the server was stopped.
 const SAVED: Duration = Duration::from_secs(4);
-
-/// Largest HTTP/2 frame we accept.
-const FRAME: u32 = 1 << 20;
 
 /// Limits of connections, and of calls on one connection.
 #[derive(Clone, Copy, Debug)]
 pub struct Connected {
     /// Largest number of connections at the same time.
     pub all: u32,
-    /// Largest number of connections of one peer.
-    pub peer: u32,
     /// Largest number of calls at the same time on one connection.
     pub streams: u32,
 }
 
+impl Connected {
+    /// Our choice: one connection and one call for each session of the default limit.
+    pub const DEFAULT: Self = Self { all: 1024, streams: 1024 };
+}
+
 impl Default for Connected {
-    /// Our choice: one connection and one call for each session of the default limit; a quarter of the connections
-    /// for one peer, so that a single peer cannot fill a server.
     fn default() -> Self {
-        Self { all: 1024, peer: 256, streams: 1024 }
+        Self::DEFAULT
     }
 }
 
@@ -86,23 +74,24 @@ pub struct Setup {
     pub viewer: Option<TcpListener>,
     /// Directory in which sessions are saved while no server runs.
     pub state: Option<StateDir>,
-    /// Also serve dm_env_rpc.
-    pub dm_env_rpc: bool,
+    /// Adds services of other crates.
+    pub others: Option<AddServices>,
 }
+
+/// Adds services that share the sessions and the threads of a server.
+pub type AddServices = Box<dyn FnOnce(&mut Services, &Arc<Sessions>, &Arc<Pool>) + Send>;
 
 /// Serves until `stop` is cancelled, then lets every stream finish its present operation.
 pub async fn serve(listener: Listener, setup: Setup, stop: CancellationToken) -> Result<()> {
-    let Setup { threads, limits, connected, tls, token, seal, metrics, viewer, state, dm_env_rpc } = setup;
-    let rate = limits.rate.map(|n| Arc::new(Rate::new(n)));
+    let Setup { threads, limits, connected, tls, token, seal, metrics, viewer, state, others: add_others } = setup;
     // File descriptors for the pages.
-    let watched = limits.watchers + pages::BESIDE_WATCHERS;
-    let others = [(metrics.is_some(), pages::METRICS), (viewer.is_some(), watched)];
+    let watched = limits.watchers + connections::BESIDE_WATCHERS;
+    let others = [(metrics.is_some(), connections::METRICS), (viewer.is_some(), watched)];
     let others = others.iter().filter(|(given, _)| *given).map(|(_, connections)| connections).sum();
     let (sessions, pool) = (Sessions::new(limits, seal, stop.clone()), Arc::new(Pool::new(threads)));
     if let Some(state) = state.clone() {
         let (sessions, pool) = (sessions.clone(), pool.clone());
-        let taken = off_runtime(move || state.take_up(&sessions, &pool)).await;
-        taken.map_err(|e| Error::Exhausted(e.message().into()))?;
+        off_runtime(move || state.take_up(&sessions, &pool)).await.map_err(|e| Error::Exhausted(e.message().into()))?;
     }
     tokio::spawn(sessions.clone().expire());
     let refusals = Arc::<Refusals>::default();
@@ -115,8 +104,8 @@ pub async fn serve(listener: Listener, setup: Setup, stop: CancellationToken) ->
     }
     let health = HealthReporter::new();
     let mut services = Services { routes: Routes::builder(), names: vec![""] };
-    if dm_env_rpc {
-        services.add(DmEnvRpcServer::new(DmEnvRpc::new(sessions.clone(), pool.clone())));
+    if let Some(add) = add_others {
+        add(&mut services, &sessions, &pool);
     }
     let intake = Intake::new(sessions.limits());
     let window = intake.window();
@@ -131,28 +120,27 @@ pub async fn serve(listener: Listener, setup: Setup, stop: CancellationToken) ->
     let saved = tokio::spawn(end(sessions, health, services.names, state));
     // The socket's file stays until all connections have ended.
     let (socket, _file) = match listener {
-        Listener::Tcp(listener) => (listener.into(), None),
+        Listener::Tcp(listener) => (Socket::Tcp(listener), None),
         Listener::Unix(listener, file) => (Socket::Unix(listener), Some(file)),
     };
-    let keepalive = matches!(socket, Socket::Tcp(_)).then_some(KEEPALIVE);
-    let table = Table::new(Caps::new(connected.all as usize, connected.peer as usize, others));
-    let door = Door { table, tls, greeting: Greeting::Http2, rate, refusals };
-    let connections = door.open(socket, stop.clone());
-    drive(routes.into(), connections, connected.streams, keepalive, window, stop).await?;
+    let table = Table::new(connections::room(connected.all as usize, others));
+    let protocol = Protocol::Http2 { streams: connected.streams, window };
+    Connections { table, tls, protocol, routes, refusals }.serve(socket, stop).await;
     let saved = saved.await;
     // The pool ends last, because it then drops the batches whose clients have left.
     drop(pool);
-    saved.map_err(|e| Error::Exhausted(format!("the sessions could not be saved: {e}")))
+    saved.unwrap_or_else(|e| Err(Error::Exhausted(format!("the sessions could not be saved: {e}"))))
 }
 
 /// Services and their names.
-struct Services {
+pub struct Services {
     routes: RoutesBuilder,
     names: Vec<&'static str>,
 }
 
 impl Services {
-    fn add<S>(&mut self, service: S) -> &mut Self
+    /// Adds a service, which then has health and a token, too.
+    pub fn add<S>(&mut self, service: S) -> &mut Self
     where
         S: NamedService + Clone + Send + Sync + 'static,
         S: tower_service::Service<axum::http::Request<Body>, Error = std::convert::Infallible>,
@@ -200,7 +188,12 @@ fn add_services(
 }
 
 /// Does the work when the server stops, besides closing its connections.
-async fn end(sessions: Arc<Sessions>, mut health: HealthReporter, names: Vec<&'static str>, state: Option<StateDir>) {
+async fn end(
+    sessions: Arc<Sessions>,
+    mut health: HealthReporter,
+    names: Vec<&'static str>,
+    state: Option<StateDir>,
+) -> Result<()> {
     sessions.stop().cancelled().await;
     let deadline = Instant::now() + SAVED;
     for name in names {
@@ -208,44 +201,8 @@ async fn end(sessions: Arc<Sessions>, mut health: HealthReporter, names: Vec<&'s
         // Ends the streams of watchers after their last events.
         health.clear_service_status(name).await;
     }
-    let Some(state) = state else { return };
-    let seal = sessions.seal.clone();
-    let sessions = sessions.drain(deadline - SAVED / 4).await;
-    let save = tokio::task::spawn_blocking(move || state.save(sessions, &seal, deadline.into_std()));
-    match tokio::time::timeout_at(deadline, save).await {
-        Ok(Ok(())) => {}
-        Ok(Err(error)) => tracing::error!(%error, "sessions were lost: they could not be saved"),
-        Err(_) => tracing::error!("sessions were lost: the disk took too long"),
-    }
-}
-
-async fn drive(
-    routes: Routes,
-    connections: mpsc::Receiver<Connection>,
-    streams: u32,
-    keepalive: Option<Duration>,
-    window: u32,
-    stop: CancellationToken,
-) -> Result<()> {
-    let incoming = ReceiverStream::new(connections).map(Ok::<_, std::io::Error>);
-    let serving = tonic::transport::Server::builder()
-        .http2_keepalive_interval(keepalive)
-        .http2_keepalive_timeout(keepalive)
-        .initial_stream_window_size(window)
-        .initial_connection_window_size(2 * window)
-        .max_frame_size(window.min(FRAME))
-        .max_concurrent_streams(streams)
-        .add_routes(routes)
-        .serve_with_incoming_shutdown(incoming, stop.clone().cancelled_owned());
-    let too_late = async {
-        stop.cancelled().await;
-        tokio::time::sleep(GRACE).await;
-    };
-    tokio::select! {
-        result = serving => result.map_err(|e| Error::Exhausted(format!("the server failed: {e}"))),
-        () = too_late => {
-            tracing::warn!("connections were cut that did not end in time");
-            Ok(())
-        }
+    match state {
+        Some(state) => state.save(&sessions, deadline).await,
+        None => Ok(()),
     }
 }

@@ -12,6 +12,10 @@
 //!
 //! The environments are stored here whenever no operation runs on them, so a broken stream loses nothing.
 
+mod guard;
+
+pub use guard::{SessionGuard, broken};
+
 use super::metrics::{Metrics, Usage};
 use super::names::name;
 use super::proto::RunSessionResponse;
@@ -20,7 +24,7 @@ use super::viewer::watchers::Watchers;
 use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
 use crate::parallel::processors;
-use crate::pool::{Batch, Building, Seal};
+use crate::pool::{Batch, Building, Seal, check_envs};
 use crate::session::{MOST_ENVIRONMENTS, MOST_MEMORY};
 use serde_json::Value;
 use std::collections::HashMap;
@@ -42,25 +46,30 @@ pub struct Limits {
     pub lease: Duration,
     /// Largest request [bytes].
     pub request: usize,
-    /// Requests a second of one peer; None: no limit.
-    pub rate: Option<u32>,
     /// Largest number of watchers of the live page.
     pub watchers: usize,
+    /// Longest time in which a client reads nothing of an answer that takes memory for requests, in addition to its
+    /// transfer at 1 MiB/s.
+    pub stall: Duration,
+}
+
+impl Limits {
+    /// Our choice: room for any training, and half of a 16 GiB machine; requests as large as the steps of the
+    /// largest session, and rollouts of some minutes.
+    pub const DEFAULT: Self = Self {
+        sessions: 1024,
+        environments: MOST_ENVIRONMENTS,
+        memory: MOST_MEMORY,
+        lease: Duration::from_secs(300),
+        request: 256 << 20,
+        watchers: 64,
+        stall: Duration::from_secs(60),
+    };
 }
 
 impl Default for Limits {
-    /// Our choice: room for any training, and half of a 16 GiB machine; requests as large as the steps of the
-    /// largest session, and rollouts of some minutes.
     fn default() -> Self {
-        Self {
-            sessions: 1024,
-            environments: MOST_ENVIRONMENTS,
-            memory: MOST_MEMORY,
-            lease: Duration::from_secs(300),
-            request: 256 << 20,
-            rate: None,
-            watchers: 64,
-        }
+        Self::DEFAULT
     }
 }
 
@@ -69,6 +78,39 @@ pub struct Reservation {
     usage: Arc<Mutex<Usage>>,
     environments: usize,
     memory: usize,
+    /// The part of `memory` that is for models.
+    models: usize,
+    /// Memory for all sessions [bytes].
+    most: usize,
+}
+
+/// Refuses `field` if it needs more memory than is free.
+fn fits(field: &str, needed: usize, free: usize) -> Result<()> {
+    if needed <= free {
+        return Ok(());
+    }
+    let [needed, free] = [needed, free].map(|bytes| bytes.div_ceil(1 << 20));
+    Err(Error::Exhausted(format!("{field}: needs about {needed} MiB, {free} MiB are left to sessions")))
+}
+
+impl Reservation {
+    /// Reserves `models` bytes for models, in place of those that were reserved for them.
+    pub fn set_models(&mut self, models: usize) -> Result<()> {
+        let mut usage = lock(&self.usage);
+        let others = usage.memory - self.models;
+        // A smaller reservation is always possible.
+        if models > self.models {
+            fits("models", models, self.most.saturating_sub(others))?;
+        }
+        usage.memory = others + models;
+        self.memory = self.memory - self.models + models;
+        self.models = models;
+        Ok(())
+    }
+
+    pub fn models(&self) -> usize {
+        self.models
+    }
 }
 
 impl Drop for Reservation {
@@ -80,29 +122,16 @@ impl Drop for Reservation {
     }
 }
 
-/// The environments of a session, with their share of the limits.
+/// The environments of a session.
 pub struct Environments {
     pub batch: Batch,
+    pub books: Books,
+}
+
+/// What belongs to a session's environments.
+pub struct Books {
     pub done: Done,
-    reservation: Reservation,
-}
-
-/// What is left of [`Environments`] during an operation, while the pool has the batch.
-pub struct Bookkeeping {
-    done: Done,
-    reservation: Reservation,
-}
-
-impl Environments {
-    pub fn into_parts(self) -> (Batch, Bookkeeping) {
-        (self.batch, Bookkeeping { done: self.done, reservation: self.reservation })
-    }
-}
-
-impl Bookkeeping {
-    pub fn with(self, batch: Batch) -> Environments {
-        Environments { batch, done: self.done, reservation: self.reservation }
-    }
+    pub reservation: Reservation,
 }
 
 /// The state of a session's requests.
@@ -144,14 +173,14 @@ impl Making {
 
     /// Makes the remaining environments now; returns all of them.
     fn finish(mut self) -> Result<Environments> {
-        let (building, reservation) = self.0.take().ok_or_else(not_made)?;
-        Ok(Environments { batch: building.finish()?, done: Done::default(), reservation })
+        let (building, reservation) = self.0.take().ok_or_else(failed)?;
+        Ok(Environments { batch: building.finish()?, books: Books { done: Done::default(), reservation } })
     }
 }
 
-/// The error after a panic in the construction.
-fn not_made() -> Error {
-    Error::Internal("the session could not be made".into())
+/// The error after a panic.
+fn failed() -> Error {
+    Error::Internal("the request failed inside the server".into())
 }
 
 /// One session.
@@ -174,18 +203,18 @@ struct Entry {
     stream_end: CancellationToken,
 }
 
-/// A session that no client can reach: before it is added, or after the server has stopped.
+/// A session that no client can reach, because the server has stopped.
 pub struct Session {
     pub id: String,
     pub blueprint: Blueprint,
-    /// None if an operation still has the environments.
-    pub environments: Option<Environments>,
+    pub environments: Environments,
 }
 
 /// A stream's attachment to a session.
 pub struct Hold {
     pub id: String,
-    stream: u64,
+    /// Number of this attachment in its session.
+    pub stream: u64,
     /// When this is cancelled, the stream must end.
     pub end: CancellationToken,
 }
@@ -202,10 +231,7 @@ pub struct Summary {
 
 /// Length of a turn of making environments: our choice, short for waiting clients, long against the time between
 /// threads (some 50 µs).
-const TURN: Duration = Duration::from_millis(10);
-
-/// How often a stopping server checks whether its operations have ended.
-const LOOK: Duration = Duration::from_millis(2);
+pub const TURN: Duration = Duration::from_millis(10);
 
 /// All sessions of a server.
 pub struct Sessions {
@@ -274,8 +300,9 @@ impl Sessions {
         Ok((id, blueprint))
     }
 
-    /// Runs on a blocking thread, in turns.
-    async fn turn<T: Send + 'static>(&self, part: impl FnOnce() -> Result<T> + Send + 'static) -> Result<T> {
+    /// Runs `part`, of some milliseconds, on a blocking thread when its turn has come. So there is always a thread for
+    /// short work besides.
+    pub async fn turn<T: Send + 'static>(&self, part: impl FnOnce() -> Result<T> + Send + 'static) -> Result<T> {
         // The semaphore is never closed, so `acquire` cannot fail. The permit goes with the work, which continues
         // even if no caller waits.
         let turn = self.turns.clone().acquire_owned().await;
@@ -283,7 +310,7 @@ impl Sessions {
             let _turn = turn;
             part()
         };
-        tokio::task::spawn_blocking(work).await.unwrap_or_else(|_| Err(not_made()))
+        tokio::task::spawn_blocking(work).await.unwrap_or_else(|_| Err(failed()))
     }
 
     /// Creates environments at once, with their share of the limits. This takes long, so the async runtime's threads
@@ -294,16 +321,8 @@ impl Sessions {
 
     /// Reserves the share of the limits for environments that are not created yet.
     fn begin(&self, blueprint: &Blueprint, envs: usize) -> Result<Making> {
-        if envs == 0 || envs > self.limits.environments {
-            let range = format!("{envs} is outside [1, {}]", self.limits.environments);
-            let error = if envs == 0 {
-                Error::invalid("num_envs", range)
-            } else {
-                Error::Exhausted(format!("num_envs: {range}"))
-            };
-            return Err(error);
-        }
-        let reservation = self.reserve(envs, envs * blueprint.bytes_per_env())?;
+        check_envs(envs, self.limits.environments)?;
+        let reservation = self.reserve(envs, blueprint)?;
         Ok(Making(Some((Building::new(blueprint, envs)?, reservation))))
     }
 
@@ -313,7 +332,7 @@ impl Sessions {
         let entry = Entry {
             blueprint,
             envs: environments.batch.envs(),
-            sequence: environments.done.sequence,
+            sequence: environments.books.done.sequence,
             environments: Some(environments),
             back: Arc::default(),
             stream: 0,
@@ -335,22 +354,18 @@ impl Sessions {
         Ok(())
     }
 
-    fn reserve(&self, environments: usize, memory: usize) -> Result<Reservation> {
+    fn reserve(&self, environments: usize, blueprint: &Blueprint) -> Result<Reservation> {
+        let (memory, models) = (blueprint.bytes(environments), blueprint.task.model().bytes());
         let mut usage = lock(&self.usage);
         if usage.sessions >= self.limits.sessions {
             return Err(Error::Exhausted(format!("all {} sessions of this server are taken", self.limits.sessions)));
         }
-        let free = self.limits.of_environments().saturating_sub(usage.memory);
-        if memory > free {
-            let [needed, free] = [memory, free].map(|bytes| bytes.div_ceil(1 << 20));
-            return Err(Error::Exhausted(format!(
-                "num_envs: needs about {needed} MiB, {free} MiB are left to sessions"
-            )));
-        }
+        let most = self.limits.of_environments();
+        fits("num_envs", memory, most.saturating_sub(usage.memory))?;
         usage.sessions += 1;
         usage.environments += environments;
         usage.memory += memory;
-        Ok(Reservation { usage: self.usage.clone(), environments, memory })
+        Ok(Reservation { usage: self.usage.clone(), environments, memory, models, most })
     }
 
     /// Attaches a new stream to the session, in place of its present one.
@@ -381,16 +396,17 @@ impl Sessions {
         lock(&self.entries).get(&hold.id).is_some_and(|e| e.stream != hold.stream)
     }
 
-    /// Detaches a stream: the lease begins, unless another stream has the session.
+    /// Detaches a stream: its work ends, and the lease begins, unless another stream has the session.
     pub fn detach(&self, hold: &Hold) {
+        hold.end.cancel();
         if let Some(entry) = lock(&self.entries).get_mut(&hold.id).filter(|e| e.stream == hold.stream) {
             (entry.attached, entry.idle_since) = (false, Instant::now());
         }
     }
 
-    /// The session's environments, when no operation runs on them; [`Self::give_back`] returns them. None if the
-    /// session or the server has ended or another stream has it.
-    pub async fn take(&self, hold: &Hold) -> Option<Environments> {
+    /// The session's environments, when no operation runs on them. None if the session or the server has ended or
+    /// another stream has it.
+    pub async fn take(self: &Arc<Self>, hold: &Hold) -> Option<SessionGuard> {
         loop {
             // Registers before the check, so that a return between the check and the wait is not missed.
             let back = {
@@ -398,7 +414,7 @@ impl Sessions {
                 let running = |e: &&mut Entry| e.stream == hold.stream && !self.stop.is_cancelled();
                 let entry = entries.get_mut(&hold.id).filter(running)?;
                 if let Some(environments) = entry.environments.take() {
-                    return Some(environments);
+                    return Some(SessionGuard::new(self.clone(), hold.id.clone(), environments));
                 }
                 entry.back.clone().notified_owned()
             };
@@ -416,7 +432,7 @@ impl Sessions {
             drop(entries);
             return release(Some(environments));
         };
-        entry.sequence = environments.done.sequence;
+        entry.sequence = environments.books.done.sequence;
         entry.environments = Some(environments);
         // All waiting streams are notified, because one of them may have lost the session meanwhile and would
         // ignore the notification.
@@ -433,14 +449,19 @@ impl Sessions {
         Ok(())
     }
 
-    /// Removes all sessions, each when no operation runs on it, until `deadline`. The server has stopped, so no
-    /// operation begins any more.
-    pub async fn drain(&self, deadline: Instant) -> Vec<Session> {
-        while Instant::now() < deadline && lock(&self.entries).values().any(|e| e.environments.is_none()) {
-            tokio::time::sleep(LOOK).await;
+    /// Ends a session that no stream has.
+    pub fn close_free(&self, id: &str) -> Result<()> {
+        if lock(&self.entries).get(id).is_some_and(|e| e.attached) {
+            return Err(Error::OutOfOrder("another connection has it".into()));
         }
-        let out = |(id, e): (String, Entry)| Session { id, blueprint: e.blueprint, environments: e.environments };
-        lock(&self.entries).drain().map(out).collect()
+        self.close(id)
+    }
+
+    /// Removes the sessions on which no operation runs. The server has stopped, so no operation begins any more.
+    pub fn idle(&self) -> Vec<Session> {
+        let idle =
+            |(id, e): (String, Entry)| Some(Session { id, blueprint: e.blueprint, environments: e.environments? });
+        lock(&self.entries).extract_if(|_, e| e.environments.is_some()).filter_map(idle).collect()
     }
 
     pub fn describe(&self, id: &str) -> Result<Summary> {

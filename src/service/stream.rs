@@ -10,26 +10,30 @@
 //! thread, and the pool's threads step and encode.
 
 use super::connections::Link;
+use super::decode::Weight;
 use super::frame::Frame;
-use super::intake::{Door, Intake, Share};
-use super::loan::Loan;
+use super::intake::{Intake, Messages, Share};
 use super::proto::run_session_request::Request;
 use super::proto::run_session_response::Response;
 use super::proto::{Attached, RunSessionRequest, RunSessionResponse, Snapshot};
+use super::sessions::SessionGuard;
 use super::sessions::{Done, Hold, Sessions};
-use super::work::{Reply, Work};
-use super::{decode, rollout, status, view, wire};
-use crate::error::Error;
+use super::work::Work;
+use super::{decode, price, rollout, status, view};
+use crate::error::{Error, Result as Checked};
 use crate::pool::Pool;
 use futures_util::{Stream, stream};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
 use tokio::sync::mpsc;
+use tokio::task::AbortHandle;
 use tonic::{Status, Streaming};
 
 /// Data of a call from its start.
 pub struct Call {
-    pub door: Door,
+    pub messages: Messages,
     pub intake: Arc<Intake>,
     /// None in tests without a connection.
     pub link: Option<Link>,
@@ -42,12 +46,14 @@ pub fn run(
     sessions: Arc<Sessions>,
     pool: Arc<Pool>,
 ) -> impl Stream<Item = Result<RunSessionResponse, Status>> {
-    let run = Run { requests, call, first: true, sessions, pool, attached: None, answers: None, share: None };
+    let run = Run { requests, call, sessions, pool, attached: None, answers: None, share: None, watch: None };
     stream::try_unfold(run, |mut run| async move {
+        run.watch = None;
         let answer = run.answer().await?;
         if let Some(RunSessionResponse { response: Some(Response::Failure(refused)), .. }) = &answer {
             run.sessions.metrics.ended(refused.code.into());
         }
+        run.watch = run.watch_reader();
         Ok(answer.map(|answer| (answer, run)))
     })
 }
@@ -56,26 +62,35 @@ pub fn run(
 struct Run {
     requests: Streaming<Frame<RunSessionRequest>>,
     call: Call,
-    /// Has no message been read yet? The first one is counted with the call.
-    first: bool,
     sessions: Arc<Sessions>,
     pool: Arc<Pool>,
     /// None until the first message has named the session.
-    attached: Option<Guard>,
+    attached: Option<Attachment>,
     /// Receives the present request's answers.
     answers: Option<mpsc::Receiver<RunSessionResponse>>,
     /// Memory of the present request and its answer. It is released at the next request, when the answer has been
     /// sent.
     share: Option<Arc<Share>>,
+    /// Closes the connection if the client does not read an answer that takes memory for requests.
+    watch: Option<StallWatch>,
+}
+
+/// A task that ends when this is dropped.
+struct StallWatch(AbortHandle);
+
+impl Drop for StallWatch {
+    fn drop(&mut self) {
+        self.0.abort();
+    }
 }
 
 /// Detaches from the session when the stream ends.
-struct Guard {
+struct Attachment {
     hold: Hold,
     sessions: Arc<Sessions>,
 }
 
-impl Drop for Guard {
+impl Drop for Attachment {
     fn drop(&mut self) {
         self.sessions.detach(&self.hold);
     }
@@ -98,32 +113,37 @@ impl Run {
         }
     }
 
+    /// HTTP/2 asks for the next answer when the client has read most of this one.
+    fn watch_reader(&self) -> Option<StallWatch> {
+        let (link, share) = (self.call.link.clone()?, self.share.as_ref()?);
+        let time = self.sessions.limits().stall + Duration::from_secs((share.bytes() >> 20) as u64);
+        let late = async move {
+            tokio::time::sleep(time).await;
+            tracing::warn!(peer = link.name(), "a connection was closed: its client does not read a large answer");
+            link.close();
+        };
+        Some(StallWatch(tokio::spawn(late).abort_handle()))
+    }
+
     /// The next message, unless the session or the server ends first.
     async fn next_request(&mut self) -> Result<Option<RunSessionRequest>, Status> {
         self.share = None;
         let end = self.attached.as_ref().map_or(self.sessions.stop(), |a| &a.hold.end).clone();
-        let first = std::mem::take(&mut self.first);
-        let message = async {
-            if let Some(link) = self.call.link.as_ref().filter(|_| !first) {
-                link.turn().await;
-            }
-            self.requests.message().await
-        };
         let message = tokio::select! {
             biased;
             () = end.cancelled() => None,
-            message = message => Some(message),
+            message = self.requests.message() => Some(message),
         };
         let Some(message) = message else { return Err(self.ended()) };
         let Some(frame) = message.map_err(status::unreadable)? else { return Ok(None) };
-        let (request, share) = frame.open(&self.call.door, &wire::RUN_SESSION).map_err(|e| status::status(&e))?;
+        let (request, share) = frame.open(&self.call.messages).await?;
         self.share = share.map(Arc::new);
         Ok(Some(request))
     }
 
     /// The reason why the stream has no session any more.
     fn ended(&self) -> Status {
-        let taken = |a: &Guard| self.sessions.was_taken(&a.hold);
+        let taken = |a: &Attachment| self.sessions.was_taken(&a.hold);
         if self.sessions.stop().is_cancelled() {
             Status::unavailable("the server is shutting down")
         } else if self.attached.as_ref().is_some_and(taken) {
@@ -133,56 +153,121 @@ impl Run {
         }
     }
 
+    /// The session that the stream's first message names.
+    fn attach(&mut self, session_id: &str) -> Result<(), Status> {
+        if session_id.is_empty() {
+            let reason = "missing; a stream's first message names its session";
+            return Err(status::status(&Error::invalid("session_id", reason)));
+        }
+        let hold = self.sessions.attach(session_id).map_err(|e| status::status(&e))?;
+        self.attached = Some(Attachment { hold, sessions: self.sessions.clone() });
+        Ok(())
+    }
+
     /// Starts work on a request. Some: the immediate answer.
     async fn begin(&mut self, request: RunSessionRequest) -> Result<Option<RunSessionResponse>, Status> {
-        let hold = match &self.attached {
-            Some(attached) => &attached.hold,
-            None if request.session_id.is_empty() => {
-                let reason = "missing; a stream's first message names its session";
-                return Err(status::status(&Error::invalid("session_id", reason)));
-            }
-            None => {
-                let hold = self.sessions.attach(&request.session_id).map_err(|e| status::status(&e))?;
-                &self.attached.insert(Guard { hold, sessions: self.sessions.clone() }).hold
-            }
-        };
+        if self.attached.is_none() {
+            self.attach(&request.session_id)?;
+        }
+        let Some(Attachment { hold, .. }) = &self.attached else { return Err(self.ended()) };
         let sequence = request.sequence;
         let at_once = |response| Ok(Some(RunSessionResponse { sequence, response: Some(response) }));
         if !request.session_id.is_empty() && request.session_id != hold.id {
             let reason = format!("{:?} is not this stream's; leave it empty or open a stream", request.session_id);
             return at_once(Response::Failure(status::failure(&Error::invalid("session_id", reason))));
         }
-        // This wait comes before the environments are taken, because it may be interrupted.
-        let pictures = match &request.request {
-            Some(Request::Render(render)) => Some(self.call.intake.share(view::size(render)).await),
-            _ => None,
-        };
-        let Some(environments) = self.sessions.take(hold).await else { return Err(self.ended()) };
+        let end = hold.end.clone();
+        let Some(mut guard) = self.sessions.take(hold).await else { return Err(self.ended()) };
         if matches!(request.request, Some(Request::Attach(_))) {
-            let last_sequence = environments.done.sequence;
-            self.sessions.give_back(&hold.id, environments);
+            let last_sequence = guard.done().map_or(0, |done| done.sequence);
             return at_once(Response::Attached(Attached { last_sequence }));
         }
-        if let Some(answer) = repeated(&environments.done, sequence) {
-            self.sessions.give_back(&hold.id, environments);
+        if let Some(answer) = guard.done().and_then(|done| repeated(done, sequence)) {
             return Ok(Some(answer));
         }
-        self.call.door.let_pass(decode::largest_step(&environments.batch));
-        let (sender, receiver) = mpsc::channel(2);
-        let loan = Loan::new(self.sessions.clone(), hold.id.clone());
-        let reply = Reply { sequence, loan, answers: sender, share: None };
-        let mut work = Work { environments, reply };
+        self.call.messages.let_pass(decode::largest_step(guard.batch()));
+        let priced = request.request.as_ref().map_or(Ok(0), price::of_request);
+        let grows = decode::weight(&request) == Weight::Long;
+        let (guard, share) = match priced {
+            Ok(0) if !grows => (guard, Ok(None)),
+            Ok(bytes) => self.paid(guard, bytes).await?,
+            Err(error) => (guard, Err(error)),
+        };
+        let (answers, receiver) = mpsc::channel(2);
+        let mut work = Work { sequence, guard, answers, end, share: self.share.clone() };
         self.answers = Some(receiver);
-        if let Some(Err(error)) = &pictures {
-            work.refuse(error);
-            return Ok(None);
+        match share {
+            Err(error) => {
+                work.refuse(&error);
+                return Ok(None);
+            }
+            Ok(Some(share)) => {
+                self.share = Some(share.clone());
+                work.share = Some(share);
+            }
+            Ok(None) => {}
         }
-        if let Some(Ok(share)) = pictures {
-            self.share = Some(Arc::new(share));
-        }
-        work.reply.share = self.share.clone();
-        start(work, request, self.pool.clone());
+        self.start(work, request).await;
         Ok(None)
+    }
+
+    /// A share of `bytes` besides that of the message. Waits for it without the environments.
+    async fn paid(
+        &self,
+        guard: SessionGuard,
+        bytes: usize,
+    ) -> Result<(SessionGuard, Checked<Option<Arc<Share>>>), Status> {
+        let intake = &self.call.intake;
+        if let Some(message) = &self.share
+            && message.grow(bytes).is_ok()
+        {
+            return Ok((guard, Ok(Some(message.clone()))));
+        }
+        if self.share.is_none()
+            && let Some(share) = intake.try_share(bytes)
+        {
+            return Ok((guard, Ok(Some(Arc::new(share)))));
+        }
+        drop(guard);
+        let Some(Attachment { hold, .. }) = &self.attached else { return Err(self.ended()) };
+        let own = self.share.as_ref().map_or(0, |share| share.bytes());
+        let share = match self.share.is_none() {
+            true => hold.end.run_until_cancelled(intake.share(bytes)).await.ok_or_else(|| self.ended())?,
+            // Two requests that wait while they have memory could wait for each other.
+            false => Err(Error::Exhausted(format!(
+                "needs about {} MiB besides its message, which are taken by others; try again",
+                (own + bytes).div_ceil(1 << 20)
+            ))),
+        };
+        let Some(guard) = self.sessions.take(hold).await else { return Err(self.ended()) };
+        Ok((guard, share.map(|share| Some(Arc::new(share)))))
+    }
+
+    /// Starts the work on the thread that suits it. Long work waits for its turn without a thread.
+    async fn start(&self, work: Work, request: RunSessionRequest) {
+        let (pool, weight) = (self.pool.clone(), decode::weight(&request));
+        if let Some(Request::Render(render)) = request.request {
+            tokio::spawn(view::render(work, render));
+            return;
+        }
+        // A panic drops the work, which then ends its session; this thread's other work must go on.
+        let begin = move || drop(catch_unwind(AssertUnwindSafe(|| carry_out(work, request.request, &pool))));
+        match weight {
+            Weight::Light => begin(),
+            Weight::Short => drop(tokio::task::spawn_blocking(begin)),
+            Weight::Long => {
+                let sessions = self.sessions.clone();
+                let Some(Attachment { hold, .. }) = &self.attached else { return };
+                let end = hold.end.clone();
+                tokio::spawn(async move {
+                    let turn = sessions.turn(|| {
+                        begin();
+                        Ok(())
+                    });
+                    end.run_until_cancelled(turn).await
+                });
+            }
+        }
     }
 }
 
@@ -201,40 +286,25 @@ fn repeated(done: &Done, sequence: u64) -> Option<RunSessionResponse> {
     }
 }
 
-fn start(work: Work, request: RunSessionRequest, pool: Arc<Pool>) {
-    let light = decode::is_light(&request);
-    // A panic drops the work, which then ends its session; this thread's other work must go on.
-    let begin = move || drop(catch_unwind(AssertUnwindSafe(|| carry_out(work, request.request, &pool))));
-    if light {
-        begin();
-    } else {
-        tokio::task::spawn_blocking(begin);
-    }
-}
-
 /// Checks a request and starts its operation.
 fn carry_out(mut work: Work, request: Option<Request>, pool: &Arc<Pool>) {
-    let batch = &mut work.environments.batch;
-    let seal = &work.reply.loan.sessions.seal;
+    let seal = work.guard.sessions.seal.clone();
+    let made = work.count_memory();
     let operation = match request {
         Some(Request::Save(_)) => {
-            let saved = batch.save().and_then(|s| s.to_bytes(seal));
+            let saved = work.batch().save().and_then(|s| s.to_bytes(&seal));
             return work.tell(saved.map(|data| Response::Snapshot(Snapshot { data: data.into() })));
         }
         Some(Request::Rollout(request)) => return rollout::start(work, &request, pool.clone()),
         Some(Request::PolicyRollout(request)) => return rollout::start_network(work, &request, pool.clone()),
-        Some(Request::Render(request)) => {
-            let seen = view::render(batch, &request);
-            return work.tell(seen.map(Response::Pictures));
-        }
         Some(Request::Observe(request)) => {
-            let seen = view::observe(batch, &request);
+            let seen = view::observe(work.batch(), &request);
             return work.tell(seen.map(Response::Observation));
         }
-        request => decode::operation(batch, request, seal),
+        request => decode::operation(work.batch(), request, &seal),
     };
     match operation {
-        Ok(operation) => work.run(operation, pool),
+        Ok(operation) => work.run(operation, made.load(Ordering::Relaxed), pool),
         Err(error) => work.refuse(&error),
     }
 }

@@ -1,21 +1,38 @@
 //! Requests for pictures and moments, as messages.
 
+use super::proto::run_session_response::Response;
 use super::proto::{Observation, Observe, Pictures, Render};
-use crate::error::Result;
+use super::sessions::TURN;
+use super::work::Work;
+use crate::error::{Error, Result};
 use crate::pool::Batch;
 use crate::session::view;
+use std::time::Instant;
 
-/// Memory of the answer to `request` [bytes]: its pixels, and a second copy in the message.
-pub fn size(request: &Render) -> usize {
-    let pixels = view::pixels(request.indices.len(), [request.width, request.height]);
-    2 * 3 * pixels.min(view::MOST_PIXELS) as usize
-}
-
-/// Pictures of environments.
-pub fn render(batch: &Batch, request: &Render) -> Result<Pictures> {
+/// Draws the pictures in turns with other work, until nobody waits for them any more.
+pub async fn render(mut work: Work, request: Render) {
+    let (sessions, end) = (work.guard.sessions.clone(), work.end.clone());
     let Render { indices, width, height, ended } = request;
-    let pixels = view::render(batch, indices, [*width, *height], *ended)?;
-    Ok(Pictures { pixels: pixels.into() })
+    let mut pixels = Vec::with_capacity(3 * indices.len() * width as usize * height as usize); // checked by `price`
+    let mut left = indices.into_iter();
+    while !left.as_slice().is_empty() {
+        let turn = move || {
+            let begun = Instant::now();
+            let drawn = left.by_ref().try_for_each(|index| {
+                pixels.extend(view::draw(work.batch(), index as usize, [width, height], ended)?);
+                if begun.elapsed() < TURN { Ok(()) } else { Err(None) }
+            });
+            Ok((work, left, pixels, drawn))
+        };
+        // If it is broken off, the work is dropped, which returns the environments.
+        let Some(Ok((back, rest, done, drawn))) = end.run_until_cancelled(sessions.turn(turn)).await else { return };
+        (work, left, pixels) = (back, rest, done);
+        if let Err(Some(error)) = drawn {
+            let error: Error = error;
+            return work.refuse(&error);
+        }
+    }
+    work.finish(Response::Pictures(Pictures { pixels: pixels.into() }), false);
 }
 
 /// One environment's moment.

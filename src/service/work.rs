@@ -2,74 +2,92 @@
 
 use super::encode;
 use super::intake::Share;
-use super::loan::{Loan, broken};
 use super::proto::RunSessionResponse;
 use super::proto::run_session_response::Response;
-use super::sessions::{Bookkeeping, Done, Environments};
+use super::sessions::Done;
+use super::sessions::{SessionGuard, broken};
 use super::status;
-use crate::error::Error;
+use crate::error::{Error, Result};
 use crate::pool::{Batch, Operation, Pool};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use tokio::sync::mpsc;
+use tokio_util::sync::CancellationToken;
 
-/// The inputs of a request's work.
+/// A request with its session's environments. Dropping it returns them; if a panic has destroyed them, it answers
+/// with INTERNAL and ends the session.
 pub struct Work {
-    pub environments: Environments,
-    pub reply: Reply,
-}
-
-/// The obligation that comes with the environments of a [`Work`]: [`Work::finish`] returns them and answers the
-/// request. If a panic prevents that, dropping this answers with INTERNAL and ends the session.
-pub struct Reply {
     pub sequence: u64,
-    pub loan: Loan,
+    pub guard: SessionGuard,
     pub answers: mpsc::Sender<RunSessionResponse>,
+    /// Cancelled when nobody waits for the answer any more: the client has left, another stream has taken the session,
+    /// or the session or the server ends.
+    pub end: CancellationToken,
     /// Memory share of the request.
     pub share: Option<Arc<Share>>,
 }
 
-impl Drop for Reply {
+impl Drop for Work {
     fn drop(&mut self) {
-        if self.loan.is_lost() {
+        if self.guard.is_lost() {
             self.lose(&broken());
         }
     }
 }
 
-impl Reply {
+impl Work {
+    pub fn batch(&mut self) -> &mut Batch {
+        self.guard.batch()
+    }
+
     /// The environments are lost: answers and ends the session.
     pub fn lose(&mut self, error: &Error) {
-        let response = Some(Response::Failure(status::failure(error)));
         // A stream that does not read loses its session without this answer.
-        let _ = self.answers.try_send(RunSessionResponse { sequence: self.sequence, response });
-        self.loan.lose(error);
+        let _ = self.answers.try_send(self.response(Response::Failure(status::failure(error))));
+        self.guard.lose(error);
     }
 
-    /// The work with its environments, which an operation has returned intact.
-    pub fn with(self, rest: Bookkeeping, batch: Batch) -> Work {
-        Work { environments: rest.with(batch), reply: self }
+    pub fn response(&self, response: Response) -> RunSessionResponse {
+        RunSessionResponse { sequence: self.sequence, response: Some(response) }
     }
-}
 
-impl Work {
-    /// Runs `operation` and answers with its batch.
-    pub fn run(self, operation: Operation, pool: &Pool) {
-        let Self { environments, mut reply } = self;
-        let (batch, rest) = environments.into_parts();
-        let ran = reply.loan.sessions.metrics.begin(&operation, batch.envs());
+    /// From now on the memory of models and snapshots that the batch makes is taken from the request's share. The
+    /// returned number is their sum.
+    pub fn count_memory(&mut self) -> Arc<AtomicUsize> {
+        let made = Arc::<AtomicUsize>::default();
+        if let Some(share) = self.share.clone() {
+            let made = made.clone();
+            self.batch().set_account(Some(Arc::new(move |bytes| {
+                made.fetch_add(bytes, Ordering::Relaxed);
+                share.grow(bytes)
+            })));
+        }
+        made
+    }
+
+    /// Runs `operation` and answers with its batch. `made`: memory of the models that the operation gives to the
+    /// environments [bytes].
+    pub fn run(mut self, operation: Operation, made: usize, pool: &Pool) {
+        if let Err(error) = self.guard.reserve_models(made) {
+            return self.refuse(&error);
+        }
+        let batch = self.guard.take();
+        let ran = self.guard.sessions.metrics.begin(&operation, batch.envs());
         pool.run(batch, operation, move |batch| match batch {
             Ok(batch) => {
                 let response = Response::Batch(encode::batch(&batch));
                 ran(&batch);
-                reply.loan.sessions.watchers.saw(&reply.loan.id, &batch);
-                reply.with(rest, batch).finish(response, true);
+                self.guard.sessions.watchers.saw(&self.guard.id, &batch);
+                self.guard.put(batch);
+                self.guard.release_models(made);
+                self.finish(response, true);
             }
-            Err(error) => reply.lose(&error),
+            Err(error) => self.lose(&error),
         });
     }
 
     /// Answers a request that changes nothing.
-    pub fn tell(self, answer: crate::error::Result<Response>) {
+    pub fn tell(self, answer: Result<Response>) {
         match answer {
             Ok(response) => self.finish(response, false),
             Err(error) => self.refuse(&error),
@@ -84,21 +102,19 @@ impl Work {
     /// Returns the environments and answers. A request that changed nothing need not keep its answer, because it
     /// can be repeated.
     pub fn finish(mut self, response: Response, keep: bool) {
-        let sequence = self.reply.sequence;
-        let answer = RunSessionResponse { sequence, response: Some(response) };
-        if sequence > 0 {
-            self.environments.done = Done { sequence, answer: keep.then(|| answer.clone()) };
-        }
-        let answers = self.reply.answers.clone();
-        self.give_back();
+        let (answer, answers) = (self.response(response), self.answers.clone());
+        self.settle(keep.then(|| answer.clone()));
+        drop(self);
         // The stream may be gone; the next stream of the session asks for the answer again. The channel has room:
         // this is the last of a request's answers, and the stream reads them all before it reads the next request.
         let _ = answers.try_send(answer);
     }
 
-    /// Returns the environments without an answer, because no client waits for it.
-    pub fn give_back(mut self) {
-        self.reply.loan.give_back(self.environments);
+    /// Notes that the request is answered.
+    pub fn settle(&mut self, answer: Option<RunSessionResponse>) {
+        if let Some(books) = self.guard.books.as_mut().filter(|_| self.sequence > 0) {
+            books.done = Done { sequence: self.sequence, answer };
+        }
     }
 }
 
@@ -113,13 +129,13 @@ mod tests {
     use tonic::Code;
 
     /// A session's environments in an operation, and the channel of its answers.
-    fn lent(sessions: &Arc<Sessions>) -> (Work, mpsc::Receiver<RunSessionResponse>) {
+    fn guard(sessions: &Arc<Sessions>) -> (Work, mpsc::Receiver<RunSessionResponse>) {
         let blueprint = Blueprint::new("sandgait/HexapodGait-v1", Value::Null).unwrap();
         let environments = sessions.build(&blueprint, 2).unwrap();
         let (answers, receiver) = mpsc::channel(2);
         sessions.add("one".into(), blueprint.clone(), sessions.build(&blueprint, 1).unwrap()).unwrap();
-        let loan = Loan::new(sessions.clone(), "one".into());
-        (Work { environments, reply: Reply { sequence: 7, loan, answers, share: None } }, receiver)
+        let guard = SessionGuard::new(sessions.clone(), "one".into(), environments);
+        (Work { sequence: 7, guard, answers, end: CancellationToken::new(), share: None }, receiver)
     }
 
     fn sessions() -> Arc<Sessions> {
@@ -140,12 +156,11 @@ mod tests {
     fn a_panic_while_an_answer_is_made_is_answered() {
         let (sessions, pool) = (sessions(), Pool::new(1));
         for _ in 0..2 {
-            let (mut work, answers) = lent(&sessions);
-            let operation = work.environments.batch.reset(None, None, Default::default()).unwrap();
-            let Work { environments, reply } = work;
-            let (batch, rest) = environments.into_parts();
+            let (mut work, answers) = guard(&sessions);
+            let operation = work.batch().reset(None, None, Default::default()).unwrap();
+            let batch = work.guard.take();
             pool.run(batch, operation, move |batch| {
-                let _work = reply.with(rest, batch.unwrap());
+                work.guard.put(batch.unwrap());
                 panic!("on purpose");
             });
             check(&sessions, answers);
@@ -157,7 +172,7 @@ mod tests {
     #[test]
     fn a_panic_between_the_parts_of_a_rollout_is_answered() {
         let sessions = sessions();
-        let (work, answers) = lent(&sessions);
+        let (work, answers) = guard(&sessions);
         let runtime = tokio::runtime::Runtime::new().unwrap();
         let task = runtime.spawn(async move {
             let _work = work;
@@ -171,7 +186,7 @@ mod tests {
     #[test]
     fn a_session_whose_environments_are_back_goes_on() {
         let sessions = sessions();
-        let (work, mut answers) = lent(&sessions);
+        let (work, mut answers) = guard(&sessions);
         work.refuse(&Error::invalid("x", "y"));
         assert!(matches!(answers.blocking_recv().unwrap().response, Some(Response::Failure(_))));
         assert_eq!(sessions.list().len(), 1);

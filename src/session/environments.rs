@@ -1,9 +1,9 @@
 //! A session of this process. Its environments are stored here, except while a thread works on them.
 //!
 //! ```text
-//!  take ──▶ Loan ──┬── run ──▶ pool ──▶ back, with an answer
-//!                  ├── answer ──▶ back, with this answer
-//!                  └── dropped ──▶ back as it was; in a panic: lost
+//!  take ──▶ guard ──┬── run ──▶ pool ──▶ back, with an answer
+//!                   ├── answer ──▶ back, with this answer
+//!                   └── dropped ──▶ back as it was; in a panic: lost
 //! ```
 //!
 //! A caller can stop waiting for an answer and take it later; it is kept until the next request.
@@ -12,7 +12,7 @@ use super::roll::{self, Rolled};
 use super::{MOST_ENVIRONMENTS, MOST_MEMORY};
 use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
-use crate::pool::{Batch, Building, Operation, Pool, Roll};
+use crate::pool::{Batch, Building, Operation, Pool, Roll, check_envs};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -33,17 +33,17 @@ pub enum Answer {
     Refused(Error),
 }
 
-/// Each session has only one `Place`, so the size of a `Place` does not matter.
+/// Each session has only one `BatchState`, so the size of a `BatchState` does not matter.
 #[allow(clippy::large_enum_variant)]
-enum Place {
-    Here(Batch),
-    Away,
+enum BatchState {
+    Idle(Batch),
+    Running,
     Lost(Error),
     Closed,
 }
 
 struct Slot {
-    place: Place,
+    state: BatchState,
     answer: Option<Answer>,
 }
 
@@ -60,8 +60,8 @@ pub struct Environments {
     shared: Arc<Shared>,
 }
 
-/// The environments, on loan to a thread that works on them.
-pub struct Loan {
+/// The environments, while a thread works on them.
+pub struct EnvironmentsGuard {
     /// None after the environments were passed on.
     batch: Option<Batch>,
     shared: Arc<Shared>,
@@ -78,12 +78,12 @@ impl Shared {
         self.slot.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn put(&self, place: Place, answer: Option<Answer>) {
+    fn put(&self, state: BatchState, answer: Option<Answer>) {
         let mut slot = self.lock();
-        let unwanted = if matches!(slot.place, Place::Closed) {
-            Some(place)
+        let unwanted = if matches!(slot.state, BatchState::Closed) {
+            Some(state)
         } else {
-            (slot.place, slot.answer) = (place, answer);
+            (slot.state, slot.answer) = (state, answer);
             None
         };
         drop(slot);
@@ -95,14 +95,7 @@ impl Shared {
 impl Environments {
     /// `envs` environments of `blueprint`, which need a first reset; `stopped` ends the work.
     pub fn new(blueprint: &Blueprint, envs: usize, stopped: impl Fn() -> bool) -> Result<Self> {
-        if !(1..=MOST_ENVIRONMENTS).contains(&envs) {
-            let range = format!("{envs} is outside [1, {MOST_ENVIRONMENTS}]");
-            return Err(match envs {
-                0 => Error::invalid("num_envs", range),
-                _ => Error::Exhausted(format!("num_envs: {range}")),
-            });
-        }
-        let bytes = envs * blueprint.bytes_per_env();
+        let bytes = blueprint.bytes(check_envs(envs, MOST_ENVIRONMENTS)?);
         if bytes > MOST_MEMORY {
             let [needed, most] = [bytes, MOST_MEMORY].map(|bytes| bytes >> 20);
             return Err(Error::Exhausted(format!("num_envs: needs about {needed} MiB, more than {most} MiB")));
@@ -114,24 +107,24 @@ impl Environments {
             }
             building.go_on(BUILDING)?;
         }
-        let slot = Mutex::new(Slot { place: Place::Here(building.finish()?), answer: None });
+        let slot = Mutex::new(Slot { state: BatchState::Idle(building.finish()?), answer: None });
         Ok(Self { shared: Arc::new(Shared { slot, back: Condvar::new(), stop: AtomicBool::new(false) }) })
     }
 
     /// The environments, if they are available within `time`; None: a thread still works on them.
-    pub fn take(&self, time: Duration) -> Option<Result<Loan>> {
-        let away = |slot: &mut Slot| matches!(slot.place, Place::Away);
+    pub fn take(&self, time: Duration) -> Option<Result<EnvironmentsGuard>> {
+        let away = |slot: &mut Slot| matches!(slot.state, BatchState::Running);
         let mut slot = self.shared.lock();
         if away(&mut slot) && !time.is_zero() {
             let waited = self.shared.back.wait_timeout_while(slot, time, away);
             slot = waited.unwrap_or_else(PoisonError::into_inner).0;
         }
-        match std::mem::replace(&mut slot.place, Place::Away) {
-            Place::Here(batch) => Some(Ok(Loan { batch: Some(batch), shared: self.shared.clone() })),
-            Place::Away => None,
+        match std::mem::replace(&mut slot.state, BatchState::Running) {
+            BatchState::Idle(batch) => Some(Ok(EnvironmentsGuard { batch: Some(batch), shared: self.shared.clone() })),
+            BatchState::Running => None,
             other => {
-                let error = if let Place::Lost(error) = &other { error.clone() } else { closed() };
-                slot.place = other;
+                let error = if let BatchState::Lost(error) = &other { error.clone() } else { closed() };
+                slot.state = other;
                 Some(Err(error))
             }
         }
@@ -140,7 +133,7 @@ impl Environments {
     /// Is an answer pending, or still kept from the last request?
     pub fn owes(&self) -> bool {
         let slot = self.shared.lock();
-        slot.answer.is_some() || matches!(slot.place, Place::Away)
+        slot.answer.is_some() || matches!(slot.state, BatchState::Running)
     }
 
     /// Ends a rollout in progress soon, with a refusal.
@@ -152,18 +145,18 @@ impl Environments {
     pub fn close(&self) {
         self.stop();
         let mut slot = self.shared.lock();
-        let place = std::mem::replace(&mut slot.place, Place::Closed);
+        let state = std::mem::replace(&mut slot.state, BatchState::Closed);
         drop(slot);
         self.shared.back.notify_all();
-        drop(place);
+        drop(state);
     }
 }
 
-impl Loan {
+impl EnvironmentsGuard {
     /// # Panics
-    /// Never: functions that pass the environments on consume the loan.
+    /// Never: functions that pass the environments on consume it.
     pub fn batch(&mut self) -> &mut Batch {
-        self.batch.as_mut().expect("a loan has its environments until it ends")
+        self.batch.as_mut().expect("a guard has its environments until it ends")
     }
 
     /// The answer to the last request.
@@ -171,17 +164,17 @@ impl Loan {
         self.shared.lock().answer.take()
     }
 
-    /// Ends the loan with this answer.
+    /// Returns the environments with this answer.
     pub fn end(mut self, answer: Option<Answer>) {
         if let Some(batch) = self.batch.take() {
-            self.shared.put(Place::Here(batch), answer);
+            self.shared.put(BatchState::Idle(batch), answer);
         }
     }
 
-    /// Ends the loan: the environments are lost.
+    /// The environments are lost.
     fn lose(mut self, error: Error) {
         self.batch = None;
-        self.shared.put(Place::Lost(error), None);
+        self.shared.put(BatchState::Lost(error), None);
     }
 
     /// Runs the operation that `check` returns; if it refuses, the refusal is the answer.
@@ -196,7 +189,7 @@ impl Loan {
         }
     }
 
-    /// The same as [`Loan::run`], but this thread works, too. For short work this is faster, because fewer threads have
+    /// The same as [`EnvironmentsGuard::run`], but this thread works, too. For short work this is faster, because fewer threads have
     /// to wake up.
     pub fn run_here(mut self, pool: &Pool, check: impl FnOnce(&mut Batch) -> Result<Operation>) {
         if self.batch().shards().len() > SOON {
@@ -243,18 +236,18 @@ impl Loan {
     }
 }
 
-impl Drop for Loan {
+impl Drop for EnvironmentsGuard {
     fn drop(&mut self) {
         if std::thread::panicking() {
             self.batch = None;
             let lost = Error::Internal("the environments of this session were lost".into());
-            return self.shared.put(Place::Lost(lost), None);
+            return self.shared.put(BatchState::Lost(lost), None);
         }
         if let Some(batch) = self.batch.take() {
             let mut slot = self.shared.lock();
             let answer = slot.answer.take();
             drop(slot);
-            self.shared.put(Place::Here(batch), answer);
+            self.shared.put(BatchState::Idle(batch), answer);
         }
     }
 }
@@ -271,7 +264,7 @@ mod tests {
         Environments::new(&blueprint, envs, || false).unwrap()
     }
 
-    fn lent(environments: &Environments) -> Loan {
+    fn lent(environments: &Environments) -> EnvironmentsGuard {
         environments.take(Duration::from_secs(60)).unwrap().unwrap()
     }
 
@@ -280,9 +273,9 @@ mod tests {
     }
 
     fn rows(environments: &Environments) -> Vec<f32> {
-        let mut loan = lent(environments);
-        assert!(matches!(loan.answer(), Some(Answer::Rows)));
-        loan.batch().shards().iter().flat_map(|s| s.rows.observations.clone()).collect()
+        let mut guard = lent(environments);
+        assert!(matches!(guard.answer(), Some(Answer::Rows)));
+        guard.batch().shards().iter().flat_map(|s| s.rows.observations.clone()).collect()
     }
 
     /// Steps on the caller's thread and on the pool's threads have the same bits. A refused step changes nothing.
@@ -330,8 +323,9 @@ mod tests {
         lent(&environments).roll(&pool, true, |b| b.roll(actions(30), true));
         let rolled = sums(lent(&environments).answer());
         assert_eq!((rolled.rewards.len(), rolled.returns.len()), (600, 20));
-        let (other, loan) = (environments.clone(), lent(&environments));
-        let roller = std::thread::spawn(move || loan.roll(&Pool::new(1), false, |b| b.roll(actions(1_000_000), false)));
+        let (other, guard) = (environments.clone(), lent(&environments));
+        let roller =
+            std::thread::spawn(move || guard.roll(&Pool::new(1), false, |b| b.roll(actions(1_000_000), false)));
         assert!(other.take(Duration::from_millis(50)).is_none(), "it is away");
         while other.take(Duration::from_millis(1)).is_none() {
             other.stop();
@@ -346,10 +340,10 @@ mod tests {
     #[test]
     fn closed_while_they_are_away() {
         let (pool, environments) = (Pool::new(1), made(1));
-        let mut loan = lent(&environments);
-        let operation = reset(loan.batch()).unwrap();
+        let mut guard = lent(&environments);
+        let operation = reset(guard.batch()).unwrap();
         environments.close();
-        loan.run(&pool, |_| Ok(operation));
+        guard.run(&pool, |_| Ok(operation));
         let error = environments.take(Duration::from_secs(60)).unwrap().err().unwrap();
         assert_eq!(error.to_string(), "this environment is closed");
     }

@@ -13,7 +13,7 @@ pub mod environments;
 pub mod roll;
 pub mod view;
 
-pub use environments::{Answer, Environments, Loan};
+pub use environments::{Answer, Environments, EnvironmentsGuard};
 
 /// Largest number of environments of one session: our choice, room for any training.
 pub const MOST_ENVIRONMENTS: usize = 65_536;

@@ -15,10 +15,46 @@ const TURN: Duration = Duration::from_millis(30);
 /// unusually fast.
 const GROWTH: usize = 4;
 
-/// Steps of the next part, if `steps` took `time` in the last one.
-pub fn pace(steps: usize, time: Duration) -> usize {
-    let fitting = steps as f64 * TURN.as_secs_f64() / time.as_secs_f64().max(1e-6);
-    (fitting as usize).clamp(1, GROWTH * steps)
+/// A rollout in progress: the operations of its parts, each of about [`TURN`].
+pub struct Rolling {
+    last: Roll,
+    /// Number of steps of the next part.
+    steps: usize,
+    begun: Instant,
+}
+
+impl Rolling {
+    pub fn new(roll: &Roll) -> Self {
+        Self { last: roll.clone(), steps: 1, begun: Instant::now() }
+    }
+
+    /// The operation of the next part; None after the last one.
+    pub fn next(&mut self) -> Option<Operation> {
+        self.last = self.last.next(self.steps)?;
+        self.begun = Instant::now();
+        Some(Operation::Roll(self.last.clone()))
+    }
+
+    /// Number of steps up to the end of the present part.
+    pub fn made(&self) -> usize {
+        self.last.made()
+    }
+
+    /// Is the present part the last one?
+    pub fn is_last(&self) -> bool {
+        self.made() == self.last.total()
+    }
+
+    /// The error of the rollout's network, if it failed in the present part.
+    pub fn check(batch: &Batch) -> Result<()> {
+        batch.shards().iter().find_map(|s| s.rollout.failed.clone()).map_or(Ok(()), Err)
+    }
+
+    /// The present part is done; its time determines the length of the next one.
+    pub fn went(&mut self) {
+        let fitting = self.steps as f64 * TURN.as_secs_f64() / self.begun.elapsed().as_secs_f64().max(1e-6);
+        self.steps = (fitting as usize).clamp(1, GROWTH * self.steps);
+    }
 }
 
 /// Results of a rollout; one row for each environment.
@@ -49,18 +85,16 @@ pub fn run(
     stopped: impl Fn() -> bool,
 ) -> Result<(Batch, Result<Rolled>)> {
     let mut rolled = check_size(&batch, roll, record).map(|()| Rolled::default());
-    let (mut last, mut count) = (roll.clone(), 1);
-    while let (Some(steps), Ok(rows)) = (last.next(count), &mut rolled) {
-        last = steps.clone();
-        let turn = Instant::now();
-        batch = pool.wait(batch, Operation::Roll(steps))?;
-        if let Some(error) = batch.shards().iter().find_map(|s| s.rollout.failed.clone()) {
+    let mut rolling = Rolling::new(roll);
+    while let (Some(operation), Ok(rows)) = (rolling.next(), &mut rolled) {
+        batch = pool.wait(batch, operation)?;
+        if let Err(error) = Rolling::check(&batch) {
             rolled = Err(error);
         } else if stopped() {
             rolled = Err(Error::Cancelled("the rollout was stopped".into()));
         } else {
             rows.add(&batch, roll.chooses());
-            count = pace(count, turn.elapsed());
+            rolling.went();
         }
     }
     if let Ok(rows) = &mut rolled {

@@ -9,25 +9,33 @@ use sandgait_view::{self as view, About, Moment};
 /// Largest number of pixels of one request, all its pictures together: our choice, 100 MB.
 pub const MOST_PIXELS: u64 = 1 << 25;
 
-/// Checks the size of `count` pictures of `size`, width and height.
-pub fn pixels(count: usize, size: [u32; 2]) -> u64 {
-    (count as u64).saturating_mul(u64::from(size[0]) * u64::from(size[1]))
+/// Number of pixels of `count` pictures of `size`, width and height.
+///
+/// # Errors
+/// They are more than one request may have.
+pub fn check_pixels(count: usize, size: [u32; 2]) -> Result<usize> {
+    let [width, height] = size;
+    let pixels = (count as u64).saturating_mul(u64::from(width) * u64::from(height));
+    if pixels > MOST_PIXELS {
+        let reason = format!("{count} pictures of {width} × {height} have more than {MOST_PIXELS} pixels");
+        return Err(Error::invalid("indices", reason));
+    }
+    Ok(pixels as usize)
 }
 
 /// Pictures of environments, u8 [indices, height, width, 3]. `ended`: see [`Batch::look`].
 pub fn render(batch: &Batch, indices: &[u32], size: [u32; 2], ended: bool) -> Result<Vec<u8>> {
-    let pixels = pixels(indices.len(), size);
-    if pixels > MOST_PIXELS {
-        let [width, height] = size;
-        let reason = format!("{} pictures of {width} × {height} have more than {MOST_PIXELS} pixels", indices.len());
-        return Err(Error::invalid("indices", reason));
-    }
-    let mut all = Vec::with_capacity(3 * pixels as usize);
+    let mut all = Vec::with_capacity(3 * check_pixels(indices.len(), size)?);
     for index in indices {
-        let look = batch.look(*index as usize, ended)?;
-        all.extend(view::draw(look.model, look.state, look.footing, size, &captions(&look))?);
+        all.extend(draw(batch, *index as usize, size, ended)?);
     }
     Ok(all)
+}
+
+/// One picture, u8 [height, width, 3].
+pub fn draw(batch: &Batch, index: usize, size: [u32; 2], ended: bool) -> Result<Vec<u8>> {
+    let look = batch.look(index, ended)?;
+    view::draw(look.model, look.state, look.footing, size, &captions(&look))
 }
 
 /// The caption of a picture.

@@ -4,6 +4,7 @@
 //!
 //! * [`robot`]: a robot as a user's TOML file describes it.
 //! * [`model`]: the same as numbers: bodies, joints, servos, segments, sand, gravity, time step.
+//! * `memory`: memory of models and robots.
 //! * [`obstacle`]: rigid obstacles in the sand; [`solid`]: their geometry.
 //! * [`overlap`]: how far a robot stands inside obstacles, for tests.
 //! * [`state`]: positions and velocities of one robot.
@@ -28,6 +29,7 @@ pub mod feet;
 pub mod frame;
 mod hull;
 pub mod lanes;
+mod memory;
 pub mod model;
 pub mod obstacle;
 pub mod overlap;

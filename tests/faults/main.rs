@@ -5,6 +5,7 @@
 #[path = "../grpc/harness.rs"]
 mod harness;
 mod load;
+mod price;
 #[expect(dead_code, reason = "the rest is for other tests")]
 #[path = "../serve/process.rs"]
 mod process;

@@ -1,11 +1,12 @@
 //! Large requests wait for their share of the memory or are refused, while other sessions go on.
 
-use crate::harness::{Server, Session, create, options, step, wave};
+use crate::harness::{Bearer, Server, Session, client, create, options, step, wave};
 use sandgait::service::proto::run_session_request::Request;
 use sandgait::service::proto::run_session_response::Response;
-use sandgait::service::proto::{Render, Reset, Restore, Rollout, RunSessionRequest, Step};
-use sandgait::service::{Limits, Seal, Setup};
+use sandgait::service::proto::{CloseSessionRequest, Render, Reset, Restore, Rollout, RunSessionRequest, Step};
+use sandgait::service::{Address, Limits, Seal, Setup};
 use tonic::Code;
+use tonic::transport::Endpoint;
 
 const MIB: usize = 1 << 20;
 
@@ -169,4 +170,64 @@ async fn only_snapshots_sealed_with_the_servers_key_are_taken() {
             }
         }
     }
+}
+
+/// A client that does not read a large answer loses its connection, and the answer's memory is free again; its session
+/// stays. In an earlier version it kept the memory for as long as it lived.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn memory_of_answers_that_nobody_reads_is_freed() {
+    let stall = std::time::Duration::from_millis(300);
+    let server = Server::with_limits(1, Limits { stall, ..limits() }).await;
+    let Address::Unix(path) = &server.address else { unreachable!() };
+    let endpoint = Endpoint::from_shared(format!("unix://{}", path.display())).unwrap();
+    // The window is so small that most of the answer stays in the server.
+    let channel = endpoint.initial_stream_window_size(65_535).connect().await.unwrap();
+    let mut slow = Session::create(client(channel, Bearer::default()), 1, &[]).await.unwrap();
+    slow.reset(1).await;
+    let render = || Some(Request::Render(Render { indices: vec![0], width: 1024, height: 2048, ended: false }));
+    slow.send(render()).await;
+    tokio::time::sleep(stall).await;
+    // Together the answers would need more than all memory for requests.
+    let mut other = server.session(1).await;
+    other.reset(1).await;
+    let Response::Pictures(pictures) = other.ask(render()).await else { panic!("no pictures") };
+    assert_eq!(pictures.pixels.len(), 6 * MIB);
+    assert!(slow.receive().await.is_err(), "the connection was closed");
+    let (_, last) = Session::resume(server.client().await, &slow.id, 2).await.unwrap();
+    assert_eq!(last, 2);
+}
+
+/// Each environment gets a model of its own, by a reset of it alone: the models are part of the session's memory. In an
+/// earlier version they were not counted.
+#[tokio::test]
+async fn models_made_by_resets_are_counted() {
+    let server = Server::with_limits(1, Limits { memory: 16 * MIB, ..Limits::default() }).await;
+    let envs = 780;
+    let mut session = server.session(envs).await;
+    session.reset(0).await;
+    let reset = |mask: Vec<u8>, slope: f64| {
+        let options = options(&[("slope_deg", crate::harness::number(slope))]);
+        Some(Request::Reset(Reset { mask: mask.into(), options, ..Default::default() }))
+    };
+    let one = |k: u32| {
+        let mask = (0..envs).map(|i| u8::from(i == k)).collect();
+        reset(mask, f64::from(k) * 0.01)
+    };
+    let mut made = 0;
+    let refused = loop {
+        match session.ask(one(made)).await {
+            Response::Batch(_) => made += 1,
+            Response::Failure(failure) => break failure,
+            other => panic!("{other:?}"),
+        }
+        assert!(made < envs, "{made} models were not counted");
+    };
+    println!("{made} models of {envs} environments in 16 MiB");
+    assert_eq!(refused.code, i32::from(Code::ResourceExhausted));
+    assert!(refused.message.contains("models: needs about"), "{}", refused.message);
+    session.step(0).await;
+    // The memory is free again after the session's end.
+    let close = CloseSessionRequest { session_id: session.id.clone() };
+    session.client.close_session(close).await.unwrap();
+    server.session(envs).await.reset(0).await;
 }

@@ -4,6 +4,7 @@ use crate::harness::{ACTIONS, Server, Session, floats, number, wave};
 use sandgait::service::proto::run_session_request::Request;
 use sandgait::service::proto::run_session_response::Response;
 use sandgait::service::proto::{Rollout, RolloutPart};
+use std::time::{Duration, Instant};
 
 fn rollout(envs: usize, steps: usize, trajectories: bool) -> Request {
     let actions: Vec<f32> = (0..steps).flat_map(|time| wave(0..envs, time)).collect();
@@ -106,4 +107,21 @@ async fn a_cancelled_rollout_restores_the_state() {
     let (mut session, last) = Session::resume(server.client().await, &id, sent - 1).await.unwrap();
     assert_eq!(last, sent - 1);
     assert_eq!(session.step(0).await, undisturbed.step(0).await);
+}
+
+/// The client of a rollout reads nothing, and its connection lives. A new stream of the same session does not wait for
+/// it, nor does CloseSession leave it running. In an earlier version the new stream waited for ever.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_rollout_that_nobody_reads_keeps_no_session() {
+    let server = Server::start(1).await;
+    let (mut session, mut undisturbed) = (server.session(256).await, server.session(256).await);
+    assert_eq!(session.reset(2).await, undisturbed.reset(2).await);
+    let sent = session.send(Some(rollout(256, 2000, true))).await;
+    // The windows of HTTP/2 are full by then.
+    tokio::time::sleep(Duration::from_secs(2)).await;
+    let begun = Instant::now();
+    let (mut again, last) = Session::resume(server.client().await, &session.id, sent - 1).await.unwrap();
+    assert!(begun.elapsed() < Duration::from_secs(1), "{:?}", begun.elapsed());
+    assert_eq!(last, sent - 1);
+    assert_eq!(again.step(0).await, undisturbed.step(0).await);
 }

@@ -131,6 +131,38 @@ async fn wrong_requests_for_pictures_are_refused() {
     refused(Some(Request::Observe(Observe { index: 7, ended: true })), &["index: 7 is outside [0, 2)"]).await;
     let many = Render { indices: vec![0; 1000], width: 480, height: 360, ended: false };
     refused(Some(Request::Render(many)), &["1000 pictures", "pixels"]).await;
+    let many = Render { indices: vec![0; 131_072], width: 16, height: 16, ended: false };
+    refused(Some(Request::Render(many)), &["131072 pictures are more than 4096"]).await;
+}
+
+/// Clients that ask for many pictures do not delay the creation of another client's session, and their sessions are free
+/// soon after they leave. In an earlier version the server drew for half a minute for clients that had left.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn pictures_are_drawn_in_turns_and_only_while_someone_waits() {
+    let server = Server::start(1).await;
+    let mut painters = Vec::new();
+    for _ in 0..8 {
+        let mut session = server.session(1).await;
+        session.reset(1).await;
+        let request = Render { indices: vec![0; 4096], width: 90, height: 90, ended: false };
+        session.send(Some(Request::Render(request))).await;
+        painters.push(session);
+    }
+    tokio::time::sleep(Duration::from_millis(100)).await;
+    let begun = Instant::now();
+    server.session(8).await.reset(1).await;
+    println!("a session beside 8 clients that ask for 4096 pictures each: {:?}", begun.elapsed());
+    assert!(begun.elapsed() < Duration::from_secs(1), "{:?}", begun.elapsed());
+    let ids: Vec<_> = painters.iter().map(|p| p.id.clone()).collect();
+    drop(painters);
+    let begun = Instant::now();
+    for id in ids {
+        let (mut session, last) = Session::resume(server.client().await, &id, 1).await.unwrap();
+        assert_eq!(last, 1);
+        session.step(0).await;
+    }
+    println!("all 8 sessions step again {:?} after their clients have left", begun.elapsed());
+    assert!(begun.elapsed() < Duration::from_secs(2), "{:?}", begun.elapsed());
 }
 
 /// The documentation states 100 pictures of 480 × 360 a second on one core; the test requires a tenth, for loaded machines.

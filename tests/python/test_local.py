@@ -164,6 +164,7 @@ def test_threads_that_share_an_environment_wait_for_each_other() -> None:
 def in_child(env: sandgait.SandgaitVectorEnv, answers: multiprocessing.Queue[Any]) -> None:
     calls = (env.recv, lambda: env.step(action(3_000, 0)), env.reset)
     answers.put([str(type(error_of(call))) for call in calls])
+    answers.put(env._session.owes)
     with sandgait_env(33) as own:
         answers.put(own.step(action(33, 1))[0].tobytes())
 
@@ -196,6 +197,7 @@ def test_a_fork_in_the_middle_of_a_step() -> None:
         child = multiprocessing.get_context("fork").Process(target=in_child, args=(env, answers))
         child.start()
         assert answers.get(timeout=30) == [str(sandgait.SandgaitError)] * 3
+        assert answers.get(timeout=30) is False, "in the child nothing is asked of the parent's threads"
         assert answers.get(timeout=30) == expected
         child.join(10)
         assert child.exitcode == 0

@@ -95,14 +95,19 @@ impl Process {
     }
 
     /// Sends SIGTERM. Returns the time until the process has ended with success, and its log.
-    pub fn end(mut self) -> (Duration, String) {
+    pub fn end(self) -> (Duration, String) {
+        self.end_with(0)
+    }
+
+    /// The same, with another exit code than success.
+    pub fn end_with(mut self, code: i32) -> (Duration, String) {
         let begun = Instant::now();
         self.signal("-TERM");
         let status = self.child.wait().unwrap();
         let time = begun.elapsed();
         self.reader.take().unwrap().join().unwrap();
         let log = self.log();
-        assert_eq!(status.code(), Some(0), "{log}");
+        assert_eq!(status.code(), Some(code), "{log}");
         (time, log)
     }
 

@@ -1,9 +1,10 @@
 //! Sessions that continue after a restart of their server.
 
 use crate::harness::{Session, create, step, until, wave};
-use crate::process::{Process, text};
+use crate::process::{Process, refused, text};
+use sandgait::service::proto::run_session_request::Request;
 use sandgait::service::proto::run_session_response::Response;
-use sandgait::service::proto::{CloseSessionRequest, CreateSessionRequest};
+use sandgait::service::proto::{CloseSessionRequest, CreateSessionRequest, ListSessionsRequest, Render};
 use std::fs;
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
@@ -33,6 +34,7 @@ impl Place {
 
     fn files(&self) -> Vec<PathBuf> {
         let mut all: Vec<_> = fs::read_dir(self.state()).unwrap().map(|e| e.unwrap().path()).collect();
+        all.retain(|path| !path.ends_with(".lock"));
         all.sort();
         all
     }
@@ -137,8 +139,10 @@ async fn a_full_disk_is_logged_and_holds_nothing_up() {
         session.reset(1).await;
         session.step(0).await;
     }
-    let (_, log) = server.end();
+    let (_, log) = server.end_with(1);
     assert!(!log.contains("took too long") && !log.contains("did not end in time"), "{log}");
+    let listed = large.client.list_sessions(ListSessionsRequest {}).await;
+    assert!(listed.is_err() && log.contains("1 sessions were not saved: "), "{log}");
     assert!(log.contains("a session was lost: it could not be saved") && log.contains("File too large"), "{log}");
     // Sessions that fit are saved, and no file is incomplete.
     assert_eq!(place.files().len(), 1);
@@ -188,4 +192,48 @@ async fn the_step_in_flight_is_finished() {
     assert_eq!(last, sent, "it was carried out");
     let batch = again.step(1).await;
     assert_eq!(answered, Some((sent, batch)), "it was answered, and whoever repeats it gets the same answer");
+}
+
+/// Sessions are saved, idle or not, beside clients that keep all threads of the server busy with pictures. In an earlier
+/// version four such clients kept the server from saving any session, and its exit code was 0.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn all_sessions_are_saved_beside_slow_requests() {
+    let place = Place::new();
+    let server = place.start();
+    let mut idle = create_in(&server, 3).await;
+    let first = idle.reset(1).await;
+    let mut busy = Vec::new();
+    for _ in 0..6 {
+        let mut session = create_in(&server, 1).await;
+        session.reset(1).await;
+        let pictures = Render { indices: vec![0; 4096], width: 90, height: 90, ended: false };
+        session.send(Some(Request::Render(pictures))).await;
+        busy.push(session);
+    }
+    tokio::time::sleep(Duration::from_millis(300)).await;
+    let (_, log) = tokio::task::spawn_blocking(|| server.end()).await.unwrap();
+    assert_eq!(log.matches("a session was saved").count(), 7, "{log}");
+    let server = place.start();
+    let (mut again, last) = Session::resume(server.client().await, &idle.id, 1).await.unwrap();
+    assert_eq!((last, again.reset(1).await), (1, first));
+    for session in &busy {
+        // The pictures were not finished, so the client may ask for them again.
+        assert_eq!(Session::resume(server.client().await, &session.id, 1).await.unwrap().1, 1);
+    }
+}
+
+/// A second server with the same directory is refused and changes nothing in it.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn one_server_uses_a_directory_at_a_time() {
+    let place = Place::new();
+    let server = place.start();
+    // It has restored its sessions before it answers.
+    server.client().await.list_sessions(ListSessionsRequest {}).await.unwrap();
+    fs::write(place.state().join(".unfinished-x"), "another server writes this").unwrap();
+    let line = refused(&["--listen", "127.0.0.1:0", "--state-dir", text(&place.state())]);
+    assert!(line.contains("another server uses this directory"), "{line}");
+    assert_eq!(place.files().len(), 1, "the file of the first server is still there");
+    server.end();
+    place.start().end();
+    assert!(place.files().is_empty(), "now nobody writes it");
 }

@@ -157,7 +157,10 @@ pub fn message<'py>(py: Python<'py>, batch: &proto::Batch) -> PyResult<Bound<'py
     let [wide, info] = [&batch.observations, &batch.infos].map(|rows| rows.len() / 4 / envs.max(1));
     let indices: Vec<isize> =
         batch.final_indices.as_chunks().0.iter().map(|b| u32::from_le_bytes(*b) as isize).collect();
-    let (rows, _) = batch.infos.as_chunks::<4>();
+    let (rows, rest) = batch.infos.as_chunks::<4>();
+    if !rest.is_empty() || rows.len() != info * envs {
+        return Err(wrong_size());
+    }
     let infos = New::of(py, Kind::F32, &[info, envs])?;
     // SAFETY: the array is new, of this kind, and sliced once.
     let columns = unsafe { infos.numbers::<f32>() };
@@ -176,13 +179,18 @@ pub fn message<'py>(py: Python<'py>, batch: &proto::Batch) -> PyResult<Bound<'py
     PyTuple::new(py, all)
 }
 
+/// A server of another make, or a defect of ours.
+fn wrong_size() -> PyErr {
+    raise(&sandgait::Error::Internal("the server's answer has columns of different lengths".into()))
+}
+
 /// An array whose numbers are these little-endian bytes, one piece after the other.
 fn packed<'py>(py: Python<'py>, kind: Kind, shape: &[usize], pieces: &[&[u8]]) -> PyResult<Bound<'py, PyAny>> {
     let new = New::of(py, kind, shape)?;
     // SAFETY: the array is new and sliced once; any bytes are numbers.
     let bytes = unsafe { new.numbers::<u8>() };
     if bytes.len() != pieces.iter().map(|piece| piece.len()).sum::<usize>() {
-        return Err(raise(&sandgait::Error::Internal("the server's answer has another size than it says".into())));
+        return Err(wrong_size());
     }
     fill(bytes, pieces.iter());
     Ok(new.array)

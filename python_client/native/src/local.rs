@@ -13,7 +13,7 @@ use sandgait::env::ResetOptions;
 use sandgait::env::registry::Blueprint;
 use sandgait::pool::{Batch, Operation, Pool, Seal, Snapshot};
 use sandgait::service;
-use sandgait::session::{Answer, Environments, Loan, view};
+use sandgait::session::{Answer, Environments, EnvironmentsGuard, view};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -32,7 +32,7 @@ pub struct Local {
 
 impl Local {
     /// The environments; waits while they are in use.
-    fn lend(&self, py: Python<'_>) -> PyResult<Loan> {
+    fn lend(&self, py: Python<'_>) -> PyResult<EnvironmentsGuard> {
         if std::process::id() != self.process {
             let reason = "this environment belongs to the process that made it; make it anew after a fork";
             return Err(of("SandgaitError", reason.into()));
@@ -46,7 +46,7 @@ impl Local {
             py.check_signals()?;
         }
         match lent {
-            Some(Ok(loan)) => Ok(loan),
+            Some(Ok(guard)) => Ok(guard),
             Some(Err(Error::OutOfOrder(closed))) => Err(of("SandgaitError", closed)),
             Some(Err(error)) => Err(raise(&error)),
             None => Err(raise(&Error::Internal("the environments are away".into()))),
@@ -54,9 +54,9 @@ impl Local {
     }
 
     /// Starts work that may take long; its answer is received later.
-    fn start(&self, py: Python<'_>, work: impl FnOnce(Loan, &Pool) + Send + 'static) -> PyResult<()> {
-        let (loan, pool) = (self.lend(py)?, self.pool.clone());
-        wait::spawn(move || work(loan, &pool))
+    fn start(&self, py: Python<'_>, work: impl FnOnce(EnvironmentsGuard, &Pool) + Send + 'static) -> PyResult<()> {
+        let (guard, pool) = (self.lend(py)?, self.pool.clone());
+        wait::spawn(move || work(guard, &pool))
     }
 
     /// The result of `work` on the environments, which it does not change.
@@ -65,8 +65,8 @@ impl Local {
         py: Python<'_>,
         work: impl FnOnce(&Batch) -> sandgait::Result<T> + Send + 'static,
     ) -> PyResult<T> {
-        let mut loan = self.lend(py)?;
-        wait::background(py, move |_| work(loan.batch()))
+        let mut guard = self.lend(py)?;
+        wait::background(py, move |_| work(guard.batch()))
     }
 }
 
@@ -106,13 +106,13 @@ impl Local {
     ) -> PyResult<()> {
         let mask = mask.map(flags);
         if options.is_empty()? {
-            let loan = self.lend(py)?;
-            py.detach(|| loan.run(&self.pool, |b| b.reset(mask, seeds, ResetOptions::default())));
+            let guard = self.lend(py)?;
+            py.detach(|| guard.run(&self.pool, |b| b.reset(mask, seeds, ResetOptions::default())));
             return Ok(());
         }
         let changes = keywords(options)?;
         // Building models from options takes long.
-        self.start(py, |loan, pool| loan.run(pool, |b| b.reset(mask, seeds, ResetOptions::new(changes)?)))
+        self.start(py, |guard, pool| guard.run(pool, |b| b.reset(mask, seeds, ResetOptions::new(changes)?)))
     }
 
     /// `actions` is float32 [num_envs, action]; environments in `held` keep their state. `here`: the caller only
@@ -121,12 +121,12 @@ impl Local {
     fn send_step(&self, py: Python<'_>, actions: &Bound<'_, PyAny>, held: Option<&[u8]>, here: bool) -> PyResult<()> {
         let actions = arrays::floats(actions)?;
         let held = held.map(flags);
-        let loan = self.lend(py)?;
+        let guard = self.lend(py)?;
         let check = |b: &mut Batch| match held {
             None => b.step(actions),
             Some(held) => b.step_but(actions, held),
         };
-        py.detach(|| if here { loan.run_here(&self.pool, check) } else { loan.run(&self.pool, check) });
+        py.detach(|| if here { guard.run_here(&self.pool, check) } else { guard.run(&self.pool, check) });
         Ok(())
     }
 
@@ -139,54 +139,55 @@ impl Local {
         let check = move |b: &mut Batch| -> sandgait::Result<Operation> {
             b.restore(&Snapshot::from_bytes(&snapshot, &Seal::default())?, sources.as_deref())
         };
-        self.start(py, |loan, pool| loan.run(pool, check))
+        self.start(py, |guard, pool| guard.run(pool, check))
     }
 
     /// `actions`: float32 [steps, num_envs, action].
     fn send_rollout(&self, py: Python<'_>, actions: &Bound<'_, PyAny>, trajectories: bool) -> PyResult<()> {
         let actions = arrays::floats(actions)?;
-        self.start(py, move |loan, pool| loan.roll(pool, trajectories, |b| b.roll(actions, trajectories)))
+        self.start(py, move |guard, pool| guard.roll(pool, trajectories, |b| b.roll(actions, trajectories)))
     }
 
     fn send_policy_rollout(&self, py: Python<'_>, onnx: &[u8], steps: u32, trajectories: bool) -> PyResult<()> {
         let onnx = onnx.to_vec();
-        self.start(py, move |loan, pool| {
-            loan.roll(pool, trajectories, |b| b.roll_network(&onnx, steps, trajectories));
+        self.start(py, move |guard, pool| {
+            guard.roll(pool, trajectories, |b| b.roll_network(&onnx, steps, trajectories));
         })
     }
 
     /// Answer to the last reset, step or restore. It can be received again until the next request.
     fn receive<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
-        let mut loan = self.lend(py)?;
-        match loan.answer() {
+        let mut guard = self.lend(py)?;
+        match guard.answer() {
             Some(Answer::Rows) => {
-                let rows = arrays::batch(py, loan.batch());
-                loan.end(Some(Answer::Rows));
+                let rows = arrays::batch(py, guard.batch());
+                guard.end(Some(Answer::Rows));
                 rows
             }
-            other => Err(refused(loan, other)),
+            other => Err(refused(guard, other)),
         }
     }
 
     /// Answer to the last rollout.
     fn receive_rollout<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
-        let mut loan = match self.lend(py) {
-            Ok(loan) => loan,
+        let mut guard = match self.lend(py) {
+            Ok(guard) => guard,
             Err(error) => {
                 self.environments.stop(); // no caller waits for it any more
                 return Err(error);
             }
         };
-        match loan.answer() {
-            Some(Answer::Rolled(rolled)) => arrays::rolled(py, loan.batch(), &rolled),
-            other => Err(refused(loan, other)),
+        match guard.answer() {
+            Some(Answer::Rolled(rolled)) => arrays::rolled(py, guard.batch(), &rolled),
+            other => Err(refused(guard, other)),
         }
     }
 
     /// Is an answer pending, or still kept from the last request?
     #[getter]
     fn owes(&self) -> bool {
-        self.environments.owes()
+        // In a forked child another thread of the parent may hold the lock for ever.
+        std::process::id() == self.process && self.environments.owes()
     }
 
     /// All environments as data.
@@ -210,8 +211,8 @@ impl Local {
 
     /// Header and row of environment `index`'s moment, as recordings hold them.
     fn observe<'py>(&self, py: Python<'py>, index: usize, ended: bool) -> PyResult<(String, Bound<'py, PyBytes>)> {
-        let mut loan = self.lend(py)?;
-        let (header, row) = view::observe(loan.batch(), index, ended).map_err(|e| raise(&e))?;
+        let mut guard = self.lend(py)?;
+        let (header, row) = view::observe(guard.batch(), index, ended).map_err(|e| raise(&e))?;
         Ok((header, PyBytes::new(py, &row)))
     }
 
@@ -224,15 +225,15 @@ impl Local {
 }
 
 /// The error if there is no answer of the requested kind.
-fn refused(loan: Loan, answer: Option<Answer>) -> PyErr {
+fn refused(guard: EnvironmentsGuard, answer: Option<Answer>) -> PyErr {
     match answer {
         Some(Answer::Refused(error)) => {
             let raised = raise(&error);
-            loan.end(Some(Answer::Refused(error)));
+            guard.end(Some(Answer::Refused(error)));
             raised
         }
         other => {
-            loan.end(other);
+            guard.end(other);
             invalid("receive", "no request of this kind was sent")
         }
     }

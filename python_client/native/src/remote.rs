@@ -6,10 +6,10 @@ use crate::tables;
 use crate::values::keywords;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyMapping, PyTuple};
-use sandgait::client::{self, Event, PATIENCE, Place, call};
+use sandgait::client::{self, Event, PATIENCE, ServerAddress, call};
 use sandgait::service::from_json;
-use sandgait::service::proto::run_session_request::Request as Asked;
-use sandgait::service::proto::run_session_response::Response as Answered;
+use sandgait::service::proto::run_session_request::Request as SessionRequest;
+use sandgait::service::proto::run_session_response::Response as SessionResponse;
 use sandgait::service::proto::{self, RunSessionRequest, RunSessionResponse};
 use sandgait::service::studies::compute::{Outcome, Study};
 use std::future::Future;
@@ -21,8 +21,8 @@ use tonic::Status;
 /// Address, token, TLS, authority, certificate and key, as `sandgait.Remote` has them.
 pub type Address = (String, Option<String>, bool, Option<Vec<u8>>, Option<Vec<u8>>, Option<Vec<u8>>);
 
-pub fn place((address, token, tls, ca, certificate, key): Address) -> Place {
-    Place { address, token, tls, ca, identity: certificate.zip(key) }
+pub fn place((address, token, tls, ca, certificate, key): Address) -> ServerAddress {
+    ServerAddress { address, token, tls, ca, identity: certificate.zip(key) }
 }
 
 fn raise(status: &Status) -> PyErr {
@@ -106,11 +106,11 @@ pub fn study(py: Python<'_>, address: Address, study: Study, told: Option<&Bound
 pub struct Request {
     #[pyo3(get, set)]
     sequence: u64,
-    asked: Asked,
+    asked: SessionRequest,
 }
 
 impl Request {
-    fn of(asked: Asked) -> Self {
+    fn of(asked: SessionRequest) -> Self {
         Self { sequence: 0, asked }
     }
 }
@@ -130,52 +130,52 @@ impl Request {
             _ => None,
         };
         let (seeds, mask) = (seeds.unwrap_or_default(), mask.unwrap_or_default().into());
-        Ok(Self::of(Asked::Reset(proto::Reset { seeds, mask, options })))
+        Ok(Self::of(SessionRequest::Reset(proto::Reset { seeds, mask, options })))
     }
 
     #[staticmethod]
     #[pyo3(signature = (actions, held))]
     fn step(actions: &Bound<'_, PyAny>, held: Option<Vec<u8>>) -> PyResult<Self> {
         let (actions, held) = (packed(actions)?.into(), held.unwrap_or_default().into());
-        Ok(Self::of(Asked::Step(proto::Step { actions, held })))
+        Ok(Self::of(SessionRequest::Step(proto::Step { actions, held })))
     }
 
     #[staticmethod]
     fn save() -> Self {
-        Self::of(Asked::Save(proto::Save {}))
+        Self::of(SessionRequest::Save(proto::Save {}))
     }
 
     #[staticmethod]
     #[pyo3(signature = (snapshot, sources))]
     fn restore(snapshot: Vec<u8>, sources: Option<Vec<u8>>) -> Self {
         let (snapshot, sources) = (snapshot.into(), sources.unwrap_or_default().into());
-        Self::of(Asked::Restore(proto::Restore { snapshot, sources }))
+        Self::of(SessionRequest::Restore(proto::Restore { snapshot, sources }))
     }
 
     #[staticmethod]
     fn rollout(actions: &Bound<'_, PyAny>, trajectories: bool) -> PyResult<Self> {
-        Ok(Self::of(Asked::Rollout(proto::Rollout { actions: packed(actions)?.into(), trajectories })))
+        Ok(Self::of(SessionRequest::Rollout(proto::Rollout { actions: packed(actions)?.into(), trajectories })))
     }
 
     #[staticmethod]
     fn policy_rollout(onnx: Vec<u8>, steps: u32, trajectories: bool) -> Self {
-        Self::of(Asked::PolicyRollout(proto::PolicyRollout { onnx: onnx.into(), steps, trajectories }))
+        Self::of(SessionRequest::PolicyRollout(proto::PolicyRollout { onnx: onnx.into(), steps, trajectories }))
     }
 
     #[staticmethod]
     fn render(indices: Vec<u32>, width: u32, height: u32, ended: bool) -> Self {
-        Self::of(Asked::Render(proto::Render { indices, width, height, ended }))
+        Self::of(SessionRequest::Render(proto::Render { indices, width, height, ended }))
     }
 
     #[staticmethod]
     fn observe(index: u32, ended: bool) -> Self {
-        Self::of(Asked::Observe(proto::Observe { index, ended }))
+        Self::of(SessionRequest::Observe(proto::Observe { index, ended }))
     }
 
     /// Does it change the environments?
     #[getter]
     fn changes(&self) -> bool {
-        matches!(self.asked, Asked::Reset(_) | Asked::Step(_) | Asked::Restore(_))
+        matches!(self.asked, SessionRequest::Reset(_) | SessionRequest::Step(_) | SessionRequest::Restore(_))
     }
 }
 
@@ -190,7 +190,7 @@ impl Response {
 
     fn part(&self) -> Option<&proto::RolloutPart> {
         match &self.0.response {
-            Some(Answered::Rollout(part)) => Some(part),
+            Some(SessionResponse::Rollout(part)) => Some(part),
             _ => None,
         }
     }
@@ -207,7 +207,7 @@ impl Response {
     #[getter]
     fn failure(&self) -> Option<(i32, &str)> {
         match &self.0.response {
-            Some(Answered::Failure(failure)) => Some((failure.code, &failure.message)),
+            Some(SessionResponse::Failure(failure)) => Some((failure.code, &failure.message)),
             _ => None,
         }
     }
@@ -227,7 +227,7 @@ impl Response {
     /// See `Local.receive`.
     fn batch<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
         match &self.0.response {
-            Some(Answered::Batch(batch)) => arrays::message(py, batch),
+            Some(SessionResponse::Batch(batch)) => arrays::message(py, batch),
             _ => Err(self.wrong()),
         }
     }
@@ -235,7 +235,7 @@ impl Response {
     #[getter]
     fn snapshot<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
         match &self.0.response {
-            Some(Answered::Snapshot(snapshot)) => Ok(PyBytes::new(py, &snapshot.data)),
+            Some(SessionResponse::Snapshot(snapshot)) => Ok(PyBytes::new(py, &snapshot.data)),
             _ => Err(self.wrong()),
         }
     }
@@ -243,7 +243,7 @@ impl Response {
     #[getter]
     fn pixels<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
         match &self.0.response {
-            Some(Answered::Pictures(pictures)) => Ok(PyBytes::new(py, &pictures.pixels)),
+            Some(SessionResponse::Pictures(pictures)) => Ok(PyBytes::new(py, &pictures.pixels)),
             _ => Err(self.wrong()),
         }
     }
@@ -251,7 +251,7 @@ impl Response {
     #[getter]
     fn observation<'py>(&self, py: Python<'py>) -> PyResult<(String, Bound<'py, PyBytes>)> {
         match &self.0.response {
-            Some(Answered::Observation(moment)) => Ok((moment.header.clone(), PyBytes::new(py, &moment.row))),
+            Some(SessionResponse::Observation(moment)) => Ok((moment.header.clone(), PyBytes::new(py, &moment.row))),
             _ => Err(self.wrong()),
         }
     }

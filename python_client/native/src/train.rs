@@ -11,7 +11,7 @@ use std::path::PathBuf;
 
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
-pub struct Asked<'py> {
+pub struct SessionRequest<'py> {
     task: String,
     hyperparameters: Option<PathBuf>,
     settings: Bound<'py, PyMapping>,
@@ -35,7 +35,7 @@ type Learnt = (PathBuf, u64, f64, Vec<(u64, f64, f64)>, String, String);
 /// training, which leaves a checkpoint first.
 #[pyfunction]
 #[pyo3(signature = (asked, told))]
-pub fn train(py: Python<'_>, asked: Asked<'_>, told: Option<&Bound<'_, PyAny>>) -> PyResult<Learnt> {
+pub fn train(py: Python<'_>, asked: SessionRequest<'_>, told: Option<&Bound<'_, PyAny>>) -> PyResult<Learnt> {
     let changes = match keywords(&asked.settings)? {
         serde_json::Value::Object(changes) => changes.into_iter().collect(),
         _ => Vec::new(),

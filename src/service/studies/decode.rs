@@ -4,6 +4,7 @@
 use crate::diagnose::experiment::Experiment;
 use crate::error::{Error, Result, check_range};
 use crate::evaluate::{self, Wanted};
+use crate::price::MOST_TRIALS;
 use crate::proto::diagnose_request::Experiment as Source;
 use crate::proto::evaluate_request::Policy;
 use crate::proto::trials_request::Body as Shaped;
@@ -19,7 +20,6 @@ use crate::sim::walk::Trial;
 use crate::sim::{Model, Robot};
 use crate::sweep::grid::check_grid;
 use crate::sweep::{Axis, Design, Measure, optimize};
-use crate::wire::MOST_TRIALS;
 use crate::{proto, values};
 use std::path::Path;
 

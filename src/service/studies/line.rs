@@ -38,13 +38,13 @@ pub struct Line {
 }
 
 /// A place in the queue; returned when dropped.
-struct Place {
+struct QueuePlace {
     taken: Arc<AtomicUsize>,
     /// Number of studies before this one when it entered.
     ahead: usize,
 }
 
-impl Place {
+impl QueuePlace {
     fn take(taken: &Arc<AtomicUsize>) -> Result<Self> {
         let next = |n: usize| (n < PLACES).then_some(n + 1);
         match taken.fetch_update(Ordering::Relaxed, Ordering::Relaxed, next) {
@@ -54,7 +54,7 @@ impl Place {
     }
 }
 
-impl Drop for Place {
+impl Drop for QueuePlace {
     fn drop(&mut self) {
         self.taken.fetch_sub(1, Ordering::Relaxed);
     }
@@ -73,7 +73,7 @@ impl Line {
         share: impl Send + 'static,
         work: impl FnOnce(&dyn Progress) -> Result<A> + Send + 'static,
     ) -> std::result::Result<ReceiverStream<std::result::Result<A, Status>>, Status> {
-        let place = Place::take(&self.taken).map_err(|e| status::status(&e))?;
+        let place = QueuePlace::take(&self.taken).map_err(|e| status::status(&e))?;
         let (events, receiver) = mpsc::channel(EVENTS);
         let (slot, stop) = (self.slot.clone(), self.stop.clone());
         tokio::spawn(async move {

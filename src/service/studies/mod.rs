@@ -10,11 +10,11 @@ mod encode;
 mod line;
 
 use super::frame::Frame;
+use super::off_runtime;
 use super::proto::study_service_server::StudyService;
 use super::proto::{self, DiagnoseRequest, DiagnoseResponse, IntrudeRequest, IntrudeResponse};
 use super::proto::{EvaluateRequest, EvaluateResponse, SweepRequest, SweepResponse, WalkRequest, WalkResponse};
 use super::proto::{TrialsRequest, TrialsResponse};
-use super::{off_runtime, wire};
 use line::{Answer, Line};
 use tokio_stream::wrappers::ReceiverStream;
 use tokio_util::sync::CancellationToken;
@@ -40,7 +40,7 @@ impl StudyService for Studies {
         &self,
         request: Request<Frame<IntrudeRequest>>,
     ) -> std::result::Result<Response<IntrudeResponse>, Status> {
-        let (request, _share) = Frame::only(request, wire::PLAIN).await?;
+        let (request, _share) = Frame::only(request).await?;
         off_runtime(move || compute::intrude(request)).await.map(Response::new)
     }
 
@@ -50,7 +50,7 @@ impl StudyService for Studies {
         &self,
         request: Request<Frame<TrialsRequest>>,
     ) -> std::result::Result<Response<Self::TrialsStream>, Status> {
-        let (request, share) = Frame::only(request, &wire::TRIALS).await?;
+        let (request, share) = Frame::only(request).await?;
         let work = off_runtime(move || compute::trials(request)).await?;
         self.line.enter(share, work).map(Response::new)
     }
@@ -61,7 +61,7 @@ impl StudyService for Studies {
         &self,
         request: Request<Frame<WalkRequest>>,
     ) -> std::result::Result<Response<Self::WalkStream>, Status> {
-        let (request, share) = Frame::only(request, wire::PLAIN).await?;
+        let (request, share) = Frame::only(request).await?;
         let work = off_runtime(move || compute::walk(request)).await?;
         self.line.enter(share, work).map(Response::new)
     }
@@ -72,7 +72,7 @@ impl StudyService for Studies {
         &self,
         request: Request<Frame<SweepRequest>>,
     ) -> std::result::Result<Response<Self::SweepStream>, Status> {
-        let (request, share) = Frame::only(request, &wire::SWEEP).await?;
+        let (request, share) = Frame::only(request).await?;
         let work = off_runtime(move || compute::sweep(request)).await?;
         self.line.enter(share, work).map(Response::new)
     }
@@ -83,7 +83,7 @@ impl StudyService for Studies {
         &self,
         request: Request<Frame<EvaluateRequest>>,
     ) -> std::result::Result<Response<Self::EvaluateStream>, Status> {
-        let (request, share) = Frame::only(request, &wire::EVALUATE).await?;
+        let (request, share) = Frame::only(request).await?;
         let work = off_runtime(move || compute::evaluate(request)).await?;
         self.line.enter(share, work).map(Response::new)
     }
@@ -94,7 +94,7 @@ impl StudyService for Studies {
         &self,
         request: Request<Frame<DiagnoseRequest>>,
     ) -> std::result::Result<Response<Self::DiagnoseStream>, Status> {
-        let (request, share) = Frame::only(request, &wire::DIAGNOSE).await?;
+        let (request, share) = Frame::only(request).await?;
         let work = off_runtime(move || compute::diagnose(request)).await?;
         self.line.enter(share, work).map(Response::new)
     }

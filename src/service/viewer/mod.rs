@@ -14,7 +14,7 @@
 mod frames;
 pub mod watchers;
 
-use super::pages;
+use super::connections;
 use super::refusals::{Refusal, Refusals};
 use super::sessions::{Sessions, Summary};
 use axum::Router;
@@ -45,7 +45,7 @@ struct Shown {
 
 /// Answers browsers until `stop` is cancelled.
 pub async fn serve(listener: TcpListener, sessions: Arc<Sessions>, refusals: Arc<Refusals>, stop: CancellationToken) {
-    let all = sessions.watchers.most() + pages::BESIDE_WATCHERS;
+    let all = sessions.watchers.most() + connections::BESIDE_WATCHERS;
     let local = listener.local_addr().is_ok_and(|a| a.ip().is_loopback());
     let mut app = Router::new()
         .route("/", get(show))
@@ -55,7 +55,7 @@ pub async fn serve(listener: TcpListener, sessions: Arc<Sessions>, refusals: Arc
     if local {
         app = app.layer(middleware::from_fn(same_machine));
     }
-    pages::serve(listener, app, all, refusals, stop).await;
+    connections::pages(listener, app, all, refusals, stop).await;
 }
 
 /// DNS rebinding: a page of another site, whose name was made to resolve to this machine, must not read this

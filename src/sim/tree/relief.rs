@@ -94,6 +94,11 @@ impl Relief {
     }
 
     /// `spacing` [m], `repeats`, and `heights` [m]: rows along y of numbers along x.
+    /// Memory [bytes].
+    pub fn bytes(&self) -> usize {
+        size_of::<Self>() + size_of_val(&self.heights[..]) + self.json.len()
+    }
+
     pub fn json(&self) -> &str {
         &self.json
     }

@@ -13,12 +13,11 @@ use super::proto::google::rpc;
 use super::proto::{self, EnvironmentRequest, EnvironmentResponse, EnvironmentStateType, StepRequest, StepResponse};
 use super::settings::{self, Changes, Settings};
 use super::tensors::{self, View};
-use super::worlds::{Interrupt, Place, Worlds};
-use crate::connections::Link;
+use super::worlds::{Interrupt, JoinedWorld, Worlds};
 use crate::error::{Error, Result};
 use crate::frame::Frame;
-use crate::intake::Door;
-use crate::{status, wire};
+use crate::intake::Messages;
+use crate::status;
 use futures_util::{Stream, stream};
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -27,20 +26,16 @@ use tonic::{Code, Status, Streaming};
 /// The answers to `requests`.
 pub fn run(
     requests: Streaming<Frame<EnvironmentRequest>>,
-    door: Door,
-    link: Option<Link>,
+    messages: Messages,
     worlds: Arc<Worlds>,
 ) -> impl Stream<Item = std::result::Result<EnvironmentResponse, Status>> {
-    let connection = Connection { requests, door, link, first: true, worlds, agent: None };
+    let connection = Connection { requests, messages, worlds, agent: None };
     stream::try_unfold(connection, |mut c| async move { Ok(c.answer().await?.map(|answer| (answer, c))) })
 }
 
 struct Connection {
     requests: Streaming<Frame<EnvironmentRequest>>,
-    door: Door,
-    link: Option<Link>,
-    /// Has no message been read yet? The first one is counted with the call.
-    first: bool,
+    messages: Messages,
     worlds: Arc<Worlds>,
     /// None: no world is joined.
     agent: Option<Agent>,
@@ -48,7 +43,7 @@ struct Connection {
 
 /// The world that this connection has joined.
 struct Agent {
-    place: Place,
+    place: JoinedWorld,
     /// The last result of the episode; None while it is not running.
     last: Option<View>,
 }
@@ -57,17 +52,10 @@ impl Connection {
     /// The next answer; None when the client has no more requests.
     async fn answer(&mut self) -> std::result::Result<Option<EnvironmentResponse>, Status> {
         let stop = self.worlds.sessions.stop().clone();
-        let first = std::mem::take(&mut self.first);
-        let message = async {
-            if let Some(link) = self.link.as_ref().filter(|_| !first) {
-                link.turn().await;
-            }
-            self.requests.message().await
-        };
-        let message = stop.run_until_cancelled(message).await;
+        let message = stop.run_until_cancelled(self.requests.message()).await;
         let message = message.ok_or_else(|| Status::unavailable("the server is shutting down"))?;
         let Some(frame) = message.map_err(status::unreadable)? else { return Ok(None) };
-        let (message, _share) = frame.receive(&self.door, wire::PLAIN).await?;
+        let (message, _share) = frame.open(&self.messages).await?;
         let payload = match message.payload {
             Some(request) => self.handle(request).await.unwrap_or_else(|e| refusal(&e)),
             None => refusal(&Error::invalid("payload", "the request is empty")),

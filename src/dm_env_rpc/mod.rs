@@ -8,6 +8,11 @@
 //! A world is a session of one environment, with the session's id as its name, limits and lease. One connection at a
 //! time can join it. Every refusal is an answer inside the stream and changes nothing.
 
+use sandgait_base::error;
+use sandgait_env as env;
+use sandgait_pool as pool;
+use sandgait_service::{frame, intake, sessions, status, values};
+
 mod connection;
 mod settings;
 mod tensors;
@@ -17,37 +22,44 @@ mod worlds;
 pub mod proto {
     pub mod google {
         pub mod rpc {
-            include!("../generated/google.rpc.rs");
+            include!("generated/google.rpc.rs");
         }
     }
     pub mod dm_env_rpc {
         pub mod v1 {
-            include!("../generated/dm_env_rpc.v1.rs");
-            include!("../generated/server/dm_env_rpc.v1.rs");
+            include!("generated/dm_env_rpc.v1.rs");
+            include!("generated/server/dm_env_rpc.v1.rs");
         }
     }
     pub use dm_env_rpc::v1::*;
 }
 
-use super::frame::Frame;
-use super::intake::Door;
-use super::sessions::Sessions;
 use crate::pool::Pool;
+use frame::Frame;
 use futures_util::Stream;
-use proto::environment_server::Environment;
+use intake::Messages;
+use proto::environment_server::{Environment, EnvironmentServer};
 use proto::{EnvironmentRequest, EnvironmentResponse};
+use sessions::Sessions;
 use std::pin::Pin;
 use std::sync::Arc;
 use tonic::{Request, Response, Status, Streaming};
 use worlds::Worlds;
 
-/// The service; it shares sessions and threads with `sandgait.v1`.
-pub struct DmEnvRpc {
+/// The service, which shares sessions and threads with `sandgait.v1`.
+struct DmEnvRpc {
     worlds: Arc<Worlds>,
 }
 
+/// Adds this service to a server.
+pub fn service() -> sandgait_service::AddServices {
+    Box::new(|services, sessions, pool| {
+        services.add(EnvironmentServer::new(DmEnvRpc::new(sessions.clone(), pool.clone())));
+    })
+}
+
 impl DmEnvRpc {
-    pub fn new(sessions: Arc<Sessions>, pool: Arc<Pool>) -> Self {
+    fn new(sessions: Arc<Sessions>, pool: Arc<Pool>) -> Self {
         Self { worlds: Worlds::new(sessions, pool) }
     }
 }
@@ -60,8 +72,8 @@ impl Environment for DmEnvRpc {
         &self,
         request: Request<Streaming<Frame<EnvironmentRequest>>>,
     ) -> Result<Response<Self::ProcessStream>, Status> {
-        let (door, link) = (Door::of(&request), request.extensions().get().cloned());
-        let answers = connection::run(request.into_inner(), door, link, self.worlds.clone());
+        let messages = Messages::of(&request);
+        let answers = connection::run(request.into_inner(), messages, self.worlds.clone());
         Ok(Response::new(Box::pin(answers)))
     }
 }

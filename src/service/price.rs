@@ -1,9 +1,101 @@
-//! Computes the unpacked size of a message from its bytes, before unpacking.
+//! What each call may cost at most, checked before its work begins. `docs/serving.md` has this as a table.
+//!
+//! ```text
+//!  length of the message ≤ Call::largest ──▶ its fields and values are counted (Call::layout) ──▶ unpacked
+//!   ──▶ memory of the work and its answer (of_request) ──▶ a share of the memory for requests ──▶ work
+//! ```
 //!
 //! Two bytes can be an empty list, which takes 32 bytes when it is unpacked, so the size of a message limits neither
 //! memory nor time. Therefore all fields of a message are counted before unpacking, down to the values of its options.
+//!
+//! Time is bounded by notice: all work of more than some 10 ms is done in parts, and ends after the present part if
+//! nobody waits for it any more (`Work::end`, `Progress::report`).
 
+use super::proto;
+use super::proto::run_session_request::Request;
 use crate::error::{Error, Result};
+use crate::session::view;
+
+/// The bounds of a call's messages.
+pub struct Call {
+    method: &'static str,
+    /// Largest message [bytes].
+    pub largest: usize,
+    /// Memory of a message and of what is made from it, as a multiple of its size.
+    pub copies: usize,
+    pub layout: MessageLayout,
+}
+
+const fn call(method: &'static str, largest: usize, layout: MessageLayout) -> Call {
+    Call { method, largest, copies: COPIES, layout }
+}
+
+/// Memory of a message with its unpacked parts, as a multiple of its size: actions are copied once.
+pub const COPIES: usize = 2;
+
+/// Memory of a study of trials as a multiple of its message. A row of 32 bytes is unpacked to 32, becomes a motion of 64 and an
+/// outcome of 72, and these a table of 64, which is encoded once.
+const TRIAL_COPIES: usize = 10;
+
+/// Messages of at most this size [bytes] need no share of the memory for requests.
+pub const SMALL: usize = 16 << 10;
+
+/// Texts and options of a request.
+const TEXTS: usize = LONGEST_OPTIONS + SMALL;
+
+/// Calls without a row have messages of at most [`SMALL`].
+static CALLS: [Call; 11] = [
+    call("CreateSession", TEXTS, &CREATE_SESSION),
+    // `--max-message-mib` bounds it, too.
+    call("RunSession", usize::MAX, &RUN_SESSION),
+    call("DescribeSession", SMALL, &SESSION_ID),
+    call("CloseSession", SMALL, &SESSION_ID),
+    call("Process", TEXTS, PLAIN),
+    // A robot and sand as files.
+    call("Intrude", TEXTS, PLAIN),
+    call("Walk", TEXTS, PLAIN),
+    call("Sweep", TEXTS, &SWEEP),
+    call("Evaluate", LARGEST_POLICY + TEXTS, &EVALUATE),
+    Call { method: "Trials", largest: LARGEST_TRIALS, copies: TRIAL_COPIES, layout: &TRIALS },
+    call("Diagnose", LARGEST_DIAGNOSIS, &DIAGNOSE),
+];
+
+static OTHER: Call = call("", SMALL, PLAIN);
+
+/// The bounds of the call with this path: `/package.Service/Method`.
+pub fn of_call(path: &str) -> &'static Call {
+    let method = path.rsplit('/').next();
+    CALLS.iter().find(|call| Some(call.method) == method).unwrap_or(&OTHER)
+}
+
+/// Largest memory of a session's request and its answer [bytes], besides the message and what the session has
+/// reserved. Requests that make models or snapshots add their memory while they make it.
+///
+/// # Errors
+/// The request asks for more than any request may.
+pub fn of_request(request: &Request) -> Result<usize> {
+    Ok(match request {
+        Request::Attach(_) | Request::Step(_) | Request::Reset(_) | Request::Save(_) => 0,
+        // The copy of each episode that these make is in the session's reservation. A header has meshes and heights.
+        Request::Restore(_) | Request::Rollout(_) | Request::Observe(_) => 0,
+        // Weights, and their arrangement in lanes.
+        Request::PolicyRollout(network) => 2 * network.onnx.len(),
+        // The pixels, and a second copy in the message.
+        Request::Render(render) => 2 * 3 * pixels(render)?,
+    })
+}
+
+/// Largest number of pictures of one request: our choice, 64 × 64 of them. Each takes some 0.2 ms or more, however few
+/// pixels it has.
+const MOST_PICTURES: usize = 4096;
+
+fn pixels(render: &proto::Render) -> Result<usize> {
+    let (count, size) = (render.indices.len(), [render.width, render.height]);
+    if count > MOST_PICTURES {
+        return Err(Error::invalid("indices", format!("{count} pictures are more than {MOST_PICTURES}")));
+    }
+    view::check_pixels(count, size)
+}
 
 /// The fields of a message that are inspected or have a maximum length.
 pub type MessageLayout = &'static [Field];
@@ -20,7 +112,7 @@ pub struct Field {
 }
 
 /// A message whose fields are only counted.
-pub const PLAIN: MessageLayout = &[];
+const PLAIN: MessageLayout = &[];
 
 /// Longest options of a session or a reset [bytes]: our choice. The text of a `sand.toml`, by far the longest
 /// option, has some 2 KiB.
@@ -59,13 +151,13 @@ const fn session_id() -> Field {
     once(1, "session_id", 256, None)
 }
 
-pub static SESSION_ID: [Field; 1] = [session_id()];
+static SESSION_ID: [Field; 1] = [session_id()];
 
-pub static CREATE_SESSION: [Field; 2] = [once(1, "task_id", 256, None), options(3)];
+static CREATE_SESSION: [Field; 2] = [once(1, "task_id", 256, None), options(3)];
 
 static RESET: [Field; 1] = [options(3)];
 
-pub static RUN_SESSION: [Field; 10] = [
+static RUN_SESSION: [Field; 10] = [
     session_id(),
     once(3, "reset", usize::MAX, Some(&RESET)),
     once(4, "step", usize::MAX, Some(PLAIN)),
@@ -80,27 +172,27 @@ pub static RUN_SESSION: [Field; 10] = [
 ];
 
 /// Largest mesh of a body [bytes]: our choice, 80,000 triangles in binary STL.
-pub const LARGEST_MESH: usize = 4 << 20;
+const LARGEST_MESH: usize = 4 << 20;
 
 static FILE: [Field; 1] = [once(2, "mesh", LARGEST_MESH, None)];
 
 /// Largest request of a diagnosis [bytes]: 40,000 rows of a force log, the most that a diagnosis takes, have about
 /// 8 MB.
-pub const LARGEST_DIAGNOSIS: usize = 64 << 20;
+const LARGEST_DIAGNOSIS: usize = 64 << 20;
 
 /// Largest network that is evaluated [bytes].
-pub const LARGEST_POLICY: usize = crate::policy::MOST_BYTES;
+const LARGEST_POLICY: usize = crate::policy::MOST_BYTES;
 
 /// Largest number of a body's motions in one request: our choice, some ten minutes of computing.
 pub const MOST_TRIALS: usize = 1_000_000;
 
 /// Largest request of trials [bytes]: all columns, a mesh and a description of the sand.
-pub const LARGEST_TRIALS: usize = 64 * MOST_TRIALS + LARGEST_MESH + LONGEST_OPTIONS;
+const LARGEST_TRIALS: usize = 64 * MOST_TRIALS + LARGEST_MESH + LONGEST_OPTIONS;
 
 /// Largest column of a request of trials [bytes]: a number for each motion.
 const COLUMN: usize = 8 * MOST_TRIALS;
 
-pub static TRIALS: [Field; 6] = [
+static TRIALS: [Field; 6] = [
     once(1, "shape", 1 << 10, None),
     once(2, "mesh", LARGEST_MESH + (64 << 10), Some(&FILE)),
     once(3, "velocity", 3 * COLUMN, None),
@@ -111,11 +203,11 @@ pub static TRIALS: [Field; 6] = [
 
 static VARIATION: [Field; 0] = [];
 
-pub static SWEEP: [Field; 2] = [any(1, "vary", &VARIATION), any(2, "set", &VARIATION)];
+static SWEEP: [Field; 2] = [any(1, "vary", &VARIATION), any(2, "set", &VARIATION)];
 
-pub static EVALUATE: [Field; 1] = [options(4)];
+static EVALUATE: [Field; 1] = [options(4)];
 
-pub static DIAGNOSE: [Field; 1] = [once(3, "values", LONGEST_OPTIONS, Some(&STRUCT))];
+static DIAGNOSE: [Field; 1] = [once(3, "values", LONGEST_OPTIONS, Some(&STRUCT))];
 
 /// Refuses a message that would unpack to more than `layout` allows.
 pub fn check(bytes: &[u8], layout: MessageLayout) -> Result<()> {
@@ -195,7 +287,6 @@ fn varint(bytes: &mut &[u8]) -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::proto::run_session_request::Request;
     use crate::proto::{CreateSessionRequest, Reset, RunSessionRequest, Step};
     use prost::Message as _;
     use prost_types::value::Kind;

@@ -5,8 +5,8 @@ use super::settings::{Changes, Plan};
 use super::tensors::{self, View};
 use crate::env::AnyTask;
 use crate::error::{Error, Result};
-use crate::loan::{Loan, broken};
 use crate::pool::{Batch, Operation, Pool};
+use crate::sessions::broken;
 use crate::sessions::{Hold, Sessions};
 use crate::status::SESSION;
 use std::collections::HashMap;
@@ -25,29 +25,39 @@ pub struct Worlds {
     pub sessions: Arc<Sessions>,
     pool: Arc<Pool>,
     /// Joined worlds, by name.
-    joined: Mutex<HashMap<String, Option<Interrupt>>>,
+    joined: Mutex<HashMap<String, Joined>>,
+}
+
+/// A world that a connection has joined.
+struct Joined {
+    /// The connection's attachment to the session.
+    stream: u64,
+    interrupt: Option<Interrupt>,
 }
 
 /// A connection's place in a world; dropping it leaves the world.
-pub struct Place {
+pub struct JoinedWorld {
     hold: Hold,
     worlds: Arc<Worlds>,
     pub task: Arc<dyn AnyTask>,
 }
 
-impl Drop for Place {
+impl Drop for JoinedWorld {
     fn drop(&mut self) {
         let mut joined = self.worlds.lock();
         self.worlds.sessions.detach(&self.hold);
-        // This drops the sender of a waiting ResetWorld, which then finds the world free.
-        joined.remove(&self.hold.id);
+        // Another connection has joined the world meanwhile if a stream of sandgait.v1 took it from this one.
+        if joined.get(&self.hold.id).is_some_and(|j| j.stream == self.hold.stream) {
+            // This drops the sender of a waiting ResetWorld, which then finds the world free.
+            joined.remove(&self.hold.id);
+        }
     }
 }
 
 /// How ResetWorld reaches a world.
 enum Entry {
     /// No connection had joined it.
-    Free(Place),
+    Free(JoinedWorld),
     /// The connection that has joined it answers here at its next step.
     Waiting(oneshot::Receiver<Result<()>>),
 }
@@ -102,7 +112,7 @@ impl Worlds {
     }
 
     /// Each change under this lock is a single operation on the map, so the map is consistent even after a panic.
-    fn lock(&self) -> MutexGuard<'_, HashMap<String, Option<Interrupt>>> {
+    fn lock(&self) -> MutexGuard<'_, HashMap<String, Joined>> {
         self.joined.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -117,20 +127,20 @@ impl Worlds {
     }
 
     /// Joins a world that no connection has joined.
-    pub fn join(self: &Arc<Self>, name: &str) -> Result<Place> {
+    pub fn join(self: &Arc<Self>, name: &str) -> Result<JoinedWorld> {
         let mut joined = self.lock();
         self.enter(&mut joined, name)
     }
 
-    fn enter(self: &Arc<Self>, joined: &mut HashMap<String, Option<Interrupt>>, name: &str) -> Result<Place> {
+    fn enter(self: &Arc<Self>, joined: &mut HashMap<String, Joined>, name: &str) -> Result<JoinedWorld> {
         let summary = self.sessions.describe(name).map_err(|e| of_world(e, name))?;
         if summary.envs != 1 {
             let reason = format!("{name:?} is a session of {} environments, a world has one", summary.envs);
             return Err(Error::invalid("world_name", reason));
         }
         let hold = self.sessions.attach_free(name).map_err(|e| of_world(e, name))?;
-        joined.insert(name.into(), None);
-        Ok(Place { hold, worlds: self.clone(), task: summary.blueprint.task })
+        joined.insert(name.into(), Joined { stream: hold.stream, interrupt: None });
+        Ok(JoinedWorld { hold, worlds: self.clone(), task: summary.blueprint.task })
     }
 
     /// Begins another episode in a world. If a connection has joined it, waits until that connection has been
@@ -152,10 +162,13 @@ impl Worlds {
         let mut joined = self.lock();
         match joined.get_mut(name) {
             None => self.enter(&mut joined, name).map(Entry::Free),
-            Some(Some(_)) => Err(Error::OutOfOrder(format!("world_name: another reset_world of {name:?} is waiting"))),
-            Some(slot) => {
+            Some(Joined { interrupt: Some(waiting), .. }) if !waiting.done.is_closed() => {
+                Err(Error::OutOfOrder(format!("world_name: another reset_world of {name:?} is waiting")))
+            }
+            // A ResetWorld whose client has left makes room.
+            Some(Joined { interrupt, .. }) => {
                 let (done, told) = oneshot::channel();
-                *slot = Some(Interrupt { changes: changes.clone(), done });
+                *interrupt = Some(Interrupt { changes: changes.clone(), done });
                 Ok(Entry::Waiting(told))
             }
         }
@@ -163,17 +176,14 @@ impl Worlds {
 
     /// Ends a world that no connection has joined.
     pub fn destroy(&self, name: &str) -> Result<()> {
-        let joined = self.lock();
-        if joined.contains_key(name) {
-            return Err(Error::OutOfOrder(format!(
-                "world_name: a connection has joined {name:?}; it must leave first"
-            )));
-        }
-        self.sessions.close(name).map_err(|e| of_world(e, name))
+        self.sessions.close_free(name).map_err(|e| match of_world(e, name) {
+            Error::OutOfOrder(joined) => Error::OutOfOrder(format!("{joined}; it must leave first")),
+            other => other,
+        })
     }
 }
 
-impl Place {
+impl JoinedWorld {
     pub fn name(&self) -> &str {
         &self.hold.id
     }
@@ -184,7 +194,7 @@ impl Place {
 
     /// A ResetWorld of another connection that waits for this one, if any.
     pub fn interrupt(&self) -> Option<Interrupt> {
-        self.worlds.lock().get_mut(self.name()).and_then(Option::take)
+        self.worlds.lock().get_mut(self.name()).and_then(|joined| joined.interrupt.take())
     }
 
     /// The first observation of the present episode, which has no steps yet.
@@ -206,36 +216,35 @@ impl Place {
     /// waits for the answer any more.
     async fn run(&self, request: WorldRequest) -> Result<View> {
         let gone = || Error::Cancelled(format!("world_name: {:?} was closed or taken by another stream", self.name()));
-        let mut environments = self.worlds.sessions.take(&self.hold).await.ok_or_else(gone)?;
+        let mut guard = self.worlds.sessions.take(&self.hold).await.ok_or_else(gone)?;
         let (sender, answer) = oneshot::channel();
         let pool = self.worlds.pool.clone();
-        // If it is dropped before the environments are back, which happens in a panic, it ends the session.
-        let mut loan = Loan::new(self.worlds.sessions.clone(), self.hold.id.clone());
         let (light, view) = (request.is_light(), request.view());
         let begin = move || {
             // The receiver may be gone, so the results of `send` are ignored.
-            let operation = match request.operation(&mut environments.batch) {
+            let operation = match request.operation(guard.batch()) {
                 Ok(Some(operation)) => operation,
                 unmoved => {
-                    let seen = unmoved.map(|_| view(&environments.batch));
-                    loan.give_back(environments);
+                    let seen = unmoved.map(|_| view(guard.batch()));
+                    drop(guard);
                     let _ = sender.send(seen);
                     return;
                 }
             };
-            let (batch, rest) = environments.into_parts();
-            let ran = loan.sessions.metrics.begin(&operation, batch.envs());
+            let batch = guard.take();
+            let ran = guard.sessions.metrics.begin(&operation, batch.envs());
             pool.run(batch, operation, move |done| {
                 let seen = done.map(|batch| {
                     let seen = view(&batch);
                     ran(&batch);
-                    loan.sessions.watchers.saw(&loan.id, &batch);
-                    loan.give_back(rest.with(batch));
+                    guard.sessions.watchers.saw(&guard.id, &batch);
+                    guard.put(batch);
                     seen
                 });
                 if let Err(error) = &seen {
-                    loan.lose(error);
+                    guard.lose(error);
                 }
+                drop(guard);
                 let _ = sender.send(seen);
             });
         };
@@ -248,5 +257,56 @@ impl Place {
         // If there is no answer, the server has ended or the work has panicked.
         let stop = self.worlds.sessions.stop();
         answer.await.unwrap_or_else(|_| Err(if stop.is_cancelled() { gone() } else { broken() }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::env::registry::TASK_IDS;
+    use crate::sessions::Limits;
+    use serde_json::Value;
+    use tokio_util::sync::CancellationToken;
+
+    async fn world() -> (Arc<Worlds>, String) {
+        let sessions = Sessions::new(Limits::default(), Default::default(), CancellationToken::new());
+        let worlds = Worlds::new(sessions, Arc::new(Pool::new(1)));
+        let name = worlds.create(Plan { task: TASK_IDS[0].into(), options: Value::Null, seed: Some(1) }).await.unwrap();
+        (worlds, name)
+    }
+
+    /// A stream of `sandgait.v1` takes the world from the first connection, and leaves it. The second connection joins
+    /// it, and then the first one notices and leaves. In an earlier version the world could now be destroyed.
+    #[tokio::test]
+    async fn a_world_in_use_is_not_destroyed() {
+        let (worlds, name) = world().await;
+        let first = worlds.join(&name).unwrap();
+        let stream = worlds.sessions.attach(&name).unwrap();
+        let refused = worlds.destroy(&name).unwrap_err().to_string();
+        assert!(refused.contains("another connection has joined"), "{refused}");
+        worlds.sessions.detach(&stream);
+        let second = worlds.join(&name).unwrap();
+        drop(first);
+        assert!(matches!(worlds.destroy(&name), Err(Error::OutOfOrder(_))));
+        second.begin().await.unwrap();
+        drop(second);
+        worlds.destroy(&name).unwrap();
+    }
+
+    /// A connection waits for its ResetWorld of a world that another has joined, and leaves. In an earlier version every
+    /// later ResetWorld was refused.
+    #[tokio::test]
+    async fn an_abandoned_reset_makes_room() {
+        let (worlds, name) = world().await;
+        let place = worlds.join(&name).unwrap();
+        let reset = || worlds.reset(&name, Changes { seed: Some(2), ..Default::default() });
+        let wait = std::time::Duration::from_millis(20);
+        assert!(tokio::time::timeout(wait, reset()).await.is_err(), "nobody steps");
+        let (later, _) = tokio::join!(reset(), async {
+            tokio::time::sleep(wait).await;
+            let Interrupt { changes, done } = place.interrupt().unwrap();
+            let _ = done.send(place.reset(changes).await.map(drop));
+        });
+        later.unwrap();
     }
 }

@@ -15,7 +15,7 @@ pub mod environment_server {
         /// Server streaming response type for the Process method.
         type ProcessStream: tonic::codegen::tokio_stream::Stream<
                 Item = std::result::Result<
-                    crate::dm_env_rpc::proto::EnvironmentResponse,
+                    crate::proto::EnvironmentResponse,
                     tonic::Status,
                 >,
             >
@@ -24,9 +24,7 @@ pub mod environment_server {
         async fn process(
             &self,
             request: tonic::Request<
-                tonic::Streaming<
-                    crate::frame::Frame<crate::dm_env_rpc::proto::EnvironmentRequest>,
-                >,
+                tonic::Streaming<crate::frame::Frame<crate::proto::EnvironmentRequest>>,
             >,
         ) -> std::result::Result<tonic::Response<Self::ProcessStream>, tonic::Status>;
     }
@@ -112,9 +110,9 @@ pub mod environment_server {
                     impl<
                         T: Environment,
                     > tonic::server::StreamingService<
-                        crate::frame::Frame<crate::dm_env_rpc::proto::EnvironmentRequest>,
+                        crate::frame::Frame<crate::proto::EnvironmentRequest>,
                     > for ProcessSvc<T> {
-                        type Response = crate::dm_env_rpc::proto::EnvironmentResponse;
+                        type Response = crate::proto::EnvironmentResponse;
                         type ResponseStream = T::ProcessStream;
                         type Future = BoxFuture<
                             tonic::Response<Self::ResponseStream>,
@@ -124,9 +122,7 @@ pub mod environment_server {
                             &mut self,
                             request: tonic::Request<
                                 tonic::Streaming<
-                                    crate::frame::Frame<
-                                        crate::dm_env_rpc::proto::EnvironmentRequest,
-                                    >,
+                                    crate::frame::Frame<crate::proto::EnvironmentRequest>,
                                 >,
                             >,
                         ) -> Self::Future {

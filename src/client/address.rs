@@ -21,7 +21,7 @@ const CONNECT: Duration = Duration::from_secs(20);
 
 /// A server's address, and how to connect to it.
 #[derive(Clone, Default)]
-pub struct Place {
+pub struct ServerAddress {
     /// `host:port` or `unix:/path`.
     pub address: String,
     pub token: Option<String>,
@@ -45,7 +45,7 @@ impl Interceptor for Bearer {
     }
 }
 
-impl Place {
+impl ServerAddress {
     /// A new connection; proxies of the environment are not used.
     pub async fn connect(&self) -> Result<(Channel, Bearer), Status> {
         let token = self.token.as_ref().map(|token| format!("Bearer {token}").parse());

@@ -1,0 +1,451 @@
+//! Incoming connections. Each is one task, from the TLS handshake to its end.
+//!
+//! ```text
+//!  accept ──▶ an entry in the table ──▶ TLS handshake ──▶ HTTP/2: calls, or HTTP/1: one request for a page
+//!                └── no room: the connection that has been without an admitted call for the longest time is closed;
+//!                    if all have admitted calls, the new connection is closed
+//! ```
+//!
+//! Accepting never waits for a peer. Limits for single peers, such as connections a second, are the work of a reverse
+//! proxy; `docs/serving.md` has an example.
+
+use super::refusals::{Refusal, Refusals};
+use super::security::Tls;
+use axum::Router;
+use axum::extract::Request;
+use hyper::body::Incoming;
+use hyper::server::conn::{http1, http2};
+use hyper::service::service_fn;
+use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
+use hyper_util::server::graceful::{GracefulShutdown, Watcher};
+use rustix::net::sockopt::set_tcp_user_timeout;
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+use std::collections::HashMap;
+use std::io;
+use std::net::SocketAddr;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+use tokio::io::{AsyncRead, AsyncWrite};
+use tokio::net::{TcpListener, UnixListener};
+use tokio::sync::Semaphore;
+use tokio::time::{interval, timeout};
+use tokio_util::sync::CancellationToken;
+use tower_service::Service as _;
+
+/// Time limit for a TLS handshake, and for a peer's first call: our choice. Clients need some ms.
+const OPENING: Duration = Duration::from_secs(10);
+
+/// How long a connection may be without a call: our choice, as long as a session's default lease.
+const IDLE: Duration = Duration::from_secs(300);
+
+/// A peer that acknowledges no data, or answers no HTTP/2 ping, for this time is dropped. Our choice; a browser's tab
+/// may be inactive for some seconds.
+const SILENCE: Duration = Duration::from_secs(60);
+
+/// Time limit for calls to end after the server stops; a step takes milliseconds.
+const GRACE: Duration = Duration::from_secs(3);
+
+/// Time to wait before accepting again when it failed, because no file descriptors were left.
+const PAUSE: Duration = Duration::from_millis(50);
+
+/// Interval at which idle connections are searched.
+const TICK: Duration = Duration::from_secs(1);
+
+/// Closed connections that may still have their file descriptors. Our choice: a quarter of [`RESERVE`].
+const CLOSING: usize = 16;
+
+/// File descriptors for other purposes: files of sessions, listeners, the runtime. Our choice.
+const RESERVE: usize = 64;
+
+/// Largest HTTP/2 frame that is accepted [bytes].
+const FRAME: u32 = 1 << 20;
+
+/// Number of connections for which there are file descriptors besides `others`, at most `wanted`.
+pub fn room(wanted: usize, others: usize) -> usize {
+    let Rlimit { mut current, maximum } = getrlimit(Resource::Nofile);
+    // The soft limit exists for programs that use `select`; this one does not.
+    if setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum }).is_ok() {
+        current = maximum;
+    }
+    let descriptors = current.map_or(usize::MAX, |n| usize::try_from(n).unwrap_or(usize::MAX));
+    let room = descriptors.saturating_sub(RESERVE + others).max(4);
+    if room < wanted {
+        tracing::info!(connections = room, descriptors, "fewer connections than allowed: descriptors are the limit");
+    }
+    wanted.min(room)
+}
+
+/// A source of connections.
+pub enum Socket {
+    Tcp(TcpListener),
+    Unix(UnixListener),
+}
+
+/// A connection's bytes.
+trait Bytes: AsyncRead + AsyncWrite + Send + Unpin {}
+
+impl<T: AsyncRead + AsyncWrite + Send + Unpin> Bytes for T {}
+
+/// What a socket has accepted, before its handshake.
+enum Accepted {
+    Tcp(tokio::net::TcpStream, SocketAddr),
+    Unix(tokio::net::UnixStream),
+}
+
+impl Socket {
+    async fn accept(&self) -> io::Result<Accepted> {
+        match self {
+            Self::Tcp(listener) => {
+                let (stream, address) = listener.accept().await?;
+                // Without this a small call takes 44 ms.
+                stream.set_nodelay(true)?;
+                set_tcp_user_timeout(&stream, SILENCE.as_millis() as u32)?;
+                Ok(Accepted::Tcp(stream, address))
+            }
+            Self::Unix(listener) => Ok(Accepted::Unix(listener.accept().await?.0)),
+        }
+    }
+}
+
+/// The protocol of a listener's connections.
+#[derive(Clone)]
+pub enum Protocol {
+    /// Calls.
+    Http2 {
+        /// Largest number of calls at a time on one connection.
+        streams: u32,
+        /// Bytes that a client may send on a stream before the server has read them.
+        window: u32,
+    },
+    /// One request for a page.
+    Http1,
+}
+
+/// A listener's connections and what they reach.
+#[derive(Clone)]
+pub struct Connections {
+    pub table: Arc<Table>,
+    pub tls: Option<Tls>,
+    pub protocol: Protocol,
+    pub routes: Router,
+    pub refusals: Arc<Refusals>,
+}
+
+impl Connections {
+    /// Serves what `socket` accepts until `stop` is cancelled; then waits until all calls have ended or [`GRACE`] is
+    /// over.
+    pub async fn serve(self, socket: Socket, stop: CancellationToken) {
+        let permits = self.table.most + CLOSING;
+        let free = Arc::new(Semaphore::new(permits));
+        let (graceful, mut tick) = (GracefulShutdown::new(), interval(TICK));
+        let mut permit = None;
+        while !stop.is_cancelled() {
+            let next = async {
+                if permit.is_none() {
+                    // The semaphore is never closed.
+                    permit = free.clone().acquire_owned().await.ok();
+                }
+                socket.accept().await
+            };
+            let accepted = tokio::select! {
+                accepted = next => accepted,
+                () = stop.cancelled() => break,
+                _ = tick.tick() => {
+                    self.table.close_idle();
+                    self.refusals.log_suppressed();
+                    continue;
+                }
+            };
+            match accepted {
+                Ok(accepted) => {
+                    let peer = if let Accepted::Tcp(_, address) = accepted { Some(address) } else { None };
+                    let Some(link) = self.table.admit(peer) else {
+                        let name = peer.map_or_else(String::new, |p| p.to_string());
+                        self.refusals.log(Refusal::Connection, &name, "all the others have calls");
+                        continue;
+                    };
+                    let (own, watcher, permit, stop) = (self.clone(), graceful.watcher(), permit.take(), stop.clone());
+                    tokio::spawn(async move {
+                        own.run(accepted, link, watcher, stop).await;
+                        drop(permit);
+                    });
+                }
+                Err(error) => {
+                    self.refusals.log(Refusal::Accept, "", &error.to_string());
+                    tokio::time::sleep(PAUSE).await;
+                }
+            }
+        }
+        if timeout(GRACE, graceful.shutdown()).await.is_err() {
+            tracing::warn!("connections were cut that did not end in time");
+            self.table.close_all();
+        }
+    }
+
+    async fn run(self, accepted: Accepted, link: Link, watcher: Watcher, stop: CancellationToken) {
+        let end = link.end.clone();
+        let closed = async {
+            let opened = tokio::select! {
+                opened = self.open(accepted) => opened,
+                () = stop.cancelled() => return,
+            };
+            match opened {
+                Ok(stream) => self.answer(stream, &link, watcher).await,
+                Err(reason) => self.refusals.log(Refusal::Handshake, &link.name(), &reason),
+            }
+        };
+        tokio::select! {
+            () = closed => {}
+            () = end.cancelled() => {}
+        }
+        if end.is_cancelled() && !stop.is_cancelled() {
+            self.refusals.log(Refusal::Connection, &link.name(), "closed: idle, slow, or to make room for another");
+        }
+    }
+
+    /// The connection's bytes, decrypted.
+    async fn open(&self, accepted: Accepted) -> std::result::Result<Box<dyn Bytes>, String> {
+        match (accepted, &self.tls) {
+            (Accepted::Tcp(stream, _), Some(tls)) => match timeout(OPENING, tls.shake_hands(stream)).await {
+                Ok(Ok(stream)) => Ok(Box::new(stream)),
+                Ok(Err(error)) => Err(error.to_string()),
+                Err(_) => Err(format!("not done within {} s", OPENING.as_secs())),
+            },
+            (Accepted::Tcp(stream, _), None) => Ok(Box::new(stream)),
+            (Accepted::Unix(stream), _) => Ok(Box::new(stream)),
+        }
+    }
+
+    async fn answer(&self, stream: Box<dyn Bytes>, link: &Link, watcher: Watcher) {
+        let is_page = matches!(self.protocol, Protocol::Http1);
+        let service = service_fn(move |mut request: Request<Incoming>| {
+            if is_page {
+                link.keep();
+            }
+            request.extensions_mut().insert(link.clone());
+            let mut routes = self.routes.clone();
+            async move { routes.call(request).await }
+        });
+        let stream = TokioIo::new(stream);
+        // Errors on a connection concern its peer only.
+        match self.protocol {
+            Protocol::Http2 { streams, window } => {
+                let mut builder = http2::Builder::new(TokioExecutor::new());
+                builder
+                    .timer(TokioTimer::new())
+                    .max_concurrent_streams(streams)
+                    .initial_stream_window_size(window)
+                    .initial_connection_window_size(2 * window)
+                    .max_frame_size(window.min(FRAME));
+                if link.peer.is_some() {
+                    builder.keep_alive_interval(SILENCE).keep_alive_timeout(SILENCE);
+                }
+                drop(watcher.watch(builder.serve_connection(stream, service)).await);
+            }
+            Protocol::Http1 => {
+                let mut builder = http1::Builder::new();
+                // A connection that waits for another request would only take room.
+                builder.timer(TokioTimer::new()).header_read_timeout(OPENING).keep_alive(false);
+                drop(watcher.watch(builder.serve_connection(stream, service)).await);
+            }
+        }
+    }
+}
+
+/// The present connections of one listener.
+pub struct Table {
+    most: usize,
+    entries: Mutex<Entries>,
+}
+
+#[derive(Default)]
+struct Entries {
+    next: u64,
+    all: HashMap<u64, Entry>,
+}
+
+struct Entry {
+    /// Calls that have not ended, and those of them that were admitted: that had the token, where one is required.
+    /// Calls for the server's health need none and are not counted as admitted.
+    calls: usize,
+    admitted: usize,
+    /// When it was accepted, or ended its last call.
+    since: Instant,
+    /// Has it begun a call?
+    used: bool,
+    end: CancellationToken,
+}
+
+impl Table {
+    /// At most `most` connections.
+    pub fn new(most: usize) -> Arc<Self> {
+        Arc::new(Self { most, entries: Mutex::default() })
+    }
+
+    /// Every change under this lock is one step, so the data are consistent even after a panic.
+    fn lock(&self) -> MutexGuard<'_, Entries> {
+        self.entries.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Adds a connection. If there is no room, the one that has been without an admitted call for the longest time is
+    /// closed. None if all have admitted calls.
+    fn admit(self: &Arc<Self>, peer: Option<SocketAddr>) -> Option<Link> {
+        let mut entries = self.lock();
+        if entries.all.len() >= self.most {
+            let idle = entries.all.iter().filter(|(_, e)| e.admitted == 0);
+            let oldest = *idle.min_by_key(|(id, e)| (e.since, **id))?.0;
+            entries.all.remove(&oldest)?.end.cancel();
+        }
+        let (id, end) = (entries.next, CancellationToken::new());
+        entries.next += 1;
+        let entry = Entry { calls: 0, admitted: 0, since: Instant::now(), used: false, end: end.clone() };
+        entries.all.insert(id, entry);
+        Some(Link(Arc::new(Inner { table: self.clone(), id, peer, end })))
+    }
+
+    /// Closes connections that have been without a call for too long.
+    fn close_idle(&self) {
+        let late = |e: &Entry| e.calls == 0 && e.since.elapsed() > if e.used { IDLE } else { OPENING };
+        self.lock().all.extract_if(|_, e| late(e)).for_each(|(_, e)| e.end.cancel());
+    }
+
+    fn close_all(&self) {
+        self.lock().all.drain().for_each(|(_, e)| e.end.cancel());
+    }
+
+    fn change(&self, id: u64, change: impl FnOnce(&mut Entry)) {
+        if let Some(entry) = self.lock().all.get_mut(&id) {
+            change(entry);
+        }
+    }
+}
+
+/// A connection, as its calls see it. It leaves the table when the last copy is dropped.
+#[derive(Clone)]
+pub struct Link(Arc<Inner>);
+
+pub struct Inner {
+    table: Arc<Table>,
+    id: u64,
+    /// None for a Unix socket.
+    peer: Option<SocketAddr>,
+    /// Cancelled when the connection must end.
+    end: CancellationToken,
+}
+
+impl std::ops::Deref for Link {
+    type Target = Inner;
+
+    fn deref(&self) -> &Inner {
+        &self.0
+    }
+}
+
+impl Drop for Inner {
+    fn drop(&mut self) {
+        self.table.lock().all.remove(&self.id);
+    }
+}
+
+impl Link {
+    /// The peer, for logs.
+    pub fn name(&self) -> String {
+        self.peer.map_or_else(|| "a Unix socket".into(), |a| a.to_string())
+    }
+
+    /// Counts a call until the returned value is dropped.
+    pub fn begin(&self, admitted: bool) -> OpenCall {
+        self.table.change(self.id, |e| {
+            e.calls += 1;
+            e.admitted += usize::from(admitted);
+            e.used = true;
+        });
+        OpenCall { link: self.clone(), admitted }
+    }
+
+    /// Counts a call until the connection ends.
+    fn keep(&self) {
+        self.table.change(self.id, |e| (e.calls, e.admitted, e.used) = (1, 1, true));
+    }
+
+    /// Closes the connection.
+    pub fn close(&self) {
+        self.end.cancel();
+    }
+}
+
+/// A call that has not ended.
+pub struct OpenCall {
+    link: Link,
+    admitted: bool,
+}
+
+impl Drop for OpenCall {
+    fn drop(&mut self) {
+        self.link.table.change(self.link.id, |e| {
+            e.calls = e.calls.saturating_sub(1);
+            e.admitted = e.admitted.saturating_sub(usize::from(self.admitted));
+            e.since = Instant::now();
+        });
+    }
+}
+
+/// Largest number of connections to the page of metrics: our choice, for some programs that ask at the same time.
+pub const METRICS: usize = 32;
+
+/// Largest number of connections to the live page besides those of watchers: our choice, enough for some browsers.
+pub const BESIDE_WATCHERS: usize = 128;
+
+/// Answers requests for pages with `routes`, on at most `most` connections, until `stop` is cancelled.
+pub async fn pages(
+    listener: TcpListener,
+    routes: Router,
+    most: usize,
+    refusals: Arc<Refusals>,
+    stop: CancellationToken,
+) {
+    let connections = Connections { table: Table::new(most), tls: None, protocol: Protocol::Http1, routes, refusals };
+    connections.serve(Socket::Tcp(listener), stop).await;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn alive(links: &[Link]) -> Vec<usize> {
+        (0..links.len()).filter(|k| !links[*k].end.is_cancelled()).collect()
+    }
+
+    /// Calls that need no token do not keep a connection open for ever, and do not keep others out.
+    #[test]
+    fn connections_without_admitted_calls_make_room() {
+        let table = Table::new(3);
+        let mut links: Vec<_> = (0..3).map(|_| table.admit(None).unwrap()).collect();
+        let call = links[0].begin(true);
+        let _health = links[1].begin(false);
+        links.push(table.admit(None).unwrap());
+        assert_eq!(alive(&links), [0, 2, 3], "the oldest without an admitted call");
+        let _others = [links[2].begin(true), links[3].begin(true)];
+        assert!(table.admit(None).is_none(), "all have admitted calls");
+        drop(call);
+        links.push(table.admit(None).unwrap());
+        assert_eq!(alive(&links), [2, 3, 4]);
+        drop(links.pop());
+        assert_eq!(table.lock().all.len(), 2);
+    }
+
+    #[test]
+    fn connections_are_closed_that_never_began_a_call_or_ended_it_long_ago() {
+        let table = Table::new(9);
+        let links: Vec<_> = (0..4).map(|_| table.admit(None).unwrap()).collect();
+        let age = |k: usize, age| table.change(k as u64, |e| e.since = Instant::now().checked_sub(age).unwrap());
+        let second = Duration::from_secs(1);
+        let _call = links[0].begin(false);
+        drop((links[1].begin(true), links[2].begin(true)));
+        [(0, IDLE + second), (1, IDLE - second), (2, IDLE + second), (3, OPENING + second)]
+            .into_iter()
+            .for_each(|(k, time)| age(k, time));
+        table.close_idle();
+        assert_eq!(alive(&links), [0, 1]);
+    }
+}
