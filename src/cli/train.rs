@@ -217,8 +217,8 @@ fn report(request: &Request, outcome: &Outcome) -> String {
         learnt.steps as f64 / 1e6,
         learnt.seconds,
     );
-    if let Some(why) = &outcome.anew {
-        text += &format!("new episodes began at the resumption: {why}\n");
+    for notice in &outcome.notices {
+        text += &format!("{notice}\n");
     }
     if let Some(row) = &outcome.score {
         let rows = [row.clone()];

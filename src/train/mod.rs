@@ -7,7 +7,7 @@
 //!                  └──▶ design: many designs, a gait learnt for each
 //! ```
 
-use sandgait_base::{error, parallel, progress};
+use sandgait_base::{error, files, parallel, progress};
 use sandgait_env as env;
 use sandgait_evaluate as evaluate;
 use sandgait_number as number;

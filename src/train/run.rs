@@ -10,6 +10,7 @@ use super::{checkpoint, export, film};
 use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
 use crate::evaluate::{self, Row, Study, Wanted, episode};
+use crate::files::{self, Lock};
 use crate::policy::Network;
 use crate::progress::{Part, Progress};
 use serde_json::{Value, json};
@@ -51,8 +52,9 @@ pub struct Outcome {
     pub last: Option<Report>,
     /// The learning curve.
     pub curve: Vec<Point>,
-    /// The reason why a continued training began new episodes, if it did.
-    pub anew: Option<String>,
+    /// What differs from going on with the newest checkpoint as it is, one sentence each: checkpoints that were skipped, and
+    /// the reason for new episodes.
+    pub notices: Vec<String>,
     /// The policy without noise over 100 unseen seeds; None for tasks without walking.
     pub score: Option<Row>,
 }
@@ -63,19 +65,8 @@ impl Request {
         let options = self.options()?;
         let blueprint = Blueprint::new(&self.task, options.clone())?;
         let plan = Plan::new(blueprint, self.settings.clone(), self.seed, self.threads)?;
-        let away = self.connect.is_some();
-        let saved = match (self.resume, &self.start_from) {
-            (true, Some(_)) => {
-                return Err(Error::invalid("start_from", "resume goes on from the training's own checkpoint"));
-            }
-            (true, None) => checkpoint::load(&checkpoint::last(&self.out)?, &plan, away)?,
-            (false, Some(other)) => {
-                let learnt = plan.begin_from(&checkpoint::load(other, &plan, away)?.learnt);
-                checkpoint::Saved { learnt, open: [0.0; 2], anew: None }
-            }
-            (false, None) => checkpoint::Saved { learnt: plan.begin(), open: [0.0; 2], anew: None },
-        };
-        let checkpoint::Saved { learnt, open, anew } = saved;
+        let lock = self.out.is_dir().then(|| self.lock()).transpose()?;
+        let checkpoint::Saved { learnt, open, notices } = self.begin(&plan)?;
         let mut remote = match &self.connect {
             Some(connect) => {
                 let pause = &mut || progress.report(0.0, "connecting");
@@ -85,6 +76,9 @@ impl Request {
         };
         let folder = checkpoint::folder(&self.out);
         std::fs::create_dir_all(&folder).map_err(|e| Error::file(&folder, e))?;
+        // Another process may have begun since the folder was missing.
+        let _lock = lock.map_or_else(|| self.lock(), Ok)?;
+        self.check_unused()?;
         let about = json!({
             "task": self.task,
             "seed": self.seed,
@@ -123,7 +117,36 @@ impl Request {
         about["seconds"] = learnt.seconds.into();
         about["score"] = json!(score);
         self.write("settings.json", format!("{about:#}\n").as_bytes())?;
-        Ok(Outcome { learnt, last: diary.last, curve: diary.curve.points, anew, score })
+        Ok(Outcome { learnt, last: diary.last, curve: diary.curve.points, notices, score })
+    }
+
+    fn lock(&self) -> Result<Lock> {
+        Lock::new(&self.out, "choose another one with --out, or wait until it has ended")
+    }
+
+    /// Refuses to begin where another training has left its results.
+    fn check_unused(&self) -> Result<()> {
+        if self.resume || !checkpoint::is_used(&self.out) {
+            return Ok(());
+        }
+        let reason = "it has the results of another training: go on with that one with --resume, choose another folder \
+                      with --out, or delete this one";
+        Err(Error::file(&self.out, reason))
+    }
+
+    /// The state with which the training begins, or goes on.
+    fn begin(&self, plan: &Plan) -> Result<checkpoint::Saved> {
+        let away = self.connect.is_some();
+        self.check_unused()?;
+        let learnt = match (self.resume, &self.start_from) {
+            (true, Some(_)) => {
+                return Err(Error::invalid("start_from", "resume goes on from the training's own checkpoint"));
+            }
+            (true, None) => return checkpoint::newest(&self.out, plan, away),
+            (false, Some(other)) => plan.begin_from(&checkpoint::load(other, plan, away)?.learnt),
+            (false, None) => plan.begin(),
+        };
+        Ok(checkpoint::Saved { learnt, open: [0.0; 2], notices: Vec::new() })
     }
 
     fn options(&self) -> Result<Value> {
@@ -162,8 +185,7 @@ impl Request {
     }
 
     fn write(&self, name: &str, content: &[u8]) -> Result<()> {
-        let path = self.out.join(name);
-        std::fs::write(&path, content).map_err(|e| Error::file(&path, e))
+        files::write(&self.out.join(name), content)
     }
 }
 
@@ -234,6 +256,8 @@ impl Diary<'_> {
 
     fn save(&mut self) -> Result<PathBuf> {
         let path = checkpoint::path(&self.request.out, self.newest.steps);
+        // A checkpoint goes on from a curve that has all points before it.
+        self.curve.sync()?;
         checkpoint::save(&path, self.plan, &self.newest, self.curve.open)?;
         self.saved = self.newest.steps;
         Ok(path)
