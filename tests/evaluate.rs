@@ -258,7 +258,7 @@ fn wrong_gaits_are_refused() {
     assert_eq!(refused("clock:1,x"), "clock: \"x\" is no number");
     assert!(refused("no-such.onnx").contains("no-such.onnx"));
     let refused = |request: &Request| Study::new(request).map(drop).unwrap_err().to_string();
-    assert_eq!(refused(&Request { seeds: 1, ..request("random", Value::Null) }), "seeds: 1 is outside [2, 1000000]");
+    assert_eq!(refused(&Request { seeds: 1, ..request("random", Value::Null) }), "seeds: 1 is outside [2, 100000]");
     let moon = Request { media: vec!["moon".into()], ..request("random", Value::Null) };
     assert!(refused(&moon).contains("moon"));
     let steep = Request { slopes: vec![50.0], ..request("random", Value::Null) };

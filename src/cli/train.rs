@@ -5,11 +5,11 @@ use sandgait::client::Place;
 use sandgait::client::training::Session;
 use sandgait::env::Task;
 use sandgait::env::gait::HexapodGait;
-use sandgait::evaluate::{FIRST_SEED, Request as Evaluation, table};
+use sandgait::evaluate::{FIRST_SEED, Request as Evaluation, commands, table};
 use sandgait::progress::Progress;
 use sandgait::train::remote::Remote;
-use sandgait::train::{Connect, Outcome, Request, entry};
-use sandgait::{Error, Result, parallel};
+use sandgait::train::{Connect, Outcome, Request, Score, entry};
+use sandgait::{Error, Result, files, parallel};
 use serde_json::{Map, Value};
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
@@ -202,7 +202,7 @@ pub fn learn(request: &Request, progress: &dyn Progress) -> Result<(Outcome, Str
     let outcome = request.run(progress)?;
     let text = report(request, &outcome);
     let path = request.out.join("evaluation.txt");
-    std::fs::write(&path, &text).map_err(|e| Error::file(&path, e))?;
+    files::write(&path, text.as_bytes())?;
     Ok((outcome, text))
 }
 
@@ -220,15 +220,19 @@ fn report(request: &Request, outcome: &Outcome) -> String {
     for notice in &outcome.notices {
         text += &format!("{notice}\n");
     }
-    if let Some(row) = &outcome.score {
-        let rows = [row.clone()];
-        let last = FIRST_SEED + Evaluation::SEEDS as u64 - 1;
-        let (cells, notes) = (table::cells(&rows), table::notes(&rows));
-        text += &format!(
-            "\nwithout noise, unseen seeds {FIRST_SEED} to {last}:\n\n{}\n{}\n",
-            super::table(&cells),
-            notes.join("\n")
-        );
+    match &outcome.score {
+        Some(Score::Walking(row)) => {
+            let rows = [row.clone()];
+            let last = FIRST_SEED + Evaluation::SEEDS as u64 - 1;
+            let (cells, notes) = (table::cells(&rows), table::notes(&rows));
+            let head = format!("without noise, unseen seeds {FIRST_SEED} to {last}:");
+            text += &format!("\n{head}\n\n{}\n{}\n", super::table(&cells), notes.join("\n"));
+        }
+        Some(Score::Commands(followed)) => {
+            let (cells, summary) = (commands::cells(followed), commands::summary(followed));
+            text += &format!("\nwithout noise and randomness, by command:\n\n{}\n{summary}\n", super::table(&cells));
+        }
+        None => (),
     }
     text
 }

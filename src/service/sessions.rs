@@ -303,7 +303,7 @@ impl Sessions {
             };
             return Err(error);
         }
-        let reservation = self.reserve(envs, envs * blueprint.bytes_per_env())?;
+        let reservation = self.reserve(envs, blueprint.bytes(envs))?;
         Ok(Making(Some((Building::new(blueprint, envs)?, reservation))))
     }
 

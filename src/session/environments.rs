@@ -102,7 +102,7 @@ impl Environments {
                 _ => Error::Exhausted(format!("num_envs: {range}")),
             });
         }
-        let bytes = envs * blueprint.bytes_per_env();
+        let bytes = blueprint.bytes(envs);
         if bytes > MOST_MEMORY {
             let [needed, most] = [bytes, MOST_MEMORY].map(|bytes| bytes >> 20);
             return Err(Error::Exhausted(format!("num_envs: needs about {needed} MiB, more than {most} MiB")));

@@ -56,17 +56,6 @@ impl EngineKind {
         }
     }
 
-    /// Memory of one robot [bytes]: the resident memory of a session of thousands of environments divided by their
-    /// number, without the data of an episode.
-    pub fn robot_bytes(self) -> usize {
-        match self {
-            Self::Lanes => 10_000,
-            Self::Tree => 20_000,     // counted: 13 bodies, a sixteenth of a block's plates
-            Self::Rapier => 170_000,  // measured with 18 joints; 86,000 with 6
-            Self::Carriage => 12_000, // counted: two links of 12 plates, twice, and the robot's description
-        }
-    }
-
     pub fn named(name: &str) -> Result<Self> {
         let known = Self::ALL.map(Self::name);
         Self::ALL.into_iter().find(|e| e.name() == name).ok_or_else(|| Error::unknown("engine", name, &known))

@@ -9,6 +9,7 @@
 //! * [`state`]: positions and velocities of one robot.
 //! * [`feet`]: positions and velocities of the legs' tips.
 //! * [`frame`]: positions, velocities and velocity-product accelerations of the bodies.
+//! * `memory`: memory of models and robots, for limits.
 //! * [`engine`]: the one interface to all engines.
 //! * `spatial`: spatial algebra for `lanes` and `tree`.
 //! * [`lanes`]: the fast engine, articulated bodies over SIMD lanes of robots.
@@ -28,6 +29,7 @@ pub mod feet;
 pub mod frame;
 mod hull;
 pub mod lanes;
+mod memory;
 pub mod model;
 pub mod obstacle;
 pub mod overlap;

@@ -51,5 +51,5 @@ mod yaml;
 pub use curve::Point;
 pub use export::onnx;
 pub use plan::{Learnt, Observer, Plan, Report};
-pub use run::{Connect, Outcome, Request};
+pub use run::{Connect, Outcome, Request, Score};
 pub use settings::Settings;

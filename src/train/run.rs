@@ -7,12 +7,16 @@ use super::plan::{Learnt, Observer, Plan, Report};
 use super::remote::{Pause, Remote};
 use super::settings::Settings;
 use super::{checkpoint, export, film};
+use crate::env::Task;
+use crate::env::legged::LeggedVelocity;
 use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
+use crate::evaluate::commands::{CommandStudy, Followed};
 use crate::evaluate::{self, Row, Study, Wanted, episode};
 use crate::files::{self, Lock};
 use crate::policy::Network;
 use crate::progress::{Part, Progress};
+use serde::Serialize;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -55,8 +59,18 @@ pub struct Outcome {
     /// What differs from going on with the newest checkpoint as it is, one sentence each: checkpoints that were skipped, and
     /// the reason for new episodes.
     pub notices: Vec<String>,
-    /// The policy without noise over 100 unseen seeds; None for tasks without walking.
-    pub score: Option<Row>,
+    /// The policy without noise over 100 unseen seeds; None for LegStroke.
+    pub score: Option<Score>,
+}
+
+/// The score of a policy without noise.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(untagged)]
+pub enum Score {
+    /// Of tasks in which hexapods walk.
+    Walking(Row),
+    /// Of LeggedVelocity.
+    Commands(Followed),
 }
 
 impl Request {
@@ -110,7 +124,10 @@ impl Request {
         drop(remote);
         diary.save()?;
         let score = self.keep(&plan, &learnt, options, &Part::new(progress, [TRAINING, 1.0]))?;
-        let reached = score.as_ref().map(|row| row.figures.total_reward.mean);
+        let reached = match &score {
+            Some(Score::Walking(row)) => Some(row.figures.total_reward.mean),
+            _ => None,
+        };
         diary.curve.draw(&self.out.join("curve.svg"), &self.task, reached)?;
         let mut about = about;
         about["steps"] = learnt.steps.into();
@@ -160,7 +177,7 @@ impl Request {
     }
 
     /// Writes the policy, evaluates it over unseen seeds and records a film.
-    fn keep(&self, plan: &Plan, learnt: &Learnt, options: Value, progress: &dyn Progress) -> Result<Option<Row>> {
+    fn keep(&self, plan: &Plan, learnt: &Learnt, options: Value, progress: &dyn Progress) -> Result<Option<Score>> {
         let onnx = export::onnx(plan, learnt);
         self.write("policy.onnx", &onnx)?;
         let policy = Learnt { environments: None, ..learnt.clone() };
@@ -169,11 +186,15 @@ impl Request {
         let network = Network::new(&onnx, spec)?;
         let (recording, picture) = (self.out.join("walk.rec"), self.out.join("walk.png"));
         film::film(&plan.blueprint, &network, evaluate::FIRST_SEED, &recording, &picture)?;
+        let policy = Wanted::Network { name: "policy.onnx".into(), bytes: onnx };
+        if spec.id == LeggedVelocity::ID {
+            return CommandStudy::new(&policy, &options)?.run(progress).map(Score::Commands).map(Some);
+        }
         if episode::Columns::of(spec).is_err() {
             return Ok(None);
         }
         let request = evaluate::Request {
-            policy: Wanted::Network { name: "policy.onnx".into(), bytes: onnx },
+            policy,
             task: self.task.clone(),
             options,
             seeds: evaluate::Request::SEEDS,
@@ -181,7 +202,7 @@ impl Request {
             slopes: Vec::new(),
         };
         let rows = Study::new(&request)?.run(progress)?;
-        Ok(rows.into_iter().next())
+        Ok(rows.into_iter().next().map(Score::Walking))
     }
 
     fn write(&self, name: &str, content: &[u8]) -> Result<()> {

@@ -18,7 +18,7 @@ pub fn read(data: &Path, experiment: &Experiment) -> Result<Log> {
     let names = Names::new(&joints, keys)?;
     let columns = names.columns();
     let (renamed, units) = (experiment.columns.clone(), experiment.units.clone());
-    let asked = Asked { columns: &columns, renamed, units, most_rows: None };
+    let asked = Asked { renamed, units, ..Asked::new(&columns) };
     let mut gather = Gather::new(&names, keys);
     let first = first_bytes(data)?;
     let mcap = first.starts_with(mcap::MAGIC);

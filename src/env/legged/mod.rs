@@ -162,6 +162,8 @@ fn base(state: &State) -> [[f64; 3]; 3] {
 impl Task for LeggedVelocity {
     const ID: &'static str = "sandgait/LeggedVelocity-v0";
     type Options = LeggedOptions;
+    /// A hundred commands and pushes.
+    const EPISODE_BYTES: usize = 6_000;
 
     fn engine(_options: &LeggedOptions) -> EngineKind {
         EngineKind::Tree
