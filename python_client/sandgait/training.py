@@ -30,9 +30,8 @@ class Training:
     #: The learning curve. Columns: steps, seconds [s], and return, the mean over the episodes that ended since the row
     #: before.
     curve: Table
-    #: Evaluation of the policy without noise over 100 seeds that the training did not use, as in settings.json. Empty
-    #: for
-    #: tasks without walking.
+    #: Evaluation of the policy without noise, as in settings.json: over 100 seeds that the training did not use, or for
+    #: LeggedVelocity of nine commands. None for LegStroke.
     score: dict[str, Any] | None
     #: The results as text.
     summary: str
@@ -80,9 +79,9 @@ def train(
     and the result has the same bits in each run.
 
     `hyperparameters`: a file in the format of rl-zoo3; by default the program's own values. `settings`: values that
-    replace those of the file. `resume`: continue from the last checkpoint in `out`. `start_from`: the
-    policy.safetensors of another training of the same task, observation and actions. This training then starts from
-    its weights. `threads`: number of simulating threads; 0 stands for one on each processor. `address`: the server that
+    replace those of the file. `resume`: continue the training in `out`, which must have the same task, options, seed and
+    settings; without it a folder with results is refused. `start_from`: the policy.safetensors of another training of
+    the same task, observation and actions. This training then starts from its weights. `threads`: number of simulating threads; 0 stands for one on each processor. `address`: the server that
     simulates. `options`: the same as for `gymnasium.make`.
 
     Ctrl-C, or an exception that `progress` raises, ends the training at once and leaves a checkpoint.

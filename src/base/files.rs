@@ -48,7 +48,7 @@ fn folder_of(path: &Path) -> &Path {
 
 /// A folder that this process alone writes into. The system ends the lock with the process, however it ends.
 #[derive(Debug)]
-pub struct Lock(#[allow(dead_code, reason = "closing the folder ends the lock")] File);
+pub struct Lock(File);
 
 impl Lock {
     /// Locks `folder`, which exists. If another process has locked it, this is an error with `advice`.
@@ -63,6 +63,14 @@ impl Lock {
             }
             Ok(()) | Err(TryLockError::Error(_)) => Ok(Self(file)),
         }
+    }
+}
+
+impl Drop for Lock {
+    /// A forked child may hold the folder open, too, so closing it would not end the lock.
+    fn drop(&mut self) {
+        // It cannot fail for a lock that is held; without locks there is nothing to end.
+        let _ = self.0.unlock();
     }
 }
 

@@ -62,11 +62,10 @@ impl Evaluate {
         })?;
         super::read_files(&mut options)?;
         // The paths are checked before the work begins.
-        for path in [&self.json, &self.csv].into_iter().flatten() {
-            writable(path)?;
-        }
+        let files = [self.json.clone(), self.csv.clone()];
+        files.iter().flatten().try_for_each(|path| writable(path))?;
         if self.commands {
-            return self.follow(options, read);
+            return follow(&self.policy, options, read, &files);
         }
         let request = Request {
             policy: Wanted::parse(&self.policy, read)?,
@@ -81,29 +80,34 @@ impl Evaluate {
         let rows = study.run(&Bar::new())?;
         let about = Study::about(&request);
         let text = report(&about, &rows);
-        self.write(&table::json(about, &rows), &table::csv(&rows))?;
+        write(&files, &table::json(about, &rows), &table::csv(&rows))?;
         Ok(text)
     }
+}
 
-    /// How well the policy follows commands.
-    fn follow(self, options: Value, read: impl Fn(&str) -> Result<Vec<u8>>) -> Result<String> {
-        let policy = Wanted::parse(&self.policy, read)?;
-        let options = if options.is_null() { own_options(Path::new(&self.policy))? } else { options };
-        let study = CommandStudy::new(&policy, &options)?;
-        let followed = study.run(&Bar::new())?;
-        let about = json!({"policy": self.policy, "task": LeggedVelocity::ID, "results": followed});
-        self.write(&about, &commands::csv(&followed))?;
-        let table = super::table(&commands::cells(&followed));
-        Ok(format!("{}, {}\n\n{table}\n{}\n", self.policy, LeggedVelocity::ID, commands::summary(&followed)))
-    }
+/// How well the policy follows commands.
+fn follow(
+    name: &str,
+    options: Value,
+    read: impl Fn(&str) -> Result<Vec<u8>>,
+    files: &[Option<PathBuf>; 2],
+) -> Result<String> {
+    let policy = Wanted::parse(name, read)?;
+    let options = if options.is_null() { own_options(Path::new(name))? } else { options };
+    let followed = CommandStudy::new(&policy, &options)?.run(&Bar::new())?;
+    let about = json!({"policy": name, "task": LeggedVelocity::ID, "results": followed});
+    write(files, &about, &commands::csv(&followed))?;
+    let (table, summary) = (super::table(&commands::cells(&followed)), commands::summary(&followed));
+    Ok(format!("{name}, {}\n\n{table}\n{summary}\n", LeggedVelocity::ID))
+}
 
-    fn write(&self, json: &Value, csv: &str) -> Result<()> {
-        for (path, content) in [(&self.json, super::json(json)), (&self.csv, csv.to_owned())] {
-            let Some(path) = path else { continue };
-            std::fs::write(path, content).map_err(|e| Error::file(path, e))?;
-        }
-        Ok(())
+/// Writes the results to the files that were asked for.
+fn write(files: &[Option<PathBuf>; 2], json: &Value, csv: &str) -> Result<()> {
+    for (path, content) in files.iter().zip([super::json(json), csv.to_owned()]) {
+        let Some(path) = path else { continue };
+        std::fs::write(path, content).map_err(|e| Error::file(path, e))?;
     }
+    Ok(())
 }
 
 /// The options with which a policy was trained, from `settings.json` beside it; null if there is no such file.

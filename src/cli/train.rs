@@ -26,10 +26,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 #[command(after_help = "Examples:
   sandgait train                                     (HexapodGait, a minute)
   sandgait train --task HexapodLegs --seed 1 --out runs/legs
-  sandgait train --option leg=C --option slope_deg=5 --set gamma=0.97 --seconds 30
   sandgait train --resume --seconds 120              (continues from the last checkpoint in the directory)
-  sandgait train --option slope_deg=10 --start-from runs/HexapodGait-fast/policy.safetensors --out runs/slope
-  sandgait train --timesteps 2000000                 (the same bits each time, because it has no limit of time)
+  sandgait train --option leg=C --option slope_deg=5 --set gamma=0.97 --seconds 30 --out runs/slope
+  sandgait train --option slope_deg=10 --start-from runs/HexapodGait-fast/policy.safetensors --out runs/steep
+  sandgait train --timesteps 2000000 --out runs/two  (the same bits each time, because it has no limit of time)
   sandgait train --address sand.lab:50051 --ca ca.pem --token-file token    (environments on a server)")]
 pub struct Train {
     /// Name or id of the task

@@ -105,8 +105,10 @@ fn turned(name: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::env::registry::{Blueprint, TASK_IDS};
-    use serde_json::Value;
+    use crate::env::legged::LeggedVelocity;
+    use crate::env::registry::TASK_IDS;
+    use crate::env::{Shard, Task};
+    use serde_json::{Value, json};
 
     /// The mirror twice is the identity; values of the right side move to the left, and y changes sign.
     #[test]
@@ -129,6 +131,45 @@ mod tests {
                     assert!(!y || mirror.signs[k] < 0.0, "{}", column.name);
                 }
             }
+        }
+    }
+
+    /// Mirrored actions take a robot of LeggedVelocity to the mirror image of its next observation: on each ground, with
+    /// measured heights, for many steps.
+    #[test]
+    fn a_legged_robot_walks_like_its_mirror_image() {
+        for ground in ["rigid", "poppy-close"] {
+            let options = |sign: f64| {
+                let commands =
+                    json!({"lin_vel_x": [0.5, 0.5], "lin_vel_y": [0.3 * sign; 2], "ang_vel_yaw": [0.6 * sign; 2]});
+                let mut options =
+                    json!({"ground": ground, "angle_noise": 0.0, "domain_rand": null, "commands": commands});
+                options["measure_heights"] = true.into();
+                options
+            };
+            let [left, right] = [1.0, -1.0].map(|sign| Blueprint::new(LeggedVelocity::ID, options(sign)).unwrap());
+            let [observation, action] = Mirror::both(&left).unwrap();
+            let mut shards = [&left, &right].map(|blueprint| Shard::new(blueprint, 1).unwrap());
+            shards.iter_mut().for_each(|shard| shard.reset(|_| true, Some(&[1]), |_| None));
+            let width = shards[0].actions();
+            let mut image = vec![0.0; left.task.spec().observation.len()];
+            let mut actions = [vec![0.0; width], vec![0.0; width]];
+            for step in 0..60 {
+                observation.reflect(&shards[0].rows.observations, &mut image);
+                let apart =
+                    image.iter().zip(&shards[1].rows.observations).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+                // Differences of rounding grow with time.
+                assert!(apart < 2e-3, "{ground}, step {step}: {apart}");
+                let wave = |k: usize| 0.4 * (0.3 * step as f32 + 0.7 * k as f32).sin();
+                let [one, other] = &mut actions;
+                one.iter_mut().enumerate().for_each(|(k, a)| *a = wave(k));
+                action.reflect(one, other);
+                assert!(step == 0 || one != other);
+                shards.iter_mut().zip(&actions).for_each(|(shard, actions)| shard.step(actions));
+            }
+            // The robot has moved sideways and turned, so the images differ.
+            let own = &shards[0].rows.observations;
+            assert!(image.iter().zip(own).any(|(a, b)| (a - b).abs() > 0.05), "{ground}");
         }
     }
 

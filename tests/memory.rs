@@ -1,0 +1,143 @@
+//! The memory that is reserved for environments is what they take, also for the most expensive robots that a client may
+//! send.
+
+use sandgait::env::registry::Blueprint;
+use sandgait::env::shard::Shard;
+use sandgait::sim::tree::packed;
+use serde_json::{Value, json};
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+
+const ID: &str = "sandgait/LeggedVelocity-v0";
+
+/// Counts the bytes that this thread has in use.
+struct Counted;
+
+thread_local! {
+    static NOW: Cell<isize> = const { Cell::new(0) };
+}
+
+// SAFETY: every call is passed on to the system's allocator.
+unsafe impl GlobalAlloc for Counted {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        NOW.set(NOW.get() + layout.size() as isize);
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
+        NOW.set(NOW.get() - layout.size() as isize);
+        unsafe { System.dealloc(at, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counted = Counted;
+
+/// The built-in robot, changed.
+fn robot(change: impl FnOnce(&mut Value)) -> String {
+    let mut robot: Value = serde_json::from_str(include_str!("../src/env/options/sandcat.json")).unwrap();
+    change(&mut robot);
+    packed::compressed(&robot.to_string()).unwrap()
+}
+
+fn shape(name: &str) -> Value {
+    json!({"name": name, "origin": [0, 0, 0, 1, 0, 0, 0], "kind": "sphere", "size": [0.01, 0, 0], "friction": 1})
+}
+
+/// Bytes that `envs` environments take after some episodes, and that are reserved for them.
+fn taken(options: &Value, envs: usize) -> [usize; 2] {
+    let before = NOW.get();
+    let blueprint = Blueprint::new(ID, options.clone()).unwrap();
+    let mut shards: Vec<Shard> = (0..envs / 16).map(|_| Shard::new(&blueprint, 16).unwrap()).collect();
+    for shard in &mut shards {
+        for seed in 0..3 {
+            shard.reset(|_| true, Some(&[seed; 16]), |_| None);
+            shard.step(&vec![0.5; 16 * shard.actions()]);
+        }
+    }
+    [(NOW.get() - before) as usize, blueprint.bytes(envs)]
+}
+
+#[test]
+fn environments_take_what_is_reserved() {
+    let many = |count: usize| robot(|r| r["bodies"][0]["shapes"] = (0..count).map(|_| shape("s")).collect());
+    let point = json!([0.0, 0.0, 0.0, 0.01, 1.0, 0.0, 0.0, 0.0]);
+    let points = |count: usize| robot(|r| r["bodies"][0]["contacts"] = (0..count).map(|_| point.clone()).collect());
+    let long =
+        |r: &mut Value| r["bodies"].as_array_mut().unwrap().iter_mut().for_each(|b| b["name"] = "n".repeat(200).into());
+    for (what, options) in [
+        ("sandcat on rigid ground", json!({"ground": "rigid"})),
+        ("sandcat on sand", json!({"ground": "poppy-close"})),
+        ("sandcat on both", json!({"ground": "mixed"})),
+        ("sandcat on dunes", json!({"ground": "dunes", "measure_heights": true})),
+        ("2,000 shapes", json!({"robot": many(2_000), "ground": "rigid"})),
+        ("5,000 points", json!({"robot": points(5_000), "ground": "rigid"})),
+        ("long names", json!({"robot": robot(long), "ground": "rigid"})),
+    ] {
+        for envs in [16, 208] {
+            let [took, reserved] = taken(&options, envs);
+            println!("{what}: {envs} environments take {} KiB of {} KiB", took >> 10, reserved >> 10);
+            assert!(took <= reserved, "{what}: {envs} environments took {took} of {reserved} bytes");
+            assert!(reserved < 4 * took, "{what}: {reserved} bytes are reserved for {took}");
+        }
+    }
+}
+
+/// Each list of a packed robot is bounded, whatever the other lists are.
+#[test]
+fn no_list_of_a_packed_robot_is_free() {
+    let refused = |change: &dyn Fn(&mut Value)| {
+        let options = json!({"robot": robot(change), "ground": "rigid"});
+        let error = Blueprint::new(ID, options).err().expect("it is refused").to_string();
+        assert!(!error.contains('\n') && error.len() < 300, "{error}");
+        error
+    };
+    let empty = json!({"meshes": [], "shapes": []});
+    let with_looks = |r: &mut Value| r["looks"] = empty.clone();
+    let shapes = |r: &mut Value| {
+        with_looks(r);
+        r["bodies"][0]["shapes"] = vec![shape("s"); 79_000].into();
+    };
+    assert!(refused(&shapes).contains("number of shapes: 79000 is outside [0, 2000]"));
+    let look = json!({"body": 0, "at": [0, 0, 0, 1, 0, 0, 0], "form": {"mesh": 0}});
+    let looks = |r: &mut Value| {
+        r["looks"] = json!({"meshes": [{"corners": [], "faces": []}], "shapes": vec![look.clone(); 50_000]});
+    };
+    assert!(refused(&looks).contains("shapes in looks: 50000 is outside"));
+    let corners = |r: &mut Value| {
+        r["looks"] = json!({"meshes": [{"corners": vec![[0, 0, 0]; 100_000], "faces": []}], "shapes": []});
+    };
+    assert!(refused(&corners).contains("corners of meshes in looks: 100000 is outside"));
+    let meshes = |r: &mut Value| {
+        r["looks"] = json!({"meshes": vec![json!({"corners": [], "faces": []}); 100_000], "shapes": []});
+    };
+    assert!(refused(&meshes).contains("meshes in looks: 100000 is outside"));
+    for place in ["/name", "/bodies/3/name", "/bodies/3/joint/name", "/bodies/0/shapes/0/name"] {
+        let long = |r: &mut Value| *r.pointer_mut(place).unwrap() = "x".repeat(10_000).into();
+        assert!(refused(&long).contains("length of a name: 10000 is outside [0, 200]"), "{place}");
+    }
+}
+
+/// A chain of bodies with many feet: the search of its stance is bounded.
+#[test]
+fn a_long_chain_stands_up_in_time() {
+    let chain = |r: &mut Value| {
+        let all = r["bodies"].as_array_mut().unwrap();
+        let mut joint = all[1].clone();
+        joint["joint"]["rest"] = Value::Null;
+        joint["plates"] = json!([]);
+        joint["contacts"] = json!([[0.0, 0.0, -0.01, 0.01, 1.0, 0.0, 0.0, 0.0]]);
+        all.truncate(1);
+        // 128 bodies in a row, and 127 feet on the last one.
+        for k in 1..256_usize {
+            joint["parent"] = k.min(129).saturating_sub(1).into();
+            all.push(joint.clone());
+        }
+        r["looks"] = json!({"meshes": [], "shapes": []});
+    };
+    let robot = robot(chain);
+    let start = std::time::Instant::now();
+    Blueprint::new(ID, json!({"robot": robot, "ground": "rigid"})).unwrap();
+    assert!(start.elapsed().as_secs() < 10, "{:?}", start.elapsed());
+    println!("a chain of 128 joints with 127 feet: {:?}", start.elapsed());
+}
