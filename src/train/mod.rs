@@ -50,6 +50,7 @@ mod yaml;
 
 pub use curve::Point;
 pub use export::onnx;
+pub use mirror::Mirror;
 pub use plan::{Learnt, Observer, Plan, Report};
 pub use run::{Connect, Outcome, Request, Score};
 pub use settings::Settings;
