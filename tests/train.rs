@@ -267,6 +267,32 @@ fn torn_files_do_not_stop_a_resumption() {
     assert!(result(&whole) == result(&torn));
 }
 
+/// A training of LeggedVelocity is scored by commands, and `sandgait evaluate --commands` gives the same table.
+#[test]
+fn a_legged_training_is_scored_by_commands() {
+    let directory = tempfile::tempdir().unwrap();
+    let out = directory.path().join("cat");
+    let path = out.to_str().unwrap();
+    let task = ["--task", "LeggedVelocity", "--option", "ground=rigid", "--set", "mirror=true"];
+    let output = train(&[&SMALL[..10], &task, &["--timesteps", "512", "--out", path]].concat());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let table = |text: &str| text.lines().filter(|line| line.contains(" %")).map(str::to_owned).collect::<Vec<_>>();
+    let text = std::fs::read_to_string(out.join("evaluation.txt")).unwrap();
+    assert!(text.contains("without noise and randomness, by command:"), "{text}");
+    let settings: Value = serde_json::from_slice(&std::fs::read(out.join("settings.json")).unwrap()).unwrap();
+    assert_eq!(settings["score"]["lines"].as_array().unwrap().len(), 9);
+    let csv = directory.path().join("commands.csv");
+    let evaluated = Command::new(env!("CARGO_BIN_EXE_sandgait"))
+        .args(["evaluate", out.join("policy.onnx").to_str().unwrap(), "--commands", "--csv", csv.to_str().unwrap()])
+        .output()
+        .unwrap();
+    assert!(evaluated.status.success(), "{}", String::from_utf8_lossy(&evaluated.stderr));
+    let lines = table(&String::from_utf8(evaluated.stdout).unwrap());
+    assert_eq!(lines[..], table(&text)[table(&text).len() - lines.len()..]);
+    assert_eq!(lines.len(), 10, "nine commands and their mean");
+    assert_eq!(std::fs::read_to_string(csv).unwrap().lines().count(), 10);
+}
+
 /// Two trainings cannot write into one folder.
 #[test]
 fn a_second_process_is_refused() {
