@@ -90,9 +90,13 @@ fn line(point: &Point) -> String {
     format!("{},{:.2},{:.3}\n", point.steps, point.seconds, point.mean_return)
 }
 
-/// The points of a file. A last line without an end was cut off when a process was killed, and is left out.
+/// The points of a file, if there is one. A last line without an end was cut off when a process was killed, and is left
+/// out.
 fn read(path: &Path) -> Result<Vec<Point>> {
-    let bytes = std::fs::read(path).map_err(|e| Error::file(path, e))?;
+    let bytes = match std::fs::read(path) {
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        bytes => bytes.map_err(|e| Error::file(path, e))?,
+    };
     let text = String::from_utf8_lossy(&bytes);
     let whole = text.rsplit_once('\n').map_or("", |(whole, _)| whole);
     let point = |(k, line): (usize, &str)| {

@@ -140,8 +140,7 @@ mod tests {
     fn a_legged_robot_walks_like_its_mirror_image() {
         for ground in ["rigid", "poppy-close"] {
             let options = |sign: f64| {
-                let commands =
-                    json!({"lin_vel_x": [0.5, 0.5], "lin_vel_y": [0.3 * sign; 2], "ang_vel_yaw": [0.6 * sign; 2]});
+                let commands = json!({"lin_vel_x": [0.5, 0.5], "lin_vel_y": vec![0.3 * sign; 2], "ang_vel_yaw": vec![0.6 * sign; 2]});
                 let mut options =
                     json!({"ground": ground, "angle_noise": 0.0, "domain_rand": null, "commands": commands});
                 options["measure_heights"] = true.into();
