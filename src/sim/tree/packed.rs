@@ -24,7 +24,7 @@ const MOST_BODIES: usize = 256;
 /// Largest number of a robot's plates and points of contact together: our choice, also far beyond real time.
 const MOST_PIECES: usize = 20_000;
 /// Largest number of a robot's primitive shapes: our choice. They are for pictures alone.
-const MOST_SHAPES: usize = 2_000;
+const MOST_SHAPES: usize = 4_096;
 /// Longest name of the robot, a body, a joint or a shape [bytes]: our choice.
 const LONGEST_NAME: usize = 200;
 
