@@ -180,7 +180,8 @@ fn a_training_starts_from_what_another_has_learnt() {
     assert_eq!(after.steps, 256);
     assert!(after.normal.unwrap().observations.count > before.normal.unwrap().observations.count);
     let refused = |request: Request| request.run(&Silent).err().unwrap().to_string();
-    let other = of(&second, Some(policy.clone()), json!({"policy_kwargs": {"net_arch": [8]}}));
+    let third = directory.path().join("third");
+    let other = of(&third, Some(policy.clone()), json!({"policy_kwargs": {"net_arch": [8]}}));
     assert!(refused(other).contains("policy.safetensors"));
     let both = Request { resume: true, ..of(&second, Some(policy), json!({})) };
     assert!(refused(both).contains("start_from"));

@@ -15,7 +15,7 @@ use nalgebra::{Isometry3, Vector3};
 
 type V = Vector3<f64>;
 
-/// Largest distance of a joint's axis or of a body's lowest point from where the mirror puts it, as a share of the robot's
+/// Largest distance of a joint's axis, and of a body's lowest height, from where the mirror puts it, as a share of the robot's
 /// size: our choice, some millimetres, more than drawings are off.
 const PLACE: f64 = 0.02;
 /// Least cosine of the angle between axes: our choice, 2.6°.
@@ -40,8 +40,9 @@ struct Standing {
     /// A point of the axis.
     at: V,
     center: V,
-    /// Lowest point, if it has points of contact.
-    low: Option<V>,
+    /// Height of the lowest point, if it has points of contact. Of a level side any point may be the lowest, so its place
+    /// is not compared.
+    low: Option<f64>,
 }
 
 fn mirrored(v: V) -> V {
@@ -51,12 +52,12 @@ fn mirrored(v: V) -> V {
 fn standing(robot: &TreeModel) -> Vec<Standing> {
     let level = State::at_rest(0.0, &robot.stance.angles);
     let one = |((body, frame), points): ((&super::TreeBody, &Isometry3<f64>), &Vec<super::contact::ContactPoint>)| {
-        let low = lowest(frame, points);
+        let low = lowest(frame, points).z;
         Standing {
             axis: body.joint.as_ref().map_or(V::zeros(), |j| frame.rotation * j.axis.into_inner()),
             at: frame.translation.vector,
             center: frame.transform_point(&body.center.into()).coords,
-            low: low.z.is_finite().then_some(low),
+            low: low.is_finite().then_some(low),
         }
     };
     robot.tree.bodies.iter().zip(&frames(&robot.tree, &level)).zip(robot.contacts.iter()).map(one).collect()
@@ -161,12 +162,11 @@ fn sign(tree: &Tree, all: &[Standing], [i, k]: [usize; 2], most: f64) -> Option<
     // A hinge may be anywhere along its axis, a slide anywhere.
     let off = if a.kind == JointKind::Hinge { (apart - all[k].axis * apart.dot(&all[k].axis)).norm() } else { 0.0 };
     let low = match (all[i].low, all[k].low) {
-        (Some(a), Some(b)) => (mirrored(a) - b).norm(),
+        (Some(a), Some(b)) => (a - b).abs(),
         (None, None) => 0.0,
         _ => f64::INFINITY,
     };
-    // Of a body whose lowest side is level any point may be found, so a small foot's size is tolerated.
-    let fits = a.kind == b.kind && along.abs() > ALONG && off < most && low < 5.0 * most;
+    let fits = a.kind == b.kind && along.abs() > ALONG && off < most && low < most;
     fits.then(|| along.signum())
 }
 
