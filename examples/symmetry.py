@@ -1,13 +1,13 @@
 """Policies that are symmetric in left and right.
 
-The mirror image of a hexapod on sand is again a hexapod on sand. So a good policy chooses the mirrored action for the
-mirrored observation. A network that is averaged with its own mirror image always does so. This helps a robot to walk
-straight: observations do not have the heading, so no policy can correct it later.
+The mirror image of a symmetric robot on sand is again that robot on sand. So a good policy chooses the mirrored action
+for the mirrored observation. A network that is averaged with its own mirror image always does so. This helps a robot to
+walk straight: observations do not have the heading, so no policy can correct it later. `sandgait.mirror` gives the
+mirrors of a task's rows.
 """
 
 from __future__ import annotations
 
-import re
 from itertools import pairwise
 from typing import Any
 
@@ -20,28 +20,7 @@ from stable_baselines3.common.type_aliases import Schedule
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
-#: For each column: the index of the column that has its mirrored value, and the sign of that value.
-Mirror = tuple[list[int], list[float]]
-
-#: The mirror reverses y. Components of vectors along y change their sign, and rotations about x and z. A coxa rotates
-#: about z.
-TURNED = re.compile(r"(gravity direction|base velocity), body frame, y|angular velocity, body frame, [xz]|coxa|yaw")
-
-
-#: The lateral position in the name of a measured height, which changes its sign.
-PLACE = re.compile(r"(-?\d+)(?= cm to the left)")
-
-
-def mirror(names: list[str]) -> Mirror:
-    """The mirror for rows whose columns have these names."""
-    swapped = {"right": "left", "left": "right"}
-
-    def image(name: str) -> str:
-        if PLACE.search(name):
-            return PLACE.sub(lambda found: str(-int(found[0])), name)
-        return re.sub("right|left", lambda found: swapped[found[0]], name)
-
-    return [names.index(image(name)) for name in names], [-1.0 if TURNED.search(name) else 1.0 for name in names]
+from sandgait.training import Mirror
 
 
 class Reflection(nn.Module):

@@ -24,10 +24,11 @@ from stable_baselines3.common.callbacks import BaseCallback, CallbackList, Check
 from stable_baselines3.common.utils import FloatSchedule
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
-from symmetry import Mirror, MirroredPolicy, MirroredStatistics, mirror
+from symmetry import MirroredPolicy, MirroredStatistics
 from tqdm import tqdm
 
 import sandgait
+from sandgait.training import Mirror
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC}
 
@@ -302,22 +303,21 @@ def other_training(folder: Path) -> Path:
 
 
 def create(
-    kind: type[BaseAlgorithm], env: VecNormalize, settings: dict[str, Any], seed: int, log: Path
+    kind: type[BaseAlgorithm],
+    env: VecNormalize,
+    settings: dict[str, Any],
+    seed: int,
+    log: Path,
+    mirrors: tuple[Mirror, Mirror] | None,
 ) -> BaseAlgorithm:
-    """A new model of the algorithm `kind` with these hyperparameters."""
+    """A new model of the algorithm `kind` with these hyperparameters. `mirrors`: of observations and actions."""
     rest = {name: value for name, value in settings.items() if name not in OWN_KEYS}
-    if settings.get("mirror"):
-        mirrors = dict(zip(("observation", "action"), mirrors_of(env), strict=True))
+    if mirrors is not None:
         rest["policy"] = MirroredPolicy
-        rest["policy_kwargs"] = {**settings.get("policy_kwargs", {}), **mirrors}
+        both = dict(zip(("observation", "action"), mirrors, strict=True))
+        rest["policy_kwargs"] = {**settings.get("policy_kwargs", {}), **both}
     rate, _ = learning_rate(settings["learning_rate"])
     return kind(env=env, learning_rate=rate, seed=seed, device="cpu", tensorboard_log=str(log), **rest)
-
-
-def mirrors_of(env: VecNormalize) -> tuple[Mirror, Mirror]:
-    """The mirrors of the task's observations and actions."""
-    task = env.get_attr("task", [0])[0]
-    return mirror([c.name for c in task.observation]), mirror([c.name for c in task.action])
 
 
 def prepare(
@@ -342,6 +342,7 @@ def prepare(
         return sandgait.make_sb3(task, int(settings["n_envs"]), address, **{**options, **stage.options})
 
     timed = Timed(make(stages[0]))
+    mirrors = sandgait.mirror(task, **{**options, **stages[0].options}) if settings.get("mirror") else None
     kind = ALGORITHMS[algorithm]
     if checkpoint is None:
         flag = bool(settings["normalize"])
@@ -349,7 +350,7 @@ def prepare(
         if start_from is not None:
             normalized = VecNormalize.load(str(start_from / "normalize.pkl"), timed)
             normalized.training = True
-        model = create(kind, normalized, settings, seed, out / "tensorboard")
+        model = create(kind, normalized, settings, seed, out / "tensorboard", mirrors)
         if start_from is not None:
             model.set_parameters(str(start_from / "policy.zip"), device="cpu")
     else:
@@ -360,6 +361,7 @@ def prepare(
             model.load_replay_buffer(checkpoint.with_name(f"model_replay_buffer_{steps}_steps.pkl"))
         normalized.seed(seed + steps)  # so that episodes differ from those of the first part
     progress = Progress(timed, settings, out / "curve.csv", curve)
-    symmetric = settings.get("mirror") and settings["normalize"]
-    callbacks: list[BaseCallback] = [MirroredStatistics(mirrors_of(normalized)[0])] if symmetric else []
+    callbacks: list[BaseCallback] = []
+    if mirrors is not None and settings["normalize"]:
+        callbacks.append(MirroredStatistics(mirrors[0]))
     return Training(model, normalized, progress, callbacks, stages, make)

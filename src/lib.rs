@@ -5,7 +5,7 @@
 pub mod cli;
 pub mod validate;
 
-pub use sandgait_base::{Error, Result, error, parallel, progress, student};
+pub use sandgait_base::{Error, Result, error, files, parallel, progress, student};
 pub use {
     sandgait_bench as bench, sandgait_calibrate as calibrate, sandgait_client as client, sandgait_diagnose as diagnose,
     sandgait_env as env, sandgait_evaluate as evaluate, sandgait_number as number, sandgait_plot as plot,

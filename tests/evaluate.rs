@@ -258,7 +258,13 @@ fn wrong_gaits_are_refused() {
     assert_eq!(refused("clock:1,x"), "clock: \"x\" is no number");
     assert!(refused("no-such.onnx").contains("no-such.onnx"));
     let refused = |request: &Request| Study::new(request).map(drop).unwrap_err().to_string();
-    assert_eq!(refused(&Request { seeds: 1, ..request("random", Value::Null) }), "seeds: 1 is outside [2, 1000000]");
+    assert_eq!(refused(&Request { seeds: 1, ..request("random", Value::Null) }), "seeds: 1 is outside [2, 100000]");
+    let much = Request {
+        seeds: 100_000,
+        slopes: (0..1000).map(|k| 0.01 * f64::from(k)).collect(),
+        ..request("random", Value::Null)
+    };
+    assert_eq!(refused(&much), "seeds times media times slopes: 100000000 is outside [1, 1000000]");
     let moon = Request { media: vec!["moon".into()], ..request("random", Value::Null) };
     assert!(refused(&moon).contains("moon"));
     let steep = Request { slopes: vec![50.0], ..request("random", Value::Null) };

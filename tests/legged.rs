@@ -3,6 +3,10 @@
 
 use sandgait::env::registry::Blueprint;
 use sandgait::env::shard::Shard;
+use sandgait::evaluate::commands::CommandStudy;
+use sandgait::evaluate::{Request, Study, Wanted};
+use sandgait::policy::write::Writer;
+use sandgait::progress::Silent;
 use sandgait::robots;
 use sandgait::sim::tree::{packed, plates::of_touching};
 use serde_json::{Value, json};
@@ -273,4 +277,53 @@ fn bad_reliefs_are_refused() {
     }
     // Hard ground may have steps.
     blueprint(json!({"ground": "rigid", "relief": {"heights": steps}}));
+}
+
+/// A network whose actions are 0: the robot stands.
+fn standing(options: &Value) -> Wanted {
+    let blueprint = blueprint(options.clone());
+    let [observation, action] = [&blueprint.task.spec().observation, &blueprint.task.spec().action].map(Vec::len);
+    let mut writer = Writer::new(observation);
+    let input = writer.input();
+    let output = writer.dense(&input, &vec![0.0; observation * action], &vec![0.0; action]);
+    Wanted::Network { name: "policy.onnx".into(), bytes: writer.finish(&output, action) }
+}
+
+/// A robot that stands does not follow; its error is that of the velocity 0. Commands scale with the training's ranges.
+#[test]
+fn commands_are_measured() {
+    let options = json!({"ground": "rigid"});
+    let followed = CommandStudy::new(&standing(&options), &options).unwrap().run(&Silent).unwrap();
+    let commands: Vec<_> = followed.lines.iter().map(|line| line.command).collect();
+    assert_eq!(commands.len(), 9);
+    let near = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-6);
+    assert!(near(commands[1], [0.9, 0.0, 0.0]) && near(commands[4], [0.0, -0.4, 0.0]), "{commands:?}");
+    assert!(near(commands[7], [0.6, 0.0, 0.6]), "{commands:?}");
+    for line in &followed.lines {
+        assert!((line.error - 1.0).abs() < 0.02 && line.falls == 0.0, "{line:?}");
+    }
+    let narrow = json!({"lin_vel_x": [-0.4, 0.8], "lin_vel_y": [0.0, 0.0], "ang_vel_yaw": [-0.5, 0.5]});
+    let options = json!({"ground": "rigid", "commands": narrow});
+    let followed = CommandStudy::new(&standing(&options), &options).unwrap().run(&Silent).unwrap();
+    let commands: Vec<_> = followed.lines.iter().map(|line| line.command).collect();
+    assert_eq!(commands.len(), 7, "none is sideways: {commands:?}");
+    assert!(near(commands[1], [0.72, 0.0, 0.0]) && near(commands[2], [-0.2, 0.0, 0.0]), "{commands:?}");
+}
+
+#[test]
+fn evaluations_of_the_wrong_kind_say_which_is_right() {
+    let request = Request {
+        policy: Wanted::Random,
+        task: ID.into(),
+        options: Value::Null,
+        seeds: 4,
+        media: Vec::new(),
+        slopes: Vec::new(),
+    };
+    let error = Study::new(&request).err().unwrap().to_string();
+    assert!(error.contains("`sandgait evaluate POLICY --commands` measures how well"), "{error}");
+    let refused = |policy: Wanted, options: Value| CommandStudy::new(&policy, &options).err().unwrap().to_string();
+    assert!(refused(Wanted::Tripod(None), Value::Null).contains("control"));
+    let still = json!({"lin_vel_x": [0, 0], "lin_vel_y": [0, 0], "ang_vel_yaw": [0, 0]});
+    assert!(refused(Wanted::Random, json!({"commands": still})).contains("nothing to follow"));
 }

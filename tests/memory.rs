@@ -1,63 +1,144 @@
-//! The memory that is reserved for environments is the memory that they take, counted by the allocator.
+//! The memory that is reserved for environments is what they take, also for the most expensive robots that a client may
+//! send.
 
-use sandgait::env::registry::{Blueprint, TASK_IDS};
-use sandgait::pool::{Batch, Pool};
-use sandgait::sim::engine::EngineKind;
-use serde_json::Value;
+use sandgait::env::registry::Blueprint;
+use sandgait::env::shard::Shard;
+use sandgait::sim::tree::packed;
+use serde_json::{Value, json};
 use std::alloc::{GlobalAlloc, Layout, System};
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::cell::Cell;
 
-static USED: AtomicUsize = AtomicUsize::new(0);
+const ID: &str = "sandgait/LeggedVelocity-v0";
 
-struct Counting;
+/// Counts the bytes that this thread has in use.
+struct Counted;
 
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
+thread_local! {
+    static NOW: Cell<isize> = const { Cell::new(0) };
+}
 
-// SAFETY: the calls are passed on unchanged.
-unsafe impl GlobalAlloc for Counting {
+// SAFETY: every call is passed on to the system's allocator.
+unsafe impl GlobalAlloc for Counted {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        USED.fetch_add(layout.size(), Ordering::Relaxed);
+        NOW.set(NOW.get() + layout.size() as isize);
         unsafe { System.alloc(layout) }
     }
 
-    unsafe fn dealloc(&self, address: *mut u8, layout: Layout) {
-        USED.fetch_sub(layout.size(), Ordering::Relaxed);
-        unsafe { System.dealloc(address, layout) }
+    unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
+        NOW.set(NOW.get() - layout.size() as isize);
+        unsafe { System.dealloc(at, layout) }
     }
 }
 
-/// Memory of `envs` environments after some steps [bytes].
-fn used(blueprint: &Blueprint, envs: usize, pool: &Pool) -> usize {
-    let before = USED.load(Ordering::Relaxed);
-    let mut batch = Batch::new(blueprint, envs).unwrap();
-    let reset = batch.reset(None, Some((0..envs as u64).collect()), Default::default()).unwrap();
-    batch = pool.wait(batch, reset).unwrap();
-    for _ in 0..3 {
-        let width = batch.spec().action.len();
-        let step = batch.step(vec![0.5; envs * width]).unwrap();
-        batch = pool.wait(batch, step).unwrap();
-    }
-    let used = USED.load(Ordering::Relaxed) - before;
-    drop(batch);
-    used
+#[global_allocator]
+static ALLOCATOR: Counted = Counted;
+
+/// The built-in robot, changed.
+fn robot(change: impl FnOnce(&mut Value)) -> String {
+    let mut robot: Value = serde_json::from_str(include_str!("../src/env/options/sandcat.json")).unwrap();
+    change(&mut robot);
+    packed::compressed(&robot.to_string()).unwrap()
 }
 
-/// At least the memory that is used, and not so much that few sessions fit: our choice, a factor of 6, because an
-/// episode may have more patches, rocks or commands than these.
-#[test]
-fn what_is_reserved_is_what_is_used() {
-    let pool = Pool::new(1);
-    for task in TASK_IDS {
-        let blueprint = Blueprint::new(task, Value::Null).unwrap();
-        // Its constant is for resident memory, and this test counts what is allocated, used or not.
-        if blueprint.engine == EngineKind::Rapier {
-            continue;
+fn shape(name: &str) -> Value {
+    json!({"name": name, "origin": [0, 0, 0, 1, 0, 0, 0], "kind": "sphere", "size": [0.01, 0, 0], "friction": 1})
+}
+
+/// Bytes that `envs` environments take after some episodes, and that are reserved for them.
+fn taken(options: &Value, envs: usize) -> [usize; 2] {
+    let before = NOW.get();
+    let blueprint = Blueprint::new(ID, options.clone()).unwrap();
+    let mut shards: Vec<Shard> = (0..envs / 16).map(|_| Shard::new(&blueprint, 16).unwrap()).collect();
+    for shard in &mut shards {
+        for seed in 0..3 {
+            shard.reset(|_| true, Some(&[seed; 16]), |_| None);
+            shard.step(&vec![0.5; 16 * shard.actions()]);
         }
-        let envs = 64;
-        let (reserved, used) = (blueprint.bytes(envs), used(&blueprint, envs, &pool));
-        println!("{task}: {} bytes an environment reserved, {} used", reserved / envs, used / envs);
-        assert!(reserved >= used, "{task}: {reserved} {used}");
-        assert!(reserved <= 6 * used, "{task}: {reserved} {used}");
     }
+    [(NOW.get() - before) as usize, blueprint.bytes(envs)]
+}
+
+#[test]
+fn environments_take_what_is_reserved() {
+    let many = |count: usize| robot(|r| r["bodies"][0]["shapes"] = (0..count).map(|_| shape("s")).collect());
+    // Low enough that the robot stands on all of them.
+    let point = json!([0.0, 0.0, -0.5, 0.01, 1.0, 0.0, 0.0, 0.0]);
+    let points = |count: usize| robot(|r| r["bodies"][0]["contacts"] = (0..count).map(|_| point.clone()).collect());
+    let long =
+        |r: &mut Value| r["bodies"].as_array_mut().unwrap().iter_mut().for_each(|b| b["name"] = "n".repeat(200).into());
+    for (what, options) in [
+        ("sandcat on rigid ground", json!({"ground": "rigid"})),
+        ("sandcat on sand", json!({"ground": "poppy-close"})),
+        ("sandcat on both", json!({"ground": "mixed"})),
+        ("sandcat on dunes", json!({"ground": "dunes", "measure_heights": true})),
+        ("1,000 shapes", json!({"robot": many(1_000), "ground": "rigid"})),
+        ("5,000 points", json!({"robot": points(5_000), "ground": "rigid"})),
+        ("long names", json!({"robot": robot(long), "ground": "rigid"})),
+    ] {
+        for envs in [16, 208] {
+            let [took, reserved] = taken(&options, envs);
+            println!("{what}: {envs} environments take {} KiB of {} KiB", took >> 10, reserved >> 10);
+            assert!(took <= reserved, "{what}: {envs} environments took {took} of {reserved} bytes");
+            assert!(reserved < 4 * took, "{what}: {reserved} bytes are reserved for {took}");
+        }
+    }
+}
+
+/// Each list of a packed robot is bounded, whatever the other lists are.
+#[test]
+fn no_list_of_a_packed_robot_is_free() {
+    let refused = |change: &dyn Fn(&mut Value)| {
+        let options = json!({"robot": robot(change), "ground": "rigid"});
+        let error = Blueprint::new(ID, options).err().expect("it is refused").to_string();
+        assert!(!error.contains('\n') && error.len() < 300, "{error}");
+        error
+    };
+    let empty = json!({"meshes": [], "shapes": []});
+    let with_looks = |r: &mut Value| r["looks"] = empty.clone();
+    let shapes = |r: &mut Value| {
+        with_looks(r);
+        r["bodies"][0]["shapes"] = vec![shape("s"); 40_000].into();
+    };
+    assert!(refused(&shapes).contains("number of shapes: 40016 is outside [0, 4096]"));
+    let look = json!({"body": 0, "at": [0, 0, 0, 1, 0, 0, 0], "form": {"mesh": 0}});
+    let looks = |r: &mut Value| {
+        r["looks"] = json!({"meshes": [{"corners": [], "faces": []}], "shapes": vec![look.clone(); 50_000]});
+    };
+    assert!(refused(&looks).contains("shapes in looks: 50000 is outside"));
+    let corners = |r: &mut Value| {
+        r["looks"] = json!({"meshes": [{"corners": vec![[0, 0, 0]; 100_000], "faces": []}], "shapes": []});
+    };
+    assert!(refused(&corners).contains("corners of meshes in looks: 100000 is outside"));
+    let meshes = |r: &mut Value| {
+        r["looks"] = json!({"meshes": vec![json!({"corners": [], "faces": []}); 100_000], "shapes": []});
+    };
+    assert!(refused(&meshes).contains("meshes in looks: 100000 is outside"));
+    for place in ["/name", "/bodies/3/name", "/bodies/3/joint/name", "/bodies/0/shapes/0/name"] {
+        let long = |r: &mut Value| *r.pointer_mut(place).unwrap() = "x".repeat(10_000).into();
+        assert!(refused(&long).contains("length of a name: 10000 is outside [0, 200]"), "{place}");
+    }
+}
+
+/// A chain of bodies with many feet: the search of its stance is bounded.
+#[test]
+fn a_long_chain_stands_up_in_time() {
+    let chain = |r: &mut Value| {
+        let all = r["bodies"].as_array_mut().unwrap();
+        let mut joint = all[1].clone();
+        joint["joint"]["rest"] = Value::Null;
+        joint["plates"] = json!([]);
+        joint["contacts"] = json!([[0.0, 0.0, -0.01, 0.01, 1.0, 0.0, 0.0, 0.0]]);
+        all.truncate(1);
+        // 128 bodies in a row, and 127 feet on the last one.
+        for k in 1..256_usize {
+            joint["parent"] = k.min(129).saturating_sub(1).into();
+            all.push(joint.clone());
+        }
+        r["looks"] = json!({"meshes": [], "shapes": []});
+    };
+    let robot = robot(chain);
+    let start = std::time::Instant::now();
+    Blueprint::new(ID, json!({"robot": robot, "ground": "rigid"})).unwrap();
+    assert!(start.elapsed().as_secs() < 10, "{:?}", start.elapsed());
+    println!("a chain of 128 joints with 127 feet: {:?}", start.elapsed());
 }

@@ -5,6 +5,7 @@ use sandgait::progress::{Progress, Silent};
 use sandgait::train::{Request, Settings};
 use sandgait::{Error, Result};
 use serde_json::{Value, json};
+use std::collections::BTreeMap;
 use std::io::{BufRead as _, BufReader, Read as _};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
@@ -155,7 +156,7 @@ fn a_resumed_training_gives_the_same_bits() {
             assert!(why.contains("is kept in") && why.ends_with("go on with --resume"), "{why}");
         }
         let outcome = of(&parts, true).run(&Silent).unwrap();
-        assert_eq!(outcome.anew, None, "{task}");
+        assert!(outcome.notices.is_empty(), "{task}: {:?}", outcome.notices);
         assert!(result(&whole) == result(&parts), "{task}");
     }
 }
@@ -179,26 +180,146 @@ fn a_training_starts_from_what_another_has_learnt() {
     assert_eq!(after.steps, 256);
     assert!(after.normal.unwrap().observations.count > before.normal.unwrap().observations.count);
     let refused = |request: Request| request.run(&Silent).err().unwrap().to_string();
-    let other = of(&second, Some(policy.clone()), json!({"policy_kwargs": {"net_arch": [8]}}));
+    let third = directory.path().join("third");
+    let other = of(&third, Some(policy.clone()), json!({"policy_kwargs": {"net_arch": [8]}}));
     assert!(refused(other).contains("policy.safetensors"));
     let both = Request { resume: true, ..of(&second, Some(policy), json!({})) };
     assert!(refused(both).contains("start_from"));
 }
 
-/// If the environments differ from those of the checkpoint, the resumed training begins new episodes and says why.
+/// The bytes of all files below `folder`.
+fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut all = BTreeMap::new();
+    for entry in std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()) {
+        if entry.is_dir() {
+            all.extend(files(&entry));
+        } else {
+            all.insert(entry.clone(), std::fs::read(&entry).unwrap());
+        }
+    }
+    all
+}
+
+/// A checkpoint knows its training: `--resume` refuses another and names the difference; a new training refuses a
+/// folder with results. Neither changes a file.
 #[test]
-fn other_environments_begin_new_episodes() {
+fn a_training_in_another_s_folder_destroys_nothing() {
     let directory = tempfile::tempdir().unwrap();
     let out = directory.path();
-    request("sandgait/HexapodGait-v1", out, 256, &json!({})).run(&Silent).unwrap();
-    let anew = |changes: Value, options: Value| {
-        let request = Request { options, resume: true, ..request("sandgait/HexapodGait-v1", out, 512, &changes) };
-        request.run(&Silent).unwrap().anew.unwrap()
+    let gait = "sandgait/HexapodGait-v1";
+    request(gait, out, 256, &json!({})).run(&Silent).unwrap();
+    let before = files(out);
+    let refused = |request: Request| {
+        let error = request.run(&Silent).err().expect("it is refused").to_string();
+        assert!(files(out) == before, "{error}");
+        assert!(!error.contains('\n'), "{error}");
+        error
     };
-    let same = json!({"max_episode_steps": 30});
-    assert_eq!(anew(json!({"n_envs": 32}), same), "the checkpoint has not 32 environments");
+    let resumed = |request: Request| refused(Request { resume: true, ..request });
     let slope = json!({"max_episode_steps": 30, "slope_deg": 3.0});
-    assert_eq!(anew(json!({"n_timesteps": 1024}), slope), "the checkpoint's task has other options");
+    for (request, words) in [
+        (Request { seed: 4, ..request(gait, out, 512, &json!({})) }, "its seed is 3, not 4"),
+        (
+            request("sandgait/HexapodLegs-v1", out, 512, &json!({})),
+            "its task is sandgait/HexapodGait-v1, not sandgait/",
+        ),
+        (request(gait, out, 512, &json!({"n_envs": 32})), "its n_envs is 16, not 32"),
+        (request(gait, out, 512, &json!({"gamma": 0.9})), "its gamma is 0.99, not 0.9"),
+        (Request { options: slope, ..request(gait, out, 512, &json!({})) }, "its slope_deg is 0.0, not 3.0"),
+    ] {
+        let error = resumed(request);
+        assert!(
+            error.contains("256.safetensors: it belongs to another training: ") && error.contains(words),
+            "{error}"
+        );
+    }
+    let error = refused(request(gait, out, 256, &json!({})));
+    assert!(error.contains("it has the results of another training: go on with that one with --resume"), "{error}");
+    // Only the end of the training differs.
+    let more = Request { resume: true, ..request(gait, out, 512, &json!({})) };
+    assert_eq!(more.run(&Silent).unwrap().learnt.steps, 512);
+}
+
+/// A power cut can leave an empty or a torn file. The newest whole checkpoint is used, and a torn end of the curve is
+/// left out.
+#[test]
+fn torn_files_do_not_stop_a_resumption() {
+    let directory = tempfile::tempdir().unwrap();
+    let [whole, torn] = ["whole", "torn"].map(|name| directory.path().join(name));
+    let of = |out: &Path, steps: u64, resume: bool| Request {
+        resume,
+        ..request("sandgait/HexapodGait-v1", out, steps, &json!({"learning_rate": 1e-3}))
+    };
+    of(&whole, 512, false).run(&Silent).unwrap();
+    of(&torn, 256, false).run(&Silent).unwrap();
+    let checkpoints = torn.join("checkpoints");
+    let good = std::fs::read(checkpoints.join("256.safetensors")).unwrap();
+    std::fs::write(checkpoints.join("384.safetensors"), &good[..good.len() / 2]).unwrap();
+    std::fs::write(checkpoints.join("512.safetensors"), b"").unwrap();
+    std::fs::write(checkpoints.join("640.safetensors"), vec![0; good.len()]).unwrap();
+    let curve = torn.join("curve.csv");
+    let lines = std::fs::read_to_string(&curve).unwrap();
+    std::fs::write(&curve, lines + "384,0.").unwrap();
+    let outcome = of(&torn, 512, true).run(&Silent).unwrap();
+    assert_eq!(outcome.notices.len(), 3, "{:?}", outcome.notices);
+    for (notice, name) in outcome.notices.iter().zip(["640", "512", "384"]) {
+        assert!(notice.contains("a checkpoint was skipped: ") && notice.contains(name), "{notice}");
+    }
+    assert!(result(&whole) == result(&torn));
+}
+
+/// A training of LeggedVelocity is scored by commands, and `sandgait evaluate --commands` gives the same table.
+#[test]
+fn a_legged_training_is_scored_by_commands() {
+    let directory = tempfile::tempdir().unwrap();
+    let out = directory.path().join("cat");
+    let path = out.to_str().unwrap();
+    let task = ["--task", "LeggedVelocity", "--option", "ground=rigid", "--set", "mirror=true"];
+    let output = train(&[&SMALL[..10], &task, &["--timesteps", "512", "--out", path]].concat());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let table = |text: &str| text.lines().filter(|line| line.contains(" %")).map(str::to_owned).collect::<Vec<_>>();
+    let text = std::fs::read_to_string(out.join("evaluation.txt")).unwrap();
+    assert!(text.contains("without noise and randomness, by command:"), "{text}");
+    let settings: Value = serde_json::from_slice(&std::fs::read(out.join("settings.json")).unwrap()).unwrap();
+    assert_eq!(settings["score"]["lines"].as_array().unwrap().len(), 9);
+    let csv = directory.path().join("commands.csv");
+    let evaluated = Command::new(env!("CARGO_BIN_EXE_sandgait"))
+        .args(["evaluate", out.join("policy.onnx").to_str().unwrap(), "--commands", "--csv", csv.to_str().unwrap()])
+        .output()
+        .unwrap();
+    assert!(evaluated.status.success(), "{}", String::from_utf8_lossy(&evaluated.stderr));
+    let lines = table(&String::from_utf8(evaluated.stdout).unwrap());
+    assert_eq!(lines[..], table(&text)[table(&text).len() - lines.len()..]);
+    assert_eq!(lines.len(), 10, "nine commands and their mean");
+    assert_eq!(std::fs::read_to_string(csv).unwrap().lines().count(), 10);
+}
+
+/// Two trainings cannot write into one folder.
+#[test]
+fn a_second_process_is_refused() {
+    let directory = tempfile::tempdir().unwrap();
+    let out = directory.path().join("out");
+    let path = out.to_str().unwrap();
+    let steps = ["--timesteps", "100000000", "--out", path];
+    let mut first = Command::new(env!("CARGO_BIN_EXE_sandgait"))
+        .arg("train")
+        .args(SMALL.iter().chain(&steps))
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    while !out.join("curve.csv").exists() {
+        assert!(first.try_wait().unwrap().is_none(), "the training has ended");
+        std::thread::sleep(std::time::Duration::from_millis(20));
+    }
+    for more in [&[] as &[&str], &["--resume"]] {
+        let line = one_line(&[&SMALL[..], &steps, more].concat());
+        assert!(line.contains("another process writes into this folder; choose another one with --out"), "{line}");
+    }
+    // The lock ends with the process, even if it is killed.
+    first.kill().unwrap();
+    first.wait().unwrap();
+    let output = train(&[&SMALL[..], &["--timesteps", "256", "--out", path]].concat());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
 /// A process `sandgait serve`, which is ended when this value is dropped.

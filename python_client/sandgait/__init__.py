@@ -38,7 +38,7 @@ from .remote import Remote
 from .spaces import Column, Option, Task
 from .studies import Intrusion, Sweep, Trials, Walks, intrude, sweep, walk
 from .tables import Table
-from .training import Training, train
+from .training import Training, mirror, train
 from .vector_env import SandgaitVectorEnv
 
 if TYPE_CHECKING:
@@ -79,6 +79,7 @@ __all__ = [
     "export_onnx",
     "intrude",
     "make_sb3",
+    "mirror",
     "read_recording",
     "sweep",
     "train",

@@ -30,9 +30,8 @@ class Training:
     #: The learning curve. Columns: steps, seconds [s], and return, the mean over the episodes that ended since the row
     #: before.
     curve: Table
-    #: Evaluation of the policy without noise over 100 seeds that the training did not use, as in settings.json. Empty
-    #: for
-    #: tasks without walking.
+    #: Evaluation of the policy without noise, as in settings.json: over 100 seeds that the training did not use, or for
+    #: LeggedVelocity of nine commands. None for LegStroke.
     score: dict[str, Any] | None
     #: The results as text.
     summary: str
@@ -80,10 +79,11 @@ def train(
     and the result has the same bits in each run.
 
     `hyperparameters`: a file in the format of rl-zoo3; by default the program's own values. `settings`: values that
-    replace those of the file. `resume`: continue from the last checkpoint in `out`. `start_from`: the
-    policy.safetensors of another training of the same task, observation and actions. This training then starts from
-    its weights. `threads`: number of simulating threads; 0 stands for one on each processor. `address`: the server that
-    simulates. `options`: the same as for `gymnasium.make`.
+    replace those of the file. `resume`: continue the training in `out`, which must have the same task, options, seed
+    and settings; without it a folder with results is refused. `start_from`: the policy.safetensors of another training
+    of the same task, observation and actions. This training then starts from its weights. `threads`: number of
+    simulating threads; 0 stands for one on each processor. `address`: the server that simulates. `options`: the same as
+    for `gymnasium.make`.
 
     Ctrl-C, or an exception that `progress` raises, ends the training at once and leaves a checkpoint.
     """
@@ -116,3 +116,16 @@ def _place(address: str | None) -> _native.Address | None:
     from . import client
 
     return client.place(address)
+
+
+#: For each column: the index of the column that has its mirrored value, and the sign of that value.
+Mirror = tuple[list[int], list[float]]
+
+
+def mirror(task: str, **options: Any) -> tuple[Mirror, Mirror]:
+    """The left–right mirrors of a task's observations and of its actions: a mirrored row is `signs * row[order]`.
+
+    That of a robot from a file follows from its geometry in the standing pose. If the robot is not symmetric,
+    InvalidRequest names the joint. `options`: the same as for `gymnasium.make`.
+    """
+    return _native.mirror(task, with_files(options))

@@ -3,9 +3,11 @@
 use super::Bar;
 use sandgait::env::Task;
 use sandgait::env::gait::HexapodGait;
+use sandgait::env::legged::LeggedVelocity;
+use sandgait::evaluate::commands::{self, CommandStudy};
 use sandgait::evaluate::{Request, Row, Study, Wanted, table};
 use sandgait::{Error, Result};
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
 /// Evaluate a gait: returns, speeds, costs and falls over seeds that no training uses, for each medium and slope.
@@ -14,10 +16,14 @@ use std::path::{Path, PathBuf};
 /// rate. tripod has the best rate, searched on other seeds than those of the evaluation. clock:FILE.json and
 /// clock:N,N,… repeat one action of control="clock". standing and random are for comparison. docs/evaluate.md defines
 /// every figure.
+///
+/// With --commands: how well a policy of LeggedVelocity follows nine commands, half or nearly all of the ranges of its
+/// training, without randomness. Without --options the options are those in settings.json beside the policy.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait evaluate runs/gait/policy.onnx --media poppy-loose,poppy-close --slopes 0,5,10
   sandgait evaluate tripod --slopes 0,10 --json tripod.json
+  sandgait evaluate runs/go1/policy.onnx --commands --csv commands.csv
   sandgait evaluate clock:best.json --options '{\"leg\": \"C\"}' --csv clock.csv")]
 pub struct Evaluate {
     /// Gait: FILE.onnx, tripod[:HZ], clock:FILE.json, clock:N,N,…, standing or random
@@ -37,6 +43,9 @@ pub struct Evaluate {
     /// Slopes [°], instead of the slope in the options
     #[arg(long, value_name = "DEG,…", value_delimiter = ',', allow_hyphen_values = true)]
     slopes: Vec<f64>,
+    /// How well a policy of LeggedVelocity follows commands
+    #[arg(long, conflicts_with_all = ["task", "seeds", "media", "slopes"])]
+    commands: bool,
     /// Also write all results to this JSON file
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
@@ -52,6 +61,12 @@ impl Evaluate {
             serde_json::from_str(text).map_err(|e| Error::invalid("--options", format!("not JSON: {e}")))
         })?;
         super::read_files(&mut options)?;
+        // The paths are checked before the work begins.
+        let files = [self.json.clone(), self.csv.clone()];
+        files.iter().flatten().try_for_each(|path| writable(path))?;
+        if self.commands {
+            return follow(&self.policy, options, read, &files);
+        }
         let request = Request {
             policy: Wanted::parse(&self.policy, read)?,
             task: self.task,
@@ -62,19 +77,47 @@ impl Evaluate {
         };
         let study = Study::new(&request)?;
         super::warn_of_unfelt_option(&request.options);
-        // The paths are checked before the work begins.
-        for path in [&self.json, &self.csv].into_iter().flatten() {
-            writable(path)?;
-        }
         let rows = study.run(&Bar::new())?;
         let about = Study::about(&request);
         let text = report(&about, &rows);
-        let files = [(self.json, super::json(&table::json(about, &rows))), (self.csv, table::csv(&rows))];
-        for (path, content) in files {
-            let Some(path) = path else { continue };
-            std::fs::write(&path, content).map_err(|e| Error::file(&path, e))?;
-        }
+        write(&files, &table::json(about, &rows), &table::csv(&rows))?;
         Ok(text)
+    }
+}
+
+/// How well the policy follows commands.
+fn follow(
+    name: &str,
+    options: Value,
+    read: impl Fn(&str) -> Result<Vec<u8>>,
+    files: &[Option<PathBuf>; 2],
+) -> Result<String> {
+    let policy = Wanted::parse(name, read)?;
+    let options = if options.is_null() { own_options(Path::new(name))? } else { options };
+    let followed = CommandStudy::new(&policy, &options)?.run(&Bar::new())?;
+    let about = json!({"policy": name, "task": LeggedVelocity::ID, "results": followed});
+    write(files, &about, &commands::csv(&followed))?;
+    let (table, summary) = (super::table(&commands::cells(&followed)), commands::summary(&followed));
+    Ok(format!("{name}, {}\n\n{table}\n{summary}\n", LeggedVelocity::ID))
+}
+
+/// Writes the results to the files that were asked for.
+fn write(files: &[Option<PathBuf>; 2], json: &Value, csv: &str) -> Result<()> {
+    for (path, content) in files.iter().zip([super::json(json), csv.to_owned()]) {
+        let Some(path) = path else { continue };
+        std::fs::write(path, content).map_err(|e| Error::file(path, e))?;
+    }
+    Ok(())
+}
+
+/// The options with which a policy was trained, from `settings.json` beside it; null if there is no such file.
+fn own_options(policy: &Path) -> Result<Value> {
+    let path = policy.with_file_name("settings.json");
+    let Ok(text) = std::fs::read(&path) else { return Ok(Value::Null) };
+    let settings: Value = serde_json::from_slice(&text).map_err(|e| Error::file(&path, e))?;
+    match settings["task"].as_str() {
+        Some(LeggedVelocity::ID) => Ok(settings["options"].clone()),
+        task => Err(Error::file(&path, format!("its task is {}, not {}", task.unwrap_or("none"), LeggedVelocity::ID))),
     }
 }
 

@@ -10,6 +10,7 @@ mod evaluate;
 mod heights;
 mod intrude;
 mod media;
+mod progress;
 mod replay;
 mod reproduce;
 mod robot;
@@ -27,10 +28,9 @@ pub use heights::pack as pack_heights;
 pub use robot::pack as pack_robot;
 pub use train::{Training, learn};
 
+use self::progress::Bar;
 use clap::error::ErrorKind;
 use clap::{CommandFactory as _, Parser, Subcommand};
-use indicatif::{ProgressBar, ProgressStyle};
-use sandgait::progress::Progress;
 use sandgait::sand::{Medium, SandDescription};
 use sandgait::{Error, Result};
 use std::ffi::OsString;
@@ -194,32 +194,6 @@ fn warn_of_unfelt_option(options: &serde_json::Value) {
 fn warn_of_unfelt(sand: &SandDescription) {
     for line in sand.mechanisms.unfelt_by_walkers() {
         eprintln!("sandgait: warning: sand {}: {line}", sand.name);
-    }
-}
-
-/// A progress bar. If the output is not a terminal, indicatif prints nothing.
-struct Bar(ProgressBar);
-
-impl Bar {
-    const STEPS: u64 = 1000;
-
-    fn new() -> Self {
-        let style = ProgressStyle::with_template("{bar:40} {percent} % of {msg}, {eta} left");
-        Self(ProgressBar::new(Self::STEPS).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar())))
-    }
-}
-
-impl Progress for Bar {
-    fn report(&self, done: f64, stage: &str) -> Result<()> {
-        self.0.set_message(stage.to_owned());
-        self.0.set_position((done * Self::STEPS as f64) as u64);
-        Ok(())
-    }
-}
-
-impl Drop for Bar {
-    fn drop(&mut self) {
-        self.0.finish_and_clear();
     }
 }
 

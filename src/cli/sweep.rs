@@ -4,6 +4,7 @@ use super::Bar;
 use sandgait::env::Task;
 use sandgait::env::gait::HexapodGait;
 use sandgait::error::check_range;
+use sandgait::files::{self, Lock};
 use sandgait::plot::png;
 use sandgait::sand::{Law, Medium};
 use sandgait::sim::Robot;
@@ -117,7 +118,7 @@ impl Sweep {
 
     fn grid(&self, base: &Design, axes: &[Axis], measure: Measure) -> Result<String> {
         let count = grid::check_grid(base, axes)?;
-        self.prepare()?;
+        let _lock = self.prepare()?;
         let start = std::time::Instant::now();
         let results = grid(base, axes, &Bar::new())?;
         let seconds = start.elapsed().as_secs_f64();
@@ -150,14 +151,14 @@ impl Sweep {
         let (trainings, warm, out) = (self.trainings, self.warm, self.out.clone());
         let study = design::Study { base, axes, options, settings, trainings, warm, search, out };
         study.check()?;
-        self.prepare()?;
+        let _lock = self.prepare()?;
         let findings = study.run(measure, &Bar::new())?;
         super::design::report(&study, &findings, measure, &self.out)
     }
 
     fn search(&self, base: &Design, axes: &[Axis], goal: Measure) -> Result<String> {
         optimize::bounds(base, axes)?;
-        self.prepare()?;
+        let _lock = self.prepare()?;
         let start = std::time::Instant::now();
         let best = optimize::optimize(base, axes, goal, &Bar::new())?;
         let named: Vec<_> =
@@ -179,13 +180,14 @@ impl Sweep {
         ))
     }
 
-    fn prepare(&self) -> Result<()> {
-        std::fs::create_dir_all(&self.out).map_err(|e| Error::file(&self.out, e))
+    /// The folder for the results, for this process alone.
+    fn prepare(&self) -> Result<Lock> {
+        std::fs::create_dir_all(&self.out).map_err(|e| Error::file(&self.out, e))?;
+        Lock::new(&self.out, "choose another one with --out, or wait until it has ended")
     }
 
     fn write(&self, name: &str, text: &str) -> Result<()> {
-        let path = self.out.join(name);
-        std::fs::write(&path, text).map_err(|e| Error::file(&path, e))
+        files::write(&self.out.join(name), text.as_bytes())
     }
 }
 

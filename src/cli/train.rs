@@ -5,11 +5,11 @@ use sandgait::client::ServerAddress;
 use sandgait::client::training::Session;
 use sandgait::env::Task;
 use sandgait::env::gait::HexapodGait;
-use sandgait::evaluate::{FIRST_SEED, Request as Evaluation, table};
+use sandgait::evaluate::{FIRST_SEED, Request as Evaluation, commands, table};
 use sandgait::progress::Progress;
 use sandgait::train::remote::Remote;
-use sandgait::train::{Connect, Outcome, Request, entry};
-use sandgait::{Error, Result, parallel};
+use sandgait::train::{Connect, Outcome, Request, Score, entry};
+use sandgait::{Error, Result, files, parallel};
 use serde_json::{Map, Value};
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
@@ -26,10 +26,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 #[command(after_help = "Examples:
   sandgait train                                     (HexapodGait, a minute)
   sandgait train --task HexapodLegs --seed 1 --out runs/legs
-  sandgait train --option leg=C --option slope_deg=5 --set gamma=0.97 --seconds 30
   sandgait train --resume --seconds 120              (continues from the last checkpoint in the directory)
-  sandgait train --option slope_deg=10 --start-from runs/HexapodGait-fast/policy.safetensors --out runs/slope
-  sandgait train --timesteps 2000000                 (the same bits each time, because it has no limit of time)
+  sandgait train --option leg=C --option slope_deg=5 --set gamma=0.97 --seconds 30 --out runs/slope
+  sandgait train --option slope_deg=10 --start-from runs/HexapodGait-fast/policy.safetensors --out runs/steep
+  sandgait train --timesteps 2000000 --out runs/two  (the same bits each time, because it has no limit of time)
   sandgait train --address sand.lab:50051 --ca ca.pem --token-file token    (environments on a server)")]
 pub struct Train {
     /// Name or id of the task
@@ -202,7 +202,7 @@ pub fn learn(request: &Request, progress: &dyn Progress) -> Result<(Outcome, Str
     let outcome = request.run(progress)?;
     let text = report(request, &outcome);
     let path = request.out.join("evaluation.txt");
-    std::fs::write(&path, &text).map_err(|e| Error::file(&path, e))?;
+    files::write(&path, text.as_bytes())?;
     Ok((outcome, text))
 }
 
@@ -217,18 +217,22 @@ fn report(request: &Request, outcome: &Outcome) -> String {
         learnt.steps as f64 / 1e6,
         learnt.seconds,
     );
-    if let Some(why) = &outcome.anew {
-        text += &format!("new episodes began at the resumption: {why}\n");
+    for notice in &outcome.notices {
+        text += &format!("{notice}\n");
     }
-    if let Some(row) = &outcome.score {
-        let rows = [row.clone()];
-        let last = FIRST_SEED + Evaluation::SEEDS as u64 - 1;
-        let (cells, notes) = (table::cells(&rows), table::notes(&rows));
-        text += &format!(
-            "\nwithout noise, unseen seeds {FIRST_SEED} to {last}:\n\n{}\n{}\n",
-            super::table(&cells),
-            notes.join("\n")
-        );
+    match &outcome.score {
+        Some(Score::Walking(row)) => {
+            let rows = [row.clone()];
+            let last = FIRST_SEED + Evaluation::SEEDS as u64 - 1;
+            let (cells, notes) = (table::cells(&rows), table::notes(&rows));
+            let head = format!("without noise, unseen seeds {FIRST_SEED} to {last}:");
+            text += &format!("\n{head}\n\n{}\n{}\n", super::table(&cells), notes.join("\n"));
+        }
+        Some(Score::Commands(followed)) => {
+            let (cells, summary) = (commands::cells(followed), commands::summary(followed));
+            text += &format!("\nwithout noise and randomness, by command:\n\n{}\n{summary}\n", super::table(&cells));
+        }
+        None => (),
     }
     text
 }

@@ -145,7 +145,7 @@ impl Experiment {
     /// Calls `take` with each row of the data, with the experiment's columns and units.
     pub fn read(&self, data: &Path, columns: &[Column], take: impl FnMut(&Row) -> Result<()>) -> Result<Summary> {
         let (renamed, units) = (self.columns.clone(), self.units.clone());
-        table::read(data, &Asked { columns, renamed, units, most_rows: Some(MOST_ROWS) }, take)
+        table::read(data, &Asked { renamed, units, most_rows: Some(MOST_ROWS), ..Asked::new(columns) }, take)
     }
 
     pub fn from_toml(text: &str) -> Result<Self> {

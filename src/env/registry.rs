@@ -5,6 +5,7 @@ use super::legged::LeggedVelocity;
 use super::legs::HexapodLegs;
 use super::options::{self, OptionRow, Options, ResetOptions};
 use super::rocks::HexapodRocks;
+use super::spec::Column;
 use super::stroke::LegStroke;
 use super::task::{AnyTask, Task, TaskSetup};
 use super::terrain::HexapodTerrain;
@@ -162,14 +163,27 @@ impl Blueprint {
         self.task.rows().into_iter().map(keyword).collect()
     }
 
-    /// Estimated memory of `envs` environments [bytes]: their model, and for each the rows (twice, because of final
-    /// observations), its robot, its episode, the one before it, and the copy that a rollout or restore makes.
+    /// Estimated memory of `envs` environments with these options [bytes].
     pub fn bytes(&self, envs: usize) -> usize {
+        self.shared_bytes() + envs * self.bytes_per_env()
+    }
+
+    /// Memory of one environment [bytes]: rows twice (final observations), its robot, its episode, the one before it, and
+    /// the copy that a rollout or restore makes. The measured constant is for two episodes; each episode of a tree robot
+    /// has a model of its own.
+    pub fn bytes_per_env(&self) -> usize {
         let (spec, model) = (self.task.spec(), self.task.model());
         let rows = 4 * (2 * spec.observation.len() + spec.info.len() + spec.action.len());
-        // The models of other engines' episodes are in the measured constant, which is for two episodes.
-        let drawn = if model.tree.is_some() { model.copy_bytes() } else { 0 };
-        let episode = self.episode_bytes / 2 + drawn;
-        model.bytes() + envs * (rows + 3 * episode) + self.engine.bytes(model, envs)
+        let drawn = model.tree.as_ref().map_or(0, |_| model.episode_bytes());
+        rows + self.episode_bytes / 2 * 3 + 3 * drawn + model.robot_bytes(self.engine)
+    }
+
+    /// Memory that environments with the same options share [bytes]: the model, and the names of all columns, which the
+    /// task has twice. Each reset or restore that brings other options needs it once more.
+    pub fn shared_bytes(&self) -> usize {
+        let spec = self.task.spec();
+        let columns = spec.observation.iter().chain(&spec.action).chain(&spec.info);
+        let columns: usize = columns.map(|c| size_of::<Column>() + c.name.len()).sum();
+        self.task.model().memory_bytes() + 2 * columns
     }
 }

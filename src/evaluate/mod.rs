@@ -1,7 +1,8 @@
 //! Evaluates gaits: returns, speeds, costs and falls over seeds that no training uses, on several media and slopes.
 //!
 //! [`gait`]: the evaluated gait → [`run`]: episodes over lanes and cores, each an [`episode`] of sums →
-//! [`figures`]: means with intervals → [`table`]: text, CSV and JSON. `docs/evaluate.md` defines every figure.
+//! [`figures`]: means with intervals → [`table`]: text, CSV and JSON. [`commands`]: how well a policy of LeggedVelocity
+//! follows commands. `docs/evaluate.md` defines every figure.
 
 use sandgait_base::{error, parallel, progress};
 use sandgait_env as env;
@@ -9,6 +10,7 @@ use sandgait_policy as policy;
 use sandgait_sand as sand;
 use sandgait_sim as sim;
 
+pub mod commands;
 pub mod episode;
 pub mod figures;
 pub mod gait;
@@ -18,8 +20,9 @@ pub mod table;
 pub use figures::{Estimate, Figures};
 pub use gait::Wanted;
 
-use crate::env::ResetOptions;
+use crate::env::legged::LeggedVelocity;
 use crate::env::registry::Blueprint;
+use crate::env::{ResetOptions, Task};
 use crate::error::{Error, Result, check_range};
 use crate::progress::{Part, Progress};
 use gait::Gait;
@@ -36,10 +39,14 @@ const SEARCH_SEEDS: std::ops::Range<u64> = 2_000_000..2_000_032;
 const RATES: std::ops::RangeInclusive<u32> = 1..=20;
 const RATE_STEP: f64 = 0.25;
 
-/// Largest number of seeds: more would include [`SEARCH_SEEDS`].
-const MOST_SEEDS: usize = 1_000_000;
-/// Largest number of combinations of media and slopes: our choice, an hour's work.
+/// Largest number of seeds: our choice. With so many, intervals are a hundredth of the spread between episodes.
+const MOST_SEEDS: usize = 100_000;
+/// Largest number of combinations of media and slopes, and of all their episodes together: our choice, an hour's work.
 const MOST_CONDITIONS: usize = 1_000;
+const MOST_EPISODES: usize = 1_000_000;
+/// Number of episodes that are played together, if the seeds of one condition are not more: our choice. All processors have
+/// work, and the sums over the episodes take some 2 MB.
+const TOGETHER: usize = 1 << 14;
 
 /// A request for an evaluation.
 pub struct Request {
@@ -59,18 +66,15 @@ impl Request {
     pub const SEEDS: usize = 100;
 }
 
-/// One medium and slope.
-struct Condition {
-    medium: String,
-    slope_deg: f64,
-    blueprint: Blueprint,
-    /// None: the tripod with the best rate is used.
-    gait: Option<Gait>,
-}
+/// A medium and a slope [°].
+type Condition = (String, f64);
 
 /// A checked [`Request`].
 pub struct Study {
+    base: Blueprint,
     conditions: Vec<Condition>,
+    /// None: the tripod with the best rate of each condition is used.
+    gait: Option<Gait>,
     seeds: usize,
 }
 
@@ -91,6 +95,10 @@ impl Study {
         check_range("seeds", *seeds as f64, 2.0..=MOST_SEEDS as f64)?;
         let options = policy.with_control(options.clone())?;
         let base = Blueprint::new(task, options)?;
+        if base.task.spec().id == LeggedVelocity::ID {
+            let reason = "it follows commands: `sandgait evaluate POLICY --commands` measures how well";
+            return Err(Error::invalid("task", format!("{}: {reason}", LeggedVelocity::ID)));
+        }
         let text = |name: &str| base.task.option(name).as_str().unwrap_or_default().to_owned();
         if !media.is_empty() && !text("sand").is_empty() {
             return Err(Error::invalid("media", "the option sand is given already; leave out one of the two"));
@@ -101,66 +109,44 @@ impl Study {
         } else {
             slopes.clone()
         };
-        check_range("media times slopes", (media.len() * slopes.len()) as f64, 1.0..=MOST_CONDITIONS as f64)?;
+        let count = media.len() * slopes.len();
+        check_range("media times slopes", count as f64, 1.0..=MOST_CONDITIONS as f64)?;
+        check_range("seeds times media times slopes", (seeds * count) as f64, 1.0..=MOST_EPISODES as f64)?;
         let gait = policy.gait(&base)?;
         episode::Columns::of(base.task.spec())?;
-        let condition = |medium: &String, slope_deg: f64| {
-            let change = ResetOptions::new(json!({"medium": medium, "slope_deg": slope_deg}))?;
-            let blueprint = base.changed(&change)?;
-            Ok(Condition { medium: medium.clone(), slope_deg, blueprint, gait: gait.clone() })
-        };
-        let all = media.iter().flat_map(|m| slopes.iter().map(move |s| (m, *s)));
-        let conditions = all.map(|(m, s)| condition(m, s)).collect::<Result<_>>()?;
-        Ok(Self { conditions, seeds: *seeds })
+        let all = media.iter().flat_map(|medium| slopes.iter().map(|slope| (medium.clone(), *slope)));
+        let study = Self { conditions: all.collect(), base, gait, seeds: *seeds };
+        study.conditions.iter().try_for_each(|condition| study.blueprint(condition).map(drop))?;
+        Ok(study)
+    }
+
+    fn blueprint(&self, (medium, slope_deg): &Condition) -> Result<Blueprint> {
+        self.base.changed(&ResetOptions::new(json!({"medium": medium, "slope_deg": slope_deg}))?)
     }
 
     /// Runs all episodes; returns one row for each medium and slope; the slope varies fastest. An error of `progress` stops
-    /// the work.
+    /// the work. The episodes of some conditions at a time are in memory.
     pub fn run(&self, progress: &dyn Progress) -> Result<Vec<Row>> {
-        let searched = self.conditions.iter().any(|c| c.gait.is_none());
-        let share = if searched { self.search_share() } else { 0.0 };
-        let best = self.search(&Part::new(progress, [0.0, share]))?;
-        let seeds: Vec<u64> = (FIRST_SEED..).take(self.seeds).collect();
-        let jobs = self.conditions.iter().zip(&best);
-        let jobs: Vec<_> =
-            jobs.map(|(c, (gait, _))| run::Job { blueprint: &c.blueprint, gait, seeds: &seeds }).collect();
-        let episodes = run::play(&jobs, &Part::new(progress, [share, 1.0]))?;
-        let row = |((c, (_, rate)), episodes): ((&Condition, &(Gait, Option<f64>)), &Vec<_>)| Row {
-            medium: c.medium.clone(),
-            slope_deg: c.slope_deg,
-            rate: *rate,
-            figures: Figures::of(episodes),
-        };
-        Ok(self.conditions.iter().zip(&best).zip(&episodes).map(row).collect())
-    }
-
-    fn search_share(&self) -> f64 {
-        let [search, rest] = [RATES.count() * SEARCH_SEEDS.count(), self.seeds].map(|n| n as f64);
-        search / (search + rest)
-    }
-
-    /// The gait of each condition. For a condition without a gait this is the tripod with the greatest mean return
-    /// among several rates, and its rate.
-    fn search(&self, progress: &dyn Progress) -> Result<Vec<(Gait, Option<f64>)>> {
-        let seeds: Vec<u64> = SEARCH_SEEDS.collect();
-        let rates: Vec<f64> = RATES.map(|k| f64::from(k) * RATE_STEP).collect();
-        let open: Vec<&Condition> = self.conditions.iter().filter(|c| c.gait.is_none()).collect();
-        let tripods = open.iter().flat_map(|c| rates.iter().map(|rate| Gait::tripod(*rate, c.blueprint.task.spec())));
-        let tripods: Vec<Gait> = tripods.collect();
-        let each = open.iter().flat_map(|c| std::iter::repeat_n(c, rates.len())).zip(&tripods);
-        let jobs: Vec<_> = each.map(|(c, gait)| run::Job { blueprint: &c.blueprint, gait, seeds: &seeds }).collect();
-        let played = run::play(&jobs, progress)?;
-        let total = |episodes: &Vec<episode::Episode>| episodes.iter().map(|e| e.total_reward).sum::<f64>();
-        let totals: Vec<f64> = played.iter().map(total).collect();
-        let mut found = totals.chunks_exact(rates.len()).zip(tripods.chunks_exact(rates.len()));
-        let chosen = self.conditions.iter().map(|condition| match &condition.gait {
-            Some(gait) => Some((gait.clone(), None)),
-            None => found.next().and_then(|(totals, tripods)| {
-                let best = (0..rates.len()).max_by(|a, b| totals[*a].total_cmp(&totals[*b]))?;
-                Some((tripods[best].clone(), Some(rates[best])))
-            }),
-        });
-        Ok(chosen.flatten().collect())
+        let searched = if self.gait.is_none() { RATES.count() * SEARCH_SEEDS.count() } else { 0 };
+        let groups = self.conditions.chunks((TOGETHER / (searched + self.seeds)).max(1));
+        let (count, share) = (groups.len() as f64, searched as f64 / (searched + self.seeds) as f64);
+        let mut rows = Vec::with_capacity(self.conditions.len());
+        for (k, group) in groups.enumerate() {
+            let part = Part::new(progress, [k as f64 / count, (k + 1) as f64 / count]);
+            let blueprints = group.iter().map(|condition| self.blueprint(condition)).collect::<Result<Vec<_>>>()?;
+            let best = match &self.gait {
+                Some(gait) => vec![(gait.clone(), None); group.len()],
+                None => search(&blueprints, &Part::new(&part, [0.0, share]))?,
+            };
+            let seeds: Vec<u64> = (FIRST_SEED..).take(self.seeds).collect();
+            let jobs = blueprints.iter().zip(&best);
+            let jobs: Vec<_> = jobs.map(|(blueprint, (gait, _))| run::Job { blueprint, gait, seeds: &seeds }).collect();
+            let episodes = run::play(&jobs, &Part::new(&part, [share, 1.0]))?;
+            rows.extend(group.iter().zip(&best).zip(&episodes).map(|(((medium, slope_deg), (_, rate)), episodes)| {
+                Row { medium: medium.clone(), slope_deg: *slope_deg, rate: *rate, figures: Figures::of(episodes) }
+            }));
+        }
+        Ok(rows)
     }
 
     /// The settings that a report states.
@@ -184,4 +170,23 @@ impl Study {
             "version": env!("CARGO_PKG_VERSION"),
         })
     }
+}
+
+/// For each condition the tripod with the greatest mean return among several rates, and its rate.
+fn search(conditions: &[Blueprint], progress: &dyn Progress) -> Result<Vec<(Gait, Option<f64>)>> {
+    let seeds: Vec<u64> = SEARCH_SEEDS.collect();
+    let rates: Vec<f64> = RATES.map(|k| f64::from(k) * RATE_STEP).collect();
+    let tripods = conditions.iter().flat_map(|c| rates.iter().map(|rate| Gait::tripod(*rate, c.task.spec())));
+    let tripods: Vec<Gait> = tripods.collect();
+    let each = conditions.iter().flat_map(|c| std::iter::repeat_n(c, rates.len())).zip(&tripods);
+    let jobs: Vec<_> = each.map(|(blueprint, gait)| run::Job { blueprint, gait, seeds: &seeds }).collect();
+    let played = run::play(&jobs, progress)?;
+    let total = |episodes: &Vec<episode::Episode>| episodes.iter().map(|e| e.total_reward).sum::<f64>();
+    let totals: Vec<f64> = played.iter().map(total).collect();
+    let found = totals.chunks_exact(rates.len()).zip(tripods.chunks_exact(rates.len()));
+    let chosen = found.filter_map(|(totals, tripods)| {
+        let best = (0..rates.len()).max_by(|a, b| totals[*a].total_cmp(&totals[*b]))?;
+        Some((tripods[best].clone(), Some(rates[best])))
+    });
+    Ok(chosen.collect())
 }

@@ -13,7 +13,8 @@ pub struct Constant {
 
 impl Constant {
     pub fn read(name: &str, tensor: &Tensor) -> Result<Self> {
-        let wrong = |why: String| Error::invalid("policy", format!("the numbers of {name:?} {why}"));
+        let wrong =
+            |why: String| Error::invalid("policy", format!("the numbers of {:?} {why}", super::read::shown(name)));
         if tensor.data_location != 0 {
             return Err(wrong("are in another file; export everything into one file".into()));
         }

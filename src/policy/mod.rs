@@ -5,6 +5,7 @@
 //! * [`format`]: the parts of an ONNX file that are read or written.
 //! * [`read`]: from a file to a program of checked steps; [`constant`]: its weights.
 //! * [`operator`]: the operators of steps, and the widths of their results.
+//! * [`price`]: what a file and its network cost at most.
 //! * [`network`]: runs the program.
 //! * [`write`]: ONNX files of our own.
 //!
@@ -19,10 +20,14 @@ mod constant;
 mod format;
 mod network;
 mod operator;
+mod price;
 mod read;
+#[cfg(test)]
+mod tests;
 pub mod write;
 
 pub use network::Network;
+pub use price::{Price, reading_bytes};
 
 /// Environments computed side by side: as many as a shard of engine `lanes` has.
 const LANES: usize = 16;

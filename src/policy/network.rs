@@ -1,6 +1,7 @@
 //! Runs a network.
 
 use super::operator::Program;
+use super::price::Price;
 use super::read;
 use super::{LANES, Lanes};
 use crate::env::Spec;
@@ -23,6 +24,11 @@ impl Network {
         let program = read::program(onnx, [observation, action])?;
         let bounds = spec.action.iter().map(|c| [c.low as f32, c.high as f32]).collect();
         Ok(Self { program, observation, bounds })
+    }
+
+    /// What the network costs while it is used.
+    pub fn price(&self) -> Price {
+        Price::of(&self.program, self.observation)
     }
 
     /// Fills `actions`, f32 [n, action], clipped to their bounds, from `observations`, f32 [n, observation]. NaN in

@@ -98,6 +98,13 @@ pub enum Operand {
     Row(Vec<f32>),
 }
 
+impl Operand {
+    /// Number of constants.
+    pub fn constants(&self) -> usize {
+        if let Self::Row(row) = self { row.len() } else { 0 }
+    }
+}
+
 #[derive(Clone, Debug, PartialEq)]
 pub enum Operator {
     /// x·W + b. `weights`: f32 [inputs, outputs]; `bias`: f32 [outputs].

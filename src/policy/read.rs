@@ -1,18 +1,13 @@
-//! Reads an ONNX file into a program of checked steps. No file makes this code panic or exceed the limits below.
+//! Reads an ONNX file into a program of checked steps. No file makes this code panic or exceed its [`super::price`].
 
 use super::MOST_BYTES;
 use super::constant::Constant;
 use super::format::{Attribute, FLOAT, Graph, Model, Node, ValueInfo};
 use super::operator::{Arithmetic, Function, Operand, Operator, Program, Step};
+use super::price::{MOST_NODES, MOST_PRODUCTS, MOST_VALUES, MOST_WIDTH, check_fields};
 use crate::error::{Error, Result};
 use prost::Message as _;
 use std::collections::HashMap;
-
-/// Limits of a network: our choice, far above the needs of walking; the largest network takes some milliseconds for a
-/// shard.
-const MOST_NODES: usize = 256;
-const MOST_WIDTH: usize = 4096;
-const MOST_PRODUCTS: usize = 2 << 20;
 
 /// Versions of ONNX's operator set in which [`OPERATORS`] have the meaning that they have here.
 const OPSETS: std::ops::RangeInclusive<i64> = 7..=23;
@@ -55,6 +50,7 @@ pub fn program(onnx: &[u8], sizes: [usize; 2]) -> Result<Program> {
     if onnx.len() > MOST_BYTES {
         return Err(invalid(format!("{} bytes are more than {} MiB", onnx.len(), MOST_BYTES >> 20)));
     }
+    check_fields(onnx)?;
     let model = Model::decode(onnx).map_err(|e| invalid(format!("this is no ONNX file: {e}")))?;
     let opset = model.opset_import.iter().find(|o| o.domain.is_empty() || o.domain == "ai.onnx").map(|o| o.version);
     match (opset, model.graph) {
@@ -78,6 +74,8 @@ struct Reader<'a> {
     names: HashMap<&'a str, Named>,
     /// Numbers of each value.
     widths: Vec<usize>,
+    /// Numbers of all steps together.
+    values: usize,
     steps: Vec<Step>,
     products: usize,
 }
@@ -100,7 +98,7 @@ impl<'a> Reader<'a> {
         rows("input", input, observation)?;
         rows("output", output, action)?;
         names.insert(&input.name, Named::Value(0));
-        let mut reader = Self { names, widths: vec![observation], steps: Vec::new(), products: 0 };
+        let mut reader = Self { names, widths: vec![observation], values: 0, steps: Vec::new(), products: 0 };
         for node in &graph.node {
             reader.node(node)?;
         }
@@ -111,7 +109,7 @@ impl<'a> Reader<'a> {
             Some(Named::Value(value)) => {
                 Err(invalid(format!("its output has {} numbers, an action has {action}", reader.widths[*value])))
             }
-            _ => Err(invalid(format!("its output {:?} does not come from the observation", output.name))),
+            _ => Err(invalid(format!("its output {:?} does not come from the observation", shown(&output.name)))),
         }
     }
 
@@ -119,7 +117,8 @@ impl<'a> Reader<'a> {
         let kind = node.op_type.as_str();
         if !OPERATORS.contains(&kind) || !["", "ai.onnx"].contains(&node.domain.as_str()) {
             let name = if node.domain.is_empty() { kind.into() } else { format!("{}.{kind}", node.domain) };
-            return Err(invalid(format!("operator {name:?} is not supported; supported: {}", OPERATORS.join(", "))));
+            let (name, known) = (shown(&name), OPERATORS.join(", "));
+            return Err(invalid(format!("operator {name:?} is not supported; supported: {known}")));
         }
         let output = node.output.first().ok_or_else(|| wrong(node, "has no output"))?;
         let result = match kind {
@@ -149,7 +148,7 @@ impl<'a> Reader<'a> {
         self.names
             .get(name.as_str())
             .map(Some)
-            .ok_or_else(|| wrong(node, format!("reads {name:?}, which no earlier node computes")))
+            .ok_or_else(|| wrong(node, format!("reads {:?}, which no earlier node computes", shown(name))))
     }
 
     /// Input `k` as a value that depends on the observation.
@@ -174,6 +173,10 @@ impl<'a> Reader<'a> {
     fn step(&mut self, operator: Operator, width: usize) -> Result<Named> {
         if !(1..=MOST_WIDTH).contains(&width) {
             return Err(invalid(format!("a layer has {width} numbers, which is outside [1, {MOST_WIDTH}]")));
+        }
+        self.values += width;
+        if self.values > MOST_VALUES {
+            return Err(invalid(format!("it computes more than {MOST_VALUES} numbers for an action")));
         }
         self.steps.push(Step { operator, width });
         self.widths.push(width);
@@ -299,10 +302,15 @@ impl<'a> Reader<'a> {
     }
 }
 
+/// The beginning of a name of the file, which may be long.
+pub(super) fn shown(name: &str) -> &str {
+    name.char_indices().nth(100).map_or(name, |(end, _)| &name[..end])
+}
+
 /// An error about a node.
 fn wrong(node: &Node, why: impl std::fmt::Display) -> Error {
     let name = node.output.first().map_or("", String::as_str);
-    invalid(format!("node {name:?} ({}) {why}", node.op_type))
+    invalid(format!("node {:?} ({}) {why}", shown(name), node.op_type))
 }
 
 fn attribute<'a>(node: &'a Node, name: &str) -> Option<&'a Attribute> {
@@ -341,12 +349,13 @@ fn rows(what: &str, info: &ValueInfo, numbers: usize) -> Result<()> {
     let dims = tensor.and_then(|t| t.shape.as_ref()).map(|s| &s.dim);
     let is_rows = tensor.is_some_and(|t| t.elem_type == FLOAT) && dims.is_none_or(|d| d.len() == 2);
     if !is_rows {
-        return Err(invalid(format!("its {what} {:?} is not f32 [n, {numbers}]", info.name)));
+        return Err(invalid(format!("its {what} {:?} is not f32 [n, {numbers}]", shown(&info.name))));
     }
     match dims.and_then(|d| d[1].value) {
-        Some(other) if other != numbers as i64 => {
-            Err(invalid(format!("its {what} {:?} has {other} numbers a row, this task has {numbers}", info.name)))
-        }
+        Some(other) if other != numbers as i64 => Err(invalid(format!(
+            "its {what} {:?} has {other} numbers a row, this task has {numbers}",
+            shown(&info.name)
+        ))),
         _ => Ok(()),
     }
 }

@@ -22,9 +22,9 @@ use std::sync::Arc;
 const MAGIC: &[u8] = b"sandgait snapshot\n";
 const VERSION: &str = env!("CARGO_PKG_VERSION");
 
-/// Shortest and longest part [bytes]: our choice. The longest is twice the longest options. Every real part is longer
-/// than the shortest, which prevents a small snapshot with very many empty parts.
-const PART: std::ops::RangeInclusive<usize> = 64..=1 << 19;
+/// Shortest and longest part [bytes]: our choice. The largest options are 512 × 512 heights of a relief, 2.4 MB, beside a
+/// packed robot. Every real part is longer than the shortest, which prevents a small snapshot with very many empty parts.
+const PART: std::ops::RangeInclusive<usize> = 64..=4 << 20;
 
 /// Copies of a snapshot while it is made: its parts, the CBOR of all of them, and the finished bytes.
 const COPIES: usize = 3;
@@ -52,7 +52,11 @@ impl Part {
     fn pack(whole: &impl Serialize) -> Result<Self> {
         let mut bytes = Vec::new();
         ciborium::into_writer(whole, &mut bytes).map_err(|e| broken(format!("cannot be written: {e}")))?;
-        Ok(Self(bytes))
+        match PART.contains(&bytes.len()) {
+            true => Ok(Self(bytes)),
+            // It could not be read again.
+            false => Err(broken(format!("options of {} bytes are more than {}", bytes.len(), PART.end()))),
+        }
     }
 
     fn unpack<T: DeserializeOwned>(&self) -> Result<T> {

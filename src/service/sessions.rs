@@ -355,7 +355,7 @@ impl Sessions {
     }
 
     fn reserve(&self, environments: usize, blueprint: &Blueprint) -> Result<Reservation> {
-        let (memory, models) = (blueprint.bytes(environments), blueprint.task.model().bytes());
+        let (memory, models) = (blueprint.bytes(environments), blueprint.shared_bytes());
         let mut usage = lock(&self.usage);
         if usage.sessions >= self.limits.sessions {
             return Err(Error::Exhausted(format!("all {} sessions of this server are taken", self.limits.sessions)));

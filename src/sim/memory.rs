@@ -1,98 +1,91 @@
-//! Memory of models, and of the robots that engines make from them, counted from their parts. So a robot of a client is
-//! reserved with the memory that it takes, not with that of a usual robot.
+//! Memory of models and robots, for limits. A test compares the numbers with what is allocated.
 
 use super::engine::EngineKind;
-use super::model::{Body, Model, Piece, Plate};
-use super::tree::contact::ContactPoint;
-use super::tree::looks::{Look, Looks};
-use super::tree::model::TreeMotor;
-use super::tree::patches::{Facet, Panel, Patch, Tile};
-use super::tree::{Geometry, TreeBody, TreeModel, TreeShape};
+use super::model::Body;
+use super::obstacle::ObstacleShape;
+use super::tree::patches::Patch;
+use super::tree::{Geometry, Tree, TreeModel};
+use super::{Model, Robot};
 
-/// Lanes of the widest block of engine `tree`; a block is allocated as a whole.
-const LANES: usize = 16;
-
-/// Numbers of a body in a lane of engine `tree`: body 26, frame 36, loads 54, hinge 10, acceleration 6, joint 16.
-const BODY_NUMBERS: usize = 148;
-
-/// Numbers of a point that touches hard ground, in a lane.
-const TOUCH_NUMBERS: usize = 24;
-
-impl EngineKind {
-    /// Memory of `count` robots of `model` in an engine [bytes], without the data of an episode.
-    pub fn bytes(self, model: &Model, count: usize) -> usize {
-        count
-            * match (self, &model.tree) {
-                // The resident memory of a session of thousands of environments, divided by their number.
-                (Self::Lanes, _) => 10_000,
-                // The same, with 18 joints; 86,000 with 6.
-                (Self::Rapier, _) => 170_000,
-                // Counted: two links of 12 plates, twice, and the robot's description.
-                (Self::Carriage, _) | (Self::Tree, None) => 12_000,
-                (Self::Tree, Some(tree)) => return count.next_multiple_of(LANES) * tree.lane_bytes(),
-            }
-    }
+/// Bytes of a list's items, without what they refer to.
+fn list<T>(items: &[T]) -> usize {
+    size_of_val(items)
 }
 
-impl TreeModel {
-    /// Memory of one lane of engine `tree`, and of its states before and after a step.
-    fn lane_bytes(&self) -> usize {
-        let points: usize = self.contacts.iter().map(Vec::len).sum();
-        let point = size_of::<f32>() * TOUCH_NUMBERS + size_of::<ContactPoint>() / LANES;
-        self.tree.bodies.len() * (size_of::<f32>() * BODY_NUMBERS + 3 * 8 * size_of::<f64>()) + points * point + 1_000
-    }
-
-    /// Memory of a copy with other masses and motors [bytes].
-    fn copy_bytes(&self) -> usize {
-        let shape = |s: &TreeShape| size_of::<TreeShape>() + s.name.len();
-        let body = |b: &TreeBody| {
-            let joint = b.joint.as_ref().map_or(0, |j| j.name.len());
-            size_of::<TreeBody>() + b.name.len() + joint + b.shapes.iter().map(shape).sum::<usize>()
-        };
-        let bodies: usize = self.tree.bodies.iter().map(body).sum();
-        size_of::<Self>() + bodies + self.motors.len() * size_of::<TreeMotor>()
-    }
-
-    /// Memory of the data that copies share.
-    fn shared_bytes(&self) -> usize {
-        let triangles = |s: &TreeShape| match &s.geometry {
-            Geometry::Mesh(mesh) => size_of_val(&mesh[..]),
-            _ => 0,
-        };
-        let meshes: usize = self.tree.bodies.iter().flat_map(|b| &b.shapes).map(triangles).sum();
-        let patch = |p: &Patch| {
-            let own = p.facets.len() * size_of::<Facet>() + p.panels.len() * size_of::<Panel>();
-            size_of::<Patch>() + own + p.tiles.len() * size_of::<Tile>()
-        };
-        let patches: usize = self.patches.iter().flat_map(|b| &b.patches).map(patch).sum();
-        let plates: usize = self.plates.iter().map(|plates| size_of_val(&plates[..])).sum();
-        let contacts: usize = self.contacts.iter().map(|points| size_of_val(&points[..])).sum();
-        meshes + patches + plates + contacts + looks_bytes(&self.looks)
-    }
+fn sum<T>(items: &[T], of: impl Fn(&T) -> usize) -> usize {
+    list(items) + items.iter().map(of).sum::<usize>()
 }
 
-fn looks_bytes(looks: &Looks) -> usize {
-    let meshes: usize = looks.meshes.iter().map(|m| size_of_val(&m.corners[..]) + size_of_val(&m.faces[..])).sum();
-    meshes + looks.shapes.len() * size_of::<Look>() + looks.json().len()
+fn of_robot(robot: &Robot) -> usize {
+    let strip = |link: &super::robot::Link| link.joint.len() + link.sand.as_ref().map_or(0, |s| s.shape.len());
+    robot.name.len() + sum(&robot.hip, |hip| hip.name.len()) + sum(&robot.leg.link, strip)
+}
+
+fn of_tree(tree: &Tree) -> usize {
+    let mesh = |shape: &super::tree::TreeShape| match &shape.geometry {
+        Geometry::Mesh(triangles) => shape.name.len() + list(triangles),
+        _ => shape.name.len(),
+    };
+    let body = |body: &super::tree::TreeBody| {
+        body.name.len() + body.joint.as_ref().map_or(0, |j| j.name.len()) + sum(&body.shapes, mesh)
+    };
+    tree.name.len() + sum(&tree.bodies, body)
+}
+
+/// The parts of a tree robot that all its copies share.
+fn of_shared(tree: &TreeModel) -> usize {
+    let patch = |p: &Patch| list(&p.facets) + list(&p.panels) + list(&p.tiles);
+    let stance = list(&tree.stance.angles) + list(&tree.stance.feet);
+    let looks = sum(&tree.looks.meshes, |m| list(&m.corners) + list(&m.faces)) + list(&tree.looks.shapes);
+    of_tree(&tree.tree)
+        + sum(&tree.plates, |plates| list(plates))
+        + sum(&tree.patches, |body| sum(&body.patches, patch))
+        + sum(&tree.contacts, |points| list(points))
+        + stance
+        + looks
+        + tree.looks.json().len()
 }
 
 impl Model {
-    /// Memory of this model [bytes].
-    pub fn bytes(&self) -> usize {
-        let relief = self.scene.relief.as_ref().map_or(0, |relief| relief.bytes());
-        self.copy_bytes() + self.tree.as_ref().map_or(0, |tree| tree.shared_bytes()) + relief
+    /// Memory of the model with everything that it refers to [bytes]. Environments with the same options share it.
+    pub fn memory_bytes(&self) -> usize {
+        let relief = self.scene.relief.as_ref().map_or(0, |relief| relief.memory_bytes());
+        self.episode_bytes() + self.tree.as_ref().map_or(0, |tree| of_shared(tree)) + relief
     }
 
-    /// Memory of a copy in which an episode draws masses, motors and sand [bytes].
-    pub fn copy_bytes(&self) -> usize {
-        let body = |b: &Body| {
-            size_of::<Body>()
-                + (b.plates.len() + b.chord.len()) * size_of::<Plate>()
-                + b.pieces.len() * size_of::<Piece>()
+    /// Memory of a copy whose masses, motors, sand or obstacles an episode has drawn [bytes]: what is not shared with
+    /// the model that it was made from.
+    pub fn episode_bytes(&self) -> usize {
+        let body = |body: &Body| list(&body.plates) + list(&body.chord) + list(&body.pieces);
+        let corners = |o: &super::Obstacle| match &o.shape {
+            ObstacleShape::Hull { points } => list(points),
+            _ => 0,
         };
-        let legs: usize = self.legs.iter().flatten().map(body).sum();
-        let scene = size_of_val(&self.scene.obstacles[..]) + size_of_val(&self.scene.hard[..]);
-        let own = size_of::<Self>() + self.belly.len() * size_of::<Plate>() + size_of_val(&self.robot.hip[..]);
-        own + legs + scene + self.tree.as_ref().map_or(0, |tree| tree.copy_bytes())
+        let scene = self.scene.medium.name.len() + sum(&self.scene.obstacles, corners) + list(&self.scene.hard);
+        let solids = sum(&self.solids, |s| list(&s.facets) + list(&s.corners) + list(&s.faces));
+        let tree = self.tree.as_ref().map_or(0, |tree| size_of::<TreeModel>() + list(&tree.motors));
+        let legs = sum(&self.legs, |chain| sum(chain, body));
+        size_of::<Self>() + of_robot(&self.robot) + scene + list(&self.belly) + legs + solids + tree
+    }
+
+    /// Memory of one robot in an engine [bytes], without its model.
+    pub fn robot_bytes(&self, engine: EngineKind) -> usize {
+        match (engine, &self.tree) {
+            (EngineKind::Tree, Some(tree)) => {
+                let points = if self.scene.hard.is_empty() { 0 } else { tree.contacts.iter().map(Vec::len).sum() };
+                LANE + tree.tree.bodies.len() * LANE_BODY + points * LANE_POINT
+            }
+            // The resident memory of a session of thousands of environments divided by their number, without the data of
+            // an episode.
+            (EngineKind::Lanes | EngineKind::Tree, _) => 10_000,
+            (EngineKind::Rapier, _) => 170_000, // measured with 18 joints; 86,000 with 6
+            (EngineKind::Carriage, _) => 12_000, // counted: two links of 12 plates, twice, and the robot's description
+        }
     }
 }
+
+/// Memory of a lane of engine `tree`, of each of its bodies, and of each point that may touch hard ground [bytes]:
+/// counted in the structures of [`super::tree::engine`], where a list of touching points may have room for twice as many.
+const LANE: usize = 2_000;
+const LANE_BODY: usize = 800;
+const LANE_POINT: usize = 250;

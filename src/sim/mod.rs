@@ -10,6 +10,7 @@
 //! * [`state`]: positions and velocities of one robot.
 //! * [`feet`]: positions and velocities of the legs' tips.
 //! * [`frame`]: positions, velocities and velocity-product accelerations of the bodies.
+//! * `memory`: memory of models and robots, for limits.
 //! * [`engine`]: the one interface to all engines.
 //! * `spatial`: spatial algebra for `lanes` and `tree`.
 //! * [`lanes`]: the fast engine, articulated bodies over SIMD lanes of robots.

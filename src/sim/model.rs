@@ -249,11 +249,10 @@ impl Model {
         }
         let tree =
             tree.with_payload(scene.payload).with_weak_motors(scene.mechanisms.motor_torque_limit).for_law(scene.law);
-        let base = &tree.tree.bodies[0];
-        let robot = Robot::bare(&tree.tree.name, base.mass);
+        let robot = Robot::bare(&tree.tree.name, tree.base_mass);
         Ok(Self {
-            base_mass: base.mass,
-            base_inertia: base.inertia.diagonal(),
+            base_mass: tree.base_mass,
+            base_inertia: tree.tree.bodies[0].inertia.diagonal(),
             belly: Vec::new(),
             legs: Vec::new(),
             motor: Motor::new(&robot.servo, &scene.mechanisms),
@@ -310,7 +309,7 @@ impl Model {
     /// [kg]
     pub fn total_mass(&self) -> f64 {
         if let Some(tree) = &self.tree {
-            return tree.tree.mass();
+            return tree.mass();
         }
         self.base_mass + self.legs.iter().flatten().map(|b| b.mass).sum::<f64>()
     }

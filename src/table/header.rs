@@ -3,7 +3,8 @@
 use super::quantity::Quantity;
 use super::shown;
 use crate::error::{Error, Result};
-use std::collections::BTreeMap;
+use crate::progress::{Progress, Silent};
+use std::collections::{BTreeMap, HashSet};
 use std::path::Path;
 
 /// A column that a reader requests.
@@ -22,8 +23,11 @@ impl<'a> Column<'a> {
     }
 }
 
+/// Largest number of columns of a file: our choice, some ten times those of a robot's log with every joint's quantities.
+const MOST_COLUMNS: usize = 4096;
+
 /// The columns that a reader requests from a table.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Asked<'a> {
     pub columns: &'a [Column<'a>],
     /// Our column name → the file's name for it, where it differs.
@@ -32,6 +36,8 @@ pub struct Asked<'a> {
     pub units: BTreeMap<String, String>,
     /// Longer tables are refused.
     pub most_rows: Option<usize>,
+    /// Told every some rows. Its error stops the reading.
+    pub progress: &'a dyn Progress,
 }
 
 /// Column of the file, and the factor from its numbers to SI.
@@ -43,7 +49,7 @@ pub(super) struct Place {
 impl<'a> Asked<'a> {
     /// Columns under our own names, in a file of any length, with units from the header alone.
     pub fn new(columns: &'a [Column<'a>]) -> Self {
-        Self { columns, renamed: BTreeMap::new(), units: BTreeMap::new(), most_rows: None }
+        Self { columns, renamed: BTreeMap::new(), units: BTreeMap::new(), most_rows: None, progress: &Silent }
     }
 
     /// Index of each column in `header`; None for an optional column that is absent.
@@ -51,8 +57,11 @@ impl<'a> Asked<'a> {
         if header.iter().all(String::is_empty) {
             return Err(Error::file(path, "row 1: is empty; it must have the names of the columns"));
         }
-        let twice = |(i, name): &(usize, &String)| !name.is_empty() && header[..*i].contains(name);
-        if let Some((_, name)) = header.iter().enumerate().find(twice) {
+        if header.len() > MOST_COLUMNS {
+            return Err(Error::file(path, format!("row 1: {} columns are more than {MOST_COLUMNS}", header.len())));
+        }
+        let mut before = HashSet::new();
+        if let Some(name) = header.iter().find(|name| !name.is_empty() && !before.insert(name.as_str())) {
             return Err(Error::file(path, format!("row 1, column {}: is in the header twice", shown(name))));
         }
         for ours in self.renamed.keys() {

@@ -1,7 +1,7 @@
 //! Tables of the user: CSV with named columns and units, read row by row. The error of a bad cell names file, row and
 //! column. Row 1 is the header; rows are numbered by lines of the file.
 
-use sandgait_base::error;
+use sandgait_base::{error, progress};
 
 mod header;
 mod quantity;
@@ -20,6 +20,8 @@ use std::path::Path;
 /// that can be diagnosed this is more than 6 kB for each row. Our choice; it also bounds the memory that a row without
 /// an end takes.
 const MOST_BYTES: u64 = 256 << 20;
+/// Rows between two reports of progress: our choice, some milliseconds' work.
+const REPORT_ROWS: usize = 1000;
 /// Characters of a bad cell or header that an error shows: our choice, so that the line stays readable.
 const SHOWN: usize = 300;
 
@@ -133,6 +135,9 @@ pub fn parse(
                 format!("more than {} rows: keep every n-th sample and try again", rows - 1),
             ));
         }
+        if rows % REPORT_ROWS == 0 {
+            asked.progress.report(0.0, "reading the table")?;
+        }
         let line = record.position().map_or(0, |p| p.line());
         take(&Row { file: path, columns: asked.columns, places: &places, record: &record, line })?;
     }
@@ -195,5 +200,57 @@ fn reason(error: &csv::Error) -> String {
         }
         csv::ErrorKind::Utf8 { .. } => format!("{row}text is not UTF-8"),
         _ => format!("{row}{error}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::cell::Cell;
+    use std::time::{Duration, Instant};
+
+    fn columns() -> [Column<'static>; 1] {
+        [Column::needed("force", Quantity::Force)]
+    }
+
+    /// The file's header is read once, and no more columns than anyone has are read at all.
+    #[test]
+    fn a_long_header_takes_no_time() {
+        let columns = columns();
+        for (count, refused) in [(4095, false), (1_000_000, true)] {
+            let names: Vec<String> = (0..count).map(|k| format!("c{k}")).collect();
+            let text = format!("force,{}\n1{}\n", names.join(","), ",0".repeat(count));
+            let start = Instant::now();
+            let read = parse(Path::new("log.csv"), text.as_bytes(), &Asked::new(&columns), |_| Ok(()));
+            assert!(start.elapsed() < Duration::from_secs(2), "{count} columns: {:?}", start.elapsed());
+            assert_eq!(read.is_err(), refused);
+            if let Err(error) = read {
+                assert_eq!(error.to_string(), "log.csv: row 1: 1000001 columns are more than 4096");
+            }
+        }
+    }
+
+    /// Stops at the third report.
+    struct Left(std::sync::Mutex<usize>);
+
+    impl progress::Progress for Left {
+        fn report(&self, _: f64, _: &str) -> Result<()> {
+            let mut left = self.0.lock().unwrap();
+            *left = left.checked_sub(1).ok_or_else(|| Error::Cancelled("gone".into()))?;
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn reading_stops_when_its_client_has_left() {
+        let (columns, rows) = (columns(), Cell::new(0));
+        let text = format!("force\n{}", "1\n".repeat(100_000));
+        let left = Left(std::sync::Mutex::new(2));
+        let asked = Asked { progress: &left, ..Asked::new(&columns) };
+        let read = parse(Path::new("log.csv"), text.as_bytes(), &asked, |_| {
+            rows.set(rows.get() + 1);
+            Ok(())
+        });
+        assert!(matches!(read, Err(Error::Cancelled(_))) && rows.get() < 10_000, "{} rows", rows.get());
     }
 }

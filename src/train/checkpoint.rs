@@ -5,9 +5,10 @@ use super::kept::{Episodes, Kept};
 use super::network::Layer;
 use super::normal::{Normal, Running};
 use super::plan::{Learnt, Plan};
+use super::settings::Settings;
 use super::tensors::{Numbers, Tensors};
 use crate::error::{Error, Result};
-use serde_json::json;
+use serde_json::{Map, Value, json};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -33,8 +34,8 @@ pub struct Saved {
     pub learnt: Learnt,
     /// See [`super::curve::Curve::open`].
     pub open: [f64; 2],
-    /// The reason why new episodes begin, if they do.
-    pub anew: Option<String>,
+    /// What differs from going on with the newest checkpoint as it is, one sentence each.
+    pub notices: Vec<String>,
 }
 
 /// Saves all of `learnt`, and the curve's `open` episodes. Weights are f32 [inputs, outputs].
@@ -51,7 +52,7 @@ pub fn save(path: &Path, plan: &Plan, learnt: &Learnt, open: [f64; 2]) -> Result
         ("adam_steps", learnt.adam.steps.to_string()),
         ("options", options(plan)),
     ];
-    file.about.extend(about.map(|(name, text)| (name.to_owned(), text.into())));
+    file.about.extend(about.map(|(name, text)| (name.to_owned(), text)));
     file.add("seconds", &[], Numbers::F64(vec![learnt.seconds]));
     file.add("curve.open", &[2], Numbers::F64(open.to_vec()));
     for (prefix, numbers) in
@@ -92,34 +93,94 @@ pub fn save(path: &Path, plan: &Plan, learnt: &Learnt, open: [f64; 2]) -> Result
 /// Reads a file of [`save`] for a plan with the same task, networks and normalization; `away`: environments are on
 /// a server.
 pub fn load(path: &Path, plan: &Plan, away: bool) -> Result<Saved> {
-    let file = Tensors::load(path)?;
-    read(&file, plan, away).map_err(|e| match e {
+    of_file(path, &Tensors::load(path)?, plan, away)
+}
+
+fn of_file(path: &Path, file: &Tensors, plan: &Plan, away: bool) -> Result<Saved> {
+    read(file, plan, away).map_err(|e| match e {
         Error::Invalid { reason, .. } => Error::file(path, reason),
         other => other,
     })
 }
 
+/// The newest whole checkpoint in the results' folder `out`, which must belong to the training of `plan`. Checkpoints that
+/// are empty or cut off are skipped with a notice.
+pub fn newest(out: &Path, plan: &Plan, away: bool) -> Result<Saved> {
+    let mut broken = Vec::new();
+    for path in all(out) {
+        match Tensors::load(&path) {
+            Ok(file) => {
+                belongs(&file, plan).map_err(|why| {
+                    Error::file(
+                        &path,
+                        format!(
+                            "it belongs to another training: {why}; a training can begin from it with --start-from"
+                        ),
+                    )
+                })?;
+                let mut saved = of_file(&path, &file, plan, away)?;
+                saved.notices.extend(broken.iter().map(|e: &Error| format!("a checkpoint was skipped: {e}")));
+                return Ok(saved);
+            }
+            Err(error) => broken.push(error),
+        }
+    }
+    Err(broken.into_iter().next().unwrap_or_else(|| Error::file(&folder(out), "there is no checkpoint to go on from")))
+}
+
+/// Has `out` the results of a training?
+pub fn is_used(out: &Path) -> bool {
+    !all(out).is_empty() || ["policy.onnx", "policy.safetensors"].iter().any(|name| out.join(name).exists())
+}
+
+/// Says what differs if the checkpoint is not of the training of `plan`. The end of a training may differ.
+fn belongs(file: &Tensors, plan: &Plan) -> std::result::Result<(), String> {
+    let text = |name: &str| file.text(name).map_err(|e| e.to_string());
+    let (task, seed) = (plan.blueprint.task.spec().id, plan.seed.to_string());
+    for (name, there, here) in [("task", text("task")?, task), ("seed", text("seed")?, &seed)] {
+        if there != here {
+            return Err(format!("its {name} is {there}, not {here}"));
+        }
+    }
+    let table = |name: &str| -> std::result::Result<Map<String, Value>, String> {
+        serde_json::from_str(text(name)?).map_err(|e| format!("its {name} cannot be read: {e}"))
+    };
+    let there = Settings::from_entry(&table("settings")?).map_err(|e| e.to_string())?;
+    let ends =
+        |settings: Settings| Settings { n_timesteps: 1, seconds: None, env_kwargs: Map::new(), ..settings }.json();
+    let (there, here) = (ends(there), ends(plan.settings.clone()));
+    differs(there.as_object(), here.as_object()).map_or(Ok(()), Err)?;
+    let here = json!(plan.blueprint.task.options());
+    differs(Some(&table("options")?), here.as_object()).map_or(Ok(()), Err)
+}
+
+/// The first value of `there` that is not in `here`. Names that only `here` has are of a newer version.
+fn differs(there: Option<&Map<String, Value>>, here: Option<&Map<String, Value>>) -> Option<String> {
+    let short = |value: &Value| {
+        let text = value.to_string();
+        // A packed robot is long.
+        text.char_indices().nth(60).map_or(text.clone(), |(end, _)| format!("{} …", &text[..end]))
+    };
+    let here = here?;
+    let (name, value) = there?.iter().find(|(name, value)| here.get(*name) != Some(value))?;
+    Some(format!("its {name} is {}, not {}", short(value), here.get(name).map_or("known".into(), short)))
+}
+
 /// The environments, or the reason why those of `file` cannot be used.
 fn environments(file: &Tensors, plan: &Plan, away: bool) -> Result<std::result::Result<Kept, String>> {
-    let envs = plan.settings.n_envs;
-    let count = |name: &str| file.f64(name, envs);
     let unfit = match file.text("environments").ok() {
         None => "the checkpoint has no environments".to_owned(),
-        Some(place) if (place == "server") != away => format!(
-            "the checkpoint's environments are of {}",
-            match away {
-                true => "this process",
-                false => "a server",
-            }
-        ),
+        Some(place) if (place == "server") != away => {
+            let place = if away { "this process" } else { "a server" };
+            format!("the checkpoint's environments are of {place}")
+        }
         Some(_) if file.text("sandgait")? != env!("CARGO_PKG_VERSION") => {
             format!("the checkpoint is of sandgait {}", file.text("sandgait")?)
         }
-        Some(_) if file.text("options")? != options(plan) => "the checkpoint's task has other options".into(),
-        Some(_) if count("environments.returns").is_err() => format!("the checkpoint has not {envs} environments"),
         Some(_) => {
+            let count = |name: &str| file.f64(name, plan.settings.n_envs);
             let (discounted, returns) = (count("environments.discounted")?, count("environments.returns")?);
-            let episodes = Episodes::read(file.bytes("environments")?, away)?;
+            let episodes = Episodes::read(file.bytes("environments")?.to_vec(), away)?;
             return Ok(Ok(Kept { episodes, discounted, returns }));
         }
     };
@@ -175,7 +236,8 @@ fn read(file: &Tensors, plan: &Plan, away: bool) -> Result<Saved> {
         environments: environments.as_ref().ok().cloned().map(Arc::new),
     };
     let open = file.f64("curve.open", 2).map_or([0.0; 2], |open| [open[0], open[1]]);
-    Ok(Saved { learnt, open, anew: environments.err() })
+    let notices = environments.err().map(|why| format!("new episodes began at the resumption: {why}"));
+    Ok(Saved { learnt, open, notices: notices.into_iter().collect() })
 }
 
 /// The file of a checkpoint in the results' folder `out`.
@@ -187,14 +249,14 @@ pub fn folder(out: &Path) -> PathBuf {
     out.join("checkpoints")
 }
 
-/// The newest checkpoint in the results' folder `out`.
-pub fn last(out: &Path) -> Result<PathBuf> {
-    let folder = folder(out);
-    let steps = |path: &PathBuf| -> Option<u64> {
+/// The checkpoints in the results' folder `out`, newest first.
+fn all(out: &Path) -> Vec<PathBuf> {
+    let steps = |path: PathBuf| -> Option<(u64, PathBuf)> {
         let name = path.file_name()?.to_str()?.strip_suffix(ENDING)?.strip_suffix('.')?;
-        name.parse().ok()
+        Some((name.parse().ok()?, path))
     };
-    let entries = std::fs::read_dir(&folder).into_iter().flatten().flatten().map(|entry| entry.path());
-    let newest = entries.filter(|path| steps(path).is_some()).max_by_key(|path| steps(path));
-    newest.ok_or_else(|| Error::file(&folder, "there is no checkpoint to go on from"))
+    let entries = std::fs::read_dir(folder(out)).into_iter().flatten().flatten();
+    let mut all: Vec<_> = entries.filter_map(|entry| steps(entry.path())).collect();
+    all.sort_unstable_by(|a, b| b.cmp(a));
+    all.into_iter().map(|(_, path)| path).collect()
 }

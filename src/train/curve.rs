@@ -2,6 +2,7 @@
 
 use super::plan::Report;
 use crate::error::{Error, Result};
+use crate::files;
 use crate::plot::{Axis, Figure, Mark, Panel, Style, color, png};
 use std::fs::File;
 use std::io::Write as _;
@@ -30,19 +31,16 @@ impl Curve {
     /// A curve in `path`. In a continued training it keeps the earlier points up to `until` steps, and starts with the
     /// sums `open` of the episodes after them.
     pub fn new(path: &Path, until: Option<u64>, open: [f64; 2], envs: usize) -> Result<Self> {
-        let broken = |e: &dyn std::fmt::Display| Error::file(path, e);
         let points = match until {
             Some(until) => read(path)?.into_iter().filter(|p| p.steps <= until).collect(),
             None => Vec::new(),
         };
-        let file = File::create(path).map_err(|e| broken(&e))?;
+        let text: String =
+            std::iter::once("steps,seconds,return\n".to_owned()).chain(points.iter().map(line)).collect();
+        files::write(path, text.as_bytes())?;
+        let file = File::options().append(true).open(path).map_err(|e| Error::file(path, e))?;
         // A point has an eighth as many episodes as there are environments, as in the curves of examples/train.py.
-        let mut curve = Self { points, file, path: path.into(), open, enough: envs.div_ceil(8) as f64 };
-        curve.write("steps,seconds,return\n")?;
-        for point in curve.points.clone() {
-            curve.write(&line(&point))?;
-        }
-        Ok(curve)
+        Ok(Self { points, file, path: path.into(), open, enough: envs.div_ceil(8) as f64 })
     }
 
     /// Adds the episodes of an update.
@@ -57,11 +55,12 @@ impl Curve {
         let [sum, count] = std::mem::take(&mut self.open);
         let point = Point { steps: report.steps, seconds: report.seconds, mean_return: sum / count };
         self.points.push(point);
-        self.write(&line(&point))
+        self.file.write_all(line(&point).as_bytes()).map_err(|e| Error::file(&self.path, e))
     }
 
-    fn write(&mut self, text: &str) -> Result<()> {
-        self.file.write_all(text.as_bytes()).map_err(|e| Error::file(&self.path, e))
+    /// Writes all points to the disk.
+    pub fn sync(&self) -> Result<()> {
+        self.file.sync_data().map_err(|e| Error::file(&self.path, e))
     }
 
     /// Draws the curve, and a line at the return of the policy without noise, as SVG and PNG.
@@ -91,8 +90,15 @@ fn line(point: &Point) -> String {
     format!("{},{:.2},{:.3}\n", point.steps, point.seconds, point.mean_return)
 }
 
+/// The points of a file, if there is one. A last line without an end was cut off when a process was killed, and is left
+/// out.
 fn read(path: &Path) -> Result<Vec<Point>> {
-    let text = std::fs::read_to_string(path).map_err(|e| Error::file(path, e))?;
+    let bytes = match std::fs::read(path) {
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        bytes => bytes.map_err(|e| Error::file(path, e))?,
+    };
+    let text = String::from_utf8_lossy(&bytes);
+    let whole = text.rsplit_once('\n').map_or("", |(whole, _)| whole);
     let point = |(k, line): (usize, &str)| {
         let cells: Vec<_> = line.split(',').collect();
         let read = || {
@@ -105,5 +111,5 @@ fn read(path: &Path) -> Result<Vec<Point>> {
         };
         read().ok_or_else(|| Error::file(path, format!("line {}: not steps, seconds and a return", k + 1)))
     };
-    text.lines().enumerate().skip(1).map(point).collect()
+    whole.lines().enumerate().skip(1).map(point).collect()
 }

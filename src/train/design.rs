@@ -56,7 +56,7 @@ pub struct Study {
     pub warm: Option<f64>,
     /// Number of designs in a search between the axes' least and greatest values; None: the whole grid.
     pub search: Option<usize>,
-    /// Folder of the trainings; a finished training in it is not repeated.
+    /// Folder of the trainings, which exists and into which no other process writes; a finished training in it is not repeated.
     pub out: PathBuf,
 }
 

@@ -7,7 +7,7 @@
 //!                  └──▶ design: many designs, a gait learnt for each
 //! ```
 
-use sandgait_base::{error, parallel, progress};
+use sandgait_base::{error, files, parallel, progress};
 use sandgait_env as env;
 use sandgait_evaluate as evaluate;
 use sandgait_number as number;
@@ -50,6 +50,7 @@ mod yaml;
 
 pub use curve::Point;
 pub use export::onnx;
+pub use mirror::Mirror;
 pub use plan::{Learnt, Observer, Plan, Report};
-pub use run::{Connect, Outcome, Request};
+pub use run::{Connect, Outcome, Request, Score};
 pub use settings::Settings;

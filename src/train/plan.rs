@@ -82,7 +82,7 @@ impl Plan {
     pub fn new(blueprint: Blueprint, settings: Settings, seed: u64, threads: usize) -> Result<Self> {
         let spec = blueprint.task.spec();
         let shape = NetworkSizes::new(spec.observation.len(), spec.action.len(), &settings.net_arch);
-        let mirror = settings.mirror.then(|| Mirror::both(spec)).transpose()?;
+        let mirror = settings.mirror.then(|| Mirror::both(&blueprint)).transpose()?;
         let networks = Networks { shape, mirror, isa: Isa::choose()? };
         Ok(Self { blueprint, settings, networks, seed, threads: threads.max(1) })
     }

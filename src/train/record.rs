@@ -2,7 +2,8 @@
 
 use super::checkpoint;
 use super::plan::{Learnt, Plan};
-use crate::error::{Error, Result};
+use crate::error::Result;
+use crate::files;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -49,10 +50,7 @@ impl Record {
 
     /// Saves the results of the training. The last file marks the others as complete.
     pub fn write(&self, plan: &Plan, learnt: &Learnt, onnx: &[u8], measures: &[f64; 3]) -> Result<()> {
-        let keep = |ending: &str, content: &[u8]| {
-            let path = self.file(ending);
-            std::fs::write(&path, content).map_err(|e| Error::file(&path, e))
-        };
+        let keep = |ending: &str, content: &[u8]| files::write(&self.file(ending), content);
         let policy = Learnt { environments: None, ..learnt.clone() };
         checkpoint::save(&self.file("safetensors"), plan, &policy, [0.0; 2])?;
         keep("onnx", onnx)?;

@@ -7,11 +7,16 @@ use super::plan::{Learnt, Observer, Plan, Report};
 use super::remote::{Pause, Remote};
 use super::settings::Settings;
 use super::{checkpoint, export, film};
+use crate::env::Task;
+use crate::env::legged::LeggedVelocity;
 use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
+use crate::evaluate::commands::{CommandStudy, Followed};
 use crate::evaluate::{self, Row, Study, Wanted, episode};
+use crate::files::{self, Lock};
 use crate::policy::Network;
 use crate::progress::{Part, Progress};
+use serde::Serialize;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -51,10 +56,21 @@ pub struct Outcome {
     pub last: Option<Report>,
     /// The learning curve.
     pub curve: Vec<Point>,
-    /// The reason why a continued training began new episodes, if it did.
-    pub anew: Option<String>,
-    /// The policy without noise over 100 unseen seeds; None for tasks without walking.
-    pub score: Option<Row>,
+    /// What differs from going on with the newest checkpoint as it is, one sentence each: checkpoints that were skipped, and
+    /// the reason for new episodes.
+    pub notices: Vec<String>,
+    /// The policy without noise over 100 unseen seeds; None for LegStroke.
+    pub score: Option<Score>,
+}
+
+/// The score of a policy without noise.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(untagged)]
+pub enum Score {
+    /// Of tasks in which hexapods walk.
+    Walking(Row),
+    /// Of LeggedVelocity.
+    Commands(Followed),
 }
 
 impl Request {
@@ -63,19 +79,8 @@ impl Request {
         let options = self.options()?;
         let blueprint = Blueprint::new(&self.task, options.clone())?;
         let plan = Plan::new(blueprint, self.settings.clone(), self.seed, self.threads)?;
-        let away = self.connect.is_some();
-        let saved = match (self.resume, &self.start_from) {
-            (true, Some(_)) => {
-                return Err(Error::invalid("start_from", "resume goes on from the training's own checkpoint"));
-            }
-            (true, None) => checkpoint::load(&checkpoint::last(&self.out)?, &plan, away)?,
-            (false, Some(other)) => {
-                let learnt = plan.begin_from(&checkpoint::load(other, &plan, away)?.learnt);
-                checkpoint::Saved { learnt, open: [0.0; 2], anew: None }
-            }
-            (false, None) => checkpoint::Saved { learnt: plan.begin(), open: [0.0; 2], anew: None },
-        };
-        let checkpoint::Saved { learnt, open, anew } = saved;
+        let lock = self.out.is_dir().then(|| self.lock()).transpose()?;
+        let checkpoint::Saved { learnt, open, notices } = self.begin(&plan)?;
         let mut remote = match &self.connect {
             Some(connect) => {
                 let pause = &mut || progress.report(0.0, "connecting");
@@ -85,6 +90,9 @@ impl Request {
         };
         let folder = checkpoint::folder(&self.out);
         std::fs::create_dir_all(&folder).map_err(|e| Error::file(&folder, e))?;
+        // Another process may have begun since the folder was missing.
+        let _lock = lock.map_or_else(|| self.lock(), Ok)?;
+        self.check_unused()?;
         let about = json!({
             "task": self.task,
             "seed": self.seed,
@@ -116,14 +124,46 @@ impl Request {
         drop(remote);
         diary.save()?;
         let score = self.keep(&plan, &learnt, options, &Part::new(progress, [TRAINING, 1.0]))?;
-        let reached = score.as_ref().map(|row| row.figures.total_reward.mean);
+        let reached = match &score {
+            Some(Score::Walking(row)) => Some(row.figures.total_reward.mean),
+            _ => None,
+        };
         diary.curve.draw(&self.out.join("curve.svg"), &self.task, reached)?;
         let mut about = about;
         about["steps"] = learnt.steps.into();
         about["seconds"] = learnt.seconds.into();
         about["score"] = json!(score);
         self.write("settings.json", format!("{about:#}\n").as_bytes())?;
-        Ok(Outcome { learnt, last: diary.last, curve: diary.curve.points, anew, score })
+        Ok(Outcome { learnt, last: diary.last, curve: diary.curve.points, notices, score })
+    }
+
+    fn lock(&self) -> Result<Lock> {
+        Lock::new(&self.out, "choose another one with --out, or wait until it has ended")
+    }
+
+    /// Refuses to begin where another training has left its results.
+    fn check_unused(&self) -> Result<()> {
+        if self.resume || !checkpoint::is_used(&self.out) {
+            return Ok(());
+        }
+        let reason = "it has the results of another training: go on with that one with --resume, choose another folder \
+                      with --out, or delete this one";
+        Err(Error::file(&self.out, reason))
+    }
+
+    /// The state with which the training begins, or goes on.
+    fn begin(&self, plan: &Plan) -> Result<checkpoint::Saved> {
+        let away = self.connect.is_some();
+        self.check_unused()?;
+        let learnt = match (self.resume, &self.start_from) {
+            (true, Some(_)) => {
+                return Err(Error::invalid("start_from", "resume goes on from the training's own checkpoint"));
+            }
+            (true, None) => return checkpoint::newest(&self.out, plan, away),
+            (false, Some(other)) => plan.begin_from(&checkpoint::load(other, plan, away)?.learnt),
+            (false, None) => plan.begin(),
+        };
+        Ok(checkpoint::Saved { learnt, open: [0.0; 2], notices: Vec::new() })
     }
 
     fn options(&self) -> Result<Value> {
@@ -137,7 +177,7 @@ impl Request {
     }
 
     /// Writes the policy, evaluates it over unseen seeds and records a film.
-    fn keep(&self, plan: &Plan, learnt: &Learnt, options: Value, progress: &dyn Progress) -> Result<Option<Row>> {
+    fn keep(&self, plan: &Plan, learnt: &Learnt, options: Value, progress: &dyn Progress) -> Result<Option<Score>> {
         let onnx = export::onnx(plan, learnt);
         self.write("policy.onnx", &onnx)?;
         let policy = Learnt { environments: None, ..learnt.clone() };
@@ -146,11 +186,15 @@ impl Request {
         let network = Network::new(&onnx, spec)?;
         let (recording, picture) = (self.out.join("walk.rec"), self.out.join("walk.png"));
         film::film(&plan.blueprint, &network, evaluate::FIRST_SEED, &recording, &picture)?;
+        let policy = Wanted::Network { name: "policy.onnx".into(), bytes: onnx };
+        if spec.id == LeggedVelocity::ID {
+            return CommandStudy::new(&policy, &options)?.run(progress).map(Score::Commands).map(Some);
+        }
         if episode::Columns::of(spec).is_err() {
             return Ok(None);
         }
         let request = evaluate::Request {
-            policy: Wanted::Network { name: "policy.onnx".into(), bytes: onnx },
+            policy,
             task: self.task.clone(),
             options,
             seeds: evaluate::Request::SEEDS,
@@ -158,12 +202,11 @@ impl Request {
             slopes: Vec::new(),
         };
         let rows = Study::new(&request)?.run(progress)?;
-        Ok(rows.into_iter().next())
+        Ok(rows.into_iter().next().map(Score::Walking))
     }
 
     fn write(&self, name: &str, content: &[u8]) -> Result<()> {
-        let path = self.out.join(name);
-        std::fs::write(&path, content).map_err(|e| Error::file(&path, e))
+        files::write(&self.out.join(name), content)
     }
 }
 
@@ -234,6 +277,8 @@ impl Diary<'_> {
 
     fn save(&mut self) -> Result<PathBuf> {
         let path = checkpoint::path(&self.request.out, self.newest.steps);
+        // A checkpoint goes on from a curve that has all points before it.
+        self.curve.sync()?;
         checkpoint::save(&path, self.plan, &self.newest, self.curve.open)?;
         self.saved = self.newest.steps;
         Ok(path)

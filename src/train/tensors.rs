@@ -1,18 +1,16 @@
-//! Named arrays of numbers in one file: the format safetensors (huggingface.co/docs/safetensors), which Python reads too.
-//!
-//! ```text
-//!  length of the header u64 │ header: JSON, name → dtype, shape, place of its bytes; texts under "__metadata__" │ bytes
-//! ```
+//! A safetensors file (huggingface.co/docs/safetensors) being written or read: named arrays, and texts under
+//! "__metadata__". Python reads these files too.
 
 use crate::error::{Error, Result};
-use serde_json::{Map, Value, json};
+use crate::files;
+use safetensors::{Dtype, SafeTensors, tensor::TensorView};
+use std::collections::HashMap;
 use std::path::Path;
 
 /// Largest file that is read [bytes]: our choice. A usual one has 1 MiB, nearly all of it environments.
 const MOST: u64 = 1 << 30;
 
-/// An array; its numbers are stored unchanged.
-#[derive(Clone, Debug, PartialEq)]
+/// An array's numbers, stored unchanged.
 pub enum Numbers {
     F32(Vec<f32>),
     F64(Vec<f64>),
@@ -20,101 +18,81 @@ pub enum Numbers {
     U8(Vec<u8>),
 }
 
-#[derive(Clone, Debug, Default, PartialEq)]
+impl Numbers {
+    fn bytes(self) -> (Dtype, Vec<u8>) {
+        match self {
+            Self::F32(all) => (Dtype::F32, all.iter().flat_map(|x| x.to_le_bytes()).collect()),
+            Self::F64(all) => (Dtype::F64, all.iter().flat_map(|x| x.to_le_bytes()).collect()),
+            Self::I64(all) => (Dtype::I64, all.iter().flat_map(|x| x.to_le_bytes()).collect()),
+            Self::U8(all) => (Dtype::U8, all),
+        }
+    }
+}
+
+#[derive(Default)]
 pub struct Tensors {
     /// Texts by their names.
-    pub about: Map<String, Value>,
-    arrays: Vec<(String, Vec<usize>, Numbers)>,
+    pub about: HashMap<String, String>,
+    /// Type, shape and bytes by name.
+    arrays: HashMap<String, (Dtype, Vec<usize>, Vec<u8>)>,
 }
 
 impl Tensors {
     pub fn add(&mut self, name: impl Into<String>, shape: &[usize], numbers: Numbers) {
-        self.arrays.push((name.into(), shape.to_vec(), numbers));
+        let (dtype, bytes) = numbers.bytes();
+        self.arrays.insert(name.into(), (dtype, shape.to_vec(), bytes));
     }
 
     pub fn f32(&self, name: &str, count: usize) -> Result<Vec<f32>> {
-        match self.get(name)? {
-            Numbers::F32(numbers) if numbers.len() == count => Ok(numbers.clone()),
-            _ => Err(wrong(format!("{name:?} is not {count} numbers of f32"))),
-        }
+        let (all, rest) = self.get(name, Dtype::F32)?.as_chunks::<4>();
+        let fits = rest.is_empty() && all.len() == count;
+        if fits { Ok(all.iter().map(|b| f32::from_le_bytes(*b)).collect()) } else { Err(unfit(name, count)) }
     }
 
     pub fn f64(&self, name: &str, count: usize) -> Result<Vec<f64>> {
-        match self.get(name)? {
-            Numbers::F64(numbers) if numbers.len() == count => Ok(numbers.clone()),
-            _ => Err(wrong(format!("{name:?} is not {count} numbers of f64"))),
-        }
+        let (all, rest) = self.get(name, Dtype::F64)?.as_chunks::<8>();
+        let fits = rest.is_empty() && all.len() == count;
+        if fits { Ok(all.iter().map(|b| f64::from_le_bytes(*b)).collect()) } else { Err(unfit(name, count)) }
     }
 
-    pub fn bytes(&self, name: &str) -> Result<Vec<u8>> {
-        match self.get(name)? {
-            Numbers::U8(bytes) => Ok(bytes.clone()),
-            _ => Err(wrong(format!("{name:?} is not bytes"))),
-        }
+    pub fn bytes(&self, name: &str) -> Result<&[u8]> {
+        self.get(name, Dtype::U8)
     }
 
-    fn get(&self, name: &str) -> Result<&Numbers> {
-        let found = self.arrays.iter().find(|(n, ..)| n == name);
-        found.map(|(.., numbers)| numbers).ok_or_else(|| wrong(format!("it has no {name:?}")))
+    fn get(&self, name: &str, wanted: Dtype) -> Result<&[u8]> {
+        match self.arrays.get(name) {
+            Some((dtype, _, bytes)) if *dtype == wanted => Ok(bytes),
+            Some((dtype, ..)) => Err(wrong(format!("{name:?} is {dtype}, not {wanted}"))),
+            None => Err(wrong(format!("it has no {name:?}"))),
+        }
     }
 
     pub fn has(&self, name: &str) -> bool {
-        self.get(name).is_ok()
+        self.arrays.contains_key(name)
     }
 
     /// A text under "__metadata__".
     pub fn text(&self, name: &str) -> Result<&str> {
-        self.about.get(name).and_then(Value::as_str).ok_or_else(|| wrong(format!("it does not say its {name}")))
+        self.about.get(name).map(String::as_str).ok_or_else(|| wrong(format!("it does not say its {name}")))
     }
 
-    pub fn encode(&self) -> Vec<u8> {
-        let (mut header, mut bytes) = (Map::new(), Vec::new());
-        header.insert("__metadata__".into(), Value::Object(self.about.clone()));
-        for (name, shape, numbers) in &self.arrays {
-            let start = bytes.len();
-            let dtype = match numbers {
-                Numbers::F32(all) => {
-                    bytes.extend(all.iter().flat_map(|x| x.to_le_bytes()));
-                    "F32"
-                }
-                Numbers::F64(all) => {
-                    bytes.extend(all.iter().flat_map(|x| x.to_le_bytes()));
-                    "F64"
-                }
-                Numbers::I64(all) => {
-                    bytes.extend(all.iter().flat_map(|x| x.to_le_bytes()));
-                    "I64"
-                }
-                Numbers::U8(all) => {
-                    bytes.extend_from_slice(all);
-                    "U8"
-                }
-            };
-            let entry = json!({"dtype": dtype, "shape": shape, "data_offsets": [start, bytes.len()]});
-            header.insert(name.clone(), entry);
+    fn encode(&self) -> Result<Vec<u8>> {
+        let broken = |e| wrong(format!("it cannot be written: {e}"));
+        let mut views = Vec::with_capacity(self.arrays.len());
+        for (name, (dtype, shape, bytes)) in &self.arrays {
+            views.push((name, TensorView::new(*dtype, shape.clone(), bytes).map_err(broken)?));
         }
-        let mut header = Value::Object(header).to_string().into_bytes();
-        // Blanks at the end of the header align the numbers.
-        header.resize(header.len().next_multiple_of(8), b' ');
-        [&(header.len() as u64).to_le_bytes()[..], &header, &bytes].concat()
+        safetensors::serialize(views, Some(self.about.clone())).map_err(broken)
     }
 
-    pub fn decode(file: &[u8]) -> Result<Self> {
-        let (length, rest) = file.split_first_chunk::<8>().ok_or_else(|| wrong("it is cut off"))?;
-        let length = usize::try_from(u64::from_le_bytes(*length)).unwrap_or(usize::MAX);
-        let (header, bytes) = rest.split_at_checked(length).ok_or_else(|| wrong("it is cut off"))?;
-        let header: Map<String, Value> =
-            serde_json::from_slice(header).map_err(|e| wrong(format!("its header is not JSON: {e}")))?;
-        let mut tensors = Self::default();
-        for (name, entry) in &header {
-            if name == "__metadata__" {
-                tensors.about = entry.as_object().cloned().unwrap_or_default();
-                continue;
-            }
-            let numbers = array(entry, bytes).ok_or_else(|| wrong(format!("{name:?} is not as its header says")))?;
-            tensors.arrays.push((name.clone(), numbers.0, numbers.1));
-        }
-        Ok(tensors)
+    fn decode(file: &[u8]) -> Result<Self> {
+        let broken = |e| wrong(format!("it is cut off or broken: {e}"));
+        let (_, header) = SafeTensors::read_metadata(file).map_err(broken)?;
+        let all = SafeTensors::deserialize(file).map_err(broken)?;
+        let array = |(name, view): (&str, TensorView)| {
+            (name.to_owned(), (view.dtype(), view.shape().to_vec(), view.data().to_vec()))
+        };
+        Ok(Self { about: header.metadata().clone().unwrap_or_default(), arrays: all.iter().map(array).collect() })
     }
 
     pub fn load(path: &Path) -> Result<Self> {
@@ -124,14 +102,14 @@ impl Tensors {
             return Err(broken(&format!("{size} bytes are more than {MOST}")));
         }
         let bytes = std::fs::read(path).map_err(|e| broken(&e))?;
-        Self::decode(&bytes).map_err(|e| Error::file(path, e))
+        Self::decode(&bytes).map_err(|e| match e {
+            Error::Invalid { reason, .. } => broken(&reason),
+            other => other,
+        })
     }
 
-    /// Writes a temporary file and renames it, so that readers find either the old file or the new one, complete.
     pub fn save(&self, path: &Path) -> Result<()> {
-        let beside = path.with_extension("partial");
-        std::fs::write(&beside, self.encode()).map_err(|e| Error::file(&beside, e))?;
-        std::fs::rename(&beside, path).map_err(|e| Error::file(path, e))
+        files::write(path, &self.encode()?)
     }
 }
 
@@ -139,25 +117,8 @@ fn wrong(why: impl Into<String>) -> Error {
     Error::invalid("checkpoint", why)
 }
 
-fn array(entry: &Value, bytes: &[u8]) -> Option<(Vec<usize>, Numbers)> {
-    let whole = |v: &Value| v.as_u64().and_then(|n| usize::try_from(n).ok());
-    let list = |name: &str| entry[name].as_array()?.iter().map(whole).collect::<Option<Vec<_>>>();
-    let (shape, [start, end]) = (list("shape")?, <[usize; 2]>::try_from(list("data_offsets")?).ok()?);
-    let bytes = bytes.get(start..end)?;
-    let count = shape.iter().try_fold(1_usize, |n, d| n.checked_mul(*d))?;
-    let numbers = match entry["dtype"].as_str()? {
-        "F32" => Numbers::F32(cut(bytes, count, f32::from_le_bytes)?),
-        "F64" => Numbers::F64(cut(bytes, count, f64::from_le_bytes)?),
-        "I64" => Numbers::I64(cut(bytes, count, i64::from_le_bytes)?),
-        "U8" => Numbers::U8(cut(bytes, count, u8::from_le_bytes)?),
-        _ => return None,
-    };
-    Some((shape, numbers))
-}
-
-fn cut<T, const N: usize>(bytes: &[u8], count: usize, read: fn([u8; N]) -> T) -> Option<Vec<T>> {
-    let (all, rest) = bytes.as_chunks::<N>();
-    (rest.is_empty() && all.len() == count).then(|| all.iter().map(|b| read(*b)).collect())
+fn unfit(name: &str, count: usize) -> Error {
+    wrong(format!("{name:?} has not {count} numbers"))
 }
 
 #[cfg(test)]
@@ -171,7 +132,7 @@ mod tests {
         tensors.add("x", &[2, 1], Numbers::F32(vec![1.5, f32::MIN_POSITIVE]));
         tensors.add("y", &[], Numbers::F64(vec![0.1]));
         tensors.add("z", &[1], Numbers::I64(vec![-7]));
-        let bytes = tensors.encode();
+        let bytes = tensors.encode().unwrap();
         let read = Tensors::decode(&bytes).unwrap();
         assert_eq!(read.f32("x", 2).unwrap(), [1.5, f32::MIN_POSITIVE]);
         assert_eq!((read.f64("y", 1).unwrap(), read.text("task").unwrap()), (vec![0.1], "a"));

@@ -10,8 +10,10 @@ use std::collections::HashMap;
 const MOST_BYTES: usize = 1 << 20;
 /// Deepest nesting.
 const MOST_DEPTH: usize = 32;
-/// Largest number of values; those of an anchor count at every use.
-const MOST_VALUES: usize = 100_000;
+/// Memory of all values [bytes]. Those with an anchor count twice, and again at every use.
+const MOST_MEMORY: usize = 8 << 20;
+/// Memory of a value besides its text [bytes]: with its place in a list or table.
+const VALUE: usize = 64;
 
 /// An incomplete value.
 enum Open {
@@ -24,7 +26,8 @@ struct Reader {
     /// Values that are not complete, with their anchors; the innermost last.
     open: Vec<(Open, usize)>,
     anchors: HashMap<usize, (Value, usize)>,
-    values: usize,
+    /// Memory of the values so far [bytes].
+    memory: usize,
     whole: Option<Value>,
 }
 
@@ -33,7 +36,7 @@ pub fn read(text: &str) -> Result<Value> {
     if text.len() > MOST_BYTES {
         return Err(Error::invalid("YAML", format!("{} bytes are more than {MOST_BYTES}", text.len())));
     }
-    let mut reader = Reader { open: Vec::new(), anchors: HashMap::new(), values: 0, whole: None };
+    let mut reader = Reader { open: Vec::new(), anchors: HashMap::new(), memory: 0, whole: None };
     for event in Parser::new_from_str(text) {
         let (event, span) = event.map_err(|e| Error::invalid("YAML", e.to_string()))?;
         let wrong = |why: String| Error::invalid("YAML", format!("line {}: {why}", span.start.line()));
@@ -47,7 +50,11 @@ type Outcome = std::result::Result<(), String>;
 impl Reader {
     fn take(&mut self, event: Event) -> Outcome {
         match event {
-            Event::Scalar(text, style, anchor, _) => self.place(scalar(&text, style), anchor, 1),
+            Event::Scalar(text, style, anchor, _) => {
+                let value = scalar(&text, style);
+                let own = memory(&value);
+                self.place(value, anchor, own)
+            }
             Event::SequenceStart(anchor, _) => self.begin(Open::List(Vec::new()), anchor),
             Event::MappingStart(anchor, _) => self.begin(Open::Table(Map::new(), None), anchor),
             Event::SequenceEnd | Event::MappingEnd => {
@@ -56,12 +63,13 @@ impl Reader {
                     Open::List(list) => Value::Array(list),
                     Open::Table(table, _) => Value::Object(table),
                 };
-                self.place(value, anchor, 1)
+                // Its parts are counted already.
+                self.place(value, anchor, VALUE)
             }
             Event::Alias(anchor) => {
                 let known = self.anchors.get(&anchor).cloned();
-                let (value, size) = known.ok_or("an anchor is used inside itself")?;
-                self.place(value, 0, size)
+                let (value, memory) = known.ok_or("an anchor is used inside itself")?;
+                self.place(value, 0, memory)
             }
             Event::DocumentStart(_) if self.whole.is_some() => Err("a second document begins".into()),
             _ => Ok(()),
@@ -76,14 +84,21 @@ impl Reader {
         Ok(())
     }
 
-    /// Adds a complete value of `size` values to its parent.
-    fn place(&mut self, value: Value, anchor: usize, size: usize) -> Outcome {
-        self.values += size;
-        if self.values > MOST_VALUES {
-            return Err(format!("more than {MOST_VALUES} values"));
+    fn count(&mut self, memory: usize) -> Outcome {
+        self.memory += memory;
+        if self.memory > MOST_MEMORY {
+            return Err(format!("its values need more than {} MiB", MOST_MEMORY >> 20));
         }
+        Ok(())
+    }
+
+    /// Adds a complete value to its parent. `own`: its memory that is not counted yet.
+    fn place(&mut self, value: Value, anchor: usize, own: usize) -> Outcome {
+        self.count(own)?;
         if anchor > 0 {
-            self.anchors.insert(anchor, (value.clone(), count(&value)));
+            let copy = memory(&value);
+            self.count(copy)?;
+            self.anchors.insert(anchor, (value.clone(), copy));
         }
         match self.open.last_mut().map(|(open, _)| open) {
             None => self.whole = Some(value),
@@ -119,12 +134,15 @@ fn name(value: &Value) -> Option<String> {
     }
 }
 
-fn count(value: &Value) -> usize {
-    1 + match value {
-        Value::Array(list) => list.iter().map(count).sum::<usize>(),
-        Value::Object(table) => table.values().map(count).sum(),
-        _ => 0,
-    }
+/// Memory of a value [bytes].
+fn memory(value: &Value) -> usize {
+    VALUE
+        + match value {
+            Value::String(text) => text.len(),
+            Value::Array(list) => list.iter().map(memory).sum(),
+            Value::Object(table) => table.iter().map(|(name, value)| VALUE + name.len() + memory(value)).sum(),
+            _ => 0,
+        }
 }
 
 /// The value of a word without quotes; numbers may have `_` between digits, as in YAML 1.1.
@@ -168,10 +186,15 @@ mod tests {
 
     #[test]
     fn what_is_no_such_file_is_refused_in_a_line() {
+        let long = format!("a: &a {}\nb: [{}]", "x".repeat(60_000), "*a, ".repeat(20_000));
+        let names: String = (0..30).map(|k| format!("b{}: &b{} {{<<: *b{k}, k{k}: 1}}\n", k + 1, k + 1)).collect();
+        let names = format!("b0: &b0 {{{}: 1}}\n{names}", "x".repeat(300_000));
         let bomb: String = (0..30).map(|k| format!("a{}: &a{} [*a{k}, *a{k}, *a{k}]\n", k + 1, k + 1)).collect();
         for (text, says) in [
             ("a: [1, 2", "YAML: "),
-            (&format!("a0: &a0 1\n{bomb}") as &str, "more than 100000 values"),
+            (&format!("a0: &a0 1\n{bomb}") as &str, "its values need more than 8 MiB"),
+            (&long, "its values need more than 8 MiB"),
+            (&names, "its values need more than 8 MiB"),
             (&("[".repeat(40) + &"]".repeat(40)), "nested more than 32 deep"),
             (&"[".repeat(10_000), "YAML: "),
             ("a: &a [*a]", "YAML: "),

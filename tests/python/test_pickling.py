@@ -127,3 +127,24 @@ def test_sb3s_subprocesses_simulate_on_their_own() -> None:
     steps = env.step(np.stack([action(k) for k in range(2)]))[0]
     assert all(np.array_equal(single.step(action(k))[0], steps[k]) for k, single in enumerate(alone))
     env.close()
+
+
+def test_a_large_relief_is_copied() -> None:
+    """The heights of a relief are options, and the largest ones are longer than anything else in a snapshot."""
+    side = np.arange(256)
+    heights = (0.05 * np.sin(0.1 * side) + 0.03 * np.cos(0.07 * side)[:, None]).tolist()
+    relief = {"heights": heights, "spacing": 0.1}
+    env = sandgait.SandgaitVectorEnv("sandgait/LeggedVelocity-v0", 2, ground="rigid", relief=relief)
+    env.reset(seed=3)
+    rows = np.full((2, 12), 0.2, np.float32)
+    env.step(rows)
+    saved, fork = env.save(), env.fork(0, 2)
+    others = [copied(env) for copied in COPIES]
+    wanted = env.step(rows)[0]
+    for other in others:
+        np.testing.assert_array_equal(other.step(rows)[0], wanted)
+    np.testing.assert_array_equal(fork.step(rows)[0], np.stack([wanted[0]] * 2))
+    env.restore(saved)
+    np.testing.assert_array_equal(env.step(rows)[0], wanted)
+    for made in (env, fork, *others):
+        made.close()

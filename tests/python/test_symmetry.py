@@ -15,16 +15,17 @@ import sandgait
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "examples"))
 
-from symmetry import MirroredNetworks, Reflection, mirror  # noqa: E402
+from symmetry import MirroredNetworks, Reflection  # noqa: E402
 
 SETTINGS = yaml.safe_load((ROOT / "examples/hyperparameters/ppo.yml").read_text())
 
 
-@pytest.mark.parametrize("name", [task for task, entry in SETTINGS.items() if entry.get("mirror")])
+MIRRORED = [task for task, entry in SETTINGS.items() if entry.get("mirror")]
+
+
+@pytest.mark.parametrize("name", [*MIRRORED, "sandgait/LeggedVelocity-v0"])
 def test_mirrored_observations_give_mirrored_actions(name: str) -> None:
-    env = sandgait.SandgaitVectorEnv(name, 1)
-    observation, action = (mirror([c.name for c in columns]) for columns in (env.task.observation, env.task.action))
-    env.close()
+    observation, action = sandgait.mirror(name)
     rows = torch.tensor(np.random.default_rng(0).normal(size=(32, len(observation[0]))), dtype=torch.float32)
     seen, done = Reflection(observation), Reflection(action)
     assert torch.equal(seen(seen(rows)), rows)
@@ -36,7 +37,15 @@ def test_mirrored_observations_give_mirrored_actions(name: str) -> None:
 
 
 def test_heights_and_legs_change_sides() -> None:
-    names = ["hip speed, right-rear", "hip speed, left-rear", "what lies 5 cm ahead and -5 cm to the left"]
-    names += ["what lies 5 cm ahead and 5 cm to the left", "base velocity, body frame, y"]
-    names += ["commanded speed", "commanded yaw speed"]
-    assert mirror(names) == ([1, 0, 3, 2, 4, 5, 6], [1.0, 1.0, 1.0, 1.0, -1.0, 1.0, -1.0])
+    """A mirrored value moves to the column on the other side. Legs of a robot from a file are found by their places."""
+    names = {"sandgait/HexapodTerrain-v1": [("left-", "right-")], "sandgait/LeggedVelocity-v0": [("FL_", "FR_")]}
+    for name, sides in names.items():
+        env = sandgait.SandgaitVectorEnv(name, 1)
+        columns = [c.name for c in env.task.action]
+        env.close()
+        order, signs = sandgait.mirror(name)[1]
+        for left, right in sides:
+            for column, image in zip(columns, (columns[k] for k in order), strict=True):
+                if left in column:
+                    assert image == column.replace(left, right)
+        assert set(signs) <= {1.0, -1.0}

@@ -72,5 +72,5 @@ mod _native {
     #[pymodule_export]
     use super::tables::describe;
     #[pymodule_export]
-    use super::train::train;
+    use super::train::{mirror, train};
 }

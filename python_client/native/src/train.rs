@@ -1,11 +1,14 @@
 //! `sandgait.train`: what the command `sandgait train` does.
 
+use crate::errors::raise;
 use crate::remote::{self, Address};
 use crate::values::keywords;
 use crate::wait;
 use pyo3::prelude::*;
 use pyo3::types::PyMapping;
 use sandgait::cli::{Training, learn};
+use sandgait::env::registry::Blueprint;
+use sandgait::train::Mirror;
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -62,4 +65,12 @@ pub fn train(py: Python<'_>, asked: SessionRequest<'_>, told: Option<&Bound<'_, 
         let (steps, seconds) = (outcome.learnt.steps, outcome.learnt.seconds);
         Ok((request.out, steps, seconds, curve, json!(outcome.score).to_string(), text))
     })
+}
+
+/// The mirrors of a task's observations and of its actions, left to right: for each column the column with its mirrored
+/// value, and the sign.
+#[pyfunction]
+pub fn mirror(task: &str, options: &Bound<'_, PyMapping>) -> PyResult<[(Vec<usize>, Vec<f32>); 2]> {
+    let mirrors = Blueprint::new(task, keywords(options)?).and_then(|blueprint| Mirror::both(&blueprint));
+    Ok(mirrors.map_err(|error| raise(&error))?.map(|mirror| (mirror.order, mirror.signs)))
 }

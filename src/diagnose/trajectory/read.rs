@@ -16,7 +16,7 @@ pub fn read(data: &Path, experiment: &Experiment) -> Result<Log> {
     let names = Names::new(&joints, keys)?;
     let columns = names.columns();
     let [renamed, units] = [&experiment.columns, &experiment.units].map(|table| names.for_each_joint(table));
-    let asked = Asked { columns: &columns, renamed, units, most_rows: None };
+    let asked = Asked { renamed, units, ..Asked::new(&columns) };
     let mut gather = Gather::new(&names, keys);
     let summary = table::read(data, &asked, |row| gather.take(row))?;
     let log = gather.finish(data, summary.sha256)?;

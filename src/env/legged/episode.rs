@@ -85,7 +85,7 @@ impl LeggedEpisode {
         let mut model = own.clone();
         let Some(tree) = &model.tree else { return Ok(model) };
         let mut tree = (**tree).clone();
-        tree.tree.bodies[0].mass = (tree.tree.bodies[0].mass + self.added_mass).max(0.1 * tree.tree.bodies[0].mass);
+        tree.base_mass = (tree.base_mass + self.added_mass).max(0.1 * tree.base_mass);
         for motor in &mut tree.motors {
             motor.kp *= self.motor_strength;
             motor.kd *= self.motor_strength;

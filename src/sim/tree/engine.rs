@@ -120,8 +120,10 @@ impl<R: Real> Lanes<R> {
             work: zero,
         };
         let endless = tree.tree.joints().map(|j| j.range.is_none() && j.kind == super::JointKind::Hinge).collect();
+        let mut bodies = LaneBody::all(&tree.tree);
+        bodies[0].mass = R::splat(tree.base_mass);
         let lanes = LaneTree {
-            bodies: LaneBody::all(&tree.tree),
+            bodies,
             motors: LaneMotor::all(tree),
             patches: if model.has_sand() { tree.patches.clone() } else { Arc::default() },
             contacts: if model.scene.hard.is_empty() { Vec::new() } else { BodyContacts::all(tree) },
@@ -187,6 +189,7 @@ impl<R: Real> Block for Lanes<R> {
     fn set_model(&mut self, lane: usize, model: &Model) {
         let Some(tree) = &model.tree else { return };
         LaneBody::set_lane(&mut self.tree.bodies, lane, &tree.tree);
+        self.tree.bodies[0].mass.set_lane(lane, tree.base_mass);
         LaneMotor::set_lane(&mut self.tree.motors, lane, tree);
         self.tree.ground.set_lane(lane, &model.scene.medium, &model.scene.mechanisms);
         self.tree.floor.set_lane(lane, tree, &model.scene.hard);

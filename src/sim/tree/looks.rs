@@ -9,6 +9,9 @@ use std::collections::HashMap;
 
 /// Largest number of triangles of all meshes of a robot, each mesh counted once: our choice, some 50 kB of a packed robot.
 pub const MOST_TRIANGLES: usize = 4000;
+/// Largest number of shapes, and of corners of all meshes: our choices.
+const MOST_SHAPES: usize = 10_000;
+const MOST_CORNERS: usize = 3 * MOST_TRIANGLES;
 /// Largest number of triangles of all shapes: our choice, so that a picture takes at most some tenths of a second.
 const MOST_DRAWN: usize = 1 << 20;
 /// Largest number of triangles with which pictures draw a primitive.
@@ -150,6 +153,15 @@ impl Looks {
     /// Checks every number of a client's robot of this many bodies.
     pub fn check(&self, bodies: usize) -> Result<()> {
         let wrong = |reason: String| Err(Error::invalid("looks", reason));
+        let of_meshes = |count: fn(&LookMesh) -> usize| self.meshes.iter().map(count).sum::<usize>();
+        for (what, count, most) in [
+            ("shapes in looks", self.shapes.len(), MOST_SHAPES),
+            ("corners of meshes in looks", of_meshes(|m| m.corners.len()), MOST_CORNERS),
+            ("triangles of meshes in looks", of_meshes(|m| m.faces.len()), MOST_TRIANGLES),
+            ("meshes in looks", self.meshes.len(), MOST_SHAPES),
+        ] {
+            check_range(what, count as f64, 0.0..=most as f64)?;
+        }
         for mesh in &self.meshes {
             mesh.corners
                 .iter()

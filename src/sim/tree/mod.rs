@@ -12,7 +12,7 @@
 //!   [`forces`]: those of both at one moment, for pictures.
 //! * [`contact`]: the points; [`terrain`]: the ground's surface near a point, [`relief`]: a surface that is not
 //!   flat, [`heights`]: those of a file as one text.
-//! * [`stance`]: the standing pose and the feet; [`looks`]: shapes for pictures; [`packed`]: a robot as one text.
+//! * [`stance`]: the standing pose and the feet; [`symmetry`]: left and right; [`looks`]: shapes for pictures; [`packed`]: a robot as one text.
 //! * [`plates`]: collision shapes as the plates that push on sand, [`patches`]: plates with nearly the same normal,
 //!   gathered; [`robot`]: our own robots as trees.
 
@@ -35,6 +35,7 @@ mod sand;
 mod servo;
 pub mod stance;
 mod step;
+pub mod symmetry;
 pub mod terrain;
 
 pub use engine::TreeEngine;

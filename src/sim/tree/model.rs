@@ -34,10 +34,14 @@ pub struct Compliance {
     pub creep: f64,
 }
 
-/// A tree robot. Static data are shared, so a copy with other masses or motors is cheap.
+/// A tree robot. Everything that an episode does not change is shared, so a copy with another mass of the base or other
+/// motors is small: see [`crate::Model::episode_bytes`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct TreeModel {
-    pub tree: Tree,
+    /// The robot of the file.
+    pub tree: Arc<Tree>,
+    /// Mass of the base [kg], in place of that in `tree`: with a payload and what an episode adds.
+    pub base_mass: f64,
     /// One a joint.
     pub motors: Vec<TreeMotor>,
     /// Plates that touch sand, in the frame of each body.
@@ -87,7 +91,8 @@ impl TreeModel {
         let stance = Arc::new(Stance::of(&tree, &contacts));
         let looks = Looks::of(tree.bodies.iter().map(|b| &b.shapes[..]), false).or_plates(&plates);
         let (patches, contacts, looks) = (Arc::default(), Arc::new(contacts), Arc::new(looks));
-        Ok(Self { tree, motors, plates: Arc::new(plates), patches, contacts, compliance, stance, looks })
+        let (base_mass, tree) = (tree.bodies[0].mass, Arc::new(tree));
+        Ok(Self { tree, base_mass, motors, plates: Arc::new(plates), patches, contacts, compliance, stance, looks })
     }
 
     /// The model with other shapes for pictures. Without this it shows its primitives, and plates where a body has
@@ -104,7 +109,7 @@ impl TreeModel {
 
     /// A copy with `payload` [kg] at the base's centre of mass.
     pub fn with_payload(mut self, payload: f64) -> Self {
-        self.tree.bodies[0].mass += payload;
+        self.base_mass += payload;
         self
     }
 
@@ -132,6 +137,11 @@ impl TreeModel {
 
     pub fn joints(&self) -> usize {
         self.motors.len()
+    }
+
+    /// [kg]
+    pub fn mass(&self) -> f64 {
+        self.tree.bodies.iter().skip(1).fold(self.base_mass, |sum, body| sum + body.mass)
     }
 }
 

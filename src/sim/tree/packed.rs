@@ -21,8 +21,12 @@ const MOST_PACKED: usize = 224 << 10;
 const MARK: &str = "tree:";
 /// Largest number of a robot's bodies: our choice, far beyond what can be simulated in real time.
 const MOST_BODIES: usize = 256;
-/// Largest number of a robot's plates, and of its points of contact: our choice, also far beyond real time.
+/// Largest number of a robot's plates and points of contact together: our choice, also far beyond real time.
 const MOST_PIECES: usize = 20_000;
+/// Largest number of a robot's primitive shapes: our choice. They are for pictures alone.
+const MOST_SHAPES: usize = 4_096;
+/// Longest name of the robot, a body, a joint or a shape [bytes]: our choice.
+const LONGEST_NAME: usize = 200;
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -151,6 +155,9 @@ pub fn unpack(text: &str) -> Result<TreeModel> {
     check_range("number of bodies", bodies.len() as f64, 1.0..=MOST_BODIES as f64)?;
     let pieces: usize = bodies.iter().map(|b| b.contacts.len() + b.plates.len()).sum();
     check_range("number of plates and points", pieces as f64, 0.0..=MOST_PIECES as f64)?;
+    let shapes: usize = bodies.iter().map(|b| b.shapes.len()).sum();
+    check_range("number of shapes", shapes as f64, 0.0..=MOST_SHAPES as f64)?;
+    check_name(&name)?;
     bodies.iter().try_for_each(Body::check)?;
     let count = bodies.len();
     looks.iter().try_for_each(|looks| looks.check(count))?;
@@ -164,8 +171,15 @@ pub fn unpack(text: &str) -> Result<TreeModel> {
     }
 }
 
+fn check_name(name: &str) -> Result<()> {
+    check_range("length of a name", name.len() as f64, 0.0..=LONGEST_NAME as f64).map(drop)
+}
+
 impl Body {
     fn check(&self) -> Result<()> {
+        let joint_name = self.joint.iter().map(|j| &j.name);
+        let mut names = self.shapes.iter().map(|s| &s.name).chain(joint_name).chain([&self.name]);
+        names.try_for_each(|name| check_name(name))?;
         let joint = self.joint.iter().flat_map(|j| {
             let options = [j.torque_limit, j.speed_limit, j.kp, j.kd, j.rest].into_iter().flatten();
             let range = j.range.into_iter().flatten();

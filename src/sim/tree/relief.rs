@@ -38,6 +38,11 @@ pub struct Relief {
 }
 
 impl Relief {
+    /// [bytes]
+    pub fn memory_bytes(&self) -> usize {
+        size_of_val(&self.heights[..]) + self.json.len()
+    }
+
     /// The node of row 0 and column 0 is at x = y = 0.
     pub fn new(spacing: f64, rows: &[Vec<f64>]) -> Result<Self> {
         check_range("relief.spacing", spacing, 1e-3..=100.0)?;

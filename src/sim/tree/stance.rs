@@ -17,6 +17,10 @@ const FARTHEST: f64 = 2.8;
 const GRID: usize = 12;
 const ROUNDS: usize = 60;
 
+/// Largest number of frames that all searches of a robot compute: our choice, about a second. Two thousand times what a
+/// quadruped needs; a chain of hundreds of joints gets fewer rounds.
+const MOST_FRAMES: usize = 10_000_000;
+
 /// A robot's standing pose.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stance {
@@ -37,17 +41,23 @@ pub fn frames(tree: &Tree, state: &State) -> Vec<Isometry3<f64>> {
 fn chain(tree: &Tree, base: Isometry3<f64>, angles: &[f64]) -> Vec<Isometry3<f64>> {
     let mut all = Vec::with_capacity(tree.bodies.len());
     all.push(base);
-    for (body, q) in tree.bodies.iter().skip(1).zip(angles) {
-        let moved = match &body.joint {
-            Some(j) if j.kind == JointKind::Slide => {
-                Isometry3::from_parts((j.axis.into_inner() * *q).into(), UnitQuaternion::identity())
-            }
-            Some(j) => Isometry3::from_parts(V::zeros().into(), UnitQuaternion::from_axis_angle(&j.axis, *q)),
-            None => Isometry3::identity(),
-        };
-        all.push(all[body.parent] * body.origin * moved);
+    for (body, q) in (1..tree.bodies.len()).zip(angles) {
+        all.push(joined(tree, body, &all[tree.bodies[body].parent], *q));
     }
     all
+}
+
+/// The frame of a body whose joint is at `q`, on its parent's frame.
+fn joined(tree: &Tree, body: usize, parent: &Isometry3<f64>, q: f64) -> Isometry3<f64> {
+    let body = &tree.bodies[body];
+    let moved = match &body.joint {
+        Some(j) if j.kind == JointKind::Slide => {
+            Isometry3::from_parts((j.axis.into_inner() * q).into(), UnitQuaternion::identity())
+        }
+        Some(j) => Isometry3::from_parts(V::zeros().into(), UnitQuaternion::from_axis_angle(&j.axis, q)),
+        None => Isometry3::identity(),
+    };
+    parent * body.origin * moved
 }
 
 /// The lowest of a body's points [m], for a body at `frame`; infinite if it has none.
@@ -109,22 +119,36 @@ fn found(tree: &Tree, contacts: &[Vec<ContactPoint>], feet: &[usize]) -> Vec<f64
         let last = contacts[foot].iter().map(|p| p.center.norm()).fold(0.0, f64::max);
         let (root, length) = (branch[first], below.sum::<f64>() + last);
         let cost = |angles: &[f64]| {
-            let frames = chain(tree, Isometry3::identity(), angles);
-            let (tip, hip) = (lowest(&frames[foot], &contacts[foot]), frames[root].translation.vector);
+            let (mut frame, mut hip) = (Isometry3::identity(), V::zeros());
+            for &body in &branch {
+                frame = joined(tree, body, &frame, angles[body - 1]);
+                if body == root {
+                    hip = frame.translation.vector;
+                }
+            }
+            let tip = lowest(&frame, &contacts[foot]);
             let off = tip - hip + V::z() * (REACH * length);
             // Of two solutions, the one with the knee farther back is taken, and among equivalent angles the smallest.
-            let knee = frames[foot].translation.vector.x - hip.x + 0.3 * length;
+            let knee = frame.translation.vector.x - hip.x + 0.3 * length;
             let turned: f64 = branch.iter().map(|i| angles[i - 1] * angles[i - 1]).sum();
             off.norm_squared() + 1e-3 * knee * knee + 1e-6 * length * length * turned
         };
         let free: Vec<usize> = branch.iter().map(|i| i - 1).filter(|i| joints[*i].rest.is_none()).collect();
-        descend(&mut angles, &free, &range, &cost);
+        let frames = (2 * free.len() * branch.len()).max(1) * feet.len();
+        descend(&mut angles, &free, &range, &cost, ROUNDS.min(MOST_FRAMES / frames));
     }
     angles
 }
 
-/// Lowers `cost` over the joints `free`: the best point of a grid over the last two, then one joint at a time.
-fn descend(angles: &mut Vec<f64>, free: &[usize], range: &impl Fn(usize) -> [f64; 2], cost: &impl Fn(&[f64]) -> f64) {
+/// Lowers `cost` over the joints `free`: the best point of a grid over the last two, then one joint at a time in `rounds`
+/// rounds.
+fn descend(
+    angles: &mut Vec<f64>,
+    free: &[usize],
+    range: &impl Fn(usize) -> [f64; 2],
+    cost: &impl Fn(&[f64]) -> f64,
+    rounds: usize,
+) {
     let ends = &free[free.len().saturating_sub(2)..];
     let mut best = (cost(angles), angles.clone());
     for k in 0..GRID.pow(ends.len() as u32) {
@@ -140,7 +164,7 @@ fn descend(angles: &mut Vec<f64>, free: &[usize], range: &impl Fn(usize) -> [f64
     }
     *angles = best.1;
     let (mut least, mut step) = (best.0, 0.3);
-    for _ in 0..ROUNDS {
+    for _ in 0..rounds {
         let before = least;
         for i in free {
             let [low, high] = range(*i);

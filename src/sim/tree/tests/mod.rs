@@ -4,7 +4,7 @@ use super::flight::{Accelerations, GRAVITY, Pose, accelerations, accelerations_b
 use super::*;
 use nalgebra::{Rotation3, UnitQuaternion};
 
-mod engine;
+pub mod engine;
 mod forces;
 mod sand;
 

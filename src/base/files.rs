@@ -1,0 +1,117 @@
+//! Files that survive a power cut, and folders that only one process at a time writes into.
+
+use super::error::{Error, Result};
+use std::fs::{File, TryLockError};
+use std::io::{ErrorKind, Write as _};
+use std::path::{Path, PathBuf};
+
+/// Replaces the file at `path`, or creates it. After a power cut or a kill at any moment the path has either the old
+/// content or the new one, complete. When this returns, the new one is on the disk.
+pub fn write(path: &Path, content: &[u8]) -> Result<()> {
+    put(path, content)?;
+    sync_folder(folder_of(path))
+}
+
+/// The same as [`write`], but the new name is on the disk only after [`sync_folder`]. For many files in one folder.
+///
+/// The content is written to `NAME.partial` beside the file first. If the process is killed there, this file stays, and
+/// the next call replaces it. Two processes must not write the same path at the same time: see [`Lock`].
+pub fn put(path: &Path, content: &[u8]) -> Result<()> {
+    let mut beside = path.as_os_str().to_owned();
+    beside.push(".partial");
+    let beside = PathBuf::from(beside);
+    let written = File::create(&beside).and_then(|mut file| {
+        file.write_all(content)?;
+        // The content must be on the disk before the name refers to it.
+        file.sync_all()?;
+        std::fs::rename(&beside, path)
+    });
+    written.map_err(|e| {
+        // The first error is the one to report; the incomplete file may not even exist.
+        let _ = std::fs::remove_file(&beside);
+        Error::file(path, e)
+    })
+}
+
+/// Writes a folder's names to the disk: those of new, renamed and removed files.
+pub fn sync_folder(folder: &Path) -> Result<()> {
+    match File::open(folder).and_then(|folder| folder.sync_all()) {
+        // Some network file systems cannot do this for folders.
+        Err(e) if !matches!(e.kind(), ErrorKind::InvalidInput | ErrorKind::Unsupported) => Err(Error::file(folder, e)),
+        _ => Ok(()),
+    }
+}
+
+fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
+/// A folder that this process alone writes into. The system ends the lock with the process, however it ends.
+#[derive(Debug)]
+pub struct Lock(File);
+
+impl Lock {
+    /// Locks `folder`, which exists. If another process has locked it, this is an error with `advice`.
+    ///
+    /// The folder itself is locked, so no file is left. A file system without locks for folders (NFS, or Lustre without
+    /// the mount option `flock`) gives no protection; that is no error, because people train there too.
+    pub fn new(folder: &Path, advice: &str) -> Result<Self> {
+        let file = File::open(folder).map_err(|e| Error::file(folder, e))?;
+        match file.try_lock() {
+            Err(TryLockError::WouldBlock) => {
+                Err(Error::file(folder, format!("another process writes into this folder; {advice}")))
+            }
+            Ok(()) | Err(TryLockError::Error(_)) => Ok(Self(file)),
+        }
+    }
+}
+
+impl Drop for Lock {
+    /// A forked child may hold the folder open, too, so closing it would not end the lock.
+    fn drop(&mut self) {
+        // It cannot fail for a lock that is held; without locks there is nothing to end.
+        let _ = self.0.unlock();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn folder(name: &str) -> PathBuf {
+        let folder = std::env::temp_dir().join(format!("sandgait-files-{}-{name}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        folder
+    }
+
+    #[test]
+    fn a_file_is_replaced_as_a_whole() {
+        let folder = folder("replaced");
+        let path = folder.join("state.bin");
+        // What a killed process has left.
+        std::fs::write(folder.join("state.bin.partial"), "half").unwrap();
+        write(&path, b"first").unwrap();
+        write(&path, b"second").unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), b"second");
+        let names: Vec<_> = std::fs::read_dir(&folder).unwrap().map(|e| e.unwrap().file_name()).collect();
+        assert_eq!(names, ["state.bin"]);
+        // A name that cannot be replaced: the error names the file, and nothing is left beside it.
+        std::fs::create_dir_all(folder.join("taken/inside")).unwrap();
+        assert!(write(&folder.join("taken"), b"x").unwrap_err().to_string().contains("taken: "));
+        assert!(!folder.join("taken.partial").exists());
+        assert!(write(&folder.join("missing/x"), b"x").unwrap_err().to_string().contains("missing/x: "));
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+
+    /// Two descriptors of one file exclude each other like two processes.
+    #[test]
+    fn a_folder_has_one_writer() {
+        let folder = folder("locked");
+        let lock = Lock::new(&folder, "choose another --out").unwrap();
+        let error = Lock::new(&folder, "choose another --out").unwrap_err().to_string();
+        assert!(error.ends_with(": another process writes into this folder; choose another --out"), "{error}");
+        drop(lock);
+        drop(Lock::new(&folder, "").unwrap());
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+}

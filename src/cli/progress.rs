@@ -1,0 +1,92 @@
+//! Progress of a command's work on stderr: a bar on a terminal, and lines where the output goes to a file or a pipe.
+
+use indicatif::{ProgressBar, ProgressStyle};
+use sandgait::Result;
+use sandgait::progress::Progress;
+use std::io::IsTerminal as _;
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+/// A log gets a line at every tenth of the work, but none sooner after the line before or the start than [`SHORT`], and at
+/// least one every [`LONG`]. Our choice: work of a few seconds writes nothing.
+const SHORT: Duration = Duration::from_secs(2);
+const LONG: Duration = Duration::from_secs(60);
+
+pub struct Bar {
+    bar: ProgressBar,
+    /// None on a terminal.
+    log: Option<Mutex<Log>>,
+}
+
+/// The last line.
+struct Log {
+    tenth: u32,
+    at: Instant,
+}
+
+impl Log {
+    /// The line that is due at `now`.
+    fn line(&mut self, done: f64, stage: &str, now: Instant) -> Option<String> {
+        let (tenth, passed) = ((10.0 * done) as u32, now.duration_since(self.at));
+        if !(tenth > self.tenth && passed >= SHORT || passed >= LONG) {
+            return None;
+        }
+        (self.tenth, self.at) = (tenth, now);
+        Some(format!("sandgait: {:.0} % of {stage}", 100.0 * done))
+    }
+}
+
+impl Bar {
+    const STEPS: u64 = 1000;
+
+    pub fn new() -> Self {
+        let style = ProgressStyle::with_template("{bar:40} {percent} % of {msg}, {eta} left");
+        let bar = ProgressBar::new(Self::STEPS).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+        let log = (!std::io::stderr().is_terminal()).then(|| Mutex::new(Log { tenth: 0, at: Instant::now() }));
+        Self { bar, log }
+    }
+}
+
+impl Progress for Bar {
+    fn report(&self, done: f64, stage: &str) -> Result<()> {
+        if let Some(log) = &self.log {
+            let line = log.lock().unwrap_or_else(PoisonError::into_inner).line(done, stage, Instant::now());
+            line.iter().for_each(|line| eprintln!("{line}"));
+            return Ok(());
+        }
+        self.bar.set_message(stage.to_owned());
+        self.bar.set_position((done * Self::STEPS as f64) as u64);
+        Ok(())
+    }
+}
+
+impl Drop for Bar {
+    fn drop(&mut self) {
+        self.bar.finish_and_clear();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Lines of work with a report every tenth of a second, and the seconds at which they come.
+    fn lines(seconds: f64) -> Vec<(f64, String)> {
+        let start = Instant::now();
+        let mut log = Log { tenth: 0, at: start };
+        let reports = (0..=(10.0 * seconds) as u32).map(|k| f64::from(k) / 10.0);
+        let line = |t: f64| Some((t, log.line(t / seconds, "the work", start + Duration::from_secs_f64(t))?));
+        reports.filter_map(line).collect()
+    }
+
+    #[test]
+    fn a_log_has_a_line_every_tenth_and_every_minute() {
+        assert!(lines(1.5).is_empty());
+        let minute = lines(60.0);
+        assert_eq!(minute.len(), 10);
+        assert_eq!(minute[0], (6.0, "sandgait: 10 % of the work".into()));
+        assert_eq!(lines(5.0).len(), 2);
+        let hour = lines(3600.0);
+        assert!(hour.windows(2).all(|pair| pair[1].0 - pair[0].0 <= 60.0) && hour.len() == 60, "{}", hour.len());
+    }
+}

@@ -1,0 +1,192 @@
+//! How well a policy of LeggedVelocity follows commanded velocities: a line for each of nine commands.
+//!
+//! Episodes have nominal masses, motors and sand, and no pushes; the command stays the same. `docs/evaluate.md` defines
+//! every figure.
+
+use super::FIRST_SEED;
+use super::gait::{Gait, Wanted};
+use crate::env::legged::LeggedVelocity;
+use crate::env::registry::Blueprint;
+use crate::env::{Shard, Spec, Task};
+use crate::error::{Error, Result};
+use crate::parallel;
+use crate::progress::Progress;
+use serde::Serialize;
+use serde_json::{Map, Value, json};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// Commands as shares of the ends of the training's ranges: forward, to the left, and yaw rate. One alone or several
+/// together, half or nearly all of the ranges: our choice.
+const SHARES: [[f64; 3]; 9] = [
+    [0.5, 0.0, 0.0],
+    [0.9, 0.0, 0.0],
+    [-0.5, 0.0, 0.0],
+    [0.0, 0.4, 0.0],
+    [0.0, -0.4, 0.0],
+    [0.0, 0.0, 0.8],
+    [0.0, 0.0, -0.8],
+    [0.6, 0.0, 0.6],
+    [0.6, 0.3, 0.0],
+];
+const NAMES: [&str; 3] = ["lin_vel_x", "lin_vel_y", "ang_vel_yaw"];
+/// Info columns with the velocity and with the command, in the order of [`NAMES`].
+const VELOCITY: [&str; 3] = ["speed", "lin_vel_y", "ang_vel_yaw"];
+const COMMAND: [&str; 3] = ["command_lin_vel_x", "command_lin_vel_y", "command_ang_vel_yaw"];
+
+/// Number of robots for each command, duration, and the time at the start that is not counted [s]: our choice; a robot walks
+/// steadily after a second.
+const ROBOTS: usize = 16;
+const SECONDS: f64 = 6.0;
+const BEGINNING: f64 = 2.0;
+
+/// A command and how it was followed: forward, to the left [m/s] and yaw rate [rad/s].
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Line {
+    pub command: [f64; 3],
+    /// Mean over the robots that did not fall, in the base's frame; 0 if all fell.
+    pub velocity: [f64; 3],
+    /// |velocity − command| / |command|; yaw rates have the weight that they have in legged_gym's rewards.
+    pub error: f64,
+    /// Share of the robots that fell.
+    pub falls: f64,
+}
+
+/// The results for all commands.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Followed {
+    pub lines: Vec<Line>,
+    pub mean_error: f64,
+    pub worst_error: f64,
+    /// Share of all robots that fell.
+    pub falls: f64,
+}
+
+/// The episodes of the study, before they are played.
+pub struct CommandStudy {
+    blueprints: Vec<Blueprint>,
+    gait: Gait,
+}
+
+impl CommandStudy {
+    /// `options`: keywords of LeggedVelocity, those of the policy's training. Its ranges of commands are kept as the scale.
+    pub fn new(policy: &Wanted, options: &Value) -> Result<Self> {
+        let base = Blueprint::new(LeggedVelocity::ID, policy.with_control(options.clone())?)?;
+        let gait = policy.gait(&base)?;
+        let gait = gait.ok_or_else(|| Error::invalid("policy", "a tripod follows no commands"))?;
+        let ranges = base.task.option("commands");
+        let end = |name: &str, share: f64| {
+            let end = ranges[name][usize::from(share > 0.0)].as_f64().unwrap_or_default();
+            // Rounded, so that a table shows the number that was commanded.
+            (share.abs() * end * 1e3).round() / 1e3
+        };
+        let command = |shares: &[f64; 3]| -> [f64; 3] { std::array::from_fn(|k| end(NAMES[k], shares[k])) };
+        let mut commands: Vec<_> = SHARES.iter().map(command).filter(|c| *c != [0.0; 3]).collect();
+        commands.dedup();
+        if commands.is_empty() {
+            return Err(Error::invalid("commands", "all ranges are 0, so there is nothing to follow"));
+        }
+        let blueprints = commands.iter().map(|command| held(options, *command)).collect::<Result<_>>()?;
+        Ok(Self { blueprints, gait })
+    }
+
+    /// Plays all episodes. An error of `progress` stops the work.
+    pub fn run(&self, progress: &dyn Progress) -> Result<Followed> {
+        let (done, count) = (AtomicUsize::new(0), self.blueprints.len());
+        let lines = parallel::map(&self.blueprints, |blueprint| {
+            let steps = blueprint.task.spec().max_episode_steps as usize * count;
+            follow(blueprint, &self.gait, &|| {
+                let done = done.fetch_add(1, Ordering::Relaxed) + 1;
+                progress.report((done as f64 / steps as f64).min(1.0), &format!("{count} commands"))
+            })
+        });
+        let lines: Vec<Line> = lines.into_iter().collect::<Result<_>>()?;
+        let mean = |of: fn(&Line) -> f64| lines.iter().map(of).sum::<f64>() / lines.len() as f64;
+        let worst_error = lines.iter().map(|l| l.error).fold(0.0, f64::max);
+        Ok(Followed { mean_error: mean(|l| l.error), worst_error, falls: mean(|l| l.falls), lines })
+    }
+}
+
+/// The task with one command, without randomness.
+fn held(options: &Value, command: [f64; 3]) -> Result<Blueprint> {
+    let mut options = options.as_object().cloned().unwrap_or_default();
+    let ranges: Map<String, Value> = NAMES.iter().zip(command).map(|(n, v)| ((*n).to_owned(), json!([v, v]))).collect();
+    options.insert("commands".into(), Value::Object(ranges));
+    options.insert("domain_rand".into(), Value::Null);
+    let rate = crate::env::spec::CONTROL_RATE;
+    options.insert("max_episode_steps".into(), json!((SECONDS * rate).round() as u64));
+    Blueprint::new(LeggedVelocity::ID, Value::Object(options))
+}
+
+/// Indices of these info columns.
+fn columns(spec: &Spec, names: [&str; 3]) -> Result<[usize; 3]> {
+    let mut at = [0; 3];
+    for (at, name) in at.iter_mut().zip(names) {
+        let found = spec.info.iter().position(|c| c.name == name);
+        *at = found.ok_or_else(|| Error::Internal(format!("{} has no {name}", spec.id)))?;
+    }
+    Ok(at)
+}
+
+/// Robots that follow the one command of `blueprint`.
+fn follow(blueprint: &Blueprint, gait: &Gait, report: &dyn Fn() -> Result<()>) -> Result<Line> {
+    let spec = blueprint.task.spec();
+    let (velocity, commanded) = (columns(spec, VELOCITY)?, columns(spec, COMMAND)?);
+    let seeds: Vec<u64> = (FIRST_SEED..).take(ROBOTS).collect();
+    let mut shard = Shard::new(blueprint, ROBOTS)?;
+    shard.reset(|_| true, Some(&seeds), |_| None);
+    let mut player = gait.player(&seeds);
+    let mut actions = vec![0.0; ROBOTS * spec.action.len()];
+    let (mut sums, mut fell, mut command) = ([[0.0; 3]; ROBOTS], [false; ROBOTS], [0.0; 3]);
+    let (steps, first) = (spec.max_episode_steps, (BEGINNING * spec.control_rate).round() as u32);
+    for step in 0..steps {
+        player.act(&shard, &mut actions)?;
+        shard.step(&actions);
+        for i in 0..ROBOTS {
+            fell[i] |= shard.rows.terminated[i] > 0;
+            let info = &shard.rows.infos[i * spec.info.len()..][..spec.info.len()];
+            command = commanded.map(|k| info[k].into());
+            if step >= first && !fell[i] {
+                (0..3).for_each(|k| sums[i][k] += f64::from(info[velocity[k]]) / f64::from(steps - first));
+            }
+        }
+        report()?;
+    }
+    let standing: Vec<&[f64; 3]> = sums.iter().zip(fell).filter(|(_, fell)| !fell).map(|(sum, _)| sum).collect();
+    let velocity: [f64; 3] =
+        std::array::from_fn(|k| standing.iter().map(|sum| sum[k]).sum::<f64>() / standing.len().max(1) as f64);
+    let norm = |v: [f64; 3]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let error = norm(std::array::from_fn(|k| velocity[k] - command[k])) / norm(command);
+    let falls = fell.iter().filter(|fell| **fell).count() as f64 / ROBOTS as f64;
+    Ok(Line { command, velocity, error, falls })
+}
+
+/// Cells of the text table, the heading first.
+pub fn cells(followed: &Followed) -> Vec<Vec<String>> {
+    let heading = ["commanded: forward [m/s]", "left [m/s]", "yaw [rad/s]", "forward", "left", "yaw", "error", "fell"];
+    let line = |line: &Line| {
+        let speeds = line.command.iter().chain(&line.velocity).map(|x| format!("{x:.2}"));
+        speeds.chain([percent(line.error), percent(line.falls)]).collect()
+    };
+    std::iter::once(heading.map(str::to_owned).to_vec()).chain(followed.lines.iter().map(line)).collect()
+}
+
+/// The line below the table.
+pub fn summary(followed: &Followed) -> String {
+    let Followed { mean_error, worst_error, falls, .. } = followed;
+    format!("mean error {}, worst {}, fell {}", percent(*mean_error), percent(*worst_error), percent(*falls))
+}
+
+fn percent(share: f64) -> String {
+    format!("{:.0} %", 100.0 * share)
+}
+
+/// One line for each command.
+pub fn csv(followed: &Followed) -> String {
+    let mut text = String::from("command_lin_vel_x,command_lin_vel_y,command_ang_vel_yaw,");
+    text += "lin_vel_x,lin_vel_y,ang_vel_yaw,error,falls\n";
+    for line in &followed.lines {
+        let numbers = line.command.iter().chain(&line.velocity).chain([&line.error, &line.falls]);
+        text += &format!("{}\n", numbers.map(f64::to_string).collect::<Vec<_>>().join(","));
+    }
+    text
+}

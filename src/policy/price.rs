@@ -1,0 +1,104 @@
+//! What a network costs at most. Every file is held to these bounds before the memory or the work that it asks for is
+//! spent.
+//!
+//! | part | bound |
+//! |---|---|
+//! | reading a file of n bytes | [`reading_bytes`] |
+//! | fields of the file, counted before it is decoded | [`MOST_FIELDS`] |
+//! | numbers that one observation makes: the widths of all steps | [`MOST_VALUES`] |
+//! | products of one observation | [`MOST_PRODUCTS`] |
+
+use super::Lanes;
+use super::operator::{Operator, Program};
+use crate::error::{Error, Result};
+use prost::encoding::{DecodeContext, WireType, decode_key, decode_varint, skip_field};
+
+/// Limits of a network: our choice, far above the needs of walking. The largest network takes some milliseconds for a shard.
+pub const MOST_NODES: usize = 256;
+pub const MOST_WIDTH: usize = 4096;
+pub const MOST_PRODUCTS: usize = 2 << 20;
+/// Sixteen layers of [`MOST_WIDTH`].
+pub const MOST_VALUES: usize = 16 * MOST_WIDTH;
+/// Largest number of fields of a file: our choice, 64 for each node. Weights are one field.
+const MOST_FIELDS: usize = 64 * MOST_NODES;
+/// A field of two bytes becomes a struct of at most this size [bytes], when its list grows with room to spare; a test
+/// measures it.
+const FIELD: usize = 512;
+
+/// What a network costs while it is used.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Price {
+    /// Memory of the network itself, once [bytes].
+    pub bytes: usize,
+    /// Memory of each thread that computes actions [bytes].
+    pub scratch_bytes: usize,
+    /// Products, sums and function values of one action.
+    pub operations: usize,
+}
+
+impl Price {
+    pub(super) fn of(program: &Program, observation: usize) -> Self {
+        let values = observation + program.steps.iter().map(|step| step.width).sum::<usize>();
+        let of_step = |operator: &Operator| match operator {
+            Operator::Dense { weights, bias, .. } => [weights.len() + bias.len(), weights.len()],
+            Operator::Both { left, right, .. } => [left.constants() + right.constants(), 0],
+            Operator::Concat { inputs } => [2 * inputs.len(), 0],
+            Operator::Each { .. } => [0, 0],
+        };
+        let sums =
+            program.steps.iter().map(|step| of_step(&step.operator)).fold([0, 0], |a, b| [a[0] + b[0], a[1] + b[1]]);
+        Self {
+            bytes: size_of_val(&program.steps[..]) + size_of::<f32>() * sums[0],
+            scratch_bytes: size_of::<Lanes>() * values,
+            operations: values + sums[1],
+        }
+    }
+}
+
+/// Memory that reading a file of this many bytes takes at most, besides the file [bytes]: integers of one byte become
+/// eight, then four more as constants; the program has at most [`MOST_PRODUCTS`] weights.
+pub const fn reading_bytes(file: usize) -> usize {
+    let fields = if file / 2 < MOST_FIELDS { file / 2 } else { MOST_FIELDS };
+    // Lists double when they grow, and hold the old numbers and the new ones meanwhile.
+    3 * (8 + 4) * file + FIELD * fields + size_of::<f32>() * (MOST_PRODUCTS + 2 * MOST_VALUES)
+}
+
+/// The messages inside a message, by their fields' numbers.
+struct Layout(&'static [(u32, &'static Layout)]);
+
+static PLAIN: Layout = Layout(&[]);
+static SHAPE: Layout = Layout(&[(1, &PLAIN)]);
+static TENSOR_TYPE: Layout = Layout(&[(2, &SHAPE)]);
+static TYPE: Layout = Layout(&[(1, &TENSOR_TYPE)]);
+static VALUE_INFO: Layout = Layout(&[(2, &TYPE)]);
+static ATTRIBUTE: Layout = Layout(&[(5, &PLAIN)]);
+static NODE: Layout = Layout(&[(5, &ATTRIBUTE)]);
+static GRAPH: Layout = Layout(&[(1, &NODE), (5, &PLAIN), (11, &VALUE_INFO), (12, &VALUE_INFO)]);
+static MODEL: Layout = Layout(&[(7, &GRAPH), (8, &PLAIN)]);
+
+/// Refuses a file with more than [`MOST_FIELDS`] fields in the messages that [`super::format`] decodes.
+pub fn check_fields(onnx: &[u8]) -> Result<()> {
+    count(onnx, &MODEL, &mut 0)
+}
+
+fn count(mut bytes: &[u8], layout: &Layout, fields: &mut usize) -> Result<()> {
+    let unreadable = |e: &dyn std::fmt::Display| Error::invalid("policy", format!("this is no ONNX file: {e}"));
+    while !bytes.is_empty() {
+        *fields += 1;
+        if *fields > MOST_FIELDS {
+            let reason = format!("it has more than {MOST_FIELDS} fields; are the weights packed, as in `raw_data`?");
+            return Err(Error::invalid("policy", reason));
+        }
+        let (tag, kind) = decode_key(&mut bytes).map_err(|e| unreadable(&e))?;
+        match layout.0.iter().find(|(number, _)| *number == tag) {
+            Some((_, inside)) if kind == WireType::LengthDelimited => {
+                let length = decode_varint(&mut bytes).map_err(|e| unreadable(&e))?;
+                let length = usize::try_from(length).unwrap_or(usize::MAX);
+                let part = bytes.split_off(..length).ok_or_else(|| unreadable(&"it is cut off"))?;
+                count(part, inside, fields)?;
+            }
+            _ => skip_field(kind, tag, &mut bytes, DecodeContext::default()).map_err(|e| unreadable(&e))?,
+        }
+    }
+    Ok(())
+}

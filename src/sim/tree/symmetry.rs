@@ -1,0 +1,242 @@
+//! The left–right symmetry of a robot, from its geometry in the standing pose: the mirror image across the base's x–z plane
+//! of each joint and body is another one, or itself. Names are not used.
+//!
+//! The mirror S = diag(1, −1, 1) takes a point p to S p. A hinge's axis is a pseudovector: its image is −S a. So if a
+//! hinge with axis a has the image hinge with axis b = −s S a, s = ±1, the positions off the standing pose mirror as
+//! q_b = s q_a. For a slide, whose axis is a vector, b = s S a.
+
+use super::flight::{Pose, accelerations};
+use super::stance::{frames, lowest};
+use super::{JointKind, Tree, TreeModel};
+use crate::State;
+use crate::error::{Error, Result};
+use crate::sand::GRAVITY;
+use nalgebra::{Isometry3, Vector3};
+
+type V = Vector3<f64>;
+
+/// Largest distance of a joint's axis, and of a body's lowest height, from where the mirror puts it, as a share of the robot's
+/// size: our choice, some millimetres, more than drawings are off.
+const PLACE: f64 = 0.02;
+/// Least cosine of the angle between axes: our choice, 2.6°.
+const ALONG: f64 = 0.999;
+/// Largest difference between the accelerations of a mirrored robot and the mirrored accelerations, as a share of them: our
+/// choice. Real robots carry their computers and batteries off the middle; a policy that is symmetric is good for them, too.
+const ACCELERATIONS: f64 = 0.25;
+/// Poses in which accelerations are compared.
+const POSES: usize = 4;
+
+/// For each joint the joint on the other side, or itself, and the sign of its position.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LeftRight {
+    pub joints: Vec<usize>,
+    pub signs: Vec<f64>,
+}
+
+/// A body in the standing pose.
+struct Standing {
+    /// Direction of the joint's axis; zero for the base.
+    axis: V,
+    /// A point of the axis.
+    at: V,
+    center: V,
+    /// Height of the lowest point, if it has points of contact. Of a level side any point may be the lowest, so its place
+    /// is not compared.
+    low: Option<f64>,
+}
+
+fn mirrored(v: V) -> V {
+    V::new(v.x, -v.y, v.z)
+}
+
+fn standing(robot: &TreeModel) -> Vec<Standing> {
+    let level = State::at_rest(0.0, &robot.stance.angles);
+    let one = |((body, frame), points): ((&super::TreeBody, &Isometry3<f64>), &Vec<super::contact::ContactPoint>)| {
+        let low = lowest(frame, points).z;
+        Standing {
+            axis: body.joint.as_ref().map_or(V::zeros(), |j| frame.rotation * j.axis.into_inner()),
+            at: frame.translation.vector,
+            center: frame.transform_point(&body.center.into()).coords,
+            low: low.is_finite().then_some(low),
+        }
+    };
+    robot.tree.bodies.iter().zip(&frames(&robot.tree, &level)).zip(robot.contacts.iter()).map(one).collect()
+}
+
+impl LeftRight {
+    /// Finds the symmetry; the error names what has no mirror image.
+    pub fn of(robot: &TreeModel) -> Result<Self> {
+        let (tree, all) = (&robot.tree, standing(robot));
+        let size = all.iter().flat_map(|s| [s.at, s.center]).map(|p| p.norm()).fold(1e-9, f64::max);
+        let mut images: Vec<Option<(usize, f64)>> = vec![None; tree.bodies.len()];
+        let mut taken = vec![false; tree.bodies.len()];
+        (images[0], taken[0]) = (Some((0, 1.0)), true);
+        for (i, body) in tree.bodies.iter().enumerate().skip(1) {
+            let parent = images[body.parent].map_or(0, |(image, _)| image);
+            let candidates = (1..tree.bodies.len()).filter(|k| !taken[*k] && tree.bodies[*k].parent == parent);
+            let fits = candidates.filter_map(|k| Some((k, sign(tree, &all, [i, k], PLACE * size)?)));
+            // Two wheels on one axle have the same axis, so the nearest fitting body is the image.
+            let off = |k: usize| (mirrored(all[i].center) - all[k].center).norm();
+            let best = fits.min_by(|a, b| off(a.0).total_cmp(&off(b.0)));
+            let (image, sign) = best.ok_or_else(|| {
+                let joint = body.joint.as_ref().map_or("", |j| &j.name);
+                none(&format!("in the standing pose joint {joint:?} has no mirror image on the other side"))
+            })?;
+            (images[i], taken[image]) = (Some((image, sign)), true);
+        }
+        let pairs: Vec<(usize, f64)> = images.into_iter().flatten().skip(1).map(|(i, sign)| (i - 1, sign)).collect();
+        let found = Self { joints: pairs.iter().map(|p| p.0).collect(), signs: pairs.iter().map(|p| p.1).collect() };
+        if let Some(k) = (0..pairs.len()).find(|k| found.joints[found.joints[*k]] != *k) {
+            let name = tree.joints().nth(k).map_or("", |j| &j.name);
+            return Err(none(&format!("the mirror image of joint {name:?} is not mirrored back to it")));
+        }
+        let off = found.off(robot, size);
+        if off > ACCELERATIONS {
+            let reason = format!("mirrored, its accelerations differ by {:.0} % because of its masses", 100.0 * off);
+            return Err(none(&reason));
+        }
+        Ok(found)
+    }
+
+    /// The mirror image of a position and motion whose joints stand at `rest` in the standing pose.
+    pub fn pose(&self, rest: &[f64], pose: &Pose) -> Pose {
+        let [w, x, y, z] = pose.quat;
+        let ([vx, vy, vz], [wx, wy, wz]) = (pose.v, pose.w);
+        let off: Vec<f64> = pose.q.iter().zip(rest).map(|(q, rest)| q - rest).collect();
+        Pose {
+            quat: [w, -x, y, -z],
+            v: [vx, -vy, vz],
+            w: [-wx, wy, -wz],
+            q: self.swap(&off).iter().zip(rest).map(|(off, rest)| off + rest).collect(),
+            qd: self.swap(&pose.qd),
+            tau: self.swap(&pose.tau),
+        }
+    }
+
+    /// The mirror image of one number for each joint, which is zero in the standing pose.
+    pub fn swap(&self, values: &[f64]) -> Vec<f64> {
+        let mut out = vec![0.0; values.len()];
+        for ((value, image), sign) in values.iter().zip(&self.joints).zip(&self.signs) {
+            out[*image] = sign * value;
+        }
+        out
+    }
+
+    /// Largest difference of the accelerations of mirrored robots in some poses, as a share of the accelerations.
+    fn off(&self, robot: &TreeModel, size: f64) -> f64 {
+        let (rest, torque) = (&robot.stance.angles, 0.05 * robot.mass() * GRAVITY * size);
+        // Even in [−1, 1): multiples of the golden ratio.
+        let mut k = 0.0;
+        let mut draw = || {
+            k += 1.0;
+            2.0 * (k * 0.618_033_988_749_895_f64).fract() - 1.0
+        };
+        let one = || {
+            let w: [f64; 3] = std::array::from_fn(|_| draw());
+            let all: Vec<[f64; 3]> = rest.iter().map(|_| [0.3 * draw(), 3.0 * draw(), torque * draw()]).collect();
+            let part = |i: usize| all.iter().map(|x| x[i]).collect::<Vec<_>>();
+            let q = part(0).iter().zip(rest).map(|(off, rest)| off + rest).collect();
+            let pose = Pose { quat: [1.0, 0.0, 0.0, 0.0], v: [0.0; 3], w, q, qd: part(1), tau: part(2) };
+            let (here, there) =
+                (accelerations(&robot.tree, &pose), accelerations(&robot.tree, &self.pose(rest, &pose)));
+            let ([ax, ay, az], [bx, by, bz]) = (here.a, here.alpha);
+            let share = |wanted: &[f64], got: &[f64]| {
+                let square = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>();
+                let apart: Vec<f64> = wanted.iter().zip(got).map(|(a, b)| a - b).collect();
+                (square(&apart) / square(wanted).max(1e-12)).sqrt()
+            };
+            let joints = share(&self.swap(&here.qdd), &there.qdd);
+            joints.max(share(&[ax, -ay, az], &there.a)).max(share(&[-bx, by, -bz], &there.alpha))
+        };
+        std::iter::repeat_with(one).take(POSES).fold(0.0, f64::max)
+    }
+}
+
+/// The sign between the positions of the joints of body i and of body k, if they are mirror images of each other within
+/// `most` [m].
+fn sign(tree: &Tree, all: &[Standing], [i, k]: [usize; 2], most: f64) -> Option<f64> {
+    let (a, b) = (tree.bodies[i].joint.as_ref()?, tree.bodies[k].joint.as_ref()?);
+    let turn = if a.kind == JointKind::Hinge { -1.0 } else { 1.0 };
+    let along = all[k].axis.dot(&(turn * mirrored(all[i].axis)));
+    let apart = mirrored(all[i].at) - all[k].at;
+    // A hinge may be anywhere along its axis, a slide anywhere.
+    let off = if a.kind == JointKind::Hinge { (apart - all[k].axis * apart.dot(&all[k].axis)).norm() } else { 0.0 };
+    let low = match (all[i].low, all[k].low) {
+        (Some(a), Some(b)) => (a - b).abs(),
+        (None, None) => 0.0,
+        _ => f64::INFINITY,
+    };
+    let fits = a.kind == b.kind && along.abs() > ALONG && off < most && low < most;
+    fits.then(|| along.signum())
+}
+
+fn none(why: &str) -> Error {
+    Error::invalid("robot", format!("it is not symmetric in left and right: {why}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::engine::quadruped;
+    use super::super::tests::{Draw, random_tree};
+    use super::*;
+
+    fn model(tree: Tree) -> TreeModel {
+        let bodies = tree.bodies.len();
+        TreeModel::new(tree, vec![Vec::new(); bodies]).unwrap()
+    }
+
+    fn pose(draw: &mut Draw, rest: &[f64]) -> Pose {
+        let mut three = || std::array::from_fn(|_| draw.number());
+        let (v, w, axis): ([f64; 3], [f64; 3], [f64; 3]) = (three(), three(), three());
+        let turn = nalgebra::UnitQuaternion::from_scaled_axis(V::from(axis));
+        let quat = [turn.w, turn.i, turn.j, turn.k];
+        let mut joints = |scale: f64| rest.iter().map(|_| scale * draw.number()).collect::<Vec<_>>();
+        let q = joints(0.5).iter().zip(rest).map(|(off, rest)| off + rest).collect();
+        Pose { quat, v, w, q, qd: joints(5.0), tau: joints(3.0) }
+    }
+
+    /// The quadruped's legs are FL, FR, RL, RR with three joints each. A mirrored robot accelerates like the mirror image of
+    /// the robot.
+    #[test]
+    fn a_mirrored_robot_moves_like_the_mirror_image() {
+        let robot = model(quadruped());
+        let sides = LeftRight::of(&robot).unwrap();
+        assert_eq!(sides.joints, [3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8]);
+        assert_eq!(sides.signs, [-1.0, 1.0, 1.0].repeat(4));
+        let (mut draw, rest) = (Draw::new(7), &robot.stance.angles);
+        for _ in 0..20 {
+            let here = pose(&mut draw, rest);
+            let there = sides.pose(rest, &here);
+            assert!(there != here && sides.pose(rest, &there).tau == here.tau);
+            let [a, b] = [&here, &there].map(|pose| accelerations(&robot.tree, pose));
+            let near = |x: f64, y: f64| assert!((x - y).abs() < 1e-9 * (1.0 + x.abs()), "{x} {y}");
+            (0..3).for_each(|k| near(if k == 1 { -a.a[k] } else { a.a[k] }, b.a[k]));
+            (0..3).for_each(|k| near(if k == 1 { a.alpha[k] } else { -a.alpha[k] }, b.alpha[k]));
+            sides.swap(&a.qdd).iter().zip(&b.qdd).for_each(|(x, y)| near(*x, *y));
+        }
+    }
+
+    #[test]
+    fn robots_without_a_symmetry_are_refused() {
+        let refused = |change: &dyn Fn(&mut Tree)| {
+            let mut tree = quadruped();
+            change(&mut tree);
+            LeftRight::of(&model(tree)).unwrap_err().to_string()
+        };
+        let moved = refused(&|tree| tree.bodies[4].origin.translation.vector.x += 0.02);
+        assert!(moved.contains("joint \"FL_hip\" has no mirror image on the other side"), "{moved}");
+        let turned = refused(&|tree| {
+            let joint = tree.bodies[5].joint.as_mut().unwrap();
+            joint.axis = nalgebra::Unit::new_normalize(V::new(0.1, 1.0, 0.0));
+        });
+        assert!(turned.contains("joint \"FL_thigh\""), "{turned}");
+        let heavy = refused(&|tree| tree.bodies[6].mass *= 3.0);
+        assert!(heavy.contains("because of its masses"), "{heavy}");
+        let posed = refused(&|tree| tree.bodies[1].joint.as_mut().unwrap().rest = Some(0.3));
+        assert!(posed.contains("has no mirror image"), "{posed}");
+        let mut draw = Draw::new(3);
+        for _ in 0..20 {
+            assert!(LeftRight::of(&model(random_tree(&mut draw, 8))).is_err());
+        }
+    }
+}
