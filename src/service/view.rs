@@ -13,8 +13,14 @@ pub fn size(request: &Render) -> usize {
 
 /// Pictures of environments.
 pub fn render(batch: &Batch, request: &Render) -> Result<Pictures> {
-    let Render { indices, width, height, ended } = request;
-    let pixels = view::render(batch, indices, [*width, *height], *ended)?;
+    let Render { indices, width, height, ended, camera } = request;
+    let camera = camera.as_ref().map_or_else(view::CameraOptions::default, |c| view::CameraOptions {
+        azimuth_deg: c.azimuth_deg,
+        elevation_deg: c.elevation_deg,
+        distance: c.distance,
+        fixed: c.fixed,
+    });
+    let pixels = view::render(batch, indices, [*width, *height], *ended, &camera)?;
     Ok(Pictures { pixels: pixels.into() })
 }
 

@@ -4,6 +4,7 @@ use crate::env::{Look, Spec};
 use crate::error::{Error, Result};
 use crate::pool::Batch;
 use crate::sim::Model;
+pub use sandgait_view::CameraOptions;
 use sandgait_view::{self as view, About, Moment};
 
 /// Largest number of pixels of one request, all its pictures together: our choice, 100 MB.
@@ -15,7 +16,13 @@ pub fn pixels(count: usize, size: [u32; 2]) -> u64 {
 }
 
 /// Pictures of environments, u8 [indices, height, width, 3]. `ended`: see [`Batch::look`].
-pub fn render(batch: &Batch, indices: &[u32], size: [u32; 2], ended: bool) -> Result<Vec<u8>> {
+pub fn render(
+    batch: &Batch,
+    indices: &[u32],
+    size: [u32; 2],
+    ended: bool,
+    camera: &CameraOptions,
+) -> Result<Vec<u8>> {
     let pixels = pixels(indices.len(), size);
     if pixels > MOST_PIXELS {
         let [width, height] = size;
@@ -25,7 +32,7 @@ pub fn render(batch: &Batch, indices: &[u32], size: [u32; 2], ended: bool) -> Re
     let mut all = Vec::with_capacity(3 * pixels as usize);
     for index in indices {
         let look = batch.look(*index as usize, ended)?;
-        all.extend(view::draw(look.model, look.state, look.footing, size, &captions(&look))?);
+        all.extend(view::draw(look.model, look.state, look.footing, size, camera, &captions(&look))?);
     }
     Ok(all)
 }

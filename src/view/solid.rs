@@ -54,14 +54,13 @@ fn triangles(looks: &Looks, form: Form) -> Vec<[V; 3]> {
     tree::triangles(&primitive)
 }
 
-/// Ground with heights around the robot, in the colours of sand; None: it is flat.
-pub fn ground(model: &Model, state: &State) -> Option<Vec<Painted>> {
+/// Ground with heights around the point [x, y], in the colours of sand; None: it is flat.
+pub fn ground(model: &Model, [x, y]: [f64; 2]) -> Option<Vec<Painted>> {
     if model.scene.relief.is_none() && !hard::rises(&model.scene.hard) {
         return None;
     }
     let reach = 12.0 * radius(model);
     let cell = CELL * (reach / (REACH * CELL)).ceil().max(1.0);
-    let [x, y, _] = state.position;
     let [i0, j0] = [x, y].map(|at| ((at - reach) / cell).floor());
     let count = (2.0 * reach / cell).ceil() as usize + 1;
     let node = |i: usize, j: usize| {
