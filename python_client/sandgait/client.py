@@ -17,7 +17,7 @@ from . import _native, server
 from ._native import Request, Response
 from .batches import Batch, Rollout
 from .errors import AccessDenied, InvalidRequest, LimitReached, OutOfOrder, SandgaitError, ServerLost, SessionLost
-from .notices import warn
+from .user_warnings import warn
 from .options import keyword_error, with_files
 from .remote import Remote
 from .spaces import Task

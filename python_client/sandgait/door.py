@@ -14,7 +14,7 @@ import numpy.typing as npt
 from . import _native
 from .batches import Batch, Rollout
 from .errors import InvalidRequest
-from .notices import warn
+from .user_warnings import warn
 from .options import keyword_error, with_files
 from .spaces import Task
 from .threads import agreed

@@ -9,7 +9,7 @@ from typing import Any
 
 from . import _native
 from .errors import InvalidRequest, UnknownOption
-from .notices import warn
+from .user_warnings import warn
 
 
 def with_files(options: Mapping[str, Any]) -> Mapping[str, Any]:
