@@ -33,6 +33,15 @@ pub struct Robot {
     /// Draw the robot in its standing pose, with the plates that touch sand, to this PNG file
     #[arg(long, value_name = "PNG")]
     picture: Option<PathBuf>,
+    /// Direction of the picture's camera [°]: the angle from the robot's front to its left; default: from its right front
+    #[arg(long, value_name = "DEGREES", allow_negative_numbers = true, requires = "picture")]
+    azimuth_deg: Option<f64>,
+    /// Angle of the picture's camera above the horizon [°]
+    #[arg(long, value_name = "DEGREES", allow_negative_numbers = true, requires = "picture")]
+    elevation_deg: Option<f64>,
+    /// Distance of the picture's camera [m]; default: it fits the robot's size
+    #[arg(long, value_name = "METRES", allow_negative_numbers = true, requires = "picture")]
+    distance: Option<f64>,
     /// Bodies, links or shapes that touch sand; default: feet, lower links and belly
     #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
     touches: Option<Vec<String>>,
@@ -67,16 +76,23 @@ impl Robot {
             return Ok(text);
         }
         if let Some(path) = &self.picture {
-            let seen = import.seen()?;
+            let (seen, camera) = (import.seen()?, self.camera()?);
             let caption =
                 format!("{}: {:.3} kg, {} joints", import.tree.name, import.tree.mass(), import.tree.joints().count());
-            let png = view::tree::draw(&import.tree, &seen, &touching.plates, PICTURE, &[caption])?;
+            let png = view::tree::draw(&import.tree, &seen, &touching.plates, PICTURE, &camera, &[caption])?;
             std::fs::write(path, png).map_err(|e| Error::file(path, e))?;
         }
         match self.json {
             true => Ok(super::json(&as_json(&import, &touching))),
             false => Ok(as_text(&import, &touching)),
         }
+    }
+}
+
+impl Robot {
+    fn camera(&self) -> Result<view::CameraOptions> {
+        let Self { azimuth_deg, elevation_deg, distance, .. } = *self;
+        view::CameraOptions { azimuth_deg, elevation_deg, distance, fixed: false }.check()
     }
 }
 
