@@ -169,12 +169,47 @@ def test_skrl_ppo(tmp_path: Path) -> None:
 
 
 def test_tianshou_ppo() -> None:
-    from tianshou.data import Collector, CollectStats, VectorReplayBuffer
+    import torch
+    from tianshou.algorithm import PPO
+    from tianshou.algorithm.modelfree.reinforce import ProbabilisticActorPolicy
+    from tianshou.algorithm.optim import AdamOptimizerFactory
+    from tianshou.data import Collector, VectorReplayBuffer
     from tianshou.env import DummyVectorEnv
-    from tianshou.utils.net.common import MLPActor  # noqa: F401
+    from tianshou.trainer import OnPolicyTrainerParams
+    from tianshou.utils.net.common import Net
+    from tianshou.utils.net.continuous import ContinuousActorProbabilistic, ContinuousCritic
+    from torch.distributions import Independent, Normal
 
     envs = DummyVectorEnv([lambda: gymnasium.make(ID, max_episode_steps=20) for _ in range(3)])
-    raise NotImplementedError
+    space = envs.action_space[0]
+    assert isinstance(space, gymnasium.spaces.Box)
+    actor = ContinuousActorProbabilistic(
+        preprocess_net=Net(state_shape=(41,), hidden_sizes=[32]), action_shape=(6,), unbounded=True
+    )
+    policy = ProbabilisticActorPolicy(
+        actor=actor,
+        dist_fn=lambda both: Independent(Normal(*both), 1),
+        action_space=space,
+        action_bound_method="clip",
+    )
+    critic = ContinuousCritic(preprocess_net=Net(state_shape=(41,), hidden_sizes=[32]))
+    algorithm: Any = PPO(policy=policy, critic=critic, optim=AdamOptimizerFactory(lr=3e-4))
+    before = [w.detach().clone() for w in actor.parameters()]
+    collector = Collector(algorithm, envs, VectorReplayBuffer(600, 3))
+    algorithm.run_training(
+        OnPolicyTrainerParams(
+            training_collector=collector,
+            max_epochs=1,
+            epoch_num_steps=240,
+            collection_step_num_env_steps=120,
+            update_step_num_repetitions=1,
+            batch_size=60,
+            show_progress=False,
+            verbose=False,
+        )
+    )
+    assert any(not torch.equal(a, b) for a, b in zip(before, actor.parameters(), strict=True))
+    envs.close()
 
 
 #: TransformObservation got a third argument in gymnasium 1.0, which CleanRL 1.2 does not know.
