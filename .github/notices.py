@@ -2,9 +2,9 @@
 
     python .github/notices.py [OUT]
 
-The releases' wheels, archives and images contain this file. Crates that only run while others are compiled (build scripts, macros)
-and crates for tests are not part of the programs and are left out. A crate without a file of its licence in its package
-has the texts of this licence from other crates.
+The releases' wheels, archives and images contain this file. Crates that only run while others are compiled (build
+scripts, macros) and crates for tests are not part of the programs and are left out. A crate without a file of its
+licence in its package has the texts of this licence from other crates.
 """
 
 from __future__ import annotations
@@ -45,7 +45,9 @@ def linked(metadata: dict[str, Any]) -> list[dict[str, Any]]:
 def texts(package: dict[str, Any]) -> list[str]:
     """The licences and notices in a crate's package."""
     folder = Path(package["manifest_path"]).parent
-    files = [f for f in sorted(folder.iterdir()) if f.is_file() and FILES.search(f.name) and f.suffix not in (".rs", ".toml")]
+    files = [
+        f for f in sorted(folder.iterdir()) if f.is_file() and FILES.search(f.name) and f.suffix not in (".rs", ".toml")
+    ]
     return [f.read_text(encoding="utf-8", errors="replace").strip() for f in files]
 
 
@@ -63,8 +65,8 @@ def notices(metadata: dict[str, Any]) -> str:
             known.setdefault(package["license"], own[package["id"]][0])
     numbers: dict[str, int] = {}
     lines = [
-        "The programs and the native module of sandgait contain the crates of this list. Each line has name, version, licence,",
-        "source, and the numbers of the texts below that belong to the crate.",
+        "The programs and the native module of sandgait contain the crates of this list. Each line has name, version,",
+        "licence, source, and the numbers of the texts below that belong to the crate.",
         "",
     ]
     for package in crates:

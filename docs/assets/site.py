@@ -87,7 +87,8 @@ OFFLINE = """if (location.protocol === "file:") {
     var script = document.createElement("script");
     script.src = base_url + "/search/offline.js";
     document.head.appendChild(script);
-    return { done: function (then) { script.onload = then; return { fail: function (then) { script.onerror = then; } }; } };
+    var failed = { fail: function (then) { script.onerror = then; } };
+    return { done: function (then) { script.onload = then; return failed; } };
   };
 }
 """

@@ -28,10 +28,10 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
+from ._native import __version__
 from .diagnosis import Diagnosis, diagnose
 from .door import describe
 from .env import SandgaitEnv
-from ._native import __version__
 from .errors import (
     AccessDenied,
     InvalidRequest,

@@ -17,10 +17,10 @@ from . import _native, server
 from ._native import Request, Response
 from .batches import Batch, Rollout
 from .errors import AccessDenied, InvalidRequest, LimitReached, OutOfOrder, SandgaitError, ServerLost, SessionLost
-from .user_warnings import warn
 from .options import keyword_error, with_files
 from .remote import Remote
 from .spaces import Task
+from .user_warnings import warn
 
 #: Version of the protocol of this client. The server refuses other versions.
 PROTOCOL = 1

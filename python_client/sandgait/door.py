@@ -14,10 +14,10 @@ import numpy.typing as npt
 from . import _native
 from .batches import Batch, Rollout
 from .errors import InvalidRequest
-from .user_warnings import warn
 from .options import keyword_error, with_files
 from .spaces import Task
 from .threads import agreed
+from .user_warnings import warn
 
 #: Azimuth and elevation of a camera [°], its distance [m], and whether it follows the robot. None: the default.
 Camera = tuple[float | None, float | None, float | None, bool]

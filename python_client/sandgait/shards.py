@@ -133,7 +133,9 @@ class Shards:
         environment i modulo n, if the snapshot has n environments. A snapshot of several places can only be restored
         on the same number of places."""
         if len(snapshots) > 1 and sources is not None:
-            raise InvalidRequest(f"indices: this snapshot is of {len(snapshots)} servers and can only be restored whole")
+            raise InvalidRequest(
+                f"indices: this snapshot is of {len(snapshots)} servers and can only be restored whole"
+            )
         if len(snapshots) not in (1, len(self._doors)):
             raise InvalidRequest(f"snapshot: it is of {len(snapshots)} servers, but this batch has {len(self._doors)}")
         if len(snapshots) == 1 and sources is None and len(self._doors) > 1:

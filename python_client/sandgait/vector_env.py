@@ -63,10 +63,10 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
 
     `render_mode`: "rgb_array" makes a picture of each environment, of `render_size` (width, height) [px]. "human" shows
     the first four environments in a window. `render_camera` places the camera, for example
-    `{"azimuth_deg": 90, "elevation_deg": 20, "distance": 2.0, "follow": False}`: the angle about the vertical from the x
-    axis to the camera (0: ahead, 90: on the left) and above the horizon [°], the distance [m], and whether the target
-    is the robot or the world's origin. What is left out has its default: beside the robot, which it follows, at a
-    distance that fits its size.
+    `{"azimuth_deg": 90, "elevation_deg": 20, "distance": 2.0, "follow": False}`: the angles about the vertical from the
+    x axis to the camera (0: ahead, 90: on the left) and above the horizon [°], the distance [m], and whether the camera
+    looks at the robot or at the world's origin. What is left out has its default: beside the robot, which it follows,
+    at a distance that fits its size.
 
     A pickle or copy of environments that were reset includes their states (module `pickling`).
 

@@ -38,7 +38,9 @@ def camera(given: Mapping[str, Any] | None) -> Camera:
         if name not in known:
             raise InvalidRequest(f"render_camera: {name!r} is unknown; known: {', '.join(known)}")
         if not isinstance(value, bool if name == "follow" else (int, float)):
-            raise InvalidRequest(f"render_camera: {name} {value!r} is not {'True or False' if name == 'follow' else 'a number'}")
+            raise InvalidRequest(
+                f"render_camera: {name} {value!r} is not {'True or False' if name == 'follow' else 'a number'}"
+            )
     azimuth, elevation, distance, follow = {**known, **(given or {})}.values()
     chosen: Camera = (azimuth, elevation, distance, bool(follow))
     try:

@@ -12,10 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
-import numpy as np
 import pytest
-
-import sandgait
 
 ID = "sandgait/HexapodGait-v1"
 HOME = Path(__file__).parents[2]
@@ -65,11 +62,17 @@ def test_torchrl_ppo() -> None:
     from torchrl.objectives.value import GAE
 
     env = GymWrapper(gymnasium.make_vec(ID, num_envs=8, autoreset_mode="DISABLED", max_episode_steps=20))
-    network = torch.nn.Sequential(torch.nn.Linear(41, 32), torch.nn.Tanh(), torch.nn.Linear(32, 12), NormalParamExtractor())
+    network = torch.nn.Sequential(
+        torch.nn.Linear(41, 32), torch.nn.Tanh(), torch.nn.Linear(32, 12), NormalParamExtractor()
+    )
     module = TensorDictModule(network, in_keys=["observation"], out_keys=["loc", "scale"])
     bounds = {"low": -1.0, "high": 1.0}
     actor = ProbabilisticActor(
-        module, in_keys=["loc", "scale"], distribution_class=TanhNormal, distribution_kwargs=bounds, return_log_prob=True
+        module,
+        in_keys=["loc", "scale"],
+        distribution_class=TanhNormal,
+        distribution_kwargs=bounds,
+        return_log_prob=True,
     )
     critic = ValueOperator(torch.nn.Linear(41, 1), in_keys=["observation"])
     collector = SyncDataCollector(env, actor, frames_per_batch=8 * 32, total_frames=8 * 32)
@@ -229,6 +232,8 @@ def test_cleanrl_ppo_continuous_action(tmp_path: Path) -> None:
     options = ["--env-id", f"sandgait:{ID}", "--num-envs", "2", "--num-steps", "128", "--total-timesteps", "512"]
     command = [sys.executable, "-W", "ignore", "-c", CLEANRL, *options, "--cuda", "false"]
     paths = os.pathsep.join(p for p in sys.path if p)
-    done = subprocess.run(command, cwd=tmp_path, env={**os.environ, "PYTHONPATH": paths}, capture_output=True, text=True)
+    done = subprocess.run(
+        command, cwd=tmp_path, env={**os.environ, "PYTHONPATH": paths}, capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stderr[-2000:]
     assert done.stdout.count("SPS:") == 2

@@ -163,7 +163,9 @@ def test_an_unknown_keyword_is_a_type_error_in_pythons_words(remote: RemoteServe
     """Libraries such as TorchRL try a keyword, and leave it out after this error."""
     for door in ({}, {"address": remote.address}):
         for make in (gymnasium.make, gymnasium.make_vec):
-            with pytest.raises(TypeError, match=r"^unexpected keyword argument 'frameskip'; the task's options: ") as raised:
+            with pytest.raises(
+                TypeError, match=r"^unexpected keyword argument 'frameskip'; the task's options: "
+            ) as raised:
                 make(ID, frameskip=1, **door)
             assert isinstance(raised.value, sandgait.UnknownOption)
             assert isinstance(raised.value, sandgait.InvalidRequest)
@@ -191,7 +193,7 @@ def test_the_range_of_num_envs() -> None:
 
 
 def test_a_robot_that_cannot_be_read() -> None:
-    with pytest.raises(sandgait.InvalidRequest, match="no_such_robot.urdf"):
+    with pytest.raises(sandgait.InvalidRequest, match=r"no_such_robot\.urdf"):
         gymnasium.make("sandgait/LeggedVelocity-v0", robot="no_such_robot.urdf")
 
 

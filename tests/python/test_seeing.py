@@ -461,7 +461,7 @@ def test_a_recording_is_unpacked_within_a_bound(tmp_path: Path) -> None:
 
 
 def test_the_camera_stands_where_it_is_told(remote: RemoteServer) -> None:
-    """From the left, forward is to the left of the picture; from further away the robot is smaller; the same on servers."""
+    """From the left, forward is to the left; from further away the robot is smaller. Servers draw the same pictures."""
     size: dict[str, Any] = {"render_mode": "rgb_array", "render_size": (320, 240), "leg": "C"}
 
     def picture(steps: int = 0, **options: Any) -> np.ndarray:
@@ -504,7 +504,11 @@ def test_the_first_state_of_an_episode_has_its_commands(tmp_path: Path) -> None:
     robot = Path(__file__).parents[2] / "robots" / "sandcat.urdf"
     for task, options, columns in (
         (ID, {}, ["commanded_speed"]),
-        ("sandgait/LeggedVelocity-v0", {"robot": robot}, ["command_lin_vel_x", "command_lin_vel_y", "command_ang_vel_yaw"]),
+        (
+            "sandgait/LeggedVelocity-v0",
+            {"robot": robot},
+            ["command_lin_vel_x", "command_lin_vel_y", "command_ang_vel_yaw"],
+        ),
     ):
         env = sandgait.SandgaitEnv(task, **options)
         env.record(tmp_path / "walk.rec")
