@@ -32,8 +32,8 @@ pub fn narrow_table(rows: &[Vec<String>], keys: usize) -> String {
         }
     }
     let part = |columns: &Vec<usize>| {
-        let cells = |row: &Vec<String>| columns.iter().map(|k| row.get(*k).cloned().unwrap_or_default()).collect();
-        table(&rows.iter().map(cells).collect::<Vec<_>>())
+        let cell = |row: &Vec<String>, k: usize| row.get(k).cloned().unwrap_or_default();
+        table(&rows.iter().map(|row| columns.iter().map(|k| cell(row, *k)).collect()).collect::<Vec<Vec<String>>>())
     };
     parts.iter().map(part).collect::<Vec<_>>().join("\n")
 }

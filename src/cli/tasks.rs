@@ -1,10 +1,10 @@
 //! `sandgait tasks`
 
-use super::task_page;
 use super::layout::{WIDTH, glossary, table, wrapped};
-use sandgait::{Error, Result};
+use super::task_page;
 use sandgait::env::Column;
 use sandgait::env::registry::{Blueprint, Keyword, TASK_IDS};
+use sandgait::{Error, Result};
 use serde_json::{Value, json};
 
 /// List the tasks, or describe one: observations, actions, rewards, and options with their defaults
@@ -38,7 +38,7 @@ impl Tasks {
         if self.json {
             return Ok(super::json(&tasks.iter().map(as_json).collect()));
         }
-        let line = |task: &Blueprint| vec![task.task.spec().id.to_owned(), task.task.spec().summary.to_owned()];
+        let line = |task: &Blueprint| vec![task.task.spec().id.to_owned(), task.task.spec().summary.clone()];
         let list = glossary(&tasks.iter().map(line).collect::<Vec<_>>());
         Ok(format!("{list}\n`sandgait tasks NAME` describes one of them, `--json` all.\n"))
     }
@@ -46,10 +46,13 @@ impl Tasks {
 
 /// The id of a task by its name.
 fn named(name: &str) -> Result<&'static str> {
-    let short = |id: &'static str| id.trim_start_matches("sandgait/");
-    let same = |id: &&&str| [**id, short(id), short(id).split("-v").next().unwrap_or_default()].contains(&name);
-    let id = TASK_IDS.iter().find(same);
+    let same = |id: &str| [id, short(id), short(id).split("-v").next().unwrap_or_default()].contains(&name);
+    let id = TASK_IDS.iter().find(|id| same(id));
     id.copied().ok_or_else(|| Error::unknown("task", name, &TASK_IDS.map(short)))
+}
+
+fn short(id: &str) -> &str {
+    id.trim_start_matches("sandgait/")
 }
 
 fn as_json(task: &Blueprint) -> Value {
@@ -87,7 +90,7 @@ fn as_text(task: &Blueprint) -> String {
         vec![format!("  {}", k.name), k.value.to_string(), when.into(), k.summary]
     };
     let options = glossary(&task.keywords().into_iter().map(option).collect::<Vec<_>>());
-    let summary = wrapped(spec.summary, WIDTH - 2).join("\n  ");
+    let summary = wrapped(&spec.summary, WIDTH - 2).join("\n  ");
     format!(
         "{}\n  {}\n  {} control steps per second, at most {} in an episode\n\nobservation\n{}\naction\n{}\ninfo (the first {} are the reward terms)\n{}\noptions\n{options}",
         spec.id,

@@ -16,13 +16,7 @@ pub fn pixels(count: usize, size: [u32; 2]) -> u64 {
 }
 
 /// Pictures of environments, u8 [indices, height, width, 3]. `ended`: see [`Batch::look`].
-pub fn render(
-    batch: &Batch,
-    indices: &[u32],
-    size: [u32; 2],
-    ended: bool,
-    camera: &CameraOptions,
-) -> Result<Vec<u8>> {
+pub fn render(batch: &Batch, indices: &[u32], size: [u32; 2], ended: bool, camera: &CameraOptions) -> Result<Vec<u8>> {
     let pixels = pixels(indices.len(), size);
     if pixels > MOST_PIXELS {
         let [width, height] = size;

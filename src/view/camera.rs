@@ -119,13 +119,7 @@ impl Camera {
 
     /// Looks at `target` from the direction `away`, at a distance [m] or, if there is none, at one that fits a robot of a
     /// half length [m].
-    fn towards(
-        target: V,
-        away: V,
-        up: V,
-        distance: std::result::Result<f64, f64>,
-        [width, height]: [u32; 2],
-    ) -> Self {
+    fn towards(target: V, away: V, up: V, distance: std::result::Result<f64, f64>, [width, height]: [u32; 2]) -> Self {
         let forward = -away;
         let right = forward.cross(&up).normalize();
         let focal = f64::from(height) / (2.0 * (FIELD_OF_VIEW / 2.0).tan());
@@ -260,7 +254,10 @@ mod tests {
             assert!((away - V::new(x * level, y * level, 1.0)).norm() < 1e-12, "{azimuth}: {away}");
         }
         let default = eye(CameraOptions::default());
-        assert!((eye(CameraOptions { distance: Some(1.0), ..CameraOptions::default() }) - default.normalize()).norm() < 1e-12);
+        assert!(
+            (eye(CameraOptions { distance: Some(1.0), ..CameraOptions::default() }) - default.normalize()).norm()
+                < 1e-12
+        );
         for fixed in [false, true] {
             let camera = Camera::of(&CameraOptions { fixed, ..option }, &model, &state, [480, 360]);
             assert_eq!(camera.target.x, if fixed { 0.0 } else { 0.7 });

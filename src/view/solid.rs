@@ -122,9 +122,9 @@ pub fn paint(map: &mut Pixmap, camera: &Camera, robot: &[Painted], ground: Optio
                     [] => sand,
                     // All of the ground is seen grey: no place has to be found.
                     _ if everywhere && seen.is_finite() => hard::grey(sand),
-                    _ => camera.point(place, seen).map_or(sand, |p| {
-                        hard::shaded(hard, [p.x, p.y], camera.blur(seen), sand)
-                    }),
+                    _ => camera
+                        .point(place, seen)
+                        .map_or(sand, |p| hard::shaded(hard, [p.x, p.y], camera.blur(seen), sand)),
                 };
                 let share = match robot.distances[at] {
                     f32::INFINITY => 0.0,

@@ -164,7 +164,8 @@ impl Request {
     }
 
     #[staticmethod]
-    fn render(indices: Vec<u32>, [width, height]: [u32; 2], ended: bool, camera: Camera) -> Self {
+    fn render(indices: Vec<u32>, size: [u32; 2], ended: bool, camera: Camera) -> Self {
+        let [width, height] = size;
         let (azimuth_deg, elevation_deg, distance, follow) = camera;
         let camera = Some(proto::Camera { azimuth_deg, elevation_deg, distance, fixed: !follow });
         Self::of(Asked::Render(proto::Render { indices, width, height, ended, camera }))

@@ -140,7 +140,10 @@ mod tests {
         ] {
             assert_eq!(changed("x", &1.0, &given).unwrap_err().to_string(), said);
         }
-        assert_eq!(changed("n", &1_u32, &json!(-3)).unwrap_err().to_string(), "n: number `-3`, expected a whole number from 0");
+        assert_eq!(
+            changed("n", &1_u32, &json!(-3)).unwrap_err().to_string(),
+            "n: number `-3`, expected a whole number from 0"
+        );
         assert_eq!(changed("b", &true, &json!(3)).unwrap_err().to_string(), "b: number `3`, expected true or false");
     }
 }
