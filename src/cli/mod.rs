@@ -297,7 +297,7 @@ mod tests {
             ("sandgait bench --repeats 3", "--repeats: 3 is outside [5, 1000]"),
             ("sandgait bench --repeats x", "--repeats: \"x\": invalid digit found in string"),
             ("sandgait walk", "missing: --frequency <HZ>"),
-            ("sandgait serve --max-message-mib 4096", "--max-request-mib: 4096 is outside [1, 4096)"),
+            ("sandgait serve --max-message-mib 4096", "--max-message-mib: 4096 is outside [1, 4096)"),
             (
                 "sandgait walk --frequncy 2",
                 "unexpected argument '--frequncy' found; tip: a similar argument exists: '--frequency'",
