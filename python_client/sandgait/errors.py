@@ -17,7 +17,7 @@ class UnknownOption(InvalidRequest, TypeError):
 
 
 class AccessDenied(SandgaitError, PermissionError):
-    """The server asks for a token or a certificate that this client did not give, or refuses the one that it gave."""
+    """The server asks for a token that this client did not give, or refuses the one that it gave."""
 
 
 class UnknownAttribute(SandgaitError, AttributeError):
