@@ -41,9 +41,9 @@ pub fn narrow_table(rows: &[Vec<String>], keys: usize) -> String {
 /// Rows as columns in [`WIDTH`]; the last column has a text, which continues below itself.
 pub fn glossary(rows: &[Vec<String>]) -> String {
     let heads: Vec<Vec<String>> = rows.iter().map(|row| row[..row.len() - 1].to_vec()).collect();
-    // A text needs room: where the other columns take most of the line, it begins on the next one.
+    // A text needs room: where the other columns take most of the line, it begins on the next one. The least width is our choice.
     let before: usize = widths(&heads).iter().map(|w| w + GAP).sum();
-    let [indent, beside] = if before <= WIDTH / 2 { [before, 1] } else { [6, 0] };
+    let [indent, beside] = if before + 28 <= WIDTH { [before, 1] } else { [6, 0] };
     let mut text = String::new();
     for (head, row) in table(&heads).lines().zip(rows) {
         let lines = wrapped(row.last().map_or("", String::as_str), WIDTH - indent);

@@ -87,9 +87,12 @@ fn as_text(task: &Blueprint) -> String {
     let columns = |all: &[Column]| table(&all.iter().enumerate().map(column).collect::<Vec<_>>());
     let option = |k: Keyword| {
         let when = if k.at_reset { "make, reset" } else { "make" };
-        vec![format!("  {}", k.name), k.value.to_string(), when.into(), k.summary]
+        // Keys of dictionaries are separated by blanks, at which lines can be broken.
+        let value = k.value.to_string().replace(",\"", ", \"");
+        let head = wrapped(&format!("{} = {value} ({when})", k.name), WIDTH - 4).join("\n    ");
+        format!("  {head}\n      {}\n", wrapped(&k.summary, WIDTH - 6).join("\n      "))
     };
-    let options = glossary(&task.keywords().into_iter().map(option).collect::<Vec<_>>());
+    let options = task.keywords().into_iter().map(option).collect::<String>();
     let summary = wrapped(&spec.summary, WIDTH - 2).join("\n  ");
     format!(
         "{}\n  {}\n  {} control steps per second, at most {} in an episode\n\nobservation\n{}\naction\n{}\ninfo (the first {} are the reward terms)\n{}\noptions\n{options}",

@@ -226,7 +226,7 @@ fn report(request: &Request, outcome: &Outcome) -> String {
         let (cells, notes) = (table::cells(&rows), table::notes(&rows));
         text += &format!(
             "\nwithout noise, unseen seeds {FIRST_SEED} to {last}:\n\n{}\n{}\n",
-            super::table(&cells),
+            super::layout::narrow_table(&cells, 2),
             notes.join("\n")
         );
     }
