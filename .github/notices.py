@@ -19,6 +19,9 @@ from typing import Any
 #: Names of files with a licence or a notice in a crate's package.
 FILES = re.compile(r"(licen[cs]e|copying|notice|unlicense|copyright)", re.IGNORECASE)
 
+#: Every licence is longer [characters]; shorter texts only name a licence.
+WHOLE = 400
+
 #: The package with the native module, and the one with the command; both are released.
 ROOTS = ("sandgait-native", "sandgait")
 
@@ -70,8 +73,10 @@ def notices(metadata: dict[str, Any]) -> str:
         "",
     ]
     for package in crates:
-        chosen = own[package["id"]] or [known[name] for name in alternatives(package) if name in known]
-        if not chosen:
+        chosen = own[package["id"]]
+        if not any(len(text) > WHOLE for text in chosen):
+            chosen = [*chosen, *(known[name] for name in alternatives(package) if name in known)]
+        if not any(len(text) > WHOLE for text in chosen):
             raise SystemExit(f"{package['name']}: no text for licence {package['license']!r}")
         marks = ", ".join(str(numbers.setdefault(text, len(numbers) + 1)) for text in chosen)
         source = package["repository"] or f"https://crates.io/crates/{package['name']}"

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from . import _native
 from .batches import Batch, Rollout
-from .errors import InvalidRequest
+from .errors import InvalidRequest, LimitReached
 from .options import keyword_error, with_files
 from .spaces import Task
 from .threads import agreed
@@ -78,7 +78,8 @@ class Door(Protocol):
 def check_count(num_envs: int) -> None:
     """Refuses a number of environments that no process or server accepts. Servers have a limit of their own."""
     if not 1 <= num_envs <= _native.MOST_ENVIRONMENTS:
-        raise InvalidRequest(f"num_envs: {num_envs} is outside [1, {_native.MOST_ENVIRONMENTS}]")
+        kind = InvalidRequest if num_envs < 1 else LimitReached
+        raise kind(f"num_envs: {num_envs} is outside [1, {_native.MOST_ENVIRONMENTS}]")
 
 
 class Local:

@@ -78,9 +78,9 @@ fn reason(error: &dyn std::error::Error) -> String {
     }
     let said = cause.to_string();
     // h2 reads a TLS server's refusal of a connection without TLS as a frame of HTTP/2.
-    match said.as_str() {
-        "frame with invalid size" => format!("{said}: a server with TLS, or none of gRPC? TLS needs its certificate"),
-        _ => said,
+    match said.ends_with("frame with invalid size") {
+        true => format!("{said}: a server with TLS, or none of gRPC? TLS needs its certificate"),
+        false => said,
     }
 }
 
