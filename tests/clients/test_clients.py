@@ -14,6 +14,8 @@ from typing import Any
 import gymnasium
 import pytest
 
+import sandgait  # noqa: F401 (registers the ids)
+
 ID = "sandgait/HexapodGait-v1"
 HOME = Path(__file__).parents[2]
 
@@ -55,7 +57,7 @@ def test_torchrl_ppo() -> None:
     import torch
     from tensordict.nn import TensorDictModule
     from tensordict.nn.distributions import NormalParamExtractor
-    from torchrl.collectors import SyncDataCollector
+    from torchrl.collectors import Collector
     from torchrl.envs import GymWrapper
     from torchrl.modules import ProbabilisticActor, TanhNormal, ValueOperator
     from torchrl.objectives import ClipPPOLoss
@@ -75,7 +77,7 @@ def test_torchrl_ppo() -> None:
         return_log_prob=True,
     )
     critic = ValueOperator(torch.nn.Linear(41, 1), in_keys=["observation"])
-    collector = SyncDataCollector(env, actor, frames_per_batch=8 * 32, total_frames=8 * 32)
+    collector = Collector(env, actor, frames_per_batch=8 * 32, total_frames=8 * 32)
     loss = ClipPPOLoss(actor, critic)
     optimizer = torch.optim.Adam(loss.parameters(), lr=3e-4)
     for batch in collector:
