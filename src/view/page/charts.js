@@ -186,7 +186,7 @@ function curve(context, frame, moments, line) {
 function curves(canvas, view, lines, floor, legend = lines) {
   const room = canvas.clientWidth - 46 - 6;
   const rows = legend_rows(legend.filter((l) => l.label), room);
-  const least = `${62 + ROW * rows.length}px`;
+  const least = `${96 + ROW * rows.length}px`;
   if (canvas.style.minHeight !== least) canvas.style.minHeight = least;
   chart(canvas, view, (area) => {
     const moments = between(view.recording, view.span[0], view.until);
