@@ -94,7 +94,7 @@ impl Layer {
             let row = (y - self.top) * self.width;
             for x in first.ceil() as usize..(last.floor() + 1.0) as usize {
                 let distance = 1.0 / (near + nearer * x as f32);
-                if distance < self.distances[row + x] {
+                if distance > 0.0 && distance < self.distances[row + x] {
                     (self.distances[row + x], self.colors[row + x]) = (distance, facet.color);
                 }
             }
