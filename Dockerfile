@@ -3,11 +3,12 @@
 FROM rust:1.95-slim AS build
 WORKDIR /build
 COPY . .
-RUN cargo build --release --locked --bin sandgait
+RUN apt-get update && apt-get install --yes --no-install-recommends python3
+RUN cargo build --release --locked --bin sandgait && python3 .github/notices.py
 
 FROM debian:stable-slim
 COPY --from=build /build/target/release/sandgait /usr/local/bin/sandgait
-COPY LICENSE /usr/share/doc/sandgait/LICENSE
+COPY --from=build /build/LICENSE /build/THIRD_PARTY_NOTICES.txt /usr/share/doc/sandgait/
 RUN useradd --system --create-home sandgait
 USER sandgait
 EXPOSE 50051

@@ -13,7 +13,7 @@ SOURCES := $(shell find src tests/data/real_wheel python_client Cargo.toml Cargo
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help train policies test test-rust test-python test-browser page-three native film diagnosis-picture bench bench-peers bench-network study \
+.PHONY: help train policies test test-rust test-python test-browser test-clients notices page-three native film diagnosis-picture bench bench-peers bench-network study \
 	study-messy study-convergence study-rocks study-load study-codesign study-starts proto task-pages docs
 
 help:
@@ -21,6 +21,8 @@ help:
 	@echo "make policies   train the policies in examples/policies again (some 70 minutes)"
 	@echo "make test    check formatting and lints, and run all tests, Rust and Python"
 	@echo "make test-browser   test the live page and replays in headless Chromium, which apt installs if it is missing"
+	@echo "make test-clients   test TorchRL, Minari, RLlib, skrl, Tianshou and CleanRL, in versions of their own (gigabytes)"
+	@echo "make notices   write THIRD_PARTY_NOTICES.txt, which releases contain"
 	@echo "make docs    build the documentation as a site in site/; make test runs every command in it"
 	@echo "make film    make the animation of README again"
 	@echo "make diagnosis-picture   make the picture of a diagnosis again, with Chromium"
@@ -69,6 +71,21 @@ test-python: $(VENV)/sb3 $(VENV)/plot $(VENV)/docs $(VENV)/dev
 test-browser: $(VENV)/dev
 	command -v chromium chromium-browser google-chrome > /dev/null || { apt-get update && apt-get install --yes chromium; }
 	$(BIN)/pytest tests/browser
+
+# Other libraries have their own virtual environment, because they need other versions of packages.
+test-clients: $(VENV)-clients/ready $(VENV)/wheel
+	$(VENV)-clients/bin/pip install --quiet --no-deps --force-reinstall dist/*.whl
+	$(VENV)-clients/bin/python -m pytest --override-ini filterwarnings=default tests/clients
+
+# cleanrl's requirements are those of an old gymnasium, which this one's cannot have.
+$(VENV)-clients/ready: tests/clients/requirements.txt
+	$(PYTHON) -m venv $(VENV)-clients
+	$(VENV)-clients/bin/pip install --quiet --requirement tests/clients/requirements.txt
+	$(VENV)-clients/bin/pip install --quiet --no-deps --ignore-requires-python cleanrl==1.2.0
+	@touch $@
+
+notices:
+	$(PYTHON) .github/notices.py
 
 page-three:
 	rm -rf target/three && mkdir -p target/three

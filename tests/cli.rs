@@ -57,8 +57,48 @@ fn intrude_writes_the_sweep() {
 fn media_and_tasks_are_listed() {
     assert!(text(&["media"]).contains("poppy-loose") && text(&["media"]).contains("poppy-close"));
     assert_eq!(json(&["media", "--json"])[0]["name"], "poppy-loose");
-    assert!(text(&["tasks"]).contains("sandgait/HexapodGait-v1"));
+    let list = text(&["tasks"]);
+    assert!(list.contains("sandgait/HexapodGait-v1") && list.lines().count() < 40, "{list}");
     assert_eq!(json(&["tasks", "--json"])[0]["action"].as_array().unwrap().len(), 6);
+}
+
+/// A task has several names; its description and every table fit a terminal of 80 columns and have their units.
+#[test]
+fn texts_fit_a_terminal() {
+    let names = ["HexapodGait", "HexapodGait-v1", "sandgait/HexapodGait-v1"].map(|name| text(&["tasks", name]));
+    assert!(names.iter().all(|t| *t == names[0]) && names[0].starts_with("sandgait/HexapodGait-v1\n"));
+    assert_eq!(json(&["tasks", "LeggedVelocity", "--json"])["id"], "sandgait/LeggedVelocity-v0");
+    refused(&["tasks", "HexapodGate"], &["task \"HexapodGate\" is unknown; known: HexapodGait-v1"]);
+    refused(&["tasks", "HexapodGait", "--markdown", "x"], &["--markdown"]);
+    let robot = text(&["robot", "robots/sandcat.urdf"]);
+    for unit in ["[kg]", "[kg·m²]", "[rad]", "[N·m]", "[rad/s]", "[N·m·s/rad]", "[N·m/rad]"] {
+        assert!(robot.contains(unit), "{unit}: {robot}");
+    }
+    let figures =
+        text(&["evaluate", "tripod:2", "--seeds", "2", "--media", "poppy-loose,poppy-close", "--slopes", "0,10"]);
+    assert_eq!(figures.matches("poppy-close").count(), 6, "{figures}");
+    for text in [&names[0], &text(&["tasks"]), &text(&["tasks", "LeggedVelocity"]), &robot, &figures] {
+        let wide: Vec<_> = text.lines().filter(|l| l.chars().count() > 80).collect();
+        assert!(wide.is_empty(), "{wide:#?}");
+    }
+}
+
+/// A robot whose links all have doubtful inertias gives one warning.
+#[test]
+fn a_warning_of_a_kind_is_one_line() {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("robot.urdf");
+    let urdf = std::fs::read_to_string("robots/sandcat.urdf").unwrap();
+    let (first, rest) = urdf.split_once("izz=\"").unwrap();
+    let links = rest.split("izz=\"").map(|part| format!("izz=\"0.5{}", &part[part.find('"').unwrap()..]));
+    std::fs::write(&file, format!("{first}{}", links.collect::<String>())).unwrap();
+    let option = format!("robot={}", file.display());
+    let legged =
+        ["bench", "--task", "sandgait/LeggedVelocity-v0", "--option", &option, "--envs", "1", "--seconds", "0.01"];
+    let output = sandgait(&legged);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success() && said.lines().count() == 1, "{said}");
+    assert!(said.contains("more: `sandgait robot ") && said.ends_with("lists them\n"), "{said}");
 }
 
 #[test]

@@ -126,7 +126,7 @@ fn a_refused_reset_changes_nothing() {
     for (wrong, said) in [
         (json!({"randomize": {"slope_deg": [-20.0, 20.0]}}), "randomize.slope_deg[1]: 20 is outside [-20, 15]"),
         (json!({"randomize": {"mud": [0, 1]}}), "randomize: unknown field `mud`"),
-        (json!({"randomize": {"zeta": "soft"}}), "randomize: invalid type"),
+        (json!({"randomize": {"zeta": "soft"}}), "randomize: text \"soft\", expected"),
         (json!({"rocks": {"count": 1}}), "rocks: sandgait/HexapodTerrain-v1 has no such option"),
     ] {
         let error = session.reset(None, wrong).unwrap_err();

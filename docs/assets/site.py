@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from latex2mathml.converter import convert
+from mkdocs.plugins import event_priority
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
@@ -79,6 +80,31 @@ def first_sentence(markdown: str) -> str:
     return re.split(r"(?<=[.:]) ", re.sub(r"\s+", " ", re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", first)))[0].rstrip(":")
 
 
+#: The beginning of search/main.js. Where a page was opened from a disk, it can start no worker and request no file.
+OFFLINE = """if (location.protocol === "file:") {
+  window.Worker = undefined;
+  $.getScript = function () {
+    var script = document.createElement("script");
+    script.src = base_url + "/search/offline.js";
+    document.head.appendChild(script);
+    var failed = { fail: function (then) { script.onerror = then; } };
+    return { done: function (then) { script.onload = then; return failed; } };
+  };
+}
+"""
+
+
+def search_from_a_disk(folder: Path) -> None:
+    """Makes the search of pages work that were opened from a disk: a script has the index and what searches it."""
+    parts = [(folder / name).read_text(encoding="utf-8") for name in ("lunr.js", "worker.js")]
+    index = (folder / "search_index.json").read_text(encoding="utf-8").replace("</", "<\\/")
+    start = f"init = function () {{ data = {index}; setTimeout(onScriptsLoaded, 0); }};"
+    (folder / "offline.js").write_text("\n".join([*parts, start]), encoding="utf-8")
+    main = folder / "main.js"
+    main.write_text(OFFLINE + main.read_text(encoding="utf-8"), encoding="utf-8")
+
+
+@event_priority(-100)  # after the plugin that writes the index
 def on_post_build(config: Any, **_: Any) -> None:
     """llms.txt, a list of pages for language models (https://llmstxt.org), and llms-full.txt with the texts."""
     lines = [f"# {config.site_name}", "", f"> {config.site_description}", ""]
@@ -93,3 +119,4 @@ def on_post_build(config: Any, **_: Any) -> None:
     site = Path(config.site_dir)
     (site / "llms.txt").write_text("\n".join(lines), encoding="utf-8")
     (site / "llms-full.txt").write_text("\n\n".join(full), encoding="utf-8")
+    search_from_a_disk(site / "search")

@@ -28,10 +28,21 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
+from ._native import __version__
 from .diagnosis import Diagnosis, diagnose
 from .door import describe
 from .env import SandgaitEnv
-from .errors import InvalidRequest, LimitReached, OutOfOrder, SandgaitError, ServerLost, SessionLost, UnknownAttribute
+from .errors import (
+    AccessDenied,
+    InvalidRequest,
+    LimitReached,
+    OutOfOrder,
+    SandgaitError,
+    ServerLost,
+    SessionLost,
+    UnknownAttribute,
+    UnknownOption,
+)
 from .policies import Evaluation, evaluate
 from .recording import Recording, Section, read_recording
 from .remote import Remote
@@ -50,6 +61,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "TASKS",
+    "AccessDenied",
     "Column",
     "Diagnosis",
     "Evaluation",
@@ -72,7 +84,9 @@ __all__ = [
     "Training",
     "Trials",
     "UnknownAttribute",
+    "UnknownOption",
     "Walks",
+    "__version__",
     "describe",
     "diagnose",
     "evaluate",

@@ -7,11 +7,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+MOST_ENVIRONMENTS: int
+__version__: str
+
 Columns = Sequence[tuple[str, str, float, float]]
 TaskFields = tuple[str, str, Columns, Columns, Columns, int, int, float, Sequence[tuple[str, str, Any, bool]]]
 
 #: Address, token, TLS, authority, certificate and key.
 Address = tuple[str, str | None, bool, bytes | None, bytes | None, bytes | None]
+
+#: Azimuth and elevation [°], distance [m], and whether the camera follows the robot.
+Camera = tuple[float | None, float | None, float | None, bool]
 
 class Local:
     task: TaskFields
@@ -26,7 +32,7 @@ class Local:
     def receive(self) -> tuple[npt.NDArray[Any], ...]: ...
     def receive_rollout(self) -> tuple[npt.NDArray[Any], ...]: ...
     def save(self) -> bytes: ...
-    def render(self, indices: Sequence[int], width: int, height: int, ended: bool) -> bytes: ...
+    def render(self, indices: Sequence[int], size: tuple[int, int], ended: bool, camera: Camera) -> bytes: ...
     def observe(self, index: int, ended: bool) -> tuple[str, bytes]: ...
     def close(self) -> None: ...
 
@@ -46,7 +52,7 @@ class Request:
     @staticmethod
     def policy_rollout(onnx: bytes, steps: int, trajectories: bool) -> Request: ...
     @staticmethod
-    def render(indices: Sequence[int], width: int, height: int, ended: bool) -> Request: ...
+    def render(indices: Sequence[int], size: tuple[int, int], ended: bool, camera: Camera) -> Request: ...
     @staticmethod
     def observe(index: int, ended: bool) -> Request: ...
 
@@ -70,6 +76,7 @@ class Stream:
 class StatusError(Exception):
     args: tuple[int, str]
 
+def check_camera(camera: Camera) -> None: ...
 def close_session(address: Address, session_id: str, timeout: float) -> None: ...
 def create_session(
     address: Address, task: str, num_envs: int, options: Mapping[str, Any]

@@ -18,6 +18,7 @@ KEYWORDS = frozenset(
         "clip_actions",
         "isolated",
         "num_envs",
+        "render_camera",
         "render_mode",
         "render_size",
         "resume",

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import re
-import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -17,10 +16,11 @@ import numpy.typing as npt
 from . import _native, server
 from ._native import Request, Response
 from .batches import Batch, Rollout
-from .errors import InvalidRequest, LimitReached, OutOfOrder, SandgaitError, ServerLost, SessionLost
-from .options import with_files
+from .errors import AccessDenied, InvalidRequest, LimitReached, OutOfOrder, SandgaitError, ServerLost, SessionLost
+from .options import keyword_error, with_files
 from .remote import Remote
 from .spaces import Task
+from .user_warnings import warn
 
 #: Version of the protocol of this client. The server refuses other versions.
 PROTOCOL = 1
@@ -88,8 +88,7 @@ def create_session(address: str, task: str, num_envs: int, options: Mapping[str,
         code, message = error.args
         # no such task or option: there is no session to lose
         raise _error(_INVALID if code == _NOT_FOUND else code, message, address) from None
-    for line in lines:
-        warnings.warn(line, UserWarning, stacklevel=2)
+    warn(lines)
     return Created(session_id, Task.of(made))
 
 
@@ -165,10 +164,18 @@ def failure(response: Response, address: str) -> SandgaitError | None:
 def _error(code: int, message: str, address: str) -> SandgaitError:
     """Converts a status to the exception that tells what the caller can do."""
     if code == _UNAUTHENTICATED:
-        return SandgaitError(f"{address}: {message}; sandgait.Remote takes it (token or token_file)")
+        if isinstance(address, Remote) and address.token is not None:
+            return AccessDenied(f"{address}: the server refuses the token of this sandgait.Remote")
+        return AccessDenied(f"{address}: {message}; sandgait.Remote takes it (token or token_file)")
     name, kind = _CODES.get(code, (str(code), None))
     if kind is None:
         return SandgaitError(f"{address}: {message} ({name})")
+    if kind is InvalidRequest:
+        return keyword_error(message)
     if kind is ServerLost:
+        # A server with TLS ends a connection without it; how that is noticed depends on the order of packets.
+        ended = re.search("frame with invalid size|broken pipe|reset by peer", message) and "TLS" not in message
+        if ended and not getattr(address, "tls", False) and not address.startswith("unix:"):
+            message += "; if it is a server with TLS, sandgait.Remote takes its certificate (ca or tls=True)"
         return ServerLost(f"{address}: the server cannot be reached: {message}{server.last_words(address)}")
     return kind(message)

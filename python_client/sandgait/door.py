@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
@@ -14,10 +13,14 @@ import numpy.typing as npt
 
 from . import _native
 from .batches import Batch, Rollout
-from .errors import InvalidRequest
-from .options import with_files
+from .errors import InvalidRequest, LimitReached
+from .options import keyword_error, with_files
 from .spaces import Task
 from .threads import agreed
+from .user_warnings import warn
+
+#: Azimuth and elevation of a camera [°], its distance [m], and whether it follows the robot. None: the default.
+Camera = tuple[float | None, float | None, float | None, bool]
 
 #: A study calls this function with its progress: the finished share of the work, and the present stage.
 Told = Callable[[float, str], None]
@@ -67,9 +70,16 @@ class Door(Protocol):
 
     def save(self) -> bytes: ...
 
-    def render(self, indices: Sequence[int], width: int, height: int, ended: bool) -> bytes: ...
+    def render(self, indices: Sequence[int], size: tuple[int, int], ended: bool, camera: Camera) -> bytes: ...
 
     def observe(self, index: int, ended: bool) -> tuple[str, bytes]: ...
+
+
+def check_count(num_envs: int) -> None:
+    """Refuses a number of environments that no process or server accepts. Servers have a limit of their own."""
+    if not 1 <= num_envs <= _native.MOST_ENVIRONMENTS:
+        kind = InvalidRequest if num_envs < 1 else LimitReached
+        raise kind(f"num_envs: {num_envs} is outside [1, {_native.MOST_ENVIRONMENTS}]")
 
 
 class Local:
@@ -78,13 +88,14 @@ class Local:
     address = None
 
     def __init__(self, task: str, num_envs: int, options: Mapping[str, Any], threads: int | None) -> None:
-        if not 1 <= num_envs < 2**32:
-            raise InvalidRequest(f"num_envs: {num_envs} is outside [1, {2**32 - 1}]")
+        check_count(num_envs)
         number = agreed(threads, _native.threads(), "this process")
         self.num_envs = num_envs
-        self._native = _native.Local(task, num_envs, with_files(options), number)
-        for line in self._native.warnings:
-            warnings.warn(line, UserWarning, stacklevel=2)
+        try:
+            self._native = _native.Local(task, num_envs, with_files(options), number)
+        except InvalidRequest as error:
+            raise keyword_error(str(error)) from None
+        warn(self._native.warnings)
         self.task = Task.of(self._native.task)
 
     @property
@@ -121,8 +132,8 @@ class Local:
     def save(self) -> bytes:
         return self._native.save()
 
-    def render(self, indices: Sequence[int], width: int, height: int, ended: bool) -> bytes:
-        return self._native.render(list(indices), width, height, ended)
+    def render(self, indices: Sequence[int], size: tuple[int, int], ended: bool, camera: Camera) -> bytes:
+        return self._native.render(list(indices), size, ended, camera)
 
     def observe(self, index: int, ended: bool) -> tuple[str, bytes]:
         return self._native.observe(index, ended)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Mapping
 from typing import Any
 
 import gymnasium
@@ -33,7 +34,8 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     default an action outside of its bounds is refused. `threads`: number of simulating threads of this process; only
     the first environment of the process can set it. `isolated`: without an address, use a separate server process, so
     that a crash of the simulation does not end this process. `render_mode`: "rgb_array" makes pictures of `render_size`
-    (width, height) [px], "human" shows them in a window.
+    (width, height) [px], "human" shows them in a window. `render_camera`: where the camera stands, see
+    `SandgaitVectorEnv`.
 
     A step that Ctrl-C interrupts is still carried out, and the next call of `step` returns its answer. A pickle or copy
     of an environment that was reset includes its state (module `pickling`).
@@ -48,17 +50,20 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         render_mode: str | None = None,
         resume: bool = False,
         render_size: tuple[int, int] = SIZE,
+        render_camera: Mapping[str, Any] | None = None,
         clip_actions: bool = False,
         threads: int | None = None,
         isolated: bool = False,
         **options: Any,
     ) -> None:
-        self._begin(Origin(task, 1, address, resume, threads, isolated, options, render_mode, render_size))
+        view = render_mode, render_size, render_camera
+        self._begin(Origin(task, 1, address, resume, threads, isolated, options, *view, clip_actions))
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": self.task.control_rate}
         self.observation_space = box(self.task.observation)
         self.action_space = box(self.task.action)
         self._actions = Actions(self.action_space, "action", clip_actions)
+        self._columns = [c.name for c in self.task.info]
         self._seeded = False
         self._over = False
         #: First observation of the next episode, which the server begins in the step that ends an episode.
@@ -72,7 +77,10 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begins an episode. `options`: new values of task options; they hold until another reset changes them."""
+        """Begins an episode. `options`: new values of task options; they hold until another reset changes them.
+
+        The returned info has the keys of a step's info. All its values are 0, because no step has been made yet.
+        """
         if self._in_flight is not None:
             with contextlib.suppress(InvalidRequest):
                 self._answer()  # if the step ended the episode, the next one has begun already
@@ -80,7 +88,7 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         first, self._next, self._over = self._next, None, False
         if first is not None and seed is None and not options:
             self._view.moved(record_ended=False, show_ended=False)
-            return first, {}
+            return first, dict.fromkeys(self._columns, 0.0)
         seeds = None if seed is None else [seed]
         if seed is None and not self._seeded:
             seeds = [int(self.np_random.integers(2**63))]
@@ -88,7 +96,7 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._session.send_reset(seeds, None, options or {})
         observation: Observation = self._session.receive().observations[0]
         self._view.moved(record_ended=False, show_ended=False)
-        return observation, {}
+        return observation, dict.fromkeys(self._columns, 0.0)
 
     def step(self, action: npt.ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Makes one control step. `action` is an array [action] of numbers within their bounds."""
@@ -122,7 +130,7 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         over = terminated or truncated
         observation = batch.final_observations[0] if over else batch.observations[0]
         self._view.moved(record_ended=over, show_ended=over)
-        info = dict(zip((c.name for c in self.task.info), batch.infos[:, 0].tolist(), strict=True))
+        info = dict(zip(self._columns, batch.infos[:, 0].tolist(), strict=True))
         result = observation, float(batch.rewards[0]), terminated, truncated, info
         if over:
             self._over, self._next = True, batch.observations[0]
@@ -178,9 +186,10 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         return observation
 
     def fork(self, n: int) -> SandgaitVectorEnv:
-        """`n` new environments in one vector, each in the state of this one. The caller must close the vector."""
+        """`n` new environments in one vector, each with the keywords and in the state of this one. The caller must
+        close the vector."""
         snapshot = self.save()
-        copies = SandgaitVectorEnv(self.task.id, n, self._origin.address, **self._origin.options)
+        copies = SandgaitVectorEnv(**self._origin.copies(n))
         try:
             copies.restore(snapshot)
         except BaseException:

@@ -11,6 +11,15 @@ class InvalidRequest(SandgaitError, ValueError):
     """A value is wrong. The message names the field, the index and the range. The session continues."""
 
 
+class UnknownOption(InvalidRequest, TypeError):
+    """A keyword that the task does not have, when an environment is made. Some libraries try a keyword of their own and
+    leave it out after Python's usual `TypeError`."""
+
+
+class AccessDenied(SandgaitError, PermissionError):
+    """The server asks for a token that this client did not give, or refuses the one that it gave."""
+
+
 class UnknownAttribute(SandgaitError, AttributeError):
     """The attribute does not exist, or setting it would change nothing. The message says what to use instead."""
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import warnings
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from . import _native
-from .errors import InvalidRequest
+from .errors import InvalidRequest, UnknownOption
+from .user_warnings import warn
 
 
 def with_files(options: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -23,12 +24,19 @@ def with_files(options: Mapping[str, Any]) -> Mapping[str, Any]:
     if isinstance(robot, (str, Path)) and Path(robot).suffix in ROBOT_FILES:
         # with its meshes cut into plates, as servers require
         texts["robot"], lines = _native.pack_robot(str(robot))
-        for line in lines:
-            warnings.warn(line, UserWarning, stacklevel=2)
+        warn(lines, f"`sandgait robot {robot}` lists them")
     relief = options.get("relief")
     if isinstance(relief, Mapping) and relief.get("file"):
         texts["relief"] = {**relief, "file": _heights(relief["file"])}
     return {**options, **texts}
+
+
+def keyword_error(message: str) -> InvalidRequest:
+    """The exception for a refused request; an unknown option has Python's words for an unknown keyword."""
+    unknown = re.match(r'option "(.*)" is unknown; known: ', message)
+    if unknown is None:
+        return InvalidRequest(message)
+    return UnknownOption(f"unexpected keyword argument {unknown[1]!r}; the task's options: {message[unknown.end() :]}")
 
 
 def _heights(file: object) -> str:

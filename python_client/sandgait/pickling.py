@@ -6,7 +6,8 @@ used for the first time, it opens a session and restores the snapshot. It then c
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -32,12 +33,22 @@ class Origin:
     options: dict[str, Any]
     render_mode: str | None
     render_size: tuple[int, int]
+    render_camera: Mapping[str, Any] | None
+    clip_actions: bool
+
+    def copies(self, num_envs: int) -> dict[str, Any]:
+        """The keywords of a `SandgaitVectorEnv` with `num_envs` environments like these. A window stays with the
+        original, and there are at most as many servers as environments."""
+        own = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "options"}
+        address = self.address if self.address is None or isinstance(self.address, str) else self.address[:num_envs]
+        mode = None if self.render_mode == "human" else self.render_mode
+        return {**own, "num_envs": num_envs, "address": address, "render_mode": mode, **self.options}
 
     def open(self) -> tuple[Shards, View]:
         shards = open_shards(
             self.address, self.task, self.num_envs, self.options, self.resume, self.threads, self.isolated
         )
-        return shards, View.of(shards, self.render_mode, self.render_size)
+        return shards, View.of(shards, self.render_mode, self.render_size, self.render_camera)
 
 
 class Pickled:

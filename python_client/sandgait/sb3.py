@@ -75,7 +75,7 @@ class EnvironmentView:
         observations, _ = self._envs.reset(
             seed=None if seed is None else seeds, options={**(options or {}), "reset_mask": mask}
         )
-        return observations[self._index], {}
+        return observations[self._index], {c.name: 0.0 for c in self._envs.task.info}
 
 
 class SandgaitVecEnv(VecEnv):
@@ -107,6 +107,7 @@ class SandgaitVecEnv(VecEnv):
         seeds = None if self._seeds[0] is None else list(self._seeds)
         for options, mask in groups:
             observations, _ = self.envs.reset(seed=seeds, options={**options, "reset_mask": mask})
+        self.reset_infos = [dict.fromkeys(self._names, 0.0) for _ in range(self.num_envs)]
         self._reset_seeds()
         self._reset_options()
         return observations

@@ -22,8 +22,8 @@ from . import client, server
 from ._native import Request, Response
 from .batches import Batch, Rollout
 from .client import Stream
-from .door import Held
-from .errors import InvalidRequest, SandgaitError, ServerLost, SessionLost
+from .door import Camera, Held, check_count
+from .errors import SandgaitError, ServerLost, SessionLost
 from .spaces import Task
 
 #: Time for which attempts to reach a server are repeated [s], without and with `resume`. The lease is 300 s by default.
@@ -77,8 +77,7 @@ class Session:
         options: Mapping[str, Any],
         resume: bool = False,
     ) -> None:
-        if not 1 <= num_envs < 2**32:
-            raise InvalidRequest(f"num_envs: {num_envs} is outside [1, {2**32 - 1}]")
+        check_count(num_envs)
         self.num_envs = num_envs
         self.options = dict(options)
         self._addresses = list(addresses)
@@ -166,9 +165,9 @@ class Session:
         self._snapshot, self._since, self._last = snapshot, [], None
         return snapshot
 
-    def render(self, indices: Sequence[int], width: int, height: int, ended: bool) -> bytes:
+    def render(self, indices: Sequence[int], size: tuple[int, int], ended: bool, camera: Camera) -> bytes:
         """A picture of each environment: u8 [indices, height, width, 3]."""
-        self.send(Request.render(list(indices), width, height, ended))
+        self.send(Request.render(list(indices), size, ended, camera))
         return self._receive().pixels
 
     def observe(self, index: int, ended: bool) -> tuple[str, bytes]:

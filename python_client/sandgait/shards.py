@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .batches import Batch, Rollout
-from .door import Door, Held, Local
+from .door import Camera, Door, Held, Local
 from .errors import InvalidRequest
 
 #: The place of environments: None for this process, or the address of one or several servers.
@@ -122,11 +122,21 @@ class Shards:
         """A snapshot of all environments, with one part for each place."""
         return [door.save() for door in self._doors]
 
+    def save_with(self, index: int) -> tuple[bytes, int]:
+        """A snapshot of the place that has environment `index`, and the environment's number at this place."""
+        parts = zip(self._doors, self._slices, strict=True)
+        door, part = next((door, part) for door, part in parts if part.start <= index < part.stop)
+        return door.save(), index - part.start
+
     def send_restore(self, snapshots: Sequence[bytes], sources: npt.NDArray[np.integer[Any]] | None) -> None:
         """Environment i gets the state of the snapshot's environment `sources[i]`. Without `sources` it gets that of
         environment i modulo n, if the snapshot has n environments. A snapshot of several places can only be restored
         on the same number of places."""
-        if len(snapshots) not in (1, len(self._doors)) or (len(snapshots) > 1 and sources is not None):
+        if len(snapshots) > 1 and sources is not None:
+            raise InvalidRequest(
+                f"indices: this snapshot is of {len(snapshots)} servers and can only be restored whole"
+            )
+        if len(snapshots) not in (1, len(self._doors)):
             raise InvalidRequest(f"snapshot: it is of {len(snapshots)} servers, but this batch has {len(self._doors)}")
         if len(snapshots) == 1 and sources is None and len(self._doors) > 1:
             sources = np.arange(self.num_envs)
@@ -157,11 +167,11 @@ class Shards:
         rows = [np.concatenate(column, axis=1) for column in zip(*(p[4:] for p in parts), strict=True)]
         return Rollout(*ends, *rows)
 
-    def render(self, indices: Sequence[int], width: int, height: int, ended: bool) -> bytes:
+    def render(self, indices: Sequence[int], size: tuple[int, int], ended: bool, camera: Camera) -> bytes:
         """A picture of each environment: u8 [indices, height, width, 3]. `indices` must be in ascending order."""
         parts = zip(self._doors, self._slices, strict=True)
         chosen = [(door, [i - part.start for i in indices if part.start <= i < part.stop]) for door, part in parts]
-        return b"".join(door.render(own, width, height, ended) for door, own in chosen if own)
+        return b"".join(door.render(own, size, ended, camera) for door, own in chosen if own)
 
     def observe(self, index: int, ended: bool) -> tuple[str, bytes]:
         """The present state of environment `index`: header and row, in the format of recordings."""

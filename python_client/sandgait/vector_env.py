@@ -4,6 +4,7 @@ direction."""
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,11 +32,16 @@ Step = tuple[Observations, npt.NDArray[np.float64], Flags, Flags, dict[str, Any]
 class _Turn:
     """How far the present step is."""
 
-    #: With NEXT_STEP, the environments whose next step returns the first row of an episode; with SAME_STEP none.
+    #: The environments whose episode has ended and whose next one has not begun. With NEXT_STEP their next step begins
+    #: it, with DISABLED only a reset does, and with SAME_STEP there are none.
     ended: Flags
     in_flight: bool = False
     #: The answer of the step in flight, once it has come.
     batch: Batch | None = None
+    #: With DISABLED, while environments in `ended` wait for their reset: the last rows of all environments, and the
+    #: rows with which the server has begun the next episodes of those in `ended`.
+    lasts: Observations | None = None
+    firsts: Observations | None = None
 
 
 class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32], npt.NDArray[Any]]):
@@ -48,14 +54,19 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
     `autoreset_mode`: with NEXT_STEP, gymnasium's default, the step that ends an episode returns its last observation.
     The next step ignores that environment's action and returns the first observation of the new episode. With SAME_STEP
     the step that ends an episode returns the first observation of the new one; `infos["final_obs"]` has the last
-    observation of the old one, and `infos["final_info"]` its figures.
+    observation of the old one, and `infos["final_info"]` its figures. With DISABLED an environment whose episode has
+    ended must be reset before the next step: `reset(options={"reset_mask": terminated | truncated})`.
 
     `clip_actions`: clip actions to their bounds; by default an action outside of its bounds is refused. `threads`:
     number of simulating threads of this process; only the first environment of the process can set it. `isolated`:
     without an address, use a separate server process, so that a crash of the simulation does not end this process.
 
     `render_mode`: "rgb_array" makes a picture of each environment, of `render_size` (width, height) [px]. "human" shows
-    the first four environments in a window.
+    the first four environments in a window. `render_camera` places the camera, for example
+    `{"azimuth_deg": 90, "elevation_deg": 20, "distance": 2.0, "follow": False}`: the angles about the vertical from the
+    x axis to the camera (0: ahead, 90: on the left) and above the horizon [°], the distance [m], and whether the camera
+    looks at the robot or at the world's origin. What is left out has its default: beside the robot, which it follows,
+    at a distance that fits its size.
 
     A pickle or copy of environments that were reset includes their states (module `pickling`).
 
@@ -74,13 +85,15 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         resume: bool = False,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_size: tuple[int, int] = SIZE,
+        render_camera: Mapping[str, Any] | None = None,
         clip_actions: bool = False,
         threads: int | None = None,
         isolated: bool = False,
         **options: Any,
     ) -> None:
         mode = _autoreset(autoreset_mode)
-        self._begin(Origin(task, num_envs, address, resume, threads, isolated, options, render_mode, render_size))
+        view = render_mode, render_size, render_camera
+        self._begin(Origin(task, num_envs, address, resume, threads, isolated, options, *view, clip_actions))
         self.render_mode = render_mode
         self.num_envs = num_envs
         self.metadata = {**self.metadata, "render_fps": self.task.control_rate, "autoreset_mode": mode}
@@ -91,10 +104,15 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         self._actions = Actions(self.action_space, "actions", clip_actions)
         self._columns = [c.name for c in self.task.info]
         self._info_names = [*self._columns, *(f"_{name}" for name in self._columns)]
+        self._autoreset = mode
         self._seeded = np.zeros(num_envs, dtype=np.bool_)
         self._turn = _Turn(np.zeros(num_envs, dtype=np.bool_))
         self._everybody = np.ones(num_envs, dtype=np.bool_)
-        self._next_step = mode is AutoresetMode.NEXT_STEP
+
+    @property
+    def autoreset_mode(self) -> AutoresetMode:
+        """The same as `metadata["autoreset_mode"]`."""
+        return self._autoreset
 
     def reset(
         self,
@@ -106,7 +124,8 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
 
         `seed`: if it is an int s, environment i has the seed s + i. If it is a list, entry i is the seed of environment
         i, and with entry None its random stream continues. `options`: new values of task options, and `reset_mask`,
-        bool [num_envs], which says which environments to reset.
+        bool [num_envs], which says which environments to reset. The returned infos have the columns of a step's infos,
+        all 0, because these environments have not made a step yet.
         """
         options = dict(options or {})
         mask = self._mask(options.pop("reset_mask", None))
@@ -116,14 +135,36 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         if self._turn.in_flight:
             with contextlib.suppress(InvalidRequest, OutOfOrder):
                 self.recv()  # episodes of environments that are not reset may have ended in this step
+        # As in `SandgaitEnv`: an episode that the server has begun already is taken, unless the caller wants another.
+        begun = goes_on & self._turn.ended if self._turn.firsts is not None and not options else np.zeros_like(mask)
+        goes_on &= ~begun
+        batch: Batch | None = None
         if anew.any():
             batch = self._reset([s or 0 for s in seeds], anew, options)
         if goes_on.any():
             batch = self._reset(None, goes_on, options)
+        observations = self._after_reset(None if batch is None else batch.observations, mask, begun)
         self._seeded |= mask
-        self._turn.ended &= ~mask
-        self._view.moved(record_ended=True, show_ended=False)
-        return batch.observations, {}
+        self._turn.ended = self._turn.ended & ~mask
+        self._view.moved(record_ended=not begun[self._view.index], show_ended=False)
+        return observations, self._masked(np.zeros((len(self._columns), self.num_envs), np.float32), mask)
+
+    def _after_reset(self, rows: Observations | None, mask: Flags, begun: Flags) -> Observations:
+        """Observations after a reset of `mask`, from the server's `rows`, None if it was not asked. Environments that
+        wait for their reset keep their last observation."""
+        turn = self._turn
+        if turn.lasts is None or turn.firsts is None:
+            assert rows is not None
+            return rows
+        if rows is None:
+            rows = turn.lasts.copy()
+        waiting = turn.ended & ~mask
+        rows[begun], rows[waiting] = turn.firsts[begun], turn.lasts[waiting]
+        if waiting.any():
+            turn.lasts = rows.copy()
+        else:
+            turn.lasts = turn.firsts = None
+        return rows
 
     def _reset(self, seeds: list[int] | None, mask: Flags, options: dict[str, Any]) -> Batch:
         self._session.send_reset(seeds, None if mask.all() else mask, options)
@@ -173,7 +214,12 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         if turn.in_flight:
             raise OutOfOrder("send: a step is in flight already; call recv first")
         rows = self._actions.rows(actions)
-        held = turn.ended if self._next_step and np.count_nonzero(turn.ended) else None
+        held = turn.ended if np.count_nonzero(turn.ended) else None
+        if held is not None and self._autoreset is AutoresetMode.DISABLED:
+            raise OutOfOrder(
+                f"step: environment {held.argmax()} has ended its episode; first reset those that have ended: "
+                'reset(options={"reset_mask": terminated | truncated})'
+            )
         if held is not None:
             rows = np.where(held[:, None], np.float32(0.0), rows)  # held environments ignore their actions
         session = self._session
@@ -202,30 +248,34 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
             except SandgaitError as error:
                 turn.in_flight = False
                 raise self._actions.explain(error) from None
-        self._view.moved(record_ended=True, show_ended=self._next_step)
+        self._view.moved(record_ended=True, show_ended=self._autoreset is not AutoresetMode.SAME_STEP)
         return turn.batch
 
     def recv(self) -> Step:
         """The result of the step that `send` started; the same as that of `step`."""
         batch = self._receive()
         turn = self._turn
-        ended = turn.ended
-        if self._next_step:
-            infos = self._masked(batch.infos, ~ended)  # of the environments that stepped
-            if batch.final_indices.size:
-                batch.observations[batch.final_indices] = batch.final_observations
-            ended = batch.terminated | batch.truncated
-        else:
+        ended, rows = turn.ended, batch.observations
+        lasts = firsts = None
+        if self._autoreset is AutoresetMode.SAME_STEP:
             infos = self._infos(batch)
-        result = batch.observations, batch.rewards.astype(np.float64), batch.terminated, batch.truncated, infos
-        turn.ended, turn.in_flight, turn.batch = ended, False, None
+        else:
+            infos = self._masked(batch.infos, self._everybody.copy())
+            ended = batch.terminated | batch.truncated
+            if batch.final_indices.size:
+                if self._autoreset is AutoresetMode.DISABLED:
+                    firsts, rows = rows, rows.copy()
+                rows[batch.final_indices] = batch.final_observations
+                lasts = None if firsts is None else rows.copy()
+        result = rows, batch.rewards.astype(np.float64), batch.terminated, batch.truncated, infos
+        turn.ended, turn.lasts, turn.firsts, turn.in_flight, turn.batch = ended, lasts, firsts, False, None
         return result
 
     def _infos(self, batch: Batch) -> dict[str, Any]:
         """Reward terms and figures as columns [num_envs] with gymnasium's masks, grouped like those of SyncVectorEnv.
 
-        A column has the step's value for every environment. If an environment's episode ended, its mask is False,
-        because gymnasium puts that value into `final_info`. The other environments have 0 in `final_info`.
+        If an environment's episode ended, its values of this step are in `final_info`, and its column has the 0 of the
+        next episode's reset. The other environments have 0 in `final_info`.
         """
         columns, ended = batch.infos, batch.final_indices
         if not ended.size:
@@ -236,7 +286,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
             last[i] = row
         final = self._masked(np.where(done, columns, np.float32(0.0)), done)
         infos = {"final_obs": last, "_final_obs": done, "final_info": final, "_final_info": done}
-        return infos | self._masked(columns, ~done)
+        return infos | self._masked(np.where(done, np.float32(0.0), columns), self._everybody.copy())
 
     def _masked(self, columns: npt.NDArray[np.float32], mask: Flags) -> dict[str, Any]:
         """`{name: column, _name: mask}` of every info column; `columns` is [info, num_envs]."""
@@ -266,19 +316,21 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
             raise InvalidRequest(f"indices: expected whole numbers [{self.num_envs}], got {indices!r}")
         if sources is not None and sources.min() < 0:
             raise InvalidRequest(f"indices: {sources.min()} is below 0")
-        self._turn.in_flight = False
+        self._turn.in_flight, self._turn.lasts, self._turn.firsts = False, None, None
         self._session.send_restore(read_snapshot(snapshot), sources)
         self._seeded[:], self._turn.ended[:] = True, False
         return self._session.receive().observations
 
     def fork(self, n: int, index: int = 0) -> SandgaitVectorEnv:
-        """`n` new environments, each in the state of environment `index` of this one. The caller must close them."""
+        """`n` new environments with the keywords of this one, each in the state of its environment `index`. The caller
+        must close them."""
         if not 0 <= index < self.num_envs:
             raise InvalidRequest(f"index: {index} is outside [0, {self.num_envs})")
-        origin, mode = self._origin, self.metadata["autoreset_mode"]
-        copies = SandgaitVectorEnv(self.task.id, n, origin.address, autoreset_mode=mode, **origin.options)
+        self._require_rest("fork")
+        snapshot, place = self._session.save_with(index)
+        copies = SandgaitVectorEnv(autoreset_mode=self.autoreset_mode, **self._origin.copies(n))
         try:
-            copies.restore(self.save(), np.full(n, index))
+            copies.restore(write_snapshot([snapshot], None), np.full(n, place))
         except BaseException:
             copies.close()
             raise
@@ -322,10 +374,14 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
             raise InvalidRequest('render_mode: none was chosen; make the environments with render_mode="rgb_array"')
         if self._turn.in_flight:
             raise OutOfOrder("render: a step is in flight; call recv first")
+        ended = np.flatnonzero(self._turn.ended)
         if self.render_mode == "human":
-            self._view.show(self._next_step)
+            self._view.show(bool(ended.size))
             return None
-        return tuple(self._view.pictures(list(range(self.num_envs)), self._next_step))
+        pictures = self._view.pictures(list(range(self.num_envs)))
+        if ended.size:
+            pictures[ended] = self._view.pictures(ended.tolist(), ended=True)
+        return tuple(pictures)
 
     def record(self, path: FilePath, index: int = 0) -> None:
         """Records environment `index` to the file `path`: its state after each reset or step from now on."""
@@ -357,7 +413,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
 
 def _autoreset(mode: AutoresetMode | str) -> AutoresetMode:
     """The autoreset mode, from a member of the enum or its value."""
-    for known in (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP):
+    for known in AutoresetMode:
         if mode in (known, known.value, known.name):
             return known
-    raise InvalidRequest(f"autoreset_mode: {mode!r} is neither SAME_STEP nor NEXT_STEP")
+    raise InvalidRequest(f"autoreset_mode: {mode!r} is unknown; known: {', '.join(m.name for m in AutoresetMode)}")

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from . import _native
+from .door import Camera
 from .errors import InvalidRequest, OutOfOrder, SandgaitError
 from .recording import FilePath, Recorder
 from .shards import Shards
@@ -23,6 +26,28 @@ RENDER_MODES = ["rgb_array", "human"]
 
 #: Default width and height of a picture [px].
 SIZE = (480, 360)
+
+
+def camera(given: Mapping[str, Any] | None) -> Camera:
+    """The camera of the keyword `render_camera`: a dictionary with some of azimuth_deg, elevation_deg, distance and
+    follow."""
+    known = {"azimuth_deg": None, "elevation_deg": None, "distance": None, "follow": True}
+    if given is not None and not isinstance(given, Mapping):
+        raise InvalidRequest(f"render_camera: {given!r} is not a dictionary")
+    for name, value in (given or {}).items():
+        if name not in known:
+            raise InvalidRequest(f"render_camera: {name!r} is unknown; known: {', '.join(known)}")
+        if not isinstance(value, bool if name == "follow" else (int, float)):
+            raise InvalidRequest(
+                f"render_camera: {name} {value!r} is not {'True or False' if name == 'follow' else 'a number'}"
+            )
+    azimuth, elevation, distance, follow = {**known, **(given or {})}.values()
+    chosen: Camera = (azimuth, elevation, distance, bool(follow))
+    try:
+        _native.check_camera(chosen)
+    except InvalidRequest as error:
+        raise InvalidRequest(f"render_{error}") from None
+    return chosen
 
 
 class Window:
@@ -70,24 +95,29 @@ class Window:
 class View:
     """Makes the pictures, window and recording of one or many environments."""
 
-    def __init__(self, shards: Shards, render_mode: str | None, size: tuple[int, int]) -> None:
+    def __init__(
+        self, shards: Shards, render_mode: str | None, size: tuple[int, int], camera_options: Mapping[str, Any] | None
+    ) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise InvalidRequest(f"render_mode: {render_mode!r} is unknown; known: {', '.join(RENDER_MODES)}")
         for name, side in zip(("width", "height"), size, strict=True):
             if not 16 <= side <= 4096:
                 raise InvalidRequest(f"render_size: {name} {side} is outside [16, 4096]")
         self._shards = shards
-        self._mode = render_mode
-        self._size = size
+        self._camera = camera(camera_options)
+        self._size = (int(size[0]), int(size[1]))
         self._recorder: Recorder | None = None
-        self._index = 0
+        #: The environment that is recorded.
+        self.index = 0
         self._window = Window(shards.task.id, shards.task.control_rate) if render_mode == "human" else None
 
     @classmethod
-    def of(cls, shards: Shards, render_mode: str | None, size: tuple[int, int]) -> View:
+    def of(
+        cls, shards: Shards, render_mode: str | None, size: tuple[int, int], camera_options: Mapping[str, Any] | None
+    ) -> View:
         """The view of a session. If it cannot be made, the session is closed."""
         try:
-            return cls(shards, render_mode, size)
+            return cls(shards, render_mode, size, camera_options)
         except BaseException:
             shards.close()
             raise
@@ -96,7 +126,7 @@ class View:
         """Pictures, u8 [indices, height, width, 3]. `ended`: show the last state of an episode that ended in this
         step."""
         width, height = self._size
-        pixels = self._shards.render(indices, width, height, ended)
+        pixels = self._shards.render(indices, self._size, ended, self._camera)
         return np.frombuffer(pixels, np.uint8).reshape(len(indices), height, width, 3).copy()
 
     def moved(self, *, record_ended: bool, show_ended: bool) -> None:
@@ -106,7 +136,7 @@ class View:
         the next episode.
         """
         if self._recorder is not None:
-            self._recorder.add(*self._shards.observe(self._index, record_ended))
+            self._recorder.add(*self._shards.observe(self.index, record_ended))
         if self._window is not None:
             self.show(show_ended)
 
@@ -122,7 +152,7 @@ class View:
             raise InvalidRequest(f"index: {index} is outside [0, {self._shards.num_envs})")
         if self._recorder is not None:
             raise OutOfOrder("record: a recording is being made; call stop_recording first")
-        self._recorder, self._index = Recorder(path), index
+        self._recorder, self.index = Recorder(path), index
 
     def stop_recording(self) -> None:
         """Completes the recording, if there is one in progress."""

@@ -52,5 +52,27 @@ pub fn check_range(field: &str, value: f64, range: std::ops::RangeInclusive<f64>
         return Ok(value);
     }
     let (low, high) = (range.start(), range.end());
-    Err(Error::invalid(field, format!("{value} is outside [{low}, {high}]")))
+    Err(Error::invalid(field, format!("{} is outside [{}, {}]", short(value), short(*low), short(*high))))
+}
+
+/// A number in a message: `0.25`, and `1e308` instead of 309 digits.
+pub fn short(value: f64) -> String {
+    match value.abs() {
+        size if size == 0.0 || (1e-6..1e15).contains(&size) => value.to_string(),
+        _ => format!("{value:e}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_in_messages_are_short() {
+        let numbers = [0.0, 0.25, -3.0, 1e6, 1e308, -1e-9, f64::NAN, f64::INFINITY];
+        let said = ["0", "0.25", "-3", "1000000", "1e308", "-1e-9", "NaN", "inf"];
+        assert_eq!(numbers.map(short), said);
+        let error = check_range("x", 1e308, -1e300..=0.0).unwrap_err();
+        assert_eq!(error.to_string(), "x: 1e308 is outside [-1e300, 0]");
+    }
 }

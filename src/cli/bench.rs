@@ -50,8 +50,8 @@ pub struct Bench {
     /// Interface through which steps are requested
     #[arg(long, value_enum, default_value_t = Through::Process)]
     through: Through,
-    /// Number of repeats, at least 5
-    #[arg(long, default_value_t = 7, value_name = "N", value_parser = clap::value_parser!(u16).range(5..))]
+    /// Number of repeats, from 5 to 1000
+    #[arg(long, default_value_t = 7, value_name = "N", value_parser = clap::value_parser!(u16).range(5..=1000))]
     repeats: u16,
     /// Duration of a repeat [s]
     #[arg(long, default_value_t = 0.5, value_name = "S")]

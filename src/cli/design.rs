@@ -149,7 +149,7 @@ pub fn report(study: &Study, findings: &Findings, measure: Measure, out: &Path) 
         "best designs by {} on 100 seeds that were used neither for training nor for the choice:\n\n{}\n\
          ±: 95 % interval of the mean over trainings (Student's t)\n",
         measure.name(),
-        super::table(&rows)
+        super::layout::narrow_table(&rows, 1)
     );
     write("best.txt", text.as_bytes())?;
     Ok(text)

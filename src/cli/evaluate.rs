@@ -1,6 +1,7 @@
 //! `sandgait evaluate`
 
 use super::Bar;
+use super::layout::{WIDTH, narrow_table, wrapped};
 use sandgait::env::Task;
 use sandgait::env::gait::HexapodGait;
 use sandgait::env::legged::LeggedVelocity;
@@ -136,5 +137,8 @@ fn report(about: &Value, rows: &[Row]) -> String {
         format!("{}, {}", about["policy"].as_str().unwrap_or_default(), about["task"].as_str().unwrap_or_default());
     head += &range("seeds").map_or(String::new(), |r| format!(", seeds {r}"));
     head += &range("search_seeds").map_or(String::new(), |r| format!("; rate searched on seeds {r}"));
-    format!("{head}\n\n{}\n{}\n", super::table(&table::cells(rows)), table::notes(rows).join("\n"))
+    // Each part of the table begins with medium, slope and, if it was searched, the rate.
+    let keys = 2 + usize::from(rows.iter().any(|r| r.rate.is_some()));
+    let head = wrapped(&head, WIDTH).join("\n");
+    format!("{head}\n\n{}\n{}\n", narrow_table(&table::cells(rows), keys), table::notes(rows).join("\n"))
 }

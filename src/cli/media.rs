@@ -1,5 +1,6 @@
 //! `sandgait media`
 
+use super::layout::glossary;
 use sandgait::Result;
 use sandgait::sand::Medium;
 
@@ -23,6 +24,6 @@ impl Media {
             let zeta = m.coefficients.penetration() * 1e-6;
             vec![m.name, format!("{zeta:.3}"), format!("{:.0}", m.bulk_density), m.source]
         };
-        Ok(super::table(&std::iter::once(heading).chain(media.into_iter().map(row)).collect::<Vec<_>>()))
+        Ok(glossary(&std::iter::once(heading).chain(media.into_iter().map(row)).collect::<Vec<_>>()))
     }
 }

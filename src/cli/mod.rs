@@ -9,6 +9,7 @@ mod diagnose;
 mod evaluate;
 mod heights;
 mod intrude;
+mod layout;
 mod media;
 mod progress;
 mod replay;
@@ -24,15 +25,18 @@ mod trials;
 mod validate;
 mod walk;
 
+use layout::table;
+
 pub use heights::pack as pack_heights;
 pub use robot::pack as pack_robot;
 pub use train::{Training, learn};
 
 use self::progress::Bar;
-use clap::error::ErrorKind;
+use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{CommandFactory as _, Parser, Subcommand};
 use sandgait::sand::{Medium, SandDescription};
 use sandgait::{Error, Result};
+use std::error::Error as _;
 use std::ffi::OsString;
 use std::io::Write as _;
 use std::path::Path;
@@ -92,7 +96,7 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
             Err(Error::invalid("command", "missing; see sandgait --help"))
         }
         Err(e) => {
-            eprintln!("sandgait: {}", one_line(&e.to_string()));
+            eprintln!("sandgait: {}", one_line(&e));
             return 2;
         }
     };
@@ -113,7 +117,7 @@ fn with_file(file: &Path, given: Vec<OsString>) -> Result<Cli> {
     let command = all.get(1).and_then(|name| cli.find_subcommand(name));
     all.extend(config::arguments(command.unwrap_or(&cli), file)?);
     // The command line alone was valid, so the error is in the file.
-    Cli::try_parse_from(all.into_iter().chain(given)).map_err(|e| Error::file(file, one_line(&e.to_string())))
+    Cli::try_parse_from(all.into_iter().chain(given)).map_err(|e| Error::file(file, one_line(&e)))
 }
 
 /// Runs a command; its text goes to stdout.
@@ -157,8 +161,43 @@ fn print(text: &str) -> u8 {
     }
 }
 
+/// clap's refusal in one line, in the words of this program's other messages.
+fn one_line(error: &clap::Error) -> String {
+    let context = |kind| match error.get(kind) {
+        Some(ContextValue::String(text)) => Some(text.clone()),
+        Some(ContextValue::Strings(all)) if !all.is_empty() => Some(all.join(", ")),
+        _ => None,
+    };
+    // `--repeats <N>` without its placeholder
+    let name = |argument: String| argument.split(" <").next().unwrap_or_default().to_owned();
+    let argument = context(ContextKind::InvalidArg);
+    match (error.kind(), argument, context(ContextKind::InvalidValue)) {
+        (ErrorKind::MissingRequiredArgument, Some(missing), _) => format!("missing: {missing}"),
+        (ErrorKind::InvalidValue, Some(argument), Some(value)) if !value.is_empty() => {
+            let known = context(ContextKind::ValidValue).unwrap_or_default();
+            format!("{}: {value:?} is unknown; known: {known}", name(argument))
+        }
+        (ErrorKind::ValueValidation, Some(argument), Some(value)) => {
+            let reason = error.source().map_or_else(String::new, |e| range(&e.to_string()));
+            let said = if reason.starts_with(&value) { reason } else { format!("{value:?}: {reason}") };
+            format!("{}: {said}", name(argument))
+        }
+        _ => without_usage(&error.to_string()),
+    }
+}
+
+/// Rust's words for a number outside of its range, `3 is not in 5..=65535`, in mathematical ones.
+fn range(reason: &str) -> String {
+    let Some((value, range)) = reason.split_once(" is not in ") else { return reason.to_owned() };
+    let (low, high) = range.split_once("..").unwrap_or((range, ""));
+    match high.strip_prefix('=') {
+        Some(high) => format!("{value} is outside [{low}, {high}]"),
+        None => format!("{value} is outside [{low}, {high})"),
+    }
+}
+
 /// clap's message without its usage block: `error: a … tip: b`.
-fn one_line(message: &str) -> String {
+fn without_usage(message: &str) -> String {
     let said = message.split("\nUsage:").next().unwrap_or(message);
     let lines = said.lines().map(str::trim).filter(|l| !l.is_empty() && !l.starts_with("For more information"));
     lines.collect::<Vec<_>>().join(" ").trim_start_matches("error: ").replace(" tip:", "; tip:")
@@ -192,9 +231,24 @@ fn warn_of_unfelt_option(options: &serde_json::Value) {
 }
 
 fn warn_of_unfelt(sand: &SandDescription) {
-    for line in sand.mechanisms.unfelt_by_walkers() {
-        eprintln!("sandgait: warning: sand {}: {line}", sand.name);
+    let lines = sand.mechanisms.unfelt_by_walkers();
+    warn(&lines.iter().map(|line| format!("sand {}: {line}", sand.name)).collect::<Vec<_>>(), "");
+}
+
+/// Number of notes of one kind that a warning shows: our choice, so that it can be read at a glance.
+const SHOWN: usize = 3;
+
+/// One warning on stderr of all `notes`, which are of one kind. `whole`: where to find those that are left out.
+fn warn(notes: &[String], whole: &str) {
+    if notes.is_empty() {
+        return;
     }
+    let more = match notes.len().saturating_sub(SHOWN) {
+        0 => String::new(),
+        n if whole.is_empty() => format!("; and {n} more"),
+        n => format!("; and {n} more: {whole}"),
+    };
+    eprintln!("sandgait: warning: {}{more}", notes[..notes.len().min(SHOWN)].join("; "));
 }
 
 /// Pretty JSON with a newline.
@@ -202,14 +256,47 @@ fn json(value: &serde_json::Value) -> String {
     format!("{value:#}\n")
 }
 
-/// Rows as left-aligned columns, two blanks apart.
-fn table(rows: &[Vec<String>]) -> String {
-    let columns = rows.iter().map(Vec::len).max().unwrap_or(0);
-    let width = |k: usize| rows.iter().filter_map(|r| r.get(k)).map(|c| c.chars().count()).max().unwrap_or(0);
-    let widths: Vec<_> = (0..columns).map(width).collect();
-    let line = |row: &Vec<String>| {
-        let cells = row.iter().zip(&widths).map(|(cell, w)| format!("{cell:w$}"));
-        format!("{}\n", cells.collect::<Vec<_>>().join("  ").trim_end())
-    };
-    rows.iter().map(line).collect()
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn refused(line: &str) -> String {
+        let Err(error) = Cli::try_parse_from(line.split(' ')) else { panic!("{line} is accepted") };
+        one_line(&error)
+    }
+
+    #[test]
+    fn refusals_name_argument_value_and_range() {
+        for (line, said) in [
+            ("sandgait bench --repeats 3", "--repeats: 3 is outside [5, 1000]"),
+            ("sandgait bench --repeats x", "--repeats: \"x\": invalid digit found in string"),
+            ("sandgait walk", "missing: --frequency <HZ>"),
+            ("sandgait serve --max-message-mib 4096", "--max-message-mib: 4096 is outside [1, 4096)"),
+            (
+                "sandgait walk --frequncy 2",
+                "unexpected argument '--frequncy' found; tip: a similar argument exists: '--frequency'",
+            ),
+        ] {
+            assert_eq!(refused(line), said);
+        }
+        let unknown = refused("sandgait bench --through grpc");
+        assert!(unknown.starts_with("--through: \"grpc\" is unknown; known: process, grpc-uds"), "{unknown}");
+    }
+
+    /// At 80 and at 120 columns no line of any help is wider, and each word of the wide help is in the narrow one.
+    #[test]
+    fn help_is_wrapped_at_words() {
+        for command in Cli::command().get_subcommands() {
+            let help = |width| command.clone().term_width(width).render_long_help().to_string();
+            let words = |text: &str| text.split_whitespace().map(str::to_owned).collect::<Vec<_>>();
+            let [narrow, wide] = [80, 120].map(|width| {
+                let text = help(width);
+                // A line of examples without a blank to break at, such as a long option, may be wider.
+                let broad = text.lines().find(|l| l.chars().count() > width && l.trim().contains(' '));
+                assert_eq!(broad, None, "{} at {width}", command.get_name());
+                words(&text)
+            });
+            assert_eq!(narrow, wide, "{}", command.get_name());
+        }
+    }
 }

@@ -1,5 +1,6 @@
 //! `sandgait replay`
 
+use super::layout::narrow_table;
 use sandgait::view::{self, Section, page};
 use sandgait::{Error, Result};
 use serde_json::Value;
@@ -70,8 +71,13 @@ fn table(file: &Path, sections: &[Value]) -> String {
         Value::Number(n) if n.is_f64() => format!("{:.4}", n.as_f64().unwrap_or(f64::NAN)),
         other => other.to_string(),
     };
-    let head = names.map(str::to_owned).to_vec();
+    let unit = |name: &str| match name {
+        "rate" => " [Hz]",
+        "mean_speed" => " [m/s]",
+        _ => "",
+    };
+    let head = names.map(|name| format!("{}{}", name.replace('_', " "), unit(name))).to_vec();
     let rows = sections.iter().map(|s| names.iter().map(|n| text(&s[*n])).collect());
     let rows: Vec<Vec<String>> = std::iter::once(head).chain(rows).collect();
-    format!("{}\n{}", file.display(), super::table(&rows))
+    format!("{}\n{}", file.display(), narrow_table(&rows, 0))
 }

@@ -1,5 +1,6 @@
 //! `sandgait robot`
 
+use super::layout::{WIDTH, narrow_table, wrapped};
 use sandgait::robots::{self, Import, Touch, states};
 use sandgait::sim::tree::looks::Looks;
 use sandgait::sim::tree::{Geometry, TreeBody, TreeJoint, TreeShape, packed, plates};
@@ -32,6 +33,15 @@ pub struct Robot {
     /// Draw the robot in its standing pose, with the plates that touch sand, to this PNG file
     #[arg(long, value_name = "PNG")]
     picture: Option<PathBuf>,
+    /// Direction of the picture's camera [°]: the angle from the robot's front to its left; default: from its right front
+    #[arg(long, value_name = "DEGREES", allow_negative_numbers = true, requires = "picture")]
+    azimuth_deg: Option<f64>,
+    /// Angle of the picture's camera above the horizon [°]
+    #[arg(long, value_name = "DEGREES", allow_negative_numbers = true, requires = "picture")]
+    elevation_deg: Option<f64>,
+    /// Distance of the picture's camera [m]; default: it fits the robot's size
+    #[arg(long, value_name = "METRES", allow_negative_numbers = true, requires = "picture")]
+    distance: Option<f64>,
     /// Bodies, links or shapes that touch sand; default: feet, lower links and belly
     #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
     touches: Option<Vec<String>>,
@@ -62,14 +72,14 @@ impl Robot {
             } else {
                 compressed(&import, &touching)?
             };
-            note.iter().for_each(|line| eprintln!("sandgait: warning: {line}"));
+            super::warn(note.as_slice(), "");
             return Ok(text);
         }
         if let Some(path) = &self.picture {
-            let seen = import.seen()?;
+            let (seen, camera) = (import.seen()?, self.camera()?);
             let caption =
                 format!("{}: {:.3} kg, {} joints", import.tree.name, import.tree.mass(), import.tree.joints().count());
-            let png = view::tree::draw(&import.tree, &seen, &touching.plates, PICTURE, &[caption])?;
+            let png = view::tree::draw(&import.tree, &seen, &touching.plates, PICTURE, &camera, &[caption])?;
             std::fs::write(path, png).map_err(|e| Error::file(path, e))?;
         }
         match self.json {
@@ -79,13 +89,20 @@ impl Robot {
     }
 }
 
+impl Robot {
+    fn camera(&self) -> Result<view::CameraOptions> {
+        let Self { azimuth_deg, elevation_deg, distance, .. } = *self;
+        view::CameraOptions { azimuth_deg, elevation_deg, distance, fixed: false }.check()
+    }
+}
+
 /// Replaces the file of a robot in a task's options by its packed text.
 pub fn read_option(options: &mut Value) -> Result<()> {
     let Some(robot) = options.get_mut("robot") else { return Ok(()) };
     let is_file = |name: &&str| [".urdf", ".xml", ".mjcf"].iter().any(|end| name.ends_with(end));
     let Some(path) = robot.as_str().filter(is_file) else { return Ok(()) };
     let (text, warnings) = pack(Path::new(path))?;
-    warnings.iter().for_each(|line| eprintln!("sandgait: warning: {line}"));
+    super::warn(&warnings, &format!("`sandgait robot {path}` lists them"));
     *robot = text.into();
     Ok(())
 }
@@ -240,6 +257,21 @@ fn or_dash(value: Option<f64>) -> String {
     value.map_or_else(|| "-".into(), |v| format!("{v:.4}").trim_end_matches('0').trim_end_matches('.').to_owned())
 }
 
+/// Units of the columns of the joints' table: those of the kinds of joints that the robot has.
+fn joint_units(tree: &sim::tree::Tree) -> Vec<String> {
+    const HINGE: [&str; 10] =
+        ["rad", "rad", "N·m", "rad/s", "N·m·s/rad", "N·m", "kg·m²", "N·m/rad", "N·m·s/rad", "rad"];
+    const SLIDE: [&str; 10] = ["m", "m", "N", "m/s", "N·s/m", "N", "kg", "N/m", "N·s/m", "m"];
+    let has = |slides: bool| tree.joints().any(|j| (j.kind == sim::tree::JointKind::Slide) == slides);
+    let unit = |(hinge, slide)| match [has(false), has(true)] {
+        [true, true] => format!("[{hinge}|{slide}]"),
+        [false, true] => format!("[{slide}]"),
+        _ => format!("[{hinge}]"),
+    };
+    let units = HINGE.iter().zip(SLIDE).map(unit);
+    [String::new(), String::new()].into_iter().chain(units).collect()
+}
+
 fn as_text(import: &Import, touching: &Touching) -> String {
     let tree = &import.tree;
     let mut text = format!(
@@ -251,7 +283,10 @@ fn as_text(import: &Import, touching: &Touching) -> String {
         tree.joints().count()
     );
     let heads = |names: &[&str]| names.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>();
-    let mut rows = vec![heads(&["body", "parent", "mass [kg]", "Ixx", "Iyy", "Izz [kg·m²]", "shapes", "links"])];
+    let mut rows = vec![
+        heads(&["body", "parent", "mass", "Ixx", "Iyy", "Izz", "shapes", "links"]),
+        heads(&["", "", "[kg]", "[kg·m²]", "[kg·m²]", "[kg·m²]", "", ""]),
+    ];
     for (b, body) in tree.bodies.iter().enumerate() {
         let parent = if b > 0 { tree.bodies[body.parent].name.clone() } else { "-".into() };
         let mut row = vec![body.name.clone(), parent, or_dash(Some(body.mass))];
@@ -259,10 +294,13 @@ fn as_text(import: &Import, touching: &Touching) -> String {
         row.extend([body.shapes.len().to_string(), import.links[b].len().to_string()]);
         rows.push(row);
     }
-    text.push_str(&super::table(&rows));
-    let mut rows = vec![heads(&[
-        "joint", "kind", "lower", "upper", "torque", "speed", "damping", "friction", "armature", "kp", "kd", "rest",
-    ])];
+    text.push_str(&narrow_table(&rows, 1));
+    let mut rows = vec![
+        heads(&[
+            "joint", "kind", "lower", "upper", "torque", "speed", "damping", "friction", "armature", "kp", "kd", "rest",
+        ]),
+        joint_units(tree),
+    ];
     for joint in tree.joints() {
         let mut row = vec![joint.name.clone(), kind(joint).to_owned()];
         let [lower, upper] = joint.range.map_or([None; 2], |r| r.map(Some));
@@ -271,7 +309,7 @@ fn as_text(import: &Import, touching: &Touching) -> String {
         rows.push(row);
     }
     text.push('\n');
-    text.push_str(&super::table(&rows));
+    text.push_str(&narrow_table(&rows, 2));
     let mut rows = vec![heads(&["touches sand", "body", "shape", "area [m²]"])];
     for (b, s) in &touching.shapes {
         let (body, shape) = (&tree.bodies[*b], &tree.bodies[*b].shapes[*s]);
@@ -279,11 +317,12 @@ fn as_text(import: &Import, touching: &Touching) -> String {
         rows.push(vec![shape.name.clone(), body.name.clone(), name.into(), format!("{:.3e}", shape.geometry.area())]);
     }
     text.push('\n');
-    text.push_str(&super::table(&rows));
+    text.push_str(&narrow_table(&rows, 1));
     text.push_str(&format!("{} plates, {:.3e} m²\n", touching.count(), touching.area()));
     if !import.warnings.is_empty() {
         text.push_str("\nwarnings\n");
-        import.warnings.iter().for_each(|line| text.push_str(&format!("  {line}\n")));
+        let lines = import.warnings.iter().map(|line| wrapped(line, WIDTH - 4).join("\n    "));
+        lines.for_each(|line| text.push_str(&format!("  {line}\n")));
     }
     text
 }

@@ -1,15 +1,23 @@
 //! `sandgait tasks`
 
+use super::layout::{WIDTH, glossary, table, wrapped};
 use super::task_page;
-use sandgait::Result;
 use sandgait::env::Column;
 use sandgait::env::registry::{Blueprint, Keyword, TASK_IDS};
+use sandgait::{Error, Result};
 use serde_json::{Value, json};
 
-/// List the tasks: observations, actions, rewards, and options with their defaults
+/// List the tasks, or describe one: observations, actions, rewards, and options with their defaults
 #[derive(clap::Args)]
+#[command(after_help = "Examples:
+  sandgait tasks
+  sandgait tasks HexapodGait
+  sandgait tasks sandgait/LeggedVelocity-v0 --json")]
 pub struct Tasks {
-    /// Print JSON
+    /// Describe this task: its id, or the id without `sandgait/` and without version
+    #[arg(value_name = "NAME", conflicts_with = "markdown")]
+    name: Option<String>,
+    /// Print JSON; without NAME of all tasks
     #[arg(long)]
     json: bool,
     /// Print the page of one task, as in docs/tasks
@@ -22,12 +30,29 @@ impl Tasks {
         if let Some(id) = &self.markdown {
             return task_page::page(id);
         }
+        if let Some(name) = &self.name {
+            let task = Blueprint::new(named(name)?, Value::Null)?;
+            return Ok(if self.json { super::json(&as_json(&task)) } else { as_text(&task) });
+        }
         let tasks = TASK_IDS.iter().map(|id| Blueprint::new(id, Value::Null)).collect::<Result<Vec<_>>>()?;
         if self.json {
             return Ok(super::json(&tasks.iter().map(as_json).collect()));
         }
-        Ok(tasks.iter().map(as_text).collect::<Vec<_>>().join("\n"))
+        let line = |task: &Blueprint| vec![task.task.spec().id.to_owned(), task.task.spec().summary.clone()];
+        let list = glossary(&tasks.iter().map(line).collect::<Vec<_>>());
+        Ok(format!("{list}\n`sandgait tasks NAME` describes one of them, `--json` all.\n"))
     }
+}
+
+/// The id of a task by its name.
+fn named(name: &str) -> Result<&'static str> {
+    let same = |id: &str| [id, short(id), short(id).split("-v").next().unwrap_or_default()].contains(&name);
+    let id = TASK_IDS.iter().find(|id| same(id));
+    id.copied().ok_or_else(|| Error::unknown("task", name, &TASK_IDS.map(short)))
+}
+
+fn short(id: &str) -> &str {
+    id.trim_start_matches("sandgait/")
 }
 
 fn as_json(task: &Blueprint) -> Value {
@@ -59,16 +84,20 @@ fn as_text(task: &Blueprint) -> String {
         };
         vec![format!("  {i}"), c.name.clone(), c.unit.into(), range]
     };
-    let columns = |table: &[Column]| super::table(&table.iter().enumerate().map(column).collect::<Vec<_>>());
+    let columns = |all: &[Column]| table(&all.iter().enumerate().map(column).collect::<Vec<_>>());
     let option = |k: Keyword| {
         let when = if k.at_reset { "make, reset" } else { "make" };
-        vec![format!("  {}", k.name), k.value.to_string(), when.into(), k.summary]
+        // Keys of dictionaries are separated by blanks, at which lines can be broken.
+        let value = k.value.to_string().replace(",\"", ", \"");
+        let head = wrapped(&format!("{} = {value} ({when})", k.name), WIDTH - 4).join("\n    ");
+        format!("  {head}\n      {}\n", wrapped(&k.summary, WIDTH - 6).join("\n      "))
     };
-    let options = super::table(&task.keywords().into_iter().map(option).collect::<Vec<_>>());
+    let options = task.keywords().into_iter().map(option).collect::<String>();
+    let summary = wrapped(&spec.summary, WIDTH - 2).join("\n  ");
     format!(
         "{}\n  {}\n  {} control steps per second, at most {} in an episode\n\nobservation\n{}\naction\n{}\ninfo (the first {} are the reward terms)\n{}\noptions\n{options}",
         spec.id,
-        spec.summary,
+        summary,
         spec.control_rate,
         spec.max_episode_steps,
         columns(&spec.observation),

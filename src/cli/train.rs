@@ -226,7 +226,7 @@ fn report(request: &Request, outcome: &Outcome) -> String {
             let last = FIRST_SEED + Evaluation::SEEDS as u64 - 1;
             let (cells, notes) = (table::cells(&rows), table::notes(&rows));
             let head = format!("without noise, unseen seeds {FIRST_SEED} to {last}:");
-            text += &format!("\n{head}\n\n{}\n{}\n", super::table(&cells), notes.join("\n"));
+            text += &format!("\n{head}\n\n{}\n{}\n", super::layout::narrow_table(&cells, 2), notes.join("\n"));
         }
         Some(Score::Commands(followed)) => {
             let (cells, summary) = (commands::cells(followed), commands::summary(followed));

@@ -84,7 +84,7 @@ fn read(path: &Path) -> Result<Rows> {
         keep.push(row.cells().map(str::to_owned).collect::<Vec<_>>());
         Ok(())
     })?;
-    // The computed depth replaces a column `depth` of the input; a given depth is unchanged.
+    // The output has one column `depth`, which this program writes. Where the input gives a depth, both are the same.
     let is_depth = |name: &str| name.split(['[', '(']).next().is_some_and(|n| n.trim() == "depth");
     let kept: Vec<usize> = (0..summary.header.len()).filter(|k| !is_depth(&summary.header[*k])).collect();
     let named = |k: &usize| match &summary.header[*k] {

@@ -86,13 +86,9 @@ fn endpoint(uri: String) -> Result<Endpoint, Status> {
         .keep_alive_while_idle(true))
 }
 
-/// Why there is no connection: the last, most specific cause.
+/// Why there is no connection.
 fn unreachable(error: &tonic::transport::Error) -> Status {
-    let mut cause: &dyn std::error::Error = error;
-    while let Some(source) = cause.source() {
-        cause = source;
-    }
-    Status::unavailable(cause.to_string())
+    Status::unavailable(super::reason(error))
 }
 
 /// Connects to a Unix socket at any path.

@@ -65,13 +65,22 @@ pub async fn studies(place: &ServerAddress) -> Result<Studies, Status> {
 /// source.
 fn lost(status: Status) -> Status {
     match std::error::Error::source(&status) {
-        Some(mut cause) => {
-            while let Some(source) = cause.source() {
-                cause = source;
-            }
-            Status::unavailable(cause.to_string())
-        }
+        Some(cause) => Status::unavailable(reason(cause)),
         None => status,
+    }
+}
+
+/// The last, most specific cause of an error.
+fn reason(error: &dyn std::error::Error) -> String {
+    let mut cause = error;
+    while let Some(source) = cause.source() {
+        cause = source;
+    }
+    let said = cause.to_string();
+    // h2 reads a TLS server's refusal of a connection without TLS as a frame of HTTP/2.
+    match said.ends_with("frame with invalid size") {
+        true => format!("{said}: a server with TLS, or none of gRPC? TLS needs its certificate"),
+        false => said,
     }
 }
 

@@ -66,7 +66,8 @@ pub struct Gates {
     /// [`Lack::mean`] and [`Lack::worst`] above which the fit is lacking.
     pub lack_of_fit: f64,
     pub worst: f64,
-    /// Factor on χ² differences beyond the effect of the degrees of freedom.
+    /// Thresholds of χ² differences are multiplied by this number. It is 1 if simulated logs without a cause give the
+    /// differences that the F distribution predicts, and larger if they give larger ones.
     pub inflation: f64,
     /// Catalogue index, and the degrees of freedom of the estimated noise along the cause's effect.
     pub degrees: Vec<(usize, f64)>,

@@ -2,7 +2,7 @@
 
 use super::shard::{Episode, Shard};
 use super::spec::Spec;
-use super::task::Goal;
+use super::task::{Goal, Transition};
 use crate::sim::{Model, State};
 use std::sync::Arc;
 
@@ -36,9 +36,10 @@ impl Shard {
             Some(old) => (&old.goal, old.steps, &old.action),
             None => (goal, *steps, last_action),
         };
-        // Rewards of a step that ended an episode do not belong to the start of the next one.
-        let rewarded = old.is_some() || !just_ended;
-        let (width, paid) = (spec.info.len(), f32::from(u8::from(rewarded)));
+        // Rewards and figures of a step that ended an episode do not belong to the start of the next one.
+        let begins = steps == 0 || (just_ended && old.is_none());
+        let width = spec.info.len();
+        let info = if begins { at_start(episode, spec) } else { self.rows.infos[i * width..][..width].to_vec() };
         Look {
             spec,
             model: goal.model.as_ref().unwrap_or(task.model()),
@@ -48,8 +49,29 @@ impl Shard {
             episode: (*seed, number - u64::from(old.is_some())),
             time: f64::from(steps) / spec.control_rate,
             action,
-            reward: self.rows.rewards[i] * paid,
-            info: self.rows.infos[i * width..][..width].iter().map(|v| v * paid).collect(),
+            reward: if begins { 0.0 } else { self.rows.rewards[i] },
+            info,
         }
     }
+}
+
+/// The figures of an episode's first state, such as its commands: those of a step in which nothing moves. No reward has
+/// been paid.
+fn at_start(episode: &Episode, spec: &Spec) -> Vec<f32> {
+    let mut info = vec![0.0; spec.info.len()];
+    let Episode { task, goal, after, last_action, .. } = episode;
+    let still = Transition {
+        model: goal.model.as_ref().unwrap_or(task.model()),
+        goal,
+        before: after,
+        after,
+        action: last_action,
+        previous_action: last_action,
+        period: 1.0 / spec.control_rate,
+        diverged: false,
+    };
+    task.evaluate(&still, &mut info);
+    info[..spec.reward.len()].fill(0.0);
+    info.iter_mut().filter(|x| !x.is_finite()).for_each(|x| *x = 0.0);
+    info
 }

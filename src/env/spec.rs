@@ -1,6 +1,6 @@
 //! Tables of the meaning of every number in a row.
 
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, short};
 
 /// Control steps in a second [Hz], in every task. 50 Hz is usual for legged robots of this size.
 pub const CONTROL_RATE: f64 = 50.0;
@@ -25,7 +25,9 @@ impl Column {
         if (self.low..=self.high).contains(&f64::from(value)) {
             return Ok(());
         }
-        let reason = format!("{value} ({}) is outside [{}, {}]", self.name, self.low, self.high);
+        let [low, high] = [self.low, self.high].map(short);
+        let value = if value.abs() < 1e15 { value.to_string() } else { format!("{value:e}") };
+        let reason = format!("{value} ({}) is outside [{low}, {high}]", self.name);
         Err(Error::invalid(field(), reason))
     }
 

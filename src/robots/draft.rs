@@ -14,7 +14,7 @@ const FARTHEST: f64 = 100.0;
 /// An eigenvalue of an inertia counts as negative below minus this share of the largest one: the rounding of files
 /// with six digits.
 const ROUNDING: f64 = 1e-6;
-/// The eigenvalue must also be below minus this value [kg·m²], the inertia of a milligram with a size of a millimetre.
+/// Moments of inertia of this size count as rounding [kg·m²]: our choice, a milligram at a distance of a millimetre.
 const NOTHING: f64 = 1e-12;
 
 /// Mass, centre and inertia about it, along the axes of the link.
@@ -77,7 +77,7 @@ impl Inertial {
         if self.mass == 0.0 && most > 0.0 {
             return Ok(Some("inertia without mass".into()));
         }
-        let most_of_flat = (least + middle) * (1.0 + 1e-3);
+        let most_of_flat = (least + middle) * (1.0 + 1e-3) + NOTHING;
         let doubtful = || format!("no body has this inertia: {most:.3e} kg·m² is more than {least:.3e} + {middle:.3e}");
         Ok((most > most_of_flat).then(doubtful))
     }

@@ -66,7 +66,7 @@ async fn parts(work: &mut Work, roll: &Roll, trajectories: bool, pool: &Arc<Pool
     let sessions = work.guard.sessions.clone();
     let mut rolling = Rolling::new(roll);
     let stopped = || Ok(Err(Error::Cancelled("nobody waits for the rollout any more".into())));
-    while let Some(operation) = rolling.next() {
+    while let Some(operation) = rolling.next_part() {
         let (made, is_last, chooses) = (rolling.made(), rolling.is_last(), roll.chooses());
         // Encoded on the thread that made the last step.
         let encoded =

@@ -12,14 +12,20 @@ use std::time::Instant;
 /// Draws the pictures in turns with other work, until nobody waits for them any more.
 pub async fn render(mut work: Work, request: Render) {
     let (sessions, end) = (work.guard.sessions.clone(), work.end.clone());
-    let Render { indices, width, height, ended } = request;
+    let Render { indices, width, height, ended, camera } = request;
+    let camera = camera.map_or_else(view::CameraOptions::default, |c| view::CameraOptions {
+        azimuth_deg: c.azimuth_deg,
+        elevation_deg: c.elevation_deg,
+        distance: c.distance,
+        fixed: c.fixed,
+    });
     let mut pixels = Vec::with_capacity(3 * indices.len() * width as usize * height as usize); // checked by `price`
     let mut left = indices.into_iter();
     while !left.as_slice().is_empty() {
         let turn = move || {
             let begun = Instant::now();
             let drawn = left.by_ref().try_for_each(|index| {
-                pixels.extend(view::draw(work.batch(), index as usize, [width, height], ended)?);
+                pixels.extend(view::draw(work.batch(), index as usize, [width, height], ended, &camera)?);
                 if begun.elapsed() < TURN { Ok(()) } else { Err(None) }
             });
             Ok((work, left, pixels, drawn))

@@ -29,7 +29,7 @@ impl Rolling {
     }
 
     /// The operation of the next part; None after the last one.
-    pub fn next(&mut self) -> Option<Operation> {
+    pub fn next_part(&mut self) -> Option<Operation> {
         self.last = self.last.next(self.steps)?;
         self.begun = Instant::now();
         Some(Operation::Roll(self.last.clone()))
@@ -86,7 +86,7 @@ pub fn run(
 ) -> Result<(Batch, Result<Rolled>)> {
     let mut rolled = check_size(&batch, roll, record).map(|()| Rolled::default());
     let mut rolling = Rolling::new(roll);
-    while let (Some(operation), Ok(rows)) = (rolling.next(), &mut rolled) {
+    while let (Some(operation), Ok(rows)) = (rolling.next_part(), &mut rolled) {
         batch = pool.wait(batch, operation)?;
         if let Err(error) = Rolling::check(&batch) {
             rolled = Err(error);

@@ -4,6 +4,7 @@ use crate::env::{Look, Spec};
 use crate::error::{Error, Result};
 use crate::pool::Batch;
 use crate::sim::Model;
+pub use sandgait_view::CameraOptions;
 use sandgait_view::{self as view, About, Moment};
 
 /// Largest number of pixels of one request, all its pictures together: our choice, 100 MB.
@@ -24,18 +25,18 @@ pub fn check_pixels(count: usize, size: [u32; 2]) -> Result<usize> {
 }
 
 /// Pictures of environments, u8 [indices, height, width, 3]. `ended`: see [`Batch::look`].
-pub fn render(batch: &Batch, indices: &[u32], size: [u32; 2], ended: bool) -> Result<Vec<u8>> {
+pub fn render(batch: &Batch, indices: &[u32], size: [u32; 2], ended: bool, camera: &CameraOptions) -> Result<Vec<u8>> {
     let mut all = Vec::with_capacity(3 * check_pixels(indices.len(), size)?);
     for index in indices {
-        all.extend(draw(batch, *index as usize, size, ended)?);
+        all.extend(draw(batch, *index as usize, size, ended, camera)?);
     }
     Ok(all)
 }
 
 /// One picture, u8 [height, width, 3].
-pub fn draw(batch: &Batch, index: usize, size: [u32; 2], ended: bool) -> Result<Vec<u8>> {
+pub fn draw(batch: &Batch, index: usize, size: [u32; 2], ended: bool, camera: &CameraOptions) -> Result<Vec<u8>> {
     let look = batch.look(index, ended)?;
-    view::draw(look.model, look.state, look.footing, size, &captions(&look))
+    view::draw(look.model, look.state, look.footing, size, camera, &captions(&look))
 }
 
 /// The caption of a picture.

@@ -30,7 +30,14 @@ pub fn film(blueprint: &Blueprint, network: &Network, seed: u64, recording: &Pat
         // In the middle of each part of the longest episode.
         if (0..MOMENTS).any(|k| step == (2 * k + 1) * longest / (2 * MOMENTS)) {
             let caption = format!("{:6.2} s   x {:6.3} m", look.time, look.state.position[0]).replace('-', "−");
-            pixels.extend(view::draw(look.model, look.state, look.footing, SIZE, &[caption])?);
+            pixels.extend(view::draw(
+                look.model,
+                look.state,
+                look.footing,
+                SIZE,
+                &view::CameraOptions::default(),
+                &[caption],
+            )?);
         }
         if shard.rows.terminated[0] + shard.rows.truncated[0] > 0 {
             break;

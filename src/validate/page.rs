@@ -204,9 +204,10 @@ impl Scoreboard {
         Figure { title: c.short.into(), columns: 2, panels: panels.collect(), note: self.data.source.clone() }
     }
 
-    /// Writes `validation.md` with `others` at its end, `validation_rows.csv`, and a figure for each comparison.
+    /// Writes `validation.md` with `others` at its end, `validation_rows.csv`, and in `images/` a figure for each comparison.
     pub fn write(&self, folder: &Path, others: &str) -> Result<()> {
-        std::fs::create_dir_all(folder).map_err(|e| Error::file(folder, e))?;
+        let images = folder.join("images");
+        std::fs::create_dir_all(&images).map_err(|e| Error::file(&images, e))?;
         let save = |name: &str, text: String| {
             let path = folder.join(name);
             std::fs::write(&path, text).map_err(|e| Error::file(&path, e))
@@ -214,8 +215,8 @@ impl Scoreboard {
         let mut page = format!("# Scoreboard\n\n{}\n\n{INTRODUCTION}\n{}", self.worst(), self.text().trim_end());
         page.push('\n');
         for (number, c) in self.comparisons.iter().enumerate() {
-            png::write_both(&self.figure(c).svg(), &folder.join(format!("validation_{number}.svg")))?;
-            let _ = write!(page, "\n![{}](validation_{number}.png)\n", capital(&c.title));
+            png::write_both(&self.figure(c).svg(), &images.join(format!("validation_{number}.svg")))?;
+            let _ = write!(page, "\n![{}](images/validation_{number}.png)\n", capital(&c.title));
         }
         if !others.is_empty() {
             let _ = write!(page, "\n{}\n", others.trim_end());

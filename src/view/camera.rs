@@ -1,15 +1,17 @@
-//! The camera: beside the robot and a little in front, level with gravity, at a distance that fits the robot's
-//! size.
+//! The camera: level with gravity. By default it follows the robot, beside it and a little in front, at a distance
+//! that fits the robot's size.
 
+use crate::error::{Result, check_range};
 use crate::sim::frame::V;
 use crate::sim::{Model, State};
 
 /// Allowed width and height of a picture [px]: our choice, to bound its memory.
 pub const SIZES: std::ops::RangeInclusive<u32> = 16..=4096;
 
-/// Direction to the camera [rad]: the angle from the robot's right side toward its front, and the angle above the
-/// horizon. Our choice, so that no leg hides another.
-const AZIMUTH: f64 = 0.55;
+/// Default direction to the camera [rad]: the angle about the vertical from the world's x axis, and the angle above the
+/// horizon. Our choice: on the right side of a robot that walks along x, a little in front, so that no leg hides
+/// another.
+const AZIMUTH: f64 = 0.55 - std::f64::consts::FRAC_PI_2;
 const ELEVATION: f64 = 0.32;
 
 /// Largest number of elevations that are tried until no dune hides the robot; each is higher than the one before by
@@ -24,6 +26,45 @@ const DISTANCE: f64 = 3.9;
 
 /// Nothing nearer than this is drawn [m].
 const NEAR: f64 = 0.02;
+
+/// Where the camera of a picture stands. What is None has its default.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct CameraOptions {
+    /// Angle about the vertical from the world's x axis to the camera, as seen from its target [°], counter-clockwise:
+    /// 0 is ahead, 90 on the left, −90 on the right.
+    pub azimuth_deg: Option<f64>,
+    /// Angle of the camera above the horizon [°].
+    pub elevation_deg: Option<f64>,
+    /// Distance from its target [m].
+    pub distance: Option<f64>,
+    /// Is the target the world's origin, where episodes begin, instead of the robot?
+    pub fixed: bool,
+}
+
+impl CameraOptions {
+    /// # Errors
+    /// Names the value that is out of its range. The ranges are our choice: above the horizon, and as far as a robot can
+    /// be seen.
+    pub fn check(self) -> Result<Self> {
+        for (name, value, range) in [
+            ("azimuth_deg", self.azimuth_deg, -360.0..=360.0),
+            ("elevation_deg", self.elevation_deg, 1.0..=89.0),
+            ("distance", self.distance, 0.01..=1000.0),
+        ] {
+            value.map_or(Ok(0.0), |v| check_range(&format!("camera.{name}"), v, range))?;
+        }
+        Ok(self)
+    }
+
+    /// The middle of the picture along x and y [m].
+    pub fn target(&self, state: &State) -> [f64; 2] {
+        if self.fixed { [0.0; 2] } else { [state.position[0], state.position[1]] }
+    }
+
+    fn azimuth(&self) -> f64 {
+        self.azimuth_deg.map_or(AZIMUTH, f64::to_radians)
+    }
+}
 
 /// A camera without distortion.
 pub struct Camera {
@@ -52,19 +93,22 @@ pub fn radius(model: &Model) -> f64 {
 }
 
 impl Camera {
-    /// Looks at the robot above the surface. Follows its position, not its rotation.
-    pub fn following(model: &Model, state: &State, [width, height]: [u32; 2]) -> Self {
+    /// Looks at the robot above the surface, or at a fixed point. Follows the robot's position, not its rotation.
+    pub fn of(options: &CameraOptions, model: &Model, state: &State, [width, height]: [u32; 2]) -> Self {
         let radius = radius(model);
         let up = -model.gravity.normalize();
         let ahead = (V::x() - up * up.x).normalize();
         let left = up.cross(&ahead);
-        let [x, y, _] = state.position;
+        let [x, y] = options.target(state);
         let target = V::new(x, y, 0.25 * radius + model.surface_height(x, y));
-        let (sin, cos) = AZIMUTH.sin_cos();
+        let (sin, cos) = options.azimuth().sin_cos();
         let at = |elevation: f64| {
-            let away = (ahead * sin - left * cos) * elevation.cos() + up * elevation.sin();
-            Self::towards(target, away, up, radius, [width, height])
+            let away = (ahead * cos + left * sin) * elevation.cos() + up * elevation.sin();
+            Self::towards(target, away, up, options.distance.ok_or(radius), [width, height])
         };
+        if let Some(elevation) = options.elevation_deg {
+            return at(elevation.to_radians());
+        }
         // Dunes must not hide the robot.
         let clear = |camera: &Self| {
             let along = (1..=8).map(|k| target + (camera.eye - target) * (f64::from(k) / 8.0));
@@ -73,15 +117,16 @@ impl Camera {
         (0..HIGHER).map(|k| at(ELEVATION * f64::from(1 + k))).find(clear).unwrap_or_else(|| at(ELEVATION))
     }
 
-    /// Looks at `target` from the direction `away`, at a distance that fits a robot of this half length.
-    fn towards(target: V, away: V, up: V, radius: f64, [width, height]: [u32; 2]) -> Self {
+    /// Looks at `target` from the direction `away`, at a distance [m] or, if there is none, at one that fits a robot of a
+    /// half length [m].
+    fn towards(target: V, away: V, up: V, distance: std::result::Result<f64, f64>, [width, height]: [u32; 2]) -> Self {
         let forward = -away;
         let right = forward.cross(&up).normalize();
         let focal = f64::from(height) / (2.0 * (FIELD_OF_VIEW / 2.0).tan());
         // For a narrow picture the camera is further away.
         let narrow = (4.0 / 3.0 * f64::from(height) / f64::from(width)).max(1.0);
         Self {
-            eye: target + away * (DISTANCE * radius * narrow),
+            eye: target + away * distance.unwrap_or_else(|radius| DISTANCE * radius * narrow),
             up: right.cross(&forward),
             right,
             forward,
@@ -91,11 +136,12 @@ impl Camera {
         }
     }
 
-    /// Looks at a robot of this half length, centred at `target`, from its right front, on level ground.
-    pub fn around(target: V, radius: f64, [width, height]: [u32; 2]) -> Self {
-        let (sin, cos) = AZIMUTH.sin_cos();
-        let away = V::new(sin * ELEVATION.cos(), -cos * ELEVATION.cos(), ELEVATION.sin());
-        Self::towards(target, away, V::z(), radius, [width, height])
+    /// Looks at a robot of this half length, centred at `target`, on level ground; by default from its right front.
+    pub fn around(options: &CameraOptions, target: V, radius: f64, [width, height]: [u32; 2]) -> Self {
+        let (sin, cos) = options.azimuth().sin_cos();
+        let elevation = options.elevation_deg.map_or(ELEVATION, f64::to_radians);
+        let away = V::new(cos * elevation.cos(), sin * elevation.cos(), elevation.sin());
+        Self::towards(target, away, V::z(), options.distance.ok_or(radius), [width, height])
     }
 
     /// The point that it looks at.
@@ -187,7 +233,37 @@ mod tests {
     fn camera(slope_deg: f64) -> Camera {
         let scene = Scene { slope_deg, ..Scene::flat(Medium::named("poppy-loose").unwrap()) };
         let model = Model::new(&Robot::load("xplorer").unwrap(), &scene).unwrap();
-        Camera::following(&model, &State::at_rest(0.03, &model.tripod_angles()), [480, 360])
+        Camera::of(&CameraOptions::default(), &model, &State::at_rest(0.03, &model.tripod_angles()), [480, 360])
+    }
+
+    /// Each option does what it says; the others keep their defaults.
+    #[test]
+    fn the_camera_stands_where_the_options_say() {
+        let model = Model::new(&Robot::load("xplorer").unwrap(), &Scene::flat(Medium::named("poppy-loose").unwrap()));
+        let model = model.unwrap();
+        let mut state = State::at_rest(0.03, &model.tripod_angles());
+        state.position[0] = 0.7;
+        let eye = |options: CameraOptions| {
+            let camera = Camera::of(&options.check().unwrap(), &model, &state, [480, 360]);
+            camera.eye - camera.target
+        };
+        let option = CameraOptions { elevation_deg: Some(30.0), distance: Some(2.0), ..CameraOptions::default() };
+        for (azimuth, [x, y]) in [(0.0, [1.0, 0.0]), (90.0, [0.0, 1.0]), (-90.0, [0.0, -1.0]), (180.0, [-1.0, 0.0])] {
+            let away = eye(CameraOptions { azimuth_deg: Some(azimuth), ..option });
+            let level = 3_f64.sqrt();
+            assert!((away - V::new(x * level, y * level, 1.0)).norm() < 1e-12, "{azimuth}: {away}");
+        }
+        let default = eye(CameraOptions::default());
+        assert!(
+            (eye(CameraOptions { distance: Some(1.0), ..CameraOptions::default() }) - default.normalize()).norm()
+                < 1e-12
+        );
+        for fixed in [false, true] {
+            let camera = Camera::of(&CameraOptions { fixed, ..option }, &model, &state, [480, 360]);
+            assert_eq!(camera.target.x, if fixed { 0.0 } else { 0.7 });
+        }
+        let wrong = CameraOptions { elevation_deg: Some(-3.0), ..option };
+        assert_eq!(wrong.check().unwrap_err().to_string(), "camera.elevation_deg: -3 is outside [1, 89]");
     }
 
     /// In the picture, forward is to the right, the robot's left is farther away, up is up, and a slope rises to the

@@ -36,8 +36,13 @@ pub fn shaded(hard: &[HardGround], place: [f64; 2], blur: f64, sand: [f32; 3]) -
         most * (along(0) * along(1)) as f32
     };
     let share = hard.iter().map(share).fold(0.0, f32::max);
-    let grey = DARK * (0..3).map(|k| BRIGHTNESS[k] * sand[k]).sum::<f32>();
+    let [grey, _, _] = grey(sand);
     sand.map(|c| c + (grey - c) * share)
+}
+
+/// The colour of hard ground where sand would have the colour `sand`.
+pub fn grey(sand: [f32; 3]) -> [f32; 3] {
+    [DARK * (0..3).map(|k| BRIGHTNESS[k] * sand[k]).sum::<f32>(); 3]
 }
 
 #[cfg(test)]

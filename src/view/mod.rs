@@ -32,6 +32,7 @@ mod solid;
 mod text;
 pub mod tree;
 
+pub use camera::CameraOptions;
 pub use header::{About, header};
 pub use picture::draw;
 pub use pose::Pose;

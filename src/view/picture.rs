@@ -1,6 +1,6 @@
 //! Draws one moment as an image, without a GPU: far faces first, then near faces over them.
 
-use super::camera::{Camera, SIZES, clip, radius};
+use super::camera::{Camera, CameraOptions, SIZES, clip, radius};
 use super::pose::{Load, Pose};
 use super::raster::{LIGHT, Rgb, SAMPLES};
 use super::{solid, text};
@@ -49,8 +49,15 @@ struct Face {
 /// see [`Pose::of`].
 ///
 /// # Errors
-/// Names the side that is out of [`SIZES`].
-pub fn draw(model: &Model, state: &State, footing: &[f64], size: [u32; 2], captions: &[String]) -> Result<Vec<u8>> {
+/// Names the side that is out of [`SIZES`], or the camera's value that is out of its range.
+pub fn draw(
+    model: &Model,
+    state: &State,
+    footing: &[f64],
+    size: [u32; 2],
+    camera: &CameraOptions,
+    captions: &[String],
+) -> Result<Vec<u8>> {
     for (name, side) in ["width", "height"].into_iter().zip(size) {
         if !SIZES.contains(&side) {
             let range = format!("{side} is outside [{}, {}]", SIZES.start(), SIZES.end());
@@ -58,7 +65,7 @@ pub fn draw(model: &Model, state: &State, footing: &[f64], size: [u32; 2], capti
         }
     }
     let pose = Pose::of(model, state, footing);
-    let mut canvas = Canvas::new(model, state, size)?;
+    let mut canvas = Canvas::new(model, state, size, camera.check()?)?;
     canvas.sand();
     let labels = match &model.tree {
         Some(robot) => canvas.tree(model, robot, state, &pose),
@@ -152,6 +159,7 @@ fn closed(points: &[[f32; 2]]) -> Option<Path> {
 
 struct Canvas {
     map: Pixmap,
+    options: CameraOptions,
     camera: Camera,
     /// Centre of the visible sand [m], and its radius.
     middle: V,
@@ -159,12 +167,13 @@ struct Canvas {
 }
 
 impl Canvas {
-    fn new(model: &Model, state: &State, [width, height]: [u32; 2]) -> Result<Self> {
+    fn new(model: &Model, state: &State, [width, height]: [u32; 2], options: CameraOptions) -> Result<Self> {
         let memory = || Error::Exhausted("a picture of this size does not fit into memory".into());
-        let [x, y, _] = state.position;
+        let [x, y] = options.target(state);
         Ok(Self {
             map: Pixmap::new(width, height).ok_or_else(memory)?,
-            camera: Camera::following(model, state, [width, height]),
+            options,
+            camera: Camera::of(&options, model, state, [width, height]),
             middle: V::new(x, y, model.surface_height(x, y)),
             radius: radius(model),
         })
@@ -172,7 +181,7 @@ impl Canvas {
 
     /// Draws a robot from a file and its ground; returns the labels of the grid lines.
     fn tree(&mut self, model: &Model, robot: &TreeModel, state: &State, pose: &Pose) -> Labels {
-        let (painted, ground) = (solid::robot(robot, state), solid::ground(model, state));
+        let (painted, ground) = (solid::robot(robot, state), solid::ground(model, self.options.target(state)));
         let mut labels = Vec::new();
         // Lines and shadows are drawn on level ground only.
         if ground.is_none() {
@@ -184,7 +193,7 @@ impl Canvas {
             self.shadow(&painted.iter().filter_map(face).collect::<Vec<_>>());
         }
         let size = [self.map.width(), self.map.height()].map(|side| side * SAMPLES as u32);
-        let fine = Camera::following(model, state, size);
+        let fine = Camera::of(&self.options, model, state, size);
         solid::paint(&mut self.map, &fine, &painted, ground.as_deref(), &model.scene.hard);
         self.arrows(model, pose);
         labels

@@ -11,6 +11,10 @@ pub const LIGHT: [f64; 3] = [0.35, -0.45, 0.82];
 /// Samples of a pixel along each edge, for smooth edges: our choice.
 pub const SAMPLES: usize = 2;
 
+/// Triangles are drawn wider by this length [samples]: our choice, because rounding of `f32` must leave no gaps between
+/// neighbours.
+const SEAM: f32 = 1e-3;
+
 /// A triangle as a camera sees it.
 pub struct Facet {
     corners: [[f32; 2]; 3],
@@ -67,18 +71,31 @@ impl Layer {
             (low.floor().clamp(first, end) as usize)..(high.ceil().clamp(first, end) as usize)
         };
         let bottom = self.top + self.colors.len() / self.width;
+        let columns = range(0, 0, self.width);
         for y in range(1, self.top, bottom) {
-            for x in range(0, 0, self.width) {
-                let p = [x as f32 + 0.5, y as f32 + 0.5];
-                let [u, v, w] = [cross(b, c, p) / area, cross(c, a, p) / area, cross(a, b, p) / area];
-                if u < 0.0 || v < 0.0 || w < 0.0 {
-                    continue;
+            // The weight of each corner is linear along the row: its value at the first sample, and its change.
+            let weight = |p: [f32; 2], q: [f32; 2]| {
+                let at = (q[0] - p[0]) * (y as f32 + 0.5 - p[1]) - (q[1] - p[1]) * (0.5 - p[0]);
+                [at / area, (p[1] - q[1]) / area]
+            };
+            let weights = [weight(b, c), weight(c, a), weight(a, b)];
+            // Inside, no weight is negative.
+            let [mut first, mut last] = [columns.start as f32, columns.end as f32 - 1.0];
+            for [at, change] in weights {
+                match change {
+                    c if c > 0.0 => first = first.max(-at / c - SEAM),
+                    c if c < 0.0 => last = last.min(-at / c + SEAM),
+                    _ if at < 0.0 => last = -1.0,
+                    _ => (),
                 }
-                // 1/distance is linear in the picture's coordinates.
-                let distance = 1.0 / (u / da + v / db + w / dc);
-                let at = (y - self.top) * self.width + x;
-                if distance < self.distances[at] {
-                    (self.distances[at], self.colors[at]) = (distance, facet.color);
+            }
+            // 1/distance is linear in the picture's coordinates.
+            let [near, nearer] = [0, 1].map(|k| weights[0][k] / da + weights[1][k] / db + weights[2][k] / dc);
+            let row = (y - self.top) * self.width;
+            for x in first.ceil() as usize..(last.floor() + 1.0) as usize {
+                let distance = 1.0 / (near + nearer * x as f32);
+                if distance > 0.0 && distance < self.distances[row + x] {
+                    (self.distances[row + x], self.colors[row + x]) = (distance, facet.color);
                 }
             }
         }

@@ -54,14 +54,13 @@ fn triangles(looks: &Looks, form: Form) -> Vec<[V; 3]> {
     tree::triangles(&primitive)
 }
 
-/// Ground with heights around the robot, in the colours of sand; None: it is flat.
-pub fn ground(model: &Model, state: &State) -> Option<Vec<Painted>> {
+/// Ground with heights around the point [x, y], in the colours of sand; None: it is flat.
+pub fn ground(model: &Model, [x, y]: [f64; 2]) -> Option<Vec<Painted>> {
     if model.scene.relief.is_none() && !hard::rises(&model.scene.hard) {
         return None;
     }
     let reach = 12.0 * radius(model);
     let cell = CELL * (reach / (REACH * CELL)).ceil().max(1.0);
-    let [x, y, _] = state.position;
     let [i0, j0] = [x, y].map(|at| ((at - reach) / cell).floor());
     let count = (2.0 * reach / cell).ceil() as usize + 1;
     let node = |i: usize, j: usize| {
@@ -85,6 +84,7 @@ pub fn paint(map: &mut Pixmap, camera: &Camera, robot: &[Painted], ground: Optio
     let lit = |all: &[Painted]| -> Vec<Facet> { all.iter().filter_map(|(t, c)| Facet::lit(camera, t, *c)).collect() };
     let (robot, ground) = (lit(robot), ground.map(lit));
     let everywhere = hard.iter().any(HardGround::is_everything);
+    let plain = ground.is_none() && hard.is_empty();
     let [width, height] = [map.width(), map.height()].map(|side| side as usize);
     for top in (0..height).step_by(BAND) {
         let rows = BAND.min(height - top);
@@ -96,24 +96,35 @@ pub fn paint(map: &mut Pixmap, camera: &Camera, robot: &[Painted], ground: Optio
         let (robot, ground) = (layer(&robot), ground.as_deref().map(layer));
         let pixels = map.pixels_mut()[top * width..][..rows * width].iter_mut();
         for (k, pixel) in pixels.enumerate() {
+            let sample = |s: usize| [k % width * SAMPLES + s % SAMPLES, k / width * SAMPLES + s / SAMPLES];
+            let index = |s: usize| sample(s)[1] * width * SAMPLES + sample(s)[0];
+            // Most pixels of level sand show nothing else.
+            if plain && (0..SAMPLES * SAMPLES).all(|s| robot.distances[index(s)] == f32::INFINITY) {
+                continue;
+            }
             let old = [pixel.red(), pixel.green(), pixel.blue()].map(f32::from);
             let mut sum = [0.0_f32; 3];
             for s in 0..SAMPLES * SAMPLES {
-                let [x, y] = [k % width * SAMPLES + s % SAMPLES, k / width * SAMPLES + s / SAMPLES];
-                let at = y * width * SAMPLES + x;
+                let ([x, y], at) = (sample(s), index(s));
                 let place = [x as f64 + 0.5, (top * SAMPLES + y) as f64 + 0.5];
-                let level = camera.level(place);
                 // Beyond the drawn ground one sees a level surface.
                 let (sand, surface, seen) = match &ground {
                     Some(ground) if ground.distances[at].is_finite() => {
                         (ground.colors[at], ground.distances[at], f64::from(ground.distances[at]))
                     }
-                    Some(_) => (old, f32::INFINITY, if everywhere { level } else { f64::INFINITY }),
-                    None => (old, level as f32, level),
+                    Some(_) => (old, f32::INFINITY, if everywhere { camera.level(place) } else { f64::INFINITY }),
+                    None => {
+                        let level = camera.level(place);
+                        (old, level as f32, level)
+                    }
                 };
-                let below = match camera.point(place, seen).filter(|_| !hard.is_empty()) {
-                    Some(p) => hard::shaded(hard, [p.x, p.y], camera.blur(seen), sand),
-                    None => sand,
+                let below = match hard {
+                    [] => sand,
+                    // All of the ground is seen grey: no place has to be found.
+                    _ if everywhere && seen.is_finite() => hard::grey(sand),
+                    _ => camera
+                        .point(place, seen)
+                        .map_or(sand, |p| hard::shaded(hard, [p.x, p.y], camera.blur(seen), sand)),
                 };
                 let share = match robot.distances[at] {
                     f32::INFINITY => 0.0,

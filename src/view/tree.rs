@@ -1,6 +1,6 @@
 //! An image of any robot: every visible triangle, with a depth buffer.
 
-use super::camera::{Camera, SIZES};
+use super::camera::{Camera, CameraOptions, SIZES};
 use super::raster::{Facet, LIGHT, Layer, Rgb, SAMPLES};
 use super::text;
 use crate::error::{Error, Result};
@@ -28,12 +28,13 @@ const BEFORE: f64 = 2e-3;
 /// `plates` are lists by body, in the bodies' frames.
 ///
 /// # Errors
-/// Names the side that is out of [`SIZES`].
+/// Names the side that is out of [`SIZES`], or the camera's value that is out of its range.
 pub fn draw(
     tree: &Tree,
     seen: &[Vec<TreeShape>],
     plates: &[Vec<Plate>],
     size: [u32; 2],
+    camera: &CameraOptions,
     captions: &[String],
 ) -> Result<Vec<u8>> {
     for (name, side) in ["width", "height"].into_iter().zip(size) {
@@ -60,7 +61,7 @@ pub fn draw(
         faces.extend(plates.iter().flat_map(|p| quad(p, &frames[b], BEFORE * radius)).map(|t| (t, PLATES)));
     }
     let samples = size.map(|s| s * SAMPLES as u32);
-    let camera = Camera::around((low + high) / 2.0, 0.72 * radius, samples);
+    let camera = Camera::around(&camera.check()?, (low + high) / 2.0, 0.72 * radius, samples);
     let mut canvas = Canvas::new(samples, camera, low.z);
     canvas.ground(&faces, radius);
     for (corners, color) in &faces {

@@ -129,7 +129,9 @@ async fn pictures_have_their_share_too() {
     let server = Server::with_limits(1, limits()).await;
     let mut session = server.session(1).await;
     session.reset(1).await;
-    let render = |count| Request::Render(Render { indices: vec![0; count], width: 1024, height: 1024, ended: false });
+    let render = |count| {
+        Request::Render(Render { indices: vec![0; count], width: 1024, height: 1024, ended: false, camera: None })
+    };
     let failure = session.failure(Some(render(4))).await;
     assert_eq!(failure.code, i32::from(Code::ResourceExhausted));
     assert!(failure.message.contains("needs about 24 MiB, requests may take 16 MiB"), "{}", failure.message);

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 const SIZE: [u32; 2] = [160, 120];
 
 fn render(indices: &[u32], ended: bool) -> Request {
-    Request::Render(Render { indices: indices.to_vec(), width: SIZE[0], height: SIZE[1], ended })
+    Request::Render(Render { indices: indices.to_vec(), width: SIZE[0], height: SIZE[1], ended, camera: None })
 }
 
 async fn pictures(session: &mut Session, request: Request) -> Vec<u8> {
@@ -112,8 +112,9 @@ async fn moments_hold_the_forces() {
 async fn wrong_requests_for_pictures_are_refused() {
     let server = Server::start(1).await;
     let mut session = server.session(2).await;
-    let picture =
-        |index, width, height| Some(Request::Render(Render { indices: vec![index], width, height, ended: false }));
+    let picture = |index, width, height| {
+        Some(Request::Render(Render { indices: vec![index], width, height, ended: false, camera: None }))
+    };
     let mut refused = async |request, words: &[&str]| {
         let failure = session.failure(request).await;
         assert!(words.iter().all(|w| failure.message.contains(w)), "{}", failure.message);
@@ -129,7 +130,7 @@ async fn wrong_requests_for_pictures_are_refused() {
     refused(picture(0, 64, 5000), &["height: 5000 is outside [16, 4096]"]).await;
     refused(picture(0, u32::MAX, u32::MAX), &["pixels"]).await;
     refused(Some(Request::Observe(Observe { index: 7, ended: true })), &["index: 7 is outside [0, 2)"]).await;
-    let many = Render { indices: vec![0; 1000], width: 480, height: 360, ended: false };
+    let many = Render { indices: vec![0; 1000], width: 480, height: 360, ended: false, camera: None };
     refused(Some(Request::Render(many)), &["1000 pictures", "pixels"]).await;
     let many = Render { indices: vec![0; 131_072], width: 16, height: 16, ended: false };
     refused(Some(Request::Render(many)), &["131072 pictures are more than 4096"]).await;
@@ -174,7 +175,7 @@ async fn pictures_are_quick() {
     let mut quickest = Duration::MAX;
     for _ in 0..10 {
         let begun = Instant::now();
-        let request = Render { indices: vec![0], width: 480, height: 360, ended: false };
+        let request = Render { indices: vec![0], width: 480, height: 360, ended: false, camera: None };
         pictures(&mut session, Request::Render(request)).await;
         quickest = quickest.min(begun.elapsed());
     }

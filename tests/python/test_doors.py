@@ -70,7 +70,7 @@ def vector(keywords: dict[str, Any]) -> list[Any]:
     said.extend(env.rollout(np.stack([actions(19, 6, t) for t in range(3)])))
     said.extend(env.rollout_policy(DATA / "policy_ppo.onnx", 7, trajectories=True))
     said.append(refused(lambda: env.rollout_policy(b"no network", 3)))
-    said.append(env._session.render([0, 18], 64, 48, False))
+    said.append(env._session.render([0, 18], (64, 48), False, (None, None, None, True)))
     said.extend(env._session.observe(11, False))
     fork = env.fork(3, 7) if len(env._session.addresses) == 1 else None
     said.append(None if fork is None else fork.step(actions(3, 6, 1))[0])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +12,7 @@ import numpy as np
 import pytest
 
 import sandgait
-from conftest import ID
+from conftest import ID, RemoteServer
 
 
 def spoiled(index: tuple[int, int], value: float) -> np.ndarray:
@@ -155,3 +157,58 @@ def test_sand_is_a_file_of_the_client(tmp_path: Path) -> None:
     file.write_text(f"{text}[mechanisms]\nadded_mass = 1.0\n")
     with pytest.warns(UserWarning, match="added_mass has no effect on a walking robot"):
         sandgait.SandgaitVectorEnv("sandgait/HexapodGait-v1", 1, sand=str(file)).close()
+
+
+def test_an_unknown_keyword_is_a_type_error_in_pythons_words(remote: RemoteServer) -> None:
+    """Libraries such as TorchRL try a keyword, and leave it out after this error."""
+    for door in ({}, {"address": remote.address}):
+        for make in (gymnasium.make, gymnasium.make_vec):
+            with pytest.raises(
+                TypeError, match=r"^unexpected keyword argument 'frameskip'; the task's options: "
+            ) as raised:
+                make(ID, frameskip=1, **door)
+            assert isinstance(raised.value, sandgait.UnknownOption)
+            assert isinstance(raised.value, sandgait.InvalidRequest)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"slope_deg": "steep"}, 'slope_deg: text "steep", expected a number'),
+        ({"slope_deg": 1e308}, "slope_deg: 1e308 is outside [-35, 35]"),
+        ({"max_episode_steps": -1}, "max_episode_steps: number `-1`, expected a whole number from 0"),
+    ],
+)
+def test_messages_are_for_people(options: dict[str, Any], says: str) -> None:
+    with pytest.raises(sandgait.InvalidRequest) as raised:
+        sandgait.SandgaitEnv(ID, **options)
+    assert says in str(raised.value)
+    assert len(str(raised.value)) < 120
+
+
+def test_the_range_of_num_envs() -> None:
+    for number, kind in ((0, sandgait.InvalidRequest), (65_537, sandgait.LimitReached)):
+        with pytest.raises(kind, match=rf"^num_envs: {number} is outside \[1, 65536\]$"):
+            sandgait.SandgaitVectorEnv(ID, number)
+
+
+def test_a_robot_that_cannot_be_read() -> None:
+    with pytest.raises(sandgait.InvalidRequest, match=r"no_such_robot\.urdf"):
+        gymnasium.make("sandgait/LeggedVelocity-v0", robot="no_such_robot.urdf")
+
+
+def test_the_version() -> None:
+    assert sandgait.__version__ == sandgait.describe()[0]
+
+
+def test_a_warning_of_a_kind_is_one_at_the_users_line(tmp_path: Path) -> None:
+    """A robot whose links all have doubtful inertias gives one warning, at the line that makes the environment."""
+    robot = tmp_path / "robot.urdf"
+    text = (Path(__file__).parents[2] / "robots" / "sandcat.urdf").read_text()
+    robot.write_text(re.sub(r'izz="[^"]*"', 'izz="0.5"', text))
+    with warnings.catch_warnings(record=True) as shown:
+        warnings.simplefilter("always")
+        gymnasium.make_vec("sandgait/LeggedVelocity-v0", num_envs=1, robot=robot).close()
+    assert len(shown) == 1, [str(w.message) for w in shown]
+    assert Path(shown[0].filename) == Path(__file__)
+    assert re.search(r"; and \d+ more: `sandgait robot .*robot.urdf` lists them$", str(shown[0].message))

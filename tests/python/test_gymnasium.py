@@ -89,3 +89,15 @@ def test_unseeded_environments_differ() -> None:
     assert not np.array_equal(first, second)
     rows, _ = gymnasium.make_vec(ID, num_envs=8).reset()
     assert len(np.unique(rows, axis=0)) == 8
+
+
+def test_the_info_of_a_reset_has_the_keys_of_a_steps() -> None:
+    env = sandgait.SandgaitEnv(ID, max_episode_steps=2)
+    for seed in (1, None, None):
+        _, info = env.reset(seed=seed)
+        for _ in range(2):
+            after = env.step(np.zeros(6))[4]
+            assert list(info) == list(after)
+            assert all(type(info[k]) is type(after[k]) for k in info)
+        assert not any(info.values())
+    env.close()

@@ -63,7 +63,10 @@ WAITS = {
     "rollout": ("envs(2_000).reset(seed=0)", "env.rollout(np.zeros((2000, 2000, 6), np.float32))"),
     "making": ("", "sandgait.SandgaitVectorEnv('sandgait/HexapodRocks-v1', 40_000)"),
     "sweep": ("", "sandgait.sweep({'xi': np.arange(-75, 75, 0.5), 'frequency': np.linspace(1, 4, 300)})"),
-    "pictures": ("envs(300).reset(seed=0)", "env._session.render(list(range(100)), 500, 500, False)"),
+    "pictures": (
+        "envs(300).reset(seed=0)",
+        "env._session.render(list(range(100)), (500, 500), False, (None, None, None, True))",
+    ),
 }
 
 PROGRAM = f"""
@@ -147,7 +150,7 @@ def test_threads_that_share_an_environment_wait_for_each_other() -> None:
     def look() -> None:
         try:
             for _ in range(30):
-                env._session.render([0], 32, 32, False)
+                env._session.render([0], (32, 32), False, (None, None, None, True))
         except BaseException as error:
             errors.append(error)
 

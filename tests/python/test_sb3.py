@@ -93,7 +93,7 @@ def test_attributes_and_methods_of_single_environments() -> None:
         env.env_method("nothing")
     rows = env.reset()
     (row, info), *others = env.env_method("reset", seed=3, indices=1)
-    assert info == {}
+    assert info == dict.fromkeys((c.name for c in env.get_attr("task")[0].info), 0.0)
     assert others == []
     assert not np.array_equal(row, rows[1])
     assert env.env_method("get_wrapper_attr", "num_envs", indices=0) == [3]

@@ -18,7 +18,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import sandgait
-from conftest import ID
+from conftest import ID, RemoteServer
 from sandgait import server
 
 ACTION = np.full(6, 0.4, dtype=np.float32)
@@ -458,3 +458,67 @@ def test_a_recording_is_unpacked_within_a_bound(tmp_path: Path) -> None:
         path.write_bytes(gzip.compress(block(b"HEAD", wrong)))
         with pytest.raises(sandgait.InvalidRequest, match="not one of sandgait's recordings"):
             sandgait.read_recording(path)
+
+
+def test_the_camera_stands_where_it_is_told(remote: RemoteServer) -> None:
+    """From the left, forward is to the left; from further away the robot is smaller. Servers draw the same pictures."""
+    size: dict[str, Any] = {"render_mode": "rgb_array", "render_size": (320, 240), "leg": "C"}
+
+    def picture(steps: int = 0, **options: Any) -> np.ndarray:
+        env = sandgait.SandgaitVectorEnv(ID, 2, **size, **options)
+        env.reset(seed=1)
+        for _ in range(steps):
+            env.step(np.stack([ACTION, ACTION]))
+        shown = env.render()
+        env.close()
+        assert shown is not None
+        return shown[0]
+
+    assert orange(picture()) > 160
+    assert orange(picture(render_camera={"azimuth_deg": 60})) < 160
+    views = [picture(render_camera={"distance": d})[40:] for d in (0.3, 0.6, 1.2)]  # without the caption
+    dark = [np.mean(view.sum(axis=2) < 300) for view in views]
+    assert dark[0] > 3 * dark[1] > 9 * dark[2] > 0
+    fixed = {"azimuth_deg": -60, "elevation_deg": 25, "distance": 0.5, "follow": False}
+    assert orange(picture(20, render_camera=fixed)) > orange(picture(render_camera=fixed)) + 20
+    assert np.array_equal(picture(render_camera=fixed), picture(render_camera=fixed, address=remote.address))
+
+
+@pytest.mark.parametrize(
+    ("camera", "says"),
+    [
+        ({"azimuth": 3}, "render_camera: 'azimuth' is unknown; known: azimuth_deg, elevation_deg, distance, follow"),
+        ({"elevation_deg": 90}, "render_camera.elevation_deg: 90 is outside [1, 89]"),
+        ({"distance": float("nan")}, "render_camera.distance: NaN is outside [0.01, 1000]"),
+        ({"distance": "far"}, "render_camera: distance 'far' is not a number"),
+        ({"follow": 1}, "render_camera: follow 1 is not True or False"),
+        ("left", "render_camera: 'left' is not a dictionary"),
+    ],
+)
+def test_a_wrong_camera_is_refused(camera: Any, says: str) -> None:
+    with pytest.raises(sandgait.InvalidRequest) as raised:
+        sandgait.SandgaitEnv(ID, render_mode="rgb_array", render_camera=camera)
+    assert str(raised.value) == says
+
+
+def test_the_first_state_of_an_episode_has_its_commands(tmp_path: Path) -> None:
+    robot = Path(__file__).parents[2] / "robots" / "sandcat.urdf"
+    for task, options, columns in (
+        (ID, {}, ["commanded_speed"]),
+        (
+            "sandgait/LeggedVelocity-v0",
+            {"robot": robot},
+            ["command_lin_vel_x", "command_lin_vel_y", "command_ang_vel_yaw"],
+        ),
+    ):
+        env = sandgait.SandgaitEnv(task, **options)
+        env.record(tmp_path / "walk.rec")
+        for seed in range(4):
+            env.reset(seed=seed)
+            env.step(np.zeros(env.action_space.shape))
+        env.close()
+        for section in sandgait.read_recording(tmp_path / "walk.rec").sections:
+            assert section["time"][0] == 0
+            for name in columns:
+                assert section[name][0] == section[name][1] != 0
+            assert not section[env.task.info[0].name][0], "no reward has been paid"

@@ -10,7 +10,7 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 
 import sandgait
-from conftest import ID
+from conftest import ID, RemoteServer
 
 
 def make(num_envs: int, **options: Any) -> sandgait.SandgaitVectorEnv:
@@ -72,7 +72,7 @@ def test_same_step_semantics_are_syncvectorenvs() -> None:
     ours, theirs = make(4, max_episode_steps=12), synchronous(4, max_episode_steps=12)
     first, second = ours.reset(seed=5), theirs.reset(seed=5)
     assert_same(first[0], second[0])
-    assert first[1] == second[1] == {}
+    assert_same_infos(first[1], second[1])
     ours.action_space.seed(1)
     ended = set()
     for step in range(40):
@@ -134,8 +134,98 @@ def test_next_step_over_several_servers() -> None:
     one.restore(one.save())
     one.close()
     two.close()
-    with pytest.raises(sandgait.InvalidRequest, match=r"^autoreset_mode: 'DISABLED' is neither"):
-        make(2, autoreset_mode="DISABLED")
+    with pytest.raises(sandgait.InvalidRequest, match=r"^autoreset_mode: 'NEVER' is unknown; known: NEXT_STEP, SAME_"):
+        make(2, autoreset_mode="NEVER")
+
+
+@pytest.mark.parametrize("task", sandgait.TASKS)
+def test_disabled_semantics_are_syncvectorenvs(task: str) -> None:
+    """Environments that have ended are reset by the mask, with and without seeds, some of them or all at once."""
+    mode = AutoresetMode.DISABLED
+    ours = sandgait.SandgaitVectorEnv(task, 3, autoreset_mode="DISABLED", max_episode_steps=5)
+    theirs = SyncVectorEnv([lambda: sandgait.SandgaitEnv(task, max_episode_steps=5)] * 3, autoreset_mode=mode)
+    assert ours.autoreset_mode is ours.metadata["autoreset_mode"] is mode
+
+    def reset(mask: np.ndarray, seed: Any = None) -> None:
+        mine, reference = (e.reset(seed=seed, options={"reset_mask": mask.copy()}) for e in (ours, theirs))
+        assert_same(mine[0], reference[0])
+        assert_same_infos(mine[1], reference[1])
+
+    assert_same(ours.reset(seed=5)[0], theirs.reset(seed=5)[0])
+    ours.action_space.seed(1)
+    ended, ways = np.zeros(3, bool), 0
+    for step in range(40):
+        if step == 2:
+            reset(np.array([True, False, False]), [9, 9, 9])
+        actions = ours.action_space.sample()
+        mine, reference = ours.step(actions), theirs.step(actions)
+        for a, b in zip(mine[:4], reference[:4], strict=True):
+            assert_same(a, b)
+        assert_same_infos(mine[4], reference[4])
+        ended = mine[2] | mine[3]
+        if ended.sum() == 2:  # one after the other, and one with a seed
+            for i in np.flatnonzero(ended):
+                with pytest.raises(sandgait.OutOfOrder, match=f"^step: environment {i} has ended its episode"):
+                    ours.step(actions)
+                reset(np.arange(3) == i, [7, 7, 7] if i == 1 else None)
+                ways |= 1
+        elif ended.any():
+            reset(ended | (np.arange(3) == 0))
+            ways |= 2
+    assert ways == 3
+    ours.close()
+    theirs.close()
+
+
+def test_disabled_episodes_are_shown_until_their_reset() -> None:
+    size = {"render_mode": "rgb_array", "render_size": (64, 48)}
+    env = make(2, autoreset_mode="DISABLED", max_episode_steps=25, **size)
+    env.reset(seed=3)
+    env.reset(seed=[4, None], options={"reset_mask": np.array([True, False])})
+    first = env.render()
+    assert first is not None
+    for _ in range(25):
+        ended = env.step(np.full((2, 6), 0.4))[3]
+    assert ended.all()
+    last = env.render()
+    assert last is not None
+    env.reset(options={"reset_mask": np.array([True, False])})
+    mixed = env.render()
+    assert mixed is not None
+    assert np.array_equal(mixed[1], last[1])
+    assert not np.array_equal(mixed[0], last[0])
+    env.close()
+
+
+def test_a_fork_has_the_keywords_of_its_original(remote: RemoteServer) -> None:
+    options = {"clip_actions": True, "render_mode": "rgb_array", "render_size": (64, 48), "leg": "C"}
+    camera = {"azimuth_deg": 10.0}
+    for more in ({}, {"isolated": True}, {"address": remote.address}, {"address": [None, None, remote.address]}):
+        env = make(4, autoreset_mode="DISABLED", render_camera=camera, **options, **more)
+        env.reset(seed=1)
+        actions = np.full((4, 6), 3.0)
+        actions[2] = -3.0
+        env.step(actions)
+        for n in (1, 5):
+            copies = env.fork(n, index=2)
+            assert copies.autoreset_mode is AutoresetMode.DISABLED
+            assert copies._origin.isolated is bool(more.get("isolated"))
+            picture = env.render()
+            copied = copies.render()
+            assert picture is not None
+            assert copied is not None
+            assert np.array_equal(copied[-1], picture[2])
+            rows = copies.step(np.full((n, 6), 3.0))[0]
+            assert np.array_equal(rows, np.repeat(env.fork(1, index=2).step(np.full((1, 6), 1.0))[0], n, axis=0))
+            copies.close()
+        env.close()
+    one = sandgait.SandgaitEnv(ID, **options)
+    one.reset(seed=1)
+    copies = one.fork(2)
+    assert copies.render() is not None
+    copies.step(np.full((2, 6), 3.0))
+    copies.close()
+    one.close()
 
 
 def test_infos_where_every_episode_ends_at_once() -> None:
@@ -146,9 +236,8 @@ def test_infos_where_every_episode_ends_at_once() -> None:
     infos = ours.step(actions)[4]
     assert_same_infos(infos, theirs.step(actions)[4])
     assert infos["_final_info"].all()
-    assert not infos["_speed"].any()
-    assert np.array_equal(infos["speed"], infos["final_info"]["speed"]), "there for who does not look at masks"
-    assert infos["speed"].all()
+    assert infos["final_info"]["speed"].all()
+    assert not infos["speed"].any(), "the next episodes have made no step"
     ours.close()
     theirs.close()
 
@@ -189,7 +278,8 @@ def test_reset_mask_leaves_the_others_alone() -> None:
     options = {"reset_mask": mask, "slope_deg": 10.0}
     after, infos = env.reset(options=options)
     assert "reset_mask" in options, "the caller's dictionary is the caller's"
-    assert infos == {}
+    assert set(infos) == {name for c in env.task.info for name in (c.name, f"_{c.name}")}
+    assert np.array_equal(infos["_speed"], mask)
     assert np.array_equal(before[~mask], after[~mask])
     assert not np.array_equal(before[mask], after[mask])
     env.step(np.zeros((3, 6)))

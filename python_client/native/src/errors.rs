@@ -16,11 +16,11 @@ fn class(error: &Error) -> &'static str {
     match error {
         // A training's errors, see `sandgait::client::training`.
         Error::Invalid { field, .. } if field.starts_with("server ") => "ServerLost",
-        Error::Invalid { .. } | Error::Unknown { .. } | Error::Replaced { .. } => "InvalidRequest",
+        Error::Invalid { .. } | Error::Unknown { .. } | Error::Replaced { .. } | Error::File { .. } => "InvalidRequest",
         Error::OutOfOrder(_) => "OutOfOrder",
         Error::Exhausted(_) => "LimitReached",
         Error::Cancelled(_) => "SessionLost",
-        Error::File { .. } | Error::Internal(_) => "SandgaitError",
+        Error::Internal(_) => "SandgaitError",
     }
 }
 

@@ -56,7 +56,7 @@ mod _native {
     #[pymodule_export]
     use super::errors::StatusError;
     #[pymodule_export]
-    use super::local::Local;
+    use super::local::{Local, check_camera};
     #[pymodule_export]
     use super::main;
     #[pymodule_export]
@@ -73,4 +73,9 @@ mod _native {
     use super::tables::describe;
     #[pymodule_export]
     use super::train::{mirror, train};
+    #[pymodule_export]
+    const MOST_ENVIRONMENTS: usize = sandgait::session::MOST_ENVIRONMENTS;
+    #[pymodule_export]
+    #[allow(non_upper_case_globals)]
+    const __version__: &str = env!("CARGO_PKG_VERSION");
 }

@@ -70,6 +70,19 @@ impl Local {
     }
 }
 
+/// Azimuth and elevation [°], distance [m], and whether the camera follows the robot.
+pub type Camera = (Option<f64>, Option<f64>, Option<f64>, bool);
+
+fn camera_options((azimuth_deg, elevation_deg, distance, follow): Camera) -> view::CameraOptions {
+    view::CameraOptions { azimuth_deg, elevation_deg, distance, fixed: !follow }
+}
+
+/// Refuses a camera whose values are out of their ranges.
+#[pyfunction]
+pub fn check_camera(camera: Camera) -> PyResult<()> {
+    camera_options(camera).check().map(drop).map_err(|error| raise(&error))
+}
+
 fn flags(bytes: &[u8]) -> Vec<bool> {
     bytes.iter().map(|flag| *flag != 0).collect()
 }
@@ -201,11 +214,12 @@ impl Local {
         &self,
         py: Python<'py>,
         indices: Vec<u32>,
-        width: u32,
-        height: u32,
+        size: [u32; 2],
         ended: bool,
+        camera: Camera,
     ) -> PyResult<Bound<'py, PyBytes>> {
-        let pixels = self.ask(py, move |batch| view::render(batch, &indices, [width, height], ended))?;
+        let camera = camera_options(camera);
+        let pixels = self.ask(py, move |batch| view::render(batch, &indices, size, ended, &camera))?;
         Ok(PyBytes::new(py, &pixels))
     }
 

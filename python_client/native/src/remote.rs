@@ -2,6 +2,7 @@
 
 use crate::arrays;
 use crate::errors::StatusError;
+use crate::local::Camera;
 use crate::tables;
 use crate::values::keywords;
 use pyo3::prelude::*;
@@ -163,8 +164,11 @@ impl Request {
     }
 
     #[staticmethod]
-    fn render(indices: Vec<u32>, width: u32, height: u32, ended: bool) -> Self {
-        Self::of(SessionRequest::Render(proto::Render { indices, width, height, ended }))
+    fn render(indices: Vec<u32>, size: [u32; 2], ended: bool, camera: Camera) -> Self {
+        let [width, height] = size;
+        let (azimuth_deg, elevation_deg, distance, follow) = camera;
+        let camera = Some(proto::Camera { azimuth_deg, elevation_deg, distance, fixed: !follow });
+        Self::of(SessionRequest::Render(proto::Render { indices, width, height, ended, camera }))
     }
 
     #[staticmethod]

@@ -48,7 +48,7 @@ pub struct Layout {
     pub attitude: bool,
     /// Does the log have the base's position?
     pub place: bool,
-    /// Does the log give the command of the hips?
+    /// Does the log have the angles that the servos were commanded to?
     pub servo: bool,
 }
 

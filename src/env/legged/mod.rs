@@ -165,8 +165,6 @@ impl Task for LeggedVelocity {
     /// Counted: 100 commands and 100 pushes, 4 kB, in the present and in the last episode, and the usual 2 kB.
     const EPISODE_BYTES: usize = 10_000;
     type Options = LeggedOptions;
-    /// A hundred commands and pushes.
-    const EPISODE_BYTES: usize = 6_000;
 
     fn engine(_options: &LeggedOptions) -> EngineKind {
         EngineKind::Tree

@@ -85,11 +85,36 @@ impl Bounded for [f64; 2] {
     }
 }
 
+/// serde's message without names of Rust's types.
+fn in_words(message: &str) -> String {
+    let Some((given, expected)) = message.rsplit_once("expected ") else { return message.to_owned() };
+    let known = [
+        ("a boolean", "true or false"),
+        ("a string", "a text"),
+        ("a map", "a dictionary"),
+        ("a sequence", "a list"),
+        ("f64", "a number"),
+        ("u32", "a whole number from 0"),
+        ("u64", "a whole number from 0"),
+        ("usize", "a whole number from 0"),
+    ];
+    let expected = match known.iter().find(|(name, _)| *name == expected) {
+        Some((_, words)) => *words,
+        None if expected.starts_with("struct ") => "a dictionary",
+        None => expected,
+    };
+    let given = [("string", "text"), ("floating point", "number"), ("integer", "number"), ("map", "dictionary")]
+        .iter()
+        .fold(given.to_owned(), |said, (name, word)| said.replacen(&format!(": {name}"), &format!(": {word}"), 1));
+    let given = given.trim_start_matches("invalid type: ").trim_start_matches("invalid value: ");
+    format!("{given}expected {expected}")
+}
+
 /// The value after `given` was set; in a dictionary, only the keys in `given` change.
 pub fn changed<T: Serialize + DeserializeOwned>(name: &str, old: &T, given: &Value) -> Result<T> {
     let refused = |e: serde_json::Error| match given {
         Value::Null => Error::invalid(name, "null is not allowed"),
-        _ => Error::invalid(name, e.to_string()),
+        _ => Error::invalid(name, in_words(&e.to_string())),
     };
     let mut whole = serde_json::to_value(old).map_err(refused)?;
     match (&mut whole, given) {
@@ -97,4 +122,28 @@ pub fn changed<T: Serialize + DeserializeOwned>(name: &str, old: &T, given: &Val
         (whole, given) => whole.clone_from(given),
     }
     serde_json::from_value(whole).map_err(refused)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn refusals_name_no_types_of_rust() {
+        for (given, said) in [
+            (json!("steep"), "x: text \"steep\", expected a number"),
+            (json!([1]), "x: sequence, expected a number"),
+            (json!({}), "x: dictionary, expected a number"),
+            (json!(true), "x: boolean `true`, expected a number"),
+            (Value::Null, "x: null is not allowed"),
+        ] {
+            assert_eq!(changed("x", &1.0, &given).unwrap_err().to_string(), said);
+        }
+        assert_eq!(
+            changed("n", &1_u32, &json!(-3)).unwrap_err().to_string(),
+            "n: number `-3`, expected a whole number from 0"
+        );
+        assert_eq!(changed("b", &true, &json!(3)).unwrap_err().to_string(), "b: number `3`, expected true or false");
+    }
 }

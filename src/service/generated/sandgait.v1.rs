@@ -212,7 +212,7 @@ pub struct PolicyRollout {
     pub trajectories: bool,
 }
 /// Asks for pictures of environments. This changes no environment.
-#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+#[derive(Clone, PartialEq, ::prost::Message)]
 pub struct Render {
     /// \[pictures\]: the environment of each picture. An environment may occur more than once.
     #[prost(uint32, repeated, tag = "1")]
@@ -225,6 +225,26 @@ pub struct Render {
     /// If an episode ended in the last step, show its last state and not the first state of the next episode.
     #[prost(bool, tag = "4")]
     pub ended: bool,
+    /// Without it the camera follows the robot, at a distance that fits its size.
+    #[prost(message, optional, tag = "5")]
+    pub camera: ::core::option::Option<Camera>,
+}
+/// Where the camera of a picture stands. What is missing has its default.
+#[derive(Clone, Copy, PartialEq, ::prost::Message)]
+pub struct Camera {
+    /// Angle about the vertical from the world's x axis to the camera, as seen from its target \[°\], counter-clockwise: 0 is
+    /// ahead, 90 on the left, -90 on the right.
+    #[prost(double, optional, tag = "1")]
+    pub azimuth_deg: ::core::option::Option<f64>,
+    /// Angle above the horizon \[°\], from 1 to 89.
+    #[prost(double, optional, tag = "2")]
+    pub elevation_deg: ::core::option::Option<f64>,
+    /// Distance from its target \[m\], from 0.01 to 1000.
+    #[prost(double, optional, tag = "3")]
+    pub distance: ::core::option::Option<f64>,
+    /// The target is the world's origin, where episodes begin, instead of the robot.
+    #[prost(bool, tag = "4")]
+    pub fixed: bool,
 }
 /// Asks for the present state of one environment, in the format of recordings. This changes no environment.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]

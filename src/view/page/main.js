@@ -15,6 +15,8 @@ const player = {
   marked: 0,
   playing: true,
   pace: 1,
+  /** Seconds that the charts show; 0: all of a recording. */
+  part: 0,
   time: 0,
   live: !$("recording"),
   world: null,
@@ -49,11 +51,17 @@ function text(value, digits) {
 /** The numbers beside the picture. */
 function readout(section, row) {
   const one = (name) => section.get(row, name)[0];
-  const lines = [`time    ${text(one("time"), 2)} s`, `speed   ${text(one("velocity"), 3)} m/s`];
-  if (section.places.has(commanded(section))) lines.push(`command ${text(one(commanded(section)), 3)} m/s`);
-  lines.push(`x       ${text(one("position"), 3)} m`);
-  if (section.header.slope_deg) lines.push(`slope   ${text(section.header.slope_deg, 1)}°`);
-  if (section.header.episode !== null) lines.push(`episode ${String(section.header.episode).padStart(7)}`);
+  const [v, command] = [base_velocity(section, row), commanded(section)];
+  const lines = [];
+  const add = (label, value, unit, digits = 3) => lines.push(`${label.padEnd(9)}${text(value, digits)} ${unit}`);
+  add("time", one("time"), "s", 2);
+  for (const [name, label, unit] of [["forward", "speed", "m/s"], ["left", "to left", "m/s"], ["yaw", "yaw", "rad/s"]]) {
+    if (name === "forward" || command[name]) add(label, v[name], unit);
+    if (command[name]) add(" command", one(command[name]), unit);
+  }
+  add("x", one("position"), "m");
+  if (section.header.slope_deg) add("slope", section.header.slope_deg, "°", 1);
+  if (section.header.episode !== null) add("episode", section.header.episode, "", 0);
   $("readout").textContent = lines.join("\n");
 }
 
@@ -83,7 +91,7 @@ function show() {
   const share = b.at > a.at ? Math.min(Math.max((time - a.at) / (b.at - a.at), 0), 1) : 0;
   world.show(player.prints.get(a.section), a, b, share, time);
   readout(a.section, a.row);
-  chart_all(recording, time, a.section);
+  chart_all(recording, time, a.section, player.part, player.live);
   const newton = 0.01 / world.arrows.scale;
   const arrows = world.layers.arrows && a.section.pushed ? `arrows: 10 mm stand for ${newton.toPrecision(2)} N, ` : "";
   $("scale").textContent = `${arrows}lines: 0.1 m apart`;
@@ -118,6 +126,20 @@ function controls() {
     play(false);
     player.time = Number($("scrub").value);
   };
+  const parts = player.live ? [[LIVE_SPAN, "last 4 s"], [20, "last 20 s"]] : [[0, "whole"], [20, "20 s"], [4, "4 s"]];
+  $("part").replaceChildren(...parts.map(([value, label]) => new Option(label, value)));
+  [[player.part]] = parts;
+  $("part").onchange = () => { player.part = Number($("part").value); };
+  for (const canvas of document.querySelectorAll("figure canvas")) {
+    const seek = (event) => {
+      const time = event.buttons && !player.live ? time_at(canvas, event) : undefined;
+      if (time === undefined) return;
+      play(false);
+      player.time = Math.min(Math.max(time, player.recording.start), player.recording.end);
+    };
+    canvas.onpointerdown = seek;
+    canvas.onpointermove = seek;
+  }
   for (const name of ["arrows", "prints", "glass", "follow"]) {
     $(name).onchange = () => { player.world.layers[name] = $(name).checked; };
   }

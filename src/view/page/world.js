@@ -8,6 +8,9 @@ const LINK_TINTS = [0x4682b4, 0x70a470, 0xb08854, 0x9674a0];
 /** `radius` of the robot for which distances and lights of the scene are made [m]; others scale them. */
 const USUAL = 0.1;
 
+/** Vertical field of view [°]. */
+const FIELD = 35;
+
 /** Robot and rocks of one section, as meshes. */
 class Figures {
   constructor(section, group) {
@@ -174,7 +177,7 @@ class World {
     this.sun.shadow.mapSize.set(1024, 1024);
     this.sun.shadow.bias = -0.0005;
     this.scene.add(this.sun, this.sun.target);
-    this.camera = new THREE.PerspectiveCamera(35, 1, 0.01, 20);
+    this.camera = new THREE.PerspectiveCamera(FIELD, 1, 0.01, 20);
     this.camera.up.set(0, 0, 1);
     this.controls = new THREE.OrbitControls(this.camera, canvas);
     this.controls.maxPolarAngle = 1.52;
@@ -252,6 +255,9 @@ class World {
       this.renderer.setPixelRatio(ratio);
       this.renderer.setSize(width, height, false);
       this.camera.aspect = width / height;
+      // A narrow picture shows as much from left to right as one of 6 to 5.
+      const half = Math.tan((FIELD / 2) * Math.PI / 180) * Math.max(1, 1.2 / this.camera.aspect);
+      this.camera.fov = 2 * Math.atan(half) * 180 / Math.PI;
       this.camera.updateProjectionMatrix();
     }
     this.controls.update();
