@@ -40,7 +40,7 @@ impl Bar {
     const STEPS: u64 = 1000;
 
     pub fn new() -> Self {
-        let style = ProgressStyle::with_template("{bar:40} {percent} % of {msg}, {eta} left");
+        let style = ProgressStyle::with_template("{bar:20} {percent:>3} %, {eta} left: {wide_msg}");
         let bar = ProgressBar::new(Self::STEPS).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
         let log = (!std::io::stderr().is_terminal()).then(|| Mutex::new(Log { tenth: 0, at: Instant::now() }));
         Self { bar, log }

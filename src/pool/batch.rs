@@ -133,7 +133,7 @@ impl Batch {
     pub fn model_bytes(&self) -> usize {
         let tasks = self.shards.iter().flat_map(|shard| (0..shard.envs()).map(|i| shard.task(i)));
         let models: HashMap<usize, &Arc<dyn AnyTask>> = tasks.map(|task| (task.id(), task)).collect();
-        models.values().map(|task| task.model().bytes()).sum()
+        models.values().map(|task| task.model().memory_bytes()).sum()
     }
 
     /// The shards in order of the environments; `rows` of each hold the results of the last operation.
@@ -178,7 +178,7 @@ impl Batch {
                 Entry::Occupied(known) => *known.get(),
                 Entry::Vacant(new) => {
                     let task = old.changed(options)?;
-                    self.charge(task.model().bytes())?;
+                    self.charge(task.model().memory_bytes())?;
                     tasks.all.push(task);
                     *new.insert(tasks.all.len() as u32 - 1)
                 }

@@ -183,7 +183,7 @@ impl Batch {
                 None => {
                     let task = self.task_with(options.unpack()?)?;
                     if task.id() != self.task().id() {
-                        self.charge(task.model().bytes())?;
+                        self.charge(task.model().memory_bytes())?;
                     }
                     tasks.entry(options).or_insert(task)
                 }
