@@ -186,7 +186,8 @@ async fn memory_of_answers_that_nobody_reads_is_freed() {
     let channel = endpoint.initial_stream_window_size(65_535).connect().await.unwrap();
     let mut slow = Session::create(client(channel, Bearer::default()), 1, &[]).await.unwrap();
     slow.reset(1).await;
-    let render = || Some(Request::Render(Render { indices: vec![0], width: 1024, height: 2048, ended: false }));
+    let render =
+        || Some(Request::Render(Render { indices: vec![0], width: 1024, height: 2048, ended: false, camera: None }));
     slow.send(render()).await;
     tokio::time::sleep(stall).await;
     // Together the answers would need more than all memory for requests.

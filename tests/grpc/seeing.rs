@@ -132,7 +132,7 @@ async fn wrong_requests_for_pictures_are_refused() {
     refused(Some(Request::Observe(Observe { index: 7, ended: true })), &["index: 7 is outside [0, 2)"]).await;
     let many = Render { indices: vec![0; 1000], width: 480, height: 360, ended: false, camera: None };
     refused(Some(Request::Render(many)), &["1000 pictures", "pixels"]).await;
-    let many = Render { indices: vec![0; 131_072], width: 16, height: 16, ended: false };
+    let many = Render { indices: vec![0; 131_072], width: 16, height: 16, ended: false, camera: None };
     refused(Some(Request::Render(many)), &["131072 pictures are more than 4096"]).await;
 }
 
@@ -145,7 +145,7 @@ async fn pictures_are_drawn_in_turns_and_only_while_someone_waits() {
     for _ in 0..8 {
         let mut session = server.session(1).await;
         session.reset(1).await;
-        let request = Render { indices: vec![0; 4096], width: 90, height: 90, ended: false };
+        let request = Render { indices: vec![0; 4096], width: 90, height: 90, ended: false, camera: None };
         session.send(Some(Request::Render(request))).await;
         painters.push(session);
     }

@@ -206,7 +206,7 @@ async fn all_sessions_are_saved_beside_slow_requests() {
     for _ in 0..6 {
         let mut session = create_in(&server, 1).await;
         session.reset(1).await;
-        let pictures = Render { indices: vec![0; 4096], width: 90, height: 90, ended: false };
+        let pictures = Render { indices: vec![0; 4096], width: 90, height: 90, ended: false, camera: None };
         session.send(Some(Request::Render(pictures))).await;
         busy.push(session);
     }
