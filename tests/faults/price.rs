@@ -46,7 +46,7 @@ fn dearest(
     let row: Vec<u8> = wave(0..envs, 0).iter().flat_map(|a| a.to_le_bytes()).collect();
     // All pictures together may have 2.7 million pixels, 6 bytes each, in the memory for requests.
     let render = |count: usize, side| {
-        Request::Render(Render { indices: vec![0; count], width: side, height: side, ended: false })
+        Request::Render(Render { indices: vec![0; count], width: side, height: side, ended: false, camera: None })
     };
     match kind {
         0 => render(4096, 25),
