@@ -5,8 +5,11 @@
 //! ```
 //!
 //! Small messages pass. Large messages of all calls together may take [`Intake::room`]. While one waits, HTTP/2's
-//! flow control stops its sender. A request holds its [`Share`] until it has released its memory.
+//! flow control stops its sender. A request holds its [`Share`] until it has released its memory and its answer has been
+//! sent; see [`super::outgoing`].
 
+use super::connections::Link;
+use super::outgoing;
 use super::price::{self, COPIES, Call, LONGEST_OPTIONS, MessageLayout, SMALL};
 use super::sessions::Limits;
 use crate::error::{Error, Result};
@@ -46,6 +49,8 @@ pub struct Intake {
     room: usize,
     /// Largest message of any call [bytes].
     largest: usize,
+    /// [`Limits::stall`].
+    stall: Duration,
 }
 
 /// Part of the memory for requests; given back when it is dropped.
@@ -92,7 +97,7 @@ impl Intake {
         // Below some size no request would be possible: our choice, twice the longest options.
         let room = limits.of_requests().max(COPIES * 2 * LONGEST_OPTIONS);
         let shares = Arc::new(Semaphore::new(room / UNIT));
-        Arc::new(Self { shares, room, largest: limits.request.min(room / COPIES) })
+        Arc::new(Self { shares, room, largest: limits.request.min(room / COPIES), stall: limits.stall })
     }
 
     /// Bytes that a client may send on a stream before the server has read them; twice that on a connection. Our
@@ -122,7 +127,7 @@ impl Intake {
     }
 }
 
-/// The bounds of a call's messages, and the share of its present one.
+/// The bounds of a call's messages, and the shares of its present message and answer.
 #[derive(Clone)]
 pub struct Messages(Arc<Inner>);
 
@@ -131,11 +136,12 @@ struct Inner {
     /// Size of messages [bytes] for which the call's session has reserved memory already.
     free: AtomicUsize,
     share: Mutex<Option<Share>>,
+    answer: Mutex<Option<Arc<Share>>>,
 }
 
 impl Messages {
     fn new(call: &'static Call) -> Self {
-        Self(Arc::new(Inner { call, free: AtomicUsize::new(SMALL), share: Mutex::default() }))
+        Self(Arc::new(Inner { call, free: AtomicUsize::new(SMALL), share: Mutex::default(), answer: Mutex::default() }))
     }
 
     pub fn of<T>(request: &tonic::Request<T>) -> Self {
@@ -157,23 +163,37 @@ impl Messages {
         self.slot().take()
     }
 
+    /// The call's next answer holds `share` until it has been sent.
+    pub fn hold_for_answer(&self, share: Option<Arc<Share>>) {
+        *self.answer_slot() = share;
+    }
+
+    pub fn take_answer_share(&self) -> Option<Arc<Share>> {
+        self.answer_slot().take()
+    }
+
+    fn answer_slot(&self) -> MutexGuard<'_, Option<Arc<Share>>> {
+        self.0.answer.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     fn slot(&self) -> MutexGuard<'_, Option<Share>> {
         self.0.share.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// Reads a call's messages one by one, each when there is memory for it.
+/// Reads a call's messages one by one, each when there is memory for it, and counts its answers until they are sent.
 pub async fn pass(State(intake): State<Arc<Intake>>, mut call: Request, next: Next) -> Response {
     let bounds = price::of_call(call.uri().path());
     let messages = Messages::new(bounds);
     call.extensions_mut().insert(messages.clone());
+    let (answered, link, stall) = (messages.clone(), call.extensions().get::<Link>().cloned(), intake.stall);
     let metered = |body: Body| {
         let limit = bounds.largest.min(intake.largest).min(intake.room / bounds.copies);
         let (body, first) = (body.into_data_stream(), Some(Instant::now() + ARRIVAL));
         let reader = Reader { body, arrived: Bytes::new(), missing: 0, deadline: first, messages, intake, limit };
         Body::from_stream(stream::try_unfold(reader, Reader::next))
     };
-    next.run(call.map(metered)).await
+    next.run(call.map(metered)).await.map(|answers| outgoing::hold(answers, answered, link, stall))
 }
 
 /// The messages of a call as they arrive.
