@@ -1,6 +1,6 @@
 //! Large requests wait for their share of the memory or are refused, while other sessions go on.
 
-use crate::harness::{Bearer, Server, Session, client, create, options, step, wave};
+use crate::harness::{Bearer, Server, Session, client, create, options, step, until, wave};
 use sandgait::service::proto::run_session_request::Request;
 use sandgait::service::proto::run_session_response::Response;
 use sandgait::service::proto::{CloseSessionRequest, Render, Reset, Restore, Rollout, RunSessionRequest, Step};
@@ -204,6 +204,28 @@ async fn memory_of_answers_that_nobody_reads_is_freed() {
     slow.step(0).await;
 }
 
+/// A client that sends ahead and reads 1.5 MiB a second keeps its connection: the answer before is still in the queue when
+/// the next one is made.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_client_that_reads_slowly_but_steadily_keeps_its_connection() {
+    let second = std::time::Duration::from_secs(1);
+    let limits = Limits { stall: second / 2, ..limits() };
+    let server = Server::tcp(Setup { threads: 1, limits, ..Setup::default() }).await;
+    let Address::Tcp(address) = &server.address else { unreachable!() };
+    let endpoint = Endpoint::from_shared(format!("http://{address}")).unwrap();
+    let channel = endpoint.initial_stream_window_size(65_535).connect().await.unwrap();
+    let mut slow = Session::create(client(channel, Bearer::default()), 1, &[]).await.unwrap();
+    slow.reset(1).await;
+    let render = || Some(Request::Render(Render { indices: vec![0], width: 1024, height: 512, ended: false }));
+    for _ in 0..4 {
+        slow.send(render()).await;
+    }
+    for k in 0..4 {
+        tokio::time::sleep(second).await;
+        assert_eq!(slow.receive().await.unwrap().0, 2 + k);
+    }
+}
+
 /// Each environment gets a model of its own, by a reset of it alone: the models are part of the session's memory. In an
 /// earlier version they were not counted.
 #[tokio::test]
@@ -233,8 +255,14 @@ async fn models_made_by_resets_are_counted() {
     assert_eq!(refused.code, i32::from(Code::ResourceExhausted));
     assert!(refused.message.contains("models: needs about"), "{}", refused.message);
     session.step(0).await;
-    // The memory is free again after the session's end.
+    // The memory is free again soon after the session's end: the server drops environments on another thread.
     let close = CloseSessionRequest { session_id: session.id.clone() };
     session.client.close_session(close).await.unwrap();
-    server.session(envs).await.reset(0).await;
+    let mut next = None;
+    until(async || {
+        next = Session::create(server.client().await, envs, &[]).await.ok();
+        next.is_some()
+    })
+    .await;
+    next.unwrap().reset(0).await;
 }
