@@ -6,10 +6,8 @@
 //!
 //! Small messages pass. Large messages of all calls together may take [`Intake::room`]. While one waits, HTTP/2's
 //! flow control stops its sender. A request holds its [`Share`] until it has released its memory and its answer has been
-//! sent; see [`super::outgoing`].
+//! sent; see `outgoing.rs`.
 
-use super::connections::Link;
-use super::outgoing;
 use super::price::{self, COPIES, Call, LONGEST_OPTIONS, MessageLayout, SMALL};
 use super::sessions::Limits;
 use crate::error::{Error, Result};
@@ -49,8 +47,6 @@ pub struct Intake {
     room: usize,
     /// Largest message of any call [bytes].
     largest: usize,
-    /// [`Limits::stall`].
-    stall: Duration,
 }
 
 /// Part of the memory for requests; given back when it is dropped.
@@ -97,7 +93,7 @@ impl Intake {
         // Below some size no request would be possible: our choice, twice the longest options.
         let room = limits.of_requests().max(COPIES * 2 * LONGEST_OPTIONS);
         let shares = Arc::new(Semaphore::new(room / UNIT));
-        Arc::new(Self { shares, room, largest: limits.request.min(room / COPIES), stall: limits.stall })
+        Arc::new(Self { shares, room, largest: limits.request.min(room / COPIES) })
     }
 
     /// Bytes that a client may send on a stream before the server has read them; twice that on a connection. Our
@@ -181,19 +177,18 @@ impl Messages {
     }
 }
 
-/// Reads a call's messages one by one, each when there is memory for it, and counts its answers until they are sent.
+/// Reads a call's messages one by one, each when there is memory for it.
 pub async fn pass(State(intake): State<Arc<Intake>>, mut call: Request, next: Next) -> Response {
     let bounds = price::of_call(call.uri().path());
     let messages = Messages::new(bounds);
     call.extensions_mut().insert(messages.clone());
-    let (answered, link, stall) = (messages.clone(), call.extensions().get::<Link>().cloned(), intake.stall);
     let metered = |body: Body| {
         let limit = bounds.largest.min(intake.largest).min(intake.room / bounds.copies);
         let (body, first) = (body.into_data_stream(), Some(Instant::now() + ARRIVAL));
         let reader = Reader { body, arrived: Bytes::new(), missing: 0, deadline: first, messages, intake, limit };
         Body::from_stream(stream::try_unfold(reader, Reader::next))
     };
-    next.run(call.map(metered)).await.map(|answers| outgoing::hold(answers, answered, link, stall))
+    next.run(call.map(metered)).await
 }
 
 /// The messages of a call as they arrive.

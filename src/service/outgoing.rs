@@ -11,6 +11,9 @@
 use super::connections::Link;
 use super::intake::{Messages, Share};
 use axum::body::Body;
+use axum::extract::{Request, State};
+use axum::middleware::Next;
+use axum::response::Response;
 use bytes::Bytes;
 use http_body_util::BodyExt as _;
 use std::sync::Arc;
@@ -25,7 +28,7 @@ const SLOWEST: usize = 1 << 20;
 struct Unsent {
     bytes: Bytes,
     _share: Arc<Share>,
-    _limit: Option<TimeLimit>,
+    _limit: TimeLimit,
 }
 
 impl AsRef<[u8]> for Unsent {
@@ -54,18 +57,23 @@ impl Drop for TimeLimit {
     }
 }
 
-/// The answers of a call, each with the share that [`Messages::hold_for_answer`] has. If the client does not read one
-/// in `stall` and the time of its transfer, the connection is closed.
-pub fn hold(answers: Body, messages: Messages, link: Option<Link>, stall: Duration) -> Body {
+/// Lets the answers of a call hold the share that [`Messages::hold_for_answer`] has. If the client does not read one in
+/// `stall` and the time of its transfer, the connection is closed.
+pub async fn pass(State(stall): State<Duration>, call: Request, next: Next) -> Response {
+    let messages = call.extensions().get::<Messages>().cloned();
+    let link = call.extensions().get::<Link>().cloned();
+    let answers = next.run(call).await;
+    let (Some(messages), Some(link)) = (messages, link) else { return answers };
     let mut ahead = 0;
-    Body::new(answers.map_frame(move |frame| {
-        frame.map_data(|bytes| {
-            // At most the answer before this one is still in the queue.
-            let queued = std::mem::replace(&mut ahead, bytes.len()) + bytes.len();
-            let Some(share) = messages.take_answer_share() else { return bytes };
-            let time = stall + Duration::from_secs((queued / SLOWEST) as u64);
-            let limit = link.clone().map(|link| TimeLimit::new(link, time));
-            Bytes::from_owner(Unsent { bytes, _share: share, _limit: limit })
-        })
-    }))
+    answers.map(|body| {
+        Body::new(body.map_frame(move |frame| {
+            frame.map_data(|bytes| {
+                // At most the answer before this one is still in the queue.
+                let queued = std::mem::replace(&mut ahead, bytes.len()) + bytes.len();
+                let Some(share) = messages.take_answer_share() else { return bytes };
+                let time = stall + Duration::from_secs((queued / SLOWEST) as u64);
+                Bytes::from_owner(Unsent { bytes, _share: share, _limit: TimeLimit::new(link.clone(), time) })
+            })
+        }))
+    })
 }
