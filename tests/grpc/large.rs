@@ -172,6 +172,11 @@ async fn only_snapshots_sealed_with_the_servers_key_are_taken() {
     }
 }
 
+/// A picture of 1.5 MiB, which takes 3 MiB of the memory for requests.
+fn picture() -> Option<Request> {
+    Some(Request::Render(Render { indices: vec![0], width: 1024, height: 512, ..Default::default() }))
+}
+
 /// A client that does not read a large answer loses its connection, and the answer's memory is free again; its session
 /// stays. In an earlier version the memory was free before the answer had been sent, and the answer stayed in the server.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -179,7 +184,6 @@ async fn memory_of_answers_that_nobody_reads_is_freed() {
     let stall = std::time::Duration::from_millis(300);
     // All requests together may take 4 MiB. A picture takes 3 MiB, so the second one waits for the first one's memory.
     let server = Server::with_limits(1, Limits { stall, memory: 16 * MIB, ..Limits::default() }).await;
-    let render = || Some(Request::Render(Render { indices: vec![0], width: 1024, height: 512, ended: false }));
     let Address::Unix(path) = &server.address else { unreachable!() };
     let endpoint = Endpoint::from_shared(format!("unix://{}", path.display())).unwrap();
     // The window is so small that most of the answer stays in the server.
@@ -189,11 +193,11 @@ async fn memory_of_answers_that_nobody_reads_is_freed() {
     slow.reset(1).await;
     other.reset(1).await;
     let begun = std::time::Instant::now();
-    slow.send(render()).await;
+    slow.send(picture()).await;
     tokio::time::sleep(stall).await;
     // The second time shows that an answer that was read has returned its memory.
     for _ in 0..2 {
-        let Response::Pictures(pictures) = other.ask(render()).await else { panic!("no pictures") };
+        let Response::Pictures(pictures) = other.ask(picture()).await else { panic!("no pictures") };
         assert_eq!(pictures.pixels.len(), 3 * MIB / 2);
         // The first answer has 300 ms, and a second for its transfer.
         assert!(begun.elapsed() > stall + std::time::Duration::from_secs(1), "the memory was free too early");
@@ -216,9 +220,8 @@ async fn a_client_that_reads_slowly_but_steadily_keeps_its_connection() {
     let channel = endpoint.initial_stream_window_size(65_535).connect().await.unwrap();
     let mut slow = Session::create(client(channel, Bearer::default()), 1, &[]).await.unwrap();
     slow.reset(1).await;
-    let render = || Some(Request::Render(Render { indices: vec![0], width: 1024, height: 512, ended: false }));
     for _ in 0..4 {
-        slow.send(render()).await;
+        slow.send(picture()).await;
     }
     for k in 0..4 {
         tokio::time::sleep(second).await;
