@@ -5,7 +5,8 @@
 //! ```
 //!
 //! Small messages pass. Large messages of all calls together may take [`Intake::room`]. While one waits, HTTP/2's
-//! flow control stops its sender. A request holds its [`Share`] until it has released its memory.
+//! flow control stops its sender. A request holds its [`Share`] until it has released its memory and its answer has been
+//! sent; see `outgoing.rs`.
 
 use super::price::{self, COPIES, Call, LONGEST_OPTIONS, MessageLayout, SMALL};
 use super::sessions::Limits;
@@ -122,7 +123,7 @@ impl Intake {
     }
 }
 
-/// The bounds of a call's messages, and the share of its present one.
+/// The bounds of a call's messages, and the shares of its present message and answer.
 #[derive(Clone)]
 pub struct Messages(Arc<Inner>);
 
@@ -131,11 +132,12 @@ struct Inner {
     /// Size of messages [bytes] for which the call's session has reserved memory already.
     free: AtomicUsize,
     share: Mutex<Option<Share>>,
+    answer: Mutex<Option<Arc<Share>>>,
 }
 
 impl Messages {
     fn new(call: &'static Call) -> Self {
-        Self(Arc::new(Inner { call, free: AtomicUsize::new(SMALL), share: Mutex::default() }))
+        Self(Arc::new(Inner { call, free: AtomicUsize::new(SMALL), share: Mutex::default(), answer: Mutex::default() }))
     }
 
     pub fn of<T>(request: &tonic::Request<T>) -> Self {
@@ -155,6 +157,19 @@ impl Messages {
     /// The share of the message that tonic reads or has just read, if it is large.
     pub fn take_share(&self) -> Option<Share> {
         self.slot().take()
+    }
+
+    /// The call's next answer holds `share` until it has been sent.
+    pub fn hold_for_answer(&self, share: Option<Arc<Share>>) {
+        *self.answer_slot() = share;
+    }
+
+    pub fn take_answer_share(&self) -> Option<Arc<Share>> {
+        self.answer_slot().take()
+    }
+
+    fn answer_slot(&self) -> MutexGuard<'_, Option<Arc<Share>>> {
+        self.0.answer.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn slot(&self) -> MutexGuard<'_, Option<Share>> {

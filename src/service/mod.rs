@@ -10,7 +10,7 @@
 //! * [`stream`]: one RunSession stream, request by request; [`work`]: the work of one request; [`rollout`]: the request of many steps.
 //! * [`view`]: requests for pictures and moments; [`viewer`]: the page that follows sessions.
 //! * [`studies`]: the offline tools, one at a time.
-//! * [`price`]: what each call may cost; [`intake`]: the memory of requests; [`frame`]: requests that are not unpacked.
+//! * [`price`]: what each call may cost; [`intake`]: the memory of requests; [`outgoing`]: that of answers; [`frame`]: requests that are not unpacked.
 //! * [`decode`], [`encode`], [`values`]: messages from and to the crate's types.
 //! * [`status`]: the map from errors to gRPC codes.
 
@@ -36,6 +36,7 @@ mod gate;
 pub mod intake;
 mod metrics;
 mod names;
+mod outgoing;
 mod price;
 mod refusals;
 mod rollout;
@@ -149,10 +150,10 @@ impl EnvironmentService for Service {
         &self,
         request: Request<Streaming<Frame<RunSessionRequest>>>,
     ) -> Result<Response<Self::RunSessionStream>, Status> {
-        let (messages, link) = (Messages::of(&request), request.extensions().get().cloned());
+        let messages = Messages::of(&request);
         let answers = stream::run(
             request.into_inner(),
-            stream::Call { messages, intake: self.intake.clone(), link },
+            stream::Call { messages, intake: self.intake.clone() },
             self.sessions.clone(),
             self.pool.clone(),
         );

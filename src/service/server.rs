@@ -9,6 +9,7 @@ use super::connections::{self, Connections, Protocol, Socket, Table};
 use super::gate::{self, Gate};
 use super::intake::{self, Intake};
 use super::metrics;
+use super::outgoing;
 use super::proto::DESCRIPTORS;
 use super::proto::environment_service_server::EnvironmentServiceServer;
 use super::proto::study_service_server::StudyServiceServer;
@@ -108,13 +109,15 @@ pub async fn serve(listener: Listener, setup: Setup, stop: CancellationToken) ->
         add(&mut services, &sessions, &pool);
     }
     let intake = Intake::new(sessions.limits());
-    let window = intake.window();
+    let (window, stall) = (intake.window(), sessions.limits().stall);
     add_services(&mut services, &sessions, pool.clone(), &intake, &health)?;
     for name in &services.names {
         health.set_service_status(name, ServingStatus::Serving).await;
     }
     let gate = Gate { token, metrics: sessions.metrics.clone(), refusals: refusals.clone() };
     let routes = services.routes.routes().into_axum_router();
+    // The outermost layer comes last.
+    let routes = routes.layer(middleware::from_fn_with_state(stall, outgoing::pass));
     let routes = routes.layer(middleware::from_fn_with_state(intake, intake::pass));
     let routes = routes.layer(middleware::from_fn_with_state(gate, gate::pass));
     let saved = tokio::spawn(end(sessions, health, services.names, state));

@@ -48,8 +48,8 @@ pub struct Limits {
     pub request: usize,
     /// Largest number of watchers of the live page.
     pub watchers: usize,
-    /// Longest time in which a client reads nothing of an answer that takes memory for requests, in addition to its
-    /// transfer at 1 MiB/s.
+    /// Longest time until a client has read an answer that takes memory for requests, in addition to its transfer at
+    /// 1 MiB/s.
     pub stall: Duration,
 }
 

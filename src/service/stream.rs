@@ -9,7 +9,6 @@
 //! sender. This file does not compute: a light request is checked on the async thread, a heavy one on a blocking
 //! thread, and the pool's threads step and encode.
 
-use super::connections::Link;
 use super::decode::Weight;
 use super::frame::Frame;
 use super::intake::{Intake, Messages, Share};
@@ -26,17 +25,13 @@ use futures_util::{Stream, stream};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::Duration;
 use tokio::sync::mpsc;
-use tokio::task::AbortHandle;
 use tonic::{Status, Streaming};
 
 /// Data of a call from its start.
 pub struct Call {
     pub messages: Messages,
     pub intake: Arc<Intake>,
-    /// None in tests without a connection.
-    pub link: Option<Link>,
 }
 
 /// The answers to `requests`.
@@ -46,14 +41,13 @@ pub fn run(
     sessions: Arc<Sessions>,
     pool: Arc<Pool>,
 ) -> impl Stream<Item = Result<RunSessionResponse, Status>> {
-    let run = Run { requests, call, sessions, pool, attached: None, answers: None, share: None, watch: None };
+    let run = Run { requests, call, sessions, pool, attached: None, answers: None, share: None };
     stream::try_unfold(run, |mut run| async move {
-        run.watch = None;
         let answer = run.answer().await?;
         if let Some(RunSessionResponse { response: Some(Response::Failure(refused)), .. }) = &answer {
             run.sessions.metrics.ended(refused.code.into());
         }
-        run.watch = run.watch_reader();
+        run.call.messages.hold_for_answer(run.share.clone());
         Ok(answer.map(|answer| (answer, run)))
     })
 }
@@ -68,20 +62,8 @@ struct Run {
     attached: Option<Attachment>,
     /// Receives the present request's answers.
     answers: Option<mpsc::Receiver<RunSessionResponse>>,
-    /// Memory of the present request and its answer. It is released at the next request, when the answer has been
-    /// sent.
+    /// Memory of the present request. Its answers hold it, too, until they have been sent.
     share: Option<Arc<Share>>,
-    /// Closes the connection if the client does not read an answer that takes memory for requests.
-    watch: Option<StallWatch>,
-}
-
-/// A task that ends when this is dropped.
-struct StallWatch(AbortHandle);
-
-impl Drop for StallWatch {
-    fn drop(&mut self) {
-        self.0.abort();
-    }
 }
 
 /// Detaches from the session when the stream ends.
@@ -111,18 +93,6 @@ impl Run {
                 return Ok(Some(answer));
             }
         }
-    }
-
-    /// HTTP/2 asks for the next answer when the client has read most of this one.
-    fn watch_reader(&self) -> Option<StallWatch> {
-        let (link, share) = (self.call.link.clone()?, self.share.as_ref()?);
-        let time = self.sessions.limits().stall + Duration::from_secs((share.bytes() >> 20) as u64);
-        let late = async move {
-            tokio::time::sleep(time).await;
-            tracing::warn!(peer = link.name(), "a connection was closed: its client does not read a large answer");
-            link.close();
-        };
-        Some(StallWatch(tokio::spawn(late).abort_handle()))
     }
 
     /// The next message, unless the session or the server ends first.

@@ -1,6 +1,6 @@
 //! Large requests wait for their share of the memory or are refused, while other sessions go on.
 
-use crate::harness::{Bearer, Server, Session, client, create, options, step, wave};
+use crate::harness::{Bearer, Server, Session, client, create, options, step, until, wave};
 use sandgait::service::proto::run_session_request::Request;
 use sandgait::service::proto::run_session_response::Response;
 use sandgait::service::proto::{CloseSessionRequest, Render, Reset, Restore, Rollout, RunSessionRequest, Step};
@@ -174,30 +174,61 @@ async fn only_snapshots_sealed_with_the_servers_key_are_taken() {
     }
 }
 
+/// A picture of 1.5 MiB, which takes 3 MiB of the memory for requests.
+fn picture() -> Option<Request> {
+    Some(Request::Render(Render { indices: vec![0], width: 1024, height: 512, ..Default::default() }))
+}
+
 /// A client that does not read a large answer loses its connection, and the answer's memory is free again; its session
-/// stays. In an earlier version it kept the memory for as long as it lived.
+/// stays. In an earlier version the memory was free before the answer had been sent, and the answer stayed in the server.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn memory_of_answers_that_nobody_reads_is_freed() {
     let stall = std::time::Duration::from_millis(300);
-    let server = Server::with_limits(1, Limits { stall, ..limits() }).await;
+    // All requests together may take 4 MiB. A picture takes 3 MiB, so the second one waits for the first one's memory.
+    let server = Server::with_limits(1, Limits { stall, memory: 16 * MIB, ..Limits::default() }).await;
     let Address::Unix(path) = &server.address else { unreachable!() };
     let endpoint = Endpoint::from_shared(format!("unix://{}", path.display())).unwrap();
     // The window is so small that most of the answer stays in the server.
     let channel = endpoint.initial_stream_window_size(65_535).connect().await.unwrap();
     let mut slow = Session::create(client(channel, Bearer::default()), 1, &[]).await.unwrap();
-    slow.reset(1).await;
-    let render =
-        || Some(Request::Render(Render { indices: vec![0], width: 1024, height: 2048, ended: false, camera: None }));
-    slow.send(render()).await;
-    tokio::time::sleep(stall).await;
-    // Together the answers would need more than all memory for requests.
     let mut other = server.session(1).await;
+    slow.reset(1).await;
     other.reset(1).await;
-    let Response::Pictures(pictures) = other.ask(render()).await else { panic!("no pictures") };
-    assert_eq!(pictures.pixels.len(), 6 * MIB);
-    assert!(slow.receive().await.is_err(), "the connection was closed");
-    let (_, last) = Session::resume(server.client().await, &slow.id, 2).await.unwrap();
+    let begun = std::time::Instant::now();
+    slow.send(picture()).await;
+    tokio::time::sleep(stall).await;
+    // The second time shows that an answer that was read has returned its memory.
+    for _ in 0..2 {
+        let Response::Pictures(pictures) = other.ask(picture()).await else { panic!("no pictures") };
+        assert_eq!(pictures.pixels.len(), 3 * MIB / 2);
+        // The first answer has 300 ms, and a second for its transfer.
+        assert!(begun.elapsed() > stall + std::time::Duration::from_secs(1), "the memory was free too early");
+    }
+    assert!(slow.receive().await.is_err(), "the connection was not closed");
+    let (mut slow, last) = Session::resume(server.client().await, &slow.id, 2).await.unwrap();
     assert_eq!(last, 2);
+    slow.step(0).await;
+}
+
+/// A client that sends ahead and reads 1.5 MiB a second keeps its connection: the answer before is still in the queue when
+/// the next one is made.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_client_that_reads_slowly_but_steadily_keeps_its_connection() {
+    let second = std::time::Duration::from_secs(1);
+    let limits = Limits { stall: second / 2, ..limits() };
+    let server = Server::tcp(Setup { threads: 1, limits, ..Setup::default() }).await;
+    let Address::Tcp(address) = &server.address else { unreachable!() };
+    let endpoint = Endpoint::from_shared(format!("http://{address}")).unwrap();
+    let channel = endpoint.initial_stream_window_size(65_535).connect().await.unwrap();
+    let mut slow = Session::create(client(channel, Bearer::default()), 1, &[]).await.unwrap();
+    slow.reset(1).await;
+    for _ in 0..4 {
+        slow.send(picture()).await;
+    }
+    for k in 0..4 {
+        tokio::time::sleep(second).await;
+        assert_eq!(slow.receive().await.unwrap().0, 2 + k);
+    }
 }
 
 /// Each environment gets a model of its own, by a reset of it alone: the models are part of the session's memory. In an
@@ -229,8 +260,14 @@ async fn models_made_by_resets_are_counted() {
     assert_eq!(refused.code, i32::from(Code::ResourceExhausted));
     assert!(refused.message.contains("models: needs about"), "{}", refused.message);
     session.step(0).await;
-    // The memory is free again after the session's end.
+    // The memory is free again soon after the session's end: the server drops environments on another thread.
     let close = CloseSessionRequest { session_id: session.id.clone() };
     session.client.close_session(close).await.unwrap();
-    server.session(envs).await.reset(0).await;
+    let mut next = None;
+    until(async || {
+        next = Session::create(server.client().await, envs, &[]).await.ok();
+        next.is_some()
+    })
+    .await;
+    next.unwrap().reset(0).await;
 }
