@@ -78,8 +78,9 @@ fn environments_take_what_is_reserved() {
         for envs in [16, 208] {
             let [took, reserved] = taken(&options, envs);
             println!("{what}: {envs} environments take {} KiB of {} KiB", took >> 10, reserved >> 10);
+            // The copy of each episode that a rollout or a restore makes is reserved, too, and not made here.
             assert!(took <= reserved, "{what}: {envs} environments took {took} of {reserved} bytes");
-            assert!(reserved < 4 * took, "{what}: {reserved} bytes are reserved for {took}");
+            assert!(reserved < 5 * took, "{what}: {reserved} bytes are reserved for {took}");
         }
     }
 }

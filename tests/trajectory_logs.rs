@@ -55,7 +55,7 @@ fn wrong_input_gives_one_line_and_no_report() {
     }
     refused(b"SQLite format 3\0", &toml, &["an SQLite database", "sandgait.logs"]);
     // Runs that the experiment file lists, in a log that has them in a column or has none of them.
-    refused(&csv, &with("[[run]]\nfrom = 1.0\n"), &["walk.log", "row 32, column run", "[[run]] too"]);
+    refused(&csv, &with("[[run]]\nfrom = 1.0\n"), &["walk.log", "row 102, column run", "[[run]] too"]);
     let plain = String::from_utf8(csv.clone()).unwrap().replacen("run,", "other,", 1).into_bytes();
     refused(&plain, &with("[[run]]\nfrom = 100.0\n"), &["walk.log", "no row belongs to a run"]);
     refused(&csv, &with("[columns]\n\"q:*\" = \"angle.*\"\n"), &["walk.log", "angle.left-front", "missing"]);

@@ -77,7 +77,10 @@ fn as_json(task: &Blueprint) -> Value {
 fn as_text(task: &Blueprint) -> String {
     let spec = task.task.spec();
     let column = |(i, c): (usize, &Column)| {
-        let bound = |x: f64| if x.is_finite() { format!("{x}") } else { "∞".into() };
+        let bound = |x: f64| match x.is_finite() {
+            true => format!("{x:.3}").trim_end_matches('0').trim_end_matches('.').to_owned(),
+            false => "∞".into(),
+        };
         let range = match (c.low, c.high) {
             (low, high) if low.is_infinite() && high.is_infinite() => String::new(),
             (low, high) => format!("[{}, {}]", bound(low), bound(high)),

@@ -3,6 +3,11 @@
 use super::format::{DOUBLE, FLOAT, INT64, Tensor};
 use crate::error::{Error, Result};
 
+/// The beginning of a name of the file, which may be long.
+pub(super) fn shown(name: &str) -> &str {
+    name.char_indices().nth(100).map_or(name, |(end, _)| &name[..end])
+}
+
 /// Numbers of at most two dimensions, row-major. Integers and `f64` are rounded to `f32`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Constant {
@@ -13,8 +18,7 @@ pub struct Constant {
 
 impl Constant {
     pub fn read(name: &str, tensor: &Tensor) -> Result<Self> {
-        let wrong =
-            |why: String| Error::invalid("policy", format!("the numbers of {:?} {why}", super::read::shown(name)));
+        let wrong = |why: String| Error::invalid("policy", format!("the numbers of {:?} {why}", shown(name)));
         if tensor.data_location != 0 {
             return Err(wrong("are in another file; export everything into one file".into()));
         }

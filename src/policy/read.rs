@@ -1,7 +1,7 @@
 //! Reads an ONNX file into a program of checked steps. No file makes this code panic or exceed its [`super::price`].
 
 use super::MOST_BYTES;
-use super::constant::Constant;
+use super::constant::{Constant, shown};
 use super::format::{Attribute, FLOAT, Graph, Model, Node, ValueInfo};
 use super::operator::{Arithmetic, Function, Operand, Operator, Program, Step};
 use super::price::{MOST_NODES, MOST_PRODUCTS, MOST_VALUES, MOST_WIDTH, check_fields};
@@ -300,11 +300,6 @@ impl<'a> Reader<'a> {
         self.products = products;
         self.step(Operator::Dense { input, weights, bias }, outputs)
     }
-}
-
-/// The beginning of a name of the file, which may be long.
-pub(super) fn shown(name: &str) -> &str {
-    name.char_indices().nth(100).map_or(name, |(end, _)| &name[..end])
 }
 
 /// An error about a node.

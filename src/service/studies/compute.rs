@@ -122,12 +122,16 @@ pub fn diagnose(request: DiagnoseRequest) -> Result<Work<DiagnoseResponse>> {
     Ok(Box::new(move |progress| {
         // The diagnosis reads and writes files, so it gets a directory that only this user can enter.
         let directory = tempfile::tempdir().map_err(|e| unusable(&e))?;
-        let (path, out) = (directory.path().join("data"), directory.path().join("out"));
+        let (own, out) = (directory.path().join("in"), directory.path().join("out"));
+        std::fs::create_dir(&own).map_err(|e| unusable(&e))?;
+        let name = Path::new(&data.name).file_name().map_or_else(Default::default, |n| n.to_string_lossy());
+        // Messages repeat the name, so the file has it too unless the file system would refuse it.
+        let usable = name.len() < 200 && !name.is_empty() && !name.chars().any(char::is_control);
+        let path = own.join(if usable { &*name } else { "data" });
         std::fs::write(&path, &data.content).map_err(|e| unusable(&e))?;
         let named = |e: Error| decode::renamed(e, &path, &data.name);
         let mut diagnosis = crate::diagnose::diagnose(&path, &experiment, progress).map_err(named)?;
-        diagnosis.name =
-            Path::new(&data.name).file_name().map_or_else(Default::default, |n| n.to_string_lossy().into());
+        diagnosis.name = name.to_string();
         diagnosis.write(&out)?;
         let diagnosis = proto::Diagnosis {
             report_json: read(&out.join("report.json"))?,
