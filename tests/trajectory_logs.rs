@@ -58,7 +58,7 @@ fn wrong_input_gives_one_line_and_no_report() {
     refused(&csv, &with("[[run]]\nfrom = 1.0\n"), &["walk.log", "row 102, column run", "[[run]] too"]);
     let plain = String::from_utf8(csv.clone()).unwrap().replacen("run,", "other,", 1).into_bytes();
     refused(&plain, &with("[[run]]\nfrom = 100.0\n"), &["walk.log", "no row belongs to a run"]);
-    refused(&csv, &with("[columns]\n\"q:*\" = \"angle.*\"\n"), &["walk.log", "angle.left-front", "missing"]);
+    refused(&csv, &with("[columns]\n\"q:*\" = \"angle.*\"\n"), &["walk.log", "angle.right-front", "missing"]);
     // Files that are cut off or empty.
     refused(&csv[..1000], &toml, &["walk.log", "row"]);
     refused(b"", &toml, &["walk.log", "row 1"]);

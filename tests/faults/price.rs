@@ -19,9 +19,10 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 use tonic::transport::{Channel, Endpoint};
 
-/// Memory for environments and requests, and all that the server may need besides [MiB].
+/// Memory for environments and requests, and all that the server may need besides [MiB]. The aim is 64 MiB besides; 50 to 71
+/// were measured (2026-11-23), so the bound is 80 until answers of studies count until they are sent.
 const LIMIT: f64 = 64.0;
-const BESIDE: f64 = 64.0;
+const BESIDE: f64 = 80.0;
 
 /// Longest message under this limit [bytes].
 const MESSAGE: usize = 8 << 20;
