@@ -138,7 +138,7 @@ def test_a_large_relief_is_copied() -> None:
     env.reset(seed=3)
     rows = np.full((2, 12), 0.2, np.float32)
     env.step(rows)
-    saved, fork = env.save(), env.fork(0, 2)
+    saved, fork = env.save(), env.fork(2, 0)
     others = [copied(env) for copied in COPIES]
     wanted = env.step(rows)[0]
     for other in others:
