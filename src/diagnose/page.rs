@@ -111,9 +111,7 @@ fn causes(html: &mut String, r: &Report) {
 fn form(html: &mut String, r: &Report) {
     let Some(form) = &r.form else { return };
     let [low, high] = form.ci95;
-    let lacking = r.lack_of_fit.limit.is_some_and(|limit| form.lack_of_fit > limit);
     let said = match (form.excluded, form.told_apart) {
-        _ if lacking => "other misfit remains, so the interval is too narrow",
         (true, _) => "the data exclude the law's power",
         (false, true) => "the data agree with the law's power",
         (false, false) => "the data do not distinguish the law's power from others",
@@ -321,14 +319,14 @@ fn rivals(html: &mut String, r: &Report) {
         let values: Vec<_> = c.values.iter().map(|v| digits(*v)).collect();
         let _ = write!(
             html,
-            "<tr><td>{}<td>{}<td>{:.1}<td>{:.1}<td>{:.1}<td>{}<td>{:.2}<td>{}",
+            "<tr><td>{}<td>{}<td>{:.1}<td>{:.1}<td>{:.1}<td>{}<td>{}<td>{}",
             c.ids.join(" + "),
             values.join(", "),
             c.delta_chi2,
             c.delta_aic,
             c.delta_bic,
             c.cv_gain.map_or("–".into(), |g| format!("{:.1} %", 100.0 * g)),
-            c.lack_of_fit,
+            number(c.lack_of_fit, 2),
             number(c.distance_to_best, 1)
         );
     }
