@@ -111,8 +111,8 @@ struct Stage {
 }
 
 impl Stage {
-    /// Learns the noise again about the leading fit (or the plain one) and fits all again with it, until that changes
-    /// the leading fit by less than one σ.
+    /// Learns the noise again about the leading fit and fits all again with it, until that changes the leading fit by less
+    /// than one σ. If none leads, the noise is learnt about the plain model, and the other fits stay.
     fn settled(mut self, study: &Study, source: &Source, noise: &Noise, leading: Option<usize>) -> Self {
         let mut leading = leading;
         for _ in 0..NOISES {
@@ -123,6 +123,14 @@ impl Stage {
                 (surroundings(now, source, noise, &best), now.reading(&best))
             };
             let renewed = study.under(&next.whitener, next.nuisances.clone());
+            if leading.is_none() {
+                self.base = renewed.fit_from(&[&self.base]).swap_remove(0);
+                leading = self::leading(&renewed, &self.base, &self.fits);
+            }
+            if leading.is_none() {
+                self.around = Some(next);
+                break;
+            }
             self.refit(&renewed, leading);
             leading = self::leading(&renewed, &self.base, &self.fits);
             let after = renewed.reading(leading.map_or(&self.base, |k| &self.fits[k]));
@@ -190,7 +198,10 @@ fn with_pairs(
     let from_all = linear.iter().map(|&(_, i, j)| [screen.candidates[i].0, screen.candidates[j].0]);
     let mut tried: Vec<[usize; 2]> = Vec::new();
     for pair in from_best.filter(|p| !unnamed.contains(&p[1])).take(PAIRS_FITTED / 2).chain(from_all) {
-        if tried.len() < PAIRS_FITTED && !pair.iter().any(|id| unnamed.contains(id)) && !tried.iter().any(|t| *t == pair || *t == [pair[1], pair[0]]) {
+        if tried.len() < PAIRS_FITTED
+            && !pair.iter().any(|id| unnamed.contains(id))
+            && !tried.iter().any(|t| *t == pair || *t == [pair[1], pair[0]])
+        {
             tried.push(pair);
         }
     }

@@ -195,7 +195,11 @@ impl Table {
             };
             linear.row(study, m, used, degrees)
         });
-        let sizes: Vec<f64> = projection.groups.iter().map(|g| (projection.waves(g) * study.observations.channels.len()) as f64).collect();
+        let sizes: Vec<f64> = projection
+            .groups
+            .iter()
+            .map(|g| (projection.waves(g) * study.observations.channels.len()) as f64)
+            .collect();
         let free: f64 = projection.groups.iter().map(|g| g.len() as f64 - 1.0).sum::<f64>().min(degrees).max(1.0);
         let limit = 1.0 + 2.0 * (2.0 / sizes.iter().sum::<f64>().max(1.0) + 2.0 / free).sqrt();
         Self { rows, sizes, degrees, limit }
@@ -212,7 +216,8 @@ impl Table {
             return [0.0; 2];
         }
         let difference = self.elpd(a) - self.elpd(b);
-        let (best, other) = if difference >= 0.0 { (&self.rows[a], &self.rows[b]) } else { (&self.rows[b], &self.rows[a]) };
+        let (best, other) =
+            if difference >= 0.0 { (&self.rows[a], &self.rows[b]) } else { (&self.rows[b], &self.rows[a]) };
         let (mut noise, mut clusters) = (0.0, 0.0);
         for (c, n) in self.sizes.iter().enumerate() {
             let weight = (self.degrees + n) / (self.degrees + best.squares[c]);
@@ -312,8 +317,10 @@ impl Products {
             return (self.information.clone(), self.score.clone());
         };
         let n = self.score.len();
-        let (mut information, mut score) =
-            (self.information.clone().resize(n + 1, n + 1, own[0]), self.score.clone().resize_vertically(n + 1, own[1]));
+        let (mut information, mut score) = (
+            self.information.clone().resize(n + 1, n + 1, own[0]),
+            self.score.clone().resize_vertically(n + 1, own[1]),
+        );
         for k in 0..n {
             (information[(k, n)], information[(n, k)]) = (cross[k], cross[k]);
         }
@@ -365,13 +372,22 @@ impl Linear<'_> {
         let law = all.best_law();
         let (information, score) = all.with(law);
         let solved = |a: &DMatrix<f64>, b: &DVector<f64>| {
-            a.clone().cholesky().map_or_else(|| (DVector::zeros(b.len()), f64::INFINITY), |f| (f.solve(b), f.ln_determinant()))
+            a.clone()
+                .cholesky()
+                .map_or_else(|| (DVector::zeros(b.len()), f64::INFINITY), |f| (f.solve(b), f.ln_determinant()))
         };
         let step = solved(&information, &score).0;
         let inverse = information.clone().try_inverse().unwrap_or_else(|| DMatrix::zeros(score.len(), score.len()));
         let mut row = Row {
-            elpd: Vec::new(), left: Vec::new(), slopes: Vec::new(), inverse, squares: Vec::new(),
-            held_out: Errors { square: Vec::new(), count: Vec::new() }, steps: Vec::new(), step: step.iter().copied().collect(), law,
+            elpd: Vec::new(),
+            left: Vec::new(),
+            slopes: Vec::new(),
+            inverse,
+            squares: Vec::new(),
+            held_out: Errors { square: Vec::new(), count: Vec::new() },
+            steps: Vec::new(),
+            step: step.iter().copied().collect(),
+            law,
         };
         for (c, own) in each.iter().enumerate() {
             let rest = all.less(own);
@@ -381,7 +397,8 @@ impl Linear<'_> {
             let (step, determinant) = solved(&without, &score);
             let jacobian = self.jacobian(c, law);
             let error = &self.residual[c] - &jacobian * &step;
-            let inverse = if law == row.law { row.inverse.clone() } else { with.clone().try_inverse().unwrap_or(with.clone()) };
+            let inverse =
+                if law == row.law { row.inverse.clone() } else { with.clone().try_inverse().unwrap_or(with.clone()) };
             let solved_error = &error - &jacobian * (&inverse * (jacobian.transpose() * &error));
             let square = error.dot(&solved_error).max(0.0);
             let wider = (solved(&with, &score).1 - determinant).max(0.0);
@@ -400,7 +417,8 @@ impl Linear<'_> {
     }
 
     fn jacobian(&self, c: usize, law: Option<usize>) -> DMatrix<f64> {
-        let columns: Vec<_> = self.slopes.iter().map(|s| s[c].clone()).chain(law.map(|l| self.laws[l][c].clone())).collect();
+        let columns: Vec<_> =
+            self.slopes.iter().map(|s| s[c].clone()).chain(law.map(|l| self.laws[l][c].clone())).collect();
         DMatrix::from_columns(&columns)
     }
 }

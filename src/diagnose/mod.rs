@@ -163,8 +163,7 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
     let floor = source.floor();
     let selection = match scatters(&observations, &floor) {
         true => {
-            let asked =
-                Asked { source: &source, noise: &noise, ids: &ids, untestable: &unknown, interest: &interest };
+            let asked = Asked { source: &source, noise: &noise, ids: &ids, untestable: &unknown, interest: &interest };
             Some(select(&study, &asked, progress)?)
         }
         false => None,

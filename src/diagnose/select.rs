@@ -3,7 +3,7 @@
 
 use super::candidates::{Candidates, SECOND, candidates};
 use super::errors::Errors;
-use super::evidence::{Laws, Model, Table, held_out};
+use super::evidence::{LEAST, Laws, Model, Table, held_out};
 use super::fit::Fit;
 use super::laws::{Law, fitted, laws};
 use super::noise::{Noise, Source};
@@ -91,17 +91,17 @@ pub fn select(study: &Study, asked: &Asked, progress: &dyn Progress) -> Result<S
     if sensor.is_empty() || selection.verdict() != Verdict::NoiseFloor || study.nuisances.is_empty() {
         return Ok(selection);
     }
+    // All are compared under the noise of the first: with nuisances and without.
+    let with = selection.table.elpd(0);
     let bare = study.under(&selection.candidates.around.whitener, Vec::new());
-    let other = attempt(&bare, asked, asked.untestable, progress)?;
-    // Both are compared under the noise of the first: with nuisances and without.
-    let Some(best) = other.best() else { return Ok(selection) };
     let all: Vec<usize> = (0..study.observations.conditions.len()).collect();
-    let without = study.under(&selection.candidates.around.whitener, Vec::new());
-    let fit = without.fit_from(&[best]).swap_remove(0);
-    let model = Model { fit: &fit, laws: None };
-    let alone = Table::new(&without, without.whitener, &[model], &all);
-    let as_well = alone.elpd(0) > selection.table.elpd(0) - 2.0 * super::evidence::LEAST;
-    Ok(if as_well { other } else { selection })
+    let elpd = |fit: Fit| Table::new(&bare, bare.whitener, &[Model { fit: &fit, laws: None }], &all).elpd(0);
+    if with - elpd(bare.recalibrated()) < 2.0 * LEAST {
+        return Ok(selection);
+    }
+    let other = attempt(&bare, asked, asked.untestable, progress)?;
+    let as_well = |best: &Fit| elpd(bare.fit_from(&[best]).swap_remove(0)) > with - 2.0 * LEAST;
+    Ok(if other.best().is_some_and(as_well) { other } else { selection })
 }
 
 /// Fits and compares once.
@@ -123,7 +123,8 @@ fn attempt(study: &Study, asked: &Asked, unnamed: &[usize], progress: &dyn Progr
     let ruling = verdict(&entries, SECOND);
     progress.report(0.85, "held-out conditions")?;
     let nested = nested(&renewed, asked, &candidates, (&models, unnamed), &ruling);
-    let formulas: Vec<Option<String>> = (0..models.len()).map(|k| law_of(&table, &models, k).map(|t| t.formula())).collect();
+    let formulas: Vec<Option<String>> =
+        (0..models.len()).map(|k| law_of(&table, &models, k).map(|t| t.formula())).collect();
     let law = law_of(&table, &models, ruling.model).and_then(|term| {
         let step = &table.rows[ruling.model].step;
         fitted(&renewed, models[ruling.model].fit, &term, step[step.len() - 1])

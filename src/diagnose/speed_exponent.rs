@@ -34,7 +34,9 @@ impl SpeedExponent {
         let [law, found, low, high] = [law, found, low, high].map(|v| digits(*v));
         match (self.excluded, self.told_apart) {
             (true, _) => format!("; the data prefer the power {found} of the speed where {id} has {law}"),
-            (false, false) => format!("; of the speed in {id} these data allow every power from {low} to {high}, not only {law}"),
+            (false, false) => {
+                format!("; of the speed in {id} these data allow every power from {low} to {high}, not only {law}")
+            }
             (false, true) => String::new(),
         }
     }
@@ -53,14 +55,24 @@ pub fn form(study: &Study, selection: &Selection, laws: &Laws) -> Option<SpeedEx
         (alone && speed > 0.0 && (depth - speed + 1.0).abs() < 1e-9).then_some(2.0 * speed)
     };
     let each: Vec<(f64, Laws)> = (0..laws.terms.len())
-        .filter_map(|k| power(&k).map(|q| (q, Laws { terms: vec![laws.terms[k].clone()], columns: vec![laws.columns[k].clone()] })))
+        .filter_map(|k| {
+            power(&k).map(|q| (q, Laws { terms: vec![laws.terms[k].clone()], columns: vec![laws.columns[k].clone()] }))
+        })
         .collect();
-    let models: Vec<Model> = each.iter().map(|(_, laws)| Model { fit: &selection.candidates.base, laws: Some(laws) }).collect();
+    let models: Vec<Model> =
+        each.iter().map(|(_, laws)| Model { fit: &selection.candidates.base, laws: Some(laws) }).collect();
     let all: Vec<usize> = (0..study.observations.conditions.len()).collect();
     let table = Table::new(study, study.whitener, &models, &all);
     let top = (0..models.len()).max_by(|a, b| table.elpd(*a).total_cmp(&table.elpd(*b)))?;
     let stay: Vec<f64> = (0..models.len()).filter(|&k| !table.beats(top, k)).map(|k| each[k].0).collect();
     let ci95 = [stay.iter().copied().fold(f64::MAX, f64::min), stay.iter().copied().fold(f64::MIN, f64::max)];
     let excluded = !(ci95[0]..=ci95[1]).contains(&law);
-    Some(SpeedExponent { id: id.into(), law, found: each[top].0, ci95, excluded, told_apart: ci95[0] > law - 0.75 && ci95[1] < law + 0.75 })
+    Some(SpeedExponent {
+        id: id.into(),
+        law,
+        found: each[top].0,
+        ci95,
+        excluded,
+        told_apart: ci95[0] > law - 0.75 && ci95[1] < law + 0.75,
+    })
 }

@@ -23,7 +23,8 @@ pub fn summary(r: &Report) -> String {
     };
     let named = matches!(r.verdict, Verdict::Named | Verdict::Ambiguous);
     let rest = r.remainder.as_ref().filter(|rest| named && rest.significant);
-    let rest = rest.map_or(String::new(), |rest| format!("; misfit beyond noise remains ({:.0} % of it)", 100.0 * rest.fraction));
+    let rest = rest
+        .map_or(String::new(), |rest| format!("; misfit beyond noise remains ({:.0} % of it)", 100.0 * rest.fraction));
     let beside = if named && !r.terms.is_empty() {
         format!("; a law found in the data describes a part of the rest: {}", law(r))
     } else {
@@ -63,7 +64,13 @@ fn lowers(r: &Report) -> String {
 fn ambiguous(r: &Report) -> String {
     let others: Vec<String> = r.ambiguity_set.iter().skip(1).map(|ids| ids.join(" + ")).collect();
     let untestable = |id: &str| r.untestable.iter().find(|u| u.id == id);
-    let cannot: Vec<String> = r.ambiguity_set.iter().flatten().filter_map(|id| untestable(id)).map(|u| format!("{} cannot be tested: {}", u.id, u.why)).collect();
+    let cannot: Vec<String> = r
+        .ambiguity_set
+        .iter()
+        .flatten()
+        .filter_map(|id| untestable(id))
+        .map(|u| format!("{} cannot be tested: {}", u.id, u.why))
+        .collect();
     let cannot = if cannot.is_empty() { String::new() } else { format!(" ({})", cannot.join("; ")) };
     format!(
         "the misfit is explained by {}, or by {}: these data cannot distinguish them{cannot}{}",
@@ -91,7 +98,9 @@ fn none(r: &Report) -> String {
 fn next_best(r: &Report) -> String {
     let Some([own, ..]) = r.ambiguity_set.first_chunk::<1>() else { return String::new() };
     let rival = |c: &&Compared| c.ids.len() == own.len() && c.ids != *own && c.terms.is_empty();
-    let Some(next) = r.evidence.iter().filter(rival).max_by(|a, b| a.elpd.total_cmp(&b.elpd)) else { return String::new() };
+    let Some(next) = r.evidence.iter().filter(rival).max_by(|a, b| a.elpd.total_cmp(&b.elpd)) else {
+        return String::new();
+    };
     format!(
         "; the next best, {}, predicts them worse by {} standard errors",
         next.ids.join(" + "),

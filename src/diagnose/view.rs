@@ -48,7 +48,9 @@ impl View<'_> {
             correlations: self.named().map(|s| s.intervals.correlations.clone()).unwrap_or_default(),
             warnings: self.warnings(&causes),
             causes,
-            ambiguity_set: self.selection.map_or(Vec::new(), |s| s.ruling.set.iter().map(|&k| names(s.fit_of(k))).collect()),
+            ambiguity_set: self
+                .selection
+                .map_or(Vec::new(), |s| s.ruling.set.iter().map(|&k| names(s.fit_of(k))).collect()),
             candidates: self.tried(),
             lack_of_fit: LackOfFit {
                 plain: self.selection.map(|s| s.table.lack(0)),
@@ -201,7 +203,8 @@ impl View<'_> {
         let (selection, standing) = (self.selection?, self.standing()?);
         let (table, entry) = (&selection.table, selection.ruling.model);
         let significant = table.lack(entry) > table.limit;
-        let place = misfit::whereabouts_of(self.study.observations, self.study.model, &standing.prediction, "what remains");
+        let place =
+            misfit::whereabouts_of(self.study.observations, self.study.model, &standing.prediction, "what remains");
         let unlocated = || "spread over all data".to_string();
         let explained = selection.entries[entry].explains(&selection.entries[0]);
         Some(Remainder {
@@ -257,7 +260,8 @@ impl View<'_> {
             }
         };
         // Entries with a law are no candidates of their own.
-        let mut order: Vec<usize> = (1..s.entries.len()).filter(|&k| s.formulas[k].is_none() && s.entries[k].causes > 0).collect();
+        let mut order: Vec<usize> =
+            (1..s.entries.len()).filter(|&k| s.formulas[k].is_none() && s.entries[k].causes > 0).collect();
         order.sort_by(|a, b| s.table.elpd(*b).total_cmp(&s.table.elpd(*a)));
         let compared = order.into_iter().map(|k| tried(s.fit_of(k), s.candidates.base.objective, Some(k)));
         compared.chain(s.candidates.behind.iter().map(|fit| tried(fit, s.candidates.earlier, None))).collect()
@@ -343,7 +347,8 @@ impl View<'_> {
         let noise = &selection.candidates.around.noise;
         let conditions = menu.map_or(Vec::new(), |menu| next_experiment::propose(&menu, noise, self.study, &set, 3));
         let unknown = untestable.iter().filter(|u| set.iter().any(|fit| names(fit).contains(&u.id)));
-        let mut why: Vec<String> = unknown.map(|u| format!("a test of {} needs a log that says more: {}", u.id, u.why)).collect();
+        let mut why: Vec<String> =
+            unknown.map(|u| format!("a test of {} needs a log that says more: {}", u.id, u.why)).collect();
         if !conditions.is_empty() {
             why.push("these conditions separate the two explanations that the data distinguish least".into());
         }

@@ -285,7 +285,9 @@ impl Term {
         let scale = match self.on {
             On::Normal => r"\mathbf{n}\,\rho g|z|",
             On::Tangential => r"\hat{\mathbf{v}}_t\,\rho g|z|",
-            On::Law => return format!(r"\Delta\boldsymbol\sigma = {:.3}\,{groups}\,\boldsymbol\sigma", self.coefficient),
+            On::Law => {
+                return format!(r"\Delta\boldsymbol\sigma = {:.3}\,{groups}\,\boldsymbol\sigma", self.coefficient);
+            }
         };
         format!(r"\Delta\boldsymbol\sigma = -{:.3}\,{groups}\,{scale}", self.coefficient)
     }
