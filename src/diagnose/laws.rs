@@ -103,9 +103,8 @@ pub fn laws(study: &Study, base: &Fit) -> Option<Laws> {
     Some(Laws { terms, columns })
 }
 
-/// The law `term` fitted in addition to `base`, from the coefficient `start`. None if sand cannot follow the fitted law.
-pub fn fitted(study: &Study, base: &Fit, term: &Term, start: f64) -> Option<Law> {
-    let mut term = Term { coefficient: start, ..term.clone() };
+/// The law `term` fitted in addition to `base`, from its coefficient. None if sand cannot follow the fitted law.
+pub fn fitted(study: &Study, base: &Fit, mut term: Term) -> Option<Law> {
     let mut fit = base.clone();
     let mut sd = 0.0;
     for _ in 0..ROUNDS {

@@ -14,6 +14,7 @@ use super::whiten::Whitener;
 use crate::error::Result;
 use crate::parallel;
 use crate::progress::Progress;
+use crate::sand::Term;
 use crate::sand::mechanism::{CATALOG, Side};
 use crate::student;
 
@@ -116,19 +117,28 @@ fn attempt(study: &Study, asked: &Asked, unnamed: &[usize], progress: &dyn Progr
     let base_laws = laws(&renewed, &candidates.base);
     let leading = candidates.leading.map(|k| &candidates.fits[k]);
     let more_laws = leading.filter(|_| base_laws.is_some()).and_then(|fit| laws(&renewed, fit));
-    let models = models(&candidates, base_laws.as_ref(), more_laws.as_ref());
     let all: Vec<usize> = (0..study.observations.conditions.len()).collect();
-    let table = Table::new(&renewed, &around.0, &models, &all);
-    let entries = entries(&table, &models, unnamed);
-    let ruling = verdict(&entries, SECOND);
+    let compared = |with_laws: bool| {
+        let [alone, beside] = [&base_laws, &more_laws].map(|laws| laws.as_ref().filter(|_| with_laws));
+        let models = models(&candidates, alone, beside);
+        let table = Table::new(&renewed, &around.0, &models, &all);
+        let entries = entries(&table, &models, unnamed);
+        let ruling = verdict(&entries, SECOND);
+        let term = law_of(&table, &models, ruling.model);
+        let law = term.as_ref().and_then(|term| fitted(&renewed, models[ruling.model].fit, term.clone()));
+        // Sand cannot follow the law as fitted together with everything else.
+        let refused = term.is_some() && law.is_none();
+        (models, table, entries, ruling, law, refused)
+    };
+    let mut outcome = compared(true);
+    if outcome.5 {
+        outcome = compared(false);
+    }
+    let (models, table, entries, ruling, law, _) = outcome;
     progress.report(0.85, "held-out conditions")?;
     let nested = nested(&renewed, asked, &candidates, (&models, unnamed), &ruling);
     let formulas: Vec<Option<String>> =
         (0..models.len()).map(|k| law_of(&table, &models, k).map(|t| t.formula())).collect();
-    let law = law_of(&table, &models, ruling.model).and_then(|term| {
-        let step = &table.rows[ruling.model].step;
-        fitted(&renewed, models[ruling.model].fit, &term, step[step.len() - 1])
-    });
     let written = match (&law, ruling.model) {
         (_, 0) => None,
         (Some(law), _) => Some(law.fit.clone()),
@@ -154,9 +164,11 @@ fn models<'a>(candidates: &'a Candidates, alone: Option<&'a Laws>, beside: Optio
     models
 }
 
-/// The law that entry `k` chose with no condition left out, with the coefficient 1.
-fn law_of(table: &Table, models: &[Model], k: usize) -> Option<crate::sand::Term> {
-    models[k].laws.zip(table.rows[k].law).map(|(laws, l)| laws.terms[l].clone())
+/// The law that entry `k` chose with no condition left out, with the coefficient of the linear fit.
+fn law_of(table: &Table, models: &[Model], k: usize) -> Option<Term> {
+    let row = &table.rows[k];
+    let coefficient = *row.step.last()?;
+    models[k].laws.zip(row.law).map(|(laws, l)| Term { coefficient, ..laws.terms[l].clone() })
 }
 
 /// The entries of a table, for the verdict.

@@ -111,7 +111,9 @@ pub fn verdict(table: &[Entry], second: f64) -> Ruling {
 /// The verdict if `cause` explains the main part.
 fn named(table: &[Entry], cause: usize) -> Ruling {
     let of_size = |k: &usize| table[*k].causes == table[cause].causes && !table[*k].law;
-    let rival = |k: &usize| of_size(k) && *k != cause && !table[cause].beats[*k] && table[*k].elpd > table[0].elpd;
+    // A rival explains at least half as much, and is not beaten.
+    let gain = |k: usize| table[k].elpd - table[0].elpd;
+    let rival = |k: &usize| of_size(k) && *k != cause && !table[cause].beats[*k] && gain(*k) > MAIN_PART * gain(cause);
     let mut set: Vec<usize> = (1..table.len()).filter(rival).collect();
     set.sort_by(|a, b| table[*b].elpd.total_cmp(&table[*a].elpd));
     set.insert(0, cause);
@@ -163,6 +165,9 @@ mod tests {
         assert_eq!(of(&table(&far)), (Named, Written::Cause, 1, vec![1]));
         let near = [(0, false, -100.0, 90.0), (1, false, 0.0, 0.0), (1, false, -5.0, 0.0)];
         assert_eq!(of(&table(&near)), (Ambiguous, Written::Cause, 1, vec![1, 2]));
+        // What explains hardly anything is no rival, even if it is not beaten.
+        let weak = [(0, false, -8.0, 0.0), (1, false, 3.0, 0.0), (1, false, -6.0, 0.0)];
+        assert_eq!(of(&table(&weak)), (Named, Written::Cause, 1, vec![1]));
     }
 
     #[test]
