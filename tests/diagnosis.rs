@@ -10,7 +10,8 @@ use sandgait::diagnose::experiment::{self, Experiment};
 use sandgait::diagnose::force_log;
 use sandgait::diagnose::forward::{ForceLogModel, ForwardModel};
 use sandgait::diagnose::report::{Diagnosis, Report};
-use sandgait::diagnose::verdict::Verdict;
+use sandgait::diagnose::statements::violations;
+use sandgait::diagnose::verdict::{Verdict, Written};
 use sandgait::diagnose::walking_log;
 use sandgait::progress::{Progress, Silent};
 use sandgait::sand::SandDescription;
@@ -31,9 +32,16 @@ fn file(directory: &Path, text: &str) -> PathBuf {
     path
 }
 
+/// A diagnosis whose report violates none of the statements that hold for every report.
+fn sound(data: &Path, experiment: &Experiment) -> Diagnosis {
+    let diagnosis = diagnose(data, experiment, &Silent).unwrap();
+    assert_eq!(violations(&diagnosis.report), Vec::<String>::new());
+    diagnosis
+}
+
 fn diagnosis(text: &str) -> Diagnosis {
     let directory = tempfile::tempdir().unwrap();
-    diagnose(&file(directory.path(), text), &experiment(), &Silent).unwrap()
+    sound(&file(directory.path(), text), &experiment())
 }
 
 fn hidden(causes: &[(&'static str, f64)]) -> Report {
@@ -124,7 +132,7 @@ fn grains(file: &str) -> (PathBuf, Experiment) {
 #[test]
 fn the_concave_side_is_the_main_cause_in_grains() {
     let (data, experiment) = grains("legs.csv");
-    let r = diagnose(&data, &experiment, &Silent).unwrap().report;
+    let r = sound(&data, &experiment).report;
     assert_eq!(r.verdict, Verdict::Named, "{}", r.summary);
     assert_eq!(r.causes.iter().map(|c| c.id.as_str()).collect::<Vec<_>>(), ["concave_fill"]);
     assert!(r.gain.reduction.unwrap() > 0.4, "{:?}", r.gain);
@@ -137,7 +145,7 @@ fn the_concave_side_is_the_main_cause_in_grains() {
 #[test]
 fn drag_is_the_main_cause_of_plates_in_grains() {
     let (data, experiment) = grains("plates.csv");
-    let Diagnosis { report: r, sand, curves, .. } = diagnose(&data, &experiment, &Silent).unwrap();
+    let Diagnosis { report: r, sand, curves, .. } = sound(&data, &experiment);
     assert_eq!(r.verdict, Verdict::Named, "{}", r.summary);
     assert_eq!(r.ambiguity_set, [["inertial_drag"]], "{}", r.summary);
     assert!(r.gain.nested && r.gain.reduction.unwrap() >= 0.6, "{:?}", r.gain);
@@ -329,7 +337,7 @@ fn work_reports_progress_and_can_be_stopped() {
 fn the_extended_sand_predicts_what_the_report_shows() {
     let directory = tempfile::tempdir().unwrap();
     let path = file(directory.path(), &testbed::log(11, &Hidden { causes: vec![("inertial_drag", 1.0)] }, 0.05).noisy);
-    let diagnosis = diagnose(&path, &experiment(), &Silent).unwrap();
+    let diagnosis = sound(&path, &experiment());
     diagnosis.write(&directory.path().join("out")).unwrap();
     let sand = SandDescription::load(&directory.path().join("out/sand.toml")).unwrap();
     let log = force_log::read(&path, &experiment()).unwrap();
@@ -510,7 +518,7 @@ fn damaged_files_never_panic() {
         let bytes = damaged(&base, &mut rng);
         std::fs::write(&path, &bytes).unwrap();
         if force_log::read(&path, &experiment).is_ok() && round % 10 == 0 {
-            let report = diagnose(&path, &experiment, &Silent).unwrap();
+            let report = sound(&path, &experiment);
             assert!(report.json().unwrap().contains("verdict"));
             diagnosed += 1;
         }

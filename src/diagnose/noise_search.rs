@@ -11,6 +11,9 @@ use nalgebra::{DMatrix, DVector};
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
+/// Quantile of χ² with one degree of freedom at 95 % (NIST/SEMATECH e-Handbook of Statistical Methods, 1.3.6.7.4).
+const AT_95_PERCENT: f64 = 3.841;
+
 impl Source<'_> {
     /// A first estimate from the size of the differences; the search starts here.
     fn guess(&self, repeats: &[Repeats], clock: Clock) -> Noise {
@@ -58,7 +61,7 @@ impl Source<'_> {
         let needed = |(k, shared): &(usize, &Shared)| {
             let mut without = noise.clone();
             without.shared[*k] = 1e-6 * shared.guess;
-            !shared.optional || landscape.deviance(&without) - least > super::chi_squared::AT_95_PERCENT
+            !shared.optional || landscape.deviance(&without) - least > AT_95_PERCENT
         };
         self.shared.iter().enumerate().filter(needed).map(|(_, s)| s.name).collect()
     }
