@@ -169,25 +169,25 @@ fn found(html: &mut String, r: &Report) {
     if r.causes.is_empty() {
         return;
     }
-    html.push_str("<h2>Causes and their values</h2><div class=wide><table><tr><th>cause<th>value<th>95 % interval<th>unit<th class=text>law<th class=text>source");
+    html.push_str("<h2>Causes and their values</h2>");
     for c in &r.causes {
         let entry = CATALOG.iter().find(|m| m.id == c.id);
-        let unit = after(&c.unit);
         let _ = write!(
             html,
-            "<tr><td>{}<td>{}&nbsp;=&nbsp;{}<td>{} to {}<td>{}<td class=text>{}<td class=text>{}",
+            "<p><b>{}</b>: {} = {}{}, 95 % interval {} to {}{}.<br>{}.<br><span class=small>Source: {}</span></p>",
             c.id,
-            entry.map_or("", |m| m.symbol),
+            entry.map_or("value", |m| m.symbol),
             digits(c.value),
+            after(&c.unit),
             digits(c.ci95[0]),
             digits(c.ci95[1]),
-            escape(if unit.is_empty() { "none" } else { unit.trim_start() }),
-            entry.map_or(String::new(), |m| escape(m.law)),
+            if after(&c.unit).is_empty() { ", without unit" } else { "" },
+            entry.map_or(String::new(), |m| escape(&capital(m.law))),
             entry.map_or(String::new(), source)
         );
     }
     html.push_str(
-        "</table></div><p class=small>n: outward normal of a leading face, v_n ≥ 0: speed along it, |z|: depth, ρ: bulk density. \
+        "<p class=small>n: outward normal of a leading face, v_n ≥ 0: speed along it, |z|: depth, ρ: bulk density. \
          All laws: docs/physics.md, “Mechanisms beyond plain theory”.</p>",
     );
     let Some(form) = &r.form else { return };
