@@ -13,7 +13,7 @@ SOURCES := $(shell find src tests/data/real_wheel python_client Cargo.toml Cargo
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help train policies test test-rust test-python test-browser page-three native film bench bench-peers bench-network study \
+.PHONY: help train policies test test-rust test-python test-browser page-three native film diagnosis-picture bench bench-peers bench-network study \
 	study-messy study-convergence study-rocks study-load study-codesign study-starts proto task-pages docs
 
 help:
@@ -23,6 +23,7 @@ help:
 	@echo "make test-browser   test the live page and replays in headless Chromium, which apt installs if it is missing"
 	@echo "make docs    build the documentation as a site in site/; make test runs every command in it"
 	@echo "make film    make the animation of README again"
+	@echo "make diagnosis-picture   make the picture of a diagnosis again, with Chromium"
 	@echo "make native   build the native module into the folder of the Python sources, for work on these sources"
 	@echo "make bench   measure the speed of the Python environments and of the engine"
 	@echo "make bench-peers   compare the speed with EnvPool, MuJoCo and gymnasium's Ant, in one run"
@@ -80,6 +81,11 @@ page-three:
 
 docs: $(VENV)/docs
 	$(BIN)/mkdocs build --strict
+
+# Makes the picture of a diagnosis' page in docs/diagnosis.md again.
+diagnosis-picture:
+	cargo build --release --bin sandgait
+	$(PYTHON) docs/assets/diagnosis_picture.py target/release/sandgait
 
 # The animation of README and the site.
 film: $(VENV)/plot

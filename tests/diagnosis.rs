@@ -144,7 +144,7 @@ fn the_concave_side_is_the_main_cause_in_grains() {
 #[test]
 fn drag_is_the_main_cause_of_plates_in_grains() {
     let (data, experiment) = grains("plates.csv");
-    let Diagnosis { report: r, sand, curves } = sound(&data, &experiment);
+    let Diagnosis { report: r, sand, curves, .. } = sound(&data, &experiment);
     assert_eq!(r.verdict, Verdict::Named, "{}", r.summary);
     assert_eq!(r.ambiguity_set, [["inertial_drag"]], "{}", r.summary);
     assert!(r.gain.nested && r.gain.reduction.unwrap() >= 0.6, "{:?}", r.gain);

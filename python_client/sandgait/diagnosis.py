@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
@@ -127,11 +128,11 @@ def diagnose(
 ) -> Diagnosis:
     """Finds where the simulation differs from `data`, names the cause, extends the model and measures its gain.
 
-    `data`: path of a CSV file, or a pandas DataFrame with the same columns; at most 63 MiB. A log that a robot recorded
-    can also be a Parquet or MCAP file. `experiment`: path of an EXPERIMENT.toml, or the same tables as a dict. Ctrl-C
-    stops the work, also on a server.
+    `data`: path of a CSV file, or a pandas DataFrame with the same columns; at most 63 MiB as CSV. It may also be a
+    recording that `sandgait.logs` reads: Parquet, MCAP, a bag of ROS 1 or ROS 2, a LeRobot data set. `experiment`: path
+    of an EXPERIMENT.toml, or the same tables as a dict. Ctrl-C stops the work, also on a server.
     """
-    name, content = _content(data)
+    name, content = _content(data, experiment)
     if len(content) > MOST_BYTES:
         size = len(content) / 2**20
         raise LimitReached(
@@ -146,7 +147,17 @@ def diagnose(
     return Diagnosis(report, html, sand, Table(*columns(curves)))
 
 
-def _content(data: Any) -> tuple[str, bytes]:
+def _content(data: Any, experiment: FilePath | Mapping[str, Any]) -> tuple[str, bytes]:
+    from . import logs  # not above, so that `python -m sandgait.logs` loads it once
+
     if hasattr(data, "to_csv"):
         return "data", data.to_csv(index=False).encode()
-    return file(data, "data")
+    if logs.kind(data) is None:
+        return file(data, "data")
+    if not isinstance(experiment, Mapping):
+        name, text = file(experiment, "experiment")
+        try:
+            experiment = tomllib.loads(text.decode())
+        except ValueError as error:
+            raise InvalidRequest(f"{name}: {error}") from None
+    return str(data), logs.to_csv(data, experiment.get("topics"))

@@ -10,7 +10,7 @@ use std::path::PathBuf;
 /// Find where a simulation disagrees with measured data, and why.
 #[derive(Clone, Debug, clap::Args)]
 pub struct Arguments {
-    /// Measured data: CSV, a robot's own log also Parquet or MCAP
+    /// Measured data as CSV; `python -m sandgait.logs` converts Parquet, LeRobot data sets, MCAP and ROS bags
     pub data: PathBuf,
     /// Facts that the data file does not contain: medium, shapes, units (TOML)
     #[arg(long)]

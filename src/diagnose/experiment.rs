@@ -1,12 +1,13 @@
 //! EXPERIMENT.toml: facts that the data file does not contain.
 
 use super::nuisance::{Entry, Priors};
-use super::trajectory::keys::{Cut, Given, ImuTable, Keys, MotorTable, Topics};
+use super::trajectory::keys::{Cut, Given, ImuTable, Keys, MotorTable};
 use crate::error::{Error, Result, check_range};
 use crate::sand::intruder::BodyShape;
 use crate::sand::{Coefficients, Law, Medium};
 use crate::table::{self, Asked, Column, Row, Summary};
 use serde::Deserialize;
+use serde::de::IgnoredAny;
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -103,7 +104,7 @@ struct File {
     leg: Option<String>,
     touches: Option<Vec<String>>,
     window: Option<f64>,
-    topics: Option<Topics>,
+    topics: Option<IgnoredAny>,
     #[serde(default)]
     run: Vec<Cut>,
 }

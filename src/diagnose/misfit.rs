@@ -164,17 +164,18 @@ fn unit(observations: &Observations) -> String {
     after(observations.channels.iter().find(|c| c.in_rmse).map_or("", |c| c.unit))
 }
 
-/// Root mean square error over the channels that count, row by row of the feature `by`.
+/// Root mean square error over all values of the channels that count, row by row of the feature `by`.
 fn sizes<'a>(table: &'a [Misfit], by: &str, observations: &Observations) -> Vec<(&'a Misfit, f64)> {
     let counts = |m: &&Misfit| observations.channels.iter().any(|c| c.in_rmse && c.name == m.channel);
-    let mut rows: Vec<(&Misfit, f64)> = Vec::new();
+    let mut rows: Vec<(&Misfit, f64, f64)> = Vec::new();
     for row in table.iter().filter(|m| m.by == by).filter(counts) {
+        let count = row.samples as f64;
         match rows.last_mut().filter(|last| (&last.0.range, &last.0.group) == (&row.range, &row.group)) {
-            Some((_, square)) => *square += row.rms * row.rms,
-            None => rows.push((row, row.rms * row.rms)),
+            Some((_, square, all)) => (*square, *all) = (*square + count * row.rms * row.rms, *all + count),
+            None => rows.push((row, count * row.rms * row.rms, count)),
         }
     }
-    rows.into_iter().map(|(row, square)| (row, square.sqrt())).collect()
+    rows.into_iter().map(|(row, square, count)| (row, (square / count).sqrt())).collect()
 }
 
 /// The trend of an error along one feature, and the ratio of its greatest to its least size; None if the error is similar everywhere.

@@ -26,9 +26,11 @@ pub mod arm;
 pub mod candidates;
 pub mod cli;
 mod columns;
+mod conditions;
 pub mod errors;
 pub mod evidence;
 pub mod experiment;
+mod figures;
 pub mod fit;
 pub mod force_log;
 pub mod forward;
@@ -92,6 +94,12 @@ pub use cli::run;
 pub fn diagnose(data: &Path, experiment: &Experiment, progress: &dyn Progress) -> Result<Diagnosis> {
     let progress = &Latch::new(progress);
     progress.report(0.0, "reading the data")?;
+    let mut diagnosis = diagnose_kind(data, experiment, progress)?;
+    diagnosis.name = data.file_name().map_or_else(Default::default, |name| name.to_string_lossy().into());
+    Ok(diagnosis)
+}
+
+fn diagnose_kind(data: &Path, experiment: &Experiment, progress: &Latch) -> Result<Diagnosis> {
     let (coefficient_sd, interest) = (experiment.coefficient_sd, experiment.nuisances.interest.clone());
     match experiment.kind {
         Kind::Intrusion => {
@@ -186,8 +194,10 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
     let band = noise.standard_deviation(&source);
     let groups = (0..observations.units.len()).map(|u| model.group(u).to_string()).collect();
     let plain = model.as_simulated(&plain);
-    let curves = Curves { groups, plain, extended, band, observations: observations.clone() };
-    Ok(Diagnosis { report, sand, curves })
+    let conditions = conditions::described(&observations, model);
+    let medium = model.medium().name.clone();
+    let curves = Curves { groups, conditions, medium, plain, extended, band, observations: observations.clone() };
+    Ok(Diagnosis { report, sand, curves, name: "the data".into() })
 }
 
 /// Causes that the data can show; causes that act on the data, but that they cannot tell for lack of a column; and

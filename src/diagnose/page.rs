@@ -1,19 +1,38 @@
 //! Writes the results of a diagnosis: `report.json`, `sand.toml`, and `report.html`, one self-contained page.
 
-use super::misfit::Misfit;
-use super::report::{Curves, Diagnosis, Report};
+use super::figures;
+use super::report::{Diagnosis, Report};
+use super::verdict::{Verdict, Written};
 use super::words::{after, digits, span};
 use crate::error::{Error, Result};
-use crate::plot::{Axis, Figure, Mark, Panel, Style, color, escape};
+use crate::plot::{color, escape};
+use crate::sand::mechanism::{CATALOG, Mechanism};
 use std::fmt::Write;
 use std::path::Path;
+use std::time::{SystemTime, UNIX_EPOCH};
 
-const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1080px;margin:2em auto;padding:0 1em;color:#222}\
-h1{font-size:1.3em}h2{font-size:1.05em;margin-top:2em;border-bottom:1px solid #ddd}\
-table{border-collapse:collapse}td,th{padding:.15em .8em;text-align:right;border-bottom:1px solid #eee}\
-td:first-child,th:first-child{text-align:left}.verdict{font-size:1.15em;padding:.6em 1em;background:#f4f1ea;border-left:5px solid #b5803a}\
-.charts{display:flex;flex-wrap:wrap;gap:14px}.charts text{font:12px system-ui,sans-serif;fill:#333}\
-svg{background:#fff;max-width:100%;height:auto}small{color:#666}.key{display:inline-block;width:.8em;height:.8em;margin:0 .3em 0 1em}";
+const STYLE: &str = "body{font:16px/1.5 system-ui,sans-serif;max-width:1080px;margin:1.5em auto;padding:0 1em;color:#222}\
+h1{font-size:1em;color:#666;font-weight:normal;margin:0}h2{font-size:1.15em;margin-top:2em;border-bottom:1px solid #ddd}\
+h3{font-size:1em;margin:1em 0 .2em}table{border-collapse:collapse}.wide{overflow-x:auto}td,th{padding:.2em .7em;text-align:right;\
+border-bottom:1px solid #eee;vertical-align:top}td:first-child,th:first-child,td.text,th.text{text-align:left}\
+.verdict{font-size:1.4em;line-height:1.35;margin:.4em 0}.next{padding:.5em 1em;background:#f4f1ea;border-left:5px solid #b5803a}\
+.next p,.next ul{margin:.3em 0}.small,footer{color:#555;font-size:.9em}code{background:#f2f2f2;padding:0 .2em;overflow-wrap:anywhere}\
+.panels{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,310px),1fr));gap:8px 24px}svg{max-width:100%;height:auto}\
+.key{display:inline-block;width:.8em;height:.8em;margin:0 .3em 0 .6em}.bars,.dots{width:100%}.bars td,.dots td{border:0;padding:.1em .4em}\
+.bars td:first-child,.dots td:first-child{width:11em}.bars td:last-child{width:4em;white-space:nowrap}.bars div,.dots div{position:relative;height:1.1em}\
+.dots div{border-bottom:1px solid #ddd}.bars i{position:absolute;top:.15em;bottom:.15em}.dots i{position:absolute;width:8px;height:8px;\
+margin-left:-4px;top:.3em;border-radius:4px;opacity:.75}footer{border-top:1px solid #ddd;margin-top:3em;overflow-wrap:anywhere}\
+@media(max-width:500px){.verdict{font-size:1.2em}.bars td:first-child,.dots td:first-child{width:7em}td,th{padding:.2em .4em}}";
+
+/// Papers of the mechanisms' sources, by their authors and year, with their DOIs.
+const PAPERS: [(&str, &str); 6] = [
+    ("Agarwal et al. 2021", "10.1126/sciadv.abe0631"),
+    ("Li, Zhang & Goldman 2013", "10.1126/science.1229163"),
+    ("Agarwal, Goldman & Kamrin 2023", "10.1073/pnas.2214017120"),
+    ("Aguilar & Goldman 2016", "10.1038/nphys3568"),
+    ("Gravish, Umbanhowar & Goldman 2010", "10.1103/PhysRevLett.105.128301"),
+    ("Hill, Yeung & Koehler 2005", "10.1209/epl/i2005-10203-3"),
+];
 
 impl Diagnosis {
     /// Writes report.json, report.html and sand.toml. All contents are made before the first file is written.
@@ -34,81 +53,143 @@ impl Diagnosis {
 fn page(diagnosis: &Diagnosis, json: &str) -> String {
     let r = &diagnosis.report;
     let mut html = format!(
-        "<!doctype html><html lang=en><meta charset=utf-8><title>sandgait diagnosis</title><style>{STYLE}</style>\
-         <h1>Where the simulation disagrees with the data</h1><p class=verdict>{}</p>",
-        escape(&r.summary)
+        "<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport content='width=device-width'>\
+         <title>Diagnosis of {0}</title><style>{STYLE}</style><h1>Diagnosis of {0}: where the simulation disagrees with the data, and why</h1>",
+        escape(&diagnosis.name)
     );
-    for warning in &r.warnings {
-        let _ = write!(html, "<p><b>Warning:</b> {}</p>", escape(warning));
+    let details = verdict(&mut html, r);
+    next(&mut html, r);
+    figures::curves(&mut html, &diagnosis.curves);
+    found(&mut html, r);
+    gain(&mut html, diagnosis);
+    if !details.is_empty() {
+        let _ = write!(html, "<h2>In detail</h2><ul>{}</ul>", details.iter().map(|d| item(d)).collect::<String>());
     }
-    let unit = diagnosis.curves.observations.channels.iter().find(|c| c.in_rmse).map_or("", |c| c.unit);
-    gain(&mut html, r, unit);
-    causes(&mut html, r);
-    form(&mut html, r);
-    charts(&mut html, &r.misfit);
-    curves(&mut html, &diagnosis.curves);
+    figures::misfit(&mut html, &r.misfit);
     if !r.runs.is_empty() {
-        runs(&mut html, r);
+        runs(&mut html, diagnosis);
     }
-    rivals(&mut html, r);
+    compared(&mut html, r);
     beside(&mut html, r);
     unknowns(&mut html, r);
+    foot(&mut html, diagnosis);
     let _ = write!(html, "<script type=application/json id=report>{}</script></html>", json.replace("</", "<\\/"));
     html
 }
 
-fn number(value: Option<f64>, digits: usize) -> String {
-    value.map_or("–".into(), |v| format!("{v:.digits$}"))
+fn item(text: &str) -> String {
+    format!("<li>{}", escape(&capital(text)))
 }
 
-fn measure(value: Option<f64>) -> String {
-    value.map_or("–".into(), digits)
+fn capital(text: &str) -> String {
+    let mut letters = text.chars();
+    letters.next().map_or(String::new(), |first| first.to_uppercase().chain(letters).collect())
 }
 
-fn gain(html: &mut String, r: &Report, unit: &str) {
-    let g = &r.gain;
-    let percent = |v: Option<f64>| v.map_or("–".into(), |v| format!("{:.1} %", 100.0 * v));
-    let interval = g.ci95.map_or("–".into(), |c| format!("{:.1} to {:.1} %", 100.0 * c[0], 100.0 * c[1]));
-    let _ = write!(
-        html,
-        "<h2>Gain on held-out conditions</h2><table><tr><td>error of the plain model<td>{} {unit}\
-         <tr><td>error with coefficients fitted within their prior<td>{} {unit}<tr><td>error of the extended model<td>{} {unit}\
-         <tr><td>scatter between repetitions, which no model removes<td>{} {unit}\
-         <tr><td>reduction of the error (95 % interval)<td>{} ({interval})<tr><td>reduction, relative to that of a perfect model<td>{}\
-         <tr><td>lack of fit: plain model, extended model, limit<td>{}, {}, {}</table>",
-        measure(g.held_out_rmse_plain),
-        measure(g.held_out_rmse_recalibrated),
-        measure(g.held_out_rmse_extended),
-        measure(g.noise_floor),
-        percent(g.reduction),
-        percent(g.achievable_fraction),
-        number(r.lack_of_fit.plain, 2),
-        number(r.lack_of_fit.extended, 2),
-        number(r.lack_of_fit.limit, 2),
-    );
+/// The clauses of a sentence: its parts between semicolons that are not in brackets.
+fn clauses(sentence: &str) -> Vec<&str> {
+    let (mut parts, mut depth, mut from) = (Vec::new(), 0, 0);
+    for (at, letter) in sentence.char_indices() {
+        match letter {
+            '(' => depth += 1,
+            ')' => depth -= 1,
+            ';' if depth == 0 => {
+                parts.push(sentence[from..at].trim());
+                from = at + 1;
+            }
+            _ => {}
+        }
+    }
+    parts.push(sentence[from..].trim());
+    parts
 }
 
-fn causes(html: &mut String, r: &Report) {
+/// Writes the beginning of the summary, and returns its other clauses.
+fn verdict<'a>(html: &mut String, r: &'a Report) -> Vec<&'a str> {
+    let place = r.whereabouts.as_deref().unwrap_or_default();
+    let shorter = r.summary.strip_suffix(place).map_or(&r.summary[..], |s| s.trim_end_matches("; "));
+    let (own, places) = (clauses(shorter), clauses(place));
+    let (first, rest) = own.split_at(own.len().min(2));
+    let _ = write!(html, "<p class=verdict>{}.</p>", escape(&capital(&first.join("; "))));
+    for warning in &r.warnings {
+        let _ = write!(html, "<p><b>Warning:</b> {}</p>", escape(warning));
+    }
+    rest.iter().chain(&places).copied().filter(|clause| !clause.is_empty()).collect()
+}
+
+/// What to do, by the verdict.
+fn next(html: &mut String, r: &Report) {
+    let what = match r.verdict {
+        Verdict::NoiseFloor => {
+            "Nothing needs to be changed. More accurate data, or more repetitions, could still show a cause."
+        }
+        Verdict::Named => "Simulate with <code>sand.toml</code>, within the range of validity below.",
+        Verdict::Ambiguous => {
+            "Make the experiment below: it separates the explanations. Until then <code>sand.toml</code> holds the best of them."
+        }
+        Verdict::Described => {
+            "Simulate with <code>sand.toml</code>, within the range of validity below. Its law describes these data and names no cause."
+        }
+        Verdict::NoneOfThese if r.written != Written::Plain => {
+            "Look at <i>Errors of the plain model</i>: where the error is large, an effect acts that is not in the list of causes. \
+             <code>sand.toml</code> predicts left-out conditions better, but as a stand-in for that effect."
+        }
+        Verdict::NoneOfThese => {
+            "Look at <i>Errors of the plain model</i>: where the error is large, an effect acts that is not in the list of causes."
+        }
+        Verdict::InsufficientData => "Repeat each condition at least twice, better three times.",
+    };
+    let _ = write!(html, "<div class=next><p><b>What to do next.</b> {what}</p>");
+    if let Some(next) = &r.next_experiment {
+        let _ = write!(html, "<p>{}:</p><ul>", escape(&capital(&next.why)));
+        for p in &next.conditions {
+            let _ = write!(html, "<li>{} × {}: {:.1} σ", p.repetitions, escape(&p.condition), p.expected_separation);
+        }
+        html.push_str("</ul>");
+    }
+    if matches!(r.verdict, Verdict::Named | Verdict::Ambiguous | Verdict::Described) {
+        html.push_str(
+            "<p><code>sandgait walk --leg L --frequency 3 --sand sand.toml</code> on the command line, \
+             <code>gymnasium.make(\"sandgait/HexapodGait-v1\", sand=\"sand.toml\")</code> in Python.</p>",
+        );
+    }
+    html.push_str("</div>");
+}
+
+/// The causes with their laws.
+fn found(html: &mut String, r: &Report) {
+    for term in &r.terms {
+        let _ = write!(
+            html,
+            "<h2>Law found in the data</h2><p>Extra stress {}</p><p class=small>as TeX: <code>{}</code></p>",
+            escape(&term.formula),
+            escape(&term.tex)
+        );
+    }
     if r.causes.is_empty() {
         return;
     }
-    html.push_str("<h2>Cause</h2><table><tr><th>id<th>value<th>95 % interval<th>unit");
+    html.push_str("<h2>Causes and their values</h2>");
     for c in &r.causes {
+        let entry = CATALOG.iter().find(|m| m.id == c.id);
         let _ = write!(
             html,
-            "<tr><td>{}<td>{}<td>{} to {}<td>{}",
+            "<p><b>{}</b>: {} = {}{}, 95 % interval {} to {}{}.<br>{}.<br><span class=small>Source: {}</span></p>",
             c.id,
+            entry.map_or("value", |m| m.symbol),
             digits(c.value),
+            after(&c.unit),
             digits(c.ci95[0]),
             digits(c.ci95[1]),
-            escape(after(&c.unit).trim_start())
+            if after(&c.unit).is_empty() { ", without unit" } else { "" },
+            entry.map_or(String::new(), |m| escape(&capital(m.law))),
+            entry.map_or(String::new(), source)
         );
     }
-    html.push_str("</table>");
-}
-
-/// Writes the result on the exponent of the speed in the nearest law.
-fn form(html: &mut String, r: &Report) {
+    html.push_str(
+        "<p class=small>n: outward normal of a leading face, v_n ≥ 0: speed along it, |z|: depth, ρ: bulk density. \
+         All laws: docs/physics.md, “Mechanisms beyond plain theory”.</p>",
+    );
     let Some(form) = &r.form else { return };
     let [low, high] = form.ci95;
     let said = match (form.excluded, form.told_apart) {
@@ -118,241 +199,144 @@ fn form(html: &mut String, r: &Report) {
     };
     let _ = write!(
         html,
-        "<h2>Form of the law</h2><table><tr><th>power of the speed in {}<th>power in the law<th>best fit<th>95 % interval\
-         <tr><td>{said}<td>{}<td>{:.2}<td>{low:.2} to {high:.2}</table>",
+        "<p>Power of the speed in {}: {} in the law, {:.2} fits best (95 % interval {low:.2} to {high:.2}); {said}.</p>",
         form.id, form.law, form.found
     );
 }
 
-/// The channels that the bars show: forces, without the torque, which has another unit.
-fn charted(misfit: &[Misfit]) -> Vec<&str> {
-    let mut channels: Vec<&str> = Vec::new();
-    for m in misfit.iter().filter(|m| m.channel != "Ty") {
-        if !channels.contains(&m.channel.as_str()) {
-            channels.push(&m.channel);
-        }
-    }
-    channels
+/// The source of a mechanism, with a link to the paper.
+fn source(entry: &Mechanism) -> String {
+    let text = escape(entry.source);
+    let paper = PAPERS.iter().map(|(name, doi)| (escape(name), doi)).find(|(name, _)| text.contains(name.as_str()));
+    paper
+        .map_or(text.clone(), |(name, doi)| text.replace(&name, &format!("<a href='https://doi.org/{doi}'>{name}</a>")))
 }
 
-fn charts(html: &mut String, misfit: &[Misfit]) {
-    let channels = charted(misfit);
-    html.push_str("<h2>Errors of the plain model</h2><p><small>mean error along the predicted direction, in % of the mean predicted size:");
-    for (k, channel) in channels.iter().enumerate() {
-        let _ = write!(
-            html,
-            "<span class=key style='background:{}'></span>{channel}",
-            color::CYCLE[k % color::CYCLE.len()]
-        );
-    }
-    html.push_str("</small></p><div class=charts>");
-    let mut features: Vec<&str> = misfit.iter().map(|m| m.by.as_str()).collect();
-    features.dedup();
-    for by in features {
-        chart(html, by, misfit, &channels);
-    }
-    html.push_str("</div>");
-}
-
-/// Horizontal position in a chart at which its bars start: the line of zero error [px].
-const ZERO: f64 = 222.0;
-/// Length of a chart's longest bar [px].
-const LONGEST: f64 = 62.0;
-/// Width of a chart [px].
-const CHART: usize = 344;
-/// Height of a bar with the space below it [px].
-const BAR: usize = 17;
-
-/// Draws a bar chart of the mean relative error in each range of one feature's values.
-fn chart(html: &mut String, by: &str, misfit: &[Misfit], channels: &[&str]) {
-    let rows: Vec<_> = misfit
-        .iter()
-        .filter(|m| m.by == by)
-        .filter_map(|m| Some((m.relative?, channels.iter().position(|c| *c == m.channel)?, m)))
+/// Errors on left-out conditions, and in all data by shape.
+fn gain(html: &mut String, diagnosis: &Diagnosis) {
+    let g = &diagnosis.report.gain;
+    let unit = diagnosis.curves.observations.channels.iter().find(|c| c.in_rmse).map_or("", |c| c.unit);
+    let rows = [
+        ("plain model", g.held_out_rmse_plain, color::BLUE),
+        ("coefficients fitted within their prior", g.held_out_rmse_recalibrated, color::BLUE),
+        ("extended model", g.held_out_rmse_extended, color::VERMILION),
+        ("scatter between repetitions, which no model removes", g.noise_floor, "#999"),
+    ];
+    let rows: Vec<_> = rows
+        .into_iter()
+        .filter_map(|(name, value, hue)| value.map(|v| (name.to_string(), v, format!("{} {unit}", digits(v)), hue)))
         .collect();
-    // A feature with a single value has no trend.
-    let several = rows.iter().any(|r| r.2.place() != rows[0].2.place());
-    let Some(top) = rows.iter().map(|r| r.0.abs()).reduce(f64::max).filter(|_| several) else { return };
-    let height = BAR * rows.len() + 30;
-    let _ = write!(html, "<svg width={CHART} height={height}><text x=4 y=15 font-weight=bold>by {by}</text>");
-    let mut before = String::new();
-    for (k, (relative, channel, m)) in rows.iter().enumerate() {
-        let y = 24 + BAR * k;
-        let label = m.place();
-        if label != before {
-            let _ = write!(html, "<text x=4 y={}>{}</text>", y + 12, escape(&label.replace('-', "−")));
-        }
-        before = label;
-        let length = LONGEST * relative.abs() / top.max(0.05);
-        let x = if *relative < 0.0 { ZERO - length } else { ZERO };
-        let fill = color::CYCLE[channel % color::CYCLE.len()];
-        let percent = format!("{:+.0} %", 100.0 * relative).replace('-', "−");
+    if rows.is_empty() {
+        return;
+    }
+    html.push_str("<h2>Error on left-out conditions</h2><p class=small>Root mean square over the components of the force, or over the speed of a walk. Each condition is predicted by models that were chosen and fitted without it.</p>");
+    figures::bars(html, &rows);
+    if let (Some(reduction), Some([low, high])) = (g.reduction, g.ci95) {
+        let [reduction, low, high] = [reduction, low, high].map(|v| 100.0 * v);
         let _ = write!(
             html,
-            "<rect x={x:.1} y={y} width={length:.1} height={} fill='{fill}'/><text x={} y={} text-anchor=end>{percent}</text>",
-            BAR - 3,
-            CHART - 2,
-            y + 12,
+            "<p>The extended model's error is {reduction:.1} % smaller (95 % interval {low:.1} to {high:.1} %)."
         );
+        match g.achievable_fraction {
+            Some(share) if share > 1.0 => html.push_str(
+                " This is all that a perfect model could remove: the error is even slightly below the scatter, by chance, because the \
+                 scatter is itself estimated from few repetitions.",
+            ),
+            Some(share) => {
+                let _ = write!(html, " This is {:.0} % of what a perfect model would remove.", 100.0 * share.max(0.0));
+            }
+            None => {}
+        }
+        html.push_str("</p>");
     }
-    let _ = write!(html, "<line x1={ZERO} x2={ZERO} y1=22 y2={} stroke='#888'/></svg>", height - 6);
+    by_shape(html, diagnosis, unit);
 }
 
-/// Largest number of conditions in a figure: our choice, so that the page stays readable. Those with the largest errors
-/// of the plain model are shown.
-const CURVES: usize = 9;
-
-/// Largest number of samples of a trial in a figure: our choice; more cannot be distinguished.
-const DRAWN: usize = 100;
-
-fn curves(html: &mut String, c: &Curves) {
-    html.push_str("<h2>Measured and predicted</h2>");
-    // A run of a robot has one number for each channel, a trial of a force log has many.
-    let figures = if c.observations.units.iter().all(|u| u.samples == 1) { by_condition(c) } else { by_progress(c) };
-    figures.iter().for_each(|f| html.push_str(&f.svg()));
-}
-
-fn measured(points: Vec<[f64; 2]>) -> Mark {
-    Mark::line("measured", Style { width: 0.0, ..Style::line(color::BLACK).with_dots() }, points)
-}
-
-/// A figure for each force: load over progress, one panel for each of the conditions with the largest errors of the
-/// plain model.
-fn by_progress(c: &Curves) -> Vec<Figure> {
+/// The errors of each shape, and of all together, which is the error above.
+fn by_shape(html: &mut String, diagnosis: &Diagnosis, unit: &str) {
+    let c = &diagnosis.curves;
     let o = &c.observations;
-    let error = |u: usize| {
-        o.span(&o.units[u]).map(|k| ((o.values[k] - c.plain[k]) / c.band[k].max(1e-12)).powi(2)).sum::<f64>()
+    let mut shapes: Vec<&str> = c.groups.iter().map(String::as_str).collect();
+    shapes.sort_unstable();
+    shapes.dedup();
+    let rms = |prediction: &[f64], shape: Option<&str>| {
+        let own = o.units.iter().zip(&c.groups).filter(|(_, group)| shape.is_none_or(|s| s == *group));
+        let blocks =
+            own.flat_map(|(u, _)| (0..o.channels.len()).filter(|k| o.channels[*k].in_rmse).flat_map(|k| u.block(k)));
+        let (sum, count) = blocks.fold((0.0, 0.0), |(s, n), k| (s + (o.values[k] - prediction[k]).powi(2), n + 1.0));
+        (sum / f64::max(count, 1.0)).sqrt()
     };
-    let mut firsts: Vec<usize> = o.repetitions().iter().filter_map(|g| g.first().copied()).collect();
-    firsts.sort_by(|a, b| error(*b).total_cmp(&error(*a)));
-    firsts.truncate(CURVES);
-    let figure = |channel: usize| Figure {
-        title: format!("{}: the conditions with the largest errors of the plain model", o.channels[channel].name),
-        panels: firsts.iter().map(|&u| panel(c, u, channel)).collect(),
-        columns: 3,
-        note: "Dots: every repetition. Band: the model ± one standard deviation of a repetition.".into(),
-    };
-    (0..o.channels.len()).filter(|k| o.channels[*k].in_rmse).map(figure).collect()
-}
-
-fn panel(c: &Curves, u: usize, channel: usize) -> Panel {
-    let (o, unit) = (&c.observations, &c.observations.units[u]);
-    let model = c.extended.as_ref().unwrap_or(&c.plain);
-    let block = unit.block(channel);
-    let at = |values: &dyn Fn(usize) -> f64| -> Vec<[f64; 2]> {
-        let points = block.clone().zip(&unit.progress).map(|(k, p)| [*p, values(k)]);
-        points.step_by(unit.samples.div_ceil(DRAWN)).collect()
-    };
-    let repetitions = o.units.iter().filter(|v| v.condition == unit.condition);
-    let dots = repetitions.flat_map(|v| {
-        v.block(channel).zip(&v.progress).map(|(k, p)| [*p, o.values[k]]).step_by(v.samples.div_ceil(DRAWN))
-    });
-    let dots: Vec<[f64; 2]> = dots.collect();
-    // The band may be far wider than all curves, so it does not set the scale.
-    let shown = dots.iter().copied().chain(at(&|k| c.plain[k])).chain(at(&|k| model[k])).map(|p| p[1]);
-    let [least, most] = shown.fold([f64::MAX, f64::MIN], |r, v| [r[0].min(v), r[1].max(v)]);
-    let air = 0.08 * (most - least).max(1e-9);
-    let low = at(&|k| model[k] - c.band[k]);
-    let band = low.iter().zip(at(&|k| model[k] + c.band[k])).map(|(l, h)| [l[0], l[1], h[1]]).collect();
-    let mut marks = vec![Mark::band("one σ of a repetition", color::VERMILION, band), measured(dots)];
-    marks.push(Mark::line("plain", Style::line(color::BLUE).dashed(), at(&|k| c.plain[k])));
-    if c.extended.is_some() {
-        marks.push(Mark::line("extended", Style::line(color::VERMILION), at(&|k| model[k])));
+    let _ = write!(
+        html,
+        "<p class=small>The same error by shape, in all data. The extended model was fitted to them, so that its error over all is \
+         somewhat smaller here than on left-out conditions.</p><div class=wide><table><tr><th>shape<th>plain model [{unit}]<th>extended model [{unit}]"
+    );
+    for (name, shape) in shapes.iter().map(|s| (*s, Some(*s))).chain([("all", None)]) {
+        let extended = c.extended.as_ref().map_or("–".into(), |e| digits(rms(e, shape)));
+        let _ = write!(html, "<tr><td>{}<td>{}<td>{extended}", escape(name), digits(rms(&c.plain, shape)));
     }
-    let label = format!("{} [{}]", o.channels[channel].name, o.channels[channel].unit);
-    Panel {
-        title: format!("{}, condition {}", c.groups[u], o.conditions[unit.condition]),
-        x: Axis::new("angle [rad] or position along the path [m]"),
-        y: Axis::within(&label, least - air, most + air),
-        marks,
-    }
+    html.push_str("</table></div>");
 }
 
-/// A unit after a name; empty if dimensionless.
-fn bracketed(unit: &str) -> String {
-    if unit == "1" { String::new() } else { format!(" [{unit}]") }
-}
-
-/// One figure: every channel over the conditions in their order.
-fn by_condition(c: &Curves) -> Vec<Figure> {
-    let o = &c.observations;
-    let panel = |channel: usize| {
-        // Markers are side by side, so that equal values do not hide each other.
-        let at = |values: &[f64], aside: f64| -> Vec<[f64; 2]> {
-            o.units.iter().map(|u| [u.condition as f64 + 1.0 + aside, values[u.block(channel).start]]).collect()
-        };
-        let dots = |label: &str, hue: &str, points: Vec<[f64; 2]>| {
-            Mark::line(label, Style { width: 0.0, ..Style::line(hue).with_dots() }, points)
-        };
-        let mut marks = vec![measured(at(&o.values, 0.0)), dots("plain", color::BLUE, at(&c.plain, -0.25))];
-        marks.extend(c.extended.as_ref().map(|e| dots("extended", color::VERMILION, at(e, 0.25))));
-        // In a figure an underscore would start a subscript.
-        let name = o.channels[channel].name.replace('_', " ");
-        let y = Axis::new(&format!("{name}{}", bracketed(o.channels[channel].unit)));
-        Panel { title: name, x: Axis::new("number of the condition, in the order of the data"), y, marks }
-    };
-    let panels = (0..o.channels.len()).map(panel).collect();
-    vec![Figure { title: "Every run and its predictions".into(), panels, columns: 2, note: String::new() }]
-}
-
-/// Writes a table after the figure, for runs, which have one number for each channel.
-fn runs(html: &mut String, r: &Report) {
-    html.push_str("<details><summary>The same data as a table: means over repetitions</summary><table><tr><th>condition<th>channel<th>measured<th>plain<th>extended<th>unit");
-    for run in &r.runs {
+/// Writes a table for runs, which have one number for each channel.
+fn runs(html: &mut String, diagnosis: &Diagnosis) {
+    html.push_str("<details><summary>Means over repetitions as a table</summary><div class=wide><table><tr><th>condition<th>channel<th>measured<th>plain<th>extended<th>unit");
+    let c = &diagnosis.curves;
+    for run in &diagnosis.report.runs {
+        let condition = c.observations.conditions.iter().position(|name| *name == run.condition);
         let _ = write!(
             html,
             "<tr><td>{}<td>{}<td>{}<td>{}<td>{}<td>{}",
-            escape(&run.condition),
+            escape(condition.map_or(&run.condition, |k| &c.conditions[k])),
             run.channel,
             digits(run.measured),
             digits(run.plain),
-            measure(run.extended),
+            run.extended.map_or("–".into(), digits),
             run.unit
         );
     }
-    html.push_str("</table></details>");
+    html.push_str("</table></div></details>");
 }
 
-fn rivals(html: &mut String, r: &Report) {
-    html.push_str("<h2>Candidate causes</h2><table><tr><th>cause<th>value<th>Δχ²<th>ΔAIC<th>ΔBIC<th>held-out gain<th>lack of fit<th>distance to the best, σ");
+/// The models that were compared.
+fn compared(html: &mut String, r: &Report) {
+    if !r.evidence.is_empty() {
+        html.push_str(
+            "<h2>Evidence</h2><p class=small>elpd: log density that a model gives left-out conditions, summed. The difference is \
+             that to the best model; a model is clearly worse if its difference is more than twice the standard error.</p><div class=wide><table><tr><th>model<th>elpd<th>difference to the best<th>standard error",
+        );
+        for m in &r.evidence {
+            let parts: Vec<&str> = m.ids.iter().chain(&m.terms).map(String::as_str).collect();
+            let name = if parts.is_empty() { "plain model".into() } else { escape(&parts.join(" + ")) };
+            let _ = write!(html, "<tr><td>{name}<td>{:.1}<td>{:.1}<td>{:.1}", m.elpd, m.difference, m.standard_error);
+        }
+        html.push_str("</table></div>");
+    }
+    html.push_str("<h2>Candidate causes</h2><div class=wide><table><tr><th>cause<th>value<th>Δχ²<th>ΔAIC<th>ΔBIC<th>error on left-out conditions<th>distance to the best [σ]");
     for c in r.candidates.iter().take(16) {
         let values: Vec<_> = c.values.iter().map(|v| digits(*v)).collect();
         let _ = write!(
             html,
-            "<tr><td>{}<td>{}<td>{:.1}<td>{:.1}<td>{:.1}<td>{}<td>{}<td>{}",
+            "<tr><td>{}<td>{}<td>{:.1}<td>{:.1}<td>{:.1}<td>{}<td>{}",
             c.ids.join(" + "),
             values.join(", "),
             c.delta_chi2,
             c.delta_aic,
             c.delta_bic,
-            c.cv_gain.map_or("–".into(), |g| format!("{:.1} %", 100.0 * g)),
-            number(c.lack_of_fit, 2),
-            number(c.distance_to_best, 1)
+            c.cv_gain.map_or("–".into(), |g| format!("{:+.1} %", -100.0 * g).replace('-', "−")),
+            c.distance_to_best.map_or("–".into(), |d| format!("{d:.1}"))
         );
     }
-    html.push_str("</table>");
+    html.push_str("</table></div>");
 }
 
 fn beside(html: &mut String, r: &Report) {
-    for term in &r.terms {
-        let _ = write!(
-            html,
-            "<h2>Law found in the data</h2><p>{}</p><p><code>{}</code></p>",
-            escape(&term.formula),
-            escape(&term.tex)
-        );
-    }
     if let Some(rest) = r.remainder.as_ref().filter(|rest| rest.significant) {
-        let text = format!(
-            "{:.0} % of the plain model's misfit remains (lack of fit {}; with noise alone it is at most {}). {}",
-            100.0 * rest.fraction,
-            digits(rest.lack_of_fit),
-            digits(rest.limit),
-            rest.place
-        );
+        let text =
+            format!("{:.0} % of the plain model's misfit remains. {}", 100.0 * rest.fraction, capital(&rest.place));
         let _ = write!(html, "<h2>What remains</h2><p>{}</p>", escape(&text));
     }
-    html.push_str("<h2>Nuisances</h2><p><small>effects of the measurement; fits marginalise over them, and they are not causes</small></p><ul>");
+    html.push_str("<h2>Nuisances</h2><p class=small>Effects of the measurement. Fits marginalise over them, and they are not causes.</p><ul>");
     for n in &r.nuisances {
         let channel = n.channel.as_ref().map_or(String::new(), |c| format!(" {c}"));
         let unit = after(n.unit);
@@ -362,7 +346,7 @@ fn beside(html: &mut String, r: &Report) {
     html.push_str("</ul>");
     if !r.upper_limits.is_empty() {
         html.push_str(
-            "<h2>Causes that were not found</h2><p><small>upper limits of their strengths, at 95 %</small></p><ul>",
+            "<h2>Causes that were not found</h2><p class=small>Upper limits of their strengths, at 95 %.</p><ul>",
         );
         for limit in &r.upper_limits {
             let _ = write!(html, "<li>{} &lt; {}{}", limit.id, digits(limit.value), after(&limit.unit));
@@ -372,28 +356,19 @@ fn beside(html: &mut String, r: &Report) {
 }
 
 fn unknowns(html: &mut String, r: &Report) {
-    html.push_str("<h2>What these data cannot decide</h2>");
-    if r.ambiguity_set.len() < 2 && r.untestable.is_empty() {
-        html.push_str("<p>no open questions</p>");
-    }
-    html.push_str("<ul>");
-    if r.ambiguity_set.len() > 1 {
-        let set: Vec<_> = r.ambiguity_set.iter().map(|ids| ids.join(" + ")).collect();
-        let _ = write!(html, "<li>which of these explanations is right: {}", set.join(" | "));
-    }
-    for u in &r.untestable {
-        let _ = write!(html, "<li>{}: {}", u.id, escape(&u.why));
-    }
-    html.push_str("</ul>");
-    if let Some(next) = &r.next_experiment {
-        let _ = write!(html, "<h2>Next experiment</h2><p>{}</p><ul>", escape(&next.why));
-        for p in &next.conditions {
-            let _ = write!(html, "<li>{} × {}: {:.1} σ", p.repetitions, escape(&p.condition), p.expected_separation);
+    if r.ambiguity_set.len() > 1 || !r.untestable.is_empty() {
+        html.push_str("<h2>What these data cannot decide</h2><ul>");
+        if r.ambiguity_set.len() > 1 {
+            let set: Vec<_> = r.ambiguity_set.iter().map(|ids| ids.join(" + ")).collect();
+            let _ = write!(html, "<li>which of these explanations is right: {}", set.join(" | "));
+        }
+        for u in &r.untestable {
+            let _ = write!(html, "<li>{}: {}", u.id, escape(&u.why));
         }
         html.push_str("</ul>");
     }
     if !r.correlates_with.is_empty() {
-        html.push_str("<h2>Correlations of the residual</h2><p><small>they are not causes</small></p><ul>");
+        html.push_str("<h2>Correlations of the residual</h2><p class=small>They are not causes.</p><ul>");
         for c in &r.correlates_with {
             let _ = write!(html, "<li>{} with {} (Δχ² {:.0})", c.channel, escape(&c.feature), c.delta_chi2);
         }
@@ -402,10 +377,57 @@ fn unknowns(html: &mut String, r: &Report) {
     let units = |name: &str| r.misfit.iter().find(|m| m.by == name).map_or("", |m| m.unit.as_str());
     let ranges: Vec<_> =
         r.valid_range.iter().map(|(name, v)| format!("{name} {}", span(*v, units(name)).replace('-', "−"))).collect();
+    let _ = write!(html, "<h2>Range of validity</h2><p>{}</p>", ranges.join(" · "));
+    if !r.notes.is_empty() {
+        let _ = write!(html, "<h2>Notes</h2><ul>{}</ul>", r.notes.iter().map(|n| item(n)).collect::<String>());
+    }
+}
+
+/// What was diagnosed, by which version, and when.
+fn foot(html: &mut String, diagnosis: &Diagnosis) {
+    let o = &diagnosis.curves.observations;
     let _ = write!(
         html,
-        "<h2>Range of validity</h2><p>{}</p><p><small>data SHA-256 {}</small></p>",
-        ranges.join(" · "),
-        r.data_sha256
+        "<footer><p>{}: {} trials of {} conditions, {} measured numbers, sand {}. sandgait {}, {}. SHA-256 of the data {}.</p></footer>",
+        escape(&diagnosis.name),
+        o.units.len(),
+        o.repetitions().iter().filter(|units| !units.is_empty()).count(),
+        o.values.len(),
+        escape(&diagnosis.curves.medium),
+        env!("CARGO_PKG_VERSION"),
+        today(SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs())),
+        diagnosis.report.data_sha256
     );
+}
+
+/// The date of a time since 1970 [s], as in 2026-11-23 (UTC; Hinnant, “chrono-compatible low-level date algorithms”).
+fn today(seconds: u64) -> String {
+    let days = seconds / 86_400 + 719_468;
+    let (era, day) = (days / 146_097, days % 146_097);
+    let year = (day - day / 1_460 + day / 36_524 - day / 146_096) / 365;
+    let of_year = day - (365 * year + year / 4 - year / 100);
+    let month = (5 * of_year + 2) / 153;
+    let (number, date) = (if month < 10 { month + 3 } else { month - 9 }, of_year - (153 * month + 2) / 5 + 1);
+    format!("{}-{number:02}-{date:02}", year + 400 * era + u64::from(number <= 2))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{clauses, today};
+
+    #[test]
+    fn dates_are_those_of_the_calendar() {
+        let known = [
+            (0, "1970-01-01"),
+            (951_782_400, "2000-02-29"),
+            (1_795_435_200, "2026-11-23"),
+            (4_107_542_399, "2100-02-28"),
+        ];
+        known.iter().for_each(|(seconds, date)| assert_eq!(today(*seconds), *date));
+    }
+
+    #[test]
+    fn clauses_end_outside_of_brackets() {
+        assert_eq!(clauses("a (b; c); d"), ["a (b; c)", "d"]);
+    }
 }

@@ -214,12 +214,19 @@ pub struct Diagnosis {
     pub sand: SandDescription,
     /// Measured, plain and extended stacks, for plots.
     pub curves: Curves,
+    /// Name of the data file.
+    pub name: String,
 }
 
 /// Stacks in the order of the observations.
 pub struct Curves {
     pub observations: super::observations::Observations,
+    /// The shape of each unit.
     pub groups: Vec<String>,
+    /// What each condition is, in words.
+    pub conditions: Vec<String>,
+    /// Name of the sand.
+    pub medium: String,
     pub plain: Vec<f64>,
     pub extended: Option<Vec<f64>>,
     /// Standard deviation of one repetition about the model.

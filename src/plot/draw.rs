@@ -30,7 +30,8 @@ impl Figure {
         let width = cell_w * columns as f64;
         let (legend, legend_height) = legend(&self.panels, width);
         let notes = wrap(&self.note, (width - 2.0 * RIGHT) / (ADVANCE * 11.0));
-        let height = TITLE + legend_height + cell_h * rows as f64 + 16.0 * notes.len() as f64 + 8.0;
+        let title = if self.title.is_empty() { 0.0 } else { TITLE };
+        let height = title + legend_height + cell_h * rows as f64 + 16.0 * notes.len() as f64 + 8.0;
         let mut svg = format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width:.0}\" height=\"{height:.0}\" viewBox=\"0 0 {width:.0} {height:.0}\" \
              font-family=\"DejaVu Sans, sans-serif\" font-size=\"{FONT}\" fill=\"{0}\">\n\
@@ -38,16 +39,16 @@ impl Figure {
             color::BLACK
         );
         text(&mut svg, [width / 2.0, 24.0], "middle", 16.0, &self.title, "font-weight=\"bold\"");
-        let _ = write!(svg, "<g transform=\"translate(0 {TITLE})\">{legend}</g>");
+        let _ = write!(svg, "<g transform=\"translate(0 {title})\">{legend}</g>");
         for (i, panel) in self.panels.iter().enumerate() {
             let x = (i % columns) as f64 * cell_w + LEFT;
-            let y = TITLE + legend_height + (i / columns) as f64 * cell_h + top;
+            let y = title + legend_height + (i / columns) as f64 * cell_h + top;
             let _ = write!(svg, "<g transform=\"translate({x:.1} {y:.1})\">");
             draw_panel(&mut svg, panel, i);
             svg.push_str("</g>\n");
         }
         for (i, line) in notes.iter().enumerate() {
-            let y = TITLE + legend_height + cell_h * rows as f64 + 12.0 + 16.0 * i as f64;
+            let y = title + legend_height + cell_h * rows as f64 + 12.0 + 16.0 * i as f64;
             text(&mut svg, [RIGHT, y], "start", 11.0, line, "fill=\"#555555\"");
         }
         svg.push_str("</svg>\n");

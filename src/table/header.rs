@@ -46,14 +46,6 @@ impl<'a> Asked<'a> {
         Self { columns, renamed: BTreeMap::new(), units: BTreeMap::new(), most_rows: None }
     }
 
-    /// Places in `header` of the columns that are there, in its order.
-    pub fn wanted(&self, path: &Path, header: &[String]) -> Result<Vec<usize>> {
-        let mut there: Vec<usize> = self.places(path, header)?.into_iter().flatten().map(|place| place.index).collect();
-        there.sort_unstable();
-        there.dedup();
-        Ok(there)
-    }
-
     /// Index of each column in `header`; None for an optional column that is absent.
     pub(super) fn places(&self, path: &Path, header: &[String]) -> Result<Vec<Option<Place>>> {
         if header.iter().all(String::is_empty) {

@@ -13,7 +13,7 @@ use crate::error::{Error, Result};
 use header::Place;
 use sha2::{Digest, Sha256};
 use std::fs::File;
-use std::io::{BufReader, Read};
+use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
 /// Largest file: larger ones are refused before they are read, and streams when they exceed it. For the longest log
@@ -100,7 +100,7 @@ pub fn read(path: &Path, asked: &Asked, take: impl FnMut(&Row) -> Result<()>) ->
     if bytes > MOST_BYTES {
         return Err(Error::file(path, format!("{} MiB is {}", bytes >> 20, too_long())));
     }
-    parse(path, BufReader::with_capacity(1 << 20, file), asked, take)
+    parse(path, file, asked, take)
 }
 
 /// The same as [`read`], from any source; `path` is the name in errors.
@@ -110,7 +110,15 @@ pub fn parse(
     asked: &Asked,
     mut take: impl FnMut(&Row) -> Result<()>,
 ) -> Result<Summary> {
-    let mut source = Hashed { inner: source, hash: Sha256::new(), bytes: 0 };
+    let mut source = BufReader::with_capacity(1 << 20, Hashed { inner: source, hash: Sha256::new(), bytes: 0 });
+    if let Some(format) = other_format(source.fill_buf().map_err(|e| Error::file(path, e))?) {
+        let name = path.file_name().map_or_else(Default::default, |n| n.to_string_lossy());
+        let how = format!("`python -m sandgait.logs {name} --out {name}.csv`");
+        return Err(Error::file(
+            path,
+            format!("is {format}, not CSV: {how} converts it (pip install 'sandgait[logs]')"),
+        ));
+    }
     let mut reader = csv::ReaderBuilder::new().comment(Some(b'#')).trim(csv::Trim::Headers).from_reader(&mut source);
     let header = reader.headers().map_err(|e| Error::file(path, format!("row 1: {}", reason(&e))))?;
     let header: Vec<String> = header.iter().map(|h| h.trim_start_matches('\u{feff}').to_owned()).collect();
@@ -132,41 +140,18 @@ pub fn parse(
         return Err(Error::file(path, "row 2: no rows below the header"));
     }
     drop(reader);
-    Ok(Summary { header, sha256: hexadecimal(source.hash) })
+    Ok(Summary { header, sha256: hexadecimal(source.into_inner().hash) })
 }
 
-/// Reads rows that another reader makes; the first one counts as line 2. `next` fills a row and returns false if there
-/// are no more.
-pub fn rows(
-    path: &Path,
-    header: &[String],
-    asked: &Asked,
-    mut next: impl FnMut(&mut Cells) -> Result<bool>,
-    mut take: impl FnMut(&Row) -> Result<()>,
-) -> Result<()> {
-    let places = asked.places(path, header)?;
-    let mut record = Cells::new();
-    let mut line = 1;
-    loop {
-        record.clear();
-        if !next(&mut record)? {
-            break;
-        }
-        line += 1;
-        take(&Row { file: path, columns: asked.columns, places: &places, record: &record, line })?;
-    }
-    if line == 1 { Err(Error::file(path, "no rows")) } else { Ok(()) }
-}
-
-/// The cells of a row.
-pub type Cells = csv::StringRecord;
-
-/// Hexadecimal SHA-256 of a file that is not too large to be read.
-pub fn sha256(path: &Path) -> Result<String> {
-    let file = File::open(path).map_err(|e| Error::file(path, e))?;
-    let mut source = Hashed { inner: file, hash: Sha256::new(), bytes: 0 };
-    std::io::copy(&mut source, &mut std::io::sink()).map_err(|e| Error::file(path, e))?;
-    Ok(hexadecimal(source.hash))
+/// The format of a recording that is no CSV, by its first bytes.
+fn other_format(first: &[u8]) -> Option<&'static str> {
+    let known: [(&[u8], &str); 4] = [
+        (b"PAR1", "Parquet"),
+        (b"\x89MCAP", "MCAP"),
+        (b"#ROSBAG", "a ROS 1 bag"),
+        (b"SQLite format 3\0", "an SQLite database, as a ROS 2 bag is"),
+    ];
+    known.into_iter().find(|(mark, _)| first.starts_with(mark)).map(|k| k.1)
 }
 
 fn hexadecimal(hash: Sha256) -> String {

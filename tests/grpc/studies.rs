@@ -241,22 +241,23 @@ fn walk_log(name: &str) -> Option<File> {
 }
 
 #[tokio::test]
-async fn a_robots_own_log_is_sent_unchanged() {
+async fn a_diagnosis_takes_tables_alone() {
     let server = Server::start(1).await;
     let mut client = client(&server).await;
-    let experiment = walk_log("walk_mcap.toml").map(diagnose_request::Experiment::File);
-    let request = DiagnoseRequest { data: walk_log("walk.mcap"), experiment };
+    let experiment = walk_log("walk.toml").map(diagnose_request::Experiment::File);
+    let request = DiagnoseRequest { data: walk_log("walk.csv"), experiment };
     let (_, last) = whole(client.diagnose(request).await.unwrap().into_inner()).await;
     let Some(diagnose_response::Event::Diagnosis(diagnosis)) = last.event else { panic!() };
     assert!(diagnosis.report_json.contains("\"named\"") && diagnosis.report_json.contains("inertial_drag"));
     assert!(diagnosis.sand_toml.contains("inertial_drag"));
     let out = tempfile::tempdir().unwrap();
     for log in ["walk.mcap", "walk.parquet", "walk.csv"] {
-        // Experiment files with keys that only MCAP takes, or without keys that MCAP needs.
-        let mut wrong = walk_log(if log == "walk.mcap" { "walk.toml" } else { "walk_mcap.toml" }).unwrap();
+        // The experiment file lists runs, as walk.csv does too.
+        let mut wrong = walk_log("walk_mcap.toml").unwrap();
         let data = walk_log(log);
         let [d, e] = [&data.as_ref().unwrap().name, &wrong.name];
         let said = command_line(&["diagnose", d, "--experiment", e, "--out", out.path().join("x").to_str().unwrap()]);
+        assert!(said.contains("sandgait.logs") == (log != "walk.csv"), "{said}");
         wrong.name = "experiment.toml".into();
         let request = DiagnoseRequest { data, experiment: Some(diagnose_request::Experiment::File(wrong)) };
         refused(failed(&mut client, request).await, &said);

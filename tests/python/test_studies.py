@@ -21,7 +21,7 @@ import pytest
 
 import sandgait
 from conftest import HEARS_CTRL_C, RemoteServer
-from sandgait import server
+from sandgait import logs, server
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -240,7 +240,9 @@ WALK = Path(__file__).parents[1] / "data/trajectory"
 def test_a_robots_own_log_in_each_format(tmp_path: Path) -> None:
     experiment = tomllib.loads((WALK / "walk_mcap.toml").read_text())
     mcap = sandgait.diagnose(WALK / "walk.mcap", experiment, progress=False)
-    command("diagnose", WALK / "walk.mcap", "--experiment", WALK / "walk_mcap.toml", "--out", tmp_path)
+    table = tmp_path / "walk.csv"
+    table.write_bytes(logs.to_csv(WALK / "walk.mcap"))
+    command("diagnose", table, "--experiment", WALK / "walk_mcap.toml", "--out", tmp_path)
     assert mcap.report_json == (tmp_path / "report.json").read_text()
     assert (mcap.verdict, [cause["id"] for cause in mcap.causes]) == ("named", ["inertial_drag"])
     parquet = sandgait.diagnose(WALK / "walk.parquet", WALK / "walk.toml", progress=False)
@@ -327,9 +329,9 @@ def test_another_server(remote: RemoteServer) -> None:
         (lambda: sandgait.diagnose(LOG, {**TABLES, "mood": 1}), "experiment: .*mood"),
         (lambda: sandgait.diagnose(pd.DataFrame({"trial": [1]}), EXPERIMENT), "data: "),
         (lambda: sandgait.diagnose(EXPERIMENT, EXPERIMENT), "force_log.toml: "),
-        (lambda: sandgait.diagnose(WALK / "walk.csv", WALK / "walk_mcap.toml"), "topics: only MCAP files"),
+        (lambda: sandgait.diagnose(WALK / "walk.csv", WALK / "walk_mcap.toml"), "column run: .* lists .*run.* too"),
         (lambda: sandgait.diagnose(WALK / "walk.mcap", WALK / "walk.toml"), "walk.mcap: run 1: .*two runs"),
-        (lambda: sandgait.diagnose(WALK / "walk.parquet", EXPERIMENT), "walk.parquet: "),
+        (lambda: sandgait.diagnose(WALK / "walk.parquet", EXPERIMENT), "walk.parquet: row 1, column t"),
     ],
 )
 def test_wrong_use(call: Any, says: str) -> None:

@@ -2,6 +2,7 @@
 
 use crate::error::{Error, Result, check_range};
 use serde::Deserialize;
+use serde::de::IgnoredAny;
 
 /// The table `[imu]`.
 #[derive(Clone, Debug, Default, Deserialize)]
@@ -18,15 +19,7 @@ pub struct MotorTable {
     torque_constant: Option<f64>,
 }
 
-/// The table `[topics]`: the topics of an MCAP file that are read, if it has several of the same type.
-#[derive(Clone, Debug, Default, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Topics {
-    pub joints: Option<String>,
-    pub imu: Option<String>,
-}
-
-/// A table `[[run]]`: the part of an MCAP file that is one run. Times [s] count from the file's first message of joints.
+/// A table `[[run]]`: the part of the log that is one run, for logs without a column `run`. `from` and `to` are values of `t` [s].
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Cut {
@@ -45,7 +38,7 @@ impl Cut {
     }
 }
 
-/// Largest number of runs in a log: our choice, the same for every format.
+/// Largest number of runs that an experiment file lists: our choice, the same as that of a log.
 const MOST_CUTS: usize = 1000;
 
 /// The keys as the file has them, not checked yet.
@@ -58,7 +51,8 @@ pub struct Given {
     pub leg: Option<String>,
     pub touches: Option<Vec<String>>,
     pub window: Option<f64>,
-    pub topics: Option<Topics>,
+    /// The topics of a recording that `sandgait.logs` (Python) reads; a CSV has none.
+    pub topics: Option<IgnoredAny>,
     pub run: Vec<Cut>,
 }
 
@@ -81,7 +75,6 @@ pub struct Keys {
     pub touches: Option<Vec<String>>,
     /// Length of the windows if the log has no strides: no joint turns round and no stride frequency is given [s].
     pub window: f64,
-    pub topics: Topics,
     pub cuts: Vec<Cut>,
 }
 
@@ -97,17 +90,8 @@ impl Default for Keys {
             touches: None,
             // Our choice: about a stride.
             window: 0.5,
-            topics: Topics::default(),
             cuts: Vec::new(),
         }
-    }
-}
-
-impl Keys {
-    /// The first key that only MCAP files take.
-    pub fn of_mcap(&self) -> Option<&'static str> {
-        let topics = self.topics.joints.is_some() || self.topics.imu.is_some();
-        [("topics", topics), ("run", !self.cuts.is_empty())].iter().find(|k| k.1).map(|k| k.0)
     }
 }
 
@@ -166,7 +150,6 @@ impl Given {
             leg: self.leg,
             touches: self.touches,
             window: check_range("window", self.window.unwrap_or(own.window), 0.05..=60.0)?,
-            topics: self.topics.unwrap_or_default(),
             cuts,
         })
     }

@@ -1,6 +1,6 @@
 //! A robot's own log in memory: runs with the samples of joints and IMU, gathered from the rows of a file.
 
-use super::keys::Keys;
+use super::keys::{Cut, Keys};
 use crate::error::{Error, Result};
 use crate::table::{Column, Quantity, Row};
 use std::collections::BTreeMap;
@@ -11,7 +11,7 @@ use std::path::Path;
 const MOST_NUMBERS: usize = 20_000_000;
 /// Largest number of a robot's joints: our choice, those of a hexapod with four joints a leg.
 pub const MOST_JOINTS: usize = 24;
-/// Largest number of runs in a log: our choice, the same for every format.
+/// Largest number of runs in a log: our choice.
 const MOST_RUNS: usize = 1000;
 /// Fewest samples of a run: our choice; a tenth of a second at 200 Hz is less than a stride.
 const FEWEST_SAMPLES: usize = 20;
@@ -95,15 +95,15 @@ const QUAT: usize = 13;
 const PLACE: usize = 17;
 
 /// Names of the joints' columns, three for each joint.
-pub struct Names {
+pub struct Names<'a> {
     of_joints: Vec<String>,
-    joints: usize,
+    joints: &'a [String],
     currents: bool,
 }
 
-impl Names {
+impl<'a> Names<'a> {
     /// The columns of these joints; with currents instead of torques if the torque constant is given.
-    pub fn new(joints: &[String], keys: &Keys) -> Result<Self> {
+    pub fn new(joints: &'a [String], keys: &Keys) -> Result<Self> {
         if joints.is_empty() || joints.len() > MOST_JOINTS {
             let reason = format!("the robot has {} joints; a log is replayed with 1 to {MOST_JOINTS}", joints.len());
             return Err(Error::invalid("robot", reason));
@@ -112,7 +112,7 @@ impl Names {
         let torque = if currents { "i" } else { "tau" };
         let of_joints =
             ["q", "qd", torque].into_iter().flat_map(|kind| joints.iter().map(move |j| format!("{kind}:{j}")));
-        Ok(Self { of_joints: of_joints.collect(), joints: joints.len(), currents })
+        Ok(Self { of_joints: of_joints.collect(), joints, currents })
     }
 
     /// The columns that a log must or may have.
@@ -124,16 +124,31 @@ impl Names {
             (if self.currents { Quantity::Current } else { Quantity::Torque }, true),
         ];
         let own = self.of_joints.iter().enumerate().map(|(k, name)| {
-            let (quantity, required) = kinds[k / self.joints];
+            let (quantity, required) = kinds[k / self.joints.len()];
             Column { name, quantity, required }
         });
         fixed.chain(own).collect()
+    }
+
+    /// A table of columns, in which an entry such as `"q:*" = "state.*.pos"` stands for the same entry of every joint.
+    pub fn for_each_joint(&self, table: &BTreeMap<String, String>) -> BTreeMap<String, String> {
+        let mut all = BTreeMap::new();
+        for (ours, theirs) in table {
+            match ours.strip_suffix(":*") {
+                Some(kind) => {
+                    let own = self.joints.iter().map(|j| (format!("{kind}:{j}"), theirs.replace('*', j)));
+                    all.extend(own.filter(|(name, _)| !table.contains_key(name)));
+                }
+                None => drop(all.insert(ours.clone(), theirs.clone())),
+            }
+        }
+        all
     }
 }
 
 /// Gathers the rows of a file into runs.
 pub struct Gather<'a> {
-    names: &'a Names,
+    names: &'a Names<'a>,
     keys: &'a Keys,
     runs: Vec<Run>,
     places: BTreeMap<String, usize>,
@@ -143,20 +158,24 @@ pub struct Gather<'a> {
 }
 
 impl<'a> Gather<'a> {
-    pub fn new(names: &'a Names, keys: &'a Keys) -> Self {
+    pub fn new(names: &'a Names<'a>, keys: &'a Keys) -> Self {
         Self { names, keys, runs: Vec::new(), places: BTreeMap::new(), numbers: 0, there: None }
     }
 
     pub fn take(&mut self, row: &Row) -> Result<()> {
-        let joints = self.names.joints;
+        let joints = self.names.joints.len();
         let there = *self.there.get_or_insert_with(|| {
             let all = |from: usize, count: usize| (from..from + count).all(|c| row.text(c).is_some());
             [all(FIXED.len() + joints, joints), all(QUAT, 4), all(PLACE, 3)]
         });
-        let place = self.place(row)?;
         let constant = self.keys.torque_constant.unwrap_or(1.0);
         let number = |column: usize| row.within(column, MOST)?.ok_or_else(|| row.blank(column));
         let t = number(T)?;
+        let cut = self.keys.cuts.iter().find(|cut| cut.holds(t));
+        if cut.is_none() && !self.keys.cuts.is_empty() {
+            return Ok(()); // the row belongs to none of the runs that the experiment file lists
+        }
+        let place = self.place(row, cut)?;
         let run = &mut self.runs[place];
         if run.t.last().is_some_and(|last| t <= *last) {
             return Err(row.error(T, format!("{t} s is not after the previous sample of the same run")));
@@ -195,21 +214,24 @@ impl<'a> Gather<'a> {
         }
     }
 
-    /// The run that a row belongs to.
-    fn place(&mut self, row: &Row) -> Result<usize> {
-        let name = row.text(RUN).unwrap_or("1");
+    /// The run that a row belongs to: the one that the experiment file lists (`cut`), or that of the column `run`.
+    fn place(&mut self, row: &Row, cut: Option<&Cut>) -> Result<usize> {
+        if cut.is_some() && row.text(RUN).is_some() {
+            return Err(row.error(RUN, "the log says which rows are a run, and the experiment file lists [[run]] too"));
+        }
+        let name = cut.and_then(|c| c.name.as_deref()).or(row.text(RUN)).unwrap_or("1");
         if let Some(place) = self.places.get(name) {
             return Ok(*place);
         }
         if self.runs.len() == MOST_RUNS {
             return Err(row.error(RUN, format!("more than {MOST_RUNS} runs")));
         }
-        let joints = self.names.joints;
-        let frequency = row.number(FREQUENCY)?.or(self.keys.stride_frequency);
+        let joints = self.names.joints.len();
+        let frequency = cut.and_then(|c| c.stride_frequency).or(row.number(FREQUENCY)?).or(self.keys.stride_frequency);
         if frequency.is_some_and(|f| !(-20.0..=20.0).contains(&f)) {
             return Err(row.error(FREQUENCY, "is outside [-20, 20] Hz"));
         }
-        let slope_deg = row.number(SLOPE)?.unwrap_or(self.keys.slope_deg);
+        let slope_deg = cut.and_then(|c| c.slope_deg).or(row.number(SLOPE)?).unwrap_or(self.keys.slope_deg);
         if slope_deg.abs() > crate::sim::model::Scene::MAX_SLOPE_DEG {
             return Err(
                 row.error(SLOPE, format!("{slope_deg} is outside ±{}", crate::sim::model::Scene::MAX_SLOPE_DEG))
@@ -217,8 +239,8 @@ impl<'a> Gather<'a> {
         }
         self.runs.push(Run {
             name: name.into(),
-            condition: row.text(CONDITION).unwrap_or(name).into(),
-            leg: row.text(LEG).map(Into::into).or_else(|| self.keys.leg.clone()),
+            condition: cut.and_then(|c| c.condition.as_deref()).or(row.text(CONDITION)).unwrap_or(name).into(),
+            leg: cut.and_then(|c| c.leg.as_deref()).or(row.text(LEG)).or(self.keys.leg.as_deref()).map(Into::into),
             slope_deg,
             frequency,
             q: vec![Vec::new(); joints],
@@ -232,6 +254,12 @@ impl<'a> Gather<'a> {
 
     /// The log, checked run by run.
     pub fn finish(mut self, path: &Path, sha256: String) -> Result<Log> {
+        if self.runs.is_empty() {
+            return Err(Error::file(
+                path,
+                "no row belongs to a run that the experiment file lists: `from` and `to` are values of t [s]",
+            ));
+        }
         let there = self.there.unwrap_or_default();
         if !there[0] {
             self.runs.iter_mut().for_each(|r| r.qd.clear());

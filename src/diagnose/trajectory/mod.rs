@@ -5,10 +5,6 @@
 //! together as a forward model. The strides of a run are its repetitions. Effects that belong to one run (strength of the bed,
 //! offsets of the sensors) are errors that all strides of this run share.
 
-mod bag;
-mod cdr;
-mod columnar;
-mod compact;
 pub mod consistency;
 mod forecast;
 #[cfg(test)]
@@ -17,12 +13,8 @@ pub mod keys;
 pub mod log;
 mod measuring;
 pub mod model;
-mod packed;
-mod pages;
 mod plan;
 pub mod read;
-#[cfg(test)]
-mod readers;
 pub mod replay;
 pub mod sensors;
 pub mod servo;

@@ -125,7 +125,9 @@ pub fn diagnose(request: DiagnoseRequest) -> Result<Work<DiagnoseResponse>> {
         let (path, out) = (directory.path().join("data"), directory.path().join("out"));
         std::fs::write(&path, &data.content).map_err(|e| unusable(&e))?;
         let named = |e: Error| decode::renamed(e, &path, &data.name);
-        let diagnosis = crate::diagnose::diagnose(&path, &experiment, progress).map_err(named)?;
+        let mut diagnosis = crate::diagnose::diagnose(&path, &experiment, progress).map_err(named)?;
+        diagnosis.name =
+            Path::new(&data.name).file_name().map_or_else(Default::default, |n| n.to_string_lossy().into());
         diagnosis.write(&out)?;
         let diagnosis = proto::Diagnosis {
             report_json: read(&out.join("report.json"))?,

@@ -1,0 +1,107 @@
+"""Recordings of robots and test benches as CSV: Parquet, LeRobot data sets, MCAP, and bags of ROS 1 and ROS 2.
+
+    python -m sandgait.logs walk.mcap --out walk.csv
+
+`sandgait.diagnose` does the same with a recording. Files are read by pyarrow, mcap and rosbags, which
+`pip install 'sandgait[logs]'` installs, in a process of their own with limits on memory and size. So a damaged or
+hostile file ends with one error, even if a library crashes on it. Nothing but the table goes further.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import warnings
+from collections.abc import Mapping
+from os import PathLike
+from pathlib import Path
+from tempfile import TemporaryFile
+
+from .errors import InvalidRequest
+
+#: First bytes of each format that is converted.
+MARKS = {b"PAR1": "parquet", b"\x89MCAP": "mcap", b"#ROSBAG": "bag", b"SQLite format 3\0": "bag"}
+
+#: Largest table [bytes]: the most that a diagnosis reads (src/table/mod.rs).
+MOST_BYTES = 256 << 20
+
+#: The program that reads one file.
+READER = str(Path(__file__).with_name("logs_reader.py"))
+
+#: Longest error of a library that is shown: our choice, about three lines on a terminal.
+SHOWN = 300
+
+
+def kind(source: str | PathLike[str]) -> str | None:
+    """The format of a recording: parquet, mcap or bag. None for CSV, other formats, and what cannot be read."""
+    try:
+        path = Path(source)
+        if (path / "metadata.yaml").is_file():
+            return "bag"
+        if (path / "meta" / "info.json").is_file():
+            return "parquet"
+        with path.open("rb") as file:
+            first = file.read(max(map(len, MARKS)))
+    except (OSError, TypeError, ValueError):
+        return None
+    return next((name for mark, name in MARKS.items() if first.startswith(mark)), None)
+
+
+def to_csv(path: str | PathLike[str], topics: Mapping[str, str] | None = None) -> bytes:
+    """The table in a recording, as CSV.
+
+    `topics` names the topics of a bag, `joints` and `imu`, if it has several of the same type. Raises InvalidRequest
+    with one line if the file cannot be read.
+    """
+    source = Path(path)
+    form = kind(source)
+    if form is None:
+        raise InvalidRequest(f"{source}: neither Parquet, LeRobot, MCAP nor a bag of ROS 1 or ROS 2")
+    if not isinstance(topics or {}, Mapping):
+        raise InvalidRequest(f"topics: {topics!r} is no table with joints and imu")
+    wrong = [name for name in topics or {} if name not in ("joints", "imu")]
+    if wrong:
+        raise InvalidRequest(f"topics: {wrong[0]!r} is unknown; known: joints, imu")
+    chosen = [f"{name}={topic}" for name, topic in (topics or {}).items()]
+    command = [sys.executable, "-P", "-W", "ignore", READER, form, str(source.resolve()), *chosen]
+    # OpenBLAS reserves memory for each of its threads, which would count as the file's.
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
+    with TemporaryFile() as errors:
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, env=environment) as reader:
+            assert reader.stdout
+            table = reader.stdout.read(MOST_BYTES + 1)
+            if len(table) > MOST_BYTES:
+                reader.kill()
+        errors.seek(0)
+        said = [line[:SHOWN] for line in errors.read().decode(errors="replace").splitlines() if line.strip()]
+    if len(table) > MOST_BYTES:
+        raise InvalidRequest(f"{source}: more than {MOST_BYTES >> 20} MiB as CSV: keep only every n-th sample")
+    if reader.returncode:
+        raise InvalidRequest(f"{source}: {said[-1] if said else f'its reader crashed ({reader.returncode})'}")
+    for line in said:
+        warnings.warn(f"{source}: {line}", stacklevel=2)
+    return table
+
+
+def main() -> int:
+    """Writes a recording as CSV. The exit code is 2 if it cannot be read, and then nothing is written."""
+    parser = argparse.ArgumentParser(prog="python -m sandgait.logs", description="Writes a recording as CSV.")
+    parser.add_argument("file", help="a Parquet, MCAP or bag file, or the folder of a LeRobot data set or a ROS 2 bag")
+    parser.add_argument("--out", required=True, type=Path, help="the CSV file to write")
+    parser.add_argument("--joints", help="topic of sensor_msgs/JointState, if a bag has several")
+    parser.add_argument("--imu", help="topic of sensor_msgs/Imu, if a bag has several")
+    given = parser.parse_args()
+    topics = {name: topic for name, topic in (("joints", given.joints), ("imu", given.imu)) if topic}
+    try:
+        table = to_csv(given.file, topics)
+        given.out.write_bytes(table)
+    except (InvalidRequest, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
