@@ -12,15 +12,18 @@
 //! −½ ln |V| − ½ (ν + n) ln(1 + Q/ν) + a constant of the condition, Q = eᵀ V⁻¹ e, e the error, n its numbers.
 //!
 //! Their sum over c is the elpd (Vehtari, Gelman & Gabry 2017). A parameter that only condition c shows has its prior
-//! there: the fastest or deepest condition is predicted with a wide V, and does not veto.
+//! there: the fastest or deepest condition is predicted with a wide V, and does not veto. What is stated of coefficients
+//! and nuisances, a deviation of 0 ± 1 each, counts as one more condition, so that a model that needs coefficients far
+//! from their statement pays for it.
 //!
 //! **Standard error of a difference.** The conditions of an experiment are chosen, and not drawn from a population: a
 //! cause that acts in the fastest condition only is no less certain for this. So the spread of the expected difference
 //! between conditions is no error. What is uncertain is the part that the better model's own error contributes. To
 //! first order it is w Δᵀ V⁻¹ e in each condition, Δ the difference of the two predictions and w = (ν + n)/(ν + Q). Its
 //! variance is the greater of two estimates: w Δᵀ V⁻¹ Δ, if the error is noise, and the sum of the squares of the
-//! conditions' parts, if errors of the model are correlated within a condition (clusters: Liang & Zeger 1986). Both are
-//! widened by Student's t, for ν and for the number of conditions. The standard error is at least 2, because
+//! conditions' parts, if errors of the model are correlated within a condition (clusters: Liang & Zeger 1986). Where the
+//! error is not small the first order is too large, and the spread of the differences between conditions (Vehtari et al.)
+//! replaces the second estimate if it is less. Both are widened by Student's t, for ν and for the number of conditions. The standard error is at least 2, because
 //! differences below 4 are no evidence (Sivula, Magnusson, Matamoros & Vehtari 2020).
 
 use super::errors::Errors;
@@ -40,6 +43,9 @@ use std::sync::Arc;
 
 /// Number of cosines along a trial: our choice; features shorter than a sixteenth of a trial count as noise.
 const WAVES: usize = 16;
+/// Prior standard deviation of coefficients and nuisances, in those that are stated, if the statement is left out: our
+/// choice, wide.
+const UNSTATED: f64 = 10.0;
 /// Least standard error, see above.
 pub const LEAST: f64 = 2.0;
 /// Quantile of the normal distribution to which those of Student's t are compared.
@@ -59,7 +65,7 @@ pub struct Laws {
 
 /// How one model predicts each condition from the others.
 pub struct Row {
-    /// Log predictive density of each condition that is used.
+    /// Log predictive density of each condition that is used, and of what is stated of coefficients and nuisances.
     pub elpd: Vec<f64>,
     /// Error e, V⁻¹ e, J and A⁻¹ of each condition.
     left: Vec<[DVector<f64>; 2]>,
@@ -185,21 +191,31 @@ impl Table {
         };
         let degrees = models.first().map_or(1.0, |m| projection.degrees(&residual(m.fit)));
         let rows = parallel::map(models, |m| {
-            let own = |c: &Column| known[&place(c)].as_slice();
+            // What is known of coefficients and nuisances is one more condition: deviations of 0 ± 1 are its numbers.
+            let (count, values) = (m.fit.deviations.len(), m.fit.ids.len());
+            let own = |c: &Column| known[&place(c)].clone();
+            let stated = |k: usize| DVector::from_fn(count, |i, _| if k == values + i { 1.0 } else { 0.0 });
+            let with = |mut numbers: Vec<DVector<f64>>, last: DVector<f64>| {
+                numbers.push(last);
+                numbers
+            };
+            let slopes = m.fit.slopes.iter().enumerate();
+            let laws = m.laws.iter().flat_map(|l| &l.columns);
             let linear = Linear {
-                residual: projection.apply(&residual(m.fit)),
-                slopes: m.fit.slopes.iter().map(own).collect(),
-                laws: m.laws.map_or(Vec::new(), |l| l.columns.iter().map(own).collect()),
+                residual: with(
+                    projection.apply(&residual(m.fit)),
+                    DVector::from_fn(count, |i, _| -m.fit.deviations[i]),
+                ),
+                slopes: slopes.map(|(k, c)| with(own(c), stated(k))).collect(),
+                laws: laws.map(|c| with(own(c), DVector::zeros(count))).collect(),
                 prior: prior(m.fit),
                 widths: m.laws.map_or(Vec::new(), |l| l.columns.iter().map(|c| width(c, &m.fit.prediction)).collect()),
             };
             linear.row(study, m, used, degrees)
         });
-        let sizes: Vec<f64> = projection
-            .groups
-            .iter()
-            .map(|g| (projection.waves(g) * study.observations.channels.len()) as f64)
-            .collect();
+        let size = |g: &Vec<usize>| (projection.waves(g) * study.observations.channels.len()) as f64;
+        let stated = models.first().map(|m| m.fit.deviations.len() as f64);
+        let sizes: Vec<f64> = projection.groups.iter().map(size).chain(stated).collect();
         let free: f64 = projection.groups.iter().map(|g| g.len() as f64 - 1.0).sum::<f64>().min(degrees).max(1.0);
         let limit = 1.0 + 2.0 * (2.0 / sizes.iter().sum::<f64>().max(1.0) + 2.0 / free).sqrt();
         Self { rows, sizes, degrees, limit }
@@ -227,7 +243,11 @@ impl Table {
             noise += weight * (apart.norm_squared() - along.dot(&(&best.inverse * &along)));
             clusters += (weight * apart.dot(solved)).powi(2);
         }
-        let count = (self.sizes.len() as f64 - 1.0).max(1.0);
+        let each = best.elpd.iter().zip(&other.elpd).map(|(a, b)| a - b);
+        let count = self.sizes.len() as f64;
+        let mean = difference.abs() / count;
+        let spread = each.map(|d| (d - mean).powi(2)).sum::<f64>() * count / (count - 1.0).max(1.0);
+        let (clusters, count) = (clusters.min(spread), (count - 1.0).max(1.0));
         let of = |variance: f64, degrees: f64| variance.max(0.0).sqrt() * student::two_sided_95(degrees) / NORMAL;
         [difference, of(noise, self.degrees).max(of(clusters, count)).max(LEAST)]
     }
@@ -261,7 +281,8 @@ fn prior(fit: &Fit) -> Vec<[f64; 2]> {
         let precision = (USUAL * CATALOG[id].coordinate_typical()).powi(-2);
         [precision, -precision * at]
     };
-    fit.ids.iter().zip(fit.coordinates()).map(value).chain(fit.deviations.iter().map(|d| [1.0, -d])).collect()
+    let deviation = |d: &f64| [UNSTATED.powi(-2), -d * UNSTATED.powi(-2)];
+    fit.ids.iter().zip(fit.coordinates()).map(value).chain(fit.deviations.iter().map(deviation)).collect()
 }
 
 /// Prior standard deviation of a law's coefficient: its stress may be as large as all others together. Our choice.
@@ -270,10 +291,10 @@ fn width(column: &[f64], prediction: &[f64]) -> f64 {
 }
 
 /// A model, linear about its fit, in the numbers of the conditions.
-struct Linear<'a> {
+struct Linear {
     residual: Vec<DVector<f64>>,
-    slopes: Vec<&'a [DVector<f64>]>,
-    laws: Vec<&'a [DVector<f64>]>,
+    slopes: Vec<Vec<DVector<f64>>>,
+    laws: Vec<Vec<DVector<f64>>>,
     prior: Vec<[f64; 2]>,
     /// Prior standard deviation of each law's coefficient.
     widths: Vec<f64>,
@@ -329,7 +350,7 @@ impl Products {
     }
 }
 
-impl Linear<'_> {
+impl Linear {
     fn products(&self, c: usize) -> Products {
         let n = self.slopes.len();
         let mut information = DMatrix::zeros(n, n);
@@ -339,7 +360,7 @@ impl Linear<'_> {
                 (information[(i, j)], information[(j, i)]) = (product, product);
             }
         }
-        let law = |l: &&[DVector<f64>]| {
+        let law = |l: &Vec<DVector<f64>>| {
             let cross = DVector::from_fn(n, |i, _| self.slopes[i][c].dot(&l[c]));
             (cross, [l[c].norm_squared(), l[c].dot(&self.residual[c])])
         };
@@ -367,7 +388,7 @@ impl Linear<'_> {
     }
 
     fn row(&self, study: &Study, model: &Model, used: &[usize], degrees: f64) -> Row {
-        let each: Vec<Products> = (0..used.len()).map(|c| self.products(c)).collect();
+        let each: Vec<Products> = (0..self.residual.len()).map(|c| self.products(c)).collect();
         let all = self.total(&each);
         let law = all.best_law();
         let (information, score) = all.with(law);
@@ -408,10 +429,12 @@ impl Linear<'_> {
             row.squares.push(square);
             row.left.push([error, solved_error]);
             row.slopes.push(self.jacobian(c, row.law));
-            let errors = held_out(study, model, law, step.as_slice(), &used[c..=c]);
-            row.held_out.square.extend(errors.square);
-            row.held_out.count.extend(errors.count);
-            row.steps.push(step.iter().copied().collect());
+            if c < used.len() {
+                let errors = held_out(study, model, law, step.as_slice(), &used[c..=c]);
+                row.held_out.square.extend(errors.square);
+                row.held_out.count.extend(errors.count);
+                row.steps.push(step.iter().copied().collect());
+            }
         }
         row
     }

@@ -93,10 +93,13 @@ pub fn select(study: &Study, asked: &Asked, progress: &dyn Progress) -> Result<S
         return Ok(selection);
     }
     // All are compared under the noise of the first: with nuisances and without.
-    let with = selection.table.elpd(0);
+    // Their nuisances differ, so what is stated of them does not count.
+    let conditions = study.observations.conditions.len();
+    let measured = |table: &Table| table.rows[0].elpd[..conditions].iter().sum::<f64>();
+    let with = measured(&selection.table);
     let bare = study.under(&selection.candidates.around.whitener, Vec::new());
-    let all: Vec<usize> = (0..study.observations.conditions.len()).collect();
-    let elpd = |fit: Fit| Table::new(&bare, bare.whitener, &[Model { fit: &fit, laws: None }], &all).elpd(0);
+    let all: Vec<usize> = (0..conditions).collect();
+    let elpd = |fit: Fit| measured(&Table::new(&bare, bare.whitener, &[Model { fit: &fit, laws: None }], &all));
     if with - elpd(bare.recalibrated()) < 2.0 * LEAST {
         return Ok(selection);
     }
