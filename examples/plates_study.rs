@@ -68,7 +68,8 @@ fn points(shapes: &[&TreeShape]) -> Result<Vec<Point>> {
     let area: f64 = shapes.iter().map(|s| s.geometry.area()).sum();
     let size = (area / POINTS).sqrt();
     if let [TreeShape { geometry: Geometry::Mesh(triangles), origin, .. }] = shapes {
-        let mut left: Vec<[V; 3]> = triangles.iter().map(|t| t.map(|p| origin.transform_point(&p.into()).coords)).collect();
+        let mut left: Vec<[V; 3]> =
+            triangles.iter().map(|t| t.map(|p| origin.transform_point(&p.into()).coords)).collect();
         let mut points = Vec::new();
         while let Some([a, b, c]) = left.pop() {
             let longest = (b - a).norm().max((c - b).norm()).max((a - c).norm());
@@ -160,7 +161,10 @@ fn robot(law: &str, file: &str) -> Result<()> {
         seen.push(area);
         let count = plates.len();
         let Errors { rms, worst, moment, patches } = errors(&own, plates, law, 100, 33_550)?;
-        println!("  {:28} {count:4} plates {patches:3} patches, rms {rms:.4}, worst {worst:.4}, moment {moment:.4}", body.name);
+        println!(
+            "  {:28} {count:4} plates {patches:3} patches, rms {rms:.4}, worst {worst:.4}, moment {moment:.4}",
+            body.name
+        );
     }
     Ok(())
 }

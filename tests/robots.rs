@@ -312,8 +312,7 @@ fn unsupported_elements_are_named() {
     let text = std::fs::read_to_string(here("robots/sandcat.xml")).unwrap();
     let text = text.replace("<freejoint/>", r#"<freejoint/><site name="imu"/><camera name="eye"/>"#);
     let text = text.replace("<keyframe>", r#"<sensor><gyro site="imu"/></sensor><tendon/><keyframe>"#);
-    let text =
-        text.replace(r#"name="FL_knee" class="knee""#, r#"name="FL_knee" class="knee" margin="0.1""#);
+    let text = text.replace(r#"name="FL_knee" class="knee""#, r#"name="FL_knee" class="knee" margin="0.1""#);
     std::fs::write(&path, text).unwrap();
     let said = robots::load(&path).unwrap().warnings.join("\n");
     for word in ["<site>", "<camera>", "<sensor>", "tendons", "margin", "FL_knee"] {

@@ -423,11 +423,10 @@ fn drive<R: Real, const J: usize>(
             // The stop is part of the load and of the inertia that the servo meets.
             let (stiff, loaded) = (own + stop.yielding, load - stop.torque);
             let held = limited(free, model.torque_limit, stiff, loaded);
-            let select = |a, b| R::select(acts, a, b);
-            hinge.servo.torque = select(held.torque, hinge.servo.torque);
-            hinge.servo.yielding = select(held.yielding, hinge.servo.yielding);
-            all = select(held.yielding + stop.yielding, all);
-            load = select(loaded, load);
+            hinge.servo.torque = R::select(acts, held.torque, hinge.servo.torque);
+            hinge.servo.yielding = R::select(acts, held.yielding, hinge.servo.yielding);
+            all = R::select(acts, held.yielding + stop.yielding, all);
+            load = R::select(acts, loaded, load);
         }
     }
     hinge.inverse = R::one() / (own + all);

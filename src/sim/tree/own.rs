@@ -18,8 +18,13 @@ use nalgebra::{Isometry3, Matrix3, SymmetricEigen, Vector3};
 
 type V = Vector3<f64>;
 
-/// Number of random poses in which capsules are compared: our choice.
-const POSES: usize = 64;
+/// Number of random poses in which capsules are compared, and of comparisons of two capsules in all of them: our choice,
+/// at most some 50 ms.
+const POSES: usize = 512;
+const MOST_COMPARED: usize = 1_000_000;
+/// Capsules with a distance of less than this times the sum of their radii in one of the poses may meet: our choice, so
+/// that few poses suffice.
+const NEAR: f64 = 2.0;
 /// Largest share of the poses in which a pair that counts may overlap: our choice. Parts that overlap more often are
 /// fixed close to each other, and their capsules are larger than the parts.
 const MOST_OFTEN: f64 = 0.3;
@@ -67,16 +72,16 @@ impl Capsule {
 }
 
 impl OwnContacts {
-    /// Capsules of the bodies with points of contact. A pair counts if it is apart in the standing pose, and overlaps in
-    /// some of the poses that the joints' ranges allow but not in most. Neighbours in the tree never count.
+    /// Capsules of the bodies with points of contact. A pair counts if it is apart in the standing pose, and comes near in
+    /// some of the poses that the joints' ranges allow, but seldom overlaps. Neighbours in the tree never count.
     pub fn of(tree: &Tree, contacts: &[Vec<ContactPoint>], stance: &Stance) -> Self {
         let capsules: Vec<Capsule> =
             contacts.iter().enumerate().filter_map(|(body, points)| Capsule::around(body, points)).collect();
-        let overlaps = |angles: &[f64]| -> Vec<[usize; 2]> {
+        let close = |angles: &[f64], factor: f64| -> Vec<[usize; 2]> {
             let frames = frames(tree, &State::at_rest(0.0, angles));
             let placed: Vec<_> = capsules.iter().map(|c| c.placed(&frames[c.body])).collect();
             let meet = |[i, j]: &[usize; 2]| {
-                let reach = capsules[*i].radius + capsules[*j].radius;
+                let reach = factor * (capsules[*i].radius + capsules[*j].radius);
                 let ((p, a), (q, b)) = (placed[*i], placed[*j]);
                 let vector = |v: V| Vec3::<f64>::splat(v.into());
                 let squares = [a.norm_squared(), b.norm_squared()];
@@ -85,14 +90,19 @@ impl OwnContacts {
             };
             all_pairs(&capsules, tree).filter(meet).collect()
         };
-        let standing = overlaps(&stance.angles);
+        let standing = close(&stance.angles, 1.0);
+        let poses = (MOST_COMPARED / all_pairs(&capsules, tree).count().max(1)).clamp(1, POSES);
         let mut counted = std::collections::BTreeMap::<[usize; 2], usize>::new();
-        for pose in 0..POSES {
-            for pair in overlaps(&random_pose(tree, pose)) {
+        for pose in 0..poses {
+            let angles = random_pose(tree, pose);
+            for pair in close(&angles, NEAR) {
+                counted.entry(pair).or_default();
+            }
+            for pair in close(&angles, 1.0) {
                 *counted.entry(pair).or_default() += 1;
             }
         }
-        let seldom = |count: usize| count as f64 <= MOST_OFTEN * POSES as f64;
+        let seldom = |count: usize| count as f64 <= MOST_OFTEN * poses as f64;
         let pairs = counted.into_iter().filter(|(pair, count)| seldom(*count) && !standing.contains(pair));
         Self { pairs: pairs.map(|(pair, _)| pair).collect(), capsules }
     }

@@ -123,7 +123,9 @@ pub fn compressed(text: &str, plates: usize) -> Result<String> {
         true => Ok(packed),
         false => {
             let (found, most) = (packed.len() >> 10, MOST_PACKED >> 10);
-            let reason = format!("{plates} plates make a robot of {found} KiB, and {most} KiB are allowed: give a larger size, or fewer bodies with touches");
+            let reason = format!(
+                "{plates} plates make a robot of {found} KiB, and {most} KiB are allowed: give a larger size, or fewer bodies with touches"
+            );
             Err(Error::invalid("plate-size", reason))
         }
     }

@@ -152,7 +152,7 @@ fn of_shape(shape: &TreeShape, size: f64) -> Result<Vec<Plate>> {
 }
 
 /// Plates of the shapes that touch sand, by index of body and shape, body by body. With `size` [m] each shape is cut
-/// into plates of this size; otherwise a body has about as many plates as [`counts`] says.
+/// into plates of this size; otherwise a body has at most 128 plates, the base 64, and the robot 800.
 pub fn of_touching(tree: &Tree, touching: &[(usize, usize)], size: Option<f64>) -> Result<Vec<Vec<Plate>>> {
     let shapes: Vec<Vec<&TreeShape>> = (0..tree.bodies.len())
         .map(|b| touching.iter().filter(|t| t.0 == b).map(|t| &tree.bodies[b].shapes[t.1]).collect())
@@ -177,7 +177,9 @@ fn area(shapes: &[&TreeShape]) -> f64 {
 fn counts(areas: &[f64]) -> Vec<f64> {
     let most = |b: usize| if b == 0 { BASE } else { BODY };
     let at = |scale: f64| -> Vec<f64> {
-        let count = |(b, area): (usize, &f64)| if *area > 0.0 { (scale * most(b) * area.sqrt()).clamp(1.0, most(b)) } else { 0.0 };
+        let count = |(b, area): (usize, &f64)| {
+            if *area > 0.0 { (scale * most(b) * area.sqrt()).clamp(1.0, most(b)) } else { 0.0 }
+        };
         areas.iter().enumerate().map(count).collect()
     };
     let total = |scale: f64| at(scale).iter().sum::<f64>();

@@ -6,6 +6,7 @@ use nalgebra::{Rotation3, UnitQuaternion};
 
 mod engine;
 mod forces;
+mod own;
 mod sand;
 
 type V = Vector3<f64>;
