@@ -312,10 +312,16 @@ fn unsupported_elements_are_named() {
     let text = std::fs::read_to_string(here("robots/sandcat.xml")).unwrap();
     let text = text.replace("<freejoint/>", r#"<freejoint/><site name="imu"/><camera name="eye"/>"#);
     let text = text.replace("<keyframe>", r#"<sensor><gyro site="imu"/></sensor><tendon/><keyframe>"#);
-    let text = text.replace(r#"name="FL_knee" class="knee""#, r#"name="FL_knee" class="knee" margin="0.1""#);
+    let text = text.replace(
+        r#"name="FL_knee" class="knee""#,
+        r#"name="FL_knee" class="knee" stiffness="3" springref="0.5" margin="0.1""#,
+    );
     std::fs::write(&path, text).unwrap();
-    let said = robots::load(&path).unwrap().warnings.join("\n");
-    for word in ["<site>", "<camera>", "<sensor>", "tendons", "margin", "FL_knee"] {
+    let read = robots::load(&path).unwrap();
+    let knee = read.tree.joints().find(|j| j.name == "FL_knee").unwrap();
+    assert_eq!(knee.spring, Some([3.0, 0.5]));
+    let said = read.warnings.join("\n");
+    for word in ["<site>", "<camera>", "<sensor>", "tendons", "margin"] {
         assert!(said.contains(word), "{word} is missing: {said}");
     }
 }

@@ -90,10 +90,9 @@ fn joints_stop_at_the_ends_of_their_ranges() {
         let angles: Vec<f64> = ranges.iter().map(|[low, high]| (0.0_f64).clamp(*low, *high)).collect();
         let mut state = State::at_rest(0.5, &angles);
         let mut engine = Engine::new(kind, model, 1).unwrap();
+        state.references = (0..angles.len()).map(to).collect();
         engine.set_state(0, &state);
-        let targets: Vec<f64> = (0..angles.len()).map(to).collect();
-        let zeros = vec![0.0; angles.len()];
-        engine.command(0, &Command { rates: zeros.clone(), torques: zeros, targets });
+        engine.command(0, &Command::still(angles.len()));
         engine.advance((time / model.scene.dt).round() as usize);
         engine.state(0, &mut state);
         state

@@ -13,11 +13,11 @@ use std::f64::consts::{PI, TAU};
 const BODY: f64 = 128.0;
 /// The same for the base: our choice, because the base seldom touches sand.
 const BASE: f64 = 64.0;
-/// Largest number of plates of a robot, unless the user gives a size: our choice. Sand on so many plates takes about
-/// as long as the motion of sixty joints.
+/// Largest number of plates of a robot, unless the user gives a size: our choice, six limbs. Sand on 576 plates takes
+/// four times as long as the motion of twelve joints.
 const ROBOT: f64 = 800.0;
-/// Number of plates that a body is cut into before they are gathered: our choice, with twice as many forces change by
-/// less than a fifth of their error.
+/// Number of plates that a body is cut into before they are gathered: our choice. With 3,000 the error on ANYmal's shanks
+/// was half as large again.
 const FINE: f64 = 8000.0;
 /// Fewest plates around a round shape: our choice, half of those in `sandgait intrude`.
 const COARSE: usize = 8;
