@@ -37,7 +37,7 @@ options! {
         domain_rand: Option<DomainRand> = Some(DomainRand::default()), "ranges [low, high] of the quantities that an episode draws; None: nothing is drawn";
         action_scale: f64 = 1.0, [1e-3, 3.0], "difference between a joint's target and its default position at action 1 [rad]";
         relief: Option<ReliefOptions> = None, "heights of the ground; None: the ground is flat, except with ground dunes";
-        self_contact: bool = true, "legs push each other and the base; false: they pass through each other";
+        self_contact: bool = false, "legs push each other and the base; false: they pass through each other";
         measure_heights: bool = false, "add the ground's heights at legged_gym's 187 points around the robot to the observation";
     }
 }
