@@ -54,6 +54,7 @@ impl Robot {
             let rows: Vec<Value> = rows.iter().map(|r| json!({"a": r.a, "alpha": r.alpha, "qdd": r.qdd})).collect();
             return Ok(super::json(&rows.into()));
         }
+        import.check_legged()?;
         let touching = Touching::of(&import, self.touches.as_deref(), self.plate_size)?;
         if self.pack {
             let (text, note) = if self.json {
@@ -93,6 +94,7 @@ pub fn read_option(options: &mut Value) -> Result<()> {
 /// A robot's file as one text, with its meshes cut into plates, and notes on the parts that were left out.
 pub fn pack(path: &Path) -> Result<(String, Vec<String>)> {
     let import = robots::load(path)?;
+    import.check_legged()?;
     let touching = Touching::of(&import, None, None)?;
     let (text, note) = compressed(&import, &touching)?;
     Ok((text, import.warnings.into_iter().chain(note).collect()))
@@ -202,6 +204,7 @@ fn as_json(import: &Import, touching: &Touching) -> Value {
             "plates": touching.plates[b].len(),
         })
     };
+    let names = |bodies: &[usize]| bodies.iter().map(|b| tree.bodies[*b].name.clone()).collect::<Vec<_>>();
     json!({
         "name": tree.name,
         "format": import.format.name(),
@@ -213,6 +216,13 @@ fn as_json(import: &Import, touching: &Touching) -> Value {
             "plates": touching.count(),
             "area": touching.area(),
         },
+        "stance": {
+            "height": import.stance.height,
+            "leg_length": import.stance.leg_length,
+            "legs": import.stance.legs.iter().map(|leg| names(leg)).collect::<Vec<_>>(),
+            "feet": names(&import.stance.feet),
+        },
+        "found": {"rest": import.found.rest, "kp": import.found.kp, "kd": import.found.kd},
         "warnings": import.warnings,
     })
 }
@@ -238,6 +248,20 @@ fn geometry(geometry: &Geometry) -> (&'static str, Vec<f64>) {
 /// `1.5`, or `-` if the file gives none.
 fn or_dash(value: Option<f64>) -> String {
     value.map_or_else(|| "-".into(), |v| format!("{v:.4}").trim_end_matches('0').trim_end_matches('.').to_owned())
+}
+
+/// The legs and the standing height, in one line.
+fn stance(import: &Import) -> String {
+    let (stance, names) = (&import.stance, |bodies: &[usize]| {
+        bodies.iter().map(|b| import.tree.bodies[*b].name.as_str()).collect::<Vec<_>>().join(", ")
+    });
+    format!(
+        "\n{} legs of {:.3} m; the base stands at {:.3} m; feet: {}\n",
+        stance.legs.len(),
+        stance.leg_length,
+        stance.height,
+        names(&stance.feet)
+    )
 }
 
 fn as_text(import: &Import, touching: &Touching) -> String {
@@ -267,11 +291,18 @@ fn as_text(import: &Import, touching: &Touching) -> String {
         let mut row = vec![joint.name.clone(), kind(joint).to_owned()];
         let [lower, upper] = joint.range.map_or([None; 2], |r| r.map(Some));
         let numbers = [lower, upper, joint.torque_limit, joint.speed_limit, Some(joint.damping), Some(joint.friction)];
-        row.extend(numbers.into_iter().chain([Some(joint.armature), joint.kp, joint.kd, joint.rest]).map(or_dash));
+        row.extend(numbers.into_iter().chain([Some(joint.armature)]).map(or_dash));
+        let found = [&import.found.kp, &import.found.kd, &import.found.rest].map(|all| all[rows.len() - 1]);
+        let mark = |(value, found)| format!("{}{}", or_dash(value), if found { "*" } else { "" });
+        row.extend([joint.kp, joint.kd, joint.rest].into_iter().zip(found).map(mark));
         rows.push(row);
     }
     text.push('\n');
     text.push_str(&super::table(&rows));
+    if import.found.any() {
+        text.push_str("* found, because the file has none: see docs/robots.md, \"Pose and gains\"\n");
+    }
+    text.push_str(&stance(import));
     let mut rows = vec![heads(&["touches sand", "body", "shape", "area [m²]"])];
     for (b, s) in &touching.shapes {
         let (body, shape) = (&tree.bodies[*b], &tree.bodies[*b].shapes[*s]);

@@ -128,6 +128,8 @@ pub struct Merged {
     pub links: Vec<Vec<String>>,
     /// May the body move without mass?
     pub massless: Vec<bool>,
+    /// Does the file say that the base moves freely?
+    pub base_is_free: bool,
 }
 
 /// Merges fixed links into the links that carry them. Each link comes after its parent, the root first.
@@ -141,6 +143,7 @@ pub fn merged(name: &str, links: Vec<Link>) -> Result<Merged> {
         visuals: Vec::new(),
         links: Vec::new(),
         massless: Vec::new(),
+        base_is_free: false,
     };
     // Entries are a link, the body that carries it, and the link's frame in the body's; depth first, in the file's
     // order.

@@ -21,6 +21,7 @@ mod hull;
 mod mesh;
 mod mjcf;
 mod notes;
+pub mod posture;
 mod shapes;
 pub mod states;
 mod touch;
@@ -29,10 +30,13 @@ mod xml;
 
 use crate::error::{Error, Result};
 use crate::sim::tree::looks::{Looks, MOST_TRIANGLES};
+use crate::sim::tree::packed;
+use crate::sim::tree::stance::Stance;
 use crate::sim::tree::{Geometry, Tree, TreeShape};
 use files::{Files, MOST_TEXT, Source};
 use mesh::Meshes;
 use notes::Notes;
+use posture::{Found, Posture};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -63,11 +67,22 @@ pub struct Import {
     pub warnings: Vec<String>,
     /// For each body the links of the file merged into it, its own first.
     pub links: Vec<Vec<String>>,
+    /// The standing pose.
+    pub stance: Stance,
+    /// The joints whose pose and gains are not in the file.
+    pub found: Found,
+    /// Does the file say that the base moves freely?
+    pub base_is_free: bool,
     visuals: Vec<Vec<draft::Visual>>,
 }
 
 /// Reads a `.urdf`, a `.xml` or `.mjcf` (URDF or MJCF by its root element), or a `.toml`.
 pub fn load(path: &Path) -> Result<Import> {
+    load_with(path, &Posture::default())
+}
+
+/// Reads a robot, and lays `posture` over it.
+pub fn load_with(path: &Path, posture: &Posture) -> Result<Import> {
     let ending = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
     match ending.as_deref() {
         Some("toml") => return Import::of_toml(path),
@@ -95,8 +110,11 @@ pub fn load(path: &Path) -> Result<Import> {
         _ => return Err(root.error("is neither <robot> (URDF) nor <mujoco> (MJCF)")),
     };
     check::check(&merged, &mut |line| notes.say(line)).map_err(named)?;
-    let draft::Merged { tree, visuals, links, .. } = merged;
-    Ok(Import { tree, format, warnings: notes.into_lines(), links, visuals })
+    let draft::Merged { mut tree, visuals, links, base_is_free, .. } = merged;
+    packed::check(&tree).map_err(named)?;
+    posture.lay_over(&mut tree).map_err(named)?;
+    let (stance, found) = posture::settle(&mut tree);
+    Ok(Import { tree, format, warnings: notes.into_lines(), links, visuals, stance, found, base_is_free })
 }
 
 impl Import {
@@ -114,10 +132,12 @@ impl Import {
     }
 
     fn of_robot(name: &str, robot: &crate::sim::Robot) -> Result<Self> {
-        let tree = crate::sim::tree::of_robot(name, robot)?;
+        let mut tree = crate::sim::tree::of_robot(name, robot)?;
+        let (stance, found) = posture::settle(&mut tree);
         let links = tree.bodies.iter().map(|b| vec![b.name.clone()]).collect();
         let visuals = tree.bodies.iter().map(|_| Vec::new()).collect();
-        Ok(Self { tree, format: Format::Toml, warnings: Vec::new(), links, visuals })
+        let (format, warnings) = (Format::Toml, Vec::new());
+        Ok(Self { tree, format, warnings, links, visuals, stance, found, base_is_free: true })
     }
 
     /// The visual shapes of each body: the file's visuals, or else its collision shapes. Meshes of visuals are read

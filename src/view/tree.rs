@@ -6,8 +6,9 @@ use super::text;
 use crate::error::{Error, Result};
 use crate::sand::intruder::Plate;
 use crate::sim::frame::V;
-use crate::sim::tree::{Geometry, JointKind, Tree, TreeShape};
-use nalgebra::{Isometry3, UnitQuaternion};
+use crate::sim::tree::stance::chain;
+use crate::sim::tree::{Geometry, Tree, TreeShape};
+use nalgebra::Isometry3;
 use resvg::tiny_skia::{Pixmap, PremultipliedColorU8};
 use std::f64::consts::TAU;
 
@@ -41,7 +42,8 @@ pub fn draw(
             return Err(Error::invalid(name, format!("{side} is outside [{}, {}]", SIZES.start(), SIZES.end())));
         }
     }
-    let frames = frames(tree);
+    let angles: Vec<f64> = tree.joints().map(|j| j.rest.unwrap_or(0.0)).collect();
+    let frames = chain(tree, Isometry3::identity(), &angles);
     let mut faces = Vec::new();
     for (b, shapes) in seen.iter().enumerate() {
         let color = if b == 0 { BASE } else { LINKS[depth(tree, b) % LINKS.len()] };
@@ -77,26 +79,6 @@ pub(super) fn depth(tree: &Tree, body: usize) -> usize {
         depth += 1;
     }
     depth
-}
-
-/// Poses of the bodies with the base level and joints in the file's pose, or at 0, within their range.
-fn frames(tree: &Tree) -> Vec<Isometry3<f64>> {
-    let mut frames: Vec<Isometry3<f64>> = Vec::with_capacity(tree.bodies.len());
-    for body in &tree.bodies {
-        let Some(joint) = &body.joint else {
-            frames.push(Isometry3::identity());
-            continue;
-        };
-        let q = joint.rest.unwrap_or_else(|| joint.range.map_or(0.0, |[low, high]| 0f64.clamp(low, high)));
-        let moved = match joint.kind {
-            JointKind::Hinge => {
-                Isometry3::from_parts(Default::default(), UnitQuaternion::from_axis_angle(&joint.axis, q))
-            }
-            JointKind::Slide => Isometry3::translation(q * joint.axis.x, q * joint.axis.y, q * joint.axis.z),
-        };
-        frames.push(frames[body.parent] * body.origin * moved);
-    }
-    frames
 }
 
 fn quad(plate: &Plate, frame: &Isometry3<f64>, before: f64) -> [[V; 3]; 2] {

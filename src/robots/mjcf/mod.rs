@@ -70,6 +70,7 @@ pub fn robot(
     }
     let name = root.get("model").unwrap_or(name);
     let mut merged = merged(name, links)?;
+    merged.base_is_free = base.free;
     actuator::apply(&root, &defaults, compiler.autolimits, &mut merged.tree, notes)?;
     actuator::rest(&root, &mut merged.tree, notes)?;
     Ok(merged)
@@ -89,6 +90,7 @@ fn rescale(links: &mut [Link], wanted: f64) {
 struct Base<'a> {
     element: &'a Element,
     class: String,
+    free: bool,
 }
 
 /// The one body of the world that moves freely.
@@ -123,7 +125,7 @@ fn top<'a>(world: &'a Element, class: &str, bodies: &mut Vec<Base<'a>>, notes: &
     let class = world.get("childclass").unwrap_or(class);
     for child in &world.children {
         match child.tag.as_str() {
-            "body" => bodies.push(Base { element: child, class: class.to_owned() }),
+            "body" => bodies.push(Base { element: child, class: class.to_owned(), free: body::is_free(child) }),
             "frame" => top(child, class, bodies, notes)?,
             "replicate" | "attach" | "composite" | "flexcomp" => return Err(child.error("is not read")),
             _ => notes.left_out(child),

@@ -12,7 +12,8 @@
 //!   [`forces`]: those of both at one moment, for pictures.
 //! * [`contact`]: the points; [`terrain`]: the ground's surface near a point, [`relief`]: a surface that is not
 //!   flat, [`heights`]: those of a file as one text.
-//! * [`stance`]: the standing pose and the feet; [`looks`]: shapes for pictures; [`packed`]: a robot as one text.
+//! * [`joint_values`]: values for joints by patterns of their names;
+//!   [`limbs`]: legs, arms and tails, and how each moves; [`stance`]: the standing pose; [`gains`]: servo gains; [`looks`]: shapes for pictures; [`packed`]: a robot as one text.
 //! * [`plates`]: collision shapes as the plates that push on sand, [`patches`]: plates with nearly the same normal,
 //!   gathered; [`robot`]: our own robots as trees.
 
@@ -22,8 +23,11 @@ pub mod engine;
 pub mod flight;
 pub mod floor;
 pub mod forces;
+pub mod gains;
 pub mod hard;
 pub mod heights;
+pub mod joint_values;
+pub mod limbs;
 pub mod looks;
 pub mod model;
 pub mod packed;

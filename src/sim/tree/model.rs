@@ -2,6 +2,7 @@
 
 use super::Tree;
 use super::contact::{ContactPoint, contact_points};
+use super::gains::motors;
 use super::looks::Looks;
 use super::patches::BodyPatches;
 use super::stance::{Stance, frames, lowest};
@@ -53,15 +54,6 @@ pub struct TreeModel {
     pub looks: Arc<Looks>,
 }
 
-/// Position error at which a motor without a known gain gives its full torque [rad]: our choice. It gives Unitree's
-/// Go1, whose limit is 23.7 N·m, about the 20 N·m/rad that legged_gym takes for its sister A1.
-const FULL_TORQUE_AT: f64 = 1.0;
-/// kd/kp of a servo without known gains [s]: 0.5/20, as legged_gym takes for A1 (Rudin et al. 2022).
-const SETTLING: f64 = 0.025;
-/// If no torque limit is known either, the robot's weight times this lever [m] takes its place: our choice, the
-/// length of a shank.
-const LEVER: f64 = 0.2;
-
 impl Compliance {
     /// The whole weight on one point sinks it by 1 mm. Damping is half of the critical damping of a quarter of the
     /// mass. A held point creeps with up to 1e-5 m/s, as on sand. Our choices: a foot at rest sinks by less than
@@ -83,8 +75,9 @@ impl TreeModel {
     /// The same as [`Self::new`], with points of contact that are known already.
     pub fn with_contacts(tree: Tree, plates: Vec<Vec<Plate>>, contacts: Vec<Vec<ContactPoint>>) -> Result<Self> {
         check(&tree)?;
-        let (motors, compliance) = (motors(&tree), Compliance::of_mass(tree.mass()));
+        let compliance = Compliance::of_mass(tree.mass());
         let stance = Arc::new(Stance::of(&tree, &contacts));
+        let motors = motors(&tree, &contacts, &stance);
         let looks = Looks::of(tree.bodies.iter().map(|b| &b.shapes[..]), false).or_plates(&plates);
         let (patches, contacts, looks) = (Arc::default(), Arc::new(contacts), Arc::new(looks));
         Ok(Self { tree, motors, plates: Arc::new(plates), patches, contacts, compliance, stance, looks })
@@ -147,18 +140,4 @@ fn check(tree: &Tree) -> Result<()> {
         Some(_) => check_range("mass", tree.mass(), 1e-6..=1e6).map(drop),
         None => Err(Error::invalid("robot", "it has no bodies")),
     }
-}
-
-fn motors(tree: &Tree) -> Vec<TreeMotor> {
-    let weight = tree.mass() * GRAVITY;
-    let motor = |joint: &super::TreeJoint| {
-        let kp = joint.kp.unwrap_or_else(|| joint.torque_limit.map_or(weight * LEVER, |t| t / FULL_TORQUE_AT));
-        TreeMotor {
-            kp,
-            kd: joint.kd.unwrap_or(kp * SETTLING),
-            torque_limit: joint.torque_limit,
-            speed_limit: joint.speed_limit,
-        }
-    };
-    tree.joints().map(motor).collect()
 }

@@ -94,7 +94,13 @@ enum Kind {
 /// Packs `tree` with the plates of each body, and with shapes for pictures where its primitives do not suffice.
 pub fn pack(tree: &Tree, plates: &[Vec<Plate>], looks: Option<&Looks>) -> Result<String> {
     let contacts = contact_points(tree);
-    let body = |(i, b): (usize, &TreeBody)| Body {
+    let bodies = tree.bodies.iter().enumerate().map(|(i, b)| body(b, &contacts[i], &plates[i])).collect();
+    let packed = Packed { name: tree.name.clone(), bodies, looks: looks.cloned() };
+    serde_json::to_string(&packed).map_err(|e| Error::invalid("robot", e.to_string()))
+}
+
+fn body(b: &TreeBody, contacts: &[ContactPoint], plates: &[Plate]) -> Body {
+    Body {
         name: b.name.clone(),
         parent: b.parent,
         origin: place(&b.origin),
@@ -103,12 +109,9 @@ pub fn pack(tree: &Tree, plates: &[Vec<Plate>], looks: Option<&Looks>) -> Result
         center: b.center.into(),
         inertia: [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)].map(|at| b.inertia[at]),
         shapes: b.shapes.iter().filter_map(shape).collect(),
-        contacts: contacts[i].iter().map(contact).collect(),
-        plates: plates[i].iter().map(plate).collect(),
-    };
-    let bodies = tree.bodies.iter().enumerate().map(body).collect();
-    let packed = Packed { name: tree.name.clone(), bodies, looks: looks.cloned() };
-    serde_json::to_string(&packed).map_err(|e| Error::invalid("robot", e.to_string()))
+        contacts: contacts.iter().map(contact).collect(),
+        plates: plates.iter().map(plate).collect(),
+    }
 }
 
 /// The text of [`pack`], compressed.
@@ -128,6 +131,12 @@ pub fn compressed(text: &str) -> Result<String> {
 /// Does this text claim to be a packed robot? It may still be broken.
 pub fn is_packed(text: &str) -> bool {
     text.starts_with(MARK)
+}
+
+/// Refuses a robot whose numbers [`unpack`] would refuse.
+pub fn check(tree: &Tree) -> Result<()> {
+    check_range("number of bodies", tree.bodies.len() as f64, 1.0..=MOST_BODIES as f64)?;
+    tree.bodies.iter().try_for_each(|b| body(b, &[], &[]).check())
 }
 
 /// Reads a text of [`compressed`].
