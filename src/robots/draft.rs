@@ -75,11 +75,11 @@ impl Inertial {
             ));
         }
         if self.mass == 0.0 && most > 0.0 {
-            return Ok(Some("inertia without mass".into()));
+            return Ok(Some("has an inertia without a mass; it is used as it is".into()));
         }
         let most_of_flat = (least + middle) * (1.0 + 1e-3);
-        let doubtful = || format!("no body has this inertia: {most:.3e} kg·m² is more than {least:.3e} + {middle:.3e}");
-        Ok((most > most_of_flat).then(doubtful))
+        let doubtful = most > most_of_flat && most - least - middle > NOTHING;
+        Ok(doubtful.then(|| "no body has such an inertia (one principal moment above the sum of the others); it is used as it is".into()))
     }
 }
 

@@ -109,7 +109,7 @@ pub fn load_with(path: &Path, posture: &Posture) -> Result<Import> {
         }
         _ => return Err(root.error("is neither <robot> (URDF) nor <mujoco> (MJCF)")),
     };
-    check::check(&merged, &mut |line| notes.say(line)).map_err(named)?;
+    check::check(&merged, &mut notes).map_err(named)?;
     let draft::Merged { mut tree, visuals, links, base_is_free, .. } = merged;
     packed::check(&tree).map_err(named)?;
     posture.lay_over(&mut tree).map_err(named)?;

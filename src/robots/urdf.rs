@@ -164,7 +164,7 @@ impl Reader<'_> {
         }
         match own.check() {
             Err(reason) => return Err(element.error(reason)),
-            Ok(Some(doubt)) => self.notes.say(format!("link {}: {doubt}", element.required("name")?)),
+            Ok(Some(doubt)) => self.notes.part("link", element.required("name")?, doubt),
             Ok(None) => {}
         }
         Ok(own.moved(&origin(inertial)?))
@@ -254,14 +254,14 @@ impl Reader<'_> {
         let (name, free) = (joint.name.clone(), element.get("type") == Some("continuous"));
         let Some(limit) = element.first("limit") else {
             if !free {
-                self.notes.say(format!("joint {name}: no <limit>; it moves freely"));
+                self.notes.part("joint", &name, "no <limit>; it moves freely");
             }
             return Ok(());
         };
         let mut most = |attribute: &str| {
             let value = limit.not_negative(attribute)?;
             if value == Some(0.0) {
-                self.notes.say(format!("joint {name}: {attribute} 0 is taken as unknown"));
+                self.notes.part("joint", &name, format!("{attribute} 0 is taken as no limit"));
             }
             Ok::<_, Error>(value.filter(|v| *v > 0.0))
         };
@@ -275,7 +275,7 @@ impl Reader<'_> {
         }
         joint.range = Some(ends).filter(|e| e[0] < e[1]);
         if joint.range.is_none() {
-            self.notes.say(format!("joint {name}: lower = upper is taken as no limit"));
+            self.notes.part("joint", &name, "lower = upper is taken as no limit");
         }
         Ok(())
     }

@@ -14,6 +14,7 @@
 //!   flat, [`heights`]: those of a file as one text.
 //! * [`joint_values`]: values for joints by patterns of their names;
 //!   [`limbs`]: legs, arms and tails, and how each moves; [`stance`]: the standing pose; [`gains`]: servo gains; [`looks`]: shapes for pictures; [`packed`]: a robot as one text.
+//! * [`standing`]: does the robot stand?
 //! * [`plates`]: collision shapes as the plates that push on sand, [`patches`]: plates with nearly the same normal,
 //!   gathered; [`robot`]: our own robots as trees.
 
@@ -38,6 +39,7 @@ mod robot;
 mod sand;
 mod servo;
 pub mod stance;
+pub mod standing;
 mod step;
 pub mod terrain;
 

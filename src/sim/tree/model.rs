@@ -109,6 +109,14 @@ impl TreeModel {
         self
     }
 
+    /// A copy that stands with the given joints at other angles.
+    pub fn standing_at(mut self, angles: &[Option<f64>]) -> Self {
+        let own = self.stance.angles.iter().zip(angles);
+        let angles: Vec<f64> = own.map(|(own, other)| other.unwrap_or(*own)).collect();
+        self.stance = Arc::new(Stance::at(&self.tree, &self.contacts, angles));
+        self
+    }
+
     /// Height of the level base's origin at which the lowest point touches flat ground [m], with joints at `angles`.
     pub fn standing_height(&self, angles: &[f64]) -> f64 {
         self.height_over(angles, |_, _| 0.0)
