@@ -3,7 +3,7 @@
 
 use super::Import;
 use crate::error::{Error, Result};
-use crate::sim::tree::contact::contact_points;
+use crate::sim::tree::contact::{ContactPoint, contact_points};
 use crate::sim::tree::joint_values::by_pattern;
 use crate::sim::tree::stance::Stance;
 use crate::sim::tree::{Tree, TreeJoint, gains};
@@ -31,6 +31,10 @@ pub struct Found {
 }
 
 impl Found {
+    pub fn none(joints: usize) -> Self {
+        Self { rest: vec![false; joints], kp: vec![false; joints], kd: vec![false; joints] }
+    }
+
     pub fn any(&self) -> bool {
         [&self.rest, &self.kp, &self.kd].into_iter().flatten().any(|found| *found)
     }
@@ -59,10 +63,11 @@ fn joints(tree: &mut Tree) -> impl Iterator<Item = &mut TreeJoint> {
     tree.bodies.iter_mut().filter_map(|b| b.joint.as_mut())
 }
 
-/// Fills in pose and gains of the joints that have none, and says which these were.
-pub fn settle(tree: &mut Tree) -> (Stance, Found) {
+/// Fills in pose and gains of the joints that have none, and says which these were, and whether the file's pose is ignored
+/// because not all legs stand in it.
+pub fn settle(tree: &mut Tree) -> (Stance, Found, bool) {
     let contacts = contact_points(tree);
-    let stance = Stance::of(tree, &contacts);
+    let (stance, ignored) = standing(tree, &contacts);
     let motors = gains::motors(tree, &contacts, &stance);
     let found = Found {
         rest: tree.joints().map(|j| j.rest.is_none()).collect(),
@@ -73,7 +78,24 @@ pub fn settle(tree: &mut Tree) -> (Stance, Found) {
         (joint.kp, joint.kd) = (joint.kp.or(Some(motor.kp)), joint.kd.or(Some(motor.kd)));
         joint.rest = joint.rest.or(Some(*angle));
     }
-    (stance, found)
+    (stance, found, ignored)
+}
+
+/// The stance of the file's pose, or of the one that is found if more legs stand in that; and whether the file's pose is
+/// ignored for this reason.
+fn standing(tree: &mut Tree, contacts: &[Vec<ContactPoint>]) -> (Stance, bool) {
+    let own = Stance::of(tree, contacts);
+    if tree.joints().any(|j| j.rest.is_none()) {
+        return (own, false);
+    }
+    let mut free = tree.clone();
+    joints(&mut free).for_each(|j| j.rest = None);
+    let found = Stance::of(&free, contacts);
+    if found.legs.len() <= own.legs.len() {
+        return (own, false);
+    }
+    *tree = free;
+    (found, true)
 }
 
 impl Import {

@@ -16,7 +16,7 @@ impl Import {
     /// the legs), and the base itself. A name is that of a body, of a link of the file,
     /// or of a shape.
     pub fn touching(&self, names: Option<&[String]>) -> Result<Vec<Touch>> {
-        let Some(names) = names else { return Ok(lowest_parts(&self.tree, &self.stance)) };
+        let Some(names) = names.or(self.touches.as_deref()) else { return Ok(lowest_parts(&self.tree, &self.stance)) };
         let mut found = Vec::new();
         for name in names {
             let before = found.len();

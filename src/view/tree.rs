@@ -6,7 +6,8 @@ use super::text;
 use crate::error::{Error, Result};
 use crate::sand::intruder::Plate;
 use crate::sim::frame::V;
-use crate::sim::tree::stance::chain;
+use crate::sim::State;
+use crate::sim::tree::stance::{chain, frames};
 use crate::sim::tree::{Geometry, Tree, TreeShape};
 use nalgebra::Isometry3;
 use resvg::tiny_skia::{Pixmap, PremultipliedColorU8};
@@ -25,8 +26,8 @@ const SIDES: usize = 32;
 /// them.
 const BEFORE: f64 = 2e-3;
 
-/// A PNG of `size` [px]: `tree` in its standing pose, with its lowest point on the ground; `seen` (visual shapes) and
-/// `plates` are lists by body, in the bodies' frames.
+/// A PNG of `size` [px]: `tree` in its standing pose, with its lowest point on the ground, or at `state`, with the ground at
+/// z = 0; `seen` (visual shapes) and `plates` are lists by body, in the bodies' frames.
 ///
 /// # Errors
 /// Names the side that is out of [`SIZES`].
@@ -34,6 +35,7 @@ pub fn draw(
     tree: &Tree,
     seen: &[Vec<TreeShape>],
     plates: &[Vec<Plate>],
+    state: Option<&State>,
     size: [u32; 2],
     captions: &[String],
 ) -> Result<Vec<u8>> {
@@ -43,7 +45,10 @@ pub fn draw(
         }
     }
     let angles: Vec<f64> = tree.joints().map(|j| j.rest.unwrap_or(0.0)).collect();
-    let frames = chain(tree, Isometry3::identity(), &angles);
+    let frames = match state {
+        Some(state) => frames(tree, state),
+        None => chain(tree, Isometry3::identity(), &angles),
+    };
     let mut faces = Vec::new();
     for (b, shapes) in seen.iter().enumerate() {
         let color = if b == 0 { BASE } else { LINKS[depth(tree, b) % LINKS.len()] };
@@ -63,7 +68,7 @@ pub fn draw(
     }
     let samples = size.map(|s| s * SAMPLES as u32);
     let camera = Camera::around((low + high) / 2.0, 0.72 * radius, samples);
-    let mut canvas = Canvas::new(samples, camera, low.z);
+    let mut canvas = Canvas::new(samples, camera, if state.is_some() { 0.0 } else { low.z });
     canvas.ground(&faces, radius);
     for (corners, color) in &faces {
         canvas.triangle(corners, *color);
