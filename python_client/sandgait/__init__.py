@@ -35,6 +35,7 @@ from .errors import InvalidRequest, LimitReached, OutOfOrder, SandgaitError, Ser
 from .policies import Evaluation, evaluate
 from .recording import Recording, Section, read_recording
 from .remote import Remote
+from .robots import check_robot
 from .spaces import Column, Option, Task
 from .studies import Intrusion, Sweep, Trials, Walks, intrude, sweep, walk
 from .tables import Table
@@ -73,6 +74,7 @@ __all__ = [
     "Trials",
     "UnknownAttribute",
     "Walks",
+    "check_robot",
     "describe",
     "diagnose",
     "evaluate",
