@@ -3,6 +3,7 @@
 use super::dynamics::{JointMotion, LaneBody, Motion};
 use super::floor::{BodyContacts, Floor};
 use super::model::TreeModel;
+use super::own::OwnFloor;
 use super::relief::LaneRelief;
 use super::servo::{LaneMotor, LaneServo};
 use super::step::{LaneState, LaneTree, Scratch, step};
@@ -128,6 +129,7 @@ impl<R: Real> Lanes<R> {
             contacts: if model.scene.hard.is_empty() { Vec::new() } else { BodyContacts::all(tree) },
             ground: model.scene.ground(),
             floor: Floor::new(tree, &model.scene.hard),
+            own: OwnFloor::new(tree),
             relief: model.scene.relief.as_ref().map(|r| LaneRelief(vec![r.clone(); R::LANES])),
             gravity: Vec3::zero(),
             dt: R::splat(model.scene.dt),
@@ -211,6 +213,7 @@ impl<R: Real> Block for Lanes<R> {
         LaneMotor::set_lane(&mut self.tree.motors, lane, tree);
         self.set_ground(lane, model, tree);
         self.tree.floor.set_lane(lane, tree, &model.scene.hard);
+        self.tree.own.set_lane(lane, tree);
         self.tree.gravity.set_lane(lane, model.gravity.into());
         if let (Some(reliefs), Some(own)) = (&mut self.tree.relief, &model.scene.relief) {
             reliefs.0[lane] = own.clone();

@@ -10,14 +10,16 @@
 //! * [`dynamics`]: accelerations of a tree, over any number; [`flight`]: those in free flight, for checks.
 //! * [`servo`]: motors, bearings and stops; [`sand`]: sand on plates; [`floor`]: hard ground under points;
 //!   [`forces`]: those of both at one moment, for pictures.
+//! * [`own`]: contact between bodies of one robot.
 //! * [`contact`]: the points; [`terrain`]: the ground's surface near a point, [`relief`]: a surface that is not
 //!   flat, [`heights`]: those of a file as one text.
-//! * [`joint_values`]: values for joints by patterns of their names;
-//!   [`limbs`]: legs, arms and tails, and how each moves; [`stance`]: the standing pose; [`gains`]: servo gains; [`looks`]: shapes for pictures; [`packed`]: a robot as one text.
-//! * [`standing`]: does the robot stand?
-//! * [`plates`]: collision shapes as the plates that push on sand, [`patches`]: plates with nearly the same normal,
-//!   gathered; [`robot`]: our own robots as trees.
+//! * [`joint_values`]: values for joints by patterns of their names; [`limbs`]: legs, arms and tails, and how each moves;
+//!   [`stance`]: the standing pose; [`gains`]: servo gains; [`standing`]: does the robot stand?
+//! * [`looks`]: shapes for pictures; [`packed`]: a robot as one text.
+//! * [`plates`]: collision shapes as the plates that push on sand, few in place of many ([`cluster`]); [`patches`]:
+//!   plates with nearly the same normal, gathered; [`robot`]: our own robots as trees.
 
+mod cluster;
 pub mod contact;
 pub mod dynamics;
 pub mod engine;
@@ -31,6 +33,7 @@ pub mod joint_values;
 pub mod limbs;
 pub mod looks;
 pub mod model;
+pub mod own;
 pub mod packed;
 pub mod patches;
 pub mod plates;
@@ -46,7 +49,7 @@ pub mod terrain;
 pub use engine::TreeEngine;
 pub use hard::HardGround;
 pub use model::TreeModel;
-pub use plates::of_shapes;
+pub use plates::{of_shapes, of_touching};
 pub use robot::of_robot;
 
 use nalgebra::{Isometry3, Matrix3, Unit, Vector3};
@@ -93,6 +96,8 @@ pub struct TreeJoint {
     pub damping: f64,
     /// Dry friction [N·m or N].
     pub friction: f64,
+    /// Stiffness [N·m/rad or N/m] of a spring, and the position at which it is relaxed [rad or m].
+    pub spring: Option<[f64; 2]>,
     /// Inertia of the rotor, multiplied by the gear, at the joint [kg·m² or kg].
     pub armature: f64,
     /// Largest torque of the motor [N·m or N]; None: no known limit.

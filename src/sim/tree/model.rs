@@ -4,6 +4,7 @@ use super::Tree;
 use super::contact::{ContactPoint, contact_points};
 use super::gains::motors;
 use super::looks::Looks;
+use super::own::OwnContacts;
 use super::patches::BodyPatches;
 use super::stance::{Stance, frames, lowest};
 use crate::error::{Error, Result, check_range};
@@ -48,6 +49,8 @@ pub struct TreeModel {
     /// Points that touch hard ground, in the frame of each body.
     pub contacts: Arc<Vec<Vec<ContactPoint>>>,
     pub compliance: Compliance,
+    /// Bodies that may touch each other.
+    pub own: Arc<OwnContacts>,
     /// The standing pose.
     pub stance: Arc<Stance>,
     /// Shapes for pictures.
@@ -78,15 +81,21 @@ impl TreeModel {
         let compliance = Compliance::of_mass(tree.mass());
         let stance = Arc::new(Stance::of(&tree, &contacts));
         let motors = motors(&tree, &contacts, &stance);
+        let own = Arc::new(OwnContacts::of(&tree, &contacts, &stance));
         let looks = Looks::of(tree.bodies.iter().map(|b| &b.shapes[..]), false).or_plates(&plates);
         let (patches, contacts, looks) = (Arc::default(), Arc::new(contacts), Arc::new(looks));
-        Ok(Self { tree, motors, plates: Arc::new(plates), patches, contacts, compliance, stance, looks })
+        Ok(Self { tree, motors, plates: Arc::new(plates), patches, contacts, compliance, own, stance, looks })
     }
 
     /// The model with other shapes for pictures. Without this it shows its primitives, and plates where a body has
     /// none.
     pub fn with_looks(self, looks: Looks) -> Self {
         Self { looks: Arc::new(looks.finished()), ..self }
+    }
+
+    /// A copy whose bodies pass through each other.
+    pub fn without_self_contact(self) -> Self {
+        Self { own: Arc::default(), ..self }
     }
 
     /// The model with its plates gathered for `law`.

@@ -1,7 +1,8 @@
-//! One time step of a tree robot: positions → sand → hard ground → joints → accelerations → motion.
+//! One time step of a tree robot: positions → sand → hard ground → bodies that meet → joints → accelerations → motion.
 
 use super::dynamics::{self, Frame, Hinge, LaneBody, Load, Motion};
 use super::floor::{BodyContacts, Floor, Touch};
+use super::own::{Meeting, OwnFloor, Placed};
 use super::patches::BodyPatches;
 use super::relief::LaneRelief;
 use super::sand;
@@ -19,6 +20,7 @@ pub struct LaneTree<R> {
     pub contacts: Vec<BodyContacts>,
     pub ground: SandBed<R>,
     pub floor: Floor<R>,
+    pub own: OwnFloor<R>,
     /// None: the surface is flat.
     pub relief: Option<LaneRelief>,
     pub gravity: Vec3<R>,
@@ -56,6 +58,8 @@ pub struct Scratch<R> {
     pub accelerations: Vec<Twist<R>>,
     joints: Vec<R>,
     pub touches: Vec<Touch<R>>,
+    capsules: Placed<R>,
+    meetings: Vec<Meeting<R>>,
 }
 
 impl<R: Real> Scratch<R> {
@@ -69,6 +73,8 @@ impl<R: Real> Scratch<R> {
             accelerations: vec![still; bodies],
             joints: vec![R::zero(); bodies - 1],
             touches: Vec::new(),
+            capsules: Vec::new(),
+            meetings: Vec::new(),
         }
     }
 }
@@ -91,15 +97,19 @@ pub fn accelerate<R: Real>(model: &LaneTree<R>, state: &LaneState<R>, scratch: &
     dynamics::load(&model.bodies, &scratch.frames, model.gravity, &mut scratch.loads);
     sand::press(&model.ground, &model.patches, &scratch.frames, &place, surface, &mut scratch.loads, dt);
     model.floor.find(&model.contacts, &scratch.frames, &place, surface, &mut scratch.touches);
-    if scratch.touches.is_empty() {
+    model.own.find(&scratch.frames, &mut scratch.capsules, &mut scratch.meetings, dt);
+    if scratch.touches.is_empty() && scratch.meetings.is_empty() {
         solve(model, state, scratch);
     } else {
         scratch.bare.copy_from_slice(&scratch.loads);
         model.floor.press(&scratch.touches, &mut scratch.loads, dt);
+        model.own.resist(&scratch.meetings, &mut scratch.loads, dt);
         solve(model, state, scratch);
         model.floor.classify(&mut scratch.touches, &scratch.accelerations, dt);
+        model.own.settle(&mut scratch.meetings, &scratch.accelerations, dt);
         scratch.loads.copy_from_slice(&scratch.bare);
         model.floor.press(&scratch.touches, &mut scratch.loads, dt);
+        model.own.press(&scratch.meetings, &mut scratch.loads);
         solve(model, state, scratch);
     }
 }

@@ -6,6 +6,7 @@ use nalgebra::{Rotation3, UnitQuaternion};
 
 mod engine;
 mod forces;
+mod own;
 mod sand;
 
 type V = Vector3<f64>;
@@ -56,6 +57,7 @@ pub fn random_tree(draw: &mut Draw, count: usize) -> Tree {
             range: None,
             damping: 0.0,
             friction: 0.0,
+            spring: None,
             armature: 0.0,
             torque_limit: None,
             speed_limit: None,
