@@ -150,7 +150,7 @@ pub fn pack(robot: &str, folders: &[PathBuf]) -> Result<(String, Vec<String>)> {
     if import.packed.is_some() {
         let text = std::fs::read_to_string(robot).map_err(|e| Error::file(Path::new(robot), e))?;
         let text = text.trim();
-        return Ok((if packed::is_packed(text) { text.to_owned() } else { packed::compressed(text)? }, Vec::new()));
+        return Ok((if packed::is_packed(text) { text.to_owned() } else { packed::compressed(text, 0)? }, Vec::new()));
     }
     import.check_legged()?;
     let touching = Touching::of(&import, None, None)?;

@@ -39,10 +39,21 @@ pub fn check(merged: &Merged, notes: &mut Notes) -> Result<()> {
 
 fn names(merged: &Merged) -> Result<()> {
     let mut joints = std::collections::HashSet::new();
-    match merged.tree.joints().find(|j| !joints.insert(&j.name)) {
-        Some(twice) => Err(Error::invalid(format!("joint {:?}", twice.name), "a second one of this name")),
-        None => Ok(()),
+    if let Some(twice) = merged.tree.joints().find(|j| !joints.insert(&j.name)) {
+        return Err(Error::invalid(format!("joint {:?}", twice.name), "a second one of this name"));
     }
+    for joint in merged.tree.joints() {
+        let Some(mimic) = &joint.mimic else { continue };
+        let wrong = |reason: String| Error::invalid(format!("joint {:?}", joint.name), reason);
+        match merged.tree.joints().find(|j| j.name == mimic.leader) {
+            None => return Err(wrong(format!("follows joint {:?}, which does not exist or does not move", mimic.leader))),
+            Some(leader) if leader.mimic.is_some() => {
+                return Err(wrong(format!("follows joint {:?}, which follows another itself: name that one", leader.name)));
+            }
+            Some(_) => {}
+        }
+    }
+    Ok(())
 }
 
 /// Spatial inertia about the body's frame, angular part first.

@@ -7,7 +7,7 @@ use super::notes::Notes;
 use super::shapes::collision_mesh;
 use super::xml::Element;
 use crate::error::{Error, Result};
-use crate::sim::tree::{Geometry, JointKind, TreeJoint, TreeShape};
+use crate::sim::tree::{Geometry, JointKind, Mimic, TreeJoint, TreeShape};
 use nalgebra::{Isometry3, Matrix3, Translation3, Unit, UnitQuaternion, Vector3};
 use std::collections::HashMap;
 
@@ -119,6 +119,12 @@ fn origin(element: &Element) -> Result<Isometry3<f64>> {
     Ok(Isometry3::from_parts(Translation3::new(x, y, z), UnitQuaternion::from_euler_angles(roll, pitch, yaw)))
 }
 
+fn mimic(element: &Element) -> Result<Mimic> {
+    let number = |name: &str, usual: f64| Ok::<_, Error>(element.number(name)?.unwrap_or(usual));
+    let leader = element.required("joint")?.to_owned();
+    Ok(Mimic { leader, ratio: number("multiplier", 1.0)?, offset: number("offset", 0.0)? })
+}
+
 impl Reader<'_> {
     fn link(&mut self, element: &Element, joint: Option<&Element>, parent: usize) -> Result<Link> {
         let name = element.required("name")?.to_owned();
@@ -220,9 +226,7 @@ impl Reader<'_> {
                 );
             }
         };
-        if let Some(mimic) = element.first("mimic") {
-            return Err(mimic.error(format!("joint {name}: one that follows another is not simulated: make it fixed")));
-        }
+        let mimic = element.first("mimic").map(mimic).transpose()?;
         let axis = match element.first("axis") {
             Some(axis) => axis.numbers("xyz")?.ok_or_else(|| axis.error("xyz is missing"))?,
             None => [1.0, 0.0, 0.0],
@@ -236,6 +240,7 @@ impl Reader<'_> {
             damping: 0.0,
             friction: 0.0,
             spring: None,
+            mimic,
             armature: 0.0,
             torque_limit: None,
             speed_limit: None,

@@ -107,11 +107,11 @@ pub struct LeggedVelocity {
     contacts: usize,
     /// Default position of each joint [rad].
     angles: Vec<f64>,
-    /// Offset of each joint's target at action 1 [rad].
-    scales: Vec<f64>,
+    /// The joint of each action, and the offset of its target at action 1 [rad].
+    driven: Vec<(usize, f64)>,
 }
 
-fn observation(joints: &[String], heights: bool) -> Features<Observe> {
+fn observation(joints: &[String], motors: &[String], heights: bool) -> Features<Observe> {
     let height = |i: usize| {
         let [x, y] = measured(i);
         Column::new(format!("measured_heights {x:.1} {y:.1}"), "m", -1.0, 1.0)
@@ -126,7 +126,7 @@ fn observation(joints: &[String], heights: bool) -> Features<Observe> {
         .one("commanded ang_vel_yaw", "rad/s", -MOST_COMMAND, MOST_COMMAND, |o, _| o.command[2])
         .each(joints, "joint_pos off its default", "rad", JOINT_OFFSET, |o, i| o.state.angles[i] - o.default[i])
         .each(joints, "joint_vel", "rad/s", JOINT_SPEED, |o, i| o.state.rates[i])
-        .each(joints, "last action", "1", 1.0, |o, i| o.last_action[i].into())
+        .each(motors, "last action", "1", 1.0, |o, i| o.last_action[i].into())
         .group((0..measured).map(height), |o, i| o.measured_height(i))
 }
 
@@ -191,14 +191,18 @@ impl Task for LeggedVelocity {
         }
         let (joints, rewards) = (&setup.model.joint_names(), options.rewards);
         let feet: Vec<String> = tree.stance.feet.iter().map(|i| tree.tree.bodies[*i].name.clone()).collect();
-        let (observation, figures) = (observation(joints, options.measure_heights), figures(&feet));
+        let followers = tree.tree.followers();
+        let scales = action_scales(tree, options.action_scale).into_iter().enumerate();
+        let driven: Vec<_> = scales.filter(|(i, _)| followers.iter().all(|f| f.joint != *i)).collect();
+        let motors: Vec<String> = driven.iter().map(|(i, _)| joints[*i].clone()).collect();
+        let (observation, figures) = (observation(joints, &motors, options.measure_heights), figures(&feet));
         let reward = rewards.terms();
         let spec = Spec {
             id: Self::ID,
             summary: "A legged robot follows commanded velocities on sand or hard ground; actions are differences of joint targets from the default pose."
                 .into(),
             observation: observation.columns(),
-            action: Column::each(joints, "offset of the target over action_scale", "1", 1.0),
+            action: Column::each(&motors, "offset of the target over action_scale", "1", 1.0),
             about: ABOUT,
             info: [Column::rewards(&reward), figures.columns()].concat(),
             reward,
@@ -208,7 +212,7 @@ impl Task for LeggedVelocity {
         let angles = tree.stance.angles.clone();
         let first = feet.first().map(|foot| contact(foot).name);
         let contacts = spec.info.iter().position(|column| Some(&column.name) == first.as_ref()).unwrap_or(0);
-        Ok(Self { spec, rewards, observation, figures, contacts, angles, scales: action_scales(tree, options.action_scale) })
+        Ok(Self { spec, rewards, observation, figures, contacts, angles, driven })
     }
 
     fn spec(&self) -> &Spec {
@@ -234,8 +238,10 @@ impl Task for LeggedVelocity {
 
     fn command(&self, action: &[f32], _state: &State, command: &mut Command) {
         command.targets.clear();
-        let offsets = self.scales.iter().zip(action).map(|(scale, part)| scale * f64::from(*part));
-        command.targets.extend(self.angles.iter().zip(offsets).map(|(angle, offset)| angle + offset));
+        command.targets.extend_from_slice(&self.angles);
+        for ((joint, scale), part) in self.driven.iter().zip(action) {
+            command.targets[*joint] += scale * f64::from(*part);
+        }
     }
 
     fn after_step(&self, setup: &Setup<LeggedOptions>, goal: &mut Goal, _state: &State, info: &[f32]) -> Change {

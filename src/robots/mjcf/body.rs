@@ -215,6 +215,7 @@ impl Builder<'_> {
             damping: self.first(element, "damping")?,
             friction: element.not_negative("frictionloss")?.unwrap_or(0.0),
             spring: None,
+            mimic: None,
             armature: element.not_negative("armature")?.unwrap_or(0.0),
             torque_limit: None,
             speed_limit: None,

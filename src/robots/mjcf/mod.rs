@@ -4,6 +4,7 @@ mod actuator;
 mod body;
 mod compiler;
 mod defaults;
+mod equality;
 mod geom;
 
 use super::draft::{Inertial, Link, Merged, merged};
@@ -20,9 +21,9 @@ use std::collections::HashSet;
 use std::path::PathBuf;
 
 /// Sections that change how the robot moves: leaving one out would change the robot.
-const REFUSED: [&str; 3] = ["equality", "deformable", "extension"];
+const REFUSED: [&str; 2] = ["deformable", "extension"];
 /// Sections that are read.
-const READ: [&str; 7] = ["compiler", "default", "asset", "worldbody", "actuator", "keyframe", "include"];
+const READ: [&str; 8] = ["equality", "compiler", "default", "asset", "worldbody", "actuator", "keyframe", "include"];
 /// Largest number of files of a model: our choice, to bound the time of reading.
 const MOST_FILES: usize = 50;
 /// Largest number of elements of a model with all its includes: our choice, as for one file.
@@ -73,6 +74,7 @@ pub fn robot(
     merged.base_is_free = base.free;
     actuator::apply(&root, &defaults, compiler.autolimits, &mut merged.tree, notes)?;
     actuator::rest(&root, &mut merged.tree, notes)?;
+    equality::apply(&root, &mut merged.tree)?;
     Ok(merged)
 }
 

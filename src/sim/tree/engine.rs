@@ -125,6 +125,7 @@ impl<R: Real> Lanes<R> {
         let lanes = LaneTree {
             bodies: LaneBody::all(&tree.tree),
             motors: LaneMotor::all(tree),
+            followers: tree.tree.followers(),
             patches: if model.has_sand() { tree.patches.clone() } else { Arc::default() },
             contacts: if model.scene.hard.is_empty() { Vec::new() } else { BodyContacts::all(tree) },
             ground: model.scene.ground(),

@@ -29,6 +29,9 @@ const LEGS: f64 = 20.0;
 const OTHERS: f64 = 10.0;
 /// ζ, damping ratio.
 const DAMPING: f64 = 0.3;
+/// A joint that follows another is stiffer by this factor, with the same damping ratio: our choice, so that its load moves
+/// it by less than 1 mrad.
+const FOLLOWING: f64 = 100.0;
 /// b for robots with at least four feet, and for others.
 const POSTURE: [f64; 2] = [0.5, 3.0];
 /// Smallest distance of a centre of mass from its joint [m]: our choice, for parts that are balanced about it.
@@ -60,6 +63,10 @@ pub fn motors(tree: &Tree, contacts: &[Vec<ContactPoint>], stance: &Stance) -> V
                 found[i - 1] = gains;
             }
         });
+    }
+    for follower in tree.followers() {
+        let own = &mut found[follower.joint];
+        *own = Gains { kp: own.kp * FOLLOWING, kd: own.kd * FOLLOWING.sqrt() };
     }
     let motor = |(joint, own): (&TreeJoint, &Gains)| {
         let kp = joint.kp.unwrap_or(own.kp);

@@ -71,6 +71,10 @@ impl Joints {
     /// Joints with a position in the file keep it. Others are free in their range, and prefer 0.
     pub fn of(tree: &Tree) -> Self {
         let mut all = Self::free(tree);
+        for f in tree.followers() {
+            let at = f.ratio * all.preferred[f.leader] + f.offset;
+            (all.ranges[f.joint], all.preferred[f.joint]) = ([at; 2], at);
+        }
         for (i, rest) in tree.joints().enumerate().filter_map(|(i, j)| Some((i, j.rest?))) {
             (all.ranges[i], all.preferred[i]) = ([rest; 2], rest);
         }

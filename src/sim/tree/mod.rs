@@ -98,6 +98,8 @@ pub struct TreeJoint {
     pub friction: f64,
     /// Stiffness [N·m/rad or N/m] of a spring, and the position at which it is relaxed [rad or m].
     pub spring: Option<[f64; 2]>,
+    /// The joint that this one follows (URDF `mimic`, MJCF `equality/joint`).
+    pub mimic: Option<Mimic>,
     /// Inertia of the rotor, multiplied by the gear, at the joint [kg·m² or kg].
     pub armature: f64,
     /// Largest torque of the motor [N·m or N]; None: no known limit.
@@ -110,6 +112,23 @@ pub struct TreeJoint {
     pub kd: Option<f64>,
     /// Position in the standing pose [rad or m], if the file has one (MJCF: the first keyframe).
     pub rest: Option<f64>,
+}
+
+/// A joint's position is `ratio` times that of joint `leader`, plus `offset` [rad or m]. A stiff servo holds it there.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mimic {
+    pub leader: String,
+    pub ratio: f64,
+    pub offset: f64,
+}
+
+/// The same with indices of joints.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Follower {
+    pub joint: usize,
+    pub leader: usize,
+    pub ratio: f64,
+    pub offset: f64,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -154,6 +173,16 @@ impl Tree {
     /// Joints in the order of the bodies that they carry.
     pub fn joints(&self) -> impl Iterator<Item = &TreeJoint> {
         self.bodies.iter().filter_map(|b| b.joint.as_ref())
+    }
+
+    /// The joints that follow others. A leader that does not exist is left out; readers refuse it.
+    pub fn followers(&self) -> Vec<Follower> {
+        let place = |name: &str| self.joints().position(|j| j.name == name);
+        let follower = |(joint, own): (usize, &TreeJoint)| {
+            let mimic = own.mimic.as_ref()?;
+            Some(Follower { joint, leader: place(&mimic.leader)?, ratio: mimic.ratio, offset: mimic.offset })
+        };
+        self.joints().enumerate().filter_map(follower).collect()
     }
 
     /// [kg]

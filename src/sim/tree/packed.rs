@@ -4,7 +4,7 @@
 use super::contact::{ContactPoint, contact_points};
 use super::looks::Looks;
 use super::model::TreeModel;
-use super::{Geometry, JointKind, Tree, TreeBody, TreeJoint, TreeShape};
+use super::{Geometry, JointKind, Mimic, Tree, TreeBody, TreeJoint, TreeShape};
 use crate::error::{Error, Result, check_range};
 use crate::number::Vec3;
 use crate::sand::intruder::Plate;
@@ -64,6 +64,9 @@ struct Joint {
     friction: f64,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     spring: Option<[f64; 2]>,
+    /// Leader, ratio and offset.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    mimic: Option<(String, f64, f64)>,
     armature: f64,
     torque_limit: Option<f64>,
     speed_limit: Option<f64>,
@@ -213,6 +216,10 @@ impl Body {
         let [stiffness, rest] = joint.spring.unwrap_or_default();
         check_range(&name("spring"), stiffness, 0.0..=1e9)?;
         check_range(&name("spring"), rest, -1e6..=1e6)?;
+        if let Some((_, ratio, offset)) = joint.mimic {
+            check_range(&name("mimic"), ratio, -1e3..=1e3)?;
+            check_range(&name("mimic"), offset, -1e3..=1e3)?;
+        }
         let [low, high] = joint.range.unwrap_or_default();
         check_range(&name("range"), high, low..=1e12).map(drop)
     }
@@ -250,6 +257,7 @@ fn joint(j: &TreeJoint) -> Joint {
         damping: j.damping,
         friction: j.friction,
         spring: j.spring,
+        mimic: j.mimic.as_ref().map(|m| (m.leader.clone(), m.ratio, m.offset)),
         armature: j.armature,
         torque_limit: j.torque_limit,
         speed_limit: j.speed_limit,
@@ -268,6 +276,7 @@ fn joint_of(j: Joint) -> TreeJoint {
         damping: j.damping,
         friction: j.friction,
         spring: j.spring,
+        mimic: j.mimic.map(|(leader, ratio, offset)| Mimic { leader, ratio, offset }),
         armature: j.armature,
         torque_limit: j.torque_limit,
         speed_limit: j.speed_limit,

@@ -224,6 +224,9 @@ impl Search<'_> {
             let shift = self.off_center(&legs, &angles, upright);
             angles = self.standing(&legs, &angles, shift);
         }
+        for f in self.tree.followers().iter().filter(|f| self.joints.ranges[f.joint][0] == self.joints.ranges[f.joint][1]) {
+            angles[f.joint] = f.ratio * angles[f.leader] + f.offset;
+        }
         angles
     }
 
