@@ -28,17 +28,22 @@ fn column(blueprint: &Blueprint, name: &str) -> usize {
 /// Our own robot from its file, packed.
 fn sandcat(file: &str) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots").join(file);
-    let import = robots::load(&path).unwrap();
+    packed_text(&robots::load(&path).unwrap())
+}
+
+fn packed_text(import: &robots::Import) -> String {
     let touching = import.touching(None).unwrap();
     let plates = of_touching(&import.tree, &touching, Some(0.02)).unwrap();
     packed::pack(&import.tree, &plates, import.looks().unwrap().as_ref()).unwrap()
 }
 
-/// `src/env/options/sandcat.json` is what `sandgait robot robots/sandcat.urdf --pack --json --plate-size 0.02` prints.
+/// `src/env/options/sandcat.json` is what `sandgait robot sandcat=robots/sandcat.urdf --pack --json --plate-size 0.02` prints.
 #[test]
 fn the_built_in_robot_equals_its_file() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/env/options/sandcat.json");
-    assert_eq!(std::fs::read_to_string(path).unwrap().trim(), sandcat("sandcat.urdf"));
+    let import = robots::named::Named::of("sandcat").unwrap().unwrap();
+    let import = import.load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/sandcat.urdf")).unwrap();
+    assert_eq!(std::fs::read_to_string(path).unwrap().trim(), packed_text(&import));
 }
 
 /// Without pushes and with zero actions, a robot stands for 10 s on every ground. So does the same robot from its URDF,

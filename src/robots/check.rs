@@ -46,9 +46,9 @@ fn names(merged: &Merged) -> Result<()> {
         let Some(mimic) = &joint.mimic else { continue };
         let wrong = |reason: String| Error::invalid(format!("joint {:?}", joint.name), reason);
         match merged.tree.joints().find(|j| j.name == mimic.leader) {
-            None => return Err(wrong(format!("follows joint {:?}, which does not exist or does not move", mimic.leader))),
+            None => return Err(wrong(format!("is to mimic joint {:?}, which does not exist or does not move", mimic.leader))),
             Some(leader) if leader.mimic.is_some() => {
-                return Err(wrong(format!("follows joint {:?}, which follows another itself: name that one", leader.name)));
+                return Err(wrong(format!("is to mimic joint {:?}, which follows another itself: name that one", leader.name)));
             }
             Some(_) => {}
         }

@@ -92,7 +92,7 @@ pub fn folders() -> Vec<PathBuf> {
 
 /// A robot by name, by name and description (`go2=my/go2.urdf`), or from a file. `more`: further folders with packages.
 pub fn load_any(robot: &str, more: &[PathBuf]) -> Result<Import> {
-    if let Some((name, path)) = robot.split_once('=') {
+    if let Some((name, path)) = robot.split_once('=').filter(|(name, _)| names().contains(name)) {
         let named = Named::of(name).ok_or_else(|| Error::unknown("robot", name, &names()))??;
         return named.load(Path::new(path));
     }
