@@ -134,15 +134,17 @@ impl Stance {
         let low = (0..frames.len()).map(height_of).fold(f64::INFINITY, f64::min);
         let height = if low.is_finite() { -low } else { 0.0 };
         let free = Joints::free(tree);
-        let is_low = |end: usize| height_of(end) < low + LOWEST * low.abs();
-        let under_base = |end: usize| height_of(end) < height_of(0).min(0.0);
+        let hips = limbs.iter().map(|l| frames[l.hip].translation.vector.z);
+        let span = (hips.fold(f64::NEG_INFINITY, f64::max) - low).max(0.0);
+        let is_low = |end: usize| height_of(end) < low + LOWEST * span;
+        let under_base = |end: usize| height_of(end) < height_of(0);
         let mut legs: Vec<&Limb> = limbs
             .iter()
             .filter(|l| l.ends.iter().any(|end| is_low(*end) && under_base(*end)))
             .filter(|l| l.travel(tree, contacts, &free) > TRAVEL * l.length)
             .collect();
         beside(&mut legs, &frames);
-        let stands = |body: &usize| height_of(*body) < low + NEAR * height;
+        let stands = |body: &usize| height_of(*body) < low + NEAR * span;
         let mut feet = Vec::new();
         for leg in &legs {
             let own = leg.path.iter().filter(|i| !leg.ends.contains(i) && stands(i));
@@ -213,7 +215,8 @@ impl Search<'_> {
         let mut legs: Vec<Leg> = candidates.iter().filter_map(|l| self.leg(l, &frames, many)).collect();
         let deepest = |l: &Leg| l.place.z - l.depths[1];
         let low = legs.iter().map(deepest).fold(f64::INFINITY, f64::min);
-        legs.retain(|l| deepest(l) < low + LOWEST * low.abs());
+        let top = legs.iter().map(|l| l.place.z).fold(f64::NEG_INFINITY, f64::max);
+        legs.retain(|l| deepest(l) < low + LOWEST * (top - low));
         let upright = legs.len() < 4;
         for leg in &mut legs {
             let [least, most] = leg.depths;
