@@ -38,8 +38,7 @@ fn main() -> Result<()> {
         (motor.kp, motor.kd, motor.torque_limit, motor.speed_limit) = (number(kp)?, number(kd)?, None, None);
     }
     let height = tree.standing_height(&angles) + START;
-    let scene =
-        Scene { hard: vec![HardGround::everywhere()], dt: 1e-4, ..Scene::flat(Medium::named("poppy-close")?) };
+    let scene = Scene { hard: vec![HardGround::everywhere()], dt: 1e-4, ..Scene::flat(Medium::named("poppy-close")?) };
     let model = Model::of_tree(tree, &scene)?;
     let mut engine = TreeEngine::with_isa(Isa::F64, &model, 1)?;
     let mut state = State::at_rest(height, &angles);

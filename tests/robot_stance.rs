@@ -63,7 +63,8 @@ fn quadruped(knee: [f64; 2], upward: bool) -> String {
     let turned = if upward { r#"" rpy="0 3.14159265358979 0"# } else { "" };
     for (k, name) in ["fl", "fr", "rl", "rr"].iter().enumerate() {
         let at = format!("{} {} 0{turned}", [0.2, 0.2, -0.2, -0.2][k], [0.15, -0.15, 0.15, -0.15][k]);
-        let limit = |[low, high]: [f64; 2]| format!(r#"<limit lower="{low}" upper="{high}" effort="1000" velocity="20"/>"#);
+        let limit =
+            |[low, high]: [f64; 2]| format!(r#"<limit lower="{low}" upper="{high}" effort="1000" velocity="20"/>"#);
         write!(text, r#"<link name="{name}_thigh">{INERTIAL}</link>{}"#, ball(&format!("{name}_shank"), -0.2)).unwrap();
         text += &joint(&format!("{name}_hip"), "base", &format!("{name}_thigh"), &at, "0 1 0", &limit([-3.1, 3.1]));
         let (thigh, shank) = (format!("{name}_thigh"), format!("{name}_shank"));
@@ -183,12 +184,21 @@ fn joints_follow_others() {
 #[test]
 fn closed_chains_are_refused_by_name() {
     let text = std::fs::read_to_string(here("robots/sandcat.xml")).unwrap();
-    let closed = text.replace("</mujoco>", r#"<equality><connect body1="FL_calf" body2="FR_calf" anchor="0 0 0"/></equality></mujoco>"#);
+    let closed = text.replace(
+        "</mujoco>",
+        r#"<equality><connect body1="FL_calf" body2="FR_calf" anchor="0 0 0"/></equality></mujoco>"#,
+    );
     let error = read(&closed, "xml").err().unwrap();
     assert!(error.contains("FL_calf and FR_calf") && error.contains("delete"), "{error}");
-    let curve = text.replace("</mujoco>", r#"<equality><joint joint1="FL_knee" joint2="FR_knee" polycoef="0 1 0.5 0 0"/></equality></mujoco>"#);
+    let curve = text.replace(
+        "</mujoco>",
+        r#"<equality><joint joint1="FL_knee" joint2="FR_knee" polycoef="0 1 0.5 0 0"/></equality></mujoco>"#,
+    );
     assert!(read(&curve, "xml").err().unwrap().contains("polycoef"));
-    let line = text.replace("</mujoco>", r#"<equality><joint joint1="FL_knee" joint2="FR_knee" polycoef="0.1 1 0 0 0"/></equality></mujoco>"#);
+    let line = text.replace(
+        "</mujoco>",
+        r#"<equality><joint joint1="FL_knee" joint2="FR_knee" polycoef="0.1 1 0 0 0"/></equality></mujoco>"#,
+    );
     let import = read(&line, "xml").unwrap();
     let follower = import.tree.joints().find(|j| j.name == "FL_knee").and_then(|j| j.mimic.clone()).unwrap();
     assert_eq!((follower.leader.as_str(), follower.ratio, follower.offset), ("FR_knee", 1.0, 0.1));
@@ -316,7 +326,10 @@ fn check_has_exit_codes() {
     let stands = sandgait(&["robot", robot, "--check"]);
     assert_eq!(stands.status.code(), Some(0), "{}", String::from_utf8_lossy(&stands.stdout));
     let said = String::from_utf8(stands.stdout).unwrap();
-    assert!(said.contains("on rigid: stands") && said.contains("on poppy-close: stands") && said.contains("steps/s"), "{said}");
+    assert!(
+        said.contains("on rigid: stands") && said.contains("on poppy-close: stands") && said.contains("steps/s"),
+        "{said}"
+    );
     // Sand of a hundredth of the strength does not carry it.
     let sinks = sandgait(&["robot", robot, "--check", "--ground", "zeta=0.005"]);
     assert_eq!(sinks.status.code(), Some(1), "{}", String::from_utf8_lossy(&sinks.stdout));

@@ -38,7 +38,6 @@ def _heights(file: object) -> str:
     return file if isinstance(file, str) and file.startswith("heights:") else _native.pack_heights(str(file))
 
 
-
 def packages() -> list[str]:
     """Folders in which packages with robots' descriptions may lie: those that Python imports from."""
     return [folder for folder in sys.path if folder]

@@ -65,7 +65,8 @@ impl Sheet {
         let first = blueprint(packed, GROUNDS[0], None)?;
         let model = first.task.model();
         let robot = tree(model)?;
-        let needed_dt = standing::needed_step(|dt| Ok((**blueprint(packed, GROUNDS[0], Some(dt))?.task.model()).clone()))?;
+        let needed_dt =
+            standing::needed_step(|dt| Ok((**blueprint(packed, GROUNDS[0], Some(dt))?.task.model()).clone()))?;
         Ok(Self {
             name: robot.tree.name.clone(),
             joints: model.joint_names(),
@@ -90,12 +91,15 @@ impl Sheet {
     pub fn json(&self) -> Value {
         let ground = |g: &OnGround| {
             let s = &g.standing;
-            let feet = s.feet.iter().zip(&g.feet).map(|(f, name)| {
-                json!({"foot": name, "sinkage": f.sinkage, "load": f.load, "pressure": f.pressure})
-            });
-            let torques = s.torques.iter().zip(&self.joints).map(|((torque, part), name)| {
-                json!({"joint": name, "torque": torque, "part_of_limit": part})
-            });
+            let feet =
+                s.feet.iter().zip(&g.feet).map(
+                    |(f, name)| json!({"foot": name, "sinkage": f.sinkage, "load": f.load, "pressure": f.pressure}),
+                );
+            let torques = s
+                .torques
+                .iter()
+                .zip(&self.joints)
+                .map(|((torque, part), name)| json!({"joint": name, "torque": torque, "part_of_limit": part}));
             json!({
                 "ground": g.ground,
                 "stands": s.stands,

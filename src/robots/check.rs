@@ -30,7 +30,11 @@ pub fn check(merged: &Merged, notes: &mut Notes) -> Result<()> {
         let joint = body.joint.as_ref();
         let outside = |j: &&TreeJoint| j.rest.zip(j.range).is_some_and(|(q, [low, high])| q < low || q > high);
         if let Some(joint) = joint.filter(outside) {
-            notes.part("joint", &joint.name, "the file's standing pose is outside of its range; its stop holds it there");
+            notes.part(
+                "joint",
+                &joint.name,
+                "the file's standing pose is outside of its range; its stop holds it there",
+            );
         }
     }
     names(merged)?;
@@ -46,9 +50,17 @@ fn names(merged: &Merged) -> Result<()> {
         let Some(mimic) = &joint.mimic else { continue };
         let wrong = |reason: String| Error::invalid(format!("joint {:?}", joint.name), reason);
         match merged.tree.joints().find(|j| j.name == mimic.leader) {
-            None => return Err(wrong(format!("is to mimic joint {:?}, which does not exist or does not move", mimic.leader))),
+            None => {
+                return Err(wrong(format!(
+                    "is to mimic joint {:?}, which does not exist or does not move",
+                    mimic.leader
+                )));
+            }
             Some(leader) if leader.mimic.is_some() => {
-                return Err(wrong(format!("is to mimic joint {:?}, which follows another itself: name that one", leader.name)));
+                return Err(wrong(format!(
+                    "is to mimic joint {:?}, which follows another itself: name that one",
+                    leader.name
+                )));
             }
             Some(_) => {}
         }

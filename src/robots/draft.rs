@@ -79,7 +79,9 @@ impl Inertial {
         }
         let most_of_flat = (least + middle) * (1.0 + 1e-3);
         let doubtful = most > most_of_flat && most - least - middle > NOTHING;
-        Ok(doubtful.then(|| "no body has such an inertia (one principal moment above the sum of the others); it is used as it is".into()))
+        Ok(doubtful.then(|| {
+            "no body has such an inertia (one principal moment above the sum of the others); it is used as it is".into()
+        }))
     }
 }
 

@@ -125,7 +125,18 @@ pub fn load_with(path: &Path, posture: &Posture) -> Result<Import> {
     if ignored {
         notes.say("the file's standing pose does not stand on all legs; a pose was found in its place");
     }
-    Ok(Import { tree, format, warnings: notes.into_lines(), links, visuals, stance, found, base_is_free, touches: None, packed: None })
+    Ok(Import {
+        tree,
+        format,
+        warnings: notes.into_lines(),
+        links,
+        visuals,
+        stance,
+        found,
+        base_is_free,
+        touches: None,
+        packed: None,
+    })
 }
 
 impl Import {
@@ -163,7 +174,18 @@ impl Import {
         let links = tree.bodies.iter().map(|b| vec![b.name.clone()]).collect();
         let visuals = tree.bodies.iter().map(|_| Vec::new()).collect();
         let (format, warnings) = (Format::Toml, Vec::new());
-        Ok(Self { tree, format, warnings, links, visuals, stance, found, base_is_free: true, touches: None, packed: None })
+        Ok(Self {
+            tree,
+            format,
+            warnings,
+            links,
+            visuals,
+            stance,
+            found,
+            base_is_free: true,
+            touches: None,
+            packed: None,
+        })
     }
 
     /// The visual shapes of each body: the file's visuals, or else its collision shapes. Meshes of visuals are read

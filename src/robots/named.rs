@@ -15,8 +15,23 @@ macro_rules! files {
 
 /// Names and files, in alphabetical order.
 const ROBOTS: [(&str, &str); 17] = files![
-    "a1", "a2", "aliengo", "anymal_b", "anymal_c", "b1", "b2", "go1", "go2", "hyq", "hyqreal1", "hyqreal2",
-    "mini_cheetah", "sandcat", "solo12", "solo8", "spot",
+    "a1",
+    "a2",
+    "aliengo",
+    "anymal_b",
+    "anymal_c",
+    "b1",
+    "b2",
+    "go1",
+    "go2",
+    "hyq",
+    "hyqreal1",
+    "hyqreal2",
+    "mini_cheetah",
+    "sandcat",
+    "solo12",
+    "solo8",
+    "spot",
 ];
 
 /// The file of a robot.
@@ -103,7 +118,9 @@ pub fn load_any(robot: &str, more: &[PathBuf]) -> Result<Import> {
         Some(path) => named.load(&path),
         None => Err(Error::invalid(
             "robot",
-            format!("{robot:?}: no package with its description is installed: pip install 'sandgait[robots]', or give yours as {robot}=FILE"),
+            format!(
+                "{robot:?}: no package with its description is installed: pip install 'sandgait[robots]', or give yours as {robot}=FILE"
+            ),
         )),
     }
 }

@@ -71,8 +71,7 @@ impl Notes {
             lines.truncate(MOST_LINES);
             lines.push(format!("and {more} warnings more"));
         }
-        let mut left: Vec<_> =
-            self.elements.iter().take(MOST_LINES).map(|(tag, n)| format!("{n} <{tag}>")).collect();
+        let mut left: Vec<_> = self.elements.iter().take(MOST_LINES).map(|(tag, n)| format!("{n} <{tag}>")).collect();
         for (tag, names) in self.attributes.iter().take(MOST_LINES) {
             let names: Vec<_> = names.iter().take(MOST_LINES).map(String::as_str).collect();
             left.push(format!("of <{tag}> {}", names.join(", ")));

@@ -297,7 +297,10 @@ impl Task for LeggedVelocity {
         }
         let feet = |model: &Model| model.tree.as_ref().map(|tree| tree.stance.feet.clone());
         if feet(old) != feet(new) {
-            return Err(Error::invalid("default_joint_angles", "in this pose the robot stands on other feet: make other environments"));
+            return Err(Error::invalid(
+                "default_joint_angles",
+                "in this pose the robot stands on other feet: make other environments",
+            ));
         }
         Ok(())
     }

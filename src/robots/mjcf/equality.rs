@@ -21,7 +21,10 @@ pub fn apply(root: &Element, tree: &mut Tree) -> Result<()> {
         let follower = element.required("joint1")?;
         let coefficients = element.list("polycoef")?.unwrap_or_else(|| vec![0.0, 1.0]);
         if coefficients.iter().skip(2).any(|c| *c != 0.0) {
-            return Err(element.wrong("polycoef", format!("joint {follower:?} follows another by a curve; only a line is simulated")));
+            return Err(element.wrong(
+                "polycoef",
+                format!("joint {follower:?} follows another by a curve; only a line is simulated"),
+            ));
         }
         let [offset, slope] = [0, 1].map(|k| coefficients.get(k).copied().unwrap_or(0.0));
         // Without a second joint the first is held at a constant position; it then follows any joint with ratio 0.

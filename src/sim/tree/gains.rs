@@ -126,7 +126,9 @@ fn carriers(tree: &Tree, frames: &[Isometry3<f64>], stance: &Stance) -> Vec<Gain
     }
     let gains = |i: usize| {
         let (mass, moment) = sums[i];
-        let Some(joint) = tree.bodies[i].joint.as_ref().filter(|_| mass > 0.0) else { return Gains { kp: 0.0, kd: 0.0 } };
+        let Some(joint) = tree.bodies[i].joint.as_ref().filter(|_| mass > 0.0) else {
+            return Gains { kp: 0.0, kd: 0.0 };
+        };
         match joint.kind {
             JointKind::Hinge => {
                 let axis = frames[i].rotation * joint.axis.into_inner();

@@ -83,7 +83,8 @@ impl Joints {
 
     /// Joints that are free in their range, also where the file has a position.
     pub fn free(tree: &Tree) -> Self {
-        let range = |j: &super::TreeJoint| j.range.unwrap_or([-FARTHEST, FARTHEST]).map(|end| end.clamp(-FARTHEST, FARTHEST));
+        let range =
+            |j: &super::TreeJoint| j.range.unwrap_or([-FARTHEST, FARTHEST]).map(|end| end.clamp(-FARTHEST, FARTHEST));
         let ranges: Vec<[f64; 2]> = tree.joints().map(range).collect();
         let preferred = ranges.iter().map(|[low, high]| 0.0_f64.clamp(*low, *high)).collect();
         Self { ranges, preferred }
@@ -169,9 +170,11 @@ impl Limb {
 
     /// Finds hip and sole, with joints at `angles`.
     fn complete(&mut self, tree: &Tree, contacts: &[Vec<ContactPoint>], angles: &[f64]) {
-        let next = |k: usize| self.path.get(k + 1).map_or(farthest(&contacts[self.end()]), |i| {
-            tree.bodies[*i].origin.translation.vector.norm()
-        });
+        let next = |k: usize| {
+            self.path
+                .get(k + 1)
+                .map_or(farthest(&contacts[self.end()]), |i| tree.bodies[*i].origin.translation.vector.norm())
+        };
         let long = (0..self.path.len()).find(|k| next(*k) > 0.25 * self.length);
         self.hip = self.path[long.unwrap_or(0)];
         let points = &contacts[self.end()];
@@ -182,7 +185,8 @@ impl Limb {
         let at = |p: &ContactPoint| frame.transform_point(&p.center.into()).coords - V::z() * p.radius;
         let low = points.iter().map(|p| at(p).z).fold(f64::INFINITY, f64::min);
         let under: Vec<V> = points.iter().map(at).filter(|p| p.z < low + SOLE * self.length).collect();
-        let [least, most] = under.iter().fold([V::repeat(f64::MAX), V::repeat(f64::MIN)], |[a, b], p| [a.inf(p), b.sup(p)]);
+        let [least, most] =
+            under.iter().fold([V::repeat(f64::MAX), V::repeat(f64::MIN)], |[a, b], p| [a.inf(p), b.sup(p)]);
         if (most - least).xy().min() > SOLE * self.length {
             let center = V::new((least.x + most.x) / 2.0, (least.y + most.y) / 2.0, low);
             let center = frame.inverse_transform_point(&center.into()).coords;
@@ -198,7 +202,10 @@ impl Limb {
 
     /// The joint after the hip [m], in the base's frame; the tip's body if there is none.
     pub fn knee(&self, tree: &Tree, angles: &[f64]) -> V {
-        let after = self.path.iter().find(|i| **i > self.hip && tree.bodies[**i].origin.translation.vector.norm() > 0.25 * self.length);
+        let after = self
+            .path
+            .iter()
+            .find(|i| **i > self.hip && tree.bodies[**i].origin.translation.vector.norm() > 0.25 * self.length);
         self.frame(tree, angles, after.copied().unwrap_or(self.end())).translation.vector
     }
 
@@ -375,4 +382,3 @@ fn velocity(kind: JointKind, axis: V, at: &Isometry3<f64>, point: &V) -> V {
         JointKind::Slide => axis,
     }
 }
-

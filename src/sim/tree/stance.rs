@@ -154,7 +154,8 @@ impl Stance {
                 }
             }
         }
-        let of_leg = |i: &usize| legs.iter().any(|l| l.path.contains(i) || l.ends.iter().any(|end| is_under(tree, *end, *i, l)));
+        let of_leg =
+            |i: &usize| legs.iter().any(|l| l.path.contains(i) || l.ends.iter().any(|end| is_under(tree, *end, *i, l)));
         let upper = (1..frames.len()).filter(|i| !of_leg(i)).collect();
         let lengths = legs.iter().map(|l| frames[l.hip].translation.vector.z - height_of(l.end()));
         let leg_length = lengths.sum::<f64>() / legs.len().max(1) as f64;
@@ -227,7 +228,9 @@ impl Search<'_> {
             let shift = self.off_center(&legs, &angles, upright);
             angles = self.standing(&legs, &angles, shift);
         }
-        for f in self.tree.followers().iter().filter(|f| self.joints.ranges[f.joint][0] == self.joints.ranges[f.joint][1]) {
+        for f in
+            self.tree.followers().iter().filter(|f| self.joints.ranges[f.joint][0] == self.joints.ranges[f.joint][1])
+        {
             angles[f.joint] = f.ratio * angles[f.leader] + f.offset;
         }
         angles
