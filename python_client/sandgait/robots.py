@@ -19,8 +19,8 @@ def check_robot(robot: str | Path, ground: str | None = None) -> dict[str, Any]:
 
     The sheet is a dictionary: `stands`, `plates`, `dt`, `needed_dt` [s], and for each of `grounds` whether and why the
     robot does not stand there (`stands`, `reason`), `height` and `default_height` of the base [m], `tilt` [rad], `feet`
-    (`sinkage` [m], `load` [N], `pressure` [Pa]), `joints` (`torque` [N·m], `part_of_limit`) and `steps_per_second` of one
-    thread.
+    (`sinkage` [m], `load` [N], `pressure` [Pa]), `joints` (`torque` [N·m], `part_of_limit`) and `steps_per_second` of
+    one thread.
     """
     sheet, lines = _native.check_robot(str(robot), ground, packages())
     for line in lines:
