@@ -10,7 +10,7 @@
 //! * [`feet`]: positions and velocities of the legs' tips.
 //! * [`frame`]: positions, velocities and velocity-product accelerations of the bodies.
 //! * [`engine`]: the one interface to all engines.
-//! * `spatial`: spatial algebra for `lanes` and `tree`.
+//! * [`spatial`]: spatial algebra for `lanes` and `tree`.
 //! * [`lanes`]: the fast engine, articulated bodies over SIMD lanes of robots.
 //! * [`rapier`]: rapier3d multibodies, one world for each robot.
 //! * [`carriage`]: a leg on a driven carriage, whose forces are measured.
@@ -34,7 +34,7 @@ pub mod overlap;
 pub mod rapier;
 pub mod robot;
 pub mod solid;
-mod spatial;
+pub mod spatial;
 pub mod state;
 pub mod tree;
 pub mod walk;
