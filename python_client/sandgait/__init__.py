@@ -14,6 +14,10 @@ Studies need no environment. They are the functions of the commands with the sam
     sandgait.diagnose("force.csv", "experiment.toml").summary
     sandgait.evaluate("tripod:2", slopes=[0, 10]).to_frame()
 
+Sand for other simulators:
+
+    sandgait.Sand("poppy-loose").wrench(sandgait.Bodies({"foot": "sphere:radius=0.02"}), position, ...)
+
 Learning a gait takes a minute, without torch:
 
     sandgait.train("sandgait/HexapodGait-v1", seconds=60).policy
@@ -35,6 +39,7 @@ from .errors import InvalidRequest, LimitReached, OutOfOrder, SandgaitError, Ser
 from .policies import Evaluation, evaluate
 from .recording import Recording, Section, read_recording
 from .remote import Remote
+from .sand import Bodies, Sand, implicit_wrench
 from .spaces import Column, Option, Task
 from .studies import Intrusion, Sweep, Trials, Walks, intrude, sweep, walk
 from .tables import Table
@@ -50,6 +55,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "TASKS",
+    "Bodies",
     "Column",
     "Diagnosis",
     "Evaluation",
@@ -60,6 +66,7 @@ __all__ = [
     "OutOfOrder",
     "Recording",
     "Remote",
+    "Sand",
     "SandgaitEnv",
     "SandgaitError",
     "SandgaitVectorEnv",
@@ -77,6 +84,7 @@ __all__ = [
     "diagnose",
     "evaluate",
     "export_onnx",
+    "implicit_wrench",
     "intrude",
     "make_sb3",
     "read_recording",

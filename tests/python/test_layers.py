@@ -33,6 +33,7 @@ def imports(path: Path) -> set[str]:
         ("torch", {"export.py", "from_rust.py"}),
         ("pandas", set()),
         ("matplotlib", set()),
+        ("mujoco", {"mujoco.py", "wrappers.py"}),
         ("pygame", {"view.py"}),
     ],
 )
