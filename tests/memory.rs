@@ -1,8 +1,9 @@
 //! The memory that is reserved for environments is what they take, also for the most expensive robots that a client may
 //! send.
 
-use sandgait::env::registry::Blueprint;
+use sandgait::env::registry::{Blueprint, TASK_IDS};
 use sandgait::env::shard::Shard;
+use sandgait::sim::engine::EngineKind;
 use sandgait::sim::tree::packed;
 use serde_json::{Value, json};
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -45,9 +46,9 @@ fn shape(name: &str) -> Value {
 }
 
 /// Bytes that `envs` environments take after some episodes, and that are reserved for them.
-fn taken(options: &Value, envs: usize) -> [usize; 2] {
+fn taken(task: &str, options: &Value, envs: usize) -> [usize; 2] {
     let before = NOW.get();
-    let blueprint = Blueprint::new(ID, options.clone()).unwrap();
+    let blueprint = Blueprint::new(task, options.clone()).unwrap();
     let mut shards: Vec<Shard> = (0..envs / 16).map(|_| Shard::new(&blueprint, 16).unwrap()).collect();
     for shard in &mut shards {
         for seed in 0..3 {
@@ -76,12 +77,28 @@ fn environments_take_what_is_reserved() {
         ("long names", json!({"robot": robot(long), "ground": "rigid"})),
     ] {
         for envs in [16, 208] {
-            let [took, reserved] = taken(&options, envs);
+            let [took, reserved] = taken(ID, &options, envs);
             println!("{what}: {envs} environments take {} KiB of {} KiB", took >> 10, reserved >> 10);
             // The copy of each episode that a rollout or a restore makes is reserved, too, and not made here.
             assert!(took <= reserved, "{what}: {envs} environments took {took} of {reserved} bytes");
             assert!(reserved < 5 * took, "{what}: {reserved} bytes are reserved for {took}");
         }
+    }
+}
+
+/// At least the memory that is used, and not so much that few sessions fit: our choice, a factor of 6, because an
+/// episode may have more patches, rocks or commands than these.
+#[test]
+fn every_task_takes_what_is_reserved() {
+    for task in TASK_IDS {
+        // Its constant is for resident memory, and this test counts what is allocated, used or not.
+        if Blueprint::new(task, Value::Null).unwrap().engine == EngineKind::Rapier {
+            continue;
+        }
+        let [used, reserved] = taken(task, &Value::Null, 64);
+        println!("{task}: {reserved} bytes are reserved for {used}");
+        assert!(reserved >= used, "{task}: {reserved} {used}");
+        assert!(reserved <= 6 * used, "{task}: {reserved} {used}");
     }
 }
 
