@@ -66,7 +66,13 @@ pub struct Roll {
     steps: std::ops::Range<usize>,
     /// Keep the rows of every step.
     record: bool,
+    /// Largest number of steps of a part.
+    longest: usize,
 }
+
+/// Memory of the rows of one part of a rollout, unless one step has more [bytes]: our choice, some 5,000 steps of one
+/// environment.
+const PART: usize = 1 << 19;
 
 /// Source of a rollout's actions.
 #[derive(Clone)]
@@ -80,7 +86,7 @@ impl Roll {
     /// The next part of this rollout with at most `count` steps; None after the last step.
     pub fn next(&self, count: usize) -> Option<Self> {
         let total = self.total();
-        let steps = self.steps.end..total.min(self.steps.end + count);
+        let steps = self.steps.end..total.min(self.steps.end + count.min(self.longest));
         (!steps.is_empty()).then(|| Self { steps, ..self.clone() })
     }
 
@@ -237,7 +243,8 @@ impl Batch {
             ));
         }
         self.check_actions(&actions, |k| format!("actions[{}][{}]", k / self.envs, k % self.envs))?;
-        Ok(Roll { total: actions.len() / row, plan: Plan::Actions(Arc::new(actions)), steps: 0..0, record })
+        let (total, longest) = (actions.len() / row, self.longest_part(record));
+        Ok(Roll { total, plan: Plan::Actions(Arc::new(actions)), steps: 0..0, record, longest })
     }
 
     /// Checks a rollout of `total` steps with the actions of the network in `onnx`. The end of an episode ends its
@@ -247,7 +254,23 @@ impl Batch {
         let spec = self.spec();
         check_range("steps", f64::from(total), 1.0..=f64::from(spec.max_episode_steps))?;
         let network = Arc::new(Network::new(onnx, spec)?);
-        Ok(Roll { total: total as usize, plan: Plan::Network(network), steps: 0..0, record })
+        let (total, longest) = (total as usize, self.longest_part(record));
+        Ok(Roll { total, plan: Plan::Network(network), steps: 0..0, record, longest })
+    }
+
+    /// Memory of the recorded rows of one step [bytes].
+    fn recorded_bytes(&self) -> usize {
+        4 * (self.spec().observation.len() + 1 + self.spec().action.len()) * self.envs
+    }
+
+    /// Largest memory of the rows of one part of a rollout that records them [bytes].
+    pub fn part_bytes(&self) -> usize {
+        self.recorded_bytes().max(PART)
+    }
+
+    /// Largest number of steps of one part of a rollout.
+    fn longest_part(&self, record: bool) -> usize {
+        if record { self.part_bytes() / self.recorded_bytes() } else { usize::MAX }
     }
 
     /// Environment `index` for viewers; see [`Shard::look`].
@@ -340,6 +363,8 @@ impl Operation {
             }
             Self::Restore { episodes } => {
                 shard.rows.clear();
+                // A rollout ends with this; its rows have been read.
+                shard.begin_rollout();
                 for i in 0..envs {
                     shard.restore(i, &episodes[start + i]);
                 }

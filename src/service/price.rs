@@ -69,32 +69,43 @@ pub fn of_call(path: &str) -> &'static Call {
 }
 
 /// Largest memory of a session's request and its answer [bytes], besides the message and what the session has
-/// reserved. Requests that make models or snapshots add their memory while they make it.
+/// reserved. `part`: see [`Batch::part_bytes`]. Requests that make models or snapshots add their memory while they make
+/// it.
 ///
 /// # Errors
 /// The request asks for more than any request may.
-pub fn of_request(request: &Request) -> Result<usize> {
+pub fn of_request(request: &Request, part: usize) -> Result<usize> {
+    let parts = |trajectories: bool| if trajectories { PARTS * part } else { 0 };
     Ok(match request {
         Request::Attach(_) | Request::Step(_) | Request::Reset(_) | Request::Save(_) => 0,
         // The copy of each episode that these make is in the session's reservation. A header has meshes and heights.
-        Request::Restore(_) | Request::Rollout(_) | Request::Observe(_) => 0,
+        Request::Restore(_) | Request::Observe(_) => 0,
+        Request::Rollout(rollout) => parts(rollout.trajectories),
         // Weights, and their arrangement in lanes.
-        Request::PolicyRollout(network) => 2 * network.onnx.len(),
-        // The pixels, and a second copy in the message.
-        Request::Render(render) => 2 * 3 * pixels(render)?,
+        Request::PolicyRollout(network) => 2 * network.onnx.len() + parts(network.trajectories),
+        Request::Render(render) => {
+            let (all, one) = pixels(render)?;
+            // The canvas of the present picture and its pixels; then all pixels, and their copy in the message.
+            3 * all + (7 * one).max(3 * all)
+        }
     })
 }
+
+/// Largest number of copies of a part of a rollout at the same time: the rows, one that is encoded, two that wait for
+/// the stream, and two as bytes in the queue of HTTP/2.
+const PARTS: usize = 6;
 
 /// Largest number of pictures of one request: our choice, 64 × 64 of them. Each takes some 0.2 ms or more, however few
 /// pixels it has.
 const MOST_PICTURES: usize = 4096;
 
-fn pixels(render: &proto::Render) -> Result<usize> {
+/// Numbers of pixels of all pictures and of one.
+fn pixels(render: &proto::Render) -> Result<(usize, usize)> {
     let (count, size) = (render.indices.len(), [render.width, render.height]);
     if count > MOST_PICTURES {
         return Err(Error::invalid("indices", format!("{count} pictures are more than {MOST_PICTURES}")));
     }
-    view::check_pixels(count, size)
+    Ok((view::check_pixels(count, size)?, view::check_pixels(count.min(1), size)?))
 }
 
 /// The fields of a message that are inspected or have a maximum length.

@@ -156,7 +156,8 @@ impl Run {
             return Ok(Some(answer));
         }
         self.call.messages.let_pass(decode::largest_step(guard.batch()));
-        let priced = request.request.as_ref().map_or(Ok(0), price::of_request);
+        let part = guard.batch().part_bytes();
+        let priced = request.request.as_ref().map_or(Ok(0), |request| price::of_request(request, part));
         let grows = decode::weight(&request) == Weight::Long;
         let (guard, share) = match priced {
             Ok(0) if !grows => (guard, Ok(None)),

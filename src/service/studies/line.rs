@@ -6,9 +6,12 @@
 //! ```
 
 use crate::error::{Error, Result};
+use crate::intake::{Messages, Share};
 use crate::progress::Progress;
 use crate::proto::Progress as Event;
 use crate::status;
+use futures_util::StreamExt as _;
+use futures_util::stream::BoxStream;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::{Semaphore, mpsc};
@@ -60,6 +63,12 @@ impl Drop for QueuePlace {
     }
 }
 
+/// A study's progress, and its result at the end.
+pub type Events<A> = BoxStream<'static, std::result::Result<A, Status>>;
+
+/// What a study sends: an event, and with its result the memory of its request.
+type Sent<A> = (std::result::Result<A, Status>, Option<Share>);
+
 impl Line {
     /// Cancelling `stop` ends every study.
     pub fn new(stop: CancellationToken) -> Self {
@@ -67,12 +76,14 @@ impl Line {
     }
 
     /// Computes `work` in its turn. The stream reports its progress and ends with its result or a status; dropping
-    /// the stream stops the work at its next report. `share` is held until the work has ended.
+    /// the stream stops the work at its next report. `share`, the memory of the request, is held until the result has
+    /// been sent.
     pub fn enter<A: Answer>(
         &self,
-        share: impl Send + 'static,
+        share: Option<Share>,
+        messages: Messages,
         work: impl FnOnce(&dyn Progress) -> Result<A> + Send + 'static,
-    ) -> std::result::Result<ReceiverStream<std::result::Result<A, Status>>, Status> {
+    ) -> std::result::Result<Events<A>, Status> {
         let place = QueuePlace::take(&self.taken).map_err(|e| status::status(&e))?;
         let (events, receiver) = mpsc::channel(EVENTS);
         let (slot, stop) = (self.slot.clone(), self.stop.clone());
@@ -85,7 +96,7 @@ impl Line {
                     };
                     let event = Event { fraction: 0.0, stage, ahead: place.ahead as u32 };
                     // The code below notices a client that has disconnected.
-                    let _ = events.send(Ok(A::progress(event))).await;
+                    let _ = events.send((Ok(A::progress(event)), None)).await;
                 }
                 slot.acquire_owned().await.ok()
             };
@@ -94,33 +105,38 @@ impl Line {
                 () = events.closed() => None,
                 () = stop.cancelled() => None,
             };
-            let answer = match permit {
-                None => Err(Status::cancelled("the study was stopped before its turn came")),
+            let (answer, share) = match permit {
+                None => (Err(Status::cancelled("the study was stopped before its turn came")), share),
                 Some(permit) => {
                     let progress =
                         ProgressSender { events: events.clone(), stop: stop.clone(), last: Mutex::default() };
                     // The place and the slot are held until the work has actually ended.
-                    let held = (permit, place, share);
+                    let held = (permit, place);
                     let done = tokio::task::spawn_blocking(move || {
                         let _held = held;
-                        work(&progress)
+                        (work(&progress), share)
                     });
-                    let failed = |_| Err(Error::Internal("the study failed inside the server".into()));
-                    done.await.unwrap_or_else(failed).map_err(|e| status::status(&e))
+                    let failed = |_| (Err(Error::Internal("the study failed inside the server".into())), None);
+                    let (done, share) = done.await.unwrap_or_else(failed);
+                    (done.map_err(|e| status::status(&e)), share)
                 }
             };
             let stopped = answer.is_err() && stop.is_cancelled();
             let answer = if stopped { Err(Status::unavailable("the server stops")) } else { answer };
             // If the caller has left, the result is not needed.
-            let _ = events.send(answer).await;
+            let _ = events.send((answer, share)).await;
         });
-        Ok(ReceiverStream::new(receiver))
+        let sent = ReceiverStream::new(receiver).map(move |(event, share): Sent<A>| {
+            messages.hold_for_answer(share.map(Arc::new));
+            event
+        });
+        Ok(sent.boxed())
     }
 }
 
 /// Reports a study's progress to its client, and stops the study when its client has left.
 struct ProgressSender<A> {
-    events: mpsc::Sender<std::result::Result<A, Status>>,
+    events: mpsc::Sender<Sent<A>>,
     stop: CancellationToken,
     /// The last report. Several threads report, so the order varies; only larger values are sent.
     last: Mutex<Option<(f64, String)>>,
@@ -136,7 +152,7 @@ impl<A: Answer> Progress for ProgressSender<A> {
         let fraction = done.clamp(before, 1.0);
         let news = last.as_ref().is_none_or(|l| l.1 != stage) || fraction >= before + STEP;
         let event = Event { fraction, stage: stage.to_owned(), ahead: 0 };
-        if news && self.events.try_send(Ok(A::progress(event))).is_ok() {
+        if news && self.events.try_send((Ok(A::progress(event)), None)).is_ok() {
             *last = Some((fraction, stage.to_owned()));
         }
         Ok(())

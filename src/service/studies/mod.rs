@@ -10,13 +10,13 @@ mod encode;
 mod line;
 
 use super::frame::Frame;
+use super::intake::Messages;
 use super::off_runtime;
 use super::proto::study_service_server::StudyService;
 use super::proto::{self, DiagnoseRequest, DiagnoseResponse, IntrudeRequest, IntrudeResponse};
 use super::proto::{EvaluateRequest, EvaluateResponse, SweepRequest, SweepResponse, WalkRequest, WalkResponse};
 use super::proto::{TrialsRequest, TrialsResponse};
-use line::{Answer, Line};
-use tokio_stream::wrappers::ReceiverStream;
+use line::{Answer, Events, Line};
 use tokio_util::sync::CancellationToken;
 use tonic::{Request, Response, Status};
 
@@ -31,8 +31,6 @@ impl Studies {
         Self { line: Line::new(stop) }
     }
 }
-
-type Events<T> = ReceiverStream<std::result::Result<T, Status>>;
 
 #[tonic::async_trait]
 impl StudyService for Studies {
@@ -50,9 +48,10 @@ impl StudyService for Studies {
         &self,
         request: Request<Frame<TrialsRequest>>,
     ) -> std::result::Result<Response<Self::TrialsStream>, Status> {
+        let messages = Messages::of(&request);
         let (request, share) = Frame::only(request).await?;
         let work = off_runtime(move || compute::trials(request)).await?;
-        self.line.enter(share, work).map(Response::new)
+        self.line.enter(share, messages, work).map(Response::new)
     }
 
     type WalkStream = Events<WalkResponse>;
@@ -61,9 +60,10 @@ impl StudyService for Studies {
         &self,
         request: Request<Frame<WalkRequest>>,
     ) -> std::result::Result<Response<Self::WalkStream>, Status> {
+        let messages = Messages::of(&request);
         let (request, share) = Frame::only(request).await?;
         let work = off_runtime(move || compute::walk(request)).await?;
-        self.line.enter(share, work).map(Response::new)
+        self.line.enter(share, messages, work).map(Response::new)
     }
 
     type SweepStream = Events<SweepResponse>;
@@ -72,9 +72,10 @@ impl StudyService for Studies {
         &self,
         request: Request<Frame<SweepRequest>>,
     ) -> std::result::Result<Response<Self::SweepStream>, Status> {
+        let messages = Messages::of(&request);
         let (request, share) = Frame::only(request).await?;
         let work = off_runtime(move || compute::sweep(request)).await?;
-        self.line.enter(share, work).map(Response::new)
+        self.line.enter(share, messages, work).map(Response::new)
     }
 
     type EvaluateStream = Events<EvaluateResponse>;
@@ -83,9 +84,10 @@ impl StudyService for Studies {
         &self,
         request: Request<Frame<EvaluateRequest>>,
     ) -> std::result::Result<Response<Self::EvaluateStream>, Status> {
+        let messages = Messages::of(&request);
         let (request, share) = Frame::only(request).await?;
         let work = off_runtime(move || compute::evaluate(request)).await?;
-        self.line.enter(share, work).map(Response::new)
+        self.line.enter(share, messages, work).map(Response::new)
     }
 
     type DiagnoseStream = Events<DiagnoseResponse>;
@@ -94,9 +96,10 @@ impl StudyService for Studies {
         &self,
         request: Request<Frame<DiagnoseRequest>>,
     ) -> std::result::Result<Response<Self::DiagnoseStream>, Status> {
+        let messages = Messages::of(&request);
         let (request, share) = Frame::only(request).await?;
         let work = off_runtime(move || compute::diagnose(request)).await?;
-        self.line.enter(share, work).map(Response::new)
+        self.line.enter(share, messages, work).map(Response::new)
     }
 }
 
