@@ -9,6 +9,7 @@ use sandgait::Error;
 use sandgait::diagnose::diagnose;
 use sandgait::diagnose::experiment::Experiment;
 use sandgait::diagnose::report::Diagnosis;
+use sandgait::diagnose::statements::violations;
 use sandgait::diagnose::verdict::Verdict;
 use sandgait::diagnose::walking_log;
 use sandgait::progress::{Progress, Silent};
@@ -34,7 +35,9 @@ fn file(directory: &Path, text: &str) -> PathBuf {
 
 fn diagnosis(directory: &Path, conditions: &[hall::Condition], hidden: Mechanisms) -> Diagnosis {
     let experiment = Experiment::from_toml(hall::EXPERIMENT).unwrap();
-    diagnose(&file(directory, &hall::runs(5, conditions, hidden, 0.05)), &experiment, &Silent).unwrap()
+    let diagnosis = diagnose(&file(directory, &hall::runs(5, conditions, hidden, 0.05)), &experiment, &Silent).unwrap();
+    assert_eq!(violations(&diagnosis.report), Vec::<String>::new());
+    diagnosis
 }
 
 /// A hidden slope is named with the right value, and a simulation with sand.toml walks as the report predicts.

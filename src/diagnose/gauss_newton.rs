@@ -92,18 +92,6 @@ impl Study<'_> {
         self.refine(again, ROUNDS / 2, true)
     }
 
-    /// Estimates of the objectives that fits will reach: one Gauss-Newton step each.
-    pub fn stepped(&self, fits: &[&Fit]) -> Vec<f64> {
-        let state = |f: &&Fit| (f.ids.clone(), f.mechanisms, f.deviations.clone());
-        let mut there = self.at_all(fits.iter().map(state).collect());
-        for fit in &mut there {
-            [fit.slopes, fit.white_slopes] = self.marginal_slopes.clone();
-        }
-        self.set_value_slopes(&mut there, &(0..fits.len()).collect::<Vec<_>>());
-        let gained = |fit: &Fit| fit.normal_equations().1.iter().zip(self.step(fit)).map(|(s, d)| s * d).sum::<f64>();
-        parallel::map(&there, |fit| fit.objective - gained(fit))
-    }
-
     /// The same fit evaluated in this study: nothing is fitted again, and the slopes are kept.
     pub fn restated(&self, fit: &Fit) -> Fit {
         let there = self.at_all(vec![(fit.ids.clone(), fit.mechanisms, fit.deviations.clone())]).swap_remove(0);

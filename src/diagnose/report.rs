@@ -3,7 +3,7 @@
 use super::misfit::{Correlate, Misfit};
 use super::next_experiment::Proposal;
 use super::speed_exponent::SpeedExponent;
-use super::verdict::Verdict;
+use super::verdict::{Verdict, Written};
 use crate::error::{Error, Result};
 use crate::sand::SandDescription;
 use serde::Serialize;
@@ -35,20 +35,6 @@ pub struct Compared {
     pub standard_error: f64,
 }
 
-/// What `sand.toml` holds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Written {
-    /// A named cause, or the best of an ambiguity set.
-    Cause,
-    /// A law found in the data.
-    Description,
-    /// Mechanisms that predict left-out conditions better, but that are not held for the cause.
-    Proxy,
-    /// The plain model.
-    Plain,
-}
-
 /// One cause or pair that was tried.
 #[derive(Clone, Debug, Serialize, PartialEq)]
 pub struct Tried {
@@ -57,7 +43,7 @@ pub struct Tried {
     pub delta_chi2: f64,
     /// Fraction by which it reduces the held-out error of the plain model with fitted coefficients.
     pub cv_gain: Option<f64>,
-    pub lack_of_fit: f64,
+    pub lack_of_fit: Option<f64>,
     /// Differences of χ² plus 2, or ln n, for each parameter.
     pub delta_aic: f64,
     pub delta_bic: f64,
@@ -110,19 +96,12 @@ pub struct NuisanceValue {
 pub struct Remainder {
     /// Is the misfit larger than noise?
     pub significant: bool,
-    /// Remaining share of the plain model's held-out misfit beyond noise.
+    /// Remaining share of the plain model's misfit beyond noise, as log predictive density.
     pub fraction: f64,
     #[serde(rename = "where")]
     pub place: String,
     pub lack_of_fit: f64,
     pub limit: f64,
-    /// The lack of fit of the worst condition and channel, in standard deviations of noise.
-    pub worst: f64,
-    pub worst_limit: f64,
-    /// Size of the model's smooth discrepancy, relative to the loads; 0 if the data need none.
-    pub discrepancy: f64,
-    /// Share of the misfit beyond noise that the best candidate explains.
-    pub explained: f64,
 }
 
 /// A law found in the data.

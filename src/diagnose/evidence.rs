@@ -1,0 +1,456 @@
+//! The one measure of evidence: how well a model predicts conditions that were left out.
+//!
+//! **Numbers.** Differences between the repetitions of a condition tell nothing about causes, so only their mean counts.
+//! The whitened numbers of each repetition and channel are projected on the first cosines along the trial (DCT-II), and
+//! the repetitions are averaged. For noise alone each of these numbers is standard normal.
+//!
+//! **Prediction.** A model is linear in its parameters about its fit: values of causes, deviations of the stress
+//! coefficients, and nuisances, each with a normal prior. The posterior from all conditions but c predicts those of c
+//! with mean J δ and covariance V = 1 + J Σ Jᵀ. The variance of the noise is marginalised too. It comes from repetitions
+//! with ν degrees of freedom, so the prediction is a multivariate Student t, with log density
+//!
+//! −½ ln |V| − ½ (ν + n) ln(1 + Q/ν) + a constant of the condition, Q = eᵀ V⁻¹ e, e the error, n its numbers.
+//!
+//! Their sum over c is the elpd (Vehtari, Gelman & Gabry 2017). A parameter that only condition c shows has its prior
+//! there: the fastest or deepest condition is predicted with a wide V, and does not veto. What is stated of coefficients
+//! and nuisances, a deviation of 0 ± 1 each, counts as one more condition, so that a model that needs coefficients far
+//! from their statement pays for it.
+//!
+//! **Standard error of a difference.** The conditions of an experiment are chosen, and not drawn from a population: a
+//! cause that acts in the fastest condition only is no less certain for this. So the spread of the expected difference
+//! between conditions is no error. What is uncertain is the part that the better model's own error contributes. To
+//! first order it is w Δᵀ V⁻¹ e in each condition, Δ the difference of the two predictions and w = (ν + n)/(ν + Q). Its
+//! variance is the greater of two estimates: w Δᵀ V⁻¹ Δ, if the error is noise, and the sum of the squares of the
+//! conditions' parts, if errors of the model are correlated within a condition (clusters: Liang & Zeger 1986). Where the
+//! error is not small the first order is too large, and the spread of the differences between conditions (Vehtari et al.)
+//! replaces the second estimate if it is less. Both are widened by Student's t, for ν and for the number of conditions. The standard error is at least 2, because
+//! differences below 4 are no evidence (Sivula, Magnusson, Matamoros & Vehtari 2020).
+
+use super::errors::Errors;
+use super::fit::{COEFFICIENTS, Column, Fit};
+use super::screen::USUAL;
+use super::study::Study;
+use super::whiten::Whitener;
+use crate::number::dot;
+use crate::parallel;
+use crate::sand::Term;
+use crate::sand::mechanism::CATALOG;
+use crate::student;
+use nalgebra::{DMatrix, DVector};
+use std::collections::HashMap;
+use std::f64::consts::PI;
+use std::sync::Arc;
+
+/// Number of cosines along a trial: our choice; features shorter than a sixteenth of a trial count as noise.
+const WAVES: usize = 16;
+/// Prior standard deviation of coefficients and nuisances, in those that are stated, if the statement is left out: our
+/// choice, wide.
+const UNSTATED: f64 = 10.0;
+/// Least standard error, see above.
+pub const LEAST: f64 = 2.0;
+/// Quantile of the normal distribution to which those of Student's t are compared.
+const NORMAL: f64 = 1.96;
+
+/// A model to compare: a fit, and the laws of which it may have one.
+pub struct Model<'a> {
+    pub fit: &'a Fit,
+    pub laws: Option<&'a Laws>,
+}
+
+/// Laws, with the change of a fit's prediction by each with the coefficient 1.
+pub struct Laws {
+    pub terms: Vec<Term>,
+    pub columns: Vec<Column>,
+}
+
+/// How one model predicts each condition from the others.
+pub struct Row {
+    /// Log predictive density of each condition that is used, and of what is stated of coefficients and nuisances.
+    pub elpd: Vec<f64>,
+    /// Error e, V⁻¹ e, J and A⁻¹ of each condition.
+    left: Vec<[DVector<f64>; 2]>,
+    slopes: Vec<DMatrix<f64>>,
+    inverse: DMatrix<f64>,
+    /// Q of each condition.
+    pub squares: Vec<f64>,
+    /// Held-out errors in the data's own unit, of the sand without nuisances.
+    pub held_out: Errors,
+    /// Change of the parameters with each condition left out, and with none; with a law, its coefficient is the last one.
+    pub steps: Vec<Vec<f64>>,
+    pub step: Vec<f64>,
+    /// The law chosen with no condition left out.
+    pub law: Option<usize>,
+}
+
+/// The comparison of all models under one noise.
+pub struct Table {
+    pub rows: Vec<Row>,
+    /// n of each condition that is used.
+    pub sizes: Vec<f64>,
+    /// ν
+    pub degrees: f64,
+    /// Greatest mean square that noise alone may have, see [`Table::lack`].
+    pub limit: f64,
+}
+
+/// Projects whitened stacks on the means of the repetitions.
+struct Projection<'a> {
+    study: &'a Study<'a>,
+    whitener: &'a Whitener,
+    groups: Vec<Vec<usize>>,
+    /// Cosines for each number of samples, wave by wave.
+    cosines: HashMap<usize, Vec<Vec<f64>>>,
+}
+
+impl<'a> Projection<'a> {
+    fn new(study: &'a Study, whitener: &'a Whitener, used: &[usize]) -> Self {
+        let all = study.observations.repetitions();
+        let groups = used.iter().map(|&k| all[k].clone()).collect();
+        let cosines = study.observations.units.iter().map(|u| (u.samples, cosines(u.samples))).collect();
+        Self { study, whitener, groups, cosines }
+    }
+
+    fn waves(&self, group: &[usize]) -> usize {
+        group.iter().map(|&u| self.study.observations.units[u].samples).min().unwrap_or(0).min(WAVES)
+    }
+
+    /// For each repetition of a group its numbers.
+    fn each(&self, white: &[f64], group: &[usize]) -> Vec<Vec<f64>> {
+        let o = self.study.observations;
+        let waves = self.waves(group);
+        let of = |&u: &usize| {
+            let unit = &o.units[u];
+            let basis = &self.cosines[&unit.samples][..waves];
+            let own = |c: usize| basis.iter().map(move |b| dot(b, &white[unit.block(c)]));
+            (0..o.channels.len()).flat_map(own).collect()
+        };
+        group.iter().map(of).collect()
+    }
+
+    /// The numbers of every condition of a stack.
+    fn apply(&self, stack: &[f64]) -> Vec<DVector<f64>> {
+        let white = self.whitener.apply(stack);
+        let mean = |group: &Vec<usize>| {
+            let each = self.each(&white, group);
+            let root = (group.len() as f64).sqrt();
+            let at = |k: usize| each.iter().map(|e| e[k]).sum::<f64>() / root;
+            DVector::from_fn(each.first().map_or(0, Vec::len), |k, _| at(k))
+        };
+        self.groups.iter().map(mean).collect()
+    }
+
+    /// Degrees of freedom: those of the repetitions, or fewer if their scatter differs between conditions. A variance
+    /// that is itself distributed as inverse χ² with ν has the relative variance 2/(ν − 4).
+    fn degrees(&self, residual: &[f64]) -> f64 {
+        let white = self.whitener.apply(residual);
+        let (mut squares, mut free, mut expected) = (Vec::new(), 0.0, 0.0);
+        for group in self.groups.iter().filter(|g| g.len() > 1) {
+            let each = self.each(&white, group);
+            let n = each[0].len();
+            let mean = |k: usize| each.iter().map(|e| e[k]).sum::<f64>() / each.len() as f64;
+            let square: f64 = (0..n).map(|k| each.iter().map(|e| (e[k] - mean(k)).powi(2)).sum::<f64>()).sum();
+            let count = (n * (each.len() - 1)) as f64;
+            squares.push(square / count);
+            expected += 2.0 / count;
+            free += (group.len() - 1) as f64;
+        }
+        let count = squares.len() as f64;
+        let mean = squares.iter().sum::<f64>() / count.max(1.0);
+        let variance = squares.iter().map(|s| (s / mean - 1.0).powi(2)).sum::<f64>() / (count - 1.0).max(1.0);
+        let beyond = variance - expected / count.max(1.0);
+        let uneven = if count > 2.0 && beyond > 0.0 { 4.0 + 2.0 / beyond } else { f64::INFINITY };
+        uneven.min(free).max(1.0)
+    }
+}
+
+/// Orthonormal cosines (DCT-II) over `n` samples.
+fn cosines(n: usize) -> Vec<Vec<f64>> {
+    let of = |k: usize| {
+        let norm = if k == 0 { (1.0 / n as f64).sqrt() } else { (2.0 / n as f64).sqrt() };
+        (0..n).map(|i| norm * (PI * k as f64 * (i as f64 + 0.5) / n as f64).cos()).collect()
+    };
+    (0..n.min(WAVES)).map(of).collect()
+}
+
+impl Table {
+    /// Compares `models`; the first is the plain one. Only the conditions `used` count.
+    pub fn new(study: &Study, whitener: &Whitener, models: &[Model], used: &[usize]) -> Self {
+        let projection = Projection::new(study, whitener, used);
+        // Fits share columns, which are told apart by their address.
+        let place = |c: &Column| Arc::as_ptr(c) as usize;
+        let columns = |m: &Model| -> Vec<Column> {
+            m.fit.slopes.iter().chain(m.laws.iter().flat_map(|l| &l.columns)).cloned().collect()
+        };
+        let mut unique: Vec<Column> = models.iter().flat_map(columns).collect();
+        unique.sort_by_key(place);
+        unique.dedup_by_key(|c| place(c));
+        let projected = parallel::map(&unique, |c| projection.apply(c));
+        let known: HashMap<_, _> = unique.iter().map(place).zip(&projected).collect();
+        let residual = |fit: &Fit| -> Vec<f64> {
+            study.observations.values.iter().zip(study.reading(fit)).map(|(y, m)| y - m).collect()
+        };
+        let degrees = models.first().map_or(1.0, |m| projection.degrees(&residual(m.fit)));
+        let rows = parallel::map(models, |m| {
+            // What is known of coefficients and nuisances is one more condition: deviations of 0 ± 1 are its numbers.
+            let (count, values) = (m.fit.deviations.len(), m.fit.ids.len());
+            let own = |c: &Column| known[&place(c)].clone();
+            let stated = |k: usize| DVector::from_fn(count, |i, _| if k == values + i { 1.0 } else { 0.0 });
+            let with = |mut numbers: Vec<DVector<f64>>, last: DVector<f64>| {
+                numbers.push(last);
+                numbers
+            };
+            let slopes = m.fit.slopes.iter().enumerate();
+            let laws = m.laws.iter().flat_map(|l| &l.columns);
+            let linear = Linear {
+                residual: with(
+                    projection.apply(&residual(m.fit)),
+                    DVector::from_fn(count, |i, _| -m.fit.deviations[i]),
+                ),
+                slopes: slopes.map(|(k, c)| with(own(c), stated(k))).collect(),
+                laws: laws.map(|c| with(own(c), DVector::zeros(count))).collect(),
+                prior: prior(m.fit),
+                widths: m.laws.map_or(Vec::new(), |l| l.columns.iter().map(|c| width(c, &m.fit.prediction)).collect()),
+            };
+            linear.row(study, m, used, degrees)
+        });
+        let size = |g: &Vec<usize>| (projection.waves(g) * study.observations.channels.len()) as f64;
+        let stated = models.first().map(|m| m.fit.deviations.len() as f64);
+        let sizes: Vec<f64> = projection.groups.iter().map(size).chain(stated).collect();
+        let free: f64 = projection.groups.iter().map(|g| g.len() as f64 - 1.0).sum::<f64>().min(degrees).max(1.0);
+        let limit = 1.0 + 2.0 * (2.0 / sizes.iter().sum::<f64>().max(1.0) + 2.0 / free).sqrt();
+        Self { rows, sizes, degrees, limit }
+    }
+
+    /// The elpd of row `k`.
+    pub fn elpd(&self, k: usize) -> f64 {
+        self.rows[k].elpd.iter().sum()
+    }
+
+    /// elpd of `a` minus that of `b`, and its standard error.
+    pub fn difference(&self, a: usize, b: usize) -> [f64; 2] {
+        if a == b {
+            return [0.0; 2];
+        }
+        let difference = self.elpd(a) - self.elpd(b);
+        let (best, other) =
+            if difference >= 0.0 { (&self.rows[a], &self.rows[b]) } else { (&self.rows[b], &self.rows[a]) };
+        let (mut noise, mut clusters) = (0.0, 0.0);
+        for (c, n) in self.sizes.iter().enumerate() {
+            let weight = (self.degrees + n) / (self.degrees + best.squares[c]);
+            let [error, solved] = &best.left[c];
+            let apart = &other.left[c][0] - error;
+            let along = best.slopes[c].transpose() * &apart;
+            noise += weight * (apart.norm_squared() - along.dot(&(&best.inverse * &along)));
+            clusters += (weight * apart.dot(solved)).powi(2);
+        }
+        let each = best.elpd.iter().zip(&other.elpd).map(|(a, b)| a - b);
+        let count = self.sizes.len() as f64;
+        let mean = difference.abs() / count;
+        let spread = each.map(|d| (d - mean).powi(2)).sum::<f64>() * count / (count - 1.0).max(1.0);
+        let (clusters, count) = (clusters.min(spread), (count - 1.0).max(1.0));
+        let of = |variance: f64, degrees: f64| variance.max(0.0).sqrt() * student::two_sided_95(degrees) / NORMAL;
+        [difference, of(noise, self.degrees).max(of(clusters, count)).max(LEAST)]
+    }
+
+    /// Does `a` predict left-out conditions better than `b`, beyond twice the standard error?
+    pub fn beats(&self, a: usize, b: usize) -> bool {
+        let [difference, error] = self.difference(a, b);
+        difference > 2.0 * error
+    }
+
+    /// Mean square of the numbers that row `k` leaves: 1 for noise alone.
+    pub fn lack(&self, k: usize) -> f64 {
+        self.rows[k].squares.iter().sum::<f64>() / self.sizes.iter().sum::<f64>().max(1.0)
+    }
+
+    /// What row `k` misses, as elpd: how much better a model would be that leaves as much as noise alone may. 0 if it
+    /// leaves no more.
+    pub fn missing(&self, k: usize) -> f64 {
+        if self.lack(k) <= self.limit {
+            return 0.0;
+        }
+        let log = |square: f64, n: f64| -0.5 * (self.degrees + n) * (square / self.degrees).ln_1p();
+        let each = self.rows[k].squares.iter().zip(&self.sizes);
+        each.map(|(square, n)| log(n * self.limit, *n) - log(*square, *n)).sum::<f64>().max(0.0)
+    }
+}
+
+/// Precision and score of each parameter's prior at the fit.
+fn prior(fit: &Fit) -> Vec<[f64; 2]> {
+    let value = |(&id, at): (&usize, f64)| {
+        let precision = (USUAL * CATALOG[id].coordinate_typical()).powi(-2);
+        [precision, -precision * at]
+    };
+    let deviation = |d: &f64| [UNSTATED.powi(-2), -d * UNSTATED.powi(-2)];
+    fit.ids.iter().zip(fit.coordinates()).map(value).chain(fit.deviations.iter().map(deviation)).collect()
+}
+
+/// Prior standard deviation of a law's coefficient: its stress may be as large as all others together. Our choice.
+fn width(column: &[f64], prediction: &[f64]) -> f64 {
+    (dot(prediction, prediction) / dot(column, column).max(1e-300)).sqrt()
+}
+
+/// A model, linear about its fit, in the numbers of the conditions.
+struct Linear {
+    residual: Vec<DVector<f64>>,
+    slopes: Vec<Vec<DVector<f64>>>,
+    laws: Vec<Vec<DVector<f64>>>,
+    prior: Vec<[f64; 2]>,
+    /// Prior standard deviation of each law's coefficient.
+    widths: Vec<f64>,
+}
+
+/// Products of a condition: information and score of the parameters; of each law those with the parameters, with itself,
+/// and its score.
+struct Products {
+    information: DMatrix<f64>,
+    score: DVector<f64>,
+    laws: Vec<(DVector<f64>, [f64; 2])>,
+}
+
+impl Products {
+    fn less(&self, other: &Products) -> Products {
+        let law = |(a, b): (&(DVector<f64>, [f64; 2]), &(DVector<f64>, [f64; 2]))| {
+            (&a.0 - &b.0, [a.1[0] - b.1[0], a.1[1] - b.1[1]])
+        };
+        Products {
+            information: &self.information - &other.information,
+            score: &self.score - &other.score,
+            laws: self.laws.iter().zip(&other.laws).map(law).collect(),
+        }
+    }
+
+    /// The law that gains most.
+    fn best_law(&self) -> Option<usize> {
+        let factor = self.information.clone().cholesky()?;
+        let adjusted = factor.solve(&self.score);
+        let gain = |(cross, own): &(DVector<f64>, [f64; 2])| {
+            let left = own[0] - cross.dot(&factor.solve(cross));
+            if left > 1e-9 * own[0] { (own[1] - cross.dot(&adjusted)).powi(2) / left } else { 0.0 }
+        };
+        let gains: Vec<f64> = self.laws.iter().map(gain).collect();
+        (0..gains.len()).max_by(|a, b| gains[*a].total_cmp(&gains[*b]))
+    }
+
+    /// Information and score with a law as the last parameter.
+    fn with(&self, law: Option<usize>) -> (DMatrix<f64>, DVector<f64>) {
+        let Some((cross, own)) = law.map(|l| &self.laws[l]) else {
+            return (self.information.clone(), self.score.clone());
+        };
+        let n = self.score.len();
+        let (mut information, mut score) = (
+            self.information.clone().resize(n + 1, n + 1, own[0]),
+            self.score.clone().resize_vertically(n + 1, own[1]),
+        );
+        for k in 0..n {
+            (information[(k, n)], information[(n, k)]) = (cross[k], cross[k]);
+        }
+        (information[(n, n)], score[n]) = (own[0], own[1]);
+        (information, score)
+    }
+}
+
+impl Linear {
+    fn products(&self, c: usize) -> Products {
+        let n = self.slopes.len();
+        let mut information = DMatrix::zeros(n, n);
+        for i in 0..n {
+            for j in 0..=i {
+                let product = self.slopes[i][c].dot(&self.slopes[j][c]);
+                (information[(i, j)], information[(j, i)]) = (product, product);
+            }
+        }
+        let law = |l: &Vec<DVector<f64>>| {
+            let cross = DVector::from_fn(n, |i, _| self.slopes[i][c].dot(&l[c]));
+            (cross, [l[c].norm_squared(), l[c].dot(&self.residual[c])])
+        };
+        let score = DVector::from_fn(n, |i, _| self.slopes[i][c].dot(&self.residual[c]));
+        Products { information, score, laws: self.laws.iter().map(law).collect() }
+    }
+
+    /// Products of all conditions together, and the prior.
+    fn total(&self, each: &[Products]) -> Products {
+        let n = self.slopes.len();
+        let mut all = Products {
+            information: DMatrix::from_diagonal(&DVector::from_fn(n, |k, _| self.prior[k][0].max(1e-12))),
+            score: DVector::from_fn(n, |k, _| self.prior[k][1]),
+            laws: self.widths.iter().map(|w| (DVector::zeros(n), [w.powi(-2), 0.0])).collect(),
+        };
+        for own in each {
+            all.information += &own.information;
+            all.score += &own.score;
+            for (sum, law) in all.laws.iter_mut().zip(&own.laws) {
+                sum.0 += &law.0;
+                sum.1 = [sum.1[0] + law.1[0], sum.1[1] + law.1[1]];
+            }
+        }
+        all
+    }
+
+    fn row(&self, study: &Study, model: &Model, used: &[usize], degrees: f64) -> Row {
+        let each: Vec<Products> = (0..self.residual.len()).map(|c| self.products(c)).collect();
+        let all = self.total(&each);
+        let law = all.best_law();
+        let (information, score) = all.with(law);
+        let solved = |a: &DMatrix<f64>, b: &DVector<f64>| {
+            a.clone()
+                .cholesky()
+                .map_or_else(|| (DVector::zeros(b.len()), f64::INFINITY), |f| (f.solve(b), f.ln_determinant()))
+        };
+        let step = solved(&information, &score).0;
+        let inverse = information.clone().try_inverse().unwrap_or_else(|| DMatrix::zeros(score.len(), score.len()));
+        let mut row = Row {
+            elpd: Vec::new(),
+            left: Vec::new(),
+            slopes: Vec::new(),
+            inverse,
+            squares: Vec::new(),
+            held_out: Errors { square: Vec::new(), count: Vec::new() },
+            steps: Vec::new(),
+            step: step.iter().copied().collect(),
+            law,
+        };
+        for (c, own) in each.iter().enumerate() {
+            let rest = all.less(own);
+            let law = rest.best_law();
+            let (without, score) = rest.with(law);
+            let with = all.with(law).0;
+            let (step, determinant) = solved(&without, &score);
+            let jacobian = self.jacobian(c, law);
+            let error = &self.residual[c] - &jacobian * &step;
+            let inverse =
+                if law == row.law { row.inverse.clone() } else { with.clone().try_inverse().unwrap_or(with.clone()) };
+            let solved_error = &error - &jacobian * (&inverse * (jacobian.transpose() * &error));
+            let square = error.dot(&solved_error).max(0.0);
+            let wider = (solved(&with, &score).1 - determinant).max(0.0);
+            let n = error.len() as f64;
+            // A simulation that diverges predicts nothing.
+            row.elpd.push((-0.5 * wider - 0.5 * (degrees + n) * (square / degrees).ln_1p()).max(-1e12));
+            row.squares.push(square);
+            row.left.push([error, solved_error]);
+            row.slopes.push(self.jacobian(c, row.law));
+            if c < used.len() {
+                let errors = held_out(study, model, law, step.as_slice(), &used[c..=c]);
+                row.held_out.square.extend(errors.square);
+                row.held_out.count.extend(errors.count);
+                row.steps.push(step.iter().copied().collect());
+            }
+        }
+        row
+    }
+
+    fn jacobian(&self, c: usize, law: Option<usize>) -> DMatrix<f64> {
+        let columns: Vec<_> =
+            self.slopes.iter().map(|s| s[c].clone()).chain(law.map(|l| self.laws[l][c].clone())).collect();
+        DMatrix::from_columns(&columns)
+    }
+}
+
+/// Errors of the sand's prediction, without nuisances, on the conditions `held`, with the parameters changed by `step`.
+pub fn held_out(study: &Study, model: &Model, law: Option<usize>, step: &[f64], held: &[usize]) -> Errors {
+    let fit = model.fit;
+    let sand = fit.ids.len() + COEFFICIENTS;
+    let mut parts: Vec<(f64, &Column)> = step[..sand].iter().copied().zip(&fit.slopes[..sand]).collect();
+    parts.extend(law.and_then(|l| model.laws.map(|own| (step[step.len() - 1], &own.columns[l]))));
+    Errors::of(study.observations, |k| fit.prediction[k] + parts.iter().map(|(d, s)| d * s[k]).sum::<f64>(), held)
+}
