@@ -90,7 +90,7 @@ fn separation(log: &Log, cause: &str, name: &str) -> Outcome<f64> {
 }
 
 fn read_and_remove(path: &Path) -> Outcome<force_log::ForceLog> {
-    let read = force_log::read(path, &experiment()?);
+    let read = force_log::read(path, &experiment()?, &Silent);
     std::fs::remove_file(path)?;
     Ok(read?)
 }

@@ -58,7 +58,7 @@ fn forward_model_agrees_with_the_test_bed() {
         let hidden = Hidden { causes: vec![(entry.id, entry.typical)] };
         let lab = testbed::log(5, &hidden, 0.0);
         assert!(lab.effect > 0.005, "{} does nothing in the laboratory", entry.id);
-        let log = force_log::read(&file(directory.path(), &lab.clean), &experiment()).unwrap();
+        let log = force_log::read(&file(directory.path(), &lab.clean), &experiment(), &Silent).unwrap();
         let model = ForceLogModel::new(&log, &experiment()).unwrap();
         let mechanisms = Mechanisms::default().with(Mechanisms::index(entry.id).unwrap(), entry.typical);
         let ours = model.predict(&mechanisms, &medium.coefficients);
@@ -150,7 +150,7 @@ fn drag_is_the_main_cause_of_plates_in_grains() {
     assert!(r.gain.nested && r.gain.reduction.unwrap() >= 0.6, "{:?}", r.gain);
     assert_eq!(r.causes[0].value, sand.mechanisms.inertial_drag);
     assert_eq!(r.terms.len(), sand.terms.len());
-    let log = force_log::read(&data, &experiment).unwrap();
+    let log = force_log::read(&data, &experiment, &Silent).unwrap();
     let model = ForceLogModel::new(&log, &experiment).unwrap();
     let again = model.with_terms(&sand.terms).unwrap().predict(&sand.mechanisms, &sand.coefficients);
     assert!(again.iter().zip(&curves.extended.unwrap()).all(|(a, b)| (a - b).abs() < 1e-9));
@@ -266,7 +266,7 @@ fn plates_that_start_from_rest_are_mirrored() {
     };
     for (vx, beta) in [([0.0, 0.1, 0.1, 0.1], 0.5), ([0.0, -0.1, -0.1, -0.1], -0.5), ([0.001, -0.1, -0.1, -0.1], -0.5)]
     {
-        let log = force_log::read(&file(directory.path(), &text(vx)), &experiment()).unwrap();
+        let log = force_log::read(&file(directory.path(), &text(vx)), &experiment(), &Silent).unwrap();
         assert_eq!(log.tracks[0].beta, beta, "{vx:?}");
     }
 }
@@ -334,7 +334,7 @@ fn the_extended_sand_predicts_what_the_report_shows() {
     let diagnosis = sound(&path, &experiment());
     diagnosis.write(&directory.path().join("out")).unwrap();
     let sand = SandDescription::load(&directory.path().join("out/sand.toml")).unwrap();
-    let log = force_log::read(&path, &experiment()).unwrap();
+    let log = force_log::read(&path, &experiment(), &Silent).unwrap();
     let model = ForceLogModel::new(&log, &experiment()).unwrap();
     let again = model.predict(&sand.mechanisms, &sand.coefficients);
     let shown = diagnosis.curves.extended.unwrap();
@@ -418,7 +418,7 @@ fn units_and_column_names_are_converted() {
     let directory = tempfile::tempdir().unwrap();
     let read = |text: &str, experiment: &str| {
         let experiment = Experiment::from_toml(experiment).unwrap();
-        force_log::read(&file(directory.path(), text), &experiment).unwrap().observations.values
+        force_log::read(&file(directory.path(), text), &experiment, &Silent).unwrap().observations.values
     };
     let plain = read(&log, testbed::EXPERIMENT);
     let renamed = log.replacen(",Fz,", ",lift,", 1);
@@ -483,7 +483,7 @@ fn damaged_runs_and_experiments_never_panic() {
     };
     for _ in 0..10_000 {
         std::fs::write(&path, damaged(WALKS.as_bytes(), &mut rng)).unwrap();
-        count(0, walking_log::read(&path, &experiment).map(drop));
+        count(0, walking_log::read(&path, &experiment, &Silent).map(drop));
         let text = String::from_utf8_lossy(&damaged(EXPERIMENT.as_bytes(), &mut rng)).into_owned();
         count(1, Experiment::from_toml(&text).map(drop));
     }
@@ -511,7 +511,7 @@ fn damaged_files_never_panic() {
     for round in 0..10_000 {
         let bytes = damaged(&base, &mut rng);
         std::fs::write(&path, &bytes).unwrap();
-        if force_log::read(&path, &experiment).is_ok() && round % 10 == 0 {
+        if force_log::read(&path, &experiment, &Silent).is_ok() && round % 10 == 0 {
             let report = sound(&path, &experiment);
             assert!(report.json().unwrap().contains("verdict"));
             diagnosed += 1;

@@ -27,7 +27,8 @@
 //! differences below 4 are no evidence (Sivula, Magnusson, Matamoros & Vehtari 2020).
 
 use super::errors::Errors;
-use super::fit::{COEFFICIENTS, Column, Fit};
+use super::fit::{Column, Fit};
+use super::left_out::Linear;
 use super::screen::USUAL;
 use super::study::Study;
 use super::whiten::Whitener;
@@ -67,10 +68,15 @@ pub struct Laws {
 pub struct Row {
     /// Log predictive density of each condition that is used, and of what is stated of coefficients and nuisances.
     pub elpd: Vec<f64>,
-    /// Error e, V⁻¹ e, J and A⁻¹ of each condition.
-    left: Vec<[DVector<f64>; 2]>,
-    slopes: Vec<DMatrix<f64>>,
-    inverse: DMatrix<f64>,
+    /// Error e and V⁻¹ e of each condition.
+    pub left: Vec<[DVector<f64>; 2]>,
+    /// J of each condition.
+    pub slopes: Vec<DMatrix<f64>>,
+    /// Covariance of the parameters.
+    pub inverse: DMatrix<f64>,
+    /// Scale of the errors: as the other conditions show it for each condition, and as all show it.
+    pub scales: Vec<f64>,
+    pub scale: f64,
     /// Q of each condition.
     pub squares: Vec<f64>,
     /// Held-out errors in the data's own unit, of the sand without nuisances.
@@ -236,11 +242,12 @@ impl Table {
             if difference >= 0.0 { (&self.rows[a], &self.rows[b]) } else { (&self.rows[b], &self.rows[a]) };
         let (mut noise, mut clusters) = (0.0, 0.0);
         for (c, n) in self.sizes.iter().enumerate() {
-            let weight = (self.degrees + n) / (self.degrees + best.squares[c]);
+            let scale = best.scales[c];
+            let weight = (self.degrees + n) / (self.degrees + best.squares[c] / scale) / scale;
             let [error, solved] = &best.left[c];
             let apart = &other.left[c][0] - error;
             let along = best.slopes[c].transpose() * &apart;
-            noise += weight * (apart.norm_squared() - along.dot(&(&best.inverse * &along)));
+            noise += weight * (apart.norm_squared() - along.dot(&(&best.inverse * &along)) / scale);
             clusters += (weight * apart.dot(solved)).powi(2);
         }
         let each = best.elpd.iter().zip(&other.elpd).map(|(a, b)| a - b);
@@ -258,6 +265,12 @@ impl Table {
         difference > 2.0 * error
     }
 
+    /// Does `k` predict left-out conditions better than the plain model, beyond the standard error?
+    pub fn ahead(&self, k: usize) -> bool {
+        let [difference, error] = self.difference(k, 0);
+        difference > error
+    }
+
     /// Mean square of the numbers that row `k` leaves: 1 for noise alone.
     pub fn lack(&self, k: usize) -> f64 {
         self.rows[k].squares.iter().sum::<f64>() / self.sizes.iter().sum::<f64>().max(1.0)
@@ -269,9 +282,14 @@ impl Table {
         if self.lack(k) <= self.limit {
             return 0.0;
         }
-        let log = |square: f64, n: f64| -0.5 * (self.degrees + n) * (square / self.degrees).ln_1p();
-        let each = self.rows[k].squares.iter().zip(&self.sizes);
-        each.map(|(square, n)| log(n * self.limit, *n) - log(*square, *n)).sum::<f64>().max(0.0)
+        // As densities: the model's own without the uncertainty of its parameters, and that of errors at the limit.
+        let row = &self.rows[k];
+        let log = |square: f64, n: f64, scale: f64| {
+            -0.5 * (n * scale.ln() + (self.degrees + n) * (square / scale / self.degrees).ln_1p())
+        };
+        let each = self.sizes[..self.sizes.len() - 1].iter().enumerate();
+        let own = each.map(|(c, n)| log(n * self.limit, *n, self.limit) - log(row.squares[c], *n, row.scales[c]));
+        own.sum::<f64>().max(0.0)
     }
 }
 
@@ -288,169 +306,4 @@ fn prior(fit: &Fit) -> Vec<[f64; 2]> {
 /// Prior standard deviation of a law's coefficient: its stress may be as large as all others together. Our choice.
 fn width(column: &[f64], prediction: &[f64]) -> f64 {
     (dot(prediction, prediction) / dot(column, column).max(1e-300)).sqrt()
-}
-
-/// A model, linear about its fit, in the numbers of the conditions.
-struct Linear {
-    residual: Vec<DVector<f64>>,
-    slopes: Vec<Vec<DVector<f64>>>,
-    laws: Vec<Vec<DVector<f64>>>,
-    prior: Vec<[f64; 2]>,
-    /// Prior standard deviation of each law's coefficient.
-    widths: Vec<f64>,
-}
-
-/// Products of a condition: information and score of the parameters; of each law those with the parameters, with itself,
-/// and its score.
-struct Products {
-    information: DMatrix<f64>,
-    score: DVector<f64>,
-    laws: Vec<(DVector<f64>, [f64; 2])>,
-}
-
-impl Products {
-    fn less(&self, other: &Products) -> Products {
-        let law = |(a, b): (&(DVector<f64>, [f64; 2]), &(DVector<f64>, [f64; 2]))| {
-            (&a.0 - &b.0, [a.1[0] - b.1[0], a.1[1] - b.1[1]])
-        };
-        Products {
-            information: &self.information - &other.information,
-            score: &self.score - &other.score,
-            laws: self.laws.iter().zip(&other.laws).map(law).collect(),
-        }
-    }
-
-    /// The law that gains most.
-    fn best_law(&self) -> Option<usize> {
-        let factor = self.information.clone().cholesky()?;
-        let adjusted = factor.solve(&self.score);
-        let gain = |(cross, own): &(DVector<f64>, [f64; 2])| {
-            let left = own[0] - cross.dot(&factor.solve(cross));
-            if left > 1e-9 * own[0] { (own[1] - cross.dot(&adjusted)).powi(2) / left } else { 0.0 }
-        };
-        let gains: Vec<f64> = self.laws.iter().map(gain).collect();
-        (0..gains.len()).max_by(|a, b| gains[*a].total_cmp(&gains[*b]))
-    }
-
-    /// Information and score with a law as the last parameter.
-    fn with(&self, law: Option<usize>) -> (DMatrix<f64>, DVector<f64>) {
-        let Some((cross, own)) = law.map(|l| &self.laws[l]) else {
-            return (self.information.clone(), self.score.clone());
-        };
-        let n = self.score.len();
-        let (mut information, mut score) = (
-            self.information.clone().resize(n + 1, n + 1, own[0]),
-            self.score.clone().resize_vertically(n + 1, own[1]),
-        );
-        for k in 0..n {
-            (information[(k, n)], information[(n, k)]) = (cross[k], cross[k]);
-        }
-        (information[(n, n)], score[n]) = (own[0], own[1]);
-        (information, score)
-    }
-}
-
-impl Linear {
-    fn products(&self, c: usize) -> Products {
-        let n = self.slopes.len();
-        let mut information = DMatrix::zeros(n, n);
-        for i in 0..n {
-            for j in 0..=i {
-                let product = self.slopes[i][c].dot(&self.slopes[j][c]);
-                (information[(i, j)], information[(j, i)]) = (product, product);
-            }
-        }
-        let law = |l: &Vec<DVector<f64>>| {
-            let cross = DVector::from_fn(n, |i, _| self.slopes[i][c].dot(&l[c]));
-            (cross, [l[c].norm_squared(), l[c].dot(&self.residual[c])])
-        };
-        let score = DVector::from_fn(n, |i, _| self.slopes[i][c].dot(&self.residual[c]));
-        Products { information, score, laws: self.laws.iter().map(law).collect() }
-    }
-
-    /// Products of all conditions together, and the prior.
-    fn total(&self, each: &[Products]) -> Products {
-        let n = self.slopes.len();
-        let mut all = Products {
-            information: DMatrix::from_diagonal(&DVector::from_fn(n, |k, _| self.prior[k][0].max(1e-12))),
-            score: DVector::from_fn(n, |k, _| self.prior[k][1]),
-            laws: self.widths.iter().map(|w| (DVector::zeros(n), [w.powi(-2), 0.0])).collect(),
-        };
-        for own in each {
-            all.information += &own.information;
-            all.score += &own.score;
-            for (sum, law) in all.laws.iter_mut().zip(&own.laws) {
-                sum.0 += &law.0;
-                sum.1 = [sum.1[0] + law.1[0], sum.1[1] + law.1[1]];
-            }
-        }
-        all
-    }
-
-    fn row(&self, study: &Study, model: &Model, used: &[usize], degrees: f64) -> Row {
-        let each: Vec<Products> = (0..self.residual.len()).map(|c| self.products(c)).collect();
-        let all = self.total(&each);
-        let law = all.best_law();
-        let (information, score) = all.with(law);
-        let solved = |a: &DMatrix<f64>, b: &DVector<f64>| {
-            a.clone()
-                .cholesky()
-                .map_or_else(|| (DVector::zeros(b.len()), f64::INFINITY), |f| (f.solve(b), f.ln_determinant()))
-        };
-        let step = solved(&information, &score).0;
-        let inverse = information.clone().try_inverse().unwrap_or_else(|| DMatrix::zeros(score.len(), score.len()));
-        let mut row = Row {
-            elpd: Vec::new(),
-            left: Vec::new(),
-            slopes: Vec::new(),
-            inverse,
-            squares: Vec::new(),
-            held_out: Errors { square: Vec::new(), count: Vec::new() },
-            steps: Vec::new(),
-            step: step.iter().copied().collect(),
-            law,
-        };
-        for (c, own) in each.iter().enumerate() {
-            let rest = all.less(own);
-            let law = rest.best_law();
-            let (without, score) = rest.with(law);
-            let with = all.with(law).0;
-            let (step, determinant) = solved(&without, &score);
-            let jacobian = self.jacobian(c, law);
-            let error = &self.residual[c] - &jacobian * &step;
-            let inverse =
-                if law == row.law { row.inverse.clone() } else { with.clone().try_inverse().unwrap_or(with.clone()) };
-            let solved_error = &error - &jacobian * (&inverse * (jacobian.transpose() * &error));
-            let square = error.dot(&solved_error).max(0.0);
-            let wider = (solved(&with, &score).1 - determinant).max(0.0);
-            let n = error.len() as f64;
-            // A simulation that diverges predicts nothing.
-            row.elpd.push((-0.5 * wider - 0.5 * (degrees + n) * (square / degrees).ln_1p()).max(-1e12));
-            row.squares.push(square);
-            row.left.push([error, solved_error]);
-            row.slopes.push(self.jacobian(c, row.law));
-            if c < used.len() {
-                let errors = held_out(study, model, law, step.as_slice(), &used[c..=c]);
-                row.held_out.square.extend(errors.square);
-                row.held_out.count.extend(errors.count);
-                row.steps.push(step.iter().copied().collect());
-            }
-        }
-        row
-    }
-
-    fn jacobian(&self, c: usize, law: Option<usize>) -> DMatrix<f64> {
-        let columns: Vec<_> =
-            self.slopes.iter().map(|s| s[c].clone()).chain(law.map(|l| self.laws[l][c].clone())).collect();
-        DMatrix::from_columns(&columns)
-    }
-}
-
-/// Errors of the sand's prediction, without nuisances, on the conditions `held`, with the parameters changed by `step`.
-pub fn held_out(study: &Study, model: &Model, law: Option<usize>, step: &[f64], held: &[usize]) -> Errors {
-    let fit = model.fit;
-    let sand = fit.ids.len() + COEFFICIENTS;
-    let mut parts: Vec<(f64, &Column)> = step[..sand].iter().copied().zip(&fit.slopes[..sand]).collect();
-    parts.extend(law.and_then(|l| model.laws.map(|own| (step[step.len() - 1], &own.columns[l]))));
-    Errors::of(study.observations, |k| fit.prediction[k] + parts.iter().map(|(d, s)| d * s[k]).sum::<f64>(), held)
 }

@@ -39,6 +39,7 @@ pub mod gauss_newton;
 pub mod intruder_log;
 pub mod intruder_model;
 pub mod laws;
+pub mod left_out;
 pub mod likelihood;
 pub mod minimise;
 pub mod misfit;
@@ -103,13 +104,13 @@ fn diagnose_kind(data: &Path, experiment: &Experiment, progress: &Latch) -> Resu
     let (coefficient_sd, interest) = (experiment.coefficient_sd, experiment.nuisances.interest.clone());
     match experiment.kind {
         Kind::Intrusion => {
-            let log = force_log::read(data, experiment)?;
+            let log = force_log::read(data, experiment, progress)?;
             let model = ForceLogModel::new(&log, experiment)?.stopped_by(progress);
             let (observations, sha256, notes) = (log.observations, log.sha256, log.notes);
             diagnose_measured(Measured { observations, coefficient_sd, interest, sha256, notes }, &model, progress)
         }
         Kind::Walking => {
-            let log = walking_log::read(data, experiment)?;
+            let log = walking_log::read(data, experiment, progress)?;
             let model = WalkingModel::new(&log, experiment, progress)?;
             let (observations, sha256, notes) = (log.observations, log.sha256, vec![model.step_note()?]);
             diagnose_measured(Measured { observations, coefficient_sd, interest, sha256, notes }, &model, progress)
@@ -119,7 +120,7 @@ fn diagnose_kind(data: &Path, experiment: &Experiment, progress: &Latch) -> Resu
             diagnose_measured(measured, &model, progress)
         }
         Kind::Intruder => {
-            let log = intruder_log::read(data, experiment)?;
+            let log = intruder_log::read(data, experiment, progress)?;
             let model = IntruderModel::new(&log, experiment, progress)?;
             let (observations, sha256, notes) = (log.observations, log.sha256, intruder_model::notes(experiment));
             diagnose_measured(Measured { observations, coefficient_sd, interest, sha256, notes }, &model, progress)

@@ -3,9 +3,10 @@
 
 use super::candidates::{Candidates, SECOND, candidates};
 use super::errors::Errors;
-use super::evidence::{LEAST, Laws, Model, Table, held_out};
+use super::evidence::{LEAST, Laws, Model, Table};
 use super::fit::Fit;
 use super::laws::{Law, fitted, laws};
+use super::left_out::held_out;
 use super::noise::{Noise, Source};
 use super::profile;
 use super::study::Study;
@@ -187,6 +188,7 @@ fn entries(table: &Table, models: &[Model], unnamed: &[usize]) -> Vec<Entry> {
             elpd: table.elpd(k),
             missing: table.missing(k),
             beats: (0..models.len()).map(|j| table.beats(k, j)).collect(),
+            ahead: table.ahead(k),
         }
     };
     (0..models.len()).map(of).collect()

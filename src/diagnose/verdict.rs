@@ -54,6 +54,8 @@ pub struct Entry {
     pub missing: f64,
     /// Does it predict better than entry `k`, beyond twice the standard error?
     pub beats: Vec<bool>,
+    /// Does it predict better than the plain model, beyond the standard error?
+    pub ahead: bool,
 }
 
 /// The verdict on a table.
@@ -92,8 +94,7 @@ pub fn verdict(table: &[Entry], second: f64) -> Ruling {
     let pair = best_of(&|e| e.causes == 2 && !e.law).filter(|p| single.is_none_or(|s| earns(p, s)));
     let law = best_of(&|e| e.law && e.causes == 0);
     let Some(best) = best_of(&|_| true) else {
-        let verdict = if plain.missing > 0.0 { Verdict::NoneOfThese } else { Verdict::NoiseFloor };
-        return Ruling { verdict, written: Written::Plain, model: 0, set: Vec::new() };
+        return without_cause(table);
     };
     let main = |k: &usize| table[*k].explains(plain) > MAIN_PART;
     let cause = pair.or(single).filter(main).filter(|&c| law.is_none_or(|l| !table[l].beats[c]));
@@ -104,8 +105,26 @@ pub fn verdict(table: &[Entry], second: f64) -> Ruling {
     if let Some(model) = law {
         return Ruling { verdict: Verdict::Described, written: Written::Description, model, set: Vec::new() };
     }
-    let written = if table[best].causes > 0 { Written::Proxy } else { Written::Description };
-    Ruling { verdict: Verdict::NoneOfThese, written, model: best, set: Vec::new() }
+    stand_in(table, best)
+}
+
+/// The verdict if no model predicts better beyond twice the standard error. Where the plain model leaves more than noise
+/// may, there is a misfit in any case, and the best stand-in needs less evidence than a cause: one standard error.
+fn without_cause(table: &[Entry]) -> Ruling {
+    if table[0].missing <= 0.0 {
+        return Ruling { verdict: Verdict::NoiseFloor, written: Written::Plain, model: 0, set: Vec::new() };
+    }
+    let ahead = (1..table.len()).filter(|&k| table[k].ahead);
+    match ahead.max_by(|a, b| table[*a].elpd.total_cmp(&table[*b].elpd)) {
+        Some(best) => stand_in(table, best),
+        None => Ruling { verdict: Verdict::NoneOfThese, written: Written::Plain, model: 0, set: Vec::new() },
+    }
+}
+
+/// `model` predicts better, and is not held for the cause.
+fn stand_in(table: &[Entry], model: usize) -> Ruling {
+    let written = if table[model].causes > 0 { Written::Proxy } else { Written::Description };
+    Ruling { verdict: Verdict::NoneOfThese, written, model, set: Vec::new() }
 }
 
 /// The verdict if `cause` explains the main part.
@@ -149,6 +168,7 @@ mod tests {
             elpd,
             missing,
             beats: of.iter().map(|other| elpd - other.2 > 10.0).collect(),
+            ahead: elpd - of[0].2 > 5.0,
         };
         of.iter().map(entry).collect()
     }
