@@ -95,7 +95,7 @@ pub struct Table {
     pub sizes: Vec<f64>,
     /// ν
     pub degrees: f64,
-    /// Greatest mean square that noise alone may have, see [`Table::lack`].
+    /// Greatest mean square that noise alone may leave, see [`Table::lack`].
     pub limit: f64,
 }
 
@@ -242,13 +242,17 @@ impl Table {
             if difference >= 0.0 { (&self.rows[a], &self.rows[b]) } else { (&self.rows[b], &self.rows[a]) };
         let (mut noise, mut clusters) = (0.0, 0.0);
         for (c, n) in self.sizes.iter().enumerate() {
-            let scale = best.scales[c];
-            let weight = (self.degrees + n) / (self.degrees + best.squares[c] / scale) / scale;
+            let weight = |row: &Row| {
+                let scale = row.scales[c];
+                (self.degrees + n) / (self.degrees + row.squares[c] / scale) / scale
+            };
+            let (scale, [own, others]) = (best.scales[c], [weight(best), weight(other)]);
             let [error, solved] = &best.left[c];
             let apart = &other.left[c][0] - error;
             let along = best.slopes[c].transpose() * &apart;
-            noise += weight * (apart.norm_squared() - along.dot(&(&best.inverse * &along)) / scale);
-            clusters += (weight * apart.dot(solved)).powi(2);
+            let distance = apart.norm_squared() - along.dot(&(&best.inverse * &along)) / scale;
+            noise += scale * others.powi(2) * distance + 0.5 * n * (scale * (own - others)).powi(2);
+            clusters += (others * apart.dot(solved) - 0.5 * (own - others) * (best.squares[c] - n * scale)).powi(2);
         }
         let each = best.elpd.iter().zip(&other.elpd).map(|(a, b)| a - b);
         let count = self.sizes.len() as f64;
@@ -276,20 +280,9 @@ impl Table {
         self.rows[k].squares.iter().sum::<f64>() / self.sizes.iter().sum::<f64>().max(1.0)
     }
 
-    /// What row `k` misses, as elpd: how much better a model would be that leaves as much as noise alone may. 0 if it
-    /// leaves no more.
-    pub fn missing(&self, k: usize) -> f64 {
-        if self.lack(k) <= self.limit {
-            return 0.0;
-        }
-        // As densities: the model's own without the uncertainty of its parameters, and that of errors at the limit.
-        let row = &self.rows[k];
-        let log = |square: f64, n: f64, scale: f64| {
-            -0.5 * (n * scale.ln() + (self.degrees + n) * (square / scale / self.degrees).ln_1p())
-        };
-        let each = self.sizes[..self.sizes.len() - 1].iter().enumerate();
-        let own = each.map(|(c, n)| log(n * self.limit, *n, self.limit) - log(row.squares[c], *n, row.scales[c]));
-        own.sum::<f64>().max(0.0)
+    /// Variance of the errors of row `k` beyond that of the noise, in units of it; 0 if noise alone may leave as much.
+    pub fn misfit(&self, k: usize) -> f64 {
+        if self.lack(k) <= self.limit { 0.0 } else { self.rows[k].scale - 1.0 }
     }
 }
 

@@ -181,7 +181,7 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
     let view = View { study: &study, source: &source, noise: &noise, selection: selection.as_ref(), floor };
     let report = view.report(untestable, sha256, notes);
     debug_assert_eq!(statements::violations(&report), Vec::<String>::new());
-    let fit = selection.as_ref().and_then(|s| s.fit.as_ref());
+    let fit = selection.as_ref().and_then(|s| s.fit());
     let mut sand = SandDescription::plain(model.medium());
     if let Some(fit) = fit {
         sand.name = format!("{}-extended", sand.name);

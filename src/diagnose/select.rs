@@ -30,8 +30,10 @@ pub struct Selection {
     pub table: Table,
     pub entries: Vec<Entry>,
     pub ruling: Ruling,
-    /// The fit that is written; None for the plain model.
-    pub fit: Option<Fit>,
+    /// The fit of the model that is written, or of the plain one, under the scale of its errors.
+    pub standing: Fit,
+    /// The whitening under that scale.
+    pub whitener: Whitener,
     /// The law that is written.
     pub law: Option<Law>,
     /// Formula of the law of each entry of the table that has one.
@@ -60,6 +62,11 @@ impl Selection {
     /// The fit of an entry of the table.
     pub fn fit_of(&self, entry: usize) -> &Fit {
         self.places[entry].map_or(&self.candidates.base, |k| &self.candidates.fits[k])
+    }
+
+    /// The fit that is written; None for the plain model.
+    pub fn fit(&self) -> Option<&Fit> {
+        (self.ruling.model > 0).then_some(&self.standing)
     }
 
     /// The best cause, if one is named.
@@ -115,51 +122,77 @@ fn attempt(study: &Study, asked: &Asked, unnamed: &[usize], progress: &dyn Progr
     let report = |done: f64, stage: &str| progress.report(done, stage);
     let mut candidates = candidates(study, asked.source, asked.noise, &ids, unnamed, &report)?;
     progress.report(0.8, "laws in the data")?;
-    let around = (candidates.around.whitener.clone(), candidates.around.nuisances.clone());
-    let renewed = study.under(&around.0, around.1);
+    let around = candidates.around.whitener.clone();
+    let renewed = study.under(&around, candidates.around.nuisances.clone());
     let profiled = explored(&renewed, &mut candidates);
-    let base_laws = laws(&renewed, &candidates.base);
+    let alone = laws(&renewed, &candidates.base);
     let leading = candidates.leading.map(|k| &candidates.fits[k]);
-    let more_laws = leading.filter(|_| base_laws.is_some()).and_then(|fit| laws(&renewed, fit));
+    let beside = leading.filter(|_| alone.is_some()).and_then(|fit| laws(&renewed, fit));
+    progress.report(0.85, "held-out conditions")?;
+    Ok(judged(study, &renewed, asked, unnamed, candidates, [alone, beside], profiled))
+}
+
+/// Compares all models and rules on them. A law that sand cannot follow, once it is fitted with everything else, is taken
+/// out of the dictionary, and all are compared again.
+fn judged(
+    study: &Study,
+    renewed: &Study,
+    asked: &Asked,
+    unnamed: &[usize],
+    candidates: Candidates,
+    mut dictionary: [Option<Laws>; 2],
+    profiled: Option<Vec<[f64; 2]>>,
+) -> Selection {
     let all: Vec<usize> = (0..study.observations.conditions.len()).collect();
-    let compared = |with_laws: bool| {
-        let [alone, beside] = [&base_laws, &more_laws].map(|laws| laws.as_ref().filter(|_| with_laws));
-        let models = models(&candidates, alone, beside);
-        let table = Table::new(&renewed, &around.0, &models, &all);
+    loop {
+        let models = models(&candidates, dictionary.each_ref().map(Option::as_ref));
+        let table = Table::new(renewed, renewed.whitener, &models, &all);
         let entries = entries(&table, &models, unnamed);
         let ruling = verdict(&entries, SECOND);
+        // The model is fitted once more, with the scale of its errors as the weight of the data against the priors.
+        let (model, scale) = (&models[ruling.model], table.rows[ruling.model].scale);
+        let whitener = renewed.whitener.widened(scale);
+        let last = study.under(&whitener, renewed.nuisances.clone());
+        let fit = if scale > 1.0 { last.fit_from(&[model.fit]).swap_remove(0) } else { model.fit.clone() };
         let term = law_of(&table, &models, ruling.model);
-        let law = term.as_ref().and_then(|term| fitted(&renewed, models[ruling.model].fit, term.clone()));
-        // Sand cannot follow the law as fitted together with everything else.
-        let refused = term.is_some() && law.is_none();
-        (models, table, entries, ruling, law, refused)
-    };
-    let mut outcome = compared(true);
-    if outcome.5 {
-        outcome = compared(false);
+        let law = term.as_ref().and_then(|term| fitted(&last, &fit, term.clone()));
+        if let (Some(place), None) = (table.rows[ruling.model].law.filter(|_| term.is_some()), &law) {
+            let own = usize::from(entries[ruling.model].causes > 0);
+            for laws in dictionary[own].iter_mut() {
+                laws.terms.remove(place);
+                laws.columns.remove(place);
+            }
+            continue;
+        }
+        let nested = nested(renewed, asked, &candidates, (&models, unnamed), &ruling);
+        let formulas = (0..models.len()).map(|k| law_of(&table, &models, k).map(|t| t.formula())).collect();
+        let of = |m: &Model| candidates.fits.iter().position(|f| std::ptr::eq(f, m.fit));
+        let places: Vec<Option<usize>> = models.iter().map(of).collect();
+        let best = ruling.set.first().or((ruling.model > 0).then_some(&ruling.model)).copied();
+        let standing = law.as_ref().map_or(fit, |law| law.fit.clone());
+        let profiled = profiled.filter(|_| best.is_some_and(|k| places[k] == candidates.leading));
+        let intervals = best.map_or(Intervals::default(), |k| intervals(&standing, &table, k, profiled));
+        let plain = study.plain();
+        let plain = Errors::of(study.observations, |k| plain.prediction[k], &all);
+        return Selection {
+            candidates,
+            places,
+            table,
+            entries,
+            ruling,
+            standing,
+            whitener,
+            law,
+            formulas,
+            intervals,
+            nested,
+            plain,
+        };
     }
-    let (models, table, entries, ruling, law, _) = outcome;
-    progress.report(0.85, "held-out conditions")?;
-    let nested = nested(&renewed, asked, &candidates, (&models, unnamed), &ruling);
-    let formulas: Vec<Option<String>> =
-        (0..models.len()).map(|k| law_of(&table, &models, k).map(|t| t.formula())).collect();
-    let written = match (&law, ruling.model) {
-        (_, 0) => None,
-        (Some(law), _) => Some(law.fit.clone()),
-        (None, k) => Some(models[k].fit.clone()),
-    };
-    let places: Vec<Option<usize>> =
-        models.iter().map(|m| candidates.fits.iter().position(|f| std::ptr::eq(f, m.fit))).collect();
-    let best = ruling.set.first().or((ruling.model > 0).then_some(&ruling.model)).copied();
-    let profiled = profiled.filter(|_| best.is_some_and(|k| places[k] == candidates.leading));
-    let intervals = best.map_or(Intervals::default(), |k| intervals(models[k].fit, &table, k, profiled));
-    let plain = study.plain();
-    let plain = Errors::of(study.observations, |k| plain.prediction[k], &all);
-    Ok(Selection { candidates, places, table, entries, ruling, fit: written, law, formulas, intervals, nested, plain })
 }
 
 /// The models of the table: the plain one, all fits, a law alone, and a law beside the leading cause.
-fn models<'a>(candidates: &'a Candidates, alone: Option<&'a Laws>, beside: Option<&'a Laws>) -> Vec<Model<'a>> {
+fn models<'a>(candidates: &'a Candidates, [alone, beside]: [Option<&'a Laws>; 2]) -> Vec<Model<'a>> {
     let fits = [&candidates.base].into_iter().chain(&candidates.fits);
     let mut models: Vec<Model> = fits.map(|fit| Model { fit, laws: None }).collect();
     models.extend(alone.map(|laws| Model { fit: &candidates.base, laws: Some(laws) }));
@@ -186,9 +219,10 @@ fn entries(table: &Table, models: &[Model], unnamed: &[usize]) -> Vec<Entry> {
             unnamed: ids.iter().any(|id| unnamed.contains(id)),
             within: (0..models.len()).filter(inside).collect(),
             elpd: table.elpd(k),
-            missing: table.missing(k),
+            misfit: table.misfit(k),
             beats: (0..models.len()).map(|j| table.beats(k, j)).collect(),
             ahead: table.ahead(k),
+            error: table.rows[k].held_out.rmse(),
         }
     };
     (0..models.len()).map(of).collect()
@@ -206,13 +240,11 @@ fn explored(study: &Study, candidates: &mut Candidates) -> Option<Vec<[f64; 2]>>
     Some(intervals)
 }
 
-/// 95 % intervals, widened because the noise is only estimated. If misfit remains, the variance of the noise is
-/// multiplied by the mean square that is left, and the interval is at least as wide as the scatter of the values with
-/// one condition left out says (jackknife, Efron 1982).
+/// 95 % intervals, widened because the noise is only estimated. If misfit remains, the interval is at least as wide as
+/// the scatter of the values with one condition left out says (jackknife, Efron 1982).
 fn intervals(fit: &Fit, table: &Table, entry: usize, profiled: Option<Vec<[f64; 2]>>) -> Intervals {
     let (count, covariance) = (fit.ids.len(), fit.covariance());
-    let lack = table.lack(entry);
-    let lacking = lack > table.limit;
+    let lacking = table.lack(entry) > table.limit;
     let row = &table.rows[entry];
     let n = row.steps.len() as f64;
     let jackknife = |k: usize| {
@@ -222,8 +254,7 @@ fn intervals(fit: &Fit, table: &Table, entry: usize, profiled: Option<Vec<[f64; 
     };
     let range = |k: usize| {
         let at = fit.coordinates()[k];
-        let widened = if lacking { lack } else { 1.0 };
-        let own = (student::square_at_95(table.degrees.max(2.0)) * widened * covariance[(k, k)]).sqrt();
+        let own = (student::square_at_95(table.degrees.max(2.0)) * covariance[(k, k)]).sqrt();
         let reach = if lacking { own.max(jackknife(k)) } else { own };
         let profiled = profiled.as_ref().and_then(|p| p.get(k)).filter(|i| i.iter().all(|u| u.is_finite()));
         let [low, high] = profiled.copied().unwrap_or([at - reach, at + reach]);

@@ -50,7 +50,7 @@ pub fn violations(r: &Report) -> Vec<String> {
             && (r.verdict == Verdict::Described) <= (r.written == Written::Description),
         format!("{:?} with {:?} written", r.verdict, r.written),
     );
-    holds(named == !r.causes.is_empty(), "causes without a name, or a name without causes".into());
+    holds(named != r.causes.is_empty(), "causes without a name, or a name without causes".into());
     // 3. Nothing that these data cannot test could look the same as a named cause.
     if r.verdict == Verdict::Named {
         let untested = |c: &&Compared| c.ids.iter().any(|id| r.untestable.iter().any(|u| u.id == *id));

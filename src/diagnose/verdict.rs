@@ -34,8 +34,8 @@ pub enum Written {
     Plain,
 }
 
-/// Share of the misfit that a cause or law must explain to be named: more than half. The misfit is measured as log
-/// predictive density, from the plain model to one that leaves as much as noise alone may.
+/// Share of the misfit that a cause or law must explain to be named: more than half of the variance of the plain model's
+/// errors beyond noise.
 pub const MAIN_PART: f64 = 0.5;
 
 /// One model of the table.
@@ -50,12 +50,14 @@ pub struct Entry {
     /// Is every one of its causes in entry `k`, too?
     pub within: Vec<usize>,
     pub elpd: f64,
-    /// How much better a model would be that leaves no more than noise may; 0 if it leaves no more.
-    pub missing: f64,
+    /// Variance of its errors beyond that of the noise, in units of it; 0 if noise alone may leave as much.
+    pub misfit: f64,
     /// Does it predict better than entry `k`, beyond twice the standard error?
     pub beats: Vec<bool>,
     /// Does it predict better than the plain model, beyond the standard error?
     pub ahead: bool,
+    /// Error of the sand alone, without nuisances, on left-out conditions.
+    pub error: f64,
 }
 
 /// The verdict on a table.
@@ -72,8 +74,7 @@ pub struct Ruling {
 impl Entry {
     /// Share of the misfit that it explains, beside the `plain` entry.
     pub fn explains(&self, plain: &Entry) -> f64 {
-        let gain = self.elpd - plain.elpd;
-        gain / (gain + self.missing).max(1e-9)
+        if self.misfit <= 0.0 { 1.0 } else { 1.0 - self.misfit / plain.misfit.max(1e-9) }
     }
 }
 
@@ -105,24 +106,27 @@ pub fn verdict(table: &[Entry], second: f64) -> Ruling {
     if let Some(model) = law {
         return Ruling { verdict: Verdict::Described, written: Written::Description, model, set: Vec::new() };
     }
-    stand_in(table, best)
+    stand_in(table, best, &|k| table[k].beats[0])
 }
 
 /// The verdict if no model predicts better beyond twice the standard error. Where the plain model leaves more than noise
 /// may, there is a misfit in any case, and the best stand-in needs less evidence than a cause: one standard error.
 fn without_cause(table: &[Entry]) -> Ruling {
-    if table[0].missing <= 0.0 {
+    if table[0].misfit <= 0.0 {
         return Ruling { verdict: Verdict::NoiseFloor, written: Written::Plain, model: 0, set: Vec::new() };
     }
     let ahead = (1..table.len()).filter(|&k| table[k].ahead);
     match ahead.max_by(|a, b| table[*a].elpd.total_cmp(&table[*b].elpd)) {
-        Some(best) => stand_in(table, best),
+        Some(best) => stand_in(table, best, &|k| table[k].ahead),
         None => Ruling { verdict: Verdict::NoneOfThese, written: Written::Plain, model: 0, set: Vec::new() },
     }
 }
 
-/// `model` predicts better, and is not held for the cause.
-fn stand_in(table: &[Entry], model: usize) -> Ruling {
+/// Models that are `better` than the plain one, and not held for the cause. A stand-in is written for its use: of those
+/// that the best one does not beat it is the one whose sand alone errs least.
+fn stand_in(table: &[Entry], best: usize, better: &dyn Fn(usize) -> bool) -> Ruling {
+    let as_good = (1..table.len()).filter(|&k| better(k) && !table[best].beats[k]);
+    let model = as_good.min_by(|a, b| table[*a].error.total_cmp(&table[*b].error)).unwrap_or(best);
     let written = if table[model].causes > 0 { Written::Proxy } else { Written::Description };
     Ruling { verdict: Verdict::NoneOfThese, written, model, set: Vec::new() }
 }
@@ -160,15 +164,16 @@ mod tests {
 
     /// A table in which twice the standard error of each difference is 10.
     fn table(of: &[(usize, bool, f64, f64)]) -> Vec<Entry> {
-        let entry = |&(causes, law, elpd, missing): &(usize, bool, f64, f64)| Entry {
+        let entry = |&(causes, law, elpd, misfit): &(usize, bool, f64, f64)| Entry {
             causes,
             law,
             unnamed: false,
             within: Vec::new(),
             elpd,
-            missing,
+            misfit,
             beats: of.iter().map(|other| elpd - other.2 > 10.0).collect(),
             ahead: elpd - of[0].2 > 5.0,
+            error: -elpd,
         };
         of.iter().map(entry).collect()
     }
@@ -202,9 +207,9 @@ mod tests {
 
     #[test]
     fn a_remainder_hides_no_name_and_the_smaller_part_is_a_proxy() {
-        let small = [(0, false, -100.0, 100.0), (1, false, 0.0, 60.0)];
+        let small = [(0, false, -100.0, 100.0), (1, false, 0.0, 40.0)];
         assert_eq!(of(&table(&small)), (Verdict::Named, Written::Cause, 1, vec![1]));
-        let large = [(0, false, -100.0, 300.0), (1, false, 0.0, 150.0)];
+        let large = [(0, false, -100.0, 100.0), (1, false, 0.0, 60.0)];
         assert_eq!(of(&table(&large)), (Verdict::NoneOfThese, Written::Proxy, 1, Vec::new()));
     }
 
@@ -222,5 +227,7 @@ mod tests {
         assert_eq!(of(&table(&nothing)), (Verdict::NoiseFloor, Written::Plain, 0, Vec::new()));
         let misfit = [(0, false, -5.0, 50.0), (1, false, 0.0, 45.0)];
         assert_eq!(of(&table(&misfit)), (Verdict::NoneOfThese, Written::Plain, 0, Vec::new()));
+        let ahead = [(0, false, -7.0, 50.0), (1, false, 0.0, 45.0)];
+        assert_eq!(of(&table(&ahead)), (Verdict::NoneOfThese, Written::Proxy, 1, Vec::new()));
     }
 }

@@ -86,9 +86,9 @@ impl View<'_> {
         self.selection.filter(|s| s.ruling.written == Written::Cause)
     }
 
-    /// The study under the final noise.
+    /// The study under the noise with the scale of the errors that remain.
     fn renewed<'b>(&'b self, selection: &'b Selection) -> Study<'b> {
-        self.study.under(&selection.candidates.around.whitener, selection.candidates.around.nuisances.clone())
+        self.study.under(&selection.whitener, selection.candidates.around.nuisances.clone())
     }
 
     fn evidence(&self) -> Vec<Compared> {
@@ -115,8 +115,8 @@ impl View<'_> {
             };
             return vec![why.into()];
         };
-        warnings.extend(selection.fit.as_ref().and_then(far_coefficients));
-        let unfelt = selection.fit.as_ref().map(|fit| fit.mechanisms.unfelt_by_walkers()).unwrap_or_default();
+        warnings.extend(selection.fit().and_then(far_coefficients));
+        let unfelt = selection.fit().map(|fit| fit.mechanisms.unfelt_by_walkers()).unwrap_or_default();
         warnings.extend(unfelt.into_iter().map(|line| format!("sand.toml: {line}")));
         warnings
     }
@@ -131,7 +131,7 @@ impl View<'_> {
     /// Values with 95 % intervals.
     fn causes(&self) -> Vec<Cause> {
         let Some(selection) = self.named() else { return Vec::new() };
-        let Some(fit) = &selection.fit else { return Vec::new() };
+        let Some(fit) = selection.fit() else { return Vec::new() };
         let cause = |(k, &id): (usize, &usize)| {
             let (entry, at) = (&CATALOG[id], fit.coordinates()[k]);
             let range = selection.intervals.ranges.get(k).copied().unwrap_or([at, at]);
@@ -153,9 +153,7 @@ impl View<'_> {
     fn terms(&self) -> Vec<TermFound> {
         let Some(selection) = self.selection else { return Vec::new() };
         let table = &selection.table;
-        let lack = table.lack(selection.ruling.model);
-        let widened = if lack > table.limit { lack } else { 1.0 };
-        let reach = student::two_sided_95(table.degrees.max(2.0)) * widened.sqrt();
+        let reach = student::two_sided_95(table.degrees.max(2.0));
         let found = |law: &Law| TermFound {
             formula: law.term.formula(),
             tex: law.term.tex(),
@@ -170,7 +168,7 @@ impl View<'_> {
 
     /// The final fit: what is written, or the fitted plain model.
     fn standing(&self) -> Option<&Fit> {
-        self.selection.map(|s| s.fit.as_ref().unwrap_or(&s.candidates.base))
+        self.selection.map(|s| &s.standing)
     }
 
     /// Values of the nuisances that all data share, and standard deviations of those that differ between trials or
@@ -226,10 +224,9 @@ impl View<'_> {
         let study = self.renewed(selection);
         let screened = &selection.candidates.screen.candidates;
         let asked: Vec<(usize, f64)> = screened.iter().filter(|c| !CATALOG[c.0].ceiling).copied().collect();
-        let lack = table.lack(selection.ruling.model).max(1.0);
         let limit = |further: &super::further::Further| {
             let entry = &CATALOG[further.id];
-            let (degrees, sd) = (table.degrees.max(2.0), further.sd * lack.sqrt());
+            let (degrees, sd) = (table.degrees.max(2.0), further.sd);
             let most = match entry.bounds[0] < 0.0 {
                 true => further.estimate.abs() + student::two_sided_95(degrees) * sd,
                 false => further.estimate.max(0.0) + student::one_sided_95(degrees) * sd,
@@ -321,7 +318,7 @@ impl View<'_> {
         }
         let simulated = |prediction: &[f64]| self.study.model.as_simulated(prediction);
         let plain = simulated(&self.study.plain().prediction);
-        let extended = self.selection.and_then(|s| s.fit.as_ref()).map(|f| simulated(&f.prediction));
+        let extended = self.selection.and_then(|s| s.fit()).map(|f| simulated(&f.prediction));
         let groups = o.repetitions();
         let row = |(condition, units): (usize, &Vec<usize>), c: usize| {
             let mean = |stack: &[f64]| {

@@ -17,6 +17,8 @@ struct UnitFilter {
 #[derive(Clone)]
 pub struct Whitener {
     units: Vec<UnitFilter>,
+    /// Factor on the whitened numbers.
+    factor: f64,
 }
 
 impl Whitener {
@@ -39,7 +41,12 @@ impl Whitener {
             filter.share(source, noise, repeated.sqrt());
             filter
         });
-        Self { units: units.collect() }
+        Self { units: units.collect(), factor: 1.0 }
+    }
+
+    /// The whitener of a noise whose variance is `scale` times as large.
+    pub fn widened(&self, scale: f64) -> Self {
+        Self { units: self.units.clone(), factor: self.factor / scale.sqrt() }
     }
 
     /// The whitened stack.
@@ -49,6 +56,7 @@ impl Whitener {
             let own = &mut white[unit.span.clone()];
             unit.filter(own);
             unit.shared.apply(own);
+            own.iter_mut().for_each(|value| *value *= self.factor);
         }
         white
     }
