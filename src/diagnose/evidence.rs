@@ -6,10 +6,11 @@
 //!
 //! **Prediction.** A model is linear in its parameters about its fit: values of causes, deviations of the stress
 //! coefficients, and nuisances, each with a normal prior. The posterior from all conditions but c predicts those of c
-//! with mean J δ and covariance V = 1 + J Σ Jᵀ. The variance of the noise is marginalised too. It comes from repetitions
+//! with mean J δ and covariance φ V, V = 1 + J Σ Jᵀ/φ. φ ≥ 1 is the scale of the model's own errors: their variance in the
+//! other conditions, in units of the noise's. The variance of the noise is marginalised too. It comes from repetitions
 //! with ν degrees of freedom, so the prediction is a multivariate Student t, with log density
 //!
-//! −½ ln |V| − ½ (ν + n) ln(1 + Q/ν) + a constant of the condition, Q = eᵀ V⁻¹ e, e the error, n its numbers.
+//! −½ ln |V| − ½ n ln φ − ½ (ν + n) ln(1 + Q/(νφ)) + a constant of the condition, Q = eᵀ V⁻¹ e, e the error, n its numbers.
 //!
 //! Their sum over c is the elpd (Vehtari, Gelman & Gabry 2017). A parameter that only condition c shows has its prior
 //! there: the fastest or deepest condition is predicted with a wide V, and does not veto. What is stated of coefficients
@@ -17,14 +18,17 @@
 //! from their statement pays for it.
 //!
 //! **Standard error of a difference.** The conditions of an experiment are chosen, and not drawn from a population: a
-//! cause that acts in the fastest condition only is no less certain for this. So the spread of the expected difference
-//! between conditions is no error. What is uncertain is the part that the better model's own error contributes. To
-//! first order it is w Δᵀ V⁻¹ e in each condition, Δ the difference of the two predictions and w = (ν + n)/(ν + Q). Its
-//! variance is the greater of two estimates: w Δᵀ V⁻¹ Δ, if the error is noise, and the sum of the squares of the
-//! conditions' parts, if errors of the model are correlated within a condition (clusters: Liang & Zeger 1986). Where the
-//! error is not small the first order is too large, and the spread of the differences between conditions (Vehtari et al.)
-//! replaces the second estimate if it is less. Both are widened by Student's t, for ν and for the number of conditions. The standard error is at least 2, because
-//! differences below 4 are no evidence (Sivula, Magnusson, Matamoros & Vehtari 2020).
+//! cause that acts in the fastest condition only is no less certain for this. So the error is that of the difference for
+//! the same conditions, measured again. With Δ the difference of the predictions of the worse model B and the better
+//! model A, and w = (ν + n)/(ν + Q/φ)/φ of each, a condition's difference changes with A's errors by
+//!
+//! x = w_B Δᵀ V⁻¹ e − ½ (w_A − w_B)(Q_A − n φ_A).
+//!
+//! Its variance is the greater of two estimates: φ_A w_B² Δᵀ V⁻¹ Δ + ½ n φ_A² (w_A − w_B)², if the errors are noise, and the sum
+//! of x², if they are the model's own and correlated within a condition (clusters: Liang & Zeger 1986). Where errors are not
+//! small, the first order is too large, and the spread of the differences between conditions (Vehtari et al.) replaces the
+//! second estimate if it is less. Both are widened by Student's t, for ν and for the number of conditions. The standard
+//! error is at least 2, because differences below 4 are no evidence (Sivula, Magnusson, Matamoros & Vehtari 2020).
 
 use super::errors::Errors;
 use super::fit::{Column, Fit};
