@@ -5,6 +5,7 @@ use super::fit::{COEFFICIENTS, Fit, slope};
 use super::noise::{Noise, Sizes, Source, sizes_of};
 use super::nuisance::Nuisance;
 use super::screen::{FELT, Scores, Screen, USUAL, starts};
+use super::select::Asked;
 use super::study::Study;
 use super::whiten::Whitener;
 use crate::error::Result;
@@ -49,26 +50,27 @@ pub struct Candidates {
     pub earlier: f64,
 }
 
-/// Fits singles and pairs of `ids`; those in `unnamed` are in no pair. Pairs are tried if a single cause predicts left-out conditions better than the plain
-/// model.
+/// Fits singles and pairs; causes in `unnamed` are in no pair. Pairs are tried if a single cause predicts left-out
+/// conditions better than the plain model.
 pub fn candidates(
     study: &Study,
-    source: &Source,
-    noise: &Noise,
-    ids: &[usize],
+    asked: &Asked,
     unnamed: &[usize],
     report: &dyn Fn(f64, &str) -> Result<()>,
 ) -> Result<Candidates> {
     report(0.1, "effect of every cause")?;
-    let screen = Screen::new(study, ids);
+    let (source, noise, ids) = (asked.source, asked.noise, [asked.ids, asked.untestable].concat());
+    let screen = Screen::new(study, &ids);
     let scores = screen.scores(study.whitener, &study.observations.values);
     report(0.3, "single causes")?;
     // Nuisances have nonlinear effects, so they are linearised at the plain model's fit before causes are tested.
     let straight = study.under(study.whitener, study.nuisances_about(&study.recalibrated()));
-    let mut fits = singles(&straight, &screen, &scores, ids);
+    let mut fits = singles(&straight, &screen, &scores, &ids);
     let base = beneath(&straight, straight.recalibrated(), &fits);
     let earlier = base.objective;
-    let behind = fits.split_off(fits.len().min(FINALISTS));
+    let mut behind = fits.split_off(fits.len().min(FINALISTS));
+    // What cannot be tested is compared in any case, because it may look like another cause.
+    fits.extend(behind.extract_if(.., |fit| asked.untestable.contains(&fit.ids[0])));
     let found = leading(&straight, &base, &fits);
     let mut now = Stage { fits, base, around: None };
     report(0.5, "singles under the noise of the best")?;

@@ -22,6 +22,10 @@ use crate::student;
 /// Number of folds in which noise, model and values are chosen anew: our choice; each needs its own noise.
 const FOLDS: usize = 6;
 
+/// Where the bed's place or its earlier passes are unknown, these mechanisms may multiply the stress by the same factor
+/// everywhere, as `scale` does.
+pub const FACTORS: [&str; 2] = ["packing_grad", "footprint"];
+
 /// All results of one diagnosis.
 pub struct Selection {
     pub candidates: Candidates,
@@ -118,9 +122,8 @@ pub fn select(study: &Study, asked: &Asked, progress: &dyn Progress) -> Result<S
 
 /// Fits and compares once.
 fn attempt(study: &Study, asked: &Asked, unnamed: &[usize], progress: &dyn Progress) -> Result<Selection> {
-    let ids = [asked.ids, asked.untestable].concat();
     let report = |done: f64, stage: &str| progress.report(done, stage);
-    let mut candidates = candidates(study, asked.source, asked.noise, &ids, unnamed, &report)?;
+    let mut candidates = candidates(study, asked, unnamed, &report)?;
     progress.report(0.8, "laws in the data")?;
     let around = candidates.around.whitener.clone();
     let renewed = study.under(&around, candidates.around.nuisances.clone());
@@ -147,7 +150,7 @@ fn judged(
     loop {
         let models = models(&candidates, dictionary.each_ref().map(Option::as_ref));
         let table = Table::new(renewed, renewed.whitener, &models, &all);
-        let entries = entries(&table, &models, unnamed);
+        let entries = entries(&table, &models, unnamed, asked.untestable);
         let ruling = verdict(&entries, SECOND);
         // The model is fitted once more, with the scale of its errors as the weight of the data against the priors.
         let (model, scale) = (&models[ruling.model], table.rows[ruling.model].scale);
@@ -209,15 +212,21 @@ fn law_of(table: &Table, models: &[Model], k: usize) -> Option<Term> {
 }
 
 /// The entries of a table, for the verdict.
-fn entries(table: &Table, models: &[Model], unnamed: &[usize]) -> Vec<Entry> {
+fn entries(table: &Table, models: &[Model], unnamed: &[usize], untestable: &[usize]) -> Vec<Entry> {
     let of = |k: usize| {
         let ids = &models[k].fit.ids;
+        let scaled = ids.iter().any(|&id| CATALOG[id].id == "scale");
+        let hidden = |j: &usize| match models[*j].fit.ids[..] {
+            [other] => scaled && untestable.contains(&other) && FACTORS.contains(&CATALOG[other].id),
+            _ => false,
+        };
         let inside = |j: &usize| models[*j].laws.is_none() && *j != k && models[*j].fit.ids == *ids;
         Entry {
             causes: ids.len(),
             law: models[k].laws.is_some_and(|_| table.rows[k].law.is_some()),
             unnamed: ids.iter().any(|id| unnamed.contains(id)),
             within: (0..models.len()).filter(inside).collect(),
+            alike: (0..models.len()).filter(hidden).collect(),
             elpd: table.elpd(k),
             misfit: table.misfit(k),
             beats: (0..models.len()).map(|j| table.beats(k, j)).collect(),
@@ -289,7 +298,7 @@ fn nested(
         let table = Table::new(study, &whitener, models, &rest);
         let chosen = match ruling.written {
             Written::Plain => 0,
-            _ => verdict(&entries(&table, models, unnamed), SECOND).model,
+            _ => verdict(&entries(&table, models, unnamed, asked.untestable), SECOND).model,
         };
         [0, chosen].map(|k| held_out(study, &models[k], table.rows[k].law, &table.rows[k].step, held))
     });

@@ -2,6 +2,7 @@
 //! program itself in debug builds.
 
 use super::report::{Compared, Report};
+use super::select::FACTORS;
 use super::summary::summary;
 use super::verdict::{Verdict, Written};
 
@@ -58,6 +59,10 @@ pub fn violations(r: &Report) -> Vec<String> {
             r.evidence.iter().filter(untested).filter(|c| !behind(c)).map(|c| c.ids.join(" + ")).collect();
         holds(near.is_empty(), format!("named, but {} cannot be tested and predicts as well", near.join(", ")));
         holds(r.ambiguity_set.len() == 1, "named, with several explanations".into());
+        let scaled = r.causes.iter().any(|c| c.id == "scale");
+        let hidden =
+            r.evidence.iter().filter(untested).any(|c| c.ids.len() == 1 && FACTORS.contains(&c.ids[0].as_str()));
+        holds(!scaled || !hidden, "scale is named, but what cannot be tested may look the same".into());
     }
     holds(
         (r.verdict == Verdict::Ambiguous) == (r.ambiguity_set.len() > 1),

@@ -49,6 +49,8 @@ pub struct Entry {
     pub unnamed: bool,
     /// Is every one of its causes in entry `k`, too?
     pub within: Vec<usize>,
+    /// Entries that these data cannot test, and that could look the same if more were known.
+    pub alike: Vec<usize>,
     pub elpd: f64,
     /// Variance of its errors beyond that of the noise, in units of it; 0 if noise alone may leave as much.
     pub misfit: f64,
@@ -140,6 +142,7 @@ fn named(table: &[Entry], cause: usize) -> Ruling {
     let mut set: Vec<usize> = (1..table.len()).filter(rival).collect();
     set.sort_by(|a, b| table[*b].elpd.total_cmp(&table[*a].elpd));
     set.insert(0, cause);
+    set.extend(table[cause].alike.iter().filter(|k| !set.contains(k)).copied().collect::<Vec<_>>());
     // An effect that may not be named stands beside the best one that may.
     if set.iter().all(|&k| table[k].unnamed) {
         let others = (1..table.len()).filter(|k| of_size(k) && !table[*k].unnamed && table[*k].beats[0]);
@@ -169,6 +172,7 @@ mod tests {
             law,
             unnamed: false,
             within: Vec::new(),
+            alike: Vec::new(),
             elpd,
             misfit,
             beats: of.iter().map(|other| elpd - other.2 > 10.0).collect(),
@@ -200,6 +204,9 @@ mod tests {
         let mut near = table(&[(0, false, -100.0, 90.0), (1, false, -5.0, 0.0), (1, false, 0.0, 0.0)]);
         near[2].unnamed = true;
         assert_eq!(of(&near), (Verdict::Ambiguous, Written::Cause, 1, vec![1, 2]));
+        let mut alike = table(&[(0, false, -100.0, 90.0), (1, false, 0.0, 0.0), (1, false, -90.0, 80.0)]);
+        (alike[1].alike, alike[2].unnamed) = (vec![2], true);
+        assert_eq!(of(&alike), (Verdict::Ambiguous, Written::Cause, 1, vec![1, 2]));
         let mut far = table(&[(0, false, -100.0, 90.0), (1, false, -50.0, 40.0), (1, false, 0.0, 0.0)]);
         far[2].unnamed = true;
         assert_eq!(of(&far), (Verdict::Ambiguous, Written::Cause, 2, vec![2, 1]));
