@@ -153,7 +153,7 @@ impl Stage {
             let same = again.iter_mut().find(|f| f.ids == other.ids && other.objective < f.objective);
             same.into_iter().for_each(|f| *f = other.clone());
         }
-        self.base = beneath(study, study.recalibrated(), &again);
+        self.base = beneath(study, study.fit_from(&[&self.base]).swap_remove(0), &again);
         self.fits = ranked(again);
     }
 }
@@ -319,6 +319,9 @@ const STRAIGHT: f64 = 0.02;
 /// first estimate is inaccurate if a filter is slow compared with the fastest trials. A step that does not help is
 /// halved.
 fn bent(study: &Study, whitener: &Whitener, fit: &Fit) -> Vec<Nuisance> {
+    if study.nuisances.is_empty() {
+        return Vec::new();
+    }
     let mut now = study.under(whitener, study.nuisances_about(fit));
     let mut at = now.fit_from(&[fit]).swap_remove(0);
     let mut least = f64::INFINITY;

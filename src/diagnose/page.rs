@@ -303,11 +303,13 @@ fn compared(html: &mut String, r: &Report) {
     if !r.evidence.is_empty() {
         html.push_str(
             "<h2>Evidence</h2><p class=small>elpd: log density that a model gives left-out conditions, summed. The difference is \
-             that to the best model; a model is clearly worse if its difference is more than twice the standard error.</p><div class=wide><table><tr><th>model<th>elpd<th>difference to the best<th>standard error",
+             that to the best model; a model is clearly worse if its difference is more than twice the standard error. \
+             sand.toml holds the model in bold.</p><div class=wide><table><tr><th>model<th>elpd<th>difference to the best<th>standard error",
         );
         for m in &r.evidence {
             let parts: Vec<&str> = m.ids.iter().chain(&m.terms).map(String::as_str).collect();
             let name = if parts.is_empty() { "plain model".into() } else { escape(&parts.join(" + ")) };
+            let name = if m.written { format!("<b>{name}</b>") } else { name };
             let _ = write!(html, "<tr><td>{name}<td>{:.1}<td>{:.1}<td>{:.1}", m.elpd, m.difference, m.standard_error);
         }
         html.push_str("</table></div>");

@@ -22,7 +22,7 @@ pub struct Cause {
 
 /// One model in the comparison by its predictions of left-out conditions.
 #[derive(Clone, Debug, Serialize, PartialEq)]
-pub struct Compared {
+pub struct EvidenceRow {
     /// Ids of its causes; empty for the plain model and for a law alone.
     pub ids: Vec<String>,
     /// Formulas of its laws found in the data.
@@ -33,6 +33,8 @@ pub struct Compared {
     pub difference: f64,
     /// Standard error of `difference`, over conditions.
     pub standard_error: f64,
+    /// Is it the model in `sand.toml`?
+    pub written: bool,
 }
 
 /// One cause or pair that was tried.
@@ -147,7 +149,7 @@ pub struct Report {
     /// What `sand.toml` holds.
     pub written: Written,
     /// The models that the verdict compares, the plain one first.
-    pub evidence: Vec<Compared>,
+    pub evidence: Vec<EvidenceRow>,
     /// The verdict in one sentence.
     pub summary: String,
     pub causes: Vec<Cause>,

@@ -1,7 +1,7 @@
 //! Statements that hold for every report. Tests and studies check them on every report that they make, and the
 //! program itself in debug builds.
 
-use super::report::{Compared, Report};
+use super::report::{EvidenceRow, Report};
 use super::select::FACTORS;
 use super::summary::summary;
 use super::verdict::{Verdict, Written};
@@ -24,7 +24,7 @@ pub fn violations(r: &Report) -> Vec<String> {
     let Some(plain) = r.evidence.first().filter(|c| c.ids.is_empty() && c.terms.is_empty()) else {
         return vec!["the table does not begin with the plain model".into()];
     };
-    let behind = |c: &Compared| -c.difference > 2.0 * c.standard_error;
+    let behind = |c: &EvidenceRow| -c.difference > 2.0 * c.standard_error;
     // 1. Noise only where nothing predicts better, and the plain model leaves no more than noise may.
     let noise = r.verdict == Verdict::NoiseFloor;
     let within = r.lack_of_fit.plain.zip(r.lack_of_fit.limit).is_some_and(|(lack, limit)| lack <= limit);
@@ -40,6 +40,16 @@ pub fn violations(r: &Report) -> Vec<String> {
         !behind(plain) || r.written != Written::Plain,
         "a model predicts better than the plain one, but the plain one is written".into(),
     );
+    let row = r.evidence.iter().position(|c| c.written);
+    holds(
+        row.is_some_and(|k| (k == 0) == (r.written == Written::Plain))
+            && r.evidence.iter().filter(|c| c.written).count() == 1,
+        "the table does not say what is written".into(),
+    );
+    holds(
+        within || -plain.difference <= plain.standard_error || r.written != Written::Plain,
+        "there is a misfit and a model that predicts better, but the plain one is written".into(),
+    );
     let same = r.gain.held_out_rmse_extended == r.gain.held_out_rmse_plain;
     holds(
         (r.written != Written::Plain) || (same && r.gain.reduction.unwrap_or(0.0) == 0.0),
@@ -54,7 +64,7 @@ pub fn violations(r: &Report) -> Vec<String> {
     holds(named != r.causes.is_empty(), "causes without a name, or a name without causes".into());
     // 3. Nothing that these data cannot test could look the same as a named cause.
     if r.verdict == Verdict::Named {
-        let untested = |c: &&Compared| c.ids.iter().any(|id| r.untestable.iter().any(|u| u.id == *id));
+        let untested = |c: &&EvidenceRow| c.ids.iter().any(|id| r.untestable.iter().any(|u| u.id == *id));
         let near: Vec<_> =
             r.evidence.iter().filter(untested).filter(|c| !behind(c)).map(|c| c.ids.join(" + ")).collect();
         holds(near.is_empty(), format!("named, but {} cannot be tested and predicts as well", near.join(", ")));

@@ -1,6 +1,6 @@
 //! A diagnosis in one sentence, made from the report's own table.
 
-use super::report::{Compared, Report};
+use super::report::{EvidenceRow, Report};
 use super::verdict::{Verdict, Written};
 use super::words::{after, digits};
 
@@ -81,15 +81,16 @@ fn ambiguous(r: &Report) -> String {
 }
 
 fn none(r: &Report) -> String {
-    let names = |c: &Compared| c.ids.join(" with ");
+    let names = |c: &EvidenceRow| c.ids.join(" with ");
     match r.written {
         Written::Plain => {
             "misfit remains, and no cause or law predicts left-out conditions better than the plain model, so the sand stays plain".into()
         }
         Written::Description => format!("no known cause explains the main part of the misfit; the best description, {}, does not either{}", law(r), lowers(r)),
         _ => {
-            let best = r.evidence.iter().find(|c| c.difference == 0.0).map_or(String::new(), names);
-            format!("no known cause explains the main part of the misfit; as a stand-in and not as the cause, {best} is written{}", lowers(r))
+            let own = r.evidence.iter().find(|c| c.written).map_or(String::new(), names);
+            let law = if r.terms.is_empty() { String::new() } else { format!(" with {}", law(r)) };
+            format!("no known cause explains the main part of the misfit; as a stand-in and not as the cause, {own}{law} is written{}", lowers(r))
         }
     }
 }
@@ -97,7 +98,7 @@ fn none(r: &Report) -> String {
 /// The best explanation other than the one named, and how much worse it predicts.
 fn next_best(r: &Report) -> String {
     let Some([own, ..]) = r.ambiguity_set.first_chunk::<1>() else { return String::new() };
-    let rival = |c: &&Compared| c.ids.len() == own.len() && c.ids != *own && c.terms.is_empty();
+    let rival = |c: &&EvidenceRow| c.ids.len() == own.len() && c.ids != *own && c.terms.is_empty();
     let Some(next) = r.evidence.iter().filter(rival).max_by(|a, b| a.elpd.total_cmp(&b.elpd)) else {
         return String::new();
     };

@@ -5,7 +5,7 @@ use super::fit::{COEFFICIENTS, Fit};
 use super::laws::Law;
 use super::noise::{Noise, Source};
 use super::report::{
-    Cause, Compared, Gain, LackOfFit, NextExperiment, NoiseSummary, NuisanceValue, Remainder, Report, RunMeans,
+    Cause, EvidenceRow, Gain, LackOfFit, NextExperiment, NoiseSummary, NuisanceValue, Remainder, Report, RunMeans,
     TermFound, Tried, Untestable, UpperLimit,
 };
 use super::select::Selection;
@@ -91,7 +91,7 @@ impl View<'_> {
         self.study.under(&selection.whitener, selection.candidates.around.nuisances.clone())
     }
 
-    fn evidence(&self) -> Vec<Compared> {
+    fn evidence(&self) -> Vec<EvidenceRow> {
         let Some(s) = self.selection else { return Vec::new() };
         let count = s.entries.len();
         let best = (0..count).max_by(|a, b| s.table.elpd(*a).total_cmp(&s.table.elpd(*b))).unwrap_or(0);
@@ -100,7 +100,8 @@ impl View<'_> {
         let of = |k: usize| {
             let [difference, standard_error] = s.table.difference(k, best);
             let terms = s.formulas[k].iter().cloned().collect();
-            Compared { ids: names(s.fit_of(k)), terms, elpd: s.table.elpd(k), difference, standard_error }
+            let (ids, written) = (names(s.fit_of(k)), k == s.ruling.model);
+            EvidenceRow { ids, terms, elpd: s.table.elpd(k), difference, standard_error, written }
         };
         [0].into_iter().chain(order).map(of).collect()
     }
