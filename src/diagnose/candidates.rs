@@ -50,6 +50,15 @@ pub struct Candidates {
     pub earlier: f64,
 }
 
+impl Candidates {
+    /// Takes out all candidates with a mechanism of this kind.
+    pub fn without(&mut self, kind: &dyn Fn(&usize) -> bool) {
+        let leading = self.leading.map(|k| self.fits[k].ids.clone());
+        self.fits.retain(|fit| !fit.ids.iter().any(kind));
+        self.leading = self.fits.iter().position(|fit| Some(&fit.ids) == leading.as_ref());
+    }
+}
+
 /// Fits singles and pairs; causes in `unnamed` are in no pair. Pairs are tried if a single cause predicts left-out
 /// conditions better than the plain model.
 pub fn candidates(

@@ -135,23 +135,31 @@ fn attempt(study: &Study, asked: &Asked, unnamed: &[usize], progress: &dyn Progr
     Ok(judged(study, &renewed, asked, unnamed, candidates, [alone, beside], profiled))
 }
 
-/// Compares all models and rules on them. A law that sand cannot follow, once it is fitted with everything else, is taken
+/// Compares all models and rules on them. Where the plain model, with nuisances, leaves no more than noise may, mechanisms
+/// of the sensor are no explanations beside it, because it contains them; then all are compared without them. A law that sand cannot follow, once it is fitted with everything else, is taken
 /// out of the dictionary, and all are compared again.
 fn judged(
     study: &Study,
     renewed: &Study,
     asked: &Asked,
     unnamed: &[usize],
-    candidates: Candidates,
+    mut candidates: Candidates,
     mut dictionary: [Option<Laws>; 2],
     profiled: Option<Vec<[f64; 2]>>,
 ) -> Selection {
     let all: Vec<usize> = (0..study.observations.conditions.len()).collect();
+    let marginalised = |id: &usize| unnamed.contains(id) && !asked.untestable.contains(id);
     loop {
         let models = models(&candidates, dictionary.each_ref().map(Option::as_ref));
         let table = Table::new(renewed, renewed.whitener, &models, &all);
         let entries = entries(&table, &models, unnamed, asked.untestable);
         let ruling = verdict(&entries, SECOND);
+        let measured = |&k: &usize| models[k].fit.ids.iter().any(marginalised);
+        if entries[0].misfit <= 0.0 && !ruling.set.is_empty() && ruling.set.iter().all(measured) {
+            candidates.without(&marginalised);
+            dictionary[1] = dictionary[1].take().filter(|_| candidates.leading.is_some());
+            continue;
+        }
         // The model is fitted once more, with the scale of its errors as the weight of the data against the priors.
         let (model, scale) = (&models[ruling.model], table.rows[ruling.model].scale);
         let whitener = renewed.whitener.widened(scale);

@@ -145,7 +145,7 @@ fn named(table: &[Entry], cause: usize) -> Ruling {
     set.extend(table[cause].alike.iter().filter(|k| !set.contains(k)).copied().collect::<Vec<_>>());
     // An effect that may not be named stands beside the best one that may.
     if set.iter().all(|&k| table[k].unnamed) {
-        let others = (1..table.len()).filter(|k| of_size(k) && !table[*k].unnamed && table[*k].beats[0]);
+        let others = (1..table.len()).filter(|k| of_size(k) && !table[*k].unnamed);
         set.extend(others.max_by(|a, b| table[*a].elpd.total_cmp(&table[*b].elpd)));
     }
     let first = set.iter().position(|&k| !table[k].unnamed).filter(|&k| k > 0 && !table[cause].beats[set[k]]);
