@@ -448,7 +448,6 @@ mod tests {
             stencils: stencils(&track),
             footprint: 1.0,
             drag: 0.0,
-            other_drag: None,
         };
         for k in -20..900 {
             let t = (0.05 * f64::from(k)).clamp(ends[0], ends[1]);
