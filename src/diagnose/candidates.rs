@@ -1,11 +1,11 @@
 //! The candidates: fits of every cause, and of pairs, with the noise learnt again about the best of them.
 
-use super::evidence::{Model, Table};
+use super::evidence::Table;
 use super::fit::{COEFFICIENTS, Fit, slope};
+use super::left_out::Model;
 use super::noise::{Noise, Sizes, Source, sizes_of};
 use super::nuisance::Nuisance;
 use super::screen::{FELT, Scores, Screen, USUAL, starts};
-use super::select::Asked;
 use super::study::Study;
 use super::whiten::Whitener;
 use crate::error::Result;
@@ -31,6 +31,18 @@ pub struct Surroundings {
     pub sizes: Sizes,
     pub whitener: Whitener,
     pub nuisances: Vec<Nuisance>,
+}
+
+/// The inputs of a selection.
+pub struct Asked<'a> {
+    pub source: &'a Source<'a>,
+    pub noise: &'a Noise,
+    /// Catalogue indices of the causes that the data can show.
+    pub ids: &'a [usize],
+    /// Those that act on these data, but cannot be tested with them.
+    pub untestable: &'a [usize],
+    /// Ids of sensor mechanisms that may be named as causes.
+    pub interest: &'a [String],
 }
 
 /// Fits under one noise, and what was found before it.

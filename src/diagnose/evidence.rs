@@ -22,26 +22,24 @@
 //! the same conditions, measured again. With Δ the difference of the predictions of the worse model B and the better
 //! model A, and w = (ν + n)/(ν + Q/φ)/φ of each, a condition's difference changes with A's errors by
 //!
-//! x = w_B Δᵀ V⁻¹ e − ½ (w_A − w_B)(Q_A − n φ_A).
+//! x = w_B Δᵀ V_B⁻¹ e − ½ (w_A − r w_B)(Q_A − n φ_A), r = eᵀ V_B⁻¹ e/Q_A.
 //!
-//! Its variance is the greater of two estimates: φ_A w_B² Δᵀ V⁻¹ Δ + ½ n φ_A² (w_A − w_B)², if the errors are noise, and the sum
+//! Its variance is the greater of two estimates: φ_A w_B² Δᵀ V_B⁻¹ Δ + ½ n φ_A² (w_A − r w_B)², if the errors are noise, and the sum
 //! of x², if they are the model's own and correlated within a condition (clusters: Liang & Zeger 1986). Where errors are not
 //! small, the first order is too large, and the spread of the differences between conditions (Vehtari et al.) replaces the
 //! second estimate if it is less. Both are widened by Student's t, for ν and for the number of conditions. The standard
 //! error is at least 2, because differences below 4 are no evidence (Sivula, Magnusson, Matamoros & Vehtari 2020).
 
-use super::errors::Errors;
 use super::fit::{Column, Fit};
-use super::left_out::Linear;
+use super::left_out::{Linear, Model, Row};
 use super::screen::USUAL;
 use super::study::Study;
 use super::whiten::Whitener;
 use crate::number::dot;
 use crate::parallel;
-use crate::sand::Term;
 use crate::sand::mechanism::CATALOG;
 use crate::student;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DVector;
 use std::collections::HashMap;
 use std::f64::consts::PI;
 use std::sync::Arc;
@@ -55,42 +53,6 @@ const UNSTATED: f64 = 10.0;
 pub const LEAST: f64 = 2.0;
 /// Quantile of the normal distribution to which those of Student's t are compared.
 const NORMAL: f64 = 1.96;
-
-/// A model to compare: a fit, and the laws of which it may have one.
-pub struct Model<'a> {
-    pub fit: &'a Fit,
-    pub laws: Option<&'a Laws>,
-}
-
-/// Laws, with the change of a fit's prediction by each with the coefficient 1.
-pub struct Laws {
-    pub terms: Vec<Term>,
-    pub columns: Vec<Column>,
-}
-
-/// How one model predicts each condition from the others.
-pub struct Row {
-    /// Log predictive density of each condition that is used, and of what is stated of coefficients and nuisances.
-    pub elpd: Vec<f64>,
-    /// Error e and V⁻¹ e of each condition.
-    pub left: Vec<[DVector<f64>; 2]>,
-    /// J of each condition.
-    pub slopes: Vec<DMatrix<f64>>,
-    /// Covariance of the parameters.
-    pub inverse: DMatrix<f64>,
-    /// Scale of the errors: as the other conditions show it for each condition, and as all show it.
-    pub scales: Vec<f64>,
-    pub scale: f64,
-    /// Q of each condition.
-    pub squares: Vec<f64>,
-    /// Held-out errors in the data's own unit, of the sand without nuisances.
-    pub held_out: Errors,
-    /// Change of the parameters with each condition left out, and with none; with a law, its coefficient is the last one.
-    pub steps: Vec<Vec<f64>>,
-    pub step: Vec<f64>,
-    /// The law chosen with no condition left out.
-    pub law: Option<usize>,
-}
 
 /// The comparison of all models under one noise.
 pub struct Table {
@@ -251,12 +213,15 @@ impl Table {
                 (self.degrees + n) / (self.degrees + row.squares[c] / scale) / scale
             };
             let (scale, [own, others]) = (best.scales[c], [weight(best), weight(other)]);
-            let [error, solved] = &best.left[c];
+            let (error, square) = (&best.left[c][0], best.squares[c]);
             let apart = &other.left[c][0] - error;
-            let along = best.slopes[c].transpose() * &apart;
-            let distance = apart.norm_squared() - along.dot(&(&best.inverse * &along)) / scale;
-            noise += scale * others.powi(2) * distance + 0.5 * n * (scale * (own - others)).powi(2);
-            clusters += (others * apart.dot(solved) - 0.5 * (own - others) * (best.squares[c] - n * scale)).powi(2);
+            let as_other = other.norm_squared(c, error, self.sizes.len());
+            let along = other.left[c][1].dot(error) - as_other;
+            let alike = if square > 0.0 { as_other / square } else { 1.0 };
+            let shrinks = own - others * alike;
+            noise += scale * others.powi(2) * other.norm_squared(c, &apart, self.sizes.len())
+                + 0.5 * n * (scale * shrinks).powi(2);
+            clusters += (others * along - 0.5 * shrinks * (square - n * scale)).powi(2);
         }
         let each = best.elpd.iter().zip(&other.elpd).map(|(a, b)| a - b);
         let count = self.sizes.len() as f64;

@@ -20,7 +20,7 @@ const SETTLED_ROUGHLY: f64 = 0.25;
 
 /// Bound of a nuisance in prior standard deviations: our choice. Without it a model with a large error would be
 /// compensated by absurd nuisances.
-const MOST_DEVIATION: f64 = 3.0;
+pub const MOST_DEVIATION: f64 = 3.0;
 /// Largest number of Gauss-Newton steps of a fit: our choice; most fits converge in four.
 const ROUNDS: usize = 12;
 /// From this step on a fit can be abandoned because it is far behind another; the first step may be short. Our

@@ -4,8 +4,8 @@
 //! A law is sparse: one term of at most two groups. Its powers are parameters as its coefficient is: the law is chosen
 //! anew with each condition left out, so a large dictionary gains nothing by chance ([`super::evidence`]).
 
-use super::evidence::Laws;
 use super::fit::{Fit, slope};
+use super::left_out::Laws;
 use super::study::Study;
 use crate::number::dot;
 use crate::parallel;

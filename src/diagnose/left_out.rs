@@ -1,15 +1,51 @@
 //! Predicts every condition from the others, for a model that is linear about its fit.
 
 use super::errors::Errors;
-use super::evidence::{Model, Row};
-use super::fit::{COEFFICIENTS, Column};
+use super::fit::{COEFFICIENTS, Column, Fit};
 use super::study::Study;
+use crate::sand::Term;
 use nalgebra::{DMatrix, DVector};
 
 /// Largest number of rounds for the scale of a model's errors, and the relative change below which it counts as found:
 /// our choices; the scale changes the prediction only through the weight of the priors.
 const ROUNDS: usize = 4;
 const FOUND: f64 = 0.1;
+
+/// A model to compare: a fit, and the laws of which it may have one.
+pub struct Model<'a> {
+    pub fit: &'a Fit,
+    pub laws: Option<&'a Laws>,
+}
+
+/// Laws, with the change of a fit's prediction by each with the coefficient 1.
+pub struct Laws {
+    pub terms: Vec<Term>,
+    pub columns: Vec<Column>,
+}
+
+/// How one model predicts each condition from the others.
+pub struct Row {
+    /// Log predictive density of each condition that is used, and of what is stated of coefficients and nuisances.
+    pub elpd: Vec<f64>,
+    /// Error e and V⁻¹ e of each condition.
+    pub left: Vec<[DVector<f64>; 2]>,
+    /// J of each condition.
+    pub slopes: Vec<DMatrix<f64>>,
+    /// Covariance of the parameters.
+    pub inverse: DMatrix<f64>,
+    /// Scale of the errors: as the other conditions show it for each condition, and as all show it.
+    pub scales: Vec<f64>,
+    pub scale: f64,
+    /// Q of each condition.
+    pub squares: Vec<f64>,
+    /// Held-out errors in the data's own unit, of the sand without nuisances.
+    pub held_out: Errors,
+    /// Change of the parameters with each condition left out, and with none; with a law, its coefficient is the last one.
+    pub steps: Vec<Vec<f64>>,
+    pub step: Vec<f64>,
+    /// The law chosen with no condition left out.
+    pub law: Option<usize>,
+}
 
 /// A model, linear about its fit, in the numbers of the conditions. The last condition is what is stated of coefficients
 /// and nuisances.
@@ -29,6 +65,15 @@ struct Products {
     information: DMatrix<f64>,
     score: DVector<f64>,
     laws: Vec<(DVector<f64>, [f64; 2])>,
+}
+
+impl Row {
+    /// vᵀ V⁻¹ v in condition `c` of `count`, the last of which is what is stated.
+    pub fn norm_squared(&self, c: usize, v: &DVector<f64>, count: usize) -> f64 {
+        let weight = if c + 1 < count { self.scale.recip() } else { 1.0 };
+        let along = self.slopes[c].transpose() * v;
+        (v.norm_squared() - along.dot(&(&self.inverse * &along)) * weight).max(0.0)
+    }
 }
 
 /// A condition, predicted from the others.

@@ -1,13 +1,15 @@
 //! Selects the cause: fits the candidates, compares them by one table of evidence, and measures the gain of what is
 //! written.
 
-use super::candidates::{Candidates, SECOND, candidates};
+use super::candidates::{Asked, Candidates, SECOND, candidates};
 use super::errors::Errors;
-use super::evidence::{LEAST, Laws, Model, Table};
+use super::evidence::{LEAST, Table};
 use super::fit::Fit;
+use super::gauss_newton::MOST_DEVIATION;
 use super::laws::{Law, fitted, laws};
-use super::left_out::held_out;
-use super::noise::{Noise, Source};
+use super::left_out::{Laws, Model, held_out};
+use super::noise::Source;
+use super::nuisance::stated;
 use super::profile;
 use super::study::Study;
 use super::verdict::{Entry, Ruling, Verdict, Written, verdict};
@@ -79,18 +81,6 @@ impl Selection {
     }
 }
 
-/// The inputs of a selection.
-pub struct Asked<'a> {
-    pub source: &'a Source<'a>,
-    pub noise: &'a Noise,
-    /// Catalogue indices of the causes that the data can show.
-    pub ids: &'a [usize],
-    /// Those that act on these data, but cannot be tested with them.
-    pub untestable: &'a [usize],
-    /// Ids of sensor mechanisms that may be named as causes.
-    pub interest: &'a [String],
-}
-
 /// Runs the whole selection. Effects of the sensor are nuisances, which are marginalised. Only if the plain model with
 /// nuisances leaves nothing, mechanisms of the sensor are tried instead of nuisances; they must predict as well.
 pub fn select(study: &Study, asked: &Asked, progress: &dyn Progress) -> Result<Selection> {
@@ -152,7 +142,7 @@ fn judged(
     loop {
         let models = models(&candidates, dictionary.each_ref().map(Option::as_ref));
         let table = Table::new(renewed, renewed.whitener, &models, &all);
-        let entries = entries(&table, &models, unnamed, asked.untestable);
+        let entries = entries(renewed, &table, &models, unnamed, asked.untestable);
         let ruling = verdict(&entries, SECOND);
         let measured = |&k: &usize| models[k].fit.ids.iter().any(marginalised);
         if entries[0].misfit <= 0.0 && !ruling.set.is_empty() && ruling.set.iter().all(measured) {
@@ -220,7 +210,10 @@ fn law_of(table: &Table, models: &[Model], k: usize) -> Option<Term> {
 }
 
 /// The entries of a table, for the verdict.
-fn entries(table: &Table, models: &[Model], unnamed: &[usize], untestable: &[usize]) -> Vec<Entry> {
+fn entries(study: &Study, table: &Table, models: &[Model], unnamed: &[usize], untestable: &[usize]) -> Vec<Entry> {
+    let unlikely = |(&id, value): (&usize, f64)| {
+        stated(&study.nuisances, CATALOG[id].id).is_some_and(|sd| value.abs() > MOST_DEVIATION * sd)
+    };
     let of = |k: usize| {
         let ids = &models[k].fit.ids;
         let scaled = ids.iter().any(|&id| CATALOG[id].id == "scale");
@@ -233,6 +226,7 @@ fn entries(table: &Table, models: &[Model], unnamed: &[usize], untestable: &[usi
             causes: ids.len(),
             law: models[k].laws.is_some_and(|_| table.rows[k].law.is_some()),
             unnamed: ids.iter().any(|id| unnamed.contains(id)),
+            unlikely: ids.iter().zip(models[k].fit.values()).any(unlikely),
             within: (0..models.len()).filter(inside).collect(),
             alike: (0..models.len()).filter(hidden).collect(),
             elpd: table.elpd(k),
@@ -306,7 +300,7 @@ fn nested(
         let table = Table::new(study, &whitener, models, &rest);
         let chosen = match ruling.written {
             Written::Plain => 0,
-            _ => verdict(&entries(&table, models, unnamed, asked.untestable), SECOND).model,
+            _ => verdict(&entries(study, &table, models, unnamed, asked.untestable), SECOND).model,
         };
         [0, chosen].map(|k| held_out(study, &models[k], table.rows[k].law, &table.rows[k].step, held))
     });

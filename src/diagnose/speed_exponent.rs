@@ -3,7 +3,8 @@
 //! The stress ρ v^q of the speed alone is the term of groups (v_n²/(g|z|))^(q/2) (|z|/w)^(q/2 − 1). Each power is a model
 //! of its own in a table of evidence.
 
-use super::evidence::{Laws, Model, Table};
+use super::evidence::Table;
+use super::left_out::{Laws, Model};
 use super::select::Selection;
 use super::study::Study;
 use super::words::digits;

@@ -47,6 +47,8 @@ pub struct Entry {
     pub law: bool,
     /// May it not be named, because these data cannot test one of its causes, or because it is an effect of measuring?
     pub unnamed: bool,
+    /// Does it need an effect of measuring far beyond what is stated of it?
+    pub unlikely: bool,
     /// Is every one of its causes in entry `k`, too?
     pub within: Vec<usize>,
     /// Entries that these data cannot test, and that could look the same if more were known.
@@ -136,9 +138,11 @@ fn stand_in(table: &[Entry], best: usize, better: &dyn Fn(usize) -> bool) -> Rul
 /// The verdict if `cause` explains the main part.
 fn named(table: &[Entry], cause: usize) -> Ruling {
     let of_size = |k: &usize| table[*k].causes == table[cause].causes && !table[*k].law;
-    // A rival explains at least half as much, and is not beaten.
+    // A rival explains at least half as much, and is not beaten. An effect of measuring is none if it would have to be
+    // far larger than what is stated of it.
     let gain = |k: usize| table[k].elpd - table[0].elpd;
-    let rival = |k: &usize| of_size(k) && *k != cause && !table[cause].beats[*k] && gain(*k) > MAIN_PART * gain(cause);
+    let near = |k: &usize| !table[cause].beats[*k] && gain(*k) > MAIN_PART * gain(cause) && !table[*k].unlikely;
+    let rival = |k: &usize| of_size(k) && *k != cause && near(k);
     let mut set: Vec<usize> = (1..table.len()).filter(rival).collect();
     set.sort_by(|a, b| table[*b].elpd.total_cmp(&table[*a].elpd));
     set.insert(0, cause);
@@ -155,8 +159,10 @@ fn named(table: &[Entry], cause: usize) -> Ruling {
     }
     let alone = set.len() == 1 && !table[cause].unnamed;
     let verdict = if alone { Verdict::Named } else { Verdict::Ambiguous };
-    // A law beside the best one is written with it if it predicts better.
-    let beside = |k: &usize| table[*k].law && table[*k].within.contains(&set[0]) && table[*k].beats[set[0]];
+    // A law beside the best one is written with it if it predicts better, and if there is a misfit for it to explain.
+    let beside = |k: &usize| {
+        table[*k].law && table[set[0]].misfit > 0.0 && table[*k].within.contains(&set[0]) && table[*k].beats[set[0]]
+    };
     let model = (1..table.len()).find(beside).unwrap_or(set[0]);
     Ruling { verdict, written: Written::Cause, model, set }
 }
@@ -171,6 +177,7 @@ mod tests {
             causes,
             law,
             unnamed: false,
+            unlikely: false,
             within: Vec::new(),
             alike: Vec::new(),
             elpd,
