@@ -19,12 +19,13 @@
 //!
 //! **Standard error of a difference.** The conditions of an experiment are chosen, and not drawn from a population: a
 //! cause that acts in the fastest condition only is no less certain for this. So the error is that of the difference for
-//! the same conditions, measured again. With Δ the difference of the predictions of the worse model B and the better
-//! model A, and w = (ν + n)/(ν + Q/φ)/φ of each, a condition's difference changes with A's errors by
+//! the same conditions, measured again. s = V⁻¹ e is the expected error of the condition's own, besides that of the
+//! parameters. With Δ the difference of s between the worse model B and the better model A, and w = (ν + n)/(ν + Q/φ)/φ of each,
+//! a condition's difference changes with its own errors by
 //!
-//! x = w_B Δᵀ V_B⁻¹ e − ½ (w_A − r w_B)(Q_A − n φ_A), r = eᵀ V_B⁻¹ e/Q_A.
+//! x = w_B Δᵀ s_A − ½ (w_A − w_B)(Q_A − n φ_A).
 //!
-//! Its variance is the greater of two estimates: φ_A w_B² Δᵀ V_B⁻¹ Δ + ½ n φ_A² (w_A − r w_B)², if the errors are noise, and the sum
+//! Its variance is the greater of two estimates: φ_A w_B² |Δ|² + ½ n φ_A² (w_A − w_B)², if the errors are noise, and the sum
 //! of x², if they are the model's own and correlated within a condition (clusters: Liang & Zeger 1986). Where errors are not
 //! small, the first order is too large, and the spread of the differences between conditions (Vehtari et al.) replaces the
 //! second estimate if it is less. Both are widened by Student's t, for ν and for the number of conditions. The standard
@@ -213,15 +214,10 @@ impl Table {
                 (self.degrees + n) / (self.degrees + row.squares[c] / scale) / scale
             };
             let (scale, [own, others]) = (best.scales[c], [weight(best), weight(other)]);
-            let (error, square) = (&best.left[c][0], best.squares[c]);
-            let apart = &other.left[c][0] - error;
-            let as_other = other.norm_squared(c, error, self.sizes.len());
-            let along = other.left[c][1].dot(error) - as_other;
-            let alike = if square > 0.0 { as_other / square } else { 1.0 };
-            let shrinks = own - others * alike;
-            noise += scale * others.powi(2) * other.norm_squared(c, &apart, self.sizes.len())
-                + 0.5 * n * (scale * shrinks).powi(2);
-            clusters += (others * along - 0.5 * shrinks * (square - n * scale)).powi(2);
+            let apart = &other.own[c] - &best.own[c];
+            noise += scale * others.powi(2) * apart.norm_squared() + 0.5 * n * (scale * (own - others)).powi(2);
+            let along = others * apart.dot(&best.own[c]);
+            clusters += (along - 0.5 * (own - others) * (best.squares[c] - n * scale)).powi(2);
         }
         let each = best.elpd.iter().zip(&other.elpd).map(|(a, b)| a - b);
         let count = self.sizes.len() as f64;

@@ -27,12 +27,8 @@ pub struct Laws {
 pub struct Row {
     /// Log predictive density of each condition that is used, and of what is stated of coefficients and nuisances.
     pub elpd: Vec<f64>,
-    /// Error e and V⁻¹ e of each condition.
-    pub left: Vec<[DVector<f64>; 2]>,
-    /// J of each condition.
-    pub slopes: Vec<DMatrix<f64>>,
-    /// Covariance of the parameters.
-    pub inverse: DMatrix<f64>,
+    /// V⁻¹ e of each condition: the expected error of its own, besides that of the parameters.
+    pub own: Vec<DVector<f64>>,
     /// Scale of the errors: as the other conditions show it for each condition, and as all show it.
     pub scales: Vec<f64>,
     pub scale: f64,
@@ -67,15 +63,6 @@ struct Products {
     laws: Vec<(DVector<f64>, [f64; 2])>,
 }
 
-impl Row {
-    /// vᵀ V⁻¹ v in condition `c` of `count`, the last of which is what is stated.
-    pub fn norm_squared(&self, c: usize, v: &DVector<f64>, count: usize) -> f64 {
-        let weight = if c + 1 < count { self.scale.recip() } else { 1.0 };
-        let along = self.slopes[c].transpose() * v;
-        (v.norm_squared() - along.dot(&(&self.inverse * &along)) * weight).max(0.0)
-    }
-}
-
 /// A condition, predicted from the others.
 struct LeftOut {
     /// The law chosen without the condition.
@@ -94,8 +81,6 @@ struct LeftOut {
 struct Predicted {
     law: Option<usize>,
     step: DVector<f64>,
-    /// Covariance of the parameters.
-    inverse: DMatrix<f64>,
     left: Vec<LeftOut>,
 }
 
@@ -224,7 +209,7 @@ impl Linear {
             LeftOut { law: own, step, error, solved: solved_error, square, wider }
         };
         let left = (0..each.len()).map(of).collect();
-        Predicted { law, step, inverse, left }
+        Predicted { law, step, left }
     }
 
     /// The row of the table; `degrees` are those of the noise.
@@ -257,11 +242,9 @@ impl Linear {
         }
         Row {
             elpd: now.left.iter().zip(&scales).map(density).collect(),
-            slopes: (0..each.len()).map(|c| self.jacobian(c, now.law)).collect(),
-            inverse: now.inverse,
             squares: now.left.iter().map(|own| own.square).collect(),
             steps: now.left[..used.len()].iter().map(|own| own.step.iter().copied().collect()).collect(),
-            left: now.left.into_iter().map(|own| [own.error, own.solved]).collect(),
+            own: now.left.into_iter().map(|own| own.solved).collect(),
             scales,
             scale,
             held_out,
