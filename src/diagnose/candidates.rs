@@ -117,12 +117,13 @@ fn leading(study: &Study, base: &Fit, fits: &[Fit]) -> Option<usize> {
         own.max_by(|a, b| table.elpd(*a).total_cmp(&table.elpd(*b)))
     };
     let beats = |a: usize, b: usize| table.beats(a, b);
-    let single = best(1).filter(|&k| beats(k, 0));
+    let better = |size: usize| (1..models.len()).any(|k| models[k].fit.ids.len() == size && beats(k, 0));
+    let single = best(1).filter(|_| better(1));
     let share = |pair: usize, single: usize| {
         let [gain, more] = [single, pair].map(|k| table.elpd(k) - table.elpd(0));
         (more - gain) / more.max(1e-9)
     };
-    let pair = best(2).filter(|&k| beats(k, 0) && single.is_none_or(|s| beats(k, s) && share(k, s) > SECOND));
+    let pair = best(2).filter(|&k| better(2) && single.is_none_or(|s| beats(k, s) && share(k, s) > SECOND));
     pair.or(single).map(|k| k - 1)
 }
 

@@ -87,9 +87,11 @@ impl Entry {
 pub fn verdict(table: &[Entry], second: f64) -> Ruling {
     let plain = &table[0];
     let better = |k: &usize| table[*k].beats[0];
+    // If one of a kind predicts better than the plain model, the best of its kind stands for it.
     let best_of = |keep: &dyn Fn(&Entry) -> bool| {
-        let own = (1..table.len()).filter(|k| keep(&table[*k]) && better(k));
-        own.max_by(|a, b| table[*a].elpd.total_cmp(&table[*b].elpd))
+        let own: Vec<usize> = (1..table.len()).filter(|k| keep(&table[*k])).collect();
+        let best = own.iter().copied().max_by(|a, b| table[*a].elpd.total_cmp(&table[*b].elpd));
+        best.filter(|_| own.iter().any(better))
     };
     let single = best_of(&|e| e.causes == 1 && !e.law);
     let earns = |pair: &usize, single: usize| {
