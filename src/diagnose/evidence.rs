@@ -23,9 +23,9 @@
 //! parameters. With Δ the difference of s between the worse model B and the better model A, and w = (ν + n)/(ν + Q/φ)/φ of each,
 //! a condition's difference changes with its own errors by
 //!
-//! x = w_B Δᵀ s_A − ½ (w_A − w_B)(Q_A − n φ_A).
+//! x = w_B Δᵀ s_A − ½ (w_A − w_B)(Q_A − n/w_A), 1/w_A the variance of the errors in this condition.
 //!
-//! Its variance is the greater of two estimates: φ_A w_B² |Δ|² + ½ n φ_A² (w_A − w_B)², if the errors are noise, and the sum
+//! Its variance is the greater of two estimates: w_B² |Δ|²/w_A + ½ n (1 − w_B/w_A)², if the errors are noise, and the sum
 //! of x², if they are the model's own and correlated within a condition (clusters: Liang & Zeger 1986). Where errors are not
 //! small, the first order is too large, and the spread of the differences between conditions (Vehtari et al.) replaces the
 //! second estimate if it is less. Both are widened by Student's t, for ν and for the number of conditions. The standard
@@ -213,11 +213,12 @@ impl Table {
                 let scale = row.scales[c];
                 (self.degrees + n) / (self.degrees + row.squares[c] / scale) / scale
             };
-            let (scale, [own, others]) = (best.scales[c], [weight(best), weight(other)]);
+            let [own, others] = [weight(best), weight(other)];
+            let variance = own.recip();
             let apart = &other.own[c] - &best.own[c];
-            noise += scale * others.powi(2) * apart.norm_squared() + 0.5 * n * (scale * (own - others)).powi(2);
+            noise += variance * others.powi(2) * apart.norm_squared() + 0.5 * n * (1.0 - others * variance).powi(2);
             let along = others * apart.dot(&best.own[c]);
-            clusters += (along - 0.5 * (own - others) * (best.squares[c] - n * scale)).powi(2);
+            clusters += (along - 0.5 * (own - others) * (best.squares[c] - n * variance)).powi(2);
         }
         let each = best.elpd.iter().zip(&other.elpd).map(|(a, b)| a - b);
         let count = self.sizes.len() as f64;
