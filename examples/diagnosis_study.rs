@@ -21,6 +21,7 @@ use sandgait::diagnose::forward::{ForceLogModel, ForwardModel};
 use sandgait::diagnose::noise::{ChannelNoise, Clock, Noise, Source, sizes};
 use sandgait::diagnose::report::{Cause, Report, Tried};
 use sandgait::diagnose::shared::Shared;
+use sandgait::diagnose::statements::violations;
 use sandgait::diagnose::study::Study;
 use sandgait::diagnose::verdict::Verdict;
 use sandgait::diagnose::whiten::Whitener;
@@ -44,7 +45,9 @@ fn report(log: &Log, name: &str) -> Outcome<Report> {
     std::fs::write(&path, &log.noisy)?;
     let diagnosis = diagnose(&path, &experiment()?, &Silent);
     std::fs::remove_file(&path)?;
-    Ok(diagnosis?.report)
+    let report = diagnosis?.report;
+    let violated = violations(&report);
+    if violated.is_empty() { Ok(report) } else { Err(violated.join("; ").into()) }
 }
 
 /// Distance [σ] from the log without noise to the nearest model without `cause`. Every other single cause is fitted to
@@ -87,7 +90,7 @@ fn separation(log: &Log, cause: &str, name: &str) -> Outcome<f64> {
 }
 
 fn read_and_remove(path: &Path) -> Outcome<force_log::ForceLog> {
-    let read = force_log::read(path, &experiment()?);
+    let read = force_log::read(path, &experiment()?, &Silent);
     std::fs::remove_file(path)?;
     Ok(read?)
 }

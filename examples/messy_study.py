@@ -370,10 +370,10 @@ def main() -> None:
         best = report["candidates"][0] if report["candidates"] else {}
         rivals = sorted(c["distance_to_best"] for c in report["candidates"][1:8] if c["distance_to_best"])
         strengths = {k: round(v, 4) for k, v in hidden.items()}
-        rests = [rest[k] for k in ("significant", "fraction", "explained", "discrepancy", "worst", "worst_limit")]
-        rest_said = " ".join(str(v) if isinstance(v, bool) else f"{v:.2f}" for v in rests)
+        rest_said = f"{report['written']} rest {rest['significant']} {rest['fraction']:.2f}"
         fits = f"lof {fit['plain']:.2f} {fit['extended'] or 0:.2f} limit {fit['limit']:.2f}"
         near = f"best {best.get('ids')} {best.get('delta_chi2', 0):.0f} rival {rivals[0] if rivals else 0:.1f}"
+        near += f" plain {report['evidence'][0]['difference']:.0f} ± {report['evidence'][0]['standard_error']:.0f}"
         laws = [t["formula"] for t in report["terms"]]
         print(
             seed, strengths, short, named, report["verdict"], said, found[1:], fits, near, rest_said, laws, flush=True

@@ -10,7 +10,8 @@ use sandgait::diagnose::experiment::{self, Experiment};
 use sandgait::diagnose::force_log;
 use sandgait::diagnose::forward::{ForceLogModel, ForwardModel};
 use sandgait::diagnose::report::{Diagnosis, Report};
-use sandgait::diagnose::verdict::Verdict;
+use sandgait::diagnose::statements::violations;
+use sandgait::diagnose::verdict::{Verdict, Written};
 use sandgait::diagnose::walking_log;
 use sandgait::progress::{Progress, Silent};
 use sandgait::sand::SandDescription;
@@ -31,9 +32,16 @@ fn file(directory: &Path, text: &str) -> PathBuf {
     path
 }
 
+/// A diagnosis whose report violates none of the statements that hold for every report.
+fn sound(data: &Path, experiment: &Experiment) -> Diagnosis {
+    let diagnosis = diagnose(data, experiment, &Silent).unwrap();
+    assert_eq!(violations(&diagnosis.report), Vec::<String>::new());
+    diagnosis
+}
+
 fn diagnosis(text: &str) -> Diagnosis {
     let directory = tempfile::tempdir().unwrap();
-    diagnose(&file(directory.path(), text), &experiment(), &Silent).unwrap()
+    sound(&file(directory.path(), text), &experiment())
 }
 
 fn hidden(causes: &[(&'static str, f64)]) -> Report {
@@ -50,7 +58,7 @@ fn forward_model_agrees_with_the_test_bed() {
         let hidden = Hidden { causes: vec![(entry.id, entry.typical)] };
         let lab = testbed::log(5, &hidden, 0.0);
         assert!(lab.effect > 0.005, "{} does nothing in the laboratory", entry.id);
-        let log = force_log::read(&file(directory.path(), &lab.clean), &experiment()).unwrap();
+        let log = force_log::read(&file(directory.path(), &lab.clean), &experiment(), &Silent).unwrap();
         let model = ForceLogModel::new(&log, &experiment()).unwrap();
         let mechanisms = Mechanisms::default().with(Mechanisms::index(entry.id).unwrap(), entry.typical);
         let ours = model.predict(&mechanisms, &medium.coefficients);
@@ -95,7 +103,7 @@ fn hidden_causes_are_named() {
 fn a_pair_is_named() {
     let r = hidden(&[("inertial_drag", 1.0), ("cohesion", 150.0)]);
     assert_eq!(r.ambiguity_set, [["inertial_drag", "cohesion"]], "{}", r.summary);
-    // If the model is right, its values come from weights by the noise, and no law is added to the causes.
+    // If the causes are right, no law is added to them.
     assert!(r.terms.is_empty() && r.notes.is_empty(), "{:?} {:?}", r.terms, r.notes);
 }
 
@@ -124,27 +132,26 @@ fn grains(file: &str) -> (PathBuf, Experiment) {
 #[test]
 fn the_concave_side_is_the_main_cause_in_grains() {
     let (data, experiment) = grains("legs.csv");
-    let r = diagnose(&data, &experiment, &Silent).unwrap().report;
+    let r = sound(&data, &experiment).report;
     assert_eq!(r.verdict, Verdict::Named, "{}", r.summary);
     assert_eq!(r.causes.iter().map(|c| c.id.as_str()).collect::<Vec<_>>(), ["concave_fill"]);
     assert!(r.gain.reduction.unwrap() > 0.4, "{:?}", r.gain);
     assert!(r.remainder.as_ref().unwrap().significant);
 }
 
-/// The model's error is much larger than the noise. Values with weights from the noise lower the error on held-out
-/// conditions by 39 %. Values from a fit with equal weights, and a law for the remaining misfit, lower it by more. The
-/// verdict still names the cause, and the extended sand gives the report's prediction.
+/// The model's error is much larger than the noise. The verdict still names the cause, with its gain, and the extended
+/// sand gives the report's prediction. The error falls by half. Equal weights, drag on both sides of the plate and a law, all
+/// developed with these six conditions, had lowered it by 62 %; no rule that holds for other data makes them here.
 #[test]
 fn drag_is_the_main_cause_of_plates_in_grains() {
     let (data, experiment) = grains("plates.csv");
-    let Diagnosis { report: r, sand, curves, .. } = diagnose(&data, &experiment, &Silent).unwrap();
+    let Diagnosis { report: r, sand, curves, .. } = sound(&data, &experiment);
     assert_eq!(r.verdict, Verdict::Named, "{}", r.summary);
     assert_eq!(r.ambiguity_set, [["inertial_drag"]], "{}", r.summary);
-    assert!(r.gain.nested && r.gain.reduction.unwrap() >= 0.6, "{:?}", r.gain);
-    assert!(r.causes[0].value == sand.mechanisms.inertial_drag && r.notes[0].contains("equal weights"));
-    let [term] = &r.terms[..] else { panic!("{:?}", r.terms) };
-    assert!(term.ci95[0] > 0.0 && sand.terms[0].coefficient == term.coefficient, "{term:?}");
-    let log = force_log::read(&data, &experiment).unwrap();
+    assert!(r.gain.nested && r.gain.reduction.unwrap() >= 0.5, "{:?}", r.gain);
+    assert_eq!(r.causes[0].value, sand.mechanisms.inertial_drag);
+    assert_eq!(r.terms.len(), sand.terms.len());
+    let log = force_log::read(&data, &experiment, &Silent).unwrap();
     let model = ForceLogModel::new(&log, &experiment).unwrap();
     let again = model.with_terms(&sand.terms).unwrap().predict(&sand.mechanisms, &sand.coefficients);
     assert!(again.iter().zip(&curves.extended.unwrap()).all(|(a, b)| (a - b).abs() < 1e-9));
@@ -154,23 +161,19 @@ fn drag_is_the_main_cause_of_plates_in_grains() {
 /// named. If the data do not distinguish the powers, the report says so.
 #[test]
 fn the_exponent_of_the_speed_is_tested() {
-    let form = |design, loud, id, value| {
-        let log = testbed::noisy_log(design, loud, 11, &Hidden { causes: vec![(id, value)] }, 0.05);
-        let r = diagnosis(&log.noisy).report;
-        (r.form.clone().unwrap_or_else(|| panic!("{}", r.summary)), r)
+    let of = |design, loud, id, value| {
+        diagnosis(&testbed::noisy_log(design, loud, 11, &Hidden { causes: vec![(id, value)] }, 0.05).noisy).report
     };
-    let (found, r) = form(Design::Crossed, 0.5, "drag_1.5", 1.5);
-    assert!(found.excluded && (found.found - 1.5).abs() < 0.15, "{found:?}");
-    assert_eq!(r.verdict, Verdict::Described, "{}", r.summary);
-    assert!(r.summary.contains("where inertial_drag has 2"), "{}", r.summary);
+    let r = of(Design::Crossed, 0.5, "drag_1.5", 1.5);
+    assert_eq!((r.verdict, r.written), (Verdict::Described, Written::Description), "{}", r.summary);
     // This term is proportional to v^1.5 and does not depend on the depth: (v²/(g|z|))^0.75 (|z|/w)^−0.25 |z|.
     let term = &r.terms[0];
     assert_eq!((term.groups["froude"], term.groups["depth_over_width"]), (0.75, -0.25), "{}", r.summary);
-    let (found, r) = form(Design::Crossed, 0.5, "inertial_drag", 1.5);
-    assert!(!found.excluded && found.told_apart, "{found:?}");
+    let r = of(Design::Crossed, 0.5, "inertial_drag", 1.5);
     assert_eq!(r.verdict, Verdict::Named, "{}", r.summary);
-    let (found, r) = form(Design::Crossed, 2.0, "inertial_drag", 0.3);
-    assert!(!found.excluded && !found.told_apart, "{found:?}");
+    assert!(r.form.as_ref().is_some_and(|form| !form.excluded && form.told_apart), "{:?}", r.form);
+    let r = of(Design::Crossed, 2.0, "inertial_drag", 0.3);
+    assert!(r.form.as_ref().is_some_and(|form| !form.excluded && !form.told_apart), "{:?}", r.form);
     assert!(r.summary.contains("these data allow every power"), "{}", r.summary);
 }
 
@@ -264,7 +267,7 @@ fn plates_that_start_from_rest_are_mirrored() {
     };
     for (vx, beta) in [([0.0, 0.1, 0.1, 0.1], 0.5), ([0.0, -0.1, -0.1, -0.1], -0.5), ([0.001, -0.1, -0.1, -0.1], -0.5)]
     {
-        let log = force_log::read(&file(directory.path(), &text(vx)), &experiment()).unwrap();
+        let log = force_log::read(&file(directory.path(), &text(vx)), &experiment(), &Silent).unwrap();
         assert_eq!(log.tracks[0].beta, beta, "{vx:?}");
     }
 }
@@ -329,10 +332,10 @@ fn work_reports_progress_and_can_be_stopped() {
 fn the_extended_sand_predicts_what_the_report_shows() {
     let directory = tempfile::tempdir().unwrap();
     let path = file(directory.path(), &testbed::log(11, &Hidden { causes: vec![("inertial_drag", 1.0)] }, 0.05).noisy);
-    let diagnosis = diagnose(&path, &experiment(), &Silent).unwrap();
+    let diagnosis = sound(&path, &experiment());
     diagnosis.write(&directory.path().join("out")).unwrap();
     let sand = SandDescription::load(&directory.path().join("out/sand.toml")).unwrap();
-    let log = force_log::read(&path, &experiment()).unwrap();
+    let log = force_log::read(&path, &experiment(), &Silent).unwrap();
     let model = ForceLogModel::new(&log, &experiment()).unwrap();
     let again = model.predict(&sand.mechanisms, &sand.coefficients);
     let shown = diagnosis.curves.extended.unwrap();
@@ -416,7 +419,7 @@ fn units_and_column_names_are_converted() {
     let directory = tempfile::tempdir().unwrap();
     let read = |text: &str, experiment: &str| {
         let experiment = Experiment::from_toml(experiment).unwrap();
-        force_log::read(&file(directory.path(), text), &experiment).unwrap().observations.values
+        force_log::read(&file(directory.path(), text), &experiment, &Silent).unwrap().observations.values
     };
     let plain = read(&log, testbed::EXPERIMENT);
     let renamed = log.replacen(",Fz,", ",lift,", 1);
@@ -481,7 +484,7 @@ fn damaged_runs_and_experiments_never_panic() {
     };
     for _ in 0..10_000 {
         std::fs::write(&path, damaged(WALKS.as_bytes(), &mut rng)).unwrap();
-        count(0, walking_log::read(&path, &experiment).map(drop));
+        count(0, walking_log::read(&path, &experiment, &Silent).map(drop));
         let text = String::from_utf8_lossy(&damaged(EXPERIMENT.as_bytes(), &mut rng)).into_owned();
         count(1, Experiment::from_toml(&text).map(drop));
     }
@@ -509,8 +512,8 @@ fn damaged_files_never_panic() {
     for round in 0..10_000 {
         let bytes = damaged(&base, &mut rng);
         std::fs::write(&path, &bytes).unwrap();
-        if force_log::read(&path, &experiment).is_ok() && round % 10 == 0 {
-            let report = diagnose(&path, &experiment, &Silent).unwrap();
+        if force_log::read(&path, &experiment, &Silent).is_ok() && round % 10 == 0 {
+            let report = sound(&path, &experiment);
             assert!(report.json().unwrap().contains("verdict"));
             diagnosed += 1;
         }

@@ -3,6 +3,7 @@
 use sandgait::diagnose::diagnose;
 use sandgait::diagnose::experiment::Experiment;
 use sandgait::diagnose::report::Diagnosis;
+use sandgait::diagnose::statements::violations;
 use sandgait::diagnose::verdict::Verdict;
 use sandgait::progress::Silent;
 use sandgait::sand::intruder::{Body, BodyShape, Given, Trial, compute, with_friction};
@@ -29,7 +30,9 @@ fn diagnosed(keep: impl Fn(&str) -> bool) -> Diagnosis {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("rows.csv");
     std::fs::write(&path, kept.join("\n")).unwrap();
-    diagnose(&path, &experiment(), &Silent).unwrap()
+    let diagnosis = diagnose(&path, &experiment(), &Silent).unwrap();
+    assert_eq!(violations(&diagnosis.report), Vec::<String>::new());
+    diagnosis
 }
 
 /// Root mean square errors of Fx and Fy under the measured load [N].

@@ -9,6 +9,7 @@ use sandgait::Error;
 use sandgait::diagnose::diagnose;
 use sandgait::diagnose::experiment::Experiment;
 use sandgait::diagnose::report::Diagnosis;
+use sandgait::diagnose::statements::violations;
 use sandgait::diagnose::verdict::Verdict;
 use sandgait::diagnose::walking_log;
 use sandgait::progress::{Progress, Silent};
@@ -34,7 +35,9 @@ fn file(directory: &Path, text: &str) -> PathBuf {
 
 fn diagnosis(directory: &Path, conditions: &[hall::Condition], hidden: Mechanisms) -> Diagnosis {
     let experiment = Experiment::from_toml(hall::EXPERIMENT).unwrap();
-    diagnose(&file(directory, &hall::runs(5, conditions, hidden, 0.05)), &experiment, &Silent).unwrap()
+    let diagnosis = diagnose(&file(directory, &hall::runs(5, conditions, hidden, 0.05)), &experiment, &Silent).unwrap();
+    assert_eq!(violations(&diagnosis.report), Vec::<String>::new());
+    diagnosis
 }
 
 /// A hidden slope is named with the right value, and a simulation with sand.toml walks as the report predicts.
@@ -55,7 +58,7 @@ fn a_hidden_slope_is_named_and_its_sand_walks_as_reported() {
     d.write(&out).unwrap();
     let sand = SandDescription::load(&out.join("sand.toml")).unwrap();
     let experiment = Experiment::from_toml(hall::EXPERIMENT).unwrap();
-    let log = walking_log::read(&directory.path().join("runs.csv"), &experiment).unwrap();
+    let log = walking_log::read(&directory.path().join("runs.csv"), &experiment, &Silent).unwrap();
     let trials: Vec<Trial> = log
         .setups
         .iter()
@@ -136,7 +139,7 @@ fn bad_runs_are_refused() {
     let header = "run,condition,rep,robot,leg,xi_deg,stride_frequency,slope_deg,payload,x_bed,duration,speed\n";
     let says = |text: &str| {
         let experiment = Experiment::from_toml(hall::EXPERIMENT).unwrap();
-        let outcome = walking_log::read(&file(directory.path(), text), &experiment);
+        let outcome = walking_log::read(&file(directory.path(), text), &experiment, &Silent);
         outcome.err().map(|e| e.to_string()).unwrap_or_default()
     };
     let good = "a,0,0,xplorer,L,45,2,0,0,0,2,0.28\n";

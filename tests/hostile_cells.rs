@@ -109,7 +109,7 @@ fn walking_runs() {
     let (mut taken, mut refused) = (Vec::new(), 0);
     for (what, text) in damages(&table) {
         std::fs::write(&path, &text).unwrap();
-        match walking_log::read(&path, &experiment) {
+        match walking_log::read(&path, &experiment, &Silent) {
             Ok(_) => taken.push((what, text)),
             Err(error) => {
                 one_line(&what, &error.to_string());

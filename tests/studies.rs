@@ -222,7 +222,7 @@ fn forces_with_mechanisms_agree_with_the_diagnosis() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("log.csv");
     std::fs::write(&path, log).unwrap();
-    let log = force_log::read(&path, &experiment).unwrap();
+    let log = force_log::read(&path, &experiment, &Silent).unwrap();
     let model = ForceLogModel::new(&log, &experiment).unwrap();
     let rotation = Rotation { omega: 10.0, ..Rotation::of(LegShape::named("revL").unwrap()) };
     let loads = |mechanisms: Mechanisms| {

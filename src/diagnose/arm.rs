@@ -135,22 +135,6 @@ impl Cut {
     }
 }
 
-/// Inertial drag with another exponent: the extra stress is −λ ρ v0² (v_n/v0)^q n. At the speed v0 it equals that
-/// of the catalogue's law.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PowerDrag {
-    pub exponent: f64,
-    /// v0 [m/s]
-    pub speed: f64,
-}
-
-impl PowerDrag {
-    /// This law's speed term minus v_n² [m²/s²].
-    fn beyond_square(&self, speed: f64) -> f64 {
-        self.speed.powi(2) * (speed / self.speed).powf(self.exponent) - speed * speed
-    }
-}
-
 /// Converts loads to the readings of a tilted sensor with offsets.
 pub fn read<const N: usize>(m: &Mechanisms, loads: &mut [[Load; N]]) {
     let (sin, cos) = m.sensor_tilt.sin_cos();
@@ -222,8 +206,6 @@ pub struct Arm<'a, const N: usize> {
     pub footprint: f64,
     /// λ ρ [kg/m³] of inertial drag.
     pub drag: f64,
-    /// The exponent of inertial drag, if it differs from the catalogue's.
-    pub other_drag: Option<PowerDrag>,
 }
 
 impl<const N: usize> Arm<'_, N> {
@@ -338,8 +320,7 @@ impl<const N: usize> Arm<'_, N> {
         if self.drag == 0.0 {
             return Load::default();
         }
-        let beyond = |speed| self.other_drag.map_or(0.0, |law| law.beyond_square(speed));
-        let pressure = |speed: f64| self.drag * (speed * speed + beyond(speed));
+        let pressure = |speed: f64| self.drag * speed * speed;
         leading_sides(&self.cut.sides, place, self.mechanisms.slope, pressure)
     }
 
@@ -413,7 +394,6 @@ impl<const N: usize> Kernel for Sum<'_, N> {
             let ahead = lead * splat(arm.cut.half_thickness);
             let (x, z) = (at[0] + n[0] * ahead, at[1] + n[1] * ahead);
             let depth = slope_depth(slope, x, z);
-            let inside = zero.lt(depth);
             let site = SegmentState {
                 depth: depth.max(zero),
                 x: splat(arm.track.x_bed) + x,
@@ -424,16 +404,12 @@ impl<const N: usize> Kernel for Sum<'_, N> {
                 // A log has positions only; the velocity of travel is not known.
                 travel: [zero; 2],
             };
-            let speeds = along.abs();
-            let beyond = |law: PowerDrag| std::array::from_fn(|i| law.beyond_square(speeds.lane(i)));
-            let more = arm.other_drag.map_or(zero, |law| splat(arm.drag) * Doubles::from_array(beyond(law)));
-            let more = Doubles::select(inside, more * lead, zero);
             let (normal, velocity) = (into(n), into(v));
             let motion = arm.grounds[0].motion(velocity);
             for ([sum_x, sum_z, sum_turn], ground) in sums.iter_mut().zip(arm.grounds) {
                 let stress = arm.sand.force(ground.stress(normal, &motion), normal, velocity, &site, Doubles::one());
-                let fx = (stress.x * s_cos - stress.z * s_sin - more * n[0]) * block.area;
-                let fz = (stress.x * s_sin + stress.z * s_cos - more * n[1]) * block.area;
+                let fx = (stress.x * s_cos - stress.z * s_sin) * block.area;
+                let fz = (stress.x * s_sin + stress.z * s_cos) * block.area;
                 *sum_x += fx;
                 *sum_z += fz;
                 *sum_turn += r[0] * fz - r[1] * fx;
@@ -472,7 +448,6 @@ mod tests {
             stencils: stencils(&track),
             footprint: 1.0,
             drag: 0.0,
-            other_drag: None,
         };
         for k in -20..900 {
             let t = (0.05 * f64::from(k)).clamp(ends[0], ends[1]);

@@ -1,5 +1,6 @@
 //! Sizes of errors, and the fraction by which one is smaller than another.
 
+use super::observations::Observations;
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
@@ -17,20 +18,18 @@ impl Errors {
         (self.square.iter().sum::<f64>() / self.count.iter().sum::<f64>().max(1.0)).sqrt()
     }
 
-    /// The errors in `conditions`.
-    pub fn among(&self, conditions: &[usize]) -> Self {
-        let of = |values: &[f64]| conditions.iter().map(|&k| values[k]).collect();
-        Self { square: of(&self.square), count: of(&self.count) }
-    }
-
-    /// These errors after a reduction: in each condition the mean square falls by the difference of the mean squares of
-    /// `before` and `after`.
-    pub fn less(&self, before: &Self, after: &Self) -> Self {
-        let part = |k: usize| {
-            let mean = |e: &Self| e.square[k] / e.count[k].max(1.0);
-            (self.square[k] - self.count[k] * (mean(before) - mean(after)).max(0.0)).max(0.0)
+    /// Errors of a prediction, number by number, on the conditions `held`, over the channels that count.
+    pub fn of(o: &Observations, prediction: impl Fn(usize) -> f64, held: &[usize]) -> Self {
+        let of = |&condition: &usize| {
+            let units = o.units.iter().filter(|u| u.condition == condition);
+            let counted = o.channels.iter().enumerate().filter(|c| c.1.in_rmse).map(|c| c.0);
+            let blocks = units.flat_map(|u| counted.clone().map(|c| u.block(c)));
+            let add =
+                |(square, count): (f64, f64), k: usize| (square + (o.values[k] - prediction(k)).powi(2), count + 1.0);
+            blocks.flatten().fold((0.0, 0.0), add)
         };
-        Self { square: (0..self.square.len()).map(part).collect(), count: self.count.clone() }
+        let (square, count) = held.iter().map(of).unzip();
+        Self { square, count }
     }
 
     /// 95 % interval of the fraction by which `other` is smaller: bootstrap over conditions, 2000 draws.

@@ -3,6 +3,7 @@
 use super::nuisance::{Entry, Priors};
 use super::trajectory::keys::{Cut, Given, ImuTable, Keys, MotorTable};
 use crate::error::{Error, Result, check_range};
+use crate::progress::Progress;
 use crate::sand::intruder::BodyShape;
 use crate::sand::{Coefficients, Law, Medium};
 use crate::table::{self, Asked, Column, Row, Summary};
@@ -143,9 +144,15 @@ impl Experiment {
     }
 
     /// Calls `take` with each row of the data, with the experiment's columns and units.
-    pub fn read(&self, data: &Path, columns: &[Column], take: impl FnMut(&Row) -> Result<()>) -> Result<Summary> {
+    pub fn read(
+        &self,
+        data: &Path,
+        columns: &[Column],
+        progress: &dyn Progress,
+        take: impl FnMut(&Row) -> Result<()>,
+    ) -> Result<Summary> {
         let (renamed, units) = (self.columns.clone(), self.units.clone());
-        table::read(data, &Asked { renamed, units, most_rows: Some(MOST_ROWS), ..Asked::new(columns) }, take)
+        table::read(data, &Asked { columns, renamed, units, most_rows: Some(MOST_ROWS), progress }, take)
     }
 
     pub fn from_toml(text: &str) -> Result<Self> {

@@ -6,6 +6,7 @@ use super::motion::{Heading, heading, moving, progress};
 use super::observations::{Channel, Names, Observations, Size, Unit};
 use super::track::{Pose, Track};
 use crate::error::Result;
+use crate::progress::Progress;
 use crate::table::{Column, Quantity, Row};
 use std::path::Path;
 
@@ -59,12 +60,12 @@ struct Growing {
 }
 
 /// Reads the log; `experiment` names shapes, medium and units.
-pub fn read(path: &Path, experiment: &Experiment) -> Result<ForceLog> {
+pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Result<ForceLog> {
     let (mut conditions, mut ids) = (Names::default(), Names::default());
     let mut trials: Vec<Growing> = Vec::new();
     let mut medium = None;
     let mut seen = [false; 3];
-    let summary = experiment.read(path, COLUMNS, |row| {
+    let summary = experiment.read(path, COLUMNS, progress, |row| {
         check_medium(row, experiment, &mut medium)?;
         for (seen, column) in seen.iter_mut().zip([PASS, PASS_DX, X_BED]) {
             *seen |= row.text(column).is_some();

@@ -2,7 +2,7 @@
 //!
 //! All statistics use [`ForwardModel`]; [`ForceLogModel`] predicts force logs, track by track ([`super::arm`]).
 
-use super::arm::{Arm, Cut, PowerDrag, filtered, read, stencils};
+use super::arm::{Arm, Cut, filtered, read, stencils};
 use super::experiment::{Experiment, Intruder};
 use super::fit::slope;
 use super::force_log::ForceLog;
@@ -79,11 +79,6 @@ pub trait ForwardModel: Sync {
     fn nuisances(&self, _: &Mechanisms, _: &Coefficients, _values: &[(String, f64)]) -> Vec<Nuisance> {
         Vec::new()
     }
-    /// The same model with another exponent of the speed in the law of mechanism `id`; None if it has no such
-    /// exponent.
-    fn with_exponent(&self, _id: usize, _exponent: f64) -> Option<Box<dyn ForwardModel + '_>> {
-        None
-    }
     /// A prediction of the simulator, without the corrections of [`Self::predict`].
     fn as_simulated(&self, prediction: &[f64]) -> Vec<f64> {
         prediction.to_vec()
@@ -127,8 +122,6 @@ pub struct ForceLogModel<'a> {
     channels: usize,
     missing: Vec<&'static str>,
     priors: Priors,
-    /// Exponent of inertial drag, if it differs from the catalogue's.
-    drag: Option<PowerDrag>,
     responses: Responses,
     measuring: Kept<Measuring>,
 }
@@ -195,7 +188,6 @@ impl<'a> ForceLogModel<'a> {
             channels: log.observations.channels.len(),
             missing: log.missing.clone(),
             priors: experiment.nuisances.clone(),
-            drag: None,
             responses: Responses::default(),
             measuring: Kept::default(),
         })
@@ -218,7 +210,6 @@ impl<'a> ForceLogModel<'a> {
             channels: 3,
             missing: Vec::new(),
             priors: Priors::default(),
-            drag: None,
             responses: Responses::default(),
             measuring: Kept::default(),
         };
@@ -240,7 +231,6 @@ impl<'a> ForceLogModel<'a> {
             channels: self.channels,
             missing: self.missing.clone(),
             priors: self.priors.clone(),
-            drag: self.drag,
             responses: Responses::default(),
             measuring: Kept::default(),
         };
@@ -312,7 +302,6 @@ impl<'a> ForceLogModel<'a> {
             stencils: if m.added_mass == 0.0 { Vec::new() } else { stencils(track) },
             footprint: footprint(m.footprint, track.pass, track.pass_dx),
             drag: m.inertial_drag * self.medium.bulk_density,
-            other_drag: self.drag,
         }
     }
 
@@ -461,18 +450,6 @@ impl ForwardModel for ForceLogModel<'_> {
             }
             self.predict(m, c)
         })
-    }
-
-    fn with_exponent(&self, id: usize, exponent: f64) -> Option<Box<dyn ForwardModel + '_>> {
-        if CATALOG[id].id != "inertial_drag" {
-            return None;
-        }
-        // At the greatest speed of the data the drag with this exponent equals the catalog's, so λ is comparable.
-        let features = self.features();
-        let speed = features.iter().filter(|f| f.name == "speed").flat_map(|f| f.values.iter().flatten());
-        let speed = speed.copied().fold(1e-6, f64::max);
-        let drag = (Some(exponent) != CATALOG[id].exponent).then_some(PowerDrag { exponent, speed });
-        Some(Box::new(Self { drag, ..self.clone() }))
     }
 
     fn with_terms(&self, terms: &[Term]) -> Option<Box<dyn ForwardModel + '_>> {

@@ -1,7 +1,7 @@
 //! Further causes in addition to a fitted model: their gain, size, and upper limit.
 
 use super::fit::{Fit, slope};
-use super::fitted::USUAL;
+use super::screen::USUAL;
 use super::study::Study;
 use crate::number::dot;
 use crate::parallel;

@@ -20,7 +20,7 @@ const SETTLED_ROUGHLY: f64 = 0.25;
 
 /// Bound of a nuisance in prior standard deviations: our choice. Without it a model with a large error would be
 /// compensated by absurd nuisances.
-const MOST_DEVIATION: f64 = 3.0;
+pub const MOST_DEVIATION: f64 = 3.0;
 /// Largest number of Gauss-Newton steps of a fit: our choice; most fits converge in four.
 const ROUNDS: usize = 12;
 /// From this step on a fit can be abandoned because it is far behind another; the first step may be short. Our
@@ -90,18 +90,6 @@ impl Study<'_> {
             }
         }
         self.refine(again, ROUNDS / 2, true)
-    }
-
-    /// Estimates of the objectives that fits will reach: one Gauss-Newton step each.
-    pub fn stepped(&self, fits: &[&Fit]) -> Vec<f64> {
-        let state = |f: &&Fit| (f.ids.clone(), f.mechanisms, f.deviations.clone());
-        let mut there = self.at_all(fits.iter().map(state).collect());
-        for fit in &mut there {
-            [fit.slopes, fit.white_slopes] = self.marginal_slopes.clone();
-        }
-        self.set_value_slopes(&mut there, &(0..fits.len()).collect::<Vec<_>>());
-        let gained = |fit: &Fit| fit.normal_equations().1.iter().zip(self.step(fit)).map(|(s, d)| s * d).sum::<f64>();
-        parallel::map(&there, |fit| fit.objective - gained(fit))
     }
 
     /// The same fit evaluated in this study: nothing is fitted again, and the slopes are kept.

@@ -4,6 +4,7 @@ use super::columns::columns;
 use super::experiment::Experiment;
 use super::observations::{Channel, Names, Observations, Size, Unit};
 use crate::error::{Error, Result};
+use crate::progress::Progress;
 use crate::sand::intruder::{Given, Trial};
 use crate::table::{Column, Quantity, Row};
 use std::path::Path;
@@ -63,7 +64,7 @@ const MOST_ROWS: usize = 2_000;
 const MOST: f64 = 1e6;
 
 /// Reads the rows; `experiment` describes bodies and units.
-pub fn read(path: &Path, experiment: &Experiment) -> Result<IntruderLog> {
+pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Result<IntruderLog> {
     let (mut conditions, mut ids) = (Names::default(), Names::default());
     let mut observations = Observations {
         size: Size::Force,
@@ -73,7 +74,7 @@ pub fn read(path: &Path, experiment: &Experiment) -> Result<IntruderLog> {
         conditions: Vec::new(),
     };
     let (mut states, mut has_unsteadiness) = (Vec::new(), false);
-    let summary = experiment.read(path, COLUMNS, |row| {
+    let summary = experiment.read(path, COLUMNS, progress, |row| {
         let id = row.needed_text(TRIAL)?;
         if ids.place(id) != states.len() {
             return Err(row.error(TRIAL, format!("{id} is in the file twice")));

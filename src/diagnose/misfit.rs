@@ -219,6 +219,10 @@ pub struct Correlate {
 /// Largest number of terms that the sparse regression selects: our choice, for a short report.
 const TERMS: usize = 4;
 
+/// Gain in χ² that a term needs: chance alone reaches it once in a thousand for each of a hundred terms
+/// (1.96² would be that of a single one at 95 %). Our choice.
+pub const EARNS: f64 = 19.5;
+
 /// Greedy sparse regression of the whitened residual on prediction × feature and on |prediction| × feature, features
 /// scaled to −1…1 with their squares and products; terms enter while each lowers χ² by more than `gate`.
 pub fn correlates(

@@ -6,10 +6,9 @@
 //! 3. [`noise_search`] learns the [`noise`] from repetitions, with the errors that a trial shares ([`shared`]), and
 //!    [`whiten`] whitens the residuals.
 //! 4. [`gauss_newton`] makes [`fit`]s, in which [`nuisance`]s are marginalised.
-//! 5. [`select`] chooses: it [`calibrate`]s the gates, makes the fits ([`fitted`]), judges them ([`judged`], with
-//!    [`discrepancy`], [`nested`] and [`lack_of_fit`]), decides the [`verdict`], and makes the model for predictions
-//!    ([`refined`], [`described`]).
-//! 6. [`view`] and [`report`] show the result.
+//! 5. [`select`] chooses: it fits the [`candidates`] and the [`laws`], compares them in one table of [`evidence`], and
+//!    reads the [`verdict`] off it.
+//! 6. [`view`] and [`report`] show the result, and [`statements`] must hold for it.
 //!
 //! Steps 3 to 6 use only [`observations`] and a [`forward::ForwardModel`]. Another kind of data needs only its own
 //! reader and forward model.
@@ -24,32 +23,27 @@ use sandgait_sweep as sweep;
 use sandgait_table as table;
 
 pub mod arm;
-pub mod calibrate;
-pub mod chi_squared;
+pub mod candidates;
 pub mod cli;
 mod columns;
 mod conditions;
-pub mod cross_validation;
-pub mod described;
-pub mod discrepancy;
 pub mod errors;
+pub mod evidence;
 pub mod experiment;
 mod figures;
 pub mod fit;
-pub mod fitted;
 pub mod force_log;
 pub mod forward;
 pub mod further;
 pub mod gauss_newton;
 pub mod intruder_log;
 pub mod intruder_model;
-pub mod judged;
-pub mod lack_of_fit;
+pub mod laws;
+pub mod left_out;
 pub mod likelihood;
 pub mod minimise;
 pub mod misfit;
 pub mod motion;
-pub mod nested;
 pub mod next_experiment;
 pub mod noise;
 pub mod noise_search;
@@ -57,14 +51,15 @@ pub mod nuisance;
 pub mod observations;
 pub mod page;
 pub mod profile;
-pub mod refined;
 pub mod repeats;
 pub mod report;
 pub mod response;
+pub mod screen;
 pub mod select;
 pub mod shared;
 pub mod sides;
 pub mod speed_exponent;
+pub mod statements;
 pub mod study;
 pub mod summary;
 pub mod track;
@@ -80,13 +75,14 @@ use crate::error::Result;
 use crate::progress::{Latch, Progress};
 use crate::sand::SandDescription;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
+use candidates::Asked;
 use experiment::{Experiment, Kind};
 use forward::{ForceLogModel, ForwardModel};
 use intruder_model::IntruderModel;
 use noise::{Source, scatters, sizes};
 use observations::Observations;
 use report::{Curves, Diagnosis, Untestable};
-use select::{Asked, select};
+use select::select;
 use std::path::Path;
 use study::Study;
 use view::View;
@@ -109,13 +105,13 @@ fn diagnose_kind(data: &Path, experiment: &Experiment, progress: &Latch) -> Resu
     let (coefficient_sd, interest) = (experiment.coefficient_sd, experiment.nuisances.interest.clone());
     match experiment.kind {
         Kind::Intrusion => {
-            let log = force_log::read(data, experiment)?;
+            let log = force_log::read(data, experiment, progress)?;
             let model = ForceLogModel::new(&log, experiment)?.stopped_by(progress);
             let (observations, sha256, notes) = (log.observations, log.sha256, log.notes);
             diagnose_measured(Measured { observations, coefficient_sd, interest, sha256, notes }, &model, progress)
         }
         Kind::Walking => {
-            let log = walking_log::read(data, experiment)?;
+            let log = walking_log::read(data, experiment, progress)?;
             let model = WalkingModel::new(&log, experiment, progress)?;
             let (observations, sha256, notes) = (log.observations, log.sha256, vec![model.step_note()?]);
             diagnose_measured(Measured { observations, coefficient_sd, interest, sha256, notes }, &model, progress)
@@ -125,7 +121,7 @@ fn diagnose_kind(data: &Path, experiment: &Experiment, progress: &Latch) -> Resu
             diagnose_measured(measured, &model, progress)
         }
         Kind::Intruder => {
-            let log = intruder_log::read(data, experiment)?;
+            let log = intruder_log::read(data, experiment, progress)?;
             let model = IntruderModel::new(&log, experiment, progress)?;
             let (observations, sha256, notes) = (log.observations, log.sha256, intruder_model::notes(experiment));
             diagnose_measured(Measured { observations, coefficient_sd, interest, sha256, notes }, &model, progress)
@@ -173,11 +169,11 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
     let noise = if pruned { source.noise(None, &|| model.stopped()) } else { noise };
     let whitener = Whitener::new(&source, &noise);
     let study = Study::new(&observations, model, &whitener, coefficient_sd);
-    let (ids, untestable) = testable(&study);
+    let (ids, unknown, untestable) = testable(&study);
     let floor = source.floor();
     let selection = match scatters(&observations, &floor) {
         true => {
-            let asked = Asked { source: &source, noise: &noise, ids: &ids, interest: &interest, floor: &floor };
+            let asked = Asked { source: &source, noise: &noise, ids: &ids, untestable: &unknown, interest: &interest };
             Some(select(&study, &asked, progress)?)
         }
         false => None,
@@ -185,15 +181,15 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
     progress.report(0.95, "report")?;
     let view = View { study: &study, source: &source, noise: &noise, selection: selection.as_ref(), floor };
     let report = view.report(untestable, sha256, notes);
-    let fit = selection.as_ref().and_then(select::Selection::fit);
+    debug_assert_eq!(statements::violations(&report), Vec::<String>::new());
+    let fit = selection.as_ref().and_then(|s| s.fit());
     let mut sand = SandDescription::plain(model.medium());
     if let Some(fit) = fit {
         sand.name = format!("{}-extended", sand.name);
         sand.source = format!("sandgait diagnose, data {}: {}", report.data_sha256, report.summary);
         sand.coefficients = study.coefficients(&fit.deviations);
         sand.mechanisms = fit.mechanisms;
-        sand.terms =
-            selection.as_ref().and_then(select::Selection::law).map(|law| law.term.clone()).into_iter().collect();
+        sand.terms = selection.as_ref().and_then(|s| s.law.as_ref()).map(|law| law.term.clone()).into_iter().collect();
     }
     model.finish(&mut sand);
     let extended = fit.map(|fit| model.as_simulated(&fit.prediction));
@@ -206,27 +202,31 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
     Ok(Diagnosis { report, sand, curves, name: "the data".into() })
 }
 
-/// Causes that the data can show, and the others with the reason why not.
-fn testable(study: &Study) -> (Vec<usize>, Vec<Untestable>) {
-    let (mut ids, mut untestable) = (Vec::new(), Vec::new());
+/// Causes that the data can show; causes that act on the data, but that they cannot tell for lack of a column; and
+/// all of the latter and those without effect, with the reason.
+fn testable(study: &Study) -> (Vec<usize>, Vec<usize>, Vec<Untestable>) {
+    let (mut ids, mut unknown, mut untestable) = (Vec::new(), Vec::new(), Vec::new());
     let coefficients = study.model.medium().coefficients;
     let asked = study.model.testable();
-    let tried = asked.iter().flat_map(|&(id, _)| calibrate::starts(study, id).into_iter().map(move |v| (id, v)));
+    let tried = asked.iter().flat_map(|&(id, _)| screen::starts(study, id).into_iter().map(move |v| (id, v)));
     let tried: Vec<(usize, f64)> = tried.collect();
     let states: Vec<_> = tried.iter().map(|&(id, v)| (Mechanisms::default().with(id, v), coefficients)).collect();
     let there = study.model.predict_many(&states);
     let plain = study.plain().prediction;
     let felt = |moved: &[f64]| {
         let white = study.whitener.apply(&fit::slope(moved, &plain, 1.0));
-        crate::number::dot(&white, &white) > calibrate::FELT
+        crate::number::dot(&white, &white) > screen::FELT
     };
     for (id, why) in asked {
         let moves = tried.iter().zip(&there).any(|(t, moved)| t.0 == id && felt(moved));
+        if why.is_some() && moves {
+            unknown.push(id);
+        }
         let why = why.or_else(|| (!moves).then(|| "no trial of these data excites it".to_string()));
         match why {
             Some(why) => untestable.push(Untestable { id: CATALOG[id].id.into(), why }),
             None => ids.push(id),
         }
     }
-    (ids, untestable)
+    (ids, unknown, untestable)
 }

@@ -15,8 +15,6 @@
 use super::errors::Errors;
 use super::observations::{Observations, Size, interpolate};
 use super::shared::Shared;
-use rand::Rng;
-use rand_distr::{Distribution, StandardNormal};
 
 /// Noise of one channel.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -178,47 +176,6 @@ pub fn scatters(observations: &Observations, floor: &Errors) -> bool {
 }
 
 impl Noise {
-    /// Adds a draw of this noise to `values`, and of the model's error, equal for all repetitions of a condition.
-    pub fn add(&self, source: &Source, values: &mut [f64], rng: &mut impl Rng) {
-        for stack in source.model_error {
-            let shares: Vec<f64> = source.observations.conditions.iter().map(|_| normal(rng)).collect();
-            for unit in &source.observations.units {
-                let share = shares[unit.condition];
-                source.observations.span(unit).for_each(|k| values[k] += share * stack[k]);
-            }
-        }
-        if !source.own_error.is_empty() {
-            let mut shares: Vec<Vec<f64>> = vec![Vec::new(); source.observations.conditions.len()];
-            for unit in &source.observations.units {
-                let own = &mut shares[unit.condition];
-                for (i, k) in source.observations.span(unit).enumerate() {
-                    if i == own.len() {
-                        own.push(normal(rng));
-                    }
-                    values[k] += own[i] * source.own_error[k];
-                }
-            }
-        }
-        for (unit, sizes) in source.observations.units.iter().zip(source.sizes) {
-            let span = source.observations.span(unit);
-            for (shared, sd) in source.shared.iter().zip(&self.shared) {
-                for vector in shared.vectors(span.clone()) {
-                    let share = sd * normal(rng);
-                    values[span.clone()].iter_mut().zip(vector).for_each(|(v, u)| *v += share * u);
-                }
-            }
-            for (c, noise) in self.channels.iter().enumerate() {
-                let mut grain = normal(rng);
-                let steps = self.clock.steps(&unit.progress);
-                for ((value, size), step) in values[unit.block(c)].iter_mut().zip(&sizes[c]).zip(steps) {
-                    let phi = noise.phi.powf(step);
-                    grain = phi * grain + (1.0 - phi * phi).sqrt() * normal(rng);
-                    *value += noise.grain * size * grain + noise.sensor * normal(rng);
-                }
-            }
-        }
-    }
-
     /// Standard deviation of one repetition about the model at every number of the stack.
     pub fn standard_deviation(&self, source: &Source) -> Vec<f64> {
         let mut square = vec![0.0; source.prediction.len()];
@@ -241,8 +198,4 @@ impl Noise {
         square.iter_mut().zip(source.own_error).for_each(|(s, e)| *s += e * e);
         square.into_iter().map(f64::sqrt).collect()
     }
-}
-
-pub(super) fn normal(rng: &mut impl Rng) -> f64 {
-    StandardNormal.sample(rng)
 }

@@ -4,12 +4,12 @@
 use super::errors::Errors;
 use super::likelihood::Landscape;
 use super::minimise::minimise;
-use super::noise::{ChannelNoise, Clock, Noise, Source, normal};
+use super::noise::{ChannelNoise, Clock, Noise, Source};
 use super::repeats::Repeats;
 use super::shared::Shared;
-use nalgebra::{DMatrix, DVector};
-use rand::SeedableRng;
-use rand_xoshiro::Xoshiro256PlusPlus;
+
+/// Quantile of χ² with one degree of freedom at 95 % (NIST/SEMATECH e-Handbook of Statistical Methods, 1.3.6.7.4).
+const AT_95_PERCENT: f64 = 3.841;
 
 impl Source<'_> {
     /// A first estimate from the size of the differences; the search starts here.
@@ -58,7 +58,7 @@ impl Source<'_> {
         let needed = |(k, shared): &(usize, &Shared)| {
             let mut without = noise.clone();
             without.shared[*k] = 1e-6 * shared.guess;
-            !shared.optional || landscape.deviance(&without) - least > super::chi_squared::AT_95_PERCENT
+            !shared.optional || landscape.deviance(&without) - least > AT_95_PERCENT
         };
         self.shared.iter().enumerate().filter(needed).map(|(_, s)| s.name).collect()
     }
@@ -96,50 +96,6 @@ impl Source<'_> {
             let prior: f64 = p.iter().zip(center).map(|(a, b)| ((a - b) / 3.0).powi(2)).sum();
             prior + landscape.deviance(&Noise::unpack(p, self.observations.channels.len(), clock))
         }
-    }
-
-    /// Random noises that are compatible with the repetitions: draws from the normal approximation of the likelihood
-    /// about `noise`. Noise is learnt from the differences between repetitions, and causes from their means; the two
-    /// are independent, so a noise can be drawn without the data.
-    pub fn draws(&self, noise: &Noise, count: usize, stopped: &(dyn Fn() -> bool + Sync)) -> Vec<Noise> {
-        let repeats = self.repeats();
-        let center = self.guess(&repeats, noise.clock).pack();
-        let deviance = self.deviance(&repeats, noise.clock, &center, stopped);
-        let at = noise.pack();
-        let step = 0.05;
-        let places: Vec<(usize, usize)> = (0..at.len()).flat_map(|i| (0..=i).map(move |j| (i, j))).collect();
-        let second = crate::parallel::map(&places, |&(i, j)| {
-            let moved = |a: f64, b: f64| {
-                let mut p = at.clone();
-                p[i] += a * step;
-                p[j] += b * step;
-                deviance(&p)
-            };
-            (moved(1.0, 1.0) - moved(1.0, -1.0) - moved(-1.0, 1.0) + moved(-1.0, -1.0)) / (4.0 * step * step)
-        });
-        let mut curvature = DMatrix::zeros(at.len(), at.len());
-        for (&(i, j), value) in places.iter().zip(second) {
-            let value = if value.is_finite() { value } else { 0.0 };
-            (curvature[(i, j)], curvature[(j, i)]) = (value, value);
-        }
-        let eigen = curvature.symmetric_eigen();
-        // A deviance is −2 ln likelihood, so the covariance is twice the inverse of its curvature. Where the
-        // curvature is small, that of the prior, 2/9, takes its place.
-        let root: Vec<f64> = eigen.eigenvalues.iter().map(|c| (2.0 / c.max(2.0 / 9.0)).sqrt()).collect();
-        let least = deviance(&at);
-        let draw = |seed: &usize| {
-            let mut rng = Xoshiro256PlusPlus::seed_from_u64(0xd7a3 ^ *seed as u64);
-            let share = DVector::from_iterator(root.len(), root.iter().map(|_| normal(&mut rng)));
-            let expected = share.norm_squared();
-            let moved = &eigen.eigenvectors * share.component_mul(&DVector::from_column_slice(&root));
-            let place = |part: f64| at.iter().zip(moved.iter()).map(|(a, m)| a + part * m).collect::<Vec<f64>>();
-            // The likelihood is not quite normal: a draw that is far less likely than expected moves toward the
-            // maximum.
-            let parts =
-                (0..6).map(|k| 0.5f64.powi(k)).find(|part| deviance(&place(*part)) - least <= 1.5 * expected + 5.0);
-            Noise::unpack(&place(parts.unwrap_or(0.0)), self.observations.channels.len(), noise.clock)
-        };
-        crate::parallel::map(&(0..count).collect::<Vec<_>>(), draw)
     }
 
     /// Scatter of repetitions over the channels that count in the error: no model can predict it. Conditions

@@ -93,6 +93,22 @@ pub enum Entry {
     Interest(Vec<String>),
 }
 
+/// Nuisances that are the same effect as a mechanism of the sensor, by the beginning of their ids.
+const SAME: [(&str, &str); 6] = [
+    ("bias_x", "offset_Fx"),
+    ("bias_z", "offset_Fz"),
+    ("sensor_tilt", "tilt"),
+    ("depth_zero", "depth_zero"),
+    ("delay", "delay"),
+    ("lowpass", "lowpass"),
+];
+
+/// Standard deviation that is stated of a mechanism of the sensor; None for other mechanisms.
+pub fn stated(nuisances: &[Nuisance], mechanism: &str) -> Option<f64> {
+    let (_, same) = SAME.iter().find(|s| s.0 == mechanism)?;
+    nuisances.iter().find(|n| n.id.starts_with(same)).map(|n| n.sd)
+}
+
 impl Priors {
     pub fn from_table(table: &BTreeMap<String, Entry>) -> Result<Self> {
         let mut priors = Self::default();

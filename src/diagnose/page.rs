@@ -2,7 +2,7 @@
 
 use super::figures;
 use super::report::{Diagnosis, Report};
-use super::verdict::Verdict;
+use super::verdict::{Verdict, Written};
 use super::words::{after, digits, span};
 use crate::error::{Error, Result};
 use crate::plot::{color, escape};
@@ -129,6 +129,10 @@ fn next(html: &mut String, r: &Report) {
         }
         Verdict::Described => {
             "Simulate with <code>sand.toml</code>, within the range of validity below. Its law describes these data and names no cause."
+        }
+        Verdict::NoneOfThese if r.written != Written::Plain => {
+            "Look at <i>Errors of the plain model</i>: where the error is large, an effect acts that is not in the list of causes. \
+             <code>sand.toml</code> predicts left-out conditions better, but as a stand-in for that effect."
         }
         Verdict::NoneOfThese => {
             "Look at <i>Errors of the plain model</i>: where the error is large, an effect acts that is not in the list of causes."
@@ -298,12 +302,14 @@ fn runs(html: &mut String, diagnosis: &Diagnosis) {
 fn compared(html: &mut String, r: &Report) {
     if !r.evidence.is_empty() {
         html.push_str(
-            "<h2>Evidence</h2><p class=small>elpd: log density that a model gives left-out conditions, summed. A model is worse than \
-             the best if its difference is more than twice the standard error.</p><div class=wide><table><tr><th>model<th>elpd<th>difference to the best<th>standard error",
+            "<h2>Evidence</h2><p class=small>elpd: log density that a model gives left-out conditions, summed. The difference is \
+             that to the best model; a model is clearly worse if its difference is more than twice the standard error. \
+             sand.toml holds the model in bold.</p><div class=wide><table><tr><th>model<th>elpd<th>difference to the best<th>standard error",
         );
         for m in &r.evidence {
             let parts: Vec<&str> = m.ids.iter().chain(&m.terms).map(String::as_str).collect();
             let name = if parts.is_empty() { "plain model".into() } else { escape(&parts.join(" + ")) };
+            let name = if m.written { format!("<b>{name}</b>") } else { name };
             let _ = write!(html, "<tr><td>{name}<td>{:.1}<td>{:.1}<td>{:.1}", m.elpd, m.difference, m.standard_error);
         }
         html.push_str("</table></div>");

@@ -52,7 +52,7 @@ fn interval(fit: &Fit, scan: &[Fit], k: usize, allowed: f64) -> [f64; 2] {
 
 /// First and last point of a scan (coordinate, objective) with an objective of at most `allowed` above `least`.
 /// Between a point inside and its neighbour outside, a quadratic rise is assumed, as for a smooth objective.
-pub fn within(scan: &[(f64, f64)], least: f64, allowed: f64) -> [f64; 2] {
+fn within(scan: &[(f64, f64)], least: f64, allowed: f64) -> [f64; 2] {
     let inside: Vec<usize> = (0..scan.len()).filter(|&k| scan[k].1 <= least + allowed).collect();
     let (Some(&first), Some(&last)) = (inside.first(), inside.last()) else { return [f64::NAN; 2] };
     let root = |k: usize| (scan[k].1 - least).max(0.0).sqrt();

@@ -3,7 +3,7 @@
 use super::misfit::{Correlate, Misfit};
 use super::next_experiment::Proposal;
 use super::speed_exponent::SpeedExponent;
-use super::verdict::Verdict;
+use super::verdict::{Verdict, Written};
 use crate::error::{Error, Result};
 use crate::sand::SandDescription;
 use serde::Serialize;
@@ -22,7 +22,7 @@ pub struct Cause {
 
 /// One model in the comparison by its predictions of left-out conditions.
 #[derive(Clone, Debug, Serialize, PartialEq)]
-pub struct Compared {
+pub struct EvidenceRow {
     /// Ids of its causes; empty for the plain model and for a law alone.
     pub ids: Vec<String>,
     /// Formulas of its laws found in the data.
@@ -33,20 +33,8 @@ pub struct Compared {
     pub difference: f64,
     /// Standard error of `difference`, over conditions.
     pub standard_error: f64,
-}
-
-/// What `sand.toml` holds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Written {
-    /// A named cause, or the best of an ambiguity set.
-    Cause,
-    /// A law found in the data.
-    Description,
-    /// Mechanisms that predict left-out conditions better, but that are not held for the cause.
-    Proxy,
-    /// The plain model.
-    Plain,
+    /// Is it the model in `sand.toml`?
+    pub written: bool,
 }
 
 /// One cause or pair that was tried.
@@ -57,7 +45,7 @@ pub struct Tried {
     pub delta_chi2: f64,
     /// Fraction by which it reduces the held-out error of the plain model with fitted coefficients.
     pub cv_gain: Option<f64>,
-    pub lack_of_fit: f64,
+    pub lack_of_fit: Option<f64>,
     /// Differences of χ² plus 2, or ln n, for each parameter.
     pub delta_aic: f64,
     pub delta_bic: f64,
@@ -110,19 +98,12 @@ pub struct NuisanceValue {
 pub struct Remainder {
     /// Is the misfit larger than noise?
     pub significant: bool,
-    /// Remaining share of the plain model's held-out misfit beyond noise.
+    /// Remaining share of the plain model's misfit beyond noise, as log predictive density.
     pub fraction: f64,
     #[serde(rename = "where")]
     pub place: String,
     pub lack_of_fit: f64,
     pub limit: f64,
-    /// The lack of fit of the worst condition and channel, in standard deviations of noise.
-    pub worst: f64,
-    pub worst_limit: f64,
-    /// Size of the model's smooth discrepancy, relative to the loads; 0 if the data need none.
-    pub discrepancy: f64,
-    /// Share of the misfit beyond noise that the best candidate explains.
-    pub explained: f64,
 }
 
 /// A law found in the data.
@@ -168,7 +149,7 @@ pub struct Report {
     /// What `sand.toml` holds.
     pub written: Written,
     /// The models that the verdict compares, the plain one first.
-    pub evidence: Vec<Compared>,
+    pub evidence: Vec<EvidenceRow>,
     /// The verdict in one sentence.
     pub summary: String,
     pub causes: Vec<Cause>,

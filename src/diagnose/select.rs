@@ -1,240 +1,329 @@
-//! Selects the cause in three stages: screening, fitting, judging. No stage changes the results of an earlier one.
+//! Selects the cause: fits the candidates, compares them by one table of evidence, and measures the gain of what is
+//! written.
 
-use super::calibrate::{FELT, Screen};
-use super::cross_validation::HeldOut;
-use super::described::{self, Described, described};
-use super::discrepancy::Discrepancy;
+use super::candidates::{Asked, Candidates, SECOND, candidates};
 use super::errors::Errors;
+use super::evidence::{LEAST, Table};
 use super::fit::Fit;
-use super::fitted::{
-    Candidate, FINALISTS, Fitted, Screened, Surroundings, beside_discrepancy, candidate, screened, settled, singles,
-    surroundings, with_pairs,
-};
-use super::judged::{Judged, Standing, explored, judged};
-use super::lack_of_fit;
-use super::nested::{Known, nested};
-use super::noise::{Noise, Source};
-use super::refined::{Refined, refined};
+use super::gauss_newton::MOST_DEVIATION;
+use super::laws::{Law, fitted, laws};
+use super::left_out::{Laws, Model, held_out};
+use super::noise::Source;
+use super::nuisance::stated;
+use super::profile;
 use super::study::Study;
-use super::verdict::{Evidence, MAIN_PART, Verdict, verdict};
+use super::verdict::{Entry, Ruling, Verdict, Written, verdict};
+use super::whiten::Whitener;
 use crate::error::Result;
+use crate::parallel;
 use crate::progress::Progress;
+use crate::sand::Term;
 use crate::sand::mechanism::{CATALOG, Side};
+use crate::student;
 
-/// All three stages of one diagnosis.
+/// Number of folds in which noise, model and values are chosen anew: our choice; each needs its own noise.
+const FOLDS: usize = 6;
+
+/// Where the bed's place or its earlier passes are unknown, these mechanisms may multiply the stress by the same factor
+/// everywhere, as `scale` does.
+pub const FACTORS: [&str; 2] = ["packing_grad", "footprint"];
+
+/// All results of one diagnosis.
 pub struct Selection {
-    pub screened: Screened,
-    pub fitted: Fitted,
-    pub judged: Judged,
-    /// Noise, whitening and nuisances under which it was judged.
-    pub around: Surroundings,
-    pub verdict: Verdict,
-    /// The law found in the data, if no mechanism explains them.
-    pub described: Option<Described>,
-    /// If a cause was found, its model for predictions where it differs from the best candidate.
-    pub refined: Option<Refined>,
-    /// Indices of the candidates that the data cannot distinguish from the best, including the best; empty if none
-    /// is named.
-    pub set: Vec<usize>,
+    pub candidates: Candidates,
+    /// The models of the table, as indices of `candidates.fits`; None for the plain model and for a law alone.
+    pub places: Vec<Option<usize>>,
+    pub table: Table,
+    pub entries: Vec<Entry>,
+    pub ruling: Ruling,
+    /// The fit of the model that is written, or of the plain one, under the scale of its errors.
+    pub standing: Fit,
+    /// The whitening under that scale.
+    pub whitener: Whitener,
+    /// The law that is written.
+    pub law: Option<Law>,
+    /// Formula of the law of each entry of the table that has one.
+    pub formulas: Vec<Option<String>>,
+    /// 95 % intervals of the coordinates of the best cause, and the correlations of its values.
+    pub intervals: Intervals,
+    /// Held-out errors of the fitted plain model, and of what is written, chosen anew in each fold.
+    pub nested: [Errors; 2],
+    /// Errors of the plain model, of which nothing is fitted.
+    pub plain: Errors,
+}
+
+/// Uncertainty of a fit's values.
+#[derive(Default)]
+pub struct Intervals {
+    pub ranges: Vec<[f64; 2]>,
+    /// Row by row; empty for fewer than two values.
+    pub correlations: Vec<Vec<f64>>,
 }
 
 impl Selection {
-    /// The best candidate, if a cause was found.
-    pub fn best(&self) -> Option<&Candidate> {
-        self.set.first().map(|&k| &self.fitted.candidates[k])
+    pub fn verdict(&self) -> Verdict {
+        self.ruling.verdict
     }
 
-    /// Other explanations of a significant part, with their whitened distance [σ] to the best.
-    pub fn rivals(&self) -> impl Iterator<Item = (&Candidate, f64)> {
-        let others = self.fitted.candidates.iter().skip(1).zip(&self.judged.evidence.rivals);
-        others.filter(|(_, r)| r.explains).map(|(c, r)| (c, r.squared.sqrt()))
+    /// The fit of an entry of the table.
+    pub fn fit_of(&self, entry: usize) -> &Fit {
+        self.places[entry].map_or(&self.candidates.base, |k| &self.candidates.fits[k])
     }
 
-    /// The candidate in the extended model. If a cause was found, this is the cause. Otherwise, if misfit remains, this
-    /// is the candidate that fits best: a proxy and not a cause. A proxy is only used if candidates chosen without the
-    /// held-out conditions predict these conditions better than the plain model, with 95 % certainty.
-    pub fn extension(&self) -> Option<&Candidate> {
-        let helps = self.plain_errors().reduction_interval(&self.judged.nested[1].errors)[0] > 0.0;
-        let proxy = || self.fitted.best().filter(|_| self.judged.evidence.found && helps);
-        self.best().or_else(|| (self.verdict == Verdict::NoneOfThese).then(proxy).flatten())
-    }
-
-    /// The law in the extended model: in addition to a cause, or instead of one.
-    pub fn law(&self) -> Option<&Described> {
-        self.described.as_ref().or(self.refined.as_ref().and_then(|r| r.law.as_ref()))
-    }
-
-    /// The fit that the extended model is made from.
+    /// The fit that is written; None for the plain model.
     pub fn fit(&self) -> Option<&Fit> {
-        let refined = self.refined.as_ref().map(|r| &r.fit);
-        let described = self.described.as_ref().map(|d| &d.fit);
-        refined.or(described).or_else(|| self.extension().map(|c| &c.fit))
+        (self.ruling.model > 0).then_some(&self.standing)
     }
 
-    /// Errors of the plain model with fitted coefficients and of the extended model on held-out conditions, chosen anew
-    /// in each fold.
-    pub fn nested(&self) -> &[HeldOut; 2] {
-        let refined = self.refined.as_ref().map(|r| &r.nested);
-        refined.or(self.described.as_ref().map(|d| &d.nested)).unwrap_or(&self.judged.nested)
-    }
-
-    /// Errors of the plain model on held-out conditions.
-    pub fn plain_errors(&self) -> &Errors {
-        &self.fitted.plain_held_out.errors
+    /// The best cause, if one is named.
+    pub fn best(&self) -> Option<&Fit> {
+        self.ruling.set.first().map(|&k| self.fit_of(k))
     }
 }
 
-/// The inputs of a selection.
-pub struct Asked<'a> {
-    pub source: &'a Source<'a>,
-    pub noise: &'a Noise,
-    /// Catalogue indices of the causes that the data can show.
-    pub ids: &'a [usize],
-    /// Ids of sensor mechanisms that may be named as causes.
-    pub interest: &'a [String],
-    /// Scatter of the repetitions.
-    pub floor: &'a Errors,
-}
-
-/// Runs the whole selection. Effects of the sensor are nuisances, which are marginalised while causes in sand and
-/// drive are searched. Only if none of these is found, sensor mechanisms are tried; they must explain as much as
-/// the nuisances do.
+/// Runs the whole selection. Effects of the sensor are nuisances, which are marginalised. Only if the plain model with
+/// nuisances leaves nothing, mechanisms of the sensor are tried instead of nuisances; they must predict as well.
 pub fn select(study: &Study, asked: &Asked, progress: &dyn Progress) -> Result<Selection> {
-    let nuisance = |id: &usize| {
+    let marginalised = |id: &usize| {
         let entry = &CATALOG[*id];
         entry.side == Side::Sensor && !asked.interest.iter().any(|own| own == entry.id)
     };
-    let (sensor, others): (Vec<usize>, Vec<usize>) = asked.ids.iter().partition(|id| nuisance(id));
-    let selection = attempt(study, asked, &others, progress, true)?;
-    if sensor.is_empty() || selection.verdict != Verdict::NoiseFloor {
+    let sensor: Vec<usize> = asked.ids.iter().copied().filter(marginalised).collect();
+    let unnamed = [&sensor[..], asked.untestable].concat();
+    let selection = attempt(study, asked, &unnamed, progress)?;
+    if sensor.is_empty() || selection.verdict() != Verdict::NoiseFloor || study.nuisances.is_empty() {
         return Ok(selection);
     }
-    let bare = study.under(study.whitener, Vec::new());
-    let gains = |id: &usize| {
-        let column = Screen::new(&bare, &[*id]);
-        let scores = column.scores(bare.whitener, &bare.observations.values);
-        let felt = (0..scores.score.len()).filter(|&k| scores.gram[(k, k)] > FELT);
-        felt.map(|k| scores.score[k].powi(2) / scores.gram[(k, k)]).fold(0.0, f64::max)
-    };
-    if sensor.iter().map(gains).fold(0.0, f64::max) < selection.screened.gates.single {
+    // All are compared under the noise of the first: with nuisances and without.
+    // Their nuisances differ, so what is stated of them does not count.
+    let conditions = study.observations.conditions.len();
+    let measured = |table: &Table| table.rows[0].elpd[..conditions].iter().sum::<f64>();
+    let with = measured(&selection.table);
+    let bare = study.under(&selection.candidates.around.whitener, Vec::new());
+    let all: Vec<usize> = (0..conditions).collect();
+    let elpd = |fit: Fit| measured(&Table::new(&bare, bare.whitener, &[Model { fit: &fit, laws: None }], &all));
+    if with - elpd(bare.recalibrated()) < 2.0 * LEAST {
         return Ok(selection);
     }
-    // If nuisances of single channels explain a misfit that a mechanism with one value for all channels does not
-    // explain, this mechanism is not the cause.
-    let count = study.nuisances.len() as f64;
-    let allowed = count + 3.0 * (2.0 * count).sqrt();
-    let gates = &selection.screened.gates;
-    let explains = |c: &Candidate| {
-        let fit = bare.fit_from(&[&c.fit]);
-        fit[0].objective - selection.fitted.base.fit.objective < allowed * gates.inflation
-    };
-    let screen = Screen::new(&bare, asked.ids);
-    let scores = screen.scores(bare.whitener, &bare.observations.values);
-    let alone = singles(&bare, &Screened { screen, scores, gates: gates.clone(), ids: asked.ids.to_vec() });
-    if !alone.candidates.iter().take(FINALISTS).any(explains) {
-        return Ok(selection);
-    }
-    let other = attempt(&bare, asked, asked.ids, progress, false)?;
-    Ok(if other.best().is_some_and(explains) { other } else { selection })
+    let other = attempt(&bare, asked, asked.untestable, progress)?;
+    let as_well = |best: &Fit| elpd(bare.fit_from(&[best]).swap_remove(0)) > with - 2.0 * LEAST;
+    Ok(if other.best().is_some_and(as_well) { other } else { selection })
 }
 
-/// Runs the stages once.
-fn attempt(study: &Study, asked: &Asked, ids: &[usize], progress: &dyn Progress, pairs: bool) -> Result<Selection> {
-    let Asked { source, noise, .. } = *asked;
-    progress.report(0.1, "effect of every cause")?;
-    let first = screened(study, source, noise, ids);
-    progress.report(0.4, "single causes")?;
-    // Nuisances have nonlinear effects, so they are linearised at the plain model's fit before causes are tested.
-    let base = study.recalibrated();
-    let straight = study.under(study.whitener, study.nuisances_about(&base));
-    let mut fitted = singles(&straight, &first);
-    let mut around = None;
-    if fitted.found(&first.gates) {
-        progress.report(0.5, "singles under the noise of the best")?;
-        (fitted, around) = settled(&straight, source, noise, fitted);
-        if let Some(now) = around.as_ref().filter(|_| pairs) {
-            progress.report(0.6, "pairs of causes")?;
-            let renewed = study.under(&now.whitener, now.nuisances.clone());
-            let (next, earns) = with_pairs(&renewed, &first, fitted);
-            fitted = next;
-            if earns {
-                progress.report(0.8, "pairs under the noise of the best")?;
-                let (next, again) = settled(&renewed, source, noise, fitted);
-                (fitted, around) = (next, again.or(around));
+/// Fits and compares once.
+fn attempt(study: &Study, asked: &Asked, unnamed: &[usize], progress: &dyn Progress) -> Result<Selection> {
+    let report = |done: f64, stage: &str| progress.report(done, stage);
+    let mut candidates = candidates(study, asked, unnamed, &report)?;
+    progress.report(0.8, "laws in the data")?;
+    let around = candidates.around.whitener.clone();
+    let renewed = study.under(&around, candidates.around.nuisances.clone());
+    let profiled = explored(&renewed, &mut candidates);
+    let alone = laws(&renewed, &candidates.base);
+    let leading = candidates.leading.map(|k| &candidates.fits[k]);
+    let beside = leading.filter(|_| alone.is_some()).and_then(|fit| laws(&renewed, fit));
+    progress.report(0.85, "held-out conditions")?;
+    Ok(judged(study, &renewed, asked, unnamed, candidates, [alone, beside], profiled))
+}
+
+/// Compares all models and rules on them. Where the plain model, with nuisances, leaves no more than noise may, mechanisms
+/// of the sensor are no explanations beside it, because it contains them; then all are compared without them. A law that sand cannot follow, once it is fitted with everything else, is taken
+/// out of the dictionary, and all are compared again.
+fn judged(
+    study: &Study,
+    renewed: &Study,
+    asked: &Asked,
+    unnamed: &[usize],
+    mut candidates: Candidates,
+    mut dictionary: [Option<Laws>; 2],
+    profiled: Option<Vec<[f64; 2]>>,
+) -> Selection {
+    let all: Vec<usize> = (0..study.observations.conditions.len()).collect();
+    let marginalised = |id: &usize| unnamed.contains(id) && !asked.untestable.contains(id);
+    loop {
+        let models = models(&candidates, dictionary.each_ref().map(Option::as_ref));
+        let table = Table::new(renewed, renewed.whitener, &models, &all);
+        let entries = entries(renewed, &table, &models, unnamed, asked.untestable);
+        let ruling = verdict(&entries, SECOND);
+        let measured = |&k: &usize| models[k].fit.ids.iter().any(marginalised);
+        if entries[0].misfit <= 0.0 && !ruling.set.is_empty() && ruling.set.iter().all(measured) {
+            candidates.without(&marginalised);
+            dictionary[1] = dictionary[1].take().filter(|_| candidates.leading.is_some());
+            continue;
+        }
+        // The model is fitted once more, with the scale of its errors as the weight of the data against the priors.
+        let (model, scale) = (&models[ruling.model], table.rows[ruling.model].scale);
+        let whitener = renewed.whitener.widened(scale);
+        let last = study.under(&whitener, renewed.nuisances.clone());
+        let fit = if scale > 1.0 { last.fit_from(&[model.fit]).swap_remove(0) } else { model.fit.clone() };
+        let term = law_of(&table, &models, ruling.model);
+        let law = term.as_ref().and_then(|term| fitted(&last, &fit, term.clone()));
+        if let (Some(place), None) = (table.rows[ruling.model].law.filter(|_| term.is_some()), &law) {
+            let own = usize::from(entries[ruling.model].causes > 0);
+            for laws in dictionary[own].iter_mut() {
+                laws.terms.remove(place);
+                laws.columns.remove(place);
+            }
+            continue;
+        }
+        let nested = nested(renewed, asked, &candidates, (&models, unnamed), &ruling);
+        let formulas = (0..models.len()).map(|k| law_of(&table, &models, k).map(|t| t.formula())).collect();
+        let of = |m: &Model| candidates.fits.iter().position(|f| std::ptr::eq(f, m.fit));
+        let places: Vec<Option<usize>> = models.iter().map(of).collect();
+        let best = ruling.set.first().or((ruling.model > 0).then_some(&ruling.model)).copied();
+        let standing = law.as_ref().map_or(fit, |law| law.fit.clone());
+        let profiled = profiled.filter(|_| best.is_some_and(|k| places[k] == candidates.leading));
+        let intervals = best.map_or(Intervals::default(), |k| intervals(&standing, &table, k, profiled));
+        let plain = study.plain();
+        let plain = Errors::of(study.observations, |k| plain.prediction[k], &all);
+        return Selection {
+            candidates,
+            places,
+            table,
+            entries,
+            ruling,
+            standing,
+            whitener,
+            law,
+            formulas,
+            intervals,
+            nested,
+            plain,
+        };
+    }
+}
+
+/// The models of the table: the plain one, all fits, a law alone, and a law beside the leading cause.
+fn models<'a>(candidates: &'a Candidates, [alone, beside]: [Option<&'a Laws>; 2]) -> Vec<Model<'a>> {
+    let fits = [&candidates.base].into_iter().chain(&candidates.fits);
+    let mut models: Vec<Model> = fits.map(|fit| Model { fit, laws: None }).collect();
+    models.extend(alone.map(|laws| Model { fit: &candidates.base, laws: Some(laws) }));
+    let leading = candidates.leading.map(|k| &candidates.fits[k]);
+    models.extend(leading.zip(beside).map(|(fit, laws)| Model { fit, laws: Some(laws) }));
+    models
+}
+
+/// The law that entry `k` chose with no condition left out, with the coefficient of the linear fit.
+fn law_of(table: &Table, models: &[Model], k: usize) -> Option<Term> {
+    let row = &table.rows[k];
+    let coefficient = *row.step.last()?;
+    models[k].laws.zip(row.law).map(|(laws, l)| Term { coefficient, ..laws.terms[l].clone() })
+}
+
+/// The entries of a table, for the verdict.
+fn entries(study: &Study, table: &Table, models: &[Model], unnamed: &[usize], untestable: &[usize]) -> Vec<Entry> {
+    let unlikely = |(&id, value): (&usize, f64)| {
+        stated(&study.nuisances, CATALOG[id].id).is_some_and(|sd| value.abs() > MOST_DEVIATION * sd)
+    };
+    let of = |k: usize| {
+        let ids = &models[k].fit.ids;
+        let scaled = ids.iter().any(|&id| CATALOG[id].id == "scale");
+        let hidden = |j: &usize| match models[*j].fit.ids[..] {
+            [other] => scaled && untestable.contains(&other) && FACTORS.contains(&CATALOG[other].id),
+            _ => false,
+        };
+        let inside = |j: &usize| models[*j].laws.is_none() && *j != k && models[*j].fit.ids == *ids;
+        Entry {
+            causes: ids.len(),
+            law: models[k].laws.is_some_and(|_| table.rows[k].law.is_some()),
+            unnamed: ids.iter().any(|id| unnamed.contains(id)),
+            unlikely: ids.iter().zip(models[k].fit.values()).any(unlikely),
+            within: (0..models.len()).filter(inside).collect(),
+            alike: (0..models.len()).filter(hidden).collect(),
+            elpd: table.elpd(k),
+            misfit: table.misfit(k),
+            beats: (0..models.len()).map(|j| table.beats(k, j)).collect(),
+            ahead: table.ahead(k),
+            error: table.rows[k].held_out.rmse(),
+        }
+    };
+    (0..models.len()).map(of).collect()
+}
+
+/// For models whose slopes are not reliable: moves the leading fit to the lowest state about it. Returns the intervals
+/// of its values.
+fn explored(study: &Study, candidates: &mut Candidates) -> Option<Vec<[f64; 2]>> {
+    let leading = candidates.leading.filter(|_| study.model.roughness().is_some())?;
+    let free = study.observations.repetitions().iter().map(|g| g.len() as f64 - 1.0).sum::<f64>();
+    let (lowest, intervals) = profile::explore(study, &candidates.fits[leading], student::square_at_95(free.max(2.0)));
+    if lowest.objective < candidates.fits[leading].objective {
+        candidates.fits[leading] = lowest;
+    }
+    Some(intervals)
+}
+
+/// 95 % intervals, widened because the noise is only estimated. If misfit remains, the interval is at least as wide as
+/// the scatter of the values with one condition left out says (jackknife, Efron 1982).
+fn intervals(fit: &Fit, table: &Table, entry: usize, profiled: Option<Vec<[f64; 2]>>) -> Intervals {
+    let (count, covariance) = (fit.ids.len(), fit.covariance());
+    let lacking = table.lack(entry) > table.limit;
+    let row = &table.rows[entry];
+    let n = row.steps.len() as f64;
+    let jackknife = |k: usize| {
+        let mean = row.steps.iter().map(|s| s[k]).sum::<f64>() / n;
+        let square = row.steps.iter().map(|s| (s[k] - mean).powi(2)).sum::<f64>() * (n - 1.0) / n;
+        student::two_sided_95((n - 1.0).max(2.0)) * square.sqrt()
+    };
+    let range = |k: usize| {
+        let at = fit.coordinates()[k];
+        let own = (student::square_at_95(table.degrees.max(2.0)) * covariance[(k, k)]).sqrt();
+        let reach = if lacking { own.max(jackknife(k)) } else { own };
+        let profiled = profiled.as_ref().and_then(|p| p.get(k)).filter(|i| i.iter().all(|u| u.is_finite()));
+        let [low, high] = profiled.copied().unwrap_or([at - reach, at + reach]);
+        let bounds = CATALOG[fit.ids[k]].coordinate_bounds();
+        [low.clamp(bounds[0], bounds[1]), high.clamp(bounds[0], bounds[1])]
+    };
+    let of = |i: usize, j: usize| covariance[(i, j)] / (covariance[(i, i)] * covariance[(j, j)]).sqrt();
+    let correlations = (0..count).map(|i| (0..count).map(|j| of(i, j)).collect());
+    Intervals {
+        ranges: (0..count).map(range).collect(),
+        correlations: if count < 2 { Vec::new() } else { correlations.collect() },
+    }
+}
+
+/// Held-out errors of the fitted plain model and of what is written: in each fold the noise is learnt, the data are
+/// whitened, and the model to write is chosen without the held-out conditions. Values change by one Gauss-Newton step
+/// from the full fits, which is exact for a linear model.
+fn nested(
+    study: &Study,
+    asked: &Asked,
+    candidates: &Candidates,
+    (models, unnamed): (&[Model], &[usize]),
+    ruling: &Ruling,
+) -> [Errors; 2] {
+    let conditions = study.observations.conditions.len();
+    let folds = folds(conditions);
+    let made = parallel::map(&folds, |held| {
+        let source = Source { left_out: held, sizes: &candidates.around.sizes, ..*asked.source };
+        let noise = source.noise(Some(&candidates.around.noise), &|| study.model.stopped());
+        let whitener = Whitener::new(&source, &noise);
+        let rest: Vec<usize> = (0..conditions).filter(|k| !held.contains(k)).collect();
+        let table = Table::new(study, &whitener, models, &rest);
+        let chosen = match ruling.written {
+            Written::Plain => 0,
+            _ => verdict(&entries(study, &table, models, unnamed, asked.untestable), SECOND).model,
+        };
+        [0, chosen].map(|k| held_out(study, &models[k], table.rows[k].law, &table.rows[k].step, held))
+    });
+    let mut total = [(); 2].map(|()| Errors { square: vec![0.0; conditions], count: vec![0.0; conditions] });
+    for (held, parts) in folds.iter().zip(made) {
+        for (total, part) in total.iter_mut().zip(parts) {
+            for (place, &condition) in held.iter().enumerate() {
+                (total.square[condition], total.count[condition]) = (part.square[place], part.count[place]);
             }
         }
     }
-    let around = around.unwrap_or_else(|| surroundings(&straight, source, noise, &fitted.base.fit));
-    conclude(study, asked, first, fitted, around, progress)
+    total
 }
 
-/// Judges with the final noise.
-fn conclude(
-    study: &Study,
-    asked: &Asked,
-    first: Screened,
-    fitted: Fitted,
-    around: Surroundings,
-    progress: &dyn Progress,
-) -> Result<Selection> {
-    progress.report(0.9, "intervals, form of the law, held-out conditions")?;
-    let (judged, fitted, refined) = {
-        let renewed = study.under(&around.whitener, around.nuisances.clone());
-        let fitted = match fitted.found(&first.gates) {
-            true => fitted,
-            // Nothing was found with the first noise, so the plain model is judged with its own noise.
-            false => Fitted { base: candidate(&renewed, &renewed.recalibrated(), renewed.recalibrated()), ..fitted },
-        };
-        let lack = |c: &Candidate| lack_of_fit::statistic(study.observations, &c.fit.white);
-        let lacks =
-            [lack(&fitted.base), fitted.best().filter(|_| fitted.found(&first.gates)).map_or(lack(&fitted.base), lack)];
-        let beside = match first.gates.lacking(&lacks[1]) {
-            true => beside_discrepancy(study, &around, fitted),
-            false => (fitted, None),
-        };
-        let (fitted, beside) = beside;
-        let whitener = beside.as_ref().map_or(&around.whitener, |b| &b.whitener);
-        let discrepancy = beside.as_ref().map_or(Discrepancy { size: 0.0, surprise: 0.0 }, |b| b.discrepancy);
-        let last = study.under(whitener, around.nuisances.clone());
-        let (fitted, profiled) = match fitted.found(&first.gates) {
-            true => explored(&last, fitted, &first.gates),
-            false => (fitted, Vec::new()),
-        };
-        // The remaining misfit is compared with the noise alone, without the discrepancy.
-        let best = fitted.best().filter(|_| fitted.found(&first.gates)).unwrap_or(&fitted.base);
-        let left = renewed.restated(&best.fit);
-        let lacks = [lacks[0], lack_of_fit::statistic(study.observations, &left.white)];
-        let source = Source { sizes: &around.sizes, ..*asked.source };
-        let known = Known { source: &source, noise: &around.noise, beside: beside.as_ref() };
-        let (nested, choices) = nested(&last, &fitted, &first.gates, &known);
-        let (gates, floor) = (&first.gates, asked.floor);
-        let standing = Standing { fitted: &fitted, gates, discrepancy, lacks, floor, nested, profiled };
-        let judged = judged(&last, standing);
-        let named = matches!(verdict(&judged.evidence).0, Verdict::Named | Verdict::Ambiguous);
-        let refine = || refined(&last, &fitted, gates, (&judged.nested, &choices), judged.evidence.remainder);
-        let refined = named.then(refine).flatten();
-        (judged, fitted, refined)
-    };
-    let (ruling, set) = verdict(&judged.evidence);
-    let law = match ruling {
-        Verdict::NoneOfThese => law(study, asked, &around, &fitted, &first),
-        _ => None,
-    };
-    let evidence = Evidence { described: law.is_some(), ..judged.evidence };
-    let (ruling, set) = if law.is_some() { verdict(&evidence) } else { (ruling, set) };
-    let judged = Judged { evidence, ..judged };
-    let named = matches!(ruling, Verdict::Named | Verdict::Ambiguous);
-    let set = if named { [0].into_iter().chain(set.into_iter().map(|k| k + 1)).collect() } else { Vec::new() };
-    Ok(Selection { screened: first, fitted, judged, around, verdict: ruling, described: law, refined, set })
+/// Conditions held out in each fold.
+fn folds(conditions: usize) -> Vec<Vec<usize>> {
+    let folds = FOLDS.min(conditions);
+    // Neighbouring conditions of a design are similar. A stride without a common divisor with their number distributes
+    // them over the folds.
+    let stride = (conditions / 2 + 1..conditions + 2).find(|s| gcd(*s, conditions) == 1).unwrap_or(1);
+    (0..folds).map(|f| (f..conditions).step_by(folds).map(|k| k * stride % conditions).collect()).collect()
 }
 
-/// A law found in the data that explains the main part of the misfit.
-fn law(study: &Study, asked: &Asked, around: &Surroundings, fitted: &Fitted, first: &Screened) -> Option<Described> {
-    let renewed = study.under(&around.whitener, around.nuisances.clone());
-    let base = renewed.fit_from(&[&fitted.base.fit]).swap_remove(0);
-    let source = Source { sizes: &around.sizes, ..*asked.source };
-    let known = Known { source: &source, noise: &around.noise, beside: None };
-    let law = described(&renewed, &known, &base, &first.gates)?;
-    let plain = &fitted.plain_held_out.errors;
-    (described::explained(&renewed, &base, &law, [plain, asked.floor]) >= MAIN_PART).then_some(law)
+fn gcd(a: usize, b: usize) -> usize {
+    if b == 0 { a } else { gcd(b, a % b) }
 }

@@ -1,146 +1,79 @@
-//! Tests the form of the named law: the exponent of the speed is fitted together with everything else.
+//! The form of a cause's law: which powers of the speed predict left-out conditions as well as the law's own.
 //!
-//! A wrong exponent is a small misfit that lack of fit alone may not show: over a narrow range of speeds λ v² and
-//! λ' v^1.5 are similar. So the objective is scanned over exponents. The report states which exponents are
-//! excluded, and whether the law's own is.
+//! The stress ρ v^q of the speed alone is the term of groups (v_n²/(g|z|))^(q/2) (|z|/w)^(q/2 − 1). Each power is a model
+//! of its own in a table of evidence.
 
-use super::chi_squared;
-use super::fit::Fit;
-use super::lack_of_fit;
-use super::profile::within;
+use super::evidence::Table;
+use super::left_out::{Laws, Model};
+use super::select::Selection;
 use super::study::Study;
-use crate::parallel;
+use super::words::digits;
 use crate::sand::mechanism::CATALOG;
+use crate::sand::term::On;
 use serde::Serialize;
 
-/// Exponents that are tried: our choice, from 0, as in Coulomb friction, to 4.
-const EXPONENTS: [f64; 9] = [0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0];
-/// Further exponents about the best one, at distances that bracket the interval's ends for a smooth objective.
-const FINER: [f64; 7] = [-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5];
-/// An exponent nearer than this to the law's counts as the law's: over a decade of speed the stress then differs by
-/// a quarter at most, as much as other small errors of a model. Our choice.
-const SAME: f64 = 0.1;
-/// Exponents further than this from the law's are other laws; if the interval contains one, the data do not decide.
-/// Our choice: half a power, as between the drag of grains that is cited with 2 and laws measured with 1.5.
-const OTHER: f64 = 0.5;
-/// Largest difference of the objectives of the law and of another exponent that chance causes once in a thousand; the
-/// same probability as for causes in the ambiguity set.
-const EXCLUDED: f64 = chi_squared::AT_999_PER_MILLE;
-/// Rise of the objective at the ends of the 95 % interval.
-const INTERVAL: f64 = chi_squared::AT_95_PERCENT;
-
-/// Results on the exponent of the speed in a law.
+/// The powers of the speed that predict as well as the best one.
 #[derive(Clone, Debug, Serialize, PartialEq)]
 pub struct SpeedExponent {
     pub id: String,
-    /// The law's own exponent.
+    /// The law's own power.
     pub law: f64,
-    /// The exponent that fits best.
+    /// The power that predicts best.
     pub found: f64,
-    /// 95 % interval; limited to the exponents that were tried.
+    /// Least and greatest power that the best one does not beat.
     pub ci95: [f64; 2],
-    /// Do the data exclude the law's exponent?
+    /// Is the law's own power beaten?
     pub excluded: bool,
-    /// Do the data exclude the law's exponent, or those half a power away from it?
+    /// Do the data exclude powers half a step away from the law's own?
     pub told_apart: bool,
-    /// Mean square of the smooth whitened residual with the exponent found.
-    pub lack_of_fit: f64,
-    /// Objective of the fit with the exponent found, in units of χ².
-    #[serde(skip)]
-    pub objective: f64,
 }
 
 impl SpeedExponent {
-    /// A clause for the report's sentence; empty if the data agree with the law.
+    /// A clause for the report's sentence; empty if the data agree with the law and with no other power.
     pub fn said(&self) -> String {
-        let SpeedExponent { id, law, found, ci95: [low, high], .. } = self;
-        if self.excluded {
-            format!(
-                "; the data ask for the power {found:.2} of the speed (95 % interval {low:.2} to {high:.2}) where {id} has {law}"
-            )
-        } else if !(low..=high).contains(&law) {
-            format!(
-                "; the data prefer the power {found:.2} of the speed (95 % interval {low:.2} to {high:.2}) to the {law} of {id}, \
-                 without excluding that"
-            )
-        } else if !self.told_apart {
-            format!("; of the speed in {id} these data allow every power from {low:.1} to {high:.1}, not only {law}")
-        } else {
-            String::new()
+        let Self { id, law, found, ci95: [low, high], .. } = self;
+        let [law, found, low, high] = [law, found, low, high].map(|v| digits(*v));
+        match (self.excluded, self.told_apart) {
+            (true, _) => format!("; the data prefer the power {found} of the speed where {id} has {law}"),
+            (false, false) => {
+                format!("; of the speed in {id} these data allow every power from {low} to {high}, not only {law}")
+            }
+            (false, true) => String::new(),
         }
     }
 }
 
-/// A law whose exponent can be tested.
-#[derive(Clone, Copy)]
-pub struct SpeedLaw {
-    /// Index in the catalogue.
-    id: usize,
-    /// The law's own exponent.
-    law: f64,
-}
-
-impl SpeedLaw {
-    /// The first cause of `fit` that the study's model can predict with other exponents.
-    pub fn of(study: &Study, fit: &Fit) -> Option<Self> {
-        let laws = fit.ids.iter().filter_map(|&id| Some(Self { id, law: CATALOG[id].exponent? }));
-        laws.into_iter().find(|asked| study.model.with_exponent(asked.id, asked.law).is_some())
-    }
-
-    /// Is this the only cause of `fit`?
-    pub fn alone(&self, fit: &Fit) -> bool {
-        fit.ids == [self.id]
-    }
-}
-
-/// Scans the exponent of the given law about `fit`; `inflation` is the factor on χ² differences.
-pub fn check(study: &Study, fit: &Fit, SpeedLaw { id, law }: SpeedLaw, inflation: f64) -> Option<SpeedExponent> {
-    let fitted = |exponent: f64| {
-        let model = study.model.with_exponent(id, exponent)?;
-        Some(study.with_model(&*model).fit_near(fit))
+/// Compares the powers of the speed in the best cause's law; None if it has none, or if laws cannot be tested with these
+/// data.
+pub fn form(study: &Study, selection: &Selection, laws: &Laws) -> Option<SpeedExponent> {
+    let best = selection.best().filter(|b| b.ids.len() == 1)?;
+    let (id, law) = (CATALOG[best.ids[0]].id, CATALOG[best.ids[0]].exponent?);
+    let power = |k: &usize| {
+        let term = &laws.terms[*k];
+        let at = |name: &str| term.groups.get(name).copied().unwrap_or(0.0);
+        let (speed, depth) = (at("froude"), at("depth_over_width"));
+        let alone = term.on == On::Normal && term.groups.keys().all(|g| g == "froude" || g == "depth_over_width");
+        (alone && speed > 0.0 && (depth - speed + 1.0).abs() < 1e-9).then_some(2.0 * speed)
     };
-    let at = |exponents: &[f64]| -> Option<Vec<(f64, f64)>> {
-        let place = |&exponent: &f64| Some((exponent, fitted(exponent)?.objective));
-        parallel::map(exponents, place).into_iter().collect()
-    };
-    let mut scan = at(&EXPONENTS)?;
-    let (found, curvature) = minimum(&scan);
-    let reach = (INTERVAL * inflation / curvature.max(1e-9)).sqrt().min(OTHER);
-    let (low, high) = (EXPONENTS[0], EXPONENTS[EXPONENTS.len() - 1]);
-    let finer = FINER.map(|step| (found + step * reach).clamp(low, high));
-    scan.extend(at(&[&finer[..], &[law - SAME, law + SAME]].concat())?);
-    scan.sort_by(|a, b| a.0.total_cmp(&b.0));
-    scan.dedup_by(|a, b| a.0 - b.0 < 1e-6);
-    let (found, _) = minimum(&scan);
-    let best = fitted(found)?;
-    scan.push((found, best.objective));
-    scan.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let objective = scan.iter().map(|s| s.1).fold(f64::MAX, f64::min);
-    let near = scan.iter().filter(|s| (s.0 - law).abs() <= SAME + 1e-9).map(|s| s.1).fold(f64::MAX, f64::min);
-    let ci95 = within(&scan, objective, INTERVAL * inflation);
-    let excluded = near - objective > EXCLUDED * inflation;
+    let each: Vec<(f64, Laws)> = (0..laws.terms.len())
+        .filter_map(|k| {
+            power(&k).map(|q| (q, Laws { terms: vec![laws.terms[k].clone()], columns: vec![laws.columns[k].clone()] }))
+        })
+        .collect();
+    let models: Vec<Model> =
+        each.iter().map(|(_, laws)| Model { fit: &selection.candidates.base, laws: Some(laws) }).collect();
+    let all: Vec<usize> = (0..study.observations.conditions.len()).collect();
+    let table = Table::new(study, study.whitener, &models, &all);
+    let top = (0..models.len()).max_by(|a, b| table.elpd(*a).total_cmp(&table.elpd(*b)))?;
+    let stay: Vec<f64> = (0..models.len()).filter(|&k| !table.beats(top, k)).map(|k| each[k].0).collect();
+    let ci95 = [stay.iter().copied().fold(f64::MAX, f64::min), stay.iter().copied().fold(f64::MIN, f64::max)];
+    let excluded = !(ci95[0]..=ci95[1]).contains(&law);
     Some(SpeedExponent {
-        id: CATALOG[id].id.into(),
+        id: id.into(),
         law,
-        found,
+        found: each[top].0,
         ci95,
         excluded,
-        told_apart: excluded || (ci95[0] > law - OTHER && ci95[1] < law + OTHER),
-        lack_of_fit: lack_of_fit::statistic(study.observations, &best.white).mean,
-        objective,
+        told_apart: ci95[0] > law - 0.75 && ci95[1] < law + 0.75,
     })
-}
-
-/// Minimum of the parabola through the least value of the scan and its neighbours, and half its second derivative.
-fn minimum(scan: &[(f64, f64)]) -> (f64, f64) {
-    let best = (0..scan.len()).min_by(|a, b| scan[*a].1.total_cmp(&scan[*b].1)).unwrap_or(0);
-    let k = best.clamp(1, scan.len() - 2);
-    let ((x0, y0), (x1, y1), (x2, y2)) = (scan[k - 1], scan[k], scan[k + 1]);
-    let (left, right) = ((y1 - y0) / (x1 - x0), (y2 - y1) / (x2 - x1));
-    let curvature = (right - left) / (x2 - x0);
-    if curvature <= 0.0 {
-        return (scan[best].0, 0.0);
-    }
-    // Newton's form: y0 + left (x − x0) + curvature (x − x0)(x − x1)
-    ((0.5 * (x0 + x1) - 0.5 * left / curvature).clamp(x0, x2), curvature)
 }

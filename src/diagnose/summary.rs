@@ -1,138 +1,110 @@
-//! A diagnosis in one sentence.
+//! A diagnosis in one sentence, made from the report's own table.
 
-use super::described::Described;
-use super::fit::{COEFFICIENTS, Fit};
-use super::report::Cause;
-use super::select::Selection;
-use super::speed_exponent::SpeedExponent;
-use super::study::Study;
-use super::verdict::Verdict;
+use super::report::{EvidenceRow, Report};
+use super::verdict::{Verdict, Written};
 use super::words::{after, digits};
-use crate::sand::mechanism::CATALOG;
 
-/// Ids of a fit's causes.
-pub fn names(fit: &Fit) -> Vec<String> {
-    fit.ids.iter().map(|&id| CATALOG[id].id.to_string()).collect()
+/// The verdict in one sentence; `unit` is that of the errors.
+pub fn summary(r: &Report) -> String {
+    let verdict = match r.verdict {
+        Verdict::InsufficientData => {
+            let why = r.warnings.last().map_or("no condition is repeated", String::as_str);
+            return format!("{why}: without a noise floor there is no verdict");
+        }
+        Verdict::NoiseFloor => {
+            "no significant misfit: no cause or law predicts left-out conditions better than the plain model, whose error is \
+             within the scatter of the repetitions"
+                .into()
+        }
+        Verdict::Named => format!("the misfit is explained by {}{}{}", found(r), lowers(r), next_best(r)),
+        Verdict::Ambiguous => ambiguous(r),
+        Verdict::Described => format!("no known cause explains the misfit; a law found in the data does: {}{}", law(r), lowers(r)),
+        Verdict::NoneOfThese => none(r),
+    };
+    let named = matches!(r.verdict, Verdict::Named | Verdict::Ambiguous);
+    let rest = r.remainder.as_ref().filter(|rest| named && rest.significant);
+    let rest = rest
+        .map_or(String::new(), |rest| format!("; misfit beyond noise remains ({:.0} % of it)", 100.0 * rest.fraction));
+    let beside = if named && !r.terms.is_empty() {
+        format!("; a law found in the data describes a part of the rest: {}", law(r))
+    } else {
+        String::new()
+    };
+    let form = r.form.as_ref().map_or(String::new(), |form| form.said());
+    let place = r.whereabouts.as_ref().map_or(String::new(), |place| format!("; {place}"));
+    verdict + &rest + &beside + &form + &place
 }
 
-/// The verdict in one sentence, and the ranges with the largest errors of the plain model.
-pub fn summary(study: &Study, selection: Option<&Selection>, causes: &[Cause], whereabouts: Option<&str>) -> String {
-    let Some(selection) = selection else {
-        let why = match study.observations.has_replicates() {
-            true => "repetitions are copies of each other, so their scatter is no noise floor",
-            false => "no condition is repeated",
-        };
-        return format!("{why}: without a noise floor there is no verdict");
-    };
-    let said = |c: &Cause| {
+/// The causes with their values.
+fn found(r: &Report) -> String {
+    let said = |c: &super::report::Cause| {
         let [value, low, high] = [c.value, c.ci95[0], c.ci95[1]].map(digits);
         format!("{} = {value}{} (95 % interval {low} to {high})", c.id, after(&c.unit))
     };
-    let found = causes.iter().map(said).collect::<Vec<_>>().join(" with ");
-    let verdict = match selection.verdict {
-        Verdict::NoiseFloor => {
-            "no significant misfit: the plain model's error is within the scatter of the repetitions".into()
-        }
-        Verdict::Named => format!("the misfit is explained by {found}{}", nearest_rival(selection)),
-        Verdict::Ambiguous => {
-            let rivals: Vec<_> =
-                selection.set.iter().skip(1).map(|&k| names(&selection.fitted.candidates[k].fit).join(" + ")).collect();
-            format!(
-                "the misfit is explained by {found}, or by {}: these data cannot distinguish them",
-                rivals.join(", or by ")
-            )
-        }
-        Verdict::NoneOfThese => not_enough(study, selection),
-        Verdict::Described => {
-            let law = |law: &Described| {
-                let [low, high] = law.ci95.map(digits);
-                format!(
-                    "no known cause explains the misfit; a law found in the data does: extra stress {} (95 % interval of the coefficient \
-                         {low} to {high})",
-                    law.term.formula()
-                )
-            };
-            selection.law().map_or(String::new(), law)
-        }
-        Verdict::InsufficientData => String::new(),
-    };
-    let evidence = &selection.judged.evidence;
-    let named = matches!(selection.verdict, Verdict::Named | Verdict::Ambiguous) && evidence.remainder;
-    let verdict = match named {
-        true => format!("{verdict}, but {:.0} % of the misfit remains", 100.0 * (1.0 - evidence.explained)),
-        false => verdict,
-    };
-    let beside = selection.refined.as_ref().and_then(|r| r.law.as_ref());
-    let verdict = verdict
-        + &beside.map_or(String::new(), |law| {
-            format!("; a law found in the data describes a part of the rest: extra stress {}", law.term.formula())
-        });
-    // If other misfit remains, the exponent is fitted to that misfit too, so it is not stated.
-    let form = selection.judged.form.as_ref().filter(|form| form.lack_of_fit <= selection.screened.gates.lack_of_fit);
-    let verdict = verdict + &form.map_or(String::new(), SpeedExponent::said);
-    whereabouts.map_or(verdict.clone(), |place| format!("{verdict}; {place}"))
+    r.causes.iter().map(said).collect::<Vec<_>>().join(" with ")
 }
 
-/// A clause on the proxy that stands for an unknown cause: the gain of its predictions on held-out conditions.
-fn stand_in(study: &Study, selection: &Selection) -> String {
-    let Some(best) = selection.fitted.best() else { return String::new() };
-    let (plain, chosen) = (selection.plain_errors(), &selection.judged.nested[1].errors);
-    let unit = after(study.observations.channels.iter().find(|c| c.in_rmse).map_or("", |c| c.unit));
-    let (before, now) = (plain.rmse(), chosen.rmse());
-    let [low, high] = plain.reduction_interval(chosen).map(|share| format!("{:.0}", 100.0 * share));
-    let name = names(&best.fit).join(" with ");
-    let gain = format!(
-        "from {} to {}{unit} on held-out conditions ({:.0} %, 95 % interval {low} to {high} %)",
-        digits(before),
-        digits(now),
-        100.0 * (1.0 - now / before)
-    );
-    match selection.extension() {
-        None if now >= before => "; none of them predicts held-out conditions better than the plain model".into(),
-        Some(_) => format!("; as a stand-in and not as the cause, {name} lowers the error {gain}"),
-        None => {
-            format!(
-                "; no cause reduces the error with certainty: the best one, {name}, changes the error {gain}, so the sand stays plain"
-            )
+fn law(r: &Report) -> String {
+    let said = |t: &super::report::TermFound| {
+        let [low, high] = t.ci95.map(digits);
+        format!("extra stress {} (95 % interval of the coefficient {low} to {high})", t.formula)
+    };
+    r.terms.iter().map(said).collect::<Vec<_>>().join(" and ")
+}
+
+/// The gain of what is written.
+fn lowers(r: &Report) -> String {
+    let (Some(share), Some([low, high])) = (r.gain.reduction, r.gain.ci95) else { return String::new() };
+    let verb = if share >= 0.0 { "lowers" } else { "raises" };
+    let [share, low, high] = [share.abs(), low, high].map(|v| format!("{:.0}", 100.0 * v));
+    let interval = if verb == "lowers" { format!(" (95 % interval {low} to {high} %)") } else { String::new() };
+    format!("; on held-out conditions it {verb} the error by {share} %{interval}")
+}
+
+fn ambiguous(r: &Report) -> String {
+    let others: Vec<String> = r.ambiguity_set.iter().skip(1).map(|ids| ids.join(" + ")).collect();
+    let untestable = |id: &str| r.untestable.iter().find(|u| u.id == id);
+    let cannot: Vec<String> = r
+        .ambiguity_set
+        .iter()
+        .flatten()
+        .filter_map(|id| untestable(id))
+        .map(|u| format!("{} cannot be tested: {}", u.id, u.why))
+        .collect();
+    let cannot = if cannot.is_empty() { String::new() } else { format!(" ({})", cannot.join("; ")) };
+    format!(
+        "the misfit is explained by {}, or by {}: these data cannot distinguish them{cannot}{}",
+        found(r),
+        others.join(", or by "),
+        lowers(r)
+    )
+}
+
+fn none(r: &Report) -> String {
+    let names = |c: &EvidenceRow| c.ids.join(" with ");
+    match r.written {
+        Written::Plain => {
+            "misfit remains, and no cause or law predicts left-out conditions better than the plain model, so the sand stays plain".into()
+        }
+        Written::Description => format!("no known cause explains the main part of the misfit; the best description, {}, does not either{}", law(r), lowers(r)),
+        _ => {
+            let own = r.evidence.iter().find(|c| c.written).map_or(String::new(), names);
+            let law = if r.terms.is_empty() { String::new() } else { format!(" with {}", law(r)) };
+            format!("no known cause explains the main part of the misfit; as a stand-in and not as the cause, {own}{law} is written{}", lowers(r))
         }
     }
 }
 
-fn not_enough(study: &Study, selection: &Selection) -> String {
-    let limit = selection.screened.gates.lack_of_fit;
-    let excluded = selection.judged.form.as_ref().filter(|form| form.excluded);
-    match selection.fitted.best() {
-        Some(best) if excluded.is_some_and(|form| selection.judged.lacks[1].mean.min(form.lack_of_fit) <= limit) => {
-            let name = names(&best.fit).join(" with ");
-            format!("none of the known causes has the right form: {name} comes nearest") + &stand_in(study, selection)
-        }
-        Some(best) if best.delta_chi2 > selection.screened.gates.single => {
-            format!(
-                "none of the known causes is enough: the nearest, {}, leaves a lack of fit of {}; with noise alone it is at most {}",
-                names(&best.fit).join(" with "),
-                digits(selection.judged.lacks[1].mean),
-                digits(selection.screened.gates.lack_of_fit)
-            ) + &stand_in(study, selection)
-        }
-        _ => "misfit remains and none of the known causes explains any of it".into(),
-    }
-}
-
-/// A warning if the fit needs coefficients beyond three of their declared standard deviations: our choice.
-pub fn far_coefficients(fit: &Fit) -> Option<String> {
-    let furthest = fit.deviations[..COEFFICIENTS].iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs()))?;
-    (furthest.abs() > 3.0).then(|| {
-        format!(
-            "the fit moves a stress coefficient by {furthest:+.1} of its declared standard deviations: the medium's table or \
-             coefficient_sd does not fit this sand"
-        )
-    })
-}
-
-/// The nearest rival of the one named cause, and its distance.
-fn nearest_rival(selection: &Selection) -> String {
-    let nearest = selection.rivals().min_by(|a, b| a.1.total_cmp(&b.1));
-    nearest.map_or(String::new(), |(rival, away)| {
-        format!("; the nearest rival, {}, is {} σ away", names(&rival.fit).join(" + "), digits(away))
-    })
+/// The best explanation other than the one named, and how much worse it predicts.
+fn next_best(r: &Report) -> String {
+    let Some([own, ..]) = r.ambiguity_set.first_chunk::<1>() else { return String::new() };
+    let rival = |c: &&EvidenceRow| c.ids.len() == own.len() && c.ids != *own && c.terms.is_empty();
+    let Some(next) = r.evidence.iter().filter(rival).max_by(|a, b| a.elpd.total_cmp(&b.elpd)) else {
+        return String::new();
+    };
+    format!(
+        "; the next best, {}, predicts them worse by {} standard errors",
+        next.ids.join(" + "),
+        digits(-next.difference / next.standard_error.max(1e-9))
+    )
 }

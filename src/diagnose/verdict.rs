@@ -1,4 +1,4 @@
-//! The verdict as a pure function of the evidence.
+//! The verdict: one pure function of the table of evidence.
 
 use serde::Serialize;
 
@@ -6,13 +6,13 @@ use serde::Serialize;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
-    /// The plain model's errors are within the data's own scatter.
+    /// No model predicts left-out conditions better than the plain one, whose errors are within the data's own scatter.
     NoiseFloor,
-    /// One cause, or one pair, explains the main part of the misfit, and every rival is far away.
+    /// One cause, or one pair, explains the main part of the misfit, and no other explanation predicts as well.
     Named,
     /// Several causes that these data cannot distinguish.
     Ambiguous,
-    /// No mechanism explains the main part of the misfit; a law found in the data does.
+    /// A law found in the data explains the main part of the misfit, and predicts better than every cause.
     Described,
     /// Neither a mechanism nor a law explains the main part of the misfit.
     NoneOfThese,
@@ -20,125 +20,230 @@ pub enum Verdict {
     InsufficientData,
 }
 
-/// Probability that a true cause is excluded from the ambiguity set by chance, over all its rivals together.
-const REJECTION: f64 = 1e-3;
-/// Two explanations nearer to each other than this [σ] are not distinguished, whatever their χ². Our choice: noise that
-/// is learnt from a few repetitions does not have reliable tails so far out.
-const APART: f64 = 5.0;
-/// Share of the misfit beyond noise that a cause must explain to be named although misfit remains. Our choice: on our
-/// test bed with a wall, which is not a mechanism of the catalogue, the nearest pair of causes explains seven tenths.
-pub const MAIN_PART: f64 = 0.8;
-
-/// An explanation other than the best one.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Rival {
-    /// Its χ² minus that of the best.
-    pub behind: f64,
-    /// Whitened distance² [σ²] to the best.
-    pub squared: f64,
-    /// Does the cause explain more than its gate?
-    pub explains: bool,
+/// What `sand.toml` holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Written {
+    /// A named cause, or the best of an ambiguity set.
+    Cause,
+    /// A law found in the data.
+    Description,
+    /// Mechanisms that predict left-out conditions better, but that are not held for the cause.
+    Proxy,
+    /// The plain model.
+    Plain,
 }
 
-/// The evidence: all inputs of the verdict.
+/// Share of the misfit that a cause or law must explain to be named: more than half of the variance of the plain model's
+/// errors beyond noise.
+pub const MAIN_PART: f64 = 0.5;
+
+/// One model of the table.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Evidence {
-    /// Does the best cause gain more than its gate?
-    pub found: bool,
-    /// Is there misfit beyond noise without any cause?
-    pub misfit: bool,
-    /// Is there misfit beyond noise that the best cause does not explain?
-    pub remainder: bool,
-    /// Is that misfit only slightly larger than the limit?
-    pub slight: bool,
-    /// Share of the misfit beyond noise that the best explains.
-    pub explained: f64,
-    /// Do the data exclude the form of the best's law?
-    pub form_excluded: bool,
-    /// Was a law found in the data?
-    pub described: bool,
-    /// Factor on χ² differences because the noise is estimated.
-    pub inflation: f64,
-    pub rivals: Vec<Rival>,
+pub struct Entry {
+    /// Number of its causes.
+    pub causes: usize,
+    /// Does it contain a law found in the data?
+    pub law: bool,
+    /// May it not be named, because these data cannot test one of its causes, or because it is an effect of measuring?
+    pub unnamed: bool,
+    /// Does it need an effect of measuring far beyond what is stated of it?
+    pub unlikely: bool,
+    /// Is every one of its causes in entry `k`, too?
+    pub within: Vec<usize>,
+    /// Entries that these data cannot test, and that could look the same if more were known.
+    pub alike: Vec<usize>,
+    pub elpd: f64,
+    /// Variance of its errors beyond that of the noise, in units of it; 0 if noise alone may leave as much.
+    pub misfit: f64,
+    /// Does it predict better than entry `k`, beyond twice the standard error?
+    pub beats: Vec<bool>,
+    /// Does it predict better than the plain model, beyond the standard error?
+    pub ahead: bool,
+    /// Error of the sand alone, without nuisances, on left-out conditions.
+    pub error: f64,
 }
 
-/// The verdict, and the rivals that the data cannot distinguish from the best.
-pub fn verdict(e: &Evidence) -> (Verdict, Vec<usize>) {
-    let otherwise = if e.described { Verdict::Described } else { Verdict::NoneOfThese };
-    if !e.found {
-        return (if e.misfit { otherwise } else { Verdict::NoiseFloor }, Vec::new());
+/// The verdict on a table.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Ruling {
+    pub verdict: Verdict,
+    pub written: Written,
+    /// The model that is written; 0 is the plain one.
+    pub model: usize,
+    /// The explanations that the data cannot distinguish, the best first; empty if none is named.
+    pub set: Vec<usize>,
+}
+
+impl Entry {
+    /// Share of the misfit that it explains, beside the `plain` entry.
+    pub fn explains(&self, plain: &Entry) -> f64 {
+        if self.misfit <= 0.0 { 1.0 } else { 1.0 - self.misfit / plain.misfit.max(1e-9) }
     }
-    let main = !e.remainder || e.slight || e.explained >= MAIN_PART;
-    if e.form_excluded || !main {
-        return (otherwise, Vec::new());
-    }
-    let limit = normal_quantile(1.0 - REJECTION / e.rivals.len().max(1) as f64) * e.inflation.sqrt();
-    let stays = |r: &Rival| {
-        // If the rival were true, χ²_rival − χ²_best would be −d² ± 2d, d the whitened distance between the two.
-        let stands = r.behind + r.squared <= limit * 2.0 * r.squared.sqrt() || r.squared < APART * APART;
-        stands && r.explains
+}
+
+/// The verdict; the first entry of the table is the plain model. `second` is the share of a pair's evidence that its
+/// second cause must add.
+pub fn verdict(table: &[Entry], second: f64) -> Ruling {
+    let plain = &table[0];
+    let better = |k: &usize| table[*k].beats[0];
+    // If one of a kind predicts better than the plain model, the best of its kind stands for it.
+    let best_of = |keep: &dyn Fn(&Entry) -> bool| {
+        let own: Vec<usize> = (1..table.len()).filter(|k| keep(&table[*k])).collect();
+        let best = own.iter().copied().max_by(|a, b| table[*a].elpd.total_cmp(&table[*b].elpd));
+        best.filter(|_| own.iter().any(better))
     };
-    let set: Vec<usize> = (0..e.rivals.len()).filter(|&k| stays(&e.rivals[k])).collect();
-    (if set.is_empty() { Verdict::Named } else { Verdict::Ambiguous }, set)
+    let single = best_of(&|e| e.causes == 1 && !e.law);
+    let earns = |pair: &usize, single: usize| {
+        let [gain, more] = [single, *pair].map(|k| table[k].elpd - plain.elpd);
+        table[*pair].beats[single] && more - gain > second * more
+    };
+    let pair = best_of(&|e| e.causes == 2 && !e.law).filter(|p| single.is_none_or(|s| earns(p, s)));
+    let law = best_of(&|e| e.law && e.causes == 0);
+    let Some(best) = best_of(&|_| true) else {
+        return without_cause(table);
+    };
+    let main = |k: &usize| table[*k].explains(plain) > MAIN_PART;
+    let cause = pair.or(single).filter(main).filter(|&c| law.is_none_or(|l| !table[l].beats[c]));
+    if let Some(cause) = cause {
+        return named(table, cause);
+    }
+    let law = law.filter(main).filter(|&l| pair.or(single).is_none_or(|c| table[l].elpd >= table[c].elpd));
+    if let Some(model) = law {
+        return Ruling { verdict: Verdict::Described, written: Written::Description, model, set: Vec::new() };
+    }
+    stand_in(table, best, &|k| table[k].beats[0])
 }
 
-/// Quantile of the standard normal distribution, upper tail (Abramowitz & Stegun 26.2.23, |error| < 4.5e-4).
-fn normal_quantile(share: f64) -> f64 {
-    let t = (-2.0 * (1.0 - share).ln()).sqrt();
-    let top = 2.515517 + t * (0.802853 + t * 0.010328);
-    t - top / (1.0 + t * (1.432788 + t * (0.189269 + t * 0.001308)))
+/// The verdict if no model predicts better beyond twice the standard error. Where the plain model leaves more than noise
+/// may, there is a misfit in any case, and the best stand-in needs less evidence than a cause: one standard error.
+fn without_cause(table: &[Entry]) -> Ruling {
+    if table[0].misfit <= 0.0 {
+        return Ruling { verdict: Verdict::NoiseFloor, written: Written::Plain, model: 0, set: Vec::new() };
+    }
+    let ahead = (1..table.len()).filter(|&k| table[k].ahead);
+    match ahead.max_by(|a, b| table[*a].elpd.total_cmp(&table[*b].elpd)) {
+        Some(best) => stand_in(table, best, &|k| table[k].ahead),
+        None => Ruling { verdict: Verdict::NoneOfThese, written: Written::Plain, model: 0, set: Vec::new() },
+    }
+}
+
+/// Models that are `better` than the plain one, and not held for the cause. A stand-in is written for its use: of those
+/// that the best one does not beat it is the one whose sand alone errs least.
+fn stand_in(table: &[Entry], best: usize, better: &dyn Fn(usize) -> bool) -> Ruling {
+    let as_good = (1..table.len()).filter(|&k| better(k) && !table[best].beats[k]);
+    let model = as_good.min_by(|a, b| table[*a].error.total_cmp(&table[*b].error)).unwrap_or(best);
+    let written = if table[model].causes > 0 { Written::Proxy } else { Written::Description };
+    Ruling { verdict: Verdict::NoneOfThese, written, model, set: Vec::new() }
+}
+
+/// The verdict if `cause` explains the main part.
+fn named(table: &[Entry], cause: usize) -> Ruling {
+    let of_size = |k: &usize| table[*k].causes == table[cause].causes && !table[*k].law;
+    // A rival explains at least half as much, and is not beaten. An effect of measuring is none if it would have to be
+    // far larger than what is stated of it.
+    let gain = |k: usize| table[k].elpd - table[0].elpd;
+    let near = |k: &usize| !table[cause].beats[*k] && gain(*k) > MAIN_PART * gain(cause) && !table[*k].unlikely;
+    let rival = |k: &usize| of_size(k) && *k != cause && near(k);
+    let mut set: Vec<usize> = (1..table.len()).filter(rival).collect();
+    set.sort_by(|a, b| table[*b].elpd.total_cmp(&table[*a].elpd));
+    set.insert(0, cause);
+    set.extend(table[cause].alike.iter().filter(|k| !set.contains(k)).copied().collect::<Vec<_>>());
+    // An effect that may not be named stands beside the best one that may.
+    if set.iter().all(|&k| table[k].unnamed) {
+        let others = (1..table.len()).filter(|k| of_size(k) && !table[*k].unnamed);
+        set.extend(others.max_by(|a, b| table[*a].elpd.total_cmp(&table[*b].elpd)));
+    }
+    let first = set.iter().position(|&k| !table[k].unnamed).filter(|&k| k > 0 && !table[cause].beats[set[k]]);
+    if let Some(place) = first {
+        let own = set.remove(place);
+        set.insert(0, own);
+    }
+    let alone = set.len() == 1 && !table[cause].unnamed;
+    let verdict = if alone { Verdict::Named } else { Verdict::Ambiguous };
+    // A law beside the best one is written with it if it predicts better, and if there is a misfit for it to explain.
+    let beside = |k: &usize| {
+        table[*k].law && table[set[0]].misfit > 0.0 && table[*k].within.contains(&set[0]) && table[*k].beats[set[0]]
+    };
+    let model = (1..table.len()).find(beside).unwrap_or(set[0]);
+    Ruling { verdict, written: Written::Cause, model, set }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn evidence() -> Evidence {
-        let far = Rival { behind: 900.0, squared: 900.0, explains: true };
-        Evidence {
-            found: true,
-            misfit: true,
-            remainder: false,
-            slight: false,
-            explained: 1.0,
-            form_excluded: false,
-            described: false,
-            inflation: 1.0,
-            rivals: vec![far],
-        }
-    }
-
-    #[test]
-    fn a_remainder_hides_no_name() {
-        let named = (Verdict::Named, Vec::new());
-        assert_eq!(verdict(&evidence()), named);
-        assert_eq!(verdict(&Evidence { remainder: true, explained: 0.9, ..evidence() }), named);
-        assert_eq!(verdict(&Evidence { remainder: true, explained: 0.0, slight: true, ..evidence() }), named);
-    }
-
-    #[test]
-    fn a_name_needs_the_main_part() {
-        let small = Evidence { remainder: true, explained: 0.3, ..evidence() };
-        assert_eq!(verdict(&small).0, Verdict::NoneOfThese);
-        assert_eq!(verdict(&Evidence { described: true, ..small }).0, Verdict::Described);
-        assert_eq!(verdict(&Evidence { form_excluded: true, ..evidence() }).0, Verdict::NoneOfThese);
-    }
-
-    #[test]
-    fn near_rivals_make_a_set() {
-        let near = Rival { behind: 30.0, squared: 16.0, explains: true };
-        let dull = Rival { explains: false, ..near };
-        let e = Evidence {
-            rivals: vec![near, dull, Rival { behind: 900.0, squared: 900.0, explains: true }],
-            ..evidence()
+    /// A table in which twice the standard error of each difference is 10.
+    fn table(of: &[(usize, bool, f64, f64)]) -> Vec<Entry> {
+        let entry = |&(causes, law, elpd, misfit): &(usize, bool, f64, f64)| Entry {
+            causes,
+            law,
+            unnamed: false,
+            unlikely: false,
+            within: Vec::new(),
+            alike: Vec::new(),
+            elpd,
+            misfit,
+            beats: of.iter().map(|other| elpd - other.2 > 10.0).collect(),
+            ahead: elpd - of[0].2 > 5.0,
+            error: -elpd,
         };
-        assert_eq!(verdict(&e), (Verdict::Ambiguous, vec![0]));
+        of.iter().map(entry).collect()
+    }
+
+    fn of(table: &[Entry]) -> (Verdict, Written, usize, Vec<usize>) {
+        let Ruling { verdict, written, model, set } = verdict(table, 0.01);
+        (verdict, written, model, set)
     }
 
     #[test]
-    fn nothing_found_is_noise_or_misfit() {
-        let none = Evidence { found: false, ..evidence() };
-        assert_eq!(verdict(&none).0, Verdict::NoneOfThese);
-        assert_eq!(verdict(&Evidence { misfit: false, ..none }).0, Verdict::NoiseFloor);
+    fn a_name_needs_that_no_rival_predicts_as_well() {
+        use Verdict::*;
+        let far = [(0, false, -100.0, 90.0), (1, false, 0.0, 0.0), (1, false, -50.0, 40.0)];
+        assert_eq!(of(&table(&far)), (Named, Written::Cause, 1, vec![1]));
+        let near = [(0, false, -100.0, 90.0), (1, false, 0.0, 0.0), (1, false, -5.0, 0.0)];
+        assert_eq!(of(&table(&near)), (Ambiguous, Written::Cause, 1, vec![1, 2]));
+        // What explains hardly anything is no rival, even if it is not beaten.
+        let weak = [(0, false, -8.0, 0.0), (1, false, 3.0, 0.0), (1, false, -6.0, 0.0)];
+        assert_eq!(of(&table(&weak)), (Named, Written::Cause, 1, vec![1]));
+    }
+
+    #[test]
+    fn an_untestable_effect_is_never_named() {
+        let mut near = table(&[(0, false, -100.0, 90.0), (1, false, -5.0, 0.0), (1, false, 0.0, 0.0)]);
+        near[2].unnamed = true;
+        assert_eq!(of(&near), (Verdict::Ambiguous, Written::Cause, 1, vec![1, 2]));
+        let mut alike = table(&[(0, false, -100.0, 90.0), (1, false, 0.0, 0.0), (1, false, -90.0, 80.0)]);
+        (alike[1].alike, alike[2].unnamed) = (vec![2], true);
+        assert_eq!(of(&alike), (Verdict::Ambiguous, Written::Cause, 1, vec![1, 2]));
+        let mut far = table(&[(0, false, -100.0, 90.0), (1, false, -50.0, 40.0), (1, false, 0.0, 0.0)]);
+        far[2].unnamed = true;
+        assert_eq!(of(&far), (Verdict::Ambiguous, Written::Cause, 2, vec![2, 1]));
+    }
+
+    #[test]
+    fn a_remainder_hides_no_name_and_the_smaller_part_is_a_proxy() {
+        let small = [(0, false, -100.0, 100.0), (1, false, 0.0, 40.0)];
+        assert_eq!(of(&table(&small)), (Verdict::Named, Written::Cause, 1, vec![1]));
+        let large = [(0, false, -100.0, 100.0), (1, false, 0.0, 60.0)];
+        assert_eq!(of(&table(&large)), (Verdict::NoneOfThese, Written::Proxy, 1, Vec::new()));
+    }
+
+    #[test]
+    fn a_law_that_predicts_better_describes() {
+        let of_law = [(0, false, -100.0, 90.0), (1, false, -40.0, 20.0), (0, true, 0.0, 0.0)];
+        assert_eq!(of(&table(&of_law)), (Verdict::Described, Written::Description, 2, Vec::new()));
+        let as_well = [(0, false, -100.0, 90.0), (1, false, -5.0, 0.0), (0, true, 0.0, 0.0)];
+        assert_eq!(of(&table(&as_well)), (Verdict::Named, Written::Cause, 1, vec![1]));
+    }
+
+    #[test]
+    fn nothing_better_is_noise_or_misfit() {
+        let nothing = [(0, false, -5.0, 0.0), (1, false, 0.0, 0.0)];
+        assert_eq!(of(&table(&nothing)), (Verdict::NoiseFloor, Written::Plain, 0, Vec::new()));
+        let misfit = [(0, false, -5.0, 50.0), (1, false, 0.0, 45.0)];
+        assert_eq!(of(&table(&misfit)), (Verdict::NoneOfThese, Written::Plain, 0, Vec::new()));
+        let ahead = [(0, false, -7.0, 50.0), (1, false, 0.0, 45.0)];
+        assert_eq!(of(&table(&ahead)), (Verdict::NoneOfThese, Written::Proxy, 1, Vec::new()));
     }
 }

@@ -4,6 +4,7 @@ use super::columns::columns;
 use super::experiment::Experiment;
 use super::observations::{Channel, Names, Observations, Size, Unit};
 use crate::error::{Error, Result};
+use crate::progress::Progress;
 use crate::sand::LegShape;
 use crate::sim::Robot;
 use crate::table::{Column, Quantity, Row};
@@ -79,12 +80,12 @@ struct Run {
 }
 
 /// Reads the runs; `experiment` names robot, medium and units.
-pub fn read(path: &Path, experiment: &Experiment) -> Result<WalkingLog> {
+pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Result<WalkingLog> {
     let (mut conditions, mut ids) = (Names::default(), Names::default());
     let (mut runs, mut setups): (Vec<Run>, Vec<Setup>) = (Vec::new(), Vec::new());
     let optional = [X_BED, SLOPE, PAYLOAD];
     let mut seen = [false; 3];
-    let summary = experiment.read(path, COLUMNS, |row| {
+    let summary = experiment.read(path, COLUMNS, progress, |row| {
         for (seen, column) in seen.iter_mut().zip(optional) {
             *seen |= row.text(column).is_some();
         }

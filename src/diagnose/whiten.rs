@@ -1,7 +1,6 @@
 //! Generalised least squares: a linear map after which the noise is white.
 
 use super::noise::{ChannelFilter, Noise, Source};
-use super::observations::Observations;
 use super::shared::LowRank;
 use std::ops::Range;
 
@@ -18,12 +17,8 @@ struct UnitFilter {
 #[derive(Clone)]
 pub struct Whitener {
     units: Vec<UnitFilter>,
-    /// Whitening of an error that all units may share.
-    whole: LowRank,
-    /// Numbers that do not count, which become 0.
-    held: Vec<Range<usize>>,
-    /// Factor on the whitened numbers; below 1 if the variance of the noise is multiplied by a dispersion.
-    weight: f64,
+    /// Factor on the whitened numbers.
+    factor: f64,
 }
 
 impl Whitener {
@@ -46,34 +41,12 @@ impl Whitener {
             filter.share(source, noise, repeated.sqrt());
             filter
         });
-        Self { units: units.collect(), whole: LowRank::new(Vec::new()), held: Vec::new(), weight: 1.0 }
+        Self { units: units.collect(), factor: 1.0 }
     }
 
-    /// A whitening in which all numbers that count in the error are alike, with the same variance; the others are 0.
-    pub fn even(observations: &Observations, variance: f64) -> Self {
-        let left_out = observations.channels.iter().enumerate().filter(|c| !c.1.in_rmse).map(|c| c.0);
-        let held = left_out.flat_map(|channel| observations.units.iter().map(move |unit| unit.block(channel)));
-        let (units, whole) = (Vec::new(), LowRank::new(Vec::new()));
-        Self { units, whole, held: held.collect(), weight: variance.max(1e-300).sqrt().recip() }
-    }
-
-    /// This whitening with an additional error that all units share, along whitened directions one standard deviation
-    /// long.
-    pub fn beside(&self, directions: Vec<Vec<f64>>) -> Self {
-        Self { whole: LowRank::new(directions), ..self.clone() }
-    }
-
-    /// This whitening as if the noise's variance were `dispersion` times as large.
-    pub fn dispersed(self, dispersion: f64) -> Self {
-        Self { weight: self.weight / dispersion.sqrt(), ..self }
-    }
-
-    /// This whitening with further conditions held out.
-    pub fn without(self, observations: &Observations, conditions: &[usize]) -> Self {
-        let units = observations.units.iter().filter(|u| conditions.contains(&u.condition));
-        let mut held = self.held;
-        held.extend(units.map(|u| observations.span(u)));
-        Self { held, ..self }
+    /// The whitener of a noise whose variance is `scale` times as large.
+    pub fn widened(&self, scale: f64) -> Self {
+        Self { units: self.units.clone(), factor: self.factor / scale.sqrt() }
     }
 
     /// The whitened stack.
@@ -83,11 +56,7 @@ impl Whitener {
             let own = &mut white[unit.span.clone()];
             unit.filter(own);
             unit.shared.apply(own);
-        }
-        self.held.iter().for_each(|span| white[span.clone()].fill(0.0));
-        self.whole.apply(&mut white);
-        if self.weight != 1.0 {
-            white.iter_mut().for_each(|w| *w *= self.weight);
+            own.iter_mut().for_each(|value| *value *= self.factor);
         }
         white
     }

@@ -293,7 +293,7 @@ impl<R: Real> StressModel<R> for SandMechanisms<R> {
     /// The law's stress per depth plus that of `slip_bearing` is multiplied by the depth and by the factors of `scale`,
     /// `footprint`, `packing_grad` and `rate_log`. Then `friction_clip`, `graze_loss` and `skid_loss` reduce the force.
     /// Inertia, `added_mass`, `cohesion` and the normal terms of `sand.toml` push against the leading face in addition;
-    /// the tangential terms act against the tangential velocity.
+    /// the tangential terms act against the tangential velocity, and terms on the law multiply its force.
     #[inline(always)]
     fn force(&self, per_depth: Vec3<R>, n: Vec3<R>, v: Vec3<R>, site: &SegmentState<R>, area: R) -> Vec3<R> {
         let along = n.dot(v);
@@ -328,8 +328,9 @@ impl<R: Real> StressModel<R> for SandMechanisms<R> {
                 normal: n,
                 velocity: v,
             };
-            let (normal, tangential) = self.terms.stress(&piece);
+            let (normal, tangential, share) = self.terms.stress(&piece);
             pressure += normal;
+            force = force * share;
             force += LaneTerms::against_slip(n, v) * (tangential * area);
         }
         // A lane in the air beside one in the sand is computed with depth 0; there is no force on it.

@@ -38,7 +38,7 @@ pub fn measured<'a>(
     experiment: &Experiment,
     latch: &'a Latch<'a>,
 ) -> Result<(Measured, TrajectoryModel<'a>)> {
-    let log = read(data, experiment)?;
+    let log = read(data, experiment, latch)?;
     let sha256 = log.sha256.clone();
     let (model, observations) = TrajectoryModel::new(log, experiment, latch)?;
     consistency::against_replay(data, model.layout(), &observations.values, &model.plain())?;

@@ -116,11 +116,6 @@ impl<'a> TrajectoryModel<'a> {
         self.bodies[0].joint_names()
     }
 
-    /// Does the log give the command of the hips?
-    pub fn knows_commands(&self) -> bool {
-        self.asked.is_some()
-    }
-
     pub(super) fn span(&self) -> usize {
         BINS * self.layout.count()
     }

@@ -22,7 +22,7 @@ struct Slot<R> {
     on: On,
     factors: [Factor; MOST_GROUPS],
     count: usize,
-    /// coefficient · ρ g [N/m³]; 0 in lanes without the term.
+    /// coefficient · ρ g [N/m³], or the coefficient alone for a share of the law's stress; 0 in lanes without the term.
     strength: R,
 }
 
@@ -65,7 +65,8 @@ impl<R: Real> LaneTerms<R> {
                 *place = Factor { group, low, high, power };
             }
             let alike = |s: &Slot<R>| s.on == own.on && s.count == own.count && s.factors == own.factors;
-            let strength = term.coefficient * bulk_density * GRAVITY;
+            let scale = if term.on == On::Law { 1.0 } else { bulk_density * GRAVITY };
+            let strength = term.coefficient * scale;
             match self.slots[..self.count].iter().position(alike) {
                 Some(k) => {
                     let known = self.slots[k].strength.lane(lane);
@@ -86,12 +87,13 @@ impl<R: Real> LaneTerms<R> {
         self.count > 0
     }
 
-    /// Pressure [Pa] against the leading face, and stress against the tangential velocity.
+    /// Pressure [Pa] against the leading face, stress against the tangential velocity, and the factor on the law's own
+    /// stress.
     #[inline(always)]
-    pub fn stress(&self, piece: &Piece<R>) -> (R, R) {
-        let (mut normal, mut tangential) = (R::zero(), R::zero());
+    pub fn stress(&self, piece: &Piece<R>) -> (R, R, R) {
+        let (mut normal, mut tangential, mut share) = (R::zero(), R::zero(), R::one());
         for slot in &self.slots[..self.count] {
-            let mut product = slot.strength * piece.depth;
+            let mut product = if slot.on == On::Law { slot.strength } else { slot.strength * piece.depth };
             for factor in &slot.factors[..slot.count] {
                 let at = group(factor, piece).clamp(R::splat(factor.low), R::splat(factor.high));
                 product = product * power(at, factor.power);
@@ -99,11 +101,12 @@ impl<R: Real> LaneTerms<R> {
             match slot.on {
                 On::Normal => normal += product,
                 On::Tangential => tangential += product,
+                On::Law => share += product,
             }
         }
         let speed = piece.normal_speed;
         let rest = R::splat(REST_SPEED * REST_SPEED);
-        (normal * speed / speed.mul_add(speed, rest).sqrt(), tangential)
+        (normal * speed / speed.mul_add(speed, rest).sqrt(), tangential, share.max(R::zero()))
     }
 
     /// Unit vector against the tangential velocity; near rest its length falls to 0.
@@ -126,6 +129,7 @@ fn group<R: Real>(factor: &Factor, piece: &Piece<R>) -> R {
     let v = &piece.velocity;
     let vertical = || -v.z / (v.norm_squared() + R::splat(1e-24)).sqrt();
     let cosine = |sine: R| (R::one() - sine * sine).max(R::zero()).sqrt();
+    let attack = || piece.normal_speed / (v.norm_squared() + R::splat(1e-24)).sqrt();
     match factor.group {
         Group::Froude => piece.normal_speed * piece.normal_speed * gravity / piece.depth.max(R::splat(1e-6)),
         Group::DepthOverWidth => {
@@ -139,6 +143,10 @@ fn group<R: Real>(factor: &Factor, piece: &Piece<R>) -> R {
         Group::CosBeta => piece.normal.z.abs(),
         Group::SinBeta => cosine(piece.normal.z),
         Group::Wall => R::splat(factor.high),
+        Group::WholeFroude => v.norm_squared() * gravity / piece.width.max(R::splat(1e-9)),
+        Group::SinAttack => attack(),
+        Group::CosAttack => cosine(attack()),
+        Group::Saturation => piece.depth / (piece.depth + piece.width).max(R::splat(1e-9)),
         Group::GrainOverWidth | Group::Curvature => R::zero(),
     }
 }
@@ -185,6 +193,28 @@ mod tests {
                 assert!((ours / f64::powf(x, exponent) - 1.0).abs() < 1e-12, "{x}^{exponent}: {ours}");
             }
         }
+    }
+
+    #[test]
+    fn a_share_of_the_law_is_its_formula() {
+        let text = "on = \"law\"\ncoefficient = -0.5\n\
+                    groups = { whole_froude = 0.5, sin_attack = 2.0, cos_attack = 1.0, saturation = 1.0 }\n\
+                    range = { whole_froude = [0.0, 9.0], sin_attack = [0.0, 1.0], cos_attack = [0.0, 1.0], saturation = [0.0, 1.0] }";
+        let mut terms = LaneTerms::<f64>::new();
+        terms.set_lane(0, &[term(text)], 640.0);
+        let piece = Piece {
+            depth: 0.03,
+            width: 0.025,
+            normal_speed: 0.3,
+            normal_acceleration: 0.0,
+            passes: 0.0,
+            normal: Vec3::new(0.0, 0.0, -1.0),
+            velocity: Vec3::new(0.4, 0.0, -0.3),
+        };
+        let expected = 1.0 - 0.5 * (0.25f64 / (GRAVITY * 0.025)).sqrt() * 0.36 * 0.8 * (0.03 / 0.055);
+        let (normal, tangential, share) = terms.stress(&piece);
+        assert_eq!((normal, tangential), (0.0, 0.0));
+        assert!((share / expected - 1.0).abs() < 1e-9, "{share} {expected}");
     }
 
     #[test]

@@ -1,7 +1,8 @@
 //! Additional stress terms of `sand.toml` (`[[term]]`), checked when they are read.
 //!
 //! A term adds the stress `coefficient · ρ g |z| · Π group^power` on a submerged piece, against the normal of its
-//! leading face or against its tangential velocity. Each group is clamped to its range, so a term is never
+//! leading face or against its tangential velocity; or it changes the force law's own stress by the share
+//! `coefficient · Π group^power`. Each group is clamped to its range, so a term is never
 //! extrapolated beyond the data it was found in. Both engines and the force logs evaluate it through [`LaneTerms`].
 
 mod lanes;
@@ -22,12 +23,25 @@ const MOST_GROUPS: usize = 4;
 /// Number of orientations and of directions at which energy is checked, over 90° to either side.
 const ANGLES: i32 = 18;
 
-/// The direction that a term acts against.
+/// The direction of a term's stress.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum On {
     Normal,
     Tangential,
+    /// Along the force law's own stress, as a share of it.
+    Law,
+}
+
+impl On {
+    /// The name in `sand.toml`.
+    pub fn name(self) -> &'static str {
+        match self {
+            On::Normal => "normal",
+            On::Tangential => "tangential",
+            On::Law => "law",
+        }
+    }
 }
 
 /// A dimensionless number of a moving piece.
@@ -56,10 +70,19 @@ pub enum Group {
     CosGamma,
     SinBeta,
     CosBeta,
+    /// |v|²/(g w): the whole speed, along the piece too.
+    WholeFroude,
+    /// |v_n|/|v|: 1 if the piece moves along its normal, 0 if it moves along itself. α is the angle of attack, between
+    /// the piece and its velocity.
+    SinAttack,
+    /// |v_t|/|v|
+    CosAttack,
+    /// |z|/(|z| + w): 0 at the surface, near 1 at depths of many widths.
+    Saturation,
 }
 
 impl Group {
-    const ALL: [(&'static str, Group); 11] = [
+    const ALL: [(&'static str, Group); 15] = [
         ("froude", Group::Froude),
         ("depth_over_width", Group::DepthOverWidth),
         ("grain_over_width", Group::GrainOverWidth),
@@ -71,6 +94,10 @@ impl Group {
         ("cos_gamma", Group::CosGamma),
         ("sin_beta", Group::SinBeta),
         ("cos_beta", Group::CosBeta),
+        ("whole_froude", Group::WholeFroude),
+        ("sin_attack", Group::SinAttack),
+        ("cos_attack", Group::CosAttack),
+        ("saturation", Group::Saturation),
     ];
 
     pub fn named(name: &str) -> Result<Self> {
@@ -92,6 +119,10 @@ impl Group {
             Group::CosGamma => ("cos γ", r"\cos\gamma"),
             Group::SinBeta => ("sin β", r"\sin\beta"),
             Group::CosBeta => ("cos β", r"\cos\beta"),
+            Group::WholeFroude => ("v²/(gw)", r"\frac{v^2}{gw}"),
+            Group::SinAttack => ("sin α", r"\sin\alpha"),
+            Group::CosAttack => ("cos α", r"\cos\alpha"),
+            Group::Saturation => ("|z|/(|z|+w)", r"\frac{|z|}{|z|+w}"),
         }
     }
 
@@ -188,8 +219,12 @@ impl Term {
             - UNTOLD * coefficients.penetration();
         for [beta, gamma] in all() {
             let least = self.least(factors, beta, gamma);
-            if least >= 0.0 {
+            if least >= 0.0 || (self.on == On::Law && least >= -1.0) {
                 continue;
+            }
+            if self.on == On::Law {
+                let why = "turns the law's own stress round and so adds energy: it may take away all of it at most";
+                return Err(Error::invalid("term", why));
             }
             let Resisting { normal, power, along } = resisting(coefficients, beta, gamma);
             let extra = least * bulk_density * GRAVITY;
@@ -216,6 +251,8 @@ impl Term {
                 Group::CosGamma => Some(gamma.cos()),
                 Group::SinBeta => Some(beta.sin()),
                 Group::CosBeta => Some(beta.cos()),
+                Group::SinAttack => Some((beta.sin() * gamma.cos() + beta.cos() * gamma.sin()).abs()),
+                Group::CosAttack => Some((beta.cos() * gamma.cos() - beta.sin() * gamma.sin()).abs()),
                 _ => None,
             };
             let ends = fixed.map_or([*low, *high], |at| [at.clamp(*low, *high); 2]).map(|at| at.powf(*power));
@@ -231,9 +268,12 @@ impl Term {
             let symbol = Group::named(name).map_or("", |g| g.symbols().0);
             format!(" · ({symbol})^{power}")
         };
-        let sign = if self.on == On::Normal { "against the normal" } else { "against the tangential velocity" };
         let groups: String = self.groups.iter().map(power).collect();
-        format!("{:.3} · ρg|z|{groups}, {sign} of the leading face", self.coefficient)
+        match self.on {
+            On::Normal => format!("{:.3} · ρg|z|{groups}, against the normal of the leading face", self.coefficient),
+            On::Tangential => format!("{:.3} · ρg|z|{groups}, against the tangential velocity", self.coefficient),
+            On::Law => format!("{:.3}{groups}, as a share of the force law's own stress", self.coefficient),
+        }
     }
 
     pub fn tex(&self) -> String {
@@ -242,8 +282,14 @@ impl Term {
             format!(r"\left({symbol}\right)^{{{power}}}")
         };
         let groups: String = self.groups.iter().map(power).collect();
-        let direction = if self.on == On::Normal { r"\mathbf{n}" } else { r"\hat{\mathbf{v}}_t" };
-        format!(r"\Delta\boldsymbol\sigma = -{:.3}\,\rho g|z|\,{groups}\,{direction}", self.coefficient)
+        let scale = match self.on {
+            On::Normal => r"\mathbf{n}\,\rho g|z|",
+            On::Tangential => r"\hat{\mathbf{v}}_t\,\rho g|z|",
+            On::Law => {
+                return format!(r"\Delta\boldsymbol\sigma = {:.3}\,{groups}\,\boldsymbol\sigma", self.coefficient);
+            }
+        };
+        format!(r"\Delta\boldsymbol\sigma = -{:.3}\,{groups}\,{scale}", self.coefficient)
     }
 }
 
@@ -340,5 +386,10 @@ mod tests {
         let lowered = "on = \"normal\"\ncoefficient = -0.02\ngroups = { sin_gamma = 2.0, cos_beta = 2.0 }\n\
                        range = { sin_gamma = [0.0, 1.0], cos_beta = [0.0, 1.0] }";
         assert_eq!(refused(lowered), "");
+        // The law's own stress may be taken away, but not turned round.
+        let less = "on = \"law\"\ncoefficient = -0.9\ngroups = { saturation = 1.0, sin_attack = 2.0 }\n\
+                    range = { saturation = [0.0, 1.0], sin_attack = [0.0, 1.0] }";
+        assert_eq!(refused(less), "");
+        assert!(refused(&less.replace("-0.9", "-1.1")).contains("turns the law's own stress round"));
     }
 }

@@ -1,0 +1,383 @@
+//! The candidates: fits of every cause, and of pairs, with the noise learnt again about the best of them.
+
+use super::evidence::Table;
+use super::fit::{COEFFICIENTS, Fit, slope};
+use super::left_out::Model;
+use super::noise::{Noise, Sizes, Source, sizes_of};
+use super::nuisance::Nuisance;
+use super::screen::{FELT, Scores, Screen, USUAL, starts};
+use super::study::Study;
+use super::whiten::Whitener;
+use crate::error::Result;
+use crate::number::dot;
+use crate::sand::mechanism::{CATALOG, Mechanisms};
+
+/// Number of pairs that are fitted, the best of the linear screen: our choice, because each fit takes time.
+const PAIRS_FITTED: usize = 14;
+/// How often the noise is learnt again, at most, after the best candidate has changed: our choice; two times usually
+/// suffice.
+const NOISES: usize = 3;
+/// Number of candidates of one size that are fitted with the final noise and compared: our choice; those further behind
+/// differ by hundreds of χ².
+const FINALISTS: usize = 8;
+/// Share of a pair's evidence that its second cause must add: our choice. A weaker one beside a very strong first cause
+/// may stand for a small error in that cause's law.
+pub const SECOND: f64 = 0.01;
+
+/// Noise, whitening and nuisances about one candidate.
+pub struct Surroundings {
+    pub noise: Noise,
+    /// Sizes of the candidate's prediction, to which a part of the noise is proportional.
+    pub sizes: Sizes,
+    pub whitener: Whitener,
+    pub nuisances: Vec<Nuisance>,
+}
+
+/// The inputs of a selection.
+pub struct Asked<'a> {
+    pub source: &'a Source<'a>,
+    pub noise: &'a Noise,
+    /// Catalogue indices of the causes that the data can show.
+    pub ids: &'a [usize],
+    /// Those that act on these data, but cannot be tested with them.
+    pub untestable: &'a [usize],
+    /// Ids of sensor mechanisms that may be named as causes.
+    pub interest: &'a [String],
+}
+
+/// Fits under one noise, and what was found before it.
+pub struct Candidates {
+    pub screen: Screen,
+    /// Noise, whitening and nuisances of the last fits.
+    pub around: Surroundings,
+    /// Plain model with coefficients and nuisances fitted within their priors.
+    pub base: Fit,
+    /// Singles, then pairs, each best first, fitted with the final noise.
+    pub fits: Vec<Fit>,
+    /// The fit that predicts left-out conditions best, if it does so better than the plain model.
+    pub leading: Option<usize>,
+    /// Candidates far behind, which were fitted with an earlier noise.
+    pub behind: Vec<Fit>,
+    /// Objective of the plain model under that noise.
+    pub earlier: f64,
+}
+
+impl Candidates {
+    /// Takes out all candidates with a mechanism of this kind.
+    pub fn without(&mut self, kind: &dyn Fn(&usize) -> bool) {
+        let leading = self.leading.map(|k| self.fits[k].ids.clone());
+        self.fits.retain(|fit| !fit.ids.iter().any(kind));
+        self.leading = self.fits.iter().position(|fit| Some(&fit.ids) == leading.as_ref());
+    }
+}
+
+/// Fits singles and pairs; causes in `unnamed` are in no pair. Pairs are tried if a single cause predicts left-out
+/// conditions better than the plain model.
+pub fn candidates(
+    study: &Study,
+    asked: &Asked,
+    unnamed: &[usize],
+    report: &dyn Fn(f64, &str) -> Result<()>,
+) -> Result<Candidates> {
+    report(0.1, "effect of every cause")?;
+    let (source, noise, ids) = (asked.source, asked.noise, [asked.ids, asked.untestable].concat());
+    let screen = Screen::new(study, &ids);
+    let scores = screen.scores(study.whitener, &study.observations.values);
+    report(0.3, "single causes")?;
+    // Nuisances have nonlinear effects, so they are linearised at the plain model's fit before causes are tested.
+    let straight = study.under(study.whitener, study.nuisances_about(&study.recalibrated()));
+    let mut fits = singles(&straight, &screen, &scores, &ids);
+    let base = beneath(&straight, straight.recalibrated(), &fits);
+    let earlier = base.objective;
+    let mut behind = fits.split_off(fits.len().min(FINALISTS));
+    // What cannot be tested is compared in any case, because it may look like another cause.
+    fits.extend(behind.extract_if(.., |fit| asked.untestable.contains(&fit.ids[0])));
+    let found = leading(&straight, &base, &fits);
+    let mut now = Stage { fits, base, around: None };
+    report(0.5, "singles under the noise of the best")?;
+    now = now.settled(&straight, source, noise, found);
+    if found.is_some() {
+        report(0.6, "pairs of causes")?;
+        now = with_pairs(study, source, noise, (&screen, unnamed), now, report)?;
+    }
+    let Stage { fits, base, around } = now;
+    let around = around.unwrap_or_else(|| surroundings(&straight, source, noise, &base));
+    let last = study.under(&around.whitener, around.nuisances.clone());
+    let leading = leading(&last, &base, &fits);
+    Ok(Candidates { screen, leading, around, base, fits, behind, earlier })
+}
+
+/// The candidate that predicts left-out conditions best, if it does so better than the plain model.
+fn leading(study: &Study, base: &Fit, fits: &[Fit]) -> Option<usize> {
+    let all: Vec<usize> = (0..study.observations.conditions.len()).collect();
+    let models: Vec<Model> = [base].into_iter().chain(fits).map(|fit| Model { fit, laws: None }).collect();
+    let table = Table::new(study, study.whitener, &models, &all);
+    let best = |size: usize| {
+        let own = (1..models.len()).filter(|&k| models[k].fit.ids.len() == size);
+        own.max_by(|a, b| table.elpd(*a).total_cmp(&table.elpd(*b)))
+    };
+    let beats = |a: usize, b: usize| table.beats(a, b);
+    let better = |size: usize| (1..models.len()).any(|k| models[k].fit.ids.len() == size && beats(k, 0));
+    let single = best(1).filter(|_| better(1));
+    let share = |pair: usize, single: usize| {
+        let [gain, more] = [single, pair].map(|k| table.elpd(k) - table.elpd(0));
+        (more - gain) / more.max(1e-9)
+    };
+    let pair = best(2).filter(|&k| better(2) && single.is_none_or(|s| beats(k, s) && share(k, s) > SECOND));
+    pair.or(single).map(|k| k - 1)
+}
+
+/// The fits at one stage of the search.
+struct Stage {
+    fits: Vec<Fit>,
+    base: Fit,
+    around: Option<Surroundings>,
+}
+
+impl Stage {
+    /// Learns the noise again about the leading fit and fits all again with it, until that changes the leading fit by less
+    /// than one σ. If none leads, the noise is learnt about the plain model, and the other fits stay.
+    fn settled(mut self, study: &Study, source: &Source, noise: &Noise, leading: Option<usize>) -> Self {
+        let mut leading = leading;
+        for _ in 0..NOISES {
+            let best = leading.map_or(&self.base, |k| &self.fits[k]).clone();
+            let (next, before) = {
+                let now = self.around.as_ref().map(|a| study.under(&a.whitener, a.nuisances.clone()));
+                let now = now.as_ref().unwrap_or(study);
+                (surroundings(now, source, noise, &best), now.reading(&best))
+            };
+            let renewed = study.under(&next.whitener, next.nuisances.clone());
+            if leading.is_none() {
+                self.base = renewed.fit_from(&[&self.base]).swap_remove(0);
+                leading = self::leading(&renewed, &self.base, &self.fits);
+            }
+            if leading.is_none() {
+                self.around = Some(next);
+                break;
+            }
+            self.refit(&renewed, leading);
+            leading = self::leading(&renewed, &self.base, &self.fits);
+            let after = renewed.reading(leading.map_or(&self.base, |k| &self.fits[k]));
+            let moved = next.whitener.apply(&slope(&after, &before, 1.0));
+            self.around = Some(next);
+            if dot(&moved, &moved) < 1.0 {
+                break;
+            }
+        }
+        self
+    }
+
+    /// Fits all again from their ends.
+    fn refit(&mut self, study: &Study, leading: Option<usize>) {
+        let beside = leading.map_or(Vec::new(), |k| study.beside(&self.fits[k]));
+        let mut again = study.fit_from(&self.fits.iter().chain(&beside).collect::<Vec<_>>());
+        for other in again.split_off(self.fits.len()) {
+            let same = again.iter_mut().find(|f| f.ids == other.ids && other.objective < f.objective);
+            same.into_iter().for_each(|f| *f = other.clone());
+        }
+        self.base = beneath(study, study.fit_from(&[&self.base]).swap_remove(0), &again);
+        self.fits = ranked(again);
+    }
+}
+
+/// Sorts fits by their number of causes, and then by their objective.
+fn ranked(mut fits: Vec<Fit>) -> Vec<Fit> {
+    fits.sort_by(|a, b| a.ids.len().cmp(&b.ids.len()).then(a.objective.total_cmp(&b.objective)));
+    fits
+}
+
+/// Fits every single cause.
+fn singles(study: &Study, screen: &Screen, scores: &Scores, ids: &[usize]) -> Vec<Fit> {
+    let columns: Vec<usize> = ids.iter().filter_map(|id| screen.candidates.iter().position(|c| c.0 == *id)).collect();
+    let start = |&column: &usize| {
+        let value = linear_start(screen, scores, column);
+        let id = screen.candidates[column].0;
+        let (ids, mut from) = further_starts(study, &[id], &[value]);
+        from.extend(far_start(study, id, value).map(|far| vec![far]));
+        (ids, from)
+    };
+    ranked(study.fit_all(&columns.iter().map(start).collect::<Vec<_>>()))
+}
+
+/// Tries second causes in addition to the best single one.
+fn with_pairs(
+    study: &Study,
+    source: &Source,
+    noise: &Noise,
+    (screen, unnamed): (&Screen, &[usize]),
+    now: Stage,
+    report: &dyn Fn(f64, &str) -> Result<()>,
+) -> Result<Stage> {
+    let Stage { mut fits, base, around: Some(around) } = now else { return Ok(now) };
+    let whitener = around.whitener.clone();
+    let renewed = study.under(&whitener, around.nuisances.clone());
+    let scores = screen.scores(renewed.whitener, &study.observations.values);
+    let Some(best) = fits.iter().find(|f| !unnamed.contains(&f.ids[0])) else {
+        return Ok(Stage { fits, base, around: Some(around) });
+    };
+    let id = best.ids[0];
+    let second = renewed.further(best, &screen.candidates);
+    let linear = screen.pairs(&scores.gram, &scores.score);
+    let from_best = second.iter().map(|s| [id, s.id]);
+    let from_all = linear.iter().map(|&(_, i, j)| [screen.candidates[i].0, screen.candidates[j].0]);
+    let mut tried: Vec<[usize; 2]> = Vec::new();
+    for pair in from_best.filter(|p| !unnamed.contains(&p[1])).take(PAIRS_FITTED / 2).chain(from_all) {
+        if tried.len() < PAIRS_FITTED
+            && !pair.iter().any(|id| unnamed.contains(id))
+            && !tried.iter().any(|t| *t == pair || *t == [pair[1], pair[0]])
+        {
+            tried.push(pair);
+        }
+    }
+    let start = |id: usize| fits.iter().find(|f| f.ids == [id]).map_or(0.0, |f| f.values()[0]);
+    let starts = |pair: &[usize; 2]| {
+        let mut ids = pair.to_vec();
+        ids.sort_unstable();
+        let values = if pair[0] == id {
+            let other = second.iter().find(|s| s.id == pair[1]).map_or(0.0, |s| s.start);
+            if ids[0] == id { [start(id), other] } else { [other, start(id)] }
+        } else {
+            [0.5 * start(ids[0]), 0.5 * start(ids[1])]
+        };
+        further_starts(&renewed, &ids, &values)
+    };
+    let mut pairs = ranked(renewed.fit_all(&tried.iter().map(starts).collect::<Vec<_>>()));
+    pairs.truncate(FINALISTS);
+    let place = fits.iter().position(|f| f.ids == [id]).unwrap_or(0);
+    if let Some(lower) = pairs.first().and_then(|pair| beyond(&renewed, &fits[place], pair)) {
+        fits[place] = lower;
+    }
+    fits.extend(pairs);
+    let leads = leading(&renewed, &base, &fits);
+    if leads.is_none_or(|k| fits[k].ids.len() < 2) {
+        return Ok(Stage { fits, base, around: Some(around) });
+    }
+    report(0.75, "pairs under the noise of the best")?;
+    Ok(Stage { fits, base, around: Some(around) }.settled(&renewed, source, noise, leads))
+}
+
+/// Start states of a fit of `ids`: `values`, and every further start of each.
+fn further_starts(study: &Study, ids: &[usize], values: &[f64]) -> (Vec<usize>, Vec<Vec<f64>>) {
+    let mut from = vec![values.to_vec()];
+    for (k, &id) in ids.iter().enumerate() {
+        for &start in starts(study, id).iter().skip(1) {
+            let mut other = values.to_vec();
+            other[k] = start;
+            from.push(other);
+        }
+    }
+    (ids.to_vec(), from)
+}
+
+/// Start of a fit with a single cause: the linear estimate, limited to usual strengths of the mechanism.
+fn linear_start(screen: &Screen, scores: &Scores, column: usize) -> f64 {
+    let (id, value) = screen.candidates[column];
+    let entry = &CATALOG[id];
+    let felt = scores.gram[(column, column)];
+    if entry.ceiling {
+        return value; // its effect is far from proportional, so a linear estimate from the plain model is meaningless
+    }
+    let estimate = if felt > FELT { entry.typical * scores.score[column] / felt } else { 0.0 };
+    let reach = (USUAL * entry.typical).max(8.0 * value.abs());
+    let start = estimate.clamp(-reach, reach).clamp(entry.bounds[0], entry.bounds[1]);
+    if start == 0.0 { value * 0.1 } else { start }
+}
+
+/// The objective of a rough model has several minima, and the linear estimate may lead into one near the plain model.
+/// So there is a second start with the same sign, at the largest value that estimates may have. None for a smooth
+/// model, for which the first start suffices.
+fn far_start(study: &Study, id: usize, estimate: f64) -> Option<f64> {
+    let entry = &CATALOG[id];
+    let far = (USUAL * entry.typical).copysign(estimate).clamp(entry.bounds[0], entry.bounds[1]);
+    (study.model.roughness().is_some() && !entry.ceiling).then_some(far)
+}
+
+/// The plain fit of a rough model may have ended in a local minimum, and a cause may then gain only by leading out
+/// of it. So the plain model is fitted again from the end of the best of `fits`, and replaces `base` if its
+/// objective is lower.
+fn beneath(study: &Study, base: Fit, fits: &[Fit]) -> Fit {
+    let best = fits.iter().min_by(|a, b| a.objective.total_cmp(&b.objective));
+    let Some(best) = best.filter(|best| study.model.roughness().is_some() && best.objective < base.objective) else {
+        return base;
+    };
+    let (ids, mechanisms) = (Vec::new(), Mechanisms::default());
+    let from = Fit { ids, mechanisms, slopes: Vec::new(), white_slopes: Vec::new(), ..best.clone() };
+    let again = study.fit_from(&[&from]).swap_remove(0);
+    if again.objective < base.objective { again } else { base }
+}
+
+/// Noise, whitening and nuisances about a fit. The common part of a repetition's noise acts along the fit's
+/// prediction.
+pub fn surroundings(study: &Study, source: &Source, start: &Noise, fit: &Fit) -> Surroundings {
+    let coefficients = study.coefficients(&fit.deviations);
+    let mut shared = study.model.shared(&fit.mechanisms, &coefficients, &fit.prediction);
+    shared.retain(|s| source.shared.iter().any(|own| own.name == s.name));
+    let model_error = study.model.model_error(&fit.mechanisms, &coefficients, &fit.prediction);
+    let own_error = study.model.own_error(&fit.mechanisms, &coefficients, &fit.prediction);
+    // The noise is learnt from the fit's residual, nuisances included, and is proportional to the prediction of the
+    // sand.
+    let reading = study.reading(fit);
+    let sizes = sizes_of(study.observations, &reading);
+    let source = Source {
+        prediction: &reading,
+        sizes: &sizes,
+        shared: &shared,
+        model_error: &model_error,
+        own_error: &own_error,
+        ..*source
+    };
+    let noise = source.noise(Some(start), &|| study.model.stopped());
+    let whitener = Whitener::new(&source, &noise);
+    let nuisances = bent(study, &whitener, fit);
+    Surroundings { noise, sizes, whitener, nuisances }
+}
+
+/// Largest number of rounds for nuisances with a nonlinear effect: our choice; most fits need two.
+const BENDS: usize = 6;
+/// A change by less than this share of a prior standard deviation counts as converged: our choice.
+const STRAIGHT: f64 = 0.02;
+
+/// Nuisances linearised at `fit` under a whitening. Fit and nuisances are adjusted to each other in turns, because the
+/// first estimate is inaccurate if a filter is slow compared with the fastest trials. A step that does not help is
+/// halved.
+fn bent(study: &Study, whitener: &Whitener, fit: &Fit) -> Vec<Nuisance> {
+    if study.nuisances.is_empty() {
+        return Vec::new();
+    }
+    let mut now = study.under(whitener, study.nuisances_about(fit));
+    let mut at = now.fit_from(&[fit]).swap_remove(0);
+    let mut least = f64::INFINITY;
+    let mut before = fit.clone();
+    for _ in 0..BENDS {
+        let bends = study.nuisances.iter().zip(&at.deviations[COEFFICIENTS..]).zip(&before.deviations[COEFFICIENTS..]);
+        let turned = bends
+            .filter(|((n, _), _)| n.id.starts_with("lowpass") || n.id.starts_with("imu"))
+            .map(|((_, a), b)| (a - b).abs());
+        if turned.fold(0.0, f64::max) < STRAIGHT {
+            break;
+        }
+        // The effect of a filter depends on its time constant, and hardly on the small changes of other parameters
+        // here.
+        let next = study.under(whitener, now.nuisances_of(fit, &at));
+        let there = next.restated(&at);
+        if there.objective > least {
+            let half = at.deviations.iter().zip(&before.deviations).map(|(a, b)| 0.5 * (a + b)).collect();
+            at = Fit { deviations: half, ..at };
+            continue;
+        }
+        (least, before) = (there.objective, at);
+        at = next.fit_from(&[&there]).swap_remove(0);
+        now = next;
+    }
+    now.nuisances_of(fit, &at)
+}
+
+/// The single cause of a rough model may have ended in a local minimum, and a pair may then gain only by leading
+/// out of it: fits the single cause again from the pair's end, and keeps it if its objective is lower.
+fn beyond(study: &Study, single: &Fit, pair: &Fit) -> Option<Fit> {
+    let id = *single.ids.first().filter(|id| study.model.roughness().is_some() && pair.ids.contains(id))?;
+    let mechanisms = Mechanisms::default().with(id, pair.mechanisms.get(id));
+    let from = Fit { ids: vec![id], mechanisms, slopes: Vec::new(), white_slopes: Vec::new(), ..pair.clone() };
+    let again = study.fit_from(&[&from]).swap_remove(0);
+    (again.objective < single.objective).then_some(again)
+}

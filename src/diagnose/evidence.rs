@@ -1,0 +1,268 @@
+//! The one measure of evidence: how well a model predicts conditions that were left out.
+//!
+//! **Numbers.** Differences between the repetitions of a condition tell nothing about causes, so only their mean counts.
+//! The whitened numbers of each repetition and channel are projected on the first cosines along the trial (DCT-II), and
+//! the repetitions are averaged. For noise alone each of these numbers is standard normal.
+//!
+//! **Prediction.** A model is linear in its parameters about its fit: values of causes, deviations of the stress
+//! coefficients, and nuisances, each with a normal prior. The posterior from all conditions but c predicts those of c
+//! with mean J δ and covariance φ V, V = 1 + J Σ Jᵀ/φ. φ ≥ 1 is the scale of the model's own errors: their variance in the
+//! other conditions, in units of the noise's. The variance of the noise is marginalised too. It comes from repetitions
+//! with ν degrees of freedom, so the prediction is a multivariate Student t, with log density
+//!
+//! −½ ln |V| − ½ n ln φ − ½ (ν + n) ln(1 + Q/(νφ)) + a constant of the condition, Q = eᵀ V⁻¹ e, e the error, n its numbers.
+//!
+//! Their sum over c is the elpd (Vehtari, Gelman & Gabry 2017). A parameter that only condition c shows has its prior
+//! there: the fastest or deepest condition is predicted with a wide V, and does not veto. What is stated of coefficients
+//! and nuisances, a deviation of 0 ± 1 each, counts as one more condition, so that a model that needs coefficients far
+//! from their statement pays for it.
+//!
+//! **Standard error of a difference.** The conditions of an experiment are chosen, and not drawn from a population: a
+//! cause that acts in the fastest condition only is no less certain for this. So the error is that of the difference for
+//! the same conditions, measured again. s = V⁻¹ e is the expected error of the condition's own, besides that of the
+//! parameters. With Δ the difference of s between the worse model B and the better model A, and w = (ν + n)/(ν + Q/φ)/φ of each,
+//! a condition's difference changes with its own errors by
+//!
+//! x = w_B Δᵀ s_A − ½ (w_A − w_B)(Q_A − n/w_A), 1/w_A the variance of the errors in this condition.
+//!
+//! Its variance is the greater of two estimates: w_B² |Δ|²/w_A + ½ n (1 − w_B/w_A)², if the errors are noise, and the sum
+//! of x², if they are the model's own and correlated within a condition (clusters: Liang & Zeger 1986). Where errors are not
+//! small, the first order is too large, and the spread of the differences between conditions (Vehtari et al.) replaces the
+//! second estimate if it is less. Both are widened by Student's t, for ν and for the number of conditions. The standard
+//! error is at least 2, because differences below 4 are no evidence (Sivula, Magnusson, Matamoros & Vehtari 2020).
+
+use super::fit::{Column, Fit};
+use super::left_out::{Linear, Model, Row};
+use super::screen::USUAL;
+use super::study::Study;
+use super::whiten::Whitener;
+use crate::number::dot;
+use crate::parallel;
+use crate::sand::mechanism::CATALOG;
+use crate::student;
+use nalgebra::DVector;
+use std::collections::HashMap;
+use std::f64::consts::PI;
+use std::sync::Arc;
+
+/// Number of cosines along a trial: our choice; features shorter than a sixteenth of a trial count as noise.
+const WAVES: usize = 16;
+/// Prior standard deviation of coefficients and nuisances, in those that are stated, if the statement is left out: our
+/// choice, wide.
+const UNSTATED: f64 = 10.0;
+/// Least standard error, see above.
+pub const LEAST: f64 = 2.0;
+/// Quantile of the normal distribution to which those of Student's t are compared.
+const NORMAL: f64 = 1.96;
+
+/// The comparison of all models under one noise.
+pub struct Table {
+    pub rows: Vec<Row>,
+    /// n of each condition that is used.
+    pub sizes: Vec<f64>,
+    /// ν
+    pub degrees: f64,
+    /// Greatest mean square that noise alone may leave, see [`Table::lack`].
+    pub limit: f64,
+}
+
+/// Projects whitened stacks on the means of the repetitions.
+struct Projection<'a> {
+    study: &'a Study<'a>,
+    whitener: &'a Whitener,
+    groups: Vec<Vec<usize>>,
+    /// Cosines for each number of samples, wave by wave.
+    cosines: HashMap<usize, Vec<Vec<f64>>>,
+}
+
+impl<'a> Projection<'a> {
+    fn new(study: &'a Study, whitener: &'a Whitener, used: &[usize]) -> Self {
+        let all = study.observations.repetitions();
+        let groups = used.iter().map(|&k| all[k].clone()).collect();
+        let cosines = study.observations.units.iter().map(|u| (u.samples, cosines(u.samples))).collect();
+        Self { study, whitener, groups, cosines }
+    }
+
+    fn waves(&self, group: &[usize]) -> usize {
+        group.iter().map(|&u| self.study.observations.units[u].samples).min().unwrap_or(0).min(WAVES)
+    }
+
+    /// For each repetition of a group its numbers.
+    fn each(&self, white: &[f64], group: &[usize]) -> Vec<Vec<f64>> {
+        let o = self.study.observations;
+        let waves = self.waves(group);
+        let of = |&u: &usize| {
+            let unit = &o.units[u];
+            let basis = &self.cosines[&unit.samples][..waves];
+            let own = |c: usize| basis.iter().map(move |b| dot(b, &white[unit.block(c)]));
+            (0..o.channels.len()).flat_map(own).collect()
+        };
+        group.iter().map(of).collect()
+    }
+
+    /// The numbers of every condition of a stack.
+    fn apply(&self, stack: &[f64]) -> Vec<DVector<f64>> {
+        let white = self.whitener.apply(stack);
+        let mean = |group: &Vec<usize>| {
+            let each = self.each(&white, group);
+            let root = (group.len() as f64).sqrt();
+            let at = |k: usize| each.iter().map(|e| e[k]).sum::<f64>() / root;
+            DVector::from_fn(each.first().map_or(0, Vec::len), |k, _| at(k))
+        };
+        self.groups.iter().map(mean).collect()
+    }
+
+    /// Degrees of freedom: those of the repetitions, or fewer if their scatter differs between conditions. A variance
+    /// that is itself distributed as inverse χ² with ν has the relative variance 2/(ν − 4).
+    fn degrees(&self, residual: &[f64]) -> f64 {
+        let white = self.whitener.apply(residual);
+        let (mut squares, mut free, mut expected) = (Vec::new(), 0.0, 0.0);
+        for group in self.groups.iter().filter(|g| g.len() > 1) {
+            let each = self.each(&white, group);
+            let n = each[0].len();
+            let mean = |k: usize| each.iter().map(|e| e[k]).sum::<f64>() / each.len() as f64;
+            let square: f64 = (0..n).map(|k| each.iter().map(|e| (e[k] - mean(k)).powi(2)).sum::<f64>()).sum();
+            let count = (n * (each.len() - 1)) as f64;
+            squares.push(square / count);
+            expected += 2.0 / count;
+            free += (group.len() - 1) as f64;
+        }
+        let count = squares.len() as f64;
+        let mean = squares.iter().sum::<f64>() / count.max(1.0);
+        let variance = squares.iter().map(|s| (s / mean - 1.0).powi(2)).sum::<f64>() / (count - 1.0).max(1.0);
+        let beyond = variance - expected / count.max(1.0);
+        let uneven = if count > 2.0 && beyond > 0.0 { 4.0 + 2.0 / beyond } else { f64::INFINITY };
+        uneven.min(free).max(1.0)
+    }
+}
+
+/// Orthonormal cosines (DCT-II) over `n` samples.
+fn cosines(n: usize) -> Vec<Vec<f64>> {
+    let of = |k: usize| {
+        let norm = if k == 0 { (1.0 / n as f64).sqrt() } else { (2.0 / n as f64).sqrt() };
+        (0..n).map(|i| norm * (PI * k as f64 * (i as f64 + 0.5) / n as f64).cos()).collect()
+    };
+    (0..n.min(WAVES)).map(of).collect()
+}
+
+impl Table {
+    /// Compares `models`; the first is the plain one. Only the conditions `used` count.
+    pub fn new(study: &Study, whitener: &Whitener, models: &[Model], used: &[usize]) -> Self {
+        let projection = Projection::new(study, whitener, used);
+        // Fits share columns, which are told apart by their address.
+        let place = |c: &Column| Arc::as_ptr(c) as usize;
+        let columns = |m: &Model| -> Vec<Column> {
+            m.fit.slopes.iter().chain(m.laws.iter().flat_map(|l| &l.columns)).cloned().collect()
+        };
+        let mut unique: Vec<Column> = models.iter().flat_map(columns).collect();
+        unique.sort_by_key(place);
+        unique.dedup_by_key(|c| place(c));
+        let projected = parallel::map(&unique, |c| projection.apply(c));
+        let known: HashMap<_, _> = unique.iter().map(place).zip(&projected).collect();
+        let residual = |fit: &Fit| -> Vec<f64> {
+            study.observations.values.iter().zip(study.reading(fit)).map(|(y, m)| y - m).collect()
+        };
+        let degrees = models.first().map_or(1.0, |m| projection.degrees(&residual(m.fit)));
+        let rows = parallel::map(models, |m| {
+            // What is known of coefficients and nuisances is one more condition: deviations of 0 ± 1 are its numbers.
+            let (count, values) = (m.fit.deviations.len(), m.fit.ids.len());
+            let own = |c: &Column| known[&place(c)].clone();
+            let stated = |k: usize| DVector::from_fn(count, |i, _| if k == values + i { 1.0 } else { 0.0 });
+            let with = |mut numbers: Vec<DVector<f64>>, last: DVector<f64>| {
+                numbers.push(last);
+                numbers
+            };
+            let slopes = m.fit.slopes.iter().enumerate();
+            let laws = m.laws.iter().flat_map(|l| &l.columns);
+            let linear = Linear {
+                residual: with(
+                    projection.apply(&residual(m.fit)),
+                    DVector::from_fn(count, |i, _| -m.fit.deviations[i]),
+                ),
+                slopes: slopes.map(|(k, c)| with(own(c), stated(k))).collect(),
+                laws: laws.map(|c| with(own(c), DVector::zeros(count))).collect(),
+                prior: prior(m.fit),
+                widths: m.laws.map_or(Vec::new(), |l| l.columns.iter().map(|c| width(c, &m.fit.prediction)).collect()),
+            };
+            linear.row(study, m, used, degrees)
+        });
+        let size = |g: &Vec<usize>| (projection.waves(g) * study.observations.channels.len()) as f64;
+        let stated = models.first().map(|m| m.fit.deviations.len() as f64);
+        let sizes: Vec<f64> = projection.groups.iter().map(size).chain(stated).collect();
+        let free: f64 = projection.groups.iter().map(|g| g.len() as f64 - 1.0).sum::<f64>().min(degrees).max(1.0);
+        let limit = 1.0 + 2.0 * (2.0 / sizes.iter().sum::<f64>().max(1.0) + 2.0 / free).sqrt();
+        Self { rows, sizes, degrees, limit }
+    }
+
+    /// The elpd of row `k`.
+    pub fn elpd(&self, k: usize) -> f64 {
+        self.rows[k].elpd.iter().sum()
+    }
+
+    /// elpd of `a` minus that of `b`, and its standard error.
+    pub fn difference(&self, a: usize, b: usize) -> [f64; 2] {
+        if a == b {
+            return [0.0; 2];
+        }
+        let difference = self.elpd(a) - self.elpd(b);
+        let (best, other) =
+            if difference >= 0.0 { (&self.rows[a], &self.rows[b]) } else { (&self.rows[b], &self.rows[a]) };
+        let (mut noise, mut clusters) = (0.0, 0.0);
+        for (c, n) in self.sizes.iter().enumerate() {
+            let weight = |row: &Row| {
+                let scale = row.scales[c];
+                (self.degrees + n) / (self.degrees + row.squares[c] / scale) / scale
+            };
+            let [own, others] = [weight(best), weight(other)];
+            let variance = own.recip();
+            let apart = &other.own[c] - &best.own[c];
+            noise += variance * others.powi(2) * apart.norm_squared() + 0.5 * n * (1.0 - others * variance).powi(2);
+            let along = others * apart.dot(&best.own[c]);
+            clusters += (along - 0.5 * (own - others) * (best.squares[c] - n * variance)).powi(2);
+        }
+        let each = best.elpd.iter().zip(&other.elpd).map(|(a, b)| a - b);
+        let count = self.sizes.len() as f64;
+        let mean = difference.abs() / count;
+        let spread = each.map(|d| (d - mean).powi(2)).sum::<f64>() * count / (count - 1.0).max(1.0);
+        let (clusters, count) = (clusters.min(spread), (count - 1.0).max(1.0));
+        let of = |variance: f64, degrees: f64| variance.max(0.0).sqrt() * student::two_sided_95(degrees) / NORMAL;
+        [difference, of(noise, self.degrees).max(of(clusters, count)).max(LEAST)]
+    }
+
+    /// Does `a` predict left-out conditions better than `b`, beyond twice the standard error?
+    pub fn beats(&self, a: usize, b: usize) -> bool {
+        let [difference, error] = self.difference(a, b);
+        difference > 2.0 * error
+    }
+
+    /// Does `k` predict left-out conditions better than the plain model, beyond the standard error?
+    pub fn ahead(&self, k: usize) -> bool {
+        let [difference, error] = self.difference(k, 0);
+        difference > error
+    }
+
+    /// Mean square of the numbers that row `k` leaves: 1 for noise alone.
+    pub fn lack(&self, k: usize) -> f64 {
+        self.rows[k].squares.iter().sum::<f64>() / self.sizes.iter().sum::<f64>().max(1.0)
+    }
+
+    /// Variance of the errors of row `k` beyond that of the noise, in units of it; 0 if noise alone may leave as much.
+    pub fn misfit(&self, k: usize) -> f64 {
+        if self.lack(k) <= self.limit { 0.0 } else { self.rows[k].scale - 1.0 }
+    }
+}
+
+/// Precision and score of each parameter's prior at the fit.
+fn prior(fit: &Fit) -> Vec<[f64; 2]> {
+    let value = |(&id, at): (&usize, f64)| {
+        let precision = (USUAL * CATALOG[id].coordinate_typical()).powi(-2);
+        [precision, -precision * at]
+    };
+    let deviation = |d: &f64| [UNSTATED.powi(-2), -d * UNSTATED.powi(-2)];
+    fit.ids.iter().zip(fit.coordinates()).map(value).chain(fit.deviations.iter().map(deviation)).collect()
+}
+
+/// Prior standard deviation of a law's coefficient: its stress may be as large as all others together. Our choice.
+fn width(column: &[f64], prediction: &[f64]) -> f64 {
+    (dot(prediction, prediction) / dot(column, column).max(1e-300)).sqrt()
+}

@@ -1,0 +1,281 @@
+//! Predicts every condition from the others, for a model that is linear about its fit.
+
+use super::errors::Errors;
+use super::fit::{COEFFICIENTS, Column, Fit};
+use super::study::Study;
+use crate::sand::Term;
+use nalgebra::{DMatrix, DVector};
+
+/// Largest number of rounds for the scale of a model's errors, and the relative change below which it counts as found:
+/// our choices; the scale changes the prediction only through the weight of the priors.
+const ROUNDS: usize = 4;
+const FOUND: f64 = 0.1;
+
+/// A model to compare: a fit, and the laws of which it may have one.
+pub struct Model<'a> {
+    pub fit: &'a Fit,
+    pub laws: Option<&'a Laws>,
+}
+
+/// Laws, with the change of a fit's prediction by each with the coefficient 1.
+pub struct Laws {
+    pub terms: Vec<Term>,
+    pub columns: Vec<Column>,
+}
+
+/// How one model predicts each condition from the others.
+pub struct Row {
+    /// Log predictive density of each condition that is used, and of what is stated of coefficients and nuisances.
+    pub elpd: Vec<f64>,
+    /// V⁻¹ e of each condition: the expected error of its own, besides that of the parameters.
+    pub own: Vec<DVector<f64>>,
+    /// Scale of the errors: as the other conditions show it for each condition, and as all show it.
+    pub scales: Vec<f64>,
+    pub scale: f64,
+    /// Q of each condition.
+    pub squares: Vec<f64>,
+    /// Held-out errors in the data's own unit, of the sand without nuisances.
+    pub held_out: Errors,
+    /// Change of the parameters with each condition left out, and with none; with a law, its coefficient is the last one.
+    pub steps: Vec<Vec<f64>>,
+    pub step: Vec<f64>,
+    /// The law chosen with no condition left out.
+    pub law: Option<usize>,
+}
+
+/// A model, linear about its fit, in the numbers of the conditions. The last condition is what is stated of coefficients
+/// and nuisances.
+pub struct Linear {
+    pub residual: Vec<DVector<f64>>,
+    pub slopes: Vec<Vec<DVector<f64>>>,
+    pub laws: Vec<Vec<DVector<f64>>>,
+    /// Precision and score of each parameter's prior at the fit.
+    pub prior: Vec<[f64; 2]>,
+    /// Prior standard deviation of each law's coefficient.
+    pub widths: Vec<f64>,
+}
+
+/// Products of a condition: information and score of the parameters; of each law those with the parameters, with itself,
+/// and its score.
+struct Products {
+    information: DMatrix<f64>,
+    score: DVector<f64>,
+    laws: Vec<(DVector<f64>, [f64; 2])>,
+}
+
+/// A condition, predicted from the others.
+struct LeftOut {
+    /// The law chosen without the condition.
+    law: Option<usize>,
+    step: DVector<f64>,
+    error: DVector<f64>,
+    /// V⁻¹ e
+    solved: DVector<f64>,
+    /// eᵀ V⁻¹ e
+    square: f64,
+    /// ln |V|
+    wider: f64,
+}
+
+/// All conditions under one scale of the errors.
+struct Predicted {
+    law: Option<usize>,
+    step: DVector<f64>,
+    left: Vec<LeftOut>,
+}
+
+impl Products {
+    fn add(&mut self, other: &Products, weight: f64) {
+        self.information += &other.information * weight;
+        self.score += &other.score * weight;
+        for (sum, law) in self.laws.iter_mut().zip(&other.laws) {
+            sum.0 += &law.0 * weight;
+            sum.1 = [sum.1[0] + weight * law.1[0], sum.1[1] + weight * law.1[1]];
+        }
+    }
+
+    fn less(&self, other: &Products, weight: f64) -> Products {
+        let (information, score) = (self.information.clone(), self.score.clone());
+        let mut rest = Products { information, score, laws: self.laws.clone() };
+        rest.add(other, -weight);
+        rest
+    }
+
+    /// The law that gains most.
+    fn best_law(&self) -> Option<usize> {
+        if self.laws.is_empty() {
+            return None;
+        }
+        let factor = self.information.clone().cholesky()?;
+        let adjusted = factor.solve(&self.score);
+        let gain = |(cross, own): &(DVector<f64>, [f64; 2])| {
+            let left = own[0] - cross.dot(&factor.solve(cross));
+            if left > 1e-9 * own[0] { (own[1] - cross.dot(&adjusted)).powi(2) / left } else { 0.0 }
+        };
+        let gains: Vec<f64> = self.laws.iter().map(gain).collect();
+        (0..gains.len()).max_by(|a, b| gains[*a].total_cmp(&gains[*b]))
+    }
+
+    /// Information and score with a law as the last parameter.
+    fn with(&self, law: Option<usize>) -> (DMatrix<f64>, DVector<f64>) {
+        let Some((cross, own)) = law.map(|l| &self.laws[l]) else {
+            return (self.information.clone(), self.score.clone());
+        };
+        let n = self.score.len();
+        let (mut information, mut score) = (
+            self.information.clone().resize(n + 1, n + 1, own[0]),
+            self.score.clone().resize_vertically(n + 1, own[1]),
+        );
+        for k in 0..n {
+            (information[(k, n)], information[(n, k)]) = (cross[k], cross[k]);
+        }
+        (information[(n, n)], score[n]) = (own[0], own[1]);
+        (information, score)
+    }
+}
+
+impl Linear {
+    fn products(&self, c: usize) -> Products {
+        let n = self.slopes.len();
+        let mut information = DMatrix::zeros(n, n);
+        for i in 0..n {
+            for j in 0..=i {
+                let product = self.slopes[i][c].dot(&self.slopes[j][c]);
+                (information[(i, j)], information[(j, i)]) = (product, product);
+            }
+        }
+        let law = |l: &Vec<DVector<f64>>| {
+            let cross = DVector::from_fn(n, |i, _| self.slopes[i][c].dot(&l[c]));
+            (cross, [l[c].norm_squared(), l[c].dot(&self.residual[c])])
+        };
+        let score = DVector::from_fn(n, |i, _| self.slopes[i][c].dot(&self.residual[c]));
+        Products { information, score, laws: self.laws.iter().map(law).collect() }
+    }
+
+    /// Number of measured conditions.
+    fn measured(&self) -> usize {
+        self.residual.len() - 1
+    }
+
+    /// Weight of a condition if the variance of errors is `scale` times that of the noise. What is stated has its own.
+    fn weight(&self, c: usize, scale: f64) -> f64 {
+        if c < self.measured() { scale.recip() } else { 1.0 }
+    }
+
+    /// Products of all conditions together, and the prior.
+    fn total(&self, each: &[Products], scale: f64) -> Products {
+        let n = self.slopes.len();
+        let mut all = Products {
+            information: DMatrix::from_diagonal(&DVector::from_fn(n, |k, _| self.prior[k][0].max(1e-12))),
+            score: DVector::from_fn(n, |k, _| self.prior[k][1]),
+            laws: self.widths.iter().map(|w| (DVector::zeros(n), [w.powi(-2), 0.0])).collect(),
+        };
+        each.iter().enumerate().for_each(|(c, own)| all.add(own, self.weight(c, scale)));
+        all
+    }
+
+    /// Scale of the errors that the conditions but one show: their mean square, together with one more condition that
+    /// shows what the repetitions show. No model has less scatter than the repetitions.
+    fn scale(&self, left: &[LeftOut], without: Option<usize>) -> f64 {
+        let own = |c: usize| left[c].square / left[c].error.len().max(1) as f64;
+        let (mut sum, mut count) = (1.0, 1.0);
+        for c in (0..self.measured()).filter(|c| Some(*c) != without) {
+            sum += own(c);
+            count += 1.0;
+        }
+        f64::max(sum / count, 1.0)
+    }
+
+    fn predicted(&self, each: &[Products], scale: f64) -> Predicted {
+        let all = self.total(each, scale);
+        let law = all.best_law();
+        let (information, score) = all.with(law);
+        let step = solved(&information, &score).0;
+        let inverse = inverted(information);
+        let of = |c: usize| {
+            let weight = self.weight(c, scale);
+            let rest = all.less(&each[c], weight);
+            let own = rest.best_law();
+            let (without, score) = rest.with(own);
+            let (with, total) = all.with(own);
+            let (step, determinant) = solved(&without, &score);
+            let jacobian = self.jacobian(c, own);
+            let error = &self.residual[c] - &jacobian * &step;
+            let back = jacobian.transpose() * &error;
+            let along = if own == law { &inverse * back } else { inverted(with.clone()) * back };
+            let solved_error = &error - (&jacobian * along) * weight;
+            let square = error.dot(&solved_error).max(0.0);
+            let wider = (solved(&with, &total).1 - determinant).max(0.0);
+            LeftOut { law: own, step, error, solved: solved_error, square, wider }
+        };
+        let left = (0..each.len()).map(of).collect();
+        Predicted { law, step, left }
+    }
+
+    /// The row of the table; `degrees` are those of the noise.
+    pub fn row(&self, study: &Study, model: &Model, used: &[usize], degrees: f64) -> Row {
+        let each: Vec<Products> = (0..self.residual.len()).map(|c| self.products(c)).collect();
+        let mut scale = 1.0;
+        let mut now = self.predicted(&each, scale);
+        for _ in 0..ROUNDS {
+            let next = self.scale(&now.left, None);
+            if (next / scale - 1.0).abs() < FOUND {
+                break;
+            }
+            scale = next;
+            now = self.predicted(&each, scale);
+        }
+        let scales: Vec<f64> =
+            (0..each.len()).map(|c| if c < used.len() { self.scale(&now.left, Some(c)) } else { 1.0 }).collect();
+        let density = |(own, scale): (&LeftOut, &f64)| {
+            let n = own.error.len() as f64;
+            let square = own.square / scale;
+            // A simulation that diverges predicts nothing.
+            let density = -0.5 * (own.wider + n * scale.ln() + (degrees + n) * (square / degrees).ln_1p());
+            density.max(-1e12)
+        };
+        let mut held_out = Errors { square: Vec::new(), count: Vec::new() };
+        for (own, condition) in now.left.iter().zip(used) {
+            let errors = self::held_out(study, model, own.law, own.step.as_slice(), &[*condition]);
+            held_out.square.extend(errors.square);
+            held_out.count.extend(errors.count);
+        }
+        Row {
+            elpd: now.left.iter().zip(&scales).map(density).collect(),
+            squares: now.left.iter().map(|own| own.square).collect(),
+            steps: now.left[..used.len()].iter().map(|own| own.step.iter().copied().collect()).collect(),
+            own: now.left.into_iter().map(|own| own.solved).collect(),
+            scales,
+            scale,
+            held_out,
+            step: now.step.iter().copied().collect(),
+            law: now.law,
+        }
+    }
+
+    fn jacobian(&self, c: usize, law: Option<usize>) -> DMatrix<f64> {
+        let columns: Vec<_> =
+            self.slopes.iter().map(|s| s[c].clone()).chain(law.map(|l| self.laws[l][c].clone())).collect();
+        DMatrix::from_columns(&columns)
+    }
+}
+
+/// Solution of a b = x, and ln |a|.
+fn solved(a: &DMatrix<f64>, b: &DVector<f64>) -> (DVector<f64>, f64) {
+    let factor = a.clone().cholesky();
+    factor.map_or_else(|| (DVector::zeros(b.len()), f64::INFINITY), |f| (f.solve(b), f.ln_determinant()))
+}
+
+fn inverted(a: DMatrix<f64>) -> DMatrix<f64> {
+    let n = a.nrows();
+    a.cholesky().map_or_else(|| DMatrix::zeros(n, n), |f| f.inverse())
+}
+
+/// Errors of the sand's prediction, without nuisances, on the conditions `held`, with the parameters changed by `step`.
+pub fn held_out(study: &Study, model: &Model, law: Option<usize>, step: &[f64], held: &[usize]) -> Errors {
+    let fit = model.fit;
+    let sand = fit.ids.len() + COEFFICIENTS;
+    let mut parts: Vec<(f64, &Column)> = step[..sand].iter().copied().zip(&fit.slopes[..sand]).collect();
+    parts.extend(law.and_then(|l| model.laws.map(|own| (step[step.len() - 1], &own.columns[l]))));
+    Errors::of(study.observations, |k| fit.prediction[k] + parts.iter().map(|(d, s)| d * s[k]).sum::<f64>(), held)
+}

@@ -1,0 +1,104 @@
+//! The linear effect of every candidate on the data: where fits begin, and which pairs are worth a fit.
+
+use super::fit::{Column, slope};
+use super::shared::gram;
+use super::study::Study;
+use super::whiten::Whitener;
+use crate::number::dot;
+use crate::sand::mechanism::{CATALOG, Mechanisms};
+use nalgebra::{DMatrix, DVector};
+
+/// A cause affects the data if its typical strength changes them by more than 0.01 σ in all: our choice, far below the
+/// smallest effect that could be found.
+pub const FELT: f64 = 1e-4;
+/// Bound of a linear estimate in typical strengths: our choice; further from the plain model the linear estimate is
+/// not reliable.
+pub const USUAL: f64 = 4.0;
+
+/// The effect of each candidate on the data: the change of the prediction per typical strength, at one value.
+pub struct Screen {
+    /// For each candidate its catalogue index, and the value at which its column was computed.
+    pub candidates: Vec<(usize, f64)>,
+    columns: Vec<Vec<f64>>,
+    marginal_columns: Vec<Column>,
+    plain: Vec<f64>,
+}
+
+/// Products of the whitened columns with the coefficients projected out, and with the residual.
+pub struct Scores {
+    pub gram: DMatrix<f64>,
+    pub score: DVector<f64>,
+}
+
+impl Screen {
+    /// Columns at the state of `fit`, for the candidates that it does not contain.
+    pub fn new(study: &Study, candidates: &[usize]) -> Self {
+        let plain = study.model.predict(&Mechanisms::default(), &study.model.medium().coefficients);
+        let tried = candidates.iter().flat_map(|&id| starts(study, id).into_iter().map(move |value| (id, value)));
+        let tried: Vec<_> = tried.collect();
+        let coefficients = study.model.medium().coefficients;
+        let states: Vec<_> = tried.iter().map(|&(id, v)| (Mechanisms::default().with(id, v), coefficients)).collect();
+        let moved = study.model.predict_many(&states);
+        let column = |(&(id, value), moved): (&(usize, f64), Vec<f64>)| {
+            slope(&moved, &plain, CATALOG[id].coordinate(value) / CATALOG[id].coordinate_typical())
+        };
+        let columns = tried.iter().zip(moved).map(column).collect();
+        Self { candidates: tried, columns, marginal_columns: study.marginal_slopes(), plain }
+    }
+
+    /// Scores of a stack of measured values.
+    pub fn scores(&self, whitener: &Whitener, values: &[f64]) -> Scores {
+        let residual: Vec<f64> = values.iter().zip(&self.plain).map(|(y, m)| y - m).collect();
+        let white = whitener.apply(&residual);
+        let c: Vec<_> = self.marginal_columns.iter().map(|c| whitener.apply(c)).collect();
+        let z: Vec<_> = self.columns.iter().map(|c| whitener.apply(c)).collect();
+        let count = c.len();
+        let prior = gram(&c) + DMatrix::identity(count, count);
+        let inverse = prior.try_inverse().unwrap_or_else(|| DMatrix::identity(count, count));
+        let cz = DMatrix::from_fn(count, z.len(), |i, j| dot(&c[i], &z[j]));
+        let cr = DVector::from_fn(count, |i, _| dot(&c[i], &white));
+        let gram = gram(&z) - cz.transpose() * &inverse * &cz;
+        let score = DVector::from_fn(z.len(), |i, _| dot(&z[i], &white)) - cz.transpose() * &inverse * &cr;
+        Scores { gram, score }
+    }
+
+    /// May this column's parameter have the sign of `value`?
+    fn allowed(&self, column: usize, value: f64) -> bool {
+        value >= 0.0 || CATALOG[self.candidates[column].0].coordinate_bounds()[0] < 0.0
+    }
+
+    /// Every pair of different causes with its Δχ², best first, as pairs of columns.
+    pub fn pairs(&self, gram: &DMatrix<f64>, score: &DVector<f64>) -> Vec<(f64, usize, usize)> {
+        let mut all = Vec::new();
+        for i in 0..score.len() {
+            for j in 0..i {
+                let (a, b, c) = (gram[(i, i)], gram[(i, j)], gram[(j, j)]);
+                let determinant = a * c - b * b;
+                if self.candidates[i].0 == self.candidates[j].0 || a.min(c) <= FELT || determinant <= 1e-6 * a * c {
+                    continue;
+                }
+                let p = (c * score[i] - b * score[j]) / determinant;
+                let q = (a * score[j] - b * score[i]) / determinant;
+                if self.allowed(i, p) && self.allowed(j, q) {
+                    all.push((p * score[i] + q * score[j], i, j));
+                }
+            }
+        }
+        all.sort_by(|a, b| b.0.total_cmp(&a.0));
+        all
+    }
+}
+
+/// Number of start values for an upper limit: from twice its typical value down to a quarter of it, in steps of √2. Our
+/// choice, because the behaviour changes at the limit at which a motor begins to stall.
+const CEILINGS: usize = 7;
+
+/// Start values of a mechanism's fit; more than one if its effect is far from proportional.
+pub fn starts(study: &Study, id: usize) -> Vec<f64> {
+    let entry = &CATALOG[id];
+    match entry.id {
+        "friction_clip" => vec![0.5, 2.0, 5.0],
+        _ if entry.ceiling => (0..CEILINGS).map(|k| 2.0 * entry.typical * 0.5f64.powf(0.5 * k as f64)).collect(),
+        _ => vec![study.felt_strength(id)],
+    }
+}
