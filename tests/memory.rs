@@ -38,7 +38,7 @@ static ALLOCATOR: Counted = Counted;
 fn robot(change: impl FnOnce(&mut Value)) -> String {
     let mut robot: Value = serde_json::from_str(include_str!("../src/env/options/sandcat.json")).unwrap();
     change(&mut robot);
-    packed::compressed(&robot.to_string()).unwrap()
+    packed::compressed(&robot.to_string(), 1).unwrap()
 }
 
 fn shape(name: &str) -> Value {

@@ -118,7 +118,7 @@ pub fn pack(path: &Path) -> Result<(String, Vec<String>)> {
 /// The packed text. If shapes for pictures do not fit into it, they are left out, and the note says so.
 fn compressed(import: &Import, touching: &Touching) -> Result<(String, Option<String>)> {
     let (looks, note) = looks(import);
-    let text = |looks| packed::compressed(&packed::pack(&import.tree, &touching.plates, looks)?);
+    let text = |looks| packed::compressed(&packed::pack(&import.tree, &touching.plates, looks)?, touching.count());
     match (&looks, text(looks.as_ref())) {
         (Some(_), Err(_)) => Ok((
             text(None)?,

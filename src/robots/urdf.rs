@@ -235,6 +235,7 @@ impl Reader<'_> {
             range: None,
             damping: 0.0,
             friction: 0.0,
+            spring: None,
             armature: 0.0,
             torque_limit: None,
             speed_limit: None,

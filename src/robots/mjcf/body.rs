@@ -214,6 +214,7 @@ impl Builder<'_> {
             range: None,
             damping: self.first(element, "damping")?,
             friction: element.not_negative("frictionloss")?.unwrap_or(0.0),
+            spring: None,
             armature: element.not_negative("armature")?.unwrap_or(0.0),
             torque_limit: None,
             speed_limit: None,
@@ -228,8 +229,9 @@ impl Builder<'_> {
             }
             joint.range = Some([low * unit, high * unit]);
         }
-        if self.first(element, "stiffness")? > 0.0 {
-            self.notes.say(format!("joint {}: its spring (stiffness) is left out", joint.name));
+        let stiffness = self.first(element, "stiffness")?;
+        if stiffness > 0.0 {
+            joint.spring = Some([stiffness, element.number("springref")?.unwrap_or(0.0) * unit]);
         }
         let force = element.numbers::<2>("actuatorfrcrange")?;
         if limited(element, "actuatorfrclimited", force.is_some(), self.compiler.autolimits)? {

@@ -13,9 +13,10 @@
 //! * [`contact`]: the points; [`terrain`]: the ground's surface near a point, [`relief`]: a surface that is not
 //!   flat, [`heights`]: those of a file as one text.
 //! * [`stance`]: the standing pose and the feet; [`symmetry`]: left and right; [`looks`]: shapes for pictures; [`packed`]: a robot as one text.
-//! * [`plates`]: collision shapes as the plates that push on sand, [`patches`]: plates with nearly the same normal,
-//!   gathered; [`robot`]: our own robots as trees.
+//! * [`plates`]: collision shapes as the plates that push on sand, few in place of many ([`cluster`]); [`patches`]:
+//!   plates with nearly the same normal, gathered; [`robot`]: our own robots as trees.
 
+mod cluster;
 pub mod contact;
 pub mod dynamics;
 pub mod engine;
@@ -41,7 +42,7 @@ pub mod terrain;
 pub use engine::TreeEngine;
 pub use hard::HardGround;
 pub use model::TreeModel;
-pub use plates::of_shapes;
+pub use plates::{of_shapes, of_touching};
 pub use robot::of_robot;
 
 use nalgebra::{Isometry3, Matrix3, Unit, Vector3};
@@ -88,6 +89,8 @@ pub struct TreeJoint {
     pub damping: f64,
     /// Dry friction [N·m or N].
     pub friction: f64,
+    /// Stiffness [N·m/rad or N/m] of a spring, and the position at which it is relaxed [rad or m].
+    pub spring: Option<[f64; 2]>,
     /// Inertia of the rotor, multiplied by the gear, at the joint [kg·m² or kg].
     pub armature: f64,
     /// Largest torque of the motor [N·m or N]; None: no known limit.

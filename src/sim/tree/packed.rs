@@ -66,6 +66,8 @@ struct Joint {
     range: Option<[f64; 2]>,
     damping: f64,
     friction: f64,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    spring: Option<[f64; 2]>,
     armature: f64,
     torque_limit: Option<f64>,
     speed_limit: Option<f64>,
@@ -115,8 +117,8 @@ pub fn pack(tree: &Tree, plates: &[Vec<Plate>], looks: Option<&Looks>) -> Result
     serde_json::to_string(&packed).map_err(|e| Error::invalid("robot", e.to_string()))
 }
 
-/// The text of [`pack`], compressed.
-pub fn compressed(text: &str) -> Result<String> {
+/// The text of [`pack`], compressed; `plates` is the number of the robot's plates.
+pub fn compressed(text: &str, plates: usize) -> Result<String> {
     let mut stream = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::best());
     let bytes = stream.write_all(text.as_bytes()).and_then(|()| stream.finish());
     let bytes = bytes.map_err(|e| Error::invalid("robot", e.to_string()))?;
@@ -124,7 +126,11 @@ pub fn compressed(text: &str) -> Result<String> {
     match packed.len() <= MOST_PACKED {
         true => Ok(packed),
         false => {
-            Err(Error::invalid("robot", "it has too many plates: give them a larger size, or let fewer bodies touch"))
+            let (found, most) = (packed.len() >> 10, MOST_PACKED >> 10);
+            let reason = format!(
+                "{plates} plates make a robot of {found} KiB, and {most} KiB are allowed: give a larger size, or fewer bodies with touches"
+            );
+            Err(Error::invalid("plate-size", reason))
         }
     }
 }
@@ -209,6 +215,9 @@ impl Body {
         for (what, x) in [("torque_limit", joint.torque_limit), ("speed_limit", joint.speed_limit)] {
             check_range(&name(what), x.unwrap_or(1.0), 1e-9..=1e12)?;
         }
+        let [stiffness, rest] = joint.spring.unwrap_or_default();
+        check_range(&name("spring"), stiffness, 0.0..=1e9)?;
+        check_range(&name("spring"), rest, -1e6..=1e6)?;
         let [low, high] = joint.range.unwrap_or_default();
         check_range(&name("range"), high, low..=1e12).map(drop)
     }
@@ -245,6 +254,7 @@ fn joint(j: &TreeJoint) -> Joint {
         range: j.range,
         damping: j.damping,
         friction: j.friction,
+        spring: j.spring,
         armature: j.armature,
         torque_limit: j.torque_limit,
         speed_limit: j.speed_limit,
@@ -262,6 +272,7 @@ fn joint_of(j: Joint) -> TreeJoint {
         range: j.range,
         damping: j.damping,
         friction: j.friction,
+        spring: j.spring,
         armature: j.armature,
         torque_limit: j.torque_limit,
         speed_limit: j.speed_limit,
