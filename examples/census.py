@@ -21,7 +21,7 @@ import numpy as np
 import sandgait
 from sandgait import server
 
-TASK = "sandgait/LeggedVelocity-v0"
+TASK = "sandgait/LeggedVelocity-v1"
 #: Environments of each robot: two blocks of the widest instruction set.
 ENVS = 32
 #: Control steps: 20 s.

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
-const ID: &str = "sandgait/LeggedVelocity-v0";
+const ID: &str = "sandgait/LeggedVelocity-v1";
 
 /// Counts the bytes that this thread has in use.
 struct Counted;

@@ -4,7 +4,7 @@
 use super::contact::{ContactPoint, contact_points};
 use super::looks::Looks;
 use super::model::TreeModel;
-use super::{Geometry, JointKind, Tree, TreeBody, TreeJoint, TreeShape};
+use super::{Geometry, JointKind, Mimic, Tree, TreeBody, TreeJoint, TreeShape};
 use crate::error::{Error, Result, check_range};
 use crate::number::Vec3;
 use crate::sand::intruder::Plate;
@@ -68,6 +68,9 @@ struct Joint {
     friction: f64,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     spring: Option<[f64; 2]>,
+    /// Leader, ratio and offset.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    mimic: Option<(String, f64, f64)>,
     armature: f64,
     torque_limit: Option<f64>,
     speed_limit: Option<f64>,
@@ -100,7 +103,13 @@ enum Kind {
 /// Packs `tree` with the plates of each body, and with shapes for pictures where its primitives do not suffice.
 pub fn pack(tree: &Tree, plates: &[Vec<Plate>], looks: Option<&Looks>) -> Result<String> {
     let contacts = contact_points(tree);
-    let body = |(i, b): (usize, &TreeBody)| Body {
+    let bodies = tree.bodies.iter().enumerate().map(|(i, b)| body(b, &contacts[i], &plates[i])).collect();
+    let packed = Packed { name: tree.name.clone(), bodies, looks: looks.cloned() };
+    serde_json::to_string(&packed).map_err(|e| Error::invalid("robot", e.to_string()))
+}
+
+fn body(b: &TreeBody, contacts: &[ContactPoint], plates: &[Plate]) -> Body {
+    Body {
         name: b.name.clone(),
         parent: b.parent,
         origin: place(&b.origin),
@@ -109,12 +118,9 @@ pub fn pack(tree: &Tree, plates: &[Vec<Plate>], looks: Option<&Looks>) -> Result
         center: b.center.into(),
         inertia: [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)].map(|at| b.inertia[at]),
         shapes: b.shapes.iter().filter_map(shape).collect(),
-        contacts: contacts[i].iter().map(contact).collect(),
-        plates: plates[i].iter().map(plate).collect(),
-    };
-    let bodies = tree.bodies.iter().enumerate().map(body).collect();
-    let packed = Packed { name: tree.name.clone(), bodies, looks: looks.cloned() };
-    serde_json::to_string(&packed).map_err(|e| Error::invalid("robot", e.to_string()))
+        contacts: contacts.iter().map(contact).collect(),
+        plates: plates.iter().map(plate).collect(),
+    }
 }
 
 /// The text of [`pack`], compressed; `plates` is the number of the robot's plates.
@@ -138,6 +144,12 @@ pub fn compressed(text: &str, plates: usize) -> Result<String> {
 /// Does this text claim to be a packed robot? It may still be broken.
 pub fn is_packed(text: &str) -> bool {
     text.starts_with(MARK)
+}
+
+/// Refuses a robot whose numbers [`unpack`] would refuse.
+pub fn check(tree: &Tree) -> Result<()> {
+    check_range("number of bodies", tree.bodies.len() as f64, 1.0..=MOST_BODIES as f64)?;
+    tree.bodies.iter().try_for_each(|b| body(b, &[], &[]).check())
 }
 
 /// Reads a text of [`compressed`].
@@ -218,6 +230,10 @@ impl Body {
         let [stiffness, rest] = joint.spring.unwrap_or_default();
         check_range(&name("spring"), stiffness, 0.0..=1e9)?;
         check_range(&name("spring"), rest, -1e6..=1e6)?;
+        if let Some((_, ratio, offset)) = joint.mimic {
+            check_range(&name("mimic"), ratio, -1e3..=1e3)?;
+            check_range(&name("mimic"), offset, -1e3..=1e3)?;
+        }
         let [low, high] = joint.range.unwrap_or_default();
         check_range(&name("range"), high, low..=1e12).map(drop)
     }
@@ -255,6 +271,7 @@ fn joint(j: &TreeJoint) -> Joint {
         damping: j.damping,
         friction: j.friction,
         spring: j.spring,
+        mimic: j.mimic.as_ref().map(|m| (m.leader.clone(), m.ratio, m.offset)),
         armature: j.armature,
         torque_limit: j.torque_limit,
         speed_limit: j.speed_limit,
@@ -273,6 +290,7 @@ fn joint_of(j: Joint) -> TreeJoint {
         damping: j.damping,
         friction: j.friction,
         spring: j.spring,
+        mimic: j.mimic.map(|(leader, ratio, offset)| Mimic { leader, ratio, offset }),
         armature: j.armature,
         torque_limit: j.torque_limit,
         speed_limit: j.speed_limit,
