@@ -2,6 +2,7 @@
 
 use super::layout::{WIDTH, narrow_table, wrapped};
 use super::robot_check::Sheet;
+use sandgait::env::options::RobotName;
 use sandgait::robots::{self, Import, Touch, states};
 use sandgait::sim::tree::looks::Looks;
 use sandgait::sim::tree::{Geometry, TreeBody, TreeJoint, TreeShape, packed, plates};
@@ -76,8 +77,8 @@ impl Robot {
         }
         import.check_legged()?;
         let touching = Touching::of(&import, self.touches.as_deref(), self.plate_size)?;
-        if let (true, Some(_)) = (self.pack, &import.packed) {
-            return Ok(pack(&self.file.to_string_lossy(), &[])?.0);
+        if let (true, Some(packed)) = (self.pack, &import.packed) {
+            return packed.compressed();
         }
         if self.pack {
             let (text, note) = if self.json {
@@ -111,7 +112,7 @@ impl Robot {
         import.check_legged()?;
         let touching = Touching::of(&import, self.touches.as_deref(), self.plate_size)?;
         let text = match &import.packed {
-            Some(_) => pack(&self.file.to_string_lossy(), &[])?.0,
+            Some(packed) => packed.compressed()?,
             None => compressed(&import, &touching)?.0,
         };
         let sheet = Sheet::of(&text, self.ground.as_deref())?;
@@ -162,16 +163,14 @@ pub fn is_description(robot: &str) -> bool {
 }
 
 /// The robot that is the default of LeggedVelocity.
-const SANDCAT: &str = "sandcat";
+const SANDCAT: &str = RobotName::TREE;
 
 /// A robot as one text, with its meshes cut into plates, and notes on the parts that were left out. `robot`: a file, a name,
 /// or `name=file`; `folders`: further folders with packages of descriptions.
 pub fn pack(robot: &str, folders: &[PathBuf]) -> Result<(String, Vec<String>)> {
     let import = robots::named::load_any(robot, folders)?;
-    if import.packed.is_some() {
-        let text = std::fs::read_to_string(robot).map_err(|e| Error::file(Path::new(robot), e))?;
-        let text = text.trim();
-        return Ok((if packed::is_packed(text) { text.to_owned() } else { packed::compressed(text, 0)? }, Vec::new()));
+    if let Some(packed) = &import.packed {
+        return Ok((packed.compressed()?, Vec::new()));
     }
     import.check_legged()?;
     let touching = Touching::of(&import, None, None)?;
@@ -202,6 +201,7 @@ fn looks(import: &Import) -> (Option<Looks>, Option<String>) {
 
 fn load(file: &Path) -> Result<Import> {
     match file.to_str() {
+        Some(SANDCAT) => Import::of_packed_text(RobotName::built_in()),
         Some(name) if sim::Robot::names().contains(&name) => Import::built_in(name),
         Some(name) => robots::named::load_any(name, &[]),
         None => robots::load(file),
@@ -221,7 +221,7 @@ impl Touching {
                 let reason = "a packed robot has its plates already: pack its file with other options";
                 return Err(Error::invalid("touches", reason));
             }
-            return Ok(Self { shapes: Vec::new(), plates: (*packed.plates).clone() });
+            return Ok(Self { shapes: Vec::new(), plates: (*packed.model.plates).clone() });
         }
         let shapes = import.touching(names)?;
         let plates = plates::of_touching(&import.tree, &shapes, plate_size)?;
@@ -400,7 +400,7 @@ fn as_text(import: &Import, touching: &Touching) -> String {
         let [lower, upper] = joint.range.map_or([None; 2], |r| r.map(Some));
         let numbers = [lower, upper, joint.torque_limit, joint.speed_limit, Some(joint.damping), Some(joint.friction)];
         row.extend(numbers.into_iter().chain([Some(joint.armature)]).map(or_dash));
-        let found = [&import.found.kp, &import.found.kd, &import.found.rest].map(|all| all[rows.len() - 1]);
+        let found = [&import.found.kp, &import.found.kd, &import.found.rest].map(|all| all[rows.len() - 2]);
         let mark = |(value, found)| format!("{}{}", or_dash(value), if found { "*" } else { "" });
         row.extend([joint.kp, joint.kd, joint.rest].into_iter().zip(found).map(mark));
         rows.push(row);

@@ -42,7 +42,15 @@ impl Robots {
                 let tree = &import.tree;
                 let none = vec![Vec::new(); tree.bodies.len()];
                 let caption = format!("{name}: {:.1} kg, {} joints", tree.mass(), tree.joints().count());
-                let png = view::tree::draw(tree, &import.seen()?, &none, None, PICTURE, &view::CameraOptions::default(), &[caption])?;
+                let png = view::tree::draw(
+                    tree,
+                    &import.seen()?,
+                    &none,
+                    None,
+                    PICTURE,
+                    &view::CameraOptions::default(),
+                    &[caption],
+                )?;
                 let path = folder.join(format!("{name}.png"));
                 std::fs::write(&path, png).map_err(|e| Error::file(&path, e))?;
             }

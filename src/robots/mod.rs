@@ -78,9 +78,28 @@ pub struct Import {
     pub base_is_free: bool,
     /// What touches sand unless the user says so; None: feet, lower links and base.
     touches: Option<Vec<String>>,
-    /// A packed robot, with its plates.
-    pub packed: Option<Box<TreeModel>>,
+    /// None: the file is no packed robot.
+    pub packed: Option<Box<Packed>>,
     visuals: Vec<Vec<draft::Visual>>,
+}
+
+/// A robot that was packed before.
+pub struct Packed {
+    pub model: TreeModel,
+    /// Compressed, or JSON.
+    text: String,
+}
+
+impl Packed {
+    /// Number of plates.
+    pub fn count(&self) -> usize {
+        self.model.plates.iter().map(Vec::len).sum()
+    }
+
+    /// The compressed text.
+    pub fn compressed(&self) -> Result<String> {
+        if packed::is_packed(&self.text) { Ok(self.text.clone()) } else { packed::compressed(&self.text, self.count()) }
+    }
 }
 
 /// Reads a `.urdf`, a `.xml` or `.mjcf` (URDF or MJCF by its root element), or a `.toml`.
@@ -148,18 +167,22 @@ impl Import {
         Self::of_robot(&name, &robot)
     }
 
-    /// A robot that `sandgait robot --pack` has written.
+    /// A file that `sandgait robot --pack` has written.
     fn of_packed(path: &Path) -> Result<Self> {
         let source = Source::read(path, MOST_TEXT)?;
-        let text = source.text()?.trim();
-        let unpacked = if packed::is_packed(text) { packed::unpack_compressed(text) } else { packed::unpack(text) };
-        let model = unpacked.map_err(|e| Error::file(path, e))?;
+        Self::of_packed_text(source.text()?.trim()).map_err(|e| Error::file(path, e))
+    }
+
+    /// A robot that `sandgait robot --pack` has printed, with `--json` or without.
+    pub fn of_packed_text(text: &str) -> Result<Self> {
+        let model = if packed::is_packed(text) { packed::unpack_compressed(text)? } else { packed::unpack(text)? };
         let tree = (*model.tree).clone();
         let links = tree.bodies.iter().map(|b| vec![b.name.clone()]).collect();
         let visuals = tree.bodies.iter().map(|_| Vec::new()).collect();
         let stance = (*model.stance).clone();
         let found = Found::none(tree.joints().count());
-        let (format, warnings, packed) = (Format::Packed, Vec::new(), Some(Box::new(model)));
+        let (format, warnings) = (Format::Packed, Vec::new());
+        let packed = Some(Box::new(Packed { model, text: text.to_owned() }));
         Ok(Self { tree, format, warnings, links, visuals, stance, found, base_is_free: true, touches: None, packed })
     }
 

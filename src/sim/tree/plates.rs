@@ -221,7 +221,7 @@ fn together(shapes: &[&TreeShape], size: Option<f64>, count: f64) -> Result<Vec<
             }
         }
     }
-    Ok(if size.is_some() { all } else { cluster::few(&all, count.round() as usize) })
+    Ok(if size.is_some() { all } else { cluster::few(&all, (count as usize).max(1)) })
 }
 
 /// The plate, moved from the shape's frame to its body's.

@@ -269,7 +269,12 @@ impl<'a> Search<'a> {
         let (mut depths, mut last): (Option<[f64; 2]>, Option<Vec<f64>>) = (None, None);
         for k in (2..=HEIGHTS).rev() {
             let depth = length * k as f64 / HEIGHTS as f64;
-            let found = self.reach(limb, place - V::z() * depth, last.as_deref(), depths.is_none());
+            let target = place - V::z() * depth;
+            let mut found = self.reach(limb, target, last.as_deref(), depths.is_none());
+            if found.off >= REACHED && last.is_some() {
+                // A straight leg does not bend by itself.
+                found = self.reach(limb, target, last.as_deref(), true);
+            }
             if found.off < REACHED {
                 depths = Some([depth, depths.map_or(depth, |d| d[1])]);
                 last = Some(found.angles);

@@ -83,7 +83,8 @@ pub fn step<R: Real>(model: &LaneTree<R>, state: &mut LaneState<R>, scratch: &mu
         let leader = state.motion.joints[follower.leader];
         let (ratio, servo) = (R::splat(follower.ratio), &mut state.servos[follower.joint]);
         servo.reference = ratio.mul_add(leader.position, R::splat(follower.offset));
-        servo.command_rate = ratio * leader.rate;
+        // The leader is expected to accelerate as in the step before.
+        servo.command_rate = ratio * (leader.rate + leader.change);
     }
     accelerate(model, state, scratch);
     move_joints(model, state, &scratch.joints);
