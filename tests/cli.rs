@@ -98,7 +98,10 @@ fn a_warning_of_a_kind_is_one_line() {
     let output = sandgait(&legged);
     let said = String::from_utf8(output.stderr).unwrap();
     assert!(output.status.success() && said.lines().count() == 1, "{said}");
-    assert!(said.contains("more: `sandgait robot ") && said.ends_with("lists them\n"), "{said}");
+    assert!(
+        said.contains("links trunk, ") && said.contains(" and 13 more: ") && said.ends_with("used as it is\n"),
+        "{said}"
+    );
 }
 
 #[test]

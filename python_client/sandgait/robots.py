@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import warnings
 from pathlib import Path
 from typing import Any
 
 from . import _native
 from .options import packages
+from .user_warnings import warn
 
 
 def check_robot(robot: str | Path, ground: str | None = None) -> dict[str, Any]:
@@ -23,6 +23,5 @@ def check_robot(robot: str | Path, ground: str | None = None) -> dict[str, Any]:
     one thread.
     """
     sheet, lines = _native.check_robot(str(robot), ground, packages())
-    for line in lines:
-        warnings.warn(line, UserWarning, stacklevel=2)
+    warn(lines, f"`sandgait robot {robot}` lists them")
     return json.loads(sheet)

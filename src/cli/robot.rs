@@ -352,18 +352,19 @@ fn joint_units(tree: &sim::tree::Tree) -> Vec<String> {
     [String::new(), String::new()].into_iter().chain(units).collect()
 }
 
-/// The legs and the standing height, in one line.
+/// The legs and the standing height.
 fn stance(import: &Import) -> String {
     let (stance, names) = (&import.stance, |bodies: &[usize]| {
         bodies.iter().map(|b| import.tree.bodies[*b].name.as_str()).collect::<Vec<_>>().join(", ")
     });
-    format!(
-        "\n{} legs of {:.3} m; the base stands at {:.3} m; feet: {}\n",
+    let line = format!(
+        "{} legs of {:.3} m; the base stands at {:.3} m; feet: {}",
         stance.legs.len(),
         stance.leg_length,
         stance.height,
         names(&stance.feet)
-    )
+    );
+    format!("\n{}\n", wrapped(&line, WIDTH).join("\n"))
 }
 
 fn as_text(import: &Import, touching: &Touching) -> String {
@@ -408,7 +409,7 @@ fn as_text(import: &Import, touching: &Touching) -> String {
     text.push('\n');
     text.push_str(&narrow_table(&rows, 2));
     if import.found.any() {
-        text.push_str("* found, because the file has none: see docs/robots.md, \"Pose and gains\"\n");
+        text.push_str("* found, because the file has none: docs/robots.md, \"Pose and gains\"\n");
     }
     text.push_str(&stance(import));
     let mut rows = vec![heads(&["touches sand", "body", "shape", "area [m²]"])];

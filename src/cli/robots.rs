@@ -11,7 +11,7 @@ const PICTURE: [u32; 2] = [480, 360];
 /// List the robots that have a name: option `robot` and `sandgait robot` take these names.
 ///
 /// Their descriptions are not ours: they come from packages (pip install 'sandgait[robots]'), or from a file of yours
-/// (NAME=FILE). The names stand for a pose, gains, and what touches sand.
+/// (NAME=FILE). The names stand for a pose, gains, and what touches sand; --json prints the source of each.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait robots
@@ -68,14 +68,14 @@ impl Robots {
             };
             return Ok(super::json(&all.iter().map(row).collect::<Vec<_>>().into()));
         }
-        let mut rows = vec![["name", "robot", "description", "source of pose and gains"].map(String::from).to_vec()];
+        let mut rows = vec![["name", "robot", "description"].map(String::from).to_vec()];
         for (name, named, file) in &all {
             let at = match file {
                 _ if *name == "sandcat" => "built in",
                 Some(_) => "installed",
                 None => "not installed",
             };
-            rows.push(vec![(*name).into(), named.title.clone(), at.into(), named.source.clone()]);
+            rows.push(vec![(*name).into(), named.title.clone(), at.into()]);
         }
         Ok(super::table(&rows))
     }
