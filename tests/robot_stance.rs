@@ -137,7 +137,9 @@ fn what_is_no_legged_robot_is_refused() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join(format!("{name}.urdf"));
         std::fs::write(&path, text).unwrap();
-        let output = sandgait(&["robot", path.to_str().unwrap()]);
+        let said = String::from_utf8(sandgait(&["robot", path.to_str().unwrap(), "--json"]).stdout).unwrap();
+        assert!(said.contains("looked for"), "{name}: {said}");
+        let output = sandgait(&["robot", path.to_str().unwrap(), "--pack"]);
         let error = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(2), "{name}: {error}");
         assert!(error.trim().lines().count() == 1 && error.contains("looked for"), "{name}: {error}");

@@ -69,13 +69,16 @@ pub struct Robot {
 
 impl Robot {
     pub fn run(self) -> Result<String> {
-        let import = load(&self.file)?;
+        let mut import = load(&self.file)?;
         if let Some(rows) = &self.accelerations {
             let rows = states::compute(&import.tree, rows)?;
             let rows: Vec<Value> = rows.iter().map(|r| json!({"a": r.a, "alpha": r.alpha, "qdd": r.qdd})).collect();
             return Ok(super::json(&rows.into()));
         }
-        import.check_legged()?;
+        match import.check_legged() {
+            Err(e) if !self.pack => import.warnings.insert(0, e.to_string()),
+            legged => legged?,
+        }
         let touching = Touching::of(&import, self.touches.as_deref(), self.plate_size)?;
         if let (true, Some(packed)) = (self.pack, &import.packed) {
             return packed.compressed();

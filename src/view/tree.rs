@@ -7,7 +7,7 @@ use crate::error::{Error, Result};
 use crate::sand::intruder::Plate;
 use crate::sim::State;
 use crate::sim::frame::V;
-use crate::sim::tree::stance::{chain, frames};
+use crate::sim::tree::kinematics::{chain, frames};
 use crate::sim::tree::{Geometry, Tree, TreeShape};
 use nalgebra::Isometry3;
 use resvg::tiny_skia::{Pixmap, PremultipliedColorU8};

@@ -3,7 +3,7 @@
 use super::episode::LeggedEpisode;
 use crate::feature::flag;
 use crate::reward_terms;
-use crate::sim::tree::stance::{frames, lowest};
+use crate::sim::tree::kinematics::{frames, lowest};
 use crate::sim::{Model, State};
 use crate::spec::CONTROL_RATE;
 use crate::task::Transition;

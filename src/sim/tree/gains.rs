@@ -16,8 +16,8 @@
 //! 39 N·m/rad and 0.9 N·m·s/rad; legged_gym takes 20 and 0.5, under which A1 sinks twice as far.
 
 use super::contact::ContactPoint;
-use super::model::TreeMotor;
-use super::stance::{Stance, chain, lowest};
+use super::kinematics::{chain, lowest};
+use super::stance::Stance;
 use super::{JointKind, Tree, TreeJoint};
 use crate::sand::GRAVITY;
 use nalgebra::{Isometry3, Vector3};
@@ -36,6 +36,19 @@ const FOLLOWING: f64 = 100.0;
 const POSTURE: [f64; 2] = [0.5, 3.0];
 /// Smallest distance of a centre of mass from its joint [m]: our choice, for parts that are balanced about it.
 const NEAREST: f64 = 0.01;
+
+/// A joint's motor and servo.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TreeMotor {
+    /// [N·m/rad]
+    pub kp: f64,
+    /// [N·m·s/rad]
+    pub kd: f64,
+    /// [N·m]
+    pub torque_limit: Option<f64>,
+    /// [rad/s]
+    pub speed_limit: Option<f64>,
+}
 
 /// kp and kd of a joint without known gains [N·m/rad, N·m·s/rad].
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,7 +1,7 @@
 //! Limbs of a robot (legs, arms, tails): the branches of its tree that end in a shape, and how each one moves.
 
 use super::contact::ContactPoint;
-use super::stance::{Low, moved};
+use super::kinematics::{Low, moved};
 use super::{JointKind, Tree};
 use nalgebra::{DMatrix, DVector, Isometry3, Vector3};
 

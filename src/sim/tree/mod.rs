@@ -12,7 +12,7 @@
 //!   [`forces`]: those of both at one moment, for pictures.
 //! * [`contact`]: the points; [`terrain`]: the ground's surface near a point, [`relief`]: a surface that is not
 //!   flat, [`heights`]: those of a file as one text.
-//! * [`joint_values`]: values for joints by patterns of their names; [`limbs`]: legs, arms and tails, and how each moves;
+//! * [`kinematics`]: frames of bodies and their lowest points; [`joint_values`]: values for joints by patterns of their names; [`limbs`]: legs, arms and tails, and how each moves;
 //!   [`stance`]: the standing pose; [`gains`]: servo gains; [`standing`]: does the robot stand?
 //! * [`symmetry`]: left and right; [`looks`]: shapes for pictures; [`packed`]: a robot as one text.
 //! * [`plates`]: collision shapes as the plates that push on sand, few in place of many ([`cluster`]); [`patches`]:
@@ -29,6 +29,7 @@ pub mod gains;
 pub mod hard;
 pub mod heights;
 pub mod joint_values;
+pub mod kinematics;
 pub mod limbs;
 pub mod looks;
 pub mod model;

@@ -2,27 +2,15 @@
 
 use super::Tree;
 use super::contact::{ContactPoint, contact_points};
-use super::gains::motors;
+use super::gains::{TreeMotor, motors};
+use super::kinematics::{frames, lowest};
 use super::looks::Looks;
 use super::patches::BodyPatches;
-use super::stance::{Stance, frames, lowest};
+use super::stance::Stance;
 use crate::error::{Error, Result, check_range};
 use crate::sand::intruder::Plate;
 use crate::sand::{GRAVITY, Law};
 use std::sync::Arc;
-
-/// A joint's motor and servo.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TreeMotor {
-    /// [N·m/rad]
-    pub kp: f64,
-    /// [N·m·s/rad]
-    pub kd: f64,
-    /// [N·m]
-    pub torque_limit: Option<f64>,
-    /// [rad/s]
-    pub speed_limit: Option<f64>,
-}
 
 /// Compliance and friction of hard ground at each point that touches.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,7 +1,7 @@
 //! Does a robot stand? It is set down gently in its default pose, and stands for five seconds under the servos alone.
 
 use super::forces::pushes;
-use super::stance::{frames, lowest};
+use super::kinematics::{frames, lowest};
 use crate::engine::{Command, Engine, EngineKind};
 use crate::error::{Error, Result};
 use crate::{Model, State};
@@ -126,7 +126,7 @@ fn judged(model: &Model, state: State) -> Result<Standing> {
     let up = state.rotation()[2][2];
     let speed = Vector3::from(state.velocity).norm();
     let torque =
-        |(t, motor): (&f64, &super::model::TreeMotor)| (t.abs(), motor.torque_limit.map(|limit| t.abs() / limit));
+        |(t, motor): (&f64, &super::gains::TreeMotor)| (t.abs(), motor.torque_limit.map(|limit| t.abs() / limit));
     let torques = state.torques.iter().zip(&tree.motors).map(torque).collect();
     let reason = match () {
         () if up < UPRIGHT => "it tips over",
