@@ -24,4 +24,5 @@ def check_robot(robot: str | Path, ground: str | None = None) -> dict[str, Any]:
     """
     sheet, lines = _native.check_robot(str(robot), ground, packages())
     warn(lines, f"`sandgait robot {robot}` lists them")
-    return json.loads(sheet)
+    read: dict[str, Any] = json.loads(sheet)
+    return read
