@@ -48,14 +48,18 @@ def theirs(path: Path, gains: tuple[float, float], angles: list[float], height: 
     """The same by MuJoCo, from the same height of the base."""
     spec = mujoco.MjSpec.from_file(str(path))
     for geom in spec.geoms:
-        # Contacts with the floor alone, and with its friction.
+        # Contacts with the floor alone, with the friction of the geom, sliding friction only.
+        geom.priority, geom.condim = 1, 3
         geom.contype, geom.conaffinity = 0, int(bool(geom.contype or geom.conaffinity))
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[10, 10, 1], contype=1, conaffinity=0)
     option = spec.option
+    # The file's own actuators, which would pull the joints to 0.
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
     option.timestep, option.cone, option.impratio = 1e-4, mujoco.mjtCone.mjCONE_ELLIPTIC, 10
     option.integrator, option.gravity = mujoco.mjtIntegrator.mjINT_IMPLICITFAST, [0, 0, -9.80665]
     model = spec.compile()
-    model.geom_solref[:] = [0.004, 1.0]
+    # Go1's feet are soft by 22 mm in its file.
+    model.geom_solref[:], model.geom_solimp[:] = [0.004, 1.0], [0.9, 0.95, 0.001, 0.5, 2.0]
     data = mujoco.MjData(model)
     data.qpos[:7], data.qpos[7:] = [0, 0, height, 1, 0, 0, 0], angles
     rows = []
