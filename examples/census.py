@@ -95,7 +95,10 @@ def row(path: Path) -> str:
     diverged = 0
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
-        sheet = sandgait.check_robot(path)
+        try:
+            sheet = sandgait.check_robot(path)
+        except sandgait.SandgaitError as error:
+            return f"| {name} | refused: {error} |"
         cells.extend(ground["reason"] or "yes" for ground in sheet["grounds"])
         cells.append(f"{1e3 * sheet['needed_dt']:g}" if sheet["needed_dt"] else "< 0.25")
         for _, options in GROUNDS:

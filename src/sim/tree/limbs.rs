@@ -244,6 +244,7 @@ impl Limb {
 
     /// Moves the tip to `target` (in the base's frame) and levels the sole. Begins at `first`, if given, and at several
     /// other positions if that fails; returns the best solution.
+    #[allow(clippy::too_many_arguments)] // the robot, the range of the search, and what is wanted
     pub fn reach(
         &self,
         tree: &Tree,
