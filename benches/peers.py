@@ -182,7 +182,7 @@ def rows(binary: Path, robot: Path) -> dict[str, Callable[[float, int], float]]:
         "sandgait HexapodGait (6 joints, sand)": sandgait(binary, "sandgait/HexapodGait-v1"),
         "sandgait HexapodLegs (18 joints, sand)": sandgait(binary, "sandgait/HexapodLegs-v1"),
         "MuJoCo mj_step, same hexapod, no sand": mujoco_step,
-        f"sandgait {robot.name}, hard floor": sandgait(binary, "sandgait/LeggedVelocity-v0", floor),
+        f"sandgait {robot.name}, hard floor": sandgait(binary, "sandgait/LeggedVelocity-v1", floor),
         f"MuJoCo mj_step, {robot.name}, hard floor": mujoco_floor(robot),
         "EnvPool Ant-v5": envpool_ant,
         "gymnasium Ant-v5, SyncVectorEnv": gymnasium_ant,

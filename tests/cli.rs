@@ -67,7 +67,7 @@ fn media_and_tasks_are_listed() {
 fn texts_fit_a_terminal() {
     let names = ["HexapodGait", "HexapodGait-v1", "sandgait/HexapodGait-v1"].map(|name| text(&["tasks", name]));
     assert!(names.iter().all(|t| *t == names[0]) && names[0].starts_with("sandgait/HexapodGait-v1\n"));
-    assert_eq!(json(&["tasks", "LeggedVelocity", "--json"])["id"], "sandgait/LeggedVelocity-v0");
+    assert_eq!(json(&["tasks", "LeggedVelocity", "--json"])["id"], "sandgait/LeggedVelocity-v1");
     refused(&["tasks", "HexapodGate"], &["task \"HexapodGate\" is unknown; known: HexapodGait-v1"]);
     refused(&["tasks", "HexapodGait", "--markdown", "x"], &["--markdown"]);
     let robot = text(&["robot", "robots/sandcat.urdf"]);
@@ -94,11 +94,14 @@ fn a_warning_of_a_kind_is_one_line() {
     std::fs::write(&file, format!("{first}{}", links.collect::<String>())).unwrap();
     let option = format!("robot={}", file.display());
     let legged =
-        ["bench", "--task", "sandgait/LeggedVelocity-v0", "--option", &option, "--envs", "1", "--seconds", "0.01"];
+        ["bench", "--task", "sandgait/LeggedVelocity-v1", "--option", &option, "--envs", "1", "--seconds", "0.01"];
     let output = sandgait(&legged);
     let said = String::from_utf8(output.stderr).unwrap();
     assert!(output.status.success() && said.lines().count() == 1, "{said}");
-    assert!(said.contains("more: `sandgait robot ") && said.ends_with("lists them\n"), "{said}");
+    assert!(
+        said.contains("links trunk, ") && said.contains(" and 13 more: ") && said.ends_with("used as it is\n"),
+        "{said}"
+    );
 }
 
 #[test]

@@ -12,7 +12,7 @@ use sandgait::sim::tree::{packed, plates::of_touching};
 use serde_json::{Value, json};
 use std::path::Path;
 
-const ID: &str = "sandgait/LeggedVelocity-v0";
+const ID: &str = "sandgait/LeggedVelocity-v1";
 
 fn blueprint(options: Value) -> Blueprint {
     Blueprint::new(ID, options).unwrap()
@@ -32,17 +32,23 @@ fn column(blueprint: &Blueprint, name: &str) -> usize {
 /// Our own robot from its file, packed.
 fn sandcat(file: &str) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots").join(file);
-    let import = robots::load(&path).unwrap();
+    packed_text(&robots::load(&path).unwrap())
+}
+
+fn packed_text(import: &robots::Import) -> String {
     let touching = import.touching(None).unwrap();
-    let plates = of_touching(&import.tree, &touching, Some(0.02)).unwrap();
+    let plates = of_touching(&import.tree, &touching, None).unwrap();
     packed::pack(&import.tree, &plates, import.looks().unwrap().as_ref()).unwrap()
 }
 
-/// `src/env/options/sandcat.json` is what `sandgait robot robots/sandcat.urdf --pack --json --plate-size 0.02` prints.
+/// `src/env/options/sandcat.json` is what `sandgait robot sandcat=robots/sandcat.urdf --pack --json` prints.
 #[test]
 fn the_built_in_robot_equals_its_file() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/env/options/sandcat.json");
-    assert_eq!(std::fs::read_to_string(path).unwrap().trim(), sandcat("sandcat.urdf"));
+    let import = robots::named::Named::of("sandcat").unwrap().unwrap();
+    let import = import.load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/sandcat.urdf")).unwrap();
+    let (own, packed) = (std::fs::read_to_string(path).unwrap(), packed_text(&import));
+    assert!(own.trim() == packed, "pack the file again");
 }
 
 /// Without pushes and with zero actions, a robot stands for 10 s on every ground. So does the same robot from its URDF,
@@ -50,7 +56,7 @@ fn the_built_in_robot_equals_its_file() {
 #[test]
 fn robots_stand() {
     for file in ["sandcat.urdf", "sandcat.xml"] {
-        let robot = packed::compressed(&sandcat(file)).unwrap();
+        let robot = packed::compressed(&sandcat(file), 1).unwrap();
         for ground in ["rigid", "poppy-close", "mixed"] {
             let options = json!({"robot": robot, "ground": ground, "domain_rand": null});
             let mut shard = shard(options, 2);
@@ -126,7 +132,7 @@ fn broken_robots_and_options_are_refused_in_one_line() {
     let with = |change: &dyn Fn(&mut Value)| {
         let mut json: Value = serde_json::from_str(&good).unwrap();
         change(&mut json);
-        refused(json!({"robot": packed::compressed(&json.to_string()).unwrap()}))
+        refused(json!({"robot": packed::compressed(&json.to_string(), 1).unwrap()}))
     };
     assert!(with(&|r| r["bodies"][3]["parent"] = json!(7)).contains("depth-first"));
     assert!(with(&|r| r["bodies"][3]["parent"] = json!(3)).contains("depth-first"));
@@ -185,7 +191,7 @@ fn large_meshes_become_small_for_pictures() {
     assert!((1000..=4000).contains(&mesh.faces.len()), "{}", mesh.faces.len());
     assert!(mesh.corners.iter().all(|c| (c.iter().map(|x| x * x).sum::<f64>().sqrt() / 0.022 - 1.0).abs() < 0.03));
     let plates = of_touching(&import.tree, &import.touching(None).unwrap(), Some(0.02)).unwrap();
-    let text = |looks| packed::compressed(&packed::pack(&import.tree, &plates, looks).unwrap()).unwrap();
+    let text = |looks| packed::compressed(&packed::pack(&import.tree, &plates, looks).unwrap(), 1).unwrap();
     let run = |robot: String| {
         let mut shard = shard(json!({"robot": robot}), 1);
         let actions = vec![0.5; shard.actions()];

@@ -75,6 +75,8 @@ fn tumbling(model: &Model, height: f64) -> State {
 fn passive(robot: &mut Robot) {
     robot.servo.kp = 0.0;
     robot.servo.kd = 0.0;
+    // Stops take energy.
+    robot.leg.link.iter_mut().for_each(|link| link.range = None);
 }
 
 /// Advances one robot from `state` by `time` [s].

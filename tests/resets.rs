@@ -165,13 +165,13 @@ fn snapshots_hold_large_reliefs() {
         let height = |j: usize, i: usize| 0.05 * (0.1 * i as f64).sin() + 0.03 * (0.07 * j as f64).cos();
         let heights: Vec<Vec<f64>> = (0..side).map(|j| (0..side).map(|i| height(j, i)).collect()).collect();
         let options = json!({"ground": "rigid", "relief": {"heights": heights, "spacing": 0.1}});
-        let mut session = Session::new("sandgait/LeggedVelocity-v0", options.clone(), 2);
+        let mut session = Session::new("sandgait/LeggedVelocity-v1", options.clone(), 2);
         session.reset(None, json!({})).unwrap();
         session.walk(5);
         let bytes = session.batch().save().unwrap().to_bytes(&Seal::default()).unwrap();
         let rows = session.walk(10);
         let snapshot = Snapshot::from_bytes(&bytes, &Seal::default()).unwrap();
-        let mut other = Session::new("sandgait/LeggedVelocity-v0", options, 2);
+        let mut other = Session::new("sandgait/LeggedVelocity-v1", options, 2);
         let mut batch = other.batch.take().unwrap();
         let operation = batch.restore(&snapshot, None).unwrap();
         other.batch = Some(other.pool.wait(batch, operation).unwrap());

@@ -74,3 +74,40 @@ fn the_lag_limit_does_not_affect_unsaturated_motors() {
         assert_eq!(with, without, "{}", kind.name());
     }
 }
+
+/// A command that pulls every joint far beyond its range: the joints stop within 0.02 rad of it, in both engines, and
+/// come back when the command does. Joints that stay within their range move by the same bits as without one.
+#[test]
+fn joints_stop_at_the_ends_of_their_ranges() {
+    let robot = Robot::built_in("xplorer18").unwrap();
+    let scene = Scene { dt: 5e-4, ..Scene::flat(Medium::named("poppy-loose").unwrap()) };
+    let own = Model::new(&robot, &scene).unwrap();
+    let mut endless = robot.clone();
+    endless.leg.link.iter_mut().for_each(|link| link.range = None);
+    let endless = Model::new(&endless, &scene).unwrap();
+    let ranges: Vec<[f64; 2]> = own.legs.iter().flatten().map(|b| b.range.unwrap_or([-1e9, 1e9])).collect();
+    let run = |kind: EngineKind, model: &Model, to: &dyn Fn(usize) -> f64, time: f64| {
+        let angles: Vec<f64> = ranges.iter().map(|[low, high]| (0.0_f64).clamp(*low, *high)).collect();
+        let mut state = State::at_rest(0.5, &angles);
+        let mut engine = Engine::new(kind, model, 1).unwrap();
+        state.references = (0..angles.len()).map(to).collect();
+        engine.set_state(0, &state);
+        engine.command(0, &Command::still(angles.len()));
+        engine.advance((time / model.scene.dt).round() as usize);
+        engine.state(0, &mut state);
+        state
+    };
+    let beyond = |i: usize, x: f64| (x - ranges[i][1]).max(ranges[i][0] - x).max(0.0);
+    assert!(ranges.iter().any(|r| r[1] < 3.0));
+    for kind in EngineKind::ALL {
+        for sign in [-1.0, 1.0] {
+            let pulled = |i: usize| if ranges[i][1] < 1e6 { sign * 4.0 } else { 0.0 };
+            let most = |state: &State| state.angles.iter().enumerate().map(|(i, x)| beyond(i, *x)).fold(0.0, f64::max);
+            let (held, free) = (run(kind, &own, &pulled, 0.3), run(kind, &endless, &pulled, 0.3));
+            assert!(held.is_sound() && most(&held) < 0.02, "{}: {} rad beyond", kind.name(), most(&held));
+            assert!(most(&free) > 0.2, "{}: nothing pulled", kind.name());
+        }
+        let inside = |i: usize| if ranges[i][1] < 1e6 { 0.5 * (ranges[i][0] + ranges[i][1]) } else { 0.1 };
+        assert_eq!(run(kind, &own, &inside, 0.05), run(kind, &endless, &inside, 0.05), "{}", kind.name());
+    }
+}

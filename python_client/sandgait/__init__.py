@@ -46,6 +46,7 @@ from .errors import (
 from .policies import Evaluation, evaluate
 from .recording import Recording, Section, read_recording
 from .remote import Remote
+from .robots import check_robot
 from .spaces import Column, Option, Task
 from .studies import Intrusion, Sweep, Trials, Walks, intrude, sweep, walk
 from .tables import Table
@@ -87,6 +88,7 @@ __all__ = [
     "UnknownOption",
     "Walks",
     "__version__",
+    "check_robot",
     "describe",
     "diagnose",
     "evaluate",
@@ -107,7 +109,7 @@ TASKS = (
     "sandgait/HexapodRocks-v1",
     "sandgait/HexapodTerrain-v1",
     "sandgait/LegStroke-v0",
-    "sandgait/LeggedVelocity-v0",
+    "sandgait/LeggedVelocity-v1",
 )
 
 
@@ -144,7 +146,7 @@ def export_onnx(model: Any, path: FilePath, normalize: Any = None) -> Path:
 
 #: Control steps until gymnasium truncates an episode. A test compares them with the server's. LegStroke has no limit
 #: here, because one episode is one stroke and ends with it.
-_TIME_LIMITS = {_id: 500 for _id in TASKS if "/Hexapod" in _id} | {"sandgait/LeggedVelocity-v0": 1000}
+_TIME_LIMITS = {_id: 500 for _id in TASKS if "/Hexapod" in _id} | {"sandgait/LeggedVelocity-v1": 1000}
 
 for _id in TASKS:
     gymnasium.register(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -21,10 +22,12 @@ def with_files(options: Mapping[str, Any]) -> Mapping[str, Any]:
         except (OSError, TypeError, UnicodeDecodeError) as error:
             raise InvalidRequest(f"sand: {options['sand']!r} cannot be read as a file: {error}") from error
     robot = options.get("robot")
-    if isinstance(robot, (str, Path)) and Path(robot).suffix in ROBOT_FILES:
-        # with its meshes cut into plates, as servers require
-        texts["robot"], lines = _native.pack_robot(str(robot))
-        warn(lines, f"`sandgait robot {robot}` lists them")
+    if isinstance(robot, (str, Path)):
+        texts["robot"] = str(robot)
+        if _native.is_description(str(robot)):
+            # with its meshes cut into plates, as servers require
+            texts["robot"], lines = _native.pack_robot(str(robot), packages())
+            warn(lines, f"`sandgait robot {robot}` lists them")
     relief = options.get("relief")
     if isinstance(relief, Mapping) and relief.get("file"):
         texts["relief"] = {**relief, "file": _heights(relief["file"])}
@@ -45,5 +48,6 @@ def _heights(file: object) -> str:
     return file if isinstance(file, str) and file.startswith("heights:") else _native.pack_heights(str(file))
 
 
-#: Endings of the names of robot files.
-ROBOT_FILES = (".urdf", ".xml", ".mjcf")
+def packages() -> list[str]:
+    """Folders in which packages with robots' descriptions may lie: those that Python imports from."""
+    return [folder for folder in sys.path if folder]

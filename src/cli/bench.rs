@@ -21,7 +21,7 @@ use std::time::Duration;
   sandgait bench --envs 256 --through grpc-uds
   sandgait bench --task all --actions zero      (robots that stand)
   sandgait bench --actions policy --policy policy.onnx
-  sandgait bench --task sandgait/LeggedVelocity-v0 --option ground=rigid --option robot=robots/sandcat.urdf
+  sandgait bench --task sandgait/LeggedVelocity-v1 --option ground=rigid --option robot=robots/sandcat.urdf
   sandgait bench --option sand=sand.toml --option leg=C
   SANDGAIT_ISA=avx2 sandgait bench            (avx512, avx2, baseline or f64)")]
 pub struct Bench {

@@ -15,6 +15,8 @@ mod progress;
 mod replay;
 mod reproduce;
 mod robot;
+mod robot_check;
+mod robots;
 mod serve;
 mod stress;
 mod sweep;
@@ -28,7 +30,7 @@ mod walk;
 use layout::table;
 
 pub use heights::pack as pack_heights;
-pub use robot::pack as pack_robot;
+pub use robot::{check as check_robot, is_description, pack as pack_robot};
 pub use train::{Training, learn};
 
 use self::progress::Bar;
@@ -76,6 +78,7 @@ enum Command {
     Replay(replay::Replay),
     Reproduce(reproduce::Reproduce),
     Robot(robot::Robot),
+    Robots(robots::Robots),
     Calibrate(calibrate::Calibrate),
     Sweep(sweep::Sweep),
     Tasks(tasks::Tasks),
@@ -90,6 +93,10 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Ok(Cli { command: Command::Serve(serve::Serve { config: Some(file), .. }) }) => {
             with_file(&file, arguments).and_then(|cli| run(cli.command))
         }
+        Ok(Cli { command: Command::Robot(robot) }) if robot.check => match robot.run_check() {
+            Ok((text, stands)) => return print(&text).max(u8::from(!stands)),
+            Err(error) => Err(error),
+        },
         Ok(cli) => run(cli.command),
         Err(e) if matches!(e.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion) => Ok(e.to_string()),
         Err(e) if e.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => {
@@ -134,6 +141,7 @@ fn run(command: Command) -> Result<String> {
         Command::Replay(c) => c.run(),
         Command::Reproduce(c) => c.run(),
         Command::Robot(c) => c.run(),
+        Command::Robots(c) => c.run(),
         Command::Calibrate(c) => c.run(),
         Command::Sweep(c) => c.run(),
         Command::Tasks(c) => c.run(),

@@ -1,6 +1,8 @@
 //! `sandgait robot`
 
 use super::layout::{WIDTH, narrow_table, wrapped};
+use super::robot_check::Sheet;
+use sandgait::env::options::RobotName;
 use sandgait::robots::{self, Import, Touch, states};
 use sandgait::sim::tree::looks::Looks;
 use sandgait::sim::tree::{Geometry, TreeBody, TreeJoint, TreeShape, packed, plates};
@@ -22,9 +24,11 @@ const PICTURE: [u32; 2] = [960, 720];
   sandgait robot go1.urdf --picture go1.png --touches FL_foot,FR_foot,RL_foot,RR_foot
   sandgait robot go1.urdf --accelerations states.json
   sandgait robot go1.urdf --pack > go1.json
+  sandgait robot go1.urdf --check
   sandgait robot xplorer")]
 pub struct Robot {
-    /// A file with ending .urdf, .xml (MJCF or URDF) or .toml, or the name of a built-in robot
+    /// A file with ending .urdf, .xml (MJCF or URDF), .toml or .json (packed), a name that `sandgait robots` lists, or
+    /// NAME=FILE, which lays our pose and gains of the named robot over your file
     #[arg(value_name = "FILE")]
     file: PathBuf,
     /// Print JSON
@@ -48,9 +52,16 @@ pub struct Robot {
     /// Size of the plates into which touching shapes are cut [m]; default: small enough for forces within 2 %
     #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
     plate_size: Option<f64>,
-    /// Print the robot as one text, for option `robot` of sandgait/LeggedVelocity-v0; with --json uncompressed
+    /// Print the robot as one text, for option `robot` of sandgait/LeggedVelocity-v1; with --json uncompressed
     #[arg(long, conflicts_with_all = ["picture", "accelerations"])]
     pack: bool,
+    /// Let the robot stand in its default pose for five seconds on hard ground and on sand, and print a sheet; the exit code
+    /// is 1 if it does not stand
+    #[arg(long, conflicts_with_all = ["pack", "accelerations"])]
+    pub check: bool,
+    /// Ground of --check besides hard ground: a medium's name, zeta=VALUE or mu=VALUE,rho=VALUE; default: poppy-close
+    #[arg(long, value_name = "GROUND", requires = "check")]
+    ground: Option<String>,
     /// Print accelerations in free flight for the rows {quat, v, w, q, qd, tau} of this JSON file
     #[arg(long, value_name = "FILE", conflicts_with_all = ["json", "picture", "touches", "plate_size"])]
     accelerations: Option<PathBuf>,
@@ -58,13 +69,20 @@ pub struct Robot {
 
 impl Robot {
     pub fn run(self) -> Result<String> {
-        let import = load(&self.file)?;
+        let mut import = load(&self.file)?;
         if let Some(rows) = &self.accelerations {
             let rows = states::compute(&import.tree, rows)?;
             let rows: Vec<Value> = rows.iter().map(|r| json!({"a": r.a, "alpha": r.alpha, "qdd": r.qdd})).collect();
             return Ok(super::json(&rows.into()));
         }
+        match import.check_legged() {
+            Err(e) if !self.pack => import.warnings.insert(0, e.to_string()),
+            legged => legged?,
+        }
         let touching = Touching::of(&import, self.touches.as_deref(), self.plate_size)?;
+        if let (true, Some(packed)) = (self.pack, &import.packed) {
+            return packed.compressed();
+        }
         if self.pack {
             let (text, note) = if self.json {
                 let (looks, note) = looks(&import);
@@ -76,11 +94,7 @@ impl Robot {
             return Ok(text);
         }
         if let Some(path) = &self.picture {
-            let (seen, camera) = (import.seen()?, self.camera()?);
-            let caption =
-                format!("{}: {:.3} kg, {} joints", import.tree.name, import.tree.mass(), import.tree.joints().count());
-            let png = view::tree::draw(&import.tree, &seen, &touching.plates, PICTURE, &camera, &[caption])?;
-            std::fs::write(path, png).map_err(|e| Error::file(path, e))?;
+            draw(&import, &touching, None, path, &self.camera()?)?;
         }
         match self.json {
             true => Ok(super::json(&as_json(&import, &touching))),
@@ -94,22 +108,74 @@ impl Robot {
         let Self { azimuth_deg, elevation_deg, distance, .. } = *self;
         view::CameraOptions { azimuth_deg, elevation_deg, distance, fixed: false }.check()
     }
+
+    /// The sheet of `--check`, and whether the robot stands everywhere.
+    pub fn run_check(&self) -> Result<(String, bool)> {
+        let import = load(&self.file)?;
+        import.check_legged()?;
+        let touching = Touching::of(&import, self.touches.as_deref(), self.plate_size)?;
+        let text = match &import.packed {
+            Some(packed) => packed.compressed()?,
+            None => compressed(&import, &touching)?.0,
+        };
+        let sheet = Sheet::of(&text, self.ground.as_deref())?;
+        if let (Some(path), Some(state)) = (&self.picture, sheet.last_state()) {
+            draw(&import, &touching, Some(state), path, &self.camera()?)?;
+        }
+        super::warn(&import.warnings, "`--json` lists them");
+        let text = if self.json { super::json(&sheet.json()) } else { sheet.text() };
+        Ok((text, sheet.stands()))
+    }
 }
 
-/// Replaces the file of a robot in a task's options by its packed text.
+/// The sheet of `--check` for a robot, as JSON, and notes on its description.
+pub fn check(robot: &str, ground: Option<&str>, folders: &[PathBuf]) -> Result<(String, Vec<String>)> {
+    let (text, notes) = pack(robot, folders)?;
+    Ok((Sheet::of(&text, ground)?.json().to_string(), notes))
+}
+
+/// Draws the robot in its default pose, or at the end of a check.
+fn draw(
+    import: &Import,
+    touching: &Touching,
+    state: Option<&sim::State>,
+    path: &Path,
+    camera: &view::CameraOptions,
+) -> Result<()> {
+    let caption =
+        format!("{}: {:.3} kg, {} joints", import.tree.name, import.tree.mass(), import.tree.joints().count());
+    let png = view::tree::draw(&import.tree, &import.seen()?, &touching.plates, state, PICTURE, camera, &[caption])?;
+    std::fs::write(path, png).map_err(|e| Error::file(path, e))
+}
+
+/// Replaces a robot's name or file in a task's options by its packed text.
 pub fn read_option(options: &mut Value) -> Result<()> {
     let Some(robot) = options.get_mut("robot") else { return Ok(()) };
-    let is_file = |name: &&str| [".urdf", ".xml", ".mjcf"].iter().any(|end| name.ends_with(end));
-    let Some(path) = robot.as_str().filter(is_file) else { return Ok(()) };
-    let (text, warnings) = pack(Path::new(path))?;
-    super::warn(&warnings, &format!("`sandgait robot {path}` lists them"));
+    let Some(name) = robot.as_str().filter(|name| is_description(name)) else { return Ok(()) };
+    let (text, warnings) = pack(name, &[])?;
+    super::warn(&warnings, &format!("`sandgait robot {name}` lists them"));
     *robot = text.into();
     Ok(())
 }
 
-/// A robot's file as one text, with its meshes cut into plates, and notes on the parts that were left out.
-pub fn pack(path: &Path) -> Result<(String, Vec<String>)> {
-    let import = robots::load(path)?;
+/// Does the option `robot` name a description, and not a robot that every server knows?
+pub fn is_description(robot: &str) -> bool {
+    let file = [".urdf", ".xml", ".mjcf", ".json"].iter().any(|end| robot.ends_with(end));
+    let named = robots::named::names().iter().any(|name| robot == *name || robot.starts_with(&format!("{name}=")));
+    robot != SANDCAT && (file || named)
+}
+
+/// The robot that is the default of LeggedVelocity.
+const SANDCAT: &str = RobotName::TREE;
+
+/// A robot as one text, with its meshes cut into plates, and notes on the parts that were left out. `robot`: a file, a name,
+/// or `name=file`; `folders`: further folders with packages of descriptions.
+pub fn pack(robot: &str, folders: &[PathBuf]) -> Result<(String, Vec<String>)> {
+    let import = robots::named::load_any(robot, folders)?;
+    if let Some(packed) = &import.packed {
+        return Ok((packed.compressed()?, Vec::new()));
+    }
+    import.check_legged()?;
     let touching = Touching::of(&import, None, None)?;
     let (text, note) = compressed(&import, &touching)?;
     Ok((text, import.warnings.into_iter().chain(note).collect()))
@@ -118,7 +184,7 @@ pub fn pack(path: &Path) -> Result<(String, Vec<String>)> {
 /// The packed text. If shapes for pictures do not fit into it, they are left out, and the note says so.
 fn compressed(import: &Import, touching: &Touching) -> Result<(String, Option<String>)> {
     let (looks, note) = looks(import);
-    let text = |looks| packed::compressed(&packed::pack(&import.tree, &touching.plates, looks)?);
+    let text = |looks| packed::compressed(&packed::pack(&import.tree, &touching.plates, looks)?, touching.count());
     match (&looks, text(looks.as_ref())) {
         (Some(_), Err(_)) => Ok((
             text(None)?,
@@ -137,8 +203,10 @@ fn looks(import: &Import) -> (Option<Looks>, Option<String>) {
 }
 
 fn load(file: &Path) -> Result<Import> {
-    match file.to_str().filter(|name| sim::Robot::names().contains(name)) {
-        Some(name) => Import::built_in(name),
+    match file.to_str() {
+        Some(SANDCAT) => Import::of_packed_text(RobotName::built_in()),
+        Some(name) if sim::Robot::names().contains(&name) => Import::built_in(name),
+        Some(name) => robots::named::load_any(name, &[]),
         None => robots::load(file),
     }
 }
@@ -151,6 +219,13 @@ struct Touching {
 
 impl Touching {
     fn of(import: &Import, names: Option<&[String]>, plate_size: Option<f64>) -> Result<Self> {
+        if let Some(packed) = &import.packed {
+            if names.is_some() || plate_size.is_some() {
+                let reason = "a packed robot has its plates already: pack its file with other options";
+                return Err(Error::invalid("touches", reason));
+            }
+            return Ok(Self { shapes: Vec::new(), plates: (*packed.model.plates).clone() });
+        }
         let shapes = import.touching(names)?;
         let plates = plates::of_touching(&import.tree, &shapes, plate_size)?;
         Ok(Self { shapes, plates })
@@ -219,6 +294,7 @@ fn as_json(import: &Import, touching: &Touching) -> Value {
             "plates": touching.plates[b].len(),
         })
     };
+    let names = |bodies: &[usize]| bodies.iter().map(|b| tree.bodies[*b].name.clone()).collect::<Vec<_>>();
     json!({
         "name": tree.name,
         "format": import.format.name(),
@@ -230,6 +306,13 @@ fn as_json(import: &Import, touching: &Touching) -> Value {
             "plates": touching.count(),
             "area": touching.area(),
         },
+        "stance": {
+            "height": import.stance.height,
+            "leg_length": import.stance.leg_length,
+            "legs": import.stance.legs.iter().map(|leg| names(leg)).collect::<Vec<_>>(),
+            "feet": names(&import.stance.feet),
+        },
+        "found": {"rest": import.found.rest, "kp": import.found.kp, "kd": import.found.kd},
         "warnings": import.warnings,
     })
 }
@@ -272,6 +355,21 @@ fn joint_units(tree: &sim::tree::Tree) -> Vec<String> {
     [String::new(), String::new()].into_iter().chain(units).collect()
 }
 
+/// The legs and the standing height.
+fn stance(import: &Import) -> String {
+    let (stance, names) = (&import.stance, |bodies: &[usize]| {
+        bodies.iter().map(|b| import.tree.bodies[*b].name.as_str()).collect::<Vec<_>>().join(", ")
+    });
+    let line = format!(
+        "{} legs of {:.3} m; the base stands at {:.3} m; feet: {}",
+        stance.legs.len(),
+        stance.leg_length,
+        stance.height,
+        names(&stance.feet)
+    );
+    format!("\n{}\n", wrapped(&line, WIDTH).join("\n"))
+}
+
 fn as_text(import: &Import, touching: &Touching) -> String {
     let tree = &import.tree;
     let mut text = format!(
@@ -305,11 +403,18 @@ fn as_text(import: &Import, touching: &Touching) -> String {
         let mut row = vec![joint.name.clone(), kind(joint).to_owned()];
         let [lower, upper] = joint.range.map_or([None; 2], |r| r.map(Some));
         let numbers = [lower, upper, joint.torque_limit, joint.speed_limit, Some(joint.damping), Some(joint.friction)];
-        row.extend(numbers.into_iter().chain([Some(joint.armature), joint.kp, joint.kd, joint.rest]).map(or_dash));
+        row.extend(numbers.into_iter().chain([Some(joint.armature)]).map(or_dash));
+        let found = [&import.found.kp, &import.found.kd, &import.found.rest].map(|all| all[rows.len() - 2]);
+        let mark = |(value, found)| format!("{}{}", or_dash(value), if found { "*" } else { "" });
+        row.extend([joint.kp, joint.kd, joint.rest].into_iter().zip(found).map(mark));
         rows.push(row);
     }
     text.push('\n');
     text.push_str(&narrow_table(&rows, 2));
+    if import.found.any() {
+        text.push_str("* found, because the file has none: docs/robots.md, \"Pose and gains\"\n");
+    }
+    text.push_str(&stance(import));
     let mut rows = vec![heads(&["touches sand", "body", "shape", "area [m²]"])];
     for (b, s) in &touching.shapes {
         let (body, shape) = (&tree.bodies[*b], &tree.bodies[*b].shapes[*s]);

@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 #[command(after_help = "Examples:
   sandgait tasks
   sandgait tasks HexapodGait
-  sandgait tasks sandgait/LeggedVelocity-v0 --json")]
+  sandgait tasks sandgait/LeggedVelocity-v1 --json")]
 pub struct Tasks {
     /// Describe this task: its id, or the id without `sandgait/` and without version
     #[arg(value_name = "NAME", conflicts_with = "markdown")]

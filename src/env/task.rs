@@ -98,6 +98,11 @@ pub trait Task: Send + Sync + Sized + 'static {
         0
     }
 
+    /// Refuses a reset after which the environments' engine and rows would not suit the model.
+    fn check_change(_old: &Model, _new: &Model) -> Result<()> {
+        Ok(())
+    }
+
     /// Checks the goal in a snapshot, and rebuilds the parts that snapshots leave out. The error says which part is
     /// wrong.
     fn resume(_setup: &Setup<Self::Options>, goal: &mut Goal) -> std::result::Result<(), String> {
@@ -248,7 +253,9 @@ impl<T: Task> AnyTask for TaskSetup<T> {
             options.set(name, value)?;
         }
         let model = Self::checked(&options)?;
-        Ok(Arc::new(Self { check_keyword: self.check_keyword, task: self.task.clone(), options, model }))
+        T::check_change(&self.model, &model)?;
+        let task = Arc::new(T::new(&Setup { options: &options, model: &model })?);
+        Ok(Arc::new(Self { check_keyword: self.check_keyword, task, options, model }))
     }
 
     fn with_model(&self, model: Model) -> Result<Arc<dyn AnyTask>> {

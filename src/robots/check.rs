@@ -2,7 +2,8 @@
 
 use super::draft::Merged;
 use crate::error::{Error, Result};
-use crate::sim::tree::{JointKind, TreeBody};
+use crate::notes::Notes;
+use crate::sim::tree::{JointKind, TreeBody, TreeJoint};
 use nalgebra::{Isometry3, Matrix3, Matrix6, UnitQuaternion, Vector3, Vector6};
 
 /// Smallest inertia at a joint, as a share of the inertia that it carries: our choice, far above rounding and far
@@ -12,7 +13,7 @@ const LEAST_SHARE: f64 = 1e-9;
 const POSE: [f64; 5] = [0.31, -0.47, 0.73, -0.19, 0.57];
 
 /// Refuses robots that cannot be simulated.
-pub fn check(merged: &Merged, say: &mut impl FnMut(String)) -> Result<()> {
+pub fn check(merged: &Merged, notes: &mut Notes) -> Result<()> {
     let bodies = &merged.tree.bodies;
     for (i, body) in bodies.iter().enumerate() {
         let wrong = |reason: &str| Error::invalid(format!("body {:?}", body.name), reason);
@@ -24,12 +25,16 @@ pub fn check(merged: &Merged, say: &mut impl FnMut(String)) -> Result<()> {
             return Err(wrong("moves without mass"));
         }
         if body.mass == 0.0 && !body.name.contains(':') {
-            say(format!("body {}: has no mass of its own", body.name));
+            notes.part("body", &body.name, "has no mass of its own; it moves with what it carries");
         }
         let joint = body.joint.as_ref();
-        if let Some(rest) = joint.and_then(|j| Some((j.rest?, j.range?)).filter(|(q, r)| *q < r[0] || *q > r[1])) {
-            let (q, [low, high]) = rest;
-            say(format!("body {}: the standing pose has its joint at {q}, outside of [{low}, {high}]", body.name));
+        let outside = |j: &&TreeJoint| j.rest.zip(j.range).is_some_and(|(q, [low, high])| q < low || q > high);
+        if let Some(joint) = joint.filter(outside) {
+            notes.part(
+                "joint",
+                &joint.name,
+                "the file's standing pose is outside of its range; its stop holds it there",
+            );
         }
     }
     names(merged)?;
@@ -38,10 +43,29 @@ pub fn check(merged: &Merged, say: &mut impl FnMut(String)) -> Result<()> {
 
 fn names(merged: &Merged) -> Result<()> {
     let mut joints = std::collections::HashSet::new();
-    match merged.tree.joints().find(|j| !joints.insert(&j.name)) {
-        Some(twice) => Err(Error::invalid(format!("joint {:?}", twice.name), "a second one of this name")),
-        None => Ok(()),
+    if let Some(twice) = merged.tree.joints().find(|j| !joints.insert(&j.name)) {
+        return Err(Error::invalid(format!("joint {:?}", twice.name), "a second one of this name"));
     }
+    for joint in merged.tree.joints() {
+        let Some(mimic) = &joint.mimic else { continue };
+        let wrong = |reason: String| Error::invalid(format!("joint {:?}", joint.name), reason);
+        match merged.tree.joints().find(|j| j.name == mimic.leader) {
+            None => {
+                return Err(wrong(format!(
+                    "is to mimic joint {:?}, which does not exist or does not move",
+                    mimic.leader
+                )));
+            }
+            Some(leader) if leader.mimic.is_some() => {
+                return Err(wrong(format!(
+                    "is to mimic joint {:?}, which follows another itself: name that one",
+                    leader.name
+                )));
+            }
+            Some(_) => {}
+        }
+    }
+    Ok(())
 }
 
 /// Spatial inertia about the body's frame, angular part first.

@@ -75,11 +75,13 @@ impl Inertial {
             ));
         }
         if self.mass == 0.0 && most > 0.0 {
-            return Ok(Some("inertia without mass".into()));
+            return Ok(Some("has an inertia without a mass; it is used as it is".into()));
         }
-        let most_of_flat = (least + middle) * (1.0 + 1e-3) + NOTHING;
-        let doubtful = || format!("no body has this inertia: {most:.3e} kg·m² is more than {least:.3e} + {middle:.3e}");
-        Ok((most > most_of_flat).then(doubtful))
+        let most_of_flat = (least + middle) * (1.0 + 1e-3);
+        let doubtful = most > most_of_flat && most - least - middle > NOTHING;
+        Ok(doubtful.then(|| {
+            "no body has such an inertia (one principal moment above the sum of the others); it is used as it is".into()
+        }))
     }
 }
 
@@ -128,6 +130,8 @@ pub struct Merged {
     pub links: Vec<Vec<String>>,
     /// May the body move without mass?
     pub massless: Vec<bool>,
+    /// Does the file say that the base moves freely?
+    pub base_is_free: bool,
 }
 
 /// Merges fixed links into the links that carry them. Each link comes after its parent, the root first.
@@ -141,6 +145,7 @@ pub fn merged(name: &str, links: Vec<Link>) -> Result<Merged> {
         visuals: Vec::new(),
         links: Vec::new(),
         massless: Vec::new(),
+        base_is_free: false,
     };
     // Entries are a link, the body that carries it, and the link's frame in the body's; depth first, in the file's
     // order.

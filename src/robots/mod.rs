@@ -20,7 +20,9 @@ mod files;
 mod hull;
 mod mesh;
 mod mjcf;
+pub mod named;
 mod notes;
+pub mod posture;
 mod shapes;
 pub mod states;
 mod touch;
@@ -29,10 +31,13 @@ mod xml;
 
 use crate::error::{Error, Result};
 use crate::sim::tree::looks::{Looks, MOST_TRIANGLES};
-use crate::sim::tree::{Geometry, Tree, TreeShape};
+use crate::sim::tree::packed;
+use crate::sim::tree::stance::Stance;
+use crate::sim::tree::{Geometry, Tree, TreeModel, TreeShape};
 use files::{Files, MOST_TEXT, Source};
 use mesh::Meshes;
 use notes::Notes;
+use posture::{Found, Posture};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -43,6 +48,7 @@ pub enum Format {
     Urdf,
     Mjcf,
     Toml,
+    Packed,
 }
 
 impl Format {
@@ -51,6 +57,7 @@ impl Format {
             Self::Urdf => "urdf",
             Self::Mjcf => "mjcf",
             Self::Toml => "toml",
+            Self::Packed => "packed",
         }
     }
 }
@@ -63,16 +70,51 @@ pub struct Import {
     pub warnings: Vec<String>,
     /// For each body the links of the file merged into it, its own first.
     pub links: Vec<Vec<String>>,
+    /// The standing pose.
+    pub stance: Stance,
+    /// The joints whose pose and gains are not in the file.
+    pub found: Found,
+    /// Does the file say that the base moves freely?
+    pub base_is_free: bool,
+    /// What touches sand unless the user says so; None: feet, lower links and base.
+    touches: Option<Vec<String>>,
+    /// None: the file is no packed robot.
+    pub packed: Option<Box<Packed>>,
     visuals: Vec<Vec<draft::Visual>>,
+}
+
+/// A robot that was packed before.
+pub struct Packed {
+    pub model: TreeModel,
+    /// Compressed, or JSON.
+    text: String,
+}
+
+impl Packed {
+    /// Number of plates.
+    pub fn count(&self) -> usize {
+        self.model.plates.iter().map(Vec::len).sum()
+    }
+
+    /// The compressed text.
+    pub fn compressed(&self) -> Result<String> {
+        if packed::is_packed(&self.text) { Ok(self.text.clone()) } else { packed::compressed(&self.text, self.count()) }
+    }
 }
 
 /// Reads a `.urdf`, a `.xml` or `.mjcf` (URDF or MJCF by its root element), or a `.toml`.
 pub fn load(path: &Path) -> Result<Import> {
+    load_with(path, &Posture::default())
+}
+
+/// Reads a robot, and lays `posture` over it.
+pub fn load_with(path: &Path, posture: &Posture) -> Result<Import> {
     let ending = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
     match ending.as_deref() {
         Some("toml") => return Import::of_toml(path),
+        Some("json") => return Import::of_packed(path),
         Some("urdf" | "xml" | "mjcf") => {}
-        _ => return Err(Error::file(path, "robots are read from .urdf, .xml (MJCF) and .toml")),
+        _ => return Err(Error::file(path, "robots are read from .urdf, .xml (MJCF), .toml and packed .json")),
     }
     let source = Source::read(path, MOST_TEXT)?;
     let root = xml::parse(&source)?;
@@ -94,9 +136,26 @@ pub fn load(path: &Path) -> Result<Import> {
         }
         _ => return Err(root.error("is neither <robot> (URDF) nor <mujoco> (MJCF)")),
     };
-    check::check(&merged, &mut |line| notes.say(line)).map_err(named)?;
-    let draft::Merged { tree, visuals, links, .. } = merged;
-    Ok(Import { tree, format, warnings: notes.into_lines(), links, visuals })
+    check::check(&merged, &mut notes).map_err(named)?;
+    let draft::Merged { mut tree, visuals, links, base_is_free, .. } = merged;
+    packed::check(&tree).map_err(named)?;
+    posture.lay_over(&mut tree).map_err(named)?;
+    let (stance, found, ignored) = posture::settle(&mut tree);
+    if ignored {
+        notes.say("the file's standing pose does not stand on all legs; a pose was found in its place");
+    }
+    Ok(Import {
+        tree,
+        format,
+        warnings: notes.into_lines(),
+        links,
+        visuals,
+        stance,
+        found,
+        base_is_free,
+        touches: None,
+        packed: None,
+    })
 }
 
 impl Import {
@@ -108,16 +167,48 @@ impl Import {
         Self::of_robot(&name, &robot)
     }
 
+    /// A file that `sandgait robot --pack` has written.
+    fn of_packed(path: &Path) -> Result<Self> {
+        let source = Source::read(path, MOST_TEXT)?;
+        Self::of_packed_text(source.text()?.trim()).map_err(|e| Error::file(path, e))
+    }
+
+    /// A robot that `sandgait robot --pack` has printed, with `--json` or without.
+    pub fn of_packed_text(text: &str) -> Result<Self> {
+        let model = if packed::is_packed(text) { packed::unpack_compressed(text)? } else { packed::unpack(text)? };
+        let tree = (*model.tree).clone();
+        let links = tree.bodies.iter().map(|b| vec![b.name.clone()]).collect();
+        let visuals = tree.bodies.iter().map(|_| Vec::new()).collect();
+        let stance = (*model.stance).clone();
+        let found = Found::none(tree.joints().count());
+        let (format, warnings) = (Format::Packed, Vec::new());
+        let packed = Some(Box::new(Packed { model, text: text.to_owned() }));
+        Ok(Self { tree, format, warnings, links, visuals, stance, found, base_is_free: true, touches: None, packed })
+    }
+
     /// A built-in robot by its name, as `--robot` takes it.
     pub fn built_in(name: &str) -> Result<Self> {
         Self::of_robot(name, &crate::sim::Robot::built_in(name)?)
     }
 
     fn of_robot(name: &str, robot: &crate::sim::Robot) -> Result<Self> {
-        let tree = crate::sim::tree::of_robot(name, robot)?;
+        let mut tree = crate::sim::tree::of_robot(name, robot)?;
+        let (stance, found, _) = posture::settle(&mut tree);
         let links = tree.bodies.iter().map(|b| vec![b.name.clone()]).collect();
         let visuals = tree.bodies.iter().map(|_| Vec::new()).collect();
-        Ok(Self { tree, format: Format::Toml, warnings: Vec::new(), links, visuals })
+        let (format, warnings) = (Format::Toml, Vec::new());
+        Ok(Self {
+            tree,
+            format,
+            warnings,
+            links,
+            visuals,
+            stance,
+            found,
+            base_is_free: true,
+            touches: None,
+            packed: None,
+        })
     }
 
     /// The visual shapes of each body: the file's visuals, or else its collision shapes. Meshes of visuals are read

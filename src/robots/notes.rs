@@ -1,15 +1,25 @@
-//! Notes on the parts of a description that this project does not use. Each part that is left out gives a note.
+//! Notes on the parts of a description that this project changes or does not use. All parts that are treated alike give one
+//! line, which says what was done.
 
 use super::xml::Element;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Largest number of lines of one kind that are shown; further ones are only counted. Our choice: they fit on a screen.
+/// Largest number of lines, and of names in a line: our choice; the lines fit on a screen.
 const MOST_LINES: usize = 20;
+const MOST_NAMES: usize = 4;
+
+/// Parts that are treated alike.
+struct Alike {
+    noun: &'static str,
+    done: String,
+    names: Vec<String>,
+}
 
 /// Collected while a file is read.
 #[derive(Default)]
 pub struct Notes {
     lines: Vec<String>,
+    alike: Vec<Alike>,
     elements: BTreeMap<String, usize>,
     attributes: BTreeMap<String, BTreeSet<String>>,
 }
@@ -20,6 +30,17 @@ impl Notes {
         let line = line.into();
         if !self.lines.contains(&line) {
             self.lines.push(line);
+        }
+    }
+
+    /// Adds the part called `name`. `noun` is its kind in the singular, `done` says what is wrong with it and what was
+    /// done. Parts with equal `done` share a line.
+    pub fn part(&mut self, noun: &'static str, name: &str, done: impl Into<String>) {
+        let (done, name) = (done.into(), name.chars().take(60).collect());
+        match self.alike.iter_mut().find(|a| a.noun == noun && a.done == done) {
+            Some(alike) if alike.names.contains(&name) => {}
+            Some(alike) => alike.names.push(name),
+            None => self.alike.push(Alike { noun, done, names: vec![name] }),
         }
     }
 
@@ -44,20 +65,38 @@ impl Notes {
     /// All notes, the important ones first.
     pub fn into_lines(self) -> Vec<String> {
         let mut lines = self.lines;
+        lines.extend(self.alike.iter().map(Alike::line));
         if lines.len() > MOST_LINES {
             let more = lines.len() - MOST_LINES;
             lines.truncate(MOST_LINES);
             lines.push(format!("and {more} warnings more"));
         }
-        let counted: Vec<_> =
-            self.elements.iter().take(2 * MOST_LINES).map(|(tag, n)| format!("{n} <{tag}>")).collect();
-        if !counted.is_empty() {
-            lines.push(format!("left out: {}", counted.join(", ")));
-        }
+        let mut left: Vec<_> = self.elements.iter().take(MOST_LINES).map(|(tag, n)| format!("{n} <{tag}>")).collect();
         for (tag, names) in self.attributes.iter().take(MOST_LINES) {
             let names: Vec<_> = names.iter().take(MOST_LINES).map(String::as_str).collect();
-            lines.push(format!("left out of <{tag}>: {}", names.join(", ")));
+            left.push(format!("of <{tag}> {}", names.join(", ")));
+        }
+        if !left.is_empty() {
+            lines.push(format!("left out, because the motion does not use it: {}", left.join("; ")));
         }
         lines
+    }
+}
+
+impl Alike {
+    /// `links a, b, c, d and 3 more: …`
+    fn line(&self) -> String {
+        let shown = self.names.iter().take(MOST_NAMES).map(String::as_str).collect::<Vec<_>>().join(", ");
+        let more = match self.names.len().saturating_sub(MOST_NAMES) {
+            0 => String::new(),
+            n => format!(" and {n} more"),
+        };
+        let plural = match (self.names.len(), self.noun) {
+            (1, noun) => noun.to_owned(),
+            (_, "body") => "bodies".into(),
+            (_, "mesh") => "meshes".into(),
+            (_, noun) => format!("{noun}s"),
+        };
+        format!("{plural} {shown}{more}: {}", self.done)
     }
 }

@@ -18,7 +18,7 @@ pub fn collision_mesh(meshes: &mut Meshes, file: &MeshFile, notes: &mut Notes) -
     Ok(Geometry::Mesh(match closed(&triangles) {
         Closed::Itself => triangles,
         Closed::Hull(hull) => {
-            notes.say(format!("{name}: the surface is not closed; its convex hull stands for it"));
+            notes.part("mesh", &name, "the surface is not closed; its convex hull takes its place");
             Arc::new(hull)
         }
         Closed::Nothing => return Err(Error::file(&file.path, "the mesh is flat: it has no volume")),
@@ -30,7 +30,7 @@ pub fn closed_mesh(name: &str, triangles: Vec<Triangle>, notes: &mut Notes) -> O
     let kept = match closed(&triangles) {
         Closed::Itself => triangles,
         Closed::Hull(hull) => {
-            notes.say(format!("{name}: the surface is not closed; its convex hull stands for it"));
+            notes.part("mesh", name, "the surface is not closed; its convex hull takes its place");
             hull
         }
         Closed::Nothing => return None,

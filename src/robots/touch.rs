@@ -2,7 +2,8 @@
 
 use super::Import;
 use crate::error::{Error, Result};
-use crate::sim::tree::{Tree, TreeShape};
+use crate::sim::tree::Tree;
+use crate::sim::tree::stance::Stance;
 
 /// Largest number of names that a message lists: our choice, so that the message stays readable.
 const MOST_NAMES: usize = 40;
@@ -12,10 +13,10 @@ pub type Touch = (usize, usize);
 
 impl Import {
     /// The shapes with these names, in the order of bodies. Without names: feet and lower links (the last bodies of
-    /// branches that reach below the base), and the base itself. A name is that of a body, of a link of the file,
+    /// the legs), and the base itself. A name is that of a body, of a link of the file,
     /// or of a shape.
     pub fn touching(&self, names: Option<&[String]>) -> Result<Vec<Touch>> {
-        let Some(names) = names else { return Ok(by_reach(&self.tree)) };
+        let Some(names) = names.or(self.touches.as_deref()) else { return Ok(lowest_parts(&self.tree, &self.stance)) };
         let mut found = Vec::new();
         for name in names {
             let before = found.len();
@@ -53,38 +54,12 @@ impl Import {
     }
 }
 
-fn by_reach(tree: &Tree) -> Vec<Touch> {
-    let lowest = |body: usize| {
-        let shapes = tree.bodies[body].shapes.iter();
-        shapes.map(TreeShape::lowest).fold(0.0, f64::min)
-    };
+/// All shapes of base, feet, and the last body of each leg.
+fn lowest_parts(tree: &Tree, stance: &Stance) -> Vec<Touch> {
     let mut touching = vec![0];
-    for leaf in 1..tree.bodies.len() {
-        if tree.bodies.iter().skip(1).any(|b| b.parent == leaf) {
-            continue;
-        }
-        // The last body of the branch that has shapes.
-        let mut last = leaf;
-        while last > 0 && tree.bodies[last].shapes.is_empty() {
-            last = tree.bodies[last].parent;
-        }
-        if last > 0 && deepest(tree, last) < lowest(0) {
-            touching.push(last);
-        }
-    }
+    touching.extend(stance.legs.iter().filter_map(|leg| leg.last().copied()));
+    touching.extend(&stance.feet);
     touching.sort_unstable();
     touching.dedup();
     touching.iter().flat_map(|b| (0..tree.bodies[*b].shapes.len()).map(move |s| (*b, s))).collect()
-}
-
-/// The lowest point below the base that a body reaches when its branch hangs straight down [m].
-fn deepest(tree: &Tree, body: usize) -> f64 {
-    let shapes = tree.bodies[body].shapes.iter();
-    let mut length = shapes.map(|s| s.origin.translation.vector.norm() + s.geometry.radius()).fold(0.0, f64::max);
-    let mut at = body;
-    while tree.bodies[at].parent > 0 {
-        length += tree.bodies[at].origin.translation.vector.norm();
-        at = tree.bodies[at].parent;
-    }
-    tree.bodies[at].origin.translation.z - length
 }

@@ -7,7 +7,7 @@ use super::notes::Notes;
 use super::shapes::collision_mesh;
 use super::xml::Element;
 use crate::error::{Error, Result};
-use crate::sim::tree::{Geometry, JointKind, TreeJoint, TreeShape};
+use crate::sim::tree::{Geometry, JointKind, Mimic, TreeJoint, TreeShape};
 use nalgebra::{Isometry3, Matrix3, Translation3, Unit, UnitQuaternion, Vector3};
 use std::collections::HashMap;
 
@@ -119,6 +119,12 @@ fn origin(element: &Element) -> Result<Isometry3<f64>> {
     Ok(Isometry3::from_parts(Translation3::new(x, y, z), UnitQuaternion::from_euler_angles(roll, pitch, yaw)))
 }
 
+fn mimic(element: &Element) -> Result<Mimic> {
+    let number = |name: &str, usual: f64| Ok::<_, Error>(element.number(name)?.unwrap_or(usual));
+    let leader = element.required("joint")?.to_owned();
+    Ok(Mimic { leader, ratio: number("multiplier", 1.0)?, offset: number("offset", 0.0)? })
+}
+
 impl Reader<'_> {
     fn link(&mut self, element: &Element, joint: Option<&Element>, parent: usize) -> Result<Link> {
         let name = element.required("name")?.to_owned();
@@ -164,7 +170,7 @@ impl Reader<'_> {
         }
         match own.check() {
             Err(reason) => return Err(element.error(reason)),
-            Ok(Some(doubt)) => self.notes.say(format!("link {}: {doubt}", element.required("name")?)),
+            Ok(Some(doubt)) => self.notes.part("link", element.required("name")?, doubt),
             Ok(None) => {}
         }
         Ok(own.moved(&origin(inertial)?))
@@ -220,9 +226,7 @@ impl Reader<'_> {
                 );
             }
         };
-        if let Some(mimic) = element.first("mimic") {
-            return Err(mimic.error(format!("joint {name}: one that follows another is not simulated: make it fixed")));
-        }
+        let mimic = element.first("mimic").map(mimic).transpose()?;
         let axis = match element.first("axis") {
             Some(axis) => axis.numbers("xyz")?.ok_or_else(|| axis.error("xyz is missing"))?,
             None => [1.0, 0.0, 0.0],
@@ -235,6 +239,8 @@ impl Reader<'_> {
             range: None,
             damping: 0.0,
             friction: 0.0,
+            spring: None,
+            mimic,
             armature: 0.0,
             torque_limit: None,
             speed_limit: None,
@@ -254,14 +260,14 @@ impl Reader<'_> {
         let (name, free) = (joint.name.clone(), element.get("type") == Some("continuous"));
         let Some(limit) = element.first("limit") else {
             if !free {
-                self.notes.say(format!("joint {name}: no <limit>; it moves freely"));
+                self.notes.part("joint", &name, "no <limit>; it moves freely");
             }
             return Ok(());
         };
         let mut most = |attribute: &str| {
             let value = limit.not_negative(attribute)?;
             if value == Some(0.0) {
-                self.notes.say(format!("joint {name}: {attribute} 0 is taken as unknown"));
+                self.notes.part("joint", &name, format!("{attribute} 0 is taken as no limit"));
             }
             Ok::<_, Error>(value.filter(|v| *v > 0.0))
         };
@@ -275,7 +281,7 @@ impl Reader<'_> {
         }
         joint.range = Some(ends).filter(|e| e[0] < e[1]);
         if joint.range.is_none() {
-            self.notes.say(format!("joint {name}: lower = upper is taken as no limit"));
+            self.notes.part("joint", &name, "lower = upper is taken as no limit");
         }
         Ok(())
     }

@@ -7,7 +7,7 @@ use crate::robots::{self, states};
 use crate::sand::{Medium, Surface};
 use crate::sim::engine::Command;
 use crate::sim::model::Scene;
-use crate::sim::tree::plates::of_shapes;
+use crate::sim::tree::plates::of_touching;
 use crate::sim::tree::{HardGround, TreeEngine, TreeModel};
 use crate::sim::{Model, State};
 use serde::Deserialize;
@@ -123,12 +123,7 @@ fn quadruped(floor: &Floor) -> Result<Model> {
     let path = folder.path().join("sandcat.xml");
     std::fs::write(&path, FLIGHTS[4].1).map_err(|e| Error::file(&path, e))?;
     let import = robots::load(&path)?;
-    let touching = import.touching(None)?;
-    let of_body = |b: usize| {
-        let shapes: Vec<_> = touching.iter().filter(|t| t.0 == b).map(|t| &import.tree.bodies[b].shapes[t.1]).collect();
-        of_shapes(&shapes, None)
-    };
-    let plates = (0..import.tree.bodies.len()).map(of_body).collect::<Result<_>>()?;
+    let plates = of_touching(&import.tree, &import.touching(None)?, None)?;
     let mut tree = TreeModel::new(import.tree, plates)?;
     for motor in &mut tree.motors {
         (motor.kp, motor.kd) = (floor.kp, floor.kd);

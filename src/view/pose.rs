@@ -4,7 +4,7 @@ use crate::number::Vec3;
 use crate::sand::{Contact, SandBed, SegmentState};
 use crate::sim::frame::{Frame, M, V};
 use crate::sim::model::{Body, Plate};
-use crate::sim::tree::{forces, stance};
+use crate::sim::tree::{forces, kinematics};
 use crate::sim::{Model, State};
 
 /// A leg stands if the sand holds it with more than this share of the robot's weight, and a body of a robot from a
@@ -168,7 +168,7 @@ fn mean_place(loads: impl Iterator<Item = Load>) -> Option<V> {
 /// The ground's force on each body that can touch it. Where there is none, its position is the body's origin.
 fn contacts(model: &Model, state: &State) -> Vec<Load> {
     let Some(robot) = &model.tree else { return Vec::new() };
-    let (frames, pushes) = (stance::frames(&robot.tree, state), forces::pushes(model, state));
+    let (frames, pushes) = (kinematics::frames(&robot.tree, state), forces::pushes(model, state));
     let of_body = |body: usize| {
         let own = pushes.iter().filter(|p| p.body == body).map(|p| Load { position: p.at, force: p.force });
         let position = mean_place(own.clone()).unwrap_or(frames[body].translation.vector);

@@ -5,7 +5,7 @@ use super::raster::{Facet, Layer, Rgb, SAMPLES};
 use super::{hard, tree};
 use crate::sim::frame::V;
 use crate::sim::tree::looks::{Form, Looks};
-use crate::sim::tree::{Geometry, HardGround, TreeModel, stance};
+use crate::sim::tree::{Geometry, HardGround, TreeModel, kinematics};
 use crate::sim::{Model, State};
 use resvg::tiny_skia::{Pixmap, PremultipliedColorU8};
 
@@ -26,7 +26,7 @@ pub type Painted = ([V; 3], Rgb);
 
 /// The robot's shapes.
 pub fn robot(robot: &TreeModel, state: &State) -> Vec<Painted> {
-    let frames = stance::frames(&robot.tree, state);
+    let frames = kinematics::frames(&robot.tree, state);
     let mut all = Vec::new();
     for look in &robot.looks.shapes {
         let color = match look.body {

@@ -5,9 +5,11 @@ use super::raster::{Facet, LIGHT, Layer, Rgb, SAMPLES};
 use super::text;
 use crate::error::{Error, Result};
 use crate::sand::intruder::Plate;
+use crate::sim::State;
 use crate::sim::frame::V;
-use crate::sim::tree::{Geometry, JointKind, Tree, TreeShape};
-use nalgebra::{Isometry3, UnitQuaternion};
+use crate::sim::tree::kinematics::{chain, frames};
+use crate::sim::tree::{Geometry, Tree, TreeShape};
+use nalgebra::Isometry3;
 use resvg::tiny_skia::{Pixmap, PremultipliedColorU8};
 use std::f64::consts::TAU;
 
@@ -24,8 +26,8 @@ const SIDES: usize = 32;
 /// them.
 const BEFORE: f64 = 2e-3;
 
-/// A PNG of `size` [px]: `tree` in its standing pose, with its lowest point on the ground; `seen` (visual shapes) and
-/// `plates` are lists by body, in the bodies' frames.
+/// A PNG of `size` [px]: `tree` in its standing pose, with its lowest point on the ground, or at `state`, with the ground at
+/// z = 0; `seen` (visual shapes) and `plates` are lists by body, in the bodies' frames.
 ///
 /// # Errors
 /// Names the side that is out of [`SIZES`], or the camera's value that is out of its range.
@@ -33,6 +35,7 @@ pub fn draw(
     tree: &Tree,
     seen: &[Vec<TreeShape>],
     plates: &[Vec<Plate>],
+    state: Option<&State>,
     size: [u32; 2],
     camera: &CameraOptions,
     captions: &[String],
@@ -42,7 +45,11 @@ pub fn draw(
             return Err(Error::invalid(name, format!("{side} is outside [{}, {}]", SIZES.start(), SIZES.end())));
         }
     }
-    let frames = frames(tree);
+    let angles: Vec<f64> = tree.joints().map(|j| j.rest.unwrap_or(0.0)).collect();
+    let frames = match state {
+        Some(state) => frames(tree, state),
+        None => chain(tree, Isometry3::identity(), &angles),
+    };
     let mut faces = Vec::new();
     for (b, shapes) in seen.iter().enumerate() {
         let color = if b == 0 { BASE } else { LINKS[depth(tree, b) % LINKS.len()] };
@@ -62,7 +69,7 @@ pub fn draw(
     }
     let samples = size.map(|s| s * SAMPLES as u32);
     let camera = Camera::around(&camera.check()?, (low + high) / 2.0, 0.72 * radius, samples);
-    let mut canvas = Canvas::new(samples, camera, low.z);
+    let mut canvas = Canvas::new(samples, camera, if state.is_some() { 0.0 } else { low.z });
     canvas.ground(&faces, radius);
     for (corners, color) in &faces {
         canvas.triangle(corners, *color);
@@ -78,26 +85,6 @@ pub(super) fn depth(tree: &Tree, body: usize) -> usize {
         depth += 1;
     }
     depth
-}
-
-/// Poses of the bodies with the base level and joints in the file's pose, or at 0, within their range.
-fn frames(tree: &Tree) -> Vec<Isometry3<f64>> {
-    let mut frames: Vec<Isometry3<f64>> = Vec::with_capacity(tree.bodies.len());
-    for body in &tree.bodies {
-        let Some(joint) = &body.joint else {
-            frames.push(Isometry3::identity());
-            continue;
-        };
-        let q = joint.rest.unwrap_or_else(|| joint.range.map_or(0.0, |[low, high]| 0f64.clamp(low, high)));
-        let moved = match joint.kind {
-            JointKind::Hinge => {
-                Isometry3::from_parts(Default::default(), UnitQuaternion::from_axis_angle(&joint.axis, q))
-            }
-            JointKind::Slide => Isometry3::translation(q * joint.axis.x, q * joint.axis.y, q * joint.axis.z),
-        };
-        frames.push(frames[body.parent] * body.origin * moved);
-    }
-    frames
 }
 
 fn quad(plate: &Plate, frame: &Isometry3<f64>, before: f64) -> [[V; 3]; 2] {

@@ -135,7 +135,7 @@ def hung(section: sandgait.Section, k: int) -> np.ndarray:
 @pytest.mark.parametrize("ground", ["poppy-loose", "dunes"])
 def test_a_robot_from_a_file_is_drawn_by_its_shapes(page: Page, tmp_path: Path, ground: str) -> None:
     robot = Path(__file__).parents[2] / "robots" / "sandcat.urdf"
-    env = sandgait.SandgaitEnv("sandgait/LeggedVelocity-v0", robot=robot, ground=ground, domain_rand=None)
+    env = sandgait.SandgaitEnv("sandgait/LeggedVelocity-v1", robot=robot, ground=ground, domain_rand=None)
     env.record(tmp_path / "cat.rec")
     for seed in range(2):
         env.reset(seed=seed)
@@ -208,7 +208,7 @@ def as_before(path: Path) -> None:
 def test_hard_ground_and_forces_are_seen(page: Page, tmp_path: Path) -> None:
     robot = Path(__file__).parents[2] / "robots" / "sandcat.urdf"
     options: dict[str, Any] = {"domain_rand": None, "angle_noise": 0.0}
-    env = sandgait.SandgaitEnv("sandgait/LeggedVelocity-v0", robot=robot, ground="mixed", **options)
+    env = sandgait.SandgaitEnv("sandgait/LeggedVelocity-v1", robot=robot, ground="mixed", **options)
     env.record(tmp_path / "cat.rec")
     env.reset(seed=1)
     for _ in range(200):
@@ -332,12 +332,12 @@ def test_the_live_page_follows_a_robot_from_a_file(live: tuple[Page, str], tmp_p
     page, address = live
     robot = Path(__file__).parents[2] / "robots" / "sandcat.xml"
     options: dict[str, Any] = {"robot": robot, "ground": "mixed", "domain_rand": None, "angle_noise": 0.0}
-    walker = Walker(address, 2, "sandgait/LeggedVelocity-v0", **options)
+    walker = Walker(address, 2, "sandgait/LeggedVelocity-v1", **options)
     try:
         page.until("player.recording.end - player.recording.start > 3.0")
         page.until("player.recording.end - player.time < 1.1")
         status = page.ask("document.getElementById('status').textContent")
-        assert "LeggedVelocity-v0 · sandcat · poppy-loose and hard ground" in status
+        assert "LeggedVelocity-v1 · sandcat · poppy-loose and hard ground" in status
         # The first one stands on a slab in the middle of the picture, and the ground carries it.
         assert page.ask(HUNG)[0][:3] == pytest.approx([0, 0, 0.22], abs=0.06)
         weight = page.ask("player.world.section.header.mass") * 9.81

@@ -168,7 +168,7 @@ STROKE = {"angle_noise": 0.1, "stroke": {"carriage_speed": 0.1}}
 
 @pytest.mark.parametrize("task", sandgait.TASKS)
 def test_same_numbers_as_gymnasium(connection: Connection, address: str, task: str) -> None:
-    own = {"sandgait/LegStroke-v0": STROKE, "sandgait/LeggedVelocity-v0": LEGGED}.get(task, WALKING)
+    own = {"sandgait/LegStroke-v0": STROKE, "sandgait/LeggedVelocity-v1": LEGGED}.get(task, WALKING)
     options: dict[str, Any] = {"max_episode_steps": 7, **own}
     settings = {"task": task, "seed": 11, **options}
     env, world = dm_env_adaptor.create_and_join_world(connection, settings, {})

@@ -134,7 +134,7 @@ def test_a_large_relief_is_copied() -> None:
     side = np.arange(256)
     heights = (0.05 * np.sin(0.1 * side) + 0.03 * np.cos(0.07 * side)[:, None]).tolist()
     relief = {"heights": heights, "spacing": 0.1}
-    env = sandgait.SandgaitVectorEnv("sandgait/LeggedVelocity-v0", 2, ground="rigid", relief=relief)
+    env = sandgait.SandgaitVectorEnv("sandgait/LeggedVelocity-v1", 2, ground="rigid", relief=relief)
     env.reset(seed=3)
     rows = np.full((2, 12), 0.2, np.float32)
     env.step(rows)

@@ -14,7 +14,7 @@ import sandgait
 from conftest import RemoteServer
 from sandgait import client, server
 
-TASK = "sandgait/LeggedVelocity-v0"
+TASK = "sandgait/LeggedVelocity-v1"
 
 #: 30 × 20 heights in whole tenths of a millimetre, which travel without rounding.
 HEIGHTS = np.round(0.1 * np.sin(0.4 * np.arange(20)) + 0.05 * np.cos(0.3 * np.arange(30))[:, None], 4)

@@ -12,11 +12,12 @@ import pytest
 
 import sandgait
 from conftest import RemoteServer
+from sandgait import _native
 
 ROOT = Path(__file__).parents[2]
-TASK = "sandgait/LeggedVelocity-v0"
+TASK = "sandgait/LeggedVelocity-v1"
 
-#: A body with two joints; its shape is a mesh in another file.
+#: A body with two legs of one joint; their shape is a mesh in another file.
 MESHED = """<robot name="meshed">
   <link name="base">
     <inertial><mass value="2"/><inertia ixx="0.02" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>
@@ -29,6 +30,15 @@ MESHED = """<robot name="meshed">
   </link>
   <joint name="hip" type="revolute">
     <parent link="base"/><child link="leg"/><origin xyz="0.05 0 0"/><axis xyz="0 1 0"/>
+    <limit lower="-1" upper="1" effort="5" velocity="20"/>
+  </joint>
+  <link name="other_leg">
+    <inertial><origin xyz="0 0 -0.05"/><mass value="0.2"/>
+      <inertia ixx="0.0003" iyy="0.0003" izz="0.0003" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><origin xyz="0 0 -0.1"/><geometry><mesh filename="{mesh}"/></geometry></collision>
+  </link>
+  <joint name="other_hip" type="revolute">
+    <parent link="base"/><child link="other_leg"/><origin xyz="-0.05 0 0"/><axis xyz="0 1 0"/>
     <limit lower="-1" upper="1" effort="5" velocity="20"/>
   </joint>
 </robot>"""
@@ -82,9 +92,9 @@ def test_a_robot_file_works_through_every_door(name: str, meshed: Path, remote: 
 def test_gymnasium_takes_a_file_by_its_path(meshed: Path) -> None:
     for robot in (str(meshed), meshed):
         env = gymnasium.make(TASK, robot=robot)
-        assert env.action_space.shape == (1,)
+        assert env.action_space.shape == (2,)
         env.reset(seed=0)
-        assert np.isfinite(env.step(np.zeros(1, np.float32))[0]).all()
+        assert np.isfinite(env.step(np.zeros(2, np.float32))[0]).all()
         env.close()
 
 
@@ -121,3 +131,40 @@ def test_wrong_files_give_one_clear_line(tmp_path: Path, remote: RemoteServer) -
     for door in ({}, {"address": remote.address}):
         with pytest.raises((sandgait.SandgaitError, OSError), match=r"nowhere\.urdf"):
             sandgait.SandgaitVectorEnv(TASK, 2, robot=tmp_path / "nowhere.urdf", **door)
+
+
+def test_a_packed_file_is_a_robot(tmp_path: Path, remote: RemoteServer) -> None:
+    packed = tmp_path / "cat.json"
+    packed.write_text(_native.pack_robot(str(ROOT / "robots" / "sandcat.xml"), [])[0])
+    plain = walk(ROOT / "robots" / "sandcat.xml")
+    for door in ({}, {"address": remote.address}):
+        for ours, theirs in zip(plain, walk(packed, **door), strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+
+
+def test_a_name_lays_pose_and_gains_over_a_file() -> None:
+    """The built-in robot is its file with our numbers for it."""
+    named = walk(Path(f"sandcat={ROOT / 'robots' / 'sandcat.urdf'}"))
+    built_in = walk(Path("sandcat"))
+    for ours, theirs in zip(named[:2], built_in[:2], strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_check_robot() -> None:
+    sheet = sandgait.check_robot(ROOT / "robots" / "sandcat.xml", ground="poppy-loose")
+    assert sheet["stands"]
+    assert [ground["ground"] for ground in sheet["grounds"]] == ["rigid", "poppy-loose"]
+    for ground in sheet["grounds"]:
+        assert sum(foot["load"] for foot in ground["feet"]) == pytest.approx(ground["weight"], rel=0.05)
+    with pytest.raises(sandgait.InvalidRequest, match="lava"):
+        sandgait.check_robot(ROOT / "robots" / "sandcat.xml", ground="lava")
+
+
+def test_what_is_no_legged_robot_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "pendulum.urdf"
+    text = MESHED.format(mesh="foot.obj")
+    path.write_text(text[: text.index('<link name="other_leg">')] + "</robot>")
+    (tmp_path / "foot.obj").write_text(PYRAMID)
+    with pytest.raises(sandgait.InvalidRequest, match="looked for two branches") as error:
+        sandgait.SandgaitVectorEnv(TASK, 2, robot=path)
+    assert "\n" not in str(error.value)

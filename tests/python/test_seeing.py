@@ -241,7 +241,7 @@ def test_a_recording_has_the_numbers_of_the_steps(tmp_path: Path) -> None:
         recording["nothing"]
 
 
-LEGGED = "sandgait/LeggedVelocity-v0"
+LEGGED = "sandgait/LeggedVelocity-v1"
 SANDCAT = Path(__file__).parents[2] / "robots" / "sandcat.urdf"
 
 #: A box, and a leg that is seen as a mesh alone: a pyramid of 20 cm.
@@ -506,7 +506,7 @@ def test_the_first_state_of_an_episode_has_its_commands(tmp_path: Path) -> None:
     for task, options, columns in (
         (ID, {}, ["commanded_speed"]),
         (
-            "sandgait/LeggedVelocity-v0",
+            "sandgait/LeggedVelocity-v1",
             {"robot": robot},
             ["command_lin_vel_x", "command_lin_vel_y", "command_ang_vel_yaw"],
         ),

@@ -23,7 +23,7 @@ SETTINGS = yaml.safe_load((ROOT / "examples/hyperparameters/ppo.yml").read_text(
 MIRRORED = [task for task, entry in SETTINGS.items() if entry.get("mirror")]
 
 
-@pytest.mark.parametrize("name", [*MIRRORED, "sandgait/LeggedVelocity-v0"])
+@pytest.mark.parametrize("name", [*MIRRORED, "sandgait/LeggedVelocity-v1"])
 def test_mirrored_observations_give_mirrored_actions(name: str) -> None:
     observation, action = sandgait.mirror(name)
     rows = torch.tensor(np.random.default_rng(0).normal(size=(32, len(observation[0]))), dtype=torch.float32)
@@ -38,7 +38,7 @@ def test_mirrored_observations_give_mirrored_actions(name: str) -> None:
 
 def test_heights_and_legs_change_sides() -> None:
     """A mirrored value moves to the column on the other side. Legs of a robot from a file are found by their places."""
-    names = {"sandgait/HexapodTerrain-v1": [("left-", "right-")], "sandgait/LeggedVelocity-v0": [("FL_", "FR_")]}
+    names = {"sandgait/HexapodTerrain-v1": [("left-", "right-")], "sandgait/LeggedVelocity-v1": [("FL_", "FR_")]}
     for name, sides in names.items():
         env = sandgait.SandgaitVectorEnv(name, 1)
         columns = [c.name for c in env.task.action]

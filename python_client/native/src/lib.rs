@@ -24,6 +24,7 @@ mod wait;
 
 use pyo3::prelude::*;
 use std::ffi::OsString;
+use std::path::PathBuf;
 
 /// mimalloc, as in the command, so that the memory of sessions of many sizes is released. Python's own memory is
 /// not affected.
@@ -39,10 +40,29 @@ fn main(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
     py.detach(|| sandgait::cli::main(arguments))
 }
 
-/// A robot's URDF or MJCF as one text, with notes on the parts that were left out.
+/// A robot as one text, with notes on the parts of its description that were left out. `robot`: a file, a name, or
+/// `name=file`; `folders`: where packages with descriptions may lie.
 #[pyfunction]
-fn pack_robot(py: Python<'_>, path: std::path::PathBuf) -> PyResult<(String, Vec<String>)> {
-    py.detach(|| sandgait::cli::pack_robot(&path)).map_err(|error| errors::raise(&error))
+fn pack_robot(py: Python<'_>, robot: String, folders: Vec<PathBuf>) -> PyResult<(String, Vec<String>)> {
+    py.detach(|| sandgait::cli::pack_robot(&robot, &folders)).map_err(|error| errors::raise(&error))
+}
+
+/// Is this option `robot` a description that must be packed, and not a robot that every server knows?
+#[pyfunction]
+fn is_description(robot: &str) -> bool {
+    sandgait::cli::is_description(robot)
+}
+
+/// The sheet of `sandgait robot --check` as JSON, with notes on the description.
+#[pyfunction]
+fn check_robot(
+    py: Python<'_>,
+    robot: String,
+    ground: Option<String>,
+    folders: Vec<PathBuf>,
+) -> PyResult<(String, Vec<String>)> {
+    let sheet = py.detach(|| sandgait::cli::check_robot(&robot, ground.as_deref(), &folders));
+    sheet.map_err(|error| errors::raise(&error))
 }
 
 /// The heights of a CSV or NPY as one text.
@@ -54,7 +74,11 @@ fn pack_heights(py: Python<'_>, path: std::path::PathBuf) -> PyResult<String> {
 #[pymodule]
 mod _native {
     #[pymodule_export]
+    use super::check_robot;
+    #[pymodule_export]
     use super::errors::StatusError;
+    #[pymodule_export]
+    use super::is_description;
     #[pymodule_export]
     use super::local::{Local, check_camera};
     #[pymodule_export]

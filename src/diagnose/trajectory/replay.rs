@@ -10,7 +10,7 @@ use crate::progress::Latch;
 use crate::robots;
 use crate::sim::engine::{Command, Engine, EngineKind};
 use crate::sim::model::Scene;
-use crate::sim::tree::{TreeModel, of_shapes};
+use crate::sim::tree::{TreeModel, of_touching};
 use crate::sim::{Model, Robot, State};
 use std::path::Path;
 use std::sync::Arc;
@@ -47,12 +47,7 @@ impl Body {
         }
         let import = robots::load(Path::new(name))?;
         let touching = import.touching(touches)?;
-        let of_body = |b: usize| {
-            let shapes: Vec<_> =
-                touching.iter().filter(|t| t.0 == b).map(|t| &import.tree.bodies[b].shapes[t.1]).collect();
-            of_shapes(&shapes, None)
-        };
-        let plates = (0..import.tree.bodies.len()).map(of_body).collect::<Result<Vec<_>>>()?;
+        let plates = of_touching(&import.tree, &touching, None)?;
         Ok(Self::Tree(Arc::new(TreeModel::new(import.tree, plates)?)))
     }
 

@@ -1,4 +1,4 @@
-//! `sandgait/LeggedVelocity-v0`: any legged robot follows commanded velocities forward, sideways and about the
+//! `sandgait/LeggedVelocity-v1`: any legged robot follows commanded velocities forward, sideways and about the
 //! vertical, on sand and on hard ground.
 //!
 //! Observations, actions, rewards and their names follow legged_gym (Rudin, Hoeller, Reist & Hutter, CoRL 2022;
@@ -13,6 +13,7 @@ mod options;
 mod reward;
 
 pub use draws::{Commands, DomainRand};
+use options::action_scales;
 pub use options::{LeggedOptions, ReliefOptions};
 pub use reward::Rewards;
 
@@ -39,20 +40,26 @@ const JOINT_OFFSET: f64 = std::f64::consts::TAU; // [rad]
 /// The robot has fallen if gravity's direction along the base's z axis is above this: cos 60°. Our choice.
 const FALLEN: f64 = -0.5;
 
+/// Part of the standing height of a robot with fewer than four feet, below which it has fallen: our choice; with its
+/// base so low it kneels or sits. A robot on four feet may lie on its belly in sand and stand up again.
+const LOW: f64 = 0.5;
+
 const ABOUT: &str = "\
 The robot starts in its default pose just above the ground, with random errors of the joint angles of up to `angle_noise`. The target of a
-joint is its default position plus its action times `action_scale`. A servo at each joint follows the target, with the gains of the robot's
-file, or kp = torque limit / 1 rad and kd = kp / 40 s⁻¹. Commands are drawn from `commands` at the start and every `resampling_time`; speeds
+joint is its default position plus its action times `action_scale`. A servo at each joint follows the target. Default positions and gains are those of
+`default_joint_angles`, `stiffness` and `damping`, or else of the robot's file, or else found (docs/robots.md has the formulas). A pattern of these
+options is a joint's name, a part of it, or has a `*` for any letters. Commands are drawn from `commands` at the start and every `resampling_time`; speeds
 below 0.2 m/s are set to zero. `domain_rand` has the other quantities that an episode draws, and the pushes of the base.
 
 The names and formulas of the reward terms, their weights, and the order of the observation are those of legged_gym (Rudin et al. 2022) and
 of Isaac Lab's velocity tasks. As in these, a term is multiplied by its weight and by the control step's duration. A foot is in contact, and
 another body collides, when it is in the ground. Velocities are those of the base link's origin, in the base's frame. There are three differences to
 legged_gym: observations are not scaled, a negative sum of rewards is not clipped at zero, and actions are within ±1. Therefore
-`action_scale` is 1, and not 0.25 as in legged_gym.
+`action_scale` is larger than the 0.25 of legged_gym.
 
-An episode terminates when the base has tilted by more than 60° (`bad_orientation`) or, on `rigid` ground, touches it
-(`base_contact`); it is truncated after `max_episode_steps`, or when its state can no longer be computed (`diverged`).
+An episode terminates when the base has tilted by more than 60° (`bad_orientation`); on `rigid` ground also when the base, or a body that is part of
+no leg (trunk, arm, head), touches it (`base_contact`); for a robot with fewer than four feet also when its base is lower than half of its standing
+height (`base_low`). It is truncated after `max_episode_steps`, or when its state can no longer be computed (`diverged`).
 
 On ground with heights (`relief`, or ground `dunes`) an episode begins at a random position. `measure_heights` adds legged_gym's
 `measured_heights` to the observation: the base's height above 17 × 11 points of the ground, minus 0.5 m, clipped to ± 1 m. On a slope, depths and
@@ -100,10 +107,11 @@ pub struct LeggedVelocity {
     contacts: usize,
     /// Default position of each joint [rad].
     angles: Vec<f64>,
-    scale: f64,
+    /// The joint of each action, and the offset of its target at action 1 [rad].
+    driven: Vec<(usize, f64)>,
 }
 
-fn observation(joints: &[String], heights: bool) -> Features<Observe> {
+fn observation(joints: &[String], motors: &[String], heights: bool) -> Features<Observe> {
     let height = |i: usize| {
         let [x, y] = measured(i);
         Column::new(format!("measured_heights {x:.1} {y:.1}"), "m", -1.0, 1.0)
@@ -118,7 +126,7 @@ fn observation(joints: &[String], heights: bool) -> Features<Observe> {
         .one("commanded ang_vel_yaw", "rad/s", -MOST_COMMAND, MOST_COMMAND, |o, _| o.command[2])
         .each(joints, "joint_pos off its default", "rad", JOINT_OFFSET, |o, i| o.state.angles[i] - o.default[i])
         .each(joints, "joint_vel", "rad/s", JOINT_SPEED, |o, i| o.state.rates[i])
-        .each(joints, "last action", "1", 1.0, |o, i| o.last_action[i].into())
+        .each(motors, "last action", "1", 1.0, |o, i| o.last_action[i].into())
         .group((0..measured).map(height), |o, i| o.measured_height(i))
 }
 
@@ -152,6 +160,7 @@ fn figures(feet: &[String]) -> Features<Figure> {
         .free("bad_orientation", "1", |s, _| flag(s.fallen && !s.t.diverged))
         .free("base_contact", "1", |s, _| flag(s.base_contact && !s.t.diverged))
         .free("diverged", "1", |s, _| flag(s.t.diverged))
+        .free("base_low", "1", |s, _| flag(s.too_low && !s.t.diverged))
 }
 
 /// Gravity's direction, velocity and angular velocity in the base's frame.
@@ -160,7 +169,7 @@ fn base(state: &State) -> [[f64; 3]; 3] {
 }
 
 impl Task for LeggedVelocity {
-    const ID: &'static str = "sandgait/LeggedVelocity-v0";
+    const ID: &'static str = "sandgait/LeggedVelocity-v1";
 
     /// Counted: 100 commands and 100 pushes, 4 kB, in the present and in the last episode, and the usual 2 kB.
     const EPISODE_BYTES: usize = 10_000;
@@ -179,19 +188,24 @@ impl Task for LeggedVelocity {
         let Some(tree) = &setup.model.tree else {
             return Err(Error::invalid("robot", "is no tree of bodies"));
         };
-        if tree.joints() == 0 {
-            return Err(Error::invalid("robot", format!("{:?} has no joints", tree.tree.name)));
+        if tree.stance.legs.is_empty() {
+            let reason = "has no legs: no branch of joints ends in a shape below the base and moves it up and down";
+            return Err(Error::invalid("robot", format!("{:?} {reason}", tree.tree.name)));
         }
         let (joints, rewards) = (&setup.model.joint_names(), options.rewards);
         let feet: Vec<String> = tree.stance.feet.iter().map(|i| tree.tree.bodies[*i].name.clone()).collect();
-        let (observation, figures) = (observation(joints, options.measure_heights), figures(&feet));
+        let followers = tree.tree.followers();
+        let scales = action_scales(tree, options.action_scale).into_iter().enumerate();
+        let driven: Vec<_> = scales.filter(|(i, _)| followers.iter().all(|f| f.joint != *i)).collect();
+        let motors: Vec<String> = driven.iter().map(|(i, _)| joints[*i].clone()).collect();
+        let (observation, figures) = (observation(joints, &motors, options.measure_heights), figures(&feet));
         let reward = rewards.terms();
         let spec = Spec {
             id: Self::ID,
             summary: "A legged robot follows commanded velocities on sand or hard ground; actions are differences of joint targets from the default pose."
                 .into(),
             observation: observation.columns(),
-            action: Column::each(joints, "offset of the target over action_scale", "1", 1.0),
+            action: Column::each(&motors, "offset of the target over action_scale", "1", 1.0),
             about: ABOUT,
             info: [Column::rewards(&reward), figures.columns()].concat(),
             reward,
@@ -201,7 +215,7 @@ impl Task for LeggedVelocity {
         let angles = tree.stance.angles.clone();
         let first = feet.first().map(|foot| contact(foot).name);
         let contacts = spec.info.iter().position(|column| Some(&column.name) == first.as_ref()).unwrap_or(0);
-        Ok(Self { spec, rewards, observation, figures, contacts, angles, scale: options.action_scale })
+        Ok(Self { spec, rewards, observation, figures, contacts, angles, driven })
     }
 
     fn spec(&self) -> &Spec {
@@ -227,7 +241,10 @@ impl Task for LeggedVelocity {
 
     fn command(&self, action: &[f32], _state: &State, command: &mut Command) {
         command.targets.clear();
-        command.targets.extend(self.angles.iter().zip(action).map(|(a, offset)| a + self.scale * f64::from(*offset)));
+        command.targets.extend_from_slice(&self.angles);
+        for ((joint, scale), part) in self.driven.iter().zip(action) {
+            command.targets[*joint] += scale * f64::from(*part);
+        }
     }
 
     fn after_step(&self, setup: &Setup<LeggedOptions>, goal: &mut Goal, _state: &State, info: &[f32]) -> Change {
@@ -253,14 +270,42 @@ impl Task for LeggedVelocity {
         let Some(legged) = &t.goal.legged else { return false };
         let contacts = Contacts::of(t.model, t.after);
         let [gravity, velocity, angular_velocity] = base(t.after);
-        let (fallen, base_contact) = (gravity[2] > FALLEN, contacts.base && !t.model.has_sand());
+        let fallen = gravity[2] > FALLEN;
+        let base_contact = (contacts.base || contacts.upper) && !t.model.has_sand();
+        let too_low = is_too_low(t.model, t.after);
         let default = &self.angles;
-        let step =
-            LeggedStep { t, legged, contacts, default, gravity, velocity, angular_velocity, fallen, base_contact };
+        let step = LeggedStep {
+            t,
+            legged,
+            contacts,
+            default,
+            gravity,
+            velocity,
+            angular_velocity,
+            fallen,
+            base_contact,
+            too_low,
+        };
         let (rewards, rest) = info.split_at_mut(self.spec.reward.len());
         self.rewards.fill(&step, t.period, rewards);
         self.figures.fill(rest, |value, i| value(&step, i));
         step.terminated()
+    }
+
+    /// Environments share feet and heights with others of the session.
+    fn check_change(old: &Model, new: &Model) -> Result<()> {
+        if old.scene.relief.is_some() != new.scene.relief.is_some() {
+            let reason = "a reset changes neither flat ground to ground with heights nor back: make other environments";
+            return Err(Error::invalid("ground", reason));
+        }
+        let feet = |model: &Model| model.tree.as_ref().map(|tree| tree.stance.feet.clone());
+        if feet(old) != feet(new) {
+            return Err(Error::invalid(
+                "default_joint_angles",
+                "in this pose the robot stands on other feet: make other environments",
+            ));
+        }
+        Ok(())
     }
 
     /// The model is built again from the drawn values.
@@ -274,6 +319,13 @@ impl Task for LeggedVelocity {
         goal.model = Some(Arc::new(legged.model(setup.model).map_err(|e| e.to_string())?));
         Ok(())
     }
+}
+
+/// Is the base of a robot with fewer than four feet lower than [`LOW`] of its standing height?
+fn is_too_low(model: &Model, state: &State) -> bool {
+    let Some(tree) = &model.tree else { return false };
+    let [x, y, z] = state.position;
+    tree.stance.legs.len() < 4 && z - model.surface_height(x, y) < LOW * tree.stance.height
 }
 
 /// Height of the base's origin above `at` at which the lowest point touches the ground [m].

@@ -9,10 +9,13 @@ use crate::options::RobotName;
 use crate::sand::{Law, Medium, Surface};
 use crate::sim::Model;
 use crate::sim::model::Scene;
+use crate::sim::tree::gains::TreeMotor;
+use crate::sim::tree::joint_values::by_pattern;
 use crate::sim::tree::relief::Relief;
-use crate::sim::tree::{HardGround, heights};
+use crate::sim::tree::{HardGround, JointKind, TreeJoint, TreeModel, heights};
 use crate::walking::{MAX_STEPS, set_sand};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::f64::consts::PI;
 use std::sync::Arc;
 
@@ -21,21 +24,24 @@ options! {
     /// test quadruped at this time step differed from one at 0.125 ms by up to 5 % in sand and 10 % on hard ground; at
     /// 1 ms by 8 % on hard ground. Episodes take 20 s as in legged_gym. legged_gym has an `action_scale` of 0.25 and no
     /// bounds on actions. Here actions are within ± 1, and with a scale of 0.25 Go1's feet would move too little to
-    /// walk.
+    /// walk; so the scale of each joint follows from its torque limit and gain.
     pub struct LeggedOptions {
         robot: RobotName = RobotName::TREE.into(), "built-in robot sandcat, or a packed robot file (in Python its path)";
         law: Law = Law::Li2013, "resistive force law: li2013, penetration-drag-1d or agarwal2023";
         dt: f64 = 2e-3, "time step [s], which divides the control period";
-        angle_noise: f64 = 0.1, [0.0, PI], "largest difference of the initial joint angles from the default pose, uniformly distributed [rad]";
+        angle_noise: f64 = 0.1, [0.0, PI], reset, "largest difference of the initial joint angles from the default pose, uniformly distributed [rad]";
         sand: String = String::new(), "text of a sand.toml, for example from a diagnosis (in Python its path); it replaces medium and law";
         slope_deg: f64 = 0.0, reset, "slope of the surface [°]; a positive slope rises toward +x";
         payload: f64 = 0.0, reset, "extra mass at the base's centre [kg]";
         max_episode_steps: u32 = 1000, [1.0, MAX_STEPS], "number of control steps after which an episode is truncated";
-        ground: String = Medium::DEFAULT.into(), "rigid, mixed (slabs of hard ground in loose poppy seeds), dunes (of loose poppy seeds), a medium's name, zeta=VALUE, or mu=VALUE,rho=VALUE";
-        commands: Commands = Commands::default(), "ranges [low, high] of commands, which are drawn at the start and repeatedly during the episode";
-        rewards: Rewards = Rewards::default(), "weight of each reward term [1/s]";
-        domain_rand: Option<DomainRand> = Some(DomainRand::default()), "ranges [low, high] of the quantities that an episode draws; None: nothing is drawn";
-        action_scale: f64 = 1.0, [1e-3, 3.0], "difference between a joint's target and its default position at action 1 [rad]";
+        ground: String = Medium::DEFAULT.into(), reset, "rigid, mixed (slabs of hard ground in loose poppy seeds), dunes (of loose poppy seeds), a medium's name, zeta=VALUE, or mu=VALUE,rho=VALUE";
+        commands: Commands = Commands::default(), reset, "ranges [low, high] of commands, which are drawn at the start and repeatedly during the episode";
+        rewards: Rewards = Rewards::default(), reset, "weight of each reward term [1/s]";
+        domain_rand: Option<DomainRand> = Some(DomainRand::default()), reset, "ranges [low, high] of the quantities that an episode draws; None: nothing is drawn";
+        default_joint_angles: BTreeMap<String, f64> = BTreeMap::new(), [-100.0, 100.0], reset, "default positions of joints by pattern of their names [rad], in place of the robot's";
+        stiffness: BTreeMap<String, f64> = BTreeMap::new(), [0.0, 1e6], reset, "position gains kp of servos by pattern of joint names [N·m/rad], in place of the robot's";
+        damping: BTreeMap<String, f64> = BTreeMap::new(), [0.0, 1e5], reset, "speed gains kd of servos by pattern of joint names [N·m·s/rad], in place of the robot's";
+        action_scale: Option<f64> = None, [1e-3, 3.0], reset, "difference between a joint's target and its default position at action 1 [rad]; None: where the servo gives the joint's full torque, but 0.4 to 1 rad";
         relief: Option<ReliefOptions> = None, "heights of the ground; None: the ground is flat, except with ground dunes";
         measure_heights: bool = false, "add the ground's heights at legged_gym's 187 points around the robot to the observation";
     }
@@ -96,8 +102,42 @@ impl LeggedOptions {
             }
             scene.relief = Some(Arc::new(relief.relief()?));
         }
-        Model::of_tree(self.robot.tree()?, &scene)
+        Model::of_tree(self.tree()?, &scene)
     }
+
+    /// The robot, with the pose and gains of the options.
+    fn tree(&self) -> Result<TreeModel> {
+        let mut tree = self.robot.tree()?;
+        let values = |option, values| by_pattern(&tree.tree, option, values);
+        let angles = values("default_joint_angles", &self.default_joint_angles)?;
+        let (stiffness, damping) = (values("stiffness", &self.stiffness)?, values("damping", &self.damping)?);
+        if !self.default_joint_angles.is_empty() {
+            tree = tree.standing_at(&angles);
+        }
+        for (motor, (kp, kd)) in tree.motors.iter_mut().zip(stiffness.into_iter().zip(damping)) {
+            (motor.kp, motor.kd) = (kp.unwrap_or(motor.kp), kd.unwrap_or(motor.kd));
+        }
+        Ok(tree)
+    }
+}
+
+/// Least and greatest scale of an action [rad]: our choice. With the least one a foot moves by some 0.4 lengths of the
+/// leg; a greater one than 1 rad leaves most joints' ranges.
+const SCALES: [f64; 2] = [0.4, 1.0];
+/// Scale of a joint without a known torque limit [rad]: that of Isaac Lab's velocity tasks.
+const USUAL_SCALE: f64 = 0.5;
+/// Scale of a sliding joint without a range, as a part of the legs' length: our choice.
+const SLIDING: f64 = 0.25;
+
+/// The offset of each joint's target at action 1 [rad or m].
+pub(super) fn action_scales(tree: &TreeModel, given: Option<f64>) -> Vec<f64> {
+    let scale = |(joint, motor): (&TreeJoint, &TreeMotor)| match (joint.kind, motor.torque_limit) {
+        (JointKind::Slide, _) => joint.range.map_or(SLIDING * tree.stance.leg_length, |[low, high]| (high - low) / 2.0),
+        (_, Some(limit)) if motor.kp > 0.0 => (limit / motor.kp).clamp(SCALES[0], SCALES[1]),
+        _ => USUAL_SCALE,
+    };
+    let joints = tree.tree.joints().zip(&tree.motors);
+    joints.map(|joint| given.unwrap_or_else(|| scale(joint))).collect()
 }
 
 /// Kinds of ground besides media: hard ground, slabs of hard ground in sand, and dunes.

@@ -3,7 +3,7 @@
 use super::episode::LeggedEpisode;
 use crate::feature::flag;
 use crate::reward_terms;
-use crate::sim::tree::stance::{frames, lowest};
+use crate::sim::tree::kinematics::{frames, lowest};
 use crate::sim::{Model, State};
 use crate::spec::CONTROL_RATE;
 use crate::task::Transition;
@@ -22,13 +22,15 @@ pub struct Contacts {
     /// Contact of each foot, in the order of the stance's feet.
     pub feet: Vec<bool>,
     pub base: bool,
+    /// Does a body touch that is neither base nor part of a leg?
+    pub upper: bool,
     /// Number of other bodies that touch the ground.
     pub others: usize,
 }
 
 impl Contacts {
     pub fn of(model: &Model, state: &State) -> Self {
-        let Some(tree) = &model.tree else { return Self { feet: Vec::new(), base: false, others: 0 } };
+        let Some(tree) = &model.tree else { return Self { feet: Vec::new(), base: false, upper: false, others: 0 } };
         let frames = frames(&tree.tree, state);
         let touches = |i: usize| {
             let low = lowest(&frames[i], &tree.contacts[i]);
@@ -36,7 +38,8 @@ impl Contacts {
         };
         let feet = &tree.stance.feet;
         let others = (1..frames.len()).filter(|i| !feet.contains(i) && touches(*i)).count();
-        Self { feet: feet.iter().map(|i| touches(*i)).collect(), base: touches(0), others }
+        let upper = tree.stance.upper.iter().any(|i| touches(*i));
+        Self { feet: feet.iter().map(|i| touches(*i)).collect(), base: touches(0), upper, others }
     }
 }
 
@@ -53,11 +56,12 @@ pub struct LeggedStep<'a> {
     pub angular_velocity: [f64; 3],
     pub fallen: bool,
     pub base_contact: bool,
+    pub too_low: bool,
 }
 
 impl LeggedStep<'_> {
     pub fn terminated(&self) -> bool {
-        !self.t.diverged && (self.fallen || self.base_contact)
+        !self.t.diverged && (self.fallen || self.base_contact || self.too_low)
     }
 
     /// Commanded speed along the ground [m/s].

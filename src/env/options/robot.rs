@@ -22,6 +22,11 @@ impl RobotName {
     /// The default robot of LeggedVelocity.
     pub const TREE: &'static str = TREES[0].0;
 
+    /// The description of the default robot, as `sandgait robot --pack --json` prints it.
+    pub fn built_in() -> &'static str {
+        TREES[0].1
+    }
+
     /// The name or text that the user gave.
     pub fn name(&self) -> &str {
         &self.0.text

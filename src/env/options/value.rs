@@ -8,6 +8,7 @@ use crate::sim::engine::EngineKind;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
+use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 
 /// The value of an option; its type determines the checks.
@@ -31,6 +32,7 @@ impl OptionValue for String {}
 impl OptionValue for Vec<Vec<f64>> {}
 impl OptionValue for Law {}
 impl OptionValue for RobotName {}
+impl OptionValue for BTreeMap<String, f64> {}
 impl OptionValue for u32 {}
 impl OptionValue for usize {}
 
@@ -76,12 +78,25 @@ impl Bounded for usize {
     }
 }
 
+impl<T: Bounded> Bounded for Option<T> {
+    fn within(&self, name: &str, bounds: RangeInclusive<f64>) -> Result<()> {
+        self.as_ref().map_or(Ok(()), |value| value.within(name, bounds))
+    }
+}
+
 /// A range [low, high] of a random draw.
 impl Bounded for [f64; 2] {
     fn within(&self, name: &str, bounds: RangeInclusive<f64>) -> Result<()> {
         let [low, high] = *self;
         low.within(&format!("{name}[0]"), bounds.clone())?;
         high.within(&format!("{name}[1]"), low..=*bounds.end())
+    }
+}
+
+/// Values by name, each within the bounds.
+impl Bounded for BTreeMap<String, f64> {
+    fn within(&self, name: &str, bounds: RangeInclusive<f64>) -> Result<()> {
+        self.iter().try_for_each(|(key, value)| value.within(&format!("{name}[{key:?}]"), bounds.clone()))
     }
 }
 

@@ -42,7 +42,7 @@ pub fn apply(root: &Element, defaults: &Defaults, autolimits: bool, tree: &mut T
         }
         let whole = defaults.applied(element, "")?;
         let Some(name) = whole.get("joint").or(whole.get("jointinparent")) else {
-            notes.say(format!("actuator {:?} drives no joint: left out", whole.get("name").unwrap_or("")));
+            notes.part("actuator", whole.get("name").unwrap_or("without a name"), "drives no joint; it is left out");
             continue;
         };
         let mut joints = tree.bodies.iter_mut().filter_map(|b| b.joint.as_mut());
@@ -50,7 +50,7 @@ pub fn apply(root: &Element, defaults: &Defaults, autolimits: bool, tree: &mut T
             return Err(element.error(format!("there is no joint {name:?}")));
         };
         if !driven.insert(name.to_owned()) {
-            notes.say(format!("joint {name}: a second actuator is left out"));
+            notes.part("joint", name, "its second actuator is left out");
             continue;
         }
         drive(&whole, autolimits, joint, notes)?;
@@ -73,12 +73,12 @@ fn drive(element: &Element, autolimits: bool, joint: &mut TreeJoint, notes: &mut
         ("general", Some("affine")) => (-first("biasprm", 1)?.unwrap_or(0.0), -first("biasprm", 2)?.unwrap_or(0.0)),
         ("motor" | "general", _) => (0.0, 0.0),
         _ => {
-            notes.say(format!("joint {}: an actuator <{kind}> is left out", joint.name));
+            notes.part("joint", &joint.name, format!("its actuator <{kind}> is left out; a servo drives it"));
             return Ok(());
         }
     };
     if general && element.get("dyntype").is_some_and(|d| d != "none") {
-        notes.say(format!("joint {}: its actuator's own dynamics (dyntype) are left out", joint.name));
+        notes.part("joint", &joint.name, "its actuator's own dynamics (dyntype) are left out");
     }
     let servo = kp > 0.0 || kd > 0.0;
     if servo {
@@ -100,12 +100,12 @@ fn limit(joint: &mut TreeJoint, range: Option<[f64; 2]>, factor: f64, notes: &mu
     let Some([low, high]) = range.map(|r| r.map(|x| x * factor.abs())) else { return };
     let most = high.min(-low);
     if (low + high).abs() > 1e-9 * high.abs() {
-        notes.say(format!("joint {}: torque from {low} to {high}; the smaller counts both ways", joint.name));
+        notes.part("joint", &joint.name, "its torque has different limits both ways; the smaller one counts for both");
     }
     if most > 0.0 {
         joint.torque_limit = Some(joint.torque_limit.map_or(most, |t| t.min(most)));
     } else {
-        notes.say(format!("joint {}: torque from {low} to {high} is left out", joint.name));
+        notes.part("joint", &joint.name, "its range of torque does not contain 0; it is left out");
     }
 }
 

@@ -111,7 +111,7 @@ impl Builder<'_> {
         let inertial = self.bounded(inertial);
         match inertial.check() {
             Err(reason) => return Err(element.error(reason)),
-            Ok(Some(doubt)) => self.notes.say(format!("body {}: {doubt}", self.links[own].name)),
+            Ok(Some(doubt)) => self.notes.part("body", &self.links[own].name, doubt),
             Ok(None) => {}
         }
         let link = &mut self.links[own];
@@ -214,6 +214,8 @@ impl Builder<'_> {
             range: None,
             damping: self.first(element, "damping")?,
             friction: element.not_negative("frictionloss")?.unwrap_or(0.0),
+            spring: None,
+            mimic: None,
             armature: element.not_negative("armature")?.unwrap_or(0.0),
             torque_limit: None,
             speed_limit: None,
@@ -228,8 +230,9 @@ impl Builder<'_> {
             }
             joint.range = Some([low * unit, high * unit]);
         }
-        if self.first(element, "stiffness")? > 0.0 {
-            self.notes.say(format!("joint {}: its spring (stiffness) is left out", joint.name));
+        let stiffness = self.first(element, "stiffness")?;
+        if stiffness > 0.0 {
+            joint.spring = Some([stiffness, element.number("springref")?.unwrap_or(0.0) * unit]);
         }
         let force = element.numbers::<2>("actuatorfrcrange")?;
         if limited(element, "actuatorfrclimited", force.is_some(), self.compiler.autolimits)? {
@@ -249,10 +252,8 @@ impl Builder<'_> {
     fn first(&mut self, element: &Element, attribute: &str) -> Result<f64> {
         let list = element.list(attribute)?.unwrap_or_default();
         if list.iter().skip(1).any(|x| *x != 0.0) {
-            self.notes.say(format!(
-                "{attribute} of joint {:?}: only its linear part counts",
-                element.get("name").unwrap_or("")
-            ));
+            let name = element.get("name").unwrap_or("without a name");
+            self.notes.part("joint", name, format!("only the linear part of its {attribute} counts"));
         }
         match list.first() {
             Some(x) if *x < 0.0 => Err(element.wrong(attribute, format!("{x} is negative"))),

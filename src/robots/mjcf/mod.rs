@@ -4,6 +4,7 @@ mod actuator;
 mod body;
 mod compiler;
 mod defaults;
+mod equality;
 mod geom;
 
 use super::draft::{Inertial, Link, Merged, merged};
@@ -20,9 +21,9 @@ use std::collections::HashSet;
 use std::path::PathBuf;
 
 /// Sections that change how the robot moves: leaving one out would change the robot.
-const REFUSED: [&str; 3] = ["equality", "deformable", "extension"];
+const REFUSED: [&str; 2] = ["deformable", "extension"];
 /// Sections that are read.
-const READ: [&str; 7] = ["compiler", "default", "asset", "worldbody", "actuator", "keyframe", "include"];
+const READ: [&str; 8] = ["equality", "compiler", "default", "asset", "worldbody", "actuator", "keyframe", "include"];
 /// Largest number of files of a model: our choice, to bound the time of reading.
 const MOST_FILES: usize = 50;
 /// Largest number of elements of a model with all its includes: our choice, as for one file.
@@ -70,8 +71,10 @@ pub fn robot(
     }
     let name = root.get("model").unwrap_or(name);
     let mut merged = merged(name, links)?;
+    merged.base_is_free = base.free;
     actuator::apply(&root, &defaults, compiler.autolimits, &mut merged.tree, notes)?;
     actuator::rest(&root, &mut merged.tree, notes)?;
+    equality::apply(&root, &mut merged.tree)?;
     Ok(merged)
 }
 
@@ -89,6 +92,7 @@ fn rescale(links: &mut [Link], wanted: f64) {
 struct Base<'a> {
     element: &'a Element,
     class: String,
+    free: bool,
 }
 
 /// The one body of the world that moves freely.
@@ -123,7 +127,7 @@ fn top<'a>(world: &'a Element, class: &str, bodies: &mut Vec<Base<'a>>, notes: &
     let class = world.get("childclass").unwrap_or(class);
     for child in &world.children {
         match child.tag.as_str() {
-            "body" => bodies.push(Base { element: child, class: class.to_owned() }),
+            "body" => bodies.push(Base { element: child, class: class.to_owned(), free: body::is_free(child) }),
             "frame" => top(child, class, bodies, notes)?,
             "replicate" | "attach" | "composite" | "flexcomp" => return Err(child.error("is not read")),
             _ => notes.left_out(child),

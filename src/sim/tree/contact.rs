@@ -22,11 +22,53 @@ pub struct ContactPoint {
 /// choice.
 const RIM: usize = 4;
 
+/// Steps from the middle to the edge of a cube's face in the lattice of directions in which [`outermost`] looks: our choice,
+/// neighbours differ by at most 27°, so that every corner of a box is found in any orientation.
+const STEPS: i32 = 2;
+/// A point that is less than this [m] behind the outermost one touches with it: our choice.
+const LEVEL: f64 = 1e-6;
+
 /// Points of contact, one list for each body.
 pub fn contact_points(tree: &Tree) -> Vec<Vec<ContactPoint>> {
-    let of_body =
-        |body: &super::TreeBody| body.shapes.iter().flat_map(|s| points(&s.geometry, &s.origin, s.friction)).collect();
+    let of_body = |body: &super::TreeBody| {
+        let shapes = body.shapes.iter();
+        outermost(shapes.flat_map(|s| points(&s.geometry, &s.origin, s.friction)).collect())
+    };
     tree.bodies.iter().map(of_body).collect()
+}
+
+impl ContactPoint {
+    /// Distance that it reaches along a unit vector from the body's origin [m].
+    fn reach(&self, toward: &V) -> f64 {
+        let part = self.axis.map_or(1.0, |axis| (1.0 - axis.dot(toward).powi(2)).max(0.0).sqrt());
+        self.center.dot(toward) + self.radius * part
+    }
+
+    /// Does a fixed point lie on this disc's rim?
+    fn carries(&self, point: &Self) -> bool {
+        let off = point.center - self.center;
+        let above = self.axis.map_or(0.0, |axis| off.dot(&axis));
+        above.abs() < LEVEL && (off.norm() - self.radius).abs() < LEVEL
+    }
+}
+
+/// The points of all shapes of a body that are outermost in some direction; flat ground touches no others first.
+fn outermost(points: Vec<ContactPoint>) -> Vec<ContactPoint> {
+    let mut kept = vec![false; points.len()];
+    let side = || -STEPS..=STEPS;
+    let lattice = side().flat_map(|x| side().flat_map(move |y| side().map(move |z| [x, y, z])));
+    for at in lattice.filter(|at| at.iter().any(|x| x.abs() == STEPS)) {
+        let toward = V::from(at.map(f64::from)).normalize();
+        let most = points.iter().map(|p| p.reach(&toward)).fold(f64::NEG_INFINITY, f64::max);
+        for (kept, point) in kept.iter_mut().zip(&points) {
+            *kept |= point.reach(&toward) > most - LEVEL;
+        }
+    }
+    // The fixed points of a rim stay with it: the cylinder stands on them.
+    let rims: Vec<ContactPoint> =
+        points.iter().zip(&kept).filter(|(p, kept)| **kept && p.axis.is_some()).map(|(p, _)| *p).collect();
+    let on_rim = |p: &ContactPoint| p.axis.is_none() && rims.iter().any(|rim| rim.carries(p));
+    points.into_iter().zip(kept).filter(|(p, kept)| *kept || on_rim(p)).map(|(p, _)| p).collect()
 }
 
 fn points(geometry: &Geometry, at: &Isometry3<f64>, friction: f64) -> Vec<ContactPoint> {

@@ -8,6 +8,7 @@
 use super::{JointKind, Tree};
 use crate::number::{Mat3, Real, Vec3};
 use crate::spatial::{Inertia, Symmetric, Twist, Wrench};
+use crate::stop::Push;
 
 /// A [`super::TreeBody`], one lane for each environment.
 #[derive(Clone)]
@@ -73,15 +74,6 @@ pub struct Hinge<R> {
     inverse: R,
     drive: R,
     pub push: Push<R>,
-}
-
-/// Torque on a joint that falls with its acceleration q̈: `torque` − `yielding` q̈.
-#[derive(Clone, Copy)]
-pub struct Push<R> {
-    /// [N·m or N]
-    pub torque: R,
-    /// [kg·m² or kg]
-    pub yielding: R,
 }
 
 /// The torques that drive and hold the joints.
@@ -287,7 +279,6 @@ impl<R: Real> Load<R> {
 impl<R: Real> Hinge<R> {
     pub fn free() -> Self {
         let zero = R::zero();
-        let push = Push { torque: zero, yielding: zero };
-        Self { inertia_axis: Wrench::zero(), inverse: zero, drive: zero, push }
+        Self { inertia_axis: Wrench::zero(), inverse: zero, drive: zero, push: Push::none() }
     }
 }

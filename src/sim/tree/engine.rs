@@ -9,6 +9,7 @@ use super::step::{LaneState, LaneTree, Scratch, step};
 use crate::engine::Command;
 use crate::error::{Error, Result};
 use crate::number::{Isa, Kernel, Real, Vec3, Work};
+use crate::sand::{Mechanisms, Medium};
 use crate::spatial::Twist;
 use crate::{Model, State};
 use std::f64::consts::TAU;
@@ -125,6 +126,7 @@ impl<R: Real> Lanes<R> {
         let lanes = LaneTree {
             bodies,
             motors: LaneMotor::all(tree),
+            followers: tree.tree.followers(),
             patches: if model.has_sand() { tree.patches.clone() } else { Arc::default() },
             contacts: if model.scene.hard.is_empty() { Vec::new() } else { BodyContacts::all(tree) },
             ground: model.scene.ground(),
@@ -185,13 +187,33 @@ impl<R: Real> Kernel for Advance<'_, R> {
     }
 }
 
+impl<R: Real> Lanes<R> {
+    /// Gives one lane other ground. A kind of ground that no lane had before costs the other lanes time, but adds exactly
+    /// zero to their forces.
+    fn set_ground(&mut self, lane: usize, model: &Model, tree: &Arc<TreeModel>) {
+        if !model.has_sand() {
+            let coefficients = model.scene.medium.coefficients.scaled(0.0);
+            let nothing = Medium { coefficients, terms: Vec::new(), ..model.scene.medium.clone() };
+            self.tree.ground.set_lane(lane, &nothing, &Mechanisms::PLAIN);
+        } else {
+            if self.tree.patches.is_empty() {
+                self.tree.patches = tree.patches.clone();
+            }
+            self.tree.ground.set_lane(lane, &model.scene.medium, &model.scene.mechanisms);
+        }
+        if self.tree.contacts.is_empty() && !model.scene.hard.is_empty() {
+            self.tree.contacts = BodyContacts::all(tree);
+        }
+    }
+}
+
 impl<R: Real> Block for Lanes<R> {
     fn set_model(&mut self, lane: usize, model: &Model) {
         let Some(tree) = &model.tree else { return };
         LaneBody::set_lane(&mut self.tree.bodies, lane, &tree.tree);
         self.tree.bodies[0].mass.set_lane(lane, tree.base_mass);
         LaneMotor::set_lane(&mut self.tree.motors, lane, tree);
-        self.tree.ground.set_lane(lane, &model.scene.medium, &model.scene.mechanisms);
+        self.set_ground(lane, model, tree);
         self.tree.floor.set_lane(lane, tree, &model.scene.hard);
         self.tree.gravity.set_lane(lane, model.gravity.into());
         if let (Some(reliefs), Some(own)) = (&mut self.tree.relief, &model.scene.relief) {

@@ -1,11 +1,12 @@
 //! For checks, in `f64`: accelerations of a tree in free flight, and the sand's forces on it in a given motion.
 
-use super::dynamics::{Drive, Frame, Hinge, JointMotion, LaneBody, Load, Motion, Push, fold, load, place, unfold};
+use super::dynamics::{Drive, Frame, Hinge, JointMotion, LaneBody, Load, Motion, fold, load, place, unfold};
 use super::relief::LaneRelief;
 use super::{Tree, sand};
 use crate::Model;
 use crate::number::{Real, Vec3};
 use crate::spatial::Twist;
+use crate::stop::Push;
 
 /// Gravity in [`accelerations`] [m/s²], as in the reference programs.
 pub const GRAVITY: f64 = 9.81;

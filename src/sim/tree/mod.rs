@@ -12,18 +12,25 @@
 //!   [`forces`]: those of both at one moment, for pictures.
 //! * [`contact`]: the points; [`terrain`]: the ground's surface near a point, [`relief`]: a surface that is not
 //!   flat, [`heights`]: those of a file as one text.
-//! * [`stance`]: the standing pose and the feet; [`symmetry`]: left and right; [`looks`]: shapes for pictures; [`packed`]: a robot as one text.
-//! * [`plates`]: collision shapes as the plates that push on sand, [`patches`]: plates with nearly the same normal,
-//!   gathered; [`robot`]: our own robots as trees.
+//! * [`kinematics`]: frames of bodies and their lowest points; [`joint_values`]: values for joints by patterns of their names; [`limbs`]: legs, arms and tails, and how each moves;
+//!   [`stance`]: the standing pose; [`gains`]: servo gains; [`standing`]: does the robot stand?
+//! * [`symmetry`]: left and right; [`looks`]: shapes for pictures; [`packed`]: a robot as one text.
+//! * [`plates`]: collision shapes as the plates that push on sand, few in place of many ([`cluster`]); [`patches`]:
+//!   plates with nearly the same normal, gathered; [`robot`]: our own robots as trees.
 
+mod cluster;
 pub mod contact;
 pub mod dynamics;
 pub mod engine;
 pub mod flight;
 pub mod floor;
 pub mod forces;
+pub mod gains;
 pub mod hard;
 pub mod heights;
+pub mod joint_values;
+pub mod kinematics;
+pub mod limbs;
 pub mod looks;
 pub mod model;
 pub mod packed;
@@ -34,6 +41,7 @@ mod robot;
 mod sand;
 mod servo;
 pub mod stance;
+pub mod standing;
 mod step;
 pub mod symmetry;
 pub mod terrain;
@@ -41,7 +49,7 @@ pub mod terrain;
 pub use engine::TreeEngine;
 pub use hard::HardGround;
 pub use model::TreeModel;
-pub use plates::of_shapes;
+pub use plates::{of_shapes, of_touching};
 pub use robot::of_robot;
 
 use nalgebra::{Isometry3, Matrix3, Unit, Vector3};
@@ -88,6 +96,10 @@ pub struct TreeJoint {
     pub damping: f64,
     /// Dry friction [N·m or N].
     pub friction: f64,
+    /// Stiffness [N·m/rad or N/m] of a spring, and the position at which it is relaxed [rad or m].
+    pub spring: Option<[f64; 2]>,
+    /// The joint that this one follows (URDF `mimic`, MJCF `equality/joint`).
+    pub mimic: Option<Mimic>,
     /// Inertia of the rotor, multiplied by the gear, at the joint [kg·m² or kg].
     pub armature: f64,
     /// Largest torque of the motor [N·m or N]; None: no known limit.
@@ -100,6 +112,23 @@ pub struct TreeJoint {
     pub kd: Option<f64>,
     /// Position in the standing pose [rad or m], if the file has one (MJCF: the first keyframe).
     pub rest: Option<f64>,
+}
+
+/// A joint's position is `ratio` times that of joint `leader`, plus `offset` [rad or m]. A stiff servo holds it there.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mimic {
+    pub leader: String,
+    pub ratio: f64,
+    pub offset: f64,
+}
+
+/// The same with indices of joints.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Follower {
+    pub joint: usize,
+    pub leader: usize,
+    pub ratio: f64,
+    pub offset: f64,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -144,6 +173,16 @@ impl Tree {
     /// Joints in the order of the bodies that they carry.
     pub fn joints(&self) -> impl Iterator<Item = &TreeJoint> {
         self.bodies.iter().filter_map(|b| b.joint.as_ref())
+    }
+
+    /// The joints that follow others. A leader that does not exist is left out; readers refuse it.
+    pub fn followers(&self) -> Vec<Follower> {
+        let place = |name: &str| self.joints().position(|j| j.name == name);
+        let follower = |(joint, own): (usize, &TreeJoint)| {
+            let mimic = own.mimic.as_ref()?;
+            Some(Follower { joint, leader: place(&mimic.leader)?, ratio: mimic.ratio, offset: mimic.offset })
+        };
+        self.joints().enumerate().filter_map(follower).collect()
     }
 
     /// [kg]

@@ -2,26 +2,15 @@
 
 use super::Tree;
 use super::contact::{ContactPoint, contact_points};
+use super::gains::{TreeMotor, motors};
+use super::kinematics::{frames, lowest};
 use super::looks::Looks;
 use super::patches::BodyPatches;
-use super::stance::{Stance, frames, lowest};
+use super::stance::Stance;
 use crate::error::{Error, Result, check_range};
 use crate::sand::intruder::Plate;
 use crate::sand::{GRAVITY, Law};
 use std::sync::Arc;
-
-/// A joint's motor and servo.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TreeMotor {
-    /// [N·m/rad]
-    pub kp: f64,
-    /// [N·m·s/rad]
-    pub kd: f64,
-    /// [N·m]
-    pub torque_limit: Option<f64>,
-    /// [rad/s]
-    pub speed_limit: Option<f64>,
-}
 
 /// Compliance and friction of hard ground at each point that touches.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,15 +46,6 @@ pub struct TreeModel {
     pub looks: Arc<Looks>,
 }
 
-/// Position error at which a motor without a known gain gives its full torque [rad]: our choice. It gives Unitree's
-/// Go1, whose limit is 23.7 N·m, about the 20 N·m/rad that legged_gym takes for its sister A1.
-const FULL_TORQUE_AT: f64 = 1.0;
-/// kd/kp of a servo without known gains [s]: 0.5/20, as legged_gym takes for A1 (Rudin et al. 2022).
-const SETTLING: f64 = 0.025;
-/// If no torque limit is known either, the robot's weight times this lever [m] takes its place: our choice, the
-/// length of a shank.
-const LEVER: f64 = 0.2;
-
 impl Compliance {
     /// The whole weight on one point sinks it by 1 mm. Damping is half of the critical damping of a quarter of the
     /// mass. A held point creeps with up to 1e-5 m/s, as on sand. Our choices: a foot at rest sinks by less than
@@ -87,8 +67,9 @@ impl TreeModel {
     /// The same as [`Self::new`], with points of contact that are known already.
     pub fn with_contacts(tree: Tree, plates: Vec<Vec<Plate>>, contacts: Vec<Vec<ContactPoint>>) -> Result<Self> {
         check(&tree)?;
-        let (motors, compliance) = (motors(&tree), Compliance::of_mass(tree.mass()));
+        let compliance = Compliance::of_mass(tree.mass());
         let stance = Arc::new(Stance::of(&tree, &contacts));
+        let motors = motors(&tree, &contacts, &stance);
         let looks = Looks::of(tree.bodies.iter().map(|b| &b.shapes[..]), false).or_plates(&plates);
         let (patches, contacts, looks) = (Arc::default(), Arc::new(contacts), Arc::new(looks));
         let (base_mass, tree) = (tree.bodies[0].mass, Arc::new(tree));
@@ -118,6 +99,14 @@ impl TreeModel {
         for motor in self.motors.iter_mut().filter(|_| limit > 0.0) {
             motor.torque_limit = Some(motor.torque_limit.map_or(limit, |own| own.min(limit)));
         }
+        self
+    }
+
+    /// A copy that stands with the given joints at other angles.
+    pub fn standing_at(mut self, angles: &[Option<f64>]) -> Self {
+        let own = self.stance.angles.iter().zip(angles);
+        let angles: Vec<f64> = own.map(|(own, other)| other.unwrap_or(*own)).collect();
+        self.stance = Arc::new(Stance::at(&self.tree, &self.contacts, angles));
         self
     }
 
@@ -157,18 +146,4 @@ fn check(tree: &Tree) -> Result<()> {
         Some(_) => check_range("mass", tree.mass(), 1e-6..=1e6).map(drop),
         None => Err(Error::invalid("robot", "it has no bodies")),
     }
-}
-
-fn motors(tree: &Tree) -> Vec<TreeMotor> {
-    let weight = tree.mass() * GRAVITY;
-    let motor = |joint: &super::TreeJoint| {
-        let kp = joint.kp.unwrap_or_else(|| joint.torque_limit.map_or(weight * LEVER, |t| t / FULL_TORQUE_AT));
-        TreeMotor {
-            kp,
-            kd: joint.kd.unwrap_or(kp * SETTLING),
-            torque_limit: joint.torque_limit,
-            speed_limit: joint.speed_limit,
-        }
-    };
-    tree.joints().map(motor).collect()
 }

@@ -4,7 +4,7 @@
 use super::contact::{ContactPoint, contact_points};
 use super::looks::Looks;
 use super::model::TreeModel;
-use super::{Geometry, JointKind, Tree, TreeBody, TreeJoint, TreeShape};
+use super::{Geometry, JointKind, Mimic, Tree, TreeBody, TreeJoint, TreeShape};
 use crate::error::{Error, Result, check_range};
 use crate::number::Vec3;
 use crate::sand::intruder::Plate;
@@ -66,6 +66,11 @@ struct Joint {
     range: Option<[f64; 2]>,
     damping: f64,
     friction: f64,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    spring: Option<[f64; 2]>,
+    /// Leader, ratio and offset.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    mimic: Option<(String, f64, f64)>,
     armature: f64,
     torque_limit: Option<f64>,
     speed_limit: Option<f64>,
@@ -98,7 +103,13 @@ enum Kind {
 /// Packs `tree` with the plates of each body, and with shapes for pictures where its primitives do not suffice.
 pub fn pack(tree: &Tree, plates: &[Vec<Plate>], looks: Option<&Looks>) -> Result<String> {
     let contacts = contact_points(tree);
-    let body = |(i, b): (usize, &TreeBody)| Body {
+    let bodies = tree.bodies.iter().enumerate().map(|(i, b)| body(b, &contacts[i], &plates[i])).collect();
+    let packed = Packed { name: tree.name.clone(), bodies, looks: looks.cloned() };
+    serde_json::to_string(&packed).map_err(|e| Error::invalid("robot", e.to_string()))
+}
+
+fn body(b: &TreeBody, contacts: &[ContactPoint], plates: &[Plate]) -> Body {
+    Body {
         name: b.name.clone(),
         parent: b.parent,
         origin: place(&b.origin),
@@ -107,16 +118,13 @@ pub fn pack(tree: &Tree, plates: &[Vec<Plate>], looks: Option<&Looks>) -> Result
         center: b.center.into(),
         inertia: [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)].map(|at| b.inertia[at]),
         shapes: b.shapes.iter().filter_map(shape).collect(),
-        contacts: contacts[i].iter().map(contact).collect(),
-        plates: plates[i].iter().map(plate).collect(),
-    };
-    let bodies = tree.bodies.iter().enumerate().map(body).collect();
-    let packed = Packed { name: tree.name.clone(), bodies, looks: looks.cloned() };
-    serde_json::to_string(&packed).map_err(|e| Error::invalid("robot", e.to_string()))
+        contacts: contacts.iter().map(contact).collect(),
+        plates: plates.iter().map(plate).collect(),
+    }
 }
 
-/// The text of [`pack`], compressed.
-pub fn compressed(text: &str) -> Result<String> {
+/// The text of [`pack`], compressed; `plates` is the number of the robot's plates.
+pub fn compressed(text: &str, plates: usize) -> Result<String> {
     let mut stream = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::best());
     let bytes = stream.write_all(text.as_bytes()).and_then(|()| stream.finish());
     let bytes = bytes.map_err(|e| Error::invalid("robot", e.to_string()))?;
@@ -124,7 +132,11 @@ pub fn compressed(text: &str) -> Result<String> {
     match packed.len() <= MOST_PACKED {
         true => Ok(packed),
         false => {
-            Err(Error::invalid("robot", "it has too many plates: give them a larger size, or let fewer bodies touch"))
+            let (found, most) = (packed.len() >> 10, MOST_PACKED >> 10);
+            let reason = format!(
+                "{plates} plates make a robot of {found} KiB, and {most} KiB are allowed: give a larger size, or fewer bodies with touches"
+            );
+            Err(Error::invalid("plate-size", reason))
         }
     }
 }
@@ -132,6 +144,12 @@ pub fn compressed(text: &str) -> Result<String> {
 /// Does this text claim to be a packed robot? It may still be broken.
 pub fn is_packed(text: &str) -> bool {
     text.starts_with(MARK)
+}
+
+/// Refuses a robot whose numbers [`unpack`] would refuse.
+pub fn check(tree: &Tree) -> Result<()> {
+    check_range("number of bodies", tree.bodies.len() as f64, 1.0..=MOST_BODIES as f64)?;
+    tree.bodies.iter().try_for_each(|b| body(b, &[], &[]).check())
 }
 
 /// Reads a text of [`compressed`].
@@ -209,6 +227,13 @@ impl Body {
         for (what, x) in [("torque_limit", joint.torque_limit), ("speed_limit", joint.speed_limit)] {
             check_range(&name(what), x.unwrap_or(1.0), 1e-9..=1e12)?;
         }
+        let [stiffness, rest] = joint.spring.unwrap_or_default();
+        check_range(&name("spring"), stiffness, 0.0..=1e9)?;
+        check_range(&name("spring"), rest, -1e6..=1e6)?;
+        if let Some((_, ratio, offset)) = joint.mimic {
+            check_range(&name("mimic"), ratio, -1e3..=1e3)?;
+            check_range(&name("mimic"), offset, -1e3..=1e3)?;
+        }
         let [low, high] = joint.range.unwrap_or_default();
         check_range(&name("range"), high, low..=1e12).map(drop)
     }
@@ -245,6 +270,8 @@ fn joint(j: &TreeJoint) -> Joint {
         range: j.range,
         damping: j.damping,
         friction: j.friction,
+        spring: j.spring,
+        mimic: j.mimic.as_ref().map(|m| (m.leader.clone(), m.ratio, m.offset)),
         armature: j.armature,
         torque_limit: j.torque_limit,
         speed_limit: j.speed_limit,
@@ -262,6 +289,8 @@ fn joint_of(j: Joint) -> TreeJoint {
         range: j.range,
         damping: j.damping,
         friction: j.friction,
+        spring: j.spring,
+        mimic: j.mimic.map(|(leader, ratio, offset)| Mimic { leader, ratio, offset }),
         armature: j.armature,
         torque_limit: j.torque_limit,
         speed_limit: j.speed_limit,

@@ -48,6 +48,8 @@ pub fn of_robot(name: &str, robot: &Robot) -> Result<Tree> {
                     range: body.range,
                     damping: 0.0,
                     friction: 0.0,
+                    spring: None,
+                    mimic: None,
                     armature: body.armature,
                     torque_limit: limit(robot.servo.torque_limit),
                     speed_limit: limit(robot.servo.speed_limit),

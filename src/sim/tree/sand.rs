@@ -200,7 +200,12 @@ impl Tile {
     fn press<R: Real, M: StressModel<R>>(&self, own: &Own<R>, sum: &mut Leading<R>) {
         let (zero, one, facet) = (R::zero(), R::one(), &self.facet);
         let slopes = [0, 1].map(|k| lanes::<R>(&self.half[k]).dot(own.up));
-        let share = facet.along(own).mul_add(lane(facet.growth), lane(facet.begun));
+        // n·v̂ differs by at most ± `spread` from that of the centre, because the body turns.
+        let turning = own.angular.cross(lanes(&facet.normal));
+        let [a, b] = [0, 1].map(|k| lanes::<R>(&self.half[k]).dot(turning).abs());
+        let spread = a + b;
+        let growth = one / spread.mul_add(R::splat(2.0), R::splat(crate::sand::Surface::SOLID.leading_edge_gate));
+        let share = (facet.along(own) + spread) * growth;
         let rise = slopes[0].mul_add(slopes[0], slopes[1].mul_add(slopes[1], R::splat(1e-20))).sqrt();
         let depth = -(own.up.dot(lanes(&facet.center)) + own.height);
         let low = (depth + rise).max(zero);
@@ -213,7 +218,7 @@ impl Tile {
             sum.deep = part.mul_add(mean.mul_add(mean, range * range * R::splat(1.0 / 3.0)), sum.deep);
         }
         sum.add(facet, lanes(&facet.normal), part * mean);
-        sum.grow(share, lane(facet.edge), depth);
+        sum.grow(share, growth * lane(facet.area), depth);
     }
 }
 

@@ -1,24 +1,17 @@
-//! Torques at the joints: motors, bearings and stops, all linearly implicit in the joint's rate.
+//! Torques at the joints: motors, bearings, springs and stops, all linearly implicit in the joint's rate.
 //!
 //! Each is τ(q̈) = torque − yielding q̈. A motor's torque is limited, and a stop only pushes. Whether a torque is at
 //! its limit is computed with the parent held still, as in [`crate::lanes`]. The torque is then the limit, and
 //! independent of q̈. Dry friction is F q̇⁺/max(|q̇|, v₀), with the rate q̇⁺ after the step and q̇ before it.
 
-use super::dynamics::{Drive, JointMotion, Push};
+use super::dynamics::{Drive, JointMotion};
 use super::model::TreeModel;
 use crate::number::Real;
+use crate::stop::{NO_LIMIT, Push, Stop};
 
-/// Largest number that stands for "no limit".
-const NO_LIMIT: f64 = 1e9;
 /// Rate v₀ at which dry friction has its full size [rad/s]; a joint creeps more slowly under a smaller load. Our
 /// choice, because even at this rate a joint turns by only 0.06° in a second.
 const CREEP: f64 = 1e-3;
-/// Resistance of a stop to acceleration, as a multiple of the joint's inertia: our choice, because a load then
-/// accelerates a joint at its stop a thousand times less than elsewhere.
-const STIFF: f64 = 1e3;
-/// Number of time steps in which a stop pushes a joint back into its range: our choice, because the joint then returns
-/// with an eighth of the speed of a return in one step.
-const RETURN: f64 = 8.0;
 /// Stall torque of a motor as a multiple of its torque limit. The largest torque falls linearly from there to zero at
 /// the speed limit (the saturation effort of Isaac Lab's `DCMotor`; 2 is our choice: the full torque is available up to
 /// half of the speed limit).
@@ -34,6 +27,8 @@ pub struct LaneMotor<R> {
     damping: R,
     friction: R,
     range: [R; 2],
+    /// Stiffness and rest position of a spring.
+    spring: [R; 2],
 }
 
 /// The servo of a joint in one step.
@@ -66,6 +61,7 @@ impl<R: Real> LaneMotor<R> {
             damping: zero,
             friction: zero,
             range: [zero; 2],
+            spring: [zero; 2],
         };
         let mut all = vec![none; model.motors.len()];
         (0..R::LANES).for_each(|lane| Self::set_lane(&mut all, lane, model));
@@ -82,6 +78,8 @@ impl<R: Real> LaneMotor<R> {
             out.friction.set_lane(lane, joint.friction);
             let range = joint.range.unwrap_or([-NO_LIMIT, NO_LIMIT]);
             out.range.iter_mut().zip(range).for_each(|(out, end)| out.set_lane(lane, end));
+            let spring = joint.spring.unwrap_or([0.0; 2]);
+            out.spring.iter_mut().zip(spring).for_each(|(out, x)| out.set_lane(lane, x));
         }
     }
 
@@ -126,61 +124,22 @@ impl<R: Real> Joints<'_, R> {
     }
 }
 
-impl<R: Real> Push<R> {
-    #[inline(always)]
-    fn plus(self, o: Self) -> Self {
-        Self { torque: self.torque + o.torque, yielding: self.yielding + o.yielding }
-    }
-
-    #[inline(always)]
-    fn at(&self, acceleration: R) -> R {
-        self.torque - self.yielding * acceleration
-    }
-
-    /// The acceleration under this push.
-    #[inline(always)]
-    fn moves(&self, own: R, load: R) -> R {
-        (self.torque - load) / (own + self.yielding)
-    }
-
-    /// This push; if its torque at `acceleration` is beyond `low` or `high`, this limit as a constant torque.
-    #[inline(always)]
-    fn within(&self, low: R, high: R, acceleration: R) -> Self {
-        let torque = self.at(acceleration);
-        let limited = torque.clamp(low, high);
-        let free = (limited - torque).abs().lt(R::splat(f64::from(f32::MIN_POSITIVE)));
-        Self { torque: R::select(free, self.torque, limited), yielding: R::select(free, self.yielding, R::zero()) }
-    }
-}
-
 impl<R: Real> Drive<R> for Joints<'_, R> {
     #[inline(always)]
     fn push(&self, i: usize, own: R, load: R) -> Push<R> {
         let (motor, joint, dt) = (&self.motors[i], &self.joints[i], self.dt);
-        let zero = R::zero();
         let (servo, [low, high]) = motor.servo(&self.servos[i], joint, dt);
         let damping = Push { torque: -(motor.damping * joint.rate), yielding: motor.damping * dt };
         let slows = motor.friction / joint.rate.abs().max(R::splat(CREEP));
         let rub = Push { torque: -(slows * joint.rate), yielding: slows * dt };
-        let stiff = own * R::splat(STIFF);
-        let next = joint.rate.mul_add(dt, joint.position);
-        let [least, most] = motor.range;
-        // Distance of the joint beyond its range, now or, at its present rate, soon.
-        let beyond =
-            (next - most).max(joint.position - most).max(zero) + (next - least).min(joint.position - least).min(zero);
-        let past = (joint.position - most).max(zero) + (joint.position - least).min(zero);
-        let out = (past / (dt * R::splat(RETURN)) + joint.rate) * (stiff / dt);
-        let stops = zero.lt(beyond.abs());
-        let stop = Push { torque: R::select(stops, -out, zero), yielding: R::select(stops, stiff, zero) };
-        // A stop only pushes back.
-        let [push_low, push_high] = [
-            R::select(beyond.lt(zero), zero, -R::splat(NO_LIMIT)),
-            R::select(zero.lt(beyond), zero, R::splat(NO_LIMIT)),
-        ];
-        let always = damping.plus(rub);
-        let all = servo.plus(always).plus(stop);
+        let stops = Stop::of(motor.range, joint.position, joint.rate, own, dt);
+        let [stiffness, rest] = motor.spring;
+        let pulled = joint.rate.mul_add(dt, joint.position) - rest;
+        let spring = Push { torque: -(stiffness * pulled), yielding: stiffness * (dt * dt) };
+        let always = damping.plus(rub).plus(spring);
+        let all = servo.plus(always).plus(stops.push);
         let first = all.moves(own, load);
-        let stop = stop.within(push_low, push_high, first);
+        let stop = stops.at(first);
         let all = servo.within(low, high, first).plus(always).plus(stop);
         let second = all.moves(own, load);
         servo.within(low, high, second).plus(always).plus(stop)

@@ -1,24 +1,40 @@
-//! The standing pose of a tree robot: its feet, its joints, and the positions of its points of contact.
+//! The standing pose of a tree robot: its legs, its feet, and its joints. Where the file gives no pose, the joints are
+//! searched: each leg stands under its hip, in the middle of the heights that it can use.
 
+use super::Tree;
 use super::contact::ContactPoint;
-use super::{JointKind, Tree};
-use crate::State;
-use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use super::kinematics::{chain, lowest};
+use super::limbs::{Joints, Limb, Reached, STEPS, limbs};
+use nalgebra::{Isometry3, Vector3};
 
 type V = Vector3<f64>;
 
-/// Share of its longest reach to which a leg is extended if the file gives no pose: our choice, close to Go1's usual
-/// stance (0.27 m of 0.43 m, or 0.64; with 0.7 the torques at the knees are smaller).
-const REACH: f64 = 0.7;
-/// Largest position of a joint that is tried [rad or m].
-const FARTHEST: f64 = 2.8;
-/// Start positions of each of the last two joints in a search, and rounds of descent: our choice, which converges
-/// to 1e-6 m.
-const GRID: usize = 12;
-const ROUNDS: usize = 60;
+/// A leg that is bent so far that its foot is nearer to the hip than this part of its longest reach is not used. Our
+/// choice: the middle between this and the longest reach is 0.7. The usual poses of A1, Aliengo, HyQ, Mini Cheetah,
+/// Solo and Spot have 0.70 to 0.73, Go1's 0.64.
+const FOLDED: f64 = 0.4;
+/// Part of its longest reach to which a leg of a robot with fewer than four feet is extended: our choice, because such
+/// a robot stands with its feet flat, and knees that bend more need more torque. Unitree's H1 stands at 0.92 and
+/// G1 at 0.98 (Isaac Lab 2.0).
+const UPRIGHT: f64 = 0.9;
+/// Heights of a leg that are tried, as parts of its length, and start positions of a search: our choice.
+const HEIGHTS: usize = 18;
+const STARTS: usize = 12;
+/// A foot is at its place if it is nearer than this part of the leg's length: our choice.
+const REACHED: f64 = 0.01;
+/// A limb is a leg if its end is in the lowest three tenths of the robot's height, and moves up and down by at least
+/// this part of its length: our choice. Arms and tails do not reach so low, wheels and propellers do not move their
+/// lowest point.
+const LOWEST: f64 = 0.3;
+const TRAVEL: f64 = 0.1;
+/// A body of a leg belongs to the foot if it is nearer to the ground than this part of the robot's height: our choice.
+const NEAR: f64 = 0.02;
+/// Feet are moved toward the point under the centre of mass if that is farther from their middle than this part of their
+/// distance from it; by at most this part of the leg's length. Our choice.
+const OFF_CENTER: f64 = 0.25;
 
-/// Largest number of frames that all searches of a robot compute: our choice, about a second. Two thousand times what a
-/// quadruped needs; a chain of hundreds of joints gets fewer rounds.
+/// Largest number of frames that all searches of a robot compute: our choice, about a second. A robot with many limbs of
+/// hundreds of joints is searched from fewer positions.
 const MOST_FRAMES: usize = 10_000_000;
 
 /// A robot's standing pose.
@@ -28,159 +44,228 @@ pub struct Stance {
     pub angles: Vec<f64>,
     /// Feet: bodies that stand on the ground, each the last of its branch with points of contact.
     pub feet: Vec<usize>,
-}
-
-/// Frames of all bodies in the world.
-pub fn frames(tree: &Tree, state: &State) -> Vec<Isometry3<f64>> {
-    let [w, x, y, z] = state.orientation;
-    let turn = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
-    let base = Isometry3::from_parts(Translation3::from(V::from(state.position)), turn);
-    chain(tree, base, &state.angles)
-}
-
-fn chain(tree: &Tree, base: Isometry3<f64>, angles: &[f64]) -> Vec<Isometry3<f64>> {
-    let mut all = Vec::with_capacity(tree.bodies.len());
-    all.push(base);
-    for (body, q) in (1..tree.bodies.len()).zip(angles) {
-        all.push(joined(tree, body, &all[tree.bodies[body].parent], *q));
-    }
-    all
-}
-
-/// The frame of a body whose joint is at `q`, on its parent's frame.
-fn joined(tree: &Tree, body: usize, parent: &Isometry3<f64>, q: f64) -> Isometry3<f64> {
-    let body = &tree.bodies[body];
-    let moved = match &body.joint {
-        Some(j) if j.kind == JointKind::Slide => {
-            Isometry3::from_parts((j.axis.into_inner() * q).into(), UnitQuaternion::identity())
-        }
-        Some(j) => Isometry3::from_parts(V::zeros().into(), UnitQuaternion::from_axis_angle(&j.axis, q)),
-        None => Isometry3::identity(),
-    };
-    parent * body.origin * moved
-}
-
-/// The lowest of a body's points [m], for a body at `frame`; infinite if it has none.
-pub fn lowest(frame: &Isometry3<f64>, points: &[ContactPoint]) -> V {
-    // The upward direction in the body's frame; most points need only heights.
-    let up = frame.rotation.inverse_transform_vector(&V::z());
-    let height = |p: &ContactPoint| {
-        let drop = p.axis.map_or(1.0, |axis| (1.0 - axis.dot(&up).powi(2)).max(0.0).sqrt());
-        up.dot(&p.center) - p.radius * drop
-    };
-    let heights = points.iter().map(height).enumerate();
-    let low = heights.fold((0, f64::INFINITY), |low, one| if one.1 < low.1 { one } else { low });
-    let Some(p) = points.get(low.0) else { return V::new(0.0, 0.0, f64::INFINITY) };
-    // Direction to the lowest point of a ball or of a rim.
-    let rim = p.axis.map_or(up, |axis| (up - axis * axis.dot(&up)).try_normalize(1e-9).unwrap_or_default());
-    frame.transform_point(&(p.center - rim * p.radius).into()).coords
+    /// For each leg the bodies from the base outward, without the base.
+    pub legs: Vec<Vec<usize>>,
+    /// Bodies that are neither base nor part of a leg: trunk, arms, head.
+    pub upper: Vec<usize>,
+    /// Height of the base's origin above the lowest point [m].
+    pub height: f64,
+    /// Mean height of the hips above the feet [m].
+    pub leg_length: f64,
 }
 
 impl Stance {
     pub fn of(tree: &Tree, contacts: &[Vec<ContactPoint>]) -> Self {
-        let count = tree.bodies.len();
-        let carries = |i: usize| tree.bodies.iter().skip(1).any(|b| b.parent == i);
-        let mut feet = Vec::new();
-        for leaf in (1..count).filter(|i| !carries(*i)) {
-            let mut last = leaf;
-            while last > 0 && contacts[last].is_empty() {
-                last = tree.bodies[last].parent;
-            }
-            if last > 0 && !feet.contains(&last) {
-                feet.push(last);
-            }
-        }
+        let limbs = limbs(tree, contacts);
         let known: Option<Vec<f64>> = tree.joints().map(|j| j.rest).collect();
-        let angles = known.unwrap_or_else(|| found(tree, contacts, &feet));
+        let angles = known.unwrap_or_else(|| Search::of(tree, contacts, &limbs).pose(&limbs));
+        Self::with(tree, contacts, &limbs, angles)
+    }
+
+    /// The stance with joints at `angles`.
+    pub fn at(tree: &Tree, contacts: &[Vec<ContactPoint>], angles: Vec<f64>) -> Self {
+        Self::with(tree, contacts, &limbs(tree, contacts), angles)
+    }
+
+    fn with(tree: &Tree, contacts: &[Vec<ContactPoint>], limbs: &[Limb], angles: Vec<f64>) -> Self {
         let frames = chain(tree, Isometry3::identity(), &angles);
-        let all = frames.iter().zip(contacts).map(|(f, p)| lowest(f, p).z);
-        let low = all.fold(f64::INFINITY, f64::min);
-        // Branches that end above the lowest three tenths of the robot's height are arms and tails.
-        feet.retain(|foot| lowest(&frames[*foot], &contacts[*foot]).z < low + 0.3 * low.abs());
-        Self { angles, feet }
+        let height_of = |body: usize| lowest(&frames[body], &contacts[body]).z;
+        let low = (0..frames.len()).map(height_of).fold(f64::INFINITY, f64::min);
+        let height = if low.is_finite() { -low } else { 0.0 };
+        let free = Joints::free(tree);
+        let hips = limbs.iter().map(|l| frames[l.hip].translation.vector.z);
+        let span = (hips.fold(f64::NEG_INFINITY, f64::max) - low).max(0.0);
+        let is_low = |end: usize| height_of(end) < low + LOWEST * span;
+        let under_base = |end: usize| height_of(end) < height_of(0);
+        let mut legs: Vec<&Limb> = limbs
+            .iter()
+            .filter(|l| l.ends.iter().any(|end| is_low(*end) && under_base(*end)))
+            .filter(|l| l.travel(tree, contacts, &free) > TRAVEL * l.length)
+            .collect();
+        beside(&mut legs, &frames);
+        let stands = |body: &usize| height_of(*body) < low + NEAR * span;
+        let mut feet = Vec::new();
+        for leg in &legs {
+            let own = leg.path.iter().filter(|i| !leg.ends.contains(i) && stands(i));
+            for body in leg.ends.iter().filter(|end| is_low(**end)).chain(own) {
+                if !feet.contains(body) {
+                    feet.push(*body);
+                }
+            }
+        }
+        let of_leg =
+            |i: &usize| legs.iter().any(|l| l.path.contains(i) || l.ends.iter().any(|end| is_under(tree, *end, *i, l)));
+        let upper = (1..frames.len()).filter(|i| !of_leg(i)).collect();
+        let lengths = legs.iter().map(|l| frames[l.hip].translation.vector.z - height_of(l.end()));
+        let leg_length = lengths.sum::<f64>() / legs.len().max(1) as f64;
+        let legs = legs.iter().map(|l| l.path.clone()).collect();
+        Self { angles, feet, legs, upper, height, leg_length }
     }
 }
 
-/// A pose with each foot below the start of its leg, at [`REACH`] of the leg's full extension. Joints with a
-/// position in the file keep it.
-fn found(tree: &Tree, contacts: &[Vec<ContactPoint>], feet: &[usize]) -> Vec<f64> {
-    let joints: Vec<_> = tree.joints().collect();
-    let range = |i: usize| joints[i].range.unwrap_or([-FARTHEST, FARTHEST]).map(|end| end.clamp(-FARTHEST, FARTHEST));
-    let start = |i: usize| joints[i].rest.unwrap_or_else(|| 0.0_f64.clamp(range(i)[0], range(i)[1]));
-    let mut angles: Vec<f64> = (0..joints.len()).map(start).collect();
-    for &foot in feet {
-        let mut branch = vec![foot];
-        while tree.bodies[branch[0]].parent > 0 {
-            branch.insert(0, tree.bodies[branch[0]].parent);
+/// Is `body` between the limb `of` and its further end `end`?
+fn is_under(tree: &Tree, end: usize, body: usize, of: &Limb) -> bool {
+    let mut at = end;
+    while at > 0 && !of.path.contains(&at) {
+        if at == body {
+            return true;
         }
-        // The last two joints bend the leg; the leg begins at the first of them.
-        let first = branch.len().saturating_sub(2);
-        let below = branch[first + 1..].iter().map(|i| tree.bodies[*i].origin.translation.vector.norm());
-        let last = contacts[foot].iter().map(|p| p.center.norm()).fold(0.0, f64::max);
-        let (root, length) = (branch[first], below.sum::<f64>() + last);
-        let cost = |angles: &[f64]| {
-            let (mut frame, mut hip) = (Isometry3::identity(), V::zeros());
-            for &body in &branch {
-                frame = joined(tree, body, &frame, angles[body - 1]);
-                if body == root {
-                    hip = frame.translation.vector;
-                }
+        at = tree.bodies[at].parent;
+    }
+    false
+}
+
+/// Removes a single limb in the middle of a robot whose other limbs stand at its sides: a neck, an arm or a tail.
+fn beside(legs: &mut Vec<&Limb>, frames: &[Isometry3<f64>]) {
+    let aside = |l: &Limb| frames[l.hip].translation.vector.y.abs() > 0.05 * l.length;
+    let sides = legs.iter().filter(|l| aside(l)).count();
+    if sides >= 2 && sides < legs.len() {
+        legs.retain(|l| aside(l));
+    }
+}
+
+/// The search for a standing pose.
+struct Search<'a> {
+    tree: &'a Tree,
+    contacts: &'a [Vec<ContactPoint>],
+    joints: Joints,
+    /// Start positions of a search.
+    starts: usize,
+}
+
+/// A leg's place, and the heights that it can use.
+struct Leg<'a> {
+    limb: &'a Limb,
+    /// Horizontal place of the foot, and height of the hip [m].
+    place: V,
+    /// Least and greatest usable depth of the foot under the hip, and the one that is wanted [m].
+    depths: [f64; 2],
+    wanted: f64,
+}
+
+impl<'a> Search<'a> {
+    fn of(tree: &'a Tree, contacts: &'a [Vec<ContactPoint>], limbs: &[Limb]) -> Self {
+        let frames_of_a_start: usize = limbs.iter().map(|l| 2 * HEIGHTS * STEPS * l.path.len()).sum();
+        let starts = (MOST_FRAMES / frames_of_a_start.max(1)).clamp(1, STARTS);
+        Self { tree, contacts, joints: Joints::of(tree), starts }
+    }
+
+    /// A pose with each foot under its hip, in the middle of the heights that the leg can use. Joints with a position in
+    /// the file keep it.
+    fn pose(&self, limbs: &[Limb]) -> Vec<f64> {
+        let start = self.joints.preferred.clone();
+        let frames = chain(self.tree, Isometry3::identity(), &start);
+        let free = Joints::free(self.tree);
+        let mut candidates: Vec<&Limb> =
+            limbs.iter().filter(|l| l.travel(self.tree, self.contacts, &free) > TRAVEL * l.length).collect();
+        beside(&mut candidates, &frames);
+        let many = candidates.len() >= 4;
+        let mut legs: Vec<Leg> = candidates.iter().filter_map(|l| self.leg(l, &frames, many)).collect();
+        let deepest = |l: &Leg| l.place.z - l.depths[1];
+        let low = legs.iter().map(deepest).fold(f64::INFINITY, f64::min);
+        let top = legs.iter().map(|l| l.place.z).fold(f64::NEG_INFINITY, f64::max);
+        legs.retain(|l| deepest(l) < low + LOWEST * (top - low));
+        let upright = legs.len() < 4;
+        for leg in &mut legs {
+            let [least, most] = leg.depths;
+            leg.wanted = if upright { UPRIGHT * most } else { (most + least.max(FOLDED * most)) / 2.0 }.max(least);
+        }
+        let mut angles = self.standing(&legs, &start, V::zeros());
+        for _ in 0..2 {
+            let shift = self.off_center(&legs, &angles, upright);
+            angles = self.standing(&legs, &angles, shift);
+        }
+        for f in
+            self.tree.followers().iter().filter(|f| self.joints.ranges[f.joint][0] == self.joints.ranges[f.joint][1])
+        {
+            angles[f.joint] = f.ratio * angles[f.leader] + f.offset;
+        }
+        angles
+    }
+
+    /// The place of a limb's foot if it is a leg; None if its foot reaches no place under the hip.
+    fn leg<'l>(&self, limb: &'l Limb, frames: &[Isometry3<f64>], many: bool) -> Option<Leg<'l>> {
+        let (tree, contacts) = (self.tree, self.contacts);
+        let hip = frames[limb.hip].translation.vector;
+        let tip = limb.tip(tree, contacts, &self.joints.preferred);
+        let length = limb.length_behind_hip(tree, contacts);
+        let mut place = hip;
+        // A leg whose knee bends sideways, as a spider's, stands at the distance of its knee.
+        let knee = limb.path.iter().skip_while(|i| **i != limb.hip).nth(1);
+        let out = knee.and_then(|i| {
+            let axis = tree.bodies[*i].joint.as_ref().map(|j| frames[*i].rotation * j.axis.into_inner())?;
+            let out = V::new(axis.y, -axis.x, 0.0).try_normalize(0.5)?;
+            let away = (tip - hip).xy().norm() > (hip.z - tip.z);
+            (many && away && out.y.abs() > out.x.abs()).then_some(out * (tip - hip).dot(&out).signum())
+        });
+        if let (Some(out), Some(knee)) = (out, knee) {
+            place += out * tree.bodies[*knee].origin.translation.vector.norm();
+        }
+        let (mut depths, mut last): (Option<[f64; 2]>, Option<Vec<f64>>) = (None, None);
+        for k in (2..=HEIGHTS).rev() {
+            let depth = length * k as f64 / HEIGHTS as f64;
+            let target = place - V::z() * depth;
+            let mut found = self.reach(limb, target, last.as_deref(), depths.is_none());
+            if found.off >= REACHED && last.is_some() {
+                // A straight leg does not bend by itself.
+                found = self.reach(limb, target, last.as_deref(), true);
             }
-            let tip = lowest(&frame, &contacts[foot]);
-            let off = tip - hip + V::z() * (REACH * length);
-            // Of two solutions, the one with the knee farther back is taken, and among equivalent angles the smallest.
-            let knee = frame.translation.vector.x - hip.x + 0.3 * length;
-            let turned: f64 = branch.iter().map(|i| angles[i - 1] * angles[i - 1]).sum();
-            off.norm_squared() + 1e-3 * knee * knee + 1e-6 * length * length * turned
+            if found.off < REACHED {
+                depths = Some([depth, depths.map_or(depth, |d| d[1])]);
+                last = Some(found.angles);
+            } else if depths.is_some() {
+                break;
+            }
+        }
+        // A limb that reaches no such place, for lack of joints, stands as it is.
+        let depths = depths.unwrap_or([hip.z - tip.z; 2]);
+        (depths[1] > 0.0).then_some(Leg { limb, place, depths, wanted: depths[1] })
+    }
+
+    fn reach(&self, limb: &Limb, target: V, first: Option<&[f64]>, widely: bool) -> Reached {
+        let hip = limb.hip;
+        // Of several solutions the one with the knee farther back, and among equals the least bent.
+        let worth = |r: &Reached| {
+            let (knee, from) = (limb.knee(self.tree, &r.angles), limb.frame(self.tree, &r.angles, hip));
+            r.bent + 3.0 * (knee.x - from.translation.vector.x) / limb.length
         };
-        let free: Vec<usize> = branch.iter().map(|i| i - 1).filter(|i| joints[*i].rest.is_none()).collect();
-        let frames = (2 * free.len() * branch.len()).max(1) * feet.len();
-        descend(&mut angles, &free, &range, &cost, ROUNDS.min(MOST_FRAMES / frames));
+        let starts = if widely || first.is_none() { self.starts } else { 0 };
+        limb.reach(self.tree, self.contacts, &self.joints, target, first, starts, &worth)
     }
-    angles
-}
 
-/// Lowers `cost` over the joints `free`: the best point of a grid over the last two, then one joint at a time in `rounds`
-/// rounds.
-fn descend(
-    angles: &mut Vec<f64>,
-    free: &[usize],
-    range: &impl Fn(usize) -> [f64; 2],
-    cost: &impl Fn(&[f64]) -> f64,
-    rounds: usize,
-) {
-    let ends = &free[free.len().saturating_sub(2)..];
-    let mut best = (cost(angles), angles.clone());
-    for k in 0..GRID.pow(ends.len() as u32) {
-        let mut trial = angles.clone();
-        for (place, i) in ends.iter().enumerate() {
-            let ([low, high], part) = (range(*i), k / GRID.pow(place as u32) % GRID);
-            trial[*i] = low + (high - low) * part as f64 / (GRID - 1) as f64;
+    /// All feet on one level, moved by `shift`.
+    fn standing(&self, legs: &[Leg], start: &[f64], shift: V) -> Vec<f64> {
+        let mut angles = start.to_vec();
+        let ground = legs.iter().map(|l| l.place.z - l.wanted).sum::<f64>() / legs.len().max(1) as f64;
+        // The level that all legs can reach, if there is one.
+        let [mut low, mut high] = [f64::NEG_INFINITY, f64::INFINITY];
+        for leg in legs {
+            low = low.max(leg.place.z - leg.depths[1]);
+            high = high.min(leg.place.z - leg.depths[0]);
         }
-        let value = cost(&trial);
-        if value < best.0 {
-            best = (value, trial);
+        let ground = if low <= high { ground.clamp(low, high) } else { ground };
+        for leg in legs {
+            let target = V::new(leg.place.x + shift.x, leg.place.y + shift.y, ground);
+            let found = self.reach(leg.limb, target, Some(&angles), true);
+            leg.limb.path.iter().for_each(|i| angles[i - 1] = found.angles[i - 1]);
         }
+        angles
     }
-    *angles = best.1;
-    let (mut least, mut step) = (best.0, 0.3);
-    for _ in 0..rounds {
-        let before = least;
-        for i in free {
-            let [low, high] = range(*i);
-            for move_by in [-step, step] {
-                let kept = angles[*i];
-                angles[*i] = (kept + move_by).clamp(low, high);
-                let value = cost(angles);
-                if value < least {
-                    least = value;
-                } else {
-                    angles[*i] = kept;
-                }
-            }
+
+    /// The way from the middle of the feet to the point under the centre of mass, if that is far.
+    fn off_center(&self, legs: &[Leg], angles: &[f64], upright: bool) -> V {
+        let frames = chain(self.tree, Isometry3::identity(), angles);
+        let weighed = frames.iter().zip(&self.tree.bodies);
+        let sum: V = weighed.map(|(f, b)| f.transform_point(&b.center.into()).coords * b.mass).sum();
+        let center = sum / self.tree.mass();
+        let count = legs.len().max(1) as f64;
+        let middle = legs.iter().map(|l| l.place).sum::<V>() / count;
+        let reach = legs.iter().map(|l| (l.place.x - middle.x).abs()).fold(0.0, f64::max);
+        let length = legs.iter().map(|l| l.limb.length).sum::<f64>() / count;
+        let off = center.x - middle.x;
+        if !upright && off.abs() < OFF_CENTER * reach {
+            return V::zeros();
         }
-        if least == before {
-            step *= 0.5;
-        }
+        V::new(off.clamp(-OFF_CENTER * length, OFF_CENTER * length), 0.0, 0.0)
     }
 }

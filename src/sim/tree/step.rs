@@ -1,5 +1,6 @@
 //! One time step of a tree robot: positions → sand → hard ground → joints → accelerations → motion.
 
+use super::Follower;
 use super::dynamics::{self, Frame, Hinge, LaneBody, Load, Motion};
 use super::floor::{BodyContacts, Floor, Touch};
 use super::patches::BodyPatches;
@@ -15,6 +16,8 @@ use std::sync::Arc;
 pub struct LaneTree<R> {
     pub bodies: Vec<LaneBody<R>>,
     pub motors: Vec<LaneMotor<R>>,
+    /// Joints that follow others, the same in all lanes.
+    pub followers: Vec<Follower>,
     pub patches: Arc<Vec<BodyPatches>>,
     pub contacts: Vec<BodyContacts>,
     pub ground: SandBed<R>,
@@ -76,6 +79,13 @@ impl<R: Real> Scratch<R> {
 /// Advances all lanes by one time step.
 #[inline(always)]
 pub fn step<R: Real>(model: &LaneTree<R>, state: &mut LaneState<R>, scratch: &mut Scratch<R>) {
+    for follower in &model.followers {
+        let leader = state.motion.joints[follower.leader];
+        let (ratio, servo) = (R::splat(follower.ratio), &mut state.servos[follower.joint]);
+        servo.reference = ratio.mul_add(leader.position, R::splat(follower.offset));
+        // The leader is expected to accelerate as in the step before.
+        servo.command_rate = ratio * (leader.rate + leader.change);
+    }
     accelerate(model, state, scratch);
     move_joints(model, state, &scratch.joints);
     move_base(state, &scratch.accelerations[0], model.dt);

@@ -6,7 +6,7 @@
 //! q_b = s q_a. For a slide, whose axis is a vector, b = s S a.
 
 use super::flight::{Pose, accelerations};
-use super::stance::{frames, lowest};
+use super::kinematics::{frames, lowest};
 use super::{JointKind, Tree, TreeModel};
 use crate::State;
 use crate::error::{Error, Result};

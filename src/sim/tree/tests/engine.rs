@@ -233,6 +233,8 @@ pub fn quadruped() -> Tree {
             range: Some(range),
             damping: 0.01,
             friction: 0.1,
+            spring: None,
+            mimic: None,
             armature: 0.005,
             torque_limit: Some(20.0),
             speed_limit: Some(20.0),

@@ -56,6 +56,8 @@ pub fn random_tree(draw: &mut Draw, count: usize) -> Tree {
             range: None,
             damping: 0.0,
             friction: 0.0,
+            spring: None,
+            mimic: None,
             armature: 0.0,
             torque_limit: None,
             speed_limit: None,

@@ -1,0 +1,179 @@
+//! How far the sand's forces on a robot's default plates are from those on fine plates: at random poses, velocities and
+//! spins of each body that touches sand, below the surface by 0.1 to 1 of its size.
+//!
+//! `cargo run --release --example plates_study -- LAW FILE …` prints a line for each different body of each robot.
+
+use nalgebra::{Isometry3, Matrix3, UnitQuaternion, Vector3};
+use rand::{Rng as _, SeedableRng as _};
+use rand_xoshiro::Xoshiro256PlusPlus;
+use sandgait::number::Vec3;
+use sandgait::sand::intruder::Plate;
+use sandgait::sand::{Law, Medium, SandBed, SandDescription, SegmentState, Surface};
+use sandgait::sim::Model;
+use sandgait::sim::model::Scene;
+use sandgait::sim::tree::flight::{Pose, sand_loads};
+use sandgait::sim::tree::{Geometry, Tree, TreeBody, TreeModel, TreeShape, of_shapes, of_touching};
+use sandgait::{Result, robots};
+use std::path::Path;
+
+type V = Vector3<f64>;
+
+/// Approximate number of points of the reference: our choice, a hundred times the default number of plates.
+const POINTS: f64 = 1.9e4;
+const MEDIUM: &str = "poppy-loose";
+/// Speed of the body's middle [m/s]. The largest spin moves the body's farthest point as fast.
+const SPEED: f64 = 0.3;
+
+/// Errors of force, and of moment over the body's size, relative to the force, over random poses.
+pub struct Errors {
+    pub rms: f64,
+    pub worst: f64,
+    pub moment: f64,
+    pub patches: usize,
+}
+
+/// A point of the surface: place, outward normal, area, and whether its face leads as a whole.
+struct Point {
+    at: V,
+    normal: V,
+    area: f64,
+    flat: bool,
+}
+
+fn vector(v: Vec3<f64>) -> V {
+    v.lane(0).into()
+}
+
+/// A model of one body with these plates.
+fn alone(plates: Vec<Plate>, law: &str) -> Result<Model> {
+    let body = TreeBody {
+        name: "body".into(),
+        parent: 0,
+        origin: Isometry3::identity(),
+        joint: None,
+        mass: 1.0,
+        center: V::zeros(),
+        inertia: Matrix3::identity(),
+        shapes: Vec::new(),
+    };
+    let tree = TreeModel::new(Tree { name: "body".into(), bodies: vec![body] }, vec![plates])?;
+    Model::of_tree(
+        tree,
+        &Scene { law: Law::named(law)?, surface: Surface::SOLID, ..Scene::flat(Medium::named(MEDIUM)?) },
+    )
+}
+
+/// Fine points of the shapes' surface. Those of one mesh are the centres of its own triangles, halved until they are small.
+fn points(shapes: &[&TreeShape]) -> Result<Vec<Point>> {
+    let area: f64 = shapes.iter().map(|s| s.geometry.area()).sum();
+    let size = (area / POINTS).sqrt();
+    if let [TreeShape { geometry: Geometry::Mesh(triangles), origin, .. }] = shapes {
+        let mut left: Vec<[V; 3]> =
+            triangles.iter().map(|t| t.map(|p| origin.transform_point(&p.into()).coords)).collect();
+        let mut points = Vec::new();
+        while let Some([a, b, c]) = left.pop() {
+            let longest = (b - a).norm().max((c - b).norm()).max((a - c).norm());
+            if longest > 2.0 * size {
+                // The first side becomes the longest one, which is halved.
+                let [a, b, c] = if (b - a).norm() == longest { [a, b, c] } else { [b, c, a] };
+                let [a, b, c] = if (b - a).norm() == longest { [a, b, c] } else { [b, c, a] };
+                let middle = (a + b) / 2.0;
+                left.extend([[a, middle, c], [middle, b, c]]);
+            } else if let Some(normal) = (b - a).cross(&(c - a)).try_normalize(0.0) {
+                let area = (b - a).cross(&(c - a)).norm() / 2.0;
+                points.push(Point { at: (a + b + c) / 3.0, normal, area, flat: false });
+            }
+        }
+        return Ok(points);
+    }
+    let point = |p: &Plate| Point {
+        at: vector(p.center),
+        normal: vector(p.normal),
+        area: p.area,
+        // The engine increases the force on a flat face over 1° when it begins to lead, and so does the reference.
+        flat: p.bend == [0.0; 2],
+    };
+    Ok(of_shapes(shapes, Some(size))?.iter().map(point).collect())
+}
+
+/// Compares the engine's forces on `plates` with the law summed over points of the `shapes`.
+pub fn errors(shapes: &[&TreeShape], plates: Vec<Plate>, law: &str, poses: usize, seed: u64) -> Result<Errors> {
+    let sand = SandDescription::named(MEDIUM, law)?;
+    let grounds: [SandBed<f64>; 2] =
+        [Surface::BARE, Surface::SOLID].map(|surface| SandBed::new(sand.law, &sand.medium(), &surface));
+    let (model, points) = (alone(plates, law)?, points(shapes)?);
+    let patches = model.tree.as_ref().map_or(0, |tree| tree.patches[0].patches.len());
+    let middle = points.iter().map(|p| p.at * p.area).sum::<V>() / points.iter().map(|p| p.area).sum::<f64>();
+    let size = points.iter().map(|p| (p.at - middle).norm()).fold(0.0, f64::max);
+    let mut chance = Xoshiro256PlusPlus::seed_from_u64(seed);
+    let mut rows = Vec::with_capacity(poses);
+    for _ in 0..poses {
+        let mut unit = || V::from_fn(|_, _| chance.random::<f64>() - 0.5).normalize();
+        let turn = UnitQuaternion::from_scaled_axis(unit() * (3.0 * unit().x));
+        let (velocity, spin, deep) = (unit() * SPEED, unit() * (unit().x * SPEED / size), unit().x.abs());
+        let arms: Vec<V> = points.iter().map(|p| turn * (p.at - middle)).collect();
+        let lowest = arms.iter().map(|at| at.z).fold(0.0, f64::min);
+        let height = -lowest - size * (0.1 + 0.9 * deep);
+        let (mut force, mut moment) = (V::zeros(), V::zeros());
+        for (p, at) in points.iter().zip(&arms).filter(|(_, at)| at.z + height < 0.0) {
+            let (n, v) = (turn * p.normal, velocity + spin.cross(at));
+            if n.dot(&v) > 0.0 {
+                let site = SegmentState::fresh(-at.z - height, 0.0);
+                let [n, v] = [n, v].map(|v| Vec3::splat(v.into()));
+                let f = vector(grounds[usize::from(p.flat)].one_sided(&site, p.area, n, v).force);
+                force += f;
+                moment += at.cross(&f);
+            }
+        }
+        let off = turn * middle;
+        let pose = Pose {
+            quat: [turn.w, turn.i, turn.j, turn.k],
+            v: (velocity - spin.cross(&off)).into(),
+            w: spin.into(),
+            q: Vec::new(),
+            qd: Vec::new(),
+            tau: Vec::new(),
+        };
+        let [f, m] = sand_loads(&model, (V::z() * height - off).into(), &pose)[0].map(V::from);
+        rows.push([(f - force).norm(), (m - off.cross(&f) - moment).norm() / size, force.norm()]);
+    }
+    // If hardly any part of the body leads in the sand, a relative error says nothing.
+    let largest = rows.iter().map(|r| r[2]).fold(0.0, f64::max);
+    rows.retain(|r| r[2] > 0.1 * largest);
+    let rms = |k: usize| (rows.iter().map(|r| (r[k] / r[2]).powi(2)).sum::<f64>() / rows.len() as f64).sqrt();
+    let worst = rows.iter().map(|r| r[0] / r[2]).fold(0.0, f64::max);
+    Ok(Errors { rms: rms(0), worst, moment: rms(1), patches })
+}
+
+fn robot(law: &str, file: &str) -> Result<()> {
+    let import = robots::load(Path::new(file))?;
+    let touching = import.touching(None)?;
+    let plates = of_touching(&import.tree, &touching, None)?;
+    println!("{file}: {} plates", plates.iter().map(Vec::len).sum::<usize>());
+    let mut seen = Vec::new();
+    for (b, (body, plates)) in import.tree.bodies.iter().zip(plates).enumerate() {
+        let own: Vec<&TreeShape> = touching.iter().filter(|t| t.0 == b).map(|t| &body.shapes[t.1]).collect();
+        // The other legs have the same area to a millionth of a square metre.
+        let area = (1e6 * own.iter().map(|s| s.geometry.area()).sum::<f64>()).round();
+        if own.is_empty() || plates.is_empty() || seen.contains(&area) {
+            continue;
+        }
+        seen.push(area);
+        let count = plates.len();
+        let Errors { rms, worst, moment, patches } = errors(&own, plates, law, 100, 33_550)?;
+        println!(
+            "  {:28} {count:4} plates {patches:3} patches, rms {rms:.4}, worst {worst:.4}, moment {moment:.4}",
+            body.name
+        );
+    }
+    Ok(())
+}
+
+#[allow(dead_code)] // the tests include this file for `errors`
+fn main() -> Result<()> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let Some((law, files)) = arguments.split_first() else {
+        return Err(sandgait::Error::invalid("arguments", "LAW FILE …"));
+    };
+    files.iter().try_for_each(|file| robot(law, file))
+}

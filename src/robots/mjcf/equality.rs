@@ -1,0 +1,42 @@
+//! `<equality>`: joints that follow others. Other equalities close a chain, which a tree cannot do.
+
+use crate::error::Result;
+use crate::sim::tree::{Mimic, Tree};
+use crate::xml::Element;
+
+/// Gives joints their leaders.
+///
+/// # Errors
+/// Names the bodies or joints of an equality that is not simulated.
+pub fn apply(root: &Element, tree: &mut Tree) -> Result<()> {
+    let active = |e: &&Element| e.get("active") != Some("false");
+    for element in root.all("equality").flat_map(|section| &section.children).filter(active) {
+        if element.tag != "joint" {
+            let ends = ["body1", "body2", "site1", "site2", "tendon1", "tendon2"].map(|name| element.get(name));
+            let ends = ends.into_iter().flatten().collect::<Vec<_>>().join(" and ");
+            return Err(element.error(format!(
+                "closes a chain between {ends}, which is not simulated: delete this line, and drive or fix the joints of one branch"
+            )));
+        }
+        let follower = element.required("joint1")?;
+        let coefficients = element.list("polycoef")?.unwrap_or_else(|| vec![0.0, 1.0]);
+        if coefficients.iter().skip(2).any(|c| *c != 0.0) {
+            return Err(element.wrong(
+                "polycoef",
+                format!("joint {follower:?} follows another by a curve; only a line is simulated"),
+            ));
+        }
+        let [offset, slope] = [0, 1].map(|k| coefficients.get(k).copied().unwrap_or(0.0));
+        // Without a second joint the first is held at a constant position; it then follows any joint with ratio 0.
+        let any = tree.joints().map(|j| j.name.clone()).find(|name| name != follower);
+        let (leader, ratio) = match element.get("joint2") {
+            Some(leader) => (leader.to_owned(), slope),
+            None => (any.ok_or_else(|| element.error("the only joint is held"))?, 0.0),
+        };
+        let mut joints = tree.bodies.iter_mut().filter_map(|b| b.joint.as_mut());
+        let joint = joints.find(|j| j.name == follower);
+        let joint = joint.ok_or_else(|| element.error(format!("there is no joint {follower:?}")))?;
+        joint.mimic = Some(Mimic { leader, ratio, offset });
+    }
+    Ok(())
+}

@@ -1,0 +1,158 @@
+//! Servo gains of joints for which the file has none, from the robot's weight, the length of its legs, and the natural
+//! frequency that the robot is to have on its legs.
+//!
+//! A robot of weight W stands on n legs of length ℓ. On its legs it is to be a mass on a spring with ω² = 20 g/ℓ, so
+//! its weight lowers it by ℓ/20. Joint i of a leg moves the foot up and down with the lever rᵢ. If all joints of the
+//! leg have the gain kp, the leg's stiffness is kp/Σrᵢ², so
+//!
+//! ```text
+//!  kp = (W/n) max(20 Σ rᵢ²/ℓ, b ℓ),   kd = 2 ζ kp/ω,   ζ = 0.3
+//! ```
+//!
+//! The second term holds a leg that stands straight, so that its levers are small. With b ℓ W/n per leg, b above 1 keeps an
+//! inverted pendulum on stiff ankles from falling: b = 3 for robots with fewer than four feet, 0.5 for others. A
+//! joint outside of the legs carries a mass m with its centre at the distance r: kp = 10 m g r, so gravity moves it by at
+//! most 0.1 rad, and ω² = 10 g/r. All numbers are our choice. For A1, W/n = 29 N, ℓ = 0.3 m and Σr² = 0.02 m² they give
+//! 39 N·m/rad and 0.9 N·m·s/rad; legged_gym takes 20 and 0.5, under which A1 sinks twice as far.
+
+use super::contact::ContactPoint;
+use super::kinematics::{chain, lowest};
+use super::stance::Stance;
+use super::{JointKind, Tree, TreeJoint};
+use crate::sand::GRAVITY;
+use nalgebra::{Isometry3, Vector3};
+
+type V = Vector3<f64>;
+
+/// ω² ℓ/g of a robot on its legs, and ω² r/g of other joints.
+const LEGS: f64 = 20.0;
+const OTHERS: f64 = 10.0;
+/// ζ, damping ratio.
+const DAMPING: f64 = 0.3;
+/// A joint that follows another is stiffer by this factor, with the same damping ratio: our choice, so that its load moves
+/// it by less than 1 mrad.
+const FOLLOWING: f64 = 100.0;
+/// b for robots with at least four feet, and for others.
+const POSTURE: [f64; 2] = [0.5, 3.0];
+/// Smallest distance of a centre of mass from its joint [m]: our choice, for parts that are balanced about it.
+const NEAREST: f64 = 0.01;
+
+/// A joint's motor and servo.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TreeMotor {
+    /// [N·m/rad]
+    pub kp: f64,
+    /// [N·m·s/rad]
+    pub kd: f64,
+    /// [N·m]
+    pub torque_limit: Option<f64>,
+    /// [rad/s]
+    pub speed_limit: Option<f64>,
+}
+
+/// kp and kd of a joint without known gains [N·m/rad, N·m·s/rad].
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Gains {
+    kp: f64,
+    kd: f64,
+}
+
+impl Gains {
+    /// `softness`: g/ω² [m].
+    fn of(kp: f64, softness: f64) -> Self {
+        let omega = (GRAVITY / softness).sqrt();
+        Self { kp, kd: 2.0 * DAMPING * kp / omega }
+    }
+}
+
+/// The motors of all joints.
+pub fn motors(tree: &Tree, contacts: &[Vec<ContactPoint>], stance: &Stance) -> Vec<TreeMotor> {
+    let frames = chain(tree, Isometry3::identity(), &stance.angles);
+    let mut found = carriers(tree, &frames, stance);
+    for leg in &stance.legs {
+        let gains = of_leg(tree, contacts, &frames, stance, leg);
+        leg.iter().for_each(|i| {
+            if gains.kp > found[i - 1].kp {
+                found[i - 1] = gains;
+            }
+        });
+    }
+    for follower in tree.followers() {
+        let own = &mut found[follower.joint];
+        *own = Gains { kp: own.kp * FOLLOWING, kd: own.kd * FOLLOWING.sqrt() };
+    }
+    let motor = |(joint, own): (&TreeJoint, &Gains)| {
+        let kp = joint.kp.unwrap_or(own.kp);
+        TreeMotor {
+            kp,
+            kd: joint.kd.unwrap_or(if own.kp > 0.0 { kp * own.kd / own.kp } else { 0.0 }),
+            torque_limit: joint.torque_limit,
+            speed_limit: joint.speed_limit,
+        }
+    };
+    tree.joints().zip(&found).map(motor).collect()
+}
+
+/// Gains of the joints of one leg; sliding joints have those of the whole leg in N/m.
+fn of_leg(
+    tree: &Tree,
+    contacts: &[Vec<ContactPoint>],
+    frames: &[Isometry3<f64>],
+    stance: &Stance,
+    leg: &[usize],
+) -> Gains {
+    let (end, count) = (leg[leg.len() - 1], stance.legs.len());
+    let tip = standing_point(&frames[end], &contacts[end], stance.height);
+    let square = |i: &usize| match &tree.bodies[*i].joint {
+        Some(j) if j.kind == JointKind::Hinge => {
+            let axis = frames[*i].rotation * j.axis.into_inner();
+            axis.cross(&(tip - frames[*i].translation.vector)).z.powi(2)
+        }
+        _ => 0.0,
+    };
+    let length = stance.leg_length.max(NEAREST);
+    let load = tree.mass() * GRAVITY / count as f64;
+    let posture = POSTURE[usize::from(count < 4)];
+    let levers: f64 = leg.iter().map(square).sum();
+    Gains::of(load * (LEGS * levers / length).max(posture * length), length / LEGS)
+}
+
+/// The middle of a foot's points that are on the ground.
+fn standing_point(frame: &Isometry3<f64>, points: &[ContactPoint], height: f64) -> V {
+    let low = lowest(frame, points);
+    let single = points.iter().map(|p| lowest(frame, std::slice::from_ref(p)));
+    let near: Vec<V> = single.filter(|p| p.z < low.z + 0.02 * height).collect();
+    if near.is_empty() { low } else { near.iter().sum::<V>() / near.len() as f64 }
+}
+
+/// Gains of each joint from what it carries.
+fn carriers(tree: &Tree, frames: &[Isometry3<f64>], stance: &Stance) -> Vec<Gains> {
+    let mut sums: Vec<(f64, V)> = frames
+        .iter()
+        .zip(&tree.bodies)
+        .map(|(f, b)| (b.mass, f.transform_point(&b.center.into()).coords * b.mass))
+        .collect();
+    for i in (1..tree.bodies.len()).rev() {
+        let (mass, moment) = sums[i];
+        let parent = &mut sums[tree.bodies[i].parent];
+        (parent.0, parent.1) = (parent.0 + mass, parent.1 + moment);
+    }
+    let gains = |i: usize| {
+        let (mass, moment) = sums[i];
+        let Some(joint) = tree.bodies[i].joint.as_ref().filter(|_| mass > 0.0) else {
+            return Gains { kp: 0.0, kd: 0.0 };
+        };
+        match joint.kind {
+            JointKind::Hinge => {
+                let axis = frames[i].rotation * joint.axis.into_inner();
+                let arm = (moment / mass - frames[i].translation.vector).cross(&axis).norm().max(NEAREST);
+                Gains::of(OTHERS * mass * GRAVITY * arm, arm / OTHERS)
+            }
+            JointKind::Slide => {
+                let length = stance.leg_length.max(NEAREST);
+                Gains::of(LEGS * mass * GRAVITY / length, length / LEGS)
+            }
+        }
+    };
+    (1..tree.bodies.len()).map(gains).collect()
+}

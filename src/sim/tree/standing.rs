@@ -1,0 +1,197 @@
+//! Does a robot stand? It is set down gently in its default pose, and stands for five seconds under the servos alone.
+
+use super::forces::pushes;
+use super::kinematics::{frames, lowest};
+use crate::engine::{Command, Engine, EngineKind};
+use crate::error::{Error, Result};
+use crate::{Model, State};
+use nalgebra::Vector3;
+
+/// Time in which the weight grows from nothing to its full value, and time for which the robot then stands [s]: our
+/// choice. A robot that is dropped sinks deeper into sand than one that is set down, because its energy must be spent.
+const SETTING_DOWN: f64 = 2.0;
+const STANDING: f64 = 5.0;
+/// Time between two changes of the weight [s]: our choice.
+const PERIOD: f64 = 0.02;
+/// A robot stands if its base has tilted by at most 30°, is not lower than half of its standing height, moves with at most
+/// 5 cm/s, and carries at most a twentieth of the weight itself. Our choice.
+const UPRIGHT: f64 = 0.866;
+const LOW: f64 = 0.5;
+const STILL: f64 = 0.05;
+const BELLY: f64 = 0.05;
+/// Time steps that are tried [s], the finest last, and the duration of a run [s].
+const STEPS: [f64; 7] = [5e-3, 4e-3, 2e-3, 1e-3, 5e-4, 2.5e-4, 1.25e-4];
+const BOB_TIME: f64 = 4.0;
+/// Frequency [Hz] and size [rad] of the joints' motion in these runs, on four feet and on fewer, and the difference of the
+/// base's mean height that is accepted, as a part of the standing height. Our choice.
+const BOB: f64 = 2.0;
+const BOB_SIZE: [f64; 2] = [0.2, 0.05];
+const ACCEPTED: f64 = 0.01;
+
+/// A foot of a standing robot.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FootPrint {
+    pub body: usize,
+    /// Depth of the lowest point under the ground's surface [m].
+    pub sinkage: f64,
+    /// Force of the ground along its normal [N].
+    pub load: f64,
+    /// `load` divided by the horizontal area of the foot's plates that lead downward in the sand [Pa]; None on hard ground.
+    pub pressure: Option<f64>,
+}
+
+/// The robot at the end of its time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Standing {
+    pub stands: bool,
+    /// Why it does not stand, in a few words.
+    pub reason: String,
+    pub state: State,
+    /// Height of the base's origin above the ground, and in the default pose [m].
+    pub height: [f64; 2],
+    /// Angle of the base's z axis against the ground's normal [rad].
+    pub tilt: f64,
+    pub feet: Vec<FootPrint>,
+    /// The part of the weight that the ground carries under base, trunk and other bodies that are no feet.
+    pub belly: f64,
+    /// |torque| of each joint, and as a part of its limit if that is known.
+    pub torques: Vec<(f64, Option<f64>)>,
+}
+
+fn engine(model: &Model, state: &State) -> Result<Engine> {
+    let mut engine = Engine::new(EngineKind::Tree, model, 1)?;
+    engine.set_state(0, state);
+    Ok(engine)
+}
+
+fn start(model: &Model) -> Result<State> {
+    let Some(tree) = &model.tree else { return Err(Error::invalid("robot", "is no tree of bodies")) };
+    let angles = &tree.stance.angles;
+    let mut state = State::at_rest(tree.height_over(angles, |x, y| model.surface_height(x, y)), angles);
+    state.references.copy_from_slice(angles);
+    Ok(state)
+}
+
+/// Sets the robot down and lets it stand.
+pub fn stand(model: &Model) -> Result<Standing> {
+    let mut state = start(model)?;
+    let mut engine = engine(model, &state)?;
+    let substeps = (PERIOD / model.scene.dt).round().max(1.0) as usize;
+    let count = |seconds: f64| (seconds / PERIOD).round() as usize;
+    for k in 0..count(SETTING_DOWN + STANDING) {
+        let part = ((k + 1) as f64 * PERIOD / SETTING_DOWN).min(1.0);
+        if part < 1.0 || k == count(SETTING_DOWN) {
+            let smooth = (1.0 - (std::f64::consts::PI * part).cos()) / 2.0;
+            let gravity = model.gravity * if part < 1.0 { smooth } else { 1.0 };
+            engine.set_model(0, &Model { gravity, ..model.clone() });
+        }
+        engine.advance(substeps);
+        let mut next = state.clone();
+        engine.state(0, &mut next);
+        if !next.is_sound() {
+            let mut fallen = judged(model, state)?;
+            (fallen.stands, fallen.reason) = (false, "its motion cannot be computed".into());
+            return Ok(fallen);
+        }
+        state = next;
+    }
+    judged(model, state)
+}
+
+fn judged(model: &Model, state: State) -> Result<Standing> {
+    let Some(tree) = &model.tree else { return Err(Error::invalid("robot", "is no tree of bodies")) };
+    let weight = model.total_mass() * Vector3::from(model.gravity).norm();
+    let frames = frames(&tree.tree, &state);
+    let mut loads = vec![0.0; frames.len()];
+    pushes(model, &state).iter().for_each(|push| loads[push.body] += push.force.z);
+    let foot = |&body: &usize| {
+        let low = lowest(&frames[body], &tree.contacts[body]);
+        let under = |p: &&crate::sand::intruder::Plate| {
+            let at = frames[body].transform_point(&Vector3::from(p.center.lane(0)).into());
+            at.z < model.surface_height(at.x, at.y)
+        };
+        let down = |p: &crate::sand::intruder::Plate| {
+            p.area * (-(frames[body].rotation * Vector3::from(p.normal.lane(0))).z).max(0.0)
+        };
+        let area: f64 = tree.plates[body].iter().filter(under).map(down).sum();
+        let pressure = (model.has_sand() && area > 0.0).then(|| loads[body] / area);
+        FootPrint { body, sinkage: model.surface_height(low.x, low.y) - low.z, load: loads[body], pressure }
+    };
+    let feet: Vec<FootPrint> = tree.stance.feet.iter().map(foot).collect();
+    let of_feet: f64 = feet.iter().map(|f| f.load).sum();
+    let of_legs: f64 = tree.stance.legs.iter().flatten().map(|b| loads[*b]).sum();
+    let belly = (1.0 - of_legs.max(of_feet) / weight).max(0.0);
+    let [x, y, z] = state.position;
+    let height = [z - model.surface_height(x, y), tree.stance.height];
+    let up = state.rotation()[2][2];
+    let speed = Vector3::from(state.velocity).norm();
+    let torque =
+        |(t, motor): (&f64, &super::gains::TreeMotor)| (t.abs(), motor.torque_limit.map(|limit| t.abs() / limit));
+    let torques = state.torques.iter().zip(&tree.motors).map(torque).collect();
+    let reason = match () {
+        () if up < UPRIGHT => "it tips over",
+        () if height[0] < LOW * height[1] => "its base is lower than half of its standing height",
+        () if speed > STILL => "it does not come to rest",
+        () if belly > BELLY => "its belly carries it",
+        () => "",
+    };
+    Ok(Standing {
+        stands: reason.is_empty(),
+        reason: reason.into(),
+        height,
+        tilt: up.clamp(-1.0, 1.0).acos(),
+        feet,
+        belly,
+        torques,
+        state,
+    })
+}
+
+/// The largest of the usual time steps at which the base's height, while all joints bend with 2 Hz, differs on average by at
+/// most 1 % of the standing height from that at 0.125 ms; None if there is none. `model_at`: the model with a time step.
+pub fn needed_step(model_at: impl Fn(f64) -> Result<Model>) -> Result<Option<f64>> {
+    let heights = |dt: f64| -> Result<Vec<f64>> {
+        let model = model_at(dt)?;
+        let mut state = start(&model)?;
+        let mut engine = engine(&model, &state)?;
+        let tree = model.tree.as_ref().ok_or_else(|| Error::invalid("robot", "is no tree of bodies"))?;
+        let size = BOB_SIZE[usize::from(tree.stance.legs.len() < 4)];
+        let mut command = Command::still(model.joints());
+        let mut all = Vec::new();
+        for k in 0..(BOB_TIME / PERIOD) as usize {
+            let bend = size * (std::f64::consts::TAU * BOB * k as f64 * PERIOD).sin();
+            command.targets = tree.stance.angles.iter().map(|angle| angle + bend).collect();
+            engine.command(0, &command);
+            engine.advance((PERIOD / dt).round() as usize);
+            engine.state(0, &mut state);
+            all.push(state.position[2]);
+        }
+        Ok(all)
+    };
+    let finest = heights(STEPS[STEPS.len() - 1])?;
+    let most = ACCEPTED * model_at(STEPS[0])?.tree.map_or(0.0, |tree| tree.stance.height);
+    for dt in &STEPS[..STEPS.len() - 1] {
+        let own = heights(*dt)?;
+        let off = own.iter().zip(&finest).map(|(a, b)| (a - b).abs()).sum::<f64>() / own.len() as f64;
+        if off <= most {
+            return Ok(Some(*dt));
+        }
+    }
+    Ok(None)
+}
+
+/// Control steps a second that one thread makes with 16 robots in their default pose, measured for `seconds`.
+pub fn speed(model: &Model, control_rate: f64, seconds: f64) -> Result<f64> {
+    let count = EngineKind::Tree.shard_size();
+    let state = start(model)?;
+    let mut engine = Engine::new(EngineKind::Tree, model, count)?;
+    (0..count).for_each(|i| engine.set_state(i, &state));
+    let substeps = (1.0 / control_rate / model.scene.dt).round() as usize;
+    (0..10).for_each(|_| engine.advance(substeps));
+    let (begin, mut steps) = (std::time::Instant::now(), 0);
+    while begin.elapsed().as_secs_f64() < seconds {
+        engine.advance(substeps);
+        steps += count;
+    }
+    Ok(steps as f64 / begin.elapsed().as_secs_f64())
+}
