@@ -10,9 +10,9 @@ use tonic::transport::Endpoint;
 
 const MIB: usize = 1 << 20;
 
-/// The server has 64 MiB. All requests together may take 16 MiB of them, and a single request 8 MiB.
+/// The server has 128 MiB. All requests together may take 16 MiB of them, and a single request 8 MiB.
 fn limits() -> Limits {
-    Limits { memory: 64 * MIB, ..Limits::default() }
+    Limits { memory: 128 * MIB, ..Limits::default() }
 }
 
 fn lists(count: usize) -> prost_types::Value {
@@ -103,7 +103,7 @@ fn rollout(steps: usize, envs: usize) -> Request {
 /// The largest message takes all memory for requests, so the next one would fail if a share was not released.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn shares_are_given_back() {
-    let server = Server::with_limits(1, Limits { memory: 16 * MIB, ..Limits::default() }).await;
+    let server = Server::with_limits(1, Limits { memory: 32 * MIB, ..Limits::default() }).await;
     let mut session = server.session(64).await;
     session.reset(1).await;
     let garbage = || Some(Request::Restore(Restore { snapshot: vec![7; 2 * MIB - 256].into(), ..Default::default() }));
@@ -174,7 +174,7 @@ async fn only_snapshots_sealed_with_the_servers_key_are_taken() {
     }
 }
 
-/// A picture of 1.5 MiB, which takes 3 MiB of the memory for requests.
+/// A picture of 1.5 MiB, which takes 5 MiB of the memory for requests while it is drawn.
 fn picture() -> Option<Request> {
     Some(Request::Render(Render { indices: vec![0], width: 1024, height: 512, ..Default::default() }))
 }
@@ -184,8 +184,8 @@ fn picture() -> Option<Request> {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn memory_of_answers_that_nobody_reads_is_freed() {
     let stall = std::time::Duration::from_millis(300);
-    // All requests together may take 4 MiB. A picture takes 3 MiB, so the second one waits for the first one's memory.
-    let server = Server::with_limits(1, Limits { stall, memory: 16 * MIB, ..Limits::default() }).await;
+    // All requests together may take 8 MiB. A picture takes 5 MiB, so the second one waits for the first one's memory.
+    let server = Server::with_limits(1, Limits { stall, memory: 64 * MIB, ..Limits::default() }).await;
     let Address::Unix(path) = &server.address else { unreachable!() };
     let endpoint = Endpoint::from_shared(format!("unix://{}", path.display())).unwrap();
     // The window is so small that most of the answer stays in the server.
