@@ -257,8 +257,16 @@ MESHED = """<robot name="meshed">
     <visual><origin xyz="0 0 -0.05"/><geometry><mesh filename="{mesh}"/></geometry></visual>
     <collision><origin xyz="0 0 -0.1"/><geometry><sphere radius="0.02"/></geometry></collision>
   </link>
+  <link name="other">
+    <inertial><origin xyz="0 0 -0.05"/><mass value="0.2"/>
+      <inertia ixx="0.0003" iyy="0.0003" izz="0.0003" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><origin xyz="0 0 -0.1"/><geometry><sphere radius="0.02"/></geometry></collision>
+  </link>
   <joint name="hip" type="revolute">
     <parent link="base"/><child link="leg"/><axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="5" velocity="20"/>
+  </joint>
+  <joint name="other_hip" type="revolute">
+    <parent link="base"/><child link="other"/><axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="5" velocity="20"/>
   </joint>
 </robot>"""
 PYRAMID = "v 0 0 0.2\nv 0.1 0 0\nv -0.05 0.087 0\nv -0.05 -0.087 0\nf 2 4 3\nf 1 2 3\nf 1 4 2\nf 1 3 4\n"

@@ -17,7 +17,6 @@ use crate::number::{Mat3, Real, Vec3};
 use crate::sand::law::StressLaw;
 use crate::sand::{LawCoefficients, Plain, SandBed, SegmentState, StressModel};
 use crate::spatial::{Inertia, PointMasses, Symmetric, Twist, Wrench};
-use crate::stop::{Push, Stop};
 
 /// State of the robots in one block, one lane each; see [`crate::State`].
 #[derive(Clone)]
@@ -58,15 +57,16 @@ struct Hinge<R> {
     inertia_axis: Wrench<R>,
     inverse: R,
     drive: R,
-    /// The servo's push.
-    servo: Push<R>,
+    torque: R,
+    /// Decrease of the torque with the joint's acceleration [N·m·s²/rad].
+    yielding: R,
 }
 
 impl<R: Real> Hinge<R> {
     fn empty() -> Self {
         let zero = R::zero();
         let axis = Twist { angular: Vec3::zero(), linear: Vec3::zero() };
-        Self { axis, inertia_axis: Wrench::zero(), inverse: zero, drive: zero, servo: Push::none() }
+        Self { axis, inertia_axis: Wrench::zero(), inverse: zero, drive: zero, torque: zero, yielding: zero }
     }
 }
 
@@ -358,7 +358,7 @@ fn fold_leg<R: Real, const J: usize>(
             bias.add(b);
         }
         let hinge = &mut hinges[j];
-        drive(model, &leg[j], &joints[j], &inertia, &bias, hinge);
+        drive(model, leg[j].armature, &joints[j], &inertia, &bias, hinge);
         inertia.add_outer(-hinge.inverse, &hinge.inertia_axis);
         let bias = hinge.inertia_axis.scale_add(hinge.drive * hinge.inverse, &bias);
         carried = Some((inertia, bias));
@@ -392,12 +392,11 @@ fn turned<R: Real>(u: Vec3<R>, axis: Vec3<R>, sin: R, cos: R) -> Vec3<R> {
 }
 
 /// The servo, implicit in angle and speed: τ = τ0 − (dt kd + dt² kp) q̈. If that exceeds the torque limit (computed
-/// with the parent held still), the torque is the limit and independent of q̈. The stops of the joint's range act as in
-/// [`crate::tree`].
+/// with the parent held still), the torque is the limit and independent of q̈.
 #[inline(always)]
 fn drive<R: Real, const J: usize>(
     model: &LaneModel<R, J>,
-    body: &LaneBody<R>,
+    armature: R,
     joint: &LaneJoint<R>,
     inertia: &Inertia<R>,
     bias: &Wrench<R>,
@@ -410,38 +409,14 @@ fn drive<R: Real, const J: usize>(
     let torque = model.kp.mul_add(error, model.kd.mul_add(rate_error, joint.command_torque));
     let yielding = dt * dt.mul_add(model.kp, model.kd);
     hinge.inertia_axis = inertia.apply(&hinge.axis);
-    let own = hinge.inertia_axis.dot(&hinge.axis) + body.armature;
-    let mut load = bias.dot(&hinge.axis);
-    let free = Push { torque, yielding };
-    hinge.servo = limited(free, model.torque_limit, own, load);
-    let mut all = hinge.servo.yielding;
-    if let Some(range) = body.range {
-        let stops = Stop::of(range, joint.angle, joint.rate, own, dt);
-        let acts = R::zero().lt(stops.push.yielding);
-        if R::any(acts) {
-            let stop = stops.at(hinge.servo.plus(stops.push).moves(own, load));
-            // The stop is part of the load and of the inertia that the servo meets.
-            let (stiff, loaded) = (own + stop.yielding, load - stop.torque);
-            let held = limited(free, model.torque_limit, stiff, loaded);
-            hinge.servo.torque = R::select(acts, held.torque, hinge.servo.torque);
-            hinge.servo.yielding = R::select(acts, held.yielding, hinge.servo.yielding);
-            all = R::select(acts, held.yielding + stop.yielding, all);
-            load = R::select(acts, loaded, load);
-        }
-    }
-    hinge.inverse = R::one() / (own + all);
-    hinge.drive = hinge.servo.torque - load;
-}
-
-/// The servo's push without a limit, or `limit` if it exceeds that, with inertia `own` and torque `load` at the joint.
-#[inline(always)]
-fn limited<R: Real>(Push { torque, yielding }: Push<R>, limit: R, own: R, load: R) -> Push<R> {
+    let own = hinge.inertia_axis.dot(&hinge.axis) + armature;
+    let load = bias.dot(&hinge.axis);
     let expected = torque - yielding * ((torque - load) / (own + yielding));
-    let saturated = limit.lt(expected.abs());
-    Push {
-        torque: R::select(saturated, expected.clamp(-limit, limit), torque),
-        yielding: R::select(saturated, R::zero(), yielding),
-    }
+    let saturated = model.torque_limit.lt(expected.abs());
+    hinge.torque = R::select(saturated, expected.clamp(-model.torque_limit, model.torque_limit), torque);
+    hinge.yielding = R::select(saturated, R::zero(), yielding);
+    hinge.inverse = R::one() / (own + hinge.yielding);
+    hinge.drive = hinge.torque - load;
 }
 
 /// Outward pass over one leg: computes joint accelerations, then speeds, angles and servo references after the step.
@@ -457,7 +432,7 @@ fn unfold_leg<R: Real, const J: usize>(
     for (joint, hinge) in joints.iter_mut().zip(hinges) {
         let acceleration = (hinge.drive - hinge.inertia_axis.dot(&parent)) * hinge.inverse;
         parent = hinge.axis.scale_add(acceleration, &parent);
-        joint.torque = hinge.servo.at(acceleration);
+        joint.torque = hinge.torque - hinge.yielding * acceleration;
         joint.change = acceleration * model.dt;
         joint.rate += joint.change;
         joint.angle = joint.rate.mul_add(model.dt, joint.angle);

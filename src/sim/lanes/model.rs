@@ -6,7 +6,6 @@ use crate::error::{Error, Result};
 use crate::model::{Body, Plate, exact};
 use crate::number::{Real, Vec3};
 use crate::sand::SandBed;
-use crate::stop::NO_LIMIT;
 
 type V = nalgebra::Vector3<f64>;
 type M = nalgebra::Matrix3<f64>;
@@ -27,8 +26,6 @@ pub struct LaneBody<R> {
     pub joint: Vec3<R>,
     pub axis: Vec3<R>,
     pub armature: R,
-    /// Lowest and highest angle; None: the joint turns freely in all lanes.
-    pub range: Option<[R; 2]>,
     /// Unit vectors e₀ and e₁ of a plane through the joint. The body's mass and its plates, with their normals, lie in
     /// this plane.
     pub plane: [Vec3<R>; 2],
@@ -160,7 +157,6 @@ impl<R: Real> LaneBody<R> {
             joint: Vec3::splat(b.joint.into()),
             axis: Vec3::splat(b.axis.into()),
             armature: R::splat(b.armature),
-            range: b.range.map(|range| range.map(R::splat)),
             plane: plane.map(|e| Vec3::splat(e.into())),
             length: R::splat(b.reach.norm()),
             masses: Moments { mass: R::splat(mass), first: first.map(R::splat), second: second.map(R::splat) },
@@ -174,9 +170,6 @@ impl<R: Real> LaneBody<R> {
         self.joint.set_lane(lane, b.joint.into());
         self.axis.set_lane(lane, b.axis.into());
         self.armature.set_lane(lane, b.armature);
-        for (out, end) in self.range.iter_mut().flatten().zip(b.range.unwrap_or([-NO_LIMIT, NO_LIMIT])) {
-            out.set_lane(lane, end);
-        }
         let plane = plane(b);
         let Moments { mass, first, second } = moments(b, plane);
         self.plane.iter_mut().zip(plane).for_each(|(out, e)| out.set_lane(lane, e.into()));

@@ -7,7 +7,6 @@ use super::units::{PER_METRE, PER_SQUARE_METRE, metres, plain, quat, scaled, sca
 use crate::frame::{M, V};
 use crate::model::{Body, Model, Motor};
 use crate::solid::Pose;
-use crate::stop::{NO_LIMIT, RETURN, STIFF};
 use crate::{State, engine::Command};
 use rapier3d::glamx::{Pose3, Quat, Vec3};
 use rapier3d::prelude::*;
@@ -38,8 +37,6 @@ pub struct World {
     pub edge: Part,
     /// Every link of every leg, in the order of the joints.
     pub links: Vec<Part>,
-    /// The speed to which each servo pulls its joint [rad/s].
-    targets: Vec<f32>,
     /// Obstacles that move, in the order of the state's objects.
     rocks: Vec<Part>,
     /// The base's and the links' colliders; none without obstacles.
@@ -93,8 +90,7 @@ impl World {
                 multibody.armature_mut()[BASE_DOFS + i] = (body.armature * PER_SQUARE_METRE) as f32;
             }
         }
-        let targets = vec![0.0; links.len()];
-        Self { physics, base, drag, edge, links, targets, rocks: Vec::new(), colliders: Vec::new(), origin: V::zeros() }
+        Self { physics, base, drag, edge, links, rocks: Vec::new(), colliders: Vec::new(), origin: V::zeros() }
     }
 
     /// Adds the model's obstacles around the robot of `state`; the objects that are `resting` are fixed where they are.
@@ -181,31 +177,16 @@ impl World {
 
     /// Sets every motor's target. The servo kp(θ_ref⁺ − θ⁺) + kd(ω_ref − ω⁺) + τ, with θ⁺ = θ + dt ω⁺, is a damper
     /// of strength kd + dt kp that pulls toward one speed; so the gains enter implicitly and the limit clips the
-    /// result. A joint beyond its range has a stiffer motor that pulls it back, unless its servo does so faster.
+    /// result.
     pub fn drive(&mut self, model: &Model, state: &State, command: &Command) {
-        let (yielding, limit) = (yielding(&model.motor, model.scene.dt), model.motor.torque_limit);
-        let mut targets = std::mem::take(&mut self.targets);
+        let yielding = yielding(&model.motor, model.scene.dt);
         let Some(multibody) = self.multibody() else { return };
         let hinges = multibody.links_mut().filter(|l| l.joint.ndofs() == 1);
-        for ((i, link), body) in hinges.enumerate().zip(model.legs.iter().flatten()) {
+        for (i, link) in hinges.enumerate() {
             let pull = model.motor.kp * (state.references[i] - state.angles[i]);
             let torque = pull + model.motor.kd * command.rates[i] + command.torques[i];
-            let target = torque / yielding;
-            targets[i] = target as f32;
-            let stop = back(body, state.angles[i], state.rates[i], model.scene.dt);
-            let (strength, speed, most) = match stop.filter(|(past, back)| 0.0 < (target - back) * past) {
-                None => (yielding, target, limit),
-                Some((_, back)) => {
-                    let stiff = STIFF * inertia_at_joint(body) / model.scene.dt;
-                    (yielding + stiff, (torque.clamp(-limit, limit) + stiff * back) / (yielding + stiff), NO_LIMIT)
-                }
-            };
-            let motor = &mut link.joint.data.motors[HINGE];
-            motor.target_vel = speed as f32;
-            motor.damping = (strength * PER_SQUARE_METRE) as f32;
-            motor.max_force = (most * PER_SQUARE_METRE) as f32;
+            link.joint.data.motors[HINGE].target_vel = (torque / yielding) as f32;
         }
-        self.targets = targets;
     }
 
     /// Applies `wrench` to the base.
@@ -232,11 +213,10 @@ impl World {
     pub fn solve(&mut self, model: &Model, state: &mut State) {
         self.physics.step();
         let (limit, yielding) = (model.motor.torque_limit, yielding(&model.motor, model.scene.dt));
-        let targets = self.targets.clone();
         let Some(multibody) = self.multibody() else { return };
         let hinges = multibody.links().filter(|l| l.joint.ndofs() == 1);
-        for ((link, torque), target) in hinges.zip(&mut state.torques).zip(targets) {
-            let target = f64::from(target);
+        for (link, torque) in hinges.zip(&mut state.torques) {
+            let target = f64::from(link.joint.data.motors[HINGE].target_vel);
             let rate = f64::from(multibody.joint_velocity(link)[0]);
             *torque = (yielding * (target - rate)).clamp(-limit, limit);
         }
@@ -258,22 +238,6 @@ fn relative(pose: &Pose, origin: V) -> Pose3 {
 /// Decrease of a servo's torque with the speed gained in a step [N·m·s/rad].
 fn yielding(motor: &Motor, dt: f64) -> f64 {
     (motor.kd + dt * motor.kp).max(LEAST_YIELDING)
-}
-
-/// Distance of a joint beyond its range, now or in the next step, and the speed with which its stop pushes it back
-/// [rad/s]; None: it is within its range.
-fn back(body: &Body, angle: f64, rate: f64, dt: f64) -> Option<(f64, f64)> {
-    let [low, high] = body.range?;
-    let beyond = |x: f64| (x - high).max(0.0) + (x - low).min(0.0);
-    let (now, next) = (beyond(angle), beyond(angle + rate * dt));
-    let past = if now == 0.0 { next } else { now };
-    (past != 0.0).then(|| (past, -now / (RETURN * dt)))
-}
-
-/// Inertia of a link and its rotor about its joint [kg·m²].
-fn inertia_at_joint(body: &Body) -> f64 {
-    let arm = body.axis.cross(&body.center).norm();
-    body.armature + body.axis.dot(&(body.inertia * body.axis)) + body.mass * arm * arm
 }
 
 /// A revolute joint about the x axis of a frame that is turned so that x lies along the hinge.
