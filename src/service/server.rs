@@ -180,7 +180,7 @@ fn add_services(
                 .max_encoding_message_size(u32::MAX as usize),
         )
         .add(
-            StudyServiceServer::new(Studies::new(sessions.stop().clone()))
+            StudyServiceServer::new(Studies::new(sessions.stop().clone(), sessions.limits().memory))
                 .max_decoding_message_size(largest)
                 .max_encoding_message_size(u32::MAX as usize),
         )

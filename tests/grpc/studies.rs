@@ -2,6 +2,7 @@
 
 use crate::harness::Server;
 use crate::testbed;
+use sandgait::service::Limits;
 use sandgait::service::proto::study_service_client::StudyServiceClient;
 use sandgait::service::proto::{
     DiagnoseRequest, DiagnoseResponse, File, IntrudeRequest, Progress, Robot, Sand, Series,
@@ -50,6 +51,17 @@ fn long_sweep() -> SweepRequest {
     let many = |low: f64, step: f64| (0..300).map(|i| low + step * f64::from(i)).collect::<Vec<_>>();
     let vary = vec![vary("xi", &many(-75.0, 0.5)), vary("frequency", &many(1.0, 0.01))];
     SweepRequest { vary, ..Default::default() }
+}
+
+/// A diagnosis takes some 24 KiB for each row.
+#[tokio::test]
+async fn a_diagnosis_that_needs_more_than_the_servers_memory_is_refused() {
+    let server = Server::with_limits(1, Limits { memory: 8 << 20, ..Limits::default() }).await;
+    let mut client = StudyServiceClient::new(server.channel().await);
+    let refused = client.diagnose(diagnose()).await.unwrap_err();
+    assert_eq!(refused.code(), Code::ResourceExhausted);
+    let words = "rows are more than 341, which a diagnosis within this server's 8 MiB may have";
+    assert!(refused.message().contains(words), "{}", refused.message());
 }
 
 fn diagnose() -> DiagnoseRequest {

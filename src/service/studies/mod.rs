@@ -11,11 +11,12 @@ mod line;
 
 use super::frame::Frame;
 use super::intake::Messages;
-use super::off_runtime;
 use super::proto::study_service_server::StudyService;
 use super::proto::{self, DiagnoseRequest, DiagnoseResponse, IntrudeRequest, IntrudeResponse};
 use super::proto::{EvaluateRequest, EvaluateResponse, SweepRequest, SweepResponse, WalkRequest, WalkResponse};
 use super::proto::{TrialsRequest, TrialsResponse};
+use super::status::status;
+use super::{off_runtime, price};
 use line::{Answer, Events, Line};
 use tokio_util::sync::CancellationToken;
 use tonic::{Request, Response, Status};
@@ -23,12 +24,14 @@ use tonic::{Request, Response, Status};
 /// The studies of one server.
 pub struct Studies {
     line: Line,
+    /// All memory that the server may use [bytes].
+    memory: usize,
 }
 
 impl Studies {
-    /// Cancelling `stop` ends every study.
-    pub fn new(stop: CancellationToken) -> Self {
-        Self { line: Line::new(stop) }
+    /// Cancelling `stop` ends every study. `memory`: all that the server may use [bytes].
+    pub fn new(stop: CancellationToken, memory: usize) -> Self {
+        Self { line: Line::new(stop), memory }
     }
 }
 
@@ -98,6 +101,8 @@ impl StudyService for Studies {
     ) -> std::result::Result<Response<Self::DiagnoseStream>, Status> {
         let messages = Messages::of(&request);
         let (request, share) = Frame::only(request).await?;
+        let data = request.data.as_ref().map_or(&[][..], |data| &data.content);
+        price::check_diagnosis(data, self.memory).map_err(|e| status(&e))?;
         let work = off_runtime(move || compute::diagnose(request)).await?;
         self.line.enter(share, messages, work).map(Response::new)
     }
