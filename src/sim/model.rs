@@ -9,6 +9,7 @@ use super::tree::{HardGround, TreeModel};
 use crate::error::{Error, Result, check_range};
 use crate::number::Real;
 use crate::sand::{Law, LegShape, Mechanisms, Medium, SandBed, SandDescription, Segment, Surface};
+use crate::stop::NO_LIMIT;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -203,9 +204,6 @@ pub struct Model {
     /// A robot that is a tree of bodies. Such a model has no legs in `legs`, and of `robot` only the name is used.
     pub tree: Option<Arc<TreeModel>>,
 }
-
-/// Stands for "no limit": far above any servo, and finite in `f32`.
-const NO_LIMIT: f64 = 1e9;
 
 impl Model {
     pub fn new(robot: &Robot, scene: &Scene) -> Result<Self> {

@@ -2,14 +2,14 @@
 
 use crate::number::Real;
 
-/// Largest number that stands for "no limit".
+/// Stands for "no limit": far above any servo, and finite in `f32`.
 pub const NO_LIMIT: f64 = 1e9;
 /// Resistance of a stop to acceleration, as a multiple of the joint's inertia: our choice, because a load then
 /// accelerates a joint at its stop a thousand times less than elsewhere.
-pub const STIFF: f64 = 1e3;
+const STIFF: f64 = 1e3;
 /// Number of time steps in which a stop pushes a joint back into its range: our choice, because the joint then returns
 /// with an eighth of the speed of a return in one step.
-pub const RETURN: f64 = 8.0;
+const RETURN: f64 = 8.0;
 
 /// Torque on a joint that falls with its acceleration q̈: `torque` − `yielding` q̈.
 #[derive(Clone, Copy)]

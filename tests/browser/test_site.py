@@ -11,10 +11,16 @@ from chromium import Page
 HOME = Path(__file__).parents[2]
 
 
-def test_the_search_works_from_a_disk(tmp_path: Path) -> None:
-    site = tmp_path / "site"
+def built(folder: Path) -> Path:
+    """The site, built in a folder."""
+    site = folder / "site"
     build = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(site)]
     subprocess.run(build, cwd=HOME, check=True)
+    return site
+
+
+def test_the_search_works_from_a_disk(tmp_path: Path) -> None:
+    site = built(tmp_path)
     page = Page(tmp_path / "profile")
     try:
         page.open(f"file://{site}/search.html?q=footprint")
@@ -28,9 +34,7 @@ def test_the_search_works_from_a_disk(tmp_path: Path) -> None:
 
 def test_no_page_is_wider_than_a_phone(tmp_path: Path) -> None:
     """Tables, figures and code scroll within themselves."""
-    site = tmp_path / "site"
-    build = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(site)]
-    subprocess.run(build, cwd=HOME, check=True)
+    site = built(tmp_path)
     page = Page(tmp_path / "profile")
     try:
         page.call("Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=1, mobile=True)

@@ -44,7 +44,7 @@ const RESTORE: usize = 5;
 /// Numbers of answers: one for each kind, then trials and sweeps that have begun.
 type Answered = [AtomicUsize; KINDS + 2];
 
-/// The most expensive request of a kind that the limits accept; None: it needs a snapshot first.
+/// The most expensive request of a kind that the limits accept. [`RESTORE`] needs a snapshot.
 fn dearest(
     kind: usize,
     session: &Session,
