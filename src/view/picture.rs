@@ -25,9 +25,13 @@ const ROCK: Rgb = [150.0, 142.0, 134.0];
 const ARROW: Rgb = [200.0, 30.0, 60.0];
 const INK: [u8; 3] = [40, 44, 50];
 
-/// Spacing of the lines on the sand [m]: fine ones, and coarse ones with their x beside them.
-const FINE: f64 = 0.05;
-const COARSE: f64 = 0.25;
+/// Spacing of the lines on the sand [m]: fine ones, and coarse ones with their x beside them; for small robots, and for those
+/// whose drawn sand reaches further than [`SMALL`].
+const SPACING: [[f64; 2]; 2] = [[0.05, 0.25], [0.25, 1.0]];
+/// Reach of the drawn sand of small robots [m]: our choice, 64 fine lines.
+const SMALL: f64 = 3.2;
+/// Share of the drawn sand that has fine lines: our choice, because lines closer than a pixel only take time.
+const FINE_SHARE: f64 = 0.5;
 
 /// Drawn thickness of legs [m]: our choice; the physics takes them as thin strips.
 const THICKNESS: f64 = 0.002;
@@ -244,9 +248,10 @@ impl Canvas {
 
     /// Lines at round x and y, and the positions of the labels of the coarse ones.
     fn lines(&mut self, model: &Model, state: &State) -> Labels {
-        let reach = (12.0 * self.radius).max(4.0 * FINE);
+        let reach = (12.0 * self.radius).max(4.0 * SPACING[0][0]);
+        let [fine, coarse] = SPACING[usize::from(reach > SMALL)];
         let mut labels = Vec::new();
-        for (spacing, alpha) in [(FINE, 0.35), (COARSE, 0.8)] {
+        for (spacing, alpha, reach) in [(fine, 0.35, FINE_SHARE * reach), (coarse, 0.8, reach)] {
             let mut path = PathBuilder::new();
             for axis in 0..2 {
                 let from = ((self.middle[axis] - reach) / spacing).ceil() as i64;
@@ -268,9 +273,9 @@ impl Canvas {
             }
         }
         let beside = state.position[1] - 1.6 * radius(model);
-        let from = ((self.middle.x - reach) / COARSE).ceil() as i64;
-        let to = ((self.middle.x + reach) / COARSE).floor() as i64;
-        for x in (from..=to).map(|k| k as f64 * COARSE) {
+        let from = ((self.middle.x - reach) / coarse).ceil() as i64;
+        let to = ((self.middle.x + reach) / coarse).floor() as i64;
+        for x in (from..=to).map(|k| k as f64 * coarse) {
             if let Some(([u, v], _)) = self.camera.see(V::new(x, beside, 0.0)) {
                 labels.push(([u as i64 + 3, v as i64 - 8], format!("{x:.2} m")));
             }

@@ -30,6 +30,12 @@ impl Facet {
         Some(Self { corners: [a, b, c], distances: [da, db, dc].map(|d| d as f32), color: color.map(|x| x as f32) })
     }
 
+    /// First and last row of the image that it may cover [samples].
+    pub fn rows(&self) -> [f32; 2] {
+        let [a, b, c] = self.corners.map(|corner| corner[1]);
+        [a.min(b).min(c), a.max(b).max(c)]
+    }
+
     /// The same, lit on the side that faces the camera: meshes may be inside out.
     pub fn lit(camera: &Camera, corners: &[V; 3], color: Rgb) -> Option<Self> {
         let [a, b, c] = corners;
@@ -59,20 +65,21 @@ impl Layer {
     /// Fills a triangle where it is nearer than the present face.
     pub fn fill(&mut self, facet: &Facet) {
         let ([a, b, c], [da, db, dc]) = (facet.corners, facet.distances);
-        let cross =
-            |p: [f32; 2], q: [f32; 2], r: [f32; 2]| (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]);
-        let area = cross(a, b, c);
-        if area == 0.0 || !area.is_finite() {
-            return;
-        }
         let range = |k: usize, first: usize, end: usize| {
             let (low, high) = (a[k].min(b[k]).min(c[k]), a[k].max(b[k]).max(c[k]));
             let [first, end] = [first as f32, end as f32];
             (low.floor().clamp(first, end) as usize)..(high.ceil().clamp(first, end) as usize)
         };
         let bottom = self.top + self.colors.len() / self.width;
+        let rows = range(1, self.top, bottom);
+        let cross =
+            |p: [f32; 2], q: [f32; 2], r: [f32; 2]| (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]);
+        let area = cross(a, b, c);
+        if rows.is_empty() || area == 0.0 || !area.is_finite() {
+            return;
+        }
         let columns = range(0, 0, self.width);
-        for y in range(1, self.top, bottom) {
+        for y in rows {
             // The weight of each corner is linear along the row: its value at the first sample, and its change.
             let weight = |p: [f32; 2], q: [f32; 2]| {
                 let at = (q[0] - p[0]) * (y as f32 + 0.5 - p[1]) - (q[1] - p[1]) * (0.5 - p[0]);

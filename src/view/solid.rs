@@ -88,9 +88,14 @@ pub fn paint(map: &mut Pixmap, camera: &Camera, robot: &[Painted], ground: Optio
     let [width, height] = [map.width(), map.height()].map(|side| side as usize);
     for top in (0..height).step_by(BAND) {
         let rows = BAND.min(height - top);
+        let [first, end] = [top, top + rows].map(|row| (row * SAMPLES) as f32);
+        let covers = |facet: &&Facet| facet.rows()[0] <= end && facet.rows()[1] >= first;
+        if plain && !robot.iter().any(|facet| covers(&facet)) {
+            continue;
+        }
         let layer = |facets: &[Facet]| {
             let mut layer = Layer::new(width * SAMPLES, top * SAMPLES, rows * SAMPLES);
-            facets.iter().for_each(|facet| layer.fill(facet));
+            facets.iter().filter(covers).for_each(|facet| layer.fill(facet));
             layer
         };
         let (robot, ground) = (layer(&robot), ground.as_deref().map(layer));

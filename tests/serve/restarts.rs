@@ -166,13 +166,24 @@ async fn the_step_in_flight_is_finished() {
     session.reset(0).await;
     let before = server.processor_time();
     session.step(0).await;
-    let (whole, before) = (server.processor_time() - before, server.processor_time());
-    let sent = session.send(Some(step(&wave(0..envs as usize, 1)))).await;
-    // The server is told to end after it has used a part of the processor time of a step, that is, during the step.
-    let spent = || (server.processor_time() - before) / whole;
-    until(async || spent() > 0.3).await;
-    server.signal("-STOP");
-    assert!(spent() < 0.9, "{:.2} of a step", spent());
+    let whole = server.processor_time() - before;
+    // The server is told to end after it has used a part of the processor time of a step, that is, during the step. On a
+    // busy machine this test may notice too late; then it tries the next step.
+    let mut time = 0;
+    let sent = loop {
+        time += 1;
+        assert!(time < 20, "no step was seen in its middle");
+        let before = server.processor_time();
+        let spent = || (server.processor_time() - before) / whole;
+        let sent = session.send(Some(step(&wave(0..envs as usize, time)))).await;
+        until(async || spent() > 0.3).await;
+        server.signal("-STOP");
+        if spent() < 0.9 {
+            break sent;
+        }
+        server.signal("-CONT");
+        session.receive().await.unwrap();
+    };
     server.signal("-TERM");
     server.signal("-CONT");
     let end = tokio::task::spawn_blocking(|| server.end());
@@ -190,7 +201,7 @@ async fn the_step_in_flight_is_finished() {
     let server = place.start();
     let (mut again, last) = Session::resume(server.client().await, &session.id, sent - 1).await.unwrap();
     assert_eq!(last, sent, "it was carried out");
-    let batch = again.step(1).await;
+    let batch = again.step(time).await;
     assert_eq!(answered, Some((sent, batch)), "it was answered, and whoever repeats it gets the same answer");
 }
 
