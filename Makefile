@@ -80,11 +80,11 @@ test-clients: $(VENV)-clients/ready $(VENV)/wheel
 	$(VENV)-clients/bin/pip install --quiet --no-deps --force-reinstall dist/*.whl
 	$(VENV)-clients/bin/python -m pytest --override-ini filterwarnings=default tests/clients
 
-# cleanrl's requirements are those of an old gymnasium, which this one's cannot have.
+# cleanrl's requirements are those of an old gymnasium, and ray and minari pin different ones; all run with this one.
 $(VENV)-clients/ready: tests/clients/requirements.txt
 	$(PYTHON) -m venv $(VENV)-clients
 	$(VENV)-clients/bin/pip install --quiet --requirement tests/clients/requirements.txt
-	$(VENV)-clients/bin/pip install --quiet --no-deps --ignore-requires-python cleanrl==1.2.0
+	$(VENV)-clients/bin/pip install --quiet --no-deps --ignore-requires-python cleanrl==1.2.0 gymnasium==1.4.0
 	@touch $@
 
 notices:
