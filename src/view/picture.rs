@@ -1,7 +1,7 @@
 //! Draws one moment as an image, without a GPU: far faces first, then near faces over them.
 
 use super::camera::{Camera, CameraOptions, SIZES, clip, radius};
-use super::pose::{Load, Pose};
+use crate::sim::pose::{Load, Pose};
 use super::raster::{LIGHT, Rgb, SAMPLES};
 use super::{solid, text};
 use crate::error::{Error, Result};
