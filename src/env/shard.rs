@@ -225,7 +225,7 @@ impl Shard {
                 Some(seeds) => (episode.seed, episode.number) = (seeds[i], 0),
                 None => episode.number += 1,
             }
-            self.begin(i);
+            self.begin(i, true);
         }
     }
 
@@ -329,12 +329,13 @@ impl Shard {
             let action = episode.last_action.clone();
             episode.ended = Some(Ended { goal: episode.goal.clone(), steps: episode.steps, action });
             std::mem::swap(&mut episode.before, &mut episode.after);
-            self.begin(i);
+            // The info row stays that of the step that ended the episode.
+            self.begin(i, false);
         }
     }
 
     /// Starts environment `i`'s episode with its present number, and fills its observation row.
-    fn begin(&mut self, i: usize) {
+    fn begin(&mut self, i: usize, tells: bool) {
         let episode = &mut self.episodes[i];
         let mut random = Random::new(episode.seed, episode.number);
         (episode.after, episode.goal) = episode.task.begin(&mut random);
@@ -349,11 +350,12 @@ impl Shard {
             None if stale => self.engine.set_model(i, episode.task.model()),
             None => (),
         }
-        self.take_up(i, Before::Begin);
+        self.take_up(i, Before::Begin, tells);
     }
 
-    /// Gives environment `i`'s state to the engine and fills its observation row.
-    pub(super) fn take_up(&mut self, i: usize, before: Before) {
+    /// Gives environment `i`'s state to the engine and fills its observation row; if it `tells`, also the sensors' part of
+    /// its info row.
+    pub(super) fn take_up(&mut self, i: usize, before: Before, tells: bool) {
         let episode = &mut self.episodes[i];
         self.engine.set_state(i, &episode.after);
         if episode.goal.ground.is_some() {
@@ -363,7 +365,8 @@ impl Shard {
         let spec = self.task.spec();
         let (wide, info) = (spec.observation.len(), spec.info.len());
         let row = &mut self.rows.observations[i * wide..][..wide];
-        episode.observe(before, self.period, row, &mut self.rows.infos[i * info..][..info]);
+        let info = if tells { &mut self.rows.infos[i * info..][..info] } else { &mut [] };
+        episode.observe(before, self.period, row, info);
     }
 }
 

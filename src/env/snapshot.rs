@@ -184,7 +184,7 @@ impl Shard {
         episode.memory.clone_from(memory);
         episode.delay.clone_from(delay);
         self.engine.set_model(i, goal.model.as_ref().unwrap_or(task.model()));
-        self.take_up(i, Before::Restore);
+        self.take_up(i, Before::Restore, true);
     }
 }
 

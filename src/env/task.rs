@@ -4,7 +4,7 @@ use super::ground::{Change, UsedGround};
 use super::legged::episode::LeggedEpisode;
 use super::options::{OptionRow, Options, ResetOptions, TaskOptions};
 use super::random::Random;
-use super::sensors::Plan;
+use super::sensors::{Motors, Plan};
 use super::spec::Spec;
 use crate::error::{Error, Result};
 use crate::sim::engine::{Command, EngineKind};
@@ -194,8 +194,9 @@ impl<T: Task> TaskSetup<T> {
     /// `options` are checked here.
     pub fn new(options: TaskOptions<T::Options>, check_keyword: CheckKeyword) -> Result<Self> {
         options.check_all("")?;
-        let model = Arc::new(T::model(&options.task)?);
-        Self::with(options, model, check_keyword)
+        let Motors { stall_torque, no_load_speed, torque_time } = options.hardware.actuator;
+        let model = T::model(&options.task)?.with_motors(stall_torque, no_load_speed, torque_time);
+        Self::with(options, Arc::new(model), check_keyword)
     }
 
     fn with(options: TaskOptions<T::Options>, model: Arc<Model>, check_keyword: CheckKeyword) -> Result<Self> {

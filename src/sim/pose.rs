@@ -1,11 +1,11 @@
 //! Poses of a robot's parts at one moment, and the sand's forces on them.
 
-use crate::number::Vec3;
-use crate::sand::{Contact, SandBed, SegmentState};
 use super::frame::{Frame, M, V};
 use super::model::{Body, Plate};
 use super::tree::{forces, kinematics};
 use super::{Model, State};
+use crate::number::Vec3;
+use crate::sand::{Contact, SandBed, SegmentState};
 
 /// A leg stands if the sand holds it with more than this share of the robot's weight, and a body of a robot from a
 /// file has an arrow: our choice, far above the force on a leg in the air (none) and far below that on one of three
@@ -186,10 +186,10 @@ fn contacts(model: &Model, state: &State) -> Vec<Load> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sand::Medium;
     use crate::Robot;
     use crate::engine::{Command, Engine, EngineKind};
     use crate::model::Scene;
+    use crate::sand::Medium;
 
     fn model(robot: &str) -> Model {
         Model::new(&Robot::load(robot).unwrap(), &Scene::flat(Medium::named("poppy-loose").unwrap())).unwrap()

@@ -1,10 +1,10 @@
 //! The header of a recording: the robot's geometry and the meaning of every column.
 
 use super::camera::radius;
-use crate::sim::pose::segments;
 use super::recording::{FORMAT, VERSION};
 use crate::sim::frame::V;
 use crate::sim::model::{Body, Piece};
+use crate::sim::pose::segments;
 use crate::sim::solid::Solid;
 use crate::sim::tree::forces::touching;
 use crate::sim::tree::{JointKind, TreeBody, TreeModel};

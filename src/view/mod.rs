@@ -31,8 +31,8 @@ mod solid;
 mod text;
 pub mod tree;
 
+pub use crate::sim::pose::Pose;
 pub use camera::CameraOptions;
 pub use header::{About, header};
 pub use picture::draw;
-pub use crate::sim::pose::Pose;
 pub use recording::{Moment, Section, Writer, read, row};

@@ -19,7 +19,7 @@ mod signal;
 
 pub use delay::ActionDelay;
 pub use memory::Memory;
-pub use options::{Hardware, Imperfections, SensorOptions, Sensors};
+pub use options::{Hardware, Imperfections, Motors, SensorOptions, Sensors};
 pub use plan::{Plan, Seen};
 
 use serde::{Deserialize, Serialize};
@@ -81,3 +81,6 @@ impl Sensor {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -106,11 +106,23 @@ impl OptionValue for SensorOptions {
 }
 
 options! {
+    /// The motors of all joints.
+    #[derive(Copy, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct Motors {
+        stall_torque: Option<f64> = None, [1e-6, 1e5], "torque at standstill [N·m]; None: that of the robot, or twice its torque limit";
+        no_load_speed: Option<f64> = None, [1e-3, 1e4], "speed without a load [rad/s], at which the torque has fallen to zero; None: that of the robot, or no limit";
+        torque_time: f64 = 0.0, [0.0, 1.0], "time constant with which the torque follows the servo [s]";
+    }
+}
+
+options! {
     /// Options of every task.
     pub struct Hardware {
         sensors: SensorOptions = SensorOptions::default(), "\"exact\", or the imperfections of each sensor: a dictionary of sensors, each a dictionary";
         history: u32 = 1, [1.0, MOST_HISTORY], "number of observations in a row of the observation: the present one, then those of the steps before it";
         privileged: bool = false, "add the exact values of all sensors to info";
+        actuator: Motors = Motors::default(), "what the motors can do: a DC motor's line of torque and speed, and its lag";
         action_delay: [f64; 2] = [0.0, 0.0], [0.0, LONGEST_DELAY], reset, "range [low, high] of the time from an action to the motors [s], drawn for each episode; before the first action the action is 0";
     }
 }

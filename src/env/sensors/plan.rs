@@ -60,7 +60,10 @@ impl Plan {
         let exact = [spec.observation.clone(), added.columns()].concat();
         let measured = |sensor: Sensor| exact.iter().any(|c| c.sensor.is_some_and(|(s, _)| s == sensor));
         if let Some(sensor) = Sensor::ALL.into_iter().find(|s| sensors.of(*s).is_some() && !measured(*s)) {
-            return Err(Error::invalid(format!("sensors.{}", sensor.name()), format!("{} does not observe it", spec.id)));
+            return Err(Error::invalid(
+                format!("sensors.{}", sensor.name()),
+                format!("{} does not observe it", spec.id),
+            ));
         }
         let signals = signals(&exact, &sensors);
         let speeds = if sensors.velocity_by_differences { speeds(&exact, &signals)? } else { Vec::new() };
@@ -154,10 +157,12 @@ impl Plan {
         }
     }
 
-    /// Copies privileged values to the end of an info row.
+    /// Copies privileged values to the end of an info row, if there is one.
     fn tell(&self, exact: &[f32], info: &mut [f32]) {
-        let start = info.len() - self.privileged();
-        info[start..].copy_from_slice(&exact[..self.privileged()]);
+        if self.privileged && !info.is_empty() {
+            let start = info.len() - exact.len();
+            info[start..].copy_from_slice(exact);
+        }
     }
 
     fn fill_exact(&self, row: &mut [f32], seen: &Seen, observe: impl FnOnce(&mut [f32])) {
@@ -194,11 +199,6 @@ impl Plan {
             out.iter_mut().zip(&self.shown).for_each(|(out, i)| *out = row[*i]);
         }
     }
-
-    /// Numbers at the end of an info row that the task does not fill.
-    pub fn privileged(&self) -> usize {
-        if self.privileged { self.exact.len() } else { 0 }
-    }
 }
 
 fn clip(row: &mut [f32], columns: &[Column]) {
@@ -210,16 +210,14 @@ fn signals(exact: &[Column], sensors: &Sensors) -> Vec<Signal> {
     let mut all: Vec<Signal> = Vec::new();
     for (i, column) in exact.iter().enumerate() {
         let Some((sensor, part)) = column.sensor else { continue };
-        let differences = sensors.velocity_by_differences
-            && matches!(sensor, Sensor::JointPosition | Sensor::JointVelocity);
+        let differences =
+            sensors.velocity_by_differences && matches!(sensor, Sensor::JointPosition | Sensor::JointVelocity);
         let Some(imperfections) = sensors.of(sensor).or_else(|| differences.then(Default::default)) else { continue };
         match Signal::new(i, part, imperfections) {
             Some(signal) => all.push(signal),
             // The columns of cosines come after those of sines, in the same order.
             None => {
-                let sine = |s: &&mut Signal| {
-                    s.cosine.is_none() && exact[s.column].sensor == Some((sensor, Part::Sine))
-                };
+                let sine = |s: &&mut Signal| s.cosine.is_none() && exact[s.column].sensor == Some((sensor, Part::Sine));
                 if let Some(angle) = all.iter_mut().find(sine) {
                     angle.cosine = Some(i);
                 }
@@ -237,7 +235,10 @@ fn speeds(exact: &[Column], signals: &[Signal]) -> Result<Vec<[usize; 2]>> {
     };
     let (positions, rates) = (of(Sensor::JointPosition), of(Sensor::JointVelocity));
     if rates.is_empty() || positions.len() != rates.len() {
-        return Err(Error::invalid("sensors.velocity_by_differences", "the task does not observe position and speed of each joint"));
+        return Err(Error::invalid(
+            "sensors.velocity_by_differences",
+            "the task does not observe position and speed of each joint",
+        ));
     }
     Ok(positions.into_iter().zip(rates).map(|(position, rate)| [position, rate]).collect())
 }
