@@ -15,7 +15,7 @@ from .batches import Batch
 from .errors import InvalidRequest, OutOfOrder, SandgaitError
 from .pickling import Origin, Pickled
 from .snapshots import FilePath, read_snapshot, write_snapshot
-from .spaces import Actions, box
+from .spaces import Actions, box, info_columns
 from .vector_env import SandgaitVectorEnv
 from .view import RENDER_MODES, SIZE
 
@@ -63,7 +63,7 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self.observation_space = box(self.task.observation)
         self.action_space = box(self.task.action)
         self._actions = Actions(self.action_space, "action", clip_actions)
-        self._columns = [c.name for c in self.task.info]
+        self._columns, self.privileged_observation_space = info_columns(self.task.info)
         self._seeded = False
         self._over = False
         #: First observation of the next episode, which the server begins in the step that ends an episode.
@@ -79,14 +79,16 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Begins an episode. `options`: new values of task options; they hold until another reset changes them.
 
-        The returned info has the keys of a step's info. All its values are 0, because no step has been made yet.
+        The returned info has the keys of a step's info. All its values are 0, because no step has been made yet, except
+        `privileged`: with option `privileged=True`, exact values of all sensors, of `privileged_observation_space`.
         """
         if self._in_flight is not None:
             with contextlib.suppress(InvalidRequest):
                 self._answer()  # if the step ended the episode, the next one has begun already
         super().reset(seed=seed)
         first, self._next, self._over = self._next, None, False
-        if first is not None and seed is None and not options:
+        # The exact values of a new episode come with a reset only.
+        if first is not None and seed is None and not options and self.privileged_observation_space is None:
             self._view.moved(record_ended=False, show_ended=False)
             return first, dict.fromkeys(self._columns, 0.0)
         seeds = None if seed is None else [seed]
@@ -94,9 +96,9 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
             seeds = [int(self.np_random.integers(2**63))]
         self._seeded = True
         self._session.send_reset(seeds, None, options or {})
-        observation: Observation = self._session.receive().observations[0]
+        batch = self._session.receive()
         self._view.moved(record_ended=False, show_ended=False)
-        return observation, dict.fromkeys(self._columns, 0.0)
+        return batch.observations[0], self._info(batch)
 
     def step(self, action: npt.ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Makes one control step. `action` is an array [action] of numbers within their bounds."""
@@ -130,12 +132,19 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         over = terminated or truncated
         observation = batch.final_observations[0] if over else batch.observations[0]
         self._view.moved(record_ended=over, show_ended=over)
-        info = dict(zip(self._columns, batch.infos[:, 0].tolist(), strict=True))
+        info = self._info(batch)
         result = observation, float(batch.rewards[0]), terminated, truncated, info
         if over:
             self._over, self._next = True, batch.observations[0]
         self._in_flight, self._batch = None, None
         return result
+
+    def _info(self, batch: Batch) -> dict[str, Any]:
+        count = len(self._columns)
+        info: dict[str, Any] = dict(zip(self._columns, batch.infos[:count, 0].tolist(), strict=True))
+        if self.privileged_observation_space is not None:
+            info["privileged"] = batch.infos[count:, 0]
+        return info
 
     def _in_step(self) -> bool:
         return self._in_flight is not None

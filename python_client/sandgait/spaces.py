@@ -68,6 +68,20 @@ def box(columns: tuple[Column, ...]) -> spaces.Space[npt.NDArray[np.float32]]:
     return cast("spaces.Space[npt.NDArray[np.float32]]", spaces.Box(low, high, dtype=np.float32))
 
 
+#: Info columns with this prefix are exact values of sensors.
+_PRIVILEGED = "privileged "
+
+
+def info_columns(
+    columns: tuple[Column, ...],
+) -> tuple[list[str], spaces.Space[npt.NDArray[np.float32]] | None]:
+    """Names of the info columns without the exact values of sensors, which come last, and the space of these values;
+    None if there are none."""
+    names = [c.name for c in columns if not c.name.startswith(_PRIVILEGED)]
+    exact = columns[len(names) :]
+    return names, box(exact) if exact else None
+
+
 class Actions:
     """Prepares actions for sending. `clip`: clip them to their bounds. `name`: name of the actions in errors."""
 

@@ -20,7 +20,7 @@ from .pickling import Origin, Pickled
 from .policies import read_policy
 from .shards import Address
 from .snapshots import FilePath, read_snapshot, write_snapshot
-from .spaces import Actions, box
+from .spaces import Actions, box, info_columns
 from .view import RENDER_MODES, SIZE
 
 Observations = npt.NDArray[np.float32]
@@ -102,7 +102,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._actions = Actions(self.action_space, "actions", clip_actions)
-        self._columns = [c.name for c in self.task.info]
+        self._columns, self.privileged_observation_space = info_columns(self.task.info)
         self._info_names = [*self._columns, *(f"_{name}" for name in self._columns)]
         self._autoreset = mode
         self._seeded = np.zeros(num_envs, dtype=np.bool_)
@@ -125,7 +125,9 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         `seed`: if it is an int s, environment i has the seed s + i. If it is a list, entry i is the seed of environment
         i, and with entry None its random stream continues. `options`: new values of task options, and `reset_mask`,
         bool [num_envs], which says which environments to reset. The returned infos have the columns of a step's infos,
-        all 0, because these environments have not made a step yet.
+        all 0, because these environments have not made a step yet, except `privileged`: with option `privileged=True`,
+        exact values of all sensors, float32 [num_envs, values]. With SAME_STEP the exact values of
+        the first observation after an episode's end are 0; those of the last one are in `final_info`.
         """
         options = dict(options or {})
         mask = self._mask(options.pop("reset_mask", None))
@@ -147,7 +149,9 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         self._seeded |= mask
         self._turn.ended = self._turn.ended & ~mask
         self._view.moved(record_ended=not begun[self._view.index], show_ended=False)
-        return observations, self._masked(np.zeros((len(self._columns), self.num_envs), np.float32), mask)
+        count = len(self.task.info)
+        columns = np.zeros((count, self.num_envs), np.float32) if batch is None else batch.infos
+        return observations, self._masked(np.where(mask, columns, np.float32(0.0)), mask)
 
     def _after_reset(self, rows: Observations | None, mask: Flags, begun: Flags) -> Observations:
         """Observations after a reset of `mask`, from the server's `rows`, None if it was not asked. Environments that
@@ -291,7 +295,10 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
     def _masked(self, columns: npt.NDArray[np.float32], mask: Flags) -> dict[str, Any]:
         """`{name: column, _name: mask}` of every info column; `columns` is [info, num_envs]."""
         infos: dict[str, Any] = dict.fromkeys(self._info_names, mask)
-        infos.update(zip(self._columns, columns, strict=True))
+        count = len(self._columns)
+        infos.update(zip(self._columns, columns[:count], strict=True))
+        if self.privileged_observation_space is not None:
+            infos["privileged"], infos["_privileged"] = columns[count:].T.copy(), mask
         return infos
 
     def save(self, path: FilePath | None = None) -> bytes:

@@ -7,11 +7,16 @@
 //!     .each(&joints, "hip speed", "rad/s", 9.0, |t, i| t.after.rates[i]);
 //! ```
 
+use super::sensors::{Part, Sensor};
 use super::spec::Column;
 
 /// A list of numbers, each with a function of type `F` that computes it. The last argument of the function is the
 /// number's index in its group.
-pub struct Features<F>(Vec<Feature<F>>);
+pub struct Features<F> {
+    all: Vec<Feature<F>>,
+    /// Where the group begins that was added last.
+    last: usize,
+}
 
 struct Feature<F> {
     column: Column,
@@ -22,12 +27,13 @@ struct Feature<F> {
 
 impl<F: Copy> Features<F> {
     pub fn none() -> Self {
-        Self(Vec::new())
+        Self { all: Vec::new(), last: 0 }
     }
 
     /// One number.
     pub fn one(mut self, name: &str, unit: &'static str, low: f64, high: f64, value: F) -> Self {
-        self.0.push(Feature { column: Column::new(name, unit, low, high), value, place: 0 });
+        self.last = self.all.len();
+        self.all.push(Feature { column: Column::new(name, unit, low, high), value, place: 0 });
         self
     }
 
@@ -53,32 +59,45 @@ impl<F: Copy> Features<F> {
 
     /// One number for each of these columns.
     pub fn group(mut self, columns: impl IntoIterator<Item = Column>, value: F) -> Self {
+        self.last = self.all.len();
         let group = columns.into_iter().enumerate();
-        self.0.extend(group.map(|(place, column)| Feature { column, value, place }));
+        self.all.extend(group.map(|(place, column)| Feature { column, value, place }));
+        self
+    }
+
+    /// Marks the number or group that was added last as values of `sensor`.
+    pub fn sensed(self, sensor: Sensor) -> Self {
+        self.sensed_as(sensor, Part::Value)
+    }
+
+    /// The same for a function of the measured values.
+    pub fn sensed_as(mut self, sensor: Sensor, part: Part) -> Self {
+        self.all[self.last..].iter_mut().for_each(|feature| feature.column.sensor = Some((sensor, part)));
         self
     }
 
     /// These features, followed by `others`.
     pub fn and(mut self, others: Self) -> Self {
-        self.0.extend(others.0);
+        self.last = self.all.len();
+        self.all.extend(others.all);
         self
     }
 
     pub fn len(&self) -> usize {
-        self.0.len()
+        self.all.len()
     }
 
     pub fn is_empty(&self) -> bool {
-        self.0.is_empty()
+        self.all.is_empty()
     }
 
     pub fn columns(&self) -> Vec<Column> {
-        self.0.iter().map(|feature| feature.column.clone()).collect()
+        self.all.iter().map(|feature| feature.column.clone()).collect()
     }
 
     /// Fills a row; `call` calls a feature's function with its place.
     pub fn fill(&self, row: &mut [f32], call: impl Fn(F, usize) -> f64) {
-        for (out, feature) in row.iter_mut().zip(&self.0) {
+        for (out, feature) in row.iter_mut().zip(&self.all) {
             *out = call(feature.value, feature.place) as f32;
         }
     }

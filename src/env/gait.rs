@@ -6,6 +6,7 @@ use super::feature::Features;
 use super::locomotion::{self, Figure, Observe, Observed, WalkStep, Weights};
 use super::random::Random;
 use super::reference::{TOP_SPEED, wrap_angle};
+use super::sensors::{Part, Sensor};
 use super::spec::{CONTROL_RATE, Column, Spec};
 use super::task::{Goal, Setup, Task, Transition};
 use super::walking::{self, Walking};
@@ -78,9 +79,13 @@ impl Task for HexapodGait {
         let driver = Driver::new(options.control, robot, torque_limit);
         let observation = locomotion::base_features()
             .each(joints, "sine of hip angle", "1", 1.0, |o, i| o.state.angles[i].sin())
+            .sensed_as(Sensor::JointPosition, Part::Sine)
             .each(joints, "cosine of hip angle", "1", 1.0, |o, i| o.state.angles[i].cos())
+            .sensed_as(Sensor::JointPosition, Part::Cosine)
             .each(joints, "hip speed", "rad/s", HIP_SPEED, |o, i| o.state.rates[i])
+            .sensed(Sensor::JointVelocity)
             .each(joints, "hip torque", "N·m", torque_limit, |o, i| o.state.torques[i])
+            .sensed(Sensor::JointTorque)
             .each(&driver.labels(), "previous action", "1", 1.0, |o, i| o.last_action[i].into())
             .and(locomotion::command_features());
         let figures = locomotion::figures().free("hip_turn", "rad", |w, _| hip_turn(w.t));

@@ -3,6 +3,7 @@
 use super::feature::Features;
 use super::locomotion::{self, Figure, Observe, Observed, WalkStep, Weights};
 use super::random::Random;
+use super::sensors::Sensor;
 use super::spec::{CONTROL_RATE, Column, Spec};
 use super::task::{Goal, Setup, Task, Transition};
 use super::walking::{self, Walking};
@@ -79,8 +80,11 @@ impl Task for HexapodLegs {
         };
         let observation = locomotion::base_features()
             .group(joints.iter().zip(&bounds).map(angle), |o, i| o.state.angles[i])
+            .sensed(Sensor::JointPosition)
             .each(joints, "joint speed", "rad/s", JOINT_SPEED, |o, i| o.state.rates[i])
+            .sensed(Sensor::JointVelocity)
             .each(joints, "joint torque", "N·m", torque_limit, |o, i| o.state.torques[i])
+            .sensed(Sensor::JointTorque)
             .each(joints, "previous action", "1", 1.0, |o, i| o.last_action[i].into())
             .and(locomotion::command_features());
         let (figures, reward) = (locomotion::figures(), weights.terms());

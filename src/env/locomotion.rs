@@ -1,6 +1,7 @@
 //! The parts that all walking tasks share: reward terms, how episodes end, and the base's part of the observation.
 
 use super::feature::{Features, flag};
+use super::sensors::Sensor;
 use super::task::{Goal, Transition};
 use crate::reward_terms;
 use crate::sim::State;
@@ -53,8 +54,11 @@ impl<'a> Observed<'a> {
 pub fn base_features() -> Features<Observe> {
     Features::<Observe>::none()
         .xyz("gravity direction, body frame,", "1", 1.0, |o, i| o.gravity[i])
+        .sensed(Sensor::Gravity)
         .xyz("base velocity, body frame,", "m/s", BASE_SPEED, |o, i| o.velocity[i])
+        .sensed(Sensor::LinVel)
         .xyz("base angular velocity, body frame,", "rad/s", BASE_TURN, |o, i| o.angular_velocity[i])
+        .sensed(Sensor::Gyroscope)
 }
 
 /// The columns of the command.

@@ -12,6 +12,7 @@
 //! * [`legged`]: the task LeggedVelocity, of any robot from a file.
 //! * [`control`]: control modes of hips; [`clock`]: the mode with a gait's parameters as action;
 //!   [`reference`](mod@reference): how the servos' references move.
+//! * [`sensors`]: from exact values to observations, and the delay of actions.
 //! * [`shard`]: environments that advance together on one engine; reset, step, autoreset.
 //! * [`snapshot`]: episodes as data; [`rollout`]: many steps in one call.
 //! * [`look`]: one environment for viewers.
@@ -38,6 +39,7 @@ pub mod registry;
 pub mod reward;
 pub mod rocks;
 pub mod rollout;
+pub mod sensors;
 pub mod shard;
 pub mod snapshot;
 pub mod spec;

@@ -3,8 +3,9 @@
 use super::gait::HexapodGait;
 use super::legged::LeggedVelocity;
 use super::legs::HexapodLegs;
-use super::options::{self, OptionRow, Options, ResetOptions};
+use super::options::{self, OptionRow, Options, ResetOptions, TaskOptions};
 use super::rocks::HexapodRocks;
+use super::sensors::Plan;
 use super::spec::Column;
 use super::stroke::LegStroke;
 use super::task::{AnyTask, Task, TaskSetup};
@@ -34,7 +35,7 @@ struct Kind {
 
 impl Kind {
     const fn of<T: Task>() -> Self {
-        Self { id: T::ID, rows: T::Options::rows, make: Blueprint::of::<T> }
+        Self { id: T::ID, rows: TaskOptions::<T::Options>::rows, make: Blueprint::of::<T> }
     }
 }
 
@@ -118,13 +119,13 @@ impl Blueprint {
 
     /// Task `T` with these keywords; `T` need not be in the registry.
     pub fn of<T: Task>(keywords: Value) -> Result<Self> {
-        let (rows, keywords) = (T::Options::rows(), options::object(keywords)?);
+        let (rows, keywords) = (TaskOptions::<T::Options>::rows(), options::object(keywords)?);
         keywords.keys().try_for_each(|name| check_keyword(T::ID, &rows, name))?;
-        let mut options = T::Options::default();
+        let mut options = TaskOptions::<T::Options>::default();
         for (name, value) in &keywords {
             options.set(name, value)?;
         }
-        let engine = T::engine(&options);
+        let engine = T::engine(&options.task);
         if keywords.contains_key("engine") && !keywords.contains_key("dt") {
             options.set("dt", &engine.default_dt().into())?;
         }
@@ -174,8 +175,9 @@ impl Blueprint {
     pub fn bytes_per_env(&self) -> usize {
         let (spec, model) = (self.task.spec(), self.task.model());
         let rows = 4 * (2 * spec.observation.len() + spec.info.len() + spec.action.len());
+        let sensed = 3 * 4 * self.task.sensing().map_or(0, Plan::numbers);
         let drawn = model.tree.as_ref().map_or(0, |_| model.episode_bytes());
-        rows + self.episode_bytes / 2 * 3 + 3 * drawn + model.robot_bytes(self.engine)
+        rows + sensed + self.episode_bytes / 2 * 3 + 3 * drawn + model.robot_bytes(self.engine)
     }
 
     /// Memory that environments with the same options share [bytes]: the model, and the names of all columns, which the

@@ -4,6 +4,7 @@ use super::ground::Change;
 use super::random::Random;
 use super::registry::Blueprint;
 use super::rollout::{Recorded, Rollout};
+use super::sensors::{ActionDelay, Memory, Seen};
 use super::spec::Spec;
 use super::task::{AnyTask, Goal, Transition};
 use crate::error::Result;
@@ -32,18 +33,49 @@ pub(super) struct Episode {
     pub before: State,
     pub after: State,
     pub last_action: Vec<f32>,
+    /// What its sensors remember.
+    pub memory: Memory,
+    pub delay: ActionDelay,
     /// The episode before this one, if the last step ended it.
     pub ended: Option<Ended>,
 }
 
 impl Episode {
-    /// Fills an observation row; values beyond their column's bounds are clipped.
-    fn observe(&self, row: &mut [f32]) {
-        self.task.observe(&self.goal, &self.after, &self.last_action, row);
-        for (value, column) in row.iter_mut().zip(&self.task.spec().observation) {
-            *value = value.clamp(column.low as f32, column.high as f32);
+    /// Fills an observation row, and the sensors' part of an info row. `before`: the state that the step began with.
+    fn observe(&mut self, before: Before, period: f64, row: &mut [f32], info: &mut [f32]) {
+        let Self { task, goal, after, last_action, .. } = self;
+        let Some(plan) = task.sensing() else {
+            task.observe(goal, after, last_action, row);
+            for (value, column) in row.iter_mut().zip(&task.spec().observation) {
+                *value = value.clamp(column.low as f32, column.high as f32);
+            }
+            return;
+        };
+        let exact = |row: &mut [f32]| task.observe(goal, after, last_action, row);
+        let seen = Seen {
+            model: goal.model.as_ref().unwrap_or(task.model()),
+            footing: goal.ground.as_ref().map_or(&[], |ground| &ground.footing),
+            states: [if before == Before::Step { &self.before } else { after }, after],
+            at: [self.seed, self.number, self.steps.into()],
+            period,
+        };
+        match before {
+            Before::Step => plan.sense(&mut self.memory, &seen, exact, [row, info]),
+            Before::Begin => {
+                self.memory = Memory::default();
+                plan.sense(&mut self.memory, &seen, exact, [row, info]);
+            }
+            Before::Restore => plan.repeat(&self.memory, &seen, exact, [row, info]),
         }
     }
+}
+
+/// What has led to the state that is observed.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Before {
+    Begin,
+    Step,
+    Restore,
 }
 
 /// Consecutive environments of one session. One thread owns a shard at a time.
@@ -128,6 +160,8 @@ impl Shard {
             before: State::at_rest(0.0, &vec![0.0; model.joints()]),
             after: State::at_rest(0.0, &vec![0.0; model.joints()]),
             last_action: vec![0.0; spec.action.len()],
+            memory: Memory::default(),
+            delay: ActionDelay::default(),
             ended: None,
         };
         let period = 1.0 / spec.control_rate;
@@ -191,7 +225,7 @@ impl Shard {
                 Some(seeds) => (episode.seed, episode.number) = (seeds[i], 0),
                 None => episode.number += 1,
             }
-            self.begin(i);
+            self.begin(i, true);
         }
     }
 
@@ -202,13 +236,38 @@ impl Shard {
         let width = self.task.spec().action.len();
         for (i, episode) in self.episodes.iter_mut().enumerate() {
             std::mem::swap(&mut episode.before, &mut episode.after);
-            episode.task.command(&actions[i * width..][..width], &episode.before, &mut self.command);
+            let mut action = &actions[i * width..][..width];
+            if !episode.delay.is_none() {
+                episode.delay.push(action);
+                action = episode.delay.first();
+            }
+            episode.task.command(action, &episode.before, &mut self.command);
             self.engine.command(i, &self.command);
         }
-        self.engine.advance(self.substeps);
+        self.advance();
         for i in 0..self.episodes.len() {
             self.finish(i, &actions[i * width..][..width]);
         }
+    }
+
+    /// Advances all environments by a control step. Actions that arrive in the middle of it act from then on.
+    fn advance(&mut self) {
+        let arrivals = self.episodes.iter().filter_map(|e| e.delay.second().map(|(at, _)| at));
+        let mut times: Vec<usize> = arrivals.collect();
+        times.sort_unstable();
+        times.dedup();
+        let mut now = 0;
+        for time in times {
+            self.engine.advance(time - now);
+            now = time;
+            for (i, episode) in self.episodes.iter_mut().enumerate() {
+                let Some((_, action)) = episode.delay.second().filter(|(at, _)| *at == now) else { continue };
+                self.engine.state(i, &mut episode.after);
+                episode.task.command(action, &episode.after, &mut self.command);
+                self.engine.command(i, &self.command);
+            }
+        }
+        self.engine.advance(self.substeps - now);
     }
 
     /// The same as [`Shard::step`], for the environments that `held` does not name. Held ones keep their state, and their rows
@@ -262,7 +321,7 @@ impl Shard {
             tell(&mut self.engine, i, episode, change);
         }
         let observation = &mut self.rows.observations[i * wide..][..wide];
-        episode.observe(observation);
+        episode.observe(Before::Step, self.period, observation, &mut self.rows.infos[i * info..][..info]);
         if terminated || truncated {
             self.rows.ended.push(i as u32);
             self.rows.final_observations.extend_from_slice(observation);
@@ -270,37 +329,44 @@ impl Shard {
             let action = episode.last_action.clone();
             episode.ended = Some(Ended { goal: episode.goal.clone(), steps: episode.steps, action });
             std::mem::swap(&mut episode.before, &mut episode.after);
-            self.begin(i);
+            // The info row stays that of the step that ended the episode.
+            self.begin(i, false);
         }
     }
 
     /// Starts environment `i`'s episode with its present number, and fills its observation row.
-    fn begin(&mut self, i: usize) {
+    fn begin(&mut self, i: usize, tells: bool) {
         let episode = &mut self.episodes[i];
         let mut random = Random::new(episode.seed, episode.number);
         (episode.after, episode.goal) = episode.task.begin(&mut random);
         episode.steps = 0;
         episode.last_action.fill(0.0);
+        let (range, clock) = (episode.task.action_delay(), [self.period, self.period / self.substeps as f64]);
+        let width = episode.last_action.len();
+        episode.delay = ActionDelay::draw(range, [episode.seed, episode.number], width, clock);
         let stale = std::mem::take(&mut episode.stale);
         match &episode.goal.model {
             Some(model) => self.engine.set_model(i, model),
             None if stale => self.engine.set_model(i, episode.task.model()),
             None => (),
         }
-        self.take_up(i);
+        self.take_up(i, Before::Begin, tells);
     }
 
-    /// Gives environment `i`'s state to the engine and fills its observation row.
-    pub(super) fn take_up(&mut self, i: usize) {
+    /// Gives environment `i`'s state to the engine and fills its observation row; if it `tells`, also the sensors' part of
+    /// its info row.
+    pub(super) fn take_up(&mut self, i: usize, before: Before, tells: bool) {
         let episode = &mut self.episodes[i];
         self.engine.set_state(i, &episode.after);
         if episode.goal.ground.is_some() {
             tell(&mut self.engine, i, episode, Change::Footing);
         }
         self.engine.state(i, &mut episode.after);
-        let wide = self.task.spec().observation.len();
+        let spec = self.task.spec();
+        let (wide, info) = (spec.observation.len(), spec.info.len());
         let row = &mut self.rows.observations[i * wide..][..wide];
-        episode.observe(row);
+        let info = if tells { &mut self.rows.infos[i * info..][..info] } else { &mut [] };
+        episode.observe(before, self.period, row, info);
     }
 }
 

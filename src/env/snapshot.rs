@@ -6,7 +6,8 @@
 use super::ground::UsedGround;
 use super::legged::episode::LeggedEpisode;
 use super::rocks::CORNERS;
-use super::shard::{Episode, Shard};
+use super::sensors::{ActionDelay, Memory};
+use super::shard::{Before, Episode, Shard};
 use super::task::{AnyTask, Goal};
 use crate::error::{Error, Result, check_range};
 use crate::sim::model::Scene;
@@ -36,6 +37,12 @@ pub struct SavedEpisode {
     pub state: Vec<f64>,
     /// f32 [action]
     pub last_action: Vec<f32>,
+    /// What the sensors remember: [`Memory::numbers`].
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub memory: Vec<f32>,
+    /// Actions that are on their way to the motors.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub delayed: Vec<f32>,
 }
 
 /// A checked [`SavedEpisode`], ready to go on.
@@ -47,6 +54,8 @@ pub struct Resumed {
     goal: Goal,
     state: State,
     last_action: Vec<f32>,
+    memory: Memory,
+    delay: ActionDelay,
 }
 
 impl Resumed {
@@ -75,6 +84,15 @@ impl Resumed {
         if saved.steps > task.spec().max_episode_steps || saved.number > u64::MAX / 2 {
             return Err(unfit("its counters"));
         }
+        let memory = match task.sensing() {
+            None => Some(Memory::default()).filter(|_| saved.memory.is_empty()),
+            Some(plan) => plan.resume(&saved.memory),
+        };
+        let memory = memory.ok_or_else(|| unfit("what its sensors remember"))?;
+        let period = 1.0 / task.spec().control_rate;
+        let drawn = [saved.seed, saved.number];
+        let delay = ActionDelay::draw(task.action_delay(), drawn, actions, [period, own.scene.dt]);
+        let delay = delay.resume(&saved.delayed).ok_or_else(|| unfit("its delayed actions"))?;
         Ok(Self {
             task: task.clone(),
             seed: saved.seed,
@@ -83,6 +101,8 @@ impl Resumed {
             goal,
             state,
             last_action: saved.last_action.clone(),
+            memory,
+            delay,
         })
     }
 }
@@ -118,8 +138,10 @@ fn drawn(robot: &Robot, scene: &Scene, task: &dyn AnyTask) -> Result<Model> {
 impl Shard {
     /// A copy of environment `i`'s present episode.
     pub fn save(&self, i: usize) -> SavedEpisode {
-        let Episode { seed, number, steps, goal, after, last_action, .. } = &self.episodes[i];
+        let Episode { seed, number, steps, goal, after, last_action, memory, delay, .. } = &self.episodes[i];
         SavedEpisode {
+            memory: memory.numbers(),
+            delayed: delay.numbers().to_vec(),
             seed: *seed,
             number: *number,
             steps: *steps,
@@ -137,10 +159,11 @@ impl Shard {
 
     /// The state of environment `i` as this shard keeps it for itself.
     pub fn keep(&self, i: usize) -> Resumed {
-        let Episode { task, seed, number, steps, goal, after, last_action, .. } = &self.episodes[i];
+        let Episode { task, seed, number, steps, goal, after, last_action, memory, delay, .. } = &self.episodes[i];
         let (task, goal) = (task.clone(), goal.clone());
         let (state, last_action) = (after.clone(), last_action.clone());
-        Resumed { task, seed: *seed, number: *number, steps: *steps, goal, state, last_action }
+        let (memory, delay) = (memory.clone(), delay.clone());
+        Resumed { task, seed: *seed, number: *number, steps: *steps, goal, state, last_action, memory, delay }
     }
 
     /// The task of environment `i` with its present options and model.
@@ -150,7 +173,7 @@ impl Shard {
 
     /// Continues environment `i` as `resumed`, and fills its observation row.
     pub fn restore(&mut self, i: usize, resumed: &Resumed) {
-        let Resumed { task, seed, number, steps, goal, state, last_action } = resumed;
+        let Resumed { task, seed, number, steps, goal, state, last_action, memory, delay } = resumed;
         let episode = &mut self.episodes[i];
         episode.task = task.clone();
         episode.stale = false;
@@ -158,8 +181,10 @@ impl Shard {
         episode.goal = goal.clone();
         episode.after.clone_from(state);
         episode.last_action.clone_from(last_action);
+        episode.memory.clone_from(memory);
+        episode.delay.clone_from(delay);
         self.engine.set_model(i, goal.model.as_ref().unwrap_or(task.model()));
-        self.take_up(i);
+        self.take_up(i, Before::Restore, true);
     }
 }
 

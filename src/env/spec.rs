@@ -1,5 +1,6 @@
 //! Tables of the meaning of every number in a row.
 
+use super::sensors::{Part, Sensor};
 use crate::error::{Error, Result, short};
 
 /// Control steps in a second [Hz], in every task. 50 Hz is usual for legged robots of this size.
@@ -13,11 +14,13 @@ pub struct Column {
     pub unit: &'static str,
     pub low: f64,
     pub high: f64,
+    /// What measures it, and which function of the measured value it is; None: it is not measured.
+    pub sensor: Option<(Sensor, Part)>,
 }
 
 impl Column {
     pub fn new(name: impl Into<String>, unit: &'static str, low: f64, high: f64) -> Self {
-        Self { name: name.into(), unit, low, high }
+        Self { name: name.into(), unit, low, high, sensor: None }
     }
 
     /// Refuses a value beyond the bounds, or NaN; `field` names it.

@@ -2,6 +2,7 @@
 
 use super::feature::{Features, flag};
 use super::random::Random;
+use super::sensors::{Part, Sensor};
 use super::spec::{CONTROL_RATE, Column, Spec, Term};
 use super::task::{Goal, Setup, Task, Transition};
 use super::walking::{MAX_STEPS, set_sand};
@@ -220,8 +221,11 @@ impl Task for LegStroke {
         let joints = setup.model.robot.joint_names();
         let observation = Features::<Observe>::none()
             .each(&joints, "sine of angle", "1", 1.0, |_, state, _, _, i| state.angles[i].sin())
+            .sensed_as(Sensor::JointPosition, Part::Sine)
             .each(&joints, "cosine of angle", "1", 1.0, |_, state, _, _, i| state.angles[i].cos())
+            .sensed_as(Sensor::JointPosition, Part::Cosine)
             .each(&joints, "torque", "N·m", TORQUE, |_, state, _, _, i| state.torques[i])
+            .sensed(Sensor::JointTorque)
             .each(&joints, "previous action", "1", 1.0, |_, _, action, _, i| action[i].into())
             .one("share of the stroke made", "1", 0.0, 1.0, |goal, state, _, duration, _| {
                 state.position[0] / (goal.speed * duration)

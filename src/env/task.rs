@@ -2,8 +2,9 @@
 
 use super::ground::{Change, UsedGround};
 use super::legged::episode::LeggedEpisode;
-use super::options::{OptionRow, Options, ResetOptions};
+use super::options::{OptionRow, Options, ResetOptions, TaskOptions};
 use super::random::Random;
+use super::sensors::{Motors, Plan};
 use super::spec::Spec;
 use crate::error::{Error, Result};
 use crate::sim::engine::{Command, EngineKind};
@@ -120,8 +121,16 @@ pub trait AnyTask: Send + Sync {
     fn begin(&self, random: &mut Random) -> (State, Goal);
     fn command(&self, action: &[f32], state: &State, command: &mut Command);
     fn after_step(&self, goal: &mut Goal, state: &State, info: &[f32]) -> Change;
+    /// Fills a row of the task's own exact values.
     fn observe(&self, goal: &Goal, state: &State, last_action: &[f32], row: &mut [f32]);
     fn evaluate(&self, transition: &Transition, info: &mut [f32]) -> bool;
+
+    /// How observations follow from exact values; None: they are these values.
+    fn sensing(&self) -> Option<&Plan>;
+
+    /// Range of the delay of actions [s].
+    fn action_delay(&self) -> [f64; 2];
+
     fn most_obstacles(&self) -> usize;
     fn resume(&self, goal: &mut Goal) -> std::result::Result<(), String>;
 
@@ -174,31 +183,42 @@ pub(super) type CheckKeyword = fn(&str, &[OptionRow], &str) -> Result<()>;
 pub(super) struct TaskSetup<T: Task> {
     check_keyword: CheckKeyword,
     task: Arc<T>,
-    options: T::Options,
+    options: TaskOptions<T::Options>,
     model: Arc<Model>,
+    /// The task's, with the columns of sensors.
+    spec: Spec,
+    sensing: Option<Plan>,
 }
 
 impl<T: Task> TaskSetup<T> {
     /// `options` are checked here.
-    pub fn new(options: T::Options, check_keyword: CheckKeyword) -> Result<Self> {
-        let model = Self::checked(&options)?;
-        let task = Arc::new(T::new(&Setup { options: &options, model: &model })?);
-        Ok(Self { check_keyword, task, options, model })
+    pub fn new(options: TaskOptions<T::Options>, check_keyword: CheckKeyword) -> Result<Self> {
+        options.check_all("")?;
+        let Motors { stall_torque, no_load_speed, torque_time } = options.hardware.actuator;
+        let model = T::model(&options.task)?.with_motors(stall_torque, no_load_speed, torque_time);
+        Self::with(options, Arc::new(model), check_keyword)
     }
 
-    fn checked(options: &T::Options) -> Result<Arc<Model>> {
-        options.check_all("")?;
-        T::model(options).map(Arc::new)
+    fn with(options: TaskOptions<T::Options>, model: Arc<Model>, check_keyword: CheckKeyword) -> Result<Self> {
+        let task = Arc::new(T::new(&Setup { options: &options.task, model: &model })?);
+        let mut spec = task.spec().clone();
+        let sensing = Plan::new(&options.hardware, &model, &mut spec)?;
+        Ok(Self { check_keyword, task, options, model, spec, sensing })
     }
 
     fn setup(&self) -> Setup<'_, T::Options> {
-        Setup { options: &self.options, model: &self.model }
+        Setup { options: &self.options.task, model: &self.model }
+    }
+
+    /// The task's own part of an info row.
+    fn own<'a>(&self, info: &'a [f32]) -> &'a [f32] {
+        &info[..self.task.spec().info.len()]
     }
 }
 
 impl<T: Task> AnyTask for TaskSetup<T> {
     fn spec(&self) -> &Spec {
-        self.task.spec()
+        &self.spec
     }
 
     fn model(&self) -> &Arc<Model> {
@@ -214,7 +234,7 @@ impl<T: Task> AnyTask for TaskSetup<T> {
     }
 
     fn after_step(&self, goal: &mut Goal, state: &State, info: &[f32]) -> Change {
-        self.task.after_step(&self.setup(), goal, state, info)
+        self.task.after_step(&self.setup(), goal, state, self.own(info))
     }
 
     fn observe(&self, goal: &Goal, state: &State, last_action: &[f32], row: &mut [f32]) {
@@ -222,11 +242,19 @@ impl<T: Task> AnyTask for TaskSetup<T> {
     }
 
     fn evaluate(&self, transition: &Transition, info: &mut [f32]) -> bool {
-        self.task.evaluate(&self.setup(), transition, info)
+        self.task.evaluate(&self.setup(), transition, &mut info[..self.task.spec().info.len()])
+    }
+
+    fn sensing(&self) -> Option<&Plan> {
+        self.sensing.as_ref()
+    }
+
+    fn action_delay(&self) -> [f64; 2] {
+        self.options.hardware.action_delay
     }
 
     fn most_obstacles(&self) -> usize {
-        T::most_obstacles(&self.options)
+        T::most_obstacles(&self.options.task)
     }
 
     fn resume(&self, goal: &mut Goal) -> std::result::Result<(), String> {
@@ -234,7 +262,7 @@ impl<T: Task> AnyTask for TaskSetup<T> {
     }
 
     fn rows(&self) -> Vec<OptionRow> {
-        T::Options::rows()
+        TaskOptions::<T::Options>::rows()
     }
 
     fn option(&self, name: &str) -> Value {
@@ -242,7 +270,7 @@ impl<T: Task> AnyTask for TaskSetup<T> {
     }
 
     fn changed(&self, reset: &ResetOptions) -> Result<Arc<dyn AnyTask>> {
-        let rows = T::Options::rows();
+        let rows = TaskOptions::<T::Options>::rows();
         let mut options = self.options.clone();
         for (name, value) in reset.keywords() {
             (self.check_keyword)(T::ID, &rows, name)?;
@@ -252,15 +280,12 @@ impl<T: Task> AnyTask for TaskSetup<T> {
             }
             options.set(name, value)?;
         }
-        let model = Self::checked(&options)?;
-        T::check_change(&self.model, &model)?;
-        let task = Arc::new(T::new(&Setup { options: &options, model: &model })?);
-        Ok(Arc::new(Self { check_keyword: self.check_keyword, task, options, model }))
+        let changed = Self::new(options, self.check_keyword)?;
+        T::check_change(&self.model, &changed.model)?;
+        Ok(Arc::new(changed))
     }
 
     fn with_model(&self, model: Model) -> Result<Arc<dyn AnyTask>> {
-        let model = Arc::new(model);
-        let task = Arc::new(T::new(&Setup { options: &self.options, model: &model })?);
-        Ok(Arc::new(Self { check_keyword: self.check_keyword, task, options: self.options.clone(), model }))
+        Ok(Arc::new(Self::with(self.options.clone(), Arc::new(model), self.check_keyword)?))
     }
 }

@@ -11,6 +11,8 @@
 //! * [`feet`]: positions and velocities of the legs' tips.
 //! * [`frame`]: positions, velocities and velocity-product accelerations of the bodies.
 //! * `memory`: memory of models and robots, for limits.
+//! * [`pose`]: places of the bodies and forces of the ground at one moment.
+//! * [`actuator`]: the motor of a joint.
 //! * [`engine`]: the one interface to all engines.
 //! * `spatial`: spatial algebra for `lanes` and `tree`; `stop`: the ends of a joint's range.
 //! * [`lanes`]: the fast engine, articulated bodies over SIMD lanes of robots.
@@ -23,6 +25,7 @@ use sandgait_base::error;
 use sandgait_number as number;
 use sandgait_sand as sand;
 
+pub mod actuator;
 pub mod carriage;
 pub mod command;
 pub mod engine;
@@ -34,6 +37,7 @@ mod memory;
 pub mod model;
 pub mod obstacle;
 pub mod overlap;
+pub mod pose;
 pub mod rapier;
 pub mod robot;
 pub mod solid;

@@ -1,5 +1,6 @@
 //! Robot, sand and options as numbers for an engine. Immutable; randomization makes a new model.
 
+use super::actuator::Actuator;
 use super::obstacle::{self, Obstacle};
 use super::robot::{Link, Robot, Servo, Tripod};
 use super::solid::Solid;
@@ -155,8 +156,7 @@ pub struct Motor {
     pub kp: f64,
     /// [N·m·s/rad]
     pub kd: f64,
-    /// [N·m]
-    pub torque_limit: f64,
+    pub actuator: Actuator,
     /// [rad/s]
     pub speed_limit: f64,
     /// Largest distance of the reference from the joint's angle [rad]. With `anti_windup` it is torque_limit/kp, where
@@ -176,7 +176,12 @@ impl Motor {
         Self {
             kp: servo.kp,
             kd: servo.kd,
-            torque_limit,
+            actuator: Actuator {
+                torque_limit: Some(torque_limit),
+                stall_torque: servo.stall_torque,
+                no_load_speed: servo.no_load_speed,
+                time_constant: servo.torque_time,
+            },
             speed_limit: servo.speed_limit.unwrap_or(NO_LIMIT),
             lag_limit: lag_limit.min(NO_LIMIT),
         }
@@ -332,6 +337,21 @@ impl Model {
         self.scene.payload = payload.clamp(0.0, Scene::MAX_PAYLOAD);
         self.base_mass = self.robot.base.mass + self.scene.payload;
         self.gravity = gravity(&self.scene);
+    }
+
+    /// Gives all motors this torque–speed line and lag, where they are given.
+    pub fn with_motors(mut self, stall_torque: Option<f64>, no_load_speed: Option<f64>, torque_time: f64) -> Self {
+        let servo = &mut self.robot.servo;
+        servo.stall_torque = stall_torque.or(servo.stall_torque);
+        servo.no_load_speed = no_load_speed.or(servo.no_load_speed);
+        servo.torque_time = servo.torque_time.max(torque_time);
+        self.motor = Motor::new(servo, &self.scene.mechanisms);
+        for motor in self.tree.iter_mut().flat_map(|tree| &mut Arc::make_mut(tree).motors) {
+            motor.stall_torque = stall_torque.or(motor.stall_torque);
+            motor.speed_limit = no_load_speed.or(motor.speed_limit);
+            motor.time_constant = motor.time_constant.max(torque_time);
+        }
+        self
     }
 
     /// Limits the motors' torque to `share`, at most 1, of the servos' torque limit.

@@ -84,7 +84,7 @@ pub struct Strip {
 }
 
 /// Position and speed servo at every joint: torque = kp(θ_ref − θ) + kd(ω_ref − ω), clamped.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Servo {
     /// [N·m/rad]
@@ -100,6 +100,18 @@ pub struct Servo {
     /// Is the reference held back while the motor is at its limit? See [`super::model::Motor::lag_limit`].
     #[serde(default)]
     pub anti_windup: bool,
+    /// Torque at standstill and speed without a load of the motor behind its gear [N·m, rad/s]; see [`super::actuator`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stall_torque: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub no_load_speed: Option<f64>,
+    /// Time that the torque needs to follow the servo [s].
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub torque_time: f64,
+}
+
+fn is_zero(x: &f64) -> bool {
+    *x == 0.0
 }
 
 /// The mounting of a leg.
@@ -136,7 +148,7 @@ impl Robot {
 
     /// The description of a tree robot, of which only the name is used.
     pub(super) fn bare(name: &str, mass: f64) -> Self {
-        let servo = Servo { kp: 0.0, kd: 0.0, torque_limit: None, speed_limit: None, anti_windup: false };
+        let servo = Servo::default();
         let base = Base { mass, size: [0.0; 3] };
         Self { name: name.into(), base, belly: None, leg: Leg { link: Vec::new() }, servo, hip: Vec::new() }
     }
@@ -222,6 +234,9 @@ impl Robot {
         check_range("servo.kp", self.servo.kp, 0.0..=1e4)?;
         check_range("servo.kd", self.servo.kd, 0.0..=1e3)?;
         check_range("servo.torque_limit", self.servo.torque_limit.unwrap_or(1.0), 1e-6..=1e4)?;
+        check_range("servo.stall_torque", self.servo.stall_torque.unwrap_or(1.0), 1e-6..=1e5)?;
+        check_range("servo.no_load_speed", self.servo.no_load_speed.unwrap_or(1.0), 1e-3..=1e4)?;
+        check_range("servo.torque_time", self.servo.torque_time, 0.0..=10.0)?;
         check_range("servo.speed_limit", self.servo.speed_limit.unwrap_or(1.0), 1e-3..=1e4)?;
         if !matches!(self.leg.link.len(), 1..=3) {
             return Err(Error::invalid(

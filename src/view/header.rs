@@ -1,10 +1,10 @@
 //! The header of a recording: the robot's geometry and the meaning of every column.
 
 use super::camera::radius;
-use super::pose::segments;
 use super::recording::{FORMAT, VERSION};
 use crate::sim::frame::V;
 use crate::sim::model::{Body, Piece};
+use crate::sim::pose::segments;
 use crate::sim::solid::Solid;
 use crate::sim::tree::forces::touching;
 use crate::sim::tree::{JointKind, TreeBody, TreeModel};
@@ -128,7 +128,7 @@ fn link(body: &Body, parent: usize, leg: usize) -> Value {
 }
 
 fn segment_list(model: &Model) -> Vec<Value> {
-    let one = |s: super::pose::Segment| {
+    let one = |s: crate::sim::pose::Segment| {
         json!({
             "body": s.body,
             "leg": s.leg,

@@ -5,7 +5,6 @@
 //!                                                                   └──▶ recording: a file, or a live stream ──▶ page
 //! ```
 //!
-//! * [`pose`]: poses of the bodies and forces of the sand, for all outputs.
 //! * [`recording`]: the format; [`header`]: its description of robot and columns.
 //! * [`picture`]: one moment as an image; [`camera`]: its point of view; [`text`]: letters on it.
 //! * [`tree`]: any robot from a file as an image; [`solid`]: the same in the picture of a moment, with its ground;
@@ -25,15 +24,15 @@ mod hard;
 mod header;
 pub mod page;
 pub mod picture;
-pub mod pose;
+
 mod raster;
 pub mod recording;
 mod solid;
 mod text;
 pub mod tree;
 
+pub use crate::sim::pose::Pose;
 pub use camera::CameraOptions;
 pub use header::{About, header};
 pub use picture::draw;
-pub use pose::Pose;
 pub use recording::{Moment, Section, Writer, read, row};

@@ -1,12 +1,12 @@
 //! Draws one moment as an image, without a GPU: far faces first, then near faces over them.
 
 use super::camera::{Camera, CameraOptions, SIZES, clip, radius};
-use super::pose::{Load, Pose};
 use super::raster::{LIGHT, Rgb, SAMPLES};
 use super::{solid, text};
 use crate::error::{Error, Result};
 use crate::sim::frame::{M, V};
 use crate::sim::overlap::obstacle_poses;
+use crate::sim::pose::{Load, Pose};
 use crate::sim::robot::Tripod;
 use crate::sim::tree::TreeModel;
 use crate::sim::{Model, State};

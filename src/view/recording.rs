@@ -10,9 +10,9 @@
 //! All numbers are little-endian. A section is an episode, or the rest of an episode; sections may differ in robot and
 //! rocks. To read the numbers, a reader needs only `format`, `version` and `columns` of the header.
 
-use super::pose::Pose;
 use crate::error::{Error, Result};
 use crate::sim::frame::V;
+use crate::sim::pose::Pose;
 use crate::sim::{Model, State};
 use flate2::Compression;
 use flate2::read::MultiGzDecoder;

@@ -20,6 +20,7 @@ pub use reward::Rewards;
 use super::feature::{Features, flag};
 use super::ground::Change;
 use super::random::Random;
+use super::sensors::Sensor;
 use super::spec::{CONTROL_RATE, Column, Spec};
 use super::task::{Goal, Setup, Task, Transition};
 use crate::error::{Error, Result};
@@ -119,15 +120,21 @@ fn observation(joints: &[String], motors: &[String], heights: bool) -> Features<
     let measured = if heights { MEASURED[0] * MEASURED[1] } else { 0 };
     Features::<Observe>::none()
         .xyz("base_lin_vel", "m/s", SPEED, |o, i| o.velocity[i])
+        .sensed(Sensor::LinVel)
         .xyz("base_ang_vel", "rad/s", TURN, |o, i| o.angular_velocity[i])
+        .sensed(Sensor::Gyroscope)
         .xyz("projected_gravity", "1", 1.0, |o, i| o.gravity[i])
+        .sensed(Sensor::Gravity)
         .one("commanded lin_vel_x", "m/s", -MOST_COMMAND, MOST_COMMAND, |o, _| o.command[0])
         .one("commanded lin_vel_y", "m/s", -MOST_COMMAND, MOST_COMMAND, |o, _| o.command[1])
         .one("commanded ang_vel_yaw", "rad/s", -MOST_COMMAND, MOST_COMMAND, |o, _| o.command[2])
         .each(joints, "joint_pos off its default", "rad", JOINT_OFFSET, |o, i| o.state.angles[i] - o.default[i])
+        .sensed(Sensor::JointPosition)
         .each(joints, "joint_vel", "rad/s", JOINT_SPEED, |o, i| o.state.rates[i])
+        .sensed(Sensor::JointVelocity)
         .each(motors, "last action", "1", 1.0, |o, i| o.last_action[i].into())
         .group((0..measured).map(height), |o, i| o.measured_height(i))
+        .sensed(Sensor::Heights)
 }
 
 /// Is a foot in the ground?

@@ -24,6 +24,7 @@ pub use robot::RobotName;
 pub use value::{Bounded, OptionValue, changed};
 
 use crate::error::{Error, Result};
+use crate::sensors::Hardware;
 use serde_json::{Map, Value};
 
 /// One option of a task, or one key of an option that is a dictionary.
@@ -49,6 +50,32 @@ pub trait Options: Clone + Default + PartialEq + std::fmt::Debug + Send + Sync +
 
     /// Refuses values out of bounds. In errors, `prefix` precedes each name.
     fn check_all(&self, prefix: &str) -> Result<()>;
+}
+
+/// The options of a task, and those that every task has.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TaskOptions<O> {
+    pub task: O,
+    pub hardware: Hardware,
+}
+
+impl<O: Options> Options for TaskOptions<O> {
+    fn rows() -> Vec<OptionRow> {
+        [O::rows(), Hardware::rows()].concat()
+    }
+
+    fn get(&self, name: &str) -> Option<Value> {
+        self.task.get(name).or_else(|| self.hardware.get(name))
+    }
+
+    fn set(&mut self, name: &str, value: &Value) -> Result<bool> {
+        Ok(self.task.set(name, value)? || self.hardware.set(name, value)?)
+    }
+
+    fn check_all(&self, prefix: &str) -> Result<()> {
+        self.task.check_all(prefix)?;
+        self.hardware.check_all(prefix)
+    }
 }
 
 /// The changes of an environment's options by a reset; they hold until another reset. Dictionaries change key by

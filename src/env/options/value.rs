@@ -29,7 +29,9 @@ impl OptionValue for u64 {}
 impl OptionValue for f64 {}
 impl OptionValue for [f64; 2] {}
 impl OptionValue for String {}
+impl OptionValue for [f64; 3] {}
 impl OptionValue for Vec<Vec<f64>> {}
+impl OptionValue for Vec<String> {}
 impl OptionValue for Law {}
 impl OptionValue for RobotName {}
 impl OptionValue for BTreeMap<String, f64> {}

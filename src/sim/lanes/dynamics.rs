@@ -17,6 +17,7 @@ use crate::number::{Mat3, Real, Vec3};
 use crate::sand::law::StressLaw;
 use crate::sand::{LawCoefficients, Plain, SandBed, SegmentState, StressModel};
 use crate::spatial::{Inertia, PointMasses, Symmetric, Twist, Wrench};
+use crate::stop::Push;
 
 /// State of the robots in one block, one lane each; see [`crate::State`].
 #[derive(Clone)]
@@ -408,12 +409,15 @@ fn drive<R: Real, const J: usize>(
     let error = rate_error.mul_add(dt, joint.reference - joint.angle);
     let torque = model.kp.mul_add(error, model.kd.mul_add(rate_error, joint.command_torque));
     let yielding = dt * dt.mul_add(model.kp, model.kd);
+    let Push { torque, yielding } = model.actuator.track(Push { torque, yielding }, joint.torque, dt);
+    let [low, high] = model.actuator.limits(joint.rate);
     hinge.inertia_axis = inertia.apply(&hinge.axis);
     let own = hinge.inertia_axis.dot(&hinge.axis) + armature;
     let load = bias.dot(&hinge.axis);
     let expected = torque - yielding * ((torque - load) / (own + yielding));
-    let saturated = model.torque_limit.lt(expected.abs());
-    hinge.torque = R::select(saturated, expected.clamp(-model.torque_limit, model.torque_limit), torque);
+    let limited = expected.clamp(low, high);
+    let saturated = R::zero().lt((limited - expected).abs());
+    hinge.torque = R::select(saturated, limited, torque);
     hinge.yielding = R::select(saturated, R::zero(), yielding);
     hinge.inverse = R::one() / (own + hinge.yielding);
     hinge.drive = hinge.torque - load;

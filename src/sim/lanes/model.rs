@@ -2,6 +2,7 @@
 
 use super::plane::Moments;
 use crate::Model;
+use crate::actuator::LaneActuator;
 use crate::error::{Error, Result};
 use crate::model::{Body, Plate, exact};
 use crate::number::{Real, Vec3};
@@ -51,7 +52,7 @@ pub struct LaneModel<R, const J: usize> {
     pub legs: Vec<[LaneBody<R>; J]>,
     pub kp: R,
     pub kd: R,
-    pub torque_limit: R,
+    pub actuator: LaneActuator<R>,
     pub speed_limit: R,
     pub lag_limit: R,
     pub gravity: Vec3<R>,
@@ -195,7 +196,7 @@ impl<R: Real, const J: usize> LaneModel<R, J> {
             legs: model.legs.iter().map(|leg| std::array::from_fn(|j| LaneBody::splat(&leg[j]))).collect(),
             kp: R::splat(model.motor.kp),
             kd: R::splat(model.motor.kd),
-            torque_limit: R::splat(model.motor.torque_limit),
+            actuator: LaneActuator::splat(&model.motor.actuator),
             speed_limit: R::splat(model.motor.speed_limit),
             lag_limit: R::splat(model.motor.lag_limit),
             gravity: Vec3::splat(model.gravity.into()),
@@ -216,7 +217,7 @@ impl<R: Real, const J: usize> LaneModel<R, J> {
         }
         self.kp.set_lane(lane, model.motor.kp);
         self.kd.set_lane(lane, model.motor.kd);
-        self.torque_limit.set_lane(lane, model.motor.torque_limit);
+        self.actuator.set_lane(lane, &model.motor.actuator);
         self.speed_limit.set_lane(lane, model.motor.speed_limit);
         self.lag_limit.set_lane(lane, model.motor.lag_limit);
         self.gravity.set_lane(lane, model.gravity.into());

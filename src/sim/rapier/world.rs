@@ -4,9 +4,11 @@ use super::contact::{self, Shapes};
 use super::inertia::mass_properties;
 use super::sand::Wrench;
 use super::units::{PER_METRE, PER_SQUARE_METRE, metres, plain, quat, scaled, scaled_twice, vec3};
+use crate::actuator::LaneActuator;
 use crate::frame::{M, V};
 use crate::model::{Body, Model, Motor};
 use crate::solid::Pose;
+use crate::stop::Push;
 use crate::{State, engine::Command};
 use rapier3d::glamx::{Pose3, Quat, Vec3};
 use rapier3d::prelude::*;
@@ -185,7 +187,12 @@ impl World {
         for (i, link) in hinges.enumerate() {
             let pull = model.motor.kp * (state.references[i] - state.angles[i]);
             let torque = pull + model.motor.kd * command.rates[i] + command.torques[i];
-            link.joint.data.motors[HINGE].target_vel = (torque / yielding) as f32;
+            let push = track(model, torque, yielding, state.torques[i]);
+            let limit = limit(model, state.rates[i], push.torque - push.yielding * state.rates[i]);
+            let motor = &mut link.joint.data.motors[HINGE];
+            motor.damping = (push.yielding * PER_SQUARE_METRE) as f32;
+            motor.target_vel = (push.torque / push.yielding) as f32;
+            motor.max_force = (limit * PER_SQUARE_METRE) as f32;
         }
     }
 
@@ -212,12 +219,13 @@ impl World {
     /// Solves for the velocities after one time step and writes them, and the torques applied, into `state`.
     pub fn solve(&mut self, model: &Model, state: &mut State) {
         self.physics.step();
-        let (limit, yielding) = (model.motor.torque_limit, yielding(&model.motor, model.scene.dt));
+        let yielding = track(model, 0.0, yielding(&model.motor, model.scene.dt), 0.0).yielding;
         let Some(multibody) = self.multibody() else { return };
         let hinges = multibody.links().filter(|l| l.joint.ndofs() == 1);
-        for (link, torque) in hinges.zip(&mut state.torques) {
+        for ((link, torque), old) in hinges.zip(&mut state.torques).zip(&state.rates) {
             let target = f64::from(link.joint.data.motors[HINGE].target_vel);
             let rate = f64::from(multibody.joint_velocity(link)[0]);
+            let limit = limit(model, *old, target - old);
             *torque = (yielding * (target - rate)).clamp(-limit, limit);
         }
         let velocities = multibody.generalized_velocity();
@@ -235,6 +243,17 @@ fn relative(pose: &Pose, origin: V) -> Pose3 {
     Pose3::from_parts(scaled(pose.position - origin), quat(&turn))
 }
 
+/// The motor's torque after its lag, and how it yields to speed [N·m·s/rad].
+fn track(model: &Model, torque: f64, yielding: f64, before: f64) -> Push<f64> {
+    LaneActuator::<f64>::splat(&model.motor.actuator).track(Push { torque, yielding }, before, model.scene.dt)
+}
+
+/// Largest torque of a motor at this rate in the direction of `torque`: rapier has one limit for both directions.
+fn limit(model: &Model, rate: f64, torque: f64) -> f64 {
+    let [low, high] = LaneActuator::<f64>::splat(&model.motor.actuator).limits(rate);
+    if torque < 0.0 { -low } else { high }
+}
+
 /// Decrease of a servo's torque with the speed gained in a step [N·m·s/rad].
 fn yielding(motor: &Motor, dt: f64) -> f64 {
     (motor.kd + dt * motor.kp).max(LEAST_YIELDING)
@@ -250,7 +269,6 @@ fn hinge(body: &Body, motor: &Motor, dt: f64) -> GenericJoint {
     joint.motor_axes = JointAxesMask::ANG_X;
     joint.motors[HINGE] = JointMotor {
         damping: (yielding(motor, dt) * PER_SQUARE_METRE) as f32,
-        max_force: (motor.torque_limit * PER_SQUARE_METRE) as f32,
         model: MotorModel::ForceBased,
         ..JointMotor::default()
     };

@@ -19,6 +19,7 @@ use super::contact::ContactPoint;
 use super::kinematics::{chain, lowest};
 use super::stance::Stance;
 use super::{JointKind, Tree, TreeJoint};
+use crate::actuator::Actuator;
 use crate::sand::GRAVITY;
 use nalgebra::{Isometry3, Vector3};
 
@@ -46,8 +47,23 @@ pub struct TreeMotor {
     pub kd: f64,
     /// [N·m]
     pub torque_limit: Option<f64>,
-    /// [rad/s]
+    /// Largest speed of the reference, and speed of the motor without a load [rad/s]
     pub speed_limit: Option<f64>,
+    /// [N·m]; None: twice the torque limit.
+    pub stall_torque: Option<f64>,
+    /// Time that the torque needs to follow the servo [s].
+    pub time_constant: f64,
+}
+
+impl TreeMotor {
+    pub fn actuator(&self) -> Actuator {
+        Actuator {
+            torque_limit: self.torque_limit,
+            stall_torque: self.stall_torque,
+            no_load_speed: self.speed_limit,
+            time_constant: self.time_constant,
+        }
+    }
 }
 
 /// kp and kd of a joint without known gains [N·m/rad, N·m·s/rad].
@@ -88,6 +104,8 @@ pub fn motors(tree: &Tree, contacts: &[Vec<ContactPoint>], stance: &Stance) -> V
             kd: joint.kd.unwrap_or(if own.kp > 0.0 { kp * own.kd / own.kp } else { 0.0 }),
             torque_limit: joint.torque_limit,
             speed_limit: joint.speed_limit,
+            stall_torque: None,
+            time_constant: 0.0,
         }
     };
     tree.joints().zip(&found).map(motor).collect()

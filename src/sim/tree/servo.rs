@@ -6,23 +6,20 @@
 
 use super::dynamics::{Drive, JointMotion};
 use super::model::TreeModel;
+use crate::actuator::{Actuator, LaneActuator};
 use crate::number::Real;
 use crate::stop::{NO_LIMIT, Push, Stop};
 
 /// Rate v₀ at which dry friction has its full size [rad/s]; a joint creeps more slowly under a smaller load. Our
 /// choice, because even at this rate a joint turns by only 0.06° in a second.
 const CREEP: f64 = 1e-3;
-/// Stall torque of a motor as a multiple of its torque limit. The largest torque falls linearly from there to zero at
-/// the speed limit (the saturation effort of Isaac Lab's `DCMotor`; 2 is our choice: the full torque is available up to
-/// half of the speed limit).
-const STALL: f64 = 2.0;
 
 /// The torques that drive and hold a joint, one lane each.
 #[derive(Clone, Copy)]
 pub struct LaneMotor<R> {
     kp: R,
     kd: R,
-    torque_limit: R,
+    actuator: LaneActuator<R>,
     speed_limit: R,
     damping: R,
     friction: R,
@@ -56,7 +53,7 @@ impl<R: Real> LaneMotor<R> {
         let none = Self {
             kp: zero,
             kd: zero,
-            torque_limit: zero,
+            actuator: LaneActuator::splat(&Actuator::default()),
             speed_limit: zero,
             damping: zero,
             friction: zero,
@@ -72,7 +69,7 @@ impl<R: Real> LaneMotor<R> {
         for ((out, motor), joint) in all.iter_mut().zip(&model.motors).zip(model.tree.joints()) {
             out.kp.set_lane(lane, motor.kp);
             out.kd.set_lane(lane, motor.kd);
-            out.torque_limit.set_lane(lane, motor.torque_limit.unwrap_or(NO_LIMIT));
+            out.actuator.set_lane(lane, &motor.actuator());
             out.speed_limit.set_lane(lane, motor.speed_limit.unwrap_or(NO_LIMIT));
             out.damping.set_lane(lane, joint.damping);
             out.friction.set_lane(lane, joint.friction);
@@ -96,14 +93,8 @@ impl<R: Real> LaneMotor<R> {
         let error = rate_error.mul_add(dt, servo.reference - joint.position);
         let torque = self.kp.mul_add(error, self.kd.mul_add(rate_error, servo.command_torque));
         let yielding = dt * dt.mul_add(self.kp, self.kd);
-        let part = joint.rate / self.speed_limit;
-        (Push { torque, yielding }, [-self.most(-part), self.most(part)])
-    }
-
-    /// Largest torque in the direction in which the joint turns, at `part` of its speed limit.
-    #[inline(always)]
-    fn most(&self, part: R) -> R {
-        self.torque_limit * ((R::one() - part) * R::splat(STALL)).clamp(R::zero(), R::one())
+        let push = self.actuator.track(Push { torque, yielding }, servo.torque, dt);
+        (push, self.actuator.limits(joint.rate))
     }
 }
 

@@ -1,11 +1,11 @@
 //! Poses of a robot's parts at one moment, and the sand's forces on them.
 
+use super::frame::{Frame, M, V};
+use super::model::{Body, Plate};
+use super::tree::{forces, kinematics};
+use super::{Model, State};
 use crate::number::Vec3;
 use crate::sand::{Contact, SandBed, SegmentState};
-use crate::sim::frame::{Frame, M, V};
-use crate::sim::model::{Body, Plate};
-use crate::sim::tree::{forces, kinematics};
-use crate::sim::{Model, State};
 
 /// A leg stands if the sand holds it with more than this share of the robot's weight, and a body of a robot from a
 /// file has an arrow: our choice, far above the force on a leg in the air (none) and far below that on one of three
@@ -64,7 +64,7 @@ pub fn segments(model: &Model) -> Vec<Segment<'_>> {
 
 impl Pose {
     /// The forces are those of the sand at this moment's velocities, computed in `f64` by the engines' functions.
-    /// `footing` is each leg's share of the stress, see [`crate::sim::engine::Engine::set_footing`]; None: 1.
+    /// `footing` is each leg's share of the stress, see [`super::engine::Engine::set_footing`]; None: 1.
     pub fn of(model: &Model, state: &State, footing: &[f64]) -> Self {
         let ground: SandBed<f64> = model.scene.ground();
         let base = Frame::base(state);
@@ -143,6 +143,12 @@ impl Pose {
         }));
     }
 
+    /// The ground's force on a body of a robot from a file [N].
+    pub fn force_on(&self, model: &Model, body: usize) -> V {
+        let touching = forces::touching(model);
+        touching.iter().position(|b| *b == body).map_or(V::zeros(), |k| self.contacts[k].force)
+    }
+
     /// Forces of the ground to draw, one for each leg that stands, or for each body that touches; the position is the
     /// mean of its segments' positions, weighted by their forces.
     pub fn arrows(&self, model: &Model) -> Vec<Load> {
@@ -180,10 +186,10 @@ fn contacts(model: &Model, state: &State) -> Vec<Load> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Robot;
+    use crate::engine::{Command, Engine, EngineKind};
+    use crate::model::Scene;
     use crate::sand::Medium;
-    use crate::sim::Robot;
-    use crate::sim::engine::{Command, Engine, EngineKind};
-    use crate::sim::model::Scene;
 
     fn model(robot: &str) -> Model {
         Model::new(&Robot::load(robot).unwrap(), &Scene::flat(Medium::named("poppy-loose").unwrap())).unwrap()

@@ -1,0 +1,100 @@
+//! Columns of sensors that a task does not observe by itself.
+
+use super::{Sensor, Sensors};
+use crate::feature::Features;
+use crate::sim::pose::Pose;
+use crate::sim::{Model, State};
+use std::cell::OnceCell;
+
+/// Bounds of the columns, far beyond a walking robot's values: our choice; gymnasium warns of spaces without bounds.
+const SPECIFIC_FORCE: f64 = 1e3; // [m/s²]
+const TORQUE: f64 = 1e4; // [N·m]
+const FORCE: f64 = 1e6; // [N]
+/// A foot's switch closes at this share of the robot's weight: that of a standing leg in pictures.
+const SWITCH: f64 = 0.02;
+
+/// A control step, for sensors.
+pub struct Moment<'a> {
+    pub model: &'a Model,
+    pub footing: &'a [f64],
+    /// Equal to `after` at the beginning of an episode.
+    pub before: &'a State,
+    pub after: &'a State,
+    /// Duration [s].
+    pub period: f64,
+    pub imu_position: [f64; 3],
+    forces: OnceCell<Vec<f64>>,
+}
+
+/// Computes one number.
+pub type Measure = fn(&Moment, usize) -> f64;
+
+impl<'a> Moment<'a> {
+    pub fn new(
+        model: &'a Model,
+        footing: &'a [f64],
+        [before, after]: [&'a State; 2],
+        period: f64,
+        imu_position: [f64; 3],
+    ) -> Self {
+        Self { model, footing, before, after, period, imu_position, forces: OnceCell::new() }
+    }
+
+    /// Force of the ground on each foot along the surface's normal [N], at the end of the step.
+    fn forces(&self) -> &[f64] {
+        self.forces.get_or_init(|| {
+            let pose = Pose::of(self.model, self.after, self.footing);
+            match &self.model.tree {
+                None => pose.leg_forces.iter().map(|force| force.z).collect(),
+                Some(tree) => tree.stance.feet.iter().map(|foot| pose.force_on(self.model, *foot).z).collect(),
+            }
+        })
+    }
+
+    /// Acceleration of the accelerometer less that of gravity, body frame [m/s²]: from the change of its velocity in the
+    /// control step.
+    fn specific_force(&self) -> [f64; 3] {
+        let velocity = |state: &State| {
+            let (turn, spin) = (state.rotation(), state.angular_velocity);
+            let arm = turn.map(|row| (0..3).map(|k| row[k] * self.imu_position[k]).sum::<f64>());
+            let turned = |i: usize, k: usize| spin[i] * arm[k] - spin[k] * arm[i];
+            let around = [turned(1, 2), turned(2, 0), turned(0, 1)];
+            [0, 1, 2].map(|i| state.velocity[i] + around[i])
+        };
+        let (old, new, gravity) = (velocity(self.before), velocity(self.after), self.model.gravity);
+        self.after.to_body([0, 1, 2].map(|i| (new[i] - old[i]) / self.period - gravity[i]))
+    }
+}
+
+/// Names of the feet, in the order of [`Moment::forces`].
+fn feet(model: &Model) -> Vec<String> {
+    match &model.tree {
+        Some(tree) => tree.stance.feet.iter().map(|body| tree.tree.bodies[*body].name.clone()).collect(),
+        None => model.robot.hip.iter().map(|hip| hip.name.clone()).collect(),
+    }
+}
+
+/// The columns of `sensor`; None: only a task itself can observe it.
+pub fn columns(sensor: Sensor, model: &Model) -> Option<Features<Measure>> {
+    let (none, feet) = (Features::<Measure>::none(), feet(model));
+    let columns = match sensor {
+        Sensor::Accelerometer => {
+            none.xyz("specific force, body frame,", "m/s²", SPECIFIC_FORCE, |m, i| m.specific_force()[i])
+        }
+        Sensor::JointTorque => {
+            none.each(&model.joint_names(), "joint torque", "N·m", TORQUE, |m, i| m.after.torques[i])
+        }
+        Sensor::ContactForce => none.each(&feet, "contact force", "N", FORCE, |m, i| m.forces()[i]),
+        Sensor::ContactSwitch => none.each(&feet, "contact switch", "1", 1.0, |m, i| {
+            f64::from(u8::from(m.forces()[i] > SWITCH * m.model.total_mass() * m.model.gravity.norm()))
+        }),
+        _ => return None,
+    };
+    Some(columns.sensed(sensor))
+}
+
+/// The columns that `sensors` add to an observation which already has those of `own`.
+pub fn added(sensors: &Sensors, own: &[Sensor], model: &Model) -> Features<Measure> {
+    let named = Sensor::ALL.into_iter().filter(|s| sensors.of(*s).is_some() && !own.contains(s));
+    named.filter_map(|sensor| columns(sensor, model)).fold(Features::<Measure>::none(), Features::and)
+}

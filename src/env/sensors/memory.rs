@@ -1,0 +1,39 @@
+//! What the sensors of an episode remember.
+
+use super::signal::Past;
+
+/// The sensors' part of an episode; empty for a task whose sensors are exact.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Memory {
+    pub(super) past: Vec<Past>,
+    /// Rows as the sensors sampled them, not delayed: the newest first.
+    pub(super) sampled: Vec<f32>,
+    /// Rows that the policy got: the newest first.
+    pub(super) seen: Vec<f32>,
+}
+
+impl Memory {
+    /// All numbers, for a snapshot.
+    pub fn numbers(&self) -> Vec<f32> {
+        let past = self.past.iter().flat_map(|p| [p.bias, p.filtered]);
+        past.chain(self.sampled.iter().copied()).chain(self.seen.iter().copied()).collect()
+    }
+
+    /// A memory of these sizes from its [`Self::numbers`]; None if their count is wrong or one is not finite.
+    pub(super) fn from_numbers(numbers: &[f32], sizes: [usize; 3]) -> Option<Self> {
+        let [signals, sampled, seen] = sizes;
+        if numbers.len() != 2 * signals + sampled + seen || !numbers.iter().all(|x| x.is_finite()) {
+            return None;
+        }
+        let (past, rows) = numbers.split_at(2 * signals);
+        let (sampled, seen) = rows.split_at(sampled);
+        let past = past.as_chunks::<2>().0.iter().map(|[bias, filtered]| Past { bias: *bias, filtered: *filtered });
+        Some(Self { past: past.collect(), sampled: sampled.to_vec(), seen: seen.to_vec() })
+    }
+}
+
+/// Makes room for a new row of `width` numbers at the front; the oldest row is lost.
+pub(super) fn shift(rows: &mut [f32], width: usize) {
+    let kept = rows.len() - width;
+    rows.copy_within(..kept, width);
+}

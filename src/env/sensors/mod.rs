@@ -1,0 +1,86 @@
+//! Sensors between the simulated robot and the observation, and the delay between the action and the motors.
+//!
+//! A task computes exact values. A column that belongs to a [`Sensor`] passes through the sensor's imperfections, in this
+//! order: bias and random walk, white noise, low-pass filter, quantization, delay, dropout. Everything that a sensor
+//! remembers is a part of the episode ([`Memory`]), so snapshots contain it. Its random numbers depend on the
+//! environment's seed, the episode and the step alone.
+//!
+//! To add a sensor: a variant of [`Sensor`], a line in [`Sensors`], and the mark [`Features::sensed`] at the columns that a
+//! task has of it; if no task has it, its columns are in [`extra`].
+//!
+//! [`Features::sensed`]: super::feature::Features::sensed
+
+mod delay;
+mod extra;
+mod memory;
+mod options;
+mod plan;
+mod signal;
+
+pub use delay::ActionDelay;
+pub use memory::Memory;
+pub use options::{Hardware, Imperfections, Motors, SensorOptions, Sensors};
+pub use plan::{Plan, Seen};
+
+use serde::{Deserialize, Serialize};
+
+/// What measures a column of the observation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Sensor {
+    /// Direction of gravity in the base's frame, as an inertial measurement unit estimates it.
+    Gravity,
+    /// Velocity of the base, as an estimator of the state gives it.
+    LinVel,
+    Gyroscope,
+    Accelerometer,
+    JointPosition,
+    JointVelocity,
+    JointTorque,
+    ContactForce,
+    ContactSwitch,
+    Heights,
+}
+
+/// Which function of the measured value a column is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    Value,
+    /// Of an angle.
+    Sine,
+    Cosine,
+}
+
+impl Sensor {
+    pub const ALL: [Self; 10] = [
+        Self::Gravity,
+        Self::LinVel,
+        Self::Gyroscope,
+        Self::Accelerometer,
+        Self::JointPosition,
+        Self::JointVelocity,
+        Self::JointTorque,
+        Self::ContactForce,
+        Self::ContactSwitch,
+        Self::Heights,
+    ];
+
+    /// Its key in option `sensors`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Gravity => "gravity",
+            Self::LinVel => "lin_vel",
+            Self::Gyroscope => "gyroscope",
+            Self::Accelerometer => "accelerometer",
+            Self::JointPosition => "joint_position",
+            Self::JointVelocity => "joint_velocity",
+            Self::JointTorque => "joint_torque",
+            Self::ContactForce => "contact_force",
+            Self::ContactSwitch => "contact_switch",
+            Self::Heights => "heights",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

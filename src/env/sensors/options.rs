@@ -1,0 +1,128 @@
+//! Options that every task has: its sensors, the delay of its actions, and rows that a policy may see besides.
+
+use super::Sensor;
+use crate::error::{Error, Result};
+use crate::options;
+use crate::options::OptionValue;
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
+use serde_json::Value;
+
+/// Longest delay of a sensor or an action [s]: our choice, several times that of a robot that is steered over a network.
+pub const LONGEST_DELAY: f64 = 0.5;
+/// Largest number of observations in a row of [`Hardware::history`]: our choice, more than the 15 of usual policies.
+const MOST_HISTORY: f64 = 64.0;
+
+options! {
+    /// What is imperfect about a sensor. u: the unit of its values.
+    #[derive(Copy, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct Imperfections {
+        noise_density: f64 = 0.0, [0.0, 1e9], "white noise [u/√Hz]; a sample's standard deviation is this times the square root of the control rate";
+        bias: f64 = 0.0, [0.0, 1e9], "standard deviation of a constant error, drawn for each value and episode [u]";
+        random_walk: f64 = 0.0, [0.0, 1e9], "density of the random walk of the bias [u·√Hz]; in a step its standard deviation is this times the square root of the step's duration";
+        delay: f64 = 0.0, [0.0, LONGEST_DELAY], "age of the value [s]; between control steps it is interpolated, and in the beginning it is the first value";
+        low_pass: f64 = 0.0, [0.0, 100.0], "time constant of a first-order low-pass filter [s]; 0: none";
+        quantization: f64 = 0.0, [0.0, 1e9], "distance of neighbouring values [u]; 0: none";
+        dropout: f64 = 0.0, [0.0, 0.999], "probability that a sample is lost; the value then stays the last one";
+    }
+}
+
+options! {
+    /// Imperfections by sensor. A sensor without an entry is exact. One that the task does not observe is added to the
+    /// observation by its entry, which may be empty.
+    #[derive(Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct Sensors {
+        gravity: Option<Imperfections> = None, "direction of gravity, body frame";
+        lin_vel: Option<Imperfections> = None, "velocity of the base [m/s], body frame";
+        gyroscope: Option<Imperfections> = None, "angular velocity of the base [rad/s], body frame";
+        accelerometer: Option<Imperfections> = None, "specific force [m/s²] at imu_position, body frame: its mean over the control step";
+        joint_position: Option<Imperfections> = None, "joint angles [rad]";
+        joint_velocity: Option<Imperfections> = None, "joint speeds [rad/s]";
+        joint_torque: Option<Imperfections> = None, "torques of the motors [N·m]";
+        contact_force: Option<Imperfections> = None, "force of the ground on each foot along the surface's normal [N]";
+        contact_switch: Option<Imperfections> = None, "is the force on a foot more than 2 % of the robot's weight? 0 or 1";
+        heights: Option<Imperfections> = None, "measured heights of the ground [m]";
+        imu_position: [f64; 3] = [0.0; 3], "place of the accelerometer in the base's frame [m]";
+        velocity_by_differences: bool = false, "joint speeds are differences of the measured joint positions over the control period";
+        without: Vec<String> = Vec::new(), "sensors whose values are left out of the observation, because the robot does not have them";
+    }
+}
+
+impl Sensors {
+    /// The imperfections of a sensor; None: it is exact, and the task need not observe it.
+    pub fn of(&self, sensor: Sensor) -> Option<Imperfections> {
+        match sensor {
+            Sensor::Gravity => self.gravity,
+            Sensor::LinVel => self.lin_vel,
+            Sensor::Gyroscope => self.gyroscope,
+            Sensor::Accelerometer => self.accelerometer,
+            Sensor::JointPosition => self.joint_position,
+            Sensor::JointVelocity => self.joint_velocity,
+            Sensor::JointTorque => self.joint_torque,
+            Sensor::ContactForce => self.contact_force,
+            Sensor::ContactSwitch => self.contact_switch,
+            Sensor::Heights => self.heights,
+        }
+    }
+}
+
+/// `"exact"`, or sensors.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SensorOptions(pub Sensors);
+
+/// The value that stands for sensors without imperfections.
+const EXACT: &str = "exact";
+
+impl Serialize for SensorOptions {
+    fn serialize<S: Serializer>(&self, serializer: S) -> std::result::Result<S::Ok, S::Error> {
+        if self.0 == Sensors::default() { serializer.serialize_str(EXACT) } else { self.0.serialize(serializer) }
+    }
+}
+
+impl<'de> Deserialize<'de> for SensorOptions {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> std::result::Result<Self, D::Error> {
+        match Value::deserialize(deserializer)? {
+            Value::String(text) if text == EXACT => Ok(Self::default()),
+            value @ Value::Object(_) => Sensors::deserialize(value).map(Self).map_err(de::Error::custom),
+            other => Err(de::Error::custom(format!("{other} is neither {EXACT:?} nor a dictionary of sensors"))),
+        }
+    }
+}
+
+impl OptionValue for SensorOptions {
+    fn check(&self, name: &str) -> Result<()> {
+        self.0.check(name)?;
+        let known = Sensor::ALL.map(Sensor::name);
+        match self.0.without.iter().find(|w| !known.contains(&w.as_str())) {
+            Some(unknown) => Err(Error::unknown("sensor", unknown, &known)),
+            None => Ok(()),
+        }
+    }
+
+    fn keys() -> Vec<crate::options::OptionRow> {
+        Sensors::keys()
+    }
+}
+
+options! {
+    /// The motors of all joints.
+    #[derive(Copy, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct Motors {
+        stall_torque: Option<f64> = None, [1e-6, 1e5], "torque at standstill [N·m]; None: that of the robot, or twice its torque limit";
+        no_load_speed: Option<f64> = None, [1e-3, 1e4], "speed without a load [rad/s], at which the torque has fallen to zero; None: that of the robot, or no limit";
+        torque_time: f64 = 0.0, [0.0, 1.0], "time constant with which the torque follows the servo [s]";
+    }
+}
+
+options! {
+    /// Options of every task.
+    pub struct Hardware {
+        sensors: SensorOptions = SensorOptions::default(), "\"exact\", or the imperfections of each sensor: a dictionary of sensors, each a dictionary";
+        history: u32 = 1, [1.0, MOST_HISTORY], "number of observations in a row of the observation: the present one, then those of the steps before it";
+        privileged: bool = false, "add the exact values of all sensors to info";
+        actuator: Motors = Motors::default(), "what the motors can do: a DC motor's line of torque and speed, and its lag";
+        action_delay: [f64; 2] = [0.0, 0.0], [0.0, LONGEST_DELAY], reset, "range [low, high] of the time from an action to the motors [s], drawn for each episode; before the first action the action is 0";
+    }
+}

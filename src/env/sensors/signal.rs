@@ -1,0 +1,104 @@
+//! One measured value, and what its sensor does to it.
+
+use super::{Imperfections, Part};
+use rand::Rng as _;
+use rand_distr::StandardNormal;
+use rand_xoshiro::Xoshiro256PlusPlus;
+
+/// A value of a sensor, and its columns in a row of exact values.
+#[derive(Clone, Debug)]
+pub struct Signal {
+    /// The column; of an angle, the column of its sine.
+    pub column: usize,
+    /// The column of an angle's cosine.
+    pub cosine: Option<usize>,
+    pub imperfections: Imperfections,
+}
+
+/// What a signal remembers.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Past {
+    /// Constant error and its random walk so far.
+    pub bias: f32,
+    /// Output of the low-pass filter.
+    pub filtered: f32,
+}
+
+impl Signal {
+    pub fn new(column: usize, part: Part, imperfections: Imperfections) -> Option<Self> {
+        // Sine and cosine are one signal, which begins with its sine.
+        (part != Part::Cosine).then_some(Self { column, cosine: None, imperfections })
+    }
+
+    pub fn columns(&self) -> impl Iterator<Item = usize> {
+        [Some(self.column), self.cosine].into_iter().flatten()
+    }
+
+    /// Does the sensor change the value, besides delaying it?
+    fn alters(&self) -> bool {
+        let Imperfections { noise_density, bias, random_walk, low_pass, quantization, .. } = self.imperfections;
+        [noise_density, bias, random_walk, low_pass, quantization] != [0.0; 5]
+    }
+
+    /// The measured value in a row.
+    pub fn value(&self, row: &[f32]) -> f64 {
+        let value = f64::from(row[self.column]);
+        self.cosine.map_or(value, |cosine| value.atan2(f64::from(row[cosine])))
+    }
+
+    pub fn set(&self, row: &mut [f32], value: f64) {
+        match self.cosine {
+            None => row[self.column] = value as f32,
+            Some(cosine) => (row[self.column], row[cosine]) = (value.sin() as f32, value.cos() as f32),
+        }
+    }
+
+    /// The first sample of an episode.
+    pub fn begin(&self, random: &mut Xoshiro256PlusPlus, period: f64, row: &mut [f32]) -> Past {
+        let mut past = Past::default();
+        if self.alters() {
+            past.bias = (self.imperfections.bias * random.sample::<f64, _>(StandardNormal)) as f32;
+            let noisy = self.noisy(self.value(row), &past, random, period);
+            past.filtered = noisy as f32;
+            self.set(row, self.quantized(noisy));
+        }
+        past
+    }
+
+    /// A later sample; `row` has the exact values.
+    pub fn sample(&self, random: &mut Xoshiro256PlusPlus, period: f64, past: &mut Past, row: &mut [f32]) {
+        if !self.alters() {
+            return;
+        }
+        let Imperfections { random_walk, low_pass, .. } = self.imperfections;
+        if random_walk > 0.0 {
+            past.bias += (random_walk * period.sqrt() * random.sample::<f64, _>(StandardNormal)) as f32;
+        }
+        let mut value = self.noisy(self.value(row), past, random, period);
+        if low_pass > 0.0 {
+            let before = f64::from(past.filtered);
+            // An angle is filtered along the shorter way.
+            let change = if self.cosine.is_some() { wrapped(value - before) } else { value - before };
+            value = before + change * -(-period / low_pass).exp_m1();
+            past.filtered = value as f32;
+        }
+        self.set(row, self.quantized(value));
+    }
+
+    fn noisy(&self, value: f64, past: &Past, random: &mut Xoshiro256PlusPlus, period: f64) -> f64 {
+        let density = self.imperfections.noise_density;
+        // Samples at the rate 1/period carry the density up to half of that rate (Kalibr's IMU noise model).
+        let noise = if density > 0.0 { density / period.sqrt() * random.sample::<f64, _>(StandardNormal) } else { 0.0 };
+        value + f64::from(past.bias) + noise
+    }
+
+    fn quantized(&self, value: f64) -> f64 {
+        let step = self.imperfections.quantization;
+        if step > 0.0 { (value / step).round() * step } else { value }
+    }
+}
+
+/// An angle within ± π.
+pub fn wrapped(angle: f64) -> f64 {
+    angle.sin().atan2(angle.cos())
+}
