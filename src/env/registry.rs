@@ -5,7 +5,7 @@ use super::legged::LeggedVelocity;
 use super::legs::HexapodLegs;
 use super::options::{self, OptionRow, Options, ResetOptions, TaskOptions};
 use super::rocks::HexapodRocks;
-use super::sensors::Plan;
+use super::sensors::{Motors, Plan};
 use super::spec::Column;
 use super::stroke::LegStroke;
 use super::task::{AnyTask, Task, TaskSetup};
@@ -126,6 +126,9 @@ impl Blueprint {
             options.set(name, value)?;
         }
         let engine = T::engine(&options.task);
+        if engine == EngineKind::Carriage && options.hardware.actuator != Motors::default() {
+            return Err(Error::invalid("actuator", format!("{} drives joints by their speeds and has no motors", T::ID)));
+        }
         if keywords.contains_key("engine") && !keywords.contains_key("dt") {
             options.set("dt", &engine.default_dt().into())?;
         }

@@ -172,7 +172,7 @@ fn figures() -> Features<Figure> {
         .free("patch_length", "m", |d| d.ground.patch_length)
         .free("slope_deg", "°", |d| d.t.model.scene.slope_deg)
         .free("payload", "kg", |d| d.t.model.scene.payload)
-        .free("torque_limit", "N·m", |d| d.t.model.motor.torque_limit)
+        .free("torque_limit", "N·m", |d| d.t.model.motor.actuator.torque_limit.unwrap_or(f64::INFINITY))
         .free("footprint", "1", |d| d.ground.footprint)
         .free("turning_point", "m", |d| d.ground.turning_point)
         .free("footing", "1", |d| d.ground.footing.iter().sum::<f64>() / d.ground.footing.len() as f64)

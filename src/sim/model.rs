@@ -356,7 +356,10 @@ impl Model {
 
     /// Limits the motors' torque to `share`, at most 1, of the servos' torque limit.
     pub fn weaken_motors(&mut self, share: f64) {
-        self.robot.servo.torque_limit = self.robot.servo.torque_limit.map(|limit| limit * share);
+        let servo = &mut self.robot.servo;
+        for torque in [&mut servo.torque_limit, &mut servo.stall_torque].into_iter().flatten() {
+            *torque *= share;
+        }
         self.motor = Motor::new(&self.robot.servo, &self.scene.mechanisms);
     }
 

@@ -8,6 +8,7 @@ use super::windows::Window;
 use crate::error::{Error, Result};
 use crate::progress::Latch;
 use crate::robots;
+use crate::sim::actuator::Actuator;
 use crate::sim::engine::{Command, Engine, EngineKind};
 use crate::sim::model::Scene;
 use crate::sim::tree::{TreeModel, of_touching};
@@ -92,14 +93,15 @@ impl Body {
                 model.motor.kp = STIFFER * kp;
                 model.motor.kd = STIFFER * kd;
                 let free = 1e9;
-                (model.motor.torque_limit, model.motor.speed_limit, model.motor.lag_limit) = (free, free, free);
+                model.motor.actuator = Actuator::default();
+                (model.motor.speed_limit, model.motor.lag_limit) = (free, free);
                 Ok(model)
             }
             Self::Tree(tree) => {
                 let mut stiff = tree.as_ref().clone();
                 for motor in &mut stiff.motors {
                     (motor.kp, motor.kd) = (STIFFER * motor.kp, STIFFER * motor.kd);
-                    (motor.torque_limit, motor.speed_limit) = (None, None);
+                    (motor.torque_limit, motor.speed_limit, motor.time_constant) = (None, None, 0.0);
                 }
                 Model::of_tree(stiff, scene)
             }

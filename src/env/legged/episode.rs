@@ -89,7 +89,9 @@ impl LeggedEpisode {
         for motor in &mut tree.motors {
             motor.kp *= self.motor_strength;
             motor.kd *= self.motor_strength;
-            motor.torque_limit = motor.torque_limit.map(|limit| limit * self.motor_strength);
+            for torque in [&mut motor.torque_limit, &mut motor.stall_torque].into_iter().flatten() {
+                *torque *= self.motor_strength;
+            }
         }
         model.tree = Some(Arc::new(tree));
         model.scene.medium.coefficients = model.scene.medium.coefficients.scaled(self.sand);
