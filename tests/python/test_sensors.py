@@ -1,0 +1,94 @@
+"""Sensors, delays and privileged values, in this process and on a server."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+
+import sandgait
+from conftest import ID, RemoteServer
+
+SENSORS = {
+    "gyroscope": {"noise_density": 0.01, "bias": 0.1, "delay": 0.04},
+    "joint_position": {"quantization": 0.01, "delay": 0.02},
+    "accelerometer": {},
+    "without": ["lin_vel"],
+}
+OPTIONS: dict[str, Any] = {"sensors": SENSORS, "history": 2, "privileged": True, "action_delay": [0.01, 0.05]}
+
+
+def run(envs: Any, steps: int = 40) -> list[Any]:
+    rows, infos = envs.reset(seed=3)
+    found = [(rows, infos["privileged"])]
+    for time in range(steps):
+        actions = np.sin(np.arange(envs.action_space.shape[-1]) + 0.3 * time).astype(np.float32)
+        rows, _, _, _, infos = envs.step(np.broadcast_to(actions, envs.action_space.shape))
+        found.append((rows, infos["privileged"]))
+    return found
+
+
+def test_a_server_senses_the_same(remote: RemoteServer) -> None:
+    local = sandgait.make_vec(ID, 5, max_episode_steps=25, **OPTIONS)
+    far = sandgait.make_vec(ID, 5, max_episode_steps=25, address=remote.address, **OPTIONS)
+    for (rows, exact), (other, also) in zip(run(local), run(far), strict=True):
+        np.testing.assert_array_equal(rows, other)
+        np.testing.assert_array_equal(exact, also)
+    local.close()
+    far.close()
+
+
+def test_privileged_values_are_the_exact_observation() -> None:
+    exact = sandgait.make_vec(ID, 3)
+    spoilt = sandgait.make_vec(ID, 3, sensors={"gravity": {"noise_density": 0.1}}, privileged=True)
+    space = spoilt.privileged_observation_space
+    assert space is not None and space.shape == exact.single_observation_space.shape
+    assert exact.privileged_observation_space is None
+    rows, _ = exact.reset(seed=3)
+    for time, (seen, privileged) in enumerate(run(spoilt)):
+        if time:
+            actions = np.sin(np.arange(exact.single_action_space.shape[0]) + 0.3 * (time - 1)).astype(np.float32)
+            rows = exact.step(np.broadcast_to(actions, exact.action_space.shape))[0]
+        np.testing.assert_array_equal(privileged, rows)
+        assert (seen[:, :3] != rows[:, :3]).any()
+        np.testing.assert_array_equal(seen[:, 3:], rows[:, 3:])
+
+
+def test_single_environments_follow_the_interface() -> None:
+    env = gymnasium.make(f"sandgait/{ID}" if "/" not in ID else ID, **OPTIONS)
+    check_env(env.unwrapped, skip_render_check=True)
+    _, info = env.reset(seed=1)
+    space = env.unwrapped.privileged_observation_space  # type: ignore[attr-defined]
+    assert info["privileged"] in space
+    for _ in range(3):
+        info = env.step(env.action_space.sample())[4]
+        assert info["privileged"] in space
+    env.close()
+
+
+def test_an_episode_that_ends_keeps_its_last_exact_values() -> None:
+    envs = sandgait.make_vec(ID, 2, max_episode_steps=5, privileged=True, autoreset_mode=AutoresetMode.SAME_STEP)
+    envs.reset(seed=0)
+    for _ in range(5):
+        _, _, _, truncated, infos = envs.step(envs.action_space.sample())
+    assert truncated.all()
+    np.testing.assert_array_equal(infos["final_info"]["privileged"][0], infos["final_obs"][0])
+    envs.close()
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"sensors": "noisy"}, "sensors"),
+        ({"sensors": {"gyroscope": {"delay": 9}}}, "sensors.gyroscope.delay: 9 is outside"),
+        ({"actuator": {"stall_torque": -1}}, "actuator.stall_torque"),
+        ({"history": 0}, "history"),
+    ],
+)
+def test_wrong_options_are_named(options: dict[str, Any], said: str) -> None:
+    with pytest.raises(sandgait.InvalidRequest, match=said):
+        sandgait.make_vec(ID, 1, **options)
