@@ -46,7 +46,8 @@ def test_privileged_values_are_the_exact_observation() -> None:
     exact = sandgait.make_vec(ID, 3)
     spoilt = sandgait.make_vec(ID, 3, sensors={"gravity": {"noise_density": 0.1}}, privileged=True)
     space = spoilt.privileged_observation_space
-    assert space is not None and space.shape == exact.single_observation_space.shape
+    assert space is not None
+    assert space.shape == exact.single_observation_space.shape
     assert exact.privileged_observation_space is None
     rows, _ = exact.reset(seed=3)
     for time, (seen, privileged) in enumerate(run(spoilt)):
