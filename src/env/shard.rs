@@ -278,7 +278,9 @@ impl Shard {
     fn begin(&mut self, i: usize) {
         let episode = &mut self.episodes[i];
         let mut random = Random::new(episode.seed, episode.number);
-        (episode.after, episode.goal) = episode.task.begin(&mut random);
+        // A new seed begins a new series of episodes.
+        let last = (episode.number > 0).then_some(&episode.goal);
+        (episode.after, episode.goal) = episode.task.begin(last, &mut random);
         episode.steps = 0;
         episode.last_action.fill(0.0);
         let stale = std::mem::take(&mut episode.stale);

@@ -79,6 +79,11 @@ pub trait Task: Send + Sync + Sized + 'static {
     /// First state and goal of an episode.
     fn begin(&self, setup: &Setup<Self::Options>, random: &mut Random) -> (State, Goal);
 
+    /// The same for an episode that follows one whose goal was `last` in the same environment.
+    fn begin_after(&self, setup: &Setup<Self::Options>, _last: &Goal, random: &mut Random) -> (State, Goal) {
+        self.begin(setup, random)
+    }
+
     /// The servos' command under `action`.
     fn command(&self, action: &[f32], state: &State, command: &mut Command);
 
@@ -117,7 +122,8 @@ pub trait Task: Send + Sync + Sized + 'static {
 pub trait AnyTask: Send + Sync {
     fn spec(&self) -> &Spec;
     fn model(&self) -> &Arc<Model>;
-    fn begin(&self, random: &mut Random) -> (State, Goal);
+    /// The first episode of an environment, or the one after an episode whose goal was `last`.
+    fn begin(&self, last: Option<&Goal>, random: &mut Random) -> (State, Goal);
     fn command(&self, action: &[f32], state: &State, command: &mut Command);
     fn after_step(&self, goal: &mut Goal, state: &State, info: &[f32]) -> Change;
     fn observe(&self, goal: &Goal, state: &State, last_action: &[f32], row: &mut [f32]);
@@ -205,8 +211,11 @@ impl<T: Task> AnyTask for TaskSetup<T> {
         &self.model
     }
 
-    fn begin(&self, random: &mut Random) -> (State, Goal) {
-        self.task.begin(&self.setup(), random)
+    fn begin(&self, last: Option<&Goal>, random: &mut Random) -> (State, Goal) {
+        match last {
+            Some(last) => self.task.begin_after(&self.setup(), last, random),
+            None => self.task.begin(&self.setup(), random),
+        }
     }
 
     fn command(&self, action: &[f32], state: &State, command: &mut Command) {

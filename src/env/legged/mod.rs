@@ -7,15 +7,18 @@
 //! * [`options`]: its options; [`draws`]: the ranges that an episode draws from; [`episode`]: the values that an
 //!   episode has drawn and updates; [`reward`]: the terms.
 
+mod curriculum;
 mod draws;
 pub mod episode;
 mod options;
 mod reward;
+mod units;
 
 pub use draws::{Commands, DomainRand};
 use options::action_scales;
 pub use options::{LeggedOptions, ReliefOptions};
 pub use reward::Rewards;
+pub use units::Units;
 
 use super::feature::{Features, flag};
 use super::ground::Change;
@@ -27,7 +30,7 @@ use crate::sim::engine::{Command, EngineKind};
 use crate::sim::model::GRAVITY;
 use crate::sim::{Model, State};
 use draws::MOST_COMMAND;
-use episode::LeggedEpisode;
+use episode::{Difficulty, LeggedEpisode, Seen};
 use reward::{Contacts, LeggedStep};
 use std::sync::Arc;
 
@@ -103,12 +106,17 @@ pub struct LeggedVelocity {
     rewards: Rewards,
     observation: Features<Observe>,
     figures: Features<Figure>,
-    /// Index of the feet's contacts in an info row.
+    /// Indices in an info row: of the feet's contacts, of the velocities, of the ways to fall.
     contacts: usize,
+    velocity: [usize; 3],
+    falls: [usize; 3],
     /// Default position of each joint [rad].
     angles: Vec<f64>,
     /// The joint of each action, and the offset of its target at action 1 [rad].
     driven: Vec<(usize, f64)>,
+    units: Units,
+    /// Factor on the sand's stress at level 0 of the curriculum.
+    ease: f64,
 }
 
 fn observation(joints: &[String], motors: &[String], heights: bool) -> Features<Observe> {
@@ -155,6 +163,7 @@ fn figures(feet: &[String]) -> Features<Figure> {
         .free("weight", "N", |s, _| s.t.model.total_mass() * GRAVITY)
         .free("friction", "1", |s, _| s.legged.friction)
         .free("sand", "1", |s, _| s.legged.sand)
+        .free("level", "1", |s, _| s.legged.level)
         .free("added_mass", "kg", |s, _| s.legged.added_mass)
         .free("motor_strength", "1", |s, _| s.legged.motor_strength)
         .free("bad_orientation", "1", |s, _| flag(s.fallen && !s.t.diverged))
@@ -166,6 +175,34 @@ fn figures(feet: &[String]) -> Features<Figure> {
 /// Gravity's direction, velocity and angular velocity in the base's frame.
 fn base(state: &State) -> [[f64; 3]; 3] {
     [[0.0, 0.0, -1.0], state.velocity, state.angular_velocity].map(|v| state.to_body(v))
+}
+
+impl LeggedVelocity {
+    fn difficulty(&self, options: &LeggedOptions, level: f64) -> Difficulty {
+        let Some(curriculum) = &options.curriculum else { return Difficulty::FULL };
+        let from = |first: f64| first + (1.0 - first) * level;
+        let (commands, pushes) = (from(curriculum.commands), from(curriculum.pushes));
+        Difficulty { level, ease: self.ease.powf(1.0 - level), commands, pushes }
+    }
+
+    /// First state and goal of an episode at this level of the curriculum.
+    fn begin_at(&self, setup: &Setup<LeggedOptions>, level: f64, random: &mut Random) -> (State, Goal) {
+        let noise = setup.options.angle_noise;
+        let angles: Vec<f64> = self.angles.iter().map(|a| a + random.uniform(-noise, noise)).collect();
+        let difficulty = self.difficulty(setup.options, level);
+        let legged = LeggedEpisode::draw(setup.options.draws(&self.units), difficulty, setup.model, random);
+        // The drawn values lie in checked ranges, so this cannot fail; if it did, the session's own model would be
+        // used.
+        let model = legged.model(setup.model).map_or_else(|_| setup.model.clone(), Arc::new);
+        // A random start position on ground that is not flat.
+        let size = model.scene.relief.as_ref().map(|r| r.size());
+        let at = size.map_or([0.0; 2], |size| size.map(|length| random.uniform(0.0, length)));
+        let mut state = State::at_rest(height(&model, &angles, at), &angles);
+        (state.position[0], state.position[1]) = (at[0], at[1]);
+        state.references.copy_from_slice(&self.angles);
+        let [speed, _, turn] = legged.now;
+        (state, Goal { speed, turn, model: Some(model), legged: Some(legged), ..Goal::default() })
+    }
 }
 
 impl Task for LeggedVelocity {
@@ -214,8 +251,13 @@ impl Task for LeggedVelocity {
         };
         let angles = tree.stance.angles.clone();
         let first = feet.first().map(|foot| contact(foot).name);
-        let contacts = spec.info.iter().position(|column| Some(&column.name) == first.as_ref()).unwrap_or(0);
-        Ok(Self { spec, rewards, observation, figures, contacts, angles, driven })
+        let at = |name: &str| spec.info.iter().position(|column| column.name == name).unwrap_or(0);
+        let contacts = first.as_ref().map_or(0, |name| at(name));
+        let velocity = ["speed", "lin_vel_y", "ang_vel_yaw"].map(at);
+        let falls = ["bad_orientation", "base_contact", "base_low"].map(at);
+        let units = Units::of(setup.model);
+        let ease = options.curriculum.map_or(1.0, |c| curriculum::ease(setup.model, c.firm));
+        Ok(Self { spec, rewards, observation, figures, contacts, velocity, falls, angles, driven, units, ease })
     }
 
     fn spec(&self) -> &Spec {
@@ -223,20 +265,17 @@ impl Task for LeggedVelocity {
     }
 
     fn begin(&self, setup: &Setup<LeggedOptions>, random: &mut Random) -> (State, Goal) {
-        let noise = setup.options.angle_noise;
-        let angles: Vec<f64> = self.angles.iter().map(|a| a + random.uniform(-noise, noise)).collect();
-        let legged = LeggedEpisode::draw(setup.options.draws(), setup.model, random);
-        // The drawn values lie in checked ranges, so this cannot fail; if it did, the session's own model would be
-        // used.
-        let model = legged.model(setup.model).map_or_else(|_| setup.model.clone(), Arc::new);
-        // A random start position on ground that is not flat.
-        let size = model.scene.relief.as_ref().map(|r| r.size());
-        let at = size.map_or([0.0; 2], |size| size.map(|length| random.uniform(0.0, length)));
-        let mut state = State::at_rest(height(&model, &angles, at), &angles);
-        (state.position[0], state.position[1]) = (at[0], at[1]);
-        state.references.copy_from_slice(&self.angles);
-        let [speed, _, turn] = legged.now;
-        (state, Goal { speed, turn, model: Some(model), legged: Some(legged), ..Goal::default() })
+        let level = setup.options.curriculum.map_or(1.0, |c| c.level);
+        self.begin_at(setup, level, random)
+    }
+
+    fn begin_after(&self, setup: &Setup<LeggedOptions>, last: &Goal, random: &mut Random) -> (State, Goal) {
+        let level = match (&setup.options.curriculum, &last.legged) {
+            (None, _) => 1.0,
+            (Some(curriculum), Some(last)) => curriculum.next(last.level, &last.followed),
+            (Some(curriculum), None) => curriculum.level,
+        };
+        self.begin_at(setup, level, random)
     }
 
     fn command(&self, action: &[f32], _state: &State, command: &mut Command) {
@@ -249,8 +288,12 @@ impl Task for LeggedVelocity {
 
     fn after_step(&self, setup: &Setup<LeggedOptions>, goal: &mut Goal, _state: &State, info: &[f32]) -> Change {
         let Some(legged) = &mut goal.legged else { return Change::Nothing };
-        let feet = &info[self.contacts..][..legged.air.len()];
-        let push = legged.after_step(setup.options.draws(), feet);
+        let seen = Seen {
+            feet: &info[self.contacts..][..legged.air.len()],
+            velocity: self.velocity.map(|k| info[k].into()),
+            fell: self.falls.iter().any(|k| info[*k] > 0.0),
+        };
+        let push = legged.after_step(setup.options.draws(&self.units), self.units.commanded(), &seen);
         [goal.speed, _, goal.turn] = legged.now;
         push.map_or(Change::Nothing, Change::Push)
     }
@@ -313,7 +356,7 @@ impl Task for LeggedVelocity {
         let Goal { model: None, ground: None, legged: Some(legged), .. } = goal else {
             return Err("its robot".into());
         };
-        if !legged.is_sound(setup.options.draws(), setup.model) {
+        if !legged.is_sound(setup.options.draws(&Units::of(setup.model)), setup.model) {
             return Err("its drawn values".into());
         }
         goal.model = Some(Arc::new(legged.model(setup.model).map_err(|e| e.to_string())?));

@@ -1,6 +1,8 @@
 //! Options of LeggedVelocity: names and defaults after legged_gym (Rudin et al. 2022, `legged_robot_config.py`) where it has
 //! them.
 
+use super::curriculum::Curriculum;
+use super::units::Units;
 use super::draws::{Commands, DomainRand, Draws};
 use super::reward::Rewards;
 use crate::error::{Error, Result, check_range};
@@ -35,6 +37,7 @@ options! {
         payload: f64 = 0.0, reset, "extra mass at the base's centre [kg]";
         max_episode_steps: u32 = 1000, [1.0, MAX_STEPS], "number of control steps after which an episode is truncated";
         ground: String = Medium::DEFAULT.into(), reset, "rigid, mixed (slabs of hard ground in loose poppy seeds), dunes (of loose poppy seeds), a medium's name, zeta=VALUE, or mu=VALUE,rho=VALUE";
+        curriculum: Option<Curriculum> = Some(Curriculum::default()), reset, "an environment's episodes become harder while its robot follows its commands, and easier while it does not; None: all have full difficulty";
         commands: Commands = Commands::default(), reset, "ranges [low, high] of commands, which are drawn at the start and repeatedly during the episode";
         rewards: Rewards = Rewards::default(), reset, "weight of each reward term [1/s]";
         domain_rand: Option<DomainRand> = Some(DomainRand::default()), reset, "ranges [low, high] of the quantities that an episode draws; None: nothing is drawn";
@@ -81,13 +84,14 @@ impl ReliefOptions {
 }
 
 impl LeggedOptions {
-    pub(super) fn draws(&self) -> Draws {
+    pub(super) fn draws(&self, units: &Units) -> Draws {
         let rand = self.domain_rand.unwrap_or(DomainRand::NONE);
-        Draws { commands: self.commands, rand, steps: self.max_episode_steps }
+        let (commands, resampling_time) = (units.ranges(&self.commands), self.commands.resampling_time);
+        Draws { commands, resampling_time, small: SMALL * units.speed, rand, steps: self.max_episode_steps }
     }
 
     pub(super) fn model(&self) -> Result<Model> {
-        let interval = self.draws().rand.push_interval;
+        let interval = self.domain_rand.map_or(0.0, |rand| rand.push_interval);
         if interval != 0.0 {
             check_range("domain_rand.push_interval", interval, 0.1..=1e4)?;
         }
@@ -120,6 +124,10 @@ impl LeggedOptions {
         Ok(tree)
     }
 }
+
+/// Commanded speeds below this part of √(gℓ) are zero: legged_gym has 0.2 m/s of at most 1 m/s; our choice is smaller, so that slow
+/// steps to the side are learned too.
+const SMALL: f64 = 0.05;
 
 /// Least and greatest scale of an action [rad]: our choice. With the least one a foot moves by some 0.4 lengths of the
 /// leg; a greater one than 1 rad leaves most joints' ranges.
