@@ -209,7 +209,7 @@ pub fn learn(request: &Request, progress: &dyn Progress) -> Result<(Outcome, Str
 fn report(request: &Request, outcome: &Outcome) -> String {
     let learnt = &outcome.learnt;
     let rate = learnt.steps as f64 / learnt.seconds / 1e3;
-    let share = outcome.last.map_or(String::new(), |r| format!(", {:.0} % of it for rollouts", 100.0 * r.simulation));
+    let share = outcome.last.as_ref().map_or(String::new(), |r| format!(", {:.0} % of it for rollouts", 100.0 * r.simulation));
     let mut text = format!(
         "{}, seed {}: {:.2} M steps in {:.1} s ({rate:.0} k a second{share})\n",
         request.task,

@@ -247,10 +247,11 @@ impl Observer for Diary<'_> {
         if report.steps - self.saved >= self.request.checkpoint_every {
             self.save()?;
         }
-        self.last = Some(*report);
+        self.last = Some(report.clone());
         let reached = self.curve.points.last().map_or(String::new(), |p| format!(", return {:.0}", p.mean_return));
-        let stage =
-            format!("the training: {:.2} M steps{reached}, {:.0} k a second", report.steps as f64 / 1e6, rate / 1e3);
+        let level = report.level.map_or(String::new(), |level| format!(", level {level:.2}"));
+        let (millions, thousands) = (report.steps as f64 / 1e6, rate / 1e3);
+        let stage = format!("the training: {millions:.2} M steps{reached}{level}, {thousands:.0} k a second");
         self.told = (report.done, stage);
         self.asked = Instant::now();
         self.progress.report(self.told.0, &self.told.1)
@@ -272,7 +273,13 @@ impl Diary<'_> {
             ("time/fps", rate),
             ("time/simulation_share", report.simulation),
         ];
-        self.events.scalars(report.steps, &scalars)
+        self.events.scalars(report.steps, &scalars)?;
+        let terms = &self.plan.blueprint.task.spec().reward;
+        let named = terms.iter().zip(&report.terms).map(|(term, mean)| (format!("reward/{}", term.name), *mean));
+        let level = report.level.map(|level| ("rollout/level".to_owned(), level));
+        let more: Vec<_> = named.chain(level).collect();
+        let more: Vec<(&str, f64)> = more.iter().map(|(name, value)| (&name[..], *value)).collect();
+        self.events.scalars(report.steps, &more)
     }
 
     fn save(&mut self) -> Result<PathBuf> {

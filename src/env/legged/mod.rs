@@ -322,6 +322,7 @@ impl Task for LeggedVelocity {
             legged,
             contacts,
             default,
+            units: &self.units,
             gravity,
             velocity,
             angular_velocity,

@@ -44,7 +44,7 @@ options! {
         default_joint_angles: BTreeMap<String, f64> = BTreeMap::new(), [-100.0, 100.0], reset, "default positions of joints by pattern of their names [rad], in place of the robot's";
         stiffness: BTreeMap<String, f64> = BTreeMap::new(), [0.0, 1e6], reset, "position gains kp of servos by pattern of joint names [N·m/rad], in place of the robot's";
         damping: BTreeMap<String, f64> = BTreeMap::new(), [0.0, 1e5], reset, "speed gains kd of servos by pattern of joint names [N·m·s/rad], in place of the robot's";
-        action_scale: Option<f64> = None, [1e-3, 3.0], reset, "difference between a joint's target and its default position at action 1 [rad]; None: where the servo gives the joint's full torque, but 0.4 to 1 rad";
+        action_scale: Option<f64> = None, [1e-3, 3.0], reset, "difference between a joint's target and its default position at action 1 [rad]; None: where the servo gives the joint's full torque, but 0.4 to 0.5 rad";
         relief: Option<ReliefOptions> = None, "heights of the ground; None: the ground is flat, except with ground dunes";
         measure_heights: bool = false, "add the ground's heights at legged_gym's 187 points around the robot to the observation";
     }
@@ -129,11 +129,9 @@ impl LeggedOptions {
 /// steps to the side are learned too.
 const SMALL: f64 = 0.05;
 
-/// Least and greatest scale of an action [rad]: our choice. With the least one a foot moves by some 0.4 lengths of the
-/// leg; a greater one than 1 rad leaves most joints' ranges.
-const SCALES: [f64; 2] = [0.4, 1.0];
-/// Scale of a joint without a known torque limit [rad]: that of Isaac Lab's velocity tasks.
-const USUAL_SCALE: f64 = 0.5;
+/// Least and greatest scale of an action [rad]. With the least one, our choice, a foot moves by some 0.4 lengths of the leg. The
+/// greatest one, also that of a joint without a known torque limit, is that of Isaac Lab's velocity tasks.
+const SCALES: [f64; 2] = [0.4, 0.5];
 /// Scale of a sliding joint without a range, as a part of the legs' length: our choice.
 const SLIDING: f64 = 0.25;
 
@@ -142,7 +140,7 @@ pub(super) fn action_scales(tree: &TreeModel, given: Option<f64>) -> Vec<f64> {
     let scale = |(joint, motor): (&TreeJoint, &TreeMotor)| match (joint.kind, motor.torque_limit) {
         (JointKind::Slide, _) => joint.range.map_or(SLIDING * tree.stance.leg_length, |[low, high]| (high - low) / 2.0),
         (_, Some(limit)) if motor.kp > 0.0 => (limit / motor.kp).clamp(SCALES[0], SCALES[1]),
-        _ => USUAL_SCALE,
+        _ => SCALES[1],
     };
     let joints = tree.tree.joints().zip(&tree.motors);
     joints.map(|joint| given.unwrap_or_else(|| scale(joint))).collect()
