@@ -12,6 +12,7 @@ mod intrude;
 mod layout;
 mod media;
 mod progress;
+mod play;
 mod replay;
 mod reproduce;
 mod robot;
@@ -75,6 +76,7 @@ enum Command {
     Intrude(intrude::Intrude),
     Media(media::Media),
     Stress(stress::Stress),
+    Play(play::Play),
     Replay(replay::Replay),
     Reproduce(reproduce::Reproduce),
     Robot(robot::Robot),
@@ -138,6 +140,7 @@ fn run(command: Command) -> Result<String> {
         Command::Intrude(c) => c.run(),
         Command::Media(c) => c.run(),
         Command::Stress(c) => c.run(),
+        Command::Play(c) => c.run(),
         Command::Replay(c) => c.run(),
         Command::Reproduce(c) => c.run(),
         Command::Robot(c) => c.run(),

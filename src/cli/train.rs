@@ -121,9 +121,7 @@ impl Train {
 
     fn asked(self) -> Result<Training> {
         let changes = self.set.iter().map(|change| entry::pair("--set", change)).collect::<Result<_>>()?;
-        let options = self.option.iter().map(|option| entry::pair("--option", option));
-        let mut options = Value::Object(options.collect::<Result<Map<_, _>>>()?);
-        super::read_files(&mut options)?;
+        let options = Value::Object(options(&self.option)?);
         let place = self.address.map(|address| place(address, self.token_file.as_deref(), self.ca.as_deref()));
         Ok(Training {
             task: self.task,
@@ -195,6 +193,14 @@ fn connected(place: ServerAddress) -> Box<Connect> {
         let session = Session::new(place.clone(), blueprint, options, envs, pause)?;
         Ok(Box::new(session) as Box<dyn Remote>)
     })
+}
+
+/// Options of a task from words NAME=VALUE, with files read.
+pub fn options(words: &[String]) -> Result<Map<String, Value>> {
+    let options = words.iter().map(|word| entry::pair("--option", word)).collect::<Result<Map<_, _>>>()?;
+    let mut options = Value::Object(options);
+    super::read_files(&mut options)?;
+    Ok(options.as_object().cloned().unwrap_or_default())
 }
 
 /// Trains, and writes all files; returns the results, also as text.

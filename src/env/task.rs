@@ -92,6 +92,16 @@ pub trait Task: Send + Sync + Sized + 'static {
         Change::Nothing
     }
 
+    /// The ranges [low, high] of commanded speeds forward, to the left [m/s] and yaw [rad/s]; None: the task has no commands.
+    fn command_ranges(&self, _setup: &Setup<Self::Options>) -> Option<[[f64; 2]; 3]> {
+        None
+    }
+
+    /// Replaces the command of the rest of the episode: forward, to the left [m/s], yaw [rad/s].
+    fn set_command(&self, goal: &mut Goal, command: [f64; 3]) {
+        [goal.speed, _, goal.turn] = command;
+    }
+
     /// Fills an observation row.
     fn observe(&self, goal: &Goal, state: &State, last_action: &[f32], row: &mut [f32]);
 
@@ -130,6 +140,10 @@ pub trait AnyTask: Send + Sync {
     fn evaluate(&self, transition: &Transition, info: &mut [f32]) -> bool;
     fn most_obstacles(&self) -> usize;
     fn resume(&self, goal: &mut Goal) -> std::result::Result<(), String>;
+    /// See [`Task::command_ranges`].
+    fn command_ranges(&self) -> Option<[[f64; 2]; 3]>;
+    /// See [`Task::set_command`].
+    fn set_command(&self, goal: &mut Goal, command: [f64; 3]);
 
     /// The options' declarations.
     fn rows(&self) -> Vec<OptionRow>;
@@ -240,6 +254,14 @@ impl<T: Task> AnyTask for TaskSetup<T> {
 
     fn resume(&self, goal: &mut Goal) -> std::result::Result<(), String> {
         T::resume(&self.setup(), goal)
+    }
+
+    fn command_ranges(&self) -> Option<[[f64; 2]; 3]> {
+        self.task.command_ranges(&self.setup())
+    }
+
+    fn set_command(&self, goal: &mut Goal, command: [f64; 3]) {
+        self.task.set_command(goal, command);
     }
 
     fn rows(&self) -> Vec<OptionRow> {

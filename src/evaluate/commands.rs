@@ -75,7 +75,7 @@ impl CommandStudy {
         let gait = gait.ok_or_else(|| Error::invalid("policy", "a tripod follows no commands"))?;
         let (ranges, own) = (base.task.option("commands"), Units::of(base.task.model()).commanded());
         let end = |k: usize, share: f64| {
-            let end = ranges[NAMES[k]][usize::from(share > 0.0)].as_f64().unwrap_or(own[k]);
+            let end = ranges[NAMES[k]][usize::from(share > 0.0)].as_f64().unwrap_or(own[k].copysign(share));
             // Rounded, so that a table shows the number that was commanded.
             (share.abs() * end * 1e3).round() / 1e3
         };

@@ -6,7 +6,7 @@ use super::events::Events;
 use super::plan::{Learnt, Observer, Plan, Report};
 use super::remote::{Pause, Remote};
 use super::settings::Settings;
-use super::{checkpoint, export, film};
+use super::{checkpoint, describe, export, film};
 use crate::env::Task;
 use crate::env::legged::LeggedVelocity;
 use crate::env::registry::Blueprint;
@@ -180,6 +180,7 @@ impl Request {
     fn keep(&self, plan: &Plan, learnt: &Learnt, options: Value, progress: &dyn Progress) -> Result<Option<Score>> {
         let onnx = export::onnx(plan, learnt);
         self.write("policy.onnx", &onnx)?;
+        self.write("policy.json", format!("{:#}\n", describe::policy(plan)).as_bytes())?;
         let policy = Learnt { environments: None, ..learnt.clone() };
         checkpoint::save(&self.out.join("policy.safetensors"), plan, &policy, [0.0; 2])?;
         let spec = plan.blueprint.task.spec();

@@ -14,7 +14,7 @@ mod options;
 mod reward;
 mod units;
 
-pub use draws::{Commands, DomainRand};
+pub use draws::{Commands, DomainRand, MOST_COMMAND};
 use options::action_scales;
 pub use options::{LeggedOptions, ReliefOptions};
 pub use reward::Rewards;
@@ -29,7 +29,6 @@ use crate::error::{Error, Result};
 use crate::sim::engine::{Command, EngineKind};
 use crate::sim::model::GRAVITY;
 use crate::sim::{Model, State};
-use draws::MOST_COMMAND;
 use episode::{Difficulty, LeggedEpisode, Seen};
 use reward::{Contacts, LeggedStep};
 use std::sync::Arc;
@@ -117,6 +116,36 @@ pub struct LeggedVelocity {
     units: Units,
     /// Factor on the sand's stress at level 0 of the curriculum.
     ease: f64,
+}
+
+/// How an action moves a joint: its target is `default` plus the action times `scale`, which a servo follows.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct JointTarget {
+    pub joint: String,
+    /// [rad], for sliding joints [m]
+    pub default: f64,
+    pub scale: f64,
+    /// Gains [N·m/rad, N·m·s/rad] and torque limit [N·m], if it is known.
+    pub stiffness: f64,
+    pub damping: f64,
+    pub torque_limit: Option<f64>,
+}
+
+/// The target of each action of LeggedVelocity in `model`; `action_scale`: the option.
+pub fn joint_targets(model: &Model, action_scale: Option<f64>) -> Vec<JointTarget> {
+    let Some(tree) = &model.tree else { return Vec::new() };
+    let (names, followers) = (model.joint_names(), tree.tree.followers());
+    let scales = action_scales(tree, action_scale);
+    let driven = (0..names.len()).filter(|i| followers.iter().all(|f| f.joint != *i));
+    let target = |i: usize| JointTarget {
+        joint: names[i].clone(),
+        default: tree.stance.angles[i],
+        scale: scales[i],
+        stiffness: tree.motors[i].kp,
+        damping: tree.motors[i].kd,
+        torque_limit: tree.motors[i].torque_limit,
+    };
+    driven.map(target).collect()
 }
 
 fn observation(joints: &[String], motors: &[String], heights: bool) -> Features<Observe> {
@@ -296,6 +325,17 @@ impl Task for LeggedVelocity {
         let push = legged.after_step(setup.options.draws(&self.units), self.units.commanded(), &seen);
         [goal.speed, _, goal.turn] = legged.now;
         push.map_or(Change::Nothing, Change::Push)
+    }
+
+    fn command_ranges(&self, setup: &Setup<LeggedOptions>) -> Option<[[f64; 2]; 3]> {
+        Some(self.units.ranges(&setup.options.commands))
+    }
+
+    fn set_command(&self, goal: &mut Goal, command: [f64; 3]) {
+        [goal.speed, _, goal.turn] = command;
+        if let Some(legged) = &mut goal.legged {
+            (legged.commands, legged.now) = (vec![command], command);
+        }
     }
 
     fn observe(&self, goal: &Goal, state: &State, last_action: &[f32], row: &mut [f32]) {
