@@ -51,10 +51,17 @@ The robot starts in its default pose just above the ground, with random errors o
 joint is its default position plus its action times `action_scale`. A servo at each joint follows the target. Default positions and gains are those of
 `default_joint_angles`, `stiffness` and `damping`, or else of the robot's file, or else found (docs/robots.md has the formulas). A pattern of these
 options is a joint's name, a part of it, or has a `*` for any letters. Commands are drawn from `commands` at the start and every `resampling_time`; speeds
-below 0.2 m/s are set to zero. `domain_rand` has the other quantities that an episode draws, and the pushes of the base.
+below 0.05 √(gℓ) are set to zero. `domain_rand` has the other quantities that an episode draws, and the pushes of the base.
 
-The names and formulas of the reward terms, their weights, and the order of the observation are those of legged_gym (Rudin et al. 2022) and
-of Isaac Lab's velocity tasks. As in these, a term is multiplied by its weight and by the control step's duration. A foot is in contact, and
+With `curriculum` an environment has a level from 0 to 1, which is in `info`. It rises by `step` after an episode whose mean error was at
+most `rise`, and falls by `step` after one whose error was at least `fall` or in which the robot fell. A command's error is
+|mean velocity − command| / |command|, each component divided by the end of its default range, without the first two seconds. The sand's stress is
+multiplied by e^(1 − level): with the factor e, the standing robot's feet sink by 2 % of the legs' length; on sand that carries it better e is 1. Pushes
+are multiplied by the level. A reset with a seed begins at the first level again. Level 1, and `curriculum=None`, are the task itself; evaluate policies
+with `curriculum=None`.
+
+The names of the reward terms and the order of the observation are those of legged_gym (Rudin et al. 2022) and
+of Isaac Lab's velocity tasks; velocities, times and torques in rewards are in units of the robot: √(gℓ), √(ℓ/g), Wℓ, with its legs' length ℓ and weight W. As in these, a term is multiplied by its weight and by the control step's duration. A foot is in contact, and
 another body collides, when it is in the ground. Velocities are those of the base link's origin, in the base's frame. There are three differences to
 legged_gym: observations are not scaled, a negative sum of rewards is not clipped at zero, and actions are within ±1. Therefore
 `action_scale` is larger than the 0.25 of legged_gym.
@@ -209,9 +216,8 @@ fn base(state: &State) -> [[f64; 3]; 3] {
 impl LeggedVelocity {
     fn difficulty(&self, options: &LeggedOptions, level: f64) -> Difficulty {
         let Some(curriculum) = &options.curriculum else { return Difficulty::FULL };
-        let from = |first: f64| first + (1.0 - first) * level;
-        let (commands, pushes) = (from(curriculum.commands), from(curriculum.pushes));
-        Difficulty { level, ease: self.ease.powf(1.0 - level), commands, pushes }
+        let commands = curriculum.commands + (1.0 - curriculum.commands) * level;
+        Difficulty { level, ease: self.ease.powf(1.0 - level), commands, pushes: level }
     }
 
     /// First state and goal of an episode at this level of the curriculum.
@@ -285,7 +291,7 @@ impl Task for LeggedVelocity {
         let velocity = ["speed", "lin_vel_y", "ang_vel_yaw"].map(at);
         let falls = ["bad_orientation", "base_contact", "base_low"].map(at);
         let units = Units::of(setup.model);
-        let ease = options.curriculum.map_or(1.0, |c| curriculum::ease(setup.model, c.firm));
+        let ease = options.curriculum.map_or(1.0, |_| curriculum::ease(setup.model));
         Ok(Self { spec, rewards, observation, figures, contacts, velocity, falls, angles, driven, units, ease })
     }
 
