@@ -4,6 +4,8 @@ use sandgait::env::Shard;
 use sandgait::env::legged::Units;
 use sandgait::env::registry::Blueprint;
 use sandgait::env::snapshot::Resumed;
+use sandgait::sim::model::GRAVITY;
+use sandgait::sim::tree::kinematics::{frames, lowest};
 use serde_json::{Value, json};
 
 const ID: &str = "sandgait/LeggedVelocity-v1";
@@ -71,7 +73,7 @@ fn levels_follow_the_robot() {
 fn a_seed_begins_again() {
     let blueprint = blueprint(short(0.0, 0.5));
     let mut shard = shard(&blueprint, &[7]);
-    let mut after = |shard: &mut Shard, steps: usize| {
+    let after = |shard: &mut Shard, steps: usize| {
         (0..steps).for_each(|_| shard.step(&[0.0; 12]));
         level(&blueprint, shard, 0)
     };
@@ -113,8 +115,10 @@ fn history(blueprint: &Blueprint, seeds: &[u64], at: usize, from: Option<usize>)
 /// Bits depend neither on the neighbours nor on a snapshot in the middle of an episode.
 #[test]
 fn levels_have_the_same_bits_in_every_batch() {
-    let blueprint = blueprint(json!({"ground": "poppy-close", "max_episode_steps": 25, "curriculum": {"level": 0.3, "step": 0.07, "rise": 2.0, "fall": 3.0},
-        "commands": {"resampling_time": 0.2}}));
+    let blueprint = blueprint(
+        json!({"ground": "poppy-close", "max_episode_steps": 25, "curriculum": {"level": 0.3, "step": 0.07, "rise": 2.0, "fall": 3.0},
+        "commands": {"resampling_time": 0.2}}),
+    );
     let alone = history(&blueprint, &[5], 0, None);
     assert!(alone == history(&blueprint, &[3, 4, 5, 6, 9], 2, None));
     assert!(alone == history(&blueprint, &[5], 0, Some(63)));
@@ -125,17 +129,19 @@ fn levels_have_the_same_bits_in_every_batch() {
     assert!(levels.len() > 3, "{levels:?}");
 }
 
-/// Depth of the feet of the standing robot in parts of its legs' length.
+/// Mean depth of the feet of the standing robot in parts of its legs' length.
 fn sunk(options: Value) -> f64 {
     let blueprint = blueprint(options);
     let mut shard = shard(&blueprint, &[1]);
     (0..150).for_each(|_| shard.step(&[0.0; 12]));
-    let (state, model) = (shard.state(0), shard.model(0));
-    let tree = model.tree.as_ref().unwrap();
-    (tree.standing_height(&state.angles) - state.position[2]) / tree.stance.leg_length
+    let tree = shard.model(0).tree.as_ref().unwrap();
+    let (frames, feet) = (frames(&tree.tree, shard.state(0)), &tree.stance.feet);
+    let depth = |foot: &usize| -lowest(&frames[*foot], &tree.contacts[*foot]).z;
+    feet.iter().map(depth).sum::<f64>() / feet.len() as f64 / tree.stance.leg_length
 }
 
-/// At level 0 sand carries the robot like hard ground: the feet sink by some 2 % of the legs' length; at level 1 as without a
+/// At level 0 sand carries the robot like hard ground: the feet sink by some 2 % of the legs' length, and up to
+/// twice as much because the robot is set down with a bump; at level 1 as without a
 /// curriculum.
 #[test]
 fn the_first_level_is_firm() {
@@ -147,7 +153,7 @@ fn the_first_level_is_firm() {
     };
     let [first, middle, last, none] =
         [json!({"level": 0.0}), json!({"level": 0.5}), json!({"level": 1.0}), Value::Null].map(at);
-    assert!((0.01..0.03).contains(&first), "{first}");
+    assert!((0.01..0.04).contains(&first), "{first}");
     assert!(first < middle && middle < last, "{first} {middle} {last}");
     assert_eq!(last, none);
 }
@@ -157,7 +163,7 @@ fn the_first_level_is_firm() {
 fn commands_suit_the_legs() {
     let blueprint = blueprint(json!({"commands": {"lin_vel_y": [-0.1, 0.2]}}));
     let model = blueprint.task.model();
-    let (length, g) = (model.tree.as_ref().unwrap().stance.leg_length, 9.81);
+    let (length, g) = (model.tree.as_ref().unwrap().stance.leg_length, GRAVITY);
     let units = Units::of(model);
     let near = |a: f64, b: f64| assert!((a / b - 1.0).abs() < 1e-9, "{a} {b}");
     near(units.speed * units.speed, g * length);

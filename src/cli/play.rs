@@ -1,11 +1,12 @@
 //! `sandgait play`
 
 use sandgait::env::Shard;
+use sandgait::env::Task;
 use sandgait::env::legged::LeggedVelocity;
 use sandgait::env::registry::Blueprint;
-use sandgait::env::Task;
 use sandgait::policy::Network;
 use sandgait::service::{Play as Page, bind_tcp};
+use sandgait::train::entry;
 use sandgait::{Error, Result};
 use serde_json::{Value, json};
 use std::net::{Ipv4Addr, SocketAddr};
@@ -40,7 +41,7 @@ pub struct Play {
     seconds: Option<f64>,
 }
 
-/// The policy that this program contains: that of examples/policies/HexapodGait-ppo, which `sandgait train` made.
+/// The policy that this program contains: that of `examples/policies/HexapodGait-ppo`.
 const HEXAPOD: &[u8] = include_bytes!("../../examples/policies/HexapodGait-ppo/policy.onnx");
 const HEXAPOD_SETTINGS: &str = include_str!("../../examples/policies/HexapodGait-ppo/settings.json");
 
@@ -86,7 +87,10 @@ impl Play {
             return Ok((HEXAPOD.to_vec(), settings.map_err(|e| no_json(Path::new("settings.json"), e))?));
         }
         if !self.policy.ends_with(".onnx") {
-            let reason = format!("{:?} is neither an .onnx file nor HexapodGait, the task whose policy is part of this program", self.policy);
+            let reason = format!(
+                "{:?} is neither an .onnx file nor HexapodGait, the task whose policy is part of this program",
+                self.policy
+            );
             return Err(Error::invalid("policy", reason));
         }
         let path = PathBuf::from(&self.policy);
@@ -98,15 +102,18 @@ impl Play {
 
     /// The task, without randomness and with long episodes, and its policy.
     fn prepare(&self, onnx: &[u8], settings: &Value) -> Result<(Blueprint, Network)> {
-        let task = settings["task"].as_str().unwrap_or_default();
+        let task = entry::task_id(settings["task"].as_str().unwrap_or_default());
         let mut options = settings["options"].as_object().cloned().unwrap_or_default();
         options.extend(super::train::options(&self.option)?);
-        options.insert("max_episode_steps".into(), json!(STEPS));
+        let mut options = Value::Object(options);
+        // Options that Python wrote name files.
+        super::read_files(&mut options)?;
+        options["max_episode_steps"] = json!(STEPS);
         if task == LeggedVelocity::ID {
-            options.insert("domain_rand".into(), Value::Null);
-            options.insert("curriculum".into(), Value::Null);
+            options["domain_rand"] = Value::Null;
+            options["curriculum"] = Value::Null;
         }
-        let blueprint = Blueprint::new(task, Value::Object(options))?;
+        let blueprint = Blueprint::new(&task, options)?;
         if blueprint.task.command_ranges().is_none() {
             return Err(Error::invalid("policy", format!("{task} has no commands to steer by")));
         }
@@ -116,7 +123,13 @@ impl Play {
 }
 
 /// Steps one environment in real time, under the page's commands, until `stop` is cancelled or `seconds` are over.
-fn walk(blueprint: &Blueprint, network: &Network, page: &Page, seconds: Option<f64>, stop: &CancellationToken) -> Result<()> {
+fn walk(
+    blueprint: &Blueprint,
+    network: &Network,
+    page: &Page,
+    seconds: Option<f64>,
+    stop: &CancellationToken,
+) -> Result<()> {
     let Some(ranges) = blueprint.task.command_ranges() else { return Ok(()) };
     let mut shard = Shard::new(blueprint, 1)?;
     shard.reset(|_| true, Some(&[0]), |_| None);

@@ -215,7 +215,8 @@ pub fn learn(request: &Request, progress: &dyn Progress) -> Result<(Outcome, Str
 fn report(request: &Request, outcome: &Outcome) -> String {
     let learnt = &outcome.learnt;
     let rate = learnt.steps as f64 / learnt.seconds / 1e3;
-    let share = outcome.last.as_ref().map_or(String::new(), |r| format!(", {:.0} % of it for rollouts", 100.0 * r.simulation));
+    let share =
+        outcome.last.as_ref().map_or(String::new(), |r| format!(", {:.0} % of it for rollouts", 100.0 * r.simulation));
     let mut text = format!(
         "{}, seed {}: {:.2} M steps in {:.1} s ({rate:.0} k a second{share})\n",
         request.task,
@@ -236,7 +237,10 @@ fn report(request: &Request, outcome: &Outcome) -> String {
         }
         Some(Score::Commands(followed)) => {
             let (cells, summary) = (commands::cells(followed), commands::summary(followed));
-            text += &format!("\nwithout noise and randomness, by command:\n\n{}\n{summary}\n", super::table(&cells));
+            let level = outcome.last.as_ref().and_then(|report| report.level);
+            let limit = super::layout::wrapped(&commands::limit(followed, level), super::layout::WIDTH).join("\n");
+            let table = super::table(&cells);
+            text += &format!("\nwithout noise and randomness, by command:\n\n{table}\n{summary}\n\n{limit}\n");
         }
         None => (),
     }

@@ -177,6 +177,31 @@ pub fn summary(followed: &Followed) -> String {
     format!("mean error {}, worst {}, fell {}", percent(*mean_error), percent(*worst_error), percent(*falls))
 }
 
+/// One sentence on what limits the policy; `level`: the mean level of the curriculum at the end of its training.
+pub fn limit(followed: &Followed, level: Option<f64>) -> String {
+    let name = |line: &Line| {
+        let [x, y, yaw] = line.command;
+        format!("{x:.2} m/s forward, {y:.2} m/s to the left, {yaw:.2} rad/s")
+    };
+    let worst = |of: fn(&Line) -> f64| followed.lines.iter().max_by(|a, b| of(a).total_cmp(&of(b)));
+    match (level, worst(|l| l.falls), worst(|l| l.error)) {
+        (Some(level), ..) if level < TRAINED => format!(
+            "The training ended at level {level:.2} of 1 of its curriculum, so the robot has hardly met ground of full difficulty: \
+             train longer (--resume --seconds)."
+        ),
+        (_, Some(line), _) if line.falls > 0.0 => {
+            format!("It falls most often, in {} of the trials, under the command {}.", percent(line.falls), name(line))
+        }
+        (.., Some(line)) => {
+            format!("It follows the command {} worst, with an error of {}.", name(line), percent(line.error))
+        }
+        _ => String::new(),
+    }
+}
+
+/// Mean level from which on most environments have full difficulty: our choice.
+const TRAINED: f64 = 0.9;
+
 fn percent(share: f64) -> String {
     format!("{:.0} %", 100.0 * share)
 }

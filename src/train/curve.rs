@@ -55,7 +55,8 @@ impl Curve {
             return Ok(());
         }
         let [sum, count] = std::mem::take(&mut self.open);
-        let point = Point { steps: report.steps, seconds: report.seconds, mean_return: sum / count, level: report.level };
+        let point =
+            Point { steps: report.steps, seconds: report.seconds, mean_return: sum / count, level: report.level };
         self.points.push(point);
         self.file.write_all(line(&point).as_bytes()).map_err(|e| Error::file(&self.path, e))
     }

@@ -2,8 +2,8 @@
 //! its commands in the episode before, as in legged_gym (`_update_terrain_curriculum`).
 
 use crate::options;
-use crate::sim::tree::forces::support;
 use crate::sim::model::GRAVITY;
+use crate::sim::tree::forces::support;
 use crate::sim::{Model, State};
 use serde::{Deserialize, Serialize};
 

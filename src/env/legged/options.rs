@@ -2,9 +2,9 @@
 //! them.
 
 use super::curriculum::Curriculum;
-use super::units::Units;
 use super::draws::{Commands, DomainRand, Draws};
 use super::reward::Rewards;
+use super::units::Units;
 use crate::error::{Error, Result, check_range};
 use crate::options;
 use crate::options::RobotName;

@@ -81,7 +81,8 @@ async fn show() -> impl IntoResponse {
 }
 
 async fn list(State(play): State<Arc<Play>>) -> impl IntoResponse {
-    let body = serde_json::json!([{"name": "play", "task": play.task.spec().id, "envs": 1, "steered": true}]).to_string();
+    let body =
+        serde_json::json!([{"name": "play", "task": play.task.spec().id, "envs": 1, "steered": true}]).to_string();
     ([(CONTENT_TYPE, "application/json"), (CACHE_CONTROL, "no-store")], body)
 }
 
@@ -105,7 +106,10 @@ async fn watch(State(play): State<Arc<Play>>) -> Response {
 /// A JSON list of three shares from −1 to 1.
 async fn steer(State(play): State<Arc<Play>>, headers: HeaderMap, body: Bytes) -> Response {
     if !headers.get(AUTHORIZATION).is_some_and(|value| play.key.admits(value.as_bytes())) {
-        return (StatusCode::UNAUTHORIZED, "open this page by the address that sandgait play printed; it has the key\n")
+        return (
+            StatusCode::UNAUTHORIZED,
+            "open this page by the address that sandgait play printed; it has the key\n",
+        )
             .into_response();
     }
     match serde_json::from_slice::<[f64; 3]>(&body) {
