@@ -91,6 +91,7 @@ impl Plan {
             Some(false) => None,
             None => Mirror::both(&blueprint).ok(),
         };
+        let settings = Settings { mirror: Some(mirror.is_some()), ..settings };
         let networks = Networks { shape, mirror, isa: Isa::choose()? };
         Ok(Self { blueprint, settings, networks, seed, threads: threads.max(1) })
     }

@@ -99,7 +99,7 @@ impl Request {
             "options": options,
             "version": env!("CARGO_PKG_VERSION"),
             "instruction_set": plan.networks.isa.name(),
-            "hyperparameters": self.settings.json(),
+            "hyperparameters": plan.settings.json(),
         });
         self.write("settings.json", format!("{about:#}\n").as_bytes())?;
         let until = self.resume.then_some(learnt.steps);
@@ -186,7 +186,13 @@ impl Request {
         let spec = plan.blueprint.task.spec();
         let network = Network::new(&onnx, spec)?;
         let (recording, picture) = (self.out.join("walk.rec"), self.out.join("walk.png"));
-        film::film(&plan.blueprint, &network, evaluate::FIRST_SEED, &recording, &picture)?;
+        let mut shown = options.clone();
+        if spec.id == LeggedVelocity::ID {
+            // The ground of the task itself, not that of the curriculum's first level.
+            shown["curriculum"] = Value::Null;
+        }
+        let shown = Blueprint::new(&self.task, shown)?;
+        film::film(&shown, &network, evaluate::FIRST_SEED, &recording, &picture)?;
         let policy = Wanted::Network { name: "policy.onnx".into(), bytes: onnx };
         if spec.id == LeggedVelocity::ID {
             return CommandStudy::new(&policy, &options)?.run(progress).map(Score::Commands).map(Some);
