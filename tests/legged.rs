@@ -1,6 +1,7 @@
 //! The task LeggedVelocity: robots stand, rewards equal those of legged_gym, random draws have effects, and robots come
 //! from files.
 
+use sandgait::env::legged::Units;
 use sandgait::env::registry::Blueprint;
 use sandgait::env::shard::Shard;
 use sandgait::evaluate::commands::CommandStudy;
@@ -58,7 +59,7 @@ fn robots_stand() {
     for file in ["sandcat.urdf", "sandcat.xml"] {
         let robot = packed::compressed(&sandcat(file), 1).unwrap();
         for ground in ["rigid", "poppy-close", "mixed"] {
-            let options = json!({"robot": robot, "ground": ground, "domain_rand": null});
+            let options = json!({"robot": robot, "ground": ground, "domain_rand": null, "curriculum": null});
             let mut shard = shard(options, 2);
             let actions = vec![0.0; 2 * shard.actions()];
             for _ in 0..500 {
@@ -72,7 +73,8 @@ fn robots_stand() {
     }
 }
 
-/// A robot at rest with a command of zero gets the full tracking terms: for each its weight times 0.02 s.
+/// A robot at rest with a command of zero gets the full tracking terms: for each its weight times 0.02 s. Torques count in units of
+/// weight times leg length.
 #[test]
 fn rewards_are_those_of_legged_gym() {
     let still = json!({"lin_vel_x": [0, 0], "lin_vel_y": [0, 0], "ang_vel_yaw": [0, 0]});
@@ -84,8 +86,9 @@ fn rewards_are_those_of_legged_gym() {
     assert!((info("reward_tracking_lin_vel") - 0.02).abs() < 1e-5);
     assert!((info("reward_tracking_ang_vel") - 0.01).abs() < 1e-5);
     assert_eq!((info("feet_in_contact"), info("reward_collision"), info("reward_feet_air_time")), (4.0, 0.0, 0.0));
-    let torques: f64 = shard.state(0).torques.iter().map(|t| t * t).sum();
-    assert!((f64::from(info("reward_torques")) + 2e-7 * torques).abs() < 1e-9);
+    let unit = Units::of(blueprint.task.model()).torque;
+    let torques: f64 = shard.state(0).torques.iter().map(|t| (t / unit).powi(2)).sum();
+    assert!((f64::from(info("reward_torques")) + 0.02 * 0.3 * torques).abs() < 1e-9 && torques > 1e-3);
     assert!((shard.rows.rewards[0] - shard.rows.infos[..13].iter().sum::<f32>()).abs() < 1e-6);
 }
 
@@ -94,7 +97,7 @@ fn rewards_are_those_of_legged_gym() {
 fn random_draws_have_effects() {
     let rand = json!({"push_interval": 1.0, "max_push_vel_xy": 1.0, "added_mass_range": [0.1, 0.2]});
     let commands = json!({"resampling_time": 1.0});
-    let options = json!({"ground": "rigid", "domain_rand": rand, "commands": commands});
+    let options = json!({"ground": "rigid", "domain_rand": rand, "commands": commands, "curriculum": null});
     let blueprint = blueprint(options.clone());
     let mut shard = shard(options, 4);
     let (command, mass) = (column(&blueprint, "command_ang_vel_yaw"), column(&blueprint, "added_mass"));
@@ -213,7 +216,8 @@ fn a_robot_has_its_own_time_step() {
     }
     for ground in ["rigid", "poppy-loose"] {
         let heights = |dt: f64| -> Vec<f64> {
-            let options = json!({"ground": ground, "dt": dt, "domain_rand": null, "angle_noise": 0.0});
+            let options =
+                json!({"ground": ground, "dt": dt, "domain_rand": null, "angle_noise": 0.0, "curriculum": null});
             assert_eq!(blueprint(options.clone()).task.model().scene.dt, dt);
             let mut shard = shard(options, 1);
             let bob = |k: u32| (0.2 * (std::f64::consts::TAU * 2.0 * f64::from(k) / 50.0).sin()) as f32;
@@ -242,7 +246,7 @@ fn hexapod_tasks_refuse_the_engine_tree() {
 /// ground.
 #[test]
 fn robots_stand_on_dunes() {
-    let options = json!({"ground": "dunes", "measure_heights": true, "domain_rand": null});
+    let options = json!({"ground": "dunes", "measure_heights": true, "domain_rand": null, "curriculum": null});
     let blueprint = blueprint(options.clone());
     let relief = blueprint.task.model().scene.relief.clone().unwrap();
     let columns = blueprint.task.spec().observation.len();
@@ -298,7 +302,8 @@ fn standing(options: &Value) -> Wanted {
 /// A robot that stands does not follow; its error is that of the velocity 0. Commands scale with the training's ranges.
 #[test]
 fn commands_are_measured() {
-    let options = json!({"ground": "rigid"});
+    let full = json!({"lin_vel_x": [-1, 1], "lin_vel_y": [-1, 1], "ang_vel_yaw": [-1, 1]});
+    let options = json!({"ground": "rigid", "commands": full});
     let followed = CommandStudy::new(&standing(&options), &options).unwrap().run(&Silent).unwrap();
     let commands: Vec<_> = followed.lines.iter().map(|line| line.command).collect();
     assert_eq!(commands.len(), 9);
@@ -307,6 +312,12 @@ fn commands_are_measured() {
     assert!(near(commands[7], [0.6, 0.0, 0.6]), "{commands:?}");
     for line in &followed.lines {
         assert!((line.error - 1.0).abs() < 0.02 && line.falls == 0.0, "{line:?}");
+    }
+    // Without ranges they are those of the robot's size, with the same signs.
+    let own = CommandStudy::new(&standing(&Value::Null), &json!({"ground": "rigid"})).unwrap().run(&Silent).unwrap();
+    let ends = Units::of(blueprint(Value::Null).task.model()).commanded();
+    for (line, full) in own.lines.iter().zip(&commands) {
+        assert!((0..3).all(|k| (line.command[k] - full[k] * ends[k]).abs() < 1e-3), "{line:?}");
     }
     let narrow = json!({"lin_vel_x": [-0.4, 0.8], "lin_vel_y": [0.0, 0.0], "ang_vel_yaw": [-0.5, 0.5]});
     let options = json!({"ground": "rigid", "commands": narrow});

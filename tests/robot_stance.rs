@@ -163,7 +163,7 @@ fn joints_follow_others() {
     let import = read(&text, "urdf").unwrap();
     let names: Vec<_> = import.tree.joints().map(|j| j.name.clone()).collect();
     let [tail, leader] = ["tail_joint", "fl_hip"].map(|name| names.iter().position(|n| n == name).unwrap());
-    let options = json!({"robot": pack(&import), "ground": "rigid", "domain_rand": null, "angle_noise": 0.0});
+    let options = json!({"robot": pack(&import), "ground": "rigid", "domain_rand": null, "angle_noise": 0.0, "action_scale": 1.0});
     let blueprint = Blueprint::new(ID, options).unwrap();
     let actions = &blueprint.task.spec().action;
     assert_eq!(actions.len(), names.len() - 1);

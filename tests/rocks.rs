@@ -287,7 +287,7 @@ fn a_robot_with_random_actions_does_not_pass_through_rocks() {
     let (mut deepest, mut touched): (f64, usize) = (0.0, 0);
     for seed in 0..8 {
         let mut random = Random::new(seed, 0);
-        let (mut state, goal) = blueprint.task.begin(&mut random);
+        let (mut state, goal) = blueprint.task.begin(None, &mut random);
         let model = goal.model.unwrap();
         let mut engine = Engine::new(EngineKind::Rapier, &model, 1).unwrap();
         engine.set_state(0, &state);
@@ -384,7 +384,7 @@ fn the_task_scans_heights_and_refuses_what_has_no_rocks() {
     assert!(error("sandgait/HexapodRocks-v1", serde_json::json!({"rocks": {"colour": 1}})).contains("rocks"));
 
     let rocks = blueprint("sandgait/HexapodRocks-v1", serde_json::Value::Null).unwrap();
-    let (state, mut goal) = rocks.task.begin(&mut Random::new(0, 0));
+    let (state, mut goal) = rocks.task.begin(None, &mut Random::new(0, 0));
     // A step 10 to 12 cm ahead of a robot that heads along +y.
     let step = Obstacle::block([0.0, 0.13], [0.5, 0.02], 0.015, 0.0);
     goal.model = Some(rocks.task.model().with_obstacles(&[step]).unwrap().into());

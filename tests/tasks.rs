@@ -77,7 +77,7 @@ struct Twins<'a> {
 impl<'a> Twins<'a> {
     fn new(blueprint: &'a Blueprint) -> Self {
         let model = blueprint.task.model();
-        let (state, goal) = blueprint.task.begin(&mut Random::new(5, 0));
+        let (state, goal) = blueprint.task.begin(None, &mut Random::new(5, 0));
         let mut engine = LanesEngine::with_isa(Isa::F64, model, 2).unwrap();
         let states = [state.clone(), mirrored_state(&state, &other_side(model))];
         for (i, state) in states.iter().enumerate() {
@@ -223,7 +223,7 @@ fn the_command_is_in_the_observation() {
     for id in WALKING {
         let blueprint = blueprint(id, json!({"turn": [0.5, 0.5], "command": [0.2, 0.2]}));
         let (task, columns) = (&blueprint.task, &blueprint.task.spec().observation);
-        let (state, goal) = task.begin(&mut Random::new(1, 0));
+        let (state, goal) = task.begin(None, &mut Random::new(1, 0));
         let mut row = vec![0.0; columns.len()];
         task.observe(&goal, &state, &vec![0.0; task.spec().action.len()], &mut row);
         let told = |name: &str| row[columns.iter().position(|c| c.name == name).unwrap()];
@@ -243,7 +243,7 @@ fn yawed(state: &State, yaw: f64) -> State {
 fn paid(headings: [f64; 2], moved: [f64; 2], turning: f64, work: f64) -> impl Fn(&str) -> f64 {
     let blueprint = blueprint(GAIT, json!({"command": [0.25, 0.25]}));
     let task = blueprint.task.clone();
-    let (state, goal) = task.begin(&mut Random::new(1, 0));
+    let (state, goal) = task.begin(None, &mut Random::new(1, 0));
     let [before, mut after] = headings.map(|yaw| yawed(&state, yaw));
     after.position = [state.position[0] + moved[0], state.position[1] + moved[1], state.position[2]];
     (after.angular_velocity[2], after.work) = (turning, work);

@@ -280,6 +280,20 @@ fn a_legged_training_is_scored_by_commands() {
     let table = |text: &str| text.lines().filter(|line| line.contains(" %")).map(str::to_owned).collect::<Vec<_>>();
     let text = std::fs::read_to_string(out.join("evaluation.txt")).unwrap();
     assert!(text.contains("without noise and randomness, by command:"), "{text}");
+    assert!(text.contains("The training ended at level 0.00 of 1 of its curriculum"), "{text}");
+    let about: Value = serde_json::from_slice(&std::fs::read(out.join("policy.json")).unwrap()).unwrap();
+    assert_eq!(
+        (about["rate"].as_f64(), about["observation"][9]["name"].as_str()),
+        (Some(50.0), Some("commanded lin_vel_x"))
+    );
+    let targets = about["targets"].as_array().unwrap();
+    assert_eq!((targets.len(), about["action"].as_array().unwrap().len()), (12, 12));
+    assert!(
+        targets
+            .iter()
+            .all(|t| (0.4..=0.5).contains(&t["scale"].as_f64().unwrap()) && t["stiffness"].as_f64() > Some(0.0))
+    );
+    assert!(std::fs::read_to_string(out.join("curve.csv")).unwrap().starts_with("steps,seconds,return,level\n"));
     let settings: Value = serde_json::from_slice(&std::fs::read(out.join("settings.json")).unwrap()).unwrap();
     assert_eq!(settings["score"]["lines"].as_array().unwrap().len(), 9);
     let csv = directory.path().join("commands.csv");

@@ -11,6 +11,7 @@ mod heights;
 mod intrude;
 mod layout;
 mod media;
+mod play;
 mod progress;
 mod replay;
 mod reproduce;
@@ -75,6 +76,7 @@ enum Command {
     Intrude(intrude::Intrude),
     Media(media::Media),
     Stress(stress::Stress),
+    Play(play::Play),
     Replay(replay::Replay),
     Reproduce(reproduce::Reproduce),
     Robot(robot::Robot),
@@ -138,6 +140,7 @@ fn run(command: Command) -> Result<String> {
         Command::Intrude(c) => c.run(),
         Command::Media(c) => c.run(),
         Command::Stress(c) => c.run(),
+        Command::Play(c) => c.run(),
         Command::Replay(c) => c.run(),
         Command::Reproduce(c) => c.run(),
         Command::Robot(c) => c.run(),

@@ -121,9 +121,7 @@ impl Train {
 
     fn asked(self) -> Result<Training> {
         let changes = self.set.iter().map(|change| entry::pair("--set", change)).collect::<Result<_>>()?;
-        let options = self.option.iter().map(|option| entry::pair("--option", option));
-        let mut options = Value::Object(options.collect::<Result<Map<_, _>>>()?);
-        super::read_files(&mut options)?;
+        let options = Value::Object(options(&self.option)?);
         let place = self.address.map(|address| place(address, self.token_file.as_deref(), self.ca.as_deref()));
         Ok(Training {
             task: self.task,
@@ -197,6 +195,14 @@ fn connected(place: ServerAddress) -> Box<Connect> {
     })
 }
 
+/// Options of a task from words NAME=VALUE, with files read.
+pub fn options(words: &[String]) -> Result<Map<String, Value>> {
+    let options = words.iter().map(|word| entry::pair("--option", word)).collect::<Result<Map<_, _>>>()?;
+    let mut options = Value::Object(options);
+    super::read_files(&mut options)?;
+    Ok(options.as_object().cloned().unwrap_or_default())
+}
+
 /// Trains, and writes all files; returns the results, also as text.
 pub fn learn(request: &Request, progress: &dyn Progress) -> Result<(Outcome, String)> {
     let outcome = request.run(progress)?;
@@ -209,7 +215,8 @@ pub fn learn(request: &Request, progress: &dyn Progress) -> Result<(Outcome, Str
 fn report(request: &Request, outcome: &Outcome) -> String {
     let learnt = &outcome.learnt;
     let rate = learnt.steps as f64 / learnt.seconds / 1e3;
-    let share = outcome.last.map_or(String::new(), |r| format!(", {:.0} % of it for rollouts", 100.0 * r.simulation));
+    let share =
+        outcome.last.as_ref().map_or(String::new(), |r| format!(", {:.0} % of it for rollouts", 100.0 * r.simulation));
     let mut text = format!(
         "{}, seed {}: {:.2} M steps in {:.1} s ({rate:.0} k a second{share})\n",
         request.task,
@@ -230,7 +237,10 @@ fn report(request: &Request, outcome: &Outcome) -> String {
         }
         Some(Score::Commands(followed)) => {
             let (cells, summary) = (commands::cells(followed), commands::summary(followed));
-            text += &format!("\nwithout noise and randomness, by command:\n\n{}\n{summary}\n", super::table(&cells));
+            let level = outcome.last.as_ref().and_then(|report| report.level);
+            let limit = super::layout::wrapped(&commands::limit(followed, level), super::layout::WIDTH).join("\n");
+            let table = super::table(&cells);
+            text += &format!("\nwithout noise and randomness, by command:\n\n{table}\n{summary}\n\n{limit}\n");
         }
         None => (),
     }

@@ -120,6 +120,10 @@ impl Task for HexapodLegs {
         }
     }
 
+    fn command_ranges(&self, setup: &Setup<LegsOptions>) -> Option<[[f64; 2]; 3]> {
+        Some(setup.options.walking.command_ranges())
+    }
+
     fn observe(&self, goal: &Goal, state: &State, last_action: &[f32], row: &mut [f32]) {
         Observed::new(goal, state, last_action).fill(&self.observation, row);
     }

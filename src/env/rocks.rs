@@ -218,6 +218,10 @@ impl Task for HexapodRocks {
         self.gait.command(action, state, command);
     }
 
+    fn command_ranges(&self, setup: &Setup<RocksOptions>) -> Option<[[f64; 2]; 3]> {
+        Some(setup.options.gait.walking.command_ranges())
+    }
+
     fn observe(&self, goal: &Goal, state: &State, last_action: &[f32], row: &mut [f32]) {
         let (gait, heights) = row.split_at_mut(self.gait.spec().observation.len());
         self.gait.observe(goal, state, last_action, gait);

@@ -7,7 +7,8 @@ use super::rollout::{Recorded, Rollout};
 use super::sensors::{ActionDelay, Memory, Seen};
 use super::spec::Spec;
 use super::task::{AnyTask, Goal, Transition};
-use crate::error::Result;
+use crate::error::{Error, Result, check_range};
+use crate::legged::MOST_COMMAND;
 use crate::sim::engine::{Command, Engine};
 use crate::sim::{Model, State};
 use std::sync::Arc;
@@ -229,6 +230,24 @@ impl Shard {
         }
     }
 
+    /// Replaces the command of environment `i` for the rest of its episode: forward, to the left [m/s], yaw [rad/s].
+    ///
+    /// # Errors
+    /// The task has no commands, or a number is outside of the bounds that observations have.
+    pub fn set_command(&mut self, i: usize, command: [f64; 3]) -> Result<()> {
+        let episode = &mut self.episodes[i];
+        if episode.task.command_ranges().is_none() {
+            return Err(Error::invalid("command", format!("{} has no commands", self.task.spec().id)));
+        }
+        for value in command {
+            check_range("command", value, -MOST_COMMAND..=MOST_COMMAND)?;
+        }
+        episode.task.set_command(&mut episode.goal, command);
+        let wide = self.task.spec().observation.len();
+        episode.observe(&mut self.rows.observations[i * wide..][..wide]);
+        Ok(())
+    }
+
     /// Makes one control step of every environment; `actions` is f32 [envs, action] within its bounds. If an episode
     /// ends, the next one begins at once, and the row has its first observation.
     pub fn step(&mut self, actions: &[f32]) {
@@ -338,7 +357,9 @@ impl Shard {
     fn begin(&mut self, i: usize, tells: bool) {
         let episode = &mut self.episodes[i];
         let mut random = Random::new(episode.seed, episode.number);
-        (episode.after, episode.goal) = episode.task.begin(&mut random);
+        // A new seed begins a new series of episodes.
+        let last = (episode.number > 0).then_some(&episode.goal);
+        (episode.after, episode.goal) = episode.task.begin(last, &mut random);
         episode.steps = 0;
         episode.last_action.fill(0.0);
         let (range, clock) = (episode.task.action_delay(), [self.period, self.period / self.substeps as f64]);

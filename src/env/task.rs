@@ -80,12 +80,27 @@ pub trait Task: Send + Sync + Sized + 'static {
     /// First state and goal of an episode.
     fn begin(&self, setup: &Setup<Self::Options>, random: &mut Random) -> (State, Goal);
 
+    /// The same for an episode that follows one whose goal was `last` in the same environment.
+    fn begin_after(&self, setup: &Setup<Self::Options>, _last: &Goal, random: &mut Random) -> (State, Goal) {
+        self.begin(setup, random)
+    }
+
     /// The servos' command under `action`.
     fn command(&self, action: &[f32], state: &State, command: &mut Command);
 
     /// Updates the goal after the step was evaluated; returns the changes for the engine. `info` is the step's row.
     fn after_step(&self, _setup: &Setup<Self::Options>, _goal: &mut Goal, _state: &State, _info: &[f32]) -> Change {
         Change::Nothing
+    }
+
+    /// The ranges [low, high] of commanded speeds forward, to the left [m/s] and yaw [rad/s]; None: the task has no commands.
+    fn command_ranges(&self, _setup: &Setup<Self::Options>) -> Option<[[f64; 2]; 3]> {
+        None
+    }
+
+    /// Replaces the command of the rest of the episode: forward, to the left [m/s], yaw [rad/s].
+    fn set_command(&self, goal: &mut Goal, command: [f64; 3]) {
+        [goal.speed, _, goal.turn] = command;
     }
 
     /// Fills an observation row.
@@ -118,7 +133,8 @@ pub trait Task: Send + Sync + Sized + 'static {
 pub trait AnyTask: Send + Sync {
     fn spec(&self) -> &Spec;
     fn model(&self) -> &Arc<Model>;
-    fn begin(&self, random: &mut Random) -> (State, Goal);
+    /// The first episode of an environment, or the one after an episode whose goal was `last`.
+    fn begin(&self, last: Option<&Goal>, random: &mut Random) -> (State, Goal);
     fn command(&self, action: &[f32], state: &State, command: &mut Command);
     fn after_step(&self, goal: &mut Goal, state: &State, info: &[f32]) -> Change;
     /// Fills a row of the task's own exact values.
@@ -133,6 +149,10 @@ pub trait AnyTask: Send + Sync {
 
     fn most_obstacles(&self) -> usize;
     fn resume(&self, goal: &mut Goal) -> std::result::Result<(), String>;
+    /// See [`Task::command_ranges`].
+    fn command_ranges(&self) -> Option<[[f64; 2]; 3]>;
+    /// See [`Task::set_command`].
+    fn set_command(&self, goal: &mut Goal, command: [f64; 3]);
 
     /// The options' declarations.
     fn rows(&self) -> Vec<OptionRow>;
@@ -225,8 +245,11 @@ impl<T: Task> AnyTask for TaskSetup<T> {
         &self.model
     }
 
-    fn begin(&self, random: &mut Random) -> (State, Goal) {
-        self.task.begin(&self.setup(), random)
+    fn begin(&self, last: Option<&Goal>, random: &mut Random) -> (State, Goal) {
+        match last {
+            Some(last) => self.task.begin_after(&self.setup(), last, random),
+            None => self.task.begin(&self.setup(), random),
+        }
     }
 
     fn command(&self, action: &[f32], state: &State, command: &mut Command) {
@@ -259,6 +282,14 @@ impl<T: Task> AnyTask for TaskSetup<T> {
 
     fn resume(&self, goal: &mut Goal) -> std::result::Result<(), String> {
         T::resume(&self.setup(), goal)
+    }
+
+    fn command_ranges(&self) -> Option<[[f64; 2]; 3]> {
+        self.task.command_ranges(&self.setup())
+    }
+
+    fn set_command(&self, goal: &mut Goal, command: [f64; 3]) {
+        self.task.set_command(goal, command);
     }
 
     fn rows(&self) -> Vec<OptionRow> {

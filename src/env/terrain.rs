@@ -243,6 +243,10 @@ impl Task for HexapodTerrain {
         change
     }
 
+    fn command_ranges(&self, setup: &Setup<TerrainOptions>) -> Option<[[f64; 2]; 3]> {
+        Some(setup.options.gait.walking.command_ranges())
+    }
+
     fn observe(&self, goal: &Goal, state: &State, last_action: &[f32], row: &mut [f32]) {
         self.gait.observe(goal, state, last_action, row);
     }

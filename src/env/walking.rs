@@ -37,6 +37,11 @@ options! {
 }
 
 impl Walking {
+    /// Ranges of the commands forward, to the left [m/s] and yaw [rad/s].
+    pub fn command_ranges(&self) -> [[f64; 2]; 3] {
+        [self.command, [0.0; 2], self.turn]
+    }
+
     /// Robot, sand and slope; without `servos` torques alone drive the robot's joints.
     pub fn model(&self, servos: bool) -> Result<Model> {
         if self.robot.name().ends_with(".toml") {

@@ -5,7 +5,7 @@
 
 use super::FIRST_SEED;
 use super::gait::{Gait, Wanted};
-use crate::env::legged::LeggedVelocity;
+use crate::env::legged::{LeggedVelocity, Units};
 use crate::env::registry::Blueprint;
 use crate::env::{Shard, Spec, Task};
 use crate::error::{Error, Result};
@@ -73,13 +73,13 @@ impl CommandStudy {
         let base = Blueprint::new(LeggedVelocity::ID, policy.with_control(options.clone())?)?;
         let gait = policy.gait(&base)?;
         let gait = gait.ok_or_else(|| Error::invalid("policy", "a tripod follows no commands"))?;
-        let ranges = base.task.option("commands");
-        let end = |name: &str, share: f64| {
-            let end = ranges[name][usize::from(share > 0.0)].as_f64().unwrap_or_default();
+        let (ranges, own) = (base.task.option("commands"), Units::of(base.task.model()).commanded());
+        let end = |k: usize, share: f64| {
+            let end = ranges[NAMES[k]][usize::from(share > 0.0)].as_f64().unwrap_or(own[k].copysign(share));
             // Rounded, so that a table shows the number that was commanded.
             (share.abs() * end * 1e3).round() / 1e3
         };
-        let command = |shares: &[f64; 3]| -> [f64; 3] { std::array::from_fn(|k| end(NAMES[k], shares[k])) };
+        let command = |shares: &[f64; 3]| -> [f64; 3] { std::array::from_fn(|k| end(k, shares[k])) };
         let mut commands: Vec<_> = SHARES.iter().map(command).filter(|c| *c != [0.0; 3]).collect();
         commands.dedup();
         if commands.is_empty() {
@@ -112,6 +112,7 @@ fn held(options: &Value, command: [f64; 3]) -> Result<Blueprint> {
     let ranges: Map<String, Value> = NAMES.iter().zip(command).map(|(n, v)| ((*n).to_owned(), json!([v, v]))).collect();
     options.insert("commands".into(), Value::Object(ranges));
     options.insert("domain_rand".into(), Value::Null);
+    options.insert("curriculum".into(), Value::Null);
     let rate = crate::env::spec::CONTROL_RATE;
     options.insert("max_episode_steps".into(), json!((SECONDS * rate).round() as u64));
     Blueprint::new(LeggedVelocity::ID, Value::Object(options))
@@ -175,6 +176,31 @@ pub fn summary(followed: &Followed) -> String {
     let Followed { mean_error, worst_error, falls, .. } = followed;
     format!("mean error {}, worst {}, fell {}", percent(*mean_error), percent(*worst_error), percent(*falls))
 }
+
+/// One sentence on what limits the policy; `level`: the mean level of the curriculum at the end of its training.
+pub fn limit(followed: &Followed, level: Option<f64>) -> String {
+    let name = |line: &Line| {
+        let [x, y, yaw] = line.command;
+        format!("{x:.2} m/s forward, {y:.2} m/s to the left, {yaw:.2} rad/s")
+    };
+    let worst = |of: fn(&Line) -> f64| followed.lines.iter().max_by(|a, b| of(a).total_cmp(&of(b)));
+    match (level, worst(|l| l.falls), worst(|l| l.error)) {
+        (Some(level), ..) if level < TRAINED => format!(
+            "The training ended at level {level:.2} of 1 of its curriculum, so the robot has hardly met ground of full difficulty: \
+             train longer (--resume --seconds)."
+        ),
+        (_, Some(line), _) if line.falls > 0.0 => {
+            format!("It falls most often, in {} of the trials, under the command {}.", percent(line.falls), name(line))
+        }
+        (.., Some(line)) => {
+            format!("It follows the command {} worst, with an error of {}.", name(line), percent(line.error))
+        }
+        _ => String::new(),
+    }
+}
+
+/// Mean level from which on most environments have full difficulty: our choice.
+const TRAINED: f64 = 0.9;
 
 fn percent(share: f64) -> String {
     format!("{:.0} %", 100.0 * share)

@@ -69,6 +69,7 @@ pub use server::{AddServices, Connected, Setup, serve};
 pub use sessions::Limits;
 pub use state::StateDir;
 pub use values::{from_json, number};
+pub use viewer::play::Play;
 
 use crate::env::registry::{Blueprint, TASK_IDS};
 use crate::error::Error;

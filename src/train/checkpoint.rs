@@ -217,7 +217,7 @@ fn read(file: &Tensors, plan: &Plan, away: bool) -> Result<Saved> {
         Ok(Running { mean, variance, count: file.f64(&format!("{name}.count"), 1)?[0] })
     };
     let normalized = file.has("observations.mean");
-    if normalized != plan.settings.normalize || file.has("mirror.action.order") != plan.settings.mirror {
+    if normalized != plan.settings.normalize || file.has("mirror.action.order") != plan.networks.mirror.is_some() {
         return Err(wrong("it was learnt with other settings of normalize or mirror".into()));
     }
     let normal = || {

@@ -19,6 +19,9 @@ use std::ops::DerefMut;
 /// lanes.
 const PIECES: usize = 8;
 
+/// Name of the info column with the level of a curriculum.
+const LEVEL: &str = "level";
+
 /// The place at which a piece's environments are computed.
 enum Place {
     Here(Box<Shard>),
@@ -76,6 +79,11 @@ pub struct Piece {
     pub discounted: Vec<f64>,
     /// Statistics of the last step's observations and discounted sums.
     pub seen: [Moments; 2],
+    /// Sums of the weighted reward terms in this rollout, and the levels of the environments at its end.
+    pub terms: Vec<f64>,
+    pub levels: Vec<f32>,
+    /// Info column with the level of a curriculum.
+    level: Option<usize>,
     /// Sum of rewards of each environment's episode so far, and of those that ended in this rollout.
     pub running: Vec<f64>,
     pub finished: Vec<f64>,
@@ -121,6 +129,9 @@ impl Piece {
             ended: vec![false; envs * settings.n_steps],
             discounted: vec![0.0; envs],
             seen: [Moments::new(spec.observation.len()), Moments::new(1)],
+            terms: vec![0.0; spec.reward.len()],
+            levels: Vec::new(),
+            level: spec.info.iter().position(|column| column.name == LEVEL),
             running: vec![0.0; envs],
             finished: Vec::new(),
         }
@@ -160,6 +171,7 @@ impl Piece {
     pub fn begin(&mut self, seed: u64) {
         self.random = Xoshiro256PlusPlus::seed_from_u64(seed);
         self.finished.clear();
+        self.terms.fill(0.0);
     }
 
     /// Makes step `step` of the rollout; for environments on a server it only computes the actions.
@@ -194,6 +206,12 @@ impl Piece {
         self.data.values[rows.clone()].copy_from_slice(&self.pass.values[..self.envs]);
         if let Place::Here(shard) = &mut self.place {
             shard.step(&self.clipped);
+            let infos = shard.rows.infos.chunks_exact(shard.rows.infos.len() / self.envs);
+            for row in infos.clone() {
+                self.terms.iter_mut().zip(row).for_each(|(sum, term)| *sum += f64::from(*term));
+            }
+            self.levels.clear();
+            self.levels.extend(self.level.iter().flat_map(|k| infos.clone().map(|row| row[*k])));
             self.note(play, step);
         }
     }

@@ -14,6 +14,8 @@ pub struct Point {
     pub steps: u64,
     pub seconds: f64,
     pub mean_return: f64,
+    /// Mean level of the task's curriculum, if it has one.
+    pub level: Option<f64>,
 }
 
 /// A growing curve, in memory and in its file.
@@ -36,7 +38,7 @@ impl Curve {
             None => Vec::new(),
         };
         let text: String =
-            std::iter::once("steps,seconds,return\n".to_owned()).chain(points.iter().map(line)).collect();
+            std::iter::once("steps,seconds,return,level\n".to_owned()).chain(points.iter().map(line)).collect();
         files::write(path, text.as_bytes())?;
         let file = File::options().append(true).open(path).map_err(|e| Error::file(path, e))?;
         // A point has an eighth as many episodes as there are environments, as in the curves of examples/train.py.
@@ -53,7 +55,8 @@ impl Curve {
             return Ok(());
         }
         let [sum, count] = std::mem::take(&mut self.open);
-        let point = Point { steps: report.steps, seconds: report.seconds, mean_return: sum / count };
+        let point =
+            Point { steps: report.steps, seconds: report.seconds, mean_return: sum / count, level: report.level };
         self.points.push(point);
         self.file.write_all(line(&point).as_bytes()).map_err(|e| Error::file(&self.path, e))
     }
@@ -87,7 +90,8 @@ impl Curve {
 }
 
 fn line(point: &Point) -> String {
-    format!("{},{:.2},{:.3}\n", point.steps, point.seconds, point.mean_return)
+    let level = point.level.map_or(String::new(), |level| format!("{level:.3}"));
+    format!("{},{:.2},{:.3},{level}\n", point.steps, point.seconds, point.mean_return)
 }
 
 /// The points of a file, if there is one. A last line without an end was cut off when a process was killed, and is left
@@ -102,11 +106,13 @@ fn read(path: &Path) -> Result<Vec<Point>> {
     let point = |(k, line): (usize, &str)| {
         let cells: Vec<_> = line.split(',').collect();
         let read = || {
-            let [steps, seconds, mean_return] = cells[..] else { return None };
+            // Curves of earlier versions have no level.
+            let [steps, seconds, mean_return, ref level @ ..] = cells[..] else { return None };
             Some(Point {
                 steps: steps.parse().ok()?,
                 seconds: seconds.parse().ok()?,
                 mean_return: mean_return.parse().ok()?,
+                level: level.first().and_then(|level| level.parse().ok()),
             })
         };
         read().ok_or_else(|| Error::file(path, format!("line {}: not steps, seconds and a return", k + 1)))

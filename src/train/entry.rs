@@ -83,7 +83,7 @@ mod tests {
         let python = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/hyperparameters/ppo.yml");
         for task in ["HexapodGait", "HexapodLegs", "HexapodTerrain", "HexapodRocks"] {
             let read = settings(Some(&python), &task_id(task), Vec::new()).unwrap();
-            assert_eq!((read.gamma, read.learning_rate.falls, read.mirror), (0.95, true, true));
+            assert_eq!((read.gamma, read.learning_rate.falls, read.mirror), (0.95, true, Some(true)));
             // settings.json gives the same settings again.
             assert_eq!(Settings::from_entry(read.json().as_object().unwrap()).unwrap(), read);
         }

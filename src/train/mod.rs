@@ -22,6 +22,7 @@ mod checkpoint;
 mod collect;
 mod crew;
 mod curve;
+mod describe;
 pub mod design;
 pub mod entry;
 mod events;

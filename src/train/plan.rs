@@ -56,7 +56,7 @@ pub struct Plan {
 }
 
 /// Results of an update.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Report {
     pub steps: u64,
     pub seconds: f64,
@@ -76,13 +76,22 @@ pub struct Report {
     pub deviation: f64,
     /// Share of the training's time that the rollouts took.
     pub simulation: f64,
+    /// Mean level of the task's curriculum at the end of the rollout; None if it has none, or on a server.
+    pub level: Option<f64>,
+    /// Mean of each reward term in a step; empty for environments on a server.
+    pub terms: Vec<f64>,
 }
 
 impl Plan {
     pub fn new(blueprint: Blueprint, settings: Settings, seed: u64, threads: usize) -> Result<Self> {
         let spec = blueprint.task.spec();
         let shape = NetworkSizes::new(spec.observation.len(), spec.action.len(), &settings.net_arch);
-        let mirror = settings.mirror.then(|| Mirror::both(&blueprint)).transpose()?;
+        let mirror = match settings.mirror {
+            Some(true) => Some(Mirror::both(&blueprint)?),
+            Some(false) => None,
+            None => Mirror::both(&blueprint).ok(),
+        };
+        let settings = Settings { mirror: Some(mirror.is_some()), ..settings };
         let networks = Networks { shape, mirror, isa: Isa::choose()? };
         Ok(Self { blueprint, settings, networks, seed, threads: threads.max(1) })
     }

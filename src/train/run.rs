@@ -6,7 +6,7 @@ use super::events::Events;
 use super::plan::{Learnt, Observer, Plan, Report};
 use super::remote::{Pause, Remote};
 use super::settings::Settings;
-use super::{checkpoint, export, film};
+use super::{checkpoint, describe, export, film};
 use crate::env::Task;
 use crate::env::legged::LeggedVelocity;
 use crate::env::registry::Blueprint;
@@ -99,7 +99,7 @@ impl Request {
             "options": options,
             "version": env!("CARGO_PKG_VERSION"),
             "instruction_set": plan.networks.isa.name(),
-            "hyperparameters": self.settings.json(),
+            "hyperparameters": plan.settings.json(),
         });
         self.write("settings.json", format!("{about:#}\n").as_bytes())?;
         let until = self.resume.then_some(learnt.steps);
@@ -180,12 +180,19 @@ impl Request {
     fn keep(&self, plan: &Plan, learnt: &Learnt, options: Value, progress: &dyn Progress) -> Result<Option<Score>> {
         let onnx = export::onnx(plan, learnt);
         self.write("policy.onnx", &onnx)?;
+        self.write("policy.json", format!("{:#}\n", describe::policy(plan)).as_bytes())?;
         let policy = Learnt { environments: None, ..learnt.clone() };
         checkpoint::save(&self.out.join("policy.safetensors"), plan, &policy, [0.0; 2])?;
         let spec = plan.blueprint.task.spec();
         let network = Network::new(&onnx, spec)?;
         let (recording, picture) = (self.out.join("walk.rec"), self.out.join("walk.png"));
-        film::film(&plan.blueprint, &network, evaluate::FIRST_SEED, &recording, &picture)?;
+        let mut shown = options.clone();
+        if spec.id == LeggedVelocity::ID {
+            // The ground of the task itself, not that of the curriculum's first level.
+            shown["curriculum"] = Value::Null;
+        }
+        let shown = Blueprint::new(&self.task, shown)?;
+        film::film(&shown, &network, evaluate::FIRST_SEED, &recording, &picture)?;
         let policy = Wanted::Network { name: "policy.onnx".into(), bytes: onnx };
         if spec.id == LeggedVelocity::ID {
             return CommandStudy::new(&policy, &options)?.run(progress).map(Score::Commands).map(Some);
@@ -247,10 +254,11 @@ impl Observer for Diary<'_> {
         if report.steps - self.saved >= self.request.checkpoint_every {
             self.save()?;
         }
-        self.last = Some(*report);
+        self.last = Some(report.clone());
         let reached = self.curve.points.last().map_or(String::new(), |p| format!(", return {:.0}", p.mean_return));
-        let stage =
-            format!("the training: {:.2} M steps{reached}, {:.0} k a second", report.steps as f64 / 1e6, rate / 1e3);
+        let level = report.level.map_or(String::new(), |level| format!(", level {level:.2}"));
+        let (millions, thousands) = (report.steps as f64 / 1e6, rate / 1e3);
+        let stage = format!("the training: {millions:.2} M steps{reached}{level}, {thousands:.0} k a second");
         self.told = (report.done, stage);
         self.asked = Instant::now();
         self.progress.report(self.told.0, &self.told.1)
@@ -272,7 +280,13 @@ impl Diary<'_> {
             ("time/fps", rate),
             ("time/simulation_share", report.simulation),
         ];
-        self.events.scalars(report.steps, &scalars)
+        self.events.scalars(report.steps, &scalars)?;
+        let terms = &self.plan.blueprint.task.spec().reward;
+        let named = terms.iter().zip(&report.terms).map(|(term, mean)| (format!("reward/{}", term.name), *mean));
+        let level = report.level.map(|level| ("rollout/level".to_owned(), level));
+        let more: Vec<_> = named.chain(level).collect();
+        let more: Vec<(&str, f64)> = more.iter().map(|(name, value)| (&name[..], *value)).collect();
+        self.events.scalars(report.steps, &more)
     }
 
     fn save(&mut self) -> Result<PathBuf> {

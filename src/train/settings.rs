@@ -34,8 +34,8 @@ pub struct Settings {
     pub seconds: Option<f64>,
     /// Normalize observations and rewards by running statistics.
     pub normalize: bool,
-    /// Whether the policy is made symmetric in left and right.
-    pub mirror: bool,
+    /// Whether the policy is made symmetric in left and right; None (`auto`): if the robot is.
+    pub mirror: Option<bool>,
     pub learning_rate: Schedule,
     /// Steps of each environment between two updates.
     pub n_steps: usize,
@@ -96,7 +96,7 @@ impl Default for Settings {
             n_timesteps: 1_000_000,
             seconds: None,
             normalize: false,
-            mirror: false,
+            mirror: Some(false),
             learning_rate: Schedule::constant(3e-4),
             n_steps: 2048,
             batch_size: 64,
@@ -134,7 +134,7 @@ impl Settings {
             "n_timesteps" => self.n_timesteps = whole(name, value, 1.0, 1e12)? as u64,
             "seconds" => self.seconds = optional(value, |v| number(name, v, 1e-3, 1e7))?,
             "normalize" => self.normalize = flag(name, value)?,
-            "mirror" => self.mirror = flag(name, value)?,
+            "mirror" => self.mirror = if value == "auto" { None } else { Some(flag(name, value)?) },
             "policy" if value == "MlpPolicy" => (),
             "policy" => return Err(Error::invalid(name, format!("{value} is not MlpPolicy, the only policy"))),
             "learning_rate" => self.learning_rate = schedule(name, value)?,
@@ -198,7 +198,7 @@ impl Settings {
             "n_timesteps": self.n_timesteps,
             "seconds": self.seconds,
             "normalize": self.normalize,
-            "mirror": self.mirror,
+            "mirror": self.mirror.map_or_else(|| json!("auto"), Value::Bool),
             "policy": "MlpPolicy",
             "learning_rate": self.learning_rate.json(),
             "n_steps": self.n_steps,

@@ -8,6 +8,7 @@ use super::loss::{Sums, Weights, entropy};
 use super::normal::{Moments, Running, Scales};
 use super::plan::{Learnt, Observer, Plan, Report};
 use super::remote::Away;
+use super::settings::Settings;
 use crate::error::{Error, Result};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 use std::time::Instant;
@@ -167,7 +168,30 @@ impl<'a, 'r> Training<'a, 'r> {
             explained_variance,
             deviation: log_std.iter().map(|s| f64::from(s.exp())).sum::<f64>() / log_std.len() as f64,
             simulation: self.rollouts / self.began.elapsed().as_secs_f64(),
+            level: self.level(),
+            terms: self.terms(),
         })
+    }
+
+    /// Mean level of the environments' curriculum.
+    fn level(&self) -> Option<f64> {
+        let levels = self.shared.pieces.iter().flat_map(|piece| lock(piece).levels.clone());
+        let (sum, count) = levels.fold((0.0, 0), |(sum, count), level| (sum + f64::from(level), count + 1));
+        (count > 0).then(|| sum / f64::from(count))
+    }
+
+    /// Mean of each weighted reward term in the rollout's steps.
+    fn terms(&self) -> Vec<f64> {
+        let Settings { n_envs, n_steps, .. } = self.plan.settings;
+        if self.remote.is_some() {
+            return Vec::new();
+        }
+        let mut all = vec![0.0; self.plan.blueprint.task.spec().reward.len()];
+        for piece in &self.shared.pieces {
+            all.iter_mut().zip(&lock(piece).terms).for_each(|(sum, term)| *sum += term);
+        }
+        all.iter_mut().for_each(|sum| *sum /= (n_envs * n_steps) as f64);
+        all
     }
 
     /// Fills the rollout; returns the returns of the episodes that ended, and the explained variance of the values.

@@ -348,3 +348,33 @@ def test_the_live_page_follows_a_robot_from_a_file(live: tuple[Page, str], tmp_p
         page.picture(shots(tmp_path) / "live_cat.png")
     finally:
         walker.close()
+
+
+def test_arrow_keys_steer_a_robot(page: Page, tmp_path: Path) -> None:
+    arguments = [*server.command(), "play", "HexapodGait", "--no-browser", "--seconds", "120"]
+    process = subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        url = process.stdout.readline().strip()
+        assert url.startswith("http://127.0.0.1:")
+        assert "/#key=" in url
+        page.open(url)
+        page.until("document.getElementById('steering').textContent.startsWith('Arrow keys')")
+        page.until("player.recording.moments.length > 20")
+        newest = "player.recording.moments[player.recording.moments.length - 1]"
+        command = f"{newest}.section.get({newest}.row, 'commanded_speed')[0]"
+        assert page.ask(command) == 0
+        page.call("Input.dispatchKeyEvent", type="keyDown", code="ArrowUp", key="ArrowUp")
+        page.until(f"Math.abs({command} - 0.4) < 1e-6")
+        x = page.ask("player.world.pose.bodies[0].position.x")
+        page.until(f"Math.abs(player.world.pose.bodies[0].position.x - {x}) > 0.2")
+        page.picture(shots(tmp_path) / "play.png")
+        page.call("Input.dispatchKeyEvent", type="keyUp", code="ArrowUp", key="ArrowUp")
+        page.until(f"{command} === 0")
+        assert not page.troubles
+        page.ask("location.hash = '#key=wrong'")
+        page.ask("location.reload()")
+        page.until("document.getElementById('steering')?.textContent.includes('it has the key')")
+    finally:
+        process.terminate()
+        process.communicate(timeout=10)

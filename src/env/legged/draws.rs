@@ -9,20 +9,25 @@ pub const MOST_COMMAND: f64 = 5.0;
 /// All ranges from which an episode's values are drawn.
 #[derive(Clone, Copy)]
 pub struct Draws {
-    pub commands: Commands,
+    /// Ranges of commands: forward, to the left [m/s], yaw [rad/s].
+    pub commands: [[f64; 2]; 3],
+    /// Time between two commands [s].
+    pub resampling_time: f64,
+    /// Commanded speeds below this are zero [m/s].
+    pub small: f64,
     pub rand: DomainRand,
     /// Longest episode [control steps].
     pub steps: u32,
 }
 
 options! {
-    /// Ranges of commands; the defaults are those of legged_gym.
+    /// Ranges of commands, by default those of the robot's size (`units`).
     #[derive(Copy, Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct Commands {
-        lin_vel_x: [f64; 2] = [-1.0, 1.0], [-MOST_COMMAND, MOST_COMMAND], "range of the forward speed [m/s]";
-        lin_vel_y: [f64; 2] = [-1.0, 1.0], [-MOST_COMMAND, MOST_COMMAND], "range of the speed to the left [m/s]";
-        ang_vel_yaw: [f64; 2] = [-1.0, 1.0], [-MOST_COMMAND, MOST_COMMAND], "yaw speed [rad/s]";
+        lin_vel_x: Option<[f64; 2]> = None, [-MOST_COMMAND, MOST_COMMAND], "range of the forward speed [m/s]; None: ± 0.5 √(gℓ) with the legs' length ℓ";
+        lin_vel_y: Option<[f64; 2]> = None, [-MOST_COMMAND, MOST_COMMAND], "range of the speed to the left [m/s]; None: ± 0.25 √(gℓ)";
+        ang_vel_yaw: Option<[f64; 2]> = None, [-MOST_COMMAND, MOST_COMMAND], "yaw speed [rad/s]; None: ± 0.2 √(g/ℓ)";
         resampling_time: f64 = 10.0, [0.1, 1e4], "time after which commands are drawn again [s]";
     }
 }

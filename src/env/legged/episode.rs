@@ -1,5 +1,6 @@
 //! The values that an episode of LeggedVelocity draws when it begins, and those that it updates.
 
+use super::curriculum::{Followed, MOST_EASE};
 use super::draws::{Draws, MOST_COMMAND};
 use crate::error::Result;
 use crate::random::Random;
@@ -11,8 +12,26 @@ use std::sync::Arc;
 /// Largest number of commands, and of pushes, that an episode draws; after that they repeat. Our choice: with the default
 /// time between two commands they last 17 minutes.
 const MOST: usize = 100;
-/// Commanded speeds below this are zero [m/s] (legged_gym, `_resample_commands`).
-const SMALL: f64 = 0.2;
+/// Time at the start of a command that does not count for the curriculum [s]: as in `sandgait evaluate --commands`, but at most
+/// half of the time between two commands.
+const BEGINNING: f64 = 2.0;
+
+/// An episode's difficulty.
+#[derive(Clone, Copy)]
+pub struct Difficulty {
+    /// 0 to 1
+    pub level: f64,
+    /// Factor on the sand's stress besides the drawn one.
+    pub ease: f64,
+    /// Shares of commands and of pushes.
+    pub commands: f64,
+    pub pushes: f64,
+}
+
+impl Difficulty {
+    /// The task itself.
+    pub const FULL: Self = Self { level: 1.0, ease: 1.0, commands: 1.0, pushes: 1.0 };
+}
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -34,31 +53,53 @@ pub struct LeggedEpisode {
     pub step: u32,
     /// Time for which each foot has been in the air [s].
     pub air: Vec<f64>,
+    /// Level of the curriculum, 0 to 1, and how well the robot has followed its commands.
+    #[serde(default = "full")]
+    pub level: f64,
+    #[serde(default)]
+    pub followed: Followed,
+}
+
+/// The level of an episode without a curriculum.
+fn full() -> f64 {
+    Difficulty::FULL.level
 }
 
 impl LeggedEpisode {
     /// Draws an episode's values. The number and order of the draws are always the same.
-    pub fn draw(from: Draws, model: &Model, random: &mut Random) -> Self {
-        let Draws { commands, rand, steps } = from;
+    pub fn draw(from: Draws, difficulty: Difficulty, model: &Model, random: &mut Random) -> Self {
+        let Draws { commands, rand, steps, .. } = from;
         let mut one = |[low, high]: [f64; 2]| random.uniform(low, high);
         let friction = one(rand.friction_range);
-        let sand = one(rand.sand_range);
+        let sand = one(rand.sand_range) * difficulty.ease;
         let added_mass = one(rand.added_mass_range) * model.total_mass();
         let motor_strength = one(rand.motor_strength_range);
         let seconds = f64::from(steps) / CONTROL_RATE;
         let count =
             |interval: f64| if interval > 0.0 { ((seconds / interval).ceil() as usize).clamp(1, MOST) } else { 0 };
         let mut command = || {
-            let drawn = [one(commands.lin_vel_x), one(commands.lin_vel_y), one(commands.ang_vel_yaw)];
-            let small = drawn[0].hypot(drawn[1]) < SMALL;
+            let drawn = commands.map(|range| difficulty.commands * one(range));
+            let small = drawn[0].hypot(drawn[1]) < from.small;
             if small { [0.0, 0.0, drawn[2]] } else { drawn }
         };
-        let all: Vec<_> = (0..count(commands.resampling_time)).map(|_| command()).collect();
-        let most = [-rand.max_push_vel_xy, rand.max_push_vel_xy];
+        let all: Vec<_> = (0..count(from.resampling_time)).map(|_| command()).collect();
+        let most = [-rand.max_push_vel_xy, rand.max_push_vel_xy].map(|v| difficulty.pushes * v);
         let pushes = (0..count(rand.push_interval)).map(|_| [one(most), one(most)]).collect();
         let feet = model.tree.as_ref().map_or(0, |tree| tree.stance.feet.len());
         let now = all.first().copied().unwrap_or_default();
-        Self { friction, sand, added_mass, motor_strength, commands: all, pushes, now, step: 0, air: vec![0.0; feet] }
+        Self {
+            friction,
+            sand,
+            added_mass,
+            motor_strength,
+            commands: all,
+            pushes,
+            now,
+            step: 0,
+            air: vec![0.0; feet],
+            level: difficulty.level,
+            followed: Followed::default(),
+        }
     }
 
     /// Can an episode with these ranges `from` have reached these values? `model`: the session's.
@@ -68,7 +109,9 @@ impl LeggedEpisode {
         let rand = from.rand;
         // A reset may have changed the ranges meanwhile, so the values are compared with the bounds of the options.
         (0.0..=10.0).contains(&self.friction)
-            && (0.05..=20.0).contains(&self.sand)
+            && (0.05..=20.0 * MOST_EASE).contains(&self.sand)
+            && (0.0..=1.0).contains(&self.level)
+            && self.followed.is_sound()
             && (-0.3..=1.0).contains(&(self.added_mass / model.total_mass()))
             && (0.1..=10.0).contains(&self.motor_strength)
             && (1..=MOST).contains(&self.commands.len())
@@ -101,17 +144,23 @@ impl LeggedEpisode {
 
     /// The command of the present step.
     fn command(&self, from: Draws) -> [f64; 3] {
-        let steps = (from.commands.resampling_time * CONTROL_RATE).max(1.0);
-        let k = (f64::from(self.step) / steps) as usize;
+        let k = (f64::from(self.step) / command_steps(from)) as usize;
         self.commands.get(k % self.commands.len().max(1)).copied().unwrap_or_default()
     }
 
-    /// Updates the episode after a step in which `feet` touch the ground (1) or do not (0); returns the push that
-    /// is due.
-    pub fn after_step(&mut self, from: Draws, feet: &[f32]) -> Option<[f64; 2]> {
-        self.step += 1;
-        for (air, touches) in self.air.iter_mut().zip(feet) {
+    /// Updates the episode after a step; returns the push that is due.
+    pub fn after_step(&mut self, from: Draws, unit: [f64; 3], seen: &Seen) -> Option<[f64; 2]> {
+        for (air, touches) in self.air.iter_mut().zip(seen.feet) {
             *air = if *touches == 1.0 { 0.0 } else { *air + 1.0 / CONTROL_RATE };
+        }
+        let every = command_steps(from);
+        self.followed.fell |= seen.fell;
+        if f64::from(self.step) % every >= (BEGINNING * CONTROL_RATE).min(every / 2.0) {
+            self.followed.add(seen.velocity);
+        }
+        self.step += 1;
+        if f64::from(self.step) % every < 1.0 {
+            self.followed.end(self.now, unit);
         }
         self.now = self.command(from);
         let interval = from.rand.push_interval;
@@ -121,4 +170,18 @@ impl LeggedEpisode {
         }
         Some(self.pushes[(self.step / steps - 1) as usize % self.pushes.len()])
     }
+}
+
+/// What an episode learns from a step.
+pub struct Seen<'a> {
+    /// 1 for each foot that touches the ground, else 0.
+    pub feet: &'a [f32],
+    /// Forward, to the left [m/s] and yaw [rad/s].
+    pub velocity: [f64; 3],
+    pub fell: bool,
+}
+
+/// Time between two commands [control steps].
+fn command_steps(from: Draws) -> f64 {
+    (from.resampling_time * CONTROL_RATE).max(1.0)
 }

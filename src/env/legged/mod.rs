@@ -7,15 +7,18 @@
 //! * [`options`]: its options; [`draws`]: the ranges that an episode draws from; [`episode`]: the values that an
 //!   episode has drawn and updates; [`reward`]: the terms.
 
+mod curriculum;
 mod draws;
 pub mod episode;
 mod options;
 mod reward;
+mod units;
 
-pub use draws::{Commands, DomainRand};
+pub use draws::{Commands, DomainRand, MOST_COMMAND};
 use options::action_scales;
 pub use options::{LeggedOptions, ReliefOptions};
 pub use reward::Rewards;
+pub use units::Units;
 
 use super::feature::{Features, flag};
 use super::ground::Change;
@@ -27,8 +30,7 @@ use crate::error::{Error, Result};
 use crate::sim::engine::{Command, EngineKind};
 use crate::sim::model::GRAVITY;
 use crate::sim::{Model, State};
-use draws::MOST_COMMAND;
-use episode::LeggedEpisode;
+use episode::{Difficulty, LeggedEpisode, Seen};
 use reward::{Contacts, LeggedStep};
 use std::sync::Arc;
 
@@ -50,10 +52,17 @@ The robot starts in its default pose just above the ground, with random errors o
 joint is its default position plus its action times `action_scale`. A servo at each joint follows the target. Default positions and gains are those of
 `default_joint_angles`, `stiffness` and `damping`, or else of the robot's file, or else found (docs/robots.md has the formulas). A pattern of these
 options is a joint's name, a part of it, or has a `*` for any letters. Commands are drawn from `commands` at the start and every `resampling_time`; speeds
-below 0.2 m/s are set to zero. `domain_rand` has the other quantities that an episode draws, and the pushes of the base.
+below 0.05 √(gℓ) are set to zero. `domain_rand` has the other quantities that an episode draws, and the pushes of the base.
 
-The names and formulas of the reward terms, their weights, and the order of the observation are those of legged_gym (Rudin et al. 2022) and
-of Isaac Lab's velocity tasks. As in these, a term is multiplied by its weight and by the control step's duration. A foot is in contact, and
+With `curriculum` an environment has a level from 0 to 1, which is in `info`. It rises by `step` after an episode whose mean error was at
+most `rise`, and falls by `step` after one whose error was at least `fall` or in which the robot fell. A command's error is
+|mean velocity − command| / |command|, each component divided by the end of its default range, without the first two seconds. The sand's stress is
+multiplied by e^(1 − level): with the factor e, the standing robot's feet sink by 2 % of the legs' length; on sand that carries it better e is 1. Pushes
+are multiplied by the level. A reset with a seed begins at the first level again. Level 1, and `curriculum=None`, are the task itself; evaluate policies
+with `curriculum=None`.
+
+The names of the reward terms and the order of the observation are those of legged_gym (Rudin et al. 2022) and
+of Isaac Lab's velocity tasks; velocities, times and torques in rewards are in units of the robot: √(gℓ), √(ℓ/g), Wℓ, with its legs' length ℓ and weight W. As in these, a term is multiplied by its weight and by the control step's duration. A foot is in contact, and
 another body collides, when it is in the ground. Velocities are those of the base link's origin, in the base's frame. There are three differences to
 legged_gym: observations are not scaled, a negative sum of rewards is not clipped at zero, and actions are within ±1. Therefore
 `action_scale` is larger than the 0.25 of legged_gym.
@@ -104,12 +113,47 @@ pub struct LeggedVelocity {
     rewards: Rewards,
     observation: Features<Observe>,
     figures: Features<Figure>,
-    /// Index of the feet's contacts in an info row.
+    /// Indices in an info row: of the feet's contacts, of the velocities, of the ways to fall.
     contacts: usize,
+    velocity: [usize; 3],
+    falls: [usize; 3],
     /// Default position of each joint [rad].
     angles: Vec<f64>,
     /// The joint of each action, and the offset of its target at action 1 [rad].
     driven: Vec<(usize, f64)>,
+    units: Units,
+    /// Factor on the sand's stress at level 0 of the curriculum.
+    ease: f64,
+}
+
+/// How an action moves a joint: its target is `default` plus the action times `scale`, which a servo follows.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct JointTarget {
+    pub joint: String,
+    /// [rad], for sliding joints [m]
+    pub default: f64,
+    pub scale: f64,
+    /// Gains [N·m/rad, N·m·s/rad] and torque limit [N·m], if it is known.
+    pub stiffness: f64,
+    pub damping: f64,
+    pub torque_limit: Option<f64>,
+}
+
+/// The target of each action of LeggedVelocity in `model`; `action_scale`: the option.
+pub fn joint_targets(model: &Model, action_scale: Option<f64>) -> Vec<JointTarget> {
+    let Some(tree) = &model.tree else { return Vec::new() };
+    let (names, followers) = (model.joint_names(), tree.tree.followers());
+    let scales = action_scales(tree, action_scale);
+    let driven = (0..names.len()).filter(|i| followers.iter().all(|f| f.joint != *i));
+    let target = |i: usize| JointTarget {
+        joint: names[i].clone(),
+        default: tree.stance.angles[i],
+        scale: scales[i],
+        stiffness: tree.motors[i].kp,
+        damping: tree.motors[i].kd,
+        torque_limit: tree.motors[i].torque_limit,
+    };
+    driven.map(target).collect()
 }
 
 fn observation(joints: &[String], motors: &[String], heights: bool) -> Features<Observe> {
@@ -162,6 +206,7 @@ fn figures(feet: &[String]) -> Features<Figure> {
         .free("weight", "N", |s, _| s.t.model.total_mass() * GRAVITY)
         .free("friction", "1", |s, _| s.legged.friction)
         .free("sand", "1", |s, _| s.legged.sand)
+        .free("level", "1", |s, _| s.legged.level)
         .free("added_mass", "kg", |s, _| s.legged.added_mass)
         .free("motor_strength", "1", |s, _| s.legged.motor_strength)
         .free("bad_orientation", "1", |s, _| flag(s.fallen && !s.t.diverged))
@@ -173,6 +218,33 @@ fn figures(feet: &[String]) -> Features<Figure> {
 /// Gravity's direction, velocity and angular velocity in the base's frame.
 fn base(state: &State) -> [[f64; 3]; 3] {
     [[0.0, 0.0, -1.0], state.velocity, state.angular_velocity].map(|v| state.to_body(v))
+}
+
+impl LeggedVelocity {
+    fn difficulty(&self, options: &LeggedOptions, level: f64) -> Difficulty {
+        let Some(curriculum) = &options.curriculum else { return Difficulty::FULL };
+        let commands = curriculum.commands + (1.0 - curriculum.commands) * level;
+        Difficulty { level, ease: self.ease.powf(1.0 - level), commands, pushes: level }
+    }
+
+    /// First state and goal of an episode at this level of the curriculum.
+    fn begin_at(&self, setup: &Setup<LeggedOptions>, level: f64, random: &mut Random) -> (State, Goal) {
+        let noise = setup.options.angle_noise;
+        let angles: Vec<f64> = self.angles.iter().map(|a| a + random.uniform(-noise, noise)).collect();
+        let difficulty = self.difficulty(setup.options, level);
+        let legged = LeggedEpisode::draw(setup.options.draws(&self.units), difficulty, setup.model, random);
+        // The drawn values lie in checked ranges, so this cannot fail; if it did, the session's own model would be
+        // used.
+        let model = legged.model(setup.model).map_or_else(|_| setup.model.clone(), Arc::new);
+        // A random start position on ground that is not flat.
+        let size = model.scene.relief.as_ref().map(|r| r.size());
+        let at = size.map_or([0.0; 2], |size| size.map(|length| random.uniform(0.0, length)));
+        let mut state = State::at_rest(height(&model, &angles, at), &angles);
+        (state.position[0], state.position[1]) = (at[0], at[1]);
+        state.references.copy_from_slice(&self.angles);
+        let [speed, _, turn] = legged.now;
+        (state, Goal { speed, turn, model: Some(model), legged: Some(legged), ..Goal::default() })
+    }
 }
 
 impl Task for LeggedVelocity {
@@ -221,8 +293,13 @@ impl Task for LeggedVelocity {
         };
         let angles = tree.stance.angles.clone();
         let first = feet.first().map(|foot| contact(foot).name);
-        let contacts = spec.info.iter().position(|column| Some(&column.name) == first.as_ref()).unwrap_or(0);
-        Ok(Self { spec, rewards, observation, figures, contacts, angles, driven })
+        let at = |name: &str| spec.info.iter().position(|column| column.name == name).unwrap_or(0);
+        let contacts = first.as_ref().map_or(0, |name| at(name));
+        let velocity = ["speed", "lin_vel_y", "ang_vel_yaw"].map(at);
+        let falls = ["bad_orientation", "base_contact", "base_low"].map(at);
+        let units = Units::of(setup.model);
+        let ease = options.curriculum.map_or(1.0, |_| curriculum::ease(setup.model));
+        Ok(Self { spec, rewards, observation, figures, contacts, velocity, falls, angles, driven, units, ease })
     }
 
     fn spec(&self) -> &Spec {
@@ -230,20 +307,17 @@ impl Task for LeggedVelocity {
     }
 
     fn begin(&self, setup: &Setup<LeggedOptions>, random: &mut Random) -> (State, Goal) {
-        let noise = setup.options.angle_noise;
-        let angles: Vec<f64> = self.angles.iter().map(|a| a + random.uniform(-noise, noise)).collect();
-        let legged = LeggedEpisode::draw(setup.options.draws(), setup.model, random);
-        // The drawn values lie in checked ranges, so this cannot fail; if it did, the session's own model would be
-        // used.
-        let model = legged.model(setup.model).map_or_else(|_| setup.model.clone(), Arc::new);
-        // A random start position on ground that is not flat.
-        let size = model.scene.relief.as_ref().map(|r| r.size());
-        let at = size.map_or([0.0; 2], |size| size.map(|length| random.uniform(0.0, length)));
-        let mut state = State::at_rest(height(&model, &angles, at), &angles);
-        (state.position[0], state.position[1]) = (at[0], at[1]);
-        state.references.copy_from_slice(&self.angles);
-        let [speed, _, turn] = legged.now;
-        (state, Goal { speed, turn, model: Some(model), legged: Some(legged), ..Goal::default() })
+        let level = setup.options.curriculum.map_or(1.0, |c| c.level);
+        self.begin_at(setup, level, random)
+    }
+
+    fn begin_after(&self, setup: &Setup<LeggedOptions>, last: &Goal, random: &mut Random) -> (State, Goal) {
+        let level = match (&setup.options.curriculum, &last.legged) {
+            (None, _) => 1.0,
+            (Some(curriculum), Some(last)) => curriculum.next(last.level, &last.followed),
+            (Some(curriculum), None) => curriculum.level,
+        };
+        self.begin_at(setup, level, random)
     }
 
     fn command(&self, action: &[f32], _state: &State, command: &mut Command) {
@@ -256,10 +330,25 @@ impl Task for LeggedVelocity {
 
     fn after_step(&self, setup: &Setup<LeggedOptions>, goal: &mut Goal, _state: &State, info: &[f32]) -> Change {
         let Some(legged) = &mut goal.legged else { return Change::Nothing };
-        let feet = &info[self.contacts..][..legged.air.len()];
-        let push = legged.after_step(setup.options.draws(), feet);
+        let seen = Seen {
+            feet: &info[self.contacts..][..legged.air.len()],
+            velocity: self.velocity.map(|k| info[k].into()),
+            fell: self.falls.iter().any(|k| info[*k] > 0.0),
+        };
+        let push = legged.after_step(setup.options.draws(&self.units), self.units.commanded(), &seen);
         [goal.speed, _, goal.turn] = legged.now;
         push.map_or(Change::Nothing, Change::Push)
+    }
+
+    fn command_ranges(&self, setup: &Setup<LeggedOptions>) -> Option<[[f64; 2]; 3]> {
+        Some(self.units.ranges(&setup.options.commands))
+    }
+
+    fn set_command(&self, goal: &mut Goal, command: [f64; 3]) {
+        [goal.speed, _, goal.turn] = command;
+        if let Some(legged) = &mut goal.legged {
+            (legged.commands, legged.now) = (vec![command], command);
+        }
     }
 
     fn observe(&self, goal: &Goal, state: &State, last_action: &[f32], row: &mut [f32]) {
@@ -286,6 +375,7 @@ impl Task for LeggedVelocity {
             legged,
             contacts,
             default,
+            units: &self.units,
             gravity,
             velocity,
             angular_velocity,
@@ -320,7 +410,7 @@ impl Task for LeggedVelocity {
         let Goal { model: None, ground: None, legged: Some(legged), .. } = goal else {
             return Err("its robot".into());
         };
-        if !legged.is_sound(setup.options.draws(), setup.model) {
+        if !legged.is_sound(setup.options.draws(&Units::of(setup.model)), setup.model) {
             return Err("its drawn values".into());
         }
         goal.model = Some(Arc::new(legged.model(setup.model).map_err(|e| e.to_string())?));

@@ -1,8 +1,10 @@
 //! Options of LeggedVelocity: names and defaults after legged_gym (Rudin et al. 2022, `legged_robot_config.py`) where it has
 //! them.
 
+use super::curriculum::Curriculum;
 use super::draws::{Commands, DomainRand, Draws};
 use super::reward::Rewards;
+use super::units::Units;
 use crate::error::{Error, Result, check_range};
 use crate::options;
 use crate::options::RobotName;
@@ -35,13 +37,14 @@ options! {
         payload: f64 = 0.0, reset, "extra mass at the base's centre [kg]";
         max_episode_steps: u32 = 1000, [1.0, MAX_STEPS], "number of control steps after which an episode is truncated";
         ground: String = Medium::DEFAULT.into(), reset, "rigid, mixed (slabs of hard ground in loose poppy seeds), dunes (of loose poppy seeds), a medium's name, zeta=VALUE, or mu=VALUE,rho=VALUE";
+        curriculum: Option<Curriculum> = Some(Curriculum::default()), reset, "an environment's episodes become harder while its robot follows its commands, and easier while it does not; None: all have full difficulty";
         commands: Commands = Commands::default(), reset, "ranges [low, high] of commands, which are drawn at the start and repeatedly during the episode";
         rewards: Rewards = Rewards::default(), reset, "weight of each reward term [1/s]";
         domain_rand: Option<DomainRand> = Some(DomainRand::default()), reset, "ranges [low, high] of the quantities that an episode draws; None: nothing is drawn";
         default_joint_angles: BTreeMap<String, f64> = BTreeMap::new(), [-100.0, 100.0], reset, "default positions of joints by pattern of their names [rad], in place of the robot's";
         stiffness: BTreeMap<String, f64> = BTreeMap::new(), [0.0, 1e6], reset, "position gains kp of servos by pattern of joint names [N·m/rad], in place of the robot's";
         damping: BTreeMap<String, f64> = BTreeMap::new(), [0.0, 1e5], reset, "speed gains kd of servos by pattern of joint names [N·m·s/rad], in place of the robot's";
-        action_scale: Option<f64> = None, [1e-3, 3.0], reset, "difference between a joint's target and its default position at action 1 [rad]; None: where the servo gives the joint's full torque, but 0.4 to 1 rad";
+        action_scale: Option<f64> = None, [1e-3, 3.0], reset, "difference between a joint's target and its default position at action 1 [rad]; None: where the servo gives the joint's full torque, but 0.4 to 0.5 rad";
         relief: Option<ReliefOptions> = None, "heights of the ground; None: the ground is flat, except with ground dunes";
         measure_heights: bool = false, "add the ground's heights at legged_gym's 187 points around the robot to the observation";
     }
@@ -81,13 +84,14 @@ impl ReliefOptions {
 }
 
 impl LeggedOptions {
-    pub(super) fn draws(&self) -> Draws {
+    pub(super) fn draws(&self, units: &Units) -> Draws {
         let rand = self.domain_rand.unwrap_or(DomainRand::NONE);
-        Draws { commands: self.commands, rand, steps: self.max_episode_steps }
+        let (commands, resampling_time) = (units.ranges(&self.commands), self.commands.resampling_time);
+        Draws { commands, resampling_time, small: SMALL * units.speed, rand, steps: self.max_episode_steps }
     }
 
     pub(super) fn model(&self) -> Result<Model> {
-        let interval = self.draws().rand.push_interval;
+        let interval = self.domain_rand.map_or(0.0, |rand| rand.push_interval);
         if interval != 0.0 {
             check_range("domain_rand.push_interval", interval, 0.1..=1e4)?;
         }
@@ -121,11 +125,13 @@ impl LeggedOptions {
     }
 }
 
-/// Least and greatest scale of an action [rad]: our choice. With the least one a foot moves by some 0.4 lengths of the
-/// leg; a greater one than 1 rad leaves most joints' ranges.
-const SCALES: [f64; 2] = [0.4, 1.0];
-/// Scale of a joint without a known torque limit [rad]: that of Isaac Lab's velocity tasks.
-const USUAL_SCALE: f64 = 0.5;
+/// Commanded speeds below this part of √(gℓ) are zero: legged_gym has 0.2 m/s of at most 1 m/s; our choice is smaller, so that slow
+/// steps to the side are learned too.
+const SMALL: f64 = 0.05;
+
+/// Least and greatest scale of an action [rad]. With the least one, our choice, a foot moves by some 0.4 lengths of the leg. The
+/// greatest one, also that of a joint without a known torque limit, is that of Isaac Lab's velocity tasks.
+const SCALES: [f64; 2] = [0.4, 0.5];
 /// Scale of a sliding joint without a range, as a part of the legs' length: our choice.
 const SLIDING: f64 = 0.25;
 
@@ -134,7 +140,7 @@ pub(super) fn action_scales(tree: &TreeModel, given: Option<f64>) -> Vec<f64> {
     let scale = |(joint, motor): (&TreeJoint, &TreeMotor)| match (joint.kind, motor.torque_limit) {
         (JointKind::Slide, _) => joint.range.map_or(SLIDING * tree.stance.leg_length, |[low, high]| (high - low) / 2.0),
         (_, Some(limit)) if motor.kp > 0.0 => (limit / motor.kp).clamp(SCALES[0], SCALES[1]),
-        _ => USUAL_SCALE,
+        _ => SCALES[1],
     };
     let joints = tree.tree.joints().zip(&tree.motors);
     joints.map(|joint| given.unwrap_or_else(|| scale(joint))).collect()

@@ -1,6 +1,8 @@
-//! Terms of the reward of LeggedVelocity: names and laws of legged_gym (`_reward_…` in `legged_robot.py`).
+//! Terms of the reward of LeggedVelocity: names and laws of legged_gym (`_reward_…` in `legged_robot.py`), with velocities, times
+//! and torques in the robot's own units (`units`), so that weights are the same for robots of every size.
 
 use super::episode::LeggedEpisode;
+use super::units::Units;
 use crate::feature::flag;
 use crate::reward_terms;
 use crate::sim::tree::kinematics::{frames, lowest};
@@ -8,12 +10,11 @@ use crate::sim::{Model, State};
 use crate::spec::CONTROL_RATE;
 use crate::task::Transition;
 
-/// σ of the tracking terms [m²/s², rad²/s²].
+/// σ of the tracking terms, of velocities in units of the commands' default ends: legged_gym has 0.25 for ends of 1.
 const TRACKING: f64 = 0.25;
-/// Air time from which on a step is rewarded [s].
-const AIR: f64 = 0.5;
-/// Commanded speed below which the robot should stand [m/s].
-const STANDING: f64 = 0.1;
+/// Air time from which on a step is rewarded [√(ℓ/g)]: legged_gym's 0.5 s on ANYmal's legs of 0.5 m.
+const AIR: f64 = 2.2;
+
 /// Share of a joint's range at either end that the joint should avoid (A1: soft limits of 0.9).
 const OUTER: f64 = 0.05;
 
@@ -50,6 +51,7 @@ pub struct LeggedStep<'a> {
     pub contacts: Contacts,
     /// Default position of each joint [rad].
     pub default: &'a [f64],
+    pub units: &'a Units,
     /// Gravity's direction, and velocity and angular velocity in the base's frame, after the step.
     pub gravity: [f64; 3],
     pub velocity: [f64; 3],
@@ -71,28 +73,32 @@ impl LeggedStep<'_> {
 }
 
 reward_terms! {
-    /// Weights of the reward's terms, with legged_gym's names, signs and values; each is a rate per second.
-    /// Velocities are in the base's frame.
+    /// Weights of the reward's terms, with legged_gym's names and signs; each is a rate per second. Velocities are in the base's
+    /// frame; v_max and ω_max are the ends of the commands' default ranges. Weights of terms with units are legged_gym's for ANYmal C
+    /// (ℓ = 0.5 m), that of the torques is between those of its A1 (0.26) and ANYmal C (0.65), rounded.
     pub struct Rewards of LeggedStep<'_>, weights in [-1e4, 1e4] {
-        tracking_lin_vel: 1.0, "exp(−((v_x − commanded)² + (v_y − commanded)²) / 0.25 m²/s²)", |s| {
-            (-(square(s.velocity[0] - s.legged.now[0]) + square(s.velocity[1] - s.legged.now[1])) / TRACKING).exp()
+        tracking_lin_vel: 1.0, "exp(−(((v_x − commanded) / v_max,x)² + ((v_y − commanded) / v_max,y)²) / 0.25)", |s| {
+            let [x, y, _] = s.units.commanded();
+            (-(square((s.velocity[0] - s.legged.now[0]) / x) + square((s.velocity[1] - s.legged.now[1]) / y)) / TRACKING).exp()
         };
-        tracking_ang_vel: 0.5, "exp(−(ω_z − commanded)² / 0.25 rad²/s²)", |s| (-square(s.angular_velocity[2] - s.legged.now[2]) / TRACKING).exp();
-        lin_vel_z: -2.0, "v_z²", |s| square(s.velocity[2]);
-        ang_vel_xy: -0.05, "ω_x² + ω_y²", |s| square(s.angular_velocity[0]) + square(s.angular_velocity[1]);
+        tracking_ang_vel: 0.5, "exp(−((ω_z − commanded) / ω_max)² / 0.25)", |s| {
+            (-square((s.angular_velocity[2] - s.legged.now[2]) / s.units.commanded()[2]) / TRACKING).exp()
+        };
+        lin_vel_z: -10.0, "v_z² / (gℓ)", |s| square(s.velocity[2] / s.units.speed);
+        ang_vel_xy: -1.0, "(ω_x² + ω_y²) ℓ/g", |s| (square(s.angular_velocity[0]) + square(s.angular_velocity[1])) / square(s.units.rate);
         orientation: 0.0, "g_x² + g_y², with gravity's direction g in the base's frame", |s| square(s.gravity[0]) + square(s.gravity[1]);
-        torques: -1e-5, "Σ τ²", |s| s.t.after.torques.iter().map(|x| x * x).sum::<f64>();
-        dof_acc: -2.5e-7, "Σ (mean acceleration of a joint over the step)²", |s| accelerations(s.t);
+        torques: -0.3, "Σ (τ / (Wℓ))²", |s| s.t.after.torques.iter().map(|x| square(x / s.units.torque)).sum::<f64>();
+        dof_acc: -1e-4, "Σ (mean acceleration of a joint over the step · ℓ/g)²", |s| accelerations(s.t) / square(square(s.units.rate));
         action_rate: -0.01, "Σ (change of the action)²", |s| {
             s.t.action.iter().zip(s.t.previous_action).map(|(a, b)| square(f64::from(a - b))).sum()
         };
-        feet_air_time: 1.0, "Σ (time in the air − 0.5 s) over the feet that touch down; 0 if the commanded speed is at most 0.1 m/s", |s| {
-            if s.commanded() > STANDING { air_time(s) } else { 0.0 }
+        feet_air_time: 0.23, "Σ (time in the air / √(ℓ/g) − 2.2) over the feet that touch down; 0 if the commanded speed is 0", |s| {
+            if s.commanded() > 0.0 { air_time(s) } else { 0.0 }
         };
         collision: -1.0, "number of bodies in the ground, except base and feet", |s| s.contacts.others as f64;
         dof_pos_limits: -10.0, "Σ distance of joints beyond the middle 90 % of their range [rad]", |s| beyond_limits(s.t.model, s.t.after);
-        stand_still: 0.0, "Σ |joint angle − default|; 0 if the commanded speed is at least 0.1 m/s", |s| {
-            if s.commanded() < STANDING { off_default(s) } else { 0.0 }
+        stand_still: 0.0, "Σ |joint angle − default|; 0 if the commanded speed is above 0", |s| {
+            if s.commanded() == 0.0 { off_default(s) } else { 0.0 }
         };
         termination: -100.0, "1 in the step that terminates the episode", |s| flag(s.terminated());
     }
@@ -109,7 +115,7 @@ fn accelerations(t: &Transition) -> f64 {
 
 fn air_time(s: &LeggedStep) -> f64 {
     let landed = s.legged.air.iter().zip(&s.contacts.feet).filter(|(air, touches)| **air > 0.0 && **touches);
-    landed.map(|(air, _)| air + 1.0 / CONTROL_RATE - AIR).sum()
+    landed.map(|(air, _)| (air + 1.0 / CONTROL_RATE) * s.units.rate - AIR).sum()
 }
 
 fn off_default(s: &LeggedStep) -> f64 {

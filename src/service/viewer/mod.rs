@@ -8,10 +8,12 @@
 //!
 //! The page shows the names of sessions, as logs and lists do, never their ids. Watching changes nothing.
 //!
+//! * [`play`]: the page of one environment that is steered.
 //! * [`watchers`]: the watchers of each environment; [`frames`]: their data. The thread that steps only copies the
 //!   state.
 
 mod frames;
+pub mod play;
 pub mod watchers;
 
 use super::connections;

@@ -62,6 +62,17 @@ pub fn pushes(model: &Model, state: &State) -> Vec<Push> {
     all
 }
 
+/// Upward force of the sand on a robot that moves at the velocities of `state` without acceleration [N].
+pub fn support(model: &Model, state: &State) -> f64 {
+    let Some((tree, state)) = engine::alone(model, state) else { return 0.0 };
+    let mut s = Scratch::new(tree.bodies.len());
+    accelerate(&tree, &state, &mut s);
+    let mut loads = vec![Load::none(); tree.bodies.len()];
+    sand::press(&tree.ground, &tree.patches, &s.frames, &state.place(), &tree.relief, &mut loads, tree.dt);
+    let still = Twist { angular: Vec3::zero(), linear: Vec3::zero() };
+    loads.iter().map(|load| force(load, &still).z).sum()
+}
+
 /// The force that a load which contains nothing else exerts on a body with this acceleration.
 fn force(load: &Load<f64>, acceleration: &Twist<f64>) -> V {
     let mut needed = load.inertia.apply(acceleration);

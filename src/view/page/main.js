@@ -182,6 +182,46 @@ function main() {
   requestAnimationFrame(frame);
 }
 
+/** Interval between two looks at keys and gamepad [ms]. */
+const STEERING = 50;
+
+/** Sends the command of arrow keys or a gamepad whenever it changes: shares from -1 to 1, forward, to the left, yaw to the left. */
+function steer() {
+  const key = new URLSearchParams(location.hash.slice(1)).get("key") || "";
+  const held = new Set();
+  const arrows = ["ArrowUp", "ArrowDown", "ArrowLeft", "ArrowRight"];
+  document.addEventListener("keydown", (event) => {
+    if (arrows.includes(event.code)) event.preventDefault();
+    held.add(event.code);
+  });
+  document.addEventListener("keyup", (event) => held.delete(event.code));
+  window.addEventListener("blur", () => held.clear());
+  const pressed = (...codes) => (codes.some((code) => held.has(code)) ? 1 : 0);
+  const commanded_now = () => {
+    const aside = pressed("ArrowLeft") - pressed("ArrowRight");
+    const shift = pressed("ShiftLeft", "ShiftRight");
+    const command = [pressed("ArrowUp") - pressed("ArrowDown"), shift * aside, (1 - shift) * aside];
+    for (const pad of navigator.getGamepads ? navigator.getGamepads() : []) {
+      if (!pad) continue;
+      const axis = (k) => (Math.abs(pad.axes[k] || 0) < 0.1 ? 0 : -pad.axes[k]);
+      [axis(1), axis(0), axis(2)].forEach((share, k) => { command[k] = Math.min(Math.max(command[k] + share, -1), 1); });
+    }
+    return command;
+  };
+  let sent = "";
+  setInterval(async () => {
+    const body = JSON.stringify(commanded_now());
+    if (body === sent) return;
+    sent = body;
+    const reply = await fetch("steer", { method: "POST", body, headers: { authorization: `Bearer ${key}` } }).catch(() => null);
+    $("steering").textContent = reply && reply.ok ? STEERED : reply ? await reply.text() : "The program has ended.";
+  }, STEERING);
+  $("steering").hidden = false;
+  $("steering").textContent = STEERED;
+}
+
+const STEERED = "Arrow keys: walk and turn; with Shift: to the side. Or a gamepad.";
+
 /** Lists the server's environments, and follows the one that is chosen. */
 async function follow_server() {
   const choice = $("environment");
@@ -195,6 +235,7 @@ async function follow_server() {
   const list = async () => {
     const reply = await fetch("sessions");
     const sessions = await reply.json();
+    if (sessions.some((session) => session.steered) && $("steering").hidden) steer();
     const options = sessions.flatMap(({ name, task, envs }) => Array.from({ length: Math.min(envs, 64) }, (_, i) =>
       [`${name}/${i}`, `${name} · ${task.replace("sandgait/", "")} · ${i + 1} of ${envs}`]));
     const known = Array.from(choice.options, (o) => o.value).join();

@@ -1,0 +1,165 @@
+//! `sandgait play`
+
+use sandgait::env::Shard;
+use sandgait::env::Task;
+use sandgait::env::legged::LeggedVelocity;
+use sandgait::env::registry::Blueprint;
+use sandgait::policy::Network;
+use sandgait::service::{Play as Page, bind_tcp};
+use sandgait::train::entry;
+use sandgait::{Error, Result};
+use serde_json::{Value, json};
+use std::net::{Ipv4Addr, SocketAddr};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+use tokio_util::sync::CancellationToken;
+
+/// Walk a robot with the arrow keys, in a browser on this machine.
+///
+/// POLICY is an ONNX file of `sandgait train`, with settings.json beside it, or the task HexapodGait, whose policy is part of this
+/// program. Up and down: forward and back; left and right: turn; with Shift: to the side. A gamepad's sticks do the same. The
+/// address that is printed has the key that steering needs. Ctrl-C ends it.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:
+  sandgait play HexapodGait
+  sandgait play runs/go1/policy.onnx
+  sandgait play runs/go1/policy.onnx --option ground=rigid --no-browser")]
+pub struct Play {
+    /// FILE.onnx or HexapodGait
+    policy: String,
+    /// Option of the task, in place of those in settings.json
+    #[arg(long, value_name = "NAME=VALUE")]
+    option: Vec<String>,
+    /// Port of the page; 0: any free one
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    port: u16,
+    /// Do not open a browser
+    #[arg(long)]
+    no_browser: bool,
+    /// End after this time [s]
+    #[arg(long, value_name = "S", hide = true)]
+    seconds: Option<f64>,
+}
+
+/// The policy that this program contains: that of `examples/policies/HexapodGait-ppo`.
+const HEXAPOD: &[u8] = include_bytes!("../../examples/policies/HexapodGait-ppo/policy.onnx");
+const HEXAPOD_SETTINGS: &str = include_str!("../../examples/policies/HexapodGait-ppo/settings.json");
+
+/// Control steps of an episode: our choice, an hour.
+const STEPS: u32 = 180_000;
+
+impl Play {
+    pub fn run(self) -> Result<String> {
+        let (onnx, settings) = self.read()?;
+        let (blueprint, network) = self.prepare(&onnx, &settings)?;
+        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
+        let runtime = runtime.map_err(|e| Error::Exhausted(format!("cannot start threads: {e}")))?;
+        let stop = CancellationToken::new();
+        let signalled = stop.clone();
+        runtime.spawn(async move {
+            let _ = tokio::signal::ctrl_c().await;
+            signalled.cancel();
+        });
+        let key = format!("{:032x}", rand::random::<u128>());
+        let _inside = runtime.enter();
+        let page = Page::new(blueprint.task.clone(), &key);
+        let place = SocketAddr::from((Ipv4Addr::LOCALHOST, self.port));
+        let unusable = |e: std::io::Error| Error::invalid("--port", format!("{place}: {e}"));
+        let listener = bind_tcp(place).map_err(unusable)?;
+        let address = format!("http://{}/#key={key}", listener.local_addr().map_err(unusable)?);
+        println!("{address}");
+        runtime.spawn(page.clone().serve(listener, stop.clone()));
+        if !self.no_browser {
+            open(&address);
+        }
+        let walked = walk(&blueprint, &network, &page, self.seconds, &stop);
+        stop.cancel();
+        runtime.shutdown_timeout(Duration::from_secs(1));
+        walked.map(|()| String::new())
+    }
+
+    /// The network's bytes and the settings of its training.
+    fn read(&self) -> Result<(Vec<u8>, Value)> {
+        let no_json = |path: &Path, e: serde_json::Error| Error::file(path, e);
+        let name = self.policy.trim_start_matches("sandgait/").trim_end_matches("-v1");
+        if name == "HexapodGait" {
+            let settings = serde_json::from_str(HEXAPOD_SETTINGS);
+            return Ok((HEXAPOD.to_vec(), settings.map_err(|e| no_json(Path::new("settings.json"), e))?));
+        }
+        if !self.policy.ends_with(".onnx") {
+            let reason = format!(
+                "{:?} is neither an .onnx file nor HexapodGait, the task whose policy is part of this program",
+                self.policy
+            );
+            return Err(Error::invalid("policy", reason));
+        }
+        let path = PathBuf::from(&self.policy);
+        let onnx = std::fs::read(&path).map_err(|e| Error::file(&path, e))?;
+        let beside = path.with_file_name("settings.json");
+        let text = std::fs::read(&beside).map_err(|e| Error::file(&beside, e))?;
+        Ok((onnx, serde_json::from_slice(&text).map_err(|e| no_json(&beside, e))?))
+    }
+
+    /// The task, without randomness and with long episodes, and its policy.
+    fn prepare(&self, onnx: &[u8], settings: &Value) -> Result<(Blueprint, Network)> {
+        let task = entry::task_id(settings["task"].as_str().unwrap_or_default());
+        let mut options = settings["options"].as_object().cloned().unwrap_or_default();
+        options.extend(super::train::options(&self.option)?);
+        let mut options = Value::Object(options);
+        // Options that Python wrote name files.
+        super::read_files(&mut options)?;
+        options["max_episode_steps"] = json!(STEPS);
+        if task == LeggedVelocity::ID {
+            options["domain_rand"] = Value::Null;
+            options["curriculum"] = Value::Null;
+        }
+        let blueprint = Blueprint::new(&task, options)?;
+        if blueprint.task.command_ranges().is_none() {
+            return Err(Error::invalid("policy", format!("{task} has no commands to steer by")));
+        }
+        let network = Network::new(onnx, blueprint.task.spec())?;
+        Ok((blueprint, network))
+    }
+}
+
+/// Steps one environment in real time, under the page's commands, until `stop` is cancelled or `seconds` are over.
+fn walk(
+    blueprint: &Blueprint,
+    network: &Network,
+    page: &Page,
+    seconds: Option<f64>,
+    stop: &CancellationToken,
+) -> Result<()> {
+    let Some(ranges) = blueprint.task.command_ranges() else { return Ok(()) };
+    let mut shard = Shard::new(blueprint, 1)?;
+    shard.reset(|_| true, Some(&[0]), |_| None);
+    let mut action = vec![0.0; shard.actions()];
+    let period = Duration::from_secs_f64(1.0 / blueprint.task.spec().control_rate);
+    let (start, mut due) = (Instant::now(), Instant::now());
+    while !stop.is_cancelled() && seconds.is_none_or(|s| start.elapsed().as_secs_f64() < s) {
+        let shares = page.command();
+        // A share of −1 is the low end, 0 stands still.
+        let command = std::array::from_fn(|k| {
+            let [low, high] = ranges[k];
+            if shares[k] < 0.0 { -shares[k] * low.min(0.0) } else { shares[k] * high.max(0.0) }
+        });
+        shard.set_command(0, command)?;
+        network.act(&shard.rows.observations, &mut action)?;
+        shard.step(&action);
+        page.show(shard.look(0, false));
+        due += period;
+        match due.checked_duration_since(Instant::now()) {
+            Some(early) => std::thread::sleep(early),
+            // Too slow for real time: the clock starts again, so that no hurry follows.
+            None => due = Instant::now(),
+        }
+    }
+    Ok(())
+}
+
+/// Opens a browser, if this machine has the usual program for it.
+fn open(address: &str) {
+    let program = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
+    let quiet = std::process::Stdio::null;
+    let _ = std::process::Command::new(program).arg(address).stdin(quiet()).stdout(quiet()).stderr(quiet()).spawn();
+}

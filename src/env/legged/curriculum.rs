@@ -1,0 +1,102 @@
+//! The curriculum of LeggedVelocity: an episode's difficulty follows from how well the same environment's robot followed
+//! its commands in the episode before, as in legged_gym (`_update_terrain_curriculum`).
+
+use crate::options;
+use crate::sim::model::GRAVITY;
+use crate::sim::tree::forces::support;
+use crate::sim::{Model, State};
+use serde::{Deserialize, Serialize};
+
+/// Depth to which the feet of a standing robot sink at level 0, as a part of the legs' length: our choice; the robot's own
+/// servos give way by a twentieth (`tree::gains`), so such sand is as good as hard.
+const FIRM: f64 = 0.02;
+/// Speed at which the support of the sand is computed, in units of √(gℓ): our choice, slow; the force hardly depends on it.
+const SLOW: f64 = 1e-3;
+/// Largest factor on the sand's stress: our choice, for robots on points.
+pub const MOST_EASE: f64 = 200.0;
+
+options! {
+    /// When levels rise and fall: our choice, an error of 0.4 leaves no doubt that the robot walks, and standing still has 1.
+    /// Commands are full at all levels by default, because standing still earns most of the reward under slow ones.
+    #[derive(Copy, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct Curriculum {
+        level: f64 = 0.0, [0.0, 1.0], "level of an environment's first episode, from 0 (easiest) to 1 (the task itself)";
+        step: f64 = 0.1, [1e-3, 1.0], "change of the level from an episode to the next";
+        rise: f64 = 0.4, [0.0, 10.0], "largest mean error of an episode after which the level rises";
+        fall: f64 = 0.7, [0.0, 10.0], "mean error from which on the level falls, as after a fall of the robot";
+        commands: f64 = 1.0, [0.0, 1.0], "share of the commands at level 0";
+    }
+}
+
+/// How well the robot has followed its commands in an episode.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Followed {
+    /// Sum of the velocities under the present command since its beginning was over: forward, to the left [m/s], yaw [rad/s].
+    pub sum: [f64; 3],
+    /// Number of these steps.
+    pub steps: u32,
+    /// Sum of the errors of earlier commands, and their number.
+    pub error: f64,
+    pub commands: u32,
+    pub fell: bool,
+}
+
+impl Followed {
+    /// Can an episode have reached this? Checks snapshots.
+    pub fn is_sound(&self) -> bool {
+        self.sum.iter().chain([&self.error]).all(|x| x.is_finite()) && self.error >= 0.0
+    }
+
+    /// Adds a step's velocity.
+    pub fn add(&mut self, velocity: [f64; 3]) {
+        self.sum.iter_mut().zip(velocity).for_each(|(sum, v)| *sum += v);
+        self.steps += 1;
+    }
+
+    /// Ends `command`, whose error counts if the robot had time to follow it. Errors are relative to the command, but to
+    /// at least `least`.
+    pub fn end(&mut self, command: [f64; 3], unit: [f64; 3]) {
+        if self.steps > 0 {
+            let n = f64::from(self.steps);
+            let norm = |v: [f64; 3]| (0..3).map(|k| (v[k] / unit[k]).powi(2)).sum::<f64>().sqrt();
+            let off: [f64; 3] = std::array::from_fn(|k| self.sum[k] / n - command[k]);
+            self.error += norm(off) / norm(command).max(LEAST);
+            self.commands += 1;
+        }
+        (self.sum, self.steps) = ([0.0; 3], 0);
+    }
+}
+
+/// Errors are relative to the command, but at least to this part of the largest one: our choice.
+const LEAST: f64 = 0.4;
+
+impl Curriculum {
+    /// The level after an episode.
+    pub fn next(&self, level: f64, followed: &Followed) -> f64 {
+        let error = followed.error / f64::from(followed.commands.max(1));
+        let change = match followed.fell {
+            true => -self.step,
+            false if followed.commands == 0 => 0.0,
+            false if error <= self.rise => self.step,
+            false if error >= self.fall => -self.step,
+            false => 0.0,
+        };
+        (level + change).clamp(0.0, 1.0)
+    }
+}
+
+/// The factor on the stress of the model's sand at which its standing robot sinks by [`FIRM`]; at least 1.
+pub fn ease(model: &Model) -> f64 {
+    let Some(tree) = &model.tree else { return 1.0 };
+    if !model.has_sand() {
+        return 1.0;
+    }
+    let (angles, length) = (&tree.stance.angles, tree.stance.leg_length);
+    let mut state = State::at_rest(tree.height_over(angles, |x, y| model.surface_height(x, y)), angles);
+    state.position[2] -= FIRM * length;
+    state.velocity[2] = -SLOW * (GRAVITY * length).sqrt();
+    let support = support(model, &state);
+    if support > 0.0 { (model.total_mass() * GRAVITY / support).clamp(1.0, MOST_EASE) } else { MOST_EASE }
+}

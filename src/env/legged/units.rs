@@ -1,0 +1,46 @@
+//! A robot's own units: speeds, times and torques that are alike for robots of every size.
+
+use super::draws::{Commands, MOST_COMMAND};
+use crate::sim::Model;
+use crate::sim::model::GRAVITY;
+
+/// Units from the legs' length ℓ and the weight W. Robots that move with equal numbers in these units move alike, only larger
+/// (R. McN. Alexander & A. S. Jayes, J. Zool. 201 (1983) 135): v²/(gℓ) is the Froude number.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Units {
+    /// √(gℓ) [m/s]
+    pub speed: f64,
+    /// √(g/ℓ) [rad/s]
+    pub rate: f64,
+    /// Wℓ [N·m]
+    pub torque: f64,
+}
+
+/// Ends of the commands' default ranges in these units, forward, to the left and yaw: our choice. A Froude number of 0.25 forward
+/// is a brisk walk (animals change from walk to trot near 0.5, Alexander & Jayes 1983), half of that speed sideways, and one
+/// turn in some 30 times √(ℓ/g). Of legs of half a metre (ANYmal) these are 1.1 m/s, 0.55 m/s and 0.9 rad/s; legged_gym has 1, 1 and 1.
+pub const COMMANDED: [f64; 3] = [0.5, 0.25, 0.2];
+
+impl Units {
+    pub fn of(model: &Model) -> Self {
+        let length = model.tree.as_ref().map_or(1.0, |tree| tree.stance.leg_length).max(1e-3);
+        Self {
+            speed: (GRAVITY * length).sqrt(),
+            rate: (GRAVITY / length).sqrt(),
+            torque: model.total_mass() * GRAVITY * length,
+        }
+    }
+
+    /// The ends of the commands' default ranges: forward, to the left [m/s], yaw [rad/s].
+    pub fn commanded(&self) -> [f64; 3] {
+        let [x, y, yaw] = COMMANDED;
+        [x * self.speed, y * self.speed, yaw * self.rate].map(|end| end.min(MOST_COMMAND))
+    }
+
+    /// The ranges of the commands: those that are given, else those of the robot.
+    pub fn ranges(&self, commands: &Commands) -> [[f64; 2]; 3] {
+        let given = [commands.lin_vel_x, commands.lin_vel_y, commands.ang_vel_yaw];
+        let own = self.commanded();
+        std::array::from_fn(|k| given[k].unwrap_or([-own[k], own[k]]))
+    }
+}

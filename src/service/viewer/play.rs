@@ -1,0 +1,152 @@
+//! The page of one environment that its viewers steer: the live page, with arrow keys or a gamepad.
+//!
+//! ```text
+//!  GET /, /sessions, /watch/play/0    as the live page of a server
+//!  POST /steer                        a command, with the key of this page as a bearer token
+//! ```
+
+use super::frames::{Frames, Latest, Moment, encode};
+use super::{POLICY, same_machine};
+use crate::connections;
+use crate::env::{AnyTask, Look};
+use crate::refusals::Refusals;
+use crate::security::Token;
+use axum::body::{Body, Bytes};
+use axum::extract::State;
+use axum::http::header::{AUTHORIZATION, CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE};
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::{IntoResponse, Response};
+use axum::routing::{get, post};
+use axum::{Router, middleware};
+use futures_util::stream;
+use sandgait_view::page;
+use std::sync::{Arc, Mutex, PoisonError};
+use tokio::net::TcpListener;
+use tokio::sync::broadcast::error::RecvError;
+use tokio_util::sync::CancellationToken;
+
+/// Largest number of browsers: our choice.
+const MOST: usize = 16;
+/// Largest message of a page [bytes]: three numbers need fewer.
+const MESSAGE: usize = 256;
+
+/// One environment on a page.
+pub struct Play {
+    task: Arc<dyn AnyTask>,
+    key: Token,
+    latest: Latest,
+    frames: Frames,
+    command: Mutex<[f64; 3]>,
+}
+
+impl Play {
+    /// Pages that send `key` steer. Needs a tokio runtime.
+    pub fn new(task: Arc<dyn AnyTask>, key: &str) -> Arc<Self> {
+        let (latest, frames) = encode(task.clone());
+        Arc::new(Self { task, key: Token::new(key), latest, frames, command: Mutex::default() })
+    }
+
+    /// Shows the environment's present state.
+    pub fn show(&self, look: Look<'_>) {
+        self.latest.send_replace(Some(Arc::new(Moment::of(look))));
+    }
+
+    /// The last command of a page: shares from −1 to 1 of the largest commands backward and forward, to the right and left, and
+    /// of the yaw rate.
+    pub fn command(&self) -> [f64; 3] {
+        *self.command.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Answers browsers until `stop` is cancelled.
+    pub async fn serve(self: Arc<Self>, listener: TcpListener, stop: CancellationToken) {
+        let refusals = Arc::new(Refusals::default());
+        connections::pages(listener, self.routes(), MOST, refusals, stop).await;
+    }
+
+    fn routes(self: Arc<Self>) -> Router {
+        Router::new()
+            .route("/", get(show))
+            .route("/sessions", get(list))
+            .route("/watch/play/0", get(watch))
+            .route("/steer", post(steer))
+            .layer(axum::extract::DefaultBodyLimit::max(MESSAGE))
+            .with_state(self)
+            .layer(middleware::from_fn(same_machine))
+    }
+}
+
+async fn show() -> impl IntoResponse {
+    let headers = [(CONTENT_TYPE, "text/html; charset=utf-8"), (CONTENT_SECURITY_POLICY, POLICY)];
+    (headers, page::live("sandgait play"))
+}
+
+async fn list(State(play): State<Arc<Play>>) -> impl IntoResponse {
+    let body =
+        serde_json::json!([{"name": "play", "task": play.task.spec().id, "envs": 1, "steered": true}]).to_string();
+    ([(CONTENT_TYPE, "application/json"), (CACHE_CONTROL, "no-store")], body)
+}
+
+async fn watch(State(play): State<Arc<Play>>) -> Response {
+    let start = (play.frames.subscribe(), Bytes::new());
+    let blocks = stream::unfold(start, |(mut frames, head)| async move {
+        let frame = loop {
+            match frames.recv().await {
+                Ok(frame) => break frame,
+                Err(RecvError::Lagged(_)) => {}
+                Err(RecvError::Closed) => return None,
+            }
+        };
+        let block = if frame.head == head { frame.rows } else { [&frame.head[..], &frame.rows].concat().into() };
+        Some((Ok::<_, std::convert::Infallible>(block), (frames, frame.head)))
+    });
+    let headers = [(CONTENT_TYPE, "application/octet-stream"), (CACHE_CONTROL, "no-store")];
+    (headers, Body::from_stream(blocks)).into_response()
+}
+
+/// A JSON list of three shares from −1 to 1.
+async fn steer(State(play): State<Arc<Play>>, headers: HeaderMap, body: Bytes) -> Response {
+    if !headers.get(AUTHORIZATION).is_some_and(|value| play.key.admits(value.as_bytes())) {
+        return (
+            StatusCode::UNAUTHORIZED,
+            "open this page by the address that sandgait play printed; it has the key\n",
+        )
+            .into_response();
+    }
+    match serde_json::from_slice::<[f64; 3]>(&body) {
+        Ok(command) if command.iter().all(|c| (-1.0..=1.0).contains(c)) => {
+            *play.command.lock().unwrap_or_else(PoisonError::into_inner) = command;
+            StatusCode::NO_CONTENT.into_response()
+        }
+        _ => (StatusCode::BAD_REQUEST, "expected three numbers from -1 to 1\n").into_response(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::env::registry::Blueprint;
+    use axum::http::Request;
+    use tower_service::Service as _;
+
+    /// Only a message with the key and three numbers changes the command; other sites' names reach nothing.
+    #[tokio::test]
+    async fn steering_needs_the_key() {
+        let blueprint = Blueprint::new("sandgait/HexapodGait-v1", serde_json::Value::Null).unwrap();
+        let play = Play::new(blueprint.task, "secret");
+        let send = |key: &'static str, host: &'static str, body: &'static str| {
+            let mut routes = play.clone().routes();
+            let request = Request::post("/steer").header("host", host).header("authorization", format!("Bearer {key}"));
+            let request = request.body(Body::from(body)).unwrap();
+            async move { routes.call(request).await.unwrap().status().as_u16() }
+        };
+        assert_eq!(send("wrong", "127.0.0.1:1", "[1, 0, 0]").await, 401);
+        assert_eq!(send("secret", "evil.example", "[1, 0, 0]").await, 403);
+        assert_eq!(play.command(), [0.0; 3]);
+        assert_eq!(send("secret", "127.0.0.1:1", "[0.5, 0, -1]").await, 204);
+        assert_eq!(play.command(), [0.5, 0.0, -1.0]);
+        for wrong in ["[2, 0, 0]", "[1, 0]", "{}", "[null, 0, 0]"] {
+            assert_eq!(send("secret", "127.0.0.1:1", wrong).await, 400, "{wrong}");
+        }
+        assert_eq!(play.command(), [0.5, 0.0, -1.0]);
+    }
+}
