@@ -12,7 +12,7 @@
 //! * [`frame`]: positions, velocities and velocity-product accelerations of the bodies.
 //! * `memory`: memory of models and robots, for limits.
 //! * [`engine`]: the one interface to all engines.
-//! * `spatial`: spatial algebra for `lanes` and `tree`; `stop`: the ends of a joint's range.
+//! * [`spatial`]: spatial algebra for `lanes` and `tree`; `stop`: the ends of a joint's range.
 //! * [`lanes`]: the fast engine, articulated bodies over SIMD lanes of robots.
 //! * [`rapier`]: rapier3d multibodies, one world for each robot.
 //! * [`carriage`]: a leg on a driven carriage, whose forces are measured.
@@ -37,7 +37,7 @@ pub mod overlap;
 pub mod rapier;
 pub mod robot;
 pub mod solid;
-mod spatial;
+pub mod spatial;
 pub mod state;
 mod stop;
 pub mod tree;

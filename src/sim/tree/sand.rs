@@ -13,10 +13,10 @@ use crate::sand::{LawCoefficients, Plain, SandBed, SegmentState, StressModel};
 use crate::spatial::{Inertia, PointMasses, Twist, Wrench};
 
 /// The sand's effect on a body: forces about the base's origin, and its drag as masses.
-struct Total<R> {
-    wrench: Wrench<R>,
-    drag: PointMasses<R>,
-    edge: Inertia<R>,
+pub struct Total<R> {
+    pub wrench: Wrench<R>,
+    pub drag: PointMasses<R>,
+    pub edge: Inertia<R>,
 }
 
 /// Adds the sand's forces on all bodies to their loads; `place` is the position of the base's origin.
@@ -62,7 +62,7 @@ pub fn press<R: Real>(
 /// The surface under a body. If the surface is not flat, this is its tangent plane under the body's lowest corner,
 /// which enters the sand first.
 #[inline(always)]
-fn under_body<R: Real>(plates: &BodyPatches, frame: &Frame<R>, place: &Vec3<R>, surface: &impl Surface<R>) -> Local<R> {
+pub fn under_body<R: Real>(plates: &BodyPatches, frame: &Frame<R>, place: &Vec3<R>, surface: &impl Surface<R>) -> Local<R> {
     if surface.is_flat() {
         return surface.under(*place);
     }
@@ -86,9 +86,11 @@ fn trust<R: Real>(frame: &Frame<R>, place: Vec3<R>) -> R {
     share * share
 }
 
+/// The sand's effect on one body at rest or in motion with `velocity`, about the base's origin at `place`; None if no
+/// plate is in the sand. `travel`: horizontal velocity of the robot.
 #[inline(always)]
 #[allow(clippy::too_many_arguments)] // all arguments stay in registers
-fn on_body<R: Real>(
+pub fn on_body<R: Real>(
     ground: &SandBed<R>,
     plates: &BodyPatches,
     frame: &Frame<R>,
@@ -399,7 +401,7 @@ impl<R: Real> Total<R> {
 impl<R: Real> Local<R> {
     /// Columns x, y, z of the surface's axes, z its normal; None where it is level in all lanes.
     #[inline(always)]
-    fn axes(&self) -> Option<Mat3<R>> {
+    pub fn axes(&self) -> Option<Mat3<R>> {
         let n = self.normal;
         if !R::any(R::zero().lt(n.x.abs() + n.y.abs())) {
             return None;

@@ -1,0 +1,138 @@
+//! The force law for each plate by itself, with the rules of `sandgait intrude` for plates that the leading edge or
+//! the surface of the sand crosses.
+//!
+//! There a flat plate leads or does not. Here its force rises over the small range of n·v̂ that
+//! [`crate::sand::Surface::leading_edge_gate`] gives, because an integrator needs a force without jumps.
+
+use super::part::Piece;
+use crate::number::{Real, Vec3};
+use crate::sand::{SandBed, SegmentState};
+use crate::sim::spatial::{Inertia, PointMasses, Twist, Wrench};
+use crate::sim::tree::dynamics::Frame;
+use crate::sim::tree::sand::Total;
+use crate::sim::tree::terrain::Local;
+
+/// Below this a normal's z counts as 0, so that rounding does not decide which side of a vertical plate is the lower
+/// one. The same as in `sandgait intrude`.
+const UPRIGHT: f64 = 1e-12;
+
+/// What all plates of a body share.
+struct Setting<'a, R> {
+    bed: &'a SandBed<R>,
+    frame: &'a Frame<R>,
+    velocity: &'a Twist<R>,
+    place: &'a Vec3<R>,
+    travel: [R; 2],
+    under: &'a Local<R>,
+    gate: R,
+}
+
+/// Force and drag on a plate at `at`, from the body's common point, with its normal in the world.
+struct Pushed<R> {
+    force: Vec3<R>,
+    drag: R,
+    edge: R,
+    at: Vec3<R>,
+    normal: Vec3<R>,
+}
+
+/// The same as [`crate::sim::tree::sand::on_body`], with `dt` = 1 s: the masses in the result are the drags [N·s/m].
+#[inline(always)]
+#[allow(clippy::too_many_arguments)] // all arguments stay in registers
+pub fn on_plates<R: Real>(
+    bed: &SandBed<R>,
+    pieces: &[Piece],
+    frame: &Frame<R>,
+    velocity: &Twist<R>,
+    place: &Vec3<R>,
+    travel: [R; 2],
+    under: &Local<R>,
+    gate: f64,
+) -> Option<Total<R>> {
+    let setting = Setting { bed, frame, velocity, place, travel, under, gate: R::splat(gate) };
+    let mut total =
+        Total { wrench: Wrench::zero(), drag: PointMasses::zero(), edge: Inertia::points(&PointMasses::zero()) };
+    let mut wet = false;
+    for piece in pieces {
+        let Some(pushed) = setting.on(piece) else { continue };
+        wet = true;
+        let Pushed { force, drag, edge, at, normal } = pushed;
+        total.wrench.force += force;
+        total.wrench.moment += at.cross(force);
+        let first = at * drag;
+        total.drag.mass += drag;
+        total.drag.first += first;
+        total.drag.second.add_product(at, first);
+        if R::any(R::zero().lt(edge)) {
+            total.edge.add_outer(edge, &Wrench { moment: at.cross(normal), force: normal });
+        }
+    }
+    wet.then_some(total)
+}
+
+impl<R: Real> Setting<'_, R> {
+    #[inline(always)]
+    fn on(&self, piece: &Piece) -> Option<Pushed<R>> {
+        let (zero, one, half) = (R::zero(), R::one(), R::splat(0.5));
+        let (plate, under) = (&piece.plate, self.under);
+        let turned = |v: Vec3<f64>| self.frame.rotation.apply(Vec3::splat(v.lane(0)));
+        let at = self.frame.origin + turned(plate.center);
+        let sides = plate.half.map(turned);
+        let depth = under.depth(*self.place + at);
+        let rise = under.normal.dot(sides[0]).abs() + under.normal.dot(sides[1]).abs();
+        let low = depth + rise;
+        if !R::any(zero.lt(low)) {
+            return None;
+        }
+        // Mean depth of the part in the sand, and its share of the plate.
+        let low = low.max(zero);
+        let covered = depth.lt(rise);
+        let mean = R::select(covered, low * half, depth);
+        let wet = R::select(covered, low / (rise + rise).max(R::splat(1e-30)), one);
+
+        let v = self.velocity.at(at);
+        let mut normal = turned(plate.normal);
+        normal.z = R::select(normal.z.abs().lt(R::splat(UPRIGHT)), zero, normal.z);
+        let area = R::splat(plate.area) * wet;
+        let site = SegmentState::fresh(mean, self.place.x + at.x).travelling(self.travel);
+        if piece.thin {
+            let (force, drag) = self.law(&site, area, normal, v, v);
+            return Some(Pushed { force, drag, edge: zero, at, normal });
+        }
+        let along = normal.dot(v);
+        let uneven = (0..2).fold(zero, |sum, k| {
+            let turning = normal.dot(self.velocity.angular.cross(sides[k]));
+            sum + sides[k].dot(v).mul_add(R::splat(plate.bend[k]), turning).abs()
+        });
+        // The share that leads is `begun` + `growth` n·v.
+        let range = self.gate / self.bed.inverse_speed(v);
+        let wide = (range * half).lt(uneven);
+        let begun = R::select(wide, half, zero);
+        let growth = R::select(wide, half / uneven.max(R::splat(1e-30)), one / range);
+        let leads = along.mul_add(growth, begun).clamp(zero, one);
+        if !R::any(zero.lt(leads)) {
+            return None;
+        }
+        // If the edge crosses the plate, its leading part moves with half of the edge's n·v.
+        let partly = R::select(wide, (along + uneven) * half, along);
+        let toward = R::select(leads.lt(one), partly, along);
+        let (full, drag) = self.law(&site, area, normal, normal.scale_add(toward - along, v), v);
+        let rising = (-full.dot(normal)).max(zero) * growth;
+        let inside = R::select(zero.lt(leads), R::select(leads.lt(one), rising, zero), zero);
+        Some(Pushed { force: full * leads, drag: drag * leads, edge: inside, at, normal })
+    }
+
+    /// The law's force on a plate that moves with `v`, in the world's axes, and its drag against `own`: −f·v/v².
+    #[inline(always)]
+    fn law(&self, site: &SegmentState<R>, area: R, normal: Vec3<R>, v: Vec3<R>, own: Vec3<R>) -> (Vec3<R>, R) {
+        let force = match self.under.axes() {
+            None => self.bed.thin_plate(site, area, normal, v).force,
+            Some(axes) => {
+                let [normal, v] = [normal, v].map(|u| axes.apply_transposed(u));
+                axes.apply(self.bed.thin_plate(site, area, normal, v).force)
+            }
+        };
+        let drag = (-force.dot(own)).max(R::zero()) * self.bed.motion(own).inverse_square;
+        (force, drag)
+    }
+}
