@@ -1,8 +1,8 @@
 """Sand's forces on rigid bodies that another simulator moves.
 
-    sand = sandgait.Sand("poppy-loose", law="agarwal2023")
-    bodies = sandgait.Bodies({"foot": "sphere:radius=0.02", "shank": "mesh:shank.stl"})
-    wrench = sand.wrench(bodies, position, quaternion, velocity, angular_velocity)
+sand = sandgait.Sand("poppy-loose", law="agarwal2023")
+bodies = sandgait.Bodies({"foot": "sphere:radius=0.02", "shank": "mesh:shank.stl"})
+wrench = sand.wrench(bodies, position, quaternion, velocity, angular_velocity)
 """
 
 from __future__ import annotations
@@ -47,6 +47,7 @@ class Sand:
         leading_edge_gate: float | None = None,
     ) -> None:
         options = (float(height), float(slope_deg), _relief(relief), rest_speed, leading_edge_gate)
+        self._is_relief = relief is not None
         self._made(_native.Sand(medium, law, None, *options))
 
     @classmethod
@@ -63,6 +64,7 @@ class Sand:
         """The sand of a `sand.toml`, with its law, mechanisms and terms; for example from a diagnosis."""
         options = (float(height), float(slope_deg), _relief(relief), rest_speed, leading_edge_gate)
         new = cls.__new__(cls)
+        new._is_relief = relief is not None
         new._made(_native.Sand("", "", Path(path), *options))
         return new
 
@@ -150,6 +152,21 @@ class Sand:
         return wrench if resistance is None else (wrench, resistance)
 
 
+def implicit_wrench(wrench: Any, drag: Any, jacobian: Any, mass: Any, force: Any, dt: float) -> Array:
+    """The sand's wrench on each body at the end of a step, for simulators that take external forces only.
+
+    It solves (M + dt JᵀCJ) q̈ = τ + Jᵀf and returns f − dt C J q̈. `wrench` f [..., bodies, 6] and `drag` C
+    [..., bodies, 6, 6] are those of `Sand.wrench`; `jacobian` J [..., bodies, 6, dofs] maps generalized velocities to
+    (velocity, angular velocity) of the bodies' origins; `mass` M [..., dofs, dofs]; `force` τ [..., dofs]: all other
+    generalized forces, those of gravity and of velocities included; `dt`: the time step [s].
+    """
+    f, c, j = np.asarray(wrench), np.asarray(drag), np.asarray(jacobian)
+    resisting = dt * np.einsum("...bij,...bjn->...bin", c, j)
+    inertia = mass + np.einsum("...bim,...bin->...mn", j, resisting)
+    acceleration = np.linalg.solve(inertia, (force + np.einsum("...bin,...bi->...n", j, f))[..., None])[..., 0]
+    return np.asarray(f - np.einsum("...bin,...n->...bi", resisting, acceleration))
+
+
 class Bodies:
     """Rigid bodies cut into the plates that sand pushes on.
 
@@ -200,7 +217,9 @@ def _listed(parts: Any) -> Iterable[Any]:
 
 
 def _shape(name: str, shape: Any) -> tuple[Any, Any, Any]:
-    solid, position, quaternion = shape if isinstance(shape, tuple) and len(shape) == 3 else (shape, (0, 0, 0), (1, 0, 0, 0))
+    solid, position, quaternion = (
+        shape if isinstance(shape, tuple) and len(shape) == 3 else (shape, (0, 0, 0), (1, 0, 0, 0))
+    )
     if not isinstance(solid, str):
         triangles = np.asarray(solid, np.float64)
         if triangles.ndim != 3 or triangles.shape[1:] != (3, 3):
