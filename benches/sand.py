@@ -50,7 +50,7 @@ def ant() -> Callable[[], Any]:
     for k, body in enumerate(index):
         mujoco.mj_jacBody(model, data, jacobian[k, :3], jacobian[k, 3:], body)
     speed = jacobian @ data.qvel
-    bodies = sandgait.Bodies({name: shapes for name, shapes in ground._shapes.items()})
+    bodies = sandgait.Bodies(ground._shapes)
     place, turn = data.xpos[index].copy(), data.xquat[index].copy()
     linear, angular = speed[:, :3].copy(), speed[:, 3:].copy()
     wet = np.count_nonzero(sand.wrench(bodies, place, turn, linear, angular)[:, 2])
@@ -60,14 +60,15 @@ def ant() -> Callable[[], Any]:
 
 
 def go1(states: int = 256) -> Callable[[], Any]:
-    """Boxes, cylinders and balls of a Go1's size: a trunk, and four legs of hip, thigh and calf; its feet are in the sand."""
+    """Boxes, cylinders and balls of a Go1's size: a trunk, and four legs of hip, thigh and calf; the feet are in sand."""
     sand = sandgait.Sand("poppy-loose")
     shapes: dict[str, Any] = {"trunk": "box:length=0.3762,width=0.0935,height=0.114"}
     places, random = [(0.0, 0.0, 0.28)], np.random.default_rng(0)
     for name, x, y in [("FR", 0.19, -0.05), ("FL", 0.19, 0.05), ("RR", -0.19, -0.05), ("RL", -0.19, 0.05)]:
         shapes[f"{name} hip"] = "cylinder:radius=0.046,width=0.04"
-        shapes[f"{name} thigh"] = ("box:length=0.213,width=0.0245,height=0.034", (0, 0, -0.1065), (0.7071068, 0, 0.7071068, 0))
-        calf = ("box:length=0.213,width=0.016,height=0.016", (0, 0, -0.1065), (0.7071068, 0, 0.7071068, 0))
+        upright = (0.7071068, 0, 0.7071068, 0)
+        shapes[f"{name} thigh"] = ("box:length=0.213,width=0.0245,height=0.034", (0, 0, -0.1065), upright)
+        calf = ("box:length=0.213,width=0.016,height=0.016", (0, 0, -0.1065), upright)
         shapes[f"{name} calf"] = [calf, ("sphere:radius=0.02", (0, 0, -0.213), (1, 0, 0, 0))]
         places += [(x, y, 0.28), (x, 1.6 * y, 0.28), (x - 0.05, 1.6 * y, 0.21)]
     bodies = sandgait.Bodies(shapes)

@@ -1,10 +1,10 @@
 """Sand in MuJoCo models: `add_sand`. Needs `sandgait[mujoco]`.
 
-MuJoCo then computes, in every `mj_step` or `mj_forward` with the model, M q̈ = τ + Jᵀ(f − dt C J q̈): f is the sand's force on
-the bodies at the beginning of the step and C its drag, so the force acts at the end of the step, f − C (v⁺ − v). The term
-Jᵀf is a passive force. dt JᵀCJ has entries only where the inertia matrix M has some, because the bodies that a joint moves
-are those of its branch; so it is added to M before MuJoCo factorises M again, and constraints see it, too. It is an inertia
-without weight and without momentum.
+MuJoCo then computes, in every `mj_step` or `mj_forward` with the model, M q̈ = τ + Jᵀ(f − dt C J q̈): f is the sand's
+force on the bodies at the beginning of the step and C its drag, so the force acts at the end of the step, f − C (v⁺ −
+v). The term Jᵀf is a passive force. dt JᵀCJ has entries only where the inertia matrix M has some, because the bodies
+that a joint moves are those of its branch; so it is added to M before MuJoCo factorises M again, and constraints see
+it, too. It is an inertia without weight and without momentum.
 """
 
 from __future__ import annotations
@@ -56,14 +56,14 @@ def add_sand(
 ) -> ModelSand:
     """Puts `model` on `sand`: from now on every `mj_step` with it includes the sand's force.
 
-    `bodies`: names of the bodies that touch sand, with the shapes of their colliding geoms, or a dictionary of names and
-    shapes in the bodies' frames (`sandgait.Bodies`). None: all bodies that move and collide with the floor. A mesh stands
-    for itself if it is closed, otherwise its convex hull does. `plate_size`: see `sandgait.Bodies`. `floor`: names of the
-    geoms that the sand replaces; None: all planes and height fields that face upward and do not move. Bodies on sand no
-    longer collide with them.
+    `bodies`: names of the bodies that touch sand, with the shapes of their colliding geoms, or a dictionary of names
+    and shapes in the bodies' frames (`sandgait.Bodies`). None: all bodies that move and collide with the floor. A
+    mesh stands for itself if it is closed, otherwise its convex hull does. `plate_size`: see `sandgait.Bodies`.
+    `floor`: names of the geoms that the sand replaces; None: all planes and height fields that face upward and do not
+    move. Bodies on sand no longer collide with them.
 
-    The integrator RK4 becomes implicitfast: dry friction has no fourth order, and RK4 evaluates the sand four times. The
-    sand uses MuJoCo's callback `mjcb_passive`; one that was set before is still called.
+    The integrator RK4 becomes implicitfast: dry friction has no fourth order, and RK4 evaluates the sand four times.
+    The sand uses MuJoCo's callback `mjcb_passive`; one that was set before is still called.
     """
     if not isinstance(model, mujoco.MjModel):
         raise InvalidRequest(f"model: is {type(model).__name__}, not mujoco.MjModel")
@@ -90,6 +90,9 @@ class ModelSand:
         plate_size: float | None,
         floor: Iterable[str] | None,
     ) -> None:
+        off = mujoco.mjtDisableBit.mjDSBL_SPRING | mujoco.mjtDisableBit.mjDSBL_DAMPER
+        if model.opt.disableflags & off == off:
+            raise InvalidRequest("model: its springs and dampers are disabled, so MuJoCo computes no passive forces")
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
         floors = _floors(model, data, floor)
@@ -116,6 +119,8 @@ class ModelSand:
         self._drawn = _replace_floor(model, floors, self._bodies, sand)
         if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
             model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        # A body that sleeps keeps its M, and with it the drag of an earlier step.
+        model.opt.enableflags &= ~int(getattr(mujoco.mjtEnableBit, "mjENBL_SLEEP", 0))
         if hasattr(mujoco.MjData, "iLD"):  # before MuJoCo 3.6 islands have copies of M, made before the sand's drag
             model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, "mjDSBL_ISLAND", 0))
             model.opt.enableflags &= ~int(getattr(mujoco.mjtEnableBit, "mjENBL_ISLAND", 0))

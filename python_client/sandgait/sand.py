@@ -30,9 +30,9 @@ class Sand:
     """Sand below a surface, in a world whose z points up.
 
     `medium` and `law` as for the tasks; see `sandgait media`. The surface is the plane at `height` [m], inclined by
-    `slope_deg` so that it rises towards +x, or a field of heights: `relief={"spacing": m, "heights": rows along y}` or
-    `{"seed": n, "wavelength": m, "slope_deg": degrees}` for dunes. `rest_speed` [m/s] and `leading_edge_gate` regularise
-    the law, see docs/physics.md.
+    `slope_deg` so that it rises towards +x, or a field of heights: `relief={"spacing": m, "heights": rows along y}`
+    or `{"seed": n, "wavelength": m, "slope_deg": degrees}` for dunes. `rest_speed` [m/s] and `leading_edge_gate`
+    regularise the law, see docs/physics.md.
     """
 
     def __init__(
@@ -102,16 +102,16 @@ class Sand:
         """Force [N] and torque [N·m] of the sand on each body, in the world's axes, the torque about its origin.
 
         `position` [m], `velocity` of the bodies' origins [m/s] and `angular_velocity` in the world's axes [rad/s] are
-        [..., bodies, 3], `quaternion` (w, x, y, z) is [..., bodies, 4]. All are float32 or all float64: numpy's arrays, or
-        anything with `__dlpack__` in the processor's memory. They are read in place if their rows are contiguous.
+        [..., bodies, 3], `quaternion` (w, x, y, z) is [..., bodies, 4]. All are float32 or all float64: numpy's arrays,
+        or anything with `__dlpack__` in the processor's memory. They are read in place if their rows are contiguous.
         Returns [..., bodies, 6] of the same type.
 
         With `drag=True` returns (wrench, drag). `drag`, [..., bodies, 6, 6], is symmetric and positive semidefinite:
         −∂wrench/∂(velocity, angular velocity) as the secant from rest. An integrator that uses
         wrench − drag · (change of the velocities in the step) is stable at any step, and keeps a body at rest.
 
-        `travel` [..., 3]: velocity of the vehicle that the bodies belong to, for mechanisms that depend on it. `out`: an
-        array for the result, or with `drag=True` a pair of arrays. `threads`: the most to use; 0: all processors.
+        `travel` [..., 3]: velocity of the vehicle that the bodies belong to, for mechanisms that depend on it. `out`:
+        an array for the result, or with `drag=True` a pair of arrays. `threads`: the most to use; 0: all processors.
 
         float64 is computed in float64, float32 in SIMD lanes. Other Python threads run meanwhile.
         """

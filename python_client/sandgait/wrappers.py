@@ -25,8 +25,8 @@ class OnSand(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordConstr
     An environment of dm_control is changed in place and returned: `env = OnSand(suite.load("quadruped", "walk"))`.
     """
 
-    def __new__(cls, env: Any, medium: str = "poppy-loose", **options: Any) -> Any:
-        if isinstance(env, gymnasium.Env):
+    def __new__(cls, env: Any = None, medium: str = "poppy-loose", **options: Any) -> Any:
+        if env is None or isinstance(env, gymnasium.Env):  # None: a copy is made
             return super().__new__(cls)
         physics = getattr(env, "physics", None)
         if physics is None:

@@ -67,7 +67,8 @@ impl JointSand {
         if tree.dof_parent.iter().enumerate().any(|(dof, parent)| *parent >= dof as i32) {
             return wrong("the order of degrees of freedom");
         }
-        let entries = tree.row_start.iter().zip(&tree.row_count).map(|(start, count)| i64::from(*start) + i64::from(*count));
+        let entries =
+            tree.row_start.iter().zip(&tree.row_count).map(|(start, count)| i64::from(*start) + i64::from(*count));
         if tree.row_start.iter().chain(&tree.row_count).any(|x| *x < 0)
             || entries.max().is_some_and(|end| end > tree.column.len() as i64)
         {
@@ -159,7 +160,8 @@ impl JointSand {
         let vector = |all: &[f64], i: usize| Vec3::new(all[3 * i], all[3 * i + 1], all[3 * i + 2]);
         let place = vector(motion.center, root);
         let rows = [3 * body, 3 * body + 1, 3 * body + 2].map(|row| vector(motion.rotation, row));
-        let twist = |i: usize| Twist { angular: vector(motion.velocity, 2 * i), linear: vector(motion.velocity, 2 * i + 1) };
+        let twist =
+            |i: usize| Twist { angular: vector(motion.velocity, 2 * i), linear: vector(motion.velocity, 2 * i + 1) };
         let frame = Frame {
             rotation: Mat3::new(rows[0], rows[1], rows[2]).transposed(),
             origin: vector(motion.position, body) - place,

@@ -78,8 +78,9 @@ impl Part {
                 read(&["radius", if wheel { "width" } else { "height" }])
                     .map(|s| Kind::Solid(Geometry::Cylinder { radius: s[0], half_length: s[1] / 2.0 }))?
             }
-            "plate" | "face" => read(&["length", "width"])
-                .map(|s| Kind::Sheet { length: s[0], width: s[1], thin: kind == "plate" })?,
+            "plate" | "face" => {
+                read(&["length", "width"]).map(|s| Kind::Sheet { length: s[0], width: s[1], thin: kind == "plate" })?
+            }
             "mesh" => Kind::Solid(mesh(Path::new(sizes))?),
             _ => {
                 let end = Path::new(text).extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
@@ -131,10 +132,8 @@ impl Part {
         let counts = [length, width].map(|side| ((side / size - 1e-9).ceil() as usize).max(1));
         let steps = [length / counts[0] as f64, width / counts[1] as f64];
         let vector = |v: Vector3<f64>| Vec3::splat((self.origin.rotation * v).into());
-        let (normal, half) = (
-            vector(Vector3::z()),
-            [vector(Vector3::x() * (steps[0] / 2.0)), vector(Vector3::y() * (steps[1] / 2.0))],
-        );
+        let (normal, half) =
+            (vector(Vector3::z()), [vector(Vector3::x() * (steps[0] / 2.0)), vector(Vector3::y() * (steps[1] / 2.0))]);
         let mut pieces = Vec::new();
         for i in 0..counts[0] {
             for j in 0..counts[1] {

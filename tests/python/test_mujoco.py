@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import gymnasium
@@ -16,8 +17,8 @@ from sandgait.mujoco import add_sand, sand_of
 from sandgait.wrappers import OnSand
 
 GRAVITY = 9.80665
-#: Forward speeds of the reference hexapod in loose poppy seeds [m/s], converged at a time step of 1e-5 s by two programs
-#: (docs/convergence.md), by leg and stride frequency [Hz].
+#: Forward speeds of the reference hexapod in loose poppy seeds [m/s], converged at a time step of 1e-5 s, by leg and
+#: stride frequency [Hz]. Two programs that share no code agree on them.
 SPEEDS = {
     "L": {1: 0.1201, 2: 0.2870, 3: 0.4161, 5: 0.7139},
     "revL": {1: 0.0715, 2: 0.1308, 3: 0.2401, 5: 0.4387},
@@ -30,10 +31,13 @@ def hexapod(leg: str, dt: float) -> tuple[mujoco.MjModel, dict[str, Any]]:
     corners = np.array([[0, 0, 0], [bulge * chord / 2, 0, -chord / 2], [0, 0, -chord]])
     bodies: dict[str, Any] = {"base": ("face:length=0.15,width=0.06", (0, 0, -0.01), (0, 1, 0, 0))}
     legs, motors = "", ""
-    for name, x, y in [(f"{side}{place}", x, y) for side, s in (("r", -1), ("l", 1))
-                       for place, x, y in (("f", 0.06, 0.04 * s), ("m", 0.0, 0.045 * s), ("b", -0.06, 0.04 * s))]:
+    for name, x, y in [
+        (f"{side}{place}", x, y)
+        for side, s in (("r", -1), ("l", 1))
+        for place, x, y in (("f", 0.06, 0.04 * s), ("m", 0.0, 0.045 * s), ("b", -0.06, 0.04 * s))
+    ]:
         strips, pieces = "", []
-        for a, b in zip(corners[:-1], corners[1:], strict=True):
+        for a, b in pairwise(corners):
             middle, along = (a + b) / 2, (b - a) / np.linalg.norm(b - a)
             pitch = np.arctan2(-along[2], along[0])
             length = float(np.linalg.norm(b - a))
@@ -41,7 +45,9 @@ def hexapod(leg: str, dt: float) -> tuple[mujoco.MjModel, dict[str, Any]]:
             strips += f"""<geom type="box" mass="0.001" size="{length / 2} 0.005 5e-5" contype="0" conaffinity="0"
                 pos="{middle[0]} {middle[1]} {middle[2]}" quat="{np.cos(pitch / 2)} 0 {np.sin(pitch / 2)} 0"/>"""
         bodies[name] = pieces
-        legs += f'<body name="{name}" pos="{x} {y} 0"><joint name="{name}" axis="0 1 0" armature="2e-6"/>{strips}</body>'
+        legs += (
+            f'<body name="{name}" pos="{x} {y} 0"><joint name="{name}" axis="0 1 0" armature="2e-6"/>{strips}</body>'
+        )
         motors += f'<general joint="{name}" biastype="affine" gainprm="1" biasprm="0 -1 -0.01"/>'
     text = f"""<mujoco><option timestep="{dt}" gravity="0 0 -{GRAVITY}" integrator="implicitfast"/>
         <worldbody><geom type="plane" size="1 1 1"/><body name="base"><freejoint/>
@@ -51,7 +57,7 @@ def hexapod(leg: str, dt: float) -> tuple[mujoco.MjModel, dict[str, Any]]:
 
 
 def walk(leg: str, frequency: float, dt: float = 1e-3, **options: Any) -> float:
-    """Speed of the hexapod [m/s] in the protocol of `sandgait walk`: hold 0.3 s, ramp 0.2 s, two strides, measure four."""
+    """Speed of the hexapod [m/s] in the protocol of `sandgait walk`: hold 0.3 s, ramp 0.2 s, two strides, then four."""
     model, bodies = hexapod(leg, dt)
     sand = sandgait.Sand("poppy-loose", leading_edge_gate=0.2, **options)
     add_sand(model, sand, bodies, plate_size=0.002)
@@ -165,8 +171,9 @@ def test_sand_creates_no_energy(seed: int) -> None:
 
 def test_a_ball_that_floats_alone_is_carried() -> None:
     """MuJoCo keeps only a diagonal inertia for such a body; see `JointSand::dominant`."""
-    text = """<mujoco><option timestep="0.002"/><worldbody><geom type="plane" size="1 1 1"/><body name="ball" pos="0 0 0.2">
-        <freejoint/><geom type="sphere" size="0.05" density="900"/></body></worldbody></mujoco>"""
+    text = """<mujoco><option timestep="0.002"/><worldbody><geom type="plane" size="1 1 1"/>
+        <body name="ball" pos="0 0 0.2"><freejoint/><geom type="sphere" size="0.05" density="900"/></body>
+        </worldbody></mujoco>"""
     model = mujoco.MjModel.from_xml_string(text)
     ground = add_sand(model, sandgait.Sand())
     data = mujoco.MjData(model)
@@ -185,7 +192,8 @@ def test_the_same_force_as_the_sand_itself() -> None:
     text = """<mujoco><option timestep="0.002"/><worldbody><geom type="plane" size="1 1 1"/>
         <body name="a" pos="0 0 0.03" euler="20 30 5"><freejoint/><geom type="box" size="0.1 0.05 0.03" pos="0.02 0 0"/>
         <body name="b" pos="0.1 0 0" euler="0 0 40"><geom type="capsule" size="0.02 0.05" euler="0 90 0"/>
-        <body name="c" pos="0.1 0 0"><joint axis="0 1 0"/><geom type="ellipsoid" size="0.05 0.03 0.02"/></body></body></body>
+        <body name="c" pos="0.1 0 0"><joint axis="0 1 0"/>
+        <geom type="ellipsoid" size="0.05 0.03 0.02"/></body></body></body>
         </worldbody></mujoco>"""
     model = mujoco.MjModel.from_xml_string(text)
     sand = sandgait.Sand(law="agarwal2023")
@@ -202,8 +210,10 @@ def test_the_same_force_as_the_sand_itself() -> None:
     mujoco.mju_mulQuat(both, turn, lie)
     bodies = sandgait.Bodies(
         {
-            "a": [("box:length=0.2,width=0.1,height=0.06", (0.02, 0, 0), (1, 0, 0, 0)),
-                  ("capsule:radius=0.02,height=0.1", (0.1, 0, 0), both)],
+            "a": [
+                ("box:length=0.2,width=0.1,height=0.06", (0.02, 0, 0), (1, 0, 0, 0)),
+                ("capsule:radius=0.02,height=0.1", (0.1, 0, 0), both),
+            ],
             "c": "ellipsoid:length=0.1,width=0.06,height=0.04",
         }
     )
@@ -323,7 +333,9 @@ def test_an_environment_of_dm_control() -> None:
     assert sand_of(env.physics.model.ptr) is not None
 
 
-@pytest.mark.parametrize("options", [{}, {"slope_deg": 10.0}, {"relief": {"seed": 1, "wavelength": 2, "slope_deg": 10}}])
+@pytest.mark.parametrize(
+    "options", [{}, {"slope_deg": 10.0}, {"relief": {"seed": 1, "wavelength": 2, "slope_deg": 10}}]
+)
 def test_surface_and_forces_are_drawn(options: dict[str, Any]) -> None:
     model = quadruped()
     ground = add_sand(model, sandgait.Sand(**options))
@@ -336,7 +348,7 @@ def test_surface_and_forces_are_drawn(options: dict[str, Any]) -> None:
     surface = scene.ngeom - before
     assert (surface == 0) == (not options)
     ground.draw(scene, data)
-    arrows = [g for g in scene.geoms[before:scene.ngeom] if g.type == mujoco.mjtGeom.mjGEOM_ARROW]
+    arrows = [g for g in scene.geoms[before : scene.ngeom] if g.type == mujoco.mjtGeom.mjGEOM_ARROW]
     assert len(arrows) >= 3
 
 

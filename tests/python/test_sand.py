@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-import rft
 
+import rft
 import sandgait
 from sandgait.errors import InvalidRequest
 
@@ -308,7 +308,7 @@ def test_wrong_arrays(arrays: Any, message: str) -> None:
         (lambda: sandgait.Bodies({"a": []}), "'a' has no shapes"),
         (lambda: sandgait.Bodies({"a": "sphere:size=1"}), "size"),
         (lambda: sandgait.Bodies({"a": "cone:radius=1"}), "cone"),
-        (lambda: sandgait.Bodies({"a": cube(0.05)[:-1]}), "mesh of body \"a\": the surface is not closed"),
+        (lambda: sandgait.Bodies({"a": cube(0.05)[:-1]}), 'mesh of body "a": the surface is not closed'),
         (lambda: sandgait.Bodies({"a": np.zeros((4, 3))}), "not [triangles, 3, 3]"),
         (lambda: sandgait.Bodies({"a": ("sphere:radius=0.1", (0, 0, 0), (1, 1, 0, 0))}), "no pose"),
         (lambda: sandgait.Bodies({"a": "mesh:nowhere.stl"}), "nowhere.stl"),

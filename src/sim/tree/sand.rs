@@ -62,7 +62,12 @@ pub fn press<R: Real>(
 /// The surface under a body. If the surface is not flat, this is its tangent plane under the body's lowest corner,
 /// which enters the sand first.
 #[inline(always)]
-pub fn under_body<R: Real>(plates: &BodyPatches, frame: &Frame<R>, place: &Vec3<R>, surface: &impl Surface<R>) -> Local<R> {
+pub fn under_body<R: Real>(
+    plates: &BodyPatches,
+    frame: &Frame<R>,
+    place: &Vec3<R>,
+    surface: &impl Surface<R>,
+) -> Local<R> {
     if surface.is_flat() {
         return surface.under(*place);
     }
