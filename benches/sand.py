@@ -60,7 +60,7 @@ def ant() -> Callable[[], Any]:
 
 
 def go1(states: int = 256) -> Callable[[], Any]:
-    """Boxes, cylinders and balls of a Go1's size: a trunk, and four legs of hip, thigh and calf; the feet are in sand."""
+    """Boxes, cylinders and balls of a Go1's size: a trunk, and four legs of hip, thigh and calf; feet in sand."""
     sand = sandgait.Sand("poppy-loose")
     shapes: dict[str, Any] = {"trunk": "box:length=0.3762,width=0.0935,height=0.114"}
     places, random = [(0.0, 0.0, 0.28)], np.random.default_rng(0)
