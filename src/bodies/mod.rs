@@ -37,6 +37,9 @@ pub mod joints;
 pub mod part;
 pub mod wrench;
 
+#[cfg(test)]
+mod tests;
+
 pub use body::Bodies;
 pub use ground::{GroundOptions, SandGround};
 pub use joints::JointSand;

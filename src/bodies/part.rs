@@ -72,8 +72,8 @@ impl Part {
             "cylinder" => {
                 let wheel = sizes.contains("width");
                 if wheel {
-                    // Turned about x, the axis z becomes −y.
-                    origin = Isometry3::rotation(Vector3::x() * std::f64::consts::FRAC_PI_2);
+                    // Turned back about x, the axis z becomes y.
+                    origin = Isometry3::rotation(Vector3::x() * -std::f64::consts::FRAC_PI_2);
                 }
                 read(&["radius", if wheel { "width" } else { "height" }])
                     .map(|s| Kind::Solid(Geometry::Cylinder { radius: s[0], half_length: s[1] / 2.0 }))?
