@@ -43,7 +43,7 @@ def ant() -> Callable[[], Any]:
     model, data = base.model, base.data
     sand = sandgait.Sand("poppy-loose")
     ground = add_sand(model, sand)
-    mujoco.mj_step(model, data, nstep=200)
+    ground.step(data, nstep=200)
     mujoco.mj_forward(model, data)
     index = ground._bodies
     jacobian = np.empty((len(index), 6, model.nv))

@@ -1,10 +1,10 @@
 """Sand in MuJoCo models: `add_sand`. Needs `sandgait[mujoco]`.
 
-MuJoCo then computes, in every `mj_step` or `mj_forward` with the model, M q̈ = τ + Jᵀ(f − dt C J q̈): f is the sand's
-force on the bodies at the beginning of the step and C its drag, so the force acts at the end of the step, f − C (v⁺ −
-v). The term Jᵀf is a passive force. dt JᵀCJ has entries only where the inertia matrix M has some, because the bodies
-that a joint moves are those of its branch; so it is added to M before MuJoCo factorises M again, and constraints see
-it, too. It is an inertia without weight and without momentum.
+A step with sand is M q̈ = τ + Jᵀ(f − dt C J q̈): f is the sand's force on the bodies at the beginning of the step and
+C its drag, so the force acts at the end of the step, f − C (v⁺ − v). Between `mj_step1` and `mj_step2`, Jᵀf is added
+to the passive forces and dt JᵀCJ to the inertia matrix M, which has entries wherever JᵀCJ has some, because a body is
+moved by the joints between it and the root. MuJoCo factorises the sum, and the constraints see it, too. The sand's
+drag is an inertia without weight and without momentum.
 """
 
 from __future__ import annotations
@@ -42,8 +42,7 @@ _SHAPES = {
 }
 
 #: The sand of each model, by the model's address.
-_MODELS: dict[int, ModelSand] = {}
-_previous: Any = None
+_MODELS: weakref.WeakValueDictionary[int, ModelSand] = weakref.WeakValueDictionary()
 
 
 def add_sand(
@@ -54,7 +53,7 @@ def add_sand(
     plate_size: float | None = None,
     floor: Iterable[str] | None = None,
 ) -> ModelSand:
-    """Puts `model` on `sand`: from now on every `mj_step` with it includes the sand's force.
+    """Puts `model` on `sand`. The result's `step(data)` takes the place of `mujoco.mj_step(model, data)`.
 
     `bodies`: names of the bodies that touch sand, with the shapes of their colliding geoms, or a dictionary of names
     and shapes in the bodies' frames (`sandgait.Bodies`). None: all bodies that move and collide with the floor. A
@@ -62,8 +61,8 @@ def add_sand(
     `floor`: names of the geoms that the sand replaces; None: all planes and height fields that face upward and do not
     move. Bodies on sand no longer collide with them.
 
-    The integrator RK4 becomes implicitfast: dry friction has no fourth order, and RK4 evaluates the sand four times.
-    The sand uses MuJoCo's callback `mjcb_passive`; one that was set before is still called.
+    The integrator RK4 becomes implicitfast: dry friction has no fourth order, and RK4 would evaluate the sand four
+    times.
     """
     if not isinstance(model, mujoco.MjModel):
         raise InvalidRequest(f"model: is {type(model).__name__}, not mujoco.MjModel")
@@ -90,9 +89,6 @@ class ModelSand:
         plate_size: float | None,
         floor: Iterable[str] | None,
     ) -> None:
-        off = mujoco.mjtDisableBit.mjDSBL_SPRING | mujoco.mjtDisableBit.mjDSBL_DAMPER
-        if model.opt.disableflags & off == off:
-            raise InvalidRequest("model: its springs and dampers are disabled, so MuJoCo computes no passive forces")
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
         floors = _floors(model, data, floor)
@@ -112,9 +108,9 @@ class ModelSand:
             sand._native, solids, plate_size, [self._bodies, roots, last], [x.tolist() for x in matrix]
         )
         self._roots = roots
-        self._model = weakref.ref(model)
+        #: The model.
+        self.model = model
         self._dual = model.opt.solver == mujoco.mjtSolver.mjSOL_PGS or model.opt.noslip_iterations > 0
-        self._energy = bool(model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_ENERGY)
         self._saved = _saved(model)
         self._drawn = _replace_floor(model, floors, self._bodies, sand)
         if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
@@ -126,24 +122,34 @@ class ModelSand:
             model.opt.enableflags &= ~int(getattr(mujoco.mjtEnableBit, "mjENBL_ISLAND", 0))
         self._address = model._address
         _MODELS[self._address] = self
-        weakref.finalize(model, _MODELS.pop, self._address, None)
-        _install()
 
     def remove(self) -> None:
         """Takes the sand away: floor, solver's options and colours are as before."""
-        if _MODELS.get(self._address) is not self:
-            return
-        del _MODELS[self._address]
-        model = self._model()
-        if model is not None:
-            _restore(model, self._saved)
+        if _MODELS.pop(self._address, None) is not None:
+            _restore(self.model, self._saved)
 
-    def press(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Adds the sand's force and drag, when MuJoCo computes passive forces; MuJoCo calls it."""
-        if self._energy and hasattr(data, "flg_energyvel"):
-            # The kinetic energy is that of the bodies alone.
-            mujoco.mj_energyVel(model, data)
-            data.flg_energyvel = 1
+    def step(self, data: mujoco.MjData, nstep: int = 1) -> None:
+        """`mujoco.mj_step` with sand."""
+        for _ in range(nstep):
+            mujoco.mj_step1(self.model, data)
+            self.press(data)
+            mujoco.mj_step2(self.model, data)
+
+    def forward(self, data: mujoco.MjData) -> None:
+        """`mujoco.mj_forward` with sand: accelerations and forces, without a step."""
+        mujoco.mj_step1(self.model, data)
+        self.press(data)
+        mujoco.mj_fwdActuation(self.model, data)
+        mujoco.mj_fwdAcceleration(self.model, data)
+        mujoco.mj_fwdConstraint(self.model, data)
+        mujoco.mj_sensorAcc(self.model, data)
+
+    def press(self, data: mujoco.MjData) -> None:
+        """Adds the sand's force to `data.qfrc_passive`, and its drag to `data.M`.
+
+        For programs that call `mj_step1` and `mj_step2` themselves: once between the two.
+        """
+        model = self.model
         if self._native.add(_motion(data), model.opt.timestep, data.qfrc_passive, data.M):
             mujoco.mj_factorM(model, data)
             if self._dual:
@@ -173,9 +179,7 @@ class ModelSand:
 
     def markers(self, data: mujoco.MjData, *, forces: bool = True) -> list[dict[str, Any]]:
         """The same as keywords of `mjv_initGeom`."""
-        model = self._model()
-        if model is None:
-            return []
+        model = self.model
         all = [] if self._drawn else self._surface(model, data)
         if not forces:
             return all
@@ -192,11 +196,8 @@ class ModelSand:
         return all
 
     def _central(self, data: mujoco.MjData) -> Array:
-        model = self._model()
-        if model is None:
-            raise InvalidRequest("model: does not exist any more")
         out = np.empty((len(self._bodies), 6))
-        self._native.wrenches(_motion(data), model.opt.timestep, data.qacc, out)
+        self._native.wrenches(_motion(data), self.model.opt.timestep, data.qacc, out)
         return out
 
     def _surface(self, model: mujoco.MjModel, data: mujoco.MjData) -> list[dict[str, Any]]:
@@ -221,25 +222,6 @@ def _motion(data: mujoco.MjData) -> tuple[Array, ...]:
     return data.xpos, data.xmat, data.cvel, data.subtree_com, data.cdof
 
 
-def _passive(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    sand = _MODELS.get(model._address)
-    if sand is not None:
-        sand.press(model, data)
-    if _previous is not None:
-        _previous(model, data)
-
-
-def _install() -> None:
-    global _previous
-    present = mujoco.get_mjcb_passive()
-    if present is _passive:
-        return
-    if present is not None and not callable(present):
-        raise InvalidRequest("mjcb_passive: is a function of C, which cannot be called along with the sand's")
-    _previous = present
-    mujoco.set_mjcb_passive(_passive)
-
-
 def _name(model: mujoco.MjModel, body: int) -> str:
     return mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, body) or f"body {body}"
 
@@ -257,10 +239,9 @@ def _floors(model: mujoco.MjModel, data: mujoco.MjData, names: Iterable[str] | N
         if isinstance(names, str):
             raise InvalidRequest("floor: is a name, not a list of names")
         return [_number(model, mujoco.mjtObj.mjOBJ_GEOM, name) for name in names]
-    flat = (_GEOM.mjGEOM_PLANE, _GEOM.mjGEOM_HFIELD)
-    still = [
-        g for g in range(model.ngeom) if model.geom_type[g] in flat and model.body_weldid[model.geom_bodyid[g]] == 0
-    ]
+    flat = (int(_GEOM.mjGEOM_PLANE), int(_GEOM.mjGEOM_HFIELD))
+    fixed = model.body_weldid[model.geom_bodyid] == 0
+    still = [g for g in range(model.ngeom) if int(model.geom_type[g]) in flat and fixed[g]]
     # Steeper planes are walls.
     return [g for g in still if data.geom_xmat[g][8] > 0.7]
 

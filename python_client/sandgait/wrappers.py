@@ -32,7 +32,18 @@ class OnSand(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordConstr
         if physics is None:
             raise InvalidRequest(f"env: {type(env).__name__} is no environment of gymnasium or dm_control")
         options.pop("show_forces", None)
-        _sand(physics.model.ptr, medium, **options)
+        ground = _sand(physics.model.ptr, medium, **options)
+
+        def step(nstep: int = 1) -> None:
+            # dm_control's own step ends with `mj_step1`, so that observations are those of the new positions.
+            data = physics.data.ptr
+            with physics.check_invalid_state():
+                for _ in range(nstep):
+                    ground.press(data)
+                    mujoco.mj_step2(ground.model, data)
+                    mujoco.mj_step1(ground.model, data)
+
+        physics.step = step
         return env
 
     def __init__(
@@ -51,20 +62,20 @@ class OnSand(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordConstr
         )
         gymnasium.Wrapper.__init__(self, env)
         model = getattr(env.unwrapped, "model", None)
-        if not isinstance(model, mujoco.MjModel):
-            raise InvalidRequest(f"env: {env.unwrapped} has no MuJoCo model")
+        if not isinstance(model, mujoco.MjModel) or not hasattr(env.unwrapped, "_step_mujoco_simulation"):
+            raise InvalidRequest(f"env: {env.unwrapped} has no MuJoCo model that gymnasium's MujocoEnv steps")
         #: The sand below the model.
         self.ground: ModelSand = _sand(model, medium, law=law, sand=sand, bodies=bodies, plate_size=plate_size)
         self._show_forces = show_forces
-        self._own_step = getattr(env.unwrapped, "_step_mujoco_simulation", None)
-        if self._own_step is not None:
-            # Observations are made from `cfrc_ext` right after this.
-            env.unwrapped._step_mujoco_simulation = self._step  # type: ignore[attr-defined]
+        # gymnasium's environments make all steps of MuJoCo by this method.
+        env.unwrapped._step_mujoco_simulation = self._step  # type: ignore[attr-defined]
 
     def _step(self, ctrl: Any, n_frames: int) -> None:
-        assert self._own_step is not None
-        self._own_step(ctrl, n_frames)
-        self.ground.add_contact_forces(self.env.unwrapped.data)  # type: ignore[attr-defined]
+        data = self.env.unwrapped.data  # type: ignore[attr-defined]
+        data.ctrl[:] = ctrl
+        self.ground.step(data, n_frames)
+        mujoco.mj_rnePostConstraint(self.ground.model, data)
+        self.ground.add_contact_forces(data)
 
     def render(self) -> Any:
         renderer = getattr(self.env.unwrapped, "mujoco_renderer", None)
@@ -77,9 +88,7 @@ class OnSand(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordConstr
 
     def close(self) -> None:
         self.ground.remove()
-        if self._own_step is not None:
-            self.env.unwrapped._step_mujoco_simulation = self._own_step  # type: ignore[attr-defined]
-            self._own_step = None
+        vars(self.env.unwrapped).pop("_step_mujoco_simulation", None)
         super().close()
 
 

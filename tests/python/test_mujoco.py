@@ -60,7 +60,7 @@ def walk(leg: str, frequency: float, dt: float = 1e-3, **options: Any) -> float:
     """Speed of the hexapod [m/s] in the protocol of `sandgait walk`: hold 0.3 s, ramp 0.2 s, two strides, then four."""
     model, bodies = hexapod(leg, dt)
     sand = sandgait.Sand("poppy-loose", leading_edge_gate=0.2, **options)
-    add_sand(model, sand, bodies, plate_size=0.002)
+    ground = add_sand(model, sand, bodies, plate_size=0.002)
     data = mujoco.MjData(model)
     phase = np.array([0.0, np.pi, 0.0, np.pi, 0.0, np.pi])
     data.qpos[7:] = phase
@@ -76,7 +76,7 @@ def walk(leg: str, frequency: float, dt: float = 1e-3, **options: Any) -> float:
         ramped, turning = np.clip(time + dt - 0.3, 0, 0.2), max(time + dt - 0.5, 0.0)
         speed = 2 * np.pi * frequency
         data.ctrl[:] = phase + speed * (0.5 * ramped**2 / 0.2 + turning) + 0.01 * speed * ramped / 0.2
-        mujoco.mj_step(model, data)
+        ground.step(data)
     return float(np.sign((at[end] - at[start])[0]) * np.linalg.norm(at[end] - at[start]) / (end - start))
 
 
@@ -114,9 +114,9 @@ def test_a_robot_at_rest_stays_at_rest(law: str, dt: float) -> None:
     model.opt.timestep = dt
     ground = add_sand(model, sandgait.Sand("poppy-loose", law=law))
     data = mujoco.MjData(model)
-    mujoco.mj_step(model, data, nstep=round(3.0 / dt))
+    ground.step(data, nstep=round(3.0 / dt))
     before = data.qpos.copy()
-    mujoco.mj_step(model, data, nstep=round(10.0 / dt))
+    ground.step(data, nstep=round(10.0 / dt))
     creep = np.linalg.norm(data.qpos[:3] - before[:3])
     print(f"{law} {dt}: creep {creep * 1e3:.4f} mm, depth {0.325 - data.qpos[2]:.4f} m")
     assert creep <= 1e-4
@@ -144,7 +144,7 @@ def test_sand_creates_no_energy(seed: int) -> None:
     model = quadruped()
     model.actuator_gainprm[:] = model.actuator_biasprm[:] = 0.0
     model.dof_damping[:] = 0.0
-    add_sand(model, sandgait.Sand("poppy-loose", law="agarwal2023"))
+    ground = add_sand(model, sandgait.Sand("poppy-loose", law="agarwal2023"))
     flight = quadruped()
     flight.actuator_gainprm[:] = flight.actuator_biasprm[:] = 0.0
     flight.dof_damping[:] = 0.0
@@ -158,7 +158,7 @@ def test_sand_creates_no_energy(seed: int) -> None:
     for _ in range(1000):
         free.qpos[:], free.qvel[:] = data.qpos, data.qvel
         before = energy(model, data)
-        mujoco.mj_step(model, data)
+        ground.step(data)
         mujoco.mj_step(flight, free)
         gained, own = energy(model, data) - before, energy(flight, free) - before
         # What the sand adds beyond the integrator's own error in the same step without sand.
@@ -178,9 +178,9 @@ def test_a_ball_that_floats_alone_is_carried() -> None:
     ground = add_sand(model, sandgait.Sand())
     data = mujoco.MjData(model)
     data.qvel[:] = [0.5, 0, -1, 0, 20, 3]
-    mujoco.mj_step(model, data, nstep=2000)
+    ground.step(data, nstep=2000)
     before = data.qpos.copy()
-    mujoco.mj_step(model, data, nstep=5000)
+    ground.step(data, nstep=5000)
     assert np.linalg.norm(data.qpos - before) < 1e-4
     assert ground.wrenches(data)[0, 2] == pytest.approx(9.81 * model.body_mass[1], rel=1e-3)
     assert 0.0 < before[2] < 0.05
@@ -201,7 +201,7 @@ def test_the_same_force_as_the_sand_itself() -> None:
     assert ground.names == ("a", "c")
     data = mujoco.MjData(model)
     data.qvel[:] = [0.3, -0.1, -0.5, 1.0, 2.0, -1.0, 3.0]
-    mujoco.mj_step(model, data)
+    ground.step(data)
     turn = np.empty(4)
     mujoco.mju_euler2Quat(turn, np.radians([0, 0, 40]), "xyz")
     lie = np.empty(4)
@@ -300,24 +300,26 @@ def test_other_bodies_stay_on_the_floor() -> None:
         <body name="held" pos="1 0 0.1"><freejoint/><geom type="box" size="0.05 0.05 0.05" density="3000"/></body>
         </worldbody></mujoco>"""
     model = mujoco.MjModel.from_xml_string(text)
-    add_sand(model, sandgait.Sand(), ["sunk"])
+    ground = add_sand(model, sandgait.Sand(), ["sunk"])
     data = mujoco.MjData(model)
-    mujoco.mj_step(model, data, nstep=2000)
+    ground.step(data, nstep=2000)
     assert data.qpos[2] < 0.045
     assert data.qpos[9] == pytest.approx(0.05, abs=1e-3)
 
 
-def test_velocity_stages_may_be_repeated() -> None:
-    """Functions of MuJoCo that compute velocities again at one position find M with the drag of one step only."""
+def test_a_press_may_be_repeated() -> None:
+    """At one position M has the drag of one press only, and `forward` gives the accelerations of `step`."""
     model = quadruped()
-    add_sand(model, sandgait.Sand())
+    ground = add_sand(model, sandgait.Sand())
     data = mujoco.MjData(model)
-    mujoco.mj_step(model, data, nstep=300)
-    mujoco.mj_forward(model, data)
-    once = data.M.copy(), data.qacc.copy()
-    mujoco.mj_forwardSkip(model, data, mujoco.mjtStage.mjSTAGE_POS, 0)
-    assert np.array_equal(once[0], data.M)
-    assert np.allclose(once[1], data.qacc, rtol=1e-6, atol=1e-9)
+    ground.step(data, nstep=300)
+    ground.forward(data)
+    once, expected = data.M.copy(), data.qacc.copy()
+    data.qfrc_passive[:] = 0.0
+    ground.press(data)
+    assert np.array_equal(once, data.M)
+    ground.step(data)
+    assert np.array_equal(expected, data.qacc)
 
 
 def test_an_environment_of_dm_control() -> None:
@@ -340,7 +342,7 @@ def test_surface_and_forces_are_drawn(options: dict[str, Any]) -> None:
     model = quadruped()
     ground = add_sand(model, sandgait.Sand(**options))
     data = mujoco.MjData(model)
-    mujoco.mj_step(model, data, nstep=500)
+    ground.step(data, nstep=500)
     scene = mujoco.MjvScene(model, maxgeom=2000)
     mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, mujoco.MjvCamera(), 7, scene)
     before = scene.ngeom
@@ -396,7 +398,7 @@ def test_implicit_wrenches_are_those_of_the_model() -> None:
     assert ground.names == tuple(sorted(bodies.names, key=lambda n: index[bodies.names.index(n)]))
     jacobian, mass = np.empty((len(index), 6, model.nv)), np.empty((model.nv, model.nv))
     for _ in range(400):
-        mujoco.mj_step(model, data)
+        ground.step(data)
         mujoco.mj_forward(other, free)
         for k, body in enumerate(index):
             mujoco.mj_jacBody(other, free, jacobian[k, :3], jacobian[k, 3:], body)
