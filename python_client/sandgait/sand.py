@@ -43,7 +43,7 @@ class Sand:
         height: float = 0.0,
         slope_deg: float = 0.0,
         relief: Mapping[str, Any] | None = None,
-        rest_speed: float | None = None,
+        rest_speed: float = 2e-6,
         leading_edge_gate: float | None = None,
     ) -> None:
         options = (float(height), float(slope_deg), _relief(relief), rest_speed, leading_edge_gate)
@@ -58,7 +58,7 @@ class Sand:
         height: float = 0.0,
         slope_deg: float = 0.0,
         relief: Mapping[str, Any] | None = None,
-        rest_speed: float | None = None,
+        rest_speed: float = 2e-6,
         leading_edge_gate: float | None = None,
     ) -> Sand:
         """The sand of a `sand.toml`, with its law, mechanisms and terms; for example from a diagnosis."""

@@ -7,10 +7,10 @@
 
 use super::body::Bodies;
 use super::ground::SandGround;
-use super::wrench::{matrix, on_one};
+use super::wrench::{matrix, on_one, resistance};
 use crate::error::{Error, Result};
 use crate::number::{Mat3, Vec3, flushed};
-use crate::sim::spatial::{Inertia, Twist};
+use crate::sim::spatial::Twist;
 use crate::sim::tree::dynamics::Frame;
 
 /// The tree, as MuJoCo's model has it.
@@ -145,8 +145,7 @@ impl JointSand {
             for (k, body) in self.bodies.cut().iter().enumerate() {
                 let (frame, place, travel) = self.frame(motion, k);
                 let Some(total) = on_one((&self.sand, bed, &under), body, &frame, &place, travel) else { continue };
-                let mut drag = Inertia::points(&total.drag);
-                drag.add(&total.edge);
+                let drag = resistance(&total, &frame.velocity, self.sand.surface.rest_speed);
                 let (f, t) = (total.wrench.force, total.wrench.moment);
                 with(k, [t.x, t.y, t.z, f.x, f.y, f.z], angular_first(&matrix(&drag, 0)));
             }

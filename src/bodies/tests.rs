@@ -15,7 +15,8 @@ const SIZE: f64 = 0.002;
 
 fn sand(law: Law) -> SandGround {
     let description = SandDescription::named("poppy-loose", law.name()).unwrap();
-    SandGround::new(description, GroundOptions::default()).unwrap()
+    let options = GroundOptions { rest_speed: Surface::SOLID.rest_speed, ..Default::default() };
+    SandGround::new(description, options).unwrap()
 }
 
 fn bodies(size: Option<f64>) -> Bodies {

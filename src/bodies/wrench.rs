@@ -21,22 +21,35 @@ const FOR_A_THREAD: usize = 1024;
 
 /// A number of the caller's arrays.
 pub trait Scalar: Copy + Send + Sync + Into<f64> {
-    /// Is it computed in `f64`?
-    const DOUBLE: bool;
+    /// Number of states that are computed together.
+    fn lanes(isa: Isa) -> usize;
     fn of(value: f64) -> Self;
+    /// Computes a share of the states in this precision. Not generic, so that this crate alone compiles the hot loops.
+    fn compute(isa: Isa, share: Share<'_, Self>) -> Result<()>;
 }
 
 impl Scalar for f64 {
-    const DOUBLE: bool = true;
+    fn lanes(_isa: Isa) -> usize {
+        1
+    }
     fn of(value: f64) -> Self {
         value
+    }
+    fn compute(_isa: Isa, share: Share<'_, Self>) -> Result<()> {
+        share.run::<f64>();
+        Ok(())
     }
 }
 
 impl Scalar for f32 {
-    const DOUBLE: bool = false;
+    fn lanes(isa: Isa) -> usize {
+        isa.lanes()
+    }
     fn of(value: f64) -> Self {
         value as f32
+    }
+    fn compute(isa: Isa, share: Share<'_, Self>) -> Result<()> {
+        isa.with(share)
     }
 }
 
@@ -172,8 +185,25 @@ pub(crate) fn on_one<R: Real>(
     on_body(bed, patches, frame, &frame.velocity, place, travel, &local, R::one())
 }
 
+/// The drag on a body with velocity ξ as an inertia (`dt` = 1 s): C + E − m Eξ(Eξ)ᵀ/(ξᵀEξ), with the secant C of all
+/// plates and the slope E of their leading edges. A change along ξ does not turn the velocities, so it moves no leading
+/// edge: at speed m = 1, and the drag along the motion is that of the secant, ξᵀDξ = −ξᵀf. Near rest m = 0, because there
+/// the regularised force of a flat face grows by its edge, too. Symmetric and positive semidefinite for m ≤ 1.
+#[inline(always)]
+pub(crate) fn resistance<R: Real>(total: &Total<R>, velocity: &Twist<R>, rest_speed: f64) -> Inertia<R> {
+    let mut drag = Inertia::points(&total.drag);
+    let lost = drag.apply(velocity).dot(velocity);
+    let still = total.drag.mass * R::splat(rest_speed * rest_speed);
+    let turned = total.edge.apply(velocity);
+    let (tiny, along) = (R::splat(1e-30), turned.dot(velocity));
+    let share = lost / ((lost + still).max(tiny) * along.max(tiny));
+    drag.add(&total.edge);
+    drag.add_outer(R::select(tiny.lt(along), -share, R::zero()), &turned);
+    drag
+}
+
 /// A part of the states, to be computed by one thread.
-struct Share<'a, T> {
+pub struct Share<'a, T> {
     bodies: &'a Bodies,
     sand: &'a SandGround,
     motions: &'a Motions<'a, T>,
@@ -244,8 +274,7 @@ impl<T: Scalar> Share<'_, T> {
         let Some(total) = on_one((place.sand, &place.bed, &place.under), body, &frame, &at, travel) else { return };
         let bodies = self.bodies.len();
         let count = self.wrench.len() / (6 * bodies);
-        let mut inertia = Inertia::points(&total.drag);
-        inertia.add(&total.edge);
+        let inertia = resistance(&total, &frame.velocity, place.sand.surface.rest_speed);
         for lane in 0..R::LANES.min(count - state) {
             let row = (state + lane) * bodies + index;
             let [f, t] = [total.wrench.force.lane(lane), total.wrench.moment.lane(lane)];
@@ -316,10 +345,10 @@ impl Bodies {
         if states == 0 {
             return Ok(());
         }
-        let isa = if T::DOUBLE { Isa::F64 } else { sand.isa };
+        let isa = sand.isa;
         let count = threads.clamp(1, (states * bodies / FOR_A_THREAD).max(1));
         // Whole blocks for each thread.
-        let each = states.div_ceil(count).next_multiple_of(isa.lanes());
+        let each = states.div_ceil(count).next_multiple_of(T::lanes(isa));
         let mut drags = drag.map(|d| d.chunks_mut(36 * each * bodies));
         let mut shares = wrench.chunks_mut(6 * each * bodies).enumerate().map(|(k, wrench)| Share {
             bodies: self,
@@ -330,7 +359,7 @@ impl Bodies {
             drag: drags.as_mut().and_then(Iterator::next),
         });
         let own = shares.next();
-        let run = |share: Share<'_, T>| flushed(|| isa.with(share));
+        let run = |share: Share<'_, T>| flushed(|| T::compute(isa, share));
         thread::scope(|scope| {
             let others: Vec<_> = shares.map(|share| scope.spawn(move || run(share))).collect();
             let mine = own.map_or(Ok(()), run);

@@ -96,19 +96,22 @@ def rotation(q: Any) -> Any:
     )
 
 
-def wrench(law: str, plates: dict[str, Any], p: Any, q: Any, v: Any, w: Any, height: float = 0.0) -> tuple[Any, Any]:
-    """Force and torque about the origin on plates that push where they lead and are in the sand (level ground), and the
-    least |n·v̂| and |depth| of a plate: near 0 a plate's force is a matter of definition."""
+def wrench(law: str, plates: dict[str, Any], p: Any, q: Any, v: Any, w: Any, flat: Any = False) -> tuple[Any, float]:
+    """Force and torque about the origin on plates that push where they lead and are below z = 0, and the least |n·v̂|:
+    near 0 a plate's force is a matter of definition. Those of `flat` faces rise to their full force at 0.02."""
     turn = rotation(q)
     arm = plates["center"] @ turn.T
     n = plates["normal"] @ turn.T
     speed = v + np.cross(w, arm)
-    depth = height - (p[2] + arm[:, 2])
+    depth = -(p[2] + arm[:, 2])
     leads = (n * speed).sum(1) / np.linalg.norm(speed, axis=1)
+    # Of a thin plate the side that leads counts.
+    n = np.where((plates["thin"] & (leads < 0))[:, None], -n, n)
     pushes = (depth > 0) & ((leads >= 0) | plates["thin"])
+    share = np.where(flat & ~plates["thin"], np.clip(leads / 0.02, 0, 1), 1.0)
     force = np.zeros_like(arm)
     if pushes.any():
-        load = (depth * plates["area"])[pushes, None]
+        load = (depth * plates["area"] * share)[pushes, None]
         force[pushes] = LAWS[law](n[pushes], speed[pushes]) * load
     total = np.concatenate([force.sum(0), np.cross(arm, force).sum(0)])
-    return total, np.array([np.abs(leads).min(), np.abs(depth).min()])
+    return total, float(np.abs(leads).min())
