@@ -7,6 +7,8 @@ wrench = sand.wrench(bodies, position, quaternion, velocity, angular_velocity)
 
 from __future__ import annotations
 
+import math
+import os
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -24,6 +26,9 @@ Array = npt.NDArray[Any]
 Shape = str | Array | tuple[str | Array, Sequence[float], Sequence[float]]
 
 _ARGUMENTS = (("position", 3), ("quaternion", 4), ("velocity", 3), ("angular_velocity", 3))
+_SINGLE, _DOUBLE = np.dtype(np.float32), np.dtype(np.float64)
+#: Processors that this process may use.
+_PROCESSORS = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class Sand:
@@ -116,26 +121,14 @@ class Sand:
         float64 is computed in float64, float32 in SIMD lanes. Other Python threads run meanwhile.
         """
         count = len(bodies.names)
-        given = (position, quaternion, velocity, angular_velocity)
-        arrays = [_array(name, x) for (name, _), x in zip(_ARGUMENTS, given, strict=True)]
-        kind, leading = arrays[0].dtype, arrays[0].shape[:-2]
-        if kind != np.float32 and kind != np.float64:
-            raise InvalidRequest(f"position: is {kind}, not float32 or float64")
-        for i, (name, width) in enumerate(_ARGUMENTS):
-            array = arrays[i]
-            if array.dtype != kind:
-                raise InvalidRequest(f"{name}: is {array.dtype}, but position is {kind}")
-            if array.shape != (*leading, count, width):
-                wanted = ", ".join(map(str, (*leading, count, width)))
-                raise InvalidRequest(f"{name}: has shape {array.shape}, not ({wanted}): [..., bodies, {width}]")
-            arrays[i] = _rows(array, count, width)
-        states = len(arrays[0])
+        arrays = [position, quaternion, velocity, angular_velocity]
+        kind, leading, states = _motion(arrays, count)
         vehicle = None
         if travel is not None:
             vehicle = _array("travel", travel)
             if vehicle.shape != (*leading, 3) or vehicle.dtype != kind:
                 raise InvalidRequest(f"travel: is {vehicle.dtype} {vehicle.shape}, not {kind} {(*leading, 3)}")
-            vehicle = _rows(vehicle, 1, 3)
+            vehicle = _rows(vehicle.reshape(states, 1, 3))
         shape = (*leading, count, 6)
         if not drag:
             wrench = np.empty(shape, kind) if out is None else _out(out, shape, kind)
@@ -147,8 +140,8 @@ class Sand:
                 raise InvalidRequest("out: with drag=True a pair of arrays, for the wrench and the drag")
             wrench, resistance = _out(out[0], shape, kind), _out(out[1], (*shape, 6), kind)
         if states:
-            double = kind == np.float64
-            bodies._native.wrench(self._native, arrays, vehicle, wrench, resistance, double, threads)
+            double = kind == _DOUBLE
+            bodies._native.wrench(self._native, arrays, vehicle, wrench, resistance, double, threads or _PROCESSORS)
         return wrench if resistance is None else (wrench, resistance)
 
 
@@ -241,6 +234,32 @@ def _relief(relief: Mapping[str, Any] | None) -> Any:
     raise InvalidRequest("relief: give spacing and heights, or seed, wavelength and slope_deg")
 
 
+def _motion(arrays: list[Any], count: int) -> tuple[np.dtype[Any], tuple[int, ...], int]:
+    """Checks position, quaternion and velocities of `count` bodies, and makes each an array [states, bodies, 3 or 4].
+
+    Returns their type, the leading dimensions, and the number of states.
+    """
+    first = arrays[0] = _array("position", arrays[0])
+    kind, leading = first.dtype, first.shape[:-2]
+    if kind != _DOUBLE and kind != _SINGLE:
+        raise InvalidRequest(f"position: is {kind}, not float32 or float64")
+    states = math.prod(leading)
+    for i, (name, width) in enumerate(_ARGUMENTS):
+        array = arrays[i]
+        if type(array) is not np.ndarray:
+            array = _array(name, array)
+        if array.dtype != kind:
+            raise InvalidRequest(f"{name}: is {array.dtype}, but position is {kind}")
+        if array.shape != (*leading, count, width):
+            wanted = ", ".join(map(str, (*leading, count, width)))
+            raise InvalidRequest(f"{name}: has shape {array.shape}, not ({wanted}): [..., bodies, {width}]")
+        ways = array.ndim
+        if ways != 3:
+            array = array[None] if ways == 2 else array.reshape(states, count, width)
+        arrays[i] = array if array.flags.carray else _rows(array)
+    return kind, leading, states
+
+
 def _array(name: str, array: Any) -> Array:
     if isinstance(array, np.ndarray):
         return array
@@ -252,12 +271,11 @@ def _array(name: str, array: Any) -> Array:
     return np.asarray(array, np.float64)
 
 
-def _rows(array: Array, count: int, width: int) -> Array:
-    """As [states, bodies, width] with contiguous rows; copied only if it cannot be viewed like this."""
-    rows = array if array.ndim == 3 else array.reshape(-1, count, width)
-    if rows.strides[-1] != rows.itemsize or min(rows.strides) < 0 or not rows.flags.aligned:
-        rows = np.ascontiguousarray(rows)
-    return rows
+def _rows(array: Array) -> Array:
+    """The same with contiguous rows; copied only if it has none."""
+    if array.strides[-1] != array.itemsize or min(array.strides) < 0 or not array.flags.aligned:
+        return np.ascontiguousarray(array)
+    return array
 
 
 def _out(out: Any, shape: tuple[int, ...], kind: Any) -> Array:

@@ -45,10 +45,10 @@ def draw(random: Any, depth: float) -> tuple[Any, Any, Any, Any]:
 @pytest.mark.parametrize("law", LAWS)
 def test_plates_have_the_published_force(law: str) -> None:
     """The same plates: equal to rounding where no plate moves along itself or crosses the surface, where the formulas
-    leave open what part of it pushes. Thin plates and flat faces of solids, deep enough to be covered. `li2013` turns the
-    horizontal direction of motion towards the normal by 1e-6 of the vertical speed, so that it exists for vertical
+    leave open what part of it pushes. Thin plates and flat faces of solids, deep enough to be covered. `li2013` turns
+    the horizontal direction of motion towards the normal by 1e-6 of the vertical speed, so that it exists for vertical
     motion, too."""
-    exact = {"agarwal2023": 1e-9, "li2013": 1e-6}[law]
+    exact = {"agarwal2023": 1e-9, "li2013": 1e-5}[law]
     random = np.random.default_rng(7)
     shapes = {
         "box": BODIES["box"],
@@ -69,8 +69,8 @@ def test_plates_have_the_published_force(law: str) -> None:
     assert compared > 300, compared
 
 
-#: Worst error of the default plates where it is not 2 %: on long round bodies that move almost along their axis, patches
-#: take plates of both sides of the leading edge together. With `plate_size` the error is below 1.2 %.
+#: Worst error of the default plates where it is not 2 %: on long round bodies that move almost along their axis,
+#: patches take plates of both sides of the leading edge together. With `plate_size` the error is below 1.2 %.
 WORST = {("capsule", "agarwal2023"): 0.04, ("capsule", "li2013"): 0.06, ("roller", "li2013"): 0.03}
 
 
