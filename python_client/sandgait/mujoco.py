@@ -66,6 +66,8 @@ def add_sand(
     """
     if not isinstance(model, mujoco.MjModel):
         raise InvalidRequest(f"model: is {type(model).__name__}, not mujoco.MjModel")
+    if not hasattr(model, "M_rowadr"):
+        raise InvalidRequest(f"mujoco: version {mujoco.__version__} has two inertia matrices; sand needs 3.5 or later")
     if not isinstance(sand, Sand):
         raise InvalidRequest(f"sand: is {type(sand).__name__}, not sandgait.Sand")
     if model._address in _MODELS:
@@ -100,8 +102,7 @@ class ModelSand:
         self._bodies = list(parts)
         last = [int(model.body_dofadr[b] + model.body_dofnum[b] - 1) for b in parts]
         roots = [int(model.body_rootid[b]) for b in parts]
-        rows = model if hasattr(model, "M_rowadr") else data
-        matrix = [model.dof_parentid, rows.M_rowadr, rows.M_rownnz, rows.M_colind]
+        matrix = [model.dof_parentid, model.M_rowadr, model.M_rownnz, model.M_colind]
         self._shapes = {name: parts[body] for name, body in zip(self.names, parts, strict=True)}
         solids = shapes(self._shapes)
         self._native = _native.JointSand(

@@ -88,8 +88,7 @@ def walk(leg: str, frequency: float, dt: float = 1e-3, **options: Any) -> float:
 def test_the_reference_hexapod_walks_at_the_reference_speed(leg: str, frequency: int) -> None:
     speed = walk(leg, frequency)
     print(f"{leg} {frequency} Hz: {speed:.4f} m/s, {speed / SPEEDS[leg][frequency] - 1:+.2%}")
-    # The reversed leg at 1 Hz sticks and slips. The error of the time step is 1.9 % at 0.5 ms and 2.7 % at 1 ms.
-    assert speed == pytest.approx(SPEEDS[leg][frequency], rel=0.03 if (leg, frequency) == ("revL", 1) else 0.02)
+    assert speed == pytest.approx(SPEEDS[leg][frequency], rel=0.02)
 
 
 QUADRUPED = """<mujoco><option timestep="0.002" gravity="0 0 -9.81"/>
@@ -273,12 +272,13 @@ def test_feet_feel_the_sand() -> None:
     """The contact forces of the observation carry the robot, and the floor itself does not."""
     env = OnSand(gymnasium.make("Ant-v5"), medium="poppy-close")
     env.reset(seed=0)
-    for _ in range(200):
-        env.step(np.zeros(8))
     base: Any = env.unwrapped
+    carried = []
+    for _ in range(400):
+        env.step(np.zeros(8))
+        carried.append(base.data.cfrc_ext[:, 5].sum())
     assert base.data.ncon == 0
-    weight = 9.81 * base.model.body_mass.sum()
-    assert base.data.cfrc_ext[:, 5].sum() == pytest.approx(weight, rel=0.02)
+    assert np.mean(carried[200:]) == pytest.approx(9.81 * base.model.body_mass.sum(), rel=0.02)
     assert base.data.qpos[2] < 0.75
     env.close()
 
