@@ -322,15 +322,15 @@ def _solid(model: mujoco.MjModel, geom: int) -> Any:
         lengths = ",".join(f"{key}={float(model.geom_size[geom][k]) * factor!r}" for key, k, factor in sizes)
         return f"{name}:{lengths}"
     if kind != _GEOM.mjGEOM_MESH:
-        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_GEOM, geom) or geom
-        raise InvalidRequest(f"geom {name}: sand has no shape for {kind.name}; give `bodies` with shapes")
+        called = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_GEOM, geom) or geom
+        raise InvalidRequest(f"geom {called}: sand has no shape for {kind.name}; give `bodies` with shapes")
     mesh = model.geom_dataid[geom]
     vertices = model.mesh_vert[model.mesh_vertadr[mesh] :][: model.mesh_vertnum[mesh]]
     faces = model.mesh_face[model.mesh_faceadr[mesh] :][: model.mesh_facenum[mesh]]
     surface = _native.closed_surface(vertices[faces].astype(np.float64).tolist())
     if surface is None:
-        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_MESH, mesh)
-        raise InvalidRequest(f"mesh {name}: is flat, it has no volume")
+        called = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_MESH, mesh)
+        raise InvalidRequest(f"mesh {called}: is flat, it has no volume")
     return np.array(surface[0])
 
 

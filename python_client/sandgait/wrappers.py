@@ -68,7 +68,7 @@ class OnSand(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordConstr
         self.ground: ModelSand = _sand(model, medium, law=law, sand=sand, bodies=bodies, plate_size=plate_size)
         self._show_forces = show_forces
         # gymnasium's environments make all steps of MuJoCo by this method.
-        env.unwrapped._step_mujoco_simulation = self._step  # type: ignore[attr-defined]
+        env.unwrapped._step_mujoco_simulation = self._step
 
     def _step(self, ctrl: Any, n_frames: int) -> None:
         data = self.env.unwrapped.data  # type: ignore[attr-defined]
