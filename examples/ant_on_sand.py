@@ -91,6 +91,8 @@ def main() -> None:
         writer = csv.writer(file)
         writer.writerow(["seconds", "steps", "return", "length"])
         writer.writerows((f"{t:.1f}", n, f"{r:.1f}", f"{k:.0f}") for t, n, r, k in curve.rows)
+    if not curve.rows:
+        raise SystemExit("no episode has ended: give more --minutes")
     seconds, _, returns, _ = np.array(curve.rows).T
     figure, axes = plt.subplots(figsize=(6, 3.5), layout="constrained")
     axes.plot(seconds / 60.0, returns, label=f"PPO, seed {options.seed}")
