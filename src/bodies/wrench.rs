@@ -190,7 +190,7 @@ pub(crate) fn on_one<R: Real>(
 /// edge: at speed m = 1, and the drag along the motion is that of the secant, ξᵀDξ = −ξᵀf. Near rest m = 0, because there
 /// the regularised force of a flat face grows by its edge, too. Symmetric and positive semidefinite for m ≤ 1.
 #[inline(always)]
-pub(crate) fn resistance<R: Real>(total: &Total<R>, velocity: &Twist<R>, rest_speed: f64) -> Inertia<R> {
+fn resistance<R: Real>(total: &Total<R>, velocity: &Twist<R>, rest_speed: f64) -> Inertia<R> {
     let mut drag = Inertia::points(&total.drag);
     let lost = drag.apply(velocity).dot(velocity);
     let still = total.drag.mass * R::splat(rest_speed * rest_speed);
