@@ -1,6 +1,6 @@
 //! Bodies cut into the plates that sand pushes on.
 
-use super::part::{Part, Piece};
+use super::part::{BodyPart, BodyPlate};
 use crate::error::{Error, Result};
 use crate::sand::Law;
 use crate::sand::intruder::Plate;
@@ -19,7 +19,7 @@ pub struct Bodies {
 /// otherwise, and for thin plates, once for each plate, as in `sandgait intrude`.
 #[derive(Debug)]
 pub(crate) struct CutBody {
-    pub pieces: Vec<Piece>,
+    pub pieces: Vec<BodyPlate>,
     /// Is the law evaluated for each plate?
     pub exact: bool,
     /// A ball that contains the plates.
@@ -30,7 +30,7 @@ pub(crate) struct CutBody {
 
 impl Bodies {
     /// Each body's name and parts. `plate_size` [m]: see [`Bodies::plates`]; None: plates for forces within 2 %.
-    pub fn new(bodies: Vec<(String, Vec<Part>)>, plate_size: Option<f64>) -> Result<Self> {
+    pub fn new(bodies: Vec<(String, Vec<BodyPart>)>, plate_size: Option<f64>) -> Result<Self> {
         if bodies.is_empty() {
             return Err(Error::invalid("bodies", "there are none"));
         }
@@ -58,7 +58,7 @@ impl Bodies {
     }
 
     /// The plates of body `index`.
-    pub fn plates(&self, index: usize) -> &[Piece] {
+    pub fn plates(&self, index: usize) -> &[BodyPlate] {
         &self.bodies[index].pieces
     }
 
@@ -68,13 +68,13 @@ impl Bodies {
 }
 
 impl CutBody {
-    fn of(name: &str, parts: &[Part], size: Option<f64>) -> Result<Self> {
+    fn of(name: &str, parts: &[BodyPart], size: Option<f64>) -> Result<Self> {
         let solids: Vec<_> = parts.iter().filter_map(|p| p.solid(name)).collect();
-        let thin: Vec<Piece> = parts.iter().flat_map(|p| p.sheet(size)).collect();
+        let thin: Vec<BodyPlate> = parts.iter().flat_map(|p| p.sheet(size)).collect();
         let exact = size.is_some() || !thin.is_empty();
         let plates = of_shapes(&solids.iter().collect::<Vec<_>>(), size)
             .map_err(|e| Error::invalid(format!("body {name:?}"), e.to_string()))?;
-        let mut pieces: Vec<Piece> = plates.into_iter().map(|plate| Piece { plate, thin: false }).collect();
+        let mut pieces: Vec<BodyPlate> = plates.into_iter().map(|plate| BodyPlate { plate, thin: false }).collect();
         pieces.extend(thin);
         if pieces.is_empty() {
             return Err(Error::invalid("bodies", format!("{name:?} has no shapes")));

@@ -2,12 +2,20 @@
 //! the surface of the sand crosses.
 //!
 //! There a flat plate leads or does not. Here its force rises over the small range of n·v̂ that
-//! [`crate::sand::Surface::leading_edge_gate`] gives, because an integrator needs a force without jumps.
+//! [`crate::sand::Surface::leading_edge_gate`] gives, because an integrator needs a force without jumps: from 0 for a
+//! flat plate, and about 0 for a bent one, of which on average half leads at n·v̂ = 0.
+//!
+//! The drag D of a body is the sum over its plates (or patches) of two parts. The plate's force F(v) falls to zero with
+//! the speed, so its slope along v, as the secant from rest, is c = −F·v/v², which acts against changes in all
+//! directions. And the share s(n·v̂) of the plate that leads changes by s' ∂(n·v̂)/∂v = s' p/√(v² + v0²), with
+//! p = n − (n·v̂) v̂ ([`crate::sand::SandBed::across`]): the force along n by e = −F·n s'/(s √(v² + v0²)) times p.
+//! Symmetric, with p in place of n: D = Σ Jᵀ(c I + e p pᵀ)J, positive semidefinite because c, e ≥ 0. At speed p·v = 0,
+//! so ξᵀDξ = −ξᵀf for the motion ξ: the drag along the motion is the secant's.
 
-use super::part::Piece;
+use super::part::BodyPlate;
 use crate::number::{Real, Vec3};
 use crate::sand::{SandBed, SegmentState};
-use crate::sim::spatial::{Inertia, PointMasses, Twist, Wrench};
+use crate::sim::spatial::{Twist, Wrench};
 use crate::sim::tree::dynamics::Frame;
 use crate::sim::tree::sand::Total;
 use crate::sim::tree::terrain::Local;
@@ -17,7 +25,7 @@ use crate::sim::tree::terrain::Local;
 const UPRIGHT: f64 = 1e-12;
 
 /// What all plates of a body share.
-struct Setting<'a, R> {
+struct PlateScene<'a, R> {
     bed: &'a SandBed<R>,
     frame: &'a Frame<R>,
     velocity: &'a Twist<R>,
@@ -27,13 +35,14 @@ struct Setting<'a, R> {
     gate: R,
 }
 
-/// Force and drag on a plate at `at`, from the body's common point, with its normal in the world.
-struct Pushed<R> {
+/// Force and drag on a plate at `at`, from the body's common point. A change of the velocity by u moves the leading edge
+/// so that the force along `slope` falls by `edge` (`slope`·u).
+struct PlateForce<R> {
     force: Vec3<R>,
     drag: R,
     edge: R,
     at: Vec3<R>,
-    normal: Vec3<R>,
+    slope: Vec3<R>,
 }
 
 /// The same as [`crate::sim::tree::sand::on_body`], with `dt` = 1 s: the masses in the result are the drags [N·s/m].
@@ -41,7 +50,7 @@ struct Pushed<R> {
 #[allow(clippy::too_many_arguments)] // all arguments stay in registers
 pub fn on_plates<R: Real>(
     bed: &SandBed<R>,
-    pieces: &[Piece],
+    pieces: &[BodyPlate],
     frame: &Frame<R>,
     velocity: &Twist<R>,
     place: &Vec3<R>,
@@ -49,14 +58,13 @@ pub fn on_plates<R: Real>(
     under: &Local<R>,
     gate: f64,
 ) -> Option<Total<R>> {
-    let setting = Setting { bed, frame, velocity, place, travel, under, gate: R::splat(gate) };
-    let mut total =
-        Total { wrench: Wrench::zero(), drag: PointMasses::zero(), edge: Inertia::points(&PointMasses::zero()) };
+    let setting = PlateScene { bed, frame, velocity, place, travel, under, gate: R::splat(gate) };
+    let mut total = Total::none();
     let mut wet = false;
     for piece in pieces {
         let Some(pushed) = setting.on(piece) else { continue };
         wet = true;
-        let Pushed { force, drag, edge, at, normal } = pushed;
+        let PlateForce { force, drag, edge, at, slope } = pushed;
         total.wrench.force += force;
         total.wrench.moment += at.cross(force);
         let first = at * drag;
@@ -64,15 +72,15 @@ pub fn on_plates<R: Real>(
         total.drag.first += first;
         total.drag.second.add_product(at, first);
         if R::any(R::zero().lt(edge)) {
-            total.edge.add_outer(edge, &Wrench { moment: at.cross(normal), force: normal });
+            total.edge.add_outer(edge, &Wrench { moment: at.cross(slope), force: slope });
         }
     }
     wet.then_some(total)
 }
 
-impl<R: Real> Setting<'_, R> {
+impl<R: Real> PlateScene<'_, R> {
     #[inline(always)]
-    fn on(&self, piece: &Piece) -> Option<Pushed<R>> {
+    fn on(&self, piece: &BodyPlate) -> Option<PlateForce<R>> {
         let (zero, one, half) = (R::zero(), R::one(), R::splat(0.5));
         let (plate, under) = (&piece.plate, self.under);
         let turned = |v: Vec3<f64>| self.frame.rotation.apply(Vec3::splat(v.lane(0)));
@@ -97,29 +105,29 @@ impl<R: Real> Setting<'_, R> {
         let site = SegmentState::fresh(mean, self.place.x + at.x).travelling(self.travel);
         if piece.thin {
             let (force, drag) = self.law(&site, area, normal, v, v);
-            return Some(Pushed { force, drag, edge: zero, at, normal });
+            return Some(PlateForce { force, drag, edge: zero, at, slope: normal });
         }
         let along = normal.dot(v);
         let uneven = (0..2).fold(zero, |sum, k| {
             let turning = normal.dot(self.velocity.angular.cross(sides[k]));
             sum + sides[k].dot(v).mul_add(R::splat(plate.bend[k]), turning).abs()
         });
-        // The share that leads is `begun` + `growth` n·v.
+        // The share that leads rises from 0 at n·v = −`before` to 1 at `after`.
         let range = self.gate / self.bed.inverse_speed(v);
-        let wide = (range * half).lt(uneven);
-        let begun = R::select(wide, half, zero);
-        let growth = R::select(wide, half / uneven.max(R::splat(1e-30)), one / range);
-        let leads = along.mul_add(growth, begun).clamp(zero, one);
+        let bent = plate.bend != [0.0; 2];
+        let before = if bent { uneven.max(range * half) } else { uneven };
+        let after = if bent { before } else { uneven + range };
+        let growth = one / (before + after);
+        let leads = ((along + before) * growth).clamp(zero, one);
         if !R::any(zero.lt(leads)) {
             return None;
         }
         // If the edge crosses the plate, its leading part moves with half of the edge's n·v.
-        let partly = R::select(wide, (along + uneven) * half, along);
-        let toward = R::select(leads.lt(one), partly, along);
+        let toward = along.max((along + before) * half);
         let (full, drag) = self.law(&site, area, normal, normal.scale_add(toward - along, v), v);
         let rising = (-full.dot(normal)).max(zero) * growth;
-        let inside = R::select(zero.lt(leads), R::select(leads.lt(one), rising, zero), zero);
-        Some(Pushed { force: full * leads, drag: drag * leads, edge: inside, at, normal })
+        let edge = R::select(zero.lt(leads), R::select(leads.lt(one), rising, zero), zero);
+        Some(PlateForce { force: full * leads, drag: drag * leads, edge, at, slope: self.bed.across(normal, v) })
     }
 
     /// The law's force on a plate that moves with `v`, in the world's axes, and its drag against `own`: −f·v/v².

@@ -10,7 +10,7 @@ use super::ground::SandGround;
 use super::wrench::{matrix, on_one};
 use crate::error::{Error, Result};
 use crate::number::{Mat3, Vec3, flushed};
-use crate::sim::spatial::{Inertia, Twist};
+use crate::sim::spatial::Twist;
 use crate::sim::tree::dynamics::Frame;
 
 /// The tree, as MuJoCo's model has it.
@@ -145,12 +145,8 @@ impl JointSand {
             for (k, body) in self.bodies.cut().iter().enumerate() {
                 let (frame, place, travel) = self.frame(motion, k);
                 let Some(total) = on_one((&self.sand, bed, &under), body, &frame, &place, travel) else { continue };
-                // With the whole slope of the leading edges, as in engine `tree`: without its part along the motion
-                // (`resistance`) the reversed hexapod is 5 % too fast at 1 ms.
-                let mut drag = Inertia::points(&total.drag);
-                drag.add(&total.edge);
                 let (f, t) = (total.wrench.force, total.wrench.moment);
-                with(k, [t.x, t.y, t.z, f.x, f.y, f.z], angular_first(&matrix(&drag, 0)));
+                with(k, [t.x, t.y, t.z, f.x, f.y, f.z], angular_first(&matrix(&total.inertia(), 0)));
             }
         });
         Ok(())

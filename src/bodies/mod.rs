@@ -5,12 +5,12 @@
 //! fills the space below a plane, which may be inclined, or below a field of heights.
 //!
 //! ```
-//! use sandgait_bodies::{Bodies, GroundOptions, Motions, Part, SandGround};
+//! use sandgait_bodies::{Bodies, GroundOptions, Motions, BodyPart, SandGround};
 //! use sandgait_sand::SandDescription;
 //!
 //! # fn main() -> sandgait_base::error::Result<()> {
 //! let sand = SandGround::new(SandDescription::named("poppy-loose", "agarwal2023")?, GroundOptions::default())?;
-//! let bodies = Bodies::new(vec![("foot".into(), vec![Part::named("sphere:radius=0.02")?])], None)?;
+//! let bodies = Bodies::new(vec![("foot".into(), vec![BodyPart::named("sphere:radius=0.02")?])], None)?;
 //! // A ball with its centre 1 cm deep, which moves down at 10 cm/s.
 //! let motions = Motions::contiguous(&[0.0, 0.0, -0.01], &[1.0, 0.0, 0.0, 0.0], &[0.0, 0.0, -0.1], &[0.0; 3]);
 //! let mut wrench = [0.0; 6];
@@ -43,5 +43,5 @@ mod tests;
 pub use body::Bodies;
 pub use ground::{GroundOptions, SandGround};
 pub use joints::JointSand;
-pub use part::Part;
-pub use wrench::{Motions, Scalar, Strided};
+pub use part::BodyPart;
+pub use wrench::{Motions, Precision, Strided};

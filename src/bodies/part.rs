@@ -31,13 +31,13 @@ pub const UNIT: f64 = 1e-3;
 
 /// A shape at its place in a body's frame.
 #[derive(Clone, Debug)]
-pub struct Part {
-    kind: Kind,
+pub struct BodyPart {
+    kind: PartKind,
     origin: Isometry3<f64>,
 }
 
 #[derive(Clone, Debug)]
-enum Kind {
+enum PartKind {
     Solid(Geometry),
     /// A rectangle in the plane of x and y [m]. `thin`: sand acts on both faces, else on the upper one (+z) only.
     Sheet {
@@ -49,12 +49,12 @@ enum Kind {
 
 /// A plate, and whether it is a thin one, on which sand acts from both sides.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Piece {
+pub struct BodyPlate {
     pub plate: Plate,
     pub thin: bool,
 }
 
-impl Part {
+impl BodyPart {
     /// See [`KINDS`]. Lengths are full lengths along x, widths along y, heights along z; a capsule's height is that of
     /// its cylinder. A cylinder with a `width` has its axis along y, like a wheel.
     pub fn named(text: &str) -> Result<Self> {
@@ -62,13 +62,13 @@ impl Part {
         let read = |names: &[&str]| sizes_of(text, sizes, names);
         let mut origin = Isometry3::identity();
         let kind = match kind {
-            "sphere" => read(&["radius"]).map(|s| Kind::Solid(Geometry::Sphere { radius: s[0] }))?,
+            "sphere" => read(&["radius"]).map(|s| PartKind::Solid(Geometry::Sphere { radius: s[0] }))?,
             "box" => read(&["length", "width", "height"])
-                .map(|s| Kind::Solid(Geometry::Box { half: Vector3::new(s[0], s[1], s[2]) / 2.0 }))?,
+                .map(|s| PartKind::Solid(Geometry::Box { half: Vector3::new(s[0], s[1], s[2]) / 2.0 }))?,
             "ellipsoid" => read(&["length", "width", "height"])
-                .map(|s| Kind::Solid(ellipsoid(Vector3::new(s[0], s[1], s[2]) / 2.0)))?,
+                .map(|s| PartKind::Solid(ellipsoid(Vector3::new(s[0], s[1], s[2]) / 2.0)))?,
             "capsule" => read(&["radius", "height"])
-                .map(|s| Kind::Solid(Geometry::Capsule { radius: s[0], half_length: s[1] / 2.0 }))?,
+                .map(|s| PartKind::Solid(Geometry::Capsule { radius: s[0], half_length: s[1] / 2.0 }))?,
             "cylinder" => {
                 let wheel = sizes.contains("width");
                 if wheel {
@@ -76,16 +76,18 @@ impl Part {
                     origin = Isometry3::rotation(Vector3::x() * -std::f64::consts::FRAC_PI_2);
                 }
                 read(&["radius", if wheel { "width" } else { "height" }])
-                    .map(|s| Kind::Solid(Geometry::Cylinder { radius: s[0], half_length: s[1] / 2.0 }))?
+                    .map(|s| PartKind::Solid(Geometry::Cylinder { radius: s[0], half_length: s[1] / 2.0 }))?
             }
-            "plate" | "face" => {
-                read(&["length", "width"]).map(|s| Kind::Sheet { length: s[0], width: s[1], thin: kind == "plate" })?
-            }
-            "mesh" => Kind::Solid(mesh(Path::new(sizes))?),
+            "plate" | "face" => read(&["length", "width"]).map(|s| PartKind::Sheet {
+                length: s[0],
+                width: s[1],
+                thin: kind == "plate",
+            })?,
+            "mesh" => PartKind::Solid(mesh(Path::new(sizes))?),
             _ => {
                 let end = Path::new(text).extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
                 match end.as_deref() {
-                    Some("stl" | "obj") => Kind::Solid(mesh(Path::new(text))?),
+                    Some("stl" | "obj") => PartKind::Solid(mesh(Path::new(text))?),
                     _ => return Err(Error::unknown("shape", text, &KINDS)),
                 }
             }
@@ -96,7 +98,7 @@ impl Part {
     /// A closed mesh of triangles [m]; `name` is for error messages.
     pub fn triangles(name: &str, triangles: &[[[f64; 3]; 3]]) -> Result<Self> {
         let triangles = triangles.iter().map(|t| t.map(Vector3::from)).collect();
-        Ok(Self { kind: Kind::Solid(solid(name, triangles)?), origin: Isometry3::identity() })
+        Ok(Self { kind: PartKind::Solid(solid(name, triangles)?), origin: Isometry3::identity() })
     }
 
     /// The same part moved: to `position` [m], and turned by the quaternion (w, x, y, z).
@@ -115,19 +117,19 @@ impl Part {
     /// The part as a shape of a tree; None: a thin plate or a face.
     pub(crate) fn solid(&self, name: &str) -> Option<TreeShape> {
         match &self.kind {
-            Kind::Solid(geometry) => Some(TreeShape {
+            PartKind::Solid(geometry) => Some(TreeShape {
                 name: name.to_owned(),
                 origin: self.origin,
                 geometry: geometry.clone(),
                 friction: FRICTION,
             }),
-            Kind::Sheet { .. } => None,
+            PartKind::Sheet { .. } => None,
         }
     }
 
     /// The plates of a thin plate or a face, of about `size` [m].
-    pub(crate) fn sheet(&self, size: Option<f64>) -> Vec<Piece> {
-        let Kind::Sheet { length, width, thin } = self.kind else { return Vec::new() };
+    pub(crate) fn sheet(&self, size: Option<f64>) -> Vec<BodyPlate> {
+        let PartKind::Sheet { length, width, thin } = self.kind else { return Vec::new() };
         let size = size.unwrap_or(length.max(width) / ALONG);
         let counts = [length, width].map(|side| ((side / size - 1e-9).ceil() as usize).max(1));
         let steps = [length / counts[0] as f64, width / counts[1] as f64];
@@ -141,7 +143,7 @@ impl Part {
                 let center = nalgebra::Point3::new(at(i, counts[0], steps[0]), at(j, counts[1], steps[1]), 0.0);
                 let center = Vec3::splat(self.origin.transform_point(&center).coords.into());
                 let plate = Plate { center, normal, area: steps[0] * steps[1], half, bend: [0.0; 2] };
-                pieces.push(Piece { plate, thin });
+                pieces.push(BodyPlate { plate, thin });
             }
         }
         pieces

@@ -20,7 +20,7 @@ fn sand(law: Law) -> SandGround {
 }
 
 fn bodies(size: Option<f64>) -> Bodies {
-    Bodies::new(SHAPES.map(|s| (s.to_owned(), vec![Part::named(s).unwrap()])).into(), size).unwrap()
+    Bodies::new(SHAPES.map(|s| (s.to_owned(), vec![BodyPart::named(s).unwrap()])).into(), size).unwrap()
 }
 
 /// Numbers between −1 and 1, the same on every machine.

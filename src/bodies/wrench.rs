@@ -20,35 +20,35 @@ use std::thread;
 const FOR_A_THREAD: usize = 1024;
 
 /// A number of the caller's arrays.
-pub trait Scalar: Copy + Send + Sync + Into<f64> {
+pub trait Precision: Copy + Send + Sync + Into<f64> {
     /// Number of states that are computed together.
     fn lanes(isa: Isa) -> usize;
     fn of(value: f64) -> Self;
     /// Computes a share of the states in this precision. Not generic, so that this crate alone compiles the hot loops.
-    fn compute(isa: Isa, share: Share<'_, Self>) -> Result<()>;
+    fn compute(isa: Isa, share: StateShare<'_, Self>) -> Result<()>;
 }
 
-impl Scalar for f64 {
+impl Precision for f64 {
     fn lanes(_isa: Isa) -> usize {
         1
     }
     fn of(value: f64) -> Self {
         value
     }
-    fn compute(_isa: Isa, share: Share<'_, Self>) -> Result<()> {
+    fn compute(_isa: Isa, share: StateShare<'_, Self>) -> Result<()> {
         share.run::<f64>();
         Ok(())
     }
 }
 
-impl Scalar for f32 {
+impl Precision for f32 {
     fn lanes(isa: Isa) -> usize {
         isa.lanes()
     }
     fn of(value: f64) -> Self {
         value as f32
     }
-    fn compute(isa: Isa, share: Share<'_, Self>) -> Result<()> {
+    fn compute(isa: Isa, share: StateShare<'_, Self>) -> Result<()> {
         isa.with(share)
     }
 }
@@ -76,7 +76,7 @@ pub struct Motions<'a, T> {
     pub travel: Option<Strided<'a, T>>,
 }
 
-impl<'a, T: Scalar> Motions<'a, T> {
+impl<'a, T: Precision> Motions<'a, T> {
     /// One body, in as many states as there are quaternions, from contiguous arrays.
     pub fn contiguous(position: &'a [T], quaternion: &'a [T], velocity: &'a [T], angular_velocity: &'a [T]) -> Self {
         let rows = |numbers, width| Strided { numbers, steps: [width, width] };
@@ -126,7 +126,7 @@ impl<'a, T: Scalar> Motions<'a, T> {
     }
 }
 
-impl<'a, T: Scalar> Strided<'a, T> {
+impl<'a, T: Precision> Strided<'a, T> {
     fn fits(&self, name: &str, [states, bodies, width]: [usize; 3]) -> Result<()> {
         let last = states.saturating_sub(1) * self.steps[0] + bodies.saturating_sub(1) * self.steps[1] + width;
         if states > 0 && self.numbers.len() < last {
@@ -154,13 +154,13 @@ impl<'a, T: Scalar> Strided<'a, T> {
 }
 
 /// The sand at one place of the world, and the form of all bodies: what a block of states shares.
-struct Place<'a, R> {
+struct LaneGround<'a, R> {
     sand: &'a SandGround,
     bed: SandBed<R>,
     under: Under<R>,
 }
 
-impl<'a, R: Real> Place<'a, R> {
+impl<'a, R: Real> LaneGround<'a, R> {
     fn of(sand: &'a SandGround) -> Self {
         Self { sand, bed: sand.bed(), under: sand.under_lanes() }
     }
@@ -182,28 +182,11 @@ pub(crate) fn on_one<R: Real>(
     }
     let patches = body.patches(sand.description().law);
     let local = under_body(patches, frame, place, under);
-    on_body(bed, patches, frame, &frame.velocity, place, travel, &local, R::one())
-}
-
-/// The drag on a body with velocity ξ as an inertia (`dt` = 1 s): C + E − m Eξ(Eξ)ᵀ/(ξᵀEξ), with the secant C of all
-/// plates and the slope E of their leading edges. A change along ξ does not turn the velocities, so it moves no leading
-/// edge: at speed m = 1, and the drag along the motion is that of the secant, ξᵀDξ = −ξᵀf. Near rest m = 0, because there
-/// the regularised force of a flat face grows by its edge, too. Symmetric and positive semidefinite for m ≤ 1.
-#[inline(always)]
-fn resistance<R: Real>(total: &Total<R>, velocity: &Twist<R>, rest_speed: f64) -> Inertia<R> {
-    let mut drag = Inertia::points(&total.drag);
-    let lost = drag.apply(velocity).dot(velocity);
-    let still = total.drag.mass * R::splat(rest_speed * rest_speed);
-    let turned = total.edge.apply(velocity);
-    let (tiny, along) = (R::splat(1e-30), turned.dot(velocity));
-    let share = lost / ((lost + still).max(tiny) * along.max(tiny));
-    drag.add(&total.edge);
-    drag.add_outer(R::select(tiny.lt(along), -share, R::zero()), &turned);
-    drag
+    on_body::<R, true>(bed, patches, frame, &frame.velocity, place, travel, &local, R::one())
 }
 
 /// A part of the states, to be computed by one thread.
-pub struct Share<'a, T> {
+pub struct StateShare<'a, T> {
     bodies: &'a Bodies,
     sand: &'a SandGround,
     motions: &'a Motions<'a, T>,
@@ -212,22 +195,22 @@ pub struct Share<'a, T> {
     drag: Option<&'a mut [T]>,
 }
 
-impl<T: Scalar> Work for Share<'_, T> {
+impl<T: Precision> Work for StateShare<'_, T> {
     type Out = ();
 
     fn run<R: Real>(self) {
-        let place = Place::<R>::of(self.sand);
+        let place = LaneGround::<R>::of(self.sand);
         R::dispatch(Blocks { share: self, place, number: PhantomData });
     }
 }
 
 struct Blocks<'a, T, R> {
-    share: Share<'a, T>,
-    place: Place<'a, R>,
+    share: StateShare<'a, T>,
+    place: LaneGround<'a, R>,
     number: PhantomData<R>,
 }
 
-impl<T: Scalar, R: Real> Kernel for Blocks<'_, T, R> {
+impl<T: Precision, R: Real> Kernel for Blocks<'_, T, R> {
     #[inline(always)]
     fn run(self) {
         let Self { mut share, place, .. } = self;
@@ -242,10 +225,10 @@ impl<T: Scalar, R: Real> Kernel for Blocks<'_, T, R> {
     }
 }
 
-impl<T: Scalar> Share<'_, T> {
+impl<T: Precision> StateShare<'_, T> {
     /// One body in the states from `state` on, counted from the share's first.
     #[inline(always)]
-    fn block<R: Real>(&mut self, place: &Place<'_, R>, state: usize, index: usize, body: &CutBody) {
+    fn block<R: Real>(&mut self, place: &LaneGround<'_, R>, state: usize, index: usize, body: &CutBody) {
         let (m, from, states) = (self.motions, self.first + state, self.motions.states);
         let at: Vec3<R> = m.position.lanes(from, states, index);
         // The body may be anywhere in a ball about its origin.
@@ -274,7 +257,7 @@ impl<T: Scalar> Share<'_, T> {
         let Some(total) = on_one((place.sand, &place.bed, &place.under), body, &frame, &at, travel) else { return };
         let bodies = self.bodies.len();
         let count = self.wrench.len() / (6 * bodies);
-        let inertia = resistance(&total, &frame.velocity, place.sand.surface.rest_speed);
+        let inertia = total.inertia();
         for lane in 0..R::LANES.min(count - state) {
             let row = (state + lane) * bodies + index;
             let [f, t] = [total.wrench.force.lane(lane), total.wrench.moment.lane(lane)];
@@ -314,9 +297,9 @@ pub(crate) fn matrix<R: Real>(inertia: &Inertia<R>, lane: usize) -> [[f64; 6]; 6
 
 impl Bodies {
     /// The sand's force [N] and torque about each body's origin [N·m] in the world's axes: `wrench` is
-    /// [states, bodies, 6]. `drag`, [states, bodies, 6, 6], becomes −∂(wrench)/∂(velocity, angular velocity) as a
-    /// secant from rest: symmetric and positive semidefinite. `threads`: the most to use.
-    pub fn wrench<T: Scalar>(
+    /// [states, bodies, 6]. `drag`, [states, bodies, 6, 6], becomes −∂(wrench)/∂(velocity, angular velocity), see
+    /// [`super::exact`]: symmetric and positive semidefinite, along the motion the secant from rest. `threads`: the most to use.
+    pub fn wrench<T: Precision>(
         &self,
         sand: &SandGround,
         motions: &Motions<'_, T>,
@@ -350,7 +333,7 @@ impl Bodies {
         // Whole blocks for each thread.
         let each = states.div_ceil(count).next_multiple_of(T::lanes(isa));
         let mut drags = drag.map(|d| d.chunks_mut(36 * each * bodies));
-        let mut shares = wrench.chunks_mut(6 * each * bodies).enumerate().map(|(k, wrench)| Share {
+        let mut shares = wrench.chunks_mut(6 * each * bodies).enumerate().map(|(k, wrench)| StateShare {
             bodies: self,
             sand,
             motions,
@@ -359,7 +342,7 @@ impl Bodies {
             drag: drags.as_mut().and_then(Iterator::next),
         });
         let own = shares.next();
-        let run = |share: Share<'_, T>| flushed(|| T::compute(isa, share));
+        let run = |share: StateShare<'_, T>| flushed(|| T::compute(isa, share));
         thread::scope(|scope| {
             let others: Vec<_> = shares.map(|share| scope.spawn(move || run(share))).collect();
             let mine = own.map_or(Ok(()), run);

@@ -176,6 +176,14 @@ impl<R: Real> SandBed<R> {
         R::one() / (v.norm_squared() + self.rest_speed_squared).sqrt()
     }
 
+    /// Slope of n·v̂ by the velocity times √(v² + v0²), with v̂ = v/√(v² + v0²): n − (n·v̂) v̂. At speed it is the part
+    /// of the normal across the motion, because a change along the motion does not turn v̂; at rest it is the normal.
+    #[inline(always)]
+    pub fn across(&self, n: Vec3<R>, v: Vec3<R>) -> Vec3<R> {
+        let unit = v * self.inverse_speed(v);
+        n - unit * n.dot(unit)
+    }
+
     #[inline(always)]
     pub fn motion(&self, v: Vec3<R>) -> Motion<R> {
         let squared = v.norm_squared();

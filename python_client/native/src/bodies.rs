@@ -4,7 +4,7 @@ use crate::errors::{invalid, raise};
 use pyo3::buffer::{Element, PyBuffer};
 use pyo3::prelude::*;
 use sandgait::bodies::joints::{TreeIndex, TreeMotion};
-use sandgait::bodies::{self, GroundOptions, Motions, Part, SandGround, Scalar, Strided};
+use sandgait::bodies::{self, BodyPart, GroundOptions, Motions, Precision, SandGround, Strided};
 use sandgait::parallel::processors;
 use sandgait::sand::SandDescription;
 use sandgait::sim::tree::relief::Relief;
@@ -30,10 +30,10 @@ pub struct JointSand {
 /// Center, normal, area and whether it is thin, of a plate.
 type PlateRow = ([f64; 3], [f64; 3], f64, bool);
 /// A shape: its name, or the triangles of a mesh; position; quaternion.
-type Shape = (Solid, [f64; 3], [f64; 4]);
+type Shape = (ShapeSource, [f64; 3], [f64; 4]);
 
 #[derive(FromPyObject)]
-pub enum Solid {
+pub enum ShapeSource {
     Name(String),
     Triangles(Vec<[[f64; 3]; 3]>),
 }
@@ -101,8 +101,8 @@ impl Bodies {
     fn new(py: Python<'_>, all: Vec<(String, Vec<Shape>)>, plate_size: Option<f64>) -> PyResult<Self> {
         let part = |name: &str, (solid, position, quaternion): Shape| {
             let part = match solid {
-                Solid::Name(text) => Part::named(&text),
-                Solid::Triangles(triangles) => Part::triangles(&format!("mesh of body {name:?}"), &triangles),
+                ShapeSource::Name(text) => BodyPart::named(&text),
+                ShapeSource::Triangles(triangles) => BodyPart::triangles(&format!("mesh of body {name:?}"), &triangles),
             };
             part?.placed(position, quaternion)
         };
@@ -146,7 +146,7 @@ impl Bodies {
 
 impl Bodies {
     #[allow(clippy::too_many_arguments)]
-    fn typed<T: Element + Scalar>(
+    fn typed<T: Element + Precision>(
         &self,
         py: Python<'_>,
         sand: &Sand,

@@ -12,7 +12,8 @@ use crate::sand::law::{Normals, StressLaw};
 use crate::sand::{LawCoefficients, Plain, SandBed, SegmentState, StressModel};
 use crate::spatial::{Inertia, PointMasses, Twist, Wrench};
 
-/// The sand's effect on a body: forces about the base's origin, and its drag as masses.
+/// The sand's effect on a body: forces about the base's origin, and its drag as masses. `edge`: how the force changes
+/// because leading edges move.
 pub struct Total<R> {
     pub wrench: Wrench<R>,
     pub drag: PointMasses<R>,
@@ -46,10 +47,11 @@ pub fn press<R: Real>(
         });
         let expected = frame.change.scaled(trusted);
         let middle = expected.scale_add(R::splat(0.5), &frame.velocity);
-        let Some(total) = on_body(ground, plates, frame, &middle, place, travel, &under, dt) else { continue };
+        let Some(total) = on_body::<R, false>(ground, plates, frame, &middle, place, travel, &under, dt) else {
+            continue;
+        };
         let load = &mut loads[plates.body];
-        let mut drag = Inertia::points(&total.drag);
-        drag.add(&total.edge);
+        let drag = total.inertia();
         let mut bias = total.wrench.scale_add(-R::one(), &load.bias);
         // f + C w Δv, with the drags as masses dt C.
         let held = drag.apply(&expected.scaled(-(R::one() / dt)));
@@ -92,10 +94,11 @@ fn trust<R: Real>(frame: &Frame<R>, place: Vec3<R>) -> R {
 }
 
 /// The sand's effect on one body at rest or in motion with `velocity`, about the base's origin at `place`; None if no
-/// plate is in the sand. `travel`: horizontal velocity of the robot.
+/// plate is in the sand. `travel`: horizontal velocity of the robot. With `ACROSS` the slope of a leading edge counts
+/// only across the motion ([`SandBed::across`]); engine `tree` takes the whole slope along the normal.
 #[inline(always)]
 #[allow(clippy::too_many_arguments)] // all arguments stay in registers
-pub fn on_body<R: Real>(
+pub fn on_body<R: Real, const ACROSS: bool>(
     ground: &SandBed<R>,
     plates: &BodyPatches,
     frame: &Frame<R>,
@@ -107,10 +110,12 @@ pub fn on_body<R: Real>(
 ) -> Option<Total<R>> {
     match (&ground.law, &ground.mechanisms) {
         (LawCoefficients::Li2013(law), None) => {
-            by(law, &Plain, ground, plates, frame, velocity, place, travel, under, dt)
+            by::<R, _, ACROSS>(law, &Plain, ground, plates, frame, velocity, place, travel, under, dt)
         }
-        (law, None) => by(law, &Plain, ground, plates, frame, velocity, place, travel, under, dt),
-        (law, Some(mechanisms)) => by(law, mechanisms, ground, plates, frame, velocity, place, travel, under, dt),
+        (law, None) => by::<R, _, ACROSS>(law, &Plain, ground, plates, frame, velocity, place, travel, under, dt),
+        (law, Some(mechanisms)) => {
+            by::<R, _, ACROSS>(law, mechanisms, ground, plates, frame, velocity, place, travel, under, dt)
+        }
     }
 }
 
@@ -315,7 +320,7 @@ impl<R: Real> Leading<R> {
 
 #[inline(always)]
 #[allow(clippy::too_many_arguments)] // all arguments stay in registers
-fn by<R: Real, M: StressModel<R>>(
+fn by<R: Real, M: StressModel<R>, const ACROSS: bool>(
     law: &impl StressLaw<R>,
     stress_model: &M,
     ground: &SandBed<R>,
@@ -379,7 +384,8 @@ fn by<R: Real, M: StressModel<R>>(
         total.drag.first += first;
         total.drag.second.add_product(at, first);
         if R::any(zero.lt(contact.edge)) {
-            total.edge.add_outer(contact.edge * dt, &Wrench { moment: at.cross(normal), force: normal });
+            let slope = if ACROSS { ground.across(normal, v) } else { normal };
+            total.edge.add_outer(contact.edge * dt, &Wrench { moment: at.cross(slope), force: slope });
         }
     }
     wet.then_some(total)
@@ -398,8 +404,16 @@ fn lanes<R: Real>(v: &[f32; 3]) -> Vec3<R> {
 
 impl<R: Real> Total<R> {
     #[inline(always)]
-    fn none() -> Self {
+    pub fn none() -> Self {
         Self { wrench: Wrench::zero(), drag: PointMasses::zero(), edge: Inertia::points(&PointMasses::zero()) }
+    }
+
+    /// The drags of plates and of leading edges, with the `dt` of [`on_body`].
+    #[inline(always)]
+    pub fn inertia(&self) -> Inertia<R> {
+        let mut drag = Inertia::points(&self.drag);
+        drag.add(&self.edge);
+        drag
     }
 }
 
