@@ -5,12 +5,12 @@
 //! [`crate::sand::Surface::leading_edge_gate`] gives, because an integrator needs a force without jumps: from 0 for a
 //! flat plate, and about 0 for a bent one, of which on average half leads at n·v̂ = 0.
 //!
-//! The drag D of a body is the sum over its plates (or patches) of two parts. The plate's force F(v) falls to zero with
-//! the speed, so its slope along v, as the secant from rest, is c = −F·v/v², which acts against changes in all
-//! directions. And the share s(n·v̂) of the plate that leads changes by s' ∂(n·v̂)/∂v = s' p/√(v² + v0²), with
-//! p = n − (n·v̂) v̂ ([`crate::sand::SandBed::across`]): the force along n by e = −F·n s'/(s √(v² + v0²)) times p.
-//! Symmetric, with p in place of n: D = Σ Jᵀ(c I + e p pᵀ)J, positive semidefinite because c, e ≥ 0. At speed p·v = 0,
-//! so ξᵀDξ = −ξᵀf for the motion ξ: the drag along the motion is the secant's.
+//! The drag D of a body is the sum over its plates (or patches) of two parts. The plate's force F falls to zero with the
+//! speed; its slope along v, as the secant from rest, is c = −F·v/v², which acts against changes in all directions. And
+//! the share s(n·v̂) of the plate that leads changes with the direction of motion: the force along n changes by
+//! e = −F·n s'/(s √(v² + v0²)) for each unit of n·v. Both together would count a change along v twice, in which v̂ does
+//! not turn, so D = Σ Jᵀ(c' I + e n nᵀ)J with c' = max(0, c − e (n·v̂)²) ([`crate::sand::SandBed::beside`]). It is
+//! symmetric and positive semidefinite, because c', e ≥ 0, and along the motion ξ it is the secant's: ξᵀDξ = −ξᵀf.
 
 use super::part::BodyPlate;
 use crate::number::{Real, Vec3};
@@ -35,14 +35,13 @@ struct PlateScene<'a, R> {
     gate: R,
 }
 
-/// Force and drag on a plate at `at`, from the body's common point. A change of the velocity by u moves the leading edge
-/// so that the force along `slope` falls by `edge` (`slope`·u).
+/// Force and drag on a plate at `at`, from the body's common point, with its normal in the world.
 struct PlateForce<R> {
     force: Vec3<R>,
     drag: R,
     edge: R,
     at: Vec3<R>,
-    slope: Vec3<R>,
+    normal: Vec3<R>,
 }
 
 /// The same as [`crate::sim::tree::sand::on_body`], with `dt` = 1 s: the masses in the result are the drags [N·s/m].
@@ -64,7 +63,7 @@ pub fn on_plates<R: Real>(
     for piece in pieces {
         let Some(pushed) = setting.on(piece) else { continue };
         wet = true;
-        let PlateForce { force, drag, edge, at, slope } = pushed;
+        let PlateForce { force, drag, edge, at, normal } = pushed;
         total.wrench.force += force;
         total.wrench.moment += at.cross(force);
         let first = at * drag;
@@ -72,7 +71,7 @@ pub fn on_plates<R: Real>(
         total.drag.first += first;
         total.drag.second.add_product(at, first);
         if R::any(R::zero().lt(edge)) {
-            total.edge.add_outer(edge, &Wrench { moment: at.cross(slope), force: slope });
+            total.edge.add_outer(edge, &Wrench { moment: at.cross(normal), force: normal });
         }
     }
     wet.then_some(total)
@@ -105,7 +104,7 @@ impl<R: Real> PlateScene<'_, R> {
         let site = SegmentState::fresh(mean, self.place.x + at.x).travelling(self.travel);
         if piece.thin {
             let (force, drag) = self.law(&site, area, normal, v, v);
-            return Some(PlateForce { force, drag, edge: zero, at, slope: normal });
+            return Some(PlateForce { force, drag, edge: zero, at, normal });
         }
         let along = normal.dot(v);
         let uneven = (0..2).fold(zero, |sum, k| {
@@ -127,7 +126,8 @@ impl<R: Real> PlateScene<'_, R> {
         let (full, drag) = self.law(&site, area, normal, normal.scale_add(toward - along, v), v);
         let rising = (-full.dot(normal)).max(zero) * growth;
         let edge = R::select(zero.lt(leads), R::select(leads.lt(one), rising, zero), zero);
-        Some(PlateForce { force: full * leads, drag: drag * leads, edge, at, slope: self.bed.across(normal, v) })
+        let drag = self.bed.beside(drag * leads, edge, normal, v);
+        Some(PlateForce { force: full * leads, drag, edge, at, normal })
     }
 
     /// The law's force on a plate that moves with `v`, in the world's axes, and its drag against `own`: −f·v/v².

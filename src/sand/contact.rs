@@ -176,12 +176,13 @@ impl<R: Real> SandBed<R> {
         R::one() / (v.norm_squared() + self.rest_speed_squared).sqrt()
     }
 
-    /// Slope of n·v̂ by the velocity times √(v² + v0²), with v̂ = v/√(v² + v0²): n − (n·v̂) v̂. At speed it is the part
-    /// of the normal across the motion, because a change along the motion does not turn v̂; at rest it is the normal.
+    /// A plate's drag c without the part along the motion that its leading edge's slope e n nᵀ has already, so that
+    /// v·(c' + e n nᵀ)v = c v²: c' = c − e (n·v̂)², with v̂ = v/√(v² + v0²). Near rest, where c' = c, both slopes count,
+    /// because the force grows by both.
     #[inline(always)]
-    pub fn across(&self, n: Vec3<R>, v: Vec3<R>) -> Vec3<R> {
-        let unit = v * self.inverse_speed(v);
-        n - unit * n.dot(unit)
+    pub fn beside(&self, drag: R, edge: R, n: Vec3<R>, v: Vec3<R>) -> R {
+        let along = n.dot(v) * self.inverse_speed(v);
+        (drag - edge * along * along).max(R::zero())
     }
 
     #[inline(always)]

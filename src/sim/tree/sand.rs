@@ -94,11 +94,11 @@ fn trust<R: Real>(frame: &Frame<R>, place: Vec3<R>) -> R {
 }
 
 /// The sand's effect on one body at rest or in motion with `velocity`, about the base's origin at `place`; None if no
-/// plate is in the sand. `travel`: horizontal velocity of the robot. With `ACROSS` the slope of a leading edge counts
-/// only across the motion ([`SandBed::across`]); engine `tree` takes the whole slope along the normal.
+/// plate is in the sand. `travel`: horizontal velocity of the robot. With `SECANT` the drag along the motion is
+/// that of the plates alone ([`SandBed::beside`]); engine `tree` adds the slope of leading edges to it.
 #[inline(always)]
 #[allow(clippy::too_many_arguments)] // all arguments stay in registers
-pub fn on_body<R: Real, const ACROSS: bool>(
+pub fn on_body<R: Real, const SECANT: bool>(
     ground: &SandBed<R>,
     plates: &BodyPatches,
     frame: &Frame<R>,
@@ -110,11 +110,11 @@ pub fn on_body<R: Real, const ACROSS: bool>(
 ) -> Option<Total<R>> {
     match (&ground.law, &ground.mechanisms) {
         (LawCoefficients::Li2013(law), None) => {
-            by::<R, _, ACROSS>(law, &Plain, ground, plates, frame, velocity, place, travel, under, dt)
+            by::<R, _, SECANT>(law, &Plain, ground, plates, frame, velocity, place, travel, under, dt)
         }
-        (law, None) => by::<R, _, ACROSS>(law, &Plain, ground, plates, frame, velocity, place, travel, under, dt),
+        (law, None) => by::<R, _, SECANT>(law, &Plain, ground, plates, frame, velocity, place, travel, under, dt),
         (law, Some(mechanisms)) => {
-            by::<R, _, ACROSS>(law, mechanisms, ground, plates, frame, velocity, place, travel, under, dt)
+            by::<R, _, SECANT>(law, mechanisms, ground, plates, frame, velocity, place, travel, under, dt)
         }
     }
 }
@@ -320,7 +320,7 @@ impl<R: Real> Leading<R> {
 
 #[inline(always)]
 #[allow(clippy::too_many_arguments)] // all arguments stay in registers
-fn by<R: Real, M: StressModel<R>, const ACROSS: bool>(
+fn by<R: Real, M: StressModel<R>, const SECANT: bool>(
     law: &impl StressLaw<R>,
     stress_model: &M,
     ground: &SandBed<R>,
@@ -378,14 +378,14 @@ fn by<R: Real, M: StressModel<R>, const ACROSS: bool>(
         wet = true;
         total.wrench.force += contact.force;
         total.wrench.moment += at.cross(contact.force);
-        let mass = contact.drag * dt;
+        let drag = if SECANT { ground.beside(contact.drag, contact.edge, normal, v) } else { contact.drag };
+        let mass = drag * dt;
         let first = at * mass;
         total.drag.mass += mass;
         total.drag.first += first;
         total.drag.second.add_product(at, first);
         if R::any(zero.lt(contact.edge)) {
-            let slope = if ACROSS { ground.across(normal, v) } else { normal };
-            total.edge.add_outer(contact.edge * dt, &Wrench { moment: at.cross(slope), force: slope });
+            total.edge.add_outer(contact.edge * dt, &Wrench { moment: at.cross(normal), force: normal });
         }
     }
     wet.then_some(total)
