@@ -8,14 +8,15 @@
 //! The drag D of a body is the sum over its plates (or patches) of two parts. The plate's force F falls to zero with the
 //! speed; its slope along v, as the secant from rest, is c = −F·v/v², which acts against changes in all directions. And
 //! the share s(n·v̂) of the plate that leads changes with the direction of motion: the force along n changes by
-//! e = −F·n s'/(s √(v² + v0²)) for each unit of n·v. Both together would count a change along v twice, in which v̂ does
-//! not turn, so D = Σ Jᵀ(c' I + e n nᵀ)J with c' = max(0, c − e (n·v̂)²) ([`crate::sand::SandBed::beside`]). It is
-//! symmetric and positive semidefinite, because c', e ≥ 0, and along the motion ξ it is the secant's: ξᵀDξ = −ξᵀf.
+//! e = −F·n s'/(s √(v² + v0²)) for each unit of n·v. Both together would count a change along v twice, so that the second
+//! part is without its effect along v ([`Total::add_slope`]): D = Σ Jᵀ(c I + e (q qᵀ − κ² v̂v̂ᵀ))J. It is symmetric and
+//! positive semidefinite, and along the motion ξ it is the secant's: ξᵀDξ = −ξᵀf. Near rest v̂ = v/√(v² + v0²) is 0 and
+//! q = n, because there the force grows by both.
 
 use super::part::BodyPlate;
 use crate::number::{Real, Vec3};
 use crate::sand::{SandBed, SegmentState};
-use crate::sim::spatial::{Twist, Wrench};
+use crate::sim::spatial::Twist;
 use crate::sim::tree::dynamics::Frame;
 use crate::sim::tree::sand::Total;
 use crate::sim::tree::terrain::Local;
@@ -35,13 +36,14 @@ struct PlateScene<'a, R> {
     gate: R,
 }
 
-/// Force and drag on a plate at `at`, from the body's common point, with its normal in the world.
+/// Force and drag on a plate at `at`, from the body's common point, with its normal and velocity in the world.
 struct PlateForce<R> {
     force: Vec3<R>,
     drag: R,
     edge: R,
     at: Vec3<R>,
     normal: Vec3<R>,
+    v: Vec3<R>,
 }
 
 /// The same as [`crate::sim::tree::sand::on_body`], with `dt` = 1 s: the masses in the result are the drags [N·s/m].
@@ -63,7 +65,7 @@ pub fn on_plates<R: Real>(
     for piece in pieces {
         let Some(pushed) = setting.on(piece) else { continue };
         wet = true;
-        let PlateForce { force, drag, edge, at, normal } = pushed;
+        let PlateForce { force, drag, edge, at, normal, v } = pushed;
         total.wrench.force += force;
         total.wrench.moment += at.cross(force);
         let first = at * drag;
@@ -71,7 +73,7 @@ pub fn on_plates<R: Real>(
         total.drag.first += first;
         total.drag.second.add_product(at, first);
         if R::any(R::zero().lt(edge)) {
-            total.edge.add_outer(edge, &Wrench { moment: at.cross(normal), force: normal });
+            total.add_slope(at, normal, v * bed.inverse_speed(v), edge, drag);
         }
     }
     wet.then_some(total)
@@ -104,7 +106,7 @@ impl<R: Real> PlateScene<'_, R> {
         let site = SegmentState::fresh(mean, self.place.x + at.x).travelling(self.travel);
         if piece.thin {
             let (force, drag) = self.law(&site, area, normal, v, v);
-            return Some(PlateForce { force, drag, edge: zero, at, normal });
+            return Some(PlateForce { force, drag, edge: zero, at, normal, v });
         }
         let along = normal.dot(v);
         let uneven = (0..2).fold(zero, |sum, k| {
@@ -126,8 +128,7 @@ impl<R: Real> PlateScene<'_, R> {
         let (full, drag) = self.law(&site, area, normal, normal.scale_add(toward - along, v), v);
         let rising = (-full.dot(normal)).max(zero) * growth;
         let edge = R::select(zero.lt(leads), R::select(leads.lt(one), rising, zero), zero);
-        let drag = self.bed.beside(drag * leads, edge, normal, v);
-        Some(PlateForce { force: full * leads, drag, edge, at, normal })
+        Some(PlateForce { force: full * leads, drag: drag * leads, edge, at, normal, v })
     }
 
     /// The law's force on a plate that moves with `v`, in the world's axes, and its drag against `own`: −f·v/v².

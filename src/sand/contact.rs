@@ -176,15 +176,6 @@ impl<R: Real> SandBed<R> {
         R::one() / (v.norm_squared() + self.rest_speed_squared).sqrt()
     }
 
-    /// A plate's drag c without the part along the motion that its leading edge's slope e n nᵀ has already, so that
-    /// v·(c' + e n nᵀ)v = c v²: c' = c − e (n·v̂)², with v̂ = v/√(v² + v0²). Near rest, where c' = c, both slopes count,
-    /// because the force grows by both.
-    #[inline(always)]
-    pub fn beside(&self, drag: R, edge: R, n: Vec3<R>, v: Vec3<R>) -> R {
-        let along = n.dot(v) * self.inverse_speed(v);
-        (drag - edge * along * along).max(R::zero())
-    }
-
     #[inline(always)]
     pub fn motion(&self, v: Vec3<R>) -> Motion<R> {
         let squared = v.norm_squared();

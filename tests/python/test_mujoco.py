@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 from itertools import pairwise
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -230,6 +231,12 @@ def test_the_same_force_as_the_sand_itself() -> None:
     expected = sand.wrench(bodies, data.xpos[index], data.xquat[index], speed[:, :3], speed[:, 3:])
     data.qacc[:] = 0.0
     assert np.abs(ground.wrenches(data) - expected).max() <= 1e-6 * np.abs(expected).max()
+
+
+@pytest.fixture(autouse=True)
+def _logs_of_mujoco(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """MuJoCo writes its warnings to MUJOCO_LOG.TXT in the working directory."""
+    monkeypatch.chdir(tmp_path)
 
 
 IDS = ["Ant-v5", "HalfCheetah-v5", "Hopper-v5", "Walker2d-v5", "Humanoid-v5"]

@@ -69,11 +69,6 @@ def test_plates_have_the_published_force(law: str) -> None:
     assert compared > 300, compared
 
 
-#: Worst error of the default plates where it is not 2 %: on long round bodies that move almost along their axis,
-#: patches take plates of both sides of the leading edge together. With `plate_size` the error is below 1.2 %.
-WORST = {("capsule", "agarwal2023"): 0.04, ("capsule", "li2013"): 0.06, ("roller", "li2013"): 0.03}
-
-
 def flat(name: str, plates: dict[str, Any]) -> Any:
     """Plates of flat faces: those become a leading face as a whole."""
     axis = {"box": 2, "mesh": 2, "roller": 2, "wheel": 1}.get(name)
@@ -86,15 +81,16 @@ def flat(name: str, plates: dict[str, Any]) -> Any:
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("name", [name for name in BODIES if name != "hammer"])
 def test_default_plates_are_near_the_formulas(law: str, name: str) -> None:
-    """Against the formulas on fine plates: oblique, spinning, partly in the sand. If hardly any part of the body leads
-    in the sand, a relative error says nothing: only forces above a tenth of the largest count."""
+    """Forces and torques against the formulas on fine plates, within 2 % (rms) and never 4 %: oblique, spinning, partly
+    in the sand. If hardly any part of the body leads in the sand, a relative error says nothing: only forces above a
+    tenth of the largest count. Torques are divided by the force and the body's size."""
     random = np.random.default_rng(sum(map(ord, law + name)))
     plates = sandgait.Bodies({name: BODIES[name]}, plate_size=0.0016).plates(name)
     usual = sandgait.Bodies({name: BODIES[name]})
     sand = sandgait.Sand("poppy-loose", law=law)
     size = np.linalg.norm(plates["center"], axis=1).max()
     errors = []
-    for _ in range(100):
+    for _ in range(200):
         q = random.normal(size=4)
         q /= np.linalg.norm(q)
         lowest = (plates["center"] @ rft.rotation(q).T)[:, 2].min()
@@ -110,11 +106,11 @@ def test_default_plates_are_near_the_formulas(law: str, name: str) -> None:
     force, off, turned = np.array(errors).T
     large = force > 0.1 * force.max()
     relative, moment = off[large] / force[large], turned[large] / force[large] / size
-    rms = np.sqrt((relative**2).mean())
-    print(f"{law} {name}: {large.sum()} poses, worst {relative.max():.4f}, rms {rms:.4f}, moment {moment.max():.4f}")
-    assert large.sum() > 20
-    assert relative.max() <= WORST.get((name, law), 0.02)
-    assert rms <= 0.0125
+    rms, turning = np.sqrt((relative**2).mean()), np.sqrt((moment**2).mean())
+    print(f"{law} {name}: {large.sum()} poses, worst {relative.max():.4f} {moment.max():.4f}, rms {rms:.4f} {turning:.4f}")
+    assert large.sum() > 40
+    assert max(rms, turning) <= 0.02
+    assert max(relative.max(), moment.max()) <= 0.04
 
 
 def test_drag_is_the_change_of_the_force_along_the_motion() -> None:

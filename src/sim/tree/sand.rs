@@ -94,8 +94,8 @@ fn trust<R: Real>(frame: &Frame<R>, place: Vec3<R>) -> R {
 }
 
 /// The sand's effect on one body at rest or in motion with `velocity`, about the base's origin at `place`; None if no
-/// plate is in the sand. `travel`: horizontal velocity of the robot. With `SECANT` the drag along the motion is
-/// that of the plates alone ([`SandBed::beside`]); engine `tree` adds the slope of leading edges to it.
+/// plate is in the sand. `travel`: horizontal velocity of the robot. With `SECANT` the slopes of
+/// leading edges add nothing to the drag along the motion ([`Total::add_slope`]); those of engine `tree` do.
 #[inline(always)]
 #[allow(clippy::too_many_arguments)] // all arguments stay in registers
 pub fn on_body<R: Real, const SECANT: bool>(
@@ -378,14 +378,18 @@ fn by<R: Real, M: StressModel<R>, const SECANT: bool>(
         wet = true;
         total.wrench.force += contact.force;
         total.wrench.moment += at.cross(contact.force);
-        let drag = if SECANT { ground.beside(contact.drag, contact.edge, normal, v) } else { contact.drag };
-        let mass = drag * dt;
+        let mass = contact.drag * dt;
         let first = at * mass;
         total.drag.mass += mass;
         total.drag.first += first;
         total.drag.second.add_product(at, first);
         if R::any(zero.lt(contact.edge)) {
-            total.edge.add_outer(contact.edge * dt, &Wrench { moment: at.cross(normal), force: normal });
+            let edge = contact.edge * dt;
+            if SECANT {
+                total.add_slope(at, normal, v * ground.inverse_speed(v), edge, mass);
+            } else {
+                total.edge.add_outer(edge, &Wrench { moment: at.cross(normal), force: normal });
+            }
         }
     }
     wet.then_some(total)
@@ -406,6 +410,19 @@ impl<R: Real> Total<R> {
     #[inline(always)]
     pub fn none() -> Self {
         Self { wrench: Wrench::zero(), drag: PointMasses::zero(), edge: Inertia::points(&PointMasses::zero()) }
+    }
+
+    /// Adds the slope e of the force along n by n·v, at a plate with the drag c that moves along v̂:
+    /// e (q qᵀ − κ² v̂v̂ᵀ) with q = n − (n·v̂ − κ) v̂. A change along v does not turn v̂ and moves no leading edge, so
+    /// the part along v̂ is taken out. κ is n·v̂, and then q is n, but |κ| ≤ √(c/e), so that c I and this are together
+    /// positive semidefinite.
+    #[inline(always)]
+    pub fn add_slope(&mut self, at: Vec3<R>, n: Vec3<R>, unit: Vec3<R>, e: R, c: R) {
+        let (along, most) = (n.dot(unit), (c / e.max(R::splat(1e-30))).sqrt());
+        let kappa = along.max(-most).min(most);
+        let q = n - unit * (along - kappa);
+        self.edge.add_outer(e, &Wrench { moment: at.cross(q), force: q });
+        self.edge.add_outer(-(e * kappa * kappa), &Wrench { moment: at.cross(unit), force: unit });
     }
 
     /// The drags of plates and of leading edges, with the `dt` of [`on_body`].
