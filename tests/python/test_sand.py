@@ -107,7 +107,7 @@ def test_default_plates_are_near_the_formulas(law: str, name: str) -> None:
     large = force > 0.1 * force.max()
     relative, moment = off[large] / force[large], turned[large] / force[large] / size
     rms, turning = np.sqrt((relative**2).mean()), np.sqrt((moment**2).mean())
-    print(f"{law} {name}: {large.sum()} poses, worst {relative.max():.4f} {moment.max():.4f}, rms {rms:.4f} {turning:.4f}")
+    print(f"{law} {name}: {large.sum()}, worst {relative.max():.4f} {moment.max():.4f}, rms {rms:.4f} {turning:.4f}")
     assert large.sum() > 40
     assert max(rms, turning) <= 0.02
     assert max(relative.max(), moment.max()) <= 0.04
