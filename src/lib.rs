@@ -7,11 +7,12 @@ pub mod validate;
 
 pub use sandgait_base::{Error, Result, error, files, parallel, progress, student};
 pub use {
-    sandgait_bench as bench, sandgait_calibrate as calibrate, sandgait_client as client, sandgait_diagnose as diagnose,
-    sandgait_env as env, sandgait_evaluate as evaluate, sandgait_number as number, sandgait_plot as plot,
-    sandgait_policy as policy, sandgait_pool as pool, sandgait_reproduce as reproduce, sandgait_robots as robots,
-    sandgait_sand as sand, sandgait_service as service, sandgait_session as session, sandgait_sim as sim,
-    sandgait_sweep as sweep, sandgait_table as table, sandgait_train as train, sandgait_view as view,
+    sandgait_bench as bench, sandgait_bodies as bodies, sandgait_calibrate as calibrate, sandgait_client as client,
+    sandgait_diagnose as diagnose, sandgait_env as env, sandgait_evaluate as evaluate, sandgait_number as number,
+    sandgait_plot as plot, sandgait_policy as policy, sandgait_pool as pool, sandgait_reproduce as reproduce,
+    sandgait_robots as robots, sandgait_sand as sand, sandgait_service as service, sandgait_session as session,
+    sandgait_sim as sim, sandgait_sweep as sweep, sandgait_table as table, sandgait_train as train,
+    sandgait_view as view,
 };
 
 // Examples call the command line as a user of this crate would.

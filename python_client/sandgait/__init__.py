@@ -14,6 +14,10 @@ Studies need no environment. They are the functions of the commands with the sam
     sandgait.diagnose("force.csv", "experiment.toml").summary
     sandgait.evaluate("tripod:2", slopes=[0, 10]).to_frame()
 
+Sand for other simulators:
+
+    sandgait.Sand("poppy-loose").wrench(sandgait.Bodies({"foot": "sphere:radius=0.02"}), position, ...)
+
 Learning a gait takes a minute, without torch:
 
     sandgait.train("sandgait/HexapodGait-v1", seconds=60).policy
@@ -47,6 +51,7 @@ from .policies import Evaluation, evaluate
 from .recording import Recording, Section, read_recording
 from .remote import Remote
 from .robots import check_robot
+from .sand import Bodies, Sand, implicit_wrench
 from .spaces import Column, Option, Task
 from .studies import Intrusion, Sweep, Trials, Walks, intrude, sweep, walk
 from .tables import Table
@@ -63,6 +68,7 @@ if TYPE_CHECKING:
 __all__ = [
     "TASKS",
     "AccessDenied",
+    "Bodies",
     "Column",
     "Diagnosis",
     "Evaluation",
@@ -73,6 +79,7 @@ __all__ = [
     "OutOfOrder",
     "Recording",
     "Remote",
+    "Sand",
     "SandgaitEnv",
     "SandgaitError",
     "SandgaitVectorEnv",
@@ -93,6 +100,7 @@ __all__ = [
     "diagnose",
     "evaluate",
     "export_onnx",
+    "implicit_wrench",
     "intrude",
     "make_sb3",
     "mirror",

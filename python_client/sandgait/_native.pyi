@@ -19,6 +19,64 @@ Address = tuple[str, str | None, bool, bytes | None, bytes | None, bytes | None]
 #: Azimuth and elevation [°], distance [m], and whether the camera follows the robot.
 Camera = tuple[float | None, float | None, float | None, bool]
 
+#: A shape's name or triangles, its position and its quaternion.
+Solid = tuple[Any, Sequence[float], Sequence[float]]
+
+class Sand:
+    def __init__(
+        self,
+        medium: str,
+        law: str,
+        file: Path | None,
+        height: float,
+        slope_deg: float,
+        relief: Any,
+        rest_speed: float | None,
+        leading_edge_gate: float | None,
+    ) -> None: ...
+    def about(self) -> tuple[str, str, list[str]]: ...
+    def at(self, x: float, y: float) -> tuple[float, list[float]]: ...
+
+class Bodies:
+    def __init__(self, all: Sequence[tuple[str, Sequence[Solid]]], plate_size: float | None) -> None: ...
+    def plates(self, index: int) -> list[tuple[list[float], list[float], float, bool]]: ...
+    def wrench(
+        self,
+        sand: Sand,
+        motion: Sequence[npt.NDArray[Any]],
+        travel: npt.NDArray[Any] | None,
+        out: npt.NDArray[Any],
+        drag: npt.NDArray[Any] | None,
+        double: bool,
+        threads: int,
+    ) -> None: ...
+
+class JointSand:
+    def __init__(
+        self,
+        sand: Sand,
+        bodies: Sequence[tuple[str, Sequence[Solid]]],
+        plate_size: float | None,
+        tree: Sequence[Sequence[int]],
+        matrix: Sequence[Sequence[int]],
+    ) -> None: ...
+    def add(
+        self,
+        motion: Sequence[npt.NDArray[np.float64]],
+        dt: float,
+        force: npt.NDArray[np.float64],
+        inertia: npt.NDArray[np.float64],
+    ) -> bool: ...
+    def wrenches(
+        self,
+        motion: Sequence[npt.NDArray[np.float64]],
+        dt: float,
+        qacc: npt.NDArray[np.float64],
+        out: npt.NDArray[np.float64],
+    ) -> None: ...
+
+def closed_surface(triangles: Any) -> tuple[list[list[list[float]]], bool] | None: ...
+
 class Local:
     task: TaskFields
     warnings: list[str]

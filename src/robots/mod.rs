@@ -29,6 +29,9 @@ mod touch;
 mod urdf;
 mod xml;
 
+pub use mesh::{Closed, closed};
+pub use shapes::ellipsoid;
+
 use crate::error::{Error, Result};
 use crate::sim::tree::looks::{Looks, MOST_TRIANGLES};
 use crate::sim::tree::packed;

@@ -14,7 +14,7 @@
 //! * [`pose`]: places of the bodies and forces of the ground at one moment.
 //! * [`actuator`]: the motor of a joint.
 //! * [`engine`]: the one interface to all engines.
-//! * `spatial`: spatial algebra for `lanes` and `tree`; `stop`: the ends of a joint's range.
+//! * [`spatial`]: spatial algebra for `lanes` and `tree`; `stop`: the ends of a joint's range.
 //! * [`lanes`]: the fast engine, articulated bodies over SIMD lanes of robots.
 //! * [`rapier`]: rapier3d multibodies, one world for each robot.
 //! * [`carriage`]: a leg on a driven carriage, whose forces are measured.
@@ -41,7 +41,7 @@ pub mod pose;
 pub mod rapier;
 pub mod robot;
 pub mod solid;
-mod spatial;
+pub mod spatial;
 pub mod state;
 mod stop;
 pub mod tree;

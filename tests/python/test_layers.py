@@ -36,6 +36,7 @@ def imports(path: Path) -> set[str]:
         ("mcap", {"logs_reader.py"}),
         ("rosbags", {"logs_reader.py"}),
         ("matplotlib", set()),
+        ("mujoco", {"mujoco.py", "wrappers.py"}),
         ("pygame", {"view.py"}),
     ],
 )

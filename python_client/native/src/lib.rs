@@ -2,6 +2,7 @@
 //!
 //! * [`local`]: the environments of one session; [`process`]: the threads that they share.
 //! * [`remote`]: environments on servers.
+//! * [`bodies`]: sand's forces on bodies that another simulator moves.
 //! * [`studies`]: the offline tools.
 //! * [`train`]: learning gaits.
 //! * [`wait`]: work that Python waits for without holding its lock.
@@ -12,6 +13,7 @@
 //! another thread may have held in the parent.
 
 mod arrays;
+mod bodies;
 mod errors;
 mod local;
 mod process;
@@ -73,6 +75,8 @@ fn pack_heights(py: Python<'_>, path: std::path::PathBuf) -> PyResult<String> {
 
 #[pymodule]
 mod _native {
+    #[pymodule_export]
+    use super::bodies::{Bodies, JointSand, Sand, closed_surface};
     #[pymodule_export]
     use super::check_robot;
     #[pymodule_export]

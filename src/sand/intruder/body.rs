@@ -64,7 +64,7 @@ impl BodyShape {
 }
 
 /// `name=value,…` in any order; each name once.
-fn sizes_of(text: &str, sizes: &str, names: &[&str]) -> Result<Vec<f64>> {
+pub fn sizes_of(text: &str, sizes: &str, names: &[&str]) -> Result<Vec<f64>> {
     let wrong = |reason: String| Error::invalid("body", format!("{text:?}: {reason}"));
     let mut values = vec![None; names.len()];
     for part in sizes.split(',').filter(|p| !p.is_empty()) {

@@ -9,9 +9,9 @@ mod gather;
 mod mesh;
 mod trials;
 
-pub use body::{Body, BodyShape};
+pub use body::{Body, BodyShape, sizes_of};
 pub use gather::gathered;
-pub use mesh::{Triangle, read_mesh};
+pub use mesh::{Triangle, read as read_file, read_mesh};
 pub use trials::{Given, Outcome, Status, Trial, check_all, compute, compute_all, with_friction, without_effect};
 
 use crate::number::Vec3;

@@ -38,7 +38,7 @@ pub mod patches;
 pub mod plates;
 pub mod relief;
 mod robot;
-mod sand;
+pub mod sand;
 mod servo;
 pub mod stance;
 pub mod standing;

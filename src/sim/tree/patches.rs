@@ -121,7 +121,7 @@ fn ends(plates: &[Plate]) -> [[f64; 2]; 3] {
 }
 
 impl Ball {
-    fn around(plates: &[Plate]) -> Self {
+    pub fn around(plates: &[Plate]) -> Self {
         let middle = ends(plates).map(|[a, b]| (a + b) / 2.0);
         let away = |p: &Plate| (center(p) - V::from(middle)).norm() + length(p, 0) + length(p, 1);
         Self { center: middle, reach: plates.iter().map(away).fold(0.0, f64::max) }

@@ -12,11 +12,12 @@ use crate::sand::law::{Normals, StressLaw};
 use crate::sand::{LawCoefficients, Plain, SandBed, SegmentState, StressModel};
 use crate::spatial::{Inertia, PointMasses, Twist, Wrench};
 
-/// The sand's effect on a body: forces about the base's origin, and its drag as masses.
-struct Total<R> {
-    wrench: Wrench<R>,
-    drag: PointMasses<R>,
-    edge: Inertia<R>,
+/// The sand's effect on a body: forces about the base's origin, and its drag as masses. `edge`: how the force changes
+/// because leading edges move.
+pub struct Total<R> {
+    pub wrench: Wrench<R>,
+    pub drag: PointMasses<R>,
+    pub edge: Inertia<R>,
 }
 
 /// Adds the sand's forces on all bodies to their loads; `place` is the position of the base's origin.
@@ -46,10 +47,11 @@ pub fn press<R: Real>(
         });
         let expected = frame.change.scaled(trusted);
         let middle = expected.scale_add(R::splat(0.5), &frame.velocity);
-        let Some(total) = on_body(ground, plates, frame, &middle, place, travel, &under, dt) else { continue };
+        let Some(total) = on_body::<R, false>(ground, plates, frame, &middle, place, travel, &under, dt) else {
+            continue;
+        };
         let load = &mut loads[plates.body];
-        let mut drag = Inertia::points(&total.drag);
-        drag.add(&total.edge);
+        let drag = total.inertia();
         let mut bias = total.wrench.scale_add(-R::one(), &load.bias);
         // f + C w Δv, with the drags as masses dt C.
         let held = drag.apply(&expected.scaled(-(R::one() / dt)));
@@ -62,7 +64,12 @@ pub fn press<R: Real>(
 /// The surface under a body. If the surface is not flat, this is its tangent plane under the body's lowest corner,
 /// which enters the sand first.
 #[inline(always)]
-fn under_body<R: Real>(plates: &BodyPatches, frame: &Frame<R>, place: &Vec3<R>, surface: &impl Surface<R>) -> Local<R> {
+pub fn under_body<R: Real>(
+    plates: &BodyPatches,
+    frame: &Frame<R>,
+    place: &Vec3<R>,
+    surface: &impl Surface<R>,
+) -> Local<R> {
     if surface.is_flat() {
         return surface.under(*place);
     }
@@ -86,9 +93,12 @@ fn trust<R: Real>(frame: &Frame<R>, place: Vec3<R>) -> R {
     share * share
 }
 
+/// The sand's effect on one body at rest or in motion with `velocity`, about the base's origin at `place`; None if no
+/// plate is in the sand. `travel`: horizontal velocity of the robot. With `SECANT` the slopes of
+/// leading edges add nothing to the drag along the motion ([`Total::add_slope`]); those of engine `tree` do.
 #[inline(always)]
 #[allow(clippy::too_many_arguments)] // all arguments stay in registers
-fn on_body<R: Real>(
+pub fn on_body<R: Real, const SECANT: bool>(
     ground: &SandBed<R>,
     plates: &BodyPatches,
     frame: &Frame<R>,
@@ -100,10 +110,12 @@ fn on_body<R: Real>(
 ) -> Option<Total<R>> {
     match (&ground.law, &ground.mechanisms) {
         (LawCoefficients::Li2013(law), None) => {
-            by(law, &Plain, ground, plates, frame, velocity, place, travel, under, dt)
+            by::<R, _, SECANT>(law, &Plain, ground, plates, frame, velocity, place, travel, under, dt)
         }
-        (law, None) => by(law, &Plain, ground, plates, frame, velocity, place, travel, under, dt),
-        (law, Some(mechanisms)) => by(law, mechanisms, ground, plates, frame, velocity, place, travel, under, dt),
+        (law, None) => by::<R, _, SECANT>(law, &Plain, ground, plates, frame, velocity, place, travel, under, dt),
+        (law, Some(mechanisms)) => {
+            by::<R, _, SECANT>(law, mechanisms, ground, plates, frame, velocity, place, travel, under, dt)
+        }
     }
 }
 
@@ -308,7 +320,7 @@ impl<R: Real> Leading<R> {
 
 #[inline(always)]
 #[allow(clippy::too_many_arguments)] // all arguments stay in registers
-fn by<R: Real, M: StressModel<R>>(
+fn by<R: Real, M: StressModel<R>, const SECANT: bool>(
     law: &impl StressLaw<R>,
     stress_model: &M,
     ground: &SandBed<R>,
@@ -372,7 +384,12 @@ fn by<R: Real, M: StressModel<R>>(
         total.drag.first += first;
         total.drag.second.add_product(at, first);
         if R::any(zero.lt(contact.edge)) {
-            total.edge.add_outer(contact.edge * dt, &Wrench { moment: at.cross(normal), force: normal });
+            let edge = contact.edge * dt;
+            if SECANT {
+                total.add_slope(at, normal, v * ground.inverse_speed(v), edge, mass);
+            } else {
+                total.edge.add_outer(edge, &Wrench { moment: at.cross(normal), force: normal });
+            }
         }
     }
     wet.then_some(total)
@@ -391,15 +408,36 @@ fn lanes<R: Real>(v: &[f32; 3]) -> Vec3<R> {
 
 impl<R: Real> Total<R> {
     #[inline(always)]
-    fn none() -> Self {
+    pub fn none() -> Self {
         Self { wrench: Wrench::zero(), drag: PointMasses::zero(), edge: Inertia::points(&PointMasses::zero()) }
+    }
+
+    /// Adds the slope e of the force along n by n·v, at a plate with the drag c that moves along v̂:
+    /// e (q qᵀ − κ² v̂v̂ᵀ) with q = n − (n·v̂ − κ) v̂. A change along v does not turn v̂ and moves no leading edge, so
+    /// the part along v̂ is taken out. κ is n·v̂, and then q is n, but |κ| ≤ √(c/e), so that c I and this are together
+    /// positive semidefinite.
+    #[inline(always)]
+    pub fn add_slope(&mut self, at: Vec3<R>, n: Vec3<R>, unit: Vec3<R>, e: R, c: R) {
+        let (along, most) = (n.dot(unit), (c / e.max(R::splat(1e-30))).sqrt());
+        let kappa = along.max(-most).min(most);
+        let q = n - unit * (along - kappa);
+        self.edge.add_outer(e, &Wrench { moment: at.cross(q), force: q });
+        self.edge.add_outer(-(e * kappa * kappa), &Wrench { moment: at.cross(unit), force: unit });
+    }
+
+    /// The drags of plates and of leading edges, with the `dt` of [`on_body`].
+    #[inline(always)]
+    pub fn inertia(&self) -> Inertia<R> {
+        let mut drag = Inertia::points(&self.drag);
+        drag.add(&self.edge);
+        drag
     }
 }
 
 impl<R: Real> Local<R> {
     /// Columns x, y, z of the surface's axes, z its normal; None where it is level in all lanes.
     #[inline(always)]
-    fn axes(&self) -> Option<Mat3<R>> {
+    pub fn axes(&self) -> Option<Mat3<R>> {
         let n = self.normal;
         if !R::any(R::zero().lt(n.x.abs() + n.y.abs())) {
             return None;

@@ -1,0 +1,93 @@
+//! Bodies cut into the plates that sand pushes on.
+
+use super::part::{BodyPart, BodyPlate};
+use crate::error::{Error, Result};
+use crate::sand::Law;
+use crate::sand::intruder::Plate;
+use crate::sim::tree::of_shapes;
+use crate::sim::tree::patches::{Ball, BodyPatches};
+use std::sync::OnceLock;
+
+/// Rigid bodies with their names, in the order of the caller.
+#[derive(Debug)]
+pub struct Bodies {
+    names: Vec<String>,
+    bodies: Vec<CutBody>,
+}
+
+/// A body's plates. Without a plate size the law is evaluated once for each patch of them, as in engine `tree`;
+/// otherwise, and for thin plates, once for each plate, as in `sandgait intrude`.
+#[derive(Debug)]
+pub(crate) struct CutBody {
+    pub pieces: Vec<BodyPlate>,
+    /// Is the law evaluated for each plate?
+    pub exact: bool,
+    /// A ball that contains the plates.
+    pub ball: Ball,
+    /// The patches for each law.
+    patches: [OnceLock<BodyPatches>; 3],
+}
+
+impl Bodies {
+    /// Each body's name and parts. `plate_size` [m]: see [`Bodies::plates`]; None: plates for forces within 2 %.
+    pub fn new(bodies: Vec<(String, Vec<BodyPart>)>, plate_size: Option<f64>) -> Result<Self> {
+        if bodies.is_empty() {
+            return Err(Error::invalid("bodies", "there are none"));
+        }
+        let (mut names, mut cut) = (Vec::new(), Vec::new());
+        for (name, parts) in bodies {
+            if names.contains(&name) {
+                return Err(Error::invalid("bodies", format!("{name:?} is given twice")));
+            }
+            cut.push(CutBody::of(&name, &parts, plate_size)?);
+            names.push(name);
+        }
+        Ok(Self { names, bodies: cut })
+    }
+
+    pub fn names(&self) -> &[String] {
+        &self.names
+    }
+
+    pub fn len(&self) -> usize {
+        self.bodies.len()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.bodies.is_empty()
+    }
+
+    /// The plates of body `index`.
+    pub fn plates(&self, index: usize) -> &[BodyPlate] {
+        &self.bodies[index].pieces
+    }
+
+    pub(crate) fn cut(&self) -> &[CutBody] {
+        &self.bodies
+    }
+}
+
+impl CutBody {
+    fn of(name: &str, parts: &[BodyPart], size: Option<f64>) -> Result<Self> {
+        let solids: Vec<_> = parts.iter().filter_map(|p| p.solid(name)).collect();
+        let thin: Vec<BodyPlate> = parts.iter().flat_map(|p| p.sheet(size)).collect();
+        let exact = size.is_some() || !thin.is_empty();
+        let plates = of_shapes(&solids.iter().collect::<Vec<_>>(), size)
+            .map_err(|e| Error::invalid(format!("body {name:?}"), e.to_string()))?;
+        let mut pieces: Vec<BodyPlate> = plates.into_iter().map(|plate| BodyPlate { plate, thin: false }).collect();
+        pieces.extend(thin);
+        if pieces.is_empty() {
+            return Err(Error::invalid("bodies", format!("{name:?} has no shapes")));
+        }
+        let plates: Vec<Plate> = pieces.iter().map(|p| p.plate).collect();
+        Ok(Self { ball: Ball::around(&plates), pieces, exact, patches: Default::default() })
+    }
+
+    /// The patches for `law`, which are made when they are needed for the first time.
+    pub fn patches(&self, law: Law) -> &BodyPatches {
+        self.patches[law as usize].get_or_init(|| {
+            let plates: Vec<Plate> = self.pieces.iter().map(|p| p.plate).collect();
+            BodyPatches::of(0, &plates, law)
+        })
+    }
+}

@@ -1,0 +1,150 @@
+//! The sand that bodies move in, and its surface in the caller's world.
+
+use crate::error::{Error, Result, check_range};
+use crate::number::{Isa, Real, Vec3};
+use crate::sand::{Medium, SandBed, SandDescription, Surface};
+use crate::sim::model::Scene;
+use crate::sim::tree::relief::{LaneRelief, Relief};
+use crate::sim::tree::terrain::{self, Local};
+use std::sync::Arc;
+
+/// The surface, and how the force law is regularised.
+#[derive(Clone, Debug)]
+pub struct GroundOptions {
+    /// Height of the surface at x = y = 0 [m]; added to a relief.
+    pub height: f64,
+    /// Inclination [°]: the surface rises towards +x.
+    pub slope_deg: f64,
+    /// Heights of the surface; not together with a slope.
+    pub relief: Option<Relief>,
+    /// See [`Surface::rest_speed`] [m/s]. Our choice 2e-6, a fifth of that of the engines: bodies of any weight, in any
+    /// medium, then creep by less than 0.1 mm in 10 s.
+    pub rest_speed: f64,
+    /// See [`Surface::leading_edge_gate`]. Another value than the default applies to plates of a given size only.
+    pub leading_edge_gate: f64,
+}
+
+impl Default for GroundOptions {
+    fn default() -> Self {
+        let leading_edge_gate = Surface::SOLID.leading_edge_gate;
+        Self { height: 0.0, slope_deg: 0.0, relief: None, rest_speed: 2e-6, leading_edge_gate }
+    }
+}
+
+/// Sand below a surface.
+#[derive(Clone)]
+pub struct SandGround {
+    description: SandDescription,
+    medium: Medium,
+    pub(crate) surface: Surface,
+    height: f64,
+    /// Upward normal of a flat surface.
+    normal: [f64; 3],
+    relief: Option<Arc<Relief>>,
+    doubles: SandBed<f64>,
+    /// The instruction set for `f32`.
+    pub(crate) isa: Isa,
+}
+
+impl SandGround {
+    pub fn new(description: SandDescription, options: GroundOptions) -> Result<Self> {
+        check_range("height", options.height, -1e4..=1e4)?;
+        let slope_deg = options.slope_deg + description.mechanisms.slope.to_degrees();
+        check_range("slope_deg", slope_deg, -Scene::MAX_SLOPE_DEG..=Scene::MAX_SLOPE_DEG)?;
+        // Below 1e-9 m/s the drag at rest exceeds what single precision can resolve; above 0.1 m/s a robot sinks
+        // while it stands: our choice.
+        check_range("rest_speed", options.rest_speed, 1e-9..=0.1)?;
+        check_range("leading_edge_gate", options.leading_edge_gate, 1e-3..=1.0)?;
+        if options.relief.is_some() && slope_deg != 0.0 {
+            return Err(Error::invalid("slope_deg", "a relief defines the slopes; leave out slope_deg"));
+        }
+        if let Some(relief) = &options.relief {
+            relief.check_repose()?;
+        }
+        let GroundOptions { rest_speed, leading_edge_gate, .. } = options;
+        let surface = Surface { rest_speed, leading_edge_gate, ..Surface::SOLID };
+        let medium = description.medium();
+        let (sin, cos) = slope_deg.to_radians().sin_cos();
+        Ok(Self {
+            doubles: SandBed::new(description.law, &medium, &surface).with(&description.mechanisms, &medium),
+            medium,
+            surface,
+            height: options.height,
+            normal: [-sin, 0.0, cos],
+            relief: options.relief.map(Arc::new),
+            description,
+            isa: Isa::choose()?,
+        })
+    }
+
+    pub fn description(&self) -> &SandDescription {
+        &self.description
+    }
+
+    /// Mechanisms of the description that act on a vehicle's motion; bodies then need the vehicle's velocity.
+    pub fn needs_travel(&self) -> Option<&'static str> {
+        let m = &self.description.mechanisms;
+        let all = [("skid_loss", m.skid_loss), ("graze_loss", m.graze_loss), ("slip_bearing", m.slip_bearing)];
+        all.into_iter().find(|(_, value)| *value != 0.0).map(|(id, _)| id)
+    }
+
+    /// Mechanisms of the description that have no effect here: they need the history of the ground, a body's
+    /// acceleration, or a leg's shape.
+    pub fn without_effect(&self) -> Vec<&'static str> {
+        let m = &self.description.mechanisms;
+        let all = [("footprint", m.footprint), ("concave_fill", m.concave_fill), ("added_mass", m.added_mass)];
+        all.into_iter().filter(|(_, value)| *value != 0.0).map(|(id, _)| id).collect()
+    }
+
+    /// Height of the surface [m] at a place, and its upward normal.
+    pub fn at(&self, x: f64, y: f64) -> (f64, [f64; 3]) {
+        let local = self.under_lanes::<f64>();
+        let plane = terrain::Surface::under(&local, Vec3::new(x, y, 0.0));
+        let ([nx, ny, nz], [px, py, pz]) = (plane.normal.lane(0), plane.point.lane(0));
+        (pz - (nx * (x - px) + ny * (y - py)) / nz, [nx, ny, nz])
+    }
+
+    /// The sand for one number type.
+    pub(crate) fn bed<R: Real>(&self) -> SandBed<R> {
+        let m = &self.description.mechanisms;
+        SandBed::new(self.description.law, &self.medium, &self.surface).with(m, &self.medium)
+    }
+
+    pub(crate) fn double_bed(&self) -> &SandBed<f64> {
+        &self.doubles
+    }
+
+    pub(crate) fn under_lanes<R: Real>(&self) -> Under<R> {
+        let point = Vec3::splat([0.0, 0.0, self.height]);
+        Under {
+            plane: Local { point, normal: Vec3::splat(self.normal) },
+            lift: R::splat(self.height),
+            relief: self.relief.as_ref().map(|r| LaneRelief(vec![r.clone(); R::LANES])),
+        }
+    }
+}
+
+/// The surface for one number type.
+pub(crate) struct Under<R> {
+    plane: Local<R>,
+    lift: R,
+    relief: Option<LaneRelief>,
+}
+
+/// "Flat" means here that the plane is the same everywhere; it may be inclined.
+impl<R: Real> terrain::Surface<R> for Under<R> {
+    #[inline(always)]
+    fn is_flat(&self) -> bool {
+        self.relief.is_none()
+    }
+
+    #[inline(always)]
+    fn under(&self, point: Vec3<R>) -> Local<R> {
+        if self.relief.is_none() {
+            return self.plane;
+        }
+        let mut local = terrain::Surface::under(&self.relief, point);
+        local.point.z += self.lift;
+        local
+    }
+}

@@ -1,0 +1,108 @@
+//! Forces are those of `sandgait intrude` and of engine `tree`.
+
+use super::*;
+use crate::number::Vec3;
+use crate::sand::intruder::{Body, BodyShape, Given, Trial, compute};
+use crate::sand::{Law, SandBed, SandDescription, Surface};
+use crate::sim::spatial::Twist;
+use crate::sim::tree::dynamics::{Frame, Load, turned_by};
+use crate::sim::tree::patches::BodyPatches;
+use crate::sim::tree::terrain::Flat;
+
+const SHAPES: [&str; 3] =
+    ["sphere:radius=0.03", "cylinder:radius=0.05,width=0.03", "box:length=0.08,width=0.05,height=0.03"];
+const SIZE: f64 = 0.002;
+
+fn sand(law: Law) -> SandGround {
+    let description = SandDescription::named("poppy-loose", law.name()).unwrap();
+    let options = GroundOptions { rest_speed: Surface::SOLID.rest_speed, ..Default::default() };
+    SandGround::new(description, options).unwrap()
+}
+
+fn bodies(size: Option<f64>) -> Bodies {
+    Bodies::new(SHAPES.map(|s| (s.to_owned(), vec![BodyPart::named(s).unwrap()])).into(), size).unwrap()
+}
+
+/// Numbers between −1 and 1, the same on every machine.
+fn numbers(seed: u64) -> impl FnMut() -> f64 {
+    let mut state = seed;
+    move || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+    }
+}
+
+/// Wrenches of all bodies at one position and velocity.
+fn wrenches(bodies: &Bodies, sand: &SandGround, p: [f64; 3], q: [f64; 4], v: [f64; 3], w: [f64; 3]) -> Vec<f64> {
+    let count = bodies.len();
+    let (p, q, v, w) = (p.repeat(count), q.repeat(count), v.repeat(count), w.repeat(count));
+    let rows = |numbers, width: usize| Strided { numbers, steps: [count * width, width] };
+    let motions = Motions {
+        states: 1,
+        position: rows(&p[..], 3),
+        quaternion: rows(&q[..], 4),
+        velocity: rows(&v[..], 3),
+        angular_velocity: rows(&w[..], 3),
+        travel: None,
+    };
+    let mut out = vec![0.0; 6 * count];
+    bodies.wrench(sand, &motions, 1, &mut out, None).unwrap();
+    out
+}
+
+#[test]
+fn plates_of_a_given_size_are_those_of_intrude() {
+    let (bodies, mut draw) = (bodies(Some(SIZE)), numbers(1));
+    for law in Law::ALL.into_iter().filter(|law| *law != Law::PenetrationDrag1d) {
+        for _ in 0..20 {
+            let v = [0.3 + 0.2 * draw(), 0.1 + 0.05 * draw(), -0.3 - 0.2 * draw()];
+            let depth = 0.01 * draw();
+            let found = wrenches(&bodies, &sand(law), [0.3, -0.2, -depth], [1.0, 0.0, 0.0, 0.0], v, [0.0; 3]);
+            for (k, shape) in SHAPES.iter().enumerate() {
+                let body = Body::cut(&BodyShape::named(shape).unwrap(), Some(SIZE)).unwrap();
+                let given = Given::Depth(depth - body.heights()[0]);
+                let outcome = compute(&body, sand(law).description(), &Trial { velocity: v, spin: [0.0; 3], given });
+                let expected = [outcome.force, outcome.torque].concat();
+                let size = expected.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+                for (a, b) in found[6 * k..6 * k + 6].iter().zip(&expected) {
+                    // The force of plates that move almost along themselves rises over the gate.
+                    assert!((a - b).abs() <= 2e-3 * size, "{law:?} {shape}: {found:?} {expected:?}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn default_plates_are_those_of_engine_tree() {
+    let (bodies, mut draw) = (bodies(None), numbers(2));
+    for law in Law::ALL {
+        let sand = sand(law);
+        let medium = sand.description().medium();
+        let bed = SandBed::<f64>::new(law, &medium, &Surface::SOLID);
+        for _ in 0..20 {
+            let mut vector = |size: f64| [size * draw(), size * draw(), size * draw()];
+            let (v, w, [a, b, c]) = (vector(0.3), vector(2.0), vector(1.0));
+            let norm = (1.0 + a * a + b * b + c * c).sqrt();
+            let q = [1.0, a, b, c].map(|x| x / norm);
+            let place = [0.3, -0.2, 0.01 * v[0]];
+            let found = wrenches(&bodies, &sand, place, q, v, w);
+            for k in 0..SHAPES.len() {
+                let plates: Vec<_> = bodies.plates(k).iter().map(|p| p.plate).collect();
+                let frame = Frame {
+                    rotation: turned_by((q[0], Vec3::new(q[1], q[2], q[3]))),
+                    velocity: Twist { angular: Vec3::splat(w), linear: Vec3::splat(v) },
+                    ..Frame::at_rest()
+                };
+                let mut loads = [Load::none()];
+                let patches = [BodyPatches::of(0, &plates, law)];
+                crate::sim::tree::sand::press(&bed, &patches, &[frame], &Vec3::splat(place), &Flat, &mut loads, 1e-3);
+                let bias = loads[0].bias;
+                let expected = [bias.force.lane(0), bias.moment.lane(0)].concat();
+                for (a, b) in found[6 * k..6 * k + 6].iter().zip(&expected) {
+                    assert!((a + b).abs() <= 1e-12 * (1.0 + b.abs()), "{law:?} {k}: {found:?} {expected:?}");
+                }
+            }
+        }
+    }
+}
