@@ -1,0 +1,197 @@
+//! Heights of the sand on a square grid that moves with a body.
+
+use crate::number::Kernel;
+
+/// Heights are whole multiples of the cell's size over this: our choice. So sums are exact, volume is conserved to the
+/// last bit, and 16 bits reach 32 cells up and down.
+const STEPS: f64 = 1024.0;
+
+/// A periodic square of cells. Each cell of the world has one place in it; when the square moves, places of cells that
+/// are left behind are used again for cells ahead, which are level and fresh.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Grid {
+    pub frame: Frame,
+    /// Row by row along x, in steps of [`Frame::quantum`].
+    pub(super) heights: Vec<i16>,
+    /// How much of the possible compaction each cell has had, from 0 to 255.
+    pub(super) packed: Vec<u8>,
+    /// Rows in which sand may slide.
+    pub(super) awake: Vec<bool>,
+}
+
+/// Where the cells of a square are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Frame {
+    /// Side of a cell [m].
+    pub cell: f64,
+    /// The square has 2^bits cells along a side.
+    bits: u32,
+    /// Lowest indices of the square's cells along x and y.
+    corner: [i32; 2],
+}
+
+impl Frame {
+    /// Cells along a side.
+    pub fn side(&self) -> usize {
+        1 << self.bits
+    }
+
+    /// Step of heights [m].
+    pub fn quantum(&self) -> f64 {
+        self.cell / STEPS
+    }
+
+    /// The cell that contains a place [m].
+    #[inline(always)]
+    pub fn cell_at(&self, [x, y]: [f64; 2]) -> [i32; 2] {
+        [x, y].map(|p| (p / self.cell).floor() as i32)
+    }
+
+    /// Place of a cell in the lists; None outside of the square.
+    #[inline(always)]
+    pub fn index(&self, [x, y]: [i32; 2]) -> Option<usize> {
+        let side = 1_u32 << self.bits;
+        let inside = |k: usize, i: i32| (i.wrapping_sub(self.corner[k]) as u32) < side;
+        let mask = side as i32 - 1;
+        (inside(0, x) && inside(1, y)).then_some((((y & mask) as usize) << self.bits) | (x & mask) as usize)
+    }
+}
+
+impl Grid {
+    /// Level sand around x = y = 0.
+    pub fn new(cell: f64, bits: u32) -> Self {
+        let side = 1_usize << bits;
+        let corner = [-(side as i32) / 2; 2];
+        let (heights, packed) = (vec![0; side * side], vec![0; side * side]);
+        Self { frame: Frame { cell, bits, corner }, heights, packed, awake: vec![false; side] }
+    }
+
+    /// Height of a cell [m]; level outside of the square.
+    pub fn height(&self, cell: [i32; 2]) -> f64 {
+        self.frame.index(cell).map_or(0.0, |i| f64::from(self.heights[i]) * self.frame.quantum())
+    }
+
+    /// All cells of the square: index along x and y, and height [m], row by row along x.
+    pub fn cells(&self) -> impl Iterator<Item = ([i32; 2], f64)> {
+        let (side, corner) = (self.frame.side() as i32, self.frame.corner);
+        let place = move |k: i32| [corner[0] + k % side, corner[1] + k / side];
+        (0..side * side).map(move |k| (place(k), self.height(place(k))))
+    }
+
+    /// Sum of all heights times the cells' area [m³].
+    pub fn volume(&self) -> f64 {
+        let sum: i64 = self.heights.iter().map(|h| i64::from(*h)).sum();
+        sum as f64 * self.frame.quantum() * self.frame.cell * self.frame.cell
+    }
+
+    /// Moves the square so that `place` [m] is near its middle.
+    pub fn follow(&mut self, place: [f64; 2]) {
+        let half = 1_i32 << (self.frame.bits - 1);
+        let new = self.frame.cell_at(place).map(|i| i.saturating_sub(half));
+        // It moves when the place is an eighth of the side off: our choice, so that it does not move in every step.
+        if (0..2).all(|k| new[k].abs_diff(self.frame.corner[k]) < half as u32 / 4) {
+            return;
+        }
+        let old = std::mem::replace(&mut self.frame.corner, new);
+        let side = self.frame.side() as i32;
+        let mask = side - 1;
+        for (k, (new, old)) in new.into_iter().zip(old).enumerate() {
+            let moved = new.saturating_sub(old).clamp(-side, side);
+            let fresh = if moved > 0 { new + side - moved..new + side } else { new..new - moved };
+            for line in fresh {
+                let line = (line & mask) as usize;
+                for i in 0..side as usize {
+                    let at = if k == 0 { (i << self.frame.bits) | line } else { (line << self.frame.bits) | i };
+                    (self.heights[at], self.packed[at]) = (0, 0);
+                }
+            }
+        }
+    }
+
+    /// Marks the row of a cell, and its neighbours, as rows in which sand may slide.
+    #[inline(always)]
+    pub(super) fn wake(&mut self, index: usize) {
+        let (row, mask) = (index >> self.frame.bits, self.frame.side() - 1);
+        self.awake[row] = true;
+        self.awake[(row + 1) & mask] = true;
+        self.awake[row.wrapping_sub(1) & mask] = true;
+    }
+
+    /// One sweep of sliding: between two neighbouring cells, an eighth of what their difference in height exceeds
+    /// `steepest` (a tangent) moves down. The share is our choice: with four neighbours at a quarter each, cells could
+    /// swing; at an eighth they cannot. All cells move at once, so the order of cells has no effect.
+    #[inline(always)]
+    pub fn slide(&mut self, steepest: f64) {
+        let limit = (steepest * STEPS).round().clamp(1.0, 32_000.0) as i16;
+        match self.frame.bits {
+            6 => self.sweep::<64>(limit),
+            8 => self.sweep::<256>(limit),
+            _ => unreachable!("grids have 64 or 256 cells along a side"),
+        }
+    }
+
+    #[inline(always)]
+    fn sweep<const N: usize>(&mut self, limit: i16) {
+        let mask = N - 1;
+        // The square's edges are not neighbours, although their places are.
+        let [first_column, first_row] = self.frame.corner.map(|c| (c & (N as i32 - 1)) as usize);
+        let last_column = first_column.wrapping_sub(1) & mask;
+        let mut from_above = [0_i16; N];
+        let mut came = false;
+        for k in 0..N {
+            let (row, next) = ((first_row + k) & mask, (first_row + k + 1) & mask);
+            if !self.awake[row] && !came {
+                continue;
+            }
+            let old: [i16; N] = std::array::from_fn(|i| self.heights[row * N + i]);
+            let mut along = [0_i16; N];
+            for i in 0..N {
+                along[i] = slid(old[i], old[(i + 1) & mask], limit);
+            }
+            along[last_column] = 0;
+            let mut below = [0_i16; N];
+            if k + 1 < N {
+                let other = &self.heights[next * N..][..N];
+                for i in 0..N {
+                    below[i] = slid(old[i], other[i], limit);
+                }
+            }
+            let (mut moved, mut passed) = (0, 0);
+            for i in 0..N {
+                let came = along[i.wrapping_sub(1) & mask];
+                let change = from_above[i] + came - along[i] - below[i];
+                self.heights[row * N + i] = old[i].saturating_add(change);
+                moved |= along[i] | below[i] | from_above[i];
+                passed |= below[i];
+            }
+            self.awake[row] = moved != 0;
+            from_above = below;
+            came = passed != 0;
+            if came {
+                self.awake[next] = true;
+            }
+        }
+    }
+}
+
+/// What slides from a cell to its neighbour; negative: to the cell.
+#[inline(always)]
+fn slid(height: i16, neighbour: i16, limit: i16) -> i16 {
+    let difference = height.saturating_sub(neighbour);
+    let excess = difference.saturating_abs().saturating_sub(limit).max(0) >> 3;
+    if difference < 0 { -excess } else { excess }
+}
+
+/// Sweeps compiled for the instruction set of a number type: see [`crate::number::Real::dispatch`].
+pub struct Sweeps<'a> {
+    pub grid: &'a mut Grid,
+    pub steepest: f64,
+    pub count: usize,
+}
+
+impl Kernel for Sweeps<'_> {
+    #[inline(always)]
+    fn run(self) {
+        (0..self.count).for_each(|_| self.grid.slide(self.steepest));
+    }
+}
