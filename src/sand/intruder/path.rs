@@ -12,10 +12,6 @@ const BITS: u32 = 8;
 /// Cells along a body's longest horizontal side: our choice, because with twice as many the forces on the grains'
 /// plates change by less than 5 %.
 const CELLS: f64 = 10.0;
-/// Duration of a sweep of sliding [s] for cells of 5 mm, the time in which sand that slides falls by a third of a cell;
-/// it is proportional to the square of the cell's size, so that sand slides as far on all grids. Our choice.
-const SWEEP: f64 = 2e-3;
-const SWEPT_CELL: f64 = 5e-3;
 /// Most sweeps in a row: a bed at rest needs no more.
 const MOST_SWEEPS: usize = 200;
 
@@ -56,8 +52,8 @@ impl<'a> Path<'a> {
             Some(cell) => check_range("cell", cell, 1e-4..=1.0)?,
             None => widest(body) / CELLS,
         };
-        let settings = Settings::new(cell, repose_deg, sand.name != "poppy-close");
-        let moved = Moved::new(cell, BITS, 1);
+        let settings = Settings::new(&sand.medium(), cell, BITS, widest(body), repose_deg);
+        let moved = Moved::new(&settings, 1);
         Ok(Self { body, sand, settings, moved, marks: Marks::default(), last: None, sliding: 0.0 })
     }
 
@@ -74,7 +70,7 @@ impl<'a> Path<'a> {
         let time = moment.time - last.moment.time;
         let drift = [0, 1].map(|k| last.place[k] + last.moment.trial.velocity[k] * time);
         let place = moment.place.unwrap_or(drift);
-        let (mut outcome, mut low) = self.force(&moment.trial);
+        let (_, mut low) = self.force(&moment.trial);
         // Parts of the way of at most half a cell, in which sand is moved.
         let way = (place[0] - last.place[0]).hypot(place[1] - last.place[1]).max((low - last.low).abs());
         let parts = (way / (0.5 * self.settings.cell)).ceil().clamp(1.0, 1e4) as usize;
@@ -84,13 +80,13 @@ impl<'a> Path<'a> {
             let mix = |a: f64, b: f64| a + (b - a) * share;
             let next = [0, 1].map(|k| mix(last.place[k], place[k]));
             if matches!(moment.trial.given, Given::Load(_)) && k > 1 {
-                (outcome, low) = self.force(&moment.trial);
+                low = self.force(&moment.trial).1;
             }
             let height = if matches!(moment.trial.given, Given::Load(_)) { low } else { mix(last.low, low) };
             self.sweep(at.0, next, at.1, height, time / parts as f64, &moment.trial);
             at = (next, height);
         }
-        (outcome, low) = self.force(&moment.trial);
+        let (outcome, low) = self.force(&moment.trial);
         self.last = Some(Last { moment: *moment, place, low });
         outcome
     }
@@ -103,7 +99,7 @@ impl<'a> Path<'a> {
     /// The force on the body in the sand that it has found, and the height of its lowest point.
     fn force(&self, trial: &Trial) -> (Outcome, f64) {
         let found = self.moved.found[0];
-        let strength = 1.0 + (self.settings.gain - 1.0) * f64::from(found.packed);
+        let strength = self.settings.strength(&found);
         let level = f64::from(found.level);
         let given = match trial.given {
             Given::Depth(depth) if found.inside => Given::Depth(depth + level),
@@ -142,7 +138,7 @@ impl<'a> Path<'a> {
         let pieces: Vec<Piece> = self.body.plates.iter().filter_map(piece).collect();
         self.moved.meet(&self.settings, 0, &pieces, way[0].hypot(way[1]), time, &mut self.marks);
         self.sliding += time;
-        let sweep = SWEEP * (self.settings.cell / SWEPT_CELL).powi(2);
+        let sweep = self.settings.sweep;
         let sweeps = ((self.sliding / sweep) as usize).min(MOST_SWEEPS);
         self.sliding -= sweeps as f64 * sweep;
         self.sliding = self.sliding.min(sweep);
@@ -160,12 +156,27 @@ fn widest(body: &Body) -> f64 {
     extent(0).max(extent(1)).max(1e-4)
 }
 
-/// Follows a whole path: rows in the order of time.
-pub fn follow(path: &mut Path, moments: &[Moment]) -> Result<Vec<Outcome>> {
+/// Refuses paths that cannot be followed.
+pub fn check(body: &Body, sand: &SandDescription, moments: &[Moment]) -> Result<()> {
     let trials: Vec<Trial> = moments.iter().map(|m| m.trial).collect();
-    check_all(path.sand, &trials)?;
-    if let Some(k) = moments.windows(2).position(|m| m[1].time.is_nan() || m[1].time < m[0].time) {
-        return Err(Error::invalid(format!("row {}", k + 2), "its time t is before that of the row above"));
+    check_all(sand, &trials)?;
+    let turns = |m: &&Moment| {
+        let spin = Vec3::<f64>::splat(m.trial.spin);
+        let rate = spin.norm_squared().sqrt();
+        rate > 0.0 && !body.is_round_about(spin * (1.0 / rate))
+    };
+    if moments.iter().find(turns).is_some() {
+        let reason = "with memory a body may turn only if it is round about that axis";
+        return Err(Error::invalid("spin", reason));
     }
-    Ok(moments.iter().map(|m| path.step(m)).collect())
+    for m in moments {
+        check_range("t", m.time, -1e6..=1e6)?;
+        for place in m.place.into_iter().flatten() {
+            check_range("x, y", place, -1e3..=1e3)?;
+        }
+    }
+    match moments.windows(2).position(|m| m[1].time < m[0].time) {
+        Some(k) => Err(Error::invalid(format!("row {} of a path", k + 2), "its t is before that of the row above")),
+        None => Ok(()),
+    }
 }

@@ -17,6 +17,8 @@ pub struct Grid {
     pub(super) packed: Vec<u8>,
     /// Rows in which sand may slide.
     pub(super) awake: Vec<bool>,
+    /// No cell has been higher.
+    pub(super) top: i16,
 }
 
 /// Where the cells of a square are.
@@ -31,6 +33,10 @@ pub struct Frame {
 }
 
 impl Frame {
+    pub(super) fn is_of(&self, cell: f64, bits: u32) -> bool {
+        (self.cell, self.bits) == (cell, bits)
+    }
+
     /// Cells along a side.
     pub fn side(&self) -> usize {
         1 << self.bits
@@ -63,12 +69,18 @@ impl Grid {
         let side = 1_usize << bits;
         let corner = [-(side as i32) / 2; 2];
         let (heights, packed) = (vec![0; side * side], vec![0; side * side]);
-        Self { frame: Frame { cell, bits, corner }, heights, packed, awake: vec![false; side] }
+        Self { frame: Frame { cell, bits, corner }, heights, packed, awake: vec![false; side], top: 0 }
     }
 
     /// Height of a cell [m]; level outside of the square.
     pub fn height(&self, cell: [i32; 2]) -> f64 {
         self.frame.index(cell).map_or(0.0, |i| f64::from(self.heights[i]) * self.frame.quantum())
+    }
+
+    /// No cell has been higher than this [m].
+    #[inline(always)]
+    pub fn highest(&self) -> f64 {
+        f64::from(self.top) * self.frame.quantum()
     }
 
     /// All cells of the square: index along x and y, and height [m], row by row along x.
@@ -82,6 +94,35 @@ impl Grid {
     pub fn volume(&self) -> f64 {
         let sum: i64 = self.heights.iter().map(|h| i64::from(*h)).sum();
         sum as f64 * self.frame.quantum() * self.frame.cell * self.frame.cell
+    }
+
+    /// Appends everything but size and number of the cells.
+    pub(super) fn write(&self, out: &mut Vec<u8>) {
+        out.extend(self.frame.corner.iter().flat_map(|c| c.to_le_bytes()));
+        out.extend(self.top.to_le_bytes());
+        out.extend(self.awake.iter().map(|a| u8::from(*a)));
+        out.extend(&self.packed);
+        out.extend(self.heights.iter().flat_map(|h| h.to_le_bytes()));
+    }
+
+    /// Reads what [`Self::write`] has written for a grid of the same size; None if it is something else.
+    pub(super) fn read(&mut self, bytes: &[u8]) -> Option<()> {
+        let (head, rest) = bytes.split_first_chunk::<10>()?;
+        let [a, b, c, d, e, f, g, h, low, high] = *head;
+        self.frame.corner = [i32::from_le_bytes([a, b, c, d]), i32::from_le_bytes([e, f, g, h])];
+        self.top = i16::from_le_bytes([low, high]);
+        let (awake, rest) = rest.split_at_checked(self.awake.len())?;
+        let (packed, rest) = rest.split_at_checked(self.packed.len())?;
+        let (heights, rest) = rest.as_chunks::<2>();
+        // A robot that walks for years stays within a quarter of the integers.
+        let far = self.frame.corner.iter().any(|c| c.unsigned_abs() > 1 << 29);
+        if far || heights.len() != self.heights.len() || !rest.is_empty() || awake.iter().any(|a| *a > 1) {
+            return None;
+        }
+        self.awake.iter_mut().zip(awake).for_each(|(row, a)| *row = *a == 1);
+        self.packed.copy_from_slice(packed);
+        self.heights.iter_mut().zip(heights).for_each(|(height, h)| *height = i16::from_le_bytes(*h));
+        Some(())
     }
 
     /// Moves the square so that `place` [m] is near its middle.
@@ -125,8 +166,9 @@ impl Grid {
         let limit = (steepest * STEPS).round().clamp(1.0, 32_000.0) as i16;
         match self.frame.bits {
             6 => self.sweep::<64>(limit),
+            7 => self.sweep::<128>(limit),
             8 => self.sweep::<256>(limit),
-            _ => unreachable!("grids have 64 or 256 cells along a side"),
+            _ => unreachable!("grids have 64, 128 or 256 cells along a side"),
         }
     }
 

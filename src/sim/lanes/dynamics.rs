@@ -16,6 +16,7 @@ use super::plane::{Field, Moments, PlaneForces};
 use crate::number::{Mat3, Real, Vec3};
 use crate::sand::law::StressLaw;
 use crate::sand::{LawCoefficients, Plain, SandBed, SegmentState, StressModel};
+use crate::used::{LanePiece, Surfaces};
 use crate::spatial::{Inertia, PointMasses, Symmetric, Twist, Wrench};
 
 /// State of the robots in one block, one lane each; see [`crate::State`].
@@ -98,26 +99,49 @@ struct Frame<R> {
 }
 
 /// Position and horizontal velocity of the robot's base.
+#[derive(Clone, Copy)]
 struct Travel<R> {
-    /// [m]
+    /// [m]; z above the surface that the present body has found.
     position: Vec3<R>,
     /// Along x and y [m/s].
     velocity: [R; 2],
+    /// Strength of the sand that the present body has found; None without memory.
+    strength: Option<R>,
+}
+
+impl<R: Real> Travel<R> {
+    /// Over the sand that body number `body` has found: 0 is the belly, then come the legs.
+    #[inline(always)]
+    fn over(&self, surfaces: Option<&Surfaces<R>>, body: usize) -> Self {
+        let mut found = *self;
+        if let Some(surfaces) = surfaces {
+            found.position.z = self.position.z - surfaces.levels[body];
+            found.strength = Some(surfaces.strengths[body]);
+        }
+        found
+    }
 }
 
 /// Advances all lanes by one time step.
 #[inline(always)]
-pub fn step<R: Real, const J: usize>(model: &LaneModel<R, J>, state: &mut LaneState<R>, scratch: &mut Scratch<R, J>) {
+pub fn step<R: Real, const J: usize>(
+    model: &LaneModel<R, J>,
+    state: &mut LaneState<R>,
+    scratch: &mut Scratch<R, J>,
+    surfaces: Option<&Surfaces<R>>,
+) {
     let Scratch { hinges, links } = scratch;
     let base = base_frame(state);
     let mut position = state.position;
     position.x += state.travelled;
     let (mut inertia, mut bias) = base_inertia(model, &base);
-    let travel = Travel { position, velocity: [base.velocity.linear.x, base.velocity.linear.y] };
-    belly(model, &base, &travel, &mut inertia, &mut bias);
+    let travel = Travel { position, velocity: [base.velocity.linear.x, base.velocity.linear.y], strength: None };
+    let belly_found = travel.over(surfaces, 0);
+    belly(model, &base, &belly_found, &mut inertia, &mut bias);
     for (l, leg) in model.legs.iter().enumerate() {
         let (joints, hinges) = (&state.joints[l * J..][..J], &mut hinges[l * J..][..J]);
-        let (leg_inertia, leg_bias) = fold_leg(model, leg, &base, &travel, joints, hinges, links);
+        let found = travel.over(surfaces, l + 1);
+        let (leg_inertia, leg_bias) = fold_leg(model, leg, &base, &found, joints, hinges, links);
         inertia.add(&leg_inertia);
         bias.add(&leg_bias);
     }
@@ -211,7 +235,8 @@ fn belly_by<R: Real, const J: usize>(
             ..SegmentState::fresh(depth, travel.position.x + places.value(plate.center).x).travelling(travel.velocity)
         };
         let velocity = velocities.value(plate.center);
-        let contact = model.ground.one_sided_by(law, stress_model, &site, plate.area, normal, velocity);
+        let area = travel.strength.map_or(plate.area, |strength| plate.area * strength);
+        let contact = model.ground.one_sided_by(law, stress_model, &site, area, normal, velocity);
         forces.add(contact.force, plate.center);
         drag.add(contact.drag, plate.center);
         edge.add(contact.edge, plate.center);
@@ -223,6 +248,50 @@ fn belly_by<R: Real, const J: usize>(
         inertia.add(&Inertia::points(&drag.scaled(model.dt).of(&places)));
         inertia.add_outers(&edge.scaled(model.dt).of(&places.cross(normal)), normal);
         bias.add(&forces.wrench(&places).scale_add(-R::one(), &Wrench::zero()));
+    }
+}
+
+/// Lists the pieces of the belly (body 0) and of each leg (bodies 1, 2, …) that may move sand.
+#[inline(always)]
+pub fn pieces<R: Real, const J: usize>(
+    model: &LaneModel<R, J>,
+    state: &LaneState<R>,
+    pieces: &mut Vec<LanePiece<R>>,
+) {
+    pieces.clear();
+    let base = base_frame(state);
+    let turn = &base.rotation;
+    let places = Field { at: turn.z * model.belly_height, by: [turn.x, turn.y] };
+    let velocities = places.velocity(&base.velocity);
+    // Nine pieces a plate, which is taken for a square.
+    let ninth = R::splat(1.0 / 9.0);
+    for plate in &model.belly {
+        let third = (plate.area * ninth).sqrt();
+        for k in 0..9 {
+            let [u, v] = [k % 3, k / 3].map(|i| third * R::splat(f64::from(i) - 1.0));
+            let at = [plate.center[0] + u, plate.center[1] + v];
+            let (place, velocity) = (state.position + places.value(at), velocities.value(at));
+            pieces.push(LanePiece { body: 0, place, normal: -turn.z, velocity, area: plate.area * ninth, one_sided: true });
+        }
+    }
+    for (l, leg) in model.legs.iter().enumerate() {
+        let mut frame = base;
+        for (body, joint) in leg.iter().zip(&state.joints[l * J..]) {
+            frame = child_frame(&frame, body, joint).0;
+            let [e0, e1] = &body.plane;
+            let places = Field { at: frame.origin, by: [frame.rotation.apply(*e0), frame.rotation.apply(*e1)] };
+            let velocities = places.velocity(&frame.velocity);
+            for plate in &body.plates {
+                pieces.push(LanePiece {
+                    body: l + 1,
+                    place: state.position + places.value(plate.center),
+                    normal: places.change(plate.normal),
+                    velocity: velocities.value(plate.center),
+                    area: plate.area,
+                    one_sided: false,
+                });
+            }
+        }
     }
 }
 
@@ -280,11 +349,12 @@ fn link_sand<R: Real>(
     let mut total = (PlaneForces::zero(), Moments::zero());
     let Some(mechanisms) = &ground.mechanisms else {
         let plates = &body.plates;
+        let share = travel.strength.unwrap_or(R::one());
         match &ground.law {
             LawCoefficients::Li2013(law) => {
-                strip(law, &Plain, ground, plates, places, velocities, travel, R::one(), &mut total);
+                strip(law, &Plain, ground, plates, places, velocities, travel, share, &mut total);
             }
-            law => strip(law, &Plain, ground, plates, places, velocities, travel, R::one(), &mut total),
+            law => strip(law, &Plain, ground, plates, places, velocities, travel, share, &mut total),
         }
         return total;
     };
@@ -294,6 +364,7 @@ fn link_sand<R: Real>(
         if !R::any(R::zero().lt(share)) {
             continue;
         }
+        let share = travel.strength.map_or(share, |strength| share * strength);
         match &ground.law {
             LawCoefficients::Li2013(law) => {
                 strip(law, mechanisms, ground, plates, places, velocities, travel, share, &mut total)

@@ -8,8 +8,11 @@ use super::dynamics::{Frame, Load};
 use super::patches::{BodyPatches, Facet, Panel, Patch, Tile};
 use super::terrain::{Local, Surface};
 use crate::number::{Mat3, Real, Vec3};
+use std::collections::BTreeMap;
 use crate::sand::law::{Normals, StressLaw};
+use crate::sand::intruder::Plate;
 use crate::sand::{LawCoefficients, Plain, SandBed, SegmentState, StressModel};
+use crate::used::{LanePiece, Surfaces};
 use crate::spatial::{Inertia, PointMasses, Twist, Wrench};
 
 /// The sand's effect on a body: forces about the base's origin, and its drag as masses.
@@ -27,6 +30,7 @@ pub fn press<R: Real>(
     frames: &[Frame<R>],
     place: &Vec3<R>,
     surface: &impl Surface<R>,
+    found: Option<&Surfaces<R>>,
     loads: &mut [Load<R>],
     dt: R,
 ) {
@@ -36,7 +40,11 @@ pub fn press<R: Real>(
     for plates in bodies {
         let frame = &frames[plates.body];
         let center = *place + frame.point(Vec3::splat(plates.ball.center));
-        let under = under_body(plates, frame, place, surface);
+        let mut under = under_body(plates, frame, place, surface);
+        if let Some(found) = found {
+            under.point.z = found.levels[plates.body];
+        }
+        let strength = found.map(|found| found.strengths[plates.body]);
         if !R::any(R::zero().lt(under.depth(center) + R::splat(plates.ball.reach))) {
             continue;
         }
@@ -46,7 +54,7 @@ pub fn press<R: Real>(
         });
         let expected = frame.change.scaled(trusted);
         let middle = expected.scale_add(R::splat(0.5), &frame.velocity);
-        let Some(total) = on_body(ground, plates, frame, &middle, place, travel, &under, dt) else { continue };
+        let Some(total) = on_body(ground, plates, frame, &middle, place, travel, &under, strength, dt) else { continue };
         let load = &mut loads[plates.body];
         let mut drag = Inertia::points(&total.drag);
         drag.add(&total.edge);
@@ -56,6 +64,57 @@ pub fn press<R: Real>(
         bias.add(&held);
         load.inertia.add(&drag);
         load.bias = bias;
+    }
+}
+
+/// A piece of a body's surface that moves sand: plates that are close together and face alike, taken together.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Feeler {
+    pub body: usize,
+    center: [f64; 3],
+    normal: [f64; 3],
+    area: f64,
+}
+
+impl Feeler {
+    /// The plates of all bodies, gathered in cubes with sides of `size` [m] and by the axis that they face.
+    pub fn all(plates: &[Vec<Plate>], size: f64) -> Vec<Self> {
+        let mut all = Vec::new();
+        for (body, plates) in plates.iter().enumerate() {
+            let mut gathered: BTreeMap<[i32; 4], (f64, Vec3<f64>, Vec3<f64>)> = BTreeMap::new();
+            for p in plates {
+                let (at, n) = (p.center.lane(0), p.normal.lane(0));
+                let axis = (0..3).fold(0, |a, k| if n[k].abs() > n[a].abs() { k } else { a });
+                let [x, y, z] = at.map(|c| (c / size).floor() as i32);
+                let face = 2 * axis as i32 + i32::from(n[axis] > 0.0);
+                let sum = gathered.entry([x, y, z, face]).or_insert((0.0, Vec3::zero(), Vec3::zero()));
+                *sum = (sum.0 + p.area, sum.1 + p.center * p.area, sum.2 + p.normal * p.area);
+            }
+            all.extend(gathered.into_values().map(|(area, center, normal)| {
+                let length = normal.norm_squared().sqrt();
+                let (center, normal) = (center * (1.0 / area), normal * (1.0 / length));
+                Self { body, center: center.lane(0), normal: normal.lane(0), area: length }
+            }));
+        }
+        all
+    }
+}
+
+/// Lists the pieces of all bodies that may move sand, for [`crate::used`].
+#[inline(always)]
+pub fn pieces<R: Real>(feelers: &[Feeler], frames: &[Frame<R>], from: Vec3<R>, pieces: &mut Vec<LanePiece<R>>) {
+    pieces.clear();
+    for feeler in feelers {
+        let frame = &frames[feeler.body];
+        let at = frame.point(Vec3::splat(feeler.center));
+        pieces.push(LanePiece {
+            body: feeler.body,
+            place: from + at,
+            normal: frame.rotation.apply(Vec3::splat(feeler.normal)),
+            velocity: frame.velocity.at(at),
+            area: R::splat(feeler.area),
+            one_sided: true,
+        });
     }
 }
 
@@ -96,14 +155,15 @@ fn on_body<R: Real>(
     place: &Vec3<R>,
     travel: [R; 2],
     under: &Local<R>,
+    strength: Option<R>,
     dt: R,
 ) -> Option<Total<R>> {
     match (&ground.law, &ground.mechanisms) {
         (LawCoefficients::Li2013(law), None) => {
-            by(law, &Plain, ground, plates, frame, velocity, place, travel, under, dt)
+            by(law, &Plain, ground, plates, frame, velocity, place, travel, under, strength, dt)
         }
-        (law, None) => by(law, &Plain, ground, plates, frame, velocity, place, travel, under, dt),
-        (law, Some(mechanisms)) => by(law, mechanisms, ground, plates, frame, velocity, place, travel, under, dt),
+        (law, None) => by(law, &Plain, ground, plates, frame, velocity, place, travel, under, strength, dt),
+        (law, Some(mechanisms)) => by(law, mechanisms, ground, plates, frame, velocity, place, travel, under, strength, dt),
     }
 }
 
@@ -318,6 +378,7 @@ fn by<R: Real, M: StressModel<R>>(
     place: &Vec3<R>,
     travel: [R; 2],
     under: &Local<R>,
+    strength: Option<R>,
     dt: R,
 ) -> Option<Total<R>> {
     let (zero, tiny) = (R::zero(), R::splat(1e-20));
@@ -352,6 +413,7 @@ fn by<R: Real, M: StressModel<R>>(
             true => (R::one(), part.load, part.load),
             false => (part.area, part.load / part.area.max(tiny), part.deep * inverse),
         };
+        let area = strength.map_or(area, |strength| area * strength);
         let site = SegmentState::fresh(depth, place.x + at.x).travelling(travel).wide(width);
         let growth = part.growth * inverse;
         let (contact, normal) = match &axes {

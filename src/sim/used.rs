@@ -1,0 +1,170 @@
+//! Sand that remembers, for engines that compute environments in lanes. See [`crate::sand::memory`] for the equations.
+//!
+//! Heights differ from lane to lane, so sand is moved lane by lane, in `f64`, every [`PERIOD`]. In between, each body of
+//! a robot has one level from which depths count, and one strength: two numbers in lanes, so the force law stays as fast
+//! as on level sand.
+
+use crate::number::{Real, Vec3};
+use crate::sand::memory::{Marks, Moved, Piece, Settings};
+use crate::{Model, State};
+
+/// Time between two movements of sand [s]: our choice. A foot that swings with 1 m/s moves by 4 mm, less than a cell.
+const PERIOD: f64 = 4e-3;
+
+/// A piece of a body's surface in all lanes.
+#[derive(Clone, Copy)]
+pub struct LanePiece<R> {
+    pub body: usize,
+    /// From the lane's origin of x and y [m].
+    pub place: Vec3<R>,
+    pub normal: Vec3<R>,
+    pub velocity: Vec3<R>,
+    /// [m²]
+    pub area: R,
+    /// Does only the side of the normal touch sand?
+    pub one_sided: bool,
+}
+
+/// What each body has found, in lanes.
+pub struct Surfaces<R> {
+    /// [m]
+    pub levels: Vec<R>,
+    pub strengths: Vec<R>,
+}
+
+/// The sand around the robots of a block.
+pub struct LaneMemory<R> {
+    pub surfaces: Surfaces<R>,
+    settings: Vec<Settings>,
+    moved: Vec<Moved>,
+    /// [time steps]
+    every: u32,
+    dt: f64,
+    pub pieces: Vec<LanePiece<R>>,
+    own: Vec<Piece>,
+    marks: Marks,
+}
+
+impl<R: Real> LaneMemory<R> {
+    /// For robots with `bodies` bodies that touch sand; None if the model's sand has no memory.
+    pub fn new(model: &Model, bodies: usize) -> Option<Self> {
+        let settings = model.scene.memory?;
+        let surfaces = Surfaces { levels: vec![R::zero(); bodies], strengths: vec![R::one(); bodies] };
+        Some(Self {
+            surfaces,
+            settings: vec![settings; R::LANES],
+            moved: vec![Moved::new(&settings, bodies); R::LANES],
+            every: (PERIOD / model.scene.dt).round().max(1.0) as u32,
+            dt: model.scene.dt,
+            pieces: Vec::new(),
+            own: Vec::new(),
+            marks: Marks::default(),
+        })
+    }
+
+    pub fn set_model(&mut self, lane: usize, model: &Model) {
+        if let Some(settings) = model.scene.memory {
+            self.settings[lane] = settings;
+            self.show(lane);
+        }
+    }
+
+    /// Takes the sand of `state`; level sand if it has none.
+    pub fn set_state(&mut self, lane: usize, state: &State) {
+        let bodies = self.surfaces.levels.len();
+        self.moved[lane] = match &state.sand {
+            Some(sand) if sand.fits(&self.settings[lane], bodies) => (**sand).clone(),
+            _ => Moved::new(&self.settings[lane], bodies),
+        };
+        self.show(lane);
+    }
+
+    pub fn sand(&self, lane: usize) -> &Moved {
+        &self.moved[lane]
+    }
+
+    /// Puts what a lane's bodies have found into the lanes.
+    fn show(&mut self, lane: usize) {
+        for (body, found) in self.moved[lane].found.iter().enumerate() {
+            self.surfaces.levels[body].set_lane(lane, found.level.into());
+            self.surfaces.strengths[body].set_lane(lane, self.settings[lane].strength(found));
+        }
+    }
+
+    /// Counts a time step. Is sand to be moved in any lane?
+    #[inline(always)]
+    pub fn tick(&mut self) -> bool {
+        let mut due = false;
+        for moved in &mut self.moved {
+            moved.pending += 1;
+            due |= moved.pending >= self.every;
+        }
+        due
+    }
+
+    /// Moves the sand of the lanes where it is time, by `self.pieces`, which are sorted by body. `origins`: of x and y
+    /// in each lane [m]; `middle`: the robot's position from there.
+    #[inline(always)]
+    pub fn update(&mut self, origins: &[[f64; 2]], middle: Vec3<R>) {
+        let Self { settings, moved, pieces, own, marks, every, dt, .. } = self;
+        for (lane, (settings, moved)) in settings.iter().zip(moved.iter_mut()).enumerate() {
+            if moved.pending < *every {
+                continue;
+            }
+            let (origin, time) = (origins[lane], f64::from(moved.pending) * *dt);
+            (moved.pending, moved.turns) = (0, moved.turns.wrapping_add(1));
+            let [x, y, _] = middle.lane(lane);
+            moved.grid.follow([origin[0] + x, origin[1] + y]);
+            let highest = moved.grid.highest();
+            let mut rest = &pieces[..];
+            while let Some(first) = rest.first() {
+                let count = rest.iter().take_while(|p| p.body == first.body).count();
+                let (these, others) = rest.split_at(count);
+                rest = others;
+                own.clear();
+                let low = these.iter().fold(f64::INFINITY, |low, p| low.min(p.place.z.lane(lane)));
+                // Well above the sand: what it finds does not matter yet.
+                if low > highest + 2.0 * settings.cell && !moved.found[first.body].inside {
+                    continue;
+                }
+                let mut way = [0.0; 3];
+                for p in these {
+                    let z = p.place.z.lane(lane);
+                    if z > highest.max(low) + settings.cell {
+                        continue;
+                    }
+                    let piece = p.of(lane, origin);
+                    let [vx, vy, _] = piece.velocity;
+                    way = [way[0] + piece.area * vx, way[1] + piece.area * vy, way[2] + piece.area];
+                    own.push(piece);
+                }
+                let travelled = way[0].hypot(way[1]) / way[2].max(1e-12) * time;
+                moved.meet(settings, first.body, own, travelled, time, marks);
+            }
+            // Sweeps of sliding that are due by now.
+            let per_turn = time / settings.sweep;
+            let turns = f64::from(moved.turns % 4096);
+            let sweeps = ((turns + 1.0) * per_turn).floor() - (turns * per_turn).floor();
+            for _ in 0..(sweeps as usize).min(MOST_SWEEPS) {
+                moved.grid.slide(settings.repose);
+            }
+        }
+        (0..R::LANES).for_each(|lane| self.show(lane));
+    }
+}
+
+/// Most sweeps after one movement: our choice, a bound on the time of a step for very fine grids.
+const MOST_SWEEPS: usize = 16;
+
+impl<R: Real> LanePiece<R> {
+    #[inline(always)]
+    fn of(&self, lane: usize, origin: [f64; 2]) -> Piece {
+        let ([x, y, z], velocity) = (self.place.lane(lane), self.velocity.lane(lane));
+        let mut normal = self.normal.lane(lane);
+        let along = normal[0] * velocity[0] + normal[1] * velocity[1] + normal[2] * velocity[2];
+        if along < 0.0 && !self.one_sided {
+            normal = normal.map(|n| -n);
+        }
+        Piece { place: [origin[0] + x, origin[1] + y, z], normal, area: self.area.lane(lane), velocity }
+    }
+}
