@@ -8,8 +8,8 @@ use crate::number::{Real, Vec3};
 use crate::sand::memory::{Marks, Moved, Piece, Settings};
 use crate::{Model, State};
 
-/// Time between two movements of sand [s]: our choice. A foot that swings with 1 m/s moves by 4 mm, less than a cell.
-const PERIOD: f64 = 4e-3;
+/// Time between two movements of sand [s]: our choice. A foot that swings with 1 m/s moves by 5 mm, about a cell.
+const PERIOD: f64 = 5e-3;
 
 /// A piece of a body's surface in all lanes.
 #[derive(Clone, Copy)]
@@ -41,8 +41,17 @@ pub struct LaneMemory<R> {
     every: u32,
     dt: f64,
     pub pieces: Vec<LanePiece<R>>,
+    groups: Vec<Group<R>>,
     own: Vec<Piece>,
     marks: Marks,
+}
+
+/// The pieces of a body, and their lowest height.
+struct Group<R> {
+    body: usize,
+    from: usize,
+    to: usize,
+    low: R,
 }
 
 impl<R: Real> LaneMemory<R> {
@@ -57,6 +66,7 @@ impl<R: Real> LaneMemory<R> {
             every: (PERIOD / model.scene.dt).round().max(1.0) as u32,
             dt: model.scene.dt,
             pieces: Vec::new(),
+            groups: Vec::new(),
             own: Vec::new(),
             marks: Marks::default(),
         })
@@ -106,45 +116,44 @@ impl<R: Real> LaneMemory<R> {
     /// in each lane [m]; `middle`: the robot's position from there.
     #[inline(always)]
     pub fn update(&mut self, origins: &[[f64; 2]], middle: Vec3<R>) {
-        let Self { settings, moved, pieces, own, marks, every, dt, .. } = self;
+        let Self { settings, moved, pieces, groups, own, marks, every, dt, .. } = self;
+        groups.clear();
+        for (k, p) in pieces.iter().enumerate() {
+            match groups.last_mut() {
+                Some(group) if group.body == p.body => (group.to, group.low) = (k + 1, group.low.min(p.place.z)),
+                _ => groups.push(Group { body: p.body, from: k, to: k + 1, low: p.place.z }),
+            }
+        }
         for (lane, (settings, moved)) in settings.iter().zip(moved.iter_mut()).enumerate() {
             if moved.pending < *every {
                 continue;
             }
             let (origin, time) = (origins[lane], f64::from(moved.pending) * *dt);
-            (moved.pending, moved.turns) = (0, moved.turns.wrapping_add(1));
+            moved.pending = 0;
             let [x, y, _] = middle.lane(lane);
             moved.grid.follow([origin[0] + x, origin[1] + y]);
-            let highest = moved.grid.highest();
-            let mut rest = &pieces[..];
-            while let Some(first) = rest.first() {
-                let count = rest.iter().take_while(|p| p.body == first.body).count();
-                let (these, others) = rest.split_at(count);
-                rest = others;
-                own.clear();
-                let low = these.iter().fold(f64::INFINITY, |low, p| low.min(p.place.z.lane(lane)));
+            let high = moved.grid.highest() + settings.cell;
+            for Group { body, from, to, low } in groups.iter() {
+                let low = low.lane(lane);
                 // Well above the sand: what it finds does not matter yet.
-                if low > highest + 2.0 * settings.cell && !moved.found[first.body].inside {
+                if low > high + settings.cell && !moved.found[*body].inside {
                     continue;
                 }
-                let mut way = [0.0; 3];
-                for p in these {
-                    let z = p.place.z.lane(lane);
-                    if z > highest.max(low) + settings.cell {
-                        continue;
-                    }
+                own.clear();
+                let mut sum = [0.0; 3];
+                for p in pieces[*from..*to].iter().filter(|p| p.place.z.lane(lane) <= high.max(low)) {
                     let piece = p.of(lane, origin);
                     let [vx, vy, _] = piece.velocity;
-                    way = [way[0] + piece.area * vx, way[1] + piece.area * vy, way[2] + piece.area];
+                    sum = [sum[0] + piece.area * vx, sum[1] + piece.area * vy, sum[2] + piece.area];
                     own.push(piece);
                 }
-                let travelled = way[0].hypot(way[1]) / way[2].max(1e-12) * time;
-                moved.meet(settings, first.body, own, travelled, time, marks);
+                let way = [0, 1].map(|k| sum[k] / sum[2].max(1e-12) * time);
+                moved.meet(settings, *body, own, way, time, marks);
             }
             // Sweeps of sliding that are due by now.
-            let per_turn = time / settings.sweep;
-            let turns = f64::from(moved.turns % 4096);
-            let sweeps = ((turns + 1.0) * per_turn).floor() - (turns * per_turn).floor();
+            moved.sliding += (time / settings.sweep) as f32;
+            let sweeps = moved.sliding.floor();
+            moved.sliding -= sweeps;
             for _ in 0..(sweeps as usize).min(MOST_SWEEPS) {
                 moved.grid.slide(settings.repose);
             }

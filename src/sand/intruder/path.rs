@@ -4,7 +4,7 @@ use super::trials::{Given, Outcome, Status, Trial, check_all, compute};
 use super::{Body, Plate};
 use crate::SandDescription;
 use crate::error::{Error, Result, check_range};
-use crate::memory::{Marks, Moved, Piece, Settings};
+use crate::memory::{Marks, Moved, PAIRS, Piece, Settings};
 use crate::number::Vec3;
 
 /// Cells along a side of a path's square, as a power of two: 256.
@@ -52,7 +52,7 @@ impl<'a> Path<'a> {
             Some(cell) => check_range("cell", cell, 1e-4..=1.0)?,
             None => widest(body) / CELLS,
         };
-        let settings = Settings::new(&sand.medium(), cell, BITS, widest(body), repose_deg);
+        let settings = Settings { pairs: PAIRS, ..Settings::new(&sand.medium(), cell, BITS, widest(body), repose_deg) };
         let moved = Moved::new(&settings, 1);
         Ok(Self { body, sand, settings, moved, marks: Marks::default(), last: None, sliding: 0.0 })
     }
@@ -61,11 +61,12 @@ impl<'a> Path<'a> {
     pub fn step(&mut self, moment: &Moment) -> Outcome {
         let Some(last) = self.last.take() else {
             let place = moment.place.unwrap_or_default();
-            let (outcome, low) = self.force(&moment.trial);
-            self.last = Some(Last { moment: *moment, place, low });
+            let low = self.force(&moment.trial).1;
             self.moved.grid.follow(place);
+            // A body that begins in the sand has found it level.
             self.sweep(place, place, low, low, 0.0, &moment.trial);
-            return outcome;
+            self.last = Some(Last { moment: *moment, place, low });
+            return self.force(&moment.trial).0;
         };
         let time = moment.time - last.moment.time;
         let drift = [0, 1].map(|k| last.place[k] + last.moment.trial.velocity[k] * time);
@@ -136,7 +137,7 @@ impl<'a> Path<'a> {
             })
         };
         let pieces: Vec<Piece> = self.body.plates.iter().filter_map(piece).collect();
-        self.moved.meet(&self.settings, 0, &pieces, way[0].hypot(way[1]), time, &mut self.marks);
+        self.moved.meet(&self.settings, 0, &pieces, [way[0], way[1]], time, &mut self.marks);
         self.sliding += time;
         let sweep = self.settings.sweep;
         let sweeps = ((self.sliding / sweep) as usize).min(MOST_SWEEPS);

@@ -1,7 +1,5 @@
 //! Heights of the sand on a square grid that moves with a body.
 
-use crate::number::Kernel;
-
 /// Heights are whole multiples of the cell's size over this: our choice. So sums are exact, volume is conserved to the
 /// last bit, and 16 bits reach 32 cells up and down.
 const STEPS: f64 = 1024.0;
@@ -178,6 +176,7 @@ impl Grid {
         // The square's edges are not neighbours, although their places are.
         let [first_column, first_row] = self.frame.corner.map(|c| (c & (N as i32 - 1)) as usize);
         let last_column = first_column.wrapping_sub(1) & mask;
+        let mut next_awake = [false; N];
         let mut from_above = [0_i16; N];
         let mut came = false;
         for k in 0..N {
@@ -185,11 +184,13 @@ impl Grid {
             if !self.awake[row] && !came {
                 continue;
             }
-            let old: [i16; N] = std::array::from_fn(|i| self.heights[row * N + i]);
+            let mut old = [0_i16; N];
+            old.copy_from_slice(&self.heights[row * N..][..N]);
             let mut along = [0_i16; N];
-            for i in 0..N {
-                along[i] = slid(old[i], old[(i + 1) & mask], limit);
+            for i in 0..N - 1 {
+                along[i] = slid(old[i], old[i + 1], limit);
             }
+            along[N - 1] = slid(old[N - 1], old[0], limit);
             along[last_column] = 0;
             let mut below = [0_i16; N];
             if k + 1 < N {
@@ -198,42 +199,33 @@ impl Grid {
                     below[i] = slid(old[i], other[i], limit);
                 }
             }
+            let new = &mut self.heights[row * N..][..N];
             let (mut moved, mut passed) = (0, 0);
             for i in 0..N {
-                let came = along[i.wrapping_sub(1) & mask];
-                let change = from_above[i] + came - along[i] - below[i];
-                self.heights[row * N + i] = old[i].saturating_add(change);
+                new[i] = old[i].saturating_add(from_above[i] - along[i] - below[i]);
                 moved |= along[i] | below[i] | from_above[i];
                 passed |= below[i];
             }
-            self.awake[row] = moved != 0;
+            for i in 1..N {
+                new[i] = new[i].saturating_add(along[i - 1]);
+            }
+            new[0] = new[0].saturating_add(along[N - 1]);
+            if moved != 0 {
+                next_awake[row] = true;
+                next_awake[next] = true;
+                next_awake[row.wrapping_sub(1) & mask] = true;
+            }
             from_above = below;
             came = passed != 0;
-            if came {
-                self.awake[next] = true;
-            }
         }
+        self.awake.copy_from_slice(&next_awake);
     }
 }
 
 /// What slides from a cell to its neighbour; negative: to the cell.
 #[inline(always)]
 fn slid(height: i16, neighbour: i16, limit: i16) -> i16 {
-    let difference = height.saturating_sub(neighbour);
-    let excess = difference.saturating_abs().saturating_sub(limit).max(0) >> 3;
-    if difference < 0 { -excess } else { excess }
-}
-
-/// Sweeps compiled for the instruction set of a number type: see [`crate::number::Real::dispatch`].
-pub struct Sweeps<'a> {
-    pub grid: &'a mut Grid,
-    pub steepest: f64,
-    pub count: usize,
-}
-
-impl Kernel for Sweeps<'_> {
-    #[inline(always)]
-    fn run(self) {
-        (0..self.count).for_each(|_| self.grid.slide(self.steepest));
-    }
+    let down = height.saturating_sub(neighbour).saturating_sub(limit).max(0) >> 3;
+    let up = neighbour.saturating_sub(height).saturating_sub(limit).max(0) >> 3;
+    down - up
 }

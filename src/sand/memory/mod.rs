@@ -20,11 +20,12 @@
 
 mod grid;
 
-pub use grid::{Frame, Grid, Sweeps};
+pub use grid::{Frame, Grid};
 
 use crate::error::{Result, check_range};
 use crate::{GRAVITY, Medium};
 use serde::{Deserialize, Serialize};
+use std::sync::LazyLock;
 
 /// Part of the volume pressed down that is lost to compaction while the sand is loose. Fitted on the grains of
 /// `tests/data/memory` (a foot pressed into loosely packed spheres).
@@ -56,17 +57,19 @@ pub struct Settings {
     pub gain: f64,
     /// Duration of a sweep of sliding [s].
     pub sweep: f64,
+    /// Pairs of places among which a body's sand is distributed at a time, up to [`PAIRS`].
+    pub pairs: usize,
 }
 
 impl Settings {
     /// `size`: length of what presses and ploughs [m]; `repose_deg`: angle of repose [°].
     ///
-    /// A sweep takes c²/(√g size^1.5), so heaps as large as the body flatten within a few times √(size/g), the time in
+    /// A sweep takes 2 c²/(√g size^1.5), so heaps as large as the body flatten within a few times √(size/g), the time in
     /// which sand falls as far, on every grid. Our choice; twice and half that time change the forces on the plates in
     /// grains by less than 0.2 of the first pass.
     pub fn new(medium: &Medium, cell: f64, bits: u32, size: f64, repose_deg: f64) -> Self {
-        let sweep = cell * cell / (GRAVITY.sqrt() * size.powf(1.5));
-        Self { cell, bits, repose: repose_deg.to_radians().tan(), gain: Self::gain(medium), sweep }
+        let sweep = 2.0 * cell * cell / (GRAVITY.sqrt() * size.powf(1.5));
+        Self { cell, bits, repose: repose_deg.to_radians().tan(), gain: Self::gain(medium), sweep, pairs: FEW }
     }
 
     /// Media that are closely packed already cannot be compacted. Of the named ones that is said of one.
@@ -85,6 +88,7 @@ impl Settings {
         check_range("memory.bits", f64::from(self.bits), 6.0..=8.0)?;
         check_range("memory.repose", self.repose, 0.05..=2.0)?;
         check_range("memory.gain", self.gain, 1.0..=10.0)?;
+        check_range("memory.pairs", self.pairs as f64, 1.0..=PAIRS as f64)?;
         check_range("memory.sweep", self.sweep, 1e-7..=1e3).map(drop)
     }
 
@@ -107,6 +111,8 @@ pub struct Found {
     pub level: f32,
     /// How compacted the sand is, from 0 to 1.
     pub packed: f32,
+    /// Radius of a disc of the area with which the body has entered [m].
+    pub size: f32,
     /// Is the body in the sand?
     pub inside: bool,
 }
@@ -139,9 +145,11 @@ impl Piece {
 pub struct Moved {
     pub grid: Grid,
     pub found: Vec<Found>,
-    /// Time since sand was moved last [time steps], and times that it was moved: for engines.
+    /// Time since sand was moved last [time steps], for engines; and times that bodies have moved it.
     pub pending: u32,
     pub turns: u32,
+    /// Sweeps of sliding that are due, less than one: for engines.
+    pub sliding: f32,
 }
 
 /// Work space; its contents are not kept.
@@ -190,12 +198,14 @@ struct Taken {
 struct Disc {
     center: [f64; 2],
     radius: f64,
+    /// Unit vector.
+    along: [f64; 2],
 }
 
 impl Moved {
     /// Level sand and `bodies` bodies outside of it.
     pub fn new(s: &Settings, bodies: usize) -> Self {
-        Self { grid: Grid::new(s.cell, s.bits), found: vec![Found::default(); bodies], pending: 0, turns: 0 }
+        Self { grid: Grid::new(s.cell, s.bits), found: vec![Found::default(); bodies], pending: 0, turns: 0, sliding: 0.0 }
     }
 
     /// Is this sand of these settings, for so many bodies?
@@ -206,9 +216,9 @@ impl Moved {
     /// Everything, for [`Self::from_bytes`]; little-endian.
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut out = Vec::with_capacity(3 * self.grid.heights.len() + 100);
-        out.extend([self.pending, self.turns].iter().flat_map(|n| n.to_le_bytes()));
+        out.extend([self.pending, self.turns, self.sliding.to_bits()].iter().flat_map(|n| n.to_le_bytes()));
         for found in &self.found {
-            out.extend([found.level, found.packed].iter().flat_map(|x| x.to_le_bytes()));
+            out.extend([found.level, found.packed, found.size].iter().flat_map(|x| x.to_le_bytes()));
             out.push(u8::from(found.inside));
         }
         self.grid.write(&mut out);
@@ -218,22 +228,25 @@ impl Moved {
     /// The sand of `bodies` bodies from its [`Self::to_bytes`]; None if it cannot be of these settings.
     pub fn from_bytes(s: &Settings, bodies: usize, bytes: &[u8]) -> Option<Self> {
         let mut new = Self::new(s, bodies);
-        let (counts, mut rest) = bytes.split_first_chunk::<8>()?;
-        let [a, b, c, d, e, f, g, h] = *counts;
+        let (counts, mut rest) = bytes.split_first_chunk::<12>()?;
+        let [a, b, c, d, e, f, g, h, i, j, k, l] = *counts;
         (new.pending, new.turns) = (u32::from_le_bytes([a, b, c, d]), u32::from_le_bytes([e, f, g, h]));
+        new.sliding = f32::from_le_bytes([i, j, k, l]);
         for found in &mut new.found {
-            let (one, others) = rest.split_first_chunk::<9>()?;
-            let [a, b, c, d, e, f, g, h, inside] = *one;
+            let (one, others) = rest.split_first_chunk::<13>()?;
+            let [a, b, c, d, e, f, g, h, i, j, k, l, inside] = *one;
             (found.level, found.packed) = (f32::from_le_bytes([a, b, c, d]), f32::from_le_bytes([e, f, g, h]));
+            found.size = f32::from_le_bytes([i, j, k, l]);
             found.inside = inside == 1;
             // Heights end at 32 cells.
-            let possible = f64::from(found.level.abs()) < 64.0 * s.cell && (0.0..=1.0).contains(&found.packed);
+            let possible = f64::from(found.level.abs()) < 64.0 * s.cell && (0.0..=1.0).contains(&found.packed)
+                && (0.0..=64.0 * s.cell).contains(&f64::from(found.size));
             if !possible || inside > 1 {
                 return None;
             }
             rest = others;
         }
-        (new.pending < 1 << 30 && new.grid.read(rest).is_some()).then_some(new)
+        (new.pending < 1 << 30 && (0.0..1.0).contains(&new.sliding) && new.grid.read(rest).is_some()).then_some(new)
     }
 
     /// Memory [bytes].
@@ -241,39 +254,42 @@ impl Moved {
         size_of::<Self>() + bodies * size_of::<Found>() + (3 << (2 * s.bits)) + (1 << s.bits)
     }
 
-    /// Moves sand by a body in `time` [s], and updates what the body finds. `pieces`: its leading pieces; `travelled`:
-    /// the distance that it moved horizontally [m].
-    pub fn meet(
-        &mut self,
-        s: &Settings,
-        body: usize,
-        pieces: &[Piece],
-        travelled: f64,
-        time: f64,
-        marks: &mut Marks,
-    ) {
+    /// Moves sand by a body in `time` [s], and updates what the body finds. `pieces`: its leading pieces; `way`: the
+    /// distance along x and y that it has moved [m].
+    pub fn meet(&mut self, s: &Settings, body: usize, pieces: &[Piece], way: [f64; 2], time: f64, marks: &mut Marks) {
         let low = pieces.iter().fold(f64::INFINITY, |low, p| low.min(p.place[2]));
-        let (under, packed, size) = self.below(pieces, low);
-        let found = self.found[body];
-        let level = f64::from(found.level);
-        if pieces.is_empty() || low >= under.max(level) || (!found.inside && low >= under) {
-            self.found[body] = Found { level: under as f32, packed: packed as f32, inside: false };
-            return;
+        let Found { level, packed, size, inside } = self.found[body];
+        let (mut level, mut packed, mut size) = (f64::from(level), f64::from(packed), f64::from(size));
+        if !inside || low >= level {
+            let (under, dense, wide) = self.below(pieces, low);
+            if !inside || low >= under {
+                let inside = low < under;
+                let [level, packed, size] = [under, dense, wide].map(|x| x as f32);
+                self.found[body] = Found { level, packed, size, inside };
+            }
+            if low >= under {
+                return;
+            }
+            if !inside {
+                (level, packed, size) = (under, dense, wide);
+            }
         }
-        let (mut level, mut packing) =
-            if found.inside { (level, f64::from(found.packed)) } else { (under, packed) };
         marks.begin(self.grid.heights.len());
         let taken = self.take(s, pieces, time, size, marks);
         if taken.amount > 0 {
-            let depth = (level.max(under) - low).max(0.0);
-            let disc = ahead(&taken, s.wedge() * depth, size, s.cell);
-            self.put(&disc, &taken, marks, size);
-            let (height, dense) = self.beyond(&disc, &taken);
-            let share = (travelled / (0.5 * size).max(s.cell)).min(1.0);
-            level += (height - level) * share;
-            packing += (dense - packing) * share;
+            let reach = s.wedge() * (level - low).max(s.cell);
+            self.put(s, &ahead(&taken, reach, size, s.cell), &taken, marks, size);
+            let travelled = way[0].hypot(way[1]);
+            if travelled > 0.0 {
+                let (height, dense) = self.beyond(s, &taken, reach, size, way.map(|w| w / travelled));
+                let share = (travelled / (0.5 * size).max(s.cell)).min(1.0);
+                level += (height - level) * share;
+                packed += (dense - packed) * share;
+            }
         }
-        self.found[body] = Found { level: level as f32, packed: packing as f32, inside: true };
+        let [level, packed, size] = [level, packed, size].map(|x| x as f32);
+        self.found[body] = Found { level, packed, size, inside: true };
+        self.turns = self.turns.wrapping_add(1);
     }
 
     /// Mean height [m] and compaction below the lowest pieces of a body, and the radius of a disc of their area [m].
@@ -355,59 +371,56 @@ impl Moved {
         taken
     }
 
-    /// Puts what was taken on the free cells of a disc. Returns the mean height [m] and compaction there, before.
-    fn put(&mut self, disc: &Disc, taken: &Taken, marks: &Marks, size: f64) {
-        let (cell, quantum) = (self.grid.frame.cell, self.grid.frame.quantum());
+    /// Distributes what was taken among places of a disc where the body is not.
+    fn put(&mut self, s: &Settings, disc: &Disc, taken: &Taken, marks: &Marks, size: f64) {
+        let amount = taken.amount - taken.lost as i32;
         let mut disc = *disc;
-        let amount = f64::from(taken.amount) - taken.lost.floor();
-        // A disc that is covered grows until a cell is free.
+        // A disc that the body covers grows until a place is free.
         for _ in 0..8 {
-            let mut sum = 0.0;
-            disc.each(self.grid.frame, |at, weight| {
+            let mut free = [0_usize; 2 * PAIRS];
+            let mut count = 0;
+            for at in disc.places(self.grid.frame, s.pairs, self.turns) {
                 if !marks.is_set(at) {
-                    sum += weight;
+                    free[count] = at;
+                    count += 1;
                 }
-            });
-            if sum <= 0.0 {
-                disc.radius = 1.5 * disc.radius + cell;
+            }
+            if count == 0 {
+                disc.radius = 1.5 * disc.radius + s.cell;
                 continue;
             }
-            let (mut due, mut given) = (0.0, 0);
-            let scale = amount / sum;
-            let grid = &mut self.grid;
-            disc.each(grid.frame, |at, weight| {
-                if marks.is_set(at) {
-                    return;
+            let (each, rest) = (amount / count as i32, amount % count as i32);
+            let keep = 1.0 - (f64::from(each) * self.grid.frame.quantum() / size.max(s.cell)).min(1.0);
+            for (k, at) in free[..count].iter().enumerate() {
+                let now = each + i32::from((k as i32) < rest);
+                let height = &mut self.grid.heights[*at];
+                *height = height.saturating_add(now as i16);
+                self.grid.top = self.grid.top.max(*height);
+                // Sand that was moved is loose.
+                if self.grid.packed[*at] > 0 {
+                    self.grid.packed[*at] = (f64::from(self.grid.packed[*at]) * keep) as u8;
                 }
-                due += weight * scale;
-                let now = ((due + 1e-9) as i32 - given).max(0);
-                if now > 0 {
-                    given += now;
-                    grid.heights[at] = grid.heights[at].saturating_add(now as i16);
-                    grid.top = grid.top.max(grid.heights[at]);
-                    // Sand that was moved is loose.
-                    let covered = f64::from(now) * quantum / size.max(cell);
-                    grid.packed[at] = (f64::from(grid.packed[at]) * (1.0 - covered.min(1.0))) as u8;
-                    grid.wake(at);
-                }
-            });
+                self.grid.wake(*at);
+            }
             return;
         }
     }
 
     /// Mean height [m] and compaction at the toe of the wedge ahead, half of it inside and half beyond: the law's measured
     /// coefficients contain the heap that a body pushes in fresh sand, which lies inside.
-    fn beyond(&self, disc: &Disc, taken: &Taken) -> (f64, f64) {
+    fn beyond(&self, s: &Settings, taken: &Taken, reach: f64, size: f64, along: [f64; 2]) -> (f64, f64) {
         let amount = f64::from(taken.amount);
-        let toe = |k: usize| 2.0 * disc.center[k] - taken.place[k] / amount;
-        let toe = Disc { center: [toe(0), toe(1)], radius: disc.radius };
-        let (mut sum, mut height, mut packed) = (0.0, 0.0, 0.0);
-        toe.each(self.grid.frame, |at, weight| {
-            sum += weight;
-            height += weight * f64::from(self.grid.heights[at]);
-            packed += weight * f64::from(self.grid.packed[at]);
-        });
-        if sum == 0.0 { (0.0, 0.0) } else { (height / sum * self.grid.frame.quantum(), packed / sum / 255.0) }
+        let radius = (0.5 * reach).max(size).max(1.5 * s.cell);
+        let toe = |k: usize| taken.place[k] / amount + 2.0 * radius * along[k];
+        let toe = Disc { center: [toe(0), toe(1)], radius, along };
+        let (mut count, mut height, mut packed) = (0, 0, 0);
+        for at in toe.places(self.grid.frame, s.pairs, self.turns) {
+            count += 1;
+            height += i32::from(self.grid.heights[at]);
+            packed += i32::from(self.grid.packed[at]);
+        }
+        let mean = |sum: i32| f64::from(sum) / f64::from(count.max(1));
+        (mean(height) * self.grid.frame.quantum(), mean(packed) / 255.0)
     }
 }
 
@@ -416,31 +429,44 @@ fn ahead(taken: &Taken, reach: f64, size: f64, cell: f64) -> Disc {
     let amount = f64::from(taken.amount);
     let [x, y] = taken.place.map(|p| p / amount);
     let [px, py] = taken.push.map(|p| p / amount);
-    let share = px.hypot(py).min(1.0);
+    let length = px.hypot(py);
+    let share = length.min(1.0);
     let around = reach + size;
     let before = (0.5 * reach).max(size);
     let radius = (around + (before - around) * share).max(1.5 * cell);
-    let shift = if share > 1e-6 { radius / share * share } else { 0.0 };
-    Disc { center: [x + px * shift, y + py * shift], radius }
+    let along = if length > 1e-6 { [px / length, py / length] } else { [1.0, 0.0] };
+    Disc { center: [x + radius * share * along[0], y + radius * share * along[1]], radius, along }
 }
 
+/// Pairs of places in a disc, at most; and as many as robots use at a time: our choice. They differ from time to time, so
+/// that after a few times all of the disc has got its share.
+pub const PAIRS: usize = 64;
+const FEW: usize = 6;
+
+/// Places in the unit disc, evenly distributed with the density 1 − r²: r² = 1 − √(1 − u), at angles that differ by the
+/// golden angle. Each place stands for a pair, mirrored about the first axis.
+static PLACES: LazyLock<[[f64; 2]; PAIRS]> = LazyLock::new(|| {
+    std::array::from_fn(|k| {
+        // The order of bits reversed: any few of them in a row are evenly spread.
+        let u = (f64::from((k as u32).reverse_bits() >> 26) + 0.5) / PAIRS as f64;
+        let (radius, angle) = ((1.0 - (1.0 - u).sqrt()).sqrt(), std::f64::consts::PI * (k as f64 * GOLDEN).fract());
+        [radius * angle.cos(), radius * angle.sin()]
+    })
+});
+/// The golden section.
+const GOLDEN: f64 = 0.618_033_988_749_895;
+
 impl Disc {
-    /// Calls `f` with the place in the grid and the weight of each cell: 1 − (r/radius)².
-    fn each(&self, frame: Frame, mut f: impl FnMut(usize, f64)) {
-        let [low, high] = [-1.0, 1.0].map(|s| frame.cell_at(self.center.map(|c| c + s * self.radius)));
-        let inverse = 1.0 / (self.radius * self.radius);
-        for j in low[1]..=high[1] {
-            let y = (f64::from(j) + 0.5) * frame.cell - self.center[1];
-            for i in low[0]..=high[0] {
-                let x = (f64::from(i) + 0.5) * frame.cell - self.center[0];
-                let weight = 1.0 - (x * x + y * y) * inverse;
-                if weight > 0.0
-                    && let Some(at) = frame.index([i, j])
-                {
-                    f(at, weight);
-                }
-            }
-        }
+    /// Cells of some places of the disc, mirrored about its direction.
+    #[inline(always)]
+    fn places(&self, frame: Frame, pairs: usize, turns: u32) -> impl Iterator<Item = usize> {
+        let Self { center: [x, y], radius, along: [ux, uy] } = *self;
+        let (table, first) = (&*PLACES, turns as usize % PAIRS * pairs);
+        (0..2 * pairs).filter_map(move |k| {
+            let [a, b] = table[(first + k / 2) % PAIRS];
+            let (a, b) = (a * radius, if k % 2 == 0 { b * radius } else { -(b * radius) });
+            frame.index(frame.cell_at([x + a * ux - b * uy, y + a * uy + b * ux]))
+        })
     }
 }
 

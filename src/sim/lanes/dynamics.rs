@@ -263,15 +263,15 @@ pub fn pieces<R: Real, const J: usize>(
     let turn = &base.rotation;
     let places = Field { at: turn.z * model.belly_height, by: [turn.x, turn.y] };
     let velocities = places.velocity(&base.velocity);
-    // Nine pieces a plate, which is taken for a square.
-    let ninth = R::splat(1.0 / 9.0);
+    // Four pieces a plate, which is taken for a square.
+    let quarter = R::splat(0.25);
     for plate in &model.belly {
-        let third = (plate.area * ninth).sqrt();
-        for k in 0..9 {
-            let [u, v] = [k % 3, k / 3].map(|i| third * R::splat(f64::from(i) - 1.0));
+        let side = (plate.area * quarter).sqrt();
+        for k in 0..4 {
+            let [u, v] = [k % 2, k / 2].map(|i| side * R::splat(f64::from(i) - 0.5));
             let at = [plate.center[0] + u, plate.center[1] + v];
             let (place, velocity) = (state.position + places.value(at), velocities.value(at));
-            pieces.push(LanePiece { body: 0, place, normal: -turn.z, velocity, area: plate.area * ninth, one_sided: true });
+            pieces.push(LanePiece { body: 0, place, normal: -turn.z, velocity, area: plate.area * quarter, one_sided: true });
         }
     }
     for (l, leg) in model.legs.iter().enumerate() {
