@@ -2,7 +2,7 @@
 
 use super::camera::radius;
 use super::pose::segments;
-use super::recording::{FORMAT, VERSION};
+use super::recording::{FORMAT, HEIGHTS, VERSION};
 use crate::sim::frame::V;
 use crate::sim::model::{Body, Piece};
 use crate::sim::solid::Solid;
@@ -176,6 +176,9 @@ fn columns(model: &Model, about: &About) -> Vec<Value> {
     if model.tree.is_some() {
         let bodies = touching(model).len();
         all.extend([column("ground_forces", "N", &[bodies, 3]), column("ground_points", "m", &[bodies, 3])]);
+    }
+    if model.scene.memory.is_some() {
+        all.extend([column("sand_frame", "m", &[3]), column("sand_heights", "m", &[HEIGHTS, HEIGHTS])]);
     }
     all
 }

@@ -177,3 +177,6 @@ impl<R: Real> LanePiece<R> {
         Piece { place: [origin[0] + x, origin[1] + y, z], normal, area: self.area.lane(lane), velocity }
     }
 }
+
+#[cfg(test)]
+mod tests;
