@@ -1,9 +1,9 @@
 //! `sandgait intrude --body … --trials …`: steady motions of any body, row by row.
 
+use sandgait::parallel;
 use sandgait::sand::SandDescription;
 use sandgait::sand::intruder::path::{self, Moment};
 use sandgait::sand::intruder::{Body, BodyShape, Given, Outcome, Status, Trial, compute_all};
-use sandgait::parallel;
 use sandgait::table::{self, Asked, Column, Quantity};
 use sandgait::{Error, Result};
 use std::fmt::Write as _;
@@ -118,9 +118,8 @@ fn lines(name: &str, path: &mut path::Path) -> String {
     let grid = &path.moved.grid;
     let middle = |i: i32| (f64::from(i) + 0.5) * grid.frame.cell;
     let moved = grid.cells().filter(|(_, height)| *height != 0.0);
-    let line = |([x, y], height): ([i32; 2], f64)| {
-        format!("{},{:.5},{:.5},{height:.6}\n", quoted(name), middle(x), middle(y))
-    };
+    let line =
+        |([x, y], height): ([i32; 2], f64)| format!("{},{:.5},{:.5},{height:.6}\n", quoted(name), middle(x), middle(y));
     moved.map(line).collect()
 }
 

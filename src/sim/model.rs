@@ -381,7 +381,10 @@ impl Model {
 
     /// The same robot on other sand.
     pub fn with_medium(&self, medium: Medium) -> Self {
-        Self { scene: Scene { memory: self.scene.memory.map(|m| m.on(&medium)), medium, ..self.scene.clone() }, ..self.clone() }
+        Self {
+            scene: Scene { memory: self.scene.memory.map(|m| m.on(&medium)), medium, ..self.scene.clone() },
+            ..self.clone()
+        }
     }
 
     /// Sets slope [°] and payload [kg]; values beyond a scene's bounds are clipped.

@@ -134,6 +134,8 @@ impl<'a> Path<'a> {
                 normal: p.normal.lane(0),
                 area: p.area,
                 velocity: v.lane(0),
+                // Sand beside a body slides against it; with 1 furrows in grains are 1 mm too narrow and shallow.
+                cells: 2,
             })
         };
         let pieces: Vec<Piece> = self.body.plates.iter().filter_map(piece).collect();

@@ -41,6 +41,7 @@ impl Frame {
     }
 
     /// Step of heights [m].
+    #[inline(always)]
     pub fn quantum(&self) -> f64 {
         self.cell / STEPS
     }
@@ -124,6 +125,7 @@ impl Grid {
     }
 
     /// Moves the square so that `place` [m] is near its middle.
+    #[inline(always)]
     pub fn follow(&mut self, place: [f64; 2]) {
         let half = 1_i32 << (self.frame.bits - 1);
         let new = self.frame.cell_at(place).map(|i| i.saturating_sub(half));
@@ -131,6 +133,11 @@ impl Grid {
         if (0..2).all(|k| new[k].abs_diff(self.frame.corner[k]) < half as u32 / 4) {
             return;
         }
+        self.move_to(new);
+    }
+
+    /// Moves the square to another corner.
+    fn move_to(&mut self, new: [i32; 2]) {
         let old = std::mem::replace(&mut self.frame.corner, new);
         let side = self.frame.side() as i32;
         let mask = side - 1;
@@ -156,76 +163,66 @@ impl Grid {
         self.awake[row.wrapping_sub(1) & mask] = true;
     }
 
-    /// One sweep of sliding: between two neighbouring cells, an eighth of what their difference in height exceeds
-    /// `steepest` (a tangent) moves down. The share is our choice: with four neighbours at a quarter each, cells could
-    /// swing; at an eighth they cannot. All cells move at once, so the order of cells has no effect.
+    /// One sweep of sliding, first along x, then along y: between two neighbouring cells, a quarter of what their
+    /// difference in height exceeds `steepest` (a tangent) moves down. With a quarter to each of two neighbours cells
+    /// cannot swing: our choice. All cells of a line move at once, so their order has no effect.
     #[inline(always)]
     pub fn slide(&mut self, steepest: f64) {
         let limit = (steepest * STEPS).round().clamp(1.0, 32_000.0) as i16;
         match self.frame.bits {
             6 => self.sweep::<64>(limit),
             7 => self.sweep::<128>(limit),
-            8 => self.sweep::<256>(limit),
-            _ => unreachable!("grids have 64, 128 or 256 cells along a side"),
+            _ => self.sweep::<256>(limit),
         }
     }
 
     #[inline(always)]
     fn sweep<const N: usize>(&mut self, limit: i16) {
         let mask = N - 1;
+        let (heights, _) = self.heights.as_chunks_mut::<N>();
         // The square's edges are not neighbours, although their places are.
         let [first_column, first_row] = self.frame.corner.map(|c| (c & (N as i32 - 1)) as usize);
         let last_column = first_column.wrapping_sub(1) & mask;
-        let mut next_awake = [false; N];
-        let mut from_above = [0_i16; N];
+        let mut awake = [false; N];
+        for row in (0..N).filter(|row| self.awake[*row]) {
+            let old = heights[row];
+            let mut right = [0_i16; N];
+            right[..N - 1].copy_from_slice(&old[1..]);
+            right[N - 1] = old[0];
+            let mut out: [i16; N] = std::array::from_fn(|i| slid(old[i], right[i], limit));
+            out[last_column] = 0;
+            let mut come = [0_i16; N];
+            come[1..].copy_from_slice(&out[..N - 1]);
+            come[0] = out[N - 1];
+            heights[row] = std::array::from_fn(|i| old[i].wrapping_add(come[i].wrapping_sub(out[i])));
+            awake[row] = out.iter().fold(0, |any, o| any | o) != 0;
+        }
+        let mut come = [0_i16; N];
         let mut came = false;
         for k in 0..N {
             let (row, next) = ((first_row + k) & mask, (first_row + k + 1) & mask);
-            if !self.awake[row] && !came {
+            let last = k + 1 == N;
+            if !came && (last || !(self.awake[row] || self.awake[next])) {
                 continue;
             }
-            let mut old = [0_i16; N];
-            old.copy_from_slice(&self.heights[row * N..][..N]);
-            let mut along = [0_i16; N];
-            for i in 0..N - 1 {
-                along[i] = slid(old[i], old[i + 1], limit);
-            }
-            along[N - 1] = slid(old[N - 1], old[0], limit);
-            along[last_column] = 0;
-            let mut below = [0_i16; N];
-            if k + 1 < N {
-                let other = &self.heights[next * N..][..N];
-                for i in 0..N {
-                    below[i] = slid(old[i], other[i], limit);
-                }
-            }
-            let new = &mut self.heights[row * N..][..N];
-            let (mut moved, mut passed) = (0, 0);
-            for i in 0..N {
-                new[i] = old[i].saturating_add(from_above[i] - along[i] - below[i]);
-                moved |= along[i] | below[i] | from_above[i];
-                passed |= below[i];
-            }
-            for i in 1..N {
-                new[i] = new[i].saturating_add(along[i - 1]);
-            }
-            new[0] = new[0].saturating_add(along[N - 1]);
-            if moved != 0 {
-                next_awake[row] = true;
-                next_awake[next] = true;
-                next_awake[row.wrapping_sub(1) & mask] = true;
-            }
-            from_above = below;
-            came = passed != 0;
+            let (old, other) = (heights[row], heights[next]);
+            let kept = if last { 0 } else { -1 };
+            let out: [i16; N] = std::array::from_fn(|i| slid(old[i], other[i], limit) & kept);
+            heights[row] = std::array::from_fn(|i| old[i].wrapping_add(come[i].wrapping_sub(out[i])));
+            let passed = out.iter().fold(0, |any, o| any | o) != 0;
+            awake[row] |= passed || came;
+            (come, came) = (out, passed);
         }
-        self.awake.copy_from_slice(&next_awake);
+        for row in 0..N {
+            self.awake[row] = awake[row] || awake[(row + 1) & mask] || awake[row.wrapping_sub(1) & mask];
+        }
     }
 }
 
 /// What slides from a cell to its neighbour; negative: to the cell.
 #[inline(always)]
 fn slid(height: i16, neighbour: i16, limit: i16) -> i16 {
-    let down = height.saturating_sub(neighbour).saturating_sub(limit).max(0) >> 3;
-    let up = neighbour.saturating_sub(height).saturating_sub(limit).max(0) >> 3;
-    down - up
+    let down = height.saturating_sub(neighbour).saturating_sub(limit).max(0) >> 2;
+    let up = neighbour.saturating_sub(height).saturating_sub(limit).max(0) >> 2;
+    down.wrapping_sub(up)
 }

@@ -95,7 +95,7 @@ impl Settings {
     /// Factor on the sand's strength for what a body has found.
     #[inline(always)]
     pub fn strength(&self, found: &Found) -> f64 {
-        (self.gain - 1.0).mul_add(f64::from(found.packed), 1.0)
+        1.0 + (self.gain - 1.0) * f64::from(found.packed)
     }
 
     /// Reach of the passive wedge over the depth: tan(45° + φ/2) = tan φ + 1/cos φ.
@@ -128,6 +128,8 @@ pub struct Piece {
     pub area: f64,
     /// Velocity [m/s].
     pub velocity: [f64; 3],
+    /// Cells along each side of the square that it covers, at least 1.
+    pub cells: u8,
 }
 
 impl Piece {
@@ -205,7 +207,13 @@ struct Disc {
 impl Moved {
     /// Level sand and `bodies` bodies outside of it.
     pub fn new(s: &Settings, bodies: usize) -> Self {
-        Self { grid: Grid::new(s.cell, s.bits), found: vec![Found::default(); bodies], pending: 0, turns: 0, sliding: 0.0 }
+        Self {
+            grid: Grid::new(s.cell, s.bits),
+            found: vec![Found::default(); bodies],
+            pending: 0,
+            turns: 0,
+            sliding: 0.0,
+        }
     }
 
     /// Is this sand of these settings, for so many bodies?
@@ -239,7 +247,8 @@ impl Moved {
             found.size = f32::from_le_bytes([i, j, k, l]);
             found.inside = inside == 1;
             // Heights end at 32 cells.
-            let possible = f64::from(found.level.abs()) < 64.0 * s.cell && (0.0..=1.0).contains(&found.packed)
+            let possible = f64::from(found.level.abs()) < 64.0 * s.cell
+                && (0.0..=1.0).contains(&found.packed)
                 && (0.0..=64.0 * s.cell).contains(&f64::from(found.size));
             if !possible || inside > 1 {
                 return None;
@@ -256,6 +265,7 @@ impl Moved {
 
     /// Moves sand by a body in `time` [s], and updates what the body finds. `pieces`: its leading pieces; `way`: the
     /// distance along x and y that it has moved [m].
+    #[inline(always)]
     pub fn meet(&mut self, s: &Settings, body: usize, pieces: &[Piece], way: [f64; 2], time: f64, marks: &mut Marks) {
         let low = pieces.iter().fold(f64::INFINITY, |low, p| low.min(p.place[2]));
         let Found { level, packed, size, inside } = self.found[body];
@@ -279,7 +289,7 @@ impl Moved {
         if taken.amount > 0 {
             let reach = s.wedge() * (level - low).max(s.cell);
             self.put(s, &ahead(&taken, reach, size, s.cell), &taken, marks, size);
-            let travelled = way[0].hypot(way[1]);
+            let travelled = (way[0] * way[0] + way[1] * way[1]).sqrt();
             if travelled > 0.0 {
                 let (height, dense) = self.beyond(s, &taken, reach, size, way.map(|w| w / travelled));
                 let share = (travelled / (0.5 * size).max(s.cell)).min(1.0);
@@ -293,6 +303,7 @@ impl Moved {
     }
 
     /// Mean height [m] and compaction below the lowest pieces of a body, and the radius of a disc of their area [m].
+    #[inline(always)]
     fn below(&self, pieces: &[Piece], low: f64) -> (f64, f64, f64) {
         let (mut area, mut sums) = (0.0, [0.0; 2]);
         let (mut middle, mut squares) = ([0.0; 2], 0.0);
@@ -315,6 +326,7 @@ impl Moved {
     }
 
     /// Takes what the pieces sweep out of their cells.
+    #[inline(always)]
     fn take(&mut self, s: &Settings, pieces: &[Piece], time: f64, size: f64, marks: &mut Marks) -> Taken {
         let (cell, quantum) = (s.cell, self.grid.frame.quantum());
         let mut taken = Taken::default();
@@ -323,26 +335,25 @@ impl Moved {
         for p in pieces {
             // A piece that pushes sideways keeps its cell empty.
             let [nx, ny, _] = p.normal;
-            let clearing = (CLEARING - 1.0).mul_add(nx * nx + ny * ny, 1.0);
+            let clearing = 1.0 + (CLEARING - 1.0) * (nx * nx + ny * ny);
             let height = clearing * p.rate() * time / (cell * cell * quantum);
             if height <= 0.0 {
                 continue;
             }
             let [x, y, z] = p.place;
-            // The four cells around the piece share, by distance.
-            let (u, v) = (x / cell - 0.5, y / cell - 0.5);
-            let (i, j) = (u.floor(), v.floor());
             let floor = (z / quantum).ceil().clamp(-32_000.0, 32_000.0) as i32;
-            for (di, dj) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
-                let along = |t: f64, d: i32| if d == 0 { 1.0 - t } else { t };
-                let weight = along(u - i, di) * along(v - j, dj);
-                let Some(at) = self.grid.frame.index([i as i32 + di, j as i32 + dj]) else { continue };
+            let half = 0.5 * f64::from(p.cells - 1) * cell;
+            let [i, j] = self.grid.frame.cell_at([x - half, y - half]);
+            let cells = i32::from(p.cells);
+            let height = height / f64::from(cells * cells);
+            for k in 0..cells * cells {
+                let Some(at) = self.grid.frame.index([i + k % cells, j + k / cells]) else { continue };
                 let above = i32::from(self.grid.heights[at]) - floor;
                 if above <= 0 {
                     continue;
                 }
                 marks.set(at);
-                due += height * weight;
+                due += height;
                 let whole = due as i32;
                 if whole == 0 {
                     continue;
@@ -372,6 +383,7 @@ impl Moved {
     }
 
     /// Distributes what was taken among places of a disc where the body is not.
+    #[inline(always)]
     fn put(&mut self, s: &Settings, disc: &Disc, taken: &Taken, marks: &Marks, size: f64) {
         let amount = taken.amount - taken.lost as i32;
         let mut disc = *disc;
@@ -408,6 +420,7 @@ impl Moved {
 
     /// Mean height [m] and compaction at the toe of the wedge ahead, half of it inside and half beyond: the law's measured
     /// coefficients contain the heap that a body pushes in fresh sand, which lies inside.
+    #[inline(always)]
     fn beyond(&self, s: &Settings, taken: &Taken, reach: f64, size: f64, along: [f64; 2]) -> (f64, f64) {
         let amount = f64::from(taken.amount);
         let radius = (0.5 * reach).max(size).max(1.5 * s.cell);
@@ -425,11 +438,12 @@ impl Moved {
 }
 
 /// The disc that gets the sand: around a body that presses, ahead of one that ploughs.
+#[inline(always)]
 fn ahead(taken: &Taken, reach: f64, size: f64, cell: f64) -> Disc {
     let amount = f64::from(taken.amount);
     let [x, y] = taken.place.map(|p| p / amount);
     let [px, py] = taken.push.map(|p| p / amount);
-    let length = px.hypot(py);
+    let length = (px * px + py * py).sqrt();
     let share = length.min(1.0);
     let around = reach + size;
     let before = (0.5 * reach).max(size);

@@ -16,8 +16,8 @@ use super::plane::{Field, Moments, PlaneForces};
 use crate::number::{Mat3, Real, Vec3};
 use crate::sand::law::StressLaw;
 use crate::sand::{LawCoefficients, Plain, SandBed, SegmentState, StressModel};
-use crate::used::{LanePiece, Surfaces};
 use crate::spatial::{Inertia, PointMasses, Symmetric, Twist, Wrench};
+use crate::used::{LanePiece, Surfaces};
 
 /// State of the robots in one block, one lane each; see [`crate::State`].
 #[derive(Clone)]
@@ -256,6 +256,7 @@ fn belly_by<R: Real, const J: usize>(
 pub fn pieces<R: Real, const J: usize>(
     model: &LaneModel<R, J>,
     state: &LaneState<R>,
+    cell: f64,
     pieces: &mut Vec<LanePiece<R>>,
 ) {
     pieces.clear();
@@ -267,11 +268,14 @@ pub fn pieces<R: Real, const J: usize>(
     let quarter = R::splat(0.25);
     for plate in &model.belly {
         let side = (plate.area * quarter).sqrt();
+        // The same in all lanes, up to the number of cells.
+        let cells = (side.lane(0) / cell).round().clamp(1.0, 8.0) as u8;
         for k in 0..4 {
             let [u, v] = [k % 2, k / 2].map(|i| side * R::splat(f64::from(i) - 0.5));
             let at = [plate.center[0] + u, plate.center[1] + v];
             let (place, velocity) = (state.position + places.value(at), velocities.value(at));
-            pieces.push(LanePiece { body: 0, place, normal: -turn.z, velocity, area: plate.area * quarter, one_sided: true });
+            let area = plate.area * quarter;
+            pieces.push(LanePiece { body: 0, place, normal: -turn.z, velocity, area, one_sided: true, cells });
         }
     }
     for (l, leg) in model.legs.iter().enumerate() {
@@ -281,15 +285,18 @@ pub fn pieces<R: Real, const J: usize>(
             let [e0, e1] = &body.plane;
             let places = Field { at: frame.origin, by: [frame.rotation.apply(*e0), frame.rotation.apply(*e1)] };
             let velocities = places.velocity(&frame.velocity);
-            for plate in &body.plates {
-                pieces.push(LanePiece {
-                    body: l + 1,
-                    place: state.position + places.value(plate.center),
-                    normal: places.change(plate.normal),
-                    velocity: velocities.value(plate.center),
-                    area: plate.area,
-                    one_sided: false,
-                });
+            let across = places.by[0].cross(places.by[1]);
+            // Two plates at a time, in two pieces beside each other.
+            for pair in body.plates.chunks(2) {
+                let plate = &pair[pair.len() / 2];
+                let area = pair.iter().fold(R::zero(), |sum, p| sum + p.area) * R::splat(0.5);
+                let beside = across * (plate.width * quarter);
+                let (place, velocity) = (state.position + places.value(plate.center), velocities.value(plate.center));
+                let normal = places.change(plate.normal);
+                for place in [place + beside, place - beside] {
+                    let body = l + 1;
+                    pieces.push(LanePiece { body, place, normal, velocity, area, one_sided: false, cells: 1 });
+                }
             }
         }
     }

@@ -15,8 +15,8 @@ use super::spatial::Twist;
 use super::used::LaneMemory;
 use super::{Model, State};
 use crate::error::{Error, Result};
-use crate::sand::memory::Moved;
 use crate::number::{Isa, Kernel, Real, Vec3, Work};
+use crate::sand::memory::Moved;
 use dynamics::{LaneJoint, LaneState, Scratch};
 use model::LaneModel;
 use std::f64::consts::TAU;
@@ -200,7 +200,7 @@ impl<R: Real, const J: usize> Kernel for Advance<'_, R, J> {
             if let Some(memory) = memory
                 && memory.tick()
             {
-                dynamics::pieces(model, state, &mut memory.pieces);
+                dynamics::pieces(model, state, memory.cell(), &mut memory.pieces);
                 memory.update(origins, state.position);
             }
         }

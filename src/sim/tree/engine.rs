@@ -199,7 +199,8 @@ impl<R: Real> Kernel for Advance<'_, R> {
                 && memory.tick()
             {
                 dynamics::place(&tree.bodies, &state.motion, &mut scratch.frames);
-                sand::pieces(feelers, &scratch.frames, state.position, &mut memory.pieces);
+                let tops = memory.surfaces.tops;
+                sand::pieces(feelers, &tree.patches, &scratch.frames, state.position, tops, &mut memory.pieces);
                 memory.update(origins, state.position);
             }
         }

@@ -8,12 +8,12 @@ use super::dynamics::{Frame, Load};
 use super::patches::{BodyPatches, Facet, Panel, Patch, Tile};
 use super::terrain::{Local, Surface};
 use crate::number::{Mat3, Real, Vec3};
-use std::collections::BTreeMap;
-use crate::sand::law::{Normals, StressLaw};
 use crate::sand::intruder::Plate;
+use crate::sand::law::{Normals, StressLaw};
 use crate::sand::{LawCoefficients, Plain, SandBed, SegmentState, StressModel};
-use crate::used::{LanePiece, Surfaces};
 use crate::spatial::{Inertia, PointMasses, Twist, Wrench};
+use crate::used::{LanePiece, Surfaces};
+use std::collections::BTreeMap;
 
 /// The sand's effect on a body: forces about the base's origin, and its drag as masses.
 struct Total<R> {
@@ -54,7 +54,9 @@ pub fn press<R: Real>(
         });
         let expected = frame.change.scaled(trusted);
         let middle = expected.scale_add(R::splat(0.5), &frame.velocity);
-        let Some(total) = on_body(ground, plates, frame, &middle, place, travel, &under, strength, dt) else { continue };
+        let Some(total) = on_body(ground, plates, frame, &middle, place, travel, &under, strength, dt) else {
+            continue;
+        };
         let load = &mut loads[plates.body];
         let mut drag = Inertia::points(&total.drag);
         drag.add(&total.edge);
@@ -102,10 +104,33 @@ impl Feeler {
 
 /// Lists the pieces of all bodies that may move sand, for [`crate::used`].
 #[inline(always)]
-pub fn pieces<R: Real>(feelers: &[Feeler], frames: &[Frame<R>], from: Vec3<R>, pieces: &mut Vec<LanePiece<R>>) {
+pub fn pieces<R: Real>(
+    feelers: &[Feeler],
+    bodies: &[BodyPatches],
+    frames: &[Frame<R>],
+    from: Vec3<R>,
+    tops: R,
+    pieces: &mut Vec<LanePiece<R>>,
+) {
     pieces.clear();
-    for feeler in feelers {
-        let frame = &frames[feeler.body];
+    let mut all = feelers;
+    for plates in bodies {
+        let skipped = all.iter().take_while(|feeler| feeler.body < plates.body).count();
+        let own = all[skipped..].iter().take_while(|feeler| feeler.body == plates.body).count();
+        let (own, rest) = all[skipped..].split_at(own);
+        all = rest;
+        let frame = &frames[plates.body];
+        let center = from + frame.point(Vec3::splat(plates.ball.center));
+        if R::any((center.z - R::splat(plates.ball.reach)).lt(tops)) {
+            own.iter().for_each(|feeler| feeler.place(frame, from, pieces));
+        }
+    }
+}
+
+impl Feeler {
+    #[inline(always)]
+    fn place<R: Real>(&self, frame: &Frame<R>, from: Vec3<R>, pieces: &mut Vec<LanePiece<R>>) {
+        let feeler = self;
         let at = frame.point(Vec3::splat(feeler.center));
         pieces.push(LanePiece {
             body: feeler.body,
@@ -114,6 +139,7 @@ pub fn pieces<R: Real>(feelers: &[Feeler], frames: &[Frame<R>], from: Vec3<R>, p
             velocity: frame.velocity.at(at),
             area: R::splat(feeler.area),
             one_sided: true,
+            cells: 1,
         });
     }
 }
@@ -163,7 +189,9 @@ fn on_body<R: Real>(
             by(law, &Plain, ground, plates, frame, velocity, place, travel, under, strength, dt)
         }
         (law, None) => by(law, &Plain, ground, plates, frame, velocity, place, travel, under, strength, dt),
-        (law, Some(mechanisms)) => by(law, mechanisms, ground, plates, frame, velocity, place, travel, under, strength, dt),
+        (law, Some(mechanisms)) => {
+            by(law, mechanisms, ground, plates, frame, velocity, place, travel, under, strength, dt)
+        }
     }
 }
 

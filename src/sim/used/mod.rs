@@ -8,8 +8,11 @@ use crate::number::{Real, Vec3};
 use crate::sand::memory::{Marks, Moved, Piece, Settings};
 use crate::{Model, State};
 
-/// Time between two movements of sand [s]: our choice. A foot that swings with 1 m/s moves by 5 mm, about a cell.
-const PERIOD: f64 = 5e-3;
+/// Time between two movements of sand [s]: our choice. A foot that pushes with 0.5 m/s moves by 5 mm, about a cell.
+const PERIOD: f64 = 1e-2;
+/// Height above the highest sand above which a body finds nothing yet [cells]: our choice, 2 cm for the hexapods, which a leg of
+/// theirs falls in [`PERIOD`] with 2 m/s.
+const ABOVE: f64 = 4.0;
 
 /// A piece of a body's surface in all lanes.
 #[derive(Clone, Copy)]
@@ -23,6 +26,8 @@ pub struct LanePiece<R> {
     pub area: R,
     /// Does only the side of the normal touch sand?
     pub one_sided: bool,
+    /// See [`Piece`].
+    pub cells: u8,
 }
 
 /// What each body has found, in lanes.
@@ -30,6 +35,8 @@ pub struct Surfaces<R> {
     /// [m]
     pub levels: Vec<R>,
     pub strengths: Vec<R>,
+    /// Bodies above this height find nothing yet [m].
+    pub tops: R,
 }
 
 /// The sand around the robots of a block.
@@ -58,7 +65,7 @@ impl<R: Real> LaneMemory<R> {
     /// For robots with `bodies` bodies that touch sand; None if the model's sand has no memory.
     pub fn new(model: &Model, bodies: usize) -> Option<Self> {
         let settings = model.scene.memory?;
-        let surfaces = Surfaces { levels: vec![R::zero(); bodies], strengths: vec![R::one(); bodies] };
+        let surfaces = Surfaces { levels: vec![R::zero(); bodies], strengths: vec![R::one(); bodies], tops: R::zero() };
         Some(Self {
             surfaces,
             settings: vec![settings; R::LANES],
@@ -89,12 +96,20 @@ impl<R: Real> LaneMemory<R> {
         self.show(lane);
     }
 
+    /// Side of a cell [m], the same in all lanes.
+    pub fn cell(&self) -> f64 {
+        self.settings[0].cell
+    }
+
     pub fn sand(&self, lane: usize) -> &Moved {
         &self.moved[lane]
     }
 
     /// Puts what a lane's bodies have found into the lanes.
+    #[inline(always)]
     fn show(&mut self, lane: usize) {
+        let top = self.moved[lane].grid.highest() + ABOVE * self.settings[lane].cell;
+        self.surfaces.tops.set_lane(lane, top);
         for (body, found) in self.moved[lane].found.iter().enumerate() {
             self.surfaces.levels[body].set_lane(lane, found.level.into());
             self.surfaces.strengths[body].set_lane(lane, self.settings[lane].strength(found));
@@ -133,16 +148,34 @@ impl<R: Real> LaneMemory<R> {
             let [x, y, _] = middle.lane(lane);
             moved.grid.follow([origin[0] + x, origin[1] + y]);
             let high = moved.grid.highest() + settings.cell;
+            // Bodies without pieces are far above.
+            let mut next = 0;
+            for group in groups.iter() {
+                moved.found[next..group.body].iter_mut().for_each(|found| found.inside = false);
+                next = group.body + 1;
+            }
+            moved.found[next..].iter_mut().for_each(|found| found.inside = false);
             for Group { body, from, to, low } in groups.iter() {
                 let low = low.lane(lane);
                 // Well above the sand: what it finds does not matter yet.
-                if low > high + settings.cell && !moved.found[*body].inside {
+                if low > high + (ABOVE - 1.0) * settings.cell {
+                    moved.found[*body].inside = false;
                     continue;
                 }
                 own.clear();
                 let mut sum = [0.0; 3];
-                for p in pieces[*from..*to].iter().filter(|p| p.place.z.lane(lane) <= high.max(low)) {
-                    let piece = p.of(lane, origin);
+                let inside = moved.found[*body].inside;
+                for p in &pieces[*from..*to] {
+                    let z = p.place.z.lane(lane);
+                    if z > high.max(low) {
+                        continue;
+                    }
+                    let place = [origin[0] + p.place.x.lane(lane), origin[1] + p.place.y.lane(lane), z];
+                    // Inside, only pieces below the surface count.
+                    if inside && z > low && z >= moved.grid.height(moved.grid.frame.cell_at([place[0], place[1]])) {
+                        continue;
+                    }
+                    let piece = p.of(lane, place);
                     let [vx, vy, _] = piece.velocity;
                     sum = [sum[0] + piece.area * vx, sum[1] + piece.area * vy, sum[2] + piece.area];
                     own.push(piece);
@@ -167,14 +200,14 @@ const MOST_SWEEPS: usize = 16;
 
 impl<R: Real> LanePiece<R> {
     #[inline(always)]
-    fn of(&self, lane: usize, origin: [f64; 2]) -> Piece {
-        let ([x, y, z], velocity) = (self.place.lane(lane), self.velocity.lane(lane));
+    fn of(&self, lane: usize, place: [f64; 3]) -> Piece {
+        let velocity = self.velocity.lane(lane);
         let mut normal = self.normal.lane(lane);
         let along = normal[0] * velocity[0] + normal[1] * velocity[1] + normal[2] * velocity[2];
         if along < 0.0 && !self.one_sided {
             normal = normal.map(|n| -n);
         }
-        Piece { place: [origin[0] + x, origin[1] + y, z], normal, area: self.area.lane(lane), velocity }
+        Piece { place, normal, area: self.area.lane(lane), velocity, cells: self.cells }
     }
 }
 
