@@ -74,6 +74,7 @@ fn environments_take_what_is_reserved() {
         ("sandcat on dunes", json!({"ground": "dunes", "measure_heights": true})),
         ("1,000 shapes", json!({"robot": many(1_000), "ground": "rigid"})),
         ("5,000 points", json!({"robot": points(5_000), "ground": "rigid"})),
+        ("sandcat on sand that remembers", json!({"memory": true})),
         ("long names", json!({"robot": robot(long), "ground": "rigid"})),
     ] {
         for envs in [16, 208] {

@@ -2,6 +2,7 @@
 
 use sandgait::sand::intruder::with_friction;
 use sandgait::sand::intrusion::{CHORD, HIP_HEIGHT, Load, OMEGA, Rotation, WIDTH};
+use sandgait::sand::memory::REPOSE_DEG;
 use sandgait::sand::{Law, LegShape, Medium};
 use sandgait::{Error, Result};
 use std::path::PathBuf;
@@ -16,13 +17,18 @@ use std::path::PathBuf;
 /// [rad/s] (x heading, y axle, z up; 0 if absent), and either depth [m] of the body's lowest point or load [N] that the
 /// sand carries. Writes the rows with Fx, Fy, Fz, Tx, Ty, Tz, depth and status. The status is ok, or no_equilibrium if
 /// the sand cannot carry the load. If a body that is not round turns, forces are means over a turn.
+///
+/// With --memory the sand remembers: rows with the same `trial` are one path in time, from level sand on. Each row has
+/// a time t [s]; x and y [m] are the place of the body's origin, or else it moves on with the velocities of the row above.
+/// Depths are below the undisturbed surface.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait intrude --shape L --csv L.csv
   sandgait intrude --shape xi=-30 --medium quikrete-fine --csv reversed.csv
   sandgait intrude --shape C                            (a summary only)
   sandgait intrude --body cylinder:radius=0.0625,width=0.06 --trials rows.csv --sand sand.toml --csv forces.csv
-  sandgait intrude --body box:length=0.1,width=0.05,height=0.02 --trials rows.csv --law agarwal2023 --csv forces.csv")]
+  sandgait intrude --body box:length=0.1,width=0.05,height=0.02 --trials rows.csv --law agarwal2023 --csv forces.csv
+  sandgait intrude --body sphere:radius=0.02 --trials steps.csv --memory --csv forces.csv --surface heights.csv")]
 pub struct Intrude {
     /// Shape of the leg: L, revL, C, revC, flat or xi=DEGREES
     #[arg(long, allow_hyphen_values = true, required_unless_present = "body", conflicts_with_all = ["body", "trials"])]
@@ -40,6 +46,18 @@ pub struct Intrude {
     /// Size of the plates into which the surface is cut [m]; default: a fiftieth of the body's longest side
     #[arg(long, value_name = "METRES", allow_negative_numbers = true, requires = "body")]
     plate_size: Option<f64>,
+    /// Sand that was moved stays moved: paths in time, with heaps, furrows and prints (docs/memory.md)
+    #[arg(long, requires = "trials")]
+    memory: bool,
+    /// Angle of repose of the sand [°]
+    #[arg(long, value_name = "DEG", default_value_t = REPOSE_DEG, requires = "memory")]
+    repose_deg: f64,
+    /// Side of a cell of the surface [m]; default: a tenth of the body's longest horizontal side
+    #[arg(long, value_name = "METRES", requires = "memory")]
+    cell: Option<f64>,
+    /// CSV file for the surface after each trial: trial, x, y and height of the cells that were moved
+    #[arg(long, value_name = "FILE", requires = "memory")]
+    surface: Option<PathBuf>,
     /// Distance from hip to tip [m]
     #[arg(long, value_name = "METRES", default_value_t = CHORD, allow_negative_numbers = true)]
     chord: f64,
@@ -94,6 +112,8 @@ impl Intrude {
         if let Some(mu) = self.mu_s {
             sand = with_friction(&sand, mu)?;
         }
-        super::trials::run(body, self.plate_size, &sand, trials, self.csv.as_deref())
+        let (repose_deg, cell, surface) = (self.repose_deg, self.cell, self.surface.as_deref());
+        let memory = self.memory.then_some(super::trials::Memory { repose_deg, cell, surface });
+        super::trials::run(body, self.plate_size, &sand, trials, self.csv.as_deref(), memory.as_ref())
     }
 }

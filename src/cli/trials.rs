@@ -1,6 +1,8 @@
 //! `sandgait intrude --body … --trials …`: steady motions of any body, row by row.
 
+use sandgait::parallel;
 use sandgait::sand::SandDescription;
+use sandgait::sand::intruder::path::{self, Moment};
 use sandgait::sand::intruder::{Body, BodyShape, Given, Outcome, Status, Trial, compute_all};
 use sandgait::table::{self, Asked, Column, Quantity};
 use sandgait::{Error, Result};
@@ -11,7 +13,7 @@ const fn optional(name: &'static str, quantity: Quantity) -> Column<'static> {
     Column { name, quantity, required: false }
 }
 
-const COLUMNS: [Column; 8] = [
+const COLUMNS: [Column; 12] = [
     optional("vx", Quantity::Speed),
     optional("vy", Quantity::Speed),
     optional("vz", Quantity::Speed),
@@ -20,9 +22,18 @@ const COLUMNS: [Column; 8] = [
     optional("wz", Quantity::AngularSpeed),
     optional("depth", Quantity::Length),
     optional("load", Quantity::Force),
+    optional("trial", Quantity::Text),
+    optional("t", Quantity::Time),
+    optional("x", Quantity::Length),
+    optional("y", Quantity::Length),
 ];
 const DEPTH: usize = 6;
 const LOAD: usize = 7;
+const TRIAL: usize = 8;
+const TIME: usize = 9;
+const PLACE: [usize; 2] = [10, 11];
+/// Columns without those of paths.
+const STEADY: usize = 8;
 
 /// Columns that are added to each row.
 const RESULTS: [&str; 8] = ["Fx", "Fy", "Fz", "Tx", "Ty", "Tz", "depth", "status"];
@@ -35,6 +46,16 @@ struct Rows {
     header: Vec<String>,
     cells: Vec<String>,
     trials: Vec<Trial>,
+    /// With memory: the paths, in order.
+    paths: Vec<(String, Vec<Moment>)>,
+}
+
+/// Options of `--memory`.
+pub struct Memory<'a> {
+    pub repose_deg: f64,
+    pub cell: Option<f64>,
+    /// File for the surface after each path.
+    pub surface: Option<&'a Path>,
 }
 
 /// Computes every row and writes the table to `csv`, if this is given. Returns the number of rows without equilibrium.
@@ -44,10 +65,14 @@ pub fn run(
     sand: &SandDescription,
     trials: &Path,
     csv: Option<&Path>,
+    memory: Option<&Memory>,
 ) -> Result<String> {
     let body = Body::cut(&BodyShape::named(shape)?, plate_size)?;
-    let rows = read(trials)?;
-    let outcomes = compute_all(&body, sand, &rows.trials)?;
+    let rows = read(trials, memory.is_some())?;
+    let outcomes = match memory {
+        None => compute_all(&body, sand, &rows.trials)?,
+        Some(memory) => follow(&body, sand, &rows.paths, memory)?,
+    };
     if let Some(path) = csv {
         std::fs::write(path, rows.with(&outcomes)).map_err(|e| Error::file(path, e))?;
     }
@@ -63,9 +88,47 @@ pub fn run(
     ))
 }
 
-fn read(path: &Path) -> Result<Rows> {
-    let asked = Asked { most_rows: Some(MOST_ROWS), ..Asked::new(&COLUMNS) };
+/// The forces along all paths; writes the surfaces that they leave.
+fn follow(
+    body: &Body,
+    sand: &SandDescription,
+    paths: &[(String, Vec<Moment>)],
+    memory: &Memory,
+) -> Result<Vec<Outcome>> {
+    paths.iter().try_for_each(|(name, moments)| {
+        path::check(body, sand, moments).map_err(|e| Error::invalid(format!("trial {name:?}"), e.to_string()))
+    })?;
+    path::Path::new(body, sand, memory.repose_deg, memory.cell)?;
+    let followed = parallel::map(paths, |(name, moments)| -> Result<_> {
+        let mut path = path::Path::new(body, sand, memory.repose_deg, memory.cell)?;
+        let outcomes: Vec<Outcome> = moments.iter().map(|m| path.step(m)).collect();
+        Ok((outcomes, memory.surface.map(|_| lines(name, &mut path))))
+    });
+    let followed = followed.into_iter().collect::<Result<Vec<_>>>()?;
+    if let Some(file) = memory.surface {
+        let lines: String = followed.iter().filter_map(|(_, lines)| lines.as_deref()).collect();
+        std::fs::write(file, format!("trial,x,y,height\n{lines}")).map_err(|e| Error::file(file, e))?;
+    }
+    Ok(followed.into_iter().flat_map(|(outcomes, _)| outcomes).collect())
+}
+
+/// The cells that a path has moved, at rest.
+fn lines(name: &str, path: &mut path::Path) -> String {
+    path.settle();
+    let grid = &path.moved.grid;
+    let middle = |i: i32| (f64::from(i) + 0.5) * grid.frame.cell;
+    let moved = grid.cells().filter(|(_, height)| *height != 0.0);
+    let line =
+        |([x, y], height): ([i32; 2], f64)| format!("{},{:.5},{:.5},{height:.6}\n", quoted(name), middle(x), middle(y));
+    moved.map(line).collect()
+}
+
+fn read(path: &Path, memory: bool) -> Result<Rows> {
+    let columns = if memory { &COLUMNS[..] } else { &COLUMNS[..STEADY] };
+    let asked = Asked { most_rows: Some(MOST_ROWS), ..Asked::new(columns) };
     let (mut cells, mut trials) = (Vec::new(), Vec::new());
+    let mut paths: Vec<(String, Vec<Moment>)> = Vec::new();
+    let mut names = std::collections::BTreeSet::new();
     let mut keep = Vec::new();
     let summary = table::read(path, &asked, |row| {
         let mut motion = [0.0; DEPTH];
@@ -80,7 +143,25 @@ fn read(path: &Path) -> Result<Rows> {
         };
         let [vx, vy, vz, wx, wy, wz] = motion;
         let trial = Trial { velocity: [vx, vy, vz], spin: [wx, wy, wz], given };
-        trials.push(trial.validated().map_err(|e| Error::file(path, format!("row {}: {e}", row.line)))?);
+        let trial = trial.validated().map_err(|e| Error::file(path, format!("row {}: {e}", row.line)))?;
+        trials.push(trial);
+        if memory {
+            let place = match (row.number(PLACE[0])?, row.number(PLACE[1])?) {
+                (None, None) => None,
+                (x, y) => Some([x.unwrap_or(0.0), y.unwrap_or(0.0)]),
+            };
+            let moment = Moment { time: row.needed(TIME)?, place, trial };
+            let name = row.text(TRIAL).unwrap_or_default();
+            if paths.last().is_none_or(|(last, _)| last != name) {
+                if !names.insert(name.to_owned()) {
+                    return Err(row.error(TRIAL, format!("{name:?} comes again: the rows of a trial belong together")));
+                }
+                paths.push((name.to_owned(), Vec::new()));
+            }
+            if let Some((_, moments)) = paths.last_mut() {
+                moments.push(moment);
+            }
+        }
         keep.push(row.cells().map(str::to_owned).collect::<Vec<_>>());
         Ok(())
     })?;
@@ -94,7 +175,7 @@ fn read(path: &Path) -> Result<Rows> {
     for row in keep {
         cells.push(kept.iter().filter_map(|k| row.get(*k)).map(|c| quoted(c)).collect::<Vec<_>>().join(","));
     }
-    Ok(Rows { header: kept.iter().map(named).collect(), cells, trials })
+    Ok(Rows { header: kept.iter().map(named).collect(), cells, trials, paths })
 }
 
 /// A cell in CSV format.

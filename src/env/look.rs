@@ -3,6 +3,7 @@
 use super::shard::{Episode, Shard};
 use super::spec::Spec;
 use super::task::{Goal, Transition};
+use crate::sand::memory::Moved;
 use crate::sim::{Model, State};
 use std::sync::Arc;
 
@@ -12,6 +13,8 @@ pub struct Look<'a> {
     pub model: &'a Arc<Model>,
     pub state: &'a State,
     pub goal: &'a Goal,
+    /// The sand that was moved; None without memory, and for an episode that has ended.
+    pub sand: Option<&'a Moved>,
     /// Stress on each leg as a share of that on fresh ground; empty if all ground is fresh.
     pub footing: &'a [f64],
     /// Seed and number of the episode.
@@ -21,6 +24,13 @@ pub struct Look<'a> {
     pub action: &'a [f32],
     pub reward: f32,
     pub info: Vec<f32>,
+}
+
+impl Look<'_> {
+    /// The state with the sand that was moved.
+    pub fn whole_state(&self) -> State {
+        State { sand: self.sand.cloned().map(Box::new), ..self.state.clone() }
+    }
 }
 
 impl Shard {
@@ -45,6 +55,7 @@ impl Shard {
             model: goal.model.as_ref().unwrap_or(task.model()),
             state: if old.is_some() { &episode.before } else { after },
             goal,
+            sand: if old.is_some() { None } else { self.engine.sand(i) },
             footing: goal.ground.as_ref().map_or(&[], |g| &g.footing),
             episode: (*seed, number - u64::from(old.is_some())),
             time: f64::from(steps) / spec.control_rate,

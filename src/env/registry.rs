@@ -173,14 +173,15 @@ impl Blueprint {
     }
 
     /// Memory of one environment [bytes]: rows twice (final observations), its robot, its episode, the one before it, and
-    /// the copy that a rollout or restore makes. The measured constant is for two episodes; each episode of a tree robot
+    /// the copy that a rollout or restore makes, with the sand around it. The measured constant is for two episodes; each episode of a tree robot
     /// has a model of its own.
     pub fn bytes_per_env(&self) -> usize {
         let (spec, model) = (self.task.spec(), self.task.model());
         let rows = 4 * (2 * spec.observation.len() + spec.info.len() + spec.action.len());
         let sensed = 3 * 4 * self.task.sensing().map_or(0, Plan::numbers);
         let drawn = model.tree.as_ref().map_or(0, |_| model.episode_bytes());
-        rows + sensed + self.episode_bytes / 2 * 3 + 3 * drawn + model.robot_bytes(self.engine)
+        let copy = model.sand_bytes();
+        rows + sensed + self.episode_bytes / 2 * 3 + 3 * drawn + model.robot_bytes(self.engine) + copy
     }
 
     /// Memory that environments with the same options share [bytes]: the model, and the names of all columns, which the

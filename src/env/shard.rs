@@ -334,7 +334,7 @@ impl Shard {
         let change = episode.task.after_step(&mut episode.goal, &episode.after, row);
         if let Change::Push([x, y]) = change {
             (episode.after.velocity[0], episode.after.velocity[1]) = (x, y);
-            self.engine.set_state(i, &episode.after);
+            put_back(&mut self.engine, i, &mut episode.after);
             self.engine.state(i, &mut episode.after);
         } else if change != Change::Nothing {
             tell(&mut self.engine, i, episode, change);
@@ -379,6 +379,8 @@ impl Shard {
     pub(super) fn take_up(&mut self, i: usize, before: Before, tells: bool) {
         let episode = &mut self.episodes[i];
         self.engine.set_state(i, &episode.after);
+        // The engine has the sand from here on.
+        episode.after.sand = None;
         if episode.goal.ground.is_some() {
             tell(&mut self.engine, i, episode, Change::Footing);
         }
@@ -432,12 +434,19 @@ impl Shard {
     }
 }
 
+/// Sets the state of environment `i`, which stays in the sand that it has moved.
+fn put_back(engine: &mut Engine, i: usize, state: &mut State) {
+    state.sand = engine.sand(i).cloned().map(Box::new);
+    engine.set_state(i, state);
+    state.sand = None;
+}
+
 /// Gives the engine the changes of environment `i`'s ground.
-fn tell(engine: &mut Engine, i: usize, episode: &Episode, change: Change) {
+fn tell(engine: &mut Engine, i: usize, episode: &mut Episode, change: Change) {
     let (Some(ground), Some(model)) = (&episode.goal.ground, &episode.goal.model) else { return };
     if change == Change::Patch {
         engine.set_model(i, model);
-        engine.set_state(i, &episode.after);
+        put_back(engine, i, &mut episode.after);
     }
     engine.set_footing(i, model, &ground.footing);
 }

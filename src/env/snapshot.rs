@@ -10,6 +10,7 @@ use super::sensors::{ActionDelay, Memory};
 use super::shard::{Before, Episode, Shard};
 use super::task::{AnyTask, Goal};
 use crate::error::{Error, Result, check_range};
+use crate::sand::memory::Moved;
 use crate::sim::model::Scene;
 use crate::sim::obstacle::{Obstacle, ObstacleShape};
 use crate::sim::{Model, Robot, State};
@@ -43,6 +44,9 @@ pub struct SavedEpisode {
     /// Actions that are on their way to the motors.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub delayed: Vec<f32>,
+    /// The sand that was moved: [`Moved::to_bytes`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sand: Option<Vec<u8>>,
 }
 
 /// A checked [`SavedEpisode`], ready to go on.
@@ -76,6 +80,16 @@ impl Resumed {
         if state.objects.len() != goal.model.as_ref().unwrap_or(own).objects_at_rest().len() {
             return Err(unfit("its rocks"));
         }
+        let mut state = state;
+        let settings = goal.model.as_ref().unwrap_or(own).scene.memory;
+        state.sand = match (&saved.sand, settings) {
+            (None, None) => None,
+            (Some(bytes), Some(settings)) => {
+                let sand = Moved::from_bytes(&settings, own.sand_bodies(), bytes).ok_or_else(|| unfit("its sand"))?;
+                Some(Box::new(sand))
+            }
+            _ => return Err(unfit("its sand")),
+        };
         let (actions, last) = (task.spec().action.len(), &saved.last_action);
         if last.len() != actions || !last.iter().all(|a| (-1.0..=1.0).contains(a)) {
             return Err(unfit("its last action"));
@@ -154,6 +168,7 @@ impl Shard {
             legged: goal.legged.clone(),
             state: after.row(),
             last_action: last_action.clone(),
+            sand: self.engine.sand(i).map(Moved::to_bytes),
         }
     }
 
@@ -161,7 +176,8 @@ impl Shard {
     pub fn keep(&self, i: usize) -> Resumed {
         let Episode { task, seed, number, steps, goal, after, last_action, memory, delay, .. } = &self.episodes[i];
         let (task, goal) = (task.clone(), goal.clone());
-        let (state, last_action) = (after.clone(), last_action.clone());
+        let (mut state, last_action) = (after.clone(), last_action.clone());
+        state.sand = self.engine.sand(i).cloned().map(Box::new);
         let (memory, delay) = (memory.clone(), delay.clone());
         Resumed { task, seed: *seed, number: *number, steps: *steps, goal, state, last_action, memory, delay }
     }

@@ -198,6 +198,10 @@ impl Task for HexapodTerrain {
         // The model comes first, because its error names slope or payload.
         let (model, own) = (HexapodGait::model(&options.gait)?, &options.gait.walking);
         options.randomize.validate(own.slope_deg, own.payload)?;
+        if own.memory && options.randomize.footprint != [0.0; 2] {
+            let reason = "memory and randomize.footprint describe the same thing: set randomize.footprint to [0, 0]";
+            return Err(Error::invalid("memory", reason));
+        }
         Ok(model)
     }
 

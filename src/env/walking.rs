@@ -30,6 +30,7 @@ options! {
         leg: String = "L".into(), reset, "leg shape: L, revL, C, revC, flat or xi=DEGREES";
         medium: String = Medium::DEFAULT.into(), reset, "sand: a medium's name, zeta=VALUE or mu=VALUE,rho=VALUE";
         sand: String = String::new(), "text of a sand.toml, for example from a diagnosis (in Python its path); it replaces medium and law";
+        memory: bool = false, "sand that was moved stays moved: prints, furrows and heaps, and sand that is pressed gets stronger (docs/memory.md)";
         slope_deg: f64 = 0.0, reset, "slope of the surface [°]; a positive slope rises toward +x";
         payload: f64 = 0.0, reset, "extra mass at the base's centre [kg]";
         max_episode_steps: u32 = 500, [1.0, MAX_STEPS], "number of control steps after which an episode is truncated";
@@ -57,6 +58,13 @@ impl Walking {
         let mut scene = Scene::flat(Medium::named(&self.medium)?);
         (scene.law, scene.slope_deg, scene.dt, scene.payload) = (self.law, self.slope_deg, self.dt, self.payload);
         set_sand(&mut scene, &self.sand)?;
+        if self.memory {
+            if self.engine != EngineKind::Lanes {
+                let reason = format!("engine {} has no sand with memory; lanes has", self.engine.name());
+                return Err(Error::invalid("memory", reason));
+            }
+            scene.remember(&robot);
+        }
         Model::new(&robot, &scene)
     }
 }

@@ -36,7 +36,7 @@ pub fn render(batch: &Batch, indices: &[u32], size: [u32; 2], ended: bool, camer
 /// One picture, u8 [height, width, 3].
 pub fn draw(batch: &Batch, index: usize, size: [u32; 2], ended: bool, camera: &CameraOptions) -> Result<Vec<u8>> {
     let look = batch.look(index, ended)?;
-    view::draw(look.model, look.state, look.footing, size, camera, &captions(&look))
+    view::draw(look.model, &look.whole_state(), look.footing, size, camera, &captions(&look))
 }
 
 /// The caption of a picture.
@@ -72,6 +72,6 @@ pub fn header(spec: &Spec, model: &Model, episode: (u64, u64)) -> String {
 
 /// The moment's numbers.
 fn row(look: &Look) -> Vec<f32> {
-    let Look { model, state, footing, time, action, reward, info, .. } = look;
-    view::row(model, &Moment { time: *time, state, footing, action, reward: *reward, info })
+    let Look { model, footing, time, action, reward, info, .. } = look;
+    view::row(model, &Moment { time: *time, state: &look.whole_state(), footing, action, reward: *reward, info })
 }

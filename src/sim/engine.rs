@@ -9,6 +9,7 @@ use super::tree::TreeEngine;
 use super::{Model, State};
 use crate::error::{Error, Result};
 use crate::number::flushed;
+use crate::sand::memory::Moved;
 use serde::{Deserialize, Serialize};
 
 pub use super::command::Command;
@@ -73,6 +74,10 @@ pub enum Engine {
 impl Engine {
     /// `count` robots at rest, all with `model`.
     pub fn new(kind: EngineKind, model: &Model, count: usize) -> Result<Self> {
+        if model.scene.memory.is_some() && !matches!(kind, EngineKind::Lanes | EngineKind::Tree) {
+            let reason = format!("engine {} has none; lanes and tree have", kind.name());
+            return Err(Error::invalid("memory", reason));
+        }
         Ok(match kind {
             EngineKind::Lanes => Self::Lanes(LanesEngine::new(model, count)?),
             EngineKind::Rapier => Self::Rapier(RapierEngine::new(model, count)),
@@ -119,6 +124,15 @@ impl Engine {
             Self::Rapier(e) => e.state(index, out),
             Self::Tree(e) => e.state(index, out),
             Self::Carriage(e) => e.state(index, out),
+        }
+    }
+
+    /// The sand around robot `index`; None if it has no memory.
+    pub fn sand(&self, index: usize) -> Option<&Moved> {
+        match self {
+            Self::Lanes(e) => e.sand(index),
+            Self::Tree(e) => e.sand(index),
+            Self::Rapier(_) | Self::Carriage(_) => None,
         }
     }
 

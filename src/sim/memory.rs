@@ -70,6 +70,10 @@ impl Model {
 
     /// Memory of one robot in an engine [bytes], without its model.
     pub fn robot_bytes(&self, engine: EngineKind) -> usize {
+        self.sand_bytes() + self.engine_bytes(engine)
+    }
+
+    fn engine_bytes(&self, engine: EngineKind) -> usize {
         match (engine, &self.tree) {
             (EngineKind::Tree, Some(tree)) => {
                 let points = if self.scene.hard.is_empty() { 0 } else { tree.contacts.iter().map(Vec::len).sum() };

@@ -19,6 +19,7 @@
 //! * [`rapier`]: rapier3d multibodies, one world for each robot.
 //! * [`carriage`]: a leg on a driven carriage, whose forces are measured.
 //! * [`tree`]: any legged robot as a tree of bodies.
+//! * `used`: sand that remembers, in lanes.
 //! * [`walk`]: the speed protocol of the reference experiments.
 
 use sandgait_base::error;
@@ -45,6 +46,7 @@ pub mod spatial;
 pub mod state;
 mod stop;
 pub mod tree;
+mod used;
 pub mod walk;
 
 pub use model::Model;

@@ -9,6 +9,7 @@ use super::tree::relief::Relief;
 use super::tree::{HardGround, TreeModel};
 use crate::error::{Error, Result, check_range};
 use crate::number::Real;
+use crate::sand::memory::{Moved, REPOSE_DEG, Settings};
 use crate::sand::{Law, LegShape, Mechanisms, Medium, SandBed, SandDescription, Segment, Surface};
 use crate::stop::NO_LIMIT;
 use serde::{Deserialize, Serialize};
@@ -47,7 +48,17 @@ pub struct Scene {
     /// that reads a scene adds it.
     #[serde(skip)]
     pub relief: Option<Arc<Relief>>,
+    /// Sand that was moved stays moved; None: the surface is always as at the start. Engines `lanes` and `tree` support
+    /// it, on flat sand.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub memory: Option<Settings>,
 }
+
+/// Cells along a side of the square of heights that moves with a robot, as a power of two: 64. Our choice: 12 KiB.
+const BITS: u32 = 6;
+/// Most cells from the robot's middle to its farthest point: our choice, so that some cells are left around it while the
+/// square follows in steps of eight cells.
+const WITHIN: f64 = 22.0;
 
 impl Scene {
     /// Time step of engine `lanes`, 1 ms: the largest at which its reference walks are within 1 % of the converged
@@ -72,6 +83,7 @@ impl Scene {
             obstacles: Vec::new(),
             hard: Vec::new(),
             relief: None,
+            memory: None,
         }
     }
 
@@ -87,9 +99,40 @@ impl Scene {
         (self.medium, self.law, self.mechanisms) = (sand.medium(), sand.law, sand.mechanisms);
     }
 
+    /// Gives the sand memory, for `robot`: cells of half a leg's width, or so large that the square contains the robot.
+    pub fn remember(&mut self, robot: &Robot) {
+        let width = robot.leg.link.iter().rev().find_map(|link| link.sand.as_ref()).map_or(0.01, |strip| strip.width);
+        let long = |v: [f64; 3]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
+        let legs: f64 = robot.leg.link.iter().map(|link| long(link.reach)).sum();
+        let reach = robot.hip.iter().map(|hip| long(hip.position)).fold(0.0, f64::max) + legs;
+        let cell = (0.5 * width).max(reach / WITHIN);
+        self.memory = Some(Settings::new(&self.medium, cell, BITS, 2.0 * width, REPOSE_DEG));
+    }
+
+    /// The same for a tree robot: its square contains it as it stands.
+    pub fn remember_tree(&mut self, tree: &TreeModel) {
+        let cell = tree.reach().max(1e-3) / WITHIN;
+        self.memory = Some(Settings::new(&self.medium, cell, BITS, 2.0 * cell, REPOSE_DEG));
+    }
+
     /// The sand, ready for evaluation.
     pub fn ground<R: Real>(&self) -> SandBed<R> {
         SandBed::new(self.law, &self.medium, &self.surface).with(&self.mechanisms, &self.medium)
+    }
+
+    /// Refuses what sand with memory is not defined for.
+    fn check_memory(&self) -> Result<()> {
+        let no = |reason: &str| Err(Error::invalid("memory", reason));
+        if self.mechanisms.footprint != 0.0 {
+            return no("the sand's footprint mechanism and memory describe the same thing: leave one out");
+        }
+        if !self.hard.is_empty() || self.relief.is_some() {
+            return no("it is defined for flat sand: not with hard ground, dunes or a relief");
+        }
+        if !self.obstacles.is_empty() {
+            return no("it is not defined for sand with obstacles");
+        }
+        Ok(())
     }
 
     fn validate(&self) -> Result<()> {
@@ -98,6 +141,10 @@ impl Scene {
         crate::sand::term::check(&self.medium.terms, &self.medium.coefficients, self.medium.bulk_density)?;
         check_range("dt", self.dt, 1e-6..=5e-3)?;
         check_range("payload", self.payload, 0.0..=Self::MAX_PAYLOAD)?;
+        if let Some(memory) = &self.memory {
+            memory.validate()?;
+            self.check_memory()?;
+        }
         check_range("surface.rest_speed", self.surface.rest_speed, 1e-9..=1e-2)?;
         check_range("surface.leading_edge_gate", self.surface.leading_edge_gate, 1e-3..=1.0)?;
         check_range("surface.sign_gate", self.surface.sign_gate, 1e-3..=1.0)?;
@@ -272,6 +319,17 @@ impl Model {
         !self.scene.hard.iter().any(HardGround::is_everything)
     }
 
+    /// Number of bodies that find a surface of their own in sand with memory: the belly and the legs, or the bodies of a
+    /// tree.
+    pub fn sand_bodies(&self) -> usize {
+        self.tree.as_ref().map_or(1 + self.legs.len(), |tree| tree.tree.bodies.len())
+    }
+
+    /// Memory of the sand around one robot [bytes]; 0 if it has none.
+    pub fn sand_bytes(&self) -> usize {
+        self.scene.memory.as_ref().map_or(0, |settings| Moved::bytes(settings, self.sand_bodies()))
+    }
+
     /// Height of the ground at a place [m].
     pub fn surface_height(&self, x: f64, y: f64) -> f64 {
         self.scene.relief.as_ref().map_or(0.0, |relief| relief.at(x, y).0)
@@ -328,7 +386,10 @@ impl Model {
 
     /// The same robot on other sand.
     pub fn with_medium(&self, medium: Medium) -> Self {
-        Self { scene: Scene { medium, ..self.scene.clone() }, ..self.clone() }
+        Self {
+            scene: Scene { memory: self.scene.memory.map(|m| m.on(&medium)), medium, ..self.scene.clone() },
+            ..self.clone()
+        }
     }
 
     /// Sets slope [°] and payload [kg]; values beyond a scene's bounds are clipped.

@@ -78,17 +78,19 @@ impl Pose {
             least: STANCE * model.total_mass() * model.gravity.norm(),
             travel: state.travel(),
         };
-        pose.press(&model.belly, &base, at, |site, area, n, v| ground.one_sided(site, area, n, v));
+        let [level, strength] = found(model, state, 0);
+        pose.press(&model.belly, &base, at, level, |site, area, n, v| ground.one_sided(site, area * strength, n, v));
         let mut joint = 0;
         for (leg, chain) in model.legs.iter().enumerate() {
-            let found = footing.get(leg).copied().unwrap_or(1.0);
+            let [level, strength] = found(model, state, leg + 1);
+            let found = footing.get(leg).copied().unwrap_or(1.0) * strength;
             let first = pose.loads.len();
             let mut frame = base;
             for body in chain {
                 let rate = state.rates[joint];
                 frame = frame.child(body, state.angles[joint], rate);
                 pose.bodies.push((frame.rotation, at + frame.origin));
-                pose.press_link(model, &ground, body, [rate, found], &frame, at);
+                pose.press_link(model, &ground, body, [rate, found, level], &frame, at);
                 joint += 1;
             }
             pose.leg_forces.push(pose.loads[first..].iter().map(|l| l.force).sum());
@@ -98,13 +100,13 @@ impl Pose {
     }
 
     /// Adds the sand's forces on a link. They act on its strip, or in part on its straight chord if sand fills its concave
-    /// leading side. `found` is the leg's share of the stress.
+    /// leading side. `found` is the leg's share of the stress, `level` the surface that it has found [m].
     fn press_link(
         &mut self,
         model: &Model,
         ground: &SandBed<f64>,
         body: &Body,
-        [rate, found]: [f64; 2],
+        [rate, found, level]: [f64; 3],
         frame: &Frame,
         at: V,
     ) {
@@ -113,9 +115,9 @@ impl Pose {
         let plate = |share: f64| {
             move |site: &SegmentState<f64>, area: f64, n, v| ground.thin_plate(site, area * share * found, n, v)
         };
-        self.press(&body.plates, frame, at, plate(1.0 - fill));
+        self.press(&body.plates, frame, at, level, plate(1.0 - fill));
         if model.scene.mechanisms.concave_fill > 0.0 {
-            self.press(&body.chord, frame, at, plate(fill));
+            self.press(&body.chord, frame, at, level, plate(fill));
         }
     }
 
@@ -126,6 +128,7 @@ impl Pose {
         plates: &[Plate],
         frame: &Frame,
         at: V,
+        level: f64,
         contact: impl Fn(&SegmentState<f64>, f64, Vec3<f64>, Vec3<f64>) -> Contact<f64>,
     ) {
         let vector = |v: V| Vec3::new(v.x, v.y, v.z);
@@ -133,8 +136,8 @@ impl Pose {
             let arm = frame.rotation * plate.center;
             let position = at + frame.origin + arm;
             let mut force = V::zeros();
-            if position.z < 0.0 {
-                let site = SegmentState::fresh(-position.z, position.x).travelling(self.travel);
+            if position.z < level {
+                let site = SegmentState::fresh(level - position.z, position.x).travelling(self.travel);
                 let (normal, velocity) = (frame.rotation * plate.normal, frame.velocity_at(arm));
                 let pushed = contact(&site, plate.area, vector(normal), vector(velocity)).force;
                 force = V::new(pushed.x, pushed.y, pushed.z);
@@ -159,6 +162,16 @@ impl Pose {
         };
         let legs = (0..self.stance.len()).filter(|leg| self.stance[*leg]).filter_map(of_leg);
         legs.chain(self.contacts.iter().filter(|c| c.force.norm() > self.least).copied()).collect()
+    }
+}
+
+/// Level of the sand [m] and factor on its strength that a body has found in sand with memory: 0 is the belly.
+fn found(model: &Model, state: &State, body: usize) -> [f64; 2] {
+    match (&state.sand, &model.scene.memory) {
+        (Some(sand), Some(settings)) => {
+            sand.found.get(body).map_or([0.0, 1.0], |found| [f64::from(found.level), settings.strength(found)])
+        }
+        _ => [0.0, 1.0],
     }
 }
 

@@ -1,5 +1,6 @@
 //! Position and motion of one robot.
 
+use crate::sand::memory::Moved;
 use serde::{Deserialize, Serialize};
 
 /// State of one robot; world frame: x along the surface (uphill), z along its normal, sand at z < 0.
@@ -35,6 +36,10 @@ pub struct State {
     /// The scene's obstacles that move, in their order.
     #[serde(default)]
     pub objects: Vec<ObjectState>,
+    /// Sand that was moved; None: level, or not asked for. Engines read it when a state is set, and give it only by
+    /// [`super::engine::Engine::sand`], because it is large.
+    #[serde(skip)]
+    pub sand: Option<Box<Moved>>,
 }
 
 /// Pose and velocity of a loose obstacle; world frame.
@@ -86,6 +91,7 @@ impl State {
             work: 0.0,
             impulse: [0.0; 3],
             objects: Vec::new(),
+            sand: None,
         }
     }
 
@@ -126,6 +132,7 @@ impl State {
             torques: part(3),
             rate_changes: part(4),
             objects: objects.iter().map(ObjectState::from_numbers).collect(),
+            sand: None,
         })
     }
 

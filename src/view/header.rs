@@ -1,7 +1,7 @@
 //! The header of a recording: the robot's geometry and the meaning of every column.
 
 use super::camera::radius;
-use super::recording::{FORMAT, VERSION};
+use super::recording::{FORMAT, HEIGHTS, VERSION};
 use crate::sim::frame::V;
 use crate::sim::model::{Body, Piece};
 use crate::sim::pose::segments;
@@ -176,6 +176,9 @@ fn columns(model: &Model, about: &About) -> Vec<Value> {
     if model.tree.is_some() {
         let bodies = touching(model).len();
         all.extend([column("ground_forces", "N", &[bodies, 3]), column("ground_points", "m", &[bodies, 3])]);
+    }
+    if model.scene.memory.is_some() {
+        all.extend([column("sand_frame", "m", &[3]), column("sand_heights", "m", &[HEIGHTS, HEIGHTS])]);
     }
     all
 }

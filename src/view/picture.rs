@@ -185,7 +185,7 @@ impl Canvas {
 
     /// Draws a robot from a file and its ground; returns the labels of the grid lines.
     fn tree(&mut self, model: &Model, robot: &TreeModel, state: &State, pose: &Pose) -> Labels {
-        let (painted, ground) = (solid::robot(robot, state), solid::ground(model, self.options.target(state)));
+        let (painted, ground) = (solid::robot(robot, state), solid::ground(model, state, self.options.target(state)));
         let mut labels = Vec::new();
         // Lines and shadows are drawn on level ground only.
         if ground.is_none() {
@@ -208,6 +208,18 @@ impl Canvas {
         let labels = self.lines(model, state);
         let mut faces = robot_faces(model, pose);
         faces.extend(obstacle_faces(model, state));
+        if let Some(ground) = solid::ground(model, state, self.options.target(state)) {
+            let fan = |face: &Face| {
+                let (corners, color) = (face.corners.clone(), face.color);
+                (2..corners.len()).map(move |k| ([corners[0], corners[k - 1], corners[k]], color)).collect::<Vec<_>>()
+            };
+            let painted: Vec<solid::Painted> = faces.iter().flat_map(fan).collect();
+            let size = [self.map.width(), self.map.height()].map(|side| side * SAMPLES as u32);
+            let fine = Camera::of(&self.options, model, state, size);
+            solid::paint(&mut self.map, &fine, &painted, Some(&ground), &[]);
+            self.arrows(model, pose);
+            return labels;
+        }
         self.shadow(&faces);
         self.faces(faces);
         self.arrows(model, pose);

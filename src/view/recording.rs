@@ -70,7 +70,33 @@ pub fn row(model: &Model, moment: &Moment) -> Vec<f32> {
     vectors(&mut pose.loads.iter().map(|load| load.force));
     vectors(&mut pose.contacts.iter().map(|load| load.force));
     vectors(&mut pose.contacts.iter().map(|load| load.position));
+    if model.scene.memory.is_some() {
+        row.extend(heights(state));
+    }
     row
+}
+
+/// Sides of the field of heights of a moment.
+pub const HEIGHTS: usize = 32;
+
+/// x and y of the first node and the distance between nodes [m], then the heights of the sand around the robot, rows
+/// along y: every second cell of its square. Zeros without sand.
+fn heights(state: &State) -> Vec<f32> {
+    let mut all = vec![0.0; 3 + HEIGHTS * HEIGHTS];
+    let Some(sand) = &state.sand else { return all };
+    let (cell, side) = (sand.grid.frame.cell, sand.grid.frame.side());
+    let by = side / HEIGHTS;
+    for (k, ([i, j], height)) in sand.grid.cells().enumerate() {
+        let (x, y) = (k % side, k / side);
+        if k == 0 {
+            let at = |i: i32| ((f64::from(i) + 0.5) * cell) as f32;
+            (all[0], all[1], all[2]) = (at(i), at(j), (by as f64 * cell) as f32);
+        }
+        if x % by == 0 && y % by == 0 {
+            all[3 + y / by * HEIGHTS + x / by] = height as f32;
+        }
+    }
+    all
 }
 
 /// A block of the stream.

@@ -3,6 +3,7 @@
 use super::camera::{Camera, radius};
 use super::raster::{Facet, Layer, Rgb, SAMPLES};
 use super::{hard, tree};
+use crate::sand::memory::Moved;
 use crate::sim::frame::V;
 use crate::sim::tree::looks::{Form, Looks};
 use crate::sim::tree::{Geometry, HardGround, TreeModel, kinematics};
@@ -55,7 +56,10 @@ fn triangles(looks: &Looks, form: Form) -> Vec<[V; 3]> {
 }
 
 /// Ground with heights around the point [x, y], in the colours of sand; None: it is flat.
-pub fn ground(model: &Model, [x, y]: [f64; 2]) -> Option<Vec<Painted>> {
+pub fn ground(model: &Model, state: &State, [x, y]: [f64; 2]) -> Option<Vec<Painted>> {
+    if let Some(sand) = &state.sand {
+        return Some(moved(sand));
+    }
     if model.scene.relief.is_none() && !hard::rises(&model.scene.hard) {
         return None;
     }
@@ -76,6 +80,20 @@ pub fn ground(model: &Model, [x, y]: [f64; 2]) -> Option<Vec<Painted>> {
         all.extend([([a, b, c], color), ([a, c, d], color)]);
     }
     Some(all)
+}
+
+/// The square of sand that moves with a robot, every cell of it.
+fn moved(sand: &Moved) -> Vec<Painted> {
+    let (cell, side) = (sand.grid.frame.cell, sand.grid.frame.side());
+    let nodes: Vec<V> = (sand.grid.cells())
+        .map(|([i, j], height)| V::new((f64::from(i) + 0.5) * cell, (f64::from(j) + 0.5) * cell, height))
+        .collect();
+    let mut all = Vec::with_capacity(2 * side * side);
+    for k in (0..side * (side - 1)).filter(|k| k % side + 1 < side) {
+        let [a, b, c, d] = [k, k + 1, k + side + 1, k + side].map(|k| nodes[k]);
+        all.extend([([a, b, c], GROUND[0]), ([a, c, d], GROUND[0])]);
+    }
+    all
 }
 
 /// Paints robot, ground and hard ground into `map`. `camera`: that of a picture with [`SAMPLES`] times as many pixels

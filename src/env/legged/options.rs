@@ -46,6 +46,7 @@ options! {
         damping: BTreeMap<String, f64> = BTreeMap::new(), [0.0, 1e5], reset, "speed gains kd of servos by pattern of joint names [N·m·s/rad], in place of the robot's";
         action_scale: Option<f64> = None, [1e-3, 3.0], reset, "difference between a joint's target and its default position at action 1 [rad]; None: where the servo gives the joint's full torque, but 0.4 to 0.5 rad";
         relief: Option<ReliefOptions> = None, "heights of the ground; None: the ground is flat, except with ground dunes";
+        memory: bool = false, "sand that was moved stays moved: prints, furrows and heaps, and sand that is pressed gets stronger (docs/memory.md)";
         measure_heights: bool = false, "add the ground's heights at legged_gym's 187 points around the robot to the observation";
     }
 }
@@ -106,7 +107,11 @@ impl LeggedOptions {
             }
             scene.relief = Some(Arc::new(relief.relief()?));
         }
-        Model::of_tree(self.tree()?, &scene)
+        let tree = self.tree()?;
+        if self.memory {
+            scene.remember_tree(&tree);
+        }
+        Model::of_tree(tree, &scene)
     }
 
     /// The robot, with the pose and gains of the options.

@@ -7,6 +7,7 @@ mod body;
 pub mod cut;
 mod gather;
 mod mesh;
+pub mod path;
 mod trials;
 
 pub use body::{Body, BodyShape, sizes_of};

@@ -30,8 +30,9 @@ pub struct Moment {
 
 impl Moment {
     pub fn of(look: Look<'_>) -> Self {
-        let Look { model, state, footing, episode, time, action, reward, info, .. } = look;
-        let (model, state, footing, action) = (model.clone(), state.clone(), footing.to_vec(), action.to_vec());
+        let state = look.whole_state();
+        let Look { model, footing, episode, time, action, reward, info, .. } = look;
+        let (model, footing, action) = (model.clone(), footing.to_vec(), action.to_vec());
         Self { model, state, footing, episode, time, action, reward, info }
     }
 

@@ -18,6 +18,7 @@ use crate::sand::law::StressLaw;
 use crate::sand::{LawCoefficients, Plain, SandBed, SegmentState, StressModel};
 use crate::spatial::{Inertia, PointMasses, Symmetric, Twist, Wrench};
 use crate::stop::Push;
+use crate::used::{LanePiece, Surfaces};
 
 /// State of the robots in one block, one lane each; see [`crate::State`].
 #[derive(Clone)]
@@ -99,26 +100,49 @@ struct Frame<R> {
 }
 
 /// Position and horizontal velocity of the robot's base.
+#[derive(Clone, Copy)]
 struct Travel<R> {
-    /// [m]
+    /// [m]; z above the surface that the present body has found.
     position: Vec3<R>,
     /// Along x and y [m/s].
     velocity: [R; 2],
+    /// Strength of the sand that the present body has found; None without memory.
+    strength: Option<R>,
+}
+
+impl<R: Real> Travel<R> {
+    /// Over the sand that body number `body` has found: 0 is the belly, then come the legs.
+    #[inline(always)]
+    fn over(&self, surfaces: Option<&Surfaces<R>>, body: usize) -> Self {
+        let mut found = *self;
+        if let Some(surfaces) = surfaces {
+            found.position.z = self.position.z - surfaces.levels[body];
+            found.strength = Some(surfaces.strengths[body]);
+        }
+        found
+    }
 }
 
 /// Advances all lanes by one time step.
 #[inline(always)]
-pub fn step<R: Real, const J: usize>(model: &LaneModel<R, J>, state: &mut LaneState<R>, scratch: &mut Scratch<R, J>) {
+pub fn step<R: Real, const J: usize>(
+    model: &LaneModel<R, J>,
+    state: &mut LaneState<R>,
+    scratch: &mut Scratch<R, J>,
+    surfaces: Option<&Surfaces<R>>,
+) {
     let Scratch { hinges, links } = scratch;
     let base = base_frame(state);
     let mut position = state.position;
     position.x += state.travelled;
     let (mut inertia, mut bias) = base_inertia(model, &base);
-    let travel = Travel { position, velocity: [base.velocity.linear.x, base.velocity.linear.y] };
-    belly(model, &base, &travel, &mut inertia, &mut bias);
+    let travel = Travel { position, velocity: [base.velocity.linear.x, base.velocity.linear.y], strength: None };
+    let belly_found = travel.over(surfaces, 0);
+    belly(model, &base, &belly_found, &mut inertia, &mut bias);
     for (l, leg) in model.legs.iter().enumerate() {
         let (joints, hinges) = (&state.joints[l * J..][..J], &mut hinges[l * J..][..J]);
-        let (leg_inertia, leg_bias) = fold_leg(model, leg, &base, &travel, joints, hinges, links);
+        let found = travel.over(surfaces, l + 1);
+        let (leg_inertia, leg_bias) = fold_leg(model, leg, &base, &found, joints, hinges, links);
         inertia.add(&leg_inertia);
         bias.add(&leg_bias);
     }
@@ -212,7 +236,8 @@ fn belly_by<R: Real, const J: usize>(
             ..SegmentState::fresh(depth, travel.position.x + places.value(plate.center).x).travelling(travel.velocity)
         };
         let velocity = velocities.value(plate.center);
-        let contact = model.ground.one_sided_by(law, stress_model, &site, plate.area, normal, velocity);
+        let area = travel.strength.map_or(plate.area, |strength| plate.area * strength);
+        let contact = model.ground.one_sided_by(law, stress_model, &site, area, normal, velocity);
         forces.add(contact.force, plate.center);
         drag.add(contact.drag, plate.center);
         edge.add(contact.edge, plate.center);
@@ -224,6 +249,57 @@ fn belly_by<R: Real, const J: usize>(
         inertia.add(&Inertia::points(&drag.scaled(model.dt).of(&places)));
         inertia.add_outers(&edge.scaled(model.dt).of(&places.cross(normal)), normal);
         bias.add(&forces.wrench(&places).scale_add(-R::one(), &Wrench::zero()));
+    }
+}
+
+/// Lists the pieces of the belly (body 0) and of each leg (bodies 1, 2, …) that may move sand.
+#[inline(always)]
+pub fn pieces<R: Real, const J: usize>(
+    model: &LaneModel<R, J>,
+    state: &LaneState<R>,
+    cell: f64,
+    pieces: &mut Vec<LanePiece<R>>,
+) {
+    pieces.clear();
+    let base = base_frame(state);
+    let turn = &base.rotation;
+    let places = Field { at: turn.z * model.belly_height, by: [turn.x, turn.y] };
+    let velocities = places.velocity(&base.velocity);
+    // Four pieces a plate, which is taken for a square.
+    let quarter = R::splat(0.25);
+    for plate in &model.belly {
+        let side = (plate.area * quarter).sqrt();
+        // The same in all lanes, up to the number of cells.
+        let cells = (side.lane(0) / cell).round().clamp(1.0, 8.0) as u8;
+        for k in 0..4 {
+            let [u, v] = [k % 2, k / 2].map(|i| side * R::splat(f64::from(i) - 0.5));
+            let at = [plate.center[0] + u, plate.center[1] + v];
+            let (place, velocity) = (state.position + places.value(at), velocities.value(at));
+            let area = plate.area * quarter;
+            pieces.push(LanePiece { body: 0, place, normal: -turn.z, velocity, area, one_sided: true, cells });
+        }
+    }
+    for (l, leg) in model.legs.iter().enumerate() {
+        let mut frame = base;
+        for (body, joint) in leg.iter().zip(&state.joints[l * J..]) {
+            frame = child_frame(&frame, body, joint).0;
+            let [e0, e1] = &body.plane;
+            let places = Field { at: frame.origin, by: [frame.rotation.apply(*e0), frame.rotation.apply(*e1)] };
+            let velocities = places.velocity(&frame.velocity);
+            let across = places.by[0].cross(places.by[1]);
+            // Two plates at a time, in two pieces beside each other.
+            for pair in body.plates.chunks(2) {
+                let plate = &pair[pair.len() / 2];
+                let area = pair.iter().fold(R::zero(), |sum, p| sum + p.area) * R::splat(0.5);
+                let beside = across * (plate.width * quarter);
+                let (place, velocity) = (state.position + places.value(plate.center), velocities.value(plate.center));
+                let normal = places.change(plate.normal);
+                for place in [place + beside, place - beside] {
+                    let body = l + 1;
+                    pieces.push(LanePiece { body, place, normal, velocity, area, one_sided: false, cells: 1 });
+                }
+            }
+        }
     }
 }
 
@@ -281,11 +357,12 @@ fn link_sand<R: Real>(
     let mut total = (PlaneForces::zero(), Moments::zero());
     let Some(mechanisms) = &ground.mechanisms else {
         let plates = &body.plates;
+        let share = travel.strength.unwrap_or(R::one());
         match &ground.law {
             LawCoefficients::Li2013(law) => {
-                strip(law, &Plain, ground, plates, places, velocities, travel, R::one(), &mut total);
+                strip(law, &Plain, ground, plates, places, velocities, travel, share, &mut total);
             }
-            law => strip(law, &Plain, ground, plates, places, velocities, travel, R::one(), &mut total),
+            law => strip(law, &Plain, ground, plates, places, velocities, travel, share, &mut total),
         }
         return total;
     };
@@ -295,6 +372,7 @@ fn link_sand<R: Real>(
         if !R::any(R::zero().lt(share)) {
             continue;
         }
+        let share = travel.strength.map_or(share, |strength| share * strength);
         match &ground.law {
             LawCoefficients::Li2013(law) => {
                 strip(law, mechanisms, ground, plates, places, velocities, travel, share, &mut total)

@@ -12,9 +12,11 @@ mod plane;
 
 use super::command::Command;
 use super::spatial::Twist;
+use super::used::LaneMemory;
 use super::{Model, State};
 use crate::error::{Error, Result};
 use crate::number::{Isa, Kernel, Real, Vec3, Work};
+use crate::sand::memory::Moved;
 use dynamics::{LaneJoint, LaneState, Scratch};
 use model::LaneModel;
 use std::f64::consts::TAU;
@@ -88,6 +90,11 @@ impl LanesEngine {
         self.blocks[index / self.lanes].command(index % self.lanes, command);
     }
 
+    /// See [`super::engine::Engine::sand`].
+    pub fn sand(&self, index: usize) -> Option<&Moved> {
+        self.blocks[index / self.lanes].sand(index % self.lanes)
+    }
+
     /// See [`super::engine::Engine::advance`].
     pub fn advance(&mut self, steps: usize) {
         self.blocks.iter_mut().for_each(|b| b.advance(steps));
@@ -100,6 +107,7 @@ trait Block: Send {
     fn set_footing(&mut self, lane: usize, model: &Model, shares: &[f64]);
     fn set_state(&mut self, lane: usize, state: &State);
     fn state(&self, lane: usize, out: &mut State);
+    fn sand(&self, lane: usize) -> Option<&Moved>;
     fn command(&mut self, lane: usize, command: &Command);
     fn advance(&mut self, steps: usize);
 }
@@ -108,6 +116,7 @@ struct Lanes<R: Real, const J: usize> {
     model: LaneModel<R, J>,
     state: LaneState<R>,
     scratch: Scratch<R, J>,
+    memory: Option<LaneMemory<R>>,
     /// Origin of each lane's x and y [m]. Distances from it stay small, so `f32` keeps its accuracy however far a
     /// robot walks.
     origins: Vec<[f64; 2]>,
@@ -147,6 +156,7 @@ impl<R: Real, const J: usize> Lanes<R, J> {
             model: LaneModel::splat(&parked),
             state,
             scratch: Scratch::new(model.joints()),
+            memory: LaneMemory::new(model, 1 + model.legs.len()),
             origins: vec![[0.0; 2]; R::LANES],
             works: vec![0.0; R::LANES],
         };
@@ -184,8 +194,15 @@ struct Advance<'a, R: Real, const J: usize> {
 impl<R: Real, const J: usize> Kernel for Advance<'_, R, J> {
     #[inline(always)]
     fn run(self) {
+        let Lanes { model, state, scratch, memory, origins, .. } = &mut *self.block;
         for _ in 0..self.steps {
-            dynamics::step(&self.block.model, &mut self.block.state, &mut self.block.scratch);
+            dynamics::step(model, state, scratch, memory.as_ref().map(|memory| &memory.surfaces));
+            if let Some(memory) = memory
+                && memory.tick()
+            {
+                dynamics::pieces(model, state, memory.cell(), &mut memory.pieces);
+                memory.update(origins, state.position);
+            }
         }
         self.block.fold();
     }
@@ -194,6 +211,9 @@ impl<R: Real, const J: usize> Kernel for Advance<'_, R, J> {
 impl<R: Real, const J: usize> Block for Lanes<R, J> {
     fn set_model(&mut self, lane: usize, model: &Model) {
         self.model.set_lane(lane, model);
+        if let Some(memory) = &mut self.memory {
+            memory.set_model(lane, model);
+        }
     }
 
     fn set_footing(&mut self, lane: usize, model: &Model, shares: &[f64]) {
@@ -212,6 +232,9 @@ impl<R: Real, const J: usize> Block for Lanes<R, J> {
         s.angular_velocity.set_lane(lane, state.angular_velocity);
         s.change.linear.set_lane(lane, state.velocity_change);
         s.change.angular.set_lane(lane, state.angular_velocity_change);
+        if let Some(memory) = &mut self.memory {
+            memory.set_state(lane, state);
+        }
         self.works[lane] = state.work;
         s.work.set_lane(lane, 0.0);
         for (i, joint) in s.joints.iter_mut().enumerate() {
@@ -241,6 +264,10 @@ impl<R: Real, const J: usize> Block for Lanes<R, J> {
             out.torques[i] = joint.torque.lane(lane);
             out.rate_changes[i] = joint.change.lane(lane);
         }
+    }
+
+    fn sand(&self, lane: usize) -> Option<&Moved> {
+        self.memory.as_ref().map(|memory| memory.sand(lane))
     }
 
     fn command(&mut self, lane: usize, command: &Command) {

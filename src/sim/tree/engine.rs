@@ -1,16 +1,19 @@
 //! The engine for tree robots: blocks of environments in lanes of an instruction set, as in [`crate::lanes`].
 
-use super::dynamics::{JointMotion, LaneBody, Motion};
+use super::dynamics::{self, JointMotion, LaneBody, Motion};
 use super::floor::{BodyContacts, Floor};
 use super::model::TreeModel;
 use super::relief::LaneRelief;
+use super::sand::{self, Feeler};
 use super::servo::{LaneMotor, LaneServo};
 use super::step::{LaneState, LaneTree, Scratch, step};
 use crate::engine::Command;
 use crate::error::{Error, Result};
 use crate::number::{Isa, Kernel, Real, Vec3, Work};
+use crate::sand::memory::Moved;
 use crate::sand::{Mechanisms, Medium};
 use crate::spatial::Twist;
+use crate::used::{LaneMemory, Surfaces};
 use crate::{Model, State};
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -73,6 +76,11 @@ impl TreeEngine {
         self.blocks[index / self.lanes].command(index % self.lanes, command);
     }
 
+    /// See [`crate::engine::Engine::sand`].
+    pub fn sand(&self, index: usize) -> Option<&Moved> {
+        self.blocks[index / self.lanes].sand(index % self.lanes)
+    }
+
     /// See [`crate::engine::Engine::advance`].
     pub fn advance(&mut self, steps: usize) {
         self.blocks.iter_mut().for_each(|b| b.advance(steps));
@@ -84,6 +92,7 @@ trait Block: Send {
     fn set_model(&mut self, lane: usize, model: &Model);
     fn set_state(&mut self, lane: usize, state: &State);
     fn state(&self, lane: usize, out: &mut State);
+    fn sand(&self, lane: usize) -> Option<&Moved>;
     fn command(&mut self, lane: usize, command: &Command);
     fn advance(&mut self, steps: usize);
 }
@@ -92,6 +101,8 @@ struct Lanes<R: Real> {
     tree: LaneTree<R>,
     state: LaneState<R>,
     scratch: Scratch<R>,
+    /// The sand's memory, and the pieces that move it.
+    memory: Option<(LaneMemory<R>, Vec<Feeler>)>,
     /// Joints that turn freely: whole turns are taken out of their angles.
     endless: Vec<bool>,
     /// Origin of each lane's x and y [m]. Distances from it stay small, so `f32` keeps its accuracy however far a
@@ -137,7 +148,9 @@ impl<R: Real> Lanes<R> {
         };
         let scratch = Scratch::new(joints + 1);
         let (origins, works) = (vec![[0.0; 2]; R::LANES], vec![0.0; R::LANES]);
-        Self { tree: lanes, state, scratch, endless, origins, works }
+        let memory = LaneMemory::new(model, tree.tree.bodies.len())
+            .map(|memory| (memory, Feeler::all(&tree.plates, model.scene.memory.map_or(1.0, |m| m.cell))));
+        Self { tree: lanes, state, scratch, memory, endless, origins, works }
     }
 
     /// Moves each lane's x and y into its origin and its work into the sum, and takes whole turns out of angles and
@@ -163,11 +176,11 @@ impl<R: Real> Lanes<R> {
 }
 
 /// One robot in `f64`, ready for a time step from `state`; None if the model's robot is no tree.
-pub fn alone(model: &Model, state: &State) -> Option<(LaneTree<f64>, LaneState<f64>)> {
+pub fn alone(model: &Model, state: &State) -> Option<(LaneTree<f64>, LaneState<f64>, Option<Surfaces<f64>>)> {
     let mut block = Lanes::<f64>::new(model, model.tree.as_ref()?);
     block.set_model(0, model);
     block.set_state(0, state);
-    Some((block.tree, block.state))
+    Some((block.tree, block.state, block.memory.map(|(memory, _)| memory.surfaces)))
 }
 
 /// The hot loop, to be compiled for the block's instruction set.
@@ -179,9 +192,17 @@ struct Advance<'a, R: Real> {
 impl<R: Real> Kernel for Advance<'_, R> {
     #[inline(always)]
     fn run(self) {
-        let Lanes { tree, state, scratch, .. } = &mut *self.block;
+        let Lanes { tree, state, scratch, memory, origins, .. } = &mut *self.block;
         for _ in 0..self.steps {
-            step(tree, state, scratch);
+            step(tree, state, scratch, memory.as_ref().map(|(memory, _)| &memory.surfaces));
+            if let Some((memory, feelers)) = memory
+                && memory.tick()
+            {
+                dynamics::place(&tree.bodies, &state.motion, &mut scratch.frames);
+                let tops = memory.surfaces.tops;
+                sand::pieces(feelers, &tree.patches, &scratch.frames, state.position, tops, &mut memory.pieces);
+                memory.update(origins, state.position);
+            }
         }
         self.block.fold();
     }
@@ -214,6 +235,9 @@ impl<R: Real> Block for Lanes<R> {
         self.tree.bodies[0].mass.set_lane(lane, tree.base_mass);
         LaneMotor::set_lane(&mut self.tree.motors, lane, tree);
         self.set_ground(lane, model, tree);
+        if let Some((memory, _)) = &mut self.memory {
+            memory.set_model(lane, model);
+        }
         self.tree.floor.set_lane(lane, tree, &model.scene.hard);
         self.tree.gravity.set_lane(lane, model.gravity.into());
         if let (Some(reliefs), Some(own)) = (&mut self.tree.relief, &model.scene.relief) {
@@ -235,6 +259,9 @@ impl<R: Real> Block for Lanes<R> {
         m.velocity.angular.set_lane(lane, state.angular_velocity);
         m.change.linear.set_lane(lane, state.velocity_change);
         m.change.angular.set_lane(lane, state.angular_velocity_change);
+        if let Some((memory, _)) = &mut self.memory {
+            memory.set_state(lane, state);
+        }
         self.works[lane] = state.work;
         s.work.set_lane(lane, 0.0);
         for (i, (joint, servo)) in m.joints.iter_mut().zip(&mut s.servos).enumerate() {
@@ -265,6 +292,10 @@ impl<R: Real> Block for Lanes<R> {
             out.references[i] = servo.reference.lane(lane);
             out.torques[i] = servo.torque.lane(lane);
         }
+    }
+
+    fn sand(&self, lane: usize) -> Option<&Moved> {
+        self.memory.as_ref().map(|(memory, _)| memory.sand(lane))
     }
 
     fn command(&mut self, lane: usize, command: &Command) {

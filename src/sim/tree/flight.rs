@@ -69,7 +69,7 @@ pub fn sand_loads(model: &Model, position: [f64; 3], pose: &Pose) -> Vec<[[f64; 
     place(&bodies, &pose.motion(), &mut frames);
     let ground = model.scene.ground();
     let relief = model.scene.relief.as_ref().map(|r| LaneRelief(vec![r.clone()]));
-    sand::press(&ground, &tree.patches, &frames, &Vec3::splat(position), &relief, &mut loads, model.scene.dt);
+    sand::press(&ground, &tree.patches, &frames, &Vec3::splat(position), &relief, None, &mut loads, model.scene.dt);
     let of_body = |(frame, load): (&Frame<f64>, &Load<f64>)| {
         let (force, moment) = (-load.bias.force, -load.bias.moment);
         [force, moment - frame.origin.cross(force)].map(|v| v.lane(0))

@@ -34,9 +34,9 @@ pub fn touching(model: &Model) -> Vec<usize> {
 /// The forces in the time step that begins at `state`, if the servos keep their references. They are computed in
 /// `f64` by the engine's functions, with the accelerations of that step, so their sum is what changes the momentum.
 pub fn pushes(model: &Model, state: &State) -> Vec<Push> {
-    let Some((tree, state)) = engine::alone(model, state) else { return Vec::new() };
+    let Some((tree, state, found)) = engine::alone(model, state) else { return Vec::new() };
     let mut s = Scratch::new(tree.bodies.len());
-    accelerate(&tree, &state, &mut s);
+    accelerate(&tree, &state, &mut s, found.as_ref());
     let place = state.place();
     let world = |from_base: Vec3<f64>| V::from((place + from_base).lane(0));
     let mut loads = vec![Load::none(); tree.bodies.len()];
@@ -46,7 +46,7 @@ pub fn pushes(model: &Model, state: &State) -> Vec<Push> {
             // Everything but the patch is the body's, so the force is the patch's share of the body's.
             let alone = [BodyPatches { patches: vec![patch.clone()], ..*body }];
             loads[body.body] = Load::none();
-            sand::press(&tree.ground, &alone, &s.frames, &place, &tree.relief, &mut loads, tree.dt);
+            sand::press(&tree.ground, &alone, &s.frames, &place, &tree.relief, found.as_ref(), &mut loads, tree.dt);
             let force = force(&loads[body.body], &s.accelerations[body.body]);
             let at = world(s.frames[body.body].point(Vec3::splat(patch.ball.center)));
             all.push(Push { body: body.body, at, force });

@@ -124,6 +124,16 @@ impl TreeModel {
         if low.is_finite() { -low } else { 0.0 }
     }
 
+    /// Horizontal distance of the farthest plate from the base's origin in the standing pose [m].
+    pub fn reach(&self) -> f64 {
+        let frames = frames(&self.tree, &crate::State::at_rest(0.0, &self.stance.angles));
+        let of = |(frame, plates): (&nalgebra::Isometry3<f64>, &Vec<Plate>)| {
+            let far = |p: &Plate| (frame * nalgebra::Point3::from(p.center.lane(0))).coords.xy().norm();
+            plates.iter().map(far).fold(0.0, f64::max)
+        };
+        frames.iter().zip(self.plates.iter()).map(of).fold(0.0, f64::max)
+    }
+
     pub fn joints(&self) -> usize {
         self.motors.len()
     }

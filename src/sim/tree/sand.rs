@@ -8,9 +8,12 @@ use super::dynamics::{Frame, Load};
 use super::patches::{BodyPatches, Facet, Panel, Patch, Tile};
 use super::terrain::{Local, Surface};
 use crate::number::{Mat3, Real, Vec3};
+use crate::sand::intruder::Plate;
 use crate::sand::law::{Normals, StressLaw};
 use crate::sand::{LawCoefficients, Plain, SandBed, SegmentState, StressModel};
 use crate::spatial::{Inertia, PointMasses, Twist, Wrench};
+use crate::used::{LanePiece, Surfaces};
+use std::collections::BTreeMap;
 
 /// The sand's effect on a body: forces about the base's origin, and its drag as masses. `edge`: how the force changes
 /// because leading edges move.
@@ -28,6 +31,7 @@ pub fn press<R: Real>(
     frames: &[Frame<R>],
     place: &Vec3<R>,
     surface: &impl Surface<R>,
+    found: Option<&Surfaces<R>>,
     loads: &mut [Load<R>],
     dt: R,
 ) {
@@ -37,7 +41,11 @@ pub fn press<R: Real>(
     for plates in bodies {
         let frame = &frames[plates.body];
         let center = *place + frame.point(Vec3::splat(plates.ball.center));
-        let under = under_body(plates, frame, place, surface);
+        let mut under = under_body(plates, frame, place, surface);
+        if let Some(found) = found {
+            under.point.z = found.levels[plates.body];
+        }
+        let strength = found.map(|found| found.strengths[plates.body]);
         if !R::any(R::zero().lt(under.depth(center) + R::splat(plates.ball.reach))) {
             continue;
         }
@@ -47,7 +55,9 @@ pub fn press<R: Real>(
         });
         let expected = frame.change.scaled(trusted);
         let middle = expected.scale_add(R::splat(0.5), &frame.velocity);
-        let Some(total) = on_body::<R, false>(ground, plates, frame, &middle, place, travel, &under, dt) else {
+        let Some(total) =
+            on_body::<R, false>(ground, plates, frame, &middle, place, travel, &under, strength, dt)
+        else {
             continue;
         };
         let load = &mut loads[plates.body];
@@ -58,6 +68,81 @@ pub fn press<R: Real>(
         bias.add(&held);
         load.inertia.add(&drag);
         load.bias = bias;
+    }
+}
+
+/// A piece of a body's surface that moves sand: plates that are close together and face alike, taken together.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Feeler {
+    pub body: usize,
+    center: [f64; 3],
+    normal: [f64; 3],
+    area: f64,
+}
+
+impl Feeler {
+    /// The plates of all bodies, gathered in cubes with sides of `size` [m] and by the axis that they face.
+    pub fn all(plates: &[Vec<Plate>], size: f64) -> Vec<Self> {
+        let mut all = Vec::new();
+        for (body, plates) in plates.iter().enumerate() {
+            let mut gathered: BTreeMap<[i32; 4], (f64, Vec3<f64>, Vec3<f64>)> = BTreeMap::new();
+            for p in plates {
+                let (at, n) = (p.center.lane(0), p.normal.lane(0));
+                let axis = (0..3).fold(0, |a, k| if n[k].abs() > n[a].abs() { k } else { a });
+                let [x, y, z] = at.map(|c| (c / size).floor() as i32);
+                let face = 2 * axis as i32 + i32::from(n[axis] > 0.0);
+                let sum = gathered.entry([x, y, z, face]).or_insert((0.0, Vec3::zero(), Vec3::zero()));
+                *sum = (sum.0 + p.area, sum.1 + p.center * p.area, sum.2 + p.normal * p.area);
+            }
+            all.extend(gathered.into_values().map(|(area, center, normal)| {
+                let length = normal.norm_squared().sqrt();
+                let (center, normal) = (center * (1.0 / area), normal * (1.0 / length));
+                Self { body, center: center.lane(0), normal: normal.lane(0), area: length }
+            }));
+        }
+        all
+    }
+}
+
+/// Lists the pieces of all bodies that may move sand, for [`crate::used`].
+#[inline(always)]
+pub fn pieces<R: Real>(
+    feelers: &[Feeler],
+    bodies: &[BodyPatches],
+    frames: &[Frame<R>],
+    from: Vec3<R>,
+    tops: R,
+    pieces: &mut Vec<LanePiece<R>>,
+) {
+    pieces.clear();
+    let mut all = feelers;
+    for plates in bodies {
+        let skipped = all.iter().take_while(|feeler| feeler.body < plates.body).count();
+        let own = all[skipped..].iter().take_while(|feeler| feeler.body == plates.body).count();
+        let (own, rest) = all[skipped..].split_at(own);
+        all = rest;
+        let frame = &frames[plates.body];
+        let center = from + frame.point(Vec3::splat(plates.ball.center));
+        if R::any((center.z - R::splat(plates.ball.reach)).lt(tops)) {
+            own.iter().for_each(|feeler| feeler.place(frame, from, pieces));
+        }
+    }
+}
+
+impl Feeler {
+    #[inline(always)]
+    fn place<R: Real>(&self, frame: &Frame<R>, from: Vec3<R>, pieces: &mut Vec<LanePiece<R>>) {
+        let feeler = self;
+        let at = frame.point(Vec3::splat(feeler.center));
+        pieces.push(LanePiece {
+            body: feeler.body,
+            place: from + at,
+            normal: frame.rotation.apply(Vec3::splat(feeler.normal)),
+            velocity: frame.velocity.at(at),
+            area: R::splat(feeler.area),
+            one_sided: true,
+            cells: 1,
+        });
     }
 }
 
@@ -106,15 +191,16 @@ pub fn on_body<R: Real, const SECANT: bool>(
     place: &Vec3<R>,
     travel: [R; 2],
     under: &Local<R>,
+    strength: Option<R>,
     dt: R,
 ) -> Option<Total<R>> {
     match (&ground.law, &ground.mechanisms) {
         (LawCoefficients::Li2013(law), None) => {
-            by::<R, _, SECANT>(law, &Plain, ground, plates, frame, velocity, place, travel, under, dt)
+            by::<R, _, SECANT>(law, &Plain, ground, plates, frame, velocity, place, travel, under, strength, dt)
         }
-        (law, None) => by::<R, _, SECANT>(law, &Plain, ground, plates, frame, velocity, place, travel, under, dt),
+        (law, None) => by::<R, _, SECANT>(law, &Plain, ground, plates, frame, velocity, place, travel, under, strength, dt),
         (law, Some(mechanisms)) => {
-            by::<R, _, SECANT>(law, mechanisms, ground, plates, frame, velocity, place, travel, under, dt)
+            by::<R, _, SECANT>(law, mechanisms, ground, plates, frame, velocity, place, travel, under, strength, dt)
         }
     }
 }
@@ -330,6 +416,7 @@ fn by<R: Real, M: StressModel<R>, const SECANT: bool>(
     place: &Vec3<R>,
     travel: [R; 2],
     under: &Local<R>,
+    strength: Option<R>,
     dt: R,
 ) -> Option<Total<R>> {
     let (zero, tiny) = (R::zero(), R::splat(1e-20));
@@ -364,6 +451,7 @@ fn by<R: Real, M: StressModel<R>, const SECANT: bool>(
             true => (R::one(), part.load, part.load),
             false => (part.area, part.load / part.area.max(tiny), part.deep * inverse),
         };
+        let area = strength.map_or(area, |strength| area * strength);
         let site = SegmentState::fresh(depth, place.x + at.x).travelling(travel).wide(width);
         let growth = part.growth * inverse;
         let (contact, normal) = match &axes {

@@ -10,6 +10,7 @@ use super::servo::{Joints, LaneMotor, LaneServo};
 use crate::number::{Real, Vec3};
 use crate::sand::SandBed;
 use crate::spatial::Twist;
+use crate::used::Surfaces;
 use std::sync::Arc;
 
 /// All data of the robots that do not change while they move, one robot in each lane.
@@ -78,7 +79,12 @@ impl<R: Real> Scratch<R> {
 
 /// Advances all lanes by one time step.
 #[inline(always)]
-pub fn step<R: Real>(model: &LaneTree<R>, state: &mut LaneState<R>, scratch: &mut Scratch<R>) {
+pub fn step<R: Real>(
+    model: &LaneTree<R>,
+    state: &mut LaneState<R>,
+    scratch: &mut Scratch<R>,
+    found: Option<&Surfaces<R>>,
+) {
     for follower in &model.followers {
         let leader = state.motion.joints[follower.leader];
         let (ratio, servo) = (R::splat(follower.ratio), &mut state.servos[follower.joint]);
@@ -86,20 +92,25 @@ pub fn step<R: Real>(model: &LaneTree<R>, state: &mut LaneState<R>, scratch: &mu
         // The leader is expected to accelerate as in the step before.
         servo.command_rate = ratio * (leader.rate + leader.change);
     }
-    accelerate(model, state, scratch);
+    accelerate(model, state, scratch, found);
     move_joints(model, state, &scratch.joints);
     move_base(state, &scratch.accelerations[0], model.dt);
 }
 
 /// Computes the accelerations in a time step.
 #[inline(always)]
-pub fn accelerate<R: Real>(model: &LaneTree<R>, state: &LaneState<R>, scratch: &mut Scratch<R>) {
+pub fn accelerate<R: Real>(
+    model: &LaneTree<R>,
+    state: &LaneState<R>,
+    scratch: &mut Scratch<R>,
+    found: Option<&Surfaces<R>>,
+) {
     let surface = &model.relief;
     let dt = model.dt;
     let place = state.place();
     dynamics::place(&model.bodies, &state.motion, &mut scratch.frames);
     dynamics::load(&model.bodies, &scratch.frames, model.gravity, &mut scratch.loads);
-    sand::press(&model.ground, &model.patches, &scratch.frames, &place, surface, &mut scratch.loads, dt);
+    sand::press(&model.ground, &model.patches, &scratch.frames, &place, surface, found, &mut scratch.loads, dt);
     model.floor.find(&model.contacts, &scratch.frames, &place, surface, &mut scratch.touches);
     if scratch.touches.is_empty() {
         solve(model, state, scratch);

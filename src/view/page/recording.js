@@ -103,6 +103,13 @@ class Section {
     return place ? row.subarray(place[0], place[1]) : row.subarray(0, 0);
   }
 
+  /** The sand's heights around the robot in sand with memory; null without it. */
+  sand(row) {
+    const [x, y, spacing] = this.get(row, "sand_frame");
+    const heights = this.get(row, "sand_heights");
+    return spacing > 0 ? { x, y, spacing, side: Math.sqrt(heights.length), heights } : null;
+  }
+
   /** Names of the reward's terms. */
   get terms() {
     const names = this.header.columns.map((c) => c.name);

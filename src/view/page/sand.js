@@ -182,11 +182,12 @@ class Sand {
     this.shown = "";
   }
 
-  /** Moves the field under (x, y) and shows the prints made until `time`. */
-  show(prints, x, y, time) {
+  /** Moves the field under (x, y) and shows the prints made until `time`, or the computed heights `moved`. */
+  show(prints, x, y, time, moved = null) {
     const [nx, ny] = CELLS;
     const [i0, j0] = [Math.round(x / this.cell / 10) * 10 - nx / 2, Math.round(y / this.cell / 10) * 10 - ny / 2];
-    const state = `${i0} ${j0} ${prints ? prints.changed : "none"} ${prints ? Math.floor(time * 25) : ""}`;
+    const clock = prints || moved ? Math.floor(time * 25) : "";
+    const state = `${i0} ${j0} ${prints ? prints.changed : "none"} ${clock}`;
     if (state === this.shown) return;
     this.shown = state;
     this.heights.fill(0);
@@ -194,6 +195,11 @@ class Sand {
       for (let k = 0; k < this.heights.length; k += 1) {
         const [x, y] = [i0 + (k % (nx + 1)), j0 + Math.floor(k / (nx + 1))].map((cell) => cell * this.cell);
         this.heights[k] = (this.relief ? height_at(this.relief, x, y) : 0) + rise(this.risen, x, y);
+      }
+    } else if (moved) {
+      for (let k = 0; k < this.heights.length; k += 1) {
+        const [x, y] = [i0 + (k % (nx + 1)), j0 + Math.floor(k / (nx + 1))].map((cell) => cell * this.cell);
+        this.heights[k] = moved_height(moved, x, y);
       }
     } else if (prints) {
       for (let j = 1, k = nx + 1; j < ny; j += 1, k = j * (nx + 1)) {
@@ -272,6 +278,16 @@ class Sand {
     this.material.depthWrite = !on;
     this.material.needsUpdate = true;
   }
+}
+
+/** Height of sand that was moved [m], bilinear between its nodes; level outside of them. */
+function moved_height({ x: x0, y: y0, spacing, side, heights }, x, y) {
+  const [u, v] = [(x - x0) / spacing, (y - y0) / spacing];
+  const [i, j] = [Math.floor(u), Math.floor(v)];
+  if (i < 0 || j < 0 || i + 1 >= side || j + 1 >= side) return 0;
+  const [a, b, k] = [u - i, v - j, j * side + i];
+  const row = (k) => heights[k] + a * (heights[k + 1] - heights[k]);
+  return (1 - b) * row(k) + b * row(k + side);
 }
 
 /** Height of the ground [m]: the quadratic B-spline over its nodes, as in src/sim/tree/relief.rs. */

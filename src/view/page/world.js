@@ -226,7 +226,7 @@ class World {
     this.arrows.show(section.forces(share < 0.5 ? a.row : b.row, pose.bodies));
     this.sand.glass = this.layers.glass;
     const at = pose.bodies[0].position;
-    this.sand.show(this.layers.prints ? prints : null, at.x, at.y, time);
+    this.sand.show(this.layers.prints ? prints : null, at.x, at.y, time, section.sand(share < 0.5 ? a.row : b.row));
     this.tilted.updateMatrixWorld();
     const place = this.tilted.localToWorld(new THREE.Vector3(at.x, at.y, this.middle(at)));
     if (!this.target || this.layers.follow) {

@@ -61,7 +61,7 @@ fn by_lanes<R: Real>(
     frame.velocity = Twist { angular: Vec3::zero(), linear: Vec3::splat(v.into()) };
     let mut loads = [Load::none()];
     let body = [BodyPatches::of(0, &plates, sand.law)];
-    press(&ground, &body, &[frame], &Vec3::splat([0.0, 0.0, -depth]), &Flat, &mut loads, R::splat(1e-3));
+    press(&ground, &body, &[frame], &Vec3::splat([0.0, 0.0, -depth]), &Flat, None, &mut loads, R::splat(1e-3));
     let bias = loads[0].bias;
     (-V::from(bias.force.lane(0)), -V::from(bias.moment.lane(0)))
 }
