@@ -127,7 +127,10 @@ impl Blueprint {
         }
         let engine = T::engine(&options.task);
         if engine == EngineKind::Carriage && options.hardware.actuator != Motors::default() {
-            return Err(Error::invalid("actuator", format!("{} drives joints by their speeds and has no motors", T::ID)));
+            return Err(Error::invalid(
+                "actuator",
+                format!("{} drives joints by their speeds and has no motors", T::ID),
+            ));
         }
         if keywords.contains_key("engine") && !keywords.contains_key("dt") {
             options.set("dt", &engine.default_dt().into())?;

@@ -117,4 +117,55 @@ mod tests {
         }
         assert!((torque / 2.0 - (1.0 - (-1.0_f64).exp())).abs() < 0.02, "{torque}");
     }
+
+    /// Motors of many strengths drive a hexapod to random speeds. A torque is never beyond its motor's line. Whether a motor is at
+    /// its limit is decided with the link before it held still, so a torque may be beyond by the part that this link's
+    /// acceleration adds: the test's tolerance.
+    #[test]
+    fn no_torque_is_beyond_its_line() {
+        use crate::engine::{Command, Engine, EngineKind};
+        use crate::sand::Medium;
+        use crate::{Model, Robot, State, model::Scene};
+        let scene = Scene::flat(Medium::named("poppy-loose").unwrap());
+        let robot = Robot::load("xplorer").unwrap();
+        let mut state = 1_u64;
+        let mut draw = |low: f64, high: f64| {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            low + (high - low) * ((state >> 11) as f64 / (1_u64 << 53) as f64)
+        };
+        for kind in [EngineKind::Lanes, EngineKind::Rapier] {
+            let mut worst = 0.0_f64;
+            for round in 0..12 {
+                let mut robot = robot.clone();
+                let limit = draw(0.005, 0.1);
+                robot.servo.torque_limit = Some(limit);
+                robot.servo.anti_windup = true;
+                let (stall, free) = (draw(1.0, 2.0) * limit, draw(3.0, 40.0));
+                let scene = Scene { dt: kind.default_dt(), ..scene.clone() };
+                let lag = if round % 2 == 0 { 0.0 } else { draw(0.0, 0.02) };
+                let model = Model::new(&robot, &scene).unwrap().with_motors(Some(stall), Some(free), lag);
+                let line = LaneActuator::<f64>::splat(&model.motor.actuator);
+                let mut engine = Engine::new(kind, &model, 1).unwrap();
+                let angles = model.tripod_angles();
+                let mut now = State::at_rest(model.standing_height(&angles), &angles);
+                engine.set_state(0, &now);
+                for step in 0..400 {
+                    if step % 40 == 0 {
+                        let rates = (0..6).map(|_| draw(-60.0, 60.0)).collect();
+                        engine.command(0, &Command { rates, torques: vec![0.0; 6], targets: vec![] });
+                    }
+                    let before = now.clone();
+                    engine.advance(1);
+                    engine.state(0, &mut now);
+                    assert!(now.is_sound());
+                    for (torque, rate) in now.torques.iter().zip(&before.rates) {
+                        let [low, high] = line.limits(*rate);
+                        worst = worst.max((torque - high).max(low - torque) / limit);
+                    }
+                }
+            }
+            println!("{}: beyond the line by at most {worst:.4} of the torque limit", kind.name());
+            assert!(worst < 0.05, "{}: {worst}", kind.name());
+        }
+    }
 }

@@ -1,5 +1,6 @@
 //! Sensors and delays on every task and engine.
 
+use super::signal::wrapped;
 use crate::registry::{Blueprint, TASK_IDS};
 use crate::shard::Shard;
 use crate::snapshot::Resumed;
@@ -80,27 +81,28 @@ fn snapshots_keep_what_sensors_remember() {
     for (id, options) in cases() {
         let sensors = json!({"sensors": each(id, &options, &entry), "history": 3, "privileged": true, "action_delay": [0.01, 0.05]});
         let options = with(&options, sensors);
-        let mut one = shard(id, &options, 3);
+        // As in a batch, engine `rapier` has one environment a shard: its steps are not cut where a neighbour's action arrives.
+        let alone = Blueprint::new(id, options.clone()).unwrap().engine.shard_size() == 1;
+        let (envs, chosen) = if alone { (1, vec![0]) } else { (3, vec![2, 0]) };
+        let mut one = shard(id, &options, envs);
         run(&mut one, 5);
-        let saved: Vec<_> = (0..3).map(|i| one.save(i)).collect();
-        let mut other = shard(id, &options, 2);
-        for (i, from) in [2, 0].into_iter().enumerate() {
+        let saved: Vec<_> = (0..envs).map(|i| one.save(i)).collect();
+        let mut other = shard(id, &options, chosen.len());
+        for (i, from) in chosen.iter().enumerate() {
             let task = other.task(i).clone();
-            other.restore(i, &Resumed::new(&saved[from], &task).unwrap());
+            other.restore(i, &Resumed::new(&saved[*from], &task).unwrap());
         }
-        let wide = one.spec().observation.len();
+        let (wide, width) = (one.spec().observation.len(), one.actions());
         for time in 5..12 {
-            for (i, from) in [2, 0].into_iter().enumerate() {
-                assert_eq!(
-                    other.rows.observations[i * wide..][..wide],
-                    one.rows.observations[from * wide..][..wide],
-                    "{id}"
-                );
+            for (i, from) in chosen.iter().enumerate() {
+                let [seen, wanted] =
+                    [(&other, i), (&one, *from)].map(|(s, i)| &s.rows.observations[i * wide..][..wide]);
+                assert_eq!(seen, wanted, "{id}");
             }
             let actions = action(&one, time);
-            let width = one.actions();
             one.step(&actions);
-            other.step(&[&actions[2 * width..][..width], &actions[..width]].concat());
+            let own: Vec<f32> = chosen.iter().flat_map(|from| actions[from * width..][..width].to_vec()).collect();
+            other.step(&own);
         }
         let mut broken = saved[0].clone();
         broken.memory.pop();
@@ -216,13 +218,14 @@ fn delayed_actions_reach_the_motors_later() {
     let late = references(json!({"angle_noise": 0.0, "action_delay": [0.04, 0.04]}));
     for t in 2..=20 {
         for (a, b) in late[t].iter().zip(&exact[t - 2]) {
-            assert!((a - b).abs() < 1e-4, "{t}: {a} {b}");
+            assert!(wrapped(a - b).abs() < 1e-4, "{t}: {a} {b}");
         }
     }
     let part = references(json!({"angle_noise": 0.0, "action_delay": [0.005, 0.005]}));
     for t in 1..=20 {
         for ((a, now), before) in part[t].iter().zip(&exact[t]).zip(&exact[t - 1]) {
-            assert!((a - (0.75 * now + 0.25 * before)).abs() < 1e-4, "{t}: {a} between {before} and {now}");
+            let wanted = now + 0.25 * wrapped(before - now);
+            assert!(wrapped(a - wanted).abs() < 1e-4, "{t}: {a} between {before} and {now}");
         }
     }
 }
@@ -249,7 +252,9 @@ fn a_standing_robot_feels_its_weight() {
         assert!((felt / 9.80665 - 1.0).abs() < 0.05, "{id}: {felt}");
         let weight = shard.model(0).total_mass() * 9.80665;
         let carried = f64::from(value("contact force").iter().sum::<f32>());
-        assert!((carried / weight - 1.0).abs() < 0.15, "{id}: {carried} of {weight} N");
+        // The hexapod's belly lies in the sand and carries a part.
+        let least = if id.contains("Hexapod") { 0.3 } else { 0.85 };
+        assert!((least..1.15).contains(&(carried / weight)), "{id}: {carried} of {weight} N");
         assert!(value("contact switch").iter().sum::<f32>() >= 3.0, "{id}");
     }
 }
