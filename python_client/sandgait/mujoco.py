@@ -28,6 +28,8 @@ SAND_COLOUR = (0.76, 0.65, 0.46, 1.0)
 FORCE_COLOUR = (0.85, 0.2, 0.1, 1.0)
 #: Length of the arrow of a force that carries the model's weight, as a share of the model's extent: our choice.
 _ARROW = 0.5
+#: Least cosine between a force and the surface's normal for an arrow that begins at the surface: our choice.
+_STEEP = 0.3
 #: Lines along a side of a drawn relief: our choice, few enough for the 1000 shapes of gymnasium's scenes.
 _LINES = 13
 
@@ -189,8 +191,12 @@ class ModelSand:
             force, torque = wrench[:3], wrench[3:]
             size = float(np.linalg.norm(force))
             if size > 1e-3 * weight:
-                # The point nearest to the body's origin at which the force alone has the same torque.
+                # A point at which the force alone has the same torque, moved along the force to the sand's surface.
                 start = data.xpos[body] + np.cross(force, torque) / size**2
+                height, normal = self.sand.surface(start[0], start[1])
+                rising = float(normal @ force) / size
+                if rising > _STEEP:
+                    start = start - force / size * (normal[2] * (start[2] - height) / rising)
                 length = _ARROW * model.stat.extent * size / weight
                 thick = 0.01 * model.stat.extent
                 all.append(_marker(_GEOM.mjGEOM_ARROW, (thick, thick, length), start, force / size, FORCE_COLOUR))

@@ -124,7 +124,7 @@ impl<R: Real> PlateScene<'_, R> {
             return None;
         }
         // If the edge crosses the plate, its leading part moves with half of the edge's n·v.
-        let toward = along.max((along + before) * half);
+        let toward = along.max((along + uneven) * half).max(zero);
         let (full, drag) = self.law(&site, area, normal, normal.scale_add(toward - along, v), v);
         let rising = (-full.dot(normal)).max(zero) * growth;
         let edge = R::select(zero.lt(leads), R::select(leads.lt(one), rising, zero), zero);

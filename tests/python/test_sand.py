@@ -113,12 +113,13 @@ def test_default_plates_are_near_the_formulas(law: str, name: str) -> None:
     assert max(relative.max(), moment.max()) <= 0.04
 
 
-def test_drag_is_the_change_of_the_force_along_the_motion() -> None:
+@pytest.mark.parametrize("plate_size", [None, 0.005])
+def test_drag_is_the_change_of_the_force_along_the_motion(plate_size: float | None) -> None:
     """From rest to the present motion ξ, −ξᵀ(f(ξ) − f(0)) = ξᵀDξ. Near rest, where the force rises linearly with the
     motion, also for small changes, if the body has no flat faces. D is symmetric and positive semidefinite."""
     random = np.random.default_rng(3)
     sand = sandgait.Sand("poppy-loose", law="li2013")
-    bodies = sandgait.Bodies(BODIES)
+    bodies = sandgait.Bodies(BODIES, plate_size)
     round_ones = np.isin(bodies.names, ["ball", "egg", "capsule"])
     worst, near = 0.0, 0.0
     for k in range(60):
