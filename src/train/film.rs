@@ -32,7 +32,7 @@ pub fn film(blueprint: &Blueprint, network: &Network, seed: u64, recording: &Pat
             let caption = format!("{:6.2} s   x {:6.3} m", look.time, look.state.position[0]).replace('-', "−");
             pixels.extend(view::draw(
                 look.model,
-                look.state,
+                &look.whole_state(),
                 look.footing,
                 SIZE,
                 &view::CameraOptions::default(),
@@ -66,6 +66,6 @@ fn header(look: &Look) -> String {
 }
 
 fn row(look: &Look) -> Vec<f32> {
-    let Look { model, state, footing, time, action, reward, info, .. } = look;
-    view::row(model, &Moment { time: *time, state, footing, action, reward: *reward, info })
+    let Look { model, footing, time, action, reward, info, .. } = look;
+    view::row(model, &Moment { time: *time, state: &look.whole_state(), footing, action, reward: *reward, info })
 }
