@@ -182,7 +182,7 @@ pub(crate) fn on_one<R: Real>(
     }
     let patches = body.patches(sand.description().law);
     let local = under_body(patches, frame, place, under);
-    on_body::<R, true>(bed, patches, frame, &frame.velocity, place, travel, &local, R::one())
+    on_body::<R, true>(bed, patches, frame, &frame.velocity, place, travel, &local, None, R::one())
 }
 
 /// A part of the states, to be computed by one thread.

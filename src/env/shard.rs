@@ -4,7 +4,7 @@ use super::ground::Change;
 use super::random::Random;
 use super::registry::Blueprint;
 use super::rollout::{Recorded, Rollout};
-use super::sensors::{ActionDelay, Memory, Seen};
+use super::sensors::{ActionDelay, Seen, SensorMemory};
 use super::spec::Spec;
 use super::task::{AnyTask, Goal, Transition};
 use crate::error::{Error, Result, check_range};
@@ -35,7 +35,7 @@ pub(super) struct Episode {
     pub after: State,
     pub last_action: Vec<f32>,
     /// What its sensors remember.
-    pub memory: Memory,
+    pub sensed: SensorMemory,
     pub delay: ActionDelay,
     /// The episode before this one, if the last step ended it.
     pub ended: Option<Ended>,
@@ -61,12 +61,12 @@ impl Episode {
             period,
         };
         match before {
-            Before::Step => plan.sense(&mut self.memory, &seen, exact, [row, info]),
+            Before::Step => plan.sense(&mut self.sensed, &seen, exact, [row, info]),
             Before::Begin => {
-                self.memory = Memory::default();
-                plan.sense(&mut self.memory, &seen, exact, [row, info]);
+                self.sensed = SensorMemory::default();
+                plan.sense(&mut self.sensed, &seen, exact, [row, info]);
             }
-            Before::Restore => plan.repeat(&self.memory, &seen, exact, [row, info]),
+            Before::Restore => plan.repeat(&self.sensed, &seen, exact, [row, info]),
         }
     }
 }
@@ -161,7 +161,7 @@ impl Shard {
             before: State::at_rest(0.0, &vec![0.0; model.joints()]),
             after: State::at_rest(0.0, &vec![0.0; model.joints()]),
             last_action: vec![0.0; spec.action.len()],
-            memory: Memory::default(),
+            sensed: SensorMemory::default(),
             delay: ActionDelay::default(),
             ended: None,
         };
@@ -244,7 +244,8 @@ impl Shard {
         }
         episode.task.set_command(&mut episode.goal, command);
         let wide = self.task.spec().observation.len();
-        episode.observe(&mut self.rows.observations[i * wide..][..wide]);
+        // Sensors sample with steps, so behind them the policy sees the command one step later.
+        episode.observe(Before::Restore, self.period, &mut self.rows.observations[i * wide..][..wide], &mut []);
         Ok(())
     }
 

@@ -6,7 +6,7 @@
 use super::ground::UsedGround;
 use super::legged::episode::LeggedEpisode;
 use super::rocks::CORNERS;
-use super::sensors::{ActionDelay, Memory};
+use super::sensors::{ActionDelay, SensorMemory};
 use super::shard::{Before, Episode, Shard};
 use super::task::{AnyTask, Goal};
 use crate::error::{Error, Result, check_range};
@@ -38,9 +38,9 @@ pub struct SavedEpisode {
     pub state: Vec<f64>,
     /// f32 [action]
     pub last_action: Vec<f32>,
-    /// What the sensors remember: [`Memory::numbers`].
+    /// What the sensors remember: [`SensorMemory::numbers`].
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub memory: Vec<f32>,
+    pub sensed: Vec<f32>,
     /// Actions that are on their way to the motors.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub delayed: Vec<f32>,
@@ -58,7 +58,7 @@ pub struct Resumed {
     goal: Goal,
     state: State,
     last_action: Vec<f32>,
-    memory: Memory,
+    sensed: SensorMemory,
     delay: ActionDelay,
 }
 
@@ -98,11 +98,11 @@ impl Resumed {
         if saved.steps > task.spec().max_episode_steps || saved.number > u64::MAX / 2 {
             return Err(unfit("its counters"));
         }
-        let memory = match task.sensing() {
-            None => Some(Memory::default()).filter(|_| saved.memory.is_empty()),
-            Some(plan) => plan.resume(&saved.memory),
+        let sensed = match task.sensing() {
+            None => Some(SensorMemory::default()).filter(|_| saved.sensed.is_empty()),
+            Some(plan) => plan.resume(&saved.sensed),
         };
-        let memory = memory.ok_or_else(|| unfit("what its sensors remember"))?;
+        let sensed = sensed.ok_or_else(|| unfit("what its sensors remember"))?;
         let period = 1.0 / task.spec().control_rate;
         let drawn = [saved.seed, saved.number];
         let delay = ActionDelay::draw(task.action_delay(), drawn, actions, [period, own.scene.dt]);
@@ -115,7 +115,7 @@ impl Resumed {
             goal,
             state,
             last_action: saved.last_action.clone(),
-            memory,
+            sensed,
             delay,
         })
     }
@@ -152,9 +152,9 @@ fn drawn(robot: &Robot, scene: &Scene, task: &dyn AnyTask) -> Result<Model> {
 impl Shard {
     /// A copy of environment `i`'s present episode.
     pub fn save(&self, i: usize) -> SavedEpisode {
-        let Episode { seed, number, steps, goal, after, last_action, memory, delay, .. } = &self.episodes[i];
+        let Episode { seed, number, steps, goal, after, last_action, sensed, delay, .. } = &self.episodes[i];
         SavedEpisode {
-            memory: memory.numbers(),
+            sensed: sensed.numbers(),
             delayed: delay.numbers().to_vec(),
             seed: *seed,
             number: *number,
@@ -174,12 +174,12 @@ impl Shard {
 
     /// The state of environment `i` as this shard keeps it for itself.
     pub fn keep(&self, i: usize) -> Resumed {
-        let Episode { task, seed, number, steps, goal, after, last_action, memory, delay, .. } = &self.episodes[i];
+        let Episode { task, seed, number, steps, goal, after, last_action, sensed, delay, .. } = &self.episodes[i];
         let (task, goal) = (task.clone(), goal.clone());
         let (mut state, last_action) = (after.clone(), last_action.clone());
         state.sand = self.engine.sand(i).cloned().map(Box::new);
-        let (memory, delay) = (memory.clone(), delay.clone());
-        Resumed { task, seed: *seed, number: *number, steps: *steps, goal, state, last_action, memory, delay }
+        let (sensed, delay) = (sensed.clone(), delay.clone());
+        Resumed { task, seed: *seed, number: *number, steps: *steps, goal, state, last_action, sensed, delay }
     }
 
     /// The task of environment `i` with its present options and model.
@@ -189,7 +189,7 @@ impl Shard {
 
     /// Continues environment `i` as `resumed`, and fills its observation row.
     pub fn restore(&mut self, i: usize, resumed: &Resumed) {
-        let Resumed { task, seed, number, steps, goal, state, last_action, memory, delay } = resumed;
+        let Resumed { task, seed, number, steps, goal, state, last_action, sensed, delay } = resumed;
         let episode = &mut self.episodes[i];
         episode.task = task.clone();
         episode.stale = false;
@@ -197,7 +197,7 @@ impl Shard {
         episode.goal = goal.clone();
         episode.after.clone_from(state);
         episode.last_action.clone_from(last_action);
-        episode.memory.clone_from(memory);
+        episode.sensed.clone_from(sensed);
         episode.delay.clone_from(delay);
         self.engine.set_model(i, goal.model.as_ref().unwrap_or(task.model()));
         self.take_up(i, Before::Restore, true);

@@ -4,7 +4,7 @@ use super::signal::Past;
 
 /// The sensors' part of an episode; empty for a task whose sensors are exact.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Memory {
+pub struct SensorMemory {
     pub(super) past: Vec<Past>,
     /// Rows as the sensors sampled them, not delayed: the newest first.
     pub(super) sampled: Vec<f32>,
@@ -12,7 +12,7 @@ pub struct Memory {
     pub(super) seen: Vec<f32>,
 }
 
-impl Memory {
+impl SensorMemory {
     /// All numbers, for a snapshot.
     pub fn numbers(&self) -> Vec<f32> {
         let past = self.past.iter().flat_map(|p| [p.bias, p.filtered]);

@@ -2,7 +2,7 @@
 //!
 //! A task computes exact values. A column that belongs to a [`Sensor`] passes through the sensor's imperfections, in this
 //! order: bias and random walk, white noise, low-pass filter, quantization, delay, dropout. Everything that a sensor
-//! remembers is a part of the episode ([`Memory`]), so snapshots contain it. Its random numbers depend on the
+//! remembers is a part of the episode ([`SensorMemory`]), so snapshots contain it. Its random numbers depend on the
 //! environment's seed, the episode and the step alone.
 //!
 //! To add a sensor: a variant of [`Sensor`], a line in [`Sensors`], and the mark [`Features::sensed`] at the columns that a
@@ -18,7 +18,7 @@ mod plan;
 mod signal;
 
 pub use delay::ActionDelay;
-pub use memory::Memory;
+pub use memory::SensorMemory;
 pub use options::{Hardware, Imperfections, Motors, SensorOptions, Sensors};
 pub use plan::{Plan, Seen};
 

@@ -1,7 +1,7 @@
 //! The sensors of a session: from exact values to the rows that policies get.
 
 use super::extra::{self, Measure, Moment};
-use super::memory::{Memory, shift};
+use super::memory::{SensorMemory, shift};
 use super::signal::{Signal, wrapped};
 use super::{Hardware, Part, Sensor, Sensors};
 use crate::error::{Error, Result};
@@ -105,13 +105,19 @@ impl Plan {
     }
 
     /// An episode's memory from a snapshot.
-    pub fn resume(&self, numbers: &[f32]) -> Option<Memory> {
-        Memory::from_numbers(numbers, self.sizes())
+    pub fn resume(&self, numbers: &[f32]) -> Option<SensorMemory> {
+        SensorMemory::from_numbers(numbers, self.sizes())
     }
 
     /// Fills the first observation of an episode, if its memory is empty; else that of the next step. `observe` fills a row
     /// of the task's own columns.
-    pub fn sense(&self, memory: &mut Memory, seen: &Seen, observe: impl FnOnce(&mut [f32]), out: [&mut [f32]; 2]) {
+    pub fn sense(
+        &self,
+        memory: &mut SensorMemory,
+        seen: &Seen,
+        observe: impl FnOnce(&mut [f32]),
+        out: [&mut [f32]; 2],
+    ) {
         let width = self.exact.len();
         let begins = memory.past.is_empty() && memory.sampled.is_empty();
         if begins {
@@ -147,7 +153,7 @@ impl Plan {
 
     /// Fills the same rows again, after a restore. The accelerometer's privileged value is then that of a robot whose
     /// velocity does not change.
-    pub fn repeat(&self, memory: &Memory, seen: &Seen, observe: impl FnOnce(&mut [f32]), out: [&mut [f32]; 2]) {
+    pub fn repeat(&self, memory: &SensorMemory, seen: &Seen, observe: impl FnOnce(&mut [f32]), out: [&mut [f32]; 2]) {
         let [observation, info] = out;
         observation.copy_from_slice(&memory.seen);
         if self.privileged {
@@ -174,7 +180,7 @@ impl Plan {
     }
 
     /// Adds the row that the policy gets now.
-    fn show(&self, memory: &mut Memory, random: &mut Xoshiro256PlusPlus, begins: bool) {
+    fn show(&self, memory: &mut SensorMemory, random: &mut Xoshiro256PlusPlus, begins: bool) {
         let width = self.exact.len();
         let mut row = memory.sampled[..width].to_vec();
         for signal in &self.signals {

@@ -105,7 +105,7 @@ fn snapshots_keep_what_sensors_remember() {
             other.step(&own);
         }
         let mut broken = saved[0].clone();
-        broken.memory.pop();
+        broken.sensed.pop();
         assert!(Resumed::new(&broken, one.task(0)).is_err(), "{id}");
         let mut broken = saved[0].clone();
         broken.delayed.push(0.0);

@@ -55,8 +55,7 @@ pub fn press<R: Real>(
         });
         let expected = frame.change.scaled(trusted);
         let middle = expected.scale_add(R::splat(0.5), &frame.velocity);
-        let Some(total) =
-            on_body::<R, false>(ground, plates, frame, &middle, place, travel, &under, strength, dt)
+        let Some(total) = on_body::<R, false>(ground, plates, frame, &middle, place, travel, &under, strength, dt)
         else {
             continue;
         };
@@ -198,7 +197,9 @@ pub fn on_body<R: Real, const SECANT: bool>(
         (LawCoefficients::Li2013(law), None) => {
             by::<R, _, SECANT>(law, &Plain, ground, plates, frame, velocity, place, travel, under, strength, dt)
         }
-        (law, None) => by::<R, _, SECANT>(law, &Plain, ground, plates, frame, velocity, place, travel, under, strength, dt),
+        (law, None) => {
+            by::<R, _, SECANT>(law, &Plain, ground, plates, frame, velocity, place, travel, under, strength, dt)
+        }
         (law, Some(mechanisms)) => {
             by::<R, _, SECANT>(law, mechanisms, ground, plates, frame, velocity, place, travel, under, strength, dt)
         }
