@@ -347,7 +347,9 @@ impl Moved {
             let cells = i32::from(p.cells);
             let height = height / f64::from(cells * cells);
             for k in 0..cells * cells {
-                let Some(at) = self.grid.frame.index([i.wrapping_add(k % cells), j.wrapping_add(k / cells)]) else { continue };
+                let Some(at) = self.grid.frame.index([i.wrapping_add(k % cells), j.wrapping_add(k / cells)]) else {
+                    continue;
+                };
                 let above = i32::from(self.grid.heights[at]) - floor;
                 if above <= 0 {
                     continue;
