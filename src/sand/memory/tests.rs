@@ -68,9 +68,9 @@ impl Passes {
     /// Mean of the grains' and the model's force along `axis` in some rows.
     fn mean(&self, axis: usize, keep: impl Fn(&[f64]) -> bool) -> [f64; 2] {
         let kept: Vec<_> = self.rows.iter().filter(|(r, _)| keep(r)).collect();
-        let mean =
-            |of: &dyn Fn(&(Vec<f64>, Outcome)) -> f64| kept.iter().map(|k| of(k)).sum::<f64>() / kept.len() as f64;
-        [mean(&|(r, _)| r[6 + axis / 2]), mean(&|(_, o)| o.force[axis])]
+        let count = kept.len() as f64;
+        let grains = kept.iter().map(|(r, _)| r[6 + axis / 2]).sum::<f64>() / count;
+        [grains, kept.iter().map(|(_, o)| o.force[axis]).sum::<f64>() / count]
     }
 
     /// Drag in a third of the furrow over that of the first pass: of the grains and of the model.

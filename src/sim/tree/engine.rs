@@ -175,8 +175,11 @@ impl<R: Real> Lanes<R> {
     }
 }
 
+/// Model and state of one robot, and the surfaces that its bodies have found in sand with memory.
+type Alone = (LaneTree<f64>, LaneState<f64>, Option<Surfaces<f64>>);
+
 /// One robot in `f64`, ready for a time step from `state`; None if the model's robot is no tree.
-pub fn alone(model: &Model, state: &State) -> Option<(LaneTree<f64>, LaneState<f64>, Option<Surfaces<f64>>)> {
+pub fn alone(model: &Model, state: &State) -> Option<Alone> {
     let mut block = Lanes::<f64>::new(model, model.tree.as_ref()?);
     block.set_model(0, model);
     block.set_state(0, state);

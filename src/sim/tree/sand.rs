@@ -25,6 +25,7 @@ pub struct Total<R> {
 
 /// Adds the sand's forces on all bodies to their loads; `place` is the position of the base's origin.
 #[inline(always)]
+#[allow(clippy::too_many_arguments)] // all arguments stay in registers
 pub fn press<R: Real>(
     ground: &SandBed<R>,
     bodies: &[BodyPatches],
