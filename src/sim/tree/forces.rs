@@ -64,11 +64,12 @@ pub fn pushes(model: &Model, state: &State) -> Vec<Push> {
 
 /// Upward force of the sand on a robot that moves at the velocities of `state` without acceleration [N].
 pub fn support(model: &Model, state: &State) -> f64 {
-    let Some((tree, state)) = engine::alone(model, state) else { return 0.0 };
+    let Some((tree, state, found)) = engine::alone(model, state) else { return 0.0 };
     let mut s = Scratch::new(tree.bodies.len());
-    accelerate(&tree, &state, &mut s);
+    let (found, place) = (found.as_ref(), state.place());
+    accelerate(&tree, &state, &mut s, found);
     let mut loads = vec![Load::none(); tree.bodies.len()];
-    sand::press(&tree.ground, &tree.patches, &s.frames, &state.place(), &tree.relief, &mut loads, tree.dt);
+    sand::press(&tree.ground, &tree.patches, &s.frames, &place, &tree.relief, found, &mut loads, tree.dt);
     let still = Twist { angular: Vec3::zero(), linear: Vec3::zero() };
     loads.iter().map(|load| force(load, &still).z).sum()
 }
