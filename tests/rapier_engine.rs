@@ -162,14 +162,15 @@ fn servo_is_implicit_armature_counts_and_the_limit_holds() {
             let pull = kp * (reference - angle) + kd * command.rates[0] + command.torques[0];
             let yielding = kd + dt * kp;
             let free = (inertia * rate + dt * pull) / (inertia + dt * yielding);
-            let torque: f64 = (pull - yielding * free).clamp(-model.motor.torque_limit, model.motor.torque_limit);
-            clipped += usize::from(torque.abs() == model.motor.torque_limit);
+            let torque: f64 = (pull - yielding * free)
+                .clamp(-model.motor.actuator.torque_limit.unwrap(), model.motor.actuator.torque_limit.unwrap());
+            clipped += usize::from(torque.abs() == model.motor.actuator.torque_limit.unwrap());
             rate += dt * torque / inertia;
             angle += dt * rate;
             state = advance(&mut engine, 1, &state);
             assert!((state.rates[0] - rate).abs() < 2e-3, "step {step}: {} is not {rate}", state.rates[0]);
             assert!((state.torques[0] - torque).abs() < 2e-5, "step {step}: {} is not {torque}", state.torques[0]);
-            assert!(state.torques.iter().all(|t| t.abs() <= model.motor.torque_limit));
+            assert!(state.torques.iter().all(|t| t.abs() <= model.motor.actuator.torque_limit.unwrap()));
         }
         assert_eq!(clipped > 3, limit.is_some());
     }

@@ -96,7 +96,16 @@ fn default_plates_are_those_of_engine_tree() {
                 };
                 let mut loads = [Load::none()];
                 let patches = [BodyPatches::of(0, &plates, law)];
-                crate::sim::tree::sand::press(&bed, &patches, &[frame], &Vec3::splat(place), &Flat, None, &mut loads, 1e-3);
+                crate::sim::tree::sand::press(
+                    &bed,
+                    &patches,
+                    &[frame],
+                    &Vec3::splat(place),
+                    &Flat,
+                    None,
+                    &mut loads,
+                    1e-3,
+                );
                 let bias = loads[0].bias;
                 let expected = [bias.force.lane(0), bias.moment.lane(0)].concat();
                 for (a, b) in found[6 * k..6 * k + 6].iter().zip(&expected) {
