@@ -145,6 +145,8 @@ mod tests {
                 let mut options =
                     json!({"ground": ground, "angle_noise": 0.0, "domain_rand": null, "commands": commands});
                 options["measure_heights"] = true.into();
+                // The bound below was measured with this motion.
+                options["action_scale"] = 1.0.into();
                 options
             };
             let [left, right] = [1.0, -1.0].map(|sign| Blueprint::new(LeggedVelocity::ID, options(sign)).unwrap());
