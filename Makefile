@@ -60,6 +60,9 @@ policies: $(VENV)/sb3
 
 test: test-rust test-python
 
+# Tests need no code of one unit a crate, and two cores compile several units in less time.
+test test-rust test-python: export CARGO_PROFILE_RELEASE_CODEGEN_UNITS := 16
+
 test-rust:
 	cargo fmt --all --check
 	PYO3_PYTHON=$(PYTHON) cargo clippy --release --workspace --all-targets -- -D warnings
