@@ -52,7 +52,7 @@ fn option(k: &Keyword) -> Vec<Vec<String>> {
         |name: &str, value: &Value, help: &str| vec![code(name), code(&value.to_string()), when.into(), help.into()];
     let keys = k.keys.iter().filter(|_| k.value.is_object());
     let keys = keys.map(|key| row(&format!("{}.{}", k.name, key.name), &k.value[key.name], key.help));
-    let whole = match k.keys.is_empty() || k.value.is_null() {
+    let whole = match k.keys.is_empty() || !k.value.is_object() {
         true => row(k.name, &k.value, &k.summary),
         false => vec![code(k.name), "a dictionary:".into(), when.into(), k.help.into()],
     };
