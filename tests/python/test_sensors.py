@@ -33,8 +33,8 @@ def run(envs: Any, steps: int = 40) -> list[Any]:
 
 
 def test_a_server_senses_the_same(remote: RemoteServer) -> None:
-    local = sandgait.make_vec(ID, 5, max_episode_steps=25, **OPTIONS)
-    far = sandgait.make_vec(ID, 5, max_episode_steps=25, address=remote.address, **OPTIONS)
+    local = sandgait.SandgaitVectorEnv(ID, 5, max_episode_steps=25, **OPTIONS)
+    far = sandgait.SandgaitVectorEnv(ID, 5, max_episode_steps=25, address=remote.address, **OPTIONS)
     for (rows, exact), (other, also) in zip(run(local), run(far), strict=True):
         np.testing.assert_array_equal(rows, other)
         np.testing.assert_array_equal(exact, also)
@@ -43,8 +43,8 @@ def test_a_server_senses_the_same(remote: RemoteServer) -> None:
 
 
 def test_privileged_values_are_the_exact_observation() -> None:
-    exact = sandgait.make_vec(ID, 3)
-    spoilt = sandgait.make_vec(ID, 3, sensors={"gravity": {"noise_density": 0.1}}, privileged=True)
+    exact = sandgait.SandgaitVectorEnv(ID, 3)
+    spoilt = sandgait.SandgaitVectorEnv(ID, 3, sensors={"gravity": {"noise_density": 0.1}}, privileged=True)
     space = spoilt.privileged_observation_space
     assert space is not None
     assert space.shape == exact.single_observation_space.shape
@@ -72,7 +72,9 @@ def test_single_environments_follow_the_interface() -> None:
 
 
 def test_an_episode_that_ends_keeps_its_last_exact_values() -> None:
-    envs = sandgait.make_vec(ID, 2, max_episode_steps=5, privileged=True, autoreset_mode=AutoresetMode.SAME_STEP)
+    envs = sandgait.SandgaitVectorEnv(
+        ID, 2, max_episode_steps=5, privileged=True, autoreset_mode=AutoresetMode.SAME_STEP
+    )
     envs.reset(seed=0)
     for _ in range(5):
         _, _, _, truncated, infos = envs.step(envs.action_space.sample())
@@ -92,4 +94,4 @@ def test_an_episode_that_ends_keeps_its_last_exact_values() -> None:
 )
 def test_wrong_options_are_named(options: dict[str, Any], said: str) -> None:
     with pytest.raises(sandgait.InvalidRequest, match=said):
-        sandgait.make_vec(ID, 1, **options)
+        sandgait.SandgaitVectorEnv(ID, 1, **options)
