@@ -180,14 +180,20 @@ fn commands_suit_the_legs() {
 fn commands_can_be_set() {
     let blueprint = blueprint(json!({"ground": "rigid", "commands": {"resampling_time": 0.1}}));
     let mut shard = shard(&blueprint, &[1]);
-    shard.set_command(0, [0.5, -0.25, 0.125]).unwrap();
+    shard.set_command(0, [0.5, -0.25, 0.125]);
     for _ in 0..20 {
         assert_eq!(shard.rows.observations[9..12], [0.5, -0.25, 0.125]);
         shard.step(&[0.0; 12]);
     }
-    assert!(shard.set_command(0, [9.0, 0.0, 0.0]).unwrap_err().to_string().contains("command"));
-    let stroke = Blueprint::new("sandgait/LegStroke-v0", Value::Null).unwrap();
-    let mut shard = Shard::new(&stroke, 1).unwrap();
-    shard.reset(|_| true, Some(&[1]), |_| None);
-    assert!(shard.set_command(0, [0.0; 3]).unwrap_err().to_string().contains("has no commands"));
+    let refusal = |task: &str, command| {
+        let blueprint = Blueprint::new(task, Value::Null).unwrap();
+        blueprint.task.check_command("command", command).map_err(|error| error.to_string())
+    };
+    let legged = "sandgait/LeggedVelocity-v1";
+    assert_eq!(refusal(legged, [0.5, -0.25, 0.125]), Ok(()));
+    assert!(refusal(legged, [9.0, 0.0, 0.0]).unwrap_err().starts_with("command: "));
+    assert!(refusal(legged, [f64::NAN, 0.0, 0.0]).unwrap_err().starts_with("command: "));
+    assert!(refusal("sandgait/LegStroke-v0", [0.0; 3]).unwrap_err().contains("has no commands"));
+    assert_eq!(refusal("sandgait/HexapodGait-v1", [0.5, 0.0, 0.125]), Ok(()));
+    assert!(refusal("sandgait/HexapodGait-v1", [0.5, 0.1, 0.0]).unwrap_err().contains("to the left"));
 }

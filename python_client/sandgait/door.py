@@ -58,6 +58,8 @@ class Door(Protocol):
 
     def send_step(self, actions: npt.NDArray[np.float32], held: npt.NDArray[np.bool_] | None, here: bool) -> None: ...
 
+    def send_command(self, commands: npt.NDArray[np.float32]) -> None: ...
+
     def send_restore(self, snapshot: bytes, sources: npt.NDArray[np.integer[Any]] | None) -> None: ...
 
     def receive(self) -> Batch: ...
@@ -113,6 +115,9 @@ class Local:
 
     def send_step(self, actions: npt.NDArray[np.float32], held: npt.NDArray[np.bool_] | None, here: bool) -> None:
         self._native.send_step(actions, None if held is None else held.tobytes(), here)
+
+    def send_command(self, commands: npt.NDArray[np.float32]) -> None:
+        self._native.send_command(commands)
 
     def send_restore(self, snapshot: bytes, sources: npt.NDArray[np.integer[Any]] | None) -> None:
         self._native.send_restore(snapshot, None if sources is None else sources.astype(np.uint32).tobytes())

@@ -15,7 +15,7 @@ from .batches import Batch
 from .errors import InvalidRequest, OutOfOrder, SandgaitError
 from .pickling import Origin, Pickled
 from .snapshots import FilePath, read_snapshot, write_snapshot
-from .spaces import Actions, box, info_columns
+from .spaces import Actions, box, commands, info_columns
 from .vector_env import SandgaitVectorEnv
 from .view import RENDER_MODES, SIZE
 
@@ -178,6 +178,20 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     def stop_recording(self) -> None:
         """Completes the recording; see `sandgait.read_recording` and `sandgait replay`."""
         self._view.stop_recording()
+
+    def set_command(self, command: npt.ArrayLike) -> Observation:
+        """Replaces the commanded velocity for the rest of the episode. Returns the observation with it; behind a delayed
+        sensor it shows it one step later.
+
+        `command` is [3]: forward, to the left [m/s], yaw rate [rad/s]. HexapodGait and its relatives have no command to the
+        left, so their second number is 0.
+        """
+        self._require_rest("set_command")
+        if self._over:
+            raise OutOfOrder("set_command: the episode is over; call reset first")
+        self._session.send_command(commands(command, 1))
+        observation: Observation = self._session.receive().observations[0]
+        return observation
 
     def save(self, path: FilePath | None = None) -> bytes:
         """Takes a snapshot, for `restore`. With `path` also writes it to a file, completely or not at all."""

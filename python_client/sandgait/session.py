@@ -145,6 +145,9 @@ class Session:
     def send_step(self, actions: npt.NDArray[np.float32], held: npt.NDArray[np.bool_] | None, here: bool) -> None:
         self.send(client.step_request(actions, held), here)
 
+    def send_command(self, commands: npt.NDArray[np.float32]) -> None:
+        self.send(Request.set_command(commands))
+
     def send_restore(self, snapshot: bytes, sources: npt.NDArray[np.integer[Any]] | None) -> None:
         self.send(client.restore_request(snapshot, sources))
 

@@ -88,6 +88,11 @@ class Shards:
         for door, part in zip(self._doors, self._slices, strict=True):
             door.send_step(actions[part], None if held is None else held[part], False)
 
+    def send_command(self, commands: npt.NDArray[np.float32]) -> None:
+        """Asks for new commands, f32 [num_envs, 3], in the present episodes."""
+        for door, part in zip(self._doors, self._slices, strict=True):
+            door.send_command(commands[part])
+
     def _check(self, actions: npt.NDArray[np.float32]) -> None:
         low, high = (np.array([getattr(c, end) for c in self.task.action]) for end in ("low", "high"))
         wrong = np.argwhere(~((low <= actions) & (actions <= high)))  # NaN is refused too

@@ -82,6 +82,15 @@ def info_columns(
     return names, box(exact) if exact else None
 
 
+def commands(command: npt.ArrayLike, num_envs: int) -> npt.NDArray[np.float32]:
+    """Rows [num_envs, 3] of a command [3] or of one for each environment."""
+    try:
+        rows = np.broadcast_to(np.asarray(command, np.float32), (num_envs, 3))
+    except (TypeError, ValueError):
+        raise InvalidRequest(f"command: expected numbers [3] or [{num_envs}, 3], got {command!r}") from None
+    return np.ascontiguousarray(rows)
+
+
 class Actions:
     """Prepares actions for sending. `clip`: clip them to their bounds. `name`: name of the actions in errors."""
 

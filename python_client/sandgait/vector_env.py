@@ -20,7 +20,7 @@ from .pickling import Origin, Pickled
 from .policies import read_policy
 from .shards import Address
 from .snapshots import FilePath, read_snapshot, write_snapshot
-from .spaces import Actions, box, info_columns
+from .spaces import Actions, box, commands, info_columns
 from .view import RENDER_MODES, SIZE
 
 Observations = npt.NDArray[np.float32]
@@ -300,6 +300,21 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         if self.privileged_observation_space is not None:
             infos["privileged"], infos["_privileged"] = columns[count:].T.copy(), mask
         return infos
+
+    def set_command(self, command: npt.ArrayLike) -> Observations:
+        """Replaces the commanded velocity for the rest of the present episodes. Returns the observations with it; behind a
+        delayed sensor they show it one step later.
+
+        `command` is [3] for all environments or [num_envs, 3]: forward, to the left [m/s], yaw rate [rad/s]. An environment
+        whose episode has ended returns, and takes the command into, its next episode, which has already begun.
+        """
+        self._require_rest("set_command")
+        rows = commands(command, self.num_envs)
+        self._session.send_command(rows)
+        observations = self._session.receive().observations
+        if self._turn.firsts is not None:
+            self._turn.firsts = observations.copy()
+        return observations
 
     def save(self, path: FilePath | None = None) -> bytes:
         """Takes a snapshot of all environments, for `restore`. With `path` also writes it to a file, completely or not

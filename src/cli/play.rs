@@ -143,7 +143,7 @@ fn walk(
             let [low, high] = ranges[k];
             if shares[k] < 0.0 { -shares[k] * low.min(0.0) } else { shares[k] * high.max(0.0) }
         });
-        shard.set_command(0, command)?;
+        shard.set_command(0, command);
         network.act(&shard.rows.observations, &mut action)?;
         shard.step(&action);
         page.show(shard.look(0, false));

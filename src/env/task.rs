@@ -1,12 +1,13 @@
 //! The definition of a task by its author ([`Task`]), and the form in which environments hold it ([`AnyTask`]).
 
 use super::ground::{Change, UsedGround};
+use super::legged::MOST_COMMAND;
 use super::legged::episode::LeggedEpisode;
 use super::options::{OptionRow, Options, ResetOptions, TaskOptions};
 use super::random::Random;
 use super::sensors::{Motors, Plan};
 use super::spec::Spec;
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, check_range};
 use crate::sim::engine::{Command, EngineKind};
 use crate::sim::{Model, State};
 use serde_json::{Map, Value};
@@ -64,6 +65,8 @@ pub trait Task: Send + Sync + Sized + 'static {
     /// Memory of an episode's state, options and bookkeeping [bytes], and its share of the messages in flight;
     /// measured.
     const EPISODE_BYTES: usize = 2_000;
+    /// Does it command velocities to the left?
+    const SIDEWAYS: bool = false;
 
     type Options: Options;
 
@@ -151,6 +154,11 @@ pub trait AnyTask: Send + Sync {
     fn resume(&self, goal: &mut Goal) -> std::result::Result<(), String>;
     /// See [`Task::command_ranges`].
     fn command_ranges(&self) -> Option<[[f64; 2]; 3]>;
+    /// Checks a command for [`Task::set_command`]; `name` names it.
+    ///
+    /// # Errors
+    /// The task has no such commands, or a number is outside of the bounds that observations have.
+    fn check_command(&self, name: &str, command: [f64; 3]) -> Result<()>;
     /// See [`Task::set_command`].
     fn set_command(&self, goal: &mut Goal, command: [f64; 3]);
 
@@ -286,6 +294,21 @@ impl<T: Task> AnyTask for TaskSetup<T> {
 
     fn command_ranges(&self) -> Option<[[f64; 2]; 3]> {
         self.task.command_ranges(&self.setup())
+    }
+
+    fn check_command(&self, name: &str, command: [f64; 3]) -> Result<()> {
+        if self.command_ranges().is_none() {
+            return Err(Error::invalid(name, format!("{} has no commands", T::ID)));
+        }
+        for value in command {
+            check_range(name, value, -MOST_COMMAND..=MOST_COMMAND)?;
+        }
+        match command[1] == 0.0 || T::SIDEWAYS {
+            true => Ok(()),
+            false => {
+                Err(Error::invalid(name, format!("{} has no command to the left; the second number must be 0", T::ID)))
+            }
+        }
     }
 
     fn set_command(&self, goal: &mut Goal, command: [f64; 3]) {

@@ -39,6 +39,7 @@ pub enum Operation {
     Reset { chosen: Option<Vec<bool>>, seeds: Option<Vec<u64>>, tasks: Option<Tasks> },
     Step { actions: Vec<f32>, held: Option<Vec<bool>> },
     Restore { episodes: Vec<Arc<Resumed>> },
+    Command(Vec<[f64; 3]>),
     Roll(Roll),
 }
 
@@ -222,6 +223,21 @@ impl Batch {
         }
     }
 
+    /// Checks new commands, f32 [envs, 3]: velocity forward and to the left [m/s], yaw rate [rad/s]. They hold for the rest
+    /// of the present episodes.
+    pub fn set_command(&self, commands: &[f32]) -> Result<Operation> {
+        self.check_begun("set_command")?;
+        if commands.len() != 3 * self.envs {
+            let (got, n) = (commands.len(), self.envs);
+            return Err(Error::invalid("commands", format!("{got} numbers, expected {} = [{n}, 3]", 3 * n)));
+        }
+        let commands: Vec<[f64; 3]> = commands.as_chunks().0.iter().map(|c: &[f32; 3]| c.map(f64::from)).collect();
+        for (i, command) in commands.iter().enumerate() {
+            self.task.check_command(&format!("commands[{i}]"), *command)?;
+        }
+        Ok(Operation::Command(commands))
+    }
+
     /// The operation that restores every environment's present state.
     pub fn keep(&self) -> Result<Operation> {
         self.check_begun("rollout")?;
@@ -324,6 +340,7 @@ impl Operation {
             Self::Reset { .. } => "reset",
             Self::Step { .. } => "step",
             Self::Restore { .. } => "restore",
+            Self::Command(_) => "set_command",
             Self::Roll(_) => "rollout",
         }
     }
@@ -368,6 +385,10 @@ impl Operation {
                 for i in 0..envs {
                     shard.restore(i, &episodes[start + i]);
                 }
+            }
+            Self::Command(commands) => {
+                shard.rows.clear();
+                (0..envs).for_each(|i| shard.set_command(i, commands[start + i]));
             }
             Self::Roll(roll) => roll.run(shard, start, part),
         }

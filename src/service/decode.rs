@@ -29,9 +29,11 @@ pub fn operation(batch: &mut Batch, request: Option<Request>, seal: &Seal) -> Re
             let snapshot = Snapshot::from_bytes(&restore.snapshot, seal)?;
             batch.restore(&snapshot, sources.as_deref())
         }
+        Some(Request::SetCommand(set)) => batch.set_command(&floats("commands", &set.commands)?),
         // The other requests are not operations and were answered before.
         Some(_) | None => {
-            let known = "neither reset, step, attach, save, restore, rollout, policy_rollout, render nor observe";
+            let known =
+                "neither reset, step, attach, save, restore, rollout, policy_rollout, render, observe nor set_command";
             Err(Error::invalid("request", known))
         }
     }
@@ -60,6 +62,8 @@ pub fn weight(request: &proto::RunSessionRequest) -> Weight {
         Some(Request::Reset(reset)) if reset.options.is_some() => Weight::Long,
         Some(Request::Reset(reset)) if 8 * reset.seeds.len() + reset.mask.len() <= LIGHT => Weight::Light,
         Some(Request::Reset(_)) => Weight::Short,
+        Some(Request::SetCommand(set)) if set.commands.len() <= LIGHT => Weight::Light,
+        Some(Request::SetCommand(_)) => Weight::Short,
         Some(Request::Attach(_)) | None => Weight::Light,
         Some(_) => Weight::Long,
     }
@@ -73,11 +77,11 @@ pub fn floats(field: &str, bytes: &[u8]) -> Result<Vec<f32>> {
     Ok(numbers.iter().map(|b| f32::from_le_bytes(*b)).collect())
 }
 
-/// Largest step or reset without options of a session [bytes], with its envelope.
+/// Largest step, command or reset without options of a session [bytes], with its envelope.
 pub fn largest_step(batch: &Batch) -> usize {
     let step = 4 * batch.spec().action.len() + 1;
-    let reset = 8 + 1;
-    batch.envs() * step.max(reset) + 256
+    let (reset, command) = (8 + 1, 4 * 3);
+    batch.envs() * step.max(reset).max(command) + 256
 }
 
 /// A step's actions; a wrong length is refused before unpacking.

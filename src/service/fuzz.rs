@@ -4,7 +4,7 @@
 mod mutate;
 
 use super::proto::run_session_request::Request;
-use super::proto::{CreateSessionRequest, PolicyRollout, Reset, Restore, Rollout, RunSessionRequest, Step};
+use super::proto::{CreateSessionRequest, PolicyRollout, Reset, Restore, Rollout, RunSessionRequest, SetCommand, Step};
 use super::sessions::{Limits, Sessions};
 use super::{decode, price, values};
 use crate::env::Task;
@@ -50,6 +50,7 @@ fn requests(batch: &Batch) -> Vec<Vec<u8>> {
         Request::Reset(Reset { seeds: Vec::new(), mask: bytes::Bytes::new(), options: changes }),
         Request::Step(Step { actions: floats(ENVS * width), held: bytes::Bytes::new() }),
         Request::Step(Step { actions: floats(ENVS * width), held: vec![1, 0, 1].into() }),
+        Request::SetCommand(SetCommand { commands: floats(3 * ENVS) }),
         Request::Rollout(Rollout { actions: floats(4 * ENVS * width), trajectories: true }),
         Request::Restore(Restore { snapshot: snapshot.into(), sources: vec![0; 4 * ENVS].into() }),
         Request::PolicyRollout(PolicyRollout { onnx: PPO.into(), steps: 4, trajectories: true }),
@@ -133,6 +134,7 @@ fn spoiled(random: &mut Xoshiro256PlusPlus, mut request: Request) -> Request {
         Request::Step(step) if step.held.is_empty() => spoil(&mut step.actions),
         Request::Step(step) => spoil(&mut step.held),
         Request::Rollout(rollout) => spoil(&mut rollout.actions),
+        Request::SetCommand(set) => spoil(&mut set.commands),
         Request::PolicyRollout(rollout) => spoil(&mut rollout.onnx),
         Request::Reset(reset) => {
             spoil(&mut reset.mask);

@@ -77,7 +77,7 @@ pub fn of_call(path: &str) -> &'static Call {
 pub fn of_request(request: &Request, part: usize) -> Result<usize> {
     let parts = |trajectories: bool| if trajectories { PARTS * part } else { 0 };
     Ok(match request {
-        Request::Attach(_) | Request::Step(_) | Request::Reset(_) | Request::Save(_) => 0,
+        Request::Attach(_) | Request::Step(_) | Request::SetCommand(_) | Request::Reset(_) | Request::Save(_) => 0,
         // The copy of each episode that these make is in the session's reservation. A header has meshes and heights.
         Request::Restore(_) | Request::Observe(_) => 0,
         Request::Rollout(rollout) => parts(rollout.trajectories),

@@ -60,6 +60,10 @@ def vector(keywords: dict[str, Any]) -> list[Any]:
     mask = np.arange(19) % 3 == 0
     said.append(env.reset(options={"reset_mask": mask, "slope_deg": 5.0, "leg": "revC"})[0])
     said.append(refused(lambda: env.reset(options={"slope_deg": "steep"})))
+    said.append(env.set_command((0.2, 0.0, 0.1)))
+    said.append(env.set_command(np.linspace([0.0, 0.0, -0.1], [0.4, 0.0, 0.1], 19)))
+    said.append(refused(lambda: env.set_command((0.2, 0.1, 0.0))))
+    said.append(refused(lambda: env.set_command((float("nan"), 0.0, 0.0))))
     kept = env.save()
     walk(range(5))
     said.append(env.restore(kept))
@@ -86,6 +90,7 @@ def single(keywords: dict[str, Any]) -> list[Any]:
     said.append(env.reset(seed=3)[0])
     for t in range(5):
         said.extend(env.step(actions(1, 18, t)[0]))
+        said.append(env.set_command((0.1 * t, 0.0, 0.0)) if t < 4 else refused(lambda: env.set_command((0.1, 0.0, 0.0))))
     said.append(env.reset()[0])
     said.extend(pickle.loads(pickle.dumps(env)).step(actions(1, 18, 7)[0]))
     env.close()

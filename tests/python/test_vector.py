@@ -350,3 +350,26 @@ def test_gymnasiums_vector_wrappers_take_it() -> None:
     for _ in range(5):
         infos = env.step(np.zeros((3, 6), np.float32))[4]
     assert list(infos["episode"]["l"]) == [5, 5, 5]
+
+
+def test_commands_are_set_for_the_rest_of_an_episode() -> None:
+    envs = sandgait.make_vec("sandgait/LeggedVelocity-v1", 2, ground="rigid", max_episode_steps=30)
+    names = [c.name for c in envs.unwrapped.task.observation]
+    first = names.index("commanded lin_vel_x")
+    envs.reset(seed=0)
+    ours = np.array([[0.25, -0.125, 0.5], [0.0, 0.0, -0.25]], np.float32)
+    assert (envs.unwrapped.set_command(ours)[:, first : first + 3] == ours).all()
+    for _ in range(29):
+        rows = envs.step(np.zeros(envs.action_space.shape, np.float32))[0]
+        assert (rows[:, first : first + 3] == ours).all()
+    for wrong in ([1.0, 2.0], "fast", np.zeros((3, 3))):
+        with pytest.raises(sandgait.InvalidRequest, match=r"command: expected numbers \[3\] or \[2, 3\]"):
+            envs.unwrapped.set_command(wrong)
+    with pytest.raises(sandgait.InvalidRequest, match=r"commands\[1\]: 9 is outside"):
+        envs.unwrapped.set_command([[0.0, 0.0, 0.0], [9.0, 0.0, 0.0]])
+    envs.close()
+    stroke = sandgait.make_vec("sandgait/LegStroke-v0", 1)
+    stroke.reset(seed=0)
+    with pytest.raises(sandgait.InvalidRequest, match="has no commands"):
+        stroke.unwrapped.set_command([0.0, 0.0, 0.0])
+    stroke.close()

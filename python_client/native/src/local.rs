@@ -143,6 +143,14 @@ impl Local {
         Ok(())
     }
 
+    /// `commands` is float32 [num_envs, 3].
+    fn send_command(&self, py: Python<'_>, commands: &Bound<'_, PyAny>) -> PyResult<()> {
+        let commands = arrays::floats(commands)?;
+        let guard = self.lend(py)?;
+        py.detach(|| guard.run(&self.pool, |b| b.set_command(&commands)));
+        Ok(())
+    }
+
     /// `sources`: u32, one for each environment.
     #[pyo3(signature = (snapshot, sources))]
     fn send_restore(&self, py: Python<'_>, snapshot: &[u8], sources: Option<&[u8]>) -> PyResult<()> {

@@ -142,6 +142,11 @@ impl Request {
     }
 
     #[staticmethod]
+    fn set_command(commands: &Bound<'_, PyAny>) -> PyResult<Self> {
+        Ok(Self::of(SessionRequest::SetCommand(proto::SetCommand { commands: packed(commands)?.into() })))
+    }
+
+    #[staticmethod]
     fn save() -> Self {
         Self::of(SessionRequest::Save(proto::Save {}))
     }
@@ -179,7 +184,8 @@ impl Request {
     /// Does it change the environments?
     #[getter]
     fn changes(&self) -> bool {
-        matches!(self.asked, SessionRequest::Reset(_) | SessionRequest::Step(_) | SessionRequest::Restore(_))
+        use SessionRequest::{Reset, Restore, SetCommand, Step};
+        matches!(self.asked, Reset(_) | Step(_) | Restore(_) | SetCommand(_))
     }
 }
 

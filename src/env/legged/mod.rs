@@ -252,6 +252,7 @@ impl Task for LeggedVelocity {
 
     /// Counted: 100 commands and 100 pushes, 4 kB, in the present and in the last episode, and the usual 2 kB.
     const EPISODE_BYTES: usize = 10_000;
+    const SIDEWAYS: bool = true;
     type Options = LeggedOptions;
 
     fn engine(_options: &LeggedOptions) -> EngineKind {

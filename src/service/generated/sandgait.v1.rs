@@ -140,7 +140,7 @@ pub struct RunSessionRequest {
     pub sequence: u64,
     #[prost(
         oneof = "run_session_request::Request",
-        tags = "3, 4, 5, 6, 7, 8, 30, 20, 21"
+        tags = "3, 4, 5, 6, 7, 8, 30, 20, 21, 31"
     )]
     pub request: ::core::option::Option<run_session_request::Request>,
 }
@@ -166,6 +166,8 @@ pub mod run_session_request {
         Render(super::Render),
         #[prost(message, tag = "21")]
         Observe(super::Observe),
+        #[prost(message, tag = "31")]
+        SetCommand(super::SetCommand),
     }
 }
 /// Attaches the session to this stream and does nothing else. Any other first message also attaches the session.
@@ -277,6 +279,14 @@ pub struct Step {
     /// the observation. Empty: no environment is held. Clients use this for the autoreset mode NEXT_STEP.
     #[prost(bytes = "bytes", tag = "10")]
     pub held: ::prost::bytes::Bytes,
+}
+/// Replaces the commanded velocity of every environment for the rest of its episode. The answer is a Batch: observations with
+/// the new command, behind a delayed sensor one step later, and zero elsewhere.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct SetCommand {
+    /// f32 \[num_envs, 3\]: velocity forward and to the left \[m/s\], yaw rate \[rad/s\].
+    #[prost(bytes = "bytes", tag = "1")]
+    pub commands: ::prost::bytes::Bytes,
 }
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct RunSessionResponse {
