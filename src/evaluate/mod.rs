@@ -47,6 +47,9 @@ const MOST_EPISODES: usize = 1_000_000;
 /// Number of episodes that are played together, if the seeds of one condition are not more: our choice. All processors have
 /// work, and the sums over the episodes take some 2 MB.
 const TOGETHER: usize = 1 << 14;
+/// Largest memory of the models of conditions that are played together [bytes], unless one is larger: our choice, thousands
+/// of flat beds, or some dozens with a relief.
+const MODELS: usize = 16 << 20;
 
 /// A request for an evaluation.
 pub struct Request {
@@ -128,7 +131,8 @@ impl Study {
     /// the work. The episodes of some conditions at a time are in memory.
     pub fn run(&self, progress: &dyn Progress) -> Result<Vec<Row>> {
         let searched = if self.gait.is_none() { RATES.count() * SEARCH_SEEDS.count() } else { 0 };
-        let groups = self.conditions.chunks((TOGETHER / (searched + self.seeds)).max(1));
+        let models = MODELS / self.base.task.model().memory_bytes().max(1);
+        let groups = self.conditions.chunks((TOGETHER / (searched + self.seeds)).min(models).max(1));
         let (count, share) = (groups.len() as f64, searched as f64 / (searched + self.seeds) as f64);
         let mut rows = Vec::with_capacity(self.conditions.len());
         for (k, group) in groups.enumerate() {
