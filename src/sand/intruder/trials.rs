@@ -117,7 +117,7 @@ pub fn check_all(sand: &SandDescription, trials: &[Trial]) -> Result<()> {
 }
 
 /// The force on one plate: growing · D(depth) + constant, where D is the depth or a power of it.
-struct PlateForce {
+struct DepthForce {
     /// Height of the centre above the body's origin [m], and half the plate's vertical extent.
     height: f64,
     rise: f64,
@@ -133,7 +133,7 @@ const PARTS: [f64; 2] = [0.4, 1.0];
 /// A body in motion: its leading plates below some height in all positions of a period, lowest first.
 struct MovingPlates<'a> {
     ground: &'a SandBed<f64>,
-    pieces: Vec<PlateForce>,
+    pieces: Vec<DepthForce>,
     share: f64,
 }
 
@@ -202,7 +202,7 @@ impl<'a> MovingPlates<'a> {
         if turns.count == 1 {
             // The plates are sorted already.
             let below = body.plates.iter().take_while(|p| p.center.z - p.rise() < surface);
-            pieces.extend(below.filter_map(|p| PlateForce::of(ground, p, trial, plain)));
+            pieces.extend(below.filter_map(|p| DepthForce::of(ground, p, trial, plain)));
             return Self { ground, pieces, share: 1.0 };
         }
         for k in 0..turns.count {
@@ -214,7 +214,7 @@ impl<'a> MovingPlates<'a> {
                 ..*p
             });
             let below = plates.filter(|p| p.center.z - p.rise() < surface);
-            pieces.extend(below.filter_map(|p| PlateForce::of(ground, &p, trial, plain)));
+            pieces.extend(below.filter_map(|p| DepthForce::of(ground, &p, trial, plain)));
         }
         pieces.sort_by(|a, b| (a.height - a.rise).total_cmp(&(b.height - b.rise)));
         Self { ground, pieces, share: 1.0 / turns.count as f64 }
@@ -248,7 +248,7 @@ impl<'a> MovingPlates<'a> {
     }
 }
 
-impl PlateForce {
+impl DepthForce {
     /// The force on the leading part of a plate; None if no part leads. If the leading edge crosses the plate, the
     /// force is proportional to the leading share.
     fn of(ground: &SandBed<f64>, plate: &IntruderPlate, trial: &Trial, plain: bool) -> Option<Self> {

@@ -27,7 +27,7 @@ pub struct LaneTreeBody<R> {
 
 /// Position and motion of the robots, one in each lane.
 #[derive(Clone)]
-pub struct TreeMotion<R> {
+pub struct LaneTreeMotion<R> {
     /// Orientation of the base: quaternion w and (x, y, z).
     pub orientation: (R, Vec3<R>),
     /// Velocity of the base, linear part at its origin.
@@ -148,7 +148,7 @@ impl<R: Real> LinkFrame<R> {
     }
 
     #[inline(always)]
-    fn base(motion: &TreeMotion<R>) -> Self {
+    fn base(motion: &LaneTreeMotion<R>) -> Self {
         let (velocity, change) = (motion.velocity, motion.change);
         // If the origin's classical acceleration is zero, the spatial one is −ω × v.
         let bias = Twist { angular: Vec3::zero(), linear: velocity.linear.cross(velocity.angular) };
@@ -203,7 +203,7 @@ fn turned<R: Real>(u: Vec3<R>, axis: Vec3<R>, sin: R, cos: R) -> Vec3<R> {
 
 /// Computes positions and velocities of all bodies.
 #[inline(always)]
-pub fn place<R: Real>(bodies: &[LaneTreeBody<R>], motion: &TreeMotion<R>, frames: &mut [LinkFrame<R>]) {
+pub fn place<R: Real>(bodies: &[LaneTreeBody<R>], motion: &LaneTreeMotion<R>, frames: &mut [LinkFrame<R>]) {
     frames[0] = LinkFrame::base(motion);
     for i in 1..bodies.len() {
         frames[i] = frames[bodies[i].parent].child(&bodies[i], &motion.joints[i - 1]);

@@ -1,6 +1,6 @@
 //! The engine for tree robots: blocks of environments in lanes of an instruction set, as in [`crate::lanes`].
 
-use super::dynamics::{self, JointMotion, LaneTreeBody, TreeMotion};
+use super::dynamics::{self, JointMotion, LaneTreeBody, LaneTreeMotion};
 use super::floor::{BodyContacts, Floor};
 use super::model::TreeModel;
 use super::relief::LaneRelief;
@@ -120,7 +120,7 @@ impl<R: Real> TreeLanes<R> {
         let still = Twist { angular: Vec3::zero(), linear: Vec3::zero() };
         let joints = tree.joints();
         // TreeLanes without an environment hover motionless above the ground.
-        let motion = TreeMotion {
+        let motion = LaneTreeMotion {
             orientation: (R::one(), Vec3::zero()),
             velocity: still,
             change: still,

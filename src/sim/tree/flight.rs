@@ -1,7 +1,7 @@
 //! For checks, in `f64`: accelerations of a tree in free flight, and the sand's forces on it in a given motion.
 
 use super::dynamics::{
-    Drive, JointMotion, LaneTreeBody, LinkFrame, LinkLoad, TreeHinge, TreeMotion, fold, load, place, unfold,
+    Drive, JointMotion, LaneTreeBody, LaneTreeMotion, LinkFrame, LinkLoad, TreeHinge, fold, load, place, unfold,
 };
 use super::relief::LaneRelief;
 use super::{Tree, sand};
@@ -49,11 +49,11 @@ pub struct TreePose {
 }
 
 impl TreePose {
-    fn motion<R: Real>(&self) -> TreeMotion<R> {
+    fn motion<R: Real>(&self) -> LaneTreeMotion<R> {
         let [w, x, y, z] = self.quat;
         let joint =
             |(q, qd): (&f64, &f64)| JointMotion { position: R::splat(*q), rate: R::splat(*qd), change: R::zero() };
-        TreeMotion {
+        LaneTreeMotion {
             orientation: (R::splat(w), Vec3::splat([x, y, z])),
             velocity: Twist { angular: Vec3::splat(self.w), linear: Vec3::splat(self.v) },
             change: Twist { angular: Vec3::zero(), linear: Vec3::zero() },

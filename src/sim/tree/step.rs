@@ -1,7 +1,7 @@
 //! One time step of a tree robot: positions → sand → hard ground → joints → accelerations → motion.
 
 use super::Follower;
-use super::dynamics::{self, LaneTreeBody, LinkFrame, LinkLoad, TreeHinge, TreeMotion};
+use super::dynamics::{self, LaneTreeBody, LaneTreeMotion, LinkFrame, LinkLoad, TreeHinge};
 use super::floor::{BodyContacts, Floor, Touch};
 use super::patches::BodyPatches;
 use super::relief::LaneRelief;
@@ -37,7 +37,7 @@ pub struct LaneTreeState<R> {
     pub position: Vec3<R>,
     /// Origin of x and y, for ground that varies with position [m].
     pub travelled: [R; 2],
-    pub motion: TreeMotion<R>,
+    pub motion: LaneTreeMotion<R>,
     pub servos: Vec<LaneServo<R>>,
     pub work: R,
 }
