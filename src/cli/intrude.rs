@@ -29,7 +29,7 @@ use std::path::PathBuf;
   sandgait intrude --body cylinder:radius=0.0625,width=0.06 --trials rows.csv --sand sand.toml --csv forces.csv
   sandgait intrude --body box:length=0.1,width=0.05,height=0.02 --trials rows.csv --law agarwal2023 --csv forces.csv
   sandgait intrude --body sphere:radius=0.02 --trials steps.csv --memory --csv forces.csv --surface heights.csv")]
-pub struct Intrude {
+pub struct IntrudeArgs {
     /// Shape of the leg: L, revL, C, revC, flat or xi=DEGREES
     #[arg(long, allow_hyphen_values = true, required_unless_present = "body", conflicts_with_all = ["body", "trials"])]
     shape: Option<String>,
@@ -84,7 +84,7 @@ pub struct Intrude {
     csv: Option<PathBuf>,
 }
 
-impl Intrude {
+impl IntrudeArgs {
     pub fn run(self) -> Result<String> {
         let (Some(shape), None) = (&self.shape, &self.body) else { return self.run_trials() };
         let (name, shape) = (shape, LegShape::named(shape)?);

@@ -32,7 +32,7 @@ use layout::table;
 
 pub use heights::pack as pack_heights;
 pub use robot::{check as check_robot, is_description, pack as pack_robot};
-pub use train::{Training, learn};
+pub use train::{TrainingArgs, learn};
 
 use self::progress::Bar;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
@@ -49,7 +49,7 @@ use std::path::Path;
 #[command(version, max_term_width = 100, arg_required_else_help = true, after_help = EXAMPLES)]
 struct Cli {
     #[command(subcommand)]
-    command: Command,
+    command: CliCommand,
 }
 
 const EXAMPLES: &str = "Examples:
@@ -67,35 +67,35 @@ fn read_files(options: &mut serde_json::Value) -> Result<()> {
 }
 
 #[derive(Subcommand)]
-enum Command {
-    Serve(serve::Serve),
-    Walk(walk::Walk),
-    Bench(bench::Bench),
-    Diagnose(diagnose::Diagnose),
-    Evaluate(evaluate::Evaluate),
-    Intrude(intrude::Intrude),
-    Media(media::Media),
-    Stress(stress::Stress),
-    Play(play::Play),
-    Replay(replay::Replay),
-    Reproduce(reproduce::Reproduce),
-    Robot(robot::Robot),
-    Robots(robots::Robots),
-    Calibrate(calibrate::Calibrate),
-    Sweep(sweep::Sweep),
-    Tasks(tasks::Tasks),
-    Train(train::Train),
-    Validate(validate::Validate),
+enum CliCommand {
+    Serve(serve::ServeArgs),
+    Walk(walk::WalkArgs),
+    Bench(bench::BenchArgs),
+    Diagnose(diagnose::DiagnoseArgs),
+    Evaluate(evaluate::EvaluateArgs),
+    Intrude(intrude::IntrudeArgs),
+    Media(media::MediaArgs),
+    Stress(stress::StressArgs),
+    Play(play::PlayArgs),
+    Replay(replay::ReplayArgs),
+    Reproduce(reproduce::ReproduceArgs),
+    Robot(robot::RobotArgs),
+    Robots(robots::RobotsArgs),
+    Calibrate(calibrate::CalibrateArgs),
+    Sweep(sweep::SweepArgs),
+    Tasks(tasks::TasksArgs),
+    Train(train::TrainArgs),
+    Validate(validate::ValidateArgs),
 }
 
 /// Runs the command line `arguments`, the program's name first, and returns the exit code.
 pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     let arguments: Vec<OsString> = arguments.into_iter().collect();
     let outcome = match Cli::try_parse_from(&arguments) {
-        Ok(Cli { command: Command::Serve(serve::Serve { config: Some(file), .. }) }) => {
+        Ok(Cli { command: CliCommand::Serve(serve::ServeArgs { config: Some(file), .. }) }) => {
             with_file(&file, arguments).and_then(|cli| run(cli.command))
         }
-        Ok(Cli { command: Command::Robot(robot) }) if robot.check => match robot.run_check() {
+        Ok(Cli { command: CliCommand::Robot(robot) }) if robot.check => match robot.run_check() {
             Ok((text, stands)) => return print(&text).max(u8::from(!stands)),
             Err(error) => Err(error),
         },
@@ -130,26 +130,26 @@ fn with_file(file: &Path, given: Vec<OsString>) -> Result<Cli> {
 }
 
 /// Runs a command; its text goes to stdout.
-fn run(command: Command) -> Result<String> {
+fn run(command: CliCommand) -> Result<String> {
     match command {
-        Command::Serve(c) => c.run(),
-        Command::Walk(c) => c.run(),
-        Command::Bench(c) => c.run(),
-        Command::Diagnose(c) => c.run(),
-        Command::Evaluate(c) => c.run(),
-        Command::Intrude(c) => c.run(),
-        Command::Media(c) => c.run(),
-        Command::Stress(c) => c.run(),
-        Command::Play(c) => c.run(),
-        Command::Replay(c) => c.run(),
-        Command::Reproduce(c) => c.run(),
-        Command::Robot(c) => c.run(),
-        Command::Robots(c) => c.run(),
-        Command::Calibrate(c) => c.run(),
-        Command::Sweep(c) => c.run(),
-        Command::Tasks(c) => c.run(),
-        Command::Train(c) => c.run(),
-        Command::Validate(c) => c.run(),
+        CliCommand::Serve(c) => c.run(),
+        CliCommand::Walk(c) => c.run(),
+        CliCommand::Bench(c) => c.run(),
+        CliCommand::Diagnose(c) => c.run(),
+        CliCommand::Evaluate(c) => c.run(),
+        CliCommand::Intrude(c) => c.run(),
+        CliCommand::Media(c) => c.run(),
+        CliCommand::Stress(c) => c.run(),
+        CliCommand::Play(c) => c.run(),
+        CliCommand::Replay(c) => c.run(),
+        CliCommand::Reproduce(c) => c.run(),
+        CliCommand::Robot(c) => c.run(),
+        CliCommand::Robots(c) => c.run(),
+        CliCommand::Calibrate(c) => c.run(),
+        CliCommand::Sweep(c) => c.run(),
+        CliCommand::Tasks(c) => c.run(),
+        CliCommand::Train(c) => c.run(),
+        CliCommand::Validate(c) => c.run(),
     }
 }
 

@@ -1,6 +1,6 @@
 //! `sandgait serve`
 
-use sandgait::service::{self, Address, Connected, Limits, Listener, Seal, Setup, StateDir, Tls, Token};
+use sandgait::service::{self, Address, Connected, Limits, Listener, Seal, ServerSetup, StateDir, Tls, Token};
 use sandgait::{Error, Result};
 use std::io::{IsTerminal as _, Read as _, Write as _};
 use std::net::SocketAddr;
@@ -34,7 +34,7 @@ const GRACE: Duration = Duration::from_millis(500);
   sandgait serve --listen 0.0.0.0:50051 --tls-cert server.pem --tls-key server.key --token-file token
   sandgait serve --listen 0.0.0.0:50051 --insecure     (anyone who can reach this port can use the server)"
 )]
-pub struct Serve {
+pub struct ServeArgs {
     /// Address: HOST:PORT or unix:PATH (a socket that only its owner can use)
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:50051")]
     listen: Address,
@@ -153,7 +153,7 @@ enum LogFormat {
     Json,
 }
 
-impl Serve {
+impl ServeArgs {
     pub fn run(self) -> Result<String> {
         self.security.check(&self.listen)?;
         let pages = &self.pages;
@@ -198,7 +198,12 @@ impl Serve {
         }
     }
 
-    async fn serve(self, mut setup: Setup, metrics: Option<SocketAddr>, viewer: Option<SocketAddr>) -> Result<()> {
+    async fn serve(
+        self,
+        mut setup: ServerSetup,
+        metrics: Option<SocketAddr>,
+        viewer: Option<SocketAddr>,
+    ) -> Result<()> {
         let stop = CancellationToken::new();
         on_signals(&stop)?;
         let listener = Listener::bind(&self.listen).await?;
@@ -267,7 +272,7 @@ impl Security {
         Err(Error::invalid("--listen", reason))
     }
 
-    fn setup(&self, listen: &Address) -> Result<Setup> {
+    fn setup(&self, listen: &Address) -> Result<ServerSetup> {
         let tls = match (&self.tls_cert, &self.tls_key, &self.tls_self_signed, listen) {
             (Some(certificate), Some(key), ..) => Some(Tls::load(certificate, key, self.client_ca.as_deref())?),
             (.., Some(path), Address::Tcp(address)) => {
@@ -279,7 +284,7 @@ impl Security {
         };
         let token = self.token_file.as_deref().map(Token::load).transpose()?;
         let seal = self.snapshot_key.as_deref().map(Seal::load).transpose()?.unwrap_or_default();
-        Ok(Setup { tls, token, seal, ..Setup::default() })
+        Ok(ServerSetup { tls, token, seal, ..ServerSetup::default() })
     }
 }
 

@@ -2,13 +2,13 @@
 
 use super::Bar;
 use sandgait::client::ServerAddress;
-use sandgait::client::training::Session;
+use sandgait::client::training::TrainingSession;
 use sandgait::env::Task;
 use sandgait::env::gait::HexapodGait;
-use sandgait::evaluate::{FIRST_SEED, Request as Evaluation, commands, table};
+use sandgait::evaluate::{EvaluationRequest, FIRST_SEED, commands, table};
 use sandgait::progress::Progress;
-use sandgait::train::remote::Remote;
-use sandgait::train::{Connect, Outcome, Request, Score, entry};
+use sandgait::train::remote::RemoteEnvironments;
+use sandgait::train::{Connect, PolicyScore, TrainingOutcome, TrainingRequest, entry};
 use sandgait::{Error, Result, files, parallel};
 use serde_json::{Map, Value};
 use std::net::IpAddr;
@@ -31,7 +31,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
   sandgait train --option slope_deg=10 --start-from runs/HexapodGait-fast/policy.safetensors --out runs/steep
   sandgait train --timesteps 2000000 --out runs/two  (the same bits each time, because it has no limit of time)
   sandgait train --address sand.lab:50051 --ca ca.pem --token-file token    (environments on a server)")]
-pub struct Train {
+pub struct TrainArgs {
     /// Name or id of the task
     #[arg(long, value_name = "TASK", default_value = HexapodGait::ID)]
     task: String,
@@ -81,7 +81,7 @@ pub struct Train {
 }
 
 /// A request for a training, from the command line or from Python.
-pub struct Training {
+pub struct TrainingArgs {
     /// Name or id of the task.
     pub task: String,
     pub hyperparameters: Option<PathBuf>,
@@ -108,7 +108,7 @@ const MOST_THREADS: usize = 1024;
 /// Largest seed of a training: our choice, so that the seeds of its episodes cannot overflow 64 bits.
 const MOST_SEED: u64 = (1 << 23) - 1;
 
-impl Train {
+impl TrainArgs {
     pub fn run(self) -> Result<String> {
         let request = self.asked()?.request()?;
         super::warn_of_unfelt_option(&request.options);
@@ -119,11 +119,11 @@ impl Train {
         ))
     }
 
-    fn asked(self) -> Result<Training> {
+    fn asked(self) -> Result<TrainingArgs> {
         let changes = self.set.iter().map(|change| entry::pair("--set", change)).collect::<Result<_>>()?;
         let options = Value::Object(options(&self.option)?);
         let place = self.address.map(|address| place(address, self.token_file.as_deref(), self.ca.as_deref()));
-        Ok(Training {
+        Ok(TrainingArgs {
             task: self.task,
             hyperparameters: self.hyperparameters,
             changes,
@@ -159,9 +159,9 @@ fn place(address: String, token: Option<&Path>, ca: Option<&Path>) -> Result<Ser
     Ok(ServerAddress { tls: ca.is_some(), address, token, ca, identity: None })
 }
 
-impl Training {
+impl TrainingArgs {
     /// Checks everything except what only the task and the server can check.
-    pub fn request(self) -> Result<Request> {
+    pub fn request(self) -> Result<TrainingRequest> {
         let task = entry::task_id(&self.task);
         let mut changes = self.changes;
         changes.extend(entry::ends(self.timesteps, self.seconds));
@@ -173,7 +173,7 @@ impl Training {
         within("threads", self.threads as u64, MOST_THREADS as u64)?;
         within("seed", self.seed, MOST_SEED)?;
         let name = task.trim_start_matches("sandgait/").rsplit_once("-v").map_or(task.as_str(), |(name, _)| name);
-        Ok(Request {
+        Ok(TrainingRequest {
             out: self.out.unwrap_or_else(|| PathBuf::from("runs").join(format!("{name}-fast"))),
             task,
             options: self.options,
@@ -190,8 +190,8 @@ impl Training {
 
 fn connected(place: ServerAddress) -> Box<Connect> {
     Box::new(move |blueprint, options, envs, pause| {
-        let session = Session::new(place.clone(), blueprint, options, envs, pause)?;
-        Ok(Box::new(session) as Box<dyn Remote>)
+        let session = TrainingSession::new(place.clone(), blueprint, options, envs, pause)?;
+        Ok(Box::new(session) as Box<dyn RemoteEnvironments>)
     })
 }
 
@@ -204,7 +204,7 @@ pub fn options(words: &[String]) -> Result<Map<String, Value>> {
 }
 
 /// Trains, and writes all files; returns the results, also as text.
-pub fn learn(request: &Request, progress: &dyn Progress) -> Result<(Outcome, String)> {
+pub fn learn(request: &TrainingRequest, progress: &dyn Progress) -> Result<(TrainingOutcome, String)> {
     let outcome = request.run(progress)?;
     let text = report(request, &outcome);
     let path = request.out.join("evaluation.txt");
@@ -212,7 +212,7 @@ pub fn learn(request: &Request, progress: &dyn Progress) -> Result<(Outcome, Str
     Ok((outcome, text))
 }
 
-fn report(request: &Request, outcome: &Outcome) -> String {
+fn report(request: &TrainingRequest, outcome: &TrainingOutcome) -> String {
     let learnt = &outcome.learnt;
     let rate = learnt.steps as f64 / learnt.seconds / 1e3;
     let share =
@@ -228,14 +228,14 @@ fn report(request: &Request, outcome: &Outcome) -> String {
         text += &format!("{notice}\n");
     }
     match &outcome.score {
-        Some(Score::Walking(row)) => {
+        Some(PolicyScore::Walking(row)) => {
             let rows = [row.clone()];
-            let last = FIRST_SEED + Evaluation::SEEDS as u64 - 1;
+            let last = FIRST_SEED + EvaluationRequest::SEEDS as u64 - 1;
             let (cells, notes) = (table::cells(&rows), table::notes(&rows));
             let head = format!("without noise, unseen seeds {FIRST_SEED} to {last}:");
             text += &format!("\n{head}\n\n{}\n{}\n", super::layout::narrow_table(&cells, 2), notes.join("\n"));
         }
-        Some(Score::Commands(followed)) => {
+        Some(PolicyScore::Commands(followed)) => {
             let (cells, summary) = (commands::cells(followed), commands::summary(followed));
             let level = outcome.last.as_ref().and_then(|report| report.level);
             let limit = super::layout::wrapped(&commands::limit(followed, level), super::layout::WIDTH).join("\n");

@@ -5,7 +5,7 @@ use sandgait::sim::engine::EngineKind;
 use sandgait::sim::model::Scene;
 use sandgait::sim::walk::{Trial, WalkResult, Watch, walk, walk_watched};
 use sandgait::sim::{Model, Robot};
-use sandgait::view::{self, About, Moment};
+use sandgait::view::{self, About, RecordedState};
 use sandgait::{Error, Result};
 use serde_json::json;
 use std::path::Path;
@@ -25,7 +25,7 @@ const RECORDED_RATE: f64 = 100.0;
   sandgait walk --leg revC --frequency 3 --medium poppy-close --slope-deg 5 --json
   sandgait walk --robot mine.toml --frequency 0        (stand still)
   sandgait walk --leg C --frequency 2 --record walk.rec && sandgait replay walk.rec --html walk.html")]
-pub struct Walk {
+pub struct WalkArgs {
     /// Shape of the legs: L, revL, C, revC, flat or xi=DEGREES; default: the robot's own
     #[arg(long)]
     leg: Option<String>,
@@ -61,7 +61,7 @@ pub struct Walk {
     json: bool,
 }
 
-impl Walk {
+impl WalkArgs {
     pub fn run(self) -> Result<String> {
         let mut robot = Robot::load(&self.robot)?;
         if let Some(leg) = &self.leg {
@@ -106,10 +106,10 @@ impl Walk {
 fn recorded(engine: EngineKind, trial: &Trial, path: &Path) -> Result<WalkResult> {
     let failed = |e: std::io::Error| Error::file(path, e);
     let about = About { task: "sandgait walk", rate: RECORDED_RATE, ..About::default() };
-    let mut writer = view::Writer::new(Vec::new(), &view::header(&trial.model, &about)).map_err(failed)?;
+    let mut writer = view::RecordingWriter::new(Vec::new(), &view::header(&trial.model, &about)).map_err(failed)?;
     let mut written = Ok(());
     let mut see = |time: f64, state: &sandgait::sim::State| {
-        let moment = Moment { time, state, footing: &[], action: &[], reward: 0.0, info: &[] };
+        let moment = RecordedState { time, state, footing: &[], action: &[], reward: 0.0, info: &[] };
         if written.is_ok() {
             written = writer.row(&view::row(&trial.model, &moment));
         }

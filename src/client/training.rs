@@ -8,7 +8,7 @@ use crate::error::{Error, Result};
 use crate::service::proto::run_session_request::Request as SessionRequest;
 use crate::service::proto::run_session_response::Response as Answer;
 use crate::service::proto::{Batch, Reset, Restore, RunSessionRequest, Save, Step, Task};
-use crate::train::remote::{Pause, Remote, Rows};
+use crate::train::remote::{RemoteEnvironments, RemoteRows, WhileWaiting};
 use sandgait_env::Spec;
 use sandgait_env::registry::Blueprint;
 use serde_json::Value;
@@ -24,7 +24,7 @@ const RETRY: Duration = Duration::from_secs(2);
 const CLOSING: Duration = Duration::from_secs(2);
 
 /// A session with one request in flight at most.
-pub struct Session {
+pub struct TrainingSession {
     place: ServerAddress,
     id: String,
     stream: Stream,
@@ -39,14 +39,14 @@ fn failed(place: &ServerAddress, status: &Status) -> Error {
     Error::invalid(format!("server {}", place.address), format!("{what}{}", status.message()))
 }
 
-impl Session {
+impl TrainingSession {
     /// `envs` environments of `blueprint`, made with `options`.
     pub fn new(
         place: ServerAddress,
         blueprint: &Blueprint,
         options: &Value,
         envs: usize,
-        pause: Pause,
+        pause: WhileWaiting,
     ) -> Result<Self> {
         let spec = blueprint.task.spec();
         let runtime = runtime().map_err(|e| failed(&place, &e))?;
@@ -71,7 +71,7 @@ impl Session {
 
     /// The answer to `asked`. If the stream breaks, new streams are tried for a while. Requests are numbered, so
     /// none is carried out twice.
-    fn ask(&mut self, asked: SessionRequest, pause: Pause) -> Result<Answer> {
+    fn ask(&mut self, asked: SessionRequest, pause: WhileWaiting) -> Result<Answer> {
         self.sequence += 1;
         let request = RunSessionRequest { session_id: String::new(), sequence: self.sequence, request: Some(asked) };
         self.stream.send(request.clone(), true);
@@ -111,7 +111,7 @@ impl Session {
         }
     }
 
-    fn rows(&mut self, asked: SessionRequest, pause: Pause) -> Result<Rows> {
+    fn rows(&mut self, asked: SessionRequest, pause: WhileWaiting) -> Result<RemoteRows> {
         match self.ask(asked, pause)? {
             Answer::Batch(batch) => unpacked(&batch, self.envs, self.observation).ok_or_else(|| self.wrong()),
             _ => Err(self.wrong()),
@@ -123,30 +123,30 @@ impl Session {
     }
 }
 
-impl Remote for Session {
-    fn reset(&mut self, seeds: &[u64], pause: Pause) -> Result<Rows> {
+impl RemoteEnvironments for TrainingSession {
+    fn reset(&mut self, seeds: &[u64], pause: WhileWaiting) -> Result<RemoteRows> {
         self.rows(SessionRequest::Reset(Reset { seeds: seeds.to_vec(), ..Reset::default() }), pause)
     }
 
-    fn step(&mut self, actions: &[f32], pause: Pause) -> Result<Rows> {
+    fn step(&mut self, actions: &[f32], pause: WhileWaiting) -> Result<RemoteRows> {
         let actions: Vec<u8> = actions.iter().flat_map(|x| x.to_le_bytes()).collect();
         self.rows(SessionRequest::Step(Step { actions: actions.into(), ..Step::default() }), pause)
     }
 
-    fn save(&mut self, pause: Pause) -> Result<Vec<u8>> {
+    fn save(&mut self, pause: WhileWaiting) -> Result<Vec<u8>> {
         match self.ask(SessionRequest::Save(Save {}), pause)? {
             Answer::Snapshot(snapshot) => Ok(snapshot.data.to_vec()),
             _ => Err(self.wrong()),
         }
     }
 
-    fn restore(&mut self, snapshot: &[u8], pause: Pause) -> Result<Rows> {
+    fn restore(&mut self, snapshot: &[u8], pause: WhileWaiting) -> Result<RemoteRows> {
         let snapshot = snapshot.to_vec().into();
         self.rows(SessionRequest::Restore(Restore { snapshot, ..Restore::default() }), pause)
     }
 }
 
-impl Drop for Session {
+impl Drop for TrainingSession {
     fn drop(&mut self) {
         self.stream.close();
         if let Ok(runtime) = runtime() {
@@ -156,7 +156,7 @@ impl Drop for Session {
     }
 }
 
-fn open(place: &ServerAddress, id: &str, pause: Pause) -> Result<Stream> {
+fn open(place: &ServerAddress, id: &str, pause: WhileWaiting) -> Result<Stream> {
     Stream::open(place.clone(), id.to_owned(), pause)?.map_err(|e| failed(place, &e))
 }
 
@@ -170,7 +170,7 @@ fn is_same(task: &Task, spec: &Spec) -> bool {
 }
 
 /// A batch's bytes as numbers; None if their lengths are wrong.
-fn unpacked(batch: &Batch, envs: usize, observation: usize) -> Option<Rows> {
+fn unpacked(batch: &Batch, envs: usize, observation: usize) -> Option<RemoteRows> {
     let floats = |bytes: &[u8], count: usize| -> Option<Vec<f32>> {
         let (all, rest) = bytes.as_chunks::<4>();
         (rest.is_empty() && all.len() == count).then(|| all.iter().map(|b| f32::from_le_bytes(*b)).collect())
@@ -181,7 +181,7 @@ fn unpacked(batch: &Batch, envs: usize, observation: usize) -> Option<Rows> {
     if !rest.is_empty() || ended.iter().any(|i| *i as usize >= envs) {
         return None;
     }
-    Some(Rows {
+    Some(RemoteRows {
         observations: floats(&batch.observations, envs * observation)?,
         rewards: floats(&batch.rewards, envs)?,
         terminated: flags(&batch.terminated)?,

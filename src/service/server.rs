@@ -5,7 +5,7 @@
 //! ```
 
 use super::address::Listener;
-use super::connections::{self, Connections, Protocol, Socket, Table};
+use super::connections::{self, ConnectionTable, Connections, ListenSocket, Protocol};
 use super::gate::{self, Gate};
 use super::intake::{self, Intake};
 use super::metrics;
@@ -58,7 +58,7 @@ impl Default for Connected {
 
 /// The settings of a server, apart from its address.
 #[derive(Default)]
-pub struct Setup {
+pub struct ServerSetup {
     /// Threads that simulate; 0: one for each processor.
     pub threads: usize,
     pub limits: Limits,
@@ -83,8 +83,9 @@ pub struct Setup {
 pub type AddServices = Box<dyn FnOnce(&mut Services, &Arc<Sessions>, &Arc<Pool>) + Send>;
 
 /// Serves until `stop` is cancelled, then lets every stream finish its present operation.
-pub async fn serve(listener: Listener, setup: Setup, stop: CancellationToken) -> Result<()> {
-    let Setup { threads, limits, connected, tls, token, seal, metrics, viewer, state, others: add_others } = setup;
+pub async fn serve(listener: Listener, setup: ServerSetup, stop: CancellationToken) -> Result<()> {
+    let ServerSetup { threads, limits, connected, tls, token, seal, metrics, viewer, state, others: add_others } =
+        setup;
     // File descriptors for the pages.
     let watched = limits.watchers + connections::BESIDE_WATCHERS;
     let others = [(metrics.is_some(), connections::METRICS), (viewer.is_some(), watched)];
@@ -123,10 +124,10 @@ pub async fn serve(listener: Listener, setup: Setup, stop: CancellationToken) ->
     let saved = tokio::spawn(end(sessions, health, services.names, state));
     // The socket's file stays until all connections have ended.
     let (socket, _file) = match listener {
-        Listener::Tcp(listener) => (Socket::Tcp(listener), None),
-        Listener::Unix(listener, file) => (Socket::Unix(listener), Some(file)),
+        Listener::Tcp(listener) => (ListenSocket::Tcp(listener), None),
+        Listener::Unix(listener, file) => (ListenSocket::Unix(listener), Some(file)),
     };
-    let table = Table::new(connections::room(connected.all as usize, others));
+    let table = ConnectionTable::new(connections::room(connected.all as usize, others));
     let protocol = Protocol::Http2 { streams: connected.streams, window };
     Connections { table, tls, protocol, routes, refusals }.serve(socket, stop).await;
     let saved = saved.await;

@@ -1,11 +1,11 @@
 //! Rollouts: environments play some steps with the present policy, and the transitions are stored.
 
-use super::learn::Rollout;
-use super::loss::Spread;
-use super::network::{Networks, Pass};
-use super::normal::{Moments, Scales};
-use super::remote::Rows;
-use super::settings::Settings;
+use super::learn::RolloutBuffer;
+use super::loss::ActionNoise;
+use super::network::{NetworkPass, Networks};
+use super::normal::{BatchMoments, NormalizerScales};
+use super::remote::RemoteRows;
+use super::settings::Hyperparameters;
 use crate::env::Shard;
 use crate::env::registry::Blueprint;
 use crate::env::snapshot::{Resumed, SavedEpisode};
@@ -23,14 +23,14 @@ const PIECES: usize = 8;
 const LEVEL: &str = "level";
 
 /// The place at which a piece's environments are computed.
-enum Place {
+enum GroupEnvironments {
     Here(Box<Shard>),
     /// On a server; the rows of their last step.
-    Away(Rows),
+    OptionalRemote(RemoteRows),
 }
 
 /// The rows of the last reset or step, from either place.
-struct Met<'a> {
+struct StepResult<'a> {
     observations: &'a [f32],
     rewards: &'a [f32],
     terminated: &'a [u8],
@@ -39,11 +39,11 @@ struct Met<'a> {
     final_observations: &'a [f32],
 }
 
-impl Place {
-    fn met(&self) -> Met<'_> {
+impl GroupEnvironments {
+    fn met(&self) -> StepResult<'_> {
         macro_rules! met {
             ($rows:expr) => {
-                Met {
+                StepResult {
                     observations: &$rows.observations,
                     rewards: &$rows.rewards,
                     terminated: &$rows.terminated,
@@ -55,30 +55,30 @@ impl Place {
         }
         match self {
             Self::Here(shard) => met!(shard.rows),
-            Self::Away(rows) => met!(rows),
+            Self::OptionalRemote(rows) => met!(rows),
         }
     }
 }
 
 /// Some of the environments, and their transitions in this rollout; rows of a step are contiguous.
-pub struct Piece {
-    place: Place,
+pub struct RolloutGroup {
+    place: GroupEnvironments,
     /// Number of environments.
     pub envs: usize,
     random: Xoshiro256PlusPlus,
-    pass: Pass,
-    spread: Spread,
+    pass: NetworkPass,
+    spread: ActionNoise,
     /// f32 [envs, action], clipped to the action space.
     pub clipped: Vec<f32>,
     /// Bounds of each number of an action.
     bounds: Vec<[f32; 2]>,
-    pub data: Rollout,
+    pub data: RolloutBuffer,
     /// Did the episode end with this step?
     ended: Vec<bool>,
     /// Discounted sum of rewards of each environment, for their normalization.
     pub discounted: Vec<f64>,
     /// Statistics of the last step's observations and discounted sums.
-    pub seen: [Moments; 2],
+    pub seen: [BatchMoments; 2],
     /// Sums of the weighted reward terms in this rollout, and the levels of the environments at its end.
     pub terms: Vec<f64>,
     pub levels: Vec<f32>,
@@ -91,44 +91,55 @@ pub struct Piece {
 
 /// Data that all pieces share while they play.
 #[derive(Clone, Copy)]
-pub struct Play<'a> {
-    pub settings: &'a Settings,
+pub struct PolicyContext<'a> {
+    pub settings: &'a Hyperparameters,
     pub networks: &'a Networks,
     pub parameters: &'a [f32],
-    pub scales: Option<&'a Scales>,
+    pub scales: Option<&'a NormalizerScales>,
 }
 
-impl Piece {
+impl RolloutGroup {
     /// All environments of a training, without a state yet; `away`: on a server.
-    pub fn all(blueprint: &Blueprint, settings: &Settings, networks: &Networks, away: bool) -> Result<Vec<Self>> {
+    pub fn all(
+        blueprint: &Blueprint,
+        settings: &Hyperparameters,
+        networks: &Networks,
+        away: bool,
+    ) -> Result<Vec<Self>> {
         let lanes = blueprint.engine.shard_size();
         let size = settings.n_envs.div_ceil(PIECES).next_multiple_of(lanes);
         let starts = (0..settings.n_envs).step_by(size);
         let piece = |start: usize| {
             let envs = size.min(settings.n_envs - start);
             let place = match away {
-                true => Place::Away(Rows::default()),
-                false => Place::Here(Box::new(Shard::new(blueprint, envs)?)),
+                true => GroupEnvironments::OptionalRemote(RemoteRows::default()),
+                false => GroupEnvironments::Here(Box::new(Shard::new(blueprint, envs)?)),
             };
             Ok(Self::new(blueprint, envs, settings, networks, place))
         };
         starts.map(piece).collect()
     }
 
-    fn new(blueprint: &Blueprint, envs: usize, settings: &Settings, networks: &Networks, place: Place) -> Self {
+    fn new(
+        blueprint: &Blueprint,
+        envs: usize,
+        settings: &Hyperparameters,
+        networks: &Networks,
+        place: GroupEnvironments,
+    ) -> Self {
         let spec = blueprint.task.spec();
         Self {
             place,
             envs,
             random: Xoshiro256PlusPlus::seed_from_u64(0),
             pass: networks.pass(envs),
-            spread: Spread::default(),
+            spread: ActionNoise::default(),
             clipped: vec![0.0; envs * spec.action.len()],
             bounds: spec.action.iter().map(|c| [c.low as f32, c.high as f32]).collect(),
-            data: Rollout::new(envs * settings.n_steps, spec.observation.len(), spec.action.len()),
+            data: RolloutBuffer::new(envs * settings.n_steps, spec.observation.len(), spec.action.len()),
             ended: vec![false; envs * settings.n_steps],
             discounted: vec![0.0; envs],
-            seen: [Moments::new(spec.observation.len()), Moments::new(1)],
+            seen: [BatchMoments::new(spec.observation.len()), BatchMoments::new(1)],
             terms: vec![0.0; spec.reward.len()],
             levels: Vec::new(),
             level: spec.info.iter().position(|column| column.name == LEVEL),
@@ -139,29 +150,29 @@ impl Piece {
 
     /// Begins the first episodes of environments in this process.
     pub fn reset(&mut self, seeds: &[u64]) {
-        if let Place::Here(shard) = &mut self.place {
+        if let GroupEnvironments::Here(shard) = &mut self.place {
             shard.reset(|_| true, Some(seeds), |_| None);
             self.seen[0].set(&shard.rows.observations);
         }
     }
 
     /// Begins the first episodes of environments on a server, which has returned `rows`.
-    pub fn take(&mut self, rows: Rows) {
+    pub fn take(&mut self, rows: RemoteRows) {
         self.seen[0].set(&rows.observations);
-        self.place = Place::Away(rows);
+        self.place = GroupEnvironments::OptionalRemote(rows);
     }
 
     /// The present episodes; None for environments on a server.
     pub fn episodes(&self) -> Vec<SavedEpisode> {
         match &self.place {
-            Place::Here(shard) => (0..self.envs).map(|i| shard.save(i)).collect(),
-            Place::Away(_) => Vec::new(),
+            GroupEnvironments::Here(shard) => (0..self.envs).map(|i| shard.save(i)).collect(),
+            GroupEnvironments::OptionalRemote(_) => Vec::new(),
         }
     }
 
     /// Continues these episodes, one in each environment.
     pub fn resume(&mut self, episodes: &[Resumed]) {
-        if let Place::Here(shard) = &mut self.place {
+        if let GroupEnvironments::Here(shard) = &mut self.place {
             shard.rows.clear();
             episodes.iter().enumerate().for_each(|(i, episode)| shard.restore(i, episode));
         }
@@ -175,7 +186,7 @@ impl Piece {
     }
 
     /// Makes step `step` of the rollout; for environments on a server it only computes the actions.
-    pub fn act(&mut self, play: &Play, step: usize) {
+    pub fn act(&mut self, play: &PolicyContext, step: usize) {
         if step > 0 {
             self.pay(play, step - 1);
         }
@@ -204,7 +215,7 @@ impl Piece {
             self.data.log_probabilities[row] = self.spread.log_probability(action, mean);
         }
         self.data.values[rows.clone()].copy_from_slice(&self.pass.values[..self.envs]);
-        if let Place::Here(shard) = &mut self.place {
+        if let GroupEnvironments::Here(shard) = &mut self.place {
             shard.step(&self.clipped);
             let infos = shard.rows.infos.chunks_exact(shard.rows.infos.len() / self.envs);
             for row in infos.clone() {
@@ -217,13 +228,13 @@ impl Piece {
     }
 
     /// Stores the server's results of step `step`.
-    pub fn answered(&mut self, play: &Play, step: usize, rows: Rows) {
-        self.place = Place::Away(rows);
+    pub fn answered(&mut self, play: &PolicyContext, step: usize, rows: RemoteRows) {
+        self.place = GroupEnvironments::OptionalRemote(rows);
         self.note(play, step);
     }
 
     /// Stores the results of step `step`.
-    fn note(&mut self, play: &Play, step: usize) {
+    fn note(&mut self, play: &PolicyContext, step: usize) {
         let met = self.place.met();
         for (i, row) in (step * self.envs..(step + 1) * self.envs).enumerate() {
             let reward = f64::from(met.rewards[i]);
@@ -247,7 +258,7 @@ impl Piece {
 
     /// Normalizes the rewards of step `step`, the last one. If an episode was truncated, adds the value of its last
     /// observation.
-    fn pay(&mut self, play: &Play, step: usize) {
+    fn pay(&mut self, play: &PolicyContext, step: usize) {
         let first = step * self.envs;
         if let Some(scales) = play.scales {
             scales.rewards(&mut self.data.rewards[first..first + self.envs]);
@@ -269,7 +280,7 @@ impl Piece {
 
     /// After the last step: computes advantages by generalized advantage estimation (Schulman et al. 2016,
     /// arXiv:1506.02438).
-    pub fn finish(&mut self, play: &Play) {
+    pub fn finish(&mut self, play: &PolicyContext) {
         let (envs, steps) = (self.envs, play.settings.n_steps);
         self.pay(play, steps - 1);
         play.networks.forward(play.parameters, &mut self.pass, envs, |out| {
@@ -292,7 +303,7 @@ impl Piece {
 }
 
 /// Observations in the form that the networks take.
-fn observe(play: &Play, rows: &[f32], out: &mut [f32]) {
+fn observe(play: &PolicyContext, rows: &[f32], out: &mut [f32]) {
     match play.scales {
         Some(scales) => scales.observations(rows, out),
         None => out.copy_from_slice(rows),
@@ -300,10 +311,10 @@ fn observe(play: &Play, rows: &[f32], out: &mut [f32]) {
 }
 
 /// Distributes rows over the pieces of environments.
-pub fn deal<P: DerefMut<Target = Piece>>(
+pub fn deal<P: DerefMut<Target = RolloutGroup>>(
     pieces: impl Iterator<Item = P>,
-    rows: &Rows,
-    mut hand: impl FnMut(&mut Piece, Rows),
+    rows: &RemoteRows,
+    mut hand: impl FnMut(&mut RolloutGroup, RemoteRows),
 ) {
     let mut first = 0;
     for mut piece in pieces {

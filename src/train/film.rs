@@ -5,7 +5,7 @@ use crate::env::{Look, Shard};
 use crate::error::{Error, Result};
 use crate::plot::png;
 use crate::policy::Network;
-use crate::view::{self, About, Moment, Writer};
+use crate::view::{self, About, RecordedState, RecordingWriter};
 use std::path::Path;
 
 /// Number of moments in the picture, and width and height of each [px].
@@ -17,7 +17,7 @@ pub fn film(blueprint: &Blueprint, network: &Network, seed: u64, recording: &Pat
     let broken = |e: std::io::Error| Error::file(recording, e);
     let mut shard = Shard::new(blueprint, 1)?;
     shard.reset(|_| true, Some(&[seed]), |_| None);
-    let mut out = Writer::new(Vec::new(), &header(&shard.look(0, true))).map_err(broken)?;
+    let mut out = RecordingWriter::new(Vec::new(), &header(&shard.look(0, true))).map_err(broken)?;
     out.row(&row(&shard.look(0, true))).map_err(broken)?;
     let mut action = vec![0.0; shard.actions()];
     let longest = blueprint.task.spec().max_episode_steps as usize;
@@ -67,5 +67,5 @@ fn header(look: &Look) -> String {
 
 fn row(look: &Look) -> Vec<f32> {
     let Look { model, footing, time, action, reward, info, .. } = look;
-    view::row(model, &Moment { time: *time, state: &look.whole_state(), footing, action, reward: *reward, info })
+    view::row(model, &RecordedState { time: *time, state: &look.whole_state(), footing, action, reward: *reward, info })
 }

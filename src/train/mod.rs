@@ -49,9 +49,9 @@ mod tensors;
 mod training;
 mod yaml;
 
-pub use curve::Point;
+pub use curve::CurvePoint;
 pub use export::onnx;
 pub use mirror::Mirror;
-pub use plan::{Learnt, Observer, Plan, Report};
-pub use run::{Connect, Outcome, Request, Score};
-pub use settings::Settings;
+pub use plan::{Observer, TrainingPlan, TrainingState, UpdateReport};
+pub use run::{Connect, PolicyScore, TrainingOutcome, TrainingRequest};
+pub use settings::Hyperparameters;

@@ -4,26 +4,26 @@ use crate::error::Result;
 use std::ops::Range;
 
 /// Called while waiting for an answer; its error ends the wait.
-pub type Pause<'a> = &'a mut dyn FnMut() -> Result<()>;
+pub type WhileWaiting<'a> = &'a mut dyn FnMut() -> Result<()>;
 
 /// All environments of a training, on a server. Each call waits for its answer.
-pub trait Remote: Send {
+pub trait RemoteEnvironments: Send {
     /// Begins an episode in each environment; one seed for each environment.
-    fn reset(&mut self, seeds: &[u64], pause: Pause) -> Result<Rows>;
+    fn reset(&mut self, seeds: &[u64], pause: WhileWaiting) -> Result<RemoteRows>;
     /// Makes a step; `actions` is f32 [envs, action]. If an episode ends, the next one begins at once.
-    fn step(&mut self, actions: &[f32], pause: Pause) -> Result<Rows>;
+    fn step(&mut self, actions: &[f32], pause: WhileWaiting) -> Result<RemoteRows>;
     /// Saves all environments.
-    fn save(&mut self, pause: Pause) -> Result<Vec<u8>>;
+    fn save(&mut self, pause: WhileWaiting) -> Result<Vec<u8>>;
     /// Restores saved environments.
-    fn restore(&mut self, snapshot: &[u8], pause: Pause) -> Result<Rows>;
+    fn restore(&mut self, snapshot: &[u8], pause: WhileWaiting) -> Result<RemoteRows>;
 }
 
 /// Environments on a server, if the training uses one.
-pub type Away<'a> = Option<&'a mut (dyn Remote + 'static)>;
+pub type OptionalRemote<'a> = Option<&'a mut (dyn RemoteEnvironments + 'static)>;
 
 /// Rows of the last reset or step, one for each environment.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Rows {
+pub struct RemoteRows {
     /// f32 [envs, observation]
     pub observations: Vec<f32>,
     /// f32 [envs]
@@ -38,7 +38,7 @@ pub struct Rows {
     pub final_observations: Vec<f32>,
 }
 
-impl Rows {
+impl RemoteRows {
     /// The rows of the environments in `part`, counted from its start.
     pub fn part(&self, part: Range<usize>) -> Self {
         let wide = self.observations.len() / self.rewards.len().max(1);
@@ -64,7 +64,7 @@ mod tests {
 
     #[test]
     fn parts_are_counted_from_their_start() {
-        let rows = Rows {
+        let rows = RemoteRows {
             observations: (0..10).map(|k| k as f32).collect(),
             rewards: vec![0.0, 1.0, 2.0, 3.0, 4.0],
             terminated: vec![0, 1, 0, 0, 0],
@@ -73,7 +73,7 @@ mod tests {
             final_observations: vec![10.0, 11.0, 30.0, 31.0, 40.0, 41.0],
         };
         let part = rows.part(2..4);
-        let wanted = Rows {
+        let wanted = RemoteRows {
             observations: vec![4.0, 5.0, 6.0, 7.0],
             rewards: vec![2.0, 3.0],
             terminated: vec![0, 0],

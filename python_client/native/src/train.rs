@@ -6,7 +6,7 @@ use crate::values::keywords;
 use crate::wait;
 use pyo3::prelude::*;
 use pyo3::types::PyMapping;
-use sandgait::cli::{Training, learn};
+use sandgait::cli::{TrainingArgs, learn};
 use sandgait::env::registry::Blueprint;
 use sandgait::train::Mirror;
 use serde_json::json;
@@ -43,7 +43,7 @@ pub fn train(py: Python<'_>, asked: SessionRequest<'_>, told: Option<&Bound<'_, 
         serde_json::Value::Object(changes) => changes.into_iter().collect(),
         _ => Vec::new(),
     };
-    let training = Training {
+    let training = TrainingArgs {
         task: asked.task,
         hyperparameters: asked.hyperparameters,
         changes,
