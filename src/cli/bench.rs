@@ -71,8 +71,8 @@ enum Through {
     /// A server on loopback TCP in this process, with one stream.
     GrpcTcp,
     /// A server on a Unix socket in this process, with rollouts of 150 steps whose answers have only the returns.
-    RolloutStepper,
-    /// The same as `RolloutStepper`, but the answers also have the rows of every step.
+    Rollouts,
+    /// The same as `Rollouts`, but the answers also have the rows of every step.
     Trajectories,
 }
 
@@ -125,7 +125,7 @@ impl BenchArgs {
             through => {
                 let remote = ServerStepper::new(task, options, self.envs, threads, through == Through::GrpcTcp)?;
                 match through {
-                    Through::RolloutStepper => Box::new(RolloutStepper { remote, trajectories: false }),
+                    Through::Rollouts => Box::new(RolloutStepper { remote, trajectories: false }),
                     Through::Trajectories => Box::new(RolloutStepper { remote, trajectories: true }),
                     _ => Box::new(remote),
                 }
@@ -196,7 +196,7 @@ impl BenchArgs {
             Through::Process => "process",
             Through::GrpcUds => "grpc-uds",
             Through::GrpcTcp => "grpc-tcp",
-            Through::RolloutStepper => "rollouts",
+            Through::Rollouts => "rollouts",
             Through::Trajectories => "trajectories",
         };
         let json = json!({

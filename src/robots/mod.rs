@@ -51,7 +51,7 @@ pub enum Format {
     Urdf,
     Mjcf,
     Toml,
-    PackedRobot,
+    Packed,
 }
 
 impl Format {
@@ -60,7 +60,7 @@ impl Format {
             Self::Urdf => "urdf",
             Self::Mjcf => "mjcf",
             Self::Toml => "toml",
-            Self::PackedRobot => "packed",
+            Self::Packed => "packed",
         }
     }
 }
@@ -184,7 +184,7 @@ impl Import {
         let visuals = tree.bodies.iter().map(|_| Vec::new()).collect();
         let stance = (*model.stance).clone();
         let found = FoundJoints::none(tree.joints().count());
-        let (format, warnings) = (Format::PackedRobot, Vec::new());
+        let (format, warnings) = (Format::Packed, Vec::new());
         let packed = Some(Box::new(PackedRobot { model, text: text.to_owned() }));
         Ok(Self { tree, format, warnings, links, visuals, stance, found, base_is_free: true, touches: None, packed })
     }

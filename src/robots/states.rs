@@ -25,7 +25,7 @@ struct StateRow {
 #[derive(Deserialize)]
 #[serde(untagged)]
 enum JointRows {
-    NamedRobot { joints: Option<Vec<String>>, rows: Vec<StateRow> },
+    Named { joints: Option<Vec<String>>, rows: Vec<StateRow> },
     Bare(Vec<StateRow>),
 }
 
@@ -43,7 +43,7 @@ pub fn compute(tree: &Tree, path: &Path) -> Result<Vec<Accelerations>> {
     })?;
     let own: Vec<&str> = tree.joints().map(|j| j.name.as_str()).collect();
     let (joints, rows) = match file {
-        JointRows::NamedRobot { joints, rows } => (joints, rows),
+        JointRows::Named { joints, rows } => (joints, rows),
         JointRows::Bare(rows) => (None, rows),
     };
     // For each joint of the tree its index in the rows.

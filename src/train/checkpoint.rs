@@ -81,7 +81,7 @@ pub fn save(path: &Path, plan: &TrainingPlan, learnt: &TrainingState, open: [f64
     }
     if let Some(kept) = &learnt.environments {
         let bytes = kept.episodes.bytes()?;
-        let place = if matches!(kept.episodes, Episodes::OptionalRemote(_)) { "server" } else { "here" };
+        let place = if matches!(kept.episodes, Episodes::OnServer(_)) { "server" } else { "here" };
         file.about.insert("environments".into(), place.into());
         file.add("environments", &[bytes.len()], Numbers::U8(bytes));
         file.add("environments.discounted", &[kept.discounted.len()], Numbers::F64(kept.discounted.clone()));

@@ -26,7 +26,7 @@ const LEVEL: &str = "level";
 enum GroupEnvironments {
     Here(Box<Shard>),
     /// On a server; the rows of their last step.
-    OptionalRemote(RemoteRows),
+    OnServer(RemoteRows),
 }
 
 /// The rows of the last reset or step, from either place.
@@ -55,7 +55,7 @@ impl GroupEnvironments {
         }
         match self {
             Self::Here(shard) => met!(shard.rows),
-            Self::OptionalRemote(rows) => met!(rows),
+            Self::OnServer(rows) => met!(rows),
         }
     }
 }
@@ -112,7 +112,7 @@ impl RolloutGroup {
         let piece = |start: usize| {
             let envs = size.min(settings.n_envs - start);
             let place = match away {
-                true => GroupEnvironments::OptionalRemote(RemoteRows::default()),
+                true => GroupEnvironments::OnServer(RemoteRows::default()),
                 false => GroupEnvironments::Here(Box::new(Shard::new(blueprint, envs)?)),
             };
             Ok(Self::new(blueprint, envs, settings, networks, place))
@@ -159,14 +159,14 @@ impl RolloutGroup {
     /// Begins the first episodes of environments on a server, which has returned `rows`.
     pub fn take(&mut self, rows: RemoteRows) {
         self.seen[0].set(&rows.observations);
-        self.place = GroupEnvironments::OptionalRemote(rows);
+        self.place = GroupEnvironments::OnServer(rows);
     }
 
     /// The present episodes; None for environments on a server.
     pub fn episodes(&self) -> Vec<SavedEpisode> {
         match &self.place {
             GroupEnvironments::Here(shard) => (0..self.envs).map(|i| shard.save(i)).collect(),
-            GroupEnvironments::OptionalRemote(_) => Vec::new(),
+            GroupEnvironments::OnServer(_) => Vec::new(),
         }
     }
 
@@ -229,7 +229,7 @@ impl RolloutGroup {
 
     /// Stores the server's results of step `step`.
     pub fn answered(&mut self, play: &PolicyContext, step: usize, rows: RemoteRows) {
-        self.place = GroupEnvironments::OptionalRemote(rows);
+        self.place = GroupEnvironments::OnServer(rows);
         self.note(play, step);
     }
 

@@ -22,7 +22,7 @@ pub enum Episodes {
     /// Episodes of environments in this process.
     Here(Vec<SavedEpisode>),
     /// A server's snapshot.
-    OptionalRemote(Vec<u8>),
+    OnServer(Vec<u8>),
 }
 
 impl Episodes {
@@ -35,13 +35,13 @@ impl Episodes {
                 written.map_err(|e| Error::invalid("checkpoint", format!("episodes cannot be written: {e}")))?;
                 Ok(bytes)
             }
-            Self::OptionalRemote(snapshot) => Ok(snapshot.clone()),
+            Self::OnServer(snapshot) => Ok(snapshot.clone()),
         }
     }
 
     pub fn read(bytes: Vec<u8>, away: bool) -> Result<Self> {
         if away {
-            return Ok(Self::OptionalRemote(bytes));
+            return Ok(Self::OnServer(bytes));
         }
         let read = ciborium::from_reader(&bytes[..]);
         read.map(Self::Here).map_err(|e| Error::invalid("checkpoint", format!("its episodes cannot be read: {e}")))
@@ -60,7 +60,7 @@ impl SavedEnvironments {
             kept.returns.extend(&piece.running);
         }
         kept.episodes = match remote {
-            Some(remote) => Episodes::OptionalRemote(remote.save(pause)?),
+            Some(remote) => Episodes::OnServer(remote.save(pause)?),
             None => Episodes::Here(here),
         };
         Ok(kept)
@@ -80,7 +80,7 @@ impl SavedEnvironments {
                 let resumed = episodes.iter().map(|episode| Resumed::new(episode, &blueprint.task));
                 resumed.collect::<Result<Vec<_>>>()?
             }
-            (Episodes::OptionalRemote(snapshot), Some(remote)) => {
+            (Episodes::OnServer(snapshot), Some(remote)) => {
                 let rows = remote.restore(snapshot, pause)?;
                 super::collect::deal(pieces.iter_mut(), &rows, |piece, part| piece.take(part));
                 Vec::new()
