@@ -8,9 +8,10 @@ use crate::error::{Error, Result};
 use crate::service::proto::run_session_request::Request as SessionRequest;
 use crate::service::proto::run_session_response::Response as Answer;
 use crate::service::proto::{Batch, Reset, Restore, RunSessionRequest, Save, Step, Task};
-use crate::train::remote::{RemoteEnvironments, RemoteRows, WhileWaiting};
+use crate::train::remote::{RemoteEnvironments, WhileWaiting};
 use sandgait_env::Spec;
 use sandgait_env::registry::Blueprint;
+use sandgait_env::shard::Rows;
 use serde_json::Value;
 use std::pin::pin;
 use std::time::{Duration, Instant};
@@ -111,7 +112,7 @@ impl TrainingSession {
         }
     }
 
-    fn rows(&mut self, asked: SessionRequest, pause: WhileWaiting) -> Result<RemoteRows> {
+    fn rows(&mut self, asked: SessionRequest, pause: WhileWaiting) -> Result<Rows> {
         match self.ask(asked, pause)? {
             Answer::Batch(batch) => unpacked(&batch, self.envs, self.observation).ok_or_else(|| self.wrong()),
             _ => Err(self.wrong()),
@@ -124,11 +125,11 @@ impl TrainingSession {
 }
 
 impl RemoteEnvironments for TrainingSession {
-    fn reset(&mut self, seeds: &[u64], pause: WhileWaiting) -> Result<RemoteRows> {
+    fn reset(&mut self, seeds: &[u64], pause: WhileWaiting) -> Result<Rows> {
         self.rows(SessionRequest::Reset(Reset { seeds: seeds.to_vec(), ..Reset::default() }), pause)
     }
 
-    fn step(&mut self, actions: &[f32], pause: WhileWaiting) -> Result<RemoteRows> {
+    fn step(&mut self, actions: &[f32], pause: WhileWaiting) -> Result<Rows> {
         let actions: Vec<u8> = actions.iter().flat_map(|x| x.to_le_bytes()).collect();
         self.rows(SessionRequest::Step(Step { actions: actions.into(), ..Step::default() }), pause)
     }
@@ -140,7 +141,7 @@ impl RemoteEnvironments for TrainingSession {
         }
     }
 
-    fn restore(&mut self, snapshot: &[u8], pause: WhileWaiting) -> Result<RemoteRows> {
+    fn restore(&mut self, snapshot: &[u8], pause: WhileWaiting) -> Result<Rows> {
         let snapshot = snapshot.to_vec().into();
         self.rows(SessionRequest::Restore(Restore { snapshot, ..Restore::default() }), pause)
     }
@@ -170,7 +171,7 @@ fn is_same(task: &Task, spec: &Spec) -> bool {
 }
 
 /// A batch's bytes as numbers; None if their lengths are wrong.
-fn unpacked(batch: &Batch, envs: usize, observation: usize) -> Option<RemoteRows> {
+fn unpacked(batch: &Batch, envs: usize, observation: usize) -> Option<Rows> {
     let floats = |bytes: &[u8], count: usize| -> Option<Vec<f32>> {
         let (all, rest) = bytes.as_chunks::<4>();
         (rest.is_empty() && all.len() == count).then(|| all.iter().map(|b| f32::from_le_bytes(*b)).collect())
@@ -181,7 +182,8 @@ fn unpacked(batch: &Batch, envs: usize, observation: usize) -> Option<RemoteRows
     if !rest.is_empty() || ended.iter().any(|i| *i as usize >= envs) {
         return None;
     }
-    Some(RemoteRows {
+    Some(Rows {
+        infos: Vec::new(),
         observations: floats(&batch.observations, envs * observation)?,
         rewards: floats(&batch.rewards, envs)?,
         terminated: flags(&batch.terminated)?,

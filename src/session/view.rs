@@ -70,8 +70,8 @@ pub fn header(spec: &Spec, model: &Model, episode: (u64, u64)) -> String {
     view::header(model, &about)
 }
 
-/// The moment's numbers.
-fn row(look: &Look) -> Vec<f32> {
+/// The numbers of a moment, in the order of the header's columns.
+pub fn row(look: &Look) -> Vec<f32> {
     let Look { model, footing, time, action, reward, info, .. } = look;
     view::row(model, &RecordedState { time: *time, state: &look.whole_state(), footing, action, reward: *reward, info })
 }

@@ -6,7 +6,7 @@ use super::network::NetworkLayer;
 use super::normal::{Normalizer, RunningStatistics};
 use super::plan::{TrainingPlan, TrainingState};
 use super::settings::Hyperparameters;
-use super::tensors::{Numbers, Tensors};
+use super::tensors::Tensors;
 use crate::error::{Error, Result};
 use serde_json::{Map, Value, json};
 use std::path::{Path, PathBuf};
@@ -53,39 +53,38 @@ pub fn save(path: &Path, plan: &TrainingPlan, learnt: &TrainingState, open: [f64
         ("options", options(plan)),
     ];
     file.about.extend(about.map(|(name, text)| (name.to_owned(), text)));
-    file.add("seconds", &[], Numbers::F64(vec![learnt.seconds]));
-    file.add("curve.open", &[2], Numbers::F64(open.to_vec()));
+    file.add("seconds", &[], &[learnt.seconds]);
+    file.add("curve.open", &[2], &open);
     for (prefix, numbers) in
         [("", &learnt.parameters), ("adam.first.", &learnt.adam.first), ("adam.second.", &learnt.adam.second)]
     {
         for (name, layer) in layers(plan) {
-            let weights = Numbers::F32(numbers[layer.weights.clone()].to_vec());
+            let [weights, bias] = [&layer.weights, &layer.bias].map(|place| &numbers[place.clone()]);
             file.add(format!("{prefix}{name}.weights"), &[layer.inputs, layer.outputs], weights);
-            let bias = Numbers::F32(numbers[layer.bias.clone()].to_vec());
             file.add(format!("{prefix}{name}.bias"), &[layer.outputs], bias);
         }
         let log_std = &numbers[plan.networks.shape.log_std.clone()];
-        file.add(format!("{prefix}log_std"), &[log_std.len()], Numbers::F32(log_std.to_vec()));
+        file.add(format!("{prefix}log_std"), &[log_std.len()], log_std);
     }
     if let Some(Normalizer { observations, returns }) = &learnt.normal {
         for (name, running) in [("observations", observations), ("returns", returns)] {
-            file.add(format!("{name}.mean"), &[running.mean.len()], Numbers::F64(running.mean.clone()));
-            file.add(format!("{name}.variance"), &[running.variance.len()], Numbers::F64(running.variance.clone()));
-            file.add(format!("{name}.count"), &[], Numbers::F64(vec![running.count]));
+            file.add(format!("{name}.mean"), &[running.mean.len()], &running.mean);
+            file.add(format!("{name}.variance"), &[running.variance.len()], &running.variance);
+            file.add(format!("{name}.count"), &[], &[running.count]);
         }
     }
     for (name, mirror) in ["observation", "action"].iter().zip(plan.networks.mirror.iter().flatten()) {
-        let order = mirror.order.iter().map(|k| *k as i64).collect();
-        file.add(format!("mirror.{name}.order"), &[mirror.order.len()], Numbers::I64(order));
-        file.add(format!("mirror.{name}.signs"), &[mirror.signs.len()], Numbers::F32(mirror.signs.clone()));
+        let order: Vec<i64> = mirror.order.iter().map(|k| *k as i64).collect();
+        file.add(format!("mirror.{name}.order"), &[mirror.order.len()], &order);
+        file.add(format!("mirror.{name}.signs"), &[mirror.signs.len()], &mirror.signs);
     }
     if let Some(kept) = &learnt.environments {
         let bytes = kept.episodes.bytes()?;
         let place = if matches!(kept.episodes, Episodes::OnServer(_)) { "server" } else { "here" };
         file.about.insert("environments".into(), place.into());
-        file.add("environments", &[bytes.len()], Numbers::U8(bytes));
-        file.add("environments.discounted", &[kept.discounted.len()], Numbers::F64(kept.discounted.clone()));
-        file.add("environments.returns", &[kept.returns.len()], Numbers::F64(kept.returns.clone()));
+        file.add("environments", &[bytes.len()], &bytes);
+        file.add("environments.discounted", &[kept.discounted.len()], &kept.discounted);
+        file.add("environments.returns", &[kept.returns.len()], &kept.returns);
     }
     file.save(path)
 }
@@ -183,9 +182,9 @@ fn environments(
             format!("the checkpoint is of sandgait {}", file.text("sandgait")?)
         }
         Some(_) => {
-            let count = |name: &str| file.f64(name, plan.settings.n_envs);
+            let count = |name: &str| file.get(name, plan.settings.n_envs);
             let (discounted, returns) = (count("environments.discounted")?, count("environments.returns")?);
-            let episodes = Episodes::read(file.bytes("environments")?.to_vec(), away)?;
+            let episodes = Episodes::read(file.all("environments")?, away)?;
             return Ok(Ok(SavedEnvironments { episodes, discounted, returns }));
         }
     };
@@ -208,18 +207,18 @@ fn read(file: &Tensors, plan: &TrainingPlan, away: bool) -> Result<Checkpoint> {
     let all = |prefix: &str| {
         let mut numbers = vec![0.0; plan.networks.shape.parameters];
         for (name, layer) in layers(plan) {
-            let weights = file.f32(&format!("{prefix}{name}.weights"), layer.weights.len())?;
+            let weights = file.get(&format!("{prefix}{name}.weights"), layer.weights.len())?;
             numbers[layer.weights.clone()].copy_from_slice(&weights);
-            numbers[layer.bias.clone()].copy_from_slice(&file.f32(&format!("{prefix}{name}.bias"), layer.bias.len())?);
+            numbers[layer.bias.clone()].copy_from_slice(&file.get(&format!("{prefix}{name}.bias"), layer.bias.len())?);
         }
         let log_std = plan.networks.shape.log_std.clone();
-        numbers[log_std.clone()].copy_from_slice(&file.f32(&format!("{prefix}log_std"), log_std.len())?);
+        numbers[log_std.clone()].copy_from_slice(&file.get(&format!("{prefix}log_std"), log_std.len())?);
         Ok(numbers)
     };
     let running = |name: &str, width: usize| {
-        let mean = file.f64(&format!("{name}.mean"), width)?;
-        let variance = file.f64(&format!("{name}.variance"), width)?;
-        Ok(RunningStatistics { mean, variance, count: file.f64(&format!("{name}.count"), 1)?[0] })
+        let mean = file.get(&format!("{name}.mean"), width)?;
+        let variance = file.get(&format!("{name}.variance"), width)?;
+        Ok(RunningStatistics { mean, variance, count: file.get(&format!("{name}.count"), 1)?[0] })
     };
     let normalized = file.has("observations.mean");
     if normalized != plan.settings.normalize || file.has("mirror.action.order") != plan.networks.mirror.is_some() {
@@ -237,10 +236,10 @@ fn read(file: &Tensors, plan: &TrainingPlan, away: bool) -> Result<Checkpoint> {
         normal: normalized.then(normal).transpose()?,
         steps: whole("steps")?,
         updates: whole("updates")?,
-        seconds: file.f64("seconds", 1)?[0],
+        seconds: file.get("seconds", 1)?[0],
         environments: environments.as_ref().ok().cloned().map(Arc::new),
     };
-    let open = file.f64("curve.open", 2).map_or([0.0; 2], |open| [open[0], open[1]]);
+    let open = file.get("curve.open", 2).map_or([0.0; 2], |open| [open[0], open[1]]);
     let notices = environments.err().map(|why| format!("new episodes began at the resumption: {why}"));
     Ok(Checkpoint { learnt, open, notices: notices.into_iter().collect() })
 }

@@ -4,10 +4,11 @@ use super::learn::RolloutBuffer;
 use super::loss::ActionNoise;
 use super::network::{NetworkPass, Networks};
 use super::normal::{BatchMoments, NormalizerScales};
-use super::remote::RemoteRows;
+use super::remote::of_part;
 use super::settings::Hyperparameters;
 use crate::env::Shard;
 use crate::env::registry::Blueprint;
+use crate::env::shard::Rows;
 use crate::env::snapshot::{Resumed, SavedEpisode};
 use crate::error::Result;
 use rand::{Rng as _, SeedableRng as _};
@@ -22,40 +23,19 @@ const PIECES: usize = 8;
 /// Name of the info column with the level of a curriculum.
 const LEVEL: &str = "level";
 
-/// The place at which a piece's environments are computed.
+/// The environments of a group.
 enum GroupEnvironments {
     Here(Box<Shard>),
     /// On a server; the rows of their last step.
-    OnServer(RemoteRows),
-}
-
-/// The rows of the last reset or step, from either place.
-struct StepResult<'a> {
-    observations: &'a [f32],
-    rewards: &'a [f32],
-    terminated: &'a [u8],
-    truncated: &'a [u8],
-    ended: &'a [u32],
-    final_observations: &'a [f32],
+    OnServer(Rows),
 }
 
 impl GroupEnvironments {
-    fn met(&self) -> StepResult<'_> {
-        macro_rules! met {
-            ($rows:expr) => {
-                StepResult {
-                    observations: &$rows.observations,
-                    rewards: &$rows.rewards,
-                    terminated: &$rows.terminated,
-                    truncated: &$rows.truncated,
-                    ended: &$rows.ended,
-                    final_observations: &$rows.final_observations,
-                }
-            };
-        }
+    /// The rows of the last reset or step.
+    fn rows(&self) -> &Rows {
         match self {
-            Self::Here(shard) => met!(shard.rows),
-            Self::OnServer(rows) => met!(rows),
+            Self::Here(shard) => &shard.rows,
+            Self::OnServer(rows) => rows,
         }
     }
 }
@@ -112,7 +92,7 @@ impl RolloutGroup {
         let piece = |start: usize| {
             let envs = size.min(settings.n_envs - start);
             let place = match away {
-                true => GroupEnvironments::OnServer(RemoteRows::default()),
+                true => GroupEnvironments::OnServer(Rows::default()),
                 false => GroupEnvironments::Here(Box::new(Shard::new(blueprint, envs)?)),
             };
             Ok(Self::new(blueprint, envs, settings, networks, place))
@@ -157,7 +137,7 @@ impl RolloutGroup {
     }
 
     /// Begins the first episodes of environments on a server, which has returned `rows`.
-    pub fn take(&mut self, rows: RemoteRows) {
+    pub fn take(&mut self, rows: Rows) {
         self.seen[0].set(&rows.observations);
         self.place = GroupEnvironments::OnServer(rows);
     }
@@ -194,7 +174,7 @@ impl RolloutGroup {
         let (wide, width) = (shape.observation, shape.action);
         let rows = step * self.envs..(step + 1) * self.envs;
         let observations = &mut self.data.observations[rows.start * wide..rows.end * wide];
-        observe(play, self.place.met().observations, observations);
+        observe(play, &self.place.rows().observations, observations);
         play.networks.forward(play.parameters, &mut self.pass, self.envs, |out| out.copy_from_slice(observations));
         self.spread.set(&play.parameters[shape.log_std.clone()]);
         let deviations = &play.parameters[shape.log_std.clone()];
@@ -228,18 +208,18 @@ impl RolloutGroup {
     }
 
     /// Stores the server's results of step `step`.
-    pub fn answered(&mut self, play: &PolicyContext, step: usize, rows: RemoteRows) {
+    pub fn answered(&mut self, play: &PolicyContext, step: usize, rows: Rows) {
         self.place = GroupEnvironments::OnServer(rows);
         self.note(play, step);
     }
 
     /// Stores the results of step `step`.
     fn note(&mut self, play: &PolicyContext, step: usize) {
-        let met = self.place.met();
+        let rows = self.place.rows();
         for (i, row) in (step * self.envs..(step + 1) * self.envs).enumerate() {
-            let reward = f64::from(met.rewards[i]);
-            let ended = met.terminated[i] + met.truncated[i] > 0;
-            self.data.rewards[row] = met.rewards[i];
+            let reward = f64::from(rows.rewards[i]);
+            let ended = rows.terminated[i] + rows.truncated[i] > 0;
+            self.data.rewards[row] = rows.rewards[i];
             self.ended[row] = ended;
             self.discounted[i] = self.discounted[i] * play.settings.gamma + reward;
             self.running[i] += reward;
@@ -248,10 +228,10 @@ impl RolloutGroup {
             }
         }
         if play.scales.is_some() {
-            self.seen[0].set(met.observations);
+            self.seen[0].set(&rows.observations);
             self.seen[1].set(&self.discounted);
         }
-        for i in met.ended {
+        for i in &rows.ended {
             self.discounted[*i as usize] = 0.0;
         }
     }
@@ -263,16 +243,16 @@ impl RolloutGroup {
         if let Some(scales) = play.scales {
             scales.rewards(&mut self.data.rewards[first..first + self.envs]);
         }
-        let met = self.place.met();
-        if met.ended.is_empty() {
+        let rows = self.place.rows();
+        if rows.ended.is_empty() {
             return;
         }
-        play.networks.forward(play.parameters, &mut self.pass, met.ended.len(), |out| {
-            observe(play, met.final_observations, out);
+        play.networks.forward(play.parameters, &mut self.pass, rows.ended.len(), |out| {
+            observe(play, &rows.final_observations, out);
         });
-        for (i, value) in met.ended.iter().zip(&self.pass.values) {
+        for (i, value) in rows.ended.iter().zip(&self.pass.values) {
             let i = *i as usize;
-            if met.truncated[i] > 0 && met.terminated[i] == 0 {
+            if rows.truncated[i] > 0 && rows.terminated[i] == 0 {
                 self.data.rewards[first + i] += play.settings.gamma as f32 * value;
             }
         }
@@ -284,7 +264,7 @@ impl RolloutGroup {
         let (envs, steps) = (self.envs, play.settings.n_steps);
         self.pay(play, steps - 1);
         play.networks.forward(play.parameters, &mut self.pass, envs, |out| {
-            observe(play, self.place.met().observations, out);
+            observe(play, &self.place.rows().observations, out);
         });
         let (gamma, lambda) = (play.settings.gamma as f32, play.settings.gae_lambda as f32);
         let data = &mut self.data;
@@ -313,13 +293,13 @@ fn observe(play: &PolicyContext, rows: &[f32], out: &mut [f32]) {
 /// Distributes rows over the pieces of environments.
 pub fn deal<P: DerefMut<Target = RolloutGroup>>(
     pieces: impl Iterator<Item = P>,
-    rows: &RemoteRows,
-    mut hand: impl FnMut(&mut RolloutGroup, RemoteRows),
+    rows: &Rows,
+    mut hand: impl FnMut(&mut RolloutGroup, Rows),
 ) {
     let mut first = 0;
     for mut piece in pieces {
         let part = first..first + piece.envs;
         first = part.end;
-        hand(&mut piece, rows.part(part));
+        hand(&mut piece, of_part(rows, part));
     }
 }

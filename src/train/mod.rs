@@ -13,6 +13,7 @@ use sandgait_evaluate as evaluate;
 use sandgait_number as number;
 use sandgait_plot as plot;
 use sandgait_policy as policy;
+use sandgait_session as session;
 use sandgait_sim as sim;
 use sandgait_sweep as sweep;
 use sandgait_view as view;
