@@ -37,12 +37,12 @@ pub use train::{TrainingArgs, learn};
 use self::progress::Bar;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{CommandFactory as _, Parser, Subcommand};
-use sandgait::sand::{Medium, SandDescription};
+use sandgait::sand::{Law, Medium, SandDescription};
 use sandgait::{Error, Result};
 use std::error::Error as _;
 use std::ffi::OsString;
 use std::io::Write as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Batched reinforcement-learning environments of legged robots on sand.
 #[derive(Parser)]
@@ -66,26 +66,42 @@ fn read_files(options: &mut serde_json::Value) -> Result<()> {
     heights::read_option(options)
 }
 
-#[derive(Subcommand)]
-enum CliCommand {
-    Serve(serve::ServeArgs),
-    Walk(walk::WalkArgs),
-    Bench(bench::BenchArgs),
-    Diagnose(diagnose::DiagnoseArgs),
-    Evaluate(evaluate::EvaluateArgs),
-    Intrude(intrude::IntrudeArgs),
-    Media(media::MediaArgs),
-    Stress(stress::StressArgs),
-    Play(play::PlayArgs),
-    Replay(replay::ReplayArgs),
-    Reproduce(reproduce::ReproduceArgs),
-    Robot(robot::RobotArgs),
-    Robots(robots::RobotsArgs),
-    Calibrate(calibrate::CalibrateArgs),
-    Sweep(sweep::SweepArgs),
-    Tasks(tasks::TasksArgs),
-    Train(train::TrainArgs),
-    Validate(validate::ValidateArgs),
+/// The commands, each with the file and the type of its arguments.
+macro_rules! commands {
+    ($($name:ident: $file:ident::$arguments:ident),* $(,)?) => {
+        #[derive(Subcommand)]
+        enum CliCommand {
+            $($name($file::$arguments)),*
+        }
+
+        /// Runs a command; its text goes to stdout.
+        fn run(command: CliCommand) -> Result<String> {
+            match command {
+                $(CliCommand::$name(arguments) => arguments.run()),*
+            }
+        }
+    };
+}
+
+commands! {
+    Serve: serve::ServeArgs,
+    Walk: walk::WalkArgs,
+    Bench: bench::BenchArgs,
+    Diagnose: diagnose::DiagnoseArgs,
+    Evaluate: evaluate::EvaluateArgs,
+    Intrude: intrude::IntrudeArgs,
+    Media: media::MediaArgs,
+    Stress: stress::StressArgs,
+    Play: play::PlayArgs,
+    Replay: replay::ReplayArgs,
+    Reproduce: reproduce::ReproduceArgs,
+    Robot: robot::RobotArgs,
+    Robots: robots::RobotsArgs,
+    Calibrate: calibrate::CalibrateArgs,
+    Sweep: sweep::SweepArgs,
+    Tasks: tasks::TasksArgs,
+    Train: train::TrainArgs,
+    Validate: validate::ValidateArgs,
 }
 
 /// Runs the command line `arguments`, the program's name first, and returns the exit code.
@@ -127,30 +143,6 @@ fn with_file(file: &Path, given: Vec<OsString>) -> Result<Cli> {
     all.extend(config::arguments(command.unwrap_or(&cli), file)?);
     // The command line alone was valid, so the error is in the file.
     Cli::try_parse_from(all.into_iter().chain(given)).map_err(|e| Error::file(file, one_line(&e)))
-}
-
-/// Runs a command; its text goes to stdout.
-fn run(command: CliCommand) -> Result<String> {
-    match command {
-        CliCommand::Serve(c) => c.run(),
-        CliCommand::Walk(c) => c.run(),
-        CliCommand::Bench(c) => c.run(),
-        CliCommand::Diagnose(c) => c.run(),
-        CliCommand::Evaluate(c) => c.run(),
-        CliCommand::Intrude(c) => c.run(),
-        CliCommand::Media(c) => c.run(),
-        CliCommand::Stress(c) => c.run(),
-        CliCommand::Play(c) => c.run(),
-        CliCommand::Replay(c) => c.run(),
-        CliCommand::Reproduce(c) => c.run(),
-        CliCommand::Robot(c) => c.run(),
-        CliCommand::Robots(c) => c.run(),
-        CliCommand::Calibrate(c) => c.run(),
-        CliCommand::Sweep(c) => c.run(),
-        CliCommand::Tasks(c) => c.run(),
-        CliCommand::Train(c) => c.run(),
-        CliCommand::Validate(c) => c.run(),
-    }
 }
 
 fn exit_code(error: &Error) -> u8 {
@@ -214,22 +206,42 @@ fn without_usage(message: &str) -> String {
     lines.collect::<Vec<_>>().join(" ").trim_start_matches("error: ").replace(" tip:", "; tip:")
 }
 
-/// The sand of a file, or of a medium and a law by their names. Warns on stderr if its numbers are extrapolated.
-fn sand(medium: &str, law: &str, file: Option<&Path>) -> Result<SandDescription> {
-    if let Some(file) = file {
-        return SandDescription::load(file);
+/// The sand of a command.
+#[derive(clap::Args)]
+struct SandArgs {
+    /// Sand: a name from `sandgait media`, zeta=VALUE or mu=VALUE,rho=VALUE
+    #[arg(long, default_value = Medium::DEFAULT)]
+    medium: String,
+    /// Resistive force law: li2013, penetration-drag-1d or agarwal2023
+    #[arg(long, default_value = Law::Li2013.name())]
+    law: String,
+    /// A sand.toml, for example from a diagnosis, instead of --medium and --law
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["medium", "law"])]
+    sand: Option<PathBuf>,
+}
+
+impl SandArgs {
+    /// The sand of the file, or of medium and law by their names. Warns on stderr if its numbers are extrapolated.
+    fn sand(&self) -> Result<SandDescription> {
+        match &self.sand {
+            Some(file) => SandDescription::load(file),
+            None => named_sand(&self.medium, &self.law),
+        }
     }
+
+    /// The same for walking robots. Warns on stderr of each mechanism that has no effect on them.
+    fn sand_to_walk_on(&self) -> Result<SandDescription> {
+        let sand = self.sand()?;
+        warn_of_unfelt(&sand);
+        Ok(sand)
+    }
+}
+
+fn named_sand(medium: &str, law: &str) -> Result<SandDescription> {
     if let Some(caution) = Medium::caution(medium) {
         eprintln!("sandgait: warning: {caution}");
     }
     SandDescription::named(medium, law)
-}
-
-/// The same as [`sand`], for walking robots. Warns on stderr of each mechanism that has no effect on them.
-fn sand_to_walk_on(medium: &str, law: &str, file: Option<&Path>) -> Result<SandDescription> {
-    let sand = sand(medium, law, file)?;
-    warn_of_unfelt(&sand);
-    Ok(sand)
 }
 
 /// Warns of mechanisms without effect in the `sand` among a task's options.

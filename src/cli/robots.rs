@@ -38,19 +38,10 @@ impl RobotsArgs {
             let named = named?;
             let file = named.description(&folders);
             if let (Some(folder), Some(file)) = (&self.pictures, &file) {
-                let import = named.load(file)?;
-                let tree = &import.tree;
-                let none = vec![Vec::new(); tree.bodies.len()];
+                let (import, camera) = (named.load(file)?, view::CameraOptions::default());
+                let (tree, seen) = (&import.tree, import.seen()?);
                 let caption = format!("{name}: {:.1} kg, {} joints", tree.mass(), tree.joints().count());
-                let png = view::tree::draw(
-                    tree,
-                    &import.seen()?,
-                    &none,
-                    None,
-                    PICTURE,
-                    &view::CameraOptions::default(),
-                    &[caption],
-                )?;
+                let png = view::tree::draw(tree, &seen, &[], None, PICTURE, &camera, &[caption])?;
                 let path = folder.join(format!("{name}.png"));
                 std::fs::write(&path, png).map_err(|e| Error::file(&path, e))?;
             }

@@ -43,7 +43,7 @@ pub struct StressArgs {
 
 impl StressArgs {
     pub fn run(self) -> Result<String> {
-        let sand = super::sand(&self.medium, &self.law, None)?;
+        let sand = super::named_sand(&self.medium, &self.law)?;
         let (law, medium) = (sand.law, sand.medium());
         if let Some(mu) = self.friction {
             sandgait::error::check_range("--friction", mu, 0.0..=10.0)?;

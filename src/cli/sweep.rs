@@ -6,7 +6,6 @@ use sandgait::env::gait::HexapodGait;
 use sandgait::error::check_range;
 use sandgait::files::{self, Lock};
 use sandgait::plot::png;
-use sandgait::sand::{Law, Medium};
 use sandgait::sim::Robot;
 use sandgait::sim::model::Scene;
 use sandgait::sweep::{Design, SweepAxis, SweepMeasure, grid, optimize, table};
@@ -40,15 +39,8 @@ pub struct SweepArgs {
     /// Stride frequency [Hz]
     #[arg(long, value_name = "HZ", default_value_t = Design::FREQUENCY)]
     frequency: f64,
-    /// Sand: a name from `sandgait media`, zeta=VALUE or mu=VALUE,rho=VALUE
-    #[arg(long, default_value = Medium::DEFAULT)]
-    medium: String,
-    /// Resistive force law: li2013, penetration-drag-1d or agarwal2023
-    #[arg(long, default_value = Law::Li2013.name())]
-    law: String,
-    /// A sand.toml, for example from a diagnosis, instead of --medium and --law
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["medium", "law"])]
-    sand: Option<PathBuf>,
+    #[command(flatten)]
+    sand: super::SandArgs,
     /// Measure in the figure: speed or cost-of-transport; with --learn also return
     #[arg(long, default_value = "speed")]
     measure: String,
@@ -104,7 +96,7 @@ impl SweepArgs {
     }
 
     fn base(&self) -> Result<Design> {
-        let scene = Scene::on(&super::sand_to_walk_on(&self.medium, &self.law, self.sand.as_deref())?);
+        let scene = Scene::on(&self.sand.sand_to_walk_on()?);
         let robot = Robot::load(&self.robot)?;
         let mut base = Design { robot, scene, frequency: self.frequency, phase: 0.0 };
         let setting = |setting: &'_ String| {

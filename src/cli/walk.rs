@@ -1,6 +1,5 @@
 //! `sandgait walk`
 
-use sandgait::sand::{Law, Medium};
 use sandgait::sim::engine::EngineKind;
 use sandgait::sim::model::Scene;
 use sandgait::sim::walk::{Trial, WalkResult, Watch, walk, walk_watched};
@@ -35,15 +34,8 @@ pub struct WalkArgs {
     /// Engine that integrates the motion
     #[arg(long, default_value = EngineKind::Lanes.name())]
     engine: String,
-    /// Sand: a name from `sandgait media`, or zeta=VALUE
-    #[arg(long, default_value = Medium::DEFAULT)]
-    medium: String,
-    /// A sand.toml, for example from a diagnosis, instead of --medium and --law
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["medium", "law"])]
-    sand: Option<std::path::PathBuf>,
-    /// Resistive force law: li2013, penetration-drag-1d or agarwal2023
-    #[arg(long, default_value = Law::Li2013.name())]
-    law: String,
+    #[command(flatten)]
+    sand: super::SandArgs,
     /// Slope of the surface [°]; a positive slope rises in the walking direction
     #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true)]
     slope_deg: f64,
@@ -67,7 +59,7 @@ impl WalkArgs {
         if let Some(leg) = &self.leg {
             robot = robot.with_leg_shape(leg)?;
         }
-        let mut scene = Scene::on(&super::sand_to_walk_on(&self.medium, &self.law, self.sand.as_deref())?);
+        let mut scene = Scene::on(&self.sand.sand_to_walk_on()?);
         let engine = EngineKind::named(&self.engine)?;
         (scene.slope_deg, scene.dt) = (self.slope_deg, self.dt.unwrap_or(engine.default_dt()));
         let trial = Trial::new(Model::new(&robot, &scene)?, self.frequency);

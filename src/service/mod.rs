@@ -65,7 +65,7 @@ pub use crate::pool::Seal;
 pub use address::{Address, Listener, bind_tcp};
 pub use encode::task;
 pub use security::{Tls, Token, warn_if_shared};
-pub use server::{AddServices, Connected, ServerSetup, serve};
+pub use server::{AddServices, ServerSetup, serve};
 pub use sessions::Limits;
 pub use state::StateDir;
 pub use values::{from_json, number};

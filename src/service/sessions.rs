@@ -51,11 +51,15 @@ pub struct Limits {
     /// Longest time until a client has read an answer that takes memory for requests, in addition to its transfer at
     /// 1 MiB/s.
     pub stall: Duration,
+    /// Largest number of connections at the same time.
+    pub connections: u32,
+    /// Largest number of calls at the same time on one connection.
+    pub streams: u32,
 }
 
 impl Limits {
     /// Our choice: room for any training, and half of a 16 GiB machine; requests as large as the steps of the
-    /// largest session, and rollouts of some minutes.
+    /// largest session, and rollouts of some minutes; a connection and a call for each session.
     pub const DEFAULT: Self = Self {
         sessions: 1024,
         environments: MOST_ENVIRONMENTS,
@@ -64,6 +68,8 @@ impl Limits {
         request: 256 << 20,
         watchers: 64,
         stall: Duration::from_secs(60),
+        connections: 1024,
+        streams: 1024,
     };
 }
 

@@ -46,8 +46,6 @@ pub fn train(py: Python<'_>, asked: SessionRequest<'_>, told: Option<&Bound<'_, 
     let training = TrainingArgs {
         task: asked.task,
         hyperparameters: asked.hyperparameters,
-        changes,
-        options: keywords(&asked.options)?,
         seed: asked.seed,
         seconds: asked.seconds,
         timesteps: asked.timesteps,
@@ -56,10 +54,10 @@ pub fn train(py: Python<'_>, asked: SessionRequest<'_>, told: Option<&Bound<'_, 
         start_from: asked.start_from,
         checkpoint_every: asked.checkpoint_every,
         threads: asked.threads,
-        place: asked.place.map(remote::place),
     };
+    let (options, place) = (keywords(&asked.options)?, asked.place.map(remote::place));
     wait::to_the_end(py, told, move |progress| {
-        let request = training.request()?;
+        let request = training.request(changes, options, place)?;
         let (outcome, text) = learn(&request, progress)?;
         let curve = outcome.curve.iter().map(|p| (p.steps, p.seconds, p.mean_return)).collect();
         let (steps, seconds) = (outcome.learnt.steps, outcome.learnt.seconds);
