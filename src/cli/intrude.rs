@@ -1,9 +1,9 @@
 //! `sandgait intrude`
 
+use sandgait::sand::LegShape;
 use sandgait::sand::intruder::with_friction;
 use sandgait::sand::intrusion::{CHORD, HIP_HEIGHT, Load, OMEGA, Rotation, WIDTH};
 use sandgait::sand::memory::REPOSE_DEG;
-use sandgait::sand::LegShape;
 use sandgait::{Error, Result};
 use std::path::PathBuf;
 

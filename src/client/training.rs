@@ -8,7 +8,7 @@ use crate::error::{Error, Result};
 use crate::service::proto::run_session_request::Request as SessionRequest;
 use crate::service::proto::run_session_response::Response as Answer;
 use crate::service::proto::{Batch, Reset, Restore, RunSessionRequest, Save, Step, Task};
-use crate::train::remote::{RemoteEnvironments, WhileWaiting};
+use crate::train::remote::{Pause, RemoteEnvironments};
 use sandgait_env::Spec;
 use sandgait_env::registry::Blueprint;
 use sandgait_env::shard::Rows;
@@ -47,7 +47,7 @@ impl TrainingSession {
         blueprint: &Blueprint,
         options: &Value,
         envs: usize,
-        pause: WhileWaiting,
+        pause: Pause,
     ) -> Result<Self> {
         let spec = blueprint.task.spec();
         let runtime = runtime().map_err(|e| failed(&place, &e))?;
@@ -72,7 +72,7 @@ impl TrainingSession {
 
     /// The answer to `asked`. If the stream breaks, new streams are tried for a while. Requests are numbered, so
     /// none is carried out twice.
-    fn ask(&mut self, asked: SessionRequest, pause: WhileWaiting) -> Result<Answer> {
+    fn ask(&mut self, asked: SessionRequest, pause: Pause) -> Result<Answer> {
         self.sequence += 1;
         let request = RunSessionRequest { session_id: String::new(), sequence: self.sequence, request: Some(asked) };
         self.stream.send(request.clone(), true);
@@ -112,7 +112,7 @@ impl TrainingSession {
         }
     }
 
-    fn rows(&mut self, asked: SessionRequest, pause: WhileWaiting) -> Result<Rows> {
+    fn rows(&mut self, asked: SessionRequest, pause: Pause) -> Result<Rows> {
         match self.ask(asked, pause)? {
             Answer::Batch(batch) => unpacked(&batch, self.envs, self.observation).ok_or_else(|| self.wrong()),
             _ => Err(self.wrong()),
@@ -125,23 +125,23 @@ impl TrainingSession {
 }
 
 impl RemoteEnvironments for TrainingSession {
-    fn reset(&mut self, seeds: &[u64], pause: WhileWaiting) -> Result<Rows> {
+    fn reset(&mut self, seeds: &[u64], pause: Pause) -> Result<Rows> {
         self.rows(SessionRequest::Reset(Reset { seeds: seeds.to_vec(), ..Reset::default() }), pause)
     }
 
-    fn step(&mut self, actions: &[f32], pause: WhileWaiting) -> Result<Rows> {
+    fn step(&mut self, actions: &[f32], pause: Pause) -> Result<Rows> {
         let actions: Vec<u8> = actions.iter().flat_map(|x| x.to_le_bytes()).collect();
         self.rows(SessionRequest::Step(Step { actions: actions.into(), ..Step::default() }), pause)
     }
 
-    fn save(&mut self, pause: WhileWaiting) -> Result<Vec<u8>> {
+    fn save(&mut self, pause: Pause) -> Result<Vec<u8>> {
         match self.ask(SessionRequest::Save(Save {}), pause)? {
             Answer::Snapshot(snapshot) => Ok(snapshot.data.to_vec()),
             _ => Err(self.wrong()),
         }
     }
 
-    fn restore(&mut self, snapshot: &[u8], pause: WhileWaiting) -> Result<Rows> {
+    fn restore(&mut self, snapshot: &[u8], pause: Pause) -> Result<Rows> {
         let snapshot = snapshot.to_vec().into();
         self.rows(SessionRequest::Restore(Restore { snapshot, ..Restore::default() }), pause)
     }
@@ -157,7 +157,7 @@ impl Drop for TrainingSession {
     }
 }
 
-fn open(place: &ServerAddress, id: &str, pause: WhileWaiting) -> Result<Stream> {
+fn open(place: &ServerAddress, id: &str, pause: Pause) -> Result<Stream> {
     Stream::open(place.clone(), id.to_owned(), pause)?.map_err(|e| failed(place, &e))
 }
 

@@ -1,7 +1,7 @@
 //! Saved environments in the middle of their episodes, from which a training goes on with the same bits.
 
 use super::collect::RolloutGroup;
-use super::remote::{OptionalRemote, WhileWaiting};
+use super::remote::{OptionalRemote, Pause};
 use crate::env::registry::Blueprint;
 use crate::env::snapshot::{Resumed, SavedEpisode};
 use crate::error::{Error, Result};
@@ -50,7 +50,7 @@ impl Episodes {
 
 impl SavedEnvironments {
     /// Saves the environments in `pieces`, or of `remote`.
-    pub fn of(pieces: &[Mutex<RolloutGroup>], remote: OptionalRemote<'_>, pause: WhileWaiting) -> Result<Self> {
+    pub fn of(pieces: &[Mutex<RolloutGroup>], remote: OptionalRemote<'_>, pause: Pause) -> Result<Self> {
         let mut kept = Self { episodes: Episodes::Here(Vec::new()), discounted: Vec::new(), returns: Vec::new() };
         let mut here = Vec::new();
         for piece in pieces {
@@ -72,7 +72,7 @@ impl SavedEnvironments {
         pieces: &mut [RolloutGroup],
         blueprint: &Blueprint,
         remote: OptionalRemote<'_>,
-        pause: WhileWaiting,
+        pause: Pause,
     ) -> Result<()> {
         let envs: usize = pieces.iter().map(|p| p.envs).sum();
         let resumed = match (&self.episodes, remote) {

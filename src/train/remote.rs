@@ -5,18 +5,18 @@ use crate::error::Result;
 use std::ops::Range;
 
 /// Called while waiting for an answer; its error ends the wait.
-pub type WhileWaiting<'a> = &'a mut dyn FnMut() -> Result<()>;
+pub type Pause<'a> = &'a mut dyn FnMut() -> Result<()>;
 
 /// All environments of a training, on a server. Each call waits for its answer.
 pub trait RemoteEnvironments: Send {
     /// Begins an episode in each environment; one seed for each environment.
-    fn reset(&mut self, seeds: &[u64], pause: WhileWaiting) -> Result<Rows>;
+    fn reset(&mut self, seeds: &[u64], pause: Pause) -> Result<Rows>;
     /// Makes a step; `actions` is f32 [envs, action]. If an episode ends, the next one begins at once.
-    fn step(&mut self, actions: &[f32], pause: WhileWaiting) -> Result<Rows>;
+    fn step(&mut self, actions: &[f32], pause: Pause) -> Result<Rows>;
     /// Saves all environments.
-    fn save(&mut self, pause: WhileWaiting) -> Result<Vec<u8>>;
+    fn save(&mut self, pause: Pause) -> Result<Vec<u8>>;
     /// Restores saved environments.
-    fn restore(&mut self, snapshot: &[u8], pause: WhileWaiting) -> Result<Rows>;
+    fn restore(&mut self, snapshot: &[u8], pause: Pause) -> Result<Rows>;
 }
 
 /// Environments on a server, if the training uses one.

@@ -4,7 +4,7 @@
 use super::curve::{CurvePoint, LearningCurve};
 use super::events::EventFile;
 use super::plan::{Observer, TrainingPlan, TrainingState, UpdateReport};
-use super::remote::{RemoteEnvironments, WhileWaiting};
+use super::remote::{Pause, RemoteEnvironments};
 use super::settings::Hyperparameters;
 use super::{checkpoint, describe, export, film};
 use crate::env::Task;
@@ -28,7 +28,7 @@ const TRAINING: f64 = 0.97;
 const PATIENCE: Duration = Duration::from_millis(20);
 
 /// Makes environments on a server, from a blueprint, its options and a number.
-pub type Connect = dyn Fn(&Blueprint, &Value, usize, WhileWaiting) -> Result<Box<dyn RemoteEnvironments>> + Send + Sync;
+pub type Connect = dyn Fn(&Blueprint, &Value, usize, Pause) -> Result<Box<dyn RemoteEnvironments>> + Send + Sync;
 
 /// A request for a training.
 pub struct TrainingRequest {

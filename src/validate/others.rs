@@ -30,7 +30,7 @@ pub fn text() -> Result<String> {
 fn discs() -> Result<String> {
     let study = pushes::compare(&data::own_discs()?, None)?;
     let mut text = String::from(
-        "## Discs of three sizes pushed into the wheels' sand\n\nThese measurements have the same source and licence. ForceErrors are the root \
+        "## Discs of three sizes pushed into the wheels' sand\n\nThese measurements have the same source and licence. Errors are the root \
          mean square of ln(predicted/measured), without the first tenth of the depth. Each push is predicted from a fit on the other \
          pushes, and each size from a fit on the other sizes. The first row is plain theory.\n\n\
          | law | error for another push % | error for another size % |\n|---|---|---|\n",
