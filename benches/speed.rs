@@ -2,7 +2,7 @@
 //! through the service.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use sandgait::bench::{Direct, Remote, Stepper, random_actions};
+use sandgait::bench::{Direct, ServerStepper, Stepper, random_actions};
 use sandgait::env::registry::Blueprint;
 use sandgait::number::{Isa, Vec3};
 use sandgait::sand::{Law, Medium, Regularization, SandBed, SegmentState};
@@ -77,8 +77,8 @@ fn steps(c: &mut Criterion) {
     for envs in [32, 256] {
         measure("pool-1-thread", envs, &mut Direct::new(&blueprint, envs, 1).unwrap());
         measure("pool-2-threads", envs, &mut Direct::new(&blueprint, envs, 2).unwrap());
-        measure("grpc-uds", envs, &mut Remote::new(TASK, json!({}), envs, 1, false).unwrap());
-        measure("grpc-tcp", envs, &mut Remote::new(TASK, json!({}), envs, 1, true).unwrap());
+        measure("grpc-uds", envs, &mut ServerStepper::new(TASK, json!({}), envs, 1, false).unwrap());
+        measure("grpc-tcp", envs, &mut ServerStepper::new(TASK, json!({}), envs, 1, true).unwrap());
     }
     group.finish();
     assert_eq!(blueprint.engine, EngineKind::Lanes, "the figures above are of the default engine");

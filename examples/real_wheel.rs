@@ -4,7 +4,7 @@
 //! that are fitted on the rows of both wheels at slip angles up to 60°, and differ in the friction of the surface.
 
 use sandgait::sand::{Law, Mechanisms, Medium, SandDescription};
-use sandgait::table::{self, Asked, Column, Quantity};
+use sandgait::table::{self, Column, Quantity, ReadOptions};
 use sandgait::validate::{DENSITY, data, fit};
 use std::error::Error;
 use std::path::{Path, PathBuf};
@@ -66,7 +66,7 @@ fn discs(path: &Path) -> Result<f64, Box<dyn Error>> {
         Column::needed("force", Quantity::Force),
     ];
     let (mut top, mut bottom) = (0.0, 0.0);
-    table::read(path, &Asked::new(&COLUMNS), |row| {
+    table::read(path, &ReadOptions::new(&COLUMNS), |row| {
         let (diameter, depth, force) = (row.needed(0)?, row.needed(1)?, row.needed(2)?);
         if (diameter - DIAMETER).abs() < 1e-9 && force <= MOST_FORCE {
             top += depth * force;

@@ -6,8 +6,8 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::Result;
 use sandgait::env::Task;
 use sandgait::env::gait::HexapodGait;
-use sandgait::evaluate::episode::Episode;
-use sandgait::evaluate::{Figures, Request, Row, Study, Wanted};
+use sandgait::evaluate::episode::EpisodeSums;
+use sandgait::evaluate::{Evaluation, EvaluationRequest, EvaluationRow, Figures, PolicySource};
 use sandgait::progress::{Progress, Silent};
 use sandgait::sand::Medium;
 use sandgait::sim::engine::EngineKind;
@@ -18,9 +18,10 @@ use sandgait::sim::{Model, Robot, State};
 use serde_json::{Value, json};
 use std::sync::Mutex;
 
-fn request(policy: &str, options: Value) -> Request {
-    let policy = Wanted::parse(policy, |file| std::fs::read(file).map_err(|e| sandgait::Error::file(file.as_ref(), e)));
-    Request {
+fn request(policy: &str, options: Value) -> EvaluationRequest {
+    let policy =
+        PolicySource::parse(policy, |file| std::fs::read(file).map_err(|e| sandgait::Error::file(file.as_ref(), e)));
+    EvaluationRequest {
         policy: policy.unwrap(),
         task: HexapodGait::ID.into(),
         options,
@@ -30,8 +31,8 @@ fn request(policy: &str, options: Value) -> Request {
     }
 }
 
-fn rows(request: &Request) -> Vec<Row> {
-    Study::new(request).unwrap().run(&Silent).unwrap()
+fn rows(request: &EvaluationRequest) -> Vec<EvaluationRow> {
+    Evaluation::new(request).unwrap().run(&Silent).unwrap()
 }
 
 fn figures(policy: &str, options: Value) -> Figures {
@@ -167,7 +168,7 @@ fn action_0_of_the_clock_is_a_tripod() {
     std::fs::write(file.path(), "[0, 0, 0, 0, 0, 0, 0, 0, 0, 0]").unwrap();
     assert_eq!(figures(&format!("clock:{}", file.path().display()), options), clock);
     let refused =
-        |policy: &str, options: Value| Study::new(&request(policy, options)).map(drop).unwrap_err().to_string();
+        |policy: &str, options: Value| Evaluation::new(&request(policy, options)).map(drop).unwrap_err().to_string();
     assert_eq!(refused("clock:0,0,0", Value::Null), "clock: 3 numbers, an action of this task has 10");
     assert!(refused("clock:0,0,2,0,0,0,0,0,0,0", Value::Null).starts_with("clock[2]: 2 (stance sweep"));
     let other = refused("tripod:2", json!({"control": "torque"}));
@@ -179,7 +180,7 @@ fn action_0_of_the_clock_is_a_tripod() {
 fn walking_tasks_can_be_evaluated() {
     for task in ["sandgait/HexapodLegs-v1", "sandgait/HexapodRocks-v1", "sandgait/HexapodTerrain-v1"] {
         let request = request("random", json!({"max_episode_steps": 30}));
-        let rows = rows(&Request { task: task.into(), seeds: 3, ..request });
+        let rows = rows(&EvaluationRequest { task: task.into(), seeds: 3, ..request });
         assert!(rows[0].figures.total_reward.mean.is_finite() && rows[0].figures.speed.mean.is_finite(), "{task}");
     }
 }
@@ -190,7 +191,7 @@ fn a_network_is_evaluated() {
     assert!(got.total_reward.mean.is_finite() && got.episodes == 20, "{got:?}");
     let mut wrong = request("tests/data/policy_ppo.onnx", Value::Null);
     wrong.task = "sandgait/HexapodLegs-v1".into();
-    let error = Study::new(&wrong).map(drop).unwrap_err().to_string();
+    let error = Evaluation::new(&wrong).map(drop).unwrap_err().to_string();
     assert!(error.contains("41 numbers a row"), "{error}");
 }
 
@@ -206,7 +207,7 @@ impl Progress for Told {
 #[test]
 fn an_evaluation_reports_progress_and_can_be_stopped() {
     let told = Told(Mutex::default());
-    let stopped = Study::new(&request("tripod", Value::Null)).unwrap().run(&told);
+    let stopped = Evaluation::new(&request("tripod", Value::Null)).unwrap().run(&told);
     assert_eq!(stopped.unwrap_err().to_string(), "enough");
     let told = told.0.into_inner().unwrap();
     assert!(told.len() > 20 && told.iter().all(|d| (0.0..=1.0).contains(d)) && *told.last().unwrap() < 0.7, "{told:?}");
@@ -218,7 +219,7 @@ fn the_interval_of_falls_is_the_published_one() {
     for (count, of, low, high) in
         [(81, 263, 0.2553, 0.3662), (15, 148, 0.0624, 0.1605), (0, 20, 0.0, 0.1611), (1, 29, 0.0061, 0.1718)]
     {
-        let episode = |i: usize| Episode { fell: i < count, time: 1.0, ..Episode::default() };
+        let episode = |i: usize| EpisodeSums { fell: i < count, time: 1.0, ..EpisodeSums::default() };
         let got = Figures::of(&(0..of).map(episode).collect::<Vec<_>>()).falls;
         assert!((got.low - low).abs() < 6e-5 && (got.high - high).abs() < 6e-5, "{count}/{of}: {got:?}");
     }
@@ -231,7 +232,7 @@ fn bootstrap_intervals_have_their_coverage() {
     let covered = (0..200).filter(|_| {
         let x = |_| random.random_range(0.0..1.0_f64).powi(2);
         let episodes: Vec<_> =
-            (0..60).map(x).map(|x| Episode { total_reward: x, time: 1.0, ..Episode::default() }).collect();
+            (0..60).map(x).map(|x| EpisodeSums { total_reward: x, time: 1.0, ..EpisodeSums::default() }).collect();
         let got = Figures::of(&episodes).total_reward;
         (got.low..=got.high).contains(&(1.0 / 3.0))
     });
@@ -241,8 +242,8 @@ fn bootstrap_intervals_have_their_coverage() {
 
 #[test]
 fn a_cost_of_transport_without_distance_is_nan() {
-    let still = Episode { work: 1.0, weight: 1.5, time: 1.0, ..Episode::default() };
-    let walks = Episode { distance: 1.0, ..still };
+    let still = EpisodeSums { work: 1.0, weight: 1.5, time: 1.0, ..EpisodeSums::default() };
+    let walks = EpisodeSums { distance: 1.0, ..still };
     assert!(Figures::of(&[still; 4]).cost_of_transport.mean.is_nan());
     let half = Figures::of(&[still, walks]).cost_of_transport;
     assert!(half.mean == 2.0 / 1.5 && half.low == 1.0 / 1.5 && half.high.is_nan(), "{half:?}");
@@ -251,24 +252,27 @@ fn a_cost_of_transport_without_distance_is_nan() {
 #[test]
 fn wrong_gaits_are_refused() {
     let read = |file: &str| std::fs::read(file).map_err(|e| sandgait::Error::file(file.as_ref(), e));
-    let refused = |text: &str| Wanted::parse(text, read).unwrap_err().to_string();
+    let refused = |text: &str| PolicySource::parse(text, read).unwrap_err().to_string();
     assert!(refused("crawl").contains("policy \"crawl\" is unknown; known: FILE.onnx, tripod"));
     assert_eq!(refused("tripod:7"), "tripod: 7 is outside [-5, 5]");
     assert_eq!(refused("tripod:fast"), "tripod: \"fast\" is not a number of Hz");
     assert_eq!(refused("clock:1,x"), "clock: \"x\" is no number");
     assert!(refused("no-such.onnx").contains("no-such.onnx"));
-    let refused = |request: &Request| Study::new(request).map(drop).unwrap_err().to_string();
-    assert_eq!(refused(&Request { seeds: 1, ..request("random", Value::Null) }), "seeds: 1 is outside [2, 100000]");
-    let much = Request {
+    let refused = |request: &EvaluationRequest| Evaluation::new(request).map(drop).unwrap_err().to_string();
+    assert_eq!(
+        refused(&EvaluationRequest { seeds: 1, ..request("random", Value::Null) }),
+        "seeds: 1 is outside [2, 100000]"
+    );
+    let much = EvaluationRequest {
         seeds: 100_000,
         slopes: (0..1000).map(|k| 0.01 * f64::from(k)).collect(),
         ..request("random", Value::Null)
     };
     assert_eq!(refused(&much), "seeds times media times slopes: 100000000 is outside [1, 1000000]");
-    let moon = Request { media: vec!["moon".into()], ..request("random", Value::Null) };
+    let moon = EvaluationRequest { media: vec!["moon".into()], ..request("random", Value::Null) };
     assert!(refused(&moon).contains("moon"));
-    let steep = Request { slopes: vec![50.0], ..request("random", Value::Null) };
+    let steep = EvaluationRequest { slopes: vec![50.0], ..request("random", Value::Null) };
     assert_eq!(refused(&steep), "slope_deg: 50 is outside [-35, 35]");
-    let leg = Request { task: "sandgait/LegStroke-v0".into(), ..request("random", Value::Null) };
+    let leg = EvaluationRequest { task: "sandgait/LegStroke-v0".into(), ..request("random", Value::Null) };
     assert_eq!(refused(&leg), "task: sandgait/LegStroke-v0 has no x_velocity: it is no walking task");
 }

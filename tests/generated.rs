@@ -17,7 +17,7 @@ fn make(out: &Path) {
     builder.compile_fds(files).unwrap();
 }
 
-/// The traits of the services. Requests have the type `Frame`: undecoded bytes, so that their size can be checked
+/// The traits of the services. Requests have the type `RequestFrame`: undecoded bytes, so that their size can be checked
 /// before decoding.
 fn server(files: prost_types::FileDescriptorSet, out: &Path) {
     let packages = [("sandgait.v1", "crate::proto"), ("dm_env_rpc.v1", "crate::proto")];
@@ -27,7 +27,7 @@ fn server(files: prost_types::FileDescriptorSet, out: &Path) {
         let inputs = file.service.iter().flat_map(|s| &s.method).map(|m| m.input_type().to_owned());
         let frame = |input: String| {
             let name = input.rsplit('.').next().unwrap_or_default();
-            let frame = format!("crate::frame::Frame<{module}::{name}>");
+            let frame = format!("crate::frame::RequestFrame<{module}::{name}>");
             (input, frame)
         };
         Some(inputs.map(frame).collect::<Vec<_>>())

@@ -5,8 +5,8 @@ use sandgait::env::legged::Units;
 use sandgait::env::registry::Blueprint;
 use sandgait::env::shard::Shard;
 use sandgait::evaluate::commands::CommandStudy;
-use sandgait::evaluate::{Request, Study, Wanted};
-use sandgait::policy::write::Writer;
+use sandgait::evaluate::{Evaluation, EvaluationRequest, PolicySource};
+use sandgait::policy::write::OnnxWriter;
 use sandgait::progress::Silent;
 use sandgait::robots;
 use sandgait::sim::tree::{packed, plates::of_touching};
@@ -46,7 +46,7 @@ fn packed_text(import: &robots::Import) -> String {
 #[test]
 fn the_built_in_robot_equals_its_file() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/env/options/sandcat.json");
-    let import = robots::named::Named::of("sandcat").unwrap().unwrap();
+    let import = robots::named::NamedRobot::of("sandcat").unwrap().unwrap();
     let import = import.load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/sandcat.urdf")).unwrap();
     let (own, packed) = (std::fs::read_to_string(path).unwrap(), packed_text(&import));
     assert!(own.trim() == packed, "pack the file again");
@@ -290,13 +290,13 @@ fn bad_reliefs_are_refused() {
 }
 
 /// A network whose actions are 0: the robot stands.
-fn standing(options: &Value) -> Wanted {
+fn standing(options: &Value) -> PolicySource {
     let blueprint = blueprint(options.clone());
     let [observation, action] = [&blueprint.task.spec().observation, &blueprint.task.spec().action].map(Vec::len);
-    let mut writer = Writer::new(observation);
+    let mut writer = OnnxWriter::new(observation);
     let input = writer.input();
     let output = writer.dense(&input, &vec![0.0; observation * action], &vec![0.0; action]);
-    Wanted::Network { name: "policy.onnx".into(), bytes: writer.finish(&output, action) }
+    PolicySource::Network { name: "policy.onnx".into(), bytes: writer.finish(&output, action) }
 }
 
 /// A robot that stands does not follow; its error is that of the velocity 0. Commands scale with the training's ranges.
@@ -329,18 +329,19 @@ fn commands_are_measured() {
 
 #[test]
 fn evaluations_of_the_wrong_kind_say_which_is_right() {
-    let request = Request {
-        policy: Wanted::Random,
+    let request = EvaluationRequest {
+        policy: PolicySource::Random,
         task: ID.into(),
         options: Value::Null,
         seeds: 4,
         media: Vec::new(),
         slopes: Vec::new(),
     };
-    let error = Study::new(&request).err().unwrap().to_string();
+    let error = Evaluation::new(&request).err().unwrap().to_string();
     assert!(error.contains("`sandgait evaluate POLICY --commands` measures how well"), "{error}");
-    let refused = |policy: Wanted, options: Value| CommandStudy::new(&policy, &options).err().unwrap().to_string();
-    assert!(refused(Wanted::Tripod(None), Value::Null).contains("control"));
+    let refused =
+        |policy: PolicySource, options: Value| CommandStudy::new(&policy, &options).err().unwrap().to_string();
+    assert!(refused(PolicySource::Tripod(None), Value::Null).contains("control"));
     let still = json!({"lin_vel_x": [0, 0], "lin_vel_y": [0, 0], "ang_vel_yaw": [0, 0]});
-    assert!(refused(Wanted::Random, json!({"commands": still})).contains("nothing to follow"));
+    assert!(refused(PolicySource::Random, json!({"commands": still})).contains("nothing to follow"));
 }

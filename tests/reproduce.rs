@@ -2,12 +2,12 @@
 
 use resvg::tiny_skia;
 use sandgait::plot::png;
-use sandgait::reproduce::{self, FIGURES, Verdict};
+use sandgait::reproduce::{self, ClaimVerdict, FIGURES};
 
 #[test]
 fn claims_are_complete_and_reproducible() {
     let [first, second] = [(); 2].map(|()| reproduce::compute(&FIGURES).unwrap());
-    let json = |parts: &[reproduce::Part]| {
+    let json = |parts: &[reproduce::FigureSection]| {
         serde_json::to_string(&parts.iter().flat_map(|p| &p.claims).collect::<Vec<_>>()).unwrap()
     };
     assert_eq!(json(&first), json(&second), "claims differ between two runs");
@@ -22,13 +22,13 @@ fn claims_are_complete_and_reproducible() {
     }
     // Claims that follow from the equations alone.
     for id in ["3.1d_disagrees", "4.l_faster", "5.positive_faster_1hz", "5.positive_faster_4hz", "4.cost"] {
-        assert_eq!(verdict(id), Verdict::Reproduced, "{id}");
+        assert_eq!(verdict(id), ClaimVerdict::Reproduced, "{id}");
     }
     // Claims that do not follow from the stated equations. If one of them were reproduced, the model would have been tuned to it.
-    assert_eq!(verdict("3.1d_drag_reversed"), Verdict::NotReproduced);
+    assert_eq!(verdict("3.1d_drag_reversed"), ClaimVerdict::NotReproduced);
     // Claims that need the paper's measured curves, which are not public.
     for id in ["3.rft_agreement", "4.speed_within_15", "4.speed_within_30", "5.within_10_50", "5.within_30_50"] {
-        assert_eq!(verdict(id), Verdict::NoData, "{id}");
+        assert_eq!(verdict(id), ClaimVerdict::NoData, "{id}");
     }
 }
 

@@ -11,8 +11,8 @@ use sandgait::sand::{LegShape, Medium, SandDescription};
 use sandgait::sim::engine::EngineKind;
 use sandgait::sim::model::Scene;
 use sandgait::sim::{Robot, walk};
-use sandgait::sweep::{Axis, Design, Measure, Parameter, optimize, walk_all};
-use sandgait::table::{self, Asked, Column, Quantity};
+use sandgait::sweep::{Design, Parameter, SweepAxis, SweepMeasure, optimize, walk_all};
+use sandgait::table::{self, Column, Quantity, ReadOptions};
 use std::path::Path;
 
 const PLATE: f64 = 0.038 * 0.025;
@@ -34,7 +34,7 @@ fn a_penetration_test_gives_the_scale() {
         force.push(row.needed(1)?);
         Ok(())
     };
-    table::read(&path, &Asked::new(&columns), take).unwrap();
+    table::read(&path, &ReadOptions::new(&columns), take).unwrap();
     assert!((0.04..0.06).contains(depth.last().unwrap()), "the header's mm were not read");
     let c = calibrate(&depth, &force, PLATE).unwrap();
     assert!(c.zeta_interval[0] < 0.46 && 0.46 < c.zeta_interval[1], "{c:?}");
@@ -89,7 +89,7 @@ fn bad_cells_are_named() {
         let columns = [Column::needed("depth", Quantity::Length)];
         let units = units.iter().map(|(name, unit)| (name.to_string(), unit.to_string())).collect();
         let mut depth = Vec::new();
-        let asked = Asked { units, ..Asked::new(&columns) };
+        let asked = ReadOptions { units, ..ReadOptions::new(&columns) };
         table::parse(Path::new("x.csv"), text.as_bytes(), &asked, |row| row.needed(0).map(|z| depth.push(z)))?;
         sandgait::Result::Ok(depth)
     };
@@ -178,16 +178,16 @@ fn parameters_change_the_model() {
         assert!(Parameter::named(name).unwrap().set(&mut d, value).is_err(), "{name}={value}");
     }
     for bad in ["xi", "xi=", "xi=1:2", "xi=1:2:1", "mood=1,2", "xi=a:b:3"] {
-        assert!(Axis::parse(bad).is_err(), "{bad}");
+        assert!(SweepAxis::parse(bad).is_err(), "{bad}");
     }
-    assert_eq!(Axis::parse("xi=-0.1:0.2:4").unwrap().values, ["-0.1", "0", "0.1", "0.2"]);
+    assert_eq!(SweepAxis::parse("xi=-0.1:0.2:4").unwrap().values, ["-0.1", "0", "0.1", "0.2"]);
 }
 
 /// The search finds a design at least as good as the best of a coarse grid, stays within its bounds, and is
 /// reproducible.
 #[test]
 fn the_search_beats_a_grid() {
-    let axes = [Axis::parse("xi=0:75:2").unwrap()];
+    let axes = [SweepAxis::parse("xi=0:75:2").unwrap()];
     let grid = (0..=15).map(|k| {
         let mut d = design();
         Parameter::named("xi").unwrap().set(&mut d, &(5 * k).to_string()).unwrap();
@@ -198,7 +198,7 @@ fn the_search_beats_a_grid() {
         .iter()
         .map(|r| r.speed)
         .fold(0.0, f64::max);
-    let [a, b] = [(); 2].map(|()| optimize::optimize(&design(), &axes, Measure::Speed, &Silent).unwrap());
+    let [a, b] = [(); 2].map(|()| optimize::optimize(&design(), &axes, SweepMeasure::Speed, &Silent).unwrap());
     assert!(a.result.speed >= best * 0.999 && (0.0..=75.0).contains(&a.values[0]), "{} {best}", a.result.speed);
     assert_eq!(a.values, b.values);
 }
@@ -250,13 +250,13 @@ fn forces_with_mechanisms_agree_with_the_diagnosis() {
 /// first walk.
 #[test]
 fn a_large_grid_equals_its_single_walks() {
-    let axes = [Axis::parse("xi=-40,40").unwrap(), Axis::parse("frequency=19:20:2100").unwrap()];
+    let axes = [SweepAxis::parse("xi=-40,40").unwrap(), SweepAxis::parse("frequency=19:20:2100").unwrap()];
     let results = sandgait::sweep::grid(&design(), &axes, &Silent).unwrap();
     assert_eq!(results.len(), 4200);
     let mut last = Design { frequency: 20.0, ..design() };
     Parameter::named("xi").unwrap().set(&mut last, "40").unwrap();
     assert_eq!(walk::walk(EngineKind::Lanes, &last.trial().unwrap()).unwrap(), results[4199]);
-    let wrong = [Axis::parse("xi=-40,40").unwrap(), Axis::parse("frequency=2,21").unwrap()];
+    let wrong = [SweepAxis::parse("xi=-40,40").unwrap(), SweepAxis::parse("frequency=2,21").unwrap()];
     let error = sandgait::sweep::grid(&design(), &wrong, &Silent).unwrap_err().to_string();
     assert_eq!(error, "frequency: 21 is outside [-20, 20]");
 }

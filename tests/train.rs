@@ -2,7 +2,7 @@
 //! checkpoint, and a resumed training gives the same bits.
 
 use sandgait::progress::{Progress, Silent};
-use sandgait::train::{Request, Settings};
+use sandgait::train::{Hyperparameters, TrainingRequest};
 use sandgait::{Error, Result};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -89,17 +89,17 @@ fn a_loss_that_is_not_a_number_ends_in_one_line_with_a_checkpoint() {
 }
 
 /// A training with sixteen environments and `timesteps` steps that writes to `out`.
-fn request(task: &str, out: &Path, timesteps: u64, changes: &Value) -> Request {
+fn request(task: &str, out: &Path, timesteps: u64, changes: &Value) -> TrainingRequest {
     let mut entry = json!({
         "n_envs": 16, "n_steps": 8, "n_timesteps": timesteps, "batch_size": 64, "n_epochs": 2, "normalize": true,
         "mirror": true, "learning_rate": "lin_1e-3", "policy_kwargs": {"net_arch": [16]},
     });
     let entry = entry.as_object_mut().unwrap();
     entry.extend(changes.as_object().unwrap().clone());
-    Request {
+    TrainingRequest {
         task: task.into(),
         options: json!({"max_episode_steps": 30}),
-        settings: Settings::from_entry(entry).unwrap(),
+        settings: Hyperparameters::from_entry(entry).unwrap(),
         seed: 3,
         threads: 2,
         out: out.into(),
@@ -144,7 +144,7 @@ fn a_resumed_training_gives_the_same_bits() {
         let directory = tempfile::tempdir().unwrap();
         let [whole, parts] = ["whole", "parts"].map(|name| directory.path().join(name));
         let options = if task.contains("Stroke") { json!({}) } else { json!({"max_episode_steps": 30}) };
-        let of = |out: &Path, resume: bool| Request {
+        let of = |out: &Path, resume: bool| TrainingRequest {
             options: options.clone(),
             resume,
             ..request(task, out, 1280, &changes)
@@ -166,7 +166,7 @@ fn a_resumed_training_gives_the_same_bits() {
 fn a_training_starts_from_what_another_has_learnt() {
     let directory = tempfile::tempdir().unwrap();
     let [first, second] = ["first", "second"].map(|name| directory.path().join(name));
-    let of = |out: &Path, start_from: Option<PathBuf>, changes: Value| Request {
+    let of = |out: &Path, start_from: Option<PathBuf>, changes: Value| TrainingRequest {
         start_from,
         ..request("sandgait/HexapodGait-v1", out, 256, &changes)
     };
@@ -179,11 +179,11 @@ fn a_training_starts_from_what_another_has_learnt() {
     assert!(apart(&after.parameters) < 1e-6, "{}", apart(&after.parameters));
     assert_eq!(after.steps, 256);
     assert!(after.normal.unwrap().observations.count > before.normal.unwrap().observations.count);
-    let refused = |request: Request| request.run(&Silent).err().unwrap().to_string();
+    let refused = |request: TrainingRequest| request.run(&Silent).err().unwrap().to_string();
     let third = directory.path().join("third");
     let other = of(&third, Some(policy.clone()), json!({"policy_kwargs": {"net_arch": [8]}}));
     assert!(refused(other).contains("policy.safetensors"));
-    let both = Request { resume: true, ..of(&second, Some(policy), json!({})) };
+    let both = TrainingRequest { resume: true, ..of(&second, Some(policy), json!({})) };
     assert!(refused(both).contains("start_from"));
 }
 
@@ -209,23 +209,23 @@ fn a_training_in_another_s_folder_destroys_nothing() {
     let gait = "sandgait/HexapodGait-v1";
     request(gait, out, 256, &json!({})).run(&Silent).unwrap();
     let before = files(out);
-    let refused = |request: Request| {
+    let refused = |request: TrainingRequest| {
         let error = request.run(&Silent).err().expect("it is refused").to_string();
         assert!(files(out) == before, "{error}");
         assert!(!error.contains('\n'), "{error}");
         error
     };
-    let resumed = |request: Request| refused(Request { resume: true, ..request });
+    let resumed = |request: TrainingRequest| refused(TrainingRequest { resume: true, ..request });
     let slope = json!({"max_episode_steps": 30, "slope_deg": 3.0});
     for (request, words) in [
-        (Request { seed: 4, ..request(gait, out, 512, &json!({})) }, "its seed is 3, not 4"),
+        (TrainingRequest { seed: 4, ..request(gait, out, 512, &json!({})) }, "its seed is 3, not 4"),
         (
             request("sandgait/HexapodLegs-v1", out, 512, &json!({})),
             "its task is sandgait/HexapodGait-v1, not sandgait/",
         ),
         (request(gait, out, 512, &json!({"n_envs": 32})), "its n_envs is 16, not 32"),
         (request(gait, out, 512, &json!({"gamma": 0.9})), "its gamma is 0.99, not 0.9"),
-        (Request { options: slope, ..request(gait, out, 512, &json!({})) }, "its slope_deg is 0.0, not 3.0"),
+        (TrainingRequest { options: slope, ..request(gait, out, 512, &json!({})) }, "its slope_deg is 0.0, not 3.0"),
     ] {
         let error = resumed(request);
         assert!(
@@ -236,7 +236,7 @@ fn a_training_in_another_s_folder_destroys_nothing() {
     let error = refused(request(gait, out, 256, &json!({})));
     assert!(error.contains("it has the results of another training: go on with that one with --resume"), "{error}");
     // Only the end of the training differs.
-    let more = Request { resume: true, ..request(gait, out, 512, &json!({})) };
+    let more = TrainingRequest { resume: true, ..request(gait, out, 512, &json!({})) };
     assert_eq!(more.run(&Silent).unwrap().learnt.steps, 512);
 }
 
@@ -246,7 +246,7 @@ fn a_training_in_another_s_folder_destroys_nothing() {
 fn torn_files_do_not_stop_a_resumption() {
     let directory = tempfile::tempdir().unwrap();
     let [whole, torn] = ["whole", "torn"].map(|name| directory.path().join(name));
-    let of = |out: &Path, steps: u64, resume: bool| Request {
+    let of = |out: &Path, steps: u64, resume: bool| TrainingRequest {
         resume,
         ..request("sandgait/HexapodGait-v1", out, steps, &json!({"learning_rate": 1e-3}))
     };

@@ -21,18 +21,18 @@ impl Progress for Silent {
 }
 
 /// A part of longer work: its progress from 0 to 1 is reported as a share between `ends` of the whole.
-pub struct Part<'a> {
+pub struct PartialProgress<'a> {
     whole: &'a dyn Progress,
     ends: [f64; 2],
 }
 
-impl<'a> Part<'a> {
+impl<'a> PartialProgress<'a> {
     pub fn new(whole: &'a dyn Progress, ends: [f64; 2]) -> Self {
         Self { whole, ends }
     }
 }
 
-impl Progress for Part<'_> {
+impl Progress for PartialProgress<'_> {
     fn report(&self, done: f64, stage: &str) -> Result<()> {
         let [start, end] = self.ends;
         self.whole.report(start + (end - start) * done, stage)
@@ -47,10 +47,10 @@ const ASKED: Duration = Duration::from_millis(200);
 /// unfinished results. The next report returns the error, and so does every later one.
 pub struct Latch<'a> {
     whole: &'a dyn Progress,
-    told: Mutex<Told>,
+    told: Mutex<LatchState>,
 }
 
-struct Told {
+struct LatchState {
     done: f64,
     stage: String,
     asked: Instant,
@@ -59,7 +59,10 @@ struct Told {
 
 impl<'a> Latch<'a> {
     pub fn new(whole: &'a dyn Progress) -> Self {
-        Self { whole, told: Mutex::new(Told { done: 0.0, stage: String::new(), asked: Instant::now(), error: None }) }
+        Self {
+            whole,
+            told: Mutex::new(LatchState { done: 0.0, stage: String::new(), asked: Instant::now(), error: None }),
+        }
     }
 
     /// Asks by reporting the present stage again.
@@ -78,11 +81,11 @@ impl<'a> Latch<'a> {
         self.told().error.clone()
     }
 
-    fn told(&self) -> MutexGuard<'_, Told> {
+    fn told(&self) -> MutexGuard<'_, LatchState> {
         self.told.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn ask(&self, told: &mut Told, done: f64, stage: &str) -> Result<()> {
+    fn ask(&self, told: &mut LatchState, done: f64, stage: &str) -> Result<()> {
         if told.error.is_none() {
             told.error = self.whole.report(done, stage).err();
             (told.done, told.stage, told.asked) = (done, stage.to_owned(), Instant::now());

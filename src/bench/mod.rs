@@ -8,7 +8,7 @@ use sandgait_service as service;
 
 mod remote;
 
-pub use remote::{Remote, Rollouts};
+pub use remote::{RolloutStepper, ServerStepper};
 
 use crate::env::ResetOptions;
 use crate::env::registry::Blueprint;

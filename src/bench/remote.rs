@@ -5,7 +5,7 @@ use crate::service::proto::environment_service_client::EnvironmentServiceClient;
 use crate::service::proto::run_session_request::Request;
 use crate::service::proto::run_session_response::Response;
 use crate::service::proto::{CreateSessionRequest, Reset, Rollout, RunSessionRequest, RunSessionResponse, Step};
-use crate::service::{self, Address, Listener, PROTOCOL, Setup};
+use crate::service::{self, Address, Listener, PROTOCOL, ServerSetup};
 use crate::{Error, Result};
 use prost_types::value::Kind;
 use serde_json::Value;
@@ -20,7 +20,7 @@ use tonic::Streaming;
 static NEXT: AtomicU32 = AtomicU32::new(0);
 
 /// A session of a server in this process, one stream, one step in flight.
-pub struct Remote {
+pub struct ServerStepper {
     runtime: Runtime,
     requests: mpsc::Sender<RunSessionRequest>,
     answers: Streaming<RunSessionResponse>,
@@ -32,7 +32,7 @@ fn failed(what: impl std::fmt::Display) -> Error {
     Error::Exhausted(format!("the session failed: {what}"))
 }
 
-impl Remote {
+impl ServerStepper {
     pub fn new(task: &str, options: Value, envs: usize, threads: usize, tcp: bool) -> Result<Self> {
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
         let runtime = runtime.map_err(failed)?;
@@ -53,7 +53,7 @@ impl Remote {
         let answers = runtime.block_on(async {
             let listener = Listener::bind(&address.parse::<Address>()?).await?;
             let bound = listener.address()?.to_string();
-            tokio::spawn(service::serve(listener, Setup { threads, ..Setup::default() }, stop.clone()));
+            tokio::spawn(service::serve(listener, ServerSetup { threads, ..ServerSetup::default() }, stop.clone()));
             let target = if tcp { format!("http://{bound}") } else { bound };
             let endpoint = tonic::transport::Endpoint::from_shared(target).map_err(failed)?.tcp_nodelay(true);
             let mut client = EnvironmentServiceClient::new(endpoint.connect().await.map_err(failed)?)
@@ -71,7 +71,7 @@ impl Remote {
     }
 }
 
-impl Remote {
+impl ServerStepper {
     /// Makes a request and waits for the answer for which `is_last` is true.
     fn ask(&mut self, request: Option<Request>, is_last: impl Fn(&Response) -> bool) -> Result<()> {
         self.sequence += 1;
@@ -90,7 +90,7 @@ impl Remote {
     }
 }
 
-impl Stepper for Remote {
+impl Stepper for ServerStepper {
     fn step(&mut self, actions: &[f32]) -> Result<()> {
         let actions: Vec<u8> = actions.iter().flat_map(|a| a.to_le_bytes()).collect();
         let request = Some(Request::Step(Step { actions: actions.into(), ..Default::default() }));
@@ -102,13 +102,13 @@ impl Stepper for Remote {
 const ROLLOUT: usize = 150;
 
 /// The same session, a rollout at a time.
-pub struct Rollouts {
-    pub remote: Remote,
+pub struct RolloutStepper {
+    pub remote: ServerStepper,
     /// Request every step's rows?
     pub trajectories: bool,
 }
 
-impl Stepper for Rollouts {
+impl Stepper for RolloutStepper {
     fn steps(&self) -> usize {
         ROLLOUT
     }
@@ -121,7 +121,7 @@ impl Stepper for Rollouts {
     }
 }
 
-impl Drop for Remote {
+impl Drop for ServerStepper {
     fn drop(&mut self) {
         self.stop.cancel();
     }

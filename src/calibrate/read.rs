@@ -2,7 +2,7 @@
 
 use super::pushes::{MOST_PUSHES, MOST_SAMPLES, Penetration};
 use crate::error::{Error, Result, check_range};
-use crate::table::{self, Asked, Column, Quantity, Row};
+use crate::table::{self, Column, Quantity, ReadOptions, Row};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
@@ -35,7 +35,7 @@ pub struct Tests {
 pub fn file(path: &Path, units: BTreeMap<String, String>) -> Result<Tests> {
     let mut several = Several::default();
     let (mut depth, mut force) = (Vec::new(), Vec::new());
-    let asked = Asked { units, ..Asked::new(&COLUMNS) };
+    let asked = ReadOptions { units, ..ReadOptions::new(&COLUMNS) };
     table::read(path, &asked, |row| take(row, &mut depth, &mut force, &mut several))?;
     several.tests(path, depth, force)
 }
@@ -44,7 +44,9 @@ pub fn file(path: &Path, units: BTreeMap<String, String>) -> Result<Tests> {
 pub fn text(path: &Path, text: &str) -> Result<Tests> {
     let mut several = Several::default();
     let (mut depth, mut force) = (Vec::new(), Vec::new());
-    table::parse(path, text.as_bytes(), &Asked::new(&COLUMNS), |row| take(row, &mut depth, &mut force, &mut several))?;
+    table::parse(path, text.as_bytes(), &ReadOptions::new(&COLUMNS), |row| {
+        take(row, &mut depth, &mut force, &mut several)
+    })?;
     several.tests(path, depth, force)
 }
 

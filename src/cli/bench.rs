@@ -1,6 +1,6 @@
 //! `sandgait bench`
 
-use sandgait::bench::{Actions, Direct, Remote, Rollouts, Stepper, measure, random_actions};
+use sandgait::bench::{Actions, Direct, RolloutStepper, ServerStepper, Stepper, measure, random_actions};
 use sandgait::env::legged::LeggedVelocity;
 use sandgait::env::registry::{Blueprint, TASK_IDS};
 use sandgait::env::{Spec, Task};
@@ -25,7 +25,7 @@ use std::time::Duration;
   sandgait bench --task sandgait/LeggedVelocity-v1 --option ground=rigid --option robot=robots/sandcat.urdf
   sandgait bench --option sand=sand.toml --option leg=C
   SANDGAIT_ISA=avx2 sandgait bench            (avx512, avx2, baseline or f64)")]
-pub struct Bench {
+pub struct BenchArgs {
     /// Id of the task; `all` measures every task and prints a line for each
     #[arg(long, default_value = "sandgait/HexapodGait-v1")]
     task: String,
@@ -99,7 +99,7 @@ impl Chosen {
     }
 }
 
-impl Bench {
+impl BenchArgs {
     pub fn run(self) -> Result<String> {
         if !(self.seconds > 0.0 && self.seconds <= 3600.0) {
             return Err(Error::invalid("--seconds", format!("{} is outside (0, 3600]", self.seconds)));
@@ -123,10 +123,10 @@ impl Bench {
         let mut stepper: Box<dyn Stepper> = match self.through {
             Through::Process => Box::new(Direct::new(&blueprint, self.envs, threads)?),
             through => {
-                let remote = Remote::new(task, options, self.envs, threads, through == Through::GrpcTcp)?;
+                let remote = ServerStepper::new(task, options, self.envs, threads, through == Through::GrpcTcp)?;
                 match through {
-                    Through::Rollouts => Box::new(Rollouts { remote, trajectories: false }),
-                    Through::Trajectories => Box::new(Rollouts { remote, trajectories: true }),
+                    Through::Rollouts => Box::new(RolloutStepper { remote, trajectories: false }),
+                    Through::Trajectories => Box::new(RolloutStepper { remote, trajectories: true }),
                     _ => Box::new(remote),
                 }
             }

@@ -25,7 +25,7 @@ const PLATE: f64 = 0.038 * 0.025;
   sandgait calibrate push.csv --depth-unit mm --plot push.svg      (also push.png)
   sandgait calibrate discs.csv                                     (columns trial, diameter, depth, force)
   sandgait calibrate discs.csv --compliance 5e-5")]
-pub struct Calibrate {
+pub struct CalibrateArgs {
     /// CSV with columns depth and force
     data: PathBuf,
     /// Area of the plate [m²]; default: 3.8 × 2.5 cm, the plate of Li et al. 2012
@@ -48,7 +48,7 @@ pub struct Calibrate {
     json: bool,
 }
 
-impl Calibrate {
+impl CalibrateArgs {
     pub fn run(self) -> Result<String> {
         let units = [("depth", self.depth_unit.clone()), ("force", self.force_unit.clone())];
         let units = units.into_iter().filter_map(|(name, unit)| Some((name.to_owned(), unit?)));
@@ -76,7 +76,7 @@ impl Calibrate {
     }
 }
 
-impl Calibrate {
+impl CalibrateArgs {
     fn compare(&self, pushes: &[Penetration]) -> Result<String> {
         if self.area.is_some() {
             return Err(Error::invalid(

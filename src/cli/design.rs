@@ -1,15 +1,15 @@
 //! `sandgait sweep --learn`: writes the results of a study of learnt gaits as files and as text.
 
 use sandgait::plot::{self, Figure, Mark, Panel, Style, color, png};
-use sandgait::sweep::Axis;
-use sandgait::train::design::{Between, Compared, Findings, Measure, Study, Trained};
+use sandgait::sweep::SweepAxis;
+use sandgait::train::design::{Compared, DesignStudy, Findings, GaitMeasure, Trained, TrainingMean};
 use sandgait::{Error, Result};
 use std::path::Path;
 
 /// One line for each design: each measure's mean over trainings with its interval, then the returns of the trainings.
-fn csv(study: &Study, findings: &Findings) -> String {
+fn csv(study: &DesignStudy, findings: &Findings) -> String {
     let mut head: Vec<String> = study.axes.iter().map(|a| a.parameter.label()).collect();
-    for measure in Measure::ALL {
+    for measure in GaitMeasure::ALL {
         let label = measure.label();
         head.extend([label.to_owned(), format!("{label} low"), format!("{label} high")]);
     }
@@ -18,9 +18,9 @@ fn csv(study: &Study, findings: &Findings) -> String {
     let mut text = head.join(",") + "\n";
     for (design, trained) in findings.trained.iter().enumerate() {
         let mut cells = findings.designs[design].clone();
-        for place in 0..Measure::ALL.len() {
+        for place in 0..GaitMeasure::ALL.len() {
             let all: Vec<f64> = trained.iter().map(|t| t.chosen_by[place]).collect();
-            let Between { mean, half } = Between::of(&all);
+            let TrainingMean { mean, half } = TrainingMean::of(&all);
             cells.extend([mean, mean - half, mean + half].map(number));
         }
         cells.extend(trained.iter().map(|t| number(t.chosen_by[0])));
@@ -32,12 +32,12 @@ fn csv(study: &Study, findings: &Findings) -> String {
 
 /// The mean and, if there is an interval, half of its width.
 fn between(all: &[f64]) -> String {
-    let Between { mean, half } = Between::of(all);
+    let TrainingMean { mean, half } = TrainingMean::of(all);
     if half.is_nan() { format!("{mean:.3}") } else { format!("{mean:.3} ± {half:.3}") }
 }
 
 /// All designs and the comparison of the best ones, as Markdown.
-fn markdown(study: &Study, findings: &Findings, measure: Measure, best: &[Vec<String>]) -> String {
+fn markdown(study: &DesignStudy, findings: &Findings, measure: GaitMeasure, best: &[Vec<String>]) -> String {
     let table = |rows: &[Vec<String>]| {
         let line = |row: &Vec<String>| format!("| {} |\n", row.join(" | "));
         let rule = rows.first().map_or(String::new(), |head| "|---".repeat(head.len()) + "|\n");
@@ -47,9 +47,9 @@ fn markdown(study: &Study, findings: &Findings, measure: Measure, best: &[Vec<St
             .collect::<String>()
     };
     let mut head: Vec<String> = study.axes.iter().map(|a| a.parameter.label()).collect();
-    head.extend(Measure::ALL.map(|m| m.label().to_owned()));
+    head.extend(GaitMeasure::ALL.map(|m| m.label().to_owned()));
     let row = |(values, trained): (&Vec<String>, &Vec<Trained>)| {
-        let measures = Measure::ALL.map(|m| between(&measured(m, trained)));
+        let measures = GaitMeasure::ALL.map(|m| between(&measured(m, trained)));
         values.iter().cloned().chain(measures).collect::<Vec<_>>()
     };
     let all: Vec<_> = std::iter::once(head).chain(findings.designs.iter().zip(&findings.trained).map(row)).collect();
@@ -70,14 +70,14 @@ fn number(value: f64) -> String {
 }
 
 /// The measure of each training of `trained`.
-fn measured(measure: Measure, trained: &[Trained]) -> Vec<f64> {
-    let place = Measure::ALL.iter().position(|m| *m == measure).unwrap_or(0);
+fn measured(measure: GaitMeasure, trained: &[Trained]) -> Vec<f64> {
+    let place = GaitMeasure::ALL.iter().position(|m| *m == measure).unwrap_or(0);
     trained.iter().map(|t| t.chosen_by[place]).collect()
 }
 
 /// Draws the measure over one axis: each training as a dot, the means as a line with their intervals. With two axes
 /// there is a line for each value of the first axis.
-fn figure(study: &Study, findings: &Findings, measure: Measure) -> Figure {
+fn figure(study: &DesignStudy, findings: &Findings, measure: GaitMeasure) -> Figure {
     let title = format!("a gait learnt for each design, {} trainings each", study.trainings);
     let panels = match study.search {
         Some(_) => (0..study.axes.len()).map(|k| searched(study, findings, measure, k)).collect(),
@@ -90,7 +90,7 @@ fn figure(study: &Study, findings: &Findings, measure: Measure) -> Figure {
     Figure { title, panels, columns: 2, note }
 }
 
-fn lines(study: &Study, findings: &Findings, measure: Measure, along: &Axis) -> Panel {
+fn lines(study: &DesignStudy, findings: &Findings, measure: GaitMeasure, along: &SweepAxis) -> Panel {
     let x = along.numbers().unwrap_or_else(|| (1..=along.values.len()).map(|i| i as f64).collect());
     let mut marks = Vec::new();
     for (k, row) in findings.trained.chunks(x.len()).enumerate() {
@@ -100,7 +100,8 @@ fn lines(study: &Study, findings: &Findings, measure: Measure, along: &Axis) -> 
             study.axes.iter().rev().nth(1).map_or("mean of the trainings".to_owned(), |axis| {
                 format!("{} = {}", axis.parameter.name, axis.values[k])
             });
-        let between: Vec<Between> = row.iter().map(|trained| Between::of(&measured(measure, trained))).collect();
+        let between: Vec<TrainingMean> =
+            row.iter().map(|trained| TrainingMean::of(&measured(measure, trained))).collect();
         if study.trainings > 1 {
             let points = x.iter().zip(&between).map(|(x, b)| [*x, b.mean - b.half, b.mean + b.half]).collect();
             marks.push(Mark::band("", shade, points));
@@ -114,7 +115,7 @@ fn lines(study: &Study, findings: &Findings, measure: Measure, along: &Axis) -> 
 }
 
 /// All designs of a search over axis `k`.
-fn searched(study: &Study, findings: &Findings, measure: Measure, k: usize) -> Panel {
+fn searched(study: &DesignStudy, findings: &Findings, measure: GaitMeasure, k: usize) -> Panel {
     let at = |values: &Vec<String>| values[k].parse().unwrap_or(f64::NAN);
     let all = findings.designs.iter().zip(&findings.trained);
     let dots = all.flat_map(|(values, t)| measured(measure, t).into_iter().map(move |y| [at(values), y])).collect();
@@ -128,7 +129,7 @@ fn dotted(color: &'static str) -> Style {
 }
 
 /// Writes all files into `out`; returns the text for the terminal.
-pub fn report(study: &Study, findings: &Findings, measure: Measure, out: &Path) -> Result<String> {
+pub fn report(study: &DesignStudy, findings: &Findings, measure: GaitMeasure, out: &Path) -> Result<String> {
     let write = |name: &str, content: &[u8]| {
         let path = out.join(name);
         std::fs::write(&path, content).map_err(|e| Error::file(&path, e))
@@ -136,7 +137,7 @@ pub fn report(study: &Study, findings: &Findings, measure: Measure, out: &Path) 
     write("learnt.csv", csv(study, findings).as_bytes())?;
     png::write_both(&figure(study, findings, measure).svg(), &out.join("learnt.svg"))?;
     let mut rows = vec![["design".to_owned(), "file".into()].to_vec()];
-    rows[0].extend(Measure::ALL.map(|m| m.label().to_owned()));
+    rows[0].extend(GaitMeasure::ALL.map(|m| m.label().to_owned()));
     for Compared { design, values } in &findings.best {
         let named = study.axes.iter().zip(&findings.designs[*design]);
         let named: Vec<_> = named.map(|(axis, value)| format!("{} = {value}", axis.parameter.name)).collect();

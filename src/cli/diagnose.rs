@@ -7,12 +7,12 @@ use sandgait::diagnose;
 #[derive(clap::Args)]
 #[command(after_help = "Example:
   sandgait diagnose forces.csv --experiment experiment.toml --out report")]
-pub struct Diagnose {
+pub struct DiagnoseArgs {
     #[command(flatten)]
     arguments: diagnose::cli::Arguments,
 }
 
-impl Diagnose {
+impl DiagnoseArgs {
     pub fn run(self) -> Result<String> {
         let diagnosis = diagnose::run(&self.arguments)?;
         Ok(format!("{}\n", diagnosis.report.summary))

@@ -6,7 +6,7 @@ use sandgait::env::Task;
 use sandgait::env::gait::HexapodGait;
 use sandgait::env::legged::LeggedVelocity;
 use sandgait::evaluate::commands::{self, CommandStudy};
-use sandgait::evaluate::{Request, Row, Study, Wanted, table};
+use sandgait::evaluate::{Evaluation, EvaluationRequest, EvaluationRow, PolicySource, table};
 use sandgait::{Error, Result};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -26,7 +26,7 @@ use std::path::{Path, PathBuf};
   sandgait evaluate tripod --slopes 0,10 --json tripod.json
   sandgait evaluate runs/go1/policy.onnx --commands --csv commands.csv
   sandgait evaluate clock:best.json --options '{\"leg\": \"C\"}' --csv clock.csv")]
-pub struct Evaluate {
+pub struct EvaluateArgs {
     /// Gait: FILE.onnx, tripod[:HZ], clock:FILE.json, clock:N,N,…, standing or random
     #[arg(allow_hyphen_values = true)]
     policy: String,
@@ -36,7 +36,7 @@ pub struct Evaluate {
     #[arg(long, value_name = "JSON")]
     options: Option<String>,
     /// Number of episodes; their seeds begin at 1,000,000
-    #[arg(long, value_name = "N", default_value_t = Request::SEEDS)]
+    #[arg(long, value_name = "N", default_value_t = EvaluationRequest::SEEDS)]
     seeds: usize,
     /// Media, instead of the medium in the options
     #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
@@ -55,7 +55,7 @@ pub struct Evaluate {
     csv: Option<PathBuf>,
 }
 
-impl Evaluate {
+impl EvaluateArgs {
     pub fn run(self) -> Result<String> {
         let read = |file: &str| std::fs::read(file).map_err(|e| Error::file(Path::new(file), e));
         let mut options = self.options.as_deref().map_or(Ok(Value::Null), |text| {
@@ -68,18 +68,18 @@ impl Evaluate {
         if self.commands {
             return follow(&self.policy, options, read, &files);
         }
-        let request = Request {
-            policy: Wanted::parse(&self.policy, read)?,
+        let request = EvaluationRequest {
+            policy: PolicySource::parse(&self.policy, read)?,
             task: self.task,
             options,
             seeds: self.seeds,
             media: self.media,
             slopes: self.slopes,
         };
-        let study = Study::new(&request)?;
+        let study = Evaluation::new(&request)?;
         super::warn_of_unfelt_option(&request.options);
         let rows = study.run(&Bar::new())?;
-        let about = Study::about(&request);
+        let about = Evaluation::about(&request);
         let text = report(&about, &rows);
         write(&files, &table::json(about, &rows), &table::csv(&rows))?;
         Ok(text)
@@ -93,7 +93,7 @@ fn follow(
     read: impl Fn(&str) -> Result<Vec<u8>>,
     files: &[Option<PathBuf>; 2],
 ) -> Result<String> {
-    let policy = Wanted::parse(name, read)?;
+    let policy = PolicySource::parse(name, read)?;
     let options = if options.is_null() { own_options(Path::new(name))? } else { options };
     let followed = CommandStudy::new(&policy, &options)?.run(&Bar::new())?;
     let about = json!({"policy": name, "task": LeggedVelocity::ID, "results": followed});
@@ -131,7 +131,7 @@ fn writable(path: &Path) -> Result<()> {
     Ok(())
 }
 
-fn report(about: &Value, rows: &[Row]) -> String {
+fn report(about: &Value, rows: &[EvaluationRow]) -> String {
     let range = |key: &str| about[key].as_array().map(|r| format!("{} to {}", r[0], r[1]));
     let mut head =
         format!("{}, {}", about["policy"].as_str().unwrap_or_default(), about["task"].as_str().unwrap_or_default());

@@ -1,9 +1,9 @@
 //! `sandgait intrude`
 
+use sandgait::sand::LegShape;
 use sandgait::sand::intruder::with_friction;
 use sandgait::sand::intrusion::{CHORD, HIP_HEIGHT, Load, OMEGA, Rotation, WIDTH};
 use sandgait::sand::memory::REPOSE_DEG;
-use sandgait::sand::{Law, LegShape, Medium};
 use sandgait::{Error, Result};
 use std::path::PathBuf;
 
@@ -29,7 +29,7 @@ use std::path::PathBuf;
   sandgait intrude --body cylinder:radius=0.0625,width=0.06 --trials rows.csv --sand sand.toml --csv forces.csv
   sandgait intrude --body box:length=0.1,width=0.05,height=0.02 --trials rows.csv --law agarwal2023 --csv forces.csv
   sandgait intrude --body sphere:radius=0.02 --trials steps.csv --memory --csv forces.csv --surface heights.csv")]
-pub struct Intrude {
+pub struct IntrudeArgs {
     /// Shape of the leg: L, revL, C, revC, flat or xi=DEGREES
     #[arg(long, allow_hyphen_values = true, required_unless_present = "body", conflicts_with_all = ["body", "trials"])]
     shape: Option<String>,
@@ -70,26 +70,19 @@ pub struct Intrude {
     /// Angular speed of the leg [rad/s]; with a negative one the tip moves backward
     #[arg(long, value_name = "RAD/S", default_value_t = OMEGA, allow_negative_numbers = true)]
     omega: f64,
-    /// Sand: a name from `sandgait media`, or zeta=VALUE
-    #[arg(long, default_value = Medium::DEFAULT)]
-    medium: String,
-    /// Resistive force law: li2013, penetration-drag-1d or agarwal2023
-    #[arg(long, default_value = Law::Li2013.name())]
-    law: String,
-    /// A sand.toml, for example from a diagnosis, instead of --medium and --law
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["medium", "law"])]
-    sand: Option<PathBuf>,
+    #[command(flatten)]
+    sand: super::SandArgs,
     /// CSV file for the forces
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
 }
 
-impl Intrude {
+impl IntrudeArgs {
     pub fn run(self) -> Result<String> {
         let (Some(shape), None) = (&self.shape, &self.body) else { return self.run_trials() };
         let (name, shape) = (shape, LegShape::named(shape)?);
         let Self { chord, width, hip_height, omega, .. } = self;
-        let sand = super::sand(&self.medium, &self.law, self.sand.as_deref())?;
+        let sand = self.sand.sand()?;
         let loads = Rotation { shape, chord, width, hip_height, omega }.loads(&sand)?;
         if let Some(path) = &self.csv {
             let rows = loads.iter().map(|(theta, l)| format!("{theta:.2},{:.6},{:.6},{:.8}\n", l.fx, l.fz, l.ty));
@@ -108,7 +101,7 @@ impl Intrude {
         let (Some(body), Some(trials)) = (&self.body, &self.trials) else {
             return Err(Error::invalid("intrude", "give --shape, or --body with --trials"));
         };
-        let mut sand = super::sand(&self.medium, &self.law, self.sand.as_deref())?;
+        let mut sand = self.sand.sand()?;
         if let Some(mu) = self.mu_s {
             sand = with_friction(&sand, mu)?;
         }

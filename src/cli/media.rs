@@ -7,13 +7,13 @@ use sandgait::sand::Medium;
 /// List the built-in sands with the sources of their numbers.
 #[derive(clap::Args)]
 #[command(after_help = "Any other sand is zeta=VALUE (N/cm³) on the generic set, for example --medium zeta=0.5.")]
-pub struct Media {
+pub struct MediaArgs {
     /// Print JSON with all coefficients
     #[arg(long)]
     json: bool,
 }
 
-impl Media {
+impl MediaArgs {
     pub fn run(self) -> Result<String> {
         let media = Medium::names().into_iter().map(Medium::named).collect::<Result<Vec<_>>>()?;
         if self.json {

@@ -32,24 +32,24 @@ use layout::table;
 
 pub use heights::pack as pack_heights;
 pub use robot::{check as check_robot, is_description, pack as pack_robot};
-pub use train::{Training, learn};
+pub use train::{TrainingArgs, learn};
 
 use self::progress::Bar;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{CommandFactory as _, Parser, Subcommand};
-use sandgait::sand::{Medium, SandDescription};
+use sandgait::sand::{Law, Medium, SandDescription};
 use sandgait::{Error, Result};
 use std::error::Error as _;
 use std::ffi::OsString;
 use std::io::Write as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Batched reinforcement-learning environments of legged robots on sand.
 #[derive(Parser)]
 #[command(version, max_term_width = 100, arg_required_else_help = true, after_help = EXAMPLES)]
 struct Cli {
     #[command(subcommand)]
-    command: Command,
+    command: CliCommand,
 }
 
 const EXAMPLES: &str = "Examples:
@@ -66,36 +66,52 @@ fn read_files(options: &mut serde_json::Value) -> Result<()> {
     heights::read_option(options)
 }
 
-#[derive(Subcommand)]
-enum Command {
-    Serve(serve::Serve),
-    Walk(walk::Walk),
-    Bench(bench::Bench),
-    Diagnose(diagnose::Diagnose),
-    Evaluate(evaluate::Evaluate),
-    Intrude(intrude::Intrude),
-    Media(media::Media),
-    Stress(stress::Stress),
-    Play(play::Play),
-    Replay(replay::Replay),
-    Reproduce(reproduce::Reproduce),
-    Robot(robot::Robot),
-    Robots(robots::Robots),
-    Calibrate(calibrate::Calibrate),
-    Sweep(sweep::Sweep),
-    Tasks(tasks::Tasks),
-    Train(train::Train),
-    Validate(validate::Validate),
+/// The commands, each with the file and the type of its arguments.
+macro_rules! commands {
+    ($($name:ident: $file:ident::$arguments:ident),* $(,)?) => {
+        #[derive(Subcommand)]
+        enum CliCommand {
+            $($name($file::$arguments)),*
+        }
+
+        /// Runs a command; its text goes to stdout.
+        fn run(command: CliCommand) -> Result<String> {
+            match command {
+                $(CliCommand::$name(arguments) => arguments.run()),*
+            }
+        }
+    };
+}
+
+commands! {
+    Serve: serve::ServeArgs,
+    Walk: walk::WalkArgs,
+    Bench: bench::BenchArgs,
+    Diagnose: diagnose::DiagnoseArgs,
+    Evaluate: evaluate::EvaluateArgs,
+    Intrude: intrude::IntrudeArgs,
+    Media: media::MediaArgs,
+    Stress: stress::StressArgs,
+    Play: play::PlayArgs,
+    Replay: replay::ReplayArgs,
+    Reproduce: reproduce::ReproduceArgs,
+    Robot: robot::RobotArgs,
+    Robots: robots::RobotsArgs,
+    Calibrate: calibrate::CalibrateArgs,
+    Sweep: sweep::SweepArgs,
+    Tasks: tasks::TasksArgs,
+    Train: train::TrainArgs,
+    Validate: validate::ValidateArgs,
 }
 
 /// Runs the command line `arguments`, the program's name first, and returns the exit code.
 pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     let arguments: Vec<OsString> = arguments.into_iter().collect();
     let outcome = match Cli::try_parse_from(&arguments) {
-        Ok(Cli { command: Command::Serve(serve::Serve { config: Some(file), .. }) }) => {
+        Ok(Cli { command: CliCommand::Serve(serve::ServeArgs { config: Some(file), .. }) }) => {
             with_file(&file, arguments).and_then(|cli| run(cli.command))
         }
-        Ok(Cli { command: Command::Robot(robot) }) if robot.check => match robot.run_check() {
+        Ok(Cli { command: CliCommand::Robot(robot) }) if robot.check => match robot.run_check() {
             Ok((text, stands)) => return print(&text).max(u8::from(!stands)),
             Err(error) => Err(error),
         },
@@ -127,30 +143,6 @@ fn with_file(file: &Path, given: Vec<OsString>) -> Result<Cli> {
     all.extend(config::arguments(command.unwrap_or(&cli), file)?);
     // The command line alone was valid, so the error is in the file.
     Cli::try_parse_from(all.into_iter().chain(given)).map_err(|e| Error::file(file, one_line(&e)))
-}
-
-/// Runs a command; its text goes to stdout.
-fn run(command: Command) -> Result<String> {
-    match command {
-        Command::Serve(c) => c.run(),
-        Command::Walk(c) => c.run(),
-        Command::Bench(c) => c.run(),
-        Command::Diagnose(c) => c.run(),
-        Command::Evaluate(c) => c.run(),
-        Command::Intrude(c) => c.run(),
-        Command::Media(c) => c.run(),
-        Command::Stress(c) => c.run(),
-        Command::Play(c) => c.run(),
-        Command::Replay(c) => c.run(),
-        Command::Reproduce(c) => c.run(),
-        Command::Robot(c) => c.run(),
-        Command::Robots(c) => c.run(),
-        Command::Calibrate(c) => c.run(),
-        Command::Sweep(c) => c.run(),
-        Command::Tasks(c) => c.run(),
-        Command::Train(c) => c.run(),
-        Command::Validate(c) => c.run(),
-    }
 }
 
 fn exit_code(error: &Error) -> u8 {
@@ -214,22 +206,42 @@ fn without_usage(message: &str) -> String {
     lines.collect::<Vec<_>>().join(" ").trim_start_matches("error: ").replace(" tip:", "; tip:")
 }
 
-/// The sand of a file, or of a medium and a law by their names. Warns on stderr if its numbers are extrapolated.
-fn sand(medium: &str, law: &str, file: Option<&Path>) -> Result<SandDescription> {
-    if let Some(file) = file {
-        return SandDescription::load(file);
+/// The sand of a command.
+#[derive(clap::Args)]
+struct SandArgs {
+    /// Sand: a name from `sandgait media`, zeta=VALUE or mu=VALUE,rho=VALUE
+    #[arg(long, default_value = Medium::DEFAULT)]
+    medium: String,
+    /// Resistive force law: li2013, penetration-drag-1d or agarwal2023
+    #[arg(long, default_value = Law::Li2013.name())]
+    law: String,
+    /// A sand.toml, for example from a diagnosis, instead of --medium and --law
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["medium", "law"])]
+    sand: Option<PathBuf>,
+}
+
+impl SandArgs {
+    /// The sand of the file, or of medium and law by their names. Warns on stderr if its numbers are extrapolated.
+    fn sand(&self) -> Result<SandDescription> {
+        match &self.sand {
+            Some(file) => SandDescription::load(file),
+            None => named_sand(&self.medium, &self.law),
+        }
     }
+
+    /// The same for walking robots. Warns on stderr of each mechanism that has no effect on them.
+    fn sand_to_walk_on(&self) -> Result<SandDescription> {
+        let sand = self.sand()?;
+        warn_of_unfelt(&sand);
+        Ok(sand)
+    }
+}
+
+fn named_sand(medium: &str, law: &str) -> Result<SandDescription> {
     if let Some(caution) = Medium::caution(medium) {
         eprintln!("sandgait: warning: {caution}");
     }
     SandDescription::named(medium, law)
-}
-
-/// The same as [`sand`], for walking robots. Warns on stderr of each mechanism that has no effect on them.
-fn sand_to_walk_on(medium: &str, law: &str, file: Option<&Path>) -> Result<SandDescription> {
-    let sand = sand(medium, law, file)?;
-    warn_of_unfelt(&sand);
-    Ok(sand)
 }
 
 /// Warns of mechanisms without effect in the `sand` among a task's options.

@@ -5,7 +5,7 @@ use sandgait::env::Task;
 use sandgait::env::legged::LeggedVelocity;
 use sandgait::env::registry::Blueprint;
 use sandgait::policy::Network;
-use sandgait::service::{Play as Page, bind_tcp};
+use sandgait::service::{PlayedEnvironment, bind_tcp};
 use sandgait::train::entry;
 use sandgait::{Error, Result};
 use serde_json::{Value, json};
@@ -24,7 +24,7 @@ use tokio_util::sync::CancellationToken;
   sandgait play HexapodGait
   sandgait play runs/go1/policy.onnx
   sandgait play runs/go1/policy.onnx --option ground=rigid --no-browser")]
-pub struct Play {
+pub struct PlayArgs {
     /// FILE.onnx or HexapodGait
     policy: String,
     /// Option of the task, in place of those in settings.json
@@ -48,7 +48,7 @@ const HEXAPOD_SETTINGS: &str = include_str!("../../examples/policies/HexapodGait
 /// Control steps of an episode: our choice, an hour.
 const STEPS: u32 = 180_000;
 
-impl Play {
+impl PlayArgs {
     pub fn run(self) -> Result<String> {
         let (onnx, settings) = self.read()?;
         let (blueprint, network) = self.prepare(&onnx, &settings)?;
@@ -62,7 +62,7 @@ impl Play {
         });
         let key = format!("{:032x}", rand::random::<u128>());
         let _inside = runtime.enter();
-        let page = Page::new(blueprint.task.clone(), &key);
+        let page = PlayedEnvironment::new(blueprint.task.clone(), &key);
         let place = SocketAddr::from((Ipv4Addr::LOCALHOST, self.port));
         let unusable = |e: std::io::Error| Error::invalid("--port", format!("{place}: {e}"));
         let listener = bind_tcp(place).map_err(unusable)?;
@@ -126,7 +126,7 @@ impl Play {
 fn walk(
     blueprint: &Blueprint,
     network: &Network,
-    page: &Page,
+    page: &PlayedEnvironment,
     seconds: Option<f64>,
     stop: &CancellationToken,
 ) -> Result<()> {

@@ -15,16 +15,16 @@ const LONG: Duration = Duration::from_secs(60);
 pub struct Bar {
     bar: ProgressBar,
     /// None on a terminal.
-    log: Option<Mutex<Log>>,
+    log: Option<Mutex<ProgressLog>>,
 }
 
 /// The last line.
-struct Log {
+struct ProgressLog {
     tenth: u32,
     at: Instant,
 }
 
-impl Log {
+impl ProgressLog {
     /// The line that is due at `now`.
     fn line(&mut self, done: f64, stage: &str, now: Instant) -> Option<String> {
         let (tenth, passed) = ((10.0 * done) as u32, now.duration_since(self.at));
@@ -42,7 +42,7 @@ impl Bar {
     pub fn new() -> Self {
         let style = ProgressStyle::with_template("{bar:20} {percent:>3} %, {eta} left: {wide_msg}");
         let bar = ProgressBar::new(Self::STEPS).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
-        let log = (!std::io::stderr().is_terminal()).then(|| Mutex::new(Log { tenth: 0, at: Instant::now() }));
+        let log = (!std::io::stderr().is_terminal()).then(|| Mutex::new(ProgressLog { tenth: 0, at: Instant::now() }));
         Self { bar, log }
     }
 }
@@ -73,7 +73,7 @@ mod tests {
     /// Lines of work with a report every tenth of a second, and the seconds at which they come.
     fn lines(seconds: f64) -> Vec<(f64, String)> {
         let start = Instant::now();
-        let mut log = Log { tenth: 0, at: start };
+        let mut log = ProgressLog { tenth: 0, at: start };
         let reports = (0..=(10.0 * seconds) as u32).map(|k| f64::from(k) / 10.0);
         let line = |t: f64| Some((t, log.line(t / seconds, "the work", start + Duration::from_secs_f64(t))?));
         reports.filter_map(line).collect()

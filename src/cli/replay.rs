@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 #[command(after_help = "Examples:
   sandgait replay walk.rec                       (prints its contents)
   sandgait replay walk.rec --html walk.html      (one page with everything in it; open it in a browser)")]
-pub struct Replay {
+pub struct ReplayArgs {
     /// File of the recording
     #[arg(value_name = "FILE")]
     file: PathBuf,
@@ -26,7 +26,7 @@ pub struct Replay {
     json: bool,
 }
 
-impl Replay {
+impl ReplayArgs {
     pub fn run(self) -> Result<String> {
         let bytes = std::fs::read(&self.file).map_err(|e| Error::file(&self.file, e))?;
         let sections = view::read(&bytes).map_err(|e| match e {

@@ -1,7 +1,7 @@
 //! `sandgait reproduce`
 
 use sandgait::Result;
-use sandgait::reproduce::{self, FIGURES, Verdict};
+use sandgait::reproduce::{self, ClaimVerdict, FIGURES};
 use std::path::PathBuf;
 
 /// Reproduce Li, Zhang & Goldman 2012: figures 2 to 5, and every claim with a number.
@@ -12,7 +12,7 @@ use std::path::PathBuf;
 #[command(after_help = "Examples:
   sandgait reproduce --out paper
   sandgait reproduce --figure 4 --out paper")]
-pub struct Reproduce {
+pub struct ReproduceArgs {
     /// Make only this figure: 2, 3, 4 or 5
     #[arg(long, value_name = "N")]
     figure: Option<u8>,
@@ -21,7 +21,7 @@ pub struct Reproduce {
     out: PathBuf,
 }
 
-impl Reproduce {
+impl ReproduceArgs {
     pub fn run(self) -> Result<String> {
         let start = std::time::Instant::now();
         let figures = self.figure.map_or(FIGURES.to_vec(), |f| vec![f]);
@@ -30,9 +30,9 @@ impl Reproduce {
         let claims: Vec<_> = parts.iter().flat_map(|p| &p.claims).collect();
         let rows = claims.iter().map(|c| {
             let verdict = match c.verdict {
-                Verdict::Reproduced => "reproduced",
-                Verdict::NotReproduced => "not reproduced",
-                Verdict::NoData => "no data",
+                ClaimVerdict::Reproduced => "reproduced",
+                ClaimVerdict::NotReproduced => "not reproduced",
+                ClaimVerdict::NoData => "no data",
             };
             vec![c.id.clone(), verdict.to_owned(), c.seed_value.clone(), c.ours.clone()]
         });

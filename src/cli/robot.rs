@@ -3,7 +3,7 @@
 use super::layout::{WIDTH, narrow_table, wrapped};
 use super::robot_check::Sheet;
 use sandgait::env::options::RobotName;
-use sandgait::robots::{self, Import, Touch, states};
+use sandgait::robots::{self, Import, ShapeIndex, states};
 use sandgait::sim::tree::looks::Looks;
 use sandgait::sim::tree::{Geometry, TreeBody, TreeJoint, TreeShape, packed, plates};
 use sandgait::{Error, Result, sim, view};
@@ -26,7 +26,7 @@ const PICTURE: [u32; 2] = [960, 720];
   sandgait robot go1.urdf --pack > go1.json
   sandgait robot go1.urdf --check
   sandgait robot xplorer")]
-pub struct Robot {
+pub struct RobotArgs {
     /// A file with ending .urdf, .xml (MJCF or URDF), .toml or .json (packed), a name that `sandgait robots` lists, or
     /// NAME=FILE, which lays our pose and gains of the named robot over your file
     #[arg(value_name = "FILE")]
@@ -67,7 +67,7 @@ pub struct Robot {
     accelerations: Option<PathBuf>,
 }
 
-impl Robot {
+impl RobotArgs {
     pub fn run(self) -> Result<String> {
         let mut import = load(&self.file)?;
         if let Some(rows) = &self.accelerations {
@@ -103,7 +103,7 @@ impl Robot {
     }
 }
 
-impl Robot {
+impl RobotArgs {
     fn camera(&self) -> Result<view::CameraOptions> {
         let Self { azimuth_deg, elevation_deg, distance, .. } = *self;
         view::CameraOptions { azimuth_deg, elevation_deg, distance, fixed: false }.check()
@@ -213,7 +213,7 @@ fn load(file: &Path) -> Result<Import> {
 
 /// The shapes that touch sand, and their plates, body by body.
 struct Touching {
-    shapes: Vec<Touch>,
+    shapes: Vec<ShapeIndex>,
     plates: Vec<Vec<sandgait::sand::intruder::IntruderPlate>>,
 }
 

@@ -1,6 +1,6 @@
 //! `sandgait robots`
 
-use sandgait::robots::named::{Named, folders, names};
+use sandgait::robots::named::{NamedRobot, folders, names};
 use sandgait::{Error, Result, view};
 use serde_json::json;
 use std::path::PathBuf;
@@ -17,7 +17,7 @@ const PICTURE: [u32; 2] = [480, 360];
   sandgait robots
   sandgait robots --json
   sandgait robots --pictures robots/")]
-pub struct Robots {
+pub struct RobotsArgs {
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -26,7 +26,7 @@ pub struct Robots {
     pictures: Option<PathBuf>,
 }
 
-impl Robots {
+impl RobotsArgs {
     pub fn run(self) -> Result<String> {
         let folders = folders();
         if let Some(folder) = self.pictures.as_ref().filter(|folder| !folder.is_dir()) {
@@ -34,30 +34,21 @@ impl Robots {
         }
         let mut all = Vec::new();
         for name in names() {
-            let Some(named) = Named::of(name) else { continue };
+            let Some(named) = NamedRobot::of(name) else { continue };
             let named = named?;
             let file = named.description(&folders);
             if let (Some(folder), Some(file)) = (&self.pictures, &file) {
-                let import = named.load(file)?;
-                let tree = &import.tree;
-                let none = vec![Vec::new(); tree.bodies.len()];
+                let (import, camera) = (named.load(file)?, view::CameraOptions::default());
+                let (tree, seen) = (&import.tree, import.seen()?);
                 let caption = format!("{name}: {:.1} kg, {} joints", tree.mass(), tree.joints().count());
-                let png = view::tree::draw(
-                    tree,
-                    &import.seen()?,
-                    &none,
-                    None,
-                    PICTURE,
-                    &view::CameraOptions::default(),
-                    &[caption],
-                )?;
+                let png = view::tree::draw(tree, &seen, &[], None, PICTURE, &camera, &[caption])?;
                 let path = folder.join(format!("{name}.png"));
                 std::fs::write(&path, png).map_err(|e| Error::file(&path, e))?;
             }
             all.push((name, named, file));
         }
         if self.json {
-            let row = |(name, named, file): &(&str, Named, Option<PathBuf>)| {
+            let row = |(name, named, file): &(&str, NamedRobot, Option<PathBuf>)| {
                 json!({
                     "name": name,
                     "title": named.title,

@@ -1,6 +1,6 @@
 //! `sandgait serve`
 
-use sandgait::service::{self, Address, Connected, Limits, Listener, Seal, Setup, StateDir, Tls, Token};
+use sandgait::service::{self, Address, Limits, Listener, Seal, ServerSetup, StateDir, Tls, Token};
 use sandgait::{Error, Result};
 use std::io::{IsTerminal as _, Read as _, Write as _};
 use std::net::SocketAddr;
@@ -34,7 +34,7 @@ const GRACE: Duration = Duration::from_millis(500);
   sandgait serve --listen 0.0.0.0:50051 --tls-cert server.pem --tls-key server.key --token-file token
   sandgait serve --listen 0.0.0.0:50051 --insecure     (anyone who can reach this port can use the server)"
 )]
-pub struct Serve {
+pub struct ServeArgs {
     /// Address: HOST:PORT or unix:PATH (a socket that only its owner can use)
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:50051")]
     listen: Address,
@@ -51,8 +51,6 @@ pub struct Serve {
     security: Security,
     #[command(flatten)]
     session_limits: SessionLimits,
-    #[command(flatten)]
-    peers: Peers,
     #[command(flatten)]
     pages: Pages,
     /// Format of the log on stderr; the variable SANDGAIT_LOG sets its filter
@@ -113,21 +111,10 @@ struct Pages {
     max_watchers: u32,
 }
 
-/// Limits of connections.
-#[derive(clap::Args)]
-struct Peers {
-    /// Largest number of connections; lower if there are not enough file descriptors
-    #[arg(long, value_name = "N", default_value_t = Connected::DEFAULT.all, value_parser = clap::value_parser!(u32).range(1..))]
-    max_connections: u32,
-    /// Largest number of simultaneous calls on one connection; further calls wait
-    #[arg(long, value_name = "N", default_value_t = Connected::DEFAULT.streams, value_parser = clap::value_parser!(u32).range(1..))]
-    max_streams: u32,
-}
-
 /// The default limits, in the units of the options.
 const LIMITS: Limits = Limits::DEFAULT;
 
-/// Limits of sessions and memory.
+/// Limits of sessions, memory and connections.
 #[derive(clap::Args)]
 struct SessionLimits {
     /// Largest number of sessions
@@ -145,6 +132,12 @@ struct SessionLimits {
     /// The server frees a session that has been without a client for this time [s]
     #[arg(long, value_name = "S", default_value_t = LIMITS.lease.as_secs() as u32, value_parser = clap::value_parser!(u32).range(1..))]
     lease_seconds: u32,
+    /// Largest number of connections; lower if there are not enough file descriptors
+    #[arg(long, value_name = "N", default_value_t = LIMITS.connections, value_parser = clap::value_parser!(u32).range(1..))]
+    max_connections: u32,
+    /// Largest number of simultaneous calls on one connection; further calls wait
+    #[arg(long, value_name = "N", default_value_t = LIMITS.streams, value_parser = clap::value_parser!(u32).range(1..))]
+    max_streams: u32,
 }
 
 #[derive(Clone, Copy, clap::ValueEnum)]
@@ -153,7 +146,7 @@ enum LogFormat {
     Json,
 }
 
-impl Serve {
+impl ServeArgs {
     pub fn run(self) -> Result<String> {
         self.security.check(&self.listen)?;
         let pages = &self.pages;
@@ -166,7 +159,6 @@ impl Serve {
         let mut setup = self.security.setup(&self.listen)?;
         setup.threads = self.threads.into();
         setup.limits = self.limits();
-        setup.connected = self.peers.connected();
         setup.others = self.dm_env_rpc.then(dm_env_rpc).transpose()?;
         setup.state = self.state_dir.as_deref().map(StateDir::new).transpose()?;
         let Security { token_file, tls_key, snapshot_key, .. } = &self.security;
@@ -185,20 +177,26 @@ impl Serve {
     }
 
     fn limits(&self) -> Limits {
-        let SessionLimits { max_sessions, max_envs, max_memory_mib, max_message_mib, lease_seconds } =
-            self.session_limits;
+        let given = &self.session_limits;
         Limits {
-            sessions: max_sessions as usize,
-            environments: max_envs as usize,
-            memory: (max_memory_mib as usize) << 20,
-            lease: Duration::from_secs(lease_seconds.into()),
-            request: (max_message_mib as usize) << 20,
+            sessions: given.max_sessions as usize,
+            environments: given.max_envs as usize,
+            memory: (given.max_memory_mib as usize) << 20,
+            lease: Duration::from_secs(given.lease_seconds.into()),
+            request: (given.max_message_mib as usize) << 20,
+            connections: given.max_connections,
+            streams: given.max_streams,
             watchers: self.pages.max_watchers as usize,
             ..LIMITS
         }
     }
 
-    async fn serve(self, mut setup: Setup, metrics: Option<SocketAddr>, viewer: Option<SocketAddr>) -> Result<()> {
+    async fn serve(
+        self,
+        mut setup: ServerSetup,
+        metrics: Option<SocketAddr>,
+        viewer: Option<SocketAddr>,
+    ) -> Result<()> {
         let stop = CancellationToken::new();
         on_signals(&stop)?;
         let listener = Listener::bind(&self.listen).await?;
@@ -267,7 +265,7 @@ impl Security {
         Err(Error::invalid("--listen", reason))
     }
 
-    fn setup(&self, listen: &Address) -> Result<Setup> {
+    fn setup(&self, listen: &Address) -> Result<ServerSetup> {
         let tls = match (&self.tls_cert, &self.tls_key, &self.tls_self_signed, listen) {
             (Some(certificate), Some(key), ..) => Some(Tls::load(certificate, key, self.client_ca.as_deref())?),
             (.., Some(path), Address::Tcp(address)) => {
@@ -279,7 +277,7 @@ impl Security {
         };
         let token = self.token_file.as_deref().map(Token::load).transpose()?;
         let seal = self.snapshot_key.as_deref().map(Seal::load).transpose()?.unwrap_or_default();
-        Ok(Setup { tls, token, seal, ..Setup::default() })
+        Ok(ServerSetup { tls, token, seal, ..ServerSetup::default() })
     }
 }
 
@@ -301,12 +299,6 @@ fn bind_plain(name: &str, address: SocketAddr) -> Result<(TcpListener, SocketAdd
     let listener = service::bind_tcp(address).map_err(unusable)?;
     let address = listener.local_addr().map_err(unusable)?;
     Ok((listener, address))
-}
-
-impl Peers {
-    fn connected(&self) -> Connected {
-        Connected { all: self.max_connections, streams: self.max_streams }
-    }
 }
 
 impl LogFormat {

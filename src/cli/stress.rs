@@ -3,7 +3,7 @@
 use sandgait::number::Vec3;
 use sandgait::sand::law::agarwal2023;
 use sandgait::sand::{Law, Medium, Regularization, SandBed};
-use sandgait::table::{self, Asked, Column, Quantity};
+use sandgait::table::{self, Column, Quantity, ReadOptions};
 use sandgait::{Error, Result};
 use std::path::PathBuf;
 
@@ -25,7 +25,7 @@ const COLUMNS: [Column; 3] = [
   sandgait stress --input angles.csv
   sandgait stress --law agarwal2023 --medium glass-beads --input angles.csv
   sandgait stress --law agarwal2023 --medium mu=0.5,rho=1500 --friction 0.36 --input angles.csv")]
-pub struct Stress {
+pub struct StressArgs {
     /// Resistive force law: li2013, penetration-drag-1d or agarwal2023
     #[arg(long, default_value = "li2013")]
     law: String,
@@ -41,9 +41,9 @@ pub struct Stress {
     friction: Option<f64>,
 }
 
-impl Stress {
+impl StressArgs {
     pub fn run(self) -> Result<String> {
-        let sand = super::sand(&self.medium, &self.law, None)?;
+        let sand = super::named_sand(&self.medium, &self.law)?;
         let (law, medium) = (sand.law, sand.medium());
         if let Some(mu) = self.friction {
             sandgait::error::check_range("--friction", mu, 0.0..=10.0)?;
@@ -56,7 +56,7 @@ impl Stress {
             Law::Li2013 | Law::PenetrationDrag1d => (&["alpha_x", "alpha_z"], &COLUMNS[..2]),
         };
         let mut text = String::new();
-        let summary = table::read(&self.input, &Asked::new(columns), |row| {
+        let summary = table::read(&self.input, &ReadOptions::new(columns), |row| {
             let mut angles = [0.0; 3];
             for (k, angle) in angles.iter_mut().enumerate().take(columns.len()) {
                 *angle = row.needed(k)?;

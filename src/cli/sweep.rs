@@ -6,10 +6,9 @@ use sandgait::env::gait::HexapodGait;
 use sandgait::error::check_range;
 use sandgait::files::{self, Lock};
 use sandgait::plot::png;
-use sandgait::sand::{Law, Medium};
 use sandgait::sim::Robot;
 use sandgait::sim::model::Scene;
-use sandgait::sweep::{Axis, Design, Measure, grid, optimize, table};
+use sandgait::sweep::{Design, SweepAxis, SweepMeasure, grid, optimize, table};
 use sandgait::train::{design, entry};
 use sandgait::{Error, Result};
 use std::path::PathBuf;
@@ -27,7 +26,7 @@ use std::path::PathBuf;
   sandgait sweep --vary xi=0:75:2 --vary chord=0.03:0.05:2 --optimize cost-of-transport --out study
   sandgait sweep --vary xi=-75:75:25 --learn 60 --option command=[0.1,0.6] --out study    (a gait learnt for each leg)
   sandgait sweep --vary xi=-75:75:2 --vary chord=0.03:0.05:2 --optimize return --learn-steps 3000000 --out study")]
-pub struct Sweep {
+pub struct SweepArgs {
     /// Parameter and its values; can be given twice
     #[arg(long, value_name = "NAME=VALUES", required = true, allow_hyphen_values = true)]
     vary: Vec<String>,
@@ -40,15 +39,8 @@ pub struct Sweep {
     /// Stride frequency [Hz]
     #[arg(long, value_name = "HZ", default_value_t = Design::FREQUENCY)]
     frequency: f64,
-    /// Sand: a name from `sandgait media`, zeta=VALUE or mu=VALUE,rho=VALUE
-    #[arg(long, default_value = Medium::DEFAULT)]
-    medium: String,
-    /// Resistive force law: li2013, penetration-drag-1d or agarwal2023
-    #[arg(long, default_value = Law::Li2013.name())]
-    law: String,
-    /// A sand.toml, for example from a diagnosis, instead of --medium and --law
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["medium", "law"])]
-    sand: Option<PathBuf>,
+    #[command(flatten)]
+    sand: super::SandArgs,
     /// Measure in the figure: speed or cost-of-transport; with --learn also return
     #[arg(long, default_value = "speed")]
     measure: String,
@@ -83,9 +75,9 @@ pub struct Sweep {
     out: PathBuf,
 }
 
-impl Sweep {
+impl SweepArgs {
     pub fn run(self) -> Result<String> {
-        let axes = self.vary.iter().map(|v| Axis::parse(v)).collect::<Result<Vec<_>>>()?;
+        let axes = self.vary.iter().map(|v| SweepAxis::parse(v)).collect::<Result<Vec<_>>>()?;
         if axes.len() > 2 && self.optimize.is_none() {
             return Err(Error::invalid("--vary", "a grid takes one or two parameters; --optimize takes more"));
         }
@@ -96,15 +88,15 @@ impl Sweep {
         if self.warm.is_some() || !self.option.is_empty() {
             return Err(Error::invalid("--warm, --option", "they are used only with --learn or --learn-steps"));
         }
-        let measure = Measure::named(&self.measure)?;
+        let measure = SweepMeasure::named(&self.measure)?;
         match &self.optimize {
-            Some(goal) => self.search(&base, &axes, Measure::named(goal)?),
+            Some(goal) => self.search(&base, &axes, SweepMeasure::named(goal)?),
             None => self.grid(&base, &axes, measure),
         }
     }
 
     fn base(&self) -> Result<Design> {
-        let scene = Scene::on(&super::sand_to_walk_on(&self.medium, &self.law, self.sand.as_deref())?);
+        let scene = Scene::on(&self.sand.sand_to_walk_on()?);
         let robot = Robot::load(&self.robot)?;
         let mut base = Design { robot, scene, frequency: self.frequency, phase: 0.0 };
         let setting = |setting: &'_ String| {
@@ -116,7 +108,7 @@ impl Sweep {
         Ok(base)
     }
 
-    fn grid(&self, base: &Design, axes: &[Axis], measure: Measure) -> Result<String> {
+    fn grid(&self, base: &Design, axes: &[SweepAxis], measure: SweepMeasure) -> Result<String> {
         let count = grid::check_grid(base, axes)?;
         let _lock = self.prepare()?;
         let start = std::time::Instant::now();
@@ -139,8 +131,8 @@ impl Sweep {
         Ok(format!("{best}{warning}{count} walks in {seconds:.1} s → {}\n", self.out.join("sweep.csv").display()))
     }
 
-    fn learnt(&self, base: Design, axes: Vec<Axis>) -> Result<String> {
-        let measure = design::Measure::named(self.optimize.as_ref().unwrap_or(&self.measure))?;
+    fn learnt(&self, base: Design, axes: Vec<SweepAxis>) -> Result<String> {
+        let measure = design::GaitMeasure::named(self.optimize.as_ref().unwrap_or(&self.measure))?;
         let mut settings = entry::settings(None, HexapodGait::ID, entry::ends(self.learn_steps, self.learn))?;
         let pairs = self.option.iter().map(|o| entry::pair("--option", o)).collect::<Result<Vec<_>>>()?;
         let options = std::mem::take(&mut settings.env_kwargs).into_iter().chain(pairs).collect();
@@ -149,14 +141,14 @@ impl Sweep {
         let search = self.optimize.as_ref().map(|_| self.designs);
         search.map_or(Ok(0.0), |designs| check_range("--designs", designs as f64, 1.0..=300.0))?;
         let (trainings, warm, out) = (self.trainings, self.warm, self.out.clone());
-        let study = design::Study { base, axes, options, settings, trainings, warm, search, out };
+        let study = design::DesignStudy { base, axes, options, settings, trainings, warm, search, out };
         study.check()?;
         let _lock = self.prepare()?;
         let findings = study.run(measure, &Bar::new())?;
         super::design::report(&study, &findings, measure, &self.out)
     }
 
-    fn search(&self, base: &Design, axes: &[Axis], goal: Measure) -> Result<String> {
+    fn search(&self, base: &Design, axes: &[SweepAxis], goal: SweepMeasure) -> Result<String> {
         optimize::bounds(base, axes)?;
         let _lock = self.prepare()?;
         let start = std::time::Instant::now();
@@ -192,7 +184,7 @@ impl Sweep {
 }
 
 /// Robot, sand and law, except for the varied parameters.
-fn title(base: &Design, axes: &[Axis]) -> String {
+fn title(base: &Design, axes: &[SweepAxis]) -> String {
     let varied = |names: &[&str]| axes.iter().any(|a| names.contains(&a.parameter.name));
     let medium = if varied(&["medium", "zeta"]) { "" } else { base.scene.medium.name.as_str() };
     let law = if varied(&["law"]) { "" } else { base.scene.law.name() };

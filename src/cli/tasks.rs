@@ -13,7 +13,7 @@ use serde_json::{Value, json};
   sandgait tasks
   sandgait tasks HexapodGait
   sandgait tasks sandgait/LeggedVelocity-v1 --json")]
-pub struct Tasks {
+pub struct TasksArgs {
     /// Describe this task: its id, or the id without `sandgait/` and without version
     #[arg(value_name = "NAME", conflicts_with = "markdown")]
     name: Option<String>,
@@ -25,7 +25,7 @@ pub struct Tasks {
     markdown: Option<String>,
 }
 
-impl Tasks {
+impl TasksArgs {
     pub fn run(self) -> Result<String> {
         if let Some(id) = &self.markdown {
             return task_page::page(id);

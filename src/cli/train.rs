@@ -2,13 +2,13 @@
 
 use super::Bar;
 use sandgait::client::ServerAddress;
-use sandgait::client::training::Session;
+use sandgait::client::training::TrainingSession;
 use sandgait::env::Task;
 use sandgait::env::gait::HexapodGait;
-use sandgait::evaluate::{FIRST_SEED, Request as Evaluation, commands, table};
+use sandgait::evaluate::{EvaluationRequest, FIRST_SEED, commands, table};
 use sandgait::progress::Progress;
-use sandgait::train::remote::Remote;
-use sandgait::train::{Connect, Outcome, Request, Score, entry};
+use sandgait::train::remote::RemoteEnvironments;
+use sandgait::train::{Connect, PolicyScore, TrainingOutcome, TrainingRequest, entry};
 use sandgait::{Error, Result, files, parallel};
 use serde_json::{Map, Value};
 use std::net::IpAddr;
@@ -31,44 +31,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
   sandgait train --option slope_deg=10 --start-from runs/HexapodGait-fast/policy.safetensors --out runs/steep
   sandgait train --timesteps 2000000 --out runs/two  (the same bits each time, because it has no limit of time)
   sandgait train --address sand.lab:50051 --ca ca.pem --token-file token    (environments on a server)")]
-pub struct Train {
-    /// Name or id of the task
-    #[arg(long, value_name = "TASK", default_value = HexapodGait::ID)]
-    task: String,
-    /// File of settings in the format of rl-zoo3, one entry for each task
-    #[arg(long, value_name = "FILE.yml")]
-    hyperparameters: Option<PathBuf>,
+pub struct TrainArgs {
+    #[command(flatten)]
+    training: TrainingArgs,
     /// Replace the value of a setting
     #[arg(long, value_name = "NAME=VALUE", allow_hyphen_values = true)]
     set: Vec<String>,
     /// Option of the task
     #[arg(long, value_name = "NAME=VALUE", allow_hyphen_values = true)]
     option: Vec<String>,
-    /// Seed of the policy, its exploration and the environments
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    seed: u64,
-    /// The training ends after this time [s], instead of that in the settings; the time before a resumption counts
-    #[arg(long, value_name = "S")]
-    seconds: Option<f64>,
-    /// The training ends after this number of steps; without --seconds it has no limit of time
-    #[arg(long, value_name = "N")]
-    timesteps: Option<u64>,
-    /// Directory for the results [default: runs/TASK-fast]
-    #[arg(long, value_name = "DIR")]
-    out: Option<PathBuf>,
-    /// Continue from the last checkpoint in the directory
-    #[arg(long)]
-    resume: bool,
-    /// Start with the networks of another training: its policy.safetensors or a checkpoint. Task, observation and
-    /// actions must be the same
-    #[arg(long, value_name = "FILE.safetensors", conflicts_with = "resume")]
-    start_from: Option<PathBuf>,
-    /// Number of steps between two checkpoints
-    #[arg(long, value_name = "STEPS", default_value_t = 1_000_000)]
-    checkpoint_every: u64,
-    /// Number of simulating threads; 0: one for each processor
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    threads: usize,
     /// Simulate on the server at host:port or unix:/path; learning stays in this process
     #[arg(long, value_name = "ADDRESS")]
     address: Option<String>,
@@ -80,27 +51,40 @@ pub struct Train {
     ca: Option<PathBuf>,
 }
 
-/// A request for a training, from the command line or from Python.
-pub struct Training {
-    /// Name or id of the task.
+/// What the command line and Python state in the same way.
+#[derive(clap::Args)]
+pub struct TrainingArgs {
+    /// Name or id of the task
+    #[arg(long, value_name = "TASK", default_value = HexapodGait::ID)]
     pub task: String,
+    /// File of settings in the format of rl-zoo3, one entry for each task
+    #[arg(long, value_name = "FILE.yml")]
     pub hyperparameters: Option<PathBuf>,
-    /// Settings that replace those of the file.
-    pub changes: Vec<(String, Value)>,
-    /// Options of the task, as an object.
-    pub options: Value,
+    /// Seed of the policy, its exploration and the environments
+    #[arg(long, value_name = "N", default_value_t = 0)]
     pub seed: u64,
+    /// The training ends after this time [s], instead of that in the settings; the time before a resumption counts
+    #[arg(long, value_name = "S")]
     pub seconds: Option<f64>,
+    /// The training ends after this number of steps; without --seconds it has no limit of time
+    #[arg(long, value_name = "N")]
     pub timesteps: Option<u64>,
+    /// Directory for the results [default: runs/TASK-fast]
+    #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
+    /// Continue from the last checkpoint in the directory
+    #[arg(long)]
     pub resume: bool,
-    /// File with the networks of another training, with which this one starts.
+    /// Start with the networks of another training: its policy.safetensors or a checkpoint. Task, observation and
+    /// actions must be the same
+    #[arg(long, value_name = "FILE.safetensors", conflicts_with = "resume")]
     pub start_from: Option<PathBuf>,
+    /// Number of steps between two checkpoints
+    #[arg(long, value_name = "STEPS", default_value_t = 1_000_000)]
     pub checkpoint_every: u64,
-    /// Number of simulating threads; 0: one for each processor.
+    /// Number of simulating threads; 0: one for each processor
+    #[arg(long, value_name = "N", default_value_t = 0)]
     pub threads: usize,
-    /// The server that has the environments.
-    pub place: Option<ServerAddress>,
 }
 
 /// Largest number of threads: our choice, because usual machines have fewer cores.
@@ -108,9 +92,9 @@ const MOST_THREADS: usize = 1024;
 /// Largest seed of a training: our choice, so that the seeds of its episodes cannot overflow 64 bits.
 const MOST_SEED: u64 = (1 << 23) - 1;
 
-impl Train {
+impl TrainArgs {
     pub fn run(self) -> Result<String> {
-        let request = self.asked()?.request()?;
+        let request = self.request()?;
         super::warn_of_unfelt_option(&request.options);
         let (_, text) = learn(&request, &Interruptible { bar: Bar::new(), stop: interrupted() })?;
         let out = request.out.display();
@@ -119,25 +103,11 @@ impl Train {
         ))
     }
 
-    fn asked(self) -> Result<Training> {
+    fn request(self) -> Result<TrainingRequest> {
         let changes = self.set.iter().map(|change| entry::pair("--set", change)).collect::<Result<_>>()?;
         let options = Value::Object(options(&self.option)?);
         let place = self.address.map(|address| place(address, self.token_file.as_deref(), self.ca.as_deref()));
-        Ok(Training {
-            task: self.task,
-            hyperparameters: self.hyperparameters,
-            changes,
-            options,
-            seed: self.seed,
-            seconds: self.seconds,
-            timesteps: self.timesteps,
-            out: self.out,
-            resume: self.resume,
-            start_from: self.start_from,
-            checkpoint_every: self.checkpoint_every,
-            threads: self.threads,
-            place: place.transpose()?,
-        })
+        self.training.request(changes, options, place.transpose()?)
     }
 }
 
@@ -159,11 +129,16 @@ fn place(address: String, token: Option<&Path>, ca: Option<&Path>) -> Result<Ser
     Ok(ServerAddress { tls: ca.is_some(), address, token, ca, identity: None })
 }
 
-impl Training {
-    /// Checks everything except what only the task and the server can check.
-    pub fn request(self) -> Result<Request> {
+impl TrainingArgs {
+    /// Checks everything except what only the task and the server can check. `changes`: settings that replace those of the
+    /// file; `options`: of the task, as an object; `place`: the server that has the environments.
+    pub fn request(
+        self,
+        mut changes: Vec<(String, Value)>,
+        options: Value,
+        place: Option<ServerAddress>,
+    ) -> Result<TrainingRequest> {
         let task = entry::task_id(&self.task);
-        let mut changes = self.changes;
         changes.extend(entry::ends(self.timesteps, self.seconds));
         let settings = entry::settings(self.hyperparameters.as_deref(), &task, changes)?;
         let within = |name: &str, value: u64, most: u64| match value <= most {
@@ -173,25 +148,25 @@ impl Training {
         within("threads", self.threads as u64, MOST_THREADS as u64)?;
         within("seed", self.seed, MOST_SEED)?;
         let name = task.trim_start_matches("sandgait/").rsplit_once("-v").map_or(task.as_str(), |(name, _)| name);
-        Ok(Request {
+        Ok(TrainingRequest {
             out: self.out.unwrap_or_else(|| PathBuf::from("runs").join(format!("{name}-fast"))),
             task,
-            options: self.options,
+            options,
             settings,
             seed: self.seed,
             threads: if self.threads == 0 { parallel::processors() } else { self.threads },
             resume: self.resume,
             start_from: self.start_from,
             checkpoint_every: self.checkpoint_every.max(1),
-            connect: self.place.map(connected),
+            connect: place.map(connected),
         })
     }
 }
 
 fn connected(place: ServerAddress) -> Box<Connect> {
     Box::new(move |blueprint, options, envs, pause| {
-        let session = Session::new(place.clone(), blueprint, options, envs, pause)?;
-        Ok(Box::new(session) as Box<dyn Remote>)
+        let session = TrainingSession::new(place.clone(), blueprint, options, envs, pause)?;
+        Ok(Box::new(session) as Box<dyn RemoteEnvironments>)
     })
 }
 
@@ -204,7 +179,7 @@ pub fn options(words: &[String]) -> Result<Map<String, Value>> {
 }
 
 /// Trains, and writes all files; returns the results, also as text.
-pub fn learn(request: &Request, progress: &dyn Progress) -> Result<(Outcome, String)> {
+pub fn learn(request: &TrainingRequest, progress: &dyn Progress) -> Result<(TrainingOutcome, String)> {
     let outcome = request.run(progress)?;
     let text = report(request, &outcome);
     let path = request.out.join("evaluation.txt");
@@ -212,7 +187,7 @@ pub fn learn(request: &Request, progress: &dyn Progress) -> Result<(Outcome, Str
     Ok((outcome, text))
 }
 
-fn report(request: &Request, outcome: &Outcome) -> String {
+fn report(request: &TrainingRequest, outcome: &TrainingOutcome) -> String {
     let learnt = &outcome.learnt;
     let rate = learnt.steps as f64 / learnt.seconds / 1e3;
     let share =
@@ -228,14 +203,14 @@ fn report(request: &Request, outcome: &Outcome) -> String {
         text += &format!("{notice}\n");
     }
     match &outcome.score {
-        Some(Score::Walking(row)) => {
+        Some(PolicyScore::Walking(row)) => {
             let rows = [row.clone()];
-            let last = FIRST_SEED + Evaluation::SEEDS as u64 - 1;
+            let last = FIRST_SEED + EvaluationRequest::SEEDS as u64 - 1;
             let (cells, notes) = (table::cells(&rows), table::notes(&rows));
             let head = format!("without noise, unseen seeds {FIRST_SEED} to {last}:");
             text += &format!("\n{head}\n\n{}\n{}\n", super::layout::narrow_table(&cells, 2), notes.join("\n"));
         }
-        Some(Score::Commands(followed)) => {
+        Some(PolicyScore::Commands(followed)) => {
             let (cells, summary) = (commands::cells(followed), commands::summary(followed));
             let level = outcome.last.as_ref().and_then(|report| report.level);
             let limit = super::layout::wrapped(&commands::limit(followed, level), super::layout::WIDTH).join("\n");

@@ -4,7 +4,7 @@ use sandgait::parallel;
 use sandgait::sand::SandDescription;
 use sandgait::sand::intruder::path::{self, PathPoint};
 use sandgait::sand::intruder::{BodyShape, DepthOrLoad, PlatedBody, Status, Trial, TrialOutcome, compute_all};
-use sandgait::table::{self, Asked, Column, Quantity};
+use sandgait::table::{self, Column, Quantity, ReadOptions};
 use sandgait::{Error, Result};
 use std::fmt::Write as _;
 use std::path::Path;
@@ -42,7 +42,7 @@ const RESULTS: [&str; 8] = ["Fx", "Fy", "Fz", "Tx", "Ty", "Tz", "depth", "status
 const MOST_ROWS: usize = 1_000_000;
 
 /// The unchanged rows of a file, and the motions that they describe.
-struct Rows {
+struct TrialRows {
     header: Vec<String>,
     cells: Vec<String>,
     trials: Vec<Trial>,
@@ -123,9 +123,9 @@ fn lines(name: &str, path: &mut path::Path) -> String {
     moved.map(line).collect()
 }
 
-fn read(path: &Path, memory: bool) -> Result<Rows> {
+fn read(path: &Path, memory: bool) -> Result<TrialRows> {
     let columns = if memory { &COLUMNS[..] } else { &COLUMNS[..STEADY] };
-    let asked = Asked { most_rows: Some(MOST_ROWS), ..Asked::new(columns) };
+    let asked = ReadOptions { most_rows: Some(MOST_ROWS), ..ReadOptions::new(columns) };
     let (mut cells, mut trials) = (Vec::new(), Vec::new());
     let mut paths: Vec<(String, Vec<PathPoint>)> = Vec::new();
     let mut names = std::collections::BTreeSet::new();
@@ -175,7 +175,7 @@ fn read(path: &Path, memory: bool) -> Result<Rows> {
     for row in keep {
         cells.push(kept.iter().filter_map(|k| row.get(*k)).map(|c| quoted(c)).collect::<Vec<_>>().join(","));
     }
-    Ok(Rows { header: kept.iter().map(named).collect(), cells, trials, paths })
+    Ok(TrialRows { header: kept.iter().map(named).collect(), cells, trials, paths })
 }
 
 /// A cell in CSV format.
@@ -183,7 +183,7 @@ fn quoted(cell: &str) -> String {
     if cell.contains([',', '"', '\n', '\r']) { format!("\"{}\"", cell.replace('"', "\"\"")) } else { cell.into() }
 }
 
-impl Rows {
+impl TrialRows {
     fn with(&self, outcomes: &[TrialOutcome]) -> String {
         let mut text = String::new();
         let mut header: Vec<String> = self.header.iter().map(|name| quoted(name)).collect();

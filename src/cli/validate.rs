@@ -13,7 +13,7 @@ use std::path::PathBuf;
   sandgait validate
   sandgait validate --out scoreboard               (validation.md, its rows and figures)
   sandgait validate --data my_wheel --out scoreboard")]
-pub struct Validate {
+pub struct ValidateArgs {
     /// Folder with a validation.toml and the files of rows that it names
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
@@ -22,7 +22,7 @@ pub struct Validate {
     out: Option<PathBuf>,
 }
 
-impl Validate {
+impl ValidateArgs {
     pub fn run(self) -> Result<String> {
         let data = match &self.data {
             Some(folder) => data::folder(folder)?,

@@ -1,11 +1,10 @@
 //! `sandgait walk`
 
-use sandgait::sand::{Law, Medium};
 use sandgait::sim::engine::EngineKind;
 use sandgait::sim::model::Scene;
 use sandgait::sim::walk::{WalkResult, WalkTrial, Watch, walk, walk_watched};
 use sandgait::sim::{Model, Robot};
-use sandgait::view::{self, About, Moment};
+use sandgait::view::{self, About, RecordedState};
 use sandgait::{Error, Result};
 use serde_json::json;
 use std::path::Path;
@@ -25,7 +24,7 @@ const RECORDED_RATE: f64 = 100.0;
   sandgait walk --leg revC --frequency 3 --medium poppy-close --slope-deg 5 --json
   sandgait walk --robot mine.toml --frequency 0        (stand still)
   sandgait walk --leg C --frequency 2 --record walk.rec && sandgait replay walk.rec --html walk.html")]
-pub struct Walk {
+pub struct WalkArgs {
     /// Shape of the legs: L, revL, C, revC, flat or xi=DEGREES; default: the robot's own
     #[arg(long)]
     leg: Option<String>,
@@ -35,15 +34,8 @@ pub struct Walk {
     /// Engine that integrates the motion
     #[arg(long, default_value = EngineKind::Lanes.name())]
     engine: String,
-    /// Sand: a name from `sandgait media`, or zeta=VALUE
-    #[arg(long, default_value = Medium::DEFAULT)]
-    medium: String,
-    /// A sand.toml, for example from a diagnosis, instead of --medium and --law
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["medium", "law"])]
-    sand: Option<std::path::PathBuf>,
-    /// Resistive force law: li2013, penetration-drag-1d or agarwal2023
-    #[arg(long, default_value = Law::Li2013.name())]
-    law: String,
+    #[command(flatten)]
+    sand: super::SandArgs,
     /// Slope of the surface [°]; a positive slope rises in the walking direction
     #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true)]
     slope_deg: f64,
@@ -61,13 +53,13 @@ pub struct Walk {
     json: bool,
 }
 
-impl Walk {
+impl WalkArgs {
     pub fn run(self) -> Result<String> {
         let mut robot = Robot::load(&self.robot)?;
         if let Some(leg) = &self.leg {
             robot = robot.with_leg_shape(leg)?;
         }
-        let mut scene = Scene::on(&super::sand_to_walk_on(&self.medium, &self.law, self.sand.as_deref())?);
+        let mut scene = Scene::on(&self.sand.sand_to_walk_on()?);
         let engine = EngineKind::named(&self.engine)?;
         (scene.slope_deg, scene.dt) = (self.slope_deg, self.dt.unwrap_or(engine.default_dt()));
         let trial = WalkTrial::new(Model::new(&robot, &scene)?, self.frequency);
@@ -106,10 +98,10 @@ impl Walk {
 fn recorded(engine: EngineKind, trial: &WalkTrial, path: &Path) -> Result<WalkResult> {
     let failed = |e: std::io::Error| Error::file(path, e);
     let about = About { task: "sandgait walk", rate: RECORDED_RATE, ..About::default() };
-    let mut writer = view::Writer::new(Vec::new(), &view::header(&trial.model, &about)).map_err(failed)?;
+    let mut writer = view::RecordingWriter::new(Vec::new(), &view::header(&trial.model, &about)).map_err(failed)?;
     let mut written = Ok(());
     let mut see = |time: f64, state: &sandgait::sim::State| {
-        let moment = Moment { time, state, footing: &[], action: &[], reward: 0.0, info: &[] };
+        let moment = RecordedState { time, state, footing: &[], action: &[], reward: 0.0, info: &[] };
         if written.is_ok() {
             written = writer.row(&view::row(&trial.model, &moment));
         }

@@ -52,7 +52,7 @@ impl ServerAddress {
         let bearer = Bearer(token.transpose().map_err(|_| Status::invalid_argument("token: not visible ASCII"))?);
         let channel = match self.address.strip_prefix("unix:") {
             Some(path) => {
-                let socket = Socket(PathBuf::from(path));
+                let socket = UnixConnector(PathBuf::from(path));
                 endpoint("http://localhost".into())?.connect_with_connector(socket).await
             }
             None if self.tls => {
@@ -93,9 +93,9 @@ fn unreachable(error: &tonic::transport::Error) -> Status {
 
 /// Connects to a Unix socket at any path.
 #[derive(Clone)]
-struct Socket(PathBuf);
+struct UnixConnector(PathBuf);
 
-impl Service<Uri> for Socket {
+impl Service<Uri> for UnixConnector {
     type Response = TokioIo<UnixStream>;
     type Error = std::io::Error;
     type Future = Pin<Box<dyn Future<Output = std::io::Result<Self::Response>> + Send>>;

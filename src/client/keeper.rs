@@ -11,7 +11,7 @@ const IDLE: Duration = Duration::from_secs(1);
 /// Length of one turn of driving.
 const SLICE: Duration = Duration::from_millis(20);
 
-struct State {
+struct ConnectionUse {
     used: Instant,
     /// A request was sent, and no caller waits for its answer yet.
     ahead: bool,
@@ -19,18 +19,18 @@ struct State {
 }
 
 /// Tells the keeper how a connection is used.
-pub struct Keeper(Arc<(Mutex<State>, Condvar)>);
+pub struct Keeper(Arc<(Mutex<ConnectionUse>, Condvar)>);
 
 impl Keeper {
     pub fn new(runtime: Arc<Runtime>) -> std::io::Result<Self> {
-        let state = State { used: Instant::now(), ahead: false, closed: false };
+        let state = ConnectionUse { used: Instant::now(), ahead: false, closed: false };
         let shared = Arc::new((Mutex::new(state), Condvar::new()));
         let own = shared.clone();
         std::thread::Builder::new().name("sandgait-wire".into()).spawn(move || keep(&own, &runtime))?;
         Ok(Self(shared))
     }
 
-    fn lock(&self) -> MutexGuard<'_, State> {
+    fn lock(&self) -> MutexGuard<'_, ConnectionUse> {
         self.0.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -54,7 +54,7 @@ impl Drop for Keeper {
     }
 }
 
-fn keep(shared: &(Mutex<State>, Condvar), runtime: &Runtime) {
+fn keep(shared: &(Mutex<ConnectionUse>, Condvar), runtime: &Runtime) {
     let mut state = shared.0.lock().unwrap_or_else(PoisonError::into_inner);
     while !state.closed {
         let idle = state.used.elapsed();

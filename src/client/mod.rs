@@ -20,7 +20,7 @@ pub mod training;
 
 pub use address::ServerAddress;
 pub use stream::{PATIENCE, Stream};
-pub use study::{Event, next, study};
+pub use study::{StudyEvent, next, study};
 
 use crate::service::proto::environment_service_client::EnvironmentServiceClient;
 use crate::service::proto::study_service_client::StudyServiceClient;

@@ -8,9 +8,10 @@ use crate::error::{Error, Result};
 use crate::service::proto::run_session_request::Request as SessionRequest;
 use crate::service::proto::run_session_response::Response as Answer;
 use crate::service::proto::{Batch, Reset, Restore, RunSessionRequest, Save, Step, Task};
-use crate::train::remote::{Pause, Remote, Rows};
+use crate::train::remote::{Pause, RemoteEnvironments};
 use sandgait_env::Spec;
 use sandgait_env::registry::Blueprint;
+use sandgait_env::shard::Rows;
 use serde_json::Value;
 use std::pin::pin;
 use std::time::{Duration, Instant};
@@ -24,7 +25,7 @@ const RETRY: Duration = Duration::from_secs(2);
 const CLOSING: Duration = Duration::from_secs(2);
 
 /// A session with one request in flight at most.
-pub struct Session {
+pub struct TrainingSession {
     place: ServerAddress,
     id: String,
     stream: Stream,
@@ -39,7 +40,7 @@ fn failed(place: &ServerAddress, status: &Status) -> Error {
     Error::invalid(format!("server {}", place.address), format!("{what}{}", status.message()))
 }
 
-impl Session {
+impl TrainingSession {
     /// `envs` environments of `blueprint`, made with `options`.
     pub fn new(
         place: ServerAddress,
@@ -123,7 +124,7 @@ impl Session {
     }
 }
 
-impl Remote for Session {
+impl RemoteEnvironments for TrainingSession {
     fn reset(&mut self, seeds: &[u64], pause: Pause) -> Result<Rows> {
         self.rows(SessionRequest::Reset(Reset { seeds: seeds.to_vec(), ..Reset::default() }), pause)
     }
@@ -146,7 +147,7 @@ impl Remote for Session {
     }
 }
 
-impl Drop for Session {
+impl Drop for TrainingSession {
     fn drop(&mut self) {
         self.stream.close();
         if let Ok(runtime) = runtime() {
@@ -182,6 +183,7 @@ fn unpacked(batch: &Batch, envs: usize, observation: usize) -> Option<Rows> {
         return None;
     }
     Some(Rows {
+        infos: Vec::new(),
         observations: floats(&batch.observations, envs * observation)?,
         rewards: floats(&batch.rewards, envs)?,
         terminated: flags(&batch.terminated)?,

@@ -6,7 +6,7 @@ use crate::error::{Error, Result, check_range};
 use crate::progress::Progress;
 use crate::sand::intruder::BodyShape;
 use crate::sand::{Coefficients, Law, Medium};
-use crate::table::{self, Asked, Column, Row, Summary};
+use crate::table::{self, Column, ReadOptions, Row, Summary};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 use std::collections::BTreeMap;
@@ -152,7 +152,7 @@ impl Experiment {
         take: impl FnMut(&Row) -> Result<()>,
     ) -> Result<Summary> {
         let (renamed, units) = (self.columns.clone(), self.units.clone());
-        table::read(data, &Asked { columns, renamed, units, most_rows: Some(MOST_ROWS), progress }, take)
+        table::read(data, &ReadOptions { columns, renamed, units, most_rows: Some(MOST_ROWS), progress }, take)
     }
 
     pub fn from_toml(text: &str) -> Result<Self> {

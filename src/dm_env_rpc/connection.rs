@@ -11,11 +11,11 @@ use super::proto::environment_request::Payload as Request;
 use super::proto::environment_response::Payload as Answer;
 use super::proto::google::rpc;
 use super::proto::{self, EnvironmentRequest, EnvironmentResponse, EnvironmentStateType, StepRequest, StepResponse};
-use super::settings::{self, Changes, Settings};
-use super::tensors::{self, View};
+use super::settings::{self, Changes, TensorSettings};
+use super::tensors::{self, WorldView};
 use super::worlds::{Interrupt, JoinedWorld, Worlds};
 use crate::error::{Error, Result};
-use crate::frame::Frame;
+use crate::frame::RequestFrame;
 use crate::intake::Messages;
 use crate::status;
 use futures_util::{Stream, stream};
@@ -25,7 +25,7 @@ use tonic::{Code, Status, Streaming};
 
 /// The answers to `requests`.
 pub fn run(
-    requests: Streaming<Frame<EnvironmentRequest>>,
+    requests: Streaming<RequestFrame<EnvironmentRequest>>,
     messages: Messages,
     worlds: Arc<Worlds>,
 ) -> impl Stream<Item = std::result::Result<EnvironmentResponse, Status>> {
@@ -34,7 +34,7 @@ pub fn run(
 }
 
 struct Connection {
-    requests: Streaming<Frame<EnvironmentRequest>>,
+    requests: Streaming<RequestFrame<EnvironmentRequest>>,
     messages: Messages,
     worlds: Arc<Worlds>,
     /// None: no world is joined.
@@ -45,7 +45,7 @@ struct Connection {
 struct Agent {
     place: JoinedWorld,
     /// The last result of the episode; None while it is not running.
-    last: Option<View>,
+    last: Option<WorldView>,
 }
 
 impl Connection {
@@ -139,7 +139,7 @@ impl Agent {
         Ok(StepResponse { state: state.into(), observations })
     }
 
-    async fn next_view(&self, actions: HashMap<u64, proto::Tensor>) -> Result<View> {
+    async fn next_view(&self, actions: HashMap<u64, proto::Tensor>) -> Result<WorldView> {
         if let Some(Interrupt { changes, done }) = self.place.interrupt() {
             let reset = self.place.reset(changes).await;
             let changed = reset.is_ok();
@@ -157,7 +157,7 @@ impl Agent {
 
     /// Begins another episode; the next step returns its first observation. The present episode is used if it has no
     /// steps yet and there are no changes.
-    async fn reset(&mut self, settings: Settings) -> Result<()> {
+    async fn reset(&mut self, settings: TensorSettings) -> Result<()> {
         let changes = settings::changes(settings)?;
         if self.last.is_some() || changes != Changes::default() {
             self.place.reset(changes).await?;

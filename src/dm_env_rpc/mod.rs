@@ -35,7 +35,7 @@ pub mod proto {
 }
 
 use crate::pool::Pool;
-use frame::Frame;
+use frame::RequestFrame;
 use futures_util::Stream;
 use intake::Messages;
 use proto::environment_server::{Environment, EnvironmentServer};
@@ -70,7 +70,7 @@ impl Environment for DmEnvRpc {
 
     async fn process(
         &self,
-        request: Request<Streaming<Frame<EnvironmentRequest>>>,
+        request: Request<Streaming<RequestFrame<EnvironmentRequest>>>,
     ) -> Result<Response<Self::ProcessStream>, Status> {
         let messages = Messages::of(&request);
         let answers = connection::run(request.into_inner(), messages, self.worlds.clone());

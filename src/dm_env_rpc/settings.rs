@@ -13,14 +13,14 @@ use serde_json::{Map, Value};
 use std::collections::HashMap;
 
 /// Settings as in a message.
-pub type Settings = HashMap<String, Tensor>;
+pub type TensorSettings = HashMap<String, Tensor>;
 
 /// Longest list in a setting; the longest option has two entries.
 const LONGEST: usize = 64;
 
 /// The arguments of a new world.
 #[derive(Debug)]
-pub struct Plan {
+pub struct NewWorld {
     pub task: String,
     /// Keywords of the task.
     pub options: Value,
@@ -37,7 +37,7 @@ pub struct Changes {
 }
 
 /// Settings of CreateWorld: `task`, `seed` and the task's options.
-pub fn plan(settings: Settings) -> Result<Plan> {
+pub fn plan(settings: TensorSettings) -> Result<NewWorld> {
     let mut keywords = keywords(settings)?;
     let seed = seed(&mut keywords)?;
     let task = match keywords.remove("task") {
@@ -45,11 +45,11 @@ pub fn plan(settings: Settings) -> Result<Plan> {
         Some(other) => return Err(Error::invalid("settings.task", format!("{other} is not text"))),
         None => return Err(Error::invalid("settings.task", format!("missing; known: {}", TASK_IDS.join(", ")))),
     };
-    Ok(Plan { task, options: Value::Object(keywords), seed })
+    Ok(NewWorld { task, options: Value::Object(keywords), seed })
 }
 
 /// Settings of Reset and ResetWorld: `seed` and the options that a reset can change.
-pub fn changes(settings: Settings) -> Result<Changes> {
+pub fn changes(settings: TensorSettings) -> Result<Changes> {
     let mut keywords = keywords(settings)?;
     let seed = seed(&mut keywords)?;
     let names = reset_names();
@@ -62,7 +62,7 @@ pub fn changes(settings: Settings) -> Result<Changes> {
 }
 
 /// Settings of JoinWorld: there are none.
-pub fn none(settings: &Settings) -> Result<()> {
+pub fn none(settings: &TensorSettings) -> Result<()> {
     match settings.keys().min() {
         Some(name) => Err(Error::invalid(format!("settings.{name}"), "join_world takes no settings")),
         None => Ok(()),
@@ -75,7 +75,7 @@ fn seed(keywords: &mut Map<String, Value>) -> Result<Option<u64>> {
     value.as_u64().map(Some).ok_or_else(refused)
 }
 
-fn keywords(settings: Settings) -> Result<Map<String, Value>> {
+fn keywords(settings: TensorSettings) -> Result<Map<String, Value>> {
     let mut settings: Vec<_> = settings.into_iter().collect();
     settings.sort_by(|a, b| a.0.cmp(&b.0)); // sorted, so that the error does not depend on a hash
     let mut keywords = Map::new();
@@ -146,7 +146,7 @@ mod tests {
         Tensor { payload, shape: shape.into() }
     }
 
-    fn settings(fields: &[(&str, Tensor)]) -> Settings {
+    fn settings(fields: &[(&str, Tensor)]) -> TensorSettings {
         fields.iter().map(|(name, t)| ((*name).into(), t.clone())).collect()
     }
 

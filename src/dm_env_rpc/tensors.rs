@@ -25,13 +25,13 @@ const DISCOUNT: u64 = 3;
 
 /// The results of a world's only environment.
 #[derive(Clone, Debug)]
-pub struct View {
+pub struct WorldView {
     observation: Vec<f32>,
     reward: f32,
     pub state: EnvironmentStateType,
 }
 
-impl View {
+impl WorldView {
     /// The first observation of the present episode.
     pub fn first(batch: &Batch) -> Self {
         let observation = batch.shards().iter().flat_map(|s| &s.rows.observations).copied().collect();

@@ -1,13 +1,13 @@
 //! Worlds: sessions of one environment, and the connections that have joined them.
 
 use super::proto::ActionObservationSpecs;
-use super::settings::{Changes, Plan};
-use super::tensors::{self, View};
+use super::settings::{Changes, NewWorld};
+use super::tensors::{self, WorldView};
 use crate::env::AnyTask;
 use crate::error::{Error, Result};
 use crate::pool::{Batch, Operation, Pool};
 use crate::sessions::broken;
-use crate::sessions::{Hold, Sessions};
+use crate::sessions::{Sessions, StreamHold};
 use crate::status::SESSION;
 use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -37,7 +37,7 @@ struct Joined {
 
 /// A connection's place in a world; dropping it leaves the world.
 pub struct JoinedWorld {
-    hold: Hold,
+    hold: StreamHold,
     worlds: Arc<Worlds>,
     pub task: Arc<dyn AnyTask>,
 }
@@ -55,7 +55,7 @@ impl Drop for JoinedWorld {
 }
 
 /// How ResetWorld reaches a world.
-enum Entry {
+enum WorldEntry {
     /// No connection had joined it.
     Free(JoinedWorld),
     /// The connection that has joined it answers here at its next step.
@@ -92,8 +92,8 @@ impl WorldRequest {
     }
 
     /// The function that reads the operation's results.
-    fn view(&self) -> fn(&Batch) -> View {
-        if matches!(self, Self::Step(_)) { View::after_step } else { View::first }
+    fn view(&self) -> fn(&Batch) -> WorldView {
+        if matches!(self, Self::Step(_)) { WorldView::after_step } else { WorldView::first }
     }
 }
 
@@ -117,8 +117,8 @@ impl Worlds {
     }
 
     /// Makes a world at the start of its first episode, and returns its name.
-    pub async fn create(self: &Arc<Self>, plan: Plan) -> Result<String> {
-        let Plan { task, options, seed } = plan;
+    pub async fn create(self: &Arc<Self>, plan: NewWorld) -> Result<String> {
+        let NewWorld { task, options, seed } = plan;
         let (name, _) = self.sessions.create(task, 1, options).await?;
         // Two worlds without a seed must differ.
         let seed = Some(seed.unwrap_or_else(rand::random));
@@ -148,8 +148,8 @@ impl Worlds {
     pub async fn reset(self: &Arc<Self>, name: &str, changes: Changes) -> Result<()> {
         loop {
             let told = match self.enter_or_interrupt(name, &changes)? {
-                Entry::Free(place) => return place.reset(changes).await.map(drop),
-                Entry::Waiting(told) => told,
+                WorldEntry::Free(place) => return place.reset(changes).await.map(drop),
+                WorldEntry::Waiting(told) => told,
             };
             // If there is no answer, the other connection has left, and the world is free.
             if let Ok(result) = told.await {
@@ -158,10 +158,10 @@ impl Worlds {
         }
     }
 
-    fn enter_or_interrupt(self: &Arc<Self>, name: &str, changes: &Changes) -> Result<Entry> {
+    fn enter_or_interrupt(self: &Arc<Self>, name: &str, changes: &Changes) -> Result<WorldEntry> {
         let mut joined = self.lock();
         match joined.get_mut(name) {
-            None => self.enter(&mut joined, name).map(Entry::Free),
+            None => self.enter(&mut joined, name).map(WorldEntry::Free),
             Some(Joined { interrupt: Some(waiting), .. }) if !waiting.done.is_closed() => {
                 Err(Error::OutOfOrder(format!("world_name: another reset_world of {name:?} is waiting")))
             }
@@ -169,7 +169,7 @@ impl Worlds {
             Some(Joined { interrupt, .. }) => {
                 let (done, told) = oneshot::channel();
                 *interrupt = Some(Interrupt { changes: changes.clone(), done });
-                Ok(Entry::Waiting(told))
+                Ok(WorldEntry::Waiting(told))
             }
         }
     }
@@ -198,23 +198,23 @@ impl JoinedWorld {
     }
 
     /// The first observation of the present episode, which has no steps yet.
-    pub async fn begin(&self) -> Result<View> {
+    pub async fn begin(&self) -> Result<WorldView> {
         self.run(WorldRequest::Begin).await
     }
 
     /// Begins another episode, with `changes`.
-    pub async fn reset(&self, changes: Changes) -> Result<View> {
+    pub async fn reset(&self, changes: Changes) -> Result<WorldView> {
         self.run(WorldRequest::Reset(Box::new(changes))).await
     }
 
     /// One control step; `action` is one row within its bounds.
-    pub async fn step(&self, action: Vec<f32>) -> Result<View> {
+    pub async fn step(&self, action: Vec<f32>) -> Result<WorldView> {
         self.run(WorldRequest::Step(action)).await
     }
 
     /// Runs `request` on the pool. An operation is always finished and its environment returned, even if no caller
     /// waits for the answer any more.
-    async fn run(&self, request: WorldRequest) -> Result<View> {
+    async fn run(&self, request: WorldRequest) -> Result<WorldView> {
         let gone = || Error::Cancelled(format!("world_name: {:?} was closed or taken by another stream", self.name()));
         let mut guard = self.worlds.sessions.take(&self.hold).await.ok_or_else(gone)?;
         let (sender, answer) = oneshot::channel();
@@ -271,7 +271,8 @@ mod tests {
     async fn world() -> (Arc<Worlds>, String) {
         let sessions = Sessions::new(Limits::default(), Default::default(), CancellationToken::new());
         let worlds = Worlds::new(sessions, Arc::new(Pool::new(1)));
-        let name = worlds.create(Plan { task: TASK_IDS[0].into(), options: Value::Null, seed: Some(1) }).await.unwrap();
+        let name =
+            worlds.create(NewWorld { task: TASK_IDS[0].into(), options: Value::Null, seed: Some(1) }).await.unwrap();
         (worlds, name)
     }
 

@@ -91,6 +91,7 @@ pub struct Shard {
 }
 
 /// Rows of the last reset or step, one for each environment.
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Rows {
     /// f32 [envs, observation]
     pub observations: Vec<f32>,

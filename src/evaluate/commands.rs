@@ -4,7 +4,7 @@
 //! every figure.
 
 use super::FIRST_SEED;
-use super::gait::{Gait, Wanted};
+use super::gait::{Gait, PolicySource};
 use crate::env::legged::{LeggedVelocity, Units};
 use crate::env::registry::Blueprint;
 use crate::env::{Shard, Spec, Task};
@@ -41,7 +41,7 @@ const BEGINNING: f64 = 2.0;
 
 /// A command and how it was followed: forward, to the left [m/s] and yaw rate [rad/s].
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Line {
+pub struct CommandResult {
     pub command: [f64; 3],
     /// Mean over the robots that did not fall, in the base's frame; 0 if all fell.
     pub velocity: [f64; 3],
@@ -53,8 +53,8 @@ pub struct Line {
 
 /// The results for all commands.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Followed {
-    pub lines: Vec<Line>,
+pub struct CommandTracking {
+    pub lines: Vec<CommandResult>,
     pub mean_error: f64,
     pub worst_error: f64,
     /// Share of all robots that fell.
@@ -69,7 +69,7 @@ pub struct CommandStudy {
 
 impl CommandStudy {
     /// `options`: keywords of LeggedVelocity, those of the policy's training. Its ranges of commands are kept as the scale.
-    pub fn new(policy: &Wanted, options: &Value) -> Result<Self> {
+    pub fn new(policy: &PolicySource, options: &Value) -> Result<Self> {
         let base = Blueprint::new(LeggedVelocity::ID, policy.with_control(options.clone())?)?;
         let gait = policy.gait(&base)?;
         let gait = gait.ok_or_else(|| Error::invalid("policy", "a tripod follows no commands"))?;
@@ -90,7 +90,7 @@ impl CommandStudy {
     }
 
     /// Plays all episodes. An error of `progress` stops the work.
-    pub fn run(&self, progress: &dyn Progress) -> Result<Followed> {
+    pub fn run(&self, progress: &dyn Progress) -> Result<CommandTracking> {
         let (done, count) = (AtomicUsize::new(0), self.blueprints.len());
         let lines = parallel::map(&self.blueprints, |blueprint| {
             let steps = blueprint.task.spec().max_episode_steps as usize * count;
@@ -99,10 +99,10 @@ impl CommandStudy {
                 progress.report((done as f64 / steps as f64).min(1.0), &format!("{count} commands"))
             })
         });
-        let lines: Vec<Line> = lines.into_iter().collect::<Result<_>>()?;
-        let mean = |of: fn(&Line) -> f64| lines.iter().map(of).sum::<f64>() / lines.len() as f64;
+        let lines: Vec<CommandResult> = lines.into_iter().collect::<Result<_>>()?;
+        let mean = |of: fn(&CommandResult) -> f64| lines.iter().map(of).sum::<f64>() / lines.len() as f64;
         let worst_error = lines.iter().map(|l| l.error).fold(0.0, f64::max);
-        Ok(Followed { mean_error: mean(|l| l.error), worst_error, falls: mean(|l| l.falls), lines })
+        Ok(CommandTracking { mean_error: mean(|l| l.error), worst_error, falls: mean(|l| l.falls), lines })
     }
 }
 
@@ -129,7 +129,7 @@ fn columns(spec: &Spec, names: [&str; 3]) -> Result<[usize; 3]> {
 }
 
 /// Robots that follow the one command of `blueprint`.
-fn follow(blueprint: &Blueprint, gait: &Gait, report: &dyn Fn() -> Result<()>) -> Result<Line> {
+fn follow(blueprint: &Blueprint, gait: &Gait, report: &dyn Fn() -> Result<()>) -> Result<CommandResult> {
     let spec = blueprint.task.spec();
     let (velocity, commanded) = (columns(spec, VELOCITY)?, columns(spec, COMMAND)?);
     let seeds: Vec<u64> = (FIRST_SEED..).take(ROBOTS).collect();
@@ -158,13 +158,13 @@ fn follow(blueprint: &Blueprint, gait: &Gait, report: &dyn Fn() -> Result<()>) -
     let norm = |v: [f64; 3]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
     let error = norm(std::array::from_fn(|k| velocity[k] - command[k])) / norm(command);
     let falls = fell.iter().filter(|fell| **fell).count() as f64 / ROBOTS as f64;
-    Ok(Line { command, velocity, error, falls })
+    Ok(CommandResult { command, velocity, error, falls })
 }
 
 /// Cells of the text table, the heading first.
-pub fn cells(followed: &Followed) -> Vec<Vec<String>> {
+pub fn cells(followed: &CommandTracking) -> Vec<Vec<String>> {
     let heading = ["commanded: forward [m/s]", "left [m/s]", "yaw [rad/s]", "forward", "left", "yaw", "error", "fell"];
-    let line = |line: &Line| {
+    let line = |line: &CommandResult| {
         let speeds = line.command.iter().chain(&line.velocity).map(|x| format!("{x:.2}"));
         speeds.chain([percent(line.error), percent(line.falls)]).collect()
     };
@@ -172,18 +172,18 @@ pub fn cells(followed: &Followed) -> Vec<Vec<String>> {
 }
 
 /// The line below the table.
-pub fn summary(followed: &Followed) -> String {
-    let Followed { mean_error, worst_error, falls, .. } = followed;
+pub fn summary(followed: &CommandTracking) -> String {
+    let CommandTracking { mean_error, worst_error, falls, .. } = followed;
     format!("mean error {}, worst {}, fell {}", percent(*mean_error), percent(*worst_error), percent(*falls))
 }
 
 /// One sentence on what limits the policy; `level`: the mean level of the curriculum at the end of its training.
-pub fn limit(followed: &Followed, level: Option<f64>) -> String {
-    let name = |line: &Line| {
+pub fn limit(followed: &CommandTracking, level: Option<f64>) -> String {
+    let name = |line: &CommandResult| {
         let [x, y, yaw] = line.command;
         format!("{x:.2} m/s forward, {y:.2} m/s to the left, {yaw:.2} rad/s")
     };
-    let worst = |of: fn(&Line) -> f64| followed.lines.iter().max_by(|a, b| of(a).total_cmp(&of(b)));
+    let worst = |of: fn(&CommandResult) -> f64| followed.lines.iter().max_by(|a, b| of(a).total_cmp(&of(b)));
     match (level, worst(|l| l.falls), worst(|l| l.error)) {
         (Some(level), ..) if level < TRAINED => format!(
             "The training ended at level {level:.2} of 1 of its curriculum, so the robot has hardly met ground of full difficulty: \
@@ -207,7 +207,7 @@ fn percent(share: f64) -> String {
 }
 
 /// One line for each command.
-pub fn csv(followed: &Followed) -> String {
+pub fn csv(followed: &CommandTracking) -> String {
     let mut text = String::from("command_lin_vel_x,command_lin_vel_y,command_ang_vel_yaw,");
     text += "lin_vel_x,lin_vel_y,ang_vel_yaw,error,falls\n";
     for line in &followed.lines {

@@ -31,7 +31,7 @@ impl Columns {
 
 /// Sums over the steps of one episode.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Episode {
+pub struct EpisodeSums {
     pub seed: u64,
     /// Sum of rewards.
     pub total_reward: f64,
@@ -56,7 +56,7 @@ pub struct Episode {
     pub over: bool,
 }
 
-impl Episode {
+impl EpisodeSums {
     /// Stores the state of environment `i` before a step of `period` [s].
     pub fn look(&mut self, shard: &Shard, i: usize, period: f64) {
         let (model, state) = (shard.model(i), shard.state(i));

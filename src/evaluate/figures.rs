@@ -1,6 +1,6 @@
 //! Figures with intervals, from the sums over episodes.
 
-use super::episode::Episode;
+use super::episode::EpisodeSums;
 use rand::{Rng as _, SeedableRng as _};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use serde::Serialize;
@@ -41,7 +41,7 @@ pub struct Figures {
 }
 
 impl Figures {
-    pub fn of(episodes: &[Episode]) -> Self {
+    pub fn of(episodes: &[EpisodeSums]) -> Self {
         Self {
             episodes: episodes.len(),
             total_reward: bootstrap(episodes, |e| [e.total_reward, 1.0], |[sum, n]| sum / n),
@@ -62,7 +62,7 @@ fn ratio([above, below]: [f64; 2]) -> f64 {
 
 /// A function of sums over episodes, with the percentile bootstrap's interval over episodes. If the resamples beyond an
 /// end of the interval are undefined, that end is undefined, too.
-fn bootstrap(episodes: &[Episode], term: fn(&Episode) -> [f64; 2], of: fn([f64; 2]) -> f64) -> Estimate {
+fn bootstrap(episodes: &[EpisodeSums], term: fn(&EpisodeSums) -> [f64; 2], of: fn([f64; 2]) -> f64) -> Estimate {
     let terms: Vec<[f64; 2]> = episodes.iter().map(term).collect();
     let sum = |sum: [f64; 2], t: &[f64; 2]| [sum[0] + t[0], sum[1] + t[1]];
     let mean = of(terms.iter().fold([0.0; 2], sum));

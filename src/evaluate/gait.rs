@@ -13,7 +13,7 @@ const TOP_RATE: f64 = crate::env::reference::TOP_SPEED / std::f64::consts::TAU;
 
 /// A gait as the user names it, before it is checked for a task.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Wanted {
+pub enum PolicySource {
     /// An ONNX file: its name for people, and its bytes.
     Network { name: String, bytes: Vec<u8> },
     /// All hips at one rate [Hz]; without a rate, the best one is searched.
@@ -28,7 +28,7 @@ pub enum Wanted {
 
 const KNOWN: [&str; 5] = ["FILE.onnx", "tripod[:HZ]", "clock:FILE.json or clock:NUMBERS", "standing", "random"];
 
-impl Wanted {
+impl PolicySource {
     /// Parses the name of a gait. `read` reads files; it gives an error if files are not allowed.
     pub fn parse(text: &str, read: impl Fn(&str) -> Result<Vec<u8>>) -> Result<Self> {
         let (kind, rest) = text.split_once(':').map_or((text, None), |(kind, rest)| (kind, Some(rest)));

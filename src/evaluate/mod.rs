@@ -18,13 +18,13 @@ pub mod run;
 pub mod table;
 
 pub use figures::{Estimate, Figures};
-pub use gait::Wanted;
+pub use gait::PolicySource;
 
 use crate::env::legged::LeggedVelocity;
 use crate::env::registry::Blueprint;
 use crate::env::{ResetOptions, Task};
 use crate::error::{Error, Result, check_range};
-use crate::progress::{Part, Progress};
+use crate::progress::{PartialProgress, Progress};
 use gait::Gait;
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -52,8 +52,8 @@ const TOGETHER: usize = 1 << 14;
 const MODELS: usize = 16 << 20;
 
 /// A request for an evaluation.
-pub struct Request {
-    pub policy: Wanted,
+pub struct EvaluationRequest {
+    pub policy: PolicySource,
     pub task: String,
     /// Keywords of the task (a JSON object; null for none).
     pub options: Value,
@@ -64,7 +64,7 @@ pub struct Request {
     pub slopes: Vec<f64>,
 }
 
-impl Request {
+impl EvaluationRequest {
     /// Default number of seeds: intervals are then about a fifth as wide as the spread between episodes.
     pub const SEEDS: usize = 100;
 }
@@ -72,8 +72,8 @@ impl Request {
 /// A medium and a slope [°].
 type Condition = (String, f64);
 
-/// A checked [`Request`].
-pub struct Study {
+/// A checked [`EvaluationRequest`].
+pub struct Evaluation {
     base: Blueprint,
     conditions: Vec<Condition>,
     /// None: the tripod with the best rate of each condition is used.
@@ -83,7 +83,7 @@ pub struct Study {
 
 /// One condition's result.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Row {
+pub struct EvaluationRow {
     pub medium: String,
     pub slope_deg: f64,
     /// Rate of the tripod, if it was searched [Hz].
@@ -92,9 +92,9 @@ pub struct Row {
     pub figures: Figures,
 }
 
-impl Study {
-    pub fn new(request: &Request) -> Result<Self> {
-        let Request { policy, task, options, seeds, media, slopes } = request;
+impl Evaluation {
+    pub fn new(request: &EvaluationRequest) -> Result<Self> {
+        let EvaluationRequest { policy, task, options, seeds, media, slopes } = request;
         check_range("seeds", *seeds as f64, 2.0..=MOST_SEEDS as f64)?;
         let options = policy.with_control(options.clone())?;
         let base = Blueprint::new(task, options)?;
@@ -129,42 +129,48 @@ impl Study {
 
     /// Runs all episodes; returns one row for each medium and slope; the slope varies fastest. An error of `progress` stops
     /// the work. The episodes of some conditions at a time are in memory.
-    pub fn run(&self, progress: &dyn Progress) -> Result<Vec<Row>> {
+    pub fn run(&self, progress: &dyn Progress) -> Result<Vec<EvaluationRow>> {
         let searched = if self.gait.is_none() { RATES.count() * SEARCH_SEEDS.count() } else { 0 };
         let models = MODELS / self.base.task.model().memory_bytes().max(1);
         let groups = self.conditions.chunks((TOGETHER / (searched + self.seeds)).min(models).max(1));
         let (count, share) = (groups.len() as f64, searched as f64 / (searched + self.seeds) as f64);
         let mut rows = Vec::with_capacity(self.conditions.len());
         for (k, group) in groups.enumerate() {
-            let part = Part::new(progress, [k as f64 / count, (k + 1) as f64 / count]);
+            let part = PartialProgress::new(progress, [k as f64 / count, (k + 1) as f64 / count]);
             let blueprints = group.iter().map(|condition| self.blueprint(condition)).collect::<Result<Vec<_>>>()?;
             let best = match &self.gait {
                 Some(gait) => vec![(gait.clone(), None); group.len()],
-                None => search(&blueprints, &Part::new(&part, [0.0, share]))?,
+                None => search(&blueprints, &PartialProgress::new(&part, [0.0, share]))?,
             };
             let seeds: Vec<u64> = (FIRST_SEED..).take(self.seeds).collect();
             let jobs = blueprints.iter().zip(&best);
-            let jobs: Vec<_> = jobs.map(|(blueprint, (gait, _))| run::Job { blueprint, gait, seeds: &seeds }).collect();
-            let episodes = run::play(&jobs, &Part::new(&part, [share, 1.0]))?;
+            let jobs: Vec<_> =
+                jobs.map(|(blueprint, (gait, _))| run::EpisodeJob { blueprint, gait, seeds: &seeds }).collect();
+            let episodes = run::play(&jobs, &PartialProgress::new(&part, [share, 1.0]))?;
             rows.extend(group.iter().zip(&best).zip(&episodes).map(|(((medium, slope_deg), (_, rate)), episodes)| {
-                Row { medium: medium.clone(), slope_deg: *slope_deg, rate: *rate, figures: Figures::of(episodes) }
+                EvaluationRow {
+                    medium: medium.clone(),
+                    slope_deg: *slope_deg,
+                    rate: *rate,
+                    figures: Figures::of(episodes),
+                }
             }));
         }
         Ok(rows)
     }
 
     /// The settings that a report states.
-    pub fn about(request: &Request) -> Value {
+    pub fn about(request: &EvaluationRequest) -> Value {
         let name = match &request.policy {
-            Wanted::Network { name, .. } => name.clone(),
-            Wanted::Tripod(None) => "tripod, best rate".into(),
-            Wanted::Tripod(Some(rate)) => format!("tripod at {rate} Hz"),
-            Wanted::Clock(action) => format!("clock {action:?}"),
-            Wanted::Standing => "standing".into(),
-            Wanted::Random => "random".into(),
+            PolicySource::Network { name, .. } => name.clone(),
+            PolicySource::Tripod(None) => "tripod, best rate".into(),
+            PolicySource::Tripod(Some(rate)) => format!("tripod at {rate} Hz"),
+            PolicySource::Clock(action) => format!("clock {action:?}"),
+            PolicySource::Standing => "standing".into(),
+            PolicySource::Random => "random".into(),
         };
         let search =
-            (request.policy == Wanted::Tripod(None)).then(|| json!([SEARCH_SEEDS.start, SEARCH_SEEDS.end - 1]));
+            (request.policy == PolicySource::Tripod(None)).then(|| json!([SEARCH_SEEDS.start, SEARCH_SEEDS.end - 1]));
         json!({
             "policy": name,
             "task": request.task,
@@ -183,9 +189,9 @@ fn search(conditions: &[Blueprint], progress: &dyn Progress) -> Result<Vec<(Gait
     let tripods = conditions.iter().flat_map(|c| rates.iter().map(|rate| Gait::tripod(*rate, c.task.spec())));
     let tripods: Vec<Gait> = tripods.collect();
     let each = conditions.iter().flat_map(|c| std::iter::repeat_n(c, rates.len())).zip(&tripods);
-    let jobs: Vec<_> = each.map(|(blueprint, gait)| run::Job { blueprint, gait, seeds: &seeds }).collect();
+    let jobs: Vec<_> = each.map(|(blueprint, gait)| run::EpisodeJob { blueprint, gait, seeds: &seeds }).collect();
     let played = run::play(&jobs, progress)?;
-    let total = |episodes: &Vec<episode::Episode>| episodes.iter().map(|e| e.total_reward).sum::<f64>();
+    let total = |episodes: &Vec<episode::EpisodeSums>| episodes.iter().map(|e| e.total_reward).sum::<f64>();
     let totals: Vec<f64> = played.iter().map(total).collect();
     let found = totals.chunks_exact(rates.len()).zip(tripods.chunks_exact(rates.len()));
     let chosen = found.filter_map(|(totals, tripods)| {

@@ -1,6 +1,6 @@
 //! Runs episodes in parallel: a shard has as many seeds as its engine takes, and shards run on all cores.
 
-use super::episode::{Columns, Episode};
+use super::episode::{Columns, EpisodeSums};
 use super::gait::Gait;
 use crate::env::Shard;
 use crate::env::registry::Blueprint;
@@ -10,7 +10,7 @@ use crate::progress::Progress;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Episodes of one gait, one for each seed.
-pub struct Job<'a> {
+pub struct EpisodeJob<'a> {
     pub blueprint: &'a Blueprint,
     pub gait: &'a Gait,
     pub seeds: &'a [u64],
@@ -21,11 +21,11 @@ const REPORT_STEPS: usize = 50;
 
 /// The episodes of every job, in order of its seeds. An episode depends on its seed alone, not on its neighbours,
 /// the threads or the other jobs. An error of `progress` stops the work.
-pub fn play(jobs: &[Job], progress: &dyn Progress) -> Result<Vec<Vec<Episode>>> {
-    let size = |job: &Job| job.blueprint.engine.shard_size();
-    let blocks: Vec<(&Job, &[u64])> =
+pub fn play(jobs: &[EpisodeJob], progress: &dyn Progress) -> Result<Vec<Vec<EpisodeSums>>> {
+    let size = |job: &EpisodeJob| job.blueprint.engine.shard_size();
+    let blocks: Vec<(&EpisodeJob, &[u64])> =
         jobs.iter().flat_map(|job| job.seeds.chunks(size(job)).map(move |seeds| (job, seeds))).collect();
-    let longest = |job: &Job| job.blueprint.task.spec().max_episode_steps as usize;
+    let longest = |job: &EpisodeJob| job.blueprint.task.spec().max_episode_steps as usize;
     let total: usize = blocks.iter().map(|(job, _)| longest(job)).sum();
     let (done, episodes) = (AtomicUsize::new(0), jobs.iter().map(|job| job.seeds.len()).sum::<usize>());
     let stage = format!("{episodes} episodes");
@@ -52,14 +52,14 @@ pub fn play(jobs: &[Job], progress: &dyn Progress) -> Result<Vec<Vec<Episode>>> 
 
 /// Runs until the last of these episodes has ended; returns the number of steps. `report` is called every
 /// [`REPORT_STEPS`] of them.
-fn block(job: &Job, seeds: &[u64], report: &dyn Fn() -> Result<()>) -> Result<(usize, Vec<Episode>)> {
+fn block(job: &EpisodeJob, seeds: &[u64], report: &dyn Fn() -> Result<()>) -> Result<(usize, Vec<EpisodeSums>)> {
     let spec = job.blueprint.task.spec();
     let (columns, period) = (Columns::of(spec)?, 1.0 / spec.control_rate);
     let mut shard = Shard::new(job.blueprint, seeds.len())?;
     shard.reset(|_| true, Some(seeds), |_| None);
     let mut player = job.gait.player(seeds);
     let mut actions = vec![0.0; seeds.len() * spec.action.len()];
-    let mut episodes: Vec<_> = seeds.iter().map(|seed| Episode { seed: *seed, ..Episode::default() }).collect();
+    let mut episodes: Vec<_> = seeds.iter().map(|seed| EpisodeSums { seed: *seed, ..EpisodeSums::default() }).collect();
     let mut steps = 0;
     while episodes.iter().any(|e| !e.over) {
         let running: Vec<usize> = (0..seeds.len()).filter(|i| !episodes[*i].over).collect();

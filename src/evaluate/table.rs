@@ -1,35 +1,40 @@
 //! Results as a text table, as CSV and as JSON.
 
-use super::{Estimate, Row};
+use super::{Estimate, EvaluationRow};
 use serde_json::{Value, json};
 
 /// Every figure: its name in files, its heading and unit in the text table, and its decimals.
-const FIGURES: [Figure; 6] = [
-    Figure { name: "return", heading: "return", digits: 1, of: |r| r.figures.total_reward },
-    Figure { name: "speed", heading: "speed [m/s]", digits: 3, of: |r| r.figures.speed },
-    Figure { name: "speed_error", heading: "speed error [m/s]", digits: 3, of: |r| r.figures.speed_error },
-    Figure { name: "cost_of_transport", heading: "cost of transport", digits: 2, of: |r| r.figures.cost_of_transport },
-    Figure { name: "slip", heading: "slip", digits: 3, of: |r| r.figures.slip },
-    Figure { name: "falls", heading: "falls", digits: 2, of: |r| r.figures.falls },
+const FIGURES: [FigureFormat; 6] = [
+    FigureFormat { name: "return", heading: "return", digits: 1, of: |r| r.figures.total_reward },
+    FigureFormat { name: "speed", heading: "speed [m/s]", digits: 3, of: |r| r.figures.speed },
+    FigureFormat { name: "speed_error", heading: "speed error [m/s]", digits: 3, of: |r| r.figures.speed_error },
+    FigureFormat {
+        name: "cost_of_transport",
+        heading: "cost of transport",
+        digits: 2,
+        of: |r| r.figures.cost_of_transport,
+    },
+    FigureFormat { name: "slip", heading: "slip", digits: 3, of: |r| r.figures.slip },
+    FigureFormat { name: "falls", heading: "falls", digits: 2, of: |r| r.figures.falls },
 ];
 
-struct Figure {
+struct FigureFormat {
     name: &'static str,
     heading: &'static str,
     digits: usize,
-    of: fn(&Row) -> Estimate,
+    of: fn(&EvaluationRow) -> Estimate,
 }
 
 /// A column of numbers: name, unit, one number for each row.
-pub struct Column {
+pub struct FigureColumn {
     pub name: String,
     pub unit: &'static str,
     pub values: Vec<f64>,
 }
 
 /// All columns except the media's names.
-pub fn columns(rows: &[Row]) -> Vec<Column> {
-    let column = |name: &str, unit, of: &dyn Fn(&Row) -> f64| Column {
+pub fn columns(rows: &[EvaluationRow]) -> Vec<FigureColumn> {
+    let column = |name: &str, unit, of: &dyn Fn(&EvaluationRow) -> f64| FigureColumn {
         name: name.into(),
         unit,
         values: rows.iter().map(of).collect(),
@@ -39,7 +44,7 @@ pub fn columns(rows: &[Row]) -> Vec<Column> {
         all.push(column("rate", "Hz", &|r| r.rate.unwrap_or(f64::NAN)));
     }
     all.push(column("episodes", "1", &|r| r.figures.episodes as f64));
-    for Figure { name, of, .. } in FIGURES {
+    for FigureFormat { name, of, .. } in FIGURES {
         let unit = if name.starts_with("speed") { "m/s" } else { "1" };
         all.push(column(name, unit, &|r| of(r).mean));
         all.push(column(&format!("{name}_low"), unit, &|r| of(r).low));
@@ -50,7 +55,7 @@ pub fn columns(rows: &[Row]) -> Vec<Column> {
 }
 
 /// One line for each row; NaN is an empty cell.
-pub fn csv(rows: &[Row]) -> String {
+pub fn csv(rows: &[EvaluationRow]) -> String {
     let columns = columns(rows);
     let mut text = String::from("medium");
     columns.iter().for_each(|c| text += &format!(",{}", c.name));
@@ -67,9 +72,9 @@ pub fn csv(rows: &[Row]) -> String {
 }
 
 /// `about` and one object for each row; NaN is null.
-pub fn json(mut about: Value, rows: &[Row]) -> Value {
+pub fn json(mut about: Value, rows: &[EvaluationRow]) -> Value {
     let columns = columns(rows);
-    let object = |(i, row): (usize, &Row)| {
+    let object = |(i, row): (usize, &EvaluationRow)| {
         let mut object = json!({"medium": row.medium});
         columns.iter().for_each(|c| object[&c.name] = json!(c.values[i]));
         object
@@ -79,12 +84,12 @@ pub fn json(mut about: Value, rows: &[Row]) -> Value {
 }
 
 /// Cells of the text table, the heading first.
-pub fn cells(rows: &[Row]) -> Vec<Vec<String>> {
+pub fn cells(rows: &[EvaluationRow]) -> Vec<Vec<String>> {
     let searched = rows.iter().any(|r| r.rate.is_some());
     let mut heading = vec!["medium".to_owned(), "slope [°]".into()];
     heading.extend(searched.then(|| "rate [Hz]".into()));
     heading.extend(FIGURES.iter().map(|f| f.heading.to_owned()));
-    let line = |row: &Row| {
+    let line = |row: &EvaluationRow| {
         let mut cells = vec![row.medium.clone(), row.slope_deg.to_string()];
         cells.extend(row.rate.map(|rate| rate.to_string()));
         cells.extend(FIGURES.iter().map(|f| cell((f.of)(row), f.digits)));
@@ -102,7 +107,7 @@ fn cell(Estimate { mean, low, high }: Estimate, digits: usize) -> String {
 }
 
 /// Notes below the table; one line each.
-pub fn notes(rows: &[Row]) -> Vec<String> {
+pub fn notes(rows: &[EvaluationRow]) -> Vec<String> {
     let mut notes = vec!["[95 % intervals]: bootstrap over episodes; falls: Wilson".to_owned()];
     if rows.iter().any(|r| r.figures.cost_of_transport.mean.is_nan()) {
         notes.push("no cost of transport: the robot did not go forward".into());

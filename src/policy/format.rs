@@ -7,7 +7,7 @@ pub const INT64: i32 = 7;
 pub const DOUBLE: i32 = 11;
 
 #[derive(Clone, PartialEq, prost::Message)]
-pub struct Model {
+pub struct OnnxModel {
     #[prost(int64, tag = "1")]
     pub ir_version: i64,
     #[prost(string, tag = "2")]

@@ -64,24 +64,24 @@ pub const fn reading_bytes(file: usize) -> usize {
 }
 
 /// The messages inside a message, by their fields' numbers.
-struct Layout(&'static [(u32, &'static Layout)]);
+struct NestedMessages(&'static [(u32, &'static NestedMessages)]);
 
-static PLAIN: Layout = Layout(&[]);
-static SHAPE: Layout = Layout(&[(1, &PLAIN)]);
-static TENSOR_TYPE: Layout = Layout(&[(2, &SHAPE)]);
-static TYPE: Layout = Layout(&[(1, &TENSOR_TYPE)]);
-static VALUE_INFO: Layout = Layout(&[(2, &TYPE)]);
-static ATTRIBUTE: Layout = Layout(&[(5, &PLAIN)]);
-static NODE: Layout = Layout(&[(5, &ATTRIBUTE)]);
-static GRAPH: Layout = Layout(&[(1, &NODE), (5, &PLAIN), (11, &VALUE_INFO), (12, &VALUE_INFO)]);
-static MODEL: Layout = Layout(&[(7, &GRAPH), (8, &PLAIN)]);
+static PLAIN: NestedMessages = NestedMessages(&[]);
+static SHAPE: NestedMessages = NestedMessages(&[(1, &PLAIN)]);
+static TENSOR_TYPE: NestedMessages = NestedMessages(&[(2, &SHAPE)]);
+static TYPE: NestedMessages = NestedMessages(&[(1, &TENSOR_TYPE)]);
+static VALUE_INFO: NestedMessages = NestedMessages(&[(2, &TYPE)]);
+static ATTRIBUTE: NestedMessages = NestedMessages(&[(5, &PLAIN)]);
+static NODE: NestedMessages = NestedMessages(&[(5, &ATTRIBUTE)]);
+static GRAPH: NestedMessages = NestedMessages(&[(1, &NODE), (5, &PLAIN), (11, &VALUE_INFO), (12, &VALUE_INFO)]);
+static MODEL: NestedMessages = NestedMessages(&[(7, &GRAPH), (8, &PLAIN)]);
 
 /// Refuses a file with more than [`MOST_FIELDS`] fields in the messages that [`super::format`] decodes.
 pub fn check_fields(onnx: &[u8]) -> Result<()> {
     count(onnx, &MODEL, &mut 0)
 }
 
-fn count(mut bytes: &[u8], layout: &Layout, fields: &mut usize) -> Result<()> {
+fn count(mut bytes: &[u8], layout: &NestedMessages, fields: &mut usize) -> Result<()> {
     let unreadable = |e: &dyn std::fmt::Display| Error::invalid("policy", format!("this is no ONNX file: {e}"));
     while !bytes.is_empty() {
         *fields += 1;

@@ -2,7 +2,7 @@
 
 use super::MOST_BYTES;
 use super::constant::{Constant, shown};
-use super::format::{Attribute, FLOAT, Graph, Model, Node, ValueInfo};
+use super::format::{Attribute, FLOAT, Graph, Node, OnnxModel, ValueInfo};
 use super::operator::{Arithmetic, Function, Operand, Operator, Program, Step};
 use super::price::{MOST_NODES, MOST_PRODUCTS, MOST_VALUES, MOST_WIDTH, check_fields};
 use crate::error::{Error, Result};
@@ -51,27 +51,27 @@ pub fn program(onnx: &[u8], sizes: [usize; 2]) -> Result<Program> {
         return Err(invalid(format!("{} bytes are more than {} MiB", onnx.len(), MOST_BYTES >> 20)));
     }
     check_fields(onnx)?;
-    let model = Model::decode(onnx).map_err(|e| invalid(format!("this is no ONNX file: {e}")))?;
+    let model = OnnxModel::decode(onnx).map_err(|e| invalid(format!("this is no ONNX file: {e}")))?;
     let opset = model.opset_import.iter().find(|o| o.domain.is_empty() || o.domain == "ai.onnx").map(|o| o.version);
     match (opset, model.graph) {
         (Some(version), _) if !OPSETS.contains(&version) => {
             let (first, last) = (OPSETS.start(), OPSETS.end());
             Err(invalid(format!("operator set {version} is outside [{first}, {last}]")))
         }
-        (Some(_), Some(graph)) => Reader::read(&graph, sizes),
+        (Some(_), Some(graph)) => OnnxReader::read(&graph, sizes),
         _ => Err(invalid("this is no ONNX file: it has no graph or no operator set")),
     }
 }
 
 /// The meaning of a name.
 #[derive(Clone)]
-enum Named {
+enum NameMeaning {
     Value(usize),
     Constant(Constant),
 }
 
-struct Reader<'a> {
-    names: HashMap<&'a str, Named>,
+struct OnnxReader<'a> {
+    names: HashMap<&'a str, NameMeaning>,
     /// Numbers of each value.
     widths: Vec<usize>,
     /// Numbers of all steps together.
@@ -80,14 +80,14 @@ struct Reader<'a> {
     products: usize,
 }
 
-impl<'a> Reader<'a> {
+impl<'a> OnnxReader<'a> {
     fn read(graph: &'a Graph, [observation, action]: [usize; 2]) -> Result<Program> {
         if graph.node.len() > MOST_NODES {
             return Err(invalid(format!("{} nodes are more than {MOST_NODES}", graph.node.len())));
         }
         let mut names = HashMap::new();
         for tensor in &graph.initializer {
-            names.insert(tensor.name.as_str(), Named::Constant(Constant::read(&tensor.name, tensor)?));
+            names.insert(tensor.name.as_str(), NameMeaning::Constant(Constant::read(&tensor.name, tensor)?));
         }
         // Old files list their weights among the inputs.
         let inputs: Vec<_> = graph.input.iter().filter(|i| !names.contains_key(i.name.as_str())).collect();
@@ -97,16 +97,16 @@ impl<'a> Reader<'a> {
         };
         rows("input", input, observation)?;
         rows("output", output, action)?;
-        names.insert(&input.name, Named::Value(0));
+        names.insert(&input.name, NameMeaning::Value(0));
         let mut reader = Self { names, widths: vec![observation], values: 0, steps: Vec::new(), products: 0 };
         for node in &graph.node {
             reader.node(node)?;
         }
         match reader.names.get(output.name.as_str()) {
-            Some(Named::Value(value)) if reader.widths[*value] == action => {
+            Some(NameMeaning::Value(value)) if reader.widths[*value] == action => {
                 Ok(Program { steps: reader.steps, action: *value })
             }
-            Some(Named::Value(value)) => {
+            Some(NameMeaning::Value(value)) => {
                 Err(invalid(format!("its output has {} numbers, an action has {action}", reader.widths[*value])))
             }
             _ => Err(invalid(format!("its output {:?} does not come from the observation", shown(&output.name)))),
@@ -122,7 +122,7 @@ impl<'a> Reader<'a> {
         }
         let output = node.output.first().ok_or_else(|| wrong(node, "has no output"))?;
         let result = match kind {
-            "Constant" => Named::Constant(constant(node)?),
+            "Constant" => NameMeaning::Constant(constant(node)?),
             "Cast" | "Dropout" | "Flatten" | "Identity" | "Reshape" => self.same(node)?,
             "Clip" => self.clip(node)?,
             "Concat" => self.concat(node)?,
@@ -143,7 +143,7 @@ impl<'a> Reader<'a> {
     }
 
     /// The meaning of input `k` of a node; None if the node has no such input.
-    fn input(&self, node: &Node, k: usize) -> Result<Option<&Named>> {
+    fn input(&self, node: &Node, k: usize) -> Result<Option<&NameMeaning>> {
         let Some(name) = node.input.get(k).filter(|name| !name.is_empty()) else { return Ok(None) };
         self.names
             .get(name.as_str())
@@ -154,7 +154,7 @@ impl<'a> Reader<'a> {
     /// Input `k` as a value that depends on the observation.
     fn value(&self, node: &Node, k: usize) -> Result<usize> {
         match self.input(node, k)? {
-            Some(Named::Value(value)) => Ok(*value),
+            Some(NameMeaning::Value(value)) => Ok(*value),
             _ => Err(wrong(node, format!("needs a value that depends on the observation as input {k}"))),
         }
     }
@@ -163,14 +163,14 @@ impl<'a> Reader<'a> {
     fn constant(&self, node: &Node, k: usize) -> Result<Option<&Constant>> {
         match self.input(node, k)? {
             None => Ok(None),
-            Some(Named::Constant(constant)) => Ok(Some(constant)),
-            Some(Named::Value(_)) => {
+            Some(NameMeaning::Constant(constant)) => Ok(Some(constant)),
+            Some(NameMeaning::Value(_)) => {
                 Err(wrong(node, format!("needs constants as input {k}, not a value that depends on the observation")))
             }
         }
     }
 
-    fn step(&mut self, operator: Operator, width: usize) -> Result<Named> {
+    fn step(&mut self, operator: Operator, width: usize) -> Result<NameMeaning> {
         if !(1..=MOST_WIDTH).contains(&width) {
             return Err(invalid(format!("a layer has {width} numbers, which is outside [1, {MOST_WIDTH}]")));
         }
@@ -180,11 +180,11 @@ impl<'a> Reader<'a> {
         }
         self.steps.push(Step { operator, width });
         self.widths.push(width);
-        Ok(Named::Value(self.widths.len() - 1))
+        Ok(NameMeaning::Value(self.widths.len() - 1))
     }
 
     /// Nodes that have no effect on rows of numbers.
-    fn same(&self, node: &Node) -> Result<Named> {
+    fn same(&self, node: &Node) -> Result<NameMeaning> {
         let value = self.value(node, 0)?;
         let whole = |name, default| attribute(node, name).map_or(default, |a| a.i);
         let fits = match node.op_type.as_str() {
@@ -198,11 +198,11 @@ impl<'a> Reader<'a> {
             },
             _ => true,
         };
-        if fits { Ok(Named::Value(value)) } else { Err(wrong(node, "does not give rows of f32")) }
+        if fits { Ok(NameMeaning::Value(value)) } else { Err(wrong(node, "does not give rows of f32")) }
     }
 
     /// Bounds are inputs since operator set 11, attributes before.
-    fn clip(&mut self, node: &Node) -> Result<Named> {
+    fn clip(&mut self, node: &Node) -> Result<NameMeaning> {
         let mut value = self.value(node, 0)?;
         for (k, name, arithmetic) in [(1, "min", Arithmetic::Max), (2, "max", Arithmetic::Min)] {
             let given = self.constant(node, k)?;
@@ -217,10 +217,10 @@ impl<'a> Reader<'a> {
             self.step(Operator::Both { left, right, arithmetic }, self.widths[value])?;
             value = self.widths.len() - 1;
         }
-        Ok(Named::Value(value))
+        Ok(NameMeaning::Value(value))
     }
 
-    fn concat(&mut self, node: &Node) -> Result<Named> {
+    fn concat(&mut self, node: &Node) -> Result<NameMeaning> {
         if !attribute(node, "axis").is_some_and(|a| [1, -1].contains(&a.i)) {
             return Err(wrong(node, "joins values that are not rows"));
         }
@@ -230,7 +230,7 @@ impl<'a> Reader<'a> {
     }
 
     /// Combines operands one after the other; `Min` and `Max` may have more than two, or one.
-    fn fold(&mut self, node: &Node, arithmetic: Arithmetic) -> Result<Named> {
+    fn fold(&mut self, node: &Node, arithmetic: Arithmetic) -> Result<NameMeaning> {
         let many = matches!(arithmetic, Arithmetic::Min | Arithmetic::Max);
         if node.input.is_empty() || (!many && node.input.len() != 2) {
             return Err(wrong(node, format!("has {} inputs", node.input.len())));
@@ -249,7 +249,7 @@ impl<'a> Reader<'a> {
             left = Operand::Value(self.widths.len() - 1);
         }
         match left {
-            Operand::Value(value) => Ok(Named::Value(value)),
+            Operand::Value(value) => Ok(NameMeaning::Value(value)),
             Operand::Row(_) => Err(wrong(node, "has only constants as inputs; export with constant folding")),
         }
     }
@@ -257,8 +257,8 @@ impl<'a> Reader<'a> {
     /// Input `k` with its width.
     fn operand(&self, node: &Node, k: usize) -> Result<(Operand, usize)> {
         match self.input(node, k)? {
-            Some(Named::Value(value)) => Ok((Operand::Value(*value), self.widths[*value])),
-            Some(Named::Constant(constant)) => match constant.row() {
+            Some(NameMeaning::Value(value)) => Ok((Operand::Value(*value), self.widths[*value])),
+            Some(NameMeaning::Constant(constant)) => match constant.row() {
                 Some(row) if !row.is_empty() => Ok((Operand::Row(row.to_vec()), row.len())),
                 _ => Err(wrong(node, format!("has numbers of shape {:?} where a row is needed", constant.dims))),
             },
@@ -267,7 +267,7 @@ impl<'a> Reader<'a> {
     }
 
     /// x·W + b: a `MatMul`, or a `Gemm` with its factors.
-    fn dense(&mut self, node: &Node) -> Result<Named> {
+    fn dense(&mut self, node: &Node) -> Result<NameMeaning> {
         let input = self.value(node, 0)?;
         let matrix = self.constant(node, 1)?.ok_or_else(|| wrong(node, "has no weights"))?;
         let gemm = node.op_type == "Gemm";

@@ -1,7 +1,7 @@
 //! The most expensive files of each kind stay within the price that is stated for their length.
 
 use super::format::{
-    Attribute, Dimension, FLOAT, Graph, INT64, Model, Node, OperatorSet, Tensor, TensorShape, TensorType, Type,
+    Attribute, Dimension, FLOAT, Graph, INT64, Node, OnnxModel, OperatorSet, Tensor, TensorShape, TensorType, Type,
     ValueInfo,
 };
 use super::{MOST_BYTES, price, read};
@@ -45,7 +45,7 @@ fn rows(name: &str) -> ValueInfo {
 fn file(node: Vec<Node>, initializer: Vec<Tensor>) -> Vec<u8> {
     let graph = Graph { node, initializer, input: vec![rows("x")], output: vec![rows("y")], ..Graph::default() };
     let opset_import = vec![OperatorSet { domain: String::new(), version: 18 }];
-    Model { graph: Some(graph), opset_import, ..Model::default() }.encode_to_vec()
+    OnnxModel { graph: Some(graph), opset_import, ..OnnxModel::default() }.encode_to_vec()
 }
 
 fn node(kind: &str, input: Vec<String>, output: &str) -> Node {

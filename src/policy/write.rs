@@ -1,7 +1,7 @@
 //! Writes learnt policies as ONNX files, which any ONNX runtime and [`super::Network`] can read.
 
 use super::format::{
-    Dimension, FLOAT, Graph, Model, Node, OperatorSet, Tensor, TensorShape, TensorType, Type, ValueInfo,
+    Dimension, FLOAT, Graph, Node, OnnxModel, OperatorSet, Tensor, TensorShape, TensorType, Type, ValueInfo,
 };
 use prost::Message as _;
 
@@ -14,12 +14,12 @@ const INPUT: &str = "observation";
 const OUTPUT: &str = "action";
 
 /// A file under construction. Values are referred to by name.
-pub struct Writer {
+pub struct OnnxWriter {
     observation: usize,
     graph: Graph,
 }
 
-impl Writer {
+impl OnnxWriter {
     /// A network whose input rows have this many numbers.
     pub fn new(observation: usize) -> Self {
         let input = vec![rows(INPUT, observation)];
@@ -90,7 +90,7 @@ impl Writer {
             ..Node::default()
         });
         self.graph.output = vec![rows(OUTPUT, action)];
-        let model = Model {
+        let model = OnnxModel {
             ir_version: IR,
             producer_name: format!("sandgait {}", env!("CARGO_PKG_VERSION")),
             graph: Some(self.graph),

@@ -36,7 +36,7 @@ pub struct Batch {
 
 /// A checked request. Only [`Batch`] can make one, so a pool gets no malformed ones.
 pub enum Operation {
-    Reset { chosen: Option<Vec<bool>>, seeds: Option<Vec<u64>>, tasks: Option<Tasks> },
+    Reset { chosen: Option<Vec<bool>>, seeds: Option<Vec<u64>>, tasks: Option<ResetTasks> },
     Step { actions: Vec<f32>, held: Option<Vec<bool>> },
     Restore { episodes: Vec<Arc<Resumed>> },
     Command(Vec<[f64; 3]>),
@@ -44,14 +44,14 @@ pub enum Operation {
 }
 
 /// New tasks, with changed options, of the environments that a reset chooses.
-pub struct Tasks {
+pub struct ResetTasks {
     /// Each different task once.
     all: Vec<Arc<dyn AnyTask>>,
     /// Index of each environment's task; None for environments that are not chosen.
     of: Vec<Option<u32>>,
 }
 
-impl Tasks {
+impl ResetTasks {
     fn get(&self, env: usize) -> Option<&Arc<dyn AnyTask>> {
         self.all.get(self.of[env]? as usize)
     }
@@ -60,7 +60,7 @@ impl Tasks {
 /// A part of a rollout.
 #[derive(Clone)]
 pub struct Roll {
-    plan: Plan,
+    plan: ActionSource,
     /// Number of steps of the whole rollout.
     total: usize,
     /// The steps of this part.
@@ -77,7 +77,7 @@ const PART: usize = 1 << 19;
 
 /// Source of a rollout's actions.
 #[derive(Clone)]
-enum Plan {
+enum ActionSource {
     /// f32 [steps, envs, action] of the whole rollout.
     Actions(Arc<Vec<f32>>),
     Network(Arc<Network>),
@@ -98,7 +98,7 @@ impl Roll {
 
     /// Does a policy choose the actions?
     pub fn chooses(&self) -> bool {
-        matches!(self.plan, Plan::Network(_))
+        matches!(self.plan, ActionSource::Network(_))
     }
 
     /// Steps done after this part.
@@ -172,8 +172,8 @@ impl Batch {
 
     /// The tasks of the `chosen` environments, changed by `options`. Environments with a common task still share
     /// one afterwards.
-    fn changed(&self, chosen: Option<&[bool]>, options: &ResetOptions) -> Result<Tasks> {
-        let mut tasks = Tasks { all: Vec::new(), of: Vec::with_capacity(self.envs) };
+    fn changed(&self, chosen: Option<&[bool]>, options: &ResetOptions) -> Result<ResetTasks> {
+        let mut tasks = ResetTasks { all: Vec::new(), of: Vec::with_capacity(self.envs) };
         let mut known: HashMap<usize, u32> = HashMap::new();
         let own = self.shards.iter().flat_map(|shard| (0..shard.envs()).map(|i| shard.task(i)));
         for (env, old) in own.enumerate() {
@@ -260,7 +260,7 @@ impl Batch {
         }
         self.check_actions(&actions, |k| format!("actions[{}][{}]", k / self.envs, k % self.envs))?;
         let (total, longest) = (actions.len() / row, self.longest_part(record));
-        Ok(Roll { total, plan: Plan::Actions(Arc::new(actions)), steps: 0..0, record, longest })
+        Ok(Roll { total, plan: ActionSource::Actions(Arc::new(actions)), steps: 0..0, record, longest })
     }
 
     /// Checks a rollout of `total` steps with the actions of the network in `onnx`. The end of an episode ends its
@@ -271,7 +271,7 @@ impl Batch {
         check_range("steps", f64::from(total), 1.0..=f64::from(spec.max_episode_steps))?;
         let network = Arc::new(Network::new(onnx, spec)?);
         let (total, longest) = (total as usize, self.longest_part(record));
-        Ok(Roll { total, plan: Plan::Network(network), steps: 0..0, record, longest })
+        Ok(Roll { total, plan: ActionSource::Network(network), steps: 0..0, record, longest })
     }
 
     /// Memory of the recorded rows of one step [bytes].
@@ -408,18 +408,18 @@ impl Roll {
         }
         let (first, count) = (start * shard.actions(), shard.envs() * shard.actions());
         match &self.plan {
-            Plan::Actions(actions) => {
+            ActionSource::Actions(actions) => {
                 let row = actions.len() / self.total;
                 shard.roll(&actions[step * row + first..][..count], self.record);
             }
-            Plan::Network(network) if shard.rollout.failed.is_none() => {
+            ActionSource::Network(network) if shard.rollout.failed.is_none() => {
                 let mut actions = vec![0.0; count];
                 match network.act(&shard.rows.observations, &mut actions) {
                     Ok(()) => shard.roll(&actions, self.record),
                     Err(error) => shard.rollout.failed = Some(error),
                 }
             }
-            Plan::Network(_) => (),
+            ActionSource::Network(_) => (),
         }
     }
 }

@@ -35,20 +35,20 @@ const COPIES: usize = 3;
 pub struct Snapshot {
     pub task: String,
     /// Each different set of options once: [`AnyTask::options`].
-    options: Vec<Part>,
+    options: Vec<PackedPart>,
     /// Index of the environment's options, and its episode: [`SavedEpisode`].
-    episodes: Vec<(u32, Part)>,
+    episodes: Vec<(u32, PackedPart)>,
 }
 
 /// CBOR that is not unpacked yet.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
-struct Part(Vec<u8>);
+struct PackedPart(Vec<u8>);
 
 fn broken(why: impl std::fmt::Display) -> Error {
     Error::invalid("snapshot", why.to_string())
 }
 
-impl Part {
+impl PackedPart {
     fn pack(whole: &impl Serialize) -> Result<Self> {
         let mut bytes = Vec::new();
         ciborium::into_writer(whole, &mut bytes).map_err(|e| broken(format!("cannot be written: {e}")))?;
@@ -64,34 +64,34 @@ impl Part {
     }
 }
 
-impl Serialize for Part {
+impl Serialize for PackedPart {
     fn serialize<S: Serializer>(&self, serializer: S) -> std::result::Result<S::Ok, S::Error> {
         serializer.serialize_bytes(&self.0)
     }
 }
 
-impl<'de> Deserialize<'de> for Part {
+impl<'de> Deserialize<'de> for PackedPart {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> std::result::Result<Self, D::Error> {
-        struct Bytes;
-        impl Visitor<'_> for Bytes {
-            type Value = Part;
+        struct PartVisitor;
+        impl Visitor<'_> for PartVisitor {
+            type Value = PackedPart;
 
             fn expecting(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
                 write!(f, "{} to {} bytes", PART.start(), PART.end())
             }
 
-            fn visit_bytes<E: serde::de::Error>(self, bytes: &[u8]) -> std::result::Result<Part, E> {
+            fn visit_bytes<E: serde::de::Error>(self, bytes: &[u8]) -> std::result::Result<PackedPart, E> {
                 self.visit_byte_buf(bytes.to_vec())
             }
 
-            fn visit_byte_buf<E: serde::de::Error>(self, bytes: Vec<u8>) -> std::result::Result<Part, E> {
+            fn visit_byte_buf<E: serde::de::Error>(self, bytes: Vec<u8>) -> std::result::Result<PackedPart, E> {
                 match PART.contains(&bytes.len()) {
-                    true => Ok(Part(bytes)),
+                    true => Ok(PackedPart(bytes)),
                     false => Err(E::invalid_length(bytes.len(), &self)),
                 }
             }
         }
-        deserializer.deserialize_byte_buf(Bytes)
+        deserializer.deserialize_byte_buf(PartVisitor)
     }
 }
 
@@ -135,13 +135,13 @@ impl Batch {
                     tasks.push(task);
                     tasks.len() - 1
                 });
-                episodes.push((index as u32, Part::pack(&shard.save(i))?));
+                episodes.push((index as u32, PackedPart::pack(&shard.save(i))?));
             }
             let packed = &episodes[episodes.len() - shard.envs()..];
             self.charge(COPIES * packed.iter().map(|(_, part)| part.0.len()).sum::<usize>())?;
         }
         let options = |t: &&Arc<dyn AnyTask>| {
-            let part = Part::pack(&t.options())?;
+            let part = PackedPart::pack(&t.options())?;
             self.charge(COPIES * part.0.len())?;
             Ok(part)
         };
@@ -168,7 +168,7 @@ impl Batch {
             return Err(Error::invalid("sources", format!("{got} entries for {} environments", self.envs())));
         }
         let all = &snapshot.episodes;
-        let mut tasks: HashMap<&Part, Arc<dyn AnyTask>> = HashMap::new();
+        let mut tasks: HashMap<&PackedPart, Arc<dyn AnyTask>> = HashMap::new();
         let mut resumed: HashMap<usize, Arc<Resumed>> = HashMap::new();
         let mut one = |i: usize| {
             let source = sources.map_or(i % all.len(), |s| s[i] as usize);

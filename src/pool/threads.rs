@@ -61,7 +61,7 @@ struct Queue {
     closed: bool,
 }
 
-struct Shared {
+struct PoolState {
     queue: Mutex<Queue>,
     work: Condvar,
     /// Number of changes of the queue that watching workers must see.
@@ -72,13 +72,13 @@ struct Shared {
 
 /// Worker threads shared by all sessions of a process.
 pub struct Pool {
-    shared: Arc<Shared>,
+    shared: Arc<PoolState>,
     workers: Vec<JoinHandle<()>>,
     /// With as many active threads no caller assists.
     most_active: usize,
 }
 
-impl Shared {
+impl PoolState {
     /// The queue's data are consistent even after a panic, because every change is a single push or pop.
     fn lock(&self) -> MutexGuard<'_, Queue> {
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
@@ -96,8 +96,12 @@ impl Pool {
     pub fn new(threads: usize) -> Self {
         let threads = if threads == 0 { processors() } else { threads };
         let most_watching = processors() - 1;
-        let shared =
-            Arc::new(Shared { queue: Mutex::default(), work: Condvar::new(), news: AtomicU64::new(0), most_watching });
+        let shared = Arc::new(PoolState {
+            queue: Mutex::default(),
+            work: Condvar::new(),
+            news: AtomicU64::new(0),
+            most_watching,
+        });
         let workers = (0..threads)
             .map(|_| {
                 let shared = shared.clone();
@@ -229,7 +233,7 @@ fn put_back(queue: &mut Queue, id: u64, operation: Arc<Operation>, queued: Queue
     }
 }
 
-fn worker(shared: &Shared) {
+fn worker(shared: &PoolState) {
     let mut queue = shared.lock();
     loop {
         if let Some((id, operation, queued)) = take(&mut queue, 0) {
@@ -244,7 +248,7 @@ fn worker(shared: &Shared) {
 }
 
 /// Returns when there may be work.
-fn rest<'a>(shared: &'a Shared, mut queue: MutexGuard<'a, Queue>) -> MutexGuard<'a, Queue> {
+fn rest<'a>(shared: &'a PoolState, mut queue: MutexGuard<'a, Queue>) -> MutexGuard<'a, Queue> {
     if queue.watching < shared.most_watching {
         let known = shared.news.load(Ordering::Acquire);
         queue.watching += 1;
@@ -266,7 +270,7 @@ fn rest<'a>(shared: &'a Shared, mut queue: MutexGuard<'a, Queue>) -> MutexGuard<
 }
 
 /// Works on a shard and returns it to its batch or to the queue.
-fn carry_out(shared: &Shared, id: u64, operation: Arc<Operation>, mut queued: QueuedShard) -> MutexGuard<'_, Queue> {
+fn carry_out(shared: &PoolState, id: u64, operation: Arc<Operation>, mut queued: QueuedShard) -> MutexGuard<'_, Queue> {
     let outcome = catch_unwind(AssertUnwindSafe(|| work(shared, id, &operation, &mut queued)));
     if matches!(outcome, Ok(false)) {
         let mut queue = shared.lock();
@@ -283,7 +287,7 @@ fn carry_out(shared: &Shared, id: u64, operation: Arc<Operation>, mut queued: Qu
 /// Works on a shard until its operation is done, and then returns true. If another session waits, it stops earlier,
 /// after at least one part. So a rollout does not delay the steps of other sessions, and a rollout without other
 /// sessions does not return to the queue.
-fn work(shared: &Shared, id: u64, operation: &Operation, queued: &mut QueuedShard) -> bool {
+fn work(shared: &PoolState, id: u64, operation: &Operation, queued: &mut QueuedShard) -> bool {
     loop {
         operation.run(&mut queued.shard, queued.start, queued.done);
         queued.done += 1;
@@ -298,7 +302,7 @@ fn work(shared: &Shared, id: u64, operation: &Operation, queued: &mut QueuedShar
 }
 
 /// Returns a shard to its batch; the last one completes it.
-fn give_back(shared: &Shared, id: u64, start: usize, shard: Shard, panicked: bool) -> MutexGuard<'_, Queue> {
+fn give_back(shared: &PoolState, id: u64, start: usize, shard: Shard, panicked: bool) -> MutexGuard<'_, Queue> {
     let mut queue = shared.lock();
     queue.active -= 1;
     let Some(index) = queue.pending.iter().position(|p| p.id == id) else { return queue };

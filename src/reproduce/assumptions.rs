@@ -1,7 +1,7 @@
 //! Values that the paper does not state, and the ranges in which we vary them. Every band in the figures and claims is
 //! the envelope over these ranges. One value at a time differs from the declared model.
 
-use super::Table;
+use super::ReportTable;
 use crate::error::Result;
 use crate::sand::{Law, Medium};
 use crate::sim::Robot;
@@ -60,8 +60,8 @@ pub fn variants(law: Law, xi_deg: f64, frequency: f64, knees: bool) -> Result<Ve
 }
 
 /// The list for the report.
-pub fn table() -> Table {
-    let mut table = Table::new(
+pub fn table() -> ReportTable {
+    let mut table = ReportTable::new(
         "What the paper does not state. The bands in figures and claims are envelopes over these, one changed at a time.",
         &["assumption", "declared", "range tried"],
     );

@@ -4,7 +4,7 @@ use serde::Serialize;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Verdict {
+pub enum ClaimVerdict {
     Reproduced,
     NotReproduced,
     /// The paper gives the number in a figure only, or describes its experiment: there is nothing to compare.
@@ -19,7 +19,7 @@ pub struct Claim {
     pub claim: String,
     pub seed_value: String,
     pub ours: String,
-    pub verdict: Verdict,
+    pub verdict: ClaimVerdict,
     pub why: String,
 }
 
@@ -36,7 +36,7 @@ impl Claim {
         holds: bool,
         why: impl Into<String>,
     ) -> Self {
-        let verdict = if holds { Verdict::Reproduced } else { Verdict::NotReproduced };
+        let verdict = if holds { ClaimVerdict::Reproduced } else { ClaimVerdict::NotReproduced };
         Self { verdict, ..Self::no_data(id, claim, seed_value, ours, why) }
     }
 
@@ -46,7 +46,7 @@ impl Claim {
             claim: claim.into(),
             seed_value: seed_value.into(),
             ours: ours.into(),
-            verdict: Verdict::NoData,
+            verdict: ClaimVerdict::NoData,
             why: why.into(),
         }
     }

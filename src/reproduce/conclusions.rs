@@ -1,7 +1,7 @@
 //! Numbers of the paper's text without a figure: cost of computing, fitted parameters.
 
 use super::assumptions::{XI_DEG, robot};
-use super::{Claim, Part, Table};
+use super::{Claim, FigureSection, ReportTable};
 use crate::error::Result;
 use crate::sand::Law;
 use crate::sim::engine::EngineKind;
@@ -12,10 +12,10 @@ use std::time::Instant;
 /// measured time, so that the file is the same in every run; the report has the measured time.
 const COSTS: [f64; 4] = [0.1, 1.0, 10.0, 100.0];
 
-pub fn part() -> Part {
+pub fn part() -> FigureSection {
     let seconds = cost().unwrap_or(f64::NAN);
     let bound = COSTS.into_iter().find(|c| seconds < *c).unwrap_or(f64::INFINITY);
-    let mut table = Table::new(
+    let mut table = ReportTable::new(
         "Cost of computing, measured while this report was made.",
         &["simulation", "seconds for 1 s of walking"],
     );
@@ -25,7 +25,7 @@ pub fn part() -> Part {
         row("the paper's multi-body simulation (MBDyn)", "~ 10".into()),
         row("the paper's estimate for discrete elements", "2.6 million (30 days)".into()),
     ];
-    Part {
+    FigureSection {
         heading: "Sections 4 and 6: cost and parameters",
         figures: Vec::new(),
         tables: vec![table],

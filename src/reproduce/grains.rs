@@ -1,14 +1,14 @@
 //! Data that replace figure 3's measured curves: legs rotated through grains that were simulated one by one. This
 //! is our simulated experiment, not the paper's; it uses no RFT code.
 
-use super::Table;
+use super::ReportTable;
 use super::claims::{extremes, signed};
 use super::legs::{CHORD, COMPONENTS, Component, SEGMENTS, StandIn, WIDTH};
 use crate::error::Result;
 use crate::plot::{Axis, Figure, Mark, Panel, Style, color};
 use crate::sand::intrusion::{Load, rotating_leg};
 use crate::sand::{Law, LegShape, Medium, Regularization, SandBed};
-use crate::table::{self, Asked, Column, Quantity};
+use crate::table::{self, Column, Quantity, ReadOptions};
 
 const DATA: &[u8] = include_bytes!("legs.csv");
 /// ζ [N/cm³] from slow vertical plates in the same grains.
@@ -19,7 +19,7 @@ const HIP: f64 = 0.02;
 const STRETCH: f64 = 15.0;
 
 /// Mean of the beds for one leg and one speed.
-struct Run {
+struct MeanRun {
     shape: String,
     /// [rad/s]
     omega: f64,
@@ -27,7 +27,7 @@ struct Run {
     samples: Vec<(f64, Load, Load)>,
 }
 
-fn runs() -> Result<Vec<Run>> {
+fn runs() -> Result<Vec<MeanRun>> {
     const COLUMNS: [Column; 5] = [
         Column::needed("shape", Quantity::Text),
         Column::needed("theta", Quantity::Angle),
@@ -35,12 +35,12 @@ fn runs() -> Result<Vec<Run>> {
         Column::needed("Fx", Quantity::Force),
         Column::needed("Fz", Quantity::Force),
     ];
-    let mut runs: Vec<Run> = Vec::new();
-    table::parse(std::path::Path::new("legs.csv"), DATA, &Asked::new(&COLUMNS), |row| {
+    let mut runs: Vec<MeanRun> = Vec::new();
+    table::parse(std::path::Path::new("legs.csv"), DATA, &ReadOptions::new(&COLUMNS), |row| {
         let (shape, theta, omega) = (row.needed_text(0)?, row.needed(1)?, row.needed(2)?);
         let load = Load { fx: row.needed(3)?, fz: row.needed(4)?, ty: 0.0 };
         let k = runs.iter().position(|r| r.shape == shape && r.omega == omega).unwrap_or_else(|| {
-            runs.push(Run { shape: shape.to_owned(), omega, samples: Vec::new() });
+            runs.push(MeanRun { shape: shape.to_owned(), omega, samples: Vec::new() });
             runs.len() - 1
         });
         // Both beds are sampled at the same angles. A row of the second bed is combined with the first bed's row at that
@@ -58,7 +58,7 @@ fn runs() -> Result<Vec<Run>> {
 }
 
 /// Errors of a law for one run and one component of the force.
-struct Fit {
+struct LawFit {
     /// Root mean square error over the greatest measured force.
     rms: f64,
     /// Ratio of the greatest forces, law over measured.
@@ -67,7 +67,7 @@ struct Fit {
     worst: (f64, f64),
 }
 
-fn fit(run: &Run, predicted: &[f64], of: Component) -> Fit {
+fn fit(run: &MeanRun, predicted: &[f64], of: Component) -> LawFit {
     let measured: Vec<f64> = run.samples.iter().map(|s| of(&s.1)).collect();
     let greatest = measured.iter().copied().fold(0.0, f64::max);
     let errors: Vec<f64> = predicted.iter().zip(&measured).map(|(p, m)| (p - m) / greatest).collect();
@@ -81,10 +81,10 @@ fn fit(run: &Run, predicted: &[f64], of: Component) -> Fit {
             worst = ((f64::from(k) + 0.5) * STRETCH, mean);
         }
     }
-    Fit { rms, peaks: predicted.iter().copied().fold(0.0, f64::max) / greatest, worst }
+    LawFit { rms, peaks: predicted.iter().copied().fold(0.0, f64::max) / greatest, worst }
 }
 
-fn predict(run: &Run, law: Law, of: Component) -> Result<Vec<f64>> {
+fn predict(run: &MeanRun, law: Law, of: Component) -> Result<Vec<f64>> {
     let ground = SandBed::new(law, &Medium::generic(ZETA)?, &Regularization::default());
     let segments = LegShape::named(&run.shape)?.segments(CHORD, WIDTH, SEGMENTS)?;
     Ok(run.samples.iter().map(|s| of(&rotating_leg(&ground, &segments, s.0, run.omega, HIP))).collect())
@@ -96,7 +96,7 @@ fn name(shape: &str) -> &str {
 
 pub fn part() -> Result<StandIn> {
     let runs = runs()?;
-    let mut table = Table::new(
+    let mut table = ReportTable::new(
         "Simulated experiment: laws against legs rotated through about 35,000 grains simulated one by one, mean of two beds (not the paper's measurement). Errors in % of the greatest measured force; the paper reports agreement within 15 %.",
         &[
             "leg",
@@ -163,7 +163,7 @@ fn summary(errors: &[(f64, &str, f64, &str, f64, f64)]) -> String {
     format!("RFT's rms error is {} and {}{worst}", of("L-leg"), of("reversed L-leg"))
 }
 
-fn figure(runs: &[Run]) -> Result<Figure> {
+fn figure(runs: &[MeanRun]) -> Result<Figure> {
     let mut panels = Vec::new();
     for shape in ["revL", "L"] {
         for (component, of) in COMPONENTS {

@@ -2,7 +2,7 @@
 
 use super::assumptions::{HIP, HIP_RANGE, XI_DEG, XI_RANGE};
 use super::claims::{Claim, extremes};
-use super::{Part, Table};
+use super::{FigureSection, ReportTable};
 use crate::error::Result;
 use crate::number::Vec3;
 use crate::plot::{Axis, Figure, Mark, Panel, Style, color};
@@ -44,18 +44,18 @@ const LEGS: [(f64, &str, &str); 2] = [(-XI_DEG, "reversed L-leg", color::VERMILI
 /// Results of the simulated experiment with grains.
 pub struct StandIn {
     pub figure: Figure,
-    pub table: Table,
+    pub table: ReportTable,
     /// A sentence on the accuracy of RFT.
     pub summary: String,
     /// Greatest lift of the 1D models over that of the grains at the lower speed: L-leg, reversed L-leg.
     pub lift_ratios: [f64; 2],
 }
 
-pub fn part(stand_in: StandIn) -> Result<Part> {
+pub fn part(stand_in: StandIn) -> Result<FigureSection> {
     let mut claims = set_up();
     claims.extend(agreement(&stand_in.summary));
     claims.extend(one_dimensional(stand_in.lift_ratios)?);
-    Ok(Part {
+    Ok(FigureSection {
         heading: "Figure 3: forces on legs",
         figures: vec![("figure3", figure()?), ("figure3_grains", stand_in.figure), ("figure3_laws", laws_figure()?)],
         tables: vec![stand_in.table, laws_table()?],
@@ -134,9 +134,11 @@ fn laws_figure() -> Result<Figure> {
     })
 }
 
-fn laws_table() -> Result<Table> {
-    let mut table =
-        Table::new("Peak forces of the three laws on the same legs [N].", &["leg", "law", "peak lift", "peak drag"]);
+fn laws_table() -> Result<ReportTable> {
+    let mut table = ReportTable::new(
+        "Peak forces of the three laws on the same legs [N].",
+        &["leg", "law", "peak lift", "peak drag"],
+    );
     for (xi, name, _) in LEGS {
         for law in Law::ALL {
             let s = stroke(law, xi, HIP)?;

@@ -31,29 +31,29 @@ mod shapes;
 mod speeds;
 mod stresses;
 
-pub use claims::{Claim, Verdict};
+pub use claims::{Claim, ClaimVerdict};
 
 use crate::error::{Error, Result};
 use crate::plot::{Figure, png};
 use std::path::Path;
 
 /// Our version of one figure of the paper, with its claims.
-pub struct Part {
+pub struct FigureSection {
     pub heading: &'static str,
     /// File stem and figure.
     pub figures: Vec<(&'static str, Figure)>,
-    pub tables: Vec<Table>,
+    pub tables: Vec<ReportTable>,
     pub claims: Vec<Claim>,
 }
 
 /// A table of the report.
-pub struct Table {
+pub struct ReportTable {
     pub caption: String,
     pub head: Vec<String>,
     pub rows: Vec<Vec<String>>,
 }
 
-impl Table {
+impl ReportTable {
     fn new(caption: &str, head: &[&str]) -> Self {
         Self { caption: caption.into(), head: head.iter().map(|h| (*h).to_owned()).collect(), rows: Vec::new() }
     }
@@ -63,7 +63,7 @@ impl Table {
 pub const FIGURES: [u8; 4] = [2, 3, 4, 5];
 
 /// Computes the parts for the given figures; with all four, also the claims of the conclusions.
-pub fn compute(figures: &[u8]) -> Result<Vec<Part>> {
+pub fn compute(figures: &[u8]) -> Result<Vec<FigureSection>> {
     let mut parts = Vec::new();
     for figure in figures {
         parts.push(match figure {
@@ -81,12 +81,12 @@ pub fn compute(figures: &[u8]) -> Result<Vec<Part>> {
 }
 
 /// Laws compared with legs rotated through grains that were simulated one by one.
-pub fn grains() -> Result<Table> {
+pub fn grains() -> Result<ReportTable> {
     Ok(grains::part()?.table)
 }
 
 /// Writes figures, `report.html` and `claims.json` into `out`.
-pub fn write(parts: &[Part], out: &Path) -> Result<()> {
+pub fn write(parts: &[FigureSection], out: &Path) -> Result<()> {
     std::fs::create_dir_all(out).map_err(|e| Error::file(out, e))?;
     let put = |name: &str, text: &str| {
         let path = out.join(name);

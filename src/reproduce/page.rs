@@ -1,6 +1,6 @@
 //! `report.html`: one self-contained page.
 
-use super::{Claim, Part, Table, Verdict};
+use super::{Claim, ClaimVerdict, FigureSection, ReportTable};
 use crate::plot::escape;
 use std::fmt::Write;
 
@@ -11,7 +11,7 @@ th,td{text-align:left;vertical-align:top;padding:.25em .7em;border-bottom:1px so
 .v{white-space:nowrap;border-radius:3px;padding:.1em .5em;font-size:.9em}.reproduced{background:#d8f0e3}\
 .not{background:#fbdcd0}.none{background:#eee}";
 
-pub fn page(parts: &[Part]) -> String {
+pub fn page(parts: &[FigureSection]) -> String {
     let mut html = format!(
         "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>A resistive force model, side by side</title><style>{STYLE}</style>\
          <h1>Li, Zhang &amp; Goldman 2012, side by side</h1>\
@@ -19,13 +19,13 @@ pub fn page(parts: &[Part]) -> String {
          Nothing is fitted to the paper. Where the paper's numbers stand in its figures only, they are public nowhere, and the row says no data.</p>",
         env!("CARGO_PKG_VERSION")
     );
-    let count = |v: Verdict| parts.iter().flat_map(|p| &p.claims).filter(|c| c.verdict == v).count();
+    let count = |v: ClaimVerdict| parts.iter().flat_map(|p| &p.claims).filter(|c| c.verdict == v).count();
     let _ = write!(
         html,
         "<p><b>{}</b> sentences reproduced, <b>{}</b> not reproduced, <b>{}</b> without data to compare. A number counts as reproduced within {:.0} % of the paper's.</p>",
-        count(Verdict::Reproduced),
-        count(Verdict::NotReproduced),
-        count(Verdict::NoData),
+        count(ClaimVerdict::Reproduced),
+        count(ClaimVerdict::NotReproduced),
+        count(ClaimVerdict::NoData),
         100.0 * super::claims::TOLERANCE
     );
     for part in parts {
@@ -56,9 +56,9 @@ fn claims(html: &mut String, claims: &[Claim]) {
     *html += "<table><tr><th>the paper<th>value<th>here<th>verdict<th>why</tr>";
     for c in claims {
         let (class, word) = match c.verdict {
-            Verdict::Reproduced => ("reproduced", "reproduced"),
-            Verdict::NotReproduced => ("not", "not reproduced"),
-            Verdict::NoData => ("none", "no data"),
+            ClaimVerdict::Reproduced => ("reproduced", "reproduced"),
+            ClaimVerdict::NotReproduced => ("not", "not reproduced"),
+            ClaimVerdict::NoData => ("none", "no data"),
         };
         let _ = write!(
             html,
@@ -72,7 +72,7 @@ fn claims(html: &mut String, claims: &[Claim]) {
     *html += "</table>";
 }
 
-fn table(html: &mut String, t: &Table) {
+fn table(html: &mut String, t: &ReportTable) {
     let _ = write!(html, "<table><caption>{}</caption><tr>", escape(&t.caption));
     t.head.iter().for_each(|h| *html += &format!("<th>{}", escape(h)));
     for row in &t.rows {

@@ -2,7 +2,7 @@
 
 use super::assumptions::variants;
 use super::claims::{Claim, extremes};
-use super::{Part, Table};
+use super::{FigureSection, ReportTable};
 use crate::error::Result;
 use crate::plot::{Axis, Figure, Mark, Panel, Style, color};
 use crate::progress::Silent;
@@ -32,7 +32,7 @@ fn walk(law: Law, frequency: f64) -> Result<Vec<Vec<WalkResult>>> {
     Ok(walk_all(EngineKind::Lanes, &trials, &Silent)?.chunks(width).map(<[WalkResult]>::to_vec).collect())
 }
 
-pub fn part() -> Result<Part> {
+pub fn part() -> Result<FigureSection> {
     let mut panels = Vec::new();
     let mut claims = agreement();
     for (f, seed) in FREQUENCIES.into_iter().zip([3.0, 2.0]) {
@@ -47,7 +47,12 @@ pub fn part() -> Result<Part> {
         panels,
         note: "ξ > 0: the convex side leads (L-leg); ξ < 0: reversed. Bands: assumptions varied one at a time. The paper's measured points are not public.".into(),
     };
-    Ok(Part { heading: "Figure 5: leg shape", figures: vec![("figure5", figure)], tables: Vec::<Table>::new(), claims })
+    Ok(FigureSection {
+        heading: "Figure 5: leg shape",
+        figures: vec![("figure5", figure)],
+        tables: Vec::<ReportTable>::new(),
+        claims,
+    })
 }
 
 fn panel(frequency: f64, rft: &[Vec<WalkResult>], one: &[Vec<WalkResult>]) -> Panel {

@@ -2,7 +2,7 @@
 
 use super::assumptions::{XI_DEG, robot, table, variants};
 use super::claims::{Claim, extremes, percent};
-use super::{Part, Table};
+use super::{FigureSection, ReportTable};
 use crate::error::Result;
 use crate::plot::{Axis, Figure, Mark, Panel, Style, color};
 use crate::progress::Silent;
@@ -20,11 +20,11 @@ pub fn frequencies() -> Vec<f64> {
 const VALID: f64 = 0.5;
 
 /// Walks of one leg under one law: for each frequency the declared robot, then its variants.
-struct Curve {
+struct SpeedCurve {
     rows: Vec<Vec<WalkResult>>,
 }
 
-impl Curve {
+impl SpeedCurve {
     fn walk(law: Law, xi_deg: f64) -> Result<Self> {
         let mut trials = Vec::new();
         let mut width = 0;
@@ -60,10 +60,11 @@ impl Curve {
     }
 }
 
-pub fn part() -> Result<Part> {
+pub fn part() -> Result<FigureSection> {
     let [l, reversed] = [XI_DEG, -XI_DEG];
-    let (rft_l, rft_r) = (Curve::walk(Law::Li2013, l)?, Curve::walk(Law::Li2013, reversed)?);
-    let (one_l, one_r) = (Curve::walk(Law::PenetrationDrag1d, l)?, Curve::walk(Law::PenetrationDrag1d, reversed)?);
+    let (rft_l, rft_r) = (SpeedCurve::walk(Law::Li2013, l)?, SpeedCurve::walk(Law::Li2013, reversed)?);
+    let (one_l, one_r) =
+        (SpeedCurve::walk(Law::PenetrationDrag1d, l)?, SpeedCurve::walk(Law::PenetrationDrag1d, reversed)?);
     let mut claims = set_up();
     claims.push(faster(&rft_l, &rft_r));
     claims.extend(agreement());
@@ -71,7 +72,7 @@ pub fn part() -> Result<Part> {
     claims.extend(baseline(&rft_l, &rft_r, &one_l, &one_r));
     let figure = figure(&rft_l, &rft_r, &one_l, &one_r);
     let (laws, laws_table) = three_laws()?;
-    Ok(Part {
+    Ok(FigureSection {
         heading: "Figure 4: walking speed",
         figures: vec![("figure4", figure), ("figure4_laws", laws)],
         tables: vec![table(), laws_table],
@@ -79,7 +80,7 @@ pub fn part() -> Result<Part> {
     })
 }
 
-fn figure(rft_l: &Curve, rft_r: &Curve, one_l: &Curve, one_r: &Curve) -> Figure {
+fn figure(rft_l: &SpeedCurve, rft_r: &SpeedCurve, one_l: &SpeedCurve, one_r: &SpeedCurve) -> Figure {
     // Both panels have the same scales, for comparison.
     let curves = [rft_l, rft_r, one_l, one_r];
     let highest = 1.05 * curves.iter().flat_map(|c| c.band()).map(|b| b[2]).fold(0.0, f64::max);
@@ -122,9 +123,9 @@ fn figure(rft_l: &Curve, rft_r: &Curve, one_l: &Curve, one_r: &Curve) -> Figure 
     }
 }
 
-fn three_laws() -> Result<(Figure, Table)> {
+fn three_laws() -> Result<(Figure, ReportTable)> {
     let mut panels = Vec::new();
-    let mut table = Table::new(
+    let mut table = ReportTable::new(
         "Walking speed of the three laws, declared robot [cm/s].",
         &["leg", "law", "1 Hz", "2 Hz", "3 Hz", "5 Hz"],
     );
@@ -168,7 +169,7 @@ fn set_up() -> Vec<Claim> {
     ]
 }
 
-fn faster(l: &Curve, reversed: &Curve) -> Claim {
+fn faster(l: &SpeedCurve, reversed: &SpeedCurve) -> Claim {
     let each: Vec<f64> = l.rows.iter().zip(&reversed.rows).map(|(a, b)| a[0].speed / b[0].speed).collect();
     let all = l.rows.iter().zip(&reversed.rows).flat_map(|(a, b)| a.iter().zip(b).map(|(a, b)| a.speed / b.speed));
     let ([low, high], [least, _]) = (extremes(each), extremes(all));
@@ -204,7 +205,7 @@ fn agreement() -> Vec<Claim> {
 
 /// "The plateau … for f > 3 Hz using the reversed L-leg … was a result of the pitch-instability observed in experiment,
 /// which was not found in simulation."
-fn plateau(reversed: &Curve) -> Claim {
+fn plateau(reversed: &SpeedCurve) -> Claim {
     let from = frequencies().iter().position(|f| *f >= 3.0).unwrap_or(0);
     let speeds: Vec<f64> = reversed.rows[from..].iter().map(|r| r[0].speed).collect();
     let pitch = reversed.rows.iter().map(|r| r[0].pitch_rms.to_degrees()).fold(0.0, f64::max);
@@ -224,8 +225,8 @@ fn plateau(reversed: &Curve) -> Claim {
     )
 }
 
-fn baseline(rft_l: &Curve, rft_r: &Curve, one_l: &Curve, one_r: &Curve) -> [Claim; 2] {
-    let claim = |id: &str, text: &str, value: &str, seed: f64, [one, rft]: [&Curve; 2], more: &str| {
+fn baseline(rft_l: &SpeedCurve, rft_r: &SpeedCurve, one_l: &SpeedCurve, one_r: &SpeedCurve) -> [Claim; 2] {
+    let claim = |id: &str, text: &str, value: &str, seed: f64, [one, rft]: [&SpeedCurve; 2], more: &str| {
         let ratios = one.mean_ratios(rft);
         let each = one.rows.iter().zip(&rft.rows).map(|(a, b)| a[0].speed / b[0].speed);
         let [low, high] = extremes(each);

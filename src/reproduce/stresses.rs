@@ -1,6 +1,6 @@
 //! Figure 2: stress per depth over intrusion angle and attack angle.
 
-use super::Part;
+use super::FigureSection;
 use super::claims::{Claim, extremes, signed};
 use crate::error::Result;
 use crate::number::Vec3;
@@ -20,12 +20,17 @@ fn alpha(ground: &SandBed<f64>, beta: f64, gamma: f64) -> [f64; 2] {
     [-f.x * 1e-6, f.z * 1e-6]
 }
 
-pub fn part() -> Result<Part> {
+pub fn part() -> Result<FigureSection> {
     let ground = SandBed::new(Law::Li2013, &Medium::named("poppy-loose")?, &Regularization::BARE);
     let mut claims = set_up();
     claims.extend([stronger_downward(&ground, 1), stronger_downward(&ground, 0)]);
     claims.extend([asymmetry(&ground), symmetric_exceptions(&ground)]);
-    Ok(Part { heading: "Figure 2: stresses", figures: vec![("figure2", figure(&ground))], tables: Vec::new(), claims })
+    Ok(FigureSection {
+        heading: "Figure 2: stresses",
+        figures: vec![("figure2", figure(&ground))],
+        tables: Vec::new(),
+        claims,
+    })
 }
 
 fn figure(ground: &SandBed<f64>) -> Figure {

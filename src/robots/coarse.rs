@@ -51,14 +51,14 @@ fn together(meshes: &[&Arc<Vec<Triangle>>], most: usize) -> Vec<Arc<Vec<Triangle
     meshes.iter().map(|m| Arc::new(clustered(m, high.exp()))).collect()
 }
 
-type Cell = [i64; 3];
+type GridCell = [i64; 3];
 
-fn cell(p: &Vector3<f64>, size: f64) -> Cell {
+fn cell(p: &Vector3<f64>, size: f64) -> GridCell {
     [p.x, p.y, p.z].map(|x| (x / size).floor() as i64)
 }
 
 /// Triangles with corners in three different cells, each set of cells once for each winding.
-fn faces(triangles: &[Triangle], size: f64) -> HashSet<[Cell; 3]> {
+fn faces(triangles: &[Triangle], size: f64) -> HashSet<[GridCell; 3]> {
     let mut kept = HashSet::new();
     for triangle in triangles {
         let [a, b, c] = triangle.map(|p| cell(&p, size));
@@ -98,7 +98,7 @@ impl Quadric {
 }
 
 fn clustered(triangles: &[Triangle], size: f64) -> Vec<Triangle> {
-    let mut quadrics: HashMap<Cell, Quadric> = HashMap::new();
+    let mut quadrics: HashMap<GridCell, Quadric> = HashMap::new();
     for triangle in triangles {
         let [p, q, r] = triangle;
         // The normal's length is twice the area, so large triangles count more.
@@ -111,8 +111,8 @@ fn clustered(triangles: &[Triangle], size: f64) -> Vec<Triangle> {
             quadric.count += 1.0;
         }
     }
-    let points: HashMap<Cell, Vector3<f64>> = quadrics.iter().map(|(cell, q)| (*cell, q.point(size))).collect();
-    let mut kept: Vec<[Cell; 3]> = faces(triangles, size).into_iter().collect();
+    let points: HashMap<GridCell, Vector3<f64>> = quadrics.iter().map(|(cell, q)| (*cell, q.point(size))).collect();
+    let mut kept: Vec<[GridCell; 3]> = faces(triangles, size).into_iter().collect();
     // A robot's text must not depend on the order of a hash.
     kept.sort_unstable();
     kept.into_iter().map(|face| face.map(|cell| points[&cell])).collect()

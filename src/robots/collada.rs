@@ -1,7 +1,7 @@
 //! Triangles of COLLADA 1.4 (DAE), posed by the file's scene, in metres. The file's up axis is ignored, as in RViz,
 //! because files of robots are made for this.
 
-use super::files::Source;
+use super::files::SourceFile;
 use crate::error::{Error, Result};
 use nalgebra::{Matrix4, Point3, Rotation3, Unit, Vector3};
 use roxmltree::Node;
@@ -18,20 +18,20 @@ const MOST_PLACES: usize = 10_000;
 /// Deepest nesting of a scene's nodes: our choice, to bound the recursion.
 const DEEPEST: usize = 60;
 
-struct Reader<'a> {
-    source: &'a Source,
+struct ColladaReader<'a> {
+    source: &'a SourceFile,
     by_id: HashMap<&'a str, Node<'a, 'a>>,
     places: usize,
     triangles: Vec<Triangle>,
 }
 
-pub fn read(source: &Source) -> Result<Vec<Triangle>> {
+pub fn read(source: &SourceFile) -> Result<Vec<Triangle>> {
     let options = roxmltree::ParsingOptions { allow_dtd: false, nodes_limit: MOST_NODES, ..Default::default() };
     let document = roxmltree::Document::parse_with_options(source.text()?, options)
         .map_err(|e| Error::file(&source.path, format!("no COLLADA: {e}")))?;
     let root = document.root_element();
     let ids = root.descendants().filter_map(|n| n.attribute("id").map(|id| (id, n)));
-    let mut reader = Reader { source, by_id: ids.collect(), places: 0, triangles: Vec::new() };
+    let mut reader = ColladaReader { source, by_id: ids.collect(), places: 0, triangles: Vec::new() };
     let unit = find(root, "asset").and_then(|a| find(a, "unit")).and_then(|u| u.attribute("meter"));
     let unit = unit.map_or(Ok(1.0), |m| reader.number(m))?;
     let scale = Matrix4::new_scaling(unit);
@@ -62,7 +62,7 @@ fn find<'a>(node: Node<'a, 'a>, name: &str) -> Option<Node<'a, 'a>> {
     node.children().find(|c| c.has_tag_name_any(name))
 }
 
-impl<'a> Reader<'a> {
+impl<'a> ColladaReader<'a> {
     fn wrong(&self, reason: impl std::fmt::Display) -> Error {
         Error::file(&self.source.path, reason)
     }

@@ -87,7 +87,7 @@ impl Inertial {
 
 /// A visual shape of a link.
 #[derive(Clone, Debug)]
-pub enum Look {
+pub enum VisualShape {
     Shape(Geometry),
     Mesh(MeshFile),
 }
@@ -95,12 +95,12 @@ pub enum Look {
 #[derive(Clone, Debug)]
 pub struct Visual {
     pub origin: Isometry3<f64>,
-    pub look: Look,
+    pub look: VisualShape,
 }
 
 /// A link and the joint that carries it; None: fixed to its parent.
 #[derive(Clone, Debug)]
-pub struct Link {
+pub struct DraftLink {
     pub name: String,
     /// Index of the parent link; the root has its own index.
     pub parent: usize,
@@ -113,7 +113,7 @@ pub struct Link {
     pub visuals: Vec<Visual>,
 }
 
-impl Link {
+impl DraftLink {
     /// A link without mass and shapes; without a parent it is the root.
     pub fn new(name: String, parent: Option<usize>, origin: Isometry3<f64>, joint: Option<TreeJoint>) -> Self {
         let parent = parent.unwrap_or(0);
@@ -135,7 +135,7 @@ pub struct Merged {
 }
 
 /// Merges fixed links into the links that carry them. Each link comes after its parent, the root first.
-pub fn merged(name: &str, links: Vec<Link>) -> Result<Merged> {
+pub fn merged(name: &str, links: Vec<DraftLink>) -> Result<Merged> {
     let mut children = vec![Vec::new(); links.len()];
     for (i, link) in links.iter().enumerate().skip(1) {
         children[link.parent].push(i);
@@ -184,7 +184,7 @@ pub fn merged(name: &str, links: Vec<Link>) -> Result<Merged> {
 }
 
 impl Merged {
-    fn add(&mut self, body: usize, link: &Link, frame: &Isometry3<f64>) {
+    fn add(&mut self, body: usize, link: &DraftLink, frame: &Isometry3<f64>) {
         let to = &mut self.tree.bodies[body];
         let own = Inertial { mass: to.mass, center: to.center, inertia: to.inertia };
         let sum = own.with(&link.inertial.moved(frame));

@@ -14,12 +14,12 @@ const HIGHEST: usize = 4;
 const CUSTOM: [&str; 6] = ["urdf", "robots", "robot", "mjcf", "xml", "models"];
 
 /// A file as it was read.
-pub struct Source {
+pub struct SourceFile {
     pub path: PathBuf,
     bytes: Vec<u8>,
 }
 
-impl Source {
+impl SourceFile {
     /// Reads a regular file of at most `most` bytes.
     pub fn read(path: &Path, most: u64) -> Result<Self> {
         let failed = |e| Error::file(path, e);
@@ -106,7 +106,7 @@ impl Files {
     fn package(&self, name: &str) -> Option<PathBuf> {
         let own = self.folder.ancestors().take(HIGHEST).find(|f| f.file_name().is_some_and(|n| n == name));
         let declared = || {
-            let text = Source::read(&self.root.join("package.xml"), MOST_TEXT).ok()?;
+            let text = SourceFile::read(&self.root.join("package.xml"), MOST_TEXT).ok()?;
             text.text().ok()?.contains(&format!("<name>{name}</name>")).then_some(self.root.as_path())
         };
         own.or_else(declared).map(Path::to_owned)

@@ -9,7 +9,7 @@ type V = Vector3<f64>;
 /// precision's rounding, and more where rounding would leave gaps in the surface.
 const ON_FACE: [f64; 3] = [1e-9, 1e-7, 1e-5];
 
-struct Face {
+struct HullFace {
     corners: [usize; 3],
     normal: V,
     at: f64,
@@ -21,7 +21,7 @@ struct Face {
 
 struct Hull<'a> {
     points: &'a [V],
-    faces: Vec<Face>,
+    faces: Vec<HullFace>,
     least: f64,
 }
 
@@ -58,7 +58,7 @@ impl Hull<'_> {
         let [a, b, c] = corners.map(|i| self.points[i]);
         let normal = (b - a).cross(&(c - a)).try_normalize(0.0).unwrap_or_else(V::zeros);
         let at = (normal.dot(&a) + normal.dot(&b) + normal.dot(&c)) / 3.0;
-        self.faces.push(Face { corners, normal, at, beside: [usize::MAX; 3], outside: Vec::new(), gone: false });
+        self.faces.push(HullFace { corners, normal, at, beside: [usize::MAX; 3], outside: Vec::new(), gone: false });
         self.faces.len() - 1
     }
 

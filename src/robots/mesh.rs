@@ -1,7 +1,7 @@
 //! Meshes that robots name: STL, OBJ and DAE, scaled; each file is read once.
 
 use super::collada::{self, MOST_TRIANGLES};
-use super::files::{MOST_MESH, Source};
+use super::files::{MOST_MESH, SourceFile};
 use super::hull;
 use crate::error::{Error, Result};
 use crate::sand::intruder;
@@ -17,7 +17,7 @@ const SAME: f64 = 1e-6;
 
 pub type Triangle = [Vector3<f64>; 3];
 /// Volume or area, centre, and inertia about it for density 1.
-type Moments = (f64, Vector3<f64>, Matrix3<f64>);
+type MassMoments = (f64, Vector3<f64>, Matrix3<f64>);
 
 /// A mesh by its file.
 #[derive(Clone, Debug, PartialEq)]
@@ -47,7 +47,7 @@ impl Meshes {
         if let Some(found) = self.read.get(path) {
             return Ok(found.clone());
         }
-        let source = Source::read(path, MOST_MESH)?;
+        let source = SourceFile::read(path, MOST_MESH)?;
         let ending = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
         let triangles = match ending.as_deref() {
             Some("dae") => collada::read(&source)?,
@@ -130,14 +130,14 @@ pub fn volume(triangles: &[Triangle]) -> f64 {
 }
 
 /// Volume, centre, and inertia about it for density 1, of a closed surface.
-pub fn solid(triangles: &[Triangle]) -> Moments {
+pub fn solid(triangles: &[Triangle]) -> MassMoments {
     let (volume, first, second) = tetrahedra(triangles, Vector3::zeros(), false);
     moments(volume, first, second)
 }
 
 /// The same as [`solid`], by MuJoCo's rule `legacy`: tetrahedra between the faces and the mean of their centres, all counted as
 /// positive, give the centre of mass; those between the faces and that centre give volume and inertia.
-pub fn legacy(triangles: &[Triangle]) -> Moments {
+pub fn legacy(triangles: &[Triangle]) -> MassMoments {
     let middle = middle_of_faces(triangles);
     let (volume, first, _) = tetrahedra(triangles, middle, true);
     let center = first / volume + middle;
@@ -147,7 +147,7 @@ pub fn legacy(triangles: &[Triangle]) -> Moments {
 
 /// Volume, first and second moments about `tip` of the tetrahedra between it and the faces; with `unsigned`,
 /// inverted ones count as positive.
-fn tetrahedra(triangles: &[Triangle], tip: Vector3<f64>, unsigned: bool) -> Moments {
+fn tetrahedra(triangles: &[Triangle], tip: Vector3<f64>, unsigned: bool) -> MassMoments {
     let (mut volume, mut first, mut second) = (0.0, Vector3::zeros(), Matrix3::zeros());
     for t in triangles {
         let [a, b, c] = t.map(|p| p - tip);
@@ -174,7 +174,7 @@ fn middle_of_faces(triangles: &[Triangle]) -> Vector3<f64> {
 }
 
 /// Moments of a thin shell: area in place of volume.
-pub fn shell(triangles: &[Triangle]) -> Moments {
+pub fn shell(triangles: &[Triangle]) -> MassMoments {
     let (mut area, mut center, mut second) = (0.0, Vector3::zeros(), Matrix3::zeros());
     for [a, b, c] in triangles {
         let s = (b - a).cross(&(c - a)).norm() / 2.0;
@@ -187,7 +187,7 @@ pub fn shell(triangles: &[Triangle]) -> Moments {
     moments(area, center, second)
 }
 
-fn moments(amount: f64, first: Vector3<f64>, second: Matrix3<f64>) -> Moments {
+fn moments(amount: f64, first: Vector3<f64>, second: Matrix3<f64>) -> MassMoments {
     let center = first / amount;
     let about = second - center * center.transpose() * amount;
     (amount, center, Matrix3::identity() * about.trace() - about)

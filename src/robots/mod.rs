@@ -37,14 +37,14 @@ use crate::sim::tree::looks::{Looks, MOST_TRIANGLES};
 use crate::sim::tree::packed;
 use crate::sim::tree::stance::Stance;
 use crate::sim::tree::{Geometry, Tree, TreeModel, TreeShape};
-use files::{Files, MOST_TEXT, Source};
+use files::{Files, MOST_TEXT, SourceFile};
 use mesh::Meshes;
 use notes::Notes;
-use posture::{Found, Posture};
+use posture::{FoundJoints, Posture};
 use std::path::Path;
 use std::sync::Arc;
 
-pub use touch::Touch;
+pub use touch::ShapeIndex;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
@@ -76,24 +76,24 @@ pub struct Import {
     /// The standing pose.
     pub stance: Stance,
     /// The joints whose pose and gains are not in the file.
-    pub found: Found,
+    pub found: FoundJoints,
     /// Does the file say that the base moves freely?
     pub base_is_free: bool,
     /// What touches sand unless the user says so; None: feet, lower links and base.
     touches: Option<Vec<String>>,
     /// None: the file is no packed robot.
-    pub packed: Option<Box<Packed>>,
+    pub packed: Option<Box<PackedRobot>>,
     visuals: Vec<Vec<draft::Visual>>,
 }
 
 /// A robot that was packed before.
-pub struct Packed {
+pub struct PackedRobot {
     pub model: TreeModel,
     /// Compressed, or JSON.
     text: String,
 }
 
-impl Packed {
+impl PackedRobot {
     /// Number of plates.
     pub fn count(&self) -> usize {
         self.model.plates.iter().map(Vec::len).sum()
@@ -119,7 +119,7 @@ pub fn load_with(path: &Path, posture: &Posture) -> Result<Import> {
         Some("urdf" | "xml" | "mjcf") => {}
         _ => return Err(Error::file(path, "robots are read from .urdf, .xml (MJCF), .toml and packed .json")),
     }
-    let source = Source::read(path, MOST_TEXT)?;
+    let source = SourceFile::read(path, MOST_TEXT)?;
     let root = xml::parse(&source)?;
     let files = Files::around(path)?;
     let (mut meshes, mut notes) = (Meshes::default(), Notes::default());
@@ -164,7 +164,7 @@ pub fn load_with(path: &Path, posture: &Posture) -> Result<Import> {
 impl Import {
     /// A robot from a TOML file in our own format.
     fn of_toml(path: &Path) -> Result<Self> {
-        let source = Source::read(path, MOST_TEXT)?;
+        let source = SourceFile::read(path, MOST_TEXT)?;
         let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let robot = crate::sim::Robot::from_toml(source.text()?).map_err(|e| Error::file(path, e))?;
         Self::of_robot(&name, &robot)
@@ -172,7 +172,7 @@ impl Import {
 
     /// A file that `sandgait robot --pack` has written.
     fn of_packed(path: &Path) -> Result<Self> {
-        let source = Source::read(path, MOST_TEXT)?;
+        let source = SourceFile::read(path, MOST_TEXT)?;
         Self::of_packed_text(source.text()?.trim()).map_err(|e| Error::file(path, e))
     }
 
@@ -183,9 +183,9 @@ impl Import {
         let links = tree.bodies.iter().map(|b| vec![b.name.clone()]).collect();
         let visuals = tree.bodies.iter().map(|_| Vec::new()).collect();
         let stance = (*model.stance).clone();
-        let found = Found::none(tree.joints().count());
+        let found = FoundJoints::none(tree.joints().count());
         let (format, warnings) = (Format::Packed, Vec::new());
-        let packed = Some(Box::new(Packed { model, text: text.to_owned() }));
+        let packed = Some(Box::new(PackedRobot { model, text: text.to_owned() }));
         Ok(Self { tree, format, warnings, links, visuals, stance, found, base_is_free: true, touches: None, packed })
     }
 
@@ -228,8 +228,8 @@ impl Import {
             let mut shapes = Vec::with_capacity(visuals.len());
             for visual in visuals {
                 let geometry = match &visual.look {
-                    draft::Look::Shape(geometry) => geometry.clone(),
-                    draft::Look::Mesh(file) => Geometry::Mesh(Arc::clone(&meshes.scaled(file)?)),
+                    draft::VisualShape::Shape(geometry) => geometry.clone(),
+                    draft::VisualShape::Mesh(file) => Geometry::Mesh(Arc::clone(&meshes.scaled(file)?)),
                 };
                 shapes.push(TreeShape { name: body.name.clone(), origin: visual.origin, geometry, friction: 0.0 });
             }

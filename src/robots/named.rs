@@ -37,7 +37,7 @@ const ROBOTS: [(&str, &str); 17] = files![
 /// The file of a robot.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Named {
+pub struct NamedRobot {
     /// Maker and model.
     pub title: String,
     /// Where the description lies in folders of packages; the first that exists is read.
@@ -61,7 +61,7 @@ pub fn names() -> Vec<&'static str> {
     ROBOTS.iter().map(|r| r.0).collect()
 }
 
-impl Named {
+impl NamedRobot {
     /// The file of robot `name`; None if there is none.
     pub fn of(name: &str) -> Option<Result<Self>> {
         let text = ROBOTS.iter().find(|r| r.0 == name)?.1;
@@ -108,10 +108,10 @@ pub fn folders() -> Vec<PathBuf> {
 /// A robot by name, by name and description (`go2=my/go2.urdf`), or from a file. `more`: further folders with packages.
 pub fn load_any(robot: &str, more: &[PathBuf]) -> Result<Import> {
     if let Some((name, path)) = robot.split_once('=').filter(|(name, _)| names().contains(name)) {
-        let named = Named::of(name).ok_or_else(|| Error::unknown("robot", name, &names()))??;
+        let named = NamedRobot::of(name).ok_or_else(|| Error::unknown("robot", name, &names()))??;
         return named.load(Path::new(path));
     }
-    let Some(named) = Named::of(robot) else { return super::load(Path::new(robot)) };
+    let Some(named) = NamedRobot::of(robot) else { return super::load(Path::new(robot)) };
     let named = named?;
     let folders = [more, &folders()].concat();
     match named.description(&folders) {

@@ -9,7 +9,7 @@ const MOST_LINES: usize = 20;
 const MOST_NAMES: usize = 4;
 
 /// Parts that are treated alike.
-struct Alike {
+struct SimilarNotes {
     noun: &'static str,
     done: String,
     names: Vec<String>,
@@ -19,7 +19,7 @@ struct Alike {
 #[derive(Default)]
 pub struct Notes {
     lines: Vec<String>,
-    alike: Vec<Alike>,
+    alike: Vec<SimilarNotes>,
     elements: BTreeMap<String, usize>,
     attributes: BTreeMap<String, BTreeSet<String>>,
 }
@@ -40,7 +40,7 @@ impl Notes {
         match self.alike.iter_mut().find(|a| a.noun == noun && a.done == done) {
             Some(alike) if alike.names.contains(&name) => {}
             Some(alike) => alike.names.push(name),
-            None => self.alike.push(Alike { noun, done, names: vec![name] }),
+            None => self.alike.push(SimilarNotes { noun, done, names: vec![name] }),
         }
     }
 
@@ -65,7 +65,7 @@ impl Notes {
     /// All notes, the important ones first.
     pub fn into_lines(self) -> Vec<String> {
         let mut lines = self.lines;
-        lines.extend(self.alike.iter().map(Alike::line));
+        lines.extend(self.alike.iter().map(SimilarNotes::line));
         if lines.len() > MOST_LINES {
             let more = lines.len() - MOST_LINES;
             lines.truncate(MOST_LINES);
@@ -83,7 +83,7 @@ impl Notes {
     }
 }
 
-impl Alike {
+impl SimilarNotes {
     /// `links a, b, c, d and 3 more: …`
     fn line(&self) -> String {
         let shown = self.names.iter().take(MOST_NAMES).map(String::as_str).collect::<Vec<_>>().join(", ");

@@ -24,13 +24,13 @@ pub struct Posture {
 
 /// The joints whose pose and gains were found, because neither the file nor a posture has them.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Found {
+pub struct FoundJoints {
     pub rest: Vec<bool>,
     pub kp: Vec<bool>,
     pub kd: Vec<bool>,
 }
 
-impl Found {
+impl FoundJoints {
     pub fn none(joints: usize) -> Self {
         Self { rest: vec![false; joints], kp: vec![false; joints], kd: vec![false; joints] }
     }
@@ -65,11 +65,11 @@ fn joints(tree: &mut Tree) -> impl Iterator<Item = &mut TreeJoint> {
 
 /// Fills in pose and gains of the joints that have none, and says which these were, and whether the file's pose is ignored
 /// because not all legs stand in it.
-pub fn settle(tree: &mut Tree) -> (Stance, Found, bool) {
+pub fn settle(tree: &mut Tree) -> (Stance, FoundJoints, bool) {
     let contacts = contact_points(tree);
     let (stance, ignored) = standing(tree, &contacts);
     let motors = gains::motors(tree, &contacts, &stance);
-    let found = Found {
+    let found = FoundJoints {
         rest: tree.joints().map(|j| j.rest.is_none()).collect(),
         kp: tree.joints().map(|j| j.kp.is_none()).collect(),
         kd: tree.joints().map(|j| j.kd.is_none()).collect(),

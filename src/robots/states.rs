@@ -1,7 +1,7 @@
 //! Reads states of a robot from a JSON file and computes the accelerations in free flight, to compare the dynamics with
 //! other programs.
 
-use super::files::Source;
+use super::files::SourceFile;
 use crate::error::{Error, Result};
 use crate::sim::tree::Tree;
 use crate::sim::tree::flight::{TreeAccelerations, TreePose, accelerations};
@@ -12,7 +12,7 @@ use std::path::Path;
 const MOST_BYTES: u64 = 128 << 20;
 
 #[derive(Deserialize)]
-struct Row {
+struct StateRow {
     quat: [f64; 4],
     v: [f64; 3],
     w: [f64; 3],
@@ -25,13 +25,13 @@ struct Row {
 #[derive(Deserialize)]
 #[serde(untagged)]
 enum JointRows {
-    Named { joints: Option<Vec<String>>, rows: Vec<Row> },
-    Bare(Vec<Row>),
+    Named { joints: Option<Vec<String>>, rows: Vec<StateRow> },
+    Bare(Vec<StateRow>),
 }
 
 /// The accelerations at each row of `path`, joints in the order of the file's `joints`, or the tree's if it has none.
 pub fn compute(tree: &Tree, path: &Path) -> Result<Vec<TreeAccelerations>> {
-    let source = Source::read(path, MOST_BYTES)?;
+    let source = SourceFile::read(path, MOST_BYTES)?;
     let file: JointRows = serde_json::from_str(source.text()?).map_err(|e| {
         let reason = match e.classify() {
             serde_json::error::Category::Data => {
@@ -51,7 +51,7 @@ pub fn compute(tree: &Tree, path: &Path) -> Result<Vec<TreeAccelerations>> {
         None => (0..own.len()).collect(),
         Some(names) => matched(&own, &names).map_err(|reason| Error::file(path, reason))?,
     };
-    let one = |(k, row): (usize, &Row)| {
+    let one = |(k, row): (usize, &StateRow)| {
         row.compute(tree, &places).map_err(|reason| Error::file(path, format!("row {}: {reason}", k + 1)))
     };
     rows.iter().enumerate().map(one).collect()
@@ -67,7 +67,7 @@ fn matched(own: &[&str], names: &[String]) -> std::result::Result<Vec<usize>, St
     if names.len() > own.len() { Err("a joint is named twice".into()) } else { Ok(places) }
 }
 
-impl Row {
+impl StateRow {
     fn compute(&self, tree: &Tree, places: &[usize]) -> std::result::Result<TreeAccelerations, String> {
         for (name, list) in [("q", &self.q), ("qd", &self.qd), ("tau", &self.tau)] {
             if list.len() != places.len() {

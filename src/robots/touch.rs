@@ -9,13 +9,13 @@ use crate::sim::tree::stance::Stance;
 const MOST_NAMES: usize = 40;
 
 /// Index of a body and of one of its shapes.
-pub type Touch = (usize, usize);
+pub type ShapeIndex = (usize, usize);
 
 impl Import {
     /// The shapes with these names, in the order of bodies. Without names: feet and lower links (the last bodies of
     /// the legs), and the base itself. A name is that of a body, of a link of the file,
     /// or of a shape.
-    pub fn touching(&self, names: Option<&[String]>) -> Result<Vec<Touch>> {
+    pub fn touching(&self, names: Option<&[String]>) -> Result<Vec<ShapeIndex>> {
         let Some(names) = names.or(self.touches.as_deref()) else { return Ok(lowest_parts(&self.tree, &self.stance)) };
         let mut found = Vec::new();
         for name in names {
@@ -55,7 +55,7 @@ impl Import {
 }
 
 /// All shapes of base, feet, and the last body of each leg.
-fn lowest_parts(tree: &Tree, stance: &Stance) -> Vec<Touch> {
+fn lowest_parts(tree: &Tree, stance: &Stance) -> Vec<ShapeIndex> {
     let mut touching = vec![0];
     touching.extend(stance.legs.iter().filter_map(|leg| leg.last().copied()));
     touching.extend(&stance.feet);

@@ -1,6 +1,6 @@
 //! URDF (wiki.ros.org/urdf/XML), as urdfdom reads it.
 
-use super::draft::{Inertial, Link, Look, MOST_LINKS, Visual, name_shapes};
+use super::draft::{DraftLink, Inertial, MOST_LINKS, Visual, VisualShape, name_shapes};
 use super::files::Files;
 use super::mesh::{MeshFile, Meshes};
 use super::notes::Notes;
@@ -14,21 +14,21 @@ use std::collections::HashMap;
 /// Friction of a shape whose file gives none: MuJoCo's default.
 pub const FRICTION: f64 = 1.0;
 
-struct Reader<'a> {
+struct UrdfReader<'a> {
     files: &'a Files,
     meshes: &'a mut Meshes,
     notes: &'a mut Notes,
 }
 
 /// A link and its parent joint, by their indices in the file.
-struct Joint<'a> {
+struct UrdfJoint<'a> {
     element: &'a Element,
     parent: usize,
     child: usize,
 }
 
 /// The links of a file, each after its parent.
-pub fn links(root: &Element, files: &Files, meshes: &mut Meshes, notes: &mut Notes) -> Result<Vec<Link>> {
+pub fn links(root: &Element, files: &Files, meshes: &mut Meshes, notes: &mut Notes) -> Result<Vec<DraftLink>> {
     notes.other_children(root, &["link", "joint", "material"]);
     let elements: Vec<&Element> = root.all("link").collect();
     if elements.is_empty() {
@@ -46,19 +46,19 @@ pub fn links(root: &Element, files: &Files, meshes: &mut Meshes, notes: &mut Not
     let joints = joints(root, &by_name)?;
     let order = ordered(root, &elements, &joints)?;
     let mut place = vec![0; elements.len()];
-    let mut reader = Reader { files, meshes, notes };
+    let mut reader = UrdfReader { files, meshes, notes };
     let mut links = Vec::with_capacity(order.len());
     for (link, joint) in order {
         place[link] = links.len();
-        let parent = joint.map_or(0, |j: &Joint| place[j.parent]);
+        let parent = joint.map_or(0, |j: &UrdfJoint| place[j.parent]);
         links.push(reader.link(elements[link], joint.map(|j| j.element), parent)?);
     }
     Ok(links)
 }
 
-fn joints<'a>(root: &'a Element, by_name: &HashMap<&str, usize>) -> Result<Vec<Joint<'a>>> {
+fn joints<'a>(root: &'a Element, by_name: &HashMap<&str, usize>) -> Result<Vec<UrdfJoint<'a>>> {
     let mut names = HashMap::new();
-    let mut joints: Vec<Joint> = Vec::new();
+    let mut joints: Vec<UrdfJoint> = Vec::new();
     for element in root.all("joint") {
         if names.insert(element.required("name")?, ()).is_some() {
             return Err(element.error("a second joint of this name"));
@@ -68,7 +68,7 @@ fn joints<'a>(root: &'a Element, by_name: &HashMap<&str, usize>) -> Result<Vec<J
             let name = inner.required("link")?;
             by_name.get(name).copied().ok_or_else(|| inner.error(format!("there is no link {name:?}")))
         };
-        joints.push(Joint { element, parent: end("parent")?, child: end("child")? });
+        joints.push(UrdfJoint { element, parent: end("parent")?, child: end("child")? });
     }
     Ok(joints)
 }
@@ -77,8 +77,8 @@ fn joints<'a>(root: &'a Element, by_name: &HashMap<&str, usize>) -> Result<Vec<J
 fn ordered<'a, 'b>(
     root: &Element,
     elements: &[&Element],
-    joints: &'b [Joint<'a>],
-) -> Result<Vec<(usize, Option<&'b Joint<'a>>)>> {
+    joints: &'b [UrdfJoint<'a>],
+) -> Result<Vec<(usize, Option<&'b UrdfJoint<'a>>)>> {
     let mut carried = vec![None; elements.len()];
     let mut children = vec![Vec::new(); elements.len()];
     for joint in joints {
@@ -125,8 +125,8 @@ fn mimic(element: &Element) -> Result<Mimic> {
     Ok(Mimic { leader, ratio: number("multiplier", 1.0)?, offset: number("offset", 0.0)? })
 }
 
-impl Reader<'_> {
-    fn link(&mut self, element: &Element, joint: Option<&Element>, parent: usize) -> Result<Link> {
+impl UrdfReader<'_> {
+    fn link(&mut self, element: &Element, joint: Option<&Element>, parent: usize) -> Result<DraftLink> {
         let name = element.required("name")?.to_owned();
         self.notes.other_children(element, &["inertial", "visual", "collision", "contact"]);
         let inertial = self.inertial(element, joint)?;
@@ -138,8 +138,8 @@ impl Reader<'_> {
         for collision in element.all("collision") {
             let name = collision.get("name").unwrap_or_default().to_owned();
             let geometry = match self.look(collision)? {
-                Look::Shape(geometry) => geometry,
-                Look::Mesh(file) => collision_mesh(self.meshes, &file, self.notes)?,
+                VisualShape::Shape(geometry) => geometry,
+                VisualShape::Mesh(file) => collision_mesh(self.meshes, &file, self.notes)?,
             };
             shapes.push(TreeShape { name, origin: origin(collision)?, geometry, friction });
         }
@@ -151,7 +151,7 @@ impl Reader<'_> {
         let at = joint.map_or(Ok(Isometry3::identity()), origin)?;
         let joint = joint.map(|j| self.joint(j)).transpose()?.flatten();
         let massless = element.first("inertial").is_none();
-        Ok(Link { name, parent, origin: at, joint, massless, inertial, shapes, visuals })
+        Ok(DraftLink { name, parent, origin: at, joint, massless, inertial, shapes, visuals })
     }
 
     fn inertial(&mut self, element: &Element, joint: Option<&Element>) -> Result<Inertial> {
@@ -177,7 +177,7 @@ impl Reader<'_> {
     }
 
     /// The geometry of a visual or a collision; a mesh file must exist.
-    fn look(&mut self, element: &Element) -> Result<Look> {
+    fn look(&mut self, element: &Element) -> Result<VisualShape> {
         let geometry = element.first("geometry").ok_or_else(|| element.error("has no <geometry>"))?;
         let [shape] = &geometry.children[..] else {
             return Err(geometry.error(format!("{} shapes in place of 1", geometry.children.len())));
@@ -186,7 +186,7 @@ impl Reader<'_> {
             let value = shape.number(name)?.ok_or_else(|| shape.error(format!("{name} is missing")))?;
             shape.length(name, value)
         };
-        Ok(Look::Shape(match shape.tag.as_str() {
+        Ok(VisualShape::Shape(match shape.tag.as_str() {
             "sphere" => Geometry::Sphere { radius: length("radius")? },
             "cylinder" => Geometry::Cylinder { radius: length("radius")?, half_length: length("length")? / 2.0 },
             // Capsules are not in the standard, but drake and Isaac read them: `length` is without the caps.
@@ -205,7 +205,7 @@ impl Reader<'_> {
                 if scale.iter().any(|s| *s == 0.0 || s.abs() > 1e4) {
                     return Err(shape.wrong("scale", "must not be 0, nor larger than 10000"));
                 }
-                return Ok(Look::Mesh(MeshFile { path, scale }));
+                return Ok(VisualShape::Mesh(MeshFile { path, scale }));
             }
             _ => return Err(shape.error("is no shape that is read: box, cylinder, sphere, capsule, mesh")),
         }))

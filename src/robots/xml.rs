@@ -1,6 +1,6 @@
 //! XML as elements with attributes. Size, number and depth are bounded, and every error names its line.
 
-use super::files::Source;
+use super::files::SourceFile;
 use crate::error::{Error, Result};
 use std::path::Path;
 use std::sync::Arc;
@@ -25,7 +25,7 @@ pub struct Element {
 
 /// The root element of a file. Entities and other document types are refused: no robot needs them, and entities can
 /// expand without bound.
-pub fn parse(source: &Source) -> Result<Element> {
+pub fn parse(source: &SourceFile) -> Result<Element> {
     let text = source.text()?;
     let options = roxmltree::ParsingOptions { allow_dtd: false, nodes_limit: MOST_NODES, ..Default::default() };
     let document = roxmltree::Document::parse_with_options(text, options).map_err(|e| match e {
@@ -33,11 +33,11 @@ pub fn parse(source: &Source) -> Result<Element> {
         roxmltree::Error::DtdDetected => Error::file(&source.path, "a document type (<!DOCTYPE …>) is not read"),
         other => Error::file(&source.path, format!("no XML: {}", shortened(&other.to_string(), 200))),
     })?;
-    let lines = Lines::of(text);
+    let lines = LineStarts::of(text);
     element(&document.root_element(), &Arc::from(source.path.as_path()), &lines, 1)
 }
 
-fn element(node: &roxmltree::Node, file: &Arc<Path>, lines: &Lines, depth: usize) -> Result<Element> {
+fn element(node: &roxmltree::Node, file: &Arc<Path>, lines: &LineStarts, depth: usize) -> Result<Element> {
     let line = lines.at(node.range().start);
     let name = |namespace: Option<&str>, name: &str| match namespace {
         // Elements of other name spaces (xacro, sensor) keep the name space, so that they are not mistaken for
@@ -56,9 +56,9 @@ fn element(node: &roxmltree::Node, file: &Arc<Path>, lines: &Lines, depth: usize
 }
 
 /// Offsets at which lines begin.
-struct Lines(Vec<usize>);
+struct LineStarts(Vec<usize>);
 
-impl Lines {
+impl LineStarts {
     fn of(text: &str) -> Self {
         Self(text.bytes().enumerate().filter(|(_, b)| *b == b'\n').map(|(i, _)| i).collect())
     }

@@ -76,15 +76,15 @@ pub fn room(wanted: usize, others: usize) -> usize {
 }
 
 /// A source of connections.
-pub enum Socket {
+pub enum ListenSocket {
     Tcp(TcpListener),
     Unix(UnixListener),
 }
 
 /// A connection's bytes.
-trait Bytes: AsyncRead + AsyncWrite + Send + Unpin {}
+trait ByteStream: AsyncRead + AsyncWrite + Send + Unpin {}
 
-impl<T: AsyncRead + AsyncWrite + Send + Unpin> Bytes for T {}
+impl<T: AsyncRead + AsyncWrite + Send + Unpin> ByteStream for T {}
 
 /// What a socket has accepted, before its handshake.
 enum Accepted {
@@ -92,7 +92,7 @@ enum Accepted {
     Unix(tokio::net::UnixStream),
 }
 
-impl Socket {
+impl ListenSocket {
     async fn accept(&self) -> io::Result<Accepted> {
         match self {
             Self::Tcp(listener) => {
@@ -124,7 +124,7 @@ pub enum Protocol {
 /// A listener's connections and what they reach.
 #[derive(Clone)]
 pub struct Connections {
-    pub table: Arc<Table>,
+    pub table: Arc<ConnectionTable>,
     pub tls: Option<Tls>,
     pub protocol: Protocol,
     pub routes: Router,
@@ -134,7 +134,7 @@ pub struct Connections {
 impl Connections {
     /// Serves what `socket` accepts until `stop` is cancelled; then waits until all calls have ended or [`GRACE`] is
     /// over.
-    pub async fn serve(self, socket: Socket, stop: CancellationToken) {
+    pub async fn serve(self, socket: ListenSocket, stop: CancellationToken) {
         let permits = self.table.most + CLOSING;
         let free = Arc::new(Semaphore::new(permits));
         let (graceful, mut tick) = (GracefulShutdown::new(), interval(TICK));
@@ -182,7 +182,7 @@ impl Connections {
         }
     }
 
-    async fn run(self, accepted: Accepted, link: Link, watcher: Watcher, stop: CancellationToken) {
+    async fn run(self, accepted: Accepted, link: ConnectionHandle, watcher: Watcher, stop: CancellationToken) {
         let end = link.end.clone();
         let closed = async {
             let opened = tokio::select! {
@@ -204,7 +204,7 @@ impl Connections {
     }
 
     /// The connection's bytes, decrypted.
-    async fn open(&self, accepted: Accepted) -> std::result::Result<Box<dyn Bytes>, String> {
+    async fn open(&self, accepted: Accepted) -> std::result::Result<Box<dyn ByteStream>, String> {
         match (accepted, &self.tls) {
             (Accepted::Tcp(stream, _), Some(tls)) => match timeout(OPENING, tls.shake_hands(stream)).await {
                 Ok(Ok(stream)) => Ok(Box::new(stream)),
@@ -216,7 +216,7 @@ impl Connections {
         }
     }
 
-    async fn answer(&self, stream: Box<dyn Bytes>, link: &Link, watcher: Watcher) {
+    async fn answer(&self, stream: Box<dyn ByteStream>, link: &ConnectionHandle, watcher: Watcher) {
         let is_page = matches!(self.protocol, Protocol::Http1);
         let service = service_fn(move |mut request: Request<Incoming>| {
             if is_page {
@@ -253,18 +253,18 @@ impl Connections {
 }
 
 /// The present connections of one listener.
-pub struct Table {
+pub struct ConnectionTable {
     most: usize,
-    entries: Mutex<Entries>,
+    entries: Mutex<ConnectionEntries>,
 }
 
 #[derive(Default)]
-struct Entries {
+struct ConnectionEntries {
     next: u64,
-    all: HashMap<u64, Entry>,
+    all: HashMap<u64, ConnectionEntry>,
 }
 
-struct Entry {
+struct ConnectionEntry {
     /// Calls that have not ended, and those of them that were admitted: that had the token, where one is required.
     /// Calls for the server's health need none and are not counted as admitted.
     calls: usize,
@@ -276,20 +276,20 @@ struct Entry {
     end: CancellationToken,
 }
 
-impl Table {
+impl ConnectionTable {
     /// At most `most` connections.
     pub fn new(most: usize) -> Arc<Self> {
         Arc::new(Self { most, entries: Mutex::default() })
     }
 
     /// Every change under this lock is one step, so the data are consistent even after a panic.
-    fn lock(&self) -> MutexGuard<'_, Entries> {
+    fn lock(&self) -> MutexGuard<'_, ConnectionEntries> {
         self.entries.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Adds a connection. If there is no room, the one that has been without an admitted call for the longest time is
     /// closed. None if all have admitted calls.
-    fn admit(self: &Arc<Self>, peer: Option<SocketAddr>) -> Option<Link> {
+    fn admit(self: &Arc<Self>, peer: Option<SocketAddr>) -> Option<ConnectionHandle> {
         let mut entries = self.lock();
         if entries.all.len() >= self.most {
             let idle = entries.all.iter().filter(|(_, e)| e.admitted == 0);
@@ -298,14 +298,14 @@ impl Table {
         }
         let (id, end) = (entries.next, CancellationToken::new());
         entries.next += 1;
-        let entry = Entry { calls: 0, admitted: 0, since: Instant::now(), used: false, end: end.clone() };
+        let entry = ConnectionEntry { calls: 0, admitted: 0, since: Instant::now(), used: false, end: end.clone() };
         entries.all.insert(id, entry);
-        Some(Link(Arc::new(Inner { table: self.clone(), id, peer, end })))
+        Some(ConnectionHandle(Arc::new(ConnectionState { table: self.clone(), id, peer, end })))
     }
 
     /// Closes connections that have been without a call for too long.
     fn close_idle(&self) {
-        let late = |e: &Entry| e.calls == 0 && e.since.elapsed() > if e.used { IDLE } else { OPENING };
+        let late = |e: &ConnectionEntry| e.calls == 0 && e.since.elapsed() > if e.used { IDLE } else { OPENING };
         self.lock().all.extract_if(|_, e| late(e)).for_each(|(_, e)| e.end.cancel());
     }
 
@@ -313,7 +313,7 @@ impl Table {
         self.lock().all.drain().for_each(|(_, e)| e.end.cancel());
     }
 
-    fn change(&self, id: u64, change: impl FnOnce(&mut Entry)) {
+    fn change(&self, id: u64, change: impl FnOnce(&mut ConnectionEntry)) {
         if let Some(entry) = self.lock().all.get_mut(&id) {
             change(entry);
         }
@@ -322,10 +322,10 @@ impl Table {
 
 /// A connection, as its calls see it. It leaves the table when the last copy is dropped.
 #[derive(Clone)]
-pub struct Link(Arc<Inner>);
+pub struct ConnectionHandle(Arc<ConnectionState>);
 
-pub struct Inner {
-    table: Arc<Table>,
+pub struct ConnectionState {
+    table: Arc<ConnectionTable>,
     id: u64,
     /// None for a Unix socket.
     peer: Option<SocketAddr>,
@@ -333,21 +333,21 @@ pub struct Inner {
     end: CancellationToken,
 }
 
-impl std::ops::Deref for Link {
-    type Target = Inner;
+impl std::ops::Deref for ConnectionHandle {
+    type Target = ConnectionState;
 
-    fn deref(&self) -> &Inner {
+    fn deref(&self) -> &ConnectionState {
         &self.0
     }
 }
 
-impl Drop for Inner {
+impl Drop for ConnectionState {
     fn drop(&mut self) {
         self.table.lock().all.remove(&self.id);
     }
 }
 
-impl Link {
+impl ConnectionHandle {
     /// The peer, for logs.
     pub fn name(&self) -> String {
         self.peer.map_or_else(|| "a Unix socket".into(), |a| a.to_string())
@@ -376,7 +376,7 @@ impl Link {
 
 /// A call that has not ended.
 pub struct OpenCall {
-    link: Link,
+    link: ConnectionHandle,
     admitted: bool,
 }
 
@@ -404,22 +404,23 @@ pub async fn pages(
     refusals: Arc<Refusals>,
     stop: CancellationToken,
 ) {
-    let connections = Connections { table: Table::new(most), tls: None, protocol: Protocol::Http1, routes, refusals };
-    connections.serve(Socket::Tcp(listener), stop).await;
+    let connections =
+        Connections { table: ConnectionTable::new(most), tls: None, protocol: Protocol::Http1, routes, refusals };
+    connections.serve(ListenSocket::Tcp(listener), stop).await;
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn alive(links: &[Link]) -> Vec<usize> {
+    fn alive(links: &[ConnectionHandle]) -> Vec<usize> {
         (0..links.len()).filter(|k| !links[*k].end.is_cancelled()).collect()
     }
 
     /// Calls that need no token do not keep a connection open for ever, and do not keep others out.
     #[test]
     fn connections_without_admitted_calls_make_room() {
-        let table = Table::new(3);
+        let table = ConnectionTable::new(3);
         let mut links: Vec<_> = (0..3).map(|_| table.admit(None).unwrap()).collect();
         let call = links[0].begin(true);
         let _health = links[1].begin(false);
@@ -436,7 +437,7 @@ mod tests {
 
     #[test]
     fn connections_are_closed_that_never_began_a_call_or_ended_it_long_ago() {
-        let table = Table::new(9);
+        let table = ConnectionTable::new(9);
         let links: Vec<_> = (0..4).map(|_| table.admit(None).unwrap()).collect();
         let age = |k: usize, age| table.change(k as u64, |e| e.since = Instant::now().checked_sub(age).unwrap());
         let second = Duration::from_secs(1);

@@ -1,7 +1,7 @@
 //! From rows and tables to messages.
 
 use super::proto;
-use super::sessions::Summary;
+use super::sessions::SessionSummary;
 use super::values;
 use crate::env::registry::{Blueprint, Keyword};
 use crate::env::rollout::{Recorded, Rollout};
@@ -114,7 +114,7 @@ fn option(keyword: Keyword) -> proto::Option {
 }
 
 /// A session in lists and logs.
-pub fn summary(summary: &Summary) -> proto::SessionSummary {
+pub fn summary(summary: &SessionSummary) -> proto::SessionSummary {
     proto::SessionSummary {
         name: summary.name.clone(),
         task_id: summary.blueprint.task.spec().id.into(),

@@ -12,9 +12,9 @@ use tonic::codec::{BufferSettings, Codec, DecodeBuf, Decoder};
 use tonic_prost::{ProstCodec, ProstEncoder};
 
 /// The bytes of a message `T` that is not unpacked yet.
-pub struct Frame<T>(Bytes, PhantomData<fn() -> T>);
+pub struct RequestFrame<T>(Bytes, PhantomData<fn() -> T>);
 
-impl<T: Message + Default + 'static> Frame<T> {
+impl<T: Message + Default + 'static> RequestFrame<T> {
     /// The message of a call that has only one, with its share of the memory for requests.
     pub async fn only(request: tonic::Request<Self>) -> std::result::Result<(T, Option<Share>), Status> {
         let messages = Messages::of(&request);
@@ -47,9 +47,9 @@ impl<T, U> Default for FrameCodec<T, U> {
     }
 }
 
-impl<T: Message + Send + 'static, U: 'static> Codec for FrameCodec<T, Frame<U>> {
+impl<T: Message + Send + 'static, U: 'static> Codec for FrameCodec<T, RequestFrame<U>> {
     type Encode = T;
-    type Decode = Frame<U>;
+    type Decode = RequestFrame<U>;
     type Encoder = ProstEncoder<T>;
     type Decoder = FrameDecoder<U>;
 
@@ -65,10 +65,10 @@ impl<T: Message + Send + 'static, U: 'static> Codec for FrameCodec<T, Frame<U>> 
 pub struct FrameDecoder<U>(PhantomData<fn() -> U>);
 
 impl<U> Decoder for FrameDecoder<U> {
-    type Item = Frame<U>;
+    type Item = RequestFrame<U>;
     type Error = Status;
 
     fn decode(&mut self, bytes: &mut DecodeBuf<'_>) -> std::result::Result<Option<Self::Item>, Status> {
-        Ok(Some(Frame(bytes.copy_to_bytes(bytes.remaining()), PhantomData)))
+        Ok(Some(RequestFrame(bytes.copy_to_bytes(bytes.remaining()), PhantomData)))
     }
 }

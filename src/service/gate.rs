@@ -1,6 +1,6 @@
 //! The layer around all calls: checks the token, and counts failures.
 
-use super::connections::Link;
+use super::connections::ConnectionHandle;
 use super::metrics::Metrics;
 use super::refusals::{Refusal, Refusals};
 use super::security::Token;
@@ -30,7 +30,7 @@ pub async fn pass(State(gate): State<Gate>, call: Request, next: Next) -> Respon
     let given = call.headers().get(AUTHORIZATION).map_or(&[][..], |v| v.as_bytes());
     let open = call.uri().path().starts_with(OPEN);
     let admitted = open || gate.token.as_ref().is_none_or(|t| t.admits(given));
-    let link = call.extensions().get::<Link>().cloned();
+    let link = call.extensions().get::<ConnectionHandle>().cloned();
     // The connection has a call until the body of the answer is dropped.
     let begun = link.as_ref().map(|link| link.begin(admitted && !open));
     let answer = if admitted {

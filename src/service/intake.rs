@@ -8,7 +8,7 @@
 //! flow control stops its sender. A request holds its [`Share`] until it has released its memory and its answer has been
 //! sent; see `outgoing.rs`.
 
-use super::price::{self, COPIES, Call, LONGEST_OPTIONS, MessageLayout, SMALL};
+use super::price::{self, COPIES, CallBounds, LONGEST_OPTIONS, MessageLayout, SMALL};
 use super::sessions::Limits;
 use crate::error::{Error, Result};
 use axum::body::{Body, BodyDataStream};
@@ -127,10 +127,10 @@ impl Intake {
 
 /// The bounds of a call's messages, and the shares of its present message and answer.
 #[derive(Clone)]
-pub struct Messages(Arc<Inner>);
+pub struct Messages(Arc<MessagesState>);
 
-struct Inner {
-    call: &'static Call,
+struct MessagesState {
+    call: &'static CallBounds,
     /// Size of messages [bytes] for which the call's session has reserved memory already.
     free: AtomicUsize,
     share: Mutex<Option<Share>>,
@@ -138,8 +138,13 @@ struct Inner {
 }
 
 impl Messages {
-    fn new(call: &'static Call) -> Self {
-        Self(Arc::new(Inner { call, free: AtomicUsize::new(SMALL), share: Mutex::default(), answer: Mutex::default() }))
+    fn new(call: &'static CallBounds) -> Self {
+        Self(Arc::new(MessagesState {
+            call,
+            free: AtomicUsize::new(SMALL),
+            share: Mutex::default(),
+            answer: Mutex::default(),
+        }))
     }
 
     pub fn of<T>(request: &tonic::Request<T>) -> Self {
@@ -187,14 +192,15 @@ pub async fn pass(State(intake): State<Arc<Intake>>, mut call: Request, next: Ne
     let metered = |body: Body| {
         let limit = bounds.largest.min(intake.largest).min(intake.room / bounds.copies);
         let (body, first) = (body.into_data_stream(), Some(Instant::now() + ARRIVAL));
-        let reader = Reader { body, arrived: Bytes::new(), missing: 0, deadline: first, messages, intake, limit };
-        Body::from_stream(stream::try_unfold(reader, Reader::next))
+        let reader =
+            MessageReader { body, arrived: Bytes::new(), missing: 0, deadline: first, messages, intake, limit };
+        Body::from_stream(stream::try_unfold(reader, MessageReader::next))
     };
     next.run(call.map(metered)).await
 }
 
 /// The messages of a call as they arrive.
-struct Reader {
+struct MessageReader {
     body: BodyDataStream,
     /// Bytes that have arrived and were not passed on yet.
     arrived: Bytes,
@@ -207,7 +213,7 @@ struct Reader {
     limit: usize,
 }
 
-impl Reader {
+impl MessageReader {
     /// The next bytes for tonic: those of the present message, or of some small ones.
     async fn next(mut self) -> std::result::Result<Option<(Bytes, Self)>, BoxError> {
         loop {

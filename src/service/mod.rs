@@ -65,16 +65,16 @@ pub use crate::pool::Seal;
 pub use address::{Address, Listener, bind_tcp};
 pub use encode::task;
 pub use security::{Tls, Token, warn_if_shared};
-pub use server::{AddServices, Connected, Setup, serve};
+pub use server::{AddServices, ServerSetup, serve};
 pub use sessions::Limits;
 pub use state::StateDir;
 pub use values::{from_json, number};
-pub use viewer::play::Play;
+pub use viewer::play::PlayedEnvironment;
 
 use crate::env::registry::{Blueprint, TASK_IDS};
 use crate::error::Error;
 use crate::pool::Pool;
-use frame::Frame;
+use frame::RequestFrame;
 use futures_util::Stream;
 use intake::{Intake, Messages};
 use proto::environment_service_server::EnvironmentService;
@@ -121,7 +121,7 @@ fn check_protocol(client: u32) -> crate::error::Result<()> {
 
 #[tonic::async_trait]
 impl EnvironmentService for Service {
-    async fn describe(&self, _: Request<Frame<DescribeRequest>>) -> Result<Response<DescribeResponse>, Status> {
+    async fn describe(&self, _: Request<RequestFrame<DescribeRequest>>) -> Result<Response<DescribeResponse>, Status> {
         let tasks = off_runtime(|| {
             let describe = |id: &&str| Blueprint::new(id, Value::Null).map(|b| encode::task(&b));
             TASK_IDS.iter().map(describe).collect()
@@ -131,10 +131,10 @@ impl EnvironmentService for Service {
 
     async fn create_session(
         &self,
-        request: Request<Frame<CreateSessionRequest>>,
+        request: Request<RequestFrame<CreateSessionRequest>>,
     ) -> Result<Response<CreateSessionResponse>, Status> {
         let lease_seconds = self.sessions.limits().lease.as_secs_f64();
-        let (request, _share) = Frame::only(request).await?;
+        let (request, _share) = RequestFrame::only(request).await?;
         let CreateSessionRequest { task_id, num_envs, options, protocol } = request;
         let made = async {
             check_protocol(protocol)?;
@@ -149,12 +149,12 @@ impl EnvironmentService for Service {
 
     async fn run_session(
         &self,
-        request: Request<Streaming<Frame<RunSessionRequest>>>,
+        request: Request<Streaming<RequestFrame<RunSessionRequest>>>,
     ) -> Result<Response<Self::RunSessionStream>, Status> {
         let messages = Messages::of(&request);
         let answers = stream::run(
             request.into_inner(),
-            stream::Call { messages, intake: self.intake.clone() },
+            stream::SessionCall { messages, intake: self.intake.clone() },
             self.sessions.clone(),
             self.pool.clone(),
         );
@@ -163,9 +163,9 @@ impl EnvironmentService for Service {
 
     async fn describe_session(
         &self,
-        request: Request<Frame<DescribeSessionRequest>>,
+        request: Request<RequestFrame<DescribeSessionRequest>>,
     ) -> Result<Response<DescribeSessionResponse>, Status> {
-        let (request, _) = Frame::only(request).await?;
+        let (request, _) = RequestFrame::only(request).await?;
         let summary = self.sessions.describe(&request.session_id).map_err(|e| status::status(&e))?;
         let task = Some(encode::task(&summary.blueprint));
         Ok(Response::new(DescribeSessionResponse { task, summary: Some(encode::summary(&summary)) }))
@@ -173,7 +173,7 @@ impl EnvironmentService for Service {
 
     async fn list_sessions(
         &self,
-        _: Request<Frame<ListSessionsRequest>>,
+        _: Request<RequestFrame<ListSessionsRequest>>,
     ) -> Result<Response<ListSessionsResponse>, Status> {
         let sessions = self.sessions.list().iter().map(encode::summary).collect();
         Ok(Response::new(ListSessionsResponse { sessions }))
@@ -181,9 +181,9 @@ impl EnvironmentService for Service {
 
     async fn close_session(
         &self,
-        request: Request<Frame<CloseSessionRequest>>,
+        request: Request<RequestFrame<CloseSessionRequest>>,
     ) -> Result<Response<CloseSessionResponse>, Status> {
-        let (request, _) = Frame::only(request).await?;
+        let (request, _) = RequestFrame::only(request).await?;
         self.sessions.close(&request.session_id).map_err(|e| status::status(&e))?;
         Ok(Response::new(CloseSessionResponse {}))
     }

@@ -8,7 +8,7 @@
 //! HTTP/2 queues the bytes of an answer and asks for the next answer before the client has read the first. Therefore the
 //! queued bytes themselves hold the share, not the stream that made the answer.
 
-use super::connections::Link;
+use super::connections::ConnectionHandle;
 use super::intake::{Messages, Share};
 use axum::body::Body;
 use axum::extract::{Request, State};
@@ -41,7 +41,7 @@ impl AsRef<[u8]> for Unsent {
 struct TimeLimit(AbortHandle);
 
 impl TimeLimit {
-    fn new(link: Link, time: Duration) -> Self {
+    fn new(link: ConnectionHandle, time: Duration) -> Self {
         let late = async move {
             tokio::time::sleep(time).await;
             tracing::warn!(peer = link.name(), "a connection was closed: its client does not read a large answer");
@@ -61,7 +61,7 @@ impl Drop for TimeLimit {
 /// `stall` and the time of its transfer, the connection is closed.
 pub async fn pass(State(stall): State<Duration>, call: Request, next: Next) -> Response {
     let messages = call.extensions().get::<Messages>().cloned();
-    let link = call.extensions().get::<Link>().cloned();
+    let link = call.extensions().get::<ConnectionHandle>().cloned();
     let answers = next.run(call).await;
     let (Some(messages), Some(link)) = (messages, link) else { return answers };
     let mut ahead = 0;

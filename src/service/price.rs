@@ -17,7 +17,7 @@ use crate::error::{Error, Result};
 use crate::session::view;
 
 /// The bounds of a call's messages.
-pub struct Call {
+pub struct CallBounds {
     method: &'static str,
     /// Largest message [bytes].
     pub largest: usize,
@@ -26,8 +26,8 @@ pub struct Call {
     pub layout: MessageLayout,
 }
 
-const fn call(method: &'static str, largest: usize, layout: MessageLayout) -> Call {
-    Call { method, largest, copies: COPIES, layout }
+const fn call(method: &'static str, largest: usize, layout: MessageLayout) -> CallBounds {
+    CallBounds { method, largest, copies: COPIES, layout }
 }
 
 /// Memory of a message with its unpacked parts, as a multiple of its size: actions are copied once.
@@ -44,7 +44,7 @@ pub const SMALL: usize = 16 << 10;
 const TEXTS: usize = LONGEST_OPTIONS + SMALL;
 
 /// Calls without a row have messages of at most [`SMALL`].
-static CALLS: [Call; 11] = [
+static CALLS: [CallBounds; 11] = [
     call("CreateSession", TEXTS, &CREATE_SESSION),
     // `--max-message-mib` bounds it, too.
     call("RunSession", usize::MAX, &RUN_SESSION),
@@ -56,14 +56,14 @@ static CALLS: [Call; 11] = [
     call("Walk", TEXTS, PLAIN),
     call("Sweep", TEXTS, &SWEEP),
     call("Evaluate", LARGEST_POLICY + TEXTS, &EVALUATE),
-    Call { method: "Trials", largest: LARGEST_TRIALS, copies: TRIAL_COPIES, layout: &TRIALS },
+    CallBounds { method: "Trials", largest: LARGEST_TRIALS, copies: TRIAL_COPIES, layout: &TRIALS },
     call("Diagnose", LARGEST_DIAGNOSIS, &DIAGNOSE),
 ];
 
-static OTHER: Call = call("", SMALL, PLAIN);
+static OTHER: CallBounds = call("", SMALL, PLAIN);
 
 /// The bounds of the call with this path: `/package.Service/Method`.
-pub fn of_call(path: &str) -> &'static Call {
+pub fn of_call(path: &str) -> &'static CallBounds {
     let method = path.rsplit('/').next();
     CALLS.iter().find(|call| Some(call.method) == method).unwrap_or(&OTHER)
 }
@@ -129,9 +129,9 @@ pub fn check_diagnosis(data: &[u8], memory: usize) -> Result<()> {
 }
 
 /// The fields of a message that are inspected or have a maximum length.
-pub type MessageLayout = &'static [Field];
+pub type MessageLayout = &'static [FieldBounds];
 
-pub struct Field {
+pub struct FieldBounds {
     number: u64,
     name: &'static str,
     /// [bytes]
@@ -160,35 +160,35 @@ const MOST_MESSAGES: usize = 4_096;
 /// Deepest nesting of messages; a value inside a list takes three or four levels.
 const DEEPEST: usize = 48;
 
-const fn once(number: u64, name: &'static str, longest: usize, inside: Option<MessageLayout>) -> Field {
-    Field { number, name, longest, repeated: false, inside }
+const fn once(number: u64, name: &'static str, longest: usize, inside: Option<MessageLayout>) -> FieldBounds {
+    FieldBounds { number, name, longest, repeated: false, inside }
 }
 
-const fn any(number: u64, name: &'static str, inside: MessageLayout) -> Field {
-    Field { number, name, longest: usize::MAX, repeated: true, inside: Some(inside) }
+const fn any(number: u64, name: &'static str, inside: MessageLayout) -> FieldBounds {
+    FieldBounds { number, name, longest: usize::MAX, repeated: true, inside: Some(inside) }
 }
 
-static STRUCT: [Field; 1] = [any(1, "options", &ENTRY)];
-static ENTRY: [Field; 1] = [any(2, "options", &VALUE)];
-static VALUE: [Field; 2] = [any(5, "options", &STRUCT), any(6, "options", &LIST)];
-static LIST: [Field; 1] = [any(1, "options", &VALUE)];
+static STRUCT: [FieldBounds; 1] = [any(1, "options", &ENTRY)];
+static ENTRY: [FieldBounds; 1] = [any(2, "options", &VALUE)];
+static VALUE: [FieldBounds; 2] = [any(5, "options", &STRUCT), any(6, "options", &LIST)];
+static LIST: [FieldBounds; 1] = [any(1, "options", &VALUE)];
 
-const fn options(number: u64) -> Field {
+const fn options(number: u64) -> FieldBounds {
     once(number, "options", LONGEST_OPTIONS, Some(&STRUCT))
 }
 
 /// An id has 32 characters; a longer one cannot be valid.
-const fn session_id() -> Field {
+const fn session_id() -> FieldBounds {
     once(1, "session_id", 256, None)
 }
 
-static SESSION_ID: [Field; 1] = [session_id()];
+static SESSION_ID: [FieldBounds; 1] = [session_id()];
 
-static CREATE_SESSION: [Field; 2] = [once(1, "task_id", 256, None), options(3)];
+static CREATE_SESSION: [FieldBounds; 2] = [once(1, "task_id", 256, None), options(3)];
 
-static RESET: [Field; 1] = [options(3)];
+static RESET: [FieldBounds; 1] = [options(3)];
 
-static RUN_SESSION: [Field; 10] = [
+static RUN_SESSION: [FieldBounds; 10] = [
     session_id(),
     once(3, "reset", usize::MAX, Some(&RESET)),
     once(4, "step", usize::MAX, Some(PLAIN)),
@@ -205,7 +205,7 @@ static RUN_SESSION: [Field; 10] = [
 /// Largest mesh of a body [bytes]: our choice, 80,000 triangles in binary STL.
 const LARGEST_MESH: usize = 4 << 20;
 
-static FILE: [Field; 1] = [once(2, "mesh", LARGEST_MESH, None)];
+static FILE: [FieldBounds; 1] = [once(2, "mesh", LARGEST_MESH, None)];
 
 /// Largest request of a diagnosis [bytes]: 40,000 rows of a force log, the most that a diagnosis takes, have about
 /// 8 MB.
@@ -223,7 +223,7 @@ const LARGEST_TRIALS: usize = 64 * MOST_TRIALS + LARGEST_MESH + LONGEST_OPTIONS;
 /// Largest column of a request of trials [bytes]: a number for each motion.
 const COLUMN: usize = 8 * MOST_TRIALS;
 
-static TRIALS: [Field; 6] = [
+static TRIALS: [FieldBounds; 6] = [
     once(1, "shape", 1 << 10, None),
     once(2, "mesh", LARGEST_MESH + (64 << 10), Some(&FILE)),
     once(3, "velocity", 3 * COLUMN, None),
@@ -232,13 +232,13 @@ static TRIALS: [Field; 6] = [
     once(6, "load", COLUMN, None),
 ];
 
-static VARIATION: [Field; 0] = [];
+static VARIATION: [FieldBounds; 0] = [];
 
-static SWEEP: [Field; 2] = [any(1, "vary", &VARIATION), any(2, "set", &VARIATION)];
+static SWEEP: [FieldBounds; 2] = [any(1, "vary", &VARIATION), any(2, "set", &VARIATION)];
 
-static EVALUATE: [Field; 1] = [options(4)];
+static EVALUATE: [FieldBounds; 1] = [options(4)];
 
-static DIAGNOSE: [Field; 1] = [once(3, "values", LONGEST_OPTIONS, Some(&STRUCT))];
+static DIAGNOSE: [FieldBounds; 1] = [once(3, "values", LONGEST_OPTIONS, Some(&STRUCT))];
 
 /// Refuses a message that would unpack to more than `layout` allows.
 pub fn check(bytes: &[u8], layout: MessageLayout) -> Result<()> {
@@ -262,7 +262,7 @@ impl Count {
             }
             let (number, value) = field(&mut bytes).ok_or_else(unreadable)?;
             let (Some(k), Some(value)) = (layout.iter().position(|f| f.number == number), value) else { continue };
-            let Field { name, longest, repeated, inside, .. } = &layout[k];
+            let FieldBounds { name, longest, repeated, inside, .. } = &layout[k];
             if value.len() > *longest {
                 return Err(Error::invalid(*name, format!("{} bytes are more than {longest}", value.len())));
             }

@@ -26,14 +26,14 @@ const KINDS: [(Refusal, &str); 5] = [
 
 /// The lines of one kind.
 #[derive(Default)]
-struct Lines {
+struct LogLines {
     last: Option<Instant>,
     suppressed: u64,
 }
 
 /// The refusals of one server.
 #[derive(Default)]
-pub struct Refusals([Mutex<Lines>; KINDS.len()]);
+pub struct Refusals([Mutex<LogLines>; KINDS.len()]);
 
 impl Refusals {
     /// Logs a refusal, unless a line of its kind was written within the last second.

@@ -5,7 +5,7 @@ use super::encode;
 use super::proto::run_session_response::Response;
 use super::proto::{self, RolloutPart};
 use super::sessions::broken;
-use super::work::Work;
+use super::work::SessionWork;
 use crate::decode;
 use crate::error::{Error, Result};
 use crate::pool::{Batch, Operation, Pool, Roll};
@@ -15,19 +15,19 @@ use std::time::Instant;
 use tokio::sync::oneshot;
 
 /// Checks a rollout of actions and starts it.
-pub fn start(work: Work, request: &proto::Rollout, pool: Arc<Pool>) {
+pub fn start(work: SessionWork, request: &proto::Rollout, pool: Arc<Pool>) {
     let trajectories = request.trajectories;
     let roll = |batch: &Batch| batch.roll(decode::floats("actions", &request.actions)?, trajectories);
     begin(work, roll, trajectories, pool);
 }
 
 /// Checks a rollout of a network and starts it.
-pub fn start_network(work: Work, request: &proto::PolicyRollout, pool: Arc<Pool>) {
+pub fn start_network(work: SessionWork, request: &proto::PolicyRollout, pool: Arc<Pool>) {
     let proto::PolicyRollout { onnx, steps, trajectories } = request;
     begin(work, |batch| batch.roll_network(onnx, *steps, *trajectories), *trajectories, pool);
 }
 
-fn begin(mut work: Work, roll: impl FnOnce(&Batch) -> Result<Roll>, trajectories: bool, pool: Arc<Pool>) {
+fn begin(mut work: SessionWork, roll: impl FnOnce(&Batch) -> Result<Roll>, trajectories: bool, pool: Arc<Pool>) {
     let batch = work.batch();
     match roll(batch).and_then(|roll| Ok((roll, batch.keep()?))) {
         Ok((roll, back)) => drop(tokio::spawn(run(work, roll, back, trajectories, pool))),
@@ -35,7 +35,7 @@ fn begin(mut work: Work, roll: impl FnOnce(&Batch) -> Result<Roll>, trajectories
     }
 }
 
-async fn run(mut work: Work, roll: Roll, back: Operation, trajectories: bool, pool: Arc<Pool>) {
+async fn run(mut work: SessionWork, roll: Roll, back: Operation, trajectories: bool, pool: Arc<Pool>) {
     let rolled = parts(&mut work, &roll, trajectories, &pool).await;
     let restored = match rolled {
         Ok(rolled) => pooled(&mut work, &pool, back, |_| ()).await.map(|()| rolled),
@@ -61,7 +61,12 @@ async fn run(mut work: Work, roll: Roll, back: Operation, trajectories: bool, po
 }
 
 /// Makes all steps; the results after the last one. The outer error means that the environments are lost.
-async fn parts(work: &mut Work, roll: &Roll, trajectories: bool, pool: &Arc<Pool>) -> Result<Result<RolloutPart>> {
+async fn parts(
+    work: &mut SessionWork,
+    roll: &Roll,
+    trajectories: bool,
+    pool: &Arc<Pool>,
+) -> Result<Result<RolloutPart>> {
     let begun = Instant::now();
     let sessions = work.guard.sessions.clone();
     let mut rolling = Rolling::new(roll);
@@ -97,7 +102,7 @@ async fn parts(work: &mut Work, roll: &Roll, trajectories: bool, pool: &Arc<Pool
 
 /// [`Pool::run`] as a future; `then` reads the results on the pool's thread.
 async fn pooled<T: Send + 'static>(
-    work: &mut Work,
+    work: &mut SessionWork,
     pool: &Pool,
     operation: Operation,
     then: impl FnOnce(&Batch) -> T + Send + 'static,

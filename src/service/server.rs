@@ -5,7 +5,7 @@
 //! ```
 
 use super::address::Listener;
-use super::connections::{self, Connections, Protocol, Socket, Table};
+use super::connections::{self, ConnectionTable, Connections, ListenSocket, Protocol};
 use super::gate::{self, Gate};
 use super::intake::{self, Intake};
 use super::metrics;
@@ -36,33 +36,12 @@ use tonic_health::server::{HealthReporter, HealthService};
 /// Time limit for saving sessions after the server was stopped.
 const SAVED: Duration = Duration::from_secs(4);
 
-/// Limits of connections, and of calls on one connection.
-#[derive(Clone, Copy, Debug)]
-pub struct Connected {
-    /// Largest number of connections at the same time.
-    pub all: u32,
-    /// Largest number of calls at the same time on one connection.
-    pub streams: u32,
-}
-
-impl Connected {
-    /// Our choice: one connection and one call for each session of the default limit.
-    pub const DEFAULT: Self = Self { all: 1024, streams: 1024 };
-}
-
-impl Default for Connected {
-    fn default() -> Self {
-        Self::DEFAULT
-    }
-}
-
 /// The settings of a server, apart from its address.
 #[derive(Default)]
-pub struct Setup {
+pub struct ServerSetup {
     /// Threads that simulate; 0: one for each processor.
     pub threads: usize,
     pub limits: Limits,
-    pub connected: Connected,
     /// Encryption; for TCP only.
     pub tls: Option<Tls>,
     /// The secret of all calls except those for the server's health.
@@ -83,9 +62,10 @@ pub struct Setup {
 pub type AddServices = Box<dyn FnOnce(&mut Services, &Arc<Sessions>, &Arc<Pool>) + Send>;
 
 /// Serves until `stop` is cancelled, then lets every stream finish its present operation.
-pub async fn serve(listener: Listener, setup: Setup, stop: CancellationToken) -> Result<()> {
-    let Setup { threads, limits, connected, tls, token, seal, metrics, viewer, state, others: add_others } = setup;
+pub async fn serve(listener: Listener, setup: ServerSetup, stop: CancellationToken) -> Result<()> {
+    let ServerSetup { threads, limits, tls, token, seal, metrics, viewer, state, others: add_others } = setup;
     // File descriptors for the pages.
+    let (most, streams) = (limits.connections as usize, limits.streams);
     let watched = limits.watchers + connections::BESIDE_WATCHERS;
     let others = [(metrics.is_some(), connections::METRICS), (viewer.is_some(), watched)];
     let others = others.iter().filter(|(given, _)| *given).map(|(_, connections)| connections).sum();
@@ -123,11 +103,11 @@ pub async fn serve(listener: Listener, setup: Setup, stop: CancellationToken) ->
     let saved = tokio::spawn(end(sessions, health, services.names, state));
     // The socket's file stays until all connections have ended.
     let (socket, _file) = match listener {
-        Listener::Tcp(listener) => (Socket::Tcp(listener), None),
-        Listener::Unix(listener, file) => (Socket::Unix(listener), Some(file)),
+        Listener::Tcp(listener) => (ListenSocket::Tcp(listener), None),
+        Listener::Unix(listener, file) => (ListenSocket::Unix(listener), Some(file)),
     };
-    let table = Table::new(connections::room(connected.all as usize, others));
-    let protocol = Protocol::Http2 { streams: connected.streams, window };
+    let table = ConnectionTable::new(connections::room(most, others));
+    let protocol = Protocol::Http2 { streams, window };
     Connections { table, tls, protocol, routes, refusals }.serve(socket, stop).await;
     let saved = saved.await;
     // The pool ends last, because it then drops the batches whose clients have left.

@@ -51,11 +51,15 @@ pub struct Limits {
     /// Longest time until a client has read an answer that takes memory for requests, in addition to its transfer at
     /// 1 MiB/s.
     pub stall: Duration,
+    /// Largest number of connections at the same time.
+    pub connections: u32,
+    /// Largest number of calls at the same time on one connection.
+    pub streams: u32,
 }
 
 impl Limits {
     /// Our choice: room for any training, and half of a 16 GiB machine; requests as large as the steps of the
-    /// largest session, and rollouts of some minutes.
+    /// largest session, and rollouts of some minutes; a connection and a call for each session.
     pub const DEFAULT: Self = Self {
         sessions: 1024,
         environments: MOST_ENVIRONMENTS,
@@ -64,6 +68,8 @@ impl Limits {
         request: 256 << 20,
         watchers: 64,
         stall: Duration::from_secs(60),
+        connections: 1024,
+        streams: 1024,
     };
 }
 
@@ -123,20 +129,20 @@ impl Drop for Reservation {
 }
 
 /// The environments of a session.
-pub struct Environments {
+pub struct SessionEnvironments {
     pub batch: Batch,
     pub books: Books,
 }
 
 /// What belongs to a session's environments.
 pub struct Books {
-    pub done: Done,
+    pub done: LastAnswer,
     pub reservation: Reservation,
 }
 
 /// The state of a session's requests.
 #[derive(Clone, Default)]
-pub struct Done {
+pub struct LastAnswer {
     /// Number of the last request that was answered.
     pub sequence: u64,
     /// Its answer; None for requests that changed nothing and can be repeated.
@@ -172,9 +178,9 @@ impl Making {
     }
 
     /// Makes the remaining environments now; returns all of them.
-    fn finish(mut self) -> Result<Environments> {
+    fn finish(mut self) -> Result<SessionEnvironments> {
         let (building, reservation) = self.0.take().ok_or_else(failed)?;
-        Ok(Environments { batch: building.finish()?, books: Books { done: Done::default(), reservation } })
+        Ok(SessionEnvironments { batch: building.finish()?, books: Books { done: LastAnswer::default(), reservation } })
     }
 }
 
@@ -184,11 +190,11 @@ fn failed() -> Error {
 }
 
 /// One session.
-struct Entry {
+struct SessionEntry {
     blueprint: Blueprint,
     envs: usize,
     /// None while an operation has the environments.
-    environments: Option<Environments>,
+    environments: Option<SessionEnvironments>,
     /// Notified when the environments are back.
     back: Arc<Notify>,
     sequence: u64,
@@ -204,14 +210,14 @@ struct Entry {
 }
 
 /// A session that no client can reach, because the server has stopped.
-pub struct Session {
+pub struct StoppedSession {
     pub id: String,
     pub blueprint: Blueprint,
-    pub environments: Environments,
+    pub environments: SessionEnvironments,
 }
 
 /// A stream's attachment to a session.
-pub struct Hold {
+pub struct StreamHold {
     pub id: String,
     /// Number of this attachment in its session.
     pub stream: u64,
@@ -220,7 +226,7 @@ pub struct Hold {
 }
 
 /// The public facts about a session.
-pub struct Summary {
+pub struct SessionSummary {
     pub name: String,
     pub blueprint: Blueprint,
     pub envs: usize,
@@ -237,7 +243,7 @@ pub const TURN: Duration = Duration::from_millis(10);
 pub struct Sessions {
     limits: Limits,
     usage: Arc<Mutex<Usage>>,
-    entries: Mutex<HashMap<String, Entry>>,
+    entries: Mutex<HashMap<String, SessionEntry>>,
     /// Turns for making environments, one for each processor.
     turns: Arc<Semaphore>,
     stop: CancellationToken,
@@ -315,7 +321,7 @@ impl Sessions {
 
     /// Creates environments at once, with their share of the limits. This takes long, so the async runtime's threads
     /// must not call it.
-    pub fn build(&self, blueprint: &Blueprint, envs: usize) -> Result<Environments> {
+    pub fn build(&self, blueprint: &Blueprint, envs: usize) -> Result<SessionEnvironments> {
         self.begin(blueprint, envs)?.finish()
     }
 
@@ -327,9 +333,9 @@ impl Sessions {
     }
 
     /// Makes a session available to clients.
-    pub fn add(&self, id: String, blueprint: Blueprint, environments: Environments) -> Result<()> {
+    pub fn add(&self, id: String, blueprint: Blueprint, environments: SessionEnvironments) -> Result<()> {
         let end = self.stop.child_token();
-        let entry = Entry {
+        let entry = SessionEntry {
             blueprint,
             envs: environments.batch.envs(),
             sequence: environments.books.done.sequence,
@@ -369,16 +375,16 @@ impl Sessions {
     }
 
     /// Attaches a new stream to the session, in place of its present one.
-    pub fn attach(&self, id: &str) -> Result<Hold> {
+    pub fn attach(&self, id: &str) -> Result<StreamHold> {
         self.hold(id, true)
     }
 
     /// Attaches a new stream to the session if it has none.
-    pub fn attach_free(&self, id: &str) -> Result<Hold> {
+    pub fn attach_free(&self, id: &str) -> Result<StreamHold> {
         self.hold(id, false)
     }
 
-    fn hold(&self, id: &str, take: bool) -> Result<Hold> {
+    fn hold(&self, id: &str, take: bool) -> Result<StreamHold> {
         let mut entries = lock(&self.entries);
         let entry = entries.get_mut(id).ok_or_else(|| unknown(id))?;
         if entry.attached && !take {
@@ -388,16 +394,16 @@ impl Sessions {
         entry.stream_end = entry.end.child_token();
         entry.stream += 1;
         entry.attached = true;
-        Ok(Hold { id: id.into(), stream: entry.stream, end: entry.stream_end.clone() })
+        Ok(StreamHold { id: id.into(), stream: entry.stream, end: entry.stream_end.clone() })
     }
 
     /// Has another stream taken this session?
-    pub fn was_taken(&self, hold: &Hold) -> bool {
+    pub fn was_taken(&self, hold: &StreamHold) -> bool {
         lock(&self.entries).get(&hold.id).is_some_and(|e| e.stream != hold.stream)
     }
 
     /// Detaches a stream: its work ends, and the lease begins, unless another stream has the session.
-    pub fn detach(&self, hold: &Hold) {
+    pub fn detach(&self, hold: &StreamHold) {
         hold.end.cancel();
         if let Some(entry) = lock(&self.entries).get_mut(&hold.id).filter(|e| e.stream == hold.stream) {
             (entry.attached, entry.idle_since) = (false, Instant::now());
@@ -406,12 +412,12 @@ impl Sessions {
 
     /// The session's environments, when no operation runs on them. None if the session or the server has ended or
     /// another stream has it.
-    pub async fn take(self: &Arc<Self>, hold: &Hold) -> Option<SessionGuard> {
+    pub async fn take(self: &Arc<Self>, hold: &StreamHold) -> Option<SessionGuard> {
         loop {
             // Registers before the check, so that a return between the check and the wait is not missed.
             let back = {
                 let mut entries = lock(&self.entries);
-                let running = |e: &&mut Entry| e.stream == hold.stream && !self.stop.is_cancelled();
+                let running = |e: &&mut SessionEntry| e.stream == hold.stream && !self.stop.is_cancelled();
                 let entry = entries.get_mut(&hold.id).filter(running)?;
                 if let Some(environments) = entry.environments.take() {
                     return Some(SessionGuard::new(self.clone(), hold.id.clone(), environments));
@@ -426,7 +432,7 @@ impl Sessions {
     }
 
     /// Returns environments after an operation; frees them if the session was closed meanwhile.
-    pub fn give_back(&self, id: &str, environments: Environments) {
+    pub fn give_back(&self, id: &str, environments: SessionEnvironments) {
         let mut entries = lock(&self.entries);
         let Some(entry) = entries.get_mut(id) else {
             drop(entries);
@@ -458,22 +464,23 @@ impl Sessions {
     }
 
     /// Removes the sessions on which no operation runs. The server has stopped, so no operation begins any more.
-    pub fn idle(&self) -> Vec<Session> {
-        let idle =
-            |(id, e): (String, Entry)| Some(Session { id, blueprint: e.blueprint, environments: e.environments? });
+    pub fn idle(&self) -> Vec<StoppedSession> {
+        let idle = |(id, e): (String, SessionEntry)| {
+            Some(StoppedSession { id, blueprint: e.blueprint, environments: e.environments? })
+        };
         lock(&self.entries).extract_if(|_, e| e.environments.is_some()).filter_map(idle).collect()
     }
 
-    pub fn describe(&self, id: &str) -> Result<Summary> {
+    pub fn describe(&self, id: &str) -> Result<SessionSummary> {
         lock(&self.entries).get(id).map(|e| e.summary(id)).ok_or_else(|| unknown(id))
     }
 
     /// The session with this name in logs and lists.
-    pub fn named(&self, session: &str) -> Option<Summary> {
+    pub fn named(&self, session: &str) -> Option<SessionSummary> {
         lock(&self.entries).iter().find(|(id, _)| name(id) == session).map(|(id, entry)| entry.summary(id))
     }
 
-    pub fn list(&self) -> Vec<Summary> {
+    pub fn list(&self) -> Vec<SessionSummary> {
         let mut all: Vec<_> = lock(&self.entries).iter().map(|(id, entry)| entry.summary(id)).collect();
         all.sort_by(|a, b| a.name.cmp(&b.name));
         all
@@ -483,8 +490,9 @@ impl Sessions {
     pub async fn expire(self: Arc<Self>) {
         let pause = (self.limits.lease / 10).clamp(Duration::from_millis(5), Duration::from_secs(5));
         while self.stop.run_until_cancelled(tokio::time::sleep(pause)).await.is_some() {
-            let late =
-                |e: &Entry| !e.attached && e.environments.is_some() && e.idle_since.elapsed() > self.limits.lease;
+            let late = |e: &SessionEntry| {
+                !e.attached && e.environments.is_some() && e.idle_since.elapsed() > self.limits.lease
+            };
             let late: Vec<_> = lock(&self.entries).extract_if(|_, entry| late(entry)).collect();
             for (id, entry) in late {
                 tracing::info!(session = name(&id), "a session's lease has run out");
@@ -495,9 +503,9 @@ impl Sessions {
     }
 }
 
-impl Entry {
-    fn summary(&self, id: &str) -> Summary {
-        Summary {
+impl SessionEntry {
+    fn summary(&self, id: &str) -> SessionSummary {
+        SessionSummary {
             name: name(id),
             blueprint: self.blueprint.clone(),
             envs: self.envs,

@@ -13,7 +13,7 @@
 
 use super::names::name;
 use super::proto::RunSessionResponse;
-use super::sessions::{Done, Environments, Session, Sessions};
+use super::sessions::{LastAnswer, SessionEnvironments, Sessions, StoppedSession};
 use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
 use crate::pool::{Pool, Seal, Snapshot};
@@ -36,7 +36,7 @@ const UNFINISHED: &str = ".unfinished-";
 
 /// What a file contains after `MAGIC` and the tag. Snapshots contain their own version.
 #[derive(Clone, PartialEq, Message)]
-struct Saved {
+struct SessionFile {
     #[prost(string, tag = "1")]
     id: String,
     #[prost(string, tag = "2")]
@@ -135,7 +135,7 @@ impl StateDir {
     /// # Errors
     /// Some sessions were not saved: their names. The log has the reasons.
     pub async fn save(&self, sessions: &Sessions, deadline: Instant) -> Result<()> {
-        let (sender, receiver) = std::sync::mpsc::channel::<Session>();
+        let (sender, receiver) = std::sync::mpsc::channel::<StoppedSession>();
         let receiver = Arc::new(Mutex::new(receiver));
         let (finished, mut outcomes) = mpsc::unbounded_channel();
         for _ in 0..SAVERS {
@@ -145,7 +145,7 @@ impl StateDir {
             let save = move || {
                 while let Some(session) = next() {
                     let name = name(&session.id);
-                    let saved = Saved::of(session, &seal).and_then(|saved| own.write(&name, &saved, &seal));
+                    let saved = SessionFile::of(session, &seal).and_then(|saved| own.write(&name, &saved, &seal));
                     // The receiver is dropped at the deadline.
                     let _ = finished.send((name, saved));
                 }
@@ -195,7 +195,7 @@ impl StateDir {
     }
 
     /// Writes a session's file under another name and then renames it, so it is either complete or not there.
-    fn write(&self, name: &str, saved: &Saved, seal: &Seal) -> Result<()> {
+    fn write(&self, name: &str, saved: &SessionFile, seal: &Seal) -> Result<()> {
         let path = self.path.join(format!("{name}.{ENDING}"));
         let unusable = |e: std::io::Error| Error::file(&path, e);
         // Temporary files can be read by their owner only (0600).
@@ -208,31 +208,31 @@ impl StateDir {
     }
 }
 
-impl Saved {
-    fn of(session: Session, seal: &Seal) -> Result<Self> {
-        let Session { id, blueprint, environments: Environments { batch, books } } = session;
+impl SessionFile {
+    fn of(session: StoppedSession, seal: &Seal) -> Result<Self> {
+        let StoppedSession { id, blueprint, environments: SessionEnvironments { batch, books } } = session;
         let mut options = Vec::new();
         let unusable = |e| Error::Exhausted(format!("its options cannot be written: {e}"));
         let keywords = blueprint.keywords().into_iter().map(|k| (k.name.to_owned(), k.value));
         ciborium::into_writer(&Value::Object(keywords.collect()), &mut options).map_err(unusable)?;
         let snapshot = if batch.is_untouched() { None } else { Some(batch.save()?.to_bytes(seal)?) };
         let task = blueprint.task.spec().id.into();
-        let (envs, Done { sequence, answer }) = (batch.envs() as u64, books.done);
+        let (envs, LastAnswer { sequence, answer }) = (batch.envs() as u64, books.done);
         Ok(Self { id, task, options, envs, sequence, answer, snapshot })
     }
 }
 
-fn load(path: &Path, seal: &Seal) -> Result<Saved> {
+fn load(path: &Path, seal: &Seal) -> Result<SessionFile> {
     let bytes = fs::read(path).map_err(|e| Error::file(path, e))?;
     let rest = bytes.strip_prefix(MAGIC).ok_or_else(|| Error::file(path, "this is no session of sandgait's"))?;
     let (tag, body) = rest.split_first_chunk().ok_or_else(|| Error::file(path, "it is cut off"))?;
     seal.check(tag, body).map_err(|why| Error::file(path, why))?;
-    Saved::decode(body).map_err(|e| Error::file(path, e))
+    SessionFile::decode(body).map_err(|e| Error::file(path, e))
 }
 
 /// Restores a saved session; returns its name.
-fn adopt(saved: Saved, sessions: &Sessions, pool: &Pool) -> Result<String> {
-    let Saved { id, task, options, envs, sequence, answer, snapshot } = saved;
+fn adopt(saved: SessionFile, sessions: &Sessions, pool: &Pool) -> Result<String> {
+    let SessionFile { id, task, options, envs, sequence, answer, snapshot } = saved;
     let options: Value = ciborium::from_reader(&options[..]).map_err(|e| Error::invalid("options", e.to_string()))?;
     let blueprint = Blueprint::new(&task, options)?;
     let mut environments = sessions.build(&blueprint, envs as usize)?;
@@ -241,7 +241,7 @@ fn adopt(saved: Saved, sessions: &Sessions, pool: &Pool) -> Result<String> {
         environments.batch = pool.wait(environments.batch, operation)?;
         environments.books.reservation.set_models(environments.batch.model_bytes())?;
     }
-    environments.books.done = Done { sequence, answer };
+    environments.books.done = LastAnswer { sequence, answer };
     let name = name(&id);
     sessions.add(id, blueprint, environments)?;
     Ok(name)

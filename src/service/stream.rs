@@ -10,14 +10,14 @@
 //! thread, and the pool's threads step and encode.
 
 use super::decode::Weight;
-use super::frame::Frame;
+use super::frame::RequestFrame;
 use super::intake::{Intake, Messages, Share};
 use super::proto::run_session_request::Request;
 use super::proto::run_session_response::Response;
 use super::proto::{Attached, RunSessionRequest, RunSessionResponse, Snapshot};
 use super::sessions::SessionGuard;
-use super::sessions::{Done, Hold, Sessions};
-use super::work::Work;
+use super::sessions::{LastAnswer, Sessions, StreamHold};
+use super::work::SessionWork;
 use super::{decode, price, rollout, status, view};
 use crate::error::{Error, Result as Checked};
 use crate::pool::Pool;
@@ -29,19 +29,19 @@ use tokio::sync::mpsc;
 use tonic::{Status, Streaming};
 
 /// Data of a call from its start.
-pub struct Call {
+pub struct SessionCall {
     pub messages: Messages,
     pub intake: Arc<Intake>,
 }
 
 /// The answers to `requests`.
 pub fn run(
-    requests: Streaming<Frame<RunSessionRequest>>,
-    call: Call,
+    requests: Streaming<RequestFrame<RunSessionRequest>>,
+    call: SessionCall,
     sessions: Arc<Sessions>,
     pool: Arc<Pool>,
 ) -> impl Stream<Item = Result<RunSessionResponse, Status>> {
-    let run = Run { requests, call, sessions, pool, attached: None, answers: None, share: None };
+    let run = SessionStream { requests, call, sessions, pool, attached: None, answers: None, share: None };
     stream::try_unfold(run, |mut run| async move {
         let answer = run.answer().await?;
         if let Some(RunSessionResponse { response: Some(Response::Failure(refused)), .. }) = &answer {
@@ -53,9 +53,9 @@ pub fn run(
 }
 
 /// The state of a stream.
-struct Run {
-    requests: Streaming<Frame<RunSessionRequest>>,
-    call: Call,
+struct SessionStream {
+    requests: Streaming<RequestFrame<RunSessionRequest>>,
+    call: SessionCall,
     sessions: Arc<Sessions>,
     pool: Arc<Pool>,
     /// None until the first message has named the session.
@@ -68,7 +68,7 @@ struct Run {
 
 /// Detaches from the session when the stream ends.
 struct Attachment {
-    hold: Hold,
+    hold: StreamHold,
     sessions: Arc<Sessions>,
 }
 
@@ -78,7 +78,7 @@ impl Drop for Attachment {
     }
 }
 
-impl Run {
+impl SessionStream {
     /// The next answer; None when the client has no more requests.
     async fn answer(&mut self) -> Result<Option<RunSessionResponse>, Status> {
         loop {
@@ -165,7 +165,7 @@ impl Run {
             Err(error) => (guard, Err(error)),
         };
         let (answers, receiver) = mpsc::channel(2);
-        let mut work = Work { sequence, guard, answers, end, share: self.share.clone() };
+        let mut work = SessionWork { sequence, guard, answers, end, share: self.share.clone() };
         self.answers = Some(receiver);
         match share {
             Err(error) => {
@@ -215,7 +215,7 @@ impl Run {
     }
 
     /// Starts the work on the thread that suits it. Long work waits for its turn without a thread.
-    async fn start(&self, work: Work, request: RunSessionRequest) {
+    async fn start(&self, work: SessionWork, request: RunSessionRequest) {
         let (pool, weight) = (self.pool.clone(), decode::weight(&request));
         if let Some(Request::Render(render)) = request.request {
             tokio::spawn(view::render(work, render));
@@ -243,7 +243,7 @@ impl Run {
 }
 
 /// The answer to a request out of sequence: the last answer again, or a refusal.
-fn repeated(done: &Done, sequence: u64) -> Option<RunSessionResponse> {
+fn repeated(done: &LastAnswer, sequence: u64) -> Option<RunSessionResponse> {
     match sequence {
         0 => None,
         n if n == done.sequence => done.answer.clone(),
@@ -258,7 +258,7 @@ fn repeated(done: &Done, sequence: u64) -> Option<RunSessionResponse> {
 }
 
 /// Checks a request and starts its operation.
-fn carry_out(mut work: Work, request: Option<Request>, pool: &Arc<Pool>) {
+fn carry_out(mut work: SessionWork, request: Option<Request>, pool: &Arc<Pool>) {
     let seal = work.guard.sessions.seal.clone();
     let made = work.count_memory();
     let operation = match request {

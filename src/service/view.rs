@@ -3,14 +3,14 @@
 use super::proto::run_session_response::Response;
 use super::proto::{Observation, Observe, Pictures, Render};
 use super::sessions::TURN;
-use super::work::Work;
+use super::work::SessionWork;
 use crate::error::{Error, Result};
 use crate::pool::Batch;
 use crate::session::view;
 use std::time::Instant;
 
 /// Draws the pictures in turns with other work, until nobody waits for them any more.
-pub async fn render(mut work: Work, request: Render) {
+pub async fn render(mut work: SessionWork, request: Render) {
     let (sessions, end) = (work.guard.sessions.clone(), work.end.clone());
     let Render { indices, width, height, ended, camera } = request;
     let camera = camera.map_or_else(view::CameraOptions::default, |c| view::CameraOptions {

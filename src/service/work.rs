@@ -4,7 +4,7 @@ use super::encode;
 use super::intake::Share;
 use super::proto::RunSessionResponse;
 use super::proto::run_session_response::Response;
-use super::sessions::Done;
+use super::sessions::LastAnswer;
 use super::sessions::{SessionGuard, broken};
 use super::status;
 use crate::error::{Error, Result};
@@ -16,7 +16,7 @@ use tokio_util::sync::CancellationToken;
 
 /// A request with its session's environments. Dropping it returns them; if a panic has destroyed them, it answers
 /// with INTERNAL and ends the session.
-pub struct Work {
+pub struct SessionWork {
     pub sequence: u64,
     pub guard: SessionGuard,
     pub answers: mpsc::Sender<RunSessionResponse>,
@@ -27,7 +27,7 @@ pub struct Work {
     pub share: Option<Arc<Share>>,
 }
 
-impl Drop for Work {
+impl Drop for SessionWork {
     fn drop(&mut self) {
         if self.guard.is_lost() {
             self.lose(&broken());
@@ -35,7 +35,7 @@ impl Drop for Work {
     }
 }
 
-impl Work {
+impl SessionWork {
     pub fn batch(&mut self) -> &mut Batch {
         self.guard.batch()
     }
@@ -113,7 +113,7 @@ impl Work {
     /// Notes that the request is answered.
     pub fn settle(&mut self, answer: Option<RunSessionResponse>) {
         if let Some(books) = self.guard.books.as_mut().filter(|_| self.sequence > 0) {
-            books.done = Done { sequence: self.sequence, answer };
+            books.done = LastAnswer { sequence: self.sequence, answer };
         }
     }
 }
@@ -129,13 +129,13 @@ mod tests {
     use tonic::Code;
 
     /// A session's environments in an operation, and the channel of its answers.
-    fn guard(sessions: &Arc<Sessions>) -> (Work, mpsc::Receiver<RunSessionResponse>) {
+    fn guard(sessions: &Arc<Sessions>) -> (SessionWork, mpsc::Receiver<RunSessionResponse>) {
         let blueprint = Blueprint::new("sandgait/HexapodGait-v1", Value::Null).unwrap();
         let environments = sessions.build(&blueprint, 2).unwrap();
         let (answers, receiver) = mpsc::channel(2);
         sessions.add("one".into(), blueprint.clone(), sessions.build(&blueprint, 1).unwrap()).unwrap();
         let guard = SessionGuard::new(sessions.clone(), "one".into(), environments);
-        (Work { sequence: 7, guard, answers, end: CancellationToken::new(), share: None }, receiver)
+        (SessionWork { sequence: 7, guard, answers, end: CancellationToken::new(), share: None }, receiver)
     }
 
     fn sessions() -> Arc<Sessions> {

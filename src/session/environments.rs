@@ -42,13 +42,13 @@ enum BatchState {
     Closed,
 }
 
-struct Slot {
+struct BatchSlot {
     state: BatchState,
     answer: Option<Answer>,
 }
 
-struct Shared {
-    slot: Mutex<Slot>,
+struct SharedBatch {
+    slot: Mutex<BatchSlot>,
     back: Condvar,
     /// The caller has stopped waiting for a rollout.
     stop: AtomicBool,
@@ -57,24 +57,24 @@ struct Shared {
 /// The environments of one session. Threads may share it; one thread has them at a time.
 #[derive(Clone)]
 pub struct Environments {
-    shared: Arc<Shared>,
+    shared: Arc<SharedBatch>,
 }
 
 /// The environments, while a thread works on them.
 pub struct EnvironmentsGuard {
     /// None after the environments were passed on.
     batch: Option<Batch>,
-    shared: Arc<Shared>,
+    shared: Arc<SharedBatch>,
 }
 
 fn closed() -> Error {
     Error::OutOfOrder("this environment is closed".into())
 }
 
-impl Shared {
+impl SharedBatch {
     /// The data are consistent even after a panic, because fields that change together change without a call in
     /// between.
-    fn lock(&self) -> MutexGuard<'_, Slot> {
+    fn lock(&self) -> MutexGuard<'_, BatchSlot> {
         self.slot.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -107,13 +107,13 @@ impl Environments {
             }
             building.go_on(BUILDING)?;
         }
-        let slot = Mutex::new(Slot { state: BatchState::Idle(building.finish()?), answer: None });
-        Ok(Self { shared: Arc::new(Shared { slot, back: Condvar::new(), stop: AtomicBool::new(false) }) })
+        let slot = Mutex::new(BatchSlot { state: BatchState::Idle(building.finish()?), answer: None });
+        Ok(Self { shared: Arc::new(SharedBatch { slot, back: Condvar::new(), stop: AtomicBool::new(false) }) })
     }
 
     /// The environments, if they are available within `time`; None: a thread still works on them.
     pub fn take(&self, time: Duration) -> Option<Result<EnvironmentsGuard>> {
-        let away = |slot: &mut Slot| matches!(slot.state, BatchState::Running);
+        let away = |slot: &mut BatchSlot| matches!(slot.state, BatchState::Running);
         let mut slot = self.shared.lock();
         if away(&mut slot) && !time.is_zero() {
             let waited = self.shared.back.wait_timeout_while(slot, time, away);

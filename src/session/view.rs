@@ -5,7 +5,7 @@ use crate::error::{Error, Result};
 use crate::pool::Batch;
 use crate::sim::Model;
 pub use sandgait_view::CameraOptions;
-use sandgait_view::{self as view, About, Moment};
+use sandgait_view::{self as view, About, RecordedState};
 
 /// Largest number of pixels of one request, all its pictures together: our choice, 100 MB.
 pub const MOST_PIXELS: u64 = 1 << 25;
@@ -70,8 +70,8 @@ pub fn header(spec: &Spec, model: &Model, episode: (u64, u64)) -> String {
     view::header(model, &about)
 }
 
-/// The moment's numbers.
-fn row(look: &EnvView) -> Vec<f32> {
+/// The numbers of a moment, in the order of the header's columns.
+pub fn row(look: &EnvView) -> Vec<f32> {
     let EnvView { model, footing, time, action, reward, info, .. } = look;
-    view::row(model, &Moment { time: *time, state: &look.whole_state(), footing, action, reward: *reward, info })
+    view::row(model, &RecordedState { time: *time, state: &look.whole_state(), footing, action, reward: *reward, info })
 }

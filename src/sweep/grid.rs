@@ -1,9 +1,9 @@
 //! Simulates a walk for every design of a grid.
 
 use super::table::values;
-use super::{Axis, Design, walk_all};
+use super::{Design, SweepAxis, walk_all};
 use crate::error::{Result, check_range};
-use crate::progress::{Part, Progress};
+use crate::progress::{PartialProgress, Progress};
 use crate::sim::engine::EngineKind;
 use crate::sim::walk::{WalkResult, WalkTrial};
 
@@ -14,21 +14,21 @@ pub const MOST_WALKS: usize = 500_000;
 const PORTION: usize = 4096;
 
 /// One walk for each grid point, the last axis fastest. An error of `progress` stops them.
-pub fn grid(base: &Design, axes: &[Axis], progress: &dyn Progress) -> Result<Vec<WalkResult>> {
+pub fn grid(base: &Design, axes: &[SweepAxis], progress: &dyn Progress) -> Result<Vec<WalkResult>> {
     let count = check_grid(base, axes)?;
     let mut results = Vec::with_capacity(count);
     while results.len() < count {
         let portion = results.len()..(results.len() + PORTION).min(count);
         let ends = [portion.start, portion.end].map(|i| i as f64 / count as f64);
         let trials = portion.map(|i| trial(base, axes, i)).collect::<Result<Vec<_>>>()?;
-        results.extend(walk_all(EngineKind::Lanes, &trials, &Part::new(progress, ends))?);
+        results.extend(walk_all(EngineKind::Lanes, &trials, &PartialProgress::new(progress, ends))?);
     }
     Ok(results)
 }
 
 /// Refuses a grid that is too large, and each value that the base design cannot have; returns the number of its
 /// points.
-pub fn check_grid(base: &Design, axes: &[Axis]) -> Result<usize> {
+pub fn check_grid(base: &Design, axes: &[SweepAxis]) -> Result<usize> {
     let count: usize = axes.iter().map(|a| a.values.len()).product();
     check_range("number of walks", count as f64, 1.0..=MOST_WALKS as f64)?;
     let mut stride = 1;
@@ -41,7 +41,7 @@ pub fn check_grid(base: &Design, axes: &[Axis]) -> Result<usize> {
     Ok(count)
 }
 
-fn trial(base: &Design, axes: &[Axis], index: usize) -> Result<WalkTrial> {
+fn trial(base: &Design, axes: &[SweepAxis], index: usize) -> Result<WalkTrial> {
     let mut design = base.clone();
     for (axis, value) in axes.iter().zip(values(axes, index)) {
         axis.parameter.set(&mut design, value)?;

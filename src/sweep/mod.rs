@@ -15,7 +15,7 @@ pub mod run;
 pub mod table;
 
 pub use grid::grid;
-pub use parameter::{Axis, Parameter};
+pub use parameter::{Parameter, SweepAxis};
 pub use run::walk_all;
 
 use crate::error::{Error, Result};
@@ -51,12 +51,12 @@ impl Design {
 
 /// The figure of a walk that a study compares.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Measure {
+pub enum SweepMeasure {
     Speed,
     CostOfTransport,
 }
 
-impl Measure {
+impl SweepMeasure {
     pub fn named(name: &str) -> Result<Self> {
         match name {
             "speed" => Ok(Self::Speed),

@@ -1,9 +1,9 @@
 //! A search for the best design within bounds. It is a particle swarm, because the speed of a walk has kinks and
 //! local optima, gradients are not known, and the walks of a swarm run side by side in the lanes.
 
-use super::{Axis, Design, Measure, walk_all};
+use super::{Design, SweepAxis, SweepMeasure, walk_all};
 use crate::error::{Error, Result};
-use crate::progress::{Part, Progress};
+use crate::progress::{PartialProgress, Progress};
 use crate::sim::engine::EngineKind;
 use crate::sim::walk::{WalkResult, WalkTrial};
 use argmin::core::{CostFunction, Executor, State};
@@ -32,8 +32,8 @@ pub struct Optimum {
 
 struct Problem<'a> {
     base: &'a Design,
-    axes: &'a [Axis],
-    measure: Measure,
+    axes: &'a [SweepAxis],
+    measure: SweepMeasure,
     progress: &'a dyn Progress,
     /// Number of simulated robots.
     simulated: Cell<usize>,
@@ -49,11 +49,11 @@ impl Problem<'_> {
         let before = self.simulated.get();
         self.simulated.set(before + swarm.len());
         let ends = [before, before + swarm.len()].map(|n| (n as f64 / WALKS as f64).min(1.0));
-        walk_all(EngineKind::Lanes, &trials, &Part::new(self.progress, ends))
+        walk_all(EngineKind::Lanes, &trials, &PartialProgress::new(self.progress, ends))
     }
 }
 
-fn trial(base: &Design, axes: &[Axis], values: &[f64]) -> Result<WalkTrial> {
+fn trial(base: &Design, axes: &[SweepAxis], values: &[f64]) -> Result<WalkTrial> {
     let mut design = base.clone();
     for (axis, value) in axes.iter().zip(values) {
         axis.parameter.set(&mut design, &value.to_string())?;
@@ -84,7 +84,7 @@ impl CostFunction for Problem<'_> {
 
 /// Least and greatest value of each axis. Designs at both bounds are simulated once, so that wrong bounds give an
 /// error.
-pub fn bounds(base: &Design, axes: &[Axis]) -> Result<[Vec<f64>; 2]> {
+pub fn bounds(base: &Design, axes: &[SweepAxis]) -> Result<[Vec<f64>; 2]> {
     let (mut low, mut high) = (Vec::new(), Vec::new());
     for axis in axes {
         let reason = format!("{} needs two numbers to search between", axis.parameter.name);
@@ -98,7 +98,7 @@ pub fn bounds(base: &Design, axes: &[Axis]) -> Result<[Vec<f64>; 2]> {
 }
 
 /// Searches between the least and greatest value of each axis. An error of `progress` stops the search.
-pub fn optimize(base: &Design, axes: &[Axis], measure: Measure, progress: &dyn Progress) -> Result<Optimum> {
+pub fn optimize(base: &Design, axes: &[SweepAxis], measure: SweepMeasure, progress: &dyn Progress) -> Result<Optimum> {
     let [low, high] = bounds(base, axes)?;
     let problem = Problem { base, axes, measure, progress, simulated: Cell::new(0) };
     let random = Xoshiro256PlusPlus::seed_from_u64(SEED);

@@ -198,7 +198,7 @@ impl Parameter {
 
 /// A parameter and the values it takes.
 #[derive(Clone, Debug)]
-pub struct Axis {
+pub struct SweepAxis {
     pub parameter: Parameter,
     pub values: Vec<String>,
 }
@@ -206,7 +206,7 @@ pub struct Axis {
 /// Largest number of values on one axis: our choice, which catches typing errors.
 const MOST_VALUES: usize = 10_000;
 
-impl Axis {
+impl SweepAxis {
     /// A parameter's name and its values as text, numbers or names.
     pub fn new(name: &str, values: Vec<String>) -> Result<Self> {
         let parameter = Parameter::named(name)?;

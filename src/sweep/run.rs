@@ -30,7 +30,7 @@ pub fn walk_all(engine: EngineKind, trials: &[WalkTrial], progress: &dyn Progres
     }
     // The slowest walks are last. They are started first, so that they do not keep a single core busy at the end.
     blocks.reverse();
-    let clock = Clock::of(trials, &blocks, progress);
+    let clock = SweepProgress::of(trials, &blocks, progress);
     let outcomes = parallel::map(&blocks, |block| {
         // After a stop no further block starts.
         clock.advance(0.0)?;
@@ -47,7 +47,7 @@ pub fn walk_all(engine: EngineKind, trials: &[WalkTrial], progress: &dyn Progres
 }
 
 /// Simulated time of all blocks together, the measure of progress.
-struct Clock<'a> {
+struct SweepProgress<'a> {
     /// [s]
     total: f64,
     /// [s]
@@ -56,7 +56,7 @@ struct Clock<'a> {
     progress: &'a dyn Progress,
 }
 
-impl<'a> Clock<'a> {
+impl<'a> SweepProgress<'a> {
     fn of(trials: &[WalkTrial], blocks: &[Vec<usize>], progress: &'a dyn Progress) -> Self {
         let longest = |block: &Vec<usize>| block.iter().map(|i| trials[*i].duration()).fold(0.0, f64::max);
         let total = blocks.iter().map(longest).sum();

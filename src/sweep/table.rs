@@ -1,11 +1,11 @@
 //! A sweep's results as CSV and as a figure.
 
-use super::{Axis, Measure};
+use super::{SweepAxis, SweepMeasure};
 use crate::plot::{self, Figure, Mark, Panel, Style, color};
 use crate::sim::walk::WalkResult;
 
 /// Rows in the order of the grid, the last axis fastest.
-pub fn csv(axes: &[Axis], results: &[WalkResult]) -> String {
+pub fn csv(axes: &[SweepAxis], results: &[WalkResult]) -> String {
     let names = axes.iter().map(|a| match a.parameter.unit {
         "" => a.parameter.name.to_owned(),
         unit => format!("{} [{unit}]", a.parameter.name),
@@ -27,7 +27,7 @@ fn quoted(cell: &str) -> String {
 }
 
 /// The value on each axis of grid point `index`.
-pub fn values(axes: &[Axis], mut index: usize) -> Vec<&str> {
+pub fn values(axes: &[SweepAxis], mut index: usize) -> Vec<&str> {
     let mut cells: Vec<&str> = Vec::new();
     for axis in axes.iter().rev() {
         cells.push(&axis.values[index % axis.values.len()]);
@@ -38,7 +38,7 @@ pub fn values(axes: &[Axis], mut index: usize) -> Vec<&str> {
 }
 
 /// A heat map over two number axes, lines over one; an axis of names makes a line for each name.
-pub fn figure(axes: &[Axis], results: &[WalkResult], measure: Measure, title: &str) -> Figure {
+pub fn figure(axes: &[SweepAxis], results: &[WalkResult], measure: SweepMeasure, title: &str) -> Figure {
     let at: Vec<f64> = results.iter().map(|r| measure.of(r)).collect();
     let panel = match axes {
         [rows, columns] => match (rows.numbers(), columns.numbers()) {
@@ -51,7 +51,7 @@ pub fn figure(axes: &[Axis], results: &[WalkResult], measure: Measure, title: &s
     Figure { title: title.into(), panels: vec![panel], columns: 1, note: String::new() }
 }
 
-fn heat_map(axes: &[Axis], x: Vec<f64>, y: Vec<f64>, at: &[f64], measure: Measure) -> Panel {
+fn heat_map(axes: &[SweepAxis], x: Vec<f64>, y: Vec<f64>, at: &[f64], measure: SweepMeasure) -> Panel {
     let values = at.chunks(x.len()).map(<[f64]>::to_vec).collect();
     Panel {
         x: plot::Axis::new(&axes[1].parameter.label()),
@@ -61,7 +61,7 @@ fn heat_map(axes: &[Axis], x: Vec<f64>, y: Vec<f64>, at: &[f64], measure: Measur
     }
 }
 
-fn lines(families: Option<&Axis>, along: &Axis, at: &[f64], measure: Measure) -> Panel {
+fn lines(families: Option<&SweepAxis>, along: &SweepAxis, at: &[f64], measure: SweepMeasure) -> Panel {
     // Names are drawn at 1, 2, 3 … of the axis.
     let x = along.numbers().unwrap_or_else(|| (1..=along.values.len()).map(|i| i as f64).collect());
     let label = match along.numbers() {

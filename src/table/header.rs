@@ -28,7 +28,7 @@ const MOST_COLUMNS: usize = 4096;
 
 /// The columns that a reader requests from a table.
 #[derive(Clone)]
-pub struct Asked<'a> {
+pub struct ReadOptions<'a> {
     pub columns: &'a [Column<'a>],
     /// Our column name → the file's name for it, where it differs.
     pub renamed: BTreeMap<String, String>,
@@ -41,19 +41,19 @@ pub struct Asked<'a> {
 }
 
 /// Column of the file, and the factor from its numbers to SI.
-pub(super) struct Place {
+pub(super) struct ColumnPosition {
     pub index: usize,
     pub factor: f64,
 }
 
-impl<'a> Asked<'a> {
+impl<'a> ReadOptions<'a> {
     /// Columns under our own names, in a file of any length, with units from the header alone.
     pub fn new(columns: &'a [Column<'a>]) -> Self {
         Self { columns, renamed: BTreeMap::new(), units: BTreeMap::new(), most_rows: None, progress: &Silent }
     }
 
     /// Index of each column in `header`; None for an optional column that is absent.
-    pub(super) fn places(&self, path: &Path, header: &[String]) -> Result<Vec<Option<Place>>> {
+    pub(super) fn places(&self, path: &Path, header: &[String]) -> Result<Vec<Option<ColumnPosition>>> {
         if header.iter().all(String::is_empty) {
             return Err(Error::file(path, "row 1: is empty; it must have the names of the columns"));
         }
@@ -82,7 +82,7 @@ impl<'a> Asked<'a> {
         self.renamed.get(column.name).map_or(column.name, String::as_str)
     }
 
-    fn place(&self, path: &Path, header: &[String], column: &Column) -> Result<Option<Place>> {
+    fn place(&self, path: &Path, header: &[String], column: &Column) -> Result<Option<ColumnPosition>> {
         let theirs = self.theirs(column);
         let wrong = |reason: String| Error::file(path, format!("row 1, column {theirs}: {reason}"));
         let exact = header.iter().any(|h| h == theirs);
@@ -114,7 +114,7 @@ impl<'a> Asked<'a> {
             (Some(given), Some(own)) if given != own => {
                 Err(wrong("the header gives another unit than the one that is stated separately".into()))
             }
-            _ => Ok(Some(Place { index, factor: given.or(own).unwrap_or(1.0) })),
+            _ => Ok(Some(ColumnPosition { index, factor: given.or(own).unwrap_or(1.0) })),
         }
     }
 }

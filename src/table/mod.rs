@@ -6,11 +6,11 @@ use sandgait_base::{error, progress};
 mod header;
 mod quantity;
 
-pub use header::{Asked, Column};
+pub use header::{Column, ReadOptions};
 pub use quantity::Quantity;
 
 use crate::error::{Error, Result};
-use header::Place;
+use header::ColumnPosition;
 use sha2::{Digest, Sha256};
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
@@ -29,7 +29,7 @@ const SHOWN: usize = 300;
 pub struct Row<'a> {
     file: &'a Path,
     columns: &'a [Column<'a>],
-    places: &'a [Option<Place>],
+    places: &'a [Option<ColumnPosition>],
     record: &'a csv::StringRecord,
     /// Line in the file; the header is 1.
     pub line: u64,
@@ -96,7 +96,7 @@ pub struct Summary {
 }
 
 /// Calls `take` with each row of the file, in the file's order.
-pub fn read(path: &Path, asked: &Asked, take: impl FnMut(&Row) -> Result<()>) -> Result<Summary> {
+pub fn read(path: &Path, asked: &ReadOptions, take: impl FnMut(&Row) -> Result<()>) -> Result<Summary> {
     let file = File::open(path).map_err(|e| Error::file(path, e))?;
     let bytes = file.metadata().map_err(|e| Error::file(path, e))?.len();
     if bytes > MOST_BYTES {
@@ -109,7 +109,7 @@ pub fn read(path: &Path, asked: &Asked, take: impl FnMut(&Row) -> Result<()>) ->
 pub fn parse(
     path: &Path,
     source: impl Read,
-    asked: &Asked,
+    asked: &ReadOptions,
     mut take: impl FnMut(&Row) -> Result<()>,
 ) -> Result<Summary> {
     let mut source = BufReader::with_capacity(1 << 20, Hashed { inner: source, hash: Sha256::new(), bytes: 0 });
@@ -221,7 +221,7 @@ mod tests {
             let names: Vec<String> = (0..count).map(|k| format!("c{k}")).collect();
             let text = format!("force,{}\n1{}\n", names.join(","), ",0".repeat(count));
             let start = Instant::now();
-            let read = parse(Path::new("log.csv"), text.as_bytes(), &Asked::new(&columns), |_| Ok(()));
+            let read = parse(Path::new("log.csv"), text.as_bytes(), &ReadOptions::new(&columns), |_| Ok(()));
             assert!(start.elapsed() < Duration::from_secs(2), "{count} columns: {:?}", start.elapsed());
             assert_eq!(read.is_err(), refused);
             if let Err(error) = read {
@@ -246,7 +246,7 @@ mod tests {
         let (columns, rows) = (columns(), Cell::new(0));
         let text = format!("force\n{}", "1\n".repeat(100_000));
         let left = Left(std::sync::Mutex::new(2));
-        let asked = Asked { progress: &left, ..Asked::new(&columns) };
+        let asked = ReadOptions { progress: &left, ..ReadOptions::new(&columns) };
         let read = parse(Path::new("log.csv"), text.as_bytes(), &asked, |_| {
             rows.set(rows.get() + 1);
             Ok(())

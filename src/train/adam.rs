@@ -29,7 +29,7 @@ impl Adam {
         }
         self.steps += 1;
         let left = |beta: f32| 1.0 - f64::from(beta).powf(self.steps as f64);
-        let kernel = Step {
+        let kernel = AdamStep {
             parameters,
             gradient,
             first: &mut self.first,
@@ -43,7 +43,7 @@ impl Adam {
     }
 }
 
-struct Step<'a> {
+struct AdamStep<'a> {
     parameters: &'a mut [f32],
     gradient: &'a [f32],
     first: &'a mut [f32],
@@ -53,7 +53,7 @@ struct Step<'a> {
     root: f32,
 }
 
-impl Kernel for Step<'_> {
+impl Kernel for AdamStep<'_> {
     #[inline(always)]
     fn run(self) {
         let moments = self.first.iter_mut().zip(self.second);

@@ -1,12 +1,12 @@
 //! Checkpoints: files from which a training can go on, here or with stable-baselines3 (`sandgait.export.to_sb3`).
 
 use super::adam::Adam;
-use super::kept::{Episodes, Kept};
-use super::network::Layer;
-use super::normal::{Normal, Running};
-use super::plan::{Learnt, Plan};
-use super::settings::Settings;
-use super::tensors::{Numbers, Tensors};
+use super::kept::{Episodes, SavedEnvironments};
+use super::network::NetworkLayer;
+use super::normal::{Normalizer, RunningStatistics};
+use super::plan::{TrainingPlan, TrainingState};
+use super::settings::Hyperparameters;
+use super::tensors::Tensors;
 use crate::error::{Error, Result};
 use serde_json::{Map, Value, json};
 use std::path::{Path, PathBuf};
@@ -17,7 +17,7 @@ const FORMAT: &str = "sandgait policy 1";
 /// Ending of the files' names.
 const ENDING: &str = "safetensors";
 
-fn layers(plan: &Plan) -> impl Iterator<Item = (String, &Layer)> {
+fn layers(plan: &TrainingPlan) -> impl Iterator<Item = (String, &NetworkLayer)> {
     let shape = &plan.networks.shape;
     let named = |name: &'static str| move |(k, layer)| (format!("{name}.{k}"), layer);
     let actor = shape.actor.iter().enumerate().map(named("actor"));
@@ -25,21 +25,21 @@ fn layers(plan: &Plan) -> impl Iterator<Item = (String, &Layer)> {
 }
 
 /// The task options of the training. With other options the episodes would be different ones.
-fn options(plan: &Plan) -> String {
+fn options(plan: &TrainingPlan) -> String {
     json!(plan.blueprint.task.options()).to_string()
 }
 
 /// The contents of a checkpoint.
-pub struct Saved {
-    pub learnt: Learnt,
-    /// See [`super::curve::Curve::open`].
+pub struct Checkpoint {
+    pub learnt: TrainingState,
+    /// See [`super::curve::LearningCurve::open`].
     pub open: [f64; 2],
     /// What differs from going on with the newest checkpoint as it is, one sentence each.
     pub notices: Vec<String>,
 }
 
 /// Saves all of `learnt`, and the curve's `open` episodes. Weights are f32 [inputs, outputs].
-pub fn save(path: &Path, plan: &Plan, learnt: &Learnt, open: [f64; 2]) -> Result<()> {
+pub fn save(path: &Path, plan: &TrainingPlan, learnt: &TrainingState, open: [f64; 2]) -> Result<()> {
     let mut file = Tensors::default();
     let about = [
         ("format", FORMAT.to_owned()),
@@ -53,50 +53,49 @@ pub fn save(path: &Path, plan: &Plan, learnt: &Learnt, open: [f64; 2]) -> Result
         ("options", options(plan)),
     ];
     file.about.extend(about.map(|(name, text)| (name.to_owned(), text)));
-    file.add("seconds", &[], Numbers::F64(vec![learnt.seconds]));
-    file.add("curve.open", &[2], Numbers::F64(open.to_vec()));
+    file.add("seconds", &[], &[learnt.seconds]);
+    file.add("curve.open", &[2], &open);
     for (prefix, numbers) in
         [("", &learnt.parameters), ("adam.first.", &learnt.adam.first), ("adam.second.", &learnt.adam.second)]
     {
         for (name, layer) in layers(plan) {
-            let weights = Numbers::F32(numbers[layer.weights.clone()].to_vec());
+            let [weights, bias] = [&layer.weights, &layer.bias].map(|place| &numbers[place.clone()]);
             file.add(format!("{prefix}{name}.weights"), &[layer.inputs, layer.outputs], weights);
-            let bias = Numbers::F32(numbers[layer.bias.clone()].to_vec());
             file.add(format!("{prefix}{name}.bias"), &[layer.outputs], bias);
         }
         let log_std = &numbers[plan.networks.shape.log_std.clone()];
-        file.add(format!("{prefix}log_std"), &[log_std.len()], Numbers::F32(log_std.to_vec()));
+        file.add(format!("{prefix}log_std"), &[log_std.len()], log_std);
     }
-    if let Some(Normal { observations, returns }) = &learnt.normal {
+    if let Some(Normalizer { observations, returns }) = &learnt.normal {
         for (name, running) in [("observations", observations), ("returns", returns)] {
-            file.add(format!("{name}.mean"), &[running.mean.len()], Numbers::F64(running.mean.clone()));
-            file.add(format!("{name}.variance"), &[running.variance.len()], Numbers::F64(running.variance.clone()));
-            file.add(format!("{name}.count"), &[], Numbers::F64(vec![running.count]));
+            file.add(format!("{name}.mean"), &[running.mean.len()], &running.mean);
+            file.add(format!("{name}.variance"), &[running.variance.len()], &running.variance);
+            file.add(format!("{name}.count"), &[], &[running.count]);
         }
     }
     for (name, mirror) in ["observation", "action"].iter().zip(plan.networks.mirror.iter().flatten()) {
-        let order = mirror.order.iter().map(|k| *k as i64).collect();
-        file.add(format!("mirror.{name}.order"), &[mirror.order.len()], Numbers::I64(order));
-        file.add(format!("mirror.{name}.signs"), &[mirror.signs.len()], Numbers::F32(mirror.signs.clone()));
+        let order: Vec<i64> = mirror.order.iter().map(|k| *k as i64).collect();
+        file.add(format!("mirror.{name}.order"), &[mirror.order.len()], &order);
+        file.add(format!("mirror.{name}.signs"), &[mirror.signs.len()], &mirror.signs);
     }
     if let Some(kept) = &learnt.environments {
         let bytes = kept.episodes.bytes()?;
-        let place = if matches!(kept.episodes, Episodes::Away(_)) { "server" } else { "here" };
+        let place = if matches!(kept.episodes, Episodes::OnServer(_)) { "server" } else { "here" };
         file.about.insert("environments".into(), place.into());
-        file.add("environments", &[bytes.len()], Numbers::U8(bytes));
-        file.add("environments.discounted", &[kept.discounted.len()], Numbers::F64(kept.discounted.clone()));
-        file.add("environments.returns", &[kept.returns.len()], Numbers::F64(kept.returns.clone()));
+        file.add("environments", &[bytes.len()], &bytes);
+        file.add("environments.discounted", &[kept.discounted.len()], &kept.discounted);
+        file.add("environments.returns", &[kept.returns.len()], &kept.returns);
     }
     file.save(path)
 }
 
 /// Reads a file of [`save`] for a plan with the same task, networks and normalization; `away`: environments are on
 /// a server.
-pub fn load(path: &Path, plan: &Plan, away: bool) -> Result<Saved> {
+pub fn load(path: &Path, plan: &TrainingPlan, away: bool) -> Result<Checkpoint> {
     of_file(path, &Tensors::load(path)?, plan, away)
 }
 
-fn of_file(path: &Path, file: &Tensors, plan: &Plan, away: bool) -> Result<Saved> {
+fn of_file(path: &Path, file: &Tensors, plan: &TrainingPlan, away: bool) -> Result<Checkpoint> {
     read(file, plan, away).map_err(|e| match e {
         Error::Invalid { reason, .. } => Error::file(path, reason),
         other => other,
@@ -105,7 +104,7 @@ fn of_file(path: &Path, file: &Tensors, plan: &Plan, away: bool) -> Result<Saved
 
 /// The newest whole checkpoint in the results' folder `out`, which must belong to the training of `plan`. Checkpoints that
 /// are empty or cut off are skipped with a notice.
-pub fn newest(out: &Path, plan: &Plan, away: bool) -> Result<Saved> {
+pub fn newest(out: &Path, plan: &TrainingPlan, away: bool) -> Result<Checkpoint> {
     let mut broken = Vec::new();
     for path in all(out) {
         match Tensors::load(&path) {
@@ -134,7 +133,7 @@ pub fn is_used(out: &Path) -> bool {
 }
 
 /// Says what differs if the checkpoint is not of the training of `plan`. The end of a training may differ.
-fn belongs(file: &Tensors, plan: &Plan) -> std::result::Result<(), String> {
+fn belongs(file: &Tensors, plan: &TrainingPlan) -> std::result::Result<(), String> {
     let text = |name: &str| file.text(name).map_err(|e| e.to_string());
     let (task, seed) = (plan.blueprint.task.spec().id, plan.seed.to_string());
     for (name, there, here) in [("task", text("task")?, task), ("seed", text("seed")?, &seed)] {
@@ -145,9 +144,10 @@ fn belongs(file: &Tensors, plan: &Plan) -> std::result::Result<(), String> {
     let table = |name: &str| -> std::result::Result<Map<String, Value>, String> {
         serde_json::from_str(text(name)?).map_err(|e| format!("its {name} cannot be read: {e}"))
     };
-    let there = Settings::from_entry(&table("settings")?).map_err(|e| e.to_string())?;
-    let ends =
-        |settings: Settings| Settings { n_timesteps: 1, seconds: None, env_kwargs: Map::new(), ..settings }.json();
+    let there = Hyperparameters::from_entry(&table("settings")?).map_err(|e| e.to_string())?;
+    let ends = |settings: Hyperparameters| {
+        Hyperparameters { n_timesteps: 1, seconds: None, env_kwargs: Map::new(), ..settings }.json()
+    };
     let (there, here) = (ends(there), ends(plan.settings.clone()));
     differs(there.as_object(), here.as_object()).map_or(Ok(()), Err)?;
     let here = json!(plan.blueprint.task.options());
@@ -167,7 +167,11 @@ fn differs(there: Option<&Map<String, Value>>, here: Option<&Map<String, Value>>
 }
 
 /// The environments, or the reason why those of `file` cannot be used.
-fn environments(file: &Tensors, plan: &Plan, away: bool) -> Result<std::result::Result<Kept, String>> {
+fn environments(
+    file: &Tensors,
+    plan: &TrainingPlan,
+    away: bool,
+) -> Result<std::result::Result<SavedEnvironments, String>> {
     let unfit = match file.text("environments").ok() {
         None => "the checkpoint has no environments".to_owned(),
         Some(place) if (place == "server") != away => {
@@ -178,16 +182,16 @@ fn environments(file: &Tensors, plan: &Plan, away: bool) -> Result<std::result::
             format!("the checkpoint is of sandgait {}", file.text("sandgait")?)
         }
         Some(_) => {
-            let count = |name: &str| file.f64(name, plan.settings.n_envs);
+            let count = |name: &str| file.get(name, plan.settings.n_envs);
             let (discounted, returns) = (count("environments.discounted")?, count("environments.returns")?);
-            let episodes = Episodes::read(file.bytes("environments")?.to_vec(), away)?;
-            return Ok(Ok(Kept { episodes, discounted, returns }));
+            let episodes = Episodes::read(file.all("environments")?, away)?;
+            return Ok(Ok(SavedEnvironments { episodes, discounted, returns }));
         }
     };
     Ok(Err(unfit))
 }
 
-fn read(file: &Tensors, plan: &Plan, away: bool) -> Result<Saved> {
+fn read(file: &Tensors, plan: &TrainingPlan, away: bool) -> Result<Checkpoint> {
     let wrong = |why: String| Error::invalid("checkpoint", why);
     if file.text("format")? != FORMAT {
         return Err(wrong(format!("it is {:?}, not {FORMAT:?}", file.text("format")?)));
@@ -203,18 +207,18 @@ fn read(file: &Tensors, plan: &Plan, away: bool) -> Result<Saved> {
     let all = |prefix: &str| {
         let mut numbers = vec![0.0; plan.networks.shape.parameters];
         for (name, layer) in layers(plan) {
-            let weights = file.f32(&format!("{prefix}{name}.weights"), layer.weights.len())?;
+            let weights = file.get(&format!("{prefix}{name}.weights"), layer.weights.len())?;
             numbers[layer.weights.clone()].copy_from_slice(&weights);
-            numbers[layer.bias.clone()].copy_from_slice(&file.f32(&format!("{prefix}{name}.bias"), layer.bias.len())?);
+            numbers[layer.bias.clone()].copy_from_slice(&file.get(&format!("{prefix}{name}.bias"), layer.bias.len())?);
         }
         let log_std = plan.networks.shape.log_std.clone();
-        numbers[log_std.clone()].copy_from_slice(&file.f32(&format!("{prefix}log_std"), log_std.len())?);
+        numbers[log_std.clone()].copy_from_slice(&file.get(&format!("{prefix}log_std"), log_std.len())?);
         Ok(numbers)
     };
     let running = |name: &str, width: usize| {
-        let mean = file.f64(&format!("{name}.mean"), width)?;
-        let variance = file.f64(&format!("{name}.variance"), width)?;
-        Ok(Running { mean, variance, count: file.f64(&format!("{name}.count"), 1)?[0] })
+        let mean = file.get(&format!("{name}.mean"), width)?;
+        let variance = file.get(&format!("{name}.variance"), width)?;
+        Ok(RunningStatistics { mean, variance, count: file.get(&format!("{name}.count"), 1)?[0] })
     };
     let normalized = file.has("observations.mean");
     if normalized != plan.settings.normalize || file.has("mirror.action.order") != plan.networks.mirror.is_some() {
@@ -222,22 +226,22 @@ fn read(file: &Tensors, plan: &Plan, away: bool) -> Result<Saved> {
     }
     let normal = || {
         let observations = running("observations", plan.networks.shape.observation)?;
-        Ok(Normal { observations, returns: running("returns", 1)? })
+        Ok(Normalizer { observations, returns: running("returns", 1)? })
     };
     let adam = Adam { first: all("adam.first.")?, second: all("adam.second.")?, steps: whole("adam_steps")? };
     let environments = environments(file, plan, away)?;
-    let learnt = Learnt {
+    let learnt = TrainingState {
         parameters: all("")?,
         adam,
         normal: normalized.then(normal).transpose()?,
         steps: whole("steps")?,
         updates: whole("updates")?,
-        seconds: file.f64("seconds", 1)?[0],
+        seconds: file.get("seconds", 1)?[0],
         environments: environments.as_ref().ok().cloned().map(Arc::new),
     };
-    let open = file.f64("curve.open", 2).map_or([0.0; 2], |open| [open[0], open[1]]);
+    let open = file.get("curve.open", 2).map_or([0.0; 2], |open| [open[0], open[1]]);
     let notices = environments.err().map(|why| format!("new episodes began at the resumption: {why}"));
-    Ok(Saved { learnt, open, notices: notices.into_iter().collect() })
+    Ok(Checkpoint { learnt, open, notices: notices.into_iter().collect() })
 }
 
 /// The file of a checkpoint in the results' folder `out`.

@@ -1,13 +1,14 @@
 //! Rollouts: environments play some steps with the present policy, and the transitions are stored.
 
-use super::learn::Rollout;
-use super::loss::Spread;
-use super::network::{Networks, Pass};
-use super::normal::{Moments, Scales};
-use super::remote::Rows;
-use super::settings::Settings;
+use super::learn::RolloutBuffer;
+use super::loss::ActionNoise;
+use super::network::{NetworkPass, Networks};
+use super::normal::{BatchMoments, NormalizerScales};
+use super::remote::of_part;
+use super::settings::Hyperparameters;
 use crate::env::Shard;
 use crate::env::registry::Blueprint;
+use crate::env::shard::Rows;
 use crate::env::snapshot::{Resumed, SavedEpisode};
 use crate::error::Result;
 use rand::{Rng as _, SeedableRng as _};
@@ -22,63 +23,42 @@ const PIECES: usize = 8;
 /// Name of the info column with the level of a curriculum.
 const LEVEL: &str = "level";
 
-/// The place at which a piece's environments are computed.
-enum Place {
+/// The environments of a group.
+enum GroupEnvironments {
     Here(Box<Shard>),
     /// On a server; the rows of their last step.
-    Away(Rows),
+    OnServer(Rows),
 }
 
-/// The rows of the last reset or step, from either place.
-struct Met<'a> {
-    observations: &'a [f32],
-    rewards: &'a [f32],
-    terminated: &'a [u8],
-    truncated: &'a [u8],
-    ended: &'a [u32],
-    final_observations: &'a [f32],
-}
-
-impl Place {
-    fn met(&self) -> Met<'_> {
-        macro_rules! met {
-            ($rows:expr) => {
-                Met {
-                    observations: &$rows.observations,
-                    rewards: &$rows.rewards,
-                    terminated: &$rows.terminated,
-                    truncated: &$rows.truncated,
-                    ended: &$rows.ended,
-                    final_observations: &$rows.final_observations,
-                }
-            };
-        }
+impl GroupEnvironments {
+    /// The rows of the last reset or step.
+    fn rows(&self) -> &Rows {
         match self {
-            Self::Here(shard) => met!(shard.rows),
-            Self::Away(rows) => met!(rows),
+            Self::Here(shard) => &shard.rows,
+            Self::OnServer(rows) => rows,
         }
     }
 }
 
 /// Some of the environments, and their transitions in this rollout; rows of a step are contiguous.
-pub struct Piece {
-    place: Place,
+pub struct RolloutGroup {
+    place: GroupEnvironments,
     /// Number of environments.
     pub envs: usize,
     random: Xoshiro256PlusPlus,
-    pass: Pass,
-    spread: Spread,
+    pass: NetworkPass,
+    spread: ActionNoise,
     /// f32 [envs, action], clipped to the action space.
     pub clipped: Vec<f32>,
     /// Bounds of each number of an action.
     bounds: Vec<[f32; 2]>,
-    pub data: Rollout,
+    pub data: RolloutBuffer,
     /// Did the episode end with this step?
     ended: Vec<bool>,
     /// Discounted sum of rewards of each environment, for their normalization.
     pub discounted: Vec<f64>,
     /// Statistics of the last step's observations and discounted sums.
-    pub seen: [Moments; 2],
+    pub seen: [BatchMoments; 2],
     /// Sums of the weighted reward terms in this rollout, and the levels of the environments at its end.
     pub terms: Vec<f64>,
     pub levels: Vec<f32>,
@@ -91,44 +71,55 @@ pub struct Piece {
 
 /// Data that all pieces share while they play.
 #[derive(Clone, Copy)]
-pub struct Play<'a> {
-    pub settings: &'a Settings,
+pub struct PolicyContext<'a> {
+    pub settings: &'a Hyperparameters,
     pub networks: &'a Networks,
     pub parameters: &'a [f32],
-    pub scales: Option<&'a Scales>,
+    pub scales: Option<&'a NormalizerScales>,
 }
 
-impl Piece {
+impl RolloutGroup {
     /// All environments of a training, without a state yet; `away`: on a server.
-    pub fn all(blueprint: &Blueprint, settings: &Settings, networks: &Networks, away: bool) -> Result<Vec<Self>> {
+    pub fn all(
+        blueprint: &Blueprint,
+        settings: &Hyperparameters,
+        networks: &Networks,
+        away: bool,
+    ) -> Result<Vec<Self>> {
         let lanes = blueprint.engine.shard_size();
         let size = settings.n_envs.div_ceil(PIECES).next_multiple_of(lanes);
         let starts = (0..settings.n_envs).step_by(size);
         let piece = |start: usize| {
             let envs = size.min(settings.n_envs - start);
             let place = match away {
-                true => Place::Away(Rows::default()),
-                false => Place::Here(Box::new(Shard::new(blueprint, envs)?)),
+                true => GroupEnvironments::OnServer(Rows::default()),
+                false => GroupEnvironments::Here(Box::new(Shard::new(blueprint, envs)?)),
             };
             Ok(Self::new(blueprint, envs, settings, networks, place))
         };
         starts.map(piece).collect()
     }
 
-    fn new(blueprint: &Blueprint, envs: usize, settings: &Settings, networks: &Networks, place: Place) -> Self {
+    fn new(
+        blueprint: &Blueprint,
+        envs: usize,
+        settings: &Hyperparameters,
+        networks: &Networks,
+        place: GroupEnvironments,
+    ) -> Self {
         let spec = blueprint.task.spec();
         Self {
             place,
             envs,
             random: Xoshiro256PlusPlus::seed_from_u64(0),
             pass: networks.pass(envs),
-            spread: Spread::default(),
+            spread: ActionNoise::default(),
             clipped: vec![0.0; envs * spec.action.len()],
             bounds: spec.action.iter().map(|c| [c.low as f32, c.high as f32]).collect(),
-            data: Rollout::new(envs * settings.n_steps, spec.observation.len(), spec.action.len()),
+            data: RolloutBuffer::new(envs * settings.n_steps, spec.observation.len(), spec.action.len()),
             ended: vec![false; envs * settings.n_steps],
             discounted: vec![0.0; envs],
-            seen: [Moments::new(spec.observation.len()), Moments::new(1)],
+            seen: [BatchMoments::new(spec.observation.len()), BatchMoments::new(1)],
             terms: vec![0.0; spec.reward.len()],
             levels: Vec::new(),
             level: spec.info.iter().position(|column| column.name == LEVEL),
@@ -139,7 +130,7 @@ impl Piece {
 
     /// Begins the first episodes of environments in this process.
     pub fn reset(&mut self, seeds: &[u64]) {
-        if let Place::Here(shard) = &mut self.place {
+        if let GroupEnvironments::Here(shard) = &mut self.place {
             shard.reset(|_| true, Some(seeds), |_| None);
             self.seen[0].set(&shard.rows.observations);
         }
@@ -148,20 +139,20 @@ impl Piece {
     /// Begins the first episodes of environments on a server, which has returned `rows`.
     pub fn take(&mut self, rows: Rows) {
         self.seen[0].set(&rows.observations);
-        self.place = Place::Away(rows);
+        self.place = GroupEnvironments::OnServer(rows);
     }
 
     /// The present episodes; None for environments on a server.
     pub fn episodes(&self) -> Vec<SavedEpisode> {
         match &self.place {
-            Place::Here(shard) => (0..self.envs).map(|i| shard.save(i)).collect(),
-            Place::Away(_) => Vec::new(),
+            GroupEnvironments::Here(shard) => (0..self.envs).map(|i| shard.save(i)).collect(),
+            GroupEnvironments::OnServer(_) => Vec::new(),
         }
     }
 
     /// Continues these episodes, one in each environment.
     pub fn resume(&mut self, episodes: &[Resumed]) {
-        if let Place::Here(shard) = &mut self.place {
+        if let GroupEnvironments::Here(shard) = &mut self.place {
             shard.rows.clear();
             episodes.iter().enumerate().for_each(|(i, episode)| shard.restore(i, episode));
         }
@@ -175,7 +166,7 @@ impl Piece {
     }
 
     /// Makes step `step` of the rollout; for environments on a server it only computes the actions.
-    pub fn act(&mut self, play: &Play, step: usize) {
+    pub fn act(&mut self, play: &PolicyContext, step: usize) {
         if step > 0 {
             self.pay(play, step - 1);
         }
@@ -183,7 +174,7 @@ impl Piece {
         let (wide, width) = (shape.observation, shape.action);
         let rows = step * self.envs..(step + 1) * self.envs;
         let observations = &mut self.data.observations[rows.start * wide..rows.end * wide];
-        observe(play, self.place.met().observations, observations);
+        observe(play, &self.place.rows().observations, observations);
         play.networks.forward(play.parameters, &mut self.pass, self.envs, |out| out.copy_from_slice(observations));
         self.spread.set(&play.parameters[shape.log_std.clone()]);
         let deviations = &play.parameters[shape.log_std.clone()];
@@ -204,7 +195,7 @@ impl Piece {
             self.data.log_probabilities[row] = self.spread.log_probability(action, mean);
         }
         self.data.values[rows.clone()].copy_from_slice(&self.pass.values[..self.envs]);
-        if let Place::Here(shard) = &mut self.place {
+        if let GroupEnvironments::Here(shard) = &mut self.place {
             shard.step(&self.clipped);
             let infos = shard.rows.infos.chunks_exact(shard.rows.infos.len() / self.envs);
             for row in infos.clone() {
@@ -217,18 +208,18 @@ impl Piece {
     }
 
     /// Stores the server's results of step `step`.
-    pub fn answered(&mut self, play: &Play, step: usize, rows: Rows) {
-        self.place = Place::Away(rows);
+    pub fn answered(&mut self, play: &PolicyContext, step: usize, rows: Rows) {
+        self.place = GroupEnvironments::OnServer(rows);
         self.note(play, step);
     }
 
     /// Stores the results of step `step`.
-    fn note(&mut self, play: &Play, step: usize) {
-        let met = self.place.met();
+    fn note(&mut self, play: &PolicyContext, step: usize) {
+        let rows = self.place.rows();
         for (i, row) in (step * self.envs..(step + 1) * self.envs).enumerate() {
-            let reward = f64::from(met.rewards[i]);
-            let ended = met.terminated[i] + met.truncated[i] > 0;
-            self.data.rewards[row] = met.rewards[i];
+            let reward = f64::from(rows.rewards[i]);
+            let ended = rows.terminated[i] + rows.truncated[i] > 0;
+            self.data.rewards[row] = rows.rewards[i];
             self.ended[row] = ended;
             self.discounted[i] = self.discounted[i] * play.settings.gamma + reward;
             self.running[i] += reward;
@@ -237,31 +228,31 @@ impl Piece {
             }
         }
         if play.scales.is_some() {
-            self.seen[0].set(met.observations);
+            self.seen[0].set(&rows.observations);
             self.seen[1].set(&self.discounted);
         }
-        for i in met.ended {
+        for i in &rows.ended {
             self.discounted[*i as usize] = 0.0;
         }
     }
 
     /// Normalizes the rewards of step `step`, the last one. If an episode was truncated, adds the value of its last
     /// observation.
-    fn pay(&mut self, play: &Play, step: usize) {
+    fn pay(&mut self, play: &PolicyContext, step: usize) {
         let first = step * self.envs;
         if let Some(scales) = play.scales {
             scales.rewards(&mut self.data.rewards[first..first + self.envs]);
         }
-        let met = self.place.met();
-        if met.ended.is_empty() {
+        let rows = self.place.rows();
+        if rows.ended.is_empty() {
             return;
         }
-        play.networks.forward(play.parameters, &mut self.pass, met.ended.len(), |out| {
-            observe(play, met.final_observations, out);
+        play.networks.forward(play.parameters, &mut self.pass, rows.ended.len(), |out| {
+            observe(play, &rows.final_observations, out);
         });
-        for (i, value) in met.ended.iter().zip(&self.pass.values) {
+        for (i, value) in rows.ended.iter().zip(&self.pass.values) {
             let i = *i as usize;
-            if met.truncated[i] > 0 && met.terminated[i] == 0 {
+            if rows.truncated[i] > 0 && rows.terminated[i] == 0 {
                 self.data.rewards[first + i] += play.settings.gamma as f32 * value;
             }
         }
@@ -269,11 +260,11 @@ impl Piece {
 
     /// After the last step: computes advantages by generalized advantage estimation (Schulman et al. 2016,
     /// arXiv:1506.02438).
-    pub fn finish(&mut self, play: &Play) {
+    pub fn finish(&mut self, play: &PolicyContext) {
         let (envs, steps) = (self.envs, play.settings.n_steps);
         self.pay(play, steps - 1);
         play.networks.forward(play.parameters, &mut self.pass, envs, |out| {
-            observe(play, self.place.met().observations, out);
+            observe(play, &self.place.rows().observations, out);
         });
         let (gamma, lambda) = (play.settings.gamma as f32, play.settings.gae_lambda as f32);
         let data = &mut self.data;
@@ -292,7 +283,7 @@ impl Piece {
 }
 
 /// Observations in the form that the networks take.
-fn observe(play: &Play, rows: &[f32], out: &mut [f32]) {
+fn observe(play: &PolicyContext, rows: &[f32], out: &mut [f32]) {
     match play.scales {
         Some(scales) => scales.observations(rows, out),
         None => out.copy_from_slice(rows),
@@ -300,15 +291,15 @@ fn observe(play: &Play, rows: &[f32], out: &mut [f32]) {
 }
 
 /// Distributes rows over the pieces of environments.
-pub fn deal<P: DerefMut<Target = Piece>>(
+pub fn deal<P: DerefMut<Target = RolloutGroup>>(
     pieces: impl Iterator<Item = P>,
     rows: &Rows,
-    mut hand: impl FnMut(&mut Piece, Rows),
+    mut hand: impl FnMut(&mut RolloutGroup, Rows),
 ) {
     let mut first = 0;
     for mut piece in pieces {
         let part = first..first + piece.envs;
         first = part.end;
-        hand(&mut piece, rows.part(part));
+        hand(&mut piece, of_part(rows, part));
     }
 }

@@ -14,9 +14,9 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 const LOOKS: usize = 2_000;
 
 /// Computes an item of a phase.
-type Work<'a, P> = &'a (dyn Fn(P, usize) + Sync);
+type PhaseWork<'a, P> = &'a (dyn Fn(P, usize) + Sync);
 
-struct Order<P> {
+struct CrewOrder<P> {
     /// Counts phases from 1.
     number: u32,
     phase: Option<P>,
@@ -25,20 +25,20 @@ struct Order<P> {
 }
 
 /// The crew's leader: its thread starts the phases and works on them too.
-pub struct Crew<'a, P> {
-    order: Mutex<Order<P>>,
+pub struct WorkCrew<'a, P> {
+    order: Mutex<CrewOrder<P>>,
     changed: Condvar,
     /// Number of the phase in the upper half, next item in the lower.
     next: AtomicU64,
     done: AtomicUsize,
     panicked: AtomicBool,
-    work: Work<'a, P>,
+    work: PhaseWork<'a, P>,
 }
 
 /// Calls `lead`, which starts phases on `threads` threads, its own included.
-pub fn with<P: Copy + Send, R>(threads: usize, work: Work<'_, P>, lead: impl FnOnce(&Crew<'_, P>) -> R) -> R {
-    let crew = Crew {
-        order: Mutex::new(Order { number: 0, phase: None, items: 0, over: false }),
+pub fn with<P: Copy + Send, R>(threads: usize, work: PhaseWork<'_, P>, lead: impl FnOnce(&WorkCrew<'_, P>) -> R) -> R {
+    let crew = WorkCrew {
+        order: Mutex::new(CrewOrder { number: 0, phase: None, items: 0, over: false }),
         changed: Condvar::new(),
         next: AtomicU64::new(0),
         done: AtomicUsize::new(0),
@@ -57,7 +57,7 @@ pub fn with<P: Copy + Send, R>(threads: usize, work: Work<'_, P>, lead: impl FnO
     })
 }
 
-impl<P: Copy + Send> Crew<'_, P> {
+impl<P: Copy + Send> WorkCrew<'_, P> {
     /// Runs `items` items of `phase`; returns when all are done.
     pub fn run(&self, phase: P, items: usize) {
         let number = {
@@ -130,7 +130,7 @@ impl<P: Copy + Send> Crew<'_, P> {
         }
     }
 
-    fn order(&self) -> MutexGuard<'_, Order<P>> {
+    fn order(&self) -> MutexGuard<'_, CrewOrder<P>> {
         self.order.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

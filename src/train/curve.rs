@@ -1,6 +1,6 @@
 //! The learning curve: a point whenever enough episodes have ended, as a file and a figure.
 
-use super::plan::Report;
+use super::plan::UpdateReport;
 use crate::error::{Error, Result};
 use crate::files;
 use crate::plot::{Axis, Figure, Mark, Panel, Style, color, png};
@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 /// Steps and seconds so far, and the mean return of the episodes that ended since the point before.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Point {
+pub struct CurvePoint {
     pub steps: u64,
     pub seconds: f64,
     pub mean_return: f64,
@@ -19,8 +19,8 @@ pub struct Point {
 }
 
 /// A growing curve, in memory and in its file.
-pub struct Curve {
-    pub points: Vec<Point>,
+pub struct LearningCurve {
+    pub points: Vec<CurvePoint>,
     file: File,
     path: PathBuf,
     /// Sum of returns and number of the episodes after the last point.
@@ -29,7 +29,7 @@ pub struct Curve {
     enough: f64,
 }
 
-impl Curve {
+impl LearningCurve {
     /// A curve in `path`. In a continued training it keeps the earlier points up to `until` steps, and starts with the
     /// sums `open` of the episodes after them.
     pub fn new(path: &Path, until: Option<u64>, open: [f64; 2], envs: usize) -> Result<Self> {
@@ -46,7 +46,7 @@ impl Curve {
     }
 
     /// Adds the episodes of an update.
-    pub fn note(&mut self, report: &Report) -> Result<()> {
+    pub fn note(&mut self, report: &UpdateReport) -> Result<()> {
         if report.episodes > 0 {
             self.open[0] += report.mean_return * report.episodes as f64;
             self.open[1] += report.episodes as f64;
@@ -56,7 +56,7 @@ impl Curve {
         }
         let [sum, count] = std::mem::take(&mut self.open);
         let point =
-            Point { steps: report.steps, seconds: report.seconds, mean_return: sum / count, level: report.level };
+            CurvePoint { steps: report.steps, seconds: report.seconds, mean_return: sum / count, level: report.level };
         self.points.push(point);
         self.file.write_all(line(&point).as_bytes()).map_err(|e| Error::file(&self.path, e))
     }
@@ -89,14 +89,14 @@ impl Curve {
     }
 }
 
-fn line(point: &Point) -> String {
+fn line(point: &CurvePoint) -> String {
     let level = point.level.map_or(String::new(), |level| format!("{level:.3}"));
     format!("{},{:.2},{:.3},{level}\n", point.steps, point.seconds, point.mean_return)
 }
 
 /// The points of a file, if there is one. A last line without an end was cut off when a process was killed, and is left
 /// out.
-fn read(path: &Path) -> Result<Vec<Point>> {
+fn read(path: &Path) -> Result<Vec<CurvePoint>> {
     let bytes = match std::fs::read(path) {
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
         bytes => bytes.map_err(|e| Error::file(path, e))?,
@@ -108,7 +108,7 @@ fn read(path: &Path) -> Result<Vec<Point>> {
         let read = || {
             // Curves of earlier versions have no level.
             let [steps, seconds, mean_return, ref level @ ..] = cells[..] else { return None };
-            Some(Point {
+            Some(CurvePoint {
                 steps: steps.parse().ok()?,
                 seconds: seconds.parse().ok()?,
                 mean_return: mean_return.parse().ok()?,

@@ -1,6 +1,6 @@
 //! `policy.json`: all that a program needs to run `policy.onnx` on a robot, besides the network.
 
-use super::plan::Plan;
+use super::plan::TrainingPlan;
 use crate::env::Task;
 use crate::env::legged::{LeggedVelocity, joint_targets};
 use crate::env::spec::Column;
@@ -8,7 +8,7 @@ use crate::env::spec::Spec;
 use serde_json::{Value, json};
 
 /// The policy's inputs and outputs: names, units and bounds in their order, and the servos that its actions drive.
-pub fn policy(plan: &Plan) -> Value {
+pub fn policy(plan: &TrainingPlan) -> Value {
     let task = &plan.blueprint.task;
     let (spec, model): (&Spec, _) = (task.spec(), task.model());
     let column = |c: &Column| json!({"name": c.name, "unit": c.unit, "low": c.low, "high": c.high});

@@ -2,23 +2,23 @@
 //! each, and a comparison of the best designs on seeds that were used neither in training nor in the choice.
 
 use super::export::onnx;
-pub use super::measure::{Between, Measure};
-use super::plan::{Learnt, Plan, Report};
-use super::record::Record;
-use super::search::{self, Look};
-use super::settings::Settings;
+pub use super::measure::{GaitMeasure, TrainingMean};
+use super::plan::{TrainingPlan, TrainingState, UpdateReport};
+use super::record::TrainingRecord;
+use super::search::{self, EvaluatedDesign};
+use super::settings::Hyperparameters;
 use crate::env::Task;
 use crate::env::gait::HexapodGait;
 use crate::env::registry::Blueprint;
 use crate::error::{Error, Result, check_range};
 use crate::evaluate::FIRST_SEED;
 use crate::evaluate::gait::Gait;
-use crate::evaluate::run::{Job, play};
+use crate::evaluate::run::{EpisodeJob, play};
 use crate::parallel;
 use crate::policy::Network;
 use crate::progress::{Progress, Silent};
 use crate::sim::Model;
-use crate::sweep::{Axis, Design, table};
+use crate::sweep::{Design, SweepAxis, table};
 use rand::SeedableRng as _;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use serde_json::{Map, Value, json};
@@ -42,13 +42,13 @@ const TOGETHER: usize = 4;
 const SEARCH_SEED: u64 = 1;
 
 /// A request for a study.
-pub struct Study {
+pub struct DesignStudy {
     pub base: Design,
-    pub axes: Vec<Axis>,
+    pub axes: Vec<SweepAxis>,
     /// Task options besides those of the design, such as `command`.
     pub options: Map<String, Value>,
     /// Settings, with the steps or the time of each training on one thread.
-    pub settings: Settings,
+    pub settings: Hyperparameters,
     /// Number of trainings of each design.
     pub trainings: usize,
     /// If given, designs after the first on the last axis start from their neighbour's policy, and learn for this
@@ -86,7 +86,7 @@ pub struct Findings {
     pub best: Vec<Compared>,
 }
 
-impl Study {
+impl DesignStudy {
     /// Refuses studies whose trainings could not start; returns the designs of the grid, or none for a search.
     pub fn check(&self) -> Result<Vec<Vec<String>>> {
         let points: usize = self.axes.iter().map(|a| a.values.len()).product();
@@ -124,7 +124,7 @@ impl Study {
     }
 
     /// The plan of training number `training` of the design with these values.
-    fn plan(&self, values: &[String], training: usize) -> Result<Plan> {
+    fn plan(&self, values: &[String], training: usize) -> Result<TrainingPlan> {
         let mut changed = self.base.clone();
         for (axis, value) in self.axes.iter().zip(values) {
             axis.parameter.set(&mut changed, value)?;
@@ -138,16 +138,17 @@ impl Study {
         changed.robot.servo.torque_limit = blueprint.task.option("torque_limit").as_f64();
         changed.robot.servo.anti_windup = true;
         let blueprint = blueprint.with_model(Model::new(&changed.robot, &changed.scene)?)?;
-        Plan::new(blueprint, self.settings.clone(), training as u64, 1)
+        TrainingPlan::new(blueprint, self.settings.clone(), training as u64, 1)
     }
 
     /// Trains, ranks and compares. An error of `progress` stops the work; finished trainings are kept.
-    pub fn run(&self, measure: Measure, progress: &dyn Progress) -> Result<Findings> {
+    pub fn run(&self, measure: GaitMeasure, progress: &dyn Progress) -> Result<Findings> {
         let grid = self.check()?;
         let (designs, trained, costs) = match self.search {
             None => {
                 let total = grid.len() as f64;
-                let trained = self.train(&grid, 0, &Told::new(progress, 0.0, total * self.trainings as f64))?;
+                let trained =
+                    self.train(&grid, 0, &StudyProgress::new(progress, 0.0, total * self.trainings as f64))?;
                 let costs: Vec<f64> = trained.iter().map(|all| measure.cost(mean(measure, all))).collect();
                 (grid, trained, costs)
             }
@@ -173,7 +174,7 @@ impl Study {
     fn search(
         &self,
         count: usize,
-        measure: Measure,
+        measure: GaitMeasure,
         progress: &dyn Progress,
     ) -> Result<(Designs, Trainings, Vec<f64>)> {
         let [low, high] = self.bounds()?;
@@ -186,13 +187,14 @@ impl Study {
         let first = (TOGETHER * (1 + self.axes.len())).min(count);
         let mut places: Vec<Vec<f64>> = (0..first as u64).map(|k| search::spread(k, self.axes.len())).collect();
         let (mut designs, mut trained): (Designs, Trainings) = Default::default();
-        let mut looks: Vec<Look> = Vec::new();
+        let mut looks: Vec<EvaluatedDesign> = Vec::new();
         while !places.is_empty() {
             let new: Designs = places.iter().map(|place| named(&at(place))).collect();
-            let told = Told::new(progress, (designs.len() * self.trainings) as f64, (count * self.trainings) as f64);
+            let told =
+                StudyProgress::new(progress, (designs.len() * self.trainings) as f64, (count * self.trainings) as f64);
             let learnt = self.train(&new, designs.len(), &told)?;
             let value = |all: &Vec<Trained>| -measure.cost(mean(measure, all));
-            looks.extend(places.into_iter().zip(&learnt).map(|(at, all)| Look { at, value: value(all) }));
+            looks.extend(places.into_iter().zip(&learnt).map(|(at, all)| EvaluatedDesign { at, value: value(all) }));
             designs.extend(new);
             trained.extend(learnt);
             let more = TOGETHER.min(count - designs.len());
@@ -204,7 +206,7 @@ impl Study {
 
     /// All trainings of `designs`, whose numbers start at `first`: chains of neighbours if they are warm-started,
     /// otherwise independent; one thread for each training.
-    fn train(&self, designs: &[Vec<String>], first: usize, told: &Told) -> Result<Trainings> {
+    fn train(&self, designs: &[Vec<String>], first: usize, told: &StudyProgress) -> Result<Trainings> {
         let length = match (self.warm, self.search) {
             (Some(_), None) => self.axes.last().map_or(1, |axis| axis.values.len()),
             _ => 1,
@@ -212,7 +214,7 @@ impl Study {
         let starts = (0..designs.len()).step_by(length);
         let chains: Vec<[usize; 2]> = starts.flat_map(|d| (0..self.trainings).map(move |t| [d, t])).collect();
         let learnt = parallel::map(&chains, |[start, training]| {
-            let mut before: Option<Learnt> = None;
+            let mut before: Option<TrainingState> = None;
             let mut all = Vec::with_capacity(length);
             let chain = &designs[*start..start + length];
             for (k, values) in chain.iter().enumerate() {
@@ -220,7 +222,7 @@ impl Study {
                 if before.is_some() {
                     self.shorten(&mut plan.settings);
                 }
-                let record = Record::new(&self.out, first + start + k, *training, &plan, &chain[..k]);
+                let record = TrainingRecord::new(&self.out, first + start + k, *training, &plan, &chain[..k]);
                 let (trained, learnt) = one(&plan, &record, before.as_ref(), told)?;
                 all.push(trained);
                 before = Some(learnt);
@@ -235,7 +237,7 @@ impl Study {
     }
 
     /// Shortens the settings for a training that starts from a neighbour's policy.
-    fn shorten(&self, settings: &mut Settings) {
+    fn shorten(&self, settings: &mut Hyperparameters) {
         match (self.warm, settings.seconds) {
             (Some(warm), Some(_)) => settings.seconds = Some(warm),
             (Some(warm), None) => settings.n_timesteps = warm as u64,
@@ -248,14 +250,14 @@ type Designs = Vec<Vec<String>>;
 type Trainings = Vec<Vec<Trained>>;
 
 /// Progress of all trainings.
-struct Told<'a> {
+struct StudyProgress<'a> {
     progress: &'a dyn Progress,
     total: f64,
     /// Finished trainings [1e-6].
     millionths: AtomicU64,
 }
 
-impl<'a> Told<'a> {
+impl<'a> StudyProgress<'a> {
     /// `done` of `total` trainings are finished.
     fn new(progress: &'a dyn Progress, done: f64, total: f64) -> Self {
         Self { progress, total, millionths: AtomicU64::new((1e6 * done) as u64) }
@@ -274,14 +276,14 @@ fn named(values: &[f64]) -> Vec<String> {
 }
 
 /// Mean over the trainings of a design.
-fn mean(measure: Measure, trained: &[Trained]) -> f64 {
-    let place = Measure::ALL.iter().position(|m| *m == measure).unwrap_or(0);
+fn mean(measure: GaitMeasure, trained: &[Trained]) -> f64 {
+    let place = GaitMeasure::ALL.iter().position(|m| *m == measure).unwrap_or(0);
     trained.iter().map(|t| t.chosen_by[place]).sum::<f64>() / trained.len() as f64
 }
 
 /// Variance of a design's mean, from the scatter of trainings of the same design, pooled over all designs; 0 if each
 /// has one training.
-fn noise(measure: Measure, trained: &[Vec<Trained>]) -> f64 {
+fn noise(measure: GaitMeasure, trained: &[Vec<Trained>]) -> f64 {
     let (mut squares, mut freedom) = (0.0, 0.0);
     for all in trained {
         let center = mean(measure, all);
@@ -297,22 +299,27 @@ fn noise(measure: Measure, trained: &[Vec<Trained>]) -> f64 {
 }
 
 /// Designs whose trainings failed get the least value of the others.
-fn finite(looks: &[Look]) -> Vec<Look> {
+fn finite(looks: &[EvaluatedDesign]) -> Vec<EvaluatedDesign> {
     let least = looks.iter().map(|l| l.value).filter(|v| v.is_finite()).fold(f64::INFINITY, f64::min);
     let least = if least.is_finite() { least } else { 0.0 };
-    let value = |look: &Look| if look.value.is_finite() { look.value } else { least };
-    looks.iter().map(|look| Look { at: look.at.clone(), value: value(look) }).collect()
+    let value = |look: &EvaluatedDesign| if look.value.is_finite() { look.value } else { least };
+    looks.iter().map(|look| EvaluatedDesign { at: look.at.clone(), value: value(look) }).collect()
 }
 
 /// One training, from a neighbour's policy if there is one; read from its files if it was finished before.
-fn one(plan: &Plan, record: &Record, before: Option<&Learnt>, told: &Told) -> Result<(Trained, Learnt)> {
+fn one(
+    plan: &TrainingPlan,
+    record: &TrainingRecord,
+    before: Option<&TrainingState>,
+    told: &StudyProgress,
+) -> Result<(Trained, TrainingState)> {
     if let Some((learnt, chosen_by)) = record.read(plan) {
         told.advance(1.0)?;
         return Ok((Trained { onnx: onnx(plan, &learnt), steps: learnt.steps, chosen_by }, learnt));
     }
     let learnt = before.map_or_else(|| plan.begin(), |before| plan.begin_from(before));
     let mut so_far = 0.0;
-    let learnt = plan.run(learnt, None, &mut |_: &Learnt, report: &Report| {
+    let learnt = plan.run(learnt, None, &mut |_: &TrainingState, report: &UpdateReport| {
         let more = report.done - so_far;
         so_far = report.done;
         told.advance(more)
@@ -325,9 +332,9 @@ fn one(plan: &Plan, record: &Record, before: Option<&Learnt>, told: &Told) -> Re
 }
 
 /// Every measure of a policy over `seeds`.
-fn measures(plan: &Plan, onnx: &[u8], seeds: &[u64]) -> Result<[f64; 3]> {
+fn measures(plan: &TrainingPlan, onnx: &[u8], seeds: &[u64]) -> Result<[f64; 3]> {
     let gait = Gait::Network(Arc::new(Network::new(onnx, plan.blueprint.task.spec())?));
-    let jobs = [Job { blueprint: &plan.blueprint, gait: &gait, seeds }];
+    let jobs = [EpisodeJob { blueprint: &plan.blueprint, gait: &gait, seeds }];
     let episodes = play(&jobs, &Silent)?.into_iter().next().unwrap_or_default();
-    Ok(Measure::ALL.map(|m| m.of(&episodes)))
+    Ok(GaitMeasure::ALL.map(|m| m.of(&episodes)))
 }

@@ -1,6 +1,6 @@
 //! Entries of hyperparameter files, one for each task.
 
-use super::settings::Settings;
+use super::settings::Hyperparameters;
 use super::yaml;
 use crate::env::registry::TASK_IDS;
 use crate::error::{Error, Result};
@@ -30,7 +30,7 @@ pub fn ends(timesteps: Option<u64>, seconds: Option<f64>) -> Vec<(String, Value)
 }
 
 /// The entry of `task` in `file`, or in the program's own file, with `changes`.
-pub fn settings(file: Option<&Path>, task: &str, changes: Vec<(String, Value)>) -> Result<Settings> {
+pub fn settings(file: Option<&Path>, task: &str, changes: Vec<(String, Value)>) -> Result<Hyperparameters> {
     let mut entry = entry(file, task)?;
     for (name, value) in changes {
         // A dictionary changes key by key.
@@ -39,7 +39,7 @@ pub fn settings(file: Option<&Path>, task: &str, changes: Vec<(String, Value)>) 
             (_, value) => drop(entry.insert(name, value)),
         }
     }
-    Settings::from_entry(&entry)
+    Hyperparameters::from_entry(&entry)
 }
 
 fn entry(file: Option<&Path>, task: &str) -> Result<Map<String, Value>> {
@@ -85,7 +85,7 @@ mod tests {
             let read = settings(Some(&python), &task_id(task), Vec::new()).unwrap();
             assert_eq!((read.gamma, read.learning_rate.falls, read.mirror), (0.95, true, Some(true)));
             // settings.json gives the same settings again.
-            assert_eq!(Settings::from_entry(read.json().as_object().unwrap()).unwrap(), read);
+            assert_eq!(Hyperparameters::from_entry(read.json().as_object().unwrap()).unwrap(), read);
         }
     }
 

@@ -1,4 +1,4 @@
-//! Files that TensorBoard reads: records with checksums (TFRecord), each a protobuf message `tensorflow.Event`.
+//! Files that TensorBoard reads: records with checksums (TFRecord), each a protobuf message `tensorflow.TensorBoardEvent`.
 
 use crate::error::{Error, Result};
 use prost::Message as _;
@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 /// A subset of `tensorflow/core/util/event.proto` (Apache-2.0).
 #[derive(Clone, PartialEq, prost::Message)]
-struct Event {
+struct TensorBoardEvent {
     #[prost(double, tag = "1")]
     wall_time: f64,
     #[prost(int64, tag = "2")]
@@ -16,11 +16,11 @@ struct Event {
     #[prost(string, optional, tag = "3")]
     file_version: Option<String>,
     #[prost(message, optional, tag = "5")]
-    summary: Option<Summary>,
+    summary: Option<EventSummary>,
 }
 
 #[derive(Clone, PartialEq, prost::Message)]
-struct Summary {
+struct EventSummary {
     #[prost(message, repeated, tag = "1")]
     value: Vec<Scalar>,
 }
@@ -34,7 +34,7 @@ struct Scalar {
 }
 
 /// An open file.
-pub struct Events {
+pub struct EventFile {
     file: File,
     path: PathBuf,
 }
@@ -44,14 +44,18 @@ fn now() -> f64 {
     std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0.0, |d| d.as_secs_f64())
 }
 
-impl Events {
+impl EventFile {
     /// A new file in `folder`, which is created if necessary; TensorBoard joins the files of a folder.
     pub fn new(folder: &Path) -> Result<Self> {
         std::fs::create_dir_all(folder).map_err(|e| Error::file(folder, e))?;
         let path = folder.join(format!("events.out.tfevents.{:.0}.sandgait.{}", now() * 1e3, std::process::id()));
         let file = File::create(&path).map_err(|e| Error::file(&path, e))?;
         let mut events = Self { file, path };
-        events.write(&Event { wall_time: now(), file_version: Some("brain.Event:2".into()), ..Event::default() })?;
+        events.write(&TensorBoardEvent {
+            wall_time: now(),
+            file_version: Some("brain.Event:2".into()),
+            ..TensorBoardEvent::default()
+        })?;
         Ok(events)
     }
 
@@ -60,10 +64,15 @@ impl Events {
         let known = scalars.iter().filter(|(_, value)| value.is_finite());
         let value =
             known.map(|(tag, value)| Scalar { tag: (*tag).into(), simple_value: Some(*value as f32) }).collect();
-        self.write(&Event { wall_time: now(), step: step as i64, summary: Some(Summary { value }), ..Event::default() })
+        self.write(&TensorBoardEvent {
+            wall_time: now(),
+            step: step as i64,
+            summary: Some(EventSummary { value }),
+            ..TensorBoardEvent::default()
+        })
     }
 
-    fn write(&mut self, event: &Event) -> Result<()> {
+    fn write(&mut self, event: &TensorBoardEvent) -> Result<()> {
         self.file.write_all(&record(&event.encode_to_vec())).map_err(|e| Error::file(&self.path, e))
     }
 }

@@ -1,15 +1,15 @@
 //! The learnt policy as one network that includes normalization and mirror.
 
-use super::network::Layer;
+use super::network::NetworkLayer;
 use super::normal::{CLIP, EPSILON};
-use super::plan::{Learnt, Plan};
-use crate::policy::write::Writer;
+use super::plan::{TrainingPlan, TrainingState};
+use crate::policy::write::OnnxWriter;
 
 /// The policy without noise as the bytes of an ONNX file, from the environments' observations to actions.
-pub fn onnx(plan: &Plan, learnt: &Learnt) -> Vec<u8> {
+pub fn onnx(plan: &TrainingPlan, learnt: &TrainingState) -> Vec<u8> {
     let spec = plan.blueprint.task.spec();
     let shape = &plan.networks.shape;
-    let mut file = Writer::new(shape.observation);
+    let mut file = OnnxWriter::new(shape.observation);
     let mut x = file.input();
     if let Some(normal) = &learnt.normal {
         // The mean as a sum of two f32: for a number that hardly varies, one f32 is not precise enough.
@@ -55,11 +55,11 @@ pub fn onnx(plan: &Plan, learnt: &Learnt) -> Vec<u8> {
 }
 
 /// Weights and bias.
-fn numbers(layer: &Layer, parameters: &[f32]) -> [Vec<f32>; 2] {
+fn numbers(layer: &NetworkLayer, parameters: &[f32]) -> [Vec<f32>; 2] {
     [&layer.weights, &layer.bias].map(|place| parameters[place.clone()].to_vec())
 }
 
-fn through(file: &mut Writer, x: &str, layers: &[[Vec<f32>; 2]]) -> String {
+fn through(file: &mut OnnxWriter, x: &str, layers: &[[Vec<f32>; 2]]) -> String {
     let mut x = x.to_owned();
     for (k, [weights, bias]) in layers.iter().enumerate() {
         if k > 0 {
@@ -73,7 +73,7 @@ fn through(file: &mut Writer, x: &str, layers: &[[Vec<f32>; 2]]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Settings;
+    use crate::Hyperparameters;
     use crate::env::registry::Blueprint;
     use crate::network::Networks;
     use crate::policy::Network;
@@ -89,9 +89,9 @@ mod tests {
             (false, false, json!([5])),
         ] {
             let entry = json!({"mirror": mirror, "normalize": normalize, "policy_kwargs": {"net_arch": sizes}});
-            let settings = Settings::from_entry(entry.as_object().unwrap()).unwrap();
+            let settings = Hyperparameters::from_entry(entry.as_object().unwrap()).unwrap();
             let blueprint = Blueprint::new("sandgait/HexapodGait-v1", Value::Null).unwrap();
-            let plan = Plan::new(blueprint, settings, 3, 1).unwrap();
+            let plan = TrainingPlan::new(blueprint, settings, 3, 1).unwrap();
             let mut learnt = plan.begin();
             for (k, p) in learnt.parameters.iter_mut().enumerate() {
                 *p += 0.1 * (k as f32 * 0.7).sin();

@@ -1,11 +1,12 @@
 //! A recording of an episode of a policy, for `sandgait replay`, and a picture of some of its moments.
 
+use crate::env::Shard;
 use crate::env::registry::Blueprint;
-use crate::env::{EnvView, Shard};
 use crate::error::{Error, Result};
 use crate::plot::png;
 use crate::policy::Network;
-use crate::view::{self, About, Moment, Writer};
+use crate::session::view::{header, row};
+use crate::view::{self, RecordingWriter};
 use std::path::Path;
 
 /// Number of moments in the picture, and width and height of each [px].
@@ -17,8 +18,9 @@ pub fn film(blueprint: &Blueprint, network: &Network, seed: u64, recording: &Pat
     let broken = |e: std::io::Error| Error::file(recording, e);
     let mut shard = Shard::new(blueprint, 1)?;
     shard.reset(|_| true, Some(&[seed]), |_| None);
-    let mut out = Writer::new(Vec::new(), &header(&shard.look(0, true))).map_err(broken)?;
-    out.row(&row(&shard.look(0, true))).map_err(broken)?;
+    let look = shard.look(0, true);
+    let mut out = RecordingWriter::new(Vec::new(), &header(look.spec, look.model, look.episode)).map_err(broken)?;
+    out.row(&row(&look)).map_err(broken)?;
     let mut action = vec![0.0; shard.actions()];
     let longest = blueprint.task.spec().max_episode_steps as usize;
     let mut pixels = Vec::new();
@@ -50,22 +52,4 @@ pub fn film(blueprint: &Blueprint, network: &Network, seed: u64, recording: &Pat
         std::fs::write(picture, image).map_err(|e| Error::file(picture, e))?;
     }
     Ok(())
-}
-
-fn header(look: &EnvView) -> String {
-    let spec = look.spec;
-    let about = About {
-        task: spec.id,
-        rate: spec.control_rate,
-        episode: Some(look.episode),
-        info: spec.info.iter().map(|c| (c.name.as_str(), c.unit)).collect(),
-        reward_terms: spec.reward.len(),
-        actions: spec.action.len(),
-    };
-    view::header(look.model, &about)
-}
-
-fn row(look: &EnvView) -> Vec<f32> {
-    let EnvView { model, footing, time, action, reward, info, .. } = look;
-    view::row(model, &Moment { time: *time, state: &look.whole_state(), footing, action, reward: *reward, info })
 }

@@ -1,10 +1,10 @@
 //! Compares the gradient of the loss with finite differences of the loss, which is implemented a second time here, in
 //! `f64`.
 
-use super::learn::{CHUNK, Chunk, Minibatches, Rollout};
-use super::loss::Weights;
+use super::learn::{CHUNK, Chunk, Minibatches, RolloutBuffer};
+use super::loss::LossWeights;
 use super::mirror::Mirror;
-use super::network::{Layer, NetworkSizes, Networks};
+use super::network::{NetworkLayer, NetworkSizes, Networks};
 use crate::number::Isa;
 use rand::SeedableRng as _;
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -12,7 +12,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 const OBSERVATION: usize = 4;
 const ACTION: usize = 3;
 
-fn through(layers: &[Layer], p: &[f64], mut x: Vec<f64>) -> Vec<f64> {
+fn through(layers: &[NetworkLayer], p: &[f64], mut x: Vec<f64>) -> Vec<f64> {
     for (k, layer) in layers.iter().enumerate() {
         let (w, b) = (&p[layer.weights.clone()], &p[layer.bias.clone()]);
         let out = |j: usize| b[j] + (0..layer.inputs).map(|i| x[i] * w[i * layer.outputs + j]).sum::<f64>();
@@ -39,7 +39,7 @@ fn outputs(networks: &Networks, p: &[f64], x: &[f64]) -> (Vec<f64>, f64) {
 }
 
 /// stable-baselines3's loss, line by line of `PPO.train`, without the entropy.
-fn loss(networks: &Networks, p: &[f64], rollout: &Rollout, advantages: &[f64], weights: &Weights) -> f64 {
+fn loss(networks: &Networks, p: &[f64], rollout: &RolloutBuffer, advantages: &[f64], weights: &LossWeights) -> f64 {
     let n = advantages.len();
     let (mut policy, mut value) = (0.0, 0.0);
     for i in 0..n {
@@ -76,8 +76,8 @@ fn networks(mirrored: bool) -> Networks {
 }
 
 /// Samples whose ratios and values lie on both sides of the clipping.
-fn rollout(rows: usize) -> Rollout {
-    let mut rollout = Rollout::new(rows, OBSERVATION, ACTION);
+fn rollout(rows: usize) -> RolloutBuffer {
+    let mut rollout = RolloutBuffer::new(rows, OBSERVATION, ACTION);
     let wave = |x: &mut Vec<f32>, size: f32, pitch: f32, shift: f32| {
         x.iter_mut().enumerate().for_each(|(k, x)| *x = size * (pitch * k as f32).sin() + shift);
     };
@@ -91,7 +91,7 @@ fn rollout(rows: usize) -> Rollout {
 }
 
 /// Gradient of the mean over all rows, computed by minibatches and chunks.
-fn gradient(networks: &Networks, p: &[f32], rollout: &Rollout, weights: &Weights) -> Vec<f32> {
+fn gradient(networks: &Networks, p: &[f32], rollout: &RolloutBuffer, weights: &LossWeights) -> Vec<f32> {
     let rows = rollout.returns.len();
     let mut minibatches = Minibatches::default();
     minibatches.shuffle(rows, &mut Xoshiro256PlusPlus::seed_from_u64(1));
@@ -117,7 +117,7 @@ fn the_gradient_is_the_slope_of_the_loss() {
     for mirrored in [false, true] {
         for clip_value in [None, Some(0.3)] {
             let networks = networks(mirrored);
-            let weights = Weights { clip: 0.2, clip_value, value: 0.5, samples: rows };
+            let weights = LossWeights { clip: 0.2, clip_value, value: 0.5, samples: rows };
             let mut p = networks.shape.begin(-0.2, &mut Xoshiro256PlusPlus::seed_from_u64(2));
             p.iter_mut().enumerate().for_each(|(k, p)| *p += 0.2 * (k as f32 * 1.1).cos());
             let got = gradient(&networks, &p, &rollout, &weights);

@@ -1,7 +1,7 @@
 //! Saved environments in the middle of their episodes, from which a training goes on with the same bits.
 
-use super::collect::Piece;
-use super::remote::{Away, Pause};
+use super::collect::RolloutGroup;
+use super::remote::{OptionalRemote, Pause};
 use crate::env::registry::Blueprint;
 use crate::env::snapshot::{Resumed, SavedEpisode};
 use crate::error::{Error, Result};
@@ -9,7 +9,7 @@ use std::sync::{Mutex, PoisonError};
 
 /// All environments of a training, saved between two updates.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Kept {
+pub struct SavedEnvironments {
     pub episodes: Episodes,
     /// Discounted sum of rewards of each environment.
     pub discounted: Vec<f64>,
@@ -22,7 +22,7 @@ pub enum Episodes {
     /// Episodes of environments in this process.
     Here(Vec<SavedEpisode>),
     /// A server's snapshot.
-    Away(Vec<u8>),
+    OnServer(Vec<u8>),
 }
 
 impl Episodes {
@@ -35,22 +35,22 @@ impl Episodes {
                 written.map_err(|e| Error::invalid("checkpoint", format!("episodes cannot be written: {e}")))?;
                 Ok(bytes)
             }
-            Self::Away(snapshot) => Ok(snapshot.clone()),
+            Self::OnServer(snapshot) => Ok(snapshot.clone()),
         }
     }
 
     pub fn read(bytes: Vec<u8>, away: bool) -> Result<Self> {
         if away {
-            return Ok(Self::Away(bytes));
+            return Ok(Self::OnServer(bytes));
         }
         let read = ciborium::from_reader(&bytes[..]);
         read.map(Self::Here).map_err(|e| Error::invalid("checkpoint", format!("its episodes cannot be read: {e}")))
     }
 }
 
-impl Kept {
+impl SavedEnvironments {
     /// Saves the environments in `pieces`, or of `remote`.
-    pub fn of(pieces: &[Mutex<Piece>], remote: Away<'_>, pause: Pause) -> Result<Self> {
+    pub fn of(pieces: &[Mutex<RolloutGroup>], remote: OptionalRemote<'_>, pause: Pause) -> Result<Self> {
         let mut kept = Self { episodes: Episodes::Here(Vec::new()), discounted: Vec::new(), returns: Vec::new() };
         let mut here = Vec::new();
         for piece in pieces {
@@ -60,21 +60,27 @@ impl Kept {
             kept.returns.extend(&piece.running);
         }
         kept.episodes = match remote {
-            Some(remote) => Episodes::Away(remote.save(pause)?),
+            Some(remote) => Episodes::OnServer(remote.save(pause)?),
             None => Episodes::Here(here),
         };
         Ok(kept)
     }
 
     /// Restores the environments in `pieces`.
-    pub fn restore(&self, pieces: &mut [Piece], blueprint: &Blueprint, remote: Away<'_>, pause: Pause) -> Result<()> {
+    pub fn restore(
+        &self,
+        pieces: &mut [RolloutGroup],
+        blueprint: &Blueprint,
+        remote: OptionalRemote<'_>,
+        pause: Pause,
+    ) -> Result<()> {
         let envs: usize = pieces.iter().map(|p| p.envs).sum();
         let resumed = match (&self.episodes, remote) {
             (Episodes::Here(episodes), None) => {
                 let resumed = episodes.iter().map(|episode| Resumed::new(episode, &blueprint.task));
                 resumed.collect::<Result<Vec<_>>>()?
             }
-            (Episodes::Away(snapshot), Some(remote)) => {
+            (Episodes::OnServer(snapshot), Some(remote)) => {
                 let rows = remote.restore(snapshot, pause)?;
                 super::collect::deal(pieces.iter_mut(), &rows, |piece, part| piece.take(part));
                 Vec::new()

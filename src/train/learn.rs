@@ -1,7 +1,7 @@
 //! From a rollout to a gradient: minibatches in random order, each divided into chunks for threads.
 
-use super::loss::{Samples, Slopes, Spread, Sums, Weights, slopes};
-use super::network::{Networks, Pass};
+use super::loss::{ActionNoise, LossSlopes, LossSums, LossWeights, Samples, slopes};
+use super::network::{NetworkPass, Networks};
 use rand::seq::SliceRandom as _;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
@@ -11,7 +11,7 @@ pub const CHUNK: usize = 128;
 
 /// The transitions, one row for each step of an environment.
 #[derive(Clone, Debug, Default)]
-pub struct Rollout {
+pub struct RolloutBuffer {
     pub observations: Vec<f32>,
     pub actions: Vec<f32>,
     pub log_probabilities: Vec<f32>,
@@ -21,7 +21,7 @@ pub struct Rollout {
     pub returns: Vec<f32>,
 }
 
-impl Rollout {
+impl RolloutBuffer {
     pub fn new(rows: usize, observation: usize, action: usize) -> Self {
         let row = || vec![0.0; rows];
         Self {
@@ -86,7 +86,7 @@ impl Minibatches {
 
     /// Selects the minibatch that begins at `first`. Advantages are normalized by their mean and standard
     /// deviation.
-    pub fn take(&mut self, rollout: &Rollout, first: usize, size: usize, normalize: bool) -> usize {
+    pub fn take(&mut self, rollout: &RolloutBuffer, first: usize, size: usize, normalize: bool) -> usize {
         (self.first, self.count) = (first, size.min(self.order.len() - first));
         (self.mean, self.scale) = (0.0, 1.0);
         if normalize && self.count > 1 {
@@ -108,14 +108,14 @@ impl Minibatches {
 
 /// Work space and results of a chunk.
 pub struct Chunk {
-    pass: Pass,
-    spread: Spread,
-    batch: Rollout,
+    pass: NetworkPass,
+    spread: ActionNoise,
+    batch: RolloutBuffer,
     means: Vec<f32>,
     values: Vec<f32>,
     log_std: Vec<f32>,
     pub gradient: Vec<f32>,
-    pub sums: Sums,
+    pub sums: LossSums,
 }
 
 impl Chunk {
@@ -123,13 +123,13 @@ impl Chunk {
         let shape = &networks.shape;
         Self {
             pass: networks.pass(CHUNK),
-            spread: Spread::default(),
-            batch: Rollout::new(CHUNK, shape.observation, shape.action),
+            spread: ActionNoise::default(),
+            batch: RolloutBuffer::new(CHUNK, shape.observation, shape.action),
             means: vec![0.0; CHUNK * shape.action],
             values: vec![0.0; CHUNK],
             log_std: vec![0.0; shape.action],
             gradient: vec![0.0; shape.parameters],
-            sums: Sums::default(),
+            sums: LossSums::default(),
         }
     }
 
@@ -138,10 +138,10 @@ impl Chunk {
         &mut self,
         networks: &Networks,
         parameters: &[f32],
-        rollout: &Rollout,
+        rollout: &RolloutBuffer,
         minibatches: &Minibatches,
         index: usize,
-        weights: &Weights,
+        weights: &LossWeights,
     ) {
         let (first, end) = (index * CHUNK, minibatches.count.min((index + 1) * CHUNK));
         let rows = &minibatches.order[minibatches.first + first..minibatches.first + end];
@@ -170,7 +170,7 @@ impl Chunk {
         };
         self.spread.set(&parameters[shape.log_std.clone()]);
         self.log_std.fill(0.0);
-        let out = Slopes { means: &mut self.means, values: &mut self.values, log_std: &mut self.log_std };
+        let out = LossSlopes { means: &mut self.means, values: &mut self.values, log_std: &mut self.log_std };
         self.sums = slopes(weights, &samples, &self.pass.means, &self.pass.values, &self.spread, out);
         self.gradient.fill(0.0);
         self.gradient[shape.log_std.clone()].copy_from_slice(&self.log_std);

@@ -10,16 +10,21 @@
 //! training that ends after steps, not seconds, has the same bits on any number of threads of one instruction set.
 
 use super::crew;
-use super::plan::{Learnt, Observer, Plan};
-use super::remote::Away;
-use super::training::{Phase, Shared, Training};
+use super::plan::{Observer, TrainingPlan, TrainingState};
+use super::remote::OptionalRemote;
+use super::training::{Phase, Training, TrainingWork};
 use crate::error::Result;
 use crate::number::flushed;
 
-impl Plan {
+impl TrainingPlan {
     /// Continues from `learnt` until steps or time end it, with the environments in this process or of `remote`.
-    pub fn run(&self, learnt: Learnt, mut remote: Away<'_>, observer: &mut dyn Observer) -> Result<Learnt> {
-        let shared = Shared::new(self, &learnt, remote.as_deref_mut(), observer)?;
+    pub fn run(
+        &self,
+        learnt: TrainingState,
+        mut remote: OptionalRemote<'_>,
+        observer: &mut dyn Observer,
+    ) -> Result<TrainingState> {
+        let shared = TrainingWork::new(self, &learnt, remote.as_deref_mut(), observer)?;
         let work = |phase: Phase, item: usize| flushed(|| shared.work(phase, item));
         let mut training = Training::new(self, &shared, learnt, remote);
         crew::with(self.threads, &work, |crew| {
@@ -38,7 +43,7 @@ mod tests {
     use super::*;
     use crate::error::Error;
     use crate::plan::tests::plan;
-    use crate::plan::{Learnt, Report};
+    use crate::plan::{TrainingState, UpdateReport};
     use serde_json::json;
 
     /// Any number of threads learns the same bits; another seed does not.
@@ -51,7 +56,7 @@ mod tests {
         let learn = |threads: usize, seed: u64| {
             let mut plan = plan(&entry, threads);
             plan.seed = seed;
-            let mut learnt = plan.run(plan.begin(), None, &mut |_: &Learnt, report: &Report| {
+            let mut learnt = plan.run(plan.begin(), None, &mut |_: &TrainingState, report: &UpdateReport| {
                 assert!(report.value_loss.is_finite() && report.kl.is_finite());
                 Ok(())
             });
@@ -67,11 +72,11 @@ mod tests {
     /// Stops a training at its pause number `left`, and keeps the state after the last update.
     struct Break {
         left: usize,
-        last: Learnt,
+        last: TrainingState,
     }
 
     impl Observer for Break {
-        fn update(&mut self, learnt: &Learnt, _: &Report) -> Result<()> {
+        fn update(&mut self, learnt: &TrainingState, _: &UpdateReport) -> Result<()> {
             self.last = learnt.clone();
             Ok(())
         }
@@ -90,14 +95,14 @@ mod tests {
             "policy_kwargs": {"net_arch": [8]},
         });
         let plan = plan(&entry, 2);
-        let timeless = |learnt: Learnt| Learnt { seconds: 0.0, ..learnt };
-        let whole = timeless(plan.run(plan.begin(), None, &mut |_: &Learnt, _: &Report| Ok(())).unwrap());
+        let timeless = |learnt: TrainingState| TrainingState { seconds: 0.0, ..learnt };
+        let whole = timeless(plan.run(plan.begin(), None, &mut |_: &TrainingState, _: &UpdateReport| Ok(())).unwrap());
         // Nine or ten pauses an update: in a rollout, during learning, at an update's end.
         for left in [11, 16, 25, 38] {
             let mut observer = Break { left, last: plan.begin() };
             assert!(plan.run(plan.begin(), None, &mut observer).is_err());
             assert!((1..5).contains(&observer.last.updates), "{left}: {}", observer.last.updates);
-            let went_on = plan.run(observer.last, None, &mut |_: &Learnt, _: &Report| Ok(())).unwrap();
+            let went_on = plan.run(observer.last, None, &mut |_: &TrainingState, _: &UpdateReport| Ok(())).unwrap();
             assert!(timeless(went_on) == whole, "{left}");
         }
     }
@@ -111,7 +116,7 @@ mod tests {
         });
         let plan = plan(&entry, 1);
         let mut last = plan.begin();
-        let error = plan.run(plan.begin(), None, &mut |learnt: &Learnt, _: &Report| {
+        let error = plan.run(plan.begin(), None, &mut |learnt: &TrainingState, _: &UpdateReport| {
             last = learnt.clone();
             Ok(())
         });

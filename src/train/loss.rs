@@ -8,7 +8,7 @@ const LN_SQRT_TAU: f32 = 0.918_938_5;
 
 /// Parameters of the loss.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Weights {
+pub struct LossWeights {
     /// Clip range of the probability ratio to the old policy.
     pub clip: f32,
     /// Clip range of the value; None: not clipped.
@@ -35,7 +35,7 @@ pub struct Samples<'a> {
 
 /// Sums over samples, for reports.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Sums {
+pub struct LossSums {
     pub samples: f64,
     pub policy: f64,
     pub value: f64,
@@ -44,7 +44,7 @@ pub struct Sums {
     pub kl: f64,
 }
 
-impl AddAssign for Sums {
+impl AddAssign for LossSums {
     fn add_assign(&mut self, other: Self) {
         self.samples += other.samples;
         self.policy += other.policy;
@@ -56,14 +56,14 @@ impl AddAssign for Sums {
 
 /// A normal distribution's standard deviations, in the forms that are needed.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Spread {
+pub struct ActionNoise {
     /// f32 [action]: 1/σ
     inverse: Vec<f32>,
     /// Logarithm of the density at the mean.
     peak: f32,
 }
 
-impl Spread {
+impl ActionNoise {
     pub fn set(&mut self, log_std: &[f32]) {
         self.inverse.clear();
         self.inverse.extend(log_std.iter().map(|s| (-s).exp()));
@@ -83,7 +83,7 @@ pub fn entropy(log_std: &[f32]) -> f32 {
 }
 
 /// Outputs for the derivatives of the loss.
-pub struct Slopes<'a> {
+pub struct LossSlopes<'a> {
     /// f32 [n, action]
     pub means: &'a mut [f32],
     /// f32 [n]
@@ -95,15 +95,15 @@ pub struct Slopes<'a> {
 /// Derivatives of the mean loss by the networks' outputs `means` and `values`, and by the logarithms of σ; the
 /// entropy's are left out, because they do not depend on the samples.
 pub fn slopes(
-    weights: &Weights,
+    weights: &LossWeights,
     samples: &Samples,
     means: &[f32],
     values: &[f32],
-    spread: &Spread,
-    out: Slopes,
-) -> Sums {
+    spread: &ActionNoise,
+    out: LossSlopes,
+) -> LossSums {
     let (width, share) = (spread.inverse.len(), 1.0 / weights.samples as f32);
-    let mut sums = Sums { samples: samples.returns.len() as f64, ..Sums::default() };
+    let mut sums = LossSums { samples: samples.returns.len() as f64, ..LossSums::default() };
     for (i, goal) in samples.returns.iter().enumerate() {
         let row = i * width..(i + 1) * width;
         let (action, mean) = (&samples.actions[row.clone()], &means[row.clone()]);

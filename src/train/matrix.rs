@@ -76,13 +76,13 @@ pub fn tanh(x: f32) -> f32 {
 }
 
 /// Adds `bias` to every row, and applies the hyperbolic tangent if `curved`.
-pub struct Bend<'a> {
+pub struct AddBias<'a> {
     pub rows: &'a mut [f32],
     pub bias: &'a [f32],
     pub curved: bool,
 }
 
-impl Kernel for Bend<'_> {
+impl Kernel for AddBias<'_> {
     #[inline(always)]
     fn run(self) {
         for row in self.rows.chunks_exact_mut(self.bias.len()) {
@@ -96,12 +96,12 @@ impl Kernel for Bend<'_> {
 }
 
 /// Derivatives before a tangent from those after it: `slopes` · (1 − y²).
-pub struct Unbend<'a> {
+pub struct TanhGradient<'a> {
     pub slopes: &'a mut [f32],
     pub outputs: &'a [f32],
 }
 
-impl Kernel for Unbend<'_> {
+impl Kernel for TanhGradient<'_> {
     #[inline(always)]
     fn run(self) {
         self.slopes.iter_mut().zip(self.outputs).for_each(|(slope, y)| *slope *= 1.0 - y * y);

@@ -1,17 +1,17 @@
 //! Measures by which designs are compared, and their intervals.
 
 use crate::error::{Error, Result};
-use crate::evaluate::episode::Episode;
+use crate::evaluate::episode::EpisodeSums;
 
 /// A measure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Measure {
+pub enum GaitMeasure {
     Return,
     Speed,
     CostOfTransport,
 }
 
-impl Measure {
+impl GaitMeasure {
     pub const ALL: [Self; 3] = [Self::Return, Self::Speed, Self::CostOfTransport];
 
     pub fn named(name: &str) -> Result<Self> {
@@ -36,8 +36,8 @@ impl Measure {
     }
 
     /// Its value over all episodes of a policy.
-    pub fn of(self, episodes: &[Episode]) -> f64 {
-        let sum = |term: fn(&Episode) -> f64| episodes.iter().map(term).sum::<f64>();
+    pub fn of(self, episodes: &[EpisodeSums]) -> f64 {
+        let sum = |term: fn(&EpisodeSums) -> f64| episodes.iter().map(term).sum::<f64>();
         match self {
             Self::Return => sum(|e| e.total_reward) / episodes.len() as f64,
             Self::Speed => sum(|e| e.distance) / sum(|e| e.time),
@@ -57,12 +57,12 @@ impl Measure {
 
 /// Mean over trainings, and its 95 % interval by Student's t; there is no interval for a single training.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Between {
+pub struct TrainingMean {
     pub mean: f64,
     pub half: f64,
 }
 
-impl Between {
+impl TrainingMean {
     pub fn of(values: &[f64]) -> Self {
         let n = values.len() as f64;
         let mean = values.iter().sum::<f64>() / n;
@@ -85,8 +85,8 @@ mod tests {
 
     #[test]
     fn the_interval_is_student_s() {
-        let three = Between::of(&[1.0, 2.0, 3.0]);
+        let three = TrainingMean::of(&[1.0, 2.0, 3.0]);
         assert!((three.mean - 2.0).abs() < 1e-12 && (three.half - 4.303 / 3.0_f64.sqrt()).abs() < 1e-9);
-        assert!(Between::of(&[1.0]).half.is_nan());
+        assert!(TrainingMean::of(&[1.0]).half.is_nan());
     }
 }

@@ -4,7 +4,7 @@
 //! The actor gives the mean of a normal distribution; the standard deviations are further parameters. With a mirror
 //! both networks are averaged with their mirror images: (f(s) + M f(M s)) / 2 and (v(s) + v(M s)) / 2.
 
-use super::matrix::{Bend, Matrix, SumRows, Unbend, multiply};
+use super::matrix::{AddBias, Matrix, SumRows, TanhGradient, multiply};
 use super::mirror::Mirror;
 use crate::number::Isa;
 use rand::Rng;
@@ -13,7 +13,7 @@ use std::ops::Range;
 
 /// Indices of a layer's numbers in the parameters: weights f32 [inputs, outputs], then its bias.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Layer {
+pub struct NetworkLayer {
     pub inputs: usize,
     pub outputs: usize,
     pub weights: Range<usize>,
@@ -25,8 +25,8 @@ pub struct Layer {
 pub struct NetworkSizes {
     pub observation: usize,
     pub action: usize,
-    pub actor: Vec<Layer>,
-    pub critic: Vec<Layer>,
+    pub actor: Vec<NetworkLayer>,
+    pub critic: Vec<NetworkLayer>,
     /// Indices in the parameters of the logarithms of the action's standard deviations.
     pub log_std: Range<usize>,
     /// Number of parameters.
@@ -45,7 +45,7 @@ impl NetworkSizes {
             let mut inputs = observation;
             let layer = |outputs: &usize| {
                 let (weights, bias) = (take(inputs * outputs), take(*outputs));
-                Layer { inputs: std::mem::replace(&mut inputs, *outputs), outputs: *outputs, weights, bias }
+                NetworkLayer { inputs: std::mem::replace(&mut inputs, *outputs), outputs: *outputs, weights, bias }
             };
             hidden.iter().chain([&last]).map(layer).collect::<Vec<_>>()
         };
@@ -71,7 +71,7 @@ impl NetworkSizes {
 
 /// Fills `weights` so that its rows, or its columns if there are fewer, are orthogonal to each other and have
 /// length `gain`.
-fn orthogonal(layer: &Layer, gain: f64, random: &mut impl Rng, weights: &mut [f32]) {
+fn orthogonal(layer: &NetworkLayer, gain: f64, random: &mut impl Rng, weights: &mut [f32]) {
     let (inputs, outputs) = (layer.inputs, layer.outputs);
     let (count, length) = (inputs.min(outputs), inputs.max(outputs));
     let mut vectors: Vec<Vec<f64>> = Vec::with_capacity(count);
@@ -97,19 +97,19 @@ fn orthogonal(layer: &Layer, gain: f64, random: &mut impl Rng, weights: &mut [f3
 
 /// Work space for the outputs of a network's layers and their derivatives.
 #[derive(Clone, Debug, Default)]
-struct Stack {
+struct LayerStack {
     outputs: Vec<Vec<f32>>,
     slopes: Vec<Vec<f32>>,
 }
 
-impl Stack {
-    fn new(layers: &[Layer], rows: usize) -> Self {
+impl LayerStack {
+    fn new(layers: &[NetworkLayer], rows: usize) -> Self {
         let room: Vec<_> = layers.iter().map(|l| vec![0.0; rows * l.outputs]).collect();
         Self { slopes: room.clone(), outputs: room }
     }
 
     /// Computes the layers for `rows` rows of `inputs`.
-    fn forward(&mut self, layers: &[Layer], parameters: &[f32], inputs: &[f32], rows: usize, isa: Isa) {
+    fn forward(&mut self, layers: &[NetworkLayer], parameters: &[f32], inputs: &[f32], rows: usize, isa: Isa) {
         for (k, layer) in layers.iter().enumerate() {
             let (before, rest) = self.outputs.split_at_mut(k);
             let input = before.last().map_or(inputs, |x| &x[..rows * layer.inputs]);
@@ -117,14 +117,14 @@ impl Stack {
             let weights = Matrix::new(&parameters[layer.weights.clone()], layer.outputs);
             multiply(Matrix::new(input, layer.inputs), weights, false, out);
             let bias = &parameters[layer.bias.clone()];
-            isa.run(Bend { rows: out, bias, curved: k + 1 < layers.len() });
+            isa.run(AddBias { rows: out, bias, curved: k + 1 < layers.len() });
         }
     }
 
     /// Adds to `gradient` the contribution of the derivatives by the last layer's outputs.
     fn backward(
         &mut self,
-        layers: &[Layer],
+        layers: &[NetworkLayer],
         parameters: &[f32],
         inputs: &[f32],
         rows: usize,
@@ -143,7 +143,7 @@ impl Stack {
                 let earlier = &mut earlier[..rows * layer.inputs];
                 let weights = Matrix::new(&parameters[layer.weights.clone()], layer.outputs);
                 multiply(slope, weights.transposed(), false, earlier);
-                isa.run(Unbend { slopes: earlier, outputs: input });
+                isa.run(TanhGradient { slopes: earlier, outputs: input });
             }
         }
     }
@@ -159,11 +159,11 @@ pub struct Networks {
 }
 
 /// Work space for a number of rows in both networks.
-pub struct Pass {
+pub struct NetworkPass {
     /// f32 [2 · rows, observation]; the second half is for mirror images.
     observations: Vec<f32>,
-    actor: Stack,
-    critic: Stack,
+    actor: LayerStack,
+    critic: LayerStack,
     rows: usize,
     /// f32 [rows, action]
     pub means: Vec<f32>,
@@ -173,12 +173,12 @@ pub struct Pass {
 
 impl Networks {
     /// Room for at most `rows` rows.
-    pub fn pass(&self, rows: usize) -> Pass {
+    pub fn pass(&self, rows: usize) -> NetworkPass {
         let all = rows * self.images();
-        Pass {
+        NetworkPass {
             observations: vec![0.0; all * self.shape.observation],
-            actor: Stack::new(&self.shape.actor, all),
-            critic: Stack::new(&self.shape.critic, all),
+            actor: LayerStack::new(&self.shape.actor, all),
+            critic: LayerStack::new(&self.shape.critic, all),
             rows: 0,
             means: vec![0.0; rows * self.shape.action],
             values: vec![0.0; rows],
@@ -191,7 +191,7 @@ impl Networks {
     }
 
     /// Means and values of `rows` rows, which `fill` writes, f32 [rows, observation].
-    pub fn forward(&self, parameters: &[f32], pass: &mut Pass, rows: usize, fill: impl FnOnce(&mut [f32])) {
+    pub fn forward(&self, parameters: &[f32], pass: &mut NetworkPass, rows: usize, fill: impl FnOnce(&mut [f32])) {
         let (wide, all) = (self.shape.observation, rows * self.images());
         pass.rows = rows;
         let observations = &mut pass.observations[..all * wide];
@@ -223,7 +223,14 @@ impl Networks {
     }
 
     /// Adds to `gradient` the contribution of the derivatives by the last [`Networks::forward`]'s means and values.
-    pub fn backward(&self, parameters: &[f32], pass: &mut Pass, means: &[f32], values: &[f32], gradient: &mut [f32]) {
+    pub fn backward(
+        &self,
+        parameters: &[f32],
+        pass: &mut NetworkPass,
+        means: &[f32],
+        values: &[f32],
+        gradient: &mut [f32],
+    ) {
         let (rows, all) = (pass.rows, pass.rows * self.images());
         let observations = &pass.observations[..all * self.shape.observation];
         let width = rows * self.shape.action;

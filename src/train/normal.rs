@@ -7,20 +7,20 @@ pub const CLIP: f32 = 10.0;
 
 /// Mean and variance of all rows so far, number by number.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Running {
+pub struct RunningStatistics {
     pub mean: Vec<f64>,
     pub variance: Vec<f64>,
     pub count: f64,
 }
 
-impl Running {
+impl RunningStatistics {
     /// Statistics without rows. The initial count is 1e-4 as in `VecNormalize`, so that the first rows dominate.
     pub fn new(width: usize) -> Self {
         Self { mean: vec![0.0; width], variance: vec![1.0; width], count: 1e-4 }
     }
 
     /// Adds rows with these moments (Chan, Golub & LeVeque 1983).
-    pub fn update(&mut self, rows: &Moments) {
+    pub fn update(&mut self, rows: &BatchMoments) {
         if rows.count == 0.0 {
             return;
         }
@@ -37,13 +37,13 @@ impl Running {
 
 /// Mean of some rows, and their sums of squared deviations from it.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Moments {
+pub struct BatchMoments {
     pub count: f64,
     pub mean: Vec<f64>,
     pub squares: Vec<f64>,
 }
 
-impl Moments {
+impl BatchMoments {
     pub fn new(width: usize) -> Self {
         Self { count: 0.0, mean: vec![0.0; width], squares: vec![0.0; width] }
     }
@@ -80,36 +80,36 @@ impl Moments {
 
 /// Statistics for the normalization of observations and rewards.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Normal {
-    pub observations: Running,
+pub struct Normalizer {
+    pub observations: RunningStatistics,
     /// Statistics of the discounted sums of rewards.
-    pub returns: Running,
+    pub returns: RunningStatistics,
 }
 
-impl Normal {
+impl Normalizer {
     pub fn new(width: usize) -> Self {
-        Self { observations: Running::new(width), returns: Running::new(1) }
+        Self { observations: RunningStatistics::new(width), returns: RunningStatistics::new(1) }
     }
 
-    pub fn scales(&self) -> Scales {
+    pub fn scales(&self) -> NormalizerScales {
         let both = self.observations.mean.iter().zip(&self.observations.variance);
-        Scales {
+        NormalizerScales {
             rows: both.map(|(mean, variance)| [*mean, 1.0 / (variance + EPSILON).sqrt()]).collect(),
             reward: 1.0 / (self.returns.variance[0] + EPSILON).sqrt(),
         }
     }
 }
 
-/// The factors of [`Normal`] at one time.
+/// The factors of [`Normalizer`] at one time.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Scales {
+pub struct NormalizerScales {
     /// Mean and 1/σ of each number of an observation.
     pub rows: Vec<[f64; 2]>,
     /// 1/σ of the returns.
     pub reward: f64,
 }
 
-impl Scales {
+impl NormalizerScales {
     /// Fills `out` with normalized `rows`.
     pub fn observations(&self, rows: &[f32], out: &mut [f32]) {
         let width = self.rows.len();
@@ -135,11 +135,11 @@ mod tests {
     #[test]
     fn pieces_add_up() {
         let rows: Vec<f32> = (0..600).map(|k| (k as f32 * 0.37).sin() + (k % 3) as f32).collect();
-        let mut running = Running::new(3);
+        let mut running = RunningStatistics::new(3);
         for batch in rows.chunks(150) {
-            let mut all = Moments::new(3);
+            let mut all = BatchMoments::new(3);
             for piece in batch.chunks(60) {
-                let mut moments = Moments::new(3);
+                let mut moments = BatchMoments::new(3);
                 moments.set(piece);
                 all.join(&moments);
             }

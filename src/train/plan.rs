@@ -1,11 +1,11 @@
 //! The plan of a training, its state, and the interface of its observers.
 
 use super::adam::Adam;
-use super::kept::Kept;
+use super::kept::SavedEnvironments;
 use super::mirror::Mirror;
 use super::network::{NetworkSizes, Networks};
-use super::normal::Normal;
-use super::settings::Settings;
+use super::normal::Normalizer;
+use super::settings::Hyperparameters;
 use crate::env::registry::Blueprint;
 use crate::error::Result;
 use crate::number::Isa;
@@ -15,10 +15,10 @@ use std::sync::Arc;
 
 /// The state of a training: everything that is needed to continue it.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Learnt {
+pub struct TrainingState {
     pub parameters: Vec<f32>,
     pub adam: Adam,
-    pub normal: Option<Normal>,
+    pub normal: Option<Normalizer>,
     /// Number of environment steps.
     pub steps: u64,
     /// Number of rollouts, each with its updates.
@@ -26,13 +26,13 @@ pub struct Learnt {
     /// Duration of the training so far [s].
     pub seconds: f64,
     /// Saved environments; without them new episodes begin.
-    pub environments: Option<Arc<Kept>>,
+    pub environments: Option<Arc<SavedEnvironments>>,
 }
 
 /// Observes a training. An error of an observer ends it.
 pub trait Observer {
     /// Called after each update.
-    fn update(&mut self, learnt: &Learnt, report: &Report) -> Result<()>;
+    fn update(&mut self, learnt: &TrainingState, report: &UpdateReport) -> Result<()>;
 
     /// Called within an update, every few milliseconds.
     fn pause(&mut self) -> Result<()> {
@@ -40,16 +40,16 @@ pub trait Observer {
     }
 }
 
-impl<F: FnMut(&Learnt, &Report) -> Result<()>> Observer for F {
-    fn update(&mut self, learnt: &Learnt, report: &Report) -> Result<()> {
+impl<F: FnMut(&TrainingState, &UpdateReport) -> Result<()>> Observer for F {
+    fn update(&mut self, learnt: &TrainingState, report: &UpdateReport) -> Result<()> {
         self(learnt, report)
     }
 }
 
 /// The task, networks and settings of a training.
-pub struct Plan {
+pub struct TrainingPlan {
     pub blueprint: Blueprint,
-    pub settings: Settings,
+    pub settings: Hyperparameters,
     pub networks: Networks,
     pub seed: u64,
     pub threads: usize,
@@ -57,7 +57,7 @@ pub struct Plan {
 
 /// Results of an update.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Report {
+pub struct UpdateReport {
     pub steps: u64,
     pub seconds: f64,
     /// Finished share of the training, 0 to 1.
@@ -82,8 +82,8 @@ pub struct Report {
     pub terms: Vec<f64>,
 }
 
-impl Plan {
-    pub fn new(blueprint: Blueprint, settings: Settings, seed: u64, threads: usize) -> Result<Self> {
+impl TrainingPlan {
+    pub fn new(blueprint: Blueprint, settings: Hyperparameters, seed: u64, threads: usize) -> Result<Self> {
         let spec = blueprint.task.spec();
         let shape = NetworkSizes::new(spec.observation.len(), spec.action.len(), &settings.net_arch);
         let mirror = match settings.mirror {
@@ -91,19 +91,19 @@ impl Plan {
             Some(false) => None,
             None => Mirror::both(&blueprint).ok(),
         };
-        let settings = Settings { mirror: Some(mirror.is_some()), ..settings };
+        let settings = Hyperparameters { mirror: Some(mirror.is_some()), ..settings };
         let networks = Networks { shape, mirror, isa: Isa::choose()? };
         Ok(Self { blueprint, settings, networks, seed, threads: threads.max(1) })
     }
 
     /// The initial state.
-    pub fn begin(&self) -> Learnt {
+    pub fn begin(&self) -> TrainingState {
         let shape = &self.networks.shape;
         let parameters = shape.begin(self.settings.log_std_init as f32, &mut self.random(0, u64::MAX));
-        Learnt {
+        TrainingState {
             adam: Adam::new(parameters.len()),
             parameters,
-            normal: self.settings.normalize.then(|| Normal::new(shape.observation)),
+            normal: self.settings.normalize.then(|| Normalizer::new(shape.observation)),
             steps: 0,
             updates: 0,
             seconds: 0.0,
@@ -112,8 +112,8 @@ impl Plan {
     }
 
     /// The networks and the normalization of `other`, and nothing else of it.
-    pub fn begin_from(&self, other: &Learnt) -> Learnt {
-        Learnt { parameters: other.parameters.clone(), normal: other.normal.clone(), ..self.begin() }
+    pub fn begin_from(&self, other: &TrainingState) -> TrainingState {
+        TrainingState { parameters: other.parameters.clone(), normal: other.normal.clone(), ..self.begin() }
     }
 
     /// Random numbers for purpose `what` in update `update`.
@@ -135,8 +135,9 @@ pub(crate) mod tests {
     use super::*;
     use serde_json::{Value, json};
 
-    pub fn plan(entry: &Value, threads: usize) -> Plan {
+    pub fn plan(entry: &Value, threads: usize) -> TrainingPlan {
         let blueprint = Blueprint::new("sandgait/HexapodGait-v1", json!({"max_episode_steps": 7})).unwrap();
-        Plan::new(blueprint, Settings::from_entry(entry.as_object().unwrap()).unwrap(), 5, threads).unwrap()
+        TrainingPlan::new(blueprint, Hyperparameters::from_entry(entry.as_object().unwrap()).unwrap(), 5, threads)
+            .unwrap()
     }
 }

@@ -1,23 +1,23 @@
 //! Files of a design study's trainings, from which a stopped study continues.
 
 use super::checkpoint;
-use super::plan::{Learnt, Plan};
+use super::plan::{TrainingPlan, TrainingState};
 use crate::error::Result;
 use crate::files;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
 /// Files of one training, `designD-K.…`: the policy, its checkpoint, and its results.
-pub struct Record {
+pub struct TrainingRecord {
     /// Path without an ending.
     path: PathBuf,
     /// Everything that the training's result depends on.
     key: String,
 }
 
-impl Record {
+impl TrainingRecord {
     /// Training `training` of design number `design`; `before`: the designs of its warm start.
-    pub fn new(out: &Path, design: usize, training: usize, plan: &Plan, before: &[Vec<String>]) -> Self {
+    pub fn new(out: &Path, design: usize, training: usize, plan: &TrainingPlan, before: &[Vec<String>]) -> Self {
         let model = plan.blueprint.task.model();
         let key = json!({
             "version": env!("CARGO_PKG_VERSION"),
@@ -38,7 +38,7 @@ impl Record {
     }
 
     /// The results of the training, if it was finished before: its state, and its measures.
-    pub fn read(&self, plan: &Plan) -> Option<(Learnt, [f64; 3])> {
+    pub fn read(&self, plan: &TrainingPlan) -> Option<(TrainingState, [f64; 3])> {
         let about: Value = serde_json::from_slice(&std::fs::read(self.file("json")).ok()?).ok()?;
         if about["key"].as_str() != Some(&self.key) {
             return None;
@@ -49,9 +49,9 @@ impl Record {
     }
 
     /// Saves the results of the training. The last file marks the others as complete.
-    pub fn write(&self, plan: &Plan, learnt: &Learnt, onnx: &[u8], measures: &[f64; 3]) -> Result<()> {
+    pub fn write(&self, plan: &TrainingPlan, learnt: &TrainingState, onnx: &[u8], measures: &[f64; 3]) -> Result<()> {
         let keep = |ending: &str, content: &[u8]| files::write(&self.file(ending), content);
-        let policy = Learnt { environments: None, ..learnt.clone() };
+        let policy = TrainingState { environments: None, ..learnt.clone() };
         checkpoint::save(&self.file("safetensors"), plan, &policy, [0.0; 2])?;
         keep("onnx", onnx)?;
         let about = json!({"measures": measures, "steps": learnt.steps, "seconds": learnt.seconds, "key": self.key});

@@ -1,21 +1,21 @@
 //! A training with all its files: `settings.json`, `curve.csv`, checkpoints, TensorBoard's events and, at the end,
 //! the policy, its score over unseen seeds, the learning curve and a film.
 
-use super::curve::{Curve, Point};
-use super::events::Events;
-use super::plan::{Learnt, Observer, Plan, Report};
-use super::remote::{Pause, Remote};
-use super::settings::Settings;
+use super::curve::{CurvePoint, LearningCurve};
+use super::events::EventFile;
+use super::plan::{Observer, TrainingPlan, TrainingState, UpdateReport};
+use super::remote::{Pause, RemoteEnvironments};
+use super::settings::Hyperparameters;
 use super::{checkpoint, describe, export, film};
 use crate::env::Task;
 use crate::env::legged::LeggedVelocity;
 use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
-use crate::evaluate::commands::{CommandStudy, Followed};
-use crate::evaluate::{self, Row, Study, Wanted, episode};
+use crate::evaluate::commands::{CommandStudy, CommandTracking};
+use crate::evaluate::{self, Evaluation, EvaluationRow, PolicySource, episode};
 use crate::files::{self, Lock};
 use crate::policy::Network;
-use crate::progress::{Part, Progress};
+use crate::progress::{PartialProgress, Progress};
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -28,14 +28,14 @@ const TRAINING: f64 = 0.97;
 const PATIENCE: Duration = Duration::from_millis(20);
 
 /// Makes environments on a server, from a blueprint, its options and a number.
-pub type Connect = dyn Fn(&Blueprint, &Value, usize, Pause) -> Result<Box<dyn Remote>> + Send + Sync;
+pub type Connect = dyn Fn(&Blueprint, &Value, usize, Pause) -> Result<Box<dyn RemoteEnvironments>> + Send + Sync;
 
 /// A request for a training.
-pub struct Request {
+pub struct TrainingRequest {
     pub task: String,
     /// Keywords of the task; without them the settings' `env_kwargs` apply.
     pub options: Value,
-    pub settings: Settings,
+    pub settings: Hyperparameters,
     pub seed: u64,
     pub threads: usize,
     /// Folder for the results.
@@ -51,36 +51,36 @@ pub struct Request {
 }
 
 /// Results of a training.
-pub struct Outcome {
-    pub learnt: Learnt,
-    pub last: Option<Report>,
+pub struct TrainingOutcome {
+    pub learnt: TrainingState,
+    pub last: Option<UpdateReport>,
     /// The learning curve.
-    pub curve: Vec<Point>,
+    pub curve: Vec<CurvePoint>,
     /// What differs from going on with the newest checkpoint as it is, one sentence each: checkpoints that were skipped, and
     /// the reason for new episodes.
     pub notices: Vec<String>,
     /// The policy without noise over 100 unseen seeds; None for LegStroke.
-    pub score: Option<Score>,
+    pub score: Option<PolicyScore>,
 }
 
 /// The score of a policy without noise.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(untagged)]
-pub enum Score {
+pub enum PolicyScore {
     /// Of tasks in which hexapods walk.
-    Walking(Row),
+    Walking(EvaluationRow),
     /// Of LeggedVelocity.
-    Commands(Followed),
+    Commands(CommandTracking),
 }
 
-impl Request {
+impl TrainingRequest {
     /// Trains, and writes all files into the folder. A training that is stopped leaves a checkpoint.
-    pub fn run(&self, progress: &dyn Progress) -> Result<Outcome> {
+    pub fn run(&self, progress: &dyn Progress) -> Result<TrainingOutcome> {
         let options = self.options()?;
         let blueprint = Blueprint::new(&self.task, options.clone())?;
-        let plan = Plan::new(blueprint, self.settings.clone(), self.seed, self.threads)?;
+        let plan = TrainingPlan::new(blueprint, self.settings.clone(), self.seed, self.threads)?;
         let lock = self.out.is_dir().then(|| self.lock()).transpose()?;
-        let checkpoint::Saved { learnt, open, notices } = self.begin(&plan)?;
+        let checkpoint::Checkpoint { learnt, open, notices } = self.begin(&plan)?;
         let mut remote = match &self.connect {
             Some(connect) => {
                 let pause = &mut || progress.report(0.0, "connecting");
@@ -103,11 +103,11 @@ impl Request {
         });
         self.write("settings.json", format!("{about:#}\n").as_bytes())?;
         let until = self.resume.then_some(learnt.steps);
-        let part = Part::new(progress, [0.0, TRAINING]);
-        let mut diary = Diary {
+        let part = PartialProgress::new(progress, [0.0, TRAINING]);
+        let mut diary = TrainingFiles {
             plan: &plan,
-            curve: Curve::new(&self.out.join("curve.csv"), until, open, self.settings.n_envs)?,
-            events: Events::new(&self.out.join("tensorboard"))?,
+            curve: LearningCurve::new(&self.out.join("curve.csv"), until, open, self.settings.n_envs)?,
+            events: EventFile::new(&self.out.join("tensorboard"))?,
             last: None,
             saved: learnt.steps,
             seconds: learnt.seconds,
@@ -123,9 +123,9 @@ impl Request {
         };
         drop(remote);
         diary.save()?;
-        let score = self.keep(&plan, &learnt, options, &Part::new(progress, [TRAINING, 1.0]))?;
+        let score = self.keep(&plan, &learnt, options, &PartialProgress::new(progress, [TRAINING, 1.0]))?;
         let reached = match &score {
-            Some(Score::Walking(row)) => Some(row.figures.total_reward.mean),
+            Some(PolicyScore::Walking(row)) => Some(row.figures.total_reward.mean),
             _ => None,
         };
         diary.curve.draw(&self.out.join("curve.svg"), &self.task, reached)?;
@@ -134,7 +134,7 @@ impl Request {
         about["seconds"] = learnt.seconds.into();
         about["score"] = json!(score);
         self.write("settings.json", format!("{about:#}\n").as_bytes())?;
-        Ok(Outcome { learnt, last: diary.last, curve: diary.curve.points, notices, score })
+        Ok(TrainingOutcome { learnt, last: diary.last, curve: diary.curve.points, notices, score })
     }
 
     fn lock(&self) -> Result<Lock> {
@@ -152,7 +152,7 @@ impl Request {
     }
 
     /// The state with which the training begins, or goes on.
-    fn begin(&self, plan: &Plan) -> Result<checkpoint::Saved> {
+    fn begin(&self, plan: &TrainingPlan) -> Result<checkpoint::Checkpoint> {
         let away = self.connect.is_some();
         self.check_unused()?;
         let learnt = match (self.resume, &self.start_from) {
@@ -163,7 +163,7 @@ impl Request {
             (false, Some(other)) => plan.begin_from(&checkpoint::load(other, plan, away)?.learnt),
             (false, None) => plan.begin(),
         };
-        Ok(checkpoint::Saved { learnt, open: [0.0; 2], notices: Vec::new() })
+        Ok(checkpoint::Checkpoint { learnt, open: [0.0; 2], notices: Vec::new() })
     }
 
     fn options(&self) -> Result<Value> {
@@ -177,11 +177,17 @@ impl Request {
     }
 
     /// Writes the policy, evaluates it over unseen seeds and records a film.
-    fn keep(&self, plan: &Plan, learnt: &Learnt, options: Value, progress: &dyn Progress) -> Result<Option<Score>> {
+    fn keep(
+        &self,
+        plan: &TrainingPlan,
+        learnt: &TrainingState,
+        options: Value,
+        progress: &dyn Progress,
+    ) -> Result<Option<PolicyScore>> {
         let onnx = export::onnx(plan, learnt);
         self.write("policy.onnx", &onnx)?;
         self.write("policy.json", format!("{:#}\n", describe::policy(plan)).as_bytes())?;
-        let policy = Learnt { environments: None, ..learnt.clone() };
+        let policy = TrainingState { environments: None, ..learnt.clone() };
         checkpoint::save(&self.out.join("policy.safetensors"), plan, &policy, [0.0; 2])?;
         let spec = plan.blueprint.task.spec();
         let network = Network::new(&onnx, spec)?;
@@ -193,23 +199,23 @@ impl Request {
         }
         let shown = Blueprint::new(&self.task, shown)?;
         film::film(&shown, &network, evaluate::FIRST_SEED, &recording, &picture)?;
-        let policy = Wanted::Network { name: "policy.onnx".into(), bytes: onnx };
+        let policy = PolicySource::Network { name: "policy.onnx".into(), bytes: onnx };
         if spec.id == LeggedVelocity::ID {
-            return CommandStudy::new(&policy, &options)?.run(progress).map(Score::Commands).map(Some);
+            return CommandStudy::new(&policy, &options)?.run(progress).map(PolicyScore::Commands).map(Some);
         }
         if episode::Columns::of(spec).is_err() {
             return Ok(None);
         }
-        let request = evaluate::Request {
+        let request = evaluate::EvaluationRequest {
             policy,
             task: self.task.clone(),
             options,
-            seeds: evaluate::Request::SEEDS,
+            seeds: evaluate::EvaluationRequest::SEEDS,
             media: Vec::new(),
             slopes: Vec::new(),
         };
-        let rows = Study::new(&request)?.run(progress)?;
-        Ok(rows.into_iter().next().map(Score::Walking))
+        let rows = Evaluation::new(&request)?.run(progress)?;
+        Ok(rows.into_iter().next().map(PolicyScore::Walking))
     }
 
     fn write(&self, name: &str, content: &[u8]) -> Result<()> {
@@ -218,24 +224,24 @@ impl Request {
 }
 
 /// Writes files during a training.
-struct Diary<'a> {
-    plan: &'a Plan,
-    request: &'a Request,
-    curve: Curve,
-    events: Events,
-    last: Option<Report>,
+struct TrainingFiles<'a> {
+    plan: &'a TrainingPlan,
+    request: &'a TrainingRequest,
+    curve: LearningCurve,
+    events: EventFile,
+    last: Option<UpdateReport>,
     /// Steps at the last checkpoint.
     saved: u64,
     /// Seconds at the last update.
     seconds: f64,
-    newest: Learnt,
+    newest: TrainingState,
     progress: &'a dyn Progress,
     /// The last progress report, and the time of the last check.
     told: (f64, String),
     asked: Instant,
 }
 
-impl Observer for Diary<'_> {
+impl Observer for TrainingFiles<'_> {
     fn pause(&mut self) -> Result<()> {
         if self.asked.elapsed() < PATIENCE {
             return Ok(());
@@ -244,7 +250,7 @@ impl Observer for Diary<'_> {
         self.progress.report(self.told.0, &self.told.1)
     }
 
-    fn update(&mut self, learnt: &Learnt, report: &Report) -> Result<()> {
+    fn update(&mut self, learnt: &TrainingState, report: &UpdateReport) -> Result<()> {
         self.newest.clone_from(learnt);
         self.curve.note(report)?;
         let samples = (self.request.settings.n_envs * self.request.settings.n_steps) as f64;
@@ -265,8 +271,8 @@ impl Observer for Diary<'_> {
     }
 }
 
-impl Diary<'_> {
-    fn log(&mut self, report: &Report, rate: f64) -> Result<()> {
+impl TrainingFiles<'_> {
+    fn log(&mut self, report: &UpdateReport, rate: f64) -> Result<()> {
         let scalars = [
             ("rollout/ep_rew_mean", report.mean_return),
             ("train/learning_rate", report.learning_rate),

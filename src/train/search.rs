@@ -18,7 +18,7 @@ pub const MOST_PARAMETERS: usize = BASES.len();
 
 /// A point in the unit cube, and its value; more is better.
 #[derive(Clone, Debug)]
-pub struct Look {
+pub struct EvaluatedDesign {
     pub at: Vec<f64>,
     pub value: f64,
 }
@@ -40,11 +40,11 @@ pub fn spread(index: u64, parameters: usize) -> Vec<f64> {
 
 /// The `count` next points, after `looks`, whose values have the variance `noise`. So that the points of one choice are
 /// not close together, the expected value at each chosen point is used as if it had been measured.
-pub fn next(looks: &[Look], noise: f64, count: usize, random: &mut Xoshiro256PlusPlus) -> Vec<Vec<f64>> {
+pub fn next(looks: &[EvaluatedDesign], noise: f64, count: usize, random: &mut Xoshiro256PlusPlus) -> Vec<Vec<f64>> {
     let mut looks = looks.to_vec();
     let mut places = Vec::with_capacity(count);
     for _ in 0..count {
-        let process = Process::fitted(&looks, noise);
+        let process = GaussianProcess::fitted(&looks, noise);
         let best = looks.iter().map(|look| process.expected(&look.at)[0]).fold(f64::NEG_INFINITY, f64::max);
         let parameters = looks.first().map_or(0, |look| look.at.len());
         let place = (0..CANDIDATES)
@@ -52,21 +52,21 @@ pub fn next(looks: &[Look], noise: f64, count: usize, random: &mut Xoshiro256Plu
             .map(|at| (process.improvement(&at, best), at))
             .max_by(|a, b| a.0.total_cmp(&b.0))
             .map_or_else(Vec::new, |(_, at)| at);
-        looks.push(Look { value: process.expected(&place)[0], at: place.clone() });
+        looks.push(EvaluatedDesign { value: process.expected(&place)[0], at: place.clone() });
         places.push(place);
     }
     places
 }
 
 /// Expected value at each of `looks`, given all values: this has less noise than the value itself.
-pub fn smoothed(looks: &[Look], noise: f64) -> Vec<f64> {
-    let process = Process::fitted(looks, noise);
+pub fn smoothed(looks: &[EvaluatedDesign], noise: f64) -> Vec<f64> {
+    let process = GaussianProcess::fitted(looks, noise);
     looks.iter().map(|look| process.expected(&look.at)[0]).collect()
 }
 
 /// Matérn's covariance of order 5/2 around a constant mean.
-struct Process<'a> {
-    looks: &'a [Look],
+struct GaussianProcess<'a> {
+    looks: &'a [EvaluatedDesign],
     mean: f64,
     variance: f64,
     length: f64,
@@ -75,8 +75,8 @@ struct Process<'a> {
     weights: Vec<f64>,
 }
 
-impl<'a> Process<'a> {
-    fn fitted(looks: &'a [Look], noise: f64) -> Self {
+impl<'a> GaussianProcess<'a> {
+    fn fitted(looks: &'a [EvaluatedDesign], noise: f64) -> Self {
         let n = looks.len() as f64;
         let mean = looks.iter().map(|l| l.value).sum::<f64>() / n;
         let scatter = looks.iter().map(|l| (l.value - mean) * (l.value - mean)).sum::<f64>() / n;
@@ -186,9 +186,9 @@ mod tests {
             // Uniform noise with a standard deviation of 0.03.
             let mut look = |at: Vec<f64>| {
                 let noise = 0.03 * 12.0_f64.sqrt() * (random.random::<f64>() - 0.5);
-                Look { value: truth(&at) + noise, at }
+                EvaluatedDesign { value: truth(&at) + noise, at }
             };
-            let mut looks: Vec<Look> = (0..8).map(|k| look(spread(k, 2))).collect();
+            let mut looks: Vec<EvaluatedDesign> = (0..8).map(|k| look(spread(k, 2))).collect();
             let mut own = Xoshiro256PlusPlus::seed_from_u64(100 + seed);
             while looks.len() < 24 {
                 let places = next(&looks, 9e-4, 4, &mut own);

@@ -27,7 +27,7 @@ impl Schedule {
 }
 
 #[derive(Clone, Debug, PartialEq)]
-pub struct Settings {
+pub struct Hyperparameters {
     pub n_envs: usize,
     /// The training ends after this many environment steps, or after this many seconds, whichever comes first.
     pub n_timesteps: u64,
@@ -88,7 +88,7 @@ const MOST_SAMPLES: usize = 1 << 22;
 const MOST_LAYERS: usize = 8;
 const MOST_WIDTH: f64 = 1024.0;
 
-impl Default for Settings {
+impl Default for Hyperparameters {
     /// stable-baselines3's defaults for one environment.
     fn default() -> Self {
         Self {
@@ -117,7 +117,7 @@ impl Default for Settings {
     }
 }
 
-impl Settings {
+impl Hyperparameters {
     /// Reads and checks the settings of a file's entry; those that it does not give are the defaults of stable-baselines3.
     pub fn from_entry(entry: &Map<String, Value>) -> Result<Self> {
         let mut settings = Self::default();

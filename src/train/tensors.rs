@@ -10,24 +10,31 @@ use std::path::Path;
 /// Largest file that is read [bytes]: our choice. A usual one has 1 MiB, nearly all of it environments.
 const MOST: u64 = 1 << 30;
 
-/// An array's numbers, stored unchanged.
-pub enum Numbers {
-    F32(Vec<f32>),
-    F64(Vec<f64>),
-    I64(Vec<i64>),
-    U8(Vec<u8>),
+/// A number of an array, stored unchanged.
+pub trait Element: Copy {
+    const TYPE: Dtype;
+    fn bytes(self) -> impl IntoIterator<Item = u8>;
+    fn read(bytes: &[u8]) -> Option<Vec<Self>>;
 }
 
-impl Numbers {
-    fn bytes(self) -> (Dtype, Vec<u8>) {
-        match self {
-            Self::F32(all) => (Dtype::F32, all.iter().flat_map(|x| x.to_le_bytes()).collect()),
-            Self::F64(all) => (Dtype::F64, all.iter().flat_map(|x| x.to_le_bytes()).collect()),
-            Self::I64(all) => (Dtype::I64, all.iter().flat_map(|x| x.to_le_bytes()).collect()),
-            Self::U8(all) => (Dtype::U8, all),
+macro_rules! elements {
+    ($($number:ty: $name:ident),*) => {$(
+        impl Element for $number {
+            const TYPE: Dtype = Dtype::$name;
+
+            fn bytes(self) -> impl IntoIterator<Item = u8> {
+                self.to_le_bytes()
+            }
+
+            fn read(bytes: &[u8]) -> Option<Vec<Self>> {
+                let (all, rest) = bytes.as_chunks();
+                rest.is_empty().then(|| all.iter().map(|b| Self::from_le_bytes(*b)).collect())
+            }
         }
-    }
+    )*};
 }
+
+elements!(f32: F32, f64: F64, i64: I64, u8: U8);
 
 #[derive(Default)]
 pub struct Tensors {
@@ -38,31 +45,24 @@ pub struct Tensors {
 }
 
 impl Tensors {
-    pub fn add(&mut self, name: impl Into<String>, shape: &[usize], numbers: Numbers) {
-        let (dtype, bytes) = numbers.bytes();
-        self.arrays.insert(name.into(), (dtype, shape.to_vec(), bytes));
+    pub fn add<T: Element>(&mut self, name: impl Into<String>, shape: &[usize], numbers: &[T]) {
+        let bytes = numbers.iter().flat_map(|x| x.bytes()).collect();
+        self.arrays.insert(name.into(), (T::TYPE, shape.to_vec(), bytes));
     }
 
-    pub fn f32(&self, name: &str, count: usize) -> Result<Vec<f32>> {
-        let (all, rest) = self.get(name, Dtype::F32)?.as_chunks::<4>();
-        let fits = rest.is_empty() && all.len() == count;
-        if fits { Ok(all.iter().map(|b| f32::from_le_bytes(*b)).collect()) } else { Err(unfit(name, count)) }
+    /// The `count` numbers of an array.
+    pub fn get<T: Element>(&self, name: &str, count: usize) -> Result<Vec<T>> {
+        let all = self.all::<T>(name)?;
+        if all.len() == count { Ok(all) } else { Err(wrong(format!("{name:?} has not {count} numbers"))) }
     }
 
-    pub fn f64(&self, name: &str, count: usize) -> Result<Vec<f64>> {
-        let (all, rest) = self.get(name, Dtype::F64)?.as_chunks::<8>();
-        let fits = rest.is_empty() && all.len() == count;
-        if fits { Ok(all.iter().map(|b| f64::from_le_bytes(*b)).collect()) } else { Err(unfit(name, count)) }
-    }
-
-    pub fn bytes(&self, name: &str) -> Result<&[u8]> {
-        self.get(name, Dtype::U8)
-    }
-
-    fn get(&self, name: &str, wanted: Dtype) -> Result<&[u8]> {
+    /// All numbers of an array.
+    pub fn all<T: Element>(&self, name: &str) -> Result<Vec<T>> {
         match self.arrays.get(name) {
-            Some((dtype, _, bytes)) if *dtype == wanted => Ok(bytes),
-            Some((dtype, ..)) => Err(wrong(format!("{name:?} is {dtype}, not {wanted}"))),
+            Some((dtype, _, bytes)) if *dtype == T::TYPE => {
+                T::read(bytes).ok_or_else(|| wrong(format!("{name:?} is cut off")))
+            }
+            Some((dtype, ..)) => Err(wrong(format!("{name:?} is {dtype}, not {}", T::TYPE))),
             None => Err(wrong(format!("it has no {name:?}"))),
         }
     }
@@ -117,10 +117,6 @@ fn wrong(why: impl Into<String>) -> Error {
     Error::invalid("checkpoint", why)
 }
 
-fn unfit(name: &str, count: usize) -> Error {
-    wrong(format!("{name:?} has not {count} numbers"))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -129,14 +125,14 @@ mod tests {
     fn what_was_written_is_read() {
         let mut tensors = Tensors::default();
         tensors.about.insert("task".into(), "a".into());
-        tensors.add("x", &[2, 1], Numbers::F32(vec![1.5, f32::MIN_POSITIVE]));
-        tensors.add("y", &[], Numbers::F64(vec![0.1]));
-        tensors.add("z", &[1], Numbers::I64(vec![-7]));
+        tensors.add("x", &[2, 1], &[1.5, f32::MIN_POSITIVE]);
+        tensors.add("y", &[], &[0.1]);
+        tensors.add("z", &[1], &[-7_i64]);
         let bytes = tensors.encode().unwrap();
         let read = Tensors::decode(&bytes).unwrap();
-        assert_eq!(read.f32("x", 2).unwrap(), [1.5, f32::MIN_POSITIVE]);
-        assert_eq!((read.f64("y", 1).unwrap(), read.text("task").unwrap()), (vec![0.1], "a"));
-        assert!(read.f32("y", 1).is_err() && read.f32("x", 3).is_err() && !read.has("w"));
+        assert_eq!(read.get::<f32>("x", 2).unwrap(), [1.5, f32::MIN_POSITIVE]);
+        assert_eq!((read.get("y", 1).unwrap(), read.text("task").unwrap()), (vec![0.1], "a"));
+        assert!(read.get::<f32>("y", 1).is_err() && read.get::<f32>("x", 3).is_err() && !read.has("w"));
         // A file that was cut off or changed gives an error or valid numbers.
         for end in 0..bytes.len() {
             assert!(Tensors::decode(&bytes[..end]).is_err());

@@ -1,14 +1,14 @@
 //! The loop of a training: rollout, update, rollout, …
 
-use super::collect::{Piece, Play, deal};
-use super::crew::Crew;
-use super::kept::Kept;
-use super::learn::{Chunk, Minibatches, Rollout};
-use super::loss::{Sums, Weights, entropy};
-use super::normal::{Moments, Running, Scales};
-use super::plan::{Learnt, Observer, Plan, Report};
-use super::remote::Away;
-use super::settings::Settings;
+use super::collect::{PolicyContext, RolloutGroup, deal};
+use super::crew::WorkCrew;
+use super::kept::SavedEnvironments;
+use super::learn::{Chunk, Minibatches, RolloutBuffer};
+use super::loss::{LossSums, LossWeights, entropy};
+use super::normal::{BatchMoments, NormalizerScales, RunningStatistics};
+use super::plan::{Observer, TrainingPlan, TrainingState, UpdateReport};
+use super::remote::OptionalRemote;
+use super::settings::Hyperparameters;
 use crate::error::{Error, Result};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 use std::time::Instant;
@@ -17,12 +17,12 @@ use std::time::Instant;
 const FIRST_SEED: u64 = 1 << 40;
 
 /// Work of the threads. Phases follow each other, so no thread waits for these locks.
-pub struct Shared<'a> {
-    plan: &'a Plan,
+pub struct TrainingWork<'a> {
+    plan: &'a TrainingPlan,
     parameters: RwLock<Vec<f32>>,
-    scales: RwLock<Option<Scales>>,
-    pieces: Vec<Mutex<Piece>>,
-    rollout: RwLock<Rollout>,
+    scales: RwLock<Option<NormalizerScales>>,
+    pieces: Vec<Mutex<RolloutGroup>>,
+    rollout: RwLock<RolloutBuffer>,
     minibatches: RwLock<Minibatches>,
     chunks: Vec<Mutex<Chunk>>,
 }
@@ -34,7 +34,7 @@ pub enum Phase {
     /// The end of the rollout; one item for each piece.
     Finish,
     /// The gradient of a minibatch; one item a chunk.
-    Learn { weights: Weights },
+    Learn { weights: LossWeights },
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -49,11 +49,16 @@ fn write<T>(lock: &RwLock<T>) -> RwLockWriteGuard<'_, T> {
     lock.write().unwrap_or_else(PoisonError::into_inner)
 }
 
-impl<'a> Shared<'a> {
+impl<'a> TrainingWork<'a> {
     /// Continues with the environments in `learnt`, or begins new episodes.
-    pub fn new(plan: &'a Plan, learnt: &Learnt, mut remote: Away<'_>, observer: &mut dyn Observer) -> Result<Self> {
-        let Plan { blueprint, settings, networks, .. } = plan;
-        let mut pieces = Piece::all(blueprint, settings, networks, remote.is_some())?;
+    pub fn new(
+        plan: &'a TrainingPlan,
+        learnt: &TrainingState,
+        mut remote: OptionalRemote<'_>,
+        observer: &mut dyn Observer,
+    ) -> Result<Self> {
+        let TrainingPlan { blueprint, settings, networks, .. } = plan;
+        let mut pieces = RolloutGroup::all(blueprint, settings, networks, remote.is_some())?;
         let mut pause = || observer.pause();
         match &learnt.environments {
             Some(kept) => kept.restore(&mut pieces, blueprint, remote.as_deref_mut(), &mut pause)?,
@@ -83,14 +88,18 @@ impl<'a> Shared<'a> {
             parameters: RwLock::new(learnt.parameters.clone()),
             scales: RwLock::new(None),
             pieces: pieces.into_iter().map(Mutex::new).collect(),
-            rollout: RwLock::new(Rollout::new(settings.n_envs * settings.n_steps, shape.observation, shape.action)),
+            rollout: RwLock::new(RolloutBuffer::new(
+                settings.n_envs * settings.n_steps,
+                shape.observation,
+                shape.action,
+            )),
             minibatches: RwLock::default(),
             chunks: (0..chunks).map(|_| Mutex::new(Chunk::new(networks))).collect(),
         })
     }
 
     pub fn work(&self, phase: Phase, item: usize) {
-        let Plan { settings, networks, .. } = self.plan;
+        let TrainingPlan { settings, networks, .. } = self.plan;
         let parameters = read(&self.parameters);
         match phase {
             Phase::Learn { weights } => {
@@ -99,7 +108,7 @@ impl<'a> Shared<'a> {
             }
             Phase::Act { .. } | Phase::Finish => {
                 let scales = read(&self.scales);
-                let play = Play { settings, networks, parameters: &parameters, scales: scales.as_ref() };
+                let play = PolicyContext { settings, networks, parameters: &parameters, scales: scales.as_ref() };
                 let mut piece = lock(&self.pieces[item]);
                 match phase {
                     Phase::Act { step } => piece.act(&play, step),
@@ -112,10 +121,10 @@ impl<'a> Shared<'a> {
 
 /// The state of a training in its leader's thread.
 pub struct Training<'a, 'r> {
-    plan: &'a Plan,
-    shared: &'a Shared<'a>,
-    pub learnt: Learnt,
-    remote: Away<'r>,
+    plan: &'a TrainingPlan,
+    shared: &'a TrainingWork<'a>,
+    pub learnt: TrainingState,
+    remote: OptionalRemote<'r>,
     began: Instant,
     /// Duration of earlier parts [s].
     before: f64,
@@ -124,7 +133,12 @@ pub struct Training<'a, 'r> {
 }
 
 impl<'a, 'r> Training<'a, 'r> {
-    pub fn new(plan: &'a Plan, shared: &'a Shared<'a>, learnt: Learnt, remote: Away<'r>) -> Self {
+    pub fn new(
+        plan: &'a TrainingPlan,
+        shared: &'a TrainingWork<'a>,
+        learnt: TrainingState,
+        remote: OptionalRemote<'r>,
+    ) -> Self {
         let before = learnt.seconds;
         Self { plan, shared, learnt, remote, began: Instant::now(), before, rollouts: 0.0 }
     }
@@ -138,7 +152,7 @@ impl<'a, 'r> Training<'a, 'r> {
     }
 
     /// A rollout and its update. After an error `learnt` cannot be used any more.
-    pub fn update(&mut self, crew: &Crew<'_, Phase>, observer: &mut dyn Observer) -> Result<Report> {
+    pub fn update(&mut self, crew: &WorkCrew<'_, Phase>, observer: &mut dyn Observer) -> Result<UpdateReport> {
         let done = self.done();
         let start = Instant::now();
         let (finished, explained_variance) = self.roll(crew, observer)?;
@@ -148,12 +162,13 @@ impl<'a, 'r> Training<'a, 'r> {
         let sums = self.learn(crew, observer, done, rate)?;
         self.learnt.updates += 1;
         let remote = self.remote.as_deref_mut();
-        self.learnt.environments = Some(Arc::new(Kept::of(&self.shared.pieces, remote, &mut || observer.pause())?));
+        self.learnt.environments =
+            Some(Arc::new(SavedEnvironments::of(&self.shared.pieces, remote, &mut || observer.pause())?));
         self.learnt.parameters.clone_from(&read(&self.shared.parameters));
         self.learnt.seconds = self.before + self.began.elapsed().as_secs_f64();
         let log_std = &self.learnt.parameters[self.plan.networks.shape.log_std.clone()];
         let mean = |sum: f64| sum / sums.samples.max(1.0);
-        Ok(Report {
+        Ok(UpdateReport {
             steps: self.learnt.steps,
             seconds: self.learnt.seconds,
             done: self.done(),
@@ -182,7 +197,7 @@ impl<'a, 'r> Training<'a, 'r> {
 
     /// Mean of each weighted reward term in the rollout's steps.
     fn terms(&self) -> Vec<f64> {
-        let Settings { n_envs, n_steps, .. } = self.plan.settings;
+        let Hyperparameters { n_envs, n_steps, .. } = self.plan.settings;
         if self.remote.is_some() {
             return Vec::new();
         }
@@ -195,7 +210,7 @@ impl<'a, 'r> Training<'a, 'r> {
     }
 
     /// Fills the rollout; returns the returns of the episodes that ended, and the explained variance of the values.
-    fn roll(&mut self, crew: &Crew<'_, Phase>, observer: &mut dyn Observer) -> Result<(Vec<f64>, f64)> {
+    fn roll(&mut self, crew: &WorkCrew<'_, Phase>, observer: &mut dyn Observer) -> Result<(Vec<f64>, f64)> {
         let (settings, pieces) = (&self.plan.settings, &self.shared.pieces);
         for (k, piece) in pieces.iter().enumerate() {
             lock(piece).begin(self.plan.noise(self.learnt.updates, k as u64));
@@ -230,8 +245,8 @@ impl<'a, 'r> Training<'a, 'r> {
         let actions: Vec<f32> = pieces.iter().flat_map(|piece| lock(piece).clipped.clone()).collect();
         let rows = remote.step(&actions, &mut || observer.pause())?;
         let (parameters, scales) = (read(&self.shared.parameters), read(&self.shared.scales));
-        let Plan { settings, networks, .. } = self.plan;
-        let play = Play { settings, networks, parameters: &parameters, scales: scales.as_ref() };
+        let TrainingPlan { settings, networks, .. } = self.plan;
+        let play = PolicyContext { settings, networks, parameters: &parameters, scales: scales.as_ref() };
         deal(pieces.iter().map(lock), &rows, |piece, part| piece.answered(&play, step, part));
         Ok(())
     }
@@ -240,7 +255,7 @@ impl<'a, 'r> Training<'a, 'r> {
     fn normalize(&mut self, rewarded: bool) {
         let Some(normal) = &mut self.learnt.normal else { return };
         let join = |what: usize| {
-            let mut all: Option<Moments> = None;
+            let mut all: Option<BatchMoments> = None;
             for piece in &self.shared.pieces {
                 let piece = lock(piece);
                 match &mut all {
@@ -250,7 +265,7 @@ impl<'a, 'r> Training<'a, 'r> {
             }
             all
         };
-        let update = |running: &mut Running, what: usize| {
+        let update = |running: &mut RunningStatistics, what: usize| {
             join(what).iter().for_each(|moments| running.update(moments));
         };
         update(&mut normal.observations, 0);
@@ -264,7 +279,7 @@ impl<'a, 'r> Training<'a, 'r> {
     fn reflect_statistics(&mut self) {
         let Some(normal) = &mut self.learnt.normal else { return };
         if let Some([mirror, _]) = &self.plan.networks.mirror {
-            let Running { mean, variance, .. } = &mut normal.observations;
+            let RunningStatistics { mean, variance, .. } = &mut normal.observations;
             let (old_mean, old_variance) = (mean.clone(), variance.clone());
             for (k, (from, sign)) in mirror.order.iter().zip(&mirror.signs).enumerate() {
                 mean[k] = 0.5 * (old_mean[k] + f64::from(*sign) * old_mean[*from]);
@@ -275,12 +290,18 @@ impl<'a, 'r> Training<'a, 'r> {
     }
 
     /// Runs all epochs; returns the sums over all minibatches.
-    fn learn(&mut self, crew: &Crew<'_, Phase>, observer: &mut dyn Observer, done: f64, rate: f64) -> Result<Sums> {
+    fn learn(
+        &mut self,
+        crew: &WorkCrew<'_, Phase>,
+        observer: &mut dyn Observer,
+        done: f64,
+        rate: f64,
+    ) -> Result<LossSums> {
         let (plan, shared) = (self.plan, self.shared);
         let settings = &plan.settings;
         let rows = settings.n_envs * settings.n_steps;
         let mut random = plan.random(self.learnt.updates, u64::MAX - 1);
-        let mut all = Sums::default();
+        let mut all = LossSums::default();
         for _ in 0..settings.n_epochs {
             write(&shared.minibatches).shuffle(rows, &mut random);
             for first in (0..rows).step_by(settings.batch_size) {
@@ -290,7 +311,7 @@ impl<'a, 'r> Training<'a, 'r> {
                     let samples = minibatches.take(&rollout, first, settings.batch_size, settings.normalize_advantage);
                     (samples, minibatches.chunks())
                 };
-                let weights = Weights {
+                let weights = LossWeights {
                     clip: settings.clip_range.at(done) as f32,
                     clip_value: settings.clip_range_vf.map(|clip| clip.at(done) as f32),
                     value: settings.vf_coef as f32,
@@ -318,8 +339,8 @@ impl<'a, 'r> Training<'a, 'r> {
     }
 
     /// The gradient of a minibatch from those of its chunks, in their order.
-    fn gather(&self, chunks: usize) -> (Vec<f32>, Sums) {
-        let mut sums = Sums::default();
+    fn gather(&self, chunks: usize) -> (Vec<f32>, LossSums) {
+        let mut sums = LossSums::default();
         let mut gradient = vec![0.0; self.plan.networks.shape.parameters];
         for chunk in &self.shared.chunks[..chunks] {
             let chunk = lock(chunk);
@@ -361,8 +382,8 @@ mod tests {
         };
         let weights = plan.networks.shape.log_std.start;
         wave(&mut learnt.parameters[..weights], 0.4, 1.1, 0.0);
-        let mut observer = |_: &Learnt, _: &Report| Ok(());
-        let shared = Shared::new(&plan, &learnt, None, &mut observer).unwrap();
+        let mut observer = |_: &TrainingState, _: &UpdateReport| Ok(());
+        let shared = TrainingWork::new(&plan, &learnt, None, &mut observer).unwrap();
         {
             let mut rollout = write(&shared.rollout);
             wave(&mut rollout.observations, 1.5, 0.37, 0.1);

@@ -16,15 +16,15 @@ const MOST_MEMORY: usize = 8 << 20;
 const VALUE: usize = 64;
 
 /// An incomplete value.
-enum Open {
+enum OpenYaml {
     List(Vec<Value>),
     /// A table, with the key whose value comes next.
     Table(Map<String, Value>, Option<String>),
 }
 
-struct Reader {
+struct YamlReader {
     /// Values that are not complete, with their anchors; the innermost last.
-    open: Vec<(Open, usize)>,
+    open: Vec<(OpenYaml, usize)>,
     anchors: HashMap<usize, (Value, usize)>,
     /// Memory of the values so far [bytes].
     memory: usize,
@@ -36,7 +36,7 @@ pub fn read(text: &str) -> Result<Value> {
     if text.len() > MOST_BYTES {
         return Err(Error::invalid("YAML", format!("{} bytes are more than {MOST_BYTES}", text.len())));
     }
-    let mut reader = Reader { open: Vec::new(), anchors: HashMap::new(), memory: 0, whole: None };
+    let mut reader = YamlReader { open: Vec::new(), anchors: HashMap::new(), memory: 0, whole: None };
     for event in Parser::new_from_str(text) {
         let (event, span) = event.map_err(|e| Error::invalid("YAML", e.to_string()))?;
         let wrong = |why: String| Error::invalid("YAML", format!("line {}: {why}", span.start.line()));
@@ -45,23 +45,23 @@ pub fn read(text: &str) -> Result<Value> {
     Ok(reader.whole.unwrap_or_default())
 }
 
-type Outcome = std::result::Result<(), String>;
+type YamlResult = std::result::Result<(), String>;
 
-impl Reader {
-    fn take(&mut self, event: Event) -> Outcome {
+impl YamlReader {
+    fn take(&mut self, event: Event) -> YamlResult {
         match event {
             Event::Scalar(text, style, anchor, _) => {
                 let value = scalar(&text, style);
                 let own = memory(&value);
                 self.place(value, anchor, own)
             }
-            Event::SequenceStart(anchor, _) => self.begin(Open::List(Vec::new()), anchor),
-            Event::MappingStart(anchor, _) => self.begin(Open::Table(Map::new(), None), anchor),
+            Event::SequenceStart(anchor, _) => self.begin(OpenYaml::List(Vec::new()), anchor),
+            Event::MappingStart(anchor, _) => self.begin(OpenYaml::Table(Map::new(), None), anchor),
             Event::SequenceEnd | Event::MappingEnd => {
                 let Some((open, anchor)) = self.open.pop() else { return Ok(()) };
                 let value = match open {
-                    Open::List(list) => Value::Array(list),
-                    Open::Table(table, _) => Value::Object(table),
+                    OpenYaml::List(list) => Value::Array(list),
+                    OpenYaml::Table(table, _) => Value::Object(table),
                 };
                 // Its parts are counted already.
                 self.place(value, anchor, VALUE)
@@ -76,7 +76,7 @@ impl Reader {
         }
     }
 
-    fn begin(&mut self, open: Open, anchor: usize) -> Outcome {
+    fn begin(&mut self, open: OpenYaml, anchor: usize) -> YamlResult {
         if self.open.len() >= MOST_DEPTH {
             return Err(format!("nested more than {MOST_DEPTH} deep"));
         }
@@ -84,7 +84,7 @@ impl Reader {
         Ok(())
     }
 
-    fn count(&mut self, memory: usize) -> Outcome {
+    fn count(&mut self, memory: usize) -> YamlResult {
         self.memory += memory;
         if self.memory > MOST_MEMORY {
             return Err(format!("its values need more than {} MiB", MOST_MEMORY >> 20));
@@ -93,7 +93,7 @@ impl Reader {
     }
 
     /// Adds a complete value to its parent. `own`: its memory that is not counted yet.
-    fn place(&mut self, value: Value, anchor: usize, own: usize) -> Outcome {
+    fn place(&mut self, value: Value, anchor: usize, own: usize) -> YamlResult {
         self.count(own)?;
         if anchor > 0 {
             let copy = memory(&value);
@@ -102,8 +102,8 @@ impl Reader {
         }
         match self.open.last_mut().map(|(open, _)| open) {
             None => self.whole = Some(value),
-            Some(Open::List(list)) => list.push(value),
-            Some(Open::Table(table, key)) => match key.take() {
+            Some(OpenYaml::List(list)) => list.push(value),
+            Some(OpenYaml::Table(table, key)) => match key.take() {
                 None => *key = Some(name(&value).ok_or("a name is no text")?),
                 Some(name) if name == "<<" => merge(table, value)?,
                 // The table's own entries take precedence over merged ones, in any order.
@@ -115,7 +115,7 @@ impl Reader {
 }
 
 /// Adds a table's entries, or those of a list of tables, except for existing names.
-fn merge(table: &mut Map<String, Value>, value: Value) -> Outcome {
+fn merge(table: &mut Map<String, Value>, value: Value) -> YamlResult {
     match value {
         Value::Object(other) => other.into_iter().for_each(|(name, value)| {
             table.entry(name).or_insert(value);

@@ -5,7 +5,7 @@ use crate::calibrate::read;
 use crate::error::{Error, Result, check_range};
 use crate::sand::SandDescription;
 use crate::sand::intruder::{BodyShape, DepthOrLoad, PlatedBody, Trial};
-use crate::table::{self, Asked, Column, Quantity};
+use crate::table::{self, Column, Quantity, ReadOptions};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
@@ -58,7 +58,7 @@ struct IntruderDescription {
 
 /// One measured steady state.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Row {
+pub struct SteadyState {
     pub trial: Trial,
     /// Depth of the lowest point [m].
     pub depth: f64,
@@ -70,7 +70,7 @@ pub struct Row {
     pub slip: f64,
 }
 
-impl Row {
+impl SteadyState {
     /// Rows of one condition have the same slip angle and slip ratio.
     pub fn condition(&self) -> (i64, i64) {
         ((self.slip_angle).round() as i64, (self.slip * 10.0).round() as i64)
@@ -83,7 +83,7 @@ pub struct Wheel {
     pub name: String,
     pub body: PlatedBody,
     pub shape: String,
-    pub rows: Vec<Row>,
+    pub rows: Vec<SteadyState>,
     pub sand: SandDescription,
     pub fitted: Option<SandDescription>,
     pub carries_sand: bool,
@@ -142,7 +142,7 @@ fn gather(folder: &Path, text: impl Fn(&Path) -> Result<String>) -> Result<DataS
     Ok(DataSet { title: description.title, source: description.source, licence: description.licence, wheels })
 }
 
-fn rows(path: &Path, text: &str, most_slip_angle: f64) -> Result<Vec<Row>> {
+fn rows(path: &Path, text: &str, most_slip_angle: f64) -> Result<Vec<SteadyState>> {
     const COLUMNS: [Column; 9] = [
         Column::needed("vx", Quantity::Speed),
         Column::needed("vy", Quantity::Speed),
@@ -155,19 +155,24 @@ fn rows(path: &Path, text: &str, most_slip_angle: f64) -> Result<Vec<Row>> {
         Column::needed("slip", Quantity::Number),
     ];
     let mut all = Vec::new();
-    table::parse(path, text.as_bytes(), &Asked { most_rows: Some(MOST_ROWS), ..Asked::new(&COLUMNS) }, |row| {
-        let mut x = [0.0; 9];
-        for (k, value) in x.iter_mut().enumerate() {
-            *value = row.needed(k)?;
-        }
-        let [vx, vy, wy, depth, fx, fy, fz, slip_angle, slip] = x;
-        check_range("Fz", fz, 1e-6..=1e6).map_err(|e| row.error(6, e))?;
-        let trial = Trial { velocity: [vx, vy, 0.0], spin: [0.0, wy, 0.0], given: DepthOrLoad::Depth(depth) };
-        let trial = trial.validated().map_err(|e| Error::file(path, format!("row {}: {e}", row.line)))?;
-        if slip_angle.abs() <= most_slip_angle {
-            all.push(Row { trial, depth, force: [fx, fy, fz], slip_angle, slip });
-        }
-        Ok(())
-    })?;
+    table::parse(
+        path,
+        text.as_bytes(),
+        &ReadOptions { most_rows: Some(MOST_ROWS), ..ReadOptions::new(&COLUMNS) },
+        |row| {
+            let mut x = [0.0; 9];
+            for (k, value) in x.iter_mut().enumerate() {
+                *value = row.needed(k)?;
+            }
+            let [vx, vy, wy, depth, fx, fy, fz, slip_angle, slip] = x;
+            check_range("Fz", fz, 1e-6..=1e6).map_err(|e| row.error(6, e))?;
+            let trial = Trial { velocity: [vx, vy, 0.0], spin: [0.0, wy, 0.0], given: DepthOrLoad::Depth(depth) };
+            let trial = trial.validated().map_err(|e| Error::file(path, format!("row {}: {e}", row.line)))?;
+            if slip_angle.abs() <= most_slip_angle {
+                all.push(SteadyState { trial, depth, force: [fx, fy, fz], slip_angle, slip });
+            }
+            Ok(())
+        },
+    )?;
     if all.is_empty() { Err(Error::file(path, "no row is to be scored")) } else { Ok(all) }
 }

@@ -1,6 +1,6 @@
 //! Fits a few numbers, which all wheels in one sand share, to measured steady motions.
 
-use super::data::{Row, Wheel};
+use super::data::{SteadyState, Wheel};
 use crate::error::Result;
 use crate::parallel;
 use crate::sand::intruder::{DepthOrLoad, Trial, compute};
@@ -85,7 +85,7 @@ fn within(v: DVector<f64>) -> DVector<f64> {
 }
 
 /// Least squares over `rows` of each wheel (Levenberg–Marquardt with numerical derivatives).
-pub fn fit(wheels: &[Wheel], rows: &[Vec<Row>]) -> Result<Parameters> {
+pub fn fit(wheels: &[Wheel], rows: &[Vec<SteadyState>]) -> Result<Parameters> {
     let mut x = DVector::from_row_slice(&START);
     let mut r = residuals(wheels, rows, &x)?;
     let mut damping = 1e-2;
@@ -123,7 +123,7 @@ pub fn fit(wheels: &[Wheel], rows: &[Vec<Row>]) -> Result<Parameters> {
 
 /// Residuals: Fx, Fy, Fz at the measured sinkage, the sinkage under the measured load and Fx, Fy there (to first
 /// order), and the deviation of the friction from its expected value.
-fn residuals(wheels: &[Wheel], rows: &[Vec<Row>], x: &DVector<f64>) -> Result<DVector<f64>> {
+fn residuals(wheels: &[Wheel], rows: &[Vec<SteadyState>], x: &DVector<f64>) -> Result<DVector<f64>> {
     let parameters = Parameters::from_vector(x);
     let mut all = Vec::new();
     for (wheel, rows) in wheels.iter().zip(rows) {
@@ -135,7 +135,7 @@ fn residuals(wheels: &[Wheel], rows: &[Vec<Row>], x: &DVector<f64>) -> Result<DV
     Ok(DVector::from_vec(all))
 }
 
-fn of_row(wheel: &Wheel, sand: &SandDescription, row: &Row, load: f64) -> [f64; 6] {
+fn of_row(wheel: &Wheel, sand: &SandDescription, row: &SteadyState, load: f64) -> [f64; 6] {
     let at = |depth: f64| compute(&wheel.body, sand, &Trial { given: DepthOrLoad::Depth(depth), ..row.trial }).force;
     let (here, below) = (at(row.depth), at(row.depth + STEP));
     let off = [0, 1, 2].map(|k| here[k] - row.force[k]);

@@ -1,15 +1,15 @@
 //! The scoreboard as text, rows and figures.
 
-use super::data::{DataSet, Row, Wheel};
+use super::data::{DataSet, SteadyState, Wheel};
 use super::fit;
-use super::score::{Errors, FIGURES, Pair, REGIMES, errors, intervals, predict, scatter};
+use super::score::{FIGURES, ForceErrors, Pair, REGIMES, errors, intervals, predict, scatter};
 use crate::error::{Error, Result};
 use crate::plot::{Axis, Figure, Mark, Panel, Style, color, png};
 use std::fmt::Write as _;
 use std::path::Path;
 
 /// The series of a figure: measured and predicted values, if both exist.
-type Measure = fn(&Pair) -> Option<[f64; 2]>;
+type FigureOf = fn(&Pair) -> Option<[f64; 2]>;
 
 /// The text above the scoreboard.
 const INTRODUCTION: &str = "\
@@ -114,7 +114,7 @@ impl Scoreboard {
             if pairs.is_empty() {
                 return;
             }
-            let Errors { rows, without_equilibrium, values } = errors(pairs);
+            let ForceErrors { rows, without_equilibrium, values } = errors(pairs);
             let ends = with_intervals.then(|| intervals(pairs));
             let cell = |k: usize| match &ends {
                 Some(ends) => format!("{:.1} [{:.1}, {:.1}]", values[k], ends[k][0], ends[k][1]),
@@ -167,7 +167,7 @@ impl Scoreboard {
         );
         for (number, c) in self.comparisons.iter().enumerate() {
             for p in &c.pairs {
-                let Row { depth, force: [x, y, z], slip_angle, slip, .. } = p.row;
+                let SteadyState { depth, force: [x, y, z], slip_angle, slip, .. } = p.row;
                 let [px, py, pz] = p.prediction.force;
                 let (d, [lx, ly, _]) = p.prediction.carried.unwrap_or((f64::NAN, [f64::NAN; 3]));
                 let name = &self.data.wheels[p.wheel].name;
@@ -183,7 +183,7 @@ impl Scoreboard {
 
     /// A figure of one comparison: predicted over measured values, with one panel for each quantity.
     fn figure(&self, c: &Comparison) -> Figure {
-        let measured: [(&str, Measure); 4] = [
+        let measured: [(&str, FigureOf); 4] = [
             ("Fx [N] at the measured sinkage", |p| Some([p.row.force[0], p.prediction.force[0]])),
             ("Fy [N] at the measured sinkage", |p| Some([p.row.force[1], p.prediction.force[1]])),
             ("Fz [N] at the measured sinkage", |p| Some([p.row.force[2], p.prediction.force[2]])),
@@ -238,7 +238,7 @@ fn capital(text: &str) -> String {
 /// Predicts the rows with positive slip ratios from a fit on all other rows.
 fn positive(wheels: &[Wheel]) -> Result<Vec<Pair>> {
     // The measured slip ratio of a wheel that rolls freely is up to 3 %.
-    let split = |wheel: &Wheel, above: bool| -> Vec<Row> {
+    let split = |wheel: &Wheel, above: bool| -> Vec<SteadyState> {
         wheel.rows.iter().filter(|r| (r.slip > 0.03) == above).copied().collect()
     };
     let (kept, asked): (Vec<_>, Vec<_>) = wheels.iter().map(|w| (split(w, false), split(w, true))).unzip();
@@ -255,7 +255,7 @@ fn positive(wheels: &[Wheel]) -> Result<Vec<Pair>> {
 
 /// Predicts each slip angle from a fit on the other slip angles.
 fn cross_validated(wheels: &[Wheel]) -> Result<Vec<Pair>> {
-    let angle = |row: &Row| row.slip_angle.round() as i64;
+    let angle = |row: &SteadyState| row.slip_angle.round() as i64;
     let mut angles: Vec<i64> = wheels.iter().flat_map(|w| w.rows.iter().map(angle)).collect();
     angles.sort_unstable();
     angles.dedup();
@@ -264,7 +264,7 @@ fn cross_validated(wheels: &[Wheel]) -> Result<Vec<Pair>> {
         let kept = |w: &Wheel| w.rows.iter().filter(|r| angle(r) != left_out).copied().collect::<Vec<_>>();
         let parameters = fit::fit(wheels, &wheels.iter().map(kept).collect::<Vec<_>>())?;
         for (k, wheel) in wheels.iter().enumerate() {
-            let rows: Vec<Row> = wheel.rows.iter().filter(|r| angle(r) == left_out).copied().collect();
+            let rows: Vec<SteadyState> = wheel.rows.iter().filter(|r| angle(r) == left_out).copied().collect();
             pairs.extend(predict(k, wheel, &parameters.sand(wheel, "", "")?, &rows));
         }
     }

@@ -54,18 +54,18 @@ const FLOOR: &str = include_str!("../../tests/data/robots/sandcat_mujoco.json");
 
 #[derive(Deserialize)]
 struct Flight {
-    rows: Vec<Accelerations>,
+    rows: Vec<ReferenceAccelerations>,
 }
 
 #[derive(Deserialize)]
-struct Accelerations {
+struct ReferenceAccelerations {
     a: Vec<f64>,
     alpha: Vec<f64>,
     qdd: Vec<f64>,
 }
 
 #[derive(Deserialize)]
-struct Floor {
+struct ReferenceFloor {
     kp: f64,
     kd: f64,
     start: f64,
@@ -89,7 +89,7 @@ pub fn text() -> Result<String> {
         let (count, worst) = flight(folder.path(), name, robot, reference)?;
         let _ = writeln!(text, "| {name} | {program} | {count} | {:.0e} |", 100.0 * worst);
     }
-    let floor: Floor = read(FLOOR)?;
+    let floor: ReferenceFloor = read(FLOOR)?;
     text += "\nA quadruped is dropped on a hard floor and simulated for three seconds, here and by MuJoCo 4.0, which has another contact law:\n\n\
              | motion | compared times | largest distance of the trunks [mm] |\n|---|---|---|\n";
     for (name, trots, rows) in [("stands", false, &floor.stand), ("trots", true, &floor.trot)] {
@@ -118,7 +118,7 @@ fn flight(folder: &Path, name: &str, robot: &str, reference: &str) -> Result<(us
 }
 
 /// The quadruped with the servo of the reference.
-fn quadruped(floor: &Floor) -> Result<Model> {
+fn quadruped(floor: &ReferenceFloor) -> Result<Model> {
     let folder = tempfile::tempdir().map_err(|e| Error::Exhausted(format!("no directory for temporary files: {e}")))?;
     let path = folder.path().join("sandcat.xml");
     std::fs::write(&path, FLIGHTS[4].1).map_err(|e| Error::file(&path, e))?;
@@ -145,7 +145,7 @@ fn trot(rest: &[f64], t: f64) -> Vec<f64> {
 }
 
 /// Largest distance of the trunk from the reference [m].
-fn moved(floor: &Floor, trots: bool, rows: &[Vec<f64>]) -> Result<f64> {
+fn moved(floor: &ReferenceFloor, trots: bool, rows: &[Vec<f64>]) -> Result<f64> {
     /// Interval at which targets change [s], as in the reference.
     const CONTROL: f64 = 0.02;
     let model = quadruped(floor)?;

@@ -1,6 +1,6 @@
 //! Errors of predictions, and the scatter of measurements for comparison.
 
-use super::data::{Row, Wheel};
+use super::data::{SteadyState, Wheel};
 use crate::parallel;
 use crate::sand::SandDescription;
 use crate::sand::intruder::{DepthOrLoad, Status, Trial, compute};
@@ -24,12 +24,12 @@ pub struct Prediction {
 #[derive(Clone, Copy, Debug)]
 pub struct Pair {
     pub wheel: usize,
-    pub row: Row,
+    pub row: SteadyState,
     pub prediction: Prediction,
 }
 
 /// Every row of a wheel in `sand`.
-pub fn predict(index: usize, wheel: &Wheel, sand: &SandDescription, rows: &[Row]) -> Vec<Pair> {
+pub fn predict(index: usize, wheel: &Wheel, sand: &SandDescription, rows: &[SteadyState]) -> Vec<Pair> {
     parallel::map(rows, |row| {
         let at = |given| compute(&wheel.body, sand, &Trial { given, ..row.trial });
         let under = at(DepthOrLoad::Load(row.force[2]));
@@ -48,20 +48,20 @@ pub const FIGURES: [&str; 6] = ["Fx %", "Fy %", "Fz %", "sinkage mm", "Fx under 
 
 /// [`FIGURES`] of some rows.
 #[derive(Clone, Debug)]
-pub struct Errors {
+pub struct ForceErrors {
     pub rows: usize,
     pub without_equilibrium: usize,
     pub values: [f64; 6],
 }
 
-pub fn errors(pairs: &[Pair]) -> Errors {
+pub fn errors(pairs: &[Pair]) -> ForceErrors {
     let load = pairs.iter().map(|p| p.row.force[2]).sum::<f64>() / pairs.len() as f64;
     let percent = 100.0 / load;
     let at = |k: usize| percent * rms(pairs.iter().map(|p| p.prediction.force[k] - p.row.force[k]));
     let carried = || pairs.iter().filter_map(|p| p.prediction.carried.map(|c| (p.row, c)));
     let under = |k: usize| percent * rms(carried().map(|(row, (_, force))| force[k] - row.force[k]));
     let sinkage = 1e3 * rms(carried().map(|(row, (depth, _))| depth - row.depth));
-    Errors {
+    ForceErrors {
         rows: pairs.len(),
         without_equilibrium: pairs.len() - carried().count(),
         values: [at(0), at(1), at(2), sinkage, under(0), under(1)],
@@ -107,7 +107,7 @@ fn conditions(pairs: &[Pair]) -> Vec<Vec<Pair>> {
 pub fn scatter(pairs: &[Pair]) -> [f64; 4] {
     let load = pairs.iter().map(|p| p.row.force[2]).sum::<f64>() / pairs.len() as f64;
     let groups = conditions(pairs);
-    let of = |value: &dyn Fn(&Row) -> f64| {
+    let of = |value: &dyn Fn(&SteadyState) -> f64| {
         let (mut squares, mut freedom) = (0.0, 0.0);
         for group in groups.iter().filter(|g| g.len() > 1) {
             let mean = group.iter().map(|p| value(&p.row)).sum::<f64>() / group.len() as f64;
@@ -116,12 +116,12 @@ pub fn scatter(pairs: &[Pair]) -> [f64; 4] {
         }
         (squares / freedom).sqrt()
     };
-    let force = |k: usize| 100.0 / load * of(&|row: &Row| row.force[k]);
-    [force(0), force(1), force(2), 1e3 * of(&|row: &Row| row.depth)]
+    let force = |k: usize| 100.0 / load * of(&|row: &SteadyState| row.force[k]);
+    [force(0), force(1), force(2), 1e3 * of(&|row: &SteadyState| row.depth)]
 }
 
 /// Regimes in which a model may fail: a name and its rows.
-pub type Regime = (&'static str, fn(&Row) -> bool);
+pub type Regime = (&'static str, fn(&SteadyState) -> bool);
 
 pub const REGIMES: [Regime; 7] = [
     ("locked wheel, slip ratio −1", |r| r.slip < -0.9),

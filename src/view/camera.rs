@@ -79,7 +79,7 @@ pub struct Camera {
 }
 
 /// A point of the picture [px], y downward, and its distance along the line of sight [m].
-pub type Seen = ([f32; 2], f64);
+pub type ScreenPoint = ([f32; 2], f64);
 
 /// Half of the robot's length with extended legs [m].
 pub fn radius(model: &Model) -> f64 {
@@ -155,7 +155,7 @@ impl Camera {
     }
 
     /// Position of a point in the picture; None if it is behind the camera.
-    pub fn see(&self, p: V) -> Option<Seen> {
+    pub fn see(&self, p: V) -> Option<ScreenPoint> {
         let depth = self.depth(p);
         (depth > NEAR).then(|| (self.place(p), depth))
     }

@@ -35,4 +35,4 @@ pub use crate::sim::pose::Pose;
 pub use camera::CameraOptions;
 pub use header::{About, header};
 pub use picture::draw;
-pub use recording::{Moment, Section, Writer, read, row};
+pub use recording::{RecordedState, RecordingWriter, Section, read, row};

@@ -43,7 +43,7 @@ const ARROW_LENGTH: f64 = 0.9;
 type Labels = Vec<([i64; 2], String)>;
 
 /// A convex flat face of a solid.
-struct Face {
+struct PictureFace {
     corners: Vec<V>,
     normal: V,
     color: Rgb,
@@ -69,7 +69,7 @@ pub fn draw(
         }
     }
     let pose = Pose::of(model, state, footing);
-    let mut canvas = Canvas::new(model, state, size, camera.check()?)?;
+    let mut canvas = SandCanvas::new(model, state, size, camera.check()?)?;
     canvas.sand();
     let labels = match &model.tree {
         Some(robot) => canvas.tree(model, robot, state, &pose),
@@ -87,7 +87,7 @@ pub fn draw(
 }
 
 /// Six faces of a box about `center`, `half` its half sizes along the columns of `axes`.
-fn cuboid(center: V, axes: M, half: V, color: impl Fn(usize, f64) -> Rgb) -> Vec<Face> {
+fn cuboid(center: V, axes: M, half: V, color: impl Fn(usize, f64) -> Rgb) -> Vec<PictureFace> {
     let mut faces = Vec::with_capacity(6);
     for axis in 0..3 {
         let [u, v] = [(axis + 1) % 3, (axis + 2) % 3].map(|k| axes.column(k) * half[k]);
@@ -95,13 +95,13 @@ fn cuboid(center: V, axes: M, half: V, color: impl Fn(usize, f64) -> Rgb) -> Vec
             let normal = axes.column(axis) * sign;
             let middle = center + normal * half[axis];
             let corners = vec![middle - u - v, middle + u - v, middle + u + v, middle - u + v];
-            faces.push(Face { corners, normal, color: color(axis, sign) });
+            faces.push(PictureFace { corners, normal, color: color(axis, sign) });
         }
     }
     faces
 }
 
-fn robot_faces(model: &Model, pose: &Pose) -> Vec<Face> {
+fn robot_faces(model: &Model, pose: &Pose) -> Vec<PictureFace> {
     let (turn, at) = pose.bodies[0];
     let front = |axis, sign| if axis == 0 && sign > 0.0 { HEAD } else { BASE };
     let mut faces = cuboid(at, turn, V::from(model.robot.base.size) / 2.0, front);
@@ -117,7 +117,7 @@ fn robot_faces(model: &Model, pose: &Pose) -> Vec<Face> {
     faces
 }
 
-fn obstacle_faces(model: &Model, state: &State) -> Vec<Face> {
+fn obstacle_faces(model: &Model, state: &State) -> Vec<PictureFace> {
     let mut faces = Vec::new();
     for (solid, at) in model.solids.iter().zip(obstacle_poses(model, state)) {
         if solid.corners.is_empty() {
@@ -127,13 +127,13 @@ fn obstacle_faces(model: &Model, state: &State) -> Vec<Face> {
                 let side = normal.cross(&if normal.z.abs() < 0.9 { V::z() } else { V::x() }).normalize();
                 let (u, v) = (side * (0.55 * f.area.sqrt()), normal.cross(&side) * (0.55 * f.area.sqrt()));
                 let p = at.position + at.rotation * f.center;
-                Face { corners: vec![p - u - v, p + u - v, p + u + v, p - u + v], normal, color: ROCK }
+                PictureFace { corners: vec![p - u - v, p + u - v, p + u + v, p - u + v], normal, color: ROCK }
             }));
         }
         for face in &solid.faces {
             let corners = face.map(|i| at.position + at.rotation * solid.corners[i]).to_vec();
             let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0])).normalize();
-            faces.push(Face { corners, normal, color: ROCK });
+            faces.push(PictureFace { corners, normal, color: ROCK });
         }
     }
     faces
@@ -161,7 +161,7 @@ fn closed(points: &[[f32; 2]]) -> Option<Path> {
     path.finish()
 }
 
-struct Canvas {
+struct SandCanvas {
     map: Pixmap,
     options: CameraOptions,
     camera: Camera,
@@ -170,7 +170,7 @@ struct Canvas {
     radius: f64,
 }
 
-impl Canvas {
+impl SandCanvas {
     fn new(model: &Model, state: &State, [width, height]: [u32; 2], options: CameraOptions) -> Result<Self> {
         let memory = || Error::Exhausted("a picture of this size does not fit into memory".into());
         let [x, y] = options.target(state);
@@ -192,7 +192,7 @@ impl Canvas {
             labels = self.lines(model, state);
             let face = |(corners, color): &solid::Painted| {
                 let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0])).try_normalize(0.0)?;
-                Some(Face { corners: corners.to_vec(), normal, color: *color })
+                Some(PictureFace { corners: corners.to_vec(), normal, color: *color })
             };
             self.shadow(&painted.iter().filter_map(face).collect::<Vec<_>>());
         }
@@ -209,7 +209,7 @@ impl Canvas {
         let mut faces = robot_faces(model, pose);
         faces.extend(obstacle_faces(model, state));
         if let Some(ground) = solid::ground(model, state, self.options.target(state)) {
-            let fan = |face: &Face| {
+            let fan = |face: &PictureFace| {
                 let (corners, color) = (face.corners.clone(), face.color);
                 (2..corners.len()).map(move |k| ([corners[0], corners[k - 1], corners[k]], color)).collect::<Vec<_>>()
             };
@@ -296,7 +296,7 @@ impl Canvas {
     }
 
     /// Shadows: all faces projected along the light, drawn once.
-    fn shadow(&mut self, faces: &[Face]) {
+    fn shadow(&mut self, faces: &[PictureFace]) {
         let light = V::from(LIGHT);
         let mut path = PathBuilder::new();
         for face in faces.iter().filter(|f| f.normal.dot(&light) > 0.0) {
@@ -316,8 +316,8 @@ impl Canvas {
     }
 
     /// Draws the faces. Parts under the surface are faintly visible through the sand; the other parts are opaque.
-    fn faces(&mut self, faces: Vec<Face>) {
-        let middle = |f: &Face| f.corners.iter().sum::<V>() / f.corners.len() as f64;
+    fn faces(&mut self, faces: Vec<PictureFace>) {
+        let middle = |f: &PictureFace| f.corners.iter().sum::<V>() / f.corners.len() as f64;
         let mut seen: Vec<_> = faces.into_iter().filter(|f| self.camera.faces(middle(f), f.normal)).collect();
         seen.sort_by(|a, b| self.camera.distance(middle(b)).total_cmp(&self.camera.distance(middle(a))));
         for (above, alpha) in [(-1.0, 0.22), (1.0, 1.0)] {

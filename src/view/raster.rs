@@ -16,13 +16,13 @@ pub const SAMPLES: usize = 2;
 const SEAM: f32 = 1e-3;
 
 /// A triangle as a camera sees it.
-pub struct Facet {
+pub struct RasterTriangle {
     corners: [[f32; 2]; 3],
     distances: [f32; 3],
     color: [f32; 3],
 }
 
-impl Facet {
+impl RasterTriangle {
     /// None if a corner is behind the camera.
     pub fn flat(camera: &Camera, corners: &[V; 3], color: Rgb) -> Option<Self> {
         let seen = corners.map(|p| camera.see(p));
@@ -47,7 +47,7 @@ impl Facet {
 }
 
 /// Some rows of an image: the colour of each sample, and the distance of the visible face.
-pub struct Layer {
+pub struct PixelRows {
     width: usize,
     /// Number of the first row in the image.
     top: usize,
@@ -56,14 +56,14 @@ pub struct Layer {
     pub distances: Vec<f32>,
 }
 
-impl Layer {
+impl PixelRows {
     pub fn new(width: usize, top: usize, rows: usize) -> Self {
         let count = width * rows;
         Self { width, top, colors: vec![[0.0; 3]; count], distances: vec![f32::INFINITY; count] }
     }
 
     /// Fills a triangle where it is nearer than the present face.
-    pub fn fill(&mut self, facet: &Facet) {
+    pub fn fill(&mut self, facet: &RasterTriangle) {
         let ([a, b, c], [da, db, dc]) = (facet.corners, facet.distances);
         let range = |k: usize, first: usize, end: usize| {
             let (low, high) = (a[k].min(b[k]).min(c[k]), a[k].max(b[k]).max(c[k]));

@@ -35,7 +35,7 @@ const MOST_UNPACKED: u64 = 1 << 30;
 
 /// One moment of a robot, and the task's info of the step that led to it.
 #[derive(Clone, Copy, Debug)]
-pub struct Moment<'a> {
+pub struct RecordedState<'a> {
     /// Time since the episode began [s].
     pub time: f64,
     pub state: &'a State,
@@ -47,7 +47,7 @@ pub struct Moment<'a> {
 }
 
 /// The numbers of a moment, in the order of the header's columns.
-pub fn row(model: &Model, moment: &Moment) -> Vec<f32> {
+pub fn row(model: &Model, moment: &RecordedState) -> Vec<f32> {
     let (state, pose) = (moment.state, Pose::of(model, moment.state, moment.footing));
     let mut row = Vec::with_capacity(32 + 4 * state.angles.len() + 3 * pose.loads.len());
     let mut extend = |numbers: &[f64]| row.extend(numbers.iter().map(|x| *x as f32));
@@ -116,11 +116,11 @@ pub fn rows_block(rows: &[f32]) -> Vec<u8> {
 }
 
 /// Writes a file.
-pub struct Writer<W: Write> {
+pub struct RecordingWriter<W: Write> {
     out: GzEncoder<W>,
 }
 
-impl<W: Write> Writer<W> {
+impl<W: Write> RecordingWriter<W> {
     /// A file that begins with `header`.
     pub fn new(out: W, header: &str) -> io::Result<Self> {
         let mut writer = Self { out: GzEncoder::new(out, Compression::default()) };
@@ -261,11 +261,11 @@ mod tests {
         let model = model();
         let about = About { task: "test", rate: 50.0, info: vec![("speed", "m/s")], actions: 2, ..Default::default() };
         let head = header(&model, &about);
-        let mut writer = Writer::new(Vec::new(), &head).unwrap();
+        let mut writer = RecordingWriter::new(Vec::new(), &head).unwrap();
         for k in 0..3 {
             let mut state = State::at_rest(0.03 - 0.001 * f64::from(k), &model.tripod_angles());
             state.velocity[2] = -0.05;
-            let moment = Moment {
+            let moment = RecordedState {
                 time: 0.02 * f64::from(k),
                 state: &state,
                 footing: &[],

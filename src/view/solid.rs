@@ -1,7 +1,7 @@
 //! Robots from files, and ground that is not flat, in the picture of a moment.
 
 use super::camera::{Camera, radius};
-use super::raster::{Facet, Layer, Rgb, SAMPLES};
+use super::raster::{PixelRows, RasterTriangle, Rgb, SAMPLES};
 use super::{hard, tree};
 use crate::sand::memory::Moved;
 use crate::sim::frame::V;
@@ -99,7 +99,9 @@ fn moved(sand: &Moved) -> Vec<Painted> {
 /// Paints robot, ground and hard ground into `map`. `camera`: that of a picture with [`SAMPLES`] times as many pixels
 /// along each side. Parts of the robot under the surface shine through.
 pub fn paint(map: &mut Pixmap, camera: &Camera, robot: &[Painted], ground: Option<&[Painted]>, hard: &[HardGround]) {
-    let lit = |all: &[Painted]| -> Vec<Facet> { all.iter().filter_map(|(t, c)| Facet::lit(camera, t, *c)).collect() };
+    let lit = |all: &[Painted]| -> Vec<RasterTriangle> {
+        all.iter().filter_map(|(t, c)| RasterTriangle::lit(camera, t, *c)).collect()
+    };
     let (robot, ground) = (lit(robot), ground.map(lit));
     let everywhere = hard.iter().any(HardGround::is_everything);
     let plain = ground.is_none() && hard.is_empty();
@@ -107,12 +109,12 @@ pub fn paint(map: &mut Pixmap, camera: &Camera, robot: &[Painted], ground: Optio
     for top in (0..height).step_by(BAND) {
         let rows = BAND.min(height - top);
         let [first, end] = [top, top + rows].map(|row| (row * SAMPLES) as f32);
-        let covers = |facet: &&Facet| facet.rows()[0] <= end && facet.rows()[1] >= first;
+        let covers = |facet: &&RasterTriangle| facet.rows()[0] <= end && facet.rows()[1] >= first;
         if plain && !robot.iter().any(|facet| covers(&facet)) {
             continue;
         }
-        let layer = |facets: &[Facet]| {
-            let mut layer = Layer::new(width * SAMPLES, top * SAMPLES, rows * SAMPLES);
+        let layer = |facets: &[RasterTriangle]| {
+            let mut layer = PixelRows::new(width * SAMPLES, top * SAMPLES, rows * SAMPLES);
             facets.iter().filter(covers).for_each(|facet| layer.fill(facet));
             layer
         };

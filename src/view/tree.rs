@@ -1,7 +1,7 @@
 //! An image of any robot: every visible triangle, with a depth buffer.
 
 use super::camera::{Camera, CameraOptions, SIZES};
-use super::raster::{Facet, LIGHT, Layer, Rgb, SAMPLES};
+use super::raster::{LIGHT, PixelRows, RasterTriangle, Rgb, SAMPLES};
 use super::text;
 use crate::error::{Error, Result};
 use crate::sand::intruder::IntruderPlate;
@@ -69,7 +69,7 @@ pub fn draw(
     }
     let samples = size.map(|s| s * SAMPLES as u32);
     let camera = Camera::around(&camera.check()?, (low + high) / 2.0, 0.72 * radius, samples);
-    let mut canvas = Canvas::new(samples, camera, if state.is_some() { 0.0 } else { low.z });
+    let mut canvas = TreeCanvas::new(samples, camera, if state.is_some() { 0.0 } else { low.z });
     canvas.ground(&faces, radius);
     for (corners, color) in &faces {
         canvas.triangle(corners, *color);
@@ -149,22 +149,22 @@ pub(super) fn triangles(geometry: &Geometry) -> Vec<[V; 3]> {
     }
 }
 
-struct Canvas {
+struct TreeCanvas {
     /// [samples]
     size: [usize; 2],
     camera: Camera,
-    layer: Layer,
+    layer: PixelRows,
     ground: f64,
 }
 
-impl Canvas {
+impl TreeCanvas {
     fn new(size: [u32; 2], camera: Camera, ground: f64) -> Self {
         let [width, height] = size.map(|s| s as usize);
         let sky = |row: usize| {
             let t = row as f64 / height as f64;
             std::array::from_fn(|k| (SKY[0][k] * (1.0 - t) + SKY[1][k] * t) as f32)
         };
-        let mut layer = Layer::new(width, 0, height);
+        let mut layer = PixelRows::new(width, 0, height);
         layer.colors = (0..height).flat_map(|row| std::iter::repeat_n(sky(row), width)).collect();
         Self { size: [width, height], camera, layer, ground }
     }
@@ -189,11 +189,11 @@ impl Canvas {
     }
 
     fn triangle(&mut self, corners: &[V; 3], color: Rgb) {
-        Facet::lit(&self.camera, corners, color).iter().for_each(|facet| self.layer.fill(facet));
+        RasterTriangle::lit(&self.camera, corners, color).iter().for_each(|facet| self.layer.fill(facet));
     }
 
     fn flat(&mut self, corners: &[V; 3], color: Rgb) {
-        Facet::flat(&self.camera, corners, color).iter().for_each(|facet| self.layer.fill(facet));
+        RasterTriangle::flat(&self.camera, corners, color).iter().for_each(|facet| self.layer.fill(facet));
     }
 
     fn png(&self, [width, height]: [u32; 2], captions: &[String]) -> Result<Vec<u8>> {

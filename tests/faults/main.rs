@@ -15,7 +15,7 @@ use harness::{Server, Session, create, step, until, wave};
 use process::Process;
 use sandgait::service::proto::run_session_request::Request;
 use sandgait::service::proto::{CloseSessionRequest, CreateSessionRequest, ListSessionsRequest, Rollout};
-use sandgait::service::{Limits, Setup};
+use sandgait::service::{Limits, ServerSetup};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use tokio::io::AsyncWriteExt as _;
@@ -292,7 +292,7 @@ async fn throughput(server: &Server, clients: usize, envs: usize, time: Duration
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn eight_clients_get_as_much_as_one() {
     let _alone = ALONE.lock().await;
-    let server = Server::with(Setup { threads: 1, ..Setup::default() }).await;
+    let server = Server::with(ServerSetup { threads: 1, ..ServerSetup::default() }).await;
     let time = Duration::from_millis(700);
     let mut best: f64 = 0.0;
     for _ in 0..4 {

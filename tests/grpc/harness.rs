@@ -5,7 +5,7 @@ use sandgait::service::proto::run_session_request::Request;
 use sandgait::service::proto::run_session_response::Response;
 use sandgait::service::proto::{Attach, DescribeSessionRequest, Step, Task};
 use sandgait::service::proto::{Batch, CreateSessionRequest, Failure, Reset, RunSessionRequest, RunSessionResponse};
-use sandgait::service::{Address, Limits, Listener, PROTOCOL, Setup, serve};
+use sandgait::service::{Address, Limits, Listener, PROTOCOL, ServerSetup, serve};
 use std::time::Duration;
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
@@ -58,21 +58,21 @@ impl Server {
     }
 
     pub async fn with_limits(threads: usize, limits: Limits) -> Self {
-        Self::with(Setup { threads, limits, ..Setup::default() }).await
+        Self::with(ServerSetup { threads, limits, ..ServerSetup::default() }).await
     }
 
-    pub async fn with(setup: Setup) -> Self {
+    pub async fn with(setup: ServerSetup) -> Self {
         let directory = tempfile::tempdir().unwrap();
         let address = Address::Unix(directory.path().join("sock"));
         Self::listen(setup, address, directory).await
     }
 
     /// A server on a TCP port of the loopback interface.
-    pub async fn tcp(setup: Setup) -> Self {
+    pub async fn tcp(setup: ServerSetup) -> Self {
         Self::listen(setup, "127.0.0.1:0".parse().unwrap(), tempfile::tempdir().unwrap()).await
     }
 
-    async fn listen(setup: Setup, address: Address, directory: tempfile::TempDir) -> Self {
+    async fn listen(setup: ServerSetup, address: Address, directory: tempfile::TempDir) -> Self {
         let listener = Listener::bind(&address).await.unwrap();
         let (address, stop) = (listener.address().unwrap(), CancellationToken::new());
         let done = Some(tokio::spawn(serve(listener, setup, stop.clone())));

@@ -4,7 +4,7 @@ use crate::harness::{Bearer, Server, Session, client, create, options, step, unt
 use sandgait::service::proto::run_session_request::Request;
 use sandgait::service::proto::run_session_response::Response;
 use sandgait::service::proto::{CloseSessionRequest, Render, Reset, Restore, Rollout, RunSessionRequest, Step};
-use sandgait::service::{Address, Limits, Seal, Setup};
+use sandgait::service::{Address, Limits, Seal, ServerSetup};
 use tonic::Code;
 use tonic::transport::Endpoint;
 
@@ -143,7 +143,7 @@ async fn pictures_have_their_share_too() {
 async fn only_snapshots_sealed_with_the_servers_key_are_taken() {
     let with = |key: Option<&[u8]>| {
         let seal = key.map_or_else(Seal::default, |k| Seal::new(k).unwrap());
-        Server::with(Setup { threads: 1, seal, ..Setup::default() })
+        Server::with(ServerSetup { threads: 1, seal, ..ServerSetup::default() })
     };
     let servers = [with(None).await, with(Some(b"0123456789abcdef")).await, with(Some(b"fedcba9876543210")).await];
     let mut sessions = Vec::new();
@@ -216,7 +216,7 @@ async fn memory_of_answers_that_nobody_reads_is_freed() {
 async fn a_client_that_reads_slowly_but_steadily_keeps_its_connection() {
     let second = std::time::Duration::from_secs(1);
     let limits = Limits { stall: second / 2, ..limits() };
-    let server = Server::tcp(Setup { threads: 1, limits, ..Setup::default() }).await;
+    let server = Server::tcp(ServerSetup { threads: 1, limits, ..ServerSetup::default() }).await;
     let Address::Tcp(address) = &server.address else { unreachable!() };
     let endpoint = Endpoint::from_shared(format!("http://{address}")).unwrap();
     let channel = endpoint.initial_stream_window_size(65_535).connect().await.unwrap();

@@ -26,7 +26,7 @@ async fn moment(session: &mut Session, index: u32, ended: bool) -> Section {
     else {
         panic!("no moment")
     };
-    let mut file = recording::Writer::new(Vec::new(), &header).unwrap();
+    let mut file = recording::RecordingWriter::new(Vec::new(), &header).unwrap();
     file.row(&row.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)).collect::<Vec<_>>()).unwrap();
     read(&file.finish().unwrap()).unwrap().remove(0)
 }

@@ -2,14 +2,14 @@
 
 use crate::harness::Server;
 use sandgait::service::proto::ListSessionsRequest;
-use sandgait::service::{Address, Setup};
+use sandgait::service::{Address, ServerSetup};
 use std::os::unix::fs::PermissionsExt as _;
 use std::time::Instant;
 
 /// Nagle's algorithm must be off: with it, a small call over TCP takes 44 ms, many times as long as over a Unix socket.
 #[tokio::test]
 async fn a_unary_call_over_tcp_is_not_delayed() {
-    let setup = || Setup { threads: 1, ..Setup::default() };
+    let setup = || ServerSetup { threads: 1, ..ServerSetup::default() };
     let (tcp, unix) = (Server::tcp(setup()).await, Server::with(setup()).await);
     let (mut clients, mut times) = ([tcp.client().await, unix.client().await], [vec![], vec![]]);
     for _ in 0..21 {

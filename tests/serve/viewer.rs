@@ -2,7 +2,7 @@
 
 use crate::harness::{ACTIONS, Session, step};
 use crate::process::{Process, refused};
-use sandgait::view::recording::{Section, Writer};
+use sandgait::view::recording::{RecordingWriter, Section};
 use std::time::Duration;
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
@@ -83,7 +83,8 @@ fn unpacked(answer: &[u8]) -> Vec<Section> {
         let length = u32::from_le_bytes(blocks[at + 4..at + 8].try_into().unwrap()) as usize;
         let content = &blocks[at + 8..at + 8 + length];
         if &blocks[at..at + 4] == b"HEAD" {
-            let file = Writer::new(Vec::new(), std::str::from_utf8(content).unwrap()).unwrap().finish().unwrap();
+            let file =
+                RecordingWriter::new(Vec::new(), std::str::from_utf8(content).unwrap()).unwrap().finish().unwrap();
             sections.extend(sandgait::view::read(&file).unwrap());
         } else {
             let numbers = content.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b));

@@ -7,12 +7,12 @@ use crate::tables;
 use crate::values::keywords;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyMapping, PyTuple};
-use sandgait::client::{self, Event, PATIENCE, ServerAddress, call};
+use sandgait::client::{self, PATIENCE, ServerAddress, StudyEvent, call};
 use sandgait::service::from_json;
 use sandgait::service::proto::run_session_request::Request as SessionRequest;
 use sandgait::service::proto::run_session_response::Response as SessionResponse;
 use sandgait::service::proto::{self, RunSessionRequest, RunSessionResponse};
-use sandgait::service::studies::compute::{Outcome, Study};
+use sandgait::service::studies::compute::{StudyRequest, StudyResult};
 use std::future::Future;
 use std::mem::ManuallyDrop;
 use std::pin::pin;
@@ -74,7 +74,12 @@ pub fn close_session(py: Python<'_>, address: Address, session_id: String, timeo
 }
 
 /// A study on a server; an exception during the wait stops it there.
-pub fn study(py: Python<'_>, address: Address, study: Study, told: Option<&Bound<'_, PyAny>>) -> PyResult<Outcome> {
+pub fn study(
+    py: Python<'_>,
+    address: Address,
+    study: StudyRequest,
+    told: Option<&Bound<'_, PyAny>>,
+) -> PyResult<StudyResult> {
     let runtime = client::runtime().map_err(|e| raise(&e))?;
     let place = place(address);
     let mut opening = Box::pin(client::study(&place, study));
@@ -88,8 +93,8 @@ pub fn study(py: Python<'_>, address: Address, study: Study, told: Option<&Bound
     loop {
         let (runtime, events) = (&runtime, &mut events);
         match py.detach(move || client::wait(runtime, pin!(client::next(events)), PATIENCE)) {
-            Some(Some(Ok(Event::Done(outcome)))) => return Ok(outcome),
-            Some(Some(Ok(Event::Progress(done, stage)))) => {
+            Some(Some(Ok(StudyEvent::Done(outcome)))) => return Ok(outcome),
+            Some(Some(Ok(StudyEvent::Progress(done, stage)))) => {
                 if let Some(told) = told {
                     told.call1((done, stage))?;
                 }

@@ -10,7 +10,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyMapping;
 use sandgait::service::from_json;
 use sandgait::service::proto::{self, diagnose_request, evaluate_request, trials_request};
-use sandgait::service::studies::compute::{Outcome, Study};
+use sandgait::service::studies::compute::{StudyRequest, StudyResult};
 
 /// Name and content.
 type File = (String, Vec<u8>);
@@ -129,12 +129,19 @@ fn structure(given: &Bound<'_, PyMapping>) -> PyResult<Option<prost_types::Struc
     }
 }
 
-fn requested(name: &str, given: &Bound<'_, PyAny>) -> PyResult<Study> {
+fn requested(name: &str, given: &Bound<'_, PyAny>) -> PyResult<StudyRequest> {
     Ok(match name {
         "Intrude" => {
             let Intrude { shape, chord, width, hip_height, omega, sand } = given.extract()?;
             let [chord, width, hip_height, omega] = [chord, width, hip_height, omega].map(Some);
-            Study::Intrude(proto::IntrudeRequest { shape, chord, width, hip_height, omega, sand: sand.message() })
+            StudyRequest::Intrude(proto::IntrudeRequest {
+                shape,
+                chord,
+                width,
+                hip_height,
+                omega,
+                sand: sand.message(),
+            })
         }
         "Trials" => {
             let Trials { shape, mesh, velocity, spin, depth, load, sand, friction, plate_size } = given.extract()?;
@@ -143,32 +150,32 @@ fn requested(name: &str, given: &Bound<'_, PyAny>) -> PyResult<Study> {
             let [spin, depth, load] = [spin, depth, load].map(|column| Some(column.into()));
             let (velocity, sand) = (velocity.into(), sand.message());
             let request = proto::TrialsRequest { body, velocity, spin, depth, load, sand, friction, plate_size };
-            Study::Trials(request)
+            StudyRequest::Trials(request)
         }
         "Walk" => {
             let Walk { leg, frequency, engine, sand, slope_deg, dt, robot } = given.extract()?;
             let (engine, sand, robot) = (Some(engine), sand.message(), robot.message());
-            Study::Walk(proto::WalkRequest { leg, frequency, engine, sand, slope_deg, dt, robot })
+            StudyRequest::Walk(proto::WalkRequest { leg, frequency, engine, sand, slope_deg, dt, robot })
         }
         "Sweep" => {
             let Sweep { vary, set, robot, frequency, sand, optimize } = given.extract()?;
             let [vary, set] = [vary, set].map(|all| all.into_iter().map(variation).collect());
             let (robot, frequency, sand) = (robot.message(), Some(frequency), sand.message());
-            Study::Sweep(proto::SweepRequest { vary, set, robot, frequency, sand, optimize })
+            StudyRequest::Sweep(proto::SweepRequest { vary, set, robot, frequency, sand, optimize })
         }
         "Evaluate" => {
             let Evaluate { onnx, gait, task_id, options, seeds, media, slopes } = given.extract()?;
             let onnx = onnx.map(|network| evaluate_request::Policy::Onnx(file(network)));
             let policy = onnx.or(gait.map(evaluate_request::Policy::Gait));
             let (options, seeds) = (structure(&options)?, Some(seeds));
-            Study::Evaluate(proto::EvaluateRequest { policy, task_id, options, seeds, media, slopes })
+            StudyRequest::Evaluate(proto::EvaluateRequest { policy, task_id, options, seeds, media, slopes })
         }
         "Diagnose" => {
             let Diagnose { data, file: given, values } = given.extract()?;
             let tables = values.map(|values| structure(&values)).transpose()?.flatten();
             let experiment = given.map(|given| diagnose_request::Experiment::File(file(given)));
             let experiment = experiment.or(tables.map(diagnose_request::Experiment::Values));
-            Study::Diagnose(proto::DiagnoseRequest { data: Some(file(data)), experiment })
+            StudyRequest::Diagnose(proto::DiagnoseRequest { data: Some(file(data)), experiment })
         }
         other => return Err(invalid("study", format!("{other:?} is unknown"))),
     })
@@ -191,8 +198,8 @@ pub fn study<'py>(
         Some(place) => remote::study(py, place, study, told)?,
     };
     match outcome {
-        Outcome::Table(made) => table(py, &made),
-        Outcome::Diagnosis(diagnosis) => {
+        StudyResult::Table(made) => table(py, &made),
+        StudyResult::Diagnosis(diagnosis) => {
             let proto::Diagnosis { report_json, report_html, sand_toml, curves } = diagnosis;
             let curves = table(py, &curves.unwrap_or_default())?;
             Ok((report_json, report_html, sand_toml, curves).into_pyobject(py)?.into_any())

@@ -6,7 +6,7 @@ use crate::values::keywords;
 use crate::wait;
 use pyo3::prelude::*;
 use pyo3::types::PyMapping;
-use sandgait::cli::{Training, learn};
+use sandgait::cli::{TrainingArgs, learn};
 use sandgait::env::registry::Blueprint;
 use sandgait::train::Mirror;
 use serde_json::json;
@@ -43,11 +43,9 @@ pub fn train(py: Python<'_>, asked: SessionRequest<'_>, told: Option<&Bound<'_, 
         serde_json::Value::Object(changes) => changes.into_iter().collect(),
         _ => Vec::new(),
     };
-    let training = Training {
+    let training = TrainingArgs {
         task: asked.task,
         hyperparameters: asked.hyperparameters,
-        changes,
-        options: keywords(&asked.options)?,
         seed: asked.seed,
         seconds: asked.seconds,
         timesteps: asked.timesteps,
@@ -56,10 +54,10 @@ pub fn train(py: Python<'_>, asked: SessionRequest<'_>, told: Option<&Bound<'_, 
         start_from: asked.start_from,
         checkpoint_every: asked.checkpoint_every,
         threads: asked.threads,
-        place: asked.place.map(remote::place),
     };
+    let (options, place) = (keywords(&asked.options)?, asked.place.map(remote::place));
     wait::to_the_end(py, told, move |progress| {
-        let request = training.request()?;
+        let request = training.request(changes, options, place)?;
         let (outcome, text) = learn(&request, progress)?;
         let curve = outcome.curve.iter().map(|p| (p.steps, p.seconds, p.mean_return)).collect();
         let (steps, seconds) = (outcome.learnt.steps, outcome.learnt.seconds);

@@ -6,7 +6,7 @@ use super::replay::Body;
 use crate::error::Result;
 use crate::experiment::Experiment;
 use crate::progress::Progress;
-use crate::table::{self, Asked};
+use crate::table::{self, ReadOptions};
 use std::path::Path;
 
 /// Reads a log and refuses it if units or signs are wrong.
@@ -17,7 +17,7 @@ pub fn read(data: &Path, experiment: &Experiment, progress: &dyn Progress) -> Re
     let names = Names::new(&joints, keys)?;
     let columns = names.columns();
     let [renamed, units] = [&experiment.columns, &experiment.units].map(|table| names.for_each_joint(table));
-    let asked = Asked { renamed, units, progress, ..Asked::new(&columns) };
+    let asked = ReadOptions { renamed, units, progress, ..ReadOptions::new(&columns) };
     let mut gather = Gather::new(&names, keys);
     let summary = table::read(data, &asked, |row| gather.take(row))?;
     let log = gather.finish(data, summary.sha256)?;

@@ -3,7 +3,7 @@
 use super::compiler::{Compiler, FromGeoms, limited};
 use super::defaults::Defaults;
 use super::geom::{Assets, Geom, geom};
-use crate::draft::{Inertial, Link, MOST_LINKS, Visual, name_shapes, shift};
+use crate::draft::{DraftLink, Inertial, MOST_LINKS, Visual, name_shapes, shift};
 use crate::error::Result;
 use crate::notes::Notes;
 use crate::sim::tree::{JointKind, TreeJoint, TreeShape};
@@ -39,7 +39,7 @@ pub struct Builder<'a> {
     pub defaults: &'a Defaults,
     pub assets: &'a Assets,
     pub notes: &'a mut Notes,
-    pub links: Vec<Link>,
+    pub links: Vec<DraftLink>,
 }
 
 /// Does the body move freely?
@@ -83,18 +83,19 @@ impl Builder<'_> {
                     let last = k + 1 == joints.len();
                     let link = if last { name.clone() } else { format!("{name}:{}", joint.name) };
                     let origin = at * shift(anchor) * start;
-                    carrier =
-                        Some(self.push(Link { massless: !last, ..Link::new(link, carrier, origin, Some(joint)) }));
+                    carrier = Some(
+                        self.push(DraftLink { massless: !last, ..DraftLink::new(link, carrier, origin, Some(joint)) }),
+                    );
                     at = shift(-anchor);
                 }
             }
         }
         // Children of the body use a frame of its own, fixed to the last joint's.
-        let own = self.push(Link::new(name, carrier, at, None));
+        let own = self.push(DraftLink::new(name, carrier, at, None));
         self.content(element, own, class)
     }
 
-    fn push(&mut self, link: Link) -> usize {
+    fn push(&mut self, link: DraftLink) -> usize {
         self.links.push(link);
         self.links.len() - 1
     }

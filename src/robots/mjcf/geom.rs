@@ -1,7 +1,7 @@
 //! `<geom>` and `<mesh>`: shapes, and the inertia that bodies take from them.
 
 use super::compiler::{Compiler, flag, from_z};
-use crate::draft::{Inertial, Look};
+use crate::draft::{Inertial, VisualShape};
 use crate::error::{Error, Result};
 use crate::files::Files;
 use crate::hull::hull;
@@ -42,7 +42,7 @@ pub struct Mesh {
 pub type Assets = HashMap<String, Mesh>;
 
 /// What is needed to read an asset.
-pub struct Reader<'a> {
+pub struct GeomReader<'a> {
     pub compiler: &'a Compiler,
     pub files: &'a Files,
     pub meshes: &'a mut Meshes,
@@ -64,7 +64,7 @@ const MESH_KNOWN: [&str; 12] = [
     "content_type",
 ];
 
-impl Reader<'_> {
+impl GeomReader<'_> {
     /// Name and triangles of a `<mesh>`, defaults applied.
     pub fn mesh(&mut self, element: &Element) -> Result<(String, Mesh)> {
         self.notes.others(element, &MESH_KNOWN);
@@ -131,7 +131,7 @@ pub struct Geom {
     pub origin: Isometry3<f64>,
     /// None if the colliding shape has no volume.
     pub collision: Option<Geometry>,
-    pub look: Look,
+    pub look: VisualShape,
     pub friction: f64,
     pub inertial: Inertial,
 }
@@ -210,7 +210,7 @@ pub fn geom(element: &Element, compiler: &Compiler, assets: &Assets, notes: &mut
     };
     let inertial = weighed(element, compiler, volume, &own)?.moved(&origin);
     let collides = [element.number("contype")?, element.number("conaffinity")?].iter().any(|c| *c != Some(0.0));
-    let look = Look::Shape(shape.clone());
+    let look = VisualShape::Shape(shape.clone());
     if let (Geometry::Mesh(triangles), true, "mesh") = (&shape, collides, kind) {
         let name = element.get("mesh").unwrap_or_default();
         let kept = closed_mesh(name, triangles.to_vec(), notes);

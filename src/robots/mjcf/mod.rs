@@ -7,8 +7,8 @@ mod defaults;
 mod equality;
 mod geom;
 
-use super::draft::{Inertial, Link, Merged, merged};
-use super::files::{Files, MOST_TEXT, Source};
+use super::draft::{DraftLink, Inertial, Merged, merged};
+use super::files::{Files, MOST_TEXT, SourceFile};
 use super::mesh::Meshes;
 use super::notes::Notes;
 use super::xml::{self, Element};
@@ -54,7 +54,7 @@ pub fn robot(
     }
     let compiler = Compiler::read(&root, notes)?;
     let defaults = Defaults::read(&root)?;
-    let mut reader = geom::Reader { compiler: &compiler, files, meshes, notes };
+    let mut reader = geom::GeomReader { compiler: &compiler, files, meshes, notes };
     let mut assets = geom::Assets::new();
     for asset in root.all("asset").flat_map(|section| section.all("mesh")) {
         let (name, mesh) = reader.mesh(&defaults.applied(asset, "")?)?;
@@ -79,7 +79,7 @@ pub fn robot(
 }
 
 /// Scales all masses so that their sum is `wanted`, the file's `settotalmass`.
-fn rescale(links: &mut [Link], wanted: f64) {
+fn rescale(links: &mut [DraftLink], wanted: f64) {
     let factor = wanted / links.iter().map(|l| l.inertial.mass).sum::<f64>();
     if factor.is_finite() {
         for link in links {
@@ -89,14 +89,14 @@ fn rescale(links: &mut [Link], wanted: f64) {
     }
 }
 
-struct Base<'a> {
+struct MjcfBase<'a> {
     element: &'a Element,
     class: String,
     free: bool,
 }
 
 /// The one body of the world that moves freely.
-fn base<'a>(root: &'a Element, notes: &mut Notes) -> Result<Base<'a>> {
+fn base<'a>(root: &'a Element, notes: &mut Notes) -> Result<MjcfBase<'a>> {
     let mut bodies = Vec::new();
     for world in root.all("worldbody") {
         top(world, "", &mut bodies, notes)?;
@@ -123,11 +123,11 @@ fn base<'a>(root: &'a Element, notes: &mut Notes) -> Result<Base<'a>> {
 }
 
 /// Bodies of the world, also those inside frames.
-fn top<'a>(world: &'a Element, class: &str, bodies: &mut Vec<Base<'a>>, notes: &mut Notes) -> Result<()> {
+fn top<'a>(world: &'a Element, class: &str, bodies: &mut Vec<MjcfBase<'a>>, notes: &mut Notes) -> Result<()> {
     let class = world.get("childclass").unwrap_or(class);
     for child in &world.children {
         match child.tag.as_str() {
-            "body" => bodies.push(Base { element: child, class: class.to_owned(), free: body::is_free(child) }),
+            "body" => bodies.push(MjcfBase { element: child, class: class.to_owned(), free: body::is_free(child) }),
             "frame" => top(child, class, bodies, notes)?,
             "replicate" | "attach" | "composite" | "flexcomp" => return Err(child.error("is not read")),
             _ => notes.left_out(child),
@@ -163,7 +163,7 @@ impl Including<'_> {
             if self.seen.len() > MOST_FILES {
                 return Err(child.error(format!("more than {MOST_FILES} files")));
             }
-            let included = xml::parse(&Source::read(&path, MOST_TEXT)?)?;
+            let included = xml::parse(&SourceFile::read(&path, MOST_TEXT)?)?;
             children.extend(self.expanded(included)?.children);
         }
         element.children = children;

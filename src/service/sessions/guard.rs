@@ -1,6 +1,6 @@
 //! A session's environments while a request works on them.
 
-use super::{Books, Done, Environments, Sessions};
+use super::{Books, LastAnswer, SessionEnvironments, Sessions};
 use crate::error::{Error, Result};
 use crate::names::name;
 use crate::pool::Batch;
@@ -18,13 +18,13 @@ pub struct SessionGuard {
 }
 
 impl SessionGuard {
-    pub fn new(sessions: Arc<Sessions>, id: String, environments: Environments) -> Self {
-        let Environments { batch, books } = environments;
+    pub fn new(sessions: Arc<Sessions>, id: String, environments: SessionEnvironments) -> Self {
+        let SessionEnvironments { batch, books } = environments;
         Self { sessions, id, batch: Some(batch), books: Some(books) }
     }
 
     /// The session's last request.
-    pub fn done(&self) -> Option<&Done> {
+    pub fn done(&self) -> Option<&LastAnswer> {
         self.books.as_ref().map(|books| &books.done)
     }
 
@@ -86,7 +86,7 @@ impl Drop for SessionGuard {
         }
         if let (Some(mut batch), Some(books)) = (self.batch.take(), self.books.take()) {
             batch.set_account(None);
-            self.sessions.give_back(&self.id, Environments { batch, books });
+            self.sessions.give_back(&self.id, SessionEnvironments { batch, books });
         }
     }
 }

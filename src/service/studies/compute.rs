@@ -16,10 +16,10 @@ use crate::sweep::{grid, optimize, walk_all};
 use std::path::Path;
 
 /// Work that reports its progress.
-pub type Work<T> = Box<dyn FnOnce(&dyn Progress) -> Result<T> + Send>;
+pub type StudyWork<T> = Box<dyn FnOnce(&dyn Progress) -> Result<T> + Send>;
 
 /// A requested study.
-pub enum Study {
+pub enum StudyRequest {
     Intrude(IntrudeRequest),
     Trials(TrialsRequest),
     Walk(WalkRequest),
@@ -29,35 +29,35 @@ pub enum Study {
 }
 
 /// The results of a study.
-pub enum Outcome {
+pub enum StudyResult {
     Table(proto::Table),
     Diagnosis(proto::Diagnosis),
 }
 
-impl Study {
+impl StudyRequest {
     /// Runs the study on this thread and those that it starts.
-    pub fn compute(self, progress: &dyn Progress) -> Result<Outcome> {
+    pub fn compute(self, progress: &dyn Progress) -> Result<StudyResult> {
         use proto::{diagnose_response, evaluate_response, sweep_response, trials_response, walk_response};
         let outcome = match self {
-            Self::Intrude(request) => intrude(request)?.table.map(Outcome::Table),
+            Self::Intrude(request) => intrude(request)?.table.map(StudyResult::Table),
             Self::Trials(request) => match trials(request)?(progress)?.event {
-                Some(trials_response::Event::Table(table)) => Some(Outcome::Table(table)),
+                Some(trials_response::Event::Table(table)) => Some(StudyResult::Table(table)),
                 _ => None,
             },
             Self::Walk(request) => match walk(request)?(progress)?.event {
-                Some(walk_response::Event::Table(table)) => Some(Outcome::Table(table)),
+                Some(walk_response::Event::Table(table)) => Some(StudyResult::Table(table)),
                 _ => None,
             },
             Self::Sweep(request) => match sweep(request)?(progress)?.event {
-                Some(sweep_response::Event::Table(table)) => Some(Outcome::Table(table)),
+                Some(sweep_response::Event::Table(table)) => Some(StudyResult::Table(table)),
                 _ => None,
             },
             Self::Evaluate(request) => match evaluate(request)?(progress)?.event {
-                Some(evaluate_response::Event::Table(table)) => Some(Outcome::Table(table)),
+                Some(evaluate_response::Event::Table(table)) => Some(StudyResult::Table(table)),
                 _ => None,
             },
             Self::Diagnose(request) => match diagnose(request)?(progress)?.event {
-                Some(diagnose_response::Event::Diagnosis(diagnosis)) => Some(Outcome::Diagnosis(diagnosis)),
+                Some(diagnose_response::Event::Diagnosis(diagnosis)) => Some(StudyResult::Diagnosis(diagnosis)),
                 _ => None,
             },
         };
@@ -74,8 +74,8 @@ pub fn intrude(request: IntrudeRequest) -> Result<IntrudeResponse> {
 /// Number of motions between two reports: our choice, about a second for a wheel.
 const TOGETHER: usize = 2_000;
 
-pub fn trials(request: TrialsRequest) -> Result<Work<TrialsResponse>> {
-    let decode::Trials { body, sand, trials } = decode::trials(request)?;
+pub fn trials(request: TrialsRequest) -> Result<StudyWork<TrialsResponse>> {
+    let decode::TrialInputs { body, sand, trials } = decode::trials(request)?;
     Ok(Box::new(move |progress| {
         let mut outcomes = Vec::with_capacity(trials.len());
         for part in trials.chunks(TOGETHER) {
@@ -87,7 +87,7 @@ pub fn trials(request: TrialsRequest) -> Result<Work<TrialsResponse>> {
     }))
 }
 
-pub fn walk(request: WalkRequest) -> Result<Work<WalkResponse>> {
+pub fn walk(request: WalkRequest) -> Result<StudyWork<WalkResponse>> {
     let walks = decode::walk(request)?;
     Ok(Box::new(move |progress| {
         let results = walk_all(walks.engine, &walks.trials, progress)?;
@@ -97,7 +97,7 @@ pub fn walk(request: WalkRequest) -> Result<Work<WalkResponse>> {
     }))
 }
 
-pub fn sweep(request: SweepRequest) -> Result<Work<SweepResponse>> {
+pub fn sweep(request: SweepRequest) -> Result<StudyWork<SweepResponse>> {
     let sweep = decode::sweep(request)?;
     Ok(Box::new(move |progress| {
         let columns = match sweep.optimize {
@@ -109,15 +109,15 @@ pub fn sweep(request: SweepRequest) -> Result<Work<SweepResponse>> {
     }))
 }
 
-pub fn evaluate(request: EvaluateRequest) -> Result<Work<EvaluateResponse>> {
-    let study = evaluate::Study::new(&decode::evaluate(request)?)?;
+pub fn evaluate(request: EvaluateRequest) -> Result<StudyWork<EvaluateResponse>> {
+    let study = evaluate::Evaluation::new(&decode::evaluate(request)?)?;
     Ok(Box::new(move |progress| {
         let table = encode::table(encode::evaluation(&study.run(progress)?), Vec::new());
         Ok(EvaluateResponse { event: Some(proto::evaluate_response::Event::Table(table)) })
     }))
 }
 
-pub fn diagnose(request: DiagnoseRequest) -> Result<Work<DiagnoseResponse>> {
+pub fn diagnose(request: DiagnoseRequest) -> Result<StudyWork<DiagnoseResponse>> {
     let (data, experiment) = decode::diagnose(request)?;
     Ok(Box::new(move |progress| {
         // The diagnosis reads and writes files, so it gets a directory that only this user can enter.

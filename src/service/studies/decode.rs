@@ -3,7 +3,7 @@
 
 use crate::diagnose::experiment::Experiment;
 use crate::error::{Error, Result, check_range};
-use crate::evaluate::{self, Wanted};
+use crate::evaluate::{self, PolicySource};
 use crate::price::MOST_TRIALS;
 use crate::proto::diagnose_request::Experiment as Source;
 use crate::proto::evaluate_request::Policy;
@@ -19,33 +19,33 @@ use crate::sim::model::Scene;
 use crate::sim::walk::WalkTrial;
 use crate::sim::{Model, Robot};
 use crate::sweep::grid::check_grid;
-use crate::sweep::{Axis, Design, Measure, optimize};
+use crate::sweep::{Design, SweepAxis, SweepMeasure, optimize};
 use crate::{proto, values};
 use std::path::Path;
 
 /// Sand, with warnings for its user.
-pub struct Sand {
+pub struct SandInputs {
     pub description: SandDescription,
     pub warnings: Vec<String>,
 }
 
 /// A body and its motions.
-pub struct Trials {
+pub struct TrialInputs {
     pub body: PlatedBody,
-    pub sand: Sand,
+    pub sand: SandInputs,
     pub trials: Vec<Motion>,
 }
 
-pub struct Walks {
+pub struct WalkInputs {
     pub engine: EngineKind,
     pub trials: Vec<WalkTrial>,
     pub warnings: Vec<String>,
 }
 
-pub struct Sweep {
+pub struct SweepInputs {
     pub base: Design,
-    pub axes: Vec<Axis>,
-    pub optimize: Option<Measure>,
+    pub axes: Vec<SweepAxis>,
+    pub optimize: Option<SweepMeasure>,
     pub warnings: Vec<String>,
 }
 
@@ -62,7 +62,7 @@ pub fn renamed(error: Error, path: &Path, name: &str) -> Error {
     }
 }
 
-fn sand(message: Option<proto::Sand>) -> Result<Sand> {
+fn sand(message: Option<proto::Sand>) -> Result<SandInputs> {
     let proto::Sand { medium, law, file } = message.unwrap_or_default();
     if let Some(file) = file {
         if medium.is_some() || law.is_some() {
@@ -70,11 +70,11 @@ fn sand(message: Option<proto::Sand>) -> Result<Sand> {
         }
         let description = SandDescription::from_toml(text(&file)?);
         let description = description.map_err(|e| Error::invalid(&file.name, e.to_string()))?;
-        return Ok(Sand { description, warnings: Vec::new() });
+        return Ok(SandInputs { description, warnings: Vec::new() });
     }
     let (medium, law) = (medium.as_deref().unwrap_or(Medium::DEFAULT), law.as_deref().unwrap_or(Law::Li2013.name()));
     let description = SandDescription::named(medium, law)?;
-    Ok(Sand { description, warnings: Medium::caution(medium).into_iter().collect() })
+    Ok(SandInputs { description, warnings: Medium::caution(medium).into_iter().collect() })
 }
 
 fn robot(message: Option<proto::Robot>) -> Result<Robot> {
@@ -86,7 +86,7 @@ fn robot(message: Option<proto::Robot>) -> Result<Robot> {
     }
 }
 
-pub fn intrude(request: IntrudeRequest) -> Result<(Rotation, Sand)> {
+pub fn intrude(request: IntrudeRequest) -> Result<(Rotation, SandInputs)> {
     let mut rotation = Rotation::of(LegShape::named(&request.shape)?);
     rotation.chord = request.chord.unwrap_or(rotation.chord);
     rotation.width = request.width.unwrap_or(rotation.width);
@@ -99,7 +99,7 @@ pub fn intrude(request: IntrudeRequest) -> Result<(Rotation, Sand)> {
 /// default wheel has some 3,000.
 const MOST_PLATES: usize = 50_000;
 
-pub fn trials(request: TrialsRequest) -> Result<Trials> {
+pub fn trials(request: TrialsRequest) -> Result<TrialInputs> {
     let TrialsRequest { body, velocity, spin, depth, load, sand: given, friction, plate_size } = request;
     let velocity = column("velocity", &velocity)?;
     let rows = velocity.len() / 3;
@@ -133,7 +133,7 @@ pub fn trials(request: TrialsRequest) -> Result<Trials> {
         sand.description = with_friction(&sand.description, mu)?;
     }
     check_all(&sand.description, &trials)?;
-    Ok(Trials { body: shaped(body, plate_size)?, sand, trials })
+    Ok(TrialInputs { body: shaped(body, plate_size)?, sand, trials })
 }
 
 fn wrong(row: usize, reason: &str) -> Error {
@@ -168,12 +168,12 @@ fn shaped(body: Option<Shaped>, plate_size: Option<f64>) -> Result<PlatedBody> {
     }
 }
 
-pub fn walk(request: WalkRequest) -> Result<Walks> {
+pub fn walk(request: WalkRequest) -> Result<WalkInputs> {
     let mut robot = robot(request.robot)?;
     if let Some(leg) = &request.leg {
         robot = robot.with_leg_shape(leg)?;
     }
-    let Sand { description, warnings } = sand(request.sand)?;
+    let SandInputs { description, warnings } = sand(request.sand)?;
     let mut scene = Scene::on(&description);
     scene.slope_deg = request.slope_deg;
     let engine = request.engine.as_deref().map_or(Ok(EngineKind::Lanes), EngineKind::named)?;
@@ -184,20 +184,20 @@ pub fn walk(request: WalkRequest) -> Result<Walks> {
         let trial = WalkTrial::new(model.clone(), *frequency);
         trial.validate().map(|()| trial)
     };
-    Ok(Walks { engine, trials: request.frequency.iter().map(trial).collect::<Result<_>>()?, warnings })
+    Ok(WalkInputs { engine, trials: request.frequency.iter().map(trial).collect::<Result<_>>()?, warnings })
 }
 
 /// Largest number of stride frequencies in one request: our choice; each has a model in memory.
 const MOST_FREQUENCIES: usize = 4096;
 
-pub fn sweep(request: SweepRequest) -> Result<Sweep> {
-    let optimize = request.optimize.as_deref().map(Measure::named).transpose()?;
+pub fn sweep(request: SweepRequest) -> Result<SweepInputs> {
+    let optimize = request.optimize.as_deref().map(SweepMeasure::named).transpose()?;
     check_range("number of parameters in vary", request.vary.len() as f64, 1.0..=MOST_VARIED as f64)?;
     if request.vary.len() > 2 && optimize.is_none() {
         return Err(Error::invalid("vary", "a grid takes one or two parameters; optimize takes more"));
     }
     let axes = request.vary.into_iter().map(axis).collect::<Result<Vec<_>>>()?;
-    let Sand { description, warnings } = sand(request.sand)?;
+    let SandInputs { description, warnings } = sand(request.sand)?;
     let frequency = request.frequency.unwrap_or(Design::FREQUENCY);
     let mut base = Design { robot: robot(request.robot)?, scene: Scene::on(&description), frequency, phase: 0.0 };
     for setting in request.set {
@@ -211,32 +211,32 @@ pub fn sweep(request: SweepRequest) -> Result<Sweep> {
         None => check_grid(&base, &axes).map(drop)?,
         Some(_) => optimize::bounds(&base, &axes).map(drop)?,
     }
-    Ok(Sweep { base, axes, optimize, warnings })
+    Ok(SweepInputs { base, axes, optimize, warnings })
 }
 
 /// Largest number of parameters that one request varies: all that exist.
 const MOST_VARIED: usize = crate::sweep::Parameter::ALL.len();
 
-fn axis(variation: Variation) -> Result<Axis> {
+fn axis(variation: Variation) -> Result<SweepAxis> {
     let Variation { parameter, numbers, names } = variation;
     if !numbers.is_empty() && !names.is_empty() {
         return Err(Error::invalid(parameter, "give either numbers or names, not both"));
     }
-    Axis::new(&parameter, numbers.iter().map(f64::to_string).chain(names).collect())
+    SweepAxis::new(&parameter, numbers.iter().map(f64::to_string).chain(names).collect())
 }
 
-pub fn evaluate(request: EvaluateRequest) -> Result<evaluate::Request> {
+pub fn evaluate(request: EvaluateRequest) -> Result<evaluate::EvaluationRequest> {
     let EvaluateRequest { policy, task_id, options, seeds, media, slopes } = request;
     let policy = match policy {
         None => return Err(Error::invalid("policy", "none given")),
-        Some(Policy::Onnx(file)) => Wanted::Network { name: file.name, bytes: file.content.into() },
+        Some(Policy::Onnx(file)) => PolicySource::Network { name: file.name, bytes: file.content.into() },
         // A server does not read files that a client names.
-        Some(Policy::Gait(text)) => Wanted::parse(&text, |file| {
+        Some(Policy::Gait(text)) => PolicySource::parse(&text, |file| {
             Err(Error::invalid(file, "a server reads no files; send the content of this one"))
         })?,
     };
-    let seeds = seeds.map_or(evaluate::Request::SEEDS, |n| n as usize);
-    Ok(evaluate::Request { policy, task: task_id, options: values::to_json(options)?, seeds, media, slopes })
+    let seeds = seeds.map_or(evaluate::EvaluationRequest::SEEDS, |n| n as usize);
+    Ok(evaluate::EvaluationRequest { policy, task: task_id, options: values::to_json(options)?, seeds, media, slopes })
 }
 
 pub fn diagnose(request: DiagnoseRequest) -> Result<(File, Experiment)> {

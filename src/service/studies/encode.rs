@@ -1,13 +1,13 @@
 //! From results to tables: columns of f64 with names and units.
 
 use crate::diagnose::report::Curves;
-use crate::evaluate::{self, Row};
+use crate::evaluate::{self, EvaluationRow};
 use crate::proto::{Series, Table};
 use crate::sand::intruder::{Status, TrialOutcome};
 use crate::sand::intrusion::Load;
 use crate::sim::walk::{WalkResult, WalkTrial};
 use crate::sweep::optimize::Optimum;
-use crate::sweep::{Axis, table::values};
+use crate::sweep::{SweepAxis, table::values};
 
 pub fn table(columns: Vec<Series>, warnings: Vec<String>) -> Table {
     Table { columns, warnings }
@@ -67,8 +67,8 @@ pub fn walks(results: &[WalkResult]) -> Vec<Series> {
     columns.iter().map(|(name, unit, of)| numbers(name, unit, results.iter().map(of))).collect()
 }
 
-pub fn grid(axes: &[Axis], results: &[WalkResult]) -> Vec<Series> {
-    let axis = |(k, axis): (usize, &Axis)| {
+pub fn grid(axes: &[SweepAxis], results: &[WalkResult]) -> Vec<Series> {
+    let axis = |(k, axis): (usize, &SweepAxis)| {
         let cells = (0..results.len()).map(|i| values(axes, i)[k]);
         let parameter = &axis.parameter;
         match axis.numbers() {
@@ -79,12 +79,13 @@ pub fn grid(axes: &[Axis], results: &[WalkResult]) -> Vec<Series> {
     axes.iter().enumerate().map(axis).chain(walks(results)).collect()
 }
 
-pub fn optimum(axes: &[Axis], best: &Optimum) -> Vec<Series> {
-    let value = |(axis, value): (&Axis, &f64)| numbers(axis.parameter.name, axis.parameter.unit, [*value].into_iter());
+pub fn optimum(axes: &[SweepAxis], best: &Optimum) -> Vec<Series> {
+    let value =
+        |(axis, value): (&SweepAxis, &f64)| numbers(axis.parameter.name, axis.parameter.unit, [*value].into_iter());
     axes.iter().zip(&best.values).map(value).chain(walks(&[best.result])).collect()
 }
 
-pub fn evaluation(rows: &[Row]) -> Vec<Series> {
+pub fn evaluation(rows: &[EvaluationRow]) -> Vec<Series> {
     let media = names("medium", rows.iter().map(|r| r.medium.as_str()));
     let columns = evaluate::table::columns(rows).into_iter().map(|c| numbers(&c.name, c.unit, c.values.into_iter()));
     std::iter::once(media).chain(columns).collect()

@@ -29,12 +29,12 @@ const EVENTS: usize = 8;
 const STEP: f64 = 0.005;
 
 /// A message of a study's stream.
-pub trait Answer: Send + 'static {
+pub trait StudyMessage: Send + 'static {
     fn progress(event: Event) -> Self;
 }
 
 /// The queue of one server.
-pub struct Line {
+pub struct StudyQueue {
     slot: Arc<Semaphore>,
     taken: Arc<AtomicUsize>,
     stop: CancellationToken,
@@ -69,7 +69,7 @@ pub type Events<A> = BoxStream<'static, std::result::Result<A, Status>>;
 /// What a study sends: an event, and with its result the memory of its request.
 type Sent<A> = (std::result::Result<A, Status>, Option<Share>);
 
-impl Line {
+impl StudyQueue {
     /// Cancelling `stop` ends every study.
     pub fn new(stop: CancellationToken) -> Self {
         Self { slot: Arc::new(Semaphore::new(1)), taken: Arc::default(), stop }
@@ -78,7 +78,7 @@ impl Line {
     /// Computes `work` in its turn. The stream reports its progress and ends with its result or a status; dropping
     /// the stream stops the work at its next report. `share`, the memory of the request, is held until the result has
     /// been sent.
-    pub fn enter<A: Answer>(
+    pub fn enter<A: StudyMessage>(
         &self,
         share: Option<Share>,
         messages: Messages,
@@ -142,7 +142,7 @@ struct ProgressSender<A> {
     last: Mutex<Option<(f64, String)>>,
 }
 
-impl<A: Answer> Progress for ProgressSender<A> {
+impl<A: StudyMessage> Progress for ProgressSender<A> {
     fn report(&self, done: f64, stage: &str) -> Result<()> {
         if self.events.is_closed() || self.stop.is_cancelled() {
             return Err(Error::Cancelled("the study was stopped".into()));

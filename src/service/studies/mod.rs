@@ -9,7 +9,7 @@ mod decode;
 mod encode;
 mod line;
 
-use super::frame::Frame;
+use super::frame::RequestFrame;
 use super::intake::Messages;
 use super::proto::study_service_server::StudyService;
 use super::proto::{self, DiagnoseRequest, DiagnoseResponse, IntrudeRequest, IntrudeResponse};
@@ -17,13 +17,13 @@ use super::proto::{EvaluateRequest, EvaluateResponse, SweepRequest, SweepRespons
 use super::proto::{TrialsRequest, TrialsResponse};
 use super::status::status;
 use super::{off_runtime, price};
-use line::{Answer, Events, Line};
+use line::{Events, StudyMessage, StudyQueue};
 use tokio_util::sync::CancellationToken;
 use tonic::{Request, Response, Status};
 
 /// The studies of one server.
 pub struct Studies {
-    line: Line,
+    line: StudyQueue,
     /// All memory that the server may use [bytes].
     memory: usize,
 }
@@ -31,7 +31,7 @@ pub struct Studies {
 impl Studies {
     /// Cancelling `stop` ends every study. `memory`: all that the server may use [bytes].
     pub fn new(stop: CancellationToken, memory: usize) -> Self {
-        Self { line: Line::new(stop), memory }
+        Self { line: StudyQueue::new(stop), memory }
     }
 }
 
@@ -39,9 +39,9 @@ impl Studies {
 impl StudyService for Studies {
     async fn intrude(
         &self,
-        request: Request<Frame<IntrudeRequest>>,
+        request: Request<RequestFrame<IntrudeRequest>>,
     ) -> std::result::Result<Response<IntrudeResponse>, Status> {
-        let (request, _share) = Frame::only(request).await?;
+        let (request, _share) = RequestFrame::only(request).await?;
         off_runtime(move || compute::intrude(request)).await.map(Response::new)
     }
 
@@ -49,10 +49,10 @@ impl StudyService for Studies {
 
     async fn trials(
         &self,
-        request: Request<Frame<TrialsRequest>>,
+        request: Request<RequestFrame<TrialsRequest>>,
     ) -> std::result::Result<Response<Self::TrialsStream>, Status> {
         let messages = Messages::of(&request);
-        let (request, share) = Frame::only(request).await?;
+        let (request, share) = RequestFrame::only(request).await?;
         let work = off_runtime(move || compute::trials(request)).await?;
         self.line.enter(share, messages, work).map(Response::new)
     }
@@ -61,10 +61,10 @@ impl StudyService for Studies {
 
     async fn walk(
         &self,
-        request: Request<Frame<WalkRequest>>,
+        request: Request<RequestFrame<WalkRequest>>,
     ) -> std::result::Result<Response<Self::WalkStream>, Status> {
         let messages = Messages::of(&request);
-        let (request, share) = Frame::only(request).await?;
+        let (request, share) = RequestFrame::only(request).await?;
         let work = off_runtime(move || compute::walk(request)).await?;
         self.line.enter(share, messages, work).map(Response::new)
     }
@@ -73,10 +73,10 @@ impl StudyService for Studies {
 
     async fn sweep(
         &self,
-        request: Request<Frame<SweepRequest>>,
+        request: Request<RequestFrame<SweepRequest>>,
     ) -> std::result::Result<Response<Self::SweepStream>, Status> {
         let messages = Messages::of(&request);
-        let (request, share) = Frame::only(request).await?;
+        let (request, share) = RequestFrame::only(request).await?;
         let work = off_runtime(move || compute::sweep(request)).await?;
         self.line.enter(share, messages, work).map(Response::new)
     }
@@ -85,10 +85,10 @@ impl StudyService for Studies {
 
     async fn evaluate(
         &self,
-        request: Request<Frame<EvaluateRequest>>,
+        request: Request<RequestFrame<EvaluateRequest>>,
     ) -> std::result::Result<Response<Self::EvaluateStream>, Status> {
         let messages = Messages::of(&request);
-        let (request, share) = Frame::only(request).await?;
+        let (request, share) = RequestFrame::only(request).await?;
         let work = off_runtime(move || compute::evaluate(request)).await?;
         self.line.enter(share, messages, work).map(Response::new)
     }
@@ -97,10 +97,10 @@ impl StudyService for Studies {
 
     async fn diagnose(
         &self,
-        request: Request<Frame<DiagnoseRequest>>,
+        request: Request<RequestFrame<DiagnoseRequest>>,
     ) -> std::result::Result<Response<Self::DiagnoseStream>, Status> {
         let messages = Messages::of(&request);
-        let (request, share) = Frame::only(request).await?;
+        let (request, share) = RequestFrame::only(request).await?;
         let data = request.data.as_ref().map_or(&[][..], |data| &data.content);
         price::check_diagnosis(data, self.memory).map_err(|e| status(&e))?;
         let work = off_runtime(move || compute::diagnose(request)).await?;
@@ -108,31 +108,31 @@ impl StudyService for Studies {
     }
 }
 
-impl Answer for TrialsResponse {
+impl StudyMessage for TrialsResponse {
     fn progress(progress: proto::Progress) -> Self {
         Self { event: Some(proto::trials_response::Event::Progress(progress)) }
     }
 }
 
-impl Answer for WalkResponse {
+impl StudyMessage for WalkResponse {
     fn progress(progress: proto::Progress) -> Self {
         Self { event: Some(proto::walk_response::Event::Progress(progress)) }
     }
 }
 
-impl Answer for SweepResponse {
+impl StudyMessage for SweepResponse {
     fn progress(progress: proto::Progress) -> Self {
         Self { event: Some(proto::sweep_response::Event::Progress(progress)) }
     }
 }
 
-impl Answer for EvaluateResponse {
+impl StudyMessage for EvaluateResponse {
     fn progress(progress: proto::Progress) -> Self {
         Self { event: Some(proto::evaluate_response::Event::Progress(progress)) }
     }
 }
 
-impl Answer for DiagnoseResponse {
+impl StudyMessage for DiagnoseResponse {
     fn progress(progress: proto::Progress) -> Self {
         Self { event: Some(proto::diagnose_response::Event::Progress(progress)) }
     }

@@ -17,7 +17,7 @@ use tokio::sync::{broadcast, watch};
 const WAITING: usize = 64;
 
 /// A copy of an environment's visible state.
-pub struct Moment {
+pub struct ViewedState {
     model: Arc<Model>,
     state: State,
     footing: Vec<f64>,
@@ -28,7 +28,7 @@ pub struct Moment {
     info: Vec<f32>,
 }
 
-impl Moment {
+impl ViewedState {
     pub fn of(look: EnvView<'_>) -> Self {
         let state = look.whole_state();
         let EnvView { model, footing, episode, time, action, reward, info, .. } = look;
@@ -39,7 +39,7 @@ impl Moment {
     /// The recording's row.
     fn row(&self) -> Vec<f32> {
         let Self { model, state, footing, time, action, reward, info, .. } = self;
-        let moment = sandgait_view::Moment { time: *time, state, footing, action, reward: *reward, info };
+        let moment = sandgait_view::RecordedState { time: *time, state, footing, action, reward: *reward, info };
         sandgait_view::row(model, &moment)
     }
 
@@ -51,25 +51,25 @@ impl Moment {
 
 /// A moment, and the header of the section that it belongs to.
 #[derive(Clone)]
-pub struct Frame {
+pub struct ViewerFrame {
     pub head: Bytes,
     pub rows: Bytes,
 }
 
 /// Sender of moments.
-pub type Latest = watch::Sender<Option<Arc<Moment>>>;
+pub type Latest = watch::Sender<Option<Arc<ViewedState>>>;
 
 /// Source of frames.
-pub type Frames = broadcast::Sender<Frame>;
+pub type Frames = broadcast::Sender<ViewerFrame>;
 
 /// Encodes moments of `task` until their sender is dropped. Needs a tokio runtime.
 pub fn encode(task: Arc<dyn AnyTask>) -> (Latest, Frames) {
-    let (latest, mut moments) = watch::channel(None::<Arc<Moment>>);
+    let (latest, mut moments) = watch::channel(None::<Arc<ViewedState>>);
     let frames = broadcast::Sender::new(WAITING);
     // The task does not hold it, so that receivers notice when no more frames will come.
     let weak = frames.downgrade();
     tokio::spawn(async move {
-        let mut section: Option<(Arc<Moment>, Bytes)> = None;
+        let mut section: Option<(Arc<ViewedState>, Bytes)> = None;
         while moments.changed().await.is_ok() {
             let Some(moment) = moments.borrow_and_update().clone() else { continue };
             let head = match &section {
@@ -81,7 +81,7 @@ pub fn encode(task: Arc<dyn AnyTask>) -> (Latest, Frames) {
             };
             let Some(frames) = weak.upgrade() else { return };
             // The last watcher may just have left.
-            let _ = frames.send(Frame { head, rows: rows_block(&moment.row()).into() });
+            let _ = frames.send(ViewerFrame { head, rows: rows_block(&moment.row()).into() });
         }
     });
     (latest, frames)

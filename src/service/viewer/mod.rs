@@ -18,7 +18,7 @@ pub mod watchers;
 
 use super::connections;
 use super::refusals::{Refusal, Refusals};
-use super::sessions::{Sessions, Summary};
+use super::sessions::{SessionSummary, Sessions};
 use axum::Router;
 use axum::body::Body;
 use axum::extract::{Path, Request, State};
@@ -78,7 +78,8 @@ async fn show() -> impl IntoResponse {
 }
 
 async fn list(State(Shown { sessions, .. }): State<Shown>) -> impl IntoResponse {
-    let one = |s: &Summary| serde_json::json!({"name": s.name, "task": s.blueprint.task.spec().id, "envs": s.envs});
+    let one =
+        |s: &SessionSummary| serde_json::json!({"name": s.name, "task": s.blueprint.task.spec().id, "envs": s.envs});
     let body = serde_json::Value::Array(sessions.list().iter().map(one).collect()).to_string();
     ([(CONTENT_TYPE, "application/json"), (CACHE_CONTROL, "no-store")], body)
 }

@@ -5,7 +5,7 @@
 //!  POST /steer                        a command, with the key of this page as a bearer token
 //! ```
 
-use super::frames::{Frames, Latest, Moment, encode};
+use super::frames::{Frames, Latest, ViewedState, encode};
 use super::{POLICY, same_machine};
 use crate::connections;
 use crate::env::{AnyTask, EnvView};
@@ -31,7 +31,7 @@ const MOST: usize = 16;
 const MESSAGE: usize = 256;
 
 /// One environment on a page.
-pub struct Play {
+pub struct PlayedEnvironment {
     task: Arc<dyn AnyTask>,
     key: Token,
     latest: Latest,
@@ -39,7 +39,7 @@ pub struct Play {
     command: Mutex<[f64; 3]>,
 }
 
-impl Play {
+impl PlayedEnvironment {
     /// Pages that send `key` steer. Needs a tokio runtime.
     pub fn new(task: Arc<dyn AnyTask>, key: &str) -> Arc<Self> {
         let (latest, frames) = encode(task.clone());
@@ -48,7 +48,7 @@ impl Play {
 
     /// Shows the environment's present state.
     pub fn show(&self, look: EnvView<'_>) {
-        self.latest.send_replace(Some(Arc::new(Moment::of(look))));
+        self.latest.send_replace(Some(Arc::new(ViewedState::of(look))));
     }
 
     /// The last command of a page: shares from −1 to 1 of the largest commands backward and forward, to the right and left, and
@@ -80,13 +80,13 @@ async fn show() -> impl IntoResponse {
     (headers, page::live("sandgait play"))
 }
 
-async fn list(State(play): State<Arc<Play>>) -> impl IntoResponse {
+async fn list(State(play): State<Arc<PlayedEnvironment>>) -> impl IntoResponse {
     let body =
         serde_json::json!([{"name": "play", "task": play.task.spec().id, "envs": 1, "steered": true}]).to_string();
     ([(CONTENT_TYPE, "application/json"), (CACHE_CONTROL, "no-store")], body)
 }
 
-async fn watch(State(play): State<Arc<Play>>) -> Response {
+async fn watch(State(play): State<Arc<PlayedEnvironment>>) -> Response {
     let start = (play.frames.subscribe(), Bytes::new());
     let blocks = stream::unfold(start, |(mut frames, head)| async move {
         let frame = loop {
@@ -104,7 +104,7 @@ async fn watch(State(play): State<Arc<Play>>) -> Response {
 }
 
 /// A JSON list of three shares from −1 to 1.
-async fn steer(State(play): State<Arc<Play>>, headers: HeaderMap, body: Bytes) -> Response {
+async fn steer(State(play): State<Arc<PlayedEnvironment>>, headers: HeaderMap, body: Bytes) -> Response {
     if !headers.get(AUTHORIZATION).is_some_and(|value| play.key.admits(value.as_bytes())) {
         return (
             StatusCode::UNAUTHORIZED,
@@ -132,7 +132,7 @@ mod tests {
     #[tokio::test]
     async fn steering_needs_the_key() {
         let blueprint = Blueprint::new("sandgait/HexapodGait-v1", serde_json::Value::Null).unwrap();
-        let play = Play::new(blueprint.task, "secret");
+        let play = PlayedEnvironment::new(blueprint.task, "secret");
         let send = |key: &'static str, host: &'static str, body: &'static str| {
             let mut routes = play.clone().routes();
             let request = Request::post("/steer").header("host", host).header("authorization", format!("Bearer {key}"));

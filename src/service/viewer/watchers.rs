@@ -1,6 +1,6 @@
 //! The watchers of each environment.
 
-use super::frames::{Frame, Frames, Latest, Moment, encode};
+use super::frames::{Frames, Latest, ViewedState, ViewerFrame, encode};
 use crate::env::AnyTask;
 use crate::names::name;
 use crate::pool::Batch;
@@ -42,7 +42,7 @@ pub struct Watcher {
     watchers: Arc<Watchers>,
     session: String,
     index: usize,
-    frames: Receiver<Frame>,
+    frames: Receiver<ViewerFrame>,
     /// The last header that was sent.
     head: Bytes,
 }
@@ -97,7 +97,7 @@ impl Watchers {
         for watched in sessions.get_mut(&session).into_iter().flatten().filter(|w| w.next <= now) {
             // An environment before its first reset has no state to show.
             if let Ok(look) = batch.look(watched.index, true) {
-                watched.latest.send_replace(Some(Arc::new(Moment::of(look))));
+                watched.latest.send_replace(Some(Arc::new(ViewedState::of(look))));
                 watched.next = now + pause;
             }
         }

@@ -24,7 +24,7 @@ pub mod environment_server {
         async fn process(
             &self,
             request: tonic::Request<
-                tonic::Streaming<crate::frame::Frame<crate::proto::EnvironmentRequest>>,
+                tonic::Streaming<crate::frame::RequestFrame<crate::proto::EnvironmentRequest>>,
             >,
         ) -> std::result::Result<tonic::Response<Self::ProcessStream>, tonic::Status>;
     }
@@ -110,7 +110,7 @@ pub mod environment_server {
                     impl<
                         T: Environment,
                     > tonic::server::StreamingService<
-                        crate::frame::Frame<crate::proto::EnvironmentRequest>,
+                        crate::frame::RequestFrame<crate::proto::EnvironmentRequest>,
                     > for ProcessSvc<T> {
                         type Response = crate::proto::EnvironmentResponse;
                         type ResponseStream = T::ProcessStream;
@@ -122,7 +122,7 @@ pub mod environment_server {
                             &mut self,
                             request: tonic::Request<
                                 tonic::Streaming<
-                                    crate::frame::Frame<crate::proto::EnvironmentRequest>,
+                                    crate::frame::RequestFrame<crate::proto::EnvironmentRequest>,
                                 >,
                             >,
                         ) -> Self::Future {

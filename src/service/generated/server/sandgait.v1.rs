@@ -15,7 +15,7 @@ pub mod environment_service_server {
         /// Returns the server's version and the tasks that it offers.
         async fn describe(
             &self,
-            request: tonic::Request<crate::frame::Frame<crate::proto::DescribeRequest>>,
+            request: tonic::Request<crate::frame::RequestFrame<crate::proto::DescribeRequest>>,
         ) -> std::result::Result<
             tonic::Response<crate::proto::DescribeResponse>,
             tonic::Status,
@@ -24,7 +24,7 @@ pub mod environment_service_server {
         async fn create_session(
             &self,
             request: tonic::Request<
-                crate::frame::Frame<crate::proto::CreateSessionRequest>,
+                crate::frame::RequestFrame<crate::proto::CreateSessionRequest>,
             >,
         ) -> std::result::Result<
             tonic::Response<crate::proto::CreateSessionResponse>,
@@ -44,14 +44,14 @@ pub mod environment_service_server {
         async fn run_session(
             &self,
             request: tonic::Request<
-                tonic::Streaming<crate::frame::Frame<crate::proto::RunSessionRequest>>,
+                tonic::Streaming<crate::frame::RequestFrame<crate::proto::RunSessionRequest>>,
             >,
         ) -> std::result::Result<tonic::Response<Self::RunSessionStream>, tonic::Status>;
         /// Returns a session's task, and the number of its last request.
         async fn describe_session(
             &self,
             request: tonic::Request<
-                crate::frame::Frame<crate::proto::DescribeSessionRequest>,
+                crate::frame::RequestFrame<crate::proto::DescribeSessionRequest>,
             >,
         ) -> std::result::Result<
             tonic::Response<crate::proto::DescribeSessionResponse>,
@@ -61,7 +61,7 @@ pub mod environment_service_server {
         async fn list_sessions(
             &self,
             request: tonic::Request<
-                crate::frame::Frame<crate::proto::ListSessionsRequest>,
+                crate::frame::RequestFrame<crate::proto::ListSessionsRequest>,
             >,
         ) -> std::result::Result<
             tonic::Response<crate::proto::ListSessionsResponse>,
@@ -71,7 +71,7 @@ pub mod environment_service_server {
         async fn close_session(
             &self,
             request: tonic::Request<
-                crate::frame::Frame<crate::proto::CloseSessionRequest>,
+                crate::frame::RequestFrame<crate::proto::CloseSessionRequest>,
             >,
         ) -> std::result::Result<
             tonic::Response<crate::proto::CloseSessionResponse>,
@@ -160,7 +160,7 @@ pub mod environment_service_server {
                     impl<
                         T: EnvironmentService,
                     > tonic::server::UnaryService<
-                        crate::frame::Frame<crate::proto::DescribeRequest>,
+                        crate::frame::RequestFrame<crate::proto::DescribeRequest>,
                     > for DescribeSvc<T> {
                         type Response = crate::proto::DescribeResponse;
                         type Future = BoxFuture<
@@ -170,7 +170,7 @@ pub mod environment_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::frame::Frame<crate::proto::DescribeRequest>,
+                                crate::frame::RequestFrame<crate::proto::DescribeRequest>,
                             >,
                         ) -> Self::Future {
                             let inner = Arc::clone(&self.0);
@@ -208,7 +208,7 @@ pub mod environment_service_server {
                     impl<
                         T: EnvironmentService,
                     > tonic::server::UnaryService<
-                        crate::frame::Frame<crate::proto::CreateSessionRequest>,
+                        crate::frame::RequestFrame<crate::proto::CreateSessionRequest>,
                     > for CreateSessionSvc<T> {
                         type Response = crate::proto::CreateSessionResponse;
                         type Future = BoxFuture<
@@ -218,7 +218,7 @@ pub mod environment_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::frame::Frame<crate::proto::CreateSessionRequest>,
+                                crate::frame::RequestFrame<crate::proto::CreateSessionRequest>,
                             >,
                         ) -> Self::Future {
                             let inner = Arc::clone(&self.0);
@@ -257,7 +257,7 @@ pub mod environment_service_server {
                     impl<
                         T: EnvironmentService,
                     > tonic::server::StreamingService<
-                        crate::frame::Frame<crate::proto::RunSessionRequest>,
+                        crate::frame::RequestFrame<crate::proto::RunSessionRequest>,
                     > for RunSessionSvc<T> {
                         type Response = crate::proto::RunSessionResponse;
                         type ResponseStream = T::RunSessionStream;
@@ -269,7 +269,7 @@ pub mod environment_service_server {
                             &mut self,
                             request: tonic::Request<
                                 tonic::Streaming<
-                                    crate::frame::Frame<crate::proto::RunSessionRequest>,
+                                    crate::frame::RequestFrame<crate::proto::RunSessionRequest>,
                                 >,
                             >,
                         ) -> Self::Future {
@@ -309,7 +309,7 @@ pub mod environment_service_server {
                     impl<
                         T: EnvironmentService,
                     > tonic::server::UnaryService<
-                        crate::frame::Frame<crate::proto::DescribeSessionRequest>,
+                        crate::frame::RequestFrame<crate::proto::DescribeSessionRequest>,
                     > for DescribeSessionSvc<T> {
                         type Response = crate::proto::DescribeSessionResponse;
                         type Future = BoxFuture<
@@ -319,7 +319,7 @@ pub mod environment_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::frame::Frame<crate::proto::DescribeSessionRequest>,
+                                crate::frame::RequestFrame<crate::proto::DescribeSessionRequest>,
                             >,
                         ) -> Self::Future {
                             let inner = Arc::clone(&self.0);
@@ -358,7 +358,7 @@ pub mod environment_service_server {
                     impl<
                         T: EnvironmentService,
                     > tonic::server::UnaryService<
-                        crate::frame::Frame<crate::proto::ListSessionsRequest>,
+                        crate::frame::RequestFrame<crate::proto::ListSessionsRequest>,
                     > for ListSessionsSvc<T> {
                         type Response = crate::proto::ListSessionsResponse;
                         type Future = BoxFuture<
@@ -368,7 +368,7 @@ pub mod environment_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::frame::Frame<crate::proto::ListSessionsRequest>,
+                                crate::frame::RequestFrame<crate::proto::ListSessionsRequest>,
                             >,
                         ) -> Self::Future {
                             let inner = Arc::clone(&self.0);
@@ -407,7 +407,7 @@ pub mod environment_service_server {
                     impl<
                         T: EnvironmentService,
                     > tonic::server::UnaryService<
-                        crate::frame::Frame<crate::proto::CloseSessionRequest>,
+                        crate::frame::RequestFrame<crate::proto::CloseSessionRequest>,
                     > for CloseSessionSvc<T> {
                         type Response = crate::proto::CloseSessionResponse;
                         type Future = BoxFuture<
@@ -417,7 +417,7 @@ pub mod environment_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::frame::Frame<crate::proto::CloseSessionRequest>,
+                                crate::frame::RequestFrame<crate::proto::CloseSessionRequest>,
                             >,
                         ) -> Self::Future {
                             let inner = Arc::clone(&self.0);
@@ -506,7 +506,7 @@ pub mod study_service_server {
         /// Rotates a leg about a hip that is fixed above the sand. The table has one row for each angle.
         async fn intrude(
             &self,
-            request: tonic::Request<crate::frame::Frame<crate::proto::IntrudeRequest>>,
+            request: tonic::Request<crate::frame::RequestFrame<crate::proto::IntrudeRequest>>,
         ) -> std::result::Result<
             tonic::Response<crate::proto::IntrudeResponse>,
             tonic::Status,
@@ -520,7 +520,7 @@ pub mod study_service_server {
         /// Moves any body with constant velocity through sand. The table has one row for each motion.
         async fn trials(
             &self,
-            request: tonic::Request<crate::frame::Frame<crate::proto::TrialsRequest>>,
+            request: tonic::Request<crate::frame::RequestFrame<crate::proto::TrialsRequest>>,
         ) -> std::result::Result<tonic::Response<Self::TrialsStream>, tonic::Status>;
         /// Server streaming response type for the Walk method.
         type WalkStream: tonic::codegen::tokio_stream::Stream<
@@ -531,7 +531,7 @@ pub mod study_service_server {
         /// Simulates walks at constant stride frequencies. The table has one row for each frequency.
         async fn walk(
             &self,
-            request: tonic::Request<crate::frame::Frame<crate::proto::WalkRequest>>,
+            request: tonic::Request<crate::frame::RequestFrame<crate::proto::WalkRequest>>,
         ) -> std::result::Result<tonic::Response<Self::WalkStream>, tonic::Status>;
         /// Server streaming response type for the Sweep method.
         type SweepStream: tonic::codegen::tokio_stream::Stream<
@@ -543,7 +543,7 @@ pub mod study_service_server {
         /// With `optimize` it searches for the best design instead, and the table has one row.
         async fn sweep(
             &self,
-            request: tonic::Request<crate::frame::Frame<crate::proto::SweepRequest>>,
+            request: tonic::Request<crate::frame::RequestFrame<crate::proto::SweepRequest>>,
         ) -> std::result::Result<tonic::Response<Self::SweepStream>, tonic::Status>;
         /// Server streaming response type for the Evaluate method.
         type EvaluateStream: tonic::codegen::tokio_stream::Stream<
@@ -554,7 +554,7 @@ pub mod study_service_server {
         /// Runs episodes of a gait or policy with evaluation seeds. The table has one row for each medium and slope.
         async fn evaluate(
             &self,
-            request: tonic::Request<crate::frame::Frame<crate::proto::EvaluateRequest>>,
+            request: tonic::Request<crate::frame::RequestFrame<crate::proto::EvaluateRequest>>,
         ) -> std::result::Result<tonic::Response<Self::EvaluateStream>, tonic::Status>;
         /// Server streaming response type for the Diagnose method.
         type DiagnoseStream: tonic::codegen::tokio_stream::Stream<
@@ -565,7 +565,7 @@ pub mod study_service_server {
         /// Finds where the simulation disagrees with measured data, and why.
         async fn diagnose(
             &self,
-            request: tonic::Request<crate::frame::Frame<crate::proto::DiagnoseRequest>>,
+            request: tonic::Request<crate::frame::RequestFrame<crate::proto::DiagnoseRequest>>,
         ) -> std::result::Result<tonic::Response<Self::DiagnoseStream>, tonic::Status>;
     }
     #[derive(Debug)]
@@ -650,7 +650,7 @@ pub mod study_service_server {
                     impl<
                         T: StudyService,
                     > tonic::server::UnaryService<
-                        crate::frame::Frame<crate::proto::IntrudeRequest>,
+                        crate::frame::RequestFrame<crate::proto::IntrudeRequest>,
                     > for IntrudeSvc<T> {
                         type Response = crate::proto::IntrudeResponse;
                         type Future = BoxFuture<
@@ -660,7 +660,7 @@ pub mod study_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::frame::Frame<crate::proto::IntrudeRequest>,
+                                crate::frame::RequestFrame<crate::proto::IntrudeRequest>,
                             >,
                         ) -> Self::Future {
                             let inner = Arc::clone(&self.0);
@@ -698,7 +698,7 @@ pub mod study_service_server {
                     impl<
                         T: StudyService,
                     > tonic::server::ServerStreamingService<
-                        crate::frame::Frame<crate::proto::TrialsRequest>,
+                        crate::frame::RequestFrame<crate::proto::TrialsRequest>,
                     > for TrialsSvc<T> {
                         type Response = crate::proto::TrialsResponse;
                         type ResponseStream = T::TrialsStream;
@@ -709,7 +709,7 @@ pub mod study_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::frame::Frame<crate::proto::TrialsRequest>,
+                                crate::frame::RequestFrame<crate::proto::TrialsRequest>,
                             >,
                         ) -> Self::Future {
                             let inner = Arc::clone(&self.0);
@@ -747,7 +747,7 @@ pub mod study_service_server {
                     impl<
                         T: StudyService,
                     > tonic::server::ServerStreamingService<
-                        crate::frame::Frame<crate::proto::WalkRequest>,
+                        crate::frame::RequestFrame<crate::proto::WalkRequest>,
                     > for WalkSvc<T> {
                         type Response = crate::proto::WalkResponse;
                         type ResponseStream = T::WalkStream;
@@ -758,7 +758,7 @@ pub mod study_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::frame::Frame<crate::proto::WalkRequest>,
+                                crate::frame::RequestFrame<crate::proto::WalkRequest>,
                             >,
                         ) -> Self::Future {
                             let inner = Arc::clone(&self.0);
@@ -796,7 +796,7 @@ pub mod study_service_server {
                     impl<
                         T: StudyService,
                     > tonic::server::ServerStreamingService<
-                        crate::frame::Frame<crate::proto::SweepRequest>,
+                        crate::frame::RequestFrame<crate::proto::SweepRequest>,
                     > for SweepSvc<T> {
                         type Response = crate::proto::SweepResponse;
                         type ResponseStream = T::SweepStream;
@@ -807,7 +807,7 @@ pub mod study_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::frame::Frame<crate::proto::SweepRequest>,
+                                crate::frame::RequestFrame<crate::proto::SweepRequest>,
                             >,
                         ) -> Self::Future {
                             let inner = Arc::clone(&self.0);
@@ -845,7 +845,7 @@ pub mod study_service_server {
                     impl<
                         T: StudyService,
                     > tonic::server::ServerStreamingService<
-                        crate::frame::Frame<crate::proto::EvaluateRequest>,
+                        crate::frame::RequestFrame<crate::proto::EvaluateRequest>,
                     > for EvaluateSvc<T> {
                         type Response = crate::proto::EvaluateResponse;
                         type ResponseStream = T::EvaluateStream;
@@ -856,7 +856,7 @@ pub mod study_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::frame::Frame<crate::proto::EvaluateRequest>,
+                                crate::frame::RequestFrame<crate::proto::EvaluateRequest>,
                             >,
                         ) -> Self::Future {
                             let inner = Arc::clone(&self.0);
@@ -894,7 +894,7 @@ pub mod study_service_server {
                     impl<
                         T: StudyService,
                     > tonic::server::ServerStreamingService<
-                        crate::frame::Frame<crate::proto::DiagnoseRequest>,
+                        crate::frame::RequestFrame<crate::proto::DiagnoseRequest>,
                     > for DiagnoseSvc<T> {
                         type Response = crate::proto::DiagnoseResponse;
                         type ResponseStream = T::DiagnoseStream;
@@ -905,7 +905,7 @@ pub mod study_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::frame::Frame<crate::proto::DiagnoseRequest>,
+                                crate::frame::RequestFrame<crate::proto::DiagnoseRequest>,
                             >,
                         ) -> Self::Future {
                             let inner = Arc::clone(&self.0);
