@@ -5,8 +5,7 @@
     python examples/train.py --algorithm sac --set gamma=0.97 --set batch_size=256
     python examples/train.py --resume                          # continues from the last checkpoint in --out
     python examples/train.py --options '{"slope_deg": 10}' --start-from runs/HexapodGait-ppo --out runs/slope
-    python examples/train.py --task LeggedVelocity --options '{"robot": "go1.xml", "ground": "poppy-close"}' \
-        --curriculum examples/hyperparameters/hard_ground_to_sand.yml --out runs/go1-sand
+    python examples/train.py --task LeggedVelocity --options '{"robot": "go1.xml", "ground": "poppy-close"}'
     tensorboard --logdir runs
 
 Hyperparameters are in examples/hyperparameters/: one file for each algorithm, with one entry for each task. The program
@@ -18,7 +17,6 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +28,6 @@ from training import (
     ALGORITHMS,
     BadSettings,
     Row,
-    curriculum,
     hyperparameters,
     last_checkpoint,
     other_training,
@@ -86,9 +83,6 @@ def parse() -> argparse.Namespace:
         "--start-from", type=Path, metavar="DIR", help="start with the policy in another training's output directory"
     )
     parser.add_argument(
-        "--curriculum", type=Path, metavar="FILE", help="stages of the training, each with options of the task"
-    )
-    parser.add_argument(
         "--checkpoint-every",
         type=int,
         default=1_000_000,
@@ -111,7 +105,6 @@ def parse() -> argparse.Namespace:
         arguments.settings = hyperparameters(arguments.algorithm, arguments.id, arguments.set + given)
         arguments.options = {**arguments.settings.get("env_kwargs", {}), **arguments.options}
         arguments.checkpoint = last_checkpoint(arguments.out) if arguments.resume else None
-        arguments.stages = curriculum(arguments.curriculum) if arguments.curriculum else None
         if arguments.start_from is not None:
             if arguments.resume:
                 raise BadSettings("--start-from: --resume goes on from the training's own checkpoint")
@@ -127,8 +120,6 @@ def main() -> None:
     out.mkdir(parents=True, exist_ok=True)
     about = {name: getattr(arguments, name) for name in ("task", "algorithm", "seed", "options", "address")}
     made_by = {**provenance(), **about, "hyperparameters": settings}
-    if arguments.stages is not None:
-        made_by["curriculum"] = [asdict(stage) for stage in arguments.stages]
     write_settings(out, made_by)
     torch.set_num_threads(1)  # such small networks are slower on several threads
     training = prepare(
@@ -141,7 +132,6 @@ def main() -> None:
         arguments.options,
         arguments.checkpoint,
         arguments.start_from,
-        arguments.stages,
     )
     if arguments.video_every:
         films = Video(arguments.video_every, out / "videos", arguments.id, arguments.address, arguments.options)

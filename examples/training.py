@@ -10,7 +10,6 @@ import shlex
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList, CheckpointCallback
 from stable_baselines3.common.utils import FloatSchedule
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
+from stable_baselines3.common.vec_env import VecEnvWrapper, VecNormalize
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 from symmetry import MirroredPolicy, MirroredStatistics
 from tqdm import tqdm
@@ -132,55 +131,18 @@ def read_curve(path: Path, until: float = np.inf) -> list[Row]:
     return [row for row in rows if row.steps <= until]
 
 
-@dataclass
-class Stage:
-    """A part of a training: the share of the steps or of the time at which it ends, and its options of the task."""
-
-    until: float
-    options: dict[str, Any]
-
-
-def curriculum(path: Path) -> list[Stage]:
-    """Reads the stages in a file: a list of `{share: …, env_kwargs: {…}}` whose shares sum to 1."""
-    try:
-        rows = yaml.safe_load(path.read_text())
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise BadSettings(f"--curriculum {path}: {' '.join(str(error).split())}") from error
-    if not isinstance(rows, list) or not rows:
-        raise BadSettings(f"--curriculum {path}: expected a list of stages")
-    stages: list[Stage] = []
-    for number, row in enumerate(rows, 1):
-        keys = set(row) if isinstance(row, dict) else set()
-        if not {"share"} <= keys <= {"share", "env_kwargs"} or not isinstance(row.get("env_kwargs", {}), dict):
-            raise BadSettings(f"--curriculum {path}: stage {number}: expected `share` and, if you like, `env_kwargs`")
-        if not isinstance(row["share"], int | float) or not 0 < row["share"] <= 1:
-            raise BadSettings(f"--curriculum {path}: stage {number}: share must be above 0 and at most 1")
-        stages.append(Stage((stages[-1].until if stages else 0.0) + row["share"], row.get("env_kwargs", {})))
-    if abs(stages[-1].until - 1) > 1e-6:
-        raise BadSettings(f"--curriculum {path}: the shares sum to {stages[-1].until:.6g}, not to 1")
-    stages[-1].until = 1.0
-    return stages
-
-
 def done(row: Row, settings: dict[str, Any]) -> float:
     """The finished share of a training at a point of its curve, from 0 to 1: of its steps or of its time, whichever is
     greater."""
     return min(1.0, max(row.seconds / float(settings["seconds"]), row.steps / int(settings["n_timesteps"])))
 
 
-def stage_at(stages: list[Stage], share: float) -> int:
-    """Index of a training's stage when `share` of it is finished."""
-    return next((index for index, stage in enumerate(stages) if share < stage.until), len(stages) - 1)
-
-
 class Progress(BaseCallback):
-    """Shows the progress, writes the learning curve, sets the learning rate, and ends the stage or the training."""
+    """Shows the progress, writes the learning curve, sets the learning rate, and ends the training."""
 
     def __init__(self, timed: Timed, settings: dict[str, Any], path: Path, curve: list[Row]) -> None:
         super().__init__()
         self.timed, self.path, self.curve = timed, path, curve
-        #: Share of the training at which the present stage ends.
-        self.until = 1.0
         self.settings, self.total_steps = settings, int(settings["n_timesteps"])
         self.rate, self.falls = learning_rate(settings["learning_rate"])
         #: Duration of the training with its earlier parts, if it was resumed [s].
@@ -213,7 +175,7 @@ class Progress(BaseCallback):
         self.returns += [info["episode"]["r"] for info in self.locals["infos"] if "episode" in info]
         self.seconds = time.monotonic() - self.start
         self.simulation_share = self.timed.seconds / (self.seconds - self.first)
-        return self.share < self.until
+        return self.share < 1.0
 
     def _on_rollout_end(self) -> None:
         self._set_rate()
@@ -255,10 +217,6 @@ class Training:
     progress: Progress
     #: Other callbacks than those for progress and checkpoints.
     callbacks: list[BaseCallback]
-    #: The stages that are not finished; a training without a curriculum has one stage.
-    stages: list[Stage]
-    #: Makes the environments of a stage.
-    make: Callable[[Stage], VecEnv]
 
     def run(self, checkpoint_every: int, out: Path) -> None:
         """Learns until the limit of steps or time. Writes regular checkpoints of policy, normalization and replay
@@ -267,17 +225,8 @@ class Training:
         where = str(out / "checkpoints")
         checkpoints = Checkpoints(every, where, "model", save_replay_buffer=True, save_vecnormalize=True)
         callbacks = CallbackList([self.progress, checkpoints, *self.callbacks])
-        for index, stage in enumerate(self.stages):
-            if index > 0:
-                self.progress.timed.venv.close()
-                self.progress.timed.venv = self.make(stage)
-                self.normalized.seed((self.model.seed or 0) + self.model.num_timesteps)
-                self.model._last_obs = None  # without a last observation learn() resets the environments
-            self.progress.until = stage.until
-            left = max(0, self.progress.total_steps - self.model.num_timesteps)
-            self.model.learn(left, callback=callbacks, reset_num_timesteps=False, log_interval=10, tb_log_name="log")
-            if stage.until < 1:
-                sandgait.export_onnx(self.model, out / f"stage_until_{stage.until:.2f}.onnx", self.normalized)
+        left = max(0, self.progress.total_steps - self.model.num_timesteps)
+        self.model.learn(left, callback=callbacks, reset_num_timesteps=False, log_interval=10, tb_log_name="log")
         self.normalized.training = False
 
 
@@ -330,19 +279,12 @@ def prepare(
     options: dict[str, Any],
     checkpoint: Path | None,
     start_from: Path | None = None,
-    stages: list[Stage] | None = None,
 ) -> Training:
     """Makes a new training, or continues the one in `out` from a checkpoint. A new training starts with the policy in
     `start_from`, if this is given."""
     curve = [] if checkpoint is None else read_curve(out / "curve.csv", until=steps_of(checkpoint))
-    stages = stages or [Stage(1.0, {})]
-    stages = stages[stage_at(stages, done(curve[-1], settings) if curve else 0.0) :]
-
-    def make(stage: Stage) -> VecEnv:
-        return sandgait.make_sb3(task, int(settings["n_envs"]), address, **{**options, **stage.options})
-
-    timed = Timed(make(stages[0]))
-    mirrors = sandgait.mirror(task, **{**options, **stages[0].options}) if settings.get("mirror") else None
+    timed = Timed(sandgait.make_sb3(task, int(settings["n_envs"]), address, **options))
+    mirrors = sandgait.mirror(task, **options) if settings.get("mirror") else None
     kind = ALGORITHMS[algorithm]
     if checkpoint is None:
         flag = bool(settings["normalize"])
@@ -364,4 +306,4 @@ def prepare(
     callbacks: list[BaseCallback] = []
     if mirrors is not None and settings["normalize"]:
         callbacks.append(MirroredStatistics(mirrors[0]))
-    return Training(model, normalized, progress, callbacks, stages, make)
+    return Training(model, normalized, progress, callbacks)

@@ -90,7 +90,9 @@ def single(keywords: dict[str, Any]) -> list[Any]:
     said.append(env.reset(seed=3)[0])
     for t in range(5):
         said.extend(env.step(actions(1, 18, t)[0]))
-        said.append(env.set_command((0.1 * t, 0.0, 0.0)) if t < 4 else refused(lambda: env.set_command((0.1, 0.0, 0.0))))
+        said.append(
+            env.set_command((0.1 * t, 0.0, 0.0)) if t < 4 else refused(lambda: env.set_command((0.1, 0.0, 0.0)))
+        )
     said.append(env.reset()[0])
     said.extend(pickle.loads(pickle.dumps(env)).step(actions(1, 18, 7)[0]))
     env.close()

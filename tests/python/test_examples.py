@@ -14,14 +14,9 @@ from pathlib import Path
 
 import pytest
 import torch
-from stable_baselines3.common.callbacks import BaseCallback
-
-from conftest import ID
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "examples"))
-
-from training import BadSettings, curriculum, hyperparameters, prepare, read_curve  # noqa: E402
 
 
 def run(*arguments: str, cwd: Path = ROOT) -> str:
@@ -72,62 +67,6 @@ def load_policy(path: Path) -> dict[str, torch.Tensor]:
     return weights
 
 
-class Lengths(BaseCallback):
-    """Lengths of the episodes that end, beside the number of the step."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.found: list[tuple[int, int]] = []
-
-    def _on_step(self) -> bool:
-        self.found += [(self.num_timesteps, info["episode"]["l"]) for info in self.locals["infos"] if "episode" in info]
-        return True
-
-
-def test_a_curriculum_gives_each_stage_its_environments(tmp_path: Path) -> None:
-    file = tmp_path / "stages.yml"
-    file.write_text("- { share: 0.25, env_kwargs: { max_episode_steps: 8 } }\n- { share: 0.75 }\n")
-    settings = hyperparameters("ppo", ID, ["n_envs=16", "n_timesteps=4096", "batch_size=256"])
-    options = {"max_episode_steps": 24}
-    training = prepare("ppo", ID, settings, tmp_path, 0, None, options, None, stages=curriculum(file))
-    lengths = Lengths()
-    training.callbacks.append(lengths)
-    training.run(1_000_000, tmp_path)
-    assert training.model.num_timesteps == 4096
-    assert {length for step, length in lengths.found if step <= 1024} == {8}
-    assert {length for step, length in lengths.found if step > 1024} == {24}
-    assert (tmp_path / "stage_until_0.25.onnx").is_file()
-    rows = read_curve(tmp_path / "curve.csv")
-    assert [row.steps for row in rows] == sorted({row.steps for row in rows})
-    assert rows[-1].steps > 3072
-    # A training that goes on from here is in the second stage.
-    checkpoint = tmp_path / "checkpoints" / "model_2048_steps.zip"
-    checkpoint.parent.mkdir(exist_ok=True)
-    training.model.save(checkpoint)
-    training.normalized.save(str(checkpoint.with_name("model_vecnormalize_2048_steps.pkl")))
-    again = prepare("ppo", ID, settings, tmp_path, 0, None, options, checkpoint, stages=curriculum(file))
-    assert [stage.until for stage in again.stages] == [1.0]
-
-
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("3", "expected a list of stages"),
-        ("[]", "expected a list of stages"),
-        ("- { env_kwargs: {} }", "stage 1: expected `share`"),
-        ("- { share: 1, ground: rigid }", "stage 1: expected `share`"),
-        ("- { share: 0.5 }\n- { share: lots }", "stage 2: share must be above 0"),
-        ("- { share: 0.5 }\n- { share: 0.25 }", "the shares sum to 0.75, not to 1"),
-        ("- { share: ", "stages.yml: "),
-    ],
-)
-def test_wrong_stages_are_one_line(text: str, says: str, tmp_path: Path) -> None:
-    (tmp_path / "stages.yml").write_text(text)
-    with pytest.raises(BadSettings, match=re.escape(says)) as raised:
-        curriculum(tmp_path / "stages.yml")
-    assert "\n" not in str(raised.value)
-
-
 def test_sac_trains_and_goes_on_with_its_buffer(tmp_path: Path) -> None:
     sac = ["--algorithm", "sac", "--envs", "8", "--set", "learning_starts=200", "--out", str(tmp_path)]
     options = ["--options", json.dumps({"max_episode_steps": 50}), "--checkpoint-every", "400"]
@@ -144,7 +83,6 @@ def test_sac_trains_and_goes_on_with_its_buffer(tmp_path: Path) -> None:
         (["--set", "gama=0.9"], "gama"),
         (["--resume"], "--resume: no checkpoint in"),
         (["--start-from", "nowhere"], "--start-from: no policy.zip in nowhere"),
-        (["--curriculum", "nowhere.yml"], "--curriculum nowhere.yml: "),
     ],
 )
 def test_wrong_settings_are_one_line(arguments: list[str], says: str, tmp_path: Path) -> None:
