@@ -180,11 +180,11 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._view.stop_recording()
 
     def set_command(self, command: npt.ArrayLike) -> Observation:
-        """Replaces the commanded velocity for the rest of the episode. Returns the observation with it; behind a delayed
-        sensor it shows it one step later.
+        """Replaces the commanded velocity for the rest of the episode. Returns the observation with it; behind a
+        delayed sensor it shows it one step later.
 
-        `command` is [3]: forward, to the left [m/s], yaw rate [rad/s]. HexapodGait and its relatives have no command to the
-        left, so their second number is 0.
+        `command` is [3]: forward, to the left [m/s], yaw rate [rad/s]. HexapodGait and its relatives have no command to
+        the left, so their second number is 0.
         """
         self._require_rest("set_command")
         if self._over:

@@ -302,11 +302,11 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         return infos
 
     def set_command(self, command: npt.ArrayLike) -> Observations:
-        """Replaces the commanded velocity for the rest of the present episodes. Returns the observations with it; behind a
-        delayed sensor they show it one step later.
+        """Replaces the commanded velocity for the rest of the present episodes. Returns the observations with it;
+        behind a delayed sensor they show it one step later.
 
-        `command` is [3] for all environments or [num_envs, 3]: forward, to the left [m/s], yaw rate [rad/s]. An environment
-        whose episode has ended returns, and takes the command into, its next episode, which has already begun.
+        `command` is [3] for all environments or [num_envs, 3]: forward, to the left [m/s], yaw rate [rad/s]. For an
+        environment whose episode has ended it is the command of the next one, which has already begun.
         """
         self._require_rest("set_command")
         rows = commands(command, self.num_envs)
