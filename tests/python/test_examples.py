@@ -139,3 +139,17 @@ def test_the_bench_of_the_client_measures() -> None:
     rows = json.loads(run("benches/client.py", "--envs", "8", "--seconds", "0.2", "--json"))
     assert rows[0]["envs"] == 8
     assert rows[0]["env_steps_per_second"] > 0
+
+
+def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    matplotlib = pytest.importorskip("matplotlib")
+    matplotlib.use("Agg")
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    monkeypatch.chdir(tmp_path)
+    cells = json.loads((ROOT / "docs/ten_minutes.ipynb").read_text())["cells"]
+    names: dict[str, object] = {}
+    for cell in cells:
+        if cell["cell_type"] == "code":
+            assert not cell["outputs"], "the notebook is kept without outputs"
+            exec(compile("".join(cell["source"]), "docs/ten_minutes.ipynb", "exec"), names)
+    assert "inertial_drag" in names["report"].summary  # type: ignore[attr-defined]
