@@ -30,6 +30,7 @@ pub mod hard;
 pub mod heights;
 pub mod joint_values;
 pub mod kinematics;
+mod leading;
 pub mod limbs;
 pub mod looks;
 pub mod model;

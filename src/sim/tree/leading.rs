@@ -1,0 +1,216 @@
+//! The part of a patch of plates that leads in the sand.
+
+use super::patches::{BodyPatches, Facet, Panel, Patch, Tile};
+use crate::number::{Real, Vec3};
+use crate::sand::StressModel;
+
+/// A body's velocity, and the surface, in the body's frame.
+pub(super) struct Own<R> {
+    pub(super) linear: Vec3<R>,
+    pub(super) angular: Vec3<R>,
+    pub(super) up: Vec3<R>,
+    /// Height of the body's origin above the surface [m].
+    pub(super) height: R,
+}
+
+impl BodyPatches {
+    /// Horizontal extent of the box around the plates, across the velocity of the box's centre [m]. If the body moves
+    /// up or down, this is the extent along its own y: legs swing in their x-z plane.
+    #[inline(always)]
+    pub(super) fn width<R: Real>(&self, own: &Own<R>) -> R {
+        let middle = Vec3::splat(self.ball.center);
+        let speed = own.linear + own.angular.cross(middle);
+        let y = Vec3::splat([0.0, 1.0, 0.0]);
+        let level = y - own.up * own.up.y;
+        let still = speed.norm_squared().mul_add(R::splat(1e-6), R::splat(1e-12)).sqrt();
+        let across = level.scale_add(still, own.up.cross(speed));
+        let length = across.norm_squared().max(R::splat(1e-20)).sqrt();
+        let [low, high] = [self.corners[0], self.corners[7]];
+        let extent = |k: usize, along: R| along.abs() * R::splat(high[k] - low[k]);
+        (extent(0, across.x) + extent(1, across.y) + extent(2, across.z)) / length
+    }
+}
+
+/// The leading part of a patch in the sand, as sums over its plates.
+pub(super) struct Leading<R> {
+    /// [m²]
+    pub(super) area: R,
+    /// ∫ depth dA [m³], and the same times depth, normal, its products (xx, yy, zz; yz, xz, xy) and place.
+    pub(super) load: R,
+    pub(super) deep: R,
+    pub(super) normal: Vec3<R>,
+    pub(super) squares: Vec3<R>,
+    pub(super) products: Vec3<R>,
+    pub(super) place: Vec3<R>,
+    /// Derivative of `load` by n·v̂ [m³].
+    pub(super) growth: R,
+}
+
+/// The hottest loop in simulations of robots on sand.
+#[inline(always)]
+pub(super) fn leading<R: Real, M: StressModel<R>>(patch: &Patch, own: &Own<R>, inverse_speed: R) -> Leading<R> {
+    let (zero, one) = (R::zero(), R::one());
+    let own = Own { linear: own.linear * inverse_speed, angular: own.angular * inverse_speed, ..*own };
+    let mut sum = Leading::none();
+    for facet in &patch.facets {
+        let normal: Vec3<R> = lanes(&facet.normal);
+        let growth: R = lane(facet.growth);
+        let share = facet.along(&own).mul_add(growth, lane(facet.begun));
+        let depth = -(own.up.dot(lanes(&facet.center)) + own.height);
+        // √(1 − x²) with an error below 0.05.
+        let x = normal.dot(own.up);
+        let flat = x * x;
+        let rise = lane::<R>(facet.rise) * (one - flat) * flat.mul_add(R::splat(0.6), one);
+        let (low, high) = (depth + rise, depth - rise);
+        let part = share.clamp(zero, one) * lane::<R>(facet.area);
+        let half = part * R::splat(0.5);
+        let (lower, upper) = (low.max(zero), high.max(zero));
+        if !M::BY_LOAD {
+            sum.deep = half.mul_add(lower.mul_add(lower, upper * upper), sum.deep);
+            sum.area += R::select(zero.lt(low), half, zero) + R::select(zero.lt(high), half, zero);
+        }
+        sum.add(facet, normal, half * (lower + upper));
+        sum.grow(share, lane(facet.edge), depth);
+    }
+    for panel in &patch.panels {
+        panel.press::<R, M>(&own, &mut sum);
+    }
+    for tile in &patch.tiles {
+        tile.press::<R, M>(&own, &mut sum);
+    }
+    // Normals are unit vectors, also for bent plates.
+    sum.squares.z = sum.load - sum.squares.x - sum.squares.y;
+    sum
+}
+
+impl Facet {
+    /// n·v̂ of its centre.
+    #[inline(always)]
+    fn along<R: Real>(&self, own: &Own<R>) -> R {
+        lanes::<R>(&self.normal).dot(own.linear) + lanes::<R>(&self.moment).dot(own.angular)
+    }
+}
+
+impl Tile {
+    /// Adds its leading part in the sand, with the distribution of depths of [`Panel::press`].
+    #[inline(always)]
+    fn press<R: Real, M: StressModel<R>>(&self, own: &Own<R>, sum: &mut Leading<R>) {
+        let (zero, one, facet) = (R::zero(), R::one(), &self.facet);
+        let slopes = [0, 1].map(|k| lanes::<R>(&self.half[k]).dot(own.up));
+        // n·v̂ differs by at most ± `spread` from that of the centre, because the body turns.
+        let turning = own.angular.cross(lanes(&facet.normal));
+        let [a, b] = [0, 1].map(|k| lanes::<R>(&self.half[k]).dot(turning).abs());
+        let spread = a + b;
+        let growth =
+            one / spread.mul_add(R::splat(2.0), R::splat(crate::sand::Regularization::SOLID.leading_edge_gate));
+        let share = (facet.along(own) + spread) * growth;
+        let rise = slopes[0].mul_add(slopes[0], slopes[1].mul_add(slopes[1], R::splat(1e-20))).sqrt();
+        let depth = -(own.up.dot(lanes(&facet.center)) + own.height);
+        let low = (depth + rise).max(zero);
+        let wet = (R::splat(0.5) * low / rise).min(one);
+        let range = rise * wet;
+        let mean = low - range;
+        let part = share.clamp(zero, one) * lane::<R>(facet.area) * wet;
+        if !M::BY_LOAD {
+            sum.area += part;
+            sum.deep = part.mul_add(mean.mul_add(mean, range * range * R::splat(1.0 / 3.0)), sum.deep);
+        }
+        sum.add(facet, lanes(&facet.normal), part * mean);
+        sum.grow(share, growth * lane(facet.area), depth);
+    }
+}
+
+impl Panel {
+    /// Adds its leading part in the sand. The depth of that part is taken as evenly distributed between its lowest and
+    /// its highest point, which is exact if the depth changes in one direction only.
+    #[inline(always)]
+    fn press<R: Real, M: StressModel<R>>(&self, own: &Own<R>, sum: &mut Leading<R>) {
+        let (zero, one, facet) = (R::zero(), R::one(), &self.facet);
+        let sides: [Vec3<R>; 2] = [0, 1].map(|k| lanes(&self.half[k]));
+        let [bent, straight] = sides.map(|side| side.dot(own.up));
+        let turn: Vec3<R> = lanes(&self.turn);
+        // n·v̂ changes by ± `spread` towards the edges of the bent side. Lengths ending in `_s` are multiplied by it, so
+        // that one division suffices.
+        let turning = turn.dot(own.linear);
+        let spread = turning.abs().max(R::splat(crate::sand::Regularization::SOLID.leading_edge_gate / 2.0));
+        let (half, third) = (R::splat(0.5), R::splat(1.0 / 3.0));
+        let leads_s = (half * (facet.along(own) + spread)).clamp(zero, spread);
+        // The plate leads with the part that is turned towards the velocity: its middle and its share of the length.
+        let ahead_s = R::select(turning.lt(zero), leads_s - spread, spread - leads_s);
+        let rise_s = leads_s * bent;
+        let flat = spread * spread * straight.mul_add(straight, R::splat(1e-20));
+        let rise_s = rise_s.mul_add(rise_s, flat).sqrt();
+        let depth = -(own.up.dot(lanes(&facet.center)) + own.height);
+        let low_s = depth.mul_add(spread, rise_s - ahead_s * bent).max(zero);
+        let inverse = one / (spread * rise_s);
+        let (per_spread, per_rise_s) = (inverse * rise_s, inverse * spread);
+        // The part in the sand: its share, half the range of its depths, and their mean.
+        let wet = (half * low_s * per_rise_s).min(one);
+        let range_s = rise_s * wet;
+        let mean_s = low_s - range_s;
+        let leads = leads_s * per_spread;
+        let (mean, ahead) = (mean_s * per_spread, ahead_s * per_spread);
+        let part = leads * lane::<R>(facet.area) * wet;
+        let load = part * mean;
+        if !M::BY_LOAD {
+            let range = range_s * per_spread;
+            sum.area += part;
+            sum.deep = part.mul_add(mean.mul_add(mean, range * range * third), sum.deep);
+        }
+        sum.add(facet, turn.scale_add(ahead, lanes(&facet.normal)), load);
+        // The load lies below the middle of the part.
+        let below = part * (mean_s * per_rise_s).mul_add(wet - one, -(wet * wet * third));
+        sum.place = sides[1].scale_add(below * straight, sum.place);
+        sum.place = sides[0].scale_add(load.mul_add(ahead, below * leads * leads * bent), sum.place);
+        let edge = half * per_spread * lane(facet.area);
+        sum.grow(leads, edge, ahead.mul_add(-bent, depth));
+    }
+}
+
+impl<R: Real> Leading<R> {
+    #[inline(always)]
+    fn none() -> Self {
+        let (zero, none) = (R::zero(), Vec3::zero());
+        Self {
+            area: zero,
+            load: zero,
+            deep: zero,
+            normal: none,
+            squares: none,
+            products: none,
+            place: none,
+            growth: zero,
+        }
+    }
+
+    /// Adds a plate with this mean normal and load [m³].
+    #[inline(always)]
+    fn add(&mut self, facet: &Facet, normal: Vec3<R>, load: R) {
+        self.load += load;
+        self.normal = normal.scale_add(load, self.normal);
+        self.squares.x = load.mul_add(lane(facet.squares[0]), self.squares.x);
+        self.squares.y = load.mul_add(lane(facet.squares[1]), self.squares.y);
+        self.products = lanes(&facet.products).scale_add(load, self.products);
+        self.place = lanes(&facet.center).scale_add(load, self.place);
+    }
+
+    /// Adds the derivative by n·v̂ of the load of a plate at `depth`, of which the share `leads` leads. `edge` is its
+    /// area times the derivative of that share.
+    #[inline(always)]
+    fn grow(&mut self, leads: R, edge: R, depth: R) {
+        let (zero, one) = (R::zero(), R::one());
+        let inside = R::select(leads.lt(one), edge * depth.max(zero), zero);
+        self.growth += R::select(zero.lt(leads), inside, zero);
+    }
+}
+
+/// `x` in all lanes.
+#[inline(always)]
+fn lane<R: Real>(x: f32) -> R {
+    R::splat(f64::from(x))
+}
+
+#[inline(always)]
+fn lanes<R: Real>(v: &[f32; 3]) -> Vec3<R> {
+    Vec3::new(lane(v[0]), lane(v[1]), lane(v[2]))
+}
