@@ -7,6 +7,7 @@
 //! * [`options`]: its options; [`draws`]: the ranges that an episode draws from; [`episode`]: the values that an
 //!   episode has drawn and updates; [`reward`]: the terms.
 
+mod columns;
 mod curriculum;
 mod draws;
 pub mod episode;
@@ -20,25 +21,18 @@ pub use options::{LeggedOptions, ReliefOptions};
 pub use reward::Rewards;
 pub use units::Units;
 
-use super::feature::{Features, flag};
+use super::feature::Features;
 use super::ground::Change;
 use super::random::Random;
-use super::sensors::Sensor;
 use super::spec::{CONTROL_RATE, Column, Spec};
 use super::task::{Goal, Setup, Task, Transition};
 use crate::error::{Error, Result};
 use crate::sim::engine::{Command, EngineKind};
-use crate::sim::model::GRAVITY;
 use crate::sim::{Model, State};
+use columns::{Figure, LeggedObserved, Observe, base, contact, figures, observation};
 use episode::{Difficulty, LeggedEpisode, StepFeedback};
 use reward::{Contacts, LeggedStep};
 use std::sync::Arc;
-
-/// Bounds of the observation; values beyond are clipped. Our choice: some three times the values of a falling robot.
-const SPEED: f64 = 10.0; // [m/s]
-const TURN: f64 = 30.0; // [rad/s]
-const JOINT_SPEED: f64 = 100.0; // [rad/s]
-const JOINT_OFFSET: f64 = std::f64::consts::TAU; // [rad]
 
 /// The robot has fallen if gravity's direction along the base's z axis is above this: cos 60°. Our choice.
 const FALLEN: f64 = -0.5;
@@ -76,37 +70,6 @@ On ground with heights (`relief`, or ground `dunes`) an episode begins at a rand
 forces refer to the normal of the sand's surface.
 
 Resistive force theory was measured for segments that move with up to about 0.5 m/s in the sand. Forces at higher speeds are extrapolated.";
-
-/// The arguments of an observation's functions.
-struct LeggedObserved<'a> {
-    goal: &'a Goal,
-    state: &'a State,
-    last_action: &'a [f32],
-    /// Default position of each joint [rad].
-    default: &'a [f64],
-    command: [f64; 3],
-    gravity: [f64; 3],
-    velocity: [f64; 3],
-    angular_velocity: [f64; 3],
-    /// Direction of the base's x axis: sine and cosine of the heading.
-    heading: (f64, f64),
-}
-
-impl LeggedObserved<'_> {
-    /// Height of the base's origin above measured point `i`, less 0.5 m, as in legged_gym.
-    fn measured_height(&self, i: usize) -> f64 {
-        let Some(model) = &self.goal.model else { return 0.0 };
-        let ([x, y, z], [a, b], (sin, cos)) = (self.state.position, measured(i), self.heading);
-        let ground = model.surface_height(x + cos * a - sin * b, y + sin * a + cos * b);
-        (z - 0.5 - ground).clamp(-1.0, 1.0)
-    }
-}
-
-/// Computes one number of an observation.
-type Observe = fn(&LeggedObserved, usize) -> f64;
-
-/// Computes one figure of a step.
-type Figure = fn(&LeggedStep, usize) -> f64;
 
 pub struct LeggedVelocity {
     spec: Spec,
@@ -154,70 +117,6 @@ pub fn joint_targets(model: &Model, action_scale: Option<f64>) -> Vec<JointTarge
         torque_limit: tree.motors[i].torque_limit,
     };
     driven.map(target).collect()
-}
-
-fn observation(joints: &[String], motors: &[String], heights: bool) -> Features<Observe> {
-    let height = |i: usize| {
-        let [x, y] = measured(i);
-        Column::new(format!("measured_heights {x:.1} {y:.1}"), "m", -1.0, 1.0)
-    };
-    let measured = if heights { MEASURED[0] * MEASURED[1] } else { 0 };
-    Features::<Observe>::none()
-        .xyz("base_lin_vel", "m/s", SPEED, |o, i| o.velocity[i])
-        .sensed(Sensor::LinVel)
-        .xyz("base_ang_vel", "rad/s", TURN, |o, i| o.angular_velocity[i])
-        .sensed(Sensor::Gyroscope)
-        .xyz("projected_gravity", "1", 1.0, |o, i| o.gravity[i])
-        .sensed(Sensor::Gravity)
-        .one("commanded lin_vel_x", "m/s", -MOST_COMMAND, MOST_COMMAND, |o, _| o.command[0])
-        .one("commanded lin_vel_y", "m/s", -MOST_COMMAND, MOST_COMMAND, |o, _| o.command[1])
-        .one("commanded ang_vel_yaw", "rad/s", -MOST_COMMAND, MOST_COMMAND, |o, _| o.command[2])
-        .each(joints, "joint_pos off its default", "rad", JOINT_OFFSET, |o, i| o.state.angles[i] - o.default[i])
-        .sensed(Sensor::JointPosition)
-        .each(joints, "joint_vel", "rad/s", JOINT_SPEED, |o, i| o.state.rates[i])
-        .sensed(Sensor::JointVelocity)
-        .each(motors, "last action", "1", 1.0, |o, i| o.last_action[i].into())
-        .group((0..measured).map(height), |o, i| o.measured_height(i))
-        .sensed(Sensor::Heights)
-}
-
-/// Is a foot in the ground?
-fn contact(foot: &String) -> Column {
-    Column::new(format!("contact, {foot}"), "1", 0.0, 1.0)
-}
-
-/// Info columns after those of the reward.
-fn figures(feet: &[String]) -> Features<Figure> {
-    Features::<Figure>::none()
-        .free("speed", "m/s", |s, _| s.velocity[0])
-        .free("lin_vel_y", "m/s", |s, _| s.velocity[1])
-        .free("ang_vel_yaw", "rad/s", |s, _| s.angular_velocity[2])
-        .free("x_velocity", "m/s", |s, _| (s.t.after.position[0] - s.t.before.position[0]) / s.t.period)
-        .free("command_lin_vel_x", "m/s", |s, _| s.legged.now[0])
-        .free("command_lin_vel_y", "m/s", |s, _| s.legged.now[1])
-        .free("command_ang_vel_yaw", "rad/s", |s, _| s.legged.now[2])
-        .free("feet_in_contact", "1", |s, _| s.contacts.feet.iter().filter(|touches| **touches).count() as f64)
-        .group(feet.iter().map(contact), |s, i| flag(s.contacts.feet[i]))
-        .free("base_height", "m", |s, _| {
-            let [x, y, z] = s.t.after.position;
-            z - s.t.model.surface_height(x, y)
-        })
-        .free("work", "J", |s, _| s.t.after.work - s.t.before.work)
-        .free("weight", "N", |s, _| s.t.model.total_mass() * GRAVITY)
-        .free("friction", "1", |s, _| s.legged.friction)
-        .free("sand", "1", |s, _| s.legged.sand)
-        .free("level", "1", |s, _| s.legged.level)
-        .free("added_mass", "kg", |s, _| s.legged.added_mass)
-        .free("motor_strength", "1", |s, _| s.legged.motor_strength)
-        .free("bad_orientation", "1", |s, _| flag(s.fallen && !s.t.diverged))
-        .free("base_contact", "1", |s, _| flag(s.base_contact && !s.t.diverged))
-        .free("diverged", "1", |s, _| flag(s.t.diverged))
-        .free("base_low", "1", |s, _| flag(s.too_low && !s.t.diverged))
-}
-
-/// Gravity's direction, velocity and angular velocity in the base's frame.
-fn base(state: &State) -> [[f64; 3]; 3] {
-    [[0.0, 0.0, -1.0], state.velocity, state.angular_velocity].map(|v| state.to_body(v))
 }
 
 impl LeggedVelocity {
@@ -430,14 +329,4 @@ fn is_too_low(model: &Model, state: &State) -> bool {
 fn height(model: &Model, angles: &[f64], at: [f64; 2]) -> f64 {
     let Some(tree) = &model.tree else { return 0.0 };
     tree.height_over(angles, |x, y| model.surface_height(at[0] + x, at[1] + y))
-}
-
-/// Points around the robot whose heights are observed, along and across: those of legged_gym (`measured_points_x`,
-/// `measured_points_y`), 0.1 m apart.
-const MEASURED: [usize; 2] = [17, 11];
-
-/// Position of point `i` [m].
-fn measured(i: usize) -> [f64; 2] {
-    let [ahead, aside] = [i / MEASURED[1], i % MEASURED[1]];
-    [0.1 * (ahead as f64 - 8.0), 0.1 * (aside as f64 - 5.0)]
 }

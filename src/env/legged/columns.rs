@@ -1,0 +1,121 @@
+//! The columns of LeggedVelocity's observation, and the figures of its `info`.
+
+use super::draws::MOST_COMMAND;
+use super::reward::LeggedStep;
+use crate::feature::{Features, flag};
+use crate::sensors::Sensor;
+use crate::sim::State;
+use crate::sim::model::GRAVITY;
+use crate::spec::Column;
+use crate::task::Goal;
+
+/// Bounds of the observation; values beyond are clipped. Our choice: some three times the values of a falling robot.
+const SPEED: f64 = 10.0; // [m/s]
+const TURN: f64 = 30.0; // [rad/s]
+const JOINT_SPEED: f64 = 100.0; // [rad/s]
+const JOINT_OFFSET: f64 = std::f64::consts::TAU; // [rad]
+
+/// The arguments of an observation's functions.
+pub struct LeggedObserved<'a> {
+    pub goal: &'a Goal,
+    pub state: &'a State,
+    pub last_action: &'a [f32],
+    /// Default position of each joint [rad].
+    pub default: &'a [f64],
+    pub command: [f64; 3],
+    pub gravity: [f64; 3],
+    pub velocity: [f64; 3],
+    pub angular_velocity: [f64; 3],
+    /// Direction of the base's x axis: sine and cosine of the heading.
+    pub heading: (f64, f64),
+}
+
+impl LeggedObserved<'_> {
+    /// Height of the base's origin above measured point `i`, less 0.5 m, as in legged_gym.
+    fn measured_height(&self, i: usize) -> f64 {
+        let Some(model) = &self.goal.model else { return 0.0 };
+        let ([x, y, z], [a, b], (sin, cos)) = (self.state.position, measured(i), self.heading);
+        let ground = model.surface_height(x + cos * a - sin * b, y + sin * a + cos * b);
+        (z - 0.5 - ground).clamp(-1.0, 1.0)
+    }
+}
+
+/// Computes one number of an observation.
+pub type Observe = fn(&LeggedObserved, usize) -> f64;
+
+/// Computes one figure of a step.
+pub type Figure = fn(&LeggedStep, usize) -> f64;
+
+pub fn observation(joints: &[String], motors: &[String], heights: bool) -> Features<Observe> {
+    let height = |i: usize| {
+        let [x, y] = measured(i);
+        Column::new(format!("measured_heights {x:.1} {y:.1}"), "m", -1.0, 1.0)
+    };
+    let measured = if heights { MEASURED[0] * MEASURED[1] } else { 0 };
+    Features::<Observe>::none()
+        .xyz("base_lin_vel", "m/s", SPEED, |o, i| o.velocity[i])
+        .sensed(Sensor::LinVel)
+        .xyz("base_ang_vel", "rad/s", TURN, |o, i| o.angular_velocity[i])
+        .sensed(Sensor::Gyroscope)
+        .xyz("projected_gravity", "1", 1.0, |o, i| o.gravity[i])
+        .sensed(Sensor::Gravity)
+        .one("commanded lin_vel_x", "m/s", -MOST_COMMAND, MOST_COMMAND, |o, _| o.command[0])
+        .one("commanded lin_vel_y", "m/s", -MOST_COMMAND, MOST_COMMAND, |o, _| o.command[1])
+        .one("commanded ang_vel_yaw", "rad/s", -MOST_COMMAND, MOST_COMMAND, |o, _| o.command[2])
+        .each(joints, "joint_pos off its default", "rad", JOINT_OFFSET, |o, i| o.state.angles[i] - o.default[i])
+        .sensed(Sensor::JointPosition)
+        .each(joints, "joint_vel", "rad/s", JOINT_SPEED, |o, i| o.state.rates[i])
+        .sensed(Sensor::JointVelocity)
+        .each(motors, "last action", "1", 1.0, |o, i| o.last_action[i].into())
+        .group((0..measured).map(height), |o, i| o.measured_height(i))
+        .sensed(Sensor::Heights)
+}
+
+/// Is a foot in the ground?
+pub fn contact(foot: &String) -> Column {
+    Column::new(format!("contact, {foot}"), "1", 0.0, 1.0)
+}
+
+/// Info columns after those of the reward.
+pub fn figures(feet: &[String]) -> Features<Figure> {
+    Features::<Figure>::none()
+        .free("speed", "m/s", |s, _| s.velocity[0])
+        .free("lin_vel_y", "m/s", |s, _| s.velocity[1])
+        .free("ang_vel_yaw", "rad/s", |s, _| s.angular_velocity[2])
+        .free("x_velocity", "m/s", |s, _| (s.t.after.position[0] - s.t.before.position[0]) / s.t.period)
+        .free("command_lin_vel_x", "m/s", |s, _| s.legged.now[0])
+        .free("command_lin_vel_y", "m/s", |s, _| s.legged.now[1])
+        .free("command_ang_vel_yaw", "rad/s", |s, _| s.legged.now[2])
+        .free("feet_in_contact", "1", |s, _| s.contacts.feet.iter().filter(|touches| **touches).count() as f64)
+        .group(feet.iter().map(contact), |s, i| flag(s.contacts.feet[i]))
+        .free("base_height", "m", |s, _| {
+            let [x, y, z] = s.t.after.position;
+            z - s.t.model.surface_height(x, y)
+        })
+        .free("work", "J", |s, _| s.t.after.work - s.t.before.work)
+        .free("weight", "N", |s, _| s.t.model.total_mass() * GRAVITY)
+        .free("friction", "1", |s, _| s.legged.friction)
+        .free("sand", "1", |s, _| s.legged.sand)
+        .free("level", "1", |s, _| s.legged.level)
+        .free("added_mass", "kg", |s, _| s.legged.added_mass)
+        .free("motor_strength", "1", |s, _| s.legged.motor_strength)
+        .free("bad_orientation", "1", |s, _| flag(s.fallen && !s.t.diverged))
+        .free("base_contact", "1", |s, _| flag(s.base_contact && !s.t.diverged))
+        .free("diverged", "1", |s, _| flag(s.t.diverged))
+        .free("base_low", "1", |s, _| flag(s.too_low && !s.t.diverged))
+}
+
+/// Gravity's direction, velocity and angular velocity in the base's frame.
+pub fn base(state: &State) -> [[f64; 3]; 3] {
+    [[0.0, 0.0, -1.0], state.velocity, state.angular_velocity].map(|v| state.to_body(v))
+}
+
+/// Points around the robot whose heights are observed, along and across: those of legged_gym (`measured_points_x`,
+/// `measured_points_y`), 0.1 m apart.
+const MEASURED: [usize; 2] = [17, 11];
+
+/// Position of point `i` [m].
+fn measured(i: usize) -> [f64; 2] {
+    let [ahead, aside] = [i / MEASURED[1], i % MEASURED[1]];
+    [0.1 * (ahead as f64 - 8.0), 0.1 * (aside as f64 - 5.0)]
+}
