@@ -18,91 +18,17 @@
 //! * **Compaction.** Pressing down takes volume out of loose sand until it is closely packed, and the sand that a body
 //!   finds compacted is stronger: [`MemorySettings::gain`].
 
+mod disc;
 mod grid;
+mod settings;
 
+pub use disc::PAIRS;
 pub use grid::{Grid, GridFrame};
+pub use settings::{MemorySettings, REPOSE_DEG};
 
-use crate::error::{Result, check_range};
-use crate::{GRAVITY, Medium};
+use disc::{Disc, ahead};
 use serde::{Deserialize, Serialize};
-use std::sync::LazyLock;
-
-/// Part of the volume pressed down that is lost to compaction while the sand is loose. Fitted on the grains of
-/// `tests/data/memory` (a foot pressed into loosely packed spheres).
-const LOST: f64 = 0.3;
-/// Volume strain from loosely to closely packed: 1 − 0.58/0.62, the volume fractions of the poppy seeds of Li, Zhang &
-/// Goldman 2013.
-const DENSER: f64 = 1.0 - 0.58 / 0.62;
-/// Strength of closely packed over that of loosely packed sand: the ratio of ζ of both kinds of poppy seeds (Li, Zhang &
-/// Goldman 2013), 0.464/0.254.
-const GAIN: f64 = 0.464 / 0.254;
-/// How much faster than it sweeps a piece empties the cell that it is in, if it pushes sideways: our choice, so that the
-/// heap ahead does not slide back through the body within a cell's length. With 4 the furrows in grains are 30 % too
-/// shallow, with 8 and 16 they are alike. A piece never takes sand from below itself.
-const CLEARING: f64 = 16.0;
-/// Angle of repose [°] of dry sand that is not described further: our choice, in the middle of the published 25 to 35°.
-pub const REPOSE_DEG: f64 = 30.0;
-
-/// The sand's constants for its memory.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct MemorySettings {
-    /// Side of a cell [m].
-    pub cell: f64,
-    /// The square of heights has 2^bits cells along a side: 6, 7 or 8.
-    pub bits: u32,
-    /// Tangent of the angle of repose.
-    pub repose: f64,
-    /// Strength of fully compacted sand over that of the sand as it was.
-    pub gain: f64,
-    /// Duration of a sweep of sliding [s].
-    pub sweep: f64,
-    /// Pairs of places among which a body's sand is distributed at a time, up to [`PAIRS`].
-    pub pairs: usize,
-}
-
-impl MemorySettings {
-    /// `size`: length of what presses and ploughs [m]; `repose_deg`: angle of repose [°].
-    ///
-    /// A sweep takes 2 c²/(√g size^1.5), so heaps as large as the body flatten within a few times √(size/g), the time in
-    /// which sand falls as far, on every grid. Our choice; twice and half that time change the forces on the plates in
-    /// grains by less than 0.2 of the first pass.
-    pub fn new(medium: &Medium, cell: f64, bits: u32, size: f64, repose_deg: f64) -> Self {
-        let sweep = 2.0 * cell * cell / (GRAVITY.sqrt() * size.powf(1.5));
-        Self { cell, bits, repose: repose_deg.to_radians().tan(), gain: Self::gain(medium), sweep, pairs: FEW }
-    }
-
-    /// Media that are closely packed already cannot be compacted. Of the named ones that is said of one.
-    fn gain(medium: &Medium) -> f64 {
-        if medium.name == "poppy-close" { 1.0 } else { GAIN }
-    }
-
-    /// The same for another medium.
-    pub fn on(self, medium: &Medium) -> Self {
-        Self { gain: Self::gain(medium), ..self }
-    }
-
-    /// Refuses numbers that no sand has, and sizes that are not meant.
-    pub fn validate(&self) -> Result<()> {
-        check_range("memory.cell", self.cell, 1e-4..=1.0)?;
-        check_range("memory.bits", f64::from(self.bits), 6.0..=8.0)?;
-        check_range("memory.repose", self.repose, 0.05..=2.0)?;
-        check_range("memory.gain", self.gain, 1.0..=10.0)?;
-        check_range("memory.pairs", self.pairs as f64, 1.0..=PAIRS as f64)?;
-        check_range("memory.sweep", self.sweep, 1e-7..=1e3).map(drop)
-    }
-
-    /// Factor on the sand's strength for what a body has found.
-    #[inline(always)]
-    pub fn strength(&self, found: &LocalSand) -> f64 {
-        1.0 + (self.gain - 1.0) * f64::from(found.packed)
-    }
-
-    /// Reach of the passive wedge over the depth: tan(45° + φ/2) = tan φ + 1/cos φ.
-    fn wedge(&self) -> f64 {
-        self.repose + (1.0 + self.repose * self.repose).sqrt()
-    }
-}
+use settings::{CLEARING, DENSER, LOST};
 
 /// What a body has found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -193,15 +119,6 @@ struct Taken {
     /// Weighted by the amount: place, and the horizontal part of the normal.
     place: [f64; 2],
     push: [f64; 2],
-}
-
-/// A disc of cells.
-#[derive(Clone, Copy, Debug)]
-struct Disc {
-    center: [f64; 2],
-    radius: f64,
-    /// Unit vector.
-    along: [f64; 2],
 }
 
 impl Moved {
@@ -444,53 +361,6 @@ impl Moved {
         }
         let mean = |sum: i32| f64::from(sum) / f64::from(count.max(1));
         (mean(height) * self.grid.frame.quantum(), mean(packed) / 255.0)
-    }
-}
-
-/// The disc that gets the sand: around a body that presses, ahead of one that ploughs.
-#[inline(always)]
-fn ahead(taken: &Taken, reach: f64, size: f64, cell: f64) -> Disc {
-    let amount = f64::from(taken.amount);
-    let [x, y] = taken.place.map(|p| p / amount);
-    let [px, py] = taken.push.map(|p| p / amount);
-    let length = (px * px + py * py).sqrt();
-    let share = length.min(1.0);
-    let around = reach + size;
-    let before = (0.5 * reach).max(size);
-    let radius = (around + (before - around) * share).max(1.5 * cell);
-    let along = if length > 1e-6 { [px / length, py / length] } else { [1.0, 0.0] };
-    Disc { center: [x + radius * share * along[0], y + radius * share * along[1]], radius, along }
-}
-
-/// Pairs of places in a disc, at most; and as many as robots use at a time: our choice. They differ from time to time, so
-/// that after a few times all of the disc has got its share.
-pub const PAIRS: usize = 64;
-const FEW: usize = 6;
-
-/// Places in the unit disc, evenly distributed with the density 1 − r²: r² = 1 − √(1 − u), at angles that differ by the
-/// golden angle. Each place stands for a pair, mirrored about the first axis.
-static PLACES: LazyLock<[[f64; 2]; PAIRS]> = LazyLock::new(|| {
-    std::array::from_fn(|k| {
-        // The order of bits reversed: any few of them in a row are evenly spread.
-        let u = (f64::from((k as u32).reverse_bits() >> 26) + 0.5) / PAIRS as f64;
-        let (radius, angle) = ((1.0 - (1.0 - u).sqrt()).sqrt(), std::f64::consts::PI * (k as f64 * GOLDEN).fract());
-        [radius * angle.cos(), radius * angle.sin()]
-    })
-});
-/// The golden section.
-const GOLDEN: f64 = 0.618_033_988_749_895;
-
-impl Disc {
-    /// Cells of some places of the disc, mirrored about its direction.
-    #[inline(always)]
-    fn places(&self, frame: GridFrame, pairs: usize, turns: u32) -> impl Iterator<Item = usize> {
-        let Self { center: [x, y], radius, along: [ux, uy] } = *self;
-        let (table, first) = (&*PLACES, turns as usize % PAIRS * pairs);
-        (0..2 * pairs).filter_map(move |k| {
-            let [a, b] = table[(first + k / 2) % PAIRS];
-            let (a, b) = (a * radius, if k % 2 == 0 { b * radius } else { -(b * radius) });
-            frame.index(frame.cell_at([x + a * ux - b * uy, y + a * uy + b * ux]))
-        })
     }
 }
 

@@ -1,6 +1,7 @@
 //! Passes over used sand against simulated grains (`tests/data/memory`), and laws that hold for any motion.
 
 use super::*;
+use crate::Medium;
 use crate::SandDescription;
 use crate::intruder::path::{Path, PathPoint};
 use crate::intruder::{BodyShape, DepthOrLoad, PlatedBody, Trial, TrialOutcome, compute};

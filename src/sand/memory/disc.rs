@@ -1,0 +1,61 @@
+//! The disc ahead of a body, or around it, over which its sand is distributed.
+
+use super::Taken;
+use super::grid::GridFrame;
+use std::sync::LazyLock;
+
+/// A disc of cells.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Disc {
+    pub center: [f64; 2],
+    pub radius: f64,
+    /// Unit vector.
+    pub along: [f64; 2],
+}
+
+/// The disc that gets the sand: around a body that presses, ahead of one that ploughs.
+#[inline(always)]
+pub(super) fn ahead(taken: &Taken, reach: f64, size: f64, cell: f64) -> Disc {
+    let amount = f64::from(taken.amount);
+    let [x, y] = taken.place.map(|p| p / amount);
+    let [px, py] = taken.push.map(|p| p / amount);
+    let length = (px * px + py * py).sqrt();
+    let share = length.min(1.0);
+    let around = reach + size;
+    let before = (0.5 * reach).max(size);
+    let radius = (around + (before - around) * share).max(1.5 * cell);
+    let along = if length > 1e-6 { [px / length, py / length] } else { [1.0, 0.0] };
+    Disc { center: [x + radius * share * along[0], y + radius * share * along[1]], radius, along }
+}
+
+/// Pairs of places in a disc, at most; and as many as robots use at a time: our choice. They differ from time to time, so
+/// that after a few times all of the disc has got its share.
+pub const PAIRS: usize = 64;
+pub(super) const FEW: usize = 6;
+
+/// Places in the unit disc, evenly distributed with the density 1 − r²: r² = 1 − √(1 − u), at angles that differ by the
+/// golden angle. Each place stands for a pair, mirrored about the first axis.
+static PLACES: LazyLock<[[f64; 2]; PAIRS]> = LazyLock::new(|| {
+    std::array::from_fn(|k| {
+        // The order of bits reversed: any few of them in a row are evenly spread.
+        let u = (f64::from((k as u32).reverse_bits() >> 26) + 0.5) / PAIRS as f64;
+        let (radius, angle) = ((1.0 - (1.0 - u).sqrt()).sqrt(), std::f64::consts::PI * (k as f64 * GOLDEN).fract());
+        [radius * angle.cos(), radius * angle.sin()]
+    })
+});
+/// The golden section.
+const GOLDEN: f64 = 0.618_033_988_749_895;
+
+impl Disc {
+    /// Cells of some places of the disc, mirrored about its direction.
+    #[inline(always)]
+    pub fn places(&self, frame: GridFrame, pairs: usize, turns: u32) -> impl Iterator<Item = usize> {
+        let Self { center: [x, y], radius, along: [ux, uy] } = *self;
+        let (table, first) = (&*PLACES, turns as usize % PAIRS * pairs);
+        (0..2 * pairs).filter_map(move |k| {
+            let [a, b] = table[(first + k / 2) % PAIRS];
+            let (a, b) = (a * radius, if k % 2 == 0 { b * radius } else { -(b * radius) });
+            frame.index(frame.cell_at([x + a * ux - b * uy, y + a * uy + b * ux]))
+        })
+    }
+}
