@@ -176,7 +176,7 @@ fn none(why: &str) -> Error {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::engine::quadruped;
+    use super::super::tests::models::quadruped;
     use super::super::tests::{SignedDraw, random_tree};
     use super::*;
 

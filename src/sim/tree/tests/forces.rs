@@ -1,7 +1,8 @@
 //! Forces for pictures are those that move the robot.
 
 use super::super::forces::{pushes, touching};
-use super::engine::{block, conserved, on_hard, on_sand, plates, quadruped, run, scene, standing, trot};
+use super::engine::conserved;
+use super::models::{block, on_hard, on_sand, plates, quadruped, run, scene, standing, trot};
 use super::*;
 use crate::model::Scene;
 use crate::number::Isa;

@@ -6,6 +6,7 @@ use nalgebra::{Rotation3, UnitQuaternion};
 
 pub mod engine;
 mod forces;
+pub mod models;
 mod sand;
 
 type V = Vector3<f64>;
