@@ -1,6 +1,6 @@
 //! Draws one moment as an image, without a GPU: far faces first, then near faces over them.
 
-use super::camera::{Camera, CameraOptions, SIZES, clip, radius};
+use super::camera::{Camera, CameraOptions, check_size, clip, radius};
 use super::raster::{LIGHT, Rgb, SAMPLES};
 use super::{solid, text};
 use crate::error::{Error, Result};
@@ -53,7 +53,7 @@ struct PictureFace {
 /// see [`Pose::of`].
 ///
 /// # Errors
-/// Names the side that is out of [`SIZES`], or the camera's value that is out of its range.
+/// Names the side that is out of range, or the camera's value that is out of its range.
 pub fn draw(
     model: &Model,
     state: &State,
@@ -62,12 +62,7 @@ pub fn draw(
     camera: &CameraOptions,
     captions: &[String],
 ) -> Result<Vec<u8>> {
-    for (name, side) in ["width", "height"].into_iter().zip(size) {
-        if !SIZES.contains(&side) {
-            let range = format!("{side} is outside [{}, {}]", SIZES.start(), SIZES.end());
-            return Err(Error::invalid(name, range));
-        }
-    }
+    check_size(size)?;
     let pose = Pose::of(model, state, footing);
     let mut canvas = SandCanvas::new(model, state, size, camera.check()?)?;
     canvas.sand();

@@ -1,6 +1,6 @@
 //! The watchers of each environment.
 
-use super::frames::{Frames, Latest, ViewedState, ViewerFrame, encode};
+use super::frames::{Frames, Latest, ViewedState, ViewerFrame, encode, next_blocks};
 use crate::env::AnyTask;
 use crate::names::name;
 use crate::pool::Batch;
@@ -10,7 +10,6 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::broadcast::Receiver;
-use tokio::sync::broadcast::error::RecvError;
 
 /// Least interval between frames of an environment: our choice, 60 a second, the rate of screens.
 const PAUSE: Duration = Duration::from_micros(16_600);
@@ -125,21 +124,9 @@ impl Watchers {
 }
 
 impl Watcher {
-    /// The next blocks: a row, after a header if that has changed. None when the session has ended. A slow reader
-    /// misses some.
+    /// The next blocks; None when the session has ended.
     pub async fn next(&mut self) -> Option<Bytes> {
-        let frame = loop {
-            match self.frames.recv().await {
-                Ok(frame) => break frame,
-                Err(RecvError::Lagged(_)) => {}
-                Err(RecvError::Closed) => return None,
-            }
-        };
-        if frame.head == self.head {
-            return Some(frame.rows);
-        }
-        self.head = frame.head;
-        Some([&self.head[..], &frame.rows].concat().into())
+        next_blocks(&mut self.frames, &mut self.head).await
     }
 }
 
