@@ -185,7 +185,7 @@ impl SandCanvas {
         // Lines and shadows are drawn on level ground only.
         if ground.is_none() {
             labels = self.lines(model, state);
-            let face = |(corners, color): &solid::Painted| {
+            let face = |(corners, color): &solid::ColoredTriangle| {
                 let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0])).try_normalize(0.0)?;
                 Some(PictureFace { corners: corners.to_vec(), normal, color: *color })
             };
@@ -208,7 +208,7 @@ impl SandCanvas {
                 let (corners, color) = (face.corners.clone(), face.color);
                 (2..corners.len()).map(move |k| ([corners[0], corners[k - 1], corners[k]], color)).collect::<Vec<_>>()
             };
-            let painted: Vec<solid::Painted> = faces.iter().flat_map(fan).collect();
+            let painted: Vec<solid::ColoredTriangle> = faces.iter().flat_map(fan).collect();
             let size = [self.map.width(), self.map.height()].map(|side| side * SAMPLES as u32);
             let fine = Camera::of(&self.options, model, state, size);
             solid::paint(&mut self.map, &fine, &painted, Some(&ground), &[]);

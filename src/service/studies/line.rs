@@ -70,7 +70,7 @@ impl Drop for QueuePlace {
 pub type Events<A> = BoxStream<'static, std::result::Result<A, Status>>;
 
 /// What a study sends: an event, and with its result the memory of its request.
-type Sent<A> = (std::result::Result<A, Status>, Option<Share>);
+type StudyItem<A> = (std::result::Result<A, Status>, Option<Share>);
 
 impl StudyQueue {
     /// Cancelling `stop` ends every study.
@@ -129,7 +129,7 @@ impl StudyQueue {
             // If the caller has left, the result is not needed.
             let _ = events.send((answer, share)).await;
         });
-        let sent = ReceiverStream::new(receiver).map(move |(event, share): Sent<A>| {
+        let sent = ReceiverStream::new(receiver).map(move |(event, share): StudyItem<A>| {
             messages.hold_for_answer(share.map(Arc::new));
             event
         });
@@ -139,7 +139,7 @@ impl StudyQueue {
 
 /// Reports a study's progress to its client, and stops the study when its client has left.
 struct ProgressSender<A> {
-    events: mpsc::Sender<Sent<A>>,
+    events: mpsc::Sender<StudyItem<A>>,
     stop: CancellationToken,
     /// The last report. Several threads report, so the order varies; only larger values are sent.
     last: Mutex<Option<(f64, String)>>,

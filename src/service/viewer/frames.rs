@@ -1,7 +1,7 @@
 //! Frames for watchers: moments of one environment, encoded once for all its watchers.
 //!
 //! ```text
-//!  thread that stepped ──Moment──▶ latest ──▶ task that encodes ──Frame──▶ watchers
+//!  thread that stepped ──ViewedState──▶ latest ──▶ task that encodes ──ViewerFrame──▶ watchers
 //!                        (copied)   (only the newest waits)       (who is slow misses some)
 //! ```
 

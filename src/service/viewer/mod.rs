@@ -40,7 +40,7 @@ const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 
 
 /// The data of the page.
 #[derive(Clone)]
-struct Shown {
+struct PageData {
     sessions: Arc<Sessions>,
     refusals: Arc<Refusals>,
 }
@@ -53,7 +53,7 @@ pub async fn serve(listener: TcpListener, sessions: Arc<Sessions>, refusals: Arc
         .route("/", get(async || page("sandgait")))
         .route("/sessions", get(list))
         .route("/watch/{name}/{index}", get(watch))
-        .with_state(Shown { sessions, refusals: refusals.clone() });
+        .with_state(PageData { sessions, refusals: refusals.clone() });
     if local {
         app = app.layer(middleware::from_fn(same_machine));
     }
@@ -88,14 +88,14 @@ fn recording(blocks: Body) -> Response {
     ([(CONTENT_TYPE, "application/octet-stream"), (CACHE_CONTROL, "no-store")], blocks).into_response()
 }
 
-async fn list(State(Shown { sessions, .. }): State<Shown>) -> Response {
+async fn list(State(PageData { sessions, .. }): State<PageData>) -> Response {
     let one =
         |s: &SessionSummary| serde_json::json!({"name": s.name, "task": s.blueprint.task.spec().id, "envs": s.envs});
     json(&sessions.list().iter().map(one).collect())
 }
 
-async fn watch(State(shown): State<Shown>, Path((name, index)): Path<(String, usize)>) -> Response {
-    let Shown { sessions, refusals } = shown;
+async fn watch(State(shown): State<PageData>, Path((name, index)): Path<(String, usize)>) -> Response {
+    let PageData { sessions, refusals } = shown;
     let unknown = || (StatusCode::NOT_FOUND, format!("session {name:?} is none of this server's\n")).into_response();
     let Some(summary) = sessions.named(&name) else { return unknown() };
     if index >= summary.envs {

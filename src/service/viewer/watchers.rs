@@ -23,11 +23,11 @@ pub struct Watchers {
     most: usize,
     /// Number of watchers. Every step reads it; without watchers a step does nothing else here.
     count: AtomicUsize,
-    sessions: Mutex<HashMap<String, Vec<Watched>>>,
+    sessions: Mutex<HashMap<String, Vec<WatchedEnvironment>>>,
 }
 
 /// An environment that is watched.
-struct Watched {
+struct WatchedEnvironment {
     index: usize,
     watchers: usize,
     /// When the next frame is due.
@@ -58,7 +58,7 @@ impl Watchers {
 
     /// The data are consistent even after a panic, because fields that change together change without a call in
     /// between.
-    fn lock(&self) -> MutexGuard<'_, HashMap<String, Vec<Watched>>> {
+    fn lock(&self) -> MutexGuard<'_, HashMap<String, Vec<WatchedEnvironment>>> {
         self.sessions.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -73,7 +73,7 @@ impl Watchers {
         let all = sessions.entry(session.into()).or_default();
         let at = all.iter().position(|w| w.index == index).unwrap_or_else(|| {
             let (latest, frames) = encode(task.clone());
-            all.push(Watched { index, watchers: 0, next: Instant::now(), latest, frames });
+            all.push(WatchedEnvironment { index, watchers: 0, next: Instant::now(), latest, frames });
             all.len() - 1
         });
         all[at].watchers += 1;
