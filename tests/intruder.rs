@@ -239,12 +239,12 @@ fn slip_adds_no_energy() {
 #[test]
 fn measured_wheels_are_predicted_within_bounds() {
     let set = data::own().unwrap();
-    let pairs = |fitted: bool| -> Vec<score::Pair> {
+    let pairs = |fitted: bool| -> Vec<score::MeasuredPair> {
         let wheels = set.wheels.iter().enumerate();
         let sand = |w: &data::Wheel| if fitted { w.fitted.clone().unwrap() } else { w.sand.clone() };
         wheels.flat_map(|(k, w)| score::predict(k, w, &sand(w), &w.rows)).collect()
     };
-    let within = |pairs: &[score::Pair], bounds: [f64; 6]| {
+    let within = |pairs: &[score::MeasuredPair], bounds: [f64; 6]| {
         let e = score::errors(pairs);
         assert_eq!(e.without_equilibrium, 0);
         assert!(e.values.iter().zip(bounds).all(|(v, b)| *v <= b), "{:?} {bounds:?}", e.values);

@@ -9,11 +9,11 @@ use std::path::Path;
 /// depend on it.
 const OUTSIDE: [(&str, &[&str]); 7] = [
     ("tokio", &["service", "dm_env_rpc", "client", "bench", "root"]),
-    ("tonic", &["service", "dm_env_rpc", "client", "bench"]),
+    ("tonic", &["service", "dm_env_rpc", "client"]),
     ("axum", &["service"]),
     // ONNX files and TensorBoard's event files are protobuf, too.
     ("prost", &["service", "dm_env_rpc", "policy", "train"]),
-    ("prost-types", &["service", "dm_env_rpc", "client", "bench"]),
+    ("prost-types", &["service", "dm_env_rpc", "client"]),
     ("rapier3d", &["sim"]),
     ("clap", &["diagnose", "root"]),
 ];

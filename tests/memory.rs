@@ -1,10 +1,13 @@
 //! The memory that is reserved for environments is what they take, also for the most expensive robots that a client may
 //! send.
 
+#[path = "testbed/robots.rs"]
+mod robots;
+
+use robots::{long_chain, many_shapes, robot, shape};
 use sandgait::env::registry::{Blueprint, TASK_IDS};
 use sandgait::env::shard::Shard;
 use sandgait::sim::engine::EngineKind;
-use sandgait::sim::tree::packed;
 use serde_json::{Value, json};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -33,17 +36,6 @@ unsafe impl GlobalAlloc for Counted {
 
 #[global_allocator]
 static ALLOCATOR: Counted = Counted;
-
-/// The built-in robot, changed.
-fn robot(change: impl FnOnce(&mut Value)) -> String {
-    let mut robot: Value = serde_json::from_str(include_str!("../src/env/options/sandcat.json")).unwrap();
-    change(&mut robot);
-    packed::compressed(&robot.to_string(), 1).unwrap()
-}
-
-fn shape(name: &str) -> Value {
-    json!({"name": name, "origin": [0, 0, 0, 1, 0, 0, 0], "kind": "sphere", "size": [0.01, 0, 0], "friction": 1})
-}
 
 /// Bytes that `envs` environments take after some episodes, and that are reserved for them.
 fn taken(task: &str, options: &Value, envs: usize) -> [usize; 2] {
@@ -112,13 +104,7 @@ fn no_list_of_a_packed_robot_is_free() {
         assert!(!error.contains('\n') && error.len() < 300, "{error}");
         error
     };
-    let empty = json!({"meshes": [], "shapes": []});
-    let with_looks = |r: &mut Value| r["looks"] = empty.clone();
-    let shapes = |r: &mut Value| {
-        with_looks(r);
-        r["bodies"][0]["shapes"] = vec![shape("s"); 40_000].into();
-    };
-    assert!(refused(&shapes).contains("number of shapes: 40016 is outside [0, 4096]"));
+    assert!(refused(&many_shapes).contains("number of shapes: 40016 is outside [0, 4096]"));
     let look = json!({"body": 0, "at": [0, 0, 0, 1, 0, 0, 0], "form": {"mesh": 0}});
     let looks = |r: &mut Value| {
         r["looks"] = json!({"meshes": [{"corners": [], "faces": []}], "shapes": vec![look.clone(); 50_000]});
@@ -141,21 +127,7 @@ fn no_list_of_a_packed_robot_is_free() {
 /// A chain of bodies with many feet: the search of its stance is bounded. No leg of it reaches below the base.
 #[test]
 fn a_long_chain_stands_up_in_time() {
-    let chain = |r: &mut Value| {
-        let all = r["bodies"].as_array_mut().unwrap();
-        let mut joint = all[1].clone();
-        joint["joint"]["rest"] = Value::Null;
-        joint["plates"] = json!([]);
-        joint["contacts"] = json!([[0.0, 0.0, -0.01, 0.01, 1.0, 0.0, 0.0, 0.0]]);
-        all.truncate(1);
-        // 128 bodies in a row, and 127 feet on the last one.
-        for k in 1..256_usize {
-            joint["parent"] = k.min(129).saturating_sub(1).into();
-            all.push(joint.clone());
-        }
-        r["looks"] = json!({"meshes": [], "shapes": []});
-    };
-    let robot = robot(chain);
+    let robot = robot(long_chain);
     let start = std::time::Instant::now();
     let made = Blueprint::new(ID, json!({"robot": robot, "ground": "rigid"}));
     assert!(made.err().is_some_and(|e| e.to_string().contains("has no legs")));

@@ -1,6 +1,7 @@
 //! Runs environments for measurements of speed: the same steps in this process and through the service.
 
 use sandgait_base::{Error, Result};
+use sandgait_client as client;
 use sandgait_env as env;
 use sandgait_policy as policy;
 use sandgait_pool as pool;

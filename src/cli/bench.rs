@@ -43,14 +43,14 @@ pub struct BenchArgs {
     #[arg(long, default_value_t = 1, value_name = "N")]
     threads: u16,
     /// Actions of the robots
-    #[arg(long, value_enum, default_value_t = Chosen::Random)]
-    actions: Chosen,
+    #[arg(long, value_enum, default_value_t = ActionChoice::Random)]
+    actions: ActionChoice,
     /// ONNX file of the network for `--actions policy`
     #[arg(long, value_name = "FILE.onnx")]
     policy: Option<PathBuf>,
     /// Interface through which steps are requested
-    #[arg(long, value_enum, default_value_t = Through::Process)]
-    through: Through,
+    #[arg(long, value_enum, default_value_t = Transport::Process)]
+    through: Transport,
     /// Number of repeats, from 5 to 1000
     #[arg(long, default_value_t = 7, value_name = "N", value_parser = clap::value_parser!(u16).range(5..=1000))]
     repeats: u16,
@@ -63,7 +63,7 @@ pub struct BenchArgs {
 }
 
 #[derive(Clone, Copy, PartialEq, clap::ValueEnum)]
-enum Through {
+enum Transport {
     /// The pool is called directly, without a service.
     Process,
     /// A server on a Unix socket in this process, with one stream.
@@ -77,7 +77,7 @@ enum Through {
 }
 
 #[derive(Clone, Copy, PartialEq, clap::ValueEnum)]
-enum Chosen {
+enum ActionChoice {
     /// Uniform random actions, drawn in every step
     Random,
     /// Action 0: the hips of walking tasks do not move
@@ -88,7 +88,7 @@ enum Chosen {
     Policy,
 }
 
-impl Chosen {
+impl ActionChoice {
     fn name(self) -> &'static str {
         match self {
             Self::Random => "uniform random",
@@ -121,12 +121,12 @@ impl BenchArgs {
         super::warn_of_unfelt_option(&options);
         let threads = usize::from(self.threads);
         let mut stepper: Box<dyn Stepper> = match self.through {
-            Through::Process => Box::new(Direct::new(&blueprint, self.envs, threads)?),
+            Transport::Process => Box::new(Direct::new(&blueprint, self.envs, threads)?),
             through => {
-                let remote = ServerStepper::new(task, options, self.envs, threads, through == Through::GrpcTcp)?;
+                let remote = ServerStepper::new(task, options, self.envs, threads, through == Transport::GrpcTcp)?;
                 match through {
-                    Through::Rollouts => Box::new(RolloutStepper { remote, trajectories: false }),
-                    Through::Trajectories => Box::new(RolloutStepper { remote, trajectories: true }),
+                    Transport::Rollouts => Box::new(RolloutStepper { remote, trajectories: false }),
+                    Transport::Trajectories => Box::new(RolloutStepper { remote, trajectories: true }),
                     _ => Box::new(remote),
                 }
             }
@@ -145,15 +145,15 @@ impl BenchArgs {
             Ok(Actions::Made(vec![std::iter::repeat_n(row, rows).flatten().collect()]))
         };
         match (self.actions, &self.policy) {
-            (Chosen::Policy, Some(file)) => {
+            (ActionChoice::Policy, Some(file)) => {
                 let bytes = std::fs::read(file).map_err(|e| Error::file(file, e))?;
                 Network::new(&bytes, spec).map(Actions::Policy)
             }
-            (Chosen::Policy, None) => Err(Error::invalid("--actions", "policy needs --policy FILE.onnx")),
+            (ActionChoice::Policy, None) => Err(Error::invalid("--actions", "policy needs --policy FILE.onnx")),
             (_, Some(_)) => Err(Error::invalid("--policy", "it is used only with --actions policy")),
-            (Chosen::Random, None) => Ok(Actions::Made(random_actions(rows, spec.action.len()))),
-            (Chosen::Zero, None) => held(0.0),
-            (Chosen::Constant, None) => held(0.4),
+            (ActionChoice::Random, None) => Ok(Actions::Made(random_actions(rows, spec.action.len()))),
+            (ActionChoice::Zero, None) => held(0.0),
+            (ActionChoice::Constant, None) => held(0.4),
         }
     }
 
@@ -193,11 +193,11 @@ impl BenchArgs {
         };
         let (median, min, max) = (rates[rates.len() / 2], rates[0], rates[rates.len() - 1]);
         let through = match self.through {
-            Through::Process => "process",
-            Through::GrpcUds => "grpc-uds",
-            Through::GrpcTcp => "grpc-tcp",
-            Through::Rollouts => "rollouts",
-            Through::Trajectories => "trajectories",
+            Transport::Process => "process",
+            Transport::GrpcUds => "grpc-uds",
+            Transport::GrpcTcp => "grpc-tcp",
+            Transport::Rollouts => "rollouts",
+            Transport::Trajectories => "trajectories",
         };
         let json = json!({
             "env_steps_per_second": median.round(),

@@ -1,7 +1,7 @@
 //! `sandgait robot`
 
 use super::layout::{WIDTH, narrow_table, wrapped};
-use super::robot_check::Sheet;
+use super::robot_check::StandingReport;
 use sandgait::env::options::RobotName;
 use sandgait::robots::{self, Import, ShapeIndex, states};
 use sandgait::sim::tree::looks::Looks;
@@ -79,7 +79,7 @@ impl RobotArgs {
             Err(e) if !self.pack => import.warnings.insert(0, e.to_string()),
             legged => legged?,
         }
-        let touching = Touching::of(&import, self.touches.as_deref(), self.plate_size)?;
+        let touching = SandContacts::of(&import, self.touches.as_deref(), self.plate_size)?;
         if let (true, Some(packed)) = (self.pack, &import.packed) {
             return packed.compressed();
         }
@@ -113,12 +113,12 @@ impl RobotArgs {
     pub fn run_check(&self) -> Result<(String, bool)> {
         let import = load(&self.file)?;
         import.check_legged()?;
-        let touching = Touching::of(&import, self.touches.as_deref(), self.plate_size)?;
+        let touching = SandContacts::of(&import, self.touches.as_deref(), self.plate_size)?;
         let text = match &import.packed {
             Some(packed) => packed.compressed()?,
             None => compressed(&import, &touching)?.0,
         };
-        let sheet = Sheet::of(&text, self.ground.as_deref())?;
+        let sheet = StandingReport::of(&text, self.ground.as_deref())?;
         if let (Some(path), Some(state)) = (&self.picture, sheet.last_state()) {
             draw(&import, &touching, Some(state), path, &self.camera()?)?;
         }
@@ -131,13 +131,13 @@ impl RobotArgs {
 /// The sheet of `--check` for a robot, as JSON, and notes on its description.
 pub fn check(robot: &str, ground: Option<&str>, folders: &[PathBuf]) -> Result<(String, Vec<String>)> {
     let (text, notes) = pack(robot, folders)?;
-    Ok((Sheet::of(&text, ground)?.json().to_string(), notes))
+    Ok((StandingReport::of(&text, ground)?.json().to_string(), notes))
 }
 
 /// Draws the robot in its default pose, or at the end of a check.
 fn draw(
     import: &Import,
-    touching: &Touching,
+    touching: &SandContacts,
     state: Option<&sim::State>,
     path: &Path,
     camera: &view::CameraOptions,
@@ -176,13 +176,13 @@ pub fn pack(robot: &str, folders: &[PathBuf]) -> Result<(String, Vec<String>)> {
         return Ok((packed.compressed()?, Vec::new()));
     }
     import.check_legged()?;
-    let touching = Touching::of(&import, None, None)?;
+    let touching = SandContacts::of(&import, None, None)?;
     let (text, note) = compressed(&import, &touching)?;
     Ok((text, import.warnings.into_iter().chain(note).collect()))
 }
 
 /// The packed text. If shapes for pictures do not fit into it, they are left out, and the note says so.
-fn compressed(import: &Import, touching: &Touching) -> Result<(String, Option<String>)> {
+fn compressed(import: &Import, touching: &SandContacts) -> Result<(String, Option<String>)> {
     let (looks, note) = looks(import);
     let text = |looks| packed::compressed(&packed::pack(&import.tree, &touching.plates, looks)?, touching.count());
     match (&looks, text(looks.as_ref())) {
@@ -212,12 +212,12 @@ fn load(file: &Path) -> Result<Import> {
 }
 
 /// The shapes that touch sand, and their plates, body by body.
-struct Touching {
+struct SandContacts {
     shapes: Vec<ShapeIndex>,
     plates: Vec<Vec<sandgait::sand::intruder::IntruderPlate>>,
 }
 
-impl Touching {
+impl SandContacts {
     fn of(import: &Import, names: Option<&[String]>, plate_size: Option<f64>) -> Result<Self> {
         if let Some(packed) = &import.packed {
             if names.is_some() || plate_size.is_some() {
@@ -273,7 +273,7 @@ fn shape_json(shape: &TreeShape, touches: bool) -> Value {
     })
 }
 
-fn as_json(import: &Import, touching: &Touching) -> Value {
+fn as_json(import: &Import, touching: &SandContacts) -> Value {
     let tree = &import.tree;
     let body = |(b, body): (usize, &TreeBody)| {
         let touches = |s: usize| touching.shapes.contains(&(b, s));
@@ -370,7 +370,7 @@ fn stance(import: &Import) -> String {
     format!("\n{}\n", wrapped(&line, WIDTH).join("\n"))
 }
 
-fn as_text(import: &Import, touching: &Touching) -> String {
+fn as_text(import: &Import, touching: &SandContacts) -> String {
     let tree = &import.tree;
     let mut text = format!(
         "{} ({}): {:.4} kg, {} bodies, {} joints\n\n",

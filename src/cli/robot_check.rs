@@ -13,18 +13,18 @@ const GROUNDS: [&str; 2] = ["rigid", "poppy-close"];
 const MEASURED: f64 = 0.3;
 
 /// The sheet of a robot.
-pub struct Sheet {
+pub struct StandingReport {
     name: String,
     joints: Vec<String>,
     limits: Vec<Option<f64>>,
     plates: usize,
     dt: f64,
     needed_dt: Option<f64>,
-    grounds: Vec<OnGround>,
+    grounds: Vec<GroundReport>,
 }
 
 /// The robot on one ground.
-struct OnGround {
+struct GroundReport {
     ground: String,
     standing: Standing,
     feet: Vec<String>,
@@ -46,7 +46,7 @@ fn tree(model: &Model) -> Result<&TreeModel> {
     model.tree.as_deref().ok_or_else(|| Error::invalid("robot", "is no tree of bodies"))
 }
 
-impl Sheet {
+impl StandingReport {
     /// The packed robot on hard ground and on `ground`, or on sand if that is None.
     pub fn of(packed: &str, ground: Option<&str>) -> Result<Self> {
         let mut names = vec![GROUNDS[0]];
@@ -60,7 +60,7 @@ impl Sheet {
             let feet = standing.feet.iter().map(|f| bodies[f.body].name.clone()).collect();
             let weight = model.total_mass() * sandgait::sim::model::GRAVITY;
             let speed = standing::speed(model, rate, MEASURED)?;
-            grounds.push(OnGround { ground: name.into(), standing, feet, weight, speed });
+            grounds.push(GroundReport { ground: name.into(), standing, feet, weight, speed });
         }
         let first = blueprint(packed, GROUNDS[0], None)?;
         let model = first.task.model();
@@ -89,7 +89,7 @@ impl Sheet {
     }
 
     pub fn json(&self) -> Value {
-        let ground = |g: &OnGround| {
+        let ground = |g: &GroundReport| {
             let s = &g.standing;
             let feet =
                 s.feet.iter().zip(&g.feet).map(

@@ -2,11 +2,10 @@
 
 use super::address::ServerAddress;
 use super::{lost, studies};
-use crate::service::proto::{self, DiagnoseResponse, EvaluateResponse, SweepResponse, TrialsResponse, WalkResponse};
-use crate::service::proto::{diagnose_response, evaluate_response, sweep_response, trials_response, walk_response};
+use crate::service::proto::{DiagnoseResponse, Progress, TableResponse, diagnose_response, table_response};
 use crate::service::studies::compute::{StudyRequest, StudyResult};
 use futures_util::stream::{self, BoxStream, StreamExt as _};
-use tonic::{Status, Streaming};
+use tonic::{Response, Status, Streaming};
 
 /// An event of a study.
 pub enum StudyEvent {
@@ -15,47 +14,20 @@ pub enum StudyEvent {
     Done(StudyResult),
 }
 
-impl From<proto::Progress> for StudyEvent {
-    fn from(progress: proto::Progress) -> Self {
+impl From<Progress> for StudyEvent {
+    fn from(progress: Progress) -> Self {
         Self::Progress(progress.fraction, progress.stage)
     }
 }
 
-impl From<proto::Table> for StudyEvent {
-    fn from(table: proto::Table) -> Self {
-        Self::Done(StudyResult::Table(table))
-    }
-}
-
-fn tried(answer: TrialsResponse) -> Option<StudyEvent> {
+fn of_table(answer: TableResponse) -> Option<StudyEvent> {
     Some(match answer.event? {
-        trials_response::Event::Progress(progress) => progress.into(),
-        trials_response::Event::Table(table) => table.into(),
+        table_response::Event::Progress(progress) => progress.into(),
+        table_response::Event::Table(table) => StudyEvent::Done(StudyResult::Table(table)),
     })
 }
 
-fn walk_event(answer: WalkResponse) -> Option<StudyEvent> {
-    Some(match answer.event? {
-        walk_response::Event::Progress(progress) => progress.into(),
-        walk_response::Event::Table(table) => table.into(),
-    })
-}
-
-fn swept(answer: SweepResponse) -> Option<StudyEvent> {
-    Some(match answer.event? {
-        sweep_response::Event::Progress(progress) => progress.into(),
-        sweep_response::Event::Table(table) => table.into(),
-    })
-}
-
-fn evaluated(answer: EvaluateResponse) -> Option<StudyEvent> {
-    Some(match answer.event? {
-        evaluate_response::Event::Progress(progress) => progress.into(),
-        evaluate_response::Event::Table(table) => table.into(),
-    })
-}
-
-fn diagnosed(answer: DiagnoseResponse) -> Option<StudyEvent> {
+fn of_diagnosis(answer: DiagnoseResponse) -> Option<StudyEvent> {
     Some(match answer.event? {
         diagnose_response::Event::Progress(progress) => progress.into(),
         diagnose_response::Event::Diagnosis(diagnosis) => StudyEvent::Done(StudyResult::Diagnosis(diagnosis)),
@@ -75,21 +47,22 @@ where
 /// Requests a study; dropping its events stops it.
 pub async fn study(place: &ServerAddress, study: StudyRequest) -> Result<StudyEvents, Status> {
     let mut client = studies(place).await?;
-    Ok(match study {
+    let table = |answer: Result<Response<Streaming<TableResponse>>, Status>| {
+        answer.map(|answer| events(answer.into_inner(), of_table)).map_err(lost)
+    };
+    match study {
         StudyRequest::Intrude(request) => {
             let table = client.intrude(request).await.map_err(lost)?.into_inner().table.unwrap_or_default();
-            stream::iter([Ok(table.into())]).boxed()
+            Ok(stream::iter([Ok(StudyEvent::Done(StudyResult::Table(table)))]).boxed())
         }
-        StudyRequest::Trials(request) => events(client.trials(request).await.map_err(lost)?.into_inner(), tried),
-        StudyRequest::Walk(request) => events(client.walk(request).await.map_err(lost)?.into_inner(), walk_event),
-        StudyRequest::Sweep(request) => events(client.sweep(request).await.map_err(lost)?.into_inner(), swept),
-        StudyRequest::Evaluate(request) => {
-            events(client.evaluate(request).await.map_err(lost)?.into_inner(), evaluated)
-        }
+        StudyRequest::Trials(request) => table(client.trials(request).await),
+        StudyRequest::Walk(request) => table(client.walk(request).await),
+        StudyRequest::Sweep(request) => table(client.sweep(request).await),
+        StudyRequest::Evaluate(request) => table(client.evaluate(request).await),
         StudyRequest::Diagnose(request) => {
-            events(client.diagnose(request).await.map_err(lost)?.into_inner(), diagnosed)
+            Ok(events(client.diagnose(request).await.map_err(lost)?.into_inner(), of_diagnosis))
         }
-    })
+    }
 }
 
 /// The next event; None: the stream has ended.

@@ -11,9 +11,9 @@ use super::proto::environment_request::Payload as Request;
 use super::proto::environment_response::Payload as Answer;
 use super::proto::google::rpc;
 use super::proto::{self, EnvironmentRequest, EnvironmentResponse, EnvironmentStateType, StepRequest, StepResponse};
-use super::settings::{self, Changes, TensorSettings};
+use super::settings::{self, ResetChanges, TensorSettings};
 use super::tensors::{self, WorldView};
-use super::worlds::{Interrupt, JoinedWorld, Worlds};
+use super::worlds::{JoinedWorld, PendingReset, Worlds};
 use crate::error::{Error, Result};
 use crate::frame::RequestFrame;
 use crate::intake::Messages;
@@ -140,7 +140,7 @@ impl Agent {
     }
 
     async fn next_view(&self, actions: HashMap<u64, proto::Tensor>) -> Result<WorldView> {
-        if let Some(Interrupt { changes, done }) = self.place.interrupt() {
+        if let Some(PendingReset { changes, done }) = self.place.interrupt() {
             let reset = self.place.reset(changes).await;
             let changed = reset.is_ok();
             // The connection that requested the reset may have ended.
@@ -159,7 +159,7 @@ impl Agent {
     /// steps yet and there are no changes.
     async fn reset(&mut self, settings: TensorSettings) -> Result<()> {
         let changes = settings::changes(settings)?;
-        if self.last.is_some() || changes != Changes::default() {
+        if self.last.is_some() || changes != ResetChanges::default() {
             self.place.reset(changes).await?;
         }
         self.last = None;

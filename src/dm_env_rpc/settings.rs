@@ -30,7 +30,7 @@ pub struct NewWorld {
 
 /// The changes of a reset.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Changes {
+pub struct ResetChanges {
     pub options: ResetOptions,
     /// None: the stream of random numbers continues.
     pub seed: Option<u64>,
@@ -49,7 +49,7 @@ pub fn plan(settings: TensorSettings) -> Result<NewWorld> {
 }
 
 /// Settings of Reset and ResetWorld: `seed` and the options that a reset can change.
-pub fn changes(settings: TensorSettings) -> Result<Changes> {
+pub fn changes(settings: TensorSettings) -> Result<ResetChanges> {
     let mut keywords = keywords(settings)?;
     let seed = seed(&mut keywords)?;
     let names = reset_names();
@@ -58,7 +58,7 @@ pub fn changes(settings: TensorSettings) -> Result<Changes> {
         let known = [vec!["seed"], names].concat();
         return Err(Error::unknown("setting of a reset", name, &known));
     }
-    Ok(Changes { options: ResetOptions::new(Value::Object(keywords))?, seed })
+    Ok(ResetChanges { options: ResetOptions::new(Value::Object(keywords))?, seed })
 }
 
 /// Settings of JoinWorld: there are none.

@@ -1,7 +1,7 @@
 //! Worlds: sessions of one environment, and the connections that have joined them.
 
 use super::proto::ActionObservationSpecs;
-use super::settings::{Changes, NewWorld};
+use super::settings::{NewWorld, ResetChanges};
 use super::tensors::{self, WorldView};
 use crate::env::AnyTask;
 use crate::error::{Error, Result};
@@ -15,8 +15,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::oneshot;
 
 /// A ResetWorld that waits for the connection that has joined the world.
-pub struct Interrupt {
-    pub changes: Changes,
+pub struct PendingReset {
+    pub changes: ResetChanges,
     pub done: oneshot::Sender<Result<()>>,
 }
 
@@ -32,7 +32,7 @@ pub struct Worlds {
 struct Joined {
     /// The connection's attachment to the session.
     stream: u64,
-    interrupt: Option<Interrupt>,
+    interrupt: Option<PendingReset>,
 }
 
 /// A connection's place in a world; dropping it leaves the world.
@@ -67,7 +67,7 @@ enum WorldRequest {
     /// Show the first observation of the present episode, which has no steps yet.
     Begin,
     /// Begin another episode.
-    Reset(Box<Changes>),
+    Reset(Box<ResetChanges>),
     Step(Vec<f32>),
 }
 
@@ -78,7 +78,7 @@ impl WorldRequest {
             Self::Begin if batch.is_fresh() => Ok(None),
             Self::Begin => batch.reset(None, None, Default::default()).map(Some),
             Self::Reset(changes) => {
-                let Changes { options, seed } = *changes;
+                let ResetChanges { options, seed } = *changes;
                 batch.reset(None, seed.map(|s| vec![s]), options).map(Some)
             }
             Self::Step(action) => batch.step(action).map(Some),
@@ -122,7 +122,7 @@ impl Worlds {
         let (name, _) = self.sessions.create(task, 1, options).await?;
         // Two worlds without a seed must differ.
         let seed = Some(seed.unwrap_or_else(rand::random));
-        self.join(&name)?.reset(Changes { seed, ..Default::default() }).await?;
+        self.join(&name)?.reset(ResetChanges { seed, ..Default::default() }).await?;
         Ok(name)
     }
 
@@ -145,7 +145,7 @@ impl Worlds {
 
     /// Begins another episode in a world. If a connection has joined it, waits until that connection has been
     /// notified.
-    pub async fn reset(self: &Arc<Self>, name: &str, changes: Changes) -> Result<()> {
+    pub async fn reset(self: &Arc<Self>, name: &str, changes: ResetChanges) -> Result<()> {
         loop {
             let told = match self.enter_or_interrupt(name, &changes)? {
                 WorldEntry::Free(place) => return place.reset(changes).await.map(drop),
@@ -158,7 +158,7 @@ impl Worlds {
         }
     }
 
-    fn enter_or_interrupt(self: &Arc<Self>, name: &str, changes: &Changes) -> Result<WorldEntry> {
+    fn enter_or_interrupt(self: &Arc<Self>, name: &str, changes: &ResetChanges) -> Result<WorldEntry> {
         let mut joined = self.lock();
         match joined.get_mut(name) {
             None => self.enter(&mut joined, name).map(WorldEntry::Free),
@@ -168,7 +168,7 @@ impl Worlds {
             // A ResetWorld whose client has left makes room.
             Some(Joined { interrupt, .. }) => {
                 let (done, told) = oneshot::channel();
-                *interrupt = Some(Interrupt { changes: changes.clone(), done });
+                *interrupt = Some(PendingReset { changes: changes.clone(), done });
                 Ok(WorldEntry::Waiting(told))
             }
         }
@@ -193,7 +193,7 @@ impl JoinedWorld {
     }
 
     /// A ResetWorld of another connection that waits for this one, if any.
-    pub fn interrupt(&self) -> Option<Interrupt> {
+    pub fn interrupt(&self) -> Option<PendingReset> {
         self.worlds.lock().get_mut(self.name()).and_then(|joined| joined.interrupt.take())
     }
 
@@ -203,7 +203,7 @@ impl JoinedWorld {
     }
 
     /// Begins another episode, with `changes`.
-    pub async fn reset(&self, changes: Changes) -> Result<WorldView> {
+    pub async fn reset(&self, changes: ResetChanges) -> Result<WorldView> {
         self.run(WorldRequest::Reset(Box::new(changes))).await
     }
 
@@ -300,12 +300,12 @@ mod tests {
     async fn an_abandoned_reset_makes_room() {
         let (worlds, name) = world().await;
         let place = worlds.join(&name).unwrap();
-        let reset = || worlds.reset(&name, Changes { seed: Some(2), ..Default::default() });
+        let reset = || worlds.reset(&name, ResetChanges { seed: Some(2), ..Default::default() });
         let wait = std::time::Duration::from_millis(20);
         assert!(tokio::time::timeout(wait, reset()).await.is_err(), "nobody steps");
         let (later, _) = tokio::join!(reset(), async {
             tokio::time::sleep(wait).await;
-            let Interrupt { changes, done } = place.interrupt().unwrap();
+            let PendingReset { changes, done } = place.interrupt().unwrap();
             let _ = done.send(place.reset(changes).await.map(drop));
         });
         later.unwrap();

@@ -10,8 +10,6 @@ mod denormal;
 mod doubles;
 mod isa;
 mod portable;
-#[cfg(test)]
-mod tests;
 mod vector;
 #[cfg(target_arch = "x86_64")]
 mod x86;

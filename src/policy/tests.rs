@@ -1,11 +1,10 @@
 //! The most expensive files of each kind stay within the price that is stated for their length.
 
-use super::format::{
-    Attribute, Dimension, FLOAT, Graph, INT64, Node, OnnxModel, OperatorSet, Tensor, TensorShape, TensorType, Type,
-    ValueInfo,
-};
+#[path = "../../tests/testbed/onnx.rs"]
+mod onnx;
+
 use super::{MOST_BYTES, price, read};
-use prost::Message as _;
+use onnx::{field, file, node};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -34,65 +33,33 @@ static ALLOCATOR: Counted = Counted;
 
 const SIZES: [usize; 2] = [40, 40];
 
-fn rows(name: &str) -> ValueInfo {
-    let dim = |value| Dimension { value, name: String::new() };
-    let shape = TensorShape { dim: vec![dim(None), dim(Some(SIZES[0] as i64))] };
-    let tensor = TensorType { elem_type: FLOAT, shape: Some(shape) };
-    ValueInfo { name: name.into(), kind: Some(Type { tensor: Some(tensor) }) }
-}
-
-/// The observation is `x`, the action `y`.
-fn file(node: Vec<Node>, initializer: Vec<Tensor>) -> Vec<u8> {
-    let graph = Graph { node, initializer, input: vec![rows("x")], output: vec![rows("y")], ..Graph::default() };
-    let opset_import = vec![OperatorSet { domain: String::new(), version: 18 }];
-    OnnxModel { graph: Some(graph), opset_import, ..OnnxModel::default() }.encode_to_vec()
-}
-
-fn node(kind: &str, input: Vec<String>, output: &str) -> Node {
-    Node { input, output: vec![output.into()], op_type: kind.into(), ..Node::default() }
-}
-
-fn weights(name: &str, dims: [i64; 2]) -> Tensor {
-    let raw_data = vec![0; 4 * (dims[0] * dims[1]) as usize];
-    Tensor { dims: dims.to_vec(), data_type: FLOAT, name: name.into(), raw_data, ..Tensor::default() }
-}
-
 /// The files, and the words of their refusals; None: it is taken.
 fn files() -> Vec<(&'static str, Vec<u8>, Option<&'static str>)> {
-    let x = |n: usize| vec!["x".to_owned(); n];
-    let attributes = Node { attribute: vec![Attribute::default(); 2_000_000], ..node("Relu", x(1), "y") };
-    let whole = (MOST_BYTES - 1000) as i64;
-    let integers = Tensor {
-        dims: vec![1, whole],
-        data_type: INT64,
-        name: "c".into(),
-        int64_data: vec![1; whole as usize],
-        ..Tensor::default()
-    };
-    let twice = |k: usize| node("MatMul", vec![format!("v{k}"), "w".into()], &format!("v{}", k + 1));
-    let mut wide = vec![node("MatMul", vec!["x".into(), "first".into()], "v0")];
+    let file = |nodes: &[Vec<u8>], tensors: &[Vec<u8>]| file(nodes, tensors, SIZES.map(|n| n as u64));
+    let [relu, nothing] = [node("Relu", &["x"], "y"), Vec::new()];
+    let attributes = [relu.clone(), field(5, b"").repeat(2_000_000)].concat();
+    let twice = |k: usize| node("MatMul", &[&format!("v{k}"), "w"], &format!("v{}", k + 1));
+    let mut wide = vec![node("MatMul", &["x", "first"], "v0")];
     wide.extend((0..7).map(twice));
-    wide.push(node("MatMul", vec!["v7".into(), "last".into()], "y"));
-    let unpacked = Tensor { data_type: FLOAT, name: "c".into(), ..Tensor::default() };
+    wide.push(node("MatMul", &["v7", "last"], "y"));
+    let weights = [("first", [40, 512]), ("w", [512, 512]), ("last", [512, 40])];
+    let mut constants = vec!["c"; 9_001];
+    constants[0] = "x";
     vec![
-        ("attributes", file(vec![attributes], vec![]), Some("more than 16384 fields")),
-        ("empty nodes", file(vec![Node::default(); 300], vec![]), Some("300 nodes are more than 256")),
-        ("many empty nodes", file(vec![Node::default(); 2_000_000], vec![]), Some("more than 16384 fields")),
-        ("tensors", file(vec![node("Relu", x(1), "y")], vec![unpacked; 200_000]), Some("more than 16384 fields")),
-        ("a long name", file(vec![node("Relu", vec!["x".repeat(4_000_000)], "y")], vec![]), Some("no earlier node")),
-        ("integers", file(vec![node("Relu", x(1), "y")], vec![integers]), None),
-        ("Max of 10,000", file(vec![node("Max", x(10_000), "y")], vec![]), Some("65536 numbers")),
-        ("Max of 1,000", file(vec![node("Max", x(1_000), "y")], vec![]), None),
+        ("attributes", file(&[attributes], &[]), Some("more than 16384 fields")),
+        ("empty nodes", file(&vec![nothing.clone(); 300], &[]), Some("300 nodes are more than 256")),
+        ("many empty nodes", file(&vec![nothing; 2_000_000], &[]), Some("more than 16384 fields")),
+        ("tensors", file(&[relu.clone()], &vec![onnx::tensor("c", 1, &[]); 200_000]), Some("more than 16384 fields")),
+        ("a long name", file(&[node("Relu", &[&"x".repeat(4_000_000)], "y")], &[]), Some("no earlier node")),
+        ("integers", file(&[relu], &[onnx::ones("c", MOST_BYTES - 1000)]), None),
+        ("Max of 10,000", file(&[node("Max", &["x"; 10_000], "y")], &[]), Some("65536 numbers")),
+        ("Max of 1,000", file(&[node("Max", &["x"; 1_000], "y")], &[]), None),
         (
             "Min of constants",
-            file(vec![node("Min", [x(1), vec!["c".into(); 9_000]].concat(), "y")], vec![weights("c", [1, 40])]),
+            file(&[node("Min", &constants, "y")], &[onnx::zeros("c", [1, 40])]),
             Some("65536 numbers"),
         ),
-        (
-            "weights used often",
-            file(wide, vec![weights("first", [40, 512]), weights("w", [512, 512]), weights("last", [512, 40])]),
-            None,
-        ),
+        ("weights used often", file(&wide, &weights.map(|(name, dims)| onnx::zeros(name, dims))), None),
     ]
 }
 

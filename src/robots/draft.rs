@@ -40,10 +40,7 @@ impl Inertial {
     /// These mass properties and `other` combined into one body.
     pub fn with(&self, other: &Self) -> Self {
         let mass = self.mass + other.mass;
-        if mass == 0.0 {
-            return Self { inertia: self.inertia + other.inertia, ..*self };
-        }
-        if other.mass == 0.0 {
+        if mass == 0.0 || other.mass == 0.0 {
             return Self { inertia: self.inertia + other.inertia, ..*self };
         }
         if self.mass == 0.0 {

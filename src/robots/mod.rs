@@ -147,18 +147,8 @@ pub fn load_with(path: &Path, posture: &Posture) -> Result<Import> {
     if ignored {
         notes.say("the file's standing pose does not stand on all legs; a pose was found in its place");
     }
-    Ok(Import {
-        tree,
-        format,
-        warnings: notes.into_lines(),
-        links,
-        visuals,
-        stance,
-        found,
-        base_is_free,
-        touches: None,
-        packed: None,
-    })
+    let warnings = notes.into_lines();
+    Ok(Import { warnings, links, visuals, base_is_free, ..Import::whole(format, tree, stance, found) })
 }
 
 impl Import {
@@ -179,14 +169,10 @@ impl Import {
     /// A robot that `sandgait robot --pack` has printed, with `--json` or without.
     pub fn of_packed_text(text: &str) -> Result<Self> {
         let model = if packed::is_packed(text) { packed::unpack_compressed(text)? } else { packed::unpack(text)? };
-        let tree = (*model.tree).clone();
-        let links = tree.bodies.iter().map(|b| vec![b.name.clone()]).collect();
-        let visuals = tree.bodies.iter().map(|_| Vec::new()).collect();
-        let stance = (*model.stance).clone();
+        let (tree, stance) = ((*model.tree).clone(), (*model.stance).clone());
         let found = FoundJoints::none(tree.joints().count());
-        let (format, warnings) = (Format::Packed, Vec::new());
         let packed = Some(Box::new(PackedRobot { model, text: text.to_owned() }));
-        Ok(Self { tree, format, warnings, links, visuals, stance, found, base_is_free: true, touches: None, packed })
+        Ok(Self { packed, ..Self::whole(Format::Packed, tree, stance, found) })
     }
 
     /// A built-in robot by its name, as `--robot` takes it.
@@ -197,21 +183,15 @@ impl Import {
     fn of_robot(name: &str, robot: &crate::sim::Robot) -> Result<Self> {
         let mut tree = crate::sim::tree::of_robot(name, robot)?;
         let (stance, found, _) = posture::settle(&mut tree);
+        Ok(Self::whole(Format::Toml, tree, stance, found))
+    }
+
+    /// A robot without notes and visuals, each of whose bodies is one link.
+    fn whole(format: Format, tree: Tree, stance: Stance, found: FoundJoints) -> Self {
         let links = tree.bodies.iter().map(|b| vec![b.name.clone()]).collect();
-        let visuals = tree.bodies.iter().map(|_| Vec::new()).collect();
-        let (format, warnings) = (Format::Toml, Vec::new());
-        Ok(Self {
-            tree,
-            format,
-            warnings,
-            links,
-            visuals,
-            stance,
-            found,
-            base_is_free: true,
-            touches: None,
-            packed: None,
-        })
+        let visuals = vec![Vec::new(); tree.bodies.len()];
+        let warnings = Vec::new();
+        Self { tree, format, warnings, links, visuals, stance, found, base_is_free: true, touches: None, packed: None }
     }
 
     /// The visual shapes of each body: the file's visuals, or else its collision shapes. Meshes of visuals are read

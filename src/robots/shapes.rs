@@ -13,29 +13,21 @@ const BANDS: usize = 32;
 
 /// A mesh that sand can push on: itself if its surface is closed, otherwise its convex hull, with a note.
 pub fn collision_mesh(meshes: &mut Meshes, file: &MeshFile, notes: &mut Notes) -> Result<Geometry> {
-    let triangles = meshes.scaled(file)?;
-    let name = file.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    Ok(Geometry::Mesh(match closed(&triangles) {
-        Closed::Itself => triangles,
-        Closed::Hull(hull) => {
-            notes.part("mesh", &name, "the surface is not closed; its convex hull takes its place");
-            Arc::new(hull)
-        }
-        Closed::Nothing => return Err(Error::file(&file.path, "the mesh is flat: it has no volume")),
-    }))
+    let name = file.path.file_name().unwrap_or_default().to_string_lossy();
+    let closed = closed_mesh(&name, meshes.scaled(file)?, notes);
+    closed.ok_or_else(|| Error::file(&file.path, "the mesh is flat: it has no volume"))
 }
 
-/// The same as [`collision_mesh`], for given triangles.
-pub fn closed_mesh(name: &str, triangles: Vec<Triangle>, notes: &mut Notes) -> Option<Geometry> {
-    let kept = match closed(&triangles) {
+/// The same as [`collision_mesh`], for given triangles; None if they are flat.
+pub fn closed_mesh(name: &str, triangles: Arc<Vec<Triangle>>, notes: &mut Notes) -> Option<Geometry> {
+    Some(Geometry::Mesh(match closed(&triangles) {
         Closed::Itself => triangles,
         Closed::Hull(hull) => {
             notes.part("mesh", name, "the surface is not closed; its convex hull takes its place");
-            hull
+            Arc::new(hull)
         }
         Closed::Nothing => return None,
-    };
-    Some(Geometry::Mesh(Arc::new(kept)))
+    }))
 }
 
 /// Triangles of an ellipsoid with these half axes.

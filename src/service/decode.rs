@@ -45,7 +45,7 @@ const LIGHT: usize = 16 << 10;
 
 /// How long a request keeps the thread that checks it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Weight {
+pub enum RequestWeight {
     /// Some microseconds: the thread that received it.
     Light,
     /// Some milliseconds: a blocking thread.
@@ -55,17 +55,17 @@ pub enum Weight {
 }
 
 /// Where this request is checked. Models are built from reset options.
-pub fn weight(request: &proto::RunSessionRequest) -> Weight {
+pub fn weight(request: &proto::RunSessionRequest) -> RequestWeight {
     match &request.request {
-        Some(Request::Step(step)) if step.actions.len() + step.held.len() <= LIGHT => Weight::Light,
-        Some(Request::Step(_) | Request::Observe(_)) => Weight::Short,
-        Some(Request::Reset(reset)) if reset.options.is_some() => Weight::Long,
-        Some(Request::Reset(reset)) if 8 * reset.seeds.len() + reset.mask.len() <= LIGHT => Weight::Light,
-        Some(Request::Reset(_)) => Weight::Short,
-        Some(Request::SetCommand(set)) if set.commands.len() <= LIGHT => Weight::Light,
-        Some(Request::SetCommand(_)) => Weight::Short,
-        Some(Request::Attach(_)) | None => Weight::Light,
-        Some(_) => Weight::Long,
+        Some(Request::Step(step)) if step.actions.len() + step.held.len() <= LIGHT => RequestWeight::Light,
+        Some(Request::Step(_) | Request::Observe(_)) => RequestWeight::Short,
+        Some(Request::Reset(reset)) if reset.options.is_some() => RequestWeight::Long,
+        Some(Request::Reset(reset)) if 8 * reset.seeds.len() + reset.mask.len() <= LIGHT => RequestWeight::Light,
+        Some(Request::Reset(_)) => RequestWeight::Short,
+        Some(Request::SetCommand(set)) if set.commands.len() <= LIGHT => RequestWeight::Light,
+        Some(Request::SetCommand(_)) => RequestWeight::Short,
+        Some(Request::Attach(_)) | None => RequestWeight::Light,
+        Some(_) => RequestWeight::Long,
     }
 }
 

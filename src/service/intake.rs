@@ -1,7 +1,7 @@
 //! Limits the memory of requests before they are read.
 //!
 //! ```text
-//!  call ──▶ length of the next message ──▶ too large: refused ──▶ large: waits for its share ──▶ read ──▶ Frame
+//!  call ──▶ length of the next message ──▶ too large: refused ──▶ large: waits for its share ──▶ read ──▶ RequestFrame
 //! ```
 //!
 //! Small messages pass. Large messages of all calls together may take [`Intake::room`]. While one waits, HTTP/2's

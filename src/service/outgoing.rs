@@ -25,13 +25,13 @@ const SLOWEST: usize = 1 << 20;
 
 /// Bytes that hold their share of the memory for requests until HTTP/2 has sent them, or drops them because the stream
 /// or the connection has ended.
-struct Unsent {
+struct UnsentAnswer {
     bytes: Bytes,
     _share: Arc<Share>,
     _limit: TimeLimit,
 }
 
-impl AsRef<[u8]> for Unsent {
+impl AsRef<[u8]> for UnsentAnswer {
     fn as_ref(&self) -> &[u8] {
         &self.bytes
     }
@@ -72,7 +72,7 @@ pub async fn pass(State(stall): State<Duration>, call: Request, next: Next) -> R
                 let queued = std::mem::replace(&mut ahead, bytes.len()) + bytes.len();
                 let Some(share) = messages.take_answer_share() else { return bytes };
                 let time = stall + Duration::from_secs((queued / SLOWEST) as u64);
-                Bytes::from_owner(Unsent { bytes, _share: share, _limit: TimeLimit::new(link.clone(), time) })
+                Bytes::from_owner(UnsentAnswer { bytes, _share: share, _limit: TimeLimit::new(link.clone(), time) })
             })
         }))
     })

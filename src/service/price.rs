@@ -1,7 +1,7 @@
 //! What each call may cost at most, checked before its work begins. `docs/serving.md` has this as a table.
 //!
 //! ```text
-//!  length of the message ≤ Call::largest ──▶ its fields and values are counted (Call::layout) ──▶ unpacked
+//!  length of the message ≤ CallBounds::largest ──▶ its fields and values are counted (CallBounds::layout) ──▶ unpacked
 //!   ──▶ memory of the work and its answer (of_request) ──▶ a share of the memory for requests ──▶ work
 //! ```
 //!
@@ -9,7 +9,7 @@
 //! memory nor time. Therefore all fields of a message are counted before unpacking, down to the values of its options.
 //!
 //! Time is bounded by notice: all work of more than some 10 ms is done in parts, and ends after the present part if
-//! nobody waits for it any more (`Work::end`, `Progress::report`).
+//! nobody waits for it any more (`SessionWork::end`, `Progress::report`).
 
 use super::proto;
 use super::proto::run_session_request::Request;
@@ -242,17 +242,17 @@ static DIAGNOSE: [FieldBounds; 1] = [once(3, "values", LONGEST_OPTIONS, Some(&ST
 
 /// Refuses a message that would unpack to more than `layout` allows.
 pub fn check(bytes: &[u8], layout: MessageLayout) -> Result<()> {
-    Count::default().message(bytes, layout, 0)
+    FieldCount::default().message(bytes, layout, 0)
 }
 
 /// The counts so far.
 #[derive(Default)]
-struct Count {
+struct FieldCount {
     fields: usize,
     messages: usize,
 }
 
-impl Count {
+impl FieldCount {
     fn message(&mut self, mut bytes: &[u8], layout: MessageLayout, depth: usize) -> Result<()> {
         let mut seen = 0_u32;
         while !bytes.is_empty() {

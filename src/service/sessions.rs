@@ -131,11 +131,11 @@ impl Drop for Reservation {
 /// The environments of a session.
 pub struct SessionEnvironments {
     pub batch: Batch,
-    pub books: Books,
+    pub books: SessionRecord,
 }
 
 /// What belongs to a session's environments.
-pub struct Books {
+pub struct SessionRecord {
     pub done: LastAnswer,
     pub reservation: Reservation,
 }
@@ -158,15 +158,15 @@ fn release<T: Send + 'static>(environments: Option<T>) {
 }
 
 /// A session under construction; None afterwards.
-struct Making(Option<(Building, Reservation)>);
+struct SessionBuilder(Option<(Building, Reservation)>);
 
-impl Drop for Making {
+impl Drop for SessionBuilder {
     fn drop(&mut self) {
         release(self.0.take());
     }
 }
 
-impl Making {
+impl SessionBuilder {
     /// Makes environments for one turn.
     fn go_on(mut self) -> Result<Self> {
         self.0.as_mut().map_or(Ok(()), |(building, _)| building.go_on(TURN))?;
@@ -180,7 +180,10 @@ impl Making {
     /// Makes the remaining environments now; returns all of them.
     fn finish(mut self) -> Result<SessionEnvironments> {
         let (building, reservation) = self.0.take().ok_or_else(failed)?;
-        Ok(SessionEnvironments { batch: building.finish()?, books: Books { done: LastAnswer::default(), reservation } })
+        Ok(SessionEnvironments {
+            batch: building.finish()?,
+            books: SessionRecord { done: LastAnswer::default(), reservation },
+        })
     }
 }
 
@@ -326,10 +329,10 @@ impl Sessions {
     }
 
     /// Reserves the share of the limits for environments that are not created yet.
-    fn begin(&self, blueprint: &Blueprint, envs: usize) -> Result<Making> {
+    fn begin(&self, blueprint: &Blueprint, envs: usize) -> Result<SessionBuilder> {
         check_envs(envs, self.limits.environments)?;
         let reservation = self.reserve(envs, blueprint)?;
-        Ok(Making(Some((Building::new(blueprint, envs)?, reservation))))
+        Ok(SessionBuilder(Some((Building::new(blueprint, envs)?, reservation))))
     }
 
     /// Makes a session available to clients.

@@ -2,7 +2,7 @@
 //! one restores.
 //!
 //! ```text
-//!  "sandgait session\n" │ tag of the rest, as in snapshots │ Saved
+//!  "sandgait session\n" │ tag of the rest, as in snapshots │ SessionFile
 //! ```
 //!
 //! A file contains everything that a client of a restarted server needs: the session's id, the number of its last

@@ -9,7 +9,7 @@
 //! sender. This file does not compute: a light request is checked on the async thread, a heavy one on a blocking
 //! thread, and the pool's threads step and encode.
 
-use super::decode::Weight;
+use super::decode::RequestWeight;
 use super::frame::RequestFrame;
 use super::intake::{Intake, Messages, Share};
 use super::proto::run_session_request::Request;
@@ -158,7 +158,7 @@ impl SessionStream {
         self.call.messages.let_pass(decode::largest_step(guard.batch()));
         let part = guard.batch().part_bytes();
         let priced = request.request.as_ref().map_or(Ok(0), |request| price::of_request(request, part));
-        let grows = decode::weight(&request) == Weight::Long;
+        let grows = decode::weight(&request) == RequestWeight::Long;
         let (guard, share) = match priced {
             Ok(0) if !grows => (guard, Ok(None)),
             Ok(bytes) => self.paid(guard, bytes).await?,
@@ -224,9 +224,9 @@ impl SessionStream {
         // A panic drops the work, which then ends its session; this thread's other work must go on.
         let begin = move || drop(catch_unwind(AssertUnwindSafe(|| carry_out(work, request.request, &pool))));
         match weight {
-            Weight::Light => begin(),
-            Weight::Short => drop(tokio::task::spawn_blocking(begin)),
-            Weight::Long => {
+            RequestWeight::Light => begin(),
+            RequestWeight::Short => drop(tokio::task::spawn_blocking(begin)),
+            RequestWeight::Long => {
                 let sessions = self.sessions.clone();
                 let Some(Attachment { hold, .. }) = &self.attached else { return };
                 let end = hold.end.clone();

@@ -1,10 +1,10 @@
 //! Checkpoints: files from which a training can go on, here or with stable-baselines3 (`sandgait.export.to_sb3`).
 
 use super::adam::Adam;
-use super::kept::{Episodes, SavedEnvironments};
 use super::network::NetworkLayer;
 use super::normal::{Normalizer, RunningStatistics};
 use super::plan::{TrainingPlan, TrainingState};
+use super::saved_environments::{Episodes, SavedEnvironments};
 use super::settings::Hyperparameters;
 use super::tensors::Tensors;
 use crate::error::{Error, Result};

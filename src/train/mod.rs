@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!  settings ──▶ plan, learner ──▶ training: rollouts (collect, normal, remote) and updates (learn, loss, adam) in turn, over a crew
-//!                  │                         └── network, mirror, matrix            of threads; kept: to go on with the same bits
+//!                  │                         └── network, mirror, matrix            of threads; saved_environments: to go on with the same bits
 //!                  ├──▶ run: one training, with policy.onnx, checkpoints, learning curve, events, film
 //!                  └──▶ design: many designs, a gait learnt for each
 //! ```
@@ -31,7 +31,6 @@ mod export;
 mod film;
 #[cfg(test)]
 mod gradients;
-mod kept;
 mod learn;
 mod learner;
 mod loss;
@@ -44,6 +43,7 @@ pub mod plan;
 mod record;
 pub mod remote;
 mod run;
+mod saved_environments;
 mod search;
 pub mod settings;
 mod tensors;

@@ -1,10 +1,10 @@
 //! The plan of a training, its state, and the interface of its observers.
 
 use super::adam::Adam;
-use super::kept::SavedEnvironments;
 use super::mirror::Mirror;
 use super::network::{NetworkSizes, Networks};
 use super::normal::Normalizer;
+use super::saved_environments::SavedEnvironments;
 use super::settings::Hyperparameters;
 use crate::env::registry::Blueprint;
 use crate::error::Result;

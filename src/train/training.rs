@@ -2,12 +2,12 @@
 
 use super::collect::{PolicyContext, RolloutGroup, deal};
 use super::crew::WorkCrew;
-use super::kept::SavedEnvironments;
 use super::learn::{Chunk, Minibatches, RolloutBuffer};
 use super::loss::{LossSums, LossWeights, entropy};
 use super::normal::{BatchMoments, NormalizerScales, RunningStatistics};
 use super::plan::{Observer, TrainingPlan, TrainingState, UpdateReport};
 use super::remote::OptionalRemote;
+use super::saved_environments::SavedEnvironments;
 use super::settings::Hyperparameters;
 use crate::error::{Error, Result};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};

@@ -2,14 +2,14 @@
 
 use super::data::{DataSet, SteadyState, Wheel};
 use super::fit;
-use super::score::{FIGURES, ForceErrors, Pair, REGIMES, errors, intervals, predict, scatter};
+use super::score::{FIGURES, ForceErrors, MeasuredPair, REGIMES, errors, intervals, predict, scatter};
 use crate::error::{Error, Result};
 use crate::plot::{Axis, Figure, Mark, Panel, Style, color, png};
 use std::fmt::Write as _;
 use std::path::Path;
 
 /// The series of a figure: measured and predicted values, if both exist.
-type FigureOf = fn(&Pair) -> Option<[f64; 2]>;
+type FigureOf = fn(&MeasuredPair) -> Option<[f64; 2]>;
 
 /// The text above the scoreboard.
 const INTRODUCTION: &str = "\
@@ -37,7 +37,7 @@ struct Comparison {
     title: String,
     /// Title of its figure.
     short: &'static str,
-    pairs: Vec<Pair>,
+    pairs: Vec<MeasuredPair>,
 }
 
 /// The whole scoreboard of one data set.
@@ -50,7 +50,7 @@ impl Scoreboard {
     /// Predicts every row, and fits again with one slip angle left out at a time.
     pub fn new(data: DataSet) -> Result<Self> {
         let mut comparisons = Vec::new();
-        let each = |of: &dyn Fn(&Wheel) -> Option<crate::sand::SandDescription>| -> Vec<Pair> {
+        let each = |of: &dyn Fn(&Wheel) -> Option<crate::sand::SandDescription>| -> Vec<MeasuredPair> {
             let wheels = data.wheels.iter().enumerate();
             wheels.filter_map(|(k, w)| of(w).map(|sand| predict(k, w, &sand, &w.rows))).flatten().collect()
         };
@@ -110,7 +110,7 @@ impl Scoreboard {
 
     fn table(&self, c: &Comparison) -> String {
         let mut text = format!("| rows | n | {} | no equilibrium |\n|{}\n", FIGURES.join(" | "), "---|".repeat(9));
-        let mut line = |name: &str, pairs: &[Pair], with_intervals: bool| {
+        let mut line = |name: &str, pairs: &[MeasuredPair], with_intervals: bool| {
             if pairs.is_empty() {
                 return;
             }
@@ -226,7 +226,7 @@ impl Scoreboard {
     }
 }
 
-fn select(c: &Comparison, keep: impl Fn(&Pair) -> bool) -> Vec<Pair> {
+fn select(c: &Comparison, keep: impl Fn(&MeasuredPair) -> bool) -> Vec<MeasuredPair> {
     c.pairs.iter().filter(|p| keep(p)).copied().collect()
 }
 
@@ -236,7 +236,7 @@ fn capital(text: &str) -> String {
 }
 
 /// Predicts the rows with positive slip ratios from a fit on all other rows.
-fn positive(wheels: &[Wheel]) -> Result<Vec<Pair>> {
+fn positive(wheels: &[Wheel]) -> Result<Vec<MeasuredPair>> {
     // The measured slip ratio of a wheel that rolls freely is up to 3 %.
     let split = |wheel: &Wheel, above: bool| -> Vec<SteadyState> {
         wheel.rows.iter().filter(|r| (r.slip > 0.03) == above).copied().collect()
@@ -254,7 +254,7 @@ fn positive(wheels: &[Wheel]) -> Result<Vec<Pair>> {
 }
 
 /// Predicts each slip angle from a fit on the other slip angles.
-fn cross_validated(wheels: &[Wheel]) -> Result<Vec<Pair>> {
+fn cross_validated(wheels: &[Wheel]) -> Result<Vec<MeasuredPair>> {
     let angle = |row: &SteadyState| row.slip_angle.round() as i64;
     let mut angles: Vec<i64> = wheels.iter().flat_map(|w| w.rows.iter().map(angle)).collect();
     angles.sort_unstable();

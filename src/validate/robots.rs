@@ -14,39 +14,25 @@ use serde::Deserialize;
 use std::fmt::Write as _;
 use std::path::Path;
 
+macro_rules! flight {
+    ($robot:literal, $folder:literal, $results:literal, $program:literal) => {
+        (
+            $robot,
+            include_str!(concat!("../../", $folder, $robot)),
+            include_str!(concat!("../../tests/data/robots/", $results)),
+            $program,
+        )
+    };
+}
+
 /// A robot's file, another program's results for it, and that program. tests/data/robots/README.md describes how
 /// they were made.
 const FLIGHTS: [(&str, &str, &str, &str); 5] = [
-    (
-        "solo12.urdf",
-        include_str!("../../tests/data/robots/solo12.urdf"),
-        include_str!("../../tests/data/robots/solo12.json"),
-        "pinocchio 4.1.0",
-    ),
-    (
-        "odd.urdf",
-        include_str!("../../tests/data/robots/odd.urdf"),
-        include_str!("../../tests/data/robots/odd_urdf.json"),
-        "pinocchio 4.1.0",
-    ),
-    (
-        "sandcat.urdf",
-        include_str!("../../robots/sandcat.urdf"),
-        include_str!("../../tests/data/robots/sandcat_urdf.json"),
-        "pinocchio 4.1.0",
-    ),
-    (
-        "odd.xml",
-        include_str!("../../tests/data/robots/odd.xml"),
-        include_str!("../../tests/data/robots/odd_mjcf.json"),
-        "MuJoCo 4.0.0",
-    ),
-    (
-        "sandcat.xml",
-        include_str!("../../robots/sandcat.xml"),
-        include_str!("../../tests/data/robots/sandcat_mjcf.json"),
-        "MuJoCo 4.0.0",
-    ),
+    flight!("solo12.urdf", "tests/data/robots/", "solo12.json", "pinocchio 4.1.0"),
+    flight!("odd.urdf", "tests/data/robots/", "odd_urdf.json", "pinocchio 4.1.0"),
+    flight!("sandcat.urdf", "robots/", "sandcat_urdf.json", "pinocchio 4.1.0"),
+    flight!("odd.xml", "tests/data/robots/", "odd_mjcf.json", "MuJoCo 4.0.0"),
+    flight!("sandcat.xml", "robots/", "sandcat_mjcf.json", "MuJoCo 4.0.0"),
 ];
 
 /// MuJoCo's results for a quadruped that is dropped onto a hard floor, rests, and trots.

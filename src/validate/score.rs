@@ -22,19 +22,19 @@ pub struct Prediction {
 
 /// A measured row and its prediction.
 #[derive(Clone, Copy, Debug)]
-pub struct Pair {
+pub struct MeasuredPair {
     pub wheel: usize,
     pub row: SteadyState,
     pub prediction: Prediction,
 }
 
 /// Every row of a wheel in `sand`.
-pub fn predict(index: usize, wheel: &Wheel, sand: &SandDescription, rows: &[SteadyState]) -> Vec<Pair> {
+pub fn predict(index: usize, wheel: &Wheel, sand: &SandDescription, rows: &[SteadyState]) -> Vec<MeasuredPair> {
     parallel::map(rows, |row| {
         let at = |given| compute(&wheel.body, sand, &Trial { given, ..row.trial });
         let under = at(DepthOrLoad::Load(row.force[2]));
         let carried = (under.status == Status::Ok).then_some((under.depth, under.force));
-        Pair {
+        MeasuredPair {
             wheel: index,
             row: *row,
             prediction: Prediction { force: at(DepthOrLoad::Depth(row.depth)).force, carried },
@@ -54,7 +54,7 @@ pub struct ForceErrors {
     pub values: [f64; 6],
 }
 
-pub fn errors(pairs: &[Pair]) -> ForceErrors {
+pub fn errors(pairs: &[MeasuredPair]) -> ForceErrors {
     let load = pairs.iter().map(|p| p.row.force[2]).sum::<f64>() / pairs.len() as f64;
     let percent = 100.0 / load;
     let at = |k: usize| percent * rms(pairs.iter().map(|p| p.prediction.force[k] - p.row.force[k]));
@@ -74,13 +74,13 @@ fn rms(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 /// 95 % intervals of [`FIGURES`] by a bootstrap over conditions, each with all its repetitions.
-pub fn intervals(pairs: &[Pair]) -> [[f64; 2]; 6] {
+pub fn intervals(pairs: &[MeasuredPair]) -> [[f64; 2]; 6] {
     let groups = conditions(pairs);
     let mut random = Xoshiro256PlusPlus::seed_from_u64(1);
     let drawn: Vec<[f64; 6]> = (0..RESAMPLES)
         .map(|_| {
             let draw = |_| &groups[random.random_range(0..groups.len())];
-            let resample: Vec<Pair> = (0..groups.len()).flat_map(draw).copied().collect();
+            let resample: Vec<MeasuredPair> = (0..groups.len()).flat_map(draw).copied().collect();
             errors(&resample).values
         })
         .collect();
@@ -91,9 +91,9 @@ pub fn intervals(pairs: &[Pair]) -> [[f64; 2]; 6] {
     })
 }
 
-fn conditions(pairs: &[Pair]) -> Vec<Vec<Pair>> {
-    let key = |pair: &Pair| (pair.wheel, pair.row.condition());
-    let mut groups: Vec<Vec<Pair>> = Vec::new();
+fn conditions(pairs: &[MeasuredPair]) -> Vec<Vec<MeasuredPair>> {
+    let key = |pair: &MeasuredPair| (pair.wheel, pair.row.condition());
+    let mut groups: Vec<Vec<MeasuredPair>> = Vec::new();
     for pair in pairs {
         match groups.iter_mut().find(|group| key(&group[0]) == key(pair)) {
             Some(group) => group.push(*pair),
@@ -104,7 +104,7 @@ fn conditions(pairs: &[Pair]) -> Vec<Vec<Pair>> {
 }
 
 /// Scatter of repetitions about their condition's mean: Fx, Fy, Fz in % of the mean load, sinkage in mm.
-pub fn scatter(pairs: &[Pair]) -> [f64; 4] {
+pub fn scatter(pairs: &[MeasuredPair]) -> [f64; 4] {
     let load = pairs.iter().map(|p| p.row.force[2]).sum::<f64>() / pairs.len() as f64;
     let groups = conditions(pairs);
     let of = |value: &dyn Fn(&SteadyState) -> f64| {

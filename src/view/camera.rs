@@ -8,6 +8,15 @@ use crate::sim::{Model, State};
 /// Allowed width and height of a picture [px]: our choice, to bound its memory.
 pub const SIZES: std::ops::RangeInclusive<u32> = 16..=4096;
 
+/// # Errors
+/// Names the side that is out of [`SIZES`].
+pub fn check_size(size: [u32; 2]) -> Result<()> {
+    for (name, side) in ["width", "height"].into_iter().zip(size) {
+        check_range(name, side.into(), (*SIZES.start()).into()..=(*SIZES.end()).into())?;
+    }
+    Ok(())
+}
+
 /// Default direction to the camera [rad]: the angle about the vertical from the world's x axis, and the angle above the
 /// horizon. Our choice: on the right side of a robot that walks along x, a little in front, so that no leg hides
 /// another.

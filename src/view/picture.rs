@@ -1,6 +1,6 @@
 //! Draws one moment as an image, without a GPU: far faces first, then near faces over them.
 
-use super::camera::{Camera, CameraOptions, SIZES, clip, radius};
+use super::camera::{Camera, CameraOptions, check_size, clip, radius};
 use super::raster::{LIGHT, Rgb, SAMPLES};
 use super::{solid, text};
 use crate::error::{Error, Result};
@@ -53,7 +53,7 @@ struct PictureFace {
 /// see [`Pose::of`].
 ///
 /// # Errors
-/// Names the side that is out of [`SIZES`], or the camera's value that is out of its range.
+/// Names the side that is out of range, or the camera's value that is out of its range.
 pub fn draw(
     model: &Model,
     state: &State,
@@ -62,12 +62,7 @@ pub fn draw(
     camera: &CameraOptions,
     captions: &[String],
 ) -> Result<Vec<u8>> {
-    for (name, side) in ["width", "height"].into_iter().zip(size) {
-        if !SIZES.contains(&side) {
-            let range = format!("{side} is outside [{}, {}]", SIZES.start(), SIZES.end());
-            return Err(Error::invalid(name, range));
-        }
-    }
+    check_size(size)?;
     let pose = Pose::of(model, state, footing);
     let mut canvas = SandCanvas::new(model, state, size, camera.check()?)?;
     canvas.sand();
@@ -190,7 +185,7 @@ impl SandCanvas {
         // Lines and shadows are drawn on level ground only.
         if ground.is_none() {
             labels = self.lines(model, state);
-            let face = |(corners, color): &solid::Painted| {
+            let face = |(corners, color): &solid::ColoredTriangle| {
                 let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0])).try_normalize(0.0)?;
                 Some(PictureFace { corners: corners.to_vec(), normal, color: *color })
             };
@@ -213,7 +208,7 @@ impl SandCanvas {
                 let (corners, color) = (face.corners.clone(), face.color);
                 (2..corners.len()).map(move |k| ([corners[0], corners[k - 1], corners[k]], color)).collect::<Vec<_>>()
             };
-            let painted: Vec<solid::Painted> = faces.iter().flat_map(fan).collect();
+            let painted: Vec<solid::ColoredTriangle> = faces.iter().flat_map(fan).collect();
             let size = [self.map.width(), self.map.height()].map(|side| side * SAMPLES as u32);
             let fine = Camera::of(&self.options, model, state, size);
             solid::paint(&mut self.map, &fine, &painted, Some(&ground), &[]);

@@ -23,10 +23,10 @@ const BURIED: f32 = 0.22;
 const BAND: usize = 32;
 
 /// A triangle in the world, and its colour.
-pub type Painted = ([V; 3], Rgb);
+pub type ColoredTriangle = ([V; 3], Rgb);
 
 /// The robot's shapes.
-pub fn robot(robot: &TreeModel, state: &State) -> Vec<Painted> {
+pub fn robot(robot: &TreeModel, state: &State) -> Vec<ColoredTriangle> {
     let frames = kinematics::frames(&robot.tree, state);
     let mut all = Vec::new();
     for look in &robot.looks.shapes {
@@ -56,7 +56,7 @@ fn triangles(looks: &Looks, form: Form) -> Vec<[V; 3]> {
 }
 
 /// Ground with heights around the point [x, y], in the colours of sand; None: it is flat.
-pub fn ground(model: &Model, state: &State, [x, y]: [f64; 2]) -> Option<Vec<Painted>> {
+pub fn ground(model: &Model, state: &State, [x, y]: [f64; 2]) -> Option<Vec<ColoredTriangle>> {
     if let Some(sand) = &state.sand {
         return Some(moved(sand));
     }
@@ -83,7 +83,7 @@ pub fn ground(model: &Model, state: &State, [x, y]: [f64; 2]) -> Option<Vec<Pain
 }
 
 /// The square of sand that moves with a robot, every cell of it.
-fn moved(sand: &Moved) -> Vec<Painted> {
+fn moved(sand: &Moved) -> Vec<ColoredTriangle> {
     let (cell, side) = (sand.grid.frame.cell, sand.grid.frame.side());
     let nodes: Vec<V> = (sand.grid.cells())
         .map(|([i, j], height)| V::new((f64::from(i) + 0.5) * cell, (f64::from(j) + 0.5) * cell, height))
@@ -98,8 +98,14 @@ fn moved(sand: &Moved) -> Vec<Painted> {
 
 /// Paints robot, ground and hard ground into `map`. `camera`: that of a picture with [`SAMPLES`] times as many pixels
 /// along each side. Parts of the robot under the surface shine through.
-pub fn paint(map: &mut Pixmap, camera: &Camera, robot: &[Painted], ground: Option<&[Painted]>, hard: &[HardGround]) {
-    let lit = |all: &[Painted]| -> Vec<RasterTriangle> {
+pub fn paint(
+    map: &mut Pixmap,
+    camera: &Camera,
+    robot: &[ColoredTriangle],
+    ground: Option<&[ColoredTriangle]>,
+    hard: &[HardGround],
+) {
+    let lit = |all: &[ColoredTriangle]| -> Vec<RasterTriangle> {
         all.iter().filter_map(|(t, c)| RasterTriangle::lit(camera, t, *c)).collect()
     };
     let (robot, ground) = (lit(robot), ground.map(lit));

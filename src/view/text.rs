@@ -13,7 +13,7 @@ const SIZE: f64 = 13.0;
 const OTHERS: [char; 4] = ['°', '·', '−', '²'];
 
 /// The coverage of each pixel of each letter, 0 to 255.
-struct Letters {
+struct GlyphCells {
     cells: Vec<[u8; CELL[0] * CELL[1]]>,
 }
 
@@ -25,13 +25,13 @@ fn index(c: char) -> usize {
     }
 }
 
-fn letters() -> Result<&'static Letters> {
-    static LETTERS: OnceLock<Option<Letters>> = OnceLock::new();
+fn letters() -> Result<&'static GlyphCells> {
+    static LETTERS: OnceLock<Option<GlyphCells>> = OnceLock::new();
     let letters = LETTERS.get_or_init(drawn).as_ref();
     letters.ok_or_else(|| Error::Exhausted("the font of pictures cannot be drawn".into()))
 }
 
-fn drawn() -> Option<Letters> {
+fn drawn() -> Option<GlyphCells> {
     let all: Vec<char> = (' '..='~').chain(OTHERS).collect();
     let (width, height) = (CELL[0] * all.len(), CELL[1]);
     let mut svg = format!("<svg xmlns='http://www.w3.org/2000/svg' width='{width}' height='{height}'>");
@@ -54,7 +54,7 @@ fn drawn() -> Option<Letters> {
     resvg::render(&tree, Transform::identity(), &mut map.as_mut());
     let cell =
         |i: usize| std::array::from_fn(|k| map.pixels()[k / CELL[0] * width + i * CELL[0] + k % CELL[0]].alpha());
-    Some(Letters { cells: (0..all.len()).map(cell).collect() })
+    Some(GlyphCells { cells: (0..all.len()).map(cell).collect() })
 }
 
 /// Writes `text` with its upper left corner at (x, y) on `pixels`, which are RGB rows of `width`. Parts outside of the picture are

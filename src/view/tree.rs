@@ -1,6 +1,6 @@
 //! An image of any robot: every visible triangle, with a depth buffer.
 
-use super::camera::{Camera, CameraOptions, SIZES};
+use super::camera::{Camera, CameraOptions, check_size};
 use super::raster::{LIGHT, PixelRows, RasterTriangle, Rgb, SAMPLES};
 use super::text;
 use crate::error::{Error, Result};
@@ -30,7 +30,7 @@ const BEFORE: f64 = 2e-3;
 /// z = 0; `seen` (visual shapes) and `plates` are lists by body, in the bodies' frames.
 ///
 /// # Errors
-/// Names the side that is out of [`SIZES`], or the camera's value that is out of its range.
+/// Names the side that is out of range, or the camera's value that is out of its range.
 pub fn draw(
     tree: &Tree,
     seen: &[Vec<TreeShape>],
@@ -40,11 +40,7 @@ pub fn draw(
     camera: &CameraOptions,
     captions: &[String],
 ) -> Result<Vec<u8>> {
-    for (name, side) in ["width", "height"].into_iter().zip(size) {
-        if !SIZES.contains(&side) {
-            return Err(Error::invalid(name, format!("{side} is outside [{}, {}]", SIZES.start(), SIZES.end())));
-        }
-    }
+    check_size(size)?;
     let angles: Vec<f64> = tree.joints().map(|j| j.rest.unwrap_or(0.0)).collect();
     let frames = match state {
         Some(state) => frames(tree, state),

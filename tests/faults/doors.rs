@@ -3,7 +3,8 @@
 
 use crate::harness::{Bearer, Client, Session, client, create, number, options, step, text, wave};
 use crate::process::{self, Process};
-use crate::{ALONE, resident, rollout};
+use crate::robots::{long_chain, many_shapes, robot};
+use crate::{ALONE, onnx, resident, rollout};
 use prost::Message as _;
 use sandgait::service::proto::evaluate_request::Policy;
 use sandgait::service::proto::run_session_request::Request;
@@ -12,8 +13,6 @@ use sandgait::service::proto::study_service_client::StudyServiceClient;
 use sandgait::service::proto::{
     CloseSessionRequest, CreateSessionRequest, DiagnoseRequest, EvaluateRequest, File, PolicyRollout, Render, Reset,
 };
-use sandgait::sim::tree::packed;
-use serde_json::{Value, json};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
@@ -106,35 +105,15 @@ impl Target {
     }
 }
 
-/// A field of a protocol buffer that has a length.
-fn field(tag: u64, content: &[u8]) -> Vec<u8> {
-    let mut bytes = vec![];
-    prost::encoding::encode_varint(tag << 3 | 2, &mut bytes);
-    prost::encoding::encode_varint(content.len() as u64, &mut bytes);
-    bytes.extend_from_slice(content);
-    bytes
-}
-
-/// An ONNX file with one node. Its input and output are rows of numbers.
-fn onnx(node: &[u8], sizes: [u8; 2]) -> Vec<u8> {
-    let rows = |name: &str, width: u8| {
-        let dims = [field(1, &field(2, b"n")), field(1, &[8, width])].concat();
-        let tensor = [vec![8, 1], field(2, &dims)].concat();
-        [field(1, name.as_bytes()), field(2, &field(1, &tensor))].concat()
-    };
-    let graph = [field(1, node), field(11, &rows("x", sizes[0])), field(12, &rows("y", sizes[1]))].concat();
-    [field(7, &graph), field(8, &[16, 18])].concat()
-}
-
 /// Networks of very many steps and of very many empty attributes.
 async fn networks(target: Target) {
     while target.goes_on() {
         let Some(mut session) = target.session(4).await else { continue };
-        let sizes = [session.task.observation.len() as u8, session.task.action.len() as u8];
-        let max = [field(1, b"x").repeat(10_000), field(2, b"y"), field(4, b"Max")].concat();
-        let empty = [field(1, b"x"), field(2, b"y"), field(4, b"Relu"), field(5, b"").repeat(1_500_000)].concat();
+        let sizes = [session.task.observation.len(), session.task.action.len()].map(|n| n as u64);
+        let max = onnx::node("Max", &["x"; 10_000], "y");
+        let empty = [onnx::node("Relu", &["x"], "y"), onnx::field(5, b"").repeat(1_500_000)].concat();
         for (node, words) in [(max, "65536 numbers"), (empty, "more than 16384 fields")] {
-            let onnx = onnx(&node, sizes).into();
+            let onnx = onnx::file(&[node], &[], sizes).into();
             let request = PolicyRollout { onnx, steps: 10, trajectories: false };
             if !target.refuses(0, words, &mut session, Request::PolicyRollout(request)).await {
                 break;
@@ -145,28 +124,10 @@ async fn networks(target: Target) {
 
 /// Robots with very many shapes, and with a very long chain of bodies.
 async fn robots(target: Target) {
-    let robot: Value = serde_json::from_str(include_str!("../../src/env/options/sandcat.json")).unwrap();
-    let shape =
-        json!({"name": "s", "origin": [0, 0, 0, 1, 0, 0, 0], "kind": "sphere", "size": [0.01, 0, 0], "friction": 1});
-    let mut full = robot.clone();
-    full["looks"] = json!({"meshes": [], "shapes": []});
-    full["bodies"][0]["shapes"] = vec![shape; 40_000].into();
-    let mut chain = robot;
-    let bodies = chain["bodies"].as_array_mut().unwrap();
-    let mut link = bodies[1].clone();
-    link["joint"]["rest"] = Value::Null;
-    link["plates"] = json!([]);
-    link["contacts"] = json!([[0.0, 0.0, -0.01, 0.01, 1.0, 0.0, 0.0, 0.0]]);
-    bodies.truncate(1);
-    for k in 1..256_usize {
-        link["parent"] = k.min(129).saturating_sub(1).into();
-        bodies.push(link.clone());
-    }
-    chain["looks"] = json!({"meshes": [], "shapes": []});
+    let crafted = [(robot(many_shapes), "number of shapes"), (robot(long_chain), "has no legs")];
     while target.goes_on() {
-        for (robot, words) in [(&full, "number of shapes"), (&chain, "has no legs")] {
-            let robot = packed::compressed(&robot.to_string(), 1).unwrap();
-            let fields = [("robot", text(&robot)), ("ground", text("rigid"))];
+        for (robot, words) in &crafted {
+            let fields = [("robot", text(robot)), ("ground", text("rigid"))];
             let task_id = "sandgait/LeggedVelocity-v1".into();
             let request = CreateSessionRequest { task_id, options: options(&fields), ..create(200, &[]) };
             let refused = target.client().await.create_session(request).await.unwrap_err();

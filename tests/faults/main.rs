@@ -6,10 +6,15 @@ mod doors;
 #[path = "../grpc/harness.rs"]
 mod harness;
 mod load;
+#[expect(dead_code, reason = "the rest is for other tests")]
+#[path = "../testbed/onnx.rs"]
+mod onnx;
 mod price;
 #[expect(dead_code, reason = "the rest is for other tests")]
 #[path = "../serve/process.rs"]
 mod process;
+#[path = "../testbed/robots.rs"]
+mod robots;
 
 use harness::{Server, Session, create, step, until, wave};
 use process::Process;

@@ -4,12 +4,9 @@ use crate::harness::Server;
 use crate::testbed;
 use sandgait::service::Limits;
 use sandgait::service::proto::study_service_client::StudyServiceClient;
-use sandgait::service::proto::{
-    DiagnoseRequest, DiagnoseResponse, File, IntrudeRequest, Progress, Robot, Sand, Series,
-};
-use sandgait::service::proto::{SweepRequest, SweepResponse, Table, Variation, WalkRequest, WalkResponse};
-use sandgait::service::proto::{TrialsRequest, TrialsResponse, trials_request, trials_response};
-use sandgait::service::proto::{diagnose_request, diagnose_response, sweep_response, walk_response};
+use sandgait::service::proto::{DiagnoseRequest, DiagnoseResponse, diagnose_request, diagnose_response};
+use sandgait::service::proto::{File, IntrudeRequest, Progress, Robot, Sand, Series, SweepRequest, Table};
+use sandgait::service::proto::{TableResponse, TrialsRequest, Variation, WalkRequest, table_response, trials_request};
 use std::path::Path;
 use std::process::Command;
 use std::time::{Duration, Instant};
@@ -94,9 +91,7 @@ macro_rules! message {
         }
     };
 }
-message!(TrialsResponse, trials_response);
-message!(WalkResponse, walk_response);
-message!(SweepResponse, sweep_response);
+message!(TableResponse, table_response);
 message!(DiagnoseResponse, diagnose_response);
 
 /// All progress messages of a study, and its last message.
@@ -131,7 +126,7 @@ fn numbers(table: &Table, name: &str) -> Vec<f64> {
 
 async fn walked(client: &mut Client, request: WalkRequest) -> Table {
     match whole(client.walk(request).await.unwrap().into_inner()).await.1.event {
-        Some(walk_response::Event::Table(table)) => table,
+        Some(table_response::Event::Table(table)) => table,
         other => panic!("{other:?}"),
     }
 }
@@ -285,7 +280,7 @@ async fn a_sweep_reports_progress_and_gives_one_row_a_design() {
     let vary = vec![legs, vary("frequency", &frequencies)];
     let stream = client.sweep(SweepRequest { vary, ..Default::default() }).await.unwrap().into_inner();
     let (told, last) = whole(stream).await;
-    let Some(sweep_response::Event::Table(table)) = last.event else { panic!() };
+    let Some(table_response::Event::Table(table)) = last.event else { panic!() };
     assert!(told.len() > 3 && told.iter().all(|p| p.ahead == 0 && !p.stage.is_empty()), "{told:?}");
     assert!(told.is_sorted_by(|a, b| a.fraction <= b.fraction), "{told:?}");
     assert!(told.iter().all(|p| (0.0..=1.0).contains(&p.fraction)) && told.last().unwrap().fraction > 0.5);
@@ -303,7 +298,7 @@ async fn a_search_reports_progress_and_gives_the_best_design() {
     let request =
         SweepRequest { vary: vec![vary("xi", &[0.0, 75.0])], optimize: Some("speed".into()), ..Default::default() };
     let (told, last) = whole(client(&server).await.sweep(request).await.unwrap().into_inner()).await;
-    let Some(sweep_response::Event::Table(table)) = last.event else { panic!() };
+    let Some(table_response::Event::Table(table)) = last.event else { panic!() };
     assert!(told.len() > 20 && told.is_sorted_by(|a, b| a.fraction <= b.fraction), "{told:?}");
     assert!((0.0..=75.0).contains(&numbers(&table, "xi")[0]) && numbers(&table, "speed")[0] > 0.1);
 }
@@ -343,7 +338,7 @@ async fn a_cancelled_sweep_frees_its_place_and_the_cores() {
     assert!(more.is_err(), "the walk did not wait its turn");
     drop(sweep);
     let rest = tokio::time::timeout(Duration::from_secs(10), whole(waiting)).await.expect("the slot was not freed");
-    assert!(matches!(rest.1.event, Some(walk_response::Event::Table(_))));
+    assert!(matches!(rest.1.event, Some(table_response::Event::Table(_))));
 }
 
 /// A request that is cancelled while it waits leaves the queue, so the next one gets its place.
@@ -423,7 +418,7 @@ async fn trials_give_one_row_a_motion() {
     let mut client = client(&server).await;
     let (told, last) = whole(client.trials(rolling(4_000)).await.unwrap().into_inner()).await;
     assert!(told.iter().all(|p| p.stage == "trials") && told.is_sorted_by(|a, b| a.fraction <= b.fraction), "{told:?}");
-    let Some(trials_response::Event::Table(table)) = last.event else { panic!() };
+    let Some(table_response::Event::Table(table)) = last.event else { panic!() };
     let [fz, depth, lost] = ["Fz", "depth", "no_equilibrium"].map(|name| numbers(&table, name));
     assert_eq!(fz.len(), 4_000);
     assert!(fz.iter().all(|f| (f - 20.0).abs() < 1e-3) && depth.iter().all(|d| *d == depth[0] && *d > 1e-3));

@@ -213,7 +213,7 @@ pub fn geom(element: &Element, compiler: &Compiler, assets: &Assets, notes: &mut
     let look = VisualShape::Shape(shape.clone());
     if let (Geometry::Mesh(triangles), true, "mesh") = (&shape, collides, kind) {
         let name = element.get("mesh").unwrap_or_default();
-        let kept = closed_mesh(name, triangles.to_vec(), notes);
+        let kept = closed_mesh(name, triangles.clone(), notes);
         shape = kept.ok_or_else(|| element.error(format!("the mesh {name:?} is flat: it has no volume")))?;
     }
     let friction = element.list("friction")?.and_then(|f| f.first().copied()).unwrap_or(FRICTION);

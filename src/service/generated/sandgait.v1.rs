@@ -735,6 +735,22 @@ pub struct Series {
     #[prost(string, repeated, tag = "4")]
     pub names: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
 }
+/// The answers of a study with a table: some messages of progress, then the table.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct TableResponse {
+    #[prost(oneof = "table_response::Event", tags = "1, 2")]
+    pub event: ::core::option::Option<table_response::Event>,
+}
+/// Nested message and enum types in `TableResponse`.
+pub mod table_response {
+    #[derive(Clone, PartialEq, ::prost::Oneof)]
+    pub enum Event {
+        #[prost(message, tag = "1")]
+        Progress(super::Progress),
+        #[prost(message, tag = "2")]
+        Table(super::Table),
+    }
+}
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct IntrudeRequest {
     /// Shape of the leg: L, revL, C, revC, flat or xi=DEGREES.
@@ -802,23 +818,6 @@ pub mod trials_request {
     }
 }
 #[derive(Clone, PartialEq, ::prost::Message)]
-pub struct TrialsResponse {
-    #[prost(oneof = "trials_response::Event", tags = "1, 2")]
-    pub event: ::core::option::Option<trials_response::Event>,
-}
-/// Nested message and enum types in `TrialsResponse`.
-pub mod trials_response {
-    #[derive(Clone, PartialEq, ::prost::Oneof)]
-    pub enum Event {
-        #[prost(message, tag = "1")]
-        Progress(super::Progress),
-        /// Columns Fx, Fy, Fz, Tx, Ty, Tz, depth and no_equilibrium. no_equilibrium is 1 if the sand cannot carry the load; all
-        /// other columns of this row are then NaN.
-        #[prost(message, tag = "2")]
-        Table(super::Table),
-    }
-}
-#[derive(Clone, PartialEq, ::prost::Message)]
 pub struct WalkRequest {
     /// Shape of the legs, as in IntrudeRequest. Absent: the robot's own shape.
     #[prost(string, optional, tag = "1")]
@@ -840,23 +839,6 @@ pub struct WalkRequest {
     pub dt: ::core::option::Option<f64>,
     #[prost(message, optional, tag = "7")]
     pub robot: ::core::option::Option<Robot>,
-}
-#[derive(Clone, PartialEq, ::prost::Message)]
-pub struct WalkResponse {
-    #[prost(oneof = "walk_response::Event", tags = "1, 2")]
-    pub event: ::core::option::Option<walk_response::Event>,
-}
-/// Nested message and enum types in `WalkResponse`.
-pub mod walk_response {
-    #[derive(Clone, PartialEq, ::prost::Oneof)]
-    pub enum Event {
-        #[prost(message, tag = "1")]
-        Progress(super::Progress),
-        /// Columns frequency, speed, base_height, pitch_rms, hip_torque_rms, hip_speed_error_rms, cost_of_transport, sink and
-        /// drift.
-        #[prost(message, tag = "2")]
-        Table(super::Table),
-    }
 }
 /// A parameter of `sandgait sweep` and its values: names, or numbers in the parameter's unit.
 #[derive(Clone, PartialEq, ::prost::Message)]
@@ -889,22 +871,6 @@ pub struct SweepRequest {
     pub optimize: ::core::option::Option<::prost::alloc::string::String>,
 }
 #[derive(Clone, PartialEq, ::prost::Message)]
-pub struct SweepResponse {
-    #[prost(oneof = "sweep_response::Event", tags = "1, 2")]
-    pub event: ::core::option::Option<sweep_response::Event>,
-}
-/// Nested message and enum types in `SweepResponse`.
-pub mod sweep_response {
-    #[derive(Clone, PartialEq, ::prost::Oneof)]
-    pub enum Event {
-        #[prost(message, tag = "1")]
-        Progress(super::Progress),
-        /// First the varied parameters, then the columns of a walk.
-        #[prost(message, tag = "2")]
-        Table(super::Table),
-    }
-}
-#[derive(Clone, PartialEq, ::prost::Message)]
 pub struct EvaluateRequest {
     #[prost(string, tag = "3")]
     pub task_id: ::prost::alloc::string::String,
@@ -931,24 +897,6 @@ pub mod evaluate_request {
         /// A gait without a file: tripod:HZ, tripod, clock:NUMBERS, standing or random.
         #[prost(string, tag = "2")]
         Gait(::prost::alloc::string::String),
-    }
-}
-#[derive(Clone, PartialEq, ::prost::Message)]
-pub struct EvaluateResponse {
-    #[prost(oneof = "evaluate_response::Event", tags = "1, 2")]
-    pub event: ::core::option::Option<evaluate_response::Event>,
-}
-/// Nested message and enum types in `EvaluateResponse`.
-pub mod evaluate_response {
-    #[derive(Clone, PartialEq, ::prost::Oneof)]
-    pub enum Event {
-        #[prost(message, tag = "1")]
-        Progress(super::Progress),
-        /// Columns medium, slope_deg, rate (only for gait tripod: the best stride frequency found), episodes, return, speed,
-        /// speed_error, cost_of_transport, slip, falls and diverged. After each column from return to falls two more columns
-        /// have the ends of its 95 % interval.
-        #[prost(message, tag = "2")]
-        Table(super::Table),
     }
 }
 #[derive(Clone, PartialEq, ::prost::Message)]
@@ -1119,12 +1067,14 @@ pub mod study_service_client {
                 .insert(GrpcMethod::new("sandgait.v1.StudyService", "Intrude"));
             self.inner.unary(req, path, codec).await
         }
-        /// Moves any body with constant velocity through sand. The table has one row for each motion.
+        /// Moves any body with constant velocity through sand. The table has one row for each motion, with columns Fx, Fy, Fz, Tx,
+        /// Ty, Tz, depth and no_equilibrium. no_equilibrium is 1 if the sand cannot carry the load; all other columns of this row are
+        /// then NaN.
         pub async fn trials(
             &mut self,
             request: impl tonic::IntoRequest<super::TrialsRequest>,
         ) -> std::result::Result<
-            tonic::Response<tonic::codec::Streaming<super::TrialsResponse>>,
+            tonic::Response<tonic::codec::Streaming<super::TableResponse>>,
             tonic::Status,
         > {
             self.inner
@@ -1144,12 +1094,13 @@ pub mod study_service_client {
                 .insert(GrpcMethod::new("sandgait.v1.StudyService", "Trials"));
             self.inner.server_streaming(req, path, codec).await
         }
-        /// Simulates walks at constant stride frequencies. The table has one row for each frequency.
+        /// Simulates walks at constant stride frequencies. The table has one row for each frequency, with columns frequency, speed,
+        /// base_height, pitch_rms, hip_torque_rms, hip_speed_error_rms, cost_of_transport, sink and drift.
         pub async fn walk(
             &mut self,
             request: impl tonic::IntoRequest<super::WalkRequest>,
         ) -> std::result::Result<
-            tonic::Response<tonic::codec::Streaming<super::WalkResponse>>,
+            tonic::Response<tonic::codec::Streaming<super::TableResponse>>,
             tonic::Status,
         > {
             self.inner
@@ -1170,12 +1121,13 @@ pub mod study_service_client {
             self.inner.server_streaming(req, path, codec).await
         }
         /// Simulates a walk of each design of a grid. The table has one row for each design; the last parameter varies fastest.
-        /// With `optimize` it searches for the best design instead, and the table has one row.
+        /// With `optimize` it searches for the best design instead, and the table has one row. First come the varied parameters, then
+        /// the columns of a walk.
         pub async fn sweep(
             &mut self,
             request: impl tonic::IntoRequest<super::SweepRequest>,
         ) -> std::result::Result<
-            tonic::Response<tonic::codec::Streaming<super::SweepResponse>>,
+            tonic::Response<tonic::codec::Streaming<super::TableResponse>>,
             tonic::Status,
         > {
             self.inner
@@ -1195,12 +1147,15 @@ pub mod study_service_client {
                 .insert(GrpcMethod::new("sandgait.v1.StudyService", "Sweep"));
             self.inner.server_streaming(req, path, codec).await
         }
-        /// Runs episodes of a gait or policy with evaluation seeds. The table has one row for each medium and slope.
+        /// Runs episodes of a gait or policy with evaluation seeds. The table has one row for each medium and slope, with columns
+        /// medium, slope_deg, rate (only for gait tripod: the best stride frequency found), episodes, return, speed, speed_error,
+        /// cost_of_transport, slip, falls and diverged. After each column from return to falls two more columns have the ends of its
+        /// 95 % interval.
         pub async fn evaluate(
             &mut self,
             request: impl tonic::IntoRequest<super::EvaluateRequest>,
         ) -> std::result::Result<
-            tonic::Response<tonic::codec::Streaming<super::EvaluateResponse>>,
+            tonic::Response<tonic::codec::Streaming<super::TableResponse>>,
             tonic::Status,
         > {
             self.inner

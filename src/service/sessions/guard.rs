@@ -1,6 +1,6 @@
 //! A session's environments while a request works on them.
 
-use super::{Books, LastAnswer, SessionEnvironments, Sessions};
+use super::{LastAnswer, SessionEnvironments, SessionRecord, Sessions};
 use crate::error::{Error, Result};
 use crate::names::name;
 use crate::pool::Batch;
@@ -14,7 +14,7 @@ pub struct SessionGuard {
     /// None while the pool has it.
     batch: Option<Batch>,
     /// None after the environments were returned or lost.
-    pub books: Option<Books>,
+    pub books: Option<SessionRecord>,
 }
 
 impl SessionGuard {

@@ -6,11 +6,8 @@ use crate::error::{Error, Result};
 use crate::evaluate;
 use crate::parallel;
 use crate::progress::Progress;
-use crate::proto::{self, DiagnoseRequest, DiagnoseResponse, IntrudeRequest, IntrudeResponse};
-use crate::proto::{
-    EvaluateRequest, EvaluateResponse, SweepRequest, SweepResponse, TrialsRequest, TrialsResponse, WalkRequest,
-    WalkResponse,
-};
+use crate::proto::WalkRequest;
+use crate::proto::{DiagnoseRequest, Diagnosis, EvaluateRequest, IntrudeRequest, SweepRequest, Table, TrialsRequest};
 use crate::sand::intruder;
 use crate::sweep::{grid, optimize, walk_all};
 use std::path::Path;
@@ -30,51 +27,33 @@ pub enum StudyRequest {
 
 /// The results of a study.
 pub enum StudyResult {
-    Table(proto::Table),
-    Diagnosis(proto::Diagnosis),
+    Table(Table),
+    Diagnosis(Diagnosis),
 }
 
 impl StudyRequest {
     /// Runs the study on this thread and those that it starts.
     pub fn compute(self, progress: &dyn Progress) -> Result<StudyResult> {
-        use proto::{diagnose_response, evaluate_response, sweep_response, trials_response, walk_response};
-        let outcome = match self {
-            Self::Intrude(request) => intrude(request)?.table.map(StudyResult::Table),
-            Self::Trials(request) => match trials(request)?(progress)?.event {
-                Some(trials_response::Event::Table(table)) => Some(StudyResult::Table(table)),
-                _ => None,
-            },
-            Self::Walk(request) => match walk(request)?(progress)?.event {
-                Some(walk_response::Event::Table(table)) => Some(StudyResult::Table(table)),
-                _ => None,
-            },
-            Self::Sweep(request) => match sweep(request)?(progress)?.event {
-                Some(sweep_response::Event::Table(table)) => Some(StudyResult::Table(table)),
-                _ => None,
-            },
-            Self::Evaluate(request) => match evaluate(request)?(progress)?.event {
-                Some(evaluate_response::Event::Table(table)) => Some(StudyResult::Table(table)),
-                _ => None,
-            },
-            Self::Diagnose(request) => match diagnose(request)?(progress)?.event {
-                Some(diagnose_response::Event::Diagnosis(diagnosis)) => Some(StudyResult::Diagnosis(diagnosis)),
-                _ => None,
-            },
-        };
-        outcome.ok_or_else(|| Error::Internal("the study ended without a result".into()))
+        match self {
+            Self::Intrude(request) => intrude(request).map(StudyResult::Table),
+            Self::Trials(request) => trials(request)?(progress).map(StudyResult::Table),
+            Self::Walk(request) => walk(request)?(progress).map(StudyResult::Table),
+            Self::Sweep(request) => sweep(request)?(progress).map(StudyResult::Table),
+            Self::Evaluate(request) => evaluate(request)?(progress).map(StudyResult::Table),
+            Self::Diagnose(request) => diagnose(request)?(progress).map(StudyResult::Diagnosis),
+        }
     }
 }
 
-pub fn intrude(request: IntrudeRequest) -> Result<IntrudeResponse> {
+pub fn intrude(request: IntrudeRequest) -> Result<Table> {
     let (rotation, sand) = decode::intrude(request)?;
-    let table = encode::table(encode::loads(&rotation.loads(&sand.description)?), sand.warnings);
-    Ok(IntrudeResponse { table: Some(table) })
+    Ok(encode::table(encode::loads(&rotation.loads(&sand.description)?), sand.warnings))
 }
 
 /// Number of motions between two reports: our choice, about a second for a wheel.
 const TOGETHER: usize = 2_000;
 
-pub fn trials(request: TrialsRequest) -> Result<StudyWork<TrialsResponse>> {
+pub fn trials(request: TrialsRequest) -> Result<StudyWork<Table>> {
     let decode::TrialInputs { body, sand, trials } = decode::trials(request)?;
     Ok(Box::new(move |progress| {
         let mut outcomes = Vec::with_capacity(trials.len());
@@ -82,42 +61,36 @@ pub fn trials(request: TrialsRequest) -> Result<StudyWork<TrialsResponse>> {
             progress.report(outcomes.len() as f64 / trials.len() as f64, "trials")?;
             outcomes.extend(parallel::map(part, |trial| intruder::compute(&body, &sand.description, trial)));
         }
-        let table = encode::table(encode::trials(&outcomes), sand.warnings);
-        Ok(TrialsResponse { event: Some(proto::trials_response::Event::Table(table)) })
+        Ok(encode::table(encode::trials(&outcomes), sand.warnings))
     }))
 }
 
-pub fn walk(request: WalkRequest) -> Result<StudyWork<WalkResponse>> {
+pub fn walk(request: WalkRequest) -> Result<StudyWork<Table>> {
     let walks = decode::walk(request)?;
     Ok(Box::new(move |progress| {
         let results = walk_all(walks.engine, &walks.trials, progress)?;
         let columns = std::iter::once(encode::frequencies(&walks.trials)).chain(encode::walks(&results));
-        let table = encode::table(columns.collect(), walks.warnings);
-        Ok(WalkResponse { event: Some(proto::walk_response::Event::Table(table)) })
+        Ok(encode::table(columns.collect(), walks.warnings))
     }))
 }
 
-pub fn sweep(request: SweepRequest) -> Result<StudyWork<SweepResponse>> {
+pub fn sweep(request: SweepRequest) -> Result<StudyWork<Table>> {
     let sweep = decode::sweep(request)?;
     Ok(Box::new(move |progress| {
         let columns = match sweep.optimize {
             None => encode::grid(&sweep.axes, &grid(&sweep.base, &sweep.axes, progress)?),
             Some(goal) => encode::optimum(&sweep.axes, &optimize::optimize(&sweep.base, &sweep.axes, goal, progress)?),
         };
-        let table = encode::table(columns, sweep.warnings);
-        Ok(SweepResponse { event: Some(proto::sweep_response::Event::Table(table)) })
+        Ok(encode::table(columns, sweep.warnings))
     }))
 }
 
-pub fn evaluate(request: EvaluateRequest) -> Result<StudyWork<EvaluateResponse>> {
+pub fn evaluate(request: EvaluateRequest) -> Result<StudyWork<Table>> {
     let study = evaluate::Evaluation::new(&decode::evaluate(request)?)?;
-    Ok(Box::new(move |progress| {
-        let table = encode::table(encode::evaluation(&study.run(progress)?), Vec::new());
-        Ok(EvaluateResponse { event: Some(proto::evaluate_response::Event::Table(table)) })
-    }))
+    Ok(Box::new(move |progress| Ok(encode::table(encode::evaluation(&study.run(progress)?), Vec::new()))))
 }
 
-pub fn diagnose(request: DiagnoseRequest) -> Result<StudyWork<DiagnoseResponse>> {
+pub fn diagnose(request: DiagnoseRequest) -> Result<StudyWork<Diagnosis>> {
     let (data, experiment) = decode::diagnose(request)?;
     Ok(Box::new(move |progress| {
         // The diagnosis reads and writes files, so it gets a directory that only this user can enter.
@@ -133,13 +106,12 @@ pub fn diagnose(request: DiagnoseRequest) -> Result<StudyWork<DiagnoseResponse>>
         let mut diagnosis = crate::diagnose::diagnose(&path, &experiment, progress).map_err(named)?;
         diagnosis.name = name.to_string();
         diagnosis.write(&out)?;
-        let diagnosis = proto::Diagnosis {
+        Ok(Diagnosis {
             report_json: read(&out.join("report.json"))?,
             report_html: read(&out.join("report.html"))?,
             sand_toml: read(&out.join("sand.toml"))?,
             curves: Some(encode::table(encode::curves(&diagnosis.curves), Vec::new())),
-        };
-        Ok(DiagnoseResponse { event: Some(proto::diagnose_response::Event::Diagnosis(diagnosis)) })
+        })
     }))
 }
 

@@ -5,6 +5,7 @@
 //!              └── call cancelled, or server stops ──▶ gone, its place and the cores free
 //! ```
 
+use super::compute::StudyWork;
 use crate::error::{Error, Result};
 use crate::intake::{Messages, Share};
 use crate::progress::Progress;
@@ -30,7 +31,9 @@ const STEP: f64 = 0.005;
 
 /// A message of a study's stream.
 pub trait StudyMessage: Send + 'static {
+    type Result: Send + 'static;
     fn progress(event: Event) -> Self;
+    fn result(result: Self::Result) -> Self;
 }
 
 /// The queue of one server.
@@ -67,7 +70,7 @@ impl Drop for QueuePlace {
 pub type Events<A> = BoxStream<'static, std::result::Result<A, Status>>;
 
 /// What a study sends: an event, and with its result the memory of its request.
-type Sent<A> = (std::result::Result<A, Status>, Option<Share>);
+type StudyItem<A> = (std::result::Result<A, Status>, Option<Share>);
 
 impl StudyQueue {
     /// Cancelling `stop` ends every study.
@@ -82,7 +85,7 @@ impl StudyQueue {
         &self,
         share: Option<Share>,
         messages: Messages,
-        work: impl FnOnce(&dyn Progress) -> Result<A> + Send + 'static,
+        work: StudyWork<A::Result>,
     ) -> std::result::Result<Events<A>, Status> {
         let place = QueuePlace::take(&self.taken).map_err(|e| status::status(&e))?;
         let (events, receiver) = mpsc::channel(EVENTS);
@@ -118,7 +121,7 @@ impl StudyQueue {
                     });
                     let failed = |_| (Err(Error::Internal("the study failed inside the server".into())), None);
                     let (done, share) = done.await.unwrap_or_else(failed);
-                    (done.map_err(|e| status::status(&e)), share)
+                    (done.map(A::result).map_err(|e| status::status(&e)), share)
                 }
             };
             let stopped = answer.is_err() && stop.is_cancelled();
@@ -126,7 +129,7 @@ impl StudyQueue {
             // If the caller has left, the result is not needed.
             let _ = events.send((answer, share)).await;
         });
-        let sent = ReceiverStream::new(receiver).map(move |(event, share): Sent<A>| {
+        let sent = ReceiverStream::new(receiver).map(move |(event, share): StudyItem<A>| {
             messages.hold_for_answer(share.map(Arc::new));
             event
         });
@@ -136,7 +139,7 @@ impl StudyQueue {
 
 /// Reports a study's progress to its client, and stops the study when its client has left.
 struct ProgressSender<A> {
-    events: mpsc::Sender<Sent<A>>,
+    events: mpsc::Sender<StudyItem<A>>,
     stop: CancellationToken,
     /// The last report. Several threads report, so the order varies; only larger values are sent.
     last: Mutex<Option<(f64, String)>>,

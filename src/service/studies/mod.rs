@@ -12,12 +12,13 @@ mod line;
 use super::frame::RequestFrame;
 use super::intake::Messages;
 use super::proto::study_service_server::StudyService;
-use super::proto::{self, DiagnoseRequest, DiagnoseResponse, IntrudeRequest, IntrudeResponse};
-use super::proto::{EvaluateRequest, EvaluateResponse, SweepRequest, SweepResponse, WalkRequest, WalkResponse};
-use super::proto::{TrialsRequest, TrialsResponse};
-use super::status::status;
+use super::proto::{self, Diagnosis, EvaluateRequest, SweepRequest, Table, TableResponse, TrialsRequest, WalkRequest};
+use super::proto::{DiagnoseRequest, DiagnoseResponse, IntrudeRequest, IntrudeResponse};
 use super::{off_runtime, price};
+use crate::error::Result as Checked;
+use compute::StudyWork;
 use line::{Events, StudyMessage, StudyQueue};
+use prost::Message;
 use tokio_util::sync::CancellationToken;
 use tonic::{Request, Response, Status};
 
@@ -33,6 +34,18 @@ impl Studies {
     pub fn new(stop: CancellationToken, memory: usize) -> Self {
         Self { line: StudyQueue::new(stop), memory }
     }
+
+    /// Checks a request, and computes its study in its turn.
+    async fn run<R: Message + Default + 'static, A: StudyMessage>(
+        &self,
+        request: Request<RequestFrame<R>>,
+        check: impl FnOnce(R) -> Checked<StudyWork<A::Result>> + Send + 'static,
+    ) -> Result<Response<Events<A>>, Status> {
+        let messages = Messages::of(&request);
+        let (request, share) = RequestFrame::only(request).await?;
+        let work = off_runtime(move || check(request)).await?;
+        self.line.enter(share, messages, work).map(Response::new)
+    }
 }
 
 #[tonic::async_trait]
@@ -40,100 +53,71 @@ impl StudyService for Studies {
     async fn intrude(
         &self,
         request: Request<RequestFrame<IntrudeRequest>>,
-    ) -> std::result::Result<Response<IntrudeResponse>, Status> {
+    ) -> Result<Response<IntrudeResponse>, Status> {
         let (request, _share) = RequestFrame::only(request).await?;
-        off_runtime(move || compute::intrude(request)).await.map(Response::new)
+        let table = off_runtime(move || compute::intrude(request)).await?;
+        Ok(Response::new(IntrudeResponse { table: Some(table) }))
     }
 
-    type TrialsStream = Events<TrialsResponse>;
+    type TrialsStream = Events<TableResponse>;
 
-    async fn trials(
-        &self,
-        request: Request<RequestFrame<TrialsRequest>>,
-    ) -> std::result::Result<Response<Self::TrialsStream>, Status> {
-        let messages = Messages::of(&request);
-        let (request, share) = RequestFrame::only(request).await?;
-        let work = off_runtime(move || compute::trials(request)).await?;
-        self.line.enter(share, messages, work).map(Response::new)
+    async fn trials(&self, request: Request<RequestFrame<TrialsRequest>>) -> Answers<TableResponse> {
+        self.run(request, compute::trials).await
     }
 
-    type WalkStream = Events<WalkResponse>;
+    type WalkStream = Events<TableResponse>;
 
-    async fn walk(
-        &self,
-        request: Request<RequestFrame<WalkRequest>>,
-    ) -> std::result::Result<Response<Self::WalkStream>, Status> {
-        let messages = Messages::of(&request);
-        let (request, share) = RequestFrame::only(request).await?;
-        let work = off_runtime(move || compute::walk(request)).await?;
-        self.line.enter(share, messages, work).map(Response::new)
+    async fn walk(&self, request: Request<RequestFrame<WalkRequest>>) -> Answers<TableResponse> {
+        self.run(request, compute::walk).await
     }
 
-    type SweepStream = Events<SweepResponse>;
+    type SweepStream = Events<TableResponse>;
 
-    async fn sweep(
-        &self,
-        request: Request<RequestFrame<SweepRequest>>,
-    ) -> std::result::Result<Response<Self::SweepStream>, Status> {
-        let messages = Messages::of(&request);
-        let (request, share) = RequestFrame::only(request).await?;
-        let work = off_runtime(move || compute::sweep(request)).await?;
-        self.line.enter(share, messages, work).map(Response::new)
+    async fn sweep(&self, request: Request<RequestFrame<SweepRequest>>) -> Answers<TableResponse> {
+        self.run(request, compute::sweep).await
     }
 
-    type EvaluateStream = Events<EvaluateResponse>;
+    type EvaluateStream = Events<TableResponse>;
 
-    async fn evaluate(
-        &self,
-        request: Request<RequestFrame<EvaluateRequest>>,
-    ) -> std::result::Result<Response<Self::EvaluateStream>, Status> {
-        let messages = Messages::of(&request);
-        let (request, share) = RequestFrame::only(request).await?;
-        let work = off_runtime(move || compute::evaluate(request)).await?;
-        self.line.enter(share, messages, work).map(Response::new)
+    async fn evaluate(&self, request: Request<RequestFrame<EvaluateRequest>>) -> Answers<TableResponse> {
+        self.run(request, compute::evaluate).await
     }
 
     type DiagnoseStream = Events<DiagnoseResponse>;
 
-    async fn diagnose(
-        &self,
-        request: Request<RequestFrame<DiagnoseRequest>>,
-    ) -> std::result::Result<Response<Self::DiagnoseStream>, Status> {
-        let messages = Messages::of(&request);
-        let (request, share) = RequestFrame::only(request).await?;
-        let data = request.data.as_ref().map_or(&[][..], |data| &data.content);
-        price::check_diagnosis(data, self.memory).map_err(|e| status(&e))?;
-        let work = off_runtime(move || compute::diagnose(request)).await?;
-        self.line.enter(share, messages, work).map(Response::new)
+    async fn diagnose(&self, request: Request<RequestFrame<DiagnoseRequest>>) -> Answers<DiagnoseResponse> {
+        let memory = self.memory;
+        let check = move |request: DiagnoseRequest| {
+            let data = request.data.as_ref().map_or(&[][..], |data| &data.content);
+            price::check_diagnosis(data, memory)?;
+            compute::diagnose(request)
+        };
+        self.run(request, check).await
     }
 }
 
-impl StudyMessage for TrialsResponse {
-    fn progress(progress: proto::Progress) -> Self {
-        Self { event: Some(proto::trials_response::Event::Progress(progress)) }
-    }
-}
+type Answers<A> = Result<Response<Events<A>>, Status>;
 
-impl StudyMessage for WalkResponse {
-    fn progress(progress: proto::Progress) -> Self {
-        Self { event: Some(proto::walk_response::Event::Progress(progress)) }
-    }
-}
+impl StudyMessage for TableResponse {
+    type Result = Table;
 
-impl StudyMessage for SweepResponse {
     fn progress(progress: proto::Progress) -> Self {
-        Self { event: Some(proto::sweep_response::Event::Progress(progress)) }
+        Self { event: Some(proto::table_response::Event::Progress(progress)) }
     }
-}
 
-impl StudyMessage for EvaluateResponse {
-    fn progress(progress: proto::Progress) -> Self {
-        Self { event: Some(proto::evaluate_response::Event::Progress(progress)) }
+    fn result(table: Table) -> Self {
+        Self { event: Some(proto::table_response::Event::Table(table)) }
     }
 }
 
 impl StudyMessage for DiagnoseResponse {
+    type Result = Diagnosis;
+
     fn progress(progress: proto::Progress) -> Self {
         Self { event: Some(proto::diagnose_response::Event::Progress(progress)) }
+    }
+
+    fn result(diagnosis: Diagnosis) -> Self {
+        Self { event: Some(proto::diagnose_response::Event::Diagnosis(diagnosis)) }
     }
 }

@@ -1,7 +1,7 @@
 //! Frames for watchers: moments of one environment, encoded once for all its watchers.
 //!
 //! ```text
-//!  thread that stepped ──Moment──▶ latest ──▶ task that encodes ──Frame──▶ watchers
+//!  thread that stepped ──ViewedState──▶ latest ──▶ task that encodes ──ViewerFrame──▶ watchers
 //!                        (copied)   (only the newest waits)       (who is slow misses some)
 //! ```
 
@@ -11,6 +11,7 @@ use crate::sim::{Model, State};
 use bytes::Bytes;
 use sandgait_view::recording::{head_block, rows_block};
 use std::sync::Arc;
+use tokio::sync::broadcast::error::RecvError;
 use tokio::sync::{broadcast, watch};
 
 /// Largest number of frames that wait for a slow browser: our choice, about those of one second.
@@ -54,6 +55,22 @@ impl ViewedState {
 pub struct ViewerFrame {
     pub head: Bytes,
     pub rows: Bytes,
+}
+
+/// The next blocks for a watcher that has the header `head`: a row, after a header if that has changed. A slow watcher
+/// misses some. None when no more frames will come.
+pub async fn next_blocks(frames: &mut broadcast::Receiver<ViewerFrame>, head: &mut Bytes) -> Option<Bytes> {
+    loop {
+        match frames.recv().await {
+            Ok(frame) if frame.head == *head => return Some(frame.rows),
+            Ok(frame) => {
+                *head = frame.head;
+                return Some([&head[..], &frame.rows].concat().into());
+            }
+            Err(RecvError::Lagged(_)) => {}
+            Err(RecvError::Closed) => return None,
+        }
+    }
 }
 
 /// Sender of moments.

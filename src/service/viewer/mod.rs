@@ -28,7 +28,7 @@ use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use futures_util::stream;
-use sandgait_view::page;
+use serde_json::Value;
 use std::net::IpAddr;
 use std::sync::Arc;
 use tokio::net::TcpListener;
@@ -40,7 +40,7 @@ const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 
 
 /// The data of the page.
 #[derive(Clone)]
-struct Shown {
+struct PageData {
     sessions: Arc<Sessions>,
     refusals: Arc<Refusals>,
 }
@@ -50,10 +50,10 @@ pub async fn serve(listener: TcpListener, sessions: Arc<Sessions>, refusals: Arc
     let all = sessions.watchers.most() + connections::BESIDE_WATCHERS;
     let local = listener.local_addr().is_ok_and(|a| a.ip().is_loopback());
     let mut app = Router::new()
-        .route("/", get(show))
+        .route("/", get(async || page("sandgait")))
         .route("/sessions", get(list))
         .route("/watch/{name}/{index}", get(watch))
-        .with_state(Shown { sessions, refusals: refusals.clone() });
+        .with_state(PageData { sessions, refusals: refusals.clone() });
     if local {
         app = app.layer(middleware::from_fn(same_machine));
     }
@@ -72,20 +72,30 @@ async fn same_machine(request: Request, next: Next) -> Response {
     (StatusCode::FORBIDDEN, "request this page by an IP address or as localhost").into_response()
 }
 
-async fn show() -> impl IntoResponse {
+/// The page, with this title.
+fn page(title: &str) -> Response {
     let headers = [(CONTENT_TYPE, "text/html; charset=utf-8"), (CONTENT_SECURITY_POLICY, POLICY)];
-    (headers, page::live("sandgait"))
+    (headers, sandgait_view::page::live(title)).into_response()
 }
 
-async fn list(State(Shown { sessions, .. }): State<Shown>) -> impl IntoResponse {
+/// Data of the page.
+fn json(value: &Value) -> Response {
+    ([(CONTENT_TYPE, "application/json"), (CACHE_CONTROL, "no-store")], value.to_string()).into_response()
+}
+
+/// Blocks of a recording.
+fn recording(blocks: Body) -> Response {
+    ([(CONTENT_TYPE, "application/octet-stream"), (CACHE_CONTROL, "no-store")], blocks).into_response()
+}
+
+async fn list(State(PageData { sessions, .. }): State<PageData>) -> Response {
     let one =
         |s: &SessionSummary| serde_json::json!({"name": s.name, "task": s.blueprint.task.spec().id, "envs": s.envs});
-    let body = serde_json::Value::Array(sessions.list().iter().map(one).collect()).to_string();
-    ([(CONTENT_TYPE, "application/json"), (CACHE_CONTROL, "no-store")], body)
+    json(&sessions.list().iter().map(one).collect())
 }
 
-async fn watch(State(shown): State<Shown>, Path((name, index)): Path<(String, usize)>) -> Response {
-    let Shown { sessions, refusals } = shown;
+async fn watch(State(shown): State<PageData>, Path((name, index)): Path<(String, usize)>) -> Response {
+    let PageData { sessions, refusals } = shown;
     let unknown = || (StatusCode::NOT_FOUND, format!("session {name:?} is none of this server's\n")).into_response();
     let Some(summary) = sessions.named(&name) else { return unknown() };
     if index >= summary.envs {
@@ -106,6 +116,5 @@ async fn watch(State(shown): State<Shown>, Path((name, index)): Path<(String, us
         let block = stop.run_until_cancelled(watcher.next()).await??;
         Some((Ok::<_, std::convert::Infallible>(block), (watcher, stop)))
     });
-    let headers = [(CONTENT_TYPE, "application/octet-stream"), (CACHE_CONTROL, "no-store")];
-    (headers, Body::from_stream(blocks)).into_response()
+    recording(Body::from_stream(blocks))
 }

@@ -5,24 +5,24 @@
 //!  POST /steer                        a command, with the key of this page as a bearer token
 //! ```
 
-use super::frames::{Frames, Latest, ViewedState, encode};
-use super::{POLICY, same_machine};
+use super::frames::{Frames, Latest, ViewedState, encode, next_blocks};
+use super::{json, page, recording, same_machine};
 use crate::connections;
 use crate::env::{AnyTask, EnvView};
 use crate::refusals::Refusals;
 use crate::security::Token;
 use axum::body::{Body, Bytes};
 use axum::extract::State;
-use axum::http::header::{AUTHORIZATION, CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE};
+use axum::http::header::AUTHORIZATION;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use axum::{Router, middleware};
 use futures_util::stream;
-use sandgait_view::page;
+use serde_json::json as value;
+use std::convert::Infallible;
 use std::sync::{Arc, Mutex, PoisonError};
 use tokio::net::TcpListener;
-use tokio::sync::broadcast::error::RecvError;
 use tokio_util::sync::CancellationToken;
 
 /// Largest number of browsers: our choice.
@@ -65,7 +65,7 @@ impl PlayedEnvironment {
 
     fn routes(self: Arc<Self>) -> Router {
         Router::new()
-            .route("/", get(show))
+            .route("/", get(async || page("sandgait play")))
             .route("/sessions", get(list))
             .route("/watch/play/0", get(watch))
             .route("/steer", post(steer))
@@ -75,32 +75,17 @@ impl PlayedEnvironment {
     }
 }
 
-async fn show() -> impl IntoResponse {
-    let headers = [(CONTENT_TYPE, "text/html; charset=utf-8"), (CONTENT_SECURITY_POLICY, POLICY)];
-    (headers, page::live("sandgait play"))
-}
-
-async fn list(State(play): State<Arc<PlayedEnvironment>>) -> impl IntoResponse {
-    let body =
-        serde_json::json!([{"name": "play", "task": play.task.spec().id, "envs": 1, "steered": true}]).to_string();
-    ([(CONTENT_TYPE, "application/json"), (CACHE_CONTROL, "no-store")], body)
+async fn list(State(play): State<Arc<PlayedEnvironment>>) -> Response {
+    json(&value!([{"name": "play", "task": play.task.spec().id, "envs": 1, "steered": true}]))
 }
 
 async fn watch(State(play): State<Arc<PlayedEnvironment>>) -> Response {
     let start = (play.frames.subscribe(), Bytes::new());
-    let blocks = stream::unfold(start, |(mut frames, head)| async move {
-        let frame = loop {
-            match frames.recv().await {
-                Ok(frame) => break frame,
-                Err(RecvError::Lagged(_)) => {}
-                Err(RecvError::Closed) => return None,
-            }
-        };
-        let block = if frame.head == head { frame.rows } else { [&frame.head[..], &frame.rows].concat().into() };
-        Some((Ok::<_, std::convert::Infallible>(block), (frames, frame.head)))
+    let blocks = stream::unfold(start, |(mut frames, mut head)| async move {
+        let block = next_blocks(&mut frames, &mut head).await?;
+        Some((Ok::<_, Infallible>(block), (frames, head)))
     });
-    let headers = [(CONTENT_TYPE, "application/octet-stream"), (CACHE_CONTROL, "no-store")];
-    (headers, Body::from_stream(blocks)).into_response()
+    recording(Body::from_stream(blocks))
 }
 
 /// A JSON list of three shares from −1 to 1.

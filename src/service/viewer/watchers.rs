@@ -1,6 +1,6 @@
 //! The watchers of each environment.
 
-use super::frames::{Frames, Latest, ViewedState, ViewerFrame, encode};
+use super::frames::{Frames, Latest, ViewedState, ViewerFrame, encode, next_blocks};
 use crate::env::AnyTask;
 use crate::names::name;
 use crate::pool::Batch;
@@ -10,7 +10,6 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::broadcast::Receiver;
-use tokio::sync::broadcast::error::RecvError;
 
 /// Least interval between frames of an environment: our choice, 60 a second, the rate of screens.
 const PAUSE: Duration = Duration::from_micros(16_600);
@@ -24,11 +23,11 @@ pub struct Watchers {
     most: usize,
     /// Number of watchers. Every step reads it; without watchers a step does nothing else here.
     count: AtomicUsize,
-    sessions: Mutex<HashMap<String, Vec<Watched>>>,
+    sessions: Mutex<HashMap<String, Vec<WatchedEnvironment>>>,
 }
 
 /// An environment that is watched.
-struct Watched {
+struct WatchedEnvironment {
     index: usize,
     watchers: usize,
     /// When the next frame is due.
@@ -59,7 +58,7 @@ impl Watchers {
 
     /// The data are consistent even after a panic, because fields that change together change without a call in
     /// between.
-    fn lock(&self) -> MutexGuard<'_, HashMap<String, Vec<Watched>>> {
+    fn lock(&self) -> MutexGuard<'_, HashMap<String, Vec<WatchedEnvironment>>> {
         self.sessions.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -74,7 +73,7 @@ impl Watchers {
         let all = sessions.entry(session.into()).or_default();
         let at = all.iter().position(|w| w.index == index).unwrap_or_else(|| {
             let (latest, frames) = encode(task.clone());
-            all.push(Watched { index, watchers: 0, next: Instant::now(), latest, frames });
+            all.push(WatchedEnvironment { index, watchers: 0, next: Instant::now(), latest, frames });
             all.len() - 1
         });
         all[at].watchers += 1;
@@ -125,21 +124,9 @@ impl Watchers {
 }
 
 impl Watcher {
-    /// The next blocks: a row, after a header if that has changed. None when the session has ended. A slow reader
-    /// misses some.
+    /// The next blocks; None when the session has ended.
     pub async fn next(&mut self) -> Option<Bytes> {
-        let frame = loop {
-            match self.frames.recv().await {
-                Ok(frame) => break frame,
-                Err(RecvError::Lagged(_)) => {}
-                Err(RecvError::Closed) => return None,
-            }
-        };
-        if frame.head == self.head {
-            return Some(frame.rows);
-        }
-        self.head = frame.head;
-        Some([&self.head[..], &frame.rows].concat().into())
+        next_blocks(&mut self.frames, &mut self.head).await
     }
 }
 

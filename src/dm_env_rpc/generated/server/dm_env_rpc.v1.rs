@@ -24,7 +24,9 @@ pub mod environment_server {
         async fn process(
             &self,
             request: tonic::Request<
-                tonic::Streaming<crate::frame::RequestFrame<crate::proto::EnvironmentRequest>>,
+                tonic::Streaming<
+                    crate::frame::RequestFrame<crate::proto::EnvironmentRequest>,
+                >,
             >,
         ) -> std::result::Result<tonic::Response<Self::ProcessStream>, tonic::Status>;
     }

@@ -15,7 +15,9 @@ pub mod environment_service_server {
         /// Returns the server's version and the tasks that it offers.
         async fn describe(
             &self,
-            request: tonic::Request<crate::frame::RequestFrame<crate::proto::DescribeRequest>>,
+            request: tonic::Request<
+                crate::frame::RequestFrame<crate::proto::DescribeRequest>,
+            >,
         ) -> std::result::Result<
             tonic::Response<crate::proto::DescribeResponse>,
             tonic::Status,
@@ -44,7 +46,9 @@ pub mod environment_service_server {
         async fn run_session(
             &self,
             request: tonic::Request<
-                tonic::Streaming<crate::frame::RequestFrame<crate::proto::RunSessionRequest>>,
+                tonic::Streaming<
+                    crate::frame::RequestFrame<crate::proto::RunSessionRequest>,
+                >,
             >,
         ) -> std::result::Result<tonic::Response<Self::RunSessionStream>, tonic::Status>;
         /// Returns a session's task, and the number of its last request.
@@ -218,7 +222,9 @@ pub mod environment_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::frame::RequestFrame<crate::proto::CreateSessionRequest>,
+                                crate::frame::RequestFrame<
+                                    crate::proto::CreateSessionRequest,
+                                >,
                             >,
                         ) -> Self::Future {
                             let inner = Arc::clone(&self.0);
@@ -319,7 +325,9 @@ pub mod environment_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::frame::RequestFrame<crate::proto::DescribeSessionRequest>,
+                                crate::frame::RequestFrame<
+                                    crate::proto::DescribeSessionRequest,
+                                >,
                             >,
                         ) -> Self::Future {
                             let inner = Arc::clone(&self.0);
@@ -368,7 +376,9 @@ pub mod environment_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::frame::RequestFrame<crate::proto::ListSessionsRequest>,
+                                crate::frame::RequestFrame<
+                                    crate::proto::ListSessionsRequest,
+                                >,
                             >,
                         ) -> Self::Future {
                             let inner = Arc::clone(&self.0);
@@ -417,7 +427,9 @@ pub mod environment_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::frame::RequestFrame<crate::proto::CloseSessionRequest>,
+                                crate::frame::RequestFrame<
+                                    crate::proto::CloseSessionRequest,
+                                >,
                             >,
                         ) -> Self::Future {
                             let inner = Arc::clone(&self.0);
@@ -506,55 +518,72 @@ pub mod study_service_server {
         /// Rotates a leg about a hip that is fixed above the sand. The table has one row for each angle.
         async fn intrude(
             &self,
-            request: tonic::Request<crate::frame::RequestFrame<crate::proto::IntrudeRequest>>,
+            request: tonic::Request<
+                crate::frame::RequestFrame<crate::proto::IntrudeRequest>,
+            >,
         ) -> std::result::Result<
             tonic::Response<crate::proto::IntrudeResponse>,
             tonic::Status,
         >;
         /// Server streaming response type for the Trials method.
         type TrialsStream: tonic::codegen::tokio_stream::Stream<
-                Item = std::result::Result<crate::proto::TrialsResponse, tonic::Status>,
+                Item = std::result::Result<crate::proto::TableResponse, tonic::Status>,
             >
             + std::marker::Send
             + 'static;
-        /// Moves any body with constant velocity through sand. The table has one row for each motion.
+        /// Moves any body with constant velocity through sand. The table has one row for each motion, with columns Fx, Fy, Fz, Tx,
+        /// Ty, Tz, depth and no_equilibrium. no_equilibrium is 1 if the sand cannot carry the load; all other columns of this row are
+        /// then NaN.
         async fn trials(
             &self,
-            request: tonic::Request<crate::frame::RequestFrame<crate::proto::TrialsRequest>>,
+            request: tonic::Request<
+                crate::frame::RequestFrame<crate::proto::TrialsRequest>,
+            >,
         ) -> std::result::Result<tonic::Response<Self::TrialsStream>, tonic::Status>;
         /// Server streaming response type for the Walk method.
         type WalkStream: tonic::codegen::tokio_stream::Stream<
-                Item = std::result::Result<crate::proto::WalkResponse, tonic::Status>,
+                Item = std::result::Result<crate::proto::TableResponse, tonic::Status>,
             >
             + std::marker::Send
             + 'static;
-        /// Simulates walks at constant stride frequencies. The table has one row for each frequency.
+        /// Simulates walks at constant stride frequencies. The table has one row for each frequency, with columns frequency, speed,
+        /// base_height, pitch_rms, hip_torque_rms, hip_speed_error_rms, cost_of_transport, sink and drift.
         async fn walk(
             &self,
-            request: tonic::Request<crate::frame::RequestFrame<crate::proto::WalkRequest>>,
+            request: tonic::Request<
+                crate::frame::RequestFrame<crate::proto::WalkRequest>,
+            >,
         ) -> std::result::Result<tonic::Response<Self::WalkStream>, tonic::Status>;
         /// Server streaming response type for the Sweep method.
         type SweepStream: tonic::codegen::tokio_stream::Stream<
-                Item = std::result::Result<crate::proto::SweepResponse, tonic::Status>,
+                Item = std::result::Result<crate::proto::TableResponse, tonic::Status>,
             >
             + std::marker::Send
             + 'static;
         /// Simulates a walk of each design of a grid. The table has one row for each design; the last parameter varies fastest.
-        /// With `optimize` it searches for the best design instead, and the table has one row.
+        /// With `optimize` it searches for the best design instead, and the table has one row. First come the varied parameters, then
+        /// the columns of a walk.
         async fn sweep(
             &self,
-            request: tonic::Request<crate::frame::RequestFrame<crate::proto::SweepRequest>>,
+            request: tonic::Request<
+                crate::frame::RequestFrame<crate::proto::SweepRequest>,
+            >,
         ) -> std::result::Result<tonic::Response<Self::SweepStream>, tonic::Status>;
         /// Server streaming response type for the Evaluate method.
         type EvaluateStream: tonic::codegen::tokio_stream::Stream<
-                Item = std::result::Result<crate::proto::EvaluateResponse, tonic::Status>,
+                Item = std::result::Result<crate::proto::TableResponse, tonic::Status>,
             >
             + std::marker::Send
             + 'static;
-        /// Runs episodes of a gait or policy with evaluation seeds. The table has one row for each medium and slope.
+        /// Runs episodes of a gait or policy with evaluation seeds. The table has one row for each medium and slope, with columns
+        /// medium, slope_deg, rate (only for gait tripod: the best stride frequency found), episodes, return, speed, speed_error,
+        /// cost_of_transport, slip, falls and diverged. After each column from return to falls two more columns have the ends of its
+        /// 95 % interval.
         async fn evaluate(
             &self,
-            request: tonic::Request<crate::frame::RequestFrame<crate::proto::EvaluateRequest>>,
+            request: tonic::Request<
+                crate::frame::RequestFrame<crate::proto::EvaluateRequest>,
+            >,
         ) -> std::result::Result<tonic::Response<Self::EvaluateStream>, tonic::Status>;
         /// Server streaming response type for the Diagnose method.
         type DiagnoseStream: tonic::codegen::tokio_stream::Stream<
@@ -565,7 +594,9 @@ pub mod study_service_server {
         /// Finds where the simulation disagrees with measured data, and why.
         async fn diagnose(
             &self,
-            request: tonic::Request<crate::frame::RequestFrame<crate::proto::DiagnoseRequest>>,
+            request: tonic::Request<
+                crate::frame::RequestFrame<crate::proto::DiagnoseRequest>,
+            >,
         ) -> std::result::Result<tonic::Response<Self::DiagnoseStream>, tonic::Status>;
     }
     #[derive(Debug)]
@@ -700,7 +731,7 @@ pub mod study_service_server {
                     > tonic::server::ServerStreamingService<
                         crate::frame::RequestFrame<crate::proto::TrialsRequest>,
                     > for TrialsSvc<T> {
-                        type Response = crate::proto::TrialsResponse;
+                        type Response = crate::proto::TableResponse;
                         type ResponseStream = T::TrialsStream;
                         type Future = BoxFuture<
                             tonic::Response<Self::ResponseStream>,
@@ -749,7 +780,7 @@ pub mod study_service_server {
                     > tonic::server::ServerStreamingService<
                         crate::frame::RequestFrame<crate::proto::WalkRequest>,
                     > for WalkSvc<T> {
-                        type Response = crate::proto::WalkResponse;
+                        type Response = crate::proto::TableResponse;
                         type ResponseStream = T::WalkStream;
                         type Future = BoxFuture<
                             tonic::Response<Self::ResponseStream>,
@@ -798,7 +829,7 @@ pub mod study_service_server {
                     > tonic::server::ServerStreamingService<
                         crate::frame::RequestFrame<crate::proto::SweepRequest>,
                     > for SweepSvc<T> {
-                        type Response = crate::proto::SweepResponse;
+                        type Response = crate::proto::TableResponse;
                         type ResponseStream = T::SweepStream;
                         type Future = BoxFuture<
                             tonic::Response<Self::ResponseStream>,
@@ -847,7 +878,7 @@ pub mod study_service_server {
                     > tonic::server::ServerStreamingService<
                         crate::frame::RequestFrame<crate::proto::EvaluateRequest>,
                     > for EvaluateSvc<T> {
-                        type Response = crate::proto::EvaluateResponse;
+                        type Response = crate::proto::TableResponse;
                         type ResponseStream = T::EvaluateStream;
                         type Future = BoxFuture<
                             tonic::Response<Self::ResponseStream>,

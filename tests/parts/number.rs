@@ -1,6 +1,6 @@
 //! The number types give the same results as `f64`, lane by lane.
 
-use super::{Isa, Kernel, Real, Work};
+use sandgait::number::{Isa, Kernel, Real, Work};
 
 /// Checks the largest error of sine and cosine over ±100 rad, and of the other operations, in every lane.
 struct Check<R>(std::marker::PhantomData<R>);
