@@ -4,7 +4,7 @@ use super::ground::Change;
 use super::random::Random;
 use super::registry::Blueprint;
 use super::rollout::{Recorded, Rollout};
-use super::sensors::{ActionDelay, Seen, SensorMemory};
+use super::sensors::{ActionDelay, Privileged, Seen, SensorMemory};
 use super::spec::Spec;
 use super::task::{AnyTask, Goal, Transition};
 use crate::error::{Error, Result, check_range};
@@ -61,12 +61,14 @@ impl Episode {
             period,
         };
         match before {
-            Before::Step => plan.sense(&mut self.sensed, &seen, exact, [row, info]),
-            Before::Begin => {
+            Before::Step => plan.sense(&mut self.sensed, &seen, exact, row, Privileged::Present(info)),
+            Before::Begin | Before::End => {
                 self.sensed = SensorMemory::default();
-                plan.sense(&mut self.sensed, &seen, exact, [row, info]);
+                let privileged =
+                    if before == Before::End { Privileged::Next(info) } else { Privileged::Present(info) };
+                plan.sense(&mut self.sensed, &seen, exact, row, privileged);
             }
-            Before::Restore => plan.repeat(&self.sensed, &seen, exact, [row, info]),
+            Before::Restore => plan.repeat(&self.sensed, &seen, exact, row, info),
         }
     }
 }
@@ -74,7 +76,10 @@ impl Episode {
 /// What has led to the state that is observed.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Before {
+    /// A reset.
     Begin,
+    /// The end of the episode before; the info row has its last values.
+    End,
     Step,
     Restore,
 }
@@ -226,7 +231,7 @@ impl Shard {
                 Some(seeds) => (episode.seed, episode.number) = (seeds[i], 0),
                 None => episode.number += 1,
             }
-            self.begin(i, true);
+            self.begin(i, Before::Begin);
         }
     }
 
@@ -349,13 +354,12 @@ impl Shard {
             let action = episode.last_action.clone();
             episode.ended = Some(Ended { goal: episode.goal.clone(), steps: episode.steps, action });
             std::mem::swap(&mut episode.before, &mut episode.after);
-            // The info row stays that of the step that ended the episode.
-            self.begin(i, false);
+            self.begin(i, Before::End);
         }
     }
 
     /// Starts environment `i`'s episode with its present number, and fills its observation row.
-    fn begin(&mut self, i: usize, tells: bool) {
+    fn begin(&mut self, i: usize, before: Before) {
         let episode = &mut self.episodes[i];
         let mut random = Random::new(episode.seed, episode.number);
         // A new seed begins a new series of episodes.
@@ -372,12 +376,11 @@ impl Shard {
             None if stale => self.engine.set_model(i, episode.task.model()),
             None => (),
         }
-        self.take_up(i, Before::Begin, tells);
+        self.take_up(i, before);
     }
 
-    /// Gives environment `i`'s state to the engine and fills its observation row; if it `tells`, also the sensors' part of
-    /// its info row.
-    pub(super) fn take_up(&mut self, i: usize, before: Before, tells: bool) {
+    /// Gives environment `i`'s state to the engine and fills its observation row and the sensors' part of its info row.
+    pub(super) fn take_up(&mut self, i: usize, before: Before) {
         let episode = &mut self.episodes[i];
         self.engine.set_state(i, &episode.after);
         // The engine has the sand from here on.
@@ -389,8 +392,7 @@ impl Shard {
         let spec = self.task.spec();
         let (wide, info) = (spec.observation.len(), spec.info.len());
         let row = &mut self.rows.observations[i * wide..][..wide];
-        let info = if tells { &mut self.rows.infos[i * info..][..info] } else { &mut [] };
-        episode.observe(before, self.period, row, info);
+        episode.observe(before, self.period, row, &mut self.rows.infos[i * info..][..info]);
     }
 }
 

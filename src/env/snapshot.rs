@@ -200,7 +200,7 @@ impl Shard {
         episode.sensed.clone_from(sensed);
         episode.delay.clone_from(delay);
         self.engine.set_model(i, goal.model.as_ref().unwrap_or(task.model()));
-        self.take_up(i, Before::Restore, true);
+        self.take_up(i, Before::Restore);
     }
 }
 

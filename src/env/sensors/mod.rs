@@ -20,7 +20,7 @@ mod signal;
 pub use delay::ActionDelay;
 pub use memory::SensorMemory;
 pub use options::{Hardware, Imperfections, Motors, SensorOptions, Sensors};
-pub use plan::{Plan, Seen};
+pub use plan::{Plan, Privileged, Seen};
 
 use serde::{Deserialize, Serialize};
 

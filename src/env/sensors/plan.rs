@@ -23,8 +23,10 @@ pub struct Plan {
     signals: Vec<Signal>,
     /// Signals of joint positions and speeds, joint by joint, if speeds are differences of positions.
     speeds: Vec<[usize; 2]>,
-    /// Exact columns that the policy gets.
-    shown: Vec<usize>,
+    /// Number of columns that the policy gets of one step.
+    wide: usize,
+    /// Places and columns of those among them that no signal changes.
+    copied: Vec<(usize, usize)>,
     /// Number of rows that policies get at once, and of sampled rows that are kept.
     history: usize,
     kept: usize,
@@ -42,6 +44,13 @@ pub struct Seen<'a> {
     pub at: [u64; 3],
     /// Duration of the step [s].
     pub period: f64,
+}
+
+/// The info row that gets exact values: those that belong to its step, or those of the first observation of the next episode,
+/// which begins in the same step.
+pub enum Privileged<'a> {
+    Present(&'a mut [f32]),
+    Next(&'a mut [f32]),
 }
 
 impl Plan {
@@ -65,11 +74,15 @@ impl Plan {
                 format!("{} does not observe it", spec.id),
             ));
         }
-        let signals = signals(&exact, &sensors);
+        let period = 1.0 / spec.control_rate;
+        let mut signals = signals(&exact, &sensors, period);
         let speeds = if sensors.velocity_by_differences { speeds(&exact, &signals)? } else { Vec::new() };
         let left_out = |c: &Column| c.sensor.is_some_and(|(s, _)| sensors.without.iter().any(|w| w == s.name()));
         let shown: Vec<usize> = (0..exact.len()).filter(|i| !left_out(&exact[*i])).collect();
-        let period = 1.0 / spec.control_rate;
+        if shown.is_empty() {
+            return Err(Error::invalid("sensors.without", "it leaves nothing to observe"));
+        }
+        let copied = places(&shown, &mut signals);
         let longest = signals.iter().map(|s| s.imperfections.delay).fold(0.0, f64::max);
         // The newest row, those back to the longest delay, and one to interpolate or to take differences from.
         let kept = (longest / period).ceil() as usize + 2;
@@ -83,10 +96,13 @@ impl Plan {
         };
         spec.observation = (0..history).flat_map(of_step).collect();
         if *privileged {
-            let named = |c: &Column| Column { name: format!("privileged {}", c.name), ..c.clone() };
-            spec.info.extend(exact.iter().map(named));
+            for prefix in ["privileged", "next privileged"] {
+                let named = |c: &Column| Column { name: format!("{prefix} {}", c.name), ..c.clone() };
+                spec.info.extend(exact.iter().map(named));
+            }
         }
-        Ok(Some(Self { sensors, exact, added, signals, speeds, shown, history, kept, privileged: *privileged, period }))
+        let (wide, privileged) = (shown.len(), *privileged);
+        Ok(Some(Self { sensors, exact, added, signals, speeds, wide, copied, history, kept, privileged, period }))
     }
 
     /// Number of the task's own columns.
@@ -95,7 +111,7 @@ impl Plan {
     }
 
     fn sizes(&self) -> [usize; 3] {
-        [self.signals.len(), self.kept * self.exact.len(), self.history * self.shown.len()]
+        [self.signals.len(), self.kept * self.exact.len(), self.history * self.wide]
     }
 
     /// Numbers that an episode's sensors remember.
@@ -116,7 +132,8 @@ impl Plan {
         memory: &mut SensorMemory,
         seen: &Seen,
         observe: impl FnOnce(&mut [f32]),
-        out: [&mut [f32]; 2],
+        observation: &mut [f32],
+        privileged: Privileged,
     ) {
         let width = self.exact.len();
         let begins = memory.past.is_empty() && memory.sampled.is_empty();
@@ -127,8 +144,7 @@ impl Plan {
         shift(&mut memory.sampled, width);
         let (row, before) = memory.sampled.split_at_mut(width);
         self.fill_exact(row, seen, observe);
-        let [observation, info] = out;
-        self.tell(row, info);
+        self.tell(row, privileged);
         let [seed, number, step] = seen.at;
         let mut random = stream(seed, number, step);
         if begins {
@@ -153,21 +169,31 @@ impl Plan {
 
     /// Fills the same rows again, after a restore. The accelerometer's privileged value is then that of a robot whose
     /// velocity does not change.
-    pub fn repeat(&self, memory: &SensorMemory, seen: &Seen, observe: impl FnOnce(&mut [f32]), out: [&mut [f32]; 2]) {
-        let [observation, info] = out;
+    pub fn repeat(
+        &self,
+        memory: &SensorMemory,
+        seen: &Seen,
+        observe: impl FnOnce(&mut [f32]),
+        observation: &mut [f32],
+        info: &mut [f32],
+    ) {
         observation.copy_from_slice(&memory.seen);
         if self.privileged {
             let mut row = vec![0.0; self.exact.len()];
             self.fill_exact(&mut row, seen, observe);
-            self.tell(&row, info);
+            self.tell(&row, Privileged::Present(info));
         }
     }
 
-    /// Copies privileged values to the end of an info row, if there is one.
-    fn tell(&self, exact: &[f32], info: &mut [f32]) {
+    /// Copies privileged values to their place at the end of an info row, if there is one.
+    fn tell(&self, exact: &[f32], privileged: Privileged) {
+        let (info, back) = match privileged {
+            Privileged::Present(info) => (info, 2 * exact.len()),
+            Privileged::Next(info) => (info, exact.len()),
+        };
         if self.privileged && !info.is_empty() {
-            let start = info.len() - exact.len();
-            info[start..].copy_from_slice(exact);
+            let start = info.len() - back;
+            info[start..][..exact.len()].copy_from_slice(exact);
         }
     }
 
@@ -181,30 +207,35 @@ impl Plan {
 
     /// Adds the row that the policy gets now.
     fn show(&self, memory: &mut SensorMemory, random: &mut Xoshiro256PlusPlus, begins: bool) {
-        let width = self.exact.len();
-        let mut row = memory.sampled[..width].to_vec();
+        let SensorMemory { sampled, seen, .. } = memory;
+        // The first row still has the values of the step before.
+        shift(seen, self.wide);
+        let (row, others) = seen.split_at_mut(self.wide);
+        self.copied.iter().for_each(|(place, column)| row[*place] = sampled[*column]);
         for signal in &self.signals {
-            let delay = signal.imperfections.delay / self.period;
-            let (whole, part) = ((delay + 1e-9).floor() as usize, (delay - (delay + 1e-9).floor()).max(0.0) as f32);
-            let lost = signal.imperfections.dropout > 0.0 && random.random_bool(signal.imperfections.dropout);
-            for column in signal.columns() {
-                let sampled = |back: usize| memory.sampled[back * width + column];
-                row[column] = match self.shown.iter().position(|i| *i == column) {
-                    Some(place) if lost && !begins => memory.seen[place],
-                    // A delay of whole steps copies bits.
-                    _ if part < 1e-6 => sampled(whole),
-                    _ => sampled(whole) + (sampled(whole + 1) - sampled(whole)) * part,
-                };
+            let dropout = signal.imperfections.dropout;
+            if dropout > 0.0 && random.random_bool(dropout) && !begins {
+                continue;
+            }
+            for (place, column) in &signal.places {
+                let Column { low, high, .. } = &self.exact[*column];
+                let value = signal.delayed(sampled, self.exact.len(), *column);
+                row[*place] = value.clamp(*low as f32, *high as f32);
             }
         }
-        clip(&mut row, &self.exact);
-        let wide = self.shown.len();
-        shift(&mut memory.seen, wide);
-        let places = if begins { self.history } else { 1 };
-        for out in memory.seen.chunks_exact_mut(wide).take(places) {
-            out.iter_mut().zip(&self.shown).for_each(|(out, i)| *out = row[*i]);
+        if begins {
+            others.chunks_exact_mut(self.wide).for_each(|old| old.copy_from_slice(row));
         }
     }
+}
+
+/// Gives each signal the places of its columns among those that are `shown`; returns places and columns of the others.
+fn places(shown: &[usize], signals: &mut [Signal]) -> Vec<(usize, usize)> {
+    let place = |column: usize| Some((shown.iter().position(|i| *i == column)?, column));
+    signals.iter_mut().for_each(|signal| signal.places = signal.columns().filter_map(place).collect());
+    let of_signal = |column: usize| signals.iter().any(|signal| signal.columns().any(|own| own == column));
+    let others = shown.iter().copied().enumerate().filter(|(_, column)| !of_signal(*column));
+    others.collect()
 }
 
 fn clip(row: &mut [f32], columns: &[Column]) {
@@ -212,14 +243,14 @@ fn clip(row: &mut [f32], columns: &[Column]) {
 }
 
 /// One signal for each value of a sensor that has an entry, in the order of the columns.
-fn signals(exact: &[Column], sensors: &Sensors) -> Vec<Signal> {
+fn signals(exact: &[Column], sensors: &Sensors, period: f64) -> Vec<Signal> {
     let mut all: Vec<Signal> = Vec::new();
     for (i, column) in exact.iter().enumerate() {
         let Some((sensor, part)) = column.sensor else { continue };
         let differences =
             sensors.velocity_by_differences && matches!(sensor, Sensor::JointPosition | Sensor::JointVelocity);
         let Some(imperfections) = sensors.of(sensor).or_else(|| differences.then(Default::default)) else { continue };
-        match Signal::new(i, part, imperfections) {
+        match Signal::new(i, part, imperfections, period) {
             Some(signal) => all.push(signal),
             // The columns of cosines come after those of sines, in the same order.
             None => {

@@ -13,7 +13,15 @@ pub struct Signal {
     /// The column of an angle's cosine.
     pub cosine: Option<usize>,
     pub imperfections: Imperfections,
+    /// The delay: whole control steps, and the rest as a share of one.
+    pub late: (usize, f32),
+    /// Places of column and cosine in the row that the policy gets; empty if it does not get them.
+    pub places: Vec<(usize, usize)>,
 }
+
+/// A rest of a delay below this share of a control step is rounding: our choice, which moves no value by more than a millionth of its
+/// change in a step.
+const ROUNDING: f64 = 1e-6;
 
 /// What a signal remembers.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -25,13 +33,26 @@ pub struct Past {
 }
 
 impl Signal {
-    pub fn new(column: usize, part: Part, imperfections: Imperfections) -> Option<Self> {
+    /// `period`: that of the control [s].
+    pub fn new(column: usize, part: Part, imperfections: Imperfections, period: f64) -> Option<Self> {
+        let delay = imperfections.delay / period;
+        let whole = (delay + ROUNDING).floor();
+        // A delay of whole steps copies bits.
+        let rest = delay - whole;
+        let late = (whole as usize, if rest > ROUNDING { rest as f32 } else { 0.0 });
         // Sine and cosine are one signal, which begins with its sine.
-        (part != Part::Cosine).then_some(Self { column, cosine: None, imperfections })
+        (part != Part::Cosine).then_some(Self { column, cosine: None, imperfections, late, places: Vec::new() })
     }
 
     pub fn columns(&self) -> impl Iterator<Item = usize> {
         [Some(self.column), self.cosine].into_iter().flatten()
+    }
+
+    /// The delayed value of `column` among sampled rows of `width` numbers, the newest first.
+    pub fn delayed(&self, sampled: &[f32], width: usize, column: usize) -> f32 {
+        let (whole, rest) = self.late;
+        let at = |back: usize| sampled[back * width + column];
+        if rest == 0.0 { at(whole) } else { at(whole) + (at(whole + 1) - at(whole)) * rest }
     }
 
     /// Does the sensor change the value, besides delaying it?
