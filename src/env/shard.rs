@@ -4,7 +4,7 @@ use super::ground::Change;
 use super::random::Random;
 use super::registry::Blueprint;
 use super::rollout::{Recorded, Rollout};
-use super::sensors::{ActionDelay, Privileged, Seen, SensorMemory};
+use super::sensors::{ActionDelay, Plan, Privileged, Seen, SensorMemory};
 use super::spec::Spec;
 use super::task::{AnyTask, Goal, Transition};
 use crate::error::{Error, Result, check_range};
@@ -34,6 +34,8 @@ pub(super) struct Episode {
     pub before: State,
     pub after: State,
     pub last_action: Vec<f32>,
+    /// The sand's force on each leg in the last time step, if a sensor needs it and the engine keeps it.
+    pub supports: Vec<f64>,
     /// What its sensors remember.
     pub sensed: SensorMemory,
     pub delay: ActionDelay,
@@ -56,6 +58,7 @@ impl Episode {
         let seen = Seen {
             model: goal.model.as_ref().unwrap_or(task.model()),
             footing: goal.ground.as_ref().map_or(&[], |ground| &ground.footing),
+            supports: if before == Before::Step { &self.supports } else { &[] },
             states: [if before == Before::Step { &self.before } else { after }, after],
             at: [self.seed, self.number, self.steps.into()],
             period,
@@ -64,8 +67,7 @@ impl Episode {
             Before::Step => plan.sense(&mut self.sensed, &seen, exact, row, Privileged::Present(info)),
             Before::Begin | Before::End => {
                 self.sensed = SensorMemory::default();
-                let privileged =
-                    if before == Before::End { Privileged::Next(info) } else { Privileged::Present(info) };
+                let privileged = if before == Before::End { Privileged::Next(info) } else { Privileged::Present(info) };
                 plan.sense(&mut self.sensed, &seen, exact, row, privileged);
             }
             Before::Restore => plan.repeat(&self.sensed, &seen, exact, row, info),
@@ -166,6 +168,7 @@ impl Shard {
             before: State::at_rest(0.0, &vec![0.0; model.joints()]),
             after: State::at_rest(0.0, &vec![0.0; model.joints()]),
             last_action: vec![0.0; spec.action.len()],
+            supports: Vec::new(),
             sensed: SensorMemory::default(),
             delay: ActionDelay::default(),
             ended: None,
@@ -283,7 +286,7 @@ impl Shard {
         times.dedup();
         let mut now = 0;
         for time in times {
-            self.engine.advance(time - now);
+            self.engine.advance_in_parts(time - now, false);
             now = time;
             for (i, episode) in self.episodes.iter_mut().enumerate() {
                 let Some((_, action)) = episode.delay.second().filter(|(at, _)| *at == now) else { continue };
@@ -313,6 +316,9 @@ impl Shard {
         let (wide, info) = (spec.observation.len(), spec.info.len());
         let episode = &mut self.episodes[i];
         self.engine.state(i, &mut episode.after);
+        if episode.task.sensing().is_some_and(Plan::needs_supports) {
+            self.engine.supports(i, &mut episode.supports);
+        }
         let diverged = !episode.after.is_sound();
         if diverged {
             episode.after.clone_from(&episode.before);
@@ -365,6 +371,7 @@ impl Shard {
         // A new seed begins a new series of episodes.
         let last = (episode.number > 0).then_some(&episode.goal);
         (episode.after, episode.goal) = episode.task.begin(last, &mut random);
+        episode.task.equip(&mut episode.goal, episode.seed, episode.number);
         episode.steps = 0;
         episode.last_action.fill(0.0);
         let (range, clock) = (episode.task.action_delay(), [self.period, self.period / self.substeps as f64]);

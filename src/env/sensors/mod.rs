@@ -12,12 +12,14 @@
 
 mod delay;
 mod extra;
+mod hardware;
 mod memory;
 mod options;
 mod plan;
 mod signal;
 
 pub use delay::ActionDelay;
+pub use hardware::{HardwareFiles, motors};
 pub use memory::SensorMemory;
 pub use options::{Hardware, Imperfections, Motors, SensorOptions, Sensors};
 pub use plan::{Plan, Privileged, Seen};

@@ -3,16 +3,21 @@
 use super::extra::{self, Measure, Moment};
 use super::memory::{SensorMemory, shift};
 use super::signal::{Signal, wrapped};
-use super::{Hardware, Part, Sensor, Sensors};
+use super::{Hardware, HardwareFiles, Part, Sensor, Sensors, hardware};
 use crate::error::{Error, Result};
 use crate::feature::Features;
+use crate::sim::hardware::HardwareDescription;
 use crate::sim::{Model, State};
 use crate::spec::{Column, Spec};
+use nalgebra::{Rotation3, Vector3};
 use rand::{Rng as _, SeedableRng as _};
 use rand_xoshiro::Xoshiro256PlusPlus;
+use std::sync::Arc;
 
 /// Separates the sensors' random numbers from those of the episode: an arbitrary number.
 const STREAM: u64 = 0x5e15_0125;
+/// Sensors of the inertial measurement unit.
+const IMU: [Sensor; 3] = [Sensor::Gravity, Sensor::Gyroscope, Sensor::Accelerometer];
 
 /// How a session's observations follow from exact values.
 pub struct Plan {
@@ -20,13 +25,16 @@ pub struct Plan {
     /// Columns of exact values: the task's, then those of added sensors.
     exact: Vec<Column>,
     added: Features<Measure>,
-    signals: Vec<Signal>,
+    senses: Senses,
+    files: HardwareFiles,
     /// Signals of joint positions and speeds, joint by joint, if speeds are differences of positions.
     speeds: Vec<[usize; 2]>,
-    /// Number of columns that the policy gets of one step.
-    wide: usize,
+    /// Exact columns that the policy gets of one step.
+    shown: Vec<usize>,
     /// Places and columns of those among them that no signal changes.
     copied: Vec<(usize, usize)>,
+    /// First column of each vector of the inertial measurement unit.
+    imu: Vec<usize>,
     /// Number of rows that policies get at once, and of sampled rows that are kept.
     history: usize,
     kept: usize,
@@ -34,10 +42,20 @@ pub struct Plan {
     period: f64,
 }
 
+/// The sensors of an episode.
+#[derive(Debug, PartialEq)]
+pub struct Senses {
+    signals: Vec<Signal>,
+    /// Rotation from the base's frame to that of the inertial measurement unit; None: they are the same.
+    turn: Option<Rotation3<f64>>,
+}
+
 /// The episode whose sensors are read.
 pub struct Seen<'a> {
     pub model: &'a Model,
     pub footing: &'a [f64],
+    /// The sand's force on each leg along the surface's normal [N]; empty: not known.
+    pub supports: &'a [f64],
     /// State before and after the step; at the beginning of an episode both are its first state.
     pub states: [&'a State; 2],
     /// Seed, number and step of the episode: the random numbers are a function of them.
@@ -58,10 +76,12 @@ impl Plan {
     ///
     /// # Errors
     /// Names a sensor that the task does not observe and that cannot be added.
-    pub fn new(options: &Hardware, model: &Model, spec: &mut Spec) -> Result<Option<Self>> {
+    pub fn new(options: &Hardware, files: &HardwareFiles, model: &Model, spec: &mut Spec) -> Result<Option<Self>> {
         let Hardware { sensors, history, privileged, .. } = options;
-        let sensors = sensors.0.clone();
-        if sensors == Sensors::default() && *history == 1 && !privileged {
+        let (sensors, files) = (sensors.0.clone(), files.clone());
+        let values = files.values();
+        let silent = !values.quantities.keys().any(|path| path.starts_with("sensors."));
+        if sensors == Sensors::default() && silent && *history == 1 && !privileged {
             return Ok(None);
         }
         let own: Vec<Sensor> = spec.observation.iter().filter_map(|c| c.sensor.map(|(sensor, _)| sensor)).collect();
@@ -75,7 +95,7 @@ impl Plan {
             ));
         }
         let period = 1.0 / spec.control_rate;
-        let mut signals = signals(&exact, &sensors, period);
+        let mut signals = signals(&exact, &sensors, &values, period);
         let speeds = if sensors.velocity_by_differences { speeds(&exact, &signals)? } else { Vec::new() };
         let left_out = |c: &Column| c.sensor.is_some_and(|(s, _)| sensors.without.iter().any(|w| w == s.name()));
         let shown: Vec<usize> = (0..exact.len()).filter(|i| !left_out(&exact[*i])).collect();
@@ -83,7 +103,12 @@ impl Plan {
             return Err(Error::invalid("sensors.without", "it leaves nothing to observe"));
         }
         let copied = places(&shown, &mut signals);
-        let longest = signals.iter().map(|s| s.imperfections.delay).fold(0.0, f64::max);
+        let delay = |s: &Signal| {
+            exact[s.column]
+                .sensor
+                .map_or(0.0, |(sensor, _)| files.longest(sensor, sensors.of(sensor).unwrap_or_default()))
+        };
+        let longest = signals.iter().map(delay).fold(0.0, f64::max);
         // The newest row, those back to the longest delay, and one to interpolate or to take differences from.
         let kept = (longest / period).ceil() as usize + 2;
         let history = *history as usize;
@@ -101,8 +126,35 @@ impl Plan {
                 spec.info.extend(exact.iter().map(named));
             }
         }
-        let (wide, privileged) = (shown.len(), *privileged);
-        Ok(Some(Self { sensors, exact, added, signals, speeds, wide, copied, history, kept, privileged, period }))
+        let starts = |i: &usize| {
+            let of_imu =
+                |k: usize| matches!(exact.get(k), Some(Column { sensor: Some((s, _)), .. }) if IMU.contains(s));
+            of_imu(*i) && (*i == 0 || exact[i - 1].sensor != exact[*i].sensor)
+        };
+        let imu = (0..exact.len()).filter(starts).collect();
+        let senses = Senses { signals, turn: turn(&sensors, &values) };
+        let privileged = *privileged;
+        Ok(Some(Self {
+            sensors,
+            exact,
+            added,
+            senses,
+            files,
+            speeds,
+            shown,
+            copied,
+            imu,
+            history,
+            kept,
+            privileged,
+            period,
+        }))
+    }
+
+    /// Does a column need the sand's force on each leg?
+    pub fn needs_supports(&self) -> bool {
+        let forces = |c: &Column| matches!(c.sensor, Some((Sensor::ContactForce | Sensor::ContactSwitch, _)));
+        self.added.columns().iter().any(forces)
     }
 
     /// Number of the task's own columns.
@@ -111,7 +163,7 @@ impl Plan {
     }
 
     fn sizes(&self) -> [usize; 3] {
-        [self.signals.len(), self.kept * self.exact.len(), self.history * self.wide]
+        [self.senses.signals.len(), self.kept * self.exact.len(), self.history * self.shown.len()]
     }
 
     /// Numbers that an episode's sensors remember.
@@ -121,8 +173,19 @@ impl Plan {
     }
 
     /// An episode's memory from a snapshot.
-    pub fn resume(&self, numbers: &[f32]) -> Option<SensorMemory> {
-        SensorMemory::from_numbers(numbers, self.sizes())
+    pub fn resume(&self, numbers: &[f32], [seed, number]: [u64; 2]) -> Option<SensorMemory> {
+        let memory = SensorMemory::from_numbers(numbers, self.sizes())?;
+        Some(SensorMemory { senses: self.drawn(seed, number), ..memory })
+    }
+
+    /// The sensors that an episode draws; None: they are those of the session.
+    fn drawn(&self, seed: u64, number: u64) -> Option<Arc<Senses>> {
+        self.files.is_random().then(|| {
+            let values = self.files.of_episode(seed, number);
+            let mut signals = signals(&self.exact, &self.sensors, &values, self.period);
+            places(&self.shown, &mut signals);
+            Arc::new(Senses { signals, turn: turn(&self.sensors, &values) })
+        })
     }
 
     /// Fills the first observation of an episode, if its memory is empty; else that of the next step. `observe` fills a row
@@ -136,34 +199,38 @@ impl Plan {
         privileged: Privileged,
     ) {
         let width = self.exact.len();
-        let begins = memory.past.is_empty() && memory.sampled.is_empty();
+        let begins = memory.sampled.is_empty();
+        let [seed, number, step] = seen.at;
         if begins {
             let [_, sampled, rows] = self.sizes();
             (memory.sampled, memory.seen) = (vec![0.0; sampled], vec![0.0; rows]);
+            memory.senses = self.drawn(seed, number);
         }
+        let drawn = memory.senses.clone();
+        let senses = drawn.as_deref().unwrap_or(&self.senses);
         shift(&mut memory.sampled, width);
         let (row, before) = memory.sampled.split_at_mut(width);
         self.fill_exact(row, seen, observe);
         self.tell(row, privileged);
-        let [seed, number, step] = seen.at;
+        self.turn_imu(senses, row);
         let mut random = stream(seed, number, step);
         if begins {
-            memory.past = self.signals.iter().map(|s| s.begin(&mut random, self.period, row)).collect();
-            self.speeds.iter().for_each(|[_, speed]| self.signals[*speed].set(row, 0.0));
+            memory.past = senses.signals.iter().map(|s| s.begin(&mut random, self.period, row)).collect();
+            self.speeds.iter().for_each(|[_, speed]| senses.signals[*speed].set(row, 0.0));
             let first = row.to_vec();
             before.chunks_exact_mut(width).for_each(|old| old.copy_from_slice(&first));
         } else {
-            for (signal, past) in self.signals.iter().zip(&mut memory.past) {
+            for (signal, past) in senses.signals.iter().zip(&mut memory.past) {
                 signal.sample(&mut random, self.period, past, row);
             }
             for [position, speed] in &self.speeds {
-                let position = &self.signals[*position];
+                let position = &senses.signals[*position];
                 let change = position.value(row) - position.value(before);
                 let change = if position.cosine.is_some() { wrapped(change) } else { change };
-                self.signals[*speed].set(row, change / self.period);
+                senses.signals[*speed].set(row, change / self.period);
             }
         }
-        self.show(memory, &mut random, begins);
+        self.show(senses, memory, &mut random, begins);
         observation.copy_from_slice(&memory.seen);
     }
 
@@ -200,19 +267,30 @@ impl Plan {
     fn fill_exact(&self, row: &mut [f32], seen: &Seen, observe: impl FnOnce(&mut [f32])) {
         let (own, others) = row.split_at_mut(self.own());
         observe(own);
-        let moment = Moment::new(seen.model, seen.footing, seen.states, seen.period, self.sensors.imu_position);
+        let moment = Moment::new(seen, self.sensors.imu_position);
         self.added.fill(others, |measure, i| measure(&moment, i));
         clip(row, &self.exact);
     }
 
+    /// Turns the vectors of an inertial measurement unit that is mounted askew.
+    fn turn_imu(&self, senses: &Senses, row: &mut [f32]) {
+        let Some(turn) = &senses.turn else { return };
+        for start in &self.imu {
+            let vector = &mut row[*start..][..3];
+            let turned = turn * Vector3::from_fn(|k, _| f64::from(vector[k]));
+            vector.iter_mut().zip(turned.iter()).for_each(|(out, x)| *out = *x as f32);
+        }
+    }
+
     /// Adds the row that the policy gets now.
-    fn show(&self, memory: &mut SensorMemory, random: &mut Xoshiro256PlusPlus, begins: bool) {
+    fn show(&self, senses: &Senses, memory: &mut SensorMemory, random: &mut Xoshiro256PlusPlus, begins: bool) {
         let SensorMemory { sampled, seen, .. } = memory;
         // The first row still has the values of the step before.
-        shift(seen, self.wide);
-        let (row, others) = seen.split_at_mut(self.wide);
+        let wide = self.shown.len();
+        shift(seen, wide);
+        let (row, others) = seen.split_at_mut(wide);
         self.copied.iter().for_each(|(place, column)| row[*place] = sampled[*column]);
-        for signal in &self.signals {
+        for signal in &senses.signals {
             let dropout = signal.imperfections.dropout;
             if dropout > 0.0 && random.random_bool(dropout) && !begins {
                 continue;
@@ -224,9 +302,15 @@ impl Plan {
             }
         }
         if begins {
-            others.chunks_exact_mut(self.wide).for_each(|old| old.copy_from_slice(row));
+            others.chunks_exact_mut(wide).for_each(|old| old.copy_from_slice(row));
         }
     }
+}
+
+/// Rotation from the base's frame to that of the inertial measurement unit; None: they are the same.
+fn turn(sensors: &Sensors, values: &HardwareDescription) -> Option<Rotation3<f64>> {
+    let vector = hardware::imu_rotation(sensors, values);
+    (vector != [0.0; 3]).then(|| Rotation3::from_scaled_axis(Vector3::from(vector)).inverse())
 }
 
 /// Gives each signal the places of its columns among those that are `shown`; returns places and columns of the others.
@@ -243,13 +327,15 @@ fn clip(row: &mut [f32], columns: &[Column]) {
 }
 
 /// One signal for each value of a sensor that has an entry, in the order of the columns.
-fn signals(exact: &[Column], sensors: &Sensors, period: f64) -> Vec<Signal> {
+fn signals(exact: &[Column], sensors: &Sensors, values: &HardwareDescription, period: f64) -> Vec<Signal> {
     let mut all: Vec<Signal> = Vec::new();
     for (i, column) in exact.iter().enumerate() {
         let Some((sensor, part)) = column.sensor else { continue };
         let differences =
             sensors.velocity_by_differences && matches!(sensor, Sensor::JointPosition | Sensor::JointVelocity);
-        let Some(imperfections) = sensors.of(sensor).or_else(|| differences.then(Default::default)) else { continue };
+        let known = differences || hardware::names(values, sensor);
+        let Some(own) = sensors.of(sensor).or_else(|| known.then(Default::default)) else { continue };
+        let imperfections = hardware::imperfections(own, sensor, values);
         match Signal::new(i, part, imperfections, period) {
             Some(signal) => all.push(signal),
             // The columns of cosines come after those of sines, in the same order.

@@ -6,7 +6,7 @@ use rand_distr::StandardNormal;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 /// A value of a sensor, and its columns in a row of exact values.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Signal {
     /// The column; of an angle, the column of its sine.
     pub column: usize,
@@ -57,8 +57,9 @@ impl Signal {
 
     /// Does the sensor change the value, besides delaying it?
     fn alters(&self) -> bool {
-        let Imperfections { noise_density, bias, random_walk, low_pass, quantization, .. } = self.imperfections;
-        [noise_density, bias, random_walk, low_pass, quantization] != [0.0; 5]
+        let Imperfections { gain, offset, noise_density, bias, random_walk, low_pass, quantization, .. } =
+            self.imperfections;
+        [gain, offset, noise_density, bias, random_walk, low_pass, quantization] != [0.0; 7]
     }
 
     /// The measured value in a row.
@@ -107,10 +108,10 @@ impl Signal {
     }
 
     fn noisy(&self, value: f64, past: &Past, random: &mut Xoshiro256PlusPlus, period: f64) -> f64 {
-        let density = self.imperfections.noise_density;
+        let Imperfections { noise_density: density, gain, offset, .. } = self.imperfections;
         // Samples at the rate 1/period carry the density up to half of that rate (Kalibr's IMU noise model).
         let noise = if density > 0.0 { density / period.sqrt() * random.sample::<f64, _>(StandardNormal) } else { 0.0 };
-        value + f64::from(past.bias) + noise
+        value + value * gain + offset + f64::from(past.bias) + noise
     }
 
     fn quantized(&self, value: f64) -> f64 {

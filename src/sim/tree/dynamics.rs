@@ -80,7 +80,7 @@ pub struct Hinge<R> {
 pub trait Drive<R> {
     /// The push on joint `joint`, if `own` is the inertia behind it and `load` the torque at which it does not
     /// accelerate, both with the parent held still.
-    fn push(&self, joint: usize, own: R, load: R) -> Push<R>;
+    fn push(&mut self, joint: usize, own: R, load: R) -> Push<R>;
 }
 
 impl<R: Real> LaneBody<R> {
@@ -229,7 +229,7 @@ pub fn load<R: Real>(bodies: &[LaneBody<R>], frames: &[Frame<R>], gravity: Vec3<
 pub fn fold<R: Real>(
     bodies: &[LaneBody<R>],
     frames: &[Frame<R>],
-    drive: &impl Drive<R>,
+    drive: &mut impl Drive<R>,
     loads: &mut [Load<R>],
     hinges: &mut [Hinge<R>],
 ) -> Twist<R> {

@@ -83,7 +83,12 @@ impl TreeEngine {
 
     /// See [`crate::engine::Engine::advance`].
     pub fn advance(&mut self, steps: usize) {
-        self.blocks.iter_mut().for_each(|b| b.advance(steps));
+        self.advance_in_parts(steps, true);
+    }
+
+    /// See [`crate::engine::Engine::advance_in_parts`].
+    pub fn advance_in_parts(&mut self, steps: usize, ends: bool) {
+        self.blocks.iter_mut().for_each(|b| b.advance(steps, ends));
     }
 }
 
@@ -94,7 +99,7 @@ trait Block: Send {
     fn state(&self, lane: usize, out: &mut State);
     fn sand(&self, lane: usize) -> Option<&Moved>;
     fn command(&mut self, lane: usize, command: &Command);
-    fn advance(&mut self, steps: usize);
+    fn advance(&mut self, steps: usize, ends: bool);
 }
 
 struct Lanes<R: Real> {
@@ -190,6 +195,7 @@ pub fn alone(model: &Model, state: &State) -> Option<Alone> {
 struct Advance<'a, R: Real> {
     block: &'a mut Lanes<R>,
     steps: usize,
+    ends: bool,
 }
 
 impl<R: Real> Kernel for Advance<'_, R> {
@@ -207,7 +213,9 @@ impl<R: Real> Kernel for Advance<'_, R> {
                 memory.update(origins, state.position);
             }
         }
-        self.block.fold();
+        if self.ends {
+            self.block.fold();
+        }
     }
 }
 
@@ -311,7 +319,7 @@ impl<R: Real> Block for Lanes<R> {
         }
     }
 
-    fn advance(&mut self, steps: usize) {
-        R::dispatch(Advance { block: self, steps });
+    fn advance(&mut self, steps: usize, ends: bool) {
+        R::dispatch(Advance { block: self, steps, ends });
     }
 }

@@ -16,7 +16,7 @@ struct Given<'a, R>(&'a [R]);
 
 impl<R: Real> Drive<R> for Given<'_, R> {
     #[inline(always)]
-    fn push(&self, joint: usize, _own: R, _load: R) -> Push<R> {
+    fn push(&mut self, joint: usize, _own: R, _load: R) -> Push<R> {
         Push { torque: self.0[joint], yielding: R::zero() }
     }
 }
@@ -95,7 +95,7 @@ pub fn accelerations_by<R: Real>(tree: &Tree, pose: &Pose) -> Accelerations {
     let mut joints = vec![R::zero(); count - 1];
     place(&bodies, &motion, &mut frames);
     load(&bodies, &frames, Vec3::splat([0.0, 0.0, -GRAVITY]), &mut loads);
-    let base = fold(&bodies, &frames, &Given(&torques), &mut loads, &mut hinges);
+    let base = fold(&bodies, &frames, &mut Given(&torques), &mut loads, &mut hinges);
     unfold(&bodies, &frames, &hinges, &base, &mut moved, &mut joints);
     Accelerations {
         a: base.linear.lane(0),
