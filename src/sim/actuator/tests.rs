@@ -161,6 +161,21 @@ fn no_torque_is_beyond_its_line() {
     }
 }
 
+/// A line needs its torque, and what is known replaces what the robot's file says.
+#[test]
+fn motors_are_changed_where_they_are_known() {
+    let ideal = hexapod(EngineKind::Lanes, "xplorer", |_| (), &Actuator::default());
+    let fast = Actuator { no_load_speed: Some(5.0), ..Actuator::default() };
+    let error = ideal.clone().with_motors(&fast).unwrap_err().to_string();
+    assert!(error.starts_with("actuator.no_load_speed: it needs a stall_torque"), "{error}");
+    let slow = Actuator { torque_limit: Some(0.1), torque_time: Some(0.02), ..Actuator::default() };
+    let model = ideal.with_motors(&slow).unwrap().with_motors(&fast).unwrap();
+    let quick = model.with_motors(&Actuator { torque_time: Some(0.0), ..Actuator::default() }).unwrap();
+    let known = Actuator { stall_torque: Some(0.2), torque_time: Some(0.0), ..fast };
+    assert_eq!(quick.motor.actuator, Actuator { torque_limit: Some(0.1), ..known });
+    assert_eq!(quick.robot.servo.actuator(), quick.motor.actuator);
+}
+
 /// Kinetic energy of a robot with legs [J].
 fn energy(model: &Model, state: &State) -> f64 {
     let base = Frame::base(state);

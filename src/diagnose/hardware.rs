@@ -1,0 +1,39 @@
+//! `hardware.toml`: what a diagnosis has found of the robot's motors, sensors and delays, for [`crate::sim::hardware`].
+
+use super::report::Report;
+use crate::sim::hardware::{HardwareDescription, Quantity};
+
+/// Half of a 95 % interval in standard deviations of a normal distribution.
+const TWO_SIDED_95: f64 = 1.96;
+
+/// An effect of measuring that a report names for a robot's own log: its id there, the quantities that it is in a simulation, and the least
+/// possible value.
+const EFFECTS: [(&str, &[&str], f64); 6] = [
+    ("imu_delay", &["sensors.gravity.delay", "sensors.gyroscope.delay", "sensors.accelerometer.delay"], 0.0),
+    ("imu_rotation_x", &["sensors.imu_rotation.x"], f64::NEG_INFINITY),
+    ("imu_rotation_y", &["sensors.imu_rotation.y"], f64::NEG_INFINITY),
+    ("imu_rotation_z", &["sensors.imu_rotation.z"], f64::NEG_INFINITY),
+    ("torque_constant", &["sensors.joint_torque.gain"], f64::NEG_INFINITY),
+    ("friction", &["actuator.friction"], 0.0),
+];
+
+/// The quantities whose 95 % interval excludes 0, and the torque limit of a weak motor that is a cause.
+pub fn found(report: &Report) -> HardwareDescription {
+    let source = format!("sandgait diagnose, data {}: {}", report.data_sha256, report.summary);
+    let mut all = HardwareDescription { source, ..HardwareDescription::default() };
+    for (id, paths, least) in EFFECTS {
+        let values = report.nuisances.iter().filter(|n| n.id == id && n.level == "log");
+        for n in values.filter(|n| n.value.abs() > TWO_SIDED_95 * n.sd && n.value > least) {
+            let interval = [n.value - TWO_SIDED_95 * n.sd, n.value + TWO_SIDED_95 * n.sd].map(|x| x.max(least));
+            let quantity = Quantity { value: n.value, interval };
+            all.quantities.extend(paths.iter().map(|path| ((*path).to_owned(), quantity)));
+        }
+    }
+    if let Some(cause) = report.causes.iter().find(|cause| cause.id == "motor_torque_limit" && cause.value > 0.0) {
+        let [low, high] = cause.ci95;
+        let interval = [low.clamp(0.0, cause.value), high.max(cause.value)];
+        let quantity = Quantity { value: cause.value, interval };
+        all.quantities.insert("actuator.torque_limit".into(), quantity);
+    }
+    all
+}
