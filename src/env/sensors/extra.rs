@@ -10,6 +10,8 @@ use std::cell::OnceCell;
 const SPECIFIC_FORCE: f64 = 1e3; // [m/s²]
 const TORQUE: f64 = 1e4; // [N·m]
 const FORCE: f64 = 1e6; // [N]
+/// Range of the range finder [m]: our choice, that of small lidars.
+const RANGE: f64 = 10.0;
 /// A foot's switch closes at this share of the robot's weight: that of a standing leg in pictures.
 const SWITCH: f64 = 0.02;
 
@@ -46,6 +48,14 @@ impl<'a> Moment<'a> {
                 Some(tree) => tree.stance.feet.iter().map(|foot| pose.force_on(self.model, *foot).z).collect(),
             }
         })
+    }
+
+    /// Distance of the ground along the base's downward axis [m].
+    fn range(&self) -> f64 {
+        let [x, y, z] = self.after.position;
+        let down = self.after.rotation()[2][2];
+        let height = z - self.model.surface_height(x, y);
+        if down > height / RANGE { height / down } else { RANGE }
     }
 
     /// Acceleration of the accelerometer less that of gravity, body frame [m/s²]: from the change of its velocity in the
@@ -85,6 +95,7 @@ pub fn columns(sensor: Sensor, model: &Model) -> Option<Features<Measure>> {
         Sensor::ContactSwitch => none.each(&feet, "contact switch", "1", 1.0, |m, i| {
             f64::from(u8::from(m.forces()[i] > SWITCH * m.model.total_mass() * m.model.gravity.norm()))
         }),
+        Sensor::RangeFinder => none.each(&["base"], "range finder", "m", RANGE, |m, _| m.range()),
         _ => return None,
     };
     Some(columns.sensed(sensor))

@@ -42,6 +42,7 @@ pub enum Sensor {
     ContactForce,
     ContactSwitch,
     Heights,
+    RangeFinder,
 }
 
 /// Which function of the measured value a column is.
@@ -54,7 +55,7 @@ pub enum Part {
 }
 
 impl Sensor {
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::Gravity,
         Self::LinVel,
         Self::Gyroscope,
@@ -65,6 +66,7 @@ impl Sensor {
         Self::ContactForce,
         Self::ContactSwitch,
         Self::Heights,
+        Self::RangeFinder,
     ];
 
     /// Its key in option `sensors`.
@@ -80,6 +82,7 @@ impl Sensor {
             Self::ContactForce => "contact_force",
             Self::ContactSwitch => "contact_switch",
             Self::Heights => "heights",
+            Self::RangeFinder => "range_finder",
         }
     }
 }

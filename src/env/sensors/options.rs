@@ -47,6 +47,7 @@ options! {
         contact_force: Option<Imperfections> = None, "force of the ground on each foot along the surface's normal [N]";
         contact_switch: Option<Imperfections> = None, "is the force on a foot more than 2 % of the robot's weight? 0 or 1";
         heights: Option<Imperfections> = None, "measured heights of the ground [m]";
+        range_finder: Option<Imperfections> = None, "distance from the base's origin to the ground along the base's downward axis [m], at most 10 m; the ground is taken to be level at its height under the base";
         imu_position: [f64; 3] = [0.0; 3], "place of the accelerometer in the base's frame [m]";
         imu_rotation: [f64; 3] = [0.0; 3], "rotation of the inertial measurement unit (gravity, gyroscope, accelerometer) from the base's frame: vector along its axis, with the angle as its length [rad]";
         velocity_by_differences: bool = false, "joint speeds are differences of the measured joint positions over the control period";
@@ -68,6 +69,7 @@ impl Sensors {
             Sensor::ContactForce => self.contact_force,
             Sensor::ContactSwitch => self.contact_switch,
             Sensor::Heights => self.heights,
+            Sensor::RangeFinder => self.range_finder,
         }
     }
 }

@@ -56,7 +56,7 @@ fn run(shard: &mut Shard, steps: usize) -> Vec<Vec<f32>> {
 fn each(id: &str, options: &Value, entry: &Value) -> Value {
     let blueprint = Blueprint::new(id, options.clone()).unwrap();
     let sensors = blueprint.task.spec().observation.iter().filter_map(|c| c.sensor.map(|(s, _)| s.name()));
-    let all = sensors.chain(["accelerometer", "joint_torque", "contact_force", "contact_switch"]);
+    let all = sensors.chain(["accelerometer", "joint_torque", "contact_force", "contact_switch", "range_finder"]);
     Value::Object(all.map(|name| (name.to_owned(), entry.clone())).collect())
 }
 
@@ -344,7 +344,7 @@ fn a_standing_robot_feels_its_weight() {
         ("sandgait/HexapodGait-v1", json!({"angle_noise": 0.0})),
         ("sandgait/LeggedVelocity-v1", json!({"angle_noise": 0.0, "domain_rand": null, "ground": "poppy-close"})),
     ] {
-        let more = json!({"sensors": {"accelerometer": {}, "contact_force": {}, "contact_switch": {}}});
+        let more = json!({"sensors": {"accelerometer": {}, "contact_force": {}, "contact_switch": {}, "range_finder": {}}});
         let mut shard = shard(id, &with(&options, more), 1);
         let columns = shard.spec().observation.clone();
         for _ in 0..100 {
@@ -363,6 +363,8 @@ fn a_standing_robot_feels_its_weight() {
         let least = if id.contains("Hexapod") { 0.3 } else { 0.85 };
         assert!((least..1.15).contains(&(carried / weight)), "{id}: {carried} of {weight} N");
         assert!(value("contact switch").iter().sum::<f32>() >= 3.0, "{id}");
+        let height = shard.state(0).position[2];
+        assert!((f64::from(value("range finder")[0]) / height - 1.0).abs() < 0.02, "{id}");
     }
 }
 
