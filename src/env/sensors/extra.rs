@@ -95,7 +95,7 @@ pub fn columns(sensor: Sensor, model: &Model) -> Option<Features<Measure>> {
         Sensor::ContactSwitch => none.each(&feet, "contact switch", "1", 1.0, |m, i| {
             f64::from(u8::from(m.forces()[i] > SWITCH * m.model.total_mass() * m.model.gravity.norm()))
         }),
-        Sensor::RangeFinder => none.each(&["base"], "range finder", "m", RANGE, |m, _| m.range()),
+        Sensor::RangeFinder => none.each(&["base".into()], "range finder", "m", RANGE, |m, _| m.range()),
         _ => return None,
     };
     Some(columns.sensed(sensor))
