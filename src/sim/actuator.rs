@@ -8,7 +8,8 @@
 //!
 //! with the stall torque and the no-load speed of a DC motor behind its gear, at the joint (the same as Isaac Lab's
 //! `DCMotor`, whose saturation effort is the stall torque). The servo's torque is tracked with a first-order lag:
-//! τ ← τ_old + (τ_servo − τ_old) dt/(T + dt), the backward Euler step of T dτ/dt = τ_servo − τ.
+//! τ ← τ_old + (k τ_servo − τ_old) dt/(T + dt), the backward Euler step of T dτ/dt = k τ_servo − τ, in which k is the motor's torque constant
+//! divided by the one that the drive reckons with.
 //!
 //! The gear takes the torque (F + (1 − η) |τ_old|) sign ω + B ω away: dry friction F, dry friction in proportion to the torque that the
 //! gear carries, which is what an efficiency η of less than 1 means in both directions, and viscous friction B. It is implicit in the speed
@@ -57,6 +58,8 @@ pub struct Actuator {
     pub no_load_speed: Option<f64>,
     /// T [s]; None: 0.
     pub torque_time: Option<f64>,
+    /// k; None: 1.
+    pub torque_constant: Option<f64>,
     /// F [N·m]; None: that of the joint.
     pub friction: Option<f64>,
     /// B [N·m·s/rad]; None: that of the joint.
@@ -143,6 +146,7 @@ impl Actuator {
             stall_torque: self.stall_torque.or(other.stall_torque),
             no_load_speed: self.no_load_speed.or(other.no_load_speed),
             torque_time: self.torque_time.or(other.torque_time),
+            torque_constant: self.torque_constant.or(other.torque_constant),
             friction: self.friction.or(other.friction),
             damping: self.damping.or(other.damping),
             efficiency: self.efficiency.or(other.efficiency),
@@ -156,7 +160,7 @@ impl Actuator {
         Ok(all)
     }
 
-    fn numbers(&self) -> [f64; 9] {
+    fn numbers(&self) -> [f64; 10] {
         let limit = self.torque_limit.unwrap_or(NO_LIMIT);
         let zero = |x: Option<f64>| x.unwrap_or(0.0);
         [
@@ -164,6 +168,7 @@ impl Actuator {
             self.stall_torque.unwrap_or(STALL * limit),
             self.no_load_speed.unwrap_or(NO_LIMIT),
             zero(self.torque_time),
+            self.torque_constant.unwrap_or(1.0),
             zero(self.friction),
             zero(self.damping),
             1.0 - self.efficiency.unwrap_or(1.0),
@@ -180,6 +185,7 @@ pub struct LaneActuator<R> {
     stall_torque: R,
     no_load_speed: R,
     torque_time: R,
+    torque_constant: R,
     friction: R,
     damping: R,
     /// 1 − η
@@ -197,6 +203,7 @@ impl<R: Real> LaneActuator<R> {
             stall_torque: zero,
             no_load_speed: zero,
             torque_time: zero,
+            torque_constant: zero,
             friction: zero,
             damping: zero,
             loss: zero,
@@ -213,6 +220,7 @@ impl<R: Real> LaneActuator<R> {
             &mut self.stall_torque,
             &mut self.no_load_speed,
             &mut self.torque_time,
+            &mut self.torque_constant,
             &mut self.friction,
             &mut self.damping,
             &mut self.loss,
@@ -240,6 +248,7 @@ impl<R: Real> LaneActuator<R> {
     #[inline(always)]
     pub fn track(&self, push: Push<R>, before: R, dt: R) -> Push<R> {
         let share = dt / (self.torque_time + dt);
+        let push = Push { torque: push.torque * self.torque_constant, yielding: push.yielding * self.torque_constant };
         let torque = (push.torque - before).mul_add(share, before);
         // Exactly the servo's without a lag.
         let free = R::one().lt(share + R::splat(f64::from(f32::EPSILON)));

@@ -109,6 +109,8 @@ pub struct Servo {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub torque_time: Option<f64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub torque_constant: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub friction: Option<f64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub damping: Option<f64>,
@@ -123,12 +125,13 @@ impl Servo {
     /// The motors of all joints.
     pub fn actuator(&self) -> Actuator {
         let Self { torque_limit, stall_torque, no_load_speed, torque_time, .. } = *self;
-        let Self { friction, damping, efficiency, rotor_inertia, .. } = *self;
+        let Self { torque_constant, friction, damping, efficiency, rotor_inertia, .. } = *self;
         Actuator {
             torque_limit,
             stall_torque,
             no_load_speed,
             torque_time,
+            torque_constant,
             friction,
             damping,
             efficiency,
@@ -138,7 +141,7 @@ impl Servo {
 
     pub fn set_actuator(&mut self, actuator: &Actuator) {
         let Actuator { torque_limit, stall_torque, no_load_speed, torque_time, .. } = *actuator;
-        let Actuator { friction, damping, efficiency, rotor_inertia, .. } = *actuator;
+        let Actuator { torque_constant, friction, damping, efficiency, rotor_inertia, .. } = *actuator;
         let Self { kp, kd, speed_limit, anti_windup, .. } = *self;
         *self = Self {
             kp,
@@ -149,6 +152,7 @@ impl Servo {
             stall_torque,
             no_load_speed,
             torque_time,
+            torque_constant,
             friction,
             damping,
             efficiency,
@@ -287,6 +291,7 @@ impl Robot {
         ] {
             check_range(&format!("servo.{name}"), value.unwrap_or(0.0), 0.0..=most)?;
         }
+        check_range("servo.torque_constant", self.servo.torque_constant.unwrap_or(1.0), 0.01..=100.0)?;
         check_range("servo.efficiency", self.servo.efficiency.unwrap_or(1.0), 0.01..=1.0)?;
         check_range("servo.speed_limit", self.servo.speed_limit.unwrap_or(1.0), 1e-3..=1e4)?;
         if !matches!(self.leg.link.len(), 1..=3) {

@@ -124,6 +124,7 @@ options! {
         stall_torque: Option<f64> = None, [1e-6, 1e5], "torque at standstill [N·m]; None: that of the robot, or twice its torque limit";
         no_load_speed: Option<f64> = None, [1e-3, 1e4], "speed without a load [rad/s], at which the torque has fallen to zero; None: that of the robot, or no limit";
         torque_time: Option<f64> = None, [0.0, 1.0], "time constant with which the torque follows the servo [s]; None: that of the robot, or 0";
+        torque_constant: Option<f64> = None, [0.01, 100.0], "the motors' torque constant divided by that with which their drives reckon: factor on the servo's torque; None: that of the robot, or 1";
         friction: Option<f64> = None, [0.0, 1e5], "dry friction of the gear [N·m]; None: that of the robot";
         damping: Option<f64> = None, [0.0, 1e5], "viscous friction of the gear [N·m·s/rad]; None: that of the robot";
         efficiency: Option<f64> = None, [0.01, 1.0], "share of the torque that the gear passes on; None: that of the robot, or 1";
@@ -134,8 +135,18 @@ options! {
 impl From<Motors> for Actuator {
     fn from(motors: Motors) -> Self {
         let Motors { torque_limit, stall_torque, no_load_speed, torque_time, .. } = motors;
-        let Motors { friction, damping, efficiency, rotor_inertia, .. } = motors;
-        Self { torque_limit, stall_torque, no_load_speed, torque_time, friction, damping, efficiency, rotor_inertia }
+        let Motors { torque_constant, friction, damping, efficiency, rotor_inertia, .. } = motors;
+        Self {
+            torque_limit,
+            stall_torque,
+            no_load_speed,
+            torque_time,
+            torque_constant,
+            friction,
+            damping,
+            efficiency,
+            rotor_inertia,
+        }
     }
 }
 

@@ -281,9 +281,8 @@ fn a_hardware_file_is_the_same_as_its_options() {
 fn episodes_draw_their_hardware() {
     let id = "sandgait/HexapodGait-v1";
     let mut drawn = shard(id, &json!({"domain_rand": {"hardware": HARDWARE}}), 16);
-    let speeds = |shard: &Shard| -> Vec<f64> {
-        (0..16).map(|i| shard.model(i).motor.actuator.no_load_speed.unwrap()).collect()
-    };
+    let speeds =
+        |shard: &Shard| -> Vec<f64> { (0..16).map(|i| shard.model(i).motor.actuator.no_load_speed.unwrap()).collect() };
     let first = speeds(&drawn);
     assert!(first.iter().all(|speed| (15.0..=25.0).contains(speed)), "{first:?}");
     assert!(first.iter().any(|speed| *speed < 18.0) && first.iter().any(|speed| *speed > 22.0), "{first:?}");
@@ -344,7 +343,8 @@ fn a_standing_robot_feels_its_weight() {
         ("sandgait/HexapodGait-v1", json!({"angle_noise": 0.0})),
         ("sandgait/LeggedVelocity-v1", json!({"angle_noise": 0.0, "domain_rand": null, "ground": "poppy-close"})),
     ] {
-        let more = json!({"sensors": {"accelerometer": {}, "contact_force": {}, "contact_switch": {}, "range_finder": {}}});
+        let more =
+            json!({"sensors": {"accelerometer": {}, "contact_force": {}, "contact_switch": {}, "range_finder": {}}});
         let mut shard = shard(id, &with(&options, more), 1);
         let columns = shard.spec().observation.clone();
         for _ in 0..100 {

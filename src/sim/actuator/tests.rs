@@ -46,6 +46,14 @@ fn a_lag_follows_the_servo() {
     assert!((torque / 2.0 - (1.0 - (-1.0_f64).exp())).abs() < 0.02, "{torque}");
 }
 
+#[test]
+fn a_weak_magnet_gives_less_torque() {
+    let push = Push { torque: 2.0, yielding: 0.5 };
+    let weak = LaneActuator::<f64>::splat(&Actuator { torque_constant: Some(0.8), ..Actuator::default() });
+    let push = weak.track(push, 0.0, 1e-3);
+    assert_eq!((push.torque, push.yielding), (1.6, 0.4));
+}
+
 /// Uniform random numbers.
 struct Draw(u64);
 
