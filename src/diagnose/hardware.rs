@@ -29,6 +29,12 @@ pub fn found(report: &Report) -> HardwareDescription {
             all.quantities.extend(paths.iter().map(|path| ((*path).to_owned(), quantity)));
         }
     }
+    // A torque that was computed from the current is wrong by the same factor as the torque that a drive gives.
+    if let Some(Quantity { value, interval: [low, high] }) = all.quantities.get("sensors.joint_torque.gain") {
+        let given = |gain: f64| 1.0 / (1.0 + gain);
+        let quantity = Quantity { value: given(*value), interval: [given(*high), given(*low)] };
+        all.quantities.insert("actuator.torque_constant".into(), quantity);
+    }
     if let Some(cause) = report.causes.iter().find(|cause| cause.id == "motor_torque_limit" && cause.value > 0.0) {
         let [low, high] = cause.ci95;
         let interval = [low.clamp(0.0, cause.value), high.max(cause.value)];
