@@ -1,8 +1,8 @@
 """Does a policy need sensors, motors and delays in its training? Makes the table of docs/hardware.md.
 
-For each task it trains policies with exact sensors and ideal motors, and policies with randomised ones, and evaluates all of them with
-(a) exact sensors and ideal motors, (b) the motors, noise and a 40 ms delay of a real robot, (c) twice that. Trainings that exist already in
-`--out` are taken as they are, so the script can be stopped and started again.
+For each task it trains policies with exact sensors and ideal motors, and policies with randomised ones, and evaluates
+all of them with (a) exact sensors and ideal motors, (b) the motors, noise and a 40 ms delay of a real robot, (c) twice
+that. Trainings that exist already in `--out` are taken as they are, so the script can be stopped and started again.
 """
 
 from __future__ import annotations
@@ -20,13 +20,14 @@ import sandgait
 GYROSCOPE = {"noise_density": 8.7e-5, "bias": 0.0087}
 #: Dynamixel AX-18A (docs/hardware.md), the motor of Trossen's PhantomX hexapod: 10 bits over 300°, that is 0.0051 rad.
 AX18 = {"stall_torque": 1.8, "no_load_speed": 10.2}
-#: `legged_gym` adds uniform noise of ± these values; a standard deviation is that divided by √3, and at 50 Hz the density is that divided by
-#: √50.
+#: `legged_gym` adds uniform noise of ± these values; a standard deviation is that divided by √3, and at 50 Hz the
+#: density is that divided by √50.
 LEGGED_GYM = {"lin_vel": 0.1, "gyroscope": 0.2, "gravity": 0.05, "joint_position": 0.01, "joint_velocity": 1.5}
 
 
 def hexapod(times: float) -> dict[str, Any]:
-    """Noise of the PhantomX's sensors, `times` as large. An estimator's velocity and attitude are within 0.02 m/s and 0.01 (our choice)."""
+    """Noise of the PhantomX's sensors, `times` as large. An estimator's velocity and attitude have errors of 0.02 m/s
+    and 0.01 (our choice)."""
     return {
         "gyroscope": {name: times * value for name, value in GYROSCOPE.items()},
         "joint_position": {"quantization": times * 0.0051},
@@ -59,7 +60,8 @@ DELAY = 0.04
 
 
 def real(task: str, times: float) -> dict[str, Any]:
-    """Options of the real robot; at `times` 2 noise and delay are twice as large, and the motors half as strong and fast."""
+    """Options of the real robot; at `times` 2 noise and delay are twice as large, and the motors half as strong and
+    half as fast."""
     _, _, sensors, motors, _ = TASKS[task]
     return {
         "sensors": sensors(times),
@@ -71,9 +73,7 @@ def real(task: str, times: float) -> dict[str, Any]:
 def randomised(task: str, out: Path) -> dict[str, Any]:
     """Options of a training: motors from half to twice those of the real robot, delays up to 80 ms, and its noise."""
     _, _, sensors, motors, _ = TASKS[task]
-    lines = [
-        f"{name} = {{ value = {value}, interval = [{value / 2}, {value * 2}] }}" for name, value in motors.items()
-    ]
+    lines = [f"{name} = {{ value = {value}, interval = [{value / 2}, {value * 2}] }}" for name, value in motors.items()]
     out.mkdir(parents=True, exist_ok=True)
     file = out / f"{task}.toml"
     file.write_text("[actuator]\n" + "\n".join(lines) + "\n", encoding="utf-8")
@@ -110,7 +110,10 @@ def main() -> None:
                 cases: tuple[dict[str, Any], ...] = ({}, real(task, 1.0), real(task, 2.0))
                 found = [mean_return(task, folder / "policy.onnx", case, arguments.episodes) for case in cases]
                 rows.setdefault(kind, []).append(found)
-                print(json.dumps({"task": task, "training": kind, "seed": seed, "steps": steps, "returns": found}), flush=True)
+                print(
+                    json.dumps({"task": task, "training": kind, "seed": seed, "steps": steps, "returns": found}),
+                    flush=True,
+                )
         for kind, table in rows.items():
             cells = " | ".join(
                 f"{mean:.1f} ({', '.join(f'{x:.1f}' for x in column)})"

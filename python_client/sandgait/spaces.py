@@ -68,8 +68,8 @@ def box(columns: tuple[Column, ...]) -> spaces.Space[npt.NDArray[np.float32]]:
     return cast("spaces.Space[npt.NDArray[np.float32]]", spaces.Box(low, high, dtype=np.float32))
 
 
-#: Info columns with this prefix are exact values of sensors. As many columns follow that are called `next privileged …`: if an
-#: episode ended in the step, they are those of the next episode's first observation.
+#: Info columns with this prefix are exact values of sensors. As many columns follow that are called `next privileged
+#: …`: if an episode ended in the step, they are those of the next episode's first observation.
 _PRIVILEGED = "privileged "
 
 
@@ -84,8 +84,8 @@ def info_columns(
 
 
 def privileged(infos: npt.NDArray[np.float32], names: list[str], ended: Any = False) -> npt.NDArray[np.float32]:
-    """Exact values of sensors, float32 [envs, values], from info columns [info, envs] whose first ones are `names`; where
-    `ended`, those of the next episode's first observation."""
+    """Exact values of sensors, float32 [envs, values], from info columns [info, envs] whose first ones are `names`;
+    where `ended`, those of the next episode's first observation."""
     present, following = np.split(infos[len(names) :], 2)
     return np.where(ended, following, present).T
 
