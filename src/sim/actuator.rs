@@ -23,14 +23,10 @@
 //! usually ends after one. A torque that is still beyond after [`NEWTON`] passes is 0 in this step. Without a known stall torque one
 //! solution is made, and a torque may be beyond its constant limit by the part that the acceleration of the link before adds (about 1 %).
 
-use super::model::Model;
-use super::robot::Servo;
 use super::stop::{NO_LIMIT, Push};
 use crate::error::{Error, Result};
 use crate::number::Real;
-use crate::sand::Mechanisms;
 use serde::{Deserialize, Serialize};
-use std::sync::Arc;
 
 /// Stall torque as a multiple of the torque limit where it is not known: our choice, so that the full torque is available up to half of
 /// the no-load speed.
@@ -70,77 +66,9 @@ pub struct Actuator {
     pub rotor_inertia: Option<f64>,
 }
 
-/// The servo at every joint. A missing limit is [`NO_LIMIT`].
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Motor {
-    /// [N·m/rad]
-    pub kp: f64,
-    /// [N·m·s/rad]
-    pub kd: f64,
-    pub actuator: Actuator,
-    /// [rad/s]
-    pub speed_limit: f64,
-    /// Largest distance of the reference from the joint's angle [rad]. With `anti_windup` it is torque_limit/kp, where
-    /// the position gain alone demands the full torque. A larger lag would not increase the torque; it would only keep
-    /// the torque after the command has changed (integrator windup; clamping is the usual remedy: Åström & Murray,
-    /// Feedback Systems, 2008, section 10.4).
-    pub lag_limit: f64,
-}
-
-impl Motor {
-    pub(super) fn new(servo: &Servo, mechanisms: &Mechanisms) -> Self {
-        let own = servo.torque_limit.unwrap_or(NO_LIMIT);
-        // The torque limit of a weak motor, if that is lower.
-        let weak = mechanisms.motor_torque_limit;
-        let torque_limit = if weak > 0.0 { own.min(weak) } else { own };
-        let lag_limit = if servo.anti_windup && servo.kp > 0.0 { torque_limit / servo.kp } else { NO_LIMIT };
-        Self {
-            kp: servo.kp,
-            kd: servo.kd,
-            actuator: Actuator { torque_limit: Some(torque_limit), ..servo.actuator() },
-            speed_limit: servo.speed_limit.unwrap_or(NO_LIMIT),
-            lag_limit: lag_limit.min(NO_LIMIT),
-        }
-    }
-}
-
-impl Model {
-    /// The same model with these properties of all motors, where they are known.
-    ///
-    /// # Errors
-    /// A no-load speed needs a stall torque or a torque limit.
-    pub fn with_motors(mut self, motors: &Actuator) -> Result<Self> {
-        if *motors == Actuator::default() {
-            return Ok(self);
-        }
-        match &mut self.tree {
-            Some(tree) => {
-                for motor in &mut Arc::make_mut(tree).motors {
-                    motor.actuator = motors.over(&motor.actuator)?;
-                }
-            }
-            None => {
-                let servo = &mut self.robot.servo;
-                servo.set_actuator(&motors.over(&servo.actuator())?);
-                self.motor = Motor::new(servo, &self.scene.mechanisms);
-            }
-        }
-        Ok(self)
-    }
-
-    /// Limits the motors' torque to `share`, at most 1, of the servos' torque limit.
-    pub fn weaken_motors(&mut self, share: f64) {
-        let servo = &mut self.robot.servo;
-        for torque in [&mut servo.torque_limit, &mut servo.stall_torque].into_iter().flatten() {
-            *torque *= share;
-        }
-        self.motor = Motor::new(&self.robot.servo, &self.scene.mechanisms);
-    }
-}
-
 impl Actuator {
     /// These properties, and those of `other` where they are not known.
-    fn over(&self, other: &Self) -> Result<Self> {
+    pub fn over(&self, other: &Self) -> Result<Self> {
         let mut all = Self {
             torque_limit: self.torque_limit.or(other.torque_limit),
             stall_torque: self.stall_torque.or(other.stall_torque),

@@ -1,6 +1,7 @@
 //! Robot, sand and options as numbers for an engine. Immutable; randomization makes a new model.
 
-use super::actuator::Motor;
+use super::actuator::Actuator;
+use super::motor::Motor;
 use super::obstacle::{self, Obstacle};
 use super::robot::{Link, Robot, Tripod};
 use super::solid::Solid;
@@ -358,6 +359,38 @@ impl Model {
         self.scene.payload = payload.clamp(0.0, Scene::MAX_PAYLOAD);
         self.base_mass = self.robot.base.mass + self.scene.payload;
         self.gravity = gravity(&self.scene);
+    }
+
+    /// The same model with these properties of all motors, where they are known.
+    ///
+    /// # Errors
+    /// A no-load speed needs a stall torque or a torque limit.
+    pub fn with_motors(mut self, motors: &Actuator) -> Result<Self> {
+        if *motors == Actuator::default() {
+            return Ok(self);
+        }
+        match &mut self.tree {
+            Some(tree) => {
+                for motor in &mut Arc::make_mut(tree).motors {
+                    motor.actuator = motors.over(&motor.actuator)?;
+                }
+            }
+            None => {
+                let servo = &mut self.robot.servo;
+                servo.set_actuator(&motors.over(&servo.actuator())?);
+                self.motor = Motor::new(servo, &self.scene.mechanisms);
+            }
+        }
+        Ok(self)
+    }
+
+    /// Limits the motors' torque to `share`, at most 1, of the servos' torque limit.
+    pub fn weaken_motors(&mut self, share: f64) {
+        let servo = &mut self.robot.servo;
+        for torque in [&mut servo.torque_limit, &mut servo.stall_torque].into_iter().flatten() {
+            *torque *= share;
+        }
+        self.motor = Motor::new(&self.robot.servo, &self.scene.mechanisms);
     }
 
     /// Scales each leg's plate areas of `full`, the same robot, by `shares` [legs]; the sand's stress scales alike.

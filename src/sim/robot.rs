@@ -98,7 +98,7 @@ pub struct Servo {
     /// Largest speed that can be commanded [rad/s]; no limit if not given.
     #[serde(default)]
     pub speed_limit: Option<f64>,
-    /// Is the reference held back while the motor is at its limit? See [`super::actuator::Motor::lag_limit`].
+    /// Is the reference held back while the motor is at its limit? See [`super::motor::Motor::lag_limit`].
     #[serde(default)]
     pub anti_windup: bool,
     /// The motor behind its gear: see [`Actuator`].

@@ -1,7 +1,7 @@
 //! What `hardware.toml` says of a task's motors, sensors and delays. It holds where the options say nothing.
 
 use super::options::{Imperfections, LONGEST_DELAY, Motors};
-use super::plan::stream;
+use super::random::stream;
 use super::{Hardware, Sensor, Sensors};
 use crate::error::{Error, Result, check_range};
 use crate::options::Options;

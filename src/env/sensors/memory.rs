@@ -1,7 +1,6 @@
 //! What the sensors of an episode remember.
 
-use super::plan::Senses;
-use super::signal::Past;
+use super::signal::{Past, Senses};
 use std::sync::Arc;
 
 /// The sensors' part of an episode; empty for a task whose sensors are exact.

@@ -16,6 +16,7 @@ mod hardware;
 mod memory;
 mod options;
 mod plan;
+mod random;
 mod signal;
 
 pub use delay::ActionDelay;

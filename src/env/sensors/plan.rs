@@ -2,7 +2,8 @@
 
 use super::extra::{self, Measure, Moment};
 use super::memory::{SensorMemory, shift};
-use super::signal::{Signal, wrapped};
+use super::random::stream;
+use super::signal::{Senses, Signal, wrapped};
 use super::{Hardware, HardwareFiles, Part, Sensor, Sensors, hardware};
 use crate::error::{Error, Result};
 use crate::feature::Features;
@@ -10,12 +11,10 @@ use crate::sim::hardware::HardwareDescription;
 use crate::sim::{Model, State};
 use crate::spec::{Column, Spec};
 use nalgebra::{Rotation3, Vector3};
-use rand::{Rng as _, SeedableRng as _};
+use rand::Rng as _;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use std::sync::Arc;
 
-/// Separates the sensors' random numbers from those of the episode: an arbitrary number.
-const STREAM: u64 = 0x5e15_0125;
 /// Sensors of the inertial measurement unit.
 const IMU: [Sensor; 3] = [Sensor::Gravity, Sensor::Gyroscope, Sensor::Accelerometer];
 
@@ -40,14 +39,6 @@ pub struct Plan {
     kept: usize,
     privileged: bool,
     period: f64,
-}
-
-/// The sensors of an episode.
-#[derive(Debug, PartialEq)]
-pub struct Senses {
-    signals: Vec<Signal>,
-    /// Rotation from the base's frame to that of the inertial measurement unit; None: they are the same.
-    turn: Option<Rotation3<f64>>,
 }
 
 /// The episode whose sensors are read.
@@ -364,16 +355,4 @@ fn speeds(exact: &[Column], signals: &[Signal]) -> Result<Vec<[usize; 2]>> {
         ));
     }
     Ok(positions.into_iter().zip(rates).map(|(position, rate)| [position, rate]).collect())
-}
-
-/// The random numbers of one step of an episode. The numbers are mixed by the finalizer of splitmix64 (Steele, Lea & Flood,
-/// OOPSLA 2014), so neighbouring ones give unrelated streams.
-pub(super) fn stream(seed: u64, number: u64, step: u64) -> Xoshiro256PlusPlus {
-    let mixed = [seed, number, step].into_iter().fold(STREAM, |sum, x| {
-        let mut z = (sum ^ x).wrapping_add(0x9e37_79b9_7f4a_7c15);
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    });
-    Xoshiro256PlusPlus::seed_from_u64(mixed)
 }

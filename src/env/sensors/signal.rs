@@ -1,6 +1,7 @@
 //! One measured value, and what its sensor does to it.
 
 use super::{Imperfections, Part};
+use nalgebra::Rotation3;
 use rand::Rng as _;
 use rand_distr::StandardNormal;
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -22,6 +23,14 @@ pub struct Signal {
 /// A rest of a delay below this share of a control step is rounding: our choice, which moves no value by more than a millionth of its
 /// change in a step.
 const ROUNDING: f64 = 1e-6;
+
+/// The sensors of an episode.
+#[derive(Debug, PartialEq)]
+pub struct Senses {
+    pub signals: Vec<Signal>,
+    /// Rotation from the base's frame to that of the inertial measurement unit; None: they are the same.
+    pub turn: Option<Rotation3<f64>>,
+}
 
 /// What a signal remembers.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
