@@ -60,7 +60,7 @@ impl HardwareDescription {
         let refused = |e: toml::de::Error| Error::invalid("hardware", format!("{path}: {}", e.message()));
         let quantity: Quantity = table.try_into().map_err(refused)?;
         let Quantity { value, interval: [low, high] } = quantity;
-        if !(low <= value && value <= high) || !low.is_finite() || !high.is_finite() {
+        if !(low <= value && value <= high && low.is_finite() && high.is_finite()) {
             let reason = format!("{path}: the value {value} is not within its interval [{low}, {high}]");
             return Err(Error::invalid("hardware", reason));
         }
