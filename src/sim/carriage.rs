@@ -58,8 +58,13 @@ impl CarriageEngine {
         self.carriages[index].rates.clone_from(&command.rates);
     }
 
+    /// See [`super::engine::Engine::advance`].
+    pub fn advance(&mut self, steps: usize) {
+        self.advance_in_parts(steps, true);
+    }
+
     /// See [`super::engine::Engine::advance_in_parts`].
-    pub fn advance(&mut self, steps: usize, ends: bool) {
+    pub fn advance_in_parts(&mut self, steps: usize, ends: bool) {
         for carriage in &mut self.carriages {
             (0..steps).for_each(|_| carriage.step());
             if ends {

@@ -156,7 +156,7 @@ impl Engine {
             Self::Lanes(e) => e.advance_in_parts(steps, ends),
             Self::Rapier(e) => e.advance(steps),
             Self::Tree(e) => e.advance_in_parts(steps, ends),
-            Self::Carriage(e) => e.advance(steps, ends),
+            Self::Carriage(e) => e.advance_in_parts(steps, ends),
         });
     }
 
