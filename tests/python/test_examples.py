@@ -109,6 +109,15 @@ def test_a_curriculum_gives_each_stage_its_environments(tmp_path: Path) -> None:
     assert [stage.until for stage in again.stages] == [1.0]
 
 
+def test_the_proof_of_hardware_compares_trainings(tmp_path: Path) -> None:
+    short = ["--tasks", "HexapodGait", "--seeds", "1", "--steps", "20000", "--episodes", "2", "--out", str(tmp_path)]
+    first = run("examples/hardware_proof.py", *short)
+    assert "| HexapodGait | exact |" in first
+    assert "| HexapodGait | randomised |" in first
+    assert run("examples/hardware_proof.py", *short) == first, "finished trainings are taken as they are"
+
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [
