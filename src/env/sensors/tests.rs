@@ -236,14 +236,19 @@ fn delayed_actions_reach_the_motors_later() {
     }
 }
 
-/// Actions that arrive in the middle of a step do not change the bits of other environments, though all are simulated together.
+/// Neither actions that arrive in the middle of a step nor motors at their limits change the bits of other environments, though all are
+/// simulated together.
 #[test]
-fn delays_of_neighbours_change_no_bits() {
+fn delays_and_motors_of_neighbours_change_no_bits() {
     for (id, options) in cases() {
         if Blueprint::new(id, options.clone()).unwrap().engine.shard_size() == 1 {
             continue;
         }
-        let options = with(&options, json!({"action_delay": [0.0, 0.05]}));
+        let drawn = HARDWARE.replace(
+            "stall_torque = { value = 0.5, interval = [0.4, 0.6] }",
+            "stall_torque = { value = 0.02, interval = [0.01, 20.0] }",
+        );
+        let options = with(&options, json!({"action_delay": [0.0, 0.05], "domain_rand": {"hardware": drawn}}));
         let (mut alone, mut among) = (shard(id, &options, 1), shard(id, &options, 4));
         for _ in 0..60 {
             let action = vec![0.8; alone.actions()];
