@@ -18,7 +18,7 @@ use sandgait::sim::actuator::Actuator;
 use sandgait::sim::engine::EngineKind;
 use sandgait::sim::hardware::HardwareDescription;
 use sandgait::sim::model::Scene;
-use sandgait::sim::walk::Trial;
+use sandgait::sim::walk::WalkTrial;
 use sandgait::sim::{Model, Robot};
 use sandgait::sweep::walk_all;
 use std::path::{Path, PathBuf};
@@ -72,7 +72,7 @@ fn walks_as_reported(directory: &Path, d: &Diagnosis) {
     sand.mechanisms.motor_torque_limit = 0.0;
     let experiment = Experiment::from_toml(hall::EXPERIMENT).unwrap();
     let log = walking_log::read(&directory.join("runs.csv"), &experiment, &Silent).unwrap();
-    let trials: Vec<Trial> = log
+    let trials: Vec<WalkTrial> = log
         .setups
         .iter()
         .map(|s| {
@@ -82,7 +82,7 @@ fn walks_as_reported(directory: &Path, d: &Diagnosis) {
             let robot = Robot::load(&s.robot).unwrap().with_leg_shape(&s.leg).unwrap();
             let motors = Actuator { torque_limit, ..Actuator::default() };
             let model = Model::new(&robot, &scene).unwrap().with_motors(&motors).unwrap();
-            Trial { x_bed: s.x_bed, strides: s.strides, ..Trial::new(model, s.frequency) }
+            WalkTrial { x_bed: s.x_bed, strides: s.strides, ..WalkTrial::new(model, s.frequency) }
         })
         .collect();
     let walked = walk_all(EngineKind::Lanes, &trials, &Silent).unwrap();

@@ -28,7 +28,7 @@ pub const MOST_SAMPLES: usize = 1_000_000;
 
 /// One penetration.
 #[derive(Clone, Debug)]
-pub struct Push {
+pub struct Penetration {
     pub name: String,
     /// Diameter [m]; of a rectangle, of the disc with the same area.
     pub diameter: f64,
@@ -38,7 +38,7 @@ pub struct Push {
     pub speeds: Option<[f64; 2]>,
 }
 
-impl Push {
+impl Penetration {
     /// [m²]
     pub fn area(&self) -> f64 {
         std::f64::consts::FRAC_PI_4 * self.diameter * self.diameter
@@ -48,7 +48,7 @@ impl Push {
 /// The laws of p that are compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Law {
+pub enum PressureLaw {
     /// p = ζ |z|: plain resistive force theory.
     Proportional,
     /// p = k |z|^n
@@ -62,7 +62,7 @@ pub enum Law {
     Footing,
 }
 
-impl Law {
+impl PressureLaw {
     /// Laws with fewer parameters first.
     pub const ALL: [Self; 5] = [Self::Proportional, Self::Power, Self::Size, Self::Footing, Self::PowerAndSize];
 
@@ -98,8 +98,8 @@ pub struct Value {
 
 /// Errors of a law: root mean squares of ln(predicted/measured), in %.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Score {
-    pub law: Law,
+pub struct LawScore {
+    pub law: PressureLaw,
     pub formula: &'static str,
     /// On the pushes of the fit.
     pub fitted_percent: f64,
@@ -125,9 +125,9 @@ pub struct OfSize {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Pushes {
     pub sizes: Vec<OfSize>,
-    pub laws: Vec<Score>,
+    pub laws: Vec<LawScore>,
     /// The recommended law.
-    pub law: Law,
+    pub law: PressureLaw,
     /// n in |z|^n, fitted with a free exponent of size.
     pub depth_exponent: Value,
     /// q in D^q; None if there is only one size.
@@ -143,7 +143,7 @@ pub struct Pushes {
 type Point = [f64; 3];
 
 /// Compares the laws. `compliance` [m/N] of the rig is fitted if it is not given.
-pub fn compare(pushes: &[Push], compliance: Option<f64>) -> Result<Pushes> {
+pub fn compare(pushes: &[Penetration], compliance: Option<f64>) -> Result<Pushes> {
     if pushes.len() < 2 {
         return Err(refused("one push only: several are needed to compare laws; leave out the column trial"));
     }
@@ -159,9 +159,9 @@ pub fn compare(pushes: &[Push], compliance: Option<f64>) -> Result<Pushes> {
     let given = |chosen: &[usize]| compliance.map_or_else(|| soft(pushes, &stretches, chosen, sized), Ok);
     let here = given(&all)?;
     let points = |compliance: f64| logs(pushes, &stretches, compliance);
-    let laws = Law::ALL.into_iter().filter(|law| sized || !law.knows_size());
+    let laws = PressureLaw::ALL.into_iter().filter(|law| sized || !law.knows_size());
     let scores = laws.map(|law| score(law, pushes, &points(here)?)).collect::<Result<Vec<_>>>()?;
-    let widest = if sized { Law::PowerAndSize } else { Law::Power };
+    let widest = if sized { PressureLaw::PowerAndSize } else { PressureLaw::Power };
     let parameters = |chosen: &[usize], c: f64| fit(widest, &gathered(&points(c)?, chosen));
     let mut without = Vec::new();
     for left in &all {
@@ -188,14 +188,14 @@ pub fn compare(pushes: &[Push], compliance: Option<f64>) -> Result<Pushes> {
 
 /// The simplest law whose error no other law reduces by more than the share [`WORTH`]. The error is that on left-out sizes or, if
 /// there is only one size, on left-out pushes.
-fn chosen(scores: &[Score]) -> Law {
-    let error = |s: &Score| s.other_size_percent.unwrap_or(s.other_push_percent);
+fn chosen(scores: &[LawScore]) -> PressureLaw {
+    let error = |s: &LawScore| s.other_size_percent.unwrap_or(s.other_push_percent);
     let least = scores.iter().map(error).fold(f64::INFINITY, f64::min);
     let near = scores.iter().filter(|s| error(s) <= least * (1.0 + WORTH));
-    near.min_by_key(|s| s.law.parameters()).map_or(Law::Proportional, |s| s.law)
+    near.min_by_key(|s| s.law.parameters()).map_or(PressureLaw::Proportional, |s| s.law)
 }
 
-fn diameters(pushes: &[Push]) -> Vec<f64> {
+fn diameters(pushes: &[Penetration]) -> Vec<f64> {
     let mut all: Vec<f64> = pushes.iter().map(|p| p.diameter).collect();
     all.sort_by(f64::total_cmp);
     all.dedup_by(|a, b| (*a - *b).abs() < 1e-6);
@@ -203,7 +203,7 @@ fn diameters(pushes: &[Push]) -> Vec<f64> {
 }
 
 /// Mean depth and force of each stretch of depth below the first tenth.
-fn stretches(push: &Push) -> Result<Vec<[f64; 2]>> {
+fn stretches(push: &Penetration) -> Result<Vec<[f64; 2]>> {
     let deepest = push.points.iter().map(|p| p[0]).fold(0.0, f64::max);
     let from = TRANSIENT * deepest;
     let mut sums = [[0.0; 3]; STRETCHES];
@@ -222,8 +222,8 @@ fn stretches(push: &Push) -> Result<Vec<[f64; 2]>> {
     Ok(means)
 }
 
-fn logs(pushes: &[Push], stretches: &[Vec<[f64; 2]>], compliance: f64) -> Result<Vec<Vec<Point>>> {
-    let of = |(push, means): (&Push, &Vec<[f64; 2]>)| {
+fn logs(pushes: &[Penetration], stretches: &[Vec<[f64; 2]>], compliance: f64) -> Result<Vec<Vec<Point>>> {
+    let of = |(push, means): (&Penetration, &Vec<[f64; 2]>)| {
         let point = |&[depth, force]: &[f64; 2]| {
             let left = depth - compliance * force;
             if left <= 0.0 {
@@ -244,19 +244,19 @@ fn gathered(points: &[Vec<Point>], chosen: &[usize]) -> Vec<Point> {
 }
 
 /// Parameters: ln of the scale (for `Footing`: a, b), exponent of depth, exponent of size.
-fn fit(law: Law, points: &[Point]) -> Result<[f64; 3]> {
+fn fit(law: PressureLaw, points: &[Point]) -> Result<[f64; 3]> {
     let column = |p: &Point| match law {
-        Law::Proportional => vec![1.0],
-        Law::Power => vec![1.0, p[0]],
-        Law::Size => vec![1.0, p[1]],
-        Law::PowerAndSize => vec![1.0, p[0], p[1]],
+        PressureLaw::Proportional => vec![1.0],
+        PressureLaw::Power => vec![1.0, p[0]],
+        PressureLaw::Size => vec![1.0, p[1]],
+        PressureLaw::PowerAndSize => vec![1.0, p[0], p[1]],
         // Relative errors: each pressure counts as 1.
-        Law::Footing => vec![(p[1] - p[2]).exp(), (p[0] - p[2]).exp()],
+        PressureLaw::Footing => vec![(p[1] - p[2]).exp(), (p[0] - p[2]).exp()],
     };
     let target = |p: &Point| match law {
-        Law::Proportional | Law::Size => p[2] - p[0],
-        Law::Power | Law::PowerAndSize => p[2],
-        Law::Footing => 1.0,
+        PressureLaw::Proportional | PressureLaw::Size => p[2] - p[0],
+        PressureLaw::Power | PressureLaw::PowerAndSize => p[2],
+        PressureLaw::Footing => 1.0,
     };
     let rows: Vec<f64> = points.iter().flat_map(column).collect();
     let matrix = DMatrix::from_row_slice(points.len(), law.parameters(), &rows);
@@ -264,25 +264,25 @@ fn fit(law: Law, points: &[Point]) -> Result<[f64; 3]> {
     let svd = matrix.svd(true, true);
     let x = svd.solve(&target, 1e-9).map_err(refused)?;
     Ok(match law {
-        Law::Proportional => [x[0], 1.0, 0.0],
-        Law::Power => [x[0], x[1], 0.0],
-        Law::Size => [x[0], 1.0, x[1]],
-        Law::PowerAndSize => [x[0], x[1], x[2]],
-        Law::Footing => [x[0], x[1], 0.0],
+        PressureLaw::Proportional => [x[0], 1.0, 0.0],
+        PressureLaw::Power => [x[0], x[1], 0.0],
+        PressureLaw::Size => [x[0], 1.0, x[1]],
+        PressureLaw::PowerAndSize => [x[0], x[1], x[2]],
+        PressureLaw::Footing => [x[0], x[1], 0.0],
     })
 }
 
 /// ln(predicted/measured).
-fn off(law: Law, x: &[f64; 3], p: &Point) -> f64 {
+fn off(law: PressureLaw, x: &[f64; 3], p: &Point) -> f64 {
     let predicted = match law {
         // The bound makes the error very large if a footing predicts a pressure of 0 or less.
-        Law::Footing => (x[0] * p[1].exp() + x[1] * p[0].exp()).max(1e-9).ln(),
+        PressureLaw::Footing => (x[0] * p[1].exp() + x[1] * p[0].exp()).max(1e-9).ln(),
         _ => x[0] + x[1] * p[0] + x[2] * p[1],
     };
     predicted - p[2]
 }
 
-fn squares(law: Law, x: &[f64; 3], points: &[Point]) -> f64 {
+fn squares(law: PressureLaw, x: &[f64; 3], points: &[Point]) -> f64 {
     points.iter().map(|p| off(law, x, p).powi(2)).sum()
 }
 
@@ -290,7 +290,7 @@ fn percent(sum: f64, count: usize) -> f64 {
     100.0 * (sum / count as f64).sqrt()
 }
 
-fn score(law: Law, pushes: &[Push], points: &[Vec<Point>]) -> Result<Score> {
+fn score(law: PressureLaw, pushes: &[Penetration], points: &[Vec<Point>]) -> Result<LawScore> {
     let all: Vec<usize> = (0..pushes.len()).collect();
     let count = points.iter().map(Vec::len).sum();
     // Each group in turn is predicted by a law fitted on all others.
@@ -308,7 +308,7 @@ fn score(law: Law, pushes: &[Push], points: &[Vec<Point>]) -> Result<Score> {
     // A law with an exponent of size needs two sizes in its fit.
     let enough = sizes.len() > 1 + usize::from(law.knows_size());
     let gathered = gathered(points, &all);
-    Ok(Score {
+    Ok(LawScore {
         law,
         formula: law.formula(),
         fitted_percent: percent(squares(law, &fit(law, &gathered)?, &gathered), count),
@@ -318,8 +318,8 @@ fn score(law: Law, pushes: &[Push], points: &[Vec<Point>]) -> Result<Score> {
 }
 
 /// The compliance [m/N] with which the law with the most exponents fits best.
-fn soft(pushes: &[Push], stretches: &[Vec<[f64; 2]>], chosen: &[usize], sized: bool) -> Result<f64> {
-    let law = if sized { Law::PowerAndSize } else { Law::Power };
+fn soft(pushes: &[Penetration], stretches: &[Vec<[f64; 2]>], chosen: &[usize], sized: bool) -> Result<f64> {
+    let law = if sized { PressureLaw::PowerAndSize } else { PressureLaw::Power };
     let all = stretches.iter().flatten();
     let most = 0.8 * all.map(|[depth, force]| depth / force).fold(f64::INFINITY, f64::min);
     let mut best = (f64::INFINITY, 0.0);
@@ -344,7 +344,7 @@ fn jackknife(value: f64, without: impl Iterator<Item = f64>) -> Value {
     Value { value, interval: [value - half, value + half] }
 }
 
-fn by_size(pushes: &[Push]) -> Result<Vec<OfSize>> {
+fn by_size(pushes: &[Penetration]) -> Result<Vec<OfSize>> {
     let of = |diameter: f64| {
         let own = pushes.iter().filter(|p| (p.diameter - diameter).abs() < 1e-6);
         let zetas = own.map(|push| {
@@ -369,7 +369,7 @@ fn by_size(pushes: &[Push]) -> Result<Vec<OfSize>> {
 /// choice; beds prepared by hand scatter by 5 to 10 %.
 const MOST_SCATTER: f64 = 10.0;
 
-fn cautions(study: &Pushes, pushes: &[Push]) -> Vec<String> {
+fn cautions(study: &Pushes, pushes: &[Penetration]) -> Vec<String> {
     let mut cautions = Vec::new();
     let [low, high] = study.depth_exponent.interval;
     if low > 1.0 || high < 1.0 {
@@ -422,11 +422,11 @@ mod tests {
     use super::*;
 
     /// Pushes of discs whose pressure is `p(z, D)`, on a rig that gives way by `compliance` [m/N], with 2 % of noise.
-    fn pushes(p: impl Fn(f64, f64) -> f64, compliance: f64) -> Vec<Push> {
+    fn pushes(p: impl Fn(f64, f64) -> f64, compliance: f64) -> Vec<Penetration> {
         let mut noise = 0.4_f64;
         let mut all = Vec::new();
         for (k, diameter) in [0.06, 0.06, 0.06, 0.08, 0.08, 0.1, 0.1, 0.1].into_iter().enumerate() {
-            let mut push = Push { name: format!("{k}"), diameter, points: Vec::new(), speeds: None };
+            let mut push = Penetration { name: format!("{k}"), diameter, points: Vec::new(), speeds: None };
             for i in 1..=120 {
                 let z = 2.5e-4 * f64::from(i);
                 noise = (noise * 997.0 + 0.123).fract();
@@ -441,10 +441,10 @@ mod tests {
     #[test]
     fn finds_the_law_that_made_the_data() {
         for (law, n, q) in [
-            (Law::Proportional, 1.0, 0.0),
-            (Law::Power, 0.6, 0.0),
-            (Law::Size, 1.0, 0.8),
-            (Law::PowerAndSize, 1.4, 0.5),
+            (PressureLaw::Proportional, 1.0, 0.0),
+            (PressureLaw::Power, 0.6, 0.0),
+            (PressureLaw::Size, 1.0, 0.8),
+            (PressureLaw::PowerAndSize, 1.4, 0.5),
         ] {
             let study = compare(&pushes(|z, d| 3e5 * z.powf(n) * (d / 0.06).powf(q), 0.0), Some(0.0)).unwrap();
             assert_eq!(study.law, law, "{:?}", study.laws);
@@ -452,7 +452,7 @@ mod tests {
             assert!((study.size_exponent.unwrap().value - q).abs() < 0.02, "{:?}", study.size_exponent);
         }
         let study = compare(&pushes(|z, d| 4e4 * d + 6e5 * z, 0.0), Some(0.0)).unwrap();
-        assert_eq!(study.law, Law::Footing, "{:?}", study.laws);
+        assert_eq!(study.law, PressureLaw::Footing, "{:?}", study.laws);
         assert!(
             study.cautions.iter().any(|c| c.contains("does not apply to feet of another size")),
             "{:?}",

@@ -9,7 +9,7 @@ use super::shared::Shared;
 use crate::error::{Error, Result};
 use crate::parallel;
 use crate::progress::Latch;
-use crate::sand::intruder::{Body, Given, Status, Trial, compute, without_effect};
+use crate::sand::intruder::{DepthOrLoad, PlatedBody, Status, Trial, compute, without_effect};
 use crate::sand::mechanism::{CATALOG, Mechanisms, Side};
 use crate::sand::{Coefficients, Law, Medium, SandDescription};
 use std::collections::BTreeMap;
@@ -28,8 +28,8 @@ const STRENGTH_STEP: f64 = 0.02;
 /// A body in plates: as described, and slightly larger.
 struct Cut {
     description: BodyDescription,
-    nominal: Body,
-    larger: Body,
+    nominal: PlatedBody,
+    larger: PlatedBody,
 }
 
 /// Predicts the rows of an intruder log.
@@ -61,9 +61,9 @@ impl<'a> IntruderModel<'a> {
         let cut = |(name, description): (&String, &BodyDescription)| {
             let shape = description.shape()?;
             let named = |e: Error| Error::invalid(format!("body.{name}"), e.to_string());
-            let coarse = Body::cut(&shape, None).map_err(named)?;
+            let coarse = PlatedBody::cut(&shape, None).map_err(named)?;
             let longest = 50.0 * coarse.plate_size;
-            let nominal = Body::cut(&shape, Some(longest / ALONG)).map_err(named)?;
+            let nominal = PlatedBody::cut(&shape, Some(longest / ALONG)).map_err(named)?;
             let larger = nominal.scaled(1.0 + 2.0 * GEOMETRY_STEP / longest);
             Ok((name.clone(), Cut { description: description.clone(), nominal, larger }))
         };
@@ -124,13 +124,13 @@ impl<'a> IntruderModel<'a> {
 }
 
 /// Fx, Fy and depth under the load; if the sand cannot carry it, those of the fully covered body.
-fn under_load(body: &Body, sand: &SandDescription, trial: &Trial) -> [f64; 3] {
+fn under_load(body: &PlatedBody, sand: &SandDescription, trial: &Trial) -> [f64; 3] {
     let outcome = compute(body, sand, trial);
     let outcome = match outcome.status {
         Status::Ok => outcome,
         Status::NoEquilibrium => {
             let [low, high] = body.heights();
-            compute(body, sand, &Trial { given: Given::Depth(high - low), ..*trial })
+            compute(body, sand, &Trial { given: DepthOrLoad::Depth(high - low), ..*trial })
         }
     };
     [outcome.force[0], outcome.force[1], outcome.depth]
@@ -195,7 +195,7 @@ impl ForwardModel for IntruderModel<'_> {
     /// Conditions and channels are independent.
     fn model_error(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Vec<f64>> {
         let strength = self.strength(mechanisms, coefficients, prediction);
-        let load = |k: usize| if let Given::Load(load) = self.states[k / 3].trial.given { load } else { 0.0 };
+        let load = |k: usize| if let DepthOrLoad::Load(load) = self.states[k / 3].trial.given { load } else { 0.0 };
         let size = |k: usize| LAW_ERROR * if k % 3 == 2 { strength[k].abs() } else { load(k) };
         (0..3).map(|c| (0..prediction.len()).map(|k| if k % 3 == c { size(k) } else { 0.0 }).collect()).collect()
     }
@@ -239,7 +239,7 @@ impl ForwardModel for IntruderModel<'_> {
             unit,
             values: self.states.iter().map(|s| vec![f(s)]).collect(),
         };
-        let load = |s: &State| if let Given::Load(load) = s.trial.given { load } else { 0.0 };
+        let load = |s: &State| if let DepthOrLoad::Load(load) = s.trial.given { load } else { 0.0 };
         vec![
             per_row("slip", "1", &|s| self.slip(s)),
             per_row("slip_angle", "rad", &|s| (-s.trial.velocity[1]).atan2(s.trial.velocity[0].abs())),

@@ -23,7 +23,7 @@
 //! usually ends after one. A torque that is still beyond after [`NEWTON`] passes is 0 in this step. Without a known stall torque one
 //! solution is made, and a torque may be beyond its constant limit by the part that the acceleration of the link before adds (about 1 %).
 
-use super::stop::{NO_LIMIT, Push};
+use super::stop::{NO_LIMIT, StopTorque};
 use crate::error::{Error, Result};
 use crate::number::Real;
 use serde::{Deserialize, Serialize};
@@ -174,20 +174,21 @@ impl<R: Real> LaneActuator<R> {
 
     /// The torque that follows the servo's `push` in this step, if it was `before` in the last one.
     #[inline(always)]
-    pub fn track(&self, push: Push<R>, before: R, dt: R) -> Push<R> {
+    pub fn track(&self, push: StopTorque<R>, before: R, dt: R) -> StopTorque<R> {
         let share = dt / (self.torque_time + dt);
-        let push = Push { torque: push.torque * self.torque_constant, yielding: push.yielding * self.torque_constant };
+        let push =
+            StopTorque { torque: push.torque * self.torque_constant, yielding: push.yielding * self.torque_constant };
         let torque = (push.torque - before).mul_add(share, before);
         // Exactly the servo's without a lag.
         let free = R::one().lt(share + R::splat(f64::from(f32::EPSILON)));
-        Push { torque: R::select(free, push.torque, torque), yielding: push.yielding * share }
+        StopTorque { torque: R::select(free, push.torque, torque), yielding: push.yielding * share }
     }
 
     /// Friction of the gear and inertia of the rotor, if the motor's torque was `before` in the last step.
     #[inline(always)]
-    pub fn gear(&self, rate: R, before: R, dt: R) -> Push<R> {
+    pub fn gear(&self, rate: R, before: R, dt: R) -> StopTorque<R> {
         let slows = self.slows(rate, before);
-        Push { torque: -(slows * rate), yielding: slows.mul_add(dt, self.rotor_inertia) }
+        StopTorque { torque: -(slows * rate), yielding: slows.mul_add(dt, self.rotor_inertia) }
     }
 
     /// Friction of the gear for each unit of speed.
@@ -199,7 +200,7 @@ impl<R: Real> LaneActuator<R> {
 
     /// `servo` within the limits, if the joint accelerates by `acceleration`.
     #[inline(always)]
-    pub fn limited(&self, servo: Push<R>, rate: R, acceleration: R, dt: R) -> Push<R> {
+    pub fn limited(&self, servo: StopTorque<R>, rate: R, acceleration: R, dt: R) -> StopTorque<R> {
         let [low, high] = self.limits(rate);
         let flat = servo.within(low, high, acceleration);
         if !self.has_lines() {
@@ -207,24 +208,24 @@ impl<R: Real> LaneActuator<R> {
         }
         let [lower, upper] = self.bounds(rate, acceleration, dt);
         let torque = servo.at(acceleration);
-        let piece = Push::select(upper.at(acceleration).lt(torque), upper, servo);
-        let piece = Push::select(torque.lt(lower.at(acceleration)), lower, piece);
-        Push::select(R::zero().lt(self.has_line), piece, flat)
+        let piece = StopTorque::select(upper.at(acceleration).lt(torque), upper, servo);
+        let piece = StopTorque::select(torque.lt(lower.at(acceleration)), lower, piece);
+        StopTorque::select(R::zero().lt(self.has_line), piece, flat)
     }
 
     /// The least and the greatest torque for the speeds before and after the step, near `acceleration`.
     #[inline(always)]
-    fn bounds(&self, rate: R, acceleration: R, dt: R) -> [Push<R>; 2] {
+    fn bounds(&self, rate: R, acceleration: R, dt: R) -> [StopTorque<R>; 2] {
         let [low, high] = self.limits(rate);
         let slope = self.stall_torque / self.no_load_speed;
         let most = |rate: R, acceleration: R, now: R| {
-            let line = Push { torque: self.stall_torque - slope * rate, yielding: slope * dt };
+            let line = StopTorque { torque: self.stall_torque - slope * rate, yielding: slope * dt };
             let after = line.at(acceleration);
-            let constant = Push { torque: after.clamp(R::zero(), now), yielding: R::zero() };
-            Push::select(after.lt(now), Push::select(R::zero().lt(after), line, constant), constant)
+            let constant = StopTorque { torque: after.clamp(R::zero(), now), yielding: R::zero() };
+            StopTorque::select(after.lt(now), StopTorque::select(R::zero().lt(after), line, constant), constant)
         };
         let lower = most(-rate, -acceleration, -low);
-        [Push { torque: -lower.torque, yielding: lower.yielding }, most(rate, acceleration, high)]
+        [StopTorque { torque: -lower.torque, yielding: lower.yielding }, most(rate, acceleration, high)]
     }
 
     /// By how much `torque` is beyond the limits of a motor whose stall torque is known; not above 0: it is within.
@@ -251,16 +252,16 @@ impl<R: Real> LaneActuator<R> {
 #[derive(Clone, Copy)]
 pub struct Limits<R> {
     /// The servo's, without limits.
-    servo: Push<R>,
+    servo: StopTorque<R>,
     /// What the last pass solved with.
-    pub push: Push<R>,
+    pub push: StopTorque<R>,
     /// 1 in lanes where `push` is what the next pass solves with.
     held: R,
 }
 
 impl<R: Real> Limits<R> {
     pub fn none() -> Self {
-        Self { servo: Push::none(), push: Push::none(), held: R::zero() }
+        Self { servo: StopTorque::none(), push: StopTorque::none(), held: R::zero() }
     }
 
     /// Before the first pass.
@@ -271,9 +272,9 @@ impl<R: Real> Limits<R> {
 
     /// The motor's push in this pass; `push` is that of a first one.
     #[inline(always)]
-    pub fn pass(&mut self, servo: Push<R>, push: Push<R>) -> Push<R> {
+    pub fn pass(&mut self, servo: StopTorque<R>, push: StopTorque<R>) -> StopTorque<R> {
         self.servo = servo;
-        self.push = Push::select(R::zero().lt(self.held), self.push, push);
+        self.push = StopTorque::select(R::zero().lt(self.held), self.push, push);
         self.push
     }
 }
@@ -301,9 +302,9 @@ pub fn again<'a, R: Real>(
         let (actuator, rate, acceleration) = joint(i);
         let next = match pass < NEWTON {
             true => actuator.limited(own.servo, rate, acceleration, dt),
-            false => Push::select(zero.lt(beyond(i, own)), Push::none(), own.push),
+            false => StopTorque::select(zero.lt(beyond(i, own)), StopTorque::none(), own.push),
         };
-        own.push = Push::select(zero.lt(worst), next, own.push);
+        own.push = StopTorque::select(zero.lt(worst), next, own.push);
         own.held = R::select(zero.lt(worst), R::one(), own.held);
     }
     true

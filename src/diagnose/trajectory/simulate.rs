@@ -6,7 +6,7 @@ use super::sensors::{Mounting, read};
 use super::windows::{BINS, bins};
 use crate::error::Result;
 use crate::sand::mechanism::Mechanisms;
-use crate::sand::{Medium, Surface};
+use crate::sand::{Medium, Regularization};
 use crate::sim::Model;
 use crate::sim::model::Scene;
 use std::collections::HashMap;
@@ -26,7 +26,7 @@ impl TrajectoryModel<'_> {
             scene.mechanisms = Mechanisms { motor_torque_limit: 0.0, ..*mechanisms };
             (scene.slope_deg, scene.dt) = (self.log.runs[run].slope_deg, dt);
             if matches!(self.bodies[run], Body::Tree(_)) {
-                scene.surface = Surface::SOLID;
+                scene.surface = Regularization::SOLID;
             }
             let model = self.bodies[run].model(&scene)?;
             match payload > 0.0 {

@@ -2,10 +2,10 @@
 
 use super::{Actuator, LaneActuator};
 use crate::engine::{Command, Engine, EngineKind};
-use crate::frame::{Frame, M, V};
+use crate::frame::{BodyFrame, M, V};
 use crate::model::Scene;
 use crate::sand::Medium;
-use crate::stop::Push;
+use crate::stop::StopTorque;
 use crate::tree::{TreeModel, of_robot, of_touching};
 use crate::{Model, Robot, State};
 
@@ -35,7 +35,7 @@ fn torque_falls_along_the_line() {
 
 #[test]
 fn a_lag_follows_the_servo() {
-    let push = Push { torque: 2.0, yielding: 0.5 };
+    let push = StopTorque { torque: 2.0, yielding: 0.5 };
     let at_once = LaneActuator::<f64>::splat(&Actuator::default()).track(push, 1.0, 1e-3);
     assert_eq!((at_once.torque, at_once.yielding), (2.0, 0.5));
     let slow = LaneActuator::<f64>::splat(&Actuator { torque_time: Some(0.02), ..Actuator::default() });
@@ -48,7 +48,7 @@ fn a_lag_follows_the_servo() {
 
 #[test]
 fn a_weak_magnet_gives_less_torque() {
-    let push = Push { torque: 2.0, yielding: 0.5 };
+    let push = StopTorque { torque: 2.0, yielding: 0.5 };
     let weak = LaneActuator::<f64>::splat(&Actuator { torque_constant: Some(0.8), ..Actuator::default() });
     let push = weak.track(push, 0.0, 1e-3);
     assert_eq!((push.torque, push.yielding), (1.6, 0.4));
@@ -186,8 +186,8 @@ fn motors_are_changed_where_they_are_known() {
 
 /// Kinetic energy of a robot with legs [J].
 fn energy(model: &Model, state: &State) -> f64 {
-    let base = Frame::base(state);
-    let of = |frame: &Frame, mass: f64, center: V, inertia: &M| {
+    let base = BodyFrame::base(state);
+    let of = |frame: &BodyFrame, mass: f64, center: V, inertia: &M| {
         let (velocity, spin) = (frame.velocity_at(frame.rotation * center), frame.angular_velocity);
         let own = frame.rotation.transpose() * spin;
         0.5 * (mass * velocity.norm_squared() + own.dot(&(inertia * own)))

@@ -9,7 +9,7 @@ use super::dynamics::{Drive, JointMotion};
 use super::model::TreeModel;
 use crate::actuator::{Actuator, CREEP, LaneActuator, Limits};
 use crate::number::Real;
-use crate::stop::{NO_LIMIT, Push, Stop};
+use crate::stop::{NO_LIMIT, Stop, StopTorque};
 
 /// The torques that drive and hold a joint, one lane each.
 #[derive(Clone, Copy)]
@@ -87,17 +87,17 @@ impl<R: Real> LaneMotor<R> {
 
     /// The servo's push without limits.
     #[inline(always)]
-    fn servo(&self, servo: &LaneServo<R>, joint: &JointMotion<R>, dt: R) -> Push<R> {
+    fn servo(&self, servo: &LaneServo<R>, joint: &JointMotion<R>, dt: R) -> StopTorque<R> {
         let rate_error = self.reference_rate(servo) - joint.rate;
         let error = rate_error.mul_add(dt, servo.reference - joint.position);
         let torque = self.kp.mul_add(error, self.kd.mul_add(rate_error, servo.command_torque));
         let yielding = dt * dt.mul_add(self.kp, self.kd);
-        self.actuator.track(Push { torque, yielding }, servo.torque, dt)
+        self.actuator.track(StopTorque { torque, yielding }, servo.torque, dt)
     }
 }
 
 /// Computes all torques at the joints in one step.
-pub struct Joints<'a, R> {
+pub struct JointTorques<'a, R> {
     pub motors: &'a [LaneMotor<R>],
     pub servos: &'a [LaneServo<R>],
     pub joints: &'a [JointMotion<R>],
@@ -122,19 +122,19 @@ impl<R: Real> LaneMotor<R> {
     }
 }
 
-impl<R: Real> Drive<R> for Joints<'_, R> {
+impl<R: Real> Drive<R> for JointTorques<'_, R> {
     #[inline(always)]
-    fn push(&mut self, i: usize, own: R, load: R) -> Push<R> {
+    fn push(&mut self, i: usize, own: R, load: R) -> StopTorque<R> {
         let (motor, joint, dt) = (&self.motors[i], &self.joints[i], self.dt);
         let servo = motor.servo(&self.servos[i], joint, dt);
         let gear = motor.actuator.gear(joint.rate, self.servos[i].torque, dt);
-        let damping = Push { torque: -(motor.damping * joint.rate), yielding: motor.damping * dt };
+        let damping = StopTorque { torque: -(motor.damping * joint.rate), yielding: motor.damping * dt };
         let slows = motor.friction / joint.rate.abs().max(R::splat(CREEP));
-        let rub = Push { torque: -(slows * joint.rate), yielding: slows * dt };
+        let rub = StopTorque { torque: -(slows * joint.rate), yielding: slows * dt };
         let stops = Stop::of(motor.range, joint.position, joint.rate, own, dt);
         let [stiffness, rest] = motor.spring;
         let pulled = joint.rate.mul_add(dt, joint.position) - rest;
-        let spring = Push { torque: -(stiffness * pulled), yielding: stiffness * (dt * dt) };
+        let spring = StopTorque { torque: -(stiffness * pulled), yielding: stiffness * (dt * dt) };
         let always = damping.plus(rub).plus(spring).plus(gear);
         let all = servo.plus(always).plus(stops.push);
         let first = all.moves(own, load);
