@@ -14,7 +14,7 @@ SOURCES := $(shell find src tests/data/real_wheel python_client Cargo.toml Cargo
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .PHONY: help train policies test test-rust test-python test-browser test-clients notices page-three native film diagnosis-picture bench bench-peers bench-network study \
-	study-messy study-convergence study-plates study-robots study-drop study-rocks study-load study-codesign study-starts proto task-pages docs
+	study-messy study-convergence study-plates study-robots study-drop study-rocks study-load study-codesign study-starts study-hardware proto task-pages docs
 
 help:
 	@echo "make train   train a hexapod to walk on sand (5 minutes), results in runs/; TASK=HexapodLegs, ARGS=--help"
@@ -35,6 +35,7 @@ help:
 	@echo "make study-convergence   measure the walking speed over the time step with both engines (some 3 minutes)"
 	@echo "make study-codesign   learn gaits for 25 legs, three times each, and write docs/codesign.md again (an hour on two idle cores)"
 	@echo "make study-starts   compare walking speeds at 1 ms with converged ones, over 24 starts (some 10 minutes)"
+	@echo "make study-hardware   train with exact and with randomised hardware, and evaluate on that of real robots (some two hours)"
 	@echo "make study-plates   compare forces on the default plates of FILES=\"…\" with those on fine ones"
 	@echo "make study-drop   drop five robots on a hard floor, here and by MuJoCo"
 	@echo "make study-robots   load and move every legged robot of two packages with default settings (some 10 minutes)"
@@ -154,6 +155,9 @@ study-starts:
 	sed -i '/<!-- starts -->/q' docs/convergence.md
 	{ echo; echo "\`make study-starts\` · $$(date +%Y-%m-%d) · $$(sed -n 's/^model name.*: //p' /proc/cpuinfo | head -1)"; echo; \
 		cat target/starts.md; } >> docs/convergence.md
+
+study-hardware: $(VENV)/wheel
+	$(BIN)/python examples/hardware_proof.py $(ARGS)
 
 study-plates:
 	cargo run --release --example plates_study -- $(or $(LAW),li2013) $(FILES)

@@ -7,6 +7,7 @@
 use sandgait::number::Isa;
 use sandgait::robots;
 use sandgait::sand::Medium;
+use sandgait::sim::actuator::Actuator;
 use sandgait::sim::engine::Command;
 use sandgait::sim::model::Scene;
 use sandgait::sim::tree::{HardGround, TreeEngine, TreeModel};
@@ -35,7 +36,8 @@ fn main() -> Result<()> {
         return Err(Error::invalid("arguments", format!("{} joints, {} angles", tree.joints(), angles.len())));
     }
     for motor in &mut tree.motors {
-        (motor.kp, motor.kd, motor.torque_limit, motor.speed_limit) = (number(kp)?, number(kd)?, None, None);
+        (motor.kp, motor.kd) = (number(kp)?, number(kd)?);
+        (motor.speed_limit, motor.actuator) = (None, Actuator::default());
     }
     let height = tree.standing_height(&angles) + START;
     let scene = Scene { hard: vec![HardGround::everywhere()], dt: 1e-4, ..Scene::flat(Medium::named("poppy-close")?) };

@@ -135,6 +135,14 @@ fn bench_takes_the_task_options() {
     refuse(&["--option", "slope_deg"], &["--option", "slope_deg", "KEY=VALUE"]);
     refuse(&["--option", "slope_deg=80"], &["slope_deg", "80", "35"]);
     refuse(&["--option", "slop=1"], &["slop"]);
+    let hardware = directory.path().join("hardware.toml");
+    std::fs::write(&hardware, "[actuator]\ntorque_limit = { value = 0.03, interval = [0.02, 0.04] }\n").unwrap();
+    let drawn = format!("domain_rand={{\"hardware\": {:?}}}", hardware.to_str().unwrap());
+    let report = bench(&["--option", &format!("hardware={}", hardware.display()), "--option", &drawn]);
+    assert!(report["env_steps_per_second"].as_f64().is_some_and(|x| x > 0.0), "{report}");
+    refuse(&["--option", "hardware=/no/such/hardware.toml"], &["/no/such/hardware.toml"]);
+    std::fs::write(&hardware, "[actuator]\npower = { value = 3.0, interval = [2.0, 4.0] }\n").unwrap();
+    refuse(&["--option", &format!("hardware={}", hardware.display())], &["hardware", "actuator.power"]);
     refuse(&["--engine", "lanes", "--option", "engine=rapier"], &["--option", "engine", "twice"]);
 }
 

@@ -14,7 +14,9 @@ use sandgait::diagnose::verdict::Verdict;
 use sandgait::diagnose::walking_log;
 use sandgait::progress::{Progress, Silent};
 use sandgait::sand::{Mechanisms, SandDescription};
+use sandgait::sim::actuator::Actuator;
 use sandgait::sim::engine::EngineKind;
+use sandgait::sim::hardware::HardwareDescription;
 use sandgait::sim::model::Scene;
 use sandgait::sim::walk::WalkTrial;
 use sandgait::sim::{Model, Robot};
@@ -54,11 +56,22 @@ fn a_hidden_slope_is_named_and_its_sand_walks_as_reported() {
     let cause = &d.report.causes[0];
     assert!((cause.value / 0.07 - 1.0).abs() < 0.2, "{}", d.report.summary);
     assert!(d.report.gain.reduction.unwrap() > 0.3, "{:?}", d.report.gain);
-    let out = directory.path().join("out");
+    walks_as_reported(directory.path(), &d);
+}
+
+/// A simulation with the sand.toml and the hardware.toml of a diagnosis walks as its report predicts.
+fn walks_as_reported(directory: &Path, d: &Diagnosis) {
+    let out = directory.join("out");
     d.write(&out).unwrap();
-    let sand = SandDescription::load(&out.join("sand.toml")).unwrap();
+    let mut sand = SandDescription::load(&out.join("sand.toml")).unwrap();
+    let hardware = HardwareDescription::load(&out.join("hardware.toml")).unwrap();
+    // A weak motor is in both files; here it is that of the hardware.
+    let weak = Some(sand.mechanisms.motor_torque_limit).filter(|limit| *limit > 0.0);
+    let torque_limit = hardware.value("actuator.torque_limit");
+    assert_eq!(torque_limit, weak);
+    sand.mechanisms.motor_torque_limit = 0.0;
     let experiment = Experiment::from_toml(hall::EXPERIMENT).unwrap();
-    let log = walking_log::read(&directory.path().join("runs.csv"), &experiment, &Silent).unwrap();
+    let log = walking_log::read(&directory.join("runs.csv"), &experiment, &Silent).unwrap();
     let trials: Vec<WalkTrial> = log
         .setups
         .iter()
@@ -67,11 +80,9 @@ fn a_hidden_slope_is_named_and_its_sand_walks_as_reported() {
             scene.set_sand(&sand);
             (scene.slope_deg, scene.payload) = (s.slope_deg, s.payload);
             let robot = Robot::load(&s.robot).unwrap().with_leg_shape(&s.leg).unwrap();
-            WalkTrial {
-                x_bed: s.x_bed,
-                strides: s.strides,
-                ..WalkTrial::new(Model::new(&robot, &scene).unwrap(), s.frequency)
-            }
+            let motors = Actuator { torque_limit, ..Actuator::default() };
+            let model = Model::new(&robot, &scene).unwrap().with_motors(&motors).unwrap();
+            WalkTrial { x_bed: s.x_bed, strides: s.strides, ..WalkTrial::new(model, s.frequency) }
         })
         .collect();
     let walked = walk_all(EngineKind::Lanes, &trials, &Silent).unwrap();
@@ -123,7 +134,9 @@ fn without_a_hidden_cause_the_verdict_is_noise_floor() {
 fn a_motor_that_stalls_is_named() {
     let directory = tempfile::tempdir().unwrap();
     let hidden = Mechanisms { motor_torque_limit: 0.0125, ..Mechanisms::PLAIN };
-    let r = diagnosis(directory.path(), &hall::drawn(5), hidden).report;
+    let d = diagnosis(directory.path(), &hall::drawn(5), hidden);
+    walks_as_reported(directory.path(), &d);
+    let r = &d.report;
     assert_eq!(
         (r.verdict, &r.ambiguity_set),
         (Verdict::Named, &vec![vec!["motor_torque_limit".to_string()]]),

@@ -25,13 +25,15 @@ CONDITIONS = 4
 class Diagnosis:
     """Verdict, causes and the extended sand of a diagnosis; `report` is `report.json` as a dict."""
 
-    def __init__(self, report_json: str, html: str, sand: str, curves: Table) -> None:
+    def __init__(self, report_json: str, html: str, sand: str, hardware: str, curves: Table) -> None:
         self.report_json = report_json
         self.report: dict[str, Any] = json.loads(report_json)
         #: `report.html`: one self-contained page.
         self.html = html
         #: The extended model as `sand.toml`. If no mechanism reduces the error, this is the plain model.
         self.sand = sand
+        #: What was found of motors, sensors and delays, as `hardware.toml`.
+        self.hardware = hardware
         #: Measured and predicted loads, one row for each sample. Columns: trial, condition, shape, progress (angle
         #: [rad] or position along the path [m]). Each channel C has the columns C (measured), C_plain and C_extended
         #: (predicted) and C_sd (standard deviation of a repetition).
@@ -59,10 +61,16 @@ class Diagnosis:
         return f"<b>{self.verdict}</b>: {self.summary}"
 
     def save(self, out: FilePath) -> None:
-        """Writes report.json, report.html and sand.toml into the directory `out`, as the command line does."""
+        """Writes report.json, report.html, sand.toml and hardware.toml into the directory `out`, as the command line
+        does."""
         directory = Path(out)
         directory.mkdir(parents=True, exist_ok=True)
-        for name, text in (("report.json", self.report_json), ("report.html", self.html), ("sand.toml", self.sand)):
+        for name, text in (
+            ("report.json", self.report_json),
+            ("report.html", self.html),
+            ("sand.toml", self.sand),
+            ("hardware.toml", self.hardware),
+        ):
             (directory / name).write_text(text, encoding="utf-8")
 
     def to_frame(self) -> Any:
@@ -143,8 +151,8 @@ def diagnose(
     toml = None if isinstance(experiment, Mapping) else file(experiment, "experiment")
     request = {"data": (name, content), "values": tables, "file": toml}
     with Display(progress) as told:
-        report, html, sand, curves = study(address, "Diagnose", request, told)
-    return Diagnosis(report, html, sand, Table(*columns(curves)))
+        report, html, sand, hardware, curves = study(address, "Diagnose", request, told)
+    return Diagnosis(report, html, sand, hardware, Table(*columns(curves)))
 
 
 def _content(data: Any, experiment: FilePath | Mapping[str, Any]) -> tuple[str, bytes]:

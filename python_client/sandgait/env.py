@@ -15,7 +15,7 @@ from .batches import Batch
 from .errors import InvalidRequest, OutOfOrder, SandgaitError
 from .pickling import Origin, Pickled
 from .snapshots import FilePath, read_snapshot, write_snapshot
-from .spaces import Actions, box, commands, info_columns
+from .spaces import Actions, box, commands, info_columns, privileged
 from .vector_env import SandgaitVectorEnv
 from .view import RENDER_MODES, SIZE
 
@@ -68,6 +68,8 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._over = False
         #: First observation of the next episode, which the server begins in the step that ends an episode.
         self._next: Observation | None = None
+        #: Its exact values, with option `privileged`.
+        self._next_privileged: Observation | None = None
         #: The action of a step whose answer was not returned yet, and this answer as soon as it has arrived.
         self._in_flight: npt.NDArray[np.float32] | None = None
         self._batch: Batch | None = None
@@ -87,10 +89,12 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
                 self._answer()  # if the step ended the episode, the next one has begun already
         super().reset(seed=seed)
         first, self._next, self._over = self._next, None, False
-        # The exact values of a new episode come with a reset only.
-        if first is not None and seed is None and not options and self.privileged_observation_space is None:
+        if first is not None and seed is None and not options:
             self._view.moved(record_ended=False, show_ended=False)
-            return first, dict.fromkeys(self._columns, 0.0)
+            info: dict[str, Any] = dict.fromkeys(self._columns, 0.0)
+            if self._next_privileged is not None:
+                info["privileged"] = self._next_privileged
+            return first, info
         seeds = None if seed is None else [seed]
         if seed is None and not self._seeded:
             seeds = [int(self.np_random.integers(2**63))]
@@ -136,6 +140,8 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         result = observation, float(batch.rewards[0]), terminated, truncated, info
         if over:
             self._over, self._next = True, batch.observations[0]
+            if self.privileged_observation_space is not None:
+                self._next_privileged = privileged(batch.infos, self._columns, True)[0]
         self._in_flight, self._batch = None, None
         return result
 
@@ -143,7 +149,7 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         count = len(self._columns)
         info: dict[str, Any] = dict(zip(self._columns, batch.infos[:count, 0].tolist(), strict=True))
         if self.privileged_observation_space is not None:
-            info["privileged"] = batch.infos[count:, 0]
+            info["privileged"] = privileged(batch.infos, self._columns)[0]
         return info
 
     def _in_step(self) -> bool:

@@ -14,13 +14,11 @@ from .user_warnings import warn
 
 
 def with_files(options: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Replaces paths of files (sand.toml, URDF, MJCF, heights of the ground) by the files' contents."""
-    texts: dict[str, Any] = {}
-    if "sand" in options:
-        try:
-            texts["sand"] = Path(options["sand"]).read_text(encoding="utf-8")
-        except (OSError, TypeError, UnicodeDecodeError) as error:
-            raise InvalidRequest(f"sand: {options['sand']!r} cannot be read as a file: {error}") from error
+    """Replaces paths of files (sand.toml, hardware.toml, URDF, MJCF, heights of the ground) by the files' contents."""
+    texts: dict[str, Any] = {name: _text(name, options[name]) for name in ("sand", "hardware") if name in options}
+    drawn = options.get("domain_rand")
+    if isinstance(drawn, Mapping) and "hardware" in drawn:
+        texts["domain_rand"] = {**drawn, "hardware": _text("domain_rand.hardware", drawn["hardware"])}
     robot = options.get("robot")
     if isinstance(robot, (str, Path)):
         texts["robot"] = str(robot)
@@ -32,6 +30,14 @@ def with_files(options: Mapping[str, Any]) -> Mapping[str, Any]:
     if isinstance(relief, Mapping) and relief.get("file"):
         texts["relief"] = {**relief, "file": _heights(relief["file"])}
     return {**options, **texts}
+
+
+def _text(name: str, file: Any) -> Any:
+    """The contents of an option's `file`."""
+    try:
+        return Path(file).read_text(encoding="utf-8")
+    except (OSError, TypeError, UnicodeDecodeError) as error:
+        raise InvalidRequest(f"{name}: {file!r} cannot be read as a file: {error}") from error
 
 
 def keyword_error(message: str) -> InvalidRequest:

@@ -68,7 +68,8 @@ def box(columns: tuple[Column, ...]) -> spaces.Space[npt.NDArray[np.float32]]:
     return cast("spaces.Space[npt.NDArray[np.float32]]", spaces.Box(low, high, dtype=np.float32))
 
 
-#: Info columns with this prefix are exact values of sensors.
+#: Info columns with this prefix are exact values of sensors. As many columns follow that are called `next privileged
+#: …`: if an episode ended in the step, they are those of the next episode's first observation.
 _PRIVILEGED = "privileged "
 
 
@@ -77,8 +78,8 @@ def info_columns(
 ) -> tuple[list[str], spaces.Space[npt.NDArray[np.float32]] | None]:
     """Names of the info columns without the exact values of sensors, which come last, and the space of these values;
     None if there are none."""
-    names = [c.name for c in columns if not c.name.startswith(_PRIVILEGED)]
-    exact = columns[len(names) :]
+    exact = tuple(c for c in columns if c.name.startswith(_PRIVILEGED))
+    names = [c.name for c in columns[: len(columns) - 2 * len(exact)]]
     return names, box(exact) if exact else None
 
 
@@ -89,6 +90,13 @@ def commands(command: npt.ArrayLike, num_envs: int) -> npt.NDArray[np.float32]:
     except (TypeError, ValueError):
         raise InvalidRequest(f"command: expected numbers [3] or [{num_envs}, 3], got {command!r}") from None
     return np.ascontiguousarray(rows)
+
+
+def privileged(infos: npt.NDArray[np.float32], names: list[str], ended: Any = False) -> npt.NDArray[np.float32]:
+    """Exact values of sensors, float32 [envs, values], from info columns [info, envs] whose first ones are `names`;
+    where `ended`, those of the next episode's first observation."""
+    present, following = np.split(infos[len(names) :], 2)
+    return np.where(ended, following, present).T
 
 
 class Actions:

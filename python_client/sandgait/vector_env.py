@@ -20,7 +20,7 @@ from .pickling import Origin, Pickled
 from .policies import read_policy
 from .shards import Address
 from .snapshots import FilePath, read_snapshot, write_snapshot
-from .spaces import Actions, box, commands, info_columns
+from .spaces import Actions, box, commands, info_columns, privileged
 from .view import RENDER_MODES, SIZE
 
 Observations = npt.NDArray[np.float32]
@@ -42,6 +42,8 @@ class _Turn:
     #: rows with which the server has begun the next episodes of those in `ended`.
     lasts: Observations | None = None
     firsts: Observations | None = None
+    #: With option `privileged`: the exact values of `firsts`.
+    exact: Observations | None = None
 
 
 class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32], npt.NDArray[Any]]):
@@ -126,8 +128,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         i, and with entry None its random stream continues. `options`: new values of task options, and `reset_mask`,
         bool [num_envs], which says which environments to reset. The returned infos have the columns of a step's infos,
         all 0, because these environments have not made a step yet, except `privileged`: with option `privileged=True`,
-        exact values of all sensors, float32 [num_envs, values]. With SAME_STEP the exact values of
-        the first observation after an episode's end are 0; those of the last one are in `final_info`.
+        exact values of all sensors, float32 [num_envs, values].
         """
         options = dict(options or {})
         mask = self._mask(options.pop("reset_mask", None))
@@ -151,7 +152,10 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         self._view.moved(record_ended=not begun[self._view.index], show_ended=False)
         count = len(self.task.info)
         columns = np.zeros((count, self.num_envs), np.float32) if batch is None else batch.infos
-        return observations, self._masked(np.where(mask, columns, np.float32(0.0)), mask)
+        infos = self._masked(np.where(mask, columns, np.float32(0.0)), mask)
+        if self._turn.exact is not None:
+            infos["privileged"][begun] = self._turn.exact[begun]
+        return observations, infos
 
     def _after_reset(self, rows: Observations | None, mask: Flags, begun: Flags) -> Observations:
         """Observations after a reset of `mask`, from the server's `rows`, None if it was not asked. Environments that
@@ -260,7 +264,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         batch = self._receive()
         turn = self._turn
         ended, rows = turn.ended, batch.observations
-        lasts = firsts = None
+        lasts = firsts = exact = None
         if self._autoreset is AutoresetMode.SAME_STEP:
             infos = self._infos(batch)
         else:
@@ -269,17 +273,20 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
             if batch.final_indices.size:
                 if self._autoreset is AutoresetMode.DISABLED:
                     firsts, rows = rows, rows.copy()
+                    if self.privileged_observation_space is not None:
+                        exact = privileged(batch.infos, self._columns, ended)
                 rows[batch.final_indices] = batch.final_observations
                 lasts = None if firsts is None else rows.copy()
         result = rows, batch.rewards.astype(np.float64), batch.terminated, batch.truncated, infos
-        turn.ended, turn.lasts, turn.firsts, turn.in_flight, turn.batch = ended, lasts, firsts, False, None
+        turn.ended, turn.lasts, turn.firsts, turn.exact = ended, lasts, firsts, exact
+        turn.in_flight, turn.batch = False, None
         return result
 
     def _infos(self, batch: Batch) -> dict[str, Any]:
         """Reward terms and figures as columns [num_envs] with gymnasium's masks, grouped like those of SyncVectorEnv.
 
         If an environment's episode ended, its values of this step are in `final_info`, and its column has the 0 of the
-        next episode's reset. The other environments have 0 in `final_info`.
+        next episode's reset, except for the exact values of sensors. The other environments have 0 in `final_info`.
         """
         columns, ended = batch.infos, batch.final_indices
         if not ended.size:
@@ -290,7 +297,10 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
             last[i] = row
         final = self._masked(np.where(done, columns, np.float32(0.0)), done)
         infos = {"final_obs": last, "_final_obs": done, "final_info": final, "_final_info": done}
-        return infos | self._masked(np.where(done, np.float32(0.0), columns), self._everybody.copy())
+        infos |= self._masked(np.where(done, np.float32(0.0), columns), self._everybody.copy())
+        if self.privileged_observation_space is not None:
+            infos["privileged"] = privileged(columns, self._columns, done)
+        return infos
 
     def _masked(self, columns: npt.NDArray[np.float32], mask: Flags) -> dict[str, Any]:
         """`{name: column, _name: mask}` of every info column; `columns` is [info, num_envs]."""
@@ -298,7 +308,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         count = len(self._columns)
         infos.update(zip(self._columns, columns[:count], strict=True))
         if self.privileged_observation_space is not None:
-            infos["privileged"], infos["_privileged"] = columns[count:].T.copy(), mask
+            infos["privileged"], infos["_privileged"] = privileged(columns, self._columns), mask
         return infos
 
     def set_command(self, command: npt.ArrayLike) -> Observations:

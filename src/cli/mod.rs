@@ -63,7 +63,19 @@ Each command has its own --help with more examples.";
 /// Replaces paths in a task's options by the files' packed texts: a robot, and heights of the ground.
 fn read_files(options: &mut serde_json::Value) -> Result<()> {
     robot::read_option(options)?;
+    read_hardware(options.get_mut("hardware"))?;
+    read_hardware(options.get_mut("domain_rand").and_then(|draws| draws.get_mut("hardware")))?;
     heights::read_option(options)
+}
+
+/// Replaces the path of a hardware.toml by its text.
+fn read_hardware(option: Option<&mut serde_json::Value>) -> Result<()> {
+    let Some(option) = option else { return Ok(()) };
+    // A text of a file has several lines.
+    if let Some(path) = option.as_str().filter(|text| !text.is_empty() && !text.contains('\n')) {
+        *option = std::fs::read_to_string(path).map_err(|e| Error::file(path.as_ref(), e))?.into();
+    }
+    Ok(())
 }
 
 /// The commands, each with the file and the type of its arguments.

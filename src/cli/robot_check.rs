@@ -70,7 +70,7 @@ impl StandingReport {
         Ok(Self {
             name: robot.tree.name.clone(),
             joints: model.joint_names(),
-            limits: robot.motors.iter().map(|m| m.torque_limit).collect(),
+            limits: robot.motors.iter().map(|m| m.actuator.torque_limit).collect(),
             plates: robot.plates.iter().map(Vec::len).sum(),
             dt: model.scene.dt,
             needed_dt,

@@ -15,7 +15,7 @@ pub struct Arguments {
     /// Facts that the data file does not contain: medium, shapes, units (TOML)
     #[arg(long)]
     pub experiment: PathBuf,
-    /// Directory for report.json, report.html and sand.toml
+    /// Directory for report.json, report.html, sand.toml and hardware.toml
     #[arg(long)]
     pub out: PathBuf,
 }

@@ -36,6 +36,7 @@ pub mod force_log;
 pub mod forward;
 pub mod further;
 pub mod gauss_newton;
+pub mod hardware;
 pub mod intruder_log;
 pub mod intruder_model;
 pub mod laws;

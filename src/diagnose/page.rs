@@ -1,9 +1,9 @@
 //! Writes the results of a diagnosis: `report.json`, `sand.toml`, and `report.html`, one self-contained page.
 
-use super::figures;
 use super::report::{Diagnosis, Report};
 use super::verdict::{Verdict, Written};
 use super::words::{after, digits, span};
+use super::{figures, hardware};
 use crate::error::{Error, Result};
 use crate::plot::{color, escape};
 use crate::sand::mechanism::{CATALOG, Mechanism};
@@ -35,13 +35,16 @@ const PAPERS: [(&str, &str); 6] = [
 ];
 
 impl Diagnosis {
-    /// Writes report.json, report.html and sand.toml. All contents are made before the first file is written.
+    /// Writes report.json, report.html, sand.toml and hardware.toml. All contents are made before the first file is written.
     pub fn write(&self, out: &Path) -> Result<()> {
         let json = self.json()?;
         let html = page(self, &json);
         let sand = format!("# {}\n{}", self.report.summary.replace('\n', " "), self.sand.to_toml()?);
         std::fs::create_dir_all(out).map_err(|e| Error::file(out, e))?;
-        for (name, text) in [("report.json", &json), ("report.html", &html), ("sand.toml", &sand)] {
+        let hardware = hardware::found(&self.report).to_toml();
+        let files =
+            [("report.json", &json), ("report.html", &html), ("sand.toml", &sand), ("hardware.toml", &hardware)];
+        for (name, text) in files {
             let path = out.join(name);
             std::fs::write(&path, text).map_err(|e| Error::file(&path, e))?;
         }

@@ -182,7 +182,11 @@ impl Blueprint {
         let (spec, model) = (self.task.spec(), self.task.model());
         let rows = 4 * (2 * spec.observation.len() + spec.info.len() + spec.action.len());
         let sensed = 3 * 4 * self.task.sensing().map_or(0, Plan::numbers);
-        let drawn = model.tree.as_ref().map_or(0, |_| model.episode_bytes());
+        let drawn = match (&model.tree, self.task.draws_motors()) {
+            (None, false) => 0,
+            (None, true) => model.memory_bytes(),
+            (Some(_), _) => model.episode_bytes(),
+        };
         let copy = model.sand_bytes();
         rows + sensed + self.episode_bytes / 2 * 3 + 3 * drawn + model.robot_bytes(self.engine) + copy
     }

@@ -4,7 +4,7 @@ use super::ground::Change;
 use super::random::Random;
 use super::registry::Blueprint;
 use super::rollout::{Recorded, Rollout};
-use super::sensors::{ActionDelay, Seen, SensorMemory};
+use super::sensors::{ActionDelay, Plan, Privileged, Seen, SensorMemory};
 use super::spec::Spec;
 use super::task::{AnyTask, Goal, Transition};
 use crate::error::Result;
@@ -33,6 +33,8 @@ pub(super) struct Episode {
     pub before: State,
     pub after: State,
     pub last_action: Vec<f32>,
+    /// The sand's force on each leg in the last time step, if a sensor needs it and the engine keeps it.
+    pub supports: Vec<f64>,
     /// What its sensors remember.
     pub sensed: SensorMemory,
     pub delay: ActionDelay,
@@ -55,17 +57,19 @@ impl Episode {
         let seen = Seen {
             model: goal.model.as_ref().unwrap_or(task.model()),
             footing: goal.ground.as_ref().map_or(&[], |ground| &ground.footing),
+            supports: if before == Before::Step { &self.supports } else { &[] },
             states: [if before == Before::Step { &self.before } else { after }, after],
             at: [self.seed, self.number, self.steps.into()],
             period,
         };
         match before {
-            Before::Step => plan.sense(&mut self.sensed, &seen, exact, [row, info]),
-            Before::Begin => {
+            Before::Step => plan.sense(&mut self.sensed, &seen, exact, row, Privileged::Present(info)),
+            Before::Begin | Before::End => {
                 self.sensed = SensorMemory::default();
-                plan.sense(&mut self.sensed, &seen, exact, [row, info]);
+                let privileged = if before == Before::End { Privileged::Next(info) } else { Privileged::Present(info) };
+                plan.sense(&mut self.sensed, &seen, exact, row, privileged);
             }
-            Before::Restore => plan.repeat(&self.sensed, &seen, exact, [row, info]),
+            Before::Restore => plan.repeat(&self.sensed, &seen, exact, row, info),
         }
     }
 }
@@ -73,7 +77,10 @@ impl Episode {
 /// What has led to the state that is observed.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Before {
+    /// A reset.
     Begin,
+    /// The end of the episode before; the info row has its last values.
+    End,
     Step,
     Restore,
 }
@@ -161,6 +168,7 @@ impl Shard {
             before: State::at_rest(0.0, &vec![0.0; model.joints()]),
             after: State::at_rest(0.0, &vec![0.0; model.joints()]),
             last_action: vec![0.0; spec.action.len()],
+            supports: Vec::new(),
             sensed: SensorMemory::default(),
             delay: ActionDelay::default(),
             ended: None,
@@ -226,7 +234,7 @@ impl Shard {
                 Some(seeds) => (episode.seed, episode.number) = (seeds[i], 0),
                 None => episode.number += 1,
             }
-            self.begin(i, true);
+            self.begin(i, Before::Begin);
         }
     }
 
@@ -269,7 +277,7 @@ impl Shard {
         times.dedup();
         let mut now = 0;
         for time in times {
-            self.engine.advance(time - now);
+            self.engine.advance_in_parts(time - now, false);
             now = time;
             for (i, episode) in self.episodes.iter_mut().enumerate() {
                 let Some((_, action)) = episode.delay.second().filter(|(at, _)| *at == now) else { continue };
@@ -299,6 +307,9 @@ impl Shard {
         let (wide, info) = (spec.observation.len(), spec.info.len());
         let episode = &mut self.episodes[i];
         self.engine.state(i, &mut episode.after);
+        if episode.task.sensing().is_some_and(Plan::needs_supports) {
+            self.engine.supports(i, &mut episode.supports);
+        }
         let diverged = !episode.after.is_sound();
         if diverged {
             episode.after.clone_from(&episode.before);
@@ -340,18 +351,18 @@ impl Shard {
             let action = episode.last_action.clone();
             episode.ended = Some(Ended { goal: episode.goal.clone(), steps: episode.steps, action });
             std::mem::swap(&mut episode.before, &mut episode.after);
-            // The info row stays that of the step that ended the episode.
-            self.begin(i, false);
+            self.begin(i, Before::End);
         }
     }
 
     /// Starts environment `i`'s episode with its present number, and fills its observation row.
-    fn begin(&mut self, i: usize, tells: bool) {
+    fn begin(&mut self, i: usize, before: Before) {
         let episode = &mut self.episodes[i];
         let mut random = Random::new(episode.seed, episode.number);
         // A new seed begins a new series of episodes.
         let last = (episode.number > 0).then_some(&episode.goal);
         (episode.after, episode.goal) = episode.task.begin(last, &mut random);
+        episode.task.equip(&mut episode.goal, episode.seed, episode.number);
         episode.steps = 0;
         episode.last_action.fill(0.0);
         let (range, clock) = (episode.task.action_delay(), [self.period, self.period / self.substeps as f64]);
@@ -363,12 +374,11 @@ impl Shard {
             None if stale => self.engine.set_model(i, episode.task.model()),
             None => (),
         }
-        self.take_up(i, Before::Begin, tells);
+        self.take_up(i, before);
     }
 
-    /// Gives environment `i`'s state to the engine and fills its observation row; if it `tells`, also the sensors' part of
-    /// its info row.
-    pub(super) fn take_up(&mut self, i: usize, before: Before, tells: bool) {
+    /// Gives environment `i`'s state to the engine and fills its observation row and the sensors' part of its info row.
+    pub(super) fn take_up(&mut self, i: usize, before: Before) {
         let episode = &mut self.episodes[i];
         self.engine.set_state(i, &episode.after);
         // The engine has the sand from here on.
@@ -380,8 +390,7 @@ impl Shard {
         let spec = self.task.spec();
         let (wide, info) = (spec.observation.len(), spec.info.len());
         let row = &mut self.rows.observations[i * wide..][..wide];
-        let info = if tells { &mut self.rows.infos[i * info..][..info] } else { &mut [] };
-        episode.observe(before, self.period, row, info);
+        episode.observe(before, self.period, row, &mut self.rows.infos[i * info..][..info]);
     }
 }
 

@@ -5,7 +5,7 @@ use super::legged::MOST_COMMAND;
 use super::legged::episode::LeggedEpisode;
 use super::options::{OptionRow, Options, ResetOptions, TaskOptions};
 use super::random::Random;
-use super::sensors::{Motors, Plan};
+use super::sensors::{self, HardwareFiles, Plan};
 use super::spec::Spec;
 use crate::error::{Error, Result, check_range};
 use crate::sim::engine::{Command, EngineKind};
@@ -147,6 +147,12 @@ pub trait AnyTask: Send + Sync {
     /// How observations follow from exact values; None: they are these values.
     fn sensing(&self) -> Option<&Plan>;
 
+    /// Gives an episode the motors that it draws.
+    fn equip(&self, goal: &mut Goal, seed: u64, number: u64);
+
+    /// Does each episode have motors of its own?
+    fn draws_motors(&self) -> bool;
+
     /// Range of the delay of actions [s].
     fn action_delay(&self) -> [f64; 2];
 
@@ -215,6 +221,7 @@ pub(super) struct TaskSetup<T: Task> {
     model: Arc<Model>,
     /// The task's, with the columns of sensors.
     spec: Spec,
+    hardware: HardwareFiles,
     sensing: Option<Plan>,
 }
 
@@ -222,16 +229,18 @@ impl<T: Task> TaskSetup<T> {
     /// `options` are checked here.
     pub fn new(options: TaskOptions<T::Options>, check_keyword: CheckKeyword) -> Result<Self> {
         options.check_all("")?;
-        let Motors { stall_torque, no_load_speed, torque_time } = options.hardware.actuator;
-        let model = T::model(&options.task)?.with_motors(stall_torque, no_load_speed, torque_time);
+        let files = HardwareFiles::new(&options.hardware)?;
+        let motors = sensors::motors(options.hardware.actuator, &files.values());
+        let model = T::model(&options.task)?.with_motors(&motors.into())?;
         Self::with(options, Arc::new(model), check_keyword)
     }
 
     fn with(options: TaskOptions<T::Options>, model: Arc<Model>, check_keyword: CheckKeyword) -> Result<Self> {
         let task = Arc::new(T::new(&Setup { options: &options.task, model: &model })?);
         let mut spec = task.spec().clone();
-        let sensing = Plan::new(&options.hardware, &model, &mut spec)?;
-        Ok(Self { check_keyword, task, options, model, spec, sensing })
+        let hardware = HardwareFiles::new(&options.hardware)?;
+        let sensing = Plan::new(&options.hardware, &hardware, &model, &mut spec)?;
+        Ok(Self { check_keyword, task, options, model, spec, hardware, sensing })
     }
 
     fn setup(&self) -> Setup<'_, T::Options> {
@@ -280,8 +289,24 @@ impl<T: Task> AnyTask for TaskSetup<T> {
         self.sensing.as_ref()
     }
 
+    fn equip(&self, goal: &mut Goal, seed: u64, number: u64) {
+        if !self.hardware.is_random() {
+            return;
+        }
+        let motors = sensors::motors(self.options.hardware.actuator, &self.hardware.of_episode(seed, number));
+        let model = goal.model.as_ref().unwrap_or(&self.model);
+        // The ends of the intervals were checked, so the values between them are possible.
+        if let Ok(model) = Model::clone(model).with_motors(&motors.into()) {
+            goal.model = Some(Arc::new(model));
+        }
+    }
+
+    fn draws_motors(&self) -> bool {
+        self.hardware.is_random()
+    }
+
     fn action_delay(&self) -> [f64; 2] {
-        self.options.hardware.action_delay
+        self.hardware.action_delay(self.options.hardware.action_delay)
     }
 
     fn most_obstacles(&self) -> usize {
@@ -289,7 +314,11 @@ impl<T: Task> AnyTask for TaskSetup<T> {
     }
 
     fn resume(&self, goal: &mut Goal) -> std::result::Result<(), String> {
-        T::resume(&self.setup(), goal)
+        match T::resume(&self.setup(), goal) {
+            // The model of a task that draws none is the session's with drawn motors, which `equip` makes again.
+            Err(_) if self.hardware.is_random() && goal.model.take().is_some() => T::resume(&self.setup(), goal),
+            result => result,
+        }
     }
 
     fn command_ranges(&self) -> Option<[[f64; 2]; 3]> {

@@ -1,4 +1,4 @@
-//! What a motor can do, for all engines: its torque–speed line, and the time that its torque needs.
+//! What a motor and its gear can do, for all engines.
 //!
 //! The torque in the direction of motion is at most
 //!
@@ -8,26 +8,102 @@
 //!
 //! with the stall torque and the no-load speed of a DC motor behind its gear, at the joint (the same as Isaac Lab's
 //! `DCMotor`, whose saturation effort is the stall torque). The servo's torque is tracked with a first-order lag:
-//! τ ← τ_old + (τ_servo − τ_old) dt/(T + dt), the backward Euler step of T dτ/dt = τ_servo − τ.
+//! τ ← τ_old + (k τ_servo − τ_old) dt/(T + dt), the backward Euler step of T dτ/dt = k τ_servo − τ, in which k is the motor's torque constant
+//! divided by the one that the drive reckons with.
+//!
+//! The gear takes the torque (F + (1 − η) |τ_old|) sign ω + B ω away: dry friction F, dry friction in proportion to the torque that the
+//! gear carries, which is what an efficiency η of less than 1 means in both directions, and viscous friction B. It is implicit in the speed
+//! at the step's end, as the friction of joints in [`super::tree`], so it takes energy at any acceleration. The rotor's inertia adds to the
+//! joint's.
+//!
+//! **Limits.** Servos are implicit in the acceleration, so a torque is known after all accelerations are. An engine first solves with each
+//! motor's torque limited at the acceleration that its joint would have with the link before it held still. For motors whose stall torque is
+//! known, it then compares each torque with the line at the speeds before and after the step, and solves again until none is beyond
+//! ([`Limits`]): each pass puts a torque that is beyond on the lower of the two lines (Newton's method for piecewise linear functions), which
+//! usually ends after one. A torque that is still beyond after [`NEWTON`] passes is 0 in this step. Without a known stall torque one
+//! solution is made, and a torque may be beyond its constant limit by the part that the acceleration of the link before adds (about 1 %).
 
 use super::stop::{NO_LIMIT, StopTorque};
+use crate::error::{Error, Result};
 use crate::number::Real;
+use serde::{Deserialize, Serialize};
 
 /// Stall torque as a multiple of the torque limit where it is not known: our choice, so that the full torque is available up to half of
 /// the no-load speed.
 const STALL: f64 = 2.0;
 
-/// The motor of a joint. None: no limit; for `stall_torque`, twice the torque limit.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+/// Speed at which dry friction has its full size [rad/s]; a joint creeps more slowly under a smaller load. Our choice, because even at this
+/// rate a joint turns by only 0.06° in a second.
+pub const CREEP: f64 = 1e-3;
+
+/// Passes after which a torque that is still beyond its limits becomes 0: our choice; three pieces of a line are found in three.
+pub const NEWTON: usize = 6;
+/// Rounding that does not count as beyond the limits, as shares of the smallest limit and of the stall torque: some 100 and 10 units of the
+/// last place of `f32`. The reported torque is cut to the limits.
+const ROUNDING: [f64; 2] = [1e-5, 1e-6];
+
+/// The motor of a joint and its gear. None: not known.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
 pub struct Actuator {
-    /// [N·m]
+    /// [N·m]; None: no limit.
     pub torque_limit: Option<f64>,
-    /// [N·m]
+    /// [N·m]; None: twice the torque limit.
     pub stall_torque: Option<f64>,
-    /// [rad/s]
+    /// [rad/s]; None: no limit.
     pub no_load_speed: Option<f64>,
-    /// T [s]
-    pub time_constant: f64,
+    /// T [s]; None: 0.
+    pub torque_time: Option<f64>,
+    /// k; None: 1.
+    pub torque_constant: Option<f64>,
+    /// F [N·m]; None: that of the joint.
+    pub friction: Option<f64>,
+    /// B [N·m·s/rad]; None: that of the joint.
+    pub damping: Option<f64>,
+    /// η; None: 1.
+    pub efficiency: Option<f64>,
+    /// At the joint, in addition to the joint's own [kg·m²]; None: 0.
+    pub rotor_inertia: Option<f64>,
+}
+
+impl Actuator {
+    /// These properties, and those of `other` where they are not known.
+    pub fn over(&self, other: &Self) -> Result<Self> {
+        let mut all = Self {
+            torque_limit: self.torque_limit.or(other.torque_limit),
+            stall_torque: self.stall_torque.or(other.stall_torque),
+            no_load_speed: self.no_load_speed.or(other.no_load_speed),
+            torque_time: self.torque_time.or(other.torque_time),
+            torque_constant: self.torque_constant.or(other.torque_constant),
+            friction: self.friction.or(other.friction),
+            damping: self.damping.or(other.damping),
+            efficiency: self.efficiency.or(other.efficiency),
+            rotor_inertia: self.rotor_inertia.or(other.rotor_inertia),
+        };
+        if self.no_load_speed.is_some() && all.stall_torque.is_none() {
+            let limit = all.torque_limit.filter(|limit| *limit < NO_LIMIT);
+            let unknown = || Error::invalid("actuator.no_load_speed", "it needs a stall_torque or a torque limit");
+            all.stall_torque = Some(STALL * limit.ok_or_else(unknown)?);
+        }
+        Ok(all)
+    }
+
+    fn numbers(&self) -> [f64; 10] {
+        let limit = self.torque_limit.unwrap_or(NO_LIMIT);
+        let zero = |x: Option<f64>| x.unwrap_or(0.0);
+        [
+            limit,
+            self.stall_torque.unwrap_or(STALL * limit),
+            self.no_load_speed.unwrap_or(NO_LIMIT),
+            zero(self.torque_time),
+            self.torque_constant.unwrap_or(1.0),
+            zero(self.friction),
+            zero(self.damping),
+            1.0 - self.efficiency.unwrap_or(1.0),
+            zero(self.rotor_inertia),
+            f64::from(u8::from(self.stall_torque.is_some())),
+        ]
+    }
 }
 
 /// The motors of a joint, one lane each.
@@ -36,26 +112,56 @@ pub struct LaneActuator<R> {
     torque_limit: R,
     stall_torque: R,
     no_load_speed: R,
-    time_constant: R,
-}
-
-impl Actuator {
-    fn numbers(&self) -> [f64; 4] {
-        let limit = self.torque_limit.unwrap_or(NO_LIMIT);
-        let stall = self.stall_torque.unwrap_or(STALL * limit);
-        [limit, stall, self.no_load_speed.unwrap_or(NO_LIMIT), self.time_constant]
-    }
+    torque_time: R,
+    torque_constant: R,
+    friction: R,
+    damping: R,
+    /// 1 − η
+    loss: R,
+    rotor_inertia: R,
+    /// 1 where the stall torque is known, else 0.
+    has_line: R,
 }
 
 impl<R: Real> LaneActuator<R> {
     pub fn splat(actuator: &Actuator) -> Self {
-        let [torque_limit, stall_torque, no_load_speed, time_constant] = actuator.numbers().map(R::splat);
-        Self { torque_limit, stall_torque, no_load_speed, time_constant }
+        let zero = R::zero();
+        let mut all = Self {
+            torque_limit: zero,
+            stall_torque: zero,
+            no_load_speed: zero,
+            torque_time: zero,
+            torque_constant: zero,
+            friction: zero,
+            damping: zero,
+            loss: zero,
+            rotor_inertia: zero,
+            has_line: zero,
+        };
+        (0..R::LANES).for_each(|lane| all.set_lane(lane, actuator));
+        all
     }
 
     pub fn set_lane(&mut self, lane: usize, actuator: &Actuator) {
-        let all = [&mut self.torque_limit, &mut self.stall_torque, &mut self.no_load_speed, &mut self.time_constant];
+        let all = [
+            &mut self.torque_limit,
+            &mut self.stall_torque,
+            &mut self.no_load_speed,
+            &mut self.torque_time,
+            &mut self.torque_constant,
+            &mut self.friction,
+            &mut self.damping,
+            &mut self.loss,
+            &mut self.rotor_inertia,
+            &mut self.has_line,
+        ];
         all.into_iter().zip(actuator.numbers()).for_each(|(out, x)| out.set_lane(lane, x));
+    }
+
+    /// Is a stall torque known in any lane?
+    #[inline(always)]
+    pub fn has_lines(&self) -> bool {
+        R::any(R::zero().lt(self.has_line))
     }
 
     /// Least and greatest torque at the joint's rate.
@@ -69,103 +175,140 @@ impl<R: Real> LaneActuator<R> {
     /// The torque that follows the servo's `push` in this step, if it was `before` in the last one.
     #[inline(always)]
     pub fn track(&self, push: StopTorque<R>, before: R, dt: R) -> StopTorque<R> {
-        let share = dt / (self.time_constant + dt);
+        let share = dt / (self.torque_time + dt);
+        let push =
+            StopTorque { torque: push.torque * self.torque_constant, yielding: push.yielding * self.torque_constant };
         let torque = (push.torque - before).mul_add(share, before);
         // Exactly the servo's without a lag.
         let free = R::one().lt(share + R::splat(f64::from(f32::EPSILON)));
         StopTorque { torque: R::select(free, push.torque, torque), yielding: push.yielding * share }
     }
+
+    /// Friction of the gear and inertia of the rotor, if the motor's torque was `before` in the last step.
+    #[inline(always)]
+    pub fn gear(&self, rate: R, before: R, dt: R) -> StopTorque<R> {
+        let slows = self.slows(rate, before);
+        StopTorque { torque: -(slows * rate), yielding: slows.mul_add(dt, self.rotor_inertia) }
+    }
+
+    /// Friction of the gear for each unit of speed.
+    #[inline(always)]
+    pub fn slows(&self, rate: R, before: R) -> R {
+        let dry = self.loss.mul_add(before.abs(), self.friction);
+        dry / rate.abs().max(R::splat(CREEP)) + self.damping
+    }
+
+    /// `servo` within the limits, if the joint accelerates by `acceleration`.
+    #[inline(always)]
+    pub fn limited(&self, servo: StopTorque<R>, rate: R, acceleration: R, dt: R) -> StopTorque<R> {
+        let [low, high] = self.limits(rate);
+        let flat = servo.within(low, high, acceleration);
+        if !self.has_lines() {
+            return flat;
+        }
+        let [lower, upper] = self.bounds(rate, acceleration, dt);
+        let torque = servo.at(acceleration);
+        let piece = StopTorque::select(upper.at(acceleration).lt(torque), upper, servo);
+        let piece = StopTorque::select(torque.lt(lower.at(acceleration)), lower, piece);
+        StopTorque::select(R::zero().lt(self.has_line), piece, flat)
+    }
+
+    /// The least and the greatest torque for the speeds before and after the step, near `acceleration`.
+    #[inline(always)]
+    fn bounds(&self, rate: R, acceleration: R, dt: R) -> [StopTorque<R>; 2] {
+        let [low, high] = self.limits(rate);
+        let slope = self.stall_torque / self.no_load_speed;
+        let most = |rate: R, acceleration: R, now: R| {
+            let line = StopTorque { torque: self.stall_torque - slope * rate, yielding: slope * dt };
+            let after = line.at(acceleration);
+            let constant = StopTorque { torque: after.clamp(R::zero(), now), yielding: R::zero() };
+            StopTorque::select(after.lt(now), StopTorque::select(R::zero().lt(after), line, constant), constant)
+        };
+        let lower = most(-rate, -acceleration, -low);
+        [StopTorque { torque: -lower.torque, yielding: lower.yielding }, most(rate, acceleration, high)]
+    }
+
+    /// By how much `torque` is beyond the limits of a motor whose stall torque is known; not above 0: it is within.
+    #[inline(always)]
+    pub fn beyond(&self, torque: R, rate: R, acceleration: R, dt: R) -> R {
+        let [lower, upper] = self.bounds(rate, acceleration, dt).map(|bound| bound.at(acceleration));
+        let [share, of_stall] = ROUNDING.map(R::splat);
+        let rounding = self.torque_limit.min(self.stall_torque).mul_add(share, self.stall_torque * of_stall);
+        ((torque - upper).max(lower - torque) - rounding) * self.has_line
+    }
+
+    /// The torque to report: `flat`, or `torque` without rounding beyond the limits where the stall torque is known.
+    #[inline(always)]
+    pub fn reported(&self, flat: R, torque: R, rate: R, acceleration: R, dt: R) -> R {
+        if !self.has_lines() {
+            return flat;
+        }
+        let [lower, upper] = self.bounds(rate, acceleration, dt).map(|bound| bound.at(acceleration));
+        R::select(R::zero().lt(self.has_line), torque.clamp(lower, upper), flat)
+    }
+}
+
+/// A motor's torque in the passes of one step.
+#[derive(Clone, Copy)]
+pub struct Limits<R> {
+    /// The servo's, without limits.
+    servo: StopTorque<R>,
+    /// What the last pass solved with.
+    pub push: StopTorque<R>,
+    /// 1 in lanes where `push` is what the next pass solves with.
+    held: R,
+}
+
+impl<R: Real> Limits<R> {
+    pub fn none() -> Self {
+        Self { servo: StopTorque::none(), push: StopTorque::none(), held: R::zero() }
+    }
+
+    /// Before the first pass.
+    #[inline(always)]
+    pub fn begin(&mut self) {
+        self.held = R::zero();
+    }
+
+    /// The motor's push in this pass; `push` is that of a first one.
+    #[inline(always)]
+    pub fn pass(&mut self, servo: StopTorque<R>, push: StopTorque<R>) -> StopTorque<R> {
+        self.servo = servo;
+        self.push = StopTorque::select(R::zero().lt(self.held), self.push, push);
+        self.push
+    }
+}
+
+/// Prepares the next pass after pass number `pass` of motors with `limits`, if a torque is beyond them: joint `i` has
+/// `joint(i)`: actuator, rate before the step and acceleration. Returns false if no torque is. All motors of a robot go on with the pieces of
+/// their lines at these accelerations; other robots of the block keep theirs.
+#[inline(always)]
+pub fn again<'a, R: Real>(
+    limits: &mut [Limits<R>],
+    joint: impl Fn(usize) -> (&'a LaneActuator<R>, R, R),
+    dt: R,
+    pass: usize,
+) -> bool {
+    let zero = R::zero();
+    let beyond = |i: usize, limits: &Limits<R>| {
+        let (actuator, rate, acceleration) = joint(i);
+        actuator.beyond(limits.push.at(acceleration), rate, acceleration, dt)
+    };
+    let worst = limits.iter().enumerate().fold(zero, |worst, (i, own)| worst.max(beyond(i, own)));
+    if !R::any(zero.lt(worst)) {
+        return false;
+    }
+    for (i, own) in limits.iter_mut().enumerate() {
+        let (actuator, rate, acceleration) = joint(i);
+        let next = match pass < NEWTON {
+            true => actuator.limited(own.servo, rate, acceleration, dt),
+            false => StopTorque::select(zero.lt(beyond(i, own)), StopTorque::none(), own.push),
+        };
+        own.push = StopTorque::select(zero.lt(worst), next, own.push);
+        own.held = R::select(zero.lt(worst), R::one(), own.held);
+    }
+    true
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn torque_falls_along_the_line() {
-        let motor = Actuator {
-            torque_limit: Some(10.0),
-            stall_torque: Some(15.0),
-            no_load_speed: Some(30.0),
-            time_constant: 0.0,
-        };
-        let motor = LaneActuator::<f64>::splat(&motor);
-        for (rate, low, high) in [
-            (0.0, -10.0, 10.0),
-            (10.0, -10.0, 10.0),
-            (20.0, -10.0, 5.0),
-            (30.0, -10.0, 0.0),
-            (40.0, -10.0, 0.0),
-            (-20.0, -5.0, 10.0),
-        ] {
-            let [least, most] = motor.limits(rate);
-            assert!((least - low).abs() < 1e-12 && (most - high).abs() < 1e-12, "{rate}: {least} {most}");
-        }
-        let ideal = LaneActuator::<f32>::splat(&Actuator { torque_limit: Some(0.05), ..Actuator::default() });
-        assert_eq!(ideal.limits(40.0), [-0.05_f32, 0.05]);
-    }
-
-    #[test]
-    fn a_lag_follows_the_servo() {
-        let push = StopTorque { torque: 2.0, yielding: 0.5 };
-        let at_once = LaneActuator::<f64>::splat(&Actuator::default()).track(push, 1.0, 1e-3);
-        assert_eq!((at_once.torque, at_once.yielding), (2.0, 0.5));
-        let slow = LaneActuator::<f64>::splat(&Actuator { time_constant: 0.02, ..Actuator::default() });
-        let mut torque = 0.0;
-        for _ in 0..20 {
-            torque = slow.track(push, torque, 1e-3).torque;
-        }
-        assert!((torque / 2.0 - (1.0 - (-1.0_f64).exp())).abs() < 0.02, "{torque}");
-    }
-
-    /// Motors of many strengths drive a hexapod to random speeds. A torque is never beyond its motor's line. Whether a motor is at
-    /// its limit is decided with the link before it held still, so a torque may be beyond by the part that this link's
-    /// acceleration adds: the test's tolerance.
-    #[test]
-    fn no_torque_is_beyond_its_line() {
-        use crate::engine::{Command, Engine, EngineKind};
-        use crate::sand::Medium;
-        use crate::{Model, Robot, State, model::Scene};
-        let scene = Scene::flat(Medium::named("poppy-loose").unwrap());
-        let robot = Robot::load("xplorer").unwrap();
-        let mut state = 1_u64;
-        let mut draw = |low: f64, high: f64| {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            low + (high - low) * ((state >> 11) as f64 / (1_u64 << 53) as f64)
-        };
-        for kind in [EngineKind::Lanes, EngineKind::Rapier] {
-            let mut worst = 0.0_f64;
-            for round in 0..12 {
-                let mut robot = robot.clone();
-                let limit = draw(0.005, 0.1);
-                robot.servo.torque_limit = Some(limit);
-                robot.servo.anti_windup = true;
-                let (stall, free) = (draw(1.0, 2.0) * limit, draw(3.0, 40.0));
-                let scene = Scene { dt: kind.default_dt(), ..scene.clone() };
-                let lag = if round % 2 == 0 { 0.0 } else { draw(0.0, 0.02) };
-                let model = Model::new(&robot, &scene).unwrap().with_motors(Some(stall), Some(free), lag);
-                let line = LaneActuator::<f64>::splat(&model.motor.actuator);
-                let mut engine = Engine::new(kind, &model, 1).unwrap();
-                let angles = model.tripod_angles();
-                let mut now = State::at_rest(model.standing_height(&angles), &angles);
-                engine.set_state(0, &now);
-                for step in 0..400 {
-                    if step % 40 == 0 {
-                        let rates = (0..6).map(|_| draw(-60.0, 60.0)).collect();
-                        engine.command(0, &Command { rates, torques: vec![0.0; 6], targets: vec![] });
-                    }
-                    let before = now.clone();
-                    engine.advance(1);
-                    engine.state(0, &mut now);
-                    assert!(now.is_sound());
-                    for (torque, rate) in now.torques.iter().zip(&before.rates) {
-                        let [low, high] = line.limits(*rate);
-                        worst = worst.max((torque - high).max(low - torque) / limit);
-                    }
-                }
-            }
-            println!("{}: beyond the line by at most {worst:.4} of the torque limit", kind.name());
-            assert!(worst < 0.05, "{}: {worst}", kind.name());
-        }
-    }
-}
+mod tests;

@@ -60,9 +60,16 @@ impl CarriageEngine {
 
     /// See [`super::engine::Engine::advance`].
     pub fn advance(&mut self, steps: usize) {
+        self.advance_in_parts(steps, true);
+    }
+
+    /// See [`super::engine::Engine::advance_in_parts`].
+    pub fn advance_in_parts(&mut self, steps: usize, ends: bool) {
         for carriage in &mut self.carriages {
             (0..steps).for_each(|_| carriage.step());
-            fold_turns(&mut carriage.state);
+            if ends {
+                fold_turns(&mut carriage.state);
+            }
         }
     }
 }

@@ -147,11 +147,25 @@ impl Engine {
 
     /// Advances every robot by `steps` time steps, with denormal numbers counted as zero: see [`flushed`].
     pub fn advance(&mut self, steps: usize) {
+        self.advance_in_parts(steps, true);
+    }
+
+    /// The same in parts, of which the last one `ends` it: parts do not change bits, except in engine `rapier` with obstacles.
+    pub fn advance_in_parts(&mut self, steps: usize, ends: bool) {
         flushed(|| match self {
-            Self::Lanes(e) => e.advance(steps),
+            Self::Lanes(e) => e.advance_in_parts(steps, ends),
             Self::Rapier(e) => e.advance(steps),
-            Self::Tree(e) => e.advance(steps),
-            Self::Carriage(e) => e.advance(steps),
+            Self::Tree(e) => e.advance_in_parts(steps, ends),
+            Self::Carriage(e) => e.advance_in_parts(steps, ends),
         });
+    }
+
+    /// Fills `out` with the sand's force on each leg of robot `index` along the surface's normal in the last time step [N]. Empty: the engine
+    /// does not keep it, and [`super::pose::Pose`] computes it.
+    pub fn supports(&self, index: usize, out: &mut Vec<f64>) {
+        match self {
+            Self::Lanes(e) => e.supports(index, out),
+            Self::Rapier(_) | Self::Tree(_) | Self::Carriage(_) => out.clear(),
+        }
     }
 }

@@ -12,7 +12,8 @@
 //! * [`frame`]: positions, velocities and velocity-product accelerations of the bodies.
 //! * `memory`: memory of models and robots, for limits.
 //! * [`pose`]: places of the bodies and forces of the ground at one moment.
-//! * [`actuator`]: the motor of a joint.
+//! * [`actuator`]: what a motor and its gear can do; [`motor`]: servo and motor of a robot.
+//! * [`hardware`]: what is known of a robot's motors, sensors and delays, as a file.
 //! * [`engine`]: the one interface to all engines.
 //! * [`spatial`]: spatial algebra for `lanes` and `tree`; `stop`: the ends of a joint's range.
 //! * [`lanes`]: the fast engine, articulated bodies over SIMD lanes of robots.
@@ -32,10 +33,12 @@ pub mod command;
 pub mod engine;
 pub mod feet;
 pub mod frame;
+pub mod hardware;
 mod hull;
 pub mod lanes;
 mod memory;
 pub mod model;
+pub mod motor;
 pub mod obstacle;
 pub mod overlap;
 pub mod pose;

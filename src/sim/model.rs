@@ -1,8 +1,9 @@
 //! Robot, sand and options as numbers for an engine. Immutable; randomization makes a new model.
 
 use super::actuator::Actuator;
+use super::motor::Motor;
 use super::obstacle::{self, Obstacle};
-use super::robot::{Link, Robot, Servo, Tripod};
+use super::robot::{Link, Robot, Tripod};
 use super::solid::Solid;
 use super::state::{ObjectState, State};
 use super::tree::relief::Relief;
@@ -11,7 +12,6 @@ use crate::error::{Error, Result, check_range};
 use crate::number::Real;
 use crate::sand::memory::{MemorySettings, Moved, REPOSE_DEG};
 use crate::sand::{Law, LegShape, Mechanisms, Medium, Regularization, SandBed, SandDescription, Segment};
-use crate::stop::NO_LIMIT;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -196,45 +196,6 @@ pub struct LinkBody {
     pub reach: V,
 }
 
-/// The servo at every joint. A missing limit is `f64::MAX` of the engine's precision.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Motor {
-    /// [N·m/rad]
-    pub kp: f64,
-    /// [N·m·s/rad]
-    pub kd: f64,
-    pub actuator: Actuator,
-    /// [rad/s]
-    pub speed_limit: f64,
-    /// Largest distance of the reference from the joint's angle [rad]. With `anti_windup` it is torque_limit/kp, where
-    /// the position gain alone demands the full torque. A larger lag would not increase the torque; it would only keep
-    /// the torque after the command has changed (integrator windup; clamping is the usual remedy: Åström & Murray,
-    /// Feedback Systems, 2008, section 10.4).
-    pub lag_limit: f64,
-}
-
-impl Motor {
-    fn new(servo: &Servo, mechanisms: &Mechanisms) -> Self {
-        let own = servo.torque_limit.unwrap_or(NO_LIMIT);
-        // The torque limit of a weak motor, if that is lower.
-        let weak = mechanisms.motor_torque_limit;
-        let torque_limit = if weak > 0.0 { own.min(weak) } else { own };
-        let lag_limit = if servo.anti_windup && servo.kp > 0.0 { torque_limit / servo.kp } else { NO_LIMIT };
-        Self {
-            kp: servo.kp,
-            kd: servo.kd,
-            actuator: Actuator {
-                torque_limit: Some(torque_limit),
-                stall_torque: servo.stall_torque,
-                no_load_speed: servo.no_load_speed,
-                time_constant: servo.torque_time,
-            },
-            speed_limit: servo.speed_limit.unwrap_or(NO_LIMIT),
-            lag_limit: lag_limit.min(NO_LIMIT),
-        }
-    }
-}
-
 /// All data that an engine needs and does not change.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Model {
@@ -400,19 +361,27 @@ impl Model {
         self.gravity = gravity(&self.scene);
     }
 
-    /// Gives all motors this torque–speed line and lag, where they are given.
-    pub fn with_motors(mut self, stall_torque: Option<f64>, no_load_speed: Option<f64>, torque_time: f64) -> Self {
-        let servo = &mut self.robot.servo;
-        servo.stall_torque = stall_torque.or(servo.stall_torque);
-        servo.no_load_speed = no_load_speed.or(servo.no_load_speed);
-        servo.torque_time = servo.torque_time.max(torque_time);
-        self.motor = Motor::new(servo, &self.scene.mechanisms);
-        for motor in self.tree.iter_mut().flat_map(|tree| &mut Arc::make_mut(tree).motors) {
-            motor.stall_torque = stall_torque.or(motor.stall_torque);
-            motor.speed_limit = no_load_speed.or(motor.speed_limit);
-            motor.time_constant = motor.time_constant.max(torque_time);
+    /// The same model with these properties of all motors, where they are known.
+    ///
+    /// # Errors
+    /// A no-load speed needs a stall torque or a torque limit.
+    pub fn with_motors(mut self, motors: &Actuator) -> Result<Self> {
+        if *motors == Actuator::default() {
+            return Ok(self);
         }
-        self
+        match &mut self.tree {
+            Some(tree) => {
+                for motor in &mut Arc::make_mut(tree).motors {
+                    motor.actuator = motors.over(&motor.actuator)?;
+                }
+            }
+            None => {
+                let servo = &mut self.robot.servo;
+                servo.set_actuator(&motors.over(&servo.actuator())?);
+                self.motor = Motor::new(servo, &self.scene.mechanisms);
+            }
+        }
+        Ok(self)
     }
 
     /// Limits the motors' torque to `share`, at most 1, of the servos' torque limit.

@@ -1,5 +1,6 @@
 //! A robot as its user describes it in a TOML file. Unknown keys are refused.
 
+use super::actuator::Actuator;
 use crate::error::{Error, Result, check_range};
 use crate::sand::LegShape;
 use serde::{Deserialize, Serialize};
@@ -97,21 +98,67 @@ pub struct Servo {
     /// Largest speed that can be commanded [rad/s]; no limit if not given.
     #[serde(default)]
     pub speed_limit: Option<f64>,
-    /// Is the reference held back while the motor is at its limit? See [`super::model::Motor::lag_limit`].
+    /// Is the reference held back while the motor is at its limit? See [`super::motor::Motor::lag_limit`].
     #[serde(default)]
     pub anti_windup: bool,
-    /// Torque at standstill and speed without a load of the motor behind its gear [N·m, rad/s]; see [`super::actuator`].
+    /// The motor behind its gear: see [`Actuator`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stall_torque: Option<f64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub no_load_speed: Option<f64>,
-    /// Time that the torque needs to follow the servo [s].
-    #[serde(default, skip_serializing_if = "is_zero")]
-    pub torque_time: f64,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub torque_time: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub torque_constant: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub friction: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub damping: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub efficiency: Option<f64>,
+    /// In addition to the links' `armature`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rotor_inertia: Option<f64>,
 }
 
-fn is_zero(x: &f64) -> bool {
-    *x == 0.0
+impl Servo {
+    /// The motors of all joints.
+    pub fn actuator(&self) -> Actuator {
+        let Self { torque_limit, stall_torque, no_load_speed, torque_time, .. } = *self;
+        let Self { torque_constant, friction, damping, efficiency, rotor_inertia, .. } = *self;
+        Actuator {
+            torque_limit,
+            stall_torque,
+            no_load_speed,
+            torque_time,
+            torque_constant,
+            friction,
+            damping,
+            efficiency,
+            rotor_inertia,
+        }
+    }
+
+    pub fn set_actuator(&mut self, actuator: &Actuator) {
+        let Actuator { torque_limit, stall_torque, no_load_speed, torque_time, .. } = *actuator;
+        let Actuator { torque_constant, friction, damping, efficiency, rotor_inertia, .. } = *actuator;
+        let Self { kp, kd, speed_limit, anti_windup, .. } = *self;
+        *self = Self {
+            kp,
+            kd,
+            torque_limit,
+            speed_limit,
+            anti_windup,
+            stall_torque,
+            no_load_speed,
+            torque_time,
+            torque_constant,
+            friction,
+            damping,
+            efficiency,
+            rotor_inertia,
+        };
+    }
 }
 
 /// The mounting of a leg.
@@ -236,7 +283,16 @@ impl Robot {
         check_range("servo.torque_limit", self.servo.torque_limit.unwrap_or(1.0), 1e-6..=1e4)?;
         check_range("servo.stall_torque", self.servo.stall_torque.unwrap_or(1.0), 1e-6..=1e5)?;
         check_range("servo.no_load_speed", self.servo.no_load_speed.unwrap_or(1.0), 1e-3..=1e4)?;
-        check_range("servo.torque_time", self.servo.torque_time, 0.0..=10.0)?;
+        for (name, value, most) in [
+            ("torque_time", self.servo.torque_time, 10.0),
+            ("friction", self.servo.friction, 1e4),
+            ("damping", self.servo.damping, 1e4),
+            ("rotor_inertia", self.servo.rotor_inertia, 1e3),
+        ] {
+            check_range(&format!("servo.{name}"), value.unwrap_or(0.0), 0.0..=most)?;
+        }
+        check_range("servo.torque_constant", self.servo.torque_constant.unwrap_or(1.0), 0.01..=100.0)?;
+        check_range("servo.efficiency", self.servo.efficiency.unwrap_or(1.0), 0.01..=1.0)?;
         check_range("servo.speed_limit", self.servo.speed_limit.unwrap_or(1.0), 1e-3..=1e4)?;
         if !matches!(self.leg.link.len(), 1..=3) {
             return Err(Error::invalid(

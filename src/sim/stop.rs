@@ -33,6 +33,11 @@ impl<R: Real> StopTorque<R> {
     }
 
     #[inline(always)]
+    pub fn select(mask: R::Mask, yes: Self, no: Self) -> Self {
+        Self { torque: R::select(mask, yes.torque, no.torque), yielding: R::select(mask, yes.yielding, no.yielding) }
+    }
+
+    #[inline(always)]
     pub fn plus(self, o: Self) -> Self {
         Self { torque: self.torque + o.torque, yielding: self.yielding + o.yielding }
     }

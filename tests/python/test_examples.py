@@ -67,6 +67,14 @@ def load_policy(path: Path) -> dict[str, torch.Tensor]:
     return weights
 
 
+def test_the_proof_of_hardware_compares_trainings(tmp_path: Path) -> None:
+    short = ["--tasks", "HexapodGait", "--seeds", "1", "--steps", "20000", "--episodes", "2", "--out", str(tmp_path)]
+    first = run("examples/hardware_proof.py", *short)
+    assert "| HexapodGait | exact |" in first
+    assert "| HexapodGait | randomised |" in first
+    assert run("examples/hardware_proof.py", *short) == first, "finished trainings are taken as they are"
+
+
 def test_sac_trains_and_goes_on_with_its_buffer(tmp_path: Path) -> None:
     sac = ["--algorithm", "sac", "--envs", "8", "--set", "learning_starts=200", "--out", str(tmp_path)]
     options = ["--options", json.dumps({"max_episode_steps": 50}), "--checkpoint-every", "400"]

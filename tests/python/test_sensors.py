@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -25,9 +26,10 @@ OPTIONS: dict[str, Any] = {"sensors": SENSORS, "history": 2, "privileged": True,
 def run(envs: Any, steps: int = 40) -> list[Any]:
     rows, infos = envs.reset(seed=3)
     found = [(rows, infos["privileged"])]
+    shape = envs.action_space.shape
     for time in range(steps):
-        actions = np.sin(np.arange(envs.action_space.shape[-1]) + 0.3 * time).astype(np.float32)
-        rows, _, _, _, infos = envs.step(np.broadcast_to(actions, envs.action_space.shape))
+        actions = np.sin(np.arange(shape[-1]) + 0.3 * time).astype(np.float32)
+        rows, _, _, _, infos = envs.step(np.broadcast_to(actions, shape))
         found.append((rows, infos["privileged"]))
     return found
 
@@ -81,6 +83,70 @@ def test_an_episode_that_ends_keeps_its_last_exact_values() -> None:
     assert truncated.all()
     np.testing.assert_array_equal(infos["final_info"]["privileged"][0], infos["final_obs"][0])
     envs.close()
+
+
+def test_the_first_observation_after_an_end_has_its_exact_values() -> None:
+    for mode in AutoresetMode:
+        envs = sandgait.SandgaitVectorEnv(ID, 3, max_episode_steps=4, privileged=True, autoreset_mode=mode)
+        rows, infos = envs.reset(seed=0)
+        for _ in range(10):
+            np.testing.assert_array_equal(infos["privileged"], rows)
+            rows, _, terminated, truncated, infos = envs.step(envs.action_space.sample())
+            ended = terminated | truncated
+            if mode is AutoresetMode.DISABLED and ended.any():
+                np.testing.assert_array_equal(infos["privileged"], rows)
+                rows, infos = envs.reset(options={"reset_mask": ended})
+        envs.close()
+
+
+def test_exact_values_do_not_change_the_episodes_of_a_single_environment() -> None:
+    plain, told = gymnasium.make(ID, max_episode_steps=3), gymnasium.make(ID, max_episode_steps=3, privileged=True)
+    (first, _), (second, info) = plain.reset(seed=5), told.reset(seed=5)
+    for _ in range(3):
+        np.testing.assert_array_equal(first, second)
+        np.testing.assert_array_equal(info["privileged"], second)
+        for _ in range(3):
+            for env in (plain, told):
+                env.step(np.zeros_like(env.action_space.sample()))
+        (first, _), (second, info) = plain.reset(), told.reset()
+
+
+HARDWARE = """source = "a test"
+action_delay = { value = 0.02, interval = [0.0, 0.05] }
+
+[actuator]
+torque_limit = { value = 0.03, interval = [0.02, 0.04] }
+
+[sensors.gyroscope]
+delay = { value = 0.02, interval = [0.0, 0.05] }
+"""
+
+
+def test_a_hardware_file_is_an_option(remote: RemoteServer, tmp_path: Path) -> None:
+    file = tmp_path / "hardware.toml"
+    file.write_text(HARDWARE)
+    said = {
+        "action_delay": [0.02, 0.02],
+        "actuator": {"torque_limit": 0.03},
+        "sensors": {"gyroscope": {"delay": 0.02}},
+    }
+    kinds: list[dict[str, Any]] = [{"hardware": file}, said, {"domain_rand": {"hardware": str(file)}}]
+    found = []
+    for options in kinds:
+        local = sandgait.SandgaitVectorEnv(ID, 3, privileged=True, **options)
+        far = sandgait.SandgaitVectorEnv(ID, 3, privileged=True, address=remote.address, **options)
+        here, there = (np.stack([row for row, _ in run(envs)]) for envs in (local, far))
+        np.testing.assert_array_equal(here, there)
+        found.append(here)
+        local.close()
+        far.close()
+    np.testing.assert_array_equal(found[0], found[1])
+    assert (found[2] != found[0]).any()
+    with pytest.raises(sandgait.InvalidRequest, match=r"hardware: .*nowhere\.toml"):
+        sandgait.SandgaitVectorEnv(ID, 1, hardware="nowhere.toml")
+    file.write_text("[actuator]\npower = { value = 1.0, interval = [0.0, 2.0] }\n")
+    with pytest.raises(sandgait.InvalidRequest, match=r"actuator\.power"):
+        sandgait.SandgaitVectorEnv(ID, 1, hardware=file)
 
 
 @pytest.mark.parametrize(

@@ -200,9 +200,9 @@ pub fn study<'py>(
     match outcome {
         StudyResult::Table(made) => table(py, &made),
         StudyResult::Diagnosis(diagnosis) => {
-            let proto::Diagnosis { report_json, report_html, sand_toml, curves } = diagnosis;
+            let proto::Diagnosis { report_json, report_html, sand_toml, curves, hardware_toml } = diagnosis;
             let curves = table(py, &curves.unwrap_or_default())?;
-            Ok((report_json, report_html, sand_toml, curves).into_pyobject(py)?.into_any())
+            Ok((report_json, report_html, sand_toml, hardware_toml, curves).into_pyobject(py)?.into_any())
         }
     }
 }

@@ -8,7 +8,7 @@
 pub mod consistency;
 mod forecast;
 #[cfg(test)]
-mod generate;
+pub(super) mod generate;
 pub mod keys;
 pub mod log;
 mod measuring;

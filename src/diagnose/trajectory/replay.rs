@@ -101,7 +101,7 @@ impl Body {
                 let mut stiff = tree.as_ref().clone();
                 for motor in &mut stiff.motors {
                     (motor.kp, motor.kd) = (STIFFER * motor.kp, STIFFER * motor.kd);
-                    (motor.torque_limit, motor.speed_limit, motor.time_constant) = (None, None, 0.0);
+                    (motor.speed_limit, motor.actuator) = (None, Actuator::default());
                 }
                 Model::of_tree(stiff, scene)
             }

@@ -132,7 +132,7 @@ impl LeggedEpisode {
         for motor in &mut tree.motors {
             motor.kp *= self.motor_strength;
             motor.kd *= self.motor_strength;
-            for torque in [&mut motor.torque_limit, &mut motor.stall_torque].into_iter().flatten() {
+            for torque in [&mut motor.actuator.torque_limit, &mut motor.actuator.stall_torque].into_iter().flatten() {
                 *torque *= self.motor_strength;
             }
         }

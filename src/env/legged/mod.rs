@@ -114,7 +114,7 @@ pub fn joint_targets(model: &Model, action_scale: Option<f64>) -> Vec<JointTarge
         scale: scales[i],
         stiffness: tree.motors[i].kp,
         damping: tree.motors[i].kd,
-        torque_limit: tree.motors[i].torque_limit,
+        torque_limit: tree.motors[i].actuator.torque_limit,
     };
     driven.map(target).collect()
 }

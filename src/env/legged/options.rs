@@ -142,7 +142,7 @@ const SLIDING: f64 = 0.25;
 
 /// The offset of each joint's target at action 1 [rad or m].
 pub(super) fn action_scales(tree: &TreeModel, given: Option<f64>) -> Vec<f64> {
-    let scale = |(joint, motor): (&TreeJoint, &TreeMotor)| match (joint.kind, motor.torque_limit) {
+    let scale = |(joint, motor): (&TreeJoint, &TreeMotor)| match (joint.kind, motor.actuator.torque_limit) {
         (JointKind::Slide, _) => joint.range.map_or(SLIDING * tree.stance.leg_length, |[low, high]| (high - low) / 2.0),
         (_, Some(limit)) if motor.kp > 0.0 => (limit / motor.kp).clamp(SCALES[0], SCALES[1]),
         _ => SCALES[1],

@@ -25,7 +25,7 @@ pub use value::{Bounded, OptionValue, changed};
 
 use crate::error::{Error, Result};
 use crate::sensors::Hardware;
-use serde_json::{Map, Value};
+use serde_json::{Map, Value, json};
 
 /// One option of a task, or one key of an option that is a dictionary.
 #[derive(Clone, Debug, PartialEq)]
@@ -59,16 +59,52 @@ pub struct TaskOptions<O> {
     pub hardware: Hardware,
 }
 
+/// The option that some tasks have themselves; its key [`DRAWN`] is every task's.
+const DRAWS: &str = "domain_rand";
+const DRAWN: &str = "hardware";
+
+impl<O: Options> TaskOptions<O> {
+    /// Sets [`DRAWS`]: null draws nothing.
+    fn set_draws(&mut self, value: &Value) -> Result<bool> {
+        let mut of_task = value.clone();
+        let own = match &mut of_task {
+            Value::Object(keys) => keys.remove(DRAWN),
+            Value::Null => Some("".into()),
+            _ => None,
+        };
+        match self.task.get(DRAWS) {
+            Some(_) => drop(self.task.set(DRAWS, &of_task)?),
+            // The task has no keys besides; it names those that it does not know.
+            None if !value.is_null() => drop(self.hardware.set(DRAWS, &of_task)?),
+            None => (),
+        }
+        own.map_or(Ok(true), |own| self.hardware.set(DRAWS, &json!({ DRAWN: own })))
+    }
+}
+
 impl<O: Options> Options for TaskOptions<O> {
     fn rows() -> Vec<OptionRow> {
-        [O::rows(), Hardware::rows()].concat()
+        let (mut rows, mut own) = (O::rows(), Hardware::rows());
+        if let Some(draws) = rows.iter_mut().find(|row| row.name == DRAWS) {
+            own.iter().filter(|row| row.name == DRAWS).for_each(|row| draws.keys.extend(row.keys.clone()));
+            own.retain(|row| row.name != DRAWS);
+        }
+        rows.extend(own);
+        rows
     }
 
     fn get(&self, name: &str) -> Option<Value> {
-        self.task.get(name).or_else(|| self.hardware.get(name))
+        let mut value = self.task.get(name);
+        if let (DRAWS, Some(Value::Object(keys))) = (name, &mut value) {
+            keys.insert(DRAWN.into(), self.hardware.domain_rand.hardware.clone().into());
+        }
+        value.or_else(|| self.hardware.get(name))
     }
 
     fn set(&mut self, name: &str, value: &Value) -> Result<bool> {
+        if name == DRAWS {
+            return self.set_draws(value);
+        }
         Ok(self.task.set(name, value)? || self.hardware.set(name, value)?)
     }
 

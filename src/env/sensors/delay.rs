@@ -1,7 +1,7 @@
 //! The time from an action to the motors.
 
 use super::memory::shift;
-use super::plan::stream;
+use super::random::stream;
 use rand::Rng as _;
 
 /// Separates the draw of the delay from the sensors' draws, which count steps from 0.

@@ -1,6 +1,6 @@
 //! Columns of sensors that a task does not observe by itself.
 
-use super::{Sensor, Sensors};
+use super::{Seen, Sensor, Sensors};
 use crate::feature::Features;
 use crate::sim::pose::Pose;
 use crate::sim::{Model, State};
@@ -10,19 +10,19 @@ use std::cell::OnceCell;
 const SPECIFIC_FORCE: f64 = 1e3; // [m/s²]
 const TORQUE: f64 = 1e4; // [N·m]
 const FORCE: f64 = 1e6; // [N]
+/// Range of the range finder [m]: our choice, that of small lidars.
+const RANGE: f64 = 10.0;
 /// A foot's switch closes at this share of the robot's weight: that of a standing leg in pictures.
 const SWITCH: f64 = 0.02;
 
 /// A control step, for sensors.
 pub struct Moment<'a> {
-    pub model: &'a Model,
-    pub footing: &'a [f64],
+    seen: &'a Seen<'a>,
+    model: &'a Model,
     /// Equal to `after` at the beginning of an episode.
-    pub before: &'a State,
-    pub after: &'a State,
-    /// Duration [s].
-    pub period: f64,
-    pub imu_position: [f64; 3],
+    before: &'a State,
+    after: &'a State,
+    imu_position: [f64; 3],
     forces: OnceCell<Vec<f64>>,
 }
 
@@ -30,25 +30,32 @@ pub struct Moment<'a> {
 pub type Measure = fn(&Moment, usize) -> f64;
 
 impl<'a> Moment<'a> {
-    pub fn new(
-        model: &'a Model,
-        footing: &'a [f64],
-        [before, after]: [&'a State; 2],
-        period: f64,
-        imu_position: [f64; 3],
-    ) -> Self {
-        Self { model, footing, before, after, period, imu_position, forces: OnceCell::new() }
+    pub fn new(seen: &'a Seen<'a>, imu_position: [f64; 3]) -> Self {
+        let [before, after] = seen.states;
+        Self { seen, model: seen.model, before, after, imu_position, forces: OnceCell::new() }
     }
 
-    /// Force of the ground on each foot along the surface's normal [N], at the end of the step.
+    /// Force of the ground on each foot along the surface's normal [N]: in the last time step, or, if the engine does not keep it, at the
+    /// end of the control step.
     fn forces(&self) -> &[f64] {
+        if !self.seen.supports.is_empty() {
+            return self.seen.supports;
+        }
         self.forces.get_or_init(|| {
-            let pose = Pose::of(self.model, self.after, self.footing);
+            let pose = Pose::of(self.model, self.after, self.seen.footing);
             match &self.model.tree {
                 None => pose.leg_forces.iter().map(|force| force.z).collect(),
                 Some(tree) => tree.stance.feet.iter().map(|foot| pose.force_on(self.model, *foot).z).collect(),
             }
         })
+    }
+
+    /// Distance of the ground along the base's downward axis [m].
+    fn range(&self) -> f64 {
+        let [x, y, z] = self.after.position;
+        let down = self.after.rotation()[2][2];
+        let height = z - self.model.surface_height(x, y);
+        if down > height / RANGE { height / down } else { RANGE }
     }
 
     /// Acceleration of the accelerometer less that of gravity, body frame [m/s²]: from the change of its velocity in the
@@ -62,7 +69,7 @@ impl<'a> Moment<'a> {
             [0, 1, 2].map(|i| state.velocity[i] + around[i])
         };
         let (old, new, gravity) = (velocity(self.before), velocity(self.after), self.model.gravity);
-        self.after.to_body([0, 1, 2].map(|i| (new[i] - old[i]) / self.period - gravity[i]))
+        self.after.to_body([0, 1, 2].map(|i| (new[i] - old[i]) / self.seen.period - gravity[i]))
     }
 }
 
@@ -88,6 +95,7 @@ pub fn columns(sensor: Sensor, model: &Model) -> Option<Features<Measure>> {
         Sensor::ContactSwitch => none.each(&feet, "contact switch", "1", 1.0, |m, i| {
             f64::from(u8::from(m.forces()[i] > SWITCH * m.model.total_mass() * m.model.gravity.norm()))
         }),
+        Sensor::RangeFinder => none.each(&["base".into()], "range finder", "m", RANGE, |m, _| m.range()),
         _ => return None,
     };
     Some(columns.sensed(sensor))

@@ -1,10 +1,13 @@
 //! What the sensors of an episode remember.
 
-use super::signal::Past;
+use super::signal::{Past, Senses};
+use std::sync::Arc;
 
 /// The sensors' part of an episode; empty for a task whose sensors are exact.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SensorMemory {
+    /// The sensors that the episode has drawn; None: those of the session.
+    pub(super) senses: Option<Arc<Senses>>,
     pub(super) past: Vec<Past>,
     /// Rows as the sensors sampled them, not delayed: the newest first.
     pub(super) sampled: Vec<f32>,
@@ -28,7 +31,7 @@ impl SensorMemory {
         let (past, rows) = numbers.split_at(2 * signals);
         let (sampled, seen) = rows.split_at(sampled);
         let past = past.as_chunks::<2>().0.iter().map(|[bias, filtered]| Past { bias: *bias, filtered: *filtered });
-        Some(Self { past: past.collect(), sampled: sampled.to_vec(), seen: seen.to_vec() })
+        Some(Self { senses: None, past: past.collect(), sampled: sampled.to_vec(), seen: seen.to_vec() })
     }
 }
 

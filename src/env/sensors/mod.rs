@@ -12,15 +12,18 @@
 
 mod delay;
 mod extra;
+mod hardware;
 mod memory;
 mod options;
 mod plan;
+mod random;
 mod signal;
 
 pub use delay::ActionDelay;
+pub use hardware::{HardwareFiles, motors};
 pub use memory::SensorMemory;
 pub use options::{Hardware, Imperfections, Motors, SensorOptions, Sensors};
-pub use plan::{Plan, Seen};
+pub use plan::{Plan, Privileged, Seen};
 
 use serde::{Deserialize, Serialize};
 
@@ -40,6 +43,7 @@ pub enum Sensor {
     ContactForce,
     ContactSwitch,
     Heights,
+    RangeFinder,
 }
 
 /// Which function of the measured value a column is.
@@ -52,7 +56,7 @@ pub enum Part {
 }
 
 impl Sensor {
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::Gravity,
         Self::LinVel,
         Self::Gyroscope,
@@ -63,6 +67,7 @@ impl Sensor {
         Self::ContactForce,
         Self::ContactSwitch,
         Self::Heights,
+        Self::RangeFinder,
     ];
 
     /// Its key in option `sensors`.
@@ -78,6 +83,7 @@ impl Sensor {
             Self::ContactForce => "contact_force",
             Self::ContactSwitch => "contact_switch",
             Self::Heights => "heights",
+            Self::RangeFinder => "range_finder",
         }
     }
 }

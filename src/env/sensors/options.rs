@@ -1,11 +1,13 @@
 //! Options that every task has: its sensors, the delay of its actions, and rows that a policy may see besides.
 
 use super::Sensor;
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, check_range};
 use crate::options;
 use crate::options::OptionValue;
+use crate::sim::actuator::Actuator;
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 use serde_json::Value;
+use std::f64::consts::PI;
 
 /// Longest delay of a sensor or an action [s]: our choice, several times that of a robot that is steered over a network.
 pub const LONGEST_DELAY: f64 = 0.5;
@@ -18,6 +20,8 @@ options! {
     #[serde(deny_unknown_fields, default)]
     pub struct Imperfections {
         noise_density: f64 = 0.0, [0.0, 1e9], "white noise [u/√Hz]; a sample's standard deviation is this times the square root of the control rate";
+        gain: f64 = 0.0, [-0.99, 100.0], "relative error of the gain; the value is multiplied by 1 + gain";
+        offset: f64 = 0.0, [-1e9, 1e9], "constant error that all values and episodes share [u]";
         bias: f64 = 0.0, [0.0, 1e9], "standard deviation of a constant error, drawn for each value and episode [u]";
         random_walk: f64 = 0.0, [0.0, 1e9], "density of the random walk of the bias [u·√Hz]; in a step its standard deviation is this times the square root of the step's duration";
         delay: f64 = 0.0, [0.0, LONGEST_DELAY], "age of the value [s]; between control steps it is interpolated, and in the beginning it is the first value";
@@ -43,7 +47,9 @@ options! {
         contact_force: Option<Imperfections> = None, "force of the ground on each foot along the surface's normal [N]";
         contact_switch: Option<Imperfections> = None, "is the force on a foot more than 2 % of the robot's weight? 0 or 1";
         heights: Option<Imperfections> = None, "measured heights of the ground [m]";
+        range_finder: Option<Imperfections> = None, "distance from the base's origin to the ground along the base's downward axis [m], at most 10 m; the ground is taken to be level at its height under the base";
         imu_position: [f64; 3] = [0.0; 3], "place of the accelerometer in the base's frame [m]";
+        imu_rotation: [f64; 3] = [0.0; 3], "rotation of the inertial measurement unit (gravity, gyroscope, accelerometer) from the base's frame: vector along its axis, with the angle as its length [rad]";
         velocity_by_differences: bool = false, "joint speeds are differences of the measured joint positions over the control period";
         without: Vec<String> = Vec::new(), "sensors whose values are left out of the observation, because the robot does not have them";
     }
@@ -63,6 +69,7 @@ impl Sensors {
             Sensor::ContactForce => self.contact_force,
             Sensor::ContactSwitch => self.contact_switch,
             Sensor::Heights => self.heights,
+            Sensor::RangeFinder => self.range_finder,
         }
     }
 }
@@ -93,6 +100,9 @@ impl<'de> Deserialize<'de> for SensorOptions {
 impl OptionValue for SensorOptions {
     fn check(&self, name: &str) -> Result<()> {
         self.0.check(name)?;
+        for x in self.0.imu_rotation {
+            check_range(&format!("{name}.imu_rotation"), x, -PI..=PI)?;
+        }
         let known = Sensor::ALL.map(Sensor::name);
         match self.0.without.iter().find(|w| !known.contains(&w.as_str())) {
             Some(unknown) => Err(Error::unknown("sensor", unknown, &known)),
@@ -110,9 +120,42 @@ options! {
     #[derive(Copy, Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct Motors {
+        torque_limit: Option<f64> = None, [1e-6, 1e5], "largest torque of motor and drive [N·m]; None: that of the robot";
         stall_torque: Option<f64> = None, [1e-6, 1e5], "torque at standstill [N·m]; None: that of the robot, or twice its torque limit";
         no_load_speed: Option<f64> = None, [1e-3, 1e4], "speed without a load [rad/s], at which the torque has fallen to zero; None: that of the robot, or no limit";
-        torque_time: f64 = 0.0, [0.0, 1.0], "time constant with which the torque follows the servo [s]";
+        torque_time: Option<f64> = None, [0.0, 1.0], "time constant with which the torque follows the servo [s]; None: that of the robot, or 0";
+        torque_constant: Option<f64> = None, [0.01, 100.0], "the motors' torque constant divided by that with which their drives reckon: factor on the servo's torque; None: that of the robot, or 1";
+        friction: Option<f64> = None, [0.0, 1e5], "dry friction of the gear [N·m]; None: that of the robot";
+        damping: Option<f64> = None, [0.0, 1e5], "viscous friction of the gear [N·m·s/rad]; None: that of the robot";
+        efficiency: Option<f64> = None, [0.01, 1.0], "share of the torque that the gear passes on; None: that of the robot, or 1";
+        rotor_inertia: Option<f64> = None, [0.0, 1e3], "inertia of rotor and gear at the joint, in addition to the robot's [kg·m²]; None: that of the robot, or 0";
+    }
+}
+
+impl From<Motors> for Actuator {
+    fn from(motors: Motors) -> Self {
+        let Motors { torque_limit, stall_torque, no_load_speed, torque_time, .. } = motors;
+        let Motors { torque_constant, friction, damping, efficiency, rotor_inertia, .. } = motors;
+        Self {
+            torque_limit,
+            stall_torque,
+            no_load_speed,
+            torque_time,
+            torque_constant,
+            friction,
+            damping,
+            efficiency,
+            rotor_inertia,
+        }
+    }
+}
+
+options! {
+    /// What the hardware of an episode is drawn from.
+    #[derive(Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct HardwareRand {
+        hardware: String = String::new(), reset, "text of a hardware.toml (in Python its path); its quantities are drawn uniformly from their intervals";
     }
 }
 
@@ -124,5 +167,7 @@ options! {
         privileged: bool = false, "add the exact values of all sensors to info";
         actuator: Motors = Motors::default(), "what the motors can do: a DC motor's line of torque and speed, and its lag";
         action_delay: [f64; 2] = [0.0, 0.0], [0.0, LONGEST_DELAY], reset, "range [low, high] of the time from an action to the motors [s], drawn for each episode; before the first action the action is 0";
+        hardware: String = String::new(), "text of a hardware.toml, for example from a diagnosis (in Python its path); its values hold where sensors, actuator and action_delay say nothing";
+        domain_rand: HardwareRand = HardwareRand::default(), reset, "what each episode draws";
     }
 }

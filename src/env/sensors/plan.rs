@@ -2,17 +2,21 @@
 
 use super::extra::{self, Measure, Moment};
 use super::memory::{SensorMemory, shift};
-use super::signal::{Signal, wrapped};
-use super::{Hardware, Part, Sensor, Sensors};
+use super::random::stream;
+use super::signal::{Senses, Signal, wrapped};
+use super::{Hardware, HardwareFiles, Part, Sensor, Sensors, hardware};
 use crate::error::{Error, Result};
 use crate::feature::Features;
+use crate::sim::hardware::HardwareDescription;
 use crate::sim::{Model, State};
 use crate::spec::{Column, Spec};
-use rand::{Rng as _, SeedableRng as _};
+use nalgebra::{Rotation3, Vector3};
+use rand::Rng as _;
 use rand_xoshiro::Xoshiro256PlusPlus;
+use std::sync::Arc;
 
-/// Separates the sensors' random numbers from those of the episode: an arbitrary number.
-const STREAM: u64 = 0x5e15_0125;
+/// Sensors of the inertial measurement unit.
+const IMU: [Sensor; 3] = [Sensor::Gravity, Sensor::Gyroscope, Sensor::Accelerometer];
 
 /// How a session's observations follow from exact values.
 pub struct Plan {
@@ -20,11 +24,16 @@ pub struct Plan {
     /// Columns of exact values: the task's, then those of added sensors.
     exact: Vec<Column>,
     added: Features<Measure>,
-    signals: Vec<Signal>,
+    senses: Senses,
+    files: HardwareFiles,
     /// Signals of joint positions and speeds, joint by joint, if speeds are differences of positions.
     speeds: Vec<[usize; 2]>,
-    /// Exact columns that the policy gets.
+    /// Exact columns that the policy gets of one step.
     shown: Vec<usize>,
+    /// Places and columns of those among them that no signal changes.
+    copied: Vec<(usize, usize)>,
+    /// First column of each vector of the inertial measurement unit.
+    imu: Vec<usize>,
     /// Number of rows that policies get at once, and of sampled rows that are kept.
     history: usize,
     kept: usize,
@@ -36,6 +45,8 @@ pub struct Plan {
 pub struct Seen<'a> {
     pub model: &'a Model,
     pub footing: &'a [f64],
+    /// The sand's force on each leg along the surface's normal [N]; empty: not known.
+    pub supports: &'a [f64],
     /// State before and after the step; at the beginning of an episode both are its first state.
     pub states: [&'a State; 2],
     /// Seed, number and step of the episode: the random numbers are a function of them.
@@ -44,15 +55,24 @@ pub struct Seen<'a> {
     pub period: f64,
 }
 
+/// The info row that gets exact values: those that belong to its step, or those of the first observation of the next episode,
+/// which begins in the same step.
+pub enum Privileged<'a> {
+    Present(&'a mut [f32]),
+    Next(&'a mut [f32]),
+}
+
 impl Plan {
     /// None: the sensors are exact, and rows are as the task fills them. `spec` becomes that of the session.
     ///
     /// # Errors
     /// Names a sensor that the task does not observe and that cannot be added.
-    pub fn new(options: &Hardware, model: &Model, spec: &mut Spec) -> Result<Option<Self>> {
+    pub fn new(options: &Hardware, files: &HardwareFiles, model: &Model, spec: &mut Spec) -> Result<Option<Self>> {
         let Hardware { sensors, history, privileged, .. } = options;
-        let sensors = sensors.0.clone();
-        if sensors == Sensors::default() && *history == 1 && !privileged {
+        let (sensors, files) = (sensors.0.clone(), files.clone());
+        let values = files.values();
+        let silent = !values.quantities.keys().any(|path| path.starts_with("sensors."));
+        if sensors == Sensors::default() && silent && *history == 1 && !privileged {
             return Ok(None);
         }
         let own: Vec<Sensor> = spec.observation.iter().filter_map(|c| c.sensor.map(|(sensor, _)| sensor)).collect();
@@ -65,12 +85,21 @@ impl Plan {
                 format!("{} does not observe it", spec.id),
             ));
         }
-        let signals = signals(&exact, &sensors);
+        let period = 1.0 / spec.control_rate;
+        let mut signals = signals(&exact, &sensors, &values, period);
         let speeds = if sensors.velocity_by_differences { speeds(&exact, &signals)? } else { Vec::new() };
         let left_out = |c: &Column| c.sensor.is_some_and(|(s, _)| sensors.without.iter().any(|w| w == s.name()));
         let shown: Vec<usize> = (0..exact.len()).filter(|i| !left_out(&exact[*i])).collect();
-        let period = 1.0 / spec.control_rate;
-        let longest = signals.iter().map(|s| s.imperfections.delay).fold(0.0, f64::max);
+        if shown.is_empty() {
+            return Err(Error::invalid("sensors.without", "it leaves nothing to observe"));
+        }
+        let copied = places(&shown, &mut signals);
+        let delay = |s: &Signal| {
+            exact[s.column]
+                .sensor
+                .map_or(0.0, |(sensor, _)| files.longest(sensor, sensors.of(sensor).unwrap_or_default()))
+        };
+        let longest = signals.iter().map(delay).fold(0.0, f64::max);
         // The newest row, those back to the longest delay, and one to interpolate or to take differences from.
         let kept = (longest / period).ceil() as usize + 2;
         let history = *history as usize;
@@ -83,10 +112,40 @@ impl Plan {
         };
         spec.observation = (0..history).flat_map(of_step).collect();
         if *privileged {
-            let named = |c: &Column| Column { name: format!("privileged {}", c.name), ..c.clone() };
-            spec.info.extend(exact.iter().map(named));
+            for prefix in ["privileged", "next privileged"] {
+                let named = |c: &Column| Column { name: format!("{prefix} {}", c.name), ..c.clone() };
+                spec.info.extend(exact.iter().map(named));
+            }
         }
-        Ok(Some(Self { sensors, exact, added, signals, speeds, shown, history, kept, privileged: *privileged, period }))
+        let starts = |i: &usize| {
+            let of_imu =
+                |k: usize| matches!(exact.get(k), Some(Column { sensor: Some((s, _)), .. }) if IMU.contains(s));
+            of_imu(*i) && (*i == 0 || exact[i - 1].sensor != exact[*i].sensor)
+        };
+        let imu = (0..exact.len()).filter(starts).collect();
+        let senses = Senses { signals, turn: turn(&sensors, &values) };
+        let privileged = *privileged;
+        Ok(Some(Self {
+            sensors,
+            exact,
+            added,
+            senses,
+            files,
+            speeds,
+            shown,
+            copied,
+            imu,
+            history,
+            kept,
+            privileged,
+            period,
+        }))
+    }
+
+    /// Does a column need the sand's force on each leg?
+    pub fn needs_supports(&self) -> bool {
+        let forces = |c: &Column| matches!(c.sensor, Some((Sensor::ContactForce | Sensor::ContactSwitch, _)));
+        self.added.columns().iter().any(forces)
     }
 
     /// Number of the task's own columns.
@@ -95,7 +154,7 @@ impl Plan {
     }
 
     fn sizes(&self) -> [usize; 3] {
-        [self.signals.len(), self.kept * self.exact.len(), self.history * self.shown.len()]
+        [self.senses.signals.len(), self.kept * self.exact.len(), self.history * self.shown.len()]
     }
 
     /// Numbers that an episode's sensors remember.
@@ -105,8 +164,19 @@ impl Plan {
     }
 
     /// An episode's memory from a snapshot.
-    pub fn resume(&self, numbers: &[f32]) -> Option<SensorMemory> {
-        SensorMemory::from_numbers(numbers, self.sizes())
+    pub fn resume(&self, numbers: &[f32], [seed, number]: [u64; 2]) -> Option<SensorMemory> {
+        let memory = SensorMemory::from_numbers(numbers, self.sizes())?;
+        Some(SensorMemory { senses: self.drawn(seed, number), ..memory })
+    }
+
+    /// The sensors that an episode draws; None: they are those of the session.
+    fn drawn(&self, seed: u64, number: u64) -> Option<Arc<Senses>> {
+        self.files.is_random().then(|| {
+            let values = self.files.of_episode(seed, number);
+            let mut signals = signals(&self.exact, &self.sensors, &values, self.period);
+            places(&self.shown, &mut signals);
+            Arc::new(Senses { signals, turn: turn(&self.sensors, &values) })
+        })
     }
 
     /// Fills the first observation of an episode, if its memory is empty; else that of the next step. `observe` fills a row
@@ -116,95 +186,131 @@ impl Plan {
         memory: &mut SensorMemory,
         seen: &Seen,
         observe: impl FnOnce(&mut [f32]),
-        out: [&mut [f32]; 2],
+        observation: &mut [f32],
+        privileged: Privileged,
     ) {
         let width = self.exact.len();
-        let begins = memory.past.is_empty() && memory.sampled.is_empty();
+        let begins = memory.sampled.is_empty();
+        let [seed, number, step] = seen.at;
         if begins {
             let [_, sampled, rows] = self.sizes();
             (memory.sampled, memory.seen) = (vec![0.0; sampled], vec![0.0; rows]);
+            memory.senses = self.drawn(seed, number);
         }
+        let drawn = memory.senses.clone();
+        let senses = drawn.as_deref().unwrap_or(&self.senses);
         shift(&mut memory.sampled, width);
         let (row, before) = memory.sampled.split_at_mut(width);
         self.fill_exact(row, seen, observe);
-        let [observation, info] = out;
-        self.tell(row, info);
-        let [seed, number, step] = seen.at;
+        self.tell(row, privileged);
+        self.turn_imu(senses, row);
         let mut random = stream(seed, number, step);
         if begins {
-            memory.past = self.signals.iter().map(|s| s.begin(&mut random, self.period, row)).collect();
-            self.speeds.iter().for_each(|[_, speed]| self.signals[*speed].set(row, 0.0));
+            memory.past = senses.signals.iter().map(|s| s.begin(&mut random, self.period, row)).collect();
+            self.speeds.iter().for_each(|[_, speed]| senses.signals[*speed].set(row, 0.0));
             let first = row.to_vec();
             before.chunks_exact_mut(width).for_each(|old| old.copy_from_slice(&first));
         } else {
-            for (signal, past) in self.signals.iter().zip(&mut memory.past) {
+            for (signal, past) in senses.signals.iter().zip(&mut memory.past) {
                 signal.sample(&mut random, self.period, past, row);
             }
             for [position, speed] in &self.speeds {
-                let position = &self.signals[*position];
+                let position = &senses.signals[*position];
                 let change = position.value(row) - position.value(before);
                 let change = if position.cosine.is_some() { wrapped(change) } else { change };
-                self.signals[*speed].set(row, change / self.period);
+                senses.signals[*speed].set(row, change / self.period);
             }
         }
-        self.show(memory, &mut random, begins);
+        self.show(senses, memory, &mut random, begins);
         observation.copy_from_slice(&memory.seen);
     }
 
     /// Fills the same rows again, after a restore. The accelerometer's privileged value is then that of a robot whose
     /// velocity does not change.
-    pub fn repeat(&self, memory: &SensorMemory, seen: &Seen, observe: impl FnOnce(&mut [f32]), out: [&mut [f32]; 2]) {
-        let [observation, info] = out;
+    pub fn repeat(
+        &self,
+        memory: &SensorMemory,
+        seen: &Seen,
+        observe: impl FnOnce(&mut [f32]),
+        observation: &mut [f32],
+        info: &mut [f32],
+    ) {
         observation.copy_from_slice(&memory.seen);
         if self.privileged {
             let mut row = vec![0.0; self.exact.len()];
             self.fill_exact(&mut row, seen, observe);
-            self.tell(&row, info);
+            self.tell(&row, Privileged::Present(info));
         }
     }
 
-    /// Copies privileged values to the end of an info row, if there is one.
-    fn tell(&self, exact: &[f32], info: &mut [f32]) {
+    /// Copies privileged values to their place at the end of an info row, if there is one.
+    fn tell(&self, exact: &[f32], privileged: Privileged) {
+        let (info, back) = match privileged {
+            Privileged::Present(info) => (info, 2 * exact.len()),
+            Privileged::Next(info) => (info, exact.len()),
+        };
         if self.privileged && !info.is_empty() {
-            let start = info.len() - exact.len();
-            info[start..].copy_from_slice(exact);
+            let start = info.len() - back;
+            info[start..][..exact.len()].copy_from_slice(exact);
         }
     }
 
     fn fill_exact(&self, row: &mut [f32], seen: &Seen, observe: impl FnOnce(&mut [f32])) {
         let (own, others) = row.split_at_mut(self.own());
         observe(own);
-        let moment = Moment::new(seen.model, seen.footing, seen.states, seen.period, self.sensors.imu_position);
+        let moment = Moment::new(seen, self.sensors.imu_position);
         self.added.fill(others, |measure, i| measure(&moment, i));
         clip(row, &self.exact);
     }
 
-    /// Adds the row that the policy gets now.
-    fn show(&self, memory: &mut SensorMemory, random: &mut Xoshiro256PlusPlus, begins: bool) {
-        let width = self.exact.len();
-        let mut row = memory.sampled[..width].to_vec();
-        for signal in &self.signals {
-            let delay = signal.imperfections.delay / self.period;
-            let (whole, part) = ((delay + 1e-9).floor() as usize, (delay - (delay + 1e-9).floor()).max(0.0) as f32);
-            let lost = signal.imperfections.dropout > 0.0 && random.random_bool(signal.imperfections.dropout);
-            for column in signal.columns() {
-                let sampled = |back: usize| memory.sampled[back * width + column];
-                row[column] = match self.shown.iter().position(|i| *i == column) {
-                    Some(place) if lost && !begins => memory.seen[place],
-                    // A delay of whole steps copies bits.
-                    _ if part < 1e-6 => sampled(whole),
-                    _ => sampled(whole) + (sampled(whole + 1) - sampled(whole)) * part,
-                };
-            }
-        }
-        clip(&mut row, &self.exact);
-        let wide = self.shown.len();
-        shift(&mut memory.seen, wide);
-        let places = if begins { self.history } else { 1 };
-        for out in memory.seen.chunks_exact_mut(wide).take(places) {
-            out.iter_mut().zip(&self.shown).for_each(|(out, i)| *out = row[*i]);
+    /// Turns the vectors of an inertial measurement unit that is mounted askew.
+    fn turn_imu(&self, senses: &Senses, row: &mut [f32]) {
+        let Some(turn) = &senses.turn else { return };
+        for start in &self.imu {
+            let vector = &mut row[*start..][..3];
+            let turned = turn * Vector3::from_fn(|k, _| f64::from(vector[k]));
+            vector.iter_mut().zip(turned.iter()).for_each(|(out, x)| *out = *x as f32);
         }
     }
+
+    /// Adds the row that the policy gets now.
+    fn show(&self, senses: &Senses, memory: &mut SensorMemory, random: &mut Xoshiro256PlusPlus, begins: bool) {
+        let SensorMemory { sampled, seen, .. } = memory;
+        // The first row still has the values of the step before.
+        let wide = self.shown.len();
+        shift(seen, wide);
+        let (row, others) = seen.split_at_mut(wide);
+        self.copied.iter().for_each(|(place, column)| row[*place] = sampled[*column]);
+        for signal in &senses.signals {
+            let dropout = signal.imperfections.dropout;
+            if dropout > 0.0 && random.random_bool(dropout) && !begins {
+                continue;
+            }
+            for (place, column) in &signal.places {
+                let Column { low, high, .. } = &self.exact[*column];
+                let value = signal.delayed(sampled, self.exact.len(), *column);
+                row[*place] = value.clamp(*low as f32, *high as f32);
+            }
+        }
+        if begins {
+            others.chunks_exact_mut(wide).for_each(|old| old.copy_from_slice(row));
+        }
+    }
+}
+
+/// Rotation from the base's frame to that of the inertial measurement unit; None: they are the same.
+fn turn(sensors: &Sensors, values: &HardwareDescription) -> Option<Rotation3<f64>> {
+    let vector = hardware::imu_rotation(sensors, values);
+    (vector != [0.0; 3]).then(|| Rotation3::from_scaled_axis(Vector3::from(vector)).inverse())
+}
+
+/// Gives each signal the places of its columns among those that are `shown`; returns places and columns of the others.
+fn places(shown: &[usize], signals: &mut [Signal]) -> Vec<(usize, usize)> {
+    let place = |column: usize| Some((shown.iter().position(|i| *i == column)?, column));
+    signals.iter_mut().for_each(|signal| signal.places = signal.columns().filter_map(place).collect());
+    let of_signal = |column: usize| signals.iter().any(|signal| signal.columns().any(|own| own == column));
+    let others = shown.iter().copied().enumerate().filter(|(_, column)| !of_signal(*column));
+    others.collect()
 }
 
 fn clip(row: &mut [f32], columns: &[Column]) {
@@ -212,14 +318,16 @@ fn clip(row: &mut [f32], columns: &[Column]) {
 }
 
 /// One signal for each value of a sensor that has an entry, in the order of the columns.
-fn signals(exact: &[Column], sensors: &Sensors) -> Vec<Signal> {
+fn signals(exact: &[Column], sensors: &Sensors, values: &HardwareDescription, period: f64) -> Vec<Signal> {
     let mut all: Vec<Signal> = Vec::new();
     for (i, column) in exact.iter().enumerate() {
         let Some((sensor, part)) = column.sensor else { continue };
         let differences =
             sensors.velocity_by_differences && matches!(sensor, Sensor::JointPosition | Sensor::JointVelocity);
-        let Some(imperfections) = sensors.of(sensor).or_else(|| differences.then(Default::default)) else { continue };
-        match Signal::new(i, part, imperfections) {
+        let known = differences || hardware::names(values, sensor);
+        let Some(own) = sensors.of(sensor).or_else(|| known.then(Default::default)) else { continue };
+        let imperfections = hardware::imperfections(own, sensor, values);
+        match Signal::new(i, part, imperfections, period) {
             Some(signal) => all.push(signal),
             // The columns of cosines come after those of sines, in the same order.
             None => {
@@ -247,16 +355,4 @@ fn speeds(exact: &[Column], signals: &[Signal]) -> Result<Vec<[usize; 2]>> {
         ));
     }
     Ok(positions.into_iter().zip(rates).map(|(position, rate)| [position, rate]).collect())
-}
-
-/// The random numbers of one step of an episode. The numbers are mixed by the finalizer of splitmix64 (Steele, Lea & Flood,
-/// OOPSLA 2014), so neighbouring ones give unrelated streams.
-pub(super) fn stream(seed: u64, number: u64, step: u64) -> Xoshiro256PlusPlus {
-    let mixed = [seed, number, step].into_iter().fold(STREAM, |sum, x| {
-        let mut z = (sum ^ x).wrapping_add(0x9e37_79b9_7f4a_7c15);
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    });
-    Xoshiro256PlusPlus::seed_from_u64(mixed)
 }

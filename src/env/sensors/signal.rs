@@ -1,18 +1,35 @@
 //! One measured value, and what its sensor does to it.
 
 use super::{Imperfections, Part};
+use nalgebra::Rotation3;
 use rand::Rng as _;
 use rand_distr::StandardNormal;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 /// A value of a sensor, and its columns in a row of exact values.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Signal {
     /// The column; of an angle, the column of its sine.
     pub column: usize,
     /// The column of an angle's cosine.
     pub cosine: Option<usize>,
     pub imperfections: Imperfections,
+    /// The delay: whole control steps, and the rest as a share of one.
+    pub late: (usize, f32),
+    /// Places of column and cosine in the row that the policy gets; empty if it does not get them.
+    pub places: Vec<(usize, usize)>,
+}
+
+/// A rest of a delay below this share of a control step is rounding: our choice, which moves no value by more than a millionth of its
+/// change in a step.
+const ROUNDING: f64 = 1e-6;
+
+/// The sensors of an episode.
+#[derive(Debug, PartialEq)]
+pub struct Senses {
+    pub signals: Vec<Signal>,
+    /// Rotation from the base's frame to that of the inertial measurement unit; None: they are the same.
+    pub turn: Option<Rotation3<f64>>,
 }
 
 /// What a signal remembers.
@@ -25,19 +42,33 @@ pub struct Past {
 }
 
 impl Signal {
-    pub fn new(column: usize, part: Part, imperfections: Imperfections) -> Option<Self> {
+    /// `period`: that of the control [s].
+    pub fn new(column: usize, part: Part, imperfections: Imperfections, period: f64) -> Option<Self> {
+        let delay = imperfections.delay / period;
+        let whole = (delay + ROUNDING).floor();
+        // A delay of whole steps copies bits.
+        let rest = delay - whole;
+        let late = (whole as usize, if rest > ROUNDING { rest as f32 } else { 0.0 });
         // Sine and cosine are one signal, which begins with its sine.
-        (part != Part::Cosine).then_some(Self { column, cosine: None, imperfections })
+        (part != Part::Cosine).then_some(Self { column, cosine: None, imperfections, late, places: Vec::new() })
     }
 
     pub fn columns(&self) -> impl Iterator<Item = usize> {
         [Some(self.column), self.cosine].into_iter().flatten()
     }
 
+    /// The delayed value of `column` among sampled rows of `width` numbers, the newest first.
+    pub fn delayed(&self, sampled: &[f32], width: usize, column: usize) -> f32 {
+        let (whole, rest) = self.late;
+        let at = |back: usize| sampled[back * width + column];
+        if rest == 0.0 { at(whole) } else { at(whole) + (at(whole + 1) - at(whole)) * rest }
+    }
+
     /// Does the sensor change the value, besides delaying it?
     fn alters(&self) -> bool {
-        let Imperfections { noise_density, bias, random_walk, low_pass, quantization, .. } = self.imperfections;
-        [noise_density, bias, random_walk, low_pass, quantization] != [0.0; 5]
+        let Imperfections { gain, offset, noise_density, bias, random_walk, low_pass, quantization, .. } =
+            self.imperfections;
+        [gain, offset, noise_density, bias, random_walk, low_pass, quantization] != [0.0; 7]
     }
 
     /// The measured value in a row.
@@ -86,10 +117,10 @@ impl Signal {
     }
 
     fn noisy(&self, value: f64, past: &Past, random: &mut Xoshiro256PlusPlus, period: f64) -> f64 {
-        let density = self.imperfections.noise_density;
+        let Imperfections { noise_density: density, gain, offset, .. } = self.imperfections;
         // Samples at the rate 1/period carry the density up to half of that rate (Kalibr's IMU noise model).
         let noise = if density > 0.0 { density / period.sqrt() * random.sample::<f64, _>(StandardNormal) } else { 0.0 };
-        value + f64::from(past.bias) + noise
+        value + value * gain + offset + f64::from(past.bias) + noise
     }
 
     fn quantized(&self, value: f64) -> f64 {

@@ -8,6 +8,12 @@ use serde_json::{Value, json};
 
 const STEPS: usize = 30;
 
+/// A hardware.toml.
+const HARDWARE: &str = "source = \"a test\"\naction_delay = { value = 0.02, interval = [0.0, 0.04] }\n\n[actuator]\n\
+    no_load_speed = { value = 20.0, interval = [15.0, 25.0] }\nstall_torque = { value = 0.5, interval = [0.4, 0.6] }\n\n\
+    [sensors.gyroscope]\ndelay = { value = 0.02, interval = [0.01, 0.05] }\n\n\
+    [sensors.imu_rotation]\ny = { value = 0.1, interval = [0.05, 0.15] }\n";
+
 /// The options of each task and engine.
 fn cases() -> Vec<(&'static str, Value)> {
     let mut all: Vec<_> = TASK_IDS.into_iter().map(|id| (id, json!({}))).collect();
@@ -50,7 +56,7 @@ fn run(shard: &mut Shard, steps: usize) -> Vec<Vec<f32>> {
 fn each(id: &str, options: &Value, entry: &Value) -> Value {
     let blueprint = Blueprint::new(id, options.clone()).unwrap();
     let sensors = blueprint.task.spec().observation.iter().filter_map(|c| c.sensor.map(|(s, _)| s.name()));
-    let all = sensors.chain(["accelerometer", "joint_torque", "contact_force", "contact_switch"]);
+    let all = sensors.chain(["accelerometer", "joint_torque", "contact_force", "contact_switch", "range_finder"]);
     Value::Object(all.map(|name| (name.to_owned(), entry.clone())).collect())
 }
 
@@ -80,7 +86,7 @@ fn snapshots_keep_what_sensors_remember() {
     let entry = json!({"noise_density": 0.01, "bias": 0.1, "random_walk": 0.1, "delay": 0.03, "low_pass": 0.05, "dropout": 0.2});
     for (id, options) in cases() {
         let sensors = json!({"sensors": each(id, &options, &entry), "history": 3, "privileged": true, "action_delay": [0.01, 0.05]});
-        let options = with(&options, sensors);
+        let options = with(&with(&options, sensors), json!({"domain_rand": {"hardware": HARDWARE}}));
         // As in a batch, engine `rapier` has one environment a shard: its steps are not cut where a neighbour's action arrives.
         let alone = Blueprint::new(id, options.clone()).unwrap().engine.shard_size() == 1;
         let (envs, chosen) = if alone { (1, vec![0]) } else { (3, vec![2, 0]) };
@@ -230,6 +236,111 @@ fn delayed_actions_reach_the_motors_later() {
     }
 }
 
+/// Neither actions that arrive in the middle of a step nor motors at their limits change the bits of other environments, though all are
+/// simulated together.
+#[test]
+fn delays_and_motors_of_neighbours_change_no_bits() {
+    for (id, options) in cases() {
+        if Blueprint::new(id, options.clone()).unwrap().engine.shard_size() == 1 {
+            continue;
+        }
+        let drawn = HARDWARE.replace(
+            "stall_torque = { value = 0.5, interval = [0.4, 0.6] }",
+            "stall_torque = { value = 0.02, interval = [0.01, 20.0] }",
+        );
+        let options = with(&options, json!({"action_delay": [0.0, 0.05], "domain_rand": {"hardware": drawn}}));
+        let (mut alone, mut among) = (shard(id, &options, 1), shard(id, &options, 4));
+        for _ in 0..60 {
+            let action = vec![0.8; alone.actions()];
+            alone.step(&action);
+            among.step(&action.repeat(4));
+            let info = alone.rows.infos.len();
+            assert_eq!(alone.rows.observations, among.rows.observations[..alone.rows.observations.len()], "{id}");
+            assert_eq!(alone.rows.infos, among.rows.infos[..info], "{id}");
+        }
+    }
+}
+
+#[test]
+fn a_hardware_file_is_the_same_as_its_options() {
+    for (id, options) in cases() {
+        let file = with(&options, json!({"hardware": HARDWARE}));
+        let said = json!({
+            "actuator": {"no_load_speed": 20.0, "stall_torque": 0.5},
+            "action_delay": [0.02, 0.02],
+            "sensors": {"gyroscope": {"delay": 0.02}, "imu_rotation": [0.0, 0.1, 0.0]},
+        });
+        let observes = shard(id, &options, 1).spec().observation.iter().any(|c| c.name.contains("angular velocity"));
+        if !observes {
+            // The task has no such sensor and no motors; the file's action delay holds.
+            assert_eq!(Blueprint::new(id, file).unwrap().task.action_delay(), [0.02, 0.02], "{id}");
+            continue;
+        }
+        let (exact, own) = (run(&mut shard(id, &options, 2), 20), run(&mut shard(id, &file, 2), 20));
+        assert_eq!(own, run(&mut shard(id, &with(&options, said), 2), 20), "{id}");
+        assert_ne!(own, exact, "{id}");
+    }
+}
+
+#[test]
+fn episodes_draw_their_hardware() {
+    let id = "sandgait/HexapodGait-v1";
+    let mut drawn = shard(id, &json!({"domain_rand": {"hardware": HARDWARE}}), 16);
+    let speeds =
+        |shard: &Shard| -> Vec<f64> { (0..16).map(|i| shard.model(i).motor.actuator.no_load_speed.unwrap()).collect() };
+    let first = speeds(&drawn);
+    assert!(first.iter().all(|speed| (15.0..=25.0).contains(speed)), "{first:?}");
+    assert!(first.iter().any(|speed| *speed < 18.0) && first.iter().any(|speed| *speed > 22.0), "{first:?}");
+    let servos: Vec<_> = (0..16).map(|i| drawn.model(i).robot.servo).collect();
+    assert!(servos.iter().zip(&first).all(|(servo, speed)| servo.no_load_speed == Some(*speed)));
+    drawn.reset(|_| true, None, |_| None);
+    assert_ne!(speeds(&drawn), first, "the next episode draws again");
+    drawn.reset(|_| true, Some(&(0..16).collect::<Vec<_>>()), |_| None);
+    assert_eq!(speeds(&drawn), first, "seeds fix what is drawn");
+}
+
+/// The info row of a step that ends an episode has the exact values of the next one's first observation.
+#[test]
+fn the_next_episodes_exact_values_come_with_the_end() {
+    for (id, options) in cases() {
+        let more = json!({"privileged": true, "max_episode_steps": 3});
+        let mut shard = shard(id, &with(&options, more), 1);
+        let (wide, info) = (shard.spec().observation.len(), shard.spec().info.len());
+        for step in 1..=3 {
+            shard.step(&vec![0.1; shard.actions()]);
+            let (present, next) = shard.rows.infos[info - 2 * wide..].split_at(wide);
+            if step < 3 {
+                assert_eq!(present, shard.rows.observations, "{id}");
+                assert!(next.iter().all(|x| *x == 0.0));
+            } else {
+                assert_eq!(present, shard.rows.final_observations, "{id}");
+                assert_eq!(next, shard.rows.observations, "{id}");
+            }
+        }
+    }
+}
+
+/// The forces that engine `lanes` keeps are those of `Pose` on average.
+#[test]
+fn kept_forces_are_those_of_the_pose() {
+    let options = json!({"sensors": {"contact_force": {}}, "command": [0.3, 0.3]});
+    let mut shard = shard("sandgait/HexapodGait-v1", &options, 1);
+    let first = shard.spec().observation.len() - 6;
+    let (mut kept, mut posed) = ([0.0; 6], [0.0; 6]);
+    for _ in 0..200 {
+        shard.step(&vec![0.4; shard.actions()]);
+        let pose = crate::sim::pose::Pose::of(shard.model(0), shard.state(0), &[]);
+        for leg in 0..6 {
+            kept[leg] += f64::from(shard.rows.observations[first + leg]) / 200.0;
+            posed[leg] += pose.leg_forces[leg].z / 200.0;
+        }
+    }
+    let sum = posed.iter().sum::<f64>();
+    for (kept, posed) in kept.iter().zip(&posed) {
+        assert!((kept - posed).abs() < 0.02 * sum, "{kept} and {posed} of {sum} N");
+    }
+}
+
 /// An accelerometer at rest feels the ground's push against gravity, and feet carry the robot.
 #[test]
 fn a_standing_robot_feels_its_weight() {
@@ -237,7 +348,8 @@ fn a_standing_robot_feels_its_weight() {
         ("sandgait/HexapodGait-v1", json!({"angle_noise": 0.0})),
         ("sandgait/LeggedVelocity-v1", json!({"angle_noise": 0.0, "domain_rand": null, "ground": "poppy-close"})),
     ] {
-        let more = json!({"sensors": {"accelerometer": {}, "contact_force": {}, "contact_switch": {}}});
+        let more =
+            json!({"sensors": {"accelerometer": {}, "contact_force": {}, "contact_switch": {}, "range_finder": {}}});
         let mut shard = shard(id, &with(&options, more), 1);
         let columns = shard.spec().observation.clone();
         for _ in 0..100 {
@@ -256,6 +368,8 @@ fn a_standing_robot_feels_its_weight() {
         let least = if id.contains("Hexapod") { 0.3 } else { 0.85 };
         assert!((least..1.15).contains(&(carried / weight)), "{id}: {carried} of {weight} N");
         assert!(value("contact switch").iter().sum::<f32>() >= 3.0, "{id}");
+        let height = shard.state(0).position[2];
+        assert!((f64::from(value("range finder")[0]) / height - 1.0).abs() < 0.02, "{id}");
     }
 }
 
@@ -272,6 +386,18 @@ fn wrong_entries_are_refused() {
         (json!({"sensors": {"without": ["sonar"]}}), "sonar"),
         (json!({"history": 0}), "history: 0 is outside [1, 64]"),
         (json!({"action_delay": [0.1, 0.0]}), "action_delay[1]"),
+        (json!({"hardware": "delay = 3"}), "hardware: delay: expected a table"),
+        (json!({"hardware": "[actuator]\nforce = { value = 1.0, interval = [1.0, 1.0] }"}), "actuator.force"),
+        (
+            json!({"hardware": "[sensors.gyroscope]\ndelay = { value = 1.0, interval = [0.0, 2.0] }"}),
+            "hardware: sensors.gyroscope.delay: 1 is outside [0, 0.5]",
+        ),
+        (
+            json!({"domain_rand": {"hardware": "action_delay = { value = 0.1, interval = [0.0, 2.0] }"}}),
+            "domain_rand.hardware: action_delay: 2 is outside [0, 0.5]",
+        ),
+        (json!({"domain_rand": {"friction": [0, 1]}}), "friction"),
+        (json!({"sensors": {"imu_rotation": [4.0, 0.0, 0.0]}}), "imu_rotation"),
     ] {
         let error = refused(gait, options);
         assert!(error.contains(said) && !error.contains('\n'), "{error}");

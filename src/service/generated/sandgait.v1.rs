@@ -950,6 +950,8 @@ pub struct Diagnosis {
     /// standard deviation of one repetition.
     #[prost(message, optional, tag = "4")]
     pub curves: ::core::option::Option<Table>,
+    #[prost(string, tag = "5")]
+    pub hardware_toml: ::prost::alloc::string::String,
 }
 /// Generated client implementations.
 pub mod study_service_client {

@@ -111,6 +111,7 @@ pub fn diagnose(request: DiagnoseRequest) -> Result<StudyWork<Diagnosis>> {
             report_html: read(&out.join("report.html"))?,
             sand_toml: read(&out.join("sand.toml"))?,
             curves: Some(encode::table(encode::curves(&diagnosis.curves), Vec::new())),
+            hardware_toml: read(&out.join("hardware.toml"))?,
         })
     }))
 }

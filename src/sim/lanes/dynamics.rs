@@ -13,6 +13,7 @@
 
 use super::model::{LaneBody, LaneModel, LanePlate};
 use super::plane::{PlaneField, PlaneForces, PlaneMoments};
+use crate::actuator::{self, Limits, NEWTON};
 use crate::number::{Mat3, Real, Vec3};
 use crate::sand::law::StressLaw;
 use crate::sand::{LawCoefficients, Plain, SandBed, SegmentState, StressModel};
@@ -59,16 +60,14 @@ struct Hinge<R> {
     inertia_axis: Wrench<R>,
     inverse: R,
     drive: R,
-    torque: R,
-    /// Decrease of the torque with the joint's acceleration [N·m·s²/rad].
-    yielding: R,
+    acceleration: R,
 }
 
 impl<R: Real> Hinge<R> {
     fn empty() -> Self {
         let zero = R::zero();
         let axis = Twist { angular: Vec3::zero(), linear: Vec3::zero() };
-        Self { axis, inertia_axis: Wrench::zero(), inverse: zero, drive: zero, torque: zero, yielding: zero }
+        Self { axis, inertia_axis: Wrench::zero(), inverse: zero, drive: zero, acceleration: zero }
     }
 }
 
@@ -76,14 +75,19 @@ impl<R: Real> Hinge<R> {
 pub struct LegScratch<R, const J: usize> {
     /// One entry for each joint.
     hinges: Vec<Hinge<R>>,
-    /// For each link of the present leg, its masses with those of the sand, and the wrench that its motion needs.
-    links: [(PointMasses<R>, Wrench<R>); J],
+    limits: Vec<Limits<R>>,
+    /// For each link of each leg, its masses with those of the sand, and the wrench that its motion needs.
+    links: Vec<[(PointMasses<R>, Wrench<R>); J]>,
+    /// The sand's force on each leg along the surface's normal, for sensors.
+    pub supports: Vec<R>,
 }
 
 impl<R: Real, const J: usize> LegScratch<R, J> {
     pub fn new(joints: usize) -> Self {
         let link = (PointMasses::zero(), Wrench::zero());
-        Self { hinges: vec![Hinge::empty(); joints], links: [link; J] }
+        let (hinges, limits) = (vec![Hinge::empty(); joints], vec![Limits::none(); joints]);
+        let supports = vec![R::zero(); joints / J];
+        Self { hinges, limits, links: vec![[link; J]; joints / J], supports }
     }
 }
 
@@ -131,7 +135,7 @@ pub fn step<R: Real, const J: usize>(
     scratch: &mut LegScratch<R, J>,
     surfaces: Option<&Surfaces<R>>,
 ) {
-    let LegScratch { hinges, links } = scratch;
+    let LegScratch { hinges, limits, links, supports } = scratch;
     let base = base_frame(state);
     let mut position = state.position;
     position.x += state.travelled;
@@ -142,22 +146,52 @@ pub fn step<R: Real, const J: usize>(
     for (l, leg) in model.legs.iter().enumerate() {
         let (joints, hinges) = (&state.joints[l * J..][..J], &mut hinges[l * J..][..J]);
         let found = travel.over(surfaces, l + 1);
-        let (leg_inertia, leg_bias) = fold_leg(model, leg, &base, &found, joints, hinges, links);
+        supports[l] = load_leg(model, leg, &base, &found, joints, hinges, &mut links[l]);
+    }
+    limits.iter_mut().for_each(Limits::begin);
+    let mut acceleration = solve(model, &state.joints, links, hinges, limits, inertia, bias);
+    if model.actuator.has_lines() {
+        for pass in 0..NEWTON + hinges.len() {
+            let joint = |i: usize| (&model.actuator, state.joints[i].rate, hinges[i].acceleration);
+            if !actuator::again(limits, joint, model.dt, pass) {
+                break;
+            }
+            acceleration = solve(model, &state.joints, links, hinges, limits, inertia, bias);
+        }
+    }
+    for ((joint, hinge), limits) in state.joints.iter_mut().zip(hinges).zip(limits) {
+        move_joint(model, joint, hinge.acceleration, limits, &mut state.work);
+    }
+    move_base(state, &acceleration, model.dt);
+}
+
+/// Solves for the accelerations of base and joints; `inertia` and `bias` are those of the base with its belly.
+#[inline(always)]
+fn solve<R: Real, const J: usize>(
+    model: &LaneModel<R, J>,
+    joints: &[LaneJoint<R>],
+    links: &[[(PointMasses<R>, Wrench<R>); J]],
+    hinges: &mut [Hinge<R>],
+    limits: &mut [Limits<R>],
+    mut inertia: Inertia<R>,
+    mut bias: Wrench<R>,
+) -> Twist<R> {
+    for (l, leg) in model.legs.iter().enumerate() {
+        let own = l * J..(l + 1) * J;
+        let (hinges, limits) = (&mut hinges[own.clone()], &mut limits[own.clone()]);
+        let (leg_inertia, leg_bias) = fold_leg(model, leg, &links[l], &joints[own], hinges, limits);
         inertia.add(&leg_inertia);
         bias.add(&leg_bias);
     }
-    let zero = Wrench::zero();
-    let acceleration = inertia.solve(&bias.scale_add(-R::one(), &zero));
-    for l in 0..model.legs.len() {
-        unfold_leg::<R, J>(
-            model,
-            &acceleration,
-            &mut state.joints[l * J..][..J],
-            &hinges[l * J..][..J],
-            &mut state.work,
-        );
+    let acceleration = inertia.solve(&bias.scale_add(-R::one(), &Wrench::zero()));
+    for leg in hinges.chunks_exact_mut(J) {
+        let mut parent = acceleration;
+        for hinge in leg {
+            hinge.acceleration = (hinge.drive - hinge.inertia_axis.dot(&parent)) * hinge.inverse;
+            parent = hinge.axis.scale_add(hinge.acceleration, &parent);
+        }
     }
-    move_base(state, &acceleration, model.dt);
+    acceleration
 }
 
 #[inline(always)]
@@ -320,8 +354,8 @@ fn submerged<R: Real>(places: &PlaneField<R>, p: [R; 2], height: R) -> Option<R>
     R::any(R::zero().lt(depth)).then(|| depth.max(R::zero()))
 }
 
-/// A link's masses with those that the sand adds, and the wrench that its motion needs while all joint
-/// accelerations are zero.
+/// A link's masses with those that the sand adds, the wrench that its motion needs while all joint accelerations are
+/// zero, and the sand's force on it along z.
 #[inline(always)]
 fn link<R: Real, const J: usize>(
     model: &LaneModel<R, J>,
@@ -329,7 +363,7 @@ fn link<R: Real, const J: usize>(
     rate: R,
     frame: &LegFrame<R>,
     travel: &Travel<R>,
-) -> (PointMasses<R>, Wrench<R>) {
+) -> ((PointMasses<R>, Wrench<R>), R) {
     let [e0, e1] = &body.plane;
     let places = PlaneField { at: frame.origin, by: [frame.rotation.apply(*e0), frame.rotation.apply(*e1)] };
     let velocities = places.velocity(&frame.velocity);
@@ -340,7 +374,7 @@ fn link<R: Real, const J: usize>(
     let (mut sand, drag) = link_sand(&model.ground, body, rate, &places, &middle, travel);
     sand.plus(&drag.forces(&places.velocity(&expected)));
     let bias = body.masses.forces(&accelerations).minus(&sand).wrench(&places);
-    (drag.scaled(model.dt).plus(&body.masses).of(&places), bias)
+    ((drag.scaled(model.dt).plus(&body.masses).of(&places), bias), sand.force.z)
 }
 
 /// Adds the sand's forces on a link, and its drags as masses. They act on the strip, or in part on the straight chord
@@ -410,9 +444,9 @@ fn strip<R: Real>(
     }
 }
 
-/// Inward pass over one leg: adds the leg's articulated inertia and bias to the base's.
+/// Places one leg's links and loads them with sand. Returns the sand's force on the leg along z.
 #[inline(always)]
-fn fold_leg<R: Real, const J: usize>(
+fn load_leg<R: Real, const J: usize>(
     model: &LaneModel<R, J>,
     leg: &[LaneBody<R>; J],
     base: &LegFrame<R>,
@@ -420,14 +454,29 @@ fn fold_leg<R: Real, const J: usize>(
     joints: &[LaneJoint<R>],
     hinges: &mut [Hinge<R>],
     links: &mut [(PointMasses<R>, Wrench<R>); J],
-) -> (Inertia<R>, Wrench<R>) {
-    let mut parent = *base;
+) -> R {
+    let (mut parent, mut support) = (*base, R::zero());
     for j in 0..J {
         let (frame, axis) = child_frame(&parent, &leg[j], &joints[j]);
         hinges[j].axis = axis;
-        links[j] = link(model, &leg[j], joints[j].rate, &frame, travel);
+        let (link, force) = link(model, &leg[j], joints[j].rate, &frame, travel);
+        links[j] = link;
+        support += force;
         parent = frame;
     }
+    support
+}
+
+/// Inward pass over one leg: the leg's articulated inertia and bias, which add to the base's.
+#[inline(always)]
+fn fold_leg<R: Real, const J: usize>(
+    model: &LaneModel<R, J>,
+    leg: &[LaneBody<R>; J],
+    links: &[(PointMasses<R>, Wrench<R>); J],
+    joints: &[LaneJoint<R>],
+    hinges: &mut [Hinge<R>],
+    limits: &mut [Limits<R>],
+) -> (Inertia<R>, Wrench<R>) {
     let mut carried: Option<(Inertia<R>, Wrench<R>)> = None;
     for j in (0..J).rev() {
         let (masses, mut bias) = links[j];
@@ -437,7 +486,7 @@ fn fold_leg<R: Real, const J: usize>(
             bias.add(b);
         }
         let hinge = &mut hinges[j];
-        drive(model, leg[j].armature, &joints[j], &inertia, &bias, hinge);
+        drive(model, leg[j].armature, &joints[j], &inertia, &bias, hinge, &mut limits[j]);
         inertia.add_outer(-hinge.inverse, &hinge.inertia_axis);
         let bias = hinge.inertia_axis.scale_add(hinge.drive * hinge.inverse, &bias);
         carried = Some((inertia, bias));
@@ -471,7 +520,8 @@ fn turned<R: Real>(u: Vec3<R>, axis: Vec3<R>, sin: R, cos: R) -> Vec3<R> {
 }
 
 /// The servo, implicit in angle and speed: τ = τ0 − (dt kd + dt² kp) q̈. If that exceeds the torque limit (computed
-/// with the parent held still), the torque is the limit and independent of q̈.
+/// with the parent held still), the torque is the limit and independent of q̈; motors with a known stall torque are checked afterwards
+/// ([`actuator`]).
 #[inline(always)]
 fn drive<R: Real, const J: usize>(
     model: &LaneModel<R, J>,
@@ -480,6 +530,7 @@ fn drive<R: Real, const J: usize>(
     inertia: &Inertia<R>,
     bias: &Wrench<R>,
     hinge: &mut Hinge<R>,
+    limits: &mut Limits<R>,
 ) {
     let dt = model.dt;
     let rate = joint.command_rate.clamp(-model.speed_limit, model.speed_limit);
@@ -487,42 +538,36 @@ fn drive<R: Real, const J: usize>(
     let error = rate_error.mul_add(dt, joint.reference - joint.angle);
     let torque = model.kp.mul_add(error, model.kd.mul_add(rate_error, joint.command_torque));
     let yielding = dt * dt.mul_add(model.kp, model.kd);
-    let StopTorque { torque, yielding } = model.actuator.track(StopTorque { torque, yielding }, joint.torque, dt);
-    let [low, high] = model.actuator.limits(joint.rate);
+    let servo = model.actuator.track(StopTorque { torque, yielding }, joint.torque, dt);
+    let gear = model.actuator.gear(joint.rate, joint.torque, dt);
     hinge.inertia_axis = inertia.apply(&hinge.axis);
     let own = hinge.inertia_axis.dot(&hinge.axis) + armature;
     let load = bias.dot(&hinge.axis);
-    let expected = torque - yielding * ((torque - load) / (own + yielding));
-    let limited = expected.clamp(low, high);
-    let saturated = R::zero().lt((limited - expected).abs());
-    hinge.torque = R::select(saturated, limited, torque);
-    hinge.yielding = R::select(saturated, R::zero(), yielding);
-    hinge.inverse = R::one() / (own + hinge.yielding);
-    hinge.drive = hinge.torque - load;
+    let expected = servo.plus(gear).moves(own, load);
+    let limited = model.actuator.limited(servo, joint.rate, expected, dt);
+    let push = limits.pass(servo, limited).plus(gear);
+    hinge.inverse = R::one() / (own + push.yielding);
+    hinge.drive = push.torque - load;
 }
 
-/// Outward pass over one leg: computes joint accelerations, then speeds, angles and servo references after the step.
+/// Computes speed, angle and servo reference after the step.
 #[inline(always)]
-fn unfold_leg<R: Real, const J: usize>(
+fn move_joint<R: Real, const J: usize>(
     model: &LaneModel<R, J>,
-    base: &Twist<R>,
-    joints: &mut [LaneJoint<R>],
-    hinges: &[Hinge<R>],
+    joint: &mut LaneJoint<R>,
+    acceleration: R,
+    limits: &Limits<R>,
     work: &mut R,
 ) {
-    let mut parent = *base;
-    for (joint, hinge) in joints.iter_mut().zip(hinges) {
-        let acceleration = (hinge.drive - hinge.inertia_axis.dot(&parent)) * hinge.inverse;
-        parent = hinge.axis.scale_add(acceleration, &parent);
-        joint.torque = hinge.torque - hinge.yielding * acceleration;
-        joint.change = acceleration * model.dt;
-        joint.rate += joint.change;
-        joint.angle = joint.rate.mul_add(model.dt, joint.angle);
-        let rate = joint.command_rate.clamp(-model.speed_limit, model.speed_limit);
-        let reference = rate.mul_add(model.dt, joint.reference);
-        joint.reference = reference.clamp(joint.angle - model.lag_limit, joint.angle + model.lag_limit);
-        *work += (joint.torque * joint.rate).abs() * model.dt;
-    }
+    let torque = limits.push.at(acceleration);
+    joint.torque = model.actuator.reported(torque, torque, joint.rate, acceleration, model.dt);
+    joint.change = acceleration * model.dt;
+    joint.rate += joint.change;
+    joint.angle = joint.rate.mul_add(model.dt, joint.angle);
+    let rate = joint.command_rate.clamp(-model.speed_limit, model.speed_limit);
+    let reference = rate.mul_add(model.dt, joint.reference);
+    joint.reference = reference.clamp(joint.angle - model.lag_limit, joint.angle + model.lag_limit);
+    *work += (joint.torque * joint.rate).abs() * model.dt;
 }
 
 /// Moves the base by semi-implicit Euler; the rotation by the exponential map to third order, then normalised.

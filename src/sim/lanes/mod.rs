@@ -95,9 +95,19 @@ impl LanesEngine {
         self.blocks[index / self.lanes].sand(index % self.lanes)
     }
 
+    /// See [`super::engine::Engine::supports`].
+    pub fn supports(&self, index: usize, out: &mut Vec<f64>) {
+        self.blocks[index / self.lanes].supports(index % self.lanes, out);
+    }
+
     /// See [`super::engine::Engine::advance`].
     pub fn advance(&mut self, steps: usize) {
-        self.blocks.iter_mut().for_each(|b| b.advance(steps));
+        self.advance_in_parts(steps, true);
+    }
+
+    /// See [`super::engine::Engine::advance_in_parts`].
+    pub fn advance_in_parts(&mut self, steps: usize, ends: bool) {
+        self.blocks.iter_mut().for_each(|b| b.advance(steps, ends));
     }
 }
 
@@ -108,8 +118,9 @@ trait LegBlock: Send {
     fn set_state(&mut self, lane: usize, state: &State);
     fn state(&self, lane: usize, out: &mut State);
     fn sand(&self, lane: usize) -> Option<&Moved>;
+    fn supports(&self, lane: usize, out: &mut Vec<f64>);
     fn command(&mut self, lane: usize, command: &Command);
-    fn advance(&mut self, steps: usize);
+    fn advance(&mut self, steps: usize, ends: bool);
 }
 
 struct LegLanes<R: Real, const J: usize> {
@@ -189,6 +200,7 @@ impl<R: Real, const J: usize> LegLanes<R, J> {
 struct AdvanceLegs<'a, R: Real, const J: usize> {
     block: &'a mut LegLanes<R, J>,
     steps: usize,
+    ends: bool,
 }
 
 impl<R: Real, const J: usize> Kernel for AdvanceLegs<'_, R, J> {
@@ -204,7 +216,9 @@ impl<R: Real, const J: usize> Kernel for AdvanceLegs<'_, R, J> {
                 memory.update(origins, state.position);
             }
         }
-        self.block.fold();
+        if self.ends {
+            self.block.fold();
+        }
     }
 }
 
@@ -270,6 +284,11 @@ impl<R: Real, const J: usize> LegBlock for LegLanes<R, J> {
         self.memory.as_ref().map(|memory| memory.sand(lane))
     }
 
+    fn supports(&self, lane: usize, out: &mut Vec<f64>) {
+        out.clear();
+        out.extend(self.scratch.supports.iter().map(|force| force.lane(lane)));
+    }
+
     fn command(&mut self, lane: usize, command: &Command) {
         for (i, joint) in self.state.joints.iter_mut().enumerate() {
             joint.command_rate.set_lane(lane, command.rates[i]);
@@ -277,8 +296,8 @@ impl<R: Real, const J: usize> LegBlock for LegLanes<R, J> {
         }
     }
 
-    fn advance(&mut self, steps: usize) {
-        R::dispatch(AdvanceLegs { block: self, steps });
+    fn advance(&mut self, steps: usize, ends: bool) {
+        R::dispatch(AdvanceLegs { block: self, steps, ends });
     }
 }
 

@@ -124,7 +124,7 @@ impl<R: Real> PlaneMoments<R> {
 /// Forces on the pieces of a plane.
 #[derive(Clone, Copy)]
 pub struct PlaneForces<R> {
-    force: Vec3<R>,
+    pub force: Vec3<R>,
     /// Σp₀f, Σp₁f
     first: [Vec3<R>; 2],
 }

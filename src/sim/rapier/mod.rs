@@ -229,6 +229,7 @@ impl RapierRobot {
         let mut joint = 0;
         for chain in &model.legs {
             let mut frame = *base;
+            let mut before = self.world.base;
             for body in chain {
                 frame = frame.child(body, state.angles[joint], state.rates[joint]);
                 let at = PlacedBody { frame: &frame, base: &state.position, travel: state.travel() };
@@ -242,7 +243,10 @@ impl RapierRobot {
                     (self.dry[joint], body.center)
                 };
                 let arm = frame.origin + frame.rotation * center;
-                self.world.load(self.world.links[joint], properties, arm, &wrench);
+                let link = self.world.links[joint];
+                self.world.load(link, properties, arm, &wrench);
+                self.world.push_joint(model, state.rates[joint], frame.rotation * body.axis, [before, link]);
+                before = link;
                 joint += 1;
             }
         }

@@ -6,7 +6,8 @@ use super::sand::SandWrench;
 use super::units::{PER_METRE, PER_SQUARE_METRE, metres, plain, quat, scaled, scaled_twice, vec3};
 use crate::actuator::LaneActuator;
 use crate::frame::{M, V};
-use crate::model::{LinkBody, Model, Motor};
+use crate::model::{LinkBody, Model};
+use crate::motor::Motor;
 use crate::solid::RigidPose;
 use crate::stop::StopTorque;
 use crate::{State, engine::Command};
@@ -31,7 +32,7 @@ pub struct RobotPart(RigidBodyHandle);
 /// walks. In a world with obstacles, the base was there when the world was built.
 pub struct World {
     physics: PhysicsWorld,
-    base: RobotPart,
+    pub base: RobotPart,
     /// Massless bodies fixed to the base, for the sand's added masses. The base's own centre of mass must stay at
     /// its origin, because rapier takes a root's velocity for that of its centre of mass.
     pub drag: RobotPart,
@@ -89,7 +90,8 @@ impl World {
         if let Some((multibody, _)) = handle.and_then(|h| physics.multibody_joints.get_mut(h)) {
             multibody.damping_mut().fill(0.0);
             for (i, body) in model.legs.iter().flatten().enumerate() {
-                multibody.armature_mut()[BASE_DOFS + i] = (body.armature * PER_SQUARE_METRE) as f32;
+                let rotor = model.motor.actuator.rotor_inertia.unwrap_or(0.0);
+                multibody.armature_mut()[BASE_DOFS + i] = ((body.armature + rotor) * PER_SQUARE_METRE) as f32;
             }
         }
         Self { physics, base, drag, edge, links, rocks: Vec::new(), colliders: Vec::new(), origin: V::zeros() }
@@ -179,20 +181,25 @@ impl World {
 
     /// Sets every motor's target. The servo kp(θ_ref⁺ − θ⁺) + kd(ω_ref − ω⁺) + τ, with θ⁺ = θ + dt ω⁺, is a damper
     /// of strength kd + dt kp that pulls toward one speed; so the gains enter implicitly and the limit clips the
-    /// result.
+    /// result. rapier has one limit for both directions, so the middle of the limits is not a part of the motor
+    /// ([`Self::push_joint`]).
     pub fn drive(&mut self, model: &Model, state: &State, command: &Command) {
         let yielding = yielding(&model.motor, model.scene.dt);
         let Some(multibody) = self.multibody() else { return };
+        let gear = LaneActuator::<f64>::splat(&model.motor.actuator);
+        for (i, (rate, torque)) in state.rates.iter().zip(&state.torques).enumerate() {
+            multibody.damping_mut()[BASE_DOFS + i] = (gear.slows(*rate, *torque) * PER_SQUARE_METRE) as f32;
+        }
         let hinges = multibody.links_mut().filter(|l| l.joint.ndofs() == 1);
         for (i, link) in hinges.enumerate() {
             let pull = model.motor.kp * (state.references[i] - state.angles[i]);
             let torque = pull + model.motor.kd * command.rates[i] + command.torques[i];
             let push = track(model, torque, yielding, state.torques[i]);
-            let limit = limit(model, state.rates[i], push.torque - push.yielding * state.rates[i]);
+            let [middle, half] = limits(model, state.rates[i]);
             let motor = &mut link.joint.data.motors[HINGE];
             motor.damping = (push.yielding * PER_SQUARE_METRE) as f32;
-            motor.target_vel = (push.torque / push.yielding) as f32;
-            motor.max_force = (limit * PER_SQUARE_METRE) as f32;
+            motor.target_vel = ((push.torque - middle) / push.yielding) as f32;
+            motor.max_force = (half * PER_SQUARE_METRE) as f32;
         }
     }
 
@@ -206,6 +213,16 @@ impl World {
     pub fn load(&mut self, part: RobotPart, masses: MassProperties, arm: V, wrench: &SandWrench) {
         self.physics.bodies[part.0].set_additional_mass_properties(masses, false);
         self.push(part, arm, wrench);
+    }
+
+    /// Applies the middle of a motor's limits at `rate` to the link and, in the other direction, to the one before it. `axis`: that of the
+    /// joint, in the world. It must follow all loads.
+    pub fn push_joint(&mut self, model: &Model, rate: f64, axis: V, [before, link]: [RobotPart; 2]) {
+        let [middle, _] = limits(model, rate);
+        if middle != 0.0 {
+            self.physics.bodies[link.0].add_torque(scaled_twice(axis * middle), false);
+            self.physics.bodies[before.0].add_torque(scaled_twice(axis * -middle), false);
+        }
     }
 
     fn push(&mut self, part: RobotPart, arm: V, wrench: &SandWrench) {
@@ -225,8 +242,8 @@ impl World {
         for ((link, torque), old) in hinges.zip(&mut state.torques).zip(&state.rates) {
             let target = f64::from(link.joint.data.motors[HINGE].target_vel);
             let rate = f64::from(multibody.joint_velocity(link)[0]);
-            let limit = limit(model, *old, target - old);
-            *torque = (yielding * (target - rate)).clamp(-limit, limit);
+            let [middle, half] = limits(model, *old);
+            *torque = middle + (yielding * (target - rate)).clamp(-half, half);
         }
         let velocities = multibody.generalized_velocity();
         let to = state.velocity.iter_mut().chain(&mut state.angular_velocity).chain(&mut state.rates);
@@ -248,10 +265,10 @@ fn track(model: &Model, torque: f64, yielding: f64, before: f64) -> StopTorque<f
     LaneActuator::<f64>::splat(&model.motor.actuator).track(StopTorque { torque, yielding }, before, model.scene.dt)
 }
 
-/// Largest torque of a motor at this rate in the direction of `torque`: rapier has one limit for both directions.
-fn limit(model: &Model, rate: f64, torque: f64) -> f64 {
+/// Middle and half width of the limits of a motor's torque at this rate.
+fn limits(model: &Model, rate: f64) -> [f64; 2] {
     let [low, high] = LaneActuator::<f64>::splat(&model.motor.actuator).limits(rate);
-    if torque < 0.0 { -low } else { high }
+    [(low + high) / 2.0, (high - low) / 2.0]
 }
 
 /// Decrease of a servo's torque with the speed gained in a step [N·m·s/rad].

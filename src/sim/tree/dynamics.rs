@@ -80,7 +80,7 @@ pub struct TreeHinge<R> {
 pub trait Drive<R> {
     /// The push on joint `joint`, if `own` is the inertia behind it and `load` the torque at which it does not
     /// accelerate, both with the parent held still.
-    fn push(&self, joint: usize, own: R, load: R) -> StopTorque<R>;
+    fn push(&mut self, joint: usize, own: R, load: R) -> StopTorque<R>;
 }
 
 impl<R: Real> LaneTreeBody<R> {
@@ -229,7 +229,7 @@ pub fn load<R: Real>(bodies: &[LaneTreeBody<R>], frames: &[LinkFrame<R>], gravit
 pub fn fold<R: Real>(
     bodies: &[LaneTreeBody<R>],
     frames: &[LinkFrame<R>],
-    drive: &impl Drive<R>,
+    drive: &mut impl Drive<R>,
     loads: &mut [LinkLoad<R>],
     hinges: &mut [TreeHinge<R>],
 ) -> Twist<R> {

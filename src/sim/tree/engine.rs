@@ -85,7 +85,12 @@ impl TreeEngine {
 
     /// See [`crate::engine::Engine::advance`].
     pub fn advance(&mut self, steps: usize) {
-        self.blocks.iter_mut().for_each(|b| b.advance(steps));
+        self.advance_in_parts(steps, true);
+    }
+
+    /// See [`crate::engine::Engine::advance_in_parts`].
+    pub fn advance_in_parts(&mut self, steps: usize, ends: bool) {
+        self.blocks.iter_mut().for_each(|b| b.advance(steps, ends));
     }
 }
 
@@ -96,7 +101,7 @@ trait TreeBlock: Send {
     fn state(&self, lane: usize, out: &mut State);
     fn sand(&self, lane: usize) -> Option<&Moved>;
     fn command(&mut self, lane: usize, command: &Command);
-    fn advance(&mut self, steps: usize);
+    fn advance(&mut self, steps: usize, ends: bool);
 }
 
 struct TreeLanes<R: Real> {
@@ -192,6 +197,7 @@ pub fn alone(model: &Model, state: &State) -> Option<Alone> {
 struct AdvanceTrees<'a, R: Real> {
     block: &'a mut TreeLanes<R>,
     steps: usize,
+    ends: bool,
 }
 
 impl<R: Real> Kernel for AdvanceTrees<'_, R> {
@@ -209,7 +215,9 @@ impl<R: Real> Kernel for AdvanceTrees<'_, R> {
                 memory.update(origins, state.position);
             }
         }
-        self.block.fold();
+        if self.ends {
+            self.block.fold();
+        }
     }
 }
 
@@ -313,7 +321,7 @@ impl<R: Real> TreeBlock for TreeLanes<R> {
         }
     }
 
-    fn advance(&mut self, steps: usize) {
-        R::dispatch(AdvanceTrees { block: self, steps });
+    fn advance(&mut self, steps: usize, ends: bool) {
+        R::dispatch(AdvanceTrees { block: self, steps, ends });
     }
 }

@@ -18,7 +18,7 @@ struct FixedTorques<'a, R>(&'a [R]);
 
 impl<R: Real> Drive<R> for FixedTorques<'_, R> {
     #[inline(always)]
-    fn push(&self, joint: usize, _own: R, _load: R) -> StopTorque<R> {
+    fn push(&mut self, joint: usize, _own: R, _load: R) -> StopTorque<R> {
         StopTorque { torque: self.0[joint], yielding: R::zero() }
     }
 }
@@ -97,7 +97,7 @@ pub fn accelerations_by<R: Real>(tree: &Tree, pose: &TreePose) -> TreeAccelerati
     let mut joints = vec![R::zero(); count - 1];
     place(&bodies, &motion, &mut frames);
     load(&bodies, &frames, Vec3::splat([0.0, 0.0, -GRAVITY]), &mut loads);
-    let base = fold(&bodies, &frames, &FixedTorques(&torques), &mut loads, &mut hinges);
+    let base = fold(&bodies, &frames, &mut FixedTorques(&torques), &mut loads, &mut hinges);
     unfold(&bodies, &frames, &hinges, &base, &mut moved, &mut joints);
     TreeAccelerations {
         a: base.linear.lane(0),

@@ -45,25 +45,9 @@ pub struct TreeMotor {
     pub kp: f64,
     /// [N·m·s/rad]
     pub kd: f64,
-    /// [N·m]
-    pub torque_limit: Option<f64>,
-    /// Largest speed of the reference, and speed of the motor without a load [rad/s]
+    /// Largest speed of the reference [rad/s]; None: no known limit.
     pub speed_limit: Option<f64>,
-    /// [N·m]; None: twice the torque limit.
-    pub stall_torque: Option<f64>,
-    /// Time that the torque needs to follow the servo [s].
-    pub time_constant: f64,
-}
-
-impl TreeMotor {
-    pub fn actuator(&self) -> Actuator {
-        Actuator {
-            torque_limit: self.torque_limit,
-            stall_torque: self.stall_torque,
-            no_load_speed: self.speed_limit,
-            time_constant: self.time_constant,
-        }
-    }
+    pub actuator: Actuator,
 }
 
 /// kp and kd of a joint without known gains [N·m/rad, N·m·s/rad].
@@ -102,10 +86,12 @@ pub fn motors(tree: &Tree, contacts: &[Vec<ContactPoint>], stance: &Stance) -> V
         TreeMotor {
             kp,
             kd: joint.kd.unwrap_or(if own.kp > 0.0 { kp * own.kd / own.kp } else { 0.0 }),
-            torque_limit: joint.torque_limit,
             speed_limit: joint.speed_limit,
-            stall_torque: None,
-            time_constant: 0.0,
+            actuator: Actuator {
+                torque_limit: joint.torque_limit,
+                no_load_speed: joint.speed_limit,
+                ..Actuator::default()
+            },
         }
     };
     tree.joints().zip(&found).map(motor).collect()

@@ -101,7 +101,8 @@ impl TreeModel {
     /// A copy whose motors give at most `limit` [N·m], if that is not 0.
     pub fn with_weak_motors(mut self, limit: f64) -> Self {
         for motor in self.motors.iter_mut().filter(|_| limit > 0.0) {
-            motor.torque_limit = Some(motor.torque_limit.map_or(limit, |own| own.min(limit)));
+            let own = &mut motor.actuator.torque_limit;
+            *own = Some(own.map_or(limit, |own| own.min(limit)));
         }
         self
     }

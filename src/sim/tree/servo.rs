@@ -2,24 +2,21 @@
 //!
 //! Each is τ(q̈) = torque − yielding q̈. A motor's torque is limited, and a stop only pushes. Whether a torque is at
 //! its limit is computed with the parent held still, as in [`crate::lanes`]. The torque is then the limit, and
-//! independent of q̈. Dry friction is F q̇⁺/max(|q̇|, v₀), with the rate q̇⁺ after the step and q̇ before it.
+//! independent of q̈; motors with a known stall torque are checked afterwards ([`crate::actuator`]). Dry friction is F q̇⁺/max(|q̇|, v₀), with
+//! the rate q̇⁺ after the step, q̇ before it, and v₀ = [`CREEP`].
 
 use super::dynamics::{Drive, JointMotion};
 use super::model::TreeModel;
-use crate::actuator::{Actuator, LaneActuator};
+use crate::actuator::{Actuator, CREEP, LaneActuator, Limits};
 use crate::number::Real;
 use crate::stop::{NO_LIMIT, Stop, StopTorque};
-
-/// Rate v₀ at which dry friction has its full size [rad/s]; a joint creeps more slowly under a smaller load. Our
-/// choice, because even at this rate a joint turns by only 0.06° in a second.
-const CREEP: f64 = 1e-3;
 
 /// The torques that drive and hold a joint, one lane each.
 #[derive(Clone, Copy)]
 pub struct LaneMotor<R> {
     kp: R,
     kd: R,
-    actuator: LaneActuator<R>,
+    pub actuator: LaneActuator<R>,
     speed_limit: R,
     damping: R,
     friction: R,
@@ -69,10 +66,12 @@ impl<R: Real> LaneMotor<R> {
         for ((out, motor), joint) in all.iter_mut().zip(&model.motors).zip(model.tree.joints()) {
             out.kp.set_lane(lane, motor.kp);
             out.kd.set_lane(lane, motor.kd);
-            out.actuator.set_lane(lane, &motor.actuator());
+            out.actuator.set_lane(lane, &motor.actuator);
             out.speed_limit.set_lane(lane, motor.speed_limit.unwrap_or(NO_LIMIT));
-            out.damping.set_lane(lane, joint.damping);
-            out.friction.set_lane(lane, joint.friction);
+            // What is known of the gear replaces the file's values.
+            let of_joint = |gear: Option<f64>, joint: f64| if gear.is_some() { 0.0 } else { joint };
+            out.damping.set_lane(lane, of_joint(motor.actuator.damping, joint.damping));
+            out.friction.set_lane(lane, of_joint(motor.actuator.friction, joint.friction));
             let range = joint.range.unwrap_or([-NO_LIMIT, NO_LIMIT]);
             out.range.iter_mut().zip(range).for_each(|(out, end)| out.set_lane(lane, end));
             let spring = joint.spring.unwrap_or([0.0; 2]);
@@ -86,15 +85,14 @@ impl<R: Real> LaneMotor<R> {
         servo.command_rate.clamp(-self.speed_limit, self.speed_limit)
     }
 
-    /// The motor's part of the push, and the limits of its torque at the joint's rate.
+    /// The servo's push without limits.
     #[inline(always)]
-    fn servo(&self, servo: &LaneServo<R>, joint: &JointMotion<R>, dt: R) -> (StopTorque<R>, [R; 2]) {
+    fn servo(&self, servo: &LaneServo<R>, joint: &JointMotion<R>, dt: R) -> StopTorque<R> {
         let rate_error = self.reference_rate(servo) - joint.rate;
         let error = rate_error.mul_add(dt, servo.reference - joint.position);
         let torque = self.kp.mul_add(error, self.kd.mul_add(rate_error, servo.command_torque));
         let yielding = dt * dt.mul_add(self.kp, self.kd);
-        let push = self.actuator.track(StopTorque { torque, yielding }, servo.torque, dt);
-        (push, self.actuator.limits(joint.rate))
+        self.actuator.track(StopTorque { torque, yielding }, servo.torque, dt)
     }
 }
 
@@ -103,23 +101,33 @@ pub struct JointTorques<'a, R> {
     pub motors: &'a [LaneMotor<R>],
     pub servos: &'a [LaneServo<R>],
     pub joints: &'a [JointMotion<R>],
+    pub limits: &'a mut [Limits<R>],
     pub dt: R,
 }
 
-impl<R: Real> JointTorques<'_, R> {
-    /// The motor's torque if the joint accelerates by `acceleration`.
+impl<R: Real> LaneMotor<R> {
+    /// The motor's torque in a step in which its joint accelerated by `acceleration`.
     #[inline(always)]
-    pub fn motor_torque(&self, i: usize, acceleration: R) -> R {
-        let (push, [low, high]) = self.motors[i].servo(&self.servos[i], &self.joints[i], self.dt);
-        push.at(acceleration).clamp(low, high)
+    pub fn torque(
+        &self,
+        servo: &LaneServo<R>,
+        joint: &JointMotion<R>,
+        limits: &Limits<R>,
+        acceleration: R,
+        dt: R,
+    ) -> R {
+        let [low, high] = self.actuator.limits(joint.rate);
+        let flat = self.servo(servo, joint, dt).at(acceleration).clamp(low, high);
+        self.actuator.reported(flat, limits.push.at(acceleration), joint.rate, acceleration, dt)
     }
 }
 
 impl<R: Real> Drive<R> for JointTorques<'_, R> {
     #[inline(always)]
-    fn push(&self, i: usize, own: R, load: R) -> StopTorque<R> {
+    fn push(&mut self, i: usize, own: R, load: R) -> StopTorque<R> {
         let (motor, joint, dt) = (&self.motors[i], &self.joints[i], self.dt);
-        let (servo, [low, high]) = motor.servo(&self.servos[i], joint, dt);
+        let servo = motor.servo(&self.servos[i], joint, dt);
+        let gear = motor.actuator.gear(joint.rate, self.servos[i].torque, dt);
         let damping = StopTorque { torque: -(motor.damping * joint.rate), yielding: motor.damping * dt };
         let slows = motor.friction / joint.rate.abs().max(R::splat(CREEP));
         let rub = StopTorque { torque: -(slows * joint.rate), yielding: slows * dt };
@@ -127,12 +135,13 @@ impl<R: Real> Drive<R> for JointTorques<'_, R> {
         let [stiffness, rest] = motor.spring;
         let pulled = joint.rate.mul_add(dt, joint.position) - rest;
         let spring = StopTorque { torque: -(stiffness * pulled), yielding: stiffness * (dt * dt) };
-        let always = damping.plus(rub).plus(spring);
+        let always = damping.plus(rub).plus(spring).plus(gear);
         let all = servo.plus(always).plus(stops.push);
         let first = all.moves(own, load);
         let stop = stops.at(first);
-        let all = servo.within(low, high, first).plus(always).plus(stop);
+        let all = motor.actuator.limited(servo, joint.rate, first, dt).plus(always).plus(stop);
         let second = all.moves(own, load);
-        servo.within(low, high, second).plus(always).plus(stop)
+        let limited = motor.actuator.limited(servo, joint.rate, second, dt);
+        self.limits[i].pass(servo, limited).plus(always).plus(stop)
     }
 }

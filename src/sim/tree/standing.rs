@@ -125,8 +125,9 @@ fn judged(model: &Model, state: State) -> Result<Standing> {
     let height = [z - model.surface_height(x, y), tree.stance.height];
     let up = state.rotation()[2][2];
     let speed = Vector3::from(state.velocity).norm();
-    let torque =
-        |(t, motor): (&f64, &super::gains::TreeMotor)| (t.abs(), motor.torque_limit.map(|limit| t.abs() / limit));
+    let torque = |(t, motor): (&f64, &super::gains::TreeMotor)| {
+        (t.abs(), motor.actuator.torque_limit.map(|limit| t.abs() / limit))
+    };
     let torques = state.torques.iter().zip(&tree.motors).map(torque).collect();
     let reason = match () {
         () if up < UPRIGHT => "it tips over",

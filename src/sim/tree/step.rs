@@ -7,6 +7,7 @@ use super::patches::BodyPatches;
 use super::relief::LaneRelief;
 use super::sand;
 use super::servo::{JointTorques, LaneMotor, LaneServo};
+use crate::actuator::{self, Limits, NEWTON};
 use crate::number::{Real, Vec3};
 use crate::sand::SandBed;
 use crate::spatial::Twist;
@@ -56,9 +57,12 @@ pub struct TreeScratch<R> {
     loads: Vec<LinkLoad<R>>,
     /// Loads without those of hard ground.
     bare: Vec<LinkLoad<R>>,
+    /// Loads before they are folded.
+    unfolded: Vec<LinkLoad<R>>,
     hinges: Vec<TreeHinge<R>>,
     pub accelerations: Vec<Twist<R>>,
     joints: Vec<R>,
+    limits: Vec<Limits<R>>,
     pub touches: Vec<Touch<R>>,
 }
 
@@ -69,9 +73,11 @@ impl<R: Real> TreeScratch<R> {
             frames: vec![LinkFrame::at_rest(); bodies],
             loads: vec![LinkLoad::none(); bodies],
             bare: vec![LinkLoad::none(); bodies],
+            unfolded: vec![LinkLoad::none(); bodies],
             hinges: vec![TreeHinge::free(); bodies - 1],
             accelerations: vec![still; bodies],
             joints: vec![R::zero(); bodies - 1],
+            limits: vec![Limits::none(); bodies - 1],
             touches: Vec::new(),
         }
     }
@@ -93,7 +99,7 @@ pub fn step<R: Real>(
         servo.command_rate = ratio * (leader.rate + leader.change);
     }
     accelerate(model, state, scratch, found);
-    move_joints(model, state, &scratch.joints);
+    move_joints(model, state, &scratch.joints, &scratch.limits);
     move_base(state, &scratch.accelerations[0], model.dt);
 }
 
@@ -127,20 +133,33 @@ pub fn accelerate<R: Real>(
 
 #[inline(always)]
 fn solve<R: Real>(model: &LaneTree<R>, state: &LaneTreeState<R>, s: &mut TreeScratch<R>) {
-    let joints =
-        JointTorques { motors: &model.motors, servos: &state.servos, joints: &state.motion.joints, dt: model.dt };
-    let base = dynamics::fold(&model.bodies, &s.frames, &joints, &mut s.loads, &mut s.hinges);
-    dynamics::unfold(&model.bodies, &s.frames, &s.hinges, &base, &mut s.accelerations, &mut s.joints);
+    let (dt, joints) = (model.dt, &state.motion.joints);
+    s.limits.iter_mut().for_each(Limits::begin);
+    // `fold` changes the loads; where motors have lines, it may be made several times.
+    let lines = model.motors.iter().any(|motor| motor.actuator.has_lines());
+    if lines {
+        s.unfolded.copy_from_slice(&s.loads);
+    }
+    for pass in 0..NEWTON + joints.len() {
+        let mut drive =
+            JointTorques { motors: &model.motors, servos: &state.servos, joints, limits: &mut s.limits, dt };
+        let base = dynamics::fold(&model.bodies, &s.frames, &mut drive, &mut s.loads, &mut s.hinges);
+        dynamics::unfold(&model.bodies, &s.frames, &s.hinges, &base, &mut s.accelerations, &mut s.joints);
+        let joint = |i: usize| (&model.motors[i].actuator, joints[i].rate, s.joints[i]);
+        if !lines || !actuator::again(&mut s.limits, joint, dt, pass) {
+            break;
+        }
+        s.loads.copy_from_slice(&s.unfolded);
+    }
 }
 
 /// Computes rates, positions and servos after the step.
 #[inline(always)]
-fn move_joints<R: Real>(model: &LaneTree<R>, state: &mut LaneTreeState<R>, accelerations: &[R]) {
+fn move_joints<R: Real>(model: &LaneTree<R>, state: &mut LaneTreeState<R>, accelerations: &[R], limits: &[Limits<R>]) {
     let dt = model.dt;
     for (i, acceleration) in accelerations.iter().enumerate() {
-        let joints = JointTorques { motors: &model.motors, servos: &state.servos, joints: &state.motion.joints, dt };
-        let torque = joints.motor_torque(i, *acceleration);
         let (joint, servo) = (&mut state.motion.joints[i], &mut state.servos[i]);
+        let torque = model.motors[i].torque(servo, joint, &limits[i], *acceleration, dt);
         joint.change = *acceleration * dt;
         joint.rate += joint.change;
         joint.position = joint.rate.mul_add(dt, joint.position);
