@@ -49,7 +49,11 @@ fn files() -> Vec<(&'static str, Vec<u8>, Option<&'static str>)> {
         ("attributes", file(&[attributes], &[]), Some("more than 16384 fields")),
         ("empty nodes", file(&vec![nothing.clone(); 300], &[]), Some("300 nodes are more than 256")),
         ("many empty nodes", file(&vec![nothing; 2_000_000], &[]), Some("more than 16384 fields")),
-        ("tensors", file(&[relu.clone()], &vec![onnx::tensor("c", 1, &[]); 200_000]), Some("more than 16384 fields")),
+        (
+            "tensors",
+            file(std::slice::from_ref(&relu), &vec![onnx::tensor("c", 1, &[]); 200_000]),
+            Some("more than 16384 fields"),
+        ),
         ("a long name", file(&[node("Relu", &[&"x".repeat(4_000_000)], "y")], &[]), Some("no earlier node")),
         ("integers", file(&[relu], &[onnx::ones("c", MOST_BYTES - 1000)]), None),
         ("Max of 10,000", file(&[node("Max", &["x"; 10_000], "y")], &[]), Some("65536 numbers")),

@@ -11,7 +11,7 @@ use std::path::Path;
 const MOST: u64 = 1 << 30;
 
 /// A number of an array, stored unchanged.
-pub trait Element: Copy {
+pub trait TensorNumber: Copy {
     const TYPE: Dtype;
     fn bytes(self) -> impl IntoIterator<Item = u8>;
     fn read(bytes: &[u8]) -> Option<Vec<Self>>;
@@ -19,7 +19,7 @@ pub trait Element: Copy {
 
 macro_rules! elements {
     ($($number:ty: $name:ident),*) => {$(
-        impl Element for $number {
+        impl TensorNumber for $number {
             const TYPE: Dtype = Dtype::$name;
 
             fn bytes(self) -> impl IntoIterator<Item = u8> {
@@ -45,19 +45,19 @@ pub struct Tensors {
 }
 
 impl Tensors {
-    pub fn add<T: Element>(&mut self, name: impl Into<String>, shape: &[usize], numbers: &[T]) {
+    pub fn add<T: TensorNumber>(&mut self, name: impl Into<String>, shape: &[usize], numbers: &[T]) {
         let bytes = numbers.iter().flat_map(|x| x.bytes()).collect();
         self.arrays.insert(name.into(), (T::TYPE, shape.to_vec(), bytes));
     }
 
     /// The `count` numbers of an array.
-    pub fn get<T: Element>(&self, name: &str, count: usize) -> Result<Vec<T>> {
+    pub fn get<T: TensorNumber>(&self, name: &str, count: usize) -> Result<Vec<T>> {
         let all = self.all::<T>(name)?;
         if all.len() == count { Ok(all) } else { Err(wrong(format!("{name:?} has not {count} numbers"))) }
     }
 
     /// All numbers of an array.
-    pub fn all<T: Element>(&self, name: &str) -> Result<Vec<T>> {
+    pub fn all<T: TensorNumber>(&self, name: &str) -> Result<Vec<T>> {
         match self.arrays.get(name) {
             Some((dtype, _, bytes)) if *dtype == T::TYPE => {
                 T::read(bytes).ok_or_else(|| wrong(format!("{name:?} is cut off")))
