@@ -310,22 +310,13 @@ fn beneath(study: &Study, base: Fit, fits: &[Fit]) -> Fit {
 /// prediction.
 pub fn surroundings(study: &Study, source: &Source, start: &Noise, fit: &Fit) -> Surroundings {
     let coefficients = study.coefficients(&fit.deviations);
-    let mut shared = study.model.shared(&fit.mechanisms, &coefficients, &fit.prediction);
-    shared.retain(|s| source.shared.iter().any(|own| own.name == s.name));
-    let model_error = study.model.model_error(&fit.mechanisms, &coefficients, &fit.prediction);
-    let own_error = study.model.own_error(&fit.mechanisms, &coefficients, &fit.prediction);
+    let mut uncertainty = study.model.uncertainty(&(fit.mechanisms, coefficients), &fit.prediction);
+    uncertainty.shared.retain(|s| source.uncertainty.shared.iter().any(|own| own.name == s.name));
     // The noise is learnt from the fit's residual, nuisances included, and is proportional to the prediction of the
     // sand.
     let reading = study.reading(fit);
     let sizes = sizes_of(study.observations, &reading);
-    let source = Source {
-        prediction: &reading,
-        sizes: &sizes,
-        shared: &shared,
-        model_error: &model_error,
-        own_error: &own_error,
-        ..*source
-    };
+    let source = Source { prediction: &reading, sizes: &sizes, uncertainty: &uncertainty, ..*source };
     let noise = source.noise(Some(start), &|| study.model.stopped());
     let whitener = Whitener::new(&source, &noise);
     let nuisances = bent(study, &whitener, fit);

@@ -240,7 +240,8 @@ impl Study<'_> {
 
     /// Sets the slopes of the active fits by the coefficients; those by the values follow later.
     pub(super) fn set_coefficient_slopes(&self, fits: &mut [Fit], active: &[usize]) {
-        let step = self.model.coefficient_step();
+        // In prior standard deviations: wide for a rough model.
+        let step = if self.model.roughness().is_some() { 1.0 } else { 0.1 };
         let state = |fit: &Fit, k: usize| {
             let mut deviations = fit.deviations.clone();
             deviations[k] += step;

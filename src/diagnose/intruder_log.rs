@@ -20,6 +20,13 @@ pub struct State {
     pub unsteadiness: [f64; 3],
 }
 
+impl State {
+    /// [N]
+    pub fn load(&self) -> f64 {
+        if let Given::Load(load) = self.trial.given { load } else { 0.0 }
+    }
+}
+
 /// Checked steady states of a log; each is a unit.
 pub struct IntruderLog {
     pub observations: Observations,

@@ -33,6 +33,7 @@ pub mod experiment;
 mod figures;
 pub mod fit;
 pub mod force_log;
+pub mod force_model;
 pub mod forward;
 pub mod further;
 pub mod gauss_newton;
@@ -77,7 +78,8 @@ use crate::sand::SandDescription;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
 use candidates::Asked;
 use experiment::{Experiment, Kind};
-use forward::{ForceLogModel, ForwardModel};
+use force_model::ForceLogModel;
+use forward::ForwardModel;
 use intruder_model::IntruderModel;
 use noise::{Source, scatters, sizes};
 use observations::Observations;
@@ -148,24 +150,16 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
     progress.report(0.02, "noise from the repetitions")?;
     let coefficients = model.medium().coefficients;
     let plain = model.predict(&Mechanisms::default(), &coefficients);
-    let shared = model.shared(&Mechanisms::default(), &coefficients, &plain);
-    let model_error = model.model_error(&Mechanisms::default(), &coefficients, &plain);
-    let own_error = model.own_error(&Mechanisms::default(), &coefficients, &plain);
+    let all = model.uncertainty(&(Mechanisms::default(), coefficients), &plain);
     let sizes = sizes(&observations);
-    let source = Source {
-        observations: &observations,
-        prediction: &plain,
-        sizes: &sizes,
-        shared: &shared,
-        model_error: &model_error,
-        own_error: &own_error,
-        left_out: &[],
-    };
+    let source =
+        Source { observations: &observations, prediction: &plain, sizes: &sizes, uncertainty: &all, left_out: &[] };
     let noise = source.noise(None, &|| model.stopped());
-    let kept = source.asked_for(&noise);
-    let shared: Vec<_> = shared.iter().filter(|s| kept.contains(&s.name)).cloned().collect();
-    let pruned = shared.len() < source.shared.len();
-    let source = Source { shared: &shared, ..source };
+    let supported = source.supported(&noise);
+    let mut uncertainty = all.clone();
+    uncertainty.shared.retain(|s| supported.contains(&s.name));
+    let pruned = supported.len() < all.shared.len();
+    let source = Source { uncertainty: &uncertainty, ..source };
     let noise = if pruned { source.noise(None, &|| model.stopped()) } else { noise };
     let whitener = Whitener::new(&source, &noise);
     let study = Study::new(&observations, model, &whitener, coefficient_sd);

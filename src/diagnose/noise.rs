@@ -14,7 +14,7 @@
 
 use super::errors::Errors;
 use super::observations::{Observations, Size, interpolate};
-use super::shared::Shared;
+use super::shared::Uncertainty;
 
 /// Noise of one channel.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -53,7 +53,7 @@ impl Clock {
 pub struct Noise {
     pub clock: Clock,
     pub channels: Vec<ChannelNoise>,
-    /// Standard deviation along each of [`Shared`]'s directions.
+    /// Standard deviation along each of [`super::shared::Shared`]'s directions.
     pub shared: Vec<f64>,
 }
 
@@ -158,11 +158,7 @@ pub struct Source<'a> {
     pub observations: &'a Observations,
     pub prediction: &'a [f64],
     pub sizes: &'a Sizes,
-    pub shared: &'a [Shared],
-    /// [`super::forward::ForwardModel::model_error`] at `prediction`. It is equal in all repetitions.
-    pub model_error: &'a [Vec<f64>],
-    /// [`super::forward::ForwardModel::own_error`] at `prediction`.
-    pub own_error: &'a [f64],
+    pub uncertainty: &'a Uncertainty,
     /// Conditions that are not used.
     pub left_out: &'a [usize],
 }
@@ -186,16 +182,16 @@ impl Noise {
                 }
             }
             let span = source.observations.span(unit);
-            for (shared, sd) in source.shared.iter().zip(&self.shared) {
+            for (shared, sd) in source.uncertainty.shared.iter().zip(&self.shared) {
                 for vector in shared.vectors(span.clone()) {
                     square[span.clone()].iter_mut().zip(vector).for_each(|(s, u)| *s += (sd * u).powi(2));
                 }
             }
         }
-        for stack in source.model_error {
+        for stack in &source.uncertainty.common {
             square.iter_mut().zip(stack).for_each(|(s, e)| *s += e * e);
         }
-        square.iter_mut().zip(source.own_error).for_each(|(s, e)| *s += e * e);
+        square.iter_mut().zip(&source.uncertainty.own).for_each(|(s, e)| *s += e * e);
         square.into_iter().map(f64::sqrt).collect()
     }
 }

@@ -30,7 +30,7 @@ impl Source<'_> {
             ChannelNoise { grain, sensor: 0.3 * sd, phi }
         };
         let channels = (0..self.observations.channels.len()).map(channel).collect();
-        Noise { clock, channels, shared: self.shared.iter().map(|s| s.guess).collect() }
+        Noise { clock, channels, shared: self.uncertainty.shared.iter().map(|s| s.guess).collect() }
     }
 
     /// Learns the noise from the repetitions; `start` is an earlier estimate from similar data. After a stop it
@@ -51,7 +51,7 @@ impl Source<'_> {
     /// Names of the shared directions that the repetitions support: an optional direction is left out if the likelihood
     /// without it is not significantly lower (at 95 %). Directions without support cannot be estimated and would widen
     /// the gates.
-    pub fn asked_for(&self, noise: &Noise) -> Vec<&'static str> {
+    pub fn supported(&self, noise: &Noise) -> Vec<&'static str> {
         let repeats = self.repeats();
         let landscape = Landscape::new(&repeats, noise.clock);
         let least = landscape.deviance(noise);
@@ -60,7 +60,7 @@ impl Source<'_> {
             without.shared[*k] = 1e-6 * shared.guess;
             !shared.optional || landscape.deviance(&without) - least > AT_95_PERCENT
         };
-        self.shared.iter().enumerate().filter(needed).map(|(_, s)| s.name).collect()
+        self.uncertainty.shared.iter().enumerate().filter(needed).map(|(_, s)| s.name).collect()
     }
 
     /// The likeliest noise for a given clock, and its −2 log likelihood.

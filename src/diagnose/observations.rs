@@ -60,6 +60,13 @@ impl Observations {
         unit.start..unit.start + unit.samples * self.channels.len()
     }
 
+    /// A stack of f(unit, channel, sample).
+    pub fn stack(&self, f: impl Fn(usize, usize, usize) -> f64) -> Vec<f64> {
+        let channels = self.channels.len();
+        let of = |u: usize| (0..channels).flat_map(move |c| (0..self.units[u].samples).map(move |i| (u, c, i)));
+        (0..self.units.len()).flat_map(of).map(|(u, c, i)| f(u, c, i)).collect()
+    }
+
     /// Units of each condition, in order.
     pub fn repetitions(&self) -> Vec<Vec<usize>> {
         let mut groups = vec![Vec::new(); self.conditions.len()];

@@ -10,7 +10,7 @@ pub struct Repeats {
     pub sizes: Vec<Vec<f64>>,
     /// Progress of the matched samples.
     pub progress: Vec<f64>,
-    /// Directions of noise that a repetition's numbers share: index in [`Source::shared`], and the direction channel by
+    /// Directions of noise that a repetition's numbers share: index in [`super::shared::Uncertainty::shared`], and the direction channel by
     /// channel.
     pub shared: Vec<(usize, Vec<Vec<f64>>)>,
     /// Orthonormal differences of the residuals, each channel by channel.
@@ -67,7 +67,7 @@ impl Source<'_> {
             };
             shared.stacks.iter().map(own).collect::<Vec<_>>()
         };
-        self.shared.iter().enumerate().flat_map(of).collect()
+        self.uncertainty.shared.iter().enumerate().flat_map(of).collect()
     }
 }
 

@@ -36,7 +36,7 @@ pub fn leading_sides(sides: &[Segment], place: Place, slope: f64, pressure: impl
 #[cfg(test)]
 mod tests {
     use super::super::experiment::Intruder;
-    use super::super::forward::ForceLogModel;
+    use super::super::force_model::ForceLogModel;
     use super::super::track::{Pose, Track};
     use crate::sand::mechanism::Mechanisms;
     use crate::sand::{Medium, SandDescription};

@@ -1,7 +1,7 @@
 //! Data, model, noise and nuisances: the inputs of a fit.
 
 use super::fit::{COEFFICIENTS, Column, Fit, slope};
-use super::forward::ForwardModel;
+use super::forward::{ForwardModel, Parameters};
 use super::nuisance::Nuisance;
 use super::observations::Observations;
 use super::whiten::Whitener;
@@ -41,7 +41,7 @@ impl<'a> Study<'a> {
         let steps = CATALOG.map(|entry| SMOOTH_STEP * entry.coordinate_typical());
         let (nuisances, marginal_slopes) = (Vec::new(), [Vec::new(), Vec::new()]);
         let mut study = Self { observations, model, whitener, coefficient_sd, nuisances, marginal_slopes, steps };
-        study.set_nuisances(model.nuisances(&Mechanisms::default(), &model.medium().coefficients, &[]));
+        study.set_nuisances(model.nuisances(&study.plain_sand(), &[]));
         let plain = study.plain();
         if let Some(roughness) = model.roughness() {
             study.find_steps(roughness, &plain.prediction);
@@ -82,6 +82,15 @@ impl<'a> Study<'a> {
         self.set_coefficient_slopes(&mut plain, &[0]);
         let plain = plain.swap_remove(0);
         self.marginal_slopes = [plain.slopes, plain.white_slopes];
+    }
+
+    /// The sand of the plain model, and that of a fit.
+    pub fn plain_sand(&self) -> Parameters {
+        (Mechanisms::default(), self.model.medium().coefficients)
+    }
+
+    pub fn sand(&self, fit: &Fit) -> Parameters {
+        (fit.mechanisms, self.coefficients(&fit.deviations))
     }
 
     /// Nuisances with a fit's values.
@@ -136,8 +145,7 @@ impl<'a> Study<'a> {
         if self.nuisances.is_empty() {
             return Vec::new();
         }
-        let coefficients = self.coefficients(&fit.deviations);
-        let mut there = self.model.nuisances(&fit.mechanisms, &coefficients, &self.nuisance_values(adjusted));
+        let mut there = self.model.nuisances(&self.sand(fit), &self.nuisance_values(adjusted));
         there.retain(|n| self.nuisances.iter().any(|own| own.id == n.id));
         there
     }

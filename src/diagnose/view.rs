@@ -70,7 +70,14 @@ impl View<'_> {
             untestable,
             valid_range: ranges.collect(),
             noise: self.selection.map(|_| NoiseSummary {
-                shared: self.source.shared.iter().zip(&self.noise.shared).map(|(s, sd)| (s.name.into(), *sd)).collect(),
+                shared: self
+                    .source
+                    .uncertainty
+                    .shared
+                    .iter()
+                    .zip(&self.noise.shared)
+                    .map(|(s, sd)| (s.name.into(), *sd))
+                    .collect(),
                 channels: channels.map(|(c, n)| (c.name.to_string(), [n.grain, n.sensor, n.phi])).collect(),
             }),
             notes,
@@ -190,11 +197,13 @@ impl View<'_> {
                 NuisanceValue { id, channel, level: "log", value: d * n.sd, sd: share * n.sd, unit: n.unit }
             })
             .collect();
-        values.extend(self.source.shared.iter().zip(&selection.candidates.around.noise.shared).map(|(s, sd)| {
-            let (id, channel) = split(s.name);
-            let level = if id == "bed_strength" { "bed" } else { "trial" };
-            NuisanceValue { id, channel, level, value: 0.0, sd: *sd, unit: s.unit }
-        }));
+        values.extend(self.source.uncertainty.shared.iter().zip(&selection.candidates.around.noise.shared).map(
+            |(s, sd)| {
+                let (id, channel) = split(s.name);
+                let level = if id == "bed_strength" { "bed" } else { "trial" };
+                NuisanceValue { id, channel, level, value: 0.0, sd: *sd, unit: s.unit }
+            },
+        ));
         values
     }
 

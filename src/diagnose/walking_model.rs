@@ -1,13 +1,14 @@
 //! Predicts walking runs: engine `lanes` simulates every run in closed loop, with servo, robot and sand.
 
 use super::experiment::Experiment;
-use super::forward::{Feature, ForwardModel, Menu};
+use super::fit::slope;
+use super::forward::{Feature, ForwardModel, Menu, Parameters, Testable, stronger, testable};
 use super::observations::Channel;
-use super::shared::Shared;
+use super::shared::{Shared, Uncertainty};
 use super::walking_log::{self, Setup, WalkingLog};
 use crate::error::{Error, Result};
 use crate::progress::{Latch, Progress};
-use crate::sand::mechanism::{CATALOG, Mechanisms};
+use crate::sand::mechanism::Mechanisms;
 use crate::sand::{Coefficients, Medium};
 use crate::sim::engine::EngineKind;
 use crate::sim::model::Scene;
@@ -27,8 +28,6 @@ const STRENGTH_STEP: f64 = 0.05;
 
 /// Initial phases [rad] that show how regular a gait is: the protocol's ±0.2 and half of it.
 const PHASES: [f64; 4] = [-0.2, -0.1, 0.1, 0.2];
-
-type State = (Mechanisms, Coefficients);
 
 /// Predicts the mean of a run's repetitions by one run with all hips at their nominal phase on a bed of nominal
 /// strength. The difference to the mean over other phases and strengths is an error of the model and part of
@@ -128,7 +127,7 @@ impl<'a> WalkingModel<'a> {
     }
 
     /// A trial for every setup.
-    fn trials(&self, (mechanisms, coefficients): &State) -> Vec<Result<Trial>> {
+    fn trials(&self, (mechanisms, coefficients): &Parameters) -> Vec<Result<Trial>> {
         let trial = |setup: &Setup| {
             let mut scene = Scene::flat(Medium { coefficients: *coefficients, ..self.medium.clone() });
             (scene.mechanisms, scene.slope_deg, scene.payload) = (*mechanisms, setup.slope_deg, setup.payload);
@@ -141,7 +140,7 @@ impl<'a> WalkingModel<'a> {
 
     /// Results of every state with all hips `phase` [rad] ahead, setup by setup; NaN where a simulation is refused,
     /// diverges, or is stopped.
-    fn simulate(&self, states: &[State], phase: f64) -> Vec<Vec<WalkResult>> {
+    fn simulate(&self, states: &[Parameters], phase: f64) -> Vec<Vec<WalkResult>> {
         let keys: Vec<Vec<u64>> = states.iter().map(|state| key(state, phase)).collect();
         let known = || self.known.lock().unwrap_or_else(PoisonError::into_inner);
         let new: Vec<usize> = {
@@ -155,7 +154,7 @@ impl<'a> WalkingModel<'a> {
     }
 
     /// Every state's results with all hips `phase` [rad] ahead.
-    fn simulate_phase(&self, states: &[State], phase: f64) -> Vec<Vec<WalkResult>> {
+    fn simulate_phase(&self, states: &[Parameters], phase: f64) -> Vec<Vec<WalkResult>> {
         let ahead = |trial: Result<Trial>| trial.map(|t| Trial { phase, ..t });
         let trials: Result<Vec<Trial>> = states.iter().flat_map(|s| self.trials(s)).map(ahead).collect();
         let results = trials.and_then(|t| walk_all(EngineKind::Lanes, &t, self));
@@ -164,25 +163,16 @@ impl<'a> WalkingModel<'a> {
     }
 
     /// Prediction by `engine` with a time step `finer` times smaller than the default one.
-    fn stepped(&self, engine: EngineKind, state: &State, finer: f64) -> Result<Vec<f64>> {
+    fn stepped(&self, engine: EngineKind, state: &Parameters, finer: f64) -> Result<Vec<f64>> {
         let mut trials = self.trials(state).into_iter().collect::<Result<Vec<_>>>()?;
         trials.iter_mut().for_each(|t| t.model.scene.dt /= finer);
         Ok(self.stack(&walk_all(engine, &trials, self)?))
     }
 
-    fn others(&self, (mechanisms, coefficients): &State) -> Others {
-        let scaled = |factor: f64| {
-            let scale = (1.0 + mechanisms.scale) * factor - 1.0;
-            (Mechanisms { scale, ..*mechanisms }, *coefficients)
-        };
-        let beds = self.predict_many(&[scaled(1.0 + STRENGTH_STEP), scaled(1.0 - STRENGTH_STEP)]);
-        let state = [(*mechanisms, *coefficients)];
-        let phases = PHASES
-            .iter()
-            .flat_map(|&phase| self.simulate(&state, phase))
-            .map(|r| self.corrected(self.stack(&r)))
-            .collect();
-        Others { beds, phases }
+    fn others(&self, sand: &Parameters) -> Others {
+        let beds = self.predict_many(&[STRENGTH_STEP, -STRENGTH_STEP].map(|share| stronger(sand, share)));
+        let phases = PHASES.iter().flat_map(|&phase| self.simulate(&[*sand], phase));
+        Others { beds, phases: phases.map(|r| self.corrected(self.stack(&r))).collect() }
     }
 
     fn stack(&self, results: &[WalkResult]) -> Vec<f64> {
@@ -198,7 +188,7 @@ impl Progress for WalkingModel<'_> {
     }
 }
 
-fn key((mechanisms, coefficients): &State, phase: f64) -> Vec<u64> {
+fn key((mechanisms, coefficients): &Parameters, phase: f64) -> Vec<u64> {
     let numbers = mechanisms.values().into_iter().chain(coefficients.to_array()).chain([phase]);
     numbers.map(f64::to_bits).collect()
 }
@@ -222,7 +212,7 @@ impl ForwardModel for WalkingModel<'_> {
         self.corrected(self.simulate(&[(*mechanisms, *coefficients)], 0.0).iter().flat_map(|r| self.stack(r)).collect())
     }
 
-    fn predict_many(&self, states: &[State]) -> Vec<Vec<f64>> {
+    fn predict_many(&self, states: &[Parameters]) -> Vec<Vec<f64>> {
         self.simulate(states, 0.0).iter().map(|r| self.corrected(self.stack(r))).collect()
     }
 
@@ -236,39 +226,29 @@ impl ForwardModel for WalkingModel<'_> {
         Some(ROUGHNESS)
     }
 
-    fn coefficient_step(&self) -> f64 {
-        1.0
-    }
-
-    /// Beds differ in strength. The numbers of a run change with their bed's strength as their derivative by the
-    /// strength states. If a gait sticks, slips or stalls, small differences grow. The directions of `gait_scatter` are
-    /// the changes of the nominal run with other initial phases, and the curvature in the strength. For regular gaits
-    /// both are negligible.
-    fn shared(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Shared> {
-        let Others { beds, phases } = self.others(&(*mechanisms, *coefficients));
-        let slope = super::fit::slope(&beds[0], &beds[1], 2.0 * STRENGTH_STEP);
+    /// **Noise.** Beds differ in strength, and the numbers of a run change with it as their derivative states. If a gait
+    /// sticks, slips or stalls, small differences grow: the directions of `gait_scatter` are the changes of the nominal
+    /// run with other initial phases, and the curvature in the strength. For regular gaits both are negligible.
+    ///
+    /// **Errors of the model.** Four differences of simulations give their size: (1) the other engine's solution of the
+    /// same equations; (2) the effect of the time step there beyond the correction of [`Self::correct_step`]; (3) the
+    /// eighth of the step's error that the correction leaves; (4) the distance of the mean over other phases and beds from
+    /// the nominal run, which is negligible for regular gaits. The error of each channel of each setup is their root sum
+    /// of squares, independent of the others, because one difference gives the size of an error and not its pattern.
+    fn uncertainty(&self, sand: &Parameters, prediction: &[f64]) -> Uncertainty {
+        let Others { beds, phases } = self.others(sand);
+        let strength = slope(&beds[0], &beds[1], 2.0 * STRENGTH_STEP);
         let middle: Vec<f64> = beds[0].iter().zip(&beds[1]).map(|(a, b)| 0.5 * (a + b)).collect();
-        let share = (PHASES.len() as f64).sqrt();
-        let mut scatter = vec![super::fit::slope(&middle, prediction, 1.0)];
-        scatter.extend(phases.iter().map(|other| super::fit::slope(other, prediction, share)));
-        vec![
-            Shared { name: "bed_strength", unit: "1", guess: STRENGTH_STEP, optional: false, stacks: vec![slope] },
-            Shared { name: "gait_scatter", unit: "1", guess: 1.0, optional: false, stacks: scatter },
-        ]
-    }
-
-    /// Four differences of simulations at the candidate's parameters give the size of the error: (1) the other engine's
-    /// solution of the same equations; (2) the effect of the time step there beyond the correction of
-    /// [`Self::correct_step`]; (3) the eighth of the step's error that the correction leaves; (4) the distance of the
-    /// mean over other phases and beds from the nominal run, which is negligible for regular gaits. The error of each
-    /// channel of each setup is their root sum of squares, independent of the others, because one difference gives the
-    /// size of an error and not its pattern.
-    fn model_error(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Vec<f64>> {
-        let state = (*mechanisms, *coefficients);
-        let (other, fine) =
-            (self.stepped(EngineKind::Rapier, &state, 1.0), self.stepped(EngineKind::Lanes, &state, FINE));
-        let (Ok(other), Ok(fine)) = (other.map(|o| self.corrected(o)), fine) else { return Vec::new() };
-        let Others { beds, phases } = self.others(&state);
+        let mut stacks = vec![slope(&middle, prediction, 1.0)];
+        stacks.extend(phases.iter().map(|other| slope(other, prediction, (PHASES.len() as f64).sqrt())));
+        let shared = vec![
+            Shared::one("bed_strength", "1", STRENGTH_STEP, false, strength),
+            Shared { name: "gait_scatter", unit: "1", guess: 1.0, optional: false, stacks },
+        ];
+        let (other, fine) = (self.stepped(EngineKind::Rapier, sand, 1.0), self.stepped(EngineKind::Lanes, sand, FINE));
+        let (Ok(other), Ok(fine)) = (other.map(|o| self.corrected(o)), fine) else {
+            return Uncertainty { shared, ..Uncertainty::default() };
+        };
         let mean =
             |runs: &[Vec<f64>], k: usize| runs.iter().map(|r| r[k] - prediction[k]).sum::<f64>() / runs.len() as f64;
         let size = |k: usize| {
@@ -281,20 +261,15 @@ impl ForwardModel for WalkingModel<'_> {
         };
         let count = self.channels.len();
         let of = |c: usize| (0..prediction.len()).map(|k| if k % count == c { size(k) } else { 0.0 }).collect();
-        (0..count).map(of).collect()
+        Uncertainty { shared, common: (0..count).map(of).collect(), own: Vec::new() }
     }
 
     fn medium(&self) -> &Medium {
         &self.medium
     }
 
-    fn testable(&self) -> Vec<(usize, Option<String>)> {
-        let asked = CATALOG.iter().enumerate().filter(|(_, m)| m.walking);
-        let lacking = |m: &crate::sand::mechanism::Mechanism| {
-            let columns: Vec<_> = m.columns.iter().filter(|c| self.missing.contains(c)).copied().collect();
-            (!columns.is_empty()).then(|| format!("the data have no column {}", columns.join(", ")))
-        };
-        asked.map(|(index, m)| (index, lacking(m))).collect()
+    fn testable(&self) -> Testable {
+        testable(|m| m.walking, &self.missing)
     }
 
     fn features(&self) -> Vec<Feature> {

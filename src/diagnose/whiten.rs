@@ -32,7 +32,7 @@ impl Whitener {
             // The variance of an error that all n repetitions share is multiplied by n; see `share`.
             let repeated = repetitions[unit.condition].len() as f64;
             let own = |c: usize| -> Vec<f64> {
-                let errors = source.own_error.get(unit.block(c)).unwrap_or_default();
+                let errors = source.uncertainty.own.get(unit.block(c)).unwrap_or_default();
                 errors.iter().map(|e| repeated * e * e).collect()
             };
             let each = noise.channels.iter().zip(sizes).enumerate();
@@ -74,14 +74,14 @@ impl UnitFilter {
     /// variance. It underweights the differences between repetitions, which contain no information on causes.
     fn share(&mut self, source: &Source, noise: &Noise, root_of_repetitions: f64) {
         let mut columns = Vec::new();
-        for (shared, sd) in source.shared.iter().zip(&noise.shared) {
+        for (shared, sd) in source.uncertainty.shared.iter().zip(&noise.shared) {
             for vector in shared.vectors(self.span.clone()) {
                 let mut column: Vec<f64> = vector.iter().map(|v| sd * v).collect();
                 self.filter(&mut column);
                 columns.push(column);
             }
         }
-        for stack in source.model_error {
+        for stack in &source.uncertainty.common {
             let mut column: Vec<f64> = stack[self.span.clone()].iter().map(|e| root_of_repetitions * e).collect();
             self.filter(&mut column);
             columns.push(column);

@@ -12,8 +12,8 @@ use crate::forward::ForwardModel;
 use crate::nuisance::Priors;
 use crate::observations::{Channel, Observations, Size, Unit};
 use crate::progress::Latch;
+use crate::sand::Medium;
 use crate::sand::mechanism::Mechanisms;
-use crate::sand::{Coefficients, Medium};
 use crate::sim::model::Scene;
 use std::collections::HashMap;
 use std::f64::consts::TAU;
@@ -21,8 +21,6 @@ use std::sync::Mutex;
 
 /// Largest number of predictions that are kept in memory: our choice, some 10 MB in all.
 pub(super) const KNOWN: usize = 128;
-
-pub(super) type State = (Mechanisms, Coefficients);
 
 /// The log, and all that is needed to predict it.
 pub struct TrajectoryModel<'a> {

@@ -1,10 +1,11 @@
 //! Replays with many sets of mechanisms and coefficients, and the sensors' readings of each.
 
-use super::model::{KNOWN, State, TrajectoryModel};
+use super::model::{KNOWN, TrajectoryModel};
 use super::replay::{Body, Task, Track, replay};
 use super::sensors::{Mounting, read};
 use super::windows::{BINS, bins};
 use crate::error::Result;
+use crate::forward::{Parameters, stronger};
 use crate::sand::mechanism::Mechanisms;
 use crate::sand::{Medium, Surface};
 use crate::sim::Model;
@@ -19,7 +20,7 @@ const NUDGES: [f64; 6] = [-3e-4, -2e-4, -1e-4, 1e-4, 2e-4, 3e-4];
 const SETTLED: f64 = 4.0;
 
 impl TrajectoryModel<'_> {
-    pub(super) fn models(&self, (mechanisms, coefficients): &State, payload: f64, dt: f64) -> Result<Vec<Model>> {
+    pub(super) fn models(&self, (mechanisms, coefficients): &Parameters, payload: f64, dt: f64) -> Result<Vec<Model>> {
         let of = |run: usize| {
             let mut scene = Scene::flat(Medium { coefficients: *coefficients, ..self.medium.clone() });
             // The joints move as logged, so a weak motor has no effect here; it shows in the requested torques.
@@ -42,7 +43,7 @@ impl TrajectoryModel<'_> {
 
     /// Tracks of several states, state by state and window by window. `payload` is a share of the robot's mass; the time step is divided
     /// by `finer`.
-    pub(super) fn tracks(&self, states: &[State], payload: f64, finer: f64) -> Vec<Vec<Track>> {
+    pub(super) fn tracks(&self, states: &[Parameters], payload: f64, finer: f64) -> Vec<Vec<Track>> {
         let dt = Scene::DEFAULT_DT / finer;
         let models: Result<Vec<Vec<Model>>> = states.iter().map(|s| self.models(s, payload, dt)).collect();
         let lost = || vec![vec![Track::default(); self.windows.len()]; states.len()];
@@ -85,7 +86,7 @@ impl TrajectoryModel<'_> {
     }
 
     /// Predicted numbers of several states, with the IMU mounted as the experiment file states.
-    pub(super) fn simulate(&self, states: &[State]) -> Vec<Vec<f64>> {
+    pub(super) fn simulate(&self, states: &[Parameters]) -> Vec<Vec<f64>> {
         let keys: Vec<Vec<u64>> = states.iter().map(key).collect();
         let known = || self.known.lock().unwrap_or_else(PoisonError::into_inner);
         let (mut new, mut found): (Vec<usize>, HashMap<&[u64], Vec<f64>>) = (Vec::new(), HashMap::new());
@@ -101,7 +102,7 @@ impl TrajectoryModel<'_> {
         }
         // Sixteen at a time, because tracks need much memory.
         for part in new.chunks(16) {
-            let states: Vec<State> = part.iter().map(|&k| states[k]).collect();
+            let states: Vec<Parameters> = part.iter().map(|&k| states[k]).collect();
             let tracks = self.tracks(&states, 0.0, 1.0);
             let stacks = crate::parallel::map(&tracks, |t| self.read(t, Mounting::default()));
             part.iter().zip(stacks).for_each(|(&k, stack)| drop(found.insert(&keys[k], stack)));
@@ -123,12 +124,8 @@ impl TrajectoryModel<'_> {
     /// measure changes the robot's path, and the numbers after it carry little information. The variance is the scatter of replays on
     /// sands that differ by [`NUDGES`]. Within one window and channel these errors are correlated, so the sum over all its numbers is
     /// taken: together they count less than one number.
-    pub(super) fn unsettled(&self, (mechanisms, coefficients): &State, prediction: &[f64]) -> Vec<f64> {
-        let states = NUDGES.map(|nudge| {
-            let scale = (1.0 + mechanisms.scale) * (1.0 + nudge) - 1.0;
-            (Mechanisms { scale, ..*mechanisms }, *coefficients)
-        });
-        let nudged = self.simulate(&states);
+    pub(super) fn unsettled(&self, sand: &Parameters, prediction: &[f64]) -> Vec<f64> {
+        let nudged = self.simulate(&NUDGES.map(|nudge| stronger(sand, nudge)));
         let (span, count) = (self.span(), self.layout.count());
         let mut squares = vec![0.0; self.windows.len() * count];
         let block = |k: usize| self.window_of[k / span] * count + k % span / BINS;
@@ -154,7 +151,7 @@ impl TrajectoryModel<'_> {
     }
 }
 
-fn key((mechanisms, coefficients): &State) -> Vec<u64> {
+fn key((mechanisms, coefficients): &Parameters) -> Vec<u64> {
     let felt = Mechanisms { motor_torque_limit: 0.0, ..*mechanisms };
     felt.values().into_iter().chain(coefficients.to_array()).map(f64::to_bits).collect()
 }
