@@ -48,7 +48,7 @@ impl Push {
 /// The laws of p that are compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Law {
+pub enum PushLaw {
     /// p = ζ |z|: plain resistive force theory.
     Proportional,
     /// p = k |z|^n
@@ -62,7 +62,7 @@ pub enum Law {
     Footing,
 }
 
-impl Law {
+impl PushLaw {
     /// Laws with fewer parameters first.
     pub const ALL: [Self; 5] = [Self::Proportional, Self::Power, Self::Size, Self::Footing, Self::PowerAndSize];
 
@@ -98,8 +98,8 @@ pub struct Value {
 
 /// Errors of a law: root mean squares of ln(predicted/measured), in %.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Score {
-    pub law: Law,
+pub struct LawScore {
+    pub law: PushLaw,
     pub formula: &'static str,
     /// On the pushes of the fit.
     pub fitted_percent: f64,
@@ -125,9 +125,9 @@ pub struct OfSize {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Pushes {
     pub sizes: Vec<OfSize>,
-    pub laws: Vec<Score>,
+    pub laws: Vec<LawScore>,
     /// The recommended law.
-    pub law: Law,
+    pub law: PushLaw,
     /// n in |z|^n, fitted with a free exponent of size.
     pub depth_exponent: Value,
     /// q in D^q; None if there is only one size.
@@ -159,9 +159,9 @@ pub fn compare(pushes: &[Push], compliance: Option<f64>) -> Result<Pushes> {
     let given = |chosen: &[usize]| compliance.map_or_else(|| soft(pushes, &stretches, chosen, sized), Ok);
     let here = given(&all)?;
     let points = |compliance: f64| logs(pushes, &stretches, compliance);
-    let laws = Law::ALL.into_iter().filter(|law| sized || !law.knows_size());
+    let laws = PushLaw::ALL.into_iter().filter(|law| sized || !law.knows_size());
     let scores = laws.map(|law| score(law, pushes, &points(here)?)).collect::<Result<Vec<_>>>()?;
-    let widest = if sized { Law::PowerAndSize } else { Law::Power };
+    let widest = if sized { PushLaw::PowerAndSize } else { PushLaw::Power };
     let parameters = |chosen: &[usize], c: f64| fit(widest, &gathered(&points(c)?, chosen));
     let mut without = Vec::new();
     for left in &all {
@@ -188,11 +188,11 @@ pub fn compare(pushes: &[Push], compliance: Option<f64>) -> Result<Pushes> {
 
 /// The simplest law whose error no other law reduces by more than the share [`WORTH`]. The error is that on left-out sizes or, if
 /// there is only one size, on left-out pushes.
-fn chosen(scores: &[Score]) -> Law {
-    let error = |s: &Score| s.other_size_percent.unwrap_or(s.other_push_percent);
+fn chosen(scores: &[LawScore]) -> PushLaw {
+    let error = |s: &LawScore| s.other_size_percent.unwrap_or(s.other_push_percent);
     let least = scores.iter().map(error).fold(f64::INFINITY, f64::min);
     let near = scores.iter().filter(|s| error(s) <= least * (1.0 + WORTH));
-    near.min_by_key(|s| s.law.parameters()).map_or(Law::Proportional, |s| s.law)
+    near.min_by_key(|s| s.law.parameters()).map_or(PushLaw::Proportional, |s| s.law)
 }
 
 fn diameters(pushes: &[Push]) -> Vec<f64> {
@@ -244,19 +244,19 @@ fn gathered(points: &[Vec<Point>], chosen: &[usize]) -> Vec<Point> {
 }
 
 /// Parameters: ln of the scale (for `Footing`: a, b), exponent of depth, exponent of size.
-fn fit(law: Law, points: &[Point]) -> Result<[f64; 3]> {
+fn fit(law: PushLaw, points: &[Point]) -> Result<[f64; 3]> {
     let column = |p: &Point| match law {
-        Law::Proportional => vec![1.0],
-        Law::Power => vec![1.0, p[0]],
-        Law::Size => vec![1.0, p[1]],
-        Law::PowerAndSize => vec![1.0, p[0], p[1]],
+        PushLaw::Proportional => vec![1.0],
+        PushLaw::Power => vec![1.0, p[0]],
+        PushLaw::Size => vec![1.0, p[1]],
+        PushLaw::PowerAndSize => vec![1.0, p[0], p[1]],
         // Relative errors: each pressure counts as 1.
-        Law::Footing => vec![(p[1] - p[2]).exp(), (p[0] - p[2]).exp()],
+        PushLaw::Footing => vec![(p[1] - p[2]).exp(), (p[0] - p[2]).exp()],
     };
     let target = |p: &Point| match law {
-        Law::Proportional | Law::Size => p[2] - p[0],
-        Law::Power | Law::PowerAndSize => p[2],
-        Law::Footing => 1.0,
+        PushLaw::Proportional | PushLaw::Size => p[2] - p[0],
+        PushLaw::Power | PushLaw::PowerAndSize => p[2],
+        PushLaw::Footing => 1.0,
     };
     let rows: Vec<f64> = points.iter().flat_map(column).collect();
     let matrix = DMatrix::from_row_slice(points.len(), law.parameters(), &rows);
@@ -264,25 +264,25 @@ fn fit(law: Law, points: &[Point]) -> Result<[f64; 3]> {
     let svd = matrix.svd(true, true);
     let x = svd.solve(&target, 1e-9).map_err(refused)?;
     Ok(match law {
-        Law::Proportional => [x[0], 1.0, 0.0],
-        Law::Power => [x[0], x[1], 0.0],
-        Law::Size => [x[0], 1.0, x[1]],
-        Law::PowerAndSize => [x[0], x[1], x[2]],
-        Law::Footing => [x[0], x[1], 0.0],
+        PushLaw::Proportional => [x[0], 1.0, 0.0],
+        PushLaw::Power => [x[0], x[1], 0.0],
+        PushLaw::Size => [x[0], 1.0, x[1]],
+        PushLaw::PowerAndSize => [x[0], x[1], x[2]],
+        PushLaw::Footing => [x[0], x[1], 0.0],
     })
 }
 
 /// ln(predicted/measured).
-fn off(law: Law, x: &[f64; 3], p: &Point) -> f64 {
+fn off(law: PushLaw, x: &[f64; 3], p: &Point) -> f64 {
     let predicted = match law {
         // The bound makes the error very large if a footing predicts a pressure of 0 or less.
-        Law::Footing => (x[0] * p[1].exp() + x[1] * p[0].exp()).max(1e-9).ln(),
+        PushLaw::Footing => (x[0] * p[1].exp() + x[1] * p[0].exp()).max(1e-9).ln(),
         _ => x[0] + x[1] * p[0] + x[2] * p[1],
     };
     predicted - p[2]
 }
 
-fn squares(law: Law, x: &[f64; 3], points: &[Point]) -> f64 {
+fn squares(law: PushLaw, x: &[f64; 3], points: &[Point]) -> f64 {
     points.iter().map(|p| off(law, x, p).powi(2)).sum()
 }
 
@@ -290,7 +290,7 @@ fn percent(sum: f64, count: usize) -> f64 {
     100.0 * (sum / count as f64).sqrt()
 }
 
-fn score(law: Law, pushes: &[Push], points: &[Vec<Point>]) -> Result<Score> {
+fn score(law: PushLaw, pushes: &[Push], points: &[Vec<Point>]) -> Result<LawScore> {
     let all: Vec<usize> = (0..pushes.len()).collect();
     let count = points.iter().map(Vec::len).sum();
     // Each group in turn is predicted by a law fitted on all others.
@@ -308,7 +308,7 @@ fn score(law: Law, pushes: &[Push], points: &[Vec<Point>]) -> Result<Score> {
     // A law with an exponent of size needs two sizes in its fit.
     let enough = sizes.len() > 1 + usize::from(law.knows_size());
     let gathered = gathered(points, &all);
-    Ok(Score {
+    Ok(LawScore {
         law,
         formula: law.formula(),
         fitted_percent: percent(squares(law, &fit(law, &gathered)?, &gathered), count),
@@ -319,7 +319,7 @@ fn score(law: Law, pushes: &[Push], points: &[Vec<Point>]) -> Result<Score> {
 
 /// The compliance [m/N] with which the law with the most exponents fits best.
 fn soft(pushes: &[Push], stretches: &[Vec<[f64; 2]>], chosen: &[usize], sized: bool) -> Result<f64> {
-    let law = if sized { Law::PowerAndSize } else { Law::Power };
+    let law = if sized { PushLaw::PowerAndSize } else { PushLaw::Power };
     let all = stretches.iter().flatten();
     let most = 0.8 * all.map(|[depth, force]| depth / force).fold(f64::INFINITY, f64::min);
     let mut best = (f64::INFINITY, 0.0);
@@ -441,10 +441,10 @@ mod tests {
     #[test]
     fn finds_the_law_that_made_the_data() {
         for (law, n, q) in [
-            (Law::Proportional, 1.0, 0.0),
-            (Law::Power, 0.6, 0.0),
-            (Law::Size, 1.0, 0.8),
-            (Law::PowerAndSize, 1.4, 0.5),
+            (PushLaw::Proportional, 1.0, 0.0),
+            (PushLaw::Power, 0.6, 0.0),
+            (PushLaw::Size, 1.0, 0.8),
+            (PushLaw::PowerAndSize, 1.4, 0.5),
         ] {
             let study = compare(&pushes(|z, d| 3e5 * z.powf(n) * (d / 0.06).powf(q), 0.0), Some(0.0)).unwrap();
             assert_eq!(study.law, law, "{:?}", study.laws);
@@ -452,7 +452,7 @@ mod tests {
             assert!((study.size_exponent.unwrap().value - q).abs() < 0.02, "{:?}", study.size_exponent);
         }
         let study = compare(&pushes(|z, d| 4e4 * d + 6e5 * z, 0.0), Some(0.0)).unwrap();
-        assert_eq!(study.law, Law::Footing, "{:?}", study.laws);
+        assert_eq!(study.law, PushLaw::Footing, "{:?}", study.laws);
         assert!(
             study.cautions.iter().any(|c| c.contains("does not apply to feet of another size")),
             "{:?}",

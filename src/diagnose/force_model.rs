@@ -1,16 +1,16 @@
 //! The forward model of force logs: predicts the readings of an arm's force sensor, track by track ([`super::arm`]).
 
-use super::arm::{Arm, Cut, filtered, read, stencils};
+use super::arm::{Arm, IntruderSegments, filtered, read, stencils};
 use super::experiment::{Experiment, Intruder};
 use super::fit::slope;
 use super::force_log::ForceLog;
-use super::forward::{Feature, ForwardModel, Menu, Parameters, Testable, stronger, testable};
+use super::forward::{Feature, ForwardModel, Menu, SandParameters, Testable, stronger, testable};
 use super::motion::moving;
 use super::nuisance::{Nuisance, Priors};
 use super::observations::{Channel, Observations};
-use super::response::{Response, Responses, is_linear};
-use super::shared::{Shared, Uncertainty};
-use super::track::{Pose, Track};
+use super::response::{CoefficientResponse, Responses, is_linear};
+use super::shared::{SharedNoise, Uncertainty};
+use super::track::{ArmPose, Track};
 use crate::error::Result;
 use crate::number::{Doubles, Real};
 use crate::parallel;
@@ -33,7 +33,7 @@ pub struct ForceLogModel<'a> {
     tracks: Vec<Track>,
     /// For each track the indices of the samples in motion.
     kept: Vec<Vec<usize>>,
-    cuts: BTreeMap<String, Cut>,
+    cuts: BTreeMap<String, IntruderSegments>,
     /// Channels and units of the log; its values are not used.
     layout: Observations,
     /// Track of each unit.
@@ -46,7 +46,7 @@ pub struct ForceLogModel<'a> {
 
 /// What nuisances change in the data of one state.
 struct Measuring {
-    sand: Parameters,
+    sand: SandParameters,
     here: Vec<f64>,
     /// Change of the data per unit of delay, depth and tilt.
     late: Vec<f64>,
@@ -82,13 +82,13 @@ const ANSWERS: usize = 4;
 
 impl<'a> ForceLogModel<'a> {
     pub fn new(log: &ForceLog, experiment: &Experiment) -> Result<Self> {
-        let cuts = experiment.shapes.iter().map(|(name, shape)| Ok((name.clone(), Cut::new(shape)?)));
+        let cuts = experiment.shapes.iter().map(|(name, shape)| Ok((name.clone(), IntruderSegments::new(shape)?)));
         let (medium, priors) = (experiment.medium.clone(), experiment.nuisances.clone());
         Ok(Self { priors, missing: log.missing.clone(), ..Self::along(log, medium, cuts.collect::<Result<_>>()?) })
     }
 
     /// A model of the tracks of a log.
-    fn along(log: &ForceLog, medium: Medium, cuts: BTreeMap<String, Cut>) -> Self {
+    fn along(log: &ForceLog, medium: Medium, cuts: BTreeMap<String, IntruderSegments>) -> Self {
         Self {
             latch: None,
             medium,
@@ -111,7 +111,7 @@ impl<'a> ForceLogModel<'a> {
 
     /// Loads along one track in a described sand.
     pub fn one(sand: &SandDescription, track: Track) -> Result<Vec<Load>> {
-        let cuts = BTreeMap::from([(track.shape.clone(), Cut::new(&track.intruder)?)]);
+        let cuts = BTreeMap::from([(track.shape.clone(), IntruderSegments::new(&track.intruder)?)]);
         let model = Self::along(&super::force_log::planned(Vec::new(), 3), sand.medium(), cuts);
         let ground = model.ground(&model.medium.coefficients);
         Ok(model.arm(&track, &sand.mechanisms, &[ground]).readings().into_iter().map(|[load]| load).collect())
@@ -189,12 +189,12 @@ impl<'a> ForceLogModel<'a> {
     }
 
     /// The response to the coefficients under `m`, computed once.
-    fn response(&self, m: &Mechanisms) -> Arc<Response> {
-        self.responses.of(m, || Response::new(|states| self.in_grounds(m, states)))
+    fn response(&self, m: &Mechanisms) -> Arc<CoefficientResponse> {
+        self.responses.of(m, || CoefficientResponse::new(|states| self.in_grounds(m, states)))
     }
 
     /// What nuisances change in the data with this sand. The last result is kept.
-    fn measuring(&self, sand: &Parameters) -> Arc<Measuring> {
+    fn measuring(&self, sand: &SandParameters) -> Arc<Measuring> {
         let mut kept = self.measuring.0.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(known) = kept.as_ref().filter(|k| k.sand == *sand) {
             return known.clone();
@@ -234,27 +234,27 @@ impl ForwardModel for ForceLogModel<'_> {
 
     /// Each trial has its own bed strength, its own zero of the surface, and its own zero of each channel of the
     /// load cell, which drifts.
-    fn uncertainty(&self, sand: &Parameters, prediction: &[f64]) -> Uncertainty {
+    fn uncertainty(&self, sand: &SandParameters, prediction: &[f64]) -> Uncertainty {
         let (m, c) = sand;
         let (harder, _) = stronger(sand, STRENGTH_STEP);
         let strength = slope(&self.predict(&harder, c), prediction, STRENGTH_STEP);
         let depth = Mechanisms { depth_zero: m.depth_zero + DEPTH_STEP, ..*m };
         let depth = slope(&self.predict(&depth, c), prediction, DEPTH_STEP);
         let mut shared = vec![
-            Shared::one("bed_strength", "1", 0.05, false, strength),
-            Shared::one("depth_zero", "m", 3e-4, true, depth),
+            SharedNoise::one("bed_strength", "1", 0.05, false, strength),
+            SharedNoise::one("depth_zero", "m", 3e-4, true, depth),
         ];
         for (channel, (offset, drift)) in OFFSETS.into_iter().enumerate().take(self.layout.channels.len()) {
             let (unit, guess) = (self.layout.channels[channel].unit, 0.01 * self.rms(prediction, channel));
             let constant = self.stack(|_, _, own| if own == channel { 1.0 } else { 0.0 });
             let growing = self.stack(|_, done, own| if own == channel { done } else { 0.0 });
-            shared.push(Shared::one(offset, unit, guess, true, constant));
-            shared.push(Shared::one(drift, unit, guess, true, growing));
+            shared.push(SharedNoise::one(offset, unit, guess, true, constant));
+            shared.push(SharedNoise::one(drift, unit, guess, true, growing));
         }
         Uncertainty { shared, ..Uncertainty::default() }
     }
 
-    fn nuisances(&self, sand: &Parameters, values: &[(String, f64)]) -> Vec<Nuisance> {
+    fn nuisances(&self, sand: &SandParameters, values: &[(String, f64)]) -> Vec<Nuisance> {
         if self.stopped() {
             return Vec::new();
         }
@@ -298,7 +298,7 @@ impl ForwardModel for ForceLogModel<'_> {
     }
 
     /// If several states differ in the coefficients alone, the response to these is computed once.
-    fn predict_many(&self, states: &[Parameters]) -> Vec<Vec<f64>> {
+    fn predict_many(&self, states: &[SandParameters]) -> Vec<Vec<f64>> {
         let alike = |m: &Mechanisms| states.iter().filter(|s| s.0 == *m).count();
         parallel::map(states, |(m, c)| {
             if !self.stopped() && is_linear(m) && alike(m) >= ANSWERS {
@@ -334,7 +334,7 @@ impl ForwardModel for ForceLogModel<'_> {
     }
 
     fn features(&self) -> Vec<Feature> {
-        let per_pose = |name, unit, f: &dyn Fn(&Track, &Pose) -> f64| Feature {
+        let per_pose = |name, unit, f: &dyn Fn(&Track, &ArmPose) -> f64| Feature {
             name,
             unit,
             values: self

@@ -8,10 +8,10 @@ use crate::sand::mechanism::{CATALOG, Mechanism, Mechanisms};
 use crate::sand::{Coefficients, Medium, SandDescription, Term};
 
 /// The sand to predict with.
-pub type Parameters = (Mechanisms, Coefficients);
+pub type SandParameters = (Mechanisms, Coefficients);
 
 /// The same sand, stronger by a share.
-pub fn stronger((mechanisms, coefficients): &Parameters, share: f64) -> Parameters {
+pub fn stronger((mechanisms, coefficients): &SandParameters, share: f64) -> SandParameters {
     (Mechanisms { scale: (1.0 + mechanisms.scale) * (1.0 + share) - 1.0, ..*mechanisms }, *coefficients)
 }
 
@@ -49,7 +49,7 @@ pub trait ForwardModel: Sync {
     /// Predicts all numbers, in the order of `Observations::values`.
     fn predict(&self, mechanisms: &Mechanisms, coefficients: &Coefficients) -> Vec<f64>;
     /// Predicts with several sands at once.
-    fn predict_many(&self, sands: &[Parameters]) -> Vec<Vec<f64>> {
+    fn predict_many(&self, sands: &[SandParameters]) -> Vec<Vec<f64>> {
         parallel::map(sands, |(m, c)| self.predict(m, c))
     }
     /// Was the work stopped? Predictions after that are NaN.
@@ -62,9 +62,9 @@ pub trait ForwardModel: Sync {
         None
     }
     /// What makes repetitions differ, and what makes the model err, at the prediction with `sand`.
-    fn uncertainty(&self, sand: &Parameters, prediction: &[f64]) -> Uncertainty;
+    fn uncertainty(&self, sand: &SandParameters, prediction: &[f64]) -> Uncertainty;
     /// Nuisances that all data share, computed at the prediction with `sand`; `values` are their present estimates.
-    fn nuisances(&self, _sand: &Parameters, _values: &[(String, f64)]) -> Vec<Nuisance> {
+    fn nuisances(&self, _sand: &SandParameters, _values: &[(String, f64)]) -> Vec<Nuisance> {
         Vec::new()
     }
     /// A prediction of the simulator, without the corrections of [`Self::predict`].

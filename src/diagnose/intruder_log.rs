@@ -11,7 +11,7 @@ use std::path::Path;
 
 /// The setting of one row.
 #[derive(Clone, Debug, PartialEq)]
-pub struct State {
+pub struct SteadyState {
     /// A table `[body.NAME]` of the experiment.
     pub body: String,
     /// The motion under the measured load.
@@ -20,7 +20,7 @@ pub struct State {
     pub unsteadiness: [f64; 3],
 }
 
-impl State {
+impl SteadyState {
     /// [N]
     pub fn load(&self) -> f64 {
         if let Given::Load(load) = self.trial.given { load } else { 0.0 }
@@ -30,7 +30,7 @@ impl State {
 /// Checked steady states of a log; each is a unit.
 pub struct IntruderLog {
     pub observations: Observations,
-    pub states: Vec<State>,
+    pub states: Vec<SteadyState>,
     /// Does the log have standard deviations in time?
     pub has_unsteadiness: bool,
     pub sha256: String,
@@ -98,7 +98,7 @@ pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Re
         for column in [FX, FY, DEPTH] {
             observations.values.push(row.within(column, MOST)?.ok_or_else(|| row.blank(column))?);
         }
-        states.push(State { body: body(row, experiment)?, trial: trial(row, path)?, unsteadiness });
+        states.push(SteadyState { body: body(row, experiment)?, trial: trial(row, path)?, unsteadiness });
         Ok(())
     })?;
     observations.conditions = conditions.list;

@@ -2,10 +2,10 @@
 
 use super::experiment::{BodyDescription, Experiment};
 use super::fit::slope;
-use super::forward::{Feature, ForwardModel, Menu, Parameters, Testable, stronger};
-use super::intruder_log::{CHANNELS, IntruderLog, State};
+use super::forward::{Feature, ForwardModel, Menu, SandParameters, Testable, stronger};
+use super::intruder_log::{CHANNELS, IntruderLog, SteadyState};
 use super::nuisance::{Nuisance, Priors};
-use super::shared::{Shared, Uncertainty};
+use super::shared::{SharedNoise, Uncertainty};
 use crate::error::{Error, Result};
 use crate::progress::Latch;
 use crate::sand::intruder::{Body, Given, Status, Trial, compute, without_effect};
@@ -25,7 +25,7 @@ const FRICTION_STEP: f64 = 0.02;
 const STRENGTH_STEP: f64 = 0.02;
 
 /// A body in plates: as described, and slightly larger.
-struct Cut {
+struct BodyPlates {
     description: BodyDescription,
     nominal: Body,
     larger: Body,
@@ -36,8 +36,8 @@ pub struct IntruderModel<'a> {
     latch: &'a Latch<'a>,
     medium: Medium,
     law: Law,
-    states: Vec<State>,
-    cuts: BTreeMap<String, Cut>,
+    states: Vec<SteadyState>,
+    cuts: BTreeMap<String, BodyPlates>,
     has_unsteadiness: bool,
     priors: Priors,
 }
@@ -64,7 +64,7 @@ impl<'a> IntruderModel<'a> {
             let longest = 50.0 * coarse.plate_size;
             let nominal = Body::cut(&shape, Some(longest / ALONG)).map_err(named)?;
             let larger = nominal.scaled(1.0 + 2.0 * GEOMETRY_STEP / longest);
-            Ok((name.clone(), Cut { description: description.clone(), nominal, larger }))
+            Ok((name.clone(), BodyPlates { description: description.clone(), nominal, larger }))
         };
         Ok(Self {
             latch,
@@ -98,7 +98,7 @@ impl<'a> IntruderModel<'a> {
                 (name.as_str(), self.sand(&body, mechanisms, coefficients))
             })
             .collect();
-        let of = |state: &State| {
+        let of = |state: &SteadyState| {
             let (cut, sand) = (&self.cuts[&state.body], &sands[state.body.as_str()]);
             if self.latch.stopped() {
                 return [f64::NAN; 3];
@@ -109,7 +109,7 @@ impl<'a> IntruderModel<'a> {
     }
 
     /// Derivative of the prediction by a change of the body.
-    fn felt(&self, (m, c): &Parameters, changed: Changed, step: f64) -> Vec<f64> {
+    fn felt(&self, (m, c): &SandParameters, changed: Changed, step: f64) -> Vec<f64> {
         slope(&self.predict_changed(m, c, changed), &self.predict(m, c), step)
     }
 }
@@ -163,7 +163,7 @@ impl ForwardModel for IntruderModel<'_> {
 
     /// Beds differ in strength, and readings of a steady state fluctuate in time. The law errs by a tenth of the load in
     /// either force, and by the change of sinkage for a tenth of the strength; conditions and channels are independent.
-    fn uncertainty(&self, sand: &Parameters, prediction: &[f64]) -> Uncertainty {
+    fn uncertainty(&self, sand: &SandParameters, prediction: &[f64]) -> Uncertainty {
         let (m, c) = stronger(sand, STRENGTH_STEP);
         let strength = slope(&self.predict(&m, &c), prediction, STRENGTH_STEP);
         // f(row, channel) in one channel only
@@ -173,17 +173,17 @@ impl ForwardModel for IntruderModel<'_> {
         let load = |row: usize| LAW_ERROR * self.states[row].load();
         let sinkage = |row: usize| LAW_ERROR * strength[3 * row + 2].abs();
         let common = vec![only(0, &load), only(1, &load), only(2, &sinkage)];
-        let mut shared = vec![Shared::one("bed_strength", "1", 0.05, true, strength.clone())];
+        let mut shared = vec![SharedNoise::one("bed_strength", "1", 0.05, true, strength.clone())];
         if self.has_unsteadiness {
             let of = |c: usize| only(c, &|row| self.states[row].unsteadiness[c]);
             let stacks = (0..CHANNELS.len()).map(of).collect();
-            shared.push(Shared { name: "unsteadiness", unit: "1", guess: 0.3, optional: true, stacks });
+            shared.push(SharedNoise { name: "unsteadiness", unit: "1", guess: 0.3, optional: true, stacks });
         }
         Uncertainty { shared, common, own: Vec::new() }
     }
 
     /// Nuisances: zero of the sinkage, size of the body, friction of its surface.
-    fn nuisances(&self, sand: &Parameters, _values: &[(String, f64)]) -> Vec<Nuisance> {
+    fn nuisances(&self, sand: &SandParameters, _values: &[(String, f64)]) -> Vec<Nuisance> {
         let zero = (0..3 * self.states.len()).map(|k| if k % 3 == 2 { -1.0 } else { 0.0 }).collect();
         let larger = Changed { larger: true, ..Changed::default() };
         let rougher = Changed { friction: FRICTION_STEP, ..Changed::default() };
@@ -214,7 +214,7 @@ impl ForwardModel for IntruderModel<'_> {
     }
 
     fn features(&self) -> Vec<Feature> {
-        let per_row = |name, unit, f: &dyn Fn(&State) -> f64| Feature {
+        let per_row = |name, unit, f: &dyn Fn(&SteadyState) -> f64| Feature {
             name,
             unit,
             values: self.states.iter().map(|s| vec![f(s)]).collect(),
@@ -222,7 +222,7 @@ impl ForwardModel for IntruderModel<'_> {
         vec![
             per_row("slip", "1", &|s| self.slip(s)),
             per_row("slip_angle", "rad", &|s| (-s.trial.velocity[1]).atan2(s.trial.velocity[0].abs())),
-            per_row("load", "N", &State::load),
+            per_row("load", "N", &SteadyState::load),
         ]
     }
 
@@ -237,7 +237,7 @@ impl ForwardModel for IntruderModel<'_> {
 
 impl IntruderModel<'_> {
     /// (rim speed − V)/max(rim speed, V) of the lowest point; 0 if the body does not travel.
-    fn slip(&self, state: &State) -> f64 {
+    fn slip(&self, state: &SteadyState) -> f64 {
         let [low, _] = self.cuts[&state.body].nominal.heights();
         let (v, rim) = (state.trial.velocity[0].hypot(state.trial.velocity[1]), -low * state.trial.spin[1]);
         if v > 0.0 { (rim - v) / v.max(rim.abs()) } else { 0.0 }

@@ -4,7 +4,7 @@
 //! at a time, so the contributions of the other channels are kept. A change of a shared direction's size only scales
 //! products.
 
-use super::noise::{ChannelFilter, ChannelNoise, Clock, Noise};
+use super::noise::{ChannelFilter, ChannelNoise, Noise, NoiseClock};
 use super::repeats::Repeats;
 use super::shared::Likelihood;
 use crate::number::dot;
@@ -33,7 +33,7 @@ pub struct Landscape<'a> {
 }
 
 impl<'a> Landscape<'a> {
-    pub fn new(repeats: &'a [Repeats], clock: Clock) -> Self {
+    pub fn new(repeats: &'a [Repeats], clock: NoiseClock) -> Self {
         let steps = repeats.iter().map(|r| clock.steps(&r.progress)).collect();
         let channels = repeats.first().map_or(0, |r| r.sizes.len());
         Self { repeats, steps, channels: (0..channels).map(|_| Known::default()).collect() }

@@ -76,18 +76,18 @@ use crate::error::Result;
 use crate::progress::{Latch, Progress};
 use crate::sand::SandDescription;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
-use candidates::Asked;
-use experiment::{Experiment, Kind};
+use candidates::SearchSpace;
+use experiment::{DataKind, Experiment};
 use force_model::ForceLogModel;
 use forward::ForwardModel;
 use intruder_model::IntruderModel;
-use noise::{Source, scatters, sizes};
+use noise::{NoiseData, scatters, sizes};
 use observations::Observations;
 use report::{Curves, Diagnosis, Untestable};
 use select::select;
 use std::path::Path;
-use study::Study;
-use view::View;
+use study::FitInputs;
+use view::ReportView;
 use walking_model::WalkingModel;
 use whiten::Whitener;
 
@@ -106,23 +106,23 @@ pub fn diagnose(data: &Path, experiment: &Experiment, progress: &dyn Progress) -
 fn diagnose_kind(data: &Path, experiment: &Experiment, progress: &Latch) -> Result<Diagnosis> {
     let (coefficient_sd, interest) = (experiment.coefficient_sd, experiment.nuisances.interest.clone());
     match experiment.kind {
-        Kind::Intrusion => {
+        DataKind::Intrusion => {
             let log = force_log::read(data, experiment, progress)?;
             let model = ForceLogModel::new(&log, experiment)?.stopped_by(progress);
             let (observations, sha256, notes) = (log.observations, log.sha256, log.notes);
             diagnose_measured(Measured { observations, coefficient_sd, interest, sha256, notes }, &model, progress)
         }
-        Kind::Walking => {
+        DataKind::Walking => {
             let log = walking_log::read(data, experiment, progress)?;
             let model = WalkingModel::new(&log, experiment, progress)?;
             let (observations, sha256, notes) = (log.observations, log.sha256, vec![model.step_note()?]);
             diagnose_measured(Measured { observations, coefficient_sd, interest, sha256, notes }, &model, progress)
         }
-        Kind::Trajectory => {
+        DataKind::Trajectory => {
             let (measured, model) = trajectory::measured(data, experiment, progress)?;
             diagnose_measured(measured, &model, progress)
         }
-        Kind::Intruder => {
+        DataKind::Intruder => {
             let log = intruder_log::read(data, experiment, progress)?;
             let model = IntruderModel::new(&log, experiment, progress)?;
             let (observations, sha256, notes) = (log.observations, log.sha256, intruder_model::notes(experiment));
@@ -153,27 +153,28 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
     let all = model.uncertainty(&(Mechanisms::default(), coefficients), &plain);
     let sizes = sizes(&observations);
     let source =
-        Source { observations: &observations, prediction: &plain, sizes: &sizes, uncertainty: &all, left_out: &[] };
+        NoiseData { observations: &observations, prediction: &plain, sizes: &sizes, uncertainty: &all, left_out: &[] };
     let noise = source.noise(None, &|| model.stopped());
     let supported = source.supported(&noise);
     let mut uncertainty = all.clone();
     uncertainty.shared.retain(|s| supported.contains(&s.name));
     let pruned = supported.len() < all.shared.len();
-    let source = Source { uncertainty: &uncertainty, ..source };
+    let source = NoiseData { uncertainty: &uncertainty, ..source };
     let noise = if pruned { source.noise(None, &|| model.stopped()) } else { noise };
     let whitener = Whitener::new(&source, &noise);
-    let study = Study::new(&observations, model, &whitener, coefficient_sd);
+    let study = FitInputs::new(&observations, model, &whitener, coefficient_sd);
     let (ids, unknown, untestable) = testable(&study);
     let floor = source.floor();
     let selection = match scatters(&observations, &floor) {
         true => {
-            let asked = Asked { source: &source, noise: &noise, ids: &ids, untestable: &unknown, interest: &interest };
+            let asked =
+                SearchSpace { source: &source, noise: &noise, ids: &ids, untestable: &unknown, interest: &interest };
             Some(select(&study, &asked, progress)?)
         }
         false => None,
     };
     progress.report(0.95, "report")?;
-    let view = View { study: &study, source: &source, noise: &noise, selection: selection.as_ref(), floor };
+    let view = ReportView { study: &study, source: &source, noise: &noise, selection: selection.as_ref(), floor };
     let report = view.report(untestable, sha256, notes);
     debug_assert_eq!(statements::violations(&report), Vec::<String>::new());
     let fit = selection.as_ref().and_then(|s| s.fit());
@@ -198,7 +199,7 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
 
 /// Causes that the data can show; causes that act on the data, but that they cannot tell for lack of a column; and
 /// all of the latter and those without effect, with the reason.
-fn testable(study: &Study) -> (Vec<usize>, Vec<usize>, Vec<Untestable>) {
+fn testable(study: &FitInputs) -> (Vec<usize>, Vec<usize>, Vec<Untestable>) {
     let (mut ids, mut unknown, mut untestable) = (Vec::new(), Vec::new(), Vec::new());
     let coefficients = study.model.medium().coefficients;
     let asked = study.model.testable();

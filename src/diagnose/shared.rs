@@ -10,7 +10,7 @@ use std::ops::Range;
 
 /// Directions with a common standard deviation, which is learnt from the repetitions.
 #[derive(Clone, Debug)]
-pub struct Shared {
+pub struct SharedNoise {
     pub name: &'static str,
     pub unit: &'static str,
     /// Standard deviation from which the search starts.
@@ -25,7 +25,7 @@ pub struct Shared {
 #[derive(Clone, Debug, Default)]
 pub struct Uncertainty {
     /// Noise that all numbers of a repetition share.
-    pub shared: Vec<Shared>,
+    pub shared: Vec<SharedNoise>,
     /// Errors of the model that are the same for all repetitions of a condition, as vectors of one standard deviation
     /// each.
     pub common: Vec<Vec<f64>>,
@@ -34,7 +34,7 @@ pub struct Uncertainty {
     pub own: Vec<f64>,
 }
 
-impl Shared {
+impl SharedNoise {
     /// One direction.
     pub fn one(name: &'static str, unit: &'static str, guess: f64, optional: bool, stack: Vec<f64>) -> Self {
         Self { name, unit, guess, optional, stacks: vec![stack] }

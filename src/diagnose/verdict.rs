@@ -40,7 +40,7 @@ pub const MAIN_PART: f64 = 0.5;
 
 /// One model of the table.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Entry {
+pub struct Compared {
     /// Number of its causes.
     pub causes: usize,
     /// Does it contain a law found in the data?
@@ -75,20 +75,20 @@ pub struct Ruling {
     pub set: Vec<usize>,
 }
 
-impl Entry {
+impl Compared {
     /// Share of the misfit that it explains, beside the `plain` entry.
-    pub fn explains(&self, plain: &Entry) -> f64 {
+    pub fn explains(&self, plain: &Compared) -> f64 {
         if self.misfit <= 0.0 { 1.0 } else { 1.0 - self.misfit / plain.misfit.max(1e-9) }
     }
 }
 
 /// The verdict; the first entry of the table is the plain model. `second` is the share of a pair's evidence that its
 /// second cause must add.
-pub fn verdict(table: &[Entry], second: f64) -> Ruling {
+pub fn verdict(table: &[Compared], second: f64) -> Ruling {
     let plain = &table[0];
     let better = |k: &usize| table[*k].beats[0];
     // If one of a kind predicts better than the plain model, the best of its kind stands for it.
-    let best_of = |keep: &dyn Fn(&Entry) -> bool| {
+    let best_of = |keep: &dyn Fn(&Compared) -> bool| {
         let own: Vec<usize> = (1..table.len()).filter(|k| keep(&table[*k])).collect();
         let best = own.iter().copied().max_by(|a, b| table[*a].elpd.total_cmp(&table[*b].elpd));
         best.filter(|_| own.iter().any(better))
@@ -117,7 +117,7 @@ pub fn verdict(table: &[Entry], second: f64) -> Ruling {
 
 /// The verdict if no model predicts better beyond twice the standard error. Where the plain model leaves more than noise
 /// may, there is a misfit in any case, and the best stand-in needs less evidence than a cause: one standard error.
-fn without_cause(table: &[Entry]) -> Ruling {
+fn without_cause(table: &[Compared]) -> Ruling {
     if table[0].misfit <= 0.0 {
         return Ruling { verdict: Verdict::NoiseFloor, written: Written::Plain, model: 0, set: Vec::new() };
     }
@@ -130,7 +130,7 @@ fn without_cause(table: &[Entry]) -> Ruling {
 
 /// Models that are `better` than the plain one, and not held for the cause. A stand-in is written for its use: of those
 /// that the best one does not beat it is the one whose sand alone errs least.
-fn stand_in(table: &[Entry], best: usize, better: &dyn Fn(usize) -> bool) -> Ruling {
+fn stand_in(table: &[Compared], best: usize, better: &dyn Fn(usize) -> bool) -> Ruling {
     let as_good = (1..table.len()).filter(|&k| better(k) && !table[best].beats[k]);
     let model = as_good.min_by(|a, b| table[*a].error.total_cmp(&table[*b].error)).unwrap_or(best);
     let written = if table[model].causes > 0 { Written::Proxy } else { Written::Description };
@@ -138,7 +138,7 @@ fn stand_in(table: &[Entry], best: usize, better: &dyn Fn(usize) -> bool) -> Rul
 }
 
 /// The verdict if `cause` explains the main part.
-fn named(table: &[Entry], cause: usize) -> Ruling {
+fn named(table: &[Compared], cause: usize) -> Ruling {
     let of_size = |k: &usize| table[*k].causes == table[cause].causes && !table[*k].law;
     // A rival explains at least half as much, and is not beaten. An effect of measuring is none if it would have to be
     // far larger than what is stated of it.
@@ -174,8 +174,8 @@ mod tests {
     use super::*;
 
     /// A table in which twice the standard error of each difference is 10.
-    fn table(of: &[(usize, bool, f64, f64)]) -> Vec<Entry> {
-        let entry = |&(causes, law, elpd, misfit): &(usize, bool, f64, f64)| Entry {
+    fn table(of: &[(usize, bool, f64, f64)]) -> Vec<Compared> {
+        let entry = |&(causes, law, elpd, misfit): &(usize, bool, f64, f64)| Compared {
             causes,
             law,
             unnamed: false,
@@ -191,7 +191,7 @@ mod tests {
         of.iter().map(entry).collect()
     }
 
-    fn of(table: &[Entry]) -> (Verdict, Written, usize, Vec<usize>) {
+    fn of(table: &[Compared]) -> (Verdict, Written, usize, Vec<usize>) {
         let Ruling { verdict, written, model, set } = verdict(table, 0.01);
         (verdict, written, model, set)
     }

@@ -1,15 +1,15 @@
 //! Converts a diagnosis to a report.
 
-use super::errors::Errors;
+use super::errors::SquaredErrors;
 use super::fit::{COEFFICIENTS, Fit};
-use super::laws::Law;
-use super::noise::{Noise, Source};
+use super::laws::FittedLaw;
+use super::noise::{Noise, NoiseData};
 use super::report::{
     Cause, EvidenceRow, Gain, LackOfFit, NextExperiment, NoiseSummary, NuisanceValue, Remainder, Report, RunMeans,
     TermFound, Tried, Untestable, UpperLimit,
 };
 use super::select::Selection;
-use super::study::Study;
+use super::study::FitInputs;
 use super::summary::summary;
 use super::verdict::{Verdict, Written};
 use super::{laws, misfit, next_experiment, speed_exponent};
@@ -17,15 +17,15 @@ use crate::sand::mechanism::CATALOG;
 use crate::student;
 
 /// The inputs of a report.
-pub struct View<'a> {
-    pub study: &'a Study<'a>,
-    pub source: &'a Source<'a>,
+pub struct ReportView<'a> {
+    pub study: &'a FitInputs<'a>,
+    pub source: &'a NoiseData<'a>,
     pub noise: &'a Noise,
     pub selection: Option<&'a Selection>,
-    pub floor: Errors,
+    pub floor: SquaredErrors,
 }
 
-impl View<'_> {
+impl ReportView<'_> {
     pub fn report(&self, untestable: Vec<Untestable>, data_sha256: String, notes: Vec<String>) -> Report {
         let observations = self.study.observations;
         let misfit = misfit::misfit(observations, self.study.model, &self.study.plain().prediction);
@@ -36,6 +36,8 @@ impl View<'_> {
             (f.name.to_string(), all.fold([f64::MAX, f64::MIN], |r, v| [r[0].min(v), r[1].max(v)]))
         });
         let causes = self.causes();
+        // The noise with the scale of the errors that remain.
+        let renewed = self.selection.map(|s| self.study.under(&s.whitener, s.candidates.around.nuisances.clone()));
         let channels = observations.channels.iter().zip(&self.noise.channels);
         let entry = self.selection.map_or(0, |s| s.ruling.model);
         let mut report = Report {
@@ -58,12 +60,12 @@ impl View<'_> {
                 limit: self.selection.map(|s| s.table.limit),
             },
             gain: self.gain(),
-            nuisances: self.nuisances(),
+            nuisances: renewed.as_ref().map_or(Vec::new(), |study| self.nuisances(study)),
             remainder: self.remainder(),
             terms: self.terms(),
-            upper_limits: self.upper_limits(),
+            upper_limits: renewed.as_ref().map_or(Vec::new(), |study| self.upper_limits(study)),
             degrees_of_freedom: self.selection.map(|s| s.table.degrees),
-            form: self.form(),
+            form: renewed.as_ref().and_then(|study| self.form(study)),
             misfit,
             correlates_with: self.correlates(),
             next_experiment: self.next_experiment(&untestable),
@@ -91,11 +93,6 @@ impl View<'_> {
     /// The selection, if a cause is named.
     fn named(&self) -> Option<&Selection> {
         self.selection.filter(|s| s.ruling.written == Written::Cause)
-    }
-
-    /// The study under the noise with the scale of the errors that remain.
-    fn renewed<'b>(&'b self, selection: &'b Selection) -> Study<'b> {
-        self.study.under(&selection.whitener, selection.candidates.around.nuisances.clone())
     }
 
     fn evidence(&self) -> Vec<EvidenceRow> {
@@ -129,11 +126,10 @@ impl View<'_> {
         warnings
     }
 
-    fn form(&self) -> Option<speed_exponent::SpeedExponent> {
+    fn form(&self, study: &FitInputs) -> Option<speed_exponent::SpeedExponent> {
         let selection = self.named()?;
         crate::sand::mechanism::CATALOG[*selection.best()?.ids.first()?].exponent?;
-        let study = self.renewed(selection);
-        speed_exponent::form(&study, selection, &laws::laws(&study, &selection.candidates.base)?)
+        speed_exponent::form(study, selection, &laws::laws(study, &selection.candidates.base)?)
     }
 
     /// Values with 95 % intervals.
@@ -162,7 +158,7 @@ impl View<'_> {
         let Some(selection) = self.selection else { return Vec::new() };
         let table = &selection.table;
         let reach = student::two_sided_95(table.degrees.max(2.0));
-        let found = |law: &Law| TermFound {
+        let found = |law: &FittedLaw| TermFound {
             formula: law.term.formula(),
             tex: law.term.tex(),
             on: law.term.on.name().into(),
@@ -181,10 +177,11 @@ impl View<'_> {
 
     /// Values of the nuisances that all data share, and standard deviations of those that differ between trials or
     /// beds.
-    fn nuisances(&self) -> Vec<NuisanceValue> {
+    fn nuisances(&self, study: &FitInputs) -> Vec<NuisanceValue> {
         let (Some(selection), Some(fit)) = (self.selection, self.standing()) else { return Vec::new() };
         let count = fit.ids.len() + COEFFICIENTS;
-        let inverse = (!fit.slopes.is_empty()).then(|| fit.normal_equations().0.try_inverse()).flatten();
+        let information = (!fit.slopes.is_empty()).then(|| study.normal_equations(fit).information);
+        let inverse = information.and_then(|i| i.try_inverse());
         let split = |id: &str| match id.split_once('_').filter(|(_, c)| ["Fx", "Fz", "Ty"].contains(c)) {
             Some((kind, channel)) => (kind.to_string(), Some(channel.to_string())),
             None => (id.to_string(), None),
@@ -225,13 +222,12 @@ impl View<'_> {
     }
 
     /// Upper limits of the causes that were not found.
-    fn upper_limits(&self) -> Vec<UpperLimit> {
+    fn upper_limits(&self, study: &FitInputs) -> Vec<UpperLimit> {
         let (Some(selection), Some(standing)) = (self.selection, self.standing()) else { return Vec::new() };
         if standing.slopes.is_empty() {
             return Vec::new();
         }
         let table = &selection.table;
-        let study = self.renewed(selection);
         let screened = &selection.candidates.screen.candidates;
         let asked: Vec<(usize, f64)> = screened.iter().filter(|c| !CATALOG[c.0].ceiling).copied().collect();
         let limit = |further: &super::further::Further| {

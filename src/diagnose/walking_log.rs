@@ -12,7 +12,7 @@ use std::path::Path;
 
 /// The setup of a run; runs with the same setup share one.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Setup {
+pub struct WalkSetup {
     pub robot: String,
     /// Name of a leg shape, see [`LegShape::named`].
     pub leg: String,
@@ -30,7 +30,7 @@ pub struct Setup {
 /// Runs, read and checked.
 pub struct WalkingLog {
     pub observations: Observations,
-    pub setups: Vec<Setup>,
+    pub setups: Vec<WalkSetup>,
     /// Setup of each unit.
     pub setup_of: Vec<usize>,
     /// Optional columns that are absent or blank throughout.
@@ -82,7 +82,7 @@ struct Run {
 /// Reads the runs; `experiment` names robot, medium and units.
 pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Result<WalkingLog> {
     let (mut conditions, mut ids) = (Names::default(), Names::default());
-    let (mut runs, mut setups): (Vec<Run>, Vec<Setup>) = (Vec::new(), Vec::new());
+    let (mut runs, mut setups): (Vec<Run>, Vec<WalkSetup>) = (Vec::new(), Vec::new());
     let optional = [X_BED, SLOPE, PAYLOAD];
     let mut seen = [false; 3];
     let summary = experiment.read(path, COLUMNS, progress, |row| {
@@ -123,7 +123,7 @@ pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Re
     })
 }
 
-fn setup(row: &Row, experiment: &Experiment) -> Result<Setup> {
+fn setup(row: &Row, experiment: &Experiment) -> Result<WalkSetup> {
     let robot = row.text(ROBOT).or(experiment.robot.as_deref());
     let robot = robot.ok_or_else(|| row.error(ROBOT, "is blank, and the experiment names none"))?;
     if experiment.robot.as_deref() != Some(robot) && !Robot::names().contains(&robot) {
@@ -143,7 +143,7 @@ fn setup(row: &Row, experiment: &Experiment) -> Result<Setup> {
     if !(1.0..=100.0).contains(&strides) {
         return Err(row.error(DURATION, format!("{duration} s are {strides} strides; 1 to 100 can be simulated")));
     }
-    Ok(Setup {
+    Ok(WalkSetup {
         robot: robot.into(),
         leg: leg(row)?,
         frequency,
@@ -190,7 +190,7 @@ fn observations(runs: Vec<Run>, conditions: Vec<String>) -> Observations {
 }
 
 /// Planned runs: one unit for each setup, and zeros for measurements.
-pub fn planned(setups: Vec<Setup>, channels: Vec<Channel>) -> WalkingLog {
+pub fn planned(setups: Vec<WalkSetup>, channels: Vec<Channel>) -> WalkingLog {
     let count = channels.len();
     let unit = |i: usize| Unit { id: i.to_string(), condition: i, start: i * count, samples: 1, progress: vec![0.0] };
     let observations = Observations {
@@ -207,7 +207,7 @@ pub fn planned(setups: Vec<Setup>, channels: Vec<Channel>) -> WalkingLog {
 /// Runs that a laboratory with these `setups` could make: its legs and their mirror images, at the slowest, middle and
 /// fastest stride frequency used, on level sand and 10° up and down, with and without a payload of a third of the
 /// robot's mass.
-pub fn possible(setups: &[Setup]) -> Vec<(Setup, String)> {
+pub fn possible(setups: &[WalkSetup]) -> Vec<(WalkSetup, String)> {
     let Some(first) = setups.first() else { return Vec::new() };
     let frequencies = setups.iter().map(|s| s.frequency.abs());
     let (low, high) = frequencies.fold((f64::MAX, 0.0), |(l, h), f| (f64::min(l, f), f64::max(h, f)));
@@ -229,7 +229,7 @@ pub fn possible(setups: &[Setup]) -> Vec<(Setup, String)> {
                 );
                 let leg = leg.clone();
                 let robot = first.robot.clone();
-                out.push((Setup { robot, leg, frequency, slope_deg, payload, x_bed, strides: STRIDES }, words));
+                out.push((WalkSetup { robot, leg, frequency, slope_deg, payload, x_bed, strides: STRIDES }, words));
             }
         }
     }

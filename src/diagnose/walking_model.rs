@@ -2,10 +2,10 @@
 
 use super::experiment::Experiment;
 use super::fit::slope;
-use super::forward::{Feature, ForwardModel, Menu, Parameters, Testable, stronger, testable};
+use super::forward::{Feature, ForwardModel, Menu, SandParameters, Testable, stronger, testable};
 use super::observations::Channel;
-use super::shared::{Shared, Uncertainty};
-use super::walking_log::{self, Setup, WalkingLog};
+use super::shared::{SharedNoise, Uncertainty};
+use super::walking_log::{self, WalkSetup, WalkingLog};
 use crate::error::{Error, Result};
 use crate::progress::{Latch, Progress};
 use crate::sand::mechanism::Mechanisms;
@@ -35,7 +35,7 @@ const PHASES: [f64; 4] = [-0.2, -0.1, 0.1, 0.2];
 pub struct WalkingModel<'a> {
     latch: &'a Latch<'a>,
     medium: Medium,
-    setups: Vec<Setup>,
+    setups: Vec<WalkSetup>,
     robots: HashMap<(String, String), Robot>,
     /// Setup of each unit.
     setup_of: Vec<usize>,
@@ -94,7 +94,7 @@ impl<'a> WalkingModel<'a> {
     }
 
     /// The setups that are simulated.
-    pub fn setups(&self) -> &[Setup] {
+    pub fn setups(&self) -> &[WalkSetup] {
         &self.setups
     }
 
@@ -127,8 +127,8 @@ impl<'a> WalkingModel<'a> {
     }
 
     /// A trial for every setup.
-    fn trials(&self, (mechanisms, coefficients): &Parameters) -> Vec<Result<Trial>> {
-        let trial = |setup: &Setup| {
+    fn trials(&self, (mechanisms, coefficients): &SandParameters) -> Vec<Result<Trial>> {
+        let trial = |setup: &WalkSetup| {
             let mut scene = Scene::flat(Medium { coefficients: *coefficients, ..self.medium.clone() });
             (scene.mechanisms, scene.slope_deg, scene.payload) = (*mechanisms, setup.slope_deg, setup.payload);
             let robot = &self.robots[&(setup.robot.clone(), setup.leg.clone())];
@@ -140,7 +140,7 @@ impl<'a> WalkingModel<'a> {
 
     /// Results of every state with all hips `phase` [rad] ahead, setup by setup; NaN where a simulation is refused,
     /// diverges, or is stopped.
-    fn simulate(&self, states: &[Parameters], phase: f64) -> Vec<Vec<WalkResult>> {
+    fn simulate(&self, states: &[SandParameters], phase: f64) -> Vec<Vec<WalkResult>> {
         let keys: Vec<Vec<u64>> = states.iter().map(|state| key(state, phase)).collect();
         let known = || self.known.lock().unwrap_or_else(PoisonError::into_inner);
         let new: Vec<usize> = {
@@ -154,7 +154,7 @@ impl<'a> WalkingModel<'a> {
     }
 
     /// Every state's results with all hips `phase` [rad] ahead.
-    fn simulate_phase(&self, states: &[Parameters], phase: f64) -> Vec<Vec<WalkResult>> {
+    fn simulate_phase(&self, states: &[SandParameters], phase: f64) -> Vec<Vec<WalkResult>> {
         let ahead = |trial: Result<Trial>| trial.map(|t| Trial { phase, ..t });
         let trials: Result<Vec<Trial>> = states.iter().flat_map(|s| self.trials(s)).map(ahead).collect();
         let results = trials.and_then(|t| walk_all(EngineKind::Lanes, &t, self));
@@ -163,13 +163,13 @@ impl<'a> WalkingModel<'a> {
     }
 
     /// Prediction by `engine` with a time step `finer` times smaller than the default one.
-    fn stepped(&self, engine: EngineKind, state: &Parameters, finer: f64) -> Result<Vec<f64>> {
+    fn stepped(&self, engine: EngineKind, state: &SandParameters, finer: f64) -> Result<Vec<f64>> {
         let mut trials = self.trials(state).into_iter().collect::<Result<Vec<_>>>()?;
         trials.iter_mut().for_each(|t| t.model.scene.dt /= finer);
         Ok(self.stack(&walk_all(engine, &trials, self)?))
     }
 
-    fn others(&self, sand: &Parameters) -> Others {
+    fn others(&self, sand: &SandParameters) -> Others {
         let beds = self.predict_many(&[STRENGTH_STEP, -STRENGTH_STEP].map(|share| stronger(sand, share)));
         let phases = PHASES.iter().flat_map(|&phase| self.simulate(&[*sand], phase));
         Others { beds, phases: phases.map(|r| self.corrected(self.stack(&r))).collect() }
@@ -188,7 +188,7 @@ impl Progress for WalkingModel<'_> {
     }
 }
 
-fn key((mechanisms, coefficients): &Parameters, phase: f64) -> Vec<u64> {
+fn key((mechanisms, coefficients): &SandParameters, phase: f64) -> Vec<u64> {
     let numbers = mechanisms.values().into_iter().chain(coefficients.to_array()).chain([phase]);
     numbers.map(f64::to_bits).collect()
 }
@@ -212,7 +212,7 @@ impl ForwardModel for WalkingModel<'_> {
         self.corrected(self.simulate(&[(*mechanisms, *coefficients)], 0.0).iter().flat_map(|r| self.stack(r)).collect())
     }
 
-    fn predict_many(&self, states: &[Parameters]) -> Vec<Vec<f64>> {
+    fn predict_many(&self, states: &[SandParameters]) -> Vec<Vec<f64>> {
         self.simulate(states, 0.0).iter().map(|r| self.corrected(self.stack(r))).collect()
     }
 
@@ -235,15 +235,15 @@ impl ForwardModel for WalkingModel<'_> {
     /// eighth of the step's error that the correction leaves; (4) the distance of the mean over other phases and beds from
     /// the nominal run, which is negligible for regular gaits. The error of each channel of each setup is their root sum
     /// of squares, independent of the others, because one difference gives the size of an error and not its pattern.
-    fn uncertainty(&self, sand: &Parameters, prediction: &[f64]) -> Uncertainty {
+    fn uncertainty(&self, sand: &SandParameters, prediction: &[f64]) -> Uncertainty {
         let Others { beds, phases } = self.others(sand);
         let strength = slope(&beds[0], &beds[1], 2.0 * STRENGTH_STEP);
         let middle: Vec<f64> = beds[0].iter().zip(&beds[1]).map(|(a, b)| 0.5 * (a + b)).collect();
         let mut stacks = vec![slope(&middle, prediction, 1.0)];
         stacks.extend(phases.iter().map(|other| slope(other, prediction, (PHASES.len() as f64).sqrt())));
         let shared = vec![
-            Shared::one("bed_strength", "1", STRENGTH_STEP, false, strength),
-            Shared { name: "gait_scatter", unit: "1", guess: 1.0, optional: false, stacks },
+            SharedNoise::one("bed_strength", "1", STRENGTH_STEP, false, strength),
+            SharedNoise { name: "gait_scatter", unit: "1", guess: 1.0, optional: false, stacks },
         ];
         let (other, fine) = (self.stepped(EngineKind::Rapier, sand, 1.0), self.stepped(EngineKind::Lanes, sand, FINE));
         let (Ok(other), Ok(fine)) = (other.map(|o| self.corrected(o)), fine) else {
@@ -273,7 +273,7 @@ impl ForwardModel for WalkingModel<'_> {
     }
 
     fn features(&self) -> Vec<Feature> {
-        let per_run = |name, unit, f: &dyn Fn(&Setup) -> f64| Feature {
+        let per_run = |name, unit, f: &dyn Fn(&WalkSetup) -> f64| Feature {
             name,
             unit,
             values: self.setup_of.iter().map(|&s| vec![f(&self.setups[s])]).collect(),

@@ -1,6 +1,6 @@
 //! Generalised least squares: a linear map after which the noise is white.
 
-use super::noise::{ChannelFilter, Noise, Source};
+use super::noise::{ChannelFilter, Noise, NoiseData};
 use super::shared::LowRank;
 use std::ops::Range;
 
@@ -24,7 +24,7 @@ pub struct Whitener {
 impl Whitener {
     /// The noise that a whole trial shares is proportional to the source's prediction. If it were proportional to the
     /// measured mean, the fitted `scale` would have an error (−12.6 % on data without a hidden cause).
-    pub fn new(source: &Source, noise: &Noise) -> Self {
+    pub fn new(source: &NoiseData, noise: &Noise) -> Self {
         let repetitions = source.observations.repetitions();
         let units = source.observations.units.iter().zip(source.sizes).map(|(unit, sizes)| {
             let span = source.observations.span(unit);
@@ -72,7 +72,7 @@ impl UnitFilter {
     /// The common noise of a repetition. An error of the model is the same in all n repetitions of a condition, so
     /// their mean has its full variance e² and not a share of it. Whitening each unit with n e² gives the mean this
     /// variance. It underweights the differences between repetitions, which contain no information on causes.
-    fn share(&mut self, source: &Source, noise: &Noise, root_of_repetitions: f64) {
+    fn share(&mut self, source: &NoiseData, noise: &Noise, root_of_repetitions: f64) {
         let mut columns = Vec::new();
         for (shared, sd) in source.uncertainty.shared.iter().zip(&noise.shared) {
             for vector in shared.vectors(self.span.clone()) {

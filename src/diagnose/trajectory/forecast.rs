@@ -4,7 +4,7 @@ use super::model::TrajectoryModel;
 use super::sensors::Mounting;
 use super::windows::{BINS, Window};
 use crate::fit::slope;
-use crate::forward::{Feature, ForwardModel, Menu, Parameters, Testable, stronger};
+use crate::forward::{Feature, ForwardModel, Menu, SandParameters, Testable, stronger};
 use crate::nuisance::Nuisance;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
 use crate::sand::{Coefficients, Medium};
@@ -29,7 +29,7 @@ impl ForwardModel for TrajectoryModel<'_> {
         self.simulate(&[(*mechanisms, *coefficients)]).swap_remove(0)
     }
 
-    fn predict_many(&self, states: &[Parameters]) -> Vec<Vec<f64>> {
+    fn predict_many(&self, states: &[SandParameters]) -> Vec<Vec<f64>> {
         self.simulate(states)
     }
 
@@ -40,7 +40,7 @@ impl ForwardModel for TrajectoryModel<'_> {
     /// Nothing here is learnt from the scatter of repetitions. All strides of a run share the strength of its bed, the
     /// offsets of its sensors, and the error of the time step. At each number the model errs by a share of the channel's
     /// standard deviation within the stride, and by the scatter of [`Self::unsettled`].
-    fn uncertainty(&self, sand: &Parameters, prediction: &[f64]) -> Uncertainty {
+    fn uncertainty(&self, sand: &SandParameters, prediction: &[f64]) -> Uncertainty {
         let sd = |kind: &str| self.priors.sd(kind);
         let (harder, coefficients) = stronger(sand, STRENGTH_STEP);
         let harder = self.predict(&harder, &coefficients);
@@ -70,7 +70,7 @@ impl ForwardModel for TrajectoryModel<'_> {
         Uncertainty { shared: Vec::new(), common, own }
     }
 
-    fn nuisances(&self, sand: &Parameters, values: &[(String, f64)]) -> Vec<Nuisance> {
+    fn nuisances(&self, sand: &SandParameters, values: &[(String, f64)]) -> Vec<Nuisance> {
         let here = self.predict(&sand.0, &sand.1);
         let tracks = self.tracks(&[*sand], 0.0, 1.0).swap_remove(0);
         let mut all = self.mounting(&tracks, values);

@@ -2,9 +2,9 @@
 
 use super::keys::Keys;
 use super::log::Log;
-use super::replay::{Body, Drive};
+use super::replay::{JointMotion, ReplayRobot};
 use super::sensors::Layout;
-use super::servo::{self, Asked};
+use super::servo::{self, RequestedTorques};
 use super::windows::{BINS, Integral, Window, bins, windows};
 use crate::error::{Error, Result};
 use crate::experiment::Experiment;
@@ -30,13 +30,13 @@ pub struct TrajectoryModel<'a> {
     pub(super) priors: Priors,
     pub(super) log: Log,
     /// The robot of each run.
-    pub(super) bodies: Vec<Body>,
+    pub(super) bodies: Vec<ReplayRobot>,
     pub(super) windows: Vec<Window>,
-    pub(super) drives: Vec<Drive>,
+    pub(super) drives: Vec<JointMotion>,
     /// Window of each unit.
     pub(super) window_of: Vec<usize>,
     pub(super) layout: Layout,
-    pub(super) asked: Option<Asked>,
+    pub(super) asked: Option<RequestedTorques>,
     pub(super) known: Mutex<HashMap<Vec<u64>, Vec<f64>>>,
 }
 
@@ -45,14 +45,14 @@ impl<'a> TrajectoryModel<'a> {
     pub fn new(log: Log, experiment: &Experiment, latch: &'a Latch<'a>) -> Result<(Self, Observations)> {
         let keys = experiment.trajectory.clone();
         let robot = experiment.robot.as_deref().unwrap_or("xplorer");
-        let body = Body::load(robot, keys.touches.as_deref())?;
+        let body = ReplayRobot::load(robot, keys.touches.as_deref())?;
         let bodies = log.runs.iter().map(|r| body.with_leg(r.leg.as_deref())).collect::<Result<Vec<_>>>()?;
         let windows = windows(&log.runs, keys.window);
         if windows.is_empty() {
             let reason = "no run has a whole stride after its first one: log runs of at least three strides";
             return Err(Error::invalid("data", reason));
         }
-        let drives = windows.iter().map(|w| Drive::new(&log.runs[w.run], w, Scene::DEFAULT_DT)).collect();
+        let drives = windows.iter().map(|w| JointMotion::new(&log.runs[w.run], w, Scene::DEFAULT_DT)).collect();
         let asked = servo::asked(&log, &bodies)?;
         let there = |name: &str| !log.missing.contains(&name);
         let layout = Layout {

@@ -1,6 +1,6 @@
 //! Computes what the log's sensors would have read during a replay, as means over the parts of each stride.
 
-use super::replay::{SIGNALS, Track};
+use super::replay::{SIGNALS, Signals};
 use super::windows::{BINS, Integral, Window, bins};
 use crate::observations::Channel;
 
@@ -108,7 +108,7 @@ impl Mounting {
 pub fn read(
     layout: &Layout,
     window: &Window,
-    track: &Track,
+    track: &Signals,
     tick: f64,
     mounting: Mounting,
     quat: [f64; 4],
