@@ -7,6 +7,7 @@ use super::noise::{Noise, NoiseData, Sizes, sizes_of};
 use super::nuisance::Nuisance;
 use super::screen::{FELT, Scores, Screen, USUAL, starts};
 use super::study::FitInputs;
+use super::verdict;
 use super::whiten::Whitener;
 use crate::error::Result;
 use crate::number::dot;
@@ -112,19 +113,8 @@ fn leading(study: &FitInputs, base: &Fit, fits: &[Fit]) -> Option<usize> {
     let all: Vec<usize> = (0..study.observations.conditions.len()).collect();
     let models: Vec<Contender> = [base].into_iter().chain(fits).map(|fit| Contender { fit, laws: None }).collect();
     let table = EvidenceTable::new(study, study.whitener, &models, &all);
-    let best = |size: usize| {
-        let own = (1..models.len()).filter(|&k| models[k].fit.ids.len() == size);
-        own.max_by(|a, b| table.elpd(*a).total_cmp(&table.elpd(*b)))
-    };
-    let beats = |a: usize, b: usize| table.beats(a, b);
-    let better = |size: usize| (1..models.len()).any(|k| models[k].fit.ids.len() == size && beats(k, 0));
-    let single = best(1).filter(|_| better(1));
-    let share = |pair: usize, single: usize| {
-        let [gain, more] = [single, pair].map(|k| table.elpd(k) - table.elpd(0));
-        (more - gain) / more.max(1e-9)
-    };
-    let pair = best(2).filter(|&k| better(2) && single.is_none_or(|s| beats(k, s) && share(k, s) > SECOND));
-    pair.or(single).map(|k| k - 1)
+    let size = |k: usize| models[k].fit.ids.len();
+    verdict::leading(models.len(), size, |k| table.elpd(k), |a, b| table.beats(a, b), SECOND).map(|k| k - 1)
 }
 
 /// The fits at one stage of the search.

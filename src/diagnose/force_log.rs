@@ -176,24 +176,19 @@ fn mirror(trial: &mut Growing) {
 /// Refuses a trial with contradictory rows.
 fn check_same(row: &Row, trial: &Growing, now: &Track, condition: usize) -> Result<()> {
     let was = &trial.track;
-    let wrong = if trial.condition != condition {
-        CONDITION
-    } else if was.shape != now.shape {
-        SHAPE
-    } else if was.hip_height != now.hip_height {
-        HIP_Z
-    } else if was.beta != now.beta {
-        BETA
-    } else if was.pass != now.pass {
-        PASS
-    } else if was.pass_dx != now.pass_dx {
-        PASS_DX
-    } else if was.x_bed != now.x_bed {
-        X_BED
-    } else {
-        return Ok(());
-    };
-    Err(row.error(wrong, format!("differs from the first row of trial {}", trial.id)))
+    let same = [
+        (CONDITION, trial.condition == condition),
+        (SHAPE, was.shape == now.shape),
+        (HIP_Z, was.hip_height == now.hip_height),
+        (BETA, was.beta == now.beta),
+        (PASS, was.pass == now.pass),
+        (PASS_DX, was.pass_dx == now.pass_dx),
+        (X_BED, was.x_bed == now.x_bed),
+    ];
+    match same.iter().find(|(_, same)| !same) {
+        Some((column, _)) => Err(row.error(*column, format!("differs from the first row of trial {}", trial.id))),
+        None => Ok(()),
+    }
 }
 
 fn pose(row: &Row, intruder: &Intruder) -> Result<ArmPose> {
@@ -218,10 +213,9 @@ fn assemble(
     missing: Vec<&'static str>,
     sha256: String,
 ) -> ForceLog {
-    let mut channels =
-        vec![Channel { name: "Fx", unit: "N", in_rmse: true }, Channel { name: "Fz", unit: "N", in_rmse: true }];
+    let mut channels = vec![Channel::new("Fx", "N", true), Channel::new("Fz", "N", true)];
     if torque {
-        channels.push(Channel { name: "Ty", unit: "N·m", in_rmse: false });
+        channels.push(Channel::new("Ty", "N·m", false));
     }
     let (mut values, mut units, mut tracks, mut track_of) = (Vec::new(), Vec::new(), Vec::<Track>::new(), Vec::new());
     let mut headings: Vec<Option<Heading>> = vec![None; conditions.len()];

@@ -262,7 +262,7 @@ impl ForwardModel for ForceLogModel<'_> {
         let Measuring { here, late, deep, tilt, .. } = &*measuring;
         let sd = |kind: &str| self.priors.sd(kind);
         let mut all = Vec::new();
-        for (channel, &Channel { name, unit, .. }) in self.layout.channels.iter().enumerate() {
+        for (channel, Channel { name, unit, .. }) in self.layout.channels.iter().enumerate() {
             let own = |stack: &[f64]| self.only(stack, channel);
             let zero = sd("offset") * self.rms(here, channel);
             all.push(Nuisance::linear(format!("offset_{name}"), unit, zero, own(&vec![1.0; here.len()])));

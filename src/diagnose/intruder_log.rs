@@ -57,11 +57,8 @@ columns! {
 }
 
 /// The predicted channels at the measured load: two forces, which count in the error, and the sinkage.
-pub const CHANNELS: [Channel; 3] = [
-    Channel { name: "Fx", unit: "N", in_rmse: true },
-    Channel { name: "Fy", unit: "N", in_rmse: true },
-    Channel { name: "depth", unit: "m", in_rmse: false },
-];
+pub const CHANNELS: [Channel; 3] =
+    [Channel::new("Fx", "N", true), Channel::new("Fy", "N", true), Channel::new("depth", "m", false)];
 
 /// Largest number of rows: our choice, 15 times that of the wheels' data; each row is simulated some ten thousand
 /// times.

@@ -6,8 +6,7 @@
 
 use super::noise::{ChannelFilter, ChannelNoise, Noise, NoiseClock};
 use super::repeats::Repeats;
-use super::shared::Likelihood;
-use crate::number::dot;
+use super::shared::{Likelihood, gram};
 use nalgebra::{DMatrix, DVector};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -95,13 +94,7 @@ impl Part {
                 own
             })
             .collect();
-        let mut products = DMatrix::zeros(white.len(), white.len());
-        for i in 0..white.len() {
-            for j in 0..=i {
-                let product = dot(&white[i], &white[j]);
-                (products[(i, j)], products[(j, i)]) = (product, product);
-            }
-        }
+        let products = gram(&white);
         Self { log_determinant: filter.log_determinant, products }
     }
 }

@@ -24,7 +24,6 @@ use sandgait_table as table;
 
 pub mod arm;
 pub mod candidates;
-pub mod cli;
 mod columns;
 mod conditions;
 pub mod errors;
@@ -90,8 +89,6 @@ use study::FitInputs;
 use view::ReportView;
 use walking_model::WalkingModel;
 use whiten::Whitener;
-
-pub use cli::run;
 
 /// Reads the data and diagnoses them. If data cannot be read, the error names file, row and column. An error of
 /// `progress` stops the work and is returned.

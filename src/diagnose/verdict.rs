@@ -93,26 +93,45 @@ pub fn verdict(table: &[Compared], second: f64) -> Ruling {
         let best = own.iter().copied().max_by(|a, b| table[*a].elpd.total_cmp(&table[*b].elpd));
         best.filter(|_| own.iter().any(better))
     };
-    let single = best_of(&|e| e.causes == 1 && !e.law);
-    let earns = |pair: &usize, single: usize| {
-        let [gain, more] = [single, *pair].map(|k| table[k].elpd - plain.elpd);
-        table[*pair].beats[single] && more - gain > second * more
-    };
-    let pair = best_of(&|e| e.causes == 2 && !e.law).filter(|p| single.is_none_or(|s| earns(p, s)));
+    let size = |k: usize| if table[k].law { 0 } else { table[k].causes };
+    let explanation = leading(table.len(), size, |k| table[k].elpd, |a, b| table[a].beats[b], second);
     let law = best_of(&|e| e.law && e.causes == 0);
     let Some(best) = best_of(&|_| true) else {
         return without_cause(table);
     };
     let main = |k: &usize| table[*k].explains(plain) > MAIN_PART;
-    let cause = pair.or(single).filter(main).filter(|&c| law.is_none_or(|l| !table[l].beats[c]));
+    let cause = explanation.filter(main).filter(|&c| law.is_none_or(|l| !table[l].beats[c]));
     if let Some(cause) = cause {
         return named(table, cause);
     }
-    let law = law.filter(main).filter(|&l| pair.or(single).is_none_or(|c| table[l].elpd >= table[c].elpd));
+    let law = law.filter(main).filter(|&l| explanation.is_none_or(|c| table[l].elpd >= table[c].elpd));
     if let Some(model) = law {
         return Ruling { verdict: Verdict::Described, written: Written::Description, model, set: Vec::new() };
     }
     stand_in(table, best, &|k| table[k].beats[0])
+}
+
+/// The best single cause or pair of `count` entries, the first of which is the plain model: the best of its size, if one
+/// of that size beats the plain model. A pair must also beat the best single cause and add the share `second` of its own
+/// evidence. `size` is the number of causes, 0 for entries that do not count.
+pub fn leading(
+    count: usize,
+    size: impl Fn(usize) -> usize,
+    elpd: impl Fn(usize) -> f64,
+    beats: impl Fn(usize, usize) -> bool,
+    second: f64,
+) -> Option<usize> {
+    let best = |causes: usize| {
+        let own: Vec<usize> = (1..count).filter(|&k| size(k) == causes).collect();
+        let best = own.iter().copied().max_by(|a, b| elpd(*a).total_cmp(&elpd(*b)));
+        best.filter(|_| own.iter().any(|&k| beats(k, 0)))
+    };
+    let single = best(1);
+    let earns = |pair: usize, single: usize| {
+        let [gain, more] = [single, pair].map(|k| elpd(k) - elpd(0));
+        beats(pair, single) && more - gain > second * more
+    };
+    best(2).filter(|&pair| single.is_none_or(|s| earns(pair, s))).or(single)
 }
 
 /// The verdict if no model predicts better beyond twice the standard error. Where the plain model leaves more than noise

@@ -28,10 +28,11 @@ pub struct ReportView<'a> {
 impl ReportView<'_> {
     pub fn report(&self, untestable: Vec<Untestable>, data_sha256: String, notes: Vec<String>) -> Report {
         let observations = self.study.observations;
-        let misfit = misfit::misfit(observations, self.study.model, &self.study.plain().prediction);
+        let (model, plain) = (self.study.model, self.study.plain().prediction);
+        let misfit = misfit::misfit(observations, model, &plain, |_| true);
         let significant = self.selection.is_some_and(|s| s.verdict() != Verdict::NoiseFloor);
-        let whereabouts = misfit::whereabouts(observations, self.study.model, &self.study.plain().prediction);
-        let ranges = self.study.model.features().into_iter().map(|f| {
+        let whereabouts = misfit::whereabouts(observations, model, &plain, "the plain model's error");
+        let ranges = model.features().into_iter().map(|f| {
             let all = f.values.iter().flatten().copied();
             (f.name.to_string(), all.fold([f64::MAX, f64::MIN], |r, v| [r[0].min(v), r[1].max(v)]))
         });
@@ -209,7 +210,7 @@ impl ReportView<'_> {
         let (table, entry) = (&selection.table, selection.ruling.model);
         let significant = table.lack(entry) > table.limit;
         let place =
-            misfit::whereabouts_of(self.study.observations, self.study.model, &standing.prediction, "what remains");
+            misfit::whereabouts(self.study.observations, self.study.model, &standing.prediction, "what remains");
         let unlocated = || "spread over all data".to_string();
         let explained = selection.entries[entry].explains(&selection.entries[0]);
         Some(Remainder {
@@ -271,18 +272,7 @@ impl ReportView<'_> {
     }
 
     fn gain(&self) -> Gain {
-        let Some(selection) = self.selection else {
-            return Gain {
-                held_out_rmse_plain: None,
-                held_out_rmse_recalibrated: None,
-                held_out_rmse_extended: None,
-                noise_floor: None,
-                reduction: None,
-                ci95: None,
-                achievable_fraction: None,
-                nested: false,
-            };
-        };
+        let Some(selection) = self.selection else { return Gain::default() };
         let (plain, [base, chosen]) = (&selection.plain, &selection.nested);
         let extended = if selection.ruling.written == Written::Plain { plain } else { chosen };
         let (before, after, floor) = (plain.rmse(), extended.rmse(), self.floor.rmse());
@@ -332,7 +322,7 @@ impl ReportView<'_> {
             };
             RunMeans {
                 condition: o.conditions[condition].clone(),
-                channel: o.channels[c].name.into(),
+                channel: o.channels[c].name.to_string(),
                 unit: o.channels[c].unit.into(),
                 measured: mean(&o.values),
                 plain: mean(&plain),

@@ -57,13 +57,15 @@ columns! {
     SPEED_ERROR = "hip_speed_error_rms" AngularSpeed false;
 }
 
+/// Number of measured columns.
+const MEASURED: usize = 5;
 /// Measured columns in the order of the channels; `field` is that of [`crate::sim::walk::WalkResult`].
-const CHANNELS: [(usize, Channel); 5] = [
-    (SPEED, Channel { name: "speed", unit: "m/s", in_rmse: true }),
-    (HEIGHT, Channel { name: "base_height", unit: "m", in_rmse: false }),
-    (PITCH, Channel { name: "pitch_rms", unit: "rad", in_rmse: false }),
-    (TORQUE, Channel { name: "hip_torque_rms", unit: "N·m", in_rmse: false }),
-    (SPEED_ERROR, Channel { name: "hip_speed_error_rms", unit: "rad/s", in_rmse: false }),
+static CHANNELS: [(usize, Channel); MEASURED] = [
+    (SPEED, Channel::new("speed", "m/s", true)),
+    (HEIGHT, Channel::new("base_height", "m", false)),
+    (PITCH, Channel::new("pitch_rms", "rad", false)),
+    (TORQUE, Channel::new("hip_torque_rms", "N·m", false)),
+    (SPEED_ERROR, Channel::new("hip_speed_error_rms", "rad/s", false)),
 ];
 
 /// Strides of the protocol's measurement if the data give none.
@@ -76,7 +78,7 @@ struct Run {
     id: String,
     condition: usize,
     setup: usize,
-    measured: [Option<f64>; CHANNELS.len()],
+    measured: [Option<f64>; MEASURED],
 }
 
 /// Reads the runs; `experiment` names robot, medium and units.
@@ -104,9 +106,9 @@ pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Re
         if known.is_none() {
             setups.push(setup);
         }
-        let mut measured = [None; CHANNELS.len()];
-        for (value, (column, _)) in measured.iter_mut().zip(CHANNELS) {
-            *value = row.within(column, 1e6)?;
+        let mut measured = [None; MEASURED];
+        for (value, (column, _)) in measured.iter_mut().zip(&CHANNELS) {
+            *value = row.within(*column, 1e6)?;
         }
         row.needed(SPEED)?;
         runs.push(Run { id: id.into(), condition, setup: place, measured });
@@ -185,7 +187,7 @@ fn observations(runs: Vec<Run>, conditions: Vec<String>) -> Observations {
         Unit { id: run.id.clone(), condition: run.condition, start, samples: 1, progress: vec![0.0] }
     });
     let units = units.collect();
-    let channels = kept.iter().map(|&c| CHANNELS[c].1).collect();
+    let channels = kept.iter().map(|&c| CHANNELS[c].1.clone()).collect();
     Observations { size: Size::Channel, values, channels, units, conditions }
 }
 

@@ -176,7 +176,7 @@ impl<'a> WalkingModel<'a> {
     }
 
     fn stack(&self, results: &[WalkResult]) -> Vec<f64> {
-        let of = |&setup: &usize| self.channels.iter().map(move |c| channel(&results[setup], c.name));
+        let of = |&setup: &usize| self.channels.iter().map(move |c| channel(&results[setup], &c.name));
         self.setup_of.iter().flat_map(of).collect()
     }
 }

@@ -4,33 +4,6 @@ use super::replay::{SIGNALS, Signals};
 use super::windows::{BINS, Integral, Window, bins};
 use crate::observations::Channel;
 
-/// Names of the torque channels, one for each joint.
-const TORQUES: [&str; super::log::MOST_JOINTS] = [
-    "torque_1",
-    "torque_2",
-    "torque_3",
-    "torque_4",
-    "torque_5",
-    "torque_6",
-    "torque_7",
-    "torque_8",
-    "torque_9",
-    "torque_10",
-    "torque_11",
-    "torque_12",
-    "torque_13",
-    "torque_14",
-    "torque_15",
-    "torque_16",
-    "torque_17",
-    "torque_18",
-    "torque_19",
-    "torque_20",
-    "torque_21",
-    "torque_22",
-    "torque_23",
-    "torque_24",
-];
 const IMU: [(&str, &str); 6] = [
     ("gyro_x", "rad/s"),
     ("gyro_y", "rad/s"),
@@ -54,17 +27,17 @@ pub struct Layout {
 
 impl Layout {
     pub fn channels(&self) -> Vec<Channel> {
-        let of = |name, unit, in_rmse| Channel { name, unit, in_rmse };
-        let mut all: Vec<Channel> = TORQUES[..self.joints].iter().map(|name| of(*name, "N·m", true)).collect();
-        all.extend(IMU.iter().map(|&(name, unit)| of(name, unit, false)));
+        let torque = |j: usize| Channel { name: format!("torque_{j}").into(), unit: "N·m", in_rmse: true };
+        let mut all: Vec<Channel> = (1..=self.joints).map(torque).collect();
+        all.extend(IMU.iter().map(|&(name, unit)| Channel::new(name, unit, false)));
         if self.attitude {
-            all.extend([of("up_x", "1", false), of("up_y", "1", false)]);
+            all.extend([Channel::new("up_x", "1", false), Channel::new("up_y", "1", false)]);
         }
         if self.place {
-            all.push(of("speed", "m/s", false));
+            all.push(Channel::new("speed", "m/s", false));
         }
         if self.servo {
-            all.push(of("servo", "N·m", true));
+            all.push(Channel::new("servo", "N·m", true));
         }
         all
     }
