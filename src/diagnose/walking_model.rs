@@ -3,6 +3,7 @@
 use super::experiment::Experiment;
 use super::fit::slope;
 use super::forward::{Feature, ForwardModel, Menu, SandParameters, Testable, stronger, testable};
+use super::known::{Known, key};
 use super::observations::Channel;
 use super::shared::{SharedNoise, Uncertainty};
 use super::walking_log::{self, WalkSetup, WalkingLog};
@@ -16,7 +17,6 @@ use crate::sim::walk::{Trial, WalkResult};
 use crate::sim::{Model, Robot};
 use crate::sweep::walk_all;
 use std::collections::HashMap;
-use std::sync::{Mutex, PoisonError};
 
 /// Steps of numerical slopes change the data by this many σ altogether: small against noise, and far above the
 /// roughness of a sticking gait (reversed leg at 1 Hz: 0.3 % when its phase shifts by 0.2 rad). Our choice.
@@ -42,7 +42,7 @@ pub struct WalkingModel<'a> {
     channels: Vec<Channel>,
     missing: Vec<&'static str>,
     /// Results of earlier simulations, by the bits of mechanisms and coefficients: setup by setup.
-    known: Mutex<HashMap<Vec<u64>, Vec<WalkResult>>>,
+    known: Known<Vec<WalkResult>>,
     /// Factor on each number: see [`Self::correct_step`].
     correction: Vec<f64>,
 }
@@ -71,7 +71,7 @@ impl<'a> WalkingModel<'a> {
             setup_of: log.setup_of.clone(),
             channels: log.observations.channels.clone(),
             missing: log.missing.clone(),
-            known: Mutex::default(),
+            known: Known::default(),
             correction: Vec::new(),
         };
         let plain = (Mechanisms::default(), model.medium.coefficients);
@@ -91,11 +91,6 @@ impl<'a> WalkingModel<'a> {
                 Ok(model)
             }
         }
-    }
-
-    /// The setups that are simulated.
-    pub fn setups(&self) -> &[WalkSetup] {
-        &self.setups
     }
 
     /// Corrects the error of the default time step, which is some tenths of a percent. Each channel of each setup is
@@ -141,16 +136,8 @@ impl<'a> WalkingModel<'a> {
     /// Results of every state with all hips `phase` [rad] ahead, setup by setup; NaN where a simulation is refused,
     /// diverges, or is stopped.
     fn simulate(&self, states: &[SandParameters], phase: f64) -> Vec<Vec<WalkResult>> {
-        let keys: Vec<Vec<u64>> = states.iter().map(|state| key(state, phase)).collect();
-        let known = || self.known.lock().unwrap_or_else(PoisonError::into_inner);
-        let new: Vec<usize> = {
-            let known = known();
-            (0..states.len()).filter(|&k| !known.contains_key(&keys[k]) && !keys[..k].contains(&keys[k])).collect()
-        };
-        let results = self.simulate_phase(&new.iter().map(|&k| states[k]).collect::<Vec<_>>(), phase);
-        let mut known = known();
-        known.extend(new.iter().map(|&k| keys[k].clone()).zip(results));
-        keys.iter().map(|key| known[key].clone()).collect()
+        let keys = states.iter().map(|state| key(state, &[phase])).collect();
+        self.known.of(keys, |new| self.simulate_phase(&new.iter().map(|&k| states[k]).collect::<Vec<_>>(), phase))
     }
 
     /// Every state's results with all hips `phase` [rad] ahead.
@@ -186,11 +173,6 @@ impl Progress for WalkingModel<'_> {
     fn report(&self, _done: f64, _stage: &str) -> Result<()> {
         if self.latch.stopped() { self.latch.error().map_or(Ok(()), Err) } else { Ok(()) }
     }
-}
-
-fn key((mechanisms, coefficients): &SandParameters, phase: f64) -> Vec<u64> {
-    let numbers = mechanisms.values().into_iter().chain(coefficients.to_array()).chain([phase]);
-    numbers.map(f64::to_bits).collect()
 }
 
 fn channel(result: &WalkResult, name: &str) -> f64 {
@@ -302,7 +284,7 @@ impl ForwardModel for WalkingModel<'_> {
             setup_of: log.setup_of,
             channels: self.channels.clone(),
             missing: self.missing.clone(),
-            known: Mutex::default(),
+            known: Known::default(),
             correction: Vec::new(),
         };
         (!descriptions.is_empty()).then(|| Menu {

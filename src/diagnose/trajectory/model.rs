@@ -9,6 +9,7 @@ use super::windows::{BINS, Integral, Window, bins, windows};
 use crate::error::{Error, Result};
 use crate::experiment::Experiment;
 use crate::forward::ForwardModel;
+use crate::known::Known;
 use crate::nuisance::Priors;
 use crate::observations::{Channel, Observations, Size, Unit};
 use crate::progress::Latch;
@@ -17,7 +18,6 @@ use crate::sand::mechanism::Mechanisms;
 use crate::sim::model::Scene;
 use std::collections::HashMap;
 use std::f64::consts::TAU;
-use std::sync::Mutex;
 
 /// Largest number of predictions that are kept in memory: our choice, some 10 MB in all.
 pub(super) const KNOWN: usize = 128;
@@ -37,7 +37,7 @@ pub struct TrajectoryModel<'a> {
     pub(super) window_of: Vec<usize>,
     pub(super) layout: Layout,
     pub(super) asked: Option<RequestedTorques>,
-    pub(super) known: Mutex<HashMap<Vec<u64>, Vec<f64>>>,
+    pub(super) known: Known<Vec<f64>>,
 }
 
 impl<'a> TrajectoryModel<'a> {
@@ -74,7 +74,7 @@ impl<'a> TrajectoryModel<'a> {
             window_of,
             layout,
             asked,
-            known: Mutex::default(),
+            known: Known::up_to(KNOWN),
         };
         let plain = model.predict(&Mechanisms::default(), &model.medium.coefficients);
         if let Some(error) = latch.error() {
@@ -91,10 +91,6 @@ impl<'a> TrajectoryModel<'a> {
         }
         let observations = model.observations();
         Ok((model, observations))
-    }
-
-    pub fn log(&self) -> &Log {
-        &self.log
     }
 
     pub fn windows(&self) -> &[Window] {

@@ -1,17 +1,17 @@
 //! Walks that could be logged next: the diagnosis proposes the one that best distinguishes the causes, such as "walk at 3 Hz up 5°".
 
 use super::log::Run;
-use super::model::{TrajectoryModel, progress, window_of};
+use super::model::{KNOWN, TrajectoryModel, progress, window_of};
 use super::replay::{JointMotion, ReplayRobot, Signals};
 use super::servo::RequestedTorques;
 use super::windows::{BINS, Window, windows};
 use crate::forward::Menu;
+use crate::known::Known;
 use crate::observations::{Observations, Size, Unit};
 use crate::sand::mechanism::Mechanisms;
 use crate::sim::model::Scene;
 use crate::sim::walk::hip_angle;
 use std::f64::consts::TAU;
-use std::sync::Mutex;
 
 /// Stride frequencies [Hz] and slopes [°] that may be proposed: our choices, round numbers in the range of hexapods on sand.
 const FREQUENCIES: [f64; 5] = [1.0, 2.0, 3.0, 4.0, 5.0];
@@ -47,7 +47,7 @@ impl TrajectoryModel<'_> {
             bodies,
             layout: self.layout,
             asked: None,
-            known: Mutex::default(),
+            known: Known::up_to(KNOWN),
         };
         if self.layout.servo {
             model.asked = Some(model.needed()?);

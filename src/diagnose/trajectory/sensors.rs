@@ -46,11 +46,6 @@ impl Layout {
         self.joints + 6 + 2 * usize::from(self.attitude) + usize::from(self.place) + usize::from(self.servo)
     }
 
-    /// First channel of the upward direction, if there is one.
-    pub fn up(&self) -> Option<usize> {
-        self.attitude.then_some(self.joints + 6)
-    }
-
     pub fn servo_channel(&self) -> Option<usize> {
         self.servo.then(|| self.count() - 1)
     }

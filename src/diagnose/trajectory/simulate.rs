@@ -1,17 +1,16 @@
 //! Replays with many sets of mechanisms and coefficients, and the sensors' readings of each.
 
-use super::model::{KNOWN, TrajectoryModel};
+use super::model::TrajectoryModel;
 use super::replay::{Replay, ReplayRobot, Signals, replay};
 use super::sensors::{Mounting, read};
 use super::windows::{BINS, bins};
 use crate::error::Result;
 use crate::forward::{SandParameters, stronger};
+use crate::known::key;
 use crate::sand::mechanism::Mechanisms;
 use crate::sand::{Medium, Surface};
 use crate::sim::Model;
 use crate::sim::model::Scene;
-use std::collections::HashMap;
-use std::sync::PoisonError;
 
 /// Relative changes of the sand's strength that are too small to measure: our choice, at most a hundredth of the scatter of beds.
 const NUDGES: [f64; 6] = [-3e-4, -2e-4, -1e-4, 1e-4, 2e-4, 3e-4];
@@ -92,37 +91,19 @@ impl TrajectoryModel<'_> {
 
     /// Predicted numbers of several states, with the IMU mounted as the experiment file states.
     pub(super) fn simulate(&self, states: &[SandParameters]) -> Vec<Vec<f64>> {
-        let keys: Vec<Vec<u64>> = states.iter().map(key).collect();
-        let known = || self.known.lock().unwrap_or_else(PoisonError::into_inner);
-        let (mut new, mut found): (Vec<usize>, HashMap<&[u64], Vec<f64>>) = (Vec::new(), HashMap::new());
-        {
-            let known = known();
-            for (k, key) in keys.iter().enumerate() {
-                match known.get(key) {
-                    Some(stack) => drop(found.insert(key, stack.clone())),
-                    None if !keys[..k].contains(key) => new.push(k),
-                    None => {}
-                }
-            }
-        }
-        // Sixteen at a time, because tracks need much memory.
-        for part in new.chunks(16) {
-            let states: Vec<SandParameters> = part.iter().map(|&k| states[k]).collect();
-            let tracks = self.tracks(&states, 0.0, 1.0);
-            let stacks = crate::parallel::map(&tracks, |t| self.read(t, Mounting::default()));
-            part.iter().zip(stacks).for_each(|(&k, stack)| drop(found.insert(&keys[k], stack)));
-        }
-        let mut known = known();
-        for &k in &new {
-            if known.len() >= KNOWN {
-                known.clear();
-            }
-            known.insert(keys[k].clone(), found[keys[k].as_slice()].clone());
-        }
-        keys.iter()
-            .zip(states)
-            .map(|(k, s)| self.with_servo(found[k.as_slice()].clone(), s.0.motor_torque_limit))
-            .collect()
+        // The joints move as logged, so a weak motor changes only what the servos request.
+        let strong = |(m, c): &SandParameters| (Mechanisms { motor_torque_limit: 0.0, ..*m }, *c);
+        let keys = states.iter().map(|state| key(&strong(state), &[])).collect();
+        let stacks = self.known.of(keys, |new| {
+            // Sixteen at a time, because tracks need much memory.
+            let some = |part: &[usize]| {
+                let states: Vec<SandParameters> = part.iter().map(|&k| states[k]).collect();
+                let tracks = self.tracks(&states, 0.0, 1.0);
+                crate::parallel::map(&tracks, |t| self.read(t, Mounting::default()))
+            };
+            new.chunks(16).flat_map(some).collect()
+        });
+        stacks.into_iter().zip(states).map(|(stack, s)| self.with_servo(stack, s.0.motor_torque_limit)).collect()
     }
 
     /// Variance of each predicted number due to chaotic motion. If a gait hops or sways, a change of the sand that is too small to
@@ -154,9 +135,4 @@ impl TrajectoryModel<'_> {
         }
         stack
     }
-}
-
-fn key((mechanisms, coefficients): &SandParameters) -> Vec<u64> {
-    let felt = Mechanisms { motor_torque_limit: 0.0, ..*mechanisms };
-    felt.values().into_iter().chain(coefficients.to_array()).map(f64::to_bits).collect()
 }
