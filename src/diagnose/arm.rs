@@ -26,9 +26,9 @@ const FILTER_STEPS: usize = 6;
 /// Number of samples from which an acceleration is computed if the motion is smooth: our choice. For a velocity with a
 /// period of thirteen samples the error is then 0.2 % inside a trial and 1 % at its ends (with two samples 4 % and a
 /// quarter); noise of the velocity has a third more effect.
-pub const STENCIL: usize = 5;
+const STENCIL: usize = 5;
 /// The number of samples if no stretch of [`STENCIL`] is smooth; short enough for a ramp of three samples.
-pub const SHORT: usize = 3;
+const SHORT: usize = 3;
 /// A stretch is smooth if the last of its differences is below this share of those before: our choice, above that
 /// of a period of thirteen samples (a quarter) and below that of a kink.
 const SMOOTH: f64 = 0.5;
@@ -40,9 +40,8 @@ const SHIFT: f64 = 2.0;
 /// For each sample the stretch from which its acceleration is computed. Drives start and stop with a kink in the speed,
 /// and a polynomial across a kink is wrong on both sides. So the smoothest of the stretches that contain the sample is
 /// used, as in essentially non-oscillatory schemes (Harten, Engquist, Osher & Chakravarthy 1987). Among stretches of
-/// similar smoothness, the one centred on the sample is preferred. If no stretch of `longest` samples is smooth, a short one
-/// is used.
-pub fn stencils(track: &Track, longest: usize) -> Vec<Range<usize>> {
+/// similar smoothness, the one centred on the sample is preferred. If no long stretch is smooth, a short one is used.
+pub fn stencils(track: &Track) -> Vec<Range<usize>> {
     let poses = &track.poses;
     let chosen = |i: usize| {
         let of = |count: usize| {
@@ -54,7 +53,7 @@ pub fn stencils(track: &Track, longest: usize) -> Vec<Range<usize>> {
             let least = all.iter().map(|a| a.0[0]).fold(f64::INFINITY, f64::min);
             all.into_iter().filter(|a| a.0[0] <= SHIFT * least).min_by_key(|a| a.1)
         };
-        let [long, short] = [longest, SHORT].map(of);
+        let [long, short] = [STENCIL, SHORT].map(of);
         let smooth = long.as_ref().is_some_and(|l| l.0[0] <= SMOOTH * l.0[1]);
         if smooth { long } else { short }.map_or(0..poses.len(), |l| l.2)
     };
@@ -456,7 +455,7 @@ mod tests {
             mechanisms: &mechanisms,
             sand: SandMechanisms::new(&mechanisms, 640.0),
             grounds: &[ground],
-            stencils: stencils(&track, STENCIL),
+            stencils: stencils(&track),
             footprint: 1.0,
             drag: 0.0,
         };

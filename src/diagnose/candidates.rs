@@ -318,27 +318,28 @@ const BENDS: usize = 6;
 /// A change by less than this share of a prior standard deviation counts as converged: our choice.
 const STRAIGHT: f64 = 0.02;
 
-/// Nuisances linearised under a whitening at `fit`, refitted. Fit and nuisances are adjusted to each other in turns:
-/// the first estimate is inaccurate if a filter is slow compared with the fastest trials, and a gain that was linearised
-/// at a prediction that is too small takes a part of the cause's value. A step that does not help is halved. For a rough
-/// model, whose fits are expensive, only the mounting of an IMU is that nonlinear.
+/// Nuisances linearised at `fit` under a whitening. Fit and nuisances are adjusted to each other in turns, because the
+/// first estimate is inaccurate if a filter is slow compared with the fastest trials. A step that does not help is
+/// halved.
 fn bent(study: &FitInputs, whitener: &Whitener, fit: &Fit) -> Vec<Nuisance> {
     if study.nuisances.is_empty() {
         return Vec::new();
     }
-    let rough = study.model.roughness().is_some();
     let mut now = study.under(whitener, study.nuisances_about(fit));
     let mut at = now.fit_from(&[fit]).swap_remove(0);
     let mut least = f64::INFINITY;
     let mut before = fit.clone();
-    let about = |at: &Fit| if rough { fit.clone() } else { at.clone() };
     for _ in 0..BENDS {
         let bends = study.nuisances.iter().zip(&at.deviations[COEFFICIENTS..]).zip(&before.deviations[COEFFICIENTS..]);
-        let turned = bends.filter(|((n, _), _)| !rough || n.id.starts_with("imu")).map(|((_, a), b)| (a - b).abs());
+        let turned = bends
+            .filter(|((n, _), _)| n.id.starts_with("lowpass") || n.id.starts_with("imu"))
+            .map(|((_, a), b)| (a - b).abs());
         if turned.fold(0.0, f64::max) < STRAIGHT {
             break;
         }
-        let next = study.under(whitener, now.nuisances_of(&about(&at), &at));
+        // The effect of a filter depends on its time constant, and hardly on the small changes of other parameters
+        // here.
+        let next = study.under(whitener, now.nuisances_of(fit, &at));
         let there = next.restated(&at);
         if there.objective > least {
             let half = at.deviations.iter().zip(&before.deviations).map(|(a, b)| 0.5 * (a + b)).collect();
@@ -349,7 +350,7 @@ fn bent(study: &FitInputs, whitener: &Whitener, fit: &Fit) -> Vec<Nuisance> {
         at = next.fit_from(&[&there]).swap_remove(0);
         now = next;
     }
-    now.nuisances_of(&about(&at), &at)
+    now.nuisances_of(fit, &at)
 }
 
 /// The single cause of a rough model may have ended in a local minimum, and a pair may then gain only by leading

@@ -1,6 +1,6 @@
 //! The forward model of force logs: predicts the readings of an arm's force sensor, track by track ([`super::arm`]).
 
-use super::arm::{Arm, IntruderSegments, SHORT, STENCIL, filtered, read, stencils};
+use super::arm::{Arm, IntruderSegments, filtered, read, stencils};
 use super::experiment::{Experiment, Intruder};
 use super::fit::slope;
 use super::force_log::ForceLog;
@@ -38,8 +38,6 @@ pub struct ForceLogModel<'a> {
     layout: Observations,
     /// Track of each unit.
     track_of: Vec<usize>,
-    /// Number of samples from which an acceleration is computed if the motion is smooth.
-    stencil: usize,
     missing: Vec<&'static str>,
     priors: Priors,
     responses: Responses,
@@ -99,7 +97,6 @@ impl<'a> ForceLogModel<'a> {
             cuts,
             layout: Observations { values: Vec::new(), ..log.observations.clone() },
             track_of: log.track_of.clone(),
-            stencil: STENCIL,
             missing: Vec::new(),
             priors: Priors::default(),
             responses: Responses::default(),
@@ -167,7 +164,7 @@ impl<'a> ForceLogModel<'a> {
             mechanisms: m,
             sand: self.sand(m),
             grounds,
-            stencils: if m.added_mass == 0.0 { Vec::new() } else { stencils(track, self.stencil) },
+            stencils: if m.added_mass == 0.0 { Vec::new() } else { stencils(track) },
             footprint: footprint(m.footprint, track.pass, track.pass_dx),
             drag: m.inertial_drag * self.medium.bulk_density,
         }
@@ -254,16 +251,7 @@ impl ForwardModel for ForceLogModel<'_> {
             shared.push(SharedNoise::one(offset, unit, guess, true, constant));
             shared.push(SharedNoise::one(drift, unit, guess, true, growing));
         }
-        // Drives start and stop within a few samples, from which accelerations are computed. How far those from fewer
-        // samples differ tells how wrong they may be.
-        let own = if m.added_mass == 0.0 {
-            Vec::new()
-        } else {
-            let fewer = Self { stencil: SHORT, ..self.clone() };
-            let differs = slope(&fewer.predict(m, c), prediction, 1.0);
-            differs.into_iter().map(f64::abs).collect()
-        };
-        Uncertainty { shared, common: Vec::new(), own }
+        Uncertainty { shared, ..Uncertainty::default() }
     }
 
     fn nuisances(&self, sand: &SandParameters, values: &[(String, f64)]) -> Vec<Nuisance> {
