@@ -17,12 +17,13 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::diagnose::diagnose;
 use sandgait::diagnose::experiment::Experiment;
 use sandgait::diagnose::force_log;
-use sandgait::diagnose::forward::{ForceLogModel, ForwardModel};
-use sandgait::diagnose::noise::{ChannelNoise, Clock, Noise, Source, sizes};
+use sandgait::diagnose::force_model::ForceLogModel;
+use sandgait::diagnose::forward::ForwardModel;
+use sandgait::diagnose::noise::{ChannelNoise, Noise, NoiseClock, NoiseData, sizes};
 use sandgait::diagnose::report::{Cause, Report, Tried};
-use sandgait::diagnose::shared::Shared;
+use sandgait::diagnose::shared::{SharedNoise, Uncertainty};
 use sandgait::diagnose::statements::violations;
-use sandgait::diagnose::study::Study;
+use sandgait::diagnose::study::FitInputs;
 use sandgait::diagnose::verdict::Verdict;
 use sandgait::diagnose::whiten::Whitener;
 use sandgait::parallel;
@@ -61,27 +62,26 @@ fn separation(log: &Log, cause: &str, name: &str) -> Outcome<f64> {
     let channel =
         |arm: f64| ChannelNoise { grain: arm * testbed::GRAIN, sensor: arm * testbed::SENSOR, phi: testbed::PHI };
     let channels = vec![channel(1.0), channel(1.0), channel(testbed::ARM)];
-    let noise = Noise { clock: Clock::Sample, channels, shared: vec![testbed::GAIN] };
+    let noise = Noise { clock: NoiseClock::Sample, channels, shared: vec![testbed::GAIN] };
     let o = &read.observations;
-    let strength = Shared {
+    let strength = SharedNoise {
         name: "bed_strength",
         unit: "1",
         guess: testbed::GAIN,
         optional: false,
         stacks: vec![o.values.clone()],
     };
-    let source = Source {
+    let uncertainty = Uncertainty { shared: vec![strength], common: Vec::new(), own: Vec::new() };
+    let source = NoiseData {
         observations: o,
         prediction: &o.values,
         sizes: &sizes(o),
-        shared: &[strength],
-        model_error: &[],
+        uncertainty: &uncertainty,
         left_out: &[],
-        own_error: &[],
     };
     let whitener = Whitener::new(&source, &noise);
     // Sensor mechanisms are rivals here, so nuisances are left out.
-    let study = Study::new(o, &model, &whitener, experiment.coefficient_sd).under(&whitener, Vec::new());
+    let study = FitInputs::new(o, &model, &whitener, experiment.coefficient_sd).under(&whitener, Vec::new());
     let truth = CATALOG.iter().position(|m| m.id == cause).map(|id| study.fit(&[id], &[CATALOG[id].typical]).objective);
     let rivals: Vec<usize> = model.testable().into_iter().map(|t| t.0).filter(|&id| CATALOG[id].id != cause).collect();
     let fits = parallel::map(&rivals, |&id| study.fit(&[id], &[0.3 * CATALOG[id].typical]).objective);

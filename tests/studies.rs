@@ -3,7 +3,8 @@
 use sandgait::calibrate::calibrate;
 use sandgait::diagnose::experiment::Experiment;
 use sandgait::diagnose::force_log;
-use sandgait::diagnose::forward::{ForceLogModel, ForwardModel};
+use sandgait::diagnose::force_model::ForceLogModel;
+use sandgait::diagnose::forward::ForwardModel;
 use sandgait::progress::Silent;
 use sandgait::sand::intrusion::Rotation;
 use sandgait::sand::mechanism::{CATALOG, Mechanisms};

@@ -1,20 +1,31 @@
 //! `sandgait diagnose`
 
 use sandgait::Result;
-use sandgait::diagnose;
+use sandgait::diagnose::diagnose;
+use sandgait::diagnose::experiment::Experiment;
+use sandgait::progress::Silent;
+use std::path::PathBuf;
 
 /// Find where the simulation disagrees with measured data, name the cause, extend the model and measure the gain.
 #[derive(clap::Args)]
 #[command(after_help = "Example:
   sandgait diagnose forces.csv --experiment experiment.toml --out report")]
 pub struct DiagnoseArgs {
-    #[command(flatten)]
-    arguments: diagnose::cli::Arguments,
+    /// Measured data as CSV; `python -m sandgait.logs` converts Parquet, LeRobot data sets, MCAP and ROS bags
+    data: PathBuf,
+    /// Facts that the data file does not contain: medium, shapes, units (TOML)
+    #[arg(long)]
+    experiment: PathBuf,
+    /// Directory for report.json, report.html, sand.toml and hardware.toml
+    #[arg(long)]
+    out: PathBuf,
 }
 
 impl DiagnoseArgs {
+    /// Diagnoses and writes the report; bad input is an error and writes nothing.
     pub fn run(self) -> Result<String> {
-        let diagnosis = diagnose::run(&self.arguments)?;
+        let diagnosis = diagnose(&self.data, &Experiment::load(&self.experiment)?, &Silent)?;
+        diagnosis.write(&self.out)?;
         Ok(format!("{}\n", diagnosis.report.summary))
     }
 }

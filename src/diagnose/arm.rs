@@ -5,7 +5,7 @@
 
 use super::experiment::Intruder;
 use super::sides::{leading_sides, sides};
-use super::track::{Place, Pose, Track};
+use super::track::{ArmPose, RigidMotion, Track};
 use crate::error::Result;
 use crate::number::{Doubles, Kernel, Real, Vec3};
 use crate::sand::intrusion::Load;
@@ -15,8 +15,8 @@ use crate::sand::shape::{Segment, straight};
 use crate::sand::{LegShape, SandBed};
 use std::ops::Range;
 
-/// Number of segments of a plate or leg. The partly submerged segment then causes an error of < 0.1 % of the peak
-/// force. Our choice.
+/// Number of segments of a plate or leg: our choice. Of a segment that crosses the surface, the submerged part counts;
+/// without this, a pressure that does not vanish at the surface, such as `cohesion`, would be found 2 % too small.
 const SEGMENTS: usize = 40;
 /// A trial starts at rest if its first speed is below this share of its greatest: our choice, as for the samples at
 /// rest that are left out.
@@ -61,7 +61,7 @@ pub fn stencils(track: &Track) -> Vec<Range<usize>> {
 }
 
 /// Size of the last difference of the velocities over a stretch, and of the greatest before it except the first.
-fn roughness(poses: &[Pose]) -> [f64; 2] {
+fn roughness(poses: &[ArmPose]) -> [f64; 2] {
     let mut differences: Vec<[f64; 3]> = poses.iter().map(|p| [p.omega, p.velocity[0], p.velocity[1]]).collect();
     let interval = (poses[poses.len() - 1].t - poses[0].t) / (poses.len() - 1).max(1) as f64;
     let mut sizes = Vec::new();
@@ -85,9 +85,11 @@ struct Block {
     center: [Doubles; 2],
     normal: [Doubles; 2],
     area: Doubles,
+    /// Half the length of a segment [m].
+    half: Doubles,
 }
 
-fn blocks(segments: &[Segment]) -> Vec<Block> {
+fn blocks(segments: &[Segment], width: f64) -> Vec<Block> {
     let block = |part: &[Segment]| {
         let lanes = |of: &dyn Fn(&Segment) -> f64| {
             Doubles::from_array(std::array::from_fn(|i| of(&part[i.min(part.len() - 1)])))
@@ -97,6 +99,7 @@ fn blocks(segments: &[Segment]) -> Vec<Block> {
             center: [0, 1].map(|k| lanes(&|s| s.center[k])),
             normal: [0, 1].map(|k| lanes(&|s| s.normal[k])),
             area: Doubles::from_array(std::array::from_fn(area)),
+            half: lanes(&|s| 0.5 * s.area / width),
         }
     };
     segments.chunks(Doubles::LANES).map(block).collect()
@@ -104,7 +107,7 @@ fn blocks(segments: &[Segment]) -> Vec<Block> {
 
 /// An intruder in segments.
 #[derive(Clone)]
-pub struct Cut {
+pub struct IntruderSegments {
     segments: Vec<Block>,
     /// Straight strip from hip to tip; empty for plates.
     chord: Vec<Block>,
@@ -114,18 +117,18 @@ pub struct Cut {
     half_thickness: f64,
 }
 
-impl Cut {
+impl IntruderSegments {
     pub fn new(intruder: &Intruder) -> Result<Self> {
         Ok(match *intruder {
-            Intruder::Leg { chord, width, xi_deg, thickness } => Cut {
-                segments: blocks(&LegShape::two_piece(xi_deg)?.segments(chord, width, SEGMENTS)?),
-                chord: blocks(&straight([0.0, 0.0], [0.0, -chord], width, SEGMENTS)),
+            Intruder::Leg { chord, width, xi_deg, thickness } => IntruderSegments {
+                segments: blocks(&LegShape::two_piece(xi_deg)?.segments(chord, width, SEGMENTS)?, width),
+                chord: blocks(&straight([0.0, 0.0], [0.0, -chord], width, SEGMENTS), width),
                 sides: Vec::new(),
                 width,
                 half_thickness: thickness.unwrap_or(0.0) / 2.0,
             },
-            Intruder::Plate { length, width, thickness } => Cut {
-                segments: blocks(&straight([-length / 2.0, 0.0], [length / 2.0, 0.0], width, SEGMENTS)),
+            Intruder::Plate { length, width, thickness } => IntruderSegments {
+                segments: blocks(&straight([-length / 2.0, 0.0], [length / 2.0, 0.0], width, SEGMENTS), width),
                 chord: Vec::new(),
                 sides: sides(length, width, thickness.unwrap_or(0.0)),
                 width,
@@ -146,7 +149,7 @@ pub fn read<const N: usize>(m: &Mechanisms, loads: &mut [[Load; N]]) {
 }
 
 /// Times of the filter's steps along a track, from half a sample before it.
-fn filter_times(poses: &[Pose]) -> Vec<f64> {
+fn filter_times(poses: &[ArmPose]) -> Vec<f64> {
     let first = poses.get(1).map_or(0.0, |p| p.t - poses[0].t);
     let begins = [poses[0].t - 0.5 * first].into_iter().chain(poses.iter().map(|p| p.t));
     let steps = begins.zip(poses).flat_map(|(from, to)| {
@@ -157,8 +160,8 @@ fn filter_times(poses: &[Pose]) -> Vec<f64> {
 }
 
 /// Is the first speed negligible against the greatest?
-fn begins_at_rest(poses: &[Pose]) -> bool {
-    let speeds = |p: &Pose| [p.omega.abs(), p.velocity[0].hypot(p.velocity[1])];
+fn begins_at_rest(poses: &[ArmPose]) -> bool {
+    let speeds = |p: &ArmPose| [p.omega.abs(), p.velocity[0].hypot(p.velocity[1])];
     let first = speeds(&poses[0]);
     (0..2).all(|k| first[k] <= REST * poses.iter().map(|p| speeds(p)[k]).fold(0.0, f64::max))
 }
@@ -167,7 +170,7 @@ fn begins_at_rest(poses: &[Pose]) -> bool {
 /// − y. The filter is in steady state half a sample before the log; the solution is exact for a force that is
 /// linear between steps. In a trial that begins at rest, the filter begins with the force at the start of the
 /// motion.
-pub fn filtered<const N: usize>(poses: &[Pose], steps: &[[Load; N]], tau: f64) -> Vec<[Load; N]> {
+pub fn filtered<const N: usize>(poses: &[ArmPose], steps: &[[Load; N]], tau: f64) -> Vec<[Load; N]> {
     let times = filter_times(poses);
     let rests = begins_at_rest(poses);
     let mut state = if rests { [Load::default(); N] } else { steps[0] };
@@ -196,7 +199,7 @@ pub fn filtered<const N: usize>(poses: &[Pose], steps: &[[Load; N]], tau: f64) -
 /// Computes the loads of one track with one set of mechanisms in N beds that differ in their stress coefficients only.
 pub struct Arm<'a, const N: usize> {
     pub track: &'a Track,
-    pub cut: &'a Cut,
+    pub cut: &'a IntruderSegments,
     pub mechanisms: &'a Mechanisms,
     pub sand: SandMechanisms<Doubles>,
     pub grounds: &'a [SandBed<Doubles>; N],
@@ -222,13 +225,13 @@ impl<const N: usize> Arm<'_, N> {
     }
 
     /// The pose whose force the log has at sample `index`: `delay` earlier.
-    fn late(&self, index: usize, pose: &Pose) -> Pose {
+    fn late(&self, index: usize, pose: &ArmPose) -> ArmPose {
         if self.mechanisms.delay == 0.0 { *pose } else { self.pose_at(pose.t - self.mechanisms.delay, index) }
     }
 
     /// Pose at time `t`: cubic Hermite interpolation of the samples, constant velocity beyond them; `near` is the
     /// index of a sample close to `t`.
-    fn pose_at(&self, t: f64, near: usize) -> Pose {
+    fn pose_at(&self, t: f64, near: usize) -> ArmPose {
         let poses = &self.track.poses;
         let mut right = near.min(poses.len() - 1);
         while right > 0 && poses[right].t > t {
@@ -238,7 +241,7 @@ impl<const N: usize> Arm<'_, N> {
         let Some(b) = poses.get(right + 1).filter(|_| t >= a.t) else {
             let dt = t - a.t;
             let center = [0, 1].map(|k| a.center[k] + a.velocity[k] * dt);
-            return Pose { t, theta: a.theta + a.omega * dt, center, ..*a };
+            return ArmPose { t, theta: a.theta + a.omega * dt, center, ..*a };
         };
         let h = b.t - a.t;
         let s = (t - a.t) / h;
@@ -250,7 +253,7 @@ impl<const N: usize> Arm<'_, N> {
                 + (s3 - s2) * h * dq
         };
         let between = |p: f64, q: f64| p + s * (q - p);
-        Pose {
+        ArmPose {
             t,
             theta: hermite(a.theta, a.omega, b.theta, b.omega),
             omega: between(a.omega, b.omega),
@@ -268,7 +271,7 @@ impl<const N: usize> Arm<'_, N> {
     }
 
     /// Load at a pose.
-    fn load(&self, pose: &Pose) -> [Load; N] {
+    fn load(&self, pose: &ArmPose) -> [Load; N] {
         let acceleration = if self.mechanisms.added_mass == 0.0 { [0.0; 3] } else { self.acceleration(pose.t) };
         match self.track.intruder {
             Intruder::Plate { .. } => self.plate(pose, acceleration),
@@ -305,18 +308,24 @@ impl<const N: usize> Arm<'_, N> {
         })
     }
 
-    fn plate(&self, pose: &Pose, acceleration: [f64; 3]) -> [Load; N] {
+    fn plate(&self, pose: &ArmPose, acceleration: [f64; 3]) -> [Load; N] {
         let origin = [pose.center[0], pose.center[1] - self.mechanisms.depth_zero];
         let change = [acceleration[1], acceleration[2]];
-        let place =
-            Place { origin, turn: self.track.beta.sin_cos(), velocity: pose.velocity, spin: 0.0, change, spin_up: 0.0 };
+        let place = RigidMotion {
+            origin,
+            turn: self.track.beta.sin_cos(),
+            velocity: pose.velocity,
+            spin: 0.0,
+            change,
+            spin_up: 0.0,
+        };
         let sides = self.sides(place);
         let with_sides = |l: Load| Load { fx: l.fx + sides.fx, fz: l.fz + sides.fz, ty: l.ty + sides.ty };
         self.sum(&self.cut.segments, place).map(with_sides)
     }
 
     /// Inertial drag on the leading side face of a thick plate.
-    fn sides(&self, place: Place) -> Load {
+    fn sides(&self, place: RigidMotion) -> Load {
         if self.drag == 0.0 {
             return Load::default();
         }
@@ -324,10 +333,10 @@ impl<const N: usize> Arm<'_, N> {
         leading_sides(&self.cut.sides, place, self.mechanisms.slope, pressure)
     }
 
-    fn leg(&self, pose: &Pose, spin_up: f64) -> [Load; N] {
+    fn leg(&self, pose: &ArmPose, spin_up: f64) -> [Load; N] {
         let origin = [0.0, self.track.hip_height - self.mechanisms.depth_zero];
         let turn = pose.theta.sin_cos();
-        let place = Place { origin, turn, velocity: [0.0; 2], spin: pose.omega, change: [0.0; 2], spin_up };
+        let place = RigidMotion { origin, turn, velocity: [0.0; 2], spin: pose.omega, change: [0.0; 2], spin_up };
         let full = self.sum(&self.cut.segments, place);
         let Intruder::Leg { xi_deg, .. } = self.track.intruder else {
             return full;
@@ -347,7 +356,7 @@ impl<const N: usize> Arm<'_, N> {
     }
 
     /// Sums stress over segments.
-    fn sum(&self, blocks: &[Block], place: Place) -> [Load; N] {
+    fn sum(&self, blocks: &[Block], place: RigidMotion) -> [Load; N] {
         let mut loads = [Load::default(); N];
         Doubles::dispatch(Sum { arm: self, blocks, place, loads: &mut loads });
         loads
@@ -357,7 +366,7 @@ impl<const N: usize> Arm<'_, N> {
 struct Sum<'a, const N: usize> {
     arm: &'a Arm<'a, N>,
     blocks: &'a [Block],
-    place: Place,
+    place: RigidMotion,
     loads: &'a mut [Load; N],
 }
 
@@ -382,7 +391,7 @@ impl<const N: usize> Kernel for Sum<'_, N> {
             let r = turn(block.center);
             let at = [splat(place.origin[0]) + r[0], splat(place.origin[1]) + r[1]];
             // Well above the surface, so no force.
-            let reach = splat(-arm.cut.half_thickness);
+            let reach = splat(-arm.cut.half_thickness) - block.half;
             if !Doubles::any(reach.lt(slope_depth(slope, at[0], at[1]))) {
                 continue;
             }
@@ -393,9 +402,14 @@ impl<const N: usize> Kernel for Sum<'_, N> {
             // The stress acts on the leading face, half a thickness ahead of the mid-surface.
             let ahead = lead * splat(arm.cut.half_thickness);
             let (x, z) = (at[0] + n[0] * ahead, at[1] + n[1] * ahead);
-            let depth = slope_depth(slope, x, z);
+            let (normal, velocity) = (into(n), into(v));
+            // Of a segment that crosses the surface, the submerged share counts, at its own mean depth.
+            let (depth, extent) = (slope_depth(slope, x, z), normal.x.abs() * block.half);
+            let share = ((depth + extent) / (extent + extent + splat(1e-12))).max(zero).min(Doubles::one());
+            let mean = Doubles::select(depth.lt(extent), splat(0.5) * (depth + extent), depth);
+            let area = block.area * share;
             let site = SegmentState {
-                depth: depth.max(zero),
+                depth: mean.max(zero),
                 x: splat(arm.track.x_bed) + x,
                 footprint: splat(arm.footprint),
                 width: splat(arm.cut.width),
@@ -404,12 +418,11 @@ impl<const N: usize> Kernel for Sum<'_, N> {
                 // A log has positions only; the velocity of travel is not known.
                 travel: [zero; 2],
             };
-            let (normal, velocity) = (into(n), into(v));
             let motion = arm.grounds[0].motion(velocity);
             for ([sum_x, sum_z, sum_turn], ground) in sums.iter_mut().zip(arm.grounds) {
                 let stress = arm.sand.force(ground.stress(normal, &motion), normal, velocity, &site, Doubles::one());
-                let fx = (stress.x * s_cos - stress.z * s_sin) * block.area;
-                let fz = (stress.x * s_sin + stress.z * s_cos) * block.area;
+                let fx = (stress.x * s_cos - stress.z * s_sin) * area;
+                let fz = (stress.x * s_sin + stress.z * s_cos) * area;
                 *sum_x += fx;
                 *sum_z += fz;
                 *sum_turn += r[0] * fz - r[1] * fx;
@@ -432,16 +445,20 @@ mod tests {
     fn accelerations_are_found_up_to_the_ends_of_a_log() {
         let swing = 2.0 * std::f64::consts::PI / 13.0;
         let times = (0..40).map(|i| f64::from(i) + 0.2 * f64::from(i * 7 % 5 - 2) / 2.0);
-        let pose =
-            |t: f64| Pose { t, omega: 3.0 + (swing * t).sin(), velocity: [(swing * t).cos(), 2.0], ..Pose::default() };
-        let poses: Vec<Pose> = times.map(pose).collect();
+        let pose = |t: f64| ArmPose {
+            t,
+            omega: 3.0 + (swing * t).sin(),
+            velocity: [(swing * t).cos(), 2.0],
+            ..ArmPose::default()
+        };
+        let poses: Vec<ArmPose> = times.map(pose).collect();
         let ends = [poses[0].t, poses[39].t];
         let intruder = Intruder::Plate { length: 0.04, width: 0.025, thickness: None };
         let (track, mechanisms) = (Track::leg(intruder, 0.0, poses), Mechanisms::default());
         let ground = SandBed::new(Law::Li2013, &Medium::named("poppy-loose").unwrap(), &Regularization::DEFAULT);
         let arm = Arm {
             track: &track,
-            cut: &Cut::new(&intruder).unwrap(),
+            cut: &IntruderSegments::new(&intruder).unwrap(),
             mechanisms: &mechanisms,
             sand: SandMechanisms::new(&mechanisms, 640.0),
             grounds: &[ground],

@@ -1,12 +1,13 @@
 //! The candidates: fits of every cause, and of pairs, with the noise learnt again about the best of them.
 
-use super::evidence::Table;
+use super::evidence::EvidenceTable;
 use super::fit::{COEFFICIENTS, Fit, slope};
-use super::left_out::Model;
-use super::noise::{Noise, Sizes, Source, sizes_of};
+use super::left_out::Contender;
+use super::noise::{Noise, NoiseData, Sizes, sizes_of};
 use super::nuisance::Nuisance;
 use super::screen::{FELT, Scores, Screen, USUAL, starts};
-use super::study::Study;
+use super::study::FitInputs;
+use super::verdict;
 use super::whiten::Whitener;
 use crate::error::Result;
 use crate::number::dot;
@@ -34,8 +35,8 @@ pub struct Surroundings {
 }
 
 /// The inputs of a selection.
-pub struct Asked<'a> {
-    pub source: &'a Source<'a>,
+pub struct SearchSpace<'a> {
+    pub source: &'a NoiseData<'a>,
     pub noise: &'a Noise,
     /// Catalogue indices of the causes that the data can show.
     pub ids: &'a [usize],
@@ -74,8 +75,8 @@ impl Candidates {
 /// Fits singles and pairs; causes in `unnamed` are in no pair. Pairs are tried if a single cause predicts left-out
 /// conditions better than the plain model.
 pub fn candidates(
-    study: &Study,
-    asked: &Asked,
+    study: &FitInputs,
+    asked: &SearchSpace,
     unnamed: &[usize],
     report: &dyn Fn(f64, &str) -> Result<()>,
 ) -> Result<Candidates> {
@@ -108,23 +109,12 @@ pub fn candidates(
 }
 
 /// The candidate that predicts left-out conditions best, if it does so better than the plain model.
-fn leading(study: &Study, base: &Fit, fits: &[Fit]) -> Option<usize> {
+fn leading(study: &FitInputs, base: &Fit, fits: &[Fit]) -> Option<usize> {
     let all: Vec<usize> = (0..study.observations.conditions.len()).collect();
-    let models: Vec<Model> = [base].into_iter().chain(fits).map(|fit| Model { fit, laws: None }).collect();
-    let table = Table::new(study, study.whitener, &models, &all);
-    let best = |size: usize| {
-        let own = (1..models.len()).filter(|&k| models[k].fit.ids.len() == size);
-        own.max_by(|a, b| table.elpd(*a).total_cmp(&table.elpd(*b)))
-    };
-    let beats = |a: usize, b: usize| table.beats(a, b);
-    let better = |size: usize| (1..models.len()).any(|k| models[k].fit.ids.len() == size && beats(k, 0));
-    let single = best(1).filter(|_| better(1));
-    let share = |pair: usize, single: usize| {
-        let [gain, more] = [single, pair].map(|k| table.elpd(k) - table.elpd(0));
-        (more - gain) / more.max(1e-9)
-    };
-    let pair = best(2).filter(|&k| better(2) && single.is_none_or(|s| beats(k, s) && share(k, s) > SECOND));
-    pair.or(single).map(|k| k - 1)
+    let models: Vec<Contender> = [base].into_iter().chain(fits).map(|fit| Contender { fit, laws: None }).collect();
+    let table = EvidenceTable::new(study, study.whitener, &models, &all);
+    let size = |k: usize| models[k].fit.ids.len();
+    verdict::leading(models.len(), size, |k| table.elpd(k), |a, b| table.beats(a, b), SECOND).map(|k| k - 1)
 }
 
 /// The fits at one stage of the search.
@@ -137,7 +127,7 @@ struct Stage {
 impl Stage {
     /// Learns the noise again about the leading fit and fits all again with it, until that changes the leading fit by less
     /// than one σ. If none leads, the noise is learnt about the plain model, and the other fits stay.
-    fn settled(mut self, study: &Study, source: &Source, noise: &Noise, leading: Option<usize>) -> Self {
+    fn settled(mut self, study: &FitInputs, source: &NoiseData, noise: &Noise, leading: Option<usize>) -> Self {
         let mut leading = leading;
         for _ in 0..NOISES {
             let best = leading.map_or(&self.base, |k| &self.fits[k]).clone();
@@ -168,7 +158,7 @@ impl Stage {
     }
 
     /// Fits all again from their ends.
-    fn refit(&mut self, study: &Study, leading: Option<usize>) {
+    fn refit(&mut self, study: &FitInputs, leading: Option<usize>) {
         let beside = leading.map_or(Vec::new(), |k| study.beside(&self.fits[k]));
         let mut again = study.fit_from(&self.fits.iter().chain(&beside).collect::<Vec<_>>());
         for other in again.split_off(self.fits.len()) {
@@ -187,7 +177,7 @@ fn ranked(mut fits: Vec<Fit>) -> Vec<Fit> {
 }
 
 /// Fits every single cause.
-fn singles(study: &Study, screen: &Screen, scores: &Scores, ids: &[usize]) -> Vec<Fit> {
+fn singles(study: &FitInputs, screen: &Screen, scores: &Scores, ids: &[usize]) -> Vec<Fit> {
     let columns: Vec<usize> = ids.iter().filter_map(|id| screen.candidates.iter().position(|c| c.0 == *id)).collect();
     let start = |&column: &usize| {
         let value = linear_start(screen, scores, column);
@@ -201,8 +191,8 @@ fn singles(study: &Study, screen: &Screen, scores: &Scores, ids: &[usize]) -> Ve
 
 /// Tries second causes in addition to the best single one.
 fn with_pairs(
-    study: &Study,
-    source: &Source,
+    study: &FitInputs,
+    source: &NoiseData,
     noise: &Noise,
     (screen, unnamed): (&Screen, &[usize]),
     now: Stage,
@@ -257,7 +247,7 @@ fn with_pairs(
 }
 
 /// Start states of a fit of `ids`: `values`, and every further start of each.
-fn further_starts(study: &Study, ids: &[usize], values: &[f64]) -> (Vec<usize>, Vec<Vec<f64>>) {
+fn further_starts(study: &FitInputs, ids: &[usize], values: &[f64]) -> (Vec<usize>, Vec<Vec<f64>>) {
     let mut from = vec![values.to_vec()];
     for (k, &id) in ids.iter().enumerate() {
         for &start in starts(study, id).iter().skip(1) {
@@ -286,7 +276,7 @@ fn linear_start(screen: &Screen, scores: &Scores, column: usize) -> f64 {
 /// The objective of a rough model has several minima, and the linear estimate may lead into one near the plain model.
 /// So there is a second start with the same sign, at the largest value that estimates may have. None for a smooth
 /// model, for which the first start suffices.
-fn far_start(study: &Study, id: usize, estimate: f64) -> Option<f64> {
+fn far_start(study: &FitInputs, id: usize, estimate: f64) -> Option<f64> {
     let entry = &CATALOG[id];
     let far = (USUAL * entry.typical).copysign(estimate).clamp(entry.bounds[0], entry.bounds[1]);
     (study.model.roughness().is_some() && !entry.ceiling).then_some(far)
@@ -295,37 +285,28 @@ fn far_start(study: &Study, id: usize, estimate: f64) -> Option<f64> {
 /// The plain fit of a rough model may have ended in a local minimum, and a cause may then gain only by leading out
 /// of it. So the plain model is fitted again from the end of the best of `fits`, and replaces `base` if its
 /// objective is lower.
-fn beneath(study: &Study, base: Fit, fits: &[Fit]) -> Fit {
+fn beneath(study: &FitInputs, base: Fit, fits: &[Fit]) -> Fit {
     let best = fits.iter().min_by(|a, b| a.objective.total_cmp(&b.objective));
     let Some(best) = best.filter(|best| study.model.roughness().is_some() && best.objective < base.objective) else {
         return base;
     };
     let (ids, mechanisms) = (Vec::new(), Mechanisms::default());
-    let from = Fit { ids, mechanisms, slopes: Vec::new(), white_slopes: Vec::new(), ..best.clone() };
+    let from = Fit { ids, mechanisms, slopes: Vec::new(), ..best.clone() };
     let again = study.fit_from(&[&from]).swap_remove(0);
     if again.objective < base.objective { again } else { base }
 }
 
 /// Noise, whitening and nuisances about a fit. The common part of a repetition's noise acts along the fit's
 /// prediction.
-pub fn surroundings(study: &Study, source: &Source, start: &Noise, fit: &Fit) -> Surroundings {
+pub fn surroundings(study: &FitInputs, source: &NoiseData, start: &Noise, fit: &Fit) -> Surroundings {
     let coefficients = study.coefficients(&fit.deviations);
-    let mut shared = study.model.shared(&fit.mechanisms, &coefficients, &fit.prediction);
-    shared.retain(|s| source.shared.iter().any(|own| own.name == s.name));
-    let model_error = study.model.model_error(&fit.mechanisms, &coefficients, &fit.prediction);
-    let own_error = study.model.own_error(&fit.mechanisms, &coefficients, &fit.prediction);
+    let mut uncertainty = study.model.uncertainty(&(fit.mechanisms, coefficients), &fit.prediction);
+    uncertainty.shared.retain(|s| source.uncertainty.shared.iter().any(|own| own.name == s.name));
     // The noise is learnt from the fit's residual, nuisances included, and is proportional to the prediction of the
     // sand.
     let reading = study.reading(fit);
     let sizes = sizes_of(study.observations, &reading);
-    let source = Source {
-        prediction: &reading,
-        sizes: &sizes,
-        shared: &shared,
-        model_error: &model_error,
-        own_error: &own_error,
-        ..*source
-    };
+    let source = NoiseData { prediction: &reading, sizes: &sizes, uncertainty: &uncertainty, ..*source };
     let noise = source.noise(Some(start), &|| study.model.stopped());
     let whitener = Whitener::new(&source, &noise);
     let nuisances = bent(study, &whitener, fit);
@@ -340,7 +321,7 @@ const STRAIGHT: f64 = 0.02;
 /// Nuisances linearised at `fit` under a whitening. Fit and nuisances are adjusted to each other in turns, because the
 /// first estimate is inaccurate if a filter is slow compared with the fastest trials. A step that does not help is
 /// halved.
-fn bent(study: &Study, whitener: &Whitener, fit: &Fit) -> Vec<Nuisance> {
+fn bent(study: &FitInputs, whitener: &Whitener, fit: &Fit) -> Vec<Nuisance> {
     if study.nuisances.is_empty() {
         return Vec::new();
     }
@@ -374,10 +355,10 @@ fn bent(study: &Study, whitener: &Whitener, fit: &Fit) -> Vec<Nuisance> {
 
 /// The single cause of a rough model may have ended in a local minimum, and a pair may then gain only by leading
 /// out of it: fits the single cause again from the pair's end, and keeps it if its objective is lower.
-fn beyond(study: &Study, single: &Fit, pair: &Fit) -> Option<Fit> {
+fn beyond(study: &FitInputs, single: &Fit, pair: &Fit) -> Option<Fit> {
     let id = *single.ids.first().filter(|id| study.model.roughness().is_some() && pair.ids.contains(id))?;
     let mechanisms = Mechanisms::default().with(id, pair.mechanisms.get(id));
-    let from = Fit { ids: vec![id], mechanisms, slopes: Vec::new(), white_slopes: Vec::new(), ..pair.clone() };
+    let from = Fit { ids: vec![id], mechanisms, slopes: Vec::new(), ..pair.clone() };
     let again = study.fit_from(&[&from]).swap_remove(0);
     (again.objective < single.objective).then_some(again)
 }

@@ -5,10 +5,10 @@
 macro_rules! columns {
     ($($place:ident = $name:literal $quantity:ident $required:literal;)*) => {
         #[allow(non_camel_case_types, clippy::upper_case_acronyms)]
-        enum Place { $($place),* }
+        enum Index { $($place),* }
         const COLUMNS: &[Column] =
             &[$(Column { name: $name, quantity: Quantity::$quantity, required: $required }),*];
-        $(const $place: usize = Place::$place as usize;)*
+        $(const $place: usize = Index::$place as usize;)*
     };
 }
 pub(crate) use columns;

@@ -6,13 +6,13 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 
 /// Errors over the channels that count in the error, condition by condition.
 #[derive(Clone, Debug)]
-pub struct Errors {
+pub struct SquaredErrors {
     /// Sum of squares [unit of the channels, squared] and number of values.
     pub square: Vec<f64>,
     pub count: Vec<f64>,
 }
 
-impl Errors {
+impl SquaredErrors {
     /// Root mean square over all conditions.
     pub fn rmse(&self) -> f64 {
         (self.square.iter().sum::<f64>() / self.count.iter().sum::<f64>().max(1.0)).sqrt()
@@ -33,7 +33,7 @@ impl Errors {
     }
 
     /// 95 % interval of the fraction by which `other` is smaller: bootstrap over conditions, 2000 draws.
-    pub fn reduction_interval(&self, other: &Errors) -> [f64; 2] {
+    pub fn reduction_interval(&self, other: &SquaredErrors) -> [f64; 2] {
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(3);
         let n = self.square.len();
         let mut draws: Vec<f64> = (0..2000)

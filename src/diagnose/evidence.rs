@@ -31,10 +31,10 @@
 //! second estimate if it is less. Both are widened by Student's t, for ν and for the number of conditions. The standard
 //! error is at least 2, because differences below 4 are no evidence (Sivula, Magnusson, Matamoros & Vehtari 2020).
 
-use super::fit::{Column, Fit};
-use super::left_out::{Linear, Model, Row};
+use super::fit::{Fit, Stack};
+use super::left_out::{Contender, LeftOutRow, Linear};
 use super::screen::USUAL;
-use super::study::Study;
+use super::study::FitInputs;
 use super::whiten::Whitener;
 use crate::number::dot;
 use crate::parallel;
@@ -56,19 +56,19 @@ pub const LEAST: f64 = 2.0;
 const NORMAL: f64 = 1.96;
 
 /// The comparison of all models under one noise.
-pub struct Table {
-    pub rows: Vec<Row>,
+pub struct EvidenceTable {
+    pub rows: Vec<LeftOutRow>,
     /// n of each condition that is used.
     pub sizes: Vec<f64>,
     /// ν
     pub degrees: f64,
-    /// Greatest mean square that noise alone may leave, see [`Table::lack`].
+    /// Greatest mean square that noise alone may leave, see [`EvidenceTable::lack`].
     pub limit: f64,
 }
 
 /// Projects whitened stacks on the means of the repetitions.
 struct Projection<'a> {
-    study: &'a Study<'a>,
+    study: &'a FitInputs<'a>,
     whitener: &'a Whitener,
     groups: Vec<Vec<usize>>,
     /// Cosines for each number of samples, wave by wave.
@@ -76,7 +76,7 @@ struct Projection<'a> {
 }
 
 impl<'a> Projection<'a> {
-    fn new(study: &'a Study, whitener: &'a Whitener, used: &[usize]) -> Self {
+    fn new(study: &'a FitInputs, whitener: &'a Whitener, used: &[usize]) -> Self {
         let all = study.observations.repetitions();
         let groups = used.iter().map(|&k| all[k].clone()).collect();
         let cosines = study.observations.units.iter().map(|u| (u.samples, cosines(u.samples))).collect();
@@ -145,16 +145,16 @@ fn cosines(n: usize) -> Vec<Vec<f64>> {
     (0..n.min(WAVES)).map(of).collect()
 }
 
-impl Table {
+impl EvidenceTable {
     /// Compares `models`; the first is the plain one. Only the conditions `used` count.
-    pub fn new(study: &Study, whitener: &Whitener, models: &[Model], used: &[usize]) -> Self {
+    pub fn new(study: &FitInputs, whitener: &Whitener, models: &[Contender], used: &[usize]) -> Self {
         let projection = Projection::new(study, whitener, used);
         // Fits share columns, which are told apart by their address.
-        let place = |c: &Column| Arc::as_ptr(c) as usize;
-        let columns = |m: &Model| -> Vec<Column> {
+        let place = |c: &Stack| Arc::as_ptr(c) as usize;
+        let columns = |m: &Contender| -> Vec<Stack> {
             m.fit.slopes.iter().chain(m.laws.iter().flat_map(|l| &l.columns)).cloned().collect()
         };
-        let mut unique: Vec<Column> = models.iter().flat_map(columns).collect();
+        let mut unique: Vec<Stack> = models.iter().flat_map(columns).collect();
         unique.sort_by_key(place);
         unique.dedup_by_key(|c| place(c));
         let projected = parallel::map(&unique, |c| projection.apply(c));
@@ -166,7 +166,7 @@ impl Table {
         let rows = parallel::map(models, |m| {
             // What is known of coefficients and nuisances is one more condition: deviations of 0 ± 1 are its numbers.
             let (count, values) = (m.fit.deviations.len(), m.fit.ids.len());
-            let own = |c: &Column| known[&place(c)].clone();
+            let own = |c: &Stack| known[&place(c)].clone();
             let stated = |k: usize| DVector::from_fn(count, |i, _| if k == values + i { 1.0 } else { 0.0 });
             let with = |mut numbers: Vec<DVector<f64>>, last: DVector<f64>| {
                 numbers.push(last);
@@ -209,7 +209,7 @@ impl Table {
             if difference >= 0.0 { (&self.rows[a], &self.rows[b]) } else { (&self.rows[b], &self.rows[a]) };
         let (mut noise, mut clusters) = (0.0, 0.0);
         for (c, n) in self.sizes.iter().enumerate() {
-            let weight = |row: &Row| {
+            let weight = |row: &LeftOutRow| {
                 let scale = row.scales[c];
                 (self.degrees + n) / (self.degrees + row.squares[c] / scale) / scale
             };

@@ -1,7 +1,7 @@
 //! EXPERIMENT.toml: facts that the data file does not contain.
 
-use super::nuisance::{Entry, Priors};
-use super::trajectory::keys::{Cut, Given, ImuTable, Keys, MotorTable};
+use super::nuisance::{PriorEntry, Priors};
+use super::trajectory::keys::{self, Imu, Keys, Motor, RunTable};
 use crate::error::{Error, Result, check_range};
 use crate::progress::Progress;
 use crate::sand::intruder::BodyShape;
@@ -18,7 +18,7 @@ pub const MOST_ROWS: usize = 40_000;
 /// The kind of data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Kind {
+pub enum DataKind {
     /// Force logs of plates and legs moved through the sand.
     Intrusion,
     /// Runs of a walking robot.
@@ -81,7 +81,7 @@ struct SandTable {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct File {
-    kind: Kind,
+    kind: DataKind,
     medium: Option<String>,
     sand: Option<SandTable>,
     bulk_density: Option<f64>,
@@ -93,27 +93,30 @@ struct File {
     #[serde(default)]
     body: BTreeMap<String, BodyDescription>,
     #[serde(default)]
-    nuisances: BTreeMap<String, Entry>,
+    nuisances: BTreeMap<String, PriorEntry>,
     #[serde(default)]
     units: BTreeMap<String, String>,
     #[serde(default)]
     columns: BTreeMap<String, String>,
-    imu: Option<ImuTable>,
-    motor: Option<MotorTable>,
+    #[serde(default)]
+    imu: Imu,
+    #[serde(default)]
+    motor: Motor,
     slope_deg: Option<f64>,
     stride_frequency: Option<f64>,
     leg: Option<String>,
     touches: Option<Vec<String>>,
     window: Option<f64>,
-    topics: Option<IgnoredAny>,
+    #[serde(rename = "topics")]
+    _topics: Option<IgnoredAny>,
     #[serde(default)]
-    run: Vec<Cut>,
+    run: Vec<RunTable>,
 }
 
 /// EXPERIMENT.toml, checked.
 #[derive(Clone, Debug)]
 pub struct Experiment {
-    pub kind: Kind,
+    pub kind: DataKind,
     /// Medium with the experiment's bulk density.
     pub medium: Medium,
     /// Is the medium the user's own `[sand]` table? Then rows may use any one name for it.
@@ -163,19 +166,10 @@ impl Experiment {
                 format!("{}{}", line.map(|l| format!("line {l}: ")).unwrap_or_default(), e.message()),
             )
         })?;
-        let given = Given {
-            imu: file.imu,
-            motor: file.motor,
-            slope_deg: file.slope_deg,
-            stride_frequency: file.stride_frequency,
-            leg: file.leg,
-            touches: file.touches,
-            window: file.window,
-            topics: file.topics,
-            run: file.run,
-        };
-        if let Some(key) = given.first().filter(|_| file.kind != Kind::Trajectory) {
-            return Err(Error::invalid(key, "only kind = \"trajectory\" has this key"));
+        let given: toml::Table = toml::from_str(text).unwrap_or_default();
+        let key = keys::NAMES.iter().find(|key| given.contains_key(**key));
+        if let Some(key) = key.filter(|_| file.kind != DataKind::Trajectory) {
+            return Err(Error::invalid(*key, "only kind = \"trajectory\" has this key"));
         }
         let own_sand = file.sand.is_some();
         let mut medium = medium(file.medium.as_deref(), file.sand)?;
@@ -205,7 +199,17 @@ impl Experiment {
             nuisances: Priors::from_table(&file.nuisances)?,
             units: file.units,
             columns: file.columns,
-            trajectory: given.checked()?,
+            trajectory: Keys {
+                imu: file.imu,
+                torque_constant: file.motor.torque_constant,
+                slope_deg: file.slope_deg.unwrap_or(0.0),
+                stride_frequency: file.stride_frequency,
+                leg: file.leg,
+                touches: file.touches,
+                window: file.window.unwrap_or(keys::WINDOW),
+                runs: file.run,
+            }
+            .checked()?,
         })
     }
 }

@@ -140,10 +140,10 @@ fn by_condition(html: &mut String, c: &Curves) {
 }
 
 /// A row of a table of bars: name, value, the value's text, colour.
-pub type Bar = (String, f64, String, &'static str);
+pub type BarRow = (String, f64, String, &'static str);
 
 /// Bars with one scale.
-pub fn bars(html: &mut String, rows: &[Bar]) {
+pub fn bars(html: &mut String, rows: &[BarRow]) {
     let top = rows.iter().map(|r| r.1.abs()).fold(1e-300, f64::max);
     let signed = rows.iter().any(|r| r.1 < 0.0);
     html.push_str("<table class=bars>");
@@ -176,7 +176,7 @@ pub fn misfit(html: &mut String, misfit: &[Misfit]) {
         }
     }
     channels.truncate(CHANNELS);
-    let mut rows: Vec<(&str, Bar)> = Vec::new();
+    let mut rows: Vec<(&str, BarRow)> = Vec::new();
     let mut before = String::new();
     for m in misfit {
         let (Some(relative), Some(channel)) = (m.relative, channels.iter().position(|c| *c == m.channel)) else {

@@ -1,15 +1,13 @@
 //! The result of a fit, and the types that fits share.
 
-use crate::number::dot;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
-use nalgebra::{DMatrix, DVector};
 use std::sync::Arc;
 
 /// Number of the stress coefficients.
 pub const COEFFICIENTS: usize = 9;
 /// A vector in the order of the measured numbers, shared between fits: usually nine columns of each fit are those of
 /// the plain model, and columns use most of the memory.
-pub type Column = Arc<Vec<f64>>;
+pub type Stack = Arc<Vec<f64>>;
 
 /// A fitted model.
 #[derive(Clone, Debug)]
@@ -26,31 +24,10 @@ pub struct Fit {
     /// |W (y − m)|² + |d|²
     pub objective: f64,
     /// ∂m/∂(coordinate of each id, deviation of each coefficient and nuisance), not whitened.
-    pub slopes: Vec<Column>,
-    /// The slopes, whitened.
-    pub white_slopes: Vec<Column>,
+    pub slopes: Vec<Stack>,
 }
 
 impl Fit {
-    /// Information matrix and score of (values, deviations), the prior of the deviations included.
-    pub fn normal_equations(&self) -> (DMatrix<f64>, DVector<f64>) {
-        let n = self.white_slopes.len();
-        let count = n - self.deviations.len();
-        let mut information = DMatrix::zeros(n, n);
-        for i in 0..n {
-            for j in 0..=i {
-                let g = dot(&self.white_slopes[i], &self.white_slopes[j]);
-                (information[(i, j)], information[(j, i)]) = (g, g);
-            }
-        }
-        let mut score = DVector::from_fn(n, |i, _| dot(&self.white_slopes[i], &self.white));
-        for (k, deviation) in self.deviations.iter().enumerate() {
-            information[(count + k, count + k)] += 1.0;
-            score[count + k] -= deviation;
-        }
-        (information, score)
-    }
-
     /// Values of the fitted mechanisms.
     pub fn values(&self) -> Vec<f64> {
         self.ids.iter().map(|&id| self.mechanisms.get(id)).collect()
@@ -59,17 +36,6 @@ impl Fit {
     /// Coordinates of the fitted mechanisms: the fit's parameters.
     pub fn coordinates(&self) -> Vec<f64> {
         self.ids.iter().map(|&id| CATALOG[id].coordinate(self.mechanisms.get(id))).collect()
-    }
-
-    /// Covariance of the fitted coordinates, the coefficients marginalised.
-    pub fn covariance(&self) -> DMatrix<f64> {
-        let (information, _) = self.normal_equations();
-        let count = self.ids.len();
-        let inverse = information.try_inverse();
-        inverse.map_or_else(
-            || DMatrix::from_element(count, count, f64::INFINITY),
-            |v| v.view((0, 0), (count, count)).into(),
-        )
     }
 
     /// Whitened distance² to another fit, coefficients included.

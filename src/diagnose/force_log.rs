@@ -4,7 +4,7 @@ use super::columns::columns;
 use super::experiment::{Experiment, Intruder};
 use super::motion::{Heading, heading, moving, progress};
 use super::observations::{Channel, Names, Observations, Size, Unit};
-use super::track::{Pose, Track};
+use super::track::{ArmPose, Track};
 use crate::error::Result;
 use crate::progress::Progress;
 use crate::table::{Column, Quantity, Row};
@@ -176,35 +176,32 @@ fn mirror(trial: &mut Growing) {
 /// Refuses a trial with contradictory rows.
 fn check_same(row: &Row, trial: &Growing, now: &Track, condition: usize) -> Result<()> {
     let was = &trial.track;
-    let wrong = if trial.condition != condition {
-        CONDITION
-    } else if was.shape != now.shape {
-        SHAPE
-    } else if was.hip_height != now.hip_height {
-        HIP_Z
-    } else if was.beta != now.beta {
-        BETA
-    } else if was.pass != now.pass {
-        PASS
-    } else if was.pass_dx != now.pass_dx {
-        PASS_DX
-    } else if was.x_bed != now.x_bed {
-        X_BED
-    } else {
-        return Ok(());
-    };
-    Err(row.error(wrong, format!("differs from the first row of trial {}", trial.id)))
+    let same = [
+        (CONDITION, trial.condition == condition),
+        (SHAPE, was.shape == now.shape),
+        (HIP_Z, was.hip_height == now.hip_height),
+        (BETA, was.beta == now.beta),
+        (PASS, was.pass == now.pass),
+        (PASS_DX, was.pass_dx == now.pass_dx),
+        (X_BED, was.x_bed == now.x_bed),
+    ];
+    match same.iter().find(|(_, same)| !same) {
+        Some((column, _)) => Err(row.error(*column, format!("differs from the first row of trial {}", trial.id))),
+        None => Ok(()),
+    }
 }
 
-fn pose(row: &Row, intruder: &Intruder) -> Result<Pose> {
+fn pose(row: &Row, intruder: &Intruder) -> Result<ArmPose> {
     let t = bounded(row, T)?;
     Ok(match intruder {
-        Intruder::Leg { .. } => Pose { t, theta: bounded(row, THETA)?, omega: bounded(row, OMEGA)?, ..Pose::default() },
-        Intruder::Plate { .. } => Pose {
+        Intruder::Leg { .. } => {
+            ArmPose { t, theta: bounded(row, THETA)?, omega: bounded(row, OMEGA)?, ..ArmPose::default() }
+        }
+        Intruder::Plate { .. } => ArmPose {
             t,
             center: [bounded(row, X)?, bounded(row, Z)?],
             velocity: [bounded(row, VX)?, bounded(row, VZ)?],
-            ..Pose::default()
+            ..ArmPose::default()
         },
     })
 }
@@ -216,10 +213,9 @@ fn assemble(
     missing: Vec<&'static str>,
     sha256: String,
 ) -> ForceLog {
-    let mut channels =
-        vec![Channel { name: "Fx", unit: "N", in_rmse: true }, Channel { name: "Fz", unit: "N", in_rmse: true }];
+    let mut channels = vec![Channel::new("Fx", "N", true), Channel::new("Fz", "N", true)];
     if torque {
-        channels.push(Channel { name: "Ty", unit: "N·m", in_rmse: false });
+        channels.push(Channel::new("Ty", "N·m", false));
     }
     let (mut values, mut units, mut tracks, mut track_of) = (Vec::new(), Vec::new(), Vec::<Track>::new(), Vec::new());
     let mut headings: Vec<Option<Heading>> = vec![None; conditions.len()];
@@ -322,7 +318,7 @@ pub fn possible(tracks: &[Track]) -> Vec<(Track, String)> {
 impl Track {
     /// Fastest angular speed of a leg [rad/s] or speed of a plate [m/s].
     fn rate(&self) -> f64 {
-        let rate = |p: &Pose| match self.intruder {
+        let rate = |p: &ArmPose| match self.intruder {
             Intruder::Leg { .. } => p.omega.abs(),
             Intruder::Plate { .. } => p.velocity[0].hypot(p.velocity[1]),
         };
@@ -338,7 +334,7 @@ impl Track {
                 track.hip_height = if deep { 0.25 * chord } else { 0.6 * chord };
                 let pose = |i| {
                     let theta = -1.75 + 3.5 * at(i);
-                    Pose { t: (theta + 1.75) / rate.max(1e-6), theta, omega: rate, ..Pose::default() }
+                    ArmPose { t: (theta + 1.75) / rate.max(1e-6), theta, omega: rate, ..ArmPose::default() }
                 };
                 track.poses = (0..PLANNED_SAMPLES).map(pose).collect();
                 format!("hip {:.1} cm above the sand, {rate:.2} rad/s", 100.0 * track.hip_height)
@@ -351,7 +347,7 @@ impl Track {
                 let pose = |i| {
                     let path = reach * at(i);
                     let (center, velocity) = ([path * cos, -from - path * sin], [rate * cos, -rate * sin]);
-                    Pose { t: path / rate.max(1e-9), center, velocity, ..Pose::default() }
+                    ArmPose { t: path / rate.max(1e-9), center, velocity, ..ArmPose::default() }
                 };
                 track.poses = (0..PLANNED_SAMPLES).map(pose).collect();
                 format!("β {beta:.0}°, γ {gamma:.0}°, {:.1} cm deep, {rate:.3} m/s", 100.0 * (from + reach * sin))

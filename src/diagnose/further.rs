@@ -2,8 +2,7 @@
 
 use super::fit::{Fit, slope};
 use super::screen::USUAL;
-use super::study::Study;
-use crate::number::dot;
+use super::study::FitInputs;
 use crate::parallel;
 use crate::sand::mechanism::CATALOG;
 
@@ -20,24 +19,17 @@ pub struct Further {
     pub sd: f64,
 }
 
-impl Study<'_> {
+impl FitInputs<'_> {
     /// Further causes in addition to a fitted model, in order of their gain [χ²], largest first.
     pub fn further(&self, first: &Fit, candidates: &[(usize, f64)]) -> Vec<Further> {
-        let coefficients = self.coefficients(&first.deviations);
-        let (information, _) = first.normal_equations();
-        let Some(inverse) = information.try_inverse() else {
-            return Vec::new();
-        };
+        let normal = self.normal_equations(first);
         let others: Vec<_> = candidates.iter().filter(|c| !first.ids.contains(&c.0)).copied().collect();
+        let coefficients = self.coefficients(&first.deviations);
         let states: Vec<_> = others.iter().map(|&(id, v)| (first.mechanisms.with(id, v), coefficients)).collect();
         let moved: Vec<_> = others.into_iter().zip(self.model.predict_many(&states)).collect();
         let mut found: Vec<_> = parallel::map(&moved, |&((id, value), ref moved)| {
-            let column = slope(moved, &first.prediction, value);
-            let white = self.whitener.apply(&column);
-            let cross =
-                nalgebra::DVector::from_fn(first.white_slopes.len(), |i, _| dot(&first.white_slopes[i], &white));
-            let left = dot(&white, &white) - (cross.transpose() * &inverse * &cross)[0];
-            let score = dot(&white, &first.white);
+            let white = self.whitener.apply(&slope(moved, &first.prediction, value));
+            let [score, left] = normal.beside(&white, &first.white).unwrap_or_default();
             let estimate = if left > 1e-12 { score / left } else { 0.0 };
             let entry = &CATALOG[id];
             let held =
@@ -52,13 +44,8 @@ impl Study<'_> {
             }
         });
         found.sort_by(|a, b| b.gain.total_cmp(&a.gain));
-        let mut seen = Vec::new();
-        found.retain(|f| {
-            !seen.contains(&f.id) && {
-                seen.push(f.id);
-                true
-            }
-        });
+        let mut seen = std::collections::HashSet::new();
+        found.retain(|f| seen.insert(f.id));
         found
     }
 }

@@ -5,8 +5,8 @@
 //! V + s² J Jᵀ. Nuisances are fitted in the same way, as columns after those of the coefficients; they change the
 //! readings and not the prediction of the sand.
 
-use super::fit::{COEFFICIENTS, Column, Fit, slope};
-use super::study::Study;
+use super::fit::{COEFFICIENTS, Fit, Stack, slope};
+use super::study::FitInputs;
 use crate::number::{add_scaled, dot};
 use crate::parallel;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
@@ -30,7 +30,35 @@ const HEAD_START: usize = 2;
 /// choice; gains shrink from step to step.
 const REACH: f64 = 4.0;
 
-impl Study<'_> {
+/// Information matrix and score of a fit's (values, deviations), and its whitened slopes.
+pub struct NormalEquations {
+    white: Vec<Stack>,
+    pub information: DMatrix<f64>,
+    pub score: DVector<f64>,
+}
+
+impl NormalEquations {
+    /// What a further whitened column tells besides the fit with this whitened `residual`: its score and its
+    /// information, with the fit's parameters free. None if the normal equations have no solution.
+    pub fn beside(&self, column: &[f64], residual: &[f64]) -> Option<[f64; 2]> {
+        let cross = DVector::from_iterator(self.white.len(), self.white.iter().map(|own| dot(own, column)));
+        let solved = self.information.clone().cholesky()?.solve(&cross);
+        Some([dot(column, residual) - solved.dot(&self.score), dot(column, column) - cross.dot(&solved)])
+    }
+
+    /// Share of a further whitened column that the first `count` parameters explain, beyond what the others do.
+    pub fn explained(&self, column: &[f64], count: usize) -> Option<f64> {
+        let free = |from: usize| {
+            let n = self.white.len() - from;
+            let cross = DVector::from_iterator(n, self.white[from..].iter().map(|own| dot(own, column)));
+            let part = self.information.view((from, from), (n, n)).into_owned();
+            Some(dot(column, column) - cross.dot(&part.cholesky()?.solve(&cross)))
+        };
+        Some(1.0 - free(0)? / free(count)?.max(1e-300))
+    }
+}
+
+impl FitInputs<'_> {
     /// The plain model without any fit.
     pub fn plain(&self) -> Fit {
         self.begin(&[(Vec::new(), Vec::new())]).swap_remove(0)
@@ -69,33 +97,19 @@ impl Study<'_> {
         promising.into_iter().filter_map(best).collect()
     }
 
-    /// Continues fits from their ends, at first with their slopes.
+    /// Continues fits from their ends, at first with their slopes by causes and coefficients.
     pub fn fit_from(&self, fits: &[&Fit]) -> Vec<Fit> {
-        let deviations = |f: &Fit| {
+        let state = |f: &&Fit| {
             let mut deviations = f.deviations.clone();
             deviations.resize(self.marginals(), 0.0);
-            deviations
+            (f.ids.clone(), f.mechanisms, deviations)
         };
-        let states = fits.iter().map(|f| (f.ids.clone(), f.mechanisms, deviations(f))).collect();
-        let mut again = self.at_all(states);
-        for (fit, earlier) in again.iter_mut().zip(fits) {
-            fit.slopes = match earlier.slopes.is_empty() {
-                true => self.marginal_slopes(),
-                false => earlier.slopes[..earlier.ids.len() + COEFFICIENTS].to_vec(),
-            };
-            fit.white_slopes = fit.slopes.iter().map(|s| Arc::new(self.whitener.apply(s))).collect();
-            if !earlier.slopes.is_empty() {
-                fit.slopes.extend_from_slice(&self.marginal_slopes[0][COEFFICIENTS..]);
-                fit.white_slopes.extend_from_slice(&self.marginal_slopes[1][COEFFICIENTS..]);
-            }
+        let mut again = self.at_all(fits.iter().map(state).collect());
+        for (fit, earlier) in again.iter_mut().zip(fits).filter(|(_, earlier)| !earlier.slopes.is_empty()) {
+            let sand = &earlier.slopes[..earlier.ids.len() + COEFFICIENTS];
+            fit.slopes = [sand, &self.marginal_slopes[0][COEFFICIENTS..]].concat();
         }
         self.refine(again, ROUNDS / 2, true)
-    }
-
-    /// The same fit evaluated in this study: nothing is fitted again, and the slopes are kept.
-    pub fn restated(&self, fit: &Fit) -> Fit {
-        let there = self.at_all(vec![(fit.ids.clone(), fit.mechanisms, fit.deviations.clone())]).swap_remove(0);
-        Fit { slopes: fit.slopes.clone(), white_slopes: fit.white_slopes.clone(), ..there }
     }
 
     /// The same fit with all slopes computed at its state.
@@ -109,9 +123,22 @@ impl Study<'_> {
     /// Fits a model that is similar to the model of an earlier fit. The fit starts at the end of the earlier one and
     /// uses its slopes by the coefficients.
     pub fn fit_near(&self, earlier: &Fit) -> Fit {
-        let mut begun = self.at_all(vec![(earlier.ids.clone(), earlier.mechanisms, earlier.deviations.clone())]);
-        (begun[0].slopes, begun[0].white_slopes) = (earlier.slopes.clone(), earlier.white_slopes.clone());
-        self.refine(begun, ROUNDS / 2, false).swap_remove(0)
+        self.refine(vec![self.restated(earlier)], ROUNDS / 2, false).swap_remove(0)
+    }
+
+    /// The same fit evaluated with these inputs: nothing is fitted again, and the slopes are kept.
+    pub fn restated(&self, fit: &Fit) -> Fit {
+        self.moved_by(&[(fit, vec![0.0; fit.ids.len() + fit.deviations.len()])]).swap_remove(0)
+    }
+
+    /// Fits with their parameters changed by a step each, without fitting anything again; they keep their slopes.
+    pub fn moved_by(&self, steps: &[(&Fit, Vec<f64>)]) -> Vec<Fit> {
+        let state = |(fit, step): &(&Fit, Vec<f64>)| {
+            let (mechanisms, deviations) = moved(fit, step, 1.0);
+            (fit.ids.clone(), mechanisms, deviations)
+        };
+        let there = self.at_all(steps.iter().map(state).collect());
+        there.into_iter().zip(steps).map(|(there, (fit, _))| Fit { slopes: fit.slopes.clone(), ..there }).collect()
     }
 
     /// A rough model has several minima. Returns start states with each value changed by a slope's step in either
@@ -125,19 +152,6 @@ impl Study<'_> {
             Fit { mechanisms: fit.mechanisms.with(id, value), ..fit.clone() }
         };
         (0..values).flat_map(|k| [(k, 1.0), (k, -1.0)]).map(moved).collect()
-    }
-
-    /// Fits with their parameters changed by a step each, without fitting anything again; they keep their slopes.
-    pub fn moved_by(&self, steps: &[(&Fit, Vec<f64>)]) -> Vec<Fit> {
-        let state = |(fit, step): &(&Fit, Vec<f64>)| {
-            let (mechanisms, deviations) = moved(fit, step, 1.0);
-            (fit.ids.clone(), mechanisms, deviations)
-        };
-        let mut there = self.at_all(steps.iter().map(state).collect());
-        for (there, (fit, _)) in there.iter_mut().zip(steps) {
-            (there.slopes, there.white_slopes) = (fit.slopes.clone(), fit.white_slopes.clone());
-        }
-        there
     }
 
     /// Start states of fits of given ids from given values.
@@ -155,7 +169,7 @@ impl Study<'_> {
     /// best are abandoned.
     pub(super) fn refine(&self, mut fits: Vec<Fit>, rounds: usize, exact: bool) -> Vec<Fit> {
         for fit in fits.iter_mut().filter(|f| f.slopes.is_empty()) {
-            [fit.slopes, fit.white_slopes] = self.marginal_slopes.clone();
+            fit.slopes.clone_from(&self.marginal_slopes[0]);
         }
         let rough = self.model.roughness().is_some();
         let settled = if rough { SETTLED_ROUGHLY } else { SETTLED };
@@ -190,7 +204,7 @@ impl Study<'_> {
 
     /// Makes one Gauss-Newton step of each active fit.
     fn advance(&self, fits: &mut [Fit], active: &[usize]) {
-        let steps: Vec<Vec<f64>> = active.iter().map(|&k| self.step(&fits[k])).collect();
+        let steps = parallel::map(active, |&k| self.step(&fits[k]));
         let mut pending: Vec<usize> = (0..active.len()).collect();
         let mut share = 1.0;
         while !pending.is_empty() && share > 0.02 {
@@ -204,9 +218,7 @@ impl Study<'_> {
             for (i, trial) in pending.into_iter().zip(trials) {
                 let fit = &mut fits[active[i]];
                 if trial.objective < fit.objective {
-                    let (slopes, white_slopes) =
-                        (std::mem::take(&mut fit.slopes), std::mem::take(&mut fit.white_slopes));
-                    *fit = Fit { slopes, white_slopes, ..trial };
+                    *fit = Fit { slopes: std::mem::take(&mut fit.slopes), ..trial };
                 } else {
                     left.push(i);
                 }
@@ -220,7 +232,7 @@ impl Study<'_> {
     pub(super) fn at_all(&self, states: Vec<(Vec<usize>, Mechanisms, Vec<f64>)>) -> Vec<Fit> {
         let inputs: Vec<_> = states.iter().map(|(_, m, d)| (*m, self.coefficients(d))).collect();
         let predictions = self.model.predict_many(&inputs);
-        let bends: Vec<&Column> = self.nuisances.iter().filter_map(|n| n.bend.as_ref()).collect();
+        let bends: Vec<&Stack> = self.nuisances.iter().filter_map(|n| n.bend.as_ref()).collect();
         let states: Vec<_> = states.into_iter().zip(predictions).collect();
         parallel::map(&states, |((ids, mechanisms, deviations), prediction)| {
             let mut residual: Vec<f64> = self.observations.values.iter().zip(prediction).map(|(y, m)| y - m).collect();
@@ -232,15 +244,15 @@ impl Study<'_> {
             }
             let objective = dot(&white, &white) + dot(deviations, deviations);
             let objective = if objective.is_finite() { objective } else { f64::MAX };
-            let (slopes, white_slopes) = (Vec::new(), Vec::new());
             let (ids, deviations, prediction) = (ids.clone(), deviations.clone(), prediction.clone());
-            Fit { ids, mechanisms: *mechanisms, deviations, prediction, white, objective, slopes, white_slopes }
+            Fit { ids, mechanisms: *mechanisms, deviations, prediction, white, objective, slopes: Vec::new() }
         })
     }
 
     /// Sets the slopes of the active fits by the coefficients; those by the values follow later.
     pub(super) fn set_coefficient_slopes(&self, fits: &mut [Fit], active: &[usize]) {
-        let step = self.model.coefficient_step();
+        // In prior standard deviations: wide for a rough model.
+        let step = if self.model.roughness().is_some() { 1.0 } else { 0.1 };
         let state = |fit: &Fit, k: usize| {
             let mut deviations = fit.deviations.clone();
             deviations[k] += step;
@@ -255,10 +267,8 @@ impl Study<'_> {
             for (&k, moved) in part.iter().zip(moved.chunks(COEFFICIENTS)) {
                 let fit = &mut fits[k];
                 fit.slopes = moved.iter().map(|m| Arc::new(slope(m, &fit.prediction, step))).collect();
-                fit.white_slopes = fit.slopes.iter().map(|s| Arc::new(self.whitener.apply(s))).collect();
                 let known = self.marginal_slopes[1].len() - self.nuisances.len();
                 fit.slopes.extend_from_slice(&self.marginal_slopes[0][known..]);
-                fit.white_slopes.extend_from_slice(&self.marginal_slopes[1][known..]);
             }
         }
     }
@@ -280,7 +290,6 @@ impl Study<'_> {
             let own = moved.by_ref().take(fit.ids.len());
             let slopes: Vec<_> = own.map(|(moved, step)| Arc::new(slope(&moved, &fit.prediction, step))).collect();
             let earlier = fit.slopes.len() - fit.deviations.len();
-            fit.white_slopes.splice(..earlier, slopes.iter().map(|s| Arc::new(self.whitener.apply(s))));
             fit.slopes.splice(..earlier, slopes);
         }
     }
@@ -294,9 +303,46 @@ impl Study<'_> {
         if at + step > entry.coordinate_bounds()[1] { -step } else { step }
     }
 
+    /// A slope, whitened. Those that fits share are known; the others are made when they are needed, because all
+    /// candidates' together would take as much memory as everything else.
+    pub fn whitened(&self, slope: &Stack) -> Stack {
+        let known = self.marginal_slopes[0].iter().position(|own| Arc::ptr_eq(own, slope));
+        let known = known.and_then(|k| self.marginal_slopes[1].get(k));
+        known.map_or_else(|| Arc::new(self.whitener.apply(slope)), Stack::clone)
+    }
+
+    /// The normal equations at a fit, the prior of the deviations included.
+    pub fn normal_equations(&self, fit: &Fit) -> NormalEquations {
+        let white: Vec<Stack> = fit.slopes.iter().map(|s| self.whitened(s)).collect();
+        let (n, count) = (white.len(), fit.ids.len());
+        let mut information = DMatrix::zeros(n, n);
+        for i in 0..n {
+            for j in 0..=i {
+                let g = dot(&white[i], &white[j]);
+                (information[(i, j)], information[(j, i)]) = (g, g);
+            }
+        }
+        let mut score = DVector::from_fn(n, |i, _| dot(&white[i], &fit.white));
+        for (k, deviation) in fit.deviations.iter().enumerate() {
+            information[(count + k, count + k)] += 1.0;
+            score[count + k] -= deviation;
+        }
+        NormalEquations { white, information, score }
+    }
+
+    /// Covariance of the fitted coordinates, the coefficients marginalised.
+    pub fn covariance(&self, fit: &Fit) -> DMatrix<f64> {
+        let count = fit.ids.len();
+        let inverse = self.normal_equations(fit).information.try_inverse();
+        inverse.map_or_else(
+            || DMatrix::from_element(count, count, f64::INFINITY),
+            |v| v.view((0, 0), (count, count)).into(),
+        )
+    }
+
     /// The Gauss-Newton step; a value that would cross a bound stays at the bound.
     fn step(&self, fit: &Fit) -> Vec<f64> {
-        let (information, score) = fit.normal_equations();
+        let NormalEquations { information, score, .. } = self.normal_equations(fit);
         let (count, coordinates) = (fit.ids.len(), fit.coordinates());
         let mut held = vec![false; count + fit.deviations.len()];
         // Position of each parameter, and its bounds; coefficients have none.

@@ -11,7 +11,7 @@ use std::path::Path;
 
 /// The setting of one row.
 #[derive(Clone, Debug, PartialEq)]
-pub struct State {
+pub struct SteadyState {
     /// A table `[body.NAME]` of the experiment.
     pub body: String,
     /// The motion under the measured load.
@@ -20,10 +20,17 @@ pub struct State {
     pub unsteadiness: [f64; 3],
 }
 
+impl SteadyState {
+    /// [N]
+    pub fn load(&self) -> f64 {
+        if let DepthOrLoad::Load(load) = self.trial.given { load } else { 0.0 }
+    }
+}
+
 /// Checked steady states of a log; each is a unit.
 pub struct IntruderLog {
     pub observations: Observations,
-    pub states: Vec<State>,
+    pub states: Vec<SteadyState>,
     /// Does the log have standard deviations in time?
     pub has_unsteadiness: bool,
     pub sha256: String,
@@ -50,11 +57,8 @@ columns! {
 }
 
 /// The predicted channels at the measured load: two forces, which count in the error, and the sinkage.
-pub const CHANNELS: [Channel; 3] = [
-    Channel { name: "Fx", unit: "N", in_rmse: true },
-    Channel { name: "Fy", unit: "N", in_rmse: true },
-    Channel { name: "depth", unit: "m", in_rmse: false },
-];
+pub const CHANNELS: [Channel; 3] =
+    [Channel::new("Fx", "N", true), Channel::new("Fy", "N", true), Channel::new("depth", "m", false)];
 
 /// Largest number of rows: our choice, 15 times that of the wheels' data; each row is simulated some ten thousand
 /// times.
@@ -91,7 +95,7 @@ pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Re
         for column in [FX, FY, DEPTH] {
             observations.values.push(row.within(column, MOST)?.ok_or_else(|| row.blank(column))?);
         }
-        states.push(State { body: body(row, experiment)?, trial: trial(row, path)?, unsteadiness });
+        states.push(SteadyState { body: body(row, experiment)?, trial: trial(row, path)?, unsteadiness });
         Ok(())
     })?;
     observations.conditions = conditions.list;

@@ -2,12 +2,11 @@
 
 use super::experiment::{BodyDescription, Experiment};
 use super::fit::slope;
-use super::forward::{Feature, ForwardModel, Menu};
-use super::intruder_log::{CHANNELS, IntruderLog, State};
+use super::forward::{Feature, ForwardModel, Menu, SandParameters, Testable, stronger};
+use super::intruder_log::{CHANNELS, IntruderLog, SteadyState};
 use super::nuisance::{Nuisance, Priors};
-use super::shared::Shared;
+use super::shared::{SharedNoise, Uncertainty};
 use crate::error::{Error, Result};
-use crate::parallel;
 use crate::progress::Latch;
 use crate::sand::intruder::{DepthOrLoad, PlatedBody, Status, Trial, compute, without_effect};
 use crate::sand::mechanism::{CATALOG, Mechanisms, Side};
@@ -26,7 +25,7 @@ const FRICTION_STEP: f64 = 0.02;
 const STRENGTH_STEP: f64 = 0.02;
 
 /// A body in plates: as described, and slightly larger.
-struct Cut {
+struct BodyPlates {
     description: BodyDescription,
     nominal: PlatedBody,
     larger: PlatedBody,
@@ -37,8 +36,8 @@ pub struct IntruderModel<'a> {
     latch: &'a Latch<'a>,
     medium: Medium,
     law: Law,
-    states: Vec<State>,
-    cuts: BTreeMap<String, Cut>,
+    states: Vec<SteadyState>,
+    cuts: BTreeMap<String, BodyPlates>,
     has_unsteadiness: bool,
     priors: Priors,
 }
@@ -65,7 +64,7 @@ impl<'a> IntruderModel<'a> {
             let longest = 50.0 * coarse.plate_size;
             let nominal = PlatedBody::cut(&shape, Some(longest / ALONG)).map_err(named)?;
             let larger = nominal.scaled(1.0 + 2.0 * GEOMETRY_STEP / longest);
-            Ok((name.clone(), Cut { description: description.clone(), nominal, larger }))
+            Ok((name.clone(), BodyPlates { description: description.clone(), nominal, larger }))
         };
         Ok(Self {
             latch,
@@ -99,7 +98,7 @@ impl<'a> IntruderModel<'a> {
                 (name.as_str(), self.sand(&body, mechanisms, coefficients))
             })
             .collect();
-        let of = |state: &State| {
+        let of = |state: &SteadyState| {
             let (cut, sand) = (&self.cuts[&state.body], &sands[state.body.as_str()]);
             if self.latch.stopped() {
                 return [f64::NAN; 3];
@@ -109,17 +108,9 @@ impl<'a> IntruderModel<'a> {
         self.states.iter().flat_map(of).collect()
     }
 
-    /// Derivative of the prediction by the sand's strength.
-    fn strength(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<f64> {
-        let scale = (1.0 + mechanisms.scale) * (1.0 + STRENGTH_STEP) - 1.0;
-        let moved = self.predict(&Mechanisms { scale, ..*mechanisms }, coefficients);
-        slope(&moved, prediction, STRENGTH_STEP)
-    }
-
     /// Derivative of the prediction by a change of the body.
-    fn felt(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, changed: Changed, step: f64) -> Vec<f64> {
-        let plain = self.predict(mechanisms, coefficients);
-        slope(&self.predict_changed(mechanisms, coefficients, changed), &plain, step)
+    fn felt(&self, (m, c): &SandParameters, changed: Changed, step: f64) -> Vec<f64> {
+        slope(&self.predict_changed(m, c, changed), &self.predict(m, c), step)
     }
 }
 
@@ -170,51 +161,40 @@ impl ForwardModel for IntruderModel<'_> {
         self.predict_changed(mechanisms, coefficients, Changed::default())
     }
 
-    fn predict_many(&self, states: &[(Mechanisms, Coefficients)]) -> Vec<Vec<f64>> {
-        parallel::map(states, |(m, c)| self.predict(m, c))
-    }
-
-    /// Noise that the numbers of a state share: beds differ in strength, and readings of a steady state fluctuate in time.
-    fn shared(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Shared> {
-        let strength = self.strength(mechanisms, coefficients, prediction);
-        let mut all =
-            vec![Shared { name: "bed_strength", unit: "1", guess: 0.05, optional: true, stacks: vec![strength] }];
+    /// Beds differ in strength, and readings of a steady state fluctuate in time. The law errs by a tenth of the load in
+    /// either force, and by the change of sinkage for a tenth of the strength; conditions and channels are independent.
+    fn uncertainty(&self, sand: &SandParameters, prediction: &[f64]) -> Uncertainty {
+        let (m, c) = stronger(sand, STRENGTH_STEP);
+        let strength = slope(&self.predict(&m, &c), prediction, STRENGTH_STEP);
+        // f(row, channel) in one channel only
+        let only = |channel: usize, f: &dyn Fn(usize) -> f64| -> Vec<f64> {
+            (0..prediction.len()).map(|k| if k % 3 == channel { f(k / 3) } else { 0.0 }).collect()
+        };
+        let load = |row: usize| LAW_ERROR * self.states[row].load();
+        let sinkage = |row: usize| LAW_ERROR * strength[3 * row + 2].abs();
+        let common = vec![only(0, &load), only(1, &load), only(2, &sinkage)];
+        let mut shared = vec![SharedNoise::one("bed_strength", "1", 0.05, true, strength.clone())];
         if self.has_unsteadiness {
-            let of = |c: usize| {
-                let own =
-                    |s: &State| (0..3).map(move |k| if k == c { s.unsteadiness[c] } else { 0.0 }).collect::<Vec<_>>();
-                self.states.iter().flat_map(own).collect()
-            };
+            let of = |c: usize| only(c, &|row| self.states[row].unsteadiness[c]);
             let stacks = (0..CHANNELS.len()).map(of).collect();
-            all.push(Shared { name: "unsteadiness", unit: "1", guess: 0.3, optional: true, stacks });
+            shared.push(SharedNoise { name: "unsteadiness", unit: "1", guess: 0.3, optional: true, stacks });
         }
-        all
-    }
-
-    /// Errors of the law: a tenth of the load in either force, and the change of sinkage by a tenth of the strength.
-    /// Conditions and channels are independent.
-    fn model_error(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Vec<f64>> {
-        let strength = self.strength(mechanisms, coefficients, prediction);
-        let load = |k: usize| if let DepthOrLoad::Load(load) = self.states[k / 3].trial.given { load } else { 0.0 };
-        let size = |k: usize| LAW_ERROR * if k % 3 == 2 { strength[k].abs() } else { load(k) };
-        (0..3).map(|c| (0..prediction.len()).map(|k| if k % 3 == c { size(k) } else { 0.0 }).collect()).collect()
+        Uncertainty { shared, common, own: Vec::new() }
     }
 
     /// Nuisances: zero of the sinkage, size of the body, friction of its surface.
-    fn nuisances(&self, m: &Mechanisms, c: &Coefficients, _values: &[(String, f64)]) -> Vec<Nuisance> {
+    fn nuisances(&self, sand: &SandParameters, _values: &[(String, f64)]) -> Vec<Nuisance> {
         let zero = (0..3 * self.states.len()).map(|k| if k % 3 == 2 { -1.0 } else { 0.0 }).collect();
         let larger = Changed { larger: true, ..Changed::default() };
         let rougher = Changed { friction: FRICTION_STEP, ..Changed::default() };
         let slopes = [
             ("depth_zero", zero),
-            ("geometry", self.felt(m, c, larger, GEOMETRY_STEP)),
-            ("surface_friction", self.felt(m, c, rougher, FRICTION_STEP)),
+            ("geometry", self.felt(sand, larger, GEOMETRY_STEP)),
+            ("surface_friction", self.felt(sand, rougher, FRICTION_STEP)),
         ];
-        let known = slopes.into_iter().map(|(id, slope)| (id, Priors::unit(id), self.priors.sd(id), slope));
-        known
-            .filter(|(_, _, sd, _)| *sd > 0.0)
-            .map(|(id, unit, sd, slope)| Nuisance::linear(id.into(), unit, sd, slope))
-            .collect()
+        let of =
+            |(id, slope): (&str, Vec<f64>)| Nuisance::linear(id.into(), Priors::unit(id), self.priors.sd(id), slope);
+        slopes.into_iter().map(of).filter(|n| n.sd > 0.0).collect()
     }
 
     fn finish(&self, sand: &mut SandDescription) {
@@ -228,22 +208,21 @@ impl ForwardModel for IntruderModel<'_> {
         &self.medium
     }
 
-    fn testable(&self) -> Vec<(usize, Option<String>)> {
+    fn testable(&self) -> Testable {
         let sand = CATALOG.iter().enumerate().filter(|(_, m)| m.side == Side::Sand);
         sand.map(|(index, m)| (index, lacking(m.id))).collect()
     }
 
     fn features(&self) -> Vec<Feature> {
-        let per_row = |name, unit, f: &dyn Fn(&State) -> f64| Feature {
+        let per_row = |name, unit, f: &dyn Fn(&SteadyState) -> f64| Feature {
             name,
             unit,
             values: self.states.iter().map(|s| vec![f(s)]).collect(),
         };
-        let load = |s: &State| if let DepthOrLoad::Load(load) = s.trial.given { load } else { 0.0 };
         vec![
             per_row("slip", "1", &|s| self.slip(s)),
             per_row("slip_angle", "rad", &|s| (-s.trial.velocity[1]).atan2(s.trial.velocity[0].abs())),
-            per_row("load", "N", &load),
+            per_row("load", "N", &SteadyState::load),
         ]
     }
 
@@ -258,7 +237,7 @@ impl ForwardModel for IntruderModel<'_> {
 
 impl IntruderModel<'_> {
     /// (rim speed − V)/max(rim speed, V) of the lowest point; 0 if the body does not travel.
-    fn slip(&self, state: &State) -> f64 {
+    fn slip(&self, state: &SteadyState) -> f64 {
         let [low, _] = self.cuts[&state.body].nominal.heights();
         let (v, rim) = (state.trial.velocity[0].hypot(state.trial.velocity[1]), -low * state.trial.spin[1]);
         if v > 0.0 { (rim - v) / v.max(rim.abs()) } else { 0.0 }

@@ -6,7 +6,8 @@
 
 use super::fit::{Fit, slope};
 use super::left_out::Laws;
-use super::study::Study;
+use super::study::FitInputs;
+use super::verdict::MAIN_PART;
 use crate::number::dot;
 use crate::parallel;
 use crate::sand::GRAVITY;
@@ -31,7 +32,7 @@ const SHALLOW: f64 = 1e-3;
 const ROUNDS: usize = 3;
 
 /// A law with its coefficient.
-pub struct Law {
+pub struct FittedLaw {
     pub term: Term,
     /// Standard deviation of the coefficient under the noise.
     pub sd: f64,
@@ -84,15 +85,21 @@ fn dictionary([speed, depth, width]: [f64; 3]) -> Vec<Term> {
     all
 }
 
-/// The laws that are physically possible about `base`, with their columns; None if the model supports no laws.
-pub fn laws(study: &Study, base: &Fit) -> Option<Laws> {
+/// The laws that are physically possible about `base`, with their columns; None if the model supports no laws. Beside a
+/// cause, a law whose effect on these data is mostly that of the cause itself is left out: it would describe the cause
+/// once more, and take a part of its value.
+pub fn laws(study: &FitInputs, base: &Fit) -> Option<Laws> {
     study.model.with_terms(&[])?;
     let coefficients = study.coefficients(&base.deviations);
+    let normal = study.normal_equations(base);
     let column = |law: &Term| {
         let model = study.model.with_terms(std::slice::from_ref(law))?;
         let column = Arc::new(slope(&model.predict(&base.mechanisms, &coefficients), &base.prediction, 1.0));
         // The coefficient that would fit alone tells the sign; a law that sand cannot follow is left out.
         let white = study.whitener.apply(&column);
+        if !base.ids.is_empty() && normal.explained(&white, base.ids.len())? > MAIN_PART {
+            return None;
+        }
         let estimate = dot(&white, &base.white) / dot(&white, &white).max(1e-300);
         let fitted = Term { coefficient: estimate, ..law.clone() };
         fitted.check(&coefficients, study.model.medium().bulk_density).ok()?;
@@ -104,7 +111,7 @@ pub fn laws(study: &Study, base: &Fit) -> Option<Laws> {
 }
 
 /// The law `term` fitted in addition to `base`, from its coefficient. None if sand cannot follow the fitted law.
-pub fn fitted(study: &Study, base: &Fit, mut term: Term) -> Option<Law> {
+pub fn fitted(study: &FitInputs, base: &Fit, mut term: Term) -> Option<FittedLaw> {
     let mut fit = base.clone();
     let mut sd = 0.0;
     for _ in 0..ROUNDS {
@@ -115,15 +122,12 @@ pub fn fitted(study: &Study, base: &Fit, mut term: Term) -> Option<Law> {
         let model = study.model.with_terms(std::slice::from_ref(&more))?;
         let moved = model.predict(&fit.mechanisms, &study.coefficients(&fit.deviations));
         let white = study.whitener.apply(&slope(&moved, &fit.prediction, step));
-        let (information, score) = fit.normal_equations();
-        let cross = nalgebra::DVector::from_fn(score.len(), |k, _| dot(&fit.white_slopes[k], &white));
-        let solved = information.cholesky()?.solve(&cross);
-        let left = dot(&white, &white) - cross.dot(&solved);
-        term.coefficient += (dot(&white, &fit.white) - solved.dot(&score)) / left.max(1e-300);
+        let [score, left] = study.normal_equations(&fit).beside(&white, &fit.white)?;
+        term.coefficient += score / left.max(1e-300);
         sd = left.max(1e-300).sqrt().recip();
     }
     let model = study.model.with_terms(std::slice::from_ref(&term))?;
     let fit = study.with_model(&*model).fit_near(&fit);
     term.check(&study.coefficients(&fit.deviations), study.model.medium().bulk_density).ok()?;
-    Some(Law { term, sd, fit })
+    Some(FittedLaw { term, sd, fit })
 }

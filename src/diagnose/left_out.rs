@@ -1,8 +1,8 @@
 //! Predicts every condition from the others, for a model that is linear about its fit.
 
-use super::errors::Errors;
-use super::fit::{COEFFICIENTS, Column, Fit};
-use super::study::Study;
+use super::errors::SquaredErrors;
+use super::fit::{COEFFICIENTS, Fit, Stack};
+use super::study::FitInputs;
 use crate::sand::Term;
 use nalgebra::{DMatrix, DVector};
 
@@ -12,7 +12,7 @@ const ROUNDS: usize = 4;
 const FOUND: f64 = 0.1;
 
 /// A model to compare: a fit, and the laws of which it may have one.
-pub struct Model<'a> {
+pub struct Contender<'a> {
     pub fit: &'a Fit,
     pub laws: Option<&'a Laws>,
 }
@@ -20,11 +20,11 @@ pub struct Model<'a> {
 /// Laws, with the change of a fit's prediction by each with the coefficient 1.
 pub struct Laws {
     pub terms: Vec<Term>,
-    pub columns: Vec<Column>,
+    pub columns: Vec<Stack>,
 }
 
 /// How one model predicts each condition from the others.
-pub struct Row {
+pub struct LeftOutRow {
     /// Log predictive density of each condition that is used, and of what is stated of coefficients and nuisances.
     pub elpd: Vec<f64>,
     /// V⁻¹ e of each condition: the expected error of its own, besides that of the parameters.
@@ -35,7 +35,7 @@ pub struct Row {
     /// Q of each condition.
     pub squares: Vec<f64>,
     /// Held-out errors in the data's own unit, of the sand without nuisances.
-    pub held_out: Errors,
+    pub held_out: SquaredErrors,
     /// Change of the parameters with each condition left out, and with none; with a law, its coefficient is the last one.
     pub steps: Vec<Vec<f64>>,
     pub step: Vec<f64>,
@@ -213,7 +213,7 @@ impl Linear {
     }
 
     /// The row of the table; `degrees` are those of the noise.
-    pub fn row(&self, study: &Study, model: &Model, used: &[usize], degrees: f64) -> Row {
+    pub fn row(&self, study: &FitInputs, model: &Contender, used: &[usize], degrees: f64) -> LeftOutRow {
         let each: Vec<Products> = (0..self.residual.len()).map(|c| self.products(c)).collect();
         let mut scale = 1.0;
         let mut now = self.predicted(&each, scale);
@@ -234,13 +234,13 @@ impl Linear {
             let density = -0.5 * (own.wider + n * scale.ln() + (degrees + n) * (square / degrees).ln_1p());
             density.max(-1e12)
         };
-        let mut held_out = Errors { square: Vec::new(), count: Vec::new() };
+        let mut held_out = SquaredErrors { square: Vec::new(), count: Vec::new() };
         for (own, condition) in now.left.iter().zip(used) {
             let errors = self::held_out(study, model, own.law, own.step.as_slice(), &[*condition]);
             held_out.square.extend(errors.square);
             held_out.count.extend(errors.count);
         }
-        Row {
+        LeftOutRow {
             elpd: now.left.iter().zip(&scales).map(density).collect(),
             squares: now.left.iter().map(|own| own.square).collect(),
             steps: now.left[..used.len()].iter().map(|own| own.step.iter().copied().collect()).collect(),
@@ -272,10 +272,20 @@ fn inverted(a: DMatrix<f64>) -> DMatrix<f64> {
 }
 
 /// Errors of the sand's prediction, without nuisances, on the conditions `held`, with the parameters changed by `step`.
-pub fn held_out(study: &Study, model: &Model, law: Option<usize>, step: &[f64], held: &[usize]) -> Errors {
+pub fn held_out(
+    study: &FitInputs,
+    model: &Contender,
+    law: Option<usize>,
+    step: &[f64],
+    held: &[usize],
+) -> SquaredErrors {
     let fit = model.fit;
     let sand = fit.ids.len() + COEFFICIENTS;
-    let mut parts: Vec<(f64, &Column)> = step[..sand].iter().copied().zip(&fit.slopes[..sand]).collect();
+    let mut parts: Vec<(f64, &Stack)> = step[..sand].iter().copied().zip(&fit.slopes[..sand]).collect();
     parts.extend(law.and_then(|l| model.laws.map(|own| (step[step.len() - 1], &own.columns[l]))));
-    Errors::of(study.observations, |k| fit.prediction[k] + parts.iter().map(|(d, s)| d * s[k]).sum::<f64>(), held)
+    SquaredErrors::of(
+        study.observations,
+        |k| fit.prediction[k] + parts.iter().map(|(d, s)| d * s[k]).sum::<f64>(),
+        held,
+    )
 }

@@ -4,10 +4,9 @@
 //! at a time, so the contributions of the other channels are kept. A change of a shared direction's size only scales
 //! products.
 
-use super::noise::{ChannelFilter, ChannelNoise, Clock, Noise};
+use super::noise::{ChannelFilter, ChannelNoise, Noise, NoiseClock};
 use super::repeats::Repeats;
-use super::shared::Likelihood;
-use crate::number::dot;
+use super::shared::{Likelihood, gram};
 use nalgebra::{DMatrix, DVector};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -33,7 +32,7 @@ pub struct Landscape<'a> {
 }
 
 impl<'a> Landscape<'a> {
-    pub fn new(repeats: &'a [Repeats], clock: Clock) -> Self {
+    pub fn new(repeats: &'a [Repeats], clock: NoiseClock) -> Self {
         let steps = repeats.iter().map(|r| clock.steps(&r.progress)).collect();
         let channels = repeats.first().map_or(0, |r| r.sizes.len());
         Self { repeats, steps, channels: (0..channels).map(|_| Known::default()).collect() }
@@ -95,13 +94,7 @@ impl Part {
                 own
             })
             .collect();
-        let mut products = DMatrix::zeros(white.len(), white.len());
-        for i in 0..white.len() {
-            for j in 0..=i {
-                let product = dot(&white[i], &white[j]);
-                (products[(i, j)], products[(j, i)]) = (product, product);
-            }
-        }
+        let products = gram(&white);
         Self { log_determinant: filter.log_determinant, products }
     }
 }

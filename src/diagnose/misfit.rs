@@ -30,13 +30,8 @@ const PREDICTED: f64 = 0.2;
 /// Number of ranges of a feature, each with the same number of samples.
 const RANGES: usize = 5;
 
-/// Errors of `prediction` in the ranges of every feature, and for every shape.
-pub fn misfit(observations: &Observations, model: &dyn ForwardModel, prediction: &[f64]) -> Vec<Misfit> {
-    table(observations, model, prediction, |_| true)
-}
-
-/// The same as [`misfit`], over the units for which `counts` is true.
-fn table(
+/// Errors of `prediction` in the ranges of every feature, and for every shape, over the units that count.
+pub fn misfit(
     observations: &Observations,
     model: &dyn ForwardModel,
     prediction: &[f64],
@@ -108,7 +103,7 @@ fn add(
                 unit: feature.unit.into(),
                 range,
                 group: group.map(Into::into),
-                channel: channel.name.into(),
+                channel: channel.name.to_string(),
                 mean: sum / n,
                 rms: (square / n).sqrt(),
                 relative: (size > PREDICTED * sum_of_errors).then(|| sum / size),
@@ -124,25 +119,20 @@ const UNEVEN: f64 = 1.25;
 /// size, which may be noise: our choice.
 const DIP: f64 = 0.1;
 
-/// One sentence: the shape with the largest error of `prediction`, and the ranges of the features where that error
-/// is large; None if it is similar everywhere.
-pub fn whereabouts(observations: &Observations, model: &dyn ForwardModel, prediction: &[f64]) -> Option<String> {
-    whereabouts_of(observations, model, prediction, "the plain model's error")
-}
-
-/// The same as [`whereabouts`], for an error with another name.
-pub fn whereabouts_of(
+/// One sentence: the shape with the largest error of `prediction`, and the ranges of the features where that `error`
+/// (its name) is large; None if it is similar everywhere.
+pub fn whereabouts(
     observations: &Observations,
     model: &dyn ForwardModel,
     prediction: &[f64],
     error: &str,
 ) -> Option<String> {
-    let everything = misfit(observations, model, prediction);
+    let everything = misfit(observations, model, prediction, |_| true);
     let shapes = sizes(&everything, "shape", observations);
     let least = shapes.iter().map(|s| s.1).fold(f64::MAX, f64::min);
     let worst = shapes.iter().max_by(|a, b| a.1.total_cmp(&b.1)).filter(|w| w.1 > UNEVEN * least);
     let worst = worst.and_then(|(row, _)| row.group.as_deref());
-    let own = worst.map(|shape| table(observations, model, prediction, |u| model.group(u) == shape));
+    let own = worst.map(|shape| misfit(observations, model, prediction, |u| model.group(u) == shape));
     let own = own.as_ref().unwrap_or(&everything);
     let mut said: Vec<(f64, String)> = Vec::new();
     for feature in model.features() {
@@ -243,7 +233,7 @@ pub fn correlates(
                     column[k] = prediction[k] * values[u][i];
                 }
             }
-            columns.push((name.clone(), channel.name, whiten(&column)));
+            columns.push((name.clone(), channel.name.to_string(), whiten(&column)));
         }
     }
     let mut left = white.to_vec();
@@ -261,7 +251,7 @@ pub fn correlates(
             break;
         }
         left.iter_mut().zip(column).for_each(|(l, c)| *l -= strength * c);
-        found.push(Correlate { feature: name.clone(), channel: (*channel).into(), strength, delta_chi2: delta });
+        found.push(Correlate { feature: name.clone(), channel: channel.clone(), strength, delta_chi2: delta });
     }
     found
 }

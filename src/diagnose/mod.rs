@@ -22,75 +22,75 @@ use sandgait_sim as sim;
 use sandgait_sweep as sweep;
 use sandgait_table as table;
 
-pub mod arm;
-pub mod candidates;
-pub mod cli;
+mod arm;
+mod candidates;
 mod columns;
 mod conditions;
-pub mod errors;
-pub mod evidence;
+mod errors;
+mod evidence;
 pub mod experiment;
 mod figures;
-pub mod fit;
+mod fit;
 pub mod force_log;
+pub mod force_model;
 pub mod forward;
-pub mod further;
-pub mod gauss_newton;
+mod further;
+mod gauss_newton;
 pub mod hardware;
-pub mod intruder_log;
-pub mod intruder_model;
-pub mod laws;
-pub mod left_out;
-pub mod likelihood;
-pub mod minimise;
-pub mod misfit;
-pub mod motion;
-pub mod next_experiment;
+mod intruder_log;
+mod intruder_model;
+mod known;
+mod laws;
+mod left_out;
+mod likelihood;
+mod minimise;
+mod misfit;
+mod motion;
+mod next_experiment;
 pub mod noise;
-pub mod noise_search;
-pub mod nuisance;
-pub mod observations;
-pub mod page;
-pub mod profile;
-pub mod repeats;
+mod noise_search;
+mod nuisance;
+mod observations;
+mod page;
+mod profile;
+mod repeats;
 pub mod report;
-pub mod response;
-pub mod screen;
-pub mod select;
+mod response;
+mod screen;
+mod select;
 pub mod shared;
-pub mod sides;
-pub mod speed_exponent;
+mod sides;
+mod speed_exponent;
 pub mod statements;
 pub mod study;
-pub mod summary;
-pub mod track;
-pub mod trajectory;
+mod summary;
+mod track;
+mod trajectory;
 pub mod verdict;
-pub mod view;
+mod view;
 pub mod walking_log;
-pub mod walking_model;
+mod walking_model;
 pub mod whiten;
-pub mod words;
+mod words;
 
 use crate::error::Result;
 use crate::progress::{Latch, Progress};
 use crate::sand::SandDescription;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
-use candidates::Asked;
-use experiment::{Experiment, Kind};
-use forward::{ForceLogModel, ForwardModel};
+use candidates::SearchSpace;
+use experiment::{DataKind, Experiment};
+use force_model::ForceLogModel;
+use forward::ForwardModel;
 use intruder_model::IntruderModel;
-use noise::{Source, scatters, sizes};
+use noise::{NoiseData, scatters, sizes};
 use observations::Observations;
 use report::{Curves, Diagnosis, Untestable};
 use select::select;
 use std::path::Path;
-use study::Study;
-use view::View;
+use study::FitInputs;
+use view::ReportView;
 use walking_model::WalkingModel;
 use whiten::Whitener;
-
-pub use cli::run;
 
 /// Reads the data and diagnoses them. If data cannot be read, the error names file, row and column. An error of
 /// `progress` stops the work and is returned.
@@ -105,23 +105,23 @@ pub fn diagnose(data: &Path, experiment: &Experiment, progress: &dyn Progress) -
 fn diagnose_kind(data: &Path, experiment: &Experiment, progress: &Latch) -> Result<Diagnosis> {
     let (coefficient_sd, interest) = (experiment.coefficient_sd, experiment.nuisances.interest.clone());
     match experiment.kind {
-        Kind::Intrusion => {
+        DataKind::Intrusion => {
             let log = force_log::read(data, experiment, progress)?;
             let model = ForceLogModel::new(&log, experiment)?.stopped_by(progress);
             let (observations, sha256, notes) = (log.observations, log.sha256, log.notes);
             diagnose_measured(Measured { observations, coefficient_sd, interest, sha256, notes }, &model, progress)
         }
-        Kind::Walking => {
+        DataKind::Walking => {
             let log = walking_log::read(data, experiment, progress)?;
             let model = WalkingModel::new(&log, experiment, progress)?;
             let (observations, sha256, notes) = (log.observations, log.sha256, vec![model.step_note()?]);
             diagnose_measured(Measured { observations, coefficient_sd, interest, sha256, notes }, &model, progress)
         }
-        Kind::Trajectory => {
+        DataKind::Trajectory => {
             let (measured, model) = trajectory::measured(data, experiment, progress)?;
             diagnose_measured(measured, &model, progress)
         }
-        Kind::Intruder => {
+        DataKind::Intruder => {
             let log = intruder_log::read(data, experiment, progress)?;
             let model = IntruderModel::new(&log, experiment, progress)?;
             let (observations, sha256, notes) = (log.observations, log.sha256, intruder_model::notes(experiment));
@@ -149,38 +149,31 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
     progress.report(0.02, "noise from the repetitions")?;
     let coefficients = model.medium().coefficients;
     let plain = model.predict(&Mechanisms::default(), &coefficients);
-    let shared = model.shared(&Mechanisms::default(), &coefficients, &plain);
-    let model_error = model.model_error(&Mechanisms::default(), &coefficients, &plain);
-    let own_error = model.own_error(&Mechanisms::default(), &coefficients, &plain);
+    let all = model.uncertainty(&(Mechanisms::default(), coefficients), &plain);
     let sizes = sizes(&observations);
-    let source = Source {
-        observations: &observations,
-        prediction: &plain,
-        sizes: &sizes,
-        shared: &shared,
-        model_error: &model_error,
-        own_error: &own_error,
-        left_out: &[],
-    };
+    let source =
+        NoiseData { observations: &observations, prediction: &plain, sizes: &sizes, uncertainty: &all, left_out: &[] };
     let noise = source.noise(None, &|| model.stopped());
-    let kept = source.asked_for(&noise);
-    let shared: Vec<_> = shared.iter().filter(|s| kept.contains(&s.name)).cloned().collect();
-    let pruned = shared.len() < source.shared.len();
-    let source = Source { shared: &shared, ..source };
+    let supported = source.supported(&noise);
+    let mut uncertainty = all.clone();
+    uncertainty.shared.retain(|s| supported.contains(&s.name));
+    let pruned = supported.len() < all.shared.len();
+    let source = NoiseData { uncertainty: &uncertainty, ..source };
     let noise = if pruned { source.noise(None, &|| model.stopped()) } else { noise };
     let whitener = Whitener::new(&source, &noise);
-    let study = Study::new(&observations, model, &whitener, coefficient_sd);
+    let study = FitInputs::new(&observations, model, &whitener, coefficient_sd);
     let (ids, unknown, untestable) = testable(&study);
     let floor = source.floor();
     let selection = match scatters(&observations, &floor) {
         true => {
-            let asked = Asked { source: &source, noise: &noise, ids: &ids, untestable: &unknown, interest: &interest };
+            let asked =
+                SearchSpace { source: &source, noise: &noise, ids: &ids, untestable: &unknown, interest: &interest };
             Some(select(&study, &asked, progress)?)
         }
         false => None,
     };
     progress.report(0.95, "report")?;
-    let view = View { study: &study, source: &source, noise: &noise, selection: selection.as_ref(), floor };
+    let view = ReportView { study: &study, source: &source, noise: &noise, selection: selection.as_ref(), floor };
     let report = view.report(untestable, sha256, notes);
     debug_assert_eq!(statements::violations(&report), Vec::<String>::new());
     let fit = selection.as_ref().and_then(|s| s.fit());
@@ -205,7 +198,7 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
 
 /// Causes that the data can show; causes that act on the data, but that they cannot tell for lack of a column; and
 /// all of the latter and those without effect, with the reason.
-fn testable(study: &Study) -> (Vec<usize>, Vec<usize>, Vec<Untestable>) {
+fn testable(study: &FitInputs) -> (Vec<usize>, Vec<usize>, Vec<Untestable>) {
     let (mut ids, mut unknown, mut untestable) = (Vec::new(), Vec::new(), Vec::new());
     let coefficients = study.model.medium().coefficients;
     let asked = study.model.testable();

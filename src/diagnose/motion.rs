@@ -4,7 +4,7 @@
 //! over several samples.
 
 use super::experiment::Intruder;
-use super::track::{Pose, Track};
+use super::track::{ArmPose, Track};
 
 /// Below this share of the trial's speed an intruder rests: our choice, above the noise of velocities at rest and
 /// far below any speed of interest.
@@ -37,14 +37,14 @@ impl Heading {
 }
 
 /// The coordinates that move: the angle of a leg, or the centre of a plate.
-fn place(track: &Track, pose: &Pose) -> [f64; 2] {
+fn place(track: &Track, pose: &ArmPose) -> [f64; 2] {
     match track.intruder {
         Intruder::Leg { .. } => [pose.theta, 0.0],
         Intruder::Plate { .. } => pose.center,
     }
 }
 
-fn speed(track: &Track, pose: &Pose) -> f64 {
+fn speed(track: &Track, pose: &ArmPose) -> f64 {
     match track.intruder {
         Intruder::Leg { .. } => pose.omega.abs(),
         Intruder::Plate { .. } => pose.velocity[0].hypot(pose.velocity[1]),
@@ -64,7 +64,7 @@ fn extent(track: &Track) -> f64 {
 /// The displacement from the start until the trial has certainly started.
 pub fn heading(track: &Track) -> Heading {
     let (start, extent) = (place(track, &track.poses[0]), extent(track));
-    let out = |p: &Pose| between(start, place(track, p)) >= SET_OUT * extent;
+    let out = |p: &ArmPose| between(start, place(track, p)) >= SET_OUT * extent;
     match track.poses.iter().position(out).filter(|_| extent > 0.0) {
         Some(until) => {
             let end = place(track, &track.poses[until]);
@@ -86,7 +86,7 @@ pub fn progress(track: &Track, heading: &Heading) -> Vec<f64> {
     let from = start[0] * heading.along[0] + start[1] * heading.along[1];
     let leash = SLACK * extent(track);
     let (mut behind, mut path, mut furthest) = (start, 0.0, 0.0);
-    let at = |pose: &Pose| {
+    let at = |pose: &ArmPose| {
         let here = place(track, pose);
         let away = between(behind, here);
         if away > leash {
@@ -151,7 +151,7 @@ mod tests {
                 _ => (-0.03 + 0.1 * (t - 0.7), 0.1),
             };
             let waver = noise * (f64::from(i) * 2.4).sin();
-            Pose { t, center: [0.5, z + waver], velocity: [0.0, vz], ..Pose::default() }
+            ArmPose { t, center: [0.5, z + waver], velocity: [0.0, vz], ..ArmPose::default() }
         });
         let poses = poses.collect();
         let intruder = Intruder::Plate { length: 0.04, width: 0.025, thickness: None };

@@ -2,9 +2,9 @@
 
 use super::fit::Fit;
 use super::forward::Menu;
-use super::noise::{Noise, Source, sizes};
+use super::noise::{Noise, NoiseData, sizes};
 use super::observations::Observations;
-use super::study::Study;
+use super::study::FitInputs;
 use super::whiten::Whitener;
 use serde::Serialize;
 
@@ -23,29 +23,19 @@ pub struct Proposal {
 const REPETITIONS: usize = 3;
 
 /// The `count` trials of the menu that best separate the two nearest explanations.
-pub fn propose(menu: &Menu, noise: &Noise, study: &Study, set: &[&Fit], count: usize) -> Vec<Proposal> {
+pub fn propose(menu: &Menu, noise: &Noise, study: &FitInputs, set: &[&Fit], count: usize) -> Vec<Proposal> {
     let states: Vec<_> = set.iter().map(|f| (f.mechanisms, study.coefficients(&f.deviations))).collect();
     let predictions = menu.model.predict_many(&states);
-    let (Some(first), Some((mechanisms, coefficients))) = (predictions.first(), states.first()) else {
+    let (Some(first), Some(sand)) = (predictions.first(), states.first()) else {
         return Vec::new();
     };
     let observations = Observations { values: first.clone(), ..menu.observations.clone() };
-    let shared = menu.model.shared(mechanisms, coefficients, first);
+    let mut uncertainty = menu.model.uncertainty(sand, first);
     // One unit represents all repetitions; more repetitions do not reduce their common error.
-    let mut model_error = menu.model.model_error(mechanisms, coefficients, first);
-    model_error.iter_mut().flatten().for_each(|e| *e *= (REPETITIONS as f64).sqrt());
-    let mut own_error = menu.model.own_error(mechanisms, coefficients, first);
-    own_error.iter_mut().for_each(|e| *e *= (REPETITIONS as f64).sqrt());
-    let (sizes, prediction) = (&sizes(&observations), first.as_slice());
-    let source = Source {
-        observations: &observations,
-        prediction,
-        sizes,
-        shared: &shared,
-        model_error: &model_error,
-        own_error: &own_error,
-        left_out: &[],
-    };
+    let errors = uncertainty.common.iter_mut().flatten().chain(&mut uncertainty.own);
+    errors.for_each(|e| *e *= (REPETITIONS as f64).sqrt());
+    let (sizes, uncertainty) = (&sizes(&observations), &uncertainty);
+    let source = NoiseData { observations: &observations, prediction: first, sizes, uncertainty, left_out: &[] };
     let whitener = Whitener::new(&source, noise);
     let separation = |a: usize, b: usize| -> Vec<f64> {
         let difference: Vec<f64> = predictions[a].iter().zip(&predictions[b]).map(|(a, b)| a - b).collect();

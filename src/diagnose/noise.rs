@@ -8,13 +8,13 @@
 //! S(i).
 //!
 //! S is |F| in force logs (grains push on all channels alike) and the channel's own mean in walking runs. φ is the
-//! correlation over a step of a [`Clock`]: the noise of grains is correlated along the path, that of filters and
+//! correlation over a step of a [`NoiseClock`]: the noise of grains is correlated along the path, that of filters and
 //! amplifiers in time; the repetitions decide. The parameters maximise the likelihood of the differences between
 //! repetitions, which do not depend on the model of the sand.
 
-use super::errors::Errors;
+use super::errors::SquaredErrors;
 use super::observations::{Observations, Size, interpolate};
-use super::shared::Shared;
+use super::shared::Uncertainty;
 
 /// Noise of one channel.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,20 +29,20 @@ pub struct ChannelNoise {
 
 /// The coordinate along which the grain noise is correlated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Clock {
+pub enum NoiseClock {
     /// From sample to sample.
     Sample,
     /// Along the path; a step is a sixtieth of it (our choice; φ depends on it, the correlation does not).
     Path,
 }
 
-impl Clock {
+impl NoiseClock {
     /// Number of steps from each sample to the one before; none for the first.
     pub fn steps(self, progress: &[f64]) -> Vec<f64> {
         let way = progress.last().zip(progress.first()).map_or(0.0, |(last, first)| last - first);
         let step = |i: usize| match self {
-            Clock::Sample => 1.0,
-            Clock::Path => (60.0 * (progress[i] - progress[i - 1]) / way.max(1e-12)).max(1e-3),
+            NoiseClock::Sample => 1.0,
+            NoiseClock::Path => (60.0 * (progress[i] - progress[i - 1]) / way.max(1e-12)).max(1e-3),
         };
         (0..progress.len()).map(|i| if i == 0 { 0.0 } else { step(i) }).collect()
     }
@@ -51,9 +51,9 @@ impl Clock {
 /// Noise of a data set.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Noise {
-    pub clock: Clock,
+    pub clock: NoiseClock,
     pub channels: Vec<ChannelNoise>,
-    /// Standard deviation along each of [`Shared`]'s directions.
+    /// Standard deviation along each of [`super::shared::SharedNoise`]'s directions.
     pub shared: Vec<f64>,
 }
 
@@ -114,7 +114,7 @@ pub struct ChannelFilter {
 }
 
 impl ChannelFilter {
-    /// `clock` has the steps between samples ([`Clock::steps`]), `own` the additional variance of each sample, if
+    /// `clock` has the steps between samples ([`NoiseClock::steps`]), `own` the additional variance of each sample, if
     /// any.
     pub fn new(noise: &ChannelNoise, magnitude: &[f64], clock: &[f64], own: &[f64]) -> Self {
         let (mut variance, mut log_determinant, mut product) = (1.0, 0.0, 1.0);
@@ -154,21 +154,17 @@ impl ChannelFilter {
 }
 
 /// The data from which noise is learnt.
-pub struct Source<'a> {
+pub struct NoiseData<'a> {
     pub observations: &'a Observations,
     pub prediction: &'a [f64],
     pub sizes: &'a Sizes,
-    pub shared: &'a [Shared],
-    /// [`super::forward::ForwardModel::model_error`] at `prediction`. It is equal in all repetitions.
-    pub model_error: &'a [Vec<f64>],
-    /// [`super::forward::ForwardModel::own_error`] at `prediction`.
-    pub own_error: &'a [f64],
+    pub uncertainty: &'a Uncertainty,
     /// Conditions that are not used.
     pub left_out: &'a [usize],
 }
 
 /// Is there scatter between the repetitions, so that they give a noise floor? Copies have none.
-pub fn scatters(observations: &Observations, floor: &Errors) -> bool {
+pub fn scatters(observations: &Observations, floor: &SquaredErrors) -> bool {
     let counted = observations.channels.iter().enumerate().filter(|c| c.1.in_rmse);
     let blocks = counted.flat_map(|(c, _)| observations.units.iter().map(move |u| u.block(c)));
     let (square, count) = blocks.flatten().fold((0.0, 0.0), |(s, n), k| (s + observations.values[k].powi(2), n + 1.0));
@@ -177,7 +173,7 @@ pub fn scatters(observations: &Observations, floor: &Errors) -> bool {
 
 impl Noise {
     /// Standard deviation of one repetition about the model at every number of the stack.
-    pub fn standard_deviation(&self, source: &Source) -> Vec<f64> {
+    pub fn standard_deviation(&self, source: &NoiseData) -> Vec<f64> {
         let mut square = vec![0.0; source.prediction.len()];
         for (unit, sizes) in source.observations.units.iter().zip(source.sizes) {
             for (c, noise) in self.channels.iter().enumerate() {
@@ -186,16 +182,16 @@ impl Noise {
                 }
             }
             let span = source.observations.span(unit);
-            for (shared, sd) in source.shared.iter().zip(&self.shared) {
+            for (shared, sd) in source.uncertainty.shared.iter().zip(&self.shared) {
                 for vector in shared.vectors(span.clone()) {
                     square[span.clone()].iter_mut().zip(vector).for_each(|(s, u)| *s += (sd * u).powi(2));
                 }
             }
         }
-        for stack in source.model_error {
+        for stack in &source.uncertainty.common {
             square.iter_mut().zip(stack).for_each(|(s, e)| *s += e * e);
         }
-        square.iter_mut().zip(source.own_error).for_each(|(s, e)| *s += e * e);
+        square.iter_mut().zip(&source.uncertainty.own).for_each(|(s, e)| *s += e * e);
         square.into_iter().map(f64::sqrt).collect()
     }
 }

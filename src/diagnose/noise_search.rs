@@ -1,19 +1,19 @@
 //! Learns the parameters of the noise from the repetitions in the data: those for which the differences between
 //! repetitions are most likely.
 
-use super::errors::Errors;
+use super::errors::SquaredErrors;
 use super::likelihood::Landscape;
 use super::minimise::minimise;
-use super::noise::{ChannelNoise, Clock, Noise, Source};
+use super::noise::{ChannelNoise, Noise, NoiseClock, NoiseData};
 use super::repeats::Repeats;
-use super::shared::Shared;
+use super::shared::SharedNoise;
 
 /// Quantile of χ² with one degree of freedom at 95 % (NIST/SEMATECH e-Handbook of Statistical Methods, 1.3.6.7.4).
 const AT_95_PERCENT: f64 = 3.841;
 
-impl Source<'_> {
+impl NoiseData<'_> {
     /// A first estimate from the size of the differences; the search starts here.
-    fn guess(&self, repeats: &[Repeats], clock: Clock) -> Noise {
+    fn guess(&self, repeats: &[Repeats], clock: NoiseClock) -> Noise {
         let channel = |c: usize| {
             let (mut square, mut size, mut count) = (0.0, 0.0, 0.0);
             for r in repeats {
@@ -30,7 +30,7 @@ impl Source<'_> {
             ChannelNoise { grain, sensor: 0.3 * sd, phi }
         };
         let channels = (0..self.observations.channels.len()).map(channel).collect();
-        Noise { clock, channels, shared: self.shared.iter().map(|s| s.guess).collect() }
+        Noise { clock, channels, shared: self.uncertainty.shared.iter().map(|s| s.guess).collect() }
     }
 
     /// Learns the noise from the repetitions; `start` is an earlier estimate from similar data. After a stop it
@@ -40,34 +40,34 @@ impl Source<'_> {
         if let Some(start) = start {
             return self.search(&repeats, start.clock, Some(start), stopped).0;
         }
-        let of = |clock: &Clock| self.search(&repeats, *clock, None, stopped);
+        let of = |clock: &NoiseClock| self.search(&repeats, *clock, None, stopped);
         // A unit with a single number has no correlation.
-        let clocks = [Clock::Sample, Clock::Path];
+        let clocks = [NoiseClock::Sample, NoiseClock::Path];
         let clocks = if self.observations.units.iter().any(|u| u.samples > 1) { &clocks[..] } else { &clocks[..1] };
         let found = crate::parallel::map(clocks, of).into_iter().min_by(|a, b| a.1.total_cmp(&b.1));
-        found.map_or_else(|| self.guess(&repeats, Clock::Sample), |f| f.0)
+        found.map_or_else(|| self.guess(&repeats, NoiseClock::Sample), |f| f.0)
     }
 
     /// Names of the shared directions that the repetitions support: an optional direction is left out if the likelihood
     /// without it is not significantly lower (at 95 %). Directions without support cannot be estimated and would widen
     /// the gates.
-    pub fn asked_for(&self, noise: &Noise) -> Vec<&'static str> {
+    pub fn supported(&self, noise: &Noise) -> Vec<&'static str> {
         let repeats = self.repeats();
         let landscape = Landscape::new(&repeats, noise.clock);
         let least = landscape.deviance(noise);
-        let needed = |(k, shared): &(usize, &Shared)| {
+        let needed = |(k, shared): &(usize, &SharedNoise)| {
             let mut without = noise.clone();
             without.shared[*k] = 1e-6 * shared.guess;
             !shared.optional || landscape.deviance(&without) - least > AT_95_PERCENT
         };
-        self.shared.iter().enumerate().filter(needed).map(|(_, s)| s.name).collect()
+        self.uncertainty.shared.iter().enumerate().filter(needed).map(|(_, s)| s.name).collect()
     }
 
     /// The likeliest noise for a given clock, and its −2 log likelihood.
     fn search(
         &self,
         repeats: &[Repeats],
-        clock: Clock,
+        clock: NoiseClock,
         start: Option<&Noise>,
         stopped: &(dyn Fn() -> bool + Sync),
     ) -> (Noise, f64) {
@@ -84,7 +84,7 @@ impl Source<'_> {
     fn deviance<'b>(
         &'b self,
         repeats: &'b [Repeats],
-        clock: Clock,
+        clock: NoiseClock,
         center: &'b [f64],
         stopped: &'b (dyn Fn() -> bool + Sync),
     ) -> impl Fn(&[f64]) -> f64 + 'b {
@@ -100,7 +100,7 @@ impl Source<'_> {
 
     /// Scatter of repetitions over the channels that count in the error: no model can predict it. Conditions
     /// without repetitions do not contribute.
-    pub fn floor(&self) -> Errors {
+    pub fn floor(&self) -> SquaredErrors {
         let of = |group: &Vec<usize>| {
             let (mut square, mut count) = (0.0, 0.0);
             for difference in self.repeats_of(group).differences {
@@ -112,7 +112,7 @@ impl Source<'_> {
             (square, count)
         };
         let (square, count) = self.observations.repetitions().iter().map(of).unzip();
-        Errors { square, count }
+        SquaredErrors { square, count }
     }
 }
 
@@ -123,7 +123,7 @@ impl Noise {
         self.channels.iter().flat_map(channel).chain(self.shared.iter().map(|s| s.ln())).collect()
     }
 
-    fn unpack(p: &[f64], channels: usize, clock: Clock) -> Self {
+    fn unpack(p: &[f64], channels: usize, clock: NoiseClock) -> Self {
         let logistic = |x: f64| (1.0 / (1.0 + (-x).exp())).clamp(1e-6, 1.0 - 1e-6);
         let channel = |c: &[f64]| ChannelNoise { grain: c[0].exp(), sensor: c[1].exp(), phi: logistic(c[2]) };
         let (own, shared) = p.split_at(3 * channels);

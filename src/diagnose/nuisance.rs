@@ -5,7 +5,7 @@
 //! Nuisances that all trials share are here; those that each trial has of its own (offset, drift, surface, strength
 //! of its bed) are noise of low rank whose size is learnt from the repetitions ([`super::shared`]).
 
-use super::fit::Column;
+use super::fit::Stack;
 use crate::error::{Error, Result, check_range};
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -20,10 +20,10 @@ pub struct Nuisance {
     /// Prior standard deviation [unit].
     pub sd: f64,
     /// Change of the data by one standard deviation.
-    pub column: Column,
+    pub column: Stack,
     /// For a nuisance with a nonlinear effect, such as a filter: the effect at the value at which `column` was
     /// computed, minus `column` times this value.
-    pub bend: Option<Column>,
+    pub bend: Option<Stack>,
 }
 
 impl Nuisance {
@@ -88,7 +88,7 @@ impl Default for Priors {
 /// The table as it is in the file.
 #[derive(Deserialize)]
 #[serde(untagged)]
-pub enum Entry {
+pub enum PriorEntry {
     Sd(f64),
     Interest(Vec<String>),
 }
@@ -110,15 +110,15 @@ pub fn stated(nuisances: &[Nuisance], mechanism: &str) -> Option<f64> {
 }
 
 impl Priors {
-    pub fn from_table(table: &BTreeMap<String, Entry>) -> Result<Self> {
+    pub fn from_table(table: &BTreeMap<String, PriorEntry>) -> Result<Self> {
         let mut priors = Self::default();
         let known: Vec<&str> = KINDS.iter().map(|k| k.0).chain(["interest"]).collect();
         for (name, entry) in table {
             match (entry, KINDS.iter().find(|k| k.0 == name)) {
-                (Entry::Sd(sd), Some((id, ..))) => {
+                (PriorEntry::Sd(sd), Some((id, ..))) => {
                     priors.sd.insert(id, check_range(&format!("nuisances.{name}"), *sd, 0.0..=1e3)?);
                 }
-                (Entry::Interest(ids), None) if name == "interest" => priors.interest = ids.clone(),
+                (PriorEntry::Interest(ids), None) if name == "interest" => priors.interest = ids.clone(),
                 (_, None) if name != "interest" => return Err(Error::unknown("nuisance", name, &known)),
                 _ => return Err(Error::invalid("nuisances", format!("{name} has the wrong type"))),
             }

@@ -1,16 +1,23 @@
 //! Measured numbers in one stack, independent of how they were measured: the input of the statistics.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::ops::Range;
 
 /// A measured quantity.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Channel {
-    pub name: &'static str,
+    pub name: Cow<'static, str>,
     pub unit: &'static str,
     /// Does it count in the held-out error [unit of the channel]? Torque does not, because its unit differs from
     /// force.
     pub in_rmse: bool,
+}
+
+impl Channel {
+    pub const fn new(name: &'static str, unit: &'static str, in_rmse: bool) -> Self {
+        Self { name: Cow::Borrowed(name), unit, in_rmse }
+    }
 }
 
 /// One trial or run: the unit of cross-validation and of repetition.
@@ -58,6 +65,13 @@ impl Observations {
     /// All numbers of a unit in a stack.
     pub fn span(&self, unit: &Unit) -> Range<usize> {
         unit.start..unit.start + unit.samples * self.channels.len()
+    }
+
+    /// A stack of f(unit, channel, sample).
+    pub fn stack(&self, f: impl Fn(usize, usize, usize) -> f64) -> Vec<f64> {
+        let channels = self.channels.len();
+        let of = |u: usize| (0..channels).flat_map(move |c| (0..self.units[u].samples).map(move |i| (u, c, i)));
+        (0..self.units.len()).flat_map(of).map(|(u, c, i)| f(u, c, i)).collect()
     }
 
     /// Units of each condition, in order.

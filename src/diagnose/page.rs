@@ -133,16 +133,20 @@ fn next(html: &mut String, r: &Report) {
         Verdict::Described => {
             "Simulate with <code>sand.toml</code>, within the range of validity below. Its law describes these data and names no cause."
         }
-        Verdict::NoneOfThese if r.written != Written::Plain => {
-            "Look at <i>Errors of the plain model</i>: where the error is large, an effect acts that is not in the list of causes. \
-             <code>sand.toml</code> predicts left-out conditions better, but as a stand-in for that effect."
-        }
         Verdict::NoneOfThese => {
             "Look at <i>Errors of the plain model</i>: where the error is large, an effect acts that is not in the list of causes."
         }
         Verdict::InsufficientData => "Repeat each condition at least twice, better three times.",
     };
-    let _ = write!(html, "<div class=next><p><b>What to do next.</b> {what}</p>");
+    let stand_in = match r.gain.reduction {
+        _ if r.verdict != Verdict::NoneOfThese || r.written == Written::Plain => "",
+        Some(reduction) if reduction < 0.0 => {
+            " Do not simulate with <code>sand.toml</code>: its stand-in gives left-out conditions a higher density, but its error there \
+             is larger than that of the plain model."
+        }
+        _ => " <code>sand.toml</code> predicts left-out conditions better, but as a stand-in for that effect.",
+    };
+    let _ = write!(html, "<div class=next><p><b>What to do next.</b> {what}{stand_in}</p>");
     if let Some(next) = &r.next_experiment {
         let _ = write!(html, "<p>{}:</p><ul>", escape(&capital(&next.why)));
         for p in &next.conditions {
@@ -177,7 +181,7 @@ fn found(html: &mut String, r: &Report) {
         let entry = CATALOG.iter().find(|m| m.id == c.id);
         let _ = write!(
             html,
-            "<p><b>{}</b>: {} = {}{}, 95 % interval {} to {}{}.<br>{}.<br><span class=small>Source: {}</span></p>",
+            "<p><b>{}</b>: {} = {}{}, 95 % interval {} to {}{}.<br>{}.<br><span class=small>NoiseData: {}</span></p>",
             c.id,
             entry.map_or("value", |m| m.symbol),
             digits(c.value),

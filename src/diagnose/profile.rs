@@ -7,7 +7,7 @@
 //! tolerance.
 
 use super::fit::Fit;
-use super::study::Study;
+use super::study::FitInputs;
 use crate::sand::mechanism::CATALOG;
 use nalgebra::{DMatrix, DVector};
 
@@ -22,7 +22,7 @@ const LOWER: f64 = 0.25;
 
 /// The lowest point in scans of each value about `fit`, and the first and last coordinate of each value at which
 /// the objective is within `allowed` of it.
-pub fn explore(study: &Study, fit: &Fit, allowed: f64) -> (Fit, Vec<[f64; 2]>) {
+pub fn explore(study: &FitInputs, fit: &Fit, allowed: f64) -> (Fit, Vec<[f64; 2]>) {
     let mut best = fit.clone();
     let mut round = 1;
     loop {
@@ -67,13 +67,13 @@ fn within(scan: &[(f64, f64)], least: f64, allowed: f64) -> [f64; 2] {
 
 /// Fits with value `k` fixed at several points about that of `fit`. The other values first change as the slopes at
 /// `fit` predict, and then by a Gauss-Newton step from the residual, if that helps.
-fn scan(study: &Study, fit: &Fit, k: usize) -> Vec<Fit> {
+fn scan(study: &FitInputs, fit: &Fit, k: usize) -> Vec<Fit> {
     let (at, bounds) = (fit.coordinates()[k], CATALOG[fit.ids[k]].coordinate_bounds());
-    let sd = fit.covariance()[(k, k)].sqrt();
+    let sd = study.covariance(fit)[(k, k)].sqrt();
     let places = STEPS.iter().rev().map(|s| -s).chain(STEPS).map(|s| (at + s * sd).clamp(bounds[0], bounds[1]));
     let mut places: Vec<f64> = places.filter(|p| p.is_finite() && *p != at).collect();
     places.dedup();
-    let (information, _) = fit.normal_equations();
+    let information = study.normal_equations(fit).information;
     let others: Vec<usize> = (0..information.nrows()).filter(|&i| i != k).collect();
     let block = DMatrix::from_fn(others.len(), others.len(), |i, j| information[(others[i], others[j])]);
     let Some(inverse) = block.try_inverse() else { return Vec::new() };
@@ -81,7 +81,7 @@ fn scan(study: &Study, fit: &Fit, k: usize) -> Vec<Fit> {
     let first = places.iter().map(|place| (fit, whole(&others, &(&inverse * &cross * (at - place)), k, place - at)));
     let moved = study.moved_by(&first.collect::<Vec<_>>());
     let again = moved.iter().map(|there| {
-        let (_, score) = there.normal_equations();
+        let score = study.normal_equations(there).score;
         let step = &inverse * DVector::from_fn(others.len(), |i, _| score[others[i]]);
         (there, whole(&others, &step, k, 0.0))
     });

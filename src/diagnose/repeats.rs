@@ -1,8 +1,8 @@
 //! Matches the repetitions of a condition; only noise can cause their differences.
 
-use super::noise::Source;
+use super::noise::NoiseData;
 use super::observations::{Observations, Unit};
-use super::shared::Shared;
+use super::shared::SharedNoise;
 
 /// Repetitions of one condition, matched by progress.
 pub struct Repeats {
@@ -10,14 +10,14 @@ pub struct Repeats {
     pub sizes: Vec<Vec<f64>>,
     /// Progress of the matched samples.
     pub progress: Vec<f64>,
-    /// Directions of noise that a repetition's numbers share: index in [`Source::shared`], and the direction channel by
+    /// Directions of noise that a repetition's numbers share: index in [`super::shared::Uncertainty::shared`], and the direction channel by
     /// channel.
     pub shared: Vec<(usize, Vec<Vec<f64>>)>,
     /// Orthonormal differences of the residuals, each channel by channel.
     pub differences: Vec<Vec<Vec<f64>>>,
 }
 
-impl Source<'_> {
+impl NoiseData<'_> {
     /// The repetitions of every condition that has repetitions and is not left out.
     pub fn repeats(&self) -> Vec<Repeats> {
         let groups = self.observations.repetitions();
@@ -60,14 +60,14 @@ impl Source<'_> {
     /// Directions in the `kept` samples of unit `u`.
     fn directions(&self, u: usize, kept: &[usize]) -> Vec<(usize, Vec<Vec<f64>>)> {
         let unit = &self.observations.units[u];
-        let of = |(family, shared): (usize, &'_ Shared)| {
+        let of = |(family, shared): (usize, &'_ SharedNoise)| {
             let own = |stack: &Vec<f64>| {
                 let channel = |c: usize| kept.iter().map(|&i| stack[unit.block(c).start + i]).collect();
                 (family, (0..self.observations.channels.len()).map(channel).collect())
             };
             shared.stacks.iter().map(own).collect::<Vec<_>>()
         };
-        self.shared.iter().enumerate().flat_map(of).collect()
+        self.uncertainty.shared.iter().enumerate().flat_map(of).collect()
     }
 }
 

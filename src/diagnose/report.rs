@@ -62,7 +62,7 @@ pub struct LackOfFit {
 }
 
 /// The gain of the extension on held-out conditions.
-#[derive(Clone, Debug, Serialize, PartialEq)]
+#[derive(Clone, Debug, Default, Serialize, PartialEq)]
 pub struct Gain {
     /// Error of the simulation without changes [N].
     pub held_out_rmse_plain: Option<f64>,

@@ -20,12 +20,12 @@ pub fn is_linear(m: &Mechanisms) -> bool {
 }
 
 /// The prediction with given mechanisms as a linear function of the coefficients.
-pub struct Response {
+pub struct CoefficientResponse {
     rest: Vec<f64>,
     by: Vec<Vec<f64>>,
 }
 
-impl Response {
+impl CoefficientResponse {
     /// Computes the response from predictions in several sands.
     pub fn new(predict: impl Fn([Coefficients; COEFFICIENTS + 1]) -> Vec<Vec<f64>>) -> Self {
         let state = |k: usize| {
@@ -52,7 +52,7 @@ impl Response {
 
 /// The last responses. A clone has none, because its model may be changed.
 #[derive(Default)]
-pub struct Responses(Mutex<Vec<(Mechanisms, Arc<Response>)>>);
+pub struct Responses(Mutex<Vec<(Mechanisms, Arc<CoefficientResponse>)>>);
 
 impl Clone for Responses {
     fn clone(&self) -> Self {
@@ -61,14 +61,14 @@ impl Clone for Responses {
 }
 
 impl Responses {
-    pub fn known(&self, m: &Mechanisms) -> Option<Arc<Response>> {
+    pub fn known(&self, m: &Mechanisms) -> Option<Arc<CoefficientResponse>> {
         let known = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         known.iter().find(|k| k.0 == *m).map(|k| k.1.clone())
     }
 
     /// The response for `m`, computed if it is not known. Other threads wait meanwhile, because they usually need
     /// the same one.
-    pub fn of(&self, m: &Mechanisms, make: impl FnOnce() -> Response) -> Arc<Response> {
+    pub fn of(&self, m: &Mechanisms, make: impl FnOnce() -> CoefficientResponse) -> Arc<CoefficientResponse> {
         let mut known = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, response)) = known.iter().find(|k| k.0 == *m) {
             return response.clone();

@@ -1,8 +1,8 @@
 //! The linear effect of every candidate on the data: where fits begin, and which pairs are worth a fit.
 
-use super::fit::{Column, slope};
+use super::fit::{Stack, slope};
 use super::shared::gram;
-use super::study::Study;
+use super::study::FitInputs;
 use super::whiten::Whitener;
 use crate::number::dot;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
@@ -20,7 +20,7 @@ pub struct Screen {
     /// For each candidate its catalogue index, and the value at which its column was computed.
     pub candidates: Vec<(usize, f64)>,
     columns: Vec<Vec<f64>>,
-    marginal_columns: Vec<Column>,
+    marginal_columns: Vec<Stack>,
     plain: Vec<f64>,
 }
 
@@ -32,7 +32,7 @@ pub struct Scores {
 
 impl Screen {
     /// Columns at the state of `fit`, for the candidates that it does not contain.
-    pub fn new(study: &Study, candidates: &[usize]) -> Self {
+    pub fn new(study: &FitInputs, candidates: &[usize]) -> Self {
         let plain = study.model.predict(&Mechanisms::default(), &study.model.medium().coefficients);
         let tried = candidates.iter().flat_map(|&id| starts(study, id).into_iter().map(move |value| (id, value)));
         let tried: Vec<_> = tried.collect();
@@ -43,7 +43,7 @@ impl Screen {
             slope(&moved, &plain, CATALOG[id].coordinate(value) / CATALOG[id].coordinate_typical())
         };
         let columns = tried.iter().zip(moved).map(column).collect();
-        Self { candidates: tried, columns, marginal_columns: study.marginal_slopes(), plain }
+        Self { candidates: tried, columns, marginal_columns: study.marginal_slopes[0].clone(), plain }
     }
 
     /// Scores of a stack of measured values.
@@ -94,7 +94,7 @@ impl Screen {
 const CEILINGS: usize = 7;
 
 /// Start values of a mechanism's fit; more than one if its effect is far from proportional.
-pub fn starts(study: &Study, id: usize) -> Vec<f64> {
+pub fn starts(study: &FitInputs, id: usize) -> Vec<f64> {
     let entry = &CATALOG[id];
     match entry.id {
         "friction_clip" => vec![0.5, 2.0, 5.0],

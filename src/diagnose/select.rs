@@ -1,18 +1,18 @@
 //! Selects the cause: fits the candidates, compares them by one table of evidence, and measures the gain of what is
 //! written.
 
-use super::candidates::{Asked, Candidates, SECOND, candidates};
-use super::errors::Errors;
-use super::evidence::{LEAST, Table};
+use super::candidates::{Candidates, SECOND, SearchSpace, candidates};
+use super::errors::SquaredErrors;
+use super::evidence::{EvidenceTable, LEAST};
 use super::fit::Fit;
 use super::gauss_newton::MOST_DEVIATION;
-use super::laws::{Law, fitted, laws};
-use super::left_out::{Laws, Model, held_out};
-use super::noise::Source;
+use super::laws::{FittedLaw, fitted, laws};
+use super::left_out::{Contender, Laws, held_out};
+use super::noise::NoiseData;
 use super::nuisance::stated;
 use super::profile;
-use super::study::Study;
-use super::verdict::{Entry, Ruling, Verdict, Written, verdict};
+use super::study::FitInputs;
+use super::verdict::{Compared, Ruling, Verdict, Written, verdict};
 use super::whiten::Whitener;
 use crate::error::Result;
 use crate::parallel;
@@ -33,23 +33,23 @@ pub struct Selection {
     pub candidates: Candidates,
     /// The models of the table, as indices of `candidates.fits`; None for the plain model and for a law alone.
     pub places: Vec<Option<usize>>,
-    pub table: Table,
-    pub entries: Vec<Entry>,
+    pub table: EvidenceTable,
+    pub entries: Vec<Compared>,
     pub ruling: Ruling,
     /// The fit of the model that is written, or of the plain one, under the scale of its errors.
     pub standing: Fit,
     /// The whitening under that scale.
     pub whitener: Whitener,
     /// The law that is written.
-    pub law: Option<Law>,
+    pub law: Option<FittedLaw>,
     /// Formula of the law of each entry of the table that has one.
     pub formulas: Vec<Option<String>>,
     /// 95 % intervals of the coordinates of the best cause, and the correlations of its values.
     pub intervals: Intervals,
     /// Held-out errors of the fitted plain model, and of what is written, chosen anew in each fold.
-    pub nested: [Errors; 2],
+    pub nested: [SquaredErrors; 2],
     /// Errors of the plain model, of which nothing is fitted.
-    pub plain: Errors,
+    pub plain: SquaredErrors,
 }
 
 /// Uncertainty of a fit's values.
@@ -83,7 +83,7 @@ impl Selection {
 
 /// Runs the whole selection. Effects of the sensor are nuisances, which are marginalised. Only if the plain model with
 /// nuisances leaves nothing, mechanisms of the sensor are tried instead of nuisances; they must predict as well.
-pub fn select(study: &Study, asked: &Asked, progress: &dyn Progress) -> Result<Selection> {
+pub fn select(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -> Result<Selection> {
     let marginalised = |id: &usize| {
         let entry = &CATALOG[*id];
         entry.side == Side::Sensor && !asked.interest.iter().any(|own| own == entry.id)
@@ -97,11 +97,12 @@ pub fn select(study: &Study, asked: &Asked, progress: &dyn Progress) -> Result<S
     // All are compared under the noise of the first: with nuisances and without.
     // Their nuisances differ, so what is stated of them does not count.
     let conditions = study.observations.conditions.len();
-    let measured = |table: &Table| table.rows[0].elpd[..conditions].iter().sum::<f64>();
+    let measured = |table: &EvidenceTable| table.rows[0].elpd[..conditions].iter().sum::<f64>();
     let with = measured(&selection.table);
     let bare = study.under(&selection.candidates.around.whitener, Vec::new());
     let all: Vec<usize> = (0..conditions).collect();
-    let elpd = |fit: Fit| measured(&Table::new(&bare, bare.whitener, &[Model { fit: &fit, laws: None }], &all));
+    let elpd =
+        |fit: Fit| measured(&EvidenceTable::new(&bare, bare.whitener, &[Contender { fit: &fit, laws: None }], &all));
     if with - elpd(bare.recalibrated()) < 2.0 * LEAST {
         return Ok(selection);
     }
@@ -111,7 +112,7 @@ pub fn select(study: &Study, asked: &Asked, progress: &dyn Progress) -> Result<S
 }
 
 /// Fits and compares once.
-fn attempt(study: &Study, asked: &Asked, unnamed: &[usize], progress: &dyn Progress) -> Result<Selection> {
+fn attempt(study: &FitInputs, asked: &SearchSpace, unnamed: &[usize], progress: &dyn Progress) -> Result<Selection> {
     let report = |done: f64, stage: &str| progress.report(done, stage);
     let mut candidates = candidates(study, asked, unnamed, &report)?;
     progress.report(0.8, "laws in the data")?;
@@ -129,9 +130,9 @@ fn attempt(study: &Study, asked: &Asked, unnamed: &[usize], progress: &dyn Progr
 /// of the sensor are no explanations beside it, because it contains them; then all are compared without them. A law that sand cannot follow, once it is fitted with everything else, is taken
 /// out of the dictionary, and all are compared again.
 fn judged(
-    study: &Study,
-    renewed: &Study,
-    asked: &Asked,
+    study: &FitInputs,
+    renewed: &FitInputs,
+    asked: &SearchSpace,
     unnamed: &[usize],
     mut candidates: Candidates,
     mut dictionary: [Option<Laws>; 2],
@@ -141,7 +142,7 @@ fn judged(
     let marginalised = |id: &usize| unnamed.contains(id) && !asked.untestable.contains(id);
     loop {
         let models = models(&candidates, dictionary.each_ref().map(Option::as_ref));
-        let table = Table::new(renewed, renewed.whitener, &models, &all);
+        let table = EvidenceTable::new(renewed, renewed.whitener, &models, &all);
         let entries = entries(renewed, &table, &models, unnamed, asked.untestable);
         let ruling = verdict(&entries, SECOND);
         let measured = |&k: &usize| models[k].fit.ids.iter().any(marginalised);
@@ -167,14 +168,14 @@ fn judged(
         }
         let nested = nested(renewed, asked, &candidates, (&models, unnamed), &ruling);
         let formulas = (0..models.len()).map(|k| law_of(&table, &models, k).map(|t| t.formula())).collect();
-        let of = |m: &Model| candidates.fits.iter().position(|f| std::ptr::eq(f, m.fit));
+        let of = |m: &Contender| candidates.fits.iter().position(|f| std::ptr::eq(f, m.fit));
         let places: Vec<Option<usize>> = models.iter().map(of).collect();
         let best = ruling.set.first().or((ruling.model > 0).then_some(&ruling.model)).copied();
         let standing = law.as_ref().map_or(fit, |law| law.fit.clone());
         let profiled = profiled.filter(|_| best.is_some_and(|k| places[k] == candidates.leading));
-        let intervals = best.map_or(Intervals::default(), |k| intervals(&standing, &table, k, profiled));
+        let intervals = best.map_or(Intervals::default(), |k| intervals(&last, &standing, &table, k, profiled));
         let plain = study.plain();
-        let plain = Errors::of(study.observations, |k| plain.prediction[k], &all);
+        let plain = SquaredErrors::of(study.observations, |k| plain.prediction[k], &all);
         return Selection {
             candidates,
             places,
@@ -193,24 +194,30 @@ fn judged(
 }
 
 /// The models of the table: the plain one, all fits, a law alone, and a law beside the leading cause.
-fn models<'a>(candidates: &'a Candidates, [alone, beside]: [Option<&'a Laws>; 2]) -> Vec<Model<'a>> {
+fn models<'a>(candidates: &'a Candidates, [alone, beside]: [Option<&'a Laws>; 2]) -> Vec<Contender<'a>> {
     let fits = [&candidates.base].into_iter().chain(&candidates.fits);
-    let mut models: Vec<Model> = fits.map(|fit| Model { fit, laws: None }).collect();
-    models.extend(alone.map(|laws| Model { fit: &candidates.base, laws: Some(laws) }));
+    let mut models: Vec<Contender> = fits.map(|fit| Contender { fit, laws: None }).collect();
+    models.extend(alone.map(|laws| Contender { fit: &candidates.base, laws: Some(laws) }));
     let leading = candidates.leading.map(|k| &candidates.fits[k]);
-    models.extend(leading.zip(beside).map(|(fit, laws)| Model { fit, laws: Some(laws) }));
+    models.extend(leading.zip(beside).map(|(fit, laws)| Contender { fit, laws: Some(laws) }));
     models
 }
 
 /// The law that entry `k` chose with no condition left out, with the coefficient of the linear fit.
-fn law_of(table: &Table, models: &[Model], k: usize) -> Option<Term> {
+fn law_of(table: &EvidenceTable, models: &[Contender], k: usize) -> Option<Term> {
     let row = &table.rows[k];
     let coefficient = *row.step.last()?;
     models[k].laws.zip(row.law).map(|(laws, l)| Term { coefficient, ..laws.terms[l].clone() })
 }
 
 /// The entries of a table, for the verdict.
-fn entries(study: &Study, table: &Table, models: &[Model], unnamed: &[usize], untestable: &[usize]) -> Vec<Entry> {
+fn entries(
+    study: &FitInputs,
+    table: &EvidenceTable,
+    models: &[Contender],
+    unnamed: &[usize],
+    untestable: &[usize],
+) -> Vec<Compared> {
     let unlikely = |(&id, value): (&usize, f64)| {
         stated(&study.nuisances, CATALOG[id].id).is_some_and(|sd| value.abs() > MOST_DEVIATION * sd)
     };
@@ -222,7 +229,7 @@ fn entries(study: &Study, table: &Table, models: &[Model], unnamed: &[usize], un
             _ => false,
         };
         let inside = |j: &usize| models[*j].laws.is_none() && *j != k && models[*j].fit.ids == *ids;
-        Entry {
+        Compared {
             causes: ids.len(),
             law: models[k].laws.is_some_and(|_| table.rows[k].law.is_some()),
             unnamed: ids.iter().any(|id| unnamed.contains(id)),
@@ -241,7 +248,7 @@ fn entries(study: &Study, table: &Table, models: &[Model], unnamed: &[usize], un
 
 /// For models whose slopes are not reliable: moves the leading fit to the lowest state about it. Returns the intervals
 /// of its values.
-fn explored(study: &Study, candidates: &mut Candidates) -> Option<Vec<[f64; 2]>> {
+fn explored(study: &FitInputs, candidates: &mut Candidates) -> Option<Vec<[f64; 2]>> {
     let leading = candidates.leading.filter(|_| study.model.roughness().is_some())?;
     let free = study.observations.repetitions().iter().map(|g| g.len() as f64 - 1.0).sum::<f64>();
     let (lowest, intervals) = profile::explore(study, &candidates.fits[leading], student::square_at_95(free.max(2.0)));
@@ -253,8 +260,14 @@ fn explored(study: &Study, candidates: &mut Candidates) -> Option<Vec<[f64; 2]>>
 
 /// 95 % intervals, widened because the noise is only estimated. If misfit remains, the interval is at least as wide as
 /// the scatter of the values with one condition left out says (jackknife, Efron 1982).
-fn intervals(fit: &Fit, table: &Table, entry: usize, profiled: Option<Vec<[f64; 2]>>) -> Intervals {
-    let (count, covariance) = (fit.ids.len(), fit.covariance());
+fn intervals(
+    study: &FitInputs,
+    fit: &Fit,
+    table: &EvidenceTable,
+    entry: usize,
+    profiled: Option<Vec<[f64; 2]>>,
+) -> Intervals {
+    let (count, covariance) = (fit.ids.len(), study.covariance(fit));
     let lacking = table.lack(entry) > table.limit;
     let row = &table.rows[entry];
     let n = row.steps.len() as f64;
@@ -284,27 +297,27 @@ fn intervals(fit: &Fit, table: &Table, entry: usize, profiled: Option<Vec<[f64; 
 /// whitened, and the model to write is chosen without the held-out conditions. Values change by one Gauss-Newton step
 /// from the full fits, which is exact for a linear model.
 fn nested(
-    study: &Study,
-    asked: &Asked,
+    study: &FitInputs,
+    asked: &SearchSpace,
     candidates: &Candidates,
-    (models, unnamed): (&[Model], &[usize]),
+    (models, unnamed): (&[Contender], &[usize]),
     ruling: &Ruling,
-) -> [Errors; 2] {
+) -> [SquaredErrors; 2] {
     let conditions = study.observations.conditions.len();
     let folds = folds(conditions);
     let made = parallel::map(&folds, |held| {
-        let source = Source { left_out: held, sizes: &candidates.around.sizes, ..*asked.source };
+        let source = NoiseData { left_out: held, sizes: &candidates.around.sizes, ..*asked.source };
         let noise = source.noise(Some(&candidates.around.noise), &|| study.model.stopped());
         let whitener = Whitener::new(&source, &noise);
         let rest: Vec<usize> = (0..conditions).filter(|k| !held.contains(k)).collect();
-        let table = Table::new(study, &whitener, models, &rest);
+        let table = EvidenceTable::new(study, &whitener, models, &rest);
         let chosen = match ruling.written {
             Written::Plain => 0,
             _ => verdict(&entries(study, &table, models, unnamed, asked.untestable), SECOND).model,
         };
         [0, chosen].map(|k| held_out(study, &models[k], table.rows[k].law, &table.rows[k].step, held))
     });
-    let mut total = [(); 2].map(|()| Errors { square: vec![0.0; conditions], count: vec![0.0; conditions] });
+    let mut total = [(); 2].map(|()| SquaredErrors { square: vec![0.0; conditions], count: vec![0.0; conditions] });
     for (held, parts) in folds.iter().zip(made) {
         for (total, part) in total.iter_mut().zip(parts) {
             for (place, &condition) in held.iter().enumerate() {

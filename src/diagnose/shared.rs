@@ -10,7 +10,7 @@ use std::ops::Range;
 
 /// Directions with a common standard deviation, which is learnt from the repetitions.
 #[derive(Clone, Debug)]
-pub struct Shared {
+pub struct SharedNoise {
     pub name: &'static str,
     pub unit: &'static str,
     /// Standard deviation from which the search starts.
@@ -21,7 +21,25 @@ pub struct Shared {
     pub stacks: Vec<Vec<f64>>,
 }
 
-impl Shared {
+/// What makes repetitions differ, and what makes a model err, at one prediction.
+#[derive(Clone, Debug, Default)]
+pub struct Uncertainty {
+    /// Noise that all numbers of a repetition share.
+    pub shared: Vec<SharedNoise>,
+    /// Errors of the model that are the same for all repetitions of a condition, as vectors of one standard deviation
+    /// each.
+    pub common: Vec<Vec<f64>>,
+    /// Standard deviation of the model's error at each number, independent between numbers and equal in all repetitions;
+    /// empty if it is not known.
+    pub own: Vec<f64>,
+}
+
+impl SharedNoise {
+    /// One direction.
+    pub fn one(name: &'static str, unit: &'static str, guess: f64, optional: bool, stack: Vec<f64>) -> Self {
+        Self { name, unit, guess, optional, stacks: vec![stack] }
+    }
+
     /// The directions in one unit, whose numbers are at `span` of a stack.
     pub fn vectors(&self, span: Range<usize>) -> impl Iterator<Item = &[f64]> {
         self.stacks.iter().map(move |s| &s[span.clone()])

@@ -4,7 +4,7 @@
 //! × 0.6 cm). So the sides have no stress of their own. They only add the inertia of the sand that they push away, as
 //! the faces of a solid body do in engine `tree`.
 
-use super::track::Place;
+use super::track::RigidMotion;
 use crate::sand::intrusion::Load;
 use crate::sand::mechanism_laws::slope_depth;
 use crate::sand::shape::Segment;
@@ -16,7 +16,7 @@ pub fn sides(length: f64, width: f64, thickness: f64) -> Vec<Segment> {
 }
 
 /// Load on the submerged sides that lead: `pressure` of their normal speed, on a surface that rises by `slope` [rad].
-pub fn leading_sides(sides: &[Segment], place: Place, slope: f64, pressure: impl Fn(f64) -> f64) -> Load {
+pub fn leading_sides(sides: &[Segment], place: RigidMotion, slope: f64, pressure: impl Fn(f64) -> f64) -> Load {
     let (sin, cos) = place.turn;
     let turn = |[x, z]: [f64; 2]| [x * cos - z * sin, x * sin + z * cos];
     let mut load = Load::default();
@@ -36,8 +36,8 @@ pub fn leading_sides(sides: &[Segment], place: Place, slope: f64, pressure: impl
 #[cfg(test)]
 mod tests {
     use super::super::experiment::Intruder;
-    use super::super::forward::ForceLogModel;
-    use super::super::track::{Pose, Track};
+    use super::super::force_model::ForceLogModel;
+    use super::super::track::{ArmPose, Track};
     use crate::sand::mechanism::Mechanisms;
     use crate::sand::{Medium, SandDescription};
 
@@ -47,7 +47,7 @@ mod tests {
     fn drag_acts_on_the_leading_side_of_a_thick_plate() {
         let drag = |thickness: Option<f64>, way: f64, z: f64| {
             let intruder = Intruder::Plate { length: 0.038, width: 0.025, thickness };
-            let pose = |t: f64| Pose { t, center: [way * t, z], velocity: [way, 0.0], ..Pose::default() };
+            let pose = |t: f64| ArmPose { t, center: [way * t, z], velocity: [way, 0.0], ..ArmPose::default() };
             let load = |inertial_drag: f64| {
                 let mut sand = SandDescription::plain(&Medium::named("poppy-loose").unwrap());
                 sand.bulk_density = 640.0;

@@ -3,10 +3,10 @@
 //! The stress ρ v^q of the speed alone is the term of groups (v_n²/(g|z|))^(q/2) (|z|/w)^(q/2 − 1). Each power is a model
 //! of its own in a table of evidence.
 
-use super::evidence::Table;
-use super::left_out::{Laws, Model};
+use super::evidence::EvidenceTable;
+use super::left_out::{Contender, Laws};
 use super::select::Selection;
-use super::study::Study;
+use super::study::FitInputs;
 use super::words::digits;
 use crate::sand::mechanism::CATALOG;
 use crate::sand::term::On;
@@ -45,7 +45,7 @@ impl SpeedExponent {
 
 /// Compares the powers of the speed in the best cause's law; None if it has none, or if laws cannot be tested with these
 /// data.
-pub fn form(study: &Study, selection: &Selection, laws: &Laws) -> Option<SpeedExponent> {
+pub fn form(study: &FitInputs, selection: &Selection, laws: &Laws) -> Option<SpeedExponent> {
     let best = selection.best().filter(|b| b.ids.len() == 1)?;
     let (id, law) = (CATALOG[best.ids[0]].id, CATALOG[best.ids[0]].exponent?);
     let power = |k: &usize| {
@@ -60,10 +60,10 @@ pub fn form(study: &Study, selection: &Selection, laws: &Laws) -> Option<SpeedEx
             power(&k).map(|q| (q, Laws { terms: vec![laws.terms[k].clone()], columns: vec![laws.columns[k].clone()] }))
         })
         .collect();
-    let models: Vec<Model> =
-        each.iter().map(|(_, laws)| Model { fit: &selection.candidates.base, laws: Some(laws) }).collect();
+    let models: Vec<Contender> =
+        each.iter().map(|(_, laws)| Contender { fit: &selection.candidates.base, laws: Some(laws) }).collect();
     let all: Vec<usize> = (0..study.observations.conditions.len()).collect();
-    let table = Table::new(study, study.whitener, &models, &all);
+    let table = EvidenceTable::new(study, study.whitener, &models, &all);
     let top = (0..models.len()).max_by(|a, b| table.elpd(*a).total_cmp(&table.elpd(*b)))?;
     let stay: Vec<f64> = (0..models.len()).filter(|&k| !table.beats(top, k)).map(|k| each[k].0).collect();
     let ci95 = [stay.iter().copied().fold(f64::MAX, f64::min), stay.iter().copied().fold(f64::MIN, f64::max)];

@@ -1,7 +1,7 @@
 //! Data, model, noise and nuisances: the inputs of a fit.
 
-use super::fit::{COEFFICIENTS, Column, Fit, slope};
-use super::forward::ForwardModel;
+use super::fit::{COEFFICIENTS, Fit, Stack, slope};
+use super::forward::{ForwardModel, SandParameters};
 use super::nuisance::Nuisance;
 use super::observations::Observations;
 use super::whiten::Whitener;
@@ -9,14 +9,13 @@ use crate::number::dot;
 use crate::parallel;
 use crate::sand::Coefficients;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
-use std::sync::Arc;
 
 /// Step of numerical slopes of a smooth model, in typical strengths: our choice; the laws are computed in double
 /// precision.
 const SMOOTH_STEP: f64 = 0.02;
 
 /// Data, model and noise: the inputs of a fit.
-pub struct Study<'a> {
+pub struct FitInputs<'a> {
     pub observations: &'a Observations,
     pub model: &'a dyn ForwardModel,
     pub whitener: &'a Whitener,
@@ -26,12 +25,12 @@ pub struct Study<'a> {
     pub nuisances: Vec<Nuisance>,
     /// Derivatives of the plain model's prediction by the coefficients and the nuisances: not whitened, and whitened.
     /// They are accurate enough for the steps of a fit.
-    pub marginal_slopes: [Vec<Column>; 2],
+    pub marginal_slopes: [Vec<Stack>; 2],
     /// Step of the numerical slope by each mechanism, in its coordinate.
     pub steps: [f64; Mechanisms::COUNT],
 }
 
-impl<'a> Study<'a> {
+impl<'a> FitInputs<'a> {
     pub fn new(
         observations: &'a Observations,
         model: &'a dyn ForwardModel,
@@ -41,7 +40,7 @@ impl<'a> Study<'a> {
         let steps = CATALOG.map(|entry| SMOOTH_STEP * entry.coordinate_typical());
         let (nuisances, marginal_slopes) = (Vec::new(), [Vec::new(), Vec::new()]);
         let mut study = Self { observations, model, whitener, coefficient_sd, nuisances, marginal_slopes, steps };
-        study.set_nuisances(model.nuisances(&Mechanisms::default(), &model.medium().coefficients, &[]));
+        study.set_nuisances(model.nuisances(&study.plain_sand(), &[]));
         let plain = study.plain();
         if let Some(roughness) = model.roughness() {
             study.find_steps(roughness, &plain.prediction);
@@ -75,13 +74,22 @@ impl<'a> Study<'a> {
     /// Sets `nuisances`, and the slopes that fits marginalise over: by the coefficients at the plain model, then by the nuisances.
     fn set_nuisances(&mut self, nuisances: Vec<Nuisance>) {
         self.nuisances = nuisances;
-        self.marginal_slopes = [self.nuisance_columns(), Vec::new()];
-        self.marginal_slopes[1] =
-            parallel::map(&self.marginal_slopes[0], |column| Arc::new(self.whitener.apply(column)));
+        self.marginal_slopes = [self.nuisances.iter().map(|n| n.column.clone()).collect(), Vec::new()];
+        let whitened = |study: &Self, slopes: &[Stack]| parallel::map(slopes, |s| study.whitened(s));
+        self.marginal_slopes[1] = whitened(self, &self.marginal_slopes[0]);
         let mut plain = vec![self.plain()];
         self.set_coefficient_slopes(&mut plain, &[0]);
-        let plain = plain.swap_remove(0);
-        self.marginal_slopes = [plain.slopes, plain.white_slopes];
+        let white = whitened(self, &plain[0].slopes);
+        self.marginal_slopes = [plain.swap_remove(0).slopes, white];
+    }
+
+    /// The sand of the plain model, and that of a fit.
+    pub fn plain_sand(&self) -> SandParameters {
+        (Mechanisms::default(), self.model.medium().coefficients)
+    }
+
+    pub fn sand(&self, fit: &Fit) -> SandParameters {
+        (fit.mechanisms, self.coefficients(&fit.deviations))
     }
 
     /// Nuisances with a fit's values.
@@ -90,18 +98,9 @@ impl<'a> Study<'a> {
         own.map(|(n, d)| (n.id.clone(), n.sd * d)).collect()
     }
 
-    fn nuisance_columns(&self) -> Vec<Column> {
-        self.nuisances.iter().map(|n| n.column.clone()).collect()
-    }
-
     /// Number of slopes by coefficients and nuisances, which follow those by values.
     pub fn marginals(&self) -> usize {
         COEFFICIENTS + self.nuisances.len()
-    }
-
-    /// Slopes of the plain model's prediction by the deviations of coefficients and nuisances.
-    pub fn marginal_slopes(&self) -> Vec<Column> {
-        self.marginal_slopes[0].clone()
     }
 
     /// A strength of mechanism `id`, in its coordinate, whose effect on the data is reliable: the typical strength, or
@@ -111,14 +110,15 @@ impl<'a> Study<'a> {
     }
 
     /// The same study with another model whose predictions without mechanisms are the same.
-    pub fn with_model<'b>(&'b self, model: &'b dyn ForwardModel) -> Study<'b> {
+    pub fn with_model<'b>(&'b self, model: &'b dyn ForwardModel) -> FitInputs<'b> {
         let (nuisances, marginal_slopes) = (self.nuisances.clone(), self.marginal_slopes.clone());
-        Study { model, nuisances, marginal_slopes, ..*self }
+        FitInputs { model, nuisances, marginal_slopes, ..*self }
     }
 
     /// The same study with another whitening and other nuisances.
     pub fn under(&self, whitener: &'a Whitener, nuisances: Vec<Nuisance>) -> Self {
-        let mut study = Study { whitener, nuisances: Vec::new(), marginal_slopes: [Vec::new(), Vec::new()], ..*self };
+        let mut study =
+            FitInputs { whitener, nuisances: Vec::new(), marginal_slopes: [Vec::new(), Vec::new()], ..*self };
         study.set_nuisances(nuisances);
         if let Some(roughness) = self.model.roughness() {
             study.find_steps(roughness, &study.plain().prediction);
@@ -136,8 +136,7 @@ impl<'a> Study<'a> {
         if self.nuisances.is_empty() {
             return Vec::new();
         }
-        let coefficients = self.coefficients(&fit.deviations);
-        let mut there = self.model.nuisances(&fit.mechanisms, &coefficients, &self.nuisance_values(adjusted));
+        let mut there = self.model.nuisances(&self.sand(fit), &self.nuisance_values(adjusted));
         there.retain(|n| self.nuisances.iter().any(|own| own.id == n.id));
         there
     }

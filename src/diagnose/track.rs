@@ -4,7 +4,7 @@ use super::experiment::Intruder;
 
 /// Pose and motion of an intruder at one sample. Legs use the angle, plates the centre.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Pose {
+pub struct ArmPose {
     /// [s]
     pub t: f64,
     /// [rad] and [rad/s]
@@ -18,7 +18,7 @@ pub struct Pose {
 /// Pose and motion of an intruder, rotated by (sin, cos) counter-clockwise about its origin; velocity and
 /// acceleration are those of the origin.
 #[derive(Clone, Copy)]
-pub struct Place {
+pub struct RigidMotion {
     pub origin: [f64; 2],
     pub turn: (f64, f64),
     pub velocity: [f64; 2],
@@ -43,12 +43,12 @@ pub struct Track {
     pub pass_dx: f64,
     /// Position in the bed [m].
     pub x_bed: f64,
-    pub poses: Vec<Pose>,
+    pub poses: Vec<ArmPose>,
 }
 
 impl Track {
     /// A leg on fresh ground at x = 0.
-    pub fn leg(intruder: Intruder, hip_height: f64, poses: Vec<Pose>) -> Self {
+    pub fn leg(intruder: Intruder, hip_height: f64, poses: Vec<ArmPose>) -> Self {
         let (shape, beta, pass, pass_dx, x_bed) = ("leg".into(), 0.0, 1, 0.0, 0.0);
         Self { shape, intruder, hip_height, beta, pass, pass_dx, x_bed, poses }
     }

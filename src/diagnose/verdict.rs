@@ -40,7 +40,7 @@ pub const MAIN_PART: f64 = 0.5;
 
 /// One model of the table.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Entry {
+pub struct Compared {
     /// Number of its causes.
     pub causes: usize,
     /// Does it contain a law found in the data?
@@ -75,49 +75,68 @@ pub struct Ruling {
     pub set: Vec<usize>,
 }
 
-impl Entry {
+impl Compared {
     /// Share of the misfit that it explains, beside the `plain` entry.
-    pub fn explains(&self, plain: &Entry) -> f64 {
+    pub fn explains(&self, plain: &Compared) -> f64 {
         if self.misfit <= 0.0 { 1.0 } else { 1.0 - self.misfit / plain.misfit.max(1e-9) }
     }
 }
 
 /// The verdict; the first entry of the table is the plain model. `second` is the share of a pair's evidence that its
 /// second cause must add.
-pub fn verdict(table: &[Entry], second: f64) -> Ruling {
+pub fn verdict(table: &[Compared], second: f64) -> Ruling {
     let plain = &table[0];
     let better = |k: &usize| table[*k].beats[0];
     // If one of a kind predicts better than the plain model, the best of its kind stands for it.
-    let best_of = |keep: &dyn Fn(&Entry) -> bool| {
+    let best_of = |keep: &dyn Fn(&Compared) -> bool| {
         let own: Vec<usize> = (1..table.len()).filter(|k| keep(&table[*k])).collect();
         let best = own.iter().copied().max_by(|a, b| table[*a].elpd.total_cmp(&table[*b].elpd));
         best.filter(|_| own.iter().any(better))
     };
-    let single = best_of(&|e| e.causes == 1 && !e.law);
-    let earns = |pair: &usize, single: usize| {
-        let [gain, more] = [single, *pair].map(|k| table[k].elpd - plain.elpd);
-        table[*pair].beats[single] && more - gain > second * more
-    };
-    let pair = best_of(&|e| e.causes == 2 && !e.law).filter(|p| single.is_none_or(|s| earns(p, s)));
+    let size = |k: usize| if table[k].law { 0 } else { table[k].causes };
+    let explanation = leading(table.len(), size, |k| table[k].elpd, |a, b| table[a].beats[b], second);
     let law = best_of(&|e| e.law && e.causes == 0);
     let Some(best) = best_of(&|_| true) else {
         return without_cause(table);
     };
     let main = |k: &usize| table[*k].explains(plain) > MAIN_PART;
-    let cause = pair.or(single).filter(main).filter(|&c| law.is_none_or(|l| !table[l].beats[c]));
+    let cause = explanation.filter(main).filter(|&c| law.is_none_or(|l| !table[l].beats[c]));
     if let Some(cause) = cause {
         return named(table, cause);
     }
-    let law = law.filter(main).filter(|&l| pair.or(single).is_none_or(|c| table[l].elpd >= table[c].elpd));
+    let law = law.filter(main).filter(|&l| explanation.is_none_or(|c| table[l].elpd >= table[c].elpd));
     if let Some(model) = law {
         return Ruling { verdict: Verdict::Described, written: Written::Description, model, set: Vec::new() };
     }
     stand_in(table, best, &|k| table[k].beats[0])
 }
 
+/// The best single cause or pair of `count` entries, the first of which is the plain model: the best of its size, if one
+/// of that size beats the plain model. A pair must also beat the best single cause and add the share `second` of its own
+/// evidence. `size` is the number of causes, 0 for entries that do not count.
+pub fn leading(
+    count: usize,
+    size: impl Fn(usize) -> usize,
+    elpd: impl Fn(usize) -> f64,
+    beats: impl Fn(usize, usize) -> bool,
+    second: f64,
+) -> Option<usize> {
+    let best = |causes: usize| {
+        let own: Vec<usize> = (1..count).filter(|&k| size(k) == causes).collect();
+        let best = own.iter().copied().max_by(|a, b| elpd(*a).total_cmp(&elpd(*b)));
+        best.filter(|_| own.iter().any(|&k| beats(k, 0)))
+    };
+    let single = best(1);
+    let earns = |pair: usize, single: usize| {
+        let [gain, more] = [single, pair].map(|k| elpd(k) - elpd(0));
+        beats(pair, single) && more - gain > second * more
+    };
+    best(2).filter(|&pair| single.is_none_or(|s| earns(pair, s))).or(single)
+}
+
 /// The verdict if no model predicts better beyond twice the standard error. Where the plain model leaves more than noise
 /// may, there is a misfit in any case, and the best stand-in needs less evidence than a cause: one standard error.
-fn without_cause(table: &[Entry]) -> Ruling {
+fn without_cause(table: &[Compared]) -> Ruling {
     if table[0].misfit <= 0.0 {
         return Ruling { verdict: Verdict::NoiseFloor, written: Written::Plain, model: 0, set: Vec::new() };
     }
@@ -130,7 +149,7 @@ fn without_cause(table: &[Entry]) -> Ruling {
 
 /// Models that are `better` than the plain one, and not held for the cause. A stand-in is written for its use: of those
 /// that the best one does not beat it is the one whose sand alone errs least.
-fn stand_in(table: &[Entry], best: usize, better: &dyn Fn(usize) -> bool) -> Ruling {
+fn stand_in(table: &[Compared], best: usize, better: &dyn Fn(usize) -> bool) -> Ruling {
     let as_good = (1..table.len()).filter(|&k| better(k) && !table[best].beats[k]);
     let model = as_good.min_by(|a, b| table[*a].error.total_cmp(&table[*b].error)).unwrap_or(best);
     let written = if table[model].causes > 0 { Written::Proxy } else { Written::Description };
@@ -138,7 +157,7 @@ fn stand_in(table: &[Entry], best: usize, better: &dyn Fn(usize) -> bool) -> Rul
 }
 
 /// The verdict if `cause` explains the main part.
-fn named(table: &[Entry], cause: usize) -> Ruling {
+fn named(table: &[Compared], cause: usize) -> Ruling {
     let of_size = |k: &usize| table[*k].causes == table[cause].causes && !table[*k].law;
     // A rival explains at least half as much, and is not beaten. An effect of measuring is none if it would have to be
     // far larger than what is stated of it.
@@ -174,8 +193,8 @@ mod tests {
     use super::*;
 
     /// A table in which twice the standard error of each difference is 10.
-    fn table(of: &[(usize, bool, f64, f64)]) -> Vec<Entry> {
-        let entry = |&(causes, law, elpd, misfit): &(usize, bool, f64, f64)| Entry {
+    fn table(of: &[(usize, bool, f64, f64)]) -> Vec<Compared> {
+        let entry = |&(causes, law, elpd, misfit): &(usize, bool, f64, f64)| Compared {
             causes,
             law,
             unnamed: false,
@@ -191,7 +210,7 @@ mod tests {
         of.iter().map(entry).collect()
     }
 
-    fn of(table: &[Entry]) -> (Verdict, Written, usize, Vec<usize>) {
+    fn of(table: &[Compared]) -> (Verdict, Written, usize, Vec<usize>) {
         let Ruling { verdict, written, model, set } = verdict(table, 0.01);
         (verdict, written, model, set)
     }

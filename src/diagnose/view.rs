@@ -1,15 +1,15 @@
 //! Converts a diagnosis to a report.
 
-use super::errors::Errors;
+use super::errors::SquaredErrors;
 use super::fit::{COEFFICIENTS, Fit};
-use super::laws::Law;
-use super::noise::{Noise, Source};
+use super::laws::FittedLaw;
+use super::noise::{Noise, NoiseData};
 use super::report::{
     Cause, EvidenceRow, Gain, LackOfFit, NextExperiment, NoiseSummary, NuisanceValue, Remainder, Report, RunMeans,
     TermFound, Tried, Untestable, UpperLimit,
 };
 use super::select::Selection;
-use super::study::Study;
+use super::study::FitInputs;
 use super::summary::summary;
 use super::verdict::{Verdict, Written};
 use super::{laws, misfit, next_experiment, speed_exponent};
@@ -17,25 +17,28 @@ use crate::sand::mechanism::CATALOG;
 use crate::student;
 
 /// The inputs of a report.
-pub struct View<'a> {
-    pub study: &'a Study<'a>,
-    pub source: &'a Source<'a>,
+pub struct ReportView<'a> {
+    pub study: &'a FitInputs<'a>,
+    pub source: &'a NoiseData<'a>,
     pub noise: &'a Noise,
     pub selection: Option<&'a Selection>,
-    pub floor: Errors,
+    pub floor: SquaredErrors,
 }
 
-impl View<'_> {
+impl ReportView<'_> {
     pub fn report(&self, untestable: Vec<Untestable>, data_sha256: String, notes: Vec<String>) -> Report {
         let observations = self.study.observations;
-        let misfit = misfit::misfit(observations, self.study.model, &self.study.plain().prediction);
+        let (model, plain) = (self.study.model, self.study.plain().prediction);
+        let misfit = misfit::misfit(observations, model, &plain, |_| true);
         let significant = self.selection.is_some_and(|s| s.verdict() != Verdict::NoiseFloor);
-        let whereabouts = misfit::whereabouts(observations, self.study.model, &self.study.plain().prediction);
-        let ranges = self.study.model.features().into_iter().map(|f| {
+        let whereabouts = misfit::whereabouts(observations, model, &plain, "the plain model's error");
+        let ranges = model.features().into_iter().map(|f| {
             let all = f.values.iter().flatten().copied();
             (f.name.to_string(), all.fold([f64::MAX, f64::MIN], |r, v| [r[0].min(v), r[1].max(v)]))
         });
         let causes = self.causes();
+        // The noise with the scale of the errors that remain.
+        let renewed = self.selection.map(|s| self.study.under(&s.whitener, s.candidates.around.nuisances.clone()));
         let channels = observations.channels.iter().zip(&self.noise.channels);
         let entry = self.selection.map_or(0, |s| s.ruling.model);
         let mut report = Report {
@@ -58,19 +61,26 @@ impl View<'_> {
                 limit: self.selection.map(|s| s.table.limit),
             },
             gain: self.gain(),
-            nuisances: self.nuisances(),
+            nuisances: renewed.as_ref().map_or(Vec::new(), |study| self.nuisances(study)),
             remainder: self.remainder(),
             terms: self.terms(),
-            upper_limits: self.upper_limits(),
+            upper_limits: renewed.as_ref().map_or(Vec::new(), |study| self.upper_limits(study)),
             degrees_of_freedom: self.selection.map(|s| s.table.degrees),
-            form: self.form(),
+            form: renewed.as_ref().and_then(|study| self.form(study)),
             misfit,
             correlates_with: self.correlates(),
             next_experiment: self.next_experiment(&untestable),
             untestable,
             valid_range: ranges.collect(),
             noise: self.selection.map(|_| NoiseSummary {
-                shared: self.source.shared.iter().zip(&self.noise.shared).map(|(s, sd)| (s.name.into(), *sd)).collect(),
+                shared: self
+                    .source
+                    .uncertainty
+                    .shared
+                    .iter()
+                    .zip(&self.noise.shared)
+                    .map(|(s, sd)| (s.name.into(), *sd))
+                    .collect(),
                 channels: channels.map(|(c, n)| (c.name.to_string(), [n.grain, n.sensor, n.phi])).collect(),
             }),
             notes,
@@ -84,11 +94,6 @@ impl View<'_> {
     /// The selection, if a cause is named.
     fn named(&self) -> Option<&Selection> {
         self.selection.filter(|s| s.ruling.written == Written::Cause)
-    }
-
-    /// The study under the noise with the scale of the errors that remain.
-    fn renewed<'b>(&'b self, selection: &'b Selection) -> Study<'b> {
-        self.study.under(&selection.whitener, selection.candidates.around.nuisances.clone())
     }
 
     fn evidence(&self) -> Vec<EvidenceRow> {
@@ -122,11 +127,10 @@ impl View<'_> {
         warnings
     }
 
-    fn form(&self) -> Option<speed_exponent::SpeedExponent> {
+    fn form(&self, study: &FitInputs) -> Option<speed_exponent::SpeedExponent> {
         let selection = self.named()?;
         crate::sand::mechanism::CATALOG[*selection.best()?.ids.first()?].exponent?;
-        let study = self.renewed(selection);
-        speed_exponent::form(&study, selection, &laws::laws(&study, &selection.candidates.base)?)
+        speed_exponent::form(study, selection, &laws::laws(study, &selection.candidates.base)?)
     }
 
     /// Values with 95 % intervals.
@@ -155,7 +159,7 @@ impl View<'_> {
         let Some(selection) = self.selection else { return Vec::new() };
         let table = &selection.table;
         let reach = student::two_sided_95(table.degrees.max(2.0));
-        let found = |law: &Law| TermFound {
+        let found = |law: &FittedLaw| TermFound {
             formula: law.term.formula(),
             tex: law.term.tex(),
             on: law.term.on.name().into(),
@@ -174,10 +178,11 @@ impl View<'_> {
 
     /// Values of the nuisances that all data share, and standard deviations of those that differ between trials or
     /// beds.
-    fn nuisances(&self) -> Vec<NuisanceValue> {
+    fn nuisances(&self, study: &FitInputs) -> Vec<NuisanceValue> {
         let (Some(selection), Some(fit)) = (self.selection, self.standing()) else { return Vec::new() };
         let count = fit.ids.len() + COEFFICIENTS;
-        let inverse = (!fit.slopes.is_empty()).then(|| fit.normal_equations().0.try_inverse()).flatten();
+        let information = (!fit.slopes.is_empty()).then(|| study.normal_equations(fit).information);
+        let inverse = information.and_then(|i| i.try_inverse());
         let split = |id: &str| match id.split_once('_').filter(|(_, c)| ["Fx", "Fz", "Ty"].contains(c)) {
             Some((kind, channel)) => (kind.to_string(), Some(channel.to_string())),
             None => (id.to_string(), None),
@@ -190,11 +195,13 @@ impl View<'_> {
                 NuisanceValue { id, channel, level: "log", value: d * n.sd, sd: share * n.sd, unit: n.unit }
             })
             .collect();
-        values.extend(self.source.shared.iter().zip(&selection.candidates.around.noise.shared).map(|(s, sd)| {
-            let (id, channel) = split(s.name);
-            let level = if id == "bed_strength" { "bed" } else { "trial" };
-            NuisanceValue { id, channel, level, value: 0.0, sd: *sd, unit: s.unit }
-        }));
+        values.extend(self.source.uncertainty.shared.iter().zip(&selection.candidates.around.noise.shared).map(
+            |(s, sd)| {
+                let (id, channel) = split(s.name);
+                let level = if id == "bed_strength" { "bed" } else { "trial" };
+                NuisanceValue { id, channel, level, value: 0.0, sd: *sd, unit: s.unit }
+            },
+        ));
         values
     }
 
@@ -203,7 +210,7 @@ impl View<'_> {
         let (table, entry) = (&selection.table, selection.ruling.model);
         let significant = table.lack(entry) > table.limit;
         let place =
-            misfit::whereabouts_of(self.study.observations, self.study.model, &standing.prediction, "what remains");
+            misfit::whereabouts(self.study.observations, self.study.model, &standing.prediction, "what remains");
         let unlocated = || "spread over all data".to_string();
         let explained = selection.entries[entry].explains(&selection.entries[0]);
         Some(Remainder {
@@ -216,13 +223,12 @@ impl View<'_> {
     }
 
     /// Upper limits of the causes that were not found.
-    fn upper_limits(&self) -> Vec<UpperLimit> {
+    fn upper_limits(&self, study: &FitInputs) -> Vec<UpperLimit> {
         let (Some(selection), Some(standing)) = (self.selection, self.standing()) else { return Vec::new() };
         if standing.slopes.is_empty() {
             return Vec::new();
         }
         let table = &selection.table;
-        let study = self.renewed(selection);
         let screened = &selection.candidates.screen.candidates;
         let asked: Vec<(usize, f64)> = screened.iter().filter(|c| !CATALOG[c.0].ceiling).copied().collect();
         let limit = |further: &super::further::Further| {
@@ -266,18 +272,7 @@ impl View<'_> {
     }
 
     fn gain(&self) -> Gain {
-        let Some(selection) = self.selection else {
-            return Gain {
-                held_out_rmse_plain: None,
-                held_out_rmse_recalibrated: None,
-                held_out_rmse_extended: None,
-                noise_floor: None,
-                reduction: None,
-                ci95: None,
-                achievable_fraction: None,
-                nested: false,
-            };
-        };
+        let Some(selection) = self.selection else { return Gain::default() };
         let (plain, [base, chosen]) = (&selection.plain, &selection.nested);
         let extended = if selection.ruling.written == Written::Plain { plain } else { chosen };
         let (before, after, floor) = (plain.rmse(), extended.rmse(), self.floor.rmse());
@@ -327,7 +322,7 @@ impl View<'_> {
             };
             RunMeans {
                 condition: o.conditions[condition].clone(),
-                channel: o.channels[c].name.into(),
+                channel: o.channels[c].name.to_string(),
                 unit: o.channels[c].unit.into(),
                 measured: mean(&o.values),
                 plain: mean(&plain),

@@ -12,7 +12,7 @@ use std::path::Path;
 
 /// The setup of a run; runs with the same setup share one.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Setup {
+pub struct WalkSetup {
     pub robot: String,
     /// Name of a leg shape, see [`LegShape::named`].
     pub leg: String,
@@ -30,7 +30,7 @@ pub struct Setup {
 /// Runs, read and checked.
 pub struct WalkingLog {
     pub observations: Observations,
-    pub setups: Vec<Setup>,
+    pub setups: Vec<WalkSetup>,
     /// Setup of each unit.
     pub setup_of: Vec<usize>,
     /// Optional columns that are absent or blank throughout.
@@ -57,13 +57,15 @@ columns! {
     SPEED_ERROR = "hip_speed_error_rms" AngularSpeed false;
 }
 
+/// Number of measured columns.
+const MEASURED: usize = 5;
 /// Measured columns in the order of the channels; `field` is that of [`crate::sim::walk::WalkResult`].
-const CHANNELS: [(usize, Channel); 5] = [
-    (SPEED, Channel { name: "speed", unit: "m/s", in_rmse: true }),
-    (HEIGHT, Channel { name: "base_height", unit: "m", in_rmse: false }),
-    (PITCH, Channel { name: "pitch_rms", unit: "rad", in_rmse: false }),
-    (TORQUE, Channel { name: "hip_torque_rms", unit: "N·m", in_rmse: false }),
-    (SPEED_ERROR, Channel { name: "hip_speed_error_rms", unit: "rad/s", in_rmse: false }),
+static CHANNELS: [(usize, Channel); MEASURED] = [
+    (SPEED, Channel::new("speed", "m/s", true)),
+    (HEIGHT, Channel::new("base_height", "m", false)),
+    (PITCH, Channel::new("pitch_rms", "rad", false)),
+    (TORQUE, Channel::new("hip_torque_rms", "N·m", false)),
+    (SPEED_ERROR, Channel::new("hip_speed_error_rms", "rad/s", false)),
 ];
 
 /// Strides of the protocol's measurement if the data give none.
@@ -76,13 +78,13 @@ struct Run {
     id: String,
     condition: usize,
     setup: usize,
-    measured: [Option<f64>; CHANNELS.len()],
+    measured: [Option<f64>; MEASURED],
 }
 
 /// Reads the runs; `experiment` names robot, medium and units.
 pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Result<WalkingLog> {
     let (mut conditions, mut ids) = (Names::default(), Names::default());
-    let (mut runs, mut setups): (Vec<Run>, Vec<Setup>) = (Vec::new(), Vec::new());
+    let (mut runs, mut setups): (Vec<Run>, Vec<WalkSetup>) = (Vec::new(), Vec::new());
     let optional = [X_BED, SLOPE, PAYLOAD];
     let mut seen = [false; 3];
     let summary = experiment.read(path, COLUMNS, progress, |row| {
@@ -104,9 +106,9 @@ pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Re
         if known.is_none() {
             setups.push(setup);
         }
-        let mut measured = [None; CHANNELS.len()];
-        for (value, (column, _)) in measured.iter_mut().zip(CHANNELS) {
-            *value = row.within(column, 1e6)?;
+        let mut measured = [None; MEASURED];
+        for (value, (column, _)) in measured.iter_mut().zip(&CHANNELS) {
+            *value = row.within(*column, 1e6)?;
         }
         row.needed(SPEED)?;
         runs.push(Run { id: id.into(), condition, setup: place, measured });
@@ -123,7 +125,7 @@ pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Re
     })
 }
 
-fn setup(row: &Row, experiment: &Experiment) -> Result<Setup> {
+fn setup(row: &Row, experiment: &Experiment) -> Result<WalkSetup> {
     let robot = row.text(ROBOT).or(experiment.robot.as_deref());
     let robot = robot.ok_or_else(|| row.error(ROBOT, "is blank, and the experiment names none"))?;
     if experiment.robot.as_deref() != Some(robot) && !Robot::names().contains(&robot) {
@@ -143,7 +145,7 @@ fn setup(row: &Row, experiment: &Experiment) -> Result<Setup> {
     if !(1.0..=100.0).contains(&strides) {
         return Err(row.error(DURATION, format!("{duration} s are {strides} strides; 1 to 100 can be simulated")));
     }
-    Ok(Setup {
+    Ok(WalkSetup {
         robot: robot.into(),
         leg: leg(row)?,
         frequency,
@@ -185,12 +187,12 @@ fn observations(runs: Vec<Run>, conditions: Vec<String>) -> Observations {
         Unit { id: run.id.clone(), condition: run.condition, start, samples: 1, progress: vec![0.0] }
     });
     let units = units.collect();
-    let channels = kept.iter().map(|&c| CHANNELS[c].1).collect();
+    let channels = kept.iter().map(|&c| CHANNELS[c].1.clone()).collect();
     Observations { size: Size::Channel, values, channels, units, conditions }
 }
 
 /// Planned runs: one unit for each setup, and zeros for measurements.
-pub fn planned(setups: Vec<Setup>, channels: Vec<Channel>) -> WalkingLog {
+pub fn planned(setups: Vec<WalkSetup>, channels: Vec<Channel>) -> WalkingLog {
     let count = channels.len();
     let unit = |i: usize| Unit { id: i.to_string(), condition: i, start: i * count, samples: 1, progress: vec![0.0] };
     let observations = Observations {
@@ -207,7 +209,7 @@ pub fn planned(setups: Vec<Setup>, channels: Vec<Channel>) -> WalkingLog {
 /// Runs that a laboratory with these `setups` could make: its legs and their mirror images, at the slowest, middle and
 /// fastest stride frequency used, on level sand and 10° up and down, with and without a payload of a third of the
 /// robot's mass.
-pub fn possible(setups: &[Setup]) -> Vec<(Setup, String)> {
+pub fn possible(setups: &[WalkSetup]) -> Vec<(WalkSetup, String)> {
     let Some(first) = setups.first() else { return Vec::new() };
     let frequencies = setups.iter().map(|s| s.frequency.abs());
     let (low, high) = frequencies.fold((f64::MAX, 0.0), |(l, h), f| (f64::min(l, f), f64::max(h, f)));
@@ -229,7 +231,7 @@ pub fn possible(setups: &[Setup]) -> Vec<(Setup, String)> {
                 );
                 let leg = leg.clone();
                 let robot = first.robot.clone();
-                out.push((Setup { robot, leg, frequency, slope_deg, payload, x_bed, strides: STRIDES }, words));
+                out.push((WalkSetup { robot, leg, frequency, slope_deg, payload, x_bed, strides: STRIDES }, words));
             }
         }
     }

@@ -1,13 +1,15 @@
 //! Predicts walking runs: engine `lanes` simulates every run in closed loop, with servo, robot and sand.
 
 use super::experiment::Experiment;
-use super::forward::{Feature, ForwardModel, Menu};
+use super::fit::slope;
+use super::forward::{Feature, ForwardModel, Menu, SandParameters, Testable, stronger, testable};
+use super::known::{Known, key};
 use super::observations::Channel;
-use super::shared::Shared;
-use super::walking_log::{self, Setup, WalkingLog};
+use super::shared::{SharedNoise, Uncertainty};
+use super::walking_log::{self, WalkSetup, WalkingLog};
 use crate::error::{Error, Result};
 use crate::progress::{Latch, Progress};
-use crate::sand::mechanism::{CATALOG, Mechanisms};
+use crate::sand::mechanism::Mechanisms;
 use crate::sand::{Coefficients, Medium};
 use crate::sim::engine::EngineKind;
 use crate::sim::model::Scene;
@@ -15,7 +17,6 @@ use crate::sim::walk::{WalkResult, WalkTrial};
 use crate::sim::{Model, Robot};
 use crate::sweep::walk_all;
 use std::collections::HashMap;
-use std::sync::{Mutex, PoisonError};
 
 /// Steps of numerical slopes change the data by this many σ altogether: small against noise, and far above the
 /// roughness of a sticking gait (reversed leg at 1 Hz: 0.3 % when its phase shifts by 0.2 rad). Our choice.
@@ -28,22 +29,20 @@ const STRENGTH_STEP: f64 = 0.05;
 /// Initial phases [rad] that show how regular a gait is: the protocol's ±0.2 and half of it.
 const PHASES: [f64; 4] = [-0.2, -0.1, 0.1, 0.2];
 
-type State = (Mechanisms, Coefficients);
-
 /// Predicts the mean of a run's repetitions by one run with all hips at their nominal phase on a bed of nominal
 /// strength. The difference to the mean over other phases and strengths is an error of the model and part of
 /// [`ForwardModel::model_error`].
 pub struct WalkingModel<'a> {
     latch: &'a Latch<'a>,
     medium: Medium,
-    setups: Vec<Setup>,
+    setups: Vec<WalkSetup>,
     robots: HashMap<(String, String), Robot>,
     /// Setup of each unit.
     setup_of: Vec<usize>,
     channels: Vec<Channel>,
     missing: Vec<&'static str>,
     /// Results of earlier simulations, by the bits of mechanisms and coefficients: setup by setup.
-    known: Mutex<HashMap<Vec<u64>, Vec<WalkResult>>>,
+    known: Known<Vec<WalkResult>>,
     /// Factor on each number: see [`Self::correct_step`].
     correction: Vec<f64>,
 }
@@ -72,7 +71,7 @@ impl<'a> WalkingModel<'a> {
             setup_of: log.setup_of.clone(),
             channels: log.observations.channels.clone(),
             missing: log.missing.clone(),
-            known: Mutex::default(),
+            known: Known::default(),
             correction: Vec::new(),
         };
         let plain = (Mechanisms::default(), model.medium.coefficients);
@@ -92,11 +91,6 @@ impl<'a> WalkingModel<'a> {
                 Ok(model)
             }
         }
-    }
-
-    /// The setups that are simulated.
-    pub fn setups(&self) -> &[Setup] {
-        &self.setups
     }
 
     /// Corrects the error of the default time step, which is some tenths of a percent. Each channel of each setup is
@@ -128,8 +122,8 @@ impl<'a> WalkingModel<'a> {
     }
 
     /// A trial for every setup.
-    fn trials(&self, (mechanisms, coefficients): &State) -> Vec<Result<WalkTrial>> {
-        let trial = |setup: &Setup| {
+    fn trials(&self, (mechanisms, coefficients): &SandParameters) -> Vec<Result<WalkTrial>> {
+        let trial = |setup: &WalkSetup| {
             let mut scene = Scene::flat(Medium { coefficients: *coefficients, ..self.medium.clone() });
             (scene.mechanisms, scene.slope_deg, scene.payload) = (*mechanisms, setup.slope_deg, setup.payload);
             let robot = &self.robots[&(setup.robot.clone(), setup.leg.clone())];
@@ -141,21 +135,13 @@ impl<'a> WalkingModel<'a> {
 
     /// Results of every state with all hips `phase` [rad] ahead, setup by setup; NaN where a simulation is refused,
     /// diverges, or is stopped.
-    fn simulate(&self, states: &[State], phase: f64) -> Vec<Vec<WalkResult>> {
-        let keys: Vec<Vec<u64>> = states.iter().map(|state| key(state, phase)).collect();
-        let known = || self.known.lock().unwrap_or_else(PoisonError::into_inner);
-        let new: Vec<usize> = {
-            let known = known();
-            (0..states.len()).filter(|&k| !known.contains_key(&keys[k]) && !keys[..k].contains(&keys[k])).collect()
-        };
-        let results = self.simulate_phase(&new.iter().map(|&k| states[k]).collect::<Vec<_>>(), phase);
-        let mut known = known();
-        known.extend(new.iter().map(|&k| keys[k].clone()).zip(results));
-        keys.iter().map(|key| known[key].clone()).collect()
+    fn simulate(&self, states: &[SandParameters], phase: f64) -> Vec<Vec<WalkResult>> {
+        let keys = states.iter().map(|state| key(state, &[phase])).collect();
+        self.known.of(keys, |new| self.simulate_phase(&new.iter().map(|&k| states[k]).collect::<Vec<_>>(), phase))
     }
 
     /// Every state's results with all hips `phase` [rad] ahead.
-    fn simulate_phase(&self, states: &[State], phase: f64) -> Vec<Vec<WalkResult>> {
+    fn simulate_phase(&self, states: &[SandParameters], phase: f64) -> Vec<Vec<WalkResult>> {
         let ahead = |trial: Result<WalkTrial>| trial.map(|t| WalkTrial { phase, ..t });
         let trials: Result<Vec<WalkTrial>> = states.iter().flat_map(|s| self.trials(s)).map(ahead).collect();
         let results = trials.and_then(|t| walk_all(EngineKind::Lanes, &t, self));
@@ -164,29 +150,20 @@ impl<'a> WalkingModel<'a> {
     }
 
     /// Prediction by `engine` with a time step `finer` times smaller than the default one.
-    fn stepped(&self, engine: EngineKind, state: &State, finer: f64) -> Result<Vec<f64>> {
+    fn stepped(&self, engine: EngineKind, state: &SandParameters, finer: f64) -> Result<Vec<f64>> {
         let mut trials = self.trials(state).into_iter().collect::<Result<Vec<_>>>()?;
         trials.iter_mut().for_each(|t| t.model.scene.dt /= finer);
         Ok(self.stack(&walk_all(engine, &trials, self)?))
     }
 
-    fn others(&self, (mechanisms, coefficients): &State) -> Others {
-        let scaled = |factor: f64| {
-            let scale = (1.0 + mechanisms.scale) * factor - 1.0;
-            (Mechanisms { scale, ..*mechanisms }, *coefficients)
-        };
-        let beds = self.predict_many(&[scaled(1.0 + STRENGTH_STEP), scaled(1.0 - STRENGTH_STEP)]);
-        let state = [(*mechanisms, *coefficients)];
-        let phases = PHASES
-            .iter()
-            .flat_map(|&phase| self.simulate(&state, phase))
-            .map(|r| self.corrected(self.stack(&r)))
-            .collect();
-        Others { beds, phases }
+    fn others(&self, sand: &SandParameters) -> Others {
+        let beds = self.predict_many(&[STRENGTH_STEP, -STRENGTH_STEP].map(|share| stronger(sand, share)));
+        let phases = PHASES.iter().flat_map(|&phase| self.simulate(&[*sand], phase));
+        Others { beds, phases: phases.map(|r| self.corrected(self.stack(&r))).collect() }
     }
 
     fn stack(&self, results: &[WalkResult]) -> Vec<f64> {
-        let of = |&setup: &usize| self.channels.iter().map(move |c| channel(&results[setup], c.name));
+        let of = |&setup: &usize| self.channels.iter().map(move |c| channel(&results[setup], &c.name));
         self.setup_of.iter().flat_map(of).collect()
     }
 }
@@ -196,11 +173,6 @@ impl Progress for WalkingModel<'_> {
     fn report(&self, _done: f64, _stage: &str) -> Result<()> {
         if self.latch.stopped() { self.latch.error().map_or(Ok(()), Err) } else { Ok(()) }
     }
-}
-
-fn key((mechanisms, coefficients): &State, phase: f64) -> Vec<u64> {
-    let numbers = mechanisms.values().into_iter().chain(coefficients.to_array()).chain([phase]);
-    numbers.map(f64::to_bits).collect()
 }
 
 fn channel(result: &WalkResult, name: &str) -> f64 {
@@ -222,7 +194,7 @@ impl ForwardModel for WalkingModel<'_> {
         self.corrected(self.simulate(&[(*mechanisms, *coefficients)], 0.0).iter().flat_map(|r| self.stack(r)).collect())
     }
 
-    fn predict_many(&self, states: &[State]) -> Vec<Vec<f64>> {
+    fn predict_many(&self, states: &[SandParameters]) -> Vec<Vec<f64>> {
         self.simulate(states, 0.0).iter().map(|r| self.corrected(self.stack(r))).collect()
     }
 
@@ -236,39 +208,29 @@ impl ForwardModel for WalkingModel<'_> {
         Some(ROUGHNESS)
     }
 
-    fn coefficient_step(&self) -> f64 {
-        1.0
-    }
-
-    /// Beds differ in strength. The numbers of a run change with their bed's strength as their derivative by the
-    /// strength states. If a gait sticks, slips or stalls, small differences grow. The directions of `gait_scatter` are
-    /// the changes of the nominal run with other initial phases, and the curvature in the strength. For regular gaits
-    /// both are negligible.
-    fn shared(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Shared> {
-        let Others { beds, phases } = self.others(&(*mechanisms, *coefficients));
-        let slope = super::fit::slope(&beds[0], &beds[1], 2.0 * STRENGTH_STEP);
+    /// **Noise.** Beds differ in strength, and the numbers of a run change with it as their derivative states. If a gait
+    /// sticks, slips or stalls, small differences grow: the directions of `gait_scatter` are the changes of the nominal
+    /// run with other initial phases, and the curvature in the strength. For regular gaits both are negligible.
+    ///
+    /// **Errors of the model.** Four differences of simulations give their size: (1) the other engine's solution of the
+    /// same equations; (2) the effect of the time step there beyond the correction of [`Self::correct_step`]; (3) the
+    /// eighth of the step's error that the correction leaves; (4) the distance of the mean over other phases and beds from
+    /// the nominal run, which is negligible for regular gaits. The error of each channel of each setup is their root sum
+    /// of squares, independent of the others, because one difference gives the size of an error and not its pattern.
+    fn uncertainty(&self, sand: &SandParameters, prediction: &[f64]) -> Uncertainty {
+        let Others { beds, phases } = self.others(sand);
+        let strength = slope(&beds[0], &beds[1], 2.0 * STRENGTH_STEP);
         let middle: Vec<f64> = beds[0].iter().zip(&beds[1]).map(|(a, b)| 0.5 * (a + b)).collect();
-        let share = (PHASES.len() as f64).sqrt();
-        let mut scatter = vec![super::fit::slope(&middle, prediction, 1.0)];
-        scatter.extend(phases.iter().map(|other| super::fit::slope(other, prediction, share)));
-        vec![
-            Shared { name: "bed_strength", unit: "1", guess: STRENGTH_STEP, optional: false, stacks: vec![slope] },
-            Shared { name: "gait_scatter", unit: "1", guess: 1.0, optional: false, stacks: scatter },
-        ]
-    }
-
-    /// Four differences of simulations at the candidate's parameters give the size of the error: (1) the other engine's
-    /// solution of the same equations; (2) the effect of the time step there beyond the correction of
-    /// [`Self::correct_step`]; (3) the eighth of the step's error that the correction leaves; (4) the distance of the
-    /// mean over other phases and beds from the nominal run, which is negligible for regular gaits. The error of each
-    /// channel of each setup is their root sum of squares, independent of the others, because one difference gives the
-    /// size of an error and not its pattern.
-    fn model_error(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Vec<f64>> {
-        let state = (*mechanisms, *coefficients);
-        let (other, fine) =
-            (self.stepped(EngineKind::Rapier, &state, 1.0), self.stepped(EngineKind::Lanes, &state, FINE));
-        let (Ok(other), Ok(fine)) = (other.map(|o| self.corrected(o)), fine) else { return Vec::new() };
-        let Others { beds, phases } = self.others(&state);
+        let mut stacks = vec![slope(&middle, prediction, 1.0)];
+        stacks.extend(phases.iter().map(|other| slope(other, prediction, (PHASES.len() as f64).sqrt())));
+        let shared = vec![
+            SharedNoise::one("bed_strength", "1", STRENGTH_STEP, false, strength),
+            SharedNoise { name: "gait_scatter", unit: "1", guess: 1.0, optional: false, stacks },
+        ];
+        let (other, fine) = (self.stepped(EngineKind::Rapier, sand, 1.0), self.stepped(EngineKind::Lanes, sand, FINE));
+        let (Ok(other), Ok(fine)) = (other.map(|o| self.corrected(o)), fine) else {
+            return Uncertainty { shared, ..Uncertainty::default() };
+        };
         let mean =
             |runs: &[Vec<f64>], k: usize| runs.iter().map(|r| r[k] - prediction[k]).sum::<f64>() / runs.len() as f64;
         let size = |k: usize| {
@@ -281,24 +243,19 @@ impl ForwardModel for WalkingModel<'_> {
         };
         let count = self.channels.len();
         let of = |c: usize| (0..prediction.len()).map(|k| if k % count == c { size(k) } else { 0.0 }).collect();
-        (0..count).map(of).collect()
+        Uncertainty { shared, common: (0..count).map(of).collect(), own: Vec::new() }
     }
 
     fn medium(&self) -> &Medium {
         &self.medium
     }
 
-    fn testable(&self) -> Vec<(usize, Option<String>)> {
-        let asked = CATALOG.iter().enumerate().filter(|(_, m)| m.walking);
-        let lacking = |m: &crate::sand::mechanism::Mechanism| {
-            let columns: Vec<_> = m.columns.iter().filter(|c| self.missing.contains(c)).copied().collect();
-            (!columns.is_empty()).then(|| format!("the data have no column {}", columns.join(", ")))
-        };
-        asked.map(|(index, m)| (index, lacking(m))).collect()
+    fn testable(&self) -> Testable {
+        testable(|m| m.walking, &self.missing)
     }
 
     fn features(&self) -> Vec<Feature> {
-        let per_run = |name, unit, f: &dyn Fn(&Setup) -> f64| Feature {
+        let per_run = |name, unit, f: &dyn Fn(&WalkSetup) -> f64| Feature {
             name,
             unit,
             values: self.setup_of.iter().map(|&s| vec![f(&self.setups[s])]).collect(),
@@ -327,7 +284,7 @@ impl ForwardModel for WalkingModel<'_> {
             setup_of: log.setup_of,
             channels: self.channels.clone(),
             missing: self.missing.clone(),
-            known: Mutex::default(),
+            known: Known::default(),
             correction: Vec::new(),
         };
         (!descriptions.is_empty()).then(|| Menu {

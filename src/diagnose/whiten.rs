@@ -1,6 +1,6 @@
 //! Generalised least squares: a linear map after which the noise is white.
 
-use super::noise::{ChannelFilter, Noise, Source};
+use super::noise::{ChannelFilter, Noise, NoiseData};
 use super::shared::LowRank;
 use std::ops::Range;
 
@@ -24,7 +24,7 @@ pub struct Whitener {
 impl Whitener {
     /// The noise that a whole trial shares is proportional to the source's prediction. If it were proportional to the
     /// measured mean, the fitted `scale` would have an error (−12.6 % on data without a hidden cause).
-    pub fn new(source: &Source, noise: &Noise) -> Self {
+    pub fn new(source: &NoiseData, noise: &Noise) -> Self {
         let repetitions = source.observations.repetitions();
         let units = source.observations.units.iter().zip(source.sizes).map(|(unit, sizes)| {
             let span = source.observations.span(unit);
@@ -32,7 +32,7 @@ impl Whitener {
             // The variance of an error that all n repetitions share is multiplied by n; see `share`.
             let repeated = repetitions[unit.condition].len() as f64;
             let own = |c: usize| -> Vec<f64> {
-                let errors = source.own_error.get(unit.block(c)).unwrap_or_default();
+                let errors = source.uncertainty.own.get(unit.block(c)).unwrap_or_default();
                 errors.iter().map(|e| repeated * e * e).collect()
             };
             let each = noise.channels.iter().zip(sizes).enumerate();
@@ -72,16 +72,16 @@ impl UnitFilter {
     /// The common noise of a repetition. An error of the model is the same in all n repetitions of a condition, so
     /// their mean has its full variance e² and not a share of it. Whitening each unit with n e² gives the mean this
     /// variance. It underweights the differences between repetitions, which contain no information on causes.
-    fn share(&mut self, source: &Source, noise: &Noise, root_of_repetitions: f64) {
+    fn share(&mut self, source: &NoiseData, noise: &Noise, root_of_repetitions: f64) {
         let mut columns = Vec::new();
-        for (shared, sd) in source.shared.iter().zip(&noise.shared) {
+        for (shared, sd) in source.uncertainty.shared.iter().zip(&noise.shared) {
             for vector in shared.vectors(self.span.clone()) {
                 let mut column: Vec<f64> = vector.iter().map(|v| sd * v).collect();
                 self.filter(&mut column);
                 columns.push(column);
             }
         }
-        for stack in source.model_error {
+        for stack in &source.uncertainty.common {
             let mut column: Vec<f64> = stack[self.span.clone()].iter().map(|e| root_of_repetitions * e).collect();
             self.filter(&mut column);
             columns.push(column);

@@ -1,14 +1,14 @@
 //! The forward model of a robot's log: what the diagnosis requires of every forward model.
 
-use super::model::{State, TrajectoryModel};
+use super::model::TrajectoryModel;
 use super::sensors::Mounting;
 use super::windows::{BINS, Window};
 use crate::fit::slope;
-use crate::forward::{Feature, ForwardModel, Menu};
+use crate::forward::{Feature, ForwardModel, Menu, SandParameters, Testable, stronger};
 use crate::nuisance::Nuisance;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
 use crate::sand::{Coefficients, Medium};
-use crate::shared::Shared;
+use crate::shared::Uncertainty;
 use std::collections::HashMap;
 use std::f64::consts::TAU;
 
@@ -29,7 +29,7 @@ impl ForwardModel for TrajectoryModel<'_> {
         self.simulate(&[(*mechanisms, *coefficients)]).swap_remove(0)
     }
 
-    fn predict_many(&self, states: &[State]) -> Vec<Vec<f64>> {
+    fn predict_many(&self, states: &[SandParameters]) -> Vec<Vec<f64>> {
         self.simulate(states)
     }
 
@@ -37,21 +37,14 @@ impl ForwardModel for TrajectoryModel<'_> {
         Some(ROUGHNESS)
     }
 
-    fn coefficient_step(&self) -> f64 {
-        1.0
-    }
-
-    /// Nothing here is learnt from the scatter of repetitions: [`Self::model_error`] gives what the strides of a run share.
-    fn shared(&self, _: &Mechanisms, _: &Coefficients, _prediction: &[f64]) -> Vec<Shared> {
-        Vec::new()
-    }
-
-    /// Errors that all strides of a run share: the strength of its bed, the offsets of its sensors, and the error of the time step.
-    fn model_error(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Vec<f64>> {
+    /// Nothing here is learnt from the scatter of repetitions. All strides of a run share the strength of its bed, the
+    /// offsets of its sensors, and the error of the time step. At each number the model errs by a share of the channel's
+    /// standard deviation within the stride, and by the scatter of [`Self::unsettled`].
+    fn uncertainty(&self, sand: &SandParameters, prediction: &[f64]) -> Uncertainty {
         let sd = |kind: &str| self.priors.sd(kind);
-        let strength = Mechanisms { scale: (1.0 + mechanisms.scale) * (1.0 + STRENGTH_STEP) - 1.0, ..*mechanisms };
-        let stronger = self.predict(&strength, coefficients);
-        let mut all = vec![slope(&stronger, prediction, STRENGTH_STEP / sd("bed_strength").max(1e-9))];
+        let (harder, coefficients) = stronger(sand, STRENGTH_STEP);
+        let harder = self.predict(&harder, &coefficients);
+        let mut common = vec![slope(&harder, prediction, STRENGTH_STEP / sd("bed_strength").max(1e-9))];
         let torque = sd("torque_offset") * self.torque_rms(prediction);
         let joints = self.layout.joints;
         for channel in 0..self.layout.count() {
@@ -62,37 +55,31 @@ impl ForwardModel for TrajectoryModel<'_> {
                 c if Some(c) == self.layout.servo_channel() => torque / (joints as f64).sqrt(),
                 _ => continue,
             };
-            all.push(self.stack(|_, c, _| if c == channel { size } else { 0.0 }));
+            common.push(self.stack(|_, c, _| if c == channel { size } else { 0.0 }));
         }
-        let fine = self.tracks(&[(*mechanisms, *coefficients)], 0.0, 4.0).swap_remove(0);
-        let fine = self.with_servo(self.read(&fine, Mounting::default()), mechanisms.motor_torque_limit);
-        all.push(slope(&fine, prediction, 1.0));
-        all
-    }
-
-    /// Standard deviation of the model's error at each number: a share of the channel's standard deviation within the stride, and the
-    /// scatter of [`Self::unsettled`].
-    fn own_error(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<f64> {
-        let share = self.priors.sd("model_error");
+        let fine = self.tracks(&[*sand], 0.0, 4.0).swap_remove(0);
+        let fine = self.with_servo(self.read(&fine, Mounting::default()), sand.0.motor_torque_limit);
+        common.push(slope(&fine, prediction, 1.0));
+        let share = sd("model_error");
         let swing = |block: &[f64]| {
             let mean = block.iter().sum::<f64>() / block.len() as f64;
             (block.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / block.len() as f64).sqrt()
         };
         let own = prediction.chunks(BINS).flat_map(|block| std::iter::repeat_n(share * swing(block), block.len()));
-        let unsettled = self.unsettled(&(*mechanisms, *coefficients), prediction);
-        own.zip(unsettled).map(|(own, square)| (own * own + square).sqrt()).collect()
+        let own = own.zip(self.unsettled(sand, prediction)).map(|(own, square)| (own * own + square).sqrt()).collect();
+        Uncertainty { shared: Vec::new(), common, own }
     }
 
-    fn nuisances(&self, m: &Mechanisms, c: &Coefficients, values: &[(String, f64)]) -> Vec<Nuisance> {
-        let here = self.predict(m, c);
-        let tracks = self.tracks(&[(*m, *c)], 0.0, 1.0).swap_remove(0);
+    fn nuisances(&self, sand: &SandParameters, values: &[(String, f64)]) -> Vec<Nuisance> {
+        let here = self.predict(&sand.0, &sand.1);
+        let tracks = self.tracks(&[*sand], 0.0, 1.0).swap_remove(0);
         let mut all = self.mounting(&tracks, values);
         let torque = self.stack(|_, channel, _| if self.is_torque(channel) { 1.0 } else { 0.0 });
         let gain = here.iter().zip(&torque).map(|(v, t)| v * t).collect();
         all.push(Nuisance::linear("torque_constant".into(), "1", self.priors.sd("torque_constant"), gain));
         all.push(self.friction(self.torque_rms(&here)));
-        let heavier = self.tracks(&[(*m, *c)], MASS_STEP, 1.0).swap_remove(0);
-        let heavier = self.with_servo(self.read(&heavier, Mounting::default()), m.motor_torque_limit);
+        let heavier = self.tracks(&[*sand], MASS_STEP, 1.0).swap_remove(0);
+        let heavier = self.with_servo(self.read(&heavier, Mounting::default()), sand.0.motor_torque_limit);
         let by_mass = slope(&heavier, &here, MASS_STEP);
         all.push(Nuisance::linear("mass".into(), "1", self.priors.sd("mass"), by_mass));
         all.retain(|n| n.sd > 0.0);
@@ -103,7 +90,7 @@ impl ForwardModel for TrajectoryModel<'_> {
         &self.medium
     }
 
-    fn testable(&self) -> Vec<(usize, Option<String>)> {
+    fn testable(&self) -> Testable {
         let why = |m: &crate::sand::mechanism::Mechanism| match m.id {
             "packing_grad" => Some("the log does not say at which position of the bed each run began".to_string()),
             "motor_torque_limit" if self.asked.is_none() => Some(

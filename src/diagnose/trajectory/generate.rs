@@ -1,6 +1,6 @@
 //! Logs for tests: the hexapod walks with servos in the rapier engine, not in the engine that replays, and its sensors have errors.
 
-use super::replay::{Body, Drive, SIGNALS, Task, Track, sample};
+use super::replay::{JointMotion, Replay, ReplayRobot, SIGNALS, Signals, sample};
 use crate::sand::mechanism::Mechanisms;
 use crate::sand::{Coefficients, Medium};
 use crate::sim::engine::EngineKind;
@@ -91,9 +91,9 @@ fn rows(
     walk_watched(EngineKind::Rapier, trial, &mut watch).unwrap();
     let joints = trial.model.joints();
     let imu = [0.01, 0.0, 0.0];
-    let (model, drive) = (&trial.model, Drive::still(joints, 1e-3));
-    let mut track = Track { signals: vec![Vec::new(); joints + SIGNALS] };
-    let task = Task { model, drive: &drive, imu };
+    let (model, drive) = (&trial.model, JointMotion::still(joints, 1e-3));
+    let mut track = Signals { signals: vec![Vec::new(); joints + SIGNALS] };
+    let task = Replay { model, drive: &drive, imu };
     states.windows(2).for_each(|s| sample(&task, &s[0], &s[1], &mut track));
     let turn = nalgebra::Rotation3::from_scaled_axis(nalgebra::Vector3::from(truth.turn)).inverse();
     let offsets: Vec<f64> = (0..joints).map(|_| 2e-4 * normal()).collect();
@@ -137,6 +137,6 @@ pub fn file(text: &str) -> tempfile::NamedTempFile {
 }
 
 /// The robot of these logs.
-pub fn body() -> Body {
-    Body::load("xplorer", None).unwrap()
+pub fn body() -> ReplayRobot {
+    ReplayRobot::load("xplorer", None).unwrap()
 }

@@ -1,6 +1,6 @@
 //! A robot's own log in memory: runs with the samples of joints and IMU, gathered from the rows of a file.
 
-use super::keys::{Cut, Keys};
+use super::keys::{Keys, RunTable};
 use crate::error::{Error, Result};
 use crate::table::{Column, Quantity, Row};
 use std::collections::BTreeMap;
@@ -95,13 +95,13 @@ const QUAT: usize = 13;
 const PLACE: usize = 17;
 
 /// Names of the joints' columns, three for each joint.
-pub struct Names<'a> {
+pub struct JointColumns<'a> {
     of_joints: Vec<String>,
     joints: &'a [String],
     currents: bool,
 }
 
-impl<'a> Names<'a> {
+impl<'a> JointColumns<'a> {
     /// The columns of these joints; with currents instead of torques if the torque constant is given.
     pub fn new(joints: &'a [String], keys: &Keys) -> Result<Self> {
         if joints.is_empty() || joints.len() > MOST_JOINTS {
@@ -148,7 +148,7 @@ impl<'a> Names<'a> {
 
 /// Gathers the rows of a file into runs.
 pub struct Gather<'a> {
-    names: &'a Names<'a>,
+    names: &'a JointColumns<'a>,
     keys: &'a Keys,
     runs: Vec<Run>,
     places: BTreeMap<String, usize>,
@@ -158,7 +158,7 @@ pub struct Gather<'a> {
 }
 
 impl<'a> Gather<'a> {
-    pub fn new(names: &'a Names<'a>, keys: &'a Keys) -> Self {
+    pub fn new(names: &'a JointColumns<'a>, keys: &'a Keys) -> Self {
         Self { names, keys, runs: Vec::new(), places: BTreeMap::new(), numbers: 0, there: None }
     }
 
@@ -171,8 +171,8 @@ impl<'a> Gather<'a> {
         let constant = self.keys.torque_constant.unwrap_or(1.0);
         let number = |column: usize| row.within(column, MOST)?.ok_or_else(|| row.blank(column));
         let t = number(T)?;
-        let cut = self.keys.cuts.iter().find(|cut| cut.holds(t));
-        if cut.is_none() && !self.keys.cuts.is_empty() {
+        let cut = self.keys.runs.iter().find(|cut| cut.holds(t));
+        if cut.is_none() && !self.keys.runs.is_empty() {
             return Ok(()); // the row belongs to none of the runs that the experiment file lists
         }
         let place = self.place(row, cut)?;
@@ -215,7 +215,7 @@ impl<'a> Gather<'a> {
     }
 
     /// The run that a row belongs to: the one that the experiment file lists (`cut`), or that of the column `run`.
-    fn place(&mut self, row: &Row, cut: Option<&Cut>) -> Result<usize> {
+    fn place(&mut self, row: &Row, cut: Option<&RunTable>) -> Result<usize> {
         if cut.is_some() && row.text(RUN).is_some() {
             return Err(row.error(RUN, "the log says which rows are a run, and the experiment file lists [[run]] too"));
         }

@@ -2,7 +2,7 @@
 
 use super::log::Run;
 use super::model::TrajectoryModel;
-use super::replay::{BEYOND, Track};
+use super::replay::{BEYOND, Signals};
 use super::sensors::Mounting;
 use super::windows::{BINS, Integral};
 use crate::fit::slope;
@@ -39,7 +39,7 @@ impl TrajectoryModel<'_> {
 
     /// Rotation and delay of the IMU, linearised at `values`. Neither is linear, so the first nuisance carries the
     /// difference between the prediction at `values` and its linear continuation from 0.
-    pub(super) fn mounting(&self, tracks: &[Track], values: &[(String, f64)]) -> Vec<Nuisance> {
+    pub(super) fn mounting(&self, tracks: &[Signals], values: &[(String, f64)]) -> Vec<Nuisance> {
         const NAMES: [&str; 4] = ["imu_rotation_x", "imu_rotation_y", "imu_rotation_z", "imu_delay"];
         let value = |id: &str| values.iter().find(|v| v.0 == id).map_or(0.0, |v| v.1);
         let at = NAMES.map(value);

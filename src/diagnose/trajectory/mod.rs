@@ -5,23 +5,23 @@
 //! together as a forward model. The strides of a run are its repetitions. Effects that belong to one run (strength of the bed,
 //! offsets of the sensors) are errors that all strides of this run share.
 
-pub mod consistency;
+mod consistency;
 mod forecast;
 #[cfg(test)]
 pub(super) mod generate;
-pub mod keys;
-pub mod log;
+pub(super) mod keys;
+mod log;
 mod measuring;
-pub mod model;
+mod model;
 mod plan;
-pub mod read;
-pub mod replay;
-pub mod sensors;
-pub mod servo;
+mod read;
+mod replay;
+mod sensors;
+mod servo;
 mod simulate;
 #[cfg(test)]
 mod tests;
-pub mod windows;
+mod windows;
 
 pub use model::TrajectoryModel;
 pub use read::read;

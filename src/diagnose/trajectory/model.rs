@@ -2,27 +2,25 @@
 
 use super::keys::Keys;
 use super::log::Log;
-use super::replay::{Body, Drive};
+use super::replay::{JointMotion, ReplayRobot};
 use super::sensors::Layout;
-use super::servo::{self, Asked};
+use super::servo::{self, RequestedTorques};
 use super::windows::{BINS, Integral, Window, bins, windows};
 use crate::error::{Error, Result};
 use crate::experiment::Experiment;
 use crate::forward::ForwardModel;
+use crate::known::Known;
 use crate::nuisance::Priors;
 use crate::observations::{Channel, Observations, Size, Unit};
 use crate::progress::Latch;
+use crate::sand::Medium;
 use crate::sand::mechanism::Mechanisms;
-use crate::sand::{Coefficients, Medium};
 use crate::sim::model::Scene;
 use std::collections::HashMap;
 use std::f64::consts::TAU;
-use std::sync::Mutex;
 
 /// Largest number of predictions that are kept in memory: our choice, some 10 MB in all.
 pub(super) const KNOWN: usize = 128;
-
-pub(super) type State = (Mechanisms, Coefficients);
 
 /// The log, and all that is needed to predict it.
 pub struct TrajectoryModel<'a> {
@@ -32,14 +30,14 @@ pub struct TrajectoryModel<'a> {
     pub(super) priors: Priors,
     pub(super) log: Log,
     /// The robot of each run.
-    pub(super) bodies: Vec<Body>,
+    pub(super) bodies: Vec<ReplayRobot>,
     pub(super) windows: Vec<Window>,
-    pub(super) drives: Vec<Drive>,
+    pub(super) drives: Vec<JointMotion>,
     /// Window of each unit.
     pub(super) window_of: Vec<usize>,
     pub(super) layout: Layout,
-    pub(super) asked: Option<Asked>,
-    pub(super) known: Mutex<HashMap<Vec<u64>, Vec<f64>>>,
+    pub(super) asked: Option<RequestedTorques>,
+    pub(super) known: Known<Vec<f64>>,
 }
 
 impl<'a> TrajectoryModel<'a> {
@@ -47,14 +45,14 @@ impl<'a> TrajectoryModel<'a> {
     pub fn new(log: Log, experiment: &Experiment, latch: &'a Latch<'a>) -> Result<(Self, Observations)> {
         let keys = experiment.trajectory.clone();
         let robot = experiment.robot.as_deref().unwrap_or("xplorer");
-        let body = Body::load(robot, keys.touches.as_deref())?;
+        let body = ReplayRobot::load(robot, keys.touches.as_deref())?;
         let bodies = log.runs.iter().map(|r| body.with_leg(r.leg.as_deref())).collect::<Result<Vec<_>>>()?;
         let windows = windows(&log.runs, keys.window);
         if windows.is_empty() {
             let reason = "no run has a whole stride after its first one: log runs of at least three strides";
             return Err(Error::invalid("data", reason));
         }
-        let drives = windows.iter().map(|w| Drive::new(&log.runs[w.run], w, Scene::DEFAULT_DT)).collect();
+        let drives = windows.iter().map(|w| JointMotion::new(&log.runs[w.run], w, Scene::DEFAULT_DT)).collect();
         let asked = servo::asked(&log, &bodies)?;
         let there = |name: &str| !log.missing.contains(&name);
         let layout = Layout {
@@ -76,7 +74,7 @@ impl<'a> TrajectoryModel<'a> {
             window_of,
             layout,
             asked,
-            known: Mutex::default(),
+            known: Known::up_to(KNOWN),
         };
         let plain = model.predict(&Mechanisms::default(), &model.medium.coefficients);
         if let Some(error) = latch.error() {
@@ -93,10 +91,6 @@ impl<'a> TrajectoryModel<'a> {
         }
         let observations = model.observations();
         Ok((model, observations))
-    }
-
-    pub fn log(&self) -> &Log {
-        &self.log
     }
 
     pub fn windows(&self) -> &[Window] {

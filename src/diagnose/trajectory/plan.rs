@@ -1,17 +1,17 @@
 //! Walks that could be logged next: the diagnosis proposes the one that best distinguishes the causes, such as "walk at 3 Hz up 5°".
 
 use super::log::Run;
-use super::model::{TrajectoryModel, progress, window_of};
-use super::replay::{Body, Drive, Track};
-use super::servo::Asked;
+use super::model::{KNOWN, TrajectoryModel, progress, window_of};
+use super::replay::{JointMotion, ReplayRobot, Signals};
+use super::servo::RequestedTorques;
 use super::windows::{BINS, Window, windows};
 use crate::forward::Menu;
+use crate::known::Known;
 use crate::observations::{Observations, Size, Unit};
 use crate::sand::mechanism::Mechanisms;
 use crate::sim::model::Scene;
 use crate::sim::walk::hip_angle;
 use std::f64::consts::TAU;
-use std::sync::Mutex;
 
 /// Stride frequencies [Hz] and slopes [°] that may be proposed: our choices, round numbers in the range of hexapods on sand.
 const FREQUENCIES: [f64; 5] = [1.0, 2.0, 3.0, 4.0, 5.0];
@@ -40,14 +40,14 @@ impl TrajectoryModel<'_> {
             medium: self.medium.clone(),
             keys: self.keys.clone(),
             priors: self.priors.clone(),
-            drives: all.iter().map(|w| Drive::new(&runs[w.run], w, Scene::DEFAULT_DT)).collect(),
+            drives: all.iter().map(|w| JointMotion::new(&runs[w.run], w, Scene::DEFAULT_DT)).collect(),
             window_of: window_of(&all),
             windows: all,
             log: super::log::Log { runs, missing: self.log.missing.clone(), sha256: String::new() },
             bodies,
             layout: self.layout,
             asked: None,
-            known: Mutex::default(),
+            known: Known::up_to(KNOWN),
         };
         if self.layout.servo {
             model.asked = Some(model.needed()?);
@@ -71,11 +71,11 @@ impl TrajectoryModel<'_> {
     }
 
     /// The walks, their robots, and their descriptions.
-    fn walks(&self) -> Option<(Vec<Run>, Vec<Body>, Vec<String>)> {
+    fn walks(&self) -> Option<(Vec<Run>, Vec<ReplayRobot>, Vec<String>)> {
         let known: Option<Vec<f64>> = self.log.runs.iter().map(|r| r.frequency).collect();
         let known = known.filter(|k| k.iter().all(|f| f.abs() > 0.02))?;
         let turns = |run: &Run| run.q.iter().all(|q| (q[q.len() - 1] - q[0]).abs() > TAU);
-        if matches!(self.bodies[0], Body::Tree(_)) || !self.log.runs.iter().all(turns) {
+        if matches!(self.bodies[0], ReplayRobot::Tree(_)) || !self.log.runs.iter().all(turns) {
             return None;
         }
         let (low, high) = known.iter().fold((f64::MAX, 0.0), |(l, h), f| (f64::min(l, f.abs()), f64::max(h, f.abs())));
@@ -100,10 +100,10 @@ impl TrajectoryModel<'_> {
     }
 
     /// The torques that the joints' motion needs on plain sand: the servos request these from the motors.
-    fn needed(&self) -> Option<Asked> {
+    fn needed(&self) -> Option<RequestedTorques> {
         let plain = (Mechanisms::default(), self.medium.coefficients);
         let tracks = self.tracks(&[plain], 0.0, 1.0).swap_remove(0);
-        let of = |window: &Window, track: &Track| -> Option<Vec<Vec<f64>>> {
+        let of = |window: &Window, track: &Signals| -> Option<Vec<Vec<f64>>> {
             let run = &self.log.runs[window.run];
             let tick = |t: f64| (((t - window.from) / Scene::DEFAULT_DT).round() as usize).max(1) - 1;
             let joint = |j: usize| -> Option<Vec<f64>> {
@@ -113,7 +113,7 @@ impl TrajectoryModel<'_> {
             (0..self.layout.joints).map(joint).collect()
         };
         let torques: Option<Vec<_>> = self.windows.iter().zip(&tracks).map(|(w, t)| of(w, t)).collect();
-        Some(Asked::exactly(&self.log.runs, torques?))
+        Some(RequestedTorques::exactly(&self.log.runs, torques?))
     }
 }
 

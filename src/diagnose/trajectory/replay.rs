@@ -31,12 +31,12 @@ const CHECK_INTERVAL: usize = 256;
 
 /// A robot, from our own description or from a URDF or MJCF file.
 #[derive(Clone)]
-pub enum Body {
+pub enum ReplayRobot {
     Legged(Box<Robot>),
     Tree(Arc<TreeModel>),
 }
 
-impl Body {
+impl ReplayRobot {
     /// A built-in robot, our own TOML, or a URDF or MJCF file.
     pub fn load(name: &str, touches: Option<&[String]>) -> Result<Self> {
         let lower = name.to_ascii_lowercase();
@@ -146,14 +146,14 @@ fn between(t: &[f64], q: &[f64], at: f64) -> f64 {
 }
 
 /// Joint angles of a window, tick by tick, all joints one after the other.
-pub struct Drive {
+pub struct JointMotion {
     pub tick: f64,
     pub ticks: usize,
     joints: usize,
     angles: Vec<f64>,
 }
 
-impl Drive {
+impl JointMotion {
     pub fn new(run: &Run, window: &Window, tick: f64) -> Self {
         let ticks = ((window.end() + BEYOND - window.from) / tick).ceil() as usize;
         let joints = run.q.len();
@@ -182,29 +182,29 @@ impl Drive {
 /// The result of one replay: each signal at every tick, first the torques, then the [`SIGNALS`] others. The first value is that of
 /// one tick after the start.
 #[derive(Clone, Default)]
-pub struct Track {
+pub struct Signals {
     /// Signal by signal.
     pub signals: Vec<Vec<f64>>,
 }
 
 /// One replay: the model, its joints' motion, and the position of the IMU [m].
-pub struct Task<'a> {
+pub struct Replay<'a> {
     pub model: &'a Model,
-    pub drive: &'a Drive,
+    pub drive: &'a JointMotion,
     pub imu: [f64; 3],
 }
 
 /// Replays all tasks, distributed over the processors. The tracks are empty after a cancellation.
-pub fn replay(engine: EngineKind, tasks: &[Task], latch: &Latch) -> Result<Vec<Track>> {
+pub fn replay(engine: EngineKind, tasks: &[Replay], latch: &Latch) -> Result<Vec<Signals>> {
     // Tasks of similar length are computed together, so that few lanes idle.
     let mut order: Vec<usize> = (0..tasks.len()).collect();
     order.sort_by_key(|&k| std::cmp::Reverse(tasks[k].drive.ticks));
     let chunks: Vec<&[usize]> = order.chunks(TOGETHER).collect();
     let done = crate::parallel::map(&chunks, |chunk| {
-        let own: Vec<&Task> = chunk.iter().map(|&k| &tasks[k]).collect();
+        let own: Vec<&Replay> = chunk.iter().map(|&k| &tasks[k]).collect();
         block(engine, &own, latch)
     });
-    let mut all = vec![Track::default(); tasks.len()];
+    let mut all = vec![Signals::default(); tasks.len()];
     for (chunk, tracks) in chunks.iter().zip(done) {
         for (&k, track) in chunk.iter().zip(tracks?) {
             all[k] = track;
@@ -213,7 +213,7 @@ pub fn replay(engine: EngineKind, tasks: &[Task], latch: &Latch) -> Result<Vec<T
     Ok(all)
 }
 
-fn block(kind: EngineKind, tasks: &[&Task], latch: &Latch) -> Result<Vec<Track>> {
+fn block(kind: EngineKind, tasks: &[&Replay], latch: &Latch) -> Result<Vec<Signals>> {
     let Some(first) = tasks.first() else { return Ok(Vec::new()) };
     let joints = first.drive.joints;
     let mut engine = Engine::new(kind, first.model, tasks.len())?;
@@ -226,13 +226,13 @@ fn block(kind: EngineKind, tasks: &[&Task], latch: &Latch) -> Result<Vec<Track>>
     }
     let steps = (first.drive.tick / first.model.scene.dt).round().max(1.0) as usize;
     let ticks = tasks.iter().map(|t| t.drive.ticks).max().unwrap_or(0);
-    let mut tracks: Vec<Track> =
-        tasks.iter().map(|t| Track { signals: vec![Vec::with_capacity(t.drive.ticks); joints + SIGNALS] }).collect();
+    let mut tracks: Vec<Signals> =
+        tasks.iter().map(|t| Signals { signals: vec![Vec::with_capacity(t.drive.ticks); joints + SIGNALS] }).collect();
     let mut command = Command::still(joints);
     let mut now = before[0].clone();
     for k in 0..ticks {
         if k % CHECK_INTERVAL == 0 && latch.stopped() {
-            return Ok(vec![Track::default(); tasks.len()]);
+            return Ok(vec![Signals::default(); tasks.len()]);
         }
         for (i, task) in tasks.iter().enumerate() {
             let (from, to) = (task.drive.at(k), task.drive.at(k + 1));
@@ -254,7 +254,7 @@ fn block(kind: EngineKind, tasks: &[&Task], latch: &Latch) -> Result<Vec<Track>>
 }
 
 /// The robot at rest with its feet on the surface; the base is parallel to the surface.
-fn start(task: &Task) -> State {
+fn start(task: &Replay) -> State {
     let angles = task.drive.at(0);
     let height = match &task.model.tree {
         Some(tree) => tree.standing_height(angles),
@@ -266,7 +266,7 @@ fn start(task: &Task) -> State {
 type V = nalgebra::Vector3<f64>;
 
 /// Appends what the sensors read over the tick from `before` to `now`.
-pub fn sample(task: &Task, before: &State, now: &State, track: &mut Track) {
+pub fn sample(task: &Replay, before: &State, now: &State, track: &mut Signals) {
     let tick = task.drive.tick;
     let rows = now.rotation();
     let turn = nalgebra::Matrix3::from_fn(|i, j| rows[i][j]);

@@ -1,36 +1,9 @@
 //! Computes what the log's sensors would have read during a replay, as means over the parts of each stride.
 
-use super::replay::{SIGNALS, Track};
+use super::replay::{SIGNALS, Signals};
 use super::windows::{BINS, Integral, Window, bins};
 use crate::observations::Channel;
 
-/// Names of the torque channels, one for each joint.
-const TORQUES: [&str; super::log::MOST_JOINTS] = [
-    "torque_1",
-    "torque_2",
-    "torque_3",
-    "torque_4",
-    "torque_5",
-    "torque_6",
-    "torque_7",
-    "torque_8",
-    "torque_9",
-    "torque_10",
-    "torque_11",
-    "torque_12",
-    "torque_13",
-    "torque_14",
-    "torque_15",
-    "torque_16",
-    "torque_17",
-    "torque_18",
-    "torque_19",
-    "torque_20",
-    "torque_21",
-    "torque_22",
-    "torque_23",
-    "torque_24",
-];
 const IMU: [(&str, &str); 6] = [
     ("gyro_x", "rad/s"),
     ("gyro_y", "rad/s"),
@@ -54,28 +27,23 @@ pub struct Layout {
 
 impl Layout {
     pub fn channels(&self) -> Vec<Channel> {
-        let of = |name, unit, in_rmse| Channel { name, unit, in_rmse };
-        let mut all: Vec<Channel> = TORQUES[..self.joints].iter().map(|name| of(*name, "N·m", true)).collect();
-        all.extend(IMU.iter().map(|&(name, unit)| of(name, unit, false)));
+        let torque = |j: usize| Channel { name: format!("torque_{j}").into(), unit: "N·m", in_rmse: true };
+        let mut all: Vec<Channel> = (1..=self.joints).map(torque).collect();
+        all.extend(IMU.iter().map(|&(name, unit)| Channel::new(name, unit, false)));
         if self.attitude {
-            all.extend([of("up_x", "1", false), of("up_y", "1", false)]);
+            all.extend([Channel::new("up_x", "1", false), Channel::new("up_y", "1", false)]);
         }
         if self.place {
-            all.push(of("speed", "m/s", false));
+            all.push(Channel::new("speed", "m/s", false));
         }
         if self.servo {
-            all.push(of("servo", "N·m", true));
+            all.push(Channel::new("servo", "N·m", true));
         }
         all
     }
 
     pub fn count(&self) -> usize {
         self.joints + 6 + 2 * usize::from(self.attitude) + usize::from(self.place) + usize::from(self.servo)
-    }
-
-    /// First channel of the upward direction, if there is one.
-    pub fn up(&self) -> Option<usize> {
-        self.attitude.then_some(self.joints + 6)
     }
 
     pub fn servo_channel(&self) -> Option<usize> {
@@ -108,7 +76,7 @@ impl Mounting {
 pub fn read(
     layout: &Layout,
     window: &Window,
-    track: &Track,
+    track: &Signals,
     tick: f64,
     mounting: Mounting,
     quat: [f64; 4],

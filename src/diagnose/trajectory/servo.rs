@@ -5,7 +5,7 @@
 //! the motor's torque.
 
 use super::log::{Log, Run};
-use super::replay::{Body, smoothed};
+use super::replay::{ReplayRobot, smoothed};
 use super::windows::{Integral, Window, bins};
 use crate::error::Result;
 use crate::sim::walk::hip_angle;
@@ -33,17 +33,17 @@ struct OfRun {
 }
 
 /// Requested torques of all runs.
-pub struct Asked {
+pub struct RequestedTorques {
     runs: Vec<OfRun>,
 }
 
 /// The requested torques of a log. None if it does not give the command of the hips, or if the robot has no servo.
-pub fn asked(log: &Log, bodies: &[Body]) -> Result<Option<Asked>> {
+pub fn asked(log: &Log, bodies: &[ReplayRobot]) -> Result<Option<RequestedTorques>> {
     let runs: Option<Vec<_>> = log.runs.iter().zip(bodies).map(|(run, body)| of_run(run, body)).collect();
-    Ok(runs.map(|runs| Asked { runs }))
+    Ok(runs.map(|runs| RequestedTorques { runs }))
 }
 
-fn of_run(run: &Run, body: &Body) -> Option<OfRun> {
+fn of_run(run: &Run, body: &ReplayRobot) -> Option<OfRun> {
     let frequency = run.frequency?;
     let gains = body.gains();
     let turning = run.t.partition_point(|t| *t < run.t[0] + SETTLED);
@@ -105,18 +105,18 @@ fn zero(asked: &[f64], given: &[f64], limit: f64) -> f64 {
 }
 
 /// Predicted torques of the motors [N·m], mean over the joints, at each sample of each run.
-pub struct Given {
+pub struct MotorTorques {
     runs: Vec<Vec<f64>>,
 }
 
-impl Given {
+impl MotorTorques {
     /// Means over the parts of a window's strides.
     pub fn of(&self, run: &Run, window: &Window) -> Vec<f64> {
         mean(run, window, &self.runs[window.run])
     }
 }
 
-impl Asked {
+impl RequestedTorques {
     /// Requests that are known exactly: `torques` run by run, joint by joint, sample by sample.
     pub fn exactly(runs: &[Run], torques: Vec<Vec<Vec<f64>>>) -> Self {
         let of = |(run, joints): (&Run, Vec<Vec<f64>>)| {
@@ -127,7 +127,7 @@ impl Asked {
     }
 
     /// Torques of motors with a limit [N·m]; a limit of 0 means no limit.
-    pub fn given(&self, runs: &[Run], limit: f64) -> Given {
+    pub fn given(&self, runs: &[Run], limit: f64) -> MotorTorques {
         let limit = if limit > 0.0 { limit } else { f64::MAX };
         let of = |(own, run): (&OfRun, &Run)| {
             let mut sum = vec![0.0; run.t.len()];
@@ -139,11 +139,11 @@ impl Asked {
             }
             sum
         };
-        Given { runs: self.runs.iter().zip(runs).map(of).collect() }
+        MotorTorques { runs: self.runs.iter().zip(runs).map(of).collect() }
     }
 }
 
-/// Logged torques of the motors [N·m], mean over the joints, in the same parts of strides as [`Given::of`].
+/// Logged torques of the motors [N·m], mean over the joints, in the same parts of strides as [`MotorTorques::of`].
 pub fn logged(run: &Run, window: &Window) -> Vec<f64> {
     let given = |i: usize| run.tau.iter().map(|tau| tau[i]).sum::<f64>() / run.tau.len() as f64;
     mean(run, window, &(0..run.t.len()).map(given).collect::<Vec<_>>())

@@ -1,16 +1,16 @@
 //! Replays with many sets of mechanisms and coefficients, and the sensors' readings of each.
 
-use super::model::{KNOWN, State, TrajectoryModel};
-use super::replay::{Body, Task, Track, replay};
+use super::model::TrajectoryModel;
+use super::replay::{Replay, ReplayRobot, Signals, replay};
 use super::sensors::{Mounting, read};
 use super::windows::{BINS, bins};
 use crate::error::Result;
+use crate::forward::{SandParameters, stronger};
+use crate::known::key;
 use crate::sand::mechanism::Mechanisms;
 use crate::sand::{Medium, Regularization};
 use crate::sim::Model;
 use crate::sim::model::Scene;
-use std::collections::HashMap;
-use std::sync::PoisonError;
 
 /// Relative changes of the sand's strength that are too small to measure: our choice, at most a hundredth of the scatter of beds.
 const NUDGES: [f64; 6] = [-3e-4, -2e-4, -1e-4, 1e-4, 2e-4, 3e-4];
@@ -19,13 +19,18 @@ const NUDGES: [f64; 6] = [-3e-4, -2e-4, -1e-4, 1e-4, 2e-4, 3e-4];
 const SETTLED: f64 = 4.0;
 
 impl TrajectoryModel<'_> {
-    pub(super) fn models(&self, (mechanisms, coefficients): &State, payload: f64, dt: f64) -> Result<Vec<Model>> {
+    pub(super) fn models(
+        &self,
+        (mechanisms, coefficients): &SandParameters,
+        payload: f64,
+        dt: f64,
+    ) -> Result<Vec<Model>> {
         let of = |run: usize| {
             let mut scene = Scene::flat(Medium { coefficients: *coefficients, ..self.medium.clone() });
             // The joints move as logged, so a weak motor has no effect here; it shows in the requested torques.
             scene.mechanisms = Mechanisms { motor_torque_limit: 0.0, ..*mechanisms };
             (scene.slope_deg, scene.dt) = (self.log.runs[run].slope_deg, dt);
-            if matches!(self.bodies[run], Body::Tree(_)) {
+            if matches!(self.bodies[run], ReplayRobot::Tree(_)) {
                 scene.surface = Regularization::SOLID;
             }
             let model = self.bodies[run].model(&scene)?;
@@ -42,28 +47,28 @@ impl TrajectoryModel<'_> {
 
     /// Tracks of several states, state by state and window by window. `payload` is a share of the robot's mass; the time step is divided
     /// by `finer`.
-    pub(super) fn tracks(&self, states: &[State], payload: f64, finer: f64) -> Vec<Vec<Track>> {
+    pub(super) fn tracks(&self, states: &[SandParameters], payload: f64, finer: f64) -> Vec<Vec<Signals>> {
         let dt = Scene::DEFAULT_DT / finer;
         let models: Result<Vec<Vec<Model>>> = states.iter().map(|s| self.models(s, payload, dt)).collect();
-        let lost = || vec![vec![Track::default(); self.windows.len()]; states.len()];
+        let lost = || vec![vec![Signals::default(); self.windows.len()]; states.len()];
         let Ok(models) = models else { return lost() };
-        let task = |(state, k): (usize, usize)| Task {
+        let task = |(state, k): (usize, usize)| Replay {
             model: &models[state][self.windows[k].run],
             drive: &self.drives[k],
-            imu: self.keys.imu_position,
+            imu: self.keys.imu.position,
         };
-        let tasks: Vec<Task> =
+        let tasks: Vec<Replay> =
             (0..states.len()).flat_map(|s| (0..self.windows.len()).map(move |k| (s, k))).map(task).collect();
         match replay(self.bodies[0].engine(), &tasks, self.latch) {
-            Ok(tracks) => tracks.chunks(self.windows.len()).map(<[Track]>::to_vec).collect(),
+            Ok(tracks) => tracks.chunks(self.windows.len()).map(<[Signals]>::to_vec).collect(),
             Err(_) => lost(),
         }
     }
 
     /// The predicted numbers of all windows; the servo's channel is 0.
-    pub(super) fn read(&self, tracks: &[Track], mounting: Mounting) -> Vec<f64> {
-        let of = |(k, track): (usize, &Track)| {
-            read(&self.layout, &self.windows[k], track, self.drives[k].tick, mounting, self.keys.imu_quat)
+    pub(super) fn read(&self, tracks: &[Signals], mounting: Mounting) -> Vec<f64> {
+        let of = |(k, track): (usize, &Signals)| {
+            read(&self.layout, &self.windows[k], track, self.drives[k].tick, mounting, self.keys.imu.quat)
         };
         tracks.iter().enumerate().flat_map(of).collect()
     }
@@ -85,50 +90,28 @@ impl TrajectoryModel<'_> {
     }
 
     /// Predicted numbers of several states, with the IMU mounted as the experiment file states.
-    pub(super) fn simulate(&self, states: &[State]) -> Vec<Vec<f64>> {
-        let keys: Vec<Vec<u64>> = states.iter().map(key).collect();
-        let known = || self.known.lock().unwrap_or_else(PoisonError::into_inner);
-        let (mut new, mut found): (Vec<usize>, HashMap<&[u64], Vec<f64>>) = (Vec::new(), HashMap::new());
-        {
-            let known = known();
-            for (k, key) in keys.iter().enumerate() {
-                match known.get(key) {
-                    Some(stack) => drop(found.insert(key, stack.clone())),
-                    None if !keys[..k].contains(key) => new.push(k),
-                    None => {}
-                }
-            }
-        }
-        // Sixteen at a time, because tracks need much memory.
-        for part in new.chunks(16) {
-            let states: Vec<State> = part.iter().map(|&k| states[k]).collect();
-            let tracks = self.tracks(&states, 0.0, 1.0);
-            let stacks = crate::parallel::map(&tracks, |t| self.read(t, Mounting::default()));
-            part.iter().zip(stacks).for_each(|(&k, stack)| drop(found.insert(&keys[k], stack)));
-        }
-        let mut known = known();
-        for &k in &new {
-            if known.len() >= KNOWN {
-                known.clear();
-            }
-            known.insert(keys[k].clone(), found[keys[k].as_slice()].clone());
-        }
-        keys.iter()
-            .zip(states)
-            .map(|(k, s)| self.with_servo(found[k.as_slice()].clone(), s.0.motor_torque_limit))
-            .collect()
+    pub(super) fn simulate(&self, states: &[SandParameters]) -> Vec<Vec<f64>> {
+        // The joints move as logged, so a weak motor changes only what the servos request.
+        let strong = |(m, c): &SandParameters| (Mechanisms { motor_torque_limit: 0.0, ..*m }, *c);
+        let keys = states.iter().map(|state| key(&strong(state), &[])).collect();
+        let stacks = self.known.of(keys, |new| {
+            // Sixteen at a time, because tracks need much memory.
+            let some = |part: &[usize]| {
+                let states: Vec<SandParameters> = part.iter().map(|&k| states[k]).collect();
+                let tracks = self.tracks(&states, 0.0, 1.0);
+                crate::parallel::map(&tracks, |t| self.read(t, Mounting::default()))
+            };
+            new.chunks(16).flat_map(some).collect()
+        });
+        stacks.into_iter().zip(states).map(|(stack, s)| self.with_servo(stack, s.0.motor_torque_limit)).collect()
     }
 
     /// Variance of each predicted number due to chaotic motion. If a gait hops or sways, a change of the sand that is too small to
     /// measure changes the robot's path, and the numbers after it carry little information. The variance is the scatter of replays on
     /// sands that differ by [`NUDGES`]. Within one window and channel these errors are correlated, so the sum over all its numbers is
     /// taken: together they count less than one number.
-    pub(super) fn unsettled(&self, (mechanisms, coefficients): &State, prediction: &[f64]) -> Vec<f64> {
-        let states = NUDGES.map(|nudge| {
-            let scale = (1.0 + mechanisms.scale) * (1.0 + nudge) - 1.0;
-            (Mechanisms { scale, ..*mechanisms }, *coefficients)
-        });
-        let nudged = self.simulate(&states);
+    pub(super) fn unsettled(&self, sand: &SandParameters, prediction: &[f64]) -> Vec<f64> {
+        let nudged = self.simulate(&NUDGES.map(|nudge| stronger(sand, nudge)));
         let (span, count) = (self.span(), self.layout.count());
         let mut squares = vec![0.0; self.windows.len() * count];
         let block = |k: usize| self.window_of[k / span] * count + k % span / BINS;
@@ -152,9 +135,4 @@ impl TrajectoryModel<'_> {
         }
         stack
     }
-}
-
-fn key((mechanisms, coefficients): &State) -> Vec<u64> {
-    let felt = Mechanisms { motor_torque_limit: 0.0, ..*mechanisms };
-    felt.values().into_iter().chain(coefficients.to_array()).map(f64::to_bits).collect()
 }

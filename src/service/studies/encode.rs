@@ -111,7 +111,7 @@ pub fn curves(c: &Curves) -> Vec<Series> {
         let stack = |name: String, values: &[f64]| {
             numbers(&name, channel.unit, o.units.iter().flat_map(|u| u.block(k)).map(|i| values[i]))
         };
-        columns.push(stack(channel.name.into(), &o.values));
+        columns.push(stack(channel.name.to_string(), &o.values));
         columns.push(stack(format!("{}_plain", channel.name), &c.plain));
         columns.push(stack(format!("{}_extended", channel.name), c.extended.as_ref().unwrap_or(&c.plain)));
         columns.push(stack(format!("{}_sd", channel.name), &c.band));

@@ -1,0 +1,384 @@
+//! The forward model of force logs: predicts the readings of an arm's force sensor, track by track ([`super::arm`]).
+
+use super::arm::{Arm, IntruderSegments, filtered, read, stencils};
+use super::experiment::{Experiment, Intruder};
+use super::fit::slope;
+use super::force_log::ForceLog;
+use super::forward::{Feature, ForwardModel, Menu, SandParameters, Testable, stronger, testable};
+use super::motion::moving;
+use super::nuisance::{Nuisance, Priors};
+use super::observations::{Channel, Observations};
+use super::response::{CoefficientResponse, Responses, is_linear};
+use super::shared::{SharedNoise, Uncertainty};
+use super::track::{ArmPose, Track};
+use crate::error::Result;
+use crate::number::{Doubles, Real};
+use crate::parallel;
+use crate::progress::Latch;
+use crate::sand::intrusion::Load;
+use crate::sand::mechanism::Mechanisms;
+use crate::sand::mechanism_laws::{SandMechanisms, footprint};
+use crate::sand::{Coefficients, Law, Medium, Regularization, SandBed, SandDescription, Term};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// The arm prescribes the motion, so no segment rests in the sand and no creep speed is needed.
+const PRESCRIBED: Regularization = Regularization { rest_speed: 1e-9, ..Regularization::DEFAULT };
+
+/// Predicts force logs.
+#[derive(Clone)]
+pub struct ForceLogModel<'a> {
+    latch: Option<&'a Latch<'a>>,
+    medium: Medium,
+    tracks: Vec<Track>,
+    /// For each track the indices of the samples in motion.
+    kept: Vec<Vec<usize>>,
+    cuts: BTreeMap<String, IntruderSegments>,
+    /// Channels and units of the log; its values are not used.
+    layout: Observations,
+    /// Track of each unit.
+    track_of: Vec<usize>,
+    missing: Vec<&'static str>,
+    priors: Priors,
+    responses: Responses,
+    measuring: LastMeasuring,
+}
+
+/// What nuisances change in the data of one state.
+struct Measuring {
+    sand: SandParameters,
+    here: Vec<f64>,
+    /// Change of the data per unit of delay, depth and tilt.
+    late: Vec<f64>,
+    deep: Vec<f64>,
+    tilt: Vec<f64>,
+    /// Loads of each track at the steps of a filter.
+    steps: Vec<Vec<[Load; 1]>>,
+}
+
+/// The last result. A clone has none, because its model may be changed.
+#[derive(Default)]
+struct LastMeasuring(Mutex<Option<Arc<Measuring>>>);
+
+impl Clone for LastMeasuring {
+    fn clone(&self) -> Self {
+        Self::default()
+    }
+}
+
+/// Step of the depth [m] for derivatives by nuisances: our choice, as for the three steps below a small part of the
+/// nuisance's usual size.
+const DEPTH_STEP: f64 = 2e-4;
+/// Step of times [s].
+const TIME_STEP: f64 = 1e-3;
+/// Step of angles [rad].
+const TILT_STEP: f64 = 1e-4;
+/// Relative step of the sand's strength.
+const STRENGTH_STEP: f64 = 0.02;
+/// Names of the nuisances that each channel of each trial has of its own.
+const OFFSETS: [(&str, &str); 3] = [("offset_Fx", "drift_Fx"), ("offset_Fz", "drift_Fz"), ("offset_Ty", "drift_Ty")];
+/// Number of states with the same mechanisms from which computing the response to the coefficients is cheaper.
+const ANSWERS: usize = 4;
+
+impl<'a> ForceLogModel<'a> {
+    pub fn new(log: &ForceLog, experiment: &Experiment) -> Result<Self> {
+        let cuts = experiment.shapes.iter().map(|(name, shape)| Ok((name.clone(), IntruderSegments::new(shape)?)));
+        let (medium, priors) = (experiment.medium.clone(), experiment.nuisances.clone());
+        Ok(Self { priors, missing: log.missing.clone(), ..Self::along(log, medium, cuts.collect::<Result<_>>()?) })
+    }
+
+    /// A model of the tracks of a log.
+    fn along(log: &ForceLog, medium: Medium, cuts: BTreeMap<String, IntruderSegments>) -> Self {
+        Self {
+            latch: None,
+            medium,
+            kept: log.tracks.iter().map(moving).collect(),
+            tracks: log.tracks.clone(),
+            cuts,
+            layout: Observations { values: Vec::new(), ..log.observations.clone() },
+            track_of: log.track_of.clone(),
+            missing: Vec::new(),
+            priors: Priors::default(),
+            responses: Responses::default(),
+            measuring: LastMeasuring::default(),
+        }
+    }
+
+    /// This model with a `latch` that may stop its computations.
+    pub fn stopped_by(self, latch: &'a Latch<'a>) -> Self {
+        Self { latch: Some(latch), ..self }
+    }
+
+    /// Loads along one track in a described sand.
+    pub fn one(sand: &SandDescription, track: Track) -> Result<Vec<Load>> {
+        let cuts = BTreeMap::from([(track.shape.clone(), IntruderSegments::new(&track.intruder)?)]);
+        let model = Self::along(&super::force_log::planned(Vec::new(), 3), sand.medium(), cuts);
+        let ground = model.ground(&model.medium.coefficients);
+        Ok(model.arm(&track, &sand.mechanisms, &[ground]).readings().into_iter().map(|[load]| load).collect())
+    }
+
+    /// A stack of f(time since the trial began, share of the trial's time, channel).
+    fn stack(&self, f: impl Fn(f64, f64, usize) -> f64) -> Vec<f64> {
+        self.layout.stack(|u, channel, i| {
+            let (track, kept) = (&self.tracks[self.track_of[u]], &self.kept[self.track_of[u]]);
+            let (first, last) = (track.poses[0].t, track.poses[track.poses.len() - 1].t);
+            let t = track.poses[kept[i]].t - first;
+            f(t, t / (last - first).max(1e-12), channel)
+        })
+    }
+
+    /// `stack` with all other channels 0.
+    fn only(&self, stack: &[f64], channel: usize) -> Vec<f64> {
+        let units = &self.layout.units;
+        self.layout.stack(|u, c, i| if c == channel { stack[units[u].block(c).start + i] } else { 0.0 })
+    }
+
+    /// Root mean square of one channel of a prediction; at least 1e-6 of its unit.
+    fn rms(&self, prediction: &[f64], channel: usize) -> f64 {
+        let blocks = self.layout.units.iter().flat_map(|u| u.block(channel));
+        let (square, count) = blocks.fold((0.0, 0.0), |(s, n), k| (s + prediction[k] * prediction[k], n + 1.0));
+        (square / f64::max(count, 1.0)).sqrt().max(1e-6)
+    }
+
+    /// Without the medium's ζ: only `slip_bearing` uses it, which has no effect on a body that does not travel, and in
+    /// these logs none does ([`super::arm`]).
+    fn sand(&self, m: &Mechanisms) -> SandMechanisms<Doubles> {
+        let mut sand = SandMechanisms::new(m, self.medium.bulk_density);
+        (0..Doubles::LANES).for_each(|l| sand.set_terms(l, &self.medium.terms, self.medium.bulk_density));
+        sand
+    }
+
+    fn ground(&self, coefficients: &Coefficients) -> SandBed<Doubles> {
+        SandBed::new(Law::Li2013, &Medium { coefficients: *coefficients, ..self.medium.clone() }, &PRESCRIBED)
+    }
+
+    fn arm<'b, const N: usize>(
+        &'b self,
+        track: &'b Track,
+        m: &'b Mechanisms,
+        grounds: &'b [SandBed<Doubles>; N],
+    ) -> Arm<'b, N> {
+        Arm {
+            track,
+            cut: &self.cuts[&track.shape],
+            mechanisms: m,
+            sand: self.sand(m),
+            grounds,
+            stencils: if m.added_mass == 0.0 { Vec::new() } else { stencils(track) },
+            footprint: footprint(m.footprint, track.pass, track.pass_dx),
+            drag: m.inertial_drag * self.medium.bulk_density,
+        }
+    }
+
+    /// Puts loads, given track by track and pose by pose, into stacks: one stack for each of the N beds.
+    fn stacks<const N: usize>(&self, loads: &[Vec<[Load; N]>]) -> Vec<Vec<f64>> {
+        let at = |bed: usize| {
+            self.layout.stack(|u, channel, i| {
+                let track = self.track_of[u];
+                let load = &loads[track][self.kept[track][i]][bed];
+                [load.fx, load.fz, load.ty][channel]
+            })
+        };
+        (0..N).map(at).collect()
+    }
+
+    fn in_grounds<const N: usize>(&self, m: &Mechanisms, coefficients: [Coefficients; N]) -> Vec<Vec<f64>> {
+        let grounds = coefficients.map(|c| self.ground(&c));
+        let loads = parallel::map(&self.tracks, |t| self.arm(t, m, &grounds).readings());
+        self.stacks(&loads)
+    }
+
+    /// The response to the coefficients under `m`, computed once.
+    fn response(&self, m: &Mechanisms) -> Arc<CoefficientResponse> {
+        self.responses.of(m, || CoefficientResponse::new(|states| self.in_grounds(m, states)))
+    }
+
+    /// What nuisances change in the data with this sand. The last result is kept.
+    fn measuring(&self, sand: &SandParameters) -> Arc<Measuring> {
+        let mut kept = self.measuring.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(known) = kept.as_ref().filter(|k| k.sand == *sand) {
+            return known.clone();
+        }
+        let (m, c) = sand;
+        let here = self.predict(m, c);
+        let by = |changed: Mechanisms, step: f64| slope(&self.predict(&changed, c), &here, step);
+        let late = by(Mechanisms { delay: m.delay + TIME_STEP, ..*m }, TIME_STEP);
+        let deep = by(Mechanisms { depth_zero: m.depth_zero + DEPTH_STEP, ..*m }, DEPTH_STEP);
+        let tilt = by(Mechanisms { sensor_tilt: m.sensor_tilt + TILT_STEP, ..*m }, TILT_STEP);
+        let grounds = [self.ground(c)];
+        let steps = parallel::map(&self.tracks, |t| self.arm(t, m, &grounds).between());
+        let made = Arc::new(Measuring { sand: *sand, here, late, deep, tilt, steps });
+        *kept = Some(made.clone());
+        made
+    }
+}
+
+impl Measuring {
+    /// Change of the data by a filter of time constant `tau`.
+    fn filtered(&self, model: &ForceLogModel, tau: f64) -> Vec<f64> {
+        let m = &self.sand.0;
+        let through = |(steps, track): (&Vec<[Load; 1]>, &Track)| {
+            let mut loads = filtered(&track.poses, steps, m.lowpass + tau);
+            read(m, &mut loads);
+            loads
+        };
+        let loads: Vec<_> = self.steps.iter().zip(&model.tracks).map(through).collect();
+        slope(&model.stacks(&loads)[0], &self.here, 1.0)
+    }
+}
+
+impl ForwardModel for ForceLogModel<'_> {
+    fn stopped(&self) -> bool {
+        self.latch.is_some_and(Latch::stopped)
+    }
+
+    /// Each trial has its own bed strength, its own zero of the surface, and its own zero of each channel of the
+    /// load cell, which drifts.
+    fn uncertainty(&self, sand: &SandParameters, prediction: &[f64]) -> Uncertainty {
+        let (m, c) = sand;
+        let (harder, _) = stronger(sand, STRENGTH_STEP);
+        let strength = slope(&self.predict(&harder, c), prediction, STRENGTH_STEP);
+        let depth = Mechanisms { depth_zero: m.depth_zero + DEPTH_STEP, ..*m };
+        let depth = slope(&self.predict(&depth, c), prediction, DEPTH_STEP);
+        let mut shared = vec![
+            SharedNoise::one("bed_strength", "1", 0.05, false, strength),
+            SharedNoise::one("depth_zero", "m", 3e-4, true, depth),
+        ];
+        for (channel, (offset, drift)) in OFFSETS.into_iter().enumerate().take(self.layout.channels.len()) {
+            let (unit, guess) = (self.layout.channels[channel].unit, 0.01 * self.rms(prediction, channel));
+            let constant = self.stack(|_, _, own| if own == channel { 1.0 } else { 0.0 });
+            let growing = self.stack(|_, done, own| if own == channel { done } else { 0.0 });
+            shared.push(SharedNoise::one(offset, unit, guess, true, constant));
+            shared.push(SharedNoise::one(drift, unit, guess, true, growing));
+        }
+        Uncertainty { shared, ..Uncertainty::default() }
+    }
+
+    fn nuisances(&self, sand: &SandParameters, values: &[(String, f64)]) -> Vec<Nuisance> {
+        if self.stopped() {
+            return Vec::new();
+        }
+        let measuring = self.measuring(sand);
+        let Measuring { here, late, deep, tilt, .. } = &*measuring;
+        let sd = |kind: &str| self.priors.sd(kind);
+        let mut all = Vec::new();
+        for (channel, Channel { name, unit, .. }) in self.layout.channels.iter().enumerate() {
+            let own = |stack: &[f64]| self.only(stack, channel);
+            let zero = sd("offset") * self.rms(here, channel);
+            all.push(Nuisance::linear(format!("offset_{name}"), unit, zero, own(&vec![1.0; here.len()])));
+            all.push(Nuisance::linear(format!("gain_{name}"), "1", sd("gain"), own(here)));
+            let id = format!("lowpass_{name}");
+            // A filter's time constant cannot be negative.
+            let tau = values.iter().find(|v| v.0 == id).map_or(0.0, |v| v.1.max(0.0));
+            let filtered = |tau: f64| own(&measuring.filtered(self, tau));
+            let (at, beyond) =
+                (if tau > 0.0 { filtered(tau) } else { vec![0.0; here.len()] }, filtered(tau + TIME_STEP));
+            let rate = slope(&beyond, &at, TIME_STEP);
+            let bend = slope(&at, &rate.iter().map(|r| r * tau).collect::<Vec<_>>(), 1.0);
+            all.push(Nuisance::linear(id, "s", sd("lowpass"), rate).bent(bend));
+        }
+        let time = self.stack(|t, _, _| t);
+        let skewed = late.iter().zip(time).map(|(l, t)| l * t).collect();
+        all.push(Nuisance::linear("clock".into(), "1", sd("clock"), skewed));
+        all.push(Nuisance::linear("delay".into(), "s", sd("delay"), late.clone()));
+        all.push(Nuisance::linear("depth_zero".into(), "m", sd("depth_zero"), deep.clone()));
+        all.push(Nuisance::linear("tilt".into(), "rad", sd("tilt"), tilt.clone()));
+        all.retain(|n| n.sd > 0.0);
+        all
+    }
+
+    fn predict(&self, mechanisms: &Mechanisms, coefficients: &Coefficients) -> Vec<f64> {
+        if self.stopped() {
+            return self.layout.stack(|_, _, _| f64::NAN);
+        }
+        match self.responses.known(mechanisms) {
+            Some(response) => response.at(coefficients),
+            None => self.in_grounds(mechanisms, [*coefficients]).swap_remove(0),
+        }
+    }
+
+    /// If several states differ in the coefficients alone, the response to these is computed once.
+    fn predict_many(&self, states: &[SandParameters]) -> Vec<Vec<f64>> {
+        let alike = |m: &Mechanisms| states.iter().filter(|s| s.0 == *m).count();
+        parallel::map(states, |(m, c)| {
+            if !self.stopped() && is_linear(m) && alike(m) >= ANSWERS {
+                return self.response(m).at(c);
+            }
+            self.predict(m, c)
+        })
+    }
+
+    fn with_terms(&self, terms: &[Term]) -> Option<Box<dyn ForwardModel + '_>> {
+        let medium = Medium { terms: terms.to_vec(), ..self.medium.clone() };
+        Some(Box::new(Self { medium, ..self.clone() }))
+    }
+
+    fn reach(&self) -> [f64; 3] {
+        let features = self.features();
+        let most = |name: &str| {
+            let all = features.iter().filter(|f| f.name == name).flat_map(|f| f.values.iter().flatten());
+            all.copied().fold(1e-3, f64::max)
+        };
+        let width = |t: &Track| match t.intruder {
+            Intruder::Leg { width, .. } | Intruder::Plate { width, .. } => width,
+        };
+        [most("speed"), most("depth"), self.tracks.iter().map(width).fold(f64::MAX, f64::min)]
+    }
+
+    fn medium(&self) -> &Medium {
+        &self.medium
+    }
+
+    fn testable(&self) -> Testable {
+        testable(|m| m.intrusion, &self.missing)
+    }
+
+    fn features(&self) -> Vec<Feature> {
+        let per_pose = |name, unit, f: &dyn Fn(&Track, &ArmPose) -> f64| Feature {
+            name,
+            unit,
+            values: self
+                .track_of
+                .iter()
+                .map(|&t| (&self.tracks[t], &self.kept[t]))
+                .map(|(t, kept)| kept.iter().map(|&i| f(t, &t.poses[i])).collect())
+                .collect(),
+        };
+        vec![
+            per_pose("speed", "m/s", &|t, p| match t.intruder {
+                Intruder::Leg { chord, .. } => p.omega.abs() * chord,
+                Intruder::Plate { .. } => p.velocity[0].hypot(p.velocity[1]),
+            }),
+            per_pose("depth", "m", &|t, p| {
+                let z = match t.intruder {
+                    Intruder::Leg { chord, .. } => t.hip_height - chord * p.theta.cos(),
+                    Intruder::Plate { .. } => p.center[1],
+                };
+                (-z).max(0.0)
+            }),
+            per_pose("angle", "rad", &|t, p| match t.intruder {
+                Intruder::Leg { .. } => p.theta,
+                Intruder::Plate { .. } => t.beta,
+            }),
+            per_pose("pass", "1", &|t, _| f64::from(t.pass)),
+            per_pose("place", "m", &|t, p| t.x_bed + p.center[0]),
+        ]
+    }
+
+    /// Other tracks with the same intruders.
+    fn menu(&self) -> Option<Menu<'_>> {
+        let (tracks, descriptions): (Vec<_>, Vec<_>) = super::force_log::possible(&self.tracks).into_iter().unzip();
+        let log = super::force_log::planned(tracks, self.layout.channels.len());
+        let (latch, missing, priors) = (self.latch, self.missing.clone(), self.priors.clone());
+        let model = Self { latch, missing, priors, ..Self::along(&log, self.medium.clone(), self.cuts.clone()) };
+        (!descriptions.is_empty()).then(|| Menu {
+            model: Box::new(model),
+            observations: log.observations,
+            descriptions,
+        })
+    }
+
+    fn group(&self, unit: usize) -> &str {
+        &self.tracks[self.track_of[unit]].shape
+    }
+}

@@ -1,0 +1,51 @@
+//! Results of simulations that may be asked for again.
+
+use super::forward::SandParameters;
+use std::collections::HashMap;
+use std::sync::{Mutex, PoisonError};
+
+/// Results by the bits of what they were computed with.
+pub struct Known<T> {
+    results: Mutex<HashMap<Vec<u64>, T>>,
+    /// From this number on, all are forgotten.
+    most: usize,
+}
+
+impl<T> Default for Known<T> {
+    fn default() -> Self {
+        Self::up_to(usize::MAX)
+    }
+}
+
+/// The bits of a sand and of other numbers.
+pub fn key((mechanisms, coefficients): &SandParameters, others: &[f64]) -> Vec<u64> {
+    let numbers = mechanisms.values().into_iter().chain(coefficients.to_array());
+    numbers.chain(others.iter().copied()).map(f64::to_bits).collect()
+}
+
+impl<T> Known<T> {
+    pub fn up_to(most: usize) -> Self {
+        Self { results: Mutex::default(), most }
+    }
+}
+
+impl<T: Clone> Known<T> {
+    /// The result of each key. `compute` gets the places of the keys that are new, each once.
+    pub fn of(&self, keys: Vec<Vec<u64>>, compute: impl FnOnce(&[usize]) -> Vec<T>) -> Vec<T> {
+        let known = || self.results.lock().unwrap_or_else(PoisonError::into_inner);
+        let is_new = |k: &usize| !known().contains_key(&keys[*k]) && !keys[..*k].contains(&keys[*k]);
+        let new: Vec<usize> = (0..keys.len()).filter(is_new).collect();
+        // Others compute meanwhile, and may forget results: those that are known now are taken first.
+        let mut own: HashMap<&[u64], T> =
+            keys.iter().filter_map(|key| Some((key.as_slice(), known().get(key)?.clone()))).collect();
+        own.extend(new.iter().map(|&k| keys[k].as_slice()).zip(compute(&new)));
+        let mut known = known();
+        for &k in &new {
+            if known.len() >= self.most {
+                known.clear();
+            }
+            known.insert(keys[k].clone(), own[keys[k].as_slice()].clone());
+        }
+        keys.iter().map(|key| own[key.as_slice()].clone()).collect()
+    }
+}
