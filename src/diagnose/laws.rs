@@ -113,9 +113,12 @@ pub fn laws(study: &FitInputs, base: &Fit) -> Option<Laws> {
     Some(Laws { terms, columns })
 }
 
-/// The law `term` fitted in addition to `base`, from its coefficient. None if sand cannot follow the fitted law.
-pub fn fitted(study: &FitInputs, base: &Fit, mut term: Term) -> Option<FittedLaw> {
-    let mut fit = base.clone();
+/// The law `term` fitted in addition to `base`, from its coefficient. The values of named causes are `held`: the law
+/// describes what they leave, and takes no part of them. None if sand cannot follow the fitted law.
+pub fn fitted(study: &FitInputs, base: &Fit, mut term: Term, held: bool) -> Option<FittedLaw> {
+    let values = if held { base.ids.len() } else { 0 };
+    let (own, rest) = base.slopes.split_at(values);
+    let mut fit = Fit { ids: base.ids[values..].to_vec(), slopes: rest.to_vec(), ..base.clone() };
     let mut sd = 0.0;
     for _ in 0..ROUNDS {
         let model = study.model.with_terms(std::slice::from_ref(&term))?;
@@ -132,5 +135,6 @@ pub fn fitted(study: &FitInputs, base: &Fit, mut term: Term) -> Option<FittedLaw
     let model = study.model.with_terms(std::slice::from_ref(&term))?;
     let fit = study.with_model(&*model).fit_near(&fit);
     term.check(&study.coefficients(&fit.deviations), study.model.medium().bulk_density).ok()?;
+    let fit = Fit { ids: base.ids.clone(), slopes: [own, &fit.slopes].concat(), ..fit };
     Some(FittedLaw { term, sd, fit })
 }

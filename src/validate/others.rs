@@ -1,7 +1,7 @@
 //! Other comparisons: discs of several sizes, a simulation of single grains, and walks and robots by independent codes.
 
 use super::{data, robots};
-use crate::calibrate::pushes::{self, Law as PushLaw};
+use crate::calibrate::pushes::{self, PushLaw};
 use crate::error::Result;
 use crate::parallel;
 use crate::reproduce;
