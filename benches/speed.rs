@@ -5,7 +5,7 @@ use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_m
 use sandgait::bench::{Direct, Remote, Stepper, random_actions};
 use sandgait::env::registry::Blueprint;
 use sandgait::number::{Isa, Vec3};
-use sandgait::sand::{Law, Medium, SandBed, SegmentState, Surface};
+use sandgait::sand::{Law, Medium, Regularization, SandBed, SegmentState};
 use sandgait::sim::engine::{Command, EngineKind};
 use sandgait::sim::lanes::LanesEngine;
 use sandgait::sim::model::Scene;
@@ -24,7 +24,7 @@ fn sand() -> Medium {
 fn segment(c: &mut Criterion) {
     let mut group = c.benchmark_group("segment");
     for law in Law::ALL {
-        let ground = SandBed::<f64>::new(law, &sand(), &Surface::default());
+        let ground = SandBed::<f64>::new(law, &sand(), &Regularization::default());
         let (site, n, v) = (SegmentState::fresh(0.02, 0.0), Vec3::new(0.6, 0.0, 0.8), Vec3::new(0.1, 0.02, -0.2));
         group.bench_function(law.name(), |b| b.iter(|| ground.thin_plate(&black_box(site), 1e-5, n, black_box(v))));
     }

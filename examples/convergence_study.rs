@@ -5,7 +5,7 @@ use sandgait::number::Isa;
 use sandgait::sand::Medium;
 use sandgait::sim::engine::EngineKind;
 use sandgait::sim::model::Scene;
-use sandgait::sim::walk::{Trial, walk_many};
+use sandgait::sim::walk::{WalkTrial, walk_many};
 use sandgait::sim::{Model, Robot};
 
 const FREQUENCIES: [f64; 4] = [1.0, 2.0, 3.0, 5.0];
@@ -18,7 +18,7 @@ const FINE: f64 = 2e-5;
 fn speeds(engine: EngineKind, leg: &str, dt: f64) -> sandgait::Result<Vec<f64>> {
     let robot = Robot::load("xplorer")?.with_leg_shape(leg)?;
     let model = Model::new(&robot, &Scene { dt, ..Scene::flat(Medium::named("poppy-loose")?) })?;
-    let trials = FREQUENCIES.map(|frequency| Trial::new(model.clone(), frequency));
+    let trials = FREQUENCIES.map(|frequency| WalkTrial::new(model.clone(), frequency));
     Ok(walk_many(engine, &trials, &|_| Ok(()))?.iter().map(|r| r.speed).collect())
 }
 

@@ -7,11 +7,11 @@ use nalgebra::{Isometry3, Matrix3, UnitQuaternion, Vector3};
 use rand::{Rng as _, SeedableRng as _};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::number::Vec3;
-use sandgait::sand::intruder::Plate;
-use sandgait::sand::{Law, Medium, SandBed, SandDescription, SegmentState, Surface};
+use sandgait::sand::intruder::IntruderPlate;
+use sandgait::sand::{Law, Medium, Regularization, SandBed, SandDescription, SegmentState};
 use sandgait::sim::Model;
 use sandgait::sim::model::Scene;
-use sandgait::sim::tree::flight::{Pose, sand_loads};
+use sandgait::sim::tree::flight::{TreePose, sand_loads};
 use sandgait::sim::tree::{Geometry, Tree, TreeBody, TreeModel, TreeShape, of_shapes, of_touching};
 use sandgait::{Result, robots};
 use std::path::Path;
@@ -45,7 +45,7 @@ fn vector(v: Vec3<f64>) -> V {
 }
 
 /// A model of one body with these plates.
-fn alone(plates: Vec<Plate>, law: &str) -> Result<Model> {
+fn alone(plates: Vec<IntruderPlate>, law: &str) -> Result<Model> {
     let body = TreeBody {
         name: "body".into(),
         parent: 0,
@@ -59,7 +59,7 @@ fn alone(plates: Vec<Plate>, law: &str) -> Result<Model> {
     let tree = TreeModel::new(Tree { name: "body".into(), bodies: vec![body] }, vec![plates])?;
     Model::of_tree(
         tree,
-        &Scene { law: Law::named(law)?, surface: Surface::SOLID, ..Scene::flat(Medium::named(MEDIUM)?) },
+        &Scene { law: Law::named(law)?, surface: Regularization::SOLID, ..Scene::flat(Medium::named(MEDIUM)?) },
     )
 }
 
@@ -86,7 +86,7 @@ fn points(shapes: &[&TreeShape]) -> Result<Vec<Point>> {
         }
         return Ok(points);
     }
-    let point = |p: &Plate| Point {
+    let point = |p: &IntruderPlate| Point {
         at: vector(p.center),
         normal: vector(p.normal),
         area: p.area,
@@ -97,10 +97,10 @@ fn points(shapes: &[&TreeShape]) -> Result<Vec<Point>> {
 }
 
 /// Compares the engine's forces on `plates` with the law summed over points of the `shapes`.
-pub fn errors(shapes: &[&TreeShape], plates: Vec<Plate>, law: &str, poses: usize, seed: u64) -> Result<Errors> {
+pub fn errors(shapes: &[&TreeShape], plates: Vec<IntruderPlate>, law: &str, poses: usize, seed: u64) -> Result<Errors> {
     let sand = SandDescription::named(MEDIUM, law)?;
     let grounds: [SandBed<f64>; 2] =
-        [Surface::BARE, Surface::SOLID].map(|surface| SandBed::new(sand.law, &sand.medium(), &surface));
+        [Regularization::BARE, Regularization::SOLID].map(|surface| SandBed::new(sand.law, &sand.medium(), &surface));
     let (model, points) = (alone(plates, law)?, points(shapes)?);
     let patches = model.tree.as_ref().map_or(0, |tree| tree.patches[0].patches.len());
     let middle = points.iter().map(|p| p.at * p.area).sum::<V>() / points.iter().map(|p| p.area).sum::<f64>();
@@ -126,7 +126,7 @@ pub fn errors(shapes: &[&TreeShape], plates: Vec<Plate>, law: &str, poses: usize
             }
         }
         let off = turn * middle;
-        let pose = Pose {
+        let pose = TreePose {
             quat: [turn.w, turn.i, turn.j, turn.k],
             v: (velocity - spin.cross(&off)).into(),
             w: spin.into(),

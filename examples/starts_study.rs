@@ -8,7 +8,7 @@ use sandgait::sand::Medium;
 use sandgait::sand::mechanism::{CATALOG, Mechanisms, Side};
 use sandgait::sim::engine::EngineKind;
 use sandgait::sim::model::Scene;
-use sandgait::sim::walk::{Trial, walk_many};
+use sandgait::sim::walk::{WalkTrial, walk_many};
 use sandgait::sim::{Model, Robot};
 
 /// Number of starts; the hips' angles differ by equal parts of a turn.
@@ -31,9 +31,9 @@ fn speeds(
     let scene = Scene { dt, mechanisms: sand, ..Scene::flat(Medium::named("poppy-loose")?) };
     let model = Model::new(&robot, &scene)?;
     let phase = |k: usize| std::f64::consts::TAU * k as f64 / STARTS as f64;
-    let trials: Vec<Trial> =
-        (0..starts).map(|k| Trial { phase: phase(k), ..Trial::new(model.clone(), frequency) }).collect();
-    let blocks: Vec<&[Trial]> = trials.chunks(engine.shard_size()).collect();
+    let trials: Vec<WalkTrial> =
+        (0..starts).map(|k| WalkTrial { phase: phase(k), ..WalkTrial::new(model.clone(), frequency) }).collect();
+    let blocks: Vec<&[WalkTrial]> = trials.chunks(engine.shard_size()).collect();
     let walked = parallel::map(&blocks, |block| walk_many(engine, block, &|_| Ok(())));
     Ok(walked.into_iter().collect::<Result<Vec<_>>>()?.concat().iter().map(|r| r.speed).collect())
 }

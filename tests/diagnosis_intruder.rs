@@ -6,7 +6,7 @@ use sandgait::diagnose::report::Diagnosis;
 use sandgait::diagnose::statements::violations;
 use sandgait::diagnose::verdict::Verdict;
 use sandgait::progress::Silent;
-use sandgait::sand::intruder::{Body, BodyShape, Given, Trial, compute, with_friction};
+use sandgait::sand::intruder::{BodyShape, DepthOrLoad, PlatedBody, Trial, compute, with_friction};
 use sandgait::sand::{Law, Medium, SandDescription};
 use std::path::Path;
 
@@ -37,14 +37,17 @@ fn diagnosed(keep: impl Fn(&str) -> bool) -> Diagnosis {
 
 /// Root mean square errors of Fx and Fy under the measured load [N].
 fn errors(sand: &SandDescription, rows: &[String]) -> [f64; 2] {
-    let body = Body::cut(&BodyShape::named(WHEEL).unwrap(), None).unwrap();
+    let body = PlatedBody::cut(&BodyShape::named(WHEEL).unwrap(), None).unwrap();
     let mut squares = [0.0; 2];
     for row in rows {
         let cells: Vec<&str> = row.split(',').collect();
         let number = |k: usize| cells[k].parse::<f64>().unwrap();
         let mu = if cells[3] == "smooth" { 0.46 } else { 0.70 };
-        let trial =
-            Trial { velocity: [number(4), number(5), 0.0], spin: [0.0, number(6), 0.0], given: Given::Load(number(7)) };
+        let trial = Trial {
+            velocity: [number(4), number(5), 0.0],
+            spin: [0.0, number(6), 0.0],
+            given: DepthOrLoad::Load(number(7)),
+        };
         let force = compute(&body, &with_friction(sand, mu).unwrap(), &trial).force;
         squares = [0, 1].map(|k| squares[k] + (force[k] - number(9 + k)).powi(2) / rows.len() as f64);
     }

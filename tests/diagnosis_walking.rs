@@ -16,7 +16,7 @@ use sandgait::progress::{Progress, Silent};
 use sandgait::sand::{Mechanisms, SandDescription};
 use sandgait::sim::engine::EngineKind;
 use sandgait::sim::model::Scene;
-use sandgait::sim::walk::Trial;
+use sandgait::sim::walk::WalkTrial;
 use sandgait::sim::{Model, Robot};
 use sandgait::sweep::walk_all;
 use std::path::{Path, PathBuf};
@@ -59,7 +59,7 @@ fn a_hidden_slope_is_named_and_its_sand_walks_as_reported() {
     let sand = SandDescription::load(&out.join("sand.toml")).unwrap();
     let experiment = Experiment::from_toml(hall::EXPERIMENT).unwrap();
     let log = walking_log::read(&directory.path().join("runs.csv"), &experiment, &Silent).unwrap();
-    let trials: Vec<Trial> = log
+    let trials: Vec<WalkTrial> = log
         .setups
         .iter()
         .map(|s| {
@@ -67,7 +67,11 @@ fn a_hidden_slope_is_named_and_its_sand_walks_as_reported() {
             scene.set_sand(&sand);
             (scene.slope_deg, scene.payload) = (s.slope_deg, s.payload);
             let robot = Robot::load(&s.robot).unwrap().with_leg_shape(&s.leg).unwrap();
-            Trial { x_bed: s.x_bed, strides: s.strides, ..Trial::new(Model::new(&robot, &scene).unwrap(), s.frequency) }
+            WalkTrial {
+                x_bed: s.x_bed,
+                strides: s.strides,
+                ..WalkTrial::new(Model::new(&robot, &scene).unwrap(), s.frequency)
+            }
         })
         .collect();
     let walked = walk_all(EngineKind::Lanes, &trials, &Silent).unwrap();

@@ -13,7 +13,7 @@ use sandgait::sand::Medium;
 use sandgait::sim::engine::EngineKind;
 use sandgait::sim::feet::feet;
 use sandgait::sim::model::Scene;
-use sandgait::sim::walk::{Trial, walk};
+use sandgait::sim::walk::{WalkTrial, walk};
 use sandgait::sim::{Model, Robot, State};
 use serde_json::{Value, json};
 use std::sync::Mutex;
@@ -92,7 +92,7 @@ fn a_tripods_speed_and_cost_are_those_of_a_walk() {
     let mut robot = Robot::load("xplorer").unwrap().with_leg_shape("C").unwrap();
     robot.servo.torque_limit = Some(0.05);
     let scene = Scene::flat(Medium::named("poppy-loose").unwrap());
-    let walked = walk(EngineKind::Lanes, &Trial::new(Model::new(&robot, &scene).unwrap(), 2.0)).unwrap();
+    let walked = walk(EngineKind::Lanes, &WalkTrial::new(Model::new(&robot, &scene).unwrap(), 2.0)).unwrap();
     println!("{got:?}\n{walked:?}");
     assert!((got.speed.mean / walked.speed - 1.0).abs() < 0.05, "{} {}", got.speed.mean, walked.speed);
     let cost = got.cost_of_transport.mean;

@@ -4,13 +4,13 @@
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::number::Vec3;
-use sandgait::sand::intruder::{Body, BodyShape, Given, Outcome, Status, Trial, compute};
-use sandgait::sand::{Law, Mechanisms, Medium, SandBed, SandDescription, SegmentState, Surface};
+use sandgait::sand::intruder::{BodyShape, DepthOrLoad, PlatedBody, Status, Trial, TrialOutcome, compute};
+use sandgait::sand::{Law, Mechanisms, Medium, Regularization, SandBed, SandDescription, SegmentState};
 use sandgait::validate::{data, fit, score};
 use std::f64::consts::PI;
 
-fn body(text: &str, size: Option<f64>) -> Body {
-    Body::cut(&BodyShape::named(text).unwrap(), size).unwrap()
+fn body(text: &str, size: Option<f64>) -> PlatedBody {
+    PlatedBody::cut(&BodyShape::named(text).unwrap(), size).unwrap()
 }
 
 /// 3D-RFT with ξ_n = 0.85/0.87574 N/cm³ and μ_s = 0.4.
@@ -20,11 +20,11 @@ fn sand() -> SandDescription {
     SandDescription { law: Law::Agarwal2023, mechanisms, ..plain }
 }
 
-fn trial(velocity: [f64; 3], spin: [f64; 3], given: Given) -> Trial {
+fn trial(velocity: [f64; 3], spin: [f64; 3], given: DepthOrLoad) -> Trial {
     Trial { velocity, spin, given }
 }
 
-fn off(a: &Outcome, b: &Outcome) -> f64 {
+fn off(a: &TrialOutcome, b: &TrialOutcome) -> f64 {
     let norm = |f: [f64; 3]| f.iter().map(|x| x * x).sum::<f64>().sqrt();
     norm([0, 1, 2].map(|k| a.force[k] - b.force[k])) / norm(b.force).max(1e-6)
 }
@@ -62,7 +62,7 @@ fn default_plates_are_fine_enough() {
             }
             // The force on a turning box is a mean over its turn, which another test checks.
             let spin = if name.starts_with("box") { 0.0 } else { random.random_range(-1.0..1.0) };
-            let t = trial(v, [0.0, spin, 0.0], Given::Depth(random.random_range(0.005..0.04)));
+            let t = trial(v, [0.0, spin, 0.0], DepthOrLoad::Depth(random.random_range(0.005..0.04)));
             let [a, b, c] = [&coarse, &fine, &finest].map(|b| compute(b, &sand(), &t));
             assert!(off(&a, &c) < 0.02, "{name} {t:?}: {a:?} {c:?}");
             assert!(off(&b, &c) < 0.005, "{name} {t:?}: {b:?} {c:?}");
@@ -74,16 +74,16 @@ fn default_plates_are_fine_enough() {
 fn the_depth_found_carries_the_load() {
     let wheel = body("cylinder:radius=0.0625,width=0.06", None);
     for wy in [0.0, 0.1, 0.16, 0.3, 1.6] {
-        let t = trial([0.01, 0.0, 0.0], [0.0, wy, 0.0], Given::Load(20.0));
+        let t = trial([0.01, 0.0, 0.0], [0.0, wy, 0.0], DepthOrLoad::Load(20.0));
         let under = compute(&wheel, &sand(), &t);
         assert_eq!(under.status, Status::Ok);
         assert!((under.force[2] - 20.0).abs() < 1e-3, "{under:?}");
-        let at = compute(&wheel, &sand(), &Trial { given: Given::Depth(under.depth), ..t });
+        let at = compute(&wheel, &sand(), &Trial { given: DepthOrLoad::Depth(under.depth), ..t });
         assert!(off(&at, &under) < 1e-6, "{at:?} {under:?}");
     }
-    let heavy = compute(&wheel, &sand(), &trial([0.01, 0.0, 0.0], [0.0; 3], Given::Load(1e5)));
+    let heavy = compute(&wheel, &sand(), &trial([0.01, 0.0, 0.0], [0.0; 3], DepthOrLoad::Load(1e5)));
     assert!(heavy.status == Status::NoEquilibrium && heavy.depth.is_nan() && heavy.force[0].is_nan());
-    let above = compute(&wheel, &sand(), &trial([0.01, 0.0, 0.0], [0.0; 3], Given::Depth(-0.01)));
+    let above = compute(&wheel, &sand(), &trial([0.01, 0.0, 0.0], [0.0; 3], DepthOrLoad::Depth(-0.01)));
     assert_eq!((above.force, above.torque), ([0.0; 3], [0.0; 3]));
 }
 
@@ -92,7 +92,7 @@ fn the_depth_found_carries_the_load() {
 #[test]
 fn a_box_that_turns_has_the_mean_over_its_turn() {
     let b = body("box:length=0.05,width=0.05,height=0.05", None);
-    let t = trial([0.02, 0.0, 0.0], [0.0, 2.0, 0.0], Given::Depth(0.02));
+    let t = trial([0.02, 0.0, 0.0], [0.0, 2.0, 0.0], DepthOrLoad::Depth(0.02));
     let turning = compute(&b, &sand(), &t);
     let still = compute(&b, &sand(), &Trial { spin: [0.0; 3], ..t });
     assert!(turning.force[1].abs() < 1e-9 && off(&turning, &still) > 0.05, "{turning:?} {still:?}");
@@ -128,7 +128,7 @@ fn meshes_work_as_bodies() {
     let directory = tempfile::tempdir().unwrap();
     let line = |word: &str, p: &[f64; 3]| format!("{word} {} {} {}\n", p[0], p[1], p[2]);
     let exact = body("box:length=0.1,width=0.06,height=0.04", None);
-    let t = trial([0.01, 0.004, -0.01], [0.0; 3], Given::Depth(0.015));
+    let t = trial([0.01, 0.004, -0.01], [0.0; 3], DepthOrLoad::Depth(0.015));
     for inward in [false, true] {
         let mut stl = String::from("solid box\n");
         let mut obj = String::new();
@@ -160,14 +160,14 @@ fn bad_bodies_end_in_one_line() {
     std::fs::write(&empty, "solid a\nendsolid a\n").unwrap();
     let noise = directory.path().join("noise.stl");
     std::fs::write(&noise, [255u8; 200]).unwrap();
-    let cut = |text: &str| BodyShape::named(text).and_then(|s| Body::cut(&s, None)).unwrap_err().to_string();
+    let cut = |text: &str| BodyShape::named(text).and_then(|s| PlatedBody::cut(&s, None)).unwrap_err().to_string();
     let files = [&open, &empty, &noise].map(|p| p.to_str().unwrap().to_owned());
     let named = ["cone:radius=1", "cylinder:radius=0.1", "sphere:radius=x", "sphere:radius=-1", "box:length=1,depth=1"];
     for text in named.iter().map(|t| (*t).to_owned()).chain(files) {
         let said = cut(&text);
         assert!(!said.contains('\n') && said.len() > 10, "{text}: {said}");
     }
-    let small = Body::cut(&BodyShape::named("sphere:radius=1").unwrap(), Some(1e-5)).unwrap_err().to_string();
+    let small = PlatedBody::cut(&BodyShape::named("sphere:radius=1").unwrap(), Some(1e-5)).unwrap_err().to_string();
     assert!(small.contains("plate-size"), "{small}");
 }
 
@@ -176,8 +176,8 @@ fn bad_bodies_end_in_one_line() {
 fn an_independent_program_agrees() {
     let wheel = body("cylinder:radius=0.0625,width=0.06", None);
     for (v, wy, depth, force) in INDEPENDENT {
-        let found = compute(&wheel, &sand(), &trial(v, [0.0, wy, 0.0], Given::Depth(depth)));
-        let expected = Outcome { force, ..found };
+        let found = compute(&wheel, &sand(), &trial(v, [0.0, wy, 0.0], DepthOrLoad::Depth(depth)));
+        let expected = TrialOutcome { force, ..found };
         assert!(off(&found, &expected) < 0.02, "{v:?} {wy} {depth}: {:?} {force:?}", found.force);
     }
 }
@@ -221,7 +221,7 @@ fn slip_adds_no_energy() {
         for law in [Law::Li2013, Law::Agarwal2023] {
             let clipped = Mechanisms { friction_clip: mechanisms.friction_clip, ..Mechanisms::PLAIN };
             let force = |m: &Mechanisms| {
-                let ground = SandBed::new(law, &medium, &Surface::BARE).with(m, &medium);
+                let ground = SandBed::new(law, &medium, &Regularization::BARE).with(m, &medium);
                 let site = SegmentState::fresh(0.01, 0.0).travelling([travel.x, travel.y]);
                 ground.thin_plate(&site, 1e-4, n, v).force
             };

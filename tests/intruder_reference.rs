@@ -4,7 +4,7 @@
 
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
-use sandgait::sand::intruder::{Body, BodyShape, Given, Trial, compute};
+use sandgait::sand::intruder::{BodyShape, DepthOrLoad, PlatedBody, Trial, compute};
 use sandgait::sand::{Law, Mechanisms, Medium, SandDescription};
 use std::f64::consts::{PI, TAU};
 
@@ -170,8 +170,8 @@ fn three_hundred_rows_agree_with_a_second_implementation() {
     let mut errors = [Vec::new(), Vec::new()];
     for (name, cells, low, arm) in bodies(60) {
         let shape = BodyShape::named(&name).unwrap();
-        let coarse = Body::cut(&shape, None).unwrap();
-        let fine = Body::cut(&shape, Some(coarse.plate_size / 2.0)).unwrap();
+        let coarse = PlatedBody::cut(&shape, None).unwrap();
+        let fine = PlatedBody::cut(&shape, Some(coarse.plate_size / 2.0)).unwrap();
         for row in 0..50 {
             let mut v = [0; 3].map(|_| random.random_range(-0.03..0.03));
             if row % 3 > 0 {
@@ -182,7 +182,7 @@ fn three_hundred_rows_agree_with_a_second_implementation() {
             }
             let spin = if name.starts_with("cyl") { random.random_range(-1.5..1.5) } else { 0.0 };
             let (depth, mu) = (random.random_range(0.004..1.9 * low), random.random_range(0.15..0.8));
-            let trial = Trial { velocity: v, spin: [0.0, spin, 0.0], given: Given::Depth(depth) };
+            let trial = Trial { velocity: v, spin: [0.0, spin, 0.0], given: DepthOrLoad::Depth(depth) };
             let expected = load(&cells, &Motion { v, w: [0.0, spin, 0.0], surface: depth - low, mu });
             let expected = expected.map(|f| f.map(|x| XI * x));
             if norm(expected[0]) < 0.01 {
@@ -196,7 +196,7 @@ fn three_hundred_rows_agree_with_a_second_implementation() {
             }
             if expected[0][2] > 0.5 * norm(expected[0]) {
                 // At the depth found for a load, the second implementation must give this load.
-                let loaded = Trial { given: Given::Load(expected[0][2]), ..trial };
+                let loaded = Trial { given: DepthOrLoad::Load(expected[0][2]), ..trial };
                 let found = compute(&fine, &sand(mu), &loaded);
                 let there = load(&cells, &Motion { v, w: [0.0, spin, 0.0], surface: found.depth - low, mu });
                 let miss = (XI * there[0][2] - expected[0][2]).abs() / norm(expected[0]);
@@ -219,7 +219,7 @@ fn three_hundred_rows_agree_with_a_second_implementation() {
 fn turning_bodies_agree_with_a_second_implementation() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(4);
     for (name, cells, ..) in bodies(24).into_iter().step_by(3) {
-        let body = Body::cut(&BodyShape::named(&name).unwrap(), None).unwrap();
+        let body = PlatedBody::cut(&BodyShape::named(&name).unwrap(), None).unwrap();
         let ends: Vec<V> = match name.starts_with("cyl") {
             true => (0..720)
                 .flat_map(|k| {
@@ -251,7 +251,7 @@ fn turning_bodies_agree_with_a_second_implementation() {
                 let load = load(&there, &Motion { v, w, surface: depth + low, mu: 0.4 });
                 mean = [0, 1].map(|k| sum(mean[k], load[k], XI / angles.len() as f64));
             }
-            let trial = Trial { velocity: v, spin: w, given: Given::Depth(depth) };
+            let trial = Trial { velocity: v, spin: w, given: DepthOrLoad::Depth(depth) };
             let found = compute(&body, &sand(0.4), &trial);
             let miss = off([found.force, found.torque], mean, 0.06);
             assert!(miss < 0.02, "{name} {trial:?}: {miss} {found:?} {mean:?}");

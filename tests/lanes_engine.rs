@@ -182,12 +182,12 @@ fn lanes_do_not_affect_each_other() {
 #[test]
 fn lanes_do_not_affect_each_other_on_any_sand() {
     use sandgait::sim::engine::EngineKind;
-    use sandgait::sim::walk::{Trial, walk, walk_many};
+    use sandgait::sim::walk::{WalkTrial, walk, walk_many};
     let trial = |leg: &str, frequency: f64, mechanisms: Mechanisms| {
         let mut scene = Scene::flat(Medium::named("poppy-loose").unwrap());
         scene.mechanisms = mechanisms;
         let robot = Robot::load("xplorer").unwrap().with_leg_shape(leg).unwrap();
-        Trial::new(Model::new(&robot, &scene).unwrap(), frequency)
+        WalkTrial::new(Model::new(&robot, &scene).unwrap(), frequency)
     };
     let sand = Mechanisms { inertial_drag: 1.0, cohesion: 50.0, concave_fill: 0.2, ..Mechanisms::PLAIN };
     let trials = [trial("L", 4.0, sand), trial("revL", 3.0, sand), trial("C", 5.0, Mechanisms::PLAIN)];

@@ -7,10 +7,10 @@ use sandgait::progress::Silent;
 use sandgait::sand::intrusion::Rotation;
 use sandgait::sand::mechanism::{CATALOG, Mechanism, Side};
 use sandgait::sand::mechanism_laws::{LEAST_FACTOR, SegmentState, footprint};
-use sandgait::sand::{Law, LegShape, Mechanisms, Medium, SandBed, SandDescription, Surface};
+use sandgait::sand::{Law, LegShape, Mechanisms, Medium, Regularization, SandBed, SandDescription};
 use sandgait::sim::engine::EngineKind;
 use sandgait::sim::model::Scene;
-use sandgait::sim::walk::{Trial, WalkResult};
+use sandgait::sim::walk::{WalkResult, WalkTrial};
 use sandgait::sim::{Model, Robot};
 use sandgait::sweep::walk_all;
 
@@ -105,10 +105,10 @@ fn sand_with_mechanisms_never_adds_energy() {
     let medium = Medium::named("poppy-loose").unwrap();
     let mut random = Xoshiro256PlusPlus::seed_from_u64(3);
     for law in Law::ALL {
-        let plain = SandBed::<f64>::new(law, &medium, &Surface::DEFAULT);
+        let plain = SandBed::<f64>::new(law, &medium, &Regularization::DEFAULT);
         for (what, m) in extremes(false, 60) {
             let ground = plain.with(&m, &medium);
-            let lanes = SandBed::<Portable>::new(law, &medium, &Surface::DEFAULT);
+            let lanes = SandBed::<Portable>::new(law, &medium, &Regularization::DEFAULT);
             let lanes = lanes.with(&m, &medium);
             for _ in 0..3_000 {
                 let s = segment(&mut random);
@@ -161,7 +161,7 @@ fn sand_brakes_a_turning_leg() {
 #[test]
 fn added_mass_conserves_energy() {
     let medium = Medium::named("poppy-loose").unwrap();
-    let plain = SandBed::<f64>::new(Law::Li2013, &medium, &Surface::DEFAULT);
+    let plain = SandBed::<f64>::new(Law::Li2013, &medium, &Regularization::DEFAULT);
     let m = Mechanisms { added_mass: 30.0, ..Mechanisms::PLAIN };
     let ground = plain.with(&m, &medium);
     let n = Vec3::new(0.6, 0.0, -0.8);
@@ -188,7 +188,7 @@ fn walks(cases: &[(String, Mechanisms)], legs: &[&str], frequencies: &[f64]) -> 
                 let robot = Robot::load("xplorer").unwrap().with_leg_shape(leg).unwrap();
                 let mut scene = Scene::flat(Medium::named("poppy-loose").unwrap());
                 scene.mechanisms = *mechanisms;
-                trials.push(Trial::new(Model::new(&robot, &scene).unwrap(), frequency));
+                trials.push(WalkTrial::new(Model::new(&robot, &scene).unwrap(), frequency));
                 said.push(format!("{what}: leg {leg} at {frequency} Hz"));
             }
         }

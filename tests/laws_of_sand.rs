@@ -3,7 +3,7 @@
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::number::Vec3;
-use sandgait::sand::{Law, LawCoefficients, Medium, SandBed, SegmentState, Surface};
+use sandgait::sand::{Law, LawCoefficients, Medium, Regularization, SandBed, SegmentState};
 
 /// A segment at a depth of 1 cm.
 fn here() -> SegmentState<f64> {
@@ -35,7 +35,7 @@ fn everywhere(check: impl Fn(&SandBed<f64>, Vec3<f64>, Vec3<f64>, &str)) {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(1);
     for name in Medium::names() {
         for law in Law::ALL {
-            let ground = SandBed::new(law, &Medium::named(name).unwrap(), &Surface::default());
+            let ground = SandBed::new(law, &Medium::named(name).unwrap(), &Regularization::default());
             for _ in 0..20_000 {
                 let speed = 10f64.powf(random.random_range(-8.0..0.0));
                 let (n, v) = (unit(&mut random), unit(&mut random) * speed);
@@ -117,7 +117,7 @@ fn one_sided_surfaces_only_push_ahead() {
 #[test]
 fn three_dimensional_rft_adds_energy_almost_nowhere() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(2);
-    let ground = SandBed::new(Law::Agarwal2023, &Medium::named("poppy-loose").unwrap(), &Surface::BARE);
+    let ground = SandBed::new(Law::Agarwal2023, &Medium::named("poppy-loose").unwrap(), &Regularization::BARE);
     let adds = (0..100_000).filter(|_| {
         let (n, v) = (unit(&mut random), unit(&mut random));
         let power = ground.stress(n, &ground.motion(v)).dot(v);

@@ -2,10 +2,10 @@
 
 use sandgait::number::Vec3;
 use sandgait::sand::intrusion::{Load, rotating_leg};
-use sandgait::sand::{Law, LegShape, Medium, SandBed, Surface};
+use sandgait::sand::{Law, LegShape, Medium, Regularization, SandBed};
 
 fn ground(medium: &str) -> SandBed<f64> {
-    SandBed::new(Law::Li2013, &Medium::named(medium).unwrap(), &Surface::default())
+    SandBed::new(Law::Li2013, &Medium::named(medium).unwrap(), &Regularization::default())
 }
 
 /// (α_x, α_z) in N/cm³ in the plane: v = (cos γ, −sin γ), n = (sin β, −cos β), F = (−α_x, α_z).

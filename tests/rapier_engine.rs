@@ -4,7 +4,7 @@ use sandgait::sand::{Mechanisms, Medium};
 use sandgait::sim::engine::{Command, Engine, EngineKind};
 use sandgait::sim::model::Scene;
 use sandgait::sim::rapier::RapierEngine;
-use sandgait::sim::walk::{Trial, WalkResult, walk_many};
+use sandgait::sim::walk::{WalkResult, WalkTrial, walk_many};
 use sandgait::sim::{Model, Robot, State};
 
 type V = nalgebra::Vector3<f64>;
@@ -21,7 +21,7 @@ fn model_of(robot: &str, leg: &str, scene: &Scene, change: impl Fn(&mut Robot)) 
     Model::new(&robot, scene).unwrap()
 }
 
-fn walk(trials: &[Trial]) -> Vec<WalkResult> {
+fn walk(trials: &[WalkTrial]) -> Vec<WalkResult> {
     walk_many(EngineKind::Rapier, trials, &|_| Ok(())).unwrap()
 }
 
@@ -329,7 +329,7 @@ fn walks_at_the_reference_speeds() {
         [("L", 0.02, [0.1201, 0.2870, 0.4161, 0.7139]), ("revL", 0.023, [0.0715, 0.1308, 0.2401, 0.4387])]
     {
         let model = model_of("xplorer", leg, &scene(), |_| ());
-        let trials = [1.0, 2.0, 3.0, 5.0].map(|f| Trial::new(model.clone(), f));
+        let trials = [1.0, 2.0, 3.0, 5.0].map(|f| WalkTrial::new(model.clone(), f));
         for ((trial, result), reference) in trials.iter().zip(walk(&trials)).zip(reference) {
             let error = result.speed / reference - 1.0;
             assert!(error.abs() < limit, "{leg} at {} Hz: {} m/s, {error:+.4}", trial.frequency, result.speed);
@@ -343,7 +343,7 @@ fn walks_at_the_reference_speeds() {
 fn stands_still() {
     for (leg, slope_deg) in [("L", 0.0), ("revL", 0.0), ("C", 0.0), ("L", 10.0)] {
         let model = model_of("xplorer", leg, &Scene { slope_deg, ..scene() }, |_| ());
-        let [result] = walk(&[Trial::new(model, 0.0)])[..] else { panic!("one result") };
+        let [result] = walk(&[WalkTrial::new(model, 0.0)])[..] else { panic!("one result") };
         assert!(result.sink.abs() < 1e-4 && result.drift < 1e-4, "{leg} at {slope_deg} deg: {result:?}");
     }
 }
@@ -386,15 +386,16 @@ fn agrees_with_the_engine_lanes() {
 #[test]
 fn parallel_walks_equal_single_walks_and_wrong_ones_are_refused() {
     let model = |leg: &str| model_of("xplorer", leg, &scene(), |_| ());
-    let trials = [Trial::new(model("L"), 5.0), Trial::new(model("revL"), 3.0), Trial::new(model("L"), -5.0)];
+    let trials =
+        [WalkTrial::new(model("L"), 5.0), WalkTrial::new(model("revL"), 3.0), WalkTrial::new(model("L"), -5.0)];
     let together = walk(&trials);
     for (trial, result) in trials.iter().zip(&together) {
         assert_eq!(walk(std::slice::from_ref(trial))[0], *result);
     }
     assert!(together[2].speed < 0.0);
-    let refused = |trial: Trial| walk_many(EngineKind::Rapier, &[trial], &|_| Ok(())).is_err();
-    assert!(refused(Trial::new(model("L"), f64::NAN)));
-    assert!(refused(Trial::new(model("L"), 1e-9)));
-    assert!(refused(Trial::new(model_of("xplorer18", "flat", &scene(), |_| ()), 1.0)));
+    let refused = |trial: WalkTrial| walk_many(EngineKind::Rapier, &[trial], &|_| Ok(())).is_err();
+    assert!(refused(WalkTrial::new(model("L"), f64::NAN)));
+    assert!(refused(WalkTrial::new(model("L"), 1e-9)));
+    assert!(refused(WalkTrial::new(model_of("xplorer18", "flat", &scene(), |_| ()), 1.0)));
     assert!(walk_many(EngineKind::Rapier, &[], &|_| Ok(())).unwrap().is_empty());
 }

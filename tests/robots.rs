@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use sandgait::number::Vec3;
 use sandgait::robots::{self, Import, states};
-use sandgait::sand::intruder::{Plate, area, volume};
+use sandgait::sand::intruder::{IntruderPlate, area, volume};
 use sandgait::sim::tree::{Geometry, TreeShape, plates};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -180,7 +180,8 @@ fn plates_keep_area_and_volume() {
             let shape = shape(geometry.clone(), place);
             let cut = plates::of_shapes(&[&shape], size).unwrap();
             let center = Vec3::new(0.1, 0.2, -0.3);
-            let about: Vec<Plate> = cut.iter().map(|p| Plate { center: p.center - center, ..*p }).collect();
+            let about: Vec<IntruderPlate> =
+                cut.iter().map(|p| IntruderPlate { center: p.center - center, ..*p }).collect();
             let errors = [area(&cut) / geometry.area() - 1.0, volume(&about) / geometry.volume() - 1.0];
             assert!(errors.iter().all(|e| e.abs() < 0.01), "{name}, {size:?}: {errors:?}, {} plates", cut.len());
             let open = cut.iter().fold(V::zeros(), |sum, p| sum + V::from(p.normal.lane(0)) * p.area);

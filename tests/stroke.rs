@@ -2,7 +2,7 @@
 
 use sandgait::env::Shard;
 use sandgait::env::registry::Blueprint;
-use sandgait::sand::{Law, LegShape, Medium, SandBed, Surface, intrusion};
+use sandgait::sand::{Law, LegShape, Medium, Regularization, SandBed, intrusion};
 use sandgait::sim::carriage::CarriageEngine;
 use sandgait::sim::engine::Command;
 use sandgait::sim::model::Scene;
@@ -45,7 +45,7 @@ fn paddle(k: usize) -> [f64; 2] {
 /// With the knee at 90° the leg is the L leg of the paper's experiment; its forces agree with those of other code.
 #[test]
 fn forces_are_those_of_a_rotating_leg() {
-    let surface = Surface::default();
+    let surface = Regularization::default();
     let ground = SandBed::<f64>::new(Law::Li2013, &medium(), &surface);
     for (knee, xi) in [(FRAC_PI_2, PI / 4.0), (-FRAC_PI_2, -PI / 4.0)] {
         let mut largest: f64 = 0.0;

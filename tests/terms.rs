@@ -3,10 +3,10 @@
 use sandgait::number::{Portable, Real, Vec3};
 use sandgait::progress::Silent;
 use sandgait::sand::mechanism_laws::SegmentState;
-use sandgait::sand::{Law, Mechanisms, SandBed, SandDescription, Surface};
+use sandgait::sand::{Law, Mechanisms, Regularization, SandBed, SandDescription};
 use sandgait::sim::engine::EngineKind;
 use sandgait::sim::model::Scene;
-use sandgait::sim::walk::Trial;
+use sandgait::sim::walk::WalkTrial;
 use sandgait::sim::{Model, Robot};
 use sandgait::sweep::walk_all;
 
@@ -18,11 +18,11 @@ fn sand(more: &str) -> SandDescription {
     SandDescription::from_toml(&format!("{plain}{more}")).unwrap()
 }
 
-fn trial(sand: &SandDescription) -> Trial {
+fn trial(sand: &SandDescription) -> WalkTrial {
     let mut scene = Scene::flat(sand.medium());
     scene.set_sand(sand);
     let robot = Robot::load("xplorer").unwrap().with_leg_shape("L").unwrap();
-    Trial::new(Model::new(&robot, &scene).unwrap(), 3.0)
+    WalkTrial::new(Model::new(&robot, &scene).unwrap(), 3.0)
 }
 
 /// Both engines agree on a walk with a term, and the term slows the robot down.
@@ -46,14 +46,14 @@ fn a_term_is_its_formula_in_every_lane() {
     let site = SegmentState { width: 0.02, ..SegmentState::fresh(0.03, 0.0) };
     let one = |sand: &SandDescription| {
         let medium = sand.medium();
-        let ground = SandBed::<f64>::new(Law::Li2013, &medium, &Surface::BARE).with(&Mechanisms::PLAIN, &medium);
+        let ground = SandBed::<f64>::new(Law::Li2013, &medium, &Regularization::BARE).with(&Mechanisms::PLAIN, &medium);
         ground.thin_plate(&site, 1e-4, n, v).force
     };
     let extra = one(&with) - one(&without);
     let froude: f64 = 0.25 / (9.80665 * 0.03);
     let expected = 30.0 * with.bulk_density * 9.80665 * 0.03 * froude.powf(0.75) * 1.5f64.powf(-0.25) * 1e-4;
     assert!((-extra.dot(n) / expected - 1.0).abs() < 1e-6, "{extra:?} {expected}");
-    let plain = SandBed::<Portable>::new(Law::Li2013, &without.medium(), &Surface::BARE);
+    let plain = SandBed::<Portable>::new(Law::Li2013, &without.medium(), &Regularization::BARE);
     let mut mixed = plain;
     mixed.set_lane(1, &with.medium(), &Mechanisms::PLAIN);
     let lanes =

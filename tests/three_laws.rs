@@ -5,7 +5,7 @@ use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::number::Vec3;
 use sandgait::sand::law::agarwal2023;
-use sandgait::sand::{Coefficients, Law, Medium, SandBed, Surface};
+use sandgait::sand::{Coefficients, Law, Medium, Regularization, SandBed};
 use std::f64::consts::{FRAC_PI_2, PI};
 
 fn plate(beta: f64, psi: f64) -> Vec3<f64> {
@@ -48,7 +48,7 @@ fn planar_laws_are_their_printed_equations() {
                 (Law::Li2013, li2013(&medium.coefficients, b, g)),
                 (Law::PenetrationDrag1d, one_dimensional(&medium.coefficients, g)),
             ] {
-                let ground = SandBed::new(law, &medium, &Surface::BARE);
+                let ground = SandBed::new(law, &medium, &Regularization::BARE);
                 let f = ground.stress(plate(b, 0.0), &ground.motion(direction(g)));
                 // 1 N/m³ is 1e-6 N/cm³.
                 let far = (-f.x - x).abs().max((f.z - z).abs());
@@ -104,7 +104,7 @@ fn spatial_law_is_its_published_components() {
     let medium = Medium::named("poppy-loose").unwrap();
     let xi = agarwal2023::calibrated(&medium.coefficients);
     assert!((xi * 1e-6 - 0.290).abs() < 1e-3, "{xi}");
-    let ground = SandBed::new(Law::Agarwal2023, &medium, &Surface::BARE);
+    let ground = SandBed::new(Law::Agarwal2023, &medium, &Regularization::BARE);
     let mut pulled = 0;
     for _ in 0..20_000 {
         let mut angle = |a: f64| random.random_range(-a..a);
@@ -131,8 +131,8 @@ fn spatial_law_is_its_published_components() {
 fn friction_caps_the_tangential_stress() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(9);
     let medium = Medium::named("glass-beads").unwrap();
-    let surface = Surface { friction: Some(0.3), ..Surface::BARE };
-    let [free, capped] = [Surface::BARE, surface].map(|s| SandBed::<f64>::new(Law::Agarwal2023, &medium, &s));
+    let surface = Regularization { friction: Some(0.3), ..Regularization::BARE };
+    let [free, capped] = [Regularization::BARE, surface].map(|s| SandBed::<f64>::new(Law::Agarwal2023, &medium, &s));
     for _ in 0..5_000 {
         let mut angle = |a: f64| random.random_range(-a..a);
         let (n, u) = (plate(angle(FRAC_PI_2), angle(PI)), direction(angle(FRAC_PI_2)));

@@ -2,7 +2,7 @@
 
 use sandgait::number::Isa;
 use sandgait::robots;
-use sandgait::sand::{Medium, Surface};
+use sandgait::sand::{Medium, Regularization};
 use sandgait::sim::engine::Command;
 use sandgait::sim::model::Scene;
 use sandgait::sim::tree::plates::of_touching;
@@ -22,7 +22,7 @@ fn sandcat(hard: Vec<HardGround>, dt: f64, reference: &Value) -> Model {
         (motor.kp, motor.kd) = (reference["kp"].as_f64().unwrap(), reference["kd"].as_f64().unwrap());
     }
     let medium = Medium::named("poppy-close").unwrap();
-    let scene = Scene { hard, dt, surface: Surface::SOLID, ..Scene::flat(medium) };
+    let scene = Scene { hard, dt, surface: Regularization::SOLID, ..Scene::flat(medium) };
     Model::of_tree(tree, &scene).unwrap()
 }
 

@@ -3,7 +3,7 @@
 use super::part::{BodyPart, BodyPlate};
 use crate::error::{Error, Result};
 use crate::sand::Law;
-use crate::sand::intruder::Plate;
+use crate::sand::intruder::IntruderPlate;
 use crate::sim::tree::of_shapes;
 use crate::sim::tree::patches::{Ball, BodyPatches};
 use std::sync::OnceLock;
@@ -79,14 +79,14 @@ impl CutBody {
         if pieces.is_empty() {
             return Err(Error::invalid("bodies", format!("{name:?} has no shapes")));
         }
-        let plates: Vec<Plate> = pieces.iter().map(|p| p.plate).collect();
+        let plates: Vec<IntruderPlate> = pieces.iter().map(|p| p.plate).collect();
         Ok(Self { ball: Ball::around(&plates), pieces, exact, patches: Default::default() })
     }
 
     /// The patches for `law`, which are made when they are needed for the first time.
     pub fn patches(&self, law: Law) -> &BodyPatches {
         self.patches[law as usize].get_or_init(|| {
-            let plates: Vec<Plate> = self.pieces.iter().map(|p| p.plate).collect();
+            let plates: Vec<IntruderPlate> = self.pieces.iter().map(|p| p.plate).collect();
             BodyPatches::of(0, &plates, law)
         })
     }

@@ -2,7 +2,7 @@
 //! the surface of the sand crosses.
 //!
 //! There a flat plate leads or does not. Here its force rises over the small range of n·v̂ that
-//! [`crate::sand::Surface::leading_edge_gate`] gives, because an integrator needs a force without jumps: from 0 for a
+//! [`crate::sand::Regularization::leading_edge_gate`] gives, because an integrator needs a force without jumps: from 0 for a
 //! flat plate, and about 0 for a bent one, of which on average half leads at n·v̂ = 0.
 //!
 //! The drag D of a body is the sum over its plates (or patches) of two parts. The plate's force F falls to zero with the
@@ -17,7 +17,7 @@ use super::part::BodyPlate;
 use crate::number::{Real, Vec3};
 use crate::sand::{SandBed, SegmentState};
 use crate::sim::spatial::Twist;
-use crate::sim::tree::dynamics::Frame;
+use crate::sim::tree::dynamics::LinkFrame;
 use crate::sim::tree::sand::Total;
 use crate::sim::tree::terrain::Local;
 
@@ -28,7 +28,7 @@ const UPRIGHT: f64 = 1e-12;
 /// What all plates of a body share.
 struct PlateScene<'a, R> {
     bed: &'a SandBed<R>,
-    frame: &'a Frame<R>,
+    frame: &'a LinkFrame<R>,
     velocity: &'a Twist<R>,
     place: &'a Vec3<R>,
     travel: [R; 2],
@@ -52,7 +52,7 @@ struct PlateForce<R> {
 pub fn on_plates<R: Real>(
     bed: &SandBed<R>,
     pieces: &[BodyPlate],
-    frame: &Frame<R>,
+    frame: &LinkFrame<R>,
     velocity: &Twist<R>,
     place: &Vec3<R>,
     travel: [R; 2],

@@ -2,7 +2,7 @@
 
 use crate::error::{Error, Result, check_range};
 use crate::number::{Isa, Real, Vec3};
-use crate::sand::{Medium, SandBed, SandDescription, Surface};
+use crate::sand::{Medium, Regularization, SandBed, SandDescription};
 use crate::sim::model::Scene;
 use crate::sim::tree::relief::{LaneRelief, Relief};
 use crate::sim::tree::terrain::{self, Local};
@@ -17,16 +17,16 @@ pub struct GroundOptions {
     pub slope_deg: f64,
     /// Heights of the surface; not together with a slope.
     pub relief: Option<Relief>,
-    /// See [`Surface::rest_speed`] [m/s]. Our choice 2e-6, a fifth of that of the engines: bodies of any weight, in any
+    /// See [`Regularization::rest_speed`] [m/s]. Our choice 2e-6, a fifth of that of the engines: bodies of any weight, in any
     /// medium, then creep by less than 0.1 mm in 10 s.
     pub rest_speed: f64,
-    /// See [`Surface::leading_edge_gate`]. Another value than the default applies to plates of a given size only.
+    /// See [`Regularization::leading_edge_gate`]. Another value than the default applies to plates of a given size only.
     pub leading_edge_gate: f64,
 }
 
 impl Default for GroundOptions {
     fn default() -> Self {
-        let leading_edge_gate = Surface::SOLID.leading_edge_gate;
+        let leading_edge_gate = Regularization::SOLID.leading_edge_gate;
         Self { height: 0.0, slope_deg: 0.0, relief: None, rest_speed: 2e-6, leading_edge_gate }
     }
 }
@@ -36,7 +36,7 @@ impl Default for GroundOptions {
 pub struct SandGround {
     description: SandDescription,
     medium: Medium,
-    pub(crate) surface: Surface,
+    pub(crate) surface: Regularization,
     height: f64,
     /// Upward normal of a flat surface.
     normal: [f64; 3],
@@ -62,7 +62,7 @@ impl SandGround {
             relief.check_repose()?;
         }
         let GroundOptions { rest_speed, leading_edge_gate, .. } = options;
-        let surface = Surface { rest_speed, leading_edge_gate, ..Surface::SOLID };
+        let surface = Regularization { rest_speed, leading_edge_gate, ..Regularization::SOLID };
         let medium = description.medium();
         let (sin, cos) = slope_deg.to_radians().sin_cos();
         Ok(Self {

@@ -11,7 +11,7 @@ use super::wrench::{matrix, on_one};
 use crate::error::{Error, Result};
 use crate::number::{Mat3, Vec3, flushed};
 use crate::sim::spatial::Twist;
-use crate::sim::tree::dynamics::Frame;
+use crate::sim::tree::dynamics::LinkFrame;
 
 /// The tree, as MuJoCo's model has it.
 #[derive(Clone, Debug, Default)]
@@ -152,19 +152,19 @@ impl JointSand {
         Ok(())
     }
 
-    /// Frame of body `k`, whose common point is the tree's centre of mass; that point; the velocity of the tree's root.
-    fn frame(&self, motion: &TreeMotion<'_>, k: usize) -> (Frame<f64>, Vec3<f64>, [f64; 2]) {
+    /// LinkFrame of body `k`, whose common point is the tree's centre of mass; that point; the velocity of the tree's root.
+    fn frame(&self, motion: &TreeMotion<'_>, k: usize) -> (LinkFrame<f64>, Vec3<f64>, [f64; 2]) {
         let (body, root) = (self.tree.body[k], self.tree.root[k]);
         let vector = |all: &[f64], i: usize| Vec3::new(all[3 * i], all[3 * i + 1], all[3 * i + 2]);
         let place = vector(motion.center, root);
         let rows = [3 * body, 3 * body + 1, 3 * body + 2].map(|row| vector(motion.rotation, row));
         let twist =
             |i: usize| Twist { angular: vector(motion.velocity, 2 * i), linear: vector(motion.velocity, 2 * i + 1) };
-        let frame = Frame {
+        let frame = LinkFrame {
             rotation: Mat3::new(rows[0], rows[1], rows[2]).transposed(),
             origin: vector(motion.position, body) - place,
             velocity: twist(body),
-            ..Frame::at_rest()
+            ..LinkFrame::at_rest()
         };
         let v = twist(root).at(vector(motion.position, root) - place);
         (frame, place, [v.x, v.y])

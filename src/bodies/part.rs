@@ -3,7 +3,7 @@
 use crate::error::{Error, Result};
 use crate::number::Vec3;
 use crate::robots::{Closed, closed, ellipsoid};
-use crate::sand::intruder::{Plate, read_file, sizes_of};
+use crate::sand::intruder::{IntruderPlate, read_file, sizes_of};
 use crate::sim::tree::{Geometry, TreeShape};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use std::path::Path;
@@ -50,7 +50,7 @@ enum PartKind {
 /// A plate, and whether it is a thin one, on which sand acts from both sides.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BodyPlate {
-    pub plate: Plate,
+    pub plate: IntruderPlate,
     pub thin: bool,
 }
 
@@ -142,7 +142,7 @@ impl BodyPart {
                 let at = |k: usize, count: usize, step: f64| (k as f64 + 0.5 - count as f64 / 2.0) * step;
                 let center = nalgebra::Point3::new(at(i, counts[0], steps[0]), at(j, counts[1], steps[1]), 0.0);
                 let center = Vec3::splat(self.origin.transform_point(&center).coords.into());
-                let plate = Plate { center, normal, area: steps[0] * steps[1], half, bend: [0.0; 2] };
+                let plate = IntruderPlate { center, normal, area: steps[0] * steps[1], half, bend: [0.0; 2] };
                 pieces.push(BodyPlate { plate, thin });
             }
         }

@@ -2,10 +2,10 @@
 
 use super::*;
 use crate::number::Vec3;
-use crate::sand::intruder::{Body, BodyShape, Given, Trial, compute};
-use crate::sand::{Law, SandBed, SandDescription, Surface};
+use crate::sand::intruder::{BodyShape, DepthOrLoad, PlatedBody, Trial, compute};
+use crate::sand::{Law, Regularization, SandBed, SandDescription};
 use crate::sim::spatial::Twist;
-use crate::sim::tree::dynamics::{Frame, Load, turned_by};
+use crate::sim::tree::dynamics::{LinkFrame, LinkLoad, turned_by};
 use crate::sim::tree::patches::BodyPatches;
 use crate::sim::tree::terrain::Flat;
 
@@ -15,7 +15,7 @@ const SIZE: f64 = 0.002;
 
 fn sand(law: Law) -> SandGround {
     let description = SandDescription::named("poppy-loose", law.name()).unwrap();
-    let options = GroundOptions { rest_speed: Surface::SOLID.rest_speed, ..Default::default() };
+    let options = GroundOptions { rest_speed: Regularization::SOLID.rest_speed, ..Default::default() };
     SandGround::new(description, options).unwrap()
 }
 
@@ -59,8 +59,8 @@ fn plates_of_a_given_size_are_those_of_intrude() {
             let depth = 0.01 * draw();
             let found = wrenches(&bodies, &sand(law), [0.3, -0.2, -depth], [1.0, 0.0, 0.0, 0.0], v, [0.0; 3]);
             for (k, shape) in SHAPES.iter().enumerate() {
-                let body = Body::cut(&BodyShape::named(shape).unwrap(), Some(SIZE)).unwrap();
-                let given = Given::Depth(depth - body.heights()[0]);
+                let body = PlatedBody::cut(&BodyShape::named(shape).unwrap(), Some(SIZE)).unwrap();
+                let given = DepthOrLoad::Depth(depth - body.heights()[0]);
                 let outcome = compute(&body, sand(law).description(), &Trial { velocity: v, spin: [0.0; 3], given });
                 let expected = [outcome.force, outcome.torque].concat();
                 let size = expected.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
@@ -79,7 +79,7 @@ fn default_plates_are_those_of_engine_tree() {
     for law in Law::ALL {
         let sand = sand(law);
         let medium = sand.description().medium();
-        let bed = SandBed::<f64>::new(law, &medium, &Surface::SOLID);
+        let bed = SandBed::<f64>::new(law, &medium, &Regularization::SOLID);
         for _ in 0..20 {
             let mut vector = |size: f64| [size * draw(), size * draw(), size * draw()];
             let (v, w, [a, b, c]) = (vector(0.3), vector(2.0), vector(1.0));
@@ -89,12 +89,12 @@ fn default_plates_are_those_of_engine_tree() {
             let found = wrenches(&bodies, &sand, place, q, v, w);
             for k in 0..SHAPES.len() {
                 let plates: Vec<_> = bodies.plates(k).iter().map(|p| p.plate).collect();
-                let frame = Frame {
+                let frame = LinkFrame {
                     rotation: turned_by((q[0], Vec3::new(q[1], q[2], q[3]))),
                     velocity: Twist { angular: Vec3::splat(w), linear: Vec3::splat(v) },
-                    ..Frame::at_rest()
+                    ..LinkFrame::at_rest()
                 };
-                let mut loads = [Load::none()];
+                let mut loads = [LinkLoad::none()];
                 let patches = [BodyPatches::of(0, &plates, law)];
                 crate::sim::tree::sand::press(
                     &bed,

@@ -9,7 +9,7 @@ use crate::error::{Error, Result};
 use crate::number::{Isa, Kernel, Real, Vec3, Work, flushed};
 use crate::sand::SandBed;
 use crate::sim::spatial::{Inertia, Twist};
-use crate::sim::tree::dynamics::{Frame, turned_by};
+use crate::sim::tree::dynamics::{LinkFrame, turned_by};
 use crate::sim::tree::sand::{Total, on_body, under_body};
 use crate::sim::tree::terrain::Surface;
 use std::marker::PhantomData;
@@ -171,7 +171,7 @@ impl<'a, R: Real> LaneGround<'a, R> {
 pub(crate) fn on_one<R: Real>(
     (sand, bed, under): (&SandGround, &SandBed<R>, &impl Surface<R>),
     body: &CutBody,
-    frame: &Frame<R>,
+    frame: &LinkFrame<R>,
     place: &Vec3<R>,
     travel: [R; 2],
 ) -> Option<Total<R>> {
@@ -200,17 +200,17 @@ impl<T: Precision> Work for StateShare<'_, T> {
 
     fn run<R: Real>(self) {
         let place = LaneGround::<R>::of(self.sand);
-        R::dispatch(Blocks { share: self, place, number: PhantomData });
+        R::dispatch(WrenchBlocks { share: self, place, number: PhantomData });
     }
 }
 
-struct Blocks<'a, T, R> {
+struct WrenchBlocks<'a, T, R> {
     share: StateShare<'a, T>,
     place: LaneGround<'a, R>,
     number: PhantomData<R>,
 }
 
-impl<T: Precision, R: Real> Kernel for Blocks<'_, T, R> {
+impl<T: Precision, R: Real> Kernel for WrenchBlocks<'_, T, R> {
     #[inline(always)]
     fn run(self) {
         let Self { mut share, place, .. } = self;
@@ -249,7 +249,8 @@ impl<T: Precision> StateShare<'_, T> {
         }
         let linear = m.velocity.lanes(from, states, index);
         let angular = m.angular_velocity.lanes(from, states, index);
-        let frame = Frame { rotation: turned_by(turn), velocity: Twist { angular, linear }, ..Frame::at_rest() };
+        let frame =
+            LinkFrame { rotation: turned_by(turn), velocity: Twist { angular, linear }, ..LinkFrame::at_rest() };
         let travel = m.travel.as_ref().map_or([R::zero(); 2], |travel| {
             let v: Vec3<R> = travel.lanes(from, states, 0);
             [v.x, v.y]
@@ -316,7 +317,7 @@ impl Bodies {
             let reason = format!("is missing: mechanism {id} depends on the velocity of the vehicle");
             return Err(Error::invalid("travel", reason));
         }
-        let size = crate::sand::Surface::SOLID.leading_edge_gate;
+        let size = crate::sand::Regularization::SOLID.leading_edge_gate;
         if sand.surface.leading_edge_gate != size && self.cut().iter().any(|b| !b.exact) {
             let reason = format!("other than {size} needs bodies with a plate_size");
             return Err(Error::invalid("leading_edge_gate", reason));

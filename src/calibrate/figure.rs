@@ -1,7 +1,7 @@
 //! Figures of penetration tests.
 
 use super::Calibration;
-use super::pushes::{Push, Pushes};
+use super::pushes::{Penetration, Pushes};
 use crate::plot::{Axis, Figure, Mark, Panel, Style, color};
 
 /// The test and the line through it.
@@ -30,7 +30,7 @@ pub fn single(depth: &[f64], force: &[f64], c: &Calibration) -> Figure {
 }
 
 /// Pressure over depth of every push, one colour for each size.
-pub fn several(pushes: &[Push], study: &Pushes) -> Figure {
+pub fn several(pushes: &[Penetration], study: &Pushes) -> Figure {
     let mut marks = Vec::new();
     for (k, size) in study.sizes.iter().enumerate() {
         let style = Style::line(color::CYCLE[k % color::CYCLE.len()]);

@@ -28,7 +28,7 @@ pub const MOST_SAMPLES: usize = 1_000_000;
 
 /// One penetration.
 #[derive(Clone, Debug)]
-pub struct Push {
+pub struct Penetration {
     pub name: String,
     /// Diameter [m]; of a rectangle, of the disc with the same area.
     pub diameter: f64,
@@ -38,7 +38,7 @@ pub struct Push {
     pub speeds: Option<[f64; 2]>,
 }
 
-impl Push {
+impl Penetration {
     /// [m²]
     pub fn area(&self) -> f64 {
         std::f64::consts::FRAC_PI_4 * self.diameter * self.diameter
@@ -143,7 +143,7 @@ pub struct Pushes {
 type Point = [f64; 3];
 
 /// Compares the laws. `compliance` [m/N] of the rig is fitted if it is not given.
-pub fn compare(pushes: &[Push], compliance: Option<f64>) -> Result<Pushes> {
+pub fn compare(pushes: &[Penetration], compliance: Option<f64>) -> Result<Pushes> {
     if pushes.len() < 2 {
         return Err(refused("one push only: several are needed to compare laws; leave out the column trial"));
     }
@@ -195,7 +195,7 @@ fn chosen(scores: &[LawScore]) -> PushLaw {
     near.min_by_key(|s| s.law.parameters()).map_or(PushLaw::Proportional, |s| s.law)
 }
 
-fn diameters(pushes: &[Push]) -> Vec<f64> {
+fn diameters(pushes: &[Penetration]) -> Vec<f64> {
     let mut all: Vec<f64> = pushes.iter().map(|p| p.diameter).collect();
     all.sort_by(f64::total_cmp);
     all.dedup_by(|a, b| (*a - *b).abs() < 1e-6);
@@ -203,7 +203,7 @@ fn diameters(pushes: &[Push]) -> Vec<f64> {
 }
 
 /// Mean depth and force of each stretch of depth below the first tenth.
-fn stretches(push: &Push) -> Result<Vec<[f64; 2]>> {
+fn stretches(push: &Penetration) -> Result<Vec<[f64; 2]>> {
     let deepest = push.points.iter().map(|p| p[0]).fold(0.0, f64::max);
     let from = TRANSIENT * deepest;
     let mut sums = [[0.0; 3]; STRETCHES];
@@ -222,8 +222,8 @@ fn stretches(push: &Push) -> Result<Vec<[f64; 2]>> {
     Ok(means)
 }
 
-fn logs(pushes: &[Push], stretches: &[Vec<[f64; 2]>], compliance: f64) -> Result<Vec<Vec<Point>>> {
-    let of = |(push, means): (&Push, &Vec<[f64; 2]>)| {
+fn logs(pushes: &[Penetration], stretches: &[Vec<[f64; 2]>], compliance: f64) -> Result<Vec<Vec<Point>>> {
+    let of = |(push, means): (&Penetration, &Vec<[f64; 2]>)| {
         let point = |&[depth, force]: &[f64; 2]| {
             let left = depth - compliance * force;
             if left <= 0.0 {
@@ -290,7 +290,7 @@ fn percent(sum: f64, count: usize) -> f64 {
     100.0 * (sum / count as f64).sqrt()
 }
 
-fn score(law: PushLaw, pushes: &[Push], points: &[Vec<Point>]) -> Result<LawScore> {
+fn score(law: PushLaw, pushes: &[Penetration], points: &[Vec<Point>]) -> Result<LawScore> {
     let all: Vec<usize> = (0..pushes.len()).collect();
     let count = points.iter().map(Vec::len).sum();
     // Each group in turn is predicted by a law fitted on all others.
@@ -318,7 +318,7 @@ fn score(law: PushLaw, pushes: &[Push], points: &[Vec<Point>]) -> Result<LawScor
 }
 
 /// The compliance [m/N] with which the law with the most exponents fits best.
-fn soft(pushes: &[Push], stretches: &[Vec<[f64; 2]>], chosen: &[usize], sized: bool) -> Result<f64> {
+fn soft(pushes: &[Penetration], stretches: &[Vec<[f64; 2]>], chosen: &[usize], sized: bool) -> Result<f64> {
     let law = if sized { PushLaw::PowerAndSize } else { PushLaw::Power };
     let all = stretches.iter().flatten();
     let most = 0.8 * all.map(|[depth, force]| depth / force).fold(f64::INFINITY, f64::min);
@@ -344,7 +344,7 @@ fn jackknife(value: f64, without: impl Iterator<Item = f64>) -> Value {
     Value { value, interval: [value - half, value + half] }
 }
 
-fn by_size(pushes: &[Push]) -> Result<Vec<OfSize>> {
+fn by_size(pushes: &[Penetration]) -> Result<Vec<OfSize>> {
     let of = |diameter: f64| {
         let own = pushes.iter().filter(|p| (p.diameter - diameter).abs() < 1e-6);
         let zetas = own.map(|push| {
@@ -369,7 +369,7 @@ fn by_size(pushes: &[Push]) -> Result<Vec<OfSize>> {
 /// choice; beds prepared by hand scatter by 5 to 10 %.
 const MOST_SCATTER: f64 = 10.0;
 
-fn cautions(study: &Pushes, pushes: &[Push]) -> Vec<String> {
+fn cautions(study: &Pushes, pushes: &[Penetration]) -> Vec<String> {
     let mut cautions = Vec::new();
     let [low, high] = study.depth_exponent.interval;
     if low > 1.0 || high < 1.0 {
@@ -422,11 +422,11 @@ mod tests {
     use super::*;
 
     /// Pushes of discs whose pressure is `p(z, D)`, on a rig that gives way by `compliance` [m/N], with 2 % of noise.
-    fn pushes(p: impl Fn(f64, f64) -> f64, compliance: f64) -> Vec<Push> {
+    fn pushes(p: impl Fn(f64, f64) -> f64, compliance: f64) -> Vec<Penetration> {
         let mut noise = 0.4_f64;
         let mut all = Vec::new();
         for (k, diameter) in [0.06, 0.06, 0.06, 0.08, 0.08, 0.1, 0.1, 0.1].into_iter().enumerate() {
-            let mut push = Push { name: format!("{k}"), diameter, points: Vec::new(), speeds: None };
+            let mut push = Penetration { name: format!("{k}"), diameter, points: Vec::new(), speeds: None };
             for i in 1..=120 {
                 let z = 2.5e-4 * f64::from(i);
                 noise = (noise * 997.0 + 0.123).fract();

@@ -1,6 +1,6 @@
 //! Penetration tests from CSV: one push, or several with a column trial.
 
-use super::pushes::{MOST_PUSHES, MOST_SAMPLES, Push};
+use super::pushes::{MOST_PUSHES, MOST_SAMPLES, Penetration};
 use crate::error::{Error, Result, check_range};
 use crate::table::{self, Asked, Column, Quantity, Row};
 use std::collections::{BTreeMap, HashMap};
@@ -28,7 +28,7 @@ pub struct Tests {
     /// Forces of all rows [N].
     pub force: Vec<f64>,
     /// Empty if the file has no column `trial`.
-    pub pushes: Vec<Push>,
+    pub pushes: Vec<Penetration>,
 }
 
 /// Reads a file. `units` are those of depth and force if the header does not give them.
@@ -59,7 +59,7 @@ fn take(row: &Row, depth: &mut Vec<f64>, force: &mut Vec<f64>, several: &mut Sev
 /// Pushes as they are read.
 #[derive(Default)]
 struct Several {
-    pushes: Vec<Push>,
+    pushes: Vec<Penetration>,
     /// Index of each trial's push.
     places: HashMap<String, usize>,
     samples: usize,
@@ -96,7 +96,7 @@ impl Several {
             if new == MOST_PUSHES {
                 return Err(row.error(2, format!("more than {} pushes", MOST_PUSHES)));
             }
-            self.pushes.push(Push { name: name.to_owned(), diameter, points: Vec::new(), speeds: None });
+            self.pushes.push(Penetration { name: name.to_owned(), diameter, points: Vec::new(), speeds: None });
         }
         let push = &mut self.pushes[place];
         if (push.diameter - diameter).abs() > 1e-9 {

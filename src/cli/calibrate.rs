@@ -1,6 +1,6 @@
 //! `sandgait calibrate`
 
-use sandgait::calibrate::pushes::{self, Push, Pushes, Value};
+use sandgait::calibrate::pushes::{self, Penetration, Pushes, Value};
 use sandgait::calibrate::{self, Calibration, figure, read};
 use sandgait::plot::png;
 use sandgait::{Error, Result};
@@ -77,7 +77,7 @@ impl Calibrate {
 }
 
 impl Calibrate {
-    fn compare(&self, pushes: &[Push]) -> Result<String> {
+    fn compare(&self, pushes: &[Penetration]) -> Result<String> {
         if self.area.is_some() {
             return Err(Error::invalid(
                 "--area",

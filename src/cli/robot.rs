@@ -214,7 +214,7 @@ fn load(file: &Path) -> Result<Import> {
 /// The shapes that touch sand, and their plates, body by body.
 struct Touching {
     shapes: Vec<Touch>,
-    plates: Vec<Vec<sandgait::sand::intruder::Plate>>,
+    plates: Vec<Vec<sandgait::sand::intruder::IntruderPlate>>,
 }
 
 impl Touching {

@@ -2,7 +2,7 @@
 
 use sandgait::number::Vec3;
 use sandgait::sand::law::agarwal2023;
-use sandgait::sand::{Law, Medium, SandBed, Surface};
+use sandgait::sand::{Law, Medium, Regularization, SandBed};
 use sandgait::table::{self, Asked, Column, Quantity};
 use sandgait::{Error, Result};
 use std::path::PathBuf;
@@ -80,7 +80,7 @@ fn stress(law: Law, medium: &Medium, friction: Option<f64>, [beta, gamma, psi]: 
         };
         return components.map(|c| c * agarwal2023::calibrated(&medium.coefficients)).to_vec();
     }
-    let ground = SandBed::new(law, medium, &Surface::BARE);
+    let ground = SandBed::new(law, medium, &Regularization::BARE);
     let motion = ground.motion(Vec3::new(gamma.cos(), 0.0, -gamma.sin()));
     let force = ground.stress(Vec3::new(beta.sin(), 0.0, -beta.cos()), &motion);
     vec![-force.x, force.z]

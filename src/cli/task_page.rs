@@ -3,7 +3,7 @@
 use sandgait::Result;
 use sandgait::env::control::Control;
 use sandgait::env::registry::{Blueprint, Keyword};
-use sandgait::env::spec::Term;
+use sandgait::env::spec::RewardTerm;
 use sandgait::env::{Column, Spec};
 use serde_json::{Value, json};
 
@@ -41,7 +41,7 @@ fn action(id: &str, control: Option<&str>) -> Result<String> {
     Ok(format!("{title}\n{}", columns(&task.task.spec().action)))
 }
 
-fn term((column, term): (&Column, &Term)) -> Vec<String> {
+fn term((column, term): (&Column, &RewardTerm)) -> Vec<String> {
     vec![code(&column.name), term.law.into(), format!("{}", term.weight)]
 }
 

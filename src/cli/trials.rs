@@ -2,8 +2,8 @@
 
 use sandgait::parallel;
 use sandgait::sand::SandDescription;
-use sandgait::sand::intruder::path::{self, Moment};
-use sandgait::sand::intruder::{Body, BodyShape, Given, Outcome, Status, Trial, compute_all};
+use sandgait::sand::intruder::path::{self, PathPoint};
+use sandgait::sand::intruder::{BodyShape, DepthOrLoad, PlatedBody, Status, Trial, TrialOutcome, compute_all};
 use sandgait::table::{self, Asked, Column, Quantity};
 use sandgait::{Error, Result};
 use std::fmt::Write as _;
@@ -47,7 +47,7 @@ struct Rows {
     cells: Vec<String>,
     trials: Vec<Trial>,
     /// With memory: the paths, in order.
-    paths: Vec<(String, Vec<Moment>)>,
+    paths: Vec<(String, Vec<PathPoint>)>,
 }
 
 /// Options of `--memory`.
@@ -67,7 +67,7 @@ pub fn run(
     csv: Option<&Path>,
     memory: Option<&Memory>,
 ) -> Result<String> {
-    let body = Body::cut(&BodyShape::named(shape)?, plate_size)?;
+    let body = PlatedBody::cut(&BodyShape::named(shape)?, plate_size)?;
     let rows = read(trials, memory.is_some())?;
     let outcomes = match memory {
         None => compute_all(&body, sand, &rows.trials)?,
@@ -90,18 +90,18 @@ pub fn run(
 
 /// The forces along all paths; writes the surfaces that they leave.
 fn follow(
-    body: &Body,
+    body: &PlatedBody,
     sand: &SandDescription,
-    paths: &[(String, Vec<Moment>)],
+    paths: &[(String, Vec<PathPoint>)],
     memory: &Memory,
-) -> Result<Vec<Outcome>> {
+) -> Result<Vec<TrialOutcome>> {
     paths.iter().try_for_each(|(name, moments)| {
         path::check(body, sand, moments).map_err(|e| Error::invalid(format!("trial {name:?}"), e.to_string()))
     })?;
     path::Path::new(body, sand, memory.repose_deg, memory.cell)?;
     let followed = parallel::map(paths, |(name, moments)| -> Result<_> {
         let mut path = path::Path::new(body, sand, memory.repose_deg, memory.cell)?;
-        let outcomes: Vec<Outcome> = moments.iter().map(|m| path.step(m)).collect();
+        let outcomes: Vec<TrialOutcome> = moments.iter().map(|m| path.step(m)).collect();
         Ok((outcomes, memory.surface.map(|_| lines(name, &mut path))))
     });
     let followed = followed.into_iter().collect::<Result<Vec<_>>>()?;
@@ -127,7 +127,7 @@ fn read(path: &Path, memory: bool) -> Result<Rows> {
     let columns = if memory { &COLUMNS[..] } else { &COLUMNS[..STEADY] };
     let asked = Asked { most_rows: Some(MOST_ROWS), ..Asked::new(columns) };
     let (mut cells, mut trials) = (Vec::new(), Vec::new());
-    let mut paths: Vec<(String, Vec<Moment>)> = Vec::new();
+    let mut paths: Vec<(String, Vec<PathPoint>)> = Vec::new();
     let mut names = std::collections::BTreeSet::new();
     let mut keep = Vec::new();
     let summary = table::read(path, &asked, |row| {
@@ -136,8 +136,8 @@ fn read(path: &Path, memory: bool) -> Result<Rows> {
             *value = row.number(k)?.unwrap_or(0.0);
         }
         let given = match (row.number(DEPTH)?, row.number(LOAD)?) {
-            (Some(depth), None) => Given::Depth(depth),
-            (None, Some(load)) => Given::Load(load),
+            (Some(depth), None) => DepthOrLoad::Depth(depth),
+            (None, Some(load)) => DepthOrLoad::Load(load),
             (None, None) => return Err(row.error(DEPTH, "neither depth nor load is given")),
             (Some(_), Some(_)) => return Err(row.error(DEPTH, "both depth and load are given: leave one blank")),
         };
@@ -150,7 +150,7 @@ fn read(path: &Path, memory: bool) -> Result<Rows> {
                 (None, None) => None,
                 (x, y) => Some([x.unwrap_or(0.0), y.unwrap_or(0.0)]),
             };
-            let moment = Moment { time: row.needed(TIME)?, place, trial };
+            let moment = PathPoint { time: row.needed(TIME)?, place, trial };
             let name = row.text(TRIAL).unwrap_or_default();
             if paths.last().is_none_or(|(last, _)| last != name) {
                 if !names.insert(name.to_owned()) {
@@ -184,7 +184,7 @@ fn quoted(cell: &str) -> String {
 }
 
 impl Rows {
-    fn with(&self, outcomes: &[Outcome]) -> String {
+    fn with(&self, outcomes: &[TrialOutcome]) -> String {
         let mut text = String::new();
         let mut header: Vec<String> = self.header.iter().map(|name| quoted(name)).collect();
         header.extend(RESULTS.map(String::from));

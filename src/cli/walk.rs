@@ -3,7 +3,7 @@
 use sandgait::sand::{Law, Medium};
 use sandgait::sim::engine::EngineKind;
 use sandgait::sim::model::Scene;
-use sandgait::sim::walk::{Trial, WalkResult, Watch, walk, walk_watched};
+use sandgait::sim::walk::{WalkResult, WalkTrial, Watch, walk, walk_watched};
 use sandgait::sim::{Model, Robot};
 use sandgait::view::{self, About, Moment};
 use sandgait::{Error, Result};
@@ -70,7 +70,7 @@ impl Walk {
         let mut scene = Scene::on(&super::sand_to_walk_on(&self.medium, &self.law, self.sand.as_deref())?);
         let engine = EngineKind::named(&self.engine)?;
         (scene.slope_deg, scene.dt) = (self.slope_deg, self.dt.unwrap_or(engine.default_dt()));
-        let trial = Trial::new(Model::new(&robot, &scene)?, self.frequency);
+        let trial = WalkTrial::new(Model::new(&robot, &scene)?, self.frequency);
         let clock = Instant::now();
         let result = match &self.record {
             None => walk(engine, &trial)?,
@@ -103,7 +103,7 @@ impl Walk {
 }
 
 /// Simulates the walk and writes the recording. The file appears when it is complete.
-fn recorded(engine: EngineKind, trial: &Trial, path: &Path) -> Result<WalkResult> {
+fn recorded(engine: EngineKind, trial: &WalkTrial, path: &Path) -> Result<WalkResult> {
     let failed = |e: std::io::Error| Error::file(path, e);
     let about = About { task: "sandgait walk", rate: RECORDED_RATE, ..About::default() };
     let mut writer = view::Writer::new(Vec::new(), &view::header(&trial.model, &about)).map_err(failed)?;

@@ -437,7 +437,7 @@ impl<const N: usize> Kernel for Sum<'_, N> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sand::{Law, Medium, Surface};
+    use crate::sand::{Law, Medium, Regularization};
 
     /// For a speed with a period of about thirteen unevenly spaced samples, the derivative is right at samples, between
     /// them and beyond the ends.
@@ -455,7 +455,7 @@ mod tests {
         let ends = [poses[0].t, poses[39].t];
         let intruder = Intruder::Plate { length: 0.04, width: 0.025, thickness: None };
         let (track, mechanisms) = (Track::leg(intruder, 0.0, poses), Mechanisms::default());
-        let ground = SandBed::new(Law::Li2013, &Medium::named("poppy-loose").unwrap(), &Surface::DEFAULT);
+        let ground = SandBed::new(Law::Li2013, &Medium::named("poppy-loose").unwrap(), &Regularization::DEFAULT);
         let arm = Arm {
             track: &track,
             cut: &IntruderSegments::new(&intruder).unwrap(),

@@ -18,12 +18,12 @@ use crate::progress::Latch;
 use crate::sand::intrusion::Load;
 use crate::sand::mechanism::Mechanisms;
 use crate::sand::mechanism_laws::{SandMechanisms, footprint};
-use crate::sand::{Coefficients, Law, Medium, SandBed, SandDescription, Surface, Term};
+use crate::sand::{Coefficients, Law, Medium, Regularization, SandBed, SandDescription, Term};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// The arm prescribes the motion, so no segment rests in the sand and no creep speed is needed.
-const PRESCRIBED: Surface = Surface { rest_speed: 1e-9, ..Surface::DEFAULT };
+const PRESCRIBED: Regularization = Regularization { rest_speed: 1e-9, ..Regularization::DEFAULT };
 
 /// Predicts force logs.
 #[derive(Clone)]

@@ -5,7 +5,7 @@ use super::experiment::Experiment;
 use super::observations::{Channel, Names, Observations, Size, Unit};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
-use crate::sand::intruder::{Given, Trial};
+use crate::sand::intruder::{DepthOrLoad, Trial};
 use crate::table::{Column, Quantity, Row};
 use std::path::Path;
 
@@ -23,7 +23,7 @@ pub struct SteadyState {
 impl SteadyState {
     /// [N]
     pub fn load(&self) -> f64 {
-        if let Given::Load(load) = self.trial.given { load } else { 0.0 }
+        if let DepthOrLoad::Load(load) = self.trial.given { load } else { 0.0 }
     }
 }
 
@@ -123,6 +123,6 @@ fn trial(row: &Row, path: &Path) -> Result<Trial> {
     }
     let [vx, vy, vz, wx, wy, wz] = motion;
     let load = row.within(LOAD, MOST)?.ok_or_else(|| row.blank(LOAD))?;
-    let trial = Trial { velocity: [vx, vy, vz], spin: [wx, wy, wz], given: Given::Load(load) };
+    let trial = Trial { velocity: [vx, vy, vz], spin: [wx, wy, wz], given: DepthOrLoad::Load(load) };
     trial.validated().map_err(|e| Error::file(path, format!("row {}: {e}", row.line)))
 }

@@ -8,7 +8,7 @@ use super::nuisance::{Nuisance, Priors};
 use super::shared::{SharedNoise, Uncertainty};
 use crate::error::{Error, Result};
 use crate::progress::Latch;
-use crate::sand::intruder::{Body, Given, Status, Trial, compute, without_effect};
+use crate::sand::intruder::{DepthOrLoad, PlatedBody, Status, Trial, compute, without_effect};
 use crate::sand::mechanism::{CATALOG, Mechanisms, Side};
 use crate::sand::{Coefficients, Law, Medium, SandDescription};
 use std::collections::BTreeMap;
@@ -27,8 +27,8 @@ const STRENGTH_STEP: f64 = 0.02;
 /// A body in plates: as described, and slightly larger.
 struct BodyPlates {
     description: BodyDescription,
-    nominal: Body,
-    larger: Body,
+    nominal: PlatedBody,
+    larger: PlatedBody,
 }
 
 /// Predicts the rows of an intruder log.
@@ -60,9 +60,9 @@ impl<'a> IntruderModel<'a> {
         let cut = |(name, description): (&String, &BodyDescription)| {
             let shape = description.shape()?;
             let named = |e: Error| Error::invalid(format!("body.{name}"), e.to_string());
-            let coarse = Body::cut(&shape, None).map_err(named)?;
+            let coarse = PlatedBody::cut(&shape, None).map_err(named)?;
             let longest = 50.0 * coarse.plate_size;
-            let nominal = Body::cut(&shape, Some(longest / ALONG)).map_err(named)?;
+            let nominal = PlatedBody::cut(&shape, Some(longest / ALONG)).map_err(named)?;
             let larger = nominal.scaled(1.0 + 2.0 * GEOMETRY_STEP / longest);
             Ok((name.clone(), BodyPlates { description: description.clone(), nominal, larger }))
         };
@@ -115,13 +115,13 @@ impl<'a> IntruderModel<'a> {
 }
 
 /// Fx, Fy and depth under the load; if the sand cannot carry it, those of the fully covered body.
-fn under_load(body: &Body, sand: &SandDescription, trial: &Trial) -> [f64; 3] {
+fn under_load(body: &PlatedBody, sand: &SandDescription, trial: &Trial) -> [f64; 3] {
     let outcome = compute(body, sand, trial);
     let outcome = match outcome.status {
         Status::Ok => outcome,
         Status::NoEquilibrium => {
             let [low, high] = body.heights();
-            compute(body, sand, &Trial { given: Given::Depth(high - low), ..*trial })
+            compute(body, sand, &Trial { given: DepthOrLoad::Depth(high - low), ..*trial })
         }
     };
     [outcome.force[0], outcome.force[1], outcome.depth]

@@ -13,7 +13,7 @@ use crate::sand::mechanism::Mechanisms;
 use crate::sand::{Coefficients, Medium};
 use crate::sim::engine::EngineKind;
 use crate::sim::model::Scene;
-use crate::sim::walk::{Trial, WalkResult};
+use crate::sim::walk::{WalkResult, WalkTrial};
 use crate::sim::{Model, Robot};
 use crate::sweep::walk_all;
 use std::collections::HashMap;
@@ -76,7 +76,7 @@ impl<'a> WalkingModel<'a> {
         };
         let plain = (Mechanisms::default(), model.medium.coefficients);
         let trials = model.trials(&plain).into_iter().collect::<Result<Vec<_>>>()?;
-        trials.iter().try_for_each(Trial::validate)?;
+        trials.iter().try_for_each(WalkTrial::validate)?;
         let results = model.simulate(&[plain], 0.0);
         if let Some(error) = latch.error() {
             return Err(error);
@@ -122,13 +122,13 @@ impl<'a> WalkingModel<'a> {
     }
 
     /// A trial for every setup.
-    fn trials(&self, (mechanisms, coefficients): &SandParameters) -> Vec<Result<Trial>> {
+    fn trials(&self, (mechanisms, coefficients): &SandParameters) -> Vec<Result<WalkTrial>> {
         let trial = |setup: &WalkSetup| {
             let mut scene = Scene::flat(Medium { coefficients: *coefficients, ..self.medium.clone() });
             (scene.mechanisms, scene.slope_deg, scene.payload) = (*mechanisms, setup.slope_deg, setup.payload);
             let robot = &self.robots[&(setup.robot.clone(), setup.leg.clone())];
-            let trial = Trial::new(Model::new(robot, &scene)?, setup.frequency);
-            Ok(Trial { x_bed: setup.x_bed, strides: setup.strides, ..trial })
+            let trial = WalkTrial::new(Model::new(robot, &scene)?, setup.frequency);
+            Ok(WalkTrial { x_bed: setup.x_bed, strides: setup.strides, ..trial })
         };
         self.setups.iter().map(trial).collect()
     }
@@ -142,8 +142,8 @@ impl<'a> WalkingModel<'a> {
 
     /// Every state's results with all hips `phase` [rad] ahead.
     fn simulate_phase(&self, states: &[SandParameters], phase: f64) -> Vec<Vec<WalkResult>> {
-        let ahead = |trial: Result<Trial>| trial.map(|t| Trial { phase, ..t });
-        let trials: Result<Vec<Trial>> = states.iter().flat_map(|s| self.trials(s)).map(ahead).collect();
+        let ahead = |trial: Result<WalkTrial>| trial.map(|t| WalkTrial { phase, ..t });
+        let trials: Result<Vec<WalkTrial>> = states.iter().flat_map(|s| self.trials(s)).map(ahead).collect();
         let results = trials.and_then(|t| walk_all(EngineKind::Lanes, &t, self));
         let results = results.unwrap_or_else(|_| vec![WalkResult::lost(); self.setups.len() * states.len()]);
         results.chunks(self.setups.len().max(1)).map(<[_]>::to_vec).collect()

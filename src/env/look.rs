@@ -8,7 +8,7 @@ use crate::sim::{Model, State};
 use std::sync::Arc;
 
 /// State of an environment after its last reset or step, and the step's info.
-pub struct Look<'a> {
+pub struct EnvView<'a> {
     pub spec: &'a Spec,
     pub model: &'a Arc<Model>,
     pub state: &'a State,
@@ -26,7 +26,7 @@ pub struct Look<'a> {
     pub info: Vec<f32>,
 }
 
-impl Look<'_> {
+impl EnvView<'_> {
     /// The state with the sand that was moved.
     pub fn whole_state(&self) -> State {
         State { sand: self.sand.cloned().map(Box::new), ..self.state.clone() }
@@ -36,7 +36,7 @@ impl Look<'_> {
 impl Shard {
     /// The state of environment `i`. If `ended` is true and an episode ended in the last step, this is the last state
     /// of that episode; otherwise the present one.
-    pub fn look(&self, i: usize, ended: bool) -> Look<'_> {
+    pub fn look(&self, i: usize, ended: bool) -> EnvView<'_> {
         let spec = self.spec();
         let episode = &self.episodes[i];
         let Episode { task, seed, number, steps, goal, after, last_action, .. } = episode;
@@ -50,7 +50,7 @@ impl Shard {
         let begins = steps == 0 || (just_ended && old.is_none());
         let width = spec.info.len();
         let info = if begins { at_start(episode, spec) } else { self.rows.infos[i * width..][..width].to_vec() };
-        Look {
+        EnvView {
             spec,
             model: goal.model.as_ref().unwrap_or(task.model()),
             state: if old.is_some() { &episode.before } else { after },

@@ -48,7 +48,7 @@ pub mod task;
 pub mod terrain;
 pub mod walking;
 
-pub use look::Look;
+pub use look::EnvView;
 pub use options::ResetOptions;
 pub use shard::Shard;
 pub use spec::{Column, Spec};

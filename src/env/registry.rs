@@ -17,23 +17,23 @@ use serde_json::Value;
 use std::sync::Arc;
 
 /// All tasks, one row each; a task's own file has the rest.
-const KINDS: [Kind; 6] = [
-    Kind::of::<HexapodGait>(),
-    Kind::of::<HexapodLegs>(),
-    Kind::of::<HexapodRocks>(),
-    Kind::of::<HexapodTerrain>(),
-    Kind::of::<LegStroke>(),
-    Kind::of::<LeggedVelocity>(),
+const KINDS: [TaskKind; 6] = [
+    TaskKind::of::<HexapodGait>(),
+    TaskKind::of::<HexapodLegs>(),
+    TaskKind::of::<HexapodRocks>(),
+    TaskKind::of::<HexapodTerrain>(),
+    TaskKind::of::<LegStroke>(),
+    TaskKind::of::<LeggedVelocity>(),
 ];
 
 /// A task without its options.
-struct Kind {
+struct TaskKind {
     id: &'static str,
     rows: fn() -> Vec<OptionRow>,
     make: fn(Value) -> Result<Blueprint>,
 }
 
-impl Kind {
+impl TaskKind {
     const fn of<T: Task>() -> Self {
         Self { id: T::ID, rows: TaskOptions::<T::Options>::rows, make: Blueprint::of::<T> }
     }

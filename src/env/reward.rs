@@ -25,8 +25,8 @@ macro_rules! reward_terms {
 
         impl $Name {
             /// In the order of the info columns.
-            pub fn terms(&self) -> Vec<$crate::spec::Term> {
-                vec![$($crate::spec::Term { name: stringify!($term), law: $law, weight: self.$term },)*]
+            pub fn terms(&self) -> Vec<$crate::spec::RewardTerm> {
+                vec![$($crate::spec::RewardTerm { name: stringify!($term), law: $law, weight: self.$term },)*]
             }
 
             /// Fills `row` with each term of `step` times its weight and `scale`.

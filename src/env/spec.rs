@@ -40,7 +40,7 @@ impl Column {
     }
 
     /// The columns of a reward's terms in an info row.
-    pub fn rewards(terms: &[Term]) -> Vec<Self> {
+    pub fn rewards(terms: &[RewardTerm]) -> Vec<Self> {
         terms.iter().map(|term| Self::free(format!("reward_{}", term.name), "1")).collect()
     }
 
@@ -57,7 +57,7 @@ impl Column {
 
 /// One term of the reward.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Term {
+pub struct RewardTerm {
     pub name: &'static str,
     /// Description of the term without its weight.
     pub law: &'static str,
@@ -78,7 +78,7 @@ pub struct Spec {
     /// Reward terms, weighted, then other figures of the step.
     pub info: Vec<Column>,
     /// Number of leading info columns that are reward terms; the reward is their sum.
-    pub reward: Vec<Term>,
+    pub reward: Vec<RewardTerm>,
     pub max_episode_steps: u32,
     /// Control steps in a second of simulated time [Hz].
     pub control_rate: f64,

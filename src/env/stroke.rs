@@ -3,7 +3,7 @@
 use super::feature::{Features, flag};
 use super::random::Random;
 use super::sensors::{Part, Sensor};
-use super::spec::{CONTROL_RATE, Column, Spec, Term};
+use super::spec::{CONTROL_RATE, Column, RewardTerm, Spec};
 use super::task::{Goal, Setup, Task, Transition};
 use super::walking::{MAX_STEPS, set_sand};
 use crate::error::{Error, Result, check_range};
@@ -234,7 +234,7 @@ impl Task for LegStroke {
             .one("lift impulse so far", "N·s", -IMPULSE, IMPULSE, |_, state, _, _, _| state.impulse[2])
             .one("work so far", "J", -WORK, WORK, |_, state, _, _, _| state.work);
         let reward: Vec<_> =
-            terms(&stroke).into_iter().map(|(name, law, weight, _)| Term { name, law, weight }).collect();
+            terms(&stroke).into_iter().map(|(name, law, weight, _)| RewardTerm { name, law, weight }).collect();
         let figures = figures();
         let spec = Spec {
             id: Self::ID,

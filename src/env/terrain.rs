@@ -45,7 +45,7 @@ options! {
 }
 
 /// One drawn quantity.
-struct Quantity {
+struct TerrainQuantity {
     name: &'static str,
     /// The range that an episode draws from.
     range: [f64; 2],
@@ -58,10 +58,10 @@ struct Quantity {
 impl Randomize {
     /// All quantities. `slope_deg` [°] and `payload` [kg] are the options to which drawn values are added; the sums
     /// stay within a scene's bounds.
-    fn quantities(&self, slope_deg: f64, payload: f64) -> [Quantity; 7] {
+    fn quantities(&self, slope_deg: f64, payload: f64) -> [TerrainQuantity; 7] {
         let slope = [-Scene::MAX_SLOPE_DEG, Scene::MAX_SLOPE_DEG].map(|most| most - slope_deg);
         let load = [0.0, (Scene::MAX_PAYLOAD - payload).min(10.0)];
-        let quantity = |name, range, guard, neutral| Quantity { name, range, guard, neutral };
+        let quantity = |name, range, guard, neutral| TerrainQuantity { name, range, guard, neutral };
         [
             quantity("zeta", self.zeta, [0.1, 10.0], Some(1.0)),
             quantity("patch_length", self.patch_length, [0.02, 100.0], None),
@@ -75,7 +75,9 @@ impl Randomize {
 
     /// The arguments are those of [`Self::quantities`].
     fn validate(&self, slope_deg: f64, payload: f64) -> Result<()> {
-        for Quantity { name, range: [low, high], guard: [least, most], .. } in self.quantities(slope_deg, payload) {
+        for TerrainQuantity { name, range: [low, high], guard: [least, most], .. } in
+            self.quantities(slope_deg, payload)
+        {
             let added = match name {
                 "slope_deg" => format!(" (it is added to slope_deg = {slope_deg})"),
                 "payload" => format!(" (it is added to payload = {payload})"),
@@ -97,14 +99,20 @@ impl Randomize {
 
     /// Draws an episode's quantities for a robot with `legs` legs and a commanded speed of `speed` [m/s]. The number
     /// and order of the draws are always the same.
-    fn draw(&self, options: &TerrainOptions, speed: f64, legs: usize, random: &mut Random) -> (Draw, UsedGround) {
+    fn draw(
+        &self,
+        options: &TerrainOptions,
+        speed: f64,
+        legs: usize,
+        random: &mut Random,
+    ) -> (TerrainDraw, UsedGround) {
         let (difficulty, own) = (options.difficulty, &options.gait.walking);
-        let ranges = self.quantities(own.slope_deg, own.payload).map(|Quantity { range, neutral, .. }| {
+        let ranges = self.quantities(own.slope_deg, own.payload).map(|TerrainQuantity { range, neutral, .. }| {
             range.map(|end| neutral.map_or(end, |neutral| neutral + difficulty * (end - neutral)))
         });
         let [zeta, patch_length, slope_deg, payload, torque_limit, footprint, turning_point] = ranges;
         let mut one = |[low, high]: [f64; 2]| random.uniform(low, high);
-        let draw = Draw { slope_deg: one(slope_deg), payload: one(payload), torque_limit: one(torque_limit) };
+        let draw = TerrainDraw { slope_deg: one(slope_deg), payload: one(payload), torque_limit: one(torque_limit) };
         let ground = UsedGround {
             patch_length: one(patch_length),
             footprint: one(footprint),
@@ -122,7 +130,7 @@ impl Randomize {
 }
 
 /// Drawn quantities of an episode that its model contains.
-struct Draw {
+struct TerrainDraw {
     slope_deg: f64,
     payload: f64,
     torque_limit: f64,

@@ -2,7 +2,7 @@
 
 use crate::env::registry::Blueprint;
 use crate::env::snapshot::Resumed;
-use crate::env::{AnyTask, Look, ResetOptions, Shard, Spec};
+use crate::env::{AnyTask, EnvView, ResetOptions, Shard, Spec};
 use crate::error::{Error, Result, check_range};
 use crate::policy::Network;
 use std::collections::HashMap;
@@ -274,7 +274,7 @@ impl Batch {
     }
 
     /// Environment `index` for viewers; see [`Shard::look`].
-    pub fn look(&self, index: usize, ended: bool) -> Result<Look<'_>> {
+    pub fn look(&self, index: usize, ended: bool) -> Result<EnvView<'_>> {
         let outside = || Error::invalid("index", format!("{index} is outside [0, {})", self.envs));
         if !*self.begun.get(index).ok_or_else(outside)? {
             return Err(Error::OutOfOrder(format!("render before reset: environment {index} has not been reset yet")));

@@ -7,7 +7,7 @@ use super::legs::{CHORD, COMPONENTS, Component, SEGMENTS, StandIn, WIDTH};
 use crate::error::Result;
 use crate::plot::{Axis, Figure, Mark, Panel, Style, color};
 use crate::sand::intrusion::{Load, rotating_leg};
-use crate::sand::{Law, LegShape, Medium, SandBed, Surface};
+use crate::sand::{Law, LegShape, Medium, Regularization, SandBed};
 use crate::table::{self, Asked, Column, Quantity};
 
 const DATA: &[u8] = include_bytes!("legs.csv");
@@ -85,7 +85,7 @@ fn fit(run: &Run, predicted: &[f64], of: Component) -> Fit {
 }
 
 fn predict(run: &Run, law: Law, of: Component) -> Result<Vec<f64>> {
-    let ground = SandBed::new(law, &Medium::generic(ZETA)?, &Surface::default());
+    let ground = SandBed::new(law, &Medium::generic(ZETA)?, &Regularization::default());
     let segments = LegShape::named(&run.shape)?.segments(CHORD, WIDTH, SEGMENTS)?;
     Ok(run.samples.iter().map(|s| of(&rotating_leg(&ground, &segments, s.0, run.omega, HIP))).collect())
 }

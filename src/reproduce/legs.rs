@@ -7,7 +7,7 @@ use crate::error::Result;
 use crate::number::Vec3;
 use crate::plot::{Axis, Figure, Mark, Panel, Style, color};
 use crate::sand::intrusion::{Load, rotating_leg};
-use crate::sand::{Law, LegShape, Medium, SandBed, Segment, Surface};
+use crate::sand::{Law, LegShape, Medium, Regularization, SandBed, Segment};
 
 /// The leg of the paper's section 3: hip-tip distance, width [m] and speed [rad/s].
 pub const CHORD: f64 = 0.076;
@@ -23,7 +23,7 @@ fn angles() -> impl Iterator<Item = f64> {
 
 /// θ [°] and load over a stroke.
 fn stroke(law: Law, xi_deg: f64, hip: f64) -> Result<Vec<(f64, Load)>> {
-    let ground = SandBed::new(law, &Medium::named("poppy-loose")?, &Surface::default());
+    let ground = SandBed::new(law, &Medium::named("poppy-loose")?, &Regularization::default());
     let segments = LegShape::two_piece(xi_deg)?.segments(CHORD, WIDTH, SEGMENTS)?;
     Ok(angles().map(|t| (t, rotating_leg(&ground, &segments, t.to_radians(), OMEGA, hip))).collect())
 }
@@ -291,7 +291,7 @@ fn with_inertia(segments: &[Segment], ground: &SandBed<f64>, density: f64, theta
 pub fn inertia_claim() -> Claim {
     let share = || -> Result<f64> {
         let medium = Medium::named("poppy-loose")?;
-        let ground = SandBed::new(Law::Li2013, &medium, &Surface::default());
+        let ground = SandBed::new(Law::Li2013, &medium, &Regularization::default());
         let mut shares = Vec::new();
         for (xi, _, _) in LEGS {
             let segments = LegShape::two_piece(xi)?.segments(CHORD, WIDTH, SEGMENTS)?;

@@ -5,7 +5,7 @@ use super::claims::{Claim, extremes, signed};
 use crate::error::Result;
 use crate::number::Vec3;
 use crate::plot::{Axis, Figure, Mark, Panel, Style, color};
-use crate::sand::{Law, Medium, SandBed, Surface};
+use crate::sand::{Law, Medium, Regularization, SandBed};
 use std::f64::consts::PI;
 
 /// Attack angles of the paper's panels (a, c) [rad] and intrusion angles of its panels (b, d).
@@ -21,7 +21,7 @@ fn alpha(ground: &SandBed<f64>, beta: f64, gamma: f64) -> [f64; 2] {
 }
 
 pub fn part() -> Result<Part> {
-    let ground = SandBed::new(Law::Li2013, &Medium::named("poppy-loose")?, &Surface::BARE);
+    let ground = SandBed::new(Law::Li2013, &Medium::named("poppy-loose")?, &Regularization::BARE);
     let mut claims = set_up();
     claims.extend([stronger_downward(&ground, 1), stronger_downward(&ground, 0)]);
     claims.extend([asymmetry(&ground), symmetric_exceptions(&ground)]);

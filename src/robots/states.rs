@@ -4,7 +4,7 @@
 use super::files::Source;
 use crate::error::{Error, Result};
 use crate::sim::tree::Tree;
-use crate::sim::tree::flight::{Accelerations, Pose, accelerations};
+use crate::sim::tree::flight::{TreeAccelerations, TreePose, accelerations};
 use serde::Deserialize;
 use std::path::Path;
 
@@ -30,7 +30,7 @@ enum JointRows {
 }
 
 /// The accelerations at each row of `path`, joints in the order of the file's `joints`, or the tree's if it has none.
-pub fn compute(tree: &Tree, path: &Path) -> Result<Vec<Accelerations>> {
+pub fn compute(tree: &Tree, path: &Path) -> Result<Vec<TreeAccelerations>> {
     let source = Source::read(path, MOST_BYTES)?;
     let file: JointRows = serde_json::from_str(source.text()?).map_err(|e| {
         let reason = match e.classify() {
@@ -68,7 +68,7 @@ fn matched(own: &[&str], names: &[String]) -> std::result::Result<Vec<usize>, St
 }
 
 impl Row {
-    fn compute(&self, tree: &Tree, places: &[usize]) -> std::result::Result<Accelerations, String> {
+    fn compute(&self, tree: &Tree, places: &[usize]) -> std::result::Result<TreeAccelerations, String> {
         for (name, list) in [("q", &self.q), ("qd", &self.qd), ("tau", &self.tau)] {
             if list.len() != places.len() {
                 return Err(format!("{name} has {} numbers; the robot has {} joints", list.len(), places.len()));
@@ -79,7 +79,7 @@ impl Row {
             return Err("quat is no rotation".into());
         }
         let ordered = |list: &[f64]| places.iter().map(|k| list[*k]).collect();
-        let pose = Pose {
+        let pose = TreePose {
             quat: self.quat.map(|x| x / norm),
             v: self.v,
             w: self.w,
@@ -95,6 +95,6 @@ impl Row {
         if found.a.iter().chain(&found.alpha).chain(&qdd).any(|x| !x.is_finite()) {
             return Err("the accelerations are not finite".into());
         }
-        Ok(Accelerations { qdd, ..found })
+        Ok(TreeAccelerations { qdd, ..found })
     }
 }

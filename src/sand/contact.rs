@@ -1,7 +1,7 @@
 //! Force on one segment, and the derivatives an implicit integrator needs.
 //!
 //! Resistive force theory depends on the direction of the velocity only: it is dry friction, undefined at rest and
-//! stiff. The parameters in [`Surface`] make it usable in dynamics.
+//! stiff. The parameters in [`Regularization`] make it usable in dynamics.
 
 use super::law::{Law, Motion, Normals, PenetrationDrag, PlanarTable, SpatialTable, StressLaw};
 use super::mechanism::Mechanisms;
@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 /// How the force law is regularised.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct Surface {
+pub struct Regularization {
     /// Speed scale v0 [m/s] below which the force falls to zero: the direction v/|v| becomes v/√(v²+v0²). Creep under a
     /// constant load is of this order; our choice, because 1e-5 lets the reference robot sink less than 0.02 mm in 10
     /// s.
@@ -29,7 +29,7 @@ pub struct Surface {
     pub friction: Option<f64>,
 }
 
-impl Surface {
+impl Regularization {
     /// No regularisation: for the law itself, not for dynamics.
     pub const BARE: Self = Self { rest_speed: 1e-30, leading_edge_gate: 1e-20, sign_gate: 1e-20, friction: None };
     /// For solid bodies with many plates that face all ways: a sharper leading edge. Our choice 0.02: forces are
@@ -39,7 +39,7 @@ impl Surface {
     pub const DEFAULT: Self = Self { rest_speed: 1e-5, leading_edge_gate: 0.2, sign_gate: 0.02, friction: None };
 }
 
-impl Default for Surface {
+impl Default for Regularization {
     fn default() -> Self {
         Self::DEFAULT
     }
@@ -115,7 +115,7 @@ impl<R: Real> SandMechanisms<R> {
 }
 
 impl<R: Real> SandBed<R> {
-    pub fn new(law: Law, medium: &Medium, surface: &Surface) -> Self {
+    pub fn new(law: Law, medium: &Medium, surface: &Regularization) -> Self {
         let law = match law {
             Law::Li2013 => LawCoefficients::Li2013(PlanarTable::splat(&medium.coefficients)),
             Law::PenetrationDrag1d => {

@@ -1,6 +1,6 @@
 //! A leg rotated about a fixed hip: the experiment of Li et al. 2012, section 3.
 
-use super::contact::{SandBed, Surface};
+use super::contact::{Regularization, SandBed};
 use super::description::SandDescription;
 use super::mechanism_laws::SegmentState;
 use super::shape::{LegShape, Segment, straight};
@@ -81,7 +81,7 @@ impl Rotation {
         check_range("hip-height", self.hip_height, -1.0..=1.0)?;
         check_range("omega", self.omega, -100.0..=100.0)?;
         let (medium, mechanisms) = (sand.medium(), &sand.mechanisms);
-        let ground = SandBed::new(sand.law, &medium, &Surface::default()).with(mechanisms, &medium);
+        let ground = SandBed::new(sand.law, &medium, &Regularization::default()).with(mechanisms, &medium);
         let chord = straight([0.0, 0.0], [0.0, -self.chord], self.width, SEGMENTS);
         // Does the concave side lead? A leg that bulges forward and turns backward fills with sand, and so does the
         // reverse.

@@ -4,7 +4,7 @@
 //! beside lanes that have it.
 
 use super::mechanism::Mechanisms;
-use super::term::{LaneTerms, Piece, Term};
+use super::term::{LaneTerms, Term, TermArguments};
 use crate::number::{Real, Vec3};
 
 /// Depth z0 [m] at which `depth_power` leaves the stress as it is.
@@ -319,7 +319,7 @@ impl<R: Real> StressModel<R> for SandMechanisms<R> {
             pressure += self.cohesion * tanh(speed * R::splat(1.0 / COHESION_SPEED));
         }
         if self.terms.any() {
-            let piece = Piece {
+            let piece = TermArguments {
                 depth: site.depth.max(R::zero()),
                 width: site.width,
                 normal_speed: speed,
@@ -407,10 +407,10 @@ fn tanh<R: Real>(x: R) -> R {
 mod tests {
     use super::*;
     use crate::SandBed;
-    use crate::{Law, Medium, Surface};
+    use crate::{Law, Medium, Regularization};
 
     fn ground() -> SandBed<f64> {
-        SandBed::new(Law::Li2013, &Medium::named("poppy-loose").unwrap(), &Surface::default())
+        SandBed::new(Law::Li2013, &Medium::named("poppy-loose").unwrap(), &Regularization::default())
     }
 
     fn stress(m: Mechanisms, v: [f64; 3]) -> Vec3<f64> {
@@ -487,7 +487,7 @@ mod tests {
         let mut mechanisms = SandMechanisms::<Portable>::new(&Mechanisms::default(), 600.0);
         mechanisms.set_lane(0, &every, 600.0);
         let medium = Medium::named("poppy-loose").unwrap();
-        let ground = SandBed::<Portable>::new(Law::Li2013, &medium, &Surface::default());
+        let ground = SandBed::<Portable>::new(Law::Li2013, &medium, &Regularization::default());
         let (n, v) = (Vec3::splat([0.6, 0.0, -0.8]), Vec3::splat([0.1, 0.02, -0.3]));
         let site = SegmentState::fresh(Portable::splat(0.013), Portable::splat(0.2));
         let plain = Plain.force(ground.stress(n, &ground.motion(v)), n, v, &site, Portable::splat(1.0));

@@ -33,7 +33,7 @@ pub mod shape;
 pub mod term;
 
 pub use coefficients::Coefficients;
-pub use contact::{Contact, LawCoefficients, SandBed, Surface};
+pub use contact::{Contact, LawCoefficients, Regularization, SandBed};
 pub use description::SandDescription;
 pub use law::Law;
 pub use mechanism::{Mechanism, Mechanisms};

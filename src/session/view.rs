@@ -1,6 +1,6 @@
 //! Operations for viewers: pictures, and moments in the form of recordings.
 
-use crate::env::{Look, Spec};
+use crate::env::{EnvView, Spec};
 use crate::error::{Error, Result};
 use crate::pool::Batch;
 use crate::sim::Model;
@@ -40,7 +40,7 @@ pub fn draw(batch: &Batch, index: usize, size: [u32; 2], ended: bool, camera: &C
 }
 
 /// The caption of a picture.
-fn captions(look: &Look) -> Vec<String> {
+fn captions(look: &EnvView) -> Vec<String> {
     let figure = |name: &str| look.spec.info.iter().position(|c| c.name == name).map(|k| look.info[k]);
     let speed = figure("speed").unwrap_or(0.0);
     let mut first = format!("{:6.2} s   {speed:6.3} m/s (commanded {:.3})", look.time, look.goal.speed);
@@ -71,7 +71,7 @@ pub fn header(spec: &Spec, model: &Model, episode: (u64, u64)) -> String {
 }
 
 /// The moment's numbers.
-fn row(look: &Look) -> Vec<f32> {
-    let Look { model, footing, time, action, reward, info, .. } = look;
+fn row(look: &EnvView) -> Vec<f32> {
+    let EnvView { model, footing, time, action, reward, info, .. } = look;
     view::row(model, &Moment { time: *time, state: &look.whole_state(), footing, action, reward: *reward, info })
 }

@@ -10,7 +10,7 @@
 //! `DCMotor`, whose saturation effort is the stall torque). The servo's torque is tracked with a first-order lag:
 //! τ ← τ_old + (τ_servo − τ_old) dt/(T + dt), the backward Euler step of T dτ/dt = τ_servo − τ.
 
-use super::stop::{NO_LIMIT, Push};
+use super::stop::{NO_LIMIT, StopTorque};
 use crate::number::Real;
 
 /// Stall torque as a multiple of the torque limit where it is not known: our choice, so that the full torque is available up to half of
@@ -68,12 +68,12 @@ impl<R: Real> LaneActuator<R> {
 
     /// The torque that follows the servo's `push` in this step, if it was `before` in the last one.
     #[inline(always)]
-    pub fn track(&self, push: Push<R>, before: R, dt: R) -> Push<R> {
+    pub fn track(&self, push: StopTorque<R>, before: R, dt: R) -> StopTorque<R> {
         let share = dt / (self.time_constant + dt);
         let torque = (push.torque - before).mul_add(share, before);
         // Exactly the servo's without a lag.
         let free = R::one().lt(share + R::splat(f64::from(f32::EPSILON)));
-        Push { torque: R::select(free, push.torque, torque), yielding: push.yielding * share }
+        StopTorque { torque: R::select(free, push.torque, torque), yielding: push.yielding * share }
     }
 }
 
@@ -107,7 +107,7 @@ mod tests {
 
     #[test]
     fn a_lag_follows_the_servo() {
-        let push = Push { torque: 2.0, yielding: 0.5 };
+        let push = StopTorque { torque: 2.0, yielding: 0.5 };
         let at_once = LaneActuator::<f64>::splat(&Actuator::default()).track(push, 1.0, 1e-3);
         assert_eq!((at_once.torque, at_once.yielding), (2.0, 0.5));
         let slow = LaneActuator::<f64>::splat(&Actuator { time_constant: 0.02, ..Actuator::default() });

@@ -6,8 +6,8 @@
 //! Bodies and sand are those of engine [`super::rapier`], in `f64`. A time step is the midpoint rule.
 
 use super::command::Command;
-use super::frame::Frame;
-use super::rapier::{Place, fold_turns, load_link};
+use super::frame::BodyFrame;
+use super::rapier::{PlacedBody, fold_turns, load_link};
 use super::{Model, State};
 use crate::sand::SandBed;
 
@@ -97,7 +97,7 @@ impl Carriage {
     /// Adds the sand's impulse and work during `dt`, and stores the torques that balance the sand.
     fn feel(&mut self, dt: f64) {
         let state = &mut self.state;
-        let base = Frame::base(state);
+        let base = BodyFrame::base(state);
         let mut first = 0;
         for chain in &self.model.legs {
             let mut frame = base;
@@ -108,7 +108,7 @@ impl Carriage {
             for (body, joint) in chain.iter().zip(joints) {
                 frame = frame.child(body, state.angles[joint], state.rates[joint]);
                 hinges.push((joint, frame.origin, frame.rotation * body.axis));
-                let at = Place { frame: &frame, base: &state.position, travel: state.travel() };
+                let at = PlacedBody { frame: &frame, base: &state.position, travel: state.travel() };
                 // With a time step of 0 the wrench has no implicit part.
                 let sand = load_link(&self.ground, body, state.rates[joint], &at, 0.0).wrench;
                 for (joint, origin, axis) in &hinges {

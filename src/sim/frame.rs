@@ -1,14 +1,14 @@
 //! Position and motion of each body, from the state alone.
 
 use super::State;
-use super::model::Body;
+use super::model::LinkBody;
 
 pub type V = nalgebra::Vector3<f64>;
 pub type M = nalgebra::Matrix3<f64>;
 
 /// Pose and motion of a body's frame, in world axes, with lengths from the base's centre of mass.
 #[derive(Clone, Copy, Debug)]
-pub struct Frame {
+pub struct BodyFrame {
     /// Own axes to world axes.
     pub rotation: M,
     /// [m]
@@ -23,7 +23,7 @@ pub struct Frame {
     angular_acceleration: V,
 }
 
-impl Frame {
+impl BodyFrame {
     pub fn base(state: &State) -> Self {
         let rows = state.rotation();
         Self {
@@ -37,7 +37,7 @@ impl Frame {
     }
 
     /// The frame of `body`, whose hinge has the angle `angle` [rad] and the speed `rate` [rad/s].
-    pub fn child(&self, body: &Body, angle: f64, rate: f64) -> Self {
+    pub fn child(&self, body: &LinkBody, angle: f64, rate: f64) -> Self {
         let arm = self.rotation * body.joint;
         let axis = nalgebra::Unit::new_unchecked(body.axis);
         let spin = self.rotation * body.axis * rate;

@@ -1,7 +1,7 @@
 //! Memory of models and robots, for limits. A test compares the numbers with what is allocated.
 
 use super::engine::EngineKind;
-use super::model::Body;
+use super::model::LinkBody;
 use super::obstacle::ObstacleShape;
 use super::tree::patches::Patch;
 use super::tree::{Geometry, Tree, TreeModel};
@@ -56,7 +56,7 @@ impl Model {
     /// Memory of a copy whose masses, motors, sand or obstacles an episode has drawn [bytes]: what is not shared with
     /// the model that it was made from.
     pub fn episode_bytes(&self) -> usize {
-        let body = |body: &Body| list(&body.plates) + list(&body.chord) + list(&body.pieces);
+        let body = |body: &LinkBody| list(&body.plates) + list(&body.chord) + list(&body.pieces);
         let corners = |o: &super::Obstacle| match &o.shape {
             ObstacleShape::Hull { points } => list(points),
             _ => 0,

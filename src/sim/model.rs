@@ -9,8 +9,8 @@ use super::tree::relief::Relief;
 use super::tree::{HardGround, TreeModel};
 use crate::error::{Error, Result, check_range};
 use crate::number::Real;
-use crate::sand::memory::{Moved, REPOSE_DEG, Settings};
-use crate::sand::{Law, LegShape, Mechanisms, Medium, SandBed, SandDescription, Segment, Surface};
+use crate::sand::memory::{MemorySettings, Moved, REPOSE_DEG};
+use crate::sand::{Law, LegShape, Mechanisms, Medium, Regularization, SandBed, SandDescription, Segment};
 use crate::stop::NO_LIMIT;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -28,7 +28,7 @@ pub struct Scene {
     pub medium: Medium,
     pub law: Law,
     #[serde(default)]
-    pub surface: Surface,
+    pub surface: Regularization,
     /// Mechanisms. Those of sensors and logs have no effect here.
     #[serde(default)]
     pub mechanisms: Mechanisms,
@@ -51,7 +51,7 @@ pub struct Scene {
     /// Sand that was moved stays moved; None: the surface is always as at the start. Engines `lanes` and `tree` support
     /// it, on flat sand.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub memory: Option<Settings>,
+    pub memory: Option<MemorySettings>,
 }
 
 /// Cells along a side of the square of heights that moves with a robot, as a power of two: 64. Our choice: 12 KiB.
@@ -75,7 +75,7 @@ impl Scene {
         Self {
             medium,
             law: Law::Li2013,
-            surface: Surface::default(),
+            surface: Regularization::default(),
             mechanisms: Mechanisms::PLAIN,
             slope_deg: 0.0,
             dt: Self::DEFAULT_DT,
@@ -106,13 +106,13 @@ impl Scene {
         let legs: f64 = robot.leg.link.iter().map(|link| long(link.reach)).sum();
         let reach = robot.hip.iter().map(|hip| long(hip.position)).fold(0.0, f64::max) + legs;
         let cell = (0.5 * width).max(reach / WITHIN);
-        self.memory = Some(Settings::new(&self.medium, cell, BITS, 2.0 * width, REPOSE_DEG));
+        self.memory = Some(MemorySettings::new(&self.medium, cell, BITS, 2.0 * width, REPOSE_DEG));
     }
 
     /// The same for a tree robot: its square contains it as it stands.
     pub fn remember_tree(&mut self, tree: &TreeModel) {
         let cell = tree.reach().max(1e-3) / WITHIN;
-        self.memory = Some(Settings::new(&self.medium, cell, BITS, 2.0 * cell, REPOSE_DEG));
+        self.memory = Some(MemorySettings::new(&self.medium, cell, BITS, 2.0 * cell, REPOSE_DEG));
     }
 
     /// The sand, ready for evaluation.
@@ -159,7 +159,7 @@ impl Scene {
 /// A flat, straight part of a link's strip, in the frame of the body that carries it. Rigid obstacles collide with
 /// it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Piece {
+pub struct StripPiece {
     /// [m]
     pub center: V,
     /// Unit vectors along the strip and across it, in its plane.
@@ -171,7 +171,7 @@ pub struct Piece {
 
 /// A link's rigid body in its own frame: parallel to the base frame when all angles are 0, origin at its joint.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Body {
+pub struct LinkBody {
     /// Joint position in the parent's frame [m].
     pub joint: V,
     /// Unit hinge axis (the same in parent and own frame).
@@ -191,7 +191,7 @@ pub struct Body {
     /// Direction of the strip's bulge: 1 if the bulging side leads when the joint turns positively, −1 if the other
     /// side leads, 0 if the strip is straight.
     pub bulge: f64,
-    pub pieces: Vec<Piece>,
+    pub pieces: Vec<StripPiece>,
     /// From the joint to the next one or the tip [m].
     pub reach: V,
 }
@@ -247,7 +247,7 @@ pub struct Model {
     /// One-sided plates under the base.
     pub belly: Vec<Plate>,
     /// One chain of bodies a hip, from the hip outward; all chains have the same length.
-    pub legs: Vec<Vec<Body>>,
+    pub legs: Vec<Vec<LinkBody>>,
     pub motor: Motor,
     /// Gravity in the surface's frame [m/s²].
     pub gravity: V,
@@ -493,7 +493,7 @@ fn belly(robot: &Robot) -> Vec<Plate> {
         .collect()
 }
 
-fn leg(robot: &Robot, hip: [f64; 3], yaw: f64) -> Result<Vec<Body>> {
+fn leg(robot: &Robot, hip: [f64; 3], yaw: f64) -> Result<Vec<LinkBody>> {
     let turn = nalgebra::Rotation3::from_axis_angle(&V::z_axis(), yaw);
     let mut joint = V::from(hip);
     let mut chain = Vec::with_capacity(robot.leg.link.len());
@@ -506,7 +506,7 @@ fn leg(robot: &Robot, hip: [f64; 3], yaw: f64) -> Result<Vec<Body>> {
 }
 
 /// A link's mass is spread over its strip's segments as thin rods; without a strip, over the straight reach.
-fn body(link: &Link, joint: V, turn: nalgebra::Rotation3<f64>) -> Result<Body> {
+fn body(link: &Link, joint: V, turn: nalgebra::Rotation3<f64>) -> Result<LinkBody> {
     let reach = V::from(link.reach);
     let axis = V::from(link.axis).normalize();
     let down = reach.normalize();
@@ -539,7 +539,7 @@ fn body(link: &Link, joint: V, turn: nalgebra::Rotation3<f64>) -> Result<Body> {
         }
         None => Vec::new(),
     };
-    Ok(Body {
+    Ok(LinkBody {
         joint: exact(joint),
         axis: exact(turn * axis),
         mass: link.mass,
@@ -564,7 +564,7 @@ pub(super) fn exact<const R: usize, const C: usize>(v: nalgebra::SMatrix<f64, R,
 
 /// Straight pieces of a strip: neighbouring segments are one piece while their directions differ by less than
 /// [`BEND`]. `place` takes a segment's coordinates to the body's frame, where `across` is the strip's width.
-fn pieces(segments: &[Segment], width: f64, place: impl Fn([f64; 2]) -> V, across: V) -> Vec<Piece> {
+fn pieces(segments: &[Segment], width: f64, place: impl Fn([f64; 2]) -> V, across: V) -> Vec<StripPiece> {
     let mut runs: Vec<&[Segment]> = Vec::new();
     let mut start = 0;
     for end in 1..=segments.len() {
@@ -584,7 +584,7 @@ fn pieces(segments: &[Segment], width: f64, place: impl Fn([f64; 2]) -> V, acros
         };
         let (from, to) = (end(first, -1.0), end(last, 1.0));
         let length = (to - from).norm();
-        Piece { center: (from + to) / 2.0, along: (to - from) / length, across, size: [length, width] }
+        StripPiece { center: (from + to) / 2.0, along: (to - from) / length, across, size: [length, width] }
     };
     runs.into_iter().map(piece).collect()
 }

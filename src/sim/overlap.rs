@@ -1,7 +1,7 @@
 //! How deep a robot lies inside rigid obstacles. Tests and studies measure it with geometry code that no engine
 //! uses.
 
-use super::solid::{Pose, Solid};
+use super::solid::{RigidPose, Solid};
 use super::{Model, State};
 
 type V = nalgebra::Vector3<f64>;
@@ -29,7 +29,7 @@ fn overlaps<'a>(model: &'a Model, state: &State) -> impl Iterator<Item = (&'a So
     let bottom = -model.robot.belly.as_ref().map_or(top, |b| b.below.min(top));
     let middle = V::new(0.0, 0.0, (top + bottom) / 2.0);
     let base = Solid::cuboid([2.0 * length, 2.0 * width, top - bottom]);
-    let mut pose = Pose::new(state.position, state.orientation);
+    let mut pose = RigidPose::new(state.position, state.orientation);
     pose.position += pose.rotation * middle;
     model.solids.iter().zip(poses).map(move |(solid, at)| {
         let near = points.iter().map(|p| solid.depth(&at, *p));
@@ -39,17 +39,17 @@ fn overlaps<'a>(model: &'a Model, state: &State) -> impl Iterator<Item = (&'a So
 }
 
 /// Poses of the scene's obstacles.
-pub fn obstacle_poses(model: &Model, state: &State) -> Vec<Pose> {
+pub fn obstacle_poses(model: &Model, state: &State) -> Vec<RigidPose> {
     let mut loose = state.objects.iter();
     let pose = |o: &super::Obstacle| match o.moves().then(|| loose.next()).flatten() {
-        Some(object) => Pose::new(object.position, object.orientation),
-        None => Pose::new(o.position, o.orientation),
+        Some(object) => RigidPose::new(object.position, object.orientation),
+        None => RigidPose::new(o.position, o.orientation),
     };
     model.scene.obstacles.iter().map(pose).collect()
 }
 
 fn leg_points(model: &Model, state: &State) -> impl Iterator<Item = V> {
-    let base = Pose::new(state.position, state.orientation);
+    let base = RigidPose::new(state.position, state.orientation);
     let mut angles = state.angles.iter();
     let mut points = Vec::new();
     for chain in &model.legs {
@@ -73,7 +73,7 @@ fn leg_points(model: &Model, state: &State) -> impl Iterator<Item = V> {
 }
 
 fn base_points(model: &Model, state: &State) -> impl Iterator<Item = V> {
-    let pose = Pose::new(state.position, state.orientation);
+    let pose = RigidPose::new(state.position, state.orientation);
     let [length, width, height] = model.robot.base.size;
     let bottom = -model.robot.belly.as_ref().map_or(height / 2.0, |b| b.below.min(height / 2.0));
     (0..GRID * GRID * 2).map(move |k| {

@@ -1,7 +1,7 @@
 //! Poses of a robot's parts at one moment, and the sand's forces on them.
 
-use super::frame::{Frame, M, V};
-use super::model::{Body, Plate};
+use super::frame::{BodyFrame, M, V};
+use super::model::{LinkBody, Plate};
 use super::tree::{forces, kinematics};
 use super::{Model, State};
 use crate::number::Vec3;
@@ -14,7 +14,7 @@ const STANCE: f64 = 0.02;
 
 /// A small flat piece that sand may push on, as a [`Model`] has it.
 #[derive(Clone, Copy, Debug)]
-pub struct Segment<'a> {
+pub struct SandSegment<'a> {
     /// Index of the body that carries it, as in [`Pose::bodies`].
     pub body: usize,
     /// Index of that body's leg; None: the base.
@@ -24,7 +24,7 @@ pub struct Segment<'a> {
 
 /// The sand's force on a segment, and where it acts.
 #[derive(Clone, Copy, Debug)]
-pub struct Load {
+pub struct SegmentForce {
     /// Position of the segment's centre in the world [m].
     pub position: V,
     /// Force of the sand on the segment, in the world's axes [N]; zero outside the sand.
@@ -36,13 +36,13 @@ pub struct Pose {
     /// The base, then every link, leg by leg from the hip outward; origins in the world [m].
     pub bodies: Vec<(M, V)>,
     /// The force of the sand on each segment, in the order of [`segments`].
-    pub loads: Vec<Load>,
+    pub loads: Vec<SegmentForce>,
     /// Sum of the forces on each leg [N].
     pub leg_forces: Vec<V>,
     /// Does the sand hold the leg? One value for each leg.
     pub stance: Vec<bool>,
     /// The ground's force on each body of [`forces::touching`] and its mean place: only for robots from files.
-    pub contacts: Vec<Load>,
+    pub contacts: Vec<SegmentForce>,
     /// Least force of a leg that stands [N].
     least: f64,
     /// Velocity of the base along x and y [m/s].
@@ -51,13 +51,13 @@ pub struct Pose {
 
 /// All segments of a robot: the belly's, then each link's. If the sand's mechanisms fill concave sides, a link's
 /// strip is followed by the segments of its chord.
-pub fn segments(model: &Model) -> Vec<Segment<'_>> {
-    let belly = model.belly.iter().map(|plate| Segment { body: 0, leg: None, plate });
+pub fn segments(model: &Model) -> Vec<SandSegment<'_>> {
+    let belly = model.belly.iter().map(|plate| SandSegment { body: 0, leg: None, plate });
     let fills = model.scene.mechanisms.concave_fill > 0.0;
     let links = model.legs.iter().enumerate().flat_map(|(leg, chain)| chain.iter().map(move |body| (leg, body)));
     let strips = links.enumerate().flat_map(move |(i, (leg, body))| {
         let chord: &[Plate] = if fills { &body.chord } else { &[] };
-        body.plates.iter().chain(chord).map(move |plate| Segment { body: i + 1, leg: Some(leg), plate })
+        body.plates.iter().chain(chord).map(move |plate| SandSegment { body: i + 1, leg: Some(leg), plate })
     });
     belly.chain(strips).collect()
 }
@@ -67,7 +67,7 @@ impl Pose {
     /// `footing` is each leg's share of the stress, see [`super::engine::Engine::set_footing`]; None: 1.
     pub fn of(model: &Model, state: &State, footing: &[f64]) -> Self {
         let ground: SandBed<f64> = model.scene.ground();
-        let base = Frame::base(state);
+        let base = BodyFrame::base(state);
         let at = V::from(state.position);
         let mut pose = Self {
             bodies: vec![(base.rotation, at)],
@@ -105,9 +105,9 @@ impl Pose {
         &mut self,
         model: &Model,
         ground: &SandBed<f64>,
-        body: &Body,
+        body: &LinkBody,
         [rate, found, level]: [f64; 3],
-        frame: &Frame,
+        frame: &BodyFrame,
         at: V,
     ) {
         let concave_leads = body.bulge * rate < 0.0;
@@ -126,7 +126,7 @@ impl Pose {
     fn press(
         &mut self,
         plates: &[Plate],
-        frame: &Frame,
+        frame: &BodyFrame,
         at: V,
         level: f64,
         contact: impl Fn(&SegmentState<f64>, f64, Vec3<f64>, Vec3<f64>) -> Contact<f64>,
@@ -142,7 +142,7 @@ impl Pose {
                 let pushed = contact(&site, plate.area, vector(normal), vector(velocity)).force;
                 force = V::new(pushed.x, pushed.y, pushed.z);
             }
-            Load { position, force }
+            SegmentForce { position, force }
         }));
     }
 
@@ -154,11 +154,11 @@ impl Pose {
 
     /// Forces of the ground to draw, one for each leg that stands, or for each body that touches; the position is the
     /// mean of its segments' positions, weighted by their forces.
-    pub fn arrows(&self, model: &Model) -> Vec<Load> {
+    pub fn arrows(&self, model: &Model) -> Vec<SegmentForce> {
         let segments = segments(model);
         let of_leg = |leg: usize| {
             let own = segments.iter().zip(&self.loads).filter(|(s, _)| s.leg == Some(leg)).map(|(_, load)| *load);
-            Some(Load { position: mean_place(own)?, force: self.leg_forces[leg] })
+            Some(SegmentForce { position: mean_place(own)?, force: self.leg_forces[leg] })
         };
         let legs = (0..self.stance.len()).filter(|leg| self.stance[*leg]).filter_map(of_leg);
         legs.chain(self.contacts.iter().filter(|c| c.force.norm() > self.least).copied()).collect()
@@ -176,7 +176,7 @@ fn found(model: &Model, state: &State, body: usize) -> [f64; 2] {
 }
 
 /// Mean position, weighted by force; None if there is no force.
-fn mean_place(loads: impl Iterator<Item = Load>) -> Option<V> {
+fn mean_place(loads: impl Iterator<Item = SegmentForce>) -> Option<V> {
     let (sum, total) = loads.fold((V::zeros(), 0.0), |(sum, total), load| {
         let weight = load.force.norm();
         (sum + load.position * weight, total + weight)
@@ -185,13 +185,13 @@ fn mean_place(loads: impl Iterator<Item = Load>) -> Option<V> {
 }
 
 /// The ground's force on each body that can touch it. Where there is none, its position is the body's origin.
-fn contacts(model: &Model, state: &State) -> Vec<Load> {
+fn contacts(model: &Model, state: &State) -> Vec<SegmentForce> {
     let Some(robot) = &model.tree else { return Vec::new() };
     let (frames, pushes) = (kinematics::frames(&robot.tree, state), forces::pushes(model, state));
     let of_body = |body: usize| {
-        let own = pushes.iter().filter(|p| p.body == body).map(|p| Load { position: p.at, force: p.force });
+        let own = pushes.iter().filter(|p| p.body == body).map(|p| SegmentForce { position: p.at, force: p.force });
         let position = mean_place(own.clone()).unwrap_or(frames[body].translation.vector);
-        Load { position, force: own.map(|load| load.force).sum() }
+        SegmentForce { position, force: own.map(|load| load.force).sum() }
     };
     forces::touching(model).into_iter().map(of_body).collect()
 }

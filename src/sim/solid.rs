@@ -67,16 +67,16 @@ enum SolidKind {
     Sides(Vec<(V, f64)>),
 }
 
-/// Pose of a body.
+/// RigidPose of a body.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pose {
+pub struct RigidPose {
     /// Own axes to world axes.
     pub rotation: M,
     /// [m]
     pub position: V,
 }
 
-impl Pose {
+impl RigidPose {
     pub fn new(position: [f64; 3], orientation: [f64; 4]) -> Self {
         let [w, x, y, z] = orientation;
         let turn = nalgebra::UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z));
@@ -192,7 +192,7 @@ impl Solid {
     }
 
     /// Depth [m] of a point of the world inside the body at `pose`; negative outside.
-    pub fn depth(&self, pose: &Pose, point: V) -> f64 {
+    pub fn depth(&self, pose: &RigidPose, point: V) -> f64 {
         let p = pose.inward(point);
         match &self.kind {
             SolidKind::Sphere { radius } => radius - p.norm(),
@@ -209,7 +209,7 @@ impl Solid {
     }
 
     /// Height [m] of the body's top above the point (x, y) of the surface; none beside it.
-    pub fn top(&self, pose: &Pose, x: f64, y: f64) -> Option<f64> {
+    pub fn top(&self, pose: &RigidPose, x: f64, y: f64) -> Option<f64> {
         let start = pose.inward(V::new(x, y, 0.0));
         let up = pose.rotation.transpose() * V::z();
         match &self.kind {
@@ -242,7 +242,7 @@ impl Solid {
     }
 
     /// Depth of the lowest point under the centre of mass [m] with the body turned as in `pose`.
-    pub fn below(&self, pose: &Pose) -> f64 {
+    pub fn below(&self, pose: &RigidPose) -> f64 {
         match self.kind {
             SolidKind::Sphere { radius } => radius,
             SolidKind::Sides(_) => self.corners.iter().map(|c| -(pose.rotation * c).z).fold(0.0, f64::max),
@@ -269,7 +269,7 @@ mod tests {
         let area = |s: &Solid| s.facets.iter().map(|f| f.area).sum::<f64>();
         close(area(&hull), 0.62);
         close(area(&cuboid), 0.62);
-        let pose = Pose::new([1.0, 2.0, 0.1], [0.8, 0.6, 0.0, 0.0]);
+        let pose = RigidPose::new([1.0, 2.0, 0.1], [0.8, 0.6, 0.0, 0.0]);
         for point in [V::new(1.0, 2.0, 0.1), V::new(1.05, 2.1, 0.2), V::new(3.0, 0.0, 0.0)] {
             close(hull.depth(&pose, point), cuboid.depth(&pose, point));
         }
@@ -280,7 +280,7 @@ mod tests {
 
     #[test]
     fn tops_and_depths_by_hand() {
-        let pose = Pose::new([0.0, 0.0, 0.02], [1.0, 0.0, 0.0, 0.0]);
+        let pose = RigidPose::new([0.0, 0.0, 0.02], [1.0, 0.0, 0.0, 0.0]);
         let (ball, cube) = (Solid::sphere(0.05), Solid::cuboid([0.1, 0.1, 0.1]));
         close(ball.top(&pose, 0.03, 0.0).unwrap(), 0.02 + 0.04);
         assert!(ball.top(&pose, 0.051, 0.0).is_none());

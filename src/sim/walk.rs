@@ -11,7 +11,7 @@ use std::f64::consts::TAU;
 
 /// One run of the protocol.
 #[derive(Clone, Debug)]
-pub struct Trial {
+pub struct WalkTrial {
     pub model: Model,
     /// Turns of the hips per second [Hz]; negative walks backward, 0 stands.
     pub frequency: f64,
@@ -80,7 +80,7 @@ pub fn hip_angle(frequency: f64, time: f64) -> [f64; 2] {
     [speed * (0.5 * ramped * ramped / RAMP + turning), speed * ramped / RAMP]
 }
 
-impl Trial {
+impl WalkTrial {
     pub fn new(model: Model, frequency: f64) -> Self {
         Self { model, frequency, phase: 0.0, x_bed: 0.0, strides: STRIDES_MEASURED }
     }
@@ -134,7 +134,7 @@ impl Trial {
 }
 
 /// Runs one trial.
-pub fn walk(kind: EngineKind, trial: &Trial) -> Result<WalkResult> {
+pub fn walk(kind: EngineKind, trial: &WalkTrial) -> Result<WalkResult> {
     let results = walk_many(kind, std::slice::from_ref(trial), &|_| Ok(()))?;
     results.first().copied().ok_or_else(|| Error::invalid("trials", "none"))
 }
@@ -148,7 +148,7 @@ pub struct Watch<'a> {
 }
 
 /// The same as [`walk`], and gives the states, with the first one, to `watch`.
-pub fn walk_watched(kind: EngineKind, trial: &Trial, watch: &mut Watch) -> Result<WalkResult> {
+pub fn walk_watched(kind: EngineKind, trial: &WalkTrial, watch: &mut Watch) -> Result<WalkResult> {
     check_range("rate", watch.rate, 1.0..=1.0 / TICK)?;
     let results = run(kind, std::slice::from_ref(trial), &|_| Ok(()), Some(watch))?;
     results.first().copied().ok_or_else(|| Error::invalid("trials", "none"))
@@ -159,14 +159,18 @@ const REPORT_TIME: f64 = 1.0;
 
 /// Runs `trials` side by side in one engine; all robots must have the same number of joints and plates. `advanced`
 /// receives the additional simulated seconds; its error stops the walks and is returned.
-pub fn walk_many(kind: EngineKind, trials: &[Trial], advanced: &dyn Fn(f64) -> Result<()>) -> Result<Vec<WalkResult>> {
+pub fn walk_many(
+    kind: EngineKind,
+    trials: &[WalkTrial],
+    advanced: &dyn Fn(f64) -> Result<()>,
+) -> Result<Vec<WalkResult>> {
     run(kind, trials, advanced, None)
 }
 
 /// [`walk_many`]; `watch` receives the states of the first trial.
 fn run(
     kind: EngineKind,
-    trials: &[Trial],
+    trials: &[WalkTrial],
     advanced: &dyn Fn(f64) -> Result<()>,
     mut watch: Option<&mut Watch>,
 ) -> Result<Vec<WalkResult>> {
@@ -215,7 +219,7 @@ fn run(
 
 /// Gathers one trial's measurements.
 struct Meter<'a> {
-    trial: &'a Trial,
+    trial: &'a WalkTrial,
     now: State,
     /// Position and work at the window's start and end.
     ends: [Option<([f64; 3], f64)>; 2],
@@ -228,7 +232,7 @@ struct Meter<'a> {
 }
 
 impl<'a> Meter<'a> {
-    fn new(trial: &'a Trial) -> Self {
+    fn new(trial: &'a WalkTrial) -> Self {
         Self {
             trial,
             now: trial.start(),

@@ -5,7 +5,7 @@ use super::{Axis, Design, walk_all};
 use crate::error::{Result, check_range};
 use crate::progress::{Part, Progress};
 use crate::sim::engine::EngineKind;
-use crate::sim::walk::{Trial, WalkResult};
+use crate::sim::walk::{WalkResult, WalkTrial};
 
 /// More walks than this are refused: our choice, about an hour of one core.
 pub const MOST_WALKS: usize = 500_000;
@@ -41,7 +41,7 @@ pub fn check_grid(base: &Design, axes: &[Axis]) -> Result<usize> {
     Ok(count)
 }
 
-fn trial(base: &Design, axes: &[Axis], index: usize) -> Result<Trial> {
+fn trial(base: &Design, axes: &[Axis], index: usize) -> Result<WalkTrial> {
     let mut design = base.clone();
     for (axis, value) in axes.iter().zip(values(axes, index)) {
         axis.parameter.set(&mut design, value)?;

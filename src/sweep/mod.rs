@@ -20,7 +20,7 @@ pub use run::walk_all;
 
 use crate::error::{Error, Result};
 use crate::sim::model::Scene;
-use crate::sim::walk::{Trial, WalkResult};
+use crate::sim::walk::{WalkResult, WalkTrial};
 use crate::sim::{Model, Robot};
 
 /// One robot on one sand at one stride frequency.
@@ -43,9 +43,9 @@ impl Design {
         settings.into_iter().try_for_each(|(name, value)| Parameter::named(name)?.set(self, value))
     }
 
-    pub fn trial(&self) -> Result<Trial> {
+    pub fn trial(&self) -> Result<WalkTrial> {
         let model = Model::new(&self.robot, &self.scene)?;
-        Ok(Trial { phase: self.phase, ..Trial::new(model, self.frequency) })
+        Ok(WalkTrial { phase: self.phase, ..WalkTrial::new(model, self.frequency) })
     }
 }
 

@@ -5,7 +5,7 @@ use super::{Axis, Design, Measure, walk_all};
 use crate::error::{Error, Result};
 use crate::progress::{Part, Progress};
 use crate::sim::engine::EngineKind;
-use crate::sim::walk::{Trial, WalkResult};
+use crate::sim::walk::{WalkResult, WalkTrial};
 use argmin::core::{CostFunction, Executor, State};
 use argmin::solver::particleswarm::ParticleSwarm;
 use rand::SeedableRng;
@@ -40,7 +40,7 @@ struct Problem<'a> {
 }
 
 impl Problem<'_> {
-    fn trial(&self, values: &[f64]) -> Result<Trial> {
+    fn trial(&self, values: &[f64]) -> Result<WalkTrial> {
         trial(self.base, self.axes, values)
     }
 
@@ -53,7 +53,7 @@ impl Problem<'_> {
     }
 }
 
-fn trial(base: &Design, axes: &[Axis], values: &[f64]) -> Result<Trial> {
+fn trial(base: &Design, axes: &[Axis], values: &[f64]) -> Result<WalkTrial> {
     let mut design = base.clone();
     for (axis, value) in axes.iter().zip(values) {
         axis.parameter.set(&mut design, &value.to_string())?;

@@ -4,7 +4,7 @@ use crate::error::Result;
 use crate::parallel;
 use crate::progress::Progress;
 use crate::sim::engine::EngineKind;
-use crate::sim::walk::{Trial, WalkResult, walk_many};
+use crate::sim::walk::{WalkResult, WalkTrial, walk_many};
 use std::sync::{Mutex, PoisonError};
 
 /// Walks every trial, in the order given. An error of `progress` stops all of them within a second of simulated
@@ -12,7 +12,7 @@ use std::sync::{Mutex, PoisonError};
 ///
 /// A block has one law, regularisation and time step, and equally many plates in every lane. Among such trials,
 /// those of similar duration share a block, because a block runs until its slowest robot has finished its strides.
-pub fn walk_all(engine: EngineKind, trials: &[Trial], progress: &dyn Progress) -> Result<Vec<WalkResult>> {
+pub fn walk_all(engine: EngineKind, trials: &[WalkTrial], progress: &dyn Progress) -> Result<Vec<WalkResult>> {
     let mut order: Vec<usize> = (0..trials.len()).collect();
     order.sort_by(|a, b| {
         let key = |i: &usize| (kind(&trials[*i]), trials[*i].duration());
@@ -34,7 +34,7 @@ pub fn walk_all(engine: EngineKind, trials: &[Trial], progress: &dyn Progress) -
     let outcomes = parallel::map(&blocks, |block| {
         // After a stop no further block starts.
         clock.advance(0.0)?;
-        let packed: Vec<Trial> = block.iter().map(|i| trials[*i].clone()).collect();
+        let packed: Vec<WalkTrial> = block.iter().map(|i| trials[*i].clone()).collect();
         walk_many(engine, &packed, &|seconds| clock.advance(seconds))
     });
     let mut results = vec![None; trials.len()];
@@ -57,7 +57,7 @@ struct Clock<'a> {
 }
 
 impl<'a> Clock<'a> {
-    fn of(trials: &[Trial], blocks: &[Vec<usize>], progress: &'a dyn Progress) -> Self {
+    fn of(trials: &[WalkTrial], blocks: &[Vec<usize>], progress: &'a dyn Progress) -> Self {
         let longest = |block: &Vec<usize>| block.iter().map(|i| trials[*i].duration()).fold(0.0, f64::max);
         let total = blocks.iter().map(longest).sum();
         Self { total, passed: Mutex::new(0.0), stage: format!("{} walks", trials.len()), progress }
@@ -73,7 +73,7 @@ impl<'a> Clock<'a> {
 }
 
 /// Properties that all robots of a block have in common.
-fn kind(trial: &Trial) -> (&'static str, [u64; 5], usize, usize, bool) {
+fn kind(trial: &WalkTrial) -> (&'static str, [u64; 5], usize, usize, bool) {
     let (model, scene) = (&trial.model, &trial.model.scene);
     let surface = &scene.surface;
     let numbers =

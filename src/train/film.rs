@@ -1,7 +1,7 @@
 //! A recording of an episode of a policy, for `sandgait replay`, and a picture of some of its moments.
 
 use crate::env::registry::Blueprint;
-use crate::env::{Look, Shard};
+use crate::env::{EnvView, Shard};
 use crate::error::{Error, Result};
 use crate::plot::png;
 use crate::policy::Network;
@@ -52,7 +52,7 @@ pub fn film(blueprint: &Blueprint, network: &Network, seed: u64, recording: &Pat
     Ok(())
 }
 
-fn header(look: &Look) -> String {
+fn header(look: &EnvView) -> String {
     let spec = look.spec;
     let about = About {
         task: spec.id,
@@ -65,7 +65,7 @@ fn header(look: &Look) -> String {
     view::header(look.model, &about)
 }
 
-fn row(look: &Look) -> Vec<f32> {
-    let Look { model, footing, time, action, reward, info, .. } = look;
+fn row(look: &EnvView) -> Vec<f32> {
+    let EnvView { model, footing, time, action, reward, info, .. } = look;
     view::row(model, &Moment { time: *time, state: &look.whole_state(), footing, action, reward: *reward, info })
 }

@@ -1,10 +1,10 @@
 //! Measured steady motions in a folder: `validation.toml` describes them, CSV files have the rows.
 
-use crate::calibrate::pushes::Push;
+use crate::calibrate::pushes::Penetration;
 use crate::calibrate::read;
 use crate::error::{Error, Result, check_range};
 use crate::sand::SandDescription;
-use crate::sand::intruder::{Body, BodyShape, Given, Trial};
+use crate::sand::intruder::{BodyShape, DepthOrLoad, PlatedBody, Trial};
 use crate::table::{self, Asked, Column, Quantity};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
@@ -22,7 +22,7 @@ const OWN: [(&str, &str); 6] = [
 const OWN_DISCS: &str = include_str!("../../tests/data/real_wheel/discs.csv");
 
 /// The discs that were pushed into the wheels' sand, included in the program.
-pub fn own_discs() -> Result<Vec<Push>> {
+pub fn own_discs() -> Result<Vec<Penetration>> {
     Ok(read::text(Path::new("discs.csv"), OWN_DISCS)?.pushes)
 }
 
@@ -81,7 +81,7 @@ impl Row {
 #[derive(Clone, Debug)]
 pub struct Wheel {
     pub name: String,
-    pub body: Body,
+    pub body: PlatedBody,
     pub shape: String,
     pub rows: Vec<Row>,
     pub sand: SandDescription,
@@ -128,7 +128,7 @@ fn gather(folder: &Path, text: impl Fn(&Path) -> Result<String>) -> Result<DataS
         };
         wheels.push(Wheel {
             name: one.name,
-            body: Body::cut(&body, None)?,
+            body: PlatedBody::cut(&body, None)?,
             shape: one.body,
             rows: rows(&folder.join(&one.rows), &text(&one.rows)?, description.most_slip_angle_deg)?,
             sand: sand(&one.sand)?,
@@ -162,7 +162,7 @@ fn rows(path: &Path, text: &str, most_slip_angle: f64) -> Result<Vec<Row>> {
         }
         let [vx, vy, wy, depth, fx, fy, fz, slip_angle, slip] = x;
         check_range("Fz", fz, 1e-6..=1e6).map_err(|e| row.error(6, e))?;
-        let trial = Trial { velocity: [vx, vy, 0.0], spin: [0.0, wy, 0.0], given: Given::Depth(depth) };
+        let trial = Trial { velocity: [vx, vy, 0.0], spin: [0.0, wy, 0.0], given: DepthOrLoad::Depth(depth) };
         let trial = trial.validated().map_err(|e| Error::file(path, format!("row {}: {e}", row.line)))?;
         if slip_angle.abs() <= most_slip_angle {
             all.push(Row { trial, depth, force: [fx, fy, fz], slip_angle, slip });

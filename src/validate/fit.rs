@@ -3,7 +3,7 @@
 use super::data::{Row, Wheel};
 use crate::error::Result;
 use crate::parallel;
-use crate::sand::intruder::{Given, Trial, compute};
+use crate::sand::intruder::{DepthOrLoad, Trial, compute};
 use crate::sand::{Law, Mechanisms, Medium, SandDescription};
 use nalgebra::{DMatrix, DVector};
 
@@ -136,7 +136,7 @@ fn residuals(wheels: &[Wheel], rows: &[Vec<Row>], x: &DVector<f64>) -> Result<DV
 }
 
 fn of_row(wheel: &Wheel, sand: &SandDescription, row: &Row, load: f64) -> [f64; 6] {
-    let at = |depth: f64| compute(&wheel.body, sand, &Trial { given: Given::Depth(depth), ..row.trial }).force;
+    let at = |depth: f64| compute(&wheel.body, sand, &Trial { given: DepthOrLoad::Depth(depth), ..row.trial }).force;
     let (here, below) = (at(row.depth), at(row.depth + STEP));
     let off = [0, 1, 2].map(|k| here[k] - row.force[k]);
     let slope = [0, 1, 2].map(|k| (below[k] - here[k]) / STEP);

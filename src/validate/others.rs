@@ -8,7 +8,7 @@ use crate::reproduce;
 use crate::sand::Medium;
 use crate::sim::engine::EngineKind;
 use crate::sim::model::Scene;
-use crate::sim::walk::{self, Trial};
+use crate::sim::walk::{self, WalkTrial};
 use crate::sim::{Model, Robot};
 use std::fmt::Write as _;
 
@@ -67,9 +67,9 @@ fn grains() -> Result<String> {
 
 /// Walking speeds compared with those of independent codes.
 fn walks() -> Result<String> {
-    let trial = |leg: &str, frequency: f64| -> Result<Trial> {
+    let trial = |leg: &str, frequency: f64| -> Result<WalkTrial> {
         let scene = Scene::flat(Medium::named("poppy-loose")?);
-        Ok(Trial::new(Model::new(&Robot::load("xplorer")?.with_leg_shape(leg)?, &scene)?, frequency))
+        Ok(WalkTrial::new(Model::new(&Robot::load("xplorer")?.with_leg_shape(leg)?, &scene)?, frequency))
     };
     let each = WALKS.iter().flat_map(|(leg, speeds)| FREQUENCIES.iter().zip(speeds).map(move |(f, v)| (*leg, *f, *v)));
     let trials = each.clone().map(|(leg, f, _)| trial(leg, f)).collect::<Result<Vec<_>>>()?;

@@ -4,7 +4,7 @@
 use crate::error::{Error, Result};
 use crate::number::Isa;
 use crate::robots::{self, states};
-use crate::sand::{Medium, Surface};
+use crate::sand::{Medium, Regularization};
 use crate::sim::engine::Command;
 use crate::sim::model::Scene;
 use crate::sim::tree::plates::of_touching;
@@ -129,7 +129,7 @@ fn quadruped(floor: &Floor) -> Result<Model> {
         (motor.kp, motor.kd) = (floor.kp, floor.kd);
     }
     let hard = vec![HardGround::everywhere()];
-    let scene = Scene { hard, surface: Surface::SOLID, ..Scene::flat(Medium::named("poppy-close")?) };
+    let scene = Scene { hard, surface: Regularization::SOLID, ..Scene::flat(Medium::named("poppy-close")?) };
     Model::of_tree(tree, &scene)
 }
 

@@ -3,7 +3,7 @@
 use super::data::{Row, Wheel};
 use crate::parallel;
 use crate::sand::SandDescription;
-use crate::sand::intruder::{Given, Status, Trial, compute};
+use crate::sand::intruder::{DepthOrLoad, Status, Trial, compute};
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
@@ -32,9 +32,13 @@ pub struct Pair {
 pub fn predict(index: usize, wheel: &Wheel, sand: &SandDescription, rows: &[Row]) -> Vec<Pair> {
     parallel::map(rows, |row| {
         let at = |given| compute(&wheel.body, sand, &Trial { given, ..row.trial });
-        let under = at(Given::Load(row.force[2]));
+        let under = at(DepthOrLoad::Load(row.force[2]));
         let carried = (under.status == Status::Ok).then_some((under.depth, under.force));
-        Pair { wheel: index, row: *row, prediction: Prediction { force: at(Given::Depth(row.depth)).force, carried } }
+        Pair {
+            wheel: index,
+            row: *row,
+            prediction: Prediction { force: at(DepthOrLoad::Depth(row.depth)).force, carried },
+        }
     })
 }
 

@@ -86,7 +86,7 @@ pub fn radius(model: &Model) -> f64 {
     if let Some(tree) = &model.tree {
         return tree.standing_height(&tree.stance.angles).max(1e-3);
     }
-    let reach = |chain: &Vec<crate::sim::model::Body>| {
+    let reach = |chain: &Vec<crate::sim::model::LinkBody>| {
         chain[0].joint.norm() + chain.iter().map(|b| b.reach.norm()).sum::<f64>()
     };
     model.legs.iter().map(reach).fold(0.5 * V::from(model.robot.base.size).norm(), f64::max)

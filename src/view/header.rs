@@ -3,7 +3,7 @@
 use super::camera::radius;
 use super::recording::{FORMAT, HEIGHTS, VERSION};
 use crate::sim::frame::V;
-use crate::sim::model::{Body, Piece};
+use crate::sim::model::{LinkBody, StripPiece};
 use crate::sim::pose::segments;
 use crate::sim::solid::Solid;
 use crate::sim::tree::forces::touching;
@@ -114,9 +114,8 @@ fn bodies(model: &Model) -> Vec<Value> {
     all
 }
 
-fn link(body: &Body, parent: usize, leg: usize) -> Value {
-    let piece =
-        |p: &Piece| json!({"center": list(p.center), "along": list(p.along), "across": list(p.across), "size": p.size});
+fn link(body: &LinkBody, parent: usize, leg: usize) -> Value {
+    let piece = |p: &StripPiece| json!({"center": list(p.center), "along": list(p.along), "across": list(p.across), "size": p.size});
     json!({
         "parent": parent,
         "leg": leg,
@@ -128,7 +127,7 @@ fn link(body: &Body, parent: usize, leg: usize) -> Value {
 }
 
 fn segment_list(model: &Model) -> Vec<Value> {
-    let one = |s: crate::sim::pose::Segment| {
+    let one = |s: crate::sim::pose::SandSegment| {
         json!({
             "body": s.body,
             "leg": s.leg,

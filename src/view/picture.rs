@@ -6,7 +6,7 @@ use super::{solid, text};
 use crate::error::{Error, Result};
 use crate::sim::frame::{M, V};
 use crate::sim::overlap::obstacle_poses;
-use crate::sim::pose::{Load, Pose};
+use crate::sim::pose::{Pose, SegmentForce};
 use crate::sim::robot::Tripod;
 use crate::sim::tree::TreeModel;
 use crate::sim::{Model, State};
@@ -345,7 +345,7 @@ impl Canvas {
     fn arrows(&mut self, model: &Model, pose: &Pose) {
         let per_newton = ARROW_LENGTH * self.radius / (model.total_mass() * model.gravity.norm());
         let thick = self.map.height() as f32 / 180.0;
-        for Load { position: at, force } in pose.arrows(model) {
+        for SegmentForce { position: at, force } in pose.arrows(model) {
             let tip = at + force * per_newton;
             let (Some((from, _)), Some((to, _))) = (self.camera.see(at), self.camera.see(tip)) else { continue };
             let [dx, dy] = [to[0] - from[0], to[1] - from[1]];

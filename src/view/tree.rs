@@ -4,7 +4,7 @@ use super::camera::{Camera, CameraOptions, SIZES};
 use super::raster::{Facet, LIGHT, Layer, Rgb, SAMPLES};
 use super::text;
 use crate::error::{Error, Result};
-use crate::sand::intruder::Plate;
+use crate::sand::intruder::IntruderPlate;
 use crate::sim::State;
 use crate::sim::frame::V;
 use crate::sim::tree::kinematics::{chain, frames};
@@ -34,7 +34,7 @@ const BEFORE: f64 = 2e-3;
 pub fn draw(
     tree: &Tree,
     seen: &[Vec<TreeShape>],
-    plates: &[Vec<Plate>],
+    plates: &[Vec<IntruderPlate>],
     state: Option<&State>,
     size: [u32; 2],
     camera: &CameraOptions,
@@ -87,7 +87,7 @@ pub(super) fn depth(tree: &Tree, body: usize) -> usize {
     depth
 }
 
-fn quad(plate: &Plate, frame: &Isometry3<f64>, before: f64) -> [[V; 3]; 2] {
+fn quad(plate: &IntruderPlate, frame: &Isometry3<f64>, before: f64) -> [[V; 3]; 2] {
     let vector = |v: crate::number::Vec3<f64>| frame.rotation * V::from(v.lane(0));
     let center = frame * nalgebra::Point3::from(V::from(plate.center.lane(0)));
     let middle = center.coords + vector(plate.normal) * before;

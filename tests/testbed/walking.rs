@@ -9,7 +9,7 @@ use sandgait::parallel;
 use sandgait::sand::{Coefficients, Mechanisms, Medium};
 use sandgait::sim::engine::EngineKind;
 use sandgait::sim::model::Scene;
-use sandgait::sim::walk::{Trial, WalkResult, walk};
+use sandgait::sim::walk::{WalkResult, WalkTrial, walk};
 use sandgait::sim::{Model, Robot};
 use std::fmt::Write;
 
@@ -81,8 +81,8 @@ pub fn runs(seed: u64, conditions: &[Condition], hidden: Mechanisms, coefficient
             let mut scene = Scene::flat(medium.clone());
             (scene.mechanisms, scene.slope_deg, scene.payload, scene.dt) = (hidden, c.slope_deg, c.payload, STEP);
             scene.mechanisms.scale = (1.0 + hidden.scale) * (1.0 + STRENGTH * normal(&mut rng)) - 1.0;
-            let trial = Trial::new(Model::new(&robot, &scene).unwrap(), c.frequency);
-            trials.push(Trial { x_bed: c.x_bed, phase: rng.random_range(-PHASE..PHASE), ..trial });
+            let trial = WalkTrial::new(Model::new(&robot, &scene).unwrap(), c.frequency);
+            trials.push(WalkTrial { x_bed: c.x_bed, phase: rng.random_range(-PHASE..PHASE), ..trial });
         }
     }
     let walked = parallel::map(&trials, |t| walk(EngineKind::Rapier, t).unwrap());

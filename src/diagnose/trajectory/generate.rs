@@ -5,7 +5,7 @@ use crate::sand::mechanism::Mechanisms;
 use crate::sand::{Coefficients, Medium};
 use crate::sim::engine::EngineKind;
 use crate::sim::model::Scene;
-use crate::sim::walk::{Trial, Watch, walk_watched};
+use crate::sim::walk::{WalkTrial, Watch, walk_watched};
 use crate::sim::{Model, Robot, State};
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -72,7 +72,7 @@ pub fn csv(truth: &Truth) -> String {
         scene.mechanisms = Mechanisms { scale: (1.0 + truth.mechanisms.scale) * bed - 1.0, ..truth.mechanisms };
         let phase = 0.1 * normal().clamp(-2.0, 2.0);
         let model = Model::new(&robot, &scene).unwrap();
-        let trial = Trial { phase, strides: (LENGTH - 0.5) * frequency - 2.0, ..Trial::new(model, frequency) };
+        let trial = WalkTrial { phase, strides: (LENGTH - 0.5) * frequency - 2.0, ..WalkTrial::new(model, frequency) };
         rows(&mut text, truth, &trial, (k, leg, slope_deg, frequency), &mut normal);
     }
     text
@@ -82,7 +82,7 @@ pub fn csv(truth: &Truth) -> String {
 fn rows(
     text: &mut String,
     truth: &Truth,
-    trial: &Trial,
+    trial: &WalkTrial,
     (run, leg, slope_deg, frequency): (usize, &str, f64, f64),
     normal: &mut impl FnMut() -> f64,
 ) {

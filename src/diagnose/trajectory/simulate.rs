@@ -8,7 +8,7 @@ use crate::error::Result;
 use crate::forward::{SandParameters, stronger};
 use crate::known::key;
 use crate::sand::mechanism::Mechanisms;
-use crate::sand::{Medium, Surface};
+use crate::sand::{Medium, Regularization};
 use crate::sim::Model;
 use crate::sim::model::Scene;
 
@@ -31,7 +31,7 @@ impl TrajectoryModel<'_> {
             scene.mechanisms = Mechanisms { motor_torque_limit: 0.0, ..*mechanisms };
             (scene.slope_deg, scene.dt) = (self.log.runs[run].slope_deg, dt);
             if matches!(self.bodies[run], ReplayRobot::Tree(_)) {
-                scene.surface = Surface::SOLID;
+                scene.surface = Regularization::SOLID;
             }
             let model = self.bodies[run].model(&scene)?;
             match payload > 0.0 {

@@ -149,7 +149,7 @@ impl LeggedEpisode {
     }
 
     /// Updates the episode after a step; returns the push that is due.
-    pub fn after_step(&mut self, from: Draws, unit: [f64; 3], seen: &Seen) -> Option<[f64; 2]> {
+    pub fn after_step(&mut self, from: Draws, unit: [f64; 3], seen: &StepFeedback) -> Option<[f64; 2]> {
         for (air, touches) in self.air.iter_mut().zip(seen.feet) {
             *air = if *touches == 1.0 { 0.0 } else { *air + 1.0 / CONTROL_RATE };
         }
@@ -173,7 +173,7 @@ impl LeggedEpisode {
 }
 
 /// What an episode learns from a step.
-pub struct Seen<'a> {
+pub struct StepFeedback<'a> {
     /// 1 for each foot that touches the ground, else 0.
     pub feet: &'a [f32],
     /// Forward, to the left [m/s] and yaw [rad/s].

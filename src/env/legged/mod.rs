@@ -30,7 +30,7 @@ use crate::error::{Error, Result};
 use crate::sim::engine::{Command, EngineKind};
 use crate::sim::model::GRAVITY;
 use crate::sim::{Model, State};
-use episode::{Difficulty, LeggedEpisode, Seen};
+use episode::{Difficulty, LeggedEpisode, StepFeedback};
 use reward::{Contacts, LeggedStep};
 use std::sync::Arc;
 
@@ -78,7 +78,7 @@ forces refer to the normal of the sand's surface.
 Resistive force theory was measured for segments that move with up to about 0.5 m/s in the sand. Forces at higher speeds are extrapolated.";
 
 /// The arguments of an observation's functions.
-struct Observed<'a> {
+struct LeggedObserved<'a> {
     goal: &'a Goal,
     state: &'a State,
     last_action: &'a [f32],
@@ -92,7 +92,7 @@ struct Observed<'a> {
     heading: (f64, f64),
 }
 
-impl Observed<'_> {
+impl LeggedObserved<'_> {
     /// Height of the base's origin above measured point `i`, less 0.5 m, as in legged_gym.
     fn measured_height(&self, i: usize) -> f64 {
         let Some(model) = &self.goal.model else { return 0.0 };
@@ -103,7 +103,7 @@ impl Observed<'_> {
 }
 
 /// Computes one number of an observation.
-type Observe = fn(&Observed, usize) -> f64;
+type Observe = fn(&LeggedObserved, usize) -> f64;
 
 /// Computes one figure of a step.
 type Figure = fn(&LeggedStep, usize) -> f64;
@@ -330,7 +330,7 @@ impl Task for LeggedVelocity {
 
     fn after_step(&self, setup: &Setup<LeggedOptions>, goal: &mut Goal, _state: &State, info: &[f32]) -> Change {
         let Some(legged) = &mut goal.legged else { return Change::Nothing };
-        let seen = Seen {
+        let seen = StepFeedback {
             feet: &info[self.contacts..][..legged.air.len()],
             velocity: self.velocity.map(|k| info[k].into()),
             fell: self.falls.iter().any(|k| info[*k] > 0.0),
@@ -358,7 +358,7 @@ impl Task for LeggedVelocity {
         let heading = ahead[1][0].atan2(ahead[0][0]).sin_cos();
         let default = &self.angles;
         let observed =
-            Observed { goal, state, last_action, default, command, gravity, velocity, angular_velocity, heading };
+            LeggedObserved { goal, state, last_action, default, command, gravity, velocity, angular_velocity, heading };
         self.observation.fill(row, |value, i| value(&observed, i));
     }
 

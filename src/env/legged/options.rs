@@ -8,7 +8,7 @@ use super::units::Units;
 use crate::error::{Error, Result, check_range};
 use crate::options;
 use crate::options::RobotName;
-use crate::sand::{Law, Medium, Surface};
+use crate::sand::{Law, Medium, Regularization};
 use crate::sim::Model;
 use crate::sim::model::Scene;
 use crate::sim::tree::gains::TreeMotor;
@@ -97,7 +97,7 @@ impl LeggedOptions {
             check_range("domain_rand.push_interval", interval, 0.1..=1e4)?;
         }
         let (hard, medium) = ground(&self.ground)?;
-        let mut scene = Scene { hard, surface: Surface::SOLID, ..Scene::flat(medium) };
+        let mut scene = Scene { hard, surface: Regularization::SOLID, ..Scene::flat(medium) };
         (scene.law, scene.slope_deg, scene.dt, scene.payload) = (self.law, self.slope_deg, self.dt, self.payload);
         set_sand(&mut scene, &self.sand)?;
         let dunes = (self.ground == DUNES).then(ReliefOptions::default);

@@ -1,6 +1,6 @@
 //! Bodies by name: `cylinder:radius=0.06,width=0.06`, `box:…`, `sphere:…`, or a mesh file.
 
-use super::{Plate, Triangle, area, cut, mesh, volume};
+use super::{IntruderPlate, Triangle, area, cut, mesh, volume};
 use crate::error::{Error, Result, check_range};
 use crate::number::Vec3;
 use std::path::{Path, PathBuf};
@@ -82,18 +82,18 @@ pub fn sizes_of(text: &str, sizes: &str, names: &[&str]) -> Result<Vec<f64>> {
 }
 
 /// Sorts plates by the height of their lower edge.
-fn rising(mut plates: Vec<Plate>) -> Vec<Plate> {
+fn rising(mut plates: Vec<IntruderPlate>) -> Vec<IntruderPlate> {
     plates.sort_by(|a, b| (a.center.z - a.rise()).total_cmp(&(b.center.z - b.rise())));
     plates
 }
 
 /// A body cut into plates.
 #[derive(Clone, Debug)]
-pub struct Body {
+pub struct PlatedBody {
     /// Plates of a body at rest or turning about y, lowest first.
-    pub plates: Vec<Plate>,
+    pub plates: Vec<IntruderPlate>,
     /// Plates of a body that turns about another axis, if they differ; otherwise empty.
-    turning: Vec<Plate>,
+    turning: Vec<IntruderPlate>,
     /// Points whose convex hull contains all plates; the lowest one is the body's lowest point.
     corners: Corners,
     /// Size of the plates [m].
@@ -126,7 +126,7 @@ enum Corners {
     Points(Vec<Vec3<f64>>),
 }
 
-impl Body {
+impl PlatedBody {
     /// Cuts a body into plates of about `size` [m]; None: a fiftieth of its longest side.
     pub fn cut(shape: &BodyShape, size: Option<f64>) -> Result<Self> {
         Self::cut_within(shape, size, mesh::MOST_PLATES)
@@ -183,7 +183,7 @@ impl Body {
 
     /// The same body scaled by `factor`, in as many plates.
     pub fn scaled(&self, factor: f64) -> Self {
-        let plate = |p: &Plate| Plate {
+        let plate = |p: &IntruderPlate| IntruderPlate {
             center: p.center * factor,
             normal: p.normal,
             area: p.area * factor * factor,
@@ -205,7 +205,7 @@ impl Body {
     }
 
     /// Plates of a body that turns about any axis.
-    pub fn turning(&self) -> &[Plate] {
+    pub fn turning(&self) -> &[IntruderPlate] {
         if self.turning.is_empty() { &self.plates } else { &self.turning }
     }
 

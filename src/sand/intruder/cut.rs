@@ -1,6 +1,6 @@
 //! Round and square bodies cut into plates.
 
-use super::Plate;
+use super::IntruderPlate;
 use crate::number::Vec3;
 use std::f64::consts::{PI, TAU};
 
@@ -14,12 +14,12 @@ fn pieces(length: f64, size: f64, least: usize) -> usize {
 
 /// A cylinder about y. The plates are half as long as `size` along the rim and four times as wide across it, because
 /// with a level axis the pressure changes along the rim and hardly across it.
-pub fn cylinder(radius: f64, width: f64, size: f64, least: usize) -> Vec<Plate> {
+pub fn cylinder(radius: f64, width: f64, size: f64, least: usize) -> Vec<IntruderPlate> {
     cylinder_across(radius, width, size, 4.0 * size, least)
 }
 
 /// The same as [`cylinder`], with plates whose width on the rim is `wide`.
-pub fn cylinder_across(radius: f64, width: f64, size: f64, wide: f64, least: usize) -> Vec<Plate> {
+pub fn cylinder_across(radius: f64, width: f64, size: f64, wide: f64, least: usize) -> Vec<IntruderPlate> {
     let (around, across) = (pieces(TAU * radius, size / 2.0, least), pieces(width, wide, least / 8));
     let mut plates = Vec::new();
     for i in 0..around {
@@ -28,7 +28,7 @@ pub fn cylinder_across(radius: f64, width: f64, size: f64, wide: f64, least: usi
         for j in 0..across {
             let y = width * ((j as f64 + 0.5) / across as f64 - 0.5);
             let center = Vec3::new(radius * sin, y, -radius * cos);
-            plates.push(Plate {
+            plates.push(IntruderPlate {
                 center,
                 normal,
                 area: TAU * radius * width / (around * across) as f64,
@@ -54,7 +54,7 @@ pub fn cylinder_across(radius: f64, width: f64, size: f64, wide: f64, least: usi
                 let center = Vec3::new(at * sin, side * width / 2.0, -at * cos);
                 let area = half * (outer * outer - inner * inner);
                 let (outward, around) = (Vec3::new(sin, 0.0, -cos), Vec3::new(cos, 0.0, sin));
-                plates.push(Plate {
+                plates.push(IntruderPlate {
                     center,
                     normal: Vec3::new(0.0, side, 0.0),
                     area,
@@ -68,7 +68,7 @@ pub fn cylinder_across(radius: f64, width: f64, size: f64, wide: f64, least: usi
 }
 
 /// A cylinder about y between two half balls, `length` long without them; plates two thirds as long as `size`.
-pub fn capsule(radius: f64, length: f64, size: f64, least: usize) -> Vec<Plate> {
+pub fn capsule(radius: f64, length: f64, size: f64, least: usize) -> Vec<IntruderPlate> {
     let mut plates = Vec::new();
     let size = size / 1.5;
     // Equally many bands on both halves.
@@ -77,7 +77,7 @@ pub fn capsule(radius: f64, length: f64, size: f64, least: usize) -> Vec<Plate> 
         let turned = |v: Vec3<f64>| Vec3::new(v.x, v.z, -v.y);
         let center = turned(plate.center);
         let end = Vec3::new(0.0, length / 2.0 * center.y.signum(), 0.0);
-        plates.push(Plate {
+        plates.push(IntruderPlate {
             center: center + end,
             normal: turned(plate.normal),
             half: plate.half.map(turned),
@@ -89,7 +89,7 @@ pub fn capsule(radius: f64, length: f64, size: f64, least: usize) -> Vec<Plate> 
         let (sin, cos) = ((i as f64 + 0.5) / around as f64 * TAU).sin_cos();
         for j in 0..across {
             let y = length * ((j as f64 + 0.5) / across as f64 - 0.5);
-            plates.push(Plate {
+            plates.push(IntruderPlate {
                 center: Vec3::new(radius * sin, y, -radius * cos),
                 normal: Vec3::new(sin, 0.0, -cos),
                 area: TAU * radius * length / (around * across) as f64,
@@ -105,12 +105,12 @@ pub fn capsule(radius: f64, length: f64, size: f64, least: usize) -> Vec<Plate> 
 }
 
 /// Bands of equal width in latitude; plates two thirds as long as `size`, because the normal turns along both sides.
-pub fn sphere(radius: f64, size: f64, least: usize) -> Vec<Plate> {
+pub fn sphere(radius: f64, size: f64, least: usize) -> Vec<IntruderPlate> {
     let size = size / 1.5;
     ball(radius, size, pieces(PI * radius, size, least / 2), least / 2)
 }
 
-fn ball(radius: f64, size: f64, bands: usize, least: usize) -> Vec<Plate> {
+fn ball(radius: f64, size: f64, bands: usize, least: usize) -> Vec<IntruderPlate> {
     let mut plates = Vec::new();
     for band in 0..bands {
         let [low, high] = [band, band + 1].map(|b| -(PI * b as f64 / bands as f64).cos());
@@ -125,7 +125,7 @@ fn ball(radius: f64, size: f64, bands: usize, least: usize) -> Vec<Plate> {
             let area = TAU * radius * radius * (high - low) / sectors as f64;
             let up = Vec3::new(-z * cos, -z * sin, across);
             let around = Vec3::new(-sin, cos, 0.0);
-            plates.push(Plate {
+            plates.push(IntruderPlate {
                 center: normal * radius,
                 normal,
                 area,
@@ -145,7 +145,7 @@ pub fn box_corners(length: f64, width: f64, height: f64) -> Vec<Vec3<f64>> {
 }
 
 /// A box with sides along x, y and z.
-pub fn cuboid(length: f64, width: f64, height: f64, size: f64, least: usize) -> Vec<Plate> {
+pub fn cuboid(length: f64, width: f64, height: f64, size: f64, least: usize) -> Vec<IntruderPlate> {
     let sides = [length, width, height];
     let counts = sides.map(|s| pieces(s, size, least / 4));
     let mut plates = Vec::new();
@@ -166,7 +166,13 @@ pub fn cuboid(length: f64, width: f64, height: f64, size: f64, least: usize) -> 
                         half[k] = sides[k] / (2 * counts[k]) as f64;
                         vector(half)
                     });
-                    plates.push(Plate { center: vector(center), normal: vector(normal), area, half, bend: [0.0; 2] });
+                    plates.push(IntruderPlate {
+                        center: vector(center),
+                        normal: vector(normal),
+                        area,
+                        half,
+                        bend: [0.0; 2],
+                    });
                 }
             }
         }

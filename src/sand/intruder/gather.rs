@@ -1,6 +1,6 @@
 //! Gathers a mesh of many small triangles into fewer plates of a chosen size.
 
-use super::{Plate, Triangle, mesh};
+use super::{IntruderPlate, Triangle, mesh};
 use crate::number::Vec3;
 use std::collections::BTreeMap;
 
@@ -10,7 +10,7 @@ const DIRECTIONS: f64 = 6.0;
 
 /// Sums over the triangles of a plate.
 #[derive(Default, Clone, Copy)]
-struct Sum {
+struct PlateSum {
     area: f64,
     /// Σ A n, Σ A c and Σ A c·n of the triangles.
     directed: [f64; 3],
@@ -20,7 +20,7 @@ struct Sum {
 
 /// Outward plates of about `size` from a closed surface, with its area and volume. Longer triangles are halved.
 /// Triangles of one cell with similar normals become one plate. None if there would be too many.
-pub fn gathered(triangles: &[Triangle], size: f64) -> Option<Vec<Plate>> {
+pub fn gathered(triangles: &[Triangle], size: f64) -> Option<Vec<IntruderPlate>> {
     let corners = triangles.iter().flatten();
     let [low, high] = corners.fold([[f64::MAX; 3], [f64::MIN; 3]], |[low, high], p| {
         let at = p.lane(0);
@@ -29,7 +29,7 @@ pub fn gathered(triangles: &[Triangle], size: f64) -> Option<Vec<Plate>> {
     // A whole number of cells along each side.
     let cells: [f64; 3] = std::array::from_fn(|k| ((high[k] - low[k]) / size).ceil().max(1.0));
     let middle = Vec3::splat(std::array::from_fn(|k| (low[k] + high[k]) / 2.0));
-    let mut sums: BTreeMap<([u32; 3], [u8; 3]), Sum> = BTreeMap::new();
+    let mut sums: BTreeMap<([u32; 3], [u8; 3]), PlateSum> = BTreeMap::new();
     for plate in mesh::halved(triangles, size)? {
         let (at, n) = (plate.center.lane(0), plate.normal.lane(0));
         let cell = std::array::from_fn(|k| {
@@ -58,8 +58,8 @@ fn direction(n: [f64; 3]) -> [u8; 3] {
     [2 * axis as u8 + u8::from(n[axis] > 0.0), on(1), on(2)]
 }
 
-impl Sum {
-    fn plate(&self, middle: Vec3<f64>) -> Option<Plate> {
+impl PlateSum {
+    fn plate(&self, middle: Vec3<f64>) -> Option<IntruderPlate> {
         let directed = Vec3::<f64>::splat(self.directed);
         let length = directed.norm_squared().sqrt();
         if length <= 1e-9 * self.area {
@@ -77,6 +77,6 @@ impl Sum {
         // Normals that turn evenly by ±a along both sides of a square have a mean that is shorter than 1 by a²/3.
         let turn = (3.0 * (1.0 - length / self.area).max(0.0)).sqrt();
         let (half, bend) = ([across, normal.cross(across)], [turn / half; 2]);
-        Some(Plate { center: normal.scale_add(out, center), normal, area: self.area, half, bend })
+        Some(IntruderPlate { center: normal.scale_add(out, center), normal, area: self.area, half, bend })
     }
 }

@@ -1,6 +1,6 @@
 //! Closed meshes of triangles, in metres, from STL (text or binary) and OBJ.
 
-use super::{Plate, area as plates_area, volume};
+use super::{IntruderPlate, area as plates_area, volume};
 use crate::error::{Error, Result};
 use crate::number::Vec3;
 use std::fs::File;
@@ -124,7 +124,7 @@ pub fn longest_side(triangles: &[Triangle]) -> f64 {
 }
 
 /// Outward plates no longer than `size`; triangles that are longer are halved.
-pub fn plates(path: &Path, triangles: &[Triangle], size: f64, most: usize) -> Result<Vec<Plate>> {
+pub fn plates(path: &Path, triangles: &[Triangle], size: f64, most: usize) -> Result<Vec<IntruderPlate>> {
     let mut plates = halved_within(triangles, size, most)
         .ok_or_else(|| Error::file(path, format!("more than {most} plates: give a larger plate-size")))?;
     let open = plates.iter().fold(Vec3::zero(), |sum: Vec3<f64>, p| p.normal.scale_add(p.area, sum));
@@ -139,11 +139,11 @@ pub fn plates(path: &Path, triangles: &[Triangle], size: f64, most: usize) -> Re
 }
 
 /// Plates from triangles, halved until no side is longer than `size`; None if there would be too many.
-pub fn halved(triangles: &[Triangle], size: f64) -> Option<Vec<Plate>> {
+pub fn halved(triangles: &[Triangle], size: f64) -> Option<Vec<IntruderPlate>> {
     halved_within(triangles, size, MOST_PLATES)
 }
 
-fn halved_within(triangles: &[Triangle], size: f64, most: usize) -> Option<Vec<Plate>> {
+fn halved_within(triangles: &[Triangle], size: f64, most: usize) -> Option<Vec<IntruderPlate>> {
     let mut plates = Vec::new();
     let mut left: Vec<Triangle> = triangles.to_vec();
     while let Some(triangle) = left.pop() {
@@ -162,7 +162,7 @@ fn halved_within(triangles: &[Triangle], size: f64, most: usize) -> Option<Vec<P
                 let area = length / 2.0;
                 let edge = (b - a) * (0.5 * area.sqrt() / (b - a).norm_squared().sqrt());
                 let center = (a + b + c) * (1.0 / 3.0);
-                plates.push(Plate { center, normal, area, half: [edge, normal.cross(edge)], bend: [0.0; 2] });
+                plates.push(IntruderPlate { center, normal, area, half: [edge, normal.cross(edge)], bend: [0.0; 2] });
             }
         }
         if plates.len() + left.len() > most {

@@ -1,6 +1,6 @@
 //! Any rigid body in steady motion through sand: plates on its surface, and the mean force and torque on them.
 //!
-//! Body frame: x heading, y axle, z up, parallel to the world's axes; the given velocity is that of the origin. Every
+//! PlatedBody frame: x heading, y axle, z up, parallel to the world's axes; the given velocity is that of the origin. Every
 //! plate is one-sided and pushes where it leads: n·v ≥ 0 and below the surface (Agarwal, Goldman & Kamrin 2023).
 
 mod body;
@@ -10,16 +10,18 @@ mod mesh;
 pub mod path;
 mod trials;
 
-pub use body::{Body, BodyShape, sizes_of};
+pub use body::{BodyShape, PlatedBody, sizes_of};
 pub use gather::gathered;
 pub use mesh::{Triangle, read as read_file, read_mesh};
-pub use trials::{Given, Outcome, Status, Trial, check_all, compute, compute_all, with_friction, without_effect};
+pub use trials::{
+    DepthOrLoad, Status, Trial, TrialOutcome, check_all, compute, compute_all, with_friction, without_effect,
+};
 
 use crate::number::Vec3;
 
 /// A flat piece of a body's surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Plate {
+pub struct IntruderPlate {
     /// From the body's origin [m].
     pub center: Vec3<f64>,
     /// Outward unit vector.
@@ -32,7 +34,7 @@ pub struct Plate {
     pub bend: [f64; 2],
 }
 
-impl Plate {
+impl IntruderPlate {
     /// Half of the plate's vertical extent [m].
     fn rise(&self) -> f64 {
         self.half[0].z.abs() + self.half[1].z.abs()
@@ -46,11 +48,11 @@ impl Plate {
 }
 
 /// The volume [m³] that the plates enclose, by the divergence theorem.
-pub fn volume(plates: &[Plate]) -> f64 {
+pub fn volume(plates: &[IntruderPlate]) -> f64 {
     plates.iter().map(|p| p.center.dot(p.normal) * p.area).sum::<f64>() / 3.0
 }
 
 /// [m²]
-pub fn area(plates: &[Plate]) -> f64 {
+pub fn area(plates: &[IntruderPlate]) -> f64 {
     plates.iter().map(|p| p.area).sum()
 }

@@ -1,10 +1,10 @@
 //! A body that moves on a path over sand that remembers: row by row in time.
 
-use super::trials::{Given, Outcome, Status, Trial, check_all, compute};
-use super::{Body, Plate};
+use super::trials::{DepthOrLoad, Status, Trial, TrialOutcome, check_all, compute};
+use super::{IntruderPlate, PlatedBody};
 use crate::SandDescription;
 use crate::error::{Error, Result, check_range};
-use crate::memory::{Marks, Moved, PAIRS, Piece, Settings};
+use crate::memory::{Marks, MemorySettings, Moved, PAIRS, SurfacePiece};
 use crate::number::Vec3;
 
 /// Cells along a side of a path's square, as a power of two: 256.
@@ -17,7 +17,7 @@ const MOST_SWEEPS: usize = 200;
 
 /// A moment of a path.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Moment {
+pub struct PathPoint {
     /// [s]
     pub time: f64,
     /// Place of the body's origin along x and y [m]; None: where the velocities since the last row have carried it.
@@ -27,9 +27,9 @@ pub struct Moment {
 
 /// Sand and body on a path.
 pub struct Path<'a> {
-    body: &'a Body,
+    body: &'a PlatedBody,
     sand: &'a SandDescription,
-    settings: Settings,
+    settings: MemorySettings,
     pub moved: Moved,
     marks: Marks,
     last: Option<Last>,
@@ -38,7 +38,7 @@ pub struct Path<'a> {
 }
 
 struct Last {
-    moment: Moment,
+    moment: PathPoint,
     place: [f64; 2],
     /// Height of the lowest point [m].
     low: f64,
@@ -46,19 +46,22 @@ struct Last {
 
 impl<'a> Path<'a> {
     /// `repose_deg`: angle of repose of the sand [°].
-    pub fn new(body: &'a Body, sand: &'a SandDescription, repose_deg: f64, cell: Option<f64>) -> Result<Self> {
+    pub fn new(body: &'a PlatedBody, sand: &'a SandDescription, repose_deg: f64, cell: Option<f64>) -> Result<Self> {
         check_range("repose-deg", repose_deg, 5.0..=60.0)?;
         let cell = match cell {
             Some(cell) => check_range("cell", cell, 1e-4..=1.0)?,
             None => widest(body) / CELLS,
         };
-        let settings = Settings { pairs: PAIRS, ..Settings::new(&sand.medium(), cell, BITS, widest(body), repose_deg) };
+        let settings = MemorySettings {
+            pairs: PAIRS,
+            ..MemorySettings::new(&sand.medium(), cell, BITS, widest(body), repose_deg)
+        };
         let moved = Moved::new(&settings, 1);
         Ok(Self { body, sand, settings, moved, marks: Marks::default(), last: None, sliding: 0.0 })
     }
 
     /// Moves the body to the next moment, and returns the force there.
-    pub fn step(&mut self, moment: &Moment) -> Outcome {
+    pub fn step(&mut self, moment: &PathPoint) -> TrialOutcome {
         let Some(last) = self.last.take() else {
             let place = moment.place.unwrap_or_default();
             let low = self.force(&moment.trial).1;
@@ -80,10 +83,10 @@ impl<'a> Path<'a> {
             let share = k as f64 / parts as f64;
             let mix = |a: f64, b: f64| a + (b - a) * share;
             let next = [0, 1].map(|k| mix(last.place[k], place[k]));
-            if matches!(moment.trial.given, Given::Load(_)) && k > 1 {
+            if matches!(moment.trial.given, DepthOrLoad::Load(_)) && k > 1 {
                 low = self.force(&moment.trial).1;
             }
-            let height = if matches!(moment.trial.given, Given::Load(_)) { low } else { mix(last.low, low) };
+            let height = if matches!(moment.trial.given, DepthOrLoad::Load(_)) { low } else { mix(last.low, low) };
             self.sweep(at.0, next, at.1, height, time / parts as f64, &moment.trial);
             at = (next, height);
         }
@@ -98,20 +101,20 @@ impl<'a> Path<'a> {
     }
 
     /// The force on the body in the sand that it has found, and the height of its lowest point.
-    fn force(&self, trial: &Trial) -> (Outcome, f64) {
+    fn force(&self, trial: &Trial) -> (TrialOutcome, f64) {
         let found = self.moved.found[0];
         let strength = self.settings.strength(&found);
         let level = f64::from(found.level);
         let given = match trial.given {
-            Given::Depth(depth) if found.inside => Given::Depth(depth + level),
-            Given::Depth(depth) => Given::Depth((depth + level).min(0.0)),
-            Given::Load(load) => Given::Load(load / strength),
+            DepthOrLoad::Depth(depth) if found.inside => DepthOrLoad::Depth(depth + level),
+            DepthOrLoad::Depth(depth) => DepthOrLoad::Depth((depth + level).min(0.0)),
+            DepthOrLoad::Load(load) => DepthOrLoad::Load(load / strength),
         };
         let mut outcome = compute(self.body, self.sand, &Trial { given, ..*trial });
         let low = if outcome.status == Status::Ok { level - outcome.depth } else { level };
         outcome.force = outcome.force.map(|f| f * strength);
         outcome.torque = outcome.torque.map(|t| t * strength);
-        if let Given::Depth(depth) = trial.given {
+        if let DepthOrLoad::Depth(depth) = trial.given {
             outcome.depth = depth;
             return (outcome, -depth);
         }
@@ -125,11 +128,11 @@ impl<'a> Path<'a> {
         let velocity = Vec3::<f64>::splat(way.map(|w| w * rate));
         let (spin, origin) = (Vec3::<f64>::splat(trial.spin), height - self.body.heights()[0]);
         self.moved.grid.follow(to);
-        let piece = |p: &Plate| {
+        let piece = |p: &IntruderPlate| {
             let v = velocity + spin.cross(p.center);
             let [x, y, z] = p.center.lane(0);
             // Without motion every piece is looked at.
-            (p.normal.dot(v) >= 0.0).then(|| Piece {
+            (p.normal.dot(v) >= 0.0).then(|| SurfacePiece {
                 place: [to[0] + x, to[1] + y, origin + z],
                 normal: p.normal.lane(0),
                 area: p.area,
@@ -138,7 +141,7 @@ impl<'a> Path<'a> {
                 cells: 2,
             })
         };
-        let pieces: Vec<Piece> = self.body.plates.iter().filter_map(piece).collect();
+        let pieces: Vec<SurfacePiece> = self.body.plates.iter().filter_map(piece).collect();
         self.moved.meet(&self.settings, 0, &pieces, [way[0], way[1]], time, &mut self.marks);
         self.sliding += time;
         let sweep = self.settings.sweep;
@@ -150,7 +153,7 @@ impl<'a> Path<'a> {
 }
 
 /// The body's longest horizontal side [m].
-fn widest(body: &Body) -> f64 {
+fn widest(body: &PlatedBody) -> f64 {
     let extent = |k: usize| {
         let along = body.plates.iter().map(|p| p.center.lane(0)[k]);
         let [low, high] = along.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], x| [a.min(x), b.max(x)]);
@@ -160,10 +163,10 @@ fn widest(body: &Body) -> f64 {
 }
 
 /// Refuses paths that cannot be followed.
-pub fn check(body: &Body, sand: &SandDescription, moments: &[Moment]) -> Result<()> {
+pub fn check(body: &PlatedBody, sand: &SandDescription, moments: &[PathPoint]) -> Result<()> {
     let trials: Vec<Trial> = moments.iter().map(|m| m.trial).collect();
     check_all(sand, &trials)?;
-    let turns = |m: &&Moment| {
+    let turns = |m: &&PathPoint| {
         let spin = Vec3::<f64>::splat(m.trial.spin);
         let rate = spin.norm_squared().sqrt();
         rate > 0.0 && !body.is_round_about(spin * (1.0 / rate))

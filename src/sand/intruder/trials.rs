@@ -1,10 +1,10 @@
 //! Steady motions: force and torque at a given depth, or the depth that carries a given load.
 
-use super::{Body, Plate};
+use super::{IntruderPlate, PlatedBody};
 use crate::error::{Error, Result, check_range};
 use crate::number::Vec3;
 use crate::parallel;
-use crate::{SandBed, SandDescription, SegmentState, Surface};
+use crate::{Regularization, SandBed, SandDescription, SegmentState};
 
 /// Number of depths, from no part covered to all covered, at which the search for a load begins: our choice, 4 mm
 /// apart for a wheel of 125 mm.
@@ -16,7 +16,7 @@ const PROBES: [f64; 2] = [0.02, 0.04];
 
 /// The given quantity of a trial besides its motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Given {
+pub enum DepthOrLoad {
     /// Depth of the lowest point below the undisturbed surface [m]; for a body that is not round, of the lowest
     /// point of its turn.
     Depth(f64),
@@ -31,7 +31,7 @@ pub struct Trial {
     pub velocity: [f64; 3],
     /// [rad/s]
     pub spin: [f64; 3],
-    pub given: Given,
+    pub given: DepthOrLoad,
 }
 
 impl Trial {
@@ -44,8 +44,8 @@ impl Trial {
             check_range(name, value, -1e4..=1e4)?;
         }
         match self.given {
-            Given::Depth(depth) => check_range("depth", depth, -10.0..=10.0)?,
-            Given::Load(load) => check_range("load", load, 1e-6..=1e6)?,
+            DepthOrLoad::Depth(depth) => check_range("depth", depth, -10.0..=10.0)?,
+            DepthOrLoad::Load(load) => check_range("load", load, 1e-6..=1e6)?,
         };
         Ok(self)
     }
@@ -69,7 +69,7 @@ impl Status {
 
 /// The sand's force and torque on the body; NaN where there is no equilibrium.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Outcome {
+pub struct TrialOutcome {
     /// Force on the body [N].
     pub force: [f64; 3],
     /// Torque about the body's origin [N·m].
@@ -100,7 +100,7 @@ pub fn with_friction(sand: &SandDescription, mu: f64) -> Result<SandDescription>
 }
 
 /// Computes every trial, on all processors.
-pub fn compute_all(body: &Body, sand: &SandDescription, trials: &[Trial]) -> Result<Vec<Outcome>> {
+pub fn compute_all(body: &PlatedBody, sand: &SandDescription, trials: &[Trial]) -> Result<Vec<TrialOutcome>> {
     check_all(sand, trials)?;
     Ok(parallel::map(trials, |trial| compute(body, sand, trial)))
 }
@@ -117,7 +117,7 @@ pub fn check_all(sand: &SandDescription, trials: &[Trial]) -> Result<()> {
 }
 
 /// The force on one plate: growing · D(depth) + constant, where D is the depth or a power of it.
-struct Piece {
+struct DepthForce {
     /// Height of the centre above the body's origin [m], and half the plate's vertical extent.
     height: f64,
     rise: f64,
@@ -131,9 +131,9 @@ struct Piece {
 const PARTS: [f64; 2] = [0.4, 1.0];
 
 /// A body in motion: its leading plates below some height in all positions of a period, lowest first.
-struct Motion<'a> {
+struct MovingPlates<'a> {
     ground: &'a SandBed<f64>,
-    pieces: Vec<Piece>,
+    pieces: Vec<DepthForce>,
     share: f64,
 }
 
@@ -145,16 +145,16 @@ struct Turns {
 }
 
 /// Computes one trial.
-pub fn compute(body: &Body, sand: &SandDescription, trial: &Trial) -> Outcome {
+pub fn compute(body: &PlatedBody, sand: &SandDescription, trial: &Trial) -> TrialOutcome {
     let medium = sand.medium();
-    let ground = SandBed::new(sand.law, &medium, &Surface::BARE).with(&sand.mechanisms, &medium);
+    let ground = SandBed::new(sand.law, &medium, &Regularization::BARE).with(&sand.mechanisms, &medium);
     let plain = sand.mechanisms.inertial_drag == 0.0 && sand.mechanisms.cohesion == 0.0;
     let turns = Turns::of(body, trial);
     let height = turns.heights[1] - turns.heights[0];
-    let up_to = |depth: f64| Motion::new(body, &ground, trial, &turns, turns.heights[0] + depth, plain);
+    let up_to = |depth: f64| MovingPlates::new(body, &ground, trial, &turns, turns.heights[0] + depth, plain);
     let found = match trial.given {
-        Given::Depth(depth) => Some((depth, up_to(depth))),
-        Given::Load(load) => {
+        DepthOrLoad::Depth(depth) => Some((depth, up_to(depth))),
+        DepthOrLoad::Load(load) => {
             let mut from = 0.0;
             PARTS.iter().find_map(|part| {
                 let motion = up_to(part * height);
@@ -166,14 +166,14 @@ pub fn compute(body: &Body, sand: &SandDescription, trial: &Trial) -> Outcome {
     };
     let Some((depth, motion)) = found else {
         let none = [f64::NAN; 3];
-        return Outcome { force: none, torque: none, depth: f64::NAN, status: Status::NoEquilibrium };
+        return TrialOutcome { force: none, torque: none, depth: f64::NAN, status: Status::NoEquilibrium };
     };
     let [force, torque] = motion.load(turns.heights[0] + depth).map(|v| v.lane(0));
-    Outcome { force, torque, depth, status: Status::Ok }
+    TrialOutcome { force, torque, depth, status: Status::Ok }
 }
 
 impl Turns {
-    fn of(body: &Body, trial: &Trial) -> Self {
+    fn of(body: &PlatedBody, trial: &Trial) -> Self {
         let spin = Vec3::<f64>::splat(trial.spin);
         let rate = spin.norm_squared().sqrt();
         let axis = if rate > 0.0 { spin * (1.0 / rate) } else { Vec3::new(0.0, 1.0, 0.0) };
@@ -188,26 +188,33 @@ impl Turns {
     }
 }
 
-impl<'a> Motion<'a> {
+impl<'a> MovingPlates<'a> {
     /// Makes pieces of the plates that begin below `surface` [m] above the origin.
-    fn new(body: &Body, ground: &'a SandBed<f64>, trial: &Trial, turns: &Turns, surface: f64, plain: bool) -> Self {
+    fn new(
+        body: &PlatedBody,
+        ground: &'a SandBed<f64>,
+        trial: &Trial,
+        turns: &Turns,
+        surface: f64,
+        plain: bool,
+    ) -> Self {
         let mut pieces = Vec::new();
         if turns.count == 1 {
             // The plates are sorted already.
             let below = body.plates.iter().take_while(|p| p.center.z - p.rise() < surface);
-            pieces.extend(below.filter_map(|p| Piece::of(ground, p, trial, plain)));
+            pieces.extend(below.filter_map(|p| DepthForce::of(ground, p, trial, plain)));
             return Self { ground, pieces, share: 1.0 };
         }
         for k in 0..turns.count {
             let turned = |v| turns.turned(k, v);
-            let plates = body.turning().iter().map(|p| Plate {
+            let plates = body.turning().iter().map(|p| IntruderPlate {
                 center: turned(p.center),
                 normal: turned(p.normal),
                 half: p.half.map(turned),
                 ..*p
             });
             let below = plates.filter(|p| p.center.z - p.rise() < surface);
-            pieces.extend(below.filter_map(|p| Piece::of(ground, &p, trial, plain)));
+            pieces.extend(below.filter_map(|p| DepthForce::of(ground, &p, trial, plain)));
         }
         pieces.sort_by(|a, b| (a.height - a.rise).total_cmp(&(b.height - b.rise)));
         Self { ground, pieces, share: 1.0 / turns.count as f64 }
@@ -241,10 +248,10 @@ impl<'a> Motion<'a> {
     }
 }
 
-impl Piece {
+impl DepthForce {
     /// The force on the leading part of a plate; None if no part leads. If the leading edge crosses the plate, the
     /// force is proportional to the leading share.
-    fn of(ground: &SandBed<f64>, plate: &Plate, trial: &Trial, plain: bool) -> Option<Self> {
+    fn of(ground: &SandBed<f64>, plate: &IntruderPlate, trial: &Trial, plain: bool) -> Option<Self> {
         let (velocity, spin) = (Vec3::<f64>::splat(trial.velocity), Vec3::<f64>::splat(trial.spin));
         let v = velocity + spin.cross(plate.center);
         let speed = v.norm_squared().sqrt();

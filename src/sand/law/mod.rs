@@ -51,7 +51,7 @@ impl Law {
     }
 }
 
-/// How a segment moves, regularised at rest with the speed scale v0 (see [`super::contact::Surface`]).
+/// How a segment moves, regularised at rest with the speed scale v0 (see [`super::contact::Regularization`]).
 #[derive(Clone, Copy)]
 pub struct Motion<R> {
     /// Velocity [m/s].

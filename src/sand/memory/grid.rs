@@ -8,8 +8,8 @@ const STEPS: f64 = 1024.0;
 /// are left behind are used again for cells ahead, which are level and fresh.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Grid {
-    pub frame: Frame,
-    /// Row by row along x, in steps of [`Frame::quantum`].
+    pub frame: GridFrame,
+    /// Row by row along x, in steps of [`GridFrame::quantum`].
     pub(super) heights: Vec<i16>,
     /// How much of the possible compaction each cell has had, from 0 to 255.
     pub(super) packed: Vec<u8>,
@@ -21,7 +21,7 @@ pub struct Grid {
 
 /// Where the cells of a square are.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Frame {
+pub struct GridFrame {
     /// Side of a cell [m].
     pub cell: f64,
     /// The square has 2^bits cells along a side.
@@ -30,7 +30,7 @@ pub struct Frame {
     corner: [i32; 2],
 }
 
-impl Frame {
+impl GridFrame {
     pub(super) fn is_of(&self, cell: f64, bits: u32) -> bool {
         (self.cell, self.bits) == (cell, bits)
     }
@@ -68,7 +68,7 @@ impl Grid {
         let side = 1_usize << bits;
         let corner = [-(side as i32) / 2; 2];
         let (heights, packed) = (vec![0; side * side], vec![0; side * side]);
-        Self { frame: Frame { cell, bits, corner }, heights, packed, awake: vec![false; side], top: 0 }
+        Self { frame: GridFrame { cell, bits, corner }, heights, packed, awake: vec![false; side], top: 0 }
     }
 
     /// Height of a cell [m]; level outside of the square.

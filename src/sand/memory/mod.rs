@@ -16,11 +16,11 @@
 //!   while it travels, follows the mean height in the wedge ahead. So a body that goes straight down in fresh sand has
 //!   exactly the force of the theory, whose measured coefficients contain the heap that rises around it.
 //! * **Compaction.** Pressing down takes volume out of loose sand until it is closely packed, and the sand that a body
-//!   finds compacted is stronger: [`Settings::gain`].
+//!   finds compacted is stronger: [`MemorySettings::gain`].
 
 mod grid;
 
-pub use grid::{Frame, Grid};
+pub use grid::{Grid, GridFrame};
 
 use crate::error::{Result, check_range};
 use crate::{GRAVITY, Medium};
@@ -46,7 +46,7 @@ pub const REPOSE_DEG: f64 = 30.0;
 /// The sand's constants for its memory.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Settings {
+pub struct MemorySettings {
     /// Side of a cell [m].
     pub cell: f64,
     /// The square of heights has 2^bits cells along a side: 6, 7 or 8.
@@ -61,7 +61,7 @@ pub struct Settings {
     pub pairs: usize,
 }
 
-impl Settings {
+impl MemorySettings {
     /// `size`: length of what presses and ploughs [m]; `repose_deg`: angle of repose [°].
     ///
     /// A sweep takes 2 c²/(√g size^1.5), so heaps as large as the body flatten within a few times √(size/g), the time in
@@ -94,7 +94,7 @@ impl Settings {
 
     /// Factor on the sand's strength for what a body has found.
     #[inline(always)]
-    pub fn strength(&self, found: &Found) -> f64 {
+    pub fn strength(&self, found: &LocalSand) -> f64 {
         1.0 + (self.gain - 1.0) * f64::from(found.packed)
     }
 
@@ -106,7 +106,7 @@ impl Settings {
 
 /// What a body has found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Found {
+pub struct LocalSand {
     /// Height of the surface from which its depth counts [m].
     pub level: f32,
     /// How compacted the sand is, from 0 to 1.
@@ -119,7 +119,7 @@ pub struct Found {
 
 /// A piece of a body's surface.
 #[derive(Clone, Copy, Debug)]
-pub struct Piece {
+pub struct SurfacePiece {
     /// Place in the world [m].
     pub place: [f64; 3],
     /// Unit normal of the leading side.
@@ -132,7 +132,7 @@ pub struct Piece {
     pub cells: u8,
 }
 
-impl Piece {
+impl SurfacePiece {
     /// Volume swept per time [m³/s], without what is only lifted.
     #[inline(always)]
     fn rate(&self) -> f64 {
@@ -146,7 +146,7 @@ impl Piece {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Moved {
     pub grid: Grid,
-    pub found: Vec<Found>,
+    pub found: Vec<LocalSand>,
     /// Time since sand was moved last [time steps], for engines; and times that bodies have moved it.
     pub pending: u32,
     pub turns: u32,
@@ -206,10 +206,10 @@ struct Disc {
 
 impl Moved {
     /// Level sand and `bodies` bodies outside of it.
-    pub fn new(s: &Settings, bodies: usize) -> Self {
+    pub fn new(s: &MemorySettings, bodies: usize) -> Self {
         Self {
             grid: Grid::new(s.cell, s.bits),
-            found: vec![Found::default(); bodies],
+            found: vec![LocalSand::default(); bodies],
             pending: 0,
             turns: 0,
             sliding: 0.0,
@@ -217,7 +217,7 @@ impl Moved {
     }
 
     /// Is this sand of these settings, for so many bodies?
-    pub fn fits(&self, s: &Settings, bodies: usize) -> bool {
+    pub fn fits(&self, s: &MemorySettings, bodies: usize) -> bool {
         self.found.len() == bodies && self.grid.frame.is_of(s.cell, s.bits)
     }
 
@@ -234,7 +234,7 @@ impl Moved {
     }
 
     /// The sand of `bodies` bodies from its [`Self::to_bytes`]; None if it cannot be of these settings.
-    pub fn from_bytes(s: &Settings, bodies: usize, bytes: &[u8]) -> Option<Self> {
+    pub fn from_bytes(s: &MemorySettings, bodies: usize, bytes: &[u8]) -> Option<Self> {
         let mut new = Self::new(s, bodies);
         let (counts, mut rest) = bytes.split_first_chunk::<12>()?;
         let [a, b, c, d, e, f, g, h, i, j, k, l] = *counts;
@@ -259,23 +259,31 @@ impl Moved {
     }
 
     /// Memory [bytes].
-    pub fn bytes(s: &Settings, bodies: usize) -> usize {
-        size_of::<Self>() + bodies * size_of::<Found>() + (3 << (2 * s.bits)) + (1 << s.bits)
+    pub fn bytes(s: &MemorySettings, bodies: usize) -> usize {
+        size_of::<Self>() + bodies * size_of::<LocalSand>() + (3 << (2 * s.bits)) + (1 << s.bits)
     }
 
     /// Moves sand by a body in `time` [s], and updates what the body finds. `pieces`: its leading pieces; `way`: the
     /// distance along x and y that it has moved [m].
     #[inline(always)]
-    pub fn meet(&mut self, s: &Settings, body: usize, pieces: &[Piece], way: [f64; 2], time: f64, marks: &mut Marks) {
+    pub fn meet(
+        &mut self,
+        s: &MemorySettings,
+        body: usize,
+        pieces: &[SurfacePiece],
+        way: [f64; 2],
+        time: f64,
+        marks: &mut Marks,
+    ) {
         let low = pieces.iter().fold(f64::INFINITY, |low, p| low.min(p.place[2]));
-        let Found { level, packed, size, inside } = self.found[body];
+        let LocalSand { level, packed, size, inside } = self.found[body];
         let (mut level, mut packed, mut size) = (f64::from(level), f64::from(packed), f64::from(size));
         if !inside || low >= level {
             let (under, dense, wide) = self.below(pieces, low);
             if !inside || low >= under {
                 let inside = low < under;
                 let [level, packed, size] = [under, dense, wide].map(|x| x as f32);
-                self.found[body] = Found { level, packed, size, inside };
+                self.found[body] = LocalSand { level, packed, size, inside };
             }
             if low >= under {
                 return;
@@ -298,13 +306,13 @@ impl Moved {
             }
         }
         let [level, packed, size] = [level, packed, size].map(|x| x as f32);
-        self.found[body] = Found { level, packed, size, inside: true };
+        self.found[body] = LocalSand { level, packed, size, inside: true };
         self.turns = self.turns.wrapping_add(1);
     }
 
     /// Mean height [m] and compaction below the lowest pieces of a body, and the radius of a disc of their area [m].
     #[inline(always)]
-    fn below(&self, pieces: &[Piece], low: f64) -> (f64, f64, f64) {
+    fn below(&self, pieces: &[SurfacePiece], low: f64) -> (f64, f64, f64) {
         let (mut area, mut sums) = (0.0, [0.0; 2]);
         let (mut middle, mut squares) = ([0.0; 2], 0.0);
         for p in pieces.iter().filter(|p| p.place[2] < low + self.grid.frame.cell) {
@@ -327,7 +335,7 @@ impl Moved {
 
     /// Takes what the pieces sweep out of their cells.
     #[inline(always)]
-    fn take(&mut self, s: &Settings, pieces: &[Piece], time: f64, size: f64, marks: &mut Marks) -> Taken {
+    fn take(&mut self, s: &MemorySettings, pieces: &[SurfacePiece], time: f64, size: f64, marks: &mut Marks) -> Taken {
         let (cell, quantum) = (s.cell, self.grid.frame.quantum());
         let mut taken = Taken::default();
         // What is left of whole steps goes to the next cell, so that slow motions lose nothing.
@@ -386,7 +394,7 @@ impl Moved {
 
     /// Distributes what was taken among places of a disc where the body is not.
     #[inline(always)]
-    fn put(&mut self, s: &Settings, disc: &Disc, taken: &Taken, marks: &Marks, size: f64) {
+    fn put(&mut self, s: &MemorySettings, disc: &Disc, taken: &Taken, marks: &Marks, size: f64) {
         let amount = taken.amount - taken.lost as i32;
         let mut disc = *disc;
         // A disc that the body covers grows until a place is free.
@@ -423,7 +431,7 @@ impl Moved {
     /// Mean height [m] and compaction at the toe of the wedge ahead, half of it inside and half beyond: the law's measured
     /// coefficients contain the heap that a body pushes in fresh sand, which lies inside.
     #[inline(always)]
-    fn beyond(&self, s: &Settings, taken: &Taken, reach: f64, size: f64, along: [f64; 2]) -> (f64, f64) {
+    fn beyond(&self, s: &MemorySettings, taken: &Taken, reach: f64, size: f64, along: [f64; 2]) -> (f64, f64) {
         let amount = f64::from(taken.amount);
         let radius = (0.5 * reach).max(size).max(1.5 * s.cell);
         let toe = |k: usize| taken.place[k] / amount + 2.0 * radius * along[k];
@@ -475,7 +483,7 @@ const GOLDEN: f64 = 0.618_033_988_749_895;
 impl Disc {
     /// Cells of some places of the disc, mirrored about its direction.
     #[inline(always)]
-    fn places(&self, frame: Frame, pairs: usize, turns: u32) -> impl Iterator<Item = usize> {
+    fn places(&self, frame: GridFrame, pairs: usize, turns: u32) -> impl Iterator<Item = usize> {
         let Self { center: [x, y], radius, along: [ux, uy] } = *self;
         let (table, first) = (&*PLACES, turns as usize % PAIRS * pairs);
         (0..2 * pairs).filter_map(move |k| {

@@ -2,8 +2,8 @@
 
 use super::*;
 use crate::SandDescription;
-use crate::intruder::path::{Moment, Path};
-use crate::intruder::{Body, BodyShape, Given, Outcome, Trial, compute};
+use crate::intruder::path::{Path, PathPoint};
+use crate::intruder::{BodyShape, DepthOrLoad, PlatedBody, Trial, TrialOutcome, compute};
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
@@ -21,13 +21,13 @@ fn sand() -> SandDescription {
     SandDescription::named("glass-beads", "li2013").unwrap()
 }
 
-fn body(shape: &str) -> Body {
-    Body::cut(&BodyShape::named(shape).unwrap(), Some(0.0015)).unwrap()
+fn body(shape: &str) -> PlatedBody {
+    PlatedBody::cut(&BodyShape::named(shape).unwrap(), Some(0.0015)).unwrap()
 }
 
 /// Measured rows (pass, t, x, z, vx, vz, Fx, Fz) with the model's force on the same path.
 struct Passes {
-    rows: Vec<(Vec<f64>, Outcome)>,
+    rows: Vec<(Vec<f64>, TrialOutcome)>,
     /// Rms difference of the heights after each pass [mm].
     heights: Vec<f64>,
 }
@@ -39,8 +39,8 @@ fn run(shape: &str, rows: &str, surface: &str, repose: f64, cell: Option<f64>) -
     let rows = table(rows);
     for pass in [1.0, 2.0, 3.0] {
         for row in rows.iter().filter(|r| r[0] == pass) {
-            let trial = Trial { velocity: [row[4], 0.0, row[5]], spin: [0.0; 3], given: Given::Depth(-row[3]) };
-            let moment = Moment { time: 10.0 * pass + row[1], place: Some([row[2], 0.0]), trial };
+            let trial = Trial { velocity: [row[4], 0.0, row[5]], spin: [0.0; 3], given: DepthOrLoad::Depth(-row[3]) };
+            let moment = PathPoint { time: 10.0 * pass + row[1], place: Some([row[2], 0.0]), trial };
             done.push((row.clone(), path.step(&moment)));
         }
         path.settle();
@@ -148,26 +148,27 @@ fn fresh_sand_is_the_theory() {
             let mut path = Path::new(&body, &sand, 30.0, None).unwrap();
             for k in 0..40 {
                 let depth = -0.002 + 0.0005 * f64::from(k);
-                let trial = Trial { velocity: [0.0, 0.0, -speed], spin: [0.0; 3], given: Given::Depth(depth) };
+                let trial = Trial { velocity: [0.0, 0.0, -speed], spin: [0.0; 3], given: DepthOrLoad::Depth(depth) };
                 let time = 0.0005 * f64::from(k) / speed;
-                let [with, without] = [path.step(&Moment { time, place: None, trial }), compute(&body, &sand, &trial)]
-                    .map(|o| o.force[2]);
+                let [with, without] =
+                    [path.step(&PathPoint { time, place: None, trial }), compute(&body, &sand, &trial)]
+                        .map(|o| o.force[2]);
                 assert!((with - without).abs() <= 1e-6 * without.max(1.0), "{shape}, {depth}: {with} {without}");
             }
         }
     }
 }
 
-fn settings(random: &mut impl Rng, gain: f64) -> Settings {
+fn settings(random: &mut impl Rng, gain: f64) -> MemorySettings {
     let medium = Medium::named("poppy-loose").unwrap();
     let cell = random.random_range(0.002..0.01);
     let pairs = random.random_range(1..=PAIRS);
     let size = random.random_range(0.01..0.05);
-    Settings { gain, pairs, ..Settings::new(&medium, cell, 6, size, random.random_range(15.0..40.0)) }
+    MemorySettings { gain, pairs, ..MemorySettings::new(&medium, cell, 6, size, random.random_range(15.0..40.0)) }
 }
 
 /// A body of random pieces around a place.
-fn pieces(random: &mut impl Rng, place: [f64; 3], velocity: [f64; 3], size: f64) -> Vec<Piece> {
+fn pieces(random: &mut impl Rng, place: [f64; 3], velocity: [f64; 3], size: f64) -> Vec<SurfacePiece> {
     let count = random.random_range(1..30);
     let mut one = || {
         let mut draw = || random.random_range(-1.0_f64..1.0);
@@ -175,7 +176,7 @@ fn pieces(random: &mut impl Rng, place: [f64; 3], velocity: [f64; 3], size: f64)
         let length = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt().max(1e-3);
         let at = [draw(), draw(), draw()];
         let place = std::array::from_fn(|k| place[k] + 0.5 * size * at[k]);
-        Piece {
+        SurfacePiece {
             place,
             normal: n.map(|c| c / length),
             area: 0.1 * size * size,
@@ -216,7 +217,7 @@ fn volume_stays_and_sliding_dissipates() {
             let after = sum(&moved);
             assert!(after == before || (loose && after < before), "round {round}: {before} {after}");
             swept += i64::from(heights != moved.grid.heights);
-            let Found { level, packed, size, .. } = moved.found[0];
+            let LocalSand { level, packed, size, .. } = moved.found[0];
             assert!(level.is_finite() && size.is_finite() && (0.0..=1.0).contains(&packed));
             let rough = energy(&moved);
             moved.grid.slide(s.repose);

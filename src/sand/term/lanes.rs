@@ -18,7 +18,7 @@ struct Factor {
 
 /// One term. All lanes share it except for its coefficient.
 #[derive(Clone, Copy)]
-struct Slot<R> {
+struct LaneTerm<R> {
     on: On,
     factors: [Factor; MOST_GROUPS],
     count: usize,
@@ -29,12 +29,12 @@ struct Slot<R> {
 /// Terms ready for evaluation, one lane for each environment.
 #[derive(Clone, Copy)]
 pub struct LaneTerms<R> {
-    slots: [Slot<R>; MOST_TERMS],
+    slots: [LaneTerm<R>; MOST_TERMS],
     count: usize,
 }
 
 /// The arguments of a term.
-pub struct Piece<R> {
+pub struct TermArguments<R> {
     pub depth: R,
     pub width: R,
     /// |v_n| [m/s]
@@ -48,7 +48,7 @@ pub struct Piece<R> {
 impl<R: Real> LaneTerms<R> {
     pub fn new() -> Self {
         let none = Factor { group: Group::Froude, low: 0.0, high: 0.0, power: 0.0 };
-        let slot = Slot { on: On::Normal, factors: [none; MOST_GROUPS], count: 0, strength: R::zero() };
+        let slot = LaneTerm { on: On::Normal, factors: [none; MOST_GROUPS], count: 0, strength: R::zero() };
         Self { slots: [slot; MOST_TERMS], count: 0 }
     }
 
@@ -64,7 +64,7 @@ impl<R: Real> LaneTerms<R> {
             for (place, (group, power, [low, high])) in own.factors.iter_mut().zip(factors) {
                 *place = Factor { group, low, high, power };
             }
-            let alike = |s: &Slot<R>| s.on == own.on && s.count == own.count && s.factors == own.factors;
+            let alike = |s: &LaneTerm<R>| s.on == own.on && s.count == own.count && s.factors == own.factors;
             let scale = if term.on == On::Law { 1.0 } else { bulk_density * GRAVITY };
             let strength = term.coefficient * scale;
             match self.slots[..self.count].iter().position(alike) {
@@ -90,7 +90,7 @@ impl<R: Real> LaneTerms<R> {
     /// Pressure [Pa] against the leading face, stress against the tangential velocity, and the factor on the law's own
     /// stress.
     #[inline(always)]
-    pub fn stress(&self, piece: &Piece<R>) -> (R, R, R) {
+    pub fn stress(&self, piece: &TermArguments<R>) -> (R, R, R) {
         let (mut normal, mut tangential, mut share) = (R::zero(), R::zero(), R::one());
         for slot in &self.slots[..self.count] {
             let mut product = if slot.on == On::Law { slot.strength } else { slot.strength * piece.depth };
@@ -124,7 +124,7 @@ impl<R: Real> Default for LaneTerms<R> {
 }
 
 #[inline(always)]
-fn group<R: Real>(factor: &Factor, piece: &Piece<R>) -> R {
+fn group<R: Real>(factor: &Factor, piece: &TermArguments<R>) -> R {
     let gravity = R::splat(1.0 / GRAVITY);
     let v = &piece.velocity;
     let vertical = || -v.z / (v.norm_squared() + R::splat(1e-24)).sqrt();
@@ -202,7 +202,7 @@ mod tests {
                     range = { whole_froude = [0.0, 9.0], sin_attack = [0.0, 1.0], cos_attack = [0.0, 1.0], saturation = [0.0, 1.0] }";
         let mut terms = LaneTerms::<f64>::new();
         terms.set_lane(0, &[term(text)], 640.0);
-        let piece = Piece {
+        let piece = TermArguments {
             depth: 0.03,
             width: 0.025,
             normal_speed: 0.3,
@@ -223,7 +223,7 @@ mod tests {
                     range = { froude = [0.0, 9.0], depth_over_width = [0.01, 9.0] }";
         let mut terms = LaneTerms::<f64>::new();
         terms.set_lane(0, &[term(text)], 640.0);
-        let piece = Piece {
+        let piece = TermArguments {
             depth: 0.03,
             width: 0.025,
             normal_speed: 0.5,

@@ -13,7 +13,7 @@ use crate::error::{Error, Result, check_range};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-pub use lanes::{LaneTerms, Piece};
+pub use lanes::{LaneTerms, TermArguments};
 
 /// Largest number of terms of one sand, and of different terms in environments that are computed together: our choice,
 /// because each term makes a step slower.

@@ -11,12 +11,12 @@ use crate::proto::trials_request::Body as Shaped;
 use crate::proto::{
     DiagnoseRequest, EvaluateRequest, File, IntrudeRequest, SweepRequest, TrialsRequest, Variation, WalkRequest,
 };
-use crate::sand::intruder::{Body, BodyShape, Given, Trial as Motion, check_all, with_friction};
+use crate::sand::intruder::{BodyShape, DepthOrLoad, PlatedBody, Trial as Motion, check_all, with_friction};
 use crate::sand::intrusion::Rotation;
 use crate::sand::{Law, LegShape, Medium, SandDescription};
 use crate::sim::engine::EngineKind;
 use crate::sim::model::Scene;
-use crate::sim::walk::Trial;
+use crate::sim::walk::WalkTrial;
 use crate::sim::{Model, Robot};
 use crate::sweep::grid::check_grid;
 use crate::sweep::{Axis, Design, Measure, optimize};
@@ -31,14 +31,14 @@ pub struct Sand {
 
 /// A body and its motions.
 pub struct Trials {
-    pub body: Body,
+    pub body: PlatedBody,
     pub sand: Sand,
     pub trials: Vec<Motion>,
 }
 
 pub struct Walks {
     pub engine: EngineKind,
-    pub trials: Vec<Trial>,
+    pub trials: Vec<WalkTrial>,
     pub warnings: Vec<String>,
 }
 
@@ -120,8 +120,8 @@ pub fn trials(request: TrialsRequest) -> Result<Trials> {
     let motion = |row: usize| {
         let of = |all: &Option<Vec<f64>>| all.as_ref().map(|v| v[row]).filter(|v| !v.is_nan());
         let given = match (of(&depth), of(&load)) {
-            (Some(depth), None) => Given::Depth(depth),
-            (None, Some(load)) => Given::Load(load),
+            (Some(depth), None) => DepthOrLoad::Depth(depth),
+            (None, Some(load)) => DepthOrLoad::Load(load),
             (None, None) => return Err(wrong(row, "neither depth nor load is given")),
             (Some(_), Some(_)) => return Err(wrong(row, "both depth and load are given")),
         };
@@ -148,7 +148,7 @@ fn column(name: &str, bytes: &[u8]) -> Result<Vec<f64>> {
     Ok(numbers.iter().map(|b| f64::from_le_bytes(*b)).collect())
 }
 
-fn shaped(body: Option<Shaped>, plate_size: Option<f64>) -> Result<Body> {
+fn shaped(body: Option<Shaped>, plate_size: Option<f64>) -> Result<PlatedBody> {
     match body {
         None => Err(Error::invalid("body", "none given")),
         Some(Shaped::Shape(text)) => match BodyShape::named(&text)? {
@@ -156,14 +156,14 @@ fn shaped(body: Option<Shaped>, plate_size: Option<f64>) -> Result<Body> {
             BodyShape::Mesh(_) => {
                 Err(Error::invalid("body", format!("{text}: a server reads no files; send the content of the mesh")))
             }
-            shape => Body::cut_within(&shape, plate_size, MOST_PLATES),
+            shape => PlatedBody::cut_within(&shape, plate_size, MOST_PLATES),
         },
         Some(Shaped::Mesh(file)) => {
             let of_ours = |e: Error| match e {
                 Error::File { reason, .. } => Error::invalid(&file.name, reason),
                 other => other,
             };
-            Body::of_mesh(Path::new(&file.name), &file.content, plate_size, MOST_PLATES).map_err(of_ours)
+            PlatedBody::of_mesh(Path::new(&file.name), &file.content, plate_size, MOST_PLATES).map_err(of_ours)
         }
     }
 }
@@ -181,7 +181,7 @@ pub fn walk(request: WalkRequest) -> Result<Walks> {
     check_range("number of frequencies", request.frequency.len() as f64, 1.0..=MOST_FREQUENCIES as f64)?;
     let model = Model::new(&robot, &scene)?;
     let trial = |frequency: &f64| {
-        let trial = Trial::new(model.clone(), *frequency);
+        let trial = WalkTrial::new(model.clone(), *frequency);
         trial.validate().map(|()| trial)
     };
     Ok(Walks { engine, trials: request.frequency.iter().map(trial).collect::<Result<_>>()?, warnings })

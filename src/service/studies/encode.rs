@@ -3,9 +3,9 @@
 use crate::diagnose::report::Curves;
 use crate::evaluate::{self, Row};
 use crate::proto::{Series, Table};
-use crate::sand::intruder::{Outcome, Status};
+use crate::sand::intruder::{Status, TrialOutcome};
 use crate::sand::intrusion::Load;
-use crate::sim::walk::{Trial, WalkResult};
+use crate::sim::walk::{WalkResult, WalkTrial};
 use crate::sweep::optimize::Optimum;
 use crate::sweep::{Axis, table::values};
 
@@ -32,8 +32,8 @@ pub fn loads(rows: &[(f64, Load)]) -> Vec<Series> {
     ]
 }
 
-pub fn trials(rows: &[Outcome]) -> Vec<Series> {
-    type Of = fn(&Outcome) -> f64;
+pub fn trials(rows: &[TrialOutcome]) -> Vec<Series> {
+    type Of = fn(&TrialOutcome) -> f64;
     let columns: [(&str, &str, Of); 8] = [
         ("Fx", "N", |o| o.force[0]),
         ("Fy", "N", |o| o.force[1]),
@@ -47,7 +47,7 @@ pub fn trials(rows: &[Outcome]) -> Vec<Series> {
     columns.iter().map(|(name, unit, of)| numbers(name, unit, rows.iter().map(of))).collect()
 }
 
-pub fn frequencies(trials: &[Trial]) -> Series {
+pub fn frequencies(trials: &[WalkTrial]) -> Series {
     numbers("frequency", "Hz", trials.iter().map(|t| t.frequency))
 }
 

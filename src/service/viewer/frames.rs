@@ -5,7 +5,7 @@
 //!                        (copied)   (only the newest waits)       (who is slow misses some)
 //! ```
 
-use crate::env::{AnyTask, Look};
+use crate::env::{AnyTask, EnvView};
 use crate::session::view;
 use crate::sim::{Model, State};
 use bytes::Bytes;
@@ -29,9 +29,9 @@ pub struct Moment {
 }
 
 impl Moment {
-    pub fn of(look: Look<'_>) -> Self {
+    pub fn of(look: EnvView<'_>) -> Self {
         let state = look.whole_state();
-        let Look { model, footing, episode, time, action, reward, info, .. } = look;
+        let EnvView { model, footing, episode, time, action, reward, info, .. } = look;
         let (model, footing, action) = (model.clone(), footing.to_vec(), action.to_vec());
         Self { model, state, footing, episode, time, action, reward, info }
     }

@@ -8,7 +8,7 @@
 use super::frames::{Frames, Latest, Moment, encode};
 use super::{POLICY, same_machine};
 use crate::connections;
-use crate::env::{AnyTask, Look};
+use crate::env::{AnyTask, EnvView};
 use crate::refusals::Refusals;
 use crate::security::Token;
 use axum::body::{Body, Bytes};
@@ -47,7 +47,7 @@ impl Play {
     }
 
     /// Shows the environment's present state.
-    pub fn show(&self, look: Look<'_>) {
+    pub fn show(&self, look: EnvView<'_>) {
         self.latest.send_replace(Some(Arc::new(Moment::of(look))));
     }
 

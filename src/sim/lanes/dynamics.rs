@@ -12,12 +12,12 @@
 //! 16 walks (0.47 % at 1 ms; `docs/convergence.md`).
 
 use super::model::{LaneBody, LaneModel, LanePlate};
-use super::plane::{Field, Moments, PlaneForces};
+use super::plane::{PlaneField, PlaneForces, PlaneMoments};
 use crate::number::{Mat3, Real, Vec3};
 use crate::sand::law::StressLaw;
 use crate::sand::{LawCoefficients, Plain, SandBed, SegmentState, StressModel};
 use crate::spatial::{Inertia, PointMasses, Symmetric, Twist, Wrench};
-use crate::stop::Push;
+use crate::stop::StopTorque;
 use crate::used::{LanePiece, Surfaces};
 
 /// State of the robots in one block, one lane each; see [`crate::State`].
@@ -73,14 +73,14 @@ impl<R: Real> Hinge<R> {
 }
 
 /// Work space of a step; its contents are not kept.
-pub struct Scratch<R, const J: usize> {
+pub struct LegScratch<R, const J: usize> {
     /// One entry for each joint.
     hinges: Vec<Hinge<R>>,
     /// For each link of the present leg, its masses with those of the sand, and the wrench that its motion needs.
     links: [(PointMasses<R>, Wrench<R>); J],
 }
 
-impl<R: Real, const J: usize> Scratch<R, J> {
+impl<R: Real, const J: usize> LegScratch<R, J> {
     pub fn new(joints: usize) -> Self {
         let link = (PointMasses::zero(), Wrench::zero());
         Self { hinges: vec![Hinge::empty(); joints], links: [link; J] }
@@ -89,7 +89,7 @@ impl<R: Real, const J: usize> Scratch<R, J> {
 
 /// Position and motion of a body; lengths from the base's centre of mass.
 #[derive(Clone, Copy)]
-struct Frame<R> {
+struct LegFrame<R> {
     rotation: Mat3<R>,
     origin: Vec3<R>,
     velocity: Twist<R>,
@@ -128,10 +128,10 @@ impl<R: Real> Travel<R> {
 pub fn step<R: Real, const J: usize>(
     model: &LaneModel<R, J>,
     state: &mut LaneState<R>,
-    scratch: &mut Scratch<R, J>,
+    scratch: &mut LegScratch<R, J>,
     surfaces: Option<&Surfaces<R>>,
 ) {
-    let Scratch { hinges, links } = scratch;
+    let LegScratch { hinges, links } = scratch;
     let base = base_frame(state);
     let mut position = state.position;
     position.x += state.travelled;
@@ -161,7 +161,7 @@ pub fn step<R: Real, const J: usize>(
 }
 
 #[inline(always)]
-fn base_frame<R: Real>(state: &LaneState<R>) -> Frame<R> {
+fn base_frame<R: Real>(state: &LaneState<R>) -> LegFrame<R> {
     let (w, v) = state.orientation;
     let (one, two) = (R::one(), R::splat(2.0));
     let (xx, yy, zz) = (v.x * v.x, v.y * v.y, v.z * v.z);
@@ -175,11 +175,11 @@ fn base_frame<R: Real>(state: &LaneState<R>) -> Frame<R> {
     let velocity = Twist { angular: state.angular_velocity, linear: state.velocity };
     // The generalized acceleration is that of the centre of mass. If it is zero, the spatial acceleration is −ω × v.
     let bias = Twist { angular: Vec3::zero(), linear: velocity.linear.cross(velocity.angular) };
-    Frame { rotation, origin: Vec3::zero(), velocity, bias, change: state.change }
+    LegFrame { rotation, origin: Vec3::zero(), velocity, bias, change: state.change }
 }
 
 #[inline(always)]
-fn base_inertia<R: Real, const J: usize>(model: &LaneModel<R, J>, base: &Frame<R>) -> (Inertia<R>, Wrench<R>) {
+fn base_inertia<R: Real, const J: usize>(model: &LaneModel<R, J>, base: &LegFrame<R>) -> (Inertia<R>, Wrench<R>) {
     let own = Symmetric { diagonal: model.base_inertia, off: Vec3::zero() }.rotated(&base.rotation);
     let omega = base.velocity.angular;
     let bias = Wrench { moment: omega.cross(own.apply(omega)), force: -(model.gravity * model.base_mass) };
@@ -190,7 +190,7 @@ fn base_inertia<R: Real, const J: usize>(model: &LaneModel<R, J>, base: &Frame<R
 #[inline(always)]
 fn belly<R: Real, const J: usize>(
     model: &LaneModel<R, J>,
-    base: &Frame<R>,
+    base: &LegFrame<R>,
     travel: &Travel<R>,
     inertia: &mut Inertia<R>,
     bias: &mut Wrench<R>,
@@ -211,14 +211,14 @@ fn belly_by<R: Real, const J: usize>(
     law: &impl StressLaw<R>,
     stress_model: &impl StressModel<R>,
     model: &LaneModel<R, J>,
-    base: &Frame<R>,
+    base: &LegFrame<R>,
     travel: &Travel<R>,
     inertia: &mut Inertia<R>,
     bias: &mut Wrench<R>,
 ) {
-    let (mut forces, mut drag, mut edge) = (PlaneForces::zero(), Moments::zero(), Moments::zero());
+    let (mut forces, mut drag, mut edge) = (PlaneForces::zero(), PlaneMoments::zero(), PlaneMoments::zero());
     let turn = &base.rotation;
-    let places = Field { at: turn.z * model.belly_height, by: [turn.x, turn.y] };
+    let places = PlaneField { at: turn.z * model.belly_height, by: [turn.x, turn.y] };
     let [length, width] = model.belly_corner;
     let mut trusted = R::one();
     for corner in [[length, width], [length, -width], [-length, width], [-length, -width]] {
@@ -263,7 +263,7 @@ pub fn pieces<R: Real, const J: usize>(
     pieces.clear();
     let base = base_frame(state);
     let turn = &base.rotation;
-    let places = Field { at: turn.z * model.belly_height, by: [turn.x, turn.y] };
+    let places = PlaneField { at: turn.z * model.belly_height, by: [turn.x, turn.y] };
     let velocities = places.velocity(&base.velocity);
     // Four pieces a plate, which is taken for a square.
     let quarter = R::splat(0.25);
@@ -284,7 +284,7 @@ pub fn pieces<R: Real, const J: usize>(
         for (body, joint) in leg.iter().zip(&state.joints[l * J..]) {
             frame = child_frame(&frame, body, joint).0;
             let [e0, e1] = &body.plane;
-            let places = Field { at: frame.origin, by: [frame.rotation.apply(*e0), frame.rotation.apply(*e1)] };
+            let places = PlaneField { at: frame.origin, by: [frame.rotation.apply(*e0), frame.rotation.apply(*e1)] };
             let velocities = places.velocity(&frame.velocity);
             let across = places.by[0].cross(places.by[1]);
             // Two plates at a time, in two pieces beside each other.
@@ -306,7 +306,7 @@ pub fn pieces<R: Real, const J: usize>(
 /// Weight w at `place`: near 1 in smooth motion, in which the next change of velocity is about the last one, and 0 if
 /// the place sticks.
 #[inline(always)]
-fn trust<R: Real>(frame: &Frame<R>, place: Vec3<R>) -> R {
+fn trust<R: Real>(frame: &LegFrame<R>, place: Vec3<R>) -> R {
     let (speed, change) = (frame.velocity.at(place).norm_squared(), frame.change.at(place).norm_squared());
     let share = speed / change.mul_add(R::splat(4.0), speed + R::splat(1e-30));
     share * share
@@ -314,7 +314,7 @@ fn trust<R: Real>(frame: &Frame<R>, place: Vec3<R>) -> R {
 
 /// Depth of a place in a plane, if it is below the surface in any lane.
 #[inline(always)]
-fn submerged<R: Real>(places: &Field<R>, p: [R; 2], height: R) -> Option<R> {
+fn submerged<R: Real>(places: &PlaneField<R>, p: [R; 2], height: R) -> Option<R> {
     let [e0, e1] = &places.by;
     let depth = -e0.z.mul_add(p[0], e1.z.mul_add(p[1], places.at.z + height));
     R::any(R::zero().lt(depth)).then(|| depth.max(R::zero()))
@@ -327,11 +327,11 @@ fn link<R: Real, const J: usize>(
     model: &LaneModel<R, J>,
     body: &LaneBody<R>,
     rate: R,
-    frame: &Frame<R>,
+    frame: &LegFrame<R>,
     travel: &Travel<R>,
 ) -> (PointMasses<R>, Wrench<R>) {
     let [e0, e1] = &body.plane;
-    let places = Field { at: frame.origin, by: [frame.rotation.apply(*e0), frame.rotation.apply(*e1)] };
+    let places = PlaneField { at: frame.origin, by: [frame.rotation.apply(*e0), frame.rotation.apply(*e1)] };
     let velocities = places.velocity(&frame.velocity);
     let mut accelerations = places.velocity(&frame.bias).plus(&velocities.cross(-frame.velocity.angular));
     accelerations.at = accelerations.at - model.gravity;
@@ -350,11 +350,11 @@ fn link_sand<R: Real>(
     ground: &SandBed<R>,
     body: &LaneBody<R>,
     rate: R,
-    places: &Field<R>,
-    velocities: &Field<R>,
+    places: &PlaneField<R>,
+    velocities: &PlaneField<R>,
     travel: &Travel<R>,
-) -> (PlaneForces<R>, Moments<R>) {
-    let mut total = (PlaneForces::zero(), Moments::zero());
+) -> (PlaneForces<R>, PlaneMoments<R>) {
+    let mut total = (PlaneForces::zero(), PlaneMoments::zero());
     let Some(mechanisms) = &ground.mechanisms else {
         let plates = &body.plates;
         let share = travel.strength.unwrap_or(R::one());
@@ -391,11 +391,11 @@ fn strip<R: Real>(
     stress_model: &impl StressModel<R>,
     ground: &SandBed<R>,
     plates: &[LanePlate<R>],
-    places: &Field<R>,
-    velocities: &Field<R>,
+    places: &PlaneField<R>,
+    velocities: &PlaneField<R>,
     travel: &Travel<R>,
     share: R,
-    total: &mut (PlaneForces<R>, Moments<R>),
+    total: &mut (PlaneForces<R>, PlaneMoments<R>),
 ) {
     for plate in plates {
         let Some(depth) = submerged(places, plate.center, travel.position.z) else { continue };
@@ -415,7 +415,7 @@ fn strip<R: Real>(
 fn fold_leg<R: Real, const J: usize>(
     model: &LaneModel<R, J>,
     leg: &[LaneBody<R>; J],
-    base: &Frame<R>,
+    base: &LegFrame<R>,
     travel: &Travel<R>,
     joints: &[LaneJoint<R>],
     hinges: &mut [Hinge<R>],
@@ -447,7 +447,7 @@ fn fold_leg<R: Real, const J: usize>(
 
 /// Turns `body` about its hinge.
 #[inline(always)]
-fn child_frame<R: Real>(parent: &Frame<R>, body: &LaneBody<R>, joint: &LaneJoint<R>) -> (Frame<R>, Twist<R>) {
+fn child_frame<R: Real>(parent: &LegFrame<R>, body: &LaneBody<R>, joint: &LaneJoint<R>) -> (LegFrame<R>, Twist<R>) {
     let axis = parent.rotation.apply(body.axis);
     let origin = parent.origin + parent.rotation.apply(body.joint);
     let (sin, cos) = joint.angle.sin_cos();
@@ -460,7 +460,7 @@ fn child_frame<R: Real>(parent: &Frame<R>, body: &LaneBody<R>, joint: &LaneJoint
     let velocity = hinge.scale_add(joint.rate, &parent.velocity);
     let bias = velocity.carries(&hinge).scale_add(joint.rate, &parent.bias);
     let change = hinge.scale_add(joint.change, &parent.change);
-    (Frame { rotation, origin, velocity, bias, change }, hinge)
+    (LegFrame { rotation, origin, velocity, bias, change }, hinge)
 }
 
 /// `u` turned about the unit vector `axis` (Rodrigues' formula).
@@ -487,7 +487,7 @@ fn drive<R: Real, const J: usize>(
     let error = rate_error.mul_add(dt, joint.reference - joint.angle);
     let torque = model.kp.mul_add(error, model.kd.mul_add(rate_error, joint.command_torque));
     let yielding = dt * dt.mul_add(model.kp, model.kd);
-    let Push { torque, yielding } = model.actuator.track(Push { torque, yielding }, joint.torque, dt);
+    let StopTorque { torque, yielding } = model.actuator.track(StopTorque { torque, yielding }, joint.torque, dt);
     let [low, high] = model.actuator.limits(joint.rate);
     hinge.inertia_axis = inertia.apply(&hinge.axis);
     let own = hinge.inertia_axis.dot(&hinge.axis) + armature;

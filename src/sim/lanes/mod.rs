@@ -4,7 +4,7 @@
 //! * [`plane`]: sand forces on the plates of one plane, summed in its two coordinates.
 //! * [`model`]: the model's numbers, one lane for each environment.
 //!
-//! Lanes never read each other: an environment's bits do not depend on its lane, its neighbours or the batch.
+//! LegLanes never read each other: an environment's bits do not depend on its lane, its neighbours or the batch.
 
 mod dynamics;
 mod model;
@@ -17,28 +17,28 @@ use super::{Model, State};
 use crate::error::{Error, Result};
 use crate::number::{Isa, Kernel, Real, Vec3, Work};
 use crate::sand::memory::Moved;
-use dynamics::{LaneJoint, LaneState, Scratch};
+use dynamics::{LaneJoint, LaneState, LegScratch};
 use model::LaneModel;
 use std::f64::consts::TAU;
 
 /// Robots in blocks of as many as the instruction set has lanes.
 pub struct LanesEngine {
-    blocks: Vec<Box<dyn Block>>,
+    blocks: Vec<Box<dyn LegBlock>>,
     lanes: usize,
 }
 
 /// Makes blocks for the number type of an instruction set.
-struct Blocks<'a> {
+struct LegBlocks<'a> {
     model: &'a Model,
     count: usize,
     joints: usize,
 }
 
-impl Work for Blocks<'_> {
-    type Out = Vec<Box<dyn Block>>;
+impl Work for LegBlocks<'_> {
+    type Out = Vec<Box<dyn LegBlock>>;
 
     fn run<R: Real>(self) -> Self::Out {
-        let block = if self.joints == 1 { Lanes::<R, 1>::boxed } else { Lanes::<R, 3>::boxed };
+        let block = if self.joints == 1 { LegLanes::<R, 1>::boxed } else { LegLanes::<R, 3>::boxed };
         (0..self.count).map(|_| block(self.model)).collect()
     }
 }
@@ -58,7 +58,7 @@ impl LanesEngine {
         if ![1, 3].contains(&joints) {
             return Err(Error::invalid("robot", format!("{joints} joints a leg; engine lanes takes 1 or 3")));
         }
-        let blocks = isa.with(Blocks { model, count: count.div_ceil(isa.lanes()), joints })?;
+        let blocks = isa.with(LegBlocks { model, count: count.div_ceil(isa.lanes()), joints })?;
         let lanes = isa.lanes();
         let mut engine = Self { blocks, lanes };
         (0..count).for_each(|index| engine.set_model(index, model));
@@ -102,7 +102,7 @@ impl LanesEngine {
 }
 
 /// One block of robots, in any number type.
-trait Block: Send {
+trait LegBlock: Send {
     fn set_model(&mut self, lane: usize, model: &Model);
     fn set_footing(&mut self, lane: usize, model: &Model, shares: &[f64]);
     fn set_state(&mut self, lane: usize, state: &State);
@@ -112,10 +112,10 @@ trait Block: Send {
     fn advance(&mut self, steps: usize);
 }
 
-struct Lanes<R: Real, const J: usize> {
+struct LegLanes<R: Real, const J: usize> {
     model: LaneModel<R, J>,
     state: LaneState<R>,
-    scratch: Scratch<R, J>,
+    scratch: LegScratch<R, J>,
     memory: Option<LaneMemory<R>>,
     /// Origin of each lane's x and y [m]. Distances from it stay small, so `f32` keeps its accuracy however far a
     /// robot walks.
@@ -125,8 +125,8 @@ struct Lanes<R: Real, const J: usize> {
     works: Vec<f64>,
 }
 
-impl<R: Real, const J: usize> Lanes<R, J> {
-    fn boxed(model: &Model) -> Box<dyn Block> {
+impl<R: Real, const J: usize> LegLanes<R, J> {
+    fn boxed(model: &Model) -> Box<dyn LegBlock> {
         let mut parked = model.clone();
         parked.gravity = nalgebra::Vector3::zeros();
         let joint = {
@@ -141,7 +141,7 @@ impl<R: Real, const J: usize> Lanes<R, J> {
                 command_torque: zero,
             }
         };
-        // Lanes without an environment hover motionless above the sand.
+        // LegLanes without an environment hover motionless above the sand.
         let state = LaneState {
             position: Vec3::splat([0.0, 0.0, 1e3]),
             travelled: R::zero(),
@@ -155,7 +155,7 @@ impl<R: Real, const J: usize> Lanes<R, J> {
         let mut block = Self {
             model: LaneModel::splat(&parked),
             state,
-            scratch: Scratch::new(model.joints()),
+            scratch: LegScratch::new(model.joints()),
             memory: LaneMemory::new(model, 1 + model.legs.len()),
             origins: vec![[0.0; 2]; R::LANES],
             works: vec![0.0; R::LANES],
@@ -186,15 +186,15 @@ impl<R: Real, const J: usize> Lanes<R, J> {
 }
 
 /// The hot loop, to be compiled for the block's instruction set.
-struct Advance<'a, R: Real, const J: usize> {
-    block: &'a mut Lanes<R, J>,
+struct AdvanceLegs<'a, R: Real, const J: usize> {
+    block: &'a mut LegLanes<R, J>,
     steps: usize,
 }
 
-impl<R: Real, const J: usize> Kernel for Advance<'_, R, J> {
+impl<R: Real, const J: usize> Kernel for AdvanceLegs<'_, R, J> {
     #[inline(always)]
     fn run(self) {
-        let Lanes { model, state, scratch, memory, origins, .. } = &mut *self.block;
+        let LegLanes { model, state, scratch, memory, origins, .. } = &mut *self.block;
         for _ in 0..self.steps {
             dynamics::step(model, state, scratch, memory.as_ref().map(|memory| &memory.surfaces));
             if let Some(memory) = memory
@@ -208,7 +208,7 @@ impl<R: Real, const J: usize> Kernel for Advance<'_, R, J> {
     }
 }
 
-impl<R: Real, const J: usize> Block for Lanes<R, J> {
+impl<R: Real, const J: usize> LegBlock for LegLanes<R, J> {
     fn set_model(&mut self, lane: usize, model: &Model) {
         self.model.set_lane(lane, model);
         if let Some(memory) = &mut self.memory {
@@ -278,7 +278,7 @@ impl<R: Real, const J: usize> Block for Lanes<R, J> {
     }
 
     fn advance(&mut self, steps: usize) {
-        R::dispatch(Advance { block: self, steps });
+        R::dispatch(AdvanceLegs { block: self, steps });
     }
 }
 

@@ -1,10 +1,10 @@
 //! The numbers of models, one environment in each lane.
 
-use super::plane::Moments;
+use super::plane::PlaneMoments;
 use crate::Model;
 use crate::actuator::LaneActuator;
 use crate::error::{Error, Result};
-use crate::model::{Body, Plate, exact};
+use crate::model::{LinkBody, Plate, exact};
 use crate::number::{Real, Vec3};
 use crate::sand::SandBed;
 
@@ -21,7 +21,7 @@ pub struct LanePlate<R> {
     pub width: R,
 }
 
-/// See [`Body`].
+/// See [`LinkBody`].
 #[derive(Clone)]
 pub struct LaneBody<R> {
     pub joint: Vec3<R>,
@@ -32,7 +32,7 @@ pub struct LaneBody<R> {
     pub plane: [Vec3<R>; 2],
     /// Distance from the joint to the next one, or to the tip, along e₁ [m].
     pub length: R,
-    pub masses: Moments<R>,
+    pub masses: PlaneMoments<R>,
     pub plates: Vec<LanePlate<R>>,
     pub chord: Vec<LanePlate<R>>,
     pub bulge: R,
@@ -67,7 +67,7 @@ const FLAT: f64 = 1e-9;
 
 /// The plane of a body: e₁ along its reach, e₀ across it toward the normals, or in any direction if the body is a
 /// line.
-fn plane(body: &Body) -> [V; 2] {
+fn plane(body: &LinkBody) -> [V; 2] {
     let along = body.reach.normalize();
     let across = |v: V| v - along * along.dot(&v);
     let axes = [V::x(), V::y()]; // one of the two is not along the reach
@@ -82,15 +82,15 @@ fn in_plane(v: V, [e0, e1]: [V; 2]) -> [f64; 2] {
 }
 
 /// Σ m r rᵀ about the joint [kg·m²]; the inertia about the centre of mass is tr(S) − S of the same sum S there.
-fn second_moment(body: &Body) -> M {
+fn second_moment(body: &LinkBody) -> M {
     let about_center = M::identity() * (body.inertia.trace() / 2.0) - body.inertia;
     about_center + body.center * body.center.transpose() * body.mass
 }
 
-fn moments(body: &Body, [e0, e1]: [V; 2]) -> Moments<f64> {
+fn moments(body: &LinkBody, [e0, e1]: [V; 2]) -> PlaneMoments<f64> {
     let second = second_moment(body);
     let (reach, about) = (body.reach.norm(), second.trace());
-    Moments {
+    PlaneMoments {
         mass: body.mass,
         first: in_plane(body.center, [e0, e1]).map(|x| nonzero(x, reach) * body.mass),
         second: [e0.dot(&(second * e0)), e0.dot(&(second * e1)), e1.dot(&(second * e1))].map(|x| nonzero(x, about)),
@@ -151,28 +151,28 @@ fn set_plate<R: Real>(out: &mut LanePlate<R>, lane: usize, p: &Plate, plane: [V;
 }
 
 impl<R: Real> LaneBody<R> {
-    fn splat(b: &Body) -> Self {
+    fn splat(b: &LinkBody) -> Self {
         let plane = plane(b);
-        let Moments { mass, first, second } = moments(b, plane);
+        let PlaneMoments { mass, first, second } = moments(b, plane);
         Self {
             joint: Vec3::splat(b.joint.into()),
             axis: Vec3::splat(b.axis.into()),
             armature: R::splat(b.armature),
             plane: plane.map(|e| Vec3::splat(e.into())),
             length: R::splat(b.reach.norm()),
-            masses: Moments { mass: R::splat(mass), first: first.map(R::splat), second: second.map(R::splat) },
+            masses: PlaneMoments { mass: R::splat(mass), first: first.map(R::splat), second: second.map(R::splat) },
             plates: b.plates.iter().map(|p| plate(p, plane)).collect(),
             chord: b.chord.iter().map(|p| plate(p, plane)).collect(),
             bulge: R::splat(b.bulge),
         }
     }
 
-    fn set_lane(&mut self, lane: usize, b: &Body) {
+    fn set_lane(&mut self, lane: usize, b: &LinkBody) {
         self.joint.set_lane(lane, b.joint.into());
         self.axis.set_lane(lane, b.axis.into());
         self.armature.set_lane(lane, b.armature);
         let plane = plane(b);
-        let Moments { mass, first, second } = moments(b, plane);
+        let PlaneMoments { mass, first, second } = moments(b, plane);
         self.plane.iter_mut().zip(plane).for_each(|(out, e)| out.set_lane(lane, e.into()));
         self.length.set_lane(lane, b.reach.norm());
         self.masses.mass.set_lane(lane, mass);
@@ -262,7 +262,7 @@ mod tests {
                     assert!((back(p.center) - p.center).norm() < 1e-12, "{robot} {shape}");
                     assert!((back(p.normal) - p.normal).norm() < 1e-12, "{robot} {shape}");
                 }
-                let Moments { mass, first, second: [m00, m01, m11] } = moments(body, [e0, e1]);
+                let PlaneMoments { mass, first, second: [m00, m01, m11] } = moments(body, [e0, e1]);
                 let about = e0 * e0.transpose() * m00
                     + (e0 * e1.transpose() + e1 * e0.transpose()) * m01
                     + e1 * e1.transpose() * m11;

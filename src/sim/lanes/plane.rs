@@ -10,12 +10,12 @@ use crate::spatial::{PointMasses, Symmetric, Twist, Wrench};
 
 /// A vector that changes linearly over a plane: `at` + p₀ `by[0]` + p₁ `by[1]`.
 #[derive(Clone, Copy)]
-pub struct Field<R> {
+pub struct PlaneField<R> {
     pub at: Vec3<R>,
     pub by: [Vec3<R>; 2],
 }
 
-impl<R: Real> Field<R> {
+impl<R: Real> PlaneField<R> {
     #[inline(always)]
     pub fn value(&self, p: [R; 2]) -> Vec3<R> {
         self.by[0].scale_add(p[0], self.by[1].scale_add(p[1], self.at))
@@ -60,13 +60,13 @@ impl<R: Real> Field<R> {
 
 /// Σm, Σmp and Σmppᵀ (00, 01, 11) of masses m at points p of a plane.
 #[derive(Clone, Copy)]
-pub struct Moments<R> {
+pub struct PlaneMoments<R> {
     pub mass: R,
     pub first: [R; 2],
     pub second: [R; 3],
 }
 
-impl<R: Real> Moments<R> {
+impl<R: Real> PlaneMoments<R> {
     #[inline(always)]
     pub fn zero() -> Self {
         let zero = R::zero();
@@ -99,7 +99,7 @@ impl<R: Real> Moments<R> {
 
     /// The forces that accelerate the masses by `accelerations`.
     #[inline(always)]
-    pub fn forces(&self, accelerations: &Field<R>) -> PlaneForces<R> {
+    pub fn forces(&self, accelerations: &PlaneField<R>) -> PlaneForces<R> {
         let ([m0, m1], [m00, m01, m11]) = (self.first, self.second);
         let force = accelerations.sum(self.mass, self.first);
         PlaneForces { force, first: [accelerations.sum(m0, [m00, m01]), accelerations.sum(m1, [m01, m11])] }
@@ -107,7 +107,7 @@ impl<R: Real> Moments<R> {
 
     /// Σm, Σmx and Σmxxᵀ for the values x of `field`.
     #[inline(always)]
-    pub fn of(&self, field: &Field<R>) -> PointMasses<R> {
+    pub fn of(&self, field: &PlaneField<R>) -> PointMasses<R> {
         let [m00, m01, m11] = self.second;
         let [e0, e1] = field.by;
         let arm = field.change(self.first);
@@ -157,7 +157,7 @@ impl<R: Real> PlaneForces<R> {
 
     /// The forces' wrench about the origin of `places`.
     #[inline(always)]
-    pub fn wrench(&self, places: &Field<R>) -> Wrench<R> {
+    pub fn wrench(&self, places: &PlaneField<R>) -> Wrench<R> {
         let [e0, e1] = places.by;
         let moment = places.at.cross(self.force) + e0.cross(self.first[0]) + e1.cross(self.first[1]);
         Wrench { moment, force: self.force }
@@ -190,14 +190,14 @@ mod tests {
         };
         let mut vector = || Vec3::new(draw(), draw(), draw());
         let (e0, other) = (vector(), vector());
-        let places = Field { at: vector(), by: [e0, e0.cross(other)] };
+        let places = PlaneField { at: vector(), by: [e0, e0.cross(other)] };
         let normal = e0.cross(places.by[1]);
         let (velocity, acceleration) =
             (Twist { angular: vector(), linear: vector() }, Twist { angular: vector(), linear: vector() });
         let velocities = places.velocity(&velocity);
         let accelerations = places.velocity(&acceleration).plus(&velocities.cross(-velocity.angular));
 
-        let (mut forces, mut masses) = (PlaneForces::zero(), Moments::zero());
+        let (mut forces, mut masses) = (PlaneForces::zero(), PlaneMoments::zero());
         let (mut wrench, mut motion, mut along) =
             (Wrench::zero(), Wrench::zero(), Inertia::points(&PointMasses::zero()));
         let mut gathered = PointMasses::zero();

@@ -6,7 +6,7 @@
 use super::units::{PER_METRE, quat, scaled};
 use crate::Model;
 use crate::frame::V;
-use crate::model::Body;
+use crate::model::LinkBody;
 use crate::obstacle::{Obstacle, ObstacleShape};
 use crate::solid::Solid;
 use rapier3d::glamx::{Pose3, Quat};
@@ -88,8 +88,8 @@ fn base(model: &Model) -> SharedShape {
 }
 
 /// A link's strip as a chain of thin boxes.
-fn link(body: &Body) -> SharedShape {
-    let piece = |p: &crate::model::Piece| {
+fn link(body: &LinkBody) -> SharedShape {
+    let piece = |p: &crate::model::StripPiece| {
         let axes = [p.along, p.across, p.along.cross(&p.across)];
         let turn = nalgebra::Rotation3::from_matrix_unchecked(nalgebra::Matrix3::from_columns(&axes));
         let pose = Pose3::from_parts(scaled(p.center), quat(&nalgebra::UnitQuaternion::from_rotation_matrix(&turn)));

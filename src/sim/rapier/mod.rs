@@ -21,28 +21,28 @@ mod units;
 mod world;
 
 use super::command::Command;
-use super::frame::{Frame, V};
+use super::frame::{BodyFrame, V};
 use super::{Model, State};
 use crate::sand::SandBed;
-pub(super) use sand::{Place, load_link};
+pub(super) use sand::{PlacedBody, load_link};
 
 use contact::Shapes;
 use inertia::{Masses, mass_properties};
 use rapier3d::prelude::MassProperties;
 use rocks::Rock;
-use sand::Wrench;
+use sand::SandWrench;
 use std::f64::consts::TAU;
 use world::World;
 
 /// Robots; independent of each other.
 pub struct RapierEngine {
-    robots: Vec<Robot>,
+    robots: Vec<RapierRobot>,
 }
 
 impl RapierEngine {
     /// `count` robots with `model`, standing with all angles 0.
     pub fn new(model: &Model, count: usize) -> Self {
-        Self { robots: (0..count).map(|_| Robot::new(model)).collect() }
+        Self { robots: (0..count).map(|_| RapierRobot::new(model)).collect() }
     }
 
     /// See [`super::engine::Engine::set_model`].
@@ -79,7 +79,7 @@ impl RapierEngine {
     }
 }
 
-struct Robot {
+struct RapierRobot {
     model: Model,
     /// Model that replaces the present one at the next `set_state`.
     next_model: Option<Model>,
@@ -96,7 +96,7 @@ struct Robot {
     command: Command,
 }
 
-impl Robot {
+impl RapierRobot {
     fn new(model: &Model) -> Self {
         let joints = model.joints();
         let angles = vec![0.0; joints];
@@ -170,7 +170,7 @@ impl Robot {
         }
         self.world.place(&self.state);
         self.world.drive(&self.model, &self.state, &self.command);
-        let base = Frame::base(&self.state);
+        let base = BodyFrame::base(&self.state);
         self.load_base(&base);
         self.load_legs(&base);
         let wet = self.load_rocks();
@@ -201,22 +201,22 @@ impl Robot {
     }
 
     /// Applies weight and sand to the base.
-    fn load_base(&mut self, base: &Frame) {
+    fn load_base(&mut self, base: &BodyFrame) {
         let model = &self.model;
-        let at = Place { frame: base, base: &self.state.position, travel: self.state.travel() };
+        let at = PlacedBody { frame: base, base: &self.state.position, travel: self.state.travel() };
         let sand = sand::load_belly(&self.ground, &model.belly, &at, model.scene.dt);
         let mut wrench = sand.wrench;
         wrench.add_at(V::zeros(), model.gravity * model.base_mass);
         self.world.push_base(&wrench);
 
         let arm = base.rotation * sand.drag.center();
-        self.world.load(self.world.drag, sand.drag.properties(), arm, &Wrench::none());
+        self.world.load(self.world.drag, sand.drag.properties(), arm, &SandWrench::none());
 
         let up = base.rotation.transpose() * V::z();
         let (center, inertia) = (sand.edge.center(), sand.edge.inertia_along(up));
         let (arm, omega) = (base.rotation * center, base.angular_velocity);
         // rapier will subtract this body's velocity products: m a_z at its centre and ω × I ω.
-        let mut own = Wrench::none();
+        let mut own = SandWrench::none();
         own.add_at(arm, V::z() * (sand.edge.mass * base.acceleration_at(arm).z));
         own.moment += omega.cross(&(base.rotation * inertia * (base.rotation.transpose() * omega)));
         let properties = mass_properties(sand.edge.mass, center, &inertia);
@@ -224,14 +224,14 @@ impl Robot {
     }
 
     /// Applies weight and sand to each link.
-    fn load_legs(&mut self, base: &Frame) {
+    fn load_legs(&mut self, base: &BodyFrame) {
         let (model, state) = (&self.model, &self.state);
         let mut joint = 0;
         for chain in &model.legs {
             let mut frame = *base;
             for body in chain {
                 frame = frame.child(body, state.angles[joint], state.rates[joint]);
-                let at = Place { frame: &frame, base: &state.position, travel: state.travel() };
+                let at = PlacedBody { frame: &frame, base: &state.position, travel: state.travel() };
                 let sand = sand::load_link(&self.ground, body, state.rates[joint], &at, model.scene.dt);
                 let mut wrench = sand.wrench;
                 wrench.add_at(frame.origin + frame.rotation * body.center, model.gravity * body.mass);

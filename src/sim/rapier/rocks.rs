@@ -13,9 +13,9 @@ use super::inertia::Masses;
 use super::sand::lanes;
 use super::world::World;
 use crate::frame::{M, V};
-use crate::model::Body;
+use crate::model::LinkBody;
 use crate::sand::{SandBed, SegmentState};
-use crate::solid::{Pose, Solid};
+use crate::solid::{RigidPose, Solid};
 use crate::state::ObjectState;
 use crate::{Model, Obstacle, State};
 use nalgebra::{Matrix6, Vector6};
@@ -61,14 +61,14 @@ pub fn resting(model: &Model, rocks: &[Rock], ground: &SandBed<f64>, state: &Sta
 
 /// Radius of a ball around the base's centre that holds the robot [m].
 fn reach(model: &Model) -> f64 {
-    let leg = |chain: &Vec<Body>| chain.iter().map(|b| b.joint.norm() + b.reach.norm()).sum::<f64>();
+    let leg = |chain: &Vec<LinkBody>| chain.iter().map(|b| b.joint.norm() + b.reach.norm()).sum::<f64>();
     let base = V::from(model.robot.base.size).norm() / 2.0;
     model.legs.iter().map(leg).fold(base, f64::max)
 }
 
 /// A rock with the point masses that the sand adds to it, as rapier gets it.
 pub struct RockInSand {
-    pub pose: Pose,
+    pub pose: RigidPose,
     pub properties: MassProperties,
     /// From the rock's centre to that of rock and sand together, world axes [m].
     arm: V,
@@ -93,7 +93,7 @@ impl Rock {
         dt: f64,
         object: &mut ObjectState,
     ) -> RockInSand {
-        let pose = Pose::new(object.position, object.orientation);
+        let pose = RigidPose::new(object.position, object.orientation);
         let (velocity, omega) = (V::from(object.velocity), V::from(object.angular_velocity));
         let inertia = pose.rotation * self.inertia * pose.rotation.transpose();
         let mut force = gravity * self.mass;

@@ -6,19 +6,19 @@
 //! forces (centrifugal, Coriolis, gyroscopic); each wrench here contains their negative.
 
 use super::inertia::Masses;
-use crate::frame::{Frame, V};
-use crate::model::{Body, Plate};
+use crate::frame::{BodyFrame, V};
+use crate::model::{LinkBody, Plate};
 use crate::number::Vec3;
 use crate::sand::{Contact, SandBed, SegmentState};
 
 /// Force [N] and moment [N·m] about the base's centre, world axes.
 #[derive(Clone, Copy, Debug)]
-pub struct Wrench {
+pub struct SandWrench {
     pub force: V,
     pub moment: V,
 }
 
-impl Wrench {
+impl SandWrench {
     pub fn none() -> Self {
         Self { force: V::zeros(), moment: V::zeros() }
     }
@@ -37,8 +37,8 @@ impl Wrench {
 
 /// The sand's effect on one body.
 #[derive(Clone, Copy, Debug)]
-pub struct Load {
-    pub wrench: Wrench,
+pub struct SandLoad {
+    pub wrench: SandWrench,
     /// dt × drag, in the body's frame.
     pub drag: Masses,
     /// dt × slope of the leading-edge gate, projected on the vertical; in the body's frame.
@@ -46,26 +46,26 @@ pub struct Load {
 }
 
 /// Pose of a body: its frame about the base's centre, and that centre [m].
-pub struct Place<'a> {
-    pub frame: &'a Frame,
+pub struct PlacedBody<'a> {
+    pub frame: &'a BodyFrame,
     pub base: &'a [f64; 3],
     /// Velocity of the base along x and y [m/s].
     pub travel: [f64; 2],
 }
 
 /// The sand's effect on a base.
-pub fn load_belly(ground: &SandBed<f64>, plates: &[Plate], at: &Place, dt: f64) -> Load {
-    let mut load = Load::none();
+pub fn load_belly(ground: &SandBed<f64>, plates: &[Plate], at: &PlacedBody, dt: f64) -> SandLoad {
+    let mut load = SandLoad::none();
     load.add(plates, at, dt, |site, area, normal, velocity| ground.one_sided(site, area, normal, velocity));
     load
 }
 
 /// The sand's effect on a link that turns at `rate` [rad/s]: on its strip, or in part on the straight chord if sand fills its
 /// concave leading side.
-pub fn load_link(ground: &SandBed<f64>, body: &Body, rate: f64, at: &Place, dt: f64) -> Load {
+pub fn load_link(ground: &SandBed<f64>, body: &LinkBody, rate: f64, at: &PlacedBody, dt: f64) -> SandLoad {
     let concave_leads = body.bulge * rate < 0.0;
     let fill = ground.mechanisms.as_ref().filter(|_| concave_leads).map_or(0.0, |mechanisms| mechanisms.fill);
-    let mut load = Load::none();
+    let mut load = SandLoad::none();
     for (plates, share) in [(&body.plates, 1.0 - fill), (&body.chord, fill)] {
         if share > 0.0 {
             load.add(plates, at, dt, |site, area, n, v| ground.thin_plate(site, area * share, n, v));
@@ -74,9 +74,9 @@ pub fn load_link(ground: &SandBed<f64>, body: &Body, rate: f64, at: &Place, dt: 
     load
 }
 
-impl Load {
+impl SandLoad {
     fn none() -> Self {
-        Self { wrench: Wrench::none(), drag: Masses::none(), edge: Masses::none() }
+        Self { wrench: SandWrench::none(), drag: Masses::none(), edge: Masses::none() }
     }
 
     /// Adds the sand's effect on each plate. `contact` computes it from the segment's state, area [m²], unit normal and
@@ -84,11 +84,11 @@ impl Load {
     fn add(
         &mut self,
         plates: &[Plate],
-        at: &Place,
+        at: &PlacedBody,
         dt: f64,
         contact: impl Fn(&SegmentState<f64>, f64, Vec3<f64>, Vec3<f64>) -> Contact<f64>,
     ) {
-        let Place { frame, base, travel } = at;
+        let PlacedBody { frame, base, travel } = at;
         for plate in plates {
             let arm = frame.rotation * plate.center;
             let depth = -(base[2] + frame.origin.z + arm.z);

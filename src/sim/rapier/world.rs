@@ -2,13 +2,13 @@
 
 use super::contact::{self, Shapes};
 use super::inertia::mass_properties;
-use super::sand::Wrench;
+use super::sand::SandWrench;
 use super::units::{PER_METRE, PER_SQUARE_METRE, metres, plain, quat, scaled, scaled_twice, vec3};
 use crate::actuator::LaneActuator;
 use crate::frame::{M, V};
-use crate::model::{Body, Model, Motor};
-use crate::solid::Pose;
-use crate::stop::Push;
+use crate::model::{LinkBody, Model, Motor};
+use crate::solid::RigidPose;
+use crate::stop::StopTorque;
 use crate::{State, engine::Command};
 use rapier3d::glamx::{Pose3, Quat, Vec3};
 use rapier3d::prelude::*;
@@ -23,7 +23,7 @@ const LEAST_YIELDING: f64 = 1e-9;
 
 /// A rigid body of rapier that is part of the robot.
 #[derive(Clone, Copy)]
-pub struct Part(RigidBodyHandle);
+pub struct RobotPart(RigidBodyHandle);
 
 /// rapier's objects. They hold no state of ours: coordinates, velocities, masses and forces are written every step.
 ///
@@ -31,16 +31,16 @@ pub struct Part(RigidBodyHandle);
 /// walks. In a world with obstacles, the base was there when the world was built.
 pub struct World {
     physics: PhysicsWorld,
-    base: Part,
+    base: RobotPart,
     /// Massless bodies fixed to the base, for the sand's added masses. The base's own centre of mass must stay at
     /// its origin, because rapier takes a root's velocity for that of its centre of mass.
-    pub drag: Part,
+    pub drag: RobotPart,
     /// The same as `drag`, with mass along the vertical only.
-    pub edge: Part,
+    pub edge: RobotPart,
     /// Every link of every leg, in the order of the joints.
-    pub links: Vec<Part>,
+    pub links: Vec<RobotPart>,
     /// Obstacles that move, in the order of the state's objects.
-    rocks: Vec<Part>,
+    rocks: Vec<RobotPart>,
     /// The base's and the links' colliders; none without obstacles.
     colliders: Vec<ColliderHandle>,
     /// Position of rapier's origin in the world [m], in worlds with obstacles.
@@ -64,14 +64,14 @@ impl World {
 
         let mut part = |mass_properties, locked| {
             let body = RigidBodyBuilder::dynamic().can_sleep(false).locked_axes(locked);
-            Part(physics.insert_body(body.additional_mass_properties(mass_properties)))
+            RobotPart(physics.insert_body(body.additional_mass_properties(mass_properties)))
         };
         let inertia = M::from_diagonal(&model.base_inertia);
         let base = part(mass_properties(model.base_mass, V::zeros(), &inertia), LockedAxes::empty());
         let drag = part(MassProperties::default(), LockedAxes::empty());
         let horizontal = LockedAxes::TRANSLATION_LOCKED_X | LockedAxes::TRANSLATION_LOCKED_Y;
         let edge = part(MassProperties::default(), horizontal);
-        let dry = |b: &Body| mass_properties(b.mass, b.center, &b.inertia);
+        let dry = |b: &LinkBody| mass_properties(b.mass, b.center, &b.inertia);
         let links: Vec<_> = model.legs.iter().flatten().map(|b| part(dry(b), LockedAxes::empty())).collect();
 
         let mut handle = None;
@@ -110,17 +110,17 @@ impl World {
                 // rapier's gyroscopic forces are off, because we compute gyroscopic moments together with weight and
                 // sand.
                 let body = body.can_sleep(false).gyroscopic_forces_enabled(false);
-                let pose = relative(&Pose::new(object.position, object.orientation), origin);
-                self.rocks.push(Part(physics.insert(body.pose(pose), collider).0));
+                let pose = relative(&RigidPose::new(object.position, object.orientation), origin);
+                self.rocks.push(RobotPart(physics.insert(body.pose(pose), collider).0));
             } else {
-                let pose = Pose::new(obstacle.position, obstacle.orientation);
+                let pose = RigidPose::new(obstacle.position, obstacle.orientation);
                 physics.insert_collider(collider.position(relative(&pose, origin)), None);
             }
         }
     }
 
     /// Sets a rock's `pose`, mass properties, and velocities of its centre of mass.
-    pub fn place_rock(&mut self, rock: usize, pose: &Pose, masses: MassProperties, velocity: V, omega: V) {
+    pub fn place_rock(&mut self, rock: usize, pose: &RigidPose, masses: MassProperties, velocity: V, omega: V) {
         let body = &mut self.physics.bodies[self.rocks[rock].0];
         body.set_position(relative(pose, self.origin), false);
         body.set_additional_mass_properties(masses, false);
@@ -197,18 +197,18 @@ impl World {
     }
 
     /// Applies `wrench` to the base.
-    pub fn push_base(&mut self, wrench: &Wrench) {
+    pub fn push_base(&mut self, wrench: &SandWrench) {
         self.push(self.base, V::zeros(), wrench);
     }
 
     /// Gives `part` mass properties about `center` (`arm` from the base's centre in the world) and applies its
     /// wrench.
-    pub fn load(&mut self, part: Part, masses: MassProperties, arm: V, wrench: &Wrench) {
+    pub fn load(&mut self, part: RobotPart, masses: MassProperties, arm: V, wrench: &SandWrench) {
         self.physics.bodies[part.0].set_additional_mass_properties(masses, false);
         self.push(part, arm, wrench);
     }
 
-    fn push(&mut self, part: Part, arm: V, wrench: &Wrench) {
+    fn push(&mut self, part: RobotPart, arm: V, wrench: &SandWrench) {
         let body = &mut self.physics.bodies[part.0];
         body.reset_forces(false);
         body.reset_torques(false);
@@ -237,15 +237,15 @@ impl World {
     }
 }
 
-fn relative(pose: &Pose, origin: V) -> Pose3 {
+fn relative(pose: &RigidPose, origin: V) -> Pose3 {
     let rotation = nalgebra::Rotation3::from_matrix_unchecked(pose.rotation);
     let turn = nalgebra::UnitQuaternion::from_rotation_matrix(&rotation);
     Pose3::from_parts(scaled(pose.position - origin), quat(&turn))
 }
 
 /// The motor's torque after its lag, and how it yields to speed [N·m·s/rad].
-fn track(model: &Model, torque: f64, yielding: f64, before: f64) -> Push<f64> {
-    LaneActuator::<f64>::splat(&model.motor.actuator).track(Push { torque, yielding }, before, model.scene.dt)
+fn track(model: &Model, torque: f64, yielding: f64, before: f64) -> StopTorque<f64> {
+    LaneActuator::<f64>::splat(&model.motor.actuator).track(StopTorque { torque, yielding }, before, model.scene.dt)
 }
 
 /// Largest torque of a motor at this rate in the direction of `torque`: rapier has one limit for both directions.
@@ -260,7 +260,7 @@ fn yielding(motor: &Motor, dt: f64) -> f64 {
 }
 
 /// A revolute joint about the x axis of a frame that is turned so that x lies along the hinge.
-fn hinge(body: &Body, motor: &Motor, dt: f64) -> GenericJoint {
+fn hinge(body: &LinkBody, motor: &Motor, dt: f64) -> GenericJoint {
     let turn = nalgebra::UnitQuaternion::rotation_between(&V::x(), &body.axis);
     let turn = turn.unwrap_or_else(|| nalgebra::UnitQuaternion::from_axis_angle(&V::z_axis(), std::f64::consts::PI));
     let mut joint = GenericJoint::new(JointAxesMask::LOCKED_REVOLUTE_AXES);

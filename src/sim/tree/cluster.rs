@@ -6,12 +6,12 @@
 //! is flat. A new plate has its part's area, mean normal, extents and bends, and encloses the same volume.
 
 use crate::number::Vec3;
-use crate::sand::intruder::Plate;
+use crate::sand::intruder::IntruderPlate;
 use nalgebra::{Matrix2, SMatrix, SVector, SymmetricEigen, Vector2, Vector3};
 
 type V = Vector3<f64>;
 /// Normal, and place as a share of the body's size.
-type Look = SVector<f64, 6>;
+type NormalAndPlace = SVector<f64, 6>;
 
 /// Iterations that move parts to the means of their plates: our choice, later ones change little.
 const ROUNDS: usize = 8;
@@ -20,7 +20,7 @@ const ROUNDS: usize = 8;
 const FLAT: f64 = 0.1;
 
 /// About `count` plates, or fewer, in place of `plates`.
-pub fn few(plates: &[Plate], count: usize) -> Vec<Plate> {
+pub fn few(plates: &[IntruderPlate], count: usize) -> Vec<IntruderPlate> {
     if plates.len() <= count {
         return plates.to_vec();
     }
@@ -29,15 +29,15 @@ pub fn few(plates: &[Plate], count: usize) -> Vec<Plate> {
     parts(plates, count).iter().filter_map(|part| together(plates, part, middle)).collect()
 }
 
-fn center(p: &Plate) -> V {
+fn center(p: &IntruderPlate) -> V {
     p.center.lane(0).into()
 }
 
-fn normal(p: &Plate) -> V {
+fn normal(p: &IntruderPlate) -> V {
     p.normal.lane(0).into()
 }
 
-fn looks(plates: &[Plate]) -> Vec<Look> {
+fn looks(plates: &[IntruderPlate]) -> Vec<NormalAndPlace> {
     let ends = |k: usize| {
         let along = plates.iter().map(|p| center(p)[k]);
         along.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], x| [a.min(x), b.max(x)])
@@ -45,26 +45,27 @@ fn looks(plates: &[Plate]) -> Vec<Look> {
     let extent = V::from_fn(|k, _| ends(k)[1] - ends(k)[0]);
     // Half of the diagonal of the box around the body: at this distance a place differs as much as opposite normals do.
     let size = (0.5 * extent.norm()).max(1e-9);
-    let look = |p: &Plate| {
+    let look = |p: &IntruderPlate| {
         let (n, x) = (normal(p), center(p) / size);
-        Look::new(n.x, n.y, n.z, x.x, x.y, x.z)
+        NormalAndPlace::new(n.x, n.y, n.z, x.x, x.y, x.z)
     };
     plates.iter().map(look).collect()
 }
 
 /// Plates that may become one, with the mean of their looks and the axis along which they vary most.
-struct Part {
+struct PlateCluster {
     members: Vec<usize>,
-    mean: Look,
-    axis: Look,
+    mean: NormalAndPlace,
+    axis: NormalAndPlace,
     /// Sum of the squares along this axis, times area.
     spread: f64,
 }
 
-impl Part {
-    fn of(members: Vec<usize>, looks: &[Look], plates: &[Plate]) -> Self {
+impl PlateCluster {
+    fn of(members: Vec<usize>, looks: &[NormalAndPlace], plates: &[IntruderPlate]) -> Self {
         let area: f64 = members.iter().map(|i| plates[*i].area).sum();
-        let mean = members.iter().map(|i| looks[*i] * plates[*i].area).sum::<Look>() / area.max(f64::MIN_POSITIVE);
+        let mean =
+            members.iter().map(|i| looks[*i] * plates[*i].area).sum::<NormalAndPlace>() / area.max(f64::MIN_POSITIVE);
         let mut second = SMatrix::<f64, 6, 6>::zeros();
         for i in &members {
             let off = looks[*i] - mean;
@@ -77,26 +78,26 @@ impl Part {
 }
 
 /// Indices of the plates of each part.
-fn parts(plates: &[Plate], count: usize) -> Vec<Vec<usize>> {
+fn parts(plates: &[IntruderPlate], count: usize) -> Vec<Vec<usize>> {
     let looks = looks(plates);
-    let mut parts = vec![Part::of((0..plates.len()).collect(), &looks, plates)];
+    let mut parts = vec![PlateCluster::of((0..plates.len()).collect(), &looks, plates)];
     while parts.len() < count {
         let widest = (0..parts.len()).fold(0, |w, i| if parts[i].spread > parts[w].spread { i } else { w });
-        let Part { members, mean, axis, spread } = parts.swap_remove(widest);
+        let PlateCluster { members, mean, axis, spread } = parts.swap_remove(widest);
         let ahead = |i: &usize| (looks[*i] - mean).dot(&axis) > 0.0;
         let (front, back): (Vec<usize>, Vec<usize>) = members.into_iter().partition(ahead);
         let whole = front.is_empty() || back.is_empty();
         for half in [front, back].into_iter().filter(|half| !half.is_empty()) {
-            parts.push(Part::of(half, &looks, plates));
+            parts.push(PlateCluster::of(half, &looks, plates));
         }
         if whole || spread <= 0.0 {
             break;
         }
     }
-    let mut means: Vec<Look> = parts.iter().map(|p| p.mean).collect();
+    let mut means: Vec<NormalAndPlace> = parts.iter().map(|p| p.mean).collect();
     let mut nearest = vec![0; plates.len()];
     for _ in 0..ROUNDS {
-        let mut sums = vec![(Look::zeros(), 0.0); means.len()];
+        let mut sums = vec![(NormalAndPlace::zeros(), 0.0); means.len()];
         for (i, look) in looks.iter().enumerate() {
             let away = means.iter().map(|m| (m - look).norm_squared()).enumerate();
             nearest[i] = away.fold((0, f64::INFINITY), |best, one| if one.1 < best.1 { one } else { best }).0;
@@ -115,7 +116,7 @@ fn parts(plates: &[Plate], count: usize) -> Vec<Vec<usize>> {
 }
 
 /// The plate that a part makes; None if its normals cancel. `middle`: a point from which the volume is measured.
-fn together(plates: &[Plate], part: &[usize], middle: V) -> Option<Plate> {
+fn together(plates: &[IntruderPlate], part: &[usize], middle: V) -> Option<IntruderPlate> {
     let own = || part.iter().map(|i| &plates[*i]);
     let area: f64 = own().map(|p| p.area).sum();
     let n = own().map(|p| normal(p) * p.area).sum::<V>().try_normalize(1e-9 * area)?;
@@ -155,5 +156,5 @@ fn together(plates: &[Plate], part: &[usize], middle: V) -> Option<Plate> {
     let [(a, along_a), (b, along_b)] = [side(0), side(1)];
     let out = volume / area - (mean - middle).dot(&n);
     let [center, normal] = [mean + n * out, n].map(|v| Vec3::splat(v.into()));
-    Some(Plate { center, normal, area, half: [a, b], bend: [along_a, along_b] })
+    Some(IntruderPlate { center, normal, area, half: [a, b], bend: [along_a, along_b] })
 }

@@ -8,11 +8,11 @@
 use super::{JointKind, Tree};
 use crate::number::{Mat3, Real, Vec3};
 use crate::spatial::{Inertia, Symmetric, Twist, Wrench};
-use crate::stop::Push;
+use crate::stop::StopTorque;
 
 /// A [`super::TreeBody`], one lane for each environment.
 #[derive(Clone)]
-pub struct LaneBody<R> {
+pub struct LaneTreeBody<R> {
     pub parent: usize,
     pub kind: JointKind,
     /// The body's frame in the parent's when the joint is at 0.
@@ -27,7 +27,7 @@ pub struct LaneBody<R> {
 
 /// Position and motion of the robots, one in each lane.
 #[derive(Clone)]
-pub struct Motion<R> {
+pub struct LaneTreeMotion<R> {
     /// Orientation of the base: quaternion w and (x, y, z).
     pub orientation: (R, Vec3<R>),
     /// Velocity of the base, linear part at its origin.
@@ -47,7 +47,7 @@ pub struct JointMotion<R> {
 
 /// Position and motion of a body; lengths from the base's origin, world axes.
 #[derive(Clone, Copy)]
-pub struct Frame<R> {
+pub struct LinkFrame<R> {
     pub rotation: Mat3<R>,
     pub origin: Vec3<R>,
     pub velocity: Twist<R>,
@@ -61,29 +61,29 @@ pub struct Frame<R> {
 
 /// The wrench that moves a body: `inertia` times its acceleration, plus `bias`.
 #[derive(Clone, Copy)]
-pub struct Load<R> {
+pub struct LinkLoad<R> {
     pub inertia: Inertia<R>,
     pub bias: Wrench<R>,
 }
 
 /// Results of the inward pass for one joint, which the outward pass needs.
 #[derive(Clone, Copy)]
-pub struct Hinge<R> {
+pub struct TreeHinge<R> {
     /// Articulated inertia times the axis.
     inertia_axis: Wrench<R>,
     inverse: R,
     drive: R,
-    pub push: Push<R>,
+    pub push: StopTorque<R>,
 }
 
 /// The torques that drive and hold the joints.
 pub trait Drive<R> {
     /// The push on joint `joint`, if `own` is the inertia behind it and `load` the torque at which it does not
     /// accelerate, both with the parent held still.
-    fn push(&self, joint: usize, own: R, load: R) -> Push<R>;
+    fn push(&self, joint: usize, own: R, load: R) -> StopTorque<R>;
 }
 
-impl<R: Real> LaneBody<R> {
+impl<R: Real> LaneTreeBody<R> {
     /// All bodies of `tree`, the same in every lane.
     pub fn all(tree: &Tree) -> Vec<Self> {
         let bodies = tree.bodies.iter().map(|b| {
@@ -134,7 +134,7 @@ fn exact(x: f64) -> f64 {
     if x.abs() < 1e-14 { 0.0 } else { x }
 }
 
-impl<R: Real> Frame<R> {
+impl<R: Real> LinkFrame<R> {
     pub fn at_rest() -> Self {
         let still = Twist { angular: Vec3::zero(), linear: Vec3::zero() };
         let (rotation, origin) = (Mat3::identity(), Vec3::zero());
@@ -148,16 +148,16 @@ impl<R: Real> Frame<R> {
     }
 
     #[inline(always)]
-    fn base(motion: &Motion<R>) -> Self {
+    fn base(motion: &LaneTreeMotion<R>) -> Self {
         let (velocity, change) = (motion.velocity, motion.change);
         // If the origin's classical acceleration is zero, the spatial one is −ω × v.
         let bias = Twist { angular: Vec3::zero(), linear: velocity.linear.cross(velocity.angular) };
         let (rotation, origin) = (turned_by(motion.orientation), Vec3::zero());
-        Self { rotation, origin, velocity, bias, change, axis: Frame::at_rest().axis }
+        Self { rotation, origin, velocity, bias, change, axis: LinkFrame::at_rest().axis }
     }
 
     #[inline(always)]
-    fn child(&self, body: &LaneBody<R>, joint: &JointMotion<R>) -> Self {
+    fn child(&self, body: &LaneTreeBody<R>, joint: &JointMotion<R>) -> Self {
         let rotation = self.rotation.compose(&body.turn);
         let (axis, mut origin) = (rotation.apply(body.axis), self.point(body.offset));
         let (rotation, axis) = match body.kind {
@@ -203,8 +203,8 @@ fn turned<R: Real>(u: Vec3<R>, axis: Vec3<R>, sin: R, cos: R) -> Vec3<R> {
 
 /// Computes positions and velocities of all bodies.
 #[inline(always)]
-pub fn place<R: Real>(bodies: &[LaneBody<R>], motion: &Motion<R>, frames: &mut [Frame<R>]) {
-    frames[0] = Frame::base(motion);
+pub fn place<R: Real>(bodies: &[LaneTreeBody<R>], motion: &LaneTreeMotion<R>, frames: &mut [LinkFrame<R>]) {
+    frames[0] = LinkFrame::base(motion);
     for i in 1..bodies.len() {
         frames[i] = frames[bodies[i].parent].child(&bodies[i], &motion.joints[i - 1]);
     }
@@ -212,14 +212,14 @@ pub fn place<R: Real>(bodies: &[LaneBody<R>], motion: &Motion<R>, frames: &mut [
 
 /// Computes the wrench that each body's own motion needs under `gravity`.
 #[inline(always)]
-pub fn load<R: Real>(bodies: &[LaneBody<R>], frames: &[Frame<R>], gravity: Vec3<R>, loads: &mut [Load<R>]) {
+pub fn load<R: Real>(bodies: &[LaneTreeBody<R>], frames: &[LinkFrame<R>], gravity: Vec3<R>, loads: &mut [LinkLoad<R>]) {
     for ((body, frame), load) in bodies.iter().zip(frames).zip(loads) {
         let inertia = body.inertia.rotated(&frame.rotation);
         let (c, spin) = (frame.point(body.center), frame.velocity.angular);
         let acceleration = frame.bias.at(c) + spin.cross(frame.velocity.at(c)) - gravity;
         let force = acceleration * body.mass;
         let moment = inertia.apply(frame.bias.angular) + spin.cross(inertia.apply(spin)) + c.cross(force);
-        *load = Load { inertia: Inertia::at(body.mass, c, inertia), bias: Wrench { moment, force } };
+        *load = LinkLoad { inertia: Inertia::at(body.mass, c, inertia), bias: Wrench { moment, force } };
     }
 }
 
@@ -227,15 +227,15 @@ pub fn load<R: Real>(bodies: &[LaneBody<R>], frames: &[Frame<R>], gravity: Vec3<
 /// the base.
 #[inline(always)]
 pub fn fold<R: Real>(
-    bodies: &[LaneBody<R>],
-    frames: &[Frame<R>],
+    bodies: &[LaneTreeBody<R>],
+    frames: &[LinkFrame<R>],
     drive: &impl Drive<R>,
-    loads: &mut [Load<R>],
-    hinges: &mut [Hinge<R>],
+    loads: &mut [LinkLoad<R>],
+    hinges: &mut [TreeHinge<R>],
 ) -> Twist<R> {
     for i in (1..bodies.len()).rev() {
         let (before, rest) = loads.split_at_mut(i);
-        let (parent, Load { inertia, bias }) = (&mut before[bodies[i].parent], &mut rest[0]);
+        let (parent, LinkLoad { inertia, bias }) = (&mut before[bodies[i].parent], &mut rest[0]);
         let axis = &frames[i].axis;
         let inertia_axis = inertia.apply(axis);
         let own = inertia_axis.dot(axis) + bodies[i].armature;
@@ -243,7 +243,7 @@ pub fn fold<R: Real>(
         let push = drive.push(i - 1, own, needed);
         let inverse = R::one() / (own + push.yielding);
         let drive = push.torque - needed;
-        hinges[i - 1] = Hinge { inertia_axis, inverse, drive, push };
+        hinges[i - 1] = TreeHinge { inertia_axis, inverse, drive, push };
         parent.inertia.add(inertia);
         parent.inertia.add_outer(-inverse, &inertia_axis);
         parent.bias.add(&inertia_axis.scale_add(drive * inverse, bias));
@@ -255,9 +255,9 @@ pub fn fold<R: Real>(
 /// Outward pass: computes accelerations of the joints, and those of all bodies beyond the ones due to velocities alone.
 #[inline(always)]
 pub fn unfold<R: Real>(
-    bodies: &[LaneBody<R>],
-    frames: &[Frame<R>],
-    hinges: &[Hinge<R>],
+    bodies: &[LaneTreeBody<R>],
+    frames: &[LinkFrame<R>],
+    hinges: &[TreeHinge<R>],
     base: &Twist<R>,
     accelerations: &mut [Twist<R>],
     joints: &mut [R],
@@ -270,15 +270,15 @@ pub fn unfold<R: Real>(
     }
 }
 
-impl<R: Real> Load<R> {
+impl<R: Real> LinkLoad<R> {
     pub fn none() -> Self {
         Self { inertia: Inertia::at(R::zero(), Vec3::zero(), Symmetric::zero()), bias: Wrench::zero() }
     }
 }
 
-impl<R: Real> Hinge<R> {
+impl<R: Real> TreeHinge<R> {
     pub fn free() -> Self {
         let zero = R::zero();
-        Self { inertia_axis: Wrench::zero(), inverse: zero, drive: zero, push: Push::none() }
+        Self { inertia_axis: Wrench::zero(), inverse: zero, drive: zero, push: StopTorque::none() }
     }
 }

@@ -1,12 +1,12 @@
 //! The engine for tree robots: blocks of environments in lanes of an instruction set, as in [`crate::lanes`].
 
-use super::dynamics::{self, JointMotion, LaneBody, Motion};
+use super::dynamics::{self, JointMotion, LaneTreeBody, LaneTreeMotion};
 use super::floor::{BodyContacts, Floor};
 use super::model::TreeModel;
 use super::relief::LaneRelief;
 use super::sand::{self, Feeler};
 use super::servo::{LaneMotor, LaneServo};
-use super::step::{LaneState, LaneTree, Scratch, step};
+use super::step::{LaneTree, LaneTreeState, TreeScratch, step};
 use crate::engine::Command;
 use crate::error::{Error, Result};
 use crate::number::{Isa, Kernel, Real, Vec3, Work};
@@ -20,22 +20,24 @@ use std::sync::Arc;
 
 /// Robots in blocks of as many as the instruction set has lanes; all have the same tree, plates and points of contact.
 pub struct TreeEngine {
-    blocks: Vec<Box<dyn Block>>,
+    blocks: Vec<Box<dyn TreeBlock>>,
     lanes: usize,
 }
 
 /// Makes blocks for the number type of an instruction set.
-struct Blocks<'a> {
+struct TreeBlocks<'a> {
     model: &'a Model,
     tree: &'a Arc<TreeModel>,
     count: usize,
 }
 
-impl Work for Blocks<'_> {
-    type Out = Vec<Box<dyn Block>>;
+impl Work for TreeBlocks<'_> {
+    type Out = Vec<Box<dyn TreeBlock>>;
 
     fn run<R: Real>(self) -> Self::Out {
-        (0..self.count).map(|_| -> Box<dyn Block> { Box::new(Lanes::<R>::new(self.model, self.tree)) }).collect()
+        (0..self.count)
+            .map(|_| -> Box<dyn TreeBlock> { Box::new(TreeLanes::<R>::new(self.model, self.tree)) })
+            .collect()
     }
 }
 
@@ -49,7 +51,7 @@ impl TreeEngine {
         let Some(tree) = &model.tree else {
             return Err(Error::invalid("engine", "tree takes robots from URDF or MJCF files; this one is for lanes"));
         };
-        let blocks = isa.with(Blocks { model, tree, count: count.div_ceil(isa.lanes()) })?;
+        let blocks = isa.with(TreeBlocks { model, tree, count: count.div_ceil(isa.lanes()) })?;
         let lanes = isa.lanes();
         let mut engine = Self { blocks, lanes };
         (0..count).for_each(|index| engine.set_model(index, model));
@@ -88,7 +90,7 @@ impl TreeEngine {
 }
 
 /// One block of robots, in any number type.
-trait Block: Send {
+trait TreeBlock: Send {
     fn set_model(&mut self, lane: usize, model: &Model);
     fn set_state(&mut self, lane: usize, state: &State);
     fn state(&self, lane: usize, out: &mut State);
@@ -97,10 +99,10 @@ trait Block: Send {
     fn advance(&mut self, steps: usize);
 }
 
-struct Lanes<R: Real> {
+struct TreeLanes<R: Real> {
     tree: LaneTree<R>,
-    state: LaneState<R>,
-    scratch: Scratch<R>,
+    state: LaneTreeState<R>,
+    scratch: TreeScratch<R>,
     /// The sand's memory, and the pieces that move it.
     memory: Option<(LaneMemory<R>, Vec<Feeler>)>,
     /// Joints that turn freely: whole turns are taken out of their angles.
@@ -112,19 +114,19 @@ struct Lanes<R: Real> {
     works: Vec<f64>,
 }
 
-impl<R: Real> Lanes<R> {
+impl<R: Real> TreeLanes<R> {
     fn new(model: &Model, tree: &Arc<TreeModel>) -> Self {
         let zero = R::zero();
         let still = Twist { angular: Vec3::zero(), linear: Vec3::zero() };
         let joints = tree.joints();
-        // Lanes without an environment hover motionless above the ground.
-        let motion = Motion {
+        // TreeLanes without an environment hover motionless above the ground.
+        let motion = LaneTreeMotion {
             orientation: (R::one(), Vec3::zero()),
             velocity: still,
             change: still,
             joints: vec![JointMotion { position: zero, rate: zero, change: zero }; joints],
         };
-        let state = LaneState {
+        let state = LaneTreeState {
             position: Vec3::splat([0.0, 0.0, 1e3]),
             travelled: [zero; 2],
             motion,
@@ -132,7 +134,7 @@ impl<R: Real> Lanes<R> {
             work: zero,
         };
         let endless = tree.tree.joints().map(|j| j.range.is_none() && j.kind == super::JointKind::Hinge).collect();
-        let mut bodies = LaneBody::all(&tree.tree);
+        let mut bodies = LaneTreeBody::all(&tree.tree);
         bodies[0].mass = R::splat(tree.base_mass);
         let lanes = LaneTree {
             bodies,
@@ -146,7 +148,7 @@ impl<R: Real> Lanes<R> {
             gravity: Vec3::zero(),
             dt: R::splat(model.scene.dt),
         };
-        let scratch = Scratch::new(joints + 1);
+        let scratch = TreeScratch::new(joints + 1);
         let (origins, works) = (vec![[0.0; 2]; R::LANES], vec![0.0; R::LANES]);
         let memory = LaneMemory::new(model, tree.tree.bodies.len())
             .map(|memory| (memory, Feeler::all(&tree.plates, model.scene.memory.map_or(1.0, |m| m.cell))));
@@ -176,26 +178,26 @@ impl<R: Real> Lanes<R> {
 }
 
 /// Model and state of one robot, and the surfaces that its bodies have found in sand with memory.
-type Alone = (LaneTree<f64>, LaneState<f64>, Option<Surfaces<f64>>);
+type Alone = (LaneTree<f64>, LaneTreeState<f64>, Option<Surfaces<f64>>);
 
 /// One robot in `f64`, ready for a time step from `state`; None if the model's robot is no tree.
 pub fn alone(model: &Model, state: &State) -> Option<Alone> {
-    let mut block = Lanes::<f64>::new(model, model.tree.as_ref()?);
+    let mut block = TreeLanes::<f64>::new(model, model.tree.as_ref()?);
     block.set_model(0, model);
     block.set_state(0, state);
     Some((block.tree, block.state, block.memory.map(|(memory, _)| memory.surfaces)))
 }
 
 /// The hot loop, to be compiled for the block's instruction set.
-struct Advance<'a, R: Real> {
-    block: &'a mut Lanes<R>,
+struct AdvanceTrees<'a, R: Real> {
+    block: &'a mut TreeLanes<R>,
     steps: usize,
 }
 
-impl<R: Real> Kernel for Advance<'_, R> {
+impl<R: Real> Kernel for AdvanceTrees<'_, R> {
     #[inline(always)]
     fn run(self) {
-        let Lanes { tree, state, scratch, memory, origins, .. } = &mut *self.block;
+        let TreeLanes { tree, state, scratch, memory, origins, .. } = &mut *self.block;
         for _ in 0..self.steps {
             step(tree, state, scratch, memory.as_ref().map(|(memory, _)| &memory.surfaces));
             if let Some((memory, feelers)) = memory
@@ -211,7 +213,7 @@ impl<R: Real> Kernel for Advance<'_, R> {
     }
 }
 
-impl<R: Real> Lanes<R> {
+impl<R: Real> TreeLanes<R> {
     /// Gives one lane other ground. A kind of ground that no lane had before costs the other lanes time, but adds exactly
     /// zero to their forces.
     fn set_ground(&mut self, lane: usize, model: &Model, tree: &Arc<TreeModel>) {
@@ -231,10 +233,10 @@ impl<R: Real> Lanes<R> {
     }
 }
 
-impl<R: Real> Block for Lanes<R> {
+impl<R: Real> TreeBlock for TreeLanes<R> {
     fn set_model(&mut self, lane: usize, model: &Model) {
         let Some(tree) = &model.tree else { return };
-        LaneBody::set_lane(&mut self.tree.bodies, lane, &tree.tree);
+        LaneTreeBody::set_lane(&mut self.tree.bodies, lane, &tree.tree);
         self.tree.bodies[0].mass.set_lane(lane, tree.base_mass);
         LaneMotor::set_lane(&mut self.tree.motors, lane, tree);
         self.set_ground(lane, model, tree);
@@ -312,6 +314,6 @@ impl<R: Real> Block for Lanes<R> {
     }
 
     fn advance(&mut self, steps: usize) {
-        R::dispatch(Advance { block: self, steps });
+        R::dispatch(AdvanceTrees { block: self, steps });
     }
 }

@@ -1,40 +1,42 @@
 //! For checks, in `f64`: accelerations of a tree in free flight, and the sand's forces on it in a given motion.
 
-use super::dynamics::{Drive, Frame, Hinge, JointMotion, LaneBody, Load, Motion, fold, load, place, unfold};
+use super::dynamics::{
+    Drive, JointMotion, LaneTreeBody, LaneTreeMotion, LinkFrame, LinkLoad, TreeHinge, fold, load, place, unfold,
+};
 use super::relief::LaneRelief;
 use super::{Tree, sand};
 use crate::Model;
 use crate::number::{Real, Vec3};
 use crate::spatial::Twist;
-use crate::stop::Push;
+use crate::stop::StopTorque;
 
 /// Gravity in [`accelerations`] [m/s²], as in the reference programs.
 pub const GRAVITY: f64 = 9.81;
 
 /// Applies given torques; joints have no resistance.
-struct Given<'a, R>(&'a [R]);
+struct FixedTorques<'a, R>(&'a [R]);
 
-impl<R: Real> Drive<R> for Given<'_, R> {
+impl<R: Real> Drive<R> for FixedTorques<'_, R> {
     #[inline(always)]
-    fn push(&self, joint: usize, _own: R, _load: R) -> Push<R> {
-        Push { torque: self.0[joint], yielding: R::zero() }
+    fn push(&self, joint: usize, _own: R, _load: R) -> StopTorque<R> {
+        StopTorque { torque: self.0[joint], yielding: R::zero() }
     }
 }
 
-/// Accelerations of a tree in free flight.
+/// TreeAccelerations of a tree in free flight.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Accelerations {
+pub struct TreeAccelerations {
     /// Classical acceleration of the base link's origin [m/s²], world axes.
     pub a: [f64; 3],
     /// Angular acceleration of the base [rad/s²], world axes.
     pub alpha: [f64; 3],
-    /// Accelerations of the joints, in the order of [`Tree::joints`] [rad/s² or m/s²].
+    /// TreeAccelerations of the joints, in the order of [`Tree::joints`] [rad/s² or m/s²].
     pub qdd: Vec<f64>,
 }
 
 /// Position and motion of a tree at one moment.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Pose {
+pub struct TreePose {
     /// Unit quaternion w, x, y, z of the base.
     pub quat: [f64; 4],
     /// Velocity of the base link's origin [m/s] and angular velocity of the base [rad/s], world axes.
@@ -46,12 +48,12 @@ pub struct Pose {
     pub tau: Vec<f64>,
 }
 
-impl Pose {
-    fn motion<R: Real>(&self) -> Motion<R> {
+impl TreePose {
+    fn motion<R: Real>(&self) -> LaneTreeMotion<R> {
         let [w, x, y, z] = self.quat;
         let joint =
             |(q, qd): (&f64, &f64)| JointMotion { position: R::splat(*q), rate: R::splat(*qd), change: R::zero() };
-        Motion {
+        LaneTreeMotion {
             orientation: (R::splat(w), Vec3::splat([x, y, z])),
             velocity: Twist { angular: Vec3::splat(self.w), linear: Vec3::splat(self.v) },
             change: Twist { angular: Vec3::zero(), linear: Vec3::zero() },
@@ -61,43 +63,43 @@ impl Pose {
 }
 
 /// Force of the sand [N] on each body, and its moment about the body's frame [N·m], world axes, with the base at `position`.
-pub fn sand_loads(model: &Model, position: [f64; 3], pose: &Pose) -> Vec<[[f64; 3]; 2]> {
+pub fn sand_loads(model: &Model, position: [f64; 3], pose: &TreePose) -> Vec<[[f64; 3]; 2]> {
     let Some(tree) = &model.tree else { return Vec::new() };
-    let bodies = LaneBody::<f64>::all(&tree.tree);
+    let bodies = LaneTreeBody::<f64>::all(&tree.tree);
     let count = bodies.len();
-    let (mut frames, mut loads) = (vec![Frame::at_rest(); count], vec![Load::none(); count]);
+    let (mut frames, mut loads) = (vec![LinkFrame::at_rest(); count], vec![LinkLoad::none(); count]);
     place(&bodies, &pose.motion(), &mut frames);
     let ground = model.scene.ground();
     let relief = model.scene.relief.as_ref().map(|r| LaneRelief(vec![r.clone()]));
     sand::press(&ground, &tree.patches, &frames, &Vec3::splat(position), &relief, None, &mut loads, model.scene.dt);
-    let of_body = |(frame, load): (&Frame<f64>, &Load<f64>)| {
+    let of_body = |(frame, load): (&LinkFrame<f64>, &LinkLoad<f64>)| {
         let (force, moment) = (-load.bias.force, -load.bias.moment);
         [force, moment - frame.origin.cross(force)].map(|v| v.lane(0))
     };
     frames.iter().zip(&loads).map(of_body).collect()
 }
 
-/// Accelerations in free flight under gravity (0, 0, −9.81); armature, damping, friction and limits are left out.
+/// TreeAccelerations in free flight under gravity (0, 0, −9.81); armature, damping, friction and limits are left out.
 /// `pose` has as many joints as the tree.
-pub fn accelerations(tree: &Tree, pose: &Pose) -> Accelerations {
+pub fn accelerations(tree: &Tree, pose: &TreePose) -> TreeAccelerations {
     accelerations_by::<f64>(tree, pose)
 }
 
 /// The same as [`accelerations`], computed with numbers of type `R`; the result is that of lane 0.
-pub fn accelerations_by<R: Real>(tree: &Tree, pose: &Pose) -> Accelerations {
-    let mut bodies = LaneBody::<R>::all(tree);
+pub fn accelerations_by<R: Real>(tree: &Tree, pose: &TreePose) -> TreeAccelerations {
+    let mut bodies = LaneTreeBody::<R>::all(tree);
     bodies.iter_mut().for_each(|b| b.armature = R::zero());
     let (motion, still) = (pose.motion(), Twist { angular: Vec3::zero(), linear: Vec3::zero() });
     let torques: Vec<R> = pose.tau.iter().map(|t| R::splat(*t)).collect();
     let count = bodies.len();
-    let (mut frames, mut loads) = (vec![Frame::at_rest(); count], vec![Load::none(); count]);
-    let (mut hinges, mut moved) = (vec![Hinge::free(); count - 1], vec![still; count]);
+    let (mut frames, mut loads) = (vec![LinkFrame::at_rest(); count], vec![LinkLoad::none(); count]);
+    let (mut hinges, mut moved) = (vec![TreeHinge::free(); count - 1], vec![still; count]);
     let mut joints = vec![R::zero(); count - 1];
     place(&bodies, &motion, &mut frames);
     load(&bodies, &frames, Vec3::splat([0.0, 0.0, -GRAVITY]), &mut loads);
-    let base = fold(&bodies, &frames, &Given(&torques), &mut loads, &mut hinges);
+    let base = fold(&bodies, &frames, &FixedTorques(&torques), &mut loads, &mut hinges);
     unfold(&bodies, &frames, &hinges, &base, &mut moved, &mut joints);
-    Accelerations {
+    TreeAccelerations {
         a: base.linear.lane(0),
         alpha: base.angular.lane(0),
         qdd: joints.iter().map(|q| q.lane(0)).collect(),

@@ -7,7 +7,7 @@
 //! (λ < 0) are left out, and points that got faster although more than μ λ held them slide with a friction of μ λ.
 
 use super::contact::ContactPoint;
-use super::dynamics::{Frame, Load};
+use super::dynamics::{LinkFrame, LinkLoad};
 use super::hard::HardGround;
 use super::model::TreeModel;
 use super::terrain::Surface;
@@ -20,7 +20,7 @@ const BENT: f64 = 2.5;
 
 /// One piece of [`HardGround`] for each lane.
 #[derive(Clone, Copy)]
-struct Piece<R> {
+struct LaneSlab<R> {
     center: [R; 2],
     half: [R; 2],
     every: [R; 2],
@@ -32,7 +32,7 @@ struct Piece<R> {
 /// Hard ground under each lane.
 #[derive(Clone)]
 pub struct Floor<R> {
-    pieces: Vec<Piece<R>>,
+    pieces: Vec<LaneSlab<R>>,
     /// [N/m]
     stiffness: R,
     /// [N·s/m]
@@ -86,14 +86,14 @@ impl<R: Real> Floor<R> {
     pub fn new(model: &TreeModel, hard: &[HardGround]) -> Self {
         let zero = R::zero();
         let mut floor =
-            Self { pieces: vec![Piece::nowhere(); hard.len()], stiffness: zero, damping: zero, creep: zero };
+            Self { pieces: vec![LaneSlab::nowhere(); hard.len()], stiffness: zero, damping: zero, creep: zero };
         (0..R::LANES).for_each(|lane| floor.set_lane(lane, model, hard));
         floor
     }
 
     /// Gives one lane other ground. If it has fewer pieces than other lanes, its remaining pieces are put out of reach.
     pub fn set_lane(&mut self, lane: usize, model: &TreeModel, hard: &[HardGround]) {
-        self.pieces.resize(self.pieces.len().max(hard.len()), Piece::nowhere());
+        self.pieces.resize(self.pieces.len().max(hard.len()), LaneSlab::nowhere());
         for (k, piece) in self.pieces.iter_mut().enumerate() {
             piece.set_lane(lane, hard.get(k).unwrap_or(&NOWHERE));
         }
@@ -107,7 +107,7 @@ impl<R: Real> Floor<R> {
     pub fn find(
         &self,
         bodies: &[BodyContacts],
-        frames: &[Frame<R>],
+        frames: &[LinkFrame<R>],
         place: &Vec3<R>,
         local: &impl Surface<R>,
         touches: &mut Vec<Touch<R>>,
@@ -124,7 +124,7 @@ impl<R: Real> Floor<R> {
             // more than its slope at this point gives.
             let reach = if local.is_flat() { 1.0 } else { BENT } * contacts.reach;
             let depth = under.depth(*place + center) + R::splat(reach);
-            let near = |p: &Piece<R>| R::any(p.depth.lt(depth));
+            let near = |p: &LaneSlab<R>| R::any(p.depth.lt(depth));
             if !self.pieces.iter().any(near) {
                 continue;
             }
@@ -139,7 +139,7 @@ impl<R: Real> Floor<R> {
         &self,
         point: &ContactPoint,
         body: usize,
-        frame: &Frame<R>,
+        frame: &LinkFrame<R>,
         place: &Vec3<R>,
         local: &impl Surface<R>,
         touches: &mut Vec<Touch<R>>,
@@ -186,14 +186,14 @@ impl<R: Real> Floor<R> {
 
     /// Adds the forces of all touching points to the bodies' loads.
     #[inline(always)]
-    pub fn press(&self, touches: &[Touch<R>], loads: &mut [Load<R>], dt: R) {
+    pub fn press(&self, touches: &[Touch<R>], loads: &mut [LinkLoad<R>], dt: R) {
         for touch in touches {
             self.press_one(touch, &mut loads[touch.body], dt);
         }
     }
 
     #[inline(always)]
-    fn press_one(&self, t: &Touch<R>, load: &mut Load<R>, dt: R) {
+    fn press_one(&self, t: &Touch<R>, load: &mut LinkLoad<R>, dt: R) {
         let yielding = self.yielding(dt);
         let normal_speed = t.normal.dot(t.velocity);
         let along = t.normal.scale_add(-normal_speed, t.velocity);
@@ -244,7 +244,7 @@ fn across<R: Real>(n: Vec3<R>) -> (Vec3<R>, Vec3<R>) {
 const NOWHERE: HardGround =
     HardGround { center: [0.0; 2], size: [HardGround::ENDLESS; 2], every: [0.0; 2], depth: 1e6, grip: 0.0 };
 
-impl<R: Real> Piece<R> {
+impl<R: Real> LaneSlab<R> {
     fn nowhere() -> Self {
         let zero = [R::zero(); 2];
         let none = R::zero();

@@ -1,8 +1,8 @@
 //! Forces of sand and hard ground on a robot at one moment, for pictures and recordings. A step does not need this.
 
-use super::dynamics::Load;
+use super::dynamics::LinkLoad;
 use super::patches::BodyPatches;
-use super::step::{Scratch, accelerate};
+use super::step::{TreeScratch, accelerate};
 use super::{engine, sand};
 use crate::number::Vec3;
 use crate::spatial::Twist;
@@ -13,7 +13,7 @@ type V = Vector3<f64>;
 
 /// A force on a body: the sand's on a patch of plates, or that of hard ground on a point of contact.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Push {
+pub struct PointForce {
     pub body: usize,
     /// Place in the world [m]: the point, or the centre of the patch.
     pub at: V,
@@ -33,30 +33,30 @@ pub fn touching(model: &Model) -> Vec<usize> {
 
 /// The forces in the time step that begins at `state`, if the servos keep their references. They are computed in
 /// `f64` by the engine's functions, with the accelerations of that step, so their sum is what changes the momentum.
-pub fn pushes(model: &Model, state: &State) -> Vec<Push> {
+pub fn pushes(model: &Model, state: &State) -> Vec<PointForce> {
     let Some((tree, state, found)) = engine::alone(model, state) else { return Vec::new() };
-    let mut s = Scratch::new(tree.bodies.len());
+    let mut s = TreeScratch::new(tree.bodies.len());
     accelerate(&tree, &state, &mut s, found.as_ref());
     let place = state.place();
     let world = |from_base: Vec3<f64>| V::from((place + from_base).lane(0));
-    let mut loads = vec![Load::none(); tree.bodies.len()];
+    let mut loads = vec![LinkLoad::none(); tree.bodies.len()];
     let mut all = Vec::new();
     for body in tree.patches.iter() {
         for patch in &body.patches {
             // Everything but the patch is the body's, so the force is the patch's share of the body's.
             let alone = [BodyPatches { patches: vec![patch.clone()], ..*body }];
-            loads[body.body] = Load::none();
+            loads[body.body] = LinkLoad::none();
             sand::press(&tree.ground, &alone, &s.frames, &place, &tree.relief, found.as_ref(), &mut loads, tree.dt);
             let force = force(&loads[body.body], &s.accelerations[body.body]);
             let at = world(s.frames[body.body].point(Vec3::splat(patch.ball.center)));
-            all.push(Push { body: body.body, at, force });
+            all.push(PointForce { body: body.body, at, force });
         }
     }
     for touch in &s.touches {
-        loads[touch.body] = Load::none();
+        loads[touch.body] = LinkLoad::none();
         tree.floor.press(std::slice::from_ref(touch), &mut loads, tree.dt);
         let force = force(&loads[touch.body], &s.accelerations[touch.body]);
-        all.push(Push { body: touch.body, at: world(touch.at), force });
+        all.push(PointForce { body: touch.body, at: world(touch.at), force });
     }
     all.retain(|push| push.force != V::zeros());
     all
@@ -65,17 +65,17 @@ pub fn pushes(model: &Model, state: &State) -> Vec<Push> {
 /// Upward force of the sand on a robot that moves at the velocities of `state` without acceleration [N].
 pub fn support(model: &Model, state: &State) -> f64 {
     let Some((tree, state, found)) = engine::alone(model, state) else { return 0.0 };
-    let mut s = Scratch::new(tree.bodies.len());
+    let mut s = TreeScratch::new(tree.bodies.len());
     let (found, place) = (found.as_ref(), state.place());
     accelerate(&tree, &state, &mut s, found);
-    let mut loads = vec![Load::none(); tree.bodies.len()];
+    let mut loads = vec![LinkLoad::none(); tree.bodies.len()];
     sand::press(&tree.ground, &tree.patches, &s.frames, &place, &tree.relief, found, &mut loads, tree.dt);
     let still = Twist { angular: Vec3::zero(), linear: Vec3::zero() };
     loads.iter().map(|load| force(load, &still).z).sum()
 }
 
 /// The force that a load which contains nothing else exerts on a body with this acceleration.
-fn force(load: &Load<f64>, acceleration: &Twist<f64>) -> V {
+fn force(load: &LinkLoad<f64>, acceleration: &Twist<f64>) -> V {
     let mut needed = load.inertia.apply(acceleration);
     needed.add(&load.bias);
     -V::from(needed.force.lane(0))

@@ -61,14 +61,14 @@ pub struct Reached {
     pub bent: f64,
 }
 
-/// Joints that a search may move, and where it begins.
-pub struct Joints {
+/// FreeJoints that a search may move, and where it begins.
+pub struct FreeJoints {
     pub ranges: Vec<[f64; 2]>,
     pub preferred: Vec<f64>,
 }
 
-impl Joints {
-    /// Joints with a position in the file keep it. Others are free in their range, and prefer 0.
+impl FreeJoints {
+    /// FreeJoints with a position in the file keep it. Others are free in their range, and prefer 0.
     pub fn of(tree: &Tree) -> Self {
         let mut all = Self::free(tree);
         for f in tree.followers() {
@@ -81,7 +81,7 @@ impl Joints {
         all
     }
 
-    /// Joints that are free in their range, also where the file has a position.
+    /// FreeJoints that are free in their range, also where the file has a position.
     pub fn free(tree: &Tree) -> Self {
         let range =
             |j: &super::TreeJoint| j.range.unwrap_or([-FARTHEST, FARTHEST]).map(|end| end.clamp(-FARTHEST, FARTHEST));
@@ -141,7 +141,7 @@ pub fn limbs(tree: &Tree, contacts: &[Vec<ContactPoint>]) -> Vec<Limb> {
             all.push(Limb { path, ends: vec![end], moving, length, hip, sole: None });
         }
     }
-    let joints = Joints::of(tree);
+    let joints = FreeJoints::of(tree);
     for limb in &mut all {
         limb.complete(tree, contacts, &joints.preferred);
     }
@@ -249,7 +249,7 @@ impl Limb {
         &self,
         tree: &Tree,
         contacts: &[Vec<ContactPoint>],
-        joints: &Joints,
+        joints: &FreeJoints,
         target: V,
         first: Option<&[f64]>,
         starts: usize,
@@ -274,13 +274,13 @@ impl Limb {
         best.map_or_else(|| Reached { angles: joints.preferred.clone(), off: f64::INFINITY, bent: 0.0 }, |b| b.1)
     }
 
-    /// Levenberg and Marquardt's method from one start. Joints at the end of their range stay there while they push
+    /// Levenberg and Marquardt's method from one start. FreeJoints at the end of their range stay there while they push
     /// outward.
     fn descend(
         &self,
         tree: &Tree,
         contacts: &[Vec<ContactPoint>],
-        joints: &Joints,
+        joints: &FreeJoints,
         target: V,
         mut angles: Vec<f64>,
     ) -> Reached {
@@ -326,10 +326,10 @@ impl Limb {
         &self,
         tree: &Tree,
         contacts: &[Vec<ContactPoint>],
-        joints: &Joints,
+        joints: &FreeJoints,
         target: V,
         angles: &[f64],
-    ) -> Errors {
+    ) -> PoseErrors {
         let count = self.moving.len();
         let (mut residual, mut jacobian) = (DVector::zeros(6 + count), DMatrix::zeros(6 + count, count));
         let frame = self.frame(tree, angles, self.end());
@@ -352,11 +352,11 @@ impl Limb {
             jacobian[(6 + k, k)] = PREFERENCE;
         }
         let tilt = up.map_or(0.0, |up| ((up - V::z()).norm() - 0.01).max(0.0));
-        Errors { residual, jacobian, tilt }
+        PoseErrors { residual, jacobian, tilt }
     }
 
     /// How far the tip moves up and down when the joints move [m].
-    pub fn travel(&self, tree: &Tree, contacts: &[Vec<ContactPoint>], joints: &Joints) -> f64 {
+    pub fn travel(&self, tree: &Tree, contacts: &[Vec<ContactPoint>], joints: &FreeJoints) -> f64 {
         const SAMPLES: usize = 32;
         let height = |k: usize| self.tip(tree, contacts, &joints.start(k, &self.moving)).z;
         let [low, high] = (0..SAMPLES).map(height).fold([f64::MAX, f64::MIN], |[a, b], z| [a.min(z), b.max(z)]);
@@ -364,7 +364,7 @@ impl Limb {
     }
 }
 
-struct Errors {
+struct PoseErrors {
     /// Position, tilt of the sole, preference.
     residual: DVector<f64>,
     jacobian: DMatrix<f64>,

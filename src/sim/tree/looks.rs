@@ -2,7 +2,7 @@
 
 use super::{Geometry, TreeShape};
 use crate::error::{Error, Result, check_range};
-use crate::sand::intruder::Plate;
+use crate::sand::intruder::IntruderPlate;
 use nalgebra::{Isometry3, Quaternion, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
@@ -24,7 +24,7 @@ const ROUNDED: f64 = 1e-4;
 #[serde(deny_unknown_fields)]
 pub struct Looks {
     pub meshes: Vec<LookMesh>,
-    pub shapes: Vec<Look>,
+    pub shapes: Vec<VisualShape>,
     /// The meshes and shapes as JSON, because each section of a recording begins with this text.
     #[serde(skip)]
     json: String,
@@ -43,7 +43,7 @@ pub struct LookMesh {
 /// A shape that is fixed to a body.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Look {
+pub struct VisualShape {
     /// Index of the body.
     pub body: usize,
     /// The shape's position [m] and quaternion w, x, y, z in the body's frame.
@@ -73,7 +73,7 @@ pub enum Form {
     Mesh(usize),
 }
 
-impl Look {
+impl VisualShape {
     /// The shape's frame in the body's.
     pub fn origin(&self) -> Isometry3<f64> {
         let [x, y, z, w, i, j, k] = self.at;
@@ -104,7 +104,7 @@ impl Looks {
                 let (p, q) = (shape.origin.translation.vector, shape.origin.rotation);
                 // Nine digits, as in a recording's header.
                 let at = [p.x, p.y, p.z, q.w, q.i, q.j, q.k].map(|x| (x * 1e9).round() / 1e9);
-                all.shapes.push(Look { body, at, form });
+                all.shapes.push(VisualShape { body, at, form });
             }
         }
         all.finished()
@@ -112,14 +112,14 @@ impl Looks {
 
     /// The same with plates in place of the shapes of bodies that have none, if they are few enough to draw.
     #[must_use]
-    pub fn or_plates(mut self, plates: &[Vec<Plate>]) -> Self {
+    pub fn or_plates(mut self, plates: &[Vec<IntruderPlate>]) -> Self {
         for (body, own) in plates.iter().enumerate() {
             let bare = !own.is_empty() && self.shapes.iter().all(|s| s.body != body);
             let meshed: usize = self.meshes.iter().map(|m| m.faces.len()).sum();
             if bare && meshed + 2 * own.len() <= MOST_TRIANGLES {
                 let faces: Vec<_> = own.iter().flat_map(halves).collect();
                 let form = Form::Mesh(self.mesh(LookMesh::of(&faces)));
-                self.shapes.push(Look { body, at: [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], form });
+                self.shapes.push(VisualShape { body, at: [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], form });
             }
         }
         self.finished()
@@ -146,7 +146,7 @@ impl Looks {
 
     /// Triangles of all shapes.
     fn drawn(&self) -> usize {
-        let of = |s: &Look| if let Form::Mesh(i) = s.form { self.meshes[i].faces.len() } else { PRIMITIVE };
+        let of = |s: &VisualShape| if let Form::Mesh(i) = s.form { self.meshes[i].faces.len() } else { PRIMITIVE };
         self.shapes.iter().map(of).sum()
     }
 
@@ -217,7 +217,7 @@ impl LookMesh {
 }
 
 /// A plate as two triangles that face outward.
-fn halves(plate: &Plate) -> [[Vector3<f64>; 3]; 2] {
+fn halves(plate: &IntruderPlate) -> [[Vector3<f64>; 3]; 2] {
     let [middle, normal, u, v] =
         [plate.center, plate.normal, plate.half[0], plate.half[1]].map(|x| Vector3::from(x.lane(0)));
     let v = if u.cross(&v).dot(&normal) < 0.0 { -v } else { v };

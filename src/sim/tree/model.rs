@@ -8,7 +8,7 @@ use super::looks::Looks;
 use super::patches::BodyPatches;
 use super::stance::Stance;
 use crate::error::{Error, Result, check_range};
-use crate::sand::intruder::Plate;
+use crate::sand::intruder::IntruderPlate;
 use crate::sand::{GRAVITY, Law};
 use std::sync::Arc;
 
@@ -34,7 +34,7 @@ pub struct TreeModel {
     /// One a joint.
     pub motors: Vec<TreeMotor>,
     /// Plates that touch sand, in the frame of each body.
-    pub plates: Arc<Vec<Vec<Plate>>>,
+    pub plates: Arc<Vec<Vec<IntruderPlate>>>,
     /// The same plates in the engines' form; empty before [`TreeModel::for_law`].
     pub patches: Arc<Vec<BodyPatches>>,
     /// Points that touch hard ground, in the frame of each body.
@@ -59,13 +59,17 @@ impl Compliance {
 
 impl TreeModel {
     /// A robot whose body `i` touches sand with `plates[i]`.
-    pub fn new(tree: Tree, plates: Vec<Vec<Plate>>) -> Result<Self> {
+    pub fn new(tree: Tree, plates: Vec<Vec<IntruderPlate>>) -> Result<Self> {
         let contacts = contact_points(&tree);
         Self::with_contacts(tree, plates, contacts)
     }
 
     /// The same as [`Self::new`], with points of contact that are known already.
-    pub fn with_contacts(tree: Tree, plates: Vec<Vec<Plate>>, contacts: Vec<Vec<ContactPoint>>) -> Result<Self> {
+    pub fn with_contacts(
+        tree: Tree,
+        plates: Vec<Vec<IntruderPlate>>,
+        contacts: Vec<Vec<ContactPoint>>,
+    ) -> Result<Self> {
         check(&tree)?;
         let compliance = Compliance::of_mass(tree.mass());
         let stance = Arc::new(Stance::of(&tree, &contacts));
@@ -127,8 +131,8 @@ impl TreeModel {
     /// Horizontal distance of the farthest plate from the base's origin in the standing pose [m].
     pub fn reach(&self) -> f64 {
         let frames = frames(&self.tree, &crate::State::at_rest(0.0, &self.stance.angles));
-        let of = |(frame, plates): (&nalgebra::Isometry3<f64>, &Vec<Plate>)| {
-            let far = |p: &Plate| (frame * nalgebra::Point3::from(p.center.lane(0))).coords.xy().norm();
+        let of = |(frame, plates): (&nalgebra::Isometry3<f64>, &Vec<IntruderPlate>)| {
+            let far = |p: &IntruderPlate| (frame * nalgebra::Point3::from(p.center.lane(0))).coords.xy().norm();
             plates.iter().map(far).fold(0.0, f64::max)
         };
         frames.iter().zip(self.plates.iter()).map(of).fold(0.0, f64::max)

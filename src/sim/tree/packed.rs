@@ -7,7 +7,7 @@ use super::model::TreeModel;
 use super::{Geometry, JointKind, Mimic, Tree, TreeBody, TreeJoint, TreeShape};
 use crate::error::{Error, Result, check_range};
 use crate::number::Vec3;
-use crate::sand::intruder::Plate;
+use crate::sand::intruder::IntruderPlate;
 use base64::prelude::{BASE64_STANDARD, Engine as _};
 use nalgebra::{Isometry3, Matrix3, Quaternion, Unit, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
@@ -30,9 +30,9 @@ const LONGEST_NAME: usize = 200;
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Packed {
+struct PackedTree {
     name: String,
-    bodies: Vec<Body>,
+    bodies: Vec<PackedBody>,
     /// Shapes for pictures; None: the primitives among the bodies' shapes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     looks: Option<Looks>,
@@ -40,12 +40,12 @@ struct Packed {
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Body {
+struct PackedBody {
     name: String,
     parent: usize,
     /// Position [m] and quaternion w, x, y, z.
     origin: [f64; 7],
-    joint: Option<Joint>,
+    joint: Option<PackedJoint>,
     mass: f64,
     center: [f64; 3],
     /// xx, yy, zz, xy, xz, yz.
@@ -59,7 +59,7 @@ struct Body {
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Joint {
+struct PackedJoint {
     name: String,
     slides: bool,
     axis: [f64; 3],
@@ -85,7 +85,7 @@ struct Joint {
 struct PackedShape {
     name: String,
     origin: [f64; 7],
-    kind: Kind,
+    kind: PackedForm,
     /// Radius and half length, or half sides [m].
     size: [f64; 3],
     friction: f64,
@@ -93,7 +93,7 @@ struct PackedShape {
 
 #[derive(Clone, Copy, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-enum Kind {
+enum PackedForm {
     Sphere,
     Capsule,
     Cylinder,
@@ -101,15 +101,15 @@ enum Kind {
 }
 
 /// Packs `tree` with the plates of each body, and with shapes for pictures where its primitives do not suffice.
-pub fn pack(tree: &Tree, plates: &[Vec<Plate>], looks: Option<&Looks>) -> Result<String> {
+pub fn pack(tree: &Tree, plates: &[Vec<IntruderPlate>], looks: Option<&Looks>) -> Result<String> {
     let contacts = contact_points(tree);
     let bodies = tree.bodies.iter().enumerate().map(|(i, b)| body(b, &contacts[i], &plates[i])).collect();
-    let packed = Packed { name: tree.name.clone(), bodies, looks: looks.cloned() };
+    let packed = PackedTree { name: tree.name.clone(), bodies, looks: looks.cloned() };
     serde_json::to_string(&packed).map_err(|e| Error::invalid("robot", e.to_string()))
 }
 
-fn body(b: &TreeBody, contacts: &[ContactPoint], plates: &[Plate]) -> Body {
-    Body {
+fn body(b: &TreeBody, contacts: &[ContactPoint], plates: &[IntruderPlate]) -> PackedBody {
+    PackedBody {
         name: b.name.clone(),
         parent: b.parent,
         origin: place(&b.origin),
@@ -168,7 +168,7 @@ pub fn unpack(text: &str) -> Result<TreeModel> {
     if text.len() > MOST_BYTES {
         return Err(Error::invalid("robot", format!("{} bytes are more than {MOST_BYTES}", text.len())));
     }
-    let Packed { name, bodies, looks } =
+    let PackedTree { name, bodies, looks } =
         serde_json::from_str(text).map_err(|e| Error::invalid("robot", format!("not a packed robot: {e}")))?;
     check_range("number of bodies", bodies.len() as f64, 1.0..=MOST_BODIES as f64)?;
     let pieces: usize = bodies.iter().map(|b| b.contacts.len() + b.plates.len()).sum();
@@ -176,12 +176,12 @@ pub fn unpack(text: &str) -> Result<TreeModel> {
     let shapes: usize = bodies.iter().map(|b| b.shapes.len()).sum();
     check_range("number of shapes", shapes as f64, 0.0..=MOST_SHAPES as f64)?;
     check_name(&name)?;
-    bodies.iter().try_for_each(Body::check)?;
+    bodies.iter().try_for_each(PackedBody::check)?;
     let count = bodies.len();
     looks.iter().try_for_each(|looks| looks.check(count))?;
     let contacts = bodies.iter().map(|b| b.contacts.iter().map(contact_of).collect()).collect();
     let plates = bodies.iter().map(|b| b.plates.iter().map(plate_of).collect()).collect();
-    let tree = Tree { name, bodies: bodies.into_iter().map(Body::unpacked).collect() };
+    let tree = Tree { name, bodies: bodies.into_iter().map(PackedBody::unpacked).collect() };
     let model = TreeModel::with_contacts(tree, plates, contacts)?;
     match looks {
         Some(looks) => Ok(model.with_looks(looks)),
@@ -193,7 +193,7 @@ fn check_name(name: &str) -> Result<()> {
     check_range("length of a name", name.len() as f64, 0.0..=LONGEST_NAME as f64).map(drop)
 }
 
-impl Body {
+impl PackedBody {
     fn check(&self) -> Result<()> {
         let joint_name = self.joint.iter().map(|j| &j.name);
         let mut names = self.shapes.iter().map(|s| &s.name).chain(joint_name).chain([&self.name]);
@@ -206,7 +206,7 @@ impl Body {
         let pieces = self.contacts.iter().flatten().chain(self.plates.iter().flatten()).copied();
         let shapes = self.shapes.iter().flat_map(|s| s.origin.into_iter().chain(s.size).chain([s.friction]));
         let own = self.origin.into_iter().chain(self.center).chain(self.inertia);
-        // The bound is far beyond any robot. Joint limits may be large, because some files use them for no limit.
+        // The bound is far beyond any robot. PackedJoint limits may be large, because some files use them for no limit.
         for x in own.chain(joint).chain(pieces).chain(shapes) {
             check_range(&format!("a number of {}", self.name), x, -1e12..=1e12)?;
         }
@@ -262,8 +262,8 @@ fn place_of(&[x, y, z, w, i, j, k]: &[f64; 7]) -> Isometry3<f64> {
     Isometry3::from_parts(Vector3::new(x, y, z).into(), UnitQuaternion::from_quaternion(Quaternion::new(w, i, j, k)))
 }
 
-fn joint(j: &TreeJoint) -> Joint {
-    Joint {
+fn joint(j: &TreeJoint) -> PackedJoint {
+    PackedJoint {
         name: j.name.clone(),
         slides: j.kind == JointKind::Slide,
         axis: j.axis.into_inner().into(),
@@ -281,7 +281,7 @@ fn joint(j: &TreeJoint) -> Joint {
     }
 }
 
-fn joint_of(j: Joint) -> TreeJoint {
+fn joint_of(j: PackedJoint) -> TreeJoint {
     TreeJoint {
         name: j.name,
         kind: if j.slides { JointKind::Slide } else { JointKind::Hinge },
@@ -302,10 +302,10 @@ fn joint_of(j: Joint) -> TreeJoint {
 
 fn shape(s: &TreeShape) -> Option<PackedShape> {
     let (kind, size) = match s.geometry {
-        Geometry::Sphere { radius } => (Kind::Sphere, [radius, 0.0, 0.0]),
-        Geometry::Capsule { radius, half_length } => (Kind::Capsule, [radius, half_length, 0.0]),
-        Geometry::Cylinder { radius, half_length } => (Kind::Cylinder, [radius, half_length, 0.0]),
-        Geometry::Box { half } => (Kind::Box, half.into()),
+        Geometry::Sphere { radius } => (PackedForm::Sphere, [radius, 0.0, 0.0]),
+        Geometry::Capsule { radius, half_length } => (PackedForm::Capsule, [radius, half_length, 0.0]),
+        Geometry::Cylinder { radius, half_length } => (PackedForm::Cylinder, [radius, half_length, 0.0]),
+        Geometry::Box { half } => (PackedForm::Box, half.into()),
         Geometry::Mesh(_) => return None,
     };
     Some(PackedShape { name: s.name.clone(), origin: place(&s.origin), kind, size, friction: s.friction })
@@ -314,10 +314,10 @@ fn shape(s: &TreeShape) -> Option<PackedShape> {
 fn shape_of(s: PackedShape) -> TreeShape {
     let [radius, half_length, _] = s.size;
     let geometry = match s.kind {
-        Kind::Sphere => Geometry::Sphere { radius },
-        Kind::Capsule => Geometry::Capsule { radius, half_length },
-        Kind::Cylinder => Geometry::Cylinder { radius, half_length },
-        Kind::Box => Geometry::Box { half: s.size.into() },
+        PackedForm::Sphere => Geometry::Sphere { radius },
+        PackedForm::Capsule => Geometry::Capsule { radius, half_length },
+        PackedForm::Cylinder => Geometry::Cylinder { radius, half_length },
+        PackedForm::Box => Geometry::Box { half: s.size.into() },
     };
     TreeShape { name: s.name, origin: place_of(&s.origin), geometry, friction: s.friction }
 }
@@ -333,13 +333,19 @@ fn contact_of(&[x, y, z, radius, friction, i, j, k]: &[f64; 8]) -> ContactPoint 
 }
 
 /// Rounds to six digits: fewer than the lanes' precision, and more than any shape is known to.
-fn plate(p: &Plate) -> [f64; 15] {
+fn plate(p: &IntruderPlate) -> [f64; 15] {
     let [c, n, a, b] = [p.center, p.normal, p.half[0], p.half[1]].map(|v| v.lane(0));
     let all = [c[0], c[1], c[2], n[0], n[1], n[2], p.area, a[0], a[1], a[2], b[0], b[1], b[2], p.bend[0], p.bend[1]];
     all.map(|x| format!("{x:.5e}").parse().unwrap_or(0.0))
 }
 
-fn plate_of(p: &[f64; 15]) -> Plate {
+fn plate_of(p: &[f64; 15]) -> IntruderPlate {
     let vector = |i: usize| Vec3::new(p[i], p[i + 1], p[i + 2]);
-    Plate { center: vector(0), normal: vector(3), area: p[6], half: [vector(7), vector(10)], bend: [p[13], p[14]] }
+    IntruderPlate {
+        center: vector(0),
+        normal: vector(3),
+        area: p[6],
+        half: [vector(7), vector(10)],
+        bend: [p[13], p[14]],
+    }
 }

@@ -5,8 +5,8 @@
 //! force is the law's force on the leading part in the sand, weighted by depth: for the mean normal, and for the
 //! deviations of normals from it ([`crate::sand::law::StressLaw::mean_stress`]).
 
-use crate::sand::intruder::Plate;
-use crate::sand::{Law, Surface};
+use crate::sand::intruder::IntruderPlate;
+use crate::sand::{Law, Regularization};
 use nalgebra::Vector3;
 
 type V = Vector3<f64>;
@@ -100,20 +100,20 @@ pub struct BodyPatches {
     pub corners: [[f64; 3]; 8],
 }
 
-fn center(p: &Plate) -> V {
+fn center(p: &IntruderPlate) -> V {
     p.center.lane(0).into()
 }
 
-fn normal(p: &Plate) -> V {
+fn normal(p: &IntruderPlate) -> V {
     p.normal.lane(0).into()
 }
 
-fn length(p: &Plate, k: usize) -> f64 {
+fn length(p: &IntruderPlate, k: usize) -> f64 {
     V::from(p.half[k].lane(0)).norm()
 }
 
 /// Least and greatest x, y and z of the plates' centres.
-fn ends(plates: &[Plate]) -> [[f64; 2]; 3] {
+fn ends(plates: &[IntruderPlate]) -> [[f64; 2]; 3] {
     [0, 1, 2].map(|k| {
         let along = plates.iter().map(|p| center(p)[k]);
         along.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], x| [a.min(x), b.max(x)])
@@ -121,26 +121,26 @@ fn ends(plates: &[Plate]) -> [[f64; 2]; 3] {
 }
 
 impl Ball {
-    pub fn around(plates: &[Plate]) -> Self {
+    pub fn around(plates: &[IntruderPlate]) -> Self {
         let middle = ends(plates).map(|[a, b]| (a + b) / 2.0);
-        let away = |p: &Plate| (center(p) - V::from(middle)).norm() + length(p, 0) + length(p, 1);
+        let away = |p: &IntruderPlate| (center(p) - V::from(middle)).norm() + length(p, 0) + length(p, 1);
         Self { center: middle, reach: plates.iter().map(away).fold(0.0, f64::max) }
     }
 }
 
 impl BodyPatches {
     /// The patches of each body that has plates.
-    pub fn all(plates: &[Vec<Plate>], law: Law) -> Vec<Self> {
+    pub fn all(plates: &[Vec<IntruderPlate>], law: Law) -> Vec<Self> {
         plates.iter().enumerate().filter(|(_, p)| !p.is_empty()).map(|(body, p)| Self::of(body, p, law)).collect()
     }
 
-    pub fn of(body: usize, plates: &[Plate], law: Law) -> Self {
+    pub fn of(body: usize, plates: &[IntruderPlate], law: Law) -> Self {
         let ends = ends(plates);
         let corners = std::array::from_fn(|i| [0, 1, 2].map(|k| ends[k][i >> k & 1]));
         let ball = Ball::around(plates);
         let alike = alike(plates, &ball, law);
         let patch = |members: &Vec<usize>| {
-            let own: Vec<Plate> = members.iter().map(|i| plates[*i]).collect();
+            let own: Vec<IntruderPlate> = members.iter().map(|i| plates[*i]).collect();
             let bent = |sides: usize| own.iter().filter(move |p| p.bend.iter().filter(|b| **b != 0.0).count() == sides);
             Patch {
                 facets: bent(2).map(Facet::of).collect(),
@@ -154,7 +154,7 @@ impl BodyPatches {
 }
 
 impl Facet {
-    fn of(p: &Plate) -> Self {
+    fn of(p: &IntruderPlate) -> Self {
         let n = normal(p);
         let sides = [length(p, 0), length(p, 1)];
         let square = |x: f64| x * x;
@@ -163,7 +163,7 @@ impl Facet {
         let rise = ((square(sides[0]) + square(sides[1])) / 6.0).sqrt();
         let turn = ((square(p.bend[0] * sides[0]) + square(p.bend[1] * sides[1])) / 2.0).sqrt();
         // A flat plate leads when it moves outward, with the gate of all solid bodies.
-        let gate = Surface::SOLID.leading_edge_gate;
+        let gate = Regularization::SOLID.leading_edge_gate;
         let wide = EDGE * turn > gate / 2.0;
         let (begun, growth) = if wide { (0.5, 0.5 / (EDGE * turn)) } else { (0.0, 1.0 / gate) };
         // A normal that turns evenly by ± a along t has the mean products (1 − a²/3) n n + a²/3 t t, to second order in a.
@@ -188,48 +188,51 @@ impl Facet {
 }
 
 impl Tile {
-    fn of(p: &Plate) -> Self {
+    fn of(p: &IntruderPlate) -> Self {
         Self { facet: Facet::of(p), half: halves(p) }
     }
 }
 
 impl Panel {
-    fn of(p: &Plate) -> Self {
+    fn of(p: &IntruderPlate) -> Self {
         // The bent side first.
-        let p =
-            if p.bend[0] == 0.0 { Plate { half: [p.half[1], p.half[0]], bend: [p.bend[1], 0.0], ..*p } } else { *p };
+        let p = if p.bend[0] == 0.0 {
+            IntruderPlate { half: [p.half[1], p.half[0]], bend: [p.bend[1], 0.0], ..*p }
+        } else {
+            *p
+        };
         let half = V::from(p.half[0].lane(0));
         let turn = half * p.bend[0];
         // The middle of a bent plate lies below its highest point.
         let sag = turn.dot(&half) / 6.0;
-        let lower = Plate { center: p.center - p.normal * sag, ..p };
+        let lower = IntruderPlate { center: p.center - p.normal * sag, ..p };
         Self { facet: Facet::of(&lower), half: halves(&p), turn: turn.map(|x| x as f32).into() }
     }
 }
 
-fn halves(p: &Plate) -> [[f32; 3]; 2] {
+fn halves(p: &IntruderPlate) -> [[f32; 3]; 2] {
     p.half.map(|h| h.lane(0).map(|x| x as f32))
 }
 
 /// The normal, and the position divided by the body's size.
-type Look = [f64; 6];
+type NormalAndPlace = [f64; 6];
 
-fn apart(a: &Look, b: &Look) -> f64 {
+fn apart(a: &NormalAndPlace, b: &NormalAndPlace) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum()
 }
 
 /// Indices of the plates of each patch. There are so many patches that every plate is near a patch's centre.
-fn alike(plates: &[Plate], ball: &Ball, law: Law) -> Vec<Vec<usize>> {
+fn alike(plates: &[IntruderPlate], ball: &Ball, law: Law) -> Vec<Vec<usize>> {
     let kind = usize::from(law == Law::Agarwal2023);
     let (most, turned) = (APART[kind], ONE_WAY[kind]);
     let scale = BY_PLACE[kind] / ball.reach.max(1e-9);
-    let look = |p: &Plate| -> Look {
+    let look = |p: &IntruderPlate| -> NormalAndPlace {
         let one_way = (p.bend[0] == 0.0) != (p.bend[1] == 0.0);
         let n = normal(p) * if one_way { turned } else { 1.0 };
         let at = (center(p) - V::from(ball.center)) * scale;
         [n.x, n.y, n.z, at.x, at.y, at.z]
     };
-    let looks: Vec<Look> = plates.iter().map(look).collect();
+    let looks: Vec<NormalAndPlace> = plates.iter().map(look).collect();
     // The next centre is the plate farthest from the present centres (Gonzalez 1985).
     let mut middles = vec![looks[0]];
     let mut distance: Vec<f64> = looks.iter().map(|l| apart(l, &looks[0])).collect();
@@ -241,7 +244,7 @@ fn alike(plates: &[Plate], ball: &Ball, law: Law) -> Vec<Vec<usize>> {
         middles.push(looks[far]);
         distance.iter_mut().zip(&looks).for_each(|(d, l)| *d = d.min(apart(l, &looks[far])));
     }
-    let nearest = |middles: &[Look], l: &Look| {
+    let nearest = |middles: &[NormalAndPlace], l: &NormalAndPlace| {
         let all = middles.iter().map(|m| apart(m, l)).enumerate();
         all.fold((0, f64::INFINITY), |best, one| if one.1 < best.1 { one } else { best }).0
     };

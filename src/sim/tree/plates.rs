@@ -3,7 +3,7 @@
 use super::{Geometry, Tree, TreeShape, cluster};
 use crate::error::{Error, Result, check_range};
 use crate::number::Vec3;
-use crate::sand::intruder::{Plate, cut, gathered};
+use crate::sand::intruder::{IntruderPlate, cut, gathered};
 use nalgebra::{Point3, Vector3};
 use std::f64::consts::{PI, TAU};
 
@@ -78,7 +78,7 @@ impl Geometry {
     }
 
     /// Outward plates about the shape's origin, with the shape's z along y.
-    fn cut(&self, size: f64) -> Option<Vec<Plate>> {
+    fn cut(&self, size: f64) -> Option<Vec<IntruderPlate>> {
         Some(match self {
             Self::Sphere { radius } => cut::sphere(*radius, size, COARSE),
             Self::Capsule { radius, half_length } => cut::capsule(*radius, 2.0 * half_length, size, COARSE),
@@ -93,7 +93,7 @@ impl Geometry {
     }
 
     /// Does the shape contain a point, given in the shape's frame? For a mesh this is computed from `plates`.
-    fn holds(&self, p: Vector3<f64>, plates: &[Plate]) -> bool {
+    fn holds(&self, p: Vector3<f64>, plates: &[IntruderPlate]) -> bool {
         match self {
             Self::Sphere { radius } => p.norm() < *radius,
             Self::Capsule { radius, half_length } => {
@@ -132,7 +132,7 @@ impl TreeShape {
 }
 
 /// Plates of one shape in the shape's frame, of about `size` [m].
-fn of_shape(shape: &TreeShape, size: f64) -> Result<Vec<Plate>> {
+fn of_shape(shape: &TreeShape, size: f64) -> Result<Vec<IntruderPlate>> {
     let count = shape.geometry.area() / (size * size);
     let too_many = |found: f64| {
         let reason = format!("{found:.0} plates of {size} m on shape {:?} are more than {MOST_PLATES}", shape.name);
@@ -147,13 +147,18 @@ fn of_shape(shape: &TreeShape, size: f64) -> Result<Vec<Plate>> {
         Geometry::Capsule { .. } | Geometry::Cylinder { .. } => Vec3::new(v.x, -v.z, v.y),
         _ => v,
     };
-    let one = |p: Plate| Plate { center: turned(p.center), normal: turned(p.normal), half: p.half.map(turned), ..p };
+    let one = |p: IntruderPlate| IntruderPlate {
+        center: turned(p.center),
+        normal: turned(p.normal),
+        half: p.half.map(turned),
+        ..p
+    };
     Ok(plates.into_iter().map(one).collect())
 }
 
 /// Plates of the shapes that touch sand, by index of body and shape, body by body. With `size` [m] each shape is cut
 /// into plates of this size; otherwise a body has at most 128 plates, the base 64, and the robot 800.
-pub fn of_touching(tree: &Tree, touching: &[(usize, usize)], size: Option<f64>) -> Result<Vec<Vec<Plate>>> {
+pub fn of_touching(tree: &Tree, touching: &[(usize, usize)], size: Option<f64>) -> Result<Vec<Vec<IntruderPlate>>> {
     let shapes: Vec<Vec<&TreeShape>> = (0..tree.bodies.len())
         .map(|b| touching.iter().filter(|t| t.0 == b).map(|t| &tree.bodies[b].shapes[t.1]).collect())
         .collect();
@@ -164,7 +169,7 @@ pub fn of_touching(tree: &Tree, touching: &[(usize, usize)], size: Option<f64>) 
 
 /// Plates of shapes that are fixed to one body, in the body's frame, without plates inside another shape. `size` as in
 /// [`of_touching`].
-pub fn of_shapes(shapes: &[&TreeShape], size: Option<f64>) -> Result<Vec<Plate>> {
+pub fn of_shapes(shapes: &[&TreeShape], size: Option<f64>) -> Result<Vec<IntruderPlate>> {
     together(shapes, size, BODY)
 }
 
@@ -199,7 +204,7 @@ fn counts(areas: &[f64]) -> Vec<f64> {
 }
 
 /// Plates of shapes that are fixed to one body: of this size, or, without one, about `count`.
-fn together(shapes: &[&TreeShape], size: Option<f64>, count: f64) -> Result<Vec<Plate>> {
+fn together(shapes: &[&TreeShape], size: Option<f64>, count: f64) -> Result<Vec<IntruderPlate>> {
     if shapes.is_empty() {
         return Ok(Vec::new());
     }
@@ -207,7 +212,7 @@ fn together(shapes: &[&TreeShape], size: Option<f64>, count: f64) -> Result<Vec<
         Some(size) => check_range("plate-size", size, SIZES)?,
         None => (area(shapes) / FINE).sqrt(),
     };
-    let cut: Vec<Vec<Plate>> = shapes.iter().map(|s| of_shape(s, small)).collect::<Result<_>>()?;
+    let cut: Vec<Vec<IntruderPlate>> = shapes.iter().map(|s| of_shape(s, small)).collect::<Result<_>>()?;
     let mut all = Vec::new();
     for (i, plates) in cut.iter().enumerate() {
         for plate in plates {
@@ -225,9 +230,9 @@ fn together(shapes: &[&TreeShape], size: Option<f64>, count: f64) -> Result<Vec<
 }
 
 /// The plate, moved from the shape's frame to its body's.
-fn moved(plate: &Plate, shape: &TreeShape) -> Plate {
+fn moved(plate: &IntruderPlate, shape: &TreeShape) -> IntruderPlate {
     let point =
         |v: Vec3<f64>| Vec3::splat(shape.origin.transform_point(&Point3::from(Vector3::from(v.lane(0)))).coords.into());
     let vector = |v: Vec3<f64>| Vec3::splat((shape.origin.rotation * Vector3::from(v.lane(0))).into());
-    Plate { center: point(plate.center), normal: vector(plate.normal), half: plate.half.map(vector), ..*plate }
+    IntruderPlate { center: point(plate.center), normal: vector(plate.normal), half: plate.half.map(vector), ..*plate }
 }

@@ -64,7 +64,7 @@ impl Relief {
     pub fn dunes(seed: u64, wavelength: f64, slope_deg: f64) -> Result<Self> {
         check_range("relief.wavelength", wavelength, 0.1..=100.0)?;
         check_range("relief.slope_deg", slope_deg, 0.0..=REPOSE_DEG)?;
-        let mut draw = Draw(seed);
+        let mut draw = SplitMix64(seed);
         let whole = SIDE as f64 / A_WAVE;
         let waves: Vec<[f64; 3]> = (0..WAVES)
             .map(|_| {
@@ -175,9 +175,9 @@ impl Relief {
 }
 
 /// Numbers in [0, 1), the same on every machine (SplitMix64, Steele, Lea & Flood 2014).
-struct Draw(u64);
+struct SplitMix64(u64);
 
-impl Draw {
+impl SplitMix64 {
     fn next(&mut self) -> f64 {
         self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mut z = self.0;

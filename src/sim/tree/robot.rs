@@ -2,7 +2,7 @@
 
 use super::{Geometry, JointKind, Tree, TreeBody, TreeJoint, TreeShape};
 use crate::error::Result;
-use crate::model::{Model, Piece, Scene};
+use crate::model::{Model, Scene, StripPiece};
 use crate::robot::Robot;
 use crate::sand::Medium;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, Unit, UnitQuaternion, Vector3};
@@ -69,7 +69,7 @@ pub fn of_robot(name: &str, robot: &Robot) -> Result<Tree> {
     Ok(Tree { name: name.to_owned(), bodies })
 }
 
-fn place(piece: &Piece) -> Isometry3<f64> {
+fn place(piece: &StripPiece) -> Isometry3<f64> {
     let axes = Matrix3::from_columns(&[piece.along, piece.across, piece.along.cross(&piece.across)]);
     let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
     Isometry3::from_parts(Translation3::from(piece.center), turn)

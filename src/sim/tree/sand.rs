@@ -4,11 +4,11 @@
 //! linearly implicit, f⁺ = f − C (v⁺ − v), and in smooth motion the velocities are expected to change as in the last
 //! step. The law is evaluated once a patch ([`super::patches`]), for those of its plates that lead in the sand.
 
-use super::dynamics::{Frame, Load};
+use super::dynamics::{LinkFrame, LinkLoad};
 use super::patches::{BodyPatches, Facet, Panel, Patch, Tile};
 use super::terrain::{Local, Surface};
 use crate::number::{Mat3, Real, Vec3};
-use crate::sand::intruder::Plate;
+use crate::sand::intruder::IntruderPlate;
 use crate::sand::law::{Normals, StressLaw};
 use crate::sand::{LawCoefficients, Plain, SandBed, SegmentState, StressModel};
 use crate::spatial::{Inertia, PointMasses, Twist, Wrench};
@@ -29,11 +29,11 @@ pub struct Total<R> {
 pub fn press<R: Real>(
     ground: &SandBed<R>,
     bodies: &[BodyPatches],
-    frames: &[Frame<R>],
+    frames: &[LinkFrame<R>],
     place: &Vec3<R>,
     surface: &impl Surface<R>,
     found: Option<&Surfaces<R>>,
-    loads: &mut [Load<R>],
+    loads: &mut [LinkLoad<R>],
     dt: R,
 ) {
     // Velocity of the base, which is the first frame.
@@ -82,7 +82,7 @@ pub struct Feeler {
 
 impl Feeler {
     /// The plates of all bodies, gathered in cubes with sides of `size` [m] and by the axis that they face.
-    pub fn all(plates: &[Vec<Plate>], size: f64) -> Vec<Self> {
+    pub fn all(plates: &[Vec<IntruderPlate>], size: f64) -> Vec<Self> {
         let mut all = Vec::new();
         for (body, plates) in plates.iter().enumerate() {
             let mut gathered: BTreeMap<[i32; 4], (f64, Vec3<f64>, Vec3<f64>)> = BTreeMap::new();
@@ -109,7 +109,7 @@ impl Feeler {
 pub fn pieces<R: Real>(
     feelers: &[Feeler],
     bodies: &[BodyPatches],
-    frames: &[Frame<R>],
+    frames: &[LinkFrame<R>],
     from: Vec3<R>,
     tops: R,
     pieces: &mut Vec<LanePiece<R>>,
@@ -131,7 +131,7 @@ pub fn pieces<R: Real>(
 
 impl Feeler {
     #[inline(always)]
-    fn place<R: Real>(&self, frame: &Frame<R>, from: Vec3<R>, pieces: &mut Vec<LanePiece<R>>) {
+    fn place<R: Real>(&self, frame: &LinkFrame<R>, from: Vec3<R>, pieces: &mut Vec<LanePiece<R>>) {
         let feeler = self;
         let at = frame.point(Vec3::splat(feeler.center));
         pieces.push(LanePiece {
@@ -151,7 +151,7 @@ impl Feeler {
 #[inline(always)]
 pub fn under_body<R: Real>(
     plates: &BodyPatches,
-    frame: &Frame<R>,
+    frame: &LinkFrame<R>,
     place: &Vec3<R>,
     surface: &impl Surface<R>,
 ) -> Local<R> {
@@ -172,7 +172,7 @@ pub fn under_body<R: Real>(
 /// Weight w at `place`: near 1 in smooth motion, in which the next change of velocity is about the last one, and 0 if
 /// the place sticks; see [`crate::lanes`].
 #[inline(always)]
-fn trust<R: Real>(frame: &Frame<R>, place: Vec3<R>) -> R {
+fn trust<R: Real>(frame: &LinkFrame<R>, place: Vec3<R>) -> R {
     let (speed, change) = (frame.velocity.at(place).norm_squared(), frame.change.at(place).norm_squared());
     let share = speed / change.mul_add(R::splat(4.0), speed + R::splat(1e-30));
     share * share
@@ -186,7 +186,7 @@ fn trust<R: Real>(frame: &Frame<R>, place: Vec3<R>) -> R {
 pub fn on_body<R: Real, const SECANT: bool>(
     ground: &SandBed<R>,
     plates: &BodyPatches,
-    frame: &Frame<R>,
+    frame: &LinkFrame<R>,
     velocity: &Twist<R>,
     place: &Vec3<R>,
     travel: [R; 2],
@@ -304,7 +304,8 @@ impl Tile {
         let turning = own.angular.cross(lanes(&facet.normal));
         let [a, b] = [0, 1].map(|k| lanes::<R>(&self.half[k]).dot(turning).abs());
         let spread = a + b;
-        let growth = one / spread.mul_add(R::splat(2.0), R::splat(crate::sand::Surface::SOLID.leading_edge_gate));
+        let growth =
+            one / spread.mul_add(R::splat(2.0), R::splat(crate::sand::Regularization::SOLID.leading_edge_gate));
         let share = (facet.along(own) + spread) * growth;
         let rise = slopes[0].mul_add(slopes[0], slopes[1].mul_add(slopes[1], R::splat(1e-20))).sqrt();
         let depth = -(own.up.dot(lanes(&facet.center)) + own.height);
@@ -334,7 +335,7 @@ impl Panel {
         // n·v̂ changes by ± `spread` towards the edges of the bent side. Lengths ending in `_s` are multiplied by it, so
         // that one division suffices.
         let turning = turn.dot(own.linear);
-        let spread = turning.abs().max(R::splat(crate::sand::Surface::SOLID.leading_edge_gate / 2.0));
+        let spread = turning.abs().max(R::splat(crate::sand::Regularization::SOLID.leading_edge_gate / 2.0));
         let (half, third) = (R::splat(0.5), R::splat(1.0 / 3.0));
         let leads_s = (half * (facet.along(own) + spread)).clamp(zero, spread);
         // The plate leads with the part that is turned towards the velocity: its middle and its share of the length.
@@ -413,7 +414,7 @@ fn by<R: Real, M: StressModel<R>, const SECANT: bool>(
     stress_model: &M,
     ground: &SandBed<R>,
     plates: &BodyPatches,
-    frame: &Frame<R>,
+    frame: &LinkFrame<R>,
     velocity: &Twist<R>,
     place: &Vec3<R>,
     travel: [R; 2],

@@ -8,7 +8,7 @@ use super::dynamics::{Drive, JointMotion};
 use super::model::TreeModel;
 use crate::actuator::{Actuator, LaneActuator};
 use crate::number::Real;
-use crate::stop::{NO_LIMIT, Push, Stop};
+use crate::stop::{NO_LIMIT, Stop, StopTorque};
 
 /// Rate v₀ at which dry friction has its full size [rad/s]; a joint creeps more slowly under a smaller load. Our
 /// choice, because even at this rate a joint turns by only 0.06° in a second.
@@ -88,25 +88,25 @@ impl<R: Real> LaneMotor<R> {
 
     /// The motor's part of the push, and the limits of its torque at the joint's rate.
     #[inline(always)]
-    fn servo(&self, servo: &LaneServo<R>, joint: &JointMotion<R>, dt: R) -> (Push<R>, [R; 2]) {
+    fn servo(&self, servo: &LaneServo<R>, joint: &JointMotion<R>, dt: R) -> (StopTorque<R>, [R; 2]) {
         let rate_error = self.reference_rate(servo) - joint.rate;
         let error = rate_error.mul_add(dt, servo.reference - joint.position);
         let torque = self.kp.mul_add(error, self.kd.mul_add(rate_error, servo.command_torque));
         let yielding = dt * dt.mul_add(self.kp, self.kd);
-        let push = self.actuator.track(Push { torque, yielding }, servo.torque, dt);
+        let push = self.actuator.track(StopTorque { torque, yielding }, servo.torque, dt);
         (push, self.actuator.limits(joint.rate))
     }
 }
 
 /// Computes all torques at the joints in one step.
-pub struct Joints<'a, R> {
+pub struct JointTorques<'a, R> {
     pub motors: &'a [LaneMotor<R>],
     pub servos: &'a [LaneServo<R>],
     pub joints: &'a [JointMotion<R>],
     pub dt: R,
 }
 
-impl<R: Real> Joints<'_, R> {
+impl<R: Real> JointTorques<'_, R> {
     /// The motor's torque if the joint accelerates by `acceleration`.
     #[inline(always)]
     pub fn motor_torque(&self, i: usize, acceleration: R) -> R {
@@ -115,18 +115,18 @@ impl<R: Real> Joints<'_, R> {
     }
 }
 
-impl<R: Real> Drive<R> for Joints<'_, R> {
+impl<R: Real> Drive<R> for JointTorques<'_, R> {
     #[inline(always)]
-    fn push(&self, i: usize, own: R, load: R) -> Push<R> {
+    fn push(&self, i: usize, own: R, load: R) -> StopTorque<R> {
         let (motor, joint, dt) = (&self.motors[i], &self.joints[i], self.dt);
         let (servo, [low, high]) = motor.servo(&self.servos[i], joint, dt);
-        let damping = Push { torque: -(motor.damping * joint.rate), yielding: motor.damping * dt };
+        let damping = StopTorque { torque: -(motor.damping * joint.rate), yielding: motor.damping * dt };
         let slows = motor.friction / joint.rate.abs().max(R::splat(CREEP));
-        let rub = Push { torque: -(slows * joint.rate), yielding: slows * dt };
+        let rub = StopTorque { torque: -(slows * joint.rate), yielding: slows * dt };
         let stops = Stop::of(motor.range, joint.position, joint.rate, own, dt);
         let [stiffness, rest] = motor.spring;
         let pulled = joint.rate.mul_add(dt, joint.position) - rest;
-        let spring = Push { torque: -(stiffness * pulled), yielding: stiffness * (dt * dt) };
+        let spring = StopTorque { torque: -(stiffness * pulled), yielding: stiffness * (dt * dt) };
         let always = damping.plus(rub).plus(spring);
         let all = servo.plus(always).plus(stops.push);
         let first = all.moves(own, load);

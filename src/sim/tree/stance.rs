@@ -4,7 +4,7 @@
 use super::Tree;
 use super::contact::ContactPoint;
 use super::kinematics::{chain, lowest};
-use super::limbs::{Joints, Limb, Reached, STEPS, limbs};
+use super::limbs::{FreeJoints, Limb, Reached, STEPS, limbs};
 use nalgebra::{Isometry3, Vector3};
 
 type V = Vector3<f64>;
@@ -72,7 +72,7 @@ impl Stance {
         let height_of = |body: usize| lowest(&frames[body], &contacts[body]).z;
         let low = (0..frames.len()).map(height_of).fold(f64::INFINITY, f64::min);
         let height = if low.is_finite() { -low } else { 0.0 };
-        let free = Joints::free(tree);
+        let free = FreeJoints::free(tree);
         let hips = limbs.iter().map(|l| frames[l.hip].translation.vector.z);
         let span = (hips.fold(f64::NEG_INFINITY, f64::max) - low).max(0.0);
         let is_low = |end: usize| height_of(end) < low + LOWEST * span;
@@ -128,13 +128,13 @@ fn beside(legs: &mut Vec<&Limb>, frames: &[Isometry3<f64>]) {
 struct Search<'a> {
     tree: &'a Tree,
     contacts: &'a [Vec<ContactPoint>],
-    joints: Joints,
+    joints: FreeJoints,
     /// Start positions of a search.
     starts: usize,
 }
 
 /// A leg's place, and the heights that it can use.
-struct Leg<'a> {
+struct LegReach<'a> {
     limb: &'a Limb,
     /// Horizontal place of the foot, and height of the hip [m].
     place: V,
@@ -147,21 +147,21 @@ impl<'a> Search<'a> {
     fn of(tree: &'a Tree, contacts: &'a [Vec<ContactPoint>], limbs: &[Limb]) -> Self {
         let frames_of_a_start: usize = limbs.iter().map(|l| 2 * HEIGHTS * STEPS * l.path.len()).sum();
         let starts = (MOST_FRAMES / frames_of_a_start.max(1)).clamp(1, STARTS);
-        Self { tree, contacts, joints: Joints::of(tree), starts }
+        Self { tree, contacts, joints: FreeJoints::of(tree), starts }
     }
 
-    /// A pose with each foot under its hip, in the middle of the heights that the leg can use. Joints with a position in
+    /// A pose with each foot under its hip, in the middle of the heights that the leg can use. FreeJoints with a position in
     /// the file keep it.
     fn pose(&self, limbs: &[Limb]) -> Vec<f64> {
         let start = self.joints.preferred.clone();
         let frames = chain(self.tree, Isometry3::identity(), &start);
-        let free = Joints::free(self.tree);
+        let free = FreeJoints::free(self.tree);
         let mut candidates: Vec<&Limb> =
             limbs.iter().filter(|l| l.travel(self.tree, self.contacts, &free) > TRAVEL * l.length).collect();
         beside(&mut candidates, &frames);
         let many = candidates.len() >= 4;
-        let mut legs: Vec<Leg> = candidates.iter().filter_map(|l| self.leg(l, &frames, many)).collect();
-        let deepest = |l: &Leg| l.place.z - l.depths[1];
+        let mut legs: Vec<LegReach> = candidates.iter().filter_map(|l| self.leg(l, &frames, many)).collect();
+        let deepest = |l: &LegReach| l.place.z - l.depths[1];
         let low = legs.iter().map(deepest).fold(f64::INFINITY, f64::min);
         let top = legs.iter().map(|l| l.place.z).fold(f64::NEG_INFINITY, f64::max);
         legs.retain(|l| deepest(l) < low + LOWEST * (top - low));
@@ -184,7 +184,7 @@ impl<'a> Search<'a> {
     }
 
     /// The place of a limb's foot if it is a leg; None if its foot reaches no place under the hip.
-    fn leg<'l>(&self, limb: &'l Limb, frames: &[Isometry3<f64>], many: bool) -> Option<Leg<'l>> {
+    fn leg<'l>(&self, limb: &'l Limb, frames: &[Isometry3<f64>], many: bool) -> Option<LegReach<'l>> {
         let (tree, contacts) = (self.tree, self.contacts);
         let hip = frames[limb.hip].translation.vector;
         let tip = limb.tip(tree, contacts, &self.joints.preferred);
@@ -219,7 +219,7 @@ impl<'a> Search<'a> {
         }
         // A limb that reaches no such place, for lack of joints, stands as it is.
         let depths = depths.unwrap_or([hip.z - tip.z; 2]);
-        (depths[1] > 0.0).then_some(Leg { limb, place, depths, wanted: depths[1] })
+        (depths[1] > 0.0).then_some(LegReach { limb, place, depths, wanted: depths[1] })
     }
 
     fn reach(&self, limb: &Limb, target: V, first: Option<&[f64]>, widely: bool) -> Reached {
@@ -234,7 +234,7 @@ impl<'a> Search<'a> {
     }
 
     /// All feet on one level, moved by `shift`.
-    fn standing(&self, legs: &[Leg], start: &[f64], shift: V) -> Vec<f64> {
+    fn standing(&self, legs: &[LegReach], start: &[f64], shift: V) -> Vec<f64> {
         let mut angles = start.to_vec();
         let ground = legs.iter().map(|l| l.place.z - l.wanted).sum::<f64>() / legs.len().max(1) as f64;
         // The level that all legs can reach, if there is one.
@@ -253,7 +253,7 @@ impl<'a> Search<'a> {
     }
 
     /// The way from the middle of the feet to the point under the centre of mass, if that is far.
-    fn off_center(&self, legs: &[Leg], angles: &[f64], upright: bool) -> V {
+    fn off_center(&self, legs: &[LegReach], angles: &[f64], upright: bool) -> V {
         let frames = chain(self.tree, Isometry3::identity(), angles);
         let weighed = frames.iter().zip(&self.tree.bodies);
         let sum: V = weighed.map(|(f, b)| f.transform_point(&b.center.into()).coords * b.mass).sum();

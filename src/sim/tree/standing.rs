@@ -106,11 +106,11 @@ fn judged(model: &Model, state: State) -> Result<Standing> {
     pushes(model, &state).iter().for_each(|push| loads[push.body] += push.force.z);
     let foot = |&body: &usize| {
         let low = lowest(&frames[body], &tree.contacts[body]);
-        let under = |p: &&crate::sand::intruder::Plate| {
+        let under = |p: &&crate::sand::intruder::IntruderPlate| {
             let at = frames[body].transform_point(&Vector3::from(p.center.lane(0)).into());
             at.z < model.surface_height(at.x, at.y)
         };
-        let down = |p: &crate::sand::intruder::Plate| {
+        let down = |p: &crate::sand::intruder::IntruderPlate| {
             p.area * (-(frames[body].rotation * Vector3::from(p.normal.lane(0))).z).max(0.0)
         };
         let area: f64 = tree.plates[body].iter().filter(under).map(down).sum();

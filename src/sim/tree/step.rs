@@ -1,12 +1,12 @@
 //! One time step of a tree robot: positions → sand → hard ground → joints → accelerations → motion.
 
 use super::Follower;
-use super::dynamics::{self, Frame, Hinge, LaneBody, Load, Motion};
+use super::dynamics::{self, LaneTreeBody, LaneTreeMotion, LinkFrame, LinkLoad, TreeHinge};
 use super::floor::{BodyContacts, Floor, Touch};
 use super::patches::BodyPatches;
 use super::relief::LaneRelief;
 use super::sand;
-use super::servo::{Joints, LaneMotor, LaneServo};
+use super::servo::{JointTorques, LaneMotor, LaneServo};
 use crate::number::{Real, Vec3};
 use crate::sand::SandBed;
 use crate::spatial::Twist;
@@ -15,9 +15,9 @@ use std::sync::Arc;
 
 /// All data of the robots that do not change while they move, one robot in each lane.
 pub struct LaneTree<R> {
-    pub bodies: Vec<LaneBody<R>>,
+    pub bodies: Vec<LaneTreeBody<R>>,
     pub motors: Vec<LaneMotor<R>>,
-    /// Joints that follow others, the same in all lanes.
+    /// JointTorques that follow others, the same in all lanes.
     pub followers: Vec<Follower>,
     pub patches: Arc<Vec<BodyPatches>>,
     pub contacts: Vec<BodyContacts>,
@@ -32,17 +32,17 @@ pub struct LaneTree<R> {
 
 /// See [`crate::State`].
 #[derive(Clone)]
-pub struct LaneState<R> {
+pub struct LaneTreeState<R> {
     /// Position of the base link's origin.
     pub position: Vec3<R>,
     /// Origin of x and y, for ground that varies with position [m].
     pub travelled: [R; 2],
-    pub motion: Motion<R>,
+    pub motion: LaneTreeMotion<R>,
     pub servos: Vec<LaneServo<R>>,
     pub work: R,
 }
 
-impl<R: Real> LaneState<R> {
+impl<R: Real> LaneTreeState<R> {
     /// Position of the base's origin in the world [m].
     #[inline(always)]
     pub fn place(&self) -> Vec3<R> {
@@ -51,25 +51,25 @@ impl<R: Real> LaneState<R> {
 }
 
 /// Work space of a step; its contents are not kept.
-pub struct Scratch<R> {
-    pub frames: Vec<Frame<R>>,
-    loads: Vec<Load<R>>,
+pub struct TreeScratch<R> {
+    pub frames: Vec<LinkFrame<R>>,
+    loads: Vec<LinkLoad<R>>,
     /// Loads without those of hard ground.
-    bare: Vec<Load<R>>,
-    hinges: Vec<Hinge<R>>,
+    bare: Vec<LinkLoad<R>>,
+    hinges: Vec<TreeHinge<R>>,
     pub accelerations: Vec<Twist<R>>,
     joints: Vec<R>,
     pub touches: Vec<Touch<R>>,
 }
 
-impl<R: Real> Scratch<R> {
+impl<R: Real> TreeScratch<R> {
     pub fn new(bodies: usize) -> Self {
         let still = Twist { angular: Vec3::zero(), linear: Vec3::zero() };
         Self {
-            frames: vec![Frame::at_rest(); bodies],
-            loads: vec![Load::none(); bodies],
-            bare: vec![Load::none(); bodies],
-            hinges: vec![Hinge::free(); bodies - 1],
+            frames: vec![LinkFrame::at_rest(); bodies],
+            loads: vec![LinkLoad::none(); bodies],
+            bare: vec![LinkLoad::none(); bodies],
+            hinges: vec![TreeHinge::free(); bodies - 1],
             accelerations: vec![still; bodies],
             joints: vec![R::zero(); bodies - 1],
             touches: Vec::new(),
@@ -81,8 +81,8 @@ impl<R: Real> Scratch<R> {
 #[inline(always)]
 pub fn step<R: Real>(
     model: &LaneTree<R>,
-    state: &mut LaneState<R>,
-    scratch: &mut Scratch<R>,
+    state: &mut LaneTreeState<R>,
+    scratch: &mut TreeScratch<R>,
     found: Option<&Surfaces<R>>,
 ) {
     for follower in &model.followers {
@@ -101,8 +101,8 @@ pub fn step<R: Real>(
 #[inline(always)]
 pub fn accelerate<R: Real>(
     model: &LaneTree<R>,
-    state: &LaneState<R>,
-    scratch: &mut Scratch<R>,
+    state: &LaneTreeState<R>,
+    scratch: &mut TreeScratch<R>,
     found: Option<&Surfaces<R>>,
 ) {
     let surface = &model.relief;
@@ -126,18 +126,19 @@ pub fn accelerate<R: Real>(
 }
 
 #[inline(always)]
-fn solve<R: Real>(model: &LaneTree<R>, state: &LaneState<R>, s: &mut Scratch<R>) {
-    let joints = Joints { motors: &model.motors, servos: &state.servos, joints: &state.motion.joints, dt: model.dt };
+fn solve<R: Real>(model: &LaneTree<R>, state: &LaneTreeState<R>, s: &mut TreeScratch<R>) {
+    let joints =
+        JointTorques { motors: &model.motors, servos: &state.servos, joints: &state.motion.joints, dt: model.dt };
     let base = dynamics::fold(&model.bodies, &s.frames, &joints, &mut s.loads, &mut s.hinges);
     dynamics::unfold(&model.bodies, &s.frames, &s.hinges, &base, &mut s.accelerations, &mut s.joints);
 }
 
 /// Computes rates, positions and servos after the step.
 #[inline(always)]
-fn move_joints<R: Real>(model: &LaneTree<R>, state: &mut LaneState<R>, accelerations: &[R]) {
+fn move_joints<R: Real>(model: &LaneTree<R>, state: &mut LaneTreeState<R>, accelerations: &[R]) {
     let dt = model.dt;
     for (i, acceleration) in accelerations.iter().enumerate() {
-        let joints = Joints { motors: &model.motors, servos: &state.servos, joints: &state.motion.joints, dt };
+        let joints = JointTorques { motors: &model.motors, servos: &state.servos, joints: &state.motion.joints, dt };
         let torque = joints.motor_torque(i, *acceleration);
         let (joint, servo) = (&mut state.motion.joints[i], &mut state.servos[i]);
         joint.change = *acceleration * dt;
@@ -151,7 +152,7 @@ fn move_joints<R: Real>(model: &LaneTree<R>, state: &mut LaneState<R>, accelerat
 
 /// Moves the base by semi-implicit Euler; the rotation by the exponential map to third order, then normalised.
 #[inline(always)]
-fn move_base<R: Real>(state: &mut LaneState<R>, acceleration: &Twist<R>, dt: R) {
+fn move_base<R: Real>(state: &mut LaneTreeState<R>, acceleration: &Twist<R>, dt: R) {
     let motion = &mut state.motion;
     motion.change = acceleration.scaled(dt);
     motion.velocity.linear += motion.change.linear;

@@ -5,7 +5,7 @@
 //! hinge with axis a has the image hinge with axis b = −s S a, s = ±1, the positions off the standing pose mirror as
 //! q_b = s q_a. For a slide, whose axis is a vector, b = s S a.
 
-use super::flight::{Pose, accelerations};
+use super::flight::{TreePose, accelerations};
 use super::kinematics::{frames, lowest};
 use super::{JointKind, Tree, TreeModel};
 use crate::State;
@@ -34,7 +34,7 @@ pub struct LeftRight {
 }
 
 /// A body in the standing pose.
-struct Standing {
+struct StandingBody {
     /// Direction of the joint's axis; zero for the base.
     axis: V,
     /// A point of the axis.
@@ -49,11 +49,11 @@ fn mirrored(v: V) -> V {
     V::new(v.x, -v.y, v.z)
 }
 
-fn standing(robot: &TreeModel) -> Vec<Standing> {
+fn standing(robot: &TreeModel) -> Vec<StandingBody> {
     let level = State::at_rest(0.0, &robot.stance.angles);
     let one = |((body, frame), points): ((&super::TreeBody, &Isometry3<f64>), &Vec<super::contact::ContactPoint>)| {
         let low = lowest(frame, points).z;
-        Standing {
+        StandingBody {
             axis: body.joint.as_ref().map_or(V::zeros(), |j| frame.rotation * j.axis.into_inner()),
             at: frame.translation.vector,
             center: frame.transform_point(&body.center.into()).coords,
@@ -99,11 +99,11 @@ impl LeftRight {
     }
 
     /// The mirror image of a position and motion whose joints stand at `rest` in the standing pose.
-    pub fn pose(&self, rest: &[f64], pose: &Pose) -> Pose {
+    pub fn pose(&self, rest: &[f64], pose: &TreePose) -> TreePose {
         let [w, x, y, z] = pose.quat;
         let ([vx, vy, vz], [wx, wy, wz]) = (pose.v, pose.w);
         let off: Vec<f64> = pose.q.iter().zip(rest).map(|(q, rest)| q - rest).collect();
-        Pose {
+        TreePose {
             quat: [w, -x, y, -z],
             v: [vx, -vy, vz],
             w: [-wx, wy, -wz],
@@ -136,7 +136,7 @@ impl LeftRight {
             let all: Vec<[f64; 3]> = rest.iter().map(|_| [0.3 * draw(), 3.0 * draw(), torque * draw()]).collect();
             let part = |i: usize| all.iter().map(|x| x[i]).collect::<Vec<_>>();
             let q = part(0).iter().zip(rest).map(|(off, rest)| off + rest).collect();
-            let pose = Pose { quat: [1.0, 0.0, 0.0, 0.0], v: [0.0; 3], w, q, qd: part(1), tau: part(2) };
+            let pose = TreePose { quat: [1.0, 0.0, 0.0, 0.0], v: [0.0; 3], w, q, qd: part(1), tau: part(2) };
             let (here, there) =
                 (accelerations(&robot.tree, &pose), accelerations(&robot.tree, &self.pose(rest, &pose)));
             let ([ax, ay, az], [bx, by, bz]) = (here.a, here.alpha);
@@ -154,7 +154,7 @@ impl LeftRight {
 
 /// The sign between the positions of the joints of body i and of body k, if they are mirror images of each other within
 /// `most` [m].
-fn sign(tree: &Tree, all: &[Standing], [i, k]: [usize; 2], most: f64) -> Option<f64> {
+fn sign(tree: &Tree, all: &[StandingBody], [i, k]: [usize; 2], most: f64) -> Option<f64> {
     let (a, b) = (tree.bodies[i].joint.as_ref()?, tree.bodies[k].joint.as_ref()?);
     let turn = if a.kind == JointKind::Hinge { -1.0 } else { 1.0 };
     let along = all[k].axis.dot(&(turn * mirrored(all[i].axis)));
@@ -177,7 +177,7 @@ fn none(why: &str) -> Error {
 #[cfg(test)]
 mod tests {
     use super::super::tests::engine::quadruped;
-    use super::super::tests::{Draw, random_tree};
+    use super::super::tests::{SignedDraw, random_tree};
     use super::*;
 
     fn model(tree: Tree) -> TreeModel {
@@ -185,14 +185,14 @@ mod tests {
         TreeModel::new(tree, vec![Vec::new(); bodies]).unwrap()
     }
 
-    fn pose(draw: &mut Draw, rest: &[f64]) -> Pose {
+    fn pose(draw: &mut SignedDraw, rest: &[f64]) -> TreePose {
         let mut three = || std::array::from_fn(|_| draw.number());
         let (v, w, axis): ([f64; 3], [f64; 3], [f64; 3]) = (three(), three(), three());
         let turn = nalgebra::UnitQuaternion::from_scaled_axis(V::from(axis));
         let quat = [turn.w, turn.i, turn.j, turn.k];
         let mut joints = |scale: f64| rest.iter().map(|_| scale * draw.number()).collect::<Vec<_>>();
         let q = joints(0.5).iter().zip(rest).map(|(off, rest)| off + rest).collect();
-        Pose { quat, v, w, q, qd: joints(5.0), tau: joints(3.0) }
+        TreePose { quat, v, w, q, qd: joints(5.0), tau: joints(3.0) }
     }
 
     /// The quadruped's legs are FL, FR, RL, RR with three joints each. A mirrored robot accelerates like the mirror image of
@@ -203,7 +203,7 @@ mod tests {
         let sides = LeftRight::of(&robot).unwrap();
         assert_eq!(sides.joints, [3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8]);
         assert_eq!(sides.signs, [-1.0, 1.0, 1.0].repeat(4));
-        let (mut draw, rest) = (Draw::new(7), &robot.stance.angles);
+        let (mut draw, rest) = (SignedDraw::new(7), &robot.stance.angles);
         for _ in 0..20 {
             let here = pose(&mut draw, rest);
             let there = sides.pose(rest, &here);
@@ -235,7 +235,7 @@ mod tests {
         assert!(heavy.contains("because of its masses"), "{heavy}");
         let posed = refused(&|tree| tree.bodies[1].joint.as_mut().unwrap().rest = Some(0.3));
         assert!(posed.contains("has no mirror image"), "{posed}");
-        let mut draw = Draw::new(3);
+        let mut draw = SignedDraw::new(3);
         for _ in 0..20 {
             assert!(LeftRight::of(&model(random_tree(&mut draw, 8))).is_err());
         }

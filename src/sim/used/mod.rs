@@ -5,7 +5,7 @@
 //! as on level sand.
 
 use crate::number::{Real, Vec3};
-use crate::sand::memory::{Marks, Moved, Piece, Settings};
+use crate::sand::memory::{Marks, MemorySettings, Moved, SurfacePiece};
 use crate::{Model, State};
 
 /// Time between two movements of sand [s]: our choice. A foot that pushes with 0.5 m/s moves by 5 mm, about a cell.
@@ -26,7 +26,7 @@ pub struct LanePiece<R> {
     pub area: R,
     /// Does only the side of the normal touch sand?
     pub one_sided: bool,
-    /// See [`Piece`].
+    /// See [`SurfacePiece`].
     pub cells: u8,
 }
 
@@ -42,19 +42,19 @@ pub struct Surfaces<R> {
 /// The sand around the robots of a block.
 pub struct LaneMemory<R> {
     pub surfaces: Surfaces<R>,
-    settings: Vec<Settings>,
+    settings: Vec<MemorySettings>,
     moved: Vec<Moved>,
     /// [time steps]
     every: u32,
     dt: f64,
     pub pieces: Vec<LanePiece<R>>,
-    groups: Vec<Group<R>>,
-    own: Vec<Piece>,
+    groups: Vec<BodyPieces<R>>,
+    own: Vec<SurfacePiece>,
     marks: Marks,
 }
 
 /// The pieces of a body, and their lowest height.
-struct Group<R> {
+struct BodyPieces<R> {
     body: usize,
     from: usize,
     to: usize,
@@ -136,7 +136,7 @@ impl<R: Real> LaneMemory<R> {
         for (k, p) in pieces.iter().enumerate() {
             match groups.last_mut() {
                 Some(group) if group.body == p.body => (group.to, group.low) = (k + 1, group.low.min(p.place.z)),
-                _ => groups.push(Group { body: p.body, from: k, to: k + 1, low: p.place.z }),
+                _ => groups.push(BodyPieces { body: p.body, from: k, to: k + 1, low: p.place.z }),
             }
         }
         for (lane, (settings, moved)) in settings.iter().zip(moved.iter_mut()).enumerate() {
@@ -155,7 +155,7 @@ impl<R: Real> LaneMemory<R> {
                 next = group.body + 1;
             }
             moved.found[next..].iter_mut().for_each(|found| found.inside = false);
-            for Group { body, from, to, low } in groups.iter() {
+            for BodyPieces { body, from, to, low } in groups.iter() {
                 let low = low.lane(lane);
                 // Well above the sand: what it finds does not matter yet.
                 if low > high + (ABOVE - 1.0) * settings.cell {
@@ -200,14 +200,14 @@ const MOST_SWEEPS: usize = 16;
 
 impl<R: Real> LanePiece<R> {
     #[inline(always)]
-    fn of(&self, lane: usize, place: [f64; 3]) -> Piece {
+    fn of(&self, lane: usize, place: [f64; 3]) -> SurfacePiece {
         let velocity = self.velocity.lane(lane);
         let mut normal = self.normal.lane(lane);
         let along = normal[0] * velocity[0] + normal[1] * velocity[1] + normal[2] * velocity[2];
         if along < 0.0 && !self.one_sided {
             normal = normal.map(|n| -n);
         }
-        Piece { place, normal, area: self.area.lane(lane), velocity, cells: self.cells }
+        SurfacePiece { place, normal, area: self.area.lane(lane), velocity, cells: self.cells }
     }
 }
 

@@ -3,7 +3,7 @@
 use crate::engine::{Command, Engine, EngineKind};
 use crate::model::Scene;
 use crate::sand::Medium;
-use crate::sand::memory::{REPOSE_DEG, Settings};
+use crate::sand::memory::{MemorySettings, REPOSE_DEG};
 use crate::{Model, Robot, State};
 use std::f64::consts::TAU;
 
@@ -113,7 +113,7 @@ fn walks_converge() {
         let mut fine = model(leg, 1.25e-4);
         let settings = fine.scene.memory.unwrap();
         let size = 4.0 * settings.cell;
-        fine.scene.memory = Some(Settings::new(&fine.scene.medium, 0.5 * settings.cell, 7, size, REPOSE_DEG));
+        fine.scene.memory = Some(MemorySettings::new(&fine.scene.medium, 0.5 * settings.cell, 7, size, REPOSE_DEG));
         let mut fresh = usual.clone();
         fresh.scene.memory = None;
         let [a, b, none] = [&usual, &fine, &fresh].map(|m| speed(m, hz));

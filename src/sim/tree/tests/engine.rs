@@ -5,7 +5,7 @@ use crate::engine::Command;
 use crate::model::Scene;
 use crate::number::{Isa, Vec3};
 use crate::sand::Medium;
-use crate::sand::intruder::{Body, BodyShape, Plate};
+use crate::sand::intruder::{BodyShape, IntruderPlate, PlatedBody};
 use crate::{Model, State};
 use std::sync::Arc;
 
@@ -18,7 +18,7 @@ fn model_of(tree: Tree, dt: f64) -> Model {
     Model::of_tree(TreeModel::new(tree, plates).unwrap(), &scene(dt)).unwrap()
 }
 
-fn state_of(pose: &Pose, height: f64) -> State {
+fn state_of(pose: &TreePose, height: f64) -> State {
     let mut state = State::at_rest(height, &pose.q);
     (state.orientation, state.velocity, state.angular_velocity) = (pose.quat, pose.v, pose.w);
     state.rates.clone_from(&pose.qd);
@@ -32,8 +32,8 @@ fn loosened(model: &Model) -> Model {
     Model::of_tree(tree, &model.scene).unwrap()
 }
 
-fn pose_of(state: &State) -> Pose {
-    Pose {
+fn pose_of(state: &State) -> TreePose {
+    TreePose {
         quat: state.orientation,
         v: state.velocity,
         w: state.angular_velocity,
@@ -46,7 +46,7 @@ fn pose_of(state: &State) -> Pose {
 /// Momentum, angular momentum about the centre of mass, and energy.
 pub fn conserved(model: &Model, state: &State) -> (V, V, f64) {
     let (tree, pose) = (&model.tree.as_ref().unwrap().tree, pose_of(state));
-    let none = Accelerations { a: [0.0; 3], alpha: [0.0; 3], qdd: vec![0.0; pose.q.len()] };
+    let none = TreeAccelerations { a: [0.0; 3], alpha: [0.0; 3], qdd: vec![0.0; pose.q.len()] };
     let motions = motions(tree, &pose, &none);
     let at = V::from(state.position);
     let center = |(b, m): (&TreeBody, &Moving)| m.at + m.turn * b.center;
@@ -66,7 +66,7 @@ pub fn conserved(model: &Model, state: &State) -> (V, V, f64) {
 }
 
 /// Position of a robot after `time` under gravity alone.
-fn flown(tree: &Tree, pose: &Pose, dt: f64, time: f64) -> [(V, V, f64); 2] {
+fn flown(tree: &Tree, pose: &TreePose, dt: f64, time: f64) -> [(V, V, f64); 2] {
     let model = loosened(&model_of(tree.clone(), dt));
     let mut engine = TreeEngine::with_isa(Isa::F64, &model, 1).unwrap();
     let mut state = state_of(pose, 100.0);
@@ -81,7 +81,7 @@ fn flown(tree: &Tree, pose: &Pose, dt: f64, time: f64) -> [(V, V, f64); 2] {
 /// constant. The error falls with the time step.
 #[test]
 fn free_flight_conserves() {
-    let mut draw = Draw::new(3);
+    let mut draw = SignedDraw::new(3);
     for count in [1, 4, 13] {
         let tree = random_tree(&mut draw, count);
         let pose = random_pose(&mut draw, count - 1);
@@ -285,7 +285,7 @@ fn a_quadruped_stands_on_its_feet() {
         assert!(later.position[2] > 0.2 && later.rotation()[2][2] > 0.99, "{isa:?}: {later:?}");
         // Depth of the feet times the stiffness is the weight.
         let tree = model.tree.as_ref().unwrap();
-        let none = Accelerations { a: [0.0; 3], alpha: [0.0; 3], qdd: vec![0.0; 12] };
+        let none = TreeAccelerations { a: [0.0; 3], alpha: [0.0; 3], qdd: vec![0.0; 12] };
         let bodies = motions(&tree.tree, &pose_of(&later), &none);
         let depth = |m: &Moving| 0.02 - (m.at + m.turn * V::new(0.0, 0.0, -0.2)).z - later.position[2];
         let carried: f64 = bodies.iter().skip(3).step_by(3).map(|m| depth(m) * tree.compliance.stiffness).sum();
@@ -295,10 +295,10 @@ fn a_quadruped_stands_on_its_feet() {
 }
 
 /// Plates of balls at the feet and of the trunk's underside.
-pub fn plates(tree: &Tree) -> Vec<Vec<Plate>> {
-    let ball = Body::cut(&BodyShape::Sphere { radius: 0.02 }, Some(0.01)).unwrap().plates;
-    let shifted = |p: &Plate| Plate { center: p.center + Vec3::new(0.0, 0.0, -0.2), ..*p };
-    let foot: Vec<Plate> = ball.iter().map(shifted).collect();
+pub fn plates(tree: &Tree) -> Vec<Vec<IntruderPlate>> {
+    let ball = PlatedBody::cut(&BodyShape::Sphere { radius: 0.02 }, Some(0.01)).unwrap().plates;
+    let shifted = |p: &IntruderPlate| IntruderPlate { center: p.center + Vec3::new(0.0, 0.0, -0.2), ..*p };
+    let foot: Vec<IntruderPlate> = ball.iter().map(shifted).collect();
     let is_calf = |b: &TreeBody| b.name.ends_with("calf");
     tree.bodies.iter().map(|b| if is_calf(b) { foot.clone() } else { Vec::new() }).collect()
 }

@@ -86,7 +86,7 @@ fn hard_ground_is_where_it_is_drawn() {
         TreeModel::new(tree, vec![Vec::new()]).unwrap(),
         &Scene { hard: vec![road, step], ..scene(1e-3) },
     );
-    let (model, mut draw) = (model.unwrap(), Draw::new(5));
+    let (model, mut draw) = (model.unwrap(), SignedDraw::new(5));
     for _ in 0..200 {
         let [x, y] = [2.0 * draw.number(), 2.0 * draw.number()];
         let top = road.top([x, y]).min(step.top([x, y]));

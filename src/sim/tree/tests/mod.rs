@@ -1,6 +1,6 @@
 //! Random trees, and the equations that their accelerations must satisfy.
 
-use super::flight::{Accelerations, GRAVITY, Pose, accelerations, accelerations_by};
+use super::flight::{GRAVITY, TreeAccelerations, TreePose, accelerations, accelerations_by};
 use super::*;
 use nalgebra::{Rotation3, UnitQuaternion};
 
@@ -12,9 +12,9 @@ type V = Vector3<f64>;
 type M = Matrix3<f64>;
 
 /// Numbers in [−1, 1), the same on every machine.
-pub struct Draw(u64);
+pub struct SignedDraw(u64);
 
-impl Draw {
+impl SignedDraw {
     pub fn new(seed: u64) -> Self {
         Self(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1)
     }
@@ -37,7 +37,7 @@ impl Draw {
 }
 
 /// A tree of `count` bodies like a robot's in masses and lengths: hinges and slides, branches, inertia in any direction.
-pub fn random_tree(draw: &mut Draw, count: usize) -> Tree {
+pub fn random_tree(draw: &mut SignedDraw, count: usize) -> Tree {
     let mut bodies: Vec<TreeBody> = Vec::new();
     for i in 0..count {
         // Depth first: the parent is the last body or one of its ancestors.
@@ -82,9 +82,9 @@ pub fn random_tree(draw: &mut Draw, count: usize) -> Tree {
     Tree { name: "random".into(), bodies }
 }
 
-pub fn random_pose(draw: &mut Draw, joints: usize) -> Pose {
+pub fn random_pose(draw: &mut SignedDraw, joints: usize) -> TreePose {
     let quat = UnitQuaternion::from_scaled_axis(draw.vector() * 3.0);
-    Pose {
+    TreePose {
         quat: [quat.w, quat.i, quat.j, quat.k],
         v: draw.vector().into(),
         w: (draw.vector() * 2.0).into(),
@@ -116,7 +116,7 @@ impl Moving {
 }
 
 /// The motion of every body from that of the joints, by the rules for moving frames.
-fn motions(tree: &Tree, pose: &Pose, found: &Accelerations) -> Vec<Moving> {
+fn motions(tree: &Tree, pose: &TreePose, found: &TreeAccelerations) -> Vec<Moving> {
     let [w, x, y, z] = pose.quat;
     let quat = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z));
     let mut all = vec![Moving {
@@ -177,7 +177,7 @@ fn needed(tree: &Tree, motions: &[Moving], root: usize, about: V) -> (V, V) {
 /// given torque at each joint. The test uses no spatial algebra.
 #[test]
 fn every_branch_is_in_balance() {
-    let mut draw = Draw::new(1);
+    let mut draw = SignedDraw::new(1);
     for count in [1, 2, 5, 13, 30] {
         for _ in 0..10 {
             let tree = random_tree(&mut draw, count);
@@ -202,7 +202,7 @@ fn every_branch_is_in_balance() {
 }
 
 /// The largest difference divided by the largest acceleration, of linear, angular and joint accelerations whichever is largest.
-pub fn difference(a: &Accelerations, b: &Accelerations) -> f64 {
+pub fn difference(a: &TreeAccelerations, b: &TreeAccelerations) -> f64 {
     let of = |a: &[f64], b: &[f64]| {
         let most = b.iter().fold(1e-9_f64, |m, x| m.max(x.abs()));
         a.iter().zip(b).fold(0.0_f64, |m, (a, b)| m.max((a - b).abs())) / most
@@ -213,7 +213,7 @@ pub fn difference(a: &Accelerations, b: &Accelerations) -> f64 {
 /// Single precision, in every instruction set that lanes may have.
 #[test]
 fn single_precision_is_enough() {
-    let mut draw = Draw::new(2);
+    let mut draw = SignedDraw::new(2);
     for _ in 0..50 {
         let tree = random_tree(&mut draw, 13);
         let pose = random_pose(&mut draw, 12);

@@ -2,11 +2,11 @@
 
 use super::*;
 use crate::number::{Portable, Real, Vec3};
-use crate::sand::intruder::{Body, BodyShape, Given, Plate, Trial, compute, cut};
+use crate::sand::intruder::{BodyShape, DepthOrLoad, IntruderPlate, PlatedBody, Trial, compute, cut};
 use crate::sand::term::Term;
-use crate::sand::{Law, Mechanisms, Medium, SandBed, SandDescription, Surface};
+use crate::sand::{Law, Mechanisms, Medium, Regularization, SandBed, SandDescription};
 use crate::spatial::Twist;
-use crate::tree::dynamics::{Frame, Load};
+use crate::tree::dynamics::{LinkFrame, LinkLoad};
 use crate::tree::patches::BodyPatches;
 use crate::tree::sand::press;
 use crate::tree::terrain::Flat;
@@ -21,7 +21,7 @@ fn nalgebra_of(v: Vec3<f64>) -> V {
 }
 
 /// A box turned by `turn`, as a mesh for `sand::intruder`.
-fn turned_box(half: V, turn: &Rotation3<f64>, folder: &std::path::Path) -> Body {
+fn turned_box(half: V, turn: &Rotation3<f64>, folder: &std::path::Path) -> PlatedBody {
     let path = folder.join("box.obj");
     let mut file = std::fs::File::create(&path).unwrap();
     for i in 0..8 {
@@ -32,12 +32,12 @@ fn turned_box(half: V, turn: &Rotation3<f64>, folder: &std::path::Path) -> Body 
     for [a, b, c, d] in [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]] {
         writeln!(file, "f {} {} {}\nf {} {} {}", a + 1, b + 1, c + 1, a + 1, c + 1, d + 1).unwrap();
     }
-    Body::cut(&BodyShape::Mesh(path), Some(0.002)).unwrap()
+    PlatedBody::cut(&BodyShape::Mesh(path), Some(0.002)).unwrap()
 }
 
 /// Force and moment about the body's origin, which is `depth` below the surface, by the lanes' code.
 fn by_lanes<R: Real>(
-    plates: &[Plate],
+    plates: &[IntruderPlate],
     sand: &SandDescription,
     turn: &Rotation3<f64>,
     depth: f64,
@@ -45,21 +45,21 @@ fn by_lanes<R: Real>(
     gate: f64,
 ) -> (V, V) {
     // In the body's frame; `sand::intruder` has the plates of the turned body.
-    let back = |p: &Plate| Plate {
+    let back = |p: &IntruderPlate| IntruderPlate {
         center: vec3(turn.inverse() * nalgebra_of(p.center)),
         normal: vec3(turn.inverse() * nalgebra_of(p.normal)),
         half: p.half.map(|h| vec3(turn.inverse() * nalgebra_of(h))),
         ..*p
     };
-    let plates: Vec<Plate> = plates.iter().map(back).collect();
-    let surface = Surface { rest_speed: 1e-9, leading_edge_gate: gate, ..Surface::DEFAULT };
+    let plates: Vec<IntruderPlate> = plates.iter().map(back).collect();
+    let surface = Regularization { rest_speed: 1e-9, leading_edge_gate: gate, ..Regularization::DEFAULT };
     let medium = sand.medium();
     let ground = SandBed::<R>::new(sand.law, &medium, &surface).with(&sand.mechanisms, &medium);
-    let mut frame = Frame::<R>::at_rest();
+    let mut frame = LinkFrame::<R>::at_rest();
     let column = |k: usize| Vec3::splat(turn.matrix().column(k).into_owned().into());
     (frame.rotation.x, frame.rotation.y, frame.rotation.z) = (column(0), column(1), column(2));
     frame.velocity = Twist { angular: Vec3::zero(), linear: Vec3::splat(v.into()) };
-    let mut loads = [Load::none()];
+    let mut loads = [LinkLoad::none()];
     let body = [BodyPatches::of(0, &plates, sand.law)];
     press(&ground, &body, &[frame], &Vec3::splat([0.0, 0.0, -depth]), &Flat, None, &mut loads, R::splat(1e-3));
     let bias = loads[0].bias;
@@ -67,9 +67,9 @@ fn by_lanes<R: Real>(
 }
 
 /// Force and moment from `sand::intruder`.
-fn by_intruder(body: &Body, sand: &SandDescription, depth: f64, v: V) -> (V, V) {
+fn by_intruder(body: &PlatedBody, sand: &SandDescription, depth: f64, v: V) -> (V, V) {
     let lowest = -body.heights()[0];
-    let trial = Trial { velocity: v.into(), spin: [0.0; 3], given: Given::Depth(depth + lowest) };
+    let trial = Trial { velocity: v.into(), spin: [0.0; 3], given: DepthOrLoad::Depth(depth + lowest) };
     let outcome = compute(body, sand, &trial);
     (outcome.force.into(), outcome.torque.into())
 }
@@ -85,8 +85,9 @@ fn sands() -> [SandDescription; 3] {
 /// A velocity at which no face of a turned box moves almost along itself. On such a face the engines apply the load
 /// gradually, and `sand::intruder` at once.
 fn clear_of(turn: &Rotation3<f64>, draw: impl FnMut() -> V) -> V {
-    let along =
-        |v: &V| (0..3).any(|k| turn.matrix().column(k).dot(&v.normalize()).abs() < Surface::SOLID.leading_edge_gate);
+    let along = |v: &V| {
+        (0..3).any(|k| turn.matrix().column(k).dot(&v.normalize()).abs() < Regularization::SOLID.leading_edge_gate)
+    };
     std::iter::repeat_with(draw).find(|v| !along(v)).unwrap()
 }
 
@@ -96,7 +97,7 @@ fn clear_of(turn: &Rotation3<f64>, draw: impl FnMut() -> V) -> V {
 #[test]
 fn the_force_is_that_of_a_body_in_steady_motion() {
     let folder = tempfile::tempdir().unwrap();
-    let mut draw = Draw::new(5);
+    let mut draw = SignedDraw::new(5);
     for sand in sands() {
         // A patch has one mean depth, which is exact if the stress is linear in depth.
         let part = if sand.mechanisms.depth_power == 0.0 { 5e-3 } else { 2e-2 };
@@ -111,7 +112,7 @@ fn the_force_is_that_of_a_body_in_steady_motion() {
             let single = by_lanes::<Portable>(&body.plates, &sand, &turn, depth, v, 1e-20);
             assert_near(single, expected, part);
         }
-        let ball = Body::cut(&BodyShape::Sphere { radius: 0.02 }, None).unwrap();
+        let ball = PlatedBody::cut(&BodyShape::Sphere { radius: 0.02 }, None).unwrap();
         for _ in 0..6 {
             let (depth, v) = (0.01 * (1.0 + draw.number()), draw.vector() * 0.3);
             let found = by_lanes::<f64>(&ball.plates, &sand, &Rotation3::identity(), depth, v, 1e-20);
