@@ -7,7 +7,6 @@
 use super::fit::{Fit, slope};
 use super::left_out::Laws;
 use super::study::FitInputs;
-use super::verdict::MAIN_PART;
 use crate::number::dot;
 use crate::parallel;
 use crate::sand::GRAVITY;
@@ -30,6 +29,10 @@ const SHALLOW: f64 = 1e-3;
 /// Rounds in which law, causes, coefficients and nuisances are fitted together: our choice, because the columns depend
 /// slightly on them.
 const ROUNDS: usize = 3;
+
+/// Share of a law's effect that a cause may explain for both to be fitted together: at more, the variance inflation factor
+/// is above 10, the usual limit of collinearity (Marquardt, Technometrics 12:591, 1970).
+const COLLINEAR: f64 = 0.9;
 
 /// A law with its coefficient.
 pub struct FittedLaw {
@@ -86,7 +89,7 @@ fn dictionary([speed, depth, width]: [f64; 3]) -> Vec<Term> {
 }
 
 /// The laws that are physically possible about `base`, with their columns; None if the model supports no laws. Beside a
-/// cause, a law whose effect on these data is mostly that of the cause itself is left out: it would describe the cause
+/// cause, a law whose effect on these data is nearly that of the cause itself is left out: it would describe the cause
 /// once more, and take a part of its value.
 pub fn laws(study: &FitInputs, base: &Fit) -> Option<Laws> {
     study.model.with_terms(&[])?;
@@ -97,7 +100,7 @@ pub fn laws(study: &FitInputs, base: &Fit) -> Option<Laws> {
         let column = Arc::new(slope(&model.predict(&base.mechanisms, &coefficients), &base.prediction, 1.0));
         // The coefficient that would fit alone tells the sign; a law that sand cannot follow is left out.
         let white = study.whitener.apply(&column);
-        if !base.ids.is_empty() && normal.explained(&white, base.ids.len())? > MAIN_PART {
+        if !base.ids.is_empty() && normal.explained(&white, base.ids.len())? > COLLINEAR {
             return None;
         }
         let estimate = dot(&white, &base.white) / dot(&white, &white).max(1e-300);
@@ -110,9 +113,12 @@ pub fn laws(study: &FitInputs, base: &Fit) -> Option<Laws> {
     Some(Laws { terms, columns })
 }
 
-/// The law `term` fitted in addition to `base`, from its coefficient. None if sand cannot follow the fitted law.
-pub fn fitted(study: &FitInputs, base: &Fit, mut term: Term) -> Option<FittedLaw> {
-    let mut fit = base.clone();
+/// The law `term` fitted in addition to `base`, from its coefficient. The values of named causes are `held`: the law
+/// describes what they leave, and takes no part of them. None if sand cannot follow the fitted law.
+pub fn fitted(study: &FitInputs, base: &Fit, mut term: Term, held: bool) -> Option<FittedLaw> {
+    let values = if held { base.ids.len() } else { 0 };
+    let (own, rest) = base.slopes.split_at(values);
+    let mut fit = Fit { ids: base.ids[values..].to_vec(), slopes: rest.to_vec(), ..base.clone() };
     let mut sd = 0.0;
     for _ in 0..ROUNDS {
         let model = study.model.with_terms(std::slice::from_ref(&term))?;
@@ -129,5 +135,6 @@ pub fn fitted(study: &FitInputs, base: &Fit, mut term: Term) -> Option<FittedLaw
     let model = study.model.with_terms(std::slice::from_ref(&term))?;
     let fit = study.with_model(&*model).fit_near(&fit);
     term.check(&study.coefficients(&fit.deviations), study.model.medium().bulk_density).ok()?;
+    let fit = Fit { ids: base.ids.clone(), slopes: [own, &fit.slopes].concat(), ..fit };
     Some(FittedLaw { term, sd, fit })
 }

@@ -157,7 +157,8 @@ fn judged(
         let last = study.under(&whitener, renewed.nuisances.clone());
         let fit = if scale > 1.0 { last.fit_from(&[model.fit]).swap_remove(0) } else { model.fit.clone() };
         let term = law_of(&table, &models, ruling.model);
-        let law = term.as_ref().and_then(|term| fitted(&last, &fit, term.clone()));
+        let held = ruling.written == Written::Cause;
+        let law = term.as_ref().and_then(|term| fitted(&last, &fit, term.clone(), held));
         if let (Some(place), None) = (table.rows[ruling.model].law.filter(|_| term.is_some()), &law) {
             let own = usize::from(entries[ruling.model].causes > 0);
             for laws in dictionary[own].iter_mut() {

@@ -1,7 +1,11 @@
 //! Other comparisons: discs of several sizes, a simulation of single grains, and walks and robots by independent codes.
 
 use super::{data, robots};
+<<<<<<< HEAD
 use crate::calibrate::pushes::{self, PressureLaw as PushLaw};
+=======
+use crate::calibrate::pushes::{self, PushLaw};
+>>>>>>> diag3
 use crate::error::Result;
 use crate::parallel;
 use crate::reproduce;
