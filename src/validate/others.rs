@@ -1,11 +1,7 @@
 //! Other comparisons: discs of several sizes, a simulation of single grains, and walks and robots by independent codes.
 
 use super::{data, robots};
-<<<<<<< HEAD
-use crate::calibrate::pushes::{self, PressureLaw as PushLaw};
-=======
-use crate::calibrate::pushes::{self, PushLaw};
->>>>>>> diag3
+use crate::calibrate::pushes::{self, PressureLaw};
 use crate::error::Result;
 use crate::parallel;
 use crate::reproduce;
@@ -46,7 +42,7 @@ fn discs() -> Result<String> {
     }
     let plain = study.sizes.iter().map(|s| format!("{:.2} at {:.0} mm", s.zeta, 1e3 * s.diameter));
     let _ = writeln!(text, "\nScale ζ of each disc [N/cm³]: {}.", plain.collect::<Vec<_>>().join(", "));
-    let missed = study.laws.iter().filter(|s| s.law == PushLaw::Proportional).find_map(|s| s.other_size_percent);
+    let missed = study.laws.iter().filter(|s| s.law == PressureLaw::Proportional).find_map(|s| s.other_size_percent);
     if let Some(missed) = missed {
         let _ = writeln!(
             text,
