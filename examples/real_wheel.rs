@@ -4,7 +4,7 @@
 //! that are fitted on the rows of both wheels at slip angles up to 60°, and differ in the friction of the surface.
 
 use sandgait::sand::{Law, Mechanisms, Medium, SandDescription};
-use sandgait::table::{self, Column, Quantity, ReadOptions};
+use sandgait::table::{self, HeaderColumn, Quantity, ReadOptions};
 use sandgait::validate::{DENSITY, data, fit};
 use std::error::Error;
 use std::path::{Path, PathBuf};
@@ -60,10 +60,10 @@ fn main() -> Result<(), Box<dyn Error>> {
 
 /// ζ [N/cm³]: slope of the line through the origin, of force / area over depth.
 fn discs(path: &Path) -> Result<f64, Box<dyn Error>> {
-    const COLUMNS: [Column; 3] = [
-        Column::needed("diameter", Quantity::Length),
-        Column::needed("depth", Quantity::Length),
-        Column::needed("force", Quantity::Force),
+    const COLUMNS: [HeaderColumn; 3] = [
+        HeaderColumn::needed("diameter", Quantity::Length),
+        HeaderColumn::needed("depth", Quantity::Length),
+        HeaderColumn::needed("force", Quantity::Force),
     ];
     let (mut top, mut bottom) = (0.0, 0.0);
     table::read(path, &ReadOptions::new(&COLUMNS), |row| {

@@ -13,7 +13,7 @@ use sandgait::sim::engine::EngineKind;
 use sandgait::sim::model::Scene;
 use sandgait::sim::{Robot, walk};
 use sandgait::sweep::{Design, Parameter, SweepAxis, SweepMeasure, optimize, walk_all};
-use sandgait::table::{self, Column, Quantity, ReadOptions};
+use sandgait::table::{self, HeaderColumn, Quantity, ReadOptions};
 use std::path::Path;
 
 const PLATE: f64 = 0.038 * 0.025;
@@ -28,7 +28,7 @@ fn design() -> Design {
 #[test]
 fn a_penetration_test_gives_the_scale() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/penetration.csv");
-    let columns = [Column::needed("depth", Quantity::Length), Column::needed("force", Quantity::Force)];
+    let columns = [HeaderColumn::needed("depth", Quantity::Length), HeaderColumn::needed("force", Quantity::Force)];
     let (mut depth, mut force) = (Vec::new(), Vec::new());
     let take = |row: &table::Row| {
         depth.push(row.needed(0)?);
@@ -87,7 +87,7 @@ fn data_that_are_no_penetration_test_are_refused() {
 #[test]
 fn bad_cells_are_named() {
     let read = |text: &str, units: &[(&str, &str)]| {
-        let columns = [Column::needed("depth", Quantity::Length)];
+        let columns = [HeaderColumn::needed("depth", Quantity::Length)];
         let units = units.iter().map(|(name, unit)| (name.to_string(), unit.to_string())).collect();
         let mut depth = Vec::new();
         let asked = ReadOptions { units, ..ReadOptions::new(&columns) };

@@ -2,7 +2,7 @@
 
 use super::Calibration;
 use super::pushes::{Penetration, Pushes};
-use crate::plot::{Axis, Figure, Mark, Panel, Style, color};
+use crate::plot::{Axis, Figure, FigurePanel, Mark, Style, color};
 
 /// The test and the line through it.
 pub fn single(depth: &[f64], force: &[f64], c: &Calibration) -> Figure {
@@ -15,7 +15,7 @@ pub fn single(depth: &[f64], force: &[f64], c: &Calibration) -> Figure {
     Figure {
         title: "Penetration test".into(),
         columns: 1,
-        panels: vec![Panel {
+        panels: vec![FigurePanel {
             x: Axis::new("depth [mm]"),
             y: Axis::new("force [N]"),
             marks: vec![
@@ -23,7 +23,7 @@ pub fn single(depth: &[f64], force: &[f64], c: &Calibration) -> Figure {
                 Mark::line("measured", Style { width: 0.0, ..Style::line(color::VERMILION) }.with_dots(), data),
                 Mark::line(&label, Style::line(color::BLUE), line.to_vec()),
             ],
-            ..Panel::default()
+            ..FigurePanel::default()
         }],
         note: format!("plate {:.2} cm², {} samples in the fit, r² = {:.3}", c.area * 1e4, c.samples, c.r_squared),
     }
@@ -43,7 +43,12 @@ pub fn several(pushes: &[Penetration], study: &Pushes) -> Figure {
     Figure {
         title: "Penetration tests".into(),
         columns: 1,
-        panels: vec![Panel { x: Axis::new("depth [mm]"), y: Axis::new("pressure [kPa]"), marks, ..Panel::default() }],
+        panels: vec![FigurePanel {
+            x: Axis::new("depth [mm]"),
+            y: Axis::new("pressure [kPa]"),
+            marks,
+            ..FigurePanel::default()
+        }],
         note: format!("{} pushes; best law: {}", pushes.len(), study.law.formula()),
     }
 }

@@ -2,21 +2,21 @@
 
 use super::pushes::{MOST_PUSHES, MOST_SAMPLES, Penetration};
 use crate::error::{Error, Result, check_range};
-use crate::table::{self, Column, Quantity, ReadOptions, Row};
+use crate::table::{self, HeaderColumn, Quantity, ReadOptions, Row};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
 /// Values beyond ±1e6 m or N are broken or in the wrong unit: our choice, as for force logs.
 const MOST: f64 = 1e6;
 
-const COLUMNS: [Column; 7] = [
-    Column::needed("depth", Quantity::Length),
-    Column::needed("force", Quantity::Force),
-    Column { name: "trial", quantity: Quantity::Text, required: false },
-    Column { name: "diameter", quantity: Quantity::Length, required: false },
-    Column { name: "length", quantity: Quantity::Length, required: false },
-    Column { name: "width", quantity: Quantity::Length, required: false },
-    Column { name: "speed", quantity: Quantity::Speed, required: false },
+const COLUMNS: [HeaderColumn; 7] = [
+    HeaderColumn::needed("depth", Quantity::Length),
+    HeaderColumn::needed("force", Quantity::Force),
+    HeaderColumn { name: "trial", quantity: Quantity::Text, required: false },
+    HeaderColumn { name: "diameter", quantity: Quantity::Length, required: false },
+    HeaderColumn { name: "length", quantity: Quantity::Length, required: false },
+    HeaderColumn { name: "width", quantity: Quantity::Length, required: false },
+    HeaderColumn { name: "speed", quantity: Quantity::Speed, required: false },
 ];
 /// Allowed diameters and sides of plates [m]: our choice, wide.
 const SIZES: std::ops::RangeInclusive<f64> = 1e-4..=1.0;

@@ -1,8 +1,8 @@
 //! `sandgait sweep --learn`: writes the results of a study of learnt gaits as files and as text.
 
-use sandgait::plot::{self, Figure, Mark, Panel, Style, color, png};
+use sandgait::plot::{self, Figure, FigurePanel, Mark, Style, color, png};
 use sandgait::sweep::SweepAxis;
-use sandgait::train::design::{Compared, DesignStudy, Findings, GaitMeasure, Trained, TrainingMean};
+use sandgait::train::design::{DesignComparison, DesignStudy, Findings, GaitMeasure, Trained, TrainingMean};
 use sandgait::{Error, Result};
 use std::path::Path;
 
@@ -90,7 +90,7 @@ fn figure(study: &DesignStudy, findings: &Findings, measure: GaitMeasure) -> Fig
     Figure { title, panels, columns: 2, note }
 }
 
-fn lines(study: &DesignStudy, findings: &Findings, measure: GaitMeasure, along: &SweepAxis) -> Panel {
+fn lines(study: &DesignStudy, findings: &Findings, measure: GaitMeasure, along: &SweepAxis) -> FigurePanel {
     let x = along.numbers().unwrap_or_else(|| (1..=along.values.len()).map(|i| i as f64).collect());
     let mut marks = Vec::new();
     for (k, row) in findings.trained.chunks(x.len()).enumerate() {
@@ -111,16 +111,16 @@ fn lines(study: &DesignStudy, findings: &Findings, measure: GaitMeasure, along: 
         marks.push(Mark::line("", dotted(shade), dots));
     }
     let (x, y) = (plot::Axis::new(&along.parameter.label()), plot::Axis::new(measure.label()));
-    Panel { x, y, marks, ..Panel::default() }
+    FigurePanel { x, y, marks, ..FigurePanel::default() }
 }
 
 /// All designs of a search over axis `k`.
-fn searched(study: &DesignStudy, findings: &Findings, measure: GaitMeasure, k: usize) -> Panel {
+fn searched(study: &DesignStudy, findings: &Findings, measure: GaitMeasure, k: usize) -> FigurePanel {
     let at = |values: &Vec<String>| values[k].parse().unwrap_or(f64::NAN);
     let all = findings.designs.iter().zip(&findings.trained);
     let dots = all.flat_map(|(values, t)| measured(measure, t).into_iter().map(move |y| [at(values), y])).collect();
     let (x, y) = (plot::Axis::new(&study.axes[k].parameter.label()), plot::Axis::new(measure.label()));
-    Panel { x, y, marks: vec![Mark::line("a training", dotted(color::BLUE), dots)], ..Panel::default() }
+    FigurePanel { x, y, marks: vec![Mark::line("a training", dotted(color::BLUE), dots)], ..FigurePanel::default() }
 }
 
 /// A style of dots without a line.
@@ -138,7 +138,7 @@ pub fn report(study: &DesignStudy, findings: &Findings, measure: GaitMeasure, ou
     png::write_both(&figure(study, findings, measure).svg(), &out.join("learnt.svg"))?;
     let mut rows = vec![["design".to_owned(), "file".into()].to_vec()];
     rows[0].extend(GaitMeasure::ALL.map(|m| m.label().to_owned()));
-    for Compared { design, values } in &findings.best {
+    for DesignComparison { design, values } in &findings.best {
         let named = study.axes.iter().zip(&findings.designs[*design]);
         let named: Vec<_> = named.map(|(axis, value)| format!("{} = {value}", axis.parameter.name)).collect();
         let mut cells = vec![named.join(", "), format!("design{design}-*.onnx")];

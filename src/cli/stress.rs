@@ -3,14 +3,14 @@
 use sandgait::number::Vec3;
 use sandgait::sand::law::agarwal2023;
 use sandgait::sand::{Law, Medium, Regularization, SandBed};
-use sandgait::table::{self, Column, Quantity, ReadOptions};
+use sandgait::table::{self, HeaderColumn, Quantity, ReadOptions};
 use sandgait::{Error, Result};
 use std::path::PathBuf;
 
-const COLUMNS: [Column; 3] = [
-    Column::needed("beta", Quantity::Angle),
-    Column::needed("gamma", Quantity::Angle),
-    Column::needed("psi", Quantity::Angle),
+const COLUMNS: [HeaderColumn; 3] = [
+    HeaderColumn::needed("beta", Quantity::Angle),
+    HeaderColumn::needed("gamma", Quantity::Angle),
+    HeaderColumn::needed("psi", Quantity::Angle),
 ];
 
 /// Evaluate a force law: prints the stress per depth at given angles.

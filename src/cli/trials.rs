@@ -4,16 +4,16 @@ use sandgait::parallel;
 use sandgait::sand::SandDescription;
 use sandgait::sand::intruder::path::{self, PathPoint};
 use sandgait::sand::intruder::{BodyShape, DepthOrLoad, PlatedBody, Status, Trial, TrialOutcome, compute_all};
-use sandgait::table::{self, Column, Quantity, ReadOptions};
+use sandgait::table::{self, HeaderColumn, Quantity, ReadOptions};
 use sandgait::{Error, Result};
 use std::fmt::Write as _;
 use std::path::Path;
 
-const fn optional(name: &'static str, quantity: Quantity) -> Column<'static> {
-    Column { name, quantity, required: false }
+const fn optional(name: &'static str, quantity: Quantity) -> HeaderColumn<'static> {
+    HeaderColumn { name, quantity, required: false }
 }
 
-const COLUMNS: [Column; 12] = [
+const COLUMNS: [HeaderColumn; 12] = [
     optional("vx", Quantity::Speed),
     optional("vy", Quantity::Speed),
     optional("vz", Quantity::Speed),

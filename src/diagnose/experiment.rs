@@ -1,12 +1,12 @@
 //! EXPERIMENT.toml: facts that the data file does not contain.
 
 use super::nuisance::{PriorEntry, Priors};
-use super::trajectory::keys::{self, Imu, Keys, Motor, RunTable};
+use super::trajectory::keys::{self, Imu, Keys, MotorKeys, RunTable};
 use crate::error::{Error, Result, check_range};
 use crate::progress::Progress;
 use crate::sand::intruder::BodyShape;
 use crate::sand::{Coefficients, Law, Medium};
-use crate::table::{self, Column, ReadOptions, Row, Summary};
+use crate::table::{self, HeaderColumn, ReadOptions, Row, Summary};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 use std::collections::BTreeMap;
@@ -101,7 +101,7 @@ struct File {
     #[serde(default)]
     imu: Imu,
     #[serde(default)]
-    motor: Motor,
+    motor: MotorKeys,
     slope_deg: Option<f64>,
     stride_frequency: Option<f64>,
     leg: Option<String>,
@@ -129,7 +129,7 @@ pub struct Experiment {
     pub law: Law,
     pub bodies: BTreeMap<String, BodyDescription>,
     pub nuisances: Priors,
-    /// Column → unit, for columns that are not in SI.
+    /// HeaderColumn → unit, for columns that are not in SI.
     pub units: BTreeMap<String, String>,
     /// Our column name → theirs.
     pub columns: BTreeMap<String, String>,
@@ -150,7 +150,7 @@ impl Experiment {
     pub fn read(
         &self,
         data: &Path,
-        columns: &[Column],
+        columns: &[HeaderColumn],
         progress: &dyn Progress,
         take: impl FnMut(&Row) -> Result<()>,
     ) -> Result<Summary> {

@@ -4,7 +4,7 @@
 use super::misfit::Misfit;
 use super::report::Curves;
 use super::words::digits;
-use crate::plot::{Axis, Figure, Mark, Panel, Style, color, escape};
+use crate::plot::{Axis, Figure, FigurePanel, Mark, Style, color, escape};
 use std::fmt::Write;
 
 /// Number of conditions in a figure, and of further ones that a click shows: our choice, so that the page stays readable.
@@ -65,7 +65,7 @@ fn by_progress(html: &mut String, c: &Curves) {
     }
 }
 
-fn panel(c: &Curves, u: usize, channel: usize) -> Panel {
+fn panel(c: &Curves, u: usize, channel: usize) -> FigurePanel {
     let (o, unit) = (&c.observations, &c.observations.units[u]);
     let model = c.extended.as_ref().unwrap_or(&c.plain);
     let block = unit.block(channel);
@@ -91,7 +91,7 @@ fn panel(c: &Curves, u: usize, channel: usize) -> Panel {
         marks.push(Mark::line("", Style::line(color::VERMILION), at(&|k| model[k])));
     }
     let name = format!("{}{}", o.channels[channel].name, bracketed(o.channels[channel].unit));
-    Panel {
+    FigurePanel {
         title: String::new(),
         x: Axis::new("angle [rad] or position along the path [m]"),
         y: Axis::within(&name, least - air, most + air),

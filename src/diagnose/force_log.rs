@@ -7,7 +7,7 @@ use super::observations::{Channel, Names, Observations, Size, Unit};
 use super::track::{ArmPose, Track};
 use crate::error::Result;
 use crate::progress::Progress;
-use crate::table::{Column, Quantity, Row};
+use crate::table::{HeaderColumn, Quantity, Row};
 use std::path::Path;
 
 /// A force log, read and checked.

@@ -1,7 +1,7 @@
 //! `hardware.toml`: what a diagnosis has found of the robot's motors, sensors and delays, for [`crate::sim::hardware`].
 
 use super::report::Report;
-use crate::sim::hardware::{HardwareDescription, Quantity};
+use crate::sim::hardware::{HardwareDescription, HardwareQuantity};
 
 /// Half of a 95 % interval in standard deviations of a normal distribution.
 const TWO_SIDED_95: f64 = 1.96;
@@ -25,20 +25,20 @@ pub fn found(report: &Report) -> HardwareDescription {
         let values = report.nuisances.iter().filter(|n| n.id == id && n.level == "log");
         for n in values.filter(|n| n.value.abs() > TWO_SIDED_95 * n.sd && n.value > least) {
             let interval = [n.value - TWO_SIDED_95 * n.sd, n.value + TWO_SIDED_95 * n.sd].map(|x| x.max(least));
-            let quantity = Quantity { value: n.value, interval };
+            let quantity = HardwareQuantity { value: n.value, interval };
             all.quantities.extend(paths.iter().map(|path| ((*path).to_owned(), quantity)));
         }
     }
     // A torque that was computed from the current is wrong by the same factor as the torque that a drive gives.
-    if let Some(Quantity { value, interval: [low, high] }) = all.quantities.get("sensors.joint_torque.gain") {
+    if let Some(HardwareQuantity { value, interval: [low, high] }) = all.quantities.get("sensors.joint_torque.gain") {
         let given = |gain: f64| 1.0 / (1.0 + gain);
-        let quantity = Quantity { value: given(*value), interval: [given(*high), given(*low)] };
+        let quantity = HardwareQuantity { value: given(*value), interval: [given(*high), given(*low)] };
         all.quantities.insert("actuator.torque_constant".into(), quantity);
     }
     if let Some(cause) = report.causes.iter().find(|cause| cause.id == "motor_torque_limit" && cause.value > 0.0) {
         let [low, high] = cause.ci95;
         let interval = [low.clamp(0.0, cause.value), high.max(cause.value)];
-        let quantity = Quantity { value: cause.value, interval };
+        let quantity = HardwareQuantity { value: cause.value, interval };
         all.quantities.insert("actuator.torque_limit".into(), quantity);
     }
     all
@@ -50,7 +50,7 @@ mod tests {
     use crate::diagnose;
     use crate::progress::Silent;
     use crate::sand::mechanism::Mechanisms;
-    use crate::sim::hardware::{HardwareDescription, Quantity};
+    use crate::sim::hardware::{HardwareDescription, HardwareQuantity};
     use crate::trajectory::generate::{Truth, csv, experiment, file};
     use rand::{Rng as _, SeedableRng as _};
 
@@ -78,7 +78,7 @@ mod tests {
                 ("sensors.imu_rotation.z", turn[2]),
                 ("actuator.torque_limit", limit),
             ] {
-                let Some(Quantity { interval: [low, high], .. }) = hardware.quantities.get(path) else {
+                let Some(HardwareQuantity { interval: [low, high], .. }) = hardware.quantities.get(path) else {
                     assert!(path != "actuator.torque_limit" || limit == 0.0, "{}", report.summary);
                     continue;
                 };

@@ -6,12 +6,12 @@ use super::observations::{Channel, Names, Observations, Size, Unit};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::sand::intruder::{DepthOrLoad, Trial};
-use crate::table::{Column, Quantity, Row};
+use crate::table::{HeaderColumn, Quantity, Row};
 use std::path::Path;
 
 /// The setting of one row.
 #[derive(Clone, Debug, PartialEq)]
-pub struct SteadyState {
+pub struct SteadyRow {
     /// A table `[body.NAME]` of the experiment.
     pub body: String,
     /// The motion under the measured load.
@@ -20,7 +20,7 @@ pub struct SteadyState {
     pub unsteadiness: [f64; 3],
 }
 
-impl SteadyState {
+impl SteadyRow {
     /// [N]
     pub fn load(&self) -> f64 {
         if let DepthOrLoad::Load(load) = self.trial.given { load } else { 0.0 }
@@ -30,7 +30,7 @@ impl SteadyState {
 /// Checked steady states of a log; each is a unit.
 pub struct IntruderLog {
     pub observations: Observations,
-    pub states: Vec<SteadyState>,
+    pub states: Vec<SteadyRow>,
     /// Does the log have standard deviations in time?
     pub has_unsteadiness: bool,
     pub sha256: String,
@@ -95,7 +95,7 @@ pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Re
         for column in [FX, FY, DEPTH] {
             observations.values.push(row.within(column, MOST)?.ok_or_else(|| row.blank(column))?);
         }
-        states.push(SteadyState { body: body(row, experiment)?, trial: trial(row, path)?, unsteadiness });
+        states.push(SteadyRow { body: body(row, experiment)?, trial: trial(row, path)?, unsteadiness });
         Ok(())
     })?;
     observations.conditions = conditions.list;

@@ -3,7 +3,7 @@
 use super::experiment::{BodyDescription, Experiment};
 use super::fit::slope;
 use super::forward::{Feature, ForwardModel, Menu, SandParameters, Testable, stronger};
-use super::intruder_log::{CHANNELS, IntruderLog, SteadyState};
+use super::intruder_log::{CHANNELS, IntruderLog, SteadyRow};
 use super::nuisance::{Nuisance, Priors};
 use super::shared::{SharedNoise, Uncertainty};
 use crate::error::{Error, Result};
@@ -36,7 +36,7 @@ pub struct IntruderModel<'a> {
     latch: &'a Latch<'a>,
     medium: Medium,
     law: Law,
-    states: Vec<SteadyState>,
+    states: Vec<SteadyRow>,
     cuts: BTreeMap<String, BodyPlates>,
     has_unsteadiness: bool,
     priors: Priors,
@@ -98,7 +98,7 @@ impl<'a> IntruderModel<'a> {
                 (name.as_str(), self.sand(&body, mechanisms, coefficients))
             })
             .collect();
-        let of = |state: &SteadyState| {
+        let of = |state: &SteadyRow| {
             let (cut, sand) = (&self.cuts[&state.body], &sands[state.body.as_str()]);
             if self.latch.stopped() {
                 return [f64::NAN; 3];
@@ -214,7 +214,7 @@ impl ForwardModel for IntruderModel<'_> {
     }
 
     fn features(&self) -> Vec<Feature> {
-        let per_row = |name, unit, f: &dyn Fn(&SteadyState) -> f64| Feature {
+        let per_row = |name, unit, f: &dyn Fn(&SteadyRow) -> f64| Feature {
             name,
             unit,
             values: self.states.iter().map(|s| vec![f(s)]).collect(),
@@ -222,7 +222,7 @@ impl ForwardModel for IntruderModel<'_> {
         vec![
             per_row("slip", "1", &|s| self.slip(s)),
             per_row("slip_angle", "rad", &|s| (-s.trial.velocity[1]).atan2(s.trial.velocity[0].abs())),
-            per_row("load", "N", &SteadyState::load),
+            per_row("load", "N", &SteadyRow::load),
         ]
     }
 
@@ -237,7 +237,7 @@ impl ForwardModel for IntruderModel<'_> {
 
 impl IntruderModel<'_> {
     /// (rim speed − V)/max(rim speed, V) of the lowest point; 0 if the body does not travel.
-    fn slip(&self, state: &SteadyState) -> f64 {
+    fn slip(&self, state: &SteadyRow) -> f64 {
         let [low, _] = self.cuts[&state.body].nominal.heights();
         let (v, rim) = (state.trial.velocity[0].hypot(state.trial.velocity[1]), -low * state.trial.spin[1]);
         if v > 0.0 { (rim - v) / v.max(rim.abs()) } else { 0.0 }

@@ -15,14 +15,14 @@ use std::sync::{Arc, Mutex, PoisonError};
 const KEPT: usize = 12;
 
 /// One condition, one channel.
-struct Part {
+struct LikelihoodPart {
     log_determinant: f64,
     /// Products of the shared directions and the differences, whitened.
     products: DMatrix<f64>,
 }
 
 /// Terms of every condition that were computed earlier, with the channel's noise for which they hold.
-type Known = Mutex<Vec<(ChannelNoise, Arc<Vec<Part>>)>>;
+type Known = Mutex<Vec<(ChannelNoise, Arc<Vec<LikelihoodPart>>)>>;
 
 /// Differences of repetitions, for repeated evaluation of their likelihood.
 pub struct Landscape<'a> {
@@ -60,7 +60,7 @@ impl<'a> Landscape<'a> {
     }
 
     /// Terms of channel `c` under its own noise.
-    fn parts(&self, c: usize, noise: &ChannelNoise) -> Arc<Vec<Part>> {
+    fn parts(&self, c: usize, noise: &ChannelNoise) -> Arc<Vec<LikelihoodPart>> {
         let kept = || self.channels[c].lock().unwrap_or_else(PoisonError::into_inner);
         {
             let mut known = kept();
@@ -72,7 +72,7 @@ impl<'a> Landscape<'a> {
                 return parts;
             }
         }
-        let of = |(repeat, steps): (&Repeats, &Vec<f64>)| Part::new(repeat, c, noise, steps);
+        let of = |(repeat, steps): (&Repeats, &Vec<f64>)| LikelihoodPart::new(repeat, c, noise, steps);
         let made = Arc::new(self.repeats.iter().zip(&self.steps).map(of).collect::<Vec<_>>());
         let mut known = kept();
         if known.len() == KEPT {
@@ -83,7 +83,7 @@ impl<'a> Landscape<'a> {
     }
 }
 
-impl Part {
+impl LikelihoodPart {
     fn new(repeat: &Repeats, c: usize, noise: &ChannelNoise, steps: &[f64]) -> Self {
         let filter = ChannelFilter::new(noise, &repeat.sizes[c], steps, &[]);
         let all = repeat.shared.iter().map(|(_, direction)| direction).chain(&repeat.differences);

@@ -7,7 +7,7 @@ use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::sand::LegShape;
 use crate::sim::Robot;
-use crate::table::{Column, Quantity, Row};
+use crate::table::{HeaderColumn, Quantity, Row};
 use std::path::Path;
 
 /// The setup of a run; runs with the same setup share one.
@@ -74,7 +74,7 @@ const STRIDES: f64 = 4.0;
 /// a minute.
 const MOST_SETUPS: usize = 300;
 
-struct Run {
+struct WalkRun {
     id: String,
     condition: usize,
     setup: usize,
@@ -84,7 +84,7 @@ struct Run {
 /// Reads the runs; `experiment` names robot, medium and units.
 pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Result<WalkingLog> {
     let (mut conditions, mut ids) = (Names::default(), Names::default());
-    let (mut runs, mut setups): (Vec<Run>, Vec<WalkSetup>) = (Vec::new(), Vec::new());
+    let (mut runs, mut setups): (Vec<WalkRun>, Vec<WalkSetup>) = (Vec::new(), Vec::new());
     let optional = [X_BED, SLOPE, PAYLOAD];
     let mut seen = [false; 3];
     let summary = experiment.read(path, COLUMNS, progress, |row| {
@@ -111,7 +111,7 @@ pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Re
             *value = row.within(*column, 1e6)?;
         }
         row.needed(SPEED)?;
-        runs.push(Run { id: id.into(), condition, setup: place, measured });
+        runs.push(WalkRun { id: id.into(), condition, setup: place, measured });
         Ok(())
     })?;
     let missing = optional.iter().zip(seen).filter(|s| !s.1).map(|s| COLUMNS[*s.0].name).collect();
@@ -177,7 +177,7 @@ fn leg(row: &Row) -> Result<String> {
     Ok(if named { name.into() } else { format!("xi={}", if name == "revL" { -xi.abs() } else { xi }) })
 }
 
-fn observations(runs: Vec<Run>, conditions: Vec<String>) -> Observations {
+fn observations(runs: Vec<WalkRun>, conditions: Vec<String>) -> Observations {
     let complete = |c: &usize| runs.iter().all(|r| r.measured[*c].is_some());
     let kept: Vec<usize> = (0..CHANNELS.len()).filter(complete).collect();
     let mut values = Vec::new();

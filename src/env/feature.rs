@@ -13,12 +13,12 @@ use super::spec::Column;
 /// A list of numbers, each with a function of type `F` that computes it. The last argument of the function is the
 /// number's index in its group.
 pub struct Features<F> {
-    all: Vec<Feature<F>>,
+    all: Vec<FeatureColumn<F>>,
     /// Where the group begins that was added last.
     last: usize,
 }
 
-struct Feature<F> {
+struct FeatureColumn<F> {
     column: Column,
     value: F,
     /// Index of the joint, axis or point that the number belongs to.
@@ -33,7 +33,7 @@ impl<F: Copy> Features<F> {
     /// One number.
     pub fn one(mut self, name: &str, unit: &'static str, low: f64, high: f64, value: F) -> Self {
         self.last = self.all.len();
-        self.all.push(Feature { column: Column::new(name, unit, low, high), value, place: 0 });
+        self.all.push(FeatureColumn { column: Column::new(name, unit, low, high), value, place: 0 });
         self
     }
 
@@ -61,7 +61,7 @@ impl<F: Copy> Features<F> {
     pub fn group(mut self, columns: impl IntoIterator<Item = Column>, value: F) -> Self {
         self.last = self.all.len();
         let group = columns.into_iter().enumerate();
-        self.all.extend(group.map(|(place, column)| Feature { column, value, place }));
+        self.all.extend(group.map(|(place, column)| FeatureColumn { column, value, place }));
         self
     }
 

@@ -1,7 +1,7 @@
 //! Panels, marks and legend as SVG.
 
 use super::axis::{label, range, ticks};
-use super::{Axis, Dash, Figure, Mark, Panel, Style, color, escape};
+use super::{Axis, Dash, Figure, FigurePanel, Mark, Style, color, escape};
 use std::fmt::Write;
 
 /// Size of a panel without margins, the margins, and the font size [px].
@@ -96,7 +96,7 @@ fn wrap(note: &str, most: f64) -> Vec<String> {
     lines
 }
 
-fn cells(panel: &Panel) -> Option<(&[Vec<f64>], &str)> {
+fn cells(panel: &FigurePanel) -> Option<(&[Vec<f64>], &str)> {
     panel.marks.iter().find_map(|m| match m {
         Mark::Cells { values, label, .. } => Some((values.as_slice(), label.as_str())),
         _ => None,
@@ -104,7 +104,7 @@ fn cells(panel: &Panel) -> Option<(&[Vec<f64>], &str)> {
 }
 
 /// The legend of all panels, and its height: each label once, with a sample of its mark, in centred rows.
-fn legend(panels: &[Panel], width: f64) -> (String, f64) {
+fn legend(panels: &[FigurePanel], width: f64) -> (String, f64) {
     let mut entries: Vec<(&str, &Mark)> = Vec::new();
     for mark in panels.iter().flat_map(|p| &p.marks) {
         if let Mark::Line { label, .. } | Mark::Band { label, .. } = mark
@@ -156,7 +156,7 @@ fn legend(panels: &[Panel], width: f64) -> (String, f64) {
     (svg, LEGEND_ROW * rows.len() as f64)
 }
 
-fn draw_panel(svg: &mut String, panel: &Panel, index: usize) {
+fn draw_panel(svg: &mut String, panel: &FigurePanel, index: usize) {
     let (xr, yr) = (range(&panel.x, &panel.marks, 0), range(&panel.y, &panel.marks, 1));
     let sx = |x: f64| (x - xr[0]) / (xr[1] - xr[0]) * WIDTH;
     let sy = |y: f64| HEIGHT - (y - yr[0]) / (yr[1] - yr[0]) * HEIGHT;
@@ -181,7 +181,7 @@ fn is_degrees(axis: &Axis) -> bool {
     axis.label.contains("[°]")
 }
 
-fn grid(svg: &mut String, panel: &Panel, [xr, yr]: [[f64; 2]; 2], to_page: &impl Fn([f64; 2]) -> [f64; 2]) {
+fn grid(svg: &mut String, panel: &FigurePanel, [xr, yr]: [[f64; 2]; 2], to_page: &impl Fn([f64; 2]) -> [f64; 2]) {
     for x in ticks(xr, 7, is_degrees(&panel.x)) {
         let [x, _] = to_page([x, 0.0]);
         let _ = write!(svg, "<line x1=\"{x:.1}\" y1=\"0\" x2=\"{x:.1}\" y2=\"{HEIGHT}\" stroke=\"#e8e8e8\"/>");
@@ -194,7 +194,7 @@ fn grid(svg: &mut String, panel: &Panel, [xr, yr]: [[f64; 2]; 2], to_page: &impl
 }
 
 /// Draws a panel's box, ticks, labels and title.
-fn frame(svg: &mut String, panel: &Panel, [xr, yr]: [[f64; 2]; 2], to_page: &impl Fn([f64; 2]) -> [f64; 2]) {
+fn frame(svg: &mut String, panel: &FigurePanel, [xr, yr]: [[f64; 2]; 2], to_page: &impl Fn([f64; 2]) -> [f64; 2]) {
     let _ = write!(svg, "<rect width=\"{WIDTH}\" height=\"{HEIGHT}\" fill=\"none\" stroke=\"#444444\"/>");
     let (xs, ys) = (ticks(xr, 7, is_degrees(&panel.x)), ticks(yr, 6, is_degrees(&panel.y)));
     let step = |t: &[f64]| if t.len() > 1 { t[1] - t[0] } else { 1.0 };

@@ -18,7 +18,7 @@ pub mod png;
 #[derive(Clone, Debug, Default)]
 pub struct Figure {
     pub title: String,
-    pub panels: Vec<Panel>,
+    pub panels: Vec<FigurePanel>,
     /// Panels side by side.
     pub columns: usize,
     /// Small print under the panels.
@@ -27,7 +27,7 @@ pub struct Figure {
 
 /// One pair of axes.
 #[derive(Clone, Debug, Default)]
-pub struct Panel {
+pub struct FigurePanel {
     pub title: String,
     pub x: Axis,
     pub y: Axis,

@@ -5,10 +5,10 @@ use super::ReportTable;
 use super::claims::{extremes, signed};
 use super::legs::{CHORD, COMPONENTS, Component, SEGMENTS, StandIn, WIDTH};
 use crate::error::Result;
-use crate::plot::{Axis, Figure, Mark, Panel, Style, color};
+use crate::plot::{Axis, Figure, FigurePanel, Mark, Style, color};
 use crate::sand::intrusion::{Load, rotating_leg};
 use crate::sand::{Law, LegShape, Medium, Regularization, SandBed};
-use crate::table::{self, Column, Quantity, ReadOptions};
+use crate::table::{self, HeaderColumn, Quantity, ReadOptions};
 
 const DATA: &[u8] = include_bytes!("legs.csv");
 /// ζ [N/cm³] from slow vertical plates in the same grains.
@@ -28,12 +28,12 @@ struct MeanRun {
 }
 
 fn runs() -> Result<Vec<MeanRun>> {
-    const COLUMNS: [Column; 5] = [
-        Column::needed("shape", Quantity::Text),
-        Column::needed("theta", Quantity::Angle),
-        Column::needed("omega", Quantity::AngularSpeed),
-        Column::needed("Fx", Quantity::Force),
-        Column::needed("Fz", Quantity::Force),
+    const COLUMNS: [HeaderColumn; 5] = [
+        HeaderColumn::needed("shape", Quantity::Text),
+        HeaderColumn::needed("theta", Quantity::Angle),
+        HeaderColumn::needed("omega", Quantity::AngularSpeed),
+        HeaderColumn::needed("Fx", Quantity::Force),
+        HeaderColumn::needed("Fz", Quantity::Force),
     ];
     let mut runs: Vec<MeanRun> = Vec::new();
     table::parse(std::path::Path::new("legs.csv"), DATA, &ReadOptions::new(&COLUMNS), |row| {
@@ -189,7 +189,7 @@ fn figure(runs: &[MeanRun]) -> Result<Figure> {
                     theta.zip(predict(run, law, of)?).map(|(t, f)| [t, f]).collect(),
                 ));
             }
-            panels.push(Panel {
+            panels.push(FigurePanel {
                 title: format!("{}: {component}", name(shape)),
                 x: Axis::within("leg angle θ [°]", -120.0, 100.0),
                 y: Axis::new(&format!("{component} [N]")),

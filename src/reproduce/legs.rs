@@ -5,7 +5,7 @@ use super::claims::{Claim, extremes};
 use super::{FigureSection, ReportTable};
 use crate::error::Result;
 use crate::number::Vec3;
-use crate::plot::{Axis, Figure, Mark, Panel, Style, color};
+use crate::plot::{Axis, Figure, FigurePanel, Mark, Style, color};
 use crate::sand::intrusion::{Load, rotating_leg};
 use crate::sand::{Law, LegShape, Medium, Regularization, SandBed, Segment};
 
@@ -86,7 +86,7 @@ fn figure() -> Result<Figure> {
         for (component, of) in COMPONENTS {
             let (rft, baseline) = (stroke(Law::Li2013, xi, HIP)?, stroke(Law::PenetrationDrag1d, xi, HIP)?);
             let points = |s: &[(f64, Load)]| s.iter().map(|(t, l)| [*t, of(l)]).collect::<Vec<_>>();
-            panels.push(Panel {
+            panels.push(FigurePanel {
                 title: format!("{name}: {component}"),
                 x: Axis::within("leg angle θ [°]", -100.0, 100.0),
                 y: Axis::new(&format!("{component} [N]")),
@@ -116,7 +116,7 @@ fn laws_figure() -> Result<Figure> {
                 marks.push(Mark::line(law.name(), Style::line(hue), points));
             }
             let x = Axis::within("leg angle θ [°]", -100.0, 100.0);
-            panels.push(Panel {
+            panels.push(FigurePanel {
                 title: format!("{name}: {component}"),
                 x,
                 y: Axis::new(&format!("{component} [N]")),

@@ -4,7 +4,7 @@ use super::assumptions::variants;
 use super::claims::{Claim, extremes};
 use super::{FigureSection, ReportTable};
 use crate::error::Result;
-use crate::plot::{Axis, Figure, Mark, Panel, Style, color};
+use crate::plot::{Axis, Figure, FigurePanel, Mark, Style, color};
 use crate::progress::Silent;
 use crate::sand::Law;
 use crate::sim::engine::EngineKind;
@@ -55,7 +55,7 @@ pub fn part() -> Result<FigureSection> {
     })
 }
 
-fn panel(frequency: f64, rft: &[Vec<WalkResult>], one: &[Vec<WalkResult>]) -> Panel {
+fn panel(frequency: f64, rft: &[Vec<WalkResult>], one: &[Vec<WalkResult>]) -> FigurePanel {
     let line =
         |rows: &[Vec<WalkResult>]| angles().into_iter().zip(rows).map(|(x, r)| [x, 100.0 * r[0].speed]).collect();
     let band = |rows: &[Vec<WalkResult>]| {
@@ -71,7 +71,7 @@ fn panel(frequency: f64, rft: &[Vec<WalkResult>], one: &[Vec<WalkResult>]) -> Pa
     if frequency > 2.0 {
         marks.push(Mark::Horizontal { at: 50.0, text: "RFT is valid below 0.5 m/s".into() });
     }
-    Panel {
+    FigurePanel {
         title: format!("f = {frequency:.0} Hz"),
         x: Axis::within("knee angle ξ [°]", -80.0, 80.0),
         y: Axis::new("forward speed v_x [cm/s]"),

@@ -4,7 +4,7 @@ use super::assumptions::{XI_DEG, robot, table, variants};
 use super::claims::{Claim, extremes, percent};
 use super::{FigureSection, ReportTable};
 use crate::error::Result;
-use crate::plot::{Axis, Figure, Mark, Panel, Style, color};
+use crate::plot::{Axis, Figure, FigurePanel, Mark, Style, color};
 use crate::progress::Silent;
 use crate::sand::Law;
 use crate::sim::engine::EngineKind;
@@ -89,7 +89,7 @@ fn figure(rft_l: &SpeedCurve, rft_r: &SpeedCurve, one_l: &SpeedCurve, one_r: &Sp
     let limit = || Mark::Horizontal { at: 100.0 * VALID, text: "RFT is valid below 0.5 m/s".into() };
     let ((xa, ya), (xb, yb)) = (axis(), axis());
     let solid = |hue: &str| Style::line(hue).with_dots();
-    let rft = Panel {
+    let rft = FigurePanel {
         title: "RFT".into(),
         x: xa,
         y: ya,
@@ -101,7 +101,7 @@ fn figure(rft_l: &SpeedCurve, rft_r: &SpeedCurve, one_l: &SpeedCurve, one_r: &Sp
             limit(),
         ],
     };
-    let baseline = Panel {
+    let baseline = FigurePanel {
         title: "1D penetration and drag, RFT without its bands".into(),
         x: xb,
         y: yb,
@@ -143,7 +143,7 @@ fn three_laws() -> Result<(Figure, ReportTable)> {
         }
         marks.push(Mark::Horizontal { at: 100.0 * VALID, text: "RFT is valid below 0.5 m/s".into() });
         let x = Axis::within("stride frequency f [Hz]", 0.9, 5.1);
-        panels.push(Panel { title: name.into(), x, y: Axis::new("forward speed v_x [cm/s]"), marks });
+        panels.push(FigurePanel { title: name.into(), x, y: Axis::new("forward speed v_x [cm/s]"), marks });
     }
     let title = "Three laws, the same robot".into();
     Ok((Figure { title, columns: 2, panels, note: String::new() }, table))

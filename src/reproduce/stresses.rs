@@ -4,7 +4,7 @@ use super::FigureSection;
 use super::claims::{Claim, extremes, signed};
 use crate::error::Result;
 use crate::number::Vec3;
-use crate::plot::{Axis, Figure, Mark, Panel, Style, color};
+use crate::plot::{Axis, Figure, FigurePanel, Mark, Style, color};
 use crate::sand::{Law, Medium, Regularization, SandBed};
 use std::f64::consts::PI;
 
@@ -54,7 +54,7 @@ fn figure(ground: &SandBed<f64>) -> Figure {
         } else {
             Axis::within("attack angle β [°]", 0.0, 180.0)
         };
-        Panel {
+        FigurePanel {
             title: title.into(),
             x,
             y: Axis::new(names[which]),

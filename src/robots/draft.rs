@@ -84,7 +84,7 @@ impl Inertial {
 
 /// A visual shape of a link.
 #[derive(Clone, Debug)]
-pub enum VisualShape {
+pub enum DraftShape {
     Shape(Geometry),
     Mesh(MeshFile),
 }
@@ -92,7 +92,7 @@ pub enum VisualShape {
 #[derive(Clone, Debug)]
 pub struct Visual {
     pub origin: Isometry3<f64>,
-    pub look: VisualShape,
+    pub look: DraftShape,
 }
 
 /// A link and the joint that carries it; None: fixed to its parent.

@@ -208,8 +208,8 @@ impl Import {
             let mut shapes = Vec::with_capacity(visuals.len());
             for visual in visuals {
                 let geometry = match &visual.look {
-                    draft::VisualShape::Shape(geometry) => geometry.clone(),
-                    draft::VisualShape::Mesh(file) => Geometry::Mesh(Arc::clone(&meshes.scaled(file)?)),
+                    draft::DraftShape::Shape(geometry) => geometry.clone(),
+                    draft::DraftShape::Mesh(file) => Geometry::Mesh(Arc::clone(&meshes.scaled(file)?)),
                 };
                 shapes.push(TreeShape { name: body.name.clone(), origin: visual.origin, geometry, friction: 0.0 });
             }

@@ -1,6 +1,6 @@
 //! URDF (wiki.ros.org/urdf/XML), as urdfdom reads it.
 
-use super::draft::{DraftLink, Inertial, MOST_LINKS, Visual, VisualShape, name_shapes};
+use super::draft::{DraftLink, DraftShape, Inertial, MOST_LINKS, Visual, name_shapes};
 use super::files::Files;
 use super::mesh::{MeshFile, Meshes};
 use super::notes::Notes;
@@ -138,8 +138,8 @@ impl UrdfReader<'_> {
         for collision in element.all("collision") {
             let name = collision.get("name").unwrap_or_default().to_owned();
             let geometry = match self.look(collision)? {
-                VisualShape::Shape(geometry) => geometry,
-                VisualShape::Mesh(file) => collision_mesh(self.meshes, &file, self.notes)?,
+                DraftShape::Shape(geometry) => geometry,
+                DraftShape::Mesh(file) => collision_mesh(self.meshes, &file, self.notes)?,
             };
             shapes.push(TreeShape { name, origin: origin(collision)?, geometry, friction });
         }
@@ -177,7 +177,7 @@ impl UrdfReader<'_> {
     }
 
     /// The geometry of a visual or a collision; a mesh file must exist.
-    fn look(&mut self, element: &Element) -> Result<VisualShape> {
+    fn look(&mut self, element: &Element) -> Result<DraftShape> {
         let geometry = element.first("geometry").ok_or_else(|| element.error("has no <geometry>"))?;
         let [shape] = &geometry.children[..] else {
             return Err(geometry.error(format!("{} shapes in place of 1", geometry.children.len())));
@@ -186,7 +186,7 @@ impl UrdfReader<'_> {
             let value = shape.number(name)?.ok_or_else(|| shape.error(format!("{name} is missing")))?;
             shape.length(name, value)
         };
-        Ok(VisualShape::Shape(match shape.tag.as_str() {
+        Ok(DraftShape::Shape(match shape.tag.as_str() {
             "sphere" => Geometry::Sphere { radius: length("radius")? },
             "cylinder" => Geometry::Cylinder { radius: length("radius")?, half_length: length("length")? / 2.0 },
             // Capsules are not in the standard, but drake and Isaac read them: `length` is without the caps.
@@ -205,7 +205,7 @@ impl UrdfReader<'_> {
                 if scale.iter().any(|s| *s == 0.0 || s.abs() > 1e4) {
                     return Err(shape.wrong("scale", "must not be 0, nor larger than 10000"));
                 }
-                return Ok(VisualShape::Mesh(MeshFile { path, scale }));
+                return Ok(DraftShape::Mesh(MeshFile { path, scale }));
             }
             _ => return Err(shape.error("is no shape that is read: box, cylinder, sphere, capsule, mesh")),
         }))

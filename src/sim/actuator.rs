@@ -16,10 +16,10 @@
 //! at the step's end, as the friction of joints in [`super::tree`], so it takes energy at any acceleration. The rotor's inertia adds to the
 //! joint's.
 //!
-//! **Limits.** Servos are implicit in the acceleration, so a torque is known after all accelerations are. An engine first solves with each
+//! **TorqueLimits.** Servos are implicit in the acceleration, so a torque is known after all accelerations are. An engine first solves with each
 //! motor's torque limited at the acceleration that its joint would have with the link before it held still. For motors whose stall torque is
 //! known, it then compares each torque with the line at the speeds before and after the step, and solves again until none is beyond
-//! ([`Limits`]): each pass puts a torque that is beyond on the lower of the two lines (Newton's method for piecewise linear functions), which
+//! ([`TorqueLimits`]): each pass puts a torque that is beyond on the lower of the two lines (Newton's method for piecewise linear functions), which
 //! usually ends after one. A torque that is still beyond after [`NEWTON`] passes is 0 in this step. Without a known stall torque one
 //! solution is made, and a torque may be beyond its constant limit by the part that the acceleration of the link before adds (about 1 %).
 
@@ -250,7 +250,7 @@ impl<R: Real> LaneActuator<R> {
 
 /// A motor's torque in the passes of one step.
 #[derive(Clone, Copy)]
-pub struct Limits<R> {
+pub struct TorqueLimits<R> {
     /// The servo's, without limits.
     servo: StopTorque<R>,
     /// What the last pass solved with.
@@ -259,7 +259,7 @@ pub struct Limits<R> {
     held: R,
 }
 
-impl<R: Real> Limits<R> {
+impl<R: Real> TorqueLimits<R> {
     pub fn none() -> Self {
         Self { servo: StopTorque::none(), push: StopTorque::none(), held: R::zero() }
     }
@@ -284,13 +284,13 @@ impl<R: Real> Limits<R> {
 /// their lines at these accelerations; other robots of the block keep theirs.
 #[inline(always)]
 pub fn again<'a, R: Real>(
-    limits: &mut [Limits<R>],
+    limits: &mut [TorqueLimits<R>],
     joint: impl Fn(usize) -> (&'a LaneActuator<R>, R, R),
     dt: R,
     pass: usize,
 ) -> bool {
     let zero = R::zero();
-    let beyond = |i: usize, limits: &Limits<R>| {
+    let beyond = |i: usize, limits: &TorqueLimits<R>| {
         let (actuator, rate, acceleration) = joint(i);
         actuator.beyond(limits.push.at(acceleration), rate, acceleration, dt)
     };

@@ -12,7 +12,7 @@ use std::path::Path;
 /// A value and its 95 % interval.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Quantity {
+pub struct HardwareQuantity {
     pub value: f64,
     pub interval: [f64; 2],
 }
@@ -22,7 +22,7 @@ pub struct Quantity {
 pub struct HardwareDescription {
     pub source: String,
     /// By the path of the option, such as `sensors.gyroscope.delay`.
-    pub quantities: BTreeMap<String, Quantity>,
+    pub quantities: BTreeMap<String, HardwareQuantity>,
 }
 
 /// Deepest table: `sensors.imu_rotation.x`.
@@ -58,8 +58,8 @@ impl HardwareDescription {
             return table.into_iter().try_for_each(|(key, value)| self.read(format!("{path}.{key}"), value, depth + 1));
         }
         let refused = |e: toml::de::Error| Error::invalid("hardware", format!("{path}: {}", e.message()));
-        let quantity: Quantity = table.try_into().map_err(refused)?;
-        let Quantity { value, interval: [low, high] } = quantity;
+        let quantity: HardwareQuantity = table.try_into().map_err(refused)?;
+        let HardwareQuantity { value, interval: [low, high] } = quantity;
         if !(low <= value && value <= high && low.is_finite() && high.is_finite()) {
             let reason = format!("{path}: the value {value} is not within its interval [{low}, {high}]");
             return Err(Error::invalid("hardware", reason));
@@ -81,7 +81,7 @@ impl HardwareDescription {
         // Quantities without a table come first.
         let without = self.quantities.iter().filter(|(path, _)| split(path).is_none());
         let within = self.quantities.iter().filter(|(path, _)| split(path).is_some());
-        for (path, Quantity { value, interval: [low, high] }) in without.chain(within) {
+        for (path, HardwareQuantity { value, interval: [low, high] }) in without.chain(within) {
             let key = match split(path) {
                 Some((table, key)) => {
                     if present.as_ref() != Some(&table) {
@@ -111,7 +111,7 @@ impl HardwareDescription {
     /// Values drawn uniformly from the intervals, in the order of the paths: `uniform` draws from [0, 1).
     pub fn drawn(&self, mut uniform: impl FnMut() -> f64) -> Self {
         let mut drawn = self.clone();
-        for Quantity { value, interval: [low, high] } in drawn.quantities.values_mut() {
+        for HardwareQuantity { value, interval: [low, high] } in drawn.quantities.values_mut() {
             *value = *low + (*high - *low) * uniform();
         }
         drawn
@@ -129,7 +129,7 @@ mod tests {
     fn a_file_is_read_as_it_was_written() {
         let hardware = HardwareDescription::from_toml(TEXT).unwrap();
         assert_eq!(hardware.value("sensors.gyroscope.delay"), Some(0.004));
-        assert_eq!(hardware.quantities["actuator.torque_limit"], Quantity { value: 0.5, interval: [0.4, 0.6] });
+        assert_eq!(hardware.quantities["actuator.torque_limit"], HardwareQuantity { value: 0.5, interval: [0.4, 0.6] });
         assert_eq!(hardware.to_toml(), TEXT);
     }
 

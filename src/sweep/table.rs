@@ -1,7 +1,7 @@
 //! A sweep's results as CSV and as a figure.
 
 use super::{SweepAxis, SweepMeasure};
-use crate::plot::{self, Figure, Mark, Panel, Style, color};
+use crate::plot::{self, Figure, FigurePanel, Mark, Style, color};
 use crate::sim::walk::WalkResult;
 
 /// Rows in the order of the grid, the last axis fastest.
@@ -46,22 +46,22 @@ pub fn figure(axes: &[SweepAxis], results: &[WalkResult], measure: SweepMeasure,
             _ => lines(Some(rows), columns, &at, measure),
         },
         [only] => lines(None, only, &at, measure),
-        _ => Panel::default(),
+        _ => FigurePanel::default(),
     };
     Figure { title: title.into(), panels: vec![panel], columns: 1, note: String::new() }
 }
 
-fn heat_map(axes: &[SweepAxis], x: Vec<f64>, y: Vec<f64>, at: &[f64], measure: SweepMeasure) -> Panel {
+fn heat_map(axes: &[SweepAxis], x: Vec<f64>, y: Vec<f64>, at: &[f64], measure: SweepMeasure) -> FigurePanel {
     let values = at.chunks(x.len()).map(<[f64]>::to_vec).collect();
-    Panel {
+    FigurePanel {
         x: plot::Axis::new(&axes[1].parameter.label()),
         y: plot::Axis::new(&axes[0].parameter.label()),
         marks: vec![Mark::Cells { x, y, values, label: measure.label().into() }],
-        ..Panel::default()
+        ..FigurePanel::default()
     }
 }
 
-fn lines(families: Option<&SweepAxis>, along: &SweepAxis, at: &[f64], measure: SweepMeasure) -> Panel {
+fn lines(families: Option<&SweepAxis>, along: &SweepAxis, at: &[f64], measure: SweepMeasure) -> FigurePanel {
     // Names are drawn at 1, 2, 3 … of the axis.
     let x = along.numbers().unwrap_or_else(|| (1..=along.values.len()).map(|i| i as f64).collect());
     let label = match along.numbers() {
@@ -77,5 +77,5 @@ fn lines(families: Option<&SweepAxis>, along: &SweepAxis, at: &[f64], measure: S
         Mark::line(&name, style, x.iter().zip(values).map(|(x, y)| [*x, *y]).collect())
     };
     let marks = at.chunks(x.len()).enumerate().map(line).collect();
-    Panel { x: plot::Axis::new(&label), y: plot::Axis::new(measure.label()), marks, ..Panel::default() }
+    FigurePanel { x: plot::Axis::new(&label), y: plot::Axis::new(measure.label()), marks, ..FigurePanel::default() }
 }

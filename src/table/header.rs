@@ -9,14 +9,14 @@ use std::path::Path;
 
 /// A column that a reader requests.
 #[derive(Clone, Copy, Debug)]
-pub struct Column<'a> {
+pub struct HeaderColumn<'a> {
     pub name: &'a str,
     pub quantity: Quantity,
     /// Must the header have this column? (Single cells may still be blank where the quantity does not apply.)
     pub required: bool,
 }
 
-impl<'a> Column<'a> {
+impl<'a> HeaderColumn<'a> {
     /// A required column.
     pub const fn needed(name: &'a str, quantity: Quantity) -> Self {
         Self { name, quantity, required: true }
@@ -29,10 +29,10 @@ const MOST_COLUMNS: usize = 4096;
 /// The columns that a reader requests from a table.
 #[derive(Clone)]
 pub struct ReadOptions<'a> {
-    pub columns: &'a [Column<'a>],
+    pub columns: &'a [HeaderColumn<'a>],
     /// Our column name → the file's name for it, where it differs.
     pub renamed: BTreeMap<String, String>,
-    /// Column, by our name or the file's → unit. The header may give the unit too: `depth [mm]` or `depth (mm)`.
+    /// HeaderColumn, by our name or the file's → unit. The header may give the unit too: `depth [mm]` or `depth (mm)`.
     pub units: BTreeMap<String, String>,
     /// Longer tables are refused.
     pub most_rows: Option<usize>,
@@ -40,7 +40,7 @@ pub struct ReadOptions<'a> {
     pub progress: &'a dyn Progress,
 }
 
-/// Column of the file, and the factor from its numbers to SI.
+/// HeaderColumn of the file, and the factor from its numbers to SI.
 pub(super) struct ColumnPosition {
     pub index: usize,
     pub factor: f64,
@@ -48,7 +48,7 @@ pub(super) struct ColumnPosition {
 
 impl<'a> ReadOptions<'a> {
     /// Columns under our own names, in a file of any length, with units from the header alone.
-    pub fn new(columns: &'a [Column<'a>]) -> Self {
+    pub fn new(columns: &'a [HeaderColumn<'a>]) -> Self {
         Self { columns, renamed: BTreeMap::new(), units: BTreeMap::new(), most_rows: None, progress: &Silent }
     }
 
@@ -78,11 +78,11 @@ impl<'a> ReadOptions<'a> {
         self.columns.iter().map(|column| self.place(path, header, column)).collect()
     }
 
-    fn theirs<'b>(&'b self, column: &Column<'b>) -> &'b str {
+    fn theirs<'b>(&'b self, column: &HeaderColumn<'b>) -> &'b str {
         self.renamed.get(column.name).map_or(column.name, String::as_str)
     }
 
-    fn place(&self, path: &Path, header: &[String], column: &Column) -> Result<Option<ColumnPosition>> {
+    fn place(&self, path: &Path, header: &[String], column: &HeaderColumn) -> Result<Option<ColumnPosition>> {
         let theirs = self.theirs(column);
         let wrong = |reason: String| Error::file(path, format!("row 1, column {theirs}: {reason}"));
         let exact = header.iter().any(|h| h == theirs);
@@ -120,7 +120,7 @@ impl<'a> ReadOptions<'a> {
 }
 
 /// Factor from this column's unit to SI, or the error.
-fn factor(column: &Column, unit: &str) -> std::result::Result<f64, String> {
+fn factor(column: &HeaderColumn, unit: &str) -> std::result::Result<f64, String> {
     let known: Vec<_> = column.quantity.units().iter().map(|u| u.0).collect();
     column.quantity.factor(unit).ok_or_else(|| match known.is_empty() {
         true => format!("unit {unit:?} is given, but this column has no unit"),

@@ -6,7 +6,7 @@ use sandgait_base::{error, progress};
 mod header;
 mod quantity;
 
-pub use header::{Column, ReadOptions};
+pub use header::{HeaderColumn, ReadOptions};
 pub use quantity::Quantity;
 
 use crate::error::{Error, Result};
@@ -28,7 +28,7 @@ const SHOWN: usize = 300;
 /// One row; its cells have the order of the requested columns.
 pub struct Row<'a> {
     file: &'a Path,
-    columns: &'a [Column<'a>],
+    columns: &'a [HeaderColumn<'a>],
     places: &'a [Option<ColumnPosition>],
     record: &'a csv::StringRecord,
     /// Line in the file; the header is 1.

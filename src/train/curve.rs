@@ -3,7 +3,7 @@
 use super::plan::UpdateReport;
 use crate::error::{Error, Result};
 use crate::files;
-use crate::plot::{Axis, Figure, Mark, Panel, Style, color, png};
+use crate::plot::{Axis, Figure, FigurePanel, Mark, Style, color, png};
 use std::fs::File;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -76,7 +76,7 @@ impl LearningCurve {
         let seconds = self.points.last().map_or(0.0, |p| p.seconds);
         let figure = Figure {
             title: title.into(),
-            panels: vec![Panel {
+            panels: vec![FigurePanel {
                 title: String::new(),
                 x: Axis::new(&format!("environment steps [millions], {seconds:.0} s in all")),
                 y: Axis::new("mean return of an episode"),

@@ -69,7 +69,7 @@ pub struct Trained {
 }
 
 /// A design in the comparison.
-pub struct Compared {
+pub struct DesignComparison {
     /// Index of the design.
     pub design: usize,
     /// Each measure over the evaluation seeds, one value for each training.
@@ -83,7 +83,7 @@ pub struct Findings {
     /// One row for each design, one entry for each training.
     pub trained: Vec<Vec<Trained>>,
     /// The best ones by the measure, best first.
-    pub best: Vec<Compared>,
+    pub best: Vec<DesignComparison>,
 }
 
 impl DesignStudy {
@@ -162,7 +162,7 @@ impl DesignStudy {
             let played = played.map(|(k, t)| measures(&self.plan(&designs[*design], k)?, &t.onnx, &seeds));
             let played = played.collect::<Result<Vec<_>>>()?;
             let values = [0, 1, 2].map(|m| played.iter().map(|all| all[m]).collect());
-            Ok(Compared { design: *design, values })
+            Ok(DesignComparison { design: *design, values })
         };
         let best = order.iter().take(COMPARED).map(compare).collect::<Result<_>>()?;
         Ok(Findings { designs, trained, best })

@@ -5,7 +5,7 @@ use crate::calibrate::read;
 use crate::error::{Error, Result, check_range};
 use crate::sand::SandDescription;
 use crate::sand::intruder::{BodyShape, DepthOrLoad, PlatedBody, Trial};
-use crate::table::{self, Column, Quantity, ReadOptions};
+use crate::table::{self, HeaderColumn, Quantity, ReadOptions};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
@@ -143,16 +143,16 @@ fn gather(folder: &Path, text: impl Fn(&Path) -> Result<String>) -> Result<DataS
 }
 
 fn rows(path: &Path, text: &str, most_slip_angle: f64) -> Result<Vec<SteadyState>> {
-    const COLUMNS: [Column; 9] = [
-        Column::needed("vx", Quantity::Speed),
-        Column::needed("vy", Quantity::Speed),
-        Column::needed("wy", Quantity::AngularSpeed),
-        Column::needed("depth", Quantity::Length),
-        Column::needed("Fx", Quantity::Force),
-        Column::needed("Fy", Quantity::Force),
-        Column::needed("Fz", Quantity::Force),
-        Column::needed("slip_angle_deg", Quantity::Degrees),
-        Column::needed("slip", Quantity::Number),
+    const COLUMNS: [HeaderColumn; 9] = [
+        HeaderColumn::needed("vx", Quantity::Speed),
+        HeaderColumn::needed("vy", Quantity::Speed),
+        HeaderColumn::needed("wy", Quantity::AngularSpeed),
+        HeaderColumn::needed("depth", Quantity::Length),
+        HeaderColumn::needed("Fx", Quantity::Force),
+        HeaderColumn::needed("Fy", Quantity::Force),
+        HeaderColumn::needed("Fz", Quantity::Force),
+        HeaderColumn::needed("slip_angle_deg", Quantity::Degrees),
+        HeaderColumn::needed("slip", Quantity::Number),
     ];
     let mut all = Vec::new();
     table::parse(

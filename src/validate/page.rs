@@ -4,7 +4,7 @@ use super::data::{DataSet, SteadyState, Wheel};
 use super::fit;
 use super::score::{FIGURES, ForceErrors, MeasuredPair, REGIMES, errors, intervals, predict, scatter};
 use crate::error::{Error, Result};
-use crate::plot::{Axis, Figure, Mark, Panel, Style, color, png};
+use crate::plot::{Axis, Figure, FigurePanel, Mark, Style, color, png};
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -199,7 +199,12 @@ impl Scoreboard {
             for (k, wheel) in self.data.wheels.iter().enumerate() {
                 marks.push(Mark::line(&wheel.name, dots(colors[k % 2]), points(k)));
             }
-            Panel { x: Axis::new(&format!("measured {name}")), y: Axis::new("predicted"), marks, ..Panel::default() }
+            FigurePanel {
+                x: Axis::new(&format!("measured {name}")),
+                y: Axis::new("predicted"),
+                marks,
+                ..FigurePanel::default()
+            }
         });
         Figure { title: c.short.into(), columns: 2, panels: panels.collect(), note: self.data.source.clone() }
     }

@@ -1,13 +1,13 @@
 //! Tables: long headers, and readers that stop.
 
-use sandgait::table::{Column, Quantity, ReadOptions, parse};
+use sandgait::table::{HeaderColumn, Quantity, ReadOptions, parse};
 use sandgait::{Error, Result, progress};
 use std::cell::Cell;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-fn columns() -> [Column<'static>; 1] {
-    [Column::needed("force", Quantity::Force)]
+fn columns() -> [HeaderColumn<'static>; 1] {
+    [HeaderColumn::needed("force", Quantity::Force)]
 }
 
 /// The file's header is read once, and no more columns than anyone has are read at all.

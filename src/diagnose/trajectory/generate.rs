@@ -1,6 +1,6 @@
 //! Logs for tests: the hexapod walks with servos in the rapier engine, not in the engine that replays, and its sensors have errors.
 
-use super::replay::{JointMotion, Replay, ReplayRobot, SIGNALS, Signals, sample};
+use super::replay::{Replay, ReplayRobot, ReplayedJoint, SIGNALS, Signals, sample};
 use crate::sand::mechanism::Mechanisms;
 use crate::sand::{Coefficients, Medium};
 use crate::sim::engine::EngineKind;
@@ -91,7 +91,7 @@ fn rows(
     walk_watched(EngineKind::Rapier, trial, &mut watch).unwrap();
     let joints = trial.model.joints();
     let imu = [0.01, 0.0, 0.0];
-    let (model, drive) = (&trial.model, JointMotion::still(joints, 1e-3));
+    let (model, drive) = (&trial.model, ReplayedJoint::still(joints, 1e-3));
     let mut track = Signals { signals: vec![Vec::new(); joints + SIGNALS] };
     let task = Replay { model, drive: &drive, imu };
     states.windows(2).for_each(|s| sample(&task, &s[0], &s[1], &mut track));

@@ -22,7 +22,7 @@ impl Default for Imu {
 /// The table `[motor]`.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Motor {
+pub struct MotorKeys {
     pub torque_constant: Option<f64>,
 }
 

@@ -2,7 +2,7 @@
 
 use super::keys::{Keys, RunTable};
 use crate::error::{Error, Result};
-use crate::table::{Column, Quantity, Row};
+use crate::table::{HeaderColumn, Quantity, Row};
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use std::path::Path;
@@ -116,8 +116,8 @@ impl<'a> JointColumns<'a> {
     }
 
     /// The columns that a log must or may have.
-    pub fn columns(&self) -> Vec<Column<'_>> {
-        let fixed = FIXED.iter().map(|&(name, quantity, required)| Column { name, quantity, required });
+    pub fn columns(&self) -> Vec<HeaderColumn<'_>> {
+        let fixed = FIXED.iter().map(|&(name, quantity, required)| HeaderColumn { name, quantity, required });
         let kinds = [
             (Quantity::Angle, true),
             (Quantity::AngularSpeed, false),
@@ -125,7 +125,7 @@ impl<'a> JointColumns<'a> {
         ];
         let own = self.of_joints.iter().enumerate().map(|(k, name)| {
             let (quantity, required) = kinds[k / self.joints.len()];
-            Column { name, quantity, required }
+            HeaderColumn { name, quantity, required }
         });
         fixed.chain(own).collect()
     }

@@ -2,7 +2,7 @@
 
 use super::keys::Keys;
 use super::log::Log;
-use super::replay::{JointMotion, ReplayRobot};
+use super::replay::{ReplayRobot, ReplayedJoint};
 use super::sensors::Layout;
 use super::servo::{self, RequestedTorques};
 use super::windows::{BINS, Integral, Window, bins, windows};
@@ -32,7 +32,7 @@ pub struct TrajectoryModel<'a> {
     /// The robot of each run.
     pub(super) bodies: Vec<ReplayRobot>,
     pub(super) windows: Vec<Window>,
-    pub(super) drives: Vec<JointMotion>,
+    pub(super) drives: Vec<ReplayedJoint>,
     /// Window of each unit.
     pub(super) window_of: Vec<usize>,
     pub(super) layout: Layout,
@@ -52,7 +52,7 @@ impl<'a> TrajectoryModel<'a> {
             let reason = "no run has a whole stride after its first one: log runs of at least three strides";
             return Err(Error::invalid("data", reason));
         }
-        let drives = windows.iter().map(|w| JointMotion::new(&log.runs[w.run], w, Scene::DEFAULT_DT)).collect();
+        let drives = windows.iter().map(|w| ReplayedJoint::new(&log.runs[w.run], w, Scene::DEFAULT_DT)).collect();
         let asked = servo::asked(&log, &bodies)?;
         let there = |name: &str| !log.missing.contains(&name);
         let layout = Layout {

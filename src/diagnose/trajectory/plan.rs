@@ -2,7 +2,7 @@
 
 use super::log::Run;
 use super::model::{KNOWN, TrajectoryModel, progress, window_of};
-use super::replay::{JointMotion, ReplayRobot, Signals};
+use super::replay::{ReplayRobot, ReplayedJoint, Signals};
 use super::servo::RequestedTorques;
 use super::windows::{BINS, Window, windows};
 use crate::forward::Menu;
@@ -40,7 +40,7 @@ impl TrajectoryModel<'_> {
             medium: self.medium.clone(),
             keys: self.keys.clone(),
             priors: self.priors.clone(),
-            drives: all.iter().map(|w| JointMotion::new(&runs[w.run], w, Scene::DEFAULT_DT)).collect(),
+            drives: all.iter().map(|w| ReplayedJoint::new(&runs[w.run], w, Scene::DEFAULT_DT)).collect(),
             window_of: window_of(&all),
             windows: all,
             log: super::log::Log { runs, missing: self.log.missing.clone(), sha256: String::new() },

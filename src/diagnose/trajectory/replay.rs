@@ -146,14 +146,14 @@ fn between(t: &[f64], q: &[f64], at: f64) -> f64 {
 }
 
 /// Joint angles of a window, tick by tick, all joints one after the other.
-pub struct JointMotion {
+pub struct ReplayedJoint {
     pub tick: f64,
     pub ticks: usize,
     joints: usize,
     angles: Vec<f64>,
 }
 
-impl JointMotion {
+impl ReplayedJoint {
     pub fn new(run: &Run, window: &Window, tick: f64) -> Self {
         let ticks = ((window.end() + BEYOND - window.from) / tick).ceil() as usize;
         let joints = run.q.len();
@@ -190,7 +190,7 @@ pub struct Signals {
 /// One replay: the model, its joints' motion, and the position of the IMU [m].
 pub struct Replay<'a> {
     pub model: &'a Model,
-    pub drive: &'a JointMotion,
+    pub drive: &'a ReplayedJoint,
     pub imu: [f64; 3],
 }
 

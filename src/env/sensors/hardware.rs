@@ -5,7 +5,7 @@ use super::random::stream;
 use super::{Hardware, Sensor, Sensors};
 use crate::error::{Error, Result, check_range};
 use crate::options::Options;
-use crate::sim::hardware::{HardwareDescription, Quantity};
+use crate::sim::hardware::{HardwareDescription, HardwareQuantity};
 use rand::Rng as _;
 use std::f64::consts::PI;
 
@@ -66,8 +66,8 @@ impl HardwareFiles {
     pub fn action_delay(&self, own: [f64; 2]) -> [f64; 2] {
         let of = |file: &HardwareDescription| file.quantities.get(ACTION_DELAY).copied();
         match (own, self.random.as_ref().and_then(of), of(&self.values)) {
-            ([0.0, 0.0], Some(Quantity { interval, .. }), _) => interval,
-            ([0.0, 0.0], None, Some(Quantity { value, .. })) => [value; 2],
+            ([0.0, 0.0], Some(HardwareQuantity { interval, .. }), _) => interval,
+            ([0.0, 0.0], None, Some(HardwareQuantity { value, .. })) => [value; 2],
             _ => own,
         }
     }
@@ -82,10 +82,10 @@ impl HardwareFiles {
 
 /// Refuses unknown quantities, and values that the options would not take.
 fn check(file: &HardwareDescription) -> Result<()> {
-    for (path, Quantity { value, interval }) in &file.quantities {
+    for (path, HardwareQuantity { value, interval }) in &file.quantities {
         for number in [*value, interval[0], interval[1]] {
             let alone = HardwareDescription {
-                quantities: [(path.clone(), Quantity { value: number, interval: [number; 2] })].into(),
+                quantities: [(path.clone(), HardwareQuantity { value: number, interval: [number; 2] })].into(),
                 ..HardwareDescription::default()
             };
             if path == ACTION_DELAY {

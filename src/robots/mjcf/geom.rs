@@ -1,7 +1,7 @@
 //! `<geom>` and `<mesh>`: shapes, and the inertia that bodies take from them.
 
 use super::compiler::{Compiler, flag, from_z};
-use crate::draft::{Inertial, VisualShape};
+use crate::draft::{DraftShape, Inertial};
 use crate::error::{Error, Result};
 use crate::files::Files;
 use crate::hull::hull;
@@ -131,7 +131,7 @@ pub struct Geom {
     pub origin: Isometry3<f64>,
     /// None if the colliding shape has no volume.
     pub collision: Option<Geometry>,
-    pub look: VisualShape,
+    pub look: DraftShape,
     pub friction: f64,
     pub inertial: Inertial,
 }
@@ -210,7 +210,7 @@ pub fn geom(element: &Element, compiler: &Compiler, assets: &Assets, notes: &mut
     };
     let inertial = weighed(element, compiler, volume, &own)?.moved(&origin);
     let collides = [element.number("contype")?, element.number("conaffinity")?].iter().any(|c| *c != Some(0.0));
-    let look = VisualShape::Shape(shape.clone());
+    let look = DraftShape::Shape(shape.clone());
     if let (Geometry::Mesh(triangles), true, "mesh") = (&shape, collides, kind) {
         let name = element.get("mesh").unwrap_or_default();
         let kept = closed_mesh(name, triangles.clone(), notes);

@@ -13,7 +13,7 @@
 
 use super::model::{LaneBody, LaneModel, LanePlate};
 use super::plane::{PlaneField, PlaneForces, PlaneMoments};
-use crate::actuator::{self, Limits, NEWTON};
+use crate::actuator::{self, NEWTON, TorqueLimits};
 use crate::number::{Mat3, Real, Vec3};
 use crate::sand::law::StressLaw;
 use crate::sand::{LawCoefficients, Plain, SandBed, SegmentState, StressModel};
@@ -75,7 +75,7 @@ impl<R: Real> Hinge<R> {
 pub struct LegScratch<R, const J: usize> {
     /// One entry for each joint.
     hinges: Vec<Hinge<R>>,
-    limits: Vec<Limits<R>>,
+    limits: Vec<TorqueLimits<R>>,
     /// For each link of each leg, its masses with those of the sand, and the wrench that its motion needs.
     links: Vec<[(PointMasses<R>, Wrench<R>); J]>,
     /// The sand's force on each leg along the surface's normal, for sensors.
@@ -85,7 +85,7 @@ pub struct LegScratch<R, const J: usize> {
 impl<R: Real, const J: usize> LegScratch<R, J> {
     pub fn new(joints: usize) -> Self {
         let link = (PointMasses::zero(), Wrench::zero());
-        let (hinges, limits) = (vec![Hinge::empty(); joints], vec![Limits::none(); joints]);
+        let (hinges, limits) = (vec![Hinge::empty(); joints], vec![TorqueLimits::none(); joints]);
         let supports = vec![R::zero(); joints / J];
         Self { hinges, limits, links: vec![[link; J]; joints / J], supports }
     }
@@ -148,7 +148,7 @@ pub fn step<R: Real, const J: usize>(
         let found = travel.over(surfaces, l + 1);
         supports[l] = load_leg(model, leg, &base, &found, joints, hinges, &mut links[l]);
     }
-    limits.iter_mut().for_each(Limits::begin);
+    limits.iter_mut().for_each(TorqueLimits::begin);
     let mut acceleration = solve(model, &state.joints, links, hinges, limits, inertia, bias);
     if model.actuator.has_lines() {
         for pass in 0..NEWTON + hinges.len() {
@@ -172,7 +172,7 @@ fn solve<R: Real, const J: usize>(
     joints: &[LaneJoint<R>],
     links: &[[(PointMasses<R>, Wrench<R>); J]],
     hinges: &mut [Hinge<R>],
-    limits: &mut [Limits<R>],
+    limits: &mut [TorqueLimits<R>],
     mut inertia: Inertia<R>,
     mut bias: Wrench<R>,
 ) -> Twist<R> {
@@ -475,7 +475,7 @@ fn fold_leg<R: Real, const J: usize>(
     links: &[(PointMasses<R>, Wrench<R>); J],
     joints: &[LaneJoint<R>],
     hinges: &mut [Hinge<R>],
-    limits: &mut [Limits<R>],
+    limits: &mut [TorqueLimits<R>],
 ) -> (Inertia<R>, Wrench<R>) {
     let mut carried: Option<(Inertia<R>, Wrench<R>)> = None;
     for j in (0..J).rev() {
@@ -530,7 +530,7 @@ fn drive<R: Real, const J: usize>(
     inertia: &Inertia<R>,
     bias: &Wrench<R>,
     hinge: &mut Hinge<R>,
-    limits: &mut Limits<R>,
+    limits: &mut TorqueLimits<R>,
 ) {
     let dt = model.dt;
     let rate = joint.command_rate.clamp(-model.speed_limit, model.speed_limit);
@@ -556,7 +556,7 @@ fn move_joint<R: Real, const J: usize>(
     model: &LaneModel<R, J>,
     joint: &mut LaneJoint<R>,
     acceleration: R,
-    limits: &Limits<R>,
+    limits: &TorqueLimits<R>,
     work: &mut R,
 ) {
     let torque = limits.push.at(acceleration);

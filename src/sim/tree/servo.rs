@@ -7,7 +7,7 @@
 
 use super::dynamics::{Drive, JointMotion};
 use super::model::TreeModel;
-use crate::actuator::{Actuator, CREEP, LaneActuator, Limits};
+use crate::actuator::{Actuator, CREEP, LaneActuator, TorqueLimits};
 use crate::number::Real;
 use crate::stop::{NO_LIMIT, Stop, StopTorque};
 
@@ -101,7 +101,7 @@ pub struct JointTorques<'a, R> {
     pub motors: &'a [LaneMotor<R>],
     pub servos: &'a [LaneServo<R>],
     pub joints: &'a [JointMotion<R>],
-    pub limits: &'a mut [Limits<R>],
+    pub limits: &'a mut [TorqueLimits<R>],
     pub dt: R,
 }
 
@@ -112,7 +112,7 @@ impl<R: Real> LaneMotor<R> {
         &self,
         servo: &LaneServo<R>,
         joint: &JointMotion<R>,
-        limits: &Limits<R>,
+        limits: &TorqueLimits<R>,
         acceleration: R,
         dt: R,
     ) -> R {

@@ -7,7 +7,7 @@ use super::patches::BodyPatches;
 use super::relief::LaneRelief;
 use super::sand;
 use super::servo::{JointTorques, LaneMotor, LaneServo};
-use crate::actuator::{self, Limits, NEWTON};
+use crate::actuator::{self, NEWTON, TorqueLimits};
 use crate::number::{Real, Vec3};
 use crate::sand::SandBed;
 use crate::spatial::Twist;
@@ -62,7 +62,7 @@ pub struct TreeScratch<R> {
     hinges: Vec<TreeHinge<R>>,
     pub accelerations: Vec<Twist<R>>,
     joints: Vec<R>,
-    limits: Vec<Limits<R>>,
+    limits: Vec<TorqueLimits<R>>,
     pub touches: Vec<Touch<R>>,
 }
 
@@ -77,7 +77,7 @@ impl<R: Real> TreeScratch<R> {
             hinges: vec![TreeHinge::free(); bodies - 1],
             accelerations: vec![still; bodies],
             joints: vec![R::zero(); bodies - 1],
-            limits: vec![Limits::none(); bodies - 1],
+            limits: vec![TorqueLimits::none(); bodies - 1],
             touches: Vec::new(),
         }
     }
@@ -134,7 +134,7 @@ pub fn accelerate<R: Real>(
 #[inline(always)]
 fn solve<R: Real>(model: &LaneTree<R>, state: &LaneTreeState<R>, s: &mut TreeScratch<R>) {
     let (dt, joints) = (model.dt, &state.motion.joints);
-    s.limits.iter_mut().for_each(Limits::begin);
+    s.limits.iter_mut().for_each(TorqueLimits::begin);
     // `fold` changes the loads; where motors have lines, it may be made several times.
     let lines = model.motors.iter().any(|motor| motor.actuator.has_lines());
     if lines {
@@ -155,7 +155,12 @@ fn solve<R: Real>(model: &LaneTree<R>, state: &LaneTreeState<R>, s: &mut TreeScr
 
 /// Computes rates, positions and servos after the step.
 #[inline(always)]
-fn move_joints<R: Real>(model: &LaneTree<R>, state: &mut LaneTreeState<R>, accelerations: &[R], limits: &[Limits<R>]) {
+fn move_joints<R: Real>(
+    model: &LaneTree<R>,
+    state: &mut LaneTreeState<R>,
+    accelerations: &[R],
+    limits: &[TorqueLimits<R>],
+) {
     let dt = model.dt;
     for (i, acceleration) in accelerations.iter().enumerate() {
         let (joint, servo) = (&mut state.motion.joints[i], &mut state.servos[i]);
