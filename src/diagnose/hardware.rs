@@ -54,7 +54,7 @@ mod tests {
     use crate::trajectory::generate::{Truth, csv, experiment, file};
     use rand::{Rng as _, SeedableRng as _};
 
-    /// Number of logs; ten were seen to be within their intervals as docs/hardware.md says.
+    /// Number of logs: our choice, because each takes seconds.
     const LOGS: u64 = 3;
 
     /// Logs of walks with a late and crooked IMU, of which every other one has weak motors. The intervals of what is found contain the truth in
