@@ -21,7 +21,7 @@ use sandgait::diagnose::force_model::ForceLogModel;
 use sandgait::diagnose::forward::ForwardModel;
 use sandgait::diagnose::noise::{ChannelNoise, Noise, NoiseClock, NoiseData, sizes};
 use sandgait::diagnose::report::{Cause, Report, Tried};
-use sandgait::diagnose::shared::SharedNoise;
+use sandgait::diagnose::shared::{SharedNoise, Uncertainty};
 use sandgait::diagnose::statements::violations;
 use sandgait::diagnose::study::FitInputs;
 use sandgait::diagnose::verdict::Verdict;
@@ -64,22 +64,10 @@ fn separation(log: &Log, cause: &str, name: &str) -> Outcome<f64> {
     let channels = vec![channel(1.0), channel(1.0), channel(testbed::ARM)];
     let noise = Noise { clock: NoiseClock::Sample, channels, shared: vec![testbed::GAIN] };
     let o = &read.observations;
-    let strength = SharedNoise {
-        name: "bed_strength",
-        unit: "1",
-        guess: testbed::GAIN,
-        optional: false,
-        stacks: vec![o.values.clone()],
-    };
-    let source = NoiseData {
-        observations: o,
-        prediction: &o.values,
-        sizes: &sizes(o),
-        shared: &[strength],
-        model_error: &[],
-        left_out: &[],
-        own_error: &[],
-    };
+    let shared = vec![SharedNoise::one("bed_strength", "1", testbed::GAIN, false, o.values.clone())];
+    let uncertainty = Uncertainty { shared, ..Uncertainty::default() };
+    let (prediction, sizes) = (&o.values[..], &sizes(o));
+    let source = NoiseData { observations: o, prediction, sizes, uncertainty: &uncertainty, left_out: &[] };
     let whitener = Whitener::new(&source, &noise);
     // Sensor mechanisms are rivals here, so nuisances are left out.
     let study = FitInputs::new(o, &model, &whitener, experiment.coefficient_sd).under(&whitener, Vec::new());
