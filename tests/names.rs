@@ -45,7 +45,7 @@ fn no_two_types_have_the_same_name() {
     assert_eq!(declared("unsafe trait Kernel: Sized {"), Some("Kernel"));
     let types = types();
     assert!(types.len() > 600, "{}", types.len());
-    let twice = types.iter().filter(|(name, files)| files.len() > 1);
+    let twice = types.iter().filter(|(_, files)| files.len() > 1);
     let twice: Vec<_> = twice.map(|(name, files)| format!("{name}: {}", files.join(", "))).collect();
     assert!(twice.is_empty(), "names of more than one type:\n{}", twice.join("\n"));
 }
