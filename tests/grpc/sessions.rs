@@ -163,7 +163,7 @@ async fn a_first_message_without_a_request_or_a_session() {
     assert_eq!(failure.code, i32::from(Code::InvalidArgument));
     assert_eq!(
         failure.message,
-        "request: neither reset, step, attach, save, restore, rollout, policy_rollout, render nor observe"
+        "request: neither reset, step, attach, save, restore, rollout, policy_rollout, render, observe nor set_command"
     );
     session.reset(0).await;
     for request in [None, Some(step(&wave(0..2, 0)))] {
