@@ -1,7 +1,7 @@
 //! The definition of a task by its author ([`Task`]), and the form in which environments hold it ([`AnyTask`]).
 
 use super::ground::{Change, UsedGround};
-use super::legged::MOST_COMMAND;
+use super::legged::draws::MOST_COMMAND;
 use super::legged::episode::LeggedEpisode;
 use super::options::{OptionRow, Options, ResetOptions, TaskOptions};
 use super::random::Random;

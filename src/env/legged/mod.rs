@@ -9,7 +9,7 @@
 
 mod columns;
 mod curriculum;
-mod draws;
+pub mod draws;
 pub mod episode;
 mod options;
 mod reward;

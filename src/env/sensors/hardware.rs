@@ -30,7 +30,7 @@ impl HardwareFiles {
             let renamed = |e: Error| match e {
                 Error::Invalid { field, reason } if field == "hardware" => Error::invalid(name, reason),
                 Error::Invalid { field, reason } => Error::invalid(name, format!("{field}: {reason}")),
-                other => other,
+                other => Error::invalid(name, other.to_string()),
             };
             let file = HardwareDescription::from_toml(text).and_then(|file| check(&file).map(|()| file));
             file.map_err(renamed)
