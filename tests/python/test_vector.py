@@ -353,7 +353,7 @@ def test_gymnasiums_vector_wrappers_take_it() -> None:
 
 
 def test_commands_are_set_for_the_rest_of_an_episode() -> None:
-    envs = sandgait.make_vec("sandgait/LeggedVelocity-v1", 2, ground="rigid", max_episode_steps=30)
+    envs: Any = gymnasium.make_vec("sandgait/LeggedVelocity-v1", num_envs=2, ground="rigid", max_episode_steps=30)
     names = [c.name for c in envs.unwrapped.task.observation]
     first = names.index("commanded lin_vel_x")
     envs.reset(seed=0)
@@ -368,7 +368,7 @@ def test_commands_are_set_for_the_rest_of_an_episode() -> None:
     with pytest.raises(sandgait.InvalidRequest, match=r"commands\[1\]: 9 is outside"):
         envs.unwrapped.set_command([[0.0, 0.0, 0.0], [9.0, 0.0, 0.0]])
     envs.close()
-    stroke = sandgait.make_vec("sandgait/LegStroke-v0", 1)
+    stroke: Any = gymnasium.make_vec("sandgait/LegStroke-v0", num_envs=1)
     stroke.reset(seed=0)
     with pytest.raises(sandgait.InvalidRequest, match="has no commands"):
         stroke.unwrapped.set_command([0.0, 0.0, 0.0])

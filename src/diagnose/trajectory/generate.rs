@@ -115,7 +115,8 @@ fn rows(
             write!(text, ",{:.5}", tau * (1.0 + 0.02 * normal()) + offset).unwrap();
         }
         let read = |signal: usize| {
-            let at = i.saturating_sub(late);
+            // Sample k of the track is of the end of step k, (k + 1) ms.
+            let at = i.saturating_sub(late + 1);
             let window = &track.signals[joints + signal][at.saturating_sub(2)..(at + 3).min(states.len() - 1)];
             window.iter().sum::<f64>() / window.len() as f64
         };

@@ -225,14 +225,14 @@ fn gears_take_energy() {
             };
             let legged = hexapod(EngineKind::Lanes, name, free, &motors);
             let mut model = hexapod(kind, name, free, &motors);
-            (model.gravity, model.scene.dt) = (V::zeros(), 2.5e-4);
+            (model.gravity, model.scene.dt) = (V::zeros(), 1.25e-4);
             let mut engine = Engine::new(kind, &model, 1).unwrap();
             let mut now = standing(&model, 10.0);
             engine.set_model(0, &model);
             engine.set_state(0, &now);
             let (mut work, mut most) = (0.0, 0.0_f64);
-            for step in 0..1200 {
-                if step % 120 == 0 {
+            for step in 0..2400 {
+                if step % 240 == 0 {
                     let torques = (0..model.joints()).map(|_| draw.between(-0.01, 0.01)).collect();
                     engine.command(0, &Command { rates: vec![0.0; model.joints()], torques, targets: vec![] });
                 }
