@@ -121,6 +121,16 @@ pub struct LaneActuator<R> {
     rotor_inertia: R,
     /// 1 where the stall torque is known, else 0.
     has_line: R,
+    /// What any lane has. A step leaves out what none has, which changes no bits.
+    any: Has,
+}
+
+/// Does a motor have a line of torque over speed, a gear that takes energy or has inertia, a servo that is not followed exactly?
+#[derive(Clone, Copy, Default)]
+struct Has {
+    line: bool,
+    gear: bool,
+    lag: bool,
 }
 
 impl<R: Real> LaneActuator<R> {
@@ -137,6 +147,7 @@ impl<R: Real> LaneActuator<R> {
             loss: zero,
             rotor_inertia: zero,
             has_line: zero,
+            any: Has::default(),
         };
         (0..R::LANES).for_each(|lane| all.set_lane(lane, actuator));
         all
@@ -156,12 +167,18 @@ impl<R: Real> LaneActuator<R> {
             &mut self.has_line,
         ];
         all.into_iter().zip(actuator.numbers()).for_each(|(out, x)| out.set_lane(lane, x));
+        let nonzero = |all: &[R]| all.iter().any(|x| R::any(R::zero().lt(x.abs())));
+        self.any = Has {
+            line: nonzero(&[self.has_line]),
+            gear: nonzero(&[self.friction, self.damping, self.loss, self.rotor_inertia]),
+            lag: nonzero(&[self.torque_time, self.torque_constant - R::one()]),
+        };
     }
 
     /// Is a stall torque known in any lane?
     #[inline(always)]
     pub fn has_lines(&self) -> bool {
-        R::any(R::zero().lt(self.has_line))
+        self.any.line
     }
 
     /// Least and greatest torque at the joint's rate.
@@ -175,6 +192,9 @@ impl<R: Real> LaneActuator<R> {
     /// The torque that follows the servo's `push` in this step, if it was `before` in the last one.
     #[inline(always)]
     pub fn track(&self, push: StopTorque<R>, before: R, dt: R) -> StopTorque<R> {
+        if !self.any.lag {
+            return push;
+        }
         let share = dt / (self.torque_time + dt);
         let push =
             StopTorque { torque: push.torque * self.torque_constant, yielding: push.yielding * self.torque_constant };
@@ -187,6 +207,9 @@ impl<R: Real> LaneActuator<R> {
     /// Friction of the gear and inertia of the rotor, if the motor's torque was `before` in the last step.
     #[inline(always)]
     pub fn gear(&self, rate: R, before: R, dt: R) -> StopTorque<R> {
+        if !self.any.gear {
+            return StopTorque::none();
+        }
         let slows = self.slows(rate, before);
         StopTorque { torque: -(slows * rate), yielding: slows.mul_add(dt, self.rotor_inertia) }
     }

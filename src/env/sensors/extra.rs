@@ -24,6 +24,9 @@ pub struct Moment<'a> {
     after: &'a State,
     imu_position: [f64; 3],
     forces: OnceCell<Vec<f64>>,
+    specific_force: OnceCell<[f64; 3]>,
+    /// [N]
+    weight: OnceCell<f64>,
 }
 
 /// Computes one number.
@@ -32,7 +35,16 @@ pub type Measure = fn(&Moment, usize) -> f64;
 impl<'a> Moment<'a> {
     pub fn new(seen: &'a Seen<'a>, imu_position: [f64; 3]) -> Self {
         let [before, after] = seen.states;
-        Self { seen, model: seen.model, before, after, imu_position, forces: OnceCell::new() }
+        Self {
+            seen,
+            model: seen.model,
+            before,
+            after,
+            imu_position,
+            forces: OnceCell::new(),
+            specific_force: OnceCell::new(),
+            weight: OnceCell::new(),
+        }
     }
 
     /// Force of the ground on each foot along the surface's normal [N]: in the last time step, or, if the engine does not keep it, at the
@@ -85,15 +97,16 @@ fn feet(model: &Model) -> Vec<String> {
 pub fn columns(sensor: Sensor, model: &Model) -> Option<Features<Measure>> {
     let (none, feet) = (Features::<Measure>::none(), feet(model));
     let columns = match sensor {
-        Sensor::Accelerometer => {
-            none.xyz("specific force, body frame,", "m/s²", SPECIFIC_FORCE, |m, i| m.specific_force()[i])
-        }
+        Sensor::Accelerometer => none.xyz("specific force, body frame,", "m/s²", SPECIFIC_FORCE, |m, i| {
+            m.specific_force.get_or_init(|| m.specific_force())[i]
+        }),
         Sensor::JointTorque => {
             none.each(&model.joint_names(), "joint torque", "N·m", TORQUE, |m, i| m.after.torques[i])
         }
         Sensor::ContactForce => none.each(&feet, "contact force", "N", FORCE, |m, i| m.forces()[i]),
         Sensor::ContactSwitch => none.each(&feet, "contact switch", "1", 1.0, |m, i| {
-            f64::from(u8::from(m.forces()[i] > SWITCH * m.model.total_mass() * m.model.gravity.norm()))
+            let weight = m.weight.get_or_init(|| m.model.total_mass() * m.model.gravity.norm());
+            f64::from(u8::from(m.forces()[i] > SWITCH * weight))
         }),
         Sensor::RangeFinder => none.each(&["base".into()], "range finder", "m", RANGE, |m, _| m.range()),
         _ => return None,

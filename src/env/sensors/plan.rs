@@ -206,13 +206,13 @@ impl Plan {
         self.turn_imu(senses, row);
         let mut random = stream(seed, number, step);
         if begins {
-            memory.past = senses.signals.iter().map(|s| s.begin(&mut random, self.period, row)).collect();
+            memory.past = senses.signals.iter().map(|s| s.begin(&mut random, row)).collect();
             self.speeds.iter().for_each(|[_, speed]| senses.signals[*speed].set(row, 0.0));
             let first = row.to_vec();
             before.chunks_exact_mut(width).for_each(|old| old.copy_from_slice(&first));
         } else {
             for (signal, past) in senses.signals.iter().zip(&mut memory.past) {
-                signal.sample(&mut random, self.period, past, row);
+                signal.sample(&mut random, past, row);
             }
             for [position, speed] in &self.speeds {
                 let position = &senses.signals[*position];
@@ -282,8 +282,7 @@ impl Plan {
         let (row, others) = seen.split_at_mut(wide);
         self.copied.iter().for_each(|(place, column)| row[*place] = sampled[*column]);
         for signal in &senses.signals {
-            let dropout = signal.imperfections.dropout;
-            if dropout > 0.0 && random.random_bool(dropout) && !begins {
+            if signal.dropout > 0.0 && random.random_bool(signal.dropout) && !begins {
                 continue;
             }
             for (place, column) in &signal.places {

@@ -6,18 +6,30 @@ use rand::Rng as _;
 use rand_distr::StandardNormal;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-/// A value of a sensor, and its columns in a row of exact values.
+/// A value of a sensor, its columns in a row of exact values, and what a control step does to it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Signal {
     /// The column; of an angle, the column of its sine.
     pub column: usize,
     /// The column of an angle's cosine.
     pub cosine: Option<usize>,
-    pub imperfections: Imperfections,
     /// The delay: whole control steps, and the rest as a share of one.
     pub late: (usize, f32),
     /// Places of column and cosine in the row that the policy gets; empty if it does not get them.
     pub places: Vec<(usize, usize)>,
+    /// Probability that a sample is lost.
+    pub dropout: f64,
+    /// Does the sensor change the value, besides delaying it?
+    alters: bool,
+    gain: f64,
+    offset: f64,
+    /// Standard deviations: of the constant error, of its change in a step, of a sample's noise.
+    bias: f64,
+    walk: f64,
+    noise: f64,
+    /// Share of its distance to a new sample by which the low-pass filter moves; None: no filter.
+    follows: Option<f64>,
+    quantization: f64,
 }
 
 /// A rest of a delay below this share of a control step is rounding: our choice, which moves no value by more than a millionth of its
@@ -44,13 +56,33 @@ pub struct Past {
 impl Signal {
     /// `period`: that of the control [s].
     pub fn new(column: usize, part: Part, imperfections: Imperfections, period: f64) -> Option<Self> {
+        // Sine and cosine are one signal, which begins with its sine.
+        if part == Part::Cosine {
+            return None;
+        }
         let delay = imperfections.delay / period;
         let whole = (delay + ROUNDING).floor();
         // A delay of whole steps copies bits.
         let rest = delay - whole;
         let late = (whole as usize, if rest > ROUNDING { rest as f32 } else { 0.0 });
-        // Sine and cosine are one signal, which begins with its sine.
-        (part != Part::Cosine).then_some(Self { column, cosine: None, imperfections, late, places: Vec::new() })
+        let Imperfections { gain, offset, noise_density, bias, random_walk, low_pass, quantization, dropout, .. } =
+            imperfections;
+        Some(Self {
+            column,
+            cosine: None,
+            late,
+            places: Vec::new(),
+            dropout,
+            alters: [gain, offset, noise_density, bias, random_walk, low_pass, quantization] != [0.0; 7],
+            gain,
+            offset,
+            bias,
+            walk: random_walk * period.sqrt(),
+            // Samples at the rate 1/period carry the density up to half of that rate (Kalibr's IMU noise model).
+            noise: noise_density / period.sqrt(),
+            follows: (low_pass > 0.0).then(|| -(-period / low_pass).exp_m1()),
+            quantization,
+        })
     }
 
     pub fn columns(&self) -> impl Iterator<Item = usize> {
@@ -62,13 +94,6 @@ impl Signal {
         let (whole, rest) = self.late;
         let at = |back: usize| sampled[back * width + column];
         if rest == 0.0 { at(whole) } else { at(whole) + (at(whole + 1) - at(whole)) * rest }
-    }
-
-    /// Does the sensor change the value, besides delaying it?
-    fn alters(&self) -> bool {
-        let Imperfections { gain, offset, noise_density, bias, random_walk, low_pass, quantization, .. } =
-            self.imperfections;
-        [gain, offset, noise_density, bias, random_walk, low_pass, quantization] != [0.0; 7]
     }
 
     /// The measured value in a row.
@@ -85,11 +110,11 @@ impl Signal {
     }
 
     /// The first sample of an episode.
-    pub fn begin(&self, random: &mut Xoshiro256PlusPlus, period: f64, row: &mut [f32]) -> Past {
+    pub fn begin(&self, random: &mut Xoshiro256PlusPlus, row: &mut [f32]) -> Past {
         let mut past = Past::default();
-        if self.alters() {
-            past.bias = (self.imperfections.bias * random.sample::<f64, _>(StandardNormal)) as f32;
-            let noisy = self.noisy(self.value(row), &past, random, period);
+        if self.alters {
+            past.bias = (self.bias * random.sample::<f64, _>(StandardNormal)) as f32;
+            let noisy = self.noisy(self.value(row), &past, random);
             past.filtered = noisy as f32;
             self.set(row, self.quantized(noisy));
         }
@@ -97,34 +122,31 @@ impl Signal {
     }
 
     /// A later sample; `row` has the exact values.
-    pub fn sample(&self, random: &mut Xoshiro256PlusPlus, period: f64, past: &mut Past, row: &mut [f32]) {
-        if !self.alters() {
+    pub fn sample(&self, random: &mut Xoshiro256PlusPlus, past: &mut Past, row: &mut [f32]) {
+        if !self.alters {
             return;
         }
-        let Imperfections { random_walk, low_pass, .. } = self.imperfections;
-        if random_walk > 0.0 {
-            past.bias += (random_walk * period.sqrt() * random.sample::<f64, _>(StandardNormal)) as f32;
+        if self.walk > 0.0 {
+            past.bias += (self.walk * random.sample::<f64, _>(StandardNormal)) as f32;
         }
-        let mut value = self.noisy(self.value(row), past, random, period);
-        if low_pass > 0.0 {
+        let mut value = self.noisy(self.value(row), past, random);
+        if let Some(share) = self.follows {
             let before = f64::from(past.filtered);
             // An angle is filtered along the shorter way.
             let change = if self.cosine.is_some() { wrapped(value - before) } else { value - before };
-            value = before + change * -(-period / low_pass).exp_m1();
+            value = before + change * share;
             past.filtered = value as f32;
         }
         self.set(row, self.quantized(value));
     }
 
-    fn noisy(&self, value: f64, past: &Past, random: &mut Xoshiro256PlusPlus, period: f64) -> f64 {
-        let Imperfections { noise_density: density, gain, offset, .. } = self.imperfections;
-        // Samples at the rate 1/period carry the density up to half of that rate (Kalibr's IMU noise model).
-        let noise = if density > 0.0 { density / period.sqrt() * random.sample::<f64, _>(StandardNormal) } else { 0.0 };
-        value + value * gain + offset + f64::from(past.bias) + noise
+    fn noisy(&self, value: f64, past: &Past, random: &mut Xoshiro256PlusPlus) -> f64 {
+        let noise = if self.noise > 0.0 { self.noise * random.sample::<f64, _>(StandardNormal) } else { 0.0 };
+        value + value * self.gain + self.offset + f64::from(past.bias) + noise
     }
 
     fn quantized(&self, value: f64) -> f64 {
-        let step = self.imperfections.quantization;
+        let step = self.quantization;
         if step > 0.0 { (value / step).round() * step } else { value }
     }
 }
