@@ -332,6 +332,3 @@ pub fn again<'a, R: Real>(
     }
     true
 }
-
-#[cfg(test)]
-mod tests;

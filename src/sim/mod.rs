@@ -15,7 +15,7 @@
 //! * [`actuator`]: what a motor and its gear can do; [`motor`]: servo and motor of a robot.
 //! * [`hardware`]: what is known of a robot's motors, sensors and delays, as a file.
 //! * [`engine`]: the one interface to all engines.
-//! * [`spatial`]: spatial algebra for `lanes` and `tree`; `stop`: the ends of a joint's range.
+//! * [`spatial`]: spatial algebra for `lanes` and `tree`; [`stop`]: the ends of a joint's range.
 //! * [`lanes`]: the fast engine, articulated bodies over SIMD lanes of robots.
 //! * [`rapier`]: rapier3d multibodies, one world for each robot.
 //! * [`carriage`]: a leg on a driven carriage, whose forces are measured.
@@ -47,7 +47,7 @@ pub mod robot;
 pub mod solid;
 pub mod spatial;
 pub mod state;
-mod stop;
+pub mod stop;
 pub mod tree;
 mod used;
 pub mod walk;

@@ -67,7 +67,7 @@ const FLAT: f64 = 1e-9;
 
 /// The plane of a body: e₁ along its reach, e₀ across it toward the normals, or in any direction if the body is a
 /// line.
-fn plane(body: &LinkBody) -> [V; 2] {
+pub fn plane(body: &LinkBody) -> [V; 2] {
     let along = body.reach.normalize();
     let across = |v: V| v - along * along.dot(&v);
     let axes = [V::x(), V::y()]; // one of the two is not along the reach
@@ -77,7 +77,7 @@ fn plane(body: &LinkBody) -> [V; 2] {
     [exact(e0.map_or(V::zeros(), |v| v.normalize())), exact(along)]
 }
 
-fn in_plane(v: V, [e0, e1]: [V; 2]) -> [f64; 2] {
+pub fn in_plane(v: V, [e0, e1]: [V; 2]) -> [f64; 2] {
     [v.dot(&e0), v.dot(&e1)].map(|x| nonzero(x, v.norm()))
 }
 
@@ -87,7 +87,7 @@ fn second_moment(body: &LinkBody) -> M {
     about_center + body.center * body.center.transpose() * body.mass
 }
 
-fn moments(body: &LinkBody, [e0, e1]: [V; 2]) -> PlaneMoments<f64> {
+pub fn moments(body: &LinkBody, [e0, e1]: [V; 2]) -> PlaneMoments<f64> {
     let second = second_moment(body);
     let (reach, about) = (body.reach.norm(), second.trace());
     PlaneMoments {
@@ -233,60 +233,5 @@ impl<R: Real, const J: usize> LaneModel<R, J> {
                 plates.for_each(|(plate, full)| plate.area.set_lane(lane, full.area * share));
             }
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::Robot;
-    use crate::model::Scene;
-    use crate::sand::Medium;
-
-    fn model(robot: &str, shape: &str) -> Model {
-        let robot = Robot::load(robot).unwrap().with_leg_shape(shape).unwrap();
-        Model::new(&robot, &Scene::flat(Medium::named("poppy-loose").unwrap())).unwrap()
-    }
-
-    /// The coordinates in the plane give back every plate and the inertia about the joint.
-    #[test]
-    fn planes_hold_all_of_a_link() {
-        for (robot, shape) in [("xplorer", "L"), ("xplorer", "revC"), ("xplorer", "flat"), ("xplorer18", "xi=30")] {
-            let model = model(robot, shape);
-            check_planes(&model).unwrap();
-            for body in model.legs.iter().flatten() {
-                let [e0, e1] = plane(body);
-                assert!(e0.dot(&e1).abs() < 1e-12 && (e0.norm() - 1.0).abs() < 1e-12, "{robot} {shape}");
-                let back = |v: V| e0 * in_plane(v, [e0, e1])[0] + e1 * in_plane(v, [e0, e1])[1];
-                for p in body.plates.iter().chain(&body.chord) {
-                    assert!((back(p.center) - p.center).norm() < 1e-12, "{robot} {shape}");
-                    assert!((back(p.normal) - p.normal).norm() < 1e-12, "{robot} {shape}");
-                }
-                let PlaneMoments { mass, first, second: [m00, m01, m11] } = moments(body, [e0, e1]);
-                let about = e0 * e0.transpose() * m00
-                    + (e0 * e1.transpose() + e1 * e0.transpose()) * m01
-                    + e1 * e1.transpose() * m11;
-                let (arm, center) = (e0 * first[0] + e1 * first[1], body.center);
-                let inertia =
-                    body.inertia + (M::identity() * center.norm_squared() - center * center.transpose()) * mass;
-                assert!((M::identity() * about.trace() - about - inertia).norm() < 1e-12 * inertia.norm());
-                assert!((arm - center * mass).norm() < 1e-15);
-            }
-        }
-    }
-
-    #[test]
-    fn bodies_out_of_a_plane_are_refused() {
-        let refused = |change: fn(&mut Model), word: &str| {
-            let mut model = model("xplorer", "L");
-            change(&mut model);
-            assert!(check_planes(&model).unwrap_err().to_string().contains(word));
-        };
-        refused(|m| m.legs[2][0].plates[3].center.y += 1e-4, "leg");
-        refused(|m| m.legs[2][0].plates[3].normal.y += 1e-4, "leg");
-        refused(|m| m.legs[2][0].center.y += 1e-4, "leg");
-        refused(|m| m.legs[2][0].inertia[(0, 0)] *= 1.1, "leg");
-        refused(|m| m.belly[4].center.z += 1e-4, "belly");
-        refused(|m| m.belly[4].normal = V::x(), "belly");
     }
 }

@@ -14,7 +14,7 @@
 //! gives the same bits. In such worlds the bits depend on how a time is divided into calls of `advance`.
 
 mod contact;
-mod inertia;
+pub mod inertia;
 mod rocks;
 mod sand;
 mod units;

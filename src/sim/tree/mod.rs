@@ -191,6 +191,3 @@ impl Tree {
         self.bodies.iter().map(|b| b.mass).sum()
     }
 }
-
-#[cfg(test)]
-mod tests;

@@ -210,6 +210,3 @@ impl<R: Real> LanePiece<R> {
         SurfacePiece { place, normal, area: self.area.lane(lane), velocity, cells: self.cells }
     }
 }
-
-#[cfg(test)]
-mod tests;

@@ -1,12 +1,12 @@
 //! Robots and scenes of the tests.
 
 use super::*;
-use crate::engine::Command;
-use crate::model::Scene;
-use crate::number::{Isa, Vec3};
-use crate::sand::Medium;
-use crate::sand::intruder::{BodyShape, IntruderPlate, PlatedBody};
-use crate::{Model, State};
+use sandgait_number::{Isa, Vec3};
+use sandgait_sand::Medium;
+use sandgait_sand::intruder::{BodyShape, IntruderPlate, PlatedBody};
+use sandgait_sim::engine::Command;
+use sandgait_sim::model::Scene;
+use sandgait_sim::{Model, State};
 
 pub fn scene(dt: f64) -> Scene {
     Scene { dt, ..Scene::flat(Medium::named("poppy-loose").unwrap()) }
@@ -77,7 +77,7 @@ pub fn run(isa: Isa, model: &Model, start: &State, time: f64) -> State {
     let mut state = start.clone();
     let steps = (time / model.scene.dt).round() as usize;
     for _ in 0..steps.div_ceil(20) {
-        crate::number::flushed(|| engine.advance(20));
+        sandgait_number::flushed(|| engine.advance(20));
     }
     engine.state(0, &mut state);
     state

@@ -1,16 +1,16 @@
 //! Forces for pictures are those that move the robot.
 
-use super::super::forces::{pushes, touching};
 use super::engine::conserved;
 use super::models::{block, on_hard, on_sand, plates, quadruped, run, scene, standing, trot};
 use super::*;
-use crate::model::Scene;
-use crate::number::Isa;
-use crate::{Model, State};
+use sandgait_number::Isa;
+use sandgait_sim::model::Scene;
+use sandgait_sim::tree::forces::{pushes, touching};
+use sandgait_sim::{Model, State};
 use std::sync::Arc;
 
 fn on_dunes() -> Model {
-    let relief = Some(Arc::new(super::super::relief::Relief::dunes(3, 1.5, 15.0).unwrap()));
+    let relief = Some(Arc::new(sandgait_sim::tree::relief::Relief::dunes(3, 1.5, 15.0).unwrap()));
     let scene = Scene { relief, ..scene(1e-3) };
     Model::of_tree(TreeModel::new(quadruped(), plates(&quadruped())).unwrap(), &scene).unwrap()
 }
@@ -33,7 +33,7 @@ fn sum(model: &Model, state: &State) -> V {
 #[test]
 fn forces_change_the_momentum() {
     for (name, model) in grounds() {
-        let (weight, dt) = (model.total_mass() * crate::sand::GRAVITY, model.scene.dt);
+        let (weight, dt) = (model.total_mass() * sandgait_sand::GRAVITY, model.scene.dt);
         let mut engine = TreeEngine::with_isa(Isa::F64, &model, 1).unwrap();
         let mut state = standing(&quadruped());
         engine.set_state(0, &state);

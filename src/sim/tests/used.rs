@@ -1,10 +1,10 @@
 //! Robots on sand that remembers: bits, states, volume, and convergence.
 
-use crate::engine::{Command, Engine, EngineKind};
-use crate::model::Scene;
-use crate::sand::Medium;
-use crate::sand::memory::{MemorySettings, REPOSE_DEG};
-use crate::{Model, Robot, State};
+use sandgait_sand::Medium;
+use sandgait_sand::memory::{MemorySettings, REPOSE_DEG};
+use sandgait_sim::engine::{Command, Engine, EngineKind};
+use sandgait_sim::model::Scene;
+use sandgait_sim::{Model, Robot, State};
 use std::f64::consts::TAU;
 
 fn model(leg: &str, dt: f64) -> Model {
@@ -64,7 +64,7 @@ fn states_go_on() {
     let bytes = middle.sand.as_ref().unwrap().to_bytes();
     let settings = model.scene.memory.unwrap();
     assert_eq!(
-        crate::sand::memory::Moved::from_bytes(&settings, model.sand_bodies(), &bytes).as_ref(),
+        sandgait_sand::memory::Moved::from_bytes(&settings, model.sand_bodies(), &bytes).as_ref(),
         middle.sand.as_deref()
     );
     let mut other = Engine::new(EngineKind::Lanes, &model, 3).unwrap();

@@ -2,10 +2,10 @@
 
 use super::models::*;
 use super::*;
-use crate::engine::Command;
-use crate::model::Scene;
-use crate::number::Isa;
-use crate::{Model, State};
+use sandgait_number::Isa;
+use sandgait_sim::engine::Command;
+use sandgait_sim::model::Scene;
+use sandgait_sim::{Model, State};
 use std::sync::Arc;
 
 /// Momentum, angular momentum about the centre of mass, and energy.
@@ -52,7 +52,7 @@ fn free_flight_conserves() {
         let pose = random_pose(&mut draw, count - 1);
         let errors = [2e-4, 1e-4].map(|dt| {
             let [(p0, l0, e0), (p1, l1, e1)] = flown(&tree, &pose, dt, 0.2);
-            let fallen = V::z() * (-0.2 * tree.mass() * crate::sand::GRAVITY);
+            let fallen = V::z() * (-0.2 * tree.mass() * sandgait_sand::GRAVITY);
             let scale = p0.norm() + fallen.norm();
             [(p1 - p0 - fallen).norm() / scale, (l1 - l0).norm() / l0.norm(), (e1 - e0).abs() / e0.abs().max(10.0)]
         });
@@ -77,7 +77,7 @@ fn a_block_on_a_slope_sticks_or_slides() {
             let later = run(isa, &model, &settled, 1.0);
             let [dx, dv] = [later.position[0] - settled.position[0], later.velocity[0] - settled.velocity[0]];
             let angle = slope.to_radians();
-            let expected = -crate::sand::GRAVITY * (angle.sin() - friction * angle.cos());
+            let expected = -sandgait_sand::GRAVITY * (angle.sin() - friction * angle.cos());
             if expected >= 0.0 {
                 // It creeps with 1e-5 m/s times the share of its weight along the slope.
                 assert!(dx.abs() < 1e-5, "{isa:?} {slope}: {dx}");
@@ -128,7 +128,7 @@ fn a_ball_bounces() {
             engine.state(0, &mut state);
             fastest = fastest.max(state.velocity[2]);
         }
-        fastest / (2.0 * crate::sand::GRAVITY * 0.1).sqrt()
+        fastest / (2.0 * sandgait_sand::GRAVITY * 0.1).sqrt()
     };
     for zeta in [0.0_f64, 0.1, 0.5] {
         let root = (1.0 - zeta * zeta).sqrt();
@@ -159,7 +159,7 @@ fn a_quadruped_stands_on_its_feet() {
         let bodies = motions(&tree.tree, &pose_of(&later), &none);
         let depth = |m: &Moving| 0.02 - (m.at + m.turn * V::new(0.0, 0.0, -0.2)).z - later.position[2];
         let carried: f64 = bodies.iter().skip(3).step_by(3).map(|m| depth(m) * tree.compliance.stiffness).sum();
-        let weight = tree.tree.mass() * crate::sand::GRAVITY;
+        let weight = tree.tree.mass() * sandgait_sand::GRAVITY;
         assert!((carried / weight - 1.0).abs() < 1e-3, "{isa:?}: {carried} N of {weight}");
     }
 }
@@ -177,7 +177,7 @@ fn trotted(isa: Isa, model: &Model, count: usize, k: usize) -> State {
     (0..count).for_each(|i| engine.set_state(i, &starts(named(i))));
     for step in 0..50 {
         (0..count).for_each(|i| engine.command(i, &trot(named(i), step)));
-        crate::number::flushed(|| engine.advance(20));
+        sandgait_number::flushed(|| engine.advance(20));
     }
     let mut state = starts(k);
     engine.state(if count == 1 { 0 } else { k }, &mut state);
@@ -213,7 +213,7 @@ fn states_go_on_with_the_same_bits() {
         other.set_state(0, &State::from_row(12, &state.row()).unwrap());
         for e in [&mut engine, &mut other] {
             e.command(0, &trot(0, step));
-            crate::number::flushed(|| e.advance(20));
+            sandgait_number::flushed(|| e.advance(20));
         }
         let mut again = state.clone();
         engine.state(0, &mut state);
@@ -240,7 +240,7 @@ fn precisions_agree() {
 fn a_plane_of_heights_is_a_slope() {
     let angle = 10f64.to_radians();
     let rows = vec![(0..40).map(|i| angle.tan() * 0.5 * f64::from(i)).collect::<Vec<f64>>(); 40];
-    let plane = Arc::new(super::super::relief::Relief::new(0.5, &rows).unwrap());
+    let plane = Arc::new(sandgait_sim::tree::relief::Relief::new(0.5, &rows).unwrap());
     let turn = UnitQuaternion::from_axis_angle(&V::y_axis(), -angle);
     // A point of the plane.
     let origin = V::new(10.0, 10.0, 10.0 * angle.tan());

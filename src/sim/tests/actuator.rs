@@ -1,13 +1,13 @@
 //! Motors alone, and in the engines.
 
-use super::{Actuator, LaneActuator};
-use crate::engine::{Command, Engine, EngineKind};
-use crate::frame::{BodyFrame, M, V};
-use crate::model::Scene;
-use crate::sand::Medium;
-use crate::stop::StopTorque;
-use crate::tree::{TreeModel, of_robot, of_touching};
-use crate::{Model, Robot, State};
+use sandgait_sand::Medium;
+use sandgait_sim::actuator::{Actuator, LaneActuator};
+use sandgait_sim::engine::{Command, Engine, EngineKind};
+use sandgait_sim::frame::{BodyFrame, M, V};
+use sandgait_sim::model::Scene;
+use sandgait_sim::stop::StopTorque;
+use sandgait_sim::tree::{TreeModel, of_robot, of_touching};
+use sandgait_sim::{Model, Robot, State};
 
 #[test]
 fn torque_falls_along_the_line() {

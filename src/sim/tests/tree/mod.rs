@@ -1,8 +1,9 @@
 //! Random trees, and the equations that their accelerations must satisfy.
 
-use super::flight::{GRAVITY, TreeAccelerations, TreePose, accelerations, accelerations_by};
-use super::*;
+use nalgebra::{Isometry3, Matrix3, Unit, Vector3};
 use nalgebra::{Rotation3, UnitQuaternion};
+use sandgait_sim::tree::flight::{GRAVITY, TreeAccelerations, TreePose, accelerations, accelerations_by};
+use sandgait_sim::tree::*;
 
 pub mod engine;
 mod forces;
@@ -220,7 +221,7 @@ fn single_precision_is_enough() {
         let pose = random_pose(&mut draw, 12);
         let exact = accelerations(&tree, &pose);
         let single = accelerations_by::<f32>(&tree, &pose);
-        let lanes = accelerations_by::<crate::number::Portable>(&tree, &pose);
+        let lanes = accelerations_by::<sandgait_number::Portable>(&tree, &pose);
         assert!(difference(&single, &exact) < 1e-4, "{}", difference(&single, &exact));
         assert!(difference(&lanes, &exact) < 1e-4, "{}", difference(&lanes, &exact));
     }

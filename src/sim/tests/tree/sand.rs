@@ -1,15 +1,15 @@
 //! Sand on plates in lanes, compared with `sand::intruder`, the program's other code for bodies in sand.
 
 use super::*;
-use crate::number::{Portable, Real, Vec3};
-use crate::sand::intruder::{BodyShape, DepthOrLoad, IntruderPlate, PlatedBody, Trial, compute, cut};
-use crate::sand::term::Term;
-use crate::sand::{Law, Mechanisms, Medium, Regularization, SandBed, SandDescription};
-use crate::spatial::Twist;
-use crate::tree::dynamics::{LinkFrame, LinkLoad};
-use crate::tree::patches::BodyPatches;
-use crate::tree::sand::press;
-use crate::tree::terrain::Flat;
+use sandgait_number::{Portable, Real, Vec3};
+use sandgait_sand::intruder::{BodyShape, DepthOrLoad, IntruderPlate, PlatedBody, Trial, compute, cut};
+use sandgait_sand::term::Term;
+use sandgait_sand::{Law, Mechanisms, Medium, Regularization, SandBed, SandDescription};
+use sandgait_sim::spatial::Twist;
+use sandgait_sim::tree::dynamics::{LinkFrame, LinkLoad};
+use sandgait_sim::tree::patches::BodyPatches;
+use sandgait_sim::tree::sand::press;
+use sandgait_sim::tree::terrain::Flat;
 use std::io::Write;
 
 fn vec3(v: V) -> Vec3<f64> {
