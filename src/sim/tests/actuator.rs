@@ -204,22 +204,22 @@ fn energy(model: &Model, state: &State) -> f64 {
     sum
 }
 
-/// The steps' own error of energy, as a share of the largest one: our choice. Without losses `tree` gains 5 % and more in this test, so
-/// only motors with losses are checked.
-const OWN_ERROR: f64 = 0.05;
+/// Largest torque of [`gears_take_energy`] [N·m]: links then turn by at most 0.02 rad in a step.
+const TORQUE: f64 = 3e-3;
+/// The steps' own error of energy, as a share of the largest one. Without losses, 0.7 % were seen; it halves with the time step in all engines,
+/// and grows with the angle in a step (6 % at 0.05 rad).
+const OWN_ERROR: f64 = 0.02;
 
 /// A robot floats without gravity, and its motors apply random torques. What its kinetic energy gains is less than the work of the motors,
-/// by the gears' losses.
+/// by the gears' losses; without losses it is that work.
 #[test]
 fn gears_take_energy() {
     for kind in ENGINES {
         let mut draw = Draw(kind as u64 + 11);
         for round in 0..12 {
-            if round % 3 == 0 {
-                continue;
-            }
+            let loses = round % 3 > 0;
             let motors = Actuator {
-                friction: (round % 3 == 1).then(|| draw.between(1e-3, 5e-3)),
+                friction: (round % 3 == 1).then(|| draw.between(0.1, 0.4) * TORQUE),
                 damping: (round % 3 == 1).then(|| draw.between(1e-5, 1e-4)),
                 efficiency: (round % 3 == 2).then(|| draw.between(0.5, 0.9)),
                 ..Actuator::default()
@@ -239,7 +239,7 @@ fn gears_take_energy() {
             let (mut work, mut most) = (0.0, 0.0_f64);
             for step in 0..2400 {
                 if step % 240 == 0 {
-                    let torques = (0..model.joints()).map(|_| draw.between(-0.01, 0.01)).collect();
+                    let torques = (0..model.joints()).map(|_| draw.between(-TORQUE, TORQUE)).collect();
                     engine.command(0, &Command { rates: vec![0.0; model.joints()], torques, targets: vec![] });
                 }
                 let before = now.clone();
@@ -249,11 +249,12 @@ fn gears_take_energy() {
                 work += now.torques.iter().zip(middle).map(|(t, rate)| t * rate).sum::<f64>() * model.scene.dt;
                 let energy = energy(&legged, &now);
                 most = most.max(energy);
-                // The steps' own error, which a run without losses shows.
-                assert!(energy <= work + OWN_ERROR * most, "{} round {round}: {energy} J of {work} J", kind.name());
+                let gained = energy - work;
+                assert!(gained <= OWN_ERROR * most, "{} round {round}: {energy} J of {work} J", kind.name());
+                assert!(loses || gained >= -OWN_ERROR * most, "{} round {round}: {energy} J of {work} J", kind.name());
             }
             let energy = energy(&legged, &now);
-            assert!(energy < 0.9 * work, "{} round {round}: {energy} J of {work} J", kind.name());
+            assert!(!loses || energy < 0.9 * work, "{} round {round}: {energy} J of {work} J", kind.name());
         }
     }
 }
