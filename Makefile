@@ -59,7 +59,10 @@ policies: $(VENV)/sb3
 	$(BIN)/python examples/train_clock.py --out examples/policies/HexapodGait-clock
 	$(BIN)/python examples/train_stroke.py --out examples/policies/LegStroke
 
-test: test-rust test-python
+# Python's packages come while Rust is compiled.
+test:
+	$(MAKE) $(VENV)/packages & packages=$$!; $(MAKE) test-rust || { kill $$packages; exit 1; }; wait $$packages
+	$(MAKE) test-python
 
 # Tests need no code of one unit a crate, and two cores compile several units in less time.
 test test-rust test-python: export CARGO_PROFILE_RELEASE_CODEGEN_UNITS := 16
@@ -69,11 +72,11 @@ test-rust:
 	PYO3_PYTHON=$(PYTHON) cargo clippy --release --workspace --all-targets -- -D warnings
 	cargo test --release
 
-test-python: $(VENV)/sb3 $(VENV)/plot $(VENV)/docs $(VENV)/dev
+test-python: $(VENV)/packages $(VENV)/sb3 $(VENV)/plot $(VENV)/docs $(VENV)/dev
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
-	$(BIN)/pytest
+	$(BIN)/pytest --numprocesses 2 --dist worksteal
 
 test-browser: $(VENV)/dev
 	command -v chromium chromium-browser google-chrome > /dev/null || { apt-get update && apt-get install --yes chromium; }
@@ -200,6 +203,11 @@ $(VENV)/tools: $(PINS)
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed")'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --constraint $(PINS) maturin
+	@touch $@
+
+# All packages that tests need, some 7 GB with torch.
+$(VENV)/packages: $(VENV)/tools
+	$(BIN)/pip install --quiet --requirement $(PINS)
 	@touch $@
 
 $(VENV)/wheel: $(SOURCES) $(VENV)/tools
