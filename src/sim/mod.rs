@@ -3,8 +3,7 @@
 //! This crate has no rewards, randomness, threads or messages.
 //!
 //! * [`robot`]: a robot as a user's TOML file describes it.
-//! * [`model`]: the same as numbers: bodies, joints, servos, segments, sand, gravity, time step.
-//! * `memory`: memory of models and robots.
+//! * [`model`]: the same as numbers: bodies (`links`), joints, servos, sand, gravity, time step (`scene`).
 //! * [`obstacle`]: rigid obstacles in the sand; [`solid`]: their geometry.
 //! * [`overlap`]: how far a robot stands inside obstacles, for tests.
 //! * [`state`]: positions and velocities of one robot.
@@ -36,6 +35,7 @@ pub mod frame;
 pub mod hardware;
 mod hull;
 pub mod lanes;
+mod links;
 mod memory;
 pub mod model;
 pub mod motor;
@@ -44,6 +44,7 @@ pub mod overlap;
 pub mod pose;
 pub mod rapier;
 pub mod robot;
+mod scene;
 pub mod solid;
 pub mod spatial;
 pub mod state;

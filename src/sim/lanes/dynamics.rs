@@ -11,46 +11,15 @@
 //! plain implicit one. Our own scheme; the factor 4 is our choice, because of 2, 4 and 6 it gave the least error over
 //! 16 walks (0.47 % at 1 ms; `docs/convergence.md`).
 
-use super::model::{LaneBody, LaneModel, LanePlate};
-use super::plane::{PlaneField, PlaneForces, PlaneMoments};
+use super::frames::{LaneJoint, LaneState, LegFrame, base_frame, child_frame, trust};
+use super::model::{LaneBody, LaneModel};
+use super::plane::PlaneField;
+use super::sand::{Travel, belly, link_sand};
 use crate::actuator::{self, NEWTON, TorqueLimits};
-use crate::number::{Mat3, Real, Vec3};
-use crate::sand::law::StressLaw;
-use crate::sand::{LawCoefficients, Plain, SandBed, SegmentState, StressModel};
+use crate::number::{Real, Vec3};
 use crate::spatial::{Inertia, PointMasses, Symmetric, Twist, Wrench};
 use crate::stop::StopTorque;
-use crate::used::{LanePiece, Surfaces};
-
-/// State of the robots in one block, one lane each; see [`crate::State`].
-#[derive(Clone)]
-pub struct LaneState<R> {
-    pub position: Vec3<R>,
-    /// Origin of position.x [m], for sand that varies along the way.
-    pub travelled: R,
-    /// Quaternion w and (x, y, z).
-    pub orientation: (R, Vec3<R>),
-    pub velocity: Vec3<R>,
-    pub angular_velocity: Vec3<R>,
-    /// Change of both velocities in the last step.
-    pub change: Twist<R>,
-    pub work: R,
-    pub joints: Vec<LaneJoint<R>>,
-}
-
-/// State and command of a joint.
-#[derive(Clone, Copy)]
-pub struct LaneJoint<R> {
-    pub angle: R,
-    pub rate: R,
-    pub reference: R,
-    pub torque: R,
-    /// Change of `rate` in the last step [rad/s].
-    pub change: R,
-    /// Speed of the reference [rad/s].
-    pub command_rate: R,
-    /// Torque added to the servo's [N·m].
-    pub command_torque: R,
-}
+use crate::used::Surfaces;
 
 /// Results of the inward pass for one joint, which the outward pass needs.
 #[derive(Clone, Copy)]
@@ -88,42 +57,6 @@ impl<R: Real, const J: usize> LegScratch<R, J> {
         let (hinges, limits) = (vec![Hinge::empty(); joints], vec![TorqueLimits::none(); joints]);
         let supports = vec![R::zero(); joints / J];
         Self { hinges, limits, links: vec![[link; J]; joints / J], supports }
-    }
-}
-
-/// Position and motion of a body; lengths from the base's centre of mass.
-#[derive(Clone, Copy)]
-struct LegFrame<R> {
-    rotation: Mat3<R>,
-    origin: Vec3<R>,
-    velocity: Twist<R>,
-    /// Acceleration that is due to velocities alone.
-    bias: Twist<R>,
-    /// Change of the velocity by the last step's accelerations.
-    change: Twist<R>,
-}
-
-/// Position and horizontal velocity of the robot's base.
-#[derive(Clone, Copy)]
-struct Travel<R> {
-    /// [m]; z above the surface that the present body has found.
-    position: Vec3<R>,
-    /// Along x and y [m/s].
-    velocity: [R; 2],
-    /// Strength of the sand that the present body has found; None without memory.
-    strength: Option<R>,
-}
-
-impl<R: Real> Travel<R> {
-    /// Over the sand that body number `body` has found: 0 is the belly, then come the legs.
-    #[inline(always)]
-    fn over(&self, surfaces: Option<&Surfaces<R>>, body: usize) -> Self {
-        let mut found = *self;
-        if let Some(surfaces) = surfaces {
-            found.position.z = self.position.z - surfaces.levels[body];
-            found.strength = Some(surfaces.strengths[body]);
-        }
-        found
     }
 }
 
@@ -195,163 +128,11 @@ fn solve<R: Real, const J: usize>(
 }
 
 #[inline(always)]
-fn base_frame<R: Real>(state: &LaneState<R>) -> LegFrame<R> {
-    let (w, v) = state.orientation;
-    let (one, two) = (R::one(), R::splat(2.0));
-    let (xx, yy, zz) = (v.x * v.x, v.y * v.y, v.z * v.z);
-    let (xy, xz, yz) = (v.x * v.y, v.x * v.z, v.y * v.z);
-    let (wx, wy, wz) = (w * v.x, w * v.y, w * v.z);
-    let rotation = Mat3::new(
-        Vec3::new(one - two * (yy + zz), two * (xy + wz), two * (xz - wy)),
-        Vec3::new(two * (xy - wz), one - two * (xx + zz), two * (yz + wx)),
-        Vec3::new(two * (xz + wy), two * (yz - wx), one - two * (xx + yy)),
-    );
-    let velocity = Twist { angular: state.angular_velocity, linear: state.velocity };
-    // The generalized acceleration is that of the centre of mass. If it is zero, the spatial acceleration is −ω × v.
-    let bias = Twist { angular: Vec3::zero(), linear: velocity.linear.cross(velocity.angular) };
-    LegFrame { rotation, origin: Vec3::zero(), velocity, bias, change: state.change }
-}
-
-#[inline(always)]
 fn base_inertia<R: Real, const J: usize>(model: &LaneModel<R, J>, base: &LegFrame<R>) -> (Inertia<R>, Wrench<R>) {
     let own = Symmetric { diagonal: model.base_inertia, off: Vec3::zero() }.rotated(&base.rotation);
     let omega = base.velocity.angular;
     let bias = Wrench { moment: omega.cross(own.apply(omega)), force: -(model.gravity * model.base_mass) };
     (Inertia::central(model.base_mass, own), bias)
-}
-
-/// Adds the sand's force on the underside of the base.
-#[inline(always)]
-fn belly<R: Real, const J: usize>(
-    model: &LaneModel<R, J>,
-    base: &LegFrame<R>,
-    travel: &Travel<R>,
-    inertia: &mut Inertia<R>,
-    bias: &mut Wrench<R>,
-) {
-    match (&model.ground.law, &model.ground.mechanisms) {
-        (LawCoefficients::Li2013(law), None) => belly_by(law, &Plain, model, base, travel, inertia, bias),
-        (law, None) => belly_by(law, &Plain, model, base, travel, inertia, bias),
-        (LawCoefficients::Li2013(law), Some(mechanisms)) => {
-            belly_by(law, mechanisms, model, base, travel, inertia, bias)
-        }
-        (law, Some(mechanisms)) => belly_by(law, mechanisms, model, base, travel, inertia, bias),
-    }
-}
-
-/// The same as [`belly`], for one law. The plates are one-sided with a leading-edge gate; all face down in one plane of the base.
-#[inline(always)]
-fn belly_by<R: Real, const J: usize>(
-    law: &impl StressLaw<R>,
-    stress_model: &impl StressModel<R>,
-    model: &LaneModel<R, J>,
-    base: &LegFrame<R>,
-    travel: &Travel<R>,
-    inertia: &mut Inertia<R>,
-    bias: &mut Wrench<R>,
-) {
-    let (mut forces, mut drag, mut edge) = (PlaneForces::zero(), PlaneMoments::zero(), PlaneMoments::zero());
-    let turn = &base.rotation;
-    let places = PlaneField { at: turn.z * model.belly_height, by: [turn.x, turn.y] };
-    let [length, width] = model.belly_corner;
-    let mut trusted = R::one();
-    for corner in [[length, width], [length, -width], [-length, width], [-length, -width]] {
-        trusted = trusted.min(trust(base, places.value(corner)));
-    }
-    let expected = base.change.scaled(trusted);
-    let velocities = places.velocity(&expected.scale_add(R::splat(0.5), &base.velocity));
-    let normal = -turn.z;
-    let mut wet = false;
-    for plate in &model.belly {
-        let Some(depth) = submerged(&places, plate.center, travel.position.z) else { continue };
-        wet = true;
-        let site = SegmentState {
-            width: plate.width,
-            ..SegmentState::fresh(depth, travel.position.x + places.value(plate.center).x).travelling(travel.velocity)
-        };
-        let velocity = velocities.value(plate.center);
-        let area = travel.strength.map_or(plate.area, |strength| plate.area * strength);
-        let contact = model.ground.one_sided_by(law, stress_model, &site, area, normal, velocity);
-        forces.add(contact.force, plate.center);
-        drag.add(contact.drag, plate.center);
-        edge.add(contact.edge, plate.center);
-    }
-    if wet {
-        let expected = places.velocity(&expected);
-        forces.plus(&drag.forces(&expected));
-        forces.plus(&edge.forces(&expected.along(normal)));
-        inertia.add(&Inertia::points(&drag.scaled(model.dt).of(&places)));
-        inertia.add_outers(&edge.scaled(model.dt).of(&places.cross(normal)), normal);
-        bias.add(&forces.wrench(&places).scale_add(-R::one(), &Wrench::zero()));
-    }
-}
-
-/// Lists the pieces of the belly (body 0) and of each leg (bodies 1, 2, …) that may move sand.
-#[inline(always)]
-pub fn pieces<R: Real, const J: usize>(
-    model: &LaneModel<R, J>,
-    state: &LaneState<R>,
-    cell: f64,
-    pieces: &mut Vec<LanePiece<R>>,
-) {
-    pieces.clear();
-    let base = base_frame(state);
-    let turn = &base.rotation;
-    let places = PlaneField { at: turn.z * model.belly_height, by: [turn.x, turn.y] };
-    let velocities = places.velocity(&base.velocity);
-    // Four pieces a plate, which is taken for a square.
-    let quarter = R::splat(0.25);
-    for plate in &model.belly {
-        let side = (plate.area * quarter).sqrt();
-        // The same in all lanes, up to the number of cells.
-        let cells = (side.lane(0) / cell).round().clamp(1.0, 8.0) as u8;
-        for k in 0..4 {
-            let [u, v] = [k % 2, k / 2].map(|i| side * R::splat(f64::from(i) - 0.5));
-            let at = [plate.center[0] + u, plate.center[1] + v];
-            let (place, velocity) = (state.position + places.value(at), velocities.value(at));
-            let area = plate.area * quarter;
-            pieces.push(LanePiece { body: 0, place, normal: -turn.z, velocity, area, one_sided: true, cells });
-        }
-    }
-    for (l, leg) in model.legs.iter().enumerate() {
-        let mut frame = base;
-        for (body, joint) in leg.iter().zip(&state.joints[l * J..]) {
-            frame = child_frame(&frame, body, joint).0;
-            let [e0, e1] = &body.plane;
-            let places = PlaneField { at: frame.origin, by: [frame.rotation.apply(*e0), frame.rotation.apply(*e1)] };
-            let velocities = places.velocity(&frame.velocity);
-            let across = places.by[0].cross(places.by[1]);
-            // Two plates at a time, in two pieces beside each other.
-            for pair in body.plates.chunks(2) {
-                let plate = &pair[pair.len() / 2];
-                let area = pair.iter().fold(R::zero(), |sum, p| sum + p.area) * R::splat(0.5);
-                let beside = across * (plate.width * quarter);
-                let (place, velocity) = (state.position + places.value(plate.center), velocities.value(plate.center));
-                let normal = places.change(plate.normal);
-                for place in [place + beside, place - beside] {
-                    let body = l + 1;
-                    pieces.push(LanePiece { body, place, normal, velocity, area, one_sided: false, cells: 1 });
-                }
-            }
-        }
-    }
-}
-
-/// Weight w at `place`: near 1 in smooth motion, in which the next change of velocity is about the last one, and 0 if
-/// the place sticks.
-#[inline(always)]
-fn trust<R: Real>(frame: &LegFrame<R>, place: Vec3<R>) -> R {
-    let (speed, change) = (frame.velocity.at(place).norm_squared(), frame.change.at(place).norm_squared());
-    let share = speed / change.mul_add(R::splat(4.0), speed + R::splat(1e-30));
-    share * share
-}
-
-/// Depth of a place in a plane, if it is below the surface in any lane.
-#[inline(always)]
-fn submerged<R: Real>(places: &PlaneField<R>, p: [R; 2], height: R) -> Option<R> {
-    let [e0, e1] = &places.by;
-    let depth = -e0.z.mul_add(p[0], e1.z.mul_add(p[1], places.at.z + height));
-    R::any(R::zero().lt(depth)).then(|| depth.max(R::zero()))
 }
 
 /// A link's masses with those that the sand adds, the wrench that its motion needs while all joint accelerations are
@@ -375,73 +156,6 @@ fn link<R: Real, const J: usize>(
     sand.plus(&drag.forces(&places.velocity(&expected)));
     let bias = body.masses.forces(&accelerations).minus(&sand).wrench(&places);
     ((drag.scaled(model.dt).plus(&body.masses).of(&places), bias), sand.force.z)
-}
-
-/// Adds the sand's forces on a link, and its drags as masses. They act on the strip, or in part on the straight chord
-/// if sand fills the concave leading side.
-#[inline(always)]
-fn link_sand<R: Real>(
-    ground: &SandBed<R>,
-    body: &LaneBody<R>,
-    rate: R,
-    places: &PlaneField<R>,
-    velocities: &PlaneField<R>,
-    travel: &Travel<R>,
-) -> (PlaneForces<R>, PlaneMoments<R>) {
-    let mut total = (PlaneForces::zero(), PlaneMoments::zero());
-    let Some(mechanisms) = &ground.mechanisms else {
-        let plates = &body.plates;
-        let share = travel.strength.unwrap_or(R::one());
-        match &ground.law {
-            LawCoefficients::Li2013(law) => {
-                strip(law, &Plain, ground, plates, places, velocities, travel, share, &mut total);
-            }
-            law => strip(law, &Plain, ground, plates, places, velocities, travel, share, &mut total),
-        }
-        return total;
-    };
-    let concave_leads = (body.bulge * rate).lt(R::zero());
-    let fill = R::select(concave_leads, mechanisms.fill, R::zero());
-    for (plates, share) in [(&body.plates, R::one() - fill), (&body.chord, fill)] {
-        if !R::any(R::zero().lt(share)) {
-            continue;
-        }
-        let share = travel.strength.map_or(share, |strength| share * strength);
-        match &ground.law {
-            LawCoefficients::Li2013(law) => {
-                strip(law, mechanisms, ground, plates, places, velocities, travel, share, &mut total)
-            }
-            law => strip(law, mechanisms, ground, plates, places, velocities, travel, share, &mut total),
-        }
-    }
-    total
-}
-
-/// Adds `share` of the sand's force on two-sided plates: the hottest loop of the program.
-#[inline(always)]
-#[allow(clippy::too_many_arguments)] // all arguments stay in registers
-fn strip<R: Real>(
-    law: &impl StressLaw<R>,
-    stress_model: &impl StressModel<R>,
-    ground: &SandBed<R>,
-    plates: &[LanePlate<R>],
-    places: &PlaneField<R>,
-    velocities: &PlaneField<R>,
-    travel: &Travel<R>,
-    share: R,
-    total: &mut (PlaneForces<R>, PlaneMoments<R>),
-) {
-    for plate in plates {
-        let Some(depth) = submerged(places, plate.center, travel.position.z) else { continue };
-        let (normal, velocity) = (places.change(plate.normal), velocities.value(plate.center));
-        let site = SegmentState {
-            width: plate.width,
-            ..SegmentState::fresh(depth, travel.position.x + places.value(plate.center).x).travelling(travel.velocity)
-        };
-        let contact = ground.thin_plate_by(law, stress_model, &site, plate.area * share, normal, velocity);
-        total.0.add(contact.force, plate.center);
-        total.1.add(contact.drag, plate.center);
-    }
 }
 
 /// Places one leg's links and loads them with sand. Returns the sand's force on the leg along z.
@@ -492,31 +206,6 @@ fn fold_leg<R: Real, const J: usize>(
         carried = Some((inertia, bias));
     }
     carried.unwrap_or((Inertia::points(&PointMasses::zero()), Wrench::zero()))
-}
-
-/// Turns `body` about its hinge.
-#[inline(always)]
-fn child_frame<R: Real>(parent: &LegFrame<R>, body: &LaneBody<R>, joint: &LaneJoint<R>) -> (LegFrame<R>, Twist<R>) {
-    let axis = parent.rotation.apply(body.axis);
-    let origin = parent.origin + parent.rotation.apply(body.joint);
-    let (sin, cos) = joint.angle.sin_cos();
-    let rotation = Mat3::new(
-        turned(parent.rotation.x, axis, sin, cos),
-        turned(parent.rotation.y, axis, sin, cos),
-        turned(parent.rotation.z, axis, sin, cos),
-    );
-    let hinge = Twist::hinge(axis, origin);
-    let velocity = hinge.scale_add(joint.rate, &parent.velocity);
-    let bias = velocity.carries(&hinge).scale_add(joint.rate, &parent.bias);
-    let change = hinge.scale_add(joint.change, &parent.change);
-    (LegFrame { rotation, origin, velocity, bias, change }, hinge)
-}
-
-/// `u` turned about the unit vector `axis` (Rodrigues' formula).
-#[inline(always)]
-fn turned<R: Real>(u: Vec3<R>, axis: Vec3<R>, sin: R, cos: R) -> Vec3<R> {
-    let along = axis * (axis.dot(u) * (R::one() - cos));
-    axis.cross(u).scale_add(sin, u.scale_add(cos, along))
 }
 
 /// The servo, implicit in angle and speed: τ = τ0 − (dt kd + dt² kp) q̈. If that exceeds the torque limit (computed

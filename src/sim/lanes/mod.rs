@@ -1,14 +1,17 @@
 //! The fast engine: articulated-body dynamics over lanes of environments. The instruction set is chosen at run time.
 //!
-//! * [`dynamics`]: one time step; generic over the number, so it exists once for `f64`, and for 8 and 16 lanes of `f32`.
+//! * `dynamics`: one time step; generic over the number, so it exists once for `f64`, and for 8 and 16 lanes of `f32`.
+//! * `frames`: positions and motions of the bodies; `sand`: forces of the sand on them.
 //! * [`plane`]: sand forces on the plates of one plane, summed in its two coordinates.
 //! * [`model`]: the model's numbers, one lane for each environment.
 //!
 //! LegLanes never read each other: an environment's bits do not depend on its lane, its neighbours or the batch.
 
 mod dynamics;
+mod frames;
 pub mod model;
 pub mod plane;
+mod sand;
 
 use super::command::Command;
 use super::spatial::Twist;
@@ -17,7 +20,8 @@ use super::{Model, State};
 use crate::error::{Error, Result};
 use crate::number::{Isa, Kernel, Real, Vec3, Work};
 use crate::sand::memory::Moved;
-use dynamics::{LaneJoint, LaneState, LegScratch};
+use dynamics::LegScratch;
+use frames::{LaneJoint, LaneState};
 use model::LaneModel;
 use std::f64::consts::TAU;
 
@@ -212,7 +216,7 @@ impl<R: Real, const J: usize> Kernel for AdvanceLegs<'_, R, J> {
             if let Some(memory) = memory
                 && memory.tick()
             {
-                dynamics::pieces(model, state, memory.cell(), &mut memory.pieces);
+                sand::pieces(model, state, memory.cell(), &mut memory.pieces);
                 memory.update(origins, state.position);
             }
         }

@@ -4,7 +4,8 @@ use super::plane::PlaneMoments;
 use crate::Model;
 use crate::actuator::LaneActuator;
 use crate::error::{Error, Result};
-use crate::model::{LinkBody, Plate, exact};
+use crate::links::exact;
+use crate::model::{LinkBody, Plate};
 use crate::number::{Real, Vec3};
 use crate::sand::SandBed;
 

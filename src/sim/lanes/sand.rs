@@ -1,0 +1,226 @@
+//! Forces of the sand on the belly and the legs.
+
+use super::frames::{LaneState, LegFrame, base_frame, child_frame, trust};
+use super::model::{LaneBody, LaneModel, LanePlate};
+use super::plane::{PlaneField, PlaneForces, PlaneMoments};
+use crate::number::{Real, Vec3};
+use crate::sand::law::StressLaw;
+use crate::sand::{LawCoefficients, Plain, SandBed, SegmentState, StressModel};
+use crate::spatial::{Inertia, Wrench};
+use crate::used::{LanePiece, Surfaces};
+
+/// Position and horizontal velocity of the robot's base.
+#[derive(Clone, Copy)]
+pub struct Travel<R> {
+    /// [m]; z above the surface that the present body has found.
+    pub position: Vec3<R>,
+    /// Along x and y [m/s].
+    pub velocity: [R; 2],
+    /// Strength of the sand that the present body has found; None without memory.
+    pub strength: Option<R>,
+}
+
+impl<R: Real> Travel<R> {
+    /// Over the sand that body number `body` has found: 0 is the belly, then come the legs.
+    #[inline(always)]
+    pub fn over(&self, surfaces: Option<&Surfaces<R>>, body: usize) -> Self {
+        let mut found = *self;
+        if let Some(surfaces) = surfaces {
+            found.position.z = self.position.z - surfaces.levels[body];
+            found.strength = Some(surfaces.strengths[body]);
+        }
+        found
+    }
+}
+
+/// Adds the sand's force on the underside of the base.
+#[inline(always)]
+pub fn belly<R: Real, const J: usize>(
+    model: &LaneModel<R, J>,
+    base: &LegFrame<R>,
+    travel: &Travel<R>,
+    inertia: &mut Inertia<R>,
+    bias: &mut Wrench<R>,
+) {
+    match (&model.ground.law, &model.ground.mechanisms) {
+        (LawCoefficients::Li2013(law), None) => belly_by(law, &Plain, model, base, travel, inertia, bias),
+        (law, None) => belly_by(law, &Plain, model, base, travel, inertia, bias),
+        (LawCoefficients::Li2013(law), Some(mechanisms)) => {
+            belly_by(law, mechanisms, model, base, travel, inertia, bias)
+        }
+        (law, Some(mechanisms)) => belly_by(law, mechanisms, model, base, travel, inertia, bias),
+    }
+}
+
+/// The same as [`belly`], for one law. The plates are one-sided with a leading-edge gate; all face down in one plane of the base.
+#[inline(always)]
+fn belly_by<R: Real, const J: usize>(
+    law: &impl StressLaw<R>,
+    stress_model: &impl StressModel<R>,
+    model: &LaneModel<R, J>,
+    base: &LegFrame<R>,
+    travel: &Travel<R>,
+    inertia: &mut Inertia<R>,
+    bias: &mut Wrench<R>,
+) {
+    let (mut forces, mut drag, mut edge) = (PlaneForces::zero(), PlaneMoments::zero(), PlaneMoments::zero());
+    let turn = &base.rotation;
+    let places = PlaneField { at: turn.z * model.belly_height, by: [turn.x, turn.y] };
+    let [length, width] = model.belly_corner;
+    let mut trusted = R::one();
+    for corner in [[length, width], [length, -width], [-length, width], [-length, -width]] {
+        trusted = trusted.min(trust(base, places.value(corner)));
+    }
+    let expected = base.change.scaled(trusted);
+    let velocities = places.velocity(&expected.scale_add(R::splat(0.5), &base.velocity));
+    let normal = -turn.z;
+    let mut wet = false;
+    for plate in &model.belly {
+        let Some(depth) = submerged(&places, plate.center, travel.position.z) else { continue };
+        wet = true;
+        let site = SegmentState {
+            width: plate.width,
+            ..SegmentState::fresh(depth, travel.position.x + places.value(plate.center).x).travelling(travel.velocity)
+        };
+        let velocity = velocities.value(plate.center);
+        let area = travel.strength.map_or(plate.area, |strength| plate.area * strength);
+        let contact = model.ground.one_sided_by(law, stress_model, &site, area, normal, velocity);
+        forces.add(contact.force, plate.center);
+        drag.add(contact.drag, plate.center);
+        edge.add(contact.edge, plate.center);
+    }
+    if wet {
+        let expected = places.velocity(&expected);
+        forces.plus(&drag.forces(&expected));
+        forces.plus(&edge.forces(&expected.along(normal)));
+        inertia.add(&Inertia::points(&drag.scaled(model.dt).of(&places)));
+        inertia.add_outers(&edge.scaled(model.dt).of(&places.cross(normal)), normal);
+        bias.add(&forces.wrench(&places).scale_add(-R::one(), &Wrench::zero()));
+    }
+}
+
+/// Lists the pieces of the belly (body 0) and of each leg (bodies 1, 2, …) that may move sand.
+#[inline(always)]
+pub fn pieces<R: Real, const J: usize>(
+    model: &LaneModel<R, J>,
+    state: &LaneState<R>,
+    cell: f64,
+    pieces: &mut Vec<LanePiece<R>>,
+) {
+    pieces.clear();
+    let base = base_frame(state);
+    let turn = &base.rotation;
+    let places = PlaneField { at: turn.z * model.belly_height, by: [turn.x, turn.y] };
+    let velocities = places.velocity(&base.velocity);
+    // Four pieces a plate, which is taken for a square.
+    let quarter = R::splat(0.25);
+    for plate in &model.belly {
+        let side = (plate.area * quarter).sqrt();
+        // The same in all lanes, up to the number of cells.
+        let cells = (side.lane(0) / cell).round().clamp(1.0, 8.0) as u8;
+        for k in 0..4 {
+            let [u, v] = [k % 2, k / 2].map(|i| side * R::splat(f64::from(i) - 0.5));
+            let at = [plate.center[0] + u, plate.center[1] + v];
+            let (place, velocity) = (state.position + places.value(at), velocities.value(at));
+            let area = plate.area * quarter;
+            pieces.push(LanePiece { body: 0, place, normal: -turn.z, velocity, area, one_sided: true, cells });
+        }
+    }
+    for (l, leg) in model.legs.iter().enumerate() {
+        let mut frame = base;
+        for (body, joint) in leg.iter().zip(&state.joints[l * J..]) {
+            frame = child_frame(&frame, body, joint).0;
+            let [e0, e1] = &body.plane;
+            let places = PlaneField { at: frame.origin, by: [frame.rotation.apply(*e0), frame.rotation.apply(*e1)] };
+            let velocities = places.velocity(&frame.velocity);
+            let across = places.by[0].cross(places.by[1]);
+            // Two plates at a time, in two pieces beside each other.
+            for pair in body.plates.chunks(2) {
+                let plate = &pair[pair.len() / 2];
+                let area = pair.iter().fold(R::zero(), |sum, p| sum + p.area) * R::splat(0.5);
+                let beside = across * (plate.width * quarter);
+                let (place, velocity) = (state.position + places.value(plate.center), velocities.value(plate.center));
+                let normal = places.change(plate.normal);
+                for place in [place + beside, place - beside] {
+                    let body = l + 1;
+                    pieces.push(LanePiece { body, place, normal, velocity, area, one_sided: false, cells: 1 });
+                }
+            }
+        }
+    }
+}
+
+/// Depth of a place in a plane, if it is below the surface in any lane.
+#[inline(always)]
+fn submerged<R: Real>(places: &PlaneField<R>, p: [R; 2], height: R) -> Option<R> {
+    let [e0, e1] = &places.by;
+    let depth = -e0.z.mul_add(p[0], e1.z.mul_add(p[1], places.at.z + height));
+    R::any(R::zero().lt(depth)).then(|| depth.max(R::zero()))
+}
+
+/// Adds the sand's forces on a link, and its drags as masses. They act on the strip, or in part on the straight chord
+/// if sand fills the concave leading side.
+#[inline(always)]
+pub fn link_sand<R: Real>(
+    ground: &SandBed<R>,
+    body: &LaneBody<R>,
+    rate: R,
+    places: &PlaneField<R>,
+    velocities: &PlaneField<R>,
+    travel: &Travel<R>,
+) -> (PlaneForces<R>, PlaneMoments<R>) {
+    let mut total = (PlaneForces::zero(), PlaneMoments::zero());
+    let Some(mechanisms) = &ground.mechanisms else {
+        let plates = &body.plates;
+        let share = travel.strength.unwrap_or(R::one());
+        match &ground.law {
+            LawCoefficients::Li2013(law) => {
+                strip(law, &Plain, ground, plates, places, velocities, travel, share, &mut total);
+            }
+            law => strip(law, &Plain, ground, plates, places, velocities, travel, share, &mut total),
+        }
+        return total;
+    };
+    let concave_leads = (body.bulge * rate).lt(R::zero());
+    let fill = R::select(concave_leads, mechanisms.fill, R::zero());
+    for (plates, share) in [(&body.plates, R::one() - fill), (&body.chord, fill)] {
+        if !R::any(R::zero().lt(share)) {
+            continue;
+        }
+        let share = travel.strength.map_or(share, |strength| share * strength);
+        match &ground.law {
+            LawCoefficients::Li2013(law) => {
+                strip(law, mechanisms, ground, plates, places, velocities, travel, share, &mut total)
+            }
+            law => strip(law, mechanisms, ground, plates, places, velocities, travel, share, &mut total),
+        }
+    }
+    total
+}
+
+/// Adds `share` of the sand's force on two-sided plates: the hottest loop of the program.
+#[inline(always)]
+#[allow(clippy::too_many_arguments)] // all arguments stay in registers
+fn strip<R: Real>(
+    law: &impl StressLaw<R>,
+    stress_model: &impl StressModel<R>,
+    ground: &SandBed<R>,
+    plates: &[LanePlate<R>],
+    places: &PlaneField<R>,
+    velocities: &PlaneField<R>,
+    travel: &Travel<R>,
+    share: R,
+    total: &mut (PlaneForces<R>, PlaneMoments<R>),
+) {
+    for plate in plates {
+        let Some(depth) = submerged(places, plate.center, travel.position.z) else { continue };
+        let (normal, velocity) = (places.change(plate.normal), velocities.value(plate.center));
+        let site = SegmentState {
+            width: plate.width,
+            ..SegmentState::fresh(depth, travel.position.x + places.value(plate.center).x).travelling(travel.velocity)
+        };
+        let contact = ground.thin_plate_by(law, stress_model, &site, plate.area * share, normal, velocity);
+        total.0.add(contact.force, plate.center);
+        total.1.add(contact.drag, plate.center);
+    }
+}
