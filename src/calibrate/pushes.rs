@@ -5,6 +5,7 @@
 //! bends by its compliance times the force, and the log contains this deflection as depth; the compliance is fitted,
 //! too.
 
+pub use super::pressure_law::PressureLaw;
 use super::{TRANSIENT, refused};
 use crate::error::{Result, check_range};
 use crate::student;
@@ -42,50 +43,6 @@ impl Penetration {
     /// [m²]
     pub fn area(&self) -> f64 {
         std::f64::consts::FRAC_PI_4 * self.diameter * self.diameter
-    }
-}
-
-/// The laws of p that are compared.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum PressureLaw {
-    /// p = ζ |z|: plain resistive force theory.
-    Proportional,
-    /// p = k |z|^n
-    Power,
-    /// p = ζ |z| (D/D0)^q
-    Size,
-    /// p = k |z|^n (D/D0)^q
-    PowerAndSize,
-    /// p = a D + b |z|: bearing capacity of a round footing, a for the weight of the sand beside it, b for the depth
-    /// (Terzaghi 1943).
-    Footing,
-}
-
-impl PressureLaw {
-    /// Laws with fewer parameters first.
-    pub const ALL: [Self; 5] = [Self::Proportional, Self::Power, Self::Size, Self::Footing, Self::PowerAndSize];
-
-    pub fn formula(self) -> &'static str {
-        match self {
-            Self::Proportional => "p = zeta |z|",
-            Self::Power => "p = k |z|^n",
-            Self::Size => "p = zeta |z| (D/D0)^q",
-            Self::PowerAndSize => "p = k |z|^n (D/D0)^q",
-            Self::Footing => "p = a D + b |z|",
-        }
-    }
-
-    fn parameters(self) -> usize {
-        match self {
-            Self::Proportional => 1,
-            Self::Power | Self::Size | Self::Footing => 2,
-            Self::PowerAndSize => 3,
-        }
-    }
-
-    fn knows_size(self) -> bool {
-        matches!(self, Self::Size | Self::PowerAndSize | Self::Footing)
     }
 }
 

@@ -17,6 +17,7 @@ mod replay;
 mod reproduce;
 mod robot;
 mod robot_check;
+mod robot_json;
 mod robots;
 mod serve;
 mod stress;

@@ -264,7 +264,7 @@ impl JoinedWorld {
 mod tests {
     use super::*;
     use crate::env::registry::TASK_IDS;
-    use crate::sessions::Limits;
+    use sandgait_service::limits::Limits;
     use serde_json::Value;
     use tokio_util::sync::CancellationToken;
 

@@ -39,6 +39,7 @@ pub mod registry;
 pub mod reward;
 pub mod rocks;
 pub mod rollout;
+mod rows;
 pub mod sensors;
 pub mod shard;
 pub mod snapshot;

@@ -17,12 +17,14 @@ use sandgait_policy as policy;
 
 mod batch;
 mod building;
+mod operation;
 mod seal;
 mod snapshot;
 mod threads;
 
-pub use batch::{Account, Batch, Operation, Roll, check_envs};
+pub use batch::{Account, Batch, check_envs};
 pub use building::Building;
+pub use operation::{Operation, Roll};
 pub use seal::Seal;
 pub use snapshot::Snapshot;
 pub use threads::Pool;

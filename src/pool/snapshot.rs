@@ -8,7 +8,8 @@
 //! another version is refused. Options and episodes are CBOR inside the CBOR. Only the requested ones are unpacked, one
 //! by one, so restoring needs memory for the batch's own environments only, whatever the snapshot's size.
 
-use super::batch::{Batch, Operation};
+use super::batch::Batch;
+use super::operation::Operation;
 use super::seal::Seal;
 use crate::env::AnyTask;
 use crate::env::snapshot::{Resumed, SavedEpisode};

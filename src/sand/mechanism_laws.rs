@@ -3,6 +3,7 @@
 //! With a strength of 0, the stress has the bits of plain theory. So a lane without a mechanism has the same bits
 //! beside lanes that have it.
 
+use super::functions::{log_one_plus, tanh};
 use super::mechanism::Mechanisms;
 use super::term::{LaneTerms, Term, TermArguments};
 use crate::number::{Real, Vec3};
@@ -371,36 +372,6 @@ fn capped<R: Real>(force: Vec3<R>, n: Vec3<R>, v: Vec3<R>, inverse_mu: R) -> Vec
     let (gained, lost) = ((normal * n.dot(v)).max(R::zero()), (-tangential.dot(v)).max(R::zero()));
     let needed = (gained / (lost + R::splat(1e-30))).min(R::one());
     tangential.scale_add(allowed.max(needed) - R::one(), force)
-}
-
-/// ln(1 + x) for 0 ≤ x < 10⁴, relative error below 1e-7: ln y = 32 artanh((r − 1)/(r + 1)) with r = y^(1/16), the
-/// series cut at the 13th power.
-#[inline(always)]
-fn log_one_plus<R: Real>(x: R) -> R {
-    let root = (x + R::one()).sqrt().sqrt().sqrt().sqrt();
-    let z = (root - R::one()) / (root + R::one());
-    let z2 = z * z;
-    let series = [1.0 / 11.0, 1.0 / 9.0, 1.0 / 7.0, 1.0 / 5.0, 1.0 / 3.0, 1.0];
-    let mut sum = R::splat(1.0 / 13.0);
-    for c in series {
-        sum = sum.mul_add(z2, R::splat(c));
-    }
-    sum * z * R::splat(32.0)
-}
-
-/// tanh x for x ≥ 0, absolute error below 1e-7: tanh x = 2 t/(1 + t²) with t = tanh(x/2), three times from the
-/// continued fraction of tanh(x/8), which is exact to single precision for x ≤ 9; beyond, 1.
-#[inline(always)]
-fn tanh<R: Real>(x: R) -> R {
-    let y = x.min(R::splat(9.5)) * R::splat(0.125);
-    let y2 = y * y;
-    let above = R::splat(21.0).mul_add(y2, R::splat(1260.0)).mul_add(y2, R::splat(10395.0));
-    let below = (y2 + R::splat(210.0)).mul_add(y2, R::splat(4725.0)).mul_add(y2, R::splat(10395.0));
-    let mut t = y * above / below;
-    for _ in 0..3 {
-        t = (t + t) / t.mul_add(t, R::one());
-    }
-    t
 }
 
 #[cfg(test)]

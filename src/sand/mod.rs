@@ -22,6 +22,7 @@ mod coefficients;
 pub mod contact;
 pub mod description;
 mod friction;
+mod functions;
 pub mod intruder;
 pub mod intrusion;
 pub mod law;

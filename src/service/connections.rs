@@ -9,6 +9,7 @@
 //! Accepting never waits for a peer. Limits for single peers, such as connections a second, are the work of a reverse
 //! proxy; `docs/serving.md` has an example.
 
+use super::connection_table::{ConnectionHandle, ConnectionTable, OPENING};
 use super::refusals::{Refusal, Refusals};
 use super::security::Tls;
 use axum::Router;
@@ -20,23 +21,16 @@ use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
 use hyper_util::server::graceful::{GracefulShutdown, Watcher};
 use rustix::net::sockopt::set_tcp_user_timeout;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
-use std::collections::HashMap;
 use std::io;
 use std::net::SocketAddr;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
+use std::sync::Arc;
+use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::{TcpListener, UnixListener};
 use tokio::sync::Semaphore;
 use tokio::time::{interval, timeout};
 use tokio_util::sync::CancellationToken;
 use tower_service::Service as _;
-
-/// Time limit for a TLS handshake, and for a peer's first call: our choice. Clients need some ms.
-const OPENING: Duration = Duration::from_secs(10);
-
-/// How long a connection may be without a call: our choice, as long as a session's default lease.
-const IDLE: Duration = Duration::from_secs(300);
 
 /// A peer that acknowledges no data, or answers no HTTP/2 ping, for this time is dropped. Our choice; a browser's tab
 /// may be inactive for some seconds.
@@ -252,144 +246,6 @@ impl Connections {
     }
 }
 
-/// The present connections of one listener.
-pub struct ConnectionTable {
-    most: usize,
-    entries: Mutex<ConnectionEntries>,
-}
-
-#[derive(Default)]
-struct ConnectionEntries {
-    next: u64,
-    all: HashMap<u64, ConnectionEntry>,
-}
-
-struct ConnectionEntry {
-    /// Calls that have not ended, and those of them that were admitted: that had the token, where one is required.
-    /// Calls for the server's health need none and are not counted as admitted.
-    calls: usize,
-    admitted: usize,
-    /// When it was accepted, or ended its last call.
-    since: Instant,
-    /// Has it begun a call?
-    used: bool,
-    end: CancellationToken,
-}
-
-impl ConnectionTable {
-    /// At most `most` connections.
-    pub fn new(most: usize) -> Arc<Self> {
-        Arc::new(Self { most, entries: Mutex::default() })
-    }
-
-    /// Every change under this lock is one step, so the data are consistent even after a panic.
-    fn lock(&self) -> MutexGuard<'_, ConnectionEntries> {
-        self.entries.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Adds a connection. If there is no room, the one that has been without an admitted call for the longest time is
-    /// closed. None if all have admitted calls.
-    fn admit(self: &Arc<Self>, peer: Option<SocketAddr>) -> Option<ConnectionHandle> {
-        let mut entries = self.lock();
-        if entries.all.len() >= self.most {
-            let idle = entries.all.iter().filter(|(_, e)| e.admitted == 0);
-            let oldest = *idle.min_by_key(|(id, e)| (e.since, **id))?.0;
-            entries.all.remove(&oldest)?.end.cancel();
-        }
-        let (id, end) = (entries.next, CancellationToken::new());
-        entries.next += 1;
-        let entry = ConnectionEntry { calls: 0, admitted: 0, since: Instant::now(), used: false, end: end.clone() };
-        entries.all.insert(id, entry);
-        Some(ConnectionHandle(Arc::new(ConnectionState { table: self.clone(), id, peer, end })))
-    }
-
-    /// Closes connections that have been without a call for too long.
-    fn close_idle(&self) {
-        let late = |e: &ConnectionEntry| e.calls == 0 && e.since.elapsed() > if e.used { IDLE } else { OPENING };
-        self.lock().all.extract_if(|_, e| late(e)).for_each(|(_, e)| e.end.cancel());
-    }
-
-    fn close_all(&self) {
-        self.lock().all.drain().for_each(|(_, e)| e.end.cancel());
-    }
-
-    fn change(&self, id: u64, change: impl FnOnce(&mut ConnectionEntry)) {
-        if let Some(entry) = self.lock().all.get_mut(&id) {
-            change(entry);
-        }
-    }
-}
-
-/// A connection, as its calls see it. It leaves the table when the last copy is dropped.
-#[derive(Clone)]
-pub struct ConnectionHandle(Arc<ConnectionState>);
-
-pub struct ConnectionState {
-    table: Arc<ConnectionTable>,
-    id: u64,
-    /// None for a Unix socket.
-    peer: Option<SocketAddr>,
-    /// Cancelled when the connection must end.
-    end: CancellationToken,
-}
-
-impl std::ops::Deref for ConnectionHandle {
-    type Target = ConnectionState;
-
-    fn deref(&self) -> &ConnectionState {
-        &self.0
-    }
-}
-
-impl Drop for ConnectionState {
-    fn drop(&mut self) {
-        self.table.lock().all.remove(&self.id);
-    }
-}
-
-impl ConnectionHandle {
-    /// The peer, for logs.
-    pub fn name(&self) -> String {
-        self.peer.map_or_else(|| "a Unix socket".into(), |a| a.to_string())
-    }
-
-    /// Counts a call until the returned value is dropped.
-    pub fn begin(&self, admitted: bool) -> OpenCall {
-        self.table.change(self.id, |e| {
-            e.calls += 1;
-            e.admitted += usize::from(admitted);
-            e.used = true;
-        });
-        OpenCall { link: self.clone(), admitted }
-    }
-
-    /// Counts a call until the connection ends.
-    fn keep(&self) {
-        self.table.change(self.id, |e| (e.calls, e.admitted, e.used) = (1, 1, true));
-    }
-
-    /// Closes the connection.
-    pub fn close(&self) {
-        self.end.cancel();
-    }
-}
-
-/// A call that has not ended.
-pub struct OpenCall {
-    link: ConnectionHandle,
-    admitted: bool,
-}
-
-impl Drop for OpenCall {
-    fn drop(&mut self) {
-        self.link.table.change(self.link.id, |e| {
-            e.calls = e.calls.saturating_sub(1);
-            e.admitted = e.admitted.saturating_sub(usize::from(self.admitted));
-            e.since = Instant::now();
-        });
-    }
-}
-
 /// Largest number of connections to the page of metrics: our choice, for some programs that ask at the same time.
 pub const METRICS: usize = 32;
 
@@ -407,46 +263,4 @@ pub async fn pages(
     let connections =
         Connections { table: ConnectionTable::new(most), tls: None, protocol: Protocol::Http1, routes, refusals };
     connections.serve(ListenSocket::Tcp(listener), stop).await;
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn alive(links: &[ConnectionHandle]) -> Vec<usize> {
-        (0..links.len()).filter(|k| !links[*k].end.is_cancelled()).collect()
-    }
-
-    /// Calls that need no token do not keep a connection open for ever, and do not keep others out.
-    #[test]
-    fn connections_without_admitted_calls_make_room() {
-        let table = ConnectionTable::new(3);
-        let mut links: Vec<_> = (0..3).map(|_| table.admit(None).unwrap()).collect();
-        let call = links[0].begin(true);
-        let _health = links[1].begin(false);
-        links.push(table.admit(None).unwrap());
-        assert_eq!(alive(&links), [0, 2, 3], "the oldest without an admitted call");
-        let _others = [links[2].begin(true), links[3].begin(true)];
-        assert!(table.admit(None).is_none(), "all have admitted calls");
-        drop(call);
-        links.push(table.admit(None).unwrap());
-        assert_eq!(alive(&links), [2, 3, 4]);
-        drop(links.pop());
-        assert_eq!(table.lock().all.len(), 2);
-    }
-
-    #[test]
-    fn connections_are_closed_that_never_began_a_call_or_ended_it_long_ago() {
-        let table = ConnectionTable::new(9);
-        let links: Vec<_> = (0..4).map(|_| table.admit(None).unwrap()).collect();
-        let age = |k: usize, age| table.change(k as u64, |e| e.since = Instant::now().checked_sub(age).unwrap());
-        let second = Duration::from_secs(1);
-        let _call = links[0].begin(false);
-        drop((links[1].begin(true), links[2].begin(true)));
-        [(0, IDLE + second), (1, IDLE - second), (2, IDLE + second), (3, OPENING + second)]
-            .into_iter()
-            .for_each(|(k, time)| age(k, time));
-        table.close_idle();
-        assert_eq!(alive(&links), [0, 1]);
-    }
 }

@@ -3,9 +3,10 @@
 #[path = "../../tests/grpc/mutate.rs"]
 mod mutate;
 
+use super::limits::Limits;
 use super::proto::run_session_request::Request;
 use super::proto::{CreateSessionRequest, PolicyRollout, Reset, Restore, Rollout, RunSessionRequest, SetCommand, Step};
-use super::sessions::{Limits, Sessions};
+use super::sessions::Sessions;
 use super::{decode, price, values};
 use crate::env::Task;
 use crate::env::registry::{Blueprint, TASK_IDS};

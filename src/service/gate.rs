@@ -1,6 +1,6 @@
 //! The layer around all calls: checks the token, and counts failures.
 
-use super::connections::ConnectionHandle;
+use super::connection_table::ConnectionHandle;
 use super::metrics::Metrics;
 use super::refusals::{Refusal, Refusals};
 use super::security::Token;

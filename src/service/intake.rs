@@ -8,8 +8,8 @@
 //! flow control stops its sender. A request holds its [`Share`] until it has released its memory and its answer has been
 //! sent; see `outgoing.rs`.
 
+use super::limits::Limits;
 use super::price::{self, COPIES, CallBounds, LONGEST_OPTIONS, MessageLayout, SMALL};
-use super::sessions::Limits;
 use crate::error::{Error, Result};
 use axum::body::{Body, BodyDataStream};
 use axum::extract::{Request, State};

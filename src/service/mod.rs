@@ -26,6 +26,8 @@ use sandgait_sim as sim;
 use sandgait_sweep as sweep;
 
 pub mod address;
+mod building;
+mod connection_table;
 mod connections;
 mod decode;
 mod encode;
@@ -34,6 +36,7 @@ pub mod frame;
 mod fuzz;
 mod gate;
 pub mod intake;
+pub mod limits;
 mod metrics;
 mod names;
 mod outgoing;
@@ -64,9 +67,9 @@ pub mod proto {
 pub use crate::pool::Seal;
 pub use address::{Address, Listener, bind_tcp};
 pub use encode::task;
+pub use limits::Limits;
 pub use security::{Tls, Token, warn_if_shared};
 pub use server::{AddServices, ServerSetup, serve};
-pub use sessions::Limits;
 pub use state::StateDir;
 pub use values::{from_json, number};
 pub use viewer::play::PlayedEnvironment;

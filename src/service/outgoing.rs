@@ -8,7 +8,7 @@
 //! HTTP/2 queues the bytes of an answer and asks for the next answer before the client has read the first. Therefore the
 //! queued bytes themselves hold the share, not the stream that made the answer.
 
-use super::connections::ConnectionHandle;
+use super::connection_table::ConnectionHandle;
 use super::intake::{Messages, Share};
 use axum::body::Body;
 use axum::extract::{Request, State};

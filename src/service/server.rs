@@ -5,9 +5,11 @@
 //! ```
 
 use super::address::Listener;
-use super::connections::{self, ConnectionTable, Connections, ListenSocket, Protocol};
+use super::connection_table::ConnectionTable;
+use super::connections::{self, Connections, ListenSocket, Protocol};
 use super::gate::{self, Gate};
 use super::intake::{self, Intake};
+use super::limits::Limits;
 use super::metrics;
 use super::outgoing;
 use super::proto::DESCRIPTORS;
@@ -15,7 +17,7 @@ use super::proto::environment_service_server::EnvironmentServiceServer;
 use super::proto::study_service_server::StudyServiceServer;
 use super::refusals::Refusals;
 use super::security::{Tls, Token};
-use super::sessions::{Limits, Sessions};
+use super::sessions::Sessions;
 use super::state::StateDir;
 use super::studies::Studies;
 use super::{Service, off_runtime, viewer};

@@ -16,181 +16,23 @@ mod guard;
 
 pub use guard::{SessionGuard, broken};
 
+use super::building::{SessionBuilder, SessionEnvironments, failed, release};
+use super::limits::{Limits, Reservation, fits, lock};
 use super::metrics::{Metrics, Usage};
 use super::names::name;
-use super::proto::RunSessionResponse;
 use super::status::SESSION;
 use super::viewer::watchers::Watchers;
 use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
 use crate::parallel::processors;
-use crate::pool::{Batch, Building, Seal, check_envs};
-use crate::session::{MOST_ENVIRONMENTS, MOST_MEMORY};
+use crate::pool::{Building, Seal, check_envs};
 use serde_json::Value;
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use tokio::sync::{Notify, Semaphore};
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
-
-/// The limits of one server.
-#[derive(Clone, Debug)]
-pub struct Limits {
-    pub sessions: usize,
-    /// Largest number of environments in one session.
-    pub environments: usize,
-    /// Memory of all environments (estimated) and of requests together [bytes]; see [`super::intake`].
-    pub memory: usize,
-    /// A session without a stream is freed after this time.
-    pub lease: Duration,
-    /// Largest request [bytes].
-    pub request: usize,
-    /// Largest number of watchers of the live page.
-    pub watchers: usize,
-    /// Longest time until a client has read an answer that takes memory for requests, in addition to its transfer at
-    /// 1 MiB/s.
-    pub stall: Duration,
-    /// Largest number of connections at the same time.
-    pub connections: u32,
-    /// Largest number of calls at the same time on one connection.
-    pub streams: u32,
-}
-
-impl Limits {
-    /// Our choice: room for any training, and half of a 16 GiB machine; requests as large as the steps of the
-    /// largest session, and rollouts of some minutes; a connection and a call for each session.
-    pub const DEFAULT: Self = Self {
-        sessions: 1024,
-        environments: MOST_ENVIRONMENTS,
-        memory: MOST_MEMORY,
-        lease: Duration::from_secs(300),
-        request: 256 << 20,
-        watchers: 64,
-        stall: Duration::from_secs(60),
-        connections: 1024,
-        streams: 1024,
-    };
-}
-
-impl Default for Limits {
-    fn default() -> Self {
-        Self::DEFAULT
-    }
-}
-
-/// A session's share of the server's limits; given back when it is dropped.
-pub struct Reservation {
-    usage: Arc<Mutex<Usage>>,
-    environments: usize,
-    memory: usize,
-    /// The part of `memory` that is for models.
-    models: usize,
-    /// Memory for all sessions [bytes].
-    most: usize,
-}
-
-/// Refuses `field` if it needs more memory than is free.
-fn fits(field: &str, needed: usize, free: usize) -> Result<()> {
-    if needed <= free {
-        return Ok(());
-    }
-    let [needed, free] = [needed, free].map(|bytes| bytes.div_ceil(1 << 20));
-    Err(Error::Exhausted(format!("{field}: needs about {needed} MiB, {free} MiB are left to sessions")))
-}
-
-impl Reservation {
-    /// Reserves `models` bytes for models, in place of those that were reserved for them.
-    pub fn set_models(&mut self, models: usize) -> Result<()> {
-        let mut usage = lock(&self.usage);
-        let others = usage.memory - self.models;
-        // A smaller reservation is always possible.
-        if models > self.models {
-            fits("models", models, self.most.saturating_sub(others))?;
-        }
-        usage.memory = others + models;
-        self.memory = self.memory - self.models + models;
-        self.models = models;
-        Ok(())
-    }
-
-    pub fn models(&self) -> usize {
-        self.models
-    }
-}
-
-impl Drop for Reservation {
-    fn drop(&mut self) {
-        let mut usage = lock(&self.usage);
-        usage.sessions -= 1;
-        usage.environments -= self.environments;
-        usage.memory -= self.memory;
-    }
-}
-
-/// The environments of a session.
-pub struct SessionEnvironments {
-    pub batch: Batch,
-    pub books: SessionRecord,
-}
-
-/// What belongs to a session's environments.
-pub struct SessionRecord {
-    pub done: LastAnswer,
-    pub reservation: Reservation,
-}
-
-/// The state of a session's requests.
-#[derive(Clone, Default)]
-pub struct LastAnswer {
-    /// Number of the last request that was answered.
-    pub sequence: u64,
-    /// Its answer; None for requests that changed nothing and can be repeated.
-    pub answer: Option<RunSessionResponse>,
-}
-
-/// Frees environments, if any, off the async runtime's threads, because many of them take a while.
-fn release<T: Send + 'static>(environments: Option<T>) {
-    match tokio::runtime::Handle::try_current() {
-        Ok(runtime) if environments.is_some() => drop(runtime.spawn_blocking(|| drop(environments))),
-        _ => drop(environments),
-    }
-}
-
-/// A session under construction; None afterwards.
-struct SessionBuilder(Option<(Building, Reservation)>);
-
-impl Drop for SessionBuilder {
-    fn drop(&mut self) {
-        release(self.0.take());
-    }
-}
-
-impl SessionBuilder {
-    /// Makes environments for one turn.
-    fn go_on(mut self) -> Result<Self> {
-        self.0.as_mut().map_or(Ok(()), |(building, _)| building.go_on(TURN))?;
-        Ok(self)
-    }
-
-    fn missing(&self) -> usize {
-        self.0.as_ref().map_or(0, |(building, _)| building.missing())
-    }
-
-    /// Makes the remaining environments now; returns all of them.
-    fn finish(mut self) -> Result<SessionEnvironments> {
-        let (building, reservation) = self.0.take().ok_or_else(failed)?;
-        Ok(SessionEnvironments {
-            batch: building.finish()?,
-            books: SessionRecord { done: LastAnswer::default(), reservation },
-        })
-    }
-}
-
-/// The error after a panic.
-fn failed() -> Error {
-    Error::Internal("the request failed inside the server".into())
-}
 
 /// One session.
 struct SessionEntry {
@@ -238,10 +80,6 @@ pub struct SessionSummary {
     pub idle: Duration,
 }
 
-/// Length of a turn of making environments: our choice, short for waiting clients, long against the time between
-/// threads (some 50 µs).
-pub const TURN: Duration = Duration::from_millis(10);
-
 /// All sessions of a server.
 pub struct Sessions {
     limits: Limits,
@@ -254,11 +92,6 @@ pub struct Sessions {
     pub seal: Seal,
     pub metrics: Arc<Metrics>,
     pub watchers: Arc<Watchers>,
-}
-
-/// Every change under these locks is one step, so the data are consistent even after a panic.
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Sessions {

@@ -11,9 +11,10 @@
 //! detects files that were cut off or changed; without it a message that ends between two fields could be read as
 //! another session.
 
+use super::building::{LastAnswer, SessionEnvironments};
 use super::names::name;
 use super::proto::RunSessionResponse;
-use super::sessions::{LastAnswer, SessionEnvironments, Sessions, StoppedSession};
+use super::sessions::{Sessions, StoppedSession};
 use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
 use crate::pool::{Pool, Seal, Snapshot};
@@ -250,7 +251,7 @@ fn adopt(saved: SessionFile, sessions: &Sessions, pool: &Pool) -> Result<String>
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sessions::Limits;
+    use crate::limits::Limits;
     use tokio_util::sync::CancellationToken;
 
     /// A disk that needs 5 ms a sync.

@@ -9,6 +9,7 @@
 //! sender. This file does not compute: a light request is checked on the async thread, a heavy one on a blocking
 //! thread, and the pool's threads step and encode.
 
+use super::building::LastAnswer;
 use super::decode::RequestWeight;
 use super::frame::RequestFrame;
 use super::intake::{Intake, Messages, Share};
@@ -16,7 +17,7 @@ use super::proto::run_session_request::Request;
 use super::proto::run_session_response::Response;
 use super::proto::{Attached, RunSessionRequest, RunSessionResponse, Snapshot};
 use super::sessions::SessionGuard;
-use super::sessions::{LastAnswer, Sessions, StreamHold};
+use super::sessions::{Sessions, StreamHold};
 use super::work::SessionWork;
 use super::{decode, price, rollout, status, view};
 use crate::error::{Error, Result as Checked};

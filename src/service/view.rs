@@ -1,8 +1,8 @@
 //! Requests for pictures and moments, as messages.
 
+use super::building::TURN;
 use super::proto::run_session_response::Response;
 use super::proto::{Observation, Observe, Pictures, Render};
-use super::sessions::TURN;
 use super::work::SessionWork;
 use crate::error::{Error, Result};
 use crate::pool::Batch;

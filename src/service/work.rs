@@ -1,10 +1,10 @@
 //! The work of one request: the session's environments, and the obligation to answer.
 
+use super::building::LastAnswer;
 use super::encode;
 use super::intake::Share;
 use super::proto::RunSessionResponse;
 use super::proto::run_session_response::Response;
-use super::sessions::LastAnswer;
 use super::sessions::{SessionGuard, broken};
 use super::status;
 use crate::error::{Error, Result};
@@ -122,8 +122,9 @@ impl SessionWork {
 mod tests {
     use super::*;
     use crate::env::registry::Blueprint;
+    use crate::limits::Limits;
     use crate::pool::Seal;
-    use crate::sessions::{Limits, Sessions};
+    use crate::sessions::Sessions;
     use serde_json::Value;
     use tokio_util::sync::CancellationToken;
     use tonic::Code;

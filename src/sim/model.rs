@@ -10,8 +10,8 @@ use super::state::{ObjectState, State};
 use super::tree::{HardGround, TreeModel};
 use crate::error::{Error, Result};
 use crate::sand::Medium;
-use std::sync::Arc;
 use crate::sand::memory::Moved;
+use std::sync::Arc;
 
 pub use super::links::{LinkBody, StripPiece};
 pub use super::scene::Scene;

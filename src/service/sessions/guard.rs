@@ -1,6 +1,7 @@
 //! A session's environments while a request works on them.
 
-use super::{LastAnswer, SessionEnvironments, SessionRecord, Sessions};
+use super::Sessions;
+use crate::building::{LastAnswer, SessionEnvironments, SessionRecord};
 use crate::error::{Error, Result};
 use crate::names::name;
 use crate::pool::Batch;

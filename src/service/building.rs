@@ -1,0 +1,75 @@
+//! Environments of a session, and how they are made in turns.
+
+use super::limits::Reservation;
+use super::proto::RunSessionResponse;
+use crate::error::{Error, Result};
+use crate::pool::{Batch, Building};
+use std::time::Duration;
+
+/// The environments of a session.
+pub struct SessionEnvironments {
+    pub batch: Batch,
+    pub books: SessionRecord,
+}
+
+/// What belongs to a session's environments.
+pub struct SessionRecord {
+    pub done: LastAnswer,
+    pub reservation: Reservation,
+}
+
+/// The state of a session's requests.
+#[derive(Clone, Default)]
+pub struct LastAnswer {
+    /// Number of the last request that was answered.
+    pub sequence: u64,
+    /// Its answer; None for requests that changed nothing and can be repeated.
+    pub answer: Option<RunSessionResponse>,
+}
+
+/// Frees environments, if any, off the async runtime's threads, because many of them take a while.
+pub fn release<T: Send + 'static>(environments: Option<T>) {
+    match tokio::runtime::Handle::try_current() {
+        Ok(runtime) if environments.is_some() => drop(runtime.spawn_blocking(|| drop(environments))),
+        _ => drop(environments),
+    }
+}
+
+/// A session under construction; None afterwards.
+pub struct SessionBuilder(pub Option<(Building, Reservation)>);
+
+impl Drop for SessionBuilder {
+    fn drop(&mut self) {
+        release(self.0.take());
+    }
+}
+
+impl SessionBuilder {
+    /// Makes environments for one turn.
+    pub fn go_on(mut self) -> Result<Self> {
+        self.0.as_mut().map_or(Ok(()), |(building, _)| building.go_on(TURN))?;
+        Ok(self)
+    }
+
+    pub fn missing(&self) -> usize {
+        self.0.as_ref().map_or(0, |(building, _)| building.missing())
+    }
+
+    /// Makes the remaining environments now; returns all of them.
+    pub fn finish(mut self) -> Result<SessionEnvironments> {
+        let (building, reservation) = self.0.take().ok_or_else(failed)?;
+        Ok(SessionEnvironments {
+            batch: building.finish()?,
+            books: SessionRecord { done: LastAnswer::default(), reservation },
+        })
+    }
+}
+
+/// The error after a panic.
+pub fn failed() -> Error {
+    Error::Internal("the request failed inside the server".into())
+}
+
+/// Length of a turn of making environments: our choice, short for waiting clients, long against the time between
+/// threads (some 50 µs).
+pub const TURN: Duration = Duration::from_millis(10);
