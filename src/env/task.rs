@@ -229,16 +229,20 @@ impl<T: Task> TaskSetup<T> {
     /// `options` are checked here.
     pub fn new(options: TaskOptions<T::Options>, check_keyword: CheckKeyword) -> Result<Self> {
         options.check_all("")?;
-        let files = HardwareFiles::new(&options.hardware)?;
-        let motors = sensors::motors(options.hardware.actuator, &files.values());
+        let hardware = HardwareFiles::new(&options.hardware)?;
+        let motors = sensors::motors(options.hardware.actuator, &hardware.values());
         let model = T::model(&options.task)?.with_motors(&motors.into())?;
-        Self::with(options, Arc::new(model), check_keyword)
+        Self::with(options, hardware, Arc::new(model), check_keyword)
     }
 
-    fn with(options: TaskOptions<T::Options>, model: Arc<Model>, check_keyword: CheckKeyword) -> Result<Self> {
+    fn with(
+        options: TaskOptions<T::Options>,
+        hardware: HardwareFiles,
+        model: Arc<Model>,
+        check_keyword: CheckKeyword,
+    ) -> Result<Self> {
         let task = Arc::new(T::new(&Setup { options: &options.task, model: &model })?);
         let mut spec = task.spec().clone();
-        let hardware = HardwareFiles::new(&options.hardware)?;
         let sensing = Plan::new(&options.hardware, &hardware, &model, &mut spec)?;
         Ok(Self { check_keyword, task, options, model, spec, hardware, sensing })
     }
@@ -369,6 +373,7 @@ impl<T: Task> AnyTask for TaskSetup<T> {
     }
 
     fn with_model(&self, model: Model) -> Result<Arc<dyn AnyTask>> {
-        Ok(Arc::new(Self::with(self.options.clone(), Arc::new(model), self.check_keyword)?))
+        let (options, hardware) = (self.options.clone(), self.hardware.clone());
+        Ok(Arc::new(Self::with(options, hardware, Arc::new(model), self.check_keyword)?))
     }
 }

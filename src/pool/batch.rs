@@ -131,16 +131,16 @@ impl Batch {
         self.check_begun("step")?;
         let width = self.spec().action.len();
         if actions.len() != self.envs * width {
-            return Err(self.wrong_actions(actions.len()));
+            return Err(self.wrong_rows("actions", actions.len(), self.spec().action.len()));
         }
         self.check_actions(&actions, |row| format!("actions[{row}]"))?;
         Ok(Operation::Step { actions, held: None })
     }
 
-    /// The error if a step has `got` numbers, which is the wrong number.
-    pub fn wrong_actions(&self, got: usize) -> Error {
-        let (n, width) = (self.envs, self.spec().action.len());
-        Error::invalid("actions", format!("{got} numbers, expected {} = [{n}, {width}]", n * width))
+    /// The error if `field` has `got` numbers, which are not a row of `width` numbers for each environment.
+    pub fn wrong_rows(&self, field: &str, got: usize, width: usize) -> Error {
+        let n = self.envs;
+        Error::invalid(field, format!("{got} numbers, expected {} = [{n}, {width}]", n * width))
     }
 
     /// The same as [`Batch::step`], but environments for which `held` is true keep their state.
@@ -159,8 +159,7 @@ impl Batch {
     pub fn set_command(&self, commands: &[f32]) -> Result<Operation> {
         self.check_begun("set_command")?;
         if commands.len() != 3 * self.envs {
-            let (got, n) = (commands.len(), self.envs);
-            return Err(Error::invalid("commands", format!("{got} numbers, expected {} = [{n}, 3]", 3 * n)));
+            return Err(self.wrong_rows("commands", commands.len(), 3));
         }
         let commands: Vec<[f64; 3]> = commands.as_chunks().0.iter().map(|c: &[f32; 3]| c.map(f64::from)).collect();
         for (i, command) in commands.iter().enumerate() {

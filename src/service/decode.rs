@@ -89,7 +89,7 @@ fn step_actions(batch: &Batch, bytes: &[u8]) -> Result<Vec<f32>> {
     let width = batch.spec().action.len();
     match bytes.len() == 4 * batch.envs() * width || !bytes.len().is_multiple_of(4) {
         true => floats("actions", bytes),
-        false => Err(batch.wrong_actions(bytes.len() / 4)),
+        false => Err(batch.wrong_rows("actions", bytes.len() / 4, width)),
     }
 }
 
