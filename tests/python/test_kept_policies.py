@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import sandgait
+from sandgait import server
 
 ROOT = Path(__file__).parents[2]
 POLICIES = ROOT / "examples/policies"
@@ -37,9 +40,22 @@ def test_policies_play_as_recorded() -> None:
         assert settings["command"]
         assert settings["commit"]
         recorded, task = settings["score"], training.task_id(settings["task"])
+        if "lines" in recorded:
+            follows_commands_as_recorded(path, recorded)
+            continue
         made = sandgait.evaluate(path, task, seeds=recorded["episodes"], progress=False, **settings["options"])
         assert abs(made["return"][0] - recorded["return"]) < recorded["return_95"], path
         assert abs(made.speed[0] - recorded["speed"]) < 0.01, path
+
+
+def follows_commands_as_recorded(path: Path, recorded: dict[str, Any]) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "made.json"
+        subprocess.run([*server.command(), "evaluate", path, "--commands", "--json", file], check=True)
+        made = json.loads(file.read_text())["results"]
+    assert made["falls"] == recorded["falls"] == 0.0, path
+    assert abs(made["mean_error"] - recorded["mean_error"]) < 0.01, path
+    assert abs(made["worst_error"] - recorded["worst_error"]) < 0.03, path
 
 
 def test_clocks_walk_as_recorded() -> None:
