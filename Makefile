@@ -24,7 +24,7 @@ help:
 	@echo "make test-clients   test TorchRL, Minari, RLlib, skrl, Tianshou and CleanRL, in versions of their own (gigabytes)"
 	@echo "make notices   write THIRD_PARTY_NOTICES.txt, which releases contain"
 	@echo "make docs    build the documentation as a site in site/; make test runs every command in it"
-	@echo "make film    make the animation of README again"
+	@echo "make film    make the animations of README again"
 	@echo "make diagnosis-picture   make the picture of a diagnosis again, with Chromium"
 	@echo "make native   build the native module into the folder of the Python sources, for work on these sources"
 	@echo "make bench   measure the speed of the Python environments and of the engine"
@@ -114,9 +114,10 @@ diagnosis-picture:
 	cargo build --release --bin sandgait
 	$(PYTHON) docs/assets/diagnosis_picture.py target/release/sandgait
 
-# The animation of README and the site.
+# The animations of README and the site.
 film: $(VENV)/plot
 	$(BIN)/python docs/assets/film.py
+	$(BIN)/python docs/assets/film_quadruped.py
 
 # Builds the native module into the folder of the Python sources, for PYTHONPATH=python_client. Cargo knows what has changed.
 native:
