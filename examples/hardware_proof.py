@@ -20,8 +20,8 @@ import sandgait
 GYROSCOPE = {"noise_density": 8.7e-5, "bias": 0.0087}
 #: Dynamixel AX-18A (docs/hardware.md), the motor of Trossen's PhantomX hexapod: 10 bits over 300°, that is 0.0051 rad.
 AX18 = {"stall_torque": 1.8, "no_load_speed": 10.2}
-#: X-RHex, a hexapod whose legs turn as those of HexapodGait (Galloway et al. 2010): maxon EC 45 flat, 50 W, 24 V (0.822 N·m,
-#: 6,710 rev/min by its data sheet, part 251601), behind a gear of 28:1. For this robot of 0.15 kg only its speed is a limit.
+#: X-RHex, a hexapod whose legs turn as those of HexapodGait (Galloway et al. 2010): maxon EC 45 flat, 50 W, 24 V (part
+#: 251601: 0.822 N·m, 6,710 rev/min), behind a gear of 28:1. For this robot of 0.15 kg only its speed is a limit.
 X_RHEX = {"stall_torque": 23.0, "no_load_speed": 25.1}
 #: `legged_gym` adds uniform noise of ± these values; a standard deviation is that divided by √3, and at 50 Hz the
 #: density is that divided by √50.
