@@ -1,5 +1,5 @@
-"""Makes the film of a quadruped in README and the site: ANYmal C on packed poppy seeds follows commands of arrow keys, as
-in `sandgait play`. `make film` runs this file."""
+"""Makes the film of a quadruped in README and the site: ANYmal C on packed poppy seeds follows commands of arrow keys.
+`make film` runs this file."""
 
 from __future__ import annotations
 
