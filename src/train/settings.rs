@@ -223,7 +223,7 @@ impl Hyperparameters {
 }
 
 /// A number. YAML readers return some numbers as texts, such as 1_000 and 1e-3.
-fn float(value: &Value) -> Option<f64> {
+pub(super) fn float(value: &Value) -> Option<f64> {
     match value {
         Value::Number(number) => number.as_f64(),
         Value::String(text) => text.replace('_', "").parse().ok(),
