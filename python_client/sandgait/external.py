@@ -155,9 +155,11 @@ def check_vector(env: Any) -> VectorEnv[Any, Any, Any]:
     if isinstance(env, VectorEnv):
         return env
     if isinstance(env, gymnasium.Env):
-        make = f"gymnasium.make_vec({env.spec.id!r}, num_envs=8)" if env.spec else None
-        make = make or f"gymnasium.vector.SyncVectorEnv([lambda: {type(env).__name__}(…)] * 8)"
-        raise InvalidRequest(f"env: {type(env).__name__} is a single environment; train takes a vector, such as {make}")
+        name = type(env.unwrapped).__name__
+        make = f"gymnasium.vector.SyncVectorEnv([lambda: {name}(…)] * 8)"
+        if env.spec:
+            make = f"gymnasium.make_vec({env.spec.id!r}, num_envs=8)"
+        raise InvalidRequest(f"env: {name} is a single environment; train takes a vector, such as {make}")
     raise InvalidRequest(f"env: {type(env).__name__} is neither the name of a task nor a gymnasium VectorEnv")
 
 

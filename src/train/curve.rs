@@ -165,3 +165,41 @@ fn read(path: &Path) -> Result<(Vec<String>, Vec<CurvePoint>)> {
     let points = lines.enumerate().map(point).collect::<Result<_>>()?;
     Ok((terms, points))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn report(steps: u64, terms: &[(&str, f64)]) -> UpdateReport {
+        let terms = terms.iter().map(|(name, mean)| ((*name).to_owned(), *mean)).collect();
+        UpdateReport { steps, episodes: 1, mean_return: 2.0, terms, ..UpdateReport::default() }
+    }
+
+    /// Terms are means over the updates since the point before; they get columns when they come, also in a file of an
+    /// earlier version, and are read again.
+    #[test]
+    fn terms_get_columns() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("curve.csv");
+        let text = || std::fs::read_to_string(&path).unwrap();
+        for (old, head) in
+            [("steps,seconds,return\n", "8,1.00,-3.000"), ("steps,seconds,return,level\n", "8,1.00,-3.000,")]
+        {
+            std::fs::write(&path, format!("{old}{head}\n16,2.")).unwrap();
+            let mut curve = LearningCurve::new(&path, Some(8), OpenPoint::default(), 16).unwrap();
+            assert_eq!(text(), "steps,seconds,return,level\n8,1.00,-3.000,\n");
+            curve.note(&report(16, &[("reward_a", 1.0), ("reward_b", -0.25)])).unwrap();
+            curve.note(&report(24, &[("reward_a", 2.0), ("reward_b", -0.75)])).unwrap();
+            curve.note(&report(32, &[("reward_c", 1e-7)])).unwrap();
+            curve.note(&report(40, &[("reward_c", 1e-7)])).unwrap();
+            let end = "24,0.00,2.000,,1.5,-0.5,\n40,0.00,2.000,,,,0.0000001\n";
+            assert_eq!(
+                text(),
+                format!("steps,seconds,return,level,reward_a,reward_b,reward_c\n8,1.00,-3.000,,,,\n{end}")
+            );
+            let again = LearningCurve::new(&path, Some(24), OpenPoint::default(), 16).unwrap();
+            assert_eq!(again.points[1].terms, [("reward_a".to_owned(), 1.5), ("reward_b".to_owned(), -0.5)]);
+            assert!(text().ends_with("reward_c\n8,1.00,-3.000,,,,\n24,0.00,2.000,,1.5,-0.5,\n"));
+        }
+    }
+}

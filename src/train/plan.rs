@@ -80,7 +80,7 @@ pub struct TrainingPlan {
 }
 
 /// Results of an update.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct UpdateReport {
     pub steps: u64,
     pub seconds: f64,

@@ -20,6 +20,7 @@ import sandgait
 from conftest import ID
 from sandgait.errors import InvalidRequest
 from sandgait.external import VectorEnvironments
+from sandgait.from_rust import read_policy
 
 #: Small trainings: 64 samples a rollout.
 SMALL: dict[str, Any] = {
@@ -30,7 +31,7 @@ LOW, HIGH = np.array([[0.3, -5.0]], np.float32), np.array([[0.7, 10.0]], np.floa
 
 
 class Counter(gymnasium.Env[Any, Any]):
-    """Counts its episodes and their steps. Episode number k ends after 2 + k % 3 steps, every second one by truncation."""
+    """Counts its episodes and their steps. Episode k ends after 2 + k % 3 steps, every second one by truncation."""
 
     observation_space = Box(-1000.0, 1000.0, (2, 1), np.float64)
     action_space = Box(LOW, HIGH)
@@ -68,12 +69,13 @@ def rows(folder: Path) -> list[dict[str, str]]:
 
 
 def transitions(mode: AutoresetMode) -> tuple[list[list[tuple[float, ...]]], list[tuple[str, float]]]:
-    """The first 40 transitions of each environment: observation, action, reward, both flags, and the next observation."""
+    """The first 40 transitions of each environment (observation, action, reward, both flags, next observation), and the
+    means of the reward terms."""
     env = VectorEnvironments(counters(mode, 3))
     seen = env.reset(5)
     found: list[list[tuple[float, ...]]] = [[], [], []]
     while min(map(len, found)) < 40:
-        actions = np.sin(seen + [[0.0, 1.0]]).astype(np.float32)  # a function of the observation
+        actions = np.sin(seen + np.array([0.0, 1.0])).astype(np.float32)  # a function of the observation
         after, rewards, terminated, truncated, skipped, ended, last = env.step(actions)
         following = after.copy()
         following[ended] = last
@@ -185,43 +187,43 @@ def test_a_wrapper_changes_what_is_learnt(tmp_path: Path) -> None:
 
 
 def test_pendulum_is_learnt(tmp_path: Path) -> None:
+    """A random policy has some -1290. After 100,000 steps with the default settings the last point of each of twelve
+    trainings, seeds 0 to 11, was between -266 and -125."""
     env = gymnasium.make_vec("Pendulum-v1", num_envs=16)
-    settings = {"gamma": 0.9, "learning_rate": "lin_1e-3"}
-    training = sandgait.train(env, out=tmp_path, timesteps=100_000, settings=settings, progress=False)
-    returns = training.curve["return"]
-    print(returns)
+    returns = sandgait.train(env, out=tmp_path, timesteps=100_000, seed=1, progress=False).curve["return"]
     assert returns[0] < -900.0
-    assert returns[-1] > -600.0
+    assert returns[-3:].mean() > -400.0
 
 
 def test_a_training_goes_on_with_new_episodes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    frozen = {**SMALL, "settings": {**SMALL["settings"], "learning_rate": 1e-12, "normalize": False}}
+    given = {**SMALL, "settings": {**SMALL["settings"], "learning_rate": 3e-3}}
 
     def run(timesteps: int, **more: Any) -> sandgait.Training:
         env = counters(AutoresetMode.SAME_STEP)
-        return sandgait.train(env, out=tmp_path, timesteps=timesteps, **{**frozen, **more})
+        return sandgait.train(env, out=tmp_path, timesteps=timesteps, **{**given, **more})
 
-    first = run(256)
-    weights = first.policy.read_bytes()
+    about, before = read_policy(run(2048).weights)
     lines = rows(tmp_path)
-    second = run(512, resume=True, progress=True)
+    resumed = run(2048 + 64, resume=True, progress=True)
     assert "SyncVectorEnv cannot be saved" in capsys.readouterr().err
-    assert "new episodes began at the resumption: SyncVectorEnv cannot be saved" in second.summary
-    assert second.steps == 512
-    assert rows(tmp_path)[: len(lines)] == lines
-    assert len(rows(tmp_path)) > len(lines)
-    before, after = (np.frombuffer(w, np.uint8) for w in (weights, second.policy.read_bytes()))
-    assert before.size == after.size
+    assert "new episodes began at the resumption: SyncVectorEnv cannot be saved" in resumed.summary
+    assert resumed.steps == 2048 + 64
+    assert rows(tmp_path)[:-1] == lines
+    again, after = read_policy(resumed.weights)
+    # An update has two epochs of two minibatches, and a step of Adam moves a weight by some 0.003.
+    assert int(again["adam_steps"]) == int(about["adam_steps"]) + 4
+    assert 1e-4 < np.abs(after["actor.0.weights"] - before["actor.0.weights"]).max() < 0.02
+    assert (after["observations.count"] > before["observations.count"]).all()
     for more, words in (
         ({"seed": 1}, "its seed is 0, not 1"),
-        ({"settings": {**frozen["settings"], "gamma": 0.5}}, "its gamma is 0.99, not 0.5"),
+        ({"settings": {**given["settings"], "gamma": 0.5}}, "its gamma is 0.99, not 0.5"),
     ):
         with pytest.raises(sandgait.SandgaitError, match=words):
             run(512, resume=True, **more)
     with pytest.raises(sandgait.SandgaitError, match=r"its task is .*SyncVectorEnv.*, not FirstHip\(SyncVectorEnv\)"):
-        sandgait.train(FirstHip(counters(AutoresetMode.SAME_STEP)), out=tmp_path, resume=True, **frozen)
+        sandgait.train(FirstHip(counters(AutoresetMode.SAME_STEP)), out=tmp_path, resume=True, **given)
     with pytest.raises(sandgait.SandgaitError, match="its n_envs is 4, not 5"):
-        sandgait.train(counters(AutoresetMode.SAME_STEP, 5), out=tmp_path, resume=True, **frozen)
+        sandgait.train(counters(AutoresetMode.SAME_STEP, 5), out=tmp_path, resume=True, **given)
     with pytest.raises(sandgait.SandgaitError, match="results of another training"):
         run(512)
 
@@ -253,7 +255,11 @@ def test_wrong_uses_are_refused_in_a_line(tmp_path: Path) -> None:
 
     nan = np.array([[0.0], [np.nan]])
     wrong: list[tuple[Any, dict[str, Any], str]] = [
-        (gymnasium.make("Pendulum-v1"), {}, r'PendulumEnv|single environment.*make_vec\(.Pendulum-v1., num_envs=8\)'),
+        (
+            gymnasium.make("Pendulum-v1"),
+            {},
+            r"PendulumEnv is a single environment; .*make_vec\('Pendulum-v1', num_envs=8\)",
+        ),
         (Counter(), {}, r"Counter is a single environment; .*SyncVectorEnv\(\[lambda: Counter"),
         (7, {}, "int is neither the name of a task nor a gymnasium VectorEnv"),
         (gymnasium.make_vec("CartPole-v1", num_envs=2), {}, r"action space is Discrete\(2\)"),
@@ -276,13 +282,15 @@ def test_wrong_uses_are_refused_in_a_line(tmp_path: Path) -> None:
             sandgait.train(env, out=tmp_path / "out", **{"progress": False, **given})
         assert "\n" not in str(raised.value)
         assert not (tmp_path / "out").exists(), words
-    for k, (value, words) in enumerate([(nan, r"step's observations\[0\]\[1\]\[0\] is nan, not a finite number")]):
-        with pytest.raises(InvalidRequest, match=words):
-            sandgait.train(giving(value), out=tmp_path / str(k), timesteps=100, progress=False)
+    with pytest.raises(InvalidRequest, match=r"env: step's observations\[0\]\[1\]\[0\] is nan, not a finite number"):
+        sandgait.train(giving(nan), out=tmp_path / "nan", timesteps=100, progress=False)
+    seen, column = np.zeros((4, 2, 1)), np.zeros(4)
+    shape = r"have the shape \({}\), not \({}\)"
     for method, result, words in (
-        ("step", (np.zeros((4, 2)), *[np.zeros(4)] * 3, {}), r"step's observations have the shape \(4, 2\), not \(4, 2, 1\)"),
-        ("step", (np.zeros((4, 2, 1)), np.zeros(3), *[np.zeros(4)] * 2, {}), r"step's rewards have the shape \(3,\), not"),
-        ("step", (np.zeros((4, 2, 1)), np.full(4, np.inf), *[np.zeros(4)] * 2, {}), r"rewards\[0\] is inf"),
+        ("step", (seen[..., 0], column, column, column, {}), "observations " + shape.format("4, 2", "4, 2, 1")),
+        ("step", (seen, column[1:], column, column, {}), "rewards " + shape.format("3,", "4,")),
+        ("step", (seen, column, column, column[:, None], {}), "truncated " + shape.format("4, 1", "4,")),
+        ("step", (seen, column + np.inf, column, column, {}), r"step's rewards\[0\] is inf"),
         ("reset", (np.full((4, 2, 1), None), {}), "reset's observations are of type object, not numbers"),
     ):
         env = space()
