@@ -14,9 +14,10 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Box
-from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv, VectorWrapper
 
 from .errors import InvalidRequest
+from .vector_env import SandgaitVectorEnv
 
 Array = npt.NDArray[Any]
 
@@ -189,14 +190,24 @@ def _identity(env: VectorEnv[Any, Any, Any]) -> tuple[str, dict[str, str]]:
     while isinstance(inner, VectorWrapper):
         wrappers.append(type(inner).__name__)
         inner = inner.env
-    spec = inner.spec
-    name = type(inner).__name__ if spec is None else spec.id
+    single: Any = inner.envs[0] if isinstance(inner, SyncVectorEnv) else inner
+    within = []
+    if isinstance(inner, SandgaitVectorEnv):
+        name, keywords = inner.task.id, inner._origin.options
+    elif (spec := inner.spec or single.spec) is not None:
+        name, keywords = spec.id, spec.kwargs
+    else:
+        name, keywords = type(single.unwrapped).__name__, {}
+    while inner.spec is None and isinstance(single, gymnasium.Wrapper):
+        within.append(type(single).__name__)
+        single = single.env
     for wrapper in reversed(wrappers):
         name = f"{wrapper}({name})"
-    given = {} if spec is None else spec.kwargs
-    keywords = json.dumps(given, default=lambda value: type(value).__name__, skipkeys=True)
-    spaces = {f"{kind}_space": _line(getattr(env, f"single_{kind}_space")) for kind in ("observation", "action")}
-    return name, {**spaces, "keywords": keywords}
+    identity = {f"{kind}_space": _line(getattr(env, f"single_{kind}_space")) for kind in ("observation", "action")}
+    for key, value in keywords.items():
+        if key not in ("num_envs", "vectorization_mode"):  # `make_vec` adds them
+            identity[str(key)] = json.dumps(value, default=lambda part: type(part).__name__, skipkeys=True)
+    return name, {**identity, "wrappers": " ".join(within)}
 
 
 def _line(value: object) -> str:

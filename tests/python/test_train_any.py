@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from gymnasium.spaces import Box, Discrete
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv, VectorWrapper
+from gymnasium.wrappers import TimeLimit
 from onnx.reference import ReferenceEvaluator
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
@@ -50,6 +51,8 @@ class Counter(gymnasium.Env[Any, Any]):
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         assert action.shape == (1, 2)
         assert self.action_space.contains(action)
+        # The learner counts denormal numbers as zero; the environments' code must not.
+        assert np.float32(1e-38) * np.float32(0.1) > 0.0
         self.log.append((self.seen().ravel(), action.ravel()))
         self.count, self.all = self.count + 1, self.all + 1
         ends = self.count == 2 + self.episode % 3
@@ -182,8 +185,13 @@ def test_a_wrapper_changes_what_is_learnt(tmp_path: Path) -> None:
     assert returns[-1] > 10.0
     assert training.score is None
     assert "reward_tracking" in training.curve
-    assert json.loads((tmp_path / "settings.json").read_text())["task"] == f"FirstHip({ID})"
+    about = json.loads((tmp_path / "settings.json").read_text())
+    assert (about["task"], about["options"]["max_episode_steps"]) == (f"FirstHip({ID})", "20")
     env.close()
+    changed = FirstHip(gymnasium.make_vec(ID, num_envs=16, max_episode_steps=30))
+    with pytest.raises(sandgait.SandgaitError, match='its max_episode_steps is "20", not "30"'):
+        sandgait.train(changed, out=tmp_path, settings=settings, resume=True, progress=False)
+    changed.close()
 
 
 def test_pendulum_is_learnt(tmp_path: Path) -> None:
@@ -205,8 +213,8 @@ def test_a_training_goes_on_with_new_episodes(tmp_path: Path, capsys: pytest.Cap
     about, before = read_policy(run(2048).weights)
     lines = rows(tmp_path)
     resumed = run(2048 + 64, resume=True, progress=True)
-    assert "SyncVectorEnv cannot be saved" in capsys.readouterr().err
-    assert "new episodes began at the resumption: SyncVectorEnv cannot be saved" in resumed.summary
+    assert "Counter cannot be saved" in capsys.readouterr().err
+    assert "new episodes began at the resumption: Counter cannot be saved" in resumed.summary
     assert resumed.steps == 2048 + 64
     assert rows(tmp_path)[:-1] == lines
     again, after = read_policy(resumed.weights)
@@ -220,8 +228,11 @@ def test_a_training_goes_on_with_new_episodes(tmp_path: Path, capsys: pytest.Cap
     ):
         with pytest.raises(sandgait.SandgaitError, match=words):
             run(512, resume=True, **more)
-    with pytest.raises(sandgait.SandgaitError, match=r"its task is .*SyncVectorEnv.*, not FirstHip\(SyncVectorEnv\)"):
+    with pytest.raises(sandgait.SandgaitError, match=r"its task is Counter, not FirstHip\(Counter\)"):
         sandgait.train(FirstHip(counters(AutoresetMode.SAME_STEP)), out=tmp_path, resume=True, **given)
+    limited = SyncVectorEnv([lambda: TimeLimit(Counter(), 9)] * 4, autoreset_mode=AutoresetMode.SAME_STEP)
+    with pytest.raises(sandgait.SandgaitError, match='its wrappers is "", not "TimeLimit"'):
+        sandgait.train(limited, out=tmp_path, resume=True, **given)
     with pytest.raises(sandgait.SandgaitError, match="its n_envs is 4, not 5"):
         sandgait.train(counters(AutoresetMode.SAME_STEP, 5), out=tmp_path, resume=True, **given)
     with pytest.raises(sandgait.SandgaitError, match="results of another training"):
