@@ -99,6 +99,7 @@ fn request(task: &str, out: &Path, timesteps: u64, changes: &Value) -> TrainingR
     TrainingRequest {
         task: task.into(),
         options: json!({"max_episode_steps": 30}),
+        external: None,
         settings: Hyperparameters::from_entry(entry).unwrap(),
         seed: 3,
         threads: 2,

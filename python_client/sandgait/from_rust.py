@@ -60,8 +60,10 @@ def to_sb3(path: FilePath, env: VecEnv, **changes: Any) -> PPO:
     """
     about, arrays = read_policy(path)
     settings = json.loads(about["settings"])
+    if "action.low" in arrays:
+        _scale(arrays, len(settings["policy_kwargs"]["net_arch"]["pi"]))
     wanted, given = arrays["actor.0.weights"].shape[0], env.observation_space.shape
-    if given != (wanted,):
+    if given is None or np.prod(given) != wanted:
         raise InvalidRequest(
             f"env: observations are {given}, the policy takes ({wanted},): it was learnt for {about['task']}"
         )
@@ -83,6 +85,15 @@ def to_sb3(path: FilePath, env: VecEnv, **changes: Any) -> PPO:
     _load(model.policy, arrays, bool(settings["mirror"]))
     model.num_timesteps = int(about["steps"])
     return model
+
+
+def _scale(arrays: Arrays, last: int) -> None:
+    """Scales the actions of a policy for another package's environment from ±1 to its action space."""
+    low, high = arrays["action.low"], arrays["action.high"]
+    half = (0.5 * (high - low)).astype(np.float32)
+    arrays[f"actor.{last}.weights"] = arrays[f"actor.{last}.weights"] * half
+    arrays[f"actor.{last}.bias"] = arrays[f"actor.{last}.bias"] * half + (0.5 * (low + high)).astype(np.float32)
+    arrays["log_std"] = arrays["log_std"] + np.log(half)
 
 
 def _schedule(setting: Any) -> Any:

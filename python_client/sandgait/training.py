@@ -1,16 +1,20 @@
-"""Learns gaits without torch. This is the function of the command `sandgait train`."""
+"""Learns gaits without torch, as the command `sandgait train` does, and policies of any other environment."""
 
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from gymnasium.vector import VectorEnv
 
 from . import _native
+from .errors import InvalidRequest
+from .external import VectorEnvironments, check_vector
 from .options import with_files
 from .snapshots import FilePath
 from .studies import Display, ProgressOption
@@ -27,11 +31,11 @@ class Training:
     steps: int
     #: Duration of the training [s], including the parts before a resumption.
     seconds: float
-    #: The learning curve. Columns: steps, seconds [s], and return, the mean over the episodes that ended since the row
-    #: before.
+    #: The learning curve. Columns: steps, seconds [s], return, the mean over the episodes that ended since the row
+    #: before, and each reward term by its name in `info`, its mean in a step since the row before.
     curve: Table
     #: Evaluation of the policy without noise, as in settings.json: over 100 seeds that the training did not use, or for
-    #: LeggedVelocity of nine commands. None for LegStroke.
+    #: LeggedVelocity of nine commands. None for LegStroke and for environments of other packages.
     score: dict[str, Any] | None
     #: The results as text.
     summary: str
@@ -48,7 +52,8 @@ class Training:
 
     @property
     def recording(self) -> Path:
-        """The recording of an episode that the training did not use, for `sandgait replay` and `read_recording`."""
+        """The recording of an episode that the training did not use, for `sandgait replay` and `read_recording`. Other
+        packages' environments have none."""
         return self.out / "walk.rec"
 
     def __repr__(self) -> str:
@@ -56,7 +61,7 @@ class Training:
 
 
 def train(
-    task: str = "sandgait/HexapodGait-v1",
+    task: str | VectorEnv[Any, Any, Any] = "sandgait/HexapodGait-v1",
     *,
     out: FilePath | None = None,
     seed: int = 0,
@@ -75,6 +80,11 @@ def train(
     """Learns a gait by PPO. Writes policy, learning curve, recording and score into the folder `out` (by default
     runs/TASK-fast).
 
+    `task`: the name of a task; or a vector of environments, any gymnasium `VectorEnv` with Box spaces and a bounded
+    action space, such as `gymnasium.make_vec("Pendulum-v1", 16)` or a `VectorWrapper` around a task of this package. In
+    such a vector PPO learns in the same way, but the policy gets no recording and no score. The environments stay open.
+    They cannot be saved, so a training that is resumed begins new episodes.
+
     The training ends after `seconds` of time or `timesteps` control steps. Without `seconds` there is no limit of time,
     and the result has the same bits in each run.
 
@@ -83,15 +93,21 @@ def train(
     and settings; without it a folder with results is refused. `start_from`: the policy.safetensors of another training
     of the same task, observation and actions. This training then starts from its weights. `threads`: number of
     simulating threads; 0 stands for one on each processor. `address`: the server that simulates. `options`: the same as
-    for `gymnasium.make`.
+    for `gymnasium.make`. `address` and `options` are for tasks only.
 
     Ctrl-C, or an exception that `progress` raises, ends the training at once and leaves a checkpoint.
     """
+    vector = None if isinstance(task, str) else VectorEnvironments(check_vector(task))
+    if vector is not None and (address is not None or options):
+        name = "address" if address is not None else next(iter(options))
+        raise InvalidRequest(f"{name}: this is for tasks by name; the environments are made already")
+    if vector is not None and resume and progress is True:
+        print(f"{vector.name} cannot be saved: the training goes on with new episodes", file=sys.stderr)
     asked = {
-        "task": task,
+        "task": task if vector is None else vector.name,
         "hyperparameters": None if hyperparameters is None else Path(hyperparameters),
         "settings": dict(settings or {}),
-        "options": with_files(options),
+        "options": with_files(options) if vector is None else vector.identity,
         "seed": seed,
         "seconds": seconds,
         "timesteps": timesteps,
@@ -101,13 +117,19 @@ def train(
         "checkpoint_every": checkpoint_every,
         "threads": threads,
         "place": _place(address),
+        "vector": None if vector is None else (vector, vector.num_envs, *vector.bounds),
     }
     with Display(progress) as told:
         folder, steps, duration, points, score, summary = _native.train(asked, told)
-    numbers = np.array(points, dtype=np.float64).reshape(-1, 3)
-    columns = dict(zip(("steps", "seconds", "return"), numbers.T, strict=True))
-    curve = Table(columns, {"steps": "1", "seconds": "s", "return": "1"})
-    return Training(Path(folder), steps, duration, curve, json.loads(score), summary)
+    return Training(Path(folder), steps, duration, _curve(points), json.loads(score), summary)
+
+
+def _curve(points: list[tuple[int, float, float, list[tuple[str, float]]]]) -> Table:
+    terms = dict.fromkeys(name for *_, means in points for name, _ in means)
+    columns = dict(zip(("steps", "seconds", "return"), np.array([p[:3] for p in points]).reshape(-1, 3).T, strict=True))
+    for name in terms:
+        columns[name] = np.array([dict(means).get(name, np.nan) for *_, means in points])
+    return Table(columns, {"steps": "1", "seconds": "s", "return": "1", **dict.fromkeys(terms, "1")})
 
 
 def _place(address: str | None) -> _native.Address | None:

@@ -8,7 +8,7 @@ use sandgait::env::gait::HexapodGait;
 use sandgait::evaluate::{EvaluationRequest, FIRST_SEED, commands, table};
 use sandgait::progress::Progress;
 use sandgait::train::remote::RemoteEnvironments;
-use sandgait::train::{Connect, PolicyScore, TrainingOutcome, TrainingRequest, entry};
+use sandgait::train::{Connect, ExternalSpaces, Hyperparameters, PolicyScore, TrainingOutcome, TrainingRequest, entry};
 use sandgait::{Error, Result, files, parallel};
 use serde_json::{Map, Value};
 use std::net::IpAddr;
@@ -141,31 +141,68 @@ impl TrainingArgs {
         let task = entry::task_id(&self.task);
         changes.extend(entry::ends(self.timesteps, self.seconds));
         let settings = entry::settings(self.hyperparameters.as_deref(), &task, changes)?;
+        self.checked(TrainingRequest { connect: place.map(connected), ..unchecked(task, options, settings) })
+    }
+
+    /// The same for another program's environments, which `connect` gives. `self.task` is their name, and `options` is what
+    /// identifies them besides.
+    pub fn external(
+        self,
+        mut changes: Vec<(String, Value)>,
+        options: Value,
+        spaces: ExternalSpaces,
+        envs: usize,
+        connect: Box<Connect>,
+    ) -> Result<TrainingRequest> {
+        changes.extend(entry::ends(self.timesteps, self.seconds));
+        let settings = entry::external(self.hyperparameters.as_deref(), &self.task, envs, changes)?;
+        let request = unchecked(self.task.clone(), options, settings);
+        self.checked(TrainingRequest { external: Some(spaces), connect: Some(connect), ..request })
+    }
+
+    /// Adds the arguments to a request.
+    fn checked(self, request: TrainingRequest) -> Result<TrainingRequest> {
         let within = |name: &str, value: u64, most: u64| match value <= most {
             true => Ok(()),
             false => Err(Error::invalid(name, format!("{value} is outside [0, {most}]"))),
         };
         within("threads", self.threads as u64, MOST_THREADS as u64)?;
         within("seed", self.seed, MOST_SEED)?;
+        let task = &request.task;
         let name = task.trim_start_matches("sandgait/").rsplit_once("-v").map_or(task.as_str(), |(name, _)| name);
+        let name = name.replace(|c: char| !c.is_alphanumeric() && c != '_', "-");
         Ok(TrainingRequest {
             out: self.out.unwrap_or_else(|| PathBuf::from("runs").join(format!("{name}-fast"))),
-            task,
-            options,
-            settings,
             seed: self.seed,
             threads: if self.threads == 0 { parallel::processors() } else { self.threads },
             resume: self.resume,
             start_from: self.start_from,
             checkpoint_every: self.checkpoint_every.max(1),
-            connect: place.map(connected),
+            ..request
         })
     }
 }
 
+/// A request without the arguments.
+fn unchecked(task: String, options: Value, settings: Hyperparameters) -> TrainingRequest {
+    TrainingRequest {
+        task,
+        options,
+        external: None,
+        settings,
+        seed: 0,
+        threads: 1,
+        out: PathBuf::new(),
+        resume: false,
+        start_from: None,
+        checkpoint_every: 1,
+        connect: None,
+    }
+}
+
 fn connected(place: ServerAddress) -> Box<Connect> {
-    Box::new(move |blueprint, options, envs, pause| {
-        let session = TrainingSession::new(place.clone(), blueprint, options, envs, pause)?;
+    Box::new(move |plan, options, pause| {
+        let session = TrainingSession::new(place.clone(), plan.task()?, options, plan.settings.n_envs, pause)?;
         Ok(Box::new(session) as Box<dyn RemoteEnvironments>)
     })
 }

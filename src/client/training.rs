@@ -7,7 +7,7 @@ use super::{runtime, wait};
 use crate::error::{Error, Result};
 use crate::service::proto::run_session_request::Request as SessionRequest;
 use crate::service::proto::run_session_response::Response as Answer;
-use crate::service::proto::{Batch, Reset, Restore, RunSessionRequest, Save, Step, Task};
+use crate::service::proto::{Batch, Column, Reset, Restore, RunSessionRequest, Save, Step, Task};
 use crate::train::remote::{Pause, RemoteEnvironments};
 use sandgait_env::Spec;
 use sandgait_env::registry::Blueprint;
@@ -32,6 +32,8 @@ pub struct TrainingSession {
     sequence: u64,
     envs: usize,
     observation: usize,
+    /// Columns of infos; 0 if the server's are others than this version's.
+    info: usize,
 }
 
 /// The error for a server's refusal or a lost connection.
@@ -62,8 +64,10 @@ impl TrainingSession {
         };
         let stream = open(&place, &created.session_id, pause)?;
         let observation = spec.observation.len();
-        let session = Self { place, id: created.session_id, stream, sequence: 0, envs, observation };
-        if !is_same(&created.task.unwrap_or_default(), spec) {
+        let task = created.task.unwrap_or_default();
+        let info = if names(&task.info).eq(own(&spec.info)) { spec.info.len() } else { 0 };
+        let session = Self { place, id: created.session_id, stream, sequence: 0, envs, observation, info };
+        if !is_same(&task, spec) {
             let reason = format!("its {} has other observations, actions or options than this version's", spec.id);
             return Err(Error::invalid(format!("server {}", session.place.address), reason));
         }
@@ -114,7 +118,9 @@ impl TrainingSession {
 
     fn rows(&mut self, asked: SessionRequest, pause: Pause) -> Result<Rows> {
         match self.ask(asked, pause)? {
-            Answer::Batch(batch) => unpacked(&batch, self.envs, self.observation).ok_or_else(|| self.wrong()),
+            Answer::Batch(batch) => {
+                unpacked(&batch, self.envs, [self.observation, self.info]).ok_or_else(|| self.wrong())
+            }
             _ => Err(self.wrong()),
         }
     }
@@ -134,9 +140,9 @@ impl RemoteEnvironments for TrainingSession {
         self.rows(SessionRequest::Step(Step { actions: actions.into(), ..Step::default() }), pause)
     }
 
-    fn save(&mut self, pause: Pause) -> Result<Vec<u8>> {
+    fn save(&mut self, pause: Pause) -> Result<Option<Vec<u8>>> {
         match self.ask(SessionRequest::Save(Save {}), pause)? {
-            Answer::Snapshot(snapshot) => Ok(snapshot.data.to_vec()),
+            Answer::Snapshot(snapshot) => Ok(Some(snapshot.data.to_vec())),
             _ => Err(self.wrong()),
         }
     }
@@ -144,6 +150,10 @@ impl RemoteEnvironments for TrainingSession {
     fn restore(&mut self, snapshot: &[u8], pause: Pause) -> Result<Rows> {
         let snapshot = snapshot.to_vec().into();
         self.rows(SessionRequest::Restore(Restore { snapshot, ..Restore::default() }), pause)
+    }
+
+    fn terms(&mut self) -> Result<Option<Vec<(String, f64)>>> {
+        Ok((self.info == 0).then(Vec::new))
     }
 }
 
@@ -161,17 +171,23 @@ fn open(place: &ServerAddress, id: &str, pause: Pause) -> Result<Stream> {
     Stream::open(place.clone(), id.to_owned(), pause)?.map_err(|e| failed(place, &e))
 }
 
+fn names(columns: &[Column]) -> impl Iterator<Item = &str> {
+    columns.iter().map(|column| column.name.as_str())
+}
+
+fn own(columns: &[sandgait_env::Column]) -> impl Iterator<Item = &str> {
+    columns.iter().map(|column| column.name.as_str())
+}
+
 /// Does a session have the rows of `spec`, and equally long episodes?
 fn is_same(task: &Task, spec: &Spec) -> bool {
-    let names = |columns: &[crate::service::proto::Column]| columns.iter().map(|c| c.name.clone()).collect::<Vec<_>>();
-    let own = |columns: &[sandgait_env::Column]| columns.iter().map(|c| c.name.clone()).collect::<Vec<_>>();
-    names(&task.observation) == own(&spec.observation)
-        && names(&task.action) == own(&spec.action)
+    names(&task.observation).eq(own(&spec.observation))
+        && names(&task.action).eq(own(&spec.action))
         && task.max_episode_steps == spec.max_episode_steps
 }
 
 /// A batch's bytes as numbers; None if their lengths are wrong.
-fn unpacked(batch: &Batch, envs: usize, observation: usize) -> Option<Rows> {
+fn unpacked(batch: &Batch, envs: usize, [observation, info]: [usize; 2]) -> Option<Rows> {
     let floats = |bytes: &[u8], count: usize| -> Option<Vec<f32>> {
         let (all, rest) = bytes.as_chunks::<4>();
         (rest.is_empty() && all.len() == count).then(|| all.iter().map(|b| f32::from_le_bytes(*b)).collect())
@@ -183,7 +199,7 @@ fn unpacked(batch: &Batch, envs: usize, observation: usize) -> Option<Rows> {
         return None;
     }
     Some(Rows {
-        infos: Vec::new(),
+        infos: if info > 0 { floats(&batch.infos, envs * info)? } else { Vec::new() },
         observations: floats(&batch.observations, envs * observation)?,
         rewards: floats(&batch.rewards, envs)?,
         terminated: flags(&batch.terminated)?,

@@ -10,8 +10,17 @@
 /// panic.
 ///
 /// Works on x86-64 and aarch64; on other processors it only runs `work`.
-#[inline(never)] // not inlined: the compiler must not move arithmetic into or out of `work`
 pub fn flushed<T>(work: impl FnOnce() -> T) -> T {
+    with(|word| word | control::FLUSH, work)
+}
+
+/// Runs `work`, code of another program, with the usual denormal numbers.
+pub fn unflushed<T>(work: impl FnOnce() -> T) -> T {
+    with(|word| word & !control::FLUSH, work)
+}
+
+#[inline(never)] // not inlined: the compiler must not move arithmetic into or out of `work`
+fn with<T>(setting: impl FnOnce(control::Word) -> control::Word, work: impl FnOnce() -> T) -> T {
     struct Restore(control::Word);
     impl Drop for Restore {
         fn drop(&mut self) {
@@ -20,7 +29,7 @@ pub fn flushed<T>(work: impl FnOnce() -> T) -> T {
     }
     let before = control::read();
     let _restore = Restore(before);
-    control::write(before | control::FLUSH);
+    control::write(setting(before));
     run(work)
 }
 
@@ -111,6 +120,7 @@ mod tests {
     fn denormals_are_zero_inside_and_numbers_outside() {
         assert_eq!(flushed(halved_smallest), 0.0);
         assert!(halved_smallest() > 0.0);
+        assert!(flushed(|| unflushed(halved_smallest)) > 0.0);
         let caught = std::panic::catch_unwind(|| flushed(|| panic!("on purpose")));
         assert!(caught.is_err() && halved_smallest() > 0.0);
     }

@@ -1,6 +1,7 @@
 //! Checkpoints: files from which a training can go on, here or with stable-baselines3 (`sandgait.export.to_sb3`).
 
 use super::adam::Adam;
+use super::curve::OpenPoint;
 use super::network::NetworkLayer;
 use super::normal::{Normalizer, RunningStatistics};
 use super::plan::{TrainingPlan, TrainingState};
@@ -24,37 +25,41 @@ fn layers(plan: &TrainingPlan) -> impl Iterator<Item = (String, &NetworkLayer)> 
     actor.chain(shape.critic.iter().enumerate().map(named("critic")))
 }
 
-/// The task options of the training. With other options the episodes would be different ones.
-fn options(plan: &TrainingPlan) -> String {
-    json!(plan.blueprint.task.options()).to_string()
-}
-
 /// The contents of a checkpoint.
 pub struct Checkpoint {
     pub learnt: TrainingState,
-    /// See [`super::curve::LearningCurve::open`].
-    pub open: [f64; 2],
+    pub open: OpenPoint,
     /// What differs from going on with the newest checkpoint as it is, one sentence each.
     pub notices: Vec<String>,
 }
 
-/// Saves all of `learnt`, and the curve's `open` episodes. Weights are f32 [inputs, outputs].
-pub fn save(path: &Path, plan: &TrainingPlan, learnt: &TrainingState, open: [f64; 2]) -> Result<()> {
+/// Saves all of `learnt`, and what is `open` of the curve. Weights are f32 [inputs, outputs].
+pub fn save(path: &Path, plan: &TrainingPlan, learnt: &TrainingState, open: &OpenPoint) -> Result<()> {
     let mut file = Tensors::default();
     let about = [
         ("format", FORMAT.to_owned()),
         ("sandgait", env!("CARGO_PKG_VERSION").into()),
-        ("task", plan.blueprint.task.spec().id.into()),
+        ("task", plan.spec.id.clone()),
         ("settings", plan.settings.json().to_string()),
         ("seed", plan.seed.to_string()),
         ("steps", learnt.steps.to_string()),
         ("updates", learnt.updates.to_string()),
         ("adam_steps", learnt.adam.steps.to_string()),
-        ("options", options(plan)),
+        // With other options the episodes would be different ones.
+        ("options", json!(plan.spec.options).to_string()),
+        ("curve.terms", json!(open.terms.iter().map(|(name, _)| name).collect::<Vec<_>>()).to_string()),
     ];
     file.about.extend(about.map(|(name, text)| (name.to_owned(), text)));
     file.add("seconds", &[], &[learnt.seconds]);
-    file.add("curve.open", &[2], &open);
+    file.add("curve.open", &[2], &open.episodes);
+    let sums: Vec<f64> = [open.updates].into_iter().chain(open.terms.iter().map(|(_, sum)| *sum)).collect();
+    file.add("curve.terms", &[sums.len()], &sums);
+    if plan.blueprint.is_none() {
+        for (name, bound) in [("low", 0), ("high", 1)] {
+            let bounds: Vec<f64> = plan.spec.action.iter().map(|column| [column.low, column.high][bound]).collect();
+            file.add(format!("action.{name}"), &[bounds.len()], &bounds);
+        }
+    }
     for (prefix, numbers) in
         [("", &learnt.parameters), ("adam.first.", &learnt.adam.first), ("adam.second.", &learnt.adam.second)]
     {
@@ -135,8 +140,8 @@ pub fn is_used(out: &Path) -> bool {
 /// Says what differs if the checkpoint is not of the training of `plan`. The end of a training may differ.
 fn belongs(file: &Tensors, plan: &TrainingPlan) -> std::result::Result<(), String> {
     let text = |name: &str| file.text(name).map_err(|e| e.to_string());
-    let (task, seed) = (plan.blueprint.task.spec().id, plan.seed.to_string());
-    for (name, there, here) in [("task", text("task")?, task), ("seed", text("seed")?, &seed)] {
+    let seed = plan.seed.to_string();
+    for (name, there, here) in [("task", text("task")?, &plan.spec.id), ("seed", text("seed")?, &seed)] {
         if there != here {
             return Err(format!("its {name} is {there}, not {here}"));
         }
@@ -150,8 +155,7 @@ fn belongs(file: &Tensors, plan: &TrainingPlan) -> std::result::Result<(), Strin
     };
     let (there, here) = (ends(there), ends(plan.settings.clone()));
     differs(there.as_object(), here.as_object()).map_or(Ok(()), Err)?;
-    let here = json!(plan.blueprint.task.options());
-    differs(Some(&table("options")?), here.as_object()).map_or(Ok(()), Err)
+    differs(Some(&table("options")?), Some(&plan.spec.options)).map_or(Ok(()), Err)
 }
 
 /// The first value of `there` that is not in `here`. Names that only `here` has are of a newer version.
@@ -173,6 +177,7 @@ fn environments(
     away: bool,
 ) -> Result<std::result::Result<SavedEnvironments, String>> {
     let unfit = match file.text("environments").ok() {
+        None if plan.blueprint.is_none() => format!("{} cannot be saved", plan.spec.id),
         None => "the checkpoint has no environments".to_owned(),
         Some(place) if (place == "server") != away => {
             let place = if away { "this process" } else { "a server" };
@@ -196,7 +201,7 @@ fn read(file: &Tensors, plan: &TrainingPlan, away: bool) -> Result<Checkpoint> {
     if file.text("format")? != FORMAT {
         return Err(wrong(format!("it is {:?}, not {FORMAT:?}", file.text("format")?)));
     }
-    let (task, wanted) = (file.text("task")?, plan.blueprint.task.spec().id);
+    let (task, wanted) = (file.text("task")?, &plan.spec.id);
     if task != wanted {
         return Err(wrong(format!("it was learnt for {task}, not for {wanted}")));
     }
@@ -239,9 +244,20 @@ fn read(file: &Tensors, plan: &TrainingPlan, away: bool) -> Result<Checkpoint> {
         seconds: file.get("seconds", 1)?[0],
         environments: environments.as_ref().ok().cloned().map(Arc::new),
     };
-    let open = file.get("curve.open", 2).map_or([0.0; 2], |open| [open[0], open[1]]);
     let notices = environments.err().map(|why| format!("new episodes began at the resumption: {why}"));
-    Ok(Checkpoint { learnt, open, notices: notices.into_iter().collect() })
+    Ok(Checkpoint { learnt, open: open(file), notices: notices.into_iter().collect() })
+}
+
+/// What is open of the curve; files of earlier versions have no reward terms.
+fn open(file: &Tensors) -> OpenPoint {
+    let names: Vec<String> =
+        file.text("curve.terms").ok().and_then(|t| serde_json::from_str(t).ok()).unwrap_or_default();
+    let sums: Vec<f64> = file.get("curve.terms", names.len() + 1).unwrap_or_default();
+    OpenPoint {
+        episodes: file.get("curve.open", 2).map_or([0.0; 2], |open| [open[0], open[1]]),
+        updates: sums.first().copied().unwrap_or(0.0),
+        terms: names.into_iter().zip(sums.into_iter().skip(1)).collect(),
+    }
 }
 
 /// The file of a checkpoint in the results' folder `out`.

@@ -4,10 +4,10 @@ use super::learn::RolloutBuffer;
 use super::loss::ActionNoise;
 use super::network::{NetworkPass, Networks};
 use super::normal::{BatchMoments, NormalizerScales};
+use super::plan::TrainingPlan;
 use super::remote::of_part;
 use super::settings::Hyperparameters;
 use crate::env::Shard;
-use crate::env::registry::Blueprint;
 use crate::env::shard::Rows;
 use crate::env::snapshot::{Resumed, SavedEpisode};
 use crate::error::Result;
@@ -26,8 +26,8 @@ const LEVEL: &str = "level";
 /// The environments of a group.
 enum GroupEnvironments {
     Here(Box<Shard>),
-    /// On a server; the rows of their last step.
-    OnServer(Rows),
+    /// On a server or of another program; the rows of their last step.
+    Away(Rows),
 }
 
 impl GroupEnvironments {
@@ -35,7 +35,7 @@ impl GroupEnvironments {
     fn rows(&self) -> &Rows {
         match self {
             Self::Here(shard) => &shard.rows,
-            Self::OnServer(rows) => rows,
+            Self::Away(rows) => rows,
         }
     }
 }
@@ -55,6 +55,8 @@ pub struct RolloutGroup {
     pub data: RolloutBuffer,
     /// Did the episode end with this step?
     ended: Vec<bool>,
+    /// Rows of this rollout that are not transitions, because the step began the next episode.
+    pub skipped: Vec<usize>,
     /// Discounted sum of rewards of each environment, for their normalization.
     pub discounted: Vec<f64>,
     /// Statistics of the last step's observations and discounted sums.
@@ -79,50 +81,43 @@ pub struct PolicyContext<'a> {
 }
 
 impl RolloutGroup {
-    /// All environments of a training, without a state yet; `away`: on a server.
-    pub fn all(
-        blueprint: &Blueprint,
-        settings: &Hyperparameters,
-        networks: &Networks,
-        away: bool,
-    ) -> Result<Vec<Self>> {
-        let lanes = blueprint.engine.shard_size();
+    /// All environments of a training, without a state yet; `away`: not the training's own.
+    pub fn all(plan: &TrainingPlan, away: bool) -> Result<Vec<Self>> {
+        let settings = &plan.settings;
+        let lanes = plan.blueprint.as_ref().map_or(1, |blueprint| blueprint.engine.shard_size());
         let size = settings.n_envs.div_ceil(PIECES).next_multiple_of(lanes);
         let starts = (0..settings.n_envs).step_by(size);
         let piece = |start: usize| {
             let envs = size.min(settings.n_envs - start);
             let place = match away {
-                true => GroupEnvironments::OnServer(Rows::default()),
-                false => GroupEnvironments::Here(Box::new(Shard::new(blueprint, envs)?)),
+                true => GroupEnvironments::Away(Rows::default()),
+                false => GroupEnvironments::Here(Box::new(Shard::new(plan.task()?, envs)?)),
             };
-            Ok(Self::new(blueprint, envs, settings, networks, place))
+            Ok(Self::new(plan, envs, place))
         };
         starts.map(piece).collect()
     }
 
-    fn new(
-        blueprint: &Blueprint,
-        envs: usize,
-        settings: &Hyperparameters,
-        networks: &Networks,
-        place: GroupEnvironments,
-    ) -> Self {
-        let spec = blueprint.task.spec();
+    fn new(plan: &TrainingPlan, envs: usize, place: GroupEnvironments) -> Self {
+        let TrainingPlan { settings, networks, .. } = plan;
+        let [wide, width] = [networks.shape.observation, networks.shape.action];
+        let task = plan.blueprint.as_ref().map(|blueprint| blueprint.task.spec());
         Self {
             place,
             envs,
             random: Xoshiro256PlusPlus::seed_from_u64(0),
             pass: networks.pass(envs),
             spread: ActionNoise::default(),
-            clipped: vec![0.0; envs * spec.action.len()],
-            bounds: spec.action.iter().map(|c| [c.low as f32, c.high as f32]).collect(),
-            data: RolloutBuffer::new(envs * settings.n_steps, spec.observation.len(), spec.action.len()),
+            clipped: vec![0.0; envs * width],
+            bounds: plan.action_bounds(),
+            data: RolloutBuffer::new(envs * settings.n_steps, wide, width),
             ended: vec![false; envs * settings.n_steps],
+            skipped: Vec::new(),
             discounted: vec![0.0; envs],
-            seen: [BatchMoments::new(spec.observation.len()), BatchMoments::new(1)],
-            terms: vec![0.0; spec.reward.len()],
+            seen: [BatchMoments::new(wide), BatchMoments::new(1)],
+            terms: vec![0.0; task.map_or(0, |spec| spec.reward.len())],
             levels: Vec::new(),
-            level: spec.info.iter().position(|column| column.name == LEVEL),
+            level: task.and_then(|spec| spec.info.iter().position(|column| column.name == LEVEL)),
             running: vec![0.0; envs],
             finished: Vec::new(),
         }
@@ -136,17 +131,17 @@ impl RolloutGroup {
         }
     }
 
-    /// Begins the first episodes of environments on a server, which has returned `rows`.
+    /// Takes `rows`, the first ones of environments that are not the training's own.
     pub fn take(&mut self, rows: Rows) {
         self.seen[0].set(&rows.observations);
-        self.place = GroupEnvironments::OnServer(rows);
+        self.place = GroupEnvironments::Away(rows);
     }
 
-    /// The present episodes; None for environments on a server.
+    /// The present episodes; none of environments that are not the training's own.
     pub fn episodes(&self) -> Vec<SavedEpisode> {
         match &self.place {
             GroupEnvironments::Here(shard) => (0..self.envs).map(|i| shard.save(i)).collect(),
-            GroupEnvironments::OnServer(_) => Vec::new(),
+            GroupEnvironments::Away(_) => Vec::new(),
         }
     }
 
@@ -162,10 +157,11 @@ impl RolloutGroup {
     pub fn begin(&mut self, seed: u64) {
         self.random = Xoshiro256PlusPlus::seed_from_u64(seed);
         self.finished.clear();
+        self.skipped.clear();
         self.terms.fill(0.0);
     }
 
-    /// Makes step `step` of the rollout; for environments on a server it only computes the actions.
+    /// Makes step `step` of the rollout; for environments that are not the training's own it only computes the actions.
     pub fn act(&mut self, play: &PolicyContext, step: usize) {
         if step > 0 {
             self.pay(play, step - 1);
@@ -197,26 +193,32 @@ impl RolloutGroup {
         self.data.values[rows.clone()].copy_from_slice(&self.pass.values[..self.envs]);
         if let GroupEnvironments::Here(shard) = &mut self.place {
             shard.step(&self.clipped);
-            let infos = shard.rows.infos.chunks_exact(shard.rows.infos.len() / self.envs);
-            for row in infos.clone() {
-                self.terms.iter_mut().zip(row).for_each(|(sum, term)| *sum += f64::from(*term));
-            }
-            self.levels.clear();
-            self.levels.extend(self.level.iter().flat_map(|k| infos.clone().map(|row| row[*k])));
-            self.note(play, step);
+            self.note(play, step, &[]);
         }
     }
 
-    /// Stores the server's results of step `step`.
-    pub fn answered(&mut self, play: &PolicyContext, step: usize, rows: Rows) {
-        self.place = GroupEnvironments::OnServer(rows);
-        self.note(play, step);
+    /// Stores the results `rows` of step `step`, which the environments in `skipped` did not make.
+    pub fn answered(&mut self, play: &PolicyContext, step: usize, rows: Rows, skipped: &[bool]) {
+        self.place = GroupEnvironments::Away(rows);
+        self.note(play, step, skipped);
     }
 
     /// Stores the results of step `step`.
-    fn note(&mut self, play: &PolicyContext, step: usize) {
+    fn note(&mut self, play: &PolicyContext, step: usize, skipped: &[bool]) {
         let rows = self.place.rows();
+        let infos = rows.infos.chunks_exact((rows.infos.len() / self.envs).max(1));
+        for row in infos.clone() {
+            self.terms.iter_mut().zip(row).for_each(|(sum, term)| *sum += f64::from(*term));
+        }
+        self.levels.clear();
+        self.levels.extend(self.level.iter().flat_map(|k| infos.clone().map(|row| row[*k])));
+        let is_skipped = |i: &usize| skipped.get(*i) == Some(&true);
         for (i, row) in (step * self.envs..(step + 1) * self.envs).enumerate() {
+            if is_skipped(&i) {
+                self.skipped.push(row);
+                (self.data.rewards[row], self.ended[row]) = (0.0, false);
+                continue;
+            }
             let reward = f64::from(rows.rewards[i]);
             let ended = rows.terminated[i] + rows.truncated[i] > 0;
             self.data.rewards[row] = rows.rewards[i];
@@ -229,7 +231,8 @@ impl RolloutGroup {
         }
         if play.scales.is_some() {
             self.seen[0].set(&rows.observations);
-            self.seen[1].set(&self.discounted);
+            let made = (0..self.envs).filter(|i| !is_skipped(i)).map(|i| self.discounted[i]);
+            self.seen[1].set(&made.collect::<Vec<_>>());
         }
         for i in &rows.ended {
             self.discounted[*i as usize] = 0.0;

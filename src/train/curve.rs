@@ -9,13 +9,27 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 /// Steps and seconds so far, and the mean return of the episodes that ended since the point before.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct CurvePoint {
     pub steps: u64,
     pub seconds: f64,
     pub mean_return: f64,
     /// Mean level of the task's curriculum, if it has one.
     pub level: Option<f64>,
+    /// Each reward term, and its mean in a step since the point before. The mean in a step, not the sum of an episode, is our
+    /// choice: it is known when no episode has ended, and it does not depend on how long episodes are.
+    pub terms: Vec<(String, f64)>,
+}
+
+/// What has come since the last point.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct OpenPoint {
+    /// Sum of returns and number of the episodes.
+    pub episodes: [f64; 2],
+    /// Number of updates.
+    pub updates: f64,
+    /// Each reward term, and the sum of its means in the updates.
+    pub terms: Vec<(String, f64)>,
 }
 
 /// A growing curve, in memory and in its file.
@@ -23,42 +37,57 @@ pub struct LearningCurve {
     pub points: Vec<CurvePoint>,
     file: File,
     path: PathBuf,
-    /// Sum of returns and number of the episodes after the last point.
-    pub open: [f64; 2],
+    /// Names of the reward terms, which are the last columns.
+    terms: Vec<String>,
+    pub open: OpenPoint,
     /// Number of episodes in a point.
     enough: f64,
 }
 
 impl LearningCurve {
-    /// A curve in `path`. In a continued training it keeps the earlier points up to `until` steps, and starts with the
-    /// sums `open` of the episodes after them.
-    pub fn new(path: &Path, until: Option<u64>, open: [f64; 2], envs: usize) -> Result<Self> {
-        let points = match until {
-            Some(until) => read(path)?.into_iter().filter(|p| p.steps <= until).collect(),
-            None => Vec::new(),
-        };
-        let text: String =
-            std::iter::once("steps,seconds,return,level\n".to_owned()).chain(points.iter().map(line)).collect();
-        files::write(path, text.as_bytes())?;
-        let file = File::options().append(true).open(path).map_err(|e| Error::file(path, e))?;
+    /// A curve in `path`. In a continued training it keeps the earlier points up to `until` steps, and goes on with `open`.
+    pub fn new(path: &Path, until: Option<u64>, open: OpenPoint, envs: usize) -> Result<Self> {
+        let (terms, mut points) = if until.is_some() { read(path)? } else { Default::default() };
+        points.retain(|p| Some(p.steps) <= until);
+        let file = begun(path, &terms, &points)?;
         // A point has an eighth as many episodes as there are environments, as in the curves of examples/train.py.
-        Ok(Self { points, file, path: path.into(), open, enough: envs.div_ceil(8) as f64 })
+        Ok(Self { points, file, path: path.into(), terms, open, enough: envs.div_ceil(8) as f64 })
     }
 
     /// Adds the episodes of an update.
     pub fn note(&mut self, report: &UpdateReport) -> Result<()> {
+        let open = &mut self.open;
         if report.episodes > 0 {
-            self.open[0] += report.mean_return * report.episodes as f64;
-            self.open[1] += report.episodes as f64;
+            open.episodes[0] += report.mean_return * report.episodes as f64;
+            open.episodes[1] += report.episodes as f64;
         }
-        if self.open[1] < self.enough {
+        open.updates += 1.0;
+        for (name, mean) in &report.terms {
+            match open.terms.iter_mut().find(|(known, _)| known == name) {
+                Some((_, sum)) => *sum += mean,
+                None => open.terms.push((name.clone(), *mean)),
+            }
+        }
+        if open.episodes[1] < self.enough {
             return Ok(());
         }
-        let [sum, count] = std::mem::take(&mut self.open);
-        let point =
-            CurvePoint { steps: report.steps, seconds: report.seconds, mean_return: sum / count, level: report.level };
+        let OpenPoint { episodes: [sum, count], updates, terms } = std::mem::take(open);
+        let point = CurvePoint {
+            steps: report.steps,
+            seconds: report.seconds,
+            mean_return: sum / count,
+            level: report.level,
+            terms: terms.into_iter().map(|(name, sum)| (name, sum / updates)).collect(),
+        };
+        let new: Vec<_> = point.terms.iter().map(|(name, _)| name).filter(|name| !self.terms.contains(name)).collect();
+        if !new.is_empty() {
+            // Other programs' terms have names only when they come.
+            self.terms.extend(new.into_iter().cloned());
+            self.file = begun(&self.path, &self.terms, &self.points)?;
+        }
+        let written = self.file.write_all(line(&point, &self.terms).as_bytes());
         self.points.push(point);
-        self.file.write_all(line(&point).as_bytes()).map_err(|e| Error::file(&self.path, e))
+        written.map_err(|e| Error::file(&self.path, e))
     }
 
     /// Writes all points to the disk.
@@ -89,33 +118,88 @@ impl LearningCurve {
     }
 }
 
-fn line(point: &CurvePoint) -> String {
-    let level = point.level.map_or(String::new(), |level| format!("{level:.3}"));
-    format!("{},{:.2},{:.3},{level}\n", point.steps, point.seconds, point.mean_return)
+/// The file with its header and `points`, to which more are added.
+fn begun(path: &Path, terms: &[String], points: &[CurvePoint]) -> Result<File> {
+    let header = ["steps,seconds,return,level"].into_iter().chain(terms.iter().map(String::as_str));
+    let lines = points.iter().map(|point| line(point, terms));
+    let text = header.collect::<Vec<_>>().join(",") + "\n" + &lines.collect::<String>();
+    files::write(path, text.as_bytes())?;
+    File::options().append(true).open(path).map_err(|e| Error::file(path, e))
 }
 
-/// The points of a file, if there is one. A last line without an end was cut off when a process was killed, and is left
-/// out.
-fn read(path: &Path) -> Result<Vec<CurvePoint>> {
+fn line(point: &CurvePoint, terms: &[String]) -> String {
+    let level = point.level.map_or(String::new(), |level| format!("{level:.3}"));
+    let mean = |name: &String| point.terms.iter().find(|(known, _)| known == name);
+    let terms = terms.iter().map(|name| mean(name).map_or(",".into(), |(_, mean)| format!(",{}", *mean as f32)));
+    format!("{},{:.2},{:.3},{level}{}\n", point.steps, point.seconds, point.mean_return, terms.collect::<String>())
+}
+
+/// The names of the reward terms and the points of a file, if there is one. A last line without an end was cut off when a
+/// process was killed, and is left out.
+fn read(path: &Path) -> Result<(Vec<String>, Vec<CurvePoint>)> {
     let bytes = match std::fs::read(path) {
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Default::default()),
         bytes => bytes.map_err(|e| Error::file(path, e))?,
     };
     let text = String::from_utf8_lossy(&bytes);
     let whole = text.rsplit_once('\n').map_or("", |(whole, _)| whole);
+    let mut lines = whole.lines();
+    let terms: Vec<String> = lines.next().unwrap_or_default().split(',').skip(4).map(str::to_owned).collect();
     let point = |(k, line): (usize, &str)| {
         let cells: Vec<_> = line.split(',').collect();
         let read = || {
             // Curves of earlier versions have no level.
-            let [steps, seconds, mean_return, ref level @ ..] = cells[..] else { return None };
+            let [steps, seconds, mean_return, ref more @ ..] = cells[..] else { return None };
+            let number = |cell: &&str| cell.parse::<f64>().ok();
+            let term = |(name, cell): (&String, &&str)| Some((name.clone(), number(cell)?));
             Some(CurvePoint {
                 steps: steps.parse().ok()?,
                 seconds: seconds.parse().ok()?,
                 mean_return: mean_return.parse().ok()?,
-                level: level.first().and_then(|level| level.parse().ok()),
+                level: more.first().and_then(number),
+                terms: terms.iter().zip(more.iter().skip(1)).filter_map(term).collect(),
             })
         };
-        read().ok_or_else(|| Error::file(path, format!("line {}: not steps, seconds and a return", k + 1)))
+        read().ok_or_else(|| Error::file(path, format!("line {}: not steps, seconds and a return", k + 2)))
     };
-    whole.lines().enumerate().skip(1).map(point).collect()
+    let points = lines.enumerate().map(point).collect::<Result<_>>()?;
+    Ok((terms, points))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn report(steps: u64, terms: &[(&str, f64)]) -> UpdateReport {
+        let terms = terms.iter().map(|(name, mean)| ((*name).to_owned(), *mean)).collect();
+        UpdateReport { steps, episodes: 1, mean_return: 2.0, terms, ..UpdateReport::default() }
+    }
+
+    /// Terms are means over the updates since the point before; they get columns when they come, also in a file of an
+    /// earlier version, and are read again.
+    #[test]
+    fn terms_get_columns() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("curve.csv");
+        let text = || std::fs::read_to_string(&path).unwrap();
+        for (old, head) in
+            [("steps,seconds,return\n", "8,1.00,-3.000"), ("steps,seconds,return,level\n", "8,1.00,-3.000,")]
+        {
+            std::fs::write(&path, format!("{old}{head}\n16,2.")).unwrap();
+            let mut curve = LearningCurve::new(&path, Some(8), OpenPoint::default(), 16).unwrap();
+            assert_eq!(text(), "steps,seconds,return,level\n8,1.00,-3.000,\n");
+            curve.note(&report(16, &[("reward_a", 1.0), ("reward_b", -0.25)])).unwrap();
+            curve.note(&report(24, &[("reward_a", 2.0), ("reward_b", -0.75)])).unwrap();
+            curve.note(&report(32, &[("reward_c", 1e-7)])).unwrap();
+            curve.note(&report(40, &[("reward_c", 1e-7)])).unwrap();
+            let end = "24,0.00,2.000,,1.5,-0.5,\n40,0.00,2.000,,,,0.0000001\n";
+            assert_eq!(
+                text(),
+                format!("steps,seconds,return,level,reward_a,reward_b,reward_c\n8,1.00,-3.000,,,,\n{end}")
+            );
+            let again = LearningCurve::new(&path, Some(24), OpenPoint::default(), 16).unwrap();
+            assert_eq!(again.points[1].terms, [("reward_a".to_owned(), 1.5), ("reward_b".to_owned(), -0.5)]);
+            assert!(text().ends_with("reward_c\n8,1.00,-3.000,,,,\n24,0.00,2.000,,1.5,-0.5,\n"));
+        }
+    }
 }

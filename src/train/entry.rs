@@ -1,6 +1,6 @@
 //! Entries of hyperparameter files, one for each task.
 
-use super::settings::Hyperparameters;
+use super::settings::{Hyperparameters, MOST_SAMPLES, float};
 use super::yaml;
 use crate::env::registry::TASK_IDS;
 use crate::error::{Error, Result};
@@ -32,14 +32,56 @@ pub fn ends(timesteps: Option<u64>, seconds: Option<f64>) -> Vec<(String, Value)
 /// The entry of `task` in `file`, or in the program's own file, with `changes`.
 pub fn settings(file: Option<&Path>, task: &str, changes: Vec<(String, Value)>) -> Result<Hyperparameters> {
     let mut entry = entry(file, task)?;
+    change(&mut entry, changes);
+    Hyperparameters::from_entry(&entry)
+}
+
+/// Samples of a rollout, and the number of its minibatches: those of PPO's paper for MuJoCo (Schulman et al. 2017,
+/// arXiv:1707.06347, table 3) and of CleanRL. Least number of steps in a rollout and of samples in a minibatch: our choice, so
+/// that advantages of many environments still look ahead, and small rollouts do not make noisy gradients.
+const SAMPLES: usize = 2048;
+const MINIBATCHES: usize = 32;
+const LEAST_STEPS: usize = 16;
+const LEAST_BATCH: usize = 64;
+
+/// Settings for `envs` environments of another program: the entry `name` of `file`, or those of stable-baselines3 with
+/// normalization and a falling learning rate as in CleanRL; with `changes`. If they limit only the time, the number of steps
+/// has no limit.
+pub fn external(
+    file: Option<&Path>,
+    name: &str,
+    envs: usize,
+    changes: Vec<(String, Value)>,
+) -> Result<Hyperparameters> {
+    let mut entry = match file {
+        Some(_) => entry(file, name)?,
+        None => Map::from_iter([("normalize".into(), json!(true)), ("learning_rate".into(), json!("lin_3e-4"))]),
+    };
+    entry.insert("n_envs".into(), json!(envs));
+    if changes.iter().any(|(name, value)| name == "seconds" && !value.is_null()) {
+        entry.insert("n_timesteps".into(), json!(1e12));
+    }
+    change(&mut entry, changes);
+    if float(&entry["n_envs"]) != Some(envs as f64) {
+        return Err(Error::invalid("n_envs", format!("{} is not the environment's num_envs, {envs}", entry["n_envs"])));
+    }
+    if file.is_none() {
+        let steps = entry.entry("n_steps").or_insert_with(|| json!((SAMPLES / envs.max(1)).max(LEAST_STEPS)));
+        let samples = envs.saturating_mul(float(steps).map_or(1, |steps| steps as usize));
+        let batch = (samples / MINIBATCHES).max(LEAST_BATCH).min(samples).min(MOST_SAMPLES);
+        entry.entry("batch_size").or_insert_with(|| json!(batch));
+    }
+    Hyperparameters::from_entry(&entry)
+}
+
+/// Replaces values of `entry`; a dictionary changes key by key.
+fn change(entry: &mut Map<String, Value>, changes: Vec<(String, Value)>) {
     for (name, value) in changes {
-        // A dictionary changes key by key.
         match (entry.get_mut(&name), value) {
             (Some(Value::Object(old)), Value::Object(new)) => old.extend(new),
             (_, value) => drop(entry.insert(name, value)),
         }
     }
-    Hyperparameters::from_entry(&entry)
 }
 
 fn entry(file: Option<&Path>, task: &str) -> Result<Map<String, Value>> {
@@ -86,6 +128,29 @@ mod tests {
             assert_eq!((read.gamma, read.learning_rate.falls, read.mirror), (0.95, true, Some(true)));
             // settings.json gives the same settings again.
             assert_eq!(Hyperparameters::from_entry(read.json().as_object().unwrap()).unwrap(), read);
+        }
+    }
+
+    #[test]
+    fn settings_of_other_environments_suit_their_number() {
+        let of = |envs, changes: &[&str]| {
+            external(None, "Pendulum-v1", envs, changes.iter().map(|c| pair("--set", c).unwrap()).collect())
+        };
+        for (envs, steps, batch) in [(1, 2048, 64), (16, 128, 64), (1000, 16, 500)] {
+            let settings = of(envs, &[]).unwrap();
+            assert_eq!((settings.n_envs, settings.n_steps, settings.batch_size), (envs, steps, batch));
+            assert!(settings.normalize && settings.n_timesteps == 1_000_000);
+        }
+        assert_eq!(of(3, &["n_steps=4", "n_envs=3.0"]).unwrap().batch_size, 12);
+        assert_eq!(of(3, &["seconds=5"]).unwrap().n_timesteps, 1_000_000_000_000);
+        assert_eq!(of(3, &["seconds=5", "n_timesteps=7"]).unwrap().n_timesteps, 7);
+        for (change, says) in [
+            ("n_envs=4", "n_envs: 4 is not the environment's num_envs, 3"),
+            ("n_steps=high", "n_steps: \"high\" is no number"),
+            ("n_steps=1e300", "n_steps: "),
+        ] {
+            let error = of(3, &[change]).unwrap_err().to_string();
+            assert!(error.starts_with(says), "{error}");
         }
     }
 

@@ -7,7 +7,6 @@ use crate::policy::write::OnnxWriter;
 
 /// The policy without noise as the bytes of an ONNX file, from the environments' observations to actions.
 pub fn onnx(plan: &TrainingPlan, learnt: &TrainingState) -> Vec<u8> {
-    let spec = plan.blueprint.task.spec();
     let shape = &plan.networks.shape;
     let mut file = OnnxWriter::new(shape.observation);
     let mut x = file.input();
@@ -22,7 +21,16 @@ pub fn onnx(plan: &TrainingPlan, learnt: &TrainingState) -> Vec<u8> {
         x = file.normalize(&x, &rest, &scale, CLIP);
     }
     let parameters = &learnt.parameters;
-    let layers: Vec<[Vec<f32>; 2]> = shape.actor.iter().map(|layer| numbers(layer, parameters)).collect();
+    let mut layers: Vec<[Vec<f32>; 2]> = shape.actor.iter().map(|layer| numbers(layer, parameters)).collect();
+    let bounds: Vec<[f32; 2]> = plan.spec.action.iter().map(|c| [c.low as f32, c.high as f32]).collect();
+    if plan.blueprint.is_none() {
+        // From ±1 to the ends of the action space.
+        let [weights, bias] = &mut layers[shape.actor.len() - 1];
+        for row in weights.chunks_exact_mut(shape.action).chain([&mut bias[..]]) {
+            row.iter_mut().zip(&bounds).for_each(|(w, [low, high])| *w *= 0.5 * (high - low));
+        }
+        bias.iter_mut().zip(&bounds).for_each(|(b, [low, high])| *b += 0.5 * (low + high));
+    }
     let action = match &plan.networks.mirror {
         None => through(&mut file, &x, &layers),
         // The mirrors only permute columns and change signs, so they can be included in the outer layers' weights
@@ -49,7 +57,6 @@ pub fn onnx(plan: &TrainingPlan, learnt: &TrainingState) -> Vec<u8> {
             file.add(&own, &image)
         }
     };
-    let bounds: Vec<[f32; 2]> = spec.action.iter().map(|c| [c.low as f32, c.high as f32]).collect();
     let action = file.clip_row(&action, &bounds);
     file.finish(&action, shape.action)
 }
@@ -103,7 +110,7 @@ mod tests {
                     (*mean, *variance) = (0.1 * k as f64, 0.5 + k as f64);
                 }
             }
-            let spec = plan.blueprint.task.spec();
+            let spec = plan.task().unwrap().task.spec();
             let Networks { shape, .. } = &plan.networks;
             let rows = 20;
             let observations: Vec<f32> = (0..rows * shape.observation).map(|k| 3.0 * (k as f32).sin()).collect();

@@ -39,9 +39,21 @@ impl RolloutBuffer {
         self.all().into_iter().for_each(Vec::clear);
     }
 
-    /// Adds the rows of `other`.
-    pub fn append(&mut self, other: &mut Self) {
-        self.all().into_iter().zip(other.all()).for_each(|(all, more)| all.extend_from_slice(more));
+    /// Number of rows.
+    pub fn rows(&self) -> usize {
+        self.rewards.len()
+    }
+
+    /// Adds the rows of `other` except those in `skipped`, which ascend.
+    pub fn append(&mut self, other: &mut Self, skipped: &[usize]) {
+        let rows = other.rows();
+        for (all, more) in self.all().into_iter().zip(other.all()) {
+            let (width, mut first) = (more.len() / rows, 0);
+            for end in skipped.iter().copied().chain([rows]) {
+                all.extend_from_slice(&more[first * width..end * width]);
+                first = end + 1;
+            }
+        }
     }
 
     fn all(&mut self) -> [&mut Vec<f32>; 7] {
@@ -175,5 +187,24 @@ impl Chunk {
         self.gradient.fill(0.0);
         self.gradient[shape.log_std.clone()].copy_from_slice(&self.log_std);
         networks.backward(parameters, &mut self.pass, &self.means, &self.values, &mut self.gradient);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn skipped_rows_are_left_out() {
+        let mut part = RolloutBuffer::new(5, 2, 1);
+        part.observations = (0..10).map(|k| k as f32).collect();
+        part.rewards = (0..5).map(|k| k as f32).collect();
+        let mut all = RolloutBuffer::default();
+        all.append(&mut part, &[0, 2, 4]);
+        all.append(&mut part, &[]);
+        all.append(&mut part, &[0, 1, 2, 3, 4]);
+        assert_eq!(all.rewards, [1.0, 3.0, 0.0, 1.0, 2.0, 3.0, 4.0]);
+        assert_eq!(all.observations[..6], [2.0, 3.0, 6.0, 7.0, 0.0, 1.0]);
+        assert_eq!((all.rows(), all.actions.len()), (7, 7));
     }
 }

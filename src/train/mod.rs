@@ -53,6 +53,6 @@ mod yaml;
 pub use curve::CurvePoint;
 pub use export::onnx;
 pub use mirror::Mirror;
-pub use plan::{Observer, TrainingPlan, TrainingState, UpdateReport};
+pub use plan::{ExternalSpaces, Observer, TrainingPlan, TrainingSpec, TrainingState, UpdateReport};
 pub use run::{Connect, PolicyScore, TrainingOutcome, TrainingRequest};
 pub use settings::Hyperparameters;

@@ -54,6 +54,9 @@ impl BatchMoments {
         self.count = (rows.len() / width) as f64;
         self.mean.fill(0.0);
         self.squares.fill(0.0);
+        if rows.is_empty() {
+            return;
+        }
         for row in rows.chunks_exact(width) {
             self.mean.iter_mut().zip(row).for_each(|(sum, x)| *sum += (*x).into());
         }
@@ -68,6 +71,9 @@ impl BatchMoments {
 
     /// Moments of these rows and of others together.
     pub fn join(&mut self, other: &Self) {
+        if other.count == 0.0 {
+            return;
+        }
         let total = self.count + other.count;
         for k in 0..self.mean.len() {
             let delta = other.mean[k] - self.mean[k];

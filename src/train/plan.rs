@@ -6,12 +6,17 @@ use super::network::{NetworkSizes, Networks};
 use super::normal::Normalizer;
 use super::saved_environments::SavedEnvironments;
 use super::settings::Hyperparameters;
+use crate::env::Column;
 use crate::env::registry::Blueprint;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::number::Isa;
 use rand::SeedableRng as _;
 use rand_xoshiro::Xoshiro256PlusPlus;
+use serde_json::{Map, Value};
 use std::sync::Arc;
+
+/// Most numbers in the observations and actions of a rollout: our choice, 4 GiB.
+const MOST_NUMBERS: usize = 1 << 30;
 
 /// The state of a training: everything that is needed to continue it.
 #[derive(Clone, Debug, PartialEq)]
@@ -46,9 +51,28 @@ impl<F: FnMut(&TrainingState, &UpdateReport) -> Result<()>> Observer for F {
     }
 }
 
-/// The task, networks and settings of a training.
+/// What a training knows of its environments.
+pub struct TrainingSpec {
+    /// The task's id, or the name of another program's environment.
+    pub id: String,
+    /// All options of the task, or what identifies another program's environment.
+    pub options: Map<String, Value>,
+    pub observation: Vec<Column>,
+    pub action: Vec<Column>,
+}
+
+/// Bounds of each number of another program's observations and actions.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ExternalSpaces {
+    pub observation: Vec<[f64; 2]>,
+    pub action: Vec<[f64; 2]>,
+}
+
+/// The environments, networks and settings of a training.
 pub struct TrainingPlan {
-    pub blueprint: Blueprint,
+    pub spec: TrainingSpec,
+    /// The task; None if the environments are those of another program.
+    pub blueprint: Option<Blueprint>,
     pub settings: Hyperparameters,
     pub networks: Networks,
     pub seed: u64,
@@ -56,7 +80,7 @@ pub struct TrainingPlan {
 }
 
 /// Results of an update.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct UpdateReport {
     pub steps: u64,
     pub seconds: f64,
@@ -76,24 +100,82 @@ pub struct UpdateReport {
     pub deviation: f64,
     /// Share of the training's time that the rollouts took.
     pub simulation: f64,
-    /// Mean level of the task's curriculum at the end of the rollout; None if it has none, or on a server.
+    /// Mean level of the task's curriculum at the end of the rollout; None if it has none.
     pub level: Option<f64>,
-    /// Mean of each reward term in a step; empty for environments on a server.
-    pub terms: Vec<f64>,
+    /// Each reward term of `info` by its name, and its mean in a step.
+    pub terms: Vec<(String, f64)>,
 }
 
 impl TrainingPlan {
     pub fn new(blueprint: Blueprint, settings: Hyperparameters, seed: u64, threads: usize) -> Result<Self> {
         let spec = blueprint.task.spec();
-        let shape = NetworkSizes::new(spec.observation.len(), spec.action.len(), &settings.net_arch);
         let mirror = match settings.mirror {
             Some(true) => Some(Mirror::both(&blueprint)?),
             Some(false) => None,
             None => Mirror::both(&blueprint).ok(),
         };
+        let spec = TrainingSpec {
+            id: spec.id.into(),
+            options: blueprint.task.options(),
+            observation: spec.observation.clone(),
+            action: spec.action.clone(),
+        };
+        Self::with(spec, Some(blueprint), mirror, settings, [seed, threads as u64])
+    }
+
+    /// The plan for another program's environments, which `id` and `options` identify.
+    pub fn external(
+        id: &str,
+        options: Map<String, Value>,
+        spaces: &ExternalSpaces,
+        settings: Hyperparameters,
+        [seed, threads]: [u64; 2],
+    ) -> Result<Self> {
+        let column = |name: &str, bounds: &[[f64; 2]]| -> Vec<Column> {
+            let named = |(k, [low, high]): (usize, &[f64; 2])| Column::new(format!("{name}[{k}]"), "", *low, *high);
+            bounds.iter().enumerate().map(named).collect()
+        };
+        let spec = TrainingSpec {
+            id: id.into(),
+            options,
+            observation: column("observation", &spaces.observation),
+            action: column("action", &spaces.action),
+        };
+        if settings.mirror == Some(true) {
+            return Err(Error::invalid("mirror", "left and right are known for the program's own tasks only"));
+        }
+        let numbers = (settings.n_envs * settings.n_steps).saturating_mul(spec.observation.len() + spec.action.len());
+        if numbers > MOST_NUMBERS {
+            let reason = format!("{numbers} numbers in a rollout are more than {MOST_NUMBERS}");
+            return Err(Error::invalid("n_envs · n_steps · (observation + action)", reason));
+        }
+        Self::with(spec, None, None, settings, [seed, threads])
+    }
+
+    fn with(
+        spec: TrainingSpec,
+        blueprint: Option<Blueprint>,
+        mirror: Option<[Mirror; 2]>,
+        settings: Hyperparameters,
+        [seed, threads]: [u64; 2],
+    ) -> Result<Self> {
+        let shape = NetworkSizes::new(spec.observation.len(), spec.action.len(), &settings.net_arch);
         let settings = Hyperparameters { mirror: Some(mirror.is_some()), ..settings };
         let networks = Networks { shape, mirror, isa: Isa::choose()? };
-        Ok(Self { blueprint, settings, networks, seed, threads: threads.max(1) })
+        Ok(Self { spec, blueprint, settings, networks, seed, threads: (threads as usize).max(1) })
+    }
+
+    /// The task.
+    pub fn task(&self) -> Result<&Blueprint> {
+        let missing = || Error::Internal(format!("{} is no task of this program", self.spec.id));
+        self.blueprint.as_ref().ok_or_else(missing)
+    }
+
+    /// Bounds of the policy's actions. For another program's environments they are ±1, which stand for the ends of the action
+    /// space.
+    pub fn action_bounds(&self) -> Vec<[f32; 2]> {
+        let own = |column: &Column| [column.low as f32, column.high as f32];
+        self.spec.action.iter().map(|c| if self.blueprint.is_some() { own(c) } else { [-1.0, 1.0] }).collect()
     }
 
     /// The initial state.

@@ -1,6 +1,7 @@
 //! Files of a design study's trainings, from which a stopped study continues.
 
 use super::checkpoint;
+use super::curve::OpenPoint;
 use super::plan::{TrainingPlan, TrainingState};
 use crate::error::Result;
 use crate::files;
@@ -18,14 +19,14 @@ pub struct TrainingRecord {
 impl TrainingRecord {
     /// Training `training` of design number `design`; `before`: the designs of its warm start.
     pub fn new(out: &Path, design: usize, training: usize, plan: &TrainingPlan, before: &[Vec<String>]) -> Self {
-        let model = plan.blueprint.task.model();
+        let model = plan.blueprint.as_ref().map(|blueprint| blueprint.task.model());
         let key = json!({
             "version": env!("CARGO_PKG_VERSION"),
             "instruction_set": plan.networks.isa.name(),
-            "task": plan.blueprint.task.spec().id,
-            "options": plan.blueprint.task.options(),
-            "robot": model.robot,
-            "scene": model.scene,
+            "task": plan.spec.id,
+            "options": plan.spec.options,
+            "robot": model.map(|model| &model.robot),
+            "scene": model.map(|model| &model.scene),
             "settings": plan.settings.json(),
             "seed": plan.seed,
             "before": before,
@@ -52,7 +53,7 @@ impl TrainingRecord {
     pub fn write(&self, plan: &TrainingPlan, learnt: &TrainingState, onnx: &[u8], measures: &[f64; 3]) -> Result<()> {
         let keep = |ending: &str, content: &[u8]| files::write(&self.file(ending), content);
         let policy = TrainingState { environments: None, ..learnt.clone() };
-        checkpoint::save(&self.file("safetensors"), plan, &policy, [0.0; 2])?;
+        checkpoint::save(&self.file("safetensors"), plan, &policy, &OpenPoint::default())?;
         keep("onnx", onnx)?;
         let about = json!({"measures": measures, "steps": learnt.steps, "seconds": learnt.seconds, "key": self.key});
         keep("json", format!("{about:#}\n").as_bytes())

@@ -1,4 +1,4 @@
-//! Environments on a server, from which the training gets the same rows as from environments in this process.
+//! Environments on a server or of another program, from which the training gets the same rows as from its own.
 
 use crate::env::shard::Rows;
 use crate::error::Result;
@@ -7,31 +7,42 @@ use std::ops::Range;
 /// Called while waiting for an answer; its error ends the wait.
 pub type Pause<'a> = &'a mut dyn FnMut() -> Result<()>;
 
-/// All environments of a training, on a server. Each call waits for its answer.
+/// All environments of a training, on a server or of another program. Each call waits for its answer.
 pub trait RemoteEnvironments: Send {
     /// Begins an episode in each environment; one seed for each environment.
     fn reset(&mut self, seeds: &[u64], pause: Pause) -> Result<Rows>;
     /// Makes a step; `actions` is f32 [envs, action]. If an episode ends, the next one begins at once.
     fn step(&mut self, actions: &[f32], pause: Pause) -> Result<Rows>;
-    /// Saves all environments.
-    fn save(&mut self, pause: Pause) -> Result<Vec<u8>>;
+    /// Saves all environments; None if they cannot be saved.
+    fn save(&mut self, pause: Pause) -> Result<Option<Vec<u8>>>;
     /// Restores saved environments.
     fn restore(&mut self, snapshot: &[u8], pause: Pause) -> Result<Rows>;
+
+    /// The environments that have ignored their action in the last step, because it began their next episode: one flag for
+    /// each environment, or none if no environment ever does this. Such a step is not learnt from.
+    fn skipped(&self) -> &[bool] {
+        &[]
+    }
+
+    /// Mean of each reward term in a step since the call before; None: the rows' infos have the task's terms.
+    fn terms(&mut self) -> Result<Option<Vec<(String, f64)>>> {
+        Ok(None)
+    }
 }
 
-/// Environments on a server, if the training uses one.
+/// Environments that are not the training's own, if it uses such.
 pub type OptionalRemote<'a> = Option<&'a mut (dyn RemoteEnvironments + 'static)>;
 
-/// The rows of the environments in `part`, counted from its start. A server's rows have no infos.
+/// The rows of the environments in `part`, counted from its start.
 pub fn of_part(rows: &Rows, part: Range<usize>) -> Rows {
-    let wide = rows.observations.len() / rows.rewards.len().max(1);
+    let [wide, info] = [&rows.observations, &rows.infos].map(|all| all.len() / rows.rewards.len().max(1));
     let ended = || (0..rows.ended.len()).filter(|k| part.contains(&(rows.ended[*k] as usize)));
     Rows {
         observations: rows.observations[part.start * wide..part.end * wide].to_vec(),
         rewards: rows.rewards[part.clone()].to_vec(),
         terminated: rows.terminated[part.clone()].to_vec(),
         truncated: rows.truncated[part.clone()].to_vec(),
-        infos: Vec::new(),
+        infos: rows.infos[part.start * info..part.end * info].to_vec(),
         ended: ended().map(|k| rows.ended[k] - part.start as u32).collect(),
         final_observations: ended().flat_map(|k| &rows.final_observations[k * wide..][..wide]).copied().collect(),
     }
@@ -48,7 +59,7 @@ mod tests {
             rewards: vec![0.0, 1.0, 2.0, 3.0, 4.0],
             terminated: vec![0, 1, 0, 0, 0],
             truncated: vec![0, 0, 0, 1, 1],
-            infos: Vec::new(),
+            infos: vec![0.1, 0.2, 0.3, 0.4, 0.5],
             ended: vec![1, 3, 4],
             final_observations: vec![10.0, 11.0, 30.0, 31.0, 40.0, 41.0],
         };
@@ -58,7 +69,7 @@ mod tests {
             rewards: vec![2.0, 3.0],
             terminated: vec![0, 0],
             truncated: vec![0, 1],
-            infos: Vec::new(),
+            infos: vec![0.3, 0.4],
             ended: vec![1],
             final_observations: vec![30.0, 31.0],
         };

@@ -1,9 +1,9 @@
 //! A training with all its files: `settings.json`, `curve.csv`, checkpoints, TensorBoard's events and, at the end,
 //! the policy, its score over unseen seeds, the learning curve and a film.
 
-use super::curve::{CurvePoint, LearningCurve};
+use super::curve::{CurvePoint, LearningCurve, OpenPoint};
 use super::events::EventFile;
-use super::plan::{Observer, TrainingPlan, TrainingState, UpdateReport};
+use super::plan::{ExternalSpaces, Observer, TrainingPlan, TrainingState, UpdateReport};
 use super::remote::{Pause, RemoteEnvironments};
 use super::settings::Hyperparameters;
 use super::{checkpoint, describe, export, film};
@@ -27,14 +27,18 @@ const TRAINING: f64 = 0.97;
 /// Interval of checks whether the training was stopped: our choice, well below the 100 ms that a person notices.
 const PATIENCE: Duration = Duration::from_millis(20);
 
-/// Makes environments on a server, from a blueprint, its options and a number.
-pub type Connect = dyn Fn(&Blueprint, &Value, usize, Pause) -> Result<Box<dyn RemoteEnvironments>> + Send + Sync;
+/// Makes environments that are not the training's own, from its plan and the options that its request has.
+pub type Connect = dyn Fn(&TrainingPlan, &Value, Pause) -> Result<Box<dyn RemoteEnvironments>> + Send + Sync;
 
 /// A request for a training.
 pub struct TrainingRequest {
+    /// The task's id, or the name of another program's environments.
     pub task: String,
-    /// Keywords of the task; without them the settings' `env_kwargs` apply.
+    /// Keywords of the task; without them the settings' `env_kwargs` apply. For another program's environments all that
+    /// identifies them besides their name.
     pub options: Value,
+    /// The spaces of another program's environments, which `connect` gives; None: the environments are of a task.
+    pub external: Option<ExternalSpaces>,
     pub settings: Hyperparameters,
     pub seed: u64,
     pub threads: usize,
@@ -59,7 +63,7 @@ pub struct TrainingOutcome {
     /// What differs from going on with the newest checkpoint as it is, one sentence each: checkpoints that were skipped, and
     /// the reason for new episodes.
     pub notices: Vec<String>,
-    /// The policy without noise over 100 unseen seeds; None for LegStroke.
+    /// The policy without noise over 100 unseen seeds; None for LegStroke and for other programs' environments.
     pub score: Option<PolicyScore>,
 }
 
@@ -77,14 +81,13 @@ impl TrainingRequest {
     /// Trains, and writes all files into the folder. A training that is stopped leaves a checkpoint.
     pub fn run(&self, progress: &dyn Progress) -> Result<TrainingOutcome> {
         let options = self.options()?;
-        let blueprint = Blueprint::new(&self.task, options.clone())?;
-        let plan = TrainingPlan::new(blueprint, self.settings.clone(), self.seed, self.threads)?;
+        let plan = self.plan(&options)?;
         let lock = self.out.is_dir().then(|| self.lock()).transpose()?;
         let checkpoint::Checkpoint { learnt, open, notices } = self.begin(&plan)?;
         let mut remote = match &self.connect {
             Some(connect) => {
                 let pause = &mut || progress.report(0.0, "connecting");
-                Some(connect(&plan.blueprint, &options, self.settings.n_envs, pause)?)
+                Some(connect(&plan, &options, pause)?)
             }
             None => None,
         };
@@ -137,6 +140,20 @@ impl TrainingRequest {
         Ok(TrainingOutcome { learnt, last: diary.last, curve: diary.curve.points, notices, score })
     }
 
+    fn plan(&self, options: &Value) -> Result<TrainingPlan> {
+        let settings = self.settings.clone();
+        match &self.external {
+            Some(_) if !settings.env_kwargs.is_empty() => {
+                Err(Error::invalid("env_kwargs", "the environments are made already"))
+            }
+            Some(spaces) => {
+                let options = options.as_object().cloned().unwrap_or_default();
+                TrainingPlan::external(&self.task, options, spaces, settings, [self.seed, self.threads as u64])
+            }
+            None => TrainingPlan::new(Blueprint::new(&self.task, options.clone())?, settings, self.seed, self.threads),
+        }
+    }
+
     fn lock(&self) -> Result<Lock> {
         Lock::new(&self.out, "choose another one with --out, or wait until it has ended")
     }
@@ -163,7 +180,7 @@ impl TrainingRequest {
             (false, Some(other)) => plan.begin_from(&checkpoint::load(other, plan, away)?.learnt),
             (false, None) => plan.begin(),
         };
-        Ok(checkpoint::Checkpoint { learnt, open: [0.0; 2], notices: Vec::new() })
+        Ok(checkpoint::Checkpoint { learnt, open: OpenPoint::default(), notices: Vec::new() })
     }
 
     fn options(&self) -> Result<Value> {
@@ -176,7 +193,7 @@ impl TrainingRequest {
         Ok(Value::Object(options))
     }
 
-    /// Writes the policy, evaluates it over unseen seeds and records a film.
+    /// Writes the policy. If the environments are of a task, evaluates it over unseen seeds and records a film.
     fn keep(
         &self,
         plan: &TrainingPlan,
@@ -188,8 +205,9 @@ impl TrainingRequest {
         self.write("policy.onnx", &onnx)?;
         self.write("policy.json", format!("{:#}\n", describe::policy(plan)).as_bytes())?;
         let policy = TrainingState { environments: None, ..learnt.clone() };
-        checkpoint::save(&self.out.join("policy.safetensors"), plan, &policy, [0.0; 2])?;
-        let spec = plan.blueprint.task.spec();
+        checkpoint::save(&self.out.join("policy.safetensors"), plan, &policy, &OpenPoint::default())?;
+        let Some(blueprint) = &plan.blueprint else { return Ok(None) };
+        let spec = blueprint.task.spec();
         let network = Network::new(&onnx, spec)?;
         let (recording, picture) = (self.out.join("walk.rec"), self.out.join("walk.png"));
         let mut shown = options.clone();
@@ -287,8 +305,8 @@ impl TrainingFiles<'_> {
             ("time/simulation_share", report.simulation),
         ];
         self.events.scalars(report.steps, &scalars)?;
-        let terms = &self.plan.blueprint.task.spec().reward;
-        let named = terms.iter().zip(&report.terms).map(|(term, mean)| (format!("reward/{}", term.name), *mean));
+        let tag = |name: &str| format!("reward/{}", name.strip_prefix("reward_").unwrap_or(name));
+        let named = report.terms.iter().map(|(name, mean)| (tag(name), *mean));
         let level = report.level.map(|level| ("rollout/level".to_owned(), level));
         let more: Vec<_> = named.chain(level).collect();
         let more: Vec<(&str, f64)> = more.iter().map(|(name, value)| (&name[..], *value)).collect();
@@ -299,7 +317,7 @@ impl TrainingFiles<'_> {
         let path = checkpoint::path(&self.request.out, self.newest.steps);
         // A checkpoint goes on from a curve that has all points before it.
         self.curve.sync()?;
-        checkpoint::save(&path, self.plan, &self.newest, self.curve.open)?;
+        checkpoint::save(&path, self.plan, &self.newest, &self.curve.open)?;
         self.saved = self.newest.steps;
         Ok(path)
     }

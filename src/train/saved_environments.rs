@@ -1,8 +1,8 @@
 //! Saved environments in the middle of their episodes, from which a training goes on with the same bits.
 
 use super::collect::RolloutGroup;
+use super::plan::TrainingPlan;
 use super::remote::{OptionalRemote, Pause};
-use crate::env::registry::Blueprint;
 use crate::env::snapshot::{Resumed, SavedEpisode};
 use crate::error::{Error, Result};
 use std::sync::{Mutex, PoisonError};
@@ -49,8 +49,8 @@ impl Episodes {
 }
 
 impl SavedEnvironments {
-    /// Saves the environments in `pieces`, or of `remote`.
-    pub fn of(pieces: &[Mutex<RolloutGroup>], remote: OptionalRemote<'_>, pause: Pause) -> Result<Self> {
+    /// Saves the environments in `pieces`, or of `remote`; None if they cannot be saved.
+    pub fn of(pieces: &[Mutex<RolloutGroup>], remote: OptionalRemote<'_>, pause: Pause) -> Result<Option<Self>> {
         let mut kept = Self { episodes: Episodes::Here(Vec::new()), discounted: Vec::new(), returns: Vec::new() };
         let mut here = Vec::new();
         for piece in pieces {
@@ -60,24 +60,28 @@ impl SavedEnvironments {
             kept.returns.extend(&piece.running);
         }
         kept.episodes = match remote {
-            Some(remote) => Episodes::OnServer(remote.save(pause)?),
+            Some(remote) => match remote.save(pause)? {
+                Some(snapshot) => Episodes::OnServer(snapshot),
+                None => return Ok(None),
+            },
             None => Episodes::Here(here),
         };
-        Ok(kept)
+        Ok(Some(kept))
     }
 
     /// Restores the environments in `pieces`.
     pub fn restore(
         &self,
         pieces: &mut [RolloutGroup],
-        blueprint: &Blueprint,
+        plan: &TrainingPlan,
         remote: OptionalRemote<'_>,
         pause: Pause,
     ) -> Result<()> {
         let envs: usize = pieces.iter().map(|p| p.envs).sum();
         let resumed = match (&self.episodes, remote) {
             (Episodes::Here(episodes), None) => {
-                let resumed = episodes.iter().map(|episode| Resumed::new(episode, &blueprint.task));
+                let task = &plan.task()?.task;
+                let resumed = episodes.iter().map(|episode| Resumed::new(episode, task));
                 resumed.collect::<Result<Vec<_>>>()?
             }
             (Episodes::OnServer(snapshot), Some(remote)) => {

@@ -84,7 +84,7 @@ const NAMES: [&str; 21] = [
 
 /// Limits, our choice: far above useful values, far below what fills a machine's memory.
 const MOST_ENVS: f64 = 65_536.0;
-const MOST_SAMPLES: usize = 1 << 22;
+pub(super) const MOST_SAMPLES: usize = 1 << 22;
 const MOST_LAYERS: usize = 8;
 const MOST_WIDTH: f64 = 1024.0;
 
@@ -223,7 +223,7 @@ impl Hyperparameters {
 }
 
 /// A number. YAML readers return some numbers as texts, such as 1_000 and 1e-3.
-fn float(value: &Value) -> Option<f64> {
+pub(super) fn float(value: &Value) -> Option<f64> {
     match value {
         Value::Number(number) => number.as_f64(),
         Value::String(text) => text.replace('_', "").parse().ok(),

@@ -57,11 +57,11 @@ impl<'a> TrainingWork<'a> {
         mut remote: OptionalRemote<'_>,
         observer: &mut dyn Observer,
     ) -> Result<Self> {
-        let TrainingPlan { blueprint, settings, networks, .. } = plan;
-        let mut pieces = RolloutGroup::all(blueprint, settings, networks, remote.is_some())?;
+        let TrainingPlan { settings, networks, .. } = plan;
+        let mut pieces = RolloutGroup::all(plan, remote.is_some())?;
         let mut pause = || observer.pause();
         match &learnt.environments {
-            Some(kept) => kept.restore(&mut pieces, blueprint, remote.as_deref_mut(), &mut pause)?,
+            Some(kept) => kept.restore(&mut pieces, plan, remote.as_deref_mut(), &mut pause)?,
             None => {
                 // A training that continues without its environments gets other episodes than before.
                 let begun = learnt.updates.wrapping_mul(settings.n_envs as u64) & u64::from(u32::MAX);
@@ -163,7 +163,7 @@ impl<'a, 'r> Training<'a, 'r> {
         self.learnt.updates += 1;
         let remote = self.remote.as_deref_mut();
         self.learnt.environments =
-            Some(Arc::new(SavedEnvironments::of(&self.shared.pieces, remote, &mut || observer.pause())?));
+            SavedEnvironments::of(&self.shared.pieces, remote, &mut || observer.pause())?.map(Arc::new);
         self.learnt.parameters.clone_from(&read(&self.shared.parameters));
         self.learnt.seconds = self.before + self.began.elapsed().as_secs_f64();
         let log_std = &self.learnt.parameters[self.plan.networks.shape.log_std.clone()];
@@ -184,7 +184,7 @@ impl<'a, 'r> Training<'a, 'r> {
             deviation: log_std.iter().map(|s| f64::from(s.exp())).sum::<f64>() / log_std.len() as f64,
             simulation: self.rollouts / self.began.elapsed().as_secs_f64(),
             level: self.level(),
-            terms: self.terms(),
+            terms: self.terms()?,
         })
     }
 
@@ -195,18 +195,18 @@ impl<'a, 'r> Training<'a, 'r> {
         (count > 0).then(|| sum / f64::from(count))
     }
 
-    /// Mean of each weighted reward term in the rollout's steps.
-    fn terms(&self) -> Vec<f64> {
+    /// Each weighted reward term, and its mean in the rollout's steps.
+    fn terms(&mut self) -> Result<Vec<(String, f64)>> {
+        if let Some(remote) = self.remote.as_deref_mut()
+            && let Some(terms) = remote.terms()?
+        {
+            return Ok(terms);
+        }
         let Hyperparameters { n_envs, n_steps, .. } = self.plan.settings;
-        if self.remote.is_some() {
-            return Vec::new();
-        }
-        let mut all = vec![0.0; self.plan.blueprint.task.spec().reward.len()];
-        for piece in &self.shared.pieces {
-            all.iter_mut().zip(&lock(piece).terms).for_each(|(sum, term)| *sum += term);
-        }
-        all.iter_mut().for_each(|sum| *sum /= (n_envs * n_steps) as f64);
-        all
+        let spec = self.plan.task()?.task.spec();
+        let sum = |k: usize| self.shared.pieces.iter().map(|piece| lock(piece).terms[k]).sum::<f64>();
+        let mean = |k: usize| (spec.info[k].name.clone(), sum(k) / (n_envs * n_steps) as f64);
+        Ok((0..spec.reward.len()).map(mean).collect())
     }
 
     /// Fills the rollout; returns the returns of the episodes that ended, and the explained variance of the values.
@@ -232,13 +232,15 @@ impl<'a, 'r> Training<'a, 'r> {
         let mut finished = Vec::new();
         for piece in pieces {
             let mut piece = lock(piece);
-            rollout.append(&mut piece.data);
+            let RolloutGroup { data, skipped, .. } = &mut *piece;
+            rollout.append(data, skipped);
             finished.append(&mut piece.finished);
         }
         Ok((finished, rollout.explained_variance()))
     }
 
-    /// Sends the pieces' actions to the environments on a server, and gives the results to the pieces: step `step`.
+    /// Sends the pieces' actions to environments that are not the training's own, and gives the results to the pieces: step
+    /// `step`.
     fn step_away(&mut self, step: usize, observer: &mut dyn Observer) -> Result<()> {
         let Some(remote) = &mut self.remote else { return Ok(()) };
         let pieces = &self.shared.pieces;
@@ -247,7 +249,11 @@ impl<'a, 'r> Training<'a, 'r> {
         let (parameters, scales) = (read(&self.shared.parameters), read(&self.shared.scales));
         let TrainingPlan { settings, networks, .. } = self.plan;
         let play = PolicyContext { settings, networks, parameters: &parameters, scales: scales.as_ref() };
-        deal(pieces.iter().map(lock), &rows, |piece, part| piece.answered(&play, step, part));
+        let mut skipped = remote.skipped();
+        deal(pieces.iter().map(lock), &rows, |piece, part| {
+            let own = skipped.split_off(..piece.envs.min(skipped.len())).unwrap_or_default();
+            piece.answered(&play, step, part, own);
+        });
         Ok(())
     }
 
@@ -299,7 +305,7 @@ impl<'a, 'r> Training<'a, 'r> {
     ) -> Result<LossSums> {
         let (plan, shared) = (self.plan, self.shared);
         let settings = &plan.settings;
-        let rows = settings.n_envs * settings.n_steps;
+        let rows = read(&shared.rollout).rows();
         let mut random = plan.random(self.learnt.updates, u64::MAX - 1);
         let mut all = LossSums::default();
         for _ in 0..settings.n_epochs {

@@ -119,6 +119,24 @@ def test_the_model_acts_as_the_onnx_file(trained: Path) -> None:
     normalized.close()
 
 
+def test_a_policy_for_another_environment_acts_the_same(tmp_path: Path) -> None:
+    """Its actions are scaled to the action space, ±2 here."""
+    vector = gymnasium.make_vec("Pendulum-v1", num_envs=8)
+    training = sandgait.train(vector, out=tmp_path / "out", timesteps=20_000, progress=False)
+    model = to_sb3(training.weights, DummyVecEnv([lambda: gymnasium.make("Pendulum-v1")] * 8))
+    normalized = model.get_env()
+    assert isinstance(normalized, VecNormalize)
+    normalized.training = False
+    file = ReferenceEvaluator(str(training.policy))
+    observations = normalized.reset()
+    for _ in range(20):
+        actions, _ = model.predict(observations, deterministic=True)
+        (wanted,) = file.run(None, {"observation": normalized.get_original_obs()})
+        np.testing.assert_allclose(actions, wanted, atol=2e-5)
+        observations, *_ = normalized.step(2.0 * np.sin(np.arange(8.0)[:, None]))
+    assert np.abs(actions).max() > 1e-3
+
+
 def test_tensorboard_reads_the_events(trained: Path) -> None:
     events = EventAccumulator(str(trained / "tensorboard"))
     events.Reload()

@@ -152,4 +152,8 @@ def test_environments_on_a_server_are_the_same(tmp_path: Path, remote: RemoteSer
     here = sandgait.train(ID, out=tmp_path / "here", timesteps=1024, **SMALL)
     away = sandgait.train(ID, out=tmp_path / "away", timesteps=1024, address=remote.address, **SMALL)
     assert here.policy.read_bytes() == away.policy.read_bytes()
-    assert here.curve["return"].tolist() == away.curve["return"].tolist()
+    columns = [name for name in here.curve if name != "seconds"]
+    assert columns[:2] == ["steps", "return"]
+    assert len([name for name in columns if name.startswith("reward_")]) == 7
+    for name in columns:
+        assert here.curve[name].tolist() == away.curve[name].tolist(), name

@@ -1,7 +1,7 @@
 //! numpy's arrays: actions are read in place, rows are written once, into arrays that own their memory.
 
 use crate::errors::raise;
-use pyo3::buffer::{PyBuffer, PyUntypedBuffer};
+use pyo3::buffer::{Element, PyBuffer, PyUntypedBuffer};
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyString, PyTuple};
@@ -144,7 +144,7 @@ impl Out<'_> {
 }
 
 /// An array with these numbers.
-fn array<'py, T: Copy>(py: Python<'py>, kind: Kind, shape: &[usize], numbers: &[T]) -> PyResult<Bound<'py, PyAny>> {
+pub fn array<'py, T: Copy>(py: Python<'py>, kind: Kind, shape: &[usize], numbers: &[T]) -> PyResult<Bound<'py, PyAny>> {
     let new = New::of(py, kind, shape)?;
     // SAFETY: every caller passes numbers of the kind that it names; the array is new and sliced once.
     unsafe { new.numbers() }.copy_from_slice(numbers);
@@ -251,7 +251,12 @@ pub fn rolled<'py>(py: Python<'py>, batch: &Batch, rolled: &Rolled) -> PyResult<
 
 /// The numbers of an array of float32, copied once.
 pub fn floats(array: &Bound<'_, PyAny>) -> PyResult<Vec<f32>> {
-    PyBuffer::<f32>::get(array)?.to_vec(array.py())
+    numbers(array)
+}
+
+/// The numbers of an array of their type, copied once.
+pub fn numbers<T: Element>(array: &Bound<'_, PyAny>) -> PyResult<Vec<T>> {
+    PyBuffer::<T>::get(array)?.to_vec(array.py())
 }
 
 /// Names as a list of text.

@@ -4,7 +4,7 @@
 //! * [`remote`]: environments on servers.
 //! * [`bodies`]: sand's forces on bodies that another simulator moves.
 //! * [`studies`]: the offline tools.
-//! * [`train`]: learning gaits.
+//! * [`train`]: learning gaits; [`external`]: with environments of another program.
 //! * [`wait`]: work that Python waits for without holding its lock.
 //! * [`arrays`], [`values`], [`tables`]: numpy's arrays, keywords and tables from and to the crate's types.
 //! * [`errors`]: the map from errors to Python's exceptions.
@@ -15,6 +15,7 @@
 mod arrays;
 mod bodies;
 mod errors;
+mod external;
 mod local;
 mod process;
 mod remote;
