@@ -209,6 +209,8 @@ pub struct Arm<'a, const N: usize> {
     pub footprint: f64,
     /// λ ρ [kg/m³] of inertial drag.
     pub drag: f64,
+    /// Number of standard deviations by which accelerations differ from the most likely ones: see [`Self::doubt`].
+    pub doubts: f64,
 }
 
 impl<const N: usize> Arm<'_, N> {
@@ -299,12 +301,29 @@ impl<const N: usize> Arm<'_, N> {
         let nearest = if after > 0 && t - poses[after - 1].t < poses[after].t - t { after - 1 } else { after };
         let near = &poses[self.stencils[nearest].clone()];
         let others = |j: usize| (0..near.len()).filter(move |&m| m != j);
-        near.iter().enumerate().fold([0.0; 3], |sum, (j, pose)| {
+        let doubt = if self.doubts == 0.0 { [0.0; 3] } else { self.doubt(nearest).map(|sd| self.doubts * sd) };
+        near.iter().enumerate().fold(doubt, |sum, (j, pose)| {
             let share = |k: usize| (t - near[k].t) / (pose.t - near[k].t);
             let without = |m: usize| others(j).filter(|&k| k != m).map(share).product::<f64>();
             let weight: f64 = others(j).map(|m| without(m) / (pose.t - near[m].t)).sum();
             let moving = [pose.omega, pose.velocity[0], pose.velocity[1]];
             [0, 1, 2].map(|axis| sum[axis] + weight * moving[axis])
+        })
+    }
+
+    /// Standard deviation of the accelerations at a sample. A log gives their means over the intervals before and after
+    /// it, and not how they change at the sample. In between, every value is equally likely: a rectangular distribution
+    /// (JCGM 100:2008, 4.3.7).
+    fn doubt(&self, sample: usize) -> [f64; 3] {
+        let poses = &self.track.poses;
+        if sample == 0 || sample + 1 >= poses.len() {
+            return [0.0; 3];
+        }
+        let moving = |p: &ArmPose| [p.omega, p.velocity[0], p.velocity[1]];
+        let [before, here, after] = [sample - 1, sample, sample + 1].map(|i| (poses[i].t, moving(&poses[i])));
+        [0, 1, 2].map(|axis| {
+            let mean = |a: (f64, [f64; 3]), b: (f64, [f64; 3])| (b.1[axis] - a.1[axis]) / (b.0 - a.0);
+            (mean(here, after) - mean(before, here)) / 12f64.sqrt()
         })
     }
 
@@ -436,8 +455,9 @@ impl<const N: usize> Kernel for Sum<'_, N> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::force_model::ForceLogModel;
     use super::*;
-    use crate::sand::{Law, Medium, Regularization};
+    use crate::sand::{Law, Medium, Regularization, SandDescription};
 
     /// For a speed with a period of about thirteen unevenly spaced samples, the derivative is right at samples, between
     /// them and beyond the ends.
@@ -465,6 +485,7 @@ mod tests {
             stencils: stencils(&track),
             footprint: 1.0,
             drag: 0.0,
+            doubts: 0.0,
         };
         for k in -20..900 {
             let t = (0.05 * f64::from(k)).clamp(ends[0], ends[1]);
@@ -472,6 +493,30 @@ mod tests {
             let wrong =
                 (turn - swing * (swing * t).cos()).abs().max((x + swing * (swing * t).sin()).abs()).max(z.abs());
             assert!(wrong < 0.02 * swing, "{t}: {wrong}");
+        }
+    }
+
+    /// Cohesion pushes with the same stress on the whole submerged area, so its force on a vertical plate grows with
+    /// every step into the sand, however small the step is against a segment.
+    #[test]
+    fn of_a_segment_that_crosses_the_surface_the_submerged_part_counts() {
+        let (length, width, cohesion, steps) = (0.04, 0.025, 300.0, 500);
+        let intruder = Intruder::Plate { length, width, thickness: None };
+        let pose = |i: u32| {
+            let z = length * (0.5 - f64::from(i) / f64::from(steps));
+            ArmPose { t: 1e-3 * f64::from(i), center: [0.0, z], velocity: [0.5, 0.0], ..ArmPose::default() }
+        };
+        let track =
+            Track { beta: std::f64::consts::FRAC_PI_2, ..Track::leg(intruder, 0.0, (0..steps).map(pose).collect()) };
+        let force = |cohesion: f64| {
+            let mut sand = SandDescription::plain(&Medium::named("poppy-loose").unwrap());
+            sand.mechanisms = Mechanisms { cohesion, ..Mechanisms::default() };
+            ForceLogModel::one(&sand, track.clone()).unwrap().into_iter().map(|load| load.fx).collect::<Vec<_>>()
+        };
+        for (i, (with, without)) in force(cohesion).into_iter().zip(force(0.0)).enumerate() {
+            let submerged = i as f64 / f64::from(steps);
+            let expected = -cohesion * width * length * submerged;
+            assert!((with - without - expected).abs() < 1e-6, "{submerged}: {} and not {expected}", with - without);
         }
     }
 }

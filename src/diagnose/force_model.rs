@@ -167,6 +167,7 @@ impl<'a> ForceLogModel<'a> {
             stencils: if m.added_mass == 0.0 { Vec::new() } else { stencils(track) },
             footprint: footprint(m.footprint, track.pass, track.pass_dx),
             drag: m.inertial_drag * self.medium.bulk_density,
+            doubts: 0.0,
         }
     }
 
@@ -186,6 +187,17 @@ impl<'a> ForceLogModel<'a> {
         let grounds = coefficients.map(|c| self.ground(&c));
         let loads = parallel::map(&self.tracks, |t| self.arm(t, m, &grounds).readings());
         self.stacks(&loads)
+    }
+
+    /// Standard deviation of each number of a prediction, because accelerations are only roughly known from samples;
+    /// empty if no force depends on them.
+    fn doubt(&self, (m, c): &SandParameters, prediction: &[f64]) -> Vec<f64> {
+        if m.added_mass == 0.0 {
+            return Vec::new();
+        }
+        let grounds = [self.ground(c)];
+        let loads = parallel::map(&self.tracks, |t| Arm { doubts: 1.0, ..self.arm(t, m, &grounds) }.readings());
+        slope(&self.stacks(&loads)[0], prediction, 1.0).into_iter().map(f64::abs).collect()
     }
 
     /// The response to the coefficients under `m`, computed once.
@@ -251,7 +263,7 @@ impl ForwardModel for ForceLogModel<'_> {
             shared.push(SharedNoise::one(offset, unit, guess, true, constant));
             shared.push(SharedNoise::one(drift, unit, guess, true, growing));
         }
-        Uncertainty { shared, ..Uncertainty::default() }
+        Uncertainty { shared, own: self.doubt(sand, prediction), ..Uncertainty::default() }
     }
 
     fn nuisances(&self, sand: &SandParameters, values: &[(String, f64)]) -> Vec<Nuisance> {
