@@ -209,11 +209,7 @@ impl EvidenceTable {
             if difference >= 0.0 { (&self.rows[a], &self.rows[b]) } else { (&self.rows[b], &self.rows[a]) };
         let (mut noise, mut clusters) = (0.0, 0.0);
         for (c, n) in self.sizes.iter().enumerate() {
-            let weight = |row: &LeftOutRow| {
-                let scale = row.scales[c];
-                (self.degrees + n) / (self.degrees + row.squares[c] / scale) / scale
-            };
-            let [own, others] = [weight(best), weight(other)];
+            let [own, others] = [best, other].map(|row| self.weight(row, c));
             let variance = own.recip();
             let apart = &other.own[c] - &best.own[c];
             noise += variance * others.powi(2) * apart.norm_squared() + 0.5 * n * (1.0 - others * variance).powi(2);
@@ -227,6 +223,12 @@ impl EvidenceTable {
         let (clusters, count) = (clusters.min(spread), (count - 1.0).max(1.0));
         let of = |variance: f64, degrees: f64| variance.max(0.0).sqrt() * student::two_sided_95(degrees) / NORMAL;
         [difference, of(noise, self.degrees).max(of(clusters, count)).max(LEAST)]
+    }
+
+    /// w of condition `c`: one over the variance of the errors of a row's model there, in units of the noise's.
+    pub fn weight(&self, row: &LeftOutRow, c: usize) -> f64 {
+        let (n, scale) = (self.sizes[c], row.scales[c]);
+        (self.degrees + n) / (self.degrees + row.squares[c] / scale) / scale
     }
 
     /// Does `a` predict left-out conditions better than `b`, beyond twice the standard error?

@@ -36,8 +36,7 @@ pub struct LeftOutRow {
     pub squares: Vec<f64>,
     /// Held-out errors in the data's own unit, of the sand without nuisances.
     pub held_out: SquaredErrors,
-    /// Change of the parameters with each condition left out, and with none; with a law, its coefficient is the last one.
-    pub steps: Vec<Vec<f64>>,
+    /// Change of the parameters with no condition left out; with a law, its coefficient is the last one.
     pub step: Vec<f64>,
     /// The law chosen with no condition left out.
     pub law: Option<usize>,
@@ -243,7 +242,6 @@ impl Linear {
         LeftOutRow {
             elpd: now.left.iter().zip(&scales).map(density).collect(),
             squares: now.left.iter().map(|own| own.square).collect(),
-            steps: now.left[..used.len()].iter().map(|own| own.step.iter().copied().collect()).collect(),
             own: now.left.into_iter().map(|own| own.solved).collect(),
             scales,
             scale,
