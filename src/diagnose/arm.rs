@@ -459,6 +459,36 @@ mod tests {
     use super::*;
     use crate::sand::{Law, Medium, Regularization, SandDescription};
 
+    fn ground() -> [SandBed<Doubles>; 1] {
+        [SandBed::new(Law::Li2013, &Medium::named("poppy-loose").unwrap(), &Regularization::DEFAULT)]
+    }
+
+    fn arm<'a>(
+        track: &'a Track,
+        cut: &'a IntruderSegments,
+        mechanisms: &'a Mechanisms,
+        grounds: &'a [SandBed<Doubles>; 1],
+    ) -> Arm<'a, 1> {
+        let (sand, stencils) = (SandMechanisms::new(mechanisms, 640.0), stencils(track));
+        Arm { track, cut, mechanisms, sand, grounds, stencils, footprint: 1.0, drag: 0.0, doubts: 0.0 }
+    }
+
+    /// A plate starts within two intervals of 10 ms, moves steadily at 1 m/s, and stops within one. The acceleration is in
+    /// doubt only at the samples where it changes.
+    #[test]
+    fn accelerations_are_in_doubt_where_a_drive_starts_and_stops() {
+        let speeds = [0.0, 0.5, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0];
+        let pose = |(i, v): (usize, &f64)| ArmPose { t: 0.01 * i as f64, velocity: [0.0, *v], ..ArmPose::default() };
+        let intruder = Intruder::Plate { length: 0.04, width: 0.025, thickness: None };
+        let track = Track::leg(intruder, 0.0, speeds.iter().enumerate().map(pose).collect());
+        let (cut, mechanisms, ground) = (IntruderSegments::new(&intruder).unwrap(), Mechanisms::default(), ground());
+        let arm = arm(&track, &cut, &mechanisms, &ground);
+        for (i, change) in [0.0, 0.0, -50.0, 0.0, 0.0, -100.0, 100.0, 0.0].into_iter().enumerate() {
+            let [turn, x, z] = arm.doubt(i);
+            assert!((z - change / 12f64.sqrt()).abs() < 1e-9 && turn == 0.0 && x == 0.0, "{i}: {z}");
+        }
+    }
+
     /// For a speed with a period of about thirteen unevenly spaced samples, the derivative is right at samples, between
     /// them and beyond the ends.
     #[test]
@@ -475,18 +505,8 @@ mod tests {
         let ends = [poses[0].t, poses[39].t];
         let intruder = Intruder::Plate { length: 0.04, width: 0.025, thickness: None };
         let (track, mechanisms) = (Track::leg(intruder, 0.0, poses), Mechanisms::default());
-        let ground = SandBed::new(Law::Li2013, &Medium::named("poppy-loose").unwrap(), &Regularization::DEFAULT);
-        let arm = Arm {
-            track: &track,
-            cut: &IntruderSegments::new(&intruder).unwrap(),
-            mechanisms: &mechanisms,
-            sand: SandMechanisms::new(&mechanisms, 640.0),
-            grounds: &[ground],
-            stencils: stencils(&track),
-            footprint: 1.0,
-            drag: 0.0,
-            doubts: 0.0,
-        };
+        let (cut, ground) = (IntruderSegments::new(&intruder).unwrap(), ground());
+        let arm = arm(&track, &cut, &mechanisms, &ground);
         for k in -20..900 {
             let t = (0.05 * f64::from(k)).clamp(ends[0], ends[1]);
             let [turn, x, z] = arm.acceleration(0.05 * f64::from(k));

@@ -438,3 +438,29 @@ fn solve(information: &DMatrix<f64>, score: &DVector<f64>, held: &[bool]) -> Vec
     }
     a.cholesky().map_or_else(|| vec![0.0; score.len()], |c| c.solve(&b).iter().copied().collect())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::laws::tests::with_cohesion;
+
+    /// The jackknife is the scatter of fits that are made anew without one condition each, and what is stated of the
+    /// coefficients and nuisances.
+    #[test]
+    fn the_jackknife_is_that_of_fits_without_one_condition() {
+        with_cohesion(|study, fit| {
+            let fit = study.fit_from(&[fit]).swap_remove(0);
+            let conditions = study.observations.conditions.len();
+            let scatter = (0..conditions).map(|c| {
+                let weights = study.observations.units.iter().map(|u| if u.condition == c { 0.0 } else { 1.0 });
+                let whitener = study.whitener.weighted(weights);
+                let without = study.under(&whitener, study.nuisances.clone()).fit_from(&[&fit]).swap_remove(0);
+                (without.coordinates()[0] - fit.coordinates()[0]).powi(2)
+            });
+            let scatter = scatter.sum::<f64>() * (conditions as f64 - 1.0) / conditions as f64;
+            let inverse = study.normal_equations(&fit).information.try_inverse().unwrap();
+            let stated: f64 = (1..inverse.nrows()).map(|k| inverse[(0, k)].powi(2)).sum();
+            let found = study.jackknife(&fit)[(0, 0)];
+            assert!((found / (scatter + stated) - 1.0).abs() < 0.02, "{found} and not {scatter} + {stated}");
+        });
+    }
+}

@@ -140,7 +140,7 @@ pub fn fitted(study: &FitInputs, base: &Fit, mut term: Term, held: bool) -> Opti
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::super::experiment::{Experiment, Intruder};
     use super::super::force_log::{planned, possible};
     use super::super::force_model::ForceLogModel;
@@ -156,7 +156,7 @@ mod tests {
         [shape.plate]\ntype = \"plate\"\nlength = 0.04\nwidth = 0.025\n";
 
     /// Plates with a hidden cohesion of 300 Pa, and a drag of another law than `inertial_drag`.
-    fn with_cohesion(check: impl Fn(&FitInputs, &Fit)) {
+    pub fn with_cohesion(check: impl Fn(&FitInputs, &Fit)) {
         let intruder = Intruder::Plate { length: 0.04, width: 0.025, thickness: None };
         let at = |velocity: f64| {
             let pose = ArmPose { velocity: [velocity, 0.0], ..ArmPose::default() };

@@ -253,7 +253,7 @@ impl ReportView<'_> {
             return Vec::new();
         }
         let table = &selection.table;
-        let screened = &selection.candidates.screen.candidates;
+        let screened = &selection.candidates.screened;
         let asked: Vec<(usize, f64)> = screened.iter().filter(|c| !CATALOG[c.0].ceiling).copied().collect();
         let limit = |further: &super::further::Further| {
             let entry = &CATALOG[further.id];
