@@ -161,9 +161,9 @@ fn judged(
             ruling = verdict(&entries, SECOND);
             nested = self::nested(renewed, asked, &candidates, (&models, unnamed), &ruling);
         }
-        // The model is fitted once more, with the variance of its errors in each condition.
+        // The model is fitted once more, with the variance of its errors in each condition: at least that of the noise.
         let (model, row) = (&models[ruling.model], &table.rows[ruling.model]);
-        let weights = study.observations.units.iter().map(|unit| table.weight(row, unit.condition));
+        let weights = study.observations.units.iter().map(|unit| table.weight(row, unit.condition).min(1.0));
         let whitener = renewed.whitener.weighted(weights);
         let last = study.under(&whitener, renewed.nuisances.clone());
         let fit = last.fit_from(&[model.fit]).swap_remove(0);
