@@ -117,7 +117,7 @@ impl ReportView<'_> {
     fn left_out(&self) -> Option<String> {
         let s = self.selection?;
         let error = |k: &usize| s.entries[*k].error;
-        let best = s.ruling.left_out.iter().min_by(|a, b| error(a).total_cmp(&error(b)))?;
+        let best = s.ruling.left_out.iter().max_by(|a, b| s.table.elpd(**a).total_cmp(&s.table.elpd(**b)))?;
         let law = s.formulas[*best].iter().map(|law| format!("the law {law}"));
         let named: Vec<String> = names(s.fit_of(*best)).into_iter().chain(law).collect();
         let unit = self.study.observations.channels.iter().find(|c| c.in_rmse).map_or("", |c| c.unit);
