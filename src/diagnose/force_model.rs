@@ -1,6 +1,7 @@
 //! The forward model of force logs: predicts the readings of an arm's force sensor, track by track ([`super::arm`]).
 
-use super::arm::{Arm, IntruderSegments, filtered, read, stencils};
+use super::acceleration::Accelerations;
+use super::arm::{Arm, IntruderSegments, filtered, read};
 use super::experiment::{Experiment, Intruder};
 use super::fit::slope;
 use super::force_log::ForceLog;
@@ -164,10 +165,9 @@ impl<'a> ForceLogModel<'a> {
             mechanisms: m,
             sand: self.sand(m),
             grounds,
-            stencils: if m.added_mass == 0.0 { Vec::new() } else { stencils(track) },
+            accelerations: (m.added_mass != 0.0).then(|| Accelerations::new(&track.poses, 0.0)),
             footprint: footprint(m.footprint, track.pass, track.pass_dx),
             drag: m.inertial_drag * self.medium.bulk_density,
-            doubts: 0.0,
         }
     }
 
@@ -196,7 +196,10 @@ impl<'a> ForceLogModel<'a> {
             return Vec::new();
         }
         let grounds = [self.ground(c)];
-        let loads = parallel::map(&self.tracks, |t| Arm { doubts: 1.0, ..self.arm(t, m, &grounds) }.readings());
+        let loads = parallel::map(&self.tracks, |t| {
+            let accelerations = Some(Accelerations::new(&t.poses, 1.0));
+            Arm { accelerations, ..self.arm(t, m, &grounds) }.readings()
+        });
         slope(&self.stacks(&loads)[0], prediction, 1.0).into_iter().map(f64::abs).collect()
     }
 
