@@ -32,13 +32,12 @@
 //! error is at least 2, because differences below 4 are no evidence (Sivula, Magnusson, Matamoros & Vehtari 2020).
 
 use super::fit::{Fit, Stack};
+use super::gauss_newton::value_prior;
 use super::left_out::{Contender, LeftOutRow, Linear};
-use super::screen::USUAL;
 use super::study::FitInputs;
 use super::whiten::Whitener;
 use crate::number::dot;
 use crate::parallel;
-use crate::sand::mechanism::CATALOG;
 use crate::student;
 use nalgebra::DVector;
 use std::collections::HashMap;
@@ -256,10 +255,7 @@ impl EvidenceTable {
 
 /// Precision and score of each parameter's prior at the fit.
 fn prior(fit: &Fit) -> Vec<[f64; 2]> {
-    let value = |(&id, at): (&usize, f64)| {
-        let precision = (USUAL * CATALOG[id].coordinate_typical()).powi(-2);
-        [precision, -precision * at]
-    };
+    let value = |(&id, at): (&usize, f64)| value_prior(id, at);
     let deviation = |d: &f64| [UNSTATED.powi(-2), -d * UNSTATED.powi(-2)];
     fit.ids.iter().zip(fit.coordinates()).map(value).chain(fit.deviations.iter().map(deviation)).collect()
 }

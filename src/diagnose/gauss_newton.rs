@@ -6,6 +6,7 @@
 //! readings and not the prediction of the sand.
 
 use super::fit::{COEFFICIENTS, Fit, Stack, slope};
+use super::screen::USUAL;
 use super::study::FitInputs;
 use crate::number::{add_scaled, dot};
 use crate::parallel;
@@ -338,13 +339,21 @@ impl FitInputs<'_> {
     /// The same covariance if the errors within a condition are correlated in an unknown way, as those of a law are that
     /// is not quite right: the scatter of the fit with one condition left out each time (the jackknife over clusters,
     /// CV3 of MacKinnon, Nielsen & Webb, Journal of Applied Econometrics 38:671, 2023), and what is stated of
-    /// coefficients and nuisances. A condition is left out by one Gauss-Newton step.
+    /// coefficients and nuisances. A condition is left out by one Gauss-Newton step. A value that this condition alone
+    /// shows goes back to its prior.
     pub fn jackknife(&self, fit: &Fit) -> DMatrix<f64> {
         let normal = self.normal_equations(fit);
+        let prior = fit.ids.iter().zip(fit.coordinates()).map(|(&id, at)| value_prior(id, at));
+        let prior: Vec<[f64; 2]> = prior.collect();
         let groups = self.observations.repetitions();
         let step = |units: &Vec<usize>| {
-            let (information, score) = self.products(&normal.white, fit, units);
-            Some((&normal.information - information).cholesky()?.solve(&score))
+            let (information, mut score) = self.products(&normal.white, fit, units);
+            let mut rest = &normal.information - information;
+            for (k, [precision, pull]) in prior.iter().enumerate() {
+                rest[(k, k)] += precision;
+                score[k] -= pull;
+            }
+            Some(rest.cholesky()?.solve(&score))
         };
         let steps: Vec<DVector<f64>> = groups.iter().filter(|units| !units.is_empty()).filter_map(step).collect();
         let size = normal.white.len();
@@ -394,6 +403,12 @@ impl FitInputs<'_> {
             }
         }
     }
+}
+
+/// Precision and score of a value's prior at coordinate `at`: it is within [`USUAL`] typical strengths of 0.
+pub fn value_prior(id: usize, at: f64) -> [f64; 2] {
+    let precision = (USUAL * CATALOG[id].coordinate_typical()).powi(-2);
+    [precision, -precision * at]
 }
 
 /// The part of a covariance that belongs to the values of a fit; infinite if there is none.
