@@ -97,7 +97,7 @@ pub fn laws(study: &FitInputs, base: &Fit) -> Option<Laws> {
     let normal = study.normal_equations(base);
     let column = |law: &Term| {
         let model = study.model.with_terms(std::slice::from_ref(law))?;
-        let column = Arc::new(slope(&model.predict(&base.mechanisms, &coefficients), &base.prediction, 1.0));
+        let column = slope(&model.predict(&base.mechanisms, &coefficients), &base.prediction, 1.0);
         // The coefficient that would fit alone tells the sign; a law that sand cannot follow is left out.
         let white = study.whitener.apply(&column);
         if !base.ids.is_empty() && normal.explained(&white, base.ids.len())? > COLLINEAR {
@@ -106,7 +106,7 @@ pub fn laws(study: &FitInputs, base: &Fit) -> Option<Laws> {
         let estimate = dot(&white, &base.white) / dot(&white, &white).max(1e-300);
         let fitted = Term { coefficient: estimate, ..law.clone() };
         fitted.check(&coefficients, study.model.medium().bulk_density).ok()?;
-        Some((law.clone(), column))
+        Some((law.clone(), Arc::new(column.iter().map(|v| *v as f32).collect())))
     };
     let made = parallel::map(&dictionary(study.model.reach()), column);
     let (terms, columns) = made.into_iter().flatten().unzip();
