@@ -343,17 +343,19 @@ impl FitInputs<'_> {
     /// shows goes back to its prior.
     pub fn jackknife(&self, fit: &Fit) -> DMatrix<f64> {
         let normal = self.normal_equations(fit);
-        let prior = fit.ids.iter().zip(fit.coordinates()).map(|(&id, at)| value_prior(id, at));
-        let prior: Vec<[f64; 2]> = prior.collect();
+        let (mut information, mut pull) = (normal.information.clone(), DVector::zeros(normal.score.len()));
+        for (k, (&id, at)) in fit.ids.iter().zip(fit.coordinates()).enumerate() {
+            let [precision, score] = value_prior(id, at);
+            information[(k, k)] += precision;
+            pull[k] = score;
+        }
+        let Some(all) = information.clone().cholesky().map(|factor| factor.solve(&pull)) else {
+            return values_of(fit, None);
+        };
         let groups = self.observations.repetitions();
         let step = |units: &Vec<usize>| {
-            let (information, mut score) = self.products(&normal.white, fit, units);
-            let mut rest = &normal.information - information;
-            for (k, [precision, pull]) in prior.iter().enumerate() {
-                rest[(k, k)] += precision;
-                score[k] -= pull;
-            }
-            Some(rest.cholesky()?.solve(&score))
+            let (own, score) = self.products(&normal.white, fit, units);
+            Some((&information - own).cholesky()?.solve(&(&pull - score)) - &all)
         };
         let steps: Vec<DVector<f64>> = groups.iter().filter(|units| !units.is_empty()).filter_map(step).collect();
         let size = normal.white.len();
