@@ -119,7 +119,7 @@ fn without_a_hidden_cause_the_verdict_is_noise_floor() {
 fn a_cause_outside_the_library_is_none_of_these() {
     let r = hidden(&[("wall", 1.0)]);
     assert_eq!(r.verdict, Verdict::NoneOfThese, "{}", r.summary);
-    assert!(r.causes.is_empty() && !r.correlates_with.is_empty());
+    assert!(r.causes.is_empty() && r.whereabouts.is_some());
 }
 
 /// A log of simulated grains, which no force theory made, and facts about it.

@@ -3,6 +3,7 @@
 //! [`SandMechanisms`] evaluates the mechanisms in the sand; this file adds those of measuring, in this order: depth
 //! reference, compliance, delay, filter, tilt, offsets.
 
+use super::acceleration::Accelerations;
 use super::experiment::Intruder;
 use super::sides::{leading_sides, sides};
 use super::track::{ArmPose, RigidMotion, Track};
@@ -13,7 +14,6 @@ use crate::sand::mechanism::Mechanisms;
 use crate::sand::mechanism_laws::{SandMechanisms, SegmentState, StressModel, slope_depth};
 use crate::sand::shape::{Segment, straight};
 use crate::sand::{LegShape, SandBed};
-use std::ops::Range;
 
 /// Number of segments of a plate or leg: our choice. Of a segment that crosses the surface, the submerged part counts;
 /// without this, a pressure that does not vanish at the surface, such as `cohesion`, would be found 2 % too small.
@@ -23,62 +23,6 @@ const SEGMENTS: usize = 40;
 const REST: f64 = 0.05;
 /// Steps per sample interval of the low-pass filter; the force is linear in between. Our choice.
 const FILTER_STEPS: usize = 6;
-/// Number of samples from which an acceleration is computed if the motion is smooth: our choice. For a velocity with a
-/// period of thirteen samples the error is then 0.2 % inside a trial and 1 % at its ends (with two samples 4 % and a
-/// quarter); noise of the velocity has a third more effect.
-const STENCIL: usize = 5;
-/// The number of samples if no stretch of [`STENCIL`] is smooth; short enough for a ramp of three samples.
-const SHORT: usize = 3;
-/// A stretch is smooth if the last of its differences is below this share of those before: our choice, above that
-/// of a period of thirteen samples (a quarter) and below that of a kink.
-const SMOOTH: f64 = 0.5;
-
-/// The stretch centred on the sample is used unless it is this many times rougher than the smoothest one beside it
-/// (Shu, Journal of Scientific Computing 5:127, 1990, takes 2).
-const SHIFT: f64 = 2.0;
-
-/// For each sample the stretch from which its acceleration is computed. Drives start and stop with a kink in the speed,
-/// and a polynomial across a kink is wrong on both sides. So the smoothest of the stretches that contain the sample is
-/// used, as in essentially non-oscillatory schemes (Harten, Engquist, Osher & Chakravarthy 1987). Among stretches of
-/// similar smoothness, the one centred on the sample is preferred. If no long stretch is smooth, a short one is used.
-pub fn stencils(track: &Track) -> Vec<Range<usize>> {
-    let poses = &track.poses;
-    let chosen = |i: usize| {
-        let of = |count: usize| {
-            let count = count.min(poses.len());
-            let starts = (i + 1).saturating_sub(count)..=i.min(poses.len() - count);
-            let rough = |start: usize| roughness(&poses[start..start + count]);
-            let middle = |start: usize| (2 * start + count).abs_diff(2 * i + 1);
-            let all: Vec<_> = starts.map(|start| (rough(start), middle(start), start..start + count)).collect();
-            let least = all.iter().map(|a| a.0[0]).fold(f64::INFINITY, f64::min);
-            all.into_iter().filter(|a| a.0[0] <= SHIFT * least).min_by_key(|a| a.1)
-        };
-        let [long, short] = [STENCIL, SHORT].map(of);
-        let smooth = long.as_ref().is_some_and(|l| l.0[0] <= SMOOTH * l.0[1]);
-        if smooth { long } else { short }.map_or(0..poses.len(), |l| l.2)
-    };
-    (0..poses.len()).map(chosen).collect()
-}
-
-/// Size of the last difference of the velocities over a stretch, and of the greatest before it except the first.
-fn roughness(poses: &[ArmPose]) -> [f64; 2] {
-    let mut differences: Vec<[f64; 3]> = poses.iter().map(|p| [p.omega, p.velocity[0], p.velocity[1]]).collect();
-    let interval = (poses[poses.len() - 1].t - poses[0].t) / (poses.len() - 1).max(1) as f64;
-    let mut sizes = Vec::new();
-    for order in 1..poses.len() {
-        // Divided differences times the interval. For even sampling these are ordinary differences.
-        let next = |i: usize| {
-            let way = (poses[i + order].t - poses[i].t) / (order as f64 * interval);
-            [0, 1, 2].map(|axis| (differences[i + 1][axis] - differences[i][axis]) / way)
-        };
-        differences = (0..poses.len() - order).map(next).collect();
-        let size = |d: &[f64; 3]| d.iter().map(|v| v * v).sum::<f64>().sqrt();
-        sizes.push(differences.iter().map(size).fold(0.0, f64::max));
-    }
-    let last = sizes.pop().unwrap_or(0.0);
-    [last, sizes.into_iter().skip(1).fold(0.0, f64::max)]
-}
-
 /// Segments that are computed together. The last group is filled up with segments of zero area.
 #[derive(Clone, Copy)]
 struct Block {
@@ -203,8 +147,8 @@ pub struct Arm<'a, const N: usize> {
     pub mechanisms: &'a Mechanisms,
     pub sand: SandMechanisms<Doubles>,
     pub grounds: &'a [SandBed<Doubles>; N],
-    /// [`stencils`] of the track; empty without added mass.
-    pub stencils: Vec<Range<usize>>,
+    /// Those of the track; None without added mass.
+    pub accelerations: Option<Accelerations<'a>>,
     /// [`crate::sand::mechanism_laws::footprint`] of the track's pass.
     pub footprint: f64,
     /// λ ρ [kg/m³] of inertial drag.
@@ -272,7 +216,7 @@ impl<const N: usize> Arm<'_, N> {
 
     /// Load at a pose.
     fn load(&self, pose: &ArmPose) -> [Load; N] {
-        let acceleration = if self.mechanisms.added_mass == 0.0 { [0.0; 3] } else { self.acceleration(pose.t) };
+        let acceleration = self.accelerations.as_ref().map_or([0.0; 3], |own| own.at(pose.t));
         match self.track.intruder {
             Intruder::Plate { .. } => self.plate(pose, acceleration),
             Intruder::Leg { .. } => {
@@ -287,25 +231,6 @@ impl<const N: usize> Arm<'_, N> {
                 self.leg(&lagged, acceleration[0])
             }
         }
-    }
-
-    /// Angular acceleration [rad/s²] and the centre's acceleration [m/s²] at time `t`: slopes of the polynomial
-    /// through the logged velocities of the samples around `t` (Lagrange), which works for uneven sampling and at the
-    /// ends. Before the first and after the last sample the accelerations are constant.
-    fn acceleration(&self, t: f64) -> [f64; 3] {
-        let poses = &self.track.poses;
-        let t = t.clamp(poses[0].t, poses[poses.len() - 1].t);
-        let after = poses.partition_point(|p| p.t < t);
-        let nearest = if after > 0 && t - poses[after - 1].t < poses[after].t - t { after - 1 } else { after };
-        let near = &poses[self.stencils[nearest].clone()];
-        let others = |j: usize| (0..near.len()).filter(move |&m| m != j);
-        near.iter().enumerate().fold([0.0; 3], |sum, (j, pose)| {
-            let share = |k: usize| (t - near[k].t) / (pose.t - near[k].t);
-            let without = |m: usize| others(j).filter(|&k| k != m).map(share).product::<f64>();
-            let weight: f64 = others(j).map(|m| without(m) / (pose.t - near[m].t)).sum();
-            let moving = [pose.omega, pose.velocity[0], pose.velocity[1]];
-            [0, 1, 2].map(|axis| sum[axis] + weight * moving[axis])
-        })
     }
 
     fn plate(&self, pose: &ArmPose, acceleration: [f64; 3]) -> [Load; N] {
@@ -436,42 +361,31 @@ impl<const N: usize> Kernel for Sum<'_, N> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::force_model::ForceLogModel;
     use super::*;
-    use crate::sand::{Law, Medium, Regularization};
+    use crate::sand::{Medium, SandDescription};
 
-    /// For a speed with a period of about thirteen unevenly spaced samples, the derivative is right at samples, between
-    /// them and beyond the ends.
+    /// Cohesion pushes with the same stress on the whole submerged area, so its force on a vertical plate grows with
+    /// every step into the sand, however small the step is against a segment.
     #[test]
-    fn accelerations_are_found_up_to_the_ends_of_a_log() {
-        let swing = 2.0 * std::f64::consts::PI / 13.0;
-        let times = (0..40).map(|i| f64::from(i) + 0.2 * f64::from(i * 7 % 5 - 2) / 2.0);
-        let pose = |t: f64| ArmPose {
-            t,
-            omega: 3.0 + (swing * t).sin(),
-            velocity: [(swing * t).cos(), 2.0],
-            ..ArmPose::default()
+    fn of_a_segment_that_crosses_the_surface_the_submerged_part_counts() {
+        let (length, width, cohesion, steps) = (0.04, 0.025, 300.0, 500);
+        let intruder = Intruder::Plate { length, width, thickness: None };
+        let pose = |i: u32| {
+            let z = length * (0.5 - f64::from(i) / f64::from(steps));
+            ArmPose { t: 1e-3 * f64::from(i), center: [0.0, z], velocity: [0.5, 0.0], ..ArmPose::default() }
         };
-        let poses: Vec<ArmPose> = times.map(pose).collect();
-        let ends = [poses[0].t, poses[39].t];
-        let intruder = Intruder::Plate { length: 0.04, width: 0.025, thickness: None };
-        let (track, mechanisms) = (Track::leg(intruder, 0.0, poses), Mechanisms::default());
-        let ground = SandBed::new(Law::Li2013, &Medium::named("poppy-loose").unwrap(), &Regularization::DEFAULT);
-        let arm = Arm {
-            track: &track,
-            cut: &IntruderSegments::new(&intruder).unwrap(),
-            mechanisms: &mechanisms,
-            sand: SandMechanisms::new(&mechanisms, 640.0),
-            grounds: &[ground],
-            stencils: stencils(&track),
-            footprint: 1.0,
-            drag: 0.0,
+        let track =
+            Track { beta: std::f64::consts::FRAC_PI_2, ..Track::leg(intruder, 0.0, (0..steps).map(pose).collect()) };
+        let force = |cohesion: f64| {
+            let mut sand = SandDescription::plain(&Medium::named("poppy-loose").unwrap());
+            sand.mechanisms = Mechanisms { cohesion, ..Mechanisms::default() };
+            ForceLogModel::one(&sand, track.clone()).unwrap().into_iter().map(|load| load.fx).collect::<Vec<_>>()
         };
-        for k in -20..900 {
-            let t = (0.05 * f64::from(k)).clamp(ends[0], ends[1]);
-            let [turn, x, z] = arm.acceleration(0.05 * f64::from(k));
-            let wrong =
-                (turn - swing * (swing * t).cos()).abs().max((x + swing * (swing * t).sin()).abs()).max(z.abs());
-            assert!(wrong < 0.02 * swing, "{t}: {wrong}");
+        for (i, (with, without)) in force(cohesion).into_iter().zip(force(0.0)).enumerate() {
+            let submerged = i as f64 / f64::from(steps);
+            let expected = -cohesion * width * length * submerged;
+            assert!((with - without - expected).abs() < 1e-6, "{submerged}: {} and not {expected}", with - without);
         }
     }
 }

@@ -48,7 +48,8 @@ pub struct SearchSpace<'a> {
 
 /// Fits under one noise, and what was found before it.
 pub struct Candidates {
-    pub screen: Screen,
+    /// The causes that were tried, and the value at which each effect was computed.
+    pub screened: Vec<(usize, f64)>,
     /// Noise, whitening and nuisances of the last fits.
     pub around: Surroundings,
     /// Plain model with coefficients and nuisances fitted within their priors.
@@ -57,7 +58,7 @@ pub struct Candidates {
     pub fits: Vec<Fit>,
     /// The fit that predicts left-out conditions best, if it does so better than the plain model.
     pub leading: Option<usize>,
-    /// Candidates far behind, which were fitted with an earlier noise.
+    /// Candidates far behind, which were fitted with an earlier noise; without stacks.
     pub behind: Vec<Fit>,
     /// Objective of the plain model under that noise.
     pub earlier: f64,
@@ -93,6 +94,10 @@ pub fn candidates(
     let mut behind = fits.split_off(fits.len().min(FINALISTS));
     // What cannot be tested is compared in any case, because it may look like another cause.
     fits.extend(behind.extract_if(.., |fit| asked.untestable.contains(&fit.ids[0])));
+    // Of the others only values and objectives are reported, and stacks use most of the memory.
+    for fit in &mut behind {
+        (fit.prediction, fit.white, fit.slopes) = Default::default();
+    }
     let found = leading(&straight, &base, &fits);
     let mut now = Stage { fits, base, around: None };
     report(0.5, "singles under the noise of the best")?;
@@ -105,7 +110,8 @@ pub fn candidates(
     let around = around.unwrap_or_else(|| surroundings(&straight, source, noise, &base));
     let last = study.under(&around.whitener, around.nuisances.clone());
     let leading = leading(&last, &base, &fits);
-    Ok(Candidates { screen, leading, around, base, fits, behind, earlier })
+    let screened = screen.candidates;
+    Ok(Candidates { screened, leading, around, base, fits, behind, earlier })
 }
 
 /// The candidate that predicts left-out conditions best, if it does so better than the plain model.

@@ -32,13 +32,12 @@
 //! error is at least 2, because differences below 4 are no evidence (Sivula, Magnusson, Matamoros & Vehtari 2020).
 
 use super::fit::{Fit, Stack};
+use super::gauss_newton::value_prior;
 use super::left_out::{Contender, LeftOutRow, Linear};
-use super::screen::USUAL;
 use super::study::FitInputs;
 use super::whiten::Whitener;
 use crate::number::dot;
 use crate::parallel;
-use crate::sand::mechanism::CATALOG;
 use crate::student;
 use nalgebra::DVector;
 use std::collections::HashMap;
@@ -151,19 +150,25 @@ impl EvidenceTable {
         let projection = Projection::new(study, whitener, used);
         // Fits share columns, which are told apart by their address.
         let place = |c: &Stack| Arc::as_ptr(c) as usize;
-        let columns = |m: &Contender| -> Vec<Stack> {
-            m.fit.slopes.iter().chain(m.laws.iter().flat_map(|l| &l.columns)).cloned().collect()
-        };
-        let mut unique: Vec<Stack> = models.iter().flat_map(columns).collect();
+        let mut unique: Vec<Stack> = models.iter().flat_map(|m| &m.fit.slopes).cloned().collect();
         unique.sort_by_key(place);
         unique.dedup_by_key(|c| place(c));
         let projected = parallel::map(&unique, |c| projection.apply(c));
         let known: HashMap<_, _> = unique.iter().map(place).zip(&projected).collect();
+        // Numbers of each law, and the prior standard deviation of its coefficient.
+        let laws = |m: &Contender| {
+            let of = |column: &Arc<Vec<f32>>| {
+                let column: Vec<f64> = column.iter().copied().map(f64::from).collect();
+                (projection.apply(&column), width(&column, &m.fit.prediction))
+            };
+            m.laws.map_or(Vec::new(), |laws| parallel::map(&laws.columns, of))
+        };
+        let models: Vec<(&Contender, _)> = models.iter().map(|m| (m, laws(m))).collect();
         let residual = |fit: &Fit| -> Vec<f64> {
             study.observations.values.iter().zip(study.reading(fit)).map(|(y, m)| y - m).collect()
         };
-        let degrees = models.first().map_or(1.0, |m| projection.degrees(&residual(m.fit)));
-        let rows = parallel::map(models, |m| {
+        let degrees = models.first().map_or(1.0, |(m, _)| projection.degrees(&residual(m.fit)));
+        let rows = parallel::map(&models, |(m, laws)| {
             // What is known of coefficients and nuisances is one more condition: deviations of 0 ± 1 are its numbers.
             let (count, values) = (m.fit.deviations.len(), m.fit.ids.len());
             let own = |c: &Stack| known[&place(c)].clone();
@@ -173,21 +178,20 @@ impl EvidenceTable {
                 numbers
             };
             let slopes = m.fit.slopes.iter().enumerate();
-            let laws = m.laws.iter().flat_map(|l| &l.columns);
             let linear = Linear {
                 residual: with(
                     projection.apply(&residual(m.fit)),
                     DVector::from_fn(count, |i, _| -m.fit.deviations[i]),
                 ),
                 slopes: slopes.map(|(k, c)| with(own(c), stated(k))).collect(),
-                laws: laws.map(|c| with(own(c), DVector::zeros(count))).collect(),
+                laws: laws.iter().map(|law| with(law.0.clone(), DVector::zeros(count))).collect(),
                 prior: prior(m.fit),
-                widths: m.laws.map_or(Vec::new(), |l| l.columns.iter().map(|c| width(c, &m.fit.prediction)).collect()),
+                widths: laws.iter().map(|law| law.1).collect(),
             };
             linear.row(study, m, used, degrees)
         });
         let size = |g: &Vec<usize>| (projection.waves(g) * study.observations.channels.len()) as f64;
-        let stated = models.first().map(|m| m.fit.deviations.len() as f64);
+        let stated = models.first().map(|(m, _)| m.fit.deviations.len() as f64);
         let sizes: Vec<f64> = projection.groups.iter().map(size).chain(stated).collect();
         let free: f64 = projection.groups.iter().map(|g| g.len() as f64 - 1.0).sum::<f64>().min(degrees).max(1.0);
         let limit = 1.0 + 2.0 * (2.0 / sizes.iter().sum::<f64>().max(1.0) + 2.0 / free).sqrt();
@@ -209,11 +213,7 @@ impl EvidenceTable {
             if difference >= 0.0 { (&self.rows[a], &self.rows[b]) } else { (&self.rows[b], &self.rows[a]) };
         let (mut noise, mut clusters) = (0.0, 0.0);
         for (c, n) in self.sizes.iter().enumerate() {
-            let weight = |row: &LeftOutRow| {
-                let scale = row.scales[c];
-                (self.degrees + n) / (self.degrees + row.squares[c] / scale) / scale
-            };
-            let [own, others] = [weight(best), weight(other)];
+            let [own, others] = [best, other].map(|row| self.weight(row, c));
             let variance = own.recip();
             let apart = &other.own[c] - &best.own[c];
             noise += variance * others.powi(2) * apart.norm_squared() + 0.5 * n * (1.0 - others * variance).powi(2);
@@ -227,6 +227,12 @@ impl EvidenceTable {
         let (clusters, count) = (clusters.min(spread), (count - 1.0).max(1.0));
         let of = |variance: f64, degrees: f64| variance.max(0.0).sqrt() * student::two_sided_95(degrees) / NORMAL;
         [difference, of(noise, self.degrees).max(of(clusters, count)).max(LEAST)]
+    }
+
+    /// w of condition `c`: one over the variance of the errors of a row's model there, in units of the noise's.
+    pub fn weight(&self, row: &LeftOutRow, c: usize) -> f64 {
+        let (n, scale) = (self.sizes[c], row.scales[c]);
+        (self.degrees + n) / (self.degrees + row.squares[c] / scale) / scale
     }
 
     /// Does `a` predict left-out conditions better than `b`, beyond twice the standard error?
@@ -254,10 +260,7 @@ impl EvidenceTable {
 
 /// Precision and score of each parameter's prior at the fit.
 fn prior(fit: &Fit) -> Vec<[f64; 2]> {
-    let value = |(&id, at): (&usize, f64)| {
-        let precision = (USUAL * CATALOG[id].coordinate_typical()).powi(-2);
-        [precision, -precision * at]
-    };
+    let value = |(&id, at): (&usize, f64)| value_prior(id, at);
     let deviation = |d: &f64| [UNSTATED.powi(-2), -d * UNSTATED.powi(-2)];
     fit.ids.iter().zip(fit.coordinates()).map(value).chain(fit.deviations.iter().map(deviation)).collect()
 }

@@ -1,6 +1,7 @@
 //! The forward model of force logs: predicts the readings of an arm's force sensor, track by track ([`super::arm`]).
 
-use super::arm::{Arm, IntruderSegments, filtered, read, stencils};
+use super::acceleration::Accelerations;
+use super::arm::{Arm, IntruderSegments, filtered, read};
 use super::experiment::{Experiment, Intruder};
 use super::fit::slope;
 use super::force_log::ForceLog;
@@ -164,7 +165,7 @@ impl<'a> ForceLogModel<'a> {
             mechanisms: m,
             sand: self.sand(m),
             grounds,
-            stencils: if m.added_mass == 0.0 { Vec::new() } else { stencils(track) },
+            accelerations: (m.added_mass != 0.0).then(|| Accelerations::new(&track.poses, 0.0)),
             footprint: footprint(m.footprint, track.pass, track.pass_dx),
             drag: m.inertial_drag * self.medium.bulk_density,
         }
@@ -186,6 +187,20 @@ impl<'a> ForceLogModel<'a> {
         let grounds = coefficients.map(|c| self.ground(&c));
         let loads = parallel::map(&self.tracks, |t| self.arm(t, m, &grounds).readings());
         self.stacks(&loads)
+    }
+
+    /// Standard deviation of each number of a prediction, because accelerations are only roughly known from samples;
+    /// empty if no force depends on them.
+    fn doubt(&self, (m, c): &SandParameters, prediction: &[f64]) -> Vec<f64> {
+        if m.added_mass == 0.0 {
+            return Vec::new();
+        }
+        let grounds = [self.ground(c)];
+        let loads = parallel::map(&self.tracks, |t| {
+            let accelerations = Some(Accelerations::new(&t.poses, 1.0));
+            Arm { accelerations, ..self.arm(t, m, &grounds) }.readings()
+        });
+        slope(&self.stacks(&loads)[0], prediction, 1.0).into_iter().map(f64::abs).collect()
     }
 
     /// The response to the coefficients under `m`, computed once.
@@ -251,7 +266,7 @@ impl ForwardModel for ForceLogModel<'_> {
             shared.push(SharedNoise::one(offset, unit, guess, true, constant));
             shared.push(SharedNoise::one(drift, unit, guess, true, growing));
         }
-        Uncertainty { shared, ..Uncertainty::default() }
+        Uncertainty { shared, own: self.doubt(sand, prediction), ..Uncertainty::default() }
     }
 
     fn nuisances(&self, sand: &SandParameters, values: &[(String, f64)]) -> Vec<Nuisance> {

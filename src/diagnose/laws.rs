@@ -97,7 +97,7 @@ pub fn laws(study: &FitInputs, base: &Fit) -> Option<Laws> {
     let normal = study.normal_equations(base);
     let column = |law: &Term| {
         let model = study.model.with_terms(std::slice::from_ref(law))?;
-        let column = Arc::new(slope(&model.predict(&base.mechanisms, &coefficients), &base.prediction, 1.0));
+        let column = slope(&model.predict(&base.mechanisms, &coefficients), &base.prediction, 1.0);
         // The coefficient that would fit alone tells the sign; a law that sand cannot follow is left out.
         let white = study.whitener.apply(&column);
         if !base.ids.is_empty() && normal.explained(&white, base.ids.len())? > COLLINEAR {
@@ -106,7 +106,7 @@ pub fn laws(study: &FitInputs, base: &Fit) -> Option<Laws> {
         let estimate = dot(&white, &base.white) / dot(&white, &white).max(1e-300);
         let fitted = Term { coefficient: estimate, ..law.clone() };
         fitted.check(&coefficients, study.model.medium().bulk_density).ok()?;
-        Some((law.clone(), column))
+        Some((law.clone(), Arc::new(column.iter().map(|v| *v as f32).collect())))
     };
     let made = parallel::map(&dictionary(study.model.reach()), column);
     let (terms, columns) = made.into_iter().flatten().unzip();
@@ -137,4 +137,83 @@ pub fn fitted(study: &FitInputs, base: &Fit, mut term: Term, held: bool) -> Opti
     term.check(&study.coefficients(&fit.deviations), study.model.medium().bulk_density).ok()?;
     let fit = Fit { ids: base.ids.clone(), slopes: [own, &fit.slopes].concat(), ..fit };
     Some(FittedLaw { term, sd, fit })
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::super::experiment::{Experiment, Intruder};
+    use super::super::force_log::{planned, possible};
+    use super::super::force_model::ForceLogModel;
+    use super::super::forward::ForwardModel;
+    use super::super::noise::{ChannelNoise, Noise, NoiseClock, NoiseData, sizes};
+    use super::super::shared::Uncertainty;
+    use super::super::track::{ArmPose, Track};
+    use super::super::whiten::Whitener;
+    use super::*;
+    use crate::sand::mechanism::Mechanisms;
+
+    const EXPERIMENT: &str = "kind = \"intrusion\"\nmedium = \"poppy-loose\"\nbulk_density = 640.0\n\
+        [shape.plate]\ntype = \"plate\"\nlength = 0.04\nwidth = 0.025\n";
+
+    /// Plates with a hidden cohesion of 300 Pa, and a drag of another law than `inertial_drag`.
+    pub fn with_cohesion(check: impl Fn(&FitInputs, &Fit)) {
+        let intruder = Intruder::Plate { length: 0.04, width: 0.025, thickness: None };
+        let at = |velocity: f64| {
+            let pose = ArmPose { velocity: [velocity, 0.0], ..ArmPose::default() };
+            Track { shape: "plate".into(), ..Track::leg(intruder, 0.0, vec![pose]) }
+        };
+        let tracks = possible(&[at(0.05), at(1.0)]).into_iter().map(|(track, _)| track).collect();
+        let log = planned(tracks, 2);
+        let model = ForceLogModel::new(&log, &Experiment::from_toml(EXPERIMENT).unwrap()).unwrap();
+        let hidden = Mechanisms { cohesion: 300.0, ..Mechanisms::default() };
+        let law = Term { coefficient: 1.0, ..term(&[("froude", 0.75), ("depth_over_width", -0.25)]) };
+        let values = model.with_terms(&[law]).unwrap().predict(&hidden, &model.medium().coefficients);
+        let observations = super::super::observations::Observations { values, ..log.observations.clone() };
+        let channel = ChannelNoise { grain: 0.04, sensor: 0.03, phi: 0.5 };
+        let noise = Noise { clock: NoiseClock::Path, channels: vec![channel; 2], shared: Vec::new() };
+        let source = NoiseData {
+            observations: &observations,
+            prediction: &observations.values,
+            sizes: &sizes(&observations),
+            uncertainty: &Uncertainty::default(),
+            left_out: &[],
+        };
+        let whitener = Whitener::new(&source, &noise);
+        let study = FitInputs::new(&observations, &model, &whitener, 0.08);
+        let cohesion = Mechanisms::index("cohesion").unwrap();
+        check(&study, &study.fit(&[cohesion], &[200.0]));
+    }
+
+    fn term(groups: &[(&str, f64)]) -> Term {
+        let all = dictionary([1.0, 0.05, 0.025]);
+        let named = groups.iter().map(|g| (g.0.to_string(), g.1)).collect();
+        all.into_iter().find(|t| t.on == On::Normal && t.groups == named).unwrap()
+    }
+
+    /// The pressure |z| (|z|/w)^−1 does not depend on depth, as cohesion does not. Beside cohesion it would describe the
+    /// same stress once more; beside the plain model it may.
+    #[test]
+    fn a_law_that_repeats_a_cause_is_left_out_beside_it() {
+        with_cohesion(|study, fit| {
+            let still = term(&[("depth_over_width", -1.0)]);
+            let beside = |fit: &Fit| laws(study, fit).unwrap().terms.iter().any(|t| t.groups == still.groups);
+            assert!(beside(&study.recalibrated()) && !beside(fit));
+            assert!(laws(study, fit).unwrap().terms.len() > 20);
+        });
+    }
+
+    /// A law beside a named cause is fitted to what the cause leaves. Without that it would take a part of the cause's
+    /// value.
+    #[test]
+    fn a_law_beside_a_named_cause_leaves_it_its_value() {
+        with_cohesion(|study, fit| {
+            let law = Term { coefficient: 0.5, ..term(&[("froude", 0.25), ("depth_over_width", -1.0)]) };
+            let beside = fitted(study, fit, law.clone(), true).unwrap();
+            assert_eq!((&beside.fit.ids, beside.fit.values()), (&fit.ids, fit.values()));
+            assert_eq!(beside.fit.slopes.len(), fit.slopes.len());
+            let free = fitted(study, fit, law, false).unwrap();
+            let change = free.fit.values()[0] / fit.values()[0] - 1.0;
+            assert!(change.abs() > 0.05, "the law takes {change} of the value");
+        });
+    }
 }

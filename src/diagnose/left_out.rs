@@ -5,6 +5,7 @@ use super::fit::{COEFFICIENTS, Fit, Stack};
 use super::study::FitInputs;
 use crate::sand::Term;
 use nalgebra::{DMatrix, DVector};
+use std::sync::Arc;
 
 /// Largest number of rounds for the scale of a model's errors, and the relative change below which it counts as found:
 /// our choices; the scale changes the prediction only through the weight of the priors.
@@ -17,10 +18,11 @@ pub struct Contender<'a> {
     pub laws: Option<&'a Laws>,
 }
 
-/// Laws, with the change of a fit's prediction by each with the coefficient 1.
+/// Laws, with the change of a fit's prediction by each with the coefficient 1. The columns take the most memory of a
+/// diagnosis, and single precision is far more than a law needs.
 pub struct Laws {
     pub terms: Vec<Term>,
-    pub columns: Vec<Stack>,
+    pub columns: Vec<Arc<Vec<f32>>>,
 }
 
 /// How one model predicts each condition from the others.
@@ -36,8 +38,7 @@ pub struct LeftOutRow {
     pub squares: Vec<f64>,
     /// Held-out errors in the data's own unit, of the sand without nuisances.
     pub held_out: SquaredErrors,
-    /// Change of the parameters with each condition left out, and with none; with a law, its coefficient is the last one.
-    pub steps: Vec<Vec<f64>>,
+    /// Change of the parameters with no condition left out; with a law, its coefficient is the last one.
     pub step: Vec<f64>,
     /// The law chosen with no condition left out.
     pub law: Option<usize>,
@@ -243,7 +244,6 @@ impl Linear {
         LeftOutRow {
             elpd: now.left.iter().zip(&scales).map(density).collect(),
             squares: now.left.iter().map(|own| own.square).collect(),
-            steps: now.left[..used.len()].iter().map(|own| own.step.iter().copied().collect()).collect(),
             own: now.left.into_iter().map(|own| own.solved).collect(),
             scales,
             scale,
@@ -281,11 +281,12 @@ pub fn held_out(
 ) -> SquaredErrors {
     let fit = model.fit;
     let sand = fit.ids.len() + COEFFICIENTS;
-    let mut parts: Vec<(f64, &Stack)> = step[..sand].iter().copied().zip(&fit.slopes[..sand]).collect();
-    parts.extend(law.and_then(|l| model.laws.map(|own| (step[step.len() - 1], &own.columns[l]))));
+    let parts: Vec<(f64, &Stack)> = step[..sand].iter().copied().zip(&fit.slopes[..sand]).collect();
+    let law = law.and_then(|l| model.laws.map(|own| (step[step.len() - 1], &own.columns[l])));
+    let described = |k: usize| law.map_or(0.0, |(coefficient, column)| coefficient * f64::from(column[k]));
     SquaredErrors::of(
         study.observations,
-        |k| fit.prediction[k] + parts.iter().map(|(d, s)| d * s[k]).sum::<f64>(),
+        |k| fit.prediction[k] + parts.iter().map(|(d, s)| d * s[k]).sum::<f64>() + described(k),
         held,
     )
 }

@@ -1,4 +1,4 @@
-//! The plain model's error, and the features that it is related to.
+//! The plain model's error over the ranges of the data's features.
 
 use super::forward::{Feature, ForwardModel};
 use super::observations::Observations;
@@ -194,87 +194,4 @@ impl Misfit {
             (None, None) => String::new(),
         }
     }
-}
-
-/// A feature that a whitened residual is correlated with; it is never reported as a cause.
-#[derive(Clone, Debug, Serialize, PartialEq)]
-pub struct Correlate {
-    pub feature: String,
-    pub channel: String,
-    /// Change of the relative force when the feature goes from its least to its greatest value.
-    pub strength: f64,
-    pub delta_chi2: f64,
-}
-
-/// Largest number of terms that the sparse regression selects: our choice, for a short report.
-const TERMS: usize = 4;
-
-/// Gain in χ² that a term needs: chance alone reaches it once in a thousand for each of a hundred terms
-/// (1.96² would be that of a single one at 95 %). Our choice.
-pub const EARNS: f64 = 19.5;
-
-/// Greedy sparse regression of the whitened residual on prediction × feature and on |prediction| × feature, features
-/// scaled to −1…1 with their squares and products; terms enter while each lowers χ² by more than `gate`.
-pub fn correlates(
-    observations: &Observations,
-    model: &dyn ForwardModel,
-    prediction: &[f64],
-    white: &[f64],
-    whiten: impl Fn(&[f64]) -> Vec<f64>,
-    gate: f64,
-) -> Vec<Correlate> {
-    let terms = dictionary(&model.features());
-    let mut columns = Vec::new();
-    for (name, values) in &terms {
-        for (c, channel) in observations.channels.iter().enumerate() {
-            let mut column = vec![0.0; prediction.len()];
-            for (u, unit) in observations.units.iter().enumerate() {
-                for (i, k) in unit.block(c).enumerate() {
-                    column[k] = prediction[k] * values[u][i];
-                }
-            }
-            columns.push((name.clone(), channel.name.to_string(), whiten(&column)));
-        }
-    }
-    let mut left = white.to_vec();
-    let mut found: Vec<Correlate> = Vec::new();
-    for _ in 0..TERMS {
-        let gain = |column: &[f64]| {
-            let (square, along) = (crate::number::dot(column, column), crate::number::dot(column, &left));
-            if square > 1e-9 { (along * along / square, along / square) } else { (0.0, 0.0) }
-        };
-        let best = columns.iter().map(|c| (gain(&c.2), c)).max_by(|a, b| a.0.0.total_cmp(&b.0.0));
-        let Some(((delta, strength), (name, channel, column))) = best else {
-            break;
-        };
-        if delta <= gate {
-            break;
-        }
-        left.iter_mut().zip(column).for_each(|(l, c)| *l -= strength * c);
-        found.push(Correlate { feature: name.clone(), channel: channel.clone(), strength, delta_chi2: delta });
-    }
-    found
-}
-
-/// Scaled features, their squares and products of two.
-fn dictionary(features: &[Feature]) -> Vec<(String, Vec<Vec<f64>>)> {
-    let scaled: Vec<(String, Vec<Vec<f64>>)> = features
-        .iter()
-        .filter_map(|f| {
-            let low = f.values.iter().flatten().copied().fold(f64::MAX, f64::min);
-            let high = f.values.iter().flatten().copied().fold(f64::MIN, f64::max);
-            let scale = |v: &f64| (2.0 * v - low - high) / (high - low);
-            (high - low > 1e-12)
-                .then(|| (f.name.to_string(), f.values.iter().map(|u| u.iter().map(scale).collect()).collect()))
-        })
-        .collect();
-    let mut all = scaled.clone();
-    for (i, (a, left)) in scaled.iter().enumerate() {
-        for (b, right) in &scaled[..=i] {
-            let name = if a == b { format!("{a}²") } else { format!("{a} × {b}") };
-            let values = left.iter().zip(right).map(|(l, r)| l.iter().zip(r).map(|(l, r)| l * r).collect()).collect();
-            all.push((name, values));
-        }
-    }
-    all
 }

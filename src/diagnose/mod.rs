@@ -22,6 +22,7 @@ use sandgait_sim as sim;
 use sandgait_sweep as sweep;
 use sandgait_table as table;
 
+mod acceleration;
 mod arm;
 mod candidates;
 mod columns;

@@ -138,13 +138,9 @@ fn next(html: &mut String, r: &Report) {
         }
         Verdict::InsufficientData => "Repeat each condition at least twice, better three times.",
     };
-    let stand_in = match r.gain.reduction {
-        _ if r.verdict != Verdict::NoneOfThese || r.written == Written::Plain => "",
-        Some(reduction) if reduction < 0.0 => {
-            " Do not simulate with <code>sand.toml</code>: its stand-in gives left-out conditions a higher density, but its error there \
-             is larger than that of the plain model."
-        }
-        _ => " <code>sand.toml</code> predicts left-out conditions better, but as a stand-in for that effect.",
+    let stand_in = match r.verdict == Verdict::NoneOfThese && r.written != Written::Plain {
+        true => " <code>sand.toml</code> predicts left-out conditions better, but as a stand-in for that effect.",
+        false => "",
     };
     let _ = write!(html, "<div class=next><p><b>What to do next.</b> {what}{stand_in}</p>");
     if let Some(next) = &r.next_experiment {
@@ -373,13 +369,6 @@ fn unknowns(html: &mut String, r: &Report) {
         }
         for u in &r.untestable {
             let _ = write!(html, "<li>{}: {}", u.id, escape(&u.why));
-        }
-        html.push_str("</ul>");
-    }
-    if !r.correlates_with.is_empty() {
-        html.push_str("<h2>Correlations of the residual</h2><p class=small>They are not causes.</p><ul>");
-        for c in &r.correlates_with {
-            let _ = write!(html, "<li>{} with {} (Δχ² {:.0})", c.channel, escape(&c.feature), c.delta_chi2);
         }
         html.push_str("</ul>");
     }

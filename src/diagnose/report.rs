@@ -1,6 +1,6 @@
 //! Contents of the report: `report.json`, as documented, and `sand.toml`.
 
-use super::misfit::{Correlate, Misfit};
+use super::misfit::Misfit;
 use super::next_experiment::Proposal;
 use super::speed_exponent::SpeedExponent;
 use super::verdict::{Verdict, Written};
@@ -173,8 +173,6 @@ pub struct Report {
     /// The ranges with the largest errors of the plain model, in one sentence; None without significant misfit.
     #[serde(rename = "where")]
     pub whereabouts: Option<String>,
-    /// If no cause was named: features that the residual is correlated with. They are not causes.
-    pub correlates_with: Vec<Correlate>,
     pub untestable: Vec<Untestable>,
     pub next_experiment: Option<NextExperiment>,
     /// Feature → least and greatest value in the data.

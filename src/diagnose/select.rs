@@ -20,6 +20,7 @@ use crate::progress::Progress;
 use crate::sand::Term;
 use crate::sand::mechanism::{CATALOG, Side};
 use crate::student;
+use nalgebra::DMatrix;
 
 /// Number of folds in which noise, model and values are chosen anew: our choice; each needs its own noise.
 const FOLDS: usize = 6;
@@ -140,22 +141,32 @@ fn judged(
 ) -> Selection {
     let all: Vec<usize> = (0..study.observations.conditions.len()).collect();
     let marginalised = |id: &usize| unnamed.contains(id) && !asked.untestable.contains(id);
+    let plain = study.plain();
+    let plain = SquaredErrors::of(study.observations, |k| plain.prediction[k], &all);
     loop {
         let models = models(&candidates, dictionary.each_ref().map(Option::as_ref));
         let table = EvidenceTable::new(renewed, renewed.whitener, &models, &all);
-        let entries = entries(renewed, &table, &models, unnamed, asked.untestable);
-        let ruling = verdict(&entries, SECOND);
+        let mut entries = entries(renewed, &table, &models, &all, asked, unnamed);
+        let mut ruling = verdict(&entries, SECOND);
         let measured = |&k: &usize| models[k].fit.ids.iter().any(marginalised);
         if entries[0].misfit <= 0.0 && !ruling.set.is_empty() && ruling.set.iter().all(measured) {
             candidates.without(&marginalised);
             dictionary[1] = dictionary[1].take().filter(|_| candidates.leading.is_some());
             continue;
         }
-        // The model is fitted once more, with the scale of its errors as the weight of the data against the priors.
-        let (model, scale) = (&models[ruling.model], table.rows[ruling.model].scale);
-        let whitener = renewed.whitener.widened(scale);
+        let mut nested = nested(renewed, asked, &candidates, (&models, unnamed), &ruling);
+        // If the choice that is made anew in each fold raises the error, this is the error of what it chooses.
+        while !matches!(ruling.written, Written::Cause | Written::Plain) && nested[1].rmse() >= entries[0].error {
+            entries[ruling.model].error = nested[1].rmse();
+            ruling = verdict(&entries, SECOND);
+            nested = self::nested(renewed, asked, &candidates, (&models, unnamed), &ruling);
+        }
+        // The model is fitted once more, with the variance of its errors in each condition: at least that of the noise.
+        let (model, row) = (&models[ruling.model], &table.rows[ruling.model]);
+        let weights = study.observations.units.iter().map(|unit| table.weight(row, unit.condition).min(1.0));
+        let whitener = renewed.whitener.weighted(weights);
         let last = study.under(&whitener, renewed.nuisances.clone());
-        let fit = if scale > 1.0 { last.fit_from(&[model.fit]).swap_remove(0) } else { model.fit.clone() };
+        let fit = last.fit_from(&[model.fit]).swap_remove(0);
         let term = law_of(&table, &models, ruling.model);
         let held = ruling.written == Written::Cause;
         let law = term.as_ref().and_then(|term| fitted(&last, &fit, term.clone(), held));
@@ -167,16 +178,13 @@ fn judged(
             }
             continue;
         }
-        let nested = nested(renewed, asked, &candidates, (&models, unnamed), &ruling);
         let formulas = (0..models.len()).map(|k| law_of(&table, &models, k).map(|t| t.formula())).collect();
         let of = |m: &Contender| candidates.fits.iter().position(|f| std::ptr::eq(f, m.fit));
         let places: Vec<Option<usize>> = models.iter().map(of).collect();
         let best = ruling.set.first().or((ruling.model > 0).then_some(&ruling.model)).copied();
         let standing = law.as_ref().map_or(fit, |law| law.fit.clone());
         let profiled = profiled.filter(|_| best.is_some_and(|k| places[k] == candidates.leading));
-        let intervals = best.map_or(Intervals::default(), |k| intervals(&last, &standing, &table, k, profiled));
-        let plain = study.plain();
-        let plain = SquaredErrors::of(study.observations, |k| plain.prediction[k], &all);
+        let intervals = best.map_or(Intervals::default(), |_| intervals(&last, &standing, table.degrees, profiled));
         return Selection {
             candidates,
             places,
@@ -211,14 +219,17 @@ fn law_of(table: &EvidenceTable, models: &[Contender], k: usize) -> Option<Term>
     models[k].laws.zip(row.law).map(|(laws, l)| Term { coefficient, ..laws.terms[l].clone() })
 }
 
-/// The entries of a table, for the verdict.
+/// The entries of a table over the conditions `used`, for the verdict.
 fn entries(
     study: &FitInputs,
     table: &EvidenceTable,
     models: &[Contender],
+    used: &[usize],
+    asked: &SearchSpace,
     unnamed: &[usize],
-    untestable: &[usize],
 ) -> Vec<Compared> {
+    let plain = study.plain();
+    let plain = SquaredErrors::of(study.observations, |k| plain.prediction[k], used).rmse();
     let unlikely = |(&id, value): (&usize, f64)| {
         stated(&study.nuisances, CATALOG[id].id).is_some_and(|sd| value.abs() > MOST_DEVIATION * sd)
     };
@@ -226,7 +237,7 @@ fn entries(
         let ids = &models[k].fit.ids;
         let scaled = ids.iter().any(|&id| CATALOG[id].id == "scale");
         let hidden = |j: &usize| match models[*j].fit.ids[..] {
-            [other] => scaled && untestable.contains(&other) && FACTORS.contains(&CATALOG[other].id),
+            [other] => scaled && asked.untestable.contains(&other) && FACTORS.contains(&CATALOG[other].id),
             _ => false,
         };
         let inside = |j: &usize| models[*j].laws.is_none() && *j != k && models[*j].fit.ids == *ids;
@@ -241,7 +252,7 @@ fn entries(
             misfit: table.misfit(k),
             beats: (0..models.len()).map(|j| table.beats(k, j)).collect(),
             ahead: table.ahead(k),
-            error: table.rows[k].held_out.rmse(),
+            error: if k == 0 { plain } else { table.rows[k].held_out.rmse() },
         }
     };
     (0..models.len()).map(of).collect()
@@ -259,28 +270,17 @@ fn explored(study: &FitInputs, candidates: &mut Candidates) -> Option<Vec<[f64; 
     Some(intervals)
 }
 
-/// 95 % intervals, widened because the noise is only estimated. If misfit remains, the interval is at least as wide as
-/// the scatter of the values with one condition left out says (jackknife, Efron 1982).
-fn intervals(
-    study: &FitInputs,
-    fit: &Fit,
-    table: &EvidenceTable,
-    entry: usize,
-    profiled: Option<Vec<[f64; 2]>>,
-) -> Intervals {
-    let (count, covariance) = (fit.ids.len(), study.covariance(fit));
-    let lacking = table.lack(entry) > table.limit;
-    let row = &table.rows[entry];
-    let n = row.steps.len() as f64;
-    let jackknife = |k: usize| {
-        let mean = row.steps.iter().map(|s| s[k]).sum::<f64>() / n;
-        let square = row.steps.iter().map(|s| (s[k] - mean).powi(2)).sum::<f64>() * (n - 1.0) / n;
-        student::two_sided_95((n - 1.0).max(2.0)) * square.sqrt()
-    };
+/// 95 % intervals. A standard error is that under the noise, or that from the scatter between conditions if this is
+/// greater (Angrist & Pischke, Mostly Harmless Econometrics, 2009, 8.1): the first one is too small where the law is not
+/// quite right, and the second one where few conditions matter. Both are widened by Student's t, because the noise is
+/// only estimated and conditions are few.
+fn intervals(study: &FitInputs, fit: &Fit, degrees: f64, profiled: Option<Vec<[f64; 2]>>) -> Intervals {
+    let (count, covariance, jackknife) = (fit.ids.len(), study.covariance(fit), study.jackknife(fit));
+    let others = (study.observations.conditions.len() as f64 - 1.0).max(2.0);
     let range = |k: usize| {
         let at = fit.coordinates()[k];
-        let own = (student::square_at_95(table.degrees.max(2.0)) * covariance[(k, k)]).sqrt();
-        let reach = if lacking { own.max(jackknife(k)) } else { own };
+        let reach = |covariance: &DMatrix<f64>, degrees| (student::square_at_95(degrees) * covariance[(k, k)]).sqrt();
+        let reach = reach(&covariance, degrees.max(2.0)).max(reach(&jackknife, others));
         let profiled = profiled.as_ref().and_then(|p| p.get(k)).filter(|i| i.iter().all(|u| u.is_finite()));
         let [low, high] = profiled.copied().unwrap_or([at - reach, at + reach]);
         let bounds = CATALOG[fit.ids[k]].coordinate_bounds();
@@ -314,7 +314,7 @@ fn nested(
         let table = EvidenceTable::new(study, &whitener, models, &rest);
         let chosen = match ruling.written {
             Written::Plain => 0,
-            _ => verdict(&entries(study, &table, models, unnamed, asked.untestable), SECOND).model,
+            _ => verdict(&entries(study, &table, models, &rest, asked, unnamed), SECOND).model,
         };
         [0, chosen].map(|k| held_out(study, &models[k], table.rows[k].law, &table.rows[k].step, held))
     });

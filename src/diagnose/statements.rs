@@ -55,6 +55,10 @@ pub fn violations(r: &Report) -> Vec<String> {
         (r.written != Written::Plain) || (same && r.gain.reduction.unwrap_or(0.0) == 0.0),
         "the gain is not that of the plain model, which is written".into(),
     );
+    holds(
+        matches!(r.written, Written::Cause | Written::Plain) || r.gain.reduction.is_some_and(|gain| gain > 0.0),
+        "what is written without being the cause raises the error".into(),
+    );
     let named = matches!(r.verdict, Verdict::Named | Verdict::Ambiguous);
     holds(
         named == (r.written == Written::Cause)

@@ -60,7 +60,7 @@ pub struct Compared {
     pub beats: Vec<bool>,
     /// Does it predict better than the plain model, beyond the standard error?
     pub ahead: bool,
-    /// Error of the sand alone, without nuisances, on left-out conditions.
+    /// Error of the sand alone, without nuisances, on left-out conditions; of the plain sand nothing is fitted.
     pub error: f64,
 }
 
@@ -73,9 +73,24 @@ pub struct Ruling {
     pub model: usize,
     /// The explanations that the data cannot distinguish, the best first; empty if none is named.
     pub set: Vec<usize>,
+    /// Entries that are not compared: they give left-out conditions a higher density, but their sand errs more than the
+    /// plain one.
+    pub left_out: Vec<usize>,
+}
+
+impl Ruling {
+    fn without_name(verdict: Verdict, written: Written, model: usize) -> Self {
+        Self { verdict, written, model, set: Vec::new(), left_out: Vec::new() }
+    }
 }
 
 impl Compared {
+    /// An entry that is not compared.
+    fn left_out(&self) -> Self {
+        let beats = vec![false; self.beats.len()];
+        Self { causes: 0, law: false, elpd: f64::NEG_INFINITY, beats, ahead: false, ..self.clone() }
+    }
+
     /// Share of the misfit that it explains, beside the `plain` entry.
     pub fn explains(&self, plain: &Compared) -> f64 {
         if self.misfit <= 0.0 { 1.0 } else { 1.0 - self.misfit / plain.misfit.max(1e-9) }
@@ -84,7 +99,23 @@ impl Compared {
 
 /// The verdict; the first entry of the table is the plain model. `second` is the share of a pair's evidence that its
 /// second cause must add.
+///
+/// A simulator uses the sand alone. So what is written without being held for the cause must also err less than the plain
+/// sand. Where it does not, no model that raises the error is compared.
 pub fn verdict(table: &[Compared], second: f64) -> Ruling {
+    let ruling = by_density(table, second);
+    let raises = |k: &usize| table[*k].error >= table[0].error;
+    if matches!(ruling.written, Written::Cause | Written::Plain) || !raises(&ruling.model) {
+        return ruling;
+    }
+    let left_out: Vec<usize> = (1..table.len()).filter(|k| table[*k].ahead && raises(k)).collect();
+    let of = |(k, entry): (usize, &Compared)| if left_out.contains(&k) { entry.left_out() } else { entry.clone() };
+    let rest: Vec<Compared> = table.iter().enumerate().map(of).collect();
+    Ruling { left_out, ..by_density(&rest, second) }
+}
+
+/// The verdict by the densities of left-out conditions.
+fn by_density(table: &[Compared], second: f64) -> Ruling {
     let plain = &table[0];
     let better = |k: &usize| table[*k].beats[0];
     // If one of a kind predicts better than the plain model, the best of its kind stands for it.
@@ -106,7 +137,7 @@ pub fn verdict(table: &[Compared], second: f64) -> Ruling {
     }
     let law = law.filter(main).filter(|&l| explanation.is_none_or(|c| table[l].elpd >= table[c].elpd));
     if let Some(model) = law {
-        return Ruling { verdict: Verdict::Described, written: Written::Description, model, set: Vec::new() };
+        return Ruling::without_name(Verdict::Described, Written::Description, model);
     }
     stand_in(table, best, &|k| table[k].beats[0])
 }
@@ -138,12 +169,12 @@ pub fn leading(
 /// may, there is a misfit in any case, and the best stand-in needs less evidence than a cause: one standard error.
 fn without_cause(table: &[Compared]) -> Ruling {
     if table[0].misfit <= 0.0 {
-        return Ruling { verdict: Verdict::NoiseFloor, written: Written::Plain, model: 0, set: Vec::new() };
+        return Ruling::without_name(Verdict::NoiseFloor, Written::Plain, 0);
     }
     let ahead = (1..table.len()).filter(|&k| table[k].ahead);
     match ahead.max_by(|a, b| table[*a].elpd.total_cmp(&table[*b].elpd)) {
         Some(best) => stand_in(table, best, &|k| table[k].ahead),
-        None => Ruling { verdict: Verdict::NoneOfThese, written: Written::Plain, model: 0, set: Vec::new() },
+        None => Ruling::without_name(Verdict::NoneOfThese, Written::Plain, 0),
     }
 }
 
@@ -153,7 +184,7 @@ fn stand_in(table: &[Compared], best: usize, better: &dyn Fn(usize) -> bool) -> 
     let as_good = (1..table.len()).filter(|&k| better(k) && !table[best].beats[k]);
     let model = as_good.min_by(|a, b| table[*a].error.total_cmp(&table[*b].error)).unwrap_or(best);
     let written = if table[model].causes > 0 { Written::Proxy } else { Written::Description };
-    Ruling { verdict: Verdict::NoneOfThese, written, model, set: Vec::new() }
+    Ruling::without_name(Verdict::NoneOfThese, written, model)
 }
 
 /// The verdict if `cause` explains the main part.
@@ -185,7 +216,7 @@ fn named(table: &[Compared], cause: usize) -> Ruling {
         table[*k].law && table[set[0]].misfit > 0.0 && table[*k].within.contains(&set[0]) && table[*k].beats[set[0]]
     };
     let model = (1..table.len()).find(beside).unwrap_or(set[0]);
-    Ruling { verdict, written: Written::Cause, model, set }
+    Ruling { verdict, written: Written::Cause, model, set, left_out: Vec::new() }
 }
 
 #[cfg(test)]
@@ -211,7 +242,7 @@ mod tests {
     }
 
     fn of(table: &[Compared]) -> (Verdict, Written, usize, Vec<usize>) {
-        let Ruling { verdict, written, model, set } = verdict(table, 0.01);
+        let Ruling { verdict, written, model, set, .. } = verdict(table, 0.01);
         (verdict, written, model, set)
     }
 
@@ -264,5 +295,18 @@ mod tests {
         assert_eq!(of(&table(&misfit)), (Verdict::NoneOfThese, Written::Plain, 0, Vec::new()));
         let ahead = [(0, false, -7.0, 50.0), (1, false, 0.0, 45.0)];
         assert_eq!(of(&table(&ahead)), (Verdict::NoneOfThese, Written::Proxy, 1, Vec::new()));
+    }
+
+    #[test]
+    fn a_stand_in_lowers_the_error_of_the_sand_alone() {
+        let mut entries = table(&[(0, false, -100.0, 90.0), (1, false, 0.0, 60.0), (2, false, -8.0, 60.0)]);
+        entries[1].error = 120.0;
+        assert_eq!(of(&entries), (Verdict::NoneOfThese, Written::Proxy, 2, Vec::new()));
+        entries[2].error = 110.0;
+        assert_eq!(of(&entries), (Verdict::NoneOfThese, Written::Plain, 0, Vec::new()));
+        assert_eq!(verdict(&entries, 0.01).left_out, [1, 2]);
+        // A name is a statement on the cause, whatever the error of the rest.
+        entries[1].misfit = 0.0;
+        assert_eq!(of(&entries), (Verdict::Named, Written::Cause, 1, vec![1]));
     }
 }

@@ -12,6 +12,7 @@ use super::select::Selection;
 use super::study::FitInputs;
 use super::summary::summary;
 use super::verdict::{Verdict, Written};
+use super::words::{after, digits};
 use super::{laws, misfit, next_experiment, speed_exponent};
 use crate::sand::mechanism::CATALOG;
 use crate::student;
@@ -26,7 +27,8 @@ pub struct ReportView<'a> {
 }
 
 impl ReportView<'_> {
-    pub fn report(&self, untestable: Vec<Untestable>, data_sha256: String, notes: Vec<String>) -> Report {
+    pub fn report(&self, untestable: Vec<Untestable>, data_sha256: String, mut notes: Vec<String>) -> Report {
+        notes.extend(self.left_out());
         let observations = self.study.observations;
         let (model, plain) = (self.study.model, self.study.plain().prediction);
         let misfit = misfit::misfit(observations, model, &plain, |_| true);
@@ -68,7 +70,6 @@ impl ReportView<'_> {
             degrees_of_freedom: self.selection.map(|s| s.table.degrees),
             form: renewed.as_ref().and_then(|study| self.form(study)),
             misfit,
-            correlates_with: self.correlates(),
             next_experiment: self.next_experiment(&untestable),
             untestable,
             valid_range: ranges.collect(),
@@ -99,8 +100,9 @@ impl ReportView<'_> {
     fn evidence(&self) -> Vec<EvidenceRow> {
         let Some(s) = self.selection else { return Vec::new() };
         let count = s.entries.len();
-        let best = (0..count).max_by(|a, b| s.table.elpd(*a).total_cmp(&s.table.elpd(*b))).unwrap_or(0);
-        let mut order: Vec<usize> = (1..count).collect();
+        let mut order: Vec<usize> = (1..count).filter(|k| !s.ruling.left_out.contains(k)).collect();
+        let best = order.iter().chain([&0]).max_by(|a, b| s.table.elpd(**a).total_cmp(&s.table.elpd(**b)));
+        let best = best.copied().unwrap_or(0);
         order.sort_by(|a, b| s.table.elpd(*b).total_cmp(&s.table.elpd(*a)));
         let of = |k: usize| {
             let [difference, standard_error] = s.table.difference(k, best);
@@ -109,6 +111,28 @@ impl ReportView<'_> {
             EvidenceRow { ids, terms, elpd: s.table.elpd(k), difference, standard_error, written }
         };
         [0].into_iter().chain(order).map(of).collect()
+    }
+
+    /// A note on the models that are not compared.
+    fn left_out(&self) -> Option<String> {
+        let s = self.selection?;
+        let error = |k: &usize| s.entries[*k].error;
+        let best = s.ruling.left_out.iter().max_by(|a, b| s.table.elpd(**a).total_cmp(&s.table.elpd(**b)))?;
+        let law = s.formulas[*best].iter().map(|law| format!("the law {law}"));
+        let named: Vec<String> = names(s.fit_of(*best)).into_iter().chain(law).collect();
+        let unit = self.study.observations.channels.iter().find(|c| c.in_rmse).map_or("", |c| c.unit);
+        let count = match s.ruling.left_out.len() {
+            1 => "one model is".to_string(),
+            more => format!("{more} models are"),
+        };
+        Some(format!(
+            "{count} not compared, because the sand alone would err more on left-out conditions than the plain one, although their \
+             density is higher; the best, {}, errs by {}{}, and the plain one by {}",
+            named.join(" with "),
+            digits(error(best)),
+            after(unit),
+            digits(error(&0))
+        ))
     }
 
     fn warnings(&self, causes: &[Cause]) -> Vec<String> {
@@ -229,7 +253,7 @@ impl ReportView<'_> {
             return Vec::new();
         }
         let table = &selection.table;
-        let screened = &selection.candidates.screen.candidates;
+        let screened = &selection.candidates.screened;
         let asked: Vec<(usize, f64)> = screened.iter().filter(|c| !CATALOG[c.0].ceiling).copied().collect();
         let limit = |further: &super::further::Further| {
             let entry = &CATALOG[further.id];
@@ -288,22 +312,6 @@ impl ReportView<'_> {
             ci95: Some(plain.reduction_interval(extended)),
             achievable_fraction: (told && before > floor).then(|| (before - after) / (before - floor)),
         }
-    }
-
-    fn correlates(&self) -> Vec<misfit::Correlate> {
-        let Some(selection) = self.selection.filter(|s| s.verdict() == Verdict::NoneOfThese) else {
-            return Vec::new();
-        };
-        let base = &selection.candidates.base;
-        let whiten = |column: &[f64]| selection.candidates.around.whitener.apply(column);
-        misfit::correlates(
-            self.study.observations,
-            self.study.model,
-            &base.prediction,
-            &base.white,
-            whiten,
-            misfit::EARNS,
-        )
     }
 
     /// Measured and predicted means of every condition, for runs, which have one number for each channel.

@@ -17,8 +17,8 @@ struct UnitFilter {
 #[derive(Clone)]
 pub struct Whitener {
     units: Vec<UnitFilter>,
-    /// Factor on the whitened numbers.
-    factor: f64,
+    /// Factor on the whitened numbers of each unit.
+    factors: Vec<f64>,
 }
 
 impl Whitener {
@@ -41,22 +41,23 @@ impl Whitener {
             filter.share(source, noise, repeated.sqrt());
             filter
         });
-        Self { units: units.collect(), factor: 1.0 }
+        let units: Vec<UnitFilter> = units.collect();
+        Self { factors: vec![1.0; units.len()], units }
     }
 
-    /// The whitener of a noise whose variance is `scale` times as large.
-    pub fn widened(&self, scale: f64) -> Self {
-        Self { units: self.units.clone(), factor: self.factor / scale.sqrt() }
+    /// The whitener of a noise with other weights (one over the variance), `weight` of each unit.
+    pub fn weighted(&self, weight: impl Iterator<Item = f64>) -> Self {
+        Self { units: self.units.clone(), factors: weight.map(f64::sqrt).collect() }
     }
 
     /// The whitened stack.
     pub fn apply(&self, stack: &[f64]) -> Vec<f64> {
         let mut white = stack.to_vec();
-        for unit in &self.units {
+        for (unit, factor) in self.units.iter().zip(&self.factors) {
             let own = &mut white[unit.span.clone()];
             unit.filter(own);
             unit.shared.apply(own);
-            own.iter_mut().for_each(|value| *value *= self.factor);
+            own.iter_mut().for_each(|value| *value *= factor);
         }
         white
     }
