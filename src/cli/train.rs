@@ -202,7 +202,7 @@ fn unchecked(task: String, options: Value, settings: Hyperparameters) -> Trainin
 
 fn connected(place: ServerAddress) -> Box<Connect> {
     Box::new(move |plan, options, pause| {
-        let session = TrainingSession::new(place.clone(), plan.task()?, options, plan.settings.n_envs, pause)?;
+        let session = TrainingSession::new(place.clone(), plan.spec.task()?, options, plan.settings.n_envs, pause)?;
         Ok(Box::new(session) as Box<dyn RemoteEnvironments>)
     })
 }

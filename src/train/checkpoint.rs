@@ -54,7 +54,7 @@ pub fn save(path: &Path, plan: &TrainingPlan, learnt: &TrainingState, open: &Ope
     file.add("curve.open", &[2], &open.episodes);
     let sums: Vec<f64> = [open.updates].into_iter().chain(open.terms.iter().map(|(_, sum)| *sum)).collect();
     file.add("curve.terms", &[sums.len()], &sums);
-    if plan.blueprint.is_none() {
+    if plan.spec.blueprint.is_none() {
         for (name, bound) in [("low", 0), ("high", 1)] {
             let bounds: Vec<f64> = plan.spec.action.iter().map(|column| [column.low, column.high][bound]).collect();
             file.add(format!("action.{name}"), &[bounds.len()], &bounds);
@@ -177,7 +177,7 @@ fn environments(
     away: bool,
 ) -> Result<std::result::Result<SavedEnvironments, String>> {
     let unfit = match file.text("environments").ok() {
-        None if plan.blueprint.is_none() => format!("{} cannot be saved", plan.spec.id),
+        None if plan.spec.blueprint.is_none() => format!("{} cannot be saved", plan.spec.id),
         None => "the checkpoint has no environments".to_owned(),
         Some(place) if (place == "server") != away => {
             let place = if away { "this process" } else { "a server" };

@@ -4,9 +4,9 @@ use super::learn::RolloutBuffer;
 use super::loss::ActionNoise;
 use super::network::{NetworkPass, Networks};
 use super::normal::{BatchMoments, NormalizerScales};
-use super::plan::TrainingPlan;
 use super::remote::of_part;
 use super::settings::Hyperparameters;
+use super::spec::TrainingSpec;
 use crate::env::Shard;
 use crate::env::shard::Rows;
 use crate::env::snapshot::{Resumed, SavedEpisode};
@@ -82,26 +82,30 @@ pub struct PolicyContext<'a> {
 
 impl RolloutGroup {
     /// All environments of a training, without a state yet; `away`: not the training's own.
-    pub fn all(plan: &TrainingPlan, away: bool) -> Result<Vec<Self>> {
-        let settings = &plan.settings;
-        let lanes = plan.blueprint.as_ref().map_or(1, |blueprint| blueprint.engine.shard_size());
+    pub fn all(spec: &TrainingSpec, settings: &Hyperparameters, networks: &Networks, away: bool) -> Result<Vec<Self>> {
+        let lanes = spec.blueprint.as_ref().map_or(1, |blueprint| blueprint.engine.shard_size());
         let size = settings.n_envs.div_ceil(PIECES).next_multiple_of(lanes);
         let starts = (0..settings.n_envs).step_by(size);
         let piece = |start: usize| {
             let envs = size.min(settings.n_envs - start);
             let place = match away {
                 true => GroupEnvironments::Away(Rows::default()),
-                false => GroupEnvironments::Here(Box::new(Shard::new(plan.task()?, envs)?)),
+                false => GroupEnvironments::Here(Box::new(Shard::new(spec.task()?, envs)?)),
             };
-            Ok(Self::new(plan, envs, place))
+            Ok(Self::new(spec, envs, settings, networks, place))
         };
         starts.map(piece).collect()
     }
 
-    fn new(plan: &TrainingPlan, envs: usize, place: GroupEnvironments) -> Self {
-        let TrainingPlan { settings, networks, .. } = plan;
+    fn new(
+        spec: &TrainingSpec,
+        envs: usize,
+        settings: &Hyperparameters,
+        networks: &Networks,
+        place: GroupEnvironments,
+    ) -> Self {
         let [wide, width] = [networks.shape.observation, networks.shape.action];
-        let task = plan.blueprint.as_ref().map(|blueprint| blueprint.task.spec());
+        let task = spec.blueprint.as_ref().map(|blueprint| blueprint.task.spec());
         Self {
             place,
             envs,
@@ -109,7 +113,7 @@ impl RolloutGroup {
             pass: networks.pass(envs),
             spread: ActionNoise::default(),
             clipped: vec![0.0; envs * width],
-            bounds: plan.action_bounds(),
+            bounds: spec.action_bounds(),
             data: RolloutBuffer::new(envs * settings.n_steps, wide, width),
             ended: vec![false; envs * settings.n_steps],
             skipped: Vec::new(),

@@ -31,7 +31,7 @@ pub fn policy(plan: &TrainingPlan) -> Value {
         "observation": columns(&plan.spec.observation),
         "action": columns(&plan.spec.action),
     });
-    let Some(task) = plan.blueprint.as_ref().map(|blueprint| &blueprint.task) else {
+    let Some(task) = plan.spec.blueprint.as_ref().map(|blueprint| &blueprint.task) else {
         about["environment"] = json!(plan.spec.options);
         return about;
     };

@@ -333,7 +333,7 @@ fn one(
 
 /// Every measure of a policy over `seeds`.
 fn measures(plan: &TrainingPlan, onnx: &[u8], seeds: &[u64]) -> Result<[f64; 3]> {
-    let blueprint = plan.task()?;
+    let blueprint = plan.spec.task()?;
     let gait = Gait::Network(Arc::new(Network::new(onnx, blueprint.task.spec())?));
     let jobs = [EpisodeJob { blueprint, gait: &gait, seeds }];
     let episodes = play(&jobs, &Silent)?.into_iter().next().unwrap_or_default();

@@ -23,7 +23,7 @@ pub fn onnx(plan: &TrainingPlan, learnt: &TrainingState) -> Vec<u8> {
     let parameters = &learnt.parameters;
     let mut layers: Vec<[Vec<f32>; 2]> = shape.actor.iter().map(|layer| numbers(layer, parameters)).collect();
     let bounds: Vec<[f32; 2]> = plan.spec.action.iter().map(|c| [c.low as f32, c.high as f32]).collect();
-    if plan.blueprint.is_none() {
+    if plan.spec.blueprint.is_none() {
         // From ±1 to the ends of the action space.
         let [weights, bias] = &mut layers[shape.actor.len() - 1];
         for row in weights.chunks_exact_mut(shape.action).chain([&mut bias[..]]) {
@@ -110,7 +110,7 @@ mod tests {
                     (*mean, *variance) = (0.1 * k as f64, 0.5 + k as f64);
                 }
             }
-            let spec = plan.task().unwrap().task.spec();
+            let spec = plan.spec.task().unwrap().task.spec();
             let Networks { shape, .. } = &plan.networks;
             let rows = 20;
             let observations: Vec<f32> = (0..rows * shape.observation).map(|k| 3.0 * (k as f32).sin()).collect();

@@ -6,13 +6,12 @@ use super::network::{NetworkSizes, Networks};
 use super::normal::Normalizer;
 use super::saved_environments::SavedEnvironments;
 use super::settings::Hyperparameters;
-use crate::env::Column;
+use super::spec::TrainingSpec;
 use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
 use crate::number::Isa;
 use rand::SeedableRng as _;
 use rand_xoshiro::Xoshiro256PlusPlus;
-use serde_json::{Map, Value};
 use std::sync::Arc;
 
 /// Most numbers in the observations and actions of a rollout: our choice, 4 GiB.
@@ -51,28 +50,9 @@ impl<F: FnMut(&TrainingState, &UpdateReport) -> Result<()>> Observer for F {
     }
 }
 
-/// What a training knows of its environments.
-pub struct TrainingSpec {
-    /// The task's id, or the name of another program's environment.
-    pub id: String,
-    /// All options of the task, or what identifies another program's environment.
-    pub options: Map<String, Value>,
-    pub observation: Vec<Column>,
-    pub action: Vec<Column>,
-}
-
-/// Bounds of each number of another program's observations and actions.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct ExternalSpaces {
-    pub observation: Vec<[f64; 2]>,
-    pub action: Vec<[f64; 2]>,
-}
-
 /// The environments, networks and settings of a training.
 pub struct TrainingPlan {
     pub spec: TrainingSpec,
-    /// The task; None if the environments are those of another program.
-    pub blueprint: Option<Blueprint>,
     pub settings: Hyperparameters,
     pub networks: Networks,
     pub seed: u64,
@@ -108,39 +88,16 @@ pub struct UpdateReport {
 
 impl TrainingPlan {
     pub fn new(blueprint: Blueprint, settings: Hyperparameters, seed: u64, threads: usize) -> Result<Self> {
-        let spec = blueprint.task.spec();
         let mirror = match settings.mirror {
             Some(true) => Some(Mirror::both(&blueprint)?),
             Some(false) => None,
             None => Mirror::both(&blueprint).ok(),
         };
-        let spec = TrainingSpec {
-            id: spec.id.into(),
-            options: blueprint.task.options(),
-            observation: spec.observation.clone(),
-            action: spec.action.clone(),
-        };
-        Self::with(spec, Some(blueprint), mirror, settings, [seed, threads as u64])
+        Self::with(TrainingSpec::of_task(blueprint), mirror, settings, [seed, threads as u64])
     }
 
-    /// The plan for another program's environments, which `id` and `options` identify.
-    pub fn external(
-        id: &str,
-        options: Map<String, Value>,
-        spaces: &ExternalSpaces,
-        settings: Hyperparameters,
-        [seed, threads]: [u64; 2],
-    ) -> Result<Self> {
-        let column = |name: &str, bounds: &[[f64; 2]]| -> Vec<Column> {
-            let named = |(k, [low, high]): (usize, &[f64; 2])| Column::new(format!("{name}[{k}]"), "", *low, *high);
-            bounds.iter().enumerate().map(named).collect()
-        };
-        let spec = TrainingSpec {
-            id: id.into(),
-            options,
-            observation: column("observation", &spaces.observation),
-            action: column("action", &spaces.action),
-        };
+    /// The plan for another program's environments.
+    pub fn external(spec: TrainingSpec, settings: Hyperparameters, [seed, threads]: [u64; 2]) -> Result<Self> {
         if settings.mirror == Some(true) {
             return Err(Error::invalid("mirror", "left and right are known for the program's own tasks only"));
         }
@@ -149,12 +106,11 @@ impl TrainingPlan {
             let reason = format!("{numbers} numbers in a rollout are more than {MOST_NUMBERS}");
             return Err(Error::invalid("n_envs · n_steps · (observation + action)", reason));
         }
-        Self::with(spec, None, None, settings, [seed, threads])
+        Self::with(spec, None, settings, [seed, threads])
     }
 
     fn with(
         spec: TrainingSpec,
-        blueprint: Option<Blueprint>,
         mirror: Option<[Mirror; 2]>,
         settings: Hyperparameters,
         [seed, threads]: [u64; 2],
@@ -162,20 +118,7 @@ impl TrainingPlan {
         let shape = NetworkSizes::new(spec.observation.len(), spec.action.len(), &settings.net_arch);
         let settings = Hyperparameters { mirror: Some(mirror.is_some()), ..settings };
         let networks = Networks { shape, mirror, isa: Isa::choose()? };
-        Ok(Self { spec, blueprint, settings, networks, seed, threads: (threads as usize).max(1) })
-    }
-
-    /// The task.
-    pub fn task(&self) -> Result<&Blueprint> {
-        let missing = || Error::Internal(format!("{} is no task of this program", self.spec.id));
-        self.blueprint.as_ref().ok_or_else(missing)
-    }
-
-    /// Bounds of the policy's actions. For another program's environments they are ±1, which stand for the ends of the action
-    /// space.
-    pub fn action_bounds(&self) -> Vec<[f32; 2]> {
-        let own = |column: &Column| [column.low as f32, column.high as f32];
-        self.spec.action.iter().map(|c| if self.blueprint.is_some() { own(c) } else { [-1.0, 1.0] }).collect()
+        Ok(Self { spec, settings, networks, seed, threads: (threads as usize).max(1) })
     }
 
     /// The initial state.

@@ -19,7 +19,7 @@ pub struct TrainingRecord {
 impl TrainingRecord {
     /// Training `training` of design number `design`; `before`: the designs of its warm start.
     pub fn new(out: &Path, design: usize, training: usize, plan: &TrainingPlan, before: &[Vec<String>]) -> Self {
-        let model = plan.blueprint.as_ref().map(|blueprint| blueprint.task.model());
+        let model = plan.spec.blueprint.as_ref().map(|blueprint| blueprint.task.model());
         let key = json!({
             "version": env!("CARGO_PKG_VERSION"),
             "instruction_set": plan.networks.isa.name(),

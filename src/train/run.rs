@@ -3,9 +3,10 @@
 
 use super::curve::{CurvePoint, LearningCurve, OpenPoint};
 use super::events::EventFile;
-use super::plan::{ExternalSpaces, Observer, TrainingPlan, TrainingState, UpdateReport};
+use super::plan::{Observer, TrainingPlan, TrainingState, UpdateReport};
 use super::remote::{Pause, RemoteEnvironments};
 use super::settings::Hyperparameters;
+use super::spec::{ExternalSpaces, TrainingSpec};
 use super::{checkpoint, describe, export, film};
 use crate::env::Task;
 use crate::env::legged::LeggedVelocity;
@@ -148,7 +149,8 @@ impl TrainingRequest {
             }
             Some(spaces) => {
                 let options = options.as_object().cloned().unwrap_or_default();
-                TrainingPlan::external(&self.task, options, spaces, settings, [self.seed, self.threads as u64])
+                let spec = TrainingSpec::external(&self.task, options, spaces);
+                TrainingPlan::external(spec, settings, [self.seed, self.threads as u64])
             }
             None => TrainingPlan::new(Blueprint::new(&self.task, options.clone())?, settings, self.seed, self.threads),
         }
@@ -206,7 +208,7 @@ impl TrainingRequest {
         self.write("policy.json", format!("{:#}\n", describe::policy(plan)).as_bytes())?;
         let policy = TrainingState { environments: None, ..learnt.clone() };
         checkpoint::save(&self.out.join("policy.safetensors"), plan, &policy, &OpenPoint::default())?;
-        let Some(blueprint) = &plan.blueprint else { return Ok(None) };
+        let Some(blueprint) = &plan.spec.blueprint else { return Ok(None) };
         let spec = blueprint.task.spec();
         let network = Network::new(&onnx, spec)?;
         let (recording, picture) = (self.out.join("walk.rec"), self.out.join("walk.png"));

@@ -1,8 +1,8 @@
 //! Saved environments in the middle of their episodes, from which a training goes on with the same bits.
 
 use super::collect::RolloutGroup;
-use super::plan::TrainingPlan;
 use super::remote::{OptionalRemote, Pause};
+use super::spec::TrainingSpec;
 use crate::env::snapshot::{Resumed, SavedEpisode};
 use crate::error::{Error, Result};
 use std::sync::{Mutex, PoisonError};
@@ -73,14 +73,14 @@ impl SavedEnvironments {
     pub fn restore(
         &self,
         pieces: &mut [RolloutGroup],
-        plan: &TrainingPlan,
+        spec: &TrainingSpec,
         remote: OptionalRemote<'_>,
         pause: Pause,
     ) -> Result<()> {
         let envs: usize = pieces.iter().map(|p| p.envs).sum();
         let resumed = match (&self.episodes, remote) {
             (Episodes::Here(episodes), None) => {
-                let task = &plan.task()?.task;
+                let task = &spec.task()?.task;
                 let resumed = episodes.iter().map(|episode| Resumed::new(episode, task));
                 resumed.collect::<Result<Vec<_>>>()?
             }

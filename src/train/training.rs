@@ -57,11 +57,11 @@ impl<'a> TrainingWork<'a> {
         mut remote: OptionalRemote<'_>,
         observer: &mut dyn Observer,
     ) -> Result<Self> {
-        let TrainingPlan { settings, networks, .. } = plan;
-        let mut pieces = RolloutGroup::all(plan, remote.is_some())?;
+        let TrainingPlan { spec, settings, networks, .. } = plan;
+        let mut pieces = RolloutGroup::all(spec, settings, networks, remote.is_some())?;
         let mut pause = || observer.pause();
         match &learnt.environments {
-            Some(kept) => kept.restore(&mut pieces, plan, remote.as_deref_mut(), &mut pause)?,
+            Some(kept) => kept.restore(&mut pieces, spec, remote.as_deref_mut(), &mut pause)?,
             None => {
                 // A training that continues without its environments gets other episodes than before.
                 let begun = learnt.updates.wrapping_mul(settings.n_envs as u64) & u64::from(u32::MAX);
@@ -203,7 +203,7 @@ impl<'a, 'r> Training<'a, 'r> {
             return Ok(terms);
         }
         let Hyperparameters { n_envs, n_steps, .. } = self.plan.settings;
-        let spec = self.plan.task()?.task.spec();
+        let spec = self.plan.spec.task()?.task.spec();
         let sum = |k: usize| self.shared.pieces.iter().map(|piece| lock(piece).terms[k]).sum::<f64>();
         let mean = |k: usize| (spec.info[k].name.clone(), sum(k) / (n_envs * n_steps) as f64);
         Ok((0..spec.reward.len()).map(mean).collect())
