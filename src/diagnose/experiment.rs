@@ -12,7 +12,7 @@ use serde::de::IgnoredAny;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Largest number of rows of a log: our choice, because the fits of such a log use nearly 1 GiB.
+/// Largest number of rows of a log: our choice, because the diagnosis of such a log uses some 0.6 GiB.
 pub const MOST_ROWS: usize = 40_000;
 
 /// The kind of data.
