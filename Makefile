@@ -208,7 +208,7 @@ $(VENV)/tools: $(PINS)
 
 # All packages that tests need, some 7 GB with torch.
 $(VENV)/packages: $(VENV)/tools
-	$(BIN)/pip install --quiet --requirement $(PINS)
+	$(BIN)/pip install --quiet --no-compile --requirement $(PINS)
 	@touch $@
 
 $(VENV)/wheel: $(SOURCES) $(VENV)/tools
