@@ -51,8 +51,8 @@ const WAVES: usize = 16;
 const UNSTATED: f64 = 10.0;
 /// Least standard error, see above.
 pub const LEAST: f64 = 2.0;
-/// Quantile of the normal distribution to which those of Student's t are compared.
-const NORMAL: f64 = 1.96;
+/// Half of a 95 % interval in standard deviations of a normal distribution, to which quantiles of Student's t are compared.
+pub const NORMAL: f64 = 1.96;
 
 /// The comparison of all models under one noise.
 pub struct EvidenceTable {

@@ -1,10 +1,8 @@
 //! `hardware.toml`: what a diagnosis has found of the robot's motors, sensors and delays, for [`crate::sim::hardware`].
 
+use super::evidence::NORMAL;
 use super::report::Report;
 use crate::sim::hardware::{HardwareDescription, HardwareQuantity};
-
-/// Half of a 95 % interval in standard deviations of a normal distribution.
-const TWO_SIDED_95: f64 = 1.96;
 
 /// An effect of measuring that a report names for a robot's own log: its id there, the quantities that it is in a simulation, and the least
 /// possible value.
@@ -23,8 +21,8 @@ pub fn found(report: &Report) -> HardwareDescription {
     let mut all = HardwareDescription { source, ..HardwareDescription::default() };
     for (id, paths, least) in EFFECTS {
         let values = report.nuisances.iter().filter(|n| n.id == id && n.level == "log");
-        for n in values.filter(|n| n.value.abs() > TWO_SIDED_95 * n.sd && n.value > least) {
-            let interval = [n.value - TWO_SIDED_95 * n.sd, n.value + TWO_SIDED_95 * n.sd].map(|x| x.max(least));
+        for n in values.filter(|n| n.value.abs() > NORMAL * n.sd && n.value > least) {
+            let interval = [n.value - NORMAL * n.sd, n.value + NORMAL * n.sd].map(|x| x.max(least));
             let quantity = HardwareQuantity { value: n.value, interval };
             all.quantities.extend(paths.iter().map(|path| ((*path).to_owned(), quantity)));
         }
