@@ -1,7 +1,7 @@
 //! Progress reports of long work. Their receiver may stop the work.
 
 use crate::error::{Error, Result};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use parking_lot::Mutex;
 use std::time::{Duration, Instant};
 
 /// Receives progress reports, from any of the threads that work.
@@ -67,7 +67,7 @@ impl<'a> Latch<'a> {
 
     /// Asks by reporting the present stage again.
     pub fn stopped(&self) -> bool {
-        let mut told = self.told();
+        let mut told = self.told.lock();
         if told.error.is_none() && told.asked.elapsed() >= ASKED {
             let (done, stage) = (told.done, told.stage.clone());
             // `ask` keeps the error.
@@ -78,11 +78,7 @@ impl<'a> Latch<'a> {
 
     /// The error that stopped the work.
     pub fn error(&self) -> Option<Error> {
-        self.told().error.clone()
-    }
-
-    fn told(&self) -> MutexGuard<'_, LatchState> {
-        self.told.lock().unwrap_or_else(PoisonError::into_inner)
+        self.told.lock().error.clone()
     }
 
     fn ask(&self, told: &mut LatchState, done: f64, stage: &str) -> Result<()> {
@@ -96,6 +92,6 @@ impl<'a> Latch<'a> {
 
 impl Progress for Latch<'_> {
     fn report(&self, done: f64, stage: &str) -> Result<()> {
-        self.ask(&mut self.told(), done, stage)
+        self.ask(&mut self.told.lock(), done, stage)
     }
 }

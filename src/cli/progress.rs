@@ -1,10 +1,10 @@
 //! Progress of a command's work on stderr: a bar on a terminal, and lines where the output goes to a file or a pipe.
 
 use indicatif::{ProgressBar, ProgressStyle};
+use parking_lot::Mutex;
 use sandgait::Result;
 use sandgait::progress::Progress;
 use std::io::IsTerminal as _;
-use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 /// A log gets a line at every tenth of the work, but none sooner after the line before or the start than [`SHORT`], and at
@@ -50,7 +50,7 @@ impl Bar {
 impl Progress for Bar {
     fn report(&self, done: f64, stage: &str) -> Result<()> {
         if let Some(log) = &self.log {
-            let line = log.lock().unwrap_or_else(PoisonError::into_inner).line(done, stage, Instant::now());
+            let line = log.lock().line(done, stage, Instant::now());
             line.iter().for_each(|line| eprintln!("{line}"));
             return Ok(());
         }

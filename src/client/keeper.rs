@@ -1,6 +1,7 @@
 //! Drives a stream's connection while no caller waits for an answer.
 
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use parking_lot::{Condvar, Mutex};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::runtime::Runtime;
 
@@ -30,41 +31,36 @@ impl Keeper {
         Ok(Self(shared))
     }
 
-    fn lock(&self) -> MutexGuard<'_, ConnectionUse> {
-        self.0.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Something was sent, and the caller does not wait for its answer now.
     pub fn ahead(&self) {
-        self.lock().ahead = true;
+        self.0.0.lock().ahead = true;
         self.0.1.notify_one();
     }
 
     /// The caller waits, and drives the connection itself.
     pub fn waits(&self) {
-        let mut state = self.lock();
+        let mut state = self.0.0.lock();
         (state.ahead, state.used) = (false, Instant::now());
     }
 }
 
 impl Drop for Keeper {
     fn drop(&mut self) {
-        self.lock().closed = true;
+        self.0.0.lock().closed = true;
         self.0.1.notify_one();
     }
 }
 
 fn keep(shared: &(Mutex<ConnectionUse>, Condvar), runtime: &Runtime) {
-    let mut state = shared.0.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut state = shared.0.lock();
     while !state.closed {
         let idle = state.used.elapsed();
         if state.ahead || idle >= IDLE {
             drop(state);
             runtime.block_on(async { tokio::time::sleep(SLICE).await });
-            state = shared.0.lock().unwrap_or_else(PoisonError::into_inner);
+            state = shared.0.lock();
         } else {
-            let waited = shared.1.wait_timeout(state, IDLE - idle);
-            state = waited.unwrap_or_else(PoisonError::into_inner).0;
+            shared.1.wait_for(&mut state, IDLE - idle);
         }
     }
 }

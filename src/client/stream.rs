@@ -6,8 +6,9 @@ use super::{cut, environments, runtime, wait};
 use crate::service::proto::run_session_request::Request;
 use crate::service::proto::run_session_response::Response;
 use crate::service::proto::{Attach, RunSessionRequest, RunSessionResponse};
+use parking_lot::Mutex;
 use std::pin::pin;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::runtime::Runtime;
 use tokio::sync::mpsc;
@@ -66,7 +67,7 @@ impl Stream {
     /// Queues a request without waiting. `here` means that the caller waits for the answer next, and the request is
     /// sent then.
     pub fn send(&self, request: RunSessionRequest, here: bool) {
-        if let Some(requests) = &*self.requests.lock().unwrap_or_else(PoisonError::into_inner) {
+        if let Some(requests) = &*self.requests.lock() {
             // If the stream is broken, the call that waits for the answer gets the error.
             let _ = requests.send(request);
         }
@@ -78,7 +79,7 @@ impl Stream {
     /// The next answer, if it comes within `time`.
     pub fn receive(&self, time: Duration) -> Option<Result<RunSessionResponse, Status>> {
         self.keeper.waits();
-        let mut answers = self.answers.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut answers = self.answers.lock();
         let message = pin!(answers.message());
         let answer = wait(&self.runtime, message, time)?;
         Some(answer.map_err(cut).and_then(|answer| answer.ok_or_else(ended)))
@@ -86,7 +87,7 @@ impl Stream {
 
     /// Ends the stream; the session stays for the time of its lease.
     pub fn close(&self) {
-        *self.requests.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        *self.requests.lock() = None;
     }
 }
 

@@ -9,9 +9,10 @@ use crate::pool::{Batch, Operation, Pool};
 use crate::sessions::broken;
 use crate::sessions::{Sessions, StreamHold};
 use crate::status::SESSION;
+use parking_lot::Mutex;
 use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 use tokio::sync::oneshot;
 
 /// A ResetWorld that waits for the connection that has joined the world.
@@ -44,7 +45,7 @@ pub struct JoinedWorld {
 
 impl Drop for JoinedWorld {
     fn drop(&mut self) {
-        let mut joined = self.worlds.lock();
+        let mut joined = self.worlds.joined.lock();
         self.worlds.sessions.detach(&self.hold);
         // Another connection has joined the world meanwhile if a stream of sandgait.v1 took it from this one.
         if joined.get(&self.hold.id).is_some_and(|j| j.stream == self.hold.stream) {
@@ -111,11 +112,6 @@ impl Worlds {
         Arc::new(Self { sessions, pool, joined: Mutex::default() })
     }
 
-    /// Each change under this lock is a single operation on the map, so the map is consistent even after a panic.
-    fn lock(&self) -> MutexGuard<'_, HashMap<String, Joined>> {
-        self.joined.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Makes a world at the start of its first episode, and returns its name.
     pub async fn create(self: &Arc<Self>, plan: NewWorld) -> Result<String> {
         let NewWorld { task, options, seed } = plan;
@@ -128,7 +124,7 @@ impl Worlds {
 
     /// Joins a world that no connection has joined.
     pub fn join(self: &Arc<Self>, name: &str) -> Result<JoinedWorld> {
-        let mut joined = self.lock();
+        let mut joined = self.joined.lock();
         self.enter(&mut joined, name)
     }
 
@@ -159,7 +155,7 @@ impl Worlds {
     }
 
     fn enter_or_interrupt(self: &Arc<Self>, name: &str, changes: &ResetChanges) -> Result<WorldEntry> {
-        let mut joined = self.lock();
+        let mut joined = self.joined.lock();
         match joined.get_mut(name) {
             None => self.enter(&mut joined, name).map(WorldEntry::Free),
             Some(Joined { interrupt: Some(waiting), .. }) if !waiting.done.is_closed() => {
@@ -194,7 +190,7 @@ impl JoinedWorld {
 
     /// A ResetWorld of another connection that waits for this one, if any.
     pub fn interrupt(&self) -> Option<PendingReset> {
-        self.worlds.lock().get_mut(self.name()).and_then(|joined| joined.interrupt.take())
+        self.worlds.joined.lock().get_mut(self.name()).and_then(|joined| joined.interrupt.take())
     }
 
     /// The first observation of the present episode, which has no steps yet.

@@ -5,11 +5,12 @@ use super::operation::Operation;
 use crate::env::Shard;
 use crate::error::{Error, Result};
 use crate::parallel::processors;
+use parking_lot::{Condvar, Mutex, MutexGuard};
 use std::collections::VecDeque;
 use std::hint::spin_loop;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -80,11 +81,6 @@ pub struct Pool {
 }
 
 impl PoolState {
-    /// The queue's data are consistent even after a panic, because every change is a single push or pop.
-    fn lock(&self) -> MutexGuard<'_, Queue> {
-        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Makes the workers that watch look into the queue.
     fn tell(&self, queue: &mut Queue) {
         queue.watching = 0;
@@ -140,7 +136,7 @@ impl Pool {
         }
         waiting.reverse();
         let expected = waiting.len();
-        let mut queue = self.shared.lock();
+        let mut queue = self.shared.queue.lock();
         let id = queue.next_id;
         queue.next_id += 1;
         let finished = Vec::with_capacity(expected);
@@ -150,7 +146,9 @@ impl Pool {
         let woken = wanted.min(queue.asleep);
         self.shared.tell(&mut queue);
         drop(queue);
-        (0..woken).for_each(|_| self.shared.work.notify_one());
+        for _ in 0..woken {
+            self.shared.work.notify_one();
+        }
         id
     }
 
@@ -161,7 +159,7 @@ impl Pool {
         let id = self.enqueue(batch, operation, 1, move |batch| {
             let _ = sender.send(batch);
         });
-        let mut queue = self.shared.lock();
+        let mut queue = self.shared.queue.lock();
         while let Some(place) = queue.jobs.iter().position(|job| job.id == id) {
             let Some((id, operation, queued)) = take(&mut queue, place) else { break };
             drop(queue);
@@ -177,7 +175,7 @@ impl Pool {
     /// several parts are left to the workers, because they may take long.
     pub fn assist(&self, time: Duration) {
         let start = Instant::now();
-        let mut queue = self.shared.lock();
+        let mut queue = self.shared.queue.lock();
         while queue.active < self.most_active && start.elapsed() < time {
             let Some(place) = queue.jobs.iter().position(|job| job.operation.parts() == 1) else { break };
             let Some((id, operation, queued)) = take(&mut queue, place) else { break };
@@ -200,7 +198,7 @@ impl Pool {
 impl Drop for Pool {
     /// Waits for the shards that are running. Shards in the queue are dropped, and their `done` is not called.
     fn drop(&mut self) {
-        let mut queue = self.shared.lock();
+        let mut queue = self.shared.queue.lock();
         queue.closed = true;
         let abandoned = (std::mem::take(&mut queue.jobs), std::mem::take(&mut queue.pending));
         self.shared.tell(&mut queue);
@@ -235,7 +233,7 @@ fn put_back(queue: &mut Queue, id: u64, operation: Arc<Operation>, queued: Queue
 }
 
 fn worker(shared: &PoolState) {
-    let mut queue = shared.lock();
+    let mut queue = shared.queue.lock();
     loop {
         if let Some((id, operation, queued)) = take(&mut queue, 0) {
             drop(queue);
@@ -258,14 +256,14 @@ fn rest<'a>(shared: &'a PoolState, mut queue: MutexGuard<'a, Queue>) -> MutexGua
         while shared.news.load(Ordering::Acquire) == known && start.elapsed() < WATCH {
             spin_loop();
         }
-        queue = shared.lock();
+        queue = shared.queue.lock();
         if shared.news.load(Ordering::Acquire) != known {
             return queue;
         }
         queue.watching -= 1;
     }
     queue.asleep += 1;
-    queue = shared.work.wait(queue).unwrap_or_else(PoisonError::into_inner);
+    shared.work.wait(&mut queue);
     queue.asleep -= 1;
     queue
 }
@@ -274,7 +272,7 @@ fn rest<'a>(shared: &'a PoolState, mut queue: MutexGuard<'a, Queue>) -> MutexGua
 fn carry_out(shared: &PoolState, id: u64, operation: Arc<Operation>, mut queued: QueuedShard) -> MutexGuard<'_, Queue> {
     let outcome = catch_unwind(AssertUnwindSafe(|| work(shared, id, &operation, &mut queued)));
     if matches!(outcome, Ok(false)) {
-        let mut queue = shared.lock();
+        let mut queue = shared.queue.lock();
         queue.active -= 1;
         if !queue.closed {
             put_back(&mut queue, id, operation, queued);
@@ -295,7 +293,7 @@ fn work(shared: &PoolState, id: u64, operation: &Operation, queued: &mut QueuedS
         if queued.done >= operation.parts() {
             return true;
         }
-        let queue = shared.lock();
+        let queue = shared.queue.lock();
         if queue.closed || queue.jobs.iter().any(|job| job.id != id) {
             return false;
         }
@@ -304,7 +302,7 @@ fn work(shared: &PoolState, id: u64, operation: &Operation, queued: &mut QueuedS
 
 /// Returns a shard to its batch; the last one completes it.
 fn give_back(shared: &PoolState, id: u64, start: usize, shard: Shard, panicked: bool) -> MutexGuard<'_, Queue> {
-    let mut queue = shared.lock();
+    let mut queue = shared.queue.lock();
     queue.active -= 1;
     let Some(index) = queue.pending.iter().position(|p| p.id == id) else { return queue };
     let pending = &mut queue.pending[index];
@@ -322,7 +320,7 @@ fn give_back(shared: &PoolState, id: u64, start: usize, shard: Shard, panicked: 
     // If `done` panics, its values are dropped, by which their owner notices the panic. This thread goes on with the
     // work of other sessions.
     drop(catch_unwind(AssertUnwindSafe(|| done(if panicked { Err(lost()) } else { Ok(batch) }))));
-    shared.lock()
+    shared.queue.lock()
 }
 
 #[cfg(test)]

@@ -1,8 +1,9 @@
 //! The present connections of a listener, and which of them make room for new ones.
 
+use parking_lot::Mutex;
 use std::collections::HashMap;
 use std::net::SocketAddr;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio_util::sync::CancellationToken;
 
@@ -42,15 +43,10 @@ impl ConnectionTable {
         Arc::new(Self { most, entries: Mutex::default() })
     }
 
-    /// Every change under this lock is one step, so the data are consistent even after a panic.
-    fn lock(&self) -> MutexGuard<'_, ConnectionEntries> {
-        self.entries.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Adds a connection. If there is no room, the one that has been without an admitted call for the longest time is
     /// closed. None if all have admitted calls.
     pub fn admit(self: &Arc<Self>, peer: Option<SocketAddr>) -> Option<ConnectionHandle> {
-        let mut entries = self.lock();
+        let mut entries = self.entries.lock();
         if entries.all.len() >= self.most {
             let idle = entries.all.iter().filter(|(_, e)| e.admitted == 0);
             let oldest = *idle.min_by_key(|(id, e)| (e.since, **id))?.0;
@@ -66,15 +62,15 @@ impl ConnectionTable {
     /// Closes connections that have been without a call for too long.
     pub fn close_idle(&self) {
         let late = |e: &ConnectionEntry| e.calls == 0 && e.since.elapsed() > if e.used { IDLE } else { OPENING };
-        self.lock().all.extract_if(|_, e| late(e)).for_each(|(_, e)| e.end.cancel());
+        self.entries.lock().all.extract_if(|_, e| late(e)).for_each(|(_, e)| e.end.cancel());
     }
 
     pub fn close_all(&self) {
-        self.lock().all.drain().for_each(|(_, e)| e.end.cancel());
+        self.entries.lock().all.drain().for_each(|(_, e)| e.end.cancel());
     }
 
     fn change(&self, id: u64, change: impl FnOnce(&mut ConnectionEntry)) {
-        if let Some(entry) = self.lock().all.get_mut(&id) {
+        if let Some(entry) = self.entries.lock().all.get_mut(&id) {
             change(entry);
         }
     }
@@ -103,7 +99,7 @@ impl std::ops::Deref for ConnectionHandle {
 
 impl Drop for ConnectionState {
     fn drop(&mut self) {
-        self.table.lock().all.remove(&self.id);
+        self.table.entries.lock().all.remove(&self.id);
     }
 }
 
@@ -173,7 +169,7 @@ mod tests {
         links.push(table.admit(None).unwrap());
         assert_eq!(alive(&links), [2, 3, 4]);
         drop(links.pop());
-        assert_eq!(table.lock().all.len(), 2);
+        assert_eq!(table.entries.lock().all.len(), 2);
     }
 
     #[test]

@@ -17,8 +17,9 @@ use axum::middleware::Next;
 use axum::response::Response;
 use bytes::Bytes;
 use futures_util::{StreamExt as _, stream};
+use parking_lot::Mutex;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::{Instant, timeout, timeout_at};
@@ -57,12 +58,12 @@ pub struct Share {
 
 impl Share {
     pub fn bytes(&self) -> usize {
-        self.permit.lock().unwrap_or_else(PoisonError::into_inner).num_permits() * UNIT
+        self.permit.lock().num_permits() * UNIT
     }
 
     /// Takes `bytes` more, if they are free now.
     pub fn grow(&self, bytes: usize) -> Result<()> {
-        let mut permit = self.permit.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut permit = self.permit.lock();
         let more = permit.semaphore().clone().try_acquire_many_owned(units(bytes)).map_err(|_| {
             let room = self.room >> 20;
             Error::Exhausted(format!("needs more than is left of the {room} MiB that requests may take"))
@@ -163,24 +164,16 @@ impl Messages {
 
     /// The share of the message that tonic reads or has just read, if it is large.
     pub fn take_share(&self) -> Option<Share> {
-        self.slot().take()
+        self.0.share.lock().take()
     }
 
     /// The call's next answer holds `share` until it has been sent.
     pub fn hold_for_answer(&self, share: Option<Arc<Share>>) {
-        *self.answer_slot() = share;
+        *self.0.answer.lock() = share;
     }
 
     pub fn take_answer_share(&self) -> Option<Arc<Share>> {
-        self.answer_slot().take()
-    }
-
-    fn answer_slot(&self) -> MutexGuard<'_, Option<Arc<Share>>> {
-        self.0.answer.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn slot(&self) -> MutexGuard<'_, Option<Share>> {
-        self.0.share.lock().unwrap_or_else(PoisonError::into_inner)
+        self.0.answer.lock().take()
     }
 }
 
@@ -269,12 +262,12 @@ impl MessageReader {
         if length > self.limit {
             return Err(refused(format!("{length} bytes are more than this call takes, {}", self.limit)));
         }
-        if self.messages.slot().is_some() {
+        if self.messages.0.share.lock().is_some() {
             return Err(Status::invalid_argument("message: this call takes only one message"));
         }
         let share =
             self.intake.share(self.messages.0.call.copies * length).await.map_err(|e| refused(e.to_string()))?;
-        *self.messages.slot() = Some(share);
+        *self.messages.0.share.lock() = Some(share);
         self.missing = HEADER + length;
         self.deadline = Some(Instant::now() + ARRIVAL + Duration::from_secs((length >> 20) as u64));
         Ok(())

@@ -3,7 +3,8 @@
 use super::metrics::Usage;
 use crate::error::{Error, Result};
 use crate::session::{MOST_ENVIRONMENTS, MOST_MEMORY};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use parking_lot::Mutex;
+use std::sync::Arc;
 use std::time::Duration;
 
 /// The limits of one server.
@@ -74,7 +75,7 @@ pub fn fits(field: &str, needed: usize, free: usize) -> Result<()> {
 impl Reservation {
     /// Reserves `models` bytes for models, in place of those that were reserved for them.
     pub fn set_models(&mut self, models: usize) -> Result<()> {
-        let mut usage = lock(&self.usage);
+        let mut usage = self.usage.lock();
         let others = usage.memory - self.models;
         // A smaller reservation is always possible.
         if models > self.models {
@@ -93,14 +94,9 @@ impl Reservation {
 
 impl Drop for Reservation {
     fn drop(&mut self) {
-        let mut usage = lock(&self.usage);
+        let mut usage = self.usage.lock();
         usage.sessions -= 1;
         usage.environments -= self.environments;
         usage.memory -= self.memory;
     }
-}
-
-/// Every change under these locks is one step, so the data are consistent even after a panic.
-pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

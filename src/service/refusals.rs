@@ -1,6 +1,6 @@
 //! The log of refusals: at most one line a second of each kind, so that refusals do not fill a disk.
 
-use std::sync::{Mutex, PoisonError};
+use parking_lot::Mutex;
 use std::time::{Duration, Instant};
 
 /// Time between two lines of one kind: our choice, 86,400 lines a day at most.
@@ -55,7 +55,7 @@ impl Refusals {
 
     /// If a line may be written now, the number of refusals since the last one. `more`: there is a new refusal.
     fn due(&self, kind: Refusal, now: Instant, more: bool) -> Option<u64> {
-        let mut lines = self.0[kind as usize].lock().unwrap_or_else(PoisonError::into_inner);
+        let mut lines = self.0[kind as usize].lock();
         let early = lines.last.is_some_and(|last| now < last + PAUSE);
         if early || (!more && lines.suppressed == 0) {
             lines.suppressed += u64::from(more);

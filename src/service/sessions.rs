@@ -17,7 +17,7 @@ mod guard;
 pub use guard::{SessionGuard, broken};
 
 use super::building::{SessionBuilder, SessionEnvironments, failed, release};
-use super::limits::{Limits, Reservation, fits, lock};
+use super::limits::{Limits, Reservation, fits};
 use super::metrics::{Metrics, Usage};
 use super::names::name;
 use super::status::SESSION;
@@ -26,9 +26,10 @@ use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
 use crate::parallel::processors;
 use crate::pool::{Building, Seal, check_envs};
+use parking_lot::Mutex;
 use serde_json::Value;
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::{Notify, Semaphore};
 use tokio::time::Instant;
@@ -120,7 +121,7 @@ impl Sessions {
     }
 
     pub fn usage(&self) -> Usage {
-        *lock(&self.usage)
+        *self.usage.lock()
     }
 
     /// A new session of `envs` environments, which waits for its stream. If the caller stops waiting, the session is
@@ -183,7 +184,7 @@ impl Sessions {
             stream_end: end.child_token(),
             end,
         };
-        let mut entries = lock(&self.entries);
+        let mut entries = self.entries.lock();
         if self.stop.is_cancelled() {
             return Err(Error::Cancelled("the server is shutting down".into()));
         }
@@ -198,7 +199,7 @@ impl Sessions {
 
     fn reserve(&self, environments: usize, blueprint: &Blueprint) -> Result<Reservation> {
         let (memory, models) = (blueprint.bytes(environments), blueprint.shared_bytes());
-        let mut usage = lock(&self.usage);
+        let mut usage = self.usage.lock();
         if usage.sessions >= self.limits.sessions {
             return Err(Error::Exhausted(format!("all {} sessions of this server are taken", self.limits.sessions)));
         }
@@ -221,7 +222,7 @@ impl Sessions {
     }
 
     fn hold(&self, id: &str, take: bool) -> Result<StreamHold> {
-        let mut entries = lock(&self.entries);
+        let mut entries = self.entries.lock();
         let entry = entries.get_mut(id).ok_or_else(|| unknown(id))?;
         if entry.attached && !take {
             return Err(Error::OutOfOrder("another connection has it".into()));
@@ -235,13 +236,13 @@ impl Sessions {
 
     /// Has another stream taken this session?
     pub fn was_taken(&self, hold: &StreamHold) -> bool {
-        lock(&self.entries).get(&hold.id).is_some_and(|e| e.stream != hold.stream)
+        self.entries.lock().get(&hold.id).is_some_and(|e| e.stream != hold.stream)
     }
 
     /// Detaches a stream: its work ends, and the lease begins, unless another stream has the session.
     pub fn detach(&self, hold: &StreamHold) {
         hold.end.cancel();
-        if let Some(entry) = lock(&self.entries).get_mut(&hold.id).filter(|e| e.stream == hold.stream) {
+        if let Some(entry) = self.entries.lock().get_mut(&hold.id).filter(|e| e.stream == hold.stream) {
             (entry.attached, entry.idle_since) = (false, Instant::now());
         }
     }
@@ -252,7 +253,7 @@ impl Sessions {
         loop {
             // Registers before the check, so that a return between the check and the wait is not missed.
             let back = {
-                let mut entries = lock(&self.entries);
+                let mut entries = self.entries.lock();
                 let running = |e: &&mut SessionEntry| e.stream == hold.stream && !self.stop.is_cancelled();
                 let entry = entries.get_mut(&hold.id).filter(running)?;
                 if let Some(environments) = entry.environments.take() {
@@ -269,7 +270,7 @@ impl Sessions {
 
     /// Returns environments after an operation; frees them if the session was closed meanwhile.
     pub fn give_back(&self, id: &str, environments: SessionEnvironments) {
-        let mut entries = lock(&self.entries);
+        let mut entries = self.entries.lock();
         let Some(entry) = entries.get_mut(id) else {
             drop(entries);
             return release(Some(environments));
@@ -283,7 +284,7 @@ impl Sessions {
 
     /// Ends a session, with or without a stream.
     pub fn close(&self, id: &str) -> Result<()> {
-        let entry = lock(&self.entries).remove(id).ok_or_else(|| unknown(id))?;
+        let entry = self.entries.lock().remove(id).ok_or_else(|| unknown(id))?;
         tracing::info!(session = name(id), "a session was closed");
         entry.end.cancel();
         self.watchers.ended(id);
@@ -293,7 +294,7 @@ impl Sessions {
 
     /// Ends a session that no stream has.
     pub fn close_free(&self, id: &str) -> Result<()> {
-        if lock(&self.entries).get(id).is_some_and(|e| e.attached) {
+        if self.entries.lock().get(id).is_some_and(|e| e.attached) {
             return Err(Error::OutOfOrder("another connection has it".into()));
         }
         self.close(id)
@@ -304,20 +305,20 @@ impl Sessions {
         let idle = |(id, e): (String, SessionEntry)| {
             Some(StoppedSession { id, blueprint: e.blueprint, environments: e.environments? })
         };
-        lock(&self.entries).extract_if(|_, e| e.environments.is_some()).filter_map(idle).collect()
+        self.entries.lock().extract_if(|_, e| e.environments.is_some()).filter_map(idle).collect()
     }
 
     pub fn describe(&self, id: &str) -> Result<SessionSummary> {
-        lock(&self.entries).get(id).map(|e| e.summary(id)).ok_or_else(|| unknown(id))
+        self.entries.lock().get(id).map(|e| e.summary(id)).ok_or_else(|| unknown(id))
     }
 
     /// The session with this name in logs and lists.
     pub fn named(&self, session: &str) -> Option<SessionSummary> {
-        lock(&self.entries).iter().find(|(id, _)| name(id) == session).map(|(id, entry)| entry.summary(id))
+        self.entries.lock().iter().find(|(id, _)| name(id) == session).map(|(id, entry)| entry.summary(id))
     }
 
     pub fn list(&self) -> Vec<SessionSummary> {
-        let mut all: Vec<_> = lock(&self.entries).iter().map(|(id, entry)| entry.summary(id)).collect();
+        let mut all: Vec<_> = self.entries.lock().iter().map(|(id, entry)| entry.summary(id)).collect();
         all.sort_by(|a, b| a.name.cmp(&b.name));
         all
     }
@@ -329,7 +330,7 @@ impl Sessions {
             let late = |e: &SessionEntry| {
                 !e.attached && e.environments.is_some() && e.idle_since.elapsed() > self.limits.lease
             };
-            let late: Vec<_> = lock(&self.entries).extract_if(|_, entry| late(entry)).collect();
+            let late: Vec<_> = self.entries.lock().extract_if(|_, entry| late(entry)).collect();
             for (id, entry) in late {
                 tracing::info!(session = name(&id), "a session's lease has run out");
                 self.watchers.ended(&id);

@@ -18,6 +18,7 @@ use super::sessions::{Sessions, StoppedSession};
 use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
 use crate::pool::{Pool, Seal, Snapshot};
+use parking_lot::Mutex;
 use prost::Message;
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -25,7 +26,7 @@ use std::fs::{self, File, TryLockError};
 use std::io::Write as _;
 use std::os::unix::fs::{DirBuilderExt as _, OpenOptionsExt as _};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::mpsc;
 use tokio::time::{Instant, timeout_at};
@@ -142,7 +143,7 @@ impl StateDir {
         for _ in 0..SAVERS {
             let (own, receiver, finished, seal) =
                 (self.clone(), receiver.clone(), finished.clone(), sessions.seal.clone());
-            let next = move || receiver.lock().unwrap_or_else(PoisonError::into_inner).recv().ok();
+            let next = move || receiver.lock().recv().ok();
             let save = move || {
                 while let Some(session) = next() {
                     let name = name(&session.id);

@@ -13,8 +13,9 @@ use super::{MOST_ENVIRONMENTS, MOST_MEMORY};
 use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
 use crate::pool::{Batch, Building, Operation, Pool, Roll, check_envs};
+use parking_lot::{Condvar, Mutex};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 /// Up to this many shards the caller's thread helps: our choice, well within the 100 ms in which Ctrl-C must act. A
@@ -72,14 +73,8 @@ fn closed() -> Error {
 }
 
 impl SharedBatch {
-    /// The data are consistent even after a panic, because fields that change together change without a call in
-    /// between.
-    fn lock(&self) -> MutexGuard<'_, BatchSlot> {
-        self.slot.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     fn put(&self, state: BatchState, answer: Option<Answer>) {
-        let mut slot = self.lock();
+        let mut slot = self.slot.lock();
         let unwanted = if matches!(slot.state, BatchState::Closed) {
             Some(state)
         } else {
@@ -114,10 +109,9 @@ impl Environments {
     /// The environments, if they are available within `time`; None: a thread still works on them.
     pub fn take(&self, time: Duration) -> Option<Result<EnvironmentsGuard>> {
         let away = |slot: &mut BatchSlot| matches!(slot.state, BatchState::Running);
-        let mut slot = self.shared.lock();
+        let mut slot = self.shared.slot.lock();
         if away(&mut slot) && !time.is_zero() {
-            let waited = self.shared.back.wait_timeout_while(slot, time, away);
-            slot = waited.unwrap_or_else(PoisonError::into_inner).0;
+            self.shared.back.wait_while_for(&mut slot, away, time);
         }
         match std::mem::replace(&mut slot.state, BatchState::Running) {
             BatchState::Idle(batch) => Some(Ok(EnvironmentsGuard { batch: Some(batch), shared: self.shared.clone() })),
@@ -132,7 +126,7 @@ impl Environments {
 
     /// Is an answer pending, or still kept from the last request?
     pub fn owes(&self) -> bool {
-        let slot = self.shared.lock();
+        let slot = self.shared.slot.lock();
         slot.answer.is_some() || matches!(slot.state, BatchState::Running)
     }
 
@@ -144,7 +138,7 @@ impl Environments {
     /// Frees the environments, now or when the thread that has them returns them.
     pub fn close(&self) {
         self.stop();
-        let mut slot = self.shared.lock();
+        let mut slot = self.shared.slot.lock();
         let state = std::mem::replace(&mut slot.state, BatchState::Closed);
         drop(slot);
         self.shared.back.notify_all();
@@ -161,7 +155,7 @@ impl EnvironmentsGuard {
 
     /// The answer to the last request.
     pub fn answer(&self) -> Option<Answer> {
-        self.shared.lock().answer.take()
+        self.shared.slot.lock().answer.take()
     }
 
     /// Returns the environments with this answer.
@@ -244,7 +238,7 @@ impl Drop for EnvironmentsGuard {
             return self.shared.put(BatchState::Lost(lost), None);
         }
         if let Some(batch) = self.batch.take() {
-            let mut slot = self.shared.lock();
+            let mut slot = self.shared.slot.lock();
             let answer = slot.answer.take();
             drop(slot);
             self.shared.put(BatchState::Idle(batch), answer);

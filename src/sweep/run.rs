@@ -5,7 +5,7 @@ use crate::parallel;
 use crate::progress::Progress;
 use crate::sim::engine::EngineKind;
 use crate::sim::walk::{WalkResult, WalkTrial, walk_many};
-use std::sync::{Mutex, PoisonError};
+use parking_lot::Mutex;
 
 /// Walks every trial, in the order given. An error of `progress` stops all of them within a second of simulated
 /// time.
@@ -64,7 +64,7 @@ impl<'a> SweepProgress<'a> {
     }
 
     fn advance(&self, seconds: f64) -> Result<()> {
-        let mut passed = self.passed.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut passed = self.passed.lock();
         *passed += seconds;
         let share = (*passed / self.total).min(1.0);
         drop(passed);

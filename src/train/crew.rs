@@ -5,9 +5,9 @@
 //! all items. The result of an item must not depend on the thread that computes it; then the number of threads has
 //! no effect.
 
+use parking_lot::{Condvar, Mutex};
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
 /// Number of times that a thread looks for work before it sleeps: our choice, some 20 µs, about the time between two
 /// phases.
@@ -50,7 +50,7 @@ pub fn with<P: Copy + Send, R>(threads: usize, work: PhaseWork<'_, P>, lead: imp
             scope.spawn(|| crew.serve());
         }
         let outcome = catch_unwind(AssertUnwindSafe(|| lead(&crew)));
-        crew.order().over = true;
+        crew.order.lock().over = true;
         crew.next.store(u64::MAX, Ordering::Release);
         crew.changed.notify_all();
         outcome.unwrap_or_else(|panic| resume_unwind(panic))
@@ -61,7 +61,7 @@ impl<P: Copy + Send> WorkCrew<'_, P> {
     /// Runs `items` items of `phase`; returns when all are done.
     pub fn run(&self, phase: P, items: usize) {
         let number = {
-            let mut order = self.order();
+            let mut order = self.order.lock();
             order.number = order.number.wrapping_add(1) & 0x7fff_ffff;
             (order.phase, order.items) = (Some(phase), items);
             self.done.store(0, Ordering::Relaxed);
@@ -114,9 +114,9 @@ impl<P: Copy + Send> WorkCrew<'_, P> {
                 }
                 std::hint::spin_loop();
             }
-            let mut order = self.order();
+            let mut order = self.order.lock();
             while order.number == last && !order.over {
-                order = self.changed.wait(order).unwrap_or_else(PoisonError::into_inner);
+                self.changed.wait(&mut order);
             }
             if order.over {
                 return;
@@ -128,10 +128,6 @@ impl<P: Copy + Send> WorkCrew<'_, P> {
                 self.carry_out(last, phase, items);
             }
         }
-    }
-
-    fn order(&self) -> MutexGuard<'_, CrewOrder<P>> {
-        self.order.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

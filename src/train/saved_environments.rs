@@ -5,7 +5,7 @@ use super::remote::{OptionalRemote, Pause};
 use super::spec::TrainingSpec;
 use crate::env::snapshot::{Resumed, SavedEpisode};
 use crate::error::{Error, Result};
-use std::sync::{Mutex, PoisonError};
+use parking_lot::Mutex;
 
 /// All environments of a training, saved between two updates.
 #[derive(Clone, Debug, PartialEq)]
@@ -54,7 +54,7 @@ impl SavedEnvironments {
         let mut kept = Self { episodes: Episodes::Here(Vec::new()), discounted: Vec::new(), returns: Vec::new() };
         let mut here = Vec::new();
         for piece in pieces {
-            let piece = piece.lock().unwrap_or_else(PoisonError::into_inner);
+            let piece = piece.lock();
             here.extend(piece.episodes());
             kept.discounted.extend(&piece.discounted);
             kept.returns.extend(&piece.running);

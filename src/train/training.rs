@@ -10,7 +10,8 @@ use super::remote::OptionalRemote;
 use super::saved_environments::SavedEnvironments;
 use super::settings::Hyperparameters;
 use crate::error::{Error, Result};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
+use parking_lot::{Mutex, RwLock};
+use std::sync::Arc;
 use std::time::Instant;
 
 /// Start of the trainings' seeds; evaluations use none of them.
@@ -35,18 +36,6 @@ pub enum Phase {
     Finish,
     /// The gradient of a minibatch; one item a chunk.
     Learn { weights: LossWeights },
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-fn read<T>(lock: &RwLock<T>) -> RwLockReadGuard<'_, T> {
-    lock.read().unwrap_or_else(PoisonError::into_inner)
-}
-
-fn write<T>(lock: &RwLock<T>) -> RwLockWriteGuard<'_, T> {
-    lock.write().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl<'a> TrainingWork<'a> {
@@ -100,16 +89,16 @@ impl<'a> TrainingWork<'a> {
 
     pub fn work(&self, phase: Phase, item: usize) {
         let TrainingPlan { settings, networks, .. } = self.plan;
-        let parameters = read(&self.parameters);
+        let parameters = self.parameters.read();
         match phase {
             Phase::Learn { weights } => {
-                let (rollout, minibatches) = (read(&self.rollout), read(&self.minibatches));
-                lock(&self.chunks[item]).learn(networks, &parameters, &rollout, &minibatches, item, &weights);
+                let (rollout, minibatches) = (self.rollout.read(), self.minibatches.read());
+                self.chunks[item].lock().learn(networks, &parameters, &rollout, &minibatches, item, &weights);
             }
             Phase::Act { .. } | Phase::Finish => {
-                let scales = read(&self.scales);
+                let scales = self.scales.read();
                 let play = PolicyContext { settings, networks, parameters: &parameters, scales: scales.as_ref() };
-                let mut piece = lock(&self.pieces[item]);
+                let mut piece = self.pieces[item].lock();
                 match phase {
                     Phase::Act { step } => piece.act(&play, step),
                     _ => piece.finish(&play),
@@ -164,7 +153,7 @@ impl<'a, 'r> Training<'a, 'r> {
         let remote = self.remote.as_deref_mut();
         self.learnt.environments =
             SavedEnvironments::of(&self.shared.pieces, remote, &mut || observer.pause())?.map(Arc::new);
-        self.learnt.parameters.clone_from(&read(&self.shared.parameters));
+        self.learnt.parameters.clone_from(&self.shared.parameters.read());
         self.learnt.seconds = self.before + self.began.elapsed().as_secs_f64();
         let log_std = &self.learnt.parameters[self.plan.networks.shape.log_std.clone()];
         let mean = |sum: f64| sum / sums.samples.max(1.0);
@@ -190,7 +179,7 @@ impl<'a, 'r> Training<'a, 'r> {
 
     /// Mean level of the environments' curriculum.
     fn level(&self) -> Option<f64> {
-        let levels = self.shared.pieces.iter().flat_map(|piece| lock(piece).levels.clone());
+        let levels = self.shared.pieces.iter().flat_map(|piece| piece.lock().levels.clone());
         let (sum, count) = levels.fold((0.0, 0), |(sum, count), level| (sum + f64::from(level), count + 1));
         (count > 0).then(|| sum / f64::from(count))
     }
@@ -204,7 +193,7 @@ impl<'a, 'r> Training<'a, 'r> {
         }
         let Hyperparameters { n_envs, n_steps, .. } = self.plan.settings;
         let spec = self.plan.spec.task()?.task.spec();
-        let sum = |k: usize| self.shared.pieces.iter().map(|piece| lock(piece).terms[k]).sum::<f64>();
+        let sum = |k: usize| self.shared.pieces.iter().map(|piece| piece.lock().terms[k]).sum::<f64>();
         let mean = |k: usize| (spec.info[k].name.clone(), sum(k) / (n_envs * n_steps) as f64);
         Ok((0..spec.reward.len()).map(mean).collect())
     }
@@ -213,7 +202,7 @@ impl<'a, 'r> Training<'a, 'r> {
     fn roll(&mut self, crew: &WorkCrew<'_, Phase>, observer: &mut dyn Observer) -> Result<(Vec<f64>, f64)> {
         let (settings, pieces) = (&self.plan.settings, &self.shared.pieces);
         for (k, piece) in pieces.iter().enumerate() {
-            lock(piece).begin(self.plan.noise(self.learnt.updates, k as u64));
+            piece.lock().begin(self.plan.noise(self.learnt.updates, k as u64));
         }
         if self.learnt.steps == 0 {
             self.normalize(false);
@@ -227,11 +216,11 @@ impl<'a, 'r> Training<'a, 'r> {
         }
         crew.run(Phase::Finish, pieces.len());
         self.learnt.steps += (settings.n_envs * settings.n_steps) as u64;
-        let mut rollout = write(&self.shared.rollout);
+        let mut rollout = self.shared.rollout.write();
         rollout.clear();
         let mut finished = Vec::new();
         for piece in pieces {
-            let mut piece = lock(piece);
+            let mut piece = piece.lock();
             let RolloutGroup { data, skipped, .. } = &mut *piece;
             rollout.append(data, skipped);
             finished.append(&mut piece.finished);
@@ -244,13 +233,13 @@ impl<'a, 'r> Training<'a, 'r> {
     fn step_away(&mut self, step: usize, observer: &mut dyn Observer) -> Result<()> {
         let Some(remote) = &mut self.remote else { return Ok(()) };
         let pieces = &self.shared.pieces;
-        let actions: Vec<f32> = pieces.iter().flat_map(|piece| lock(piece).clipped.clone()).collect();
+        let actions: Vec<f32> = pieces.iter().flat_map(|piece| piece.lock().clipped.clone()).collect();
         let rows = remote.step(&actions, &mut || observer.pause())?;
-        let (parameters, scales) = (read(&self.shared.parameters), read(&self.shared.scales));
+        let (parameters, scales) = (self.shared.parameters.read(), self.shared.scales.read());
         let TrainingPlan { settings, networks, .. } = self.plan;
         let play = PolicyContext { settings, networks, parameters: &parameters, scales: scales.as_ref() };
         let mut skipped = remote.skipped();
-        deal(pieces.iter().map(lock), &rows, |piece, part| {
+        deal(pieces.iter().map(Mutex::lock), &rows, |piece, part| {
             let own = skipped.split_off(..piece.envs.min(skipped.len())).unwrap_or_default();
             piece.answered(&play, step, part, own);
         });
@@ -263,7 +252,7 @@ impl<'a, 'r> Training<'a, 'r> {
         let join = |what: usize| {
             let mut all: Option<BatchMoments> = None;
             for piece in &self.shared.pieces {
-                let piece = lock(piece);
+                let piece = piece.lock();
                 match &mut all {
                     None => all = Some(piece.seen[what].clone()),
                     Some(all) => all.join(&piece.seen[what]),
@@ -278,7 +267,7 @@ impl<'a, 'r> Training<'a, 'r> {
         if rewarded {
             update(&mut normal.returns, 1);
         }
-        *write(&self.shared.scales) = Some(normal.scales());
+        *self.shared.scales.write() = Some(normal.scales());
     }
 
     /// Keeps the statistics symmetric; otherwise normalized rows would not be mirror images of each other.
@@ -292,7 +281,7 @@ impl<'a, 'r> Training<'a, 'r> {
                 variance[k] = 0.5 * (old_variance[k] + old_variance[*from]);
             }
         }
-        *write(&self.shared.scales) = Some(normal.scales());
+        *self.shared.scales.write() = Some(normal.scales());
     }
 
     /// Runs all epochs; returns the sums over all minibatches.
@@ -305,15 +294,15 @@ impl<'a, 'r> Training<'a, 'r> {
     ) -> Result<LossSums> {
         let (plan, shared) = (self.plan, self.shared);
         let settings = &plan.settings;
-        let rows = read(&shared.rollout).rows();
+        let rows = shared.rollout.read().rows();
         let mut random = plan.random(self.learnt.updates, u64::MAX - 1);
         let mut all = LossSums::default();
         for _ in 0..settings.n_epochs {
-            write(&shared.minibatches).shuffle(rows, &mut random);
+            shared.minibatches.write().shuffle(rows, &mut random);
             for first in (0..rows).step_by(settings.batch_size) {
                 let (samples, chunks) = {
-                    let mut minibatches = write(&shared.minibatches);
-                    let rollout = read(&shared.rollout);
+                    let mut minibatches = shared.minibatches.write();
+                    let rollout = shared.rollout.read();
                     let samples = minibatches.take(&rollout, first, settings.batch_size, settings.normalize_advantage);
                     (samples, minibatches.chunks())
                 };
@@ -331,7 +320,7 @@ impl<'a, 'r> Training<'a, 'r> {
                 }
                 // The derivative of the entropy by each logarithm of a deviation is 1.
                 gradient[plan.networks.shape.log_std.clone()].iter_mut().for_each(|g| *g -= settings.ent_coef as f32);
-                let mut parameters = write(&shared.parameters);
+                let mut parameters = shared.parameters.write();
                 let norm =
                     self.learnt.adam.step(&mut parameters, &gradient, rate, settings.max_grad_norm, plan.networks.isa);
                 if !(norm.is_finite() && (sums.policy + sums.value).is_finite()) {
@@ -349,7 +338,7 @@ impl<'a, 'r> Training<'a, 'r> {
         let mut sums = LossSums::default();
         let mut gradient = vec![0.0; self.plan.networks.shape.parameters];
         for chunk in &self.shared.chunks[..chunks] {
-            let chunk = lock(chunk);
+            let chunk = chunk.lock();
             gradient.iter_mut().zip(&chunk.gradient).for_each(|(sum, g)| *sum += g);
             sums += chunk.sums;
         }
@@ -391,7 +380,7 @@ mod tests {
         let mut observer = |_: &TrainingState, _: &UpdateReport| Ok(());
         let shared = TrainingWork::new(&plan, &learnt, None, &mut observer).unwrap();
         {
-            let mut rollout = write(&shared.rollout);
+            let mut rollout = shared.rollout.write();
             wave(&mut rollout.observations, 1.5, 0.37, 0.1);
             wave(&mut rollout.actions, 1.2, 0.71, 0.0);
             wave(&mut rollout.log_probabilities, 0.4, 1.9, -6.0);
@@ -405,7 +394,7 @@ mod tests {
         let sums = crew::with(1, &work, |crew| training.learn(crew, &mut observer, 0.0, 1e-3)).unwrap();
         assert_eq!(sums.samples, 3.0 * rows as f64);
         let wanted: Vec<f64> = serde_json::from_str(include_str!("../../tests/data/train/sb3_update.json")).unwrap();
-        let got = read(&shared.parameters);
+        let got = shared.parameters.read();
         assert_eq!(got.len(), wanted.len());
         let moved = got.iter().zip(&before).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
         assert!(moved > 2e-3, "three steps of Adam move by the rate each");

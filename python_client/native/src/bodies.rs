@@ -1,6 +1,7 @@
 //! Sand's forces on bodies that another simulator moves: numpy's arrays are read and written in place.
 
 use crate::errors::{invalid, raise};
+use parking_lot::Mutex;
 use pyo3::buffer::{Element, PyBuffer};
 use pyo3::prelude::*;
 use sandgait::bodies::joints::{TreeIndex, TreeMotion};
@@ -9,7 +10,6 @@ use sandgait::parallel::processors;
 use sandgait::sand::SandDescription;
 use sandgait::sim::tree::relief::Relief;
 use std::path::PathBuf;
-use std::sync::{Mutex, PoisonError};
 
 /// Sand below a surface, see `sandgait.Sand`.
 #[pyclass(frozen)]
@@ -255,7 +255,7 @@ impl JointSand {
         let buffers = doubles(&motion)?;
         let (force, inertia) = (PyBuffer::<f64>::get(force)?, PyBuffer::<f64>::get(inertia)?);
         let inertia = writable(&inertia)?;
-        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut last = self.last.lock();
         if last[1] == *inertia {
             inertia.copy_from_slice(&last[0]);
         }

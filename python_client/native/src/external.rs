@@ -1,31 +1,28 @@
 //! Trainings with environments of another program: `sandgait.external` steps them, in the thread that called `sandgait.train`.
 
 use crate::arrays::{Kind, array, floats, numbers};
+use parking_lot::Mutex;
 use pyo3::prelude::*;
 use sandgait::env::shard::Rows;
 use sandgait::number::unflushed;
 use sandgait::progress::Progress;
 use sandgait::train::remote::{Pause, RemoteEnvironments};
 use sandgait::{Error, Result};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
 /// What a caller in Python has raised during a call from here, which ends the work.
 #[derive(Clone, Default)]
 pub struct Raised(Arc<Mutex<Option<PyErr>>>);
 
 impl Raised {
-    fn slot(&self) -> MutexGuard<'_, Option<PyErr>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     pub fn take(&self) -> Option<PyErr> {
-        self.slot().take()
+        self.0.lock().take()
     }
 
     /// Calls Python, which has the usual denormal numbers.
     fn call<T>(&self, work: impl FnOnce(Python<'_>) -> PyResult<T>) -> Result<T> {
         unflushed(|| Python::attach(work)).map_err(|raised| {
-            *self.slot() = Some(raised);
+            *self.0.lock() = Some(raised);
             Error::Cancelled("stopped".into())
         })
     }
@@ -40,7 +37,7 @@ pub struct DirectProgress {
 
 impl Progress for DirectProgress {
     fn report(&self, done: f64, stage: &str) -> Result<()> {
-        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut last = self.last.lock();
         let news = (last.0, last.1.as_str()) != (done, stage);
         if news {
             *last = (done, stage.to_owned());

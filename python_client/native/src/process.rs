@@ -1,8 +1,9 @@
 //! The threads that all environments of this process share.
 
+use parking_lot::Mutex;
 use pyo3::prelude::*;
 use sandgait::pool::Pool;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 /// A pool with the process that it belongs to and its requested number of threads; 0: one for each processor.
 struct Owned {
@@ -17,7 +18,7 @@ static POOL: Mutex<Option<Owned>> = Mutex::new(None);
 
 /// This process's pool; `threads` matters only if it is made now.
 pub fn pool(_py: Python<'_>, threads: usize) -> Arc<Pool> {
-    let mut pool = POOL.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut pool = POOL.lock();
     let process = std::process::id();
     match &*pool {
         Some(owned) if owned.process == process => owned.pool.clone(),
@@ -34,6 +35,6 @@ pub fn pool(_py: Python<'_>, threads: usize) -> Arc<Pool> {
 /// Number of threads of this process's pool; None: there is no pool yet.
 #[pyfunction]
 pub fn threads(_py: Python<'_>) -> Option<usize> {
-    let pool = POOL.lock().unwrap_or_else(PoisonError::into_inner);
+    let pool = POOL.lock();
     pool.as_ref().filter(|owned| owned.process == std::process::id()).map(|owned| owned.threads)
 }

@@ -5,6 +5,7 @@ use crate::external::{DirectProgress, ExternalEnvironments, Raised};
 use crate::remote::{self, Address};
 use crate::values::keywords;
 use crate::wait;
+use parking_lot::Mutex;
 use pyo3::prelude::*;
 use pyo3::types::PyMapping;
 use sandgait::Result;
@@ -15,7 +16,6 @@ use sandgait::train::remote::{Pause, RemoteEnvironments};
 use sandgait::train::{CurvePoint, ExternalSpaces, Mirror, TrainingPlan, TrainingRequest};
 use serde_json::{Value, json};
 use std::path::PathBuf;
-use std::sync::Mutex;
 
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]

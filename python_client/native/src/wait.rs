@@ -1,12 +1,13 @@
 //! Work that Python waits for. Python's lock is free meanwhile, and Ctrl-C works.
 
 use crate::errors::raise;
+use parking_lot::Mutex;
 use pyo3::prelude::*;
 use sandgait::progress::Progress;
 use sandgait::{Error, Result};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 /// Interval of checks whether Python was interrupted: our choice, well below the 100 ms that a person notices.
@@ -110,7 +111,7 @@ pub fn spawn(work: impl FnOnce() + Send + 'static) -> PyResult<()> {
 fn wait<T: Send>(py: Python<'_>, events: &Events<T>, stop: &Stop, told: Option<&Bound<'_, PyAny>>) -> PyResult<T> {
     let mut last = (0.0, String::new());
     loop {
-        let next = || events.lock().unwrap_or_else(PoisonError::into_inner).recv_timeout(PATIENCE);
+        let next = || events.lock().recv_timeout(PATIENCE);
         let interrupted = match py.detach(next) {
             Ok(Event::Done(done)) => return done.map_err(|e| raise(&e)),
             Ok(Event::Progress(done, stage)) => {

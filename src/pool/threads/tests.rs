@@ -29,13 +29,13 @@ fn who_waits_computes() {
     let (sender, finished) = mpsc::channel();
     let (batch, reset) = begun();
     pool.run(batch, reset, move |batch| sender.send(batch.unwrap().envs()).unwrap());
-    pool.shared.lock().active = 1;
+    pool.shared.queue.lock().active = 1;
     pool.assist(Duration::MAX);
     assert!(finished.try_recv().is_err());
-    pool.shared.lock().active = 0;
+    pool.shared.queue.lock().active = 0;
     pool.assist(Duration::MAX);
     assert_eq!(finished.try_recv(), Ok(40));
-    assert_eq!(pool.shared.lock().active, 0);
+    assert_eq!(pool.shared.queue.lock().active, 0);
     drop(busy);
 }
 

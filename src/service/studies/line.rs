@@ -13,8 +13,9 @@ use crate::proto::Progress as Event;
 use crate::status;
 use futures_util::StreamExt as _;
 use futures_util::stream::BoxStream;
+use parking_lot::Mutex;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::{Semaphore, mpsc};
 use tokio_stream::wrappers::ReceiverStream;
 use tokio_util::sync::CancellationToken;
@@ -150,7 +151,7 @@ impl<A: StudyMessage> Progress for ProgressSender<A> {
         if self.events.is_closed() || self.stop.is_cancelled() {
             return Err(Error::Cancelled("the study was stopped".into()));
         }
-        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut last = self.last.lock();
         let before = last.as_ref().map_or(0.0, |l| l.0);
         let fraction = done.clamp(before, 1.0);
         let news = last.as_ref().is_none_or(|l| l.1 != stage) || fraction >= before + STEP;

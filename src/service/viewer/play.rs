@@ -19,9 +19,10 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use axum::{Router, middleware};
 use futures_util::stream;
+use parking_lot::Mutex;
 use serde_json::json as value;
 use std::convert::Infallible;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
@@ -54,7 +55,7 @@ impl PlayedEnvironment {
     /// The last command of a page: shares from −1 to 1 of the largest commands backward and forward, to the right and left, and
     /// of the yaw rate.
     pub fn command(&self) -> [f64; 3] {
-        *self.command.lock().unwrap_or_else(PoisonError::into_inner)
+        *self.command.lock()
     }
 
     /// Answers browsers until `stop` is cancelled.
@@ -99,7 +100,7 @@ async fn steer(State(play): State<Arc<PlayedEnvironment>>, headers: HeaderMap, b
     }
     match serde_json::from_slice::<[f64; 3]>(&body) {
         Ok(command) if command.iter().all(|c| (-1.0..=1.0).contains(c)) => {
-            *play.command.lock().unwrap_or_else(PoisonError::into_inner) = command;
+            *play.command.lock() = command;
             StatusCode::NO_CONTENT.into_response()
         }
         _ => (StatusCode::BAD_REQUEST, "expected three numbers from -1 to 1\n").into_response(),

@@ -5,9 +5,10 @@ use crate::env::AnyTask;
 use crate::names::name;
 use crate::pool::Batch;
 use bytes::Bytes;
+use parking_lot::Mutex;
 use std::collections::HashMap;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::broadcast::Receiver;
 
@@ -56,16 +57,10 @@ impl Watchers {
         self.most
     }
 
-    /// The data are consistent even after a panic, because fields that change together change without a call in
-    /// between.
-    fn lock(&self) -> MutexGuard<'_, HashMap<String, Vec<WatchedEnvironment>>> {
-        self.sessions.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Follows environment `index` of the session named `session`; None if there are too many watchers. Needs a
     /// tokio runtime.
     pub fn watch(self: &Arc<Self>, session: &str, index: usize, task: &Arc<dyn AnyTask>) -> Option<Watcher> {
-        let mut sessions = self.lock();
+        let mut sessions = self.sessions.lock();
         let count = self.count.load(Ordering::Relaxed);
         if count >= self.most {
             return None;
@@ -92,7 +87,7 @@ impl Watchers {
         }
         let pause = PAUSE.max(EACH * u32::try_from(count).unwrap_or(u32::MAX));
         let (session, now) = (name(id), Instant::now());
-        let mut sessions = self.lock();
+        let mut sessions = self.sessions.lock();
         for watched in sessions.get_mut(&session).into_iter().flatten().filter(|w| w.next <= now) {
             // An environment before its first reset has no state to show.
             if let Ok(look) = batch.look(watched.index, true) {
@@ -105,13 +100,13 @@ impl Watchers {
     /// Session `id` has ended; ends the streams of its watchers.
     pub fn ended(&self, id: &str) {
         if self.count.load(Ordering::Relaxed) > 0 {
-            let gone = self.lock().remove(&name(id));
+            let gone = self.sessions.lock().remove(&name(id));
             drop(gone);
         }
     }
 
     fn leave(&self, session: &str, index: usize) {
-        let mut sessions = self.lock();
+        let mut sessions = self.sessions.lock();
         self.count.fetch_sub(1, Ordering::Relaxed);
         // The session may have ended.
         let Some(all) = sessions.get_mut(session) else { return };

@@ -9,6 +9,7 @@ pub mod engine;
 mod forces;
 pub mod models;
 mod sand;
+mod walk;
 
 type V = Vector3<f64>;
 type M = Matrix3<f64>;
