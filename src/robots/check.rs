@@ -3,7 +3,7 @@
 use super::draft::Merged;
 use crate::error::{Error, Result};
 use crate::notes::Notes;
-use crate::sim::tree::{JointKind, TreeBody, TreeJoint};
+use crate::sim::tree::{JointKind, TreeBody};
 use nalgebra::{Isometry3, Matrix3, Matrix6, UnitQuaternion, Vector3, Vector6};
 
 /// Smallest inertia at a joint, as a share of the inertia that it carries: our choice, far above rounding and far
@@ -26,15 +26,6 @@ pub fn check(merged: &Merged, notes: &mut Notes) -> Result<()> {
         }
         if body.mass == 0.0 && !body.name.contains(':') {
             notes.part("body", &body.name, "has no mass of its own; it moves with what it carries");
-        }
-        let joint = body.joint.as_ref();
-        let outside = |j: &&TreeJoint| j.rest.zip(j.range).is_some_and(|(q, [low, high])| q < low || q > high);
-        if let Some(joint) = joint.filter(outside) {
-            notes.part(
-                "joint",
-                &joint.name,
-                "the file's standing pose is outside of its range; its stop holds it there",
-            );
         }
     }
     names(merged)?;

@@ -143,9 +143,9 @@ pub fn load_with(path: &Path, posture: &Posture) -> Result<Import> {
     let draft::Merged { mut tree, visuals, links, base_is_free, .. } = merged;
     packed::check(&tree).map_err(named)?;
     posture.lay_over(&mut tree).map_err(named)?;
-    let (stance, found, ignored) = posture::settle(&mut tree);
-    if ignored {
-        notes.say("the file's standing pose does not stand on all legs; a pose was found in its place");
+    let (stance, found, ignored) = posture::settle(&mut tree, posture);
+    if let Some(reason) = ignored {
+        notes.say(format!("the file's standing pose is left out, because {reason}; a pose was found in its place"));
     }
     let warnings = notes.into_lines();
     Ok(Import { warnings, links, visuals, base_is_free, ..Import::whole(format, tree, stance, found) })
@@ -182,7 +182,7 @@ impl Import {
 
     fn of_robot(name: &str, robot: &crate::sim::Robot) -> Result<Self> {
         let mut tree = crate::sim::tree::of_robot(name, robot)?;
-        let (stance, found, _) = posture::settle(&mut tree);
+        let (stance, found, _) = posture::settle(&mut tree, &Posture::default());
         Ok(Self::whole(Format::Toml, tree, stance, found))
     }
 

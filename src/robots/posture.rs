@@ -8,7 +8,12 @@ use crate::sim::tree::joint_values::by_pattern;
 use crate::sim::tree::stance::Stance;
 use crate::sim::tree::{Tree, TreeJoint, gains};
 use serde::Deserialize;
+use std::cmp::Ordering;
 use std::collections::BTreeMap;
+
+/// A joint's position may be so far outside of its range and is still within it [rad or m]: our choice, for numbers that
+/// files round to three digits.
+const ROUNDING: f64 = 1e-3;
 
 /// Values laid over a description, by patterns of joint names.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
@@ -63,11 +68,11 @@ fn joints(tree: &mut Tree) -> impl Iterator<Item = &mut TreeJoint> {
     tree.bodies.iter_mut().filter_map(|b| b.joint.as_mut())
 }
 
-/// Fills in pose and gains of the joints that have none, and says which these were, and whether the file's pose is ignored
-/// because not all legs stand in it.
-pub fn settle(tree: &mut Tree) -> (Stance, FoundJoints, bool) {
+/// Fills in pose and gains of the joints that have none, and says which these were, and why the file's pose is ignored if it
+/// is.
+pub fn settle(tree: &mut Tree, laid_over: &Posture) -> (Stance, FoundJoints, Option<&'static str>) {
     let contacts = contact_points(tree);
-    let (stance, ignored) = standing(tree, &contacts);
+    let (stance, ignored) = standing(tree, &contacts, laid_over);
     let motors = gains::motors(tree, &contacts, &stance);
     let found = FoundJoints {
         rest: tree.joints().map(|j| j.rest.is_none()).collect(),
@@ -81,21 +86,28 @@ pub fn settle(tree: &mut Tree) -> (Stance, FoundJoints, bool) {
     (stance, found, ignored)
 }
 
-/// The stance of the file's pose, or of the one that is found if more legs stand in that; and whether the file's pose is
-/// ignored for this reason.
-fn standing(tree: &mut Tree, contacts: &[Vec<ContactPoint>]) -> (Stance, bool) {
+/// The stance of the file's pose, or of the one that is found if joints cannot take the file's, or if more legs stand in the
+/// one that is found; and why the file's pose is ignored if it is.
+fn standing(tree: &mut Tree, contacts: &[Vec<ContactPoint>], laid_over: &Posture) -> (Stance, Option<&'static str>) {
     let own = Stance::of(tree, contacts);
     if tree.joints().any(|j| j.rest.is_none()) {
-        return (own, false);
+        return (own, None);
     }
+    let outside = |j: &TreeJoint| {
+        let beyond = |q: f64, [low, high]: [f64; 2]| q < low - ROUNDING || q > high + ROUNDING;
+        j.rest.zip(j.range).is_some_and(|(q, range)| beyond(q, range))
+    };
+    let outside = laid_over.default_joint_angles.is_empty() && tree.joints().any(outside);
     let mut free = tree.clone();
     joints(&mut free).for_each(|j| j.rest = None);
     let found = Stance::of(&free, contacts);
-    if found.legs.len() <= own.legs.len() {
-        return (own, false);
-    }
+    let reason = match found.legs.len().cmp(&own.legs.len()) {
+        Ordering::Greater => "not all legs stand in it",
+        Ordering::Equal if outside => "joints cannot take it within their ranges",
+        _ => return (own, None),
+    };
     *tree = free;
-    (found, true)
+    (found, Some(reason))
 }
 
 impl Import {

@@ -6,6 +6,7 @@ use crate::error::Result;
 use crate::notes::Notes;
 use crate::sim::tree::{Tree, TreeJoint};
 use crate::xml::Element;
+use std::collections::HashSet;
 
 const KNOWN: [&str; 22] = [
     KIND,
@@ -32,9 +33,17 @@ const KNOWN: [&str; 22] = [
     "jointinparent",
 ];
 
-/// Gives joints the limits and gains of the actuators that drive them.
-pub fn apply(root: &Element, defaults: &Defaults, autolimits: bool, tree: &mut Tree, notes: &mut Notes) -> Result<()> {
-    let mut driven = std::collections::HashSet::new();
+/// Gives joints the limits and gains of the actuators that drive them. Actuators of the joints `others`, which belong to
+/// bodies beside the robot, are left out.
+pub fn apply(
+    root: &Element,
+    defaults: &Defaults,
+    autolimits: bool,
+    tree: &mut Tree,
+    others: &HashSet<String>,
+    notes: &mut Notes,
+) -> Result<()> {
+    let mut driven = HashSet::new();
     for element in root.all("actuator").flat_map(|section| &section.children) {
         if !ACTUATORS.contains(&element.tag.as_str()) {
             notes.left_out(element);
@@ -45,6 +54,10 @@ pub fn apply(root: &Element, defaults: &Defaults, autolimits: bool, tree: &mut T
             notes.part("actuator", whole.get("name").unwrap_or("without a name"), "drives no joint; it is left out");
             continue;
         };
+        if others.contains(name) {
+            notes.part("actuator", name, "drives a joint of a body beside the robot; it is left out");
+            continue;
+        }
         let mut joints = tree.bodies.iter_mut().filter_map(|b| b.joint.as_mut());
         let Some(joint) = joints.find(|j| j.name == name) else {
             return Err(element.error(format!("there is no joint {name:?}")));
@@ -109,19 +122,22 @@ fn limit(joint: &mut TreeJoint, range: Option<[f64; 2]>, factor: f64, notes: &mu
     }
 }
 
-/// Sets the standing pose: that of the keyframe `home`, or else of the first.
-pub fn rest(root: &Element, tree: &mut Tree, notes: &mut Notes) -> Result<()> {
+/// Sets the standing pose: that of the keyframe `home`, or else of the first. Keyframes have `before` numbers for bodies
+/// before the robot, and `after` for those behind it.
+pub fn rest(root: &Element, tree: &mut Tree, [before, after]: [usize; 2], notes: &mut Notes) -> Result<()> {
     let mut keys = root.all("keyframe").flat_map(|section| section.all("key")).filter(|k| k.get("qpos").is_some());
     let Some(first) = keys.next() else { return Ok(()) };
     let key = std::iter::once(first).chain(keys).find(|k| k.get("name") == Some("home")).unwrap_or(first);
     let values = key.list("qpos")?.unwrap_or_default();
     let joints = tree.joints().count();
     // Position and quaternion of the base come first.
-    if values.len() != 7 + joints {
-        notes.say(format!("keyframe: {} numbers in place of {}; it is left out", values.len(), 7 + joints));
+    let first = before + 7;
+    let wanted = first + joints + after;
+    if values.len() != wanted {
+        notes.say(format!("keyframe: {} numbers in place of {wanted}; it is left out", values.len()));
         return Ok(());
     }
-    for (joint, value) in tree.bodies.iter_mut().filter_map(|b| b.joint.as_mut()).zip(&values[7..]) {
+    for (joint, value) in tree.bodies.iter_mut().filter_map(|b| b.joint.as_mut()).zip(&values[first..]) {
         joint.rest = Some(*value);
     }
     Ok(())

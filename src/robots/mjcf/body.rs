@@ -2,7 +2,7 @@
 
 use super::compiler::{Compiler, FromGeoms, limited};
 use super::defaults::Defaults;
-use super::geom::{Assets, Geom, geom};
+use super::geom::{Assets, Geom, geom, unreadable_look};
 use crate::draft::{DraftLink, Inertial, MOST_LINKS, Visual, name_shapes, shift};
 use crate::error::Result;
 use crate::notes::Notes;
@@ -33,6 +33,13 @@ const JOINT_KNOWN: [&str; 17] = [
     "stiffness",
     "springref",
 ];
+
+/// The geoms of a body.
+struct BodyGeoms {
+    /// Does the body's mass come from elsewhere?
+    weighed: bool,
+    read: Vec<Geom>,
+}
 
 pub struct Builder<'a> {
     pub compiler: &'a Compiler,
@@ -101,12 +108,14 @@ impl Builder<'_> {
     }
 
     fn content(&mut self, element: &Element, own: usize, class: &str) -> Result<()> {
-        let mut geoms = Vec::new();
-        self.inside(element, own, &Isometry3::identity(), class, &mut geoms, 0)?;
         let given = element.first("inertial").filter(|_| self.compiler.from_geoms != FromGeoms::Always);
+        let weighed = given.is_some() || self.compiler.from_geoms == FromGeoms::Never;
+        let mut geoms = BodyGeoms { weighed, read: Vec::new() };
+        self.inside(element, own, &Isometry3::identity(), class, &mut geoms, 0)?;
+        let geoms = geoms.read;
         let inertial = match given {
             Some(inertial) => self.inertial(inertial)?,
-            None if self.compiler.from_geoms == FromGeoms::Never => Inertial::none(),
+            None if weighed => Inertial::none(),
             None => geoms.iter().fold(Inertial::none(), |sum, g| sum.with(&g.inertial)),
         };
         let inertial = self.bounded(inertial);
@@ -138,15 +147,18 @@ impl Builder<'_> {
         own: usize,
         at: &Isometry3<f64>,
         class: &str,
-        geoms: &mut Vec<Geom>,
+        geoms: &mut BodyGeoms,
         depth: usize,
     ) -> Result<()> {
         for child in &element.children {
             match child.tag.as_str() {
                 "geom" => {
                     let whole = self.defaults.applied(child, class)?;
+                    if unreadable_look(&whole, self.assets, geoms.weighed, self.notes)? {
+                        continue;
+                    }
                     let read = geom(&whole, self.compiler, self.assets, self.notes)?;
-                    geoms.push(Geom { origin: at * read.origin, inertial: read.inertial.moved(at), ..read });
+                    geoms.read.push(Geom { origin: at * read.origin, inertial: read.inertial.moved(at), ..read });
                 }
                 "body" => self.body(child, Some(own), at, class)?,
                 "frame" => {

@@ -13,6 +13,7 @@ use crate::xml::Element;
 use nalgebra::{Isometry3, Matrix3, Quaternion, Translation3, Unit, UnitQuaternion, Vector3};
 use std::collections::HashMap;
 use std::f64::consts::PI;
+use std::path::Path;
 use std::sync::Arc;
 
 /// Density of water [kg/m³], MuJoCo's default.
@@ -39,7 +40,8 @@ pub struct Mesh {
     filling: Filling,
 }
 
-pub type Assets = HashMap<String, Mesh>;
+/// Meshes by name. If a file cannot be read, its mesh has the reason instead: only a geom that needs its mesh is refused.
+pub type Assets = HashMap<String, Result<Mesh>>;
 
 /// What is needed to read an asset.
 pub struct GeomReader<'a> {
@@ -65,8 +67,8 @@ const MESH_KNOWN: [&str; 12] = [
 ];
 
 impl GeomReader<'_> {
-    /// Name and triangles of a `<mesh>`, defaults applied.
-    pub fn mesh(&mut self, element: &Element) -> Result<(String, Mesh)> {
+    /// Name and triangles of a `<mesh>`, defaults applied; in place of the triangles the reason why its file cannot be read.
+    pub fn mesh(&mut self, element: &Element) -> Result<(String, Result<Mesh>)> {
         self.notes.others(element, &MESH_KNOWN);
         let scale = Vector3::from(element.numbers("scale")?.unwrap_or([1.0; 3]));
         if scale.iter().any(|s| *s == 0.0 || s.abs() > 1e4) {
@@ -82,10 +84,14 @@ impl GeomReader<'_> {
         let (stem, whole) = match (element.get("file"), element.list("vertex")?) {
             (Some(file), None) => {
                 let file = if self.compiler.strippath { file.rsplit(['/', '\\']).next().unwrap_or(file) } else { file };
-                let path = self.files.find(&self.compiler.meshdir, file).map_err(|e| element.error(e))?;
-                let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-                let one = MeshFile { path, scale: Vector3::repeat(1.0) };
-                (stem, self.meshes.scaled(&one)?)
+                let stem = Path::new(file).file_stem().unwrap_or_default().to_string_lossy().into_owned();
+                match self.file(file) {
+                    Ok(triangles) => (stem, triangles),
+                    Err(reason) => {
+                        let name = element.get("name").unwrap_or(&stem).to_owned();
+                        return Ok((name, Err(element.error(reason))));
+                    }
+                }
             }
             (None, Some(vertices)) => (String::new(), Arc::new(inline(element, &vertices)?)),
             _ => return Err(element.error("needs either file or vertex")),
@@ -102,7 +108,13 @@ impl GeomReader<'_> {
         if scale != Vector3::repeat(1.0) {
             triangles = Arc::new(mesh::scaled(&triangles, &scale));
         }
-        Ok((name, Mesh { triangles, filling }))
+        Ok((name, Ok(Mesh { triangles, filling })))
+    }
+
+    /// The triangles of a file that is named relative to `meshdir`.
+    fn file(&mut self, name: &str) -> Result<Arc<Vec<Triangle>>> {
+        let path = self.files.find(&self.compiler.meshdir, name)?;
+        self.meshes.scaled(&MeshFile { path, scale: Vector3::repeat(1.0) })
     }
 }
 
@@ -164,6 +176,24 @@ const KNOWN: [&str; 25] = [
     "fluidshape",
 ];
 
+/// Is this geom only drawn, and can the file of its mesh not be read? Such a geom is left out with a note. `weighed`: the
+/// body's mass does not come from its geoms.
+pub fn unreadable_look(element: &Element, assets: &Assets, weighed: bool, notes: &mut Notes) -> Result<bool> {
+    let name = element.get("mesh").unwrap_or_default();
+    let Some(Err(_)) = assets.get(name) else { return Ok(false) };
+    let nothing = |attribute| Ok::<_, Error>(element.number(attribute)? == Some(0.0));
+    let light = weighed || nothing("mass")? || (element.get("mass").is_none() && nothing("density")?);
+    if collides(element)? || !light {
+        return Ok(false);
+    }
+    notes.part("mesh", name, "its file cannot be read; it is not drawn");
+    Ok(true)
+}
+
+fn collides(element: &Element) -> Result<bool> {
+    Ok([element.number("contype")?, element.number("conaffinity")?].iter().any(|c| *c != Some(0.0)))
+}
+
 /// Reads a geom, with the defaults of its class.
 pub fn geom(element: &Element, compiler: &Compiler, assets: &Assets, notes: &mut Notes) -> Result<Geom> {
     notes.others(element, &KNOWN);
@@ -209,7 +239,7 @@ pub fn geom(element: &Element, compiler: &Compiler, assets: &Assets, notes: &mut
         _ => solid(&shape),
     };
     let inertial = weighed(element, compiler, volume, &own)?.moved(&origin);
-    let collides = [element.number("contype")?, element.number("conaffinity")?].iter().any(|c| *c != Some(0.0));
+    let collides = collides(element)?;
     let look = DraftShape::Shape(shape.clone());
     if let (Geometry::Mesh(triangles), true, "mesh") = (&shape, collides, kind) {
         let name = element.get("mesh").unwrap_or_default();
@@ -229,7 +259,8 @@ pub fn geom(element: &Element, compiler: &Compiler, assets: &Assets, notes: &mut
 
 fn found<'a>(element: &Element, assets: &'a Assets) -> Result<&'a Mesh> {
     let name = element.required("mesh")?;
-    assets.get(name).ok_or_else(|| element.error(format!("there is no mesh {name:?}")))
+    let asset = assets.get(name).ok_or_else(|| element.error(format!("there is no mesh {name:?}")))?;
+    asset.as_ref().map_err(Error::clone)
 }
 
 /// Mass and inertia from the geom's mass or density; none if it has neither.

@@ -39,7 +39,7 @@ pub fn robot(
     notes: &mut Notes,
 ) -> Result<Merged> {
     let mut including = Including { files, seen: HashSet::from([main]), elements: 0 };
-    let root = including.expanded(root)?;
+    let mut root = including.expanded(root)?;
     for section in &root.children {
         let tag = section.tag.as_str();
         if REFUSED.contains(&tag) && !section.children.is_empty() {
@@ -52,6 +52,8 @@ pub fn robot(
             notes.left_out(section);
         }
     }
+    let paired: HashSet<String> = root.all("contact").flat_map(|section| section.all("pair")).flat_map(ends).collect();
+    collide(&mut root, &paired);
     let compiler = Compiler::read(&root, notes)?;
     let defaults = Defaults::read(&root)?;
     let mut reader = geom::GeomReader { compiler: &compiler, files, meshes, notes };
@@ -72,10 +74,25 @@ pub fn robot(
     let name = root.get("model").unwrap_or(name);
     let mut merged = merged(name, links)?;
     merged.base_is_free = base.free;
-    actuator::apply(&root, &defaults, compiler.autolimits, &mut merged.tree, notes)?;
-    actuator::rest(&root, &mut merged.tree, notes)?;
+    actuator::apply(&root, &defaults, compiler.autolimits, &mut merged.tree, &base.others, notes)?;
+    actuator::rest(&root, &mut merged.tree, base.positions, notes)?;
     equality::apply(&root, &mut merged.tree)?;
     Ok(merged)
+}
+
+/// The two geoms of a `<pair>`.
+fn ends(pair: &Element) -> impl Iterator<Item = String> {
+    ["geom1", "geom2"].into_iter().filter_map(|end| pair.get(end)).map(str::to_owned)
+}
+
+/// Lets the geoms called `paired` collide: a `<pair>` of MuJoCo does so whatever their `contype` and `conaffinity`.
+fn collide(element: &mut Element, paired: &HashSet<String>) {
+    for child in &mut element.children {
+        if child.tag == "geom" && child.get("name").is_some_and(|name| paired.contains(name)) {
+            child.set("contype", "1");
+        }
+        collide(child, paired);
+    }
 }
 
 /// Scales all masses so that their sum is `wanted`, the file's `settotalmass`.
@@ -93,6 +110,10 @@ struct MjcfBase<'a> {
     element: &'a Element,
     class: String,
     free: bool,
+    /// Names of the joints of the world's other bodies, which are left out.
+    others: HashSet<String>,
+    /// Numbers of positions of the bodies before and after this one in a keyframe.
+    positions: [usize; 2],
 }
 
 /// The one body of the world that moves freely.
@@ -116,10 +137,29 @@ fn base<'a>(root: &'a Element, notes: &mut Notes) -> Result<MjcfBase<'a>> {
         }
         _ => return Err(root.error("no body of <worldbody> has a free joint: add one to the base of the robot")),
     };
-    for (_, other) in bodies.iter().enumerate().filter(|(i, _)| *i != chosen) {
+    let mut base = bodies.remove(chosen);
+    for (i, other) in bodies.iter().enumerate() {
         notes.left_out(other.element);
+        base.positions[usize::from(i >= chosen)] += joints(other.element, &mut base.others);
     }
-    Ok(bodies.swap_remove(chosen))
+    Ok(base)
+}
+
+/// Adds the names of the joints of a body and of all that it carries, and counts their numbers of positions.
+fn joints(body: &Element, names: &mut HashSet<String>) -> usize {
+    let mut positions = 0;
+    for child in &body.children {
+        positions += match (child.tag.as_str(), child.get("type")) {
+            ("freejoint", _) | ("joint", Some("free")) => 7,
+            ("joint", Some("ball")) => 4,
+            ("joint", _) => 1,
+            _ => joints(child, names),
+        };
+        if child.tag == "joint" {
+            names.extend(child.get("name").map(str::to_owned));
+        }
+    }
+    positions
 }
 
 /// Bodies of the world, also those inside frames.
@@ -127,7 +167,13 @@ fn top<'a>(world: &'a Element, class: &str, bodies: &mut Vec<MjcfBase<'a>>, note
     let class = world.get("childclass").unwrap_or(class);
     for child in &world.children {
         match child.tag.as_str() {
-            "body" => bodies.push(MjcfBase { element: child, class: class.to_owned(), free: body::is_free(child) }),
+            "body" => bodies.push(MjcfBase {
+                element: child,
+                class: class.to_owned(),
+                free: body::is_free(child),
+                others: HashSet::new(),
+                positions: [0; 2],
+            }),
             "frame" => top(child, class, bodies, notes)?,
             "replicate" | "attach" | "composite" | "flexcomp" => return Err(child.error("is not read")),
             _ => notes.left_out(child),

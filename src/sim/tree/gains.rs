@@ -6,12 +6,14 @@
 //! leg have the gain kp, the leg's stiffness is kp/Σrᵢ², so
 //!
 //! ```text
-//!  kp = (W/n) max(20 Σ rᵢ²/ℓ, b ℓ),   kd = 2 ζ kp/ω,   ζ = 0.3
+//!  kp = (W/n) max(20 Σ rᵢ²/ℓ, p),   kd = 2 ζ kp/ω,   ζ = 0.3
 //! ```
 //!
-//! The second term holds a leg that stands straight, so that its levers are small. With b ℓ W/n per leg, b above 1 keeps an
-//! inverted pendulum on stiff ankles from falling: b = 3 for robots with fewer than four feet, 0.5 for others. A
-//! joint outside of the legs carries a mass m with its centre at the distance r: kp = 10 m g r, so gravity moves it by at
+//! The second term holds a leg that stands straight, so that its levers are small. For robots with at least four feet p = ℓ/2.
+//! Others can tip over about their feet: if the centre of mass, at the height h, moves aside by x, the weight turns each
+//! joint, at the height yᵢ, by W x/(n kp), and these turns together move the centre of mass by Σ (h − yᵢ) W x/(n kp). The
+//! robot falls if this is more than x, so kp must be above (W/n) Σ (h − yᵢ); p is 3 times this sum, over the joints whose axes
+//! are horizontal, for motions forward or to the side, whichever is larger. A joint outside of the legs carries a mass m with its centre at the distance r: kp = 10 m g r, so gravity moves it by at
 //! most 0.1 rad, and ω² = 10 g/r. All numbers are our choice. For A1, W/n = 29 N, ℓ = 0.3 m and Σr² = 0.02 m² they give
 //! 39 N·m/rad and 0.9 N·m·s/rad; legged_gym takes 20 and 0.5, under which A1 sinks twice as far.
 
@@ -21,7 +23,7 @@ use super::stance::Stance;
 use super::{JointKind, Tree, TreeJoint};
 use crate::actuator::Actuator;
 use crate::sand::GRAVITY;
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::{Isometry3, Vector2, Vector3};
 
 type V = Vector3<f64>;
 
@@ -33,8 +35,10 @@ const DAMPING: f64 = 0.3;
 /// A joint that follows another is stiffer by this factor, with the same damping ratio: our choice, so that its load moves
 /// it by less than 1 mrad.
 const FOLLOWING: f64 = 100.0;
-/// b for robots with at least four feet, and for others.
-const POSTURE: [f64; 2] = [0.5, 3.0];
+/// p/ℓ of robots with at least four feet.
+const POSTURE: f64 = 0.5;
+/// kp over that at which a robot with fewer feet tips over.
+const UPRIGHT: f64 = 3.0;
 /// Smallest distance of a centre of mass from its joint [m]: our choice, for parts that are balanced about it.
 const NEAREST: f64 = 0.01;
 
@@ -116,9 +120,23 @@ fn of_leg(
     };
     let length = stance.leg_length.max(NEAREST);
     let load = tree.mass() * GRAVITY / count as f64;
-    let posture = POSTURE[usize::from(count < 4)];
+    let posture = if count < 4 { UPRIGHT * tipping(tree, frames, leg, tip.z) } else { POSTURE * length };
     let levers: f64 = leg.iter().map(square).sum();
-    Gains::of(load * (LEGS * levers / length).max(posture * length), length / LEGS)
+    Gains::of(load * (LEGS * levers / length).max(posture), length / LEGS)
+}
+
+/// Σ (h − yᵢ) over the hinges of a leg, about the horizontal axis for which it is larger [m]. `ground`: height of the foot.
+fn tipping(tree: &Tree, frames: &[Isometry3<f64>], leg: &[usize], ground: f64) -> f64 {
+    let moment: f64 =
+        frames.iter().zip(&tree.bodies).map(|(f, b)| b.mass * f.transform_point(&b.center.into()).z).sum();
+    let center = moment / tree.mass();
+    let arms = leg.iter().filter_map(|i| {
+        let joint = tree.bodies[*i].joint.as_ref().filter(|j| j.kind == JointKind::Hinge)?;
+        let axis = frames[*i].rotation * joint.axis.into_inner();
+        let arm = center - frames[*i].translation.vector.z.max(ground);
+        Some(axis.xy().map(|a| a * a) * arm.max(0.0))
+    });
+    arms.sum::<Vector2<f64>>().max()
 }
 
 /// The middle of a foot's points that are on the ground.
