@@ -205,7 +205,11 @@ fn broken_mjcf() -> Vec<Broken> {
         ),
         entry(
             "no mesh",
-            changed("<worldbody>", "<asset><mesh file=\"absent.obj\"/></asset><worldbody>"),
+            changed("<freejoint/>", "<freejoint/><geom type=\"mesh\" mesh=\"absent\"/>").replacen(
+                "<worldbody>",
+                "<asset><mesh file=\"absent.obj\"/></asset><worldbody>",
+                1,
+            ),
             &["absent.obj"],
         ),
         entry("an angle of another kind", changed("angle=\"radian\"", "angle=\"gon\""), &["gon"]),

@@ -1,10 +1,10 @@
 //! The standing pose of a tree robot: its legs, its feet, and its joints. Where the file gives no pose, the joints are
 //! searched: each leg stands under its hip, in the middle of the heights that it can use.
 
-use super::Tree;
 use super::contact::ContactPoint;
 use super::kinematics::{chain, lowest};
 use super::limbs::{FreeJoints, Limb, Reached, STEPS, limbs};
+use super::{JointKind, Tree};
 use nalgebra::{Isometry3, Vector3};
 
 type V = Vector3<f64>;
@@ -36,6 +36,9 @@ const OFF_CENTER: f64 = 0.25;
 /// Largest number of frames that all searches of a robot compute: our choice, about a second. A robot with many limbs of
 /// hundreds of joints is searched from fewer positions.
 const MOST_FRAMES: usize = 10_000_000;
+
+/// Cosine of the angle between axes that count as one: our choice, 2.5°, more than the rounding of files.
+const PARALLEL: f64 = 0.999;
 
 /// A robot's standing pose.
 #[derive(Clone, Debug, PartialEq)]
@@ -201,6 +204,7 @@ impl<'a> Search<'a> {
         if let (Some(out), Some(knee)) = (out, knee) {
             place += out * tree.bodies[*knee].origin.translation.vector.norm();
         }
+        place += self.beside_plane(limb, frames, tip - hip);
         let (mut depths, mut last): (Option<[f64; 2]>, Option<Vec<f64>>) = (None, None);
         for k in (2..=HEIGHTS).rev() {
             let depth = length * k as f64 / HEIGHTS as f64;
@@ -220,6 +224,17 @@ impl<'a> Search<'a> {
         // A limb that reaches no such place, for lack of joints, stands as it is.
         let depths = depths.unwrap_or([hip.z - tip.z; 2]);
         (depths[1] > 0.0).then_some(LegReach { limb, place, depths, wanted: depths[1] })
+    }
+
+    /// The part of `to_foot` across the plane in which the foot moves, if all hinges of the leg have one axis. Such a leg cannot
+    /// put its foot elsewhere.
+    fn beside_plane(&self, limb: &Limb, frames: &[Isometry3<f64>], to_foot: V) -> V {
+        let mut axes = limb.path.iter().filter_map(|i| {
+            let hinge = self.tree.bodies[*i].joint.as_ref().filter(|j| j.kind == JointKind::Hinge)?;
+            Some(frames[*i].rotation * hinge.axis.into_inner())
+        });
+        let Some(axis) = axes.next() else { return V::zeros() };
+        if axes.all(|other| axis.dot(&other).abs() > PARALLEL) { axis * axis.dot(&to_foot) } else { V::zeros() }
     }
 
     fn reach(&self, limb: &Limb, target: V, first: Option<&[f64]>, widely: bool) -> Reached {

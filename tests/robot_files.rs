@@ -1,0 +1,165 @@
+//! Descriptions as others write them: bodies beside the robot, pictures that are missing, pairs of contact, poses that
+//! joints cannot take, legs that move in a plane, robots on two legs.
+
+use sandgait::robots::{self, Import};
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// A quadruped of 9 kg as MJCF. `feet` are attributes of the feet, `inside` elements of the base, `beside` elements of the
+/// world after the robot, and `after` sections of the file.
+fn quadruped(feet: &str, inside: &str, beside: &str, after: &str) -> String {
+    let mut legs = String::new();
+    for (name, x, y) in [("FL", 0.2, 0.1), ("FR", 0.2, -0.1), ("RL", -0.2, 0.1), ("RR", -0.2, -0.1)] {
+        let [knee, foot] = [0.3 * y, 0.2 * y];
+        legs += &format!(
+            r#"<body name="{name}_thigh" pos="{x} {y} 0"><inertial pos="0 0 -0.1" mass="0.4" diaginertia="1e-3 1e-3 1e-3"/>
+              <joint name="{name}_hip" axis="0 1 0" range="-2 2" limited="true"/>
+              <body name="{name}_calf" pos="0 {knee} -0.2"><inertial pos="0 0 -0.1" mass="0.1" diaginertia="3e-4 3e-4 1e-4"/>
+                <joint name="{name}_knee" axis="0 1 0" range="-2.6 -0.3" limited="true"/>
+                <geom name="{name}_foot" type="sphere" size="0.02" pos="0 {foot} -0.2" {feet}/></body></body>"#
+        );
+    }
+    format!(
+        r#"<mujoco model="own"><compiler angle="radian"/><asset><mesh name="shell" file="shell.obj"/></asset>
+        <worldbody><body name="base" pos="0 0 0.3"><freejoint/><inertial pos="0 0 0" mass="7" diaginertia="0.1 0.1 0.1"/>
+          <geom type="box" size="0.2 0.08 0.05"/>{inside}{legs}</body>{beside}</worldbody>{after}</mujoco>"#
+    )
+}
+
+fn written(folder: &Path, text: &str) -> PathBuf {
+    let path = folder.join("robot.xml");
+    std::fs::write(&path, text).unwrap();
+    path
+}
+
+fn read(text: &str) -> Result<Import, String> {
+    let folder = tempfile::tempdir().unwrap();
+    robots::load(&written(folder.path(), text)).map_err(|e| e.to_string())
+}
+
+/// What `sandgait robot FILE --check --json` prints: by ground, why the robot does not stand; "" if it does.
+fn falls(path: &Path) -> Vec<(String, String)> {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_sandgait"));
+    let output = command.args(["robot", path.to_str().unwrap(), "--check", "--json"]).output().unwrap();
+    let sheet: Value = serde_json::from_slice(&output.stdout).expect("a sheet");
+    let grounds = sheet["grounds"].as_array().unwrap();
+    let text = |value: &Value| value.as_str().unwrap().to_owned();
+    grounds.iter().map(|g| (text(&g["ground"]), text(&g["reason"]))).collect()
+}
+
+/// unitree_mujoco has bodies at 20 m whose joints stand for motors that a robot lacks.
+#[test]
+fn bodies_beside_the_robot_are_left_out_with_their_motors() {
+    let beside = r#"<body name="unused" pos="0 0 20"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><joint name="unused"/></body>"#;
+    let motors = r#"<actuator><motor joint="FL_hip" ctrlrange="-20 20"/><motor joint="unused"/></actuator>"#;
+    let pose = "0.1 -0.9 0.2 -0.9 0.3 -0.9 0.4 -0.9";
+    let key = format!(r#"<keyframe><key qpos="0 0 0.3 1 0 0 0 {pose} 0.7"/></keyframe>"#);
+    let import = read(&quadruped("", "", beside, &format!("{motors}{key}"))).unwrap();
+    assert_eq!(import.tree.joints().count(), 8);
+    assert_eq!(import.tree.joints().next().unwrap().torque_limit, Some(20.0));
+    assert_eq!(import.stance.angles, [0.1, -0.9, 0.2, -0.9, 0.3, -0.9, 0.4, -0.9]);
+    assert!(
+        import.warnings.iter().any(|w| w.contains("unused") && w.contains("beside the robot")),
+        "{:?}",
+        import.warnings
+    );
+
+    let wrong = read(&quadruped("", "", "", motors)).err().unwrap();
+    assert!(wrong.contains("there is no joint \"unused\""), "{wrong}");
+}
+
+/// A picture's mesh that is missing is a warning; where a geom collides with it or has its mass, the file is refused.
+#[test]
+fn a_missing_mesh_is_refused_only_where_it_is_needed() {
+    let drawn = r#"<geom type="mesh" mesh="shell" contype="0" conaffinity="0"/>"#;
+    let import = read(&quadruped("", drawn, "", "")).unwrap();
+    assert!(import.warnings.iter().any(|w| w.contains("shell") && w.contains("not drawn")), "{:?}", import.warnings);
+
+    let in_calf = |attributes: &str| {
+        format!(r#"<body><joint name="tail" axis="0 1 0"/><geom type="mesh" mesh="shell" {attributes}/></body>"#)
+    };
+    let weighs = in_calf(r#"contype="0" conaffinity="0""#);
+    for needed in [r#"<geom type="mesh" mesh="shell"/>"#, &weighs] {
+        let said = read(&quadruped("", needed, "", "")).err().unwrap();
+        assert!(said.contains("shell.obj") && said.lines().count() == 1, "{said}");
+    }
+    let massless = in_calf(r#"contype="0" conaffinity="0" mass="0"/><geom type="sphere" size="0.01" mass="0.1""#);
+    assert!(read(&quadruped("", &massless, "", "")).is_ok());
+}
+
+/// MuJoCo lets the geoms of a `<pair>` collide whatever their `contype`; so do feet that collide with the floor alone.
+#[test]
+fn geoms_of_a_pair_touch_the_ground() {
+    let silent = r#"contype="0" conaffinity="0""#;
+    let refused = read(&quadruped(silent, "", "", "")).unwrap().check_legged();
+    assert!(refused.is_err());
+    let floor = r#"<geom name="floor" type="plane" size="1 1 1"/>"#;
+    let pairs: String =
+        ["FL", "FR", "RL", "RR"].map(|leg| format!(r#"<pair geom1="floor" geom2="{leg}_foot"/>"#)).concat();
+    let import = read(&quadruped(silent, "", floor, &format!("<contact>{pairs}</contact>"))).unwrap();
+    import.check_legged().unwrap();
+    assert_eq!(import.stance.legs.len(), 4);
+}
+
+/// A keyframe in which the knees are bent beyond their stops is no standing pose; one that is rounded is.
+#[test]
+fn a_pose_outside_of_the_ranges_is_found_anew() {
+    let key = |knee: f64| {
+        let pose = format!("1.3 {knee} ").repeat(4);
+        quadruped("", "", "", &format!(r#"<keyframe><key name="home" qpos="0 0 0.2 1 0 0 0 {pose}"/></keyframe>"#))
+    };
+    let rounded = read(&key(-2.6005)).unwrap();
+    assert_eq!(rounded.stance.angles[1], -2.6005);
+    let import = read(&key(-2.7)).unwrap();
+    assert!(import.stance.angles.iter().skip(1).step_by(2).all(|q| (-2.6..-0.3).contains(q)), "{:?}", import.stance);
+    assert!(import.warnings.iter().any(|w| w.contains("within their ranges")), "{:?}", import.warnings);
+}
+
+/// Legs without hips to the side, whose feet are 5 cm beside the hips' axes: the pose bends the knees, and the robot stands.
+#[test]
+fn legs_that_move_in_a_plane_stand_on_bent_knees() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = written(folder.path(), &quadruped("", "", "", ""));
+    let stance = robots::load(&path).unwrap().stance;
+    assert!((0.2..0.35).contains(&stance.leg_length), "{stance:?}");
+    assert!(stance.angles.iter().skip(1).step_by(2).all(|knee| *knee < -0.8), "{stance:?}");
+    let found = falls(&path);
+    assert_eq!(found.len(), 2);
+    assert!(found.iter().all(|(_, reason)| reason.is_empty()), "{found:?}");
+}
+
+/// A robot on two flat feet, whose trunk is longer than its legs, stands on hard ground: all its joints bend, and only found
+/// gains hold it upright. It has ankles that roll, too.
+#[test]
+fn a_robot_on_two_legs_stands_upright() {
+    let mut legs = String::new();
+    for (name, y) in [("L", 0.1), ("R", -0.1)] {
+        let link = |mass: f64| format!(r#"<inertial pos="0 0 -0.15" mass="{mass}" diaginertia="0.02 0.02 0.005"/>"#);
+        let hinge = |part: &str, axis: &str, range: &str| {
+            format!(r#"<joint name="{name}_{part}" axis="{axis}" range="{range}" limited="true"/>"#)
+        };
+        legs += &format!(
+            r#"<body name="{name}_hip" pos="0 {y} 0"><inertial pos="0 0 0" mass="1" diaginertia="1e-3 1e-3 1e-3"/>{}
+              <body name="{name}_thigh">{}{}<body name="{name}_shank" pos="0 0 -0.35">{}{}
+                <body name="{name}_cross" pos="0 0 -0.35"><inertial pos="0 0 0" mass="0.2" diaginertia="2e-4 2e-4 2e-4"/>{}
+                  <body name="{name}_sole"><inertial pos="0.03 0 -0.04" mass="0.8" diaginertia="1e-3 3e-3 3e-3"/>{}
+                    <geom type="box" size="0.11 0.045 0.015" pos="0.03 0 -0.05"/></body></body></body></body></body>"#,
+            hinge("hip_roll", "1 0 0", "-0.5 0.5"),
+            link(3.0),
+            hinge("hip_pitch", "0 1 0", "-2 1"),
+            link(2.0),
+            hinge("knee", "0 1 0", "0 2.2"),
+            hinge("ankle_pitch", "0 1 0", "-0.9 0.6"),
+            hinge("ankle_roll", "1 0 0", "-0.3 0.3"),
+        );
+    }
+    let text = format!(
+        r#"<mujoco model="biped"><compiler angle="radian"/><worldbody><body name="pelvis" pos="0 0 0.8"><freejoint/>
+          <inertial pos="0 0 0.6" mass="25" diaginertia="2.2 2.1 0.3"/><geom type="box" size="0.1 0.15 0.6" pos="0 0 0.6"/>
+          {legs}</body></worldbody></mujoco>"#
+    );
+    let folder = tempfile::tempdir().unwrap();
+    let path = written(folder.path(), &text);
+    assert_eq!(falls(&path)[0], ("rigid".to_owned(), String::new()));
+}
