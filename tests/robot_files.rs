@@ -1,8 +1,10 @@
 //! Descriptions as others write them: bodies beside the robot, pictures that are missing, pairs of contact, poses that
 //! joints cannot take, legs that move in a plane, robots on two legs.
 
+use sandgait::robots::posture::Posture;
 use sandgait::robots::{self, Import};
 use serde_json::Value;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -116,6 +118,21 @@ fn a_pose_outside_of_the_ranges_is_found_anew() {
     assert!(import.warnings.iter().any(|w| w.contains("within their ranges")), "{:?}", import.warnings);
 }
 
+/// A pose that the user lays over stays, with a warning that names the joints outside of their ranges.
+#[test]
+fn a_pose_laid_over_outside_of_the_ranges_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = written(folder.path(), &quadruped("", "", "", ""));
+    let warned = |knee: f64| {
+        let angles = [("FL_knee".to_owned(), knee), ("hip".to_owned(), 1.0)];
+        let posture = Posture { default_joint_angles: BTreeMap::from(angles), ..Posture::default() };
+        let import = robots::load_with(&path, &posture).unwrap();
+        assert_eq!(import.stance.angles[1], knee);
+        import.warnings.iter().any(|w| w.contains("FL_knee") && w.contains("outside of its range"))
+    };
+    assert!(warned(-2.7) && !warned(-1.5));
+}
+
 /// Legs without hips to the side, whose feet are 5 cm beside the hips' axes: the pose bends the knees, and the robot stands.
 #[test]
 fn legs_that_move_in_a_plane_stand_on_bent_knees() {
@@ -129,10 +146,9 @@ fn legs_that_move_in_a_plane_stand_on_bent_knees() {
     assert!(found.iter().all(|(_, reason)| reason.is_empty()), "{found:?}");
 }
 
-/// A robot on two flat feet, whose trunk is longer than its legs, stands on hard ground: all its joints bend, and only found
-/// gains hold it upright. It has ankles that roll, too.
-#[test]
-fn a_robot_on_two_legs_stands_upright() {
+/// A robot on two flat feet, whose trunk is longer than its legs, as MJCF. It has ankles that roll. With a waist, the trunk
+/// turns on the pelvis about `waist`, and the pelvis carries the legs.
+fn biped(waist: Option<&str>) -> String {
     let mut legs = String::new();
     for (name, y) in [("L", 0.1), ("R", -0.1)] {
         let link = |mass: f64| format!(r#"<inertial pos="0 0 -0.15" mass="{mass}" diaginertia="0.02 0.02 0.005"/>"#);
@@ -154,12 +170,59 @@ fn a_robot_on_two_legs_stands_upright() {
             hinge("ankle_roll", "1 0 0", "-0.3 0.3"),
         );
     }
-    let text = format!(
-        r#"<mujoco model="biped"><compiler angle="radian"/><worldbody><body name="pelvis" pos="0 0 0.8"><freejoint/>
-          <inertial pos="0 0 0.6" mass="25" diaginertia="2.2 2.1 0.3"/><geom type="box" size="0.1 0.15 0.6" pos="0 0 0.6"/>
-          {legs}</body></worldbody></mujoco>"#
+    let carried = waist.map_or_else(
+        || legs.clone(),
+        |axis| {
+            format!(
+                r#"<body name="pelvis"><inertial pos="0 0 0" mass="2" diaginertia="0.01 0.01 0.01"/>
+                  <joint name="waist" axis="{axis}" range="-2.6 2.6" limited="true"/>{legs}</body>"#
+            )
+        },
     );
+    format!(
+        r#"<mujoco model="biped"><compiler angle="radian"/><worldbody><body name="trunk" pos="0 0 0.8"><freejoint/>
+          <inertial pos="0 0 0.6" mass="25" diaginertia="2.2 2.1 0.3"/><geom type="box" size="0.1 0.15 0.6" pos="0 0 0.6"/>
+          {carried}</body></worldbody></mujoco>"#
+    )
+}
+
+/// All joints of two legs bend, and only found gains hold the robot upright on hard ground.
+#[test]
+fn a_robot_on_two_legs_stands_upright() {
     let folder = tempfile::tempdir().unwrap();
-    let path = written(folder.path(), &text);
+    let path = written(folder.path(), &biped(None));
     assert_eq!(falls(&path)[0], ("rigid".to_owned(), String::new()));
+}
+
+/// The search bends the legs, not the waist that carries both.
+#[test]
+fn legs_on_one_waist_stand_alike() {
+    for axis in ["1 0 0", "0 1 0", "0 0 1"] {
+        let import = read(&biped(Some(axis))).unwrap();
+        let angles = &import.stance.angles;
+        assert_eq!((import.stance.legs.len(), angles.len(), angles[0]), (2, 11, 0.0), "{axis}");
+        // The pitch of hip, knee and ankle.
+        assert!([2, 3, 4].iter().all(|k| (angles[*k] - angles[k + 5]).abs() < 0.02), "{axis}: {angles:?}");
+        assert!(angles[3] > 0.2, "{axis}: {angles:?}");
+    }
+}
+
+/// A lower leg with a wide shell at the knee, whose knee turns both ways: the leg stands on its foot, not on the shell.
+#[test]
+fn legs_stand_on_their_feet_not_on_their_knees() {
+    let shell = r#"<geom type="box" size="0.06 0.03 0.03" pos="0.05 0 0.01"/><geom name="FL_foot""#;
+    let text = quadruped("", "", "", "").replace("-2.6 -0.3", "-2.8 2.8").replace("-2 2", "-2.8 2.8");
+    let mut text = text
+        .replace(r#"pos="0 0.02 -0.2""#, r#"pos="0.08 0.02 -0.25""#)
+        .replace(r#"pos="0 -0.02 -0.2""#, r#"pos="0.08 -0.02 -0.25""#);
+    for leg in ["FL", "FR", "RL", "RR"] {
+        let foot = format!(r#"<geom name="{leg}_foot""#);
+        text = text.replace(&foot, &shell.replace("FL", leg));
+    }
+    let stance = read(&text).unwrap().stance;
+    // The foot is below the knee if the lower leg, whose foot is at (0.08, -0.25), is turned by less than a right angle.
+    for (hip, knee) in stance.angles.iter().step_by(2).zip(stance.angles.iter().skip(1).step_by(2)) {
+        assert!((hip + knee).cos() > 0.5, "{:?}", stance.angles);
+    }
+    assert!(stance.leg_length > 0.25, "{stance:?}");
 }

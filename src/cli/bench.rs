@@ -2,7 +2,7 @@
 
 use sandgait::bench::{Actions, Direct, RolloutStepper, ServerStepper, Stepper, measure, random_actions};
 use sandgait::env::legged::LeggedVelocity;
-use sandgait::env::registry::{Blueprint, TASK_IDS};
+use sandgait::env::registry::{Blueprint, TASK_IDS, task_id};
 use sandgait::env::{Spec, Task};
 use sandgait::number::Isa;
 use sandgait::policy::Network;
@@ -22,11 +22,11 @@ use std::time::Duration;
   sandgait bench --envs 256 --through grpc-uds
   sandgait bench --task all --actions zero      (robots that stand)
   sandgait bench --actions policy --policy policy.onnx
-  sandgait bench --task sandgait/LeggedVelocity-v1 --option ground=rigid --option robot=robots/sandcat.urdf
+  sandgait bench --task LeggedVelocity --option ground=rigid --option robot=robots/sandcat.urdf
   sandgait bench --option sand=sand.toml --option leg=C
   SANDGAIT_ISA=avx2 sandgait bench            (avx512, avx2, baseline or f64)")]
 pub struct BenchArgs {
-    /// Id of the task; `all` measures every task and prints a line for each
+    /// Name or id of the task; `all` measures every task and prints a line for each
     #[arg(long, default_value = "sandgait/HexapodGait-v1")]
     task: String,
     /// Engine; default: the task's own
@@ -105,7 +105,7 @@ impl BenchArgs {
             return Err(Error::invalid("--seconds", format!("{} is outside (0, 3600]", self.seconds)));
         }
         if self.task != "all" {
-            let (json, line) = self.bench(&self.task)?;
+            let (json, line) = self.bench(task_id(&self.task))?;
             return Ok(if self.json { super::json(&json) } else { line });
         }
         let of_each = TASK_IDS.iter().map(|id| self.bench(id)).collect::<Result<Vec<_>>>()?;

@@ -5,6 +5,7 @@ use super::layout::{WIDTH, narrow_table, wrapped};
 use sandgait::env::Task;
 use sandgait::env::gait::HexapodGait;
 use sandgait::env::legged::LeggedVelocity;
+use sandgait::env::registry::task_id;
 use sandgait::evaluate::commands::{self, CommandStudy};
 use sandgait::evaluate::{Evaluation, EvaluationRequest, EvaluationRow, PolicySource, table};
 use sandgait::{Error, Result};
@@ -30,7 +31,8 @@ pub struct EvaluateArgs {
     /// Gait: FILE.onnx, tripod[:HZ], clock:FILE.json, clock:N,N,…, standing or random
     #[arg(allow_hyphen_values = true)]
     policy: String,
-    #[arg(long, value_name = "ID", default_value = HexapodGait::ID)]
+    /// Name or id of the task
+    #[arg(long, value_name = "NAME", default_value = HexapodGait::ID)]
     task: String,
     /// Options of the task as JSON, the same as for gymnasium.make
     #[arg(long, value_name = "JSON")]
@@ -70,7 +72,7 @@ impl EvaluateArgs {
         }
         let request = EvaluationRequest {
             policy: PolicySource::parse(&self.policy, read)?,
-            task: self.task,
+            task: task_id(&self.task).to_owned(),
             options,
             seeds: self.seeds,
             media: self.media,

@@ -2,11 +2,11 @@
 
 use sandgait::env::Shard;
 use sandgait::env::Task;
+use sandgait::env::gait::HexapodGait;
 use sandgait::env::legged::LeggedVelocity;
-use sandgait::env::registry::Blueprint;
+use sandgait::env::registry::{Blueprint, task_id};
 use sandgait::policy::Network;
 use sandgait::service::{PlayedEnvironment, bind_tcp};
-use sandgait::train::entry;
 use sandgait::{Error, Result};
 use serde_json::{Value, json};
 use std::net::{Ipv4Addr, SocketAddr};
@@ -81,8 +81,7 @@ impl PlayArgs {
     /// The network's bytes and the settings of its training.
     fn read(&self) -> Result<(Vec<u8>, Value)> {
         let no_json = |path: &Path, e: serde_json::Error| Error::file(path, e);
-        let name = self.policy.trim_start_matches("sandgait/").trim_end_matches("-v1");
-        if name == "HexapodGait" {
+        if task_id(&self.policy) == HexapodGait::ID {
             let settings = serde_json::from_str(HEXAPOD_SETTINGS);
             return Ok((HEXAPOD.to_vec(), settings.map_err(|e| no_json(Path::new("settings.json"), e))?));
         }
@@ -102,7 +101,7 @@ impl PlayArgs {
 
     /// The task, without randomness and with long episodes, and its policy.
     fn prepare(&self, onnx: &[u8], settings: &Value) -> Result<(Blueprint, Network)> {
-        let task = entry::task_id(settings["task"].as_str().unwrap_or_default());
+        let task = task_id(settings["task"].as_str().unwrap_or_default());
         let mut options = settings["options"].as_object().cloned().unwrap_or_default();
         options.extend(super::train::options(&self.option)?);
         let mut options = Value::Object(options);
@@ -113,7 +112,7 @@ impl PlayArgs {
             options["domain_rand"] = Value::Null;
             options["curriculum"] = Value::Null;
         }
-        let blueprint = Blueprint::new(&task, options)?;
+        let blueprint = Blueprint::new(task, options)?;
         if blueprint.task.command_ranges().is_none() {
             return Err(Error::invalid("policy", format!("{task} has no commands to steer by")));
         }

@@ -2,9 +2,9 @@
 
 use super::layout::{WIDTH, glossary, table, wrapped};
 use super::task_page;
+use sandgait::Result;
 use sandgait::env::Column;
-use sandgait::env::registry::{Blueprint, Keyword, TASK_IDS};
-use sandgait::{Error, Result};
+use sandgait::env::registry::{Blueprint, Keyword, TASK_IDS, task_id};
 use serde_json::{Value, json};
 
 /// List the tasks, or describe one: observations, actions, rewards, and options with their defaults
@@ -31,7 +31,7 @@ impl TasksArgs {
             return task_page::page(id);
         }
         if let Some(name) = &self.name {
-            let task = Blueprint::new(named(name)?, Value::Null)?;
+            let task = Blueprint::new(task_id(name), Value::Null)?;
             return Ok(if self.json { super::json(&as_json(&task)) } else { as_text(&task) });
         }
         let tasks = TASK_IDS.iter().map(|id| Blueprint::new(id, Value::Null)).collect::<Result<Vec<_>>>()?;
@@ -42,17 +42,6 @@ impl TasksArgs {
         let list = glossary(&tasks.iter().map(line).collect::<Vec<_>>());
         Ok(format!("{list}\n`sandgait tasks NAME` describes one of them, `--json` all.\n"))
     }
-}
-
-/// The id of a task by its name.
-fn named(name: &str) -> Result<&'static str> {
-    let same = |id: &str| [id, short(id), short(id).split("-v").next().unwrap_or_default()].contains(&name);
-    let id = TASK_IDS.iter().find(|id| same(id));
-    id.copied().ok_or_else(|| Error::unknown("task", name, &TASK_IDS.map(short)))
-}
-
-fn short(id: &str) -> &str {
-    id.trim_start_matches("sandgait/")
 }
 
 fn as_json(task: &Blueprint) -> Value {

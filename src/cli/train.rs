@@ -5,6 +5,7 @@ use sandgait::client::ServerAddress;
 use sandgait::client::training::TrainingSession;
 use sandgait::env::Task;
 use sandgait::env::gait::HexapodGait;
+use sandgait::env::registry::task_id;
 use sandgait::evaluate::{EvaluationRequest, FIRST_SEED, commands, table};
 use sandgait::progress::Progress;
 use sandgait::train::remote::RemoteEnvironments;
@@ -138,10 +139,11 @@ impl TrainingArgs {
         options: Value,
         place: Option<ServerAddress>,
     ) -> Result<TrainingRequest> {
-        let task = entry::task_id(&self.task);
+        let task = task_id(&self.task);
         changes.extend(entry::ends(self.timesteps, self.seconds));
-        let settings = entry::settings(self.hyperparameters.as_deref(), &task, changes)?;
-        self.checked(TrainingRequest { connect: place.map(connected), ..unchecked(task, options, settings) })
+        let settings = entry::settings(self.hyperparameters.as_deref(), task, changes)?;
+        let unchecked = unchecked(task.to_owned(), options, settings);
+        self.checked(TrainingRequest { connect: place.map(connected), ..unchecked })
     }
 
     /// The same for another program's environments, which `connect` gives. `self.task` is their name, and `options` is what

@@ -50,6 +50,15 @@ pub const TASK_IDS: [&str; KINDS.len()] = {
     ids
 };
 
+/// The id of the task that a user calls `name`: the id itself, or without `sandgait/` and the version. Another name is returned
+/// as it is.
+pub fn task_id(name: &str) -> &str {
+    let bare = |id: &'static str| id.trim_start_matches("sandgait/");
+    let short = |id| bare(id).split("-v").next();
+    let means = |id: &&'static str| *id == name || bare(id) == name || short(id) == Some(name);
+    TASK_IDS.into_iter().find(means).unwrap_or(name)
+}
+
 /// One keyword of a task, for tables.
 pub struct Keyword {
     pub name: &'static str,

@@ -147,6 +147,13 @@ pub fn load_with(path: &Path, posture: &Posture) -> Result<Import> {
     if let Some(reason) = ignored {
         notes.say(format!("the file's standing pose is left out, because {reason}; a pose was found in its place"));
     }
+    for joint in tree.joints().filter(|j| posture::stands_outside(j)) {
+        notes.part(
+            "joint",
+            &joint.name,
+            "its position in the standing pose is outside of its range; its stop holds it there",
+        );
+    }
     let warnings = notes.into_lines();
     Ok(Import { warnings, links, visuals, base_is_free, ..Import::whole(format, tree, stance, found) })
 }

@@ -93,11 +93,7 @@ fn standing(tree: &mut Tree, contacts: &[Vec<ContactPoint>], laid_over: &Posture
     if tree.joints().any(|j| j.rest.is_none()) {
         return (own, None);
     }
-    let outside = |j: &TreeJoint| {
-        let beyond = |q: f64, [low, high]: [f64; 2]| q < low - ROUNDING || q > high + ROUNDING;
-        j.rest.zip(j.range).is_some_and(|(q, range)| beyond(q, range))
-    };
-    let outside = laid_over.default_joint_angles.is_empty() && tree.joints().any(outside);
+    let outside = laid_over.default_joint_angles.is_empty() && tree.joints().any(stands_outside);
     let mut free = tree.clone();
     joints(&mut free).for_each(|j| j.rest = None);
     let found = Stance::of(&free, contacts);
@@ -108,6 +104,12 @@ fn standing(tree: &mut Tree, contacts: &[Vec<ContactPoint>], laid_over: &Posture
     };
     *tree = free;
     (found, Some(reason))
+}
+
+/// Is the joint's position in the standing pose outside of its range?
+pub fn stands_outside(joint: &TreeJoint) -> bool {
+    let beyond = |q: f64, [low, high]: [f64; 2]| q < low - ROUNDING || q > high + ROUNDING;
+    joint.rest.zip(joint.range).is_some_and(|(q, range)| beyond(q, range))
 }
 
 impl Import {

@@ -2,20 +2,12 @@
 
 use super::settings::{Hyperparameters, MOST_SAMPLES, float};
 use super::yaml;
-use crate::env::registry::TASK_IDS;
 use crate::error::{Error, Result};
 use serde_json::{Map, Value, json};
 use std::path::Path;
 
 /// The settings of `sandgait train` without a file.
 const OWN: &str = include_str!("ppo_fast.yml");
-
-/// The id of task `name`; `sandgait/` and the version may be left out.
-pub fn task_id(name: &str) -> String {
-    let short =
-        |id: &&&str| id.strip_prefix("sandgait/").and_then(|id| id.rsplit_once("-v")).map(|(n, _)| n) == Some(name);
-    TASK_IDS.iter().find(short).map_or_else(|| name.to_owned(), |id| (*id).to_owned())
-}
 
 /// The end of a training as changes of settings. If only a number of steps is given, the time has no limit.
 pub fn ends(timesteps: Option<u64>, seconds: Option<f64>) -> Vec<(String, Value)> {
@@ -115,6 +107,7 @@ pub fn pair(option: &str, text: &str) -> Result<(String, Value)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::env::registry::task_id;
 
     #[test]
     fn own_settings_are_sound() {
@@ -124,7 +117,7 @@ mod tests {
         }
         let python = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/hyperparameters/ppo.yml");
         for task in ["HexapodGait", "HexapodLegs", "HexapodTerrain", "HexapodRocks"] {
-            let read = settings(Some(&python), &task_id(task), Vec::new()).unwrap();
+            let read = settings(Some(&python), task_id(task), Vec::new()).unwrap();
             assert_eq!((read.gamma, read.learning_rate.falls, read.mirror), (0.95, true, Some(true)));
             // settings.json gives the same settings again.
             assert_eq!(Hyperparameters::from_entry(read.json().as_object().unwrap()).unwrap(), read);
@@ -171,11 +164,11 @@ mod tests {
             ("policy_kwargs={squash_output: true}", "setting of policy_kwargs \"squash_output\" is unknown"),
             ("gamma=[", "--set gamma: YAML: "),
         ] {
-            let error = pair("--set", change).and_then(|change| settings(None, &id, vec![change]));
+            let error = pair("--set", change).and_then(|change| settings(None, id, vec![change]));
             let error = error.unwrap_err().to_string();
             assert!(error.starts_with(says) && !error.contains('\n'), "{error}");
         }
-        let kept = settings(None, &id, vec![pair("--set", "policy_kwargs={log_std_init: -1}").unwrap()]).unwrap();
+        let kept = settings(None, id, vec![pair("--set", "policy_kwargs={log_std_init: -1}").unwrap()]).unwrap();
         assert_eq!((kept.log_std_init, &kept.net_arch[0]), (-1.0, &vec![64, 64]));
         assert!(settings(None, "sandgait/None-v1", Vec::new()).unwrap_err().to_string().contains("no settings for"));
     }

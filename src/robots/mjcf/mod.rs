@@ -64,7 +64,7 @@ pub fn robot(
             return Err(asset.error("a second mesh of this name"));
         }
     }
-    let base = base(&root, notes)?;
+    let (base, beside) = base(&root, notes)?;
     let mut builder = Builder { compiler: &compiler, defaults: &defaults, assets: &assets, notes, links: Vec::new() };
     builder.body(base.element, None, &Isometry3::identity(), &base.class)?;
     let mut links = builder.links;
@@ -74,8 +74,8 @@ pub fn robot(
     let name = root.get("model").unwrap_or(name);
     let mut merged = merged(name, links)?;
     merged.base_is_free = base.free;
-    actuator::apply(&root, &defaults, compiler.autolimits, &mut merged.tree, &base.others, notes)?;
-    actuator::rest(&root, &mut merged.tree, base.positions, notes)?;
+    actuator::apply(&root, &defaults, compiler.autolimits, &mut merged.tree, &beside.joints, notes)?;
+    actuator::rest(&root, &mut merged.tree, beside.positions, notes)?;
     equality::apply(&root, &mut merged.tree)?;
     Ok(merged)
 }
@@ -110,14 +110,18 @@ struct MjcfBase<'a> {
     element: &'a Element,
     class: String,
     free: bool,
-    /// Names of the joints of the world's other bodies, which are left out.
-    others: HashSet<String>,
-    /// Numbers of positions of the bodies before and after this one in a keyframe.
+}
+
+/// The joints of the world's bodies beside the robot, which are left out.
+#[derive(Default)]
+struct BesideRobot {
+    joints: HashSet<String>,
+    /// Numbers that a keyframe has for those before and after the robot.
     positions: [usize; 2],
 }
 
 /// The one body of the world that moves freely.
-fn base<'a>(root: &'a Element, notes: &mut Notes) -> Result<MjcfBase<'a>> {
+fn base<'a>(root: &'a Element, notes: &mut Notes) -> Result<(MjcfBase<'a>, BesideRobot)> {
     let mut bodies = Vec::new();
     for world in root.all("worldbody") {
         top(world, "", &mut bodies, notes)?;
@@ -137,12 +141,13 @@ fn base<'a>(root: &'a Element, notes: &mut Notes) -> Result<MjcfBase<'a>> {
         }
         _ => return Err(root.error("no body of <worldbody> has a free joint: add one to the base of the robot")),
     };
-    let mut base = bodies.remove(chosen);
+    let base = bodies.remove(chosen);
+    let mut beside = BesideRobot::default();
     for (i, other) in bodies.iter().enumerate() {
         notes.left_out(other.element);
-        base.positions[usize::from(i >= chosen)] += joints(other.element, &mut base.others);
+        beside.positions[usize::from(i >= chosen)] += joints(other.element, &mut beside.joints);
     }
-    Ok(base)
+    Ok((base, beside))
 }
 
 /// Adds the names of the joints of a body and of all that it carries, and counts their numbers of positions.
@@ -167,13 +172,7 @@ fn top<'a>(world: &'a Element, class: &str, bodies: &mut Vec<MjcfBase<'a>>, note
     let class = world.get("childclass").unwrap_or(class);
     for child in &world.children {
         match child.tag.as_str() {
-            "body" => bodies.push(MjcfBase {
-                element: child,
-                class: class.to_owned(),
-                free: body::is_free(child),
-                others: HashSet::new(),
-                positions: [0; 2],
-            }),
+            "body" => bodies.push(MjcfBase { element: child, class: class.to_owned(), free: body::is_free(child) }),
             "frame" => top(child, class, bodies, notes)?,
             "replicate" | "attach" | "composite" | "flexcomp" => return Err(child.error("is not read")),
             _ => notes.left_out(child),

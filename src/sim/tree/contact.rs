@@ -39,7 +39,7 @@ pub fn contact_points(tree: &Tree) -> Vec<Vec<ContactPoint>> {
 
 impl ContactPoint {
     /// Distance that it reaches along a unit vector from the body's origin [m].
-    fn reach(&self, toward: &V) -> f64 {
+    pub fn reach(&self, toward: &V) -> f64 {
         let part = self.axis.map_or(1.0, |axis| (1.0 - axis.dot(toward).powi(2)).max(0.0).sqrt());
         self.center.dot(toward) + self.radius * part
     }

@@ -270,6 +270,45 @@ pub fn unfold<R: Real>(
     }
 }
 
+/// What [`fold`] has left.
+pub struct Folded<'a, R> {
+    pub bodies: &'a [LaneTreeBody<R>],
+    pub frames: &'a [LinkFrame<R>],
+    pub hinges: &'a [TreeHinge<R>],
+    /// Articulated inertia of the base.
+    pub base: &'a Inertia<R>,
+}
+
+/// Accelerations by a force on the first of two bodies and its opposite on the second one, beyond those of the solution that was
+/// folded. `wrenches` is work space.
+#[inline(always)]
+pub fn respond<R: Real>(
+    folded: &Folded<R>,
+    [first, second]: [usize; 2],
+    push: &Wrench<R>,
+    wrenches: &mut [Wrench<R>],
+    accelerations: &mut [Twist<R>],
+    joints: &mut [R],
+) {
+    let Folded { bodies, frames, hinges, base } = *folded;
+    wrenches.fill(Wrench::zero());
+    wrenches[first] = push.scale_add(-R::one(), &Wrench::zero());
+    wrenches[second] = *push;
+    for i in (1..bodies.len()).rev() {
+        let hinge = &hinges[i - 1];
+        let drive = -wrenches[i].dot(&frames[i].axis);
+        joints[i - 1] = drive;
+        let through = hinge.inertia_axis.scale_add(drive * hinge.inverse, &wrenches[i]);
+        wrenches[bodies[i].parent].add(&through);
+    }
+    accelerations[0] = base.solve(&wrenches[0].scale_add(-R::one(), &Wrench::zero()));
+    for i in 1..bodies.len() {
+        let (hinge, parent) = (&hinges[i - 1], accelerations[bodies[i].parent]);
+        joints[i - 1] = (joints[i - 1] - hinge.inertia_axis.dot(&parent)) * hinge.inverse;
+        accelerations[i] = frames[i].axis.scale_add(joints[i - 1], &parent);
+    }
+}
+
 impl<R: Real> LinkLoad<R> {
     pub fn none() -> Self {
         Self { inertia: Inertia::at(R::zero(), Vec3::zero(), Symmetric::zero()), bias: Wrench::zero() }

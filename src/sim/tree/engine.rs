@@ -148,6 +148,7 @@ impl<R: Real> TreeLanes<R> {
             patches: if model.has_sand() { tree.patches.clone() } else { Arc::default() },
             contacts: if model.scene.hard.is_empty() { Vec::new() } else { BodyContacts::all(tree) },
             ground: model.scene.ground(),
+            self_contact: tree.self_contact.clone(),
             floor: Floor::new(tree, &model.scene.hard),
             relief: model.scene.relief.as_ref().map(|r| LaneRelief(vec![r.clone(); R::LANES])),
             gravity: Vec3::zero(),

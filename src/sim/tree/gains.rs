@@ -114,28 +114,22 @@ fn of_leg(
 ) -> Gains {
     let (end, count) = (leg[leg.len() - 1], stance.legs.len());
     let tip = standing_point(&frames[end], &contacts[end], stance.height);
-    let square = |i: &usize| match &tree.bodies[*i].joint {
-        Some(j) if j.kind == JointKind::Hinge => {
-            let axis = frames[*i].rotation * j.axis.into_inner();
-            axis.cross(&(tip - frames[*i].translation.vector)).z.powi(2)
-        }
-        _ => 0.0,
+    let square = |i: &usize| {
+        let axis = tree.bodies[*i].hinge_axis(&frames[*i])?;
+        Some(axis.cross(&(tip - frames[*i].translation.vector)).z.powi(2))
     };
     let length = stance.leg_length.max(NEAREST);
     let load = tree.mass() * GRAVITY / count as f64;
     let posture = if count < 4 { UPRIGHT * tipping(tree, frames, leg, tip.z) } else { POSTURE * length };
-    let levers: f64 = leg.iter().map(square).sum();
+    let levers: f64 = leg.iter().filter_map(square).sum();
     Gains::of(load * (LEGS * levers / length).max(posture), length / LEGS)
 }
 
 /// Σ (h − yᵢ) over the hinges of a leg, about the horizontal axis for which it is larger [m]. `ground`: height of the foot.
 fn tipping(tree: &Tree, frames: &[Isometry3<f64>], leg: &[usize], ground: f64) -> f64 {
-    let moment: f64 =
-        frames.iter().zip(&tree.bodies).map(|(f, b)| b.mass * f.transform_point(&b.center.into()).z).sum();
-    let center = moment / tree.mass();
+    let center = tree.center_of_mass(frames).z;
     let arms = leg.iter().filter_map(|i| {
-        let joint = tree.bodies[*i].joint.as_ref().filter(|j| j.kind == JointKind::Hinge)?;
-        let axis = frames[*i].rotation * joint.axis.into_inner();
+        let axis = tree.bodies[*i].hinge_axis(&frames[*i])?;
         let arm = center - frames[*i].translation.vector.z.max(ground);
         Some(axis.xy().map(|a| a * a) * arm.max(0.0))
     });
@@ -152,11 +146,7 @@ fn standing_point(frame: &Isometry3<f64>, points: &[ContactPoint], height: f64) 
 
 /// Gains of each joint from what it carries.
 fn carriers(tree: &Tree, frames: &[Isometry3<f64>], stance: &Stance) -> Vec<Gains> {
-    let mut sums: Vec<(f64, V)> = frames
-        .iter()
-        .zip(&tree.bodies)
-        .map(|(f, b)| (b.mass, f.transform_point(&b.center.into()).coords * b.mass))
-        .collect();
+    let mut sums: Vec<(f64, V)> = frames.iter().zip(&tree.bodies).map(|(f, b)| (b.mass, b.moment(f))).collect();
     for i in (1..tree.bodies.len()).rev() {
         let (mass, moment) = sums[i];
         let parent = &mut sums[tree.bodies[i].parent];
@@ -164,12 +154,11 @@ fn carriers(tree: &Tree, frames: &[Isometry3<f64>], stance: &Stance) -> Vec<Gain
     }
     let gains = |i: usize| {
         let (mass, moment) = sums[i];
-        let Some(joint) = tree.bodies[i].joint.as_ref().filter(|_| mass > 0.0) else {
+        let Some((kind, axis)) = tree.bodies[i].axis(&frames[i]).filter(|_| mass > 0.0) else {
             return Gains { kp: 0.0, kd: 0.0 };
         };
-        match joint.kind {
+        match kind {
             JointKind::Hinge => {
-                let axis = frames[i].rotation * joint.axis.into_inner();
                 let arm = (moment / mass - frames[i].translation.vector).cross(&axis).norm().max(NEAREST);
                 Gains::of(OTHERS * mass * GRAVITY * arm, arm / OTHERS)
             }

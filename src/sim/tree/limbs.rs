@@ -220,6 +220,16 @@ impl Limb {
         self.tip_of(&self.frame(tree, angles, self.end()), contacts).0
     }
 
+    /// Distance of the tip from the joint of the limb's last body, as a part of that of the body's farthest point; 1 for a
+    /// flat sole.
+    pub fn tip_distance(&self, tree: &Tree, contacts: &[Vec<ContactPoint>], angles: &[f64]) -> f64 {
+        let (frame, farthest) = (self.frame(tree, angles, self.end()), farthest(&contacts[self.end()]));
+        if self.sole.is_some() || farthest == 0.0 {
+            return 1.0;
+        }
+        (self.tip_of(&frame, contacts).0 - frame.translation.vector).norm() / farthest
+    }
+
     /// The tip, and the point of the foot that moves with the same velocity when the foot turns.
     fn tip_of(&self, frame: &Isometry3<f64>, contacts: &[Vec<ContactPoint>]) -> (V, V) {
         if let Some(sole) = &self.sole {
@@ -237,7 +247,8 @@ impl Limb {
         let mut all = Vec::with_capacity(self.path.len());
         for &i in &self.path {
             at *= moved(&tree.bodies[i], angles[i - 1]);
-            all.push((i, axis(tree, i, &at).map_or_else(V::zeros, |(kind, axis)| velocity(kind, axis, &at, &point))));
+            let velocity = tree.bodies[i].axis(&at).map(|(kind, axis)| velocity(kind, axis, &at, &point));
+            all.push((i, velocity.unwrap_or_default()));
         }
         all
     }
@@ -343,7 +354,7 @@ impl Limb {
         for &i in &self.path {
             at *= moved(&tree.bodies[i], angles[i - 1]);
             let Some(k) = self.moving.iter().position(|m| *m == i) else { continue };
-            let Some((kind, axis)) = axis(tree, i, &at) else { continue };
+            let Some((kind, axis)) = tree.bodies[i].axis(&at) else { continue };
             jacobian.fixed_view_mut::<3, 1>(0, k).copy_from(&(velocity(kind, axis, &at, &point) / self.length));
             if let (Some(up), JointKind::Hinge) = (up, kind) {
                 jacobian.fixed_view_mut::<3, 1>(3, k).copy_from(&(axis.cross(&up) * LEVEL));
@@ -370,10 +381,6 @@ struct PoseErrors {
     jacobian: DMatrix<f64>,
     /// Tilt of the sole beyond 0.01 rad [rad].
     tilt: f64,
-}
-
-fn axis(tree: &Tree, body: usize, at: &Isometry3<f64>) -> Option<(JointKind, V)> {
-    tree.bodies[body].joint.as_ref().map(|j| (j.kind, at.rotation * j.axis.into_inner()))
 }
 
 /// Velocity of a point when the joint at `at` moves with 1 rad/s or 1 m/s.

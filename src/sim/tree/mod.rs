@@ -40,6 +40,7 @@ pub mod plates;
 pub mod relief;
 mod robot;
 pub mod sand;
+mod self_contact;
 mod servo;
 pub mod stance;
 pub mod standing;
@@ -189,5 +190,28 @@ impl Tree {
     /// [kg]
     pub fn mass(&self) -> f64 {
         self.bodies.iter().map(|b| b.mass).sum()
+    }
+
+    /// The centre of mass [m], with bodies at `frames`.
+    pub fn center_of_mass(&self, frames: &[Isometry3<f64>]) -> Vector3<f64> {
+        let moments = frames.iter().zip(&self.bodies).map(|(frame, body)| body.moment(frame));
+        moments.sum::<Vector3<f64>>() / self.mass()
+    }
+}
+
+impl TreeBody {
+    /// Mass times the position of its centre [kg·m], with the body at `frame`.
+    pub fn moment(&self, frame: &Isometry3<f64>) -> Vector3<f64> {
+        frame.transform_point(&self.center.into()).coords * self.mass
+    }
+
+    /// Kind and axis of its joint, with the body at `frame`; None for the base.
+    pub fn axis(&self, frame: &Isometry3<f64>) -> Option<(JointKind, Vector3<f64>)> {
+        self.joint.as_ref().map(|j| (j.kind, frame.rotation * j.axis.into_inner()))
+    }
+
+    /// The same axis if the joint is a hinge.
+    pub fn hinge_axis(&self, frame: &Isometry3<f64>) -> Option<Vector3<f64>> {
+        self.axis(frame).filter(|(kind, _)| *kind == JointKind::Hinge).map(|(_, axis)| axis)
     }
 }

@@ -6,6 +6,7 @@ use super::gains::{TreeMotor, motors};
 use super::kinematics::{frames, lowest};
 use super::looks::Looks;
 use super::patches::BodyPatches;
+use super::self_contact::SelfContact;
 use super::stance::Stance;
 use crate::error::{Error, Result, check_range};
 use crate::sand::intruder::IntruderPlate;
@@ -39,6 +40,8 @@ pub struct TreeModel {
     pub patches: Arc<Vec<BodyPatches>>,
     /// Points that touch hard ground, in the frame of each body.
     pub contacts: Arc<Vec<Vec<ContactPoint>>>,
+    /// None: parts of the robot pass through each other.
+    pub self_contact: Option<Arc<SelfContact>>,
     pub compliance: Compliance,
     /// The standing pose.
     pub stance: Arc<Stance>,
@@ -77,7 +80,8 @@ impl TreeModel {
         let looks = Looks::of(tree.bodies.iter().map(|b| &b.shapes[..]), false).or_plates(&plates);
         let (patches, contacts, looks) = (Arc::default(), Arc::new(contacts), Arc::new(looks));
         let (base_mass, tree) = (tree.bodies[0].mass, Arc::new(tree));
-        Ok(Self { tree, base_mass, motors, plates: Arc::new(plates), patches, contacts, compliance, stance, looks })
+        let (plates, self_contact) = (Arc::new(plates), None);
+        Ok(Self { tree, base_mass, motors, plates, patches, contacts, self_contact, compliance, stance, looks })
     }
 
     /// The model with other shapes for pictures. Without this it shows its primitives, and plates where a body has
@@ -104,6 +108,12 @@ impl TreeModel {
             let own = &mut motor.actuator.torque_limit;
             *own = Some(own.map_or(limit, |own| own.min(limit)));
         }
+        self
+    }
+
+    /// A copy whose legs do not pass through each other or the base.
+    pub fn with_self_contact(mut self) -> Self {
+        self.self_contact = Some(Arc::new(SelfContact::of(&self.tree, &self.contacts, &self.stance)));
         self
     }
 

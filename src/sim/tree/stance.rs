@@ -1,10 +1,10 @@
 //! The standing pose of a tree robot: its legs, its feet, and its joints. Where the file gives no pose, the joints are
 //! searched: each leg stands under its hip, in the middle of the heights that it can use.
 
+use super::Tree;
 use super::contact::ContactPoint;
 use super::kinematics::{chain, lowest};
 use super::limbs::{FreeJoints, Limb, Reached, STEPS, limbs};
-use super::{JointKind, Tree};
 use nalgebra::{Isometry3, Vector3};
 
 type V = Vector3<f64>;
@@ -36,6 +36,11 @@ const OFF_CENTER: f64 = 0.25;
 /// Largest number of frames that all searches of a robot compute: our choice, about a second. A robot with many limbs of
 /// hundreds of joints is searched from fewer positions.
 const MOST_FRAMES: usize = 10_000_000;
+
+/// A leg stands on the far half of its last body, not on that body's end at the knee: our choice. `KNEELS` is more than any
+/// other difference between two solutions.
+const FAR_HALF: f64 = 0.5;
+const KNEELS: f64 = 1e3;
 
 /// Cosine of the angle between axes that count as one: our choice, 2.5°, more than the rounding of files.
 const PARALLEL: f64 = 0.999;
@@ -155,13 +160,14 @@ impl<'a> Search<'a> {
 
     /// A pose with each foot under its hip, in the middle of the heights that the leg can use. FreeJoints with a position in
     /// the file keep it.
-    fn pose(&self, limbs: &[Limb]) -> Vec<f64> {
+    fn pose(mut self, limbs: &[Limb]) -> Vec<f64> {
         let start = self.joints.preferred.clone();
         let frames = chain(self.tree, Isometry3::identity(), &start);
         let free = FreeJoints::free(self.tree);
         let mut candidates: Vec<&Limb> =
             limbs.iter().filter(|l| l.travel(self.tree, self.contacts, &free) > TRAVEL * l.length).collect();
         beside(&mut candidates, &frames);
+        self.hold_shared(&candidates);
         let many = candidates.len() >= 4;
         let mut legs: Vec<LegReach> = candidates.iter().filter_map(|l| self.leg(l, &frames, many)).collect();
         let deepest = |l: &LegReach| l.place.z - l.depths[1];
@@ -186,6 +192,15 @@ impl<'a> Search<'a> {
         angles
     }
 
+    /// Holds the joints that carry several of the legs, as a waist does: turned for one leg, they would lift the others.
+    fn hold_shared(&mut self, legs: &[&Limb]) {
+        for body in 1..self.tree.bodies.len() {
+            if legs.iter().filter(|leg| leg.path.contains(&body)).count() > 1 {
+                self.joints.ranges[body - 1] = [self.joints.preferred[body - 1]; 2];
+            }
+        }
+    }
+
     /// The place of a limb's foot if it is a leg; None if its foot reaches no place under the hip.
     fn leg<'l>(&self, limb: &'l Limb, frames: &[Isometry3<f64>], many: bool) -> Option<LegReach<'l>> {
         let (tree, contacts) = (self.tree, self.contacts);
@@ -196,7 +211,7 @@ impl<'a> Search<'a> {
         // A leg whose knee bends sideways, as a spider's, stands at the distance of its knee.
         let knee = limb.path.iter().skip_while(|i| **i != limb.hip).nth(1);
         let out = knee.and_then(|i| {
-            let axis = tree.bodies[*i].joint.as_ref().map(|j| frames[*i].rotation * j.axis.into_inner())?;
+            let (_, axis) = tree.bodies[*i].axis(&frames[*i])?;
             let out = V::new(axis.y, -axis.x, 0.0).try_normalize(0.5)?;
             let away = (tip - hip).xy().norm() > (hip.z - tip.z);
             (many && away && out.y.abs() > out.x.abs()).then_some(out * (tip - hip).dot(&out).signum())
@@ -229,10 +244,7 @@ impl<'a> Search<'a> {
     /// The part of `to_foot` across the plane in which the foot moves, if all hinges of the leg have one axis. Such a leg cannot
     /// put its foot elsewhere.
     fn beside_plane(&self, limb: &Limb, frames: &[Isometry3<f64>], to_foot: V) -> V {
-        let mut axes = limb.path.iter().filter_map(|i| {
-            let hinge = self.tree.bodies[*i].joint.as_ref().filter(|j| j.kind == JointKind::Hinge)?;
-            Some(frames[*i].rotation * hinge.axis.into_inner())
-        });
+        let mut axes = limb.path.iter().filter_map(|i| self.tree.bodies[*i].hinge_axis(&frames[*i]));
         let Some(axis) = axes.next() else { return V::zeros() };
         if axes.all(|other| axis.dot(&other).abs() > PARALLEL) { axis * axis.dot(&to_foot) } else { V::zeros() }
     }
@@ -242,7 +254,8 @@ impl<'a> Search<'a> {
         // Of several solutions the one with the knee farther back, and among equals the least bent.
         let worth = |r: &Reached| {
             let (knee, from) = (limb.knee(self.tree, &r.angles), limb.frame(self.tree, &r.angles, hip));
-            r.bent + 3.0 * (knee.x - from.translation.vector.x) / limb.length
+            let kneels = KNEELS * (FAR_HALF - limb.tip_distance(self.tree, self.contacts, &r.angles)).max(0.0);
+            r.bent + 3.0 * (knee.x - from.translation.vector.x) / limb.length + kneels
         };
         let starts = if widely || first.is_none() { self.starts } else { 0 };
         limb.reach(self.tree, self.contacts, &self.joints, target, first, starts, &worth)
@@ -270,9 +283,7 @@ impl<'a> Search<'a> {
     /// The way from the middle of the feet to the point under the centre of mass, if that is far.
     fn off_center(&self, legs: &[LegReach], angles: &[f64], upright: bool) -> V {
         let frames = chain(self.tree, Isometry3::identity(), angles);
-        let weighed = frames.iter().zip(&self.tree.bodies);
-        let sum: V = weighed.map(|(f, b)| f.transform_point(&b.center.into()).coords * b.mass).sum();
-        let center = sum / self.tree.mass();
+        let center = self.tree.center_of_mass(&frames);
         let count = legs.len().max(1) as f64;
         let middle = legs.iter().map(|l| l.place).sum::<V>() / count;
         let reach = legs.iter().map(|l| (l.place.x - middle.x).abs()).fold(0.0, f64::max);

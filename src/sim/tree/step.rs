@@ -1,11 +1,12 @@
 //! One time step of a tree robot: positions → sand → hard ground → joints → accelerations → motion.
 
 use super::Follower;
-use super::dynamics::{self, LaneTreeBody, LaneTreeMotion, LinkFrame, LinkLoad, TreeHinge};
+use super::dynamics::{self, Folded, LaneTreeBody, LaneTreeMotion, LinkFrame, LinkLoad, TreeHinge};
 use super::floor::{BodyContacts, Floor, Touch};
 use super::patches::BodyPatches;
 use super::relief::LaneRelief;
 use super::sand;
+use super::self_contact::{Accelerations, SelfContact, SelfContactScratch};
 use super::servo::{JointTorques, LaneMotor, LaneServo};
 use crate::actuator::{self, NEWTON, TorqueLimits};
 use crate::number::{Real, Vec3};
@@ -22,6 +23,8 @@ pub struct LaneTree<R> {
     pub followers: Vec<Follower>,
     pub patches: Arc<Vec<BodyPatches>>,
     pub contacts: Vec<BodyContacts>,
+    /// None: parts of the robot pass through each other.
+    pub self_contact: Option<Arc<SelfContact>>,
     pub ground: SandBed<R>,
     pub floor: Floor<R>,
     /// None: the surface is flat.
@@ -64,6 +67,7 @@ pub struct TreeScratch<R> {
     joints: Vec<R>,
     limits: Vec<TorqueLimits<R>>,
     pub touches: Vec<Touch<R>>,
+    self_contact: SelfContactScratch<R>,
 }
 
 impl<R: Real> TreeScratch<R> {
@@ -79,6 +83,7 @@ impl<R: Real> TreeScratch<R> {
             joints: vec![R::zero(); bodies - 1],
             limits: vec![TorqueLimits::none(); bodies - 1],
             touches: Vec::new(),
+            self_contact: SelfContactScratch::new(),
         }
     }
 }
@@ -128,6 +133,11 @@ pub fn accelerate<R: Real>(
         scratch.loads.copy_from_slice(&scratch.bare);
         model.floor.press(&scratch.touches, &mut scratch.loads, dt);
         solve(model, state, scratch);
+    }
+    if let Some(contact) = &model.self_contact {
+        let TreeScratch { frames, loads, hinges, accelerations, joints, self_contact, .. } = scratch;
+        let folded = Folded { bodies: &model.bodies, frames, hinges, base: &loads[0].inertia };
+        contact.part(&folded, &mut Accelerations { bodies: accelerations, joints }, self_contact, dt);
     }
 }
 

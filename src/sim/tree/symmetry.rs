@@ -54,7 +54,7 @@ fn standing(robot: &TreeModel) -> Vec<StandingBody> {
     let one = |((body, frame), points): ((&super::TreeBody, &Isometry3<f64>), &Vec<super::contact::ContactPoint>)| {
         let low = lowest(frame, points).z;
         StandingBody {
-            axis: body.joint.as_ref().map_or(V::zeros(), |j| frame.rotation * j.axis.into_inner()),
+            axis: body.axis(frame).map_or(V::zeros(), |(_, axis)| axis),
             at: frame.translation.vector,
             center: frame.transform_point(&body.center.into()).coords,
             low: low.is_finite().then_some(low),

@@ -9,6 +9,7 @@ pub mod engine;
 mod forces;
 pub mod models;
 mod sand;
+mod self_contact;
 mod walk;
 
 type V = Vector3<f64>;

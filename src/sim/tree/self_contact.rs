@@ -1,0 +1,332 @@
+//! Contact between parts of one robot: a leg that meets another leg or the base.
+//!
+//! A body has a capsule inside the box around its points of contact, the base up to three. Two may come no closer than to touch, and an
+//! overlap δ leaves with the speed δ/τ. There is no friction. A force along the line between their nearest points does this; it
+//! follows from the robot's accelerations under a unit force ([`dynamics::respond`]), with motors, sand and ground as they are in
+//! this step. So the contact has no stiffness, and is stable with every time step. Several contacts are solved one after the
+//! other, twice, and none pulls (projected Gauss-Seidel; E. Catto, Iterative Dynamics with Temporal Coherence, 2005).
+
+use super::Tree;
+use super::contact::ContactPoint;
+use super::dynamics::{self, Folded, LinkFrame};
+use super::kinematics::chain;
+use super::limbs::FreeJoints;
+use super::stance::Stance;
+use crate::number::{Real, Vec3};
+use crate::spatial::{Twist, Wrench};
+use crate::stop::NO_LIMIT;
+use nalgebra::{Isometry3, Matrix3, Vector3};
+
+type V = Vector3<f64>;
+
+/// τ, the time in which an overlap leaves [s]: our choice, a control step.
+const LEAVES: f64 = 0.02;
+/// Times that all contacts are solved: our choice.
+const SWEEPS: usize = 2;
+/// Largest number of capsules of the base, which is often flat: our choice. Other bodies have one.
+const MOST_CAPSULES: f64 = 3.0;
+/// Bodies that are nearer than this in the standing pose never meet [m]: our choice, because the shapes of neighbours overlap.
+const NEIGHBOURS: f64 = 5e-3;
+/// Poses that are tried to see which bodies can meet, a prime number, and the generator of their lattice. Bodies can meet if
+/// their least distance is less than the part `NEAR` of the range of their distances. Our choice.
+const POSES: usize = 499;
+const GENERATOR: usize = 331;
+const NEAR: f64 = 0.1;
+/// Bodies that are farther apart do not meet in this step [m]: our choice, 5 m/s at a time step of 2 ms.
+const SOON: f64 = 0.01;
+/// Axes that are nearer than this have no direction in which to part [m]: our choice.
+const CROSSING: f64 = 1e-4;
+/// Axes whose angle has a smaller squared sine are parallel: our choice, above the rounding of `f32`.
+const PARALLEL: f64 = 1e-4;
+
+/// A ball that moves along a line.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Capsule {
+    /// Ends of the line in the body's frame [m].
+    ends: [V; 2],
+    radius: f64,
+}
+
+/// The capsules of a body.
+#[derive(Clone, Debug, PartialEq)]
+struct BodyCapsules {
+    body: usize,
+    /// A ball that contains all capsules, in the body's frame [m].
+    center: V,
+    reach: f64,
+    capsules: Vec<Capsule>,
+}
+
+/// The bodies of a robot that can meet.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SelfContact {
+    bodies: Vec<BodyCapsules>,
+    /// Indices of two of `bodies`.
+    pairs: Vec<[usize; 2]>,
+}
+
+/// Two capsules that overlap after this step in some lane, if nothing parts them.
+#[derive(Clone, Copy)]
+struct Overlap<R> {
+    bodies: [usize; 2],
+    /// Middle of the overlap, from the base's origin [m].
+    at: Vec3<R>,
+    /// From the second body to the first one.
+    normal: Vec3<R>,
+    /// Least speed with which they must part [m/s].
+    wanted: R,
+    /// Force so far [N].
+    force: R,
+    /// Speed with which they part after a time step with a force of 1 N [m/(N·s)].
+    mobility: R,
+}
+
+/// Work space of a step; its contents are not kept.
+pub struct SelfContactScratch<R> {
+    centers: Vec<Vec3<R>>,
+    overlaps: Vec<Overlap<R>>,
+    wrenches: Vec<Wrench<R>>,
+    /// Accelerations of bodies and joints by a unit force of each overlap.
+    accelerations: Vec<Twist<R>>,
+    joints: Vec<R>,
+}
+
+/// Accelerations of a step: those of bodies, and those of joints.
+pub struct Accelerations<'a, R> {
+    pub bodies: &'a mut [Twist<R>],
+    pub joints: &'a mut [R],
+}
+
+impl SelfContact {
+    /// Bodies of different legs, and the last body of a leg and the base, if they can meet within the ranges of their joints.
+    pub fn of(tree: &Tree, contacts: &[Vec<ContactPoint>], stance: &Stance) -> Self {
+        let leg_of = |body: usize| stance.legs.iter().position(|leg| leg.contains(&body));
+        let is_last = |body: usize| stance.legs.iter().any(|leg| leg.last() == Some(&body));
+        let bodies: Vec<BodyCapsules> = (0..tree.bodies.len())
+            .filter(|body| *body == 0 || leg_of(*body).is_some())
+            .filter_map(|body| BodyCapsules::around(body, &contacts[body]))
+            .collect();
+        let frames = chain(tree, Isometry3::identity(), &stance.angles);
+        let apart = |a: &BodyCapsules, b: &BodyCapsules| a.gap(b, &frames) > NEIGHBOURS;
+        let mut candidates = Vec::new();
+        for (a, one) in bodies.iter().enumerate() {
+            for (b, other) in bodies.iter().enumerate().skip(a + 1) {
+                let related = if one.body == 0 { !is_last(other.body) } else { leg_of(one.body) == leg_of(other.body) };
+                if !related && apart(one, other) {
+                    candidates.push([a, b]);
+                }
+            }
+        }
+        let poses: Vec<_> = (0..POSES).map(|k| chain(tree, Isometry3::identity(), &pose(tree, k))).collect();
+        let can_meet = |[a, b]: &[usize; 2]| {
+            let gaps = poses.iter().map(|frames| bodies[*a].gap(&bodies[*b], frames));
+            let [least, most] = gaps.fold([f64::MAX, f64::MIN], |[low, high], gap| [low.min(gap), high.max(gap)]);
+            least < NEAR * (most - least)
+        };
+        candidates.retain(can_meet);
+        Self { bodies, pairs: candidates }
+    }
+
+    /// Adds to the accelerations what keeps bodies apart.
+    #[inline(always)]
+    pub fn part<R: Real>(
+        &self,
+        folded: &Folded<R>,
+        found: &mut Accelerations<R>,
+        scratch: &mut SelfContactScratch<R>,
+        dt: R,
+    ) {
+        self.find(folded.frames, scratch, dt);
+        let count = folded.bodies.len();
+        let SelfContactScratch { overlaps, wrenches, accelerations, joints, .. } = scratch;
+        if overlaps.is_empty() {
+            return;
+        }
+        wrenches.resize(count, Wrench::zero());
+        accelerations.resize(count * overlaps.len(), LinkFrame::at_rest().velocity);
+        joints.resize((count - 1) * overlaps.len(), R::zero());
+        for (k, overlap) in overlaps.iter_mut().enumerate() {
+            let own = &mut accelerations[k * count..][..count];
+            let push = Wrench { moment: overlap.at.cross(overlap.normal), force: overlap.normal };
+            let joints = &mut joints[k * (count - 1)..][..count - 1];
+            dynamics::respond(folded, overlap.bodies, &push, wrenches, own, joints);
+            overlap.mobility = (overlap.speed(|body| &own[body]) * dt).max(R::splat(f64::from(f32::MIN_POSITIVE)));
+        }
+        for _ in 0..SWEEPS {
+            for (k, overlap) in overlaps.iter_mut().enumerate() {
+                let moves =
+                    |body: usize| found.bodies[body].scale_add(dt, &folded.frames[body].velocity).at(overlap.at);
+                let speed = overlap.normal.dot(moves(overlap.bodies[0]) - moves(overlap.bodies[1]));
+                let force = (overlap.force + (overlap.wanted - speed) / overlap.mobility).max(R::zero());
+                let more = force - overlap.force;
+                let here = |with: R, without: R| R::select(R::zero().lt(more.abs()), with, without);
+                let moved = |total: Vec3<R>, unit: Vec3<R>| {
+                    let with = unit.scale_add(more, total);
+                    Vec3::new(here(with.x, total.x), here(with.y, total.y), here(with.z, total.z))
+                };
+                for (total, unit) in found.bodies.iter_mut().zip(&accelerations[k * count..][..count]) {
+                    total.angular = moved(total.angular, unit.angular);
+                    total.linear = moved(total.linear, unit.linear);
+                }
+                for (total, unit) in found.joints.iter_mut().zip(&joints[k * (count - 1)..]) {
+                    *total = here(unit.mul_add(more, *total), *total);
+                }
+                overlap.force = force;
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn find<R: Real>(&self, frames: &[LinkFrame<R>], scratch: &mut SelfContactScratch<R>, dt: R) {
+        let SelfContactScratch { centers, overlaps, .. } = scratch;
+        overlaps.clear();
+        centers.clear();
+        centers.extend(self.bodies.iter().map(|b| frames[b.body].point(Vec3::splat(b.center.into()))));
+        for &[a, b] in &self.pairs {
+            let (one, other) = (&self.bodies[a], &self.bodies[b]);
+            let within = one.reach + other.reach + SOON;
+            if !R::any((centers[a] - centers[b]).norm_squared().lt(R::splat(within * within))) {
+                continue;
+            }
+            for p in &one.capsules {
+                let line = p.line(&frames[one.body]);
+                if !R::any(distance_squared(&line, centers[b]).lt(R::splat((p.radius + other.reach + SOON).powi(2)))) {
+                    continue;
+                }
+                for q in &other.capsules {
+                    let lines = [line, q.line(&frames[other.body])];
+                    let mut found = Overlap::of(lines, [p.radius, q.radius], [one.body, other.body], dt);
+                    // Those that touch may be pushed together; others meet if they close fast.
+                    let touch = R::zero().lt(found.wanted);
+                    let below = R::select(touch, R::splat(NO_LIMIT), found.wanted);
+                    let meets = found.speed(|body| &frames[body].velocity).lt(below);
+                    if R::any(meets) {
+                        // A lane must not see that others meet.
+                        found.wanted = R::select(meets, found.wanted, R::splat(-NO_LIMIT));
+                        overlaps.push(found);
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Pose `k` of [`POSES`] in the ranges of the joints: a lattice rule (N. M. Korobov 1959), whose generator is our choice.
+fn pose(tree: &Tree, k: usize) -> Vec<f64> {
+    let mut place = k;
+    let angle = |[low, high]: [f64; 2]| {
+        place = place * GENERATOR % POSES;
+        low + (high - low) * place as f64 / POSES as f64
+    };
+    FreeJoints::free(tree).ranges.into_iter().map(angle).collect()
+}
+
+impl<R: Real> SelfContactScratch<R> {
+    pub fn new() -> Self {
+        let (centers, overlaps, wrenches) = (Vec::new(), Vec::new(), Vec::new());
+        Self { centers, overlaps, wrenches, accelerations: Vec::new(), joints: Vec::new() }
+    }
+}
+
+impl BodyCapsules {
+    /// Capsules inside the box around the points, along its longest side; None without points.
+    fn around(body: usize, points: &[ContactPoint]) -> Option<Self> {
+        let middle = points.iter().map(|p| p.center).sum::<V>() / points.len().max(1) as f64;
+        let spread: Matrix3<f64> = points.iter().map(|p| (p.center - middle) * (p.center - middle).transpose()).sum();
+        let mut axes: Vec<(V, f64, f64)> = Vec::with_capacity(3);
+        for axis in spread.symmetric_eigen().eigenvectors.column_iter() {
+            let ends = |sign: f64| points.iter().map(|p| p.reach(&(axis * sign))).fold(f64::NEG_INFINITY, f64::max);
+            let (high, low) = (ends(1.0), -ends(-1.0));
+            axes.push((axis.into_owned(), (high + low) / 2.0, (high - low) / 2.0));
+        }
+        axes.sort_by(|a, b| b.2.total_cmp(&a.2));
+        let [(along, _, long), (across, _, wide), (_, _, radius)] = axes[..] else { return None };
+        if points.is_empty() || radius <= 0.0 {
+            return None;
+        }
+        let center: V = axes.iter().map(|(axis, at, _)| axis * *at).sum();
+        let count = if body == 0 { (wide / radius).ceil().clamp(1.0, MOST_CAPSULES) } else { 1.0 };
+        let capsule = |k: f64| {
+            let aside =
+                if count > 1.0 { across * ((2.0 * k / (count - 1.0) - 1.0) * (wide - radius)) } else { V::zeros() };
+            Capsule { ends: [-1.0, 1.0].map(|end| center + aside + along * (end * (long - radius))), radius }
+        };
+        let capsules: Vec<Capsule> = (0..count as usize).map(|k| capsule(k as f64)).collect();
+        let far = |c: &Capsule| (c.ends[0] - center).norm().max((c.ends[1] - center).norm()) + c.radius;
+        let reach = capsules.iter().map(far).fold(0.0, f64::max);
+        Some(Self { body, center, reach, capsules })
+    }
+
+    /// Least distance of the capsules of two bodies [m]; negative if they overlap.
+    fn gap(&self, other: &Self, frames: &[Isometry3<f64>]) -> f64 {
+        let line = |of: usize, capsule: &Capsule| {
+            capsule.ends.map(|p| Vec3::<f64>::splat(frames[of].transform_point(&p.into()).coords.into()))
+        };
+        let mut least = f64::INFINITY;
+        for p in &self.capsules {
+            for q in &other.capsules {
+                let [on_p, on_q] = nearest([line(self.body, p), line(other.body, q)]);
+                least = least.min((on_p - on_q).norm_squared().sqrt() - p.radius - q.radius);
+            }
+        }
+        least
+    }
+}
+
+impl Capsule {
+    #[inline(always)]
+    fn line<R: Real>(&self, frame: &LinkFrame<R>) -> [Vec3<R>; 2] {
+        self.ends.map(|end| frame.point(Vec3::splat(end.into())))
+    }
+}
+
+impl<R: Real> Overlap<R> {
+    #[inline(always)]
+    fn of(lines: [[Vec3<R>; 2]; 2], radii: [f64; 2], bodies: [usize; 2], dt: R) -> Self {
+        let (zero, [one, other]) = (R::zero(), nearest(lines));
+        let between = one - other;
+        let distance = between.norm_squared().sqrt();
+        let normal = between * (R::one() / distance.max(R::splat(CROSSING)));
+        let depth = R::splat(radii[0] + radii[1]) - distance;
+        let wanted = R::select(zero.lt(depth), depth * R::splat(1.0 / LEAVES), depth / dt);
+        let wanted = R::select(distance.lt(R::splat(CROSSING)), R::splat(-NO_LIMIT), wanted);
+        let wanted = R::select(depth.lt(R::splat(-0.99 * SOON)), R::splat(-NO_LIMIT), wanted);
+        let at = normal.scale_add(R::splat(radii[1]) - depth * R::splat(0.5), other);
+        Self { bodies, at, normal, wanted, force: zero, mobility: zero }
+    }
+
+    /// Speed with which the bodies part, by the motion of each.
+    #[inline(always)]
+    fn speed<'a>(&self, motion: impl Fn(usize) -> &'a Twist<R>) -> R
+    where
+        R: 'a,
+    {
+        self.normal.dot(motion(self.bodies[0]).at(self.at) - motion(self.bodies[1]).at(self.at))
+    }
+}
+
+/// Squared distance of a point from a line segment.
+#[inline(always)]
+fn distance_squared<R: Real>(line: &[Vec3<R>; 2], point: Vec3<R>) -> R {
+    let (along, to) = (line[1] - line[0], point - line[0]);
+    let s = (along.dot(to) / along.norm_squared().max(R::splat(1e-12))).clamp(R::zero(), R::one());
+    along.scale_add(-s, to).norm_squared()
+}
+
+/// The nearest points of two line segments (C. Ericson, Real-Time Collision Detection, 2005, section 5.1.9). Of parallel ones a
+/// point near the middle.
+#[inline(always)]
+fn nearest<R: Real>([p, q]: [[Vec3<R>; 2]; 2]) -> [Vec3<R>; 2] {
+    let (zero, one, tiny) = (R::zero(), R::one(), R::splat(1e-12));
+    let (u, v, between) = (p[1] - p[0], q[1] - q[0], p[0] - q[0]);
+    let (uu, vv, uv) = (u.norm_squared().max(tiny), v.norm_squared().max(tiny), u.dot(v));
+    let (on_u, on_v) = (u.dot(between), v.dot(between));
+    let determinant = uu * vv - uv * uv;
+    let skew = (R::splat(PARALLEL) * (uu * vv)).lt(determinant);
+    let free = (uv * on_v - on_u * vv) / R::select(skew, determinant, one);
+    let s = R::select(skew, free.clamp(zero, one), R::splat(0.5));
+    let t = (s.mul_add(uv, on_v) / vv).clamp(zero, one);
+    let s = ((t * uv - on_u) / uu).clamp(zero, one);
+    let t = (s.mul_add(uv, on_v) / vv).clamp(zero, one);
+    [u.scale_add(s, p[0]), v.scale_add(t, q[0])]
+}
