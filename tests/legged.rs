@@ -235,6 +235,31 @@ fn a_robot_has_its_own_time_step() {
     }
 }
 
+/// Legs that large random actions drive into each other and into the base leave every state sound, and move otherwise than legs
+/// that pass through each other.
+#[test]
+fn legs_that_meet_stay_sound() {
+    for ground in ["rigid", "poppy-loose"] {
+        let run = |self_contact: bool| {
+            let options =
+                json!({"ground": ground, "self_contact": self_contact, "action_scale": 1.5, "domain_rand": null});
+            let mut shard = shard(options, 8);
+            let mut seed = 1_u64;
+            let mut draw = || {
+                seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                (seed >> 40) as f32 / (1 << 23) as f32 - 1.0
+            };
+            for step in 0..300 {
+                let actions: Vec<f32> = (0..8 * shard.actions()).map(|_| draw()).collect();
+                shard.step(&actions);
+                assert!((0..8).all(|k| shard.state(k).is_sound()), "{ground} {step}");
+            }
+            (0..8).map(|k| shard.state(k).clone()).collect::<Vec<_>>()
+        };
+        assert!(run(true) != run(false), "{ground}");
+    }
+}
+
 /// The hexapod tasks refuse the engine `tree`.
 #[test]
 fn hexapod_tasks_refuse_the_engine_tree() {

@@ -91,8 +91,8 @@ pub struct SelfContactScratch<R> {
     joints: Vec<R>,
 }
 
-/// Accelerations of a step: those of bodies, and those of joints.
-pub struct Accelerations<'a, R> {
+/// Accelerations in a step: those of bodies, and those of joints.
+pub struct StepAccelerations<'a, R> {
     pub bodies: &'a mut [Twist<R>],
     pub joints: &'a mut [R],
 }
@@ -129,10 +129,10 @@ impl SelfContact {
 
     /// Adds to the accelerations what keeps bodies apart.
     #[inline(always)]
-    pub fn part<R: Real>(
+    pub fn keep_apart<R: Real>(
         &self,
         folded: &Folded<R>,
-        found: &mut Accelerations<R>,
+        found: &mut StepAccelerations<R>,
         scratch: &mut SelfContactScratch<R>,
         dt: R,
     ) {

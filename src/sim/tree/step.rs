@@ -6,7 +6,7 @@ use super::floor::{BodyContacts, Floor, Touch};
 use super::patches::BodyPatches;
 use super::relief::LaneRelief;
 use super::sand;
-use super::self_contact::{Accelerations, SelfContact, SelfContactScratch};
+use super::self_contact::{SelfContact, SelfContactScratch, StepAccelerations};
 use super::servo::{JointTorques, LaneMotor, LaneServo};
 use crate::actuator::{self, NEWTON, TorqueLimits};
 use crate::number::{Real, Vec3};
@@ -137,7 +137,7 @@ pub fn accelerate<R: Real>(
     if let Some(contact) = &model.self_contact {
         let TreeScratch { frames, loads, hinges, accelerations, joints, self_contact, .. } = scratch;
         let folded = Folded { bodies: &model.bodies, frames, hinges, base: &loads[0].inertia };
-        contact.part(&folded, &mut Accelerations { bodies: accelerations, joints }, self_contact, dt);
+        contact.keep_apart(&folded, &mut StepAccelerations { bodies: accelerations, joints }, self_contact, dt);
     }
 }
 
