@@ -32,8 +32,8 @@ const NEIGHBOURS: f64 = 5e-3;
 const POSES: usize = 499;
 const GENERATOR: usize = 331;
 const NEAR: f64 = 0.1;
-/// Bodies that are farther apart do not meet in this step [m]: our choice, 5 m/s at a time step of 2 ms.
-const SOON: f64 = 0.01;
+/// Largest speed at which bodies that meet are stopped before they overlap [m/s]: our choice.
+const CLOSING: f64 = 5.0;
 /// Axes that are nearer than this have no direction in which to part [m]: our choice.
 const CROSSING: f64 = 1e-4;
 /// Axes whose angle has a smaller squared sine are parallel: our choice, above the rounding of `f32`.
@@ -65,7 +65,7 @@ pub struct SelfContact {
     pairs: Vec<[usize; 2]>,
 }
 
-/// Two capsules that overlap after this step in some lane, if nothing parts them.
+/// Two capsules that overlap in some lane, or may do so after this step.
 #[derive(Clone, Copy)]
 struct Overlap<R> {
     bodies: [usize; 2],
@@ -73,7 +73,7 @@ struct Overlap<R> {
     at: Vec3<R>,
     /// From the second body to the first one.
     normal: Vec3<R>,
-    /// Least speed with which they must part [m/s].
+    /// Least speed with which they must part [m/s]; −[`NO_LIMIT`] in lanes in which they are too far apart to meet.
     wanted: R,
     /// Force so far [N].
     force: R,
@@ -150,26 +150,25 @@ impl SelfContact {
             let push = Wrench { moment: overlap.at.cross(overlap.normal), force: overlap.normal };
             let joints = &mut joints[k * (count - 1)..][..count - 1];
             dynamics::respond(folded, overlap.bodies, &push, wrenches, own, joints);
-            overlap.mobility = (overlap.speed(|body| &own[body]) * dt).max(R::splat(f64::from(f32::MIN_POSITIVE)));
+            let [first, second] = overlap.bodies;
+            overlap.mobility =
+                (overlap.speed(&own[first], &own[second]) * dt).max(R::splat(f64::from(f32::MIN_POSITIVE)));
         }
         for _ in 0..SWEEPS {
             for (k, overlap) in overlaps.iter_mut().enumerate() {
-                let moves =
-                    |body: usize| found.bodies[body].scale_add(dt, &folded.frames[body].velocity).at(overlap.at);
-                let speed = overlap.normal.dot(moves(overlap.bodies[0]) - moves(overlap.bodies[1]));
+                let [first, second] = overlap.bodies;
+                let one = found.bodies[first].scale_add(dt, &folded.frames[first].velocity);
+                let other = found.bodies[second].scale_add(dt, &folded.frames[second].velocity);
+                let speed = overlap.speed(&one, &other);
                 let force = (overlap.force + (overlap.wanted - speed) / overlap.mobility).max(R::zero());
                 let more = force - overlap.force;
-                let here = |with: R, without: R| R::select(R::zero().lt(more.abs()), with, without);
-                let moved = |total: Vec3<R>, unit: Vec3<R>| {
-                    let with = unit.scale_add(more, total);
-                    Vec3::new(here(with.x, total.x), here(with.y, total.y), here(with.z, total.z))
-                };
+                let changes = R::zero().lt(more.abs());
                 for (total, unit) in found.bodies.iter_mut().zip(&accelerations[k * count..][..count]) {
-                    total.angular = moved(total.angular, unit.angular);
-                    total.linear = moved(total.linear, unit.linear);
+                    total.angular = selected(changes, unit.angular.scale_add(more, total.angular), total.angular);
+                    total.linear = selected(changes, unit.linear.scale_add(more, total.linear), total.linear);
                 }
                 for (total, unit) in found.joints.iter_mut().zip(&joints[k * (count - 1)..]) {
-                    *total = here(unit.mul_add(more, *total), *total);
+                    *total = R::select(changes, unit.mul_add(more, *total), *total);
                 }
                 overlap.force = force;
             }
@@ -181,28 +180,26 @@ impl SelfContact {
         let SelfContactScratch { centers, overlaps, .. } = scratch;
         overlaps.clear();
         centers.clear();
-        centers.extend(self.bodies.iter().map(|b| frames[b.body].point(Vec3::splat(b.center.into()))));
+        for own in &self.bodies {
+            centers.push(frames[own.body].point(Vec3::splat(own.center.into())));
+        }
+        // How far two bodies come closer in this step.
+        let soon = CLOSING * dt.lane(0);
         for &[a, b] in &self.pairs {
             let (one, other) = (&self.bodies[a], &self.bodies[b]);
-            let within = one.reach + other.reach + SOON;
+            let within = one.reach + other.reach + soon;
             if !R::any((centers[a] - centers[b]).norm_squared().lt(R::splat(within * within))) {
                 continue;
             }
             for p in &one.capsules {
                 let line = p.line(&frames[one.body]);
-                if !R::any(distance_squared(&line, centers[b]).lt(R::splat((p.radius + other.reach + SOON).powi(2)))) {
+                if !R::any(distance_squared(&line, centers[b]).lt(R::splat((p.radius + other.reach + soon).powi(2)))) {
                     continue;
                 }
                 for q in &other.capsules {
                     let lines = [line, q.line(&frames[other.body])];
-                    let mut found = Overlap::of(lines, [p.radius, q.radius], [one.body, other.body], dt);
-                    // Those that touch may be pushed together; others meet if they close fast.
-                    let touch = R::zero().lt(found.wanted);
-                    let below = R::select(touch, R::splat(NO_LIMIT), found.wanted);
-                    let meets = found.speed(|body| &frames[body].velocity).lt(below);
-                    if R::any(meets) {
-                        // A lane must not see that others meet.
-                        found.wanted = R::select(meets, found.wanted, R::splat(-NO_LIMIT));
+                    let found = Overlap::of(lines, [p.radius, q.radius], [one.body, other.body], dt);
+                    if R::any(R::splat(-NO_LIMIT).lt(found.wanted)) {
                         overlaps.push(found);
                     }
                 }
@@ -276,7 +273,9 @@ impl BodyCapsules {
 impl Capsule {
     #[inline(always)]
     fn line<R: Real>(&self, frame: &LinkFrame<R>) -> [Vec3<R>; 2] {
-        self.ends.map(|end| frame.point(Vec3::splat(end.into())))
+        // No closure: it would be compiled without the instruction set.
+        let [a, b] = self.ends;
+        [frame.point(Vec3::splat(a.into())), frame.point(Vec3::splat(b.into()))]
     }
 }
 
@@ -290,19 +289,22 @@ impl<R: Real> Overlap<R> {
         let depth = R::splat(radii[0] + radii[1]) - distance;
         let wanted = R::select(zero.lt(depth), depth * R::splat(1.0 / LEAVES), depth / dt);
         let wanted = R::select(distance.lt(R::splat(CROSSING)), R::splat(-NO_LIMIT), wanted);
-        let wanted = R::select(depth.lt(R::splat(-0.99 * SOON)), R::splat(-NO_LIMIT), wanted);
+        let wanted = R::select(depth.lt(R::splat(-0.99 * CLOSING) * dt), R::splat(-NO_LIMIT), wanted);
         let at = normal.scale_add(R::splat(radii[1]) - depth * R::splat(0.5), other);
         Self { bodies, at, normal, wanted, force: zero, mobility: zero }
     }
 
-    /// Speed with which the bodies part, by the motion of each.
+    /// Speed with which two bodies with these motions part.
     #[inline(always)]
-    fn speed<'a>(&self, motion: impl Fn(usize) -> &'a Twist<R>) -> R
-    where
-        R: 'a,
-    {
-        self.normal.dot(motion(self.bodies[0]).at(self.at) - motion(self.bodies[1]).at(self.at))
+    fn speed(&self, first: &Twist<R>, second: &Twist<R>) -> R {
+        self.normal.dot(first.at(self.at) - second.at(self.at))
     }
+}
+
+/// In each lane: `yes` if `mask` is true, else `no`.
+#[inline(always)]
+fn selected<R: Real>(mask: R::Mask, yes: Vec3<R>, no: Vec3<R>) -> Vec3<R> {
+    Vec3::new(R::select(mask, yes.x, no.x), R::select(mask, yes.y, no.y), R::select(mask, yes.z, no.z))
 }
 
 /// Squared distance of a point from a line segment.
