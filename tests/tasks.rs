@@ -2,7 +2,7 @@
 
 use sandgait::env::ground::Change;
 use sandgait::env::random::Random;
-use sandgait::env::registry::Blueprint;
+use sandgait::env::registry::{Blueprint, TASK_IDS, task_id};
 use sandgait::env::task::{Goal, Transition};
 use sandgait::env::{Column, ResetOptions};
 use sandgait::number::Isa;
@@ -21,6 +21,20 @@ fn blueprint(id: &str, options: Value) -> Blueprint {
 
 fn refused(id: &str, options: Value) -> String {
     Blueprint::new(id, options).err().unwrap().to_string()
+}
+
+/// A task may be called without `sandgait/` and without its version.
+#[test]
+fn short_names_are_ids() {
+    for id in TASK_IDS {
+        let bare = id.trim_start_matches("sandgait/");
+        for name in [id, bare, bare.split("-v").next().unwrap()] {
+            assert_eq!(task_id(name), id);
+        }
+    }
+    for other in ["HexapodGait-v0", "Pendulum-v1", "sandgait/HexapodGait", ""] {
+        assert_eq!(task_id(other), other);
+    }
 }
 
 /// For each joint, its counterpart on the other side, and the sign of its angle in the mirror. (Hinge axes are axial
@@ -318,7 +332,7 @@ const MEASURED: &str = "<!-- measured -->";
 
 #[test]
 fn pages_agree_with_the_code() {
-    for id in sandgait::env::registry::TASK_IDS {
+    for id in TASK_IDS {
         let name = id.trim_start_matches("sandgait/");
         let path = format!("{}/docs/tasks/{name}.md", env!("CARGO_MANIFEST_DIR"));
         let page = std::fs::read_to_string(&path).unwrap();
