@@ -117,7 +117,8 @@ impl SelfContact {
                 }
             }
         }
-        let poses: Vec<_> = (0..POSES).map(|k| chain(tree, Isometry3::identity(), &pose(tree, k))).collect();
+        let ranges = FreeJoints::free(tree).ranges;
+        let poses: Vec<_> = (0..POSES).map(|k| chain(tree, Isometry3::identity(), &pose(&ranges, k))).collect();
         let can_meet = |[a, b]: &[usize; 2]| {
             let gaps = poses.iter().map(|frames| bodies[*a].gap(&bodies[*b], frames));
             let [least, most] = gaps.fold([f64::MAX, f64::MIN], |[low, high], gap| [low.min(gap), high.max(gap)]);
@@ -208,14 +209,14 @@ impl SelfContact {
     }
 }
 
-/// Pose `k` of [`POSES`] in the ranges of the joints: a lattice rule (N. M. Korobov 1959), whose generator is our choice.
-fn pose(tree: &Tree, k: usize) -> Vec<f64> {
+/// Pose `k` of [`POSES`] in the `ranges` of the joints: a lattice rule (N. M. Korobov 1959), whose generator is our choice.
+fn pose(ranges: &[[f64; 2]], k: usize) -> Vec<f64> {
     let mut place = k;
-    let angle = |[low, high]: [f64; 2]| {
+    let angle = |&[low, high]: &[f64; 2]| {
         place = place * GENERATOR % POSES;
         low + (high - low) * place as f64 / POSES as f64
     };
-    FreeJoints::free(tree).ranges.into_iter().map(angle).collect()
+    ranges.iter().map(angle).collect()
 }
 
 impl<R: Real> SelfContactScratch<R> {
