@@ -146,7 +146,7 @@ impl<'a> ForceLogModel<'a> {
     fn sand(&self, m: &Mechanisms) -> SandMechanisms<Doubles> {
         let mut sand = SandMechanisms::new(m, self.medium.bulk_density);
         (0..Doubles::LANES).for_each(|l| sand.set_terms(l, &self.medium.terms, self.medium.bulk_density));
-        sand
+        sand.for_prescribed_motion()
     }
 
     fn ground(&self, coefficients: &Coefficients) -> SandBed<Doubles> {

@@ -2,7 +2,7 @@
 
 use super::contact::{Regularization, SandBed};
 use super::description::SandDescription;
-use super::mechanism_laws::SegmentState;
+use super::mechanism_laws::{SandMechanisms, SegmentState};
 use super::shape::{LegShape, Segment, straight};
 use crate::error::{Result, check_range};
 use crate::number::Vec3;
@@ -81,7 +81,8 @@ impl Rotation {
         check_range("hip-height", self.hip_height, -1.0..=1.0)?;
         check_range("omega", self.omega, -100.0..=100.0)?;
         let (medium, mechanisms) = (sand.medium(), &sand.mechanisms);
-        let ground = SandBed::new(sand.law, &medium, &Regularization::default()).with(mechanisms, &medium);
+        let mut ground = SandBed::new(sand.law, &medium, &Regularization::default()).with(mechanisms, &medium);
+        ground.mechanisms = ground.mechanisms.map(SandMechanisms::for_prescribed_motion);
         let chord = straight([0.0, 0.0], [0.0, -self.chord], self.width, SEGMENTS);
         // Does the concave side lead? A leg that bulges forward and turns backward fills with sand, and so does the
         // reverse.

@@ -141,6 +141,8 @@ pub struct SandMechanisms<R> {
     packing: R,
     rate: R,
     inverse_friction: R,
+    /// Is the motion prescribed? See [`Self::for_prescribed_motion`].
+    prescribed: bool,
     skid_loss: R,
     graze_loss: R,
     /// c_b (1 − μ)^1.5 of `slip_bearing`; times ζ it is a stress per depth.
@@ -167,6 +169,7 @@ impl<R: Real> SandMechanisms<R> {
             packing: zero,
             rate: zero,
             inverse_friction: zero,
+            prescribed: false,
             skid_loss: zero,
             graze_loss: zero,
             bearing: zero,
@@ -176,6 +179,12 @@ impl<R: Real> SandMechanisms<R> {
         };
         (0..R::LANES).for_each(|lane| new.set_lane(lane, mechanisms, bulk_density));
         new
+    }
+
+    /// For bodies that a motor moves on a given path, as in force logs: `friction_clip` is the cap as its source defines it, even
+    /// where the rest of the force then acts along the motion. Bodies that the sand's force moves would gain energy by that.
+    pub fn for_prescribed_motion(self) -> Self {
+        Self { prescribed: true, ..self }
     }
 
     /// Sets one lane's mechanisms.
@@ -220,6 +229,24 @@ impl<R: Real> SandMechanisms<R> {
         let down = R::select(along.lt(R::zero()), n.z, -n.z).max(R::zero());
         let push = self.bearing * self.penetration * slip.max(R::zero()) * down;
         n.scale_add(R::select(along.lt(R::zero()), push, -push), per_depth)
+    }
+
+    /// `force` with its part along the face limited to 1/`inverse_friction` times the part along the normal; 0 limits
+    /// nothing. If the law's normal part acts along the motion (plates drawn out at a shallow angle), the part along the
+    /// face stays so large that the whole force still brakes the motion, unless the motion is prescribed.
+    #[inline(always)]
+    fn capped(&self, force: Vec3<R>, n: Vec3<R>, v: Vec3<R>) -> Vec3<R> {
+        let normal = force.dot(n);
+        let tangential = force - n * normal;
+        let size = tangential.norm_squared().sqrt();
+        let allowed = (normal.abs() / (self.inverse_friction * size + R::splat(1e-30))).min(R::one());
+        let allowed = R::select(R::zero().lt(self.inverse_friction), allowed, R::one());
+        if self.prescribed {
+            return tangential.scale_add(allowed - R::one(), force);
+        }
+        let (gained, lost) = ((normal * n.dot(v)).max(R::zero()), (-tangential.dot(v)).max(R::zero()));
+        let needed = (gained / (lost + R::splat(1e-30))).min(R::one());
+        tangential.scale_add(allowed.max(needed) - R::one(), force)
     }
 
     /// `force` with its vertical part over 1 + κ s₋². If the horizontal part drives the motion, the vertical part
@@ -303,7 +330,7 @@ impl<R: Real> StressModel<R> for SandMechanisms<R> {
         let per_depth = if self.active.slip_bearing { self.carried(per_depth, n, slip, along) } else { per_depth };
         let mut force = per_depth * (self.depth(site.depth) * self.factor(v, site) * area);
         if self.active.friction_clip {
-            force = capped(force, n, v, self.inverse_friction);
+            force = self.capped(force, n, v);
         }
         if self.active.graze_loss {
             force = force * self.grazing(n, site.travel);
@@ -357,21 +384,6 @@ fn slip<R: Real>(v: Vec3<R>, [x, y]: [R; 2]) -> R {
 /// is inclined by the surface's friction μ; 0 if no friction is given (fully rough).
 fn inclination(inverse_friction: f64) -> f64 {
     if inverse_friction > 0.0 { (1.0 - 1.0 / inverse_friction).max(0.0).powf(1.5) } else { 0.0 }
-}
-
-/// `force` with its part along the face limited to 1/`inverse_mu` times the part along the normal; 0 limits nothing. If
-/// the law's normal part acts along the motion (plates drawn out at a shallow angle), the part along the face stays so
-/// large that the whole force still brakes the motion.
-#[inline(always)]
-fn capped<R: Real>(force: Vec3<R>, n: Vec3<R>, v: Vec3<R>, inverse_mu: R) -> Vec3<R> {
-    let normal = force.dot(n);
-    let tangential = force - n * normal;
-    let size = tangential.norm_squared().sqrt();
-    let allowed = (normal.abs() / (inverse_mu * size + R::splat(1e-30))).min(R::one());
-    let allowed = R::select(R::zero().lt(inverse_mu), allowed, R::one());
-    let (gained, lost) = ((normal * n.dot(v)).max(R::zero()), (-tangential.dot(v)).max(R::zero()));
-    let needed = (gained / (lost + R::splat(1e-30))).min(R::one());
-    tangential.scale_add(allowed.max(needed) - R::one(), force)
 }
 
 #[cfg(test)]

@@ -47,7 +47,7 @@ options! {
         action_scale: Option<f64> = None, [1e-3, 3.0], reset, "difference between a joint's target and its default position at action 1 [rad]; None: where the servo gives the joint's full torque, but 0.4 to 0.5 rad";
         relief: Option<ReliefOptions> = None, "heights of the ground; None: the ground is flat, except with ground dunes";
         memory: bool = false, "sand that was moved stays moved: prints, furrows and heaps, and sand that is pressed gets stronger (docs/memory.md)";
-        self_contact: bool = false, "legs do not pass through each other or the base: capsules in the box around each body's points of contact, without friction";
+        self_contact: bool = true, "legs do not pass through each other or the base: capsules in the box around each body's points of contact, without friction";
         measure_heights: bool = false, "add the ground's heights at legged_gym's 187 points around the robot to the observation";
     }
 }
