@@ -3,6 +3,7 @@
 use sandgait::env::registry::Blueprint;
 use sandgait::env::shard::Shard;
 use sandgait::env::snapshot::Resumed;
+use sandgait::sim::pose::Pose;
 use serde_json::{Value, json};
 use std::process::{Command, Output};
 
@@ -30,6 +31,30 @@ const TASKS: [(&str, &str); 4] = [
     ("sandgait/HexapodTerrain-v1", r#"{"memory": true, "randomize": {"footprint": [0.0, 0.0]}}"#),
     ("sandgait/LeggedVelocity-v1", r#"{"memory": true}"#),
 ];
+
+/// A contact force is that of the sand as it was left by the robot, not of fresh sand: `tree` computes it for the sensor.
+#[test]
+fn contact_forces_are_those_of_used_sand() {
+    let options =
+        json!({"memory": true, "ground": "poppy-loose", "sensors": {"contact_force": {}}, "curriculum": null});
+    let (blueprint, mut shard) = shard("sandgait/LeggedVelocity-v1", options, 2);
+    let columns = &blueprint.task.spec().observation;
+    let forces: Vec<_> = (0..columns.len()).filter(|k| columns[*k].name.starts_with("contact force")).collect();
+    assert_eq!(forces.len(), 4);
+    let mut differs = false;
+    for step in 0..60 {
+        steps(&mut shard, 1, if step % 8 < 4 { 0.4 } else { -0.4 });
+        let (view, row) = (shard.look(1, false), &shard.rows.observations[columns.len()..]);
+        let whole = view.whole_state();
+        let [used, fresh] = [&whole, view.state].map(|state| Pose::of(view.model, state, view.footing));
+        for (k, foot) in forces.iter().zip(&view.model.tree.as_ref().unwrap().stance.feet) {
+            let [used, fresh] = [&used, &fresh].map(|pose| pose.force_on(view.model, *foot).z);
+            assert!((f64::from(row[*k]) - used).abs() <= 1e-5 * used.abs(), "{step}: {} {used}", row[*k]);
+            differs |= (used - fresh).abs() > 0.1 * used.abs();
+        }
+    }
+    assert!(differs, "the prints have no effect");
+}
 
 /// In each task robots leave prints, and a saved environment goes on with the same bits beside others.
 #[test]

@@ -152,7 +152,7 @@ impl JointSand {
         Ok(())
     }
 
-    /// LinkFrame of body `k`, whose common point is the tree's centre of mass; that point; the velocity of the tree's root.
+    /// Frame of body `k`, whose common point is the tree's centre of mass; that point; the velocity of the tree's root.
     fn frame(&self, motion: &TreeMotion<'_>, k: usize) -> (LinkFrame<f64>, Vec3<f64>, [f64; 2]) {
         let (body, root) = (self.tree.body[k], self.tree.root[k]);
         let vector = |all: &[f64], i: usize| Vec3::new(all[3 * i], all[3 * i + 1], all[3 * i + 2]);

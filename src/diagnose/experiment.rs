@@ -129,7 +129,7 @@ pub struct Experiment {
     pub law: Law,
     pub bodies: BTreeMap<String, BodyDescription>,
     pub nuisances: Priors,
-    /// HeaderColumn → unit, for columns that are not in SI.
+    /// Column → unit, for columns that are not in SI.
     pub units: BTreeMap<String, String>,
     /// Our column name → theirs.
     pub columns: BTreeMap<String, String>,

@@ -8,6 +8,7 @@ use super::sensors::{ActionDelay, Plan, Privileged, Seen, SensorMemory};
 use super::spec::Spec;
 use super::task::{AnyTask, Goal, Transition};
 use crate::error::Result;
+use crate::sand::memory::Moved;
 use crate::sim::engine::{Command, Engine};
 use crate::sim::{Model, State};
 use std::sync::Arc;
@@ -45,8 +46,9 @@ pub(super) struct Episode {
 }
 
 impl Episode {
-    /// Fills an observation row, and the sensors' part of an info row. `before`: the state that the step began with.
-    fn observe(&mut self, before: Before, period: f64, row: &mut [f32], info: &mut [f32]) {
+    /// Fills an observation row, and the sensors' part of an info row. `before`: the state that the step began with; `sand`: the
+    /// sand that was moved.
+    fn observe(&mut self, before: Before, period: f64, sand: Option<&Moved>, row: &mut [f32], info: &mut [f32]) {
         let Self { task, goal, after, last_action, .. } = self;
         let Some(plan) = task.sensing() else {
             task.observe(goal, after, last_action, row);
@@ -60,6 +62,7 @@ impl Episode {
             model: goal.model.as_ref().unwrap_or(task.model()),
             footing: goal.ground.as_ref().map_or(&[], |ground| &ground.footing),
             supports: if before == Before::Step { &self.supports } else { &[] },
+            sand,
             states: [if before == Before::Step { &self.before } else { after }, after],
             at: [self.seed, self.number, self.steps.into()],
             period,
@@ -191,7 +194,8 @@ impl Shard {
         episode.task.set_command(&mut episode.goal, command);
         let wide = self.task.spec().observation.len();
         // Sensors sample with steps, so behind them the policy sees the command one step later.
-        episode.observe(Before::Restore, self.period, &mut self.rows.observations[i * wide..][..wide], &mut []);
+        let row = &mut self.rows.observations[i * wide..][..wide];
+        episode.observe(Before::Restore, self.period, self.engine.sand(i), row, &mut []);
     }
 
     /// Makes one control step of every environment; `actions` is f32 [envs, action] within its bounds. If an episode
@@ -288,11 +292,11 @@ impl Shard {
         } else if change != Change::Nothing {
             tell(&mut self.engine, i, episode, change);
         }
-        let observation = &mut self.rows.observations[i * wide..][..wide];
-        episode.observe(Before::Step, self.period, observation, &mut self.rows.infos[i * info..][..info]);
+        self.observe(i, Before::Step);
         if terminated || truncated {
+            let episode = &mut self.episodes[i];
             self.rows.ended.push(i as u32);
-            self.rows.final_observations.extend_from_slice(observation);
+            self.rows.final_observations.extend_from_slice(&self.rows.observations[i * wide..][..wide]);
             episode.number += 1;
             let action = episode.last_action.clone();
             episode.ended = Some(Ended { goal: episode.goal.clone(), steps: episode.steps, action });
@@ -333,10 +337,16 @@ impl Shard {
             tell(&mut self.engine, i, episode, Change::Footing);
         }
         self.engine.state(i, &mut episode.after);
+        self.observe(i, before);
+    }
+
+    /// Fills environment `i`'s observation row, and the sensors' part of its info row.
+    fn observe(&mut self, i: usize, before: Before) {
         let spec = self.task.spec();
         let (wide, info) = (spec.observation.len(), spec.info.len());
         let row = &mut self.rows.observations[i * wide..][..wide];
-        episode.observe(before, self.period, row, &mut self.rows.infos[i * info..][..info]);
+        let infos = &mut self.rows.infos[i * info..][..info];
+        self.episodes[i].observe(before, self.period, self.engine.sand(i), row, infos);
     }
 }
 

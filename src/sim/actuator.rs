@@ -16,7 +16,7 @@
 //! at the step's end, as the friction of joints in [`super::tree`], so it takes energy at any acceleration. The rotor's inertia adds to the
 //! joint's.
 //!
-//! **TorqueLimits.** Servos are implicit in the acceleration, so a torque is known after all accelerations are. An engine first solves with each
+//! **Limits.** Servos are implicit in the acceleration, so a torque is known after all accelerations are. An engine first solves with each
 //! motor's torque limited at the acceleration that its joint would have with the link before it held still. For motors whose stall torque is
 //! known, it then compares each torque with the line at the speeds before and after the step, and solves again until none is beyond
 //! ([`TorqueLimits`]): each pass puts a torque that is beyond on the lower of the two lines (Newton's method for piecewise linear functions), which
@@ -154,7 +154,7 @@ impl<R: Real> LaneActuator<R> {
     }
 
     pub fn set_lane(&mut self, lane: usize, actuator: &Actuator) {
-        let all = [
+        let all: [&mut R; 10] = [
             &mut self.torque_limit,
             &mut self.stall_torque,
             &mut self.no_load_speed,

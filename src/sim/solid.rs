@@ -67,7 +67,7 @@ enum SolidKind {
     Sides(Vec<(V, f64)>),
 }
 
-/// RigidPose of a body.
+/// Pose of a body.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RigidPose {
     /// Own axes to world axes.

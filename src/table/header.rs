@@ -32,7 +32,7 @@ pub struct ReadOptions<'a> {
     pub columns: &'a [HeaderColumn<'a>],
     /// Our column name → the file's name for it, where it differs.
     pub renamed: BTreeMap<String, String>,
-    /// HeaderColumn, by our name or the file's → unit. The header may give the unit too: `depth [mm]` or `depth (mm)`.
+    /// Column, by our name or the file's → unit. The header may give the unit too: `depth [mm]` or `depth (mm)`.
     pub units: BTreeMap<String, String>,
     /// Longer tables are refused.
     pub most_rows: Option<usize>,
@@ -40,7 +40,7 @@ pub struct ReadOptions<'a> {
     pub progress: &'a dyn Progress,
 }
 
-/// HeaderColumn of the file, and the factor from its numbers to SI.
+/// Column of the file, and the factor from its numbers to SI.
 pub(super) struct ColumnPosition {
     pub index: usize,
     pub factor: f64,

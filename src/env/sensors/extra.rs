@@ -54,7 +54,8 @@ impl<'a> Moment<'a> {
             return self.seen.supports;
         }
         self.forces.get_or_init(|| {
-            let pose = Pose::of(self.model, self.after, self.seen.footing);
+            let whole = self.seen.sand.map(|sand| State { sand: Some(Box::new(sand.clone())), ..self.after.clone() });
+            let pose = Pose::of(self.model, whole.as_ref().unwrap_or(self.after), self.seen.footing);
             match &self.model.tree {
                 None => pose.leg_forces.iter().map(|force| force.z).collect(),
                 Some(tree) => tree.stance.feet.iter().map(|foot| pose.force_on(self.model, *foot).z).collect(),

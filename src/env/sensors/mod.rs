@@ -5,8 +5,9 @@
 //! remembers is a part of the episode ([`SensorMemory`]), so snapshots contain it. Its random numbers depend on the
 //! environment's seed, the episode and the step alone.
 //!
-//! To add a sensor: a variant of [`Sensor`], a line in [`Sensors`], and the mark [`Features::sensed`] at the columns that a
-//! task has of it; if no task has it, its columns are in [`extra`].
+//! To add a sensor: a variant of [`Sensor`], with `ALL` and `name`; a line in [`Sensors`] and its arm of `of`; and the mark
+//! [`Features::sensed`] at the columns that a task has of it, or, if no task has it, its columns in [`extra`]. In [`plan`]: `IMU` if it is
+//! a vector of the inertial measurement unit.
 //!
 //! [`Features::sensed`]: super::feature::Features::sensed
 

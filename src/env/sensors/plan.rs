@@ -7,6 +7,7 @@ use super::signal::{Senses, Signal, wrapped};
 use super::{Hardware, HardwareFiles, Part, Sensor, Sensors, hardware};
 use crate::error::{Error, Result};
 use crate::feature::Features;
+use crate::sand::memory::Moved;
 use crate::sim::hardware::HardwareDescription;
 use crate::sim::{Model, State};
 use crate::spec::{Column, Spec};
@@ -47,6 +48,8 @@ pub struct Seen<'a> {
     pub footing: &'a [f64],
     /// The sand's force on each leg along the surface's normal [N]; empty: not known.
     pub supports: &'a [f64],
+    /// The sand that was moved; None without memory.
+    pub sand: Option<&'a Moved>,
     /// State before and after the step; at the beginning of an episode both are its first state.
     pub states: [&'a State; 2],
     /// Seed, number and step of the episode: the random numbers are a function of them.

@@ -3,6 +3,8 @@
 mod hardware;
 
 use super::signal::wrapped;
+use super::{Sensor, Sensors};
+use crate::options::Options as _;
 use crate::registry::{Blueprint, TASK_IDS};
 use crate::shard::Shard;
 use crate::snapshot::Resumed;
@@ -60,6 +62,13 @@ fn each(id: &str, options: &Value, entry: &Value) -> Value {
     let sensors = blueprint.task.spec().observation.iter().filter_map(|c| c.sensor.map(|(s, _)| s.name()));
     let all = sensors.chain(["accelerometer", "joint_torque", "contact_force", "contact_switch", "range_finder"]);
     Value::Object(all.map(|name| (name.to_owned(), entry.clone())).collect())
+}
+
+/// A sensor that is not in the list would be accepted as an option and have no effect.
+#[test]
+fn every_sensor_is_listed_and_has_an_option() {
+    let rows = Sensors::rows().into_iter().filter(|row| !row.keys.is_empty());
+    assert_eq!(rows.map(|row| row.name).collect::<Vec<_>>(), Sensor::ALL.map(Sensor::name));
 }
 
 #[test]

@@ -5,7 +5,7 @@
 //! * [`plane`]: sand forces on the plates of one plane, summed in its two coordinates.
 //! * [`model`]: the model's numbers, one lane for each environment.
 //!
-//! LegLanes never read each other: an environment's bits do not depend on its lane, its neighbours or the batch.
+//! Lanes never read each other: an environment's bits do not depend on its lane, its neighbours or the batch.
 
 mod dynamics;
 mod frames;
@@ -156,7 +156,7 @@ impl<R: Real, const J: usize> LegLanes<R, J> {
                 command_torque: zero,
             }
         };
-        // LegLanes without an environment hover motionless above the sand.
+        // Lanes without an environment hover motionless above the sand.
         let state = LaneState {
             position: Vec3::splat([0.0, 0.0, 1e3]),
             travelled: R::zero(),

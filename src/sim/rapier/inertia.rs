@@ -94,7 +94,7 @@ pub fn mass_properties(mass: f64, center: V, inertia: &M) -> MassProperties {
 }
 
 /// Principal moments and axes (columns, right-handed) of a symmetric matrix: cyclic Jacobi rotations (Golub & Van
-/// EnvironmentsGuard, *Matrix Computations*, algorithm 8.5.2). Six sweeps leave nothing above rounding in three dimensions.
+/// Loan, *Matrix Computations*, algorithm 8.5.2). Six sweeps leave nothing above rounding in three dimensions.
 pub fn principal(matrix: &M) -> (V, M) {
     let (mut a, mut axes) = (*matrix, M::identity());
     for (p, q) in [(0, 2), (0, 1), (1, 2)].into_iter().cycle().take(18) {

@@ -124,7 +124,7 @@ impl<R: Real> TreeLanes<R> {
         let zero = R::zero();
         let still = Twist { angular: Vec3::zero(), linear: Vec3::zero() };
         let joints = tree.joints();
-        // TreeLanes without an environment hover motionless above the ground.
+        // Lanes without an environment hover motionless above the ground.
         let motion = LaneTreeMotion {
             orientation: (R::one(), Vec3::zero()),
             velocity: still,

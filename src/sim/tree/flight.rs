@@ -23,14 +23,14 @@ impl<R: Real> Drive<R> for FixedTorques<'_, R> {
     }
 }
 
-/// TreeAccelerations of a tree in free flight.
+/// Accelerations of a tree in free flight.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TreeAccelerations {
     /// Classical acceleration of the base link's origin [m/s²], world axes.
     pub a: [f64; 3],
     /// Angular acceleration of the base [rad/s²], world axes.
     pub alpha: [f64; 3],
-    /// TreeAccelerations of the joints, in the order of [`Tree::joints`] [rad/s² or m/s²].
+    /// Accelerations of the joints, in the order of [`Tree::joints`] [rad/s² or m/s²].
     pub qdd: Vec<f64>,
 }
 
@@ -79,7 +79,7 @@ pub fn sand_loads(model: &Model, position: [f64; 3], pose: &TreePose) -> Vec<[[f
     frames.iter().zip(&loads).map(of_body).collect()
 }
 
-/// TreeAccelerations in free flight under gravity (0, 0, −9.81); armature, damping, friction and limits are left out.
+/// Accelerations in free flight under gravity (0, 0, −9.81); armature, damping, friction and limits are left out.
 /// `pose` has as many joints as the tree.
 pub fn accelerations(tree: &Tree, pose: &TreePose) -> TreeAccelerations {
     accelerations_by::<f64>(tree, pose)

@@ -61,14 +61,14 @@ pub struct Reached {
     pub bent: f64,
 }
 
-/// FreeJoints that a search may move, and where it begins.
+/// Joints that a search may move, and where it begins.
 pub struct FreeJoints {
     pub ranges: Vec<[f64; 2]>,
     pub preferred: Vec<f64>,
 }
 
 impl FreeJoints {
-    /// FreeJoints with a position in the file keep it. Others are free in their range, and prefer 0.
+    /// Joints with a position in the file keep it. Others are free in their range, and prefer 0.
     pub fn of(tree: &Tree) -> Self {
         let mut all = Self::free(tree);
         for f in tree.followers() {
@@ -81,7 +81,7 @@ impl FreeJoints {
         all
     }
 
-    /// FreeJoints that are free in their range, also where the file has a position.
+    /// Joints that are free in their range, also where the file has a position.
     pub fn free(tree: &Tree) -> Self {
         let range =
             |j: &super::TreeJoint| j.range.unwrap_or([-FARTHEST, FARTHEST]).map(|end| end.clamp(-FARTHEST, FARTHEST));
@@ -285,7 +285,7 @@ impl Limb {
         best.map_or_else(|| Reached { angles: joints.preferred.clone(), off: f64::INFINITY, bent: 0.0 }, |b| b.1)
     }
 
-    /// Levenberg and Marquardt's method from one start. FreeJoints at the end of their range stay there while they push
+    /// Levenberg and Marquardt's method from one start. Joints at the end of their range stay there while they push
     /// outward.
     fn descend(
         &self,

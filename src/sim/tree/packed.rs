@@ -206,7 +206,7 @@ impl PackedBody {
         let pieces = self.contacts.iter().flatten().chain(self.plates.iter().flatten()).copied();
         let shapes = self.shapes.iter().flat_map(|s| s.origin.into_iter().chain(s.size).chain([s.friction]));
         let own = self.origin.into_iter().chain(self.center).chain(self.inertia);
-        // The bound is far beyond any robot. PackedJoint limits may be large, because some files use them for no limit.
+        // The bound is far beyond any robot. Joint limits may be large, because some files use them for no limit.
         for x in own.chain(joint).chain(pieces).chain(shapes) {
             check_range(&format!("a number of {}", self.name), x, -1e12..=1e12)?;
         }

@@ -158,7 +158,7 @@ impl<'a> Search<'a> {
         Self { tree, contacts, joints: FreeJoints::of(tree), starts }
     }
 
-    /// A pose with each foot under its hip, in the middle of the heights that the leg can use. FreeJoints with a position in
+    /// A pose with each foot under its hip, in the middle of the heights that the leg can use. Joints with a position in
     /// the file keep it.
     fn pose(mut self, limbs: &[Limb]) -> Vec<f64> {
         let start = self.joints.preferred.clone();

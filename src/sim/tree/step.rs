@@ -19,7 +19,7 @@ use std::sync::Arc;
 pub struct LaneTree<R> {
     pub bodies: Vec<LaneTreeBody<R>>,
     pub motors: Vec<LaneMotor<R>>,
-    /// JointTorques that follow others, the same in all lanes.
+    /// Joints that follow others, the same in all lanes.
     pub followers: Vec<Follower>,
     pub patches: Arc<Vec<BodyPatches>>,
     pub contacts: Vec<BodyContacts>,
