@@ -18,6 +18,8 @@ import torch
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "examples"))
 
+import train  # noqa: E402
+
 
 def run(*arguments: str, cwd: Path = ROOT) -> str:
     return subprocess.run(
@@ -93,11 +95,18 @@ def test_sac_trains_and_goes_on_with_its_buffer(tmp_path: Path) -> None:
         (["--start-from", "nowhere"], "--start-from: no policy.zip in nowhere"),
     ],
 )
-def test_wrong_settings_are_one_line(arguments: list[str], says: str, tmp_path: Path) -> None:
-    command = [sys.executable, "examples/train.py", "--out", str(tmp_path / "run"), *arguments]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=60, cwd=ROOT, check=False)
-    assert ended.returncode == 2
-    assert says in ended.stderr.splitlines()[-1]
+def test_wrong_settings_are_one_line(
+    arguments: list[str],
+    says: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["train.py", "--out", str(tmp_path / "run"), *arguments])
+    with pytest.raises(SystemExit) as ended:
+        train.main()
+    assert ended.value.code == 2
+    assert says in capsys.readouterr().err.splitlines()[-1]
     assert not (tmp_path / "run").exists()
 
 

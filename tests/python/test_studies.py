@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import os
 import signal
@@ -245,10 +246,9 @@ def test_a_robots_own_log_in_each_format(tmp_path: Path) -> None:
     command("diagnose", table, "--experiment", WALK / "walk_mcap.toml", "--out", tmp_path)
     assert mcap.report_json == (tmp_path / "report.json").read_text()
     assert (mcap.verdict, [cause["id"] for cause in mcap.causes]) == ("named", ["inertial_drag"])
-    parquet = sandgait.diagnose(WALK / "walk.parquet", WALK / "walk.toml", progress=False)
-    frame = sandgait.diagnose(pd.read_csv(WALK / "walk.csv"), WALK / "walk.toml", progress=False)
-    for name in ("verdict", "causes", "candidates", "gain"):
-        assert parquet.report[name] == frame.report[name]
+    # The report is a function of the table.
+    parquet = pd.read_csv(io.BytesIO(logs.to_csv(WALK / "walk.parquet")))
+    assert parquet.equals(pd.read_csv(WALK / "walk.csv"))
 
 
 def test_curves_contain_the_data(diagnosis: sandgait.Diagnosis) -> None:
