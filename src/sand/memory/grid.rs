@@ -24,6 +24,8 @@ pub struct Grid {
 pub struct GridFrame {
     /// Side of a cell [m].
     pub cell: f64,
+    /// Cells in a metre.
+    per_meter: f64,
     /// The square has 2^bits cells along a side.
     bits: u32,
     /// Lowest indices of the square's cells along x and y.
@@ -49,7 +51,7 @@ impl GridFrame {
     /// The cell that contains a place [m].
     #[inline(always)]
     pub fn cell_at(&self, [x, y]: [f64; 2]) -> [i32; 2] {
-        [x, y].map(|p| (p / self.cell).floor() as i32)
+        [(x * self.per_meter).floor() as i32, (y * self.per_meter).floor() as i32]
     }
 
     /// Place of a cell in the lists; None outside of the square.
@@ -68,12 +70,22 @@ impl Grid {
         let side = 1_usize << bits;
         let corner = [-(side as i32) / 2; 2];
         let (heights, packed) = (vec![0; side * side], vec![0; side * side]);
-        Self { frame: GridFrame { cell, bits, corner }, heights, packed, awake: vec![false; side], top: 0 }
+        Self {
+            frame: GridFrame { cell, per_meter: 1.0 / cell, bits, corner },
+            heights,
+            packed,
+            awake: vec![false; side],
+            top: 0,
+        }
     }
 
     /// Height of a cell [m]; level outside of the square.
+    #[inline(always)]
     pub fn height(&self, cell: [i32; 2]) -> f64 {
-        self.frame.index(cell).map_or(0.0, |i| f64::from(self.heights[i]) * self.frame.quantum())
+        match self.frame.index(cell) {
+            Some(i) => f64::from(self.heights[i]) * self.frame.quantum(),
+            None => 0.0,
+        }
     }
 
     /// No cell has been higher than this [m].

@@ -255,22 +255,23 @@ impl Moved {
     fn take(&mut self, s: &MemorySettings, pieces: &[SurfacePiece], time: f64, size: f64, marks: &mut Marks) -> Taken {
         let (cell, quantum) = (s.cell, self.grid.frame.quantum());
         let mut taken = Taken::default();
+        let (per_volume, per_quantum) = (time / (cell * cell * quantum), 1.0 / quantum);
         // What is left of whole steps goes to the next cell, so that slow motions lose nothing.
         let (mut due, mut denser) = (0.5, 0.5);
         for p in pieces {
             // A piece that pushes sideways keeps its cell empty.
             let [nx, ny, _] = p.normal;
             let clearing = 1.0 + (CLEARING - 1.0) * (nx * nx + ny * ny);
-            let height = clearing * p.rate() * time / (cell * cell * quantum);
+            let height = clearing * p.rate() * per_volume;
             if height <= 0.0 {
                 continue;
             }
             let [x, y, z] = p.place;
-            let floor = (z / quantum).ceil().clamp(-32_000.0, 32_000.0) as i32;
+            let floor = (z * per_quantum).ceil().clamp(-32_000.0, 32_000.0) as i32;
             let half = 0.5 * f64::from(p.cells - 1) * cell;
             let [i, j] = self.grid.frame.cell_at([x - half, y - half]);
             let cells = i32::from(p.cells);
-            let height = height / f64::from(cells * cells);
+            let height = if cells == 1 { height } else { height / f64::from(cells * cells) };
             for k in 0..cells * cells {
                 let Some(at) = self.grid.frame.index([i.wrapping_add(k % cells), j.wrapping_add(k / cells)]) else {
                     continue;
