@@ -4,6 +4,7 @@ use super::part::{BodyPart, BodyPlate};
 use crate::error::{Error, Result};
 use crate::sand::Law;
 use crate::sand::intruder::IntruderPlate;
+use crate::sim::tree::eights::{EightPatches, eights};
 use crate::sim::tree::of_shapes;
 use crate::sim::tree::patches::{Ball, BodyPatches};
 use std::sync::OnceLock;
@@ -24,8 +25,8 @@ pub(crate) struct CutBody {
     pub exact: bool,
     /// A ball that contains the plates.
     pub ball: Ball,
-    /// The patches for each law.
-    patches: [OnceLock<BodyPatches>; 3],
+    /// The patches for each law, and the same with eight in lanes.
+    patches: [OnceLock<(BodyPatches, Vec<EightPatches>)>; 3],
 }
 
 impl Bodies {
@@ -84,10 +85,13 @@ impl CutBody {
     }
 
     /// The patches for `law`, which are made when they are needed for the first time.
-    pub fn patches(&self, law: Law) -> &BodyPatches {
-        self.patches[law as usize].get_or_init(|| {
+    pub fn patches(&self, law: Law) -> (&BodyPatches, &[EightPatches]) {
+        let (patches, in_lanes) = self.patches[law as usize].get_or_init(|| {
             let plates: Vec<IntruderPlate> = self.pieces.iter().map(|p| p.plate).collect();
-            BodyPatches::of(0, &plates, law)
-        })
+            let patches = BodyPatches::of(0, &plates, law);
+            let in_lanes = eights(&patches.patches);
+            (patches, in_lanes)
+        });
+        (patches, in_lanes)
     }
 }

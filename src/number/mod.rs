@@ -8,6 +8,7 @@ use sandgait_base::error;
 
 mod denormal;
 mod doubles;
+mod eight;
 mod isa;
 mod portable;
 mod vector;
@@ -18,6 +19,7 @@ mod x86;
 pub use denormal::met_denormals;
 pub use denormal::{flushed, unflushed};
 pub use doubles::{Doubles, add_scaled, dot};
+pub use eight::{EIGHT, Eight, EightWork, Spread};
 pub use isa::{Isa, Work};
 pub use portable::Portable;
 pub use vector::{Mat3, Vec3};

@@ -4,6 +4,9 @@
 //! A patch is a part of a body's surface whose plates have nearly the same normal and lie near each other. Its
 //! force is the law's force on the leading part in the sand, weighted by depth: for the mean normal, and for the
 //! deviations of normals from it ([`crate::sand::law::StressLaw::mean_stress`]).
+//!
+//! Lanes carry either one environment each, which share a patch, or one patch each ([`super::eights`]). So the numbers of a
+//! patch are of a type `S` (single precision) or `D` that [`crate::number::Spread`] puts into lanes.
 
 use crate::sand::intruder::IntruderPlate;
 use crate::sand::{Law, Regularization};
@@ -32,61 +35,61 @@ const ROUNDS: usize = 8;
 const EDGE: f64 = 0.8;
 
 /// A plate in the form that lanes need, in its body's frame: bent along both sides, or part of a [`Panel`] or [`Tile`].
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Facet {
-    pub center: [f32; 3],
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Facet<S = f32> {
+    pub center: [S; 3],
     /// Outward unit vector.
-    pub normal: [f32; 3],
+    pub normal: [S; 3],
     /// Means of the products of the normal's components over the plate, which may be bent: xx, yy; yz, xz, xy.
-    pub squares: [f32; 2],
-    pub products: [f32; 3],
+    pub squares: [S; 2],
+    pub products: [S; 3],
     /// center × normal: the normal velocity per angular velocity.
-    pub moment: [f32; 3],
+    pub moment: [S; 3],
     /// [m²]
-    pub area: f32,
+    pub area: S,
     /// Distance of the plate's two sample points from its centre, up and down, when the plate is upright [m]: Gauss's
     /// rule for a square.
-    pub rise: f32,
+    pub rise: S,
     /// `begun` + `growth` n·v̂, clamped to 0 to 1, is the share of the plate that leads when it moves along v̂.
-    pub begun: f32,
-    pub growth: f32,
+    pub begun: S,
+    pub growth: S,
     /// `growth` times `area` [m²].
-    pub edge: f32,
+    pub edge: S,
 }
 
 /// A flat plate. `rise`, `begun`, `growth` and `edge` of `facet` are not used.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Tile {
-    pub facet: Facet,
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Tile<S = f32> {
+    pub facet: Facet<S>,
     /// From the centre to two neighbouring edges [m].
-    pub half: [[f32; 3]; 2],
+    pub half: [[S; 3]; 2],
 }
 
 /// A plate that is bent along one side and flat along the other. It may be long, and where it begins to lead depends on
 /// the direction of motion. `rise`, `growth` and `edge` of `facet` are not used.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Panel {
-    pub facet: Facet,
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Panel<S = f32> {
+    pub facet: Facet<S>,
     /// From the centre to the edges of the bent and of the flat side [m].
-    pub half: [[f32; 3]; 2],
+    pub half: [[S; 3]; 2],
     /// Change of the normal from the centre to the edge towards which it turns.
-    pub turn: [f32; 3],
+    pub turn: [S; 3],
 }
 
 /// Plates with nearly the same normal.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Patch {
-    pub facets: Vec<Facet>,
-    pub panels: Vec<Panel>,
-    pub tiles: Vec<Tile>,
-    pub ball: Ball,
+pub struct Patch<S = f32, D = f64> {
+    pub facets: Vec<Facet<S>>,
+    pub panels: Vec<Panel<S>>,
+    pub tiles: Vec<Tile<S>>,
+    pub ball: Ball<D>,
 }
 
 /// A ball that contains plates [m].
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Ball {
-    pub center: [f64; 3],
-    pub reach: f64,
+pub struct Ball<D = f64> {
+    pub center: [D; 3],
+    pub reach: D,
 }
 
 /// A body's patches, in its frame.
