@@ -5,8 +5,8 @@ use crate::error::{Error, Result};
 use crate::sand::Law;
 use crate::sand::intruder::IntruderPlate;
 use crate::sim::tree::eights::{EightPatches, eights};
-use crate::sim::tree::of_shapes;
 use crate::sim::tree::patches::{Ball, BodyPatches};
+use crate::sim::tree::{of_body, of_shapes};
 use std::sync::OnceLock;
 
 /// Rigid bodies with their names, in the order of the caller.
@@ -73,8 +73,9 @@ impl CutBody {
         let solids: Vec<_> = parts.iter().filter_map(|p| p.solid(name)).collect();
         let thin: Vec<BodyPlate> = parts.iter().flat_map(|p| p.sheet(size)).collect();
         let exact = size.is_some() || !thin.is_empty();
-        let plates = of_shapes(&solids.iter().collect::<Vec<_>>(), size)
-            .map_err(|e| Error::invalid(format!("body {name:?}"), e.to_string()))?;
+        let solids: Vec<_> = solids.iter().collect();
+        let plates = if size.is_some() { of_shapes(&solids, size) } else { of_body(&solids) };
+        let plates = plates.map_err(|e| Error::invalid(format!("body {name:?}"), e.to_string()))?;
         let mut pieces: Vec<BodyPlate> = plates.into_iter().map(|plate| BodyPlate { plate, thin: false }).collect();
         pieces.extend(thin);
         if pieces.is_empty() {

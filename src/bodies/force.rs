@@ -3,10 +3,11 @@
 use super::body::CutBody;
 use super::exact::on_plates;
 use super::ground::{SandGround, Under};
-use crate::number::{Eight, Real, Vec3};
+use crate::number::{Eight, Kernel, Real, Vec3};
 use crate::sand::SandBed;
 use crate::sim::tree::dynamics::LinkFrame;
-use crate::sim::tree::eights::on_eights;
+use crate::sim::tree::eights::{EightPatches, on_eights};
+use crate::sim::tree::patches::BodyPatches;
 use crate::sim::tree::sand::{Total, on_body, under_body};
 use crate::sim::tree::terrain::Surface;
 
@@ -73,7 +74,28 @@ impl<R: Eight> BodyForce<f64> for EightGround<'_, R> {
         if body.exact {
             return on_each((self.sand, self.sand.double_bed(), &self.under), body, frame, place, travel);
         }
-        on_eights(&self.bed, body.patches(self.sand.description().law), frame, place, travel, &self.under)
+        let patches = body.patches(self.sand.description().law);
+        let mut total = None;
+        R::dispatch(EightForce { ground: self, patches, frame, place, travel, total: &mut total });
+        total
+    }
+}
+
+/// A call of [`on_eights`] for one body, compiled for the lanes' instruction set.
+struct EightForce<'a, R> {
+    ground: &'a EightGround<'a, R>,
+    patches: (&'a BodyPatches, &'a [EightPatches]),
+    frame: &'a LinkFrame<f64>,
+    place: &'a Vec3<f64>,
+    travel: [f64; 2],
+    total: &'a mut Option<Total<f64>>,
+}
+
+impl<R: Eight> Kernel for EightForce<'_, R> {
+    #[inline(always)]
+    fn run(self) {
+        let ground = self.ground;
+        *self.total = on_eights(&ground.bed, self.patches, self.frame, self.place, self.travel, &ground.under);
     }
 }
 

@@ -6,11 +6,11 @@
 //! an entry only where M has one, and a simulator's own sparse factorisation serves for both.
 
 use super::body::Bodies;
-use super::force::{BodyForce, EightGround};
+use super::force::{BodyForce, EightGround, LaneGround};
 use super::ground::SandGround;
 use super::wrench::matrix;
 use crate::error::{Error, Result};
-use crate::number::{Eight, EightWork, Kernel, Mat3, Vec3, flushed};
+use crate::number::{Eight, EightWork, Mat3, Vec3, flushed};
 use crate::sim::spatial::Twist;
 use crate::sim::tree::dynamics::LinkFrame;
 
@@ -223,24 +223,22 @@ impl<F: FnMut(usize, Spatial, [Spatial; 6])> EightWork for EachBody<'_, F> {
 
     fn run<R: Eight>(self) {
         let ground = EightGround::<R>::of(&self.all.sand);
-        R::dispatch(EachBodyOn { each: self, ground });
+        self.on(&ground);
+    }
+
+    fn single(self) {
+        let ground = LaneGround::<f64>::of(&self.all.sand);
+        self.on(&ground);
     }
 }
 
-struct EachBodyOn<'a, F, R> {
-    each: EachBody<'a, F>,
-    ground: EightGround<'a, R>,
-}
-
-impl<F: FnMut(usize, Spatial, [Spatial; 6]), R: Eight> Kernel for EachBodyOn<'_, F, R> {
-    #[inline(always)]
-    fn run(self) {
-        let EachBody { all, motion, mut with } = self.each;
-        for (k, body) in all.bodies.cut().iter().enumerate() {
-            let (frame, place, travel) = all.frame(motion, k);
-            let Some(total) = self.ground.on(body, &frame, &place, travel) else { continue };
+impl<F: FnMut(usize, Spatial, [Spatial; 6])> EachBody<'_, F> {
+    fn on(mut self, ground: &impl BodyForce<f64>) {
+        for (k, body) in self.all.bodies.cut().iter().enumerate() {
+            let (frame, place, travel) = self.all.frame(self.motion, k);
+            let Some(total) = ground.on(body, &frame, &place, travel) else { continue };
             let (f, t) = (total.wrench.force, total.wrench.moment);
-            with(k, [t.x, t.y, t.z, f.x, f.y, f.z], angular_first(&matrix(&total.inertia(), 0)));
+            (self.with)(k, [t.x, t.y, t.z, f.x, f.y, f.z], angular_first(&matrix(&total.inertia(), 0)));
         }
     }
 }

@@ -175,7 +175,11 @@ impl<T: Precision> EightWork for StateShare<'_, T> {
 
     fn run<R: Eight>(self) {
         let place = EightGround::<R>::of(self.sand);
-        R::dispatch(WrenchBlocks { share: self, place, number: PhantomData });
+        WrenchBlocks { share: self, place, number: PhantomData }.run();
+    }
+
+    fn single(self) {
+        Work::run::<f64>(self);
     }
 }
 

@@ -1,11 +1,13 @@
 //! Eight lanes of `f64`, for work that needs double precision on many similar items: the segments of an intruder.
 
-use super::{EIGHT as LANES, Kernel, Real};
+use super::{Kernel, Real};
+use std::array::from_fn;
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
+const LANES: usize = 8;
+
 /// Plain arrays, which the compiler vectorises. No operation is fused, so every instruction set gives the same
-/// bits. Operations are plain loops: a closure that is passed to a function of the standard library would be compiled
-/// without the instruction set of the caller.
+/// bits.
 #[derive(Clone, Copy)]
 pub struct Doubles([f64; LANES]);
 
@@ -21,24 +23,13 @@ impl Doubles {
     }
 }
 
-/// The array of an expression of each index.
-macro_rules! each {
-    ($i:ident => $lane:expr) => {{
-        let mut all = [Default::default(); LANES];
-        for $i in 0..LANES {
-            all[$i] = $lane;
-        }
-        all
-    }};
-}
-
 macro_rules! operator {
     ($trait:ident, $method:ident) => {
         impl $trait for Doubles {
             type Output = Self;
             #[inline(always)]
             fn $method(self, o: Self) -> Self {
-                Self(each!(i => $trait::$method(self.0[i], o.0[i])))
+                Self(from_fn(|i| $trait::$method(self.0[i], o.0[i])))
             }
         }
     };
@@ -52,7 +43,7 @@ impl Neg for Doubles {
     type Output = Self;
     #[inline(always)]
     fn neg(self) -> Self {
-        Self(each!(i => -self.0[i]))
+        Self(from_fn(|i| -self.0[i]))
     }
 }
 impl AddAssign for Doubles {
@@ -91,39 +82,35 @@ impl Real for Doubles {
     }
     #[inline(always)]
     fn sqrt(self) -> Self {
-        Self(each!(i => self.0[i].sqrt()))
+        Self(from_fn(|i| self.0[i].sqrt()))
     }
     #[inline(always)]
     fn abs(self) -> Self {
-        Self(each!(i => self.0[i].abs()))
+        Self(from_fn(|i| self.0[i].abs()))
     }
     #[inline(always)]
     fn min(self, o: Self) -> Self {
-        Self(each!(i => if self.0[i] < o.0[i] { self.0[i] } else { o.0[i] }))
+        Self(from_fn(|i| if self.0[i] < o.0[i] { self.0[i] } else { o.0[i] }))
     }
     #[inline(always)]
     fn max(self, o: Self) -> Self {
-        Self(each!(i => if self.0[i] > o.0[i] { self.0[i] } else { o.0[i] }))
+        Self(from_fn(|i| if self.0[i] > o.0[i] { self.0[i] } else { o.0[i] }))
     }
     #[inline(always)]
     fn round(self) -> Self {
-        Self(each!(i => self.0[i].round_ties_even()))
+        Self(from_fn(|i| self.0[i].round_ties_even()))
     }
     #[inline(always)]
     fn lt(self, o: Self) -> Self::Mask {
-        each!(i => if self.0[i] < o.0[i] { u64::MAX } else { 0 })
+        from_fn(|i| if self.0[i] < o.0[i] { u64::MAX } else { 0 })
     }
     #[inline(always)]
     fn select(mask: Self::Mask, yes: Self, no: Self) -> Self {
-        Self(each!(i => f64::from_bits((mask[i] & yes.0[i].to_bits()) | (!mask[i] & no.0[i].to_bits()))))
+        Self(from_fn(|i| f64::from_bits((mask[i] & yes.0[i].to_bits()) | (!mask[i] & no.0[i].to_bits()))))
     }
     #[inline(always)]
     fn any(mask: Self::Mask) -> bool {
-        let mut all = 0;
-        for bits in mask {
-            all |= bits;
-        }
-        all != 0
+        mask.iter().any(|m| *m != 0)
     }
 
     #[inline(always)]

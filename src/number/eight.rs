@@ -1,13 +1,12 @@
-//! Eight numbers of type `f64` in a value, for work on many similar items: the segments of an intruder, or the patches of a
-//! body. Values in lanes come from numbers that all lanes share, or from one number for each lane.
+//! Eight lanes of `f64`, for work on many similar items of one state: the patches of a body. Values in lanes come from numbers
+//! that all lanes share, or from one number for each lane.
 
-use super::{Doubles, Isa, Real};
+use super::{Isa, Real};
 
 /// Number of lanes of [`Eight`].
 pub const EIGHT: usize = 8;
 
-/// Eight lanes of `f64`. No operation is fused and [`Eight::sum`] has one order, so every instruction set gives the same
-/// bits.
+/// Eight lanes of `f64`. All fuse multiplication and addition, and [`Eight::sum`] has one order, so they give the same bits.
 pub trait Eight: Real {
     fn of_singles(lanes: &[f32; EIGHT]) -> Self;
     fn of_doubles(lanes: &[f64; EIGHT]) -> Self;
@@ -15,24 +14,9 @@ pub trait Eight: Real {
     /// Sum over all lanes.
     #[inline(always)]
     fn sum(self) -> f64 {
-        let half = |i: usize| (self.lane(i) + self.lane(i + 1)) + (self.lane(i + 2) + self.lane(i + 3));
-        half(0) + half(4)
-    }
-}
-
-impl Eight for Doubles {
-    #[inline(always)]
-    #[allow(clippy::needless_range_loop)] // iterators' functions would be compiled without the instruction set
-    fn of_singles(lanes: &[f32; EIGHT]) -> Self {
-        let mut all = [0.0; EIGHT];
-        for i in 0..EIGHT {
-            all[i] = f64::from(lanes[i]);
-        }
-        Self::from_array(all)
-    }
-    #[inline(always)]
-    fn of_doubles(lanes: &[f64; EIGHT]) -> Self {
-        Self::from_array(*lanes)
+        let [a, b] = [self.lane(0) + self.lane(1), self.lane(2) + self.lane(3)];
+        let [c, d] = [self.lane(4) + self.lane(5), self.lane(6) + self.lane(7)];
+        (a + b) + (c + d)
     }
 }
 
@@ -70,16 +54,20 @@ impl<R: Eight> Spread<R> for [f64; EIGHT] {
 pub trait EightWork {
     type Out;
     fn run<R: Eight>(self) -> Self::Out;
+    /// The same without lanes.
+    fn single(self) -> Self::Out;
 }
 
 impl Isa {
-    /// Runs `work` with eight lanes of `f64`: in AVX-512 registers if this is the instruction set and the machine has it,
-    /// otherwise in arrays that the compiler vectorises.
+    /// Runs `work` in registers of AVX-512 or AVX2 if this is the instruction set and the machine has it, otherwise without
+    /// lanes.
     pub fn eights<W: EightWork>(self, work: W) -> W::Out {
         match self {
             #[cfg(target_arch = "x86_64")]
             Self::Avx512 if self.available() => work.run::<super::x86::Avx512Doubles>(),
-            _ => work.run::<Doubles>(),
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx2 if self.available() => work.run::<super::Pair<super::x86::Avx2Doubles>>(),
+            _ => work.single(),
         }
     }
 }

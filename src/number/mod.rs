@@ -10,6 +10,7 @@ mod denormal;
 mod doubles;
 mod eight;
 mod isa;
+mod pair;
 mod portable;
 mod vector;
 #[cfg(target_arch = "x86_64")]
@@ -21,6 +22,7 @@ pub use denormal::{flushed, unflushed};
 pub use doubles::{Doubles, add_scaled, dot};
 pub use eight::{EIGHT, Eight, EightWork, Spread};
 pub use isa::{Isa, Work};
+pub use pair::Pair;
 pub use portable::Portable;
 pub use vector::{Mat3, Vec3};
 

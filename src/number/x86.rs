@@ -6,7 +6,7 @@
 //! private to this crate, and used through [`super::Isa`] only, behind that check. (2) Access to a lane reads the
 //! register's memory as an array of floats.
 
-use super::{EIGHT, Eight, Kernel, Real};
+use super::{EIGHT, Eight, Kernel, Pair, Real};
 use std::arch::x86_64::*;
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
@@ -148,23 +148,26 @@ lanes!(
 );
 
 lanes!(
-    /// Eight lanes of `f64`; no operation is fused, see [`Eight`].
+    /// Eight lanes of `f64`.
     Avx512Doubles, __m512d, f64, 8, __mmask8, "avx512f,avx512dq,avx2,fma", _mm512_set1_pd,
-    _mm512_add_pd, _mm512_sub_pd, _mm512_mul_pd, _mm512_div_pd, multiply_and_add, _mm512_sqrt_pd, _mm512_min_pd, _mm512_max_pd,
+    _mm512_add_pd, _mm512_sub_pd, _mm512_mul_pd, _mm512_div_pd, _mm512_fmadd_pd, _mm512_sqrt_pd, _mm512_min_pd, _mm512_max_pd,
     abs: _mm512_abs_pd,
     round: |x| _mm512_roundscale_pd::<{ _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC }>(x),
     lt: |a, b| _mm512_cmp_pd_mask::<_CMP_LT_OQ>(a, b),
     select: |m, yes, no| _mm512_mask_blend_pd(m, no, yes),
-    any: |m: __mmask8| m != 0
+    any: |m| _cvtmask8_u32(m) != 0
 );
 
-/// # Safety
-/// Inside `dispatch`, see the module.
-#[inline(always)]
-unsafe fn multiply_and_add(x: __m512d, a: __m512d, b: __m512d) -> __m512d {
-    // SAFETY: the caller's.
-    unsafe { _mm512_add_pd(_mm512_mul_pd(x, a), b) }
-}
+lanes!(
+    /// Four lanes of `f64`, half of an [`Eight`].
+    Avx2Doubles, __m256d, f64, 4, __m256d, "avx2,fma", _mm256_set1_pd,
+    _mm256_add_pd, _mm256_sub_pd, _mm256_mul_pd, _mm256_div_pd, _mm256_fmadd_pd, _mm256_sqrt_pd, _mm256_min_pd, _mm256_max_pd,
+    abs: |x| _mm256_andnot_pd(_mm256_set1_pd(-0.0), x),
+    round: |x| _mm256_round_pd::<{ _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC }>(x),
+    lt: |a, b| _mm256_cmp_pd::<_CMP_LT_OQ>(a, b),
+    select: |m, yes, no| _mm256_blendv_pd(no, yes, m),
+    any: |m| _mm256_movemask_pd(m) != 0
+);
 
 impl Eight for Avx512Doubles {
     #[inline(always)]
@@ -176,5 +179,22 @@ impl Eight for Avx512Doubles {
     fn of_doubles(lanes: &[f64; EIGHT]) -> Self {
         // SAFETY: inside `dispatch`, see the module; the array has eight numbers.
         Self(unsafe { _mm512_loadu_pd(lanes.as_ptr()) })
+    }
+}
+
+impl Eight for Pair<Avx2Doubles> {
+    #[inline(always)]
+    fn of_singles(lanes: &[f32; EIGHT]) -> Self {
+        let at = lanes.as_ptr();
+        // SAFETY: inside `dispatch`, see the module; the array has eight numbers.
+        let [low, high] = unsafe { [_mm256_cvtps_pd(_mm_loadu_ps(at)), _mm256_cvtps_pd(_mm_loadu_ps(at.add(4)))] };
+        Self(Avx2Doubles(low), Avx2Doubles(high))
+    }
+    #[inline(always)]
+    fn of_doubles(lanes: &[f64; EIGHT]) -> Self {
+        let at = lanes.as_ptr();
+        // SAFETY: inside `dispatch`, see the module; the array has eight numbers.
+        let [low, high] = unsafe { [_mm256_loadu_pd(at), _mm256_loadu_pd(at.add(4))] };
+        Self(Avx2Doubles(low), Avx2Doubles(high))
     }
 }

@@ -14,11 +14,54 @@ use crate::spatial::{Inertia, PointMasses, Symmetric, Twist, Wrench};
 /// Eight patches, one in each lane.
 pub type EightPatches = Patch<[f32; EIGHT], [f64; EIGHT]>;
 
-/// The patches of a body, with neighbours together: what is above the sand, or does not lead, is skipped eight at a time.
+/// The patches of a body. Together are patches with about as many plates, so that few lanes are empty, and among them
+/// neighbours: what is above the sand, or does not lead, is skipped eight at a time.
 pub fn eights(patches: &[Patch]) -> Vec<EightPatches> {
-    let mut order: Vec<&Patch> = patches.iter().collect();
-    order.sort_by_key(|p| (p.panels.len(), p.tiles.len(), p.facets.len()));
+    let mut order: Vec<(PlateCounts, [f64; 6], &Patch)> = patches.iter().map(|p| (counts(p), look(p), p)).collect();
+    order.sort_by_key(|p| p.0);
+    order.chunk_by_mut(|a, b| a.0 == b.0).for_each(arrange);
+    let order: Vec<&Patch> = order.iter().map(|p| p.2).collect();
     order.chunks(EIGHT).map(together).collect()
+}
+
+/// Numbers of panels, tiles and facets, in classes: powers of √2, rounded up.
+type PlateCounts = [u32; 3];
+
+fn counts(patch: &Patch) -> PlateCounts {
+    let class = |count: usize| if count == 0 { 0 } else { 1 + (2.0 * (count as f64).log2()).ceil() as u32 };
+    [class(patch.panels.len()), class(patch.tiles.len()), class(patch.facets.len())]
+}
+
+/// Mean normal, and place in units of the patch's distance from the body's origin: neighbours have similar ones.
+fn look(patch: &Patch) -> [f64; 6] {
+    let facets = patch.facets.iter().chain(patch.panels.iter().map(|p| &p.facet));
+    let mut sum = [0.0; 3];
+    for facet in facets.chain(patch.tiles.iter().map(|t| &t.facet)) {
+        for k in 0..3 {
+            sum[k] += f64::from(facet.area * facet.normal[k]);
+        }
+    }
+    let length = |v: [f64; 3]| v.iter().map(|x| x * x).sum::<f64>().sqrt().max(f64::MIN_POSITIVE);
+    let ([x, y, z], c) = (sum, patch.ball.center);
+    let (n, r) = (length(sum), length(c));
+    [x / n, y / n, z / n, c[0] / r, c[1] / r, c[2] / r]
+}
+
+/// Orders patches so that each eight are neighbours: halves them across their widest extent, again and again.
+fn arrange(patches: &mut [(PlateCounts, [f64; 6], &Patch)]) {
+    if patches.len() <= EIGHT {
+        return;
+    }
+    let extent = |k: usize| {
+        let along = patches.iter().map(|p| p.1[k]);
+        along.clone().fold(f64::MIN, f64::max) - along.fold(f64::MAX, f64::min)
+    };
+    let widest = (0..6).fold(0, |w, k| if extent(k) > extent(w) { k } else { w });
+    patches.sort_by(|a, b| a.1[widest].total_cmp(&b.1[widest]));
+    let middle = (patches.len() / 2).next_multiple_of(EIGHT);
+    let (front, back) = patches.split_at_mut(middle);
+    arrange(front);
+    arrange(back);
 }
 
 fn together(patches: &[&Patch]) -> EightPatches {

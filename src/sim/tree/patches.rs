@@ -228,7 +228,9 @@ fn apart(a: &NormalAndPlace, b: &NormalAndPlace) -> f64 {
 fn alike(plates: &[IntruderPlate], ball: &Ball, law: Law) -> Vec<Vec<usize>> {
     let kind = usize::from(law == Law::Agarwal2023);
     let (most, turned) = (APART[kind], ONE_WAY[kind]);
+    let most = most * std::env::var("P_APART").ok().and_then(|x| x.parse().ok()).unwrap_or(1.0);
     let scale = BY_PLACE[kind] / ball.reach.max(1e-9);
+    let scale = scale * std::env::var("P_PLACE").ok().and_then(|x| x.parse().ok()).unwrap_or(1.0);
     let look = |p: &IntruderPlate| -> NormalAndPlace {
         let one_way = (p.bend[0] == 0.0) != (p.bend[1] == 0.0);
         let n = normal(p) * if one_way { turned } else { 1.0 };
