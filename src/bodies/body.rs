@@ -16,7 +16,7 @@ pub struct Bodies {
     bodies: Vec<CutBody>,
 }
 
-/// A body's plates. Without a plate size the law is evaluated once for each patch of them, as in engine `tree`;
+/// A body's plates. Without a plate size the law is evaluated once for each patch of them, by the code of engine `tree`;
 /// otherwise, and for thin plates, once for each plate, as in `sandgait intrude`.
 #[derive(Debug)]
 pub(crate) struct CutBody {
@@ -30,7 +30,8 @@ pub(crate) struct CutBody {
 }
 
 impl Bodies {
-    /// Each body's name and parts. `plate_size` [m]: see [`Bodies::plates`]; None: plates for forces within 2 %.
+    /// Each body's name and parts. `plate_size` [m]: see [`Bodies::plates`]; None: finer plates than those of robots
+    /// in engine `tree`, for the force in each single pose.
     pub fn new(bodies: Vec<(String, Vec<BodyPart>)>, plate_size: Option<f64>) -> Result<Self> {
         if bodies.is_empty() {
             return Err(Error::invalid("bodies", "there are none"));
@@ -89,7 +90,7 @@ impl CutBody {
     pub fn patches(&self, law: Law) -> (&BodyPatches, &[EightPatches]) {
         let (patches, in_lanes) = self.patches[law as usize].get_or_init(|| {
             let plates: Vec<IntruderPlate> = self.pieces.iter().map(|p| p.plate).collect();
-            let patches = BodyPatches::of(0, &plates, law);
+            let patches = BodyPatches::fine(0, &plates, law);
             let in_lanes = eights(&patches.patches);
             (patches, in_lanes)
         });

@@ -23,8 +23,7 @@ pub fn few(plates: &[IntruderPlate], count: usize, flat: f64) -> Vec<IntruderPla
     }
     let area: f64 = plates.iter().map(|p| p.area).sum();
     let middle = plates.iter().map(|p| center(p) * p.area).sum::<V>() / area;
-    let even = std::env::var("P_EVEN").ok().and_then(|x| x.parse().ok()).unwrap_or(0usize);
-    parts(plates, count, even).iter().filter_map(|part| together(plates, part, middle, flat)).collect()
+    parts(plates, count).iter().filter_map(|part| together(plates, part, middle, flat)).collect()
 }
 
 fn center(p: &IntruderPlate) -> V {
@@ -76,11 +75,8 @@ impl PlateCluster {
 }
 
 /// Indices of the plates of each part.
-fn parts(plates: &[IntruderPlate], count: usize, even: usize) -> Vec<Vec<usize>> {
+fn parts(plates: &[IntruderPlate], count: usize) -> Vec<Vec<usize>> {
     let looks = looks(plates);
-    if even > 0 {
-        return even_parts(plates, &looks, count, even);
-    }
     let mut parts = vec![PlateCluster::of((0..plates.len()).collect(), &looks, plates)];
     while parts.len() < count {
         let widest = (0..parts.len()).fold(0, |w, i| if parts[i].spread > parts[w].spread { i } else { w });
@@ -95,44 +91,12 @@ fn parts(plates: &[IntruderPlate], count: usize, even: usize) -> Vec<Vec<usize>>
             break;
         }
     }
-    let means = parts.iter().map(|p| p.mean).collect();
+    let mut means: Vec<NormalAndPlace> = parts.iter().map(|p| p.mean).collect();
     let mut nearest = vec![0; plates.len()];
     for (part, cluster) in parts.iter().enumerate() {
         cluster.members.iter().for_each(|i| nearest[*i] = part);
     }
-    gathered(plates, &looks, means, nearest, ROUNDS)
-}
-
-/// The same from even first parts: the next one begins at the plate farthest from the present ones (Gonzalez 1985).
-fn even_parts(plates: &[IntruderPlate], looks: &[NormalAndPlace], count: usize, rounds: usize) -> Vec<Vec<usize>> {
-    let mut means = vec![looks[0]];
-    let mut nearest = vec![0; looks.len()];
-    let mut away: Vec<f64> = looks.iter().map(|l| (l - looks[0]).norm_squared()).collect();
-    while means.len() < count {
-        let far = (0..looks.len()).fold(0, |far, i| if away[i] > away[far] { i } else { far });
-        if away[far] <= 0.0 {
-            break;
-        }
-        for (i, look) in looks.iter().enumerate() {
-            let other = (look - looks[far]).norm_squared();
-            if other < away[i] {
-                (away[i], nearest[i]) = (other, means.len());
-            }
-        }
-        means.push(looks[far]);
-    }
-    gathered(plates, looks, means, nearest, rounds)
-}
-
-/// Indices of the plates of each part, after each plate has moved to the nearest mean `rounds` times.
-fn gathered(
-    plates: &[IntruderPlate],
-    looks: &[NormalAndPlace],
-    mut means: Vec<NormalAndPlace>,
-    mut nearest: Vec<usize>,
-    rounds: usize,
-) -> Vec<Vec<usize>> {
-    for _ in 0..rounds {
+    for _ in 0..ROUNDS {
         let mut sums = vec![(NormalAndPlace::zeros(), 0.0); means.len()];
         let around = neighbours(&means);
         for (i, look) in looks.iter().enumerate() {
@@ -220,7 +184,6 @@ fn together(plates: &[IntruderPlate], part: &[usize], middle: V, limit: f64) -> 
     };
     let [(a, along_a), (b, along_b)] = [side(0), side(1)];
     let out = volume / area - (mean - middle).dot(&n);
-    let out = out * std::env::var("P_OUT").ok().and_then(|x| x.parse().ok()).unwrap_or(1.0);
     let [center, normal] = [mean + n * out, n].map(|v| Vec3::splat(v.into()));
     Some(IntruderPlate { center, normal, area, half: [a, b], bend: [along_a, along_b] })
 }
