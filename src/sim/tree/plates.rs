@@ -230,7 +230,7 @@ pub fn of_body(shapes: &[&TreeShape]) -> Result<Vec<IntruderPlate>> {
     let counts: Vec<f64> = visible.iter().zip(shapes).map(count).collect();
     let scale = (MOST_OF_BODY / counts.iter().sum::<f64>()).min(1.0);
     let few = |(plates, count): (&Vec<IntruderPlate>, f64)| {
-        cluster::few(plates, ((scale * count) as usize).max(1), FLAT_FINE)
+        cluster::few(plates, ((scale * count).round() as usize).max(1), FLAT_FINE)
     };
     Ok(visible.iter().zip(counts).flat_map(few).collect())
 }
