@@ -31,7 +31,7 @@ sandgait_sand *sandgait_sand_named(const char *medium, const char *law, double h
 sandgait_sand *sandgait_sand_load(const char *file, double height, double slope_deg);
 void sandgait_sand_free(sandgait_sand *sand);
 
-/* `plate_size` [m]; 0: as many plates as forces within 2 % need. */
+/* `plate_size` [m]; 0: 256 plates for a shape, up to 512 if it is curved. */
 sandgait_bodies *sandgait_bodies_new(const sandgait_shape *shapes, size_t count, double plate_size);
 size_t sandgait_bodies_count(const sandgait_bodies *bodies);
 void sandgait_bodies_free(sandgait_bodies *bodies);
