@@ -37,9 +37,7 @@ fn look(patch: &Patch) -> [f64; 6] {
     let facets = patch.facets.iter().chain(patch.panels.iter().map(|p| &p.facet));
     let mut sum = [0.0; 3];
     for facet in facets.chain(patch.tiles.iter().map(|t| &t.facet)) {
-        for k in 0..3 {
-            sum[k] += f64::from(facet.area * facet.normal[k]);
-        }
+        sum.iter_mut().zip(facet.normal).for_each(|(s, n)| *s += f64::from(facet.area * n));
     }
     let length = |v: [f64; 3]| v.iter().map(|x| x * x).sum::<f64>().sqrt().max(f64::MIN_POSITIVE);
     let ([x, y, z], c) = (sum, patch.ball.center);
