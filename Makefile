@@ -36,7 +36,7 @@ help:
 	@echo "make study-codesign   learn gaits for 25 legs, three times each, and write docs/codesign.md again (an hour on two idle cores)"
 	@echo "make study-starts   compare walking speeds at 1 ms with converged ones, over 24 starts (some 10 minutes)"
 	@echo "make study-hardware   train with exact and with randomised hardware, and evaluate on that of real robots (some two hours)"
-	@echo "make study-plates   compare forces on the default plates of FILES=\"…\" with those on fine ones"
+	@echo "make study-plates   compare forces on the default plates of FILES=\"…\" (or shapes=COUNT,SEED) with those on fine ones"
 	@echo "make study-drop   drop five robots on a hard floor, here and by MuJoCo"
 	@echo "make study-robots   load and move every legged robot of two packages with default settings (some 10 minutes)"
 	@echo "make study-rocks   measure overlaps of robot and rocks in 1,000 random episodes (some 10 minutes)"

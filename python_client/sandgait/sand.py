@@ -170,8 +170,8 @@ class Bodies:
     `face:length=M,width=M` (the same, sand on the face towards +z only), `mesh:FILE` (closed, STL or OBJ, in metres).
 
     `plate_size` [m]: size of the plates, of which the law is evaluated for each by itself, as in `sandgait intrude`.
-    Without it there are as many plates as forces within 2 % need, and the law is evaluated for patches of them, as in
-    the engine for robots from files.
+    Without it a shape has 256 plates, up to 512 if it is curved, and the law is evaluated for patches of them by the
+    code of the engine for robots from files, which itself has fewer plates. See docs/simulators.md for the errors.
     """
 
     def __init__(self, bodies: Mapping[str, Shape | Iterable[Shape]], plate_size: float | None = None) -> None:

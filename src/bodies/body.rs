@@ -4,8 +4,9 @@ use super::part::{BodyPart, BodyPlate};
 use crate::error::{Error, Result};
 use crate::sand::Law;
 use crate::sand::intruder::IntruderPlate;
-use crate::sim::tree::of_shapes;
+use crate::sim::tree::eights::{EightPatches, eights};
 use crate::sim::tree::patches::{Ball, BodyPatches};
+use crate::sim::tree::{of_body, of_shapes};
 use std::sync::OnceLock;
 
 /// Rigid bodies with their names, in the order of the caller.
@@ -15,7 +16,7 @@ pub struct Bodies {
     bodies: Vec<CutBody>,
 }
 
-/// A body's plates. Without a plate size the law is evaluated once for each patch of them, as in engine `tree`;
+/// A body's plates. Without a plate size the law is evaluated once for each patch of them, by the code of engine `tree`;
 /// otherwise, and for thin plates, once for each plate, as in `sandgait intrude`.
 #[derive(Debug)]
 pub(crate) struct CutBody {
@@ -24,12 +25,13 @@ pub(crate) struct CutBody {
     pub exact: bool,
     /// A ball that contains the plates.
     pub ball: Ball,
-    /// The patches for each law.
-    patches: [OnceLock<BodyPatches>; 3],
+    /// The patches for each law, and the same with eight in lanes.
+    patches: [OnceLock<(BodyPatches, Vec<EightPatches>)>; 3],
 }
 
 impl Bodies {
-    /// Each body's name and parts. `plate_size` [m]: see [`Bodies::plates`]; None: plates for forces within 2 %.
+    /// Each body's name and parts. `plate_size` [m]: see [`Bodies::plates`]; None: finer plates than those of robots
+    /// in engine `tree`, for the force in each single pose.
     pub fn new(bodies: Vec<(String, Vec<BodyPart>)>, plate_size: Option<f64>) -> Result<Self> {
         if bodies.is_empty() {
             return Err(Error::invalid("bodies", "there are none"));
@@ -72,8 +74,9 @@ impl CutBody {
         let solids: Vec<_> = parts.iter().filter_map(|p| p.solid(name)).collect();
         let thin: Vec<BodyPlate> = parts.iter().flat_map(|p| p.sheet(size)).collect();
         let exact = size.is_some() || !thin.is_empty();
-        let plates = of_shapes(&solids.iter().collect::<Vec<_>>(), size)
-            .map_err(|e| Error::invalid(format!("body {name:?}"), e.to_string()))?;
+        let solids: Vec<_> = solids.iter().collect();
+        let plates = if size.is_some() { of_shapes(&solids, size) } else { of_body(&solids) };
+        let plates = plates.map_err(|e| Error::invalid(format!("body {name:?}"), e.to_string()))?;
         let mut pieces: Vec<BodyPlate> = plates.into_iter().map(|plate| BodyPlate { plate, thin: false }).collect();
         pieces.extend(thin);
         if pieces.is_empty() {
@@ -84,10 +87,13 @@ impl CutBody {
     }
 
     /// The patches for `law`, which are made when they are needed for the first time.
-    pub fn patches(&self, law: Law) -> &BodyPatches {
-        self.patches[law as usize].get_or_init(|| {
+    pub fn patches(&self, law: Law) -> (&BodyPatches, &[EightPatches]) {
+        let (patches, in_lanes) = self.patches[law as usize].get_or_init(|| {
             let plates: Vec<IntruderPlate> = self.pieces.iter().map(|p| p.plate).collect();
-            BodyPatches::of(0, &plates, law)
-        })
+            let patches = BodyPatches::fine(0, &plates, law);
+            let in_lanes = eights(&patches.patches);
+            (patches, in_lanes)
+        });
+        (patches, in_lanes)
     }
 }

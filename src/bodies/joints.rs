@@ -6,10 +6,11 @@
 //! an entry only where M has one, and a simulator's own sparse factorisation serves for both.
 
 use super::body::Bodies;
+use super::force::{BodyForce, EightGround, LaneGround};
 use super::ground::SandGround;
-use super::wrench::{matrix, on_one};
+use super::wrench::matrix;
 use crate::error::{Error, Result};
-use crate::number::{Mat3, Vec3, flushed};
+use crate::number::{Eight, EightWork, Mat3, Vec3, flushed};
 use crate::sim::spatial::Twist;
 use crate::sim::tree::dynamics::LinkFrame;
 
@@ -129,7 +130,7 @@ impl JointSand {
     }
 
     /// Calls `with` for each body in the sand: its index, its wrench (torque, force) and its drag.
-    fn each(&self, motion: &TreeMotion<'_>, mut with: impl FnMut(usize, Spatial, [Spatial; 6])) -> Result<()> {
+    fn each(&self, motion: &TreeMotion<'_>, with: impl FnMut(usize, Spatial, [Spatial; 6])) -> Result<()> {
         let (dofs, most) = (self.tree.dof_parent.len(), self.tree.body.iter().chain(&self.tree.root).max());
         let bodies = most.map_or(0, |most| most + 1);
         if motion.position.len() < 3 * bodies
@@ -140,15 +141,7 @@ impl JointSand {
         {
             return Err(Error::invalid("data", "an array is shorter than the model's"));
         }
-        flushed(|| {
-            let (bed, under) = (self.sand.double_bed(), self.sand.under_lanes::<f64>());
-            for (k, body) in self.bodies.cut().iter().enumerate() {
-                let (frame, place, travel) = self.frame(motion, k);
-                let Some(total) = on_one((&self.sand, bed, &under), body, &frame, &place, travel) else { continue };
-                let (f, t) = (total.wrench.force, total.wrench.moment);
-                with(k, [t.x, t.y, t.z, f.x, f.y, f.z], angular_first(&matrix(&total.inertia(), 0)));
-            }
-        });
+        flushed(|| self.sand.isa.eights(EachBody { all: self, motion, with }));
         Ok(())
     }
 
@@ -215,6 +208,38 @@ impl JointSand {
             if size > 0.0 { dot(axis(*other), &own).abs() / size } else { 0.0 }
         };
         scale * chain.iter().map(one).sum::<f64>()
+    }
+}
+
+/// A call of `with` for each body in the sand.
+struct EachBody<'a, F> {
+    all: &'a JointSand,
+    motion: &'a TreeMotion<'a>,
+    with: F,
+}
+
+impl<F: FnMut(usize, Spatial, [Spatial; 6])> EightWork for EachBody<'_, F> {
+    type Out = ();
+
+    fn run<R: Eight>(self) {
+        let ground = EightGround::<R>::of(&self.all.sand);
+        self.on(&ground);
+    }
+
+    fn single(self) {
+        let ground = LaneGround::<f64>::of(&self.all.sand);
+        self.on(&ground);
+    }
+}
+
+impl<F: FnMut(usize, Spatial, [Spatial; 6])> EachBody<'_, F> {
+    fn on(mut self, ground: &impl BodyForce<f64>) {
+        for (k, body) in self.all.bodies.cut().iter().enumerate() {
+            let (frame, place, travel) = self.all.frame(self.motion, k);
+            let Some(total) = ground.on(body, &frame, &place, travel) else { continue };
+            let (f, t) = (total.wrench.force, total.wrench.moment);
+            (self.with)(k, [t.x, t.y, t.z, f.x, f.y, f.z], angular_first(&matrix(&total.inertia(), 0)));
+        }
     }
 }
 

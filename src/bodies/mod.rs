@@ -21,7 +21,8 @@
 //! ```
 //!
 //! * [`ground`]: the sand and its surface; [`part`]: shapes by their names; [`body`]: bodies cut into plates.
-//! * [`wrench`]: forces on many bodies in many states; [`exact`]: the force law for each plate by itself.
+//! * [`wrench`]: forces on many bodies in many states; `force`: the force on one body;
+//!   [`exact`]: the force law for each plate by itself.
 //! * [`joints`]: the same in the joint space of a tree of bodies, for MuJoCo.
 
 use sandgait_base::error;
@@ -32,6 +33,7 @@ use sandgait_sim as sim;
 
 pub mod body;
 pub mod exact;
+mod force;
 pub mod ground;
 pub mod joints;
 pub mod part;

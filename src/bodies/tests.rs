@@ -73,8 +73,9 @@ fn plates_of_a_given_size_are_those_of_intrude() {
     }
 }
 
+/// Engine `tree` computes the same numbers from the same patches; it sums them in another order.
 #[test]
-fn default_plates_are_those_of_engine_tree() {
+fn forces_on_default_plates_are_those_of_engine_tree() {
     let (bodies, mut draw) = (bodies(None), numbers(2));
     for law in Law::ALL {
         let sand = sand(law);
@@ -95,7 +96,7 @@ fn default_plates_are_those_of_engine_tree() {
                     ..LinkFrame::at_rest()
                 };
                 let mut loads = [LinkLoad::none()];
-                let patches = [BodyPatches::of(0, &plates, law)];
+                let patches = [BodyPatches::fine(0, &plates, law)];
                 crate::sim::tree::sand::press(
                     &bed,
                     &patches,

@@ -1,16 +1,14 @@
-//! Forces on many bodies in many states. Numbers of type `f64` are computed in `f64`, those of type `f32` in lanes of
-//! `f32` with one state in each, so the bits of a result depend on its own state only.
+//! Forces on many bodies in many states. Numbers of type `f64` are computed in `f64`, with eight patches of a body in lanes;
+//! those of type `f32` in lanes of `f32` with one state in each. So the bits of a result depend on its own state only.
 
 use super::body::{Bodies, CutBody};
-use super::exact::on_plates;
-use super::ground::{SandGround, Under};
+use super::force::{BodyForce, EightGround, LaneGround};
+use super::ground::SandGround;
 use super::part::UNIT;
 use crate::error::{Error, Result};
-use crate::number::{Isa, Kernel, Real, Vec3, Work, flushed};
-use crate::sand::SandBed;
+use crate::number::{Eight, EightWork, Isa, Kernel, Real, Vec3, Work, flushed};
 use crate::sim::spatial::{Inertia, Twist};
 use crate::sim::tree::dynamics::{LinkFrame, turned_by};
-use crate::sim::tree::sand::{Total, on_body, under_body};
 use crate::sim::tree::terrain::Surface;
 use std::marker::PhantomData;
 use std::thread;
@@ -35,8 +33,8 @@ impl Precision for f64 {
     fn of(value: f64) -> Self {
         value
     }
-    fn compute(_isa: Isa, share: StateShare<'_, Self>) -> Result<()> {
-        share.run::<f64>();
+    fn compute(isa: Isa, share: StateShare<'_, Self>) -> Result<()> {
+        isa.eights(share);
         Ok(())
     }
 }
@@ -153,38 +151,6 @@ impl<'a, T: Precision> Strided<'a, T> {
     }
 }
 
-/// The sand at one place of the world, and the form of all bodies: what a block of states shares.
-struct LaneGround<'a, R> {
-    sand: &'a SandGround,
-    bed: SandBed<R>,
-    under: Under<R>,
-}
-
-impl<'a, R: Real> LaneGround<'a, R> {
-    fn of(sand: &'a SandGround) -> Self {
-        Self { sand, bed: sand.bed(), under: sand.under_lanes() }
-    }
-}
-
-/// The sand's force on one body in each lane, about `place`, with drags as masses of `dt` = 1 s.
-#[inline(always)]
-pub(crate) fn on_one<R: Real>(
-    (sand, bed, under): (&SandGround, &SandBed<R>, &impl Surface<R>),
-    body: &CutBody,
-    frame: &LinkFrame<R>,
-    place: &Vec3<R>,
-    travel: [R; 2],
-) -> Option<Total<R>> {
-    if body.exact {
-        let local = under.under(*place + frame.point(Vec3::splat(body.ball.center)));
-        let gate = sand.surface.leading_edge_gate;
-        return on_plates(bed, &body.pieces, frame, &frame.velocity, place, travel, &local, gate);
-    }
-    let patches = body.patches(sand.description().law);
-    let local = under_body(patches, frame, place, under);
-    on_body::<R, true>(bed, patches, frame, &frame.velocity, place, travel, &local, None, R::one())
-}
-
 /// A part of the states, to be computed by one thread.
 pub struct StateShare<'a, T> {
     bodies: &'a Bodies,
@@ -204,13 +170,26 @@ impl<T: Precision> Work for StateShare<'_, T> {
     }
 }
 
-struct WrenchBlocks<'a, T, R> {
+impl<T: Precision> EightWork for StateShare<'_, T> {
+    type Out = ();
+
+    fn run<R: Eight>(self) {
+        let place = EightGround::<R>::of(self.sand);
+        WrenchBlocks { share: self, place, number: PhantomData }.run();
+    }
+
+    fn single(self) {
+        Work::run::<f64>(self);
+    }
+}
+
+struct WrenchBlocks<'a, T, R, P> {
     share: StateShare<'a, T>,
-    place: LaneGround<'a, R>,
+    place: P,
     number: PhantomData<R>,
 }
 
-impl<T: Precision, R: Real> Kernel for WrenchBlocks<'_, T, R> {
+impl<T: Precision, R: Real, P: BodyForce<R>> Kernel for WrenchBlocks<'_, T, R, P> {
     #[inline(always)]
     fn run(self) {
         let Self { mut share, place, .. } = self;
@@ -228,14 +207,14 @@ impl<T: Precision, R: Real> Kernel for WrenchBlocks<'_, T, R> {
 impl<T: Precision> StateShare<'_, T> {
     /// One body in the states from `state` on, counted from the share's first.
     #[inline(always)]
-    fn block<R: Real>(&mut self, place: &LaneGround<'_, R>, state: usize, index: usize, body: &CutBody) {
+    fn block<R: Real>(&mut self, place: &impl BodyForce<R>, state: usize, index: usize, body: &CutBody) {
         let (m, from, states) = (self.motions, self.first + state, self.motions.states);
         let at: Vec3<R> = m.position.lanes(from, states, index);
         // The body may be anywhere in a ball about its origin.
         let reach = Vec3::<f64>::splat(body.ball.center).norm_squared().sqrt() + body.ball.reach;
-        let near = place.under.under(at).depth(at) + R::splat(reach);
+        let near = place.surface().under(at).depth(at) + R::splat(reach);
         // On uneven ground the surface next to the body may be higher than below it.
-        if place.under.is_flat() && !R::any(R::zero().lt(near)) {
+        if place.surface().is_flat() && !R::any(R::zero().lt(near)) {
             return;
         }
         let mut turn = (R::zero(), Vec3::zero());
@@ -255,7 +234,7 @@ impl<T: Precision> StateShare<'_, T> {
             let v: Vec3<R> = travel.lanes(from, states, 0);
             [v.x, v.y]
         });
-        let Some(total) = on_one((place.sand, &place.bed, &place.under), body, &frame, &at, travel) else { return };
+        let Some(total) = place.on(body, &frame, &at, travel) else { return };
         let bodies = self.bodies.len();
         let count = self.wrench.len() / (6 * bodies);
         let inertia = total.inertia();

@@ -8,7 +8,9 @@ use sandgait_base::error;
 
 mod denormal;
 mod doubles;
+mod eight;
 mod isa;
+mod pair;
 mod portable;
 mod vector;
 #[cfg(target_arch = "x86_64")]
@@ -18,7 +20,9 @@ mod x86;
 pub use denormal::met_denormals;
 pub use denormal::{flushed, unflushed};
 pub use doubles::{Doubles, add_scaled, dot};
+pub use eight::{EIGHT, Eight, EightWork, Spread};
 pub use isa::{Isa, Work};
+pub use pair::Pair;
 pub use portable::Portable;
 pub use vector::{Mat3, Vec3};
 

@@ -3,15 +3,15 @@
 //! Every `unsafe` here is one of two kinds. (1) Intrinsics need their instruction set. Values of these types are
 //! used only inside [`Real::dispatch`], and only after [`super::Isa::available`] has found the instruction set. The
 //! operators are safe functions nevertheless, because the equations are written with operators. So the types are
-//! private to this crate, and their only user is `sim::lanes`, behind that check. (2) Access to a lane reads the
+//! private to this crate, and used through [`super::Isa`] only, behind that check. (2) Access to a lane reads the
 //! register's memory as an array of floats.
 
-use super::{Kernel, Real};
+use super::{EIGHT, Eight, Kernel, Pair, Real};
 use std::arch::x86_64::*;
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
 macro_rules! lanes {
-    ($(#[$doc:meta])* $name:ident, $register:ty, $lanes:literal, $mask:ty, $features:literal, $splat:ident,
+    ($(#[$doc:meta])* $name:ident, $register:ty, $float:ty, $lanes:literal, $mask:ty, $features:literal, $splat:ident,
      $add:ident, $sub:ident, $mul:ident, $div:ident, $fma:ident, $sqrt:ident, $min:ident, $max:ident,
      abs: $abs:expr, round: $round:expr, lt: $lt:expr, select: $select:expr, any: $any:expr) => {
         $(#[$doc])*
@@ -53,18 +53,18 @@ macro_rules! lanes {
             #[inline(always)]
             fn splat(value: f64) -> Self {
                 // SAFETY: an array of floats has the register's size, and any bits are valid floats.
-                Self(unsafe { std::mem::transmute::<[f32; $lanes], $register>([value as f32; $lanes]) })
+                Self(unsafe { std::mem::transmute::<[$float; $lanes], $register>([value as $float; $lanes]) })
             }
             #[inline(always)]
             fn lane(&self, index: usize) -> f64 {
                 // SAFETY: the register's memory is an array of floats.
-                f64::from(unsafe { std::mem::transmute::<$register, [f32; $lanes]>(self.0) }[index])
+                f64::from(unsafe { std::mem::transmute::<$register, [$float; $lanes]>(self.0) }[index])
             }
             #[inline(always)]
             fn set_lane(&mut self, index: usize, value: f64) {
                 // SAFETY: the register's memory is an array of floats.
-                let lanes = unsafe { &mut *(&raw mut self.0).cast::<[f32; $lanes]>() };
-                lanes[index] = value as f32;
+                let lanes = unsafe { &mut *(&raw mut self.0).cast::<[$float; $lanes]>() };
+                lanes[index] = value as $float;
             }
             #[inline(always)]
             fn mul_add(self, a: Self, b: Self) -> Self {
@@ -127,7 +127,7 @@ macro_rules! lanes {
 
 lanes!(
     /// Sixteen lanes of `f32`.
-    Avx512, __m512, 16, __mmask16, "avx512f,avx512dq,avx2,fma", _mm512_set1_ps,
+    Avx512, __m512, f32, 16, __mmask16, "avx512f,avx512dq,avx2,fma", _mm512_set1_ps,
     _mm512_add_ps, _mm512_sub_ps, _mm512_mul_ps, _mm512_div_ps, _mm512_fmadd_ps, _mm512_sqrt_ps, _mm512_min_ps, _mm512_max_ps,
     abs: _mm512_abs_ps,
     round: |x| _mm512_roundscale_ps::<{ _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC }>(x),
@@ -138,7 +138,7 @@ lanes!(
 
 lanes!(
     /// Eight lanes of `f32`.
-    Avx2, __m256, 8, __m256, "avx2,fma", _mm256_set1_ps,
+    Avx2, __m256, f32, 8, __m256, "avx2,fma", _mm256_set1_ps,
     _mm256_add_ps, _mm256_sub_ps, _mm256_mul_ps, _mm256_div_ps, _mm256_fmadd_ps, _mm256_sqrt_ps, _mm256_min_ps, _mm256_max_ps,
     abs: |x| _mm256_andnot_ps(_mm256_set1_ps(-0.0), x),
     round: |x| _mm256_round_ps::<{ _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC }>(x),
@@ -146,3 +146,55 @@ lanes!(
     select: |m, yes, no| _mm256_blendv_ps(no, yes, m),
     any: |m| _mm256_movemask_ps(m) != 0
 );
+
+lanes!(
+    /// Eight lanes of `f64`.
+    Avx512Doubles, __m512d, f64, 8, __mmask8, "avx512f,avx512dq,avx2,fma", _mm512_set1_pd,
+    _mm512_add_pd, _mm512_sub_pd, _mm512_mul_pd, _mm512_div_pd, _mm512_fmadd_pd, _mm512_sqrt_pd, _mm512_min_pd, _mm512_max_pd,
+    abs: _mm512_abs_pd,
+    round: |x| _mm512_roundscale_pd::<{ _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC }>(x),
+    lt: |a, b| _mm512_cmp_pd_mask::<_CMP_LT_OQ>(a, b),
+    select: |m, yes, no| _mm512_mask_blend_pd(m, no, yes),
+    any: |m| _cvtmask8_u32(m) != 0
+);
+
+lanes!(
+    /// Four lanes of `f64`, half of an [`Eight`].
+    Avx2Doubles, __m256d, f64, 4, __m256d, "avx2,fma", _mm256_set1_pd,
+    _mm256_add_pd, _mm256_sub_pd, _mm256_mul_pd, _mm256_div_pd, _mm256_fmadd_pd, _mm256_sqrt_pd, _mm256_min_pd, _mm256_max_pd,
+    abs: |x| _mm256_andnot_pd(_mm256_set1_pd(-0.0), x),
+    round: |x| _mm256_round_pd::<{ _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC }>(x),
+    lt: |a, b| _mm256_cmp_pd::<_CMP_LT_OQ>(a, b),
+    select: |m, yes, no| _mm256_blendv_pd(no, yes, m),
+    any: |m| _mm256_movemask_pd(m) != 0
+);
+
+impl Eight for Avx512Doubles {
+    #[inline(always)]
+    fn of_singles(lanes: &[f32; EIGHT]) -> Self {
+        // SAFETY: inside `dispatch`, see the module; the array has eight numbers.
+        Self(unsafe { _mm512_cvtps_pd(_mm256_loadu_ps(lanes.as_ptr())) })
+    }
+    #[inline(always)]
+    fn of_doubles(lanes: &[f64; EIGHT]) -> Self {
+        // SAFETY: inside `dispatch`, see the module; the array has eight numbers.
+        Self(unsafe { _mm512_loadu_pd(lanes.as_ptr()) })
+    }
+}
+
+impl Eight for Pair<Avx2Doubles> {
+    #[inline(always)]
+    fn of_singles(lanes: &[f32; EIGHT]) -> Self {
+        let at = lanes.as_ptr();
+        // SAFETY: inside `dispatch`, see the module; the array has eight numbers.
+        let [low, high] = unsafe { [_mm256_cvtps_pd(_mm_loadu_ps(at)), _mm256_cvtps_pd(_mm_loadu_ps(at.add(4)))] };
+        Self(Avx2Doubles(low), Avx2Doubles(high))
+    }
+    #[inline(always)]
+    fn of_doubles(lanes: &[f64; EIGHT]) -> Self {
+        let at = lanes.as_ptr();
+        // SAFETY: inside `dispatch`, see the module; the array has eight numbers.
+        let [low, high] = unsafe { [_mm256_loadu_pd(at), _mm256_loadu_pd(at.add(4))] };
+        Self(Avx2Doubles(low), Avx2Doubles(high))
+    }
+}

@@ -81,8 +81,8 @@ def flat(name: str, plates: dict[str, Any]) -> Any:
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("name", [name for name in BODIES if name != "hammer"])
 def test_default_plates_are_near_the_formulas(law: str, name: str) -> None:
-    """Forces and torques against the formulas on fine plates, within 2 % (rms) and never 4 %: oblique, spinning, partly
-    in the sand. If hardly any part of the body leads in the sand, a relative error says nothing: only forces above a
+    """Forces and torques against the formulas on fine plates, within 1 % (rms) and in every pose within 2 %: oblique,
+    spinning, partly in the sand. If hardly any part of the body leads in the sand, a relative error says nothing: only forces above a
     tenth of the largest count. Torques are divided by the force and the body's size."""
     random = np.random.default_rng(sum(map(ord, law + name)))
     plates = sandgait.Bodies({name: BODIES[name]}, plate_size=0.0016).plates(name)
@@ -109,8 +109,8 @@ def test_default_plates_are_near_the_formulas(law: str, name: str) -> None:
     rms, turning = np.sqrt((relative**2).mean()), np.sqrt((moment**2).mean())
     print(f"{law} {name}: {large.sum()}, worst {relative.max():.4f} {moment.max():.4f}, rms {rms:.4f} {turning:.4f}")
     assert large.sum() > 40
-    assert max(rms, turning) <= 0.02
-    assert max(relative.max(), moment.max()) <= 0.04
+    assert max(rms, turning) <= 0.01
+    assert max(relative.max(), moment.max()) <= 0.02
 
 
 @pytest.mark.parametrize("plate_size", [None, 0.005])

@@ -15,18 +15,15 @@ type NormalAndPlace = SVector<f64, 6>;
 
 /// Iterations that move parts to the means of their plates: our choice, later ones change little.
 const ROUNDS: usize = 8;
-/// A part whose normals turn by less than this [rad] from its middle to its edge is flat along that side: our choice.
-/// Of 0.03, 0.1 and 0.2 it gave the least error on six robots.
-const FLAT: f64 = 0.1;
-
-/// About `count` plates, or fewer, in place of `plates`.
-pub fn few(plates: &[IntruderPlate], count: usize) -> Vec<IntruderPlate> {
+/// About `count` plates, or fewer, in place of `plates`. A part whose normals turn by less than `flat` [rad] from its
+/// middle to its edge is flat along that side.
+pub fn few(plates: &[IntruderPlate], count: usize, flat: f64) -> Vec<IntruderPlate> {
     if plates.len() <= count {
         return plates.to_vec();
     }
     let area: f64 = plates.iter().map(|p| p.area).sum();
     let middle = plates.iter().map(|p| center(p) * p.area).sum::<V>() / area;
-    parts(plates, count).iter().filter_map(|part| together(plates, part, middle)).collect()
+    parts(plates, count).iter().filter_map(|part| together(plates, part, middle, flat)).collect()
 }
 
 fn center(p: &IntruderPlate) -> V {
@@ -96,11 +93,14 @@ fn parts(plates: &[IntruderPlate], count: usize) -> Vec<Vec<usize>> {
     }
     let mut means: Vec<NormalAndPlace> = parts.iter().map(|p| p.mean).collect();
     let mut nearest = vec![0; plates.len()];
+    for (part, cluster) in parts.iter().enumerate() {
+        cluster.members.iter().for_each(|i| nearest[*i] = part);
+    }
     for _ in 0..ROUNDS {
         let mut sums = vec![(NormalAndPlace::zeros(), 0.0); means.len()];
+        let around = neighbours(&means);
         for (i, look) in looks.iter().enumerate() {
-            let away = means.iter().map(|m| (m - look).norm_squared()).enumerate();
-            nearest[i] = away.fold((0, f64::INFINITY), |best, one| if one.1 < best.1 { one } else { best }).0;
+            nearest[i] = closest(look, nearest[i], &means, &around);
             let (sum, area) = &mut sums[nearest[i]];
             *sum += look * plates[i].area;
             *area += plates[i].area;
@@ -115,8 +115,37 @@ fn parts(plates: &[IntruderPlate], count: usize) -> Vec<Vec<usize>> {
     members
 }
 
-/// The plate that a part makes; None if its normals cancel. `middle`: a point from which the volume is measured.
-fn together(plates: &[IntruderPlate], part: &[usize], middle: V) -> Option<IntruderPlate> {
+/// For each mean the others, with their distances from it, nearest first.
+fn neighbours(means: &[NormalAndPlace]) -> Vec<Vec<(f64, usize)>> {
+    let of = |mean: &NormalAndPlace| {
+        let mut all: Vec<(f64, usize)> = means.iter().enumerate().map(|(k, m)| ((m - mean).norm(), k)).collect();
+        all.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+        all
+    };
+    means.iter().map(of).collect()
+}
+
+/// The mean that is closest to `look`, the first one of several. The search begins at mean `guess` and ends where, by the
+/// triangle inequality, no other can be as close; the small number is for rounding.
+fn closest(look: &NormalAndPlace, guess: usize, means: &[NormalAndPlace], around: &[Vec<(f64, usize)>]) -> usize {
+    let away = |k: usize| (means[k] - look).norm_squared();
+    let mut best = (away(guess), guess);
+    let reach = best.0.sqrt();
+    for (gap, k) in &around[guess] {
+        if *gap > (reach + best.0.sqrt()) * (1.0 + 1e-9) {
+            break;
+        }
+        let other = away(*k);
+        if other < best.0 || (other == best.0 && *k < best.1) {
+            best = (other, *k);
+        }
+    }
+    best.1
+}
+
+/// The plate that a part makes; None if its normals cancel. `middle`: a point from which the volume is measured. `limit`: see
+/// [`few`].
+fn together(plates: &[IntruderPlate], part: &[usize], middle: V, limit: f64) -> Option<IntruderPlate> {
     let own = || part.iter().map(|i| &plates[*i]);
     let area: f64 = own().map(|p| p.area).sum();
     let n = own().map(|p| normal(p) * p.area).sum::<V>().try_normalize(1e-9 * area)?;
@@ -143,13 +172,13 @@ fn together(plates: &[IntruderPlate], part: &[usize], middle: V) -> Option<Intru
             both += square * bend;
         }
     }
-    let bent = 3.0 * normals.trace() > FLAT * FLAT;
+    let bent = 3.0 * normals.trace() > limit * limit;
     let axes = SymmetricEigen::new(if bent { normals } else { places }).eigenvectors;
     let side = |k: usize| {
         let axis = axes.column(k).into_owned();
         let mean = |m: &Matrix2<f64>| axis.dot(&(m * axis));
         let (half, turn) = ((3.0 * mean(&places)).sqrt().max(1e-9), (3.0 * mean(&normals)).max(0.0).sqrt());
-        let bend = if turn < FLAT { 0.0 } else { (turn / half).copysign(mean(&both)) };
+        let bend = if turn < limit { 0.0 } else { (turn / half).copysign(mean(&both)) };
         let along = (u * axis.x + w * axis.y) * half;
         (Vec3::splat(along.into()), bend)
     };

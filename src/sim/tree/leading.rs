@@ -1,7 +1,7 @@
 //! The part of a patch of plates that leads in the sand.
 
 use super::patches::{BodyPatches, Facet, Panel, Patch, Tile};
-use crate::number::{Real, Vec3};
+use crate::number::{Real, Spread, Vec3};
 use crate::sand::StressModel;
 
 /// A body's velocity, and the surface, in the body's frame.
@@ -48,21 +48,24 @@ pub(super) struct Leading<R> {
 
 /// The hottest loop in simulations of robots on sand.
 #[inline(always)]
-pub(super) fn leading<R: Real, M: StressModel<R>>(patch: &Patch, own: &Own<R>, inverse_speed: R) -> Leading<R> {
+pub(super) fn leading<R: Real, M: StressModel<R>, S: Spread<R>, D>(
+    patch: &Patch<S, D>,
+    own: &Own<R>,
+    inverse_speed: R,
+) -> Leading<R> {
     let (zero, one) = (R::zero(), R::one());
     let own = Own { linear: own.linear * inverse_speed, angular: own.angular * inverse_speed, ..*own };
     let mut sum = Leading::none();
     for facet in &patch.facets {
         let normal: Vec3<R> = lanes(&facet.normal);
-        let growth: R = lane(facet.growth);
-        let share = facet.along(&own).mul_add(growth, lane(facet.begun));
+        let share = facet.along(&own).mul_add(facet.growth.spread(), facet.begun.spread());
         let depth = -(own.up.dot(lanes(&facet.center)) + own.height);
         // √(1 − x²) with an error below 0.05.
         let x = normal.dot(own.up);
         let flat = x * x;
-        let rise = lane::<R>(facet.rise) * (one - flat) * flat.mul_add(R::splat(0.6), one);
+        let rise = facet.rise.spread() * (one - flat) * flat.mul_add(R::splat(0.6), one);
         let (low, high) = (depth + rise, depth - rise);
-        let part = share.clamp(zero, one) * lane::<R>(facet.area);
+        let part = share.clamp(zero, one) * facet.area.spread();
         let half = part * R::splat(0.5);
         let (lower, upper) = (low.max(zero), high.max(zero));
         if !M::BY_LOAD {
@@ -70,7 +73,7 @@ pub(super) fn leading<R: Real, M: StressModel<R>>(patch: &Patch, own: &Own<R>, i
             sum.area += R::select(zero.lt(low), half, zero) + R::select(zero.lt(high), half, zero);
         }
         sum.add(facet, normal, half * (lower + upper));
-        sum.grow(share, lane(facet.edge), depth);
+        sum.grow(share, facet.edge.spread(), depth);
     }
     for panel in &patch.panels {
         panel.press::<R, M>(&own, &mut sum);
@@ -83,24 +86,30 @@ pub(super) fn leading<R: Real, M: StressModel<R>>(patch: &Patch, own: &Own<R>, i
     sum
 }
 
-impl Facet {
+impl<S> Facet<S> {
     /// n·v̂ of its centre.
     #[inline(always)]
-    fn along<R: Real>(&self, own: &Own<R>) -> R {
-        lanes::<R>(&self.normal).dot(own.linear) + lanes::<R>(&self.moment).dot(own.angular)
+    fn along<R: Real>(&self, own: &Own<R>) -> R
+    where
+        S: Spread<R>,
+    {
+        lanes(&self.normal).dot(own.linear) + lanes(&self.moment).dot(own.angular)
     }
 }
 
-impl Tile {
+impl<S> Tile<S> {
     /// Adds its leading part in the sand, with the distribution of depths of [`Panel::press`].
     #[inline(always)]
-    fn press<R: Real, M: StressModel<R>>(&self, own: &Own<R>, sum: &mut Leading<R>) {
+    fn press<R: Real, M: StressModel<R>>(&self, own: &Own<R>, sum: &mut Leading<R>)
+    where
+        S: Spread<R>,
+    {
         let (zero, one, facet) = (R::zero(), R::one(), &self.facet);
-        let slopes = [0, 1].map(|k| lanes::<R>(&self.half[k]).dot(own.up));
+        let halves = [lanes::<R, S>(&self.half[0]), lanes(&self.half[1])];
+        let slopes = [halves[0].dot(own.up), halves[1].dot(own.up)];
         // n·v̂ differs by at most ± `spread` from that of the centre, because the body turns.
         let turning = own.angular.cross(lanes(&facet.normal));
-        let [a, b] = [0, 1].map(|k| lanes::<R>(&self.half[k]).dot(turning).abs());
-        let spread = a + b;
+        let spread = halves[0].dot(turning).abs() + halves[1].dot(turning).abs();
         let growth =
             one / spread.mul_add(R::splat(2.0), R::splat(crate::sand::Regularization::SOLID.leading_edge_gate));
         let share = (facet.along(own) + spread) * growth;
@@ -110,24 +119,27 @@ impl Tile {
         let wet = (R::splat(0.5) * low / rise).min(one);
         let range = rise * wet;
         let mean = low - range;
-        let part = share.clamp(zero, one) * lane::<R>(facet.area) * wet;
+        let part = share.clamp(zero, one) * facet.area.spread() * wet;
         if !M::BY_LOAD {
             sum.area += part;
             sum.deep = part.mul_add(mean.mul_add(mean, range * range * R::splat(1.0 / 3.0)), sum.deep);
         }
         sum.add(facet, lanes(&facet.normal), part * mean);
-        sum.grow(share, growth * lane(facet.area), depth);
+        sum.grow(share, growth * facet.area.spread(), depth);
     }
 }
 
-impl Panel {
+impl<S> Panel<S> {
     /// Adds its leading part in the sand. The depth of that part is taken as evenly distributed between its lowest and
     /// its highest point, which is exact if the depth changes in one direction only.
     #[inline(always)]
-    fn press<R: Real, M: StressModel<R>>(&self, own: &Own<R>, sum: &mut Leading<R>) {
+    fn press<R: Real, M: StressModel<R>>(&self, own: &Own<R>, sum: &mut Leading<R>)
+    where
+        S: Spread<R>,
+    {
         let (zero, one, facet) = (R::zero(), R::one(), &self.facet);
-        let sides: [Vec3<R>; 2] = [0, 1].map(|k| lanes(&self.half[k]));
-        let [bent, straight] = sides.map(|side| side.dot(own.up));
+        let sides: [Vec3<R>; 2] = [lanes(&self.half[0]), lanes(&self.half[1])];
+        let [bent, straight] = [sides[0].dot(own.up), sides[1].dot(own.up)];
         let turn: Vec3<R> = lanes(&self.turn);
         // n·v̂ changes by ± `spread` towards the edges of the bent side. Lengths ending in `_s` are multiplied by it, so
         // that one division suffices.
@@ -150,7 +162,7 @@ impl Panel {
         let mean_s = low_s - range_s;
         let leads = leads_s * per_spread;
         let (mean, ahead) = (mean_s * per_spread, ahead_s * per_spread);
-        let part = leads * lane::<R>(facet.area) * wet;
+        let part = leads * facet.area.spread() * wet;
         let load = part * mean;
         if !M::BY_LOAD {
             let range = range_s * per_spread;
@@ -162,7 +174,7 @@ impl Panel {
         let below = part * (mean_s * per_rise_s).mul_add(wet - one, -(wet * wet * third));
         sum.place = sides[1].scale_add(below * straight, sum.place);
         sum.place = sides[0].scale_add(load.mul_add(ahead, below * leads * leads * bent), sum.place);
-        let edge = half * per_spread * lane(facet.area);
+        let edge = half * per_spread * facet.area.spread();
         sum.grow(leads, edge, ahead.mul_add(-bent, depth));
     }
 }
@@ -185,11 +197,11 @@ impl<R: Real> Leading<R> {
 
     /// Adds a plate with this mean normal and load [m³].
     #[inline(always)]
-    fn add(&mut self, facet: &Facet, normal: Vec3<R>, load: R) {
+    fn add<S: Spread<R>>(&mut self, facet: &Facet<S>, normal: Vec3<R>, load: R) {
         self.load += load;
         self.normal = normal.scale_add(load, self.normal);
-        self.squares.x = load.mul_add(lane(facet.squares[0]), self.squares.x);
-        self.squares.y = load.mul_add(lane(facet.squares[1]), self.squares.y);
+        self.squares.x = load.mul_add(facet.squares[0].spread(), self.squares.x);
+        self.squares.y = load.mul_add(facet.squares[1].spread(), self.squares.y);
         self.products = lanes(&facet.products).scale_add(load, self.products);
         self.place = lanes(&facet.center).scale_add(load, self.place);
     }
@@ -204,13 +216,7 @@ impl<R: Real> Leading<R> {
     }
 }
 
-/// `x` in all lanes.
 #[inline(always)]
-fn lane<R: Real>(x: f32) -> R {
-    R::splat(f64::from(x))
-}
-
-#[inline(always)]
-fn lanes<R: Real>(v: &[f32; 3]) -> Vec3<R> {
-    Vec3::new(lane(v[0]), lane(v[1]), lane(v[2]))
+fn lanes<R: Real, S: Spread<R>>(v: &[S; 3]) -> Vec3<R> {
+    Vec3::new(v[0].spread(), v[1].spread(), v[2].spread())
 }

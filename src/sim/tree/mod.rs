@@ -16,11 +16,12 @@
 //!   [`stance`]: the standing pose; [`gains`]: servo gains; [`standing`]: does the robot stand?
 //! * [`symmetry`]: left and right; [`looks`]: shapes for pictures; [`packed`]: a robot as one text.
 //! * [`plates`]: collision shapes as the plates that push on sand, few in place of many ([`cluster`]); [`patches`]:
-//!   plates with nearly the same normal, gathered; [`robot`]: our own robots as trees.
+//!   plates with nearly the same normal, gathered, eight of them in lanes in [`eights`]; [`robot`]: our own robots as trees.
 
 mod cluster;
 pub mod contact;
 pub mod dynamics;
+pub mod eights;
 pub mod engine;
 pub mod flight;
 pub mod floor;
@@ -51,7 +52,7 @@ pub mod terrain;
 pub use engine::TreeEngine;
 pub use hard::HardGround;
 pub use model::TreeModel;
-pub use plates::{of_shapes, of_touching};
+pub use plates::{of_body, of_shapes, of_touching};
 pub use robot::of_robot;
 
 use nalgebra::{Isometry3, Matrix3, Unit, Vector3};

@@ -4,6 +4,9 @@
 //! A patch is a part of a body's surface whose plates have nearly the same normal and lie near each other. Its
 //! force is the law's force on the leading part in the sand, weighted by depth: for the mean normal, and for the
 //! deviations of normals from it ([`crate::sand::law::StressLaw::mean_stress`]).
+//!
+//! Lanes carry either one environment each, which share a patch, or one patch each ([`super::eights`]). So the numbers of a
+//! patch are of a type `S` (single precision) or `D` that [`crate::number::Spread`] puts into lanes.
 
 use crate::sand::intruder::IntruderPlate;
 use crate::sand::{Law, Regularization};
@@ -17,6 +20,9 @@ type V = Vector3<f64>;
 /// mechanisms use the mean normal only. `agarwal2023` is of fourth degree in the normal and discontinuous where a
 /// plate is vertical.
 const APART: [f64; 2] = [0.7, 0.21];
+/// Share of [`APART`] for fine plates: our choice. With 1 for `li2013` the errors on spinning bodies were twice as large;
+/// smaller patches for `agarwal2023` lose its mean over normals, and the errors on balls grow.
+const FINER: [f64; 2] = [0.4, 0.8];
 /// Weight of positions relative to normals: our choice. With 0.6 for `li2013` the error on Bolt's lower leg was twice as
 /// large.
 const BY_PLACE: [f64; 2] = [1.2, 0.6];
@@ -32,61 +38,61 @@ const ROUNDS: usize = 8;
 const EDGE: f64 = 0.8;
 
 /// A plate in the form that lanes need, in its body's frame: bent along both sides, or part of a [`Panel`] or [`Tile`].
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Facet {
-    pub center: [f32; 3],
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Facet<S = f32> {
+    pub center: [S; 3],
     /// Outward unit vector.
-    pub normal: [f32; 3],
+    pub normal: [S; 3],
     /// Means of the products of the normal's components over the plate, which may be bent: xx, yy; yz, xz, xy.
-    pub squares: [f32; 2],
-    pub products: [f32; 3],
+    pub squares: [S; 2],
+    pub products: [S; 3],
     /// center × normal: the normal velocity per angular velocity.
-    pub moment: [f32; 3],
+    pub moment: [S; 3],
     /// [m²]
-    pub area: f32,
+    pub area: S,
     /// Distance of the plate's two sample points from its centre, up and down, when the plate is upright [m]: Gauss's
     /// rule for a square.
-    pub rise: f32,
+    pub rise: S,
     /// `begun` + `growth` n·v̂, clamped to 0 to 1, is the share of the plate that leads when it moves along v̂.
-    pub begun: f32,
-    pub growth: f32,
+    pub begun: S,
+    pub growth: S,
     /// `growth` times `area` [m²].
-    pub edge: f32,
+    pub edge: S,
 }
 
 /// A flat plate. `rise`, `begun`, `growth` and `edge` of `facet` are not used.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Tile {
-    pub facet: Facet,
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Tile<S = f32> {
+    pub facet: Facet<S>,
     /// From the centre to two neighbouring edges [m].
-    pub half: [[f32; 3]; 2],
+    pub half: [[S; 3]; 2],
 }
 
 /// A plate that is bent along one side and flat along the other. It may be long, and where it begins to lead depends on
 /// the direction of motion. `rise`, `growth` and `edge` of `facet` are not used.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Panel {
-    pub facet: Facet,
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Panel<S = f32> {
+    pub facet: Facet<S>,
     /// From the centre to the edges of the bent and of the flat side [m].
-    pub half: [[f32; 3]; 2],
+    pub half: [[S; 3]; 2],
     /// Change of the normal from the centre to the edge towards which it turns.
-    pub turn: [f32; 3],
+    pub turn: [S; 3],
 }
 
 /// Plates with nearly the same normal.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Patch {
-    pub facets: Vec<Facet>,
-    pub panels: Vec<Panel>,
-    pub tiles: Vec<Tile>,
-    pub ball: Ball,
+pub struct Patch<S = f32, D = f64> {
+    pub facets: Vec<Facet<S>>,
+    pub panels: Vec<Panel<S>>,
+    pub tiles: Vec<Tile<S>>,
+    pub ball: Ball<D>,
 }
 
 /// A ball that contains plates [m].
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Ball {
-    pub center: [f64; 3],
-    pub reach: f64,
+pub struct Ball<D = f64> {
+    pub center: [D; 3],
+    pub reach: D,
 }
 
 /// A body's patches, in its frame.
@@ -135,10 +141,20 @@ impl BodyPatches {
     }
 
     pub fn of(body: usize, plates: &[IntruderPlate], law: Law) -> Self {
+        Self::within(body, plates, law, 1.0)
+    }
+
+    /// The same with smaller patches, for the fine plates of [`super::plates::of_body`].
+    pub fn fine(body: usize, plates: &[IntruderPlate], law: Law) -> Self {
+        Self::within(body, plates, law, FINER[usize::from(law == Law::Agarwal2023)])
+    }
+
+    /// `share`: of [`APART`].
+    fn within(body: usize, plates: &[IntruderPlate], law: Law, share: f64) -> Self {
         let ends = ends(plates);
         let corners = std::array::from_fn(|i| [0, 1, 2].map(|k| ends[k][i >> k & 1]));
         let ball = Ball::around(plates);
-        let alike = alike(plates, &ball, law);
+        let alike = alike(plates, &ball, law, share);
         let patch = |members: &Vec<usize>| {
             let own: Vec<IntruderPlate> = members.iter().map(|i| plates[*i]).collect();
             let bent = |sides: usize| own.iter().filter(move |p| p.bend.iter().filter(|b| **b != 0.0).count() == sides);
@@ -222,9 +238,9 @@ fn apart(a: &NormalAndPlace, b: &NormalAndPlace) -> f64 {
 }
 
 /// Indices of the plates of each patch. There are so many patches that every plate is near a patch's centre.
-fn alike(plates: &[IntruderPlate], ball: &Ball, law: Law) -> Vec<Vec<usize>> {
+fn alike(plates: &[IntruderPlate], ball: &Ball, law: Law, share: f64) -> Vec<Vec<usize>> {
     let kind = usize::from(law == Law::Agarwal2023);
-    let (most, turned) = (APART[kind], ONE_WAY[kind]);
+    let (most, turned) = (share * APART[kind], ONE_WAY[kind]);
     let scale = BY_PLACE[kind] / ball.reach.max(1e-9);
     let look = |p: &IntruderPlate| -> NormalAndPlace {
         let one_way = (p.bend[0] == 0.0) != (p.bend[1] == 0.0);

@@ -6,9 +6,9 @@
 
 use super::dynamics::{LinkFrame, LinkLoad};
 use super::leading::{Own, leading};
-use super::patches::BodyPatches;
+use super::patches::{BodyPatches, Patch};
 use super::terrain::{Local, Surface};
-use crate::number::{Mat3, Real, Vec3};
+use crate::number::{Mat3, Real, Spread, Vec3};
 use crate::sand::intruder::IntruderPlate;
 use crate::sand::law::{Normals, StressLaw};
 use crate::sand::{LawCoefficients, Plain, SandBed, SegmentState, StressModel};
@@ -195,26 +195,45 @@ pub fn on_body<R: Real, const SECANT: bool>(
     strength: Option<R>,
     dt: R,
 ) -> Option<Total<R>> {
+    let all = (plates, &plates.patches[..]);
+    on_patches::<R, _, _, SECANT>(ground, all, frame, velocity, place, travel, under, strength, dt)
+}
+
+/// The same for a body's patches with one number for all lanes, or one patch in each lane. The force of a body is then the
+/// sum over lanes.
+#[inline(always)]
+#[allow(clippy::too_many_arguments)] // all arguments stay in registers
+pub fn on_patches<R: Real, S: Spread<R>, D: Spread<R>, const SECANT: bool>(
+    ground: &SandBed<R>,
+    plates: (&BodyPatches, &[Patch<S, D>]),
+    frame: &LinkFrame<R>,
+    velocity: &Twist<R>,
+    place: &Vec3<R>,
+    travel: [R; 2],
+    under: &Local<R>,
+    strength: Option<R>,
+    dt: R,
+) -> Option<Total<R>> {
     match (&ground.law, &ground.mechanisms) {
         (LawCoefficients::Li2013(law), None) => {
-            by::<R, _, SECANT>(law, &Plain, ground, plates, frame, velocity, place, travel, under, strength, dt)
+            by::<R, S, D, _, SECANT>(law, &Plain, ground, plates, frame, velocity, place, travel, under, strength, dt)
         }
         (law, None) => {
-            by::<R, _, SECANT>(law, &Plain, ground, plates, frame, velocity, place, travel, under, strength, dt)
+            by::<R, S, D, _, SECANT>(law, &Plain, ground, plates, frame, velocity, place, travel, under, strength, dt)
         }
-        (law, Some(mechanisms)) => {
-            by::<R, _, SECANT>(law, mechanisms, ground, plates, frame, velocity, place, travel, under, strength, dt)
-        }
+        (law, Some(mechanisms)) => by::<R, S, D, _, SECANT>(
+            law, mechanisms, ground, plates, frame, velocity, place, travel, under, strength, dt,
+        ),
     }
 }
 
 #[inline(always)]
 #[allow(clippy::too_many_arguments)] // all arguments stay in registers
-fn by<R: Real, M: StressModel<R>, const SECANT: bool>(
+fn by<R: Real, S: Spread<R>, D: Spread<R>, M: StressModel<R>, const SECANT: bool>(
     law: &impl StressLaw<R>,
     stress_model: &M,
     ground: &SandBed<R>,
-    plates: &BodyPatches,
+    (plates, patches): (&BodyPatches, &[Patch<S, D>]),
     frame: &LinkFrame<R>,
     velocity: &Twist<R>,
     place: &Vec3<R>,
@@ -235,14 +254,15 @@ fn by<R: Real, M: StressModel<R>, const SECANT: bool>(
         height: under.normal.dot(*place + frame.origin - under.point),
     };
     let width = if M::BY_LOAD { zero } else { plates.width(&own) };
-    for patch in &plates.patches {
-        let center = Vec3::splat(patch.ball.center);
+    for patch in patches {
+        let [x, y, z] = &patch.ball.center;
+        let center = Vec3::new(x.spread(), y.spread(), z.spread());
         let depth = -(own.up.dot(center) + own.height);
-        if !R::any(zero.lt(depth + R::splat(patch.ball.reach))) {
+        if !R::any(zero.lt(depth + patch.ball.reach.spread())) {
             continue;
         }
         let speed = own.linear + own.angular.cross(center);
-        let part = leading::<R, M>(patch, &own, ground.inverse_speed(speed));
+        let part = leading::<R, M, S, D>(patch, &own, ground.inverse_speed(speed));
         if !R::any(zero.lt(part.load)) {
             continue;
         }

@@ -1,0 +1,73 @@
+//! Eight lanes of `f64`, for work on many similar items of one state: the patches of a body. Values in lanes come from numbers
+//! that all lanes share, or from one number for each lane.
+
+use super::{Isa, Real};
+
+/// Number of lanes of [`Eight`].
+pub const EIGHT: usize = 8;
+
+/// Eight lanes of `f64`. All fuse multiplication and addition, and [`Eight::sum`] has one order, so they give the same bits.
+pub trait Eight: Real {
+    fn of_singles(lanes: &[f32; EIGHT]) -> Self;
+    fn of_doubles(lanes: &[f64; EIGHT]) -> Self;
+
+    /// Sum over all lanes.
+    #[inline(always)]
+    fn sum(self) -> f64 {
+        let [a, b] = [self.lane(0) + self.lane(1), self.lane(2) + self.lane(3)];
+        let [c, d] = [self.lane(4) + self.lane(5), self.lane(6) + self.lane(7)];
+        (a + b) + (c + d)
+    }
+}
+
+/// A number, or one for each lane, that is put into lanes.
+pub trait Spread<R>: Copy {
+    fn spread(&self) -> R;
+}
+
+impl<R: Real> Spread<R> for f32 {
+    #[inline(always)]
+    fn spread(&self) -> R {
+        R::splat(f64::from(*self))
+    }
+}
+impl<R: Real> Spread<R> for f64 {
+    #[inline(always)]
+    fn spread(&self) -> R {
+        R::splat(*self)
+    }
+}
+impl<R: Eight> Spread<R> for [f32; EIGHT] {
+    #[inline(always)]
+    fn spread(&self) -> R {
+        R::of_singles(self)
+    }
+}
+impl<R: Eight> Spread<R> for [f64; EIGHT] {
+    #[inline(always)]
+    fn spread(&self) -> R {
+        R::of_doubles(self)
+    }
+}
+
+/// Work that is generic over eight lanes of `f64`, see [`Isa::eights`].
+pub trait EightWork {
+    type Out;
+    fn run<R: Eight>(self) -> Self::Out;
+    /// The same without lanes.
+    fn single(self) -> Self::Out;
+}
+
+impl Isa {
+    /// Runs `work` in registers of AVX-512 or AVX2 if this is the instruction set and the machine has it, otherwise without
+    /// lanes.
+    pub fn eights<W: EightWork>(self, work: W) -> W::Out {
+        match self {
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx512 if self.available() => work.run::<super::x86::Avx512Doubles>(),
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx2 if self.available() => work.run::<super::Pair<super::x86::Avx2Doubles>>(),
+            _ => work.single(),
+        }
+    }
+}
