@@ -162,6 +162,10 @@ pub unsafe extern "C" fn sandgait_wrench(
             return Err(Error::invalid("sand or bodies", "is NULL"));
         };
         let count = bodies.len();
+        // No memory has larger arrays.
+        if states > isize::MAX as usize / (36 * size_of::<f64>() * count.max(1)) {
+            return Err(Error::invalid("states", format!("{states} are too many")));
+        }
         let rows = |name: &str, array: *const f64, width: usize| -> Result<Strided<'_, f64>> {
             // SAFETY: see the module.
             let numbers = unsafe { numbers(name, array, states * count * width) }?;

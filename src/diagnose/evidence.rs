@@ -32,8 +32,8 @@
 //! error is at least 2, because differences below 4 are no evidence (Sivula, Magnusson, Matamoros & Vehtari 2020).
 
 use super::fit::{Fit, Stack};
-use super::gauss_newton::value_prior;
 use super::left_out::{Contender, LeftOutRow, Linear};
+use super::normal_equations::value_prior;
 use super::study::FitInputs;
 use super::whiten::Whitener;
 use crate::number::dot;

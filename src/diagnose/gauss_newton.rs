@@ -6,7 +6,7 @@
 //! readings and not the prediction of the sand.
 
 use super::fit::{COEFFICIENTS, Fit, Stack, slope};
-use super::screen::USUAL;
+use super::normal_equations::NormalEquations;
 use super::study::FitInputs;
 use crate::number::{add_scaled, dot};
 use crate::parallel;
@@ -30,34 +30,6 @@ const HEAD_START: usize = 2;
 /// A fit is abandoned if its distance to the best is more than this many times the gain of its last step: our
 /// choice; gains shrink from step to step.
 const REACH: f64 = 4.0;
-
-/// Information matrix and score of a fit's (values, deviations), and its whitened slopes.
-pub struct NormalEquations {
-    white: Vec<Stack>,
-    pub information: DMatrix<f64>,
-    pub score: DVector<f64>,
-}
-
-impl NormalEquations {
-    /// What a further whitened column tells besides the fit with this whitened `residual`: its score and its
-    /// information, with the fit's parameters free. None if the normal equations have no solution.
-    pub fn beside(&self, column: &[f64], residual: &[f64]) -> Option<[f64; 2]> {
-        let cross = DVector::from_iterator(self.white.len(), self.white.iter().map(|own| dot(own, column)));
-        let solved = self.information.clone().cholesky()?.solve(&cross);
-        Some([dot(column, residual) - solved.dot(&self.score), dot(column, column) - cross.dot(&solved)])
-    }
-
-    /// Share of a further whitened column that the first `count` parameters explain, beyond what the others do.
-    pub fn explained(&self, column: &[f64], count: usize) -> Option<f64> {
-        let free = |from: usize| {
-            let n = self.white.len() - from;
-            let cross = DVector::from_iterator(n, self.white[from..].iter().map(|own| dot(own, column)));
-            let part = self.information.view((from, from), (n, n)).into_owned();
-            Some(dot(column, column) - cross.dot(&part.cholesky()?.solve(&cross)))
-        };
-        Some(1.0 - free(0)? / free(count)?.max(1e-300))
-    }
-}
 
 impl FitInputs<'_> {
     /// The plain model without any fit.
@@ -304,84 +276,6 @@ impl FitInputs<'_> {
         if at + step > entry.coordinate_bounds()[1] { -step } else { step }
     }
 
-    /// A slope, whitened. Those that fits share are known; the others are made when they are needed, because all
-    /// candidates' together would take as much memory as everything else.
-    pub fn whitened(&self, slope: &Stack) -> Stack {
-        let known = self.marginal_slopes[0].iter().position(|own| Arc::ptr_eq(own, slope));
-        let known = known.and_then(|k| self.marginal_slopes[1].get(k));
-        known.map_or_else(|| Arc::new(self.whitener.apply(slope)), Stack::clone)
-    }
-
-    /// The normal equations at a fit, the prior of the deviations included.
-    pub fn normal_equations(&self, fit: &Fit) -> NormalEquations {
-        let white: Vec<Stack> = fit.slopes.iter().map(|s| self.whitened(s)).collect();
-        let (n, count) = (white.len(), fit.ids.len());
-        let mut information = DMatrix::zeros(n, n);
-        for i in 0..n {
-            for j in 0..=i {
-                let g = dot(&white[i], &white[j]);
-                (information[(i, j)], information[(j, i)]) = (g, g);
-            }
-        }
-        let mut score = DVector::from_fn(n, |i, _| dot(&white[i], &fit.white));
-        for (k, deviation) in fit.deviations.iter().enumerate() {
-            information[(count + k, count + k)] += 1.0;
-            score[count + k] -= deviation;
-        }
-        NormalEquations { white, information, score }
-    }
-
-    /// Covariance of the fitted coordinates, the coefficients marginalised.
-    pub fn covariance(&self, fit: &Fit) -> DMatrix<f64> {
-        values_of(fit, self.normal_equations(fit).information.try_inverse())
-    }
-
-    /// The same covariance if the errors within a condition are correlated in an unknown way, as those of a law are that
-    /// is not quite right: the scatter of the fit with one condition left out each time (the jackknife over clusters,
-    /// CV3 of MacKinnon, Nielsen & Webb, Journal of Applied Econometrics 38:671, 2023), and what is stated of
-    /// coefficients and nuisances. A condition is left out by one Gauss-Newton step. A value that this condition alone
-    /// shows goes back to its prior.
-    pub fn jackknife(&self, fit: &Fit) -> DMatrix<f64> {
-        let normal = self.normal_equations(fit);
-        let (mut information, mut pull) = (normal.information.clone(), DVector::zeros(normal.score.len()));
-        for (k, (&id, at)) in fit.ids.iter().zip(fit.coordinates()).enumerate() {
-            let [precision, score] = value_prior(id, at);
-            information[(k, k)] += precision;
-            pull[k] = score;
-        }
-        let Some(all) = information.clone().cholesky().map(|factor| factor.solve(&pull)) else {
-            return values_of(fit, None);
-        };
-        let groups = self.observations.repetitions();
-        let step = |units: &Vec<usize>| {
-            let (own, score) = self.products(&normal.white, fit, units);
-            Some((&information - own).cholesky()?.solve(&(&pull - score)) - &all)
-        };
-        let steps: Vec<DVector<f64>> = groups.iter().filter(|units| !units.is_empty()).filter_map(step).collect();
-        let size = normal.white.len();
-        let count = steps.len() as f64;
-        let scatter = steps.iter().fold(DMatrix::zeros(size, size), |sum, step| sum + step * step.transpose());
-        let stated = DMatrix::from_fn(size, size, |i, j| if i == j && i >= fit.ids.len() { 1.0 } else { 0.0 });
-        let inverse = normal.information.try_inverse();
-        values_of(fit, inverse.map(|inverse| scatter * ((count - 1.0) / count) + &inverse * stated * &inverse))
-    }
-
-    /// Information and score of some units alone, from whitened slopes.
-    fn products(&self, white: &[Stack], fit: &Fit, units: &[usize]) -> (DMatrix<f64>, DVector<f64>) {
-        let n = white.len();
-        let (mut information, mut score) = (DMatrix::zeros(n, n), DVector::zeros(n));
-        for span in units.iter().map(|&u| self.observations.span(&self.observations.units[u])) {
-            for i in 0..n {
-                for j in 0..=i {
-                    information[(i, j)] += dot(&white[i][span.clone()], &white[j][span.clone()]);
-                }
-                score[i] += dot(&white[i][span.clone()], &fit.white[span.clone()]);
-            }
-        }
-        information.fill_upper_triangle_with_lower_triangle();
-        (information, score)
-    }
-
     /// The Gauss-Newton step; a value that would cross a bound stays at the bound.
     fn step(&self, fit: &Fit) -> Vec<f64> {
         let NormalEquations { information, score, .. } = self.normal_equations(fit);
@@ -405,19 +299,6 @@ impl FitInputs<'_> {
             }
         }
     }
-}
-
-/// Precision and score of a value's prior at coordinate `at`: it is within [`USUAL`] typical strengths of 0.
-pub fn value_prior(id: usize, at: f64) -> [f64; 2] {
-    let precision = (USUAL * CATALOG[id].coordinate_typical()).powi(-2);
-    [precision, -precision * at]
-}
-
-/// The part of a covariance that belongs to the values of a fit; infinite if there is none.
-fn values_of(fit: &Fit, covariance: Option<DMatrix<f64>>) -> DMatrix<f64> {
-    let count = fit.ids.len();
-    let own = covariance.map(|v| v.view((0, 0), (count, count)).into_owned());
-    own.unwrap_or_else(|| DMatrix::from_element(count, count, f64::INFINITY))
 }
 
 fn moved(fit: &Fit, step: &[f64], share: f64) -> (Mechanisms, Vec<f64>) {
@@ -454,30 +335,4 @@ fn solve(information: &DMatrix<f64>, score: &DVector<f64>, held: &[bool]) -> Vec
         a[(k, k)] *= 1.0 + 1e-9;
     }
     a.cholesky().map_or_else(|| vec![0.0; score.len()], |c| c.solve(&b).iter().copied().collect())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::laws::tests::with_cohesion;
-
-    /// The jackknife is the scatter of fits that are made anew without one condition each, and what is stated of the
-    /// coefficients and nuisances.
-    #[test]
-    fn the_jackknife_is_that_of_fits_without_one_condition() {
-        with_cohesion(|study, fit| {
-            let fit = study.fit_from(&[fit]).swap_remove(0);
-            let conditions = study.observations.conditions.len();
-            let scatter = (0..conditions).map(|c| {
-                let weights = study.observations.units.iter().map(|u| if u.condition == c { 0.0 } else { 1.0 });
-                let whitener = study.whitener.weighted(weights);
-                let without = study.under(&whitener, study.nuisances.clone()).fit_from(&[&fit]).swap_remove(0);
-                (without.coordinates()[0] - fit.coordinates()[0]).powi(2)
-            });
-            let scatter = scatter.sum::<f64>() * (conditions as f64 - 1.0) / conditions as f64;
-            let inverse = study.normal_equations(&fit).information.try_inverse().unwrap();
-            let stated: f64 = (1..inverse.nrows()).map(|k| inverse[(0, k)].powi(2)).sum();
-            let found = study.jackknife(&fit)[(0, 0)];
-            assert!((found / (scatter + stated) - 1.0).abs() < 0.02, "{found} and not {scatter} + {stated}");
-        });
-    }
 }

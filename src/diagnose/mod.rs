@@ -50,6 +50,7 @@ mod motion;
 mod next_experiment;
 pub mod noise;
 mod noise_search;
+mod normal_equations;
 mod nuisance;
 mod observations;
 mod page;

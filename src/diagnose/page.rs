@@ -9,20 +9,8 @@ use crate::plot::{color, escape};
 use crate::sand::mechanism::{CATALOG, Mechanism};
 use std::fmt::Write;
 use std::path::Path;
-use std::time::{SystemTime, UNIX_EPOCH};
 
-const STYLE: &str = "body{font:16px/1.5 system-ui,sans-serif;max-width:1080px;margin:1.5em auto;padding:0 1em;color:#222}\
-h1{font-size:1em;color:#666;font-weight:normal;margin:0}h2{font-size:1.15em;margin-top:2em;border-bottom:1px solid #ddd}\
-h3{font-size:1em;margin:1em 0 .2em}table{border-collapse:collapse}.wide{overflow-x:auto}td,th{padding:.2em .7em;text-align:right;\
-border-bottom:1px solid #eee;vertical-align:top}td:first-child,th:first-child,td.text,th.text{text-align:left}\
-.verdict{font-size:1.4em;line-height:1.35;margin:.4em 0}.next{padding:.5em 1em;background:#f4f1ea;border-left:5px solid #b5803a}\
-.next p,.next ul{margin:.3em 0}.small,footer{color:#555;font-size:.9em}code{background:#f2f2f2;padding:0 .2em;overflow-wrap:anywhere}\
-.panels{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,310px),1fr));gap:8px 24px}svg{max-width:100%;height:auto}\
-.key{display:inline-block;width:.8em;height:.8em;margin:0 .3em 0 .6em}.bars,.dots{width:100%}.bars td,.dots td{border:0;padding:.1em .4em}\
-.bars td:first-child,.dots td:first-child{width:11em}.bars td:last-child{width:4em;white-space:nowrap}.bars div,.dots div{position:relative;height:1.1em}\
-.dots div{border-bottom:1px solid #ddd}.bars i{position:absolute;top:.15em;bottom:.15em}.dots i{position:absolute;width:8px;height:8px;\
-margin-left:-4px;top:.3em;border-radius:4px;opacity:.75}footer{border-top:1px solid #ddd;margin-top:3em;overflow-wrap:anywhere}\
-@media(max-width:500px){.verdict{font-size:1.2em}.bars td:first-child,.dots td:first-child{width:7em}td,th{padding:.2em .4em}}";
+const STYLE: &str = include_str!("page.css");
 
 /// Papers of the mechanisms' sources, by their authors and year, with their DOIs.
 const PAPERS: [(&str, &str); 6] = [
@@ -393,36 +381,14 @@ fn foot(html: &mut String, diagnosis: &Diagnosis) {
         o.values.len(),
         escape(&diagnosis.curves.medium),
         env!("CARGO_PKG_VERSION"),
-        today(SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs())),
+        time::OffsetDateTime::now_utc().date(),
         diagnosis.report.data_sha256
     );
 }
 
-/// The date of a time since 1970 [s], as in 2026-11-23 (UTC; Hinnant, “chrono-compatible low-level date algorithms”).
-fn today(seconds: u64) -> String {
-    let days = seconds / 86_400 + 719_468;
-    let (era, day) = (days / 146_097, days % 146_097);
-    let year = (day - day / 1_460 + day / 36_524 - day / 146_096) / 365;
-    let of_year = day - (365 * year + year / 4 - year / 100);
-    let month = (5 * of_year + 2) / 153;
-    let (number, date) = (if month < 10 { month + 3 } else { month - 9 }, of_year - (153 * month + 2) / 5 + 1);
-    format!("{}-{number:02}-{date:02}", year + 400 * era + u64::from(number <= 2))
-}
-
 #[cfg(test)]
 mod tests {
-    use super::{clauses, today};
-
-    #[test]
-    fn dates_are_those_of_the_calendar() {
-        let known = [
-            (0, "1970-01-01"),
-            (951_782_400, "2000-02-29"),
-            (1_795_435_200, "2026-11-23"),
-            (4_107_542_399, "2100-02-28"),
-        ];
-        known.iter().for_each(|(seconds, date)| assert_eq!(today(*seconds), *date));
-    }
+    use super::clauses;
 
     #[test]
     fn clauses_end_outside_of_brackets() {

@@ -12,7 +12,8 @@
 use super::crew;
 use super::plan::{Observer, TrainingPlan, TrainingState};
 use super::remote::OptionalRemote;
-use super::training::{Phase, Training, TrainingWork};
+use super::training::Training;
+use super::work::{Phase, TrainingWork};
 use crate::error::Result;
 use crate::number::flushed;
 

@@ -49,6 +49,7 @@ pub mod settings;
 mod spec;
 mod tensors;
 mod training;
+mod work;
 mod yaml;
 
 pub use curve::CurvePoint;
