@@ -82,8 +82,8 @@ def flat(name: str, plates: dict[str, Any]) -> Any:
 @pytest.mark.parametrize("name", [name for name in BODIES if name != "hammer"])
 def test_default_plates_are_near_the_formulas(law: str, name: str) -> None:
     """Forces and torques against the formulas on fine plates, within 1 % (rms) and in every pose within 2 %: oblique,
-    spinning, partly in the sand. If hardly any part of the body leads in the sand, a relative error says nothing: only forces above a
-    tenth of the largest count. Torques are divided by the force and the body's size."""
+    spinning, partly in the sand. If hardly any part of the body leads in the sand, a relative error says nothing: only
+    forces above a tenth of the largest count. Torques are divided by the force and the body's size."""
     random = np.random.default_rng(sum(map(ord, law + name)))
     plates = sandgait.Bodies({name: BODIES[name]}, plate_size=0.0016).plates(name)
     usual = sandgait.Bodies({name: BODIES[name]})
