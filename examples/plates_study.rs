@@ -3,13 +3,13 @@
 //!
 //! `cargo run --release --example plates_study -- LAW FILE …` prints a line for each different body of each robot, with
 //! the plates of engine `tree`. Instead of a FILE, `shapes=COUNT,SEED` means COUNT shapes of each kind with random
-//! proportions, with the plates of `sandgait::bodies`. A line has the root mean square and the worst of the errors of force, relative
+//! proportions, with the forces of `sandgait::bodies`. A line has the root mean square and the worst of the errors of force, relative
 //! to the force, and the same for the moment, divided by the force and the body's size.
 
 use nalgebra::{Isometry3, Matrix3, UnitQuaternion, Vector3};
 use rand::{Rng as _, SeedableRng as _};
 use rand_xoshiro::Xoshiro256PlusPlus;
-use sandgait::bodies::{Bodies, BodyPart};
+use sandgait::bodies::{Bodies, BodyPart, GroundOptions, Motions, SandGround};
 use sandgait::number::Vec3;
 use sandgait::sand::intruder::IntruderPlate;
 use sandgait::sand::{Law, Medium, Regularization, SandBed, SandDescription, SegmentState};
@@ -35,6 +35,7 @@ pub struct Errors {
     pub worst: f64,
     pub moment: f64,
     pub worst_moment: f64,
+    /// Patches of the engine; 0: not known.
     pub patches: usize,
     /// Number of poses with a force above a tenth of the largest.
     pub poses: usize,
@@ -43,7 +44,10 @@ pub struct Errors {
 impl std::fmt::Display for Errors {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self { rms, worst, moment, worst_moment, patches, poses } = self;
-        write!(f, "{patches:3} patches, {poses:4} poses: force rms {rms:.4}, worst {worst:.4}, ")?;
+        if *patches > 0 {
+            write!(f, "{patches:3} patches, ")?;
+        }
+        write!(f, "{poses:4} poses: force rms {rms:.4}, worst {worst:.4}, ")?;
         write!(f, "moment rms {moment:.4}, worst {worst_moment:.4}")
     }
 }
@@ -112,13 +116,44 @@ fn points(shapes: &[&TreeShape]) -> Result<Vec<Point>> {
     Ok(of_shapes(shapes, Some(size))?.iter().map(point).collect())
 }
 
+/// A body's state: position and velocity of its origin, orientation, and angular velocity, in the world's axes.
+struct Motion {
+    position: V,
+    turn: UnitQuaternion<f64>,
+    velocity: V,
+    spin: V,
+}
+
 /// Compares the engine's forces on `plates` with the law summed over points of the `shapes`.
 pub fn errors(shapes: &[&TreeShape], plates: Vec<IntruderPlate>, law: &str, poses: usize, seed: u64) -> Result<Errors> {
+    let model = alone(plates, law)?;
+    let patches = model.tree.as_ref().map_or(0, |tree| tree.patches[0].patches.len());
+    let forces = |m: &Motion| {
+        let pose = TreePose {
+            quat: [m.turn.w, m.turn.i, m.turn.j, m.turn.k],
+            v: m.velocity.into(),
+            w: m.spin.into(),
+            q: Vec::new(),
+            qd: Vec::new(),
+            tau: Vec::new(),
+        };
+        Ok(sand_loads(&model, m.position.into(), &pose)[0].map(V::from))
+    };
+    compared(shapes, &forces, law, poses, seed).map(|errors| Errors { patches, ..errors })
+}
+
+/// Compares `forces`, the force and torque about the body's origin, with the law summed over points of the `shapes`.
+fn compared(
+    shapes: &[&TreeShape],
+    forces: &dyn Fn(&Motion) -> Result<[V; 2]>,
+    law: &str,
+    poses: usize,
+    seed: u64,
+) -> Result<Errors> {
     let sand = SandDescription::named(MEDIUM, law)?;
     let grounds: [SandBed<f64>; 2] =
         [Regularization::BARE, Regularization::SOLID].map(|surface| SandBed::new(sand.law, &sand.medium(), &surface));
-    let (model, points) = (alone(plates, law)?, points(shapes)?);
-    let patches = model.tree.as_ref().map_or(0, |tree| tree.patches[0].patches.len());
+    let points = points(shapes)?;
     let middle = points.iter().map(|p| p.at * p.area).sum::<V>() / points.iter().map(|p| p.area).sum::<f64>();
     let size = points.iter().map(|p| (p.at - middle).norm()).fold(0.0, f64::max);
     let mut chance = Xoshiro256PlusPlus::seed_from_u64(seed);
@@ -142,15 +177,8 @@ pub fn errors(shapes: &[&TreeShape], plates: Vec<IntruderPlate>, law: &str, pose
             }
         }
         let off = turn * middle;
-        let pose = TreePose {
-            quat: [turn.w, turn.i, turn.j, turn.k],
-            v: (velocity - spin.cross(&off)).into(),
-            w: spin.into(),
-            q: Vec::new(),
-            qd: Vec::new(),
-            tau: Vec::new(),
-        };
-        let [f, m] = sand_loads(&model, (V::z() * height - off).into(), &pose)[0].map(V::from);
+        let [f, m] =
+            forces(&Motion { position: V::z() * height - off, turn, velocity: velocity - spin.cross(&off), spin })?;
         rows.push([(f - force).norm(), (m - off.cross(&f) - moment).norm() / size, force.norm()]);
     }
     // If hardly any part of the body leads in the sand, a relative error says nothing.
@@ -159,7 +187,7 @@ pub fn errors(shapes: &[&TreeShape], plates: Vec<IntruderPlate>, law: &str, pose
     let rms = |k: usize| (rows.iter().map(|r| (r[k] / r[2]).powi(2)).sum::<f64>() / rows.len() as f64).sqrt();
     let worst = |k: usize| rows.iter().map(|r| r[k] / r[2]).fold(0.0, f64::max);
     let [moment, worst_moment] = [rms(1), worst(1)];
-    Ok(Errors { rms: rms(0), worst: worst(0), moment, worst_moment, patches, poses: rows.len() })
+    Ok(Errors { rms: rms(0), worst: worst(0), moment, worst_moment, patches: 0, poses: rows.len() })
 }
 
 fn robot(law: &str, file: &str) -> Result<()> {
@@ -232,13 +260,21 @@ fn random_shapes(law: &str, numbers: &str) -> Result<()> {
     let (count, seed) = numbers.split_once(',').ok_or_else(wrong)?;
     let (count, seed): (usize, u64) = (count.parse().map_err(|_| wrong())?, seed.parse().map_err(|_| wrong())?);
     let mut chance = Xoshiro256PlusPlus::seed_from_u64(seed);
+    let ground = SandGround::new(SandDescription::named(MEDIUM, law)?, GroundOptions::default())?;
     for index in 0..count {
         for (name, part, geometry) in drawn(&mut chance)? {
             let shape = TreeShape { name: name.into(), origin: Isometry3::identity(), geometry, friction: 1.0 };
-            let plates = Bodies::new(vec![(name.into(), vec![part])], None)?;
-            let plates: Vec<IntruderPlate> = plates.plates(0).iter().map(|p| p.plate).collect();
-            let (cut, e) = (plates.len(), errors(&[&shape], plates, law, 200, seed + index as u64)?);
-            println!("{law} {name:9} {cut:4} plates {e}");
+            let body = Bodies::new(vec![(name.into(), vec![part])], None)?;
+            let forces = |m: &Motion| {
+                let (position, v, w): ([f64; 3], [f64; 3], [f64; 3]) =
+                    (m.position.into(), m.velocity.into(), m.spin.into());
+                let quat = [m.turn.w, m.turn.i, m.turn.j, m.turn.k];
+                let mut wrench = [0.0; 6];
+                body.wrench(&ground, &Motions::contiguous(&position, &quat, &v, &w), 1, &mut wrench, None)?;
+                Ok([V::from_column_slice(&wrench[..3]), V::from_column_slice(&wrench[3..])])
+            };
+            let e = compared(&[&shape], &forces, law, 200, seed + index as u64)?;
+            println!("{law} {name:9} {:4} plates, {e}", body.plates(0).len());
         }
     }
     Ok(())
