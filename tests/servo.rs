@@ -151,7 +151,7 @@ fn episode(version: &str, kind: EngineKind, size: f32) -> (Model, Vec<State>) {
     engine.set_state(0, &state);
     let mut command = Command::still(18);
     let step = |time: usize| {
-        let action: Vec<f32> = (0..18).map(|k| if (time / 25 + k) % 2 == 0 { size } else { -size }).collect();
+        let action: Vec<f32> = (0..18).map(|k| if (time / 25 + k).is_multiple_of(2) { size } else { -size }).collect();
         task.command(&action, &state, &mut command);
         engine.command(0, &command);
         engine.advance((0.02 / model.scene.dt).round() as usize);

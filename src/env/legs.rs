@@ -100,8 +100,7 @@ impl<const STOPS: bool> Task for HexapodLegs<STOPS> {
             summary: format!(
                 "Follow commanded forward and yaw speeds with three joints a leg; actions are target angles over each joint's range, {}.",
                 if STOPS { "at whose ends it stops" } else { "which a load can exceed" }
-            )
-            .into(),
+            ),
             observation: observation.columns(),
             action: Column::each(joints, "target angle over the joint's range", "1", 1.0),
             about: ABOUT,

@@ -228,7 +228,7 @@ impl World {
     /// Applies what is no part of a joint's motor, the middle of its limits and the stop's push, to the link and, in the other direction, to
     /// the one before it. `axis`: that of the joint, in the world. It must follow all loads.
     pub fn push_joint(&mut self, joint: usize, axis: V, [before, link]: [RobotPart; 2]) {
-        let torque = self.others[joint].torque;
+        let torque = self.others.get(joint).map_or(0.0, |other| other.torque);
         if torque != 0.0 {
             self.physics.bodies[link.0].add_torque(scaled_twice(axis * torque), false);
             self.physics.bodies[before.0].add_torque(scaled_twice(axis * -torque), false);
