@@ -45,8 +45,8 @@ class BadSettings(ValueError):
 
 
 def task_id(name: str) -> str:
-    """Id of the present version of task `name`. An unknown name is returned unchanged."""
-    return next((task for task in sandgait.TASKS if task.startswith(f"sandgait/{name}-v")), f"sandgait/{name}")
+    """Id of the latest version of task `name`. An unknown name, or one with a version, only gets `sandgait/`."""
+    return max((task for task in sandgait.TASKS if task.startswith(f"sandgait/{name}-v")), default=f"sandgait/{name}")
 
 
 def hyperparameters(algorithm: str, task: str, changes: list[str]) -> dict[str, Any]:

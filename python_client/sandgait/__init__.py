@@ -114,6 +114,7 @@ __all__ = [
 TASKS = (
     "sandgait/HexapodGait-v1",
     "sandgait/HexapodLegs-v1",
+    "sandgait/HexapodLegs-v2",
     "sandgait/HexapodRocks-v1",
     "sandgait/HexapodTerrain-v1",
     "sandgait/LegStroke-v0",

@@ -1,4 +1,5 @@
-//! `sandgait/HexapodLegs-v1`: foot trajectories of a robot with three joints a leg; speed and turning commands.
+//! `sandgait/HexapodLegs`: foot trajectories of a robot with three joints a leg; speed and turning commands. Joints stop at the ends of
+//! their ranges in `-v2`; in `-v1` a load can push them beyond.
 
 use super::feature::Features;
 use super::locomotion::{self, Figure, Observe, Observed, WalkStep, Weights};
@@ -43,7 +44,8 @@ truncated after `max_episode_steps`, or when its state can no longer be computed
 
 The cost of transport of several steps is Σ`work` / (`weight` · distance).";
 
-pub struct HexapodLegs {
+/// `STOPS`: have joints stops at the ends of their ranges?
+pub struct HexapodLegs<const STOPS: bool> {
     spec: Spec,
     weights: Weights,
     observation: Features<Observe>,
@@ -52,8 +54,8 @@ pub struct HexapodLegs {
     ranges: Vec<[f64; 2]>,
 }
 
-impl Task for HexapodLegs {
-    const ID: &'static str = "sandgait/HexapodLegs-v1";
+impl<const STOPS: bool> Task for HexapodLegs<STOPS> {
+    const ID: &'static str = if STOPS { "sandgait/HexapodLegs-v2" } else { "sandgait/HexapodLegs-v1" };
     type Options = LegsOptions;
 
     fn engine(options: &LegsOptions) -> EngineKind {
@@ -61,14 +63,19 @@ impl Task for HexapodLegs {
     }
 
     fn model(options: &LegsOptions) -> Result<Model> {
-        options.walking.model(true)
+        let mut model = options.walking.model(true)?;
+        if !STOPS {
+            model.legs.iter_mut().flatten().for_each(|body| body.range = None);
+        }
+        Ok(model)
     }
 
     fn new(setup: &Setup<LegsOptions>) -> Result<Self> {
         let Walking { weights, torque_limit, max_episode_steps, .. } = setup.options.walking;
         let model = setup.model;
         let joints = &model.robot.joint_names();
-        let bounds = model.legs.iter().flatten().map(|b| b.range).collect::<Option<Vec<_>>>();
+        let links = model.robot.hip.iter().flat_map(|_| &model.robot.leg.link);
+        let bounds = links.map(|link| link.range).collect::<Option<Vec<_>>>();
         let bounds = bounds.ok_or_else(|| {
             Error::invalid(
                 "robot",
@@ -90,8 +97,10 @@ impl Task for HexapodLegs {
         let (figures, reward) = (locomotion::figures(), weights.terms());
         let spec = Spec {
             id: Self::ID,
-            summary: "Follow commanded forward and yaw speeds with three joints a leg; actions are target angles over each joint's range."
-                .into(),
+            summary: format!(
+                "Follow commanded forward and yaw speeds with three joints a leg; actions are target angles over each joint's range, {}.",
+                if STOPS { "at whose ends it stops" } else { "which a load can exceed" }
+            ),
             observation: observation.columns(),
             action: Column::each(joints, "target angle over the joint's range", "1", 1.0),
             about: ABOUT,

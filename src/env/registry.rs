@@ -16,10 +16,11 @@ use crate::sim::engine::EngineKind;
 use serde_json::Value;
 use std::sync::Arc;
 
-/// All tasks, one row each; a task's own file has the rest.
-const KINDS: [TaskKind; 6] = [
+/// All tasks, one row each, a later version after an earlier one; a task's own file has the rest.
+const KINDS: [TaskKind; 7] = [
     TaskKind::of::<HexapodGait>(),
-    TaskKind::of::<HexapodLegs>(),
+    TaskKind::of::<HexapodLegs<false>>(),
+    TaskKind::of::<HexapodLegs<true>>(),
     TaskKind::of::<HexapodRocks>(),
     TaskKind::of::<HexapodTerrain>(),
     TaskKind::of::<LegStroke>(),
@@ -50,13 +51,13 @@ pub const TASK_IDS: [&str; KINDS.len()] = {
     ids
 };
 
-/// The id of the task that a user calls `name`: the id itself, or without `sandgait/` and the version. Another name is returned
-/// as it is.
+/// The id of the task that a user calls `name`: the id itself, without `sandgait/`, or also without the version, which means the latest
+/// one. Another name is returned as it is.
 pub fn task_id(name: &str) -> &str {
     let bare = |id: &'static str| id.trim_start_matches("sandgait/");
     let short = |id| bare(id).split("-v").next();
     let means = |id: &&'static str| *id == name || bare(id) == name || short(id) == Some(name);
-    TASK_IDS.into_iter().find(means).unwrap_or(name)
+    TASK_IDS.into_iter().rev().find(means).unwrap_or(name)
 }
 
 /// One keyword of a task, for tables.
@@ -105,7 +106,7 @@ fn no_task(id: &str) -> Error {
         (Some((old, v)), Some((name, w))) => old == name && v < w,
         _ => false,
     };
-    match TASK_IDS.iter().find(earlier) {
+    match TASK_IDS.iter().rev().find(earlier) {
         Some(new) => Error::Replaced { what: "task", name: id.into(), new: (*new).into() },
         None => Error::unknown("task", id, &TASK_IDS),
     }

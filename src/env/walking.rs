@@ -77,11 +77,14 @@ pub fn set_sand(scene: &mut Scene, text: &str) -> Result<()> {
     Ok(())
 }
 
-/// The robot at rest on the surface with joints near their start, and commands drawn from the options' ranges.
+/// The robot at rest on the surface with joints near their start, within their stops, and commands drawn from the options' ranges.
 pub fn begin(setup: &Setup<Walking>, random: &mut Random) -> (State, Goal) {
     let Walking { angle_noise, command, turn, .. } = *setup.options;
     let mut angles = setup.model.tripod_angles();
     angles.iter_mut().for_each(|a| *a += random.uniform(-angle_noise, angle_noise));
+    for (angle, body) in angles.iter_mut().zip(setup.model.legs.iter().flatten()) {
+        *angle = body.range.map_or(*angle, |[low, high]| angle.clamp(low, high));
+    }
     let [speed, turn] = [command, turn].map(|[low, high]| random.uniform(low, high));
     let goal = Goal { speed, turn, ..Goal::default() };
     (State::at_rest(setup.model.standing_height(&angles), &angles), goal)

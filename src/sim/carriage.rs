@@ -68,7 +68,7 @@ impl CarriageEngine {
         for carriage in &mut self.carriages {
             (0..steps).for_each(|_| carriage.step());
             if ends {
-                fold_turns(&mut carriage.state);
+                fold_turns(&mut carriage.state, std::iter::repeat(true));
             }
         }
     }

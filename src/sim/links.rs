@@ -36,6 +36,7 @@ pub struct LinkBody {
     pub inertia: M,
     /// [kg·m²]
     pub armature: f64,
+    /// Lowest and highest angle, at which the joint stops [rad]; None: it turns freely.
     pub range: Option<[f64; 2]>,
     pub plates: Vec<Plate>,
     /// The straight strip from joint to tip in place of `plates`, for `concave_fill`.

@@ -19,7 +19,7 @@ GAIT = "sandgait/HexapodGait-v1"
 TASKS: list[tuple[str, dict[str, Any]]] = [
     *((task, {}) for task in sandgait.TASKS),
     *((GAIT, {"control": control}) for control in ("hip_target", "torque", "clock")),
-    ("sandgait/HexapodLegs-v1", {"turn": [-0.5, 0.5], "slope_deg": 5}),
+    ("sandgait/HexapodLegs-v2", {"turn": [-0.5, 0.5], "slope_deg": 5}),
 ]
 
 every_task = pytest.mark.parametrize(("task", "options"), TASKS)
@@ -138,10 +138,13 @@ def test_a_dictionary_given_to_a_reset_changes_its_own_keys_alone() -> None:
     env.close()
 
 
-@pytest.mark.parametrize("name", ["HexapodGait", "HexapodLegs", "HexapodRocks", "HexapodTerrain"])
-def test_earlier_versions_name_the_present_one(name: str) -> None:
-    old, new = f"sandgait/{name}-v0", f"sandgait/{name}-v1"
-    with pytest.warns(DeprecationWarning, match="v1"), pytest.raises(gymnasium.error.DeprecatedEnv, match=new):
+@pytest.mark.parametrize(
+    ("name", "version"),
+    [("HexapodGait", "v1"), ("HexapodLegs", "v2"), ("HexapodRocks", "v1"), ("HexapodTerrain", "v1")],
+)
+def test_earlier_versions_name_the_present_one(name: str, version: str) -> None:
+    old, new = f"sandgait/{name}-v0", f"sandgait/{name}-{version}"
+    with pytest.warns(DeprecationWarning, match=version), pytest.raises(gymnasium.error.DeprecatedEnv, match=new):
         gymnasium.make(old)
     with pytest.raises(sandgait.InvalidRequest, match=f'task "{old}" has been replaced by "{new}"; see CHANGELOG'):
         sandgait.SandgaitVectorEnv(old, 1)

@@ -18,7 +18,7 @@ use super::sand::{Travel, belly, link_sand};
 use crate::actuator::{self, NEWTON, TorqueLimits};
 use crate::number::{Real, Vec3};
 use crate::spatial::{Inertia, PointMasses, Symmetric, Twist, Wrench};
-use crate::stop::StopTorque;
+use crate::stop::{Stop, StopTorque};
 use crate::used::Surfaces;
 
 /// Results of the inward pass for one joint, which the outward pass needs.
@@ -112,7 +112,8 @@ fn solve<R: Real, const J: usize>(
     for (l, leg) in model.legs.iter().enumerate() {
         let own = l * J..(l + 1) * J;
         let (hinges, limits) = (&mut hinges[own.clone()], &mut limits[own.clone()]);
-        let (leg_inertia, leg_bias) = fold_leg(model, leg, &links[l], &joints[own], hinges, limits);
+        let ranges = model.ranges.get(l);
+        let (leg_inertia, leg_bias) = fold_leg(model, (leg, ranges), &links[l], &joints[own], hinges, limits);
         inertia.add(&leg_inertia);
         bias.add(&leg_bias);
     }
@@ -181,11 +182,11 @@ fn load_leg<R: Real, const J: usize>(
     support
 }
 
-/// Inward pass over one leg: the leg's articulated inertia and bias, which add to the base's.
+/// Inward pass over one leg, whose joints may have ranges: the leg's articulated inertia and bias, which add to the base's.
 #[inline(always)]
 fn fold_leg<R: Real, const J: usize>(
     model: &LaneModel<R, J>,
-    leg: &[LaneBody<R>; J],
+    (leg, ranges): (&[LaneBody<R>; J], Option<&[[R; 2]; J]>),
     links: &[(PointMasses<R>, Wrench<R>); J],
     joints: &[LaneJoint<R>],
     hinges: &mut [Hinge<R>],
@@ -200,7 +201,12 @@ fn fold_leg<R: Real, const J: usize>(
             bias.add(b);
         }
         let hinge = &mut hinges[j];
-        drive(model, leg[j].armature, &joints[j], &inertia, &bias, hinge, &mut limits[j]);
+        hinge.inertia_axis = inertia.apply(&hinge.axis);
+        let own = hinge.inertia_axis.dot(&hinge.axis) + leg[j].armature;
+        let load = bias.dot(&hinge.axis);
+        let push = drive(model, ranges.map(|all| all[j]), &joints[j], own, load, &mut limits[j]);
+        hinge.inverse = R::one() / (own + push.yielding);
+        hinge.drive = push.torque - load;
         inertia.add_outer(-hinge.inverse, &hinge.inertia_axis);
         let bias = hinge.inertia_axis.scale_add(hinge.drive * hinge.inverse, &bias);
         carried = Some((inertia, bias));
@@ -208,19 +214,20 @@ fn fold_leg<R: Real, const J: usize>(
     carried.unwrap_or((Inertia::points(&PointMasses::zero()), Wrench::zero()))
 }
 
-/// The servo, implicit in angle and speed: τ = τ0 − (dt kd + dt² kp) q̈. If that exceeds the torque limit (computed
+/// The torque at a joint with inertia `own` under `load`.
+///
+/// The servo is implicit in angle and speed: τ = τ0 − (dt kd + dt² kp) q̈. If that exceeds the torque limit (computed
 /// with the parent held still), the torque is the limit and independent of q̈; motors with a known stall torque are checked afterwards
-/// ([`actuator`]).
+/// ([`actuator`]). The stops of the joint's range act as in [`crate::tree`].
 #[inline(always)]
 fn drive<R: Real, const J: usize>(
     model: &LaneModel<R, J>,
-    armature: R,
+    range: Option<[R; 2]>,
     joint: &LaneJoint<R>,
-    inertia: &Inertia<R>,
-    bias: &Wrench<R>,
-    hinge: &mut Hinge<R>,
+    own: R,
+    load: R,
     limits: &mut TorqueLimits<R>,
-) {
+) -> StopTorque<R> {
     let dt = model.dt;
     let rate = joint.command_rate.clamp(-model.speed_limit, model.speed_limit);
     let rate_error = rate - joint.rate;
@@ -228,15 +235,18 @@ fn drive<R: Real, const J: usize>(
     let torque = model.kp.mul_add(error, model.kd.mul_add(rate_error, joint.command_torque));
     let yielding = dt * dt.mul_add(model.kp, model.kd);
     let servo = model.actuator.track(StopTorque { torque, yielding }, joint.torque, dt);
-    let gear = model.actuator.gear(joint.rate, joint.torque, dt);
-    hinge.inertia_axis = inertia.apply(&hinge.axis);
-    let own = hinge.inertia_axis.dot(&hinge.axis) + armature;
-    let load = bias.dot(&hinge.axis);
-    let expected = servo.plus(gear).moves(own, load);
+    let mut others = model.actuator.gear(joint.rate, joint.torque, dt);
+    if let Some(range) = range {
+        let stops = Stop::of(range, joint.angle, joint.rate, own, dt);
+        let acts = R::zero().lt(stops.push.yielding);
+        if R::any(acts) {
+            let stop = stops.at(servo.plus(others).plus(stops.push).moves(own, load));
+            others = StopTorque::select(acts, others.plus(stop), others);
+        }
+    }
+    let expected = servo.plus(others).moves(own, load);
     let limited = model.actuator.limited(servo, joint.rate, expected, dt);
-    let push = limits.pass(servo, limited).plus(gear);
-    hinge.inverse = R::one() / (own + push.yielding);
-    hinge.drive = push.torque - load;
+    limits.pass(servo, limited).plus(others)
 }
 
 /// Computes speed, angle and servo reference after the step.

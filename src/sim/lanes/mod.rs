@@ -20,6 +20,7 @@ use super::{Model, State};
 use crate::error::{Error, Result};
 use crate::number::{Isa, Kernel, Real, Vec3, Work};
 use crate::sand::memory::Moved;
+use crate::stop::NO_LIMIT;
 use dynamics::LegScratch;
 use frames::{LaneJoint, LaneState};
 use model::LaneModel;
@@ -180,7 +181,7 @@ impl<R: Real, const J: usize> LegLanes<R, J> {
     }
 
     /// Moves each lane's x and y into its origin and its work into the sum, and takes whole turns out of angles and
-    /// their references.
+    /// their references where joints have no range.
     #[inline(always)]
     fn fold(&mut self) {
         for lane in 0..R::LANES {
@@ -192,8 +193,12 @@ impl<R: Real, const J: usize> LegLanes<R, J> {
             self.works[lane] += self.state.work.lane(lane);
         }
         self.state.work = R::zero();
+        let mut ranges = self.model.ranges.iter().flatten();
         for joint in &mut self.state.joints {
-            let turns = (joint.angle * R::splat(1.0 / TAU)).round() * R::splat(TAU);
+            let mut turns = (joint.angle * R::splat(1.0 / TAU)).round() * R::splat(TAU);
+            if let Some([_, most]) = ranges.next() {
+                turns = R::select(most.lt(R::splat(NO_LIMIT)), R::zero(), turns);
+            }
             joint.angle -= turns;
             joint.reference -= turns;
         }

@@ -8,6 +8,7 @@ use crate::links::exact;
 use crate::model::{LinkBody, Plate};
 use crate::number::{Real, Vec3};
 use crate::sand::SandBed;
+use crate::stop::NO_LIMIT;
 
 type V = nalgebra::Vector3<f64>;
 type M = nalgebra::Matrix3<f64>;
@@ -51,6 +52,8 @@ pub struct LaneModel<R, const J: usize> {
     /// Half of the belly's length and width [m].
     pub belly_corner: [R; 2],
     pub legs: Vec<[LaneBody<R>; J]>,
+    /// Lowest and highest angle of each leg's joints, ∓[`NO_LIMIT`] without a range; empty if no lane has ranges.
+    pub ranges: Vec<[[R; 2]; J]>,
     pub kp: R,
     pub kd: R,
     pub actuator: LaneActuator<R>,
@@ -188,13 +191,14 @@ impl<R: Real> LaneBody<R> {
 impl<R: Real, const J: usize> LaneModel<R, J> {
     /// `model` in every lane; its legs have `J` joints.
     pub fn splat(model: &Model) -> Self {
-        Self {
+        let mut all = Self {
             base_mass: R::splat(model.base_mass),
             base_inertia: Vec3::splat(model.base_inertia.into()),
             belly: model.belly.iter().map(|p| plate(p, level())).collect(),
             belly_height: R::splat(belly_height(model)),
             belly_corner: belly_corner(model).map(R::splat),
             legs: model.legs.iter().map(|leg| std::array::from_fn(|j| LaneBody::splat(&leg[j]))).collect(),
+            ranges: Vec::new(),
             kp: R::splat(model.motor.kp),
             kd: R::splat(model.motor.kd),
             actuator: LaneActuator::splat(&model.motor.actuator),
@@ -203,6 +207,18 @@ impl<R: Real, const J: usize> LaneModel<R, J> {
             gravity: Vec3::splat(model.gravity.into()),
             ground: model.scene.ground(),
             dt: R::splat(model.scene.dt),
+        };
+        (0..R::LANES).for_each(|lane| all.set_ranges(lane, model));
+        all
+    }
+
+    fn set_ranges(&mut self, lane: usize, model: &Model) {
+        if self.ranges.is_empty() && model.legs.iter().flatten().any(|body| body.range.is_some()) {
+            self.ranges = vec![[[-NO_LIMIT, NO_LIMIT].map(R::splat); J]; model.legs.len()];
+        }
+        for (out, body) in self.ranges.iter_mut().flatten().zip(model.legs.iter().flatten()) {
+            let range = body.range.unwrap_or([-NO_LIMIT, NO_LIMIT]);
+            out.iter_mut().zip(range).for_each(|(out, end)| out.set_lane(lane, end));
         }
     }
 
@@ -216,6 +232,7 @@ impl<R: Real, const J: usize> LaneModel<R, J> {
         for (chain, bodies) in self.legs.iter_mut().zip(&model.legs) {
             chain.iter_mut().zip(bodies).for_each(|(out, b)| out.set_lane(lane, b));
         }
+        self.set_ranges(lane, model);
         self.kp.set_lane(lane, model.motor.kp);
         self.kd.set_lane(lane, model.motor.kd);
         self.actuator.set_lane(lane, &model.motor.actuator);

@@ -164,7 +164,7 @@ impl RapierRobot {
             return;
         }
         let dt = self.model.scene.dt;
-        fold_turns(&mut self.state);
+        fold_turns(&mut self.state, self.model.legs.iter().flatten().map(|body| body.range.is_none()));
         for (reference, rate) in self.state.references.iter_mut().zip(&self.command.rates) {
             *reference += rate * dt;
         }
@@ -245,7 +245,7 @@ impl RapierRobot {
                 let arm = frame.origin + frame.rotation * center;
                 let link = self.world.links[joint];
                 self.world.load(link, properties, arm, &wrench);
-                self.world.push_joint(model, state.rates[joint], frame.rotation * body.axis, [before, link]);
+                self.world.push_joint(joint, frame.rotation * body.axis, [before, link]);
                 before = link;
                 joint += 1;
             }
@@ -253,9 +253,11 @@ impl RapierRobot {
     }
 }
 
-/// Takes whole turns out of angles and their references, so that both stay small while a hip turns.
-pub(super) fn fold_turns(state: &mut State) {
-    for (angle, reference) in state.angles.iter_mut().zip(&mut state.references) {
+/// Takes whole turns out of angles and their references, so that both stay small while a hip turns: of joints that are
+/// `endless`.
+pub(super) fn fold_turns(state: &mut State, endless: impl Iterator<Item = bool>) {
+    let joints = state.angles.iter_mut().zip(&mut state.references).zip(endless);
+    for ((angle, reference), _) in joints.filter(|(_, endless)| *endless) {
         let turns = (*angle / TAU).round() * TAU;
         *angle -= turns;
         *reference -= turns;

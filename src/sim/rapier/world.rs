@@ -9,7 +9,7 @@ use crate::frame::{M, V};
 use crate::model::{LinkBody, Model};
 use crate::motor::Motor;
 use crate::solid::RigidPose;
-use crate::stop::StopTorque;
+use crate::stop::{Stop, StopTorque};
 use crate::{State, engine::Command};
 use rapier3d::glamx::{Pose3, Quat, Vec3};
 use rapier3d::prelude::*;
@@ -40,6 +40,9 @@ pub struct World {
     pub edge: RobotPart,
     /// Every link of every leg, in the order of the joints.
     pub links: Vec<RobotPart>,
+    /// Torques at each link's joint that are no part of its motor in rapier, for speed 0 [N·m], and their decrease with the speed
+    /// after the step [N·m·s/rad].
+    others: Vec<StopTorque<f64>>,
     /// Obstacles that move, in the order of the state's objects.
     rocks: Vec<RobotPart>,
     /// The base's and the links' colliders; none without obstacles.
@@ -94,7 +97,8 @@ impl World {
                 multibody.armature_mut()[BASE_DOFS + i] = ((body.armature + rotor) * PER_SQUARE_METRE) as f32;
             }
         }
-        Self { physics, base, drag, edge, links, rocks: Vec::new(), colliders: Vec::new(), origin: V::zeros() }
+        let others = vec![StopTorque::none(); links.len()];
+        Self { physics, base, drag, edge, links, others, rocks: Vec::new(), colliders: Vec::new(), origin: V::zeros() }
     }
 
     /// Adds the model's obstacles around the robot of `state`; the objects that are `resting` are fixed where they are.
@@ -182,25 +186,31 @@ impl World {
     /// Sets every motor's target. The servo kp(θ_ref⁺ − θ⁺) + kd(ω_ref − ω⁺) + τ, with θ⁺ = θ + dt ω⁺, is a damper
     /// of strength kd + dt kp that pulls toward one speed; so the gains enter implicitly and the limit clips the
     /// result. rapier has one limit for both directions, so the middle of the limits is not a part of the motor
-    /// ([`Self::push_joint`]).
+    /// ([`Self::push_joint`]). A stop is a damper, too, and what it pushes at speed 0.
     pub fn drive(&mut self, model: &Model, state: &State, command: &Command) {
         let yielding = yielding(&model.motor, model.scene.dt);
+        let mut others = std::mem::take(&mut self.others);
         let Some(multibody) = self.multibody() else { return };
         let gear = LaneActuator::<f64>::splat(&model.motor.actuator);
-        for (i, (rate, torque)) in state.rates.iter().zip(&state.torques).enumerate() {
-            multibody.damping_mut()[BASE_DOFS + i] = (gear.slows(*rate, *torque) * PER_SQUARE_METRE) as f32;
-        }
         let hinges = multibody.links_mut().filter(|l| l.joint.ndofs() == 1);
-        for (i, link) in hinges.enumerate() {
-            let pull = model.motor.kp * (state.references[i] - state.angles[i]);
+        for (i, (link, body)) in hinges.zip(model.legs.iter().flatten()).enumerate() {
+            let (angle, rate) = (state.angles[i], state.rates[i]);
+            let pull = model.motor.kp * (state.references[i] - angle);
             let torque = pull + model.motor.kd * command.rates[i] + command.torques[i];
             let push = track(model, torque, yielding, state.torques[i]);
-            let [middle, half] = limits(model, state.rates[i]);
+            let [middle, half] = limits(model, rate);
+            let stop = stop(body, angle, rate, (push, gear.limits(rate)), model.scene.dt);
+            let torque = middle + stop.torque;
+            others[i] = StopTorque { torque, yielding: gear.slows(rate, state.torques[i]) + stop.yielding };
             let motor = &mut link.joint.data.motors[HINGE];
             motor.damping = (push.yielding * PER_SQUARE_METRE) as f32;
             motor.target_vel = ((push.torque - middle) / push.yielding) as f32;
             motor.max_force = (half * PER_SQUARE_METRE) as f32;
         }
+        for (damping, other) in multibody.damping_mut().iter_mut().skip(BASE_DOFS).zip(&others) {
+            *damping = (other.yielding * PER_SQUARE_METRE) as f32;
+        }
+        self.others = others;
     }
 
     /// Applies `wrench` to the base.
@@ -215,13 +225,13 @@ impl World {
         self.push(part, arm, wrench);
     }
 
-    /// Applies the middle of a motor's limits at `rate` to the link and, in the other direction, to the one before it. `axis`: that of the
-    /// joint, in the world. It must follow all loads.
-    pub fn push_joint(&mut self, model: &Model, rate: f64, axis: V, [before, link]: [RobotPart; 2]) {
-        let [middle, _] = limits(model, rate);
-        if middle != 0.0 {
-            self.physics.bodies[link.0].add_torque(scaled_twice(axis * middle), false);
-            self.physics.bodies[before.0].add_torque(scaled_twice(axis * -middle), false);
+    /// Applies what is no part of a joint's motor, the middle of its limits and the stop's push, to the link and, in the other direction, to
+    /// the one before it. `axis`: that of the joint, in the world. It must follow all loads.
+    pub fn push_joint(&mut self, joint: usize, axis: V, [before, link]: [RobotPart; 2]) {
+        let torque = self.others.get(joint).map_or(0.0, |other| other.torque);
+        if torque != 0.0 {
+            self.physics.bodies[link.0].add_torque(scaled_twice(axis * torque), false);
+            self.physics.bodies[before.0].add_torque(scaled_twice(axis * -torque), false);
         }
     }
 
@@ -274,6 +284,33 @@ fn limits(model: &Model, rate: f64) -> [f64; 2] {
 /// Decrease of a servo's torque with the speed gained in a step [N·m·s/rad].
 fn yielding(motor: &Motor, dt: f64) -> f64 {
     (motor.kd + dt * motor.kp).max(LEAST_YIELDING)
+}
+
+/// A stop's torque at speed 0 and its decrease with the speed after the step [N·m·s/rad]. Only the solution shows whether a stop would
+/// pull, and rapier solves once: it is judged for the link alone, under the servo's torque within its `limits`. A stop may so hold a joint
+/// that leaves it for one step.
+fn stop(
+    body: &LinkBody,
+    angle: f64,
+    rate: f64,
+    (servo, limits): (StopTorque<f64>, [f64; 2]),
+    dt: f64,
+) -> StopTorque<f64> {
+    let Some(range) = body.range else { return StopTorque::none() };
+    let own = inertia_at_joint(body);
+    let stops = Stop::of(range, angle, rate, own, dt);
+    let servo = StopTorque { torque: servo.torque - servo.yielding * rate, yielding: servo.yielding * dt };
+    let first = servo.plus(stops.push).moves(own, 0.0);
+    let limited = servo.within(limits[0], limits[1], first);
+    let stop = stops.at(limited.plus(stops.push).moves(own, 0.0));
+    let yielding = stop.yielding / dt;
+    StopTorque { torque: stop.torque + yielding * rate, yielding }
+}
+
+/// Inertia of a link and its rotor about its joint [kg·m²].
+fn inertia_at_joint(body: &LinkBody) -> f64 {
+    let arm = body.axis.cross(&body.center).norm();
+    body.armature + body.axis.dot(&(body.inertia * body.axis)) + body.mass * arm * arm
 }
 
 /// A revolute joint about the x axis of a frame that is turned so that x lies along the hinge.
