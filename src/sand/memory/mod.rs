@@ -12,9 +12,10 @@
 //!   A body that moves straight down spreads it around itself within the same reach.
 //! * **Sliding.** Slopes above the angle of repose slide (Grid::slide; a cellular rule as in Bak, Tang & Wiesenfeld 1987
 //!   and in SCM's erosion step).
-//! * **What a body finds.** The level from which depths count is the mean height below the body when it enters, and
-//!   while it travels, follows the mean height in the wedge ahead. So a body that goes straight down in fresh sand has
-//!   exactly the force of the theory, whose measured coefficients contain the heap that rises around it.
+//! * **What a body finds.** The level from which depths count is the mean height below the body when it enters. While it
+//!   travels, the level follows the mean height ahead of the heap that the body pushes now. The theory's measured
+//!   coefficients contain that heap. So a body that goes straight down in fresh sand, or rolls over it, has the force of the
+//!   theory.
 //! * **Compaction.** Pressing down takes volume out of loose sand until it is closely packed, and the sand that a body
 //!   finds compacted is stronger: [`MemorySettings::gain`].
 
@@ -28,7 +29,7 @@ pub use settings::{MemorySettings, REPOSE_DEG};
 
 use disc::{Disc, ahead};
 use serde::{Deserialize, Serialize};
-use settings::{CLEARING, DENSER, LOST};
+use settings::{AHEAD, CLEARING, DENSER, LOST, WAY};
 
 /// What a body has found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -216,8 +217,9 @@ impl Moved {
             self.put(s, &ahead(&taken, reach, size, s.cell), &taken, marks, size);
             let travelled = (way[0] * way[0] + way[1] * way[1]).sqrt();
             if travelled > 0.0 {
-                let (height, dense) = self.beyond(s, &taken, reach, size, way.map(|w| w / travelled));
-                let share = (travelled / (0.5 * size).max(s.cell)).min(1.0);
+                let radius = (0.5 * reach).max(size).max(1.5 * s.cell);
+                let (height, dense) = self.beyond(s, &taken, radius, way.map(|w| w / travelled));
+                let share = (travelled / (WAY * radius)).min(1.0);
                 level += (height - level) * share;
                 packed += (dense - packed) * share;
             }
@@ -346,16 +348,15 @@ impl Moved {
         }
     }
 
-    /// Mean height [m] and compaction at the toe of the wedge ahead, half of it inside and half beyond: the law's measured
-    /// coefficients contain the heap that a body pushes in fresh sand, which lies inside.
+    /// Mean height [m] and compaction of the sand that the body will find next: of a disc of this radius ahead of the sand
+    /// that it pushes now.
     #[inline(always)]
-    fn beyond(&self, s: &MemorySettings, taken: &Taken, reach: f64, size: f64, along: [f64; 2]) -> (f64, f64) {
+    fn beyond(&self, s: &MemorySettings, taken: &Taken, radius: f64, along: [f64; 2]) -> (f64, f64) {
         let amount = f64::from(taken.amount);
-        let radius = (0.5 * reach).max(size).max(1.5 * s.cell);
-        let toe = |k: usize| taken.place[k] / amount + 2.0 * radius * along[k];
-        let toe = Disc { center: [toe(0), toe(1)], radius, along };
+        let next = |k: usize| taken.place[k] / amount + AHEAD * radius * along[k];
+        let next = Disc { center: [next(0), next(1)], radius, along };
         let (mut count, mut height, mut packed) = (0, 0, 0);
-        for at in toe.places(self.grid.frame, s.pairs, self.turns) {
+        for at in next.places(self.grid.frame, s.pairs, self.turns) {
             count += 1;
             height += i32::from(self.grid.heights[at]);
             packed += i32::from(self.grid.packed[at]);

@@ -305,3 +305,30 @@ fn bytes_come_back() {
         }
     }
 }
+
+/// A wheel that travels over fresh sand under its load sinks in as the theory says, at every slip ratio: the heap that it
+/// pushes is part of the theory. So the measured wheels are no worse than without memory.
+#[test]
+fn wheels_on_fresh_sand_are_the_theory() {
+    let sand = include_str!("../../../tests/data/real_wheel/sand_discs.toml");
+    let sand = SandDescription::from_toml(sand).unwrap();
+    let body = body("cylinder:radius=0.0625,width=0.06");
+    let rows = include_str!("../../../tests/data/real_wheel/wheel_smooth.csv");
+    let mut errors = Vec::new();
+    for line in rows.lines().filter(|l| !l.starts_with('#')).skip(1) {
+        let row: Vec<f64> = line.split(',').skip(1).map(|c| c.parse().unwrap()).collect();
+        let [slip_angle, _, vx, vy, wy, depth, _, _, load] = row[..] else { panic!("{line}") };
+        if slip_angle > 60.0 {
+            continue;
+        }
+        let trial = Trial { velocity: [vx, vy, 0.0], spin: [0.0, wy, 0.0], given: DepthOrLoad::Load(load) };
+        let mut path = Path::new(&body, &sand, REPOSE_DEG, None).unwrap();
+        let times = (0..50).map(|k| 0.5 * f64::from(k));
+        let with = times.fold(0.0, |_, time| path.step(&PathPoint { time, place: None, trial }).depth);
+        errors.push([with, compute(&body, &sand, &trial).depth].map(|d| d - depth));
+    }
+    let [with, without] =
+        [0, 1].map(|k| (errors.iter().map(|e: &[f64; 2]| e[k].powi(2)).sum::<f64>() / errors.len() as f64).sqrt());
+    println!("sinkage of {} rows: {:.2} mm rms with memory, {:.2} mm without", errors.len(), 1e3 * with, 1e3 * without);
+    assert!(errors.len() > 60 && (with - without).abs() < 1e-4, "{with} {without}");
+}

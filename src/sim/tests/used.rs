@@ -103,7 +103,7 @@ fn speed(model: &Model, hz: f64) -> f64 {
 }
 
 /// With an eighth of the time step and half the cells, walking speeds stay within 2 % if the convex side of the legs leads.
-/// With the concave side leading they do not converge yet (−5 % at 2 Hz), which docs/memory.md says; those speeds are printed only.
+/// With the concave side leading they do not converge yet (−4 % at 2 Hz), which docs/memory.md says; those speeds are printed only.
 #[test]
 fn walks_converge() {
     let mut worst: f64 = 0.0;

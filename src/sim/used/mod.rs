@@ -9,7 +9,7 @@ use crate::sand::memory::{Marks, MemorySettings, Moved, SurfacePiece};
 use crate::{Model, State};
 
 /// Time between two movements of sand [s]: our choice, a control step of the tasks. A foot that pushes with 0.5 m/s moves by two
-/// cells. Half and twice this time change the speeds of hexapods whose convex side leads by at most 2.4 % (`walks_converge`).
+/// cells. Half and twice this time change the speeds of hexapods whose convex side leads by at most 2 % (`walks_converge`).
 const PERIOD: f64 = 2e-2;
 /// Height above the highest sand above which a body finds nothing yet [cells]: our choice, 4 cm for the hexapods, which a leg of
 /// theirs falls in [`PERIOD`] with 2 m/s.
