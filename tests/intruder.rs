@@ -132,15 +132,21 @@ fn meshes_work_as_bodies() {
     for inward in [false, true] {
         let mut stl = String::from("solid box\n");
         let mut obj = String::new();
+        // A binary file whose header begins as that of a text.
+        let mut binary = format!("{:80}", "solid box").into_bytes();
+        binary.extend((triangles(inward).len() as u32).to_le_bytes());
         for (k, triangle) in triangles(inward).iter().enumerate() {
             stl += "facet normal 0 0 0\nouter loop\n";
             triangle.iter().for_each(|p| stl += &line("vertex", p));
             stl += "endloop\nendfacet\n";
             triangle.iter().for_each(|p| obj += &line("v", p));
             obj += &format!("f {} {} {}\n", 3 * k + 1, 3 * k + 2, 3 * k + 3);
+            let numbers = [0.0; 3].iter().chain(triangle.iter().flatten());
+            binary.extend(numbers.flat_map(|x| (*x as f32).to_le_bytes()));
+            binary.extend([0; 2]);
         }
         stl += "endsolid box\n";
-        for (name, text) in [("box.stl", stl), ("box.obj", obj)] {
+        for (name, text) in [("box.stl", stl.into_bytes()), ("box.obj", obj.into_bytes()), ("binary.stl", binary)] {
             let path = directory.path().join(name);
             std::fs::write(&path, text).unwrap();
             let mesh = body(path.to_str().unwrap(), None);

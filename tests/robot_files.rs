@@ -71,6 +71,18 @@ fn bodies_beside_the_robot_are_left_out_with_their_motors() {
     assert!(wrong.contains("there is no joint \"unused\""), "{wrong}");
 }
 
+/// dm_control's quadruped and dog have a ball to play with. A second free body with joints is a second robot.
+#[test]
+fn free_bodies_without_joints_are_left_out() {
+    let ball = r#"<body name="ball" pos="1 0 0.1"><freejoint/><geom size="0.1"/></body>"#;
+    let (alone, with) = (read(&quadruped("", "", "", "")).unwrap(), read(&quadruped("", "", ball, "")).unwrap());
+    assert_eq!(with.tree.bodies.len(), alone.tree.bodies.len());
+    assert!(with.warnings.iter().any(|w| w.contains("1 <body>")), "{:?}", with.warnings);
+    let other = r#"<body name="other"><freejoint/><geom size="0.1"/><body><joint/><geom size="0.1"/></body></body>"#;
+    let wrong = read(&quadruped("", "", other, "")).err().unwrap();
+    assert!(wrong.contains("two robots"), "{wrong}");
+}
+
 /// A picture's mesh that is missing is a warning; where a geom collides with it or has its mass, the file is refused.
 #[test]
 fn a_missing_mesh_is_refused_only_where_it_is_needed() {

@@ -120,13 +120,18 @@ struct BesideRobot {
     positions: [usize; 2],
 }
 
-/// The one body of the world that moves freely.
+/// The one body of the world that moves freely and carries joints; others that move freely, such as a ball, are left out.
 fn base<'a>(root: &'a Element, notes: &mut Notes) -> Result<(MjcfBase<'a>, BesideRobot)> {
     let mut bodies = Vec::new();
     for world in root.all("worldbody") {
         top(world, "", &mut bodies, notes)?;
     }
-    let free: Vec<usize> = (0..bodies.len()).filter(|i| body::is_free(bodies[*i].element)).collect();
+    let free = |i: &usize| body::is_free(bodies[*i].element);
+    let carries = |i: &usize| joints(bodies[*i].element, &mut HashSet::new()) > FREE;
+    let mut free: Vec<usize> = (0..bodies.len()).filter(free).collect();
+    if free.iter().any(carries) {
+        free.retain(carries);
+    }
     let chosen = match (&free[..], bodies.len()) {
         ([one], _) => *one,
         ([a, b, ..], _) => {
@@ -150,12 +155,15 @@ fn base<'a>(root: &'a Element, notes: &mut Notes) -> Result<(MjcfBase<'a>, Besid
     Ok((base, beside))
 }
 
+/// Numbers of a free body's position: place and quaternion.
+const FREE: usize = 7;
+
 /// Adds the names of the joints of a body and of all that it carries, and counts their numbers of positions.
 fn joints(body: &Element, names: &mut HashSet<String>) -> usize {
     let mut positions = 0;
     for child in &body.children {
         positions += match (child.tag.as_str(), child.get("type")) {
-            ("freejoint", _) | ("joint", Some("free")) => 7,
+            ("freejoint", _) | ("joint", Some("free")) => FREE,
             ("joint", Some("ball")) => 4,
             ("joint", _) => 1,
             _ => joints(child, names),

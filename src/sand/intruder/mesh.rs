@@ -4,7 +4,7 @@ use super::{IntruderPlate, area as plates_area, volume};
 use crate::error::{Error, Result};
 use crate::number::Vec3;
 use std::fs::File;
-use std::io::{BufRead, BufReader, Seek};
+use std::io::{BufRead, BufReader, Seek, SeekFrom};
 use std::path::Path;
 
 pub type Triangle = [Vec3<f64>; 3];
@@ -16,6 +16,8 @@ pub(super) const MOST_PLATES: usize = 2_000_000;
 const MOST_TRIANGLES: usize = 1_000_000;
 /// Largest file that is read [bytes]: 10⁶ triangles as text; our choice.
 const MOST_BYTES: u64 = 300 << 20;
+/// Bytes before the triangles of a binary STL: a header of 80, and their number.
+const BINARY_HEAD: u64 = 84;
 /// |Σ n A|/Σ A above which a surface is not closed: our choice, far above the rounding of STL's single precision.
 const OPEN: f64 = 1e-3;
 
@@ -61,15 +63,49 @@ fn too_many(path: &Path, most: usize) -> Error {
 }
 
 fn read_stl(path: &Path, mut reader: impl BufRead + Seek, most: usize) -> Result<Vec<Triangle>> {
+    let failed = |e| Error::file(path, e);
+    if let Some(count) = binary_count(&mut reader).map_err(failed)? {
+        return if count > most { Err(too_many(path, most)) } else { read_binary_stl(reader, count).map_err(failed) };
+    }
     let mut triangles = Vec::new();
-    for triangle in stl_io::create_stl_reader(&mut reader).map_err(|e| Error::file(path, e))? {
-        let triangle = triangle.map_err(|e| Error::file(path, e))?;
+    for triangle in stl_io::create_stl_reader(&mut reader).map_err(failed)? {
+        let triangle = triangle.map_err(failed)?;
         if triangles.len() == most {
             return Err(too_many(path, most));
         }
         triangles.push(triangle.vertices.map(|v| point([v[0], v[1], v[2]])));
     }
     Ok(triangles)
+}
+
+/// Number of triangles of a binary STL whose length fits that number; None: another file, which is read from its begin. The header of some
+/// binary files begins with "solid", as text does, so that alone decides nothing.
+fn binary_count(reader: &mut (impl BufRead + Seek)) -> std::io::Result<Option<usize>> {
+    let length = reader.seek(SeekFrom::End(0))?;
+    reader.rewind()?;
+    if length < BINARY_HEAD {
+        return Ok(None);
+    }
+    reader.seek(SeekFrom::Start(BINARY_HEAD - 4))?;
+    let mut count = [0; 4];
+    reader.read_exact(&mut count)?;
+    let count = u32::from_le_bytes(count);
+    let fits = length == BINARY_HEAD + 50 * u64::from(count);
+    if !fits {
+        reader.rewind()?;
+    }
+    Ok(fits.then_some(count as usize))
+}
+
+/// `count` triangles of 50 bytes: normal, three corners, two bytes that are not used.
+fn read_binary_stl(mut reader: impl BufRead, count: usize) -> std::io::Result<Vec<Triangle>> {
+    let mut record = [0; 50];
+    let mut triangle = || {
+        reader.read_exact(&mut record)?;
+        let number = |k: usize| f32::from_le_bytes([0, 1, 2, 3].map(|i| record[4 * k + i]));
+        Ok([3, 6, 9].map(|k| point([number(k), number(k + 1), number(k + 2)])))
+    };
+    (0..count).map(|_| triangle()).collect()
 }
 
 fn read_obj(path: &Path, mut reader: impl BufRead, most: usize) -> Result<Vec<Triangle>> {
