@@ -27,11 +27,16 @@ pub fn found(report: &Report) -> HardwareDescription {
             all.quantities.extend(paths.iter().map(|path| ((*path).to_owned(), quantity)));
         }
     }
-    // A torque that was computed from the current is wrong by the same factor as the torque that a drive gives.
-    if let Some(HardwareQuantity { value, interval: [low, high] }) = all.quantities.get("sensors.joint_torque.gain") {
-        let given = |gain: f64| 1.0 / (1.0 + gain);
-        let quantity = HardwareQuantity { value: given(*value), interval: [given(*high), given(*low)] };
-        all.quantities.insert("actuator.torque_constant".into(), quantity);
+    // A drive's torque is (1 + s)/(1 + g) of what its servo requests: by the log it is 1 + s of that, and the log is wrong by the factor
+    // 1 + g. If the requests are not known, the drive computes its torque from the current, as the log does: s = 0.
+    let measured = |id: &str| report.nuisances.iter().find(|n| n.id == id && n.level == "log").map(|n| (n.value, n.sd));
+    if let Some((gain, sd)) = measured("torque_constant") {
+        let (servo, servo_sd) = measured("servo_gain").unwrap_or_default();
+        let (value, half) = ((1.0 + servo) / (1.0 + gain), NORMAL * sd.hypot(servo_sd));
+        let interval = [value * (1.0 - half), value * (1.0 + half)];
+        if !(interval[0]..=interval[1]).contains(&1.0) {
+            all.quantities.insert("actuator.torque_constant".into(), HardwareQuantity { value, interval });
+        }
     }
     if let Some(cause) = report.causes.iter().find(|cause| cause.id == "motor_torque_limit" && cause.value > 0.0) {
         let [low, high] = cause.ci95;

@@ -1,10 +1,11 @@
 //! The normal equations of a fit, and the covariances that follow from them.
 
-use super::fit::{Fit, Stack};
+use super::fit::{COEFFICIENTS, Fit, Stack};
 use super::screen::USUAL;
 use super::study::FitInputs;
 use crate::number::dot;
 use crate::sand::mechanism::CATALOG;
+use crate::student;
 use nalgebra::{DMatrix, DVector};
 use std::sync::Arc;
 
@@ -75,6 +76,11 @@ impl FitInputs<'_> {
     /// coefficients and nuisances. A condition is left out by one Gauss-Newton step. A value that this condition alone
     /// shows goes back to its prior.
     pub fn jackknife(&self, fit: &Fit) -> DMatrix<f64> {
+        values_of(fit, self.jackknife_of_all(fit))
+    }
+
+    /// The jackknife of values, coefficients and nuisances.
+    fn jackknife_of_all(&self, fit: &Fit) -> Option<DMatrix<f64>> {
         let normal = self.normal_equations(fit);
         let (mut information, mut pull) = (normal.information.clone(), DVector::zeros(normal.score.len()));
         for (k, (&id, at)) in fit.ids.iter().zip(fit.coordinates()).enumerate() {
@@ -82,9 +88,7 @@ impl FitInputs<'_> {
             information[(k, k)] += precision;
             pull[k] = score;
         }
-        let Some(all) = information.clone().cholesky().map(|factor| factor.solve(&pull)) else {
-            return values_of(fit, None);
-        };
+        let all = information.clone().cholesky()?.solve(&pull);
         let groups = self.observations.repetitions();
         let step = |units: &Vec<usize>| {
             let (own, score) = self.products(&normal.white, fit, units);
@@ -95,8 +99,22 @@ impl FitInputs<'_> {
         let count = steps.len() as f64;
         let scatter = steps.iter().fold(DMatrix::zeros(size, size), |sum, step| sum + step * step.transpose());
         let stated = DMatrix::from_fn(size, size, |i, j| if i == j && i >= fit.ids.len() { 1.0 } else { 0.0 });
-        let inverse = normal.information.try_inverse();
-        values_of(fit, inverse.map(|inverse| scatter * ((count - 1.0) / count) + &inverse * stated * &inverse))
+        let inverse = normal.information.try_inverse()?;
+        Some(scatter * ((count - 1.0) / count) + &inverse * stated * &inverse)
+    }
+
+    /// Half the 95 % interval of each nuisance, in prior standard deviations: as that of a value (`select.rs`), the greater of that
+    /// under the noise, which has these degrees of freedom, and that from the scatter between conditions. None without slopes.
+    pub fn nuisance_reach(&self, fit: &Fit, degrees: f64) -> Option<Vec<f64>> {
+        if fit.slopes.is_empty() {
+            return None;
+        }
+        let (noise, scatter) = (self.normal_equations(fit).information.try_inverse()?, self.jackknife_of_all(fit)?);
+        let others = (self.observations.conditions.len() as f64 - 1.0).max(2.0);
+        let first = fit.ids.len() + COEFFICIENTS;
+        let reach = |variance: f64, degrees: f64| (student::square_at_95(degrees) * variance.max(0.0)).sqrt();
+        let of = |k: usize| reach(noise[(k, k)], degrees.max(2.0)).max(reach(scatter[(k, k)], others));
+        Some((first..noise.nrows()).map(of).collect())
     }
 
     /// Information and score of some units alone, from whitened slopes.

@@ -45,11 +45,11 @@ impl Nuisance {
 /// mm, the friction of its surface within 0.15.
 ///
 /// For a robot's log: an IMU mounted within 3°, with a delay of 10 ms and offsets within 0.05 rad/s and 0.1 m/s²;
-/// torques within 2 %; offsets of torques and friction of joints within 5 % of the torques' rms; the mass within 2 %;
-/// beds that scatter by 5 %; errors of the simulation of 10 % of a channel's standard deviation within a stride,
-/// independent between parts of a stride. Two simulators of the same robot on the same sand differ by half of that, but
-/// the differences in neighbouring parts are similar.
-const KINDS: [(&str, &str, f64); 19] = [
+/// torques within 2 %, and within 2 % of what servos request; offsets of torques and friction of joints within 5 % of
+/// the torques' rms; the mass within 2 %; beds that scatter by 5 %; errors of the simulation of 10 % of a channel's
+/// standard deviation within a stride, independent between parts of a stride. Two simulators of the same robot on the
+/// same sand differ by half of that, but the differences in neighbouring parts are similar.
+const KINDS: [(&str, &str, f64); 20] = [
     ("offset", "1", 0.1),
     ("gain", "1", 0.02),
     ("tilt", "rad", 0.05),
@@ -64,6 +64,7 @@ const KINDS: [(&str, &str, f64); 19] = [
     ("gyro_bias", "rad/s", 0.05),
     ("acc_bias", "m/s²", 0.1),
     ("torque_constant", "1", 0.02),
+    ("servo_gain", "1", 0.02),
     ("torque_offset", "1", 0.05),
     ("friction", "N·m", 0.05),
     ("mass", "1", 0.02),

@@ -89,6 +89,7 @@ pub struct NuisanceValue {
     /// `log`: all data have one value. `trial`, `bed`: each has its own, with mean 0 and standard deviation `sd`.
     pub level: &'static str,
     pub value: f64,
+    /// For a value of the log, its 95 % interval divided by that of a normal distribution with standard deviation 1.
     pub sd: f64,
     pub unit: &'static str,
 }

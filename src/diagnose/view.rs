@@ -1,6 +1,7 @@
 //! Converts a diagnosis to a report.
 
 use super::errors::SquaredErrors;
+use super::evidence::NORMAL;
 use super::fit::{COEFFICIENTS, Fit};
 use super::laws::FittedLaw;
 use super::noise::{Noise, NoiseData};
@@ -204,9 +205,7 @@ impl ReportView<'_> {
     /// beds.
     fn nuisances(&self, study: &FitInputs) -> Vec<NuisanceValue> {
         let (Some(selection), Some(fit)) = (self.selection, self.standing()) else { return Vec::new() };
-        let count = fit.ids.len() + COEFFICIENTS;
-        let information = (!fit.slopes.is_empty()).then(|| study.normal_equations(fit).information);
-        let inverse = information.and_then(|i| i.try_inverse());
+        let reach = study.nuisance_reach(fit, selection.table.degrees);
         let split = |id: &str| match id.split_once('_').filter(|(_, c)| ["Fx", "Fz", "Ty"].contains(c)) {
             Some((kind, channel)) => (kind.to_string(), Some(channel.to_string())),
             None => (id.to_string(), None),
@@ -215,7 +214,7 @@ impl ReportView<'_> {
         let mut values: Vec<NuisanceValue> = all
             .map(|(k, (n, d))| {
                 let (id, channel) = split(&n.id);
-                let share = inverse.as_ref().map_or(1.0, |v| v[(count + k, count + k)].max(0.0).sqrt());
+                let share = reach.as_ref().map_or(1.0, |reach| reach[k] / NORMAL);
                 NuisanceValue { id, channel, level: "log", value: d * n.sd, sd: share * n.sd, unit: n.unit }
             })
             .collect();

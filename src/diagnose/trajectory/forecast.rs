@@ -74,9 +74,15 @@ impl ForwardModel for TrajectoryModel<'_> {
         let here = self.predict(&sand.0, &sand.1);
         let tracks = self.tracks(&[*sand], 0.0, 1.0).swap_remove(0);
         let mut all = self.mounting(&tracks, values);
-        let torque = self.stack(|_, channel, _| if self.is_torque(channel) { 1.0 } else { 0.0 });
-        let gain = here.iter().zip(&torque).map(|(v, t)| v * t).collect();
-        all.push(Nuisance::linear("torque_constant".into(), "1", self.priors.sd("torque_constant"), gain));
+        // A wrong constant changes the logged torques of a given motion. What servos request and what the log says of it have a ratio of
+        // their own: a drive that reckons with the same wrong constant gives the requested torque by the log.
+        let servo = self.layout.servo_channel().map_or(0..0, |c| c..c + 1);
+        let gains = [("torque_constant", 0..self.layout.joints), ("servo_gain", servo)];
+        for (id, own) in gains.into_iter().filter(|g| !g.1.is_empty()) {
+            let of = |(k, v): (usize, &f64)| if own.contains(&(k % self.span() / BINS)) { *v } else { 0.0 };
+            let gain = here.iter().enumerate().map(of).collect();
+            all.push(Nuisance::linear(id.into(), "1", self.priors.sd(id), gain));
+        }
         all.push(self.friction(self.torque_rms(&here)));
         let heavier = self.tracks(&[*sand], MASS_STEP, 1.0).swap_remove(0);
         let heavier = self.with_servo(self.read(&heavier, Mounting::default()), sand.0.motor_torque_limit);

@@ -1,6 +1,7 @@
 //! Logs for tests: the hexapod walks with servos in the rapier engine, not in the engine that replays, and its sensors have errors.
 
-use super::replay::{Replay, ReplayRobot, ReplayedJoint, SIGNALS, Signals, sample};
+use super::replay::{Replay, ReplayRobot, ReplayedJoint, Signals, sample};
+use crate::observations::interpolate;
 use crate::sand::mechanism::Mechanisms;
 use crate::sand::{Coefficients, Medium};
 use crate::sim::engine::EngineKind;
@@ -23,12 +24,14 @@ pub struct Truth {
     pub delay: f64,
     /// Mass of the base, as a multiple of the robot file's.
     pub mass: f64,
+    /// Torque of the motors, as a multiple of what their drives reckon with.
+    pub drive: f64,
     pub seed: u64,
 }
 
 impl Truth {
     pub fn new(mechanisms: Mechanisms, seed: u64) -> Self {
-        Self { mechanisms, turn: [0.02, -0.015, 0.02], delay: 0.004, mass: 1.0, seed }
+        Self { mechanisms, turn: [0.02, -0.015, 0.02], delay: 0.004, mass: 1.0, drive: 1.0, seed }
     }
 }
 
@@ -66,6 +69,8 @@ pub fn csv(truth: &Truth) -> String {
     for (k, (leg, frequency, slope_deg)) in RUNS.into_iter().enumerate() {
         let mut robot = robot.clone().with_leg_shape(leg).unwrap();
         robot.base.mass *= truth.mass;
+        robot.servo.kp *= truth.drive;
+        robot.servo.kd *= truth.drive;
         let mut scene = Scene::flat(medium.clone());
         (scene.slope_deg, scene.dt) = (slope_deg, 5e-4);
         let bed = beds[k] / mean;
@@ -92,13 +97,13 @@ fn rows(
     let joints = trial.model.joints();
     let imu = [0.01, 0.0, 0.0];
     let (model, drive) = (&trial.model, ReplayedJoint::still(joints, 1e-3));
-    let mut track = Signals { signals: vec![Vec::new(); joints + SIGNALS] };
+    let mut track = Signals::empty(joints, states.len(), model.scene.dt);
     let task = Replay { model, drive: &drive, imu };
     states.windows(2).for_each(|s| sample(&task, &s[0], &s[1], &mut track));
     let turn = nalgebra::Rotation3::from_scaled_axis(nalgebra::Vector3::from(truth.turn)).inverse();
     let offsets: Vec<f64> = (0..joints).map(|_| 2e-4 * normal()).collect();
     let biases: Vec<f64> = (0..6).map(|k| if k < 3 { 0.02 } else { 0.05 } * normal()).collect();
-    let late = (1e3 * truth.delay).round() as usize;
+    let times: Vec<f64> = (1..states.len()).map(|k| 1e-3 * k as f64).collect();
     // The engine wraps angles to one turn; a log counts on.
     let mut angles = states[0].angles.clone();
     for i in (0..states.len() - 1).step_by(5) {
@@ -112,13 +117,13 @@ fn rows(
         }
         state.rates.iter().for_each(|q| write!(text, ",{:.3}", q + 0.05 * normal()).unwrap());
         for (tau, offset) in state.torques.iter().zip(&offsets) {
-            write!(text, ",{:.5}", tau * (1.0 + 0.02 * normal()) + offset).unwrap();
+            write!(text, ",{:.5}", tau / truth.drive * (1.0 + 0.02 * normal()) + offset).unwrap();
         }
         let read = |signal: usize| {
-            // Sample k of the track is of the end of step k, (k + 1) ms.
-            let at = i.saturating_sub(late + 1);
-            let window = &track.signals[joints + signal][at.saturating_sub(2)..(at + 3).min(states.len() - 1)];
-            window.iter().sum::<f64>() / window.len() as f64
+            // Sample k of the track is of the end of tick k, (k + 1) ms.
+            let at = 1e-3 * i as f64 - truth.delay + track.lag(joints + signal, joints, 1e-3);
+            let near = (-2..=2).map(|k| 1e-3 * f64::from(k) + at);
+            near.map(|t| interpolate(&times, &track.signals[joints + signal], t)).sum::<f64>() / 5.0
         };
         let own = |first: usize| turn * nalgebra::Vector3::from_fn(|k, _| read(first + k));
         let (gyro, acc) = (own(0), own(3));

@@ -22,10 +22,6 @@ impl TrajectoryModel<'_> {
         (square / f64::max(count, 1.0)).sqrt().max(1e-9)
     }
 
-    pub(super) fn is_torque(&self, channel: usize) -> bool {
-        channel < self.layout.joints || Some(channel) == self.layout.servo_channel()
-    }
-
     pub(super) fn friction(&self, rms: f64) -> Nuisance {
         let joints = self.layout.joints;
         let signs: Vec<Vec<Vec<f64>>> = self.log.runs.iter().map(signs).collect();

@@ -185,6 +185,27 @@ impl ReplayedJoint {
 pub struct Signals {
     /// Signal by signal.
     pub signals: Vec<Vec<f64>>,
+    /// Time step of the engine [s].
+    pub step: f64,
+}
+
+impl Signals {
+    pub fn empty(joints: usize, ticks: usize, step: f64) -> Self {
+        Self { signals: vec![Vec::with_capacity(ticks); joints + SIGNALS], step }
+    }
+
+    /// How long before the end of a tick a signal had the value that it has there [s]. The engines' steps are those of semi-implicit
+    /// Euler, which moves positions with the velocities at the end of a step. This is the leapfrog method, in which these velocities are
+    /// those of the middle of the step (Hairer, Lubich & Wanner 2003, section 1). So forces belong to the start of a step, and the
+    /// change of a velocity over a tick to the middle between the two steps that end the ticks.
+    pub fn lag(&self, signal: usize, joints: usize, tick: f64) -> f64 {
+        match signal.checked_sub(joints) {
+            None => self.step,
+            Some(0..3 | 9) => 0.5 * self.step,
+            Some(3..6) => 0.5 * (self.step + tick),
+            _ => 0.0,
+        }
+    }
 }
 
 /// One replay: the model, its joints' motion, and the position of the IMU [m].
@@ -227,7 +248,7 @@ fn block(kind: EngineKind, tasks: &[&Replay], latch: &Latch) -> Result<Vec<Signa
     let steps = (first.drive.tick / first.model.scene.dt).round().max(1.0) as usize;
     let ticks = tasks.iter().map(|t| t.drive.ticks).max().unwrap_or(0);
     let mut tracks: Vec<Signals> =
-        tasks.iter().map(|t| Signals { signals: vec![Vec::with_capacity(t.drive.ticks); joints + SIGNALS] }).collect();
+        tasks.iter().map(|t| Signals::empty(joints, t.drive.ticks, first.model.scene.dt)).collect();
     let mut command = Command::still(joints);
     let mut now = before[0].clone();
     for k in 0..ticks {

@@ -93,7 +93,10 @@ pub fn read(
     for (s, stride) in window.strides.iter().enumerate() {
         let own = &mut stack[s * count * BINS..][..count * BINS];
         for (b, [from, to]) in bins(*stride).enumerate() {
-            let mean = |signal: usize, late: f64| integrals[signal].mean(from - late, to - late);
+            let mean = |signal: usize, late: f64| {
+                let shift = track.lag(signal, joints, tick) - late;
+                integrals[signal].mean(from + shift, to + shift)
+            };
             let vector =
                 |first: usize| turn * nalgebra::Vector3::from_fn(|k, _| mean(joints + first + k, mounting.delay));
             for j in 0..joints {

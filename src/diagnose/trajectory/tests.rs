@@ -2,13 +2,18 @@
 
 use super::generate::{Truth, csv, experiment, file};
 use super::log::Log;
+use super::sensors::Mounting;
+use super::windows::BINS;
 use super::{TrajectoryModel, consistency, read};
 use crate::diagnose;
 use crate::error::Result;
 use crate::forward::ForwardModel;
+use crate::hardware::found;
 use crate::progress::{Latch, Silent};
 use crate::report::Diagnosis;
 use crate::sand::mechanism::Mechanisms;
+use crate::sim::hardware::HardwareQuantity;
+use crate::sim::model::Scene;
 use crate::statements::violations;
 use crate::verdict::Verdict;
 
@@ -73,6 +78,25 @@ fn what_an_unknown_place_may_hide_is_not_named_alone() {
 fn a_weak_motor_is_named() {
     let weak = Mechanisms { motor_torque_limit: 0.01, ..Mechanisms::PLAIN };
     named(&Truth { delay: 0.002, ..Truth::new(weak, 5) }, "motor_torque_limit", 0.01);
+}
+
+/// A drive that reckons with a wrong torque constant gives, by the log, what its servo requests. A wrong sensor shows another torque.
+#[test]
+fn a_wrong_drive_is_told_from_a_wrong_sensor() {
+    let found = |text: &str| {
+        let found = found(&diagnosed(text).unwrap().report).quantities;
+        ["sensors.joint_torque.gain", "actuator.torque_constant"].map(|path| found.get(path).copied())
+    };
+    let within = |found: Option<HardwareQuantity>, truth: f64| {
+        let [low, high] = found.unwrap().interval;
+        assert!((low..=high).contains(&truth), "{truth} is outside [{low}, {high}]");
+    };
+    let [gain, constant] = found(&csv(&Truth { drive: 0.96, ..Truth::new(Mechanisms::PLAIN, 10) }));
+    within(gain, 1.0 / 0.96 - 1.0);
+    within(constant, 0.96);
+    let [gain, constant] = found(&changed(&csv(&Truth::new(Mechanisms::PLAIN, 10)), &["tau:"], |v| 1.04 * v));
+    within(gain, 0.04);
+    assert_eq!(constant, None);
 }
 
 /// Every planned walk is predicted, and the predictions of different causes differ.
@@ -182,5 +206,29 @@ fn mutated_logs_do_not_panic() {
         if let Err(error) = read(file.path(), &experiment(), &Silent) {
             assert!(!error.to_string().contains('\n'), "{error}");
         }
+    }
+}
+
+/// The readings of a replay are at the right time: compared with a replay in steps of a sixteenth, they are late by less than a
+/// third of a step.
+#[test]
+fn readings_are_not_late() {
+    let log = read_text(&csv(&Truth::new(Mechanisms::PLAIN, 7))).unwrap();
+    let latch = Latch::new(&Silent);
+    let (mut model, _) = TrajectoryModel::new(log, &experiment(), &latch).unwrap();
+    let plain = (Mechanisms::default(), model.medium().coefficients);
+    let [coarse, fine] = [1.0, 16.0].map(|finer| model.tracks(&[plain], 0.0, finer).swap_remove(0));
+    let [coarse, here] = [&coarse, &fine].map(|tracks| model.read(tracks, Mounting::default()));
+    let shift = 1e-3;
+    model.windows.iter_mut().flat_map(|w| &mut w.strides).flatten().for_each(|t| *t += shift);
+    let later = model.read(&fine, Mounting::default());
+    for channel in 0..model.layout.joints + 6 {
+        let own = (0..here.len()).filter(|k| k % model.span() / BINS == channel);
+        let (product, square) = own.fold((0.0, 0.0), |(product, square), k| {
+            let rate = (later[k] - here[k]) / shift;
+            (product - (coarse[k] - here[k]) * rate, square + rate * rate)
+        });
+        let late = product / square;
+        assert!(late.abs() < Scene::DEFAULT_DT / 3.0, "channel {channel} is late by {late} s");
     }
 }
