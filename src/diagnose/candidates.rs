@@ -114,12 +114,13 @@ pub fn candidates(
     Ok(Candidates { screened, leading, around, base, fits, behind, earlier })
 }
 
-/// The candidate that predicts left-out conditions best, if it does so better than the plain model.
+/// The candidate that predicts left-out conditions best, if it does so better than the plain model. A candidate with a value of the
+/// plain sand does not count: what it gains is the freedom of a parameter that it does not use.
 fn leading(study: &FitInputs, base: &Fit, fits: &[Fit]) -> Option<usize> {
     let all: Vec<usize> = (0..study.observations.conditions.len()).collect();
     let models: Vec<Contender> = [base].into_iter().chain(fits).map(|fit| Contender { fit, laws: None }).collect();
     let table = EvidenceTable::new(study, study.whitener, &models, &all);
-    let size = |k: usize| models[k].fit.ids.len();
+    let size = |k: usize| if models[k].fit.is_idle() { 0 } else { models[k].fit.ids.len() };
     verdict::leading(models.len(), size, |k| table.elpd(k), |a, b| table.beats(a, b), SECOND).map(|k| k - 1)
 }
 

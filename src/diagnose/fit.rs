@@ -33,6 +33,11 @@ impl Fit {
         self.ids.iter().map(|&id| self.mechanisms.get(id)).collect()
     }
 
+    /// Has one of the fitted mechanisms the value of the plain sand? Then the fit explains nothing by it.
+    pub fn is_idle(&self) -> bool {
+        self.ids.iter().any(|&id| self.mechanisms.get(id) == Mechanisms::PLAIN.get(id))
+    }
+
     /// Coordinates of the fitted mechanisms: the fit's parameters.
     pub fn coordinates(&self) -> Vec<f64> {
         self.ids.iter().map(|&id| CATALOG[id].coordinate(self.mechanisms.get(id))).collect()

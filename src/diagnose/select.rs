@@ -241,7 +241,7 @@ fn entries(
             _ => false,
         };
         let inside = |j: &usize| models[*j].laws.is_none() && *j != k && models[*j].fit.ids == *ids;
-        Compared {
+        let entry = Compared {
             causes: ids.len(),
             law: models[k].laws.is_some_and(|_| table.rows[k].law.is_some()),
             unnamed: ids.iter().any(|id| unnamed.contains(id)),
@@ -253,7 +253,8 @@ fn entries(
             beats: (0..models.len()).map(|j| table.beats(k, j)).collect(),
             ahead: table.ahead(k),
             error: if k == 0 { plain } else { table.rows[k].held_out.rmse() },
-        }
+        };
+        if models[k].fit.is_idle() { entry.left_out() } else { entry }
     };
     (0..models.len()).map(of).collect()
 }

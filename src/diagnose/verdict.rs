@@ -86,7 +86,7 @@ impl Ruling {
 
 impl Compared {
     /// An entry that is not compared.
-    fn left_out(&self) -> Self {
+    pub fn left_out(&self) -> Self {
         let beats = vec![false; self.beats.len()];
         Self { causes: 0, law: false, elpd: f64::NEG_INFINITY, beats, ahead: false, ..self.clone() }
     }
