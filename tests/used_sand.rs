@@ -42,8 +42,8 @@ fn contact_forces_are_those_of_used_sand() {
     let forces: Vec<_> = (0..columns.len()).filter(|k| columns[*k].name.starts_with("contact force")).collect();
     assert_eq!(forces.len(), 4);
     let mut differs = false;
-    for step in 0..60 {
-        steps(&mut shard, 1, if step % 8 < 4 { 0.4 } else { -0.4 });
+    for step in 0..100 {
+        steps(&mut shard, 1, if step % 16 < 8 { 1.0 } else { -1.0 });
         let (view, row) = (shard.look(1, false), &shard.rows.observations[columns.len()..]);
         let whole = view.whole_state();
         let [used, fresh] = [&whole, view.state].map(|state| Pose::of(view.model, state, view.footing));
