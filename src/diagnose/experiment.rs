@@ -5,7 +5,9 @@ use super::trajectory::keys::{self, Imu, Keys, MotorKeys, RunTable};
 use crate::error::{Error, Result, check_range};
 use crate::progress::Progress;
 use crate::sand::intruder::BodyShape;
-use crate::sand::{Coefficients, Law, Medium};
+use crate::sand::mechanism::Mechanisms;
+use crate::sand::{Coefficients, Law, Medium, SandDescription};
+use crate::sim::hardware::HardwareDescription;
 use crate::table::{self, HeaderColumn, ReadOptions, Row, Summary};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
@@ -107,6 +109,7 @@ struct File {
     leg: Option<String>,
     touches: Option<Vec<String>>,
     window: Option<f64>,
+    hardware: Option<String>,
     #[serde(rename = "topics")]
     _topics: Option<IgnoredAny>,
     #[serde(default)]
@@ -135,15 +138,31 @@ pub struct Experiment {
     pub columns: BTreeMap<String, String>,
     /// The table of a robot's log.
     pub trajectory: Keys,
+    pub given: GivenModel,
+}
+
+/// What earlier diagnoses have found, which a robot's log is predicted with from the start.
+#[derive(Clone, Debug, Default)]
+pub struct GivenModel {
+    /// The mechanisms of the `sand.toml` that is the medium.
+    pub mechanisms: Mechanisms,
+    pub hardware: HardwareDescription,
 }
 
 /// Relative prior sd of the coefficients if the experiment gives none.
 const COEFFICIENT_SD: f64 = 0.08;
 
 impl Experiment {
+    /// Reads the file, and the files that it names.
     pub fn load(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).map_err(|e| Error::file(path, e))?;
-        Self::from_toml(&text).map_err(|e| Error::file(path, e))
+        let read = |name: &str| std::fs::read_to_string(name).map_err(|e| Error::file(Path::new(name), e));
+        Self::parse(&text, &read).map_err(|e| Error::file(path, e))
+    }
+
+    /// The text of a file. Instead of the names of other files it has their texts: a server reads no files that a client names.
+    pub fn from_toml(text: &str) -> Result<Self> {
+        Self::parse(text, &|name| Err(Error::invalid(name, "a server reads no files; send the content of this one")))
     }
 
     /// Calls `take` with each row of the data, with the experiment's columns and units.
@@ -158,7 +177,8 @@ impl Experiment {
         table::read(data, &ReadOptions { columns, renamed, units, most_rows: Some(MOST_ROWS), progress }, take)
     }
 
-    pub fn from_toml(text: &str) -> Result<Self> {
+    fn parse(text: &str, read_file: &dyn Fn(&str) -> Result<String>) -> Result<Self> {
+        let read = |name: &str| if name.contains('\n') { Ok(name.to_string()) } else { read_file(name) };
         let file: File = toml::from_str(text).map_err(|e| {
             let line = e.span().map(|s| text[..s.start.min(text.len())].lines().count().max(1));
             Error::invalid(
@@ -172,7 +192,19 @@ impl Experiment {
             return Err(Error::invalid(*key, "only kind = \"trajectory\" has this key"));
         }
         let own_sand = file.sand.is_some();
-        let mut medium = medium(file.medium.as_deref(), file.sand)?;
+        let mut given = GivenModel::default();
+        if let Some(name) = &file.hardware {
+            given.hardware = HardwareDescription::from_toml(&read(name)?)?;
+        }
+        let found = file.medium.as_deref().filter(|name| name.ends_with(".toml") || name.contains('\n'));
+        let mut medium = match found {
+            Some(name) => {
+                let sand = found_sand(&read(name)?, file.kind, own_sand)?;
+                given.mechanisms = sand.mechanisms;
+                sand.medium()
+            }
+            None => medium(file.medium.as_deref(), file.sand)?,
+        };
         if let Some(density) = file.bulk_density {
             medium.bulk_density = density;
         }
@@ -210,7 +242,19 @@ impl Experiment {
                 runs: file.run,
             }
             .checked()?,
+            given,
         })
+    }
+}
+
+/// The sand that an earlier diagnosis has found, as the medium of a robot's log.
+fn found_sand(text: &str, kind: DataKind, own_sand: bool) -> Result<SandDescription> {
+    let sand = SandDescription::from_toml(text)?;
+    match (kind, own_sand, sand.law) {
+        (DataKind::Trajectory, false, Law::Li2013) => Ok(sand),
+        (DataKind::Trajectory, true, _) => Err(Error::invalid("medium", "a sand.toml and a [sand] table are given")),
+        (DataKind::Trajectory, ..) => Err(Error::invalid("medium", "a robot's log is replayed with law li2013 only")),
+        _ => Err(Error::invalid("medium", "only kind = \"trajectory\" takes a sand.toml as its medium")),
     }
 }
 

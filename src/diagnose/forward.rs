@@ -6,6 +6,7 @@ use super::shared::Uncertainty;
 use crate::parallel;
 use crate::sand::mechanism::{CATALOG, Mechanism, Mechanisms};
 use crate::sand::{Coefficients, Medium, SandDescription, Term};
+use crate::sim::hardware::HardwareDescription;
 
 /// The sand to predict with.
 pub type SandParameters = (Mechanisms, Coefficients);
@@ -70,6 +71,14 @@ pub trait ForwardModel: Sync {
     /// A prediction of the simulator, without the corrections of [`Self::predict`].
     fn as_simulated(&self, prediction: &[f64]) -> Vec<f64> {
         prediction.to_vec()
+    }
+    /// The simulator's prediction with this hardware; None if it changes nothing.
+    fn with_hardware(&self, _sand: &SandParameters, _found: &HardwareDescription) -> Option<Vec<f64>> {
+        None
+    }
+    /// The hardware that the experiment states.
+    fn given_hardware(&self) -> HardwareDescription {
+        HardwareDescription::default()
     }
     /// The same model with terms in its sand; None if it does not support them.
     fn with_terms(&self, _terms: &[Term]) -> Option<Box<dyn ForwardModel + '_>> {

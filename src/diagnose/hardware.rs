@@ -4,45 +4,87 @@ use super::evidence::NORMAL;
 use super::report::Report;
 use crate::sim::hardware::{HardwareDescription, HardwareQuantity};
 
-/// An effect of measuring that a report names for a robot's own log: its id there, the quantities that it is in a simulation, and the least
+/// Paths of the quantities.
+pub const DELAY: [&str; 3] = ["sensors.gyroscope.delay", "sensors.accelerometer.delay", "sensors.gravity.delay"];
+pub const FILTER: [&str; 3] =
+    ["sensors.gyroscope.low_pass", "sensors.accelerometer.low_pass", "sensors.gravity.low_pass"];
+pub const ROTATION: [&str; 3] = ["sensors.imu_rotation.x", "sensors.imu_rotation.y", "sensors.imu_rotation.z"];
+pub const TORQUE_GAIN: &str = "sensors.joint_torque.gain";
+pub const TORQUE_CONSTANT: &str = "actuator.torque_constant";
+pub const TORQUE_LIMIT: &str = "actuator.torque_limit";
+pub const FRICTION: &str = "actuator.friction";
+
+/// An effect of measuring that a report names for a robot's own log: its id there, the quantity that it is in a simulation, and the least
 /// possible value.
-const EFFECTS: [(&str, &[&str], f64); 6] = [
-    ("imu_delay", &["sensors.gravity.delay", "sensors.gyroscope.delay", "sensors.accelerometer.delay"], 0.0),
-    ("imu_rotation_x", &["sensors.imu_rotation.x"], f64::NEG_INFINITY),
-    ("imu_rotation_y", &["sensors.imu_rotation.y"], f64::NEG_INFINITY),
-    ("imu_rotation_z", &["sensors.imu_rotation.z"], f64::NEG_INFINITY),
-    ("torque_constant", &["sensors.joint_torque.gain"], f64::NEG_INFINITY),
-    ("friction", &["actuator.friction"], 0.0),
+const EFFECTS: [(&str, &str, f64); 5] = [
+    ("imu_rotation_x", ROTATION[0], f64::NEG_INFINITY),
+    ("imu_rotation_y", ROTATION[1], f64::NEG_INFINITY),
+    ("imu_rotation_z", ROTATION[2], f64::NEG_INFINITY),
+    ("torque_constant", TORQUE_GAIN, f64::NEG_INFINITY),
+    ("friction", FRICTION, 0.0),
 ];
+
+/// A value with a half of its 95 % interval, not below `least`.
+fn quantity(value: f64, half: f64, least: f64) -> HardwareQuantity {
+    HardwareQuantity { value, interval: [value - half, value + half].map(|x| x.max(least)) }
+}
 
 /// The quantities whose 95 % interval excludes 0, and the torque limit of a weak motor that is a cause.
 pub fn found(report: &Report) -> HardwareDescription {
     let source = format!("sandgait diagnose, data {}: {}", report.data_sha256, report.summary);
     let mut all = HardwareDescription { source, ..HardwareDescription::default() };
-    for (id, paths, least) in EFFECTS {
-        let values = report.nuisances.iter().filter(|n| n.id == id && n.level == "log");
-        for n in values.filter(|n| n.value.abs() > NORMAL * n.sd && n.value > least) {
-            let interval = [n.value - NORMAL * n.sd, n.value + NORMAL * n.sd].map(|x| x.max(least));
-            let quantity = HardwareQuantity { value: n.value, interval };
-            all.quantities.extend(paths.iter().map(|path| ((*path).to_owned(), quantity)));
+    let measured = |id: &str| report.nuisances.iter().find(|n| n.id == id && n.level == "log").map(|n| (n.value, n.sd));
+    for (id, path, least) in EFFECTS {
+        if let Some((value, sd)) = measured(id).filter(|(v, sd)| v.abs() > NORMAL * sd && *v > least) {
+            all.quantities.insert(path.into(), quantity(value, NORMAL * sd, least));
         }
     }
+    all.quantities.extend(late(measured("imu_delay"), measured("imu_blur")));
     // A drive's torque is (1 + s)/(1 + g) of what its servo requests: by the log it is 1 + s of that, and the log is wrong by the factor
     // 1 + g. If the requests are not known, the drive computes its torque from the current, as the log does: s = 0.
-    let measured = |id: &str| report.nuisances.iter().find(|n| n.id == id && n.level == "log").map(|n| (n.value, n.sd));
     if let Some((gain, sd)) = measured("torque_constant") {
         let (servo, servo_sd) = measured("servo_gain").unwrap_or_default();
         let (value, half) = ((1.0 + servo) / (1.0 + gain), NORMAL * sd.hypot(servo_sd));
         let interval = [value * (1.0 - half), value * (1.0 + half)];
         if !(interval[0]..=interval[1]).contains(&1.0) {
-            all.quantities.insert("actuator.torque_constant".into(), HardwareQuantity { value, interval });
+            all.quantities.insert(TORQUE_CONSTANT.into(), HardwareQuantity { value, interval });
         }
     }
     if let Some(cause) = report.causes.iter().find(|cause| cause.id == "motor_torque_limit" && cause.value > 0.0) {
-        let [low, high] = cause.ci95;
-        let interval = [low.clamp(0.0, cause.value), high.max(cause.value)];
-        let quantity = HardwareQuantity { value: cause.value, interval };
-        all.quantities.insert("actuator.torque_limit".into(), quantity);
+        // The cause limits what servos request, of which motors give the share (1 + s)/(1 + g).
+        let [(gain, gain_sd), (servo, servo_sd)] =
+            ["torque_constant", "servo_gain"].map(|id| measured(id).unwrap_or_default());
+        let share = (1.0 + servo) / (1.0 + gain);
+        let half = |end: f64| (end / cause.value - 1.0).hypot(NORMAL * gain_sd.hypot(servo_sd));
+        let value = cause.value * share;
+        let interval = [value * (1.0 - half(cause.ci95[0])).max(0.0), value * (1.0 + half(cause.ci95[1]))];
+        all.quantities.insert(TORQUE_LIMIT.into(), HardwareQuantity { value, interval });
+    }
+    all
+}
+
+/// Delay and filter of the IMU, of its lag [s] and its blur [s²], each with its standard deviation: a first-order filter of time
+/// constant T has the lag T and the blur T². If the log does not show a blur, all of the lag is the delay, and the interval says how much of
+/// it a filter may be.
+fn late(lag: Option<(f64, f64)>, blur: Option<(f64, f64)>) -> Vec<(String, HardwareQuantity)> {
+    let Some((lag, sd)) = lag.filter(|(lag, sd)| *lag > NORMAL * sd) else { return Vec::new() };
+    let half = NORMAL * sd;
+    let [low, constant, high] = match blur {
+        Some((blur, sd)) => [blur - NORMAL * sd, blur, blur + NORMAL * sd].map(|square| square.max(0.0).sqrt()),
+        None => [0.0; 3],
+    };
+    let named = |paths: [&str; 3], value: f64, interval: [f64; 2]| {
+        let interval = interval.map(|x| x.max(0.0));
+        paths.map(|path| (path.to_string(), HardwareQuantity { value, interval }))
+    };
+    if low == 0.0 {
+        return named(DELAY, lag, [lag - half - high, lag + half]).to_vec();
+    }
+    let mut all = named(FILTER, constant, [low, high]).to_vec();
+    let delay = lag - constant;
+    let [less, more] = [high - constant, constant - low].map(|apart| half.hypot(apart));
+    if delay > less {
+        all.extend(named(DELAY, delay, [delay - less, delay + more]));
     }
     all
 }

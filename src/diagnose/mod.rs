@@ -187,15 +187,18 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
         sand.mechanisms = fit.mechanisms;
         sand.terms = selection.as_ref().and_then(|s| s.law.as_ref()).map(|law| law.term.clone()).into_iter().collect();
     }
+    let mut hardware = hardware::found(&report);
+    hardware.quantities.extend(model.given_hardware().quantities);
+    let extended = model.with_hardware(&(sand.mechanisms, sand.coefficients), &hardware);
+    let extended = extended.or_else(|| fit.map(|fit| model.as_simulated(&fit.prediction)));
     model.finish(&mut sand);
-    let extended = fit.map(|fit| model.as_simulated(&fit.prediction));
     let band = noise.standard_deviation(&source);
     let groups = (0..observations.units.len()).map(|u| model.group(u).to_string()).collect();
     let plain = model.as_simulated(&plain);
     let conditions = conditions::described(&observations, model);
     let medium = model.medium().name.clone();
     let curves = Curves { groups, conditions, medium, plain, extended, band, observations: observations.clone() };
-    Ok(Diagnosis { report, sand, curves, name: "the data".into() })
+    Ok(Diagnosis { report, sand, hardware, curves, name: "the data".into() })
 }
 
 /// Causes that the data can show; causes that act on the data, but that they cannot tell for lack of a column; and

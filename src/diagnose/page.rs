@@ -1,9 +1,9 @@
 //! Writes the results of a diagnosis: `report.json`, `sand.toml`, and `report.html`, one self-contained page.
 
+use super::figures;
 use super::report::{Diagnosis, Report};
 use super::verdict::{Verdict, Written};
 use super::words::{after, digits, span};
-use super::{figures, hardware};
 use crate::error::{Error, Result};
 use crate::plot::{color, escape};
 use crate::sand::mechanism::{CATALOG, Mechanism};
@@ -29,7 +29,7 @@ impl Diagnosis {
         let html = page(self, &json);
         let sand = format!("# {}\n{}", self.report.summary.replace('\n', " "), self.sand.to_toml()?);
         std::fs::create_dir_all(out).map_err(|e| Error::file(out, e))?;
-        let hardware = hardware::found(&self.report).to_toml();
+        let hardware = self.hardware.to_toml();
         let files =
             [("report.json", &json), ("report.html", &html), ("sand.toml", &sand), ("hardware.toml", &hardware)];
         for (name, text) in files {

@@ -6,6 +6,7 @@ use super::speed_exponent::SpeedExponent;
 use super::verdict::{Verdict, Written};
 use crate::error::{Error, Result};
 use crate::sand::SandDescription;
+use crate::sim::hardware::HardwareDescription;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -213,6 +214,8 @@ pub struct Diagnosis {
     pub report: Report,
     /// The extended model (the plain one if nothing helps), for the simulator.
     pub sand: SandDescription,
+    /// What was found of the robot's motors, sensors and delays, and what the experiment file states of them.
+    pub hardware: HardwareDescription,
     /// Measured, plain and extended stacks, for plots.
     pub curves: Curves,
     /// Name of the data file.

@@ -1,14 +1,15 @@
 //! The forward model of a robot's log: what the diagnosis requires of every forward model.
 
+use super::logged::LoggedHardware;
 use super::model::TrajectoryModel;
-use super::sensors::Mounting;
 use super::windows::{BINS, Window};
 use crate::fit::slope;
 use crate::forward::{Feature, ForwardModel, Menu, SandParameters, Testable, stronger};
 use crate::nuisance::Nuisance;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
-use crate::sand::{Coefficients, Medium};
+use crate::sand::{Coefficients, Medium, SandDescription};
 use crate::shared::Uncertainty;
+use crate::sim::hardware::HardwareDescription;
 use std::collections::HashMap;
 use std::f64::consts::TAU;
 
@@ -58,7 +59,7 @@ impl ForwardModel for TrajectoryModel<'_> {
             common.push(self.stack(|_, c, _| if c == channel { size } else { 0.0 }));
         }
         let fine = self.tracks(&[*sand], 0.0, 4.0).swap_remove(0);
-        let fine = self.with_servo(self.read(&fine, Mounting::default()), sand.0.motor_torque_limit);
+        let fine = self.logged(self.read(&fine, self.hardware.mounting), self.limit(sand), &self.hardware);
         common.push(slope(&fine, prediction, 1.0));
         let share = sd("model_error");
         let swing = |block: &[f64]| {
@@ -85,10 +86,10 @@ impl ForwardModel for TrajectoryModel<'_> {
         }
         all.push(self.friction(self.torque_rms(&here)));
         let heavier = self.tracks(&[*sand], MASS_STEP, 1.0).swap_remove(0);
-        let heavier = self.with_servo(self.read(&heavier, Mounting::default()), sand.0.motor_torque_limit);
+        let heavier = self.logged(self.read(&heavier, self.hardware.mounting), self.limit(sand), &self.hardware);
         let by_mass = slope(&heavier, &here, MASS_STEP);
         all.push(Nuisance::linear("mass".into(), "1", self.priors.sd("mass"), by_mass));
-        all.retain(|n| n.sd > 0.0);
+        all.retain(|n| n.sd > 0.0 && !self.is_given(&n.id));
         all
     }
 
@@ -104,7 +105,26 @@ impl ForwardModel for TrajectoryModel<'_> {
             ),
             _ => None,
         };
-        CATALOG.iter().enumerate().filter(|(_, m)| m.walking).map(|(index, m)| (index, why(m))).collect()
+        let given = self.given.mechanisms;
+        let asked = CATALOG.iter().enumerate().filter(|(index, m)| m.walking && given.get(*index) == 0.0);
+        asked.map(|(index, m)| (index, why(m))).collect()
+    }
+
+    fn with_hardware(&self, sand: &SandParameters, found: &HardwareDescription) -> Option<Vec<f64>> {
+        let hardware = LoggedHardware::of(found);
+        if hardware == self.hardware {
+            return None;
+        }
+        let tracks = self.tracks(&[*sand], 0.0, 1.0).swap_remove(0);
+        Some(self.logged(self.read(&tracks, hardware.mounting), self.limit(sand), &hardware))
+    }
+
+    fn given_hardware(&self) -> HardwareDescription {
+        self.given.hardware.clone()
+    }
+
+    fn finish(&self, sand: &mut SandDescription) {
+        sand.mechanisms = self.with_given(&sand.mechanisms);
     }
 
     fn features(&self) -> Vec<Feature> {

@@ -22,6 +22,8 @@ pub struct Truth {
     pub turn: [f64; 3],
     /// Delay of the IMU [s].
     pub delay: f64,
+    /// Time constant of the IMU's first-order filter [s].
+    pub low_pass: f64,
     /// Mass of the base, as a multiple of the robot file's.
     pub mass: f64,
     /// Torque of the motors, as a multiple of what their drives reckon with.
@@ -31,7 +33,7 @@ pub struct Truth {
 
 impl Truth {
     pub fn new(mechanisms: Mechanisms, seed: u64) -> Self {
-        Self { mechanisms, turn: [0.02, -0.015, 0.02], delay: 0.004, mass: 1.0, drive: 1.0, seed }
+        Self { mechanisms, turn: [0.02, -0.015, 0.02], delay: 0.004, low_pass: 0.0, mass: 1.0, drive: 1.0, seed }
     }
 }
 
@@ -100,6 +102,7 @@ fn rows(
     let mut track = Signals::empty(joints, states.len(), model.scene.dt);
     let task = Replay { model, drive: &drive, imu };
     states.windows(2).for_each(|s| sample(&task, &s[0], &s[1], &mut track));
+    track.signals[joints..].iter_mut().for_each(|signal| filter(signal, truth.low_pass));
     let turn = nalgebra::Rotation3::from_scaled_axis(nalgebra::Vector3::from(truth.turn)).inverse();
     let offsets: Vec<f64> = (0..joints).map(|_| 2e-4 * normal()).collect();
     let biases: Vec<f64> = (0..6).map(|k| if k < 3 { 0.02 } else { 0.05 } * normal()).collect();
@@ -132,6 +135,19 @@ fn rows(
             write!(text, ",{:.4}", value + biases[k] + noise * normal()).unwrap();
         }
         text.push('\n');
+    }
+}
+
+/// A first-order filter in small steps, for samples every millisecond.
+fn filter(signal: &mut [f64], time: f64) {
+    const PARTS: u32 = 50;
+    let (mut value, mut before) = (signal[0], signal[0]);
+    for x in signal.iter_mut().filter(|_| time > 0.0) {
+        for k in 0..PARTS {
+            let input = before + (*x - before) * (f64::from(k) + 0.5) / f64::from(PARTS);
+            value += (input - value) * 1e-3 / f64::from(PARTS) / time;
+        }
+        before = std::mem::replace(x, value);
     }
 }
 

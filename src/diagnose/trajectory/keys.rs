@@ -49,8 +49,8 @@ impl RunTable {
 const MOST_RUNS: usize = 1000;
 
 /// The keys' names. A CSV has no topics: they belong to a recording that `sandgait.logs` (Python) reads.
-pub const NAMES: [&str; 9] =
-    ["imu", "motor", "slope_deg", "stride_frequency", "leg", "touches", "window", "topics", "run"];
+pub const NAMES: [&str; 10] =
+    ["imu", "motor", "slope_deg", "stride_frequency", "leg", "touches", "window", "topics", "run", "hardware"];
 /// Length of the windows if the file gives none [s]: our choice, about a stride.
 pub const WINDOW: f64 = 0.5;
 

@@ -11,6 +11,7 @@ mod forecast;
 pub(super) mod generate;
 pub(super) mod keys;
 mod log;
+mod logged;
 mod measuring;
 mod model;
 mod plan;

@@ -2,13 +2,15 @@
 
 use super::keys::Keys;
 use super::log::Log;
+use super::logged::LoggedHardware;
 use super::replay::{ReplayRobot, ReplayedJoint};
 use super::sensors::Layout;
 use super::servo::{self, RequestedTorques};
 use super::windows::{BINS, Integral, Window, bins, windows};
 use crate::error::{Error, Result};
-use crate::experiment::Experiment;
+use crate::experiment::{Experiment, GivenModel};
 use crate::forward::ForwardModel;
+use crate::hardware::{DELAY, FILTER, FRICTION, ROTATION, TORQUE_CONSTANT, TORQUE_GAIN, TORQUE_LIMIT};
 use crate::known::Known;
 use crate::nuisance::Priors;
 use crate::observations::{Channel, Observations, Size, Unit};
@@ -37,6 +39,11 @@ pub struct TrajectoryModel<'a> {
     pub(super) window_of: Vec<usize>,
     pub(super) layout: Layout,
     pub(super) asked: Option<RequestedTorques>,
+    /// What earlier diagnoses have found, and its hardware as a log shows it.
+    pub(super) given: GivenModel,
+    pub(super) hardware: LoggedHardware,
+    /// See [`Self::moving`].
+    pub(super) moving: Vec<f64>,
     pub(super) known: Known<Vec<f64>>,
 }
 
@@ -62,7 +69,13 @@ impl<'a> TrajectoryModel<'a> {
             servo: asked.is_some(),
         };
         let window_of = window_of(&windows);
-        let model = Self {
+        let mut given = experiment.given.clone();
+        if given.mechanisms.motor_torque_limit == 0.0 {
+            // The mechanism limits what servos request.
+            let limit = given.hardware.value(TORQUE_LIMIT).unwrap_or(0.0);
+            given.mechanisms.motor_torque_limit = limit / given.hardware.value(TORQUE_CONSTANT).unwrap_or(1.0);
+        }
+        let mut model = Self {
             latch,
             medium: experiment.medium.clone(),
             keys,
@@ -74,8 +87,12 @@ impl<'a> TrajectoryModel<'a> {
             window_of,
             layout,
             asked,
+            hardware: LoggedHardware::of(&given.hardware),
+            given,
+            moving: Vec::new(),
             known: Known::up_to(KNOWN),
         };
+        model.moving = model.moving();
         let plain = model.predict(&Mechanisms::default(), &model.medium.coefficients);
         if let Some(error) = latch.error() {
             return Err(error);
@@ -91,6 +108,20 @@ impl<'a> TrajectoryModel<'a> {
         }
         let observations = model.observations();
         Ok((model, observations))
+    }
+
+    /// Does the experiment file state what a nuisance is about?
+    pub(super) fn is_given(&self, nuisance: &str) -> bool {
+        let gives = |paths: &[&str]| paths.iter().any(|path| self.given.hardware.value(path).is_some());
+        match nuisance {
+            "imu_rotation_x" => gives(&ROTATION[..1]),
+            "imu_rotation_y" => gives(&ROTATION[1..2]),
+            "imu_rotation_z" => gives(&ROTATION[2..]),
+            "imu_delay" | "imu_blur" => gives(&DELAY) || gives(&FILTER),
+            "torque_constant" | "servo_gain" => gives(&[TORQUE_GAIN, TORQUE_CONSTANT]),
+            "friction" => gives(&[FRICTION]),
+            _ => false,
+        }
     }
 
     pub fn windows(&self) -> &[Window] {

@@ -47,8 +47,12 @@ impl TrajectoryModel<'_> {
             bodies,
             layout: self.layout,
             asked: None,
+            given: self.given.clone(),
+            hardware: self.hardware,
+            moving: Vec::new(),
             known: Known::up_to(KNOWN),
         };
+        model.moving = model.moving();
         if self.layout.servo {
             model.asked = Some(model.needed()?);
         }

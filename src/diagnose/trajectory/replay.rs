@@ -289,18 +289,30 @@ type V = nalgebra::Vector3<f64>;
 /// Appends what the sensors read over the tick from `before` to `now`.
 pub fn sample(task: &Replay, before: &State, now: &State, track: &mut Signals) {
     let tick = task.drive.tick;
-    let rows = now.rotation();
-    let turn = nalgebra::Matrix3::from_fn(|i, j| rows[i][j]);
+    let rotation = |state: &State| {
+        let rows = state.rotation();
+        nalgebra::Matrix3::from_fn(|i, j| rows[i][j])
+    };
     let vector = V::from;
     let omega = vector(now.angular_velocity);
     let alpha = (omega - vector(before.angular_velocity)) / tick;
-    let place = turn * vector(task.imu);
+    // The change of the velocities belongs to a time before that of the attitude (see `Signals::lag`).
+    let mut between = now.clone();
+    let earlier = 0.5 * (1.0 + track.step / tick);
+    let near = now.orientation.iter().zip(&before.orientation).map(|(a, b)| a * b).sum::<f64>().signum();
+    for (k, own) in between.orientation.iter_mut().enumerate() {
+        *own = (1.0 - earlier) * now.orientation[k] + earlier * near * before.orientation[k];
+    }
+    let size = between.orientation.iter().map(|q| q * q).sum::<f64>().sqrt();
+    between.orientation.iter_mut().for_each(|q| *q /= size);
+    let (turn, then) = (rotation(now), rotation(&between));
+    let place = then * vector(task.imu);
     let acceleration = (vector(now.velocity) - vector(before.velocity)) / tick;
     let gravity = task.model.gravity;
     let specific = acceleration + alpha.cross(&place) + omega.cross(&omega.cross(&place)) - gravity;
     let up = -gravity / gravity.norm();
     let own = |v: V| turn.tr_mul(&v);
-    let (gyro, acc, up) = (own(omega), own(specific), own(up));
+    let (gyro, acc, up) = (own(omega), then.tr_mul(&specific), own(up));
     let speed = now.velocity[0].hypot(now.velocity[1]);
     let signals = gyro.iter().chain(acc.iter()).chain(up.iter()).chain([&speed, &now.position[2]]);
     let all = now.torques.iter().chain(signals);

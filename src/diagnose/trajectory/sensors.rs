@@ -13,6 +13,9 @@ const IMU: [(&str, &str); 6] = [
     ("acc_z", "m/s²"),
 ];
 
+/// Signals of a replay that the IMU measures: angular velocity, specific force and upward direction.
+const IMU_SIGNALS: usize = 9;
+
 /// The channels of a log, in this order: torques, gyro, specific force, upward direction, speed, servo.
 #[derive(Clone, Copy, Debug)]
 pub struct Layout {
@@ -51,13 +54,15 @@ impl Layout {
     }
 }
 
-/// Rotation and delay of the IMU, beyond what the experiment file states.
+/// Rotation, delay and filter of the IMU, beyond what the experiment file states.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Mounting {
     /// Rotation vector in the IMU's frame [rad].
     pub turn: [f64; 3],
     /// Delay of its readings [s].
     pub delay: f64,
+    /// Time constant of the first-order filter of its readings [s].
+    pub low_pass: f64,
 }
 
 type M = nalgebra::Matrix3<f64>;
@@ -72,10 +77,26 @@ impl Mounting {
     }
 }
 
-/// The predicted numbers of one window: stride by stride, channel by channel. The servo's channel is 0 here.
+/// A signal behind a first-order filter, exact for a signal that is linear between its samples. `share`: time between two samples
+/// over the filter's time constant.
+fn low_passed(signal: &[f64], share: f64) -> Vec<f64> {
+    let kept = (-share).exp();
+    let mean = (1.0 - kept) / share;
+    let (mut value, mut before) = (signal[0], signal[0]);
+    let step = |x: &f64| {
+        value = kept * value + (mean - kept) * before + (1.0 - mean) * x;
+        before = *x;
+        value
+    };
+    signal.iter().map(step).collect()
+}
+
+/// The predicted numbers of one window: stride by stride, channel by channel. The servo's channel is 0 here. The replay's signals are
+/// sampled at the `times` of the log, and taken as linear in between, as those of the log are.
 pub fn read(
     layout: &Layout,
     window: &Window,
+    times: &[f64],
     track: &Signals,
     tick: f64,
     mounting: Mounting,
@@ -83,24 +104,31 @@ pub fn read(
 ) -> Vec<f64> {
     let (count, joints) = (layout.count(), layout.joints);
     let mut stack = vec![f64::NAN; window.strides.len() * count * BINS];
-    let samples = track.signals.first().map_or(0, Vec::len);
-    if samples < 2 || track.signals.len() < joints + SIGNALS {
+    if track.signals.first().map_or(0, Vec::len) < 2 || track.signals.len() < joints + SIGNALS {
         return stack;
     }
-    let t: Vec<f64> = (1..=samples).map(|k| window.from + k as f64 * tick).collect();
-    let integrals: Vec<Integral> = track.signals.iter().map(|s| Integral::new(&t, s)).collect();
+    // One sample more at each end.
+    let first = times.partition_point(|t| *t < window.from).saturating_sub(1);
+    let times = &times[first..(times.partition_point(|t| *t < window.end()) + 1).min(times.len())];
+    let imu = joints..joints + IMU_SIGNALS;
+    let sampled = |(k, signal): (usize, &Vec<f64>)| {
+        let late = if imu.contains(&k) { mounting.delay } else { 0.0 };
+        let start = window.from - track.lag(k, joints, tick) + late + tick;
+        match imu.contains(&k) && mounting.low_pass > 0.0 {
+            true => resampled(&low_passed(signal, tick / mounting.low_pass), start, tick, times),
+            false => resampled(signal, start, tick, times),
+        }
+    };
+    let signals: Vec<Vec<f64>> = track.signals.iter().enumerate().map(sampled).collect();
+    let integrals: Vec<Integral> = signals.iter().map(|s| Integral::new(times, s)).collect();
     let turn = mounting.to_imu(quat);
     for (s, stride) in window.strides.iter().enumerate() {
         let own = &mut stack[s * count * BINS..][..count * BINS];
         for (b, [from, to]) in bins(*stride).enumerate() {
-            let mean = |signal: usize, late: f64| {
-                let shift = track.lag(signal, joints, tick) - late;
-                integrals[signal].mean(from + shift, to + shift)
-            };
-            let vector =
-                |first: usize| turn * nalgebra::Vector3::from_fn(|k, _| mean(joints + first + k, mounting.delay));
+            let mean = |signal: usize| integrals[signal].mean(from, to);
+            let vector = |first: usize| turn * nalgebra::Vector3::from_fn(|k, _| mean(joints + first + k));
             for j in 0..joints {
-                own[j * BINS + b] = mean(j, 0.0);
+                own[j * BINS + b] = mean(j);
             }
             let (gyro, acc) = (vector(0), vector(3));
             for (k, value) in gyro.iter().chain(acc.iter()).enumerate() {
@@ -113,7 +141,7 @@ pub fn read(
                 next += 2;
             }
             if layout.place {
-                own[next * BINS + b] = mean(joints + 9, 0.0);
+                own[next * BINS + b] = mean(joints + 9);
                 next += 1;
             }
             if layout.servo {
@@ -122,4 +150,16 @@ pub fn read(
         }
     }
     stack
+}
+
+/// A signal at other times. It has a value every `tick`, the first one at `start`.
+fn resampled(signal: &[f64], start: f64, tick: f64, times: &[f64]) -> Vec<f64> {
+    let last = (signal.len() - 1) as f64;
+    let at = |t: &f64| {
+        let place = ((t - start) / tick).clamp(0.0, last);
+        let before = (place as usize).min(signal.len() - 2);
+        let share = place - before as f64;
+        (1.0 - share) * signal[before] + share * signal[before + 1]
+    };
+    times.iter().map(at).collect()
 }

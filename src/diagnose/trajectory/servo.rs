@@ -56,7 +56,7 @@ fn of_run(run: &Run, body: &ReplayRobot) -> Option<OfRun> {
         let smooth = smoothed(q);
         let torque = |i: usize| {
             let [told, rate] = hip_angle(frequency, run.t[i] - run.t[0]);
-            let own = run.qd.get(j).map_or_else(|| slope(&run.t, &smooth, i), |qd| qd[i]);
+            let own = run.qd.get(j).map_or_else(|| slope(&run.t, &smooth, i, 1), |qd| qd[i]);
             kp * (told - smooth[i]) + kd * (rate - own)
         };
         joints.push((0..q.len()).map(torque).collect());
@@ -68,8 +68,9 @@ fn most(run: &Run) -> f64 {
     MOST * run.tau.iter().flatten().fold(0.0, |m: f64, t| m.max(t.abs()))
 }
 
-fn slope(t: &[f64], q: &[f64], i: usize) -> f64 {
-    let (a, b) = (i.saturating_sub(1), (i + 1).min(q.len() - 1));
+/// Change of `q` per time about a sample, from `apart` samples before it to as many after it.
+pub fn slope(t: &[f64], q: &[f64], i: usize, apart: usize) -> f64 {
+    let (a, b) = (i.saturating_sub(apart), (i + apart).min(q.len() - 1));
     (q[b] - q[a]) / (t[b] - t[a])
 }
 

@@ -28,7 +28,7 @@ impl TrajectoryModel<'_> {
         let of = |run: usize| {
             let mut scene = Scene::flat(Medium { coefficients: *coefficients, ..self.medium.clone() });
             // The joints move as logged, so a weak motor has no effect here; it shows in the requested torques.
-            scene.mechanisms = Mechanisms { motor_torque_limit: 0.0, ..*mechanisms };
+            scene.mechanisms = Mechanisms { motor_torque_limit: 0.0, ..self.with_given(mechanisms) };
             (scene.slope_deg, scene.dt) = (self.log.runs[run].slope_deg, dt);
             if matches!(self.bodies[run], ReplayRobot::Tree(_)) {
                 scene.surface = Regularization::SOLID;
@@ -65,31 +65,28 @@ impl TrajectoryModel<'_> {
         }
     }
 
+    /// These mechanisms, and those that the experiment file states.
+    pub(super) fn with_given(&self, mechanisms: &Mechanisms) -> Mechanisms {
+        let (own, given) = (mechanisms.values(), self.given.mechanisms.values());
+        Mechanisms::from_values(std::array::from_fn(|k| if own[k] == 0.0 { given[k] } else { own[k] }))
+    }
+
+    /// Torque limit of the motors [N·m]; 0 means no limit.
+    pub(super) fn limit(&self, sand: &SandParameters) -> f64 {
+        self.with_given(&sand.0).motor_torque_limit
+    }
+
     /// The predicted numbers of all windows; the servo's channel is 0.
     pub(super) fn read(&self, tracks: &[Signals], mounting: Mounting) -> Vec<f64> {
         let of = |(k, track): (usize, &Signals)| {
-            read(&self.layout, &self.windows[k], track, self.drives[k].tick, mounting, self.keys.imu.quat)
+            let (window, tick) = (&self.windows[k], self.drives[k].tick);
+            let times = &self.log.runs[window.run].t;
+            read(&self.layout, window, times, track, tick, mounting, self.keys.imu.quat)
         };
         tracks.iter().enumerate().flat_map(of).collect()
     }
 
-    /// Fills in the servo's channel for motors with this torque limit.
-    pub(super) fn with_servo(&self, mut stack: Vec<f64>, limit: f64) -> Vec<f64> {
-        let (Some(asked), Some(channel)) = (&self.asked, self.layout.servo_channel()) else { return stack };
-        let given = asked.given(&self.log.runs, limit);
-        let mut unit = 0;
-        for window in &self.windows {
-            let means = given.of(&self.log.runs[window.run], window);
-            for own in means.chunks(BINS) {
-                let from = unit * self.span() + channel * BINS;
-                stack[from..from + BINS].copy_from_slice(own);
-                unit += 1;
-            }
-        }
-        stack
-    }
-
-    /// Predicted numbers of several states, with the IMU mounted as the experiment file states.
+    /// Predicted numbers of several states, with the hardware that the experiment file states.
     pub(super) fn simulate(&self, states: &[SandParameters]) -> Vec<Vec<f64>> {
         // The joints move as logged, so a weak motor changes only what the servos request.
         let strong = |(m, c): &SandParameters| (Mechanisms { motor_torque_limit: 0.0, ..*m }, *c);
@@ -99,11 +96,12 @@ impl TrajectoryModel<'_> {
             let some = |part: &[usize]| {
                 let states: Vec<SandParameters> = part.iter().map(|&k| states[k]).collect();
                 let tracks = self.tracks(&states, 0.0, 1.0);
-                crate::parallel::map(&tracks, |t| self.read(t, Mounting::default()))
+                crate::parallel::map(&tracks, |t| self.read(t, self.hardware.mounting))
             };
             new.chunks(16).flat_map(some).collect()
         });
-        stacks.into_iter().zip(states).map(|(stack, s)| self.with_servo(stack, s.0.motor_torque_limit)).collect()
+        let logged = |(stack, sand): (Vec<f64>, &SandParameters)| self.logged(stack, self.limit(sand), &self.hardware);
+        stacks.into_iter().zip(states).map(logged).collect()
     }
 
     /// Variance of each predicted number due to chaotic motion. If a gait hops or sways, a change of the sand that is too small to

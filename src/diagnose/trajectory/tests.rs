@@ -1,12 +1,13 @@
 //! Diagnoses of logs that the module `generate` simulates in the rapier engine.
 
-use super::generate::{Truth, csv, experiment, file};
+use super::generate::{EXPERIMENT, Truth, csv, experiment, file};
 use super::log::Log;
 use super::sensors::Mounting;
 use super::windows::BINS;
 use super::{TrajectoryModel, consistency, read};
 use crate::diagnose;
 use crate::error::Result;
+use crate::experiment::Experiment;
 use crate::forward::ForwardModel;
 use crate::hardware::found;
 use crate::progress::{Latch, Silent};
@@ -97,6 +98,51 @@ fn a_wrong_drive_is_told_from_a_wrong_sensor() {
     let [gain, constant] = found(&changed(&csv(&Truth::new(Mechanisms::PLAIN, 10)), &["tau:"], |v| 1.04 * v));
     within(gain, 0.04);
     assert_eq!(constant, None);
+}
+
+/// A log that is simulated again with the sand and the hardware found has the predictions of the report, and nothing else is found.
+#[test]
+fn what_is_found_closes_the_loop() {
+    let truth = Truth { drive: 0.96, ..Truth::new(Mechanisms { inertial_drag: 5.0, ..Mechanisms::PLAIN }, 11) };
+    let text = csv(&truth);
+    let first = diagnosed(&text).unwrap();
+    let hardware = first.hardware.to_toml();
+    assert!(first.hardware.value("sensors.gyroscope.delay").is_some(), "{hardware}");
+    let again = |hardware: &str| {
+        let own = EXPERIMENT
+            .replace("\"poppy-loose\"\nbulk_density = 638.0", &format!("{:?}", first.sand.to_toml().unwrap()));
+        let experiment = Experiment::from_toml(&format!("hardware = {hardware:?}\n{own}")).unwrap();
+        diagnose(file(&text).path(), &experiment, &Silent).unwrap()
+    };
+    let second = again(&hardware);
+    assert_eq!(second.report.verdict, Verdict::NoiseFloor, "{}", second.report.summary);
+    let told = first.curves.extended.unwrap();
+    for (k, (a, b)) in told.iter().zip(&second.curves.plain).enumerate() {
+        assert!((a - b).abs() <= 1e-12 * a.abs().max(1e-3), "number {k}: {a} and {b}");
+    }
+    // Both files hold what was given.
+    assert_eq!(second.sand.mechanisms, first.sand.mechanisms);
+    assert!(first.hardware.quantities.iter().all(|(path, q)| second.hardware.quantities[path] == *q));
+    // Without the hardware the predictions differ.
+    let without = again("source = \"none\"\n");
+    assert!(told.iter().zip(&without.curves.plain).any(|(a, b)| (a - b).abs() > 0.01));
+}
+
+/// The intervals contain delay and filter of the IMU, and a slow filter is told from a delay.
+#[test]
+fn a_filter_is_told_from_a_delay() {
+    let paths = ["sensors.gyroscope.delay", "sensors.gyroscope.low_pass"];
+    for (seed, truth) in [(21, [0.0, 0.008]), (22, [0.0, 0.004]), (23, [0.006, 0.0]), (24, [0.004, 0.009])] {
+        let truth_of_log = Truth { delay: truth[0], low_pass: truth[1], ..Truth::new(Mechanisms::PLAIN, seed) };
+        let found = diagnosed(&csv(&truth_of_log)).unwrap().hardware;
+        println!("{seed}: {truth:?} {:?}", paths.map(|path| found.quantities.get(path).copied()));
+        for (path, truth) in paths.into_iter().zip(truth) {
+            let interval = found.quantities.get(path).map_or([0.0; 2], |q| q.interval);
+            assert!((interval[0]..=interval[1]).contains(&truth) || interval == [0.0; 2], "{seed} {path}: {found:?}");
+        }
+        assert!(truth[1] < 0.006 || found.value(paths[1]).is_some(), "{seed}: {found:?}");
+        assert!(paths.iter().any(|path| found.value(path).is_some()), "{seed}: nothing is found");
+    }
 }
 
 /// Every planned walk is predicted, and the predictions of different causes differ.

@@ -1,0 +1,80 @@
+//! What stands between a replay and the log besides the sand: mounting, delay and filter of the IMU, errors of the logged torques,
+//! and friction in the joints.
+
+use super::log::Run;
+use super::model::TrajectoryModel;
+use super::sensors::Mounting;
+use super::servo;
+use super::windows::{BINS, Integral};
+use crate::hardware::{DELAY, FILTER, FRICTION, ROTATION, TORQUE_CONSTANT, TORQUE_GAIN};
+use crate::sim::hardware::HardwareDescription;
+
+/// Joint speed over which the friction changes its sign [rad/s]: our choice, below the speeds of a stride.
+const FRICTION_SPEED: f64 = 0.5;
+
+/// The hardware as a log shows it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LoggedHardware {
+    pub mounting: Mounting,
+    /// Share by which logged torques are too large.
+    pub torque_gain: f64,
+    /// Share by which, by the log, motors give more than servos request.
+    pub servo_gain: f64,
+    /// Friction of each joint [N·m].
+    pub friction: f64,
+}
+
+impl LoggedHardware {
+    /// What a file states. Quantities that do not change the mean of what is logged, such as noise, have no effect.
+    pub fn of(file: &HardwareDescription) -> Self {
+        let value = |path: &str| file.value(path).unwrap_or(0.0);
+        let torque_gain = value(TORQUE_GAIN);
+        let constant = file.value(TORQUE_CONSTANT).unwrap_or(1.0);
+        Self {
+            mounting: Mounting { turn: ROTATION.map(value), delay: value(DELAY[0]), low_pass: value(FILTER[0]) },
+            torque_gain,
+            servo_gain: constant * (1.0 + torque_gain) - 1.0,
+            friction: value(FRICTION),
+        }
+    }
+}
+
+impl TrajectoryModel<'_> {
+    /// The numbers of a replay as they are logged: with errors of the torques, and with what motors of this torque limit give
+    /// [N·m].
+    pub(super) fn logged(&self, mut stack: Vec<f64>, limit: f64, hardware: &LoggedHardware) -> Vec<f64> {
+        let torques = self.layout.joints * BINS;
+        if hardware.torque_gain != 0.0 || hardware.friction != 0.0 {
+            let moving = self.moving.chunks(self.span());
+            for (own, moving) in stack.chunks_mut(self.span()).zip(moving) {
+                for (value, sign) in own.iter_mut().zip(moving).take(torques) {
+                    *value = (1.0 + hardware.torque_gain) * *value + hardware.friction * sign;
+                }
+            }
+        }
+        let (Some(asked), Some(channel)) = (&self.asked, self.layout.servo_channel()) else { return stack };
+        let given = asked.given(&self.log.runs, limit);
+        let means = self.windows.iter().flat_map(|window| given.of(&self.log.runs[window.run], window));
+        let means: Vec<f64> = means.map(|mean| (1.0 + hardware.servo_gain) * mean).collect();
+        for (own, means) in stack.chunks_mut(self.span()).zip(means.chunks(BINS)) {
+            own[channel * BINS..][..BINS].copy_from_slice(means);
+        }
+        stack
+    }
+
+    /// Mean direction of each joint's motion at each number of a prediction, −1 to 1; 0 at numbers that are no torques.
+    pub(super) fn moving(&self) -> Vec<f64> {
+        let joints = self.layout.joints;
+        let signs: Vec<Vec<Vec<f64>>> = self.log.runs.iter().map(signs).collect();
+        let of: Vec<Vec<Integral>> = (self.log.runs.iter().zip(&signs))
+            .map(|(run, signs)| signs.iter().map(|s| Integral::new(&run.t, s)).collect())
+            .collect();
+        self.stack(|run, channel, [a, b]| if channel < joints { of[run][channel].mean(a, b) } else { 0.0 })
+    }
+}
+
+/// Direction of each joint's motion at each sample, −1 to 1.
+fn signs(run: &Run) -> Vec<Vec<f64>> {
+    let of = |q: &Vec<f64>| (0..q.len()).map(|i| (servo::slope(&run.t, q, i, 2) / FRICTION_SPEED).tanh()).collect();
+    run.q.iter().map(of).collect()
+}
