@@ -26,6 +26,20 @@ fn a_log_names_its_cause() {
     let [cause] = &report["causes"].as_array().unwrap()[..] else { panic!("{}", report["summary"]) };
     let value = cause["value"].as_f64().unwrap();
     assert!(cause["id"] == "inertial_drag" && (value / 4.0 - 1.0).abs() < 0.1, "{}", report["summary"]);
+    // With what was found, nothing more is.
+    let (again, next) = (directory.path().join("again.toml"), directory.path().join("next"));
+    let found = |name: &str| format!("{:?}", out.join(name));
+    let toml = std::fs::read_to_string(data("walk.toml")).unwrap().replace("\"poppy-loose\"", &found("sand.toml"));
+    std::fs::write(&again, format!("hardware = {}\n{toml}", found("hardware.toml"))).unwrap();
+    let output = diagnose(&data("walk.csv"), &again, &next);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let report: Value = serde_json::from_slice(&std::fs::read(next.join("report.json")).unwrap()).unwrap();
+    assert_eq!(report["verdict"], "noise_floor", "{}", report["summary"]);
+    let drag = |folder: &Path| {
+        let sand: toml::Table = toml::from_str(&std::fs::read_to_string(folder.join("sand.toml")).unwrap()).unwrap();
+        sand["mechanisms"]["inertial_drag"].as_float().unwrap()
+    };
+    assert_eq!(drag(&next), drag(&out));
 }
 
 /// The exit code is 2, one line on stderr names the file and the error, and no report is written.
@@ -69,9 +83,21 @@ fn wrong_input_gives_one_line_and_no_report() {
     refused(&csv, &with("[[run]]\nmood = 1\n"), &["walk.toml", "mood"]);
     refused(&csv, &toml.replace("xplorer", "tank"), &["tank"]);
     refused(&csv, &toml.replace("trajectory", "walking"), &["imu", "trajectory"]);
+    // Files that the experiment file names.
+    refused(&csv, &format!("hardware = \"none.toml\"\n{toml}"), &["none.toml", "No such file"]);
+    refused(&csv, &toml.replace("poppy-loose", "none.toml"), &["none.toml", "No such file"]);
+    let own = directory.path().join("own.toml");
+    let named = |key: &str| format!("{key} = {own:?}\n");
+    std::fs::write(&own, "delay = 1.0\n").unwrap();
+    refused(&csv, &(named("hardware") + &toml), &["walk.toml", "delay", "value and interval"]);
+    refused(&csv, &toml.replace("medium = \"poppy-loose\"\n", &named("medium")), &["walk.toml", "sand"]);
+    let walking = "kind = \"walking\"\nmedium = \"poppy-loose\"\n";
+    refused(&csv, &(named("hardware") + walking), &["hardware", "trajectory"]);
+    std::fs::copy(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/real_wheel/sand_smooth.toml"), &own).unwrap();
+    refused(&csv, &toml.replace("medium = \"poppy-loose\"\n", &named("medium")), &["walk.toml", "li2013"]);
     // Wrong units.
     refused(&csv, &with("[units]\nacc_x = \"g\"\nacc_y = \"g\"\nacc_z = \"g\"\n"), &["walk.log", "acc"]);
-    // Motions a thousand times as fast, which no robot follows: several runs diverge, and the first of them is named.
+    // Motions a thousand times as fast, which no robot follows.
     refused(
         &csv,
         &with("[units]\nt = \"ms\"\n"),

@@ -138,8 +138,10 @@ def diagnose(
 
     `data`: path of a CSV file, or a pandas DataFrame with the same columns; at most 63 MiB as CSV. It may also be a
     recording that `sandgait.logs` reads: Parquet, MCAP, a bag of ROS 1 or ROS 2, a LeRobot data set. `experiment`: path
-    of an EXPERIMENT.toml, or the same tables as a dict. Ctrl-C stops the work, also on a server.
+    of an EXPERIMENT.toml, or the same tables as a dict. Files that it names (`medium = "sand.toml"`, `hardware =
+    "hardware.toml"`) are read here. Ctrl-C stops the work, also on a server.
     """
+    experiment = _with_files(experiment)
     name, content = _content(data, experiment)
     if len(content) > MOST_BYTES:
         size = len(content) / 2**20
@@ -155,6 +157,26 @@ def diagnose(
     return Diagnosis(report, html, sand, hardware, Table(*columns(curves)))
 
 
+def _tables(experiment: FilePath | Mapping[str, Any]) -> Mapping[str, Any]:
+    if isinstance(experiment, Mapping):
+        return experiment
+    name, text = file(experiment, "experiment")
+    try:
+        return tomllib.loads(text.decode())
+    except ValueError as error:
+        raise InvalidRequest(f"{name}: {error}") from None
+
+
+def _with_files(experiment: FilePath | Mapping[str, Any]) -> FilePath | Mapping[str, Any]:
+    """The tables with the texts of the files that they name; `experiment` itself if they name none."""
+    try:
+        tables = _tables(experiment)
+    except InvalidRequest:
+        return experiment  # refused later, with the line of the error
+    named = [key for key in ("medium", "hardware") if str(tables.get(key, "")).endswith(".toml")]
+    return {**tables, **{key: file(tables[key], key)[1].decode() for key in named}} if named else experiment
+
+
 def _content(data: Any, experiment: FilePath | Mapping[str, Any]) -> tuple[str, bytes]:
     from . import logs  # not above, so that `python -m sandgait.logs` loads it once
 
@@ -162,10 +184,4 @@ def _content(data: Any, experiment: FilePath | Mapping[str, Any]) -> tuple[str, 
         return "data", data.to_csv(index=False).encode()
     if logs.kind(data) is None:
         return file(data, "data")
-    if not isinstance(experiment, Mapping):
-        name, text = file(experiment, "experiment")
-        try:
-            experiment = tomllib.loads(text.decode())
-        except ValueError as error:
-            raise InvalidRequest(f"{name}: {error}") from None
-    return str(data), logs.to_csv(data, experiment.get("topics"))
+    return str(data), logs.to_csv(data, _tables(experiment).get("topics"))

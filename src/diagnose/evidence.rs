@@ -256,6 +256,15 @@ impl EvidenceTable {
     pub fn misfit(&self, k: usize) -> f64 {
         if self.lack(k) <= self.limit { 0.0 } else { self.rows[k].scale - 1.0 }
     }
+
+    /// Share of the plain model's misfit that row `k` leaves. Where all errors are smaller than noise and what is stated of the model's
+    /// errors, by more than chance, the misfit is the whole of the errors.
+    pub fn unexplained(&self, k: usize) -> f64 {
+        if self.lack(0) * self.limit < 1.0 {
+            return self.lack(k) / self.lack(0).max(1e-9);
+        }
+        self.misfit(k) / self.misfit(0).max(1e-9)
+    }
 }
 
 /// Precision and score of each parameter's prior at the fit.

@@ -250,6 +250,7 @@ fn entries(
             alike: (0..models.len()).filter(hidden).collect(),
             elpd: table.elpd(k),
             misfit: table.misfit(k),
+            unexplained: table.unexplained(k),
             beats: (0..models.len()).map(|j| table.beats(k, j)).collect(),
             ahead: table.ahead(k),
             error: if k == 0 { plain } else { table.rows[k].held_out.rmse() },

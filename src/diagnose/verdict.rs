@@ -56,6 +56,8 @@ pub struct Compared {
     pub elpd: f64,
     /// Variance of its errors beyond that of the noise, in units of it; 0 if noise alone may leave as much.
     pub misfit: f64,
+    /// Share of the plain model's misfit that it leaves.
+    pub unexplained: f64,
     /// Does it predict better than entry `k`, beyond twice the standard error?
     pub beats: Vec<bool>,
     /// Does it predict better than the plain model, beyond the standard error?
@@ -90,11 +92,6 @@ impl Compared {
         let beats = vec![false; self.beats.len()];
         Self { causes: 0, law: false, elpd: f64::NEG_INFINITY, beats, ahead: false, ..self.clone() }
     }
-
-    /// Share of the misfit that it explains, beside the `plain` entry.
-    pub fn explains(&self, plain: &Compared) -> f64 {
-        if self.misfit <= 0.0 { 1.0 } else { 1.0 - self.misfit / plain.misfit.max(1e-9) }
-    }
 }
 
 /// The verdict; the first entry of the table is the plain model. `second` is the share of a pair's evidence that its
@@ -116,7 +113,6 @@ pub fn verdict(table: &[Compared], second: f64) -> Ruling {
 
 /// The verdict by the densities of left-out conditions.
 fn by_density(table: &[Compared], second: f64) -> Ruling {
-    let plain = &table[0];
     let better = |k: &usize| table[*k].beats[0];
     // If one of a kind predicts better than the plain model, the best of its kind stands for it.
     let best_of = |keep: &dyn Fn(&Compared) -> bool| {
@@ -130,7 +126,7 @@ fn by_density(table: &[Compared], second: f64) -> Ruling {
     let Some(best) = best_of(&|_| true) else {
         return without_cause(table);
     };
-    let main = |k: &usize| table[*k].explains(plain) > MAIN_PART;
+    let main = |k: &usize| 1.0 - table[*k].unexplained > MAIN_PART;
     let cause = explanation.filter(main).filter(|&c| law.is_none_or(|l| !table[l].beats[c]));
     if let Some(cause) = cause {
         return named(table, cause);
@@ -234,6 +230,7 @@ mod tests {
             alike: Vec::new(),
             elpd,
             misfit,
+            unexplained: misfit / of[0].3.max(1e-9),
             beats: of.iter().map(|other| elpd - other.2 > 10.0).collect(),
             ahead: elpd - of[0].2 > 5.0,
             error: -elpd,
@@ -306,7 +303,7 @@ mod tests {
         assert_eq!(of(&entries), (Verdict::NoneOfThese, Written::Plain, 0, Vec::new()));
         assert_eq!(verdict(&entries, 0.01).left_out, [1, 2]);
         // A name is a statement on the cause, whatever the error of the rest.
-        entries[1].misfit = 0.0;
+        entries[1].unexplained = 0.0;
         assert_eq!(of(&entries), (Verdict::Named, Written::Cause, 1, vec![1]));
     }
 }

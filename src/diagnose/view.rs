@@ -235,10 +235,10 @@ impl ReportView<'_> {
         let place =
             misfit::whereabouts(self.study.observations, self.study.model, &standing.prediction, "what remains");
         let unlocated = || "spread over all data".to_string();
-        let explained = selection.entries[entry].explains(&selection.entries[0]);
+        let left = selection.entries[entry].unexplained;
         Some(Remainder {
             significant,
-            fraction: if significant { (1.0 - explained).clamp(0.0, 1.0) } else { 0.0 },
+            fraction: if significant { left.clamp(0.0, 1.0) } else { 0.0 },
             place: if significant { place.unwrap_or_else(unlocated) } else { String::new() },
             lack_of_fit: table.lack(entry),
             limit: table.limit,

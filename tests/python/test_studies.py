@@ -246,6 +246,10 @@ def test_a_robots_own_log_in_each_format(tmp_path: Path) -> None:
     command("diagnose", table, "--experiment", WALK / "walk_mcap.toml", "--out", tmp_path)
     assert mcap.report_json == (tmp_path / "report.json").read_text()
     assert (mcap.verdict, [cause["id"] for cause in mcap.causes]) == ("named", ["inertial_drag"])
+    # What was found is given to the next diagnosis, which finds no more.
+    given = {"medium": str(tmp_path / "sand.toml"), "hardware": str(tmp_path / "hardware.toml")}
+    again = sandgait.diagnose(WALK / "walk.mcap", {**experiment, **given}, progress=False)
+    assert again.verdict == "noise_floor"
     # The report is a function of the table.
     parquet = pd.read_csv(io.BytesIO(logs.to_csv(WALK / "walk.parquet")))
     assert parquet.equals(pd.read_csv(WALK / "walk.csv"))
