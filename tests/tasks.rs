@@ -6,8 +6,9 @@ use sandgait::env::registry::{Blueprint, TASK_IDS, task_id};
 use sandgait::env::task::{Goal, Transition};
 use sandgait::env::{Column, ResetOptions};
 use sandgait::number::Isa;
-use sandgait::sim::engine::Command;
-use sandgait::sim::lanes::LanesEngine;
+use sandgait::sim::blocks::LaneEngine;
+use sandgait::sim::engine::{Command, Integrator as _};
+use sandgait::sim::lanes;
 use sandgait::sim::{Model, State};
 use serde_json::{Value, json};
 
@@ -84,7 +85,7 @@ fn mirrored_row(row: &[f32], columns: &[Column], model: &Model) -> Vec<f32> {
 /// Two robots of a task in one engine, without autoreset.
 struct Twins<'a> {
     blueprint: &'a Blueprint,
-    engine: LanesEngine,
+    engine: LaneEngine,
     states: [State; 2],
     goals: [Goal; 2],
     last: [Vec<f32>; 2],
@@ -94,7 +95,7 @@ impl<'a> Twins<'a> {
     fn new(blueprint: &'a Blueprint) -> Self {
         let model = blueprint.task.model();
         let (state, goal) = blueprint.task.begin(None, &mut Random::new(5, 0));
-        let mut engine = LanesEngine::with_isa(Isa::F64, model, 2).unwrap();
+        let mut engine = lanes::engine(Isa::F64, model, 2).unwrap();
         let states = [state.clone(), mirrored_state(&state, &other_side(model))];
         for (i, state) in states.iter().enumerate() {
             engine.set_model(i, goal.model.as_deref().unwrap_or(model));

@@ -4,7 +4,7 @@ use super::ground::Change;
 use super::random::Random;
 use super::registry::Blueprint;
 use super::rollout::{Recorded, Rollout};
-use super::sensors::{ActionDelay, Plan, Privileged, Seen, SensorMemory};
+use super::sensors::{ActionDelay, Privileged, SensorInput, SensorMemory, SensorModel};
 use super::spec::Spec;
 use super::task::{AnyTask, Goal, Transition};
 use crate::error::Result;
@@ -37,7 +37,7 @@ pub(super) struct Episode {
     pub after: State,
     pub last_action: Vec<f32>,
     /// The sand's force on each leg in the last time step, if a sensor needs it and the engine keeps it.
-    pub supports: Vec<f64>,
+    pub normal_forces: Vec<f64>,
     /// What its sensors remember.
     pub sensed: SensorMemory,
     pub delay: ActionDelay,
@@ -50,7 +50,7 @@ impl Episode {
     /// sand that was moved.
     fn observe(&mut self, before: Before, period: f64, sand: Option<&Moved>, row: &mut [f32], info: &mut [f32]) {
         let Self { task, goal, after, last_action, .. } = self;
-        let Some(plan) = task.sensing() else {
+        let Some(sensors) = task.sensing() else {
             task.observe(goal, after, last_action, row);
             for (value, column) in row.iter_mut().zip(&task.spec().observation) {
                 *value = value.clamp(column.low as f32, column.high as f32);
@@ -58,23 +58,23 @@ impl Episode {
             return;
         };
         let exact = |row: &mut [f32]| task.observe(goal, after, last_action, row);
-        let seen = Seen {
+        let input = SensorInput {
             model: goal.model.as_ref().unwrap_or(task.model()),
             footing: goal.ground.as_ref().map_or(&[], |ground| &ground.footing),
-            supports: if before == Before::Step { &self.supports } else { &[] },
+            normal_forces: if before == Before::Step { &self.normal_forces } else { &[] },
             sand,
             states: [if before == Before::Step { &self.before } else { after }, after],
             at: [self.seed, self.number, self.steps.into()],
             period,
         };
         match before {
-            Before::Step => plan.sense(&mut self.sensed, &seen, exact, row, Privileged::Present(info)),
+            Before::Step => sensors.sense(&mut self.sensed, &input, exact, row, Privileged::Present(info)),
             Before::Begin | Before::End => {
                 self.sensed = SensorMemory::default();
                 let privileged = if before == Before::End { Privileged::Next(info) } else { Privileged::Present(info) };
-                plan.sense(&mut self.sensed, &seen, exact, row, privileged);
+                sensors.sense(&mut self.sensed, &input, exact, row, privileged);
             }
-            Before::Restore => plan.repeat(&self.sensed, &seen, exact, row, info),
+            Before::Restore => sensors.repeat(&self.sensed, &input, exact, row, info),
         }
     }
 }
@@ -117,7 +117,7 @@ impl Shard {
             before: State::at_rest(0.0, &vec![0.0; model.joints()]),
             after: State::at_rest(0.0, &vec![0.0; model.joints()]),
             last_action: vec![0.0; spec.action.len()],
-            supports: Vec::new(),
+            normal_forces: Vec::new(),
             sensed: SensorMemory::default(),
             delay: ActionDelay::default(),
             ended: None,
@@ -257,8 +257,8 @@ impl Shard {
         let (wide, info) = (spec.observation.len(), spec.info.len());
         let episode = &mut self.episodes[i];
         self.engine.state(i, &mut episode.after);
-        if episode.task.sensing().is_some_and(Plan::needs_supports) {
-            self.engine.supports(i, &mut episode.supports);
+        if episode.task.sensing().is_some_and(SensorModel::needs_normal_forces) {
+            self.engine.normal_forces(i, &mut episode.normal_forces);
         }
         let diverged = !episode.after.is_sound();
         if diverged {
@@ -290,7 +290,7 @@ impl Shard {
             put_back(&mut self.engine, i, &mut episode.after);
             self.engine.state(i, &mut episode.after);
         } else if change != Change::Nothing {
-            tell(&mut self.engine, i, episode, change);
+            change_ground(&mut self.engine, i, episode, change);
         }
         self.observe(i, Before::Step);
         if terminated || truncated {
@@ -312,7 +312,7 @@ impl Shard {
         // A new seed begins a new series of episodes.
         let last = (episode.number > 0).then_some(&episode.goal);
         (episode.after, episode.goal) = episode.task.begin(last, &mut random);
-        episode.task.equip(&mut episode.goal, episode.seed, episode.number);
+        episode.task.draw_motors(&mut episode.goal, episode.seed, episode.number);
         episode.steps = 0;
         episode.last_action.fill(0.0);
         let (range, clock) = (episode.task.action_delay(), [self.period, self.period / self.substeps as f64]);
@@ -334,7 +334,7 @@ impl Shard {
         // The engine has the sand from here on.
         episode.after.sand = None;
         if episode.goal.ground.is_some() {
-            tell(&mut self.engine, i, episode, Change::Footing);
+            change_ground(&mut self.engine, i, episode, Change::Footing);
         }
         self.engine.state(i, &mut episode.after);
         self.observe(i, before);
@@ -358,7 +358,7 @@ impl Shard {
 
     /// Continues a rollout by one step; `actions` is f32 [envs, action] within its bounds.
     pub fn roll(&mut self, actions: &[f32], record: bool) {
-        let over: Vec<bool> = (0..self.envs()).map(|i| self.rollout.over(i)).collect();
+        let over: Vec<bool> = (0..self.envs()).map(|i| self.rollout.is_over(i)).collect();
         self.step(actions);
         let (rows, rollout) = (&self.rows, &mut self.rollout);
         for i in (0..over.len()).filter(|i| !over[*i]) {
@@ -399,7 +399,7 @@ fn put_back(engine: &mut Engine, i: usize, state: &mut State) {
 }
 
 /// Gives the engine the changes of environment `i`'s ground.
-fn tell(engine: &mut Engine, i: usize, episode: &mut Episode, change: Change) {
+fn change_ground(engine: &mut Engine, i: usize, episode: &mut Episode, change: Change) {
     let (Some(ground), Some(model)) = (&episode.goal.ground, &episode.goal.model) else { return };
     if change == Change::Patch {
         engine.set_model(i, model);

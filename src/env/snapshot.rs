@@ -74,7 +74,7 @@ impl Resumed {
         }
         let mut goal = Goal { speed, turn, model, ground: saved.ground.clone(), legged: saved.legged.clone() };
         task.resume(&mut goal).map_err(|why| unfit(&why))?;
-        task.equip(&mut goal, saved.seed, saved.number);
+        task.draw_motors(&mut goal, saved.seed, saved.number);
         let own = task.model();
         let state =
             State::from_row(own.joints(), &saved.state).filter(State::is_possible).ok_or_else(|| unfit("its state"))?;
@@ -101,7 +101,7 @@ impl Resumed {
         }
         let sensed = match task.sensing() {
             None => Some(SensorMemory::default()).filter(|_| saved.sensed.is_empty()),
-            Some(plan) => plan.resume(&saved.sensed, [saved.seed, saved.number]),
+            Some(sensors) => sensors.resume(&saved.sensed, [saved.seed, saved.number]),
         };
         let sensed = sensed.ok_or_else(|| unfit("what its sensors remember"))?;
         let period = 1.0 / task.spec().control_rate;

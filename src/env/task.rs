@@ -5,7 +5,7 @@ use super::legged::draws::MOST_COMMAND;
 use super::legged::episode::LeggedEpisode;
 use super::options::{OptionRow, Options, ResetOptions, TaskOptions};
 use super::random::Random;
-use super::sensors::{self, HardwareFiles, Plan};
+use super::sensors::{self, HardwareFiles, SensorModel};
 use super::spec::Spec;
 use crate::error::{Error, Result, check_range};
 use crate::sim::engine::{Command, EngineKind};
@@ -145,10 +145,10 @@ pub trait AnyTask: Send + Sync {
     fn evaluate(&self, transition: &Transition, info: &mut [f32]) -> bool;
 
     /// How observations follow from exact values; None: they are these values.
-    fn sensing(&self) -> Option<&Plan>;
+    fn sensing(&self) -> Option<&SensorModel>;
 
     /// Gives an episode the motors that it draws.
-    fn equip(&self, goal: &mut Goal, seed: u64, number: u64);
+    fn draw_motors(&self, goal: &mut Goal, seed: u64, number: u64);
 
     /// Does each episode have motors of its own?
     fn draws_motors(&self) -> bool;
@@ -222,7 +222,7 @@ pub(super) struct TaskSetup<T: Task> {
     /// The task's, with the columns of sensors.
     spec: Spec,
     hardware: HardwareFiles,
-    sensing: Option<Plan>,
+    sensing: Option<SensorModel>,
 }
 
 impl<T: Task> TaskSetup<T> {
@@ -243,7 +243,7 @@ impl<T: Task> TaskSetup<T> {
     ) -> Result<Self> {
         let task = Arc::new(T::new(&Setup { options: &options.task, model: &model })?);
         let mut spec = task.spec().clone();
-        let sensing = Plan::new(&options.hardware, &hardware, &model, &mut spec)?;
+        let sensing = SensorModel::new(&options.hardware, &hardware, &model, &mut spec)?;
         Ok(Self { check_keyword, task, options, model, spec, hardware, sensing })
     }
 
@@ -289,11 +289,11 @@ impl<T: Task> AnyTask for TaskSetup<T> {
         self.task.evaluate(&self.setup(), transition, &mut info[..self.task.spec().info.len()])
     }
 
-    fn sensing(&self) -> Option<&Plan> {
+    fn sensing(&self) -> Option<&SensorModel> {
         self.sensing.as_ref()
     }
 
-    fn equip(&self, goal: &mut Goal, seed: u64, number: u64) {
+    fn draw_motors(&self, goal: &mut Goal, seed: u64, number: u64) {
         if !self.hardware.is_random() {
             return;
         }
@@ -319,7 +319,7 @@ impl<T: Task> AnyTask for TaskSetup<T> {
 
     fn resume(&self, goal: &mut Goal) -> std::result::Result<(), String> {
         match T::resume(&self.setup(), goal) {
-            // The model of a task that draws none is the session's with drawn motors, which `equip` makes again.
+            // The model of a task that draws none is the session's with drawn motors, which `draw_motors` makes again.
             Err(_) if self.hardware.is_random() && goal.model.take().is_some() => T::resume(&self.setup(), goal),
             result => result,
         }

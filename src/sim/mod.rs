@@ -14,7 +14,7 @@
 //! * [`actuator`]: what a motor and its gear can do; [`motor`]: servo and motor of a robot.
 //! * [`hardware`]: what is known of a robot's motors, sensors and delays, as a file.
 //! * [`engine`]: the one interface to all engines.
-//! * [`spatial`]: spatial algebra for `lanes` and `tree`; [`stop`]: the ends of a joint's range.
+//! * [`blocks`]: robots in lanes, for `lanes` and `tree`; [`spatial`]: their spatial algebra; [`stop`]: the ends of a joint's range.
 //! * [`lanes`]: the fast engine, articulated bodies over SIMD lanes of robots.
 //! * [`rapier`]: rapier3d multibodies, one world for each robot.
 //! * [`carriage`]: a leg on a driven carriage, whose forces are measured.
@@ -27,6 +27,7 @@ use sandgait_number as number;
 use sandgait_sand as sand;
 
 pub mod actuator;
+pub mod blocks;
 pub mod carriage;
 pub mod command;
 pub mod engine;

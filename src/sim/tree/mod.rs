@@ -49,7 +49,7 @@ mod step;
 pub mod symmetry;
 pub mod terrain;
 
-pub use engine::TreeEngine;
+pub use engine::engine;
 pub use hard::HardGround;
 pub use model::TreeModel;
 pub use plates::{of_body, of_shapes, of_touching};
