@@ -1,6 +1,7 @@
 //! One environment for viewers.
 
-use super::shard::{Episode, Shard};
+use super::episode::{Environment, Episode};
+use super::shard::Shard;
 use super::spec::Spec;
 use super::task::{Goal, Transition};
 use crate::sand::memory::Moved;
@@ -38,10 +39,10 @@ impl Shard {
     /// of that episode; otherwise the present one.
     pub fn look(&self, i: usize, ended: bool) -> EnvView<'_> {
         let spec = self.spec();
-        let episode = &self.episodes[i];
-        let Episode { task, seed, number, steps, goal, after, last_action, .. } = episode;
+        let Environment { episode, before, ended: last, .. } = &self.environments[i];
+        let Episode { task, seed, number, steps, goal, state, last_action, .. } = episode;
         let just_ended = self.rows.terminated[i] != 0 || self.rows.truncated[i] != 0;
-        let old = episode.ended.as_ref().filter(|_| ended && just_ended);
+        let old = last.as_ref().filter(|_| ended && just_ended);
         let (goal, steps, action) = match old {
             Some(old) => (&old.goal, old.steps, &old.action),
             None => (goal, *steps, last_action),
@@ -53,7 +54,7 @@ impl Shard {
         EnvView {
             spec,
             model: goal.model.as_ref().unwrap_or(task.model()),
-            state: if old.is_some() { &episode.before } else { after },
+            state: if old.is_some() { before } else { state },
             goal,
             sand: if old.is_some() { None } else { self.engine.sand(i) },
             footing: goal.ground.as_ref().map_or(&[], |g| &g.footing),
@@ -70,12 +71,12 @@ impl Shard {
 /// been paid.
 fn at_start(episode: &Episode, spec: &Spec) -> Vec<f32> {
     let mut info = vec![0.0; spec.info.len()];
-    let Episode { task, goal, after, last_action, .. } = episode;
+    let Episode { task, goal, state, last_action, .. } = episode;
     let still = Transition {
-        model: goal.model.as_ref().unwrap_or(task.model()),
+        model: episode.model(),
         goal,
-        before: after,
-        after,
+        before: state,
+        after: state,
         action: last_action,
         previous_action: last_action,
         period: 1.0 / spec.control_rate,
