@@ -1,7 +1,7 @@
 //! One environment's episode, and the rows that it fills.
 
 use super::sensors::{ActionDelay, Privileged, SensorInput, SensorMemory};
-use super::task::{AnyTask, Goal};
+use super::task::{AnyTask, TaskState};
 use crate::sand::memory::Moved;
 use crate::sim::{Model, State};
 use std::sync::Arc;
@@ -14,7 +14,7 @@ pub struct Episode {
     pub(super) seed: u64,
     pub(super) number: u64,
     pub(super) steps: u32,
-    pub(super) goal: Goal,
+    pub(super) task_state: TaskState,
     /// The present state. The engine keeps the sand that was moved; a copy of the episode has it here.
     pub(super) state: State,
     pub(super) last_action: Vec<f32>,
@@ -25,7 +25,7 @@ pub struct Episode {
 
 /// Data of an episode that ended, which the start of the next episode would overwrite.
 pub(super) struct Ended {
-    pub goal: Goal,
+    pub task_state: TaskState,
     pub steps: u32,
     pub action: Vec<f32>,
 }
@@ -57,7 +57,7 @@ pub(super) enum Before {
 impl Episode {
     /// The model that simulates it.
     pub(super) fn model(&self) -> &Arc<Model> {
-        self.goal.model.as_ref().unwrap_or(self.task.model())
+        self.task_state.model.as_ref().unwrap_or(self.task.model())
     }
 }
 
@@ -69,7 +69,7 @@ impl Environment {
             seed: 0,
             number: 0,
             steps: 0,
-            goal: Goal::default(),
+            task_state: TaskState::default(),
             state: still.clone(),
             last_action: vec![0.0; task.spec().action.len()],
             sensed: SensorMemory::default(),
@@ -82,18 +82,18 @@ impl Environment {
     /// Fills an observation row, and the sensors' part of an info row. `before`: the state that the step began with; `sand`: the
     /// sand that was moved.
     pub fn observe(&mut self, before: Before, period: f64, sand: Option<&Moved>, row: &mut [f32], info: &mut [f32]) {
-        let Episode { task, seed, number, steps, goal, state, last_action, sensed, .. } = &mut self.episode;
+        let Episode { task, seed, number, steps, task_state, state, last_action, sensed, .. } = &mut self.episode;
         let Some(sensors) = task.sensing() else {
-            task.observe(goal, state, last_action, row);
+            task.observe(task_state, state, last_action, row);
             for (value, column) in row.iter_mut().zip(&task.spec().observation) {
                 *value = value.clamp(column.low as f32, column.high as f32);
             }
             return;
         };
-        let exact = |row: &mut [f32]| task.observe(goal, state, last_action, row);
+        let exact = |row: &mut [f32]| task.observe(task_state, state, last_action, row);
         let input = SensorInput {
-            model: goal.model.as_ref().unwrap_or(task.model()),
-            footing: goal.ground.as_ref().map_or(&[], |ground| &ground.footing),
+            model: task_state.model.as_ref().unwrap_or(task.model()),
+            footing: task_state.ground.as_ref().map_or(&[], |ground| &ground.footing),
             normal_forces: if before == Before::Step { &self.normal_forces } else { &[] },
             sand,
             states: [if before == Before::Step { &self.before } else { state }, state],

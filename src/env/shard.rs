@@ -100,7 +100,7 @@ impl Shard {
     /// [`AnyTask::check_command`].
     pub fn set_command(&mut self, i: usize, command: [f64; 3]) {
         let environment = &mut self.environments[i];
-        environment.episode.task.set_command(&mut environment.episode.goal, command);
+        environment.episode.task.set_command(&mut environment.episode.task_state, command);
         let wide = self.task.spec().observation.len();
         // Sensors sample with steps, so behind them the policy sees the command one step later.
         let row = &mut self.rows.observations[i * wide..][..wide];
@@ -178,7 +178,7 @@ impl Shard {
         let terminated = episode.task.evaluate(
             &Transition {
                 model: episode.model(),
-                goal: &episode.goal,
+                task_state: &episode.task_state,
                 before,
                 after: &episode.state,
                 action,
@@ -193,7 +193,7 @@ impl Shard {
         self.rows.rewards[i] = row[..spec.reward.len()].iter().sum();
         self.rows.terminated[i] = u8::from(terminated);
         self.rows.truncated[i] = u8::from(truncated);
-        let change = episode.task.after_step(&mut episode.goal, &episode.state, row);
+        let change = episode.task.after_step(&mut episode.task_state, &episode.state, row);
         if let Change::Push([x, y]) = change {
             (episode.state.velocity[0], episode.state.velocity[1]) = (x, y);
             put_back(&mut self.engine, i, &mut episode.state);
@@ -208,7 +208,7 @@ impl Shard {
             self.rows.final_observations.extend_from_slice(&self.rows.observations[i * wide..][..wide]);
             episode.number += 1;
             let action = episode.last_action.clone();
-            *ended = Some(Ended { goal: episode.goal.clone(), steps: episode.steps, action });
+            *ended = Some(Ended { task_state: episode.task_state.clone(), steps: episode.steps, action });
             std::mem::swap(before, &mut episode.state);
             self.begin(i, Before::End);
         }
@@ -219,16 +219,16 @@ impl Shard {
         let Environment { episode, stale, .. } = &mut self.environments[i];
         let mut random = Random::new(episode.seed, episode.number);
         // A new seed begins a new series of episodes.
-        let last = (episode.number > 0).then_some(&episode.goal);
-        (episode.state, episode.goal) = episode.task.begin(last, &mut random);
-        episode.task.draw_motors(&mut episode.goal, episode.seed, episode.number);
+        let last = (episode.number > 0).then_some(&episode.task_state);
+        (episode.state, episode.task_state) = episode.task.begin(last, &mut random);
+        episode.task.draw_motors(&mut episode.task_state, episode.seed, episode.number);
         episode.steps = 0;
         episode.last_action.fill(0.0);
         let (range, clock) = (episode.task.action_delay(), [self.period, self.period / self.substeps as f64]);
         let width = episode.last_action.len();
         episode.delay = ActionDelay::draw(range, [episode.seed, episode.number], width, clock);
         let stale = std::mem::take(stale);
-        match &episode.goal.model {
+        match &episode.task_state.model {
             Some(model) => self.engine.set_model(i, model),
             None if stale => self.engine.set_model(i, episode.task.model()),
             None => (),
@@ -242,7 +242,7 @@ impl Shard {
         self.engine.set_state(i, &episode.state);
         // The engine has the sand from here on.
         episode.state.sand = None;
-        if episode.goal.ground.is_some() {
+        if episode.task_state.ground.is_some() {
             change_ground(&mut self.engine, i, episode, Change::Footing);
         }
         self.engine.state(i, &mut episode.state);
@@ -309,7 +309,7 @@ fn put_back(engine: &mut Engine, i: usize, state: &mut State) {
 
 /// Gives the engine the changes of environment `i`'s ground.
 fn change_ground(engine: &mut Engine, i: usize, episode: &mut Episode, change: Change) {
-    let (Some(ground), Some(model)) = (&episode.goal.ground, &episode.goal.model) else { return };
+    let (Some(ground), Some(model)) = (&episode.task_state.ground, &episode.task_state.model) else { return };
     if change == Change::Patch {
         engine.set_model(i, model);
         put_back(engine, i, &mut episode.state);

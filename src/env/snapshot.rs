@@ -9,7 +9,7 @@ use super::legged::episode::LeggedEpisode;
 use super::rocks::CORNERS;
 use super::sensors::{ActionDelay, SensorMemory};
 use super::shard::Shard;
-use super::task::{AnyTask, Goal};
+use super::task::{AnyTask, TaskState};
 use crate::error::{Error, Result, check_range};
 use crate::sand::memory::Moved;
 use crate::sim::model::Scene;
@@ -60,17 +60,18 @@ impl Episode {
         if !saved.goal.iter().all(|g| g.abs() < 1e3) {
             return Err(unfit("its goal"));
         }
-        let mut goal = Goal { speed, turn, model, ground: saved.ground.clone(), legged: saved.legged.clone() };
-        task.resume(&mut goal).map_err(|why| unfit(&why))?;
-        task.draw_motors(&mut goal, saved.seed, saved.number);
+        let mut task_state =
+            TaskState { speed, turn, model, ground: saved.ground.clone(), legged: saved.legged.clone() };
+        task.resume(&mut task_state).map_err(|why| unfit(&why))?;
+        task.draw_motors(&mut task_state, saved.seed, saved.number);
         let own = task.model();
         let state =
             State::from_row(own.joints(), &saved.state).filter(State::is_possible).ok_or_else(|| unfit("its state"))?;
-        if state.objects.len() != goal.model.as_ref().unwrap_or(own).objects_at_rest().len() {
+        if state.objects.len() != task_state.model.as_ref().unwrap_or(own).objects_at_rest().len() {
             return Err(unfit("its rocks"));
         }
         let mut state = state;
-        let settings = goal.model.as_ref().unwrap_or(own).scene.memory;
+        let settings = task_state.model.as_ref().unwrap_or(own).scene.memory;
         state.sand = match (&saved.sand, settings) {
             (None, None) => None,
             (Some(bytes), Some(settings)) => {
@@ -98,7 +99,7 @@ impl Episode {
         let delay = delay.resume(&saved.delayed).ok_or_else(|| unfit("its delayed actions"))?;
         let (task, last_action) = (task.clone(), last.clone());
         let SavedEpisode { seed, number, steps, .. } = *saved;
-        Ok(Self { task, seed, number, steps, goal, state, last_action, sensed, delay })
+        Ok(Self { task, seed, number, steps, task_state, state, last_action, sensed, delay })
     }
 }
 
@@ -133,7 +134,7 @@ fn drawn(robot: &Robot, scene: &Scene, task: &dyn AnyTask) -> Result<Model> {
 impl Shard {
     /// Environment `i`'s present episode as data.
     pub fn save(&self, i: usize) -> SavedEpisode {
-        let Episode { seed, number, steps, goal, state, last_action, sensed, delay, .. } =
+        let Episode { seed, number, steps, task_state, state, last_action, sensed, delay, .. } =
             &self.environments[i].episode;
         SavedEpisode {
             sensed: sensed.numbers(),
@@ -141,13 +142,13 @@ impl Shard {
             seed: *seed,
             number: *number,
             steps: *steps,
-            goal: [goal.speed, goal.turn],
-            drawn: match goal.legged {
+            goal: [task_state.speed, task_state.turn],
+            drawn: match task_state.legged {
                 Some(_) => None,
-                None => goal.model.as_ref().map(|m| Box::new((m.robot.clone(), m.scene.clone()))),
+                None => task_state.model.as_ref().map(|m| Box::new((m.robot.clone(), m.scene.clone()))),
             },
-            ground: goal.ground.clone(),
-            legged: goal.legged.clone(),
+            ground: task_state.ground.clone(),
+            legged: task_state.legged.clone(),
             state: state.row(),
             last_action: last_action.clone(),
             sand: self.engine.sand(i).map(Moved::to_bytes),
