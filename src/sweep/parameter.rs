@@ -178,6 +178,18 @@ impl SweepAxis {
     pub fn numbers(&self) -> Option<Vec<f64>> {
         self.values.iter().map(|v| v.parse().ok()).collect()
     }
+
+    /// Least and greatest value of each axis, to search between.
+    pub fn ends(axes: &[Self]) -> Result<[Vec<f64>; 2]> {
+        let (mut low, mut high) = (Vec::new(), Vec::new());
+        for axis in axes {
+            let reason = format!("{} needs two numbers to search between", axis.parameter.name);
+            let values = axis.numbers().filter(|v| v.len() > 1).ok_or_else(|| Error::invalid("vary", reason))?;
+            low.push(values.iter().copied().fold(f64::INFINITY, f64::min));
+            high.push(values.iter().copied().fold(f64::NEG_INFINITY, f64::max));
+        }
+        Ok([low, high])
+    }
 }
 
 /// Rounds a value to 6 significant digits, and to 0 if it is below a millionth of the step, so that tables read 0.3 and
