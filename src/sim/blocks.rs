@@ -216,7 +216,8 @@ impl<R: Real> LaneState<R> {
             let [x, y, z] = self.position.lane(lane);
             let origin = &mut self.origins[lane];
             *origin = [origin[0] + x, origin[1] + y];
-            (0..2).for_each(|k| self.travelled[k].set_lane(lane, origin[k]));
+            self.travelled[0].set_lane(lane, origin[0]);
+            self.travelled[1].set_lane(lane, origin[1]);
             self.position.set_lane(lane, [0.0, 0.0, z]);
             self.works[lane] += self.work.lane(lane);
         }
@@ -311,13 +312,18 @@ pub fn turned_by<R: Real>((w, v): (R, Vec3<R>)) -> Mat3<R> {
     )
 }
 
-/// `rotation` turned by `angle` about the unit vector `axis` (Rodrigues' formula).
+/// `rotation` turned by `angle` about the unit vector `axis`.
 #[inline(always)]
 pub fn turned_about<R: Real>(rotation: &Mat3<R>, axis: Vec3<R>, angle: R) -> Mat3<R> {
     let (sin, cos) = angle.sin_cos();
-    let turned = |u: Vec3<R>| {
-        let along = axis * (axis.dot(u) * (R::one() - cos));
-        axis.cross(u).scale_add(sin, u.scale_add(cos, along))
-    };
-    Mat3::new(turned(rotation.x), turned(rotation.y), turned(rotation.z))
+    let Mat3 { x, y, z } = *rotation;
+    Mat3::new(turned(x, axis, sin, cos), turned(y, axis, sin, cos), turned(z, axis, sin, cos))
+}
+
+/// `u` turned about the unit vector `axis` (Rodrigues' formula). A closure would not always be inlined, and then takes most
+/// of a step's time.
+#[inline(always)]
+fn turned<R: Real>(u: Vec3<R>, axis: Vec3<R>, sin: R, cos: R) -> Vec3<R> {
+    let along = axis * (axis.dot(u) * (R::one() - cos));
+    axis.cross(u).scale_add(sin, u.scale_add(cos, along))
 }

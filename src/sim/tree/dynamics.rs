@@ -99,17 +99,15 @@ impl<R: Real> LaneTreeBody<R> {
     #[inline(always)]
     fn frame(&self, parent: &LinkFrame<R>, joint: &LaneJoint<R>) -> LinkFrame<R> {
         let rotation = parent.rotation.compose(&self.turn);
-        let (axis, origin) = (rotation.apply(self.axis), parent.point(self.offset));
-        match self.kind {
-            JointKind::Hinge => {
-                let rotation = turned_about(&rotation, axis, joint.position);
-                parent.carry(rotation, origin, Twist::hinge(axis, origin), joint)
-            }
+        let (axis, mut origin) = (rotation.apply(self.axis), parent.point(self.offset));
+        let (rotation, axis) = match self.kind {
+            JointKind::Hinge => (turned_about(&rotation, axis, joint.position), Twist::hinge(axis, origin)),
             JointKind::Slide => {
-                let origin = axis.scale_add(joint.position, origin);
-                parent.carry(rotation, origin, Twist { angular: Vec3::zero(), linear: axis }, joint)
+                origin = axis.scale_add(joint.position, origin);
+                (rotation, Twist { angular: Vec3::zero(), linear: axis })
             }
-        }
+        };
+        parent.carry(rotation, origin, axis, joint)
     }
 }
 
