@@ -90,7 +90,7 @@ A carriage moves one leg over the sand at a constant speed and height and measur
 actions are the speeds of hip and knee. An episode is one stroke. Forces come from the sand's law on the leg's 24 segments.
 The leg has no mass, so only the sand does work on it.
 
-**TaskState**: much thrust for little work. Thrust is the sand's mean forward force on the leg. Work is that of both joints
+**Goal**: much thrust for little work. Thrust is the sand's mean forward force on the leg. Work is that of both joints
 together, ∫Σ τ ω dt, which the sand and the carriage receive. The reward measures the *efficiency* of propulsion,
 
 ```text

@@ -6,7 +6,7 @@
 //! * [`LinkFrame`]: position and motion of one body of each robot.
 
 use super::command::Command;
-use super::engine::Integrator;
+use super::integrator::Integrator;
 use super::spatial::Twist;
 use super::{Model, State};
 use crate::error::Result;

@@ -6,8 +6,8 @@
 //! Bodies and sand are those of engine [`super::rapier`], in `f64`. A time step is the midpoint rule.
 
 use super::command::Command;
-use super::engine::Integrator;
 use super::frame::BodyFrame;
+use super::integrator::Integrator;
 use super::rapier::{PlacedBody, fold_turns, load_link};
 use super::{Model, State};
 use crate::sand::SandBed;

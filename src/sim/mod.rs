@@ -13,7 +13,7 @@
 //! * [`pose`]: places of the bodies and forces of the ground at one moment.
 //! * [`actuator`]: what a motor and its gear can do; [`motor`]: servo and motor of a robot.
 //! * [`hardware`]: what is known of a robot's motors, sensors and delays, as a file.
-//! * [`engine`]: the one interface to all engines.
+//! * [`engine`]: the one interface to all engines; [`integrator`]: what each of them does.
 //! * [`blocks`]: robots in lanes, for `lanes` and `tree`; [`spatial`]: their spatial algebra; [`stop`]: the ends of a joint's range.
 //! * [`lanes`]: the fast engine, articulated bodies over SIMD lanes of robots.
 //! * [`rapier`]: rapier3d multibodies, one world for each robot.
@@ -35,6 +35,7 @@ pub mod feet;
 pub mod frame;
 pub mod hardware;
 mod hull;
+pub mod integrator;
 pub mod lanes;
 mod links;
 mod memory;

@@ -14,7 +14,7 @@ mod sand;
 
 use super::blocks::{LaneEngine, LaneState};
 use super::command::Command;
-use super::engine::Integrator;
+use super::integrator::Integrator;
 use super::used::LaneMemory;
 use super::{Model, State};
 use crate::error::{Error, Result};

@@ -21,8 +21,8 @@ mod units;
 mod world;
 
 use super::command::Command;
-use super::engine::Integrator;
 use super::frame::{BodyFrame, V};
+use super::integrator::Integrator;
 use super::{Model, State};
 use crate::sand::SandBed;
 pub(super) use sand::{PlacedBody, load_link};
