@@ -6,8 +6,8 @@ use sandgait::bench::{Direct, ServerStepper, Stepper, random_actions};
 use sandgait::env::registry::Blueprint;
 use sandgait::number::{Isa, Vec3};
 use sandgait::sand::{Law, Medium, Regularization, SandBed, SegmentState};
-use sandgait::sim::engine::{Command, EngineKind};
-use sandgait::sim::lanes::LanesEngine;
+use sandgait::sim::engine::{Command, EngineKind, Integrator as _};
+use sandgait::sim::lanes;
 use sandgait::sim::model::Scene;
 use sandgait::sim::rapier::RapierEngine;
 use sandgait::sim::{Model, Robot, State};
@@ -45,7 +45,7 @@ fn substep(c: &mut Criterion) {
     let (state, command) = walking(&model);
     const STEPS: u64 = 40;
     for isa in Isa::ALL.into_iter().filter(|isa| isa.available()) {
-        let mut engine = LanesEngine::with_isa(isa, &model, isa.lanes()).unwrap();
+        let mut engine = lanes::engine(isa, &model, isa.lanes()).unwrap();
         for i in 0..isa.lanes() {
             engine.set_state(i, &state);
             engine.command(i, &command);

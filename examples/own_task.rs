@@ -8,7 +8,7 @@ use sandgait::env::feature::Features;
 use sandgait::env::gait::{GaitOptions, HexapodGait};
 use sandgait::env::random::Random;
 use sandgait::env::registry::Blueprint;
-use sandgait::env::task::{Goal, Setup, Transition};
+use sandgait::env::task::{Setup, TaskState, Transition};
 use sandgait::env::{Column, ResetOptions, Spec, Task, options, reward_terms};
 use sandgait::pool::{Batch, Pool};
 use sandgait::sim::engine::{Command, EngineKind};
@@ -76,7 +76,7 @@ impl Task for LevelWalk {
         &self.spec
     }
 
-    fn begin(&self, setup: &Setup<LevelOptions>, random: &mut Random) -> (State, Goal) {
+    fn begin(&self, setup: &Setup<LevelOptions>, random: &mut Random) -> (State, TaskState) {
         self.gait.begin(&setup.with(&setup.options.gait), random)
     }
 
@@ -84,8 +84,8 @@ impl Task for LevelWalk {
         self.gait.command(action, state, command);
     }
 
-    fn observe(&self, goal: &Goal, state: &State, last_action: &[f32], row: &mut [f32]) {
-        self.gait.observe(goal, state, last_action, row);
+    fn observe(&self, task_state: &TaskState, state: &State, last_action: &[f32], row: &mut [f32]) {
+        self.gait.observe(task_state, state, last_action, row);
     }
 
     fn evaluate(&self, setup: &Setup<LevelOptions>, t: &Transition, info: &mut [f32]) -> bool {

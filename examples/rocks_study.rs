@@ -66,8 +66,8 @@ fn between(a: &State, b: &State, part: f64) -> State {
 
 fn episode(blueprint: &Blueprint, seed: u64, steps: usize) -> sandgait::Result<Episode> {
     let task = &blueprint.task;
-    let (mut state, goal) = task.begin(None, &mut Random::new(seed, 0));
-    let model = goal.model.as_deref().unwrap_or(task.model());
+    let (mut state, task_state) = task.begin(None, &mut Random::new(seed, 0));
+    let model = task_state.model.as_deref().unwrap_or(task.model());
     let start = state.clone();
     let mut engine = Engine::new(EngineKind::Rapier, model, 1)?;
     engine.set_state(0, &state);

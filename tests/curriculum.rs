@@ -1,9 +1,9 @@
 //! The curriculum of LeggedVelocity, and the units from the robot's size.
 
 use sandgait::env::Shard;
+use sandgait::env::episode::Episode;
 use sandgait::env::legged::Units;
 use sandgait::env::registry::Blueprint;
-use sandgait::env::snapshot::Resumed;
 use sandgait::sim::model::GRAVITY;
 use sandgait::sim::tree::kinematics::{frames, lowest};
 use serde_json::{Value, json};
@@ -100,7 +100,7 @@ fn history(blueprint: &Blueprint, seeds: &[u64], at: usize, from: Option<usize>)
             for (i, saved) in saved.iter().enumerate() {
                 let text = serde_json::to_string(saved).unwrap();
                 let saved = serde_json::from_str(&text).unwrap();
-                shard.restore(i, &Resumed::new(&saved, &blueprint.task).unwrap());
+                shard.restore(i, &Episode::resume(&saved, &blueprint.task).unwrap());
             }
         }
         let actions: Vec<f32> = seeds.iter().flat_map(|s| (0..12).map(|j| wave(step, *s, j))).collect();

@@ -4,8 +4,9 @@ use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::number::Isa;
 use sandgait::sand::{Mechanisms, Medium};
-use sandgait::sim::engine::Command;
-use sandgait::sim::lanes::LanesEngine;
+use sandgait::sim::blocks::LaneEngine;
+use sandgait::sim::engine::{Command, Integrator as _};
+use sandgait::sim::lanes;
 use sandgait::sim::model::Scene;
 use sandgait::sim::{Model, Robot, State};
 
@@ -17,15 +18,15 @@ fn model(robot: &str, change: impl Fn(&mut Scene)) -> Model {
     Model::new(&Robot::load(robot).unwrap(), &scene).unwrap()
 }
 
-fn engine(isa: Isa, model: &Model, states: &[State]) -> LanesEngine {
-    let mut engine = LanesEngine::with_isa(isa, model, states.len()).unwrap();
+fn engine(isa: Isa, model: &Model, states: &[State]) -> LaneEngine {
+    let mut engine = lanes::engine(isa, model, states.len()).unwrap();
     for (i, state) in states.iter().enumerate() {
         engine.set_state(i, state);
     }
     engine
 }
 
-fn read(engine: &LanesEngine, index: usize, like: &State) -> State {
+fn read(engine: &LaneEngine, index: usize, like: &State) -> State {
     let mut state = like.clone();
     engine.state(index, &mut state);
     state
@@ -304,7 +305,7 @@ fn accumulated_work_keeps_its_precision() {
         let angles = model.tripod_angles();
         let fresh = State::at_rest(model.standing_height(&angles), &angles);
         let late = State { work: 1e5, ..fresh.clone() };
-        let mut engine = LanesEngine::new(&model, 2).unwrap();
+        let mut engine = lanes::engine(Isa::choose().unwrap(), &model, 2).unwrap();
         engine.set_state(0, &fresh);
         engine.set_state(1, &late);
         let command = Command { rates: vec![2.0; model.joints()], torques: vec![0.0; model.joints()], targets: vec![] };

@@ -1,7 +1,7 @@
 //! The engine `rapier`: physical laws first, then converged reference walks.
 
 use sandgait::sand::{Mechanisms, Medium};
-use sandgait::sim::engine::{Command, Engine, EngineKind};
+use sandgait::sim::engine::{Command, Engine, EngineKind, Integrator as _};
 use sandgait::sim::model::Scene;
 use sandgait::sim::rapier::RapierEngine;
 use sandgait::sim::walk::{WalkResult, WalkTrial, walk_many};

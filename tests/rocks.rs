@@ -287,8 +287,8 @@ fn a_robot_with_random_actions_does_not_pass_through_rocks() {
     let (mut deepest, mut touched): (f64, usize) = (0.0, 0);
     for seed in 0..8 {
         let mut random = Random::new(seed, 0);
-        let (mut state, goal) = blueprint.task.begin(None, &mut random);
-        let model = goal.model.unwrap();
+        let (mut state, task_state) = blueprint.task.begin(None, &mut random);
+        let model = task_state.model.unwrap();
         let mut engine = Engine::new(EngineKind::Rapier, &model, 1).unwrap();
         engine.set_state(0, &state);
         let mut command = Command::still(6);
@@ -384,15 +384,15 @@ fn the_task_scans_heights_and_refuses_what_has_no_rocks() {
     assert!(error("sandgait/HexapodRocks-v1", serde_json::json!({"rocks": {"colour": 1}})).contains("rocks"));
 
     let rocks = blueprint("sandgait/HexapodRocks-v1", serde_json::Value::Null).unwrap();
-    let (state, mut goal) = rocks.task.begin(None, &mut Random::new(0, 0));
+    let (state, mut task_state) = rocks.task.begin(None, &mut Random::new(0, 0));
     // A step 10 to 12 cm ahead of a robot that heads along +y.
     let step = Obstacle::block([0.0, 0.13], [0.5, 0.02], 0.015, 0.0);
-    goal.model = Some(rocks.task.model().with_obstacles(&[step]).unwrap().into());
+    task_state.model = Some(rocks.task.model().with_obstacles(&[step]).unwrap().into());
     let half = std::f64::consts::FRAC_1_SQRT_2;
     let state = State { orientation: [half, 0.0, 0.0, half], objects: Vec::new(), ..state };
     let columns = &rocks.task.spec().observation;
     let mut row = vec![0.0; columns.len()];
-    rocks.task.observe(&goal, &state, &[0.0; 6], &mut row);
+    rocks.task.observe(&task_state, &state, &[0.0; 6], &mut row);
     let seen: Vec<_> = columns.iter().zip(&row).filter(|(c, v)| c.name.starts_with("height") && **v > 0.0).collect();
     assert_eq!(seen.len(), 5, "{seen:?}");
     assert!(seen.iter().all(|(c, v)| c.name.contains("13 cm ahead") && (**v - 0.015).abs() < 1e-6), "{seen:?}");

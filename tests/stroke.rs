@@ -4,7 +4,7 @@ use sandgait::env::Shard;
 use sandgait::env::registry::Blueprint;
 use sandgait::sand::{Law, LegShape, Medium, Regularization, SandBed, intrusion};
 use sandgait::sim::carriage::CarriageEngine;
-use sandgait::sim::engine::Command;
+use sandgait::sim::engine::{Command, Integrator as _};
 use sandgait::sim::model::Scene;
 use sandgait::sim::{Model, Robot, State};
 use serde_json::{Value, json};

@@ -3,11 +3,12 @@
 use sandgait::env::ground::Change;
 use sandgait::env::random::Random;
 use sandgait::env::registry::{Blueprint, TASK_IDS, task_id};
-use sandgait::env::task::{Goal, Transition};
+use sandgait::env::task::{TaskState, Transition};
 use sandgait::env::{Column, ResetOptions};
 use sandgait::number::Isa;
-use sandgait::sim::engine::Command;
-use sandgait::sim::lanes::LanesEngine;
+use sandgait::sim::blocks::LaneEngine;
+use sandgait::sim::engine::{Command, Integrator as _};
+use sandgait::sim::lanes;
 use sandgait::sim::{Model, State};
 use serde_json::{Value, json};
 
@@ -84,25 +85,25 @@ fn mirrored_row(row: &[f32], columns: &[Column], model: &Model) -> Vec<f32> {
 /// Two robots of a task in one engine, without autoreset.
 struct Twins<'a> {
     blueprint: &'a Blueprint,
-    engine: LanesEngine,
+    engine: LaneEngine,
     states: [State; 2],
-    goals: [Goal; 2],
+    goals: [TaskState; 2],
     last: [Vec<f32>; 2],
 }
 
 impl<'a> Twins<'a> {
     fn new(blueprint: &'a Blueprint) -> Self {
         let model = blueprint.task.model();
-        let (state, goal) = blueprint.task.begin(None, &mut Random::new(5, 0));
-        let mut engine = LanesEngine::with_isa(Isa::F64, model, 2).unwrap();
+        let (state, task_state) = blueprint.task.begin(None, &mut Random::new(5, 0));
+        let mut engine = lanes::engine(Isa::F64, model, 2).unwrap();
         let states = [state.clone(), mirrored_state(&state, &other_side(model))];
         for (i, state) in states.iter().enumerate() {
-            engine.set_model(i, goal.model.as_deref().unwrap_or(model));
+            engine.set_model(i, task_state.model.as_deref().unwrap_or(model));
             engine.set_state(i, state);
         }
-        let turned = Goal { turn: -goal.turn, ..goal.clone() };
+        let turned = TaskState { turn: -task_state.turn, ..task_state.clone() };
         let last = [(); 2].map(|()| vec![0.0; blueprint.task.spec().action.len()]);
-        Self { blueprint, engine, states, goals: [goal, turned], last }
+        Self { blueprint, engine, states, goals: [task_state, turned], last }
     }
 
     /// Makes a step; returns observation and info of both robots.
@@ -140,10 +141,10 @@ impl<'a> Twins<'a> {
         let (task, after) = (&self.blueprint.task, &self.states[i]);
         let (mut row, mut info) = (vec![0.0; task.spec().observation.len()], vec![0.0; task.spec().info.len()]);
         task.observe(&self.goals[i], after, action, &mut row);
-        let (goal, previous_action) = (&self.goals[i], &self.last[i]);
-        let model = goal.model.as_ref().unwrap_or(task.model());
+        let (task_state, previous_action) = (&self.goals[i], &self.last[i]);
+        let model = task_state.model.as_ref().unwrap_or(task.model());
         task.evaluate(
-            &Transition { model, goal, before, after, action, previous_action, period, diverged: false },
+            &Transition { model, task_state, before, after, action, previous_action, period, diverged: false },
             &mut info,
         );
         (row, info)
@@ -239,9 +240,9 @@ fn the_command_is_in_the_observation() {
     for id in WALKING {
         let blueprint = blueprint(id, json!({"turn": [0.5, 0.5], "command": [0.2, 0.2]}));
         let (task, columns) = (&blueprint.task, &blueprint.task.spec().observation);
-        let (state, goal) = task.begin(None, &mut Random::new(1, 0));
+        let (state, task_state) = task.begin(None, &mut Random::new(1, 0));
         let mut row = vec![0.0; columns.len()];
-        task.observe(&goal, &state, &vec![0.0; task.spec().action.len()], &mut row);
+        task.observe(&task_state, &state, &vec![0.0; task.spec().action.len()], &mut row);
         let told = |name: &str| row[columns.iter().position(|c| c.name == name).unwrap()];
         assert_eq!((told("commanded speed"), told("commanded yaw speed")), (0.2, 0.5), "{id}");
     }
@@ -259,14 +260,14 @@ fn yawed(state: &State, yaw: f64) -> State {
 fn paid(headings: [f64; 2], moved: [f64; 2], turning: f64, work: f64) -> impl Fn(&str) -> f64 {
     let blueprint = blueprint(GAIT, json!({"command": [0.25, 0.25]}));
     let task = blueprint.task.clone();
-    let (state, goal) = task.begin(None, &mut Random::new(1, 0));
+    let (state, task_state) = task.begin(None, &mut Random::new(1, 0));
     let [before, mut after] = headings.map(|yaw| yawed(&state, yaw));
     after.position = [state.position[0] + moved[0], state.position[1] + moved[1], state.position[2]];
     (after.angular_velocity[2], after.work) = (turning, work);
     let mut info = vec![0.0; task.spec().info.len()];
     let transition = Transition {
         model: task.model(),
-        goal: &goal,
+        task_state: &task_state,
         before: &before,
         after: &after,
         action: &[0.0; 6],

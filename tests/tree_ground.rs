@@ -3,10 +3,10 @@
 use sandgait::number::Isa;
 use sandgait::robots;
 use sandgait::sand::{Medium, Regularization};
-use sandgait::sim::engine::Command;
+use sandgait::sim::engine::{Command, Integrator as _};
 use sandgait::sim::model::Scene;
 use sandgait::sim::tree::plates::of_touching;
-use sandgait::sim::tree::{HardGround, TreeEngine, TreeModel};
+use sandgait::sim::tree::{self, HardGround, TreeModel};
 use sandgait::sim::{Model, State};
 use serde_json::Value;
 use std::path::Path;
@@ -46,7 +46,7 @@ fn trot(rest: &[f64], t: f64) -> Vec<f64> {
 fn run(model: &Model, isa: Isa, drop: f64, trots: bool, seconds: f64) -> Vec<State> {
     let tree = model.tree.as_ref().unwrap();
     let rest = tree.stance.angles.clone();
-    let mut engine = TreeEngine::with_isa(isa, model, 1).unwrap();
+    let mut engine = tree::engine(isa, model, 1).unwrap();
     let mut state = State::at_rest(tree.standing_height(&rest) + drop, &rest);
     engine.set_state(0, &state);
     let steps = (0.02 / model.scene.dt).round() as usize;

@@ -1,8 +1,8 @@
 //! Sand that remembers, as users meet it: options of tasks, snapshots, and paths on the command line.
 
+use sandgait::env::episode::Episode;
 use sandgait::env::registry::Blueprint;
 use sandgait::env::shard::Shard;
-use sandgait::env::snapshot::Resumed;
 use sandgait::sim::pose::Pose;
 use serde_json::{Value, json};
 use std::process::{Command, Output};
@@ -66,7 +66,7 @@ fn prints_are_left_and_saved() {
         let deepest = sand.grid.cells().fold(0.0_f64, |deep, (_, h)| deep.min(h));
         assert!(deepest < -1e-3, "{task}: {deepest}");
         let saved = one.save(1);
-        let resumed = Resumed::new(&saved, &blueprint.task).unwrap();
+        let resumed = Episode::resume(&saved, &blueprint.task).unwrap();
         let (_, mut other) = shard(task, serde_json::from_str(options).unwrap(), 5);
         steps(&mut other, 7, -0.5);
         other.restore(4, &resumed);
@@ -78,13 +78,13 @@ fn prints_are_left_and_saved() {
         for sand in [None, Some(Vec::new()), saved.sand.clone().map(|s| [s, vec![0]].concat())] {
             let mut crafted = saved.clone();
             crafted.sand = sand;
-            assert!(Resumed::new(&crafted, &blueprint.task).is_err(), "{task}");
+            assert!(Episode::resume(&crafted, &blueprint.task).is_err(), "{task}");
         }
     }
     let (blueprint, plain) = shard(GAIT, Value::Null, 1);
     let mut crafted = plain.save(0);
     crafted.sand = Some(vec![0; 12_000]);
-    assert!(plain.look(0, false).sand.is_none() && Resumed::new(&crafted, &blueprint.task).is_err());
+    assert!(plain.look(0, false).sand.is_none() && Episode::resume(&crafted, &blueprint.task).is_err());
 }
 
 /// A step that is held, and a push, leave the sand as it is.

@@ -16,8 +16,8 @@
 use super::part::BodyPlate;
 use crate::number::{Real, Vec3};
 use crate::sand::{SandBed, SegmentState};
+use crate::sim::blocks::LinkFrame;
 use crate::sim::spatial::Twist;
-use crate::sim::tree::dynamics::LinkFrame;
 use crate::sim::tree::sand::Total;
 use crate::sim::tree::terrain::Local;
 

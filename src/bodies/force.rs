@@ -5,7 +5,7 @@ use super::exact::on_plates;
 use super::ground::{SandGround, Under};
 use crate::number::{Eight, Kernel, Real, Vec3};
 use crate::sand::SandBed;
-use crate::sim::tree::dynamics::LinkFrame;
+use crate::sim::blocks::LinkFrame;
 use crate::sim::tree::eights::{EightPatches, on_eights};
 use crate::sim::tree::patches::BodyPatches;
 use crate::sim::tree::sand::{Total, on_body, under_body};

@@ -11,8 +11,8 @@ use super::ground::SandGround;
 use super::wrench::matrix;
 use crate::error::{Error, Result};
 use crate::number::{Eight, EightWork, Mat3, Vec3, flushed};
+use crate::sim::blocks::LinkFrame;
 use crate::sim::spatial::Twist;
-use crate::sim::tree::dynamics::LinkFrame;
 
 /// The tree, as MuJoCo's model has it.
 #[derive(Clone, Debug, Default)]

@@ -4,8 +4,9 @@ use super::*;
 use crate::number::Vec3;
 use crate::sand::intruder::{BodyShape, DepthOrLoad, PlatedBody, Trial, compute};
 use crate::sand::{Law, Regularization, SandBed, SandDescription};
+use crate::sim::blocks::{LinkFrame, turned_by};
 use crate::sim::spatial::Twist;
-use crate::sim::tree::dynamics::{LinkFrame, LinkLoad, turned_by};
+use crate::sim::tree::dynamics::LinkLoad;
 use crate::sim::tree::patches::BodyPatches;
 use crate::sim::tree::terrain::Flat;
 

@@ -1,5 +1,6 @@
 //! `sandgait bench`
 
+use clap::ValueEnum as _;
 use sandgait::bench::{Actions, Direct, RolloutStepper, ServerStepper, Stepper, measure, random_actions};
 use sandgait::env::legged::LeggedVelocity;
 use sandgait::env::registry::{Blueprint, TASK_IDS, task_id};
@@ -192,13 +193,9 @@ impl BenchArgs {
             _ => "baseline",
         };
         let (median, min, max) = (rates[rates.len() / 2], rates[0], rates[rates.len() - 1]);
-        let through = match self.through {
-            Transport::Process => "process",
-            Transport::GrpcUds => "grpc-uds",
-            Transport::GrpcTcp => "grpc-tcp",
-            Transport::Rollouts => "rollouts",
-            Transport::Trajectories => "trajectories",
-        };
+        // The name of the choice on the command line; no transport is hidden.
+        let through = self.through.to_possible_value();
+        let through = through.as_ref().map_or("", clap::builder::PossibleValue::get_name);
         let json = json!({
             "env_steps_per_second": median.round(),
             "min": min.round(),

@@ -8,7 +8,7 @@ use super::random::Random;
 use super::reference::{TOP_SPEED, wrap_angle};
 use super::sensors::{Part, Sensor};
 use super::spec::{CONTROL_RATE, Column, Spec};
-use super::task::{Goal, Setup, Task, Transition};
+use super::task::{Setup, Task, TaskState, Transition};
 use super::walking::{self, Walking};
 use crate::error::{Error, Result};
 use crate::options;
@@ -108,7 +108,7 @@ impl Task for HexapodGait {
         &self.spec
     }
 
-    fn begin(&self, setup: &Setup<GaitOptions>, random: &mut Random) -> (State, Goal) {
+    fn begin(&self, setup: &Setup<GaitOptions>, random: &mut Random) -> (State, TaskState) {
         walking::begin(&setup.with(&setup.options.walking), random)
     }
 
@@ -120,8 +120,8 @@ impl Task for HexapodGait {
         Some(setup.options.walking.command_ranges())
     }
 
-    fn observe(&self, goal: &Goal, state: &State, last_action: &[f32], row: &mut [f32]) {
-        Observed::new(goal, state, last_action).fill(&self.observation, row);
+    fn observe(&self, task_state: &TaskState, state: &State, last_action: &[f32], row: &mut [f32]) {
+        Observed::new(task_state, state, last_action).fill(&self.observation, row);
     }
 
     fn evaluate(&self, _setup: &Setup<GaitOptions>, transition: &Transition, info: &mut [f32]) -> bool {

@@ -6,7 +6,7 @@ use super::locomotion::{self, Figure, Observe, Observed, WalkStep, Weights};
 use super::random::Random;
 use super::sensors::Sensor;
 use super::spec::{CONTROL_RATE, Column, Spec};
-use super::task::{Goal, Setup, Task, Transition};
+use super::task::{Setup, Task, TaskState, Transition};
 use super::walking::{self, Walking};
 use crate::error::{Error, Result};
 use crate::options;
@@ -117,7 +117,7 @@ impl<const STOPS: bool> Task for HexapodLegs<STOPS> {
         &self.spec
     }
 
-    fn begin(&self, setup: &Setup<LegsOptions>, random: &mut Random) -> (State, Goal) {
+    fn begin(&self, setup: &Setup<LegsOptions>, random: &mut Random) -> (State, TaskState) {
         walking::begin(&setup.with(&setup.options.walking), random)
     }
 
@@ -133,8 +133,8 @@ impl<const STOPS: bool> Task for HexapodLegs<STOPS> {
         Some(setup.options.walking.command_ranges())
     }
 
-    fn observe(&self, goal: &Goal, state: &State, last_action: &[f32], row: &mut [f32]) {
-        Observed::new(goal, state, last_action).fill(&self.observation, row);
+    fn observe(&self, task_state: &TaskState, state: &State, last_action: &[f32], row: &mut [f32]) {
+        Observed::new(task_state, state, last_action).fill(&self.observation, row);
     }
 
     fn evaluate(&self, _setup: &Setup<LegsOptions>, transition: &Transition, info: &mut [f32]) -> bool {

@@ -2,7 +2,7 @@
 
 use super::feature::{Features, flag};
 use super::sensors::Sensor;
-use super::task::{Goal, Transition};
+use super::task::{TaskState, Transition};
 use crate::reward_terms;
 use crate::sim::State;
 use crate::sim::model::GRAVITY;
@@ -24,7 +24,7 @@ const BASE_TURN: f64 = 100.0; // [rad/s]
 
 /// The arguments of an observation's functions.
 pub struct Observed<'a> {
-    pub goal: &'a Goal,
+    pub task_state: &'a TaskState,
     pub state: &'a State,
     pub last_action: &'a [f32],
     /// Gravity's direction and the base's velocities, all in the body frame.
@@ -37,11 +37,11 @@ pub struct Observed<'a> {
 pub type Observe = fn(&Observed, usize) -> f64;
 
 impl<'a> Observed<'a> {
-    pub fn new(goal: &'a Goal, state: &'a State, last_action: &'a [f32]) -> Self {
+    pub fn new(task_state: &'a TaskState, state: &'a State, last_action: &'a [f32]) -> Self {
         let r = state.rotation();
         let body = |v: [f64; 3]| [0, 1, 2].map(|i| r[0][i] * v[0] + r[1][i] * v[1] + r[2][i] * v[2]);
         let (velocity, angular_velocity) = (body(state.velocity), body(state.angular_velocity));
-        Self { goal, state, last_action, gravity: body([0.0, 0.0, -1.0]), velocity, angular_velocity }
+        Self { task_state, state, last_action, gravity: body([0.0, 0.0, -1.0]), velocity, angular_velocity }
     }
 
     /// Fills a row.
@@ -63,12 +63,12 @@ pub fn base_features() -> Features<Observe> {
 
 /// The columns of the command.
 pub fn command_features() -> Features<Observe> {
-    Features::<Observe>::none().one("commanded speed", "m/s", -MAX_COMMAND, MAX_COMMAND, |o, _| o.goal.speed).one(
+    Features::<Observe>::none().one("commanded speed", "m/s", -MAX_COMMAND, MAX_COMMAND, |o, _| o.task_state.speed).one(
         "commanded yaw speed",
         "rad/s",
         -MAX_TURN,
         MAX_TURN,
-        |o, _| o.goal.turn,
+        |o, _| o.task_state.turn,
     )
 }
 
@@ -111,9 +111,9 @@ reward_terms! {
     /// Ant has `healthy_reward`, Isaac Lab `is_alive` and `is_terminated`. v_forward, v_left: the base's mean velocity
     /// over the step in its heading frame; ω_z: its yaw speed after the step.
     pub struct Weights of WalkStep<'_>, weights in [0.0, 1e3] {
-        tracking: 1.0, "exp(−((v_forward − commanded speed) / 0.1 m/s)²)", |w| (-((w.forward - w.t.goal.speed) / 0.1).powi(2)).exp();
+        tracking: 1.0, "exp(−((v_forward − commanded speed) / 0.1 m/s)²)", |w| (-((w.forward - w.t.task_state.speed) / 0.1).powi(2)).exp();
         lateral: 0.1, "−2 (√(1 + (v_left / 0.1 m/s)²) − 1)", |w| -cost(w.left / 0.1);
-        turning: 0.05, "−2 (√(1 + ((ω_z − commanded yaw speed) / 1 rad/s)²) − 1)", |w| -cost(w.t.after.angular_velocity[2] - w.t.goal.turn);
+        turning: 0.05, "−2 (√(1 + ((ω_z − commanded yaw speed) / 1 rad/s)²) − 1)", |w| -cost(w.t.after.angular_velocity[2] - w.t.task_state.turn);
         power: 0.1, "−mechanical power Σ|τ ω| / 1 W", |w| -w.work / w.t.period;
         smoothness: 0.05, "−mean squared change of the action", |w| -change_of_action(w.t);
         alive: 0.1, "1, and 0 in the step that terminates the episode", |w| 1.0 - flag(w.terminated);
@@ -158,7 +158,7 @@ pub fn figures() -> Features<Figure> {
     Features::<Figure>::none()
         .free("speed", "m/s", |w, _| w.forward)
         .free("x_velocity", "m/s", |w, _| (w.t.after.position[0] - w.t.before.position[0]) / w.t.period)
-        .free("commanded_speed", "m/s", |w, _| w.t.goal.speed)
+        .free("commanded_speed", "m/s", |w, _| w.t.task_state.speed)
         .one("work", "J", 0.0, f64::INFINITY, |w, _| w.work)
         .one("weight", "N", 0.0, f64::INFINITY, |w, _| w.t.model.total_mass() * GRAVITY)
         .flag("flipped", |w, _| flag(w.flipped))

@@ -1,8 +1,9 @@
 //! One environment for viewers.
 
-use super::shard::{Episode, Shard};
+use super::episode::{Environment, Episode};
+use super::shard::Shard;
 use super::spec::Spec;
-use super::task::{Goal, Transition};
+use super::task::{TaskState, Transition};
 use crate::sand::memory::Moved;
 use crate::sim::{Model, State};
 use std::sync::Arc;
@@ -12,7 +13,7 @@ pub struct EnvView<'a> {
     pub spec: &'a Spec,
     pub model: &'a Arc<Model>,
     pub state: &'a State,
-    pub goal: &'a Goal,
+    pub task_state: &'a TaskState,
     /// The sand that was moved; None without memory, and for an episode that has ended.
     pub sand: Option<&'a Moved>,
     /// Stress on each leg as a share of that on fresh ground; empty if all ground is fresh.
@@ -38,13 +39,13 @@ impl Shard {
     /// of that episode; otherwise the present one.
     pub fn look(&self, i: usize, ended: bool) -> EnvView<'_> {
         let spec = self.spec();
-        let episode = &self.episodes[i];
-        let Episode { task, seed, number, steps, goal, after, last_action, .. } = episode;
+        let Environment { episode, before, ended: last, .. } = &self.environments[i];
+        let Episode { task, seed, number, steps, task_state, state, last_action, .. } = episode;
         let just_ended = self.rows.terminated[i] != 0 || self.rows.truncated[i] != 0;
-        let old = episode.ended.as_ref().filter(|_| ended && just_ended);
-        let (goal, steps, action) = match old {
-            Some(old) => (&old.goal, old.steps, &old.action),
-            None => (goal, *steps, last_action),
+        let old = last.as_ref().filter(|_| ended && just_ended);
+        let (task_state, steps, action) = match old {
+            Some(old) => (&old.task_state, old.steps, &old.action),
+            None => (task_state, *steps, last_action),
         };
         // Rewards and figures of a step that ended an episode do not belong to the start of the next one.
         let begins = steps == 0 || (just_ended && old.is_none());
@@ -52,11 +53,11 @@ impl Shard {
         let info = if begins { at_start(episode, spec) } else { self.rows.infos[i * width..][..width].to_vec() };
         EnvView {
             spec,
-            model: goal.model.as_ref().unwrap_or(task.model()),
-            state: if old.is_some() { &episode.before } else { after },
-            goal,
+            model: task_state.model.as_ref().unwrap_or(task.model()),
+            state: if old.is_some() { before } else { state },
+            task_state,
             sand: if old.is_some() { None } else { self.engine.sand(i) },
-            footing: goal.ground.as_ref().map_or(&[], |g| &g.footing),
+            footing: task_state.ground.as_ref().map_or(&[], |g| &g.footing),
             episode: (*seed, number - u64::from(old.is_some())),
             time: f64::from(steps) / spec.control_rate,
             action,
@@ -70,12 +71,12 @@ impl Shard {
 /// been paid.
 fn at_start(episode: &Episode, spec: &Spec) -> Vec<f32> {
     let mut info = vec![0.0; spec.info.len()];
-    let Episode { task, goal, after, last_action, .. } = episode;
+    let Episode { task, task_state, state, last_action, .. } = episode;
     let still = Transition {
-        model: goal.model.as_ref().unwrap_or(task.model()),
-        goal,
-        before: after,
-        after,
+        model: episode.model(),
+        task_state,
+        before: state,
+        after: state,
         action: last_action,
         previous_action: last_action,
         period: 1.0 / spec.control_rate,

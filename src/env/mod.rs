@@ -13,8 +13,8 @@
 //! * [`control`]: control modes of hips; [`clock`]: the mode with a gait's parameters as action;
 //!   [`reference`](mod@reference): how the servos' references move.
 //! * [`sensors`]: from exact values to observations, and the delay of actions.
-//! * [`shard`]: environments that advance together on one engine; reset, step, autoreset.
-//! * [`snapshot`]: episodes as data; [`rollout`]: many steps in one call.
+//! * [`shard`]: environments that advance together on one engine; reset, step, autoreset. [`episode`]: what each of them
+//!   goes on from; [`snapshot`]: episodes as data; [`rollout`]: many steps in one call.
 //! * [`look`]: one environment for viewers.
 //! * [`random`]: the stream of random numbers of an episode.
 
@@ -25,6 +25,7 @@ use sandgait_sim as sim;
 
 pub mod clock;
 pub mod control;
+pub mod episode;
 pub mod feature;
 pub mod gait;
 pub mod ground;

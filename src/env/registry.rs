@@ -5,7 +5,7 @@ use super::legged::LeggedVelocity;
 use super::legs::HexapodLegs;
 use super::options::{self, OptionRow, Options, ResetOptions, TaskOptions};
 use super::rocks::HexapodRocks;
-use super::sensors::{Motors, Plan};
+use super::sensors::{Motors, SensorModel};
 use super::spec::Column;
 use super::stroke::LegStroke;
 use super::task::{AnyTask, Task, TaskSetup};
@@ -191,7 +191,7 @@ impl Blueprint {
     pub fn bytes_per_env(&self) -> usize {
         let (spec, model) = (self.task.spec(), self.task.model());
         let rows = 4 * (2 * spec.observation.len() + spec.info.len() + spec.action.len());
-        let sensed = 3 * 4 * self.task.sensing().map_or(0, Plan::numbers);
+        let sensed = 3 * 4 * self.task.sensing().map_or(0, SensorModel::numbers);
         let drawn = match (&model.tree, self.task.draws_motors()) {
             (None, false) => 0,
             (None, true) => model.memory_bytes(),

@@ -4,7 +4,7 @@ use super::gait::{GaitOptions, HexapodGait};
 use super::locomotion;
 use super::random::Random;
 use super::spec::{Column, Spec};
-use super::task::{Goal, Setup, Task, Transition};
+use super::task::{Setup, Task, TaskState, Transition};
 use super::walking::Walking;
 use crate::error::{Error, Result, check_range};
 use crate::options;
@@ -205,13 +205,13 @@ impl Task for HexapodRocks {
         &self.spec
     }
 
-    fn begin(&self, setup: &Setup<RocksOptions>, random: &mut Random) -> (State, Goal) {
-        let (mut state, goal) = self.gait.begin(&setup.with(&setup.options.gait), random);
+    fn begin(&self, setup: &Setup<RocksOptions>, random: &mut Random) -> (State, TaskState) {
+        let (mut state, task_state) = self.gait.begin(&setup.with(&setup.options.gait), random);
         let rocks = setup.options.rocks.draw(random);
         // Obstacles from `draw` are within every range, which a test checks.
         let model = setup.model.with_obstacles(&rocks).map_or_else(|_| setup.model.clone(), Arc::new);
         state.objects = model.objects_at_rest();
-        (state, Goal { model: Some(model), ..goal })
+        (state, TaskState { model: Some(model), ..task_state })
     }
 
     fn command(&self, action: &[f32], state: &State, command: &mut Command) {
@@ -222,10 +222,10 @@ impl Task for HexapodRocks {
         Some(setup.options.gait.walking.command_ranges())
     }
 
-    fn observe(&self, goal: &Goal, state: &State, last_action: &[f32], row: &mut [f32]) {
+    fn observe(&self, task_state: &TaskState, state: &State, last_action: &[f32], row: &mut [f32]) {
         let (gait, heights) = row.split_at_mut(self.gait.spec().observation.len());
-        self.gait.observe(goal, state, last_action, gait);
-        if let Some(model) = &goal.model {
+        self.gait.observe(task_state, state, last_action, gait);
+        if let Some(model) = &task_state.model {
             scan(model, state, heights);
         }
     }
@@ -238,9 +238,9 @@ impl Task for HexapodRocks {
         options.rocks.count
     }
 
-    fn resume(_setup: &Setup<RocksOptions>, goal: &mut Goal) -> std::result::Result<(), String> {
-        match goal {
-            Goal { model: Some(_), ground: None, legged: None, .. } => Ok(()),
+    fn resume(_setup: &Setup<RocksOptions>, task_state: &mut TaskState) -> std::result::Result<(), String> {
+        match task_state {
+            TaskState { model: Some(_), ground: None, legged: None, .. } => Ok(()),
             _ => Err("its rocks".into()),
         }
     }

@@ -44,7 +44,7 @@ impl Rollout {
         }
     }
 
-    pub(super) fn over(&self, i: usize) -> bool {
+    pub(super) fn is_over(&self, i: usize) -> bool {
         self.terminated[i] + self.truncated[i] > 0
     }
 }

@@ -1,100 +1,25 @@
 //! Environments that advance together: one engine, one task, flat rows allocated once.
 
+use super::episode::{Before, Ended, Environment, Episode};
 use super::ground::Change;
 use super::random::Random;
 use super::registry::Blueprint;
 use super::rollout::{Recorded, Rollout};
-use super::sensors::{ActionDelay, Plan, Privileged, Seen, SensorMemory};
+use super::sensors::{ActionDelay, SensorModel};
 use super::spec::Spec;
-use super::task::{AnyTask, Goal, Transition};
+use super::task::{AnyTask, Transition};
 use crate::error::Result;
-use crate::sand::memory::Moved;
 use crate::sim::engine::{Command, Engine};
 use crate::sim::{Model, State};
 use std::sync::Arc;
 
 pub use super::rows::Rows;
 
-/// Data of an episode that ended, which the start of the next episode would overwrite.
-pub(super) struct Ended {
-    pub goal: Goal,
-    pub steps: u32,
-    pub action: Vec<f32>,
-}
-
-/// One environment's episode.
-pub(super) struct Episode {
-    /// The task with this environment's options and model.
-    pub task: Arc<dyn AnyTask>,
-    /// A reset may have changed the task's options since the engine got them.
-    pub stale: bool,
-    pub seed: u64,
-    pub number: u64,
-    pub steps: u32,
-    pub goal: Goal,
-    /// The state before the last step; if that step ended an episode, the final state of that episode.
-    pub before: State,
-    pub after: State,
-    pub last_action: Vec<f32>,
-    /// The sand's force on each leg in the last time step, if a sensor needs it and the engine keeps it.
-    pub supports: Vec<f64>,
-    /// What its sensors remember.
-    pub sensed: SensorMemory,
-    pub delay: ActionDelay,
-    /// The episode before this one, if the last step ended it.
-    pub ended: Option<Ended>,
-}
-
-impl Episode {
-    /// Fills an observation row, and the sensors' part of an info row. `before`: the state that the step began with; `sand`: the
-    /// sand that was moved.
-    fn observe(&mut self, before: Before, period: f64, sand: Option<&Moved>, row: &mut [f32], info: &mut [f32]) {
-        let Self { task, goal, after, last_action, .. } = self;
-        let Some(plan) = task.sensing() else {
-            task.observe(goal, after, last_action, row);
-            for (value, column) in row.iter_mut().zip(&task.spec().observation) {
-                *value = value.clamp(column.low as f32, column.high as f32);
-            }
-            return;
-        };
-        let exact = |row: &mut [f32]| task.observe(goal, after, last_action, row);
-        let seen = Seen {
-            model: goal.model.as_ref().unwrap_or(task.model()),
-            footing: goal.ground.as_ref().map_or(&[], |ground| &ground.footing),
-            supports: if before == Before::Step { &self.supports } else { &[] },
-            sand,
-            states: [if before == Before::Step { &self.before } else { after }, after],
-            at: [self.seed, self.number, self.steps.into()],
-            period,
-        };
-        match before {
-            Before::Step => plan.sense(&mut self.sensed, &seen, exact, row, Privileged::Present(info)),
-            Before::Begin | Before::End => {
-                self.sensed = SensorMemory::default();
-                let privileged = if before == Before::End { Privileged::Next(info) } else { Privileged::Present(info) };
-                plan.sense(&mut self.sensed, &seen, exact, row, privileged);
-            }
-            Before::Restore => plan.repeat(&self.sensed, &seen, exact, row, info),
-        }
-    }
-}
-
-/// What has led to the state that is observed.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Before {
-    /// A reset.
-    Begin,
-    /// The end of the episode before; the info row has its last values.
-    End,
-    Step,
-    Restore,
-}
-
 /// Consecutive environments of one session. One thread owns a shard at a time.
 pub struct Shard {
     task: Arc<dyn AnyTask>,
     pub(super) engine: Engine,
-    pub(super) episodes: Vec<Episode>,
+    pub(super) environments: Vec<Environment>,
     command: Command,
     substeps: usize,
     period: f64,
@@ -107,26 +32,11 @@ impl Shard {
     pub fn new(blueprint: &Blueprint, envs: usize) -> Result<Self> {
         let spec = blueprint.task.spec();
         let model = blueprint.task.model();
-        let episode = || Episode {
-            task: blueprint.task.clone(),
-            stale: false,
-            seed: 0,
-            number: 0,
-            steps: 0,
-            goal: Goal::default(),
-            before: State::at_rest(0.0, &vec![0.0; model.joints()]),
-            after: State::at_rest(0.0, &vec![0.0; model.joints()]),
-            last_action: vec![0.0; spec.action.len()],
-            supports: Vec::new(),
-            sensed: SensorMemory::default(),
-            delay: ActionDelay::default(),
-            ended: None,
-        };
         let period = 1.0 / spec.control_rate;
         Ok(Self {
             task: blueprint.task.clone(),
             engine: Engine::new(blueprint.engine, model, envs)?,
-            episodes: (0..envs).map(|_| episode()).collect(),
+            environments: (0..envs).map(|_| Environment::new(blueprint.task.clone())).collect(),
             command: Command::still(model.joints()),
             substeps: (period / model.scene.dt).round() as usize,
             period,
@@ -136,7 +46,7 @@ impl Shard {
     }
 
     pub fn envs(&self) -> usize {
-        self.episodes.len()
+        self.environments.len()
     }
 
     pub(super) fn spec(&self) -> &Spec {
@@ -150,18 +60,17 @@ impl Shard {
 
     /// Present state of environment `i`; right after the end of an episode, the start of the next one.
     pub fn state(&self, i: usize) -> &State {
-        &self.episodes[i].after
+        &self.environments[i].episode.state
     }
 
     /// The model that simulates environment `i`'s episode.
     pub fn model(&self, i: usize) -> &Model {
-        let Episode { goal, task, .. } = &self.episodes[i];
-        goal.model.as_ref().unwrap_or(task.model())
+        self.environments[i].episode.model()
     }
 
     /// Are the present episodes all at their first step?
     pub fn is_fresh(&self) -> bool {
-        self.episodes.iter().all(|e| e.steps == 0)
+        self.environments.iter().all(|e| e.episode.steps == 0)
     }
 
     /// Begins new episodes in the environments for which `chosen` is true. An environment with an entry in `task` gets
@@ -173,10 +82,10 @@ impl Shard {
         task: impl Fn(usize) -> Option<&'a Arc<dyn AnyTask>>,
     ) {
         self.rows.clear();
-        for i in (0..self.episodes.len()).filter(|i| chosen(*i)) {
-            let episode = &mut self.episodes[i];
+        for i in (0..self.environments.len()).filter(|i| chosen(*i)) {
+            let Environment { episode, stale, .. } = &mut self.environments[i];
             if let Some(task) = task(i) {
-                episode.stale = true;
+                *stale = true;
                 episode.task = task.clone();
             }
             match seeds {
@@ -190,12 +99,12 @@ impl Shard {
     /// Replaces the command of environment `i` for the rest of its episode: forward, to the left [m/s], yaw [rad/s]. See
     /// [`AnyTask::check_command`].
     pub fn set_command(&mut self, i: usize, command: [f64; 3]) {
-        let episode = &mut self.episodes[i];
-        episode.task.set_command(&mut episode.goal, command);
+        let environment = &mut self.environments[i];
+        environment.episode.task.set_command(&mut environment.episode.task_state, command);
         let wide = self.task.spec().observation.len();
         // Sensors sample with steps, so behind them the policy sees the command one step later.
         let row = &mut self.rows.observations[i * wide..][..wide];
-        episode.observe(Before::Restore, self.period, self.engine.sand(i), row, &mut []);
+        environment.observe(Before::Restore, self.period, self.engine.sand(i), row, &mut []);
     }
 
     /// Makes one control step of every environment; `actions` is f32 [envs, action] within its bounds. If an episode
@@ -203,25 +112,25 @@ impl Shard {
     pub fn step(&mut self, actions: &[f32]) {
         self.rows.clear();
         let width = self.task.spec().action.len();
-        for (i, episode) in self.episodes.iter_mut().enumerate() {
-            std::mem::swap(&mut episode.before, &mut episode.after);
+        for (i, Environment { episode, before, .. }) in self.environments.iter_mut().enumerate() {
+            std::mem::swap(before, &mut episode.state);
             let mut action = &actions[i * width..][..width];
             if !episode.delay.is_none() {
                 episode.delay.push(action);
                 action = episode.delay.first();
             }
-            episode.task.command(action, &episode.before, &mut self.command);
+            episode.task.command(action, before, &mut self.command);
             self.engine.command(i, &self.command);
         }
         self.advance();
-        for i in 0..self.episodes.len() {
+        for i in 0..self.environments.len() {
             self.finish(i, &actions[i * width..][..width]);
         }
     }
 
     /// Advances all environments by a control step. Actions that arrive in the middle of it act from then on.
     fn advance(&mut self) {
-        let arrivals = self.episodes.iter().filter_map(|e| e.delay.second().map(|(at, _)| at));
+        let arrivals = self.environments.iter().filter_map(|e| e.episode.delay.second().map(|(at, _)| at));
         let mut times: Vec<usize> = arrivals.collect();
         times.sort_unstable();
         times.dedup();
@@ -229,10 +138,10 @@ impl Shard {
         for time in times {
             self.engine.advance_in_parts(time - now, false);
             now = time;
-            for (i, episode) in self.episodes.iter_mut().enumerate() {
+            for (i, Environment { episode, .. }) in self.environments.iter_mut().enumerate() {
                 let Some((_, action)) = episode.delay.second().filter(|(at, _)| *at == now) else { continue };
-                self.engine.state(i, &mut episode.after);
-                episode.task.command(action, &episode.after, &mut self.command);
+                self.engine.state(i, &mut episode.state);
+                episode.task.command(action, &episode.state, &mut self.command);
                 self.engine.command(i, &self.command);
             }
         }
@@ -255,23 +164,23 @@ impl Shard {
     fn finish(&mut self, i: usize, action: &[f32]) {
         let spec = self.task.spec();
         let (wide, info) = (spec.observation.len(), spec.info.len());
-        let episode = &mut self.episodes[i];
-        self.engine.state(i, &mut episode.after);
-        if episode.task.sensing().is_some_and(Plan::needs_supports) {
-            self.engine.supports(i, &mut episode.supports);
+        let Environment { episode, before, normal_forces, .. } = &mut self.environments[i];
+        self.engine.state(i, &mut episode.state);
+        if episode.task.sensing().is_some_and(SensorModel::needs_normal_forces) {
+            self.engine.normal_forces(i, normal_forces);
         }
-        let diverged = !episode.after.is_sound();
+        let diverged = !episode.state.is_sound();
         if diverged {
-            episode.after.clone_from(&episode.before);
+            episode.state.clone_from(before);
         }
         episode.steps += 1;
         let row = &mut self.rows.infos[i * info..][..info];
         let terminated = episode.task.evaluate(
             &Transition {
-                model: episode.goal.model.as_ref().unwrap_or(episode.task.model()),
-                goal: &episode.goal,
-                before: &episode.before,
-                after: &episode.after,
+                model: episode.model(),
+                task_state: &episode.task_state,
+                before,
+                after: &episode.state,
                 action,
                 previous_action: &episode.last_action,
                 period: self.period,
@@ -284,42 +193,42 @@ impl Shard {
         self.rows.rewards[i] = row[..spec.reward.len()].iter().sum();
         self.rows.terminated[i] = u8::from(terminated);
         self.rows.truncated[i] = u8::from(truncated);
-        let change = episode.task.after_step(&mut episode.goal, &episode.after, row);
+        let change = episode.task.after_step(&mut episode.task_state, &episode.state, row);
         if let Change::Push([x, y]) = change {
-            (episode.after.velocity[0], episode.after.velocity[1]) = (x, y);
-            put_back(&mut self.engine, i, &mut episode.after);
-            self.engine.state(i, &mut episode.after);
+            (episode.state.velocity[0], episode.state.velocity[1]) = (x, y);
+            put_back(&mut self.engine, i, &mut episode.state);
+            self.engine.state(i, &mut episode.state);
         } else if change != Change::Nothing {
-            tell(&mut self.engine, i, episode, change);
+            change_ground(&mut self.engine, i, episode, change);
         }
         self.observe(i, Before::Step);
         if terminated || truncated {
-            let episode = &mut self.episodes[i];
+            let Environment { episode, before, ended, .. } = &mut self.environments[i];
             self.rows.ended.push(i as u32);
             self.rows.final_observations.extend_from_slice(&self.rows.observations[i * wide..][..wide]);
             episode.number += 1;
             let action = episode.last_action.clone();
-            episode.ended = Some(Ended { goal: episode.goal.clone(), steps: episode.steps, action });
-            std::mem::swap(&mut episode.before, &mut episode.after);
+            *ended = Some(Ended { task_state: episode.task_state.clone(), steps: episode.steps, action });
+            std::mem::swap(before, &mut episode.state);
             self.begin(i, Before::End);
         }
     }
 
     /// Starts environment `i`'s episode with its present number, and fills its observation row.
     fn begin(&mut self, i: usize, before: Before) {
-        let episode = &mut self.episodes[i];
+        let Environment { episode, stale, .. } = &mut self.environments[i];
         let mut random = Random::new(episode.seed, episode.number);
         // A new seed begins a new series of episodes.
-        let last = (episode.number > 0).then_some(&episode.goal);
-        (episode.after, episode.goal) = episode.task.begin(last, &mut random);
-        episode.task.equip(&mut episode.goal, episode.seed, episode.number);
+        let last = (episode.number > 0).then_some(&episode.task_state);
+        (episode.state, episode.task_state) = episode.task.begin(last, &mut random);
+        episode.task.draw_motors(&mut episode.task_state, episode.seed, episode.number);
         episode.steps = 0;
         episode.last_action.fill(0.0);
         let (range, clock) = (episode.task.action_delay(), [self.period, self.period / self.substeps as f64]);
         let width = episode.last_action.len();
         episode.delay = ActionDelay::draw(range, [episode.seed, episode.number], width, clock);
-        let stale = std::mem::take(&mut episode.stale);
-        match &episode.goal.model {
+        let stale = std::mem::take(stale);
+        match &episode.task_state.model {
             Some(model) => self.engine.set_model(i, model),
             None if stale => self.engine.set_model(i, episode.task.model()),
             None => (),
@@ -329,14 +238,14 @@ impl Shard {
 
     /// Gives environment `i`'s state to the engine and fills its observation row and the sensors' part of its info row.
     pub(super) fn take_up(&mut self, i: usize, before: Before) {
-        let episode = &mut self.episodes[i];
-        self.engine.set_state(i, &episode.after);
+        let episode = &mut self.environments[i].episode;
+        self.engine.set_state(i, &episode.state);
         // The engine has the sand from here on.
-        episode.after.sand = None;
-        if episode.goal.ground.is_some() {
-            tell(&mut self.engine, i, episode, Change::Footing);
+        episode.state.sand = None;
+        if episode.task_state.ground.is_some() {
+            change_ground(&mut self.engine, i, episode, Change::Footing);
         }
-        self.engine.state(i, &mut episode.after);
+        self.engine.state(i, &mut episode.state);
         self.observe(i, before);
     }
 
@@ -346,7 +255,7 @@ impl Shard {
         let (wide, info) = (spec.observation.len(), spec.info.len());
         let row = &mut self.rows.observations[i * wide..][..wide];
         let infos = &mut self.rows.infos[i * info..][..info];
-        self.episodes[i].observe(before, self.period, self.engine.sand(i), row, infos);
+        self.environments[i].observe(before, self.period, self.engine.sand(i), row, infos);
     }
 }
 
@@ -358,7 +267,7 @@ impl Shard {
 
     /// Continues a rollout by one step; `actions` is f32 [envs, action] within its bounds.
     pub fn roll(&mut self, actions: &[f32], record: bool) {
-        let over: Vec<bool> = (0..self.envs()).map(|i| self.rollout.over(i)).collect();
+        let over: Vec<bool> = (0..self.envs()).map(|i| self.rollout.is_over(i)).collect();
         self.step(actions);
         let (rows, rollout) = (&self.rows, &mut self.rollout);
         for i in (0..over.len()).filter(|i| !over[*i]) {
@@ -399,11 +308,11 @@ fn put_back(engine: &mut Engine, i: usize, state: &mut State) {
 }
 
 /// Gives the engine the changes of environment `i`'s ground.
-fn tell(engine: &mut Engine, i: usize, episode: &mut Episode, change: Change) {
-    let (Some(ground), Some(model)) = (&episode.goal.ground, &episode.goal.model) else { return };
+fn change_ground(engine: &mut Engine, i: usize, episode: &mut Episode, change: Change) {
+    let (Some(ground), Some(model)) = (&episode.task_state.ground, &episode.task_state.model) else { return };
     if change == Change::Patch {
         engine.set_model(i, model);
-        put_back(engine, i, &mut episode.after);
+        put_back(engine, i, &mut episode.state);
     }
     engine.set_footing(i, model, &ground.footing);
 }

@@ -3,12 +3,13 @@
 //! [`Shard::save`] and [`Shard::restore`] keep every bit: a restored environment goes on exactly as the saved one,
 //! in any lane of any batch of the same task.
 
+use super::episode::{Before, Episode};
 use super::ground::UsedGround;
 use super::legged::episode::LeggedEpisode;
 use super::rocks::CORNERS;
 use super::sensors::{ActionDelay, SensorMemory};
-use super::shard::{Before, Episode, Shard};
-use super::task::{AnyTask, Goal};
+use super::shard::Shard;
+use super::task::{AnyTask, TaskState};
 use crate::error::{Error, Result, check_range};
 use crate::sand::memory::Moved;
 use crate::sim::model::Scene;
@@ -49,22 +50,9 @@ pub struct SavedEpisode {
     pub sand: Option<Vec<u8>>,
 }
 
-/// A checked [`SavedEpisode`], ready to go on.
-pub struct Resumed {
-    task: Arc<dyn AnyTask>,
-    seed: u64,
-    number: u64,
-    steps: u32,
-    goal: Goal,
-    state: State,
-    last_action: Vec<f32>,
-    sensed: SensorMemory,
-    delay: ActionDelay,
-}
-
-impl Resumed {
+impl Episode {
     /// Checks that `saved` can go on as an episode of `task`.
-    pub fn new(saved: &SavedEpisode, task: &Arc<dyn AnyTask>) -> Result<Self> {
+    pub fn resume(saved: &SavedEpisode, task: &Arc<dyn AnyTask>) -> Result<Self> {
         let unfit = |why: &str| Error::invalid("snapshot", format!("an environment does not suit this task: {why}"));
         let model = saved.drawn.as_deref().map(|(robot, scene)| drawn(robot, scene, &**task)).transpose();
         let model = model.map_err(|e| unfit(&e.to_string()))?.map(Arc::new);
@@ -72,17 +60,18 @@ impl Resumed {
         if !saved.goal.iter().all(|g| g.abs() < 1e3) {
             return Err(unfit("its goal"));
         }
-        let mut goal = Goal { speed, turn, model, ground: saved.ground.clone(), legged: saved.legged.clone() };
-        task.resume(&mut goal).map_err(|why| unfit(&why))?;
-        task.equip(&mut goal, saved.seed, saved.number);
+        let mut task_state =
+            TaskState { speed, turn, model, ground: saved.ground.clone(), legged: saved.legged.clone() };
+        task.resume(&mut task_state).map_err(|why| unfit(&why))?;
+        task.draw_motors(&mut task_state, saved.seed, saved.number);
         let own = task.model();
         let state =
             State::from_row(own.joints(), &saved.state).filter(State::is_possible).ok_or_else(|| unfit("its state"))?;
-        if state.objects.len() != goal.model.as_ref().unwrap_or(own).objects_at_rest().len() {
+        if state.objects.len() != task_state.model.as_ref().unwrap_or(own).objects_at_rest().len() {
             return Err(unfit("its rocks"));
         }
         let mut state = state;
-        let settings = goal.model.as_ref().unwrap_or(own).scene.memory;
+        let settings = task_state.model.as_ref().unwrap_or(own).scene.memory;
         state.sand = match (&saved.sand, settings) {
             (None, None) => None,
             (Some(bytes), Some(settings)) => {
@@ -101,24 +90,16 @@ impl Resumed {
         }
         let sensed = match task.sensing() {
             None => Some(SensorMemory::default()).filter(|_| saved.sensed.is_empty()),
-            Some(plan) => plan.resume(&saved.sensed, [saved.seed, saved.number]),
+            Some(sensors) => sensors.resume(&saved.sensed, [saved.seed, saved.number]),
         };
         let sensed = sensed.ok_or_else(|| unfit("what its sensors remember"))?;
         let period = 1.0 / task.spec().control_rate;
         let drawn = [saved.seed, saved.number];
         let delay = ActionDelay::draw(task.action_delay(), drawn, actions, [period, own.scene.dt]);
         let delay = delay.resume(&saved.delayed).ok_or_else(|| unfit("its delayed actions"))?;
-        Ok(Self {
-            task: task.clone(),
-            seed: saved.seed,
-            number: saved.number,
-            steps: saved.steps,
-            goal,
-            state,
-            last_action: saved.last_action.clone(),
-            sensed,
-            delay,
-        })
+        let (task, last_action) = (task.clone(), last.clone());
+        let SavedEpisode { seed, number, steps, .. } = *saved;
+        Ok(Self { task, seed, number, steps, task_state, state, last_action, sensed, delay })
     }
 }
 
@@ -151,56 +132,47 @@ fn drawn(robot: &Robot, scene: &Scene, task: &dyn AnyTask) -> Result<Model> {
 }
 
 impl Shard {
-    /// A copy of environment `i`'s present episode.
+    /// Environment `i`'s present episode as data.
     pub fn save(&self, i: usize) -> SavedEpisode {
-        let Episode { seed, number, steps, goal, after, last_action, sensed, delay, .. } = &self.episodes[i];
+        let Episode { seed, number, steps, task_state, state, last_action, sensed, delay, .. } =
+            &self.environments[i].episode;
         SavedEpisode {
             sensed: sensed.numbers(),
             delayed: delay.numbers().to_vec(),
             seed: *seed,
             number: *number,
             steps: *steps,
-            goal: [goal.speed, goal.turn],
-            drawn: match goal.legged {
+            goal: [task_state.speed, task_state.turn],
+            drawn: match task_state.legged {
                 Some(_) => None,
-                None => goal.model.as_ref().map(|m| Box::new((m.robot.clone(), m.scene.clone()))),
+                None => task_state.model.as_ref().map(|m| Box::new((m.robot.clone(), m.scene.clone()))),
             },
-            ground: goal.ground.clone(),
-            legged: goal.legged.clone(),
-            state: after.row(),
+            ground: task_state.ground.clone(),
+            legged: task_state.legged.clone(),
+            state: state.row(),
             last_action: last_action.clone(),
             sand: self.engine.sand(i).map(Moved::to_bytes),
         }
     }
 
-    /// The state of environment `i` as this shard keeps it for itself.
-    pub fn keep(&self, i: usize) -> Resumed {
-        let Episode { task, seed, number, steps, goal, after, last_action, sensed, delay, .. } = &self.episodes[i];
-        let (task, goal) = (task.clone(), goal.clone());
-        let (mut state, last_action) = (after.clone(), last_action.clone());
-        state.sand = self.engine.sand(i).cloned().map(Box::new);
-        let (sensed, delay) = (sensed.clone(), delay.clone());
-        Resumed { task, seed: *seed, number: *number, steps: *steps, goal, state, last_action, sensed, delay }
+    /// A copy of environment `i`'s present episode, with the sand that was moved.
+    pub fn keep(&self, i: usize) -> Episode {
+        let mut episode = self.environments[i].episode.clone();
+        episode.state.sand = self.engine.sand(i).cloned().map(Box::new);
+        episode
     }
 
     /// The task of environment `i` with its present options and model.
     pub fn task(&self, i: usize) -> &Arc<dyn AnyTask> {
-        &self.episodes[i].task
+        &self.environments[i].episode.task
     }
 
-    /// Continues environment `i` as `resumed`, and fills its observation row.
-    pub fn restore(&mut self, i: usize, resumed: &Resumed) {
-        let Resumed { task, seed, number, steps, goal, state, last_action, sensed, delay } = resumed;
-        let episode = &mut self.episodes[i];
-        episode.task = task.clone();
-        episode.stale = false;
-        (episode.seed, episode.number, episode.steps) = (*seed, *number, *steps);
-        episode.goal = goal.clone();
-        episode.after.clone_from(state);
-        episode.last_action.clone_from(last_action);
-        episode.sensed.clone_from(sensed);
-        episode.delay.clone_from(delay);
-        self.engine.set_model(i, goal.model.as_ref().unwrap_or(task.model()));
+    /// Continues environment `i` with `episode`, and fills its observation row.
+    pub fn restore(&mut self, i: usize, episode: &Episode) {
+        let environment = &mut self.environments[i];
+        environment.stale = false;
+        environment.episode.clone_from(episode);
+        self.engine.set_model(i, episode.model());
         self.take_up(i, Before::Restore);
     }
 }
@@ -224,8 +196,8 @@ mod tests {
         TASK_IDS.iter().map(one).collect()
     }
 
-    fn resume(blueprint: &Blueprint, saved: &SavedEpisode) -> Result<Resumed> {
-        Resumed::new(saved, &blueprint.task)
+    fn resume(blueprint: &Blueprint, saved: &SavedEpisode) -> Result<Episode> {
+        Episode::resume(saved, &blueprint.task)
     }
 
     type Change = (&'static str, fn(&mut Robot, &mut Scene));

@@ -4,7 +4,7 @@ use super::feature::{Features, flag};
 use super::random::Random;
 use super::sensors::{Part, Sensor};
 use super::spec::{CONTROL_RATE, Column, RewardTerm, Spec};
-use super::task::{Goal, Setup, Task, Transition};
+use super::task::{Setup, Task, TaskState, Transition};
 use super::walking::{MAX_STEPS, set_sand};
 use crate::error::{Error, Result, check_range};
 use crate::options;
@@ -114,8 +114,8 @@ Here the efficiency is clipped to [−1, 1], and its work is at least 1 mJ. The 
 **Baseline**: the best circular stroke. In a circular stroke the knee angle is constant and the hip turns at a constant speed; a search
 finds the best knee angle, speed and start (`stroke.start`).";
 
-/// Computes one number of an observation from goal, state, last action and the stroke's length [s].
-type Observe = fn(&Goal, &State, &[f32], f64, usize) -> f64;
+/// Computes one number of an observation from the task's state, the robot's, the last action and the stroke's length [s].
+type Observe = fn(&TaskState, &State, &[f32], f64, usize) -> f64;
 
 /// Computes one figure of a step.
 type Figure = fn(&StrokeStep) -> f64;
@@ -227,8 +227,8 @@ impl Task for LegStroke {
             .each(&joints, "torque", "N·m", TORQUE, |_, state, _, _, i| state.torques[i])
             .sensed(Sensor::JointTorque)
             .each(&joints, "previous action", "1", 1.0, |_, _, action, _, i| action[i].into())
-            .one("share of the stroke made", "1", 0.0, 1.0, |goal, state, _, duration, _| {
-                state.position[0] / (goal.speed * duration)
+            .one("share of the stroke made", "1", 0.0, 1.0, |task_state, state, _, duration, _| {
+                state.position[0] / (task_state.speed * duration)
             })
             .one("thrust impulse so far", "N·s", -IMPULSE, IMPULSE, |_, state, _, _, _| state.impulse[0])
             .one("lift impulse so far", "N·s", -IMPULSE, IMPULSE, |_, state, _, _, _| state.impulse[2])
@@ -257,12 +257,12 @@ impl Task for LegStroke {
         &self.spec
     }
 
-    fn begin(&self, setup: &Setup<StrokeTaskOptions>, random: &mut Random) -> (State, Goal) {
+    fn begin(&self, setup: &Setup<StrokeTaskOptions>, random: &mut Random) -> (State, TaskState) {
         let StrokeTaskOptions { stroke, angle_noise: noise, .. } = *setup.options;
         let angles = stroke.start.map(|a| a + random.uniform(-noise, noise));
         let mut state = State::at_rest(stroke.height, &angles);
         state.velocity[0] = stroke.carriage_speed;
-        (state, Goal { speed: stroke.carriage_speed, ..Goal::default() })
+        (state, TaskState { speed: stroke.carriage_speed, ..TaskState::default() })
     }
 
     /// Joints with a range stop at its ends.
@@ -275,8 +275,8 @@ impl Task for LegStroke {
         }
     }
 
-    fn observe(&self, goal: &Goal, state: &State, last_action: &[f32], row: &mut [f32]) {
-        self.observation.fill(row, |value, i| value(goal, state, last_action, self.duration, i));
+    fn observe(&self, task_state: &TaskState, state: &State, last_action: &[f32], row: &mut [f32]) {
+        self.observation.fill(row, |value, i| value(task_state, state, last_action, self.duration, i));
     }
 
     fn evaluate(&self, setup: &Setup<StrokeTaskOptions>, t: &Transition, info: &mut [f32]) -> bool {

@@ -5,7 +5,7 @@ use super::legged::draws::MOST_COMMAND;
 use super::legged::episode::LeggedEpisode;
 use super::options::{OptionRow, Options, ResetOptions, TaskOptions};
 use super::random::Random;
-use super::sensors::{self, HardwareFiles, Plan};
+use super::sensors::{self, HardwareFiles, SensorModel};
 use super::spec::Spec;
 use crate::error::{Error, Result, check_range};
 use crate::sim::engine::{Command, EngineKind};
@@ -13,9 +13,10 @@ use crate::sim::{Model, State};
 use serde_json::{Map, Value};
 use std::sync::Arc;
 
-/// The goal of an episode: drawn or chosen when it begins, and changed by [`Task::after_step`] alone.
+/// What a task knows of an episode besides the robot's state: commands, drawn model, ground, level of the curriculum. It is
+/// drawn or chosen when the episode begins, and changed by [`Task::after_step`] alone.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Goal {
+pub struct TaskState {
     /// Commanded forward speed [m/s].
     pub speed: f64,
     /// Commanded yaw speed [rad/s].
@@ -45,7 +46,7 @@ impl<'a, O> Setup<'a, O> {
 pub struct Transition<'a> {
     /// The model that simulates the episode.
     pub model: &'a Model,
-    pub goal: &'a Goal,
+    pub task_state: &'a TaskState,
     pub before: &'a State,
     pub after: &'a State,
     /// This step's action, in [-1, 1].
@@ -80,19 +81,25 @@ pub trait Task: Send + Sync + Sized + 'static {
 
     fn spec(&self) -> &Spec;
 
-    /// First state and goal of an episode.
-    fn begin(&self, setup: &Setup<Self::Options>, random: &mut Random) -> (State, Goal);
+    /// First state of the robot, and of the task, in an episode.
+    fn begin(&self, setup: &Setup<Self::Options>, random: &mut Random) -> (State, TaskState);
 
-    /// The same for an episode that follows one whose goal was `last` in the same environment.
-    fn begin_after(&self, setup: &Setup<Self::Options>, _last: &Goal, random: &mut Random) -> (State, Goal) {
+    /// The same for an episode that follows one whose last state of the task was `last` in the same environment.
+    fn begin_after(&self, setup: &Setup<Self::Options>, _last: &TaskState, random: &mut Random) -> (State, TaskState) {
         self.begin(setup, random)
     }
 
     /// The servos' command under `action`.
     fn command(&self, action: &[f32], state: &State, command: &mut Command);
 
-    /// Updates the goal after the step was evaluated; returns the changes for the engine. `info` is the step's row.
-    fn after_step(&self, _setup: &Setup<Self::Options>, _goal: &mut Goal, _state: &State, _info: &[f32]) -> Change {
+    /// Updates the task's state after the step was evaluated; returns the changes for the engine. `info` is the step's row.
+    fn after_step(
+        &self,
+        _setup: &Setup<Self::Options>,
+        _goal: &mut TaskState,
+        _state: &State,
+        _info: &[f32],
+    ) -> Change {
         Change::Nothing
     }
 
@@ -102,12 +109,12 @@ pub trait Task: Send + Sync + Sized + 'static {
     }
 
     /// Replaces the command of the rest of the episode: forward, to the left [m/s], yaw [rad/s].
-    fn set_command(&self, goal: &mut Goal, command: [f64; 3]) {
-        [goal.speed, _, goal.turn] = command;
+    fn set_command(&self, task_state: &mut TaskState, command: [f64; 3]) {
+        [task_state.speed, _, task_state.turn] = command;
     }
 
     /// Fills an observation row.
-    fn observe(&self, goal: &Goal, state: &State, last_action: &[f32], row: &mut [f32]);
+    fn observe(&self, task_state: &TaskState, state: &State, last_action: &[f32], row: &mut [f32]);
 
     /// Fills an info row (weighted reward terms first) and says whether the episode terminated.
     fn evaluate(&self, setup: &Setup<Self::Options>, transition: &Transition, info: &mut [f32]) -> bool;
@@ -122,11 +129,11 @@ pub trait Task: Send + Sync + Sized + 'static {
         Ok(())
     }
 
-    /// Checks the goal in a snapshot, and rebuilds the parts that snapshots leave out. The error says which part is
+    /// Checks the task's state in a snapshot, and rebuilds the parts that snapshots leave out. The error says which part is
     /// wrong.
-    fn resume(_setup: &Setup<Self::Options>, goal: &mut Goal) -> std::result::Result<(), String> {
-        match goal {
-            Goal { model: None, ground: None, legged: None, .. } => Ok(()),
+    fn resume(_setup: &Setup<Self::Options>, task_state: &mut TaskState) -> std::result::Result<(), String> {
+        match task_state {
+            TaskState { model: None, ground: None, legged: None, .. } => Ok(()),
             _ => Err("its robot and sand".into()),
         }
     }
@@ -136,19 +143,19 @@ pub trait Task: Send + Sync + Sized + 'static {
 pub trait AnyTask: Send + Sync {
     fn spec(&self) -> &Spec;
     fn model(&self) -> &Arc<Model>;
-    /// The first episode of an environment, or the one after an episode whose goal was `last`.
-    fn begin(&self, last: Option<&Goal>, random: &mut Random) -> (State, Goal);
+    /// The first episode of an environment, or the one after an episode whose last state of the task was `last`.
+    fn begin(&self, last: Option<&TaskState>, random: &mut Random) -> (State, TaskState);
     fn command(&self, action: &[f32], state: &State, command: &mut Command);
-    fn after_step(&self, goal: &mut Goal, state: &State, info: &[f32]) -> Change;
+    fn after_step(&self, task_state: &mut TaskState, state: &State, info: &[f32]) -> Change;
     /// Fills a row of the task's own exact values.
-    fn observe(&self, goal: &Goal, state: &State, last_action: &[f32], row: &mut [f32]);
+    fn observe(&self, task_state: &TaskState, state: &State, last_action: &[f32], row: &mut [f32]);
     fn evaluate(&self, transition: &Transition, info: &mut [f32]) -> bool;
 
     /// How observations follow from exact values; None: they are these values.
-    fn sensing(&self) -> Option<&Plan>;
+    fn sensing(&self) -> Option<&SensorModel>;
 
     /// Gives an episode the motors that it draws.
-    fn equip(&self, goal: &mut Goal, seed: u64, number: u64);
+    fn draw_motors(&self, task_state: &mut TaskState, seed: u64, number: u64);
 
     /// Does each episode have motors of its own?
     fn draws_motors(&self) -> bool;
@@ -157,7 +164,7 @@ pub trait AnyTask: Send + Sync {
     fn action_delay(&self) -> [f64; 2];
 
     fn most_obstacles(&self) -> usize;
-    fn resume(&self, goal: &mut Goal) -> std::result::Result<(), String>;
+    fn resume(&self, task_state: &mut TaskState) -> std::result::Result<(), String>;
     /// See [`Task::command_ranges`].
     fn command_ranges(&self) -> Option<[[f64; 2]; 3]>;
     /// Checks a command for [`Task::set_command`]; `name` names it.
@@ -166,7 +173,7 @@ pub trait AnyTask: Send + Sync {
     /// The task has no such commands, or a number is outside of the bounds that observations have.
     fn check_command(&self, name: &str, command: [f64; 3]) -> Result<()>;
     /// See [`Task::set_command`].
-    fn set_command(&self, goal: &mut Goal, command: [f64; 3]);
+    fn set_command(&self, task_state: &mut TaskState, command: [f64; 3]);
 
     /// The options' declarations.
     fn rows(&self) -> Vec<OptionRow>;
@@ -222,7 +229,7 @@ pub(super) struct TaskSetup<T: Task> {
     /// The task's, with the columns of sensors.
     spec: Spec,
     hardware: HardwareFiles,
-    sensing: Option<Plan>,
+    sensing: Option<SensorModel>,
 }
 
 impl<T: Task> TaskSetup<T> {
@@ -243,7 +250,7 @@ impl<T: Task> TaskSetup<T> {
     ) -> Result<Self> {
         let task = Arc::new(T::new(&Setup { options: &options.task, model: &model })?);
         let mut spec = task.spec().clone();
-        let sensing = Plan::new(&options.hardware, &hardware, &model, &mut spec)?;
+        let sensing = SensorModel::new(&options.hardware, &hardware, &model, &mut spec)?;
         Ok(Self { check_keyword, task, options, model, spec, hardware, sensing })
     }
 
@@ -266,7 +273,7 @@ impl<T: Task> AnyTask for TaskSetup<T> {
         &self.model
     }
 
-    fn begin(&self, last: Option<&Goal>, random: &mut Random) -> (State, Goal) {
+    fn begin(&self, last: Option<&TaskState>, random: &mut Random) -> (State, TaskState) {
         match last {
             Some(last) => self.task.begin_after(&self.setup(), last, random),
             None => self.task.begin(&self.setup(), random),
@@ -277,31 +284,31 @@ impl<T: Task> AnyTask for TaskSetup<T> {
         self.task.command(action, state, command);
     }
 
-    fn after_step(&self, goal: &mut Goal, state: &State, info: &[f32]) -> Change {
-        self.task.after_step(&self.setup(), goal, state, self.own(info))
+    fn after_step(&self, task_state: &mut TaskState, state: &State, info: &[f32]) -> Change {
+        self.task.after_step(&self.setup(), task_state, state, self.own(info))
     }
 
-    fn observe(&self, goal: &Goal, state: &State, last_action: &[f32], row: &mut [f32]) {
-        self.task.observe(goal, state, last_action, row);
+    fn observe(&self, task_state: &TaskState, state: &State, last_action: &[f32], row: &mut [f32]) {
+        self.task.observe(task_state, state, last_action, row);
     }
 
     fn evaluate(&self, transition: &Transition, info: &mut [f32]) -> bool {
         self.task.evaluate(&self.setup(), transition, &mut info[..self.task.spec().info.len()])
     }
 
-    fn sensing(&self) -> Option<&Plan> {
+    fn sensing(&self) -> Option<&SensorModel> {
         self.sensing.as_ref()
     }
 
-    fn equip(&self, goal: &mut Goal, seed: u64, number: u64) {
+    fn draw_motors(&self, task_state: &mut TaskState, seed: u64, number: u64) {
         if !self.hardware.is_random() {
             return;
         }
         let motors = sensors::motors(self.options.hardware.actuator, &self.hardware.of_episode(seed, number));
-        let model = goal.model.as_ref().unwrap_or(&self.model);
+        let model = task_state.model.as_ref().unwrap_or(&self.model);
         // The ends of the intervals were checked, so the values between them are possible.
         if let Ok(model) = Model::clone(model).with_motors(&motors.into()) {
-            goal.model = Some(Arc::new(model));
+            task_state.model = Some(Arc::new(model));
         }
     }
 
@@ -317,10 +324,12 @@ impl<T: Task> AnyTask for TaskSetup<T> {
         T::most_obstacles(&self.options.task)
     }
 
-    fn resume(&self, goal: &mut Goal) -> std::result::Result<(), String> {
-        match T::resume(&self.setup(), goal) {
-            // The model of a task that draws none is the session's with drawn motors, which `equip` makes again.
-            Err(_) if self.hardware.is_random() && goal.model.take().is_some() => T::resume(&self.setup(), goal),
+    fn resume(&self, task_state: &mut TaskState) -> std::result::Result<(), String> {
+        match T::resume(&self.setup(), task_state) {
+            // The model of a task that draws none is the session's with drawn motors, which `draw_motors` makes again.
+            Err(_) if self.hardware.is_random() && task_state.model.take().is_some() => {
+                T::resume(&self.setup(), task_state)
+            }
             result => result,
         }
     }
@@ -344,8 +353,8 @@ impl<T: Task> AnyTask for TaskSetup<T> {
         }
     }
 
-    fn set_command(&self, goal: &mut Goal, command: [f64; 3]) {
-        self.task.set_command(goal, command);
+    fn set_command(&self, task_state: &mut TaskState, command: [f64; 3]) {
+        self.task.set_command(task_state, command);
     }
 
     fn rows(&self) -> Vec<OptionRow> {

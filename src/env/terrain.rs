@@ -6,7 +6,7 @@ use super::gait::{GaitOptions, HexapodGait};
 use super::ground::{Change, PATCHES, UsedGround};
 use super::random::Random;
 use super::spec::Spec;
-use super::task::{Goal, Setup, Task, Transition};
+use super::task::{Setup, Task, TaskState, Transition};
 use crate::error::{Error, Result, check_range};
 use crate::options;
 use crate::sand::Medium;
@@ -227,15 +227,15 @@ impl Task for HexapodTerrain {
         &self.spec
     }
 
-    fn begin(&self, setup: &Setup<TerrainOptions>, random: &mut Random) -> (State, Goal) {
-        let (state, goal) = self.gait.begin(&setup.with(&setup.options.gait), random);
+    fn begin(&self, setup: &Setup<TerrainOptions>, random: &mut Random) -> (State, TaskState) {
+        let (state, task_state) = self.gait.begin(&setup.with(&setup.options.gait), random);
         let (options, legs) = (setup.options, setup.model.legs.len());
-        let (draw, ground) = options.randomize.draw(options, goal.speed, legs, random);
+        let (draw, ground) = options.randomize.draw(options, task_state.speed, legs, random);
         let Scene { slope_deg, payload, .. } = setup.model.scene;
         let mut model = setup.model.with_medium(sand(setup.model, &ground));
         model.set_load(slope_deg + draw.slope_deg, payload + draw.payload);
         model.weaken_motors(draw.torque_limit);
-        (state, Goal { model: Some(Arc::new(model)), ground: Some(ground), ..goal })
+        (state, TaskState { model: Some(Arc::new(model)), ground: Some(ground), ..task_state })
     }
 
     fn command(&self, action: &[f32], state: &State, command: &mut Command) {
@@ -243,14 +243,22 @@ impl Task for HexapodTerrain {
     }
 
     /// Updates footprints, patch and command.
-    fn after_step(&self, setup: &Setup<TerrainOptions>, goal: &mut Goal, state: &State, _info: &[f32]) -> Change {
-        let (Some(ground), Some(model)) = (&mut goal.ground, &mut goal.model) else { return Change::Nothing };
+    fn after_step(
+        &self,
+        setup: &Setup<TerrainOptions>,
+        task_state: &mut TaskState,
+        state: &State,
+        _info: &[f32],
+    ) -> Change {
+        let (Some(ground), Some(model)) = (&mut task_state.ground, &mut task_state.model) else {
+            return Change::Nothing;
+        };
         let change = ground.after_step(model, state);
         if change == Change::Patch {
             *model = Arc::new(model.with_medium(sand(setup.model, ground)));
         }
         if ground.turned(state.position[0]) {
-            goal.speed = -goal.speed;
+            task_state.speed = -task_state.speed;
         }
         change
     }
@@ -259,24 +267,24 @@ impl Task for HexapodTerrain {
         Some(setup.options.gait.walking.command_ranges())
     }
 
-    fn observe(&self, goal: &Goal, state: &State, last_action: &[f32], row: &mut [f32]) {
-        self.gait.observe(goal, state, last_action, row);
+    fn observe(&self, task_state: &TaskState, state: &State, last_action: &[f32], row: &mut [f32]) {
+        self.gait.observe(task_state, state, last_action, row);
     }
 
     fn evaluate(&self, setup: &Setup<TerrainOptions>, t: &Transition, info: &mut [f32]) -> bool {
         let (walk, drawn) = info.split_at_mut(self.gait.spec().info.len());
-        if let Some(ground) = &t.goal.ground {
+        if let Some(ground) = &t.task_state.ground {
             let facts = Drawn { t, difficulty: setup.options.difficulty, ground };
             self.figures.fill(drawn, |value, _| value(&facts));
         }
         self.gait.evaluate(&setup.with(&setup.options.gait), t, walk)
     }
 
-    fn resume(setup: &Setup<TerrainOptions>, goal: &mut Goal) -> std::result::Result<(), String> {
+    fn resume(setup: &Setup<TerrainOptions>, task_state: &mut TaskState) -> std::result::Result<(), String> {
         let legs = setup.model.legs.len();
-        match goal {
-            Goal { ground: Some(ground), .. } if !ground.is_sound(legs) => Err("its ground".into()),
-            Goal { model: Some(_), ground: Some(_), legged: None, .. } => Ok(()),
+        match task_state {
+            TaskState { ground: Some(ground), .. } if !ground.is_sound(legs) => Err("its ground".into()),
+            TaskState { model: Some(_), ground: Some(_), legged: None, .. } => Ok(()),
             _ => Err("its robot, sand and ground".into()),
         }
     }

@@ -3,7 +3,7 @@
 use super::locomotion::{MAX_COMMAND, MAX_TURN, Weights};
 use super::options::RobotName;
 use super::random::Random;
-use super::task::{Goal, Setup};
+use super::task::{Setup, TaskState};
 use crate::error::{Error, Result};
 use crate::options;
 use crate::sand::{Law, Medium, SandDescription};
@@ -78,7 +78,7 @@ pub fn set_sand(scene: &mut Scene, text: &str) -> Result<()> {
 }
 
 /// The robot at rest on the surface with joints near their start, within their stops, and commands drawn from the options' ranges.
-pub fn begin(setup: &Setup<Walking>, random: &mut Random) -> (State, Goal) {
+pub fn begin(setup: &Setup<Walking>, random: &mut Random) -> (State, TaskState) {
     let Walking { angle_noise, command, turn, .. } = *setup.options;
     let mut angles = setup.model.tripod_angles();
     angles.iter_mut().for_each(|a| *a += random.uniform(-angle_noise, angle_noise));
@@ -86,6 +86,6 @@ pub fn begin(setup: &Setup<Walking>, random: &mut Random) -> (State, Goal) {
         *angle = body.range.map_or(*angle, |[low, high]| angle.clamp(low, high));
     }
     let [speed, turn] = [command, turn].map(|[low, high]| random.uniform(low, high));
-    let goal = Goal { speed, turn, ..Goal::default() };
-    (State::at_rest(setup.model.standing_height(&angles), &angles), goal)
+    let task_state = TaskState { speed, turn, ..TaskState::default() };
+    (State::at_rest(setup.model.standing_height(&angles), &angles), task_state)
 }

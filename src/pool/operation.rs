@@ -1,6 +1,6 @@
 //! What a batch can be asked to do, and how a thread does it on one shard.
 
-use crate::env::snapshot::Resumed;
+use crate::env::episode::Episode;
 use crate::env::{AnyTask, Shard};
 use crate::policy::Network;
 use std::sync::Arc;
@@ -9,7 +9,7 @@ use std::sync::Arc;
 pub enum Operation {
     Reset { chosen: Option<Vec<bool>>, seeds: Option<Vec<u64>>, tasks: Option<ResetTasks> },
     Step { actions: Vec<f32>, held: Option<Vec<bool>> },
-    Restore { episodes: Vec<Arc<Resumed>> },
+    Restore { episodes: Vec<Arc<Episode>> },
     Command(Vec<[f64; 3]>),
     Roll(Roll),
 }

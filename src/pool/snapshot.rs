@@ -12,7 +12,8 @@ use super::batch::Batch;
 use super::operation::Operation;
 use super::seal::Seal;
 use crate::env::AnyTask;
-use crate::env::snapshot::{Resumed, SavedEpisode};
+use crate::env::episode::Episode;
+use crate::env::snapshot::SavedEpisode;
 use crate::error::{Error, Result};
 use serde::de::{DeserializeOwned, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -160,7 +161,7 @@ impl Batch {
 
     /// Checks that environment i of this batch can go on as environment `sources[i]` of `snapshot` (if none are
     /// given: i modulo the snapshot's number).
-    fn resumed(&self, snapshot: &Snapshot, sources: Option<&[u32]>) -> Result<Vec<Arc<Resumed>>> {
+    fn resumed(&self, snapshot: &Snapshot, sources: Option<&[u32]>) -> Result<Vec<Arc<Episode>>> {
         if snapshot.task != self.spec().id {
             return Err(broken(format!("it is of {}, not of {}", snapshot.task, self.spec().id)));
         }
@@ -170,7 +171,7 @@ impl Batch {
         }
         let all = &snapshot.episodes;
         let mut tasks: HashMap<&PackedPart, Arc<dyn AnyTask>> = HashMap::new();
-        let mut resumed: HashMap<usize, Arc<Resumed>> = HashMap::new();
+        let mut resumed: HashMap<usize, Arc<Episode>> = HashMap::new();
         let mut one = |i: usize| {
             let source = sources.map_or(i % all.len(), |s| s[i] as usize);
             if let Some(known) = resumed.get(&source) {
@@ -190,7 +191,7 @@ impl Batch {
                 }
             };
             let episode: SavedEpisode = episode.unpack()?;
-            let new = Arc::new(Resumed::new(&episode, task)?);
+            let new = Arc::new(Episode::resume(&episode, task)?);
             resumed.insert(source, new.clone());
             Ok(new)
         };

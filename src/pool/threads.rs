@@ -82,7 +82,7 @@ pub struct Pool {
 
 impl PoolState {
     /// Makes the workers that watch look into the queue.
-    fn tell(&self, queue: &mut Queue) {
+    fn wake_watching(&self, queue: &mut Queue) {
         queue.watching = 0;
         self.news.fetch_add(1, Ordering::Release);
     }
@@ -144,7 +144,7 @@ impl Pool {
         queue.jobs.push_back(Job { operation: Arc::new(operation), waiting, id });
         let wanted = expected.min(self.workers.len()).saturating_sub(helpers + queue.watching);
         let woken = wanted.min(queue.asleep);
-        self.shared.tell(&mut queue);
+        self.shared.wake_watching(&mut queue);
         drop(queue);
         for _ in 0..woken {
             self.shared.work.notify_one();
@@ -201,7 +201,7 @@ impl Drop for Pool {
         let mut queue = self.shared.queue.lock();
         queue.closed = true;
         let abandoned = (std::mem::take(&mut queue.jobs), std::mem::take(&mut queue.pending));
-        self.shared.tell(&mut queue);
+        self.shared.wake_watching(&mut queue);
         drop(queue);
         drop(abandoned);
         self.shared.work.notify_all();

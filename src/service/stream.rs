@@ -265,13 +265,13 @@ fn carry_out(mut work: SessionWork, request: Option<Request>, pool: &Arc<Pool>) 
     let operation = match request {
         Some(Request::Save(_)) => {
             let saved = work.batch().save().and_then(|s| s.to_bytes(&seal));
-            return work.tell(saved.map(|data| Response::Snapshot(Snapshot { data: data.into() })));
+            return work.answer(saved.map(|data| Response::Snapshot(Snapshot { data: data.into() })));
         }
         Some(Request::Rollout(request)) => return rollout::start(work, &request, pool.clone()),
         Some(Request::PolicyRollout(request)) => return rollout::start_network(work, &request, pool.clone()),
         Some(Request::Observe(request)) => {
             let seen = view::observe(work.batch(), &request);
-            return work.tell(seen.map(Response::Observation));
+            return work.answer(seen.map(Response::Observation));
         }
         request => decode::operation(work.batch(), request, &seal),
     };

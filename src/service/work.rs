@@ -87,7 +87,7 @@ impl SessionWork {
     }
 
     /// Answers a request that changes nothing.
-    pub fn tell(self, answer: Result<Response>) {
+    pub fn answer(self, answer: Result<Response>) {
         match answer {
             Ok(response) => self.finish(response, false),
             Err(error) => self.refuse(&error),

@@ -43,7 +43,7 @@ pub fn draw(batch: &Batch, index: usize, size: [u32; 2], ended: bool, camera: &C
 fn captions(look: &EnvView) -> Vec<String> {
     let figure = |name: &str| look.spec.info.iter().position(|c| c.name == name).map(|k| look.info[k]);
     let speed = figure("speed").unwrap_or(0.0);
-    let mut first = format!("{:6.2} s   {speed:6.3} m/s (commanded {:.3})", look.time, look.goal.speed);
+    let mut first = format!("{:6.2} s   {speed:6.3} m/s (commanded {:.3})", look.time, look.task_state.speed);
     if look.model.scene.slope_deg != 0.0 {
         first += &format!("   slope {}°", look.model.scene.slope_deg);
     }

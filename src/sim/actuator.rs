@@ -19,11 +19,11 @@
 //! **Limits.** Servos are implicit in the acceleration, so a torque is known after all accelerations are. An engine first solves with each
 //! motor's torque limited at the acceleration that its joint would have with the link before it held still. For motors whose stall torque is
 //! known, it then compares each torque with the line at the speeds before and after the step, and solves again until none is beyond
-//! ([`TorqueLimits`]): each pass puts a torque that is beyond on the lower of the two lines (Newton's method for piecewise linear functions), which
+//! ([`LimitedTorque`]): each pass puts a torque that is beyond on the lower of the two lines (Newton's method for piecewise linear functions), which
 //! usually ends after one. A torque that is still beyond after [`NEWTON`] passes is 0 in this step. Without a known stall torque one
 //! solution is made, and a torque may be beyond its constant limit by the part that the acceleration of the link before adds (about 1 %).
 
-use super::stop::{NO_LIMIT, StopTorque};
+use super::stop::{ImplicitTorque, NO_LIMIT};
 use crate::error::{Error, Result};
 use crate::number::Real;
 use serde::{Deserialize, Serialize};
@@ -68,7 +68,7 @@ pub struct Actuator {
 
 impl Actuator {
     /// These properties, and those of `other` where they are not known.
-    pub fn over(&self, other: &Self) -> Result<Self> {
+    pub fn or(&self, other: &Self) -> Result<Self> {
         let mut all = Self {
             torque_limit: self.torque_limit.or(other.torque_limit),
             stall_torque: self.stall_torque.or(other.stall_torque),
@@ -191,27 +191,29 @@ impl<R: Real> LaneActuator<R> {
 
     /// The torque that follows the servo's `push` in this step, if it was `before` in the last one.
     #[inline(always)]
-    pub fn track(&self, push: StopTorque<R>, before: R, dt: R) -> StopTorque<R> {
+    pub fn track(&self, push: ImplicitTorque<R>, before: R, dt: R) -> ImplicitTorque<R> {
         if !self.any.lag {
             return push;
         }
         let share = dt / (self.torque_time + dt);
-        let push =
-            StopTorque { torque: push.torque * self.torque_constant, yielding: push.yielding * self.torque_constant };
+        let push = ImplicitTorque {
+            torque: push.torque * self.torque_constant,
+            yielding: push.yielding * self.torque_constant,
+        };
         let torque = (push.torque - before).mul_add(share, before);
         // Exactly the servo's without a lag.
         let free = R::one().lt(share + R::splat(f64::from(f32::EPSILON)));
-        StopTorque { torque: R::select(free, push.torque, torque), yielding: push.yielding * share }
+        ImplicitTorque { torque: R::select(free, push.torque, torque), yielding: push.yielding * share }
     }
 
     /// Friction of the gear and inertia of the rotor, if the motor's torque was `before` in the last step.
     #[inline(always)]
-    pub fn gear(&self, rate: R, before: R, dt: R) -> StopTorque<R> {
+    pub fn gear(&self, rate: R, before: R, dt: R) -> ImplicitTorque<R> {
         if !self.any.gear {
-            return StopTorque::none();
+            return ImplicitTorque::none();
         }
         let slows = self.slows(rate, before);
-        StopTorque { torque: -(slows * rate), yielding: slows.mul_add(dt, self.rotor_inertia) }
+        ImplicitTorque { torque: -(slows * rate), yielding: slows.mul_add(dt, self.rotor_inertia) }
     }
 
     /// Friction of the gear for each unit of speed.
@@ -223,7 +225,7 @@ impl<R: Real> LaneActuator<R> {
 
     /// `servo` within the limits, if the joint accelerates by `acceleration`.
     #[inline(always)]
-    pub fn limited(&self, servo: StopTorque<R>, rate: R, acceleration: R, dt: R) -> StopTorque<R> {
+    pub fn limited(&self, servo: ImplicitTorque<R>, rate: R, acceleration: R, dt: R) -> ImplicitTorque<R> {
         let [low, high] = self.limits(rate);
         let flat = servo.within(low, high, acceleration);
         if !self.has_lines() {
@@ -231,24 +233,24 @@ impl<R: Real> LaneActuator<R> {
         }
         let [lower, upper] = self.bounds(rate, acceleration, dt);
         let torque = servo.at(acceleration);
-        let piece = StopTorque::select(upper.at(acceleration).lt(torque), upper, servo);
-        let piece = StopTorque::select(torque.lt(lower.at(acceleration)), lower, piece);
-        StopTorque::select(R::zero().lt(self.has_line), piece, flat)
+        let piece = ImplicitTorque::select(upper.at(acceleration).lt(torque), upper, servo);
+        let piece = ImplicitTorque::select(torque.lt(lower.at(acceleration)), lower, piece);
+        ImplicitTorque::select(R::zero().lt(self.has_line), piece, flat)
     }
 
     /// The least and the greatest torque for the speeds before and after the step, near `acceleration`.
     #[inline(always)]
-    fn bounds(&self, rate: R, acceleration: R, dt: R) -> [StopTorque<R>; 2] {
+    fn bounds(&self, rate: R, acceleration: R, dt: R) -> [ImplicitTorque<R>; 2] {
         let [low, high] = self.limits(rate);
         let slope = self.stall_torque / self.no_load_speed;
         let most = |rate: R, acceleration: R, now: R| {
-            let line = StopTorque { torque: self.stall_torque - slope * rate, yielding: slope * dt };
+            let line = ImplicitTorque { torque: self.stall_torque - slope * rate, yielding: slope * dt };
             let after = line.at(acceleration);
-            let constant = StopTorque { torque: after.clamp(R::zero(), now), yielding: R::zero() };
-            StopTorque::select(after.lt(now), StopTorque::select(R::zero().lt(after), line, constant), constant)
+            let constant = ImplicitTorque { torque: after.clamp(R::zero(), now), yielding: R::zero() };
+            ImplicitTorque::select(after.lt(now), ImplicitTorque::select(R::zero().lt(after), line, constant), constant)
         };
         let lower = most(-rate, -acceleration, -low);
-        [StopTorque { torque: -lower.torque, yielding: lower.yielding }, most(rate, acceleration, high)]
+        [ImplicitTorque { torque: -lower.torque, yielding: lower.yielding }, most(rate, acceleration, high)]
     }
 
     /// By how much `torque` is beyond the limits of a motor whose stall torque is known; not above 0: it is within.
@@ -273,18 +275,18 @@ impl<R: Real> LaneActuator<R> {
 
 /// A motor's torque in the passes of one step.
 #[derive(Clone, Copy)]
-pub struct TorqueLimits<R> {
+pub struct LimitedTorque<R> {
     /// The servo's, without limits.
-    servo: StopTorque<R>,
+    servo: ImplicitTorque<R>,
     /// What the last pass solved with.
-    pub push: StopTorque<R>,
+    pub push: ImplicitTorque<R>,
     /// 1 in lanes where `push` is what the next pass solves with.
     held: R,
 }
 
-impl<R: Real> TorqueLimits<R> {
+impl<R: Real> LimitedTorque<R> {
     pub fn none() -> Self {
-        Self { servo: StopTorque::none(), push: StopTorque::none(), held: R::zero() }
+        Self { servo: ImplicitTorque::none(), push: ImplicitTorque::none(), held: R::zero() }
     }
 
     /// Before the first pass.
@@ -295,9 +297,9 @@ impl<R: Real> TorqueLimits<R> {
 
     /// The motor's push in this pass; `push` is that of a first one.
     #[inline(always)]
-    pub fn pass(&mut self, servo: StopTorque<R>, push: StopTorque<R>) -> StopTorque<R> {
+    pub fn pass(&mut self, servo: ImplicitTorque<R>, push: ImplicitTorque<R>) -> ImplicitTorque<R> {
         self.servo = servo;
-        self.push = StopTorque::select(R::zero().lt(self.held), self.push, push);
+        self.push = ImplicitTorque::select(R::zero().lt(self.held), self.push, push);
         self.push
     }
 }
@@ -306,14 +308,14 @@ impl<R: Real> TorqueLimits<R> {
 /// `joint(i)`: actuator, rate before the step and acceleration. Returns false if no torque is. All motors of a robot go on with the pieces of
 /// their lines at these accelerations; other robots of the block keep theirs.
 #[inline(always)]
-pub fn again<'a, R: Real>(
-    limits: &mut [TorqueLimits<R>],
+pub fn next_pass<'a, R: Real>(
+    limits: &mut [LimitedTorque<R>],
     joint: impl Fn(usize) -> (&'a LaneActuator<R>, R, R),
     dt: R,
     pass: usize,
 ) -> bool {
     let zero = R::zero();
-    let beyond = |i: usize, limits: &TorqueLimits<R>| {
+    let beyond = |i: usize, limits: &LimitedTorque<R>| {
         let (actuator, rate, acceleration) = joint(i);
         actuator.beyond(limits.push.at(acceleration), rate, acceleration, dt)
     };
@@ -325,9 +327,9 @@ pub fn again<'a, R: Real>(
         let (actuator, rate, acceleration) = joint(i);
         let next = match pass < NEWTON {
             true => actuator.limited(own.servo, rate, acceleration, dt),
-            false => StopTorque::select(zero.lt(beyond(i, own)), StopTorque::none(), own.push),
+            false => ImplicitTorque::select(zero.lt(beyond(i, own)), ImplicitTorque::none(), own.push),
         };
-        own.push = StopTorque::select(zero.lt(worst), next, own.push);
+        own.push = ImplicitTorque::select(zero.lt(worst), next, own.push);
         own.held = R::select(zero.lt(worst), R::one(), own.held);
     }
     true

@@ -7,6 +7,7 @@
 
 use super::command::Command;
 use super::frame::BodyFrame;
+use super::integrator::Integrator;
 use super::rapier::{PlacedBody, fold_turns, load_link};
 use super::{Model, State};
 use crate::sand::SandBed;
@@ -29,42 +30,35 @@ impl CarriageEngine {
     pub fn new(model: &Model, count: usize) -> Self {
         Self { carriages: (0..count).map(|_| Carriage::new(model)).collect() }
     }
+}
 
-    /// See [`super::engine::Engine::set_model`].
-    pub fn set_model(&mut self, index: usize, model: &Model) {
+impl Integrator for CarriageEngine {
+    fn set_model(&mut self, index: usize, model: &Model) {
         let carriage = &mut self.carriages[index];
         carriage.model = model.clone();
         carriage.ground = model.scene.ground();
     }
 
-    /// See [`super::engine::Engine::set_footing`].
-    pub fn set_footing(&mut self, index: usize, model: &Model, shares: &[f64]) {
+    fn set_footing(&mut self, index: usize, model: &Model, shares: &[f64]) {
         self.carriages[index].model.scale_areas(model, shares);
     }
 
-    /// See [`super::engine::Engine::set_state`]. The carriage keeps the state's velocity.
-    pub fn set_state(&mut self, index: usize, state: &State) {
+    /// The carriage keeps the state's velocity.
+    fn set_state(&mut self, index: usize, state: &State) {
         self.carriages[index].state.clone_from(state);
         self.carriages[index].state.forget_changes();
     }
 
-    /// See [`super::engine::Engine::state`].
-    pub fn state(&self, index: usize, out: &mut State) {
+    fn state(&self, index: usize, out: &mut State) {
         out.clone_from(&self.carriages[index].state);
     }
 
-    /// See [`super::engine::Engine::command`]. Joints turn at the given rates; torques are ignored.
-    pub fn command(&mut self, index: usize, command: &Command) {
+    /// Joints turn at the given rates; torques are ignored.
+    fn command(&mut self, index: usize, command: &Command) {
         self.carriages[index].rates.clone_from(&command.rates);
     }
 
-    /// See [`super::engine::Engine::advance`].
-    pub fn advance(&mut self, steps: usize) {
-        self.advance_in_parts(steps, true);
-    }
-
-    /// See [`super::engine::Engine::advance_in_parts`].
-    pub fn advance_in_parts(&mut self, steps: usize, ends: bool) {
+    fn advance_in_parts(&mut self, steps: usize, ends: bool) {
         for carriage in &mut self.carriages {
             (0..steps).for_each(|_| carriage.step());
             if ends {

@@ -2,17 +2,16 @@
 //! runs.
 
 use super::carriage::CarriageEngine;
-use super::lanes::LanesEngine;
 use super::model::Scene;
 use super::rapier::RapierEngine;
-use super::tree::TreeEngine;
-use super::{Model, State};
+use super::{Model, lanes, tree};
 use crate::error::{Error, Result};
-use crate::number::flushed;
-use crate::sand::memory::Moved;
+use crate::number::{Isa, flushed};
 use serde::{Deserialize, Serialize};
+use std::ops::{Deref, DerefMut};
 
 pub use super::command::Command;
+pub use super::integrator::Integrator;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -63,13 +62,8 @@ impl EngineKind {
     }
 }
 
-/// Robots that advance together, each on its own sand.
-pub enum Engine {
-    Lanes(LanesEngine),
-    Rapier(RapierEngine),
-    Tree(TreeEngine),
-    Carriage(CarriageEngine),
-}
+/// Robots that advance together, each on its own sand, with denormal numbers counted as zero: see [`flushed`].
+pub struct Engine(Box<dyn Integrator>);
 
 impl Engine {
     /// `count` robots at rest, all with `model`.
@@ -78,94 +72,35 @@ impl Engine {
             let reason = format!("engine {} has none; lanes and tree have", kind.name());
             return Err(Error::invalid("memory", reason));
         }
-        Ok(match kind {
-            EngineKind::Lanes => Self::Lanes(LanesEngine::new(model, count)?),
-            EngineKind::Rapier => Self::Rapier(RapierEngine::new(model, count)),
-            EngineKind::Tree => Self::Tree(TreeEngine::new(model, count)?),
-            EngineKind::Carriage => Self::Carriage(CarriageEngine::new(model, count)),
-        })
+        Ok(Self(match kind {
+            EngineKind::Lanes => Box::new(lanes::engine(Isa::choose()?, model, count)?),
+            EngineKind::Rapier => Box::new(RapierEngine::new(model, count)),
+            EngineKind::Tree => Box::new(tree::engine(Isa::choose()?, model, count)?),
+            EngineKind::Carriage => Box::new(CarriageEngine::new(model, count)),
+        }))
     }
 
-    /// Gives robot `index` another model with equally many joints and plates. Takes effect with the next
-    /// `set_state`.
-    pub fn set_model(&mut self, index: usize, model: &Model) {
-        match self {
-            Self::Lanes(e) => e.set_model(index, model),
-            Self::Rapier(e) => e.set_model(index, model),
-            Self::Tree(e) => e.set_model(index, model),
-            Self::Carriage(e) => e.set_model(index, model),
-        }
-    }
-
-    /// Scales the sand's stress on each leg of robot `index`, which has `model`, by `shares` [legs], until the
-    /// model or the shares are set again. Takes effect at once.
-    pub fn set_footing(&mut self, index: usize, model: &Model, shares: &[f64]) {
-        match self {
-            Self::Lanes(e) => e.set_footing(index, model, shares),
-            Self::Rapier(e) => e.set_footing(index, model, shares),
-            Self::Tree(_) => (), // no task of engine `tree` has footprints
-            Self::Carriage(e) => e.set_footing(index, model, shares),
-        }
-    }
-
-    pub fn set_state(&mut self, index: usize, state: &State) {
-        match self {
-            Self::Lanes(e) => e.set_state(index, state),
-            Self::Rapier(e) => e.set_state(index, state),
-            Self::Tree(e) => e.set_state(index, state),
-            Self::Carriage(e) => e.set_state(index, state),
-        }
-    }
-
-    /// Copies robot `index`'s state into `out` without allocating.
-    pub fn state(&self, index: usize, out: &mut State) {
-        match self {
-            Self::Lanes(e) => e.state(index, out),
-            Self::Rapier(e) => e.state(index, out),
-            Self::Tree(e) => e.state(index, out),
-            Self::Carriage(e) => e.state(index, out),
-        }
-    }
-
-    /// The sand around robot `index`; None if it has no memory.
-    pub fn sand(&self, index: usize) -> Option<&Moved> {
-        match self {
-            Self::Lanes(e) => e.sand(index),
-            Self::Tree(e) => e.sand(index),
-            Self::Rapier(_) | Self::Carriage(_) => None,
-        }
-    }
-
-    pub fn command(&mut self, index: usize, command: &Command) {
-        match self {
-            Self::Lanes(e) => e.command(index, command),
-            Self::Rapier(e) => e.command(index, command),
-            Self::Tree(e) => e.command(index, command),
-            Self::Carriage(e) => e.command(index, command),
-        }
-    }
-
-    /// Advances every robot by `steps` time steps, with denormal numbers counted as zero: see [`flushed`].
+    /// See [`Integrator::advance`].
     pub fn advance(&mut self, steps: usize) {
         self.advance_in_parts(steps, true);
     }
 
-    /// The same in parts, of which the last one `ends` it: parts do not change bits, except in engine `rapier` with obstacles.
+    /// See [`Integrator::advance_in_parts`].
     pub fn advance_in_parts(&mut self, steps: usize, ends: bool) {
-        flushed(|| match self {
-            Self::Lanes(e) => e.advance_in_parts(steps, ends),
-            Self::Rapier(e) => e.advance(steps),
-            Self::Tree(e) => e.advance_in_parts(steps, ends),
-            Self::Carriage(e) => e.advance_in_parts(steps, ends),
-        });
+        flushed(|| self.0.advance_in_parts(steps, ends));
     }
+}
 
-    /// Fills `out` with the sand's force on each leg of robot `index` along the surface's normal in the last time step [N]. Empty: the engine
-    /// does not keep it, and [`super::pose::Pose`] computes it.
-    pub fn supports(&self, index: usize, out: &mut Vec<f64>) {
-        match self {
-            Self::Lanes(e) => e.supports(index, out),
-            Self::Rapier(_) | Self::Tree(_) | Self::Carriage(_) => out.clear(),
-        }
+impl Deref for Engine {
+    type Target = dyn Integrator;
+
+    fn deref(&self) -> &Self::Target {
+        &*self.0
+    }
+}
+
+impl DerefMut for Engine {
+    fn deref_mut(&mut self) -> &mut Self::Target {
+        &mut *self.0
     }
 }

@@ -102,7 +102,7 @@ impl HardwareDescription {
     }
 
     /// These quantities, and those of `other` where they are missing.
-    pub fn over(&self, other: &Self) -> Self {
+    pub fn or(&self, other: &Self) -> Self {
         let mut quantities = other.quantities.clone();
         quantities.extend(self.quantities.clone());
         Self { source: self.source.clone(), quantities }

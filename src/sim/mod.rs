@@ -13,8 +13,8 @@
 //! * [`pose`]: places of the bodies and forces of the ground at one moment.
 //! * [`actuator`]: what a motor and its gear can do; [`motor`]: servo and motor of a robot.
 //! * [`hardware`]: what is known of a robot's motors, sensors and delays, as a file.
-//! * [`engine`]: the one interface to all engines.
-//! * [`spatial`]: spatial algebra for `lanes` and `tree`; [`stop`]: the ends of a joint's range.
+//! * [`engine`]: the one interface to all engines; [`integrator`]: what each of them does.
+//! * [`blocks`]: robots in lanes, for `lanes` and `tree`; [`spatial`]: their spatial algebra; [`stop`]: the ends of a joint's range.
 //! * [`lanes`]: the fast engine, articulated bodies over SIMD lanes of robots.
 //! * [`rapier`]: rapier3d multibodies, one world for each robot.
 //! * [`carriage`]: a leg on a driven carriage, whose forces are measured.
@@ -27,6 +27,7 @@ use sandgait_number as number;
 use sandgait_sand as sand;
 
 pub mod actuator;
+pub mod blocks;
 pub mod carriage;
 pub mod command;
 pub mod engine;
@@ -34,6 +35,7 @@ pub mod feet;
 pub mod frame;
 pub mod hardware;
 mod hull;
+pub mod integrator;
 pub mod lanes;
 mod links;
 mod memory;

@@ -197,12 +197,12 @@ impl Model {
         match &mut self.tree {
             Some(tree) => {
                 for motor in &mut Arc::make_mut(tree).motors {
-                    motor.actuator = motors.over(&motor.actuator)?;
+                    motor.actuator = motors.or(&motor.actuator)?;
                 }
             }
             None => {
                 let servo = &mut self.robot.servo;
-                servo.set_actuator(&motors.over(&servo.actuator())?);
+                servo.set_actuator(&motors.or(&servo.actuator())?);
                 self.motor = Motor::new(servo, &self.scene.mechanisms);
             }
         }

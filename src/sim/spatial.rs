@@ -41,6 +41,10 @@ impl<R: Real> Wrench<R> {
 }
 
 impl<R: Real> Twist<R> {
+    #[inline(always)]
+    pub fn zero() -> Self {
+        Self { angular: Vec3::zero(), linear: Vec3::zero() }
+    }
     /// `axis` through `point`.
     #[inline(always)]
     pub fn hinge(axis: Vec3<R>, point: Vec3<R>) -> Self {

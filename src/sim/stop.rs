@@ -13,7 +13,7 @@ const RETURN: f64 = 8.0;
 
 /// Torque on a joint that falls with its acceleration q̈: `torque` − `yielding` q̈.
 #[derive(Clone, Copy)]
-pub struct StopTorque<R> {
+pub struct ImplicitTorque<R> {
     /// [N·m or N]
     pub torque: R,
     /// [kg·m² or kg]
@@ -22,11 +22,11 @@ pub struct StopTorque<R> {
 
 /// A stop's push, and the least and the greatest torque that it can have: it only pushes back.
 pub struct Stop<R> {
-    pub push: StopTorque<R>,
+    pub push: ImplicitTorque<R>,
     pub limits: [R; 2],
 }
 
-impl<R: Real> StopTorque<R> {
+impl<R: Real> ImplicitTorque<R> {
     #[inline(always)]
     pub fn none() -> Self {
         Self { torque: R::zero(), yielding: R::zero() }
@@ -75,7 +75,7 @@ impl<R: Real> Stop<R> {
         let past = (position - most).max(zero) + (position - least).min(zero);
         let out = (past / (dt * R::splat(RETURN)) + rate) * (stiff / dt);
         let acts = zero.lt(beyond.abs());
-        let push = StopTorque { torque: R::select(acts, -out, zero), yielding: R::select(acts, stiff, zero) };
+        let push = ImplicitTorque { torque: R::select(acts, -out, zero), yielding: R::select(acts, stiff, zero) };
         let limits = [
             R::select(beyond.lt(zero), zero, -R::splat(NO_LIMIT)),
             R::select(zero.lt(beyond), zero, R::splat(NO_LIMIT)),
@@ -85,7 +85,7 @@ impl<R: Real> Stop<R> {
 
     /// The push, 0 where it would pull at this acceleration.
     #[inline(always)]
-    pub fn at(&self, acceleration: R) -> StopTorque<R> {
+    pub fn at(&self, acceleration: R) -> ImplicitTorque<R> {
         self.push.within(self.limits[0], self.limits[1], acceleration)
     }
 }

@@ -85,13 +85,7 @@ impl CostFunction for Problem<'_> {
 /// Least and greatest value of each axis. Designs at both bounds are simulated once, so that wrong bounds give an
 /// error.
 pub fn bounds(base: &Design, axes: &[SweepAxis]) -> Result<[Vec<f64>; 2]> {
-    let (mut low, mut high) = (Vec::new(), Vec::new());
-    for axis in axes {
-        let reason = format!("{} needs two numbers to search between", axis.parameter.name);
-        let values = axis.numbers().filter(|v| v.len() > 1).ok_or_else(|| Error::invalid("vary", reason))?;
-        low.push(values.iter().copied().fold(f64::INFINITY, f64::min));
-        high.push(values.iter().copied().fold(f64::NEG_INFINITY, f64::max));
-    }
+    let [low, high] = SweepAxis::ends(axes)?;
     trial(base, axes, &low)?;
     trial(base, axes, &high)?;
     Ok([low, high])

@@ -10,7 +10,7 @@ pub struct Parameter {
     pub name: &'static str,
     /// Unit; empty for names.
     pub unit: &'static str,
-    set: fn(&mut Design, &str) -> Result<()>,
+    change: ParameterChange,
 }
 
 fn number(text: &str) -> Result<f64> {
@@ -25,155 +25,85 @@ fn strips(design: &mut Design, change: impl Fn(&mut crate::sim::robot::Strip)) {
     design.robot.leg.link.iter_mut().filter_map(|l| l.sand.as_mut()).for_each(change);
 }
 
+/// How a parameter changes a design.
+#[derive(Clone, Copy, Debug)]
+enum ParameterChange {
+    /// Sets this number, within bounds.
+    Number(fn(&mut Design) -> &mut f64, [f64; 2]),
+    By(fn(&mut Design, &str) -> Result<()>),
+}
+
+/// The bounds of a number that robot or scene check themselves.
+const CHECKED_LATER: [f64; 2] = [f64::MIN, f64::MAX];
+
+const fn sets(name: &'static str, unit: &'static str, bounds: [f64; 2], of: fn(&mut Design) -> &mut f64) -> Parameter {
+    Parameter { name, unit, change: ParameterChange::Number(of, bounds) }
+}
+
+const fn changes(name: &'static str, unit: &'static str, by: fn(&mut Design, &str) -> Result<()>) -> Parameter {
+    Parameter { name, unit, change: ParameterChange::By(by) }
+}
+
 impl Parameter {
     pub const ALL: [Parameter; 17] = [
-        Parameter {
-            name: "xi",
-            unit: "°",
-            set: |d, v| {
-                let shape = format!("xi={}", number(v)?);
-                crate::sand::LegShape::named(&shape)?;
-                strips(d, |s| s.shape.clone_from(&shape));
-                Ok(())
-            },
-        },
-        Parameter {
-            name: "leg",
-            unit: "",
-            set: |d, v| {
-                d.robot = d.robot.clone().with_leg_shape(v)?;
-                Ok(())
-            },
-        },
-        Parameter {
-            name: "chord",
-            unit: "m",
-            set: |d, v| {
-                let chord = check_range("chord", number(v)?, 1e-3..=10.0)?;
-                let [x, y, z] = d.robot.leg.link.iter().fold([0.0; 3], |sum, l| [0, 1, 2].map(|i| sum[i] + l.reach[i]));
-                let scale = chord / (x * x + y * y + z * z).sqrt();
-                d.robot.leg.link.iter_mut().for_each(|l| l.reach = l.reach.map(|r| r * scale));
-                Ok(())
-            },
-        },
-        Parameter {
-            name: "width",
-            unit: "m",
-            set: |d, v| {
-                let width = check_range("width", number(v)?, 1e-4..=10.0)?;
-                strips(d, |s| s.width = width);
-                Ok(())
-            },
-        },
-        Parameter {
-            name: "leg-mass",
-            unit: "kg",
-            set: |d, v| {
-                let mass = check_range("leg-mass", number(v)?, 1e-6..=1e3)?;
-                let total: f64 = d.robot.leg.link.iter().map(|l| l.mass).sum();
-                d.robot.leg.link.iter_mut().for_each(|l| l.mass *= mass / total);
-                Ok(())
-            },
-        },
-        Parameter {
-            name: "base-mass",
-            unit: "kg",
-            set: |d, v| {
-                d.robot.base.mass = check_range("base-mass", number(v)?, 1e-4..=1e3)?;
-                Ok(())
-            },
-        },
-        Parameter {
-            name: "hip-height",
-            unit: "m",
-            set: |d, v| {
-                let height = check_range("hip-height", number(v)?, -10.0..=10.0)?;
-                d.robot.hip.iter_mut().for_each(|h| h.position[2] = height);
-                Ok(())
-            },
-        },
-        Parameter {
-            name: "belly",
-            unit: "m",
-            set: |d, v| {
-                let below = check_range("belly", number(v)?, 0.0..=10.0)?;
-                let belly = d.robot.belly.as_mut().ok_or_else(|| Error::invalid("belly", "this robot has no belly"))?;
-                belly.below = below;
-                Ok(())
-            },
-        },
-        Parameter {
-            name: "frequency",
-            unit: "Hz",
-            set: |d, v| {
-                d.frequency = number(v)?;
-                Ok(())
-            },
-        },
-        Parameter {
-            name: "phase",
-            unit: "rad",
-            set: |d, v| {
-                d.phase = number(v)?;
-                Ok(())
-            },
-        },
-        Parameter {
-            name: "medium",
-            unit: "",
-            set: |d, v| {
-                d.scene.medium = Medium::named(v)?;
-                Ok(())
-            },
-        },
-        Parameter {
-            name: "zeta",
-            unit: "N/cm³",
-            set: |d, v| {
-                d.scene.medium = Medium::generic(number(v)?)?;
-                Ok(())
-            },
-        },
-        Parameter {
-            name: "law",
-            unit: "",
-            set: |d, v| {
-                d.scene.law = Law::named(v)?;
-                Ok(())
-            },
-        },
-        Parameter {
-            name: "slope",
-            unit: "°",
-            set: |d, v| {
-                d.scene.slope_deg = number(v)?;
-                Ok(())
-            },
-        },
-        Parameter {
-            name: "payload",
-            unit: "kg",
-            set: |d, v| {
-                d.scene.payload = number(v)?;
-                Ok(())
-            },
-        },
-        Parameter {
-            name: "torque-limit",
-            unit: "N·m",
-            set: |d, v| {
-                d.robot.servo.torque_limit = Some(check_range("torque-limit", number(v)?, 1e-6..=1e4)?);
-                Ok(())
-            },
-        },
-        Parameter {
-            name: "kp",
-            unit: "N·m/rad",
-            set: |d, v| {
-                d.robot.servo.kp = check_range("kp", number(v)?, 0.0..=1e4)?;
-                Ok(())
-            },
-        },
+        changes("xi", "°", |d, v| {
+            let shape = format!("xi={}", number(v)?);
+            crate::sand::LegShape::named(&shape)?;
+            strips(d, |s| s.shape.clone_from(&shape));
+            Ok(())
+        }),
+        changes("leg", "", |d, v| {
+            d.robot = d.robot.clone().with_leg_shape(v)?;
+            Ok(())
+        }),
+        changes("chord", "m", |d, v| {
+            let chord = check_range("chord", number(v)?, 1e-3..=10.0)?;
+            let [x, y, z] = d.robot.leg.link.iter().fold([0.0; 3], |sum, l| [0, 1, 2].map(|i| sum[i] + l.reach[i]));
+            let scale = chord / (x * x + y * y + z * z).sqrt();
+            d.robot.leg.link.iter_mut().for_each(|l| l.reach = l.reach.map(|r| r * scale));
+            Ok(())
+        }),
+        changes("width", "m", |d, v| {
+            let width = check_range("width", number(v)?, 1e-4..=10.0)?;
+            strips(d, |s| s.width = width);
+            Ok(())
+        }),
+        changes("leg-mass", "kg", |d, v| {
+            let mass = check_range("leg-mass", number(v)?, 1e-6..=1e3)?;
+            let total: f64 = d.robot.leg.link.iter().map(|l| l.mass).sum();
+            d.robot.leg.link.iter_mut().for_each(|l| l.mass *= mass / total);
+            Ok(())
+        }),
+        sets("base-mass", "kg", [1e-4, 1e3], |d| &mut d.robot.base.mass),
+        changes("hip-height", "m", |d, v| {
+            let height = check_range("hip-height", number(v)?, -10.0..=10.0)?;
+            d.robot.hip.iter_mut().for_each(|h| h.position[2] = height);
+            Ok(())
+        }),
+        changes("belly", "m", |d, v| {
+            let below = check_range("belly", number(v)?, 0.0..=10.0)?;
+            let belly = d.robot.belly.as_mut().ok_or_else(|| Error::invalid("belly", "this robot has no belly"))?;
+            belly.below = below;
+            Ok(())
+        }),
+        sets("frequency", "Hz", CHECKED_LATER, |d| &mut d.frequency),
+        sets("phase", "rad", CHECKED_LATER, |d| &mut d.phase),
+        changes("medium", "", |d, v| {
+            d.scene.medium = Medium::named(v)?;
+            Ok(())
+        }),
+        changes("zeta", "N/cm³", |d, v| {
+            d.scene.medium = Medium::generic(number(v)?)?;
+            Ok(())
+        }),
+        changes("law", "", |d, v| {
+            d.scene.law = Law::named(v)?;
+            Ok(())
+        }),
+        sets("slope", "°", CHECKED_LATER, |d| &mut d.scene.slope_deg),
+        sets("payload", "kg", CHECKED_LATER, |d| &mut d.scene.payload),
+        sets("torque-limit", "N·m", [1e-6, 1e4], |d| d.robot.servo.torque_limit.get_or_insert_default()),
+        sets("kp", "N·m/rad", [0.0, 1e4], |d| &mut d.robot.servo.kp),
     ];
 
     pub fn named(name: &str) -> Result<Self> {
@@ -183,7 +113,14 @@ impl Parameter {
 
     /// Changes the design; refuses values that no robot or sand can have.
     pub fn set(&self, design: &mut Design, value: &str) -> Result<()> {
-        (self.set)(design, value).map_err(|e| match e {
+        let changed = match self.change {
+            ParameterChange::By(change) => change(design, value),
+            ParameterChange::Number(of, [low, high]) => number(value).and_then(|x| {
+                *of(design) = check_range(self.name, x, low..=high)?;
+                Ok(())
+            }),
+        };
+        changed.map_err(|e| match e {
             Error::Invalid { field, reason } if field == "value" => Error::invalid(self.name, reason),
             other => other,
         })
@@ -240,6 +177,18 @@ impl SweepAxis {
     /// The values as numbers, if all of them are numbers.
     pub fn numbers(&self) -> Option<Vec<f64>> {
         self.values.iter().map(|v| v.parse().ok()).collect()
+    }
+
+    /// Least and greatest value of each axis, to search between.
+    pub fn ends(axes: &[Self]) -> Result<[Vec<f64>; 2]> {
+        let (mut low, mut high) = (Vec::new(), Vec::new());
+        for axis in axes {
+            let reason = format!("{} needs two numbers to search between", axis.parameter.name);
+            let values = axis.numbers().filter(|v| v.len() > 1).ok_or_else(|| Error::invalid("vary", reason))?;
+            low.push(values.iter().copied().fold(f64::INFINITY, f64::min));
+            high.push(values.iter().copied().fold(f64::NEG_INFINITY, f64::max));
+        }
+        Ok([low, high])
     }
 }
 

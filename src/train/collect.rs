@@ -8,8 +8,9 @@ use super::remote::of_part;
 use super::settings::Hyperparameters;
 use super::spec::TrainingSpec;
 use crate::env::Shard;
+use crate::env::episode::Episode;
 use crate::env::shard::Rows;
-use crate::env::snapshot::{Resumed, SavedEpisode};
+use crate::env::snapshot::SavedEpisode;
 use crate::error::Result;
 use rand::{Rng as _, SeedableRng as _};
 use rand_distr::StandardNormal;
@@ -150,7 +151,7 @@ impl RolloutGroup {
     }
 
     /// Continues these episodes, one in each environment.
-    pub fn resume(&mut self, episodes: &[Resumed]) {
+    pub fn resume(&mut self, episodes: &[Episode]) {
         if let GroupEnvironments::Here(shard) = &mut self.place {
             shard.rows.clear();
             episodes.iter().enumerate().for_each(|(i, episode)| shard.restore(i, episode));

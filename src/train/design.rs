@@ -101,7 +101,7 @@ impl DesignStudy {
         }
         if self.search.is_some() {
             check_range("number of parameters", self.axes.len() as f64, 1.0..=search::MOST_PARAMETERS as f64)?;
-            let [low, high] = self.bounds()?;
+            let [low, high] = SweepAxis::ends(&self.axes)?;
             [low, high].iter().try_for_each(|end| self.plan(&named(end), 0).map(drop))?;
             return Ok(Vec::new());
         }
@@ -109,18 +109,6 @@ impl DesignStudy {
         let all: Vec<Vec<String>> = all.collect();
         all.iter().try_for_each(|values| self.plan(values, 0).map(drop))?;
         Ok(all)
-    }
-
-    /// Least and greatest value of each axis.
-    fn bounds(&self) -> Result<[Vec<f64>; 2]> {
-        let (mut low, mut high) = (Vec::new(), Vec::new());
-        for axis in &self.axes {
-            let reason = format!("{} needs two numbers to search between", axis.parameter.name);
-            let values = axis.numbers().filter(|v| v.len() > 1).ok_or_else(|| Error::invalid("vary", reason))?;
-            low.push(values.iter().copied().fold(f64::INFINITY, f64::min));
-            high.push(values.iter().copied().fold(f64::NEG_INFINITY, f64::max));
-        }
-        Ok([low, high])
     }
 
     /// The plan of training number `training` of the design with these values.
@@ -177,7 +165,7 @@ impl DesignStudy {
         measure: GaitMeasure,
         progress: &dyn Progress,
     ) -> Result<(Designs, Trainings, Vec<f64>)> {
-        let [low, high] = self.bounds()?;
+        let [low, high] = SweepAxis::ends(&self.axes)?;
         // Rounded to a thousandth of the range, so that tables stay readable.
         let at = |place: &[f64]| -> Vec<f64> {
             let within = |((x, low), high): ((&f64, &f64), &f64)| low + (x * 1000.0).round() / 1000.0 * (high - low);

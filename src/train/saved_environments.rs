@@ -3,7 +3,8 @@
 use super::collect::RolloutGroup;
 use super::remote::{OptionalRemote, Pause};
 use super::spec::TrainingSpec;
-use crate::env::snapshot::{Resumed, SavedEpisode};
+use crate::env::episode::Episode;
+use crate::env::snapshot::SavedEpisode;
 use crate::error::{Error, Result};
 use parking_lot::Mutex;
 
@@ -81,7 +82,7 @@ impl SavedEnvironments {
         let resumed = match (&self.episodes, remote) {
             (Episodes::Here(episodes), None) => {
                 let task = &spec.task()?.task;
-                let resumed = episodes.iter().map(|episode| Resumed::new(episode, task));
+                let resumed = episodes.iter().map(|episode| Episode::resume(episode, task));
                 resumed.collect::<Result<Vec<_>>>()?
             }
             (Episodes::OnServer(snapshot), Some(remote)) => {

@@ -5,8 +5,7 @@ use super::raster::{PixelRows, RasterTriangle, Rgb, SAMPLES};
 use super::{hard, tree};
 use crate::sand::memory::Moved;
 use crate::sim::frame::V;
-use crate::sim::tree::looks::{Form, Looks};
-use crate::sim::tree::{Geometry, HardGround, TreeModel, kinematics};
+use crate::sim::tree::{HardGround, TreeModel, kinematics};
 use crate::sim::{Model, State};
 use resvg::tiny_skia::{Pixmap, PremultipliedColorU8};
 
@@ -36,23 +35,13 @@ pub fn robot(robot: &TreeModel, state: &State) -> Vec<ColoredTriangle> {
         };
         let at = frames[look.body] * look.origin();
         let placed = |t: [V; 3]| (t.map(|p| (at * nalgebra::Point3::from(p)).coords), color);
-        all.extend(triangles(&robot.looks, look.form).into_iter().map(placed));
+        let of_mesh = |i: &usize| {
+            let mesh = &robot.looks.meshes[*i];
+            mesh.faces.iter().map(|face| face.map(|k| V::from(mesh.corners[k as usize]))).collect()
+        };
+        all.extend(tree::triangles(&look.form, of_mesh).into_iter().map(placed));
     }
     all
-}
-
-fn triangles(looks: &Looks, form: Form) -> Vec<[V; 3]> {
-    let primitive = match form {
-        Form::Sphere { radius } => Geometry::Sphere { radius },
-        Form::Capsule { radius, half_length } => Geometry::Capsule { radius, half_length },
-        Form::Cylinder { radius, half_length } => Geometry::Cylinder { radius, half_length },
-        Form::Box { half } => Geometry::Box { half: half.into() },
-        Form::Mesh(i) => {
-            let mesh = &looks.meshes[i];
-            return mesh.faces.iter().map(|face| face.map(|k| V::from(mesh.corners[k as usize]))).collect();
-        }
-    };
-    tree::triangles(&primitive)
 }
 
 /// Ground with heights around the point [x, y], in the colours of sand; None: it is flat.

@@ -51,9 +51,8 @@ pub fn draw(
         let color = if b == 0 { BASE } else { LINKS[depth(tree, b) % LINKS.len()] };
         for shape in shapes {
             let at = frames[b] * shape.origin;
-            faces.extend(
-                triangles(&shape.geometry).iter().map(|t| (t.map(|p| (at * nalgebra::Point3::from(p)).coords), color)),
-            );
+            let all = triangles(&shape.geometry, |mesh| mesh.to_vec());
+            faces.extend(all.iter().map(|t| (t.map(|p| (at * nalgebra::Point3::from(p)).coords), color)));
         }
     }
     let corners = faces.iter().flat_map(|f| f.0);
@@ -111,7 +110,8 @@ fn turned(profile: &[[f64; 2]]) -> Vec<[V; 3]> {
     faces
 }
 
-pub(super) fn triangles(geometry: &Geometry) -> Vec<[V; 3]> {
+/// The triangles of a shape; `of_mesh` has those of a mesh.
+pub(super) fn triangles<M>(geometry: &Geometry<M>, of_mesh: impl Fn(&M) -> Vec<[V; 3]>) -> Vec<[V; 3]> {
     let arc = |radius: f64, lift: f64, from: usize, to: usize| {
         let steps = SIDES / 2;
         (from..=to).map(move |k| {
@@ -141,7 +141,7 @@ pub(super) fn triangles(geometry: &Geometry) -> Vec<[V; 3]> {
             }
             faces
         }
-        Geometry::Mesh(triangles) => triangles.to_vec(),
+        Geometry::Mesh(mesh) => of_mesh(mesh),
     }
 }
 

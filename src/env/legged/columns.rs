@@ -7,7 +7,7 @@ use crate::sensors::Sensor;
 use crate::sim::State;
 use crate::sim::model::GRAVITY;
 use crate::spec::Column;
-use crate::task::Goal;
+use crate::task::TaskState;
 
 /// Bounds of the observation; values beyond are clipped. Our choice: some three times the values of a falling robot.
 const SPEED: f64 = 10.0; // [m/s]
@@ -17,7 +17,7 @@ const JOINT_OFFSET: f64 = std::f64::consts::TAU; // [rad]
 
 /// The arguments of an observation's functions.
 pub struct LeggedObserved<'a> {
-    pub goal: &'a Goal,
+    pub task_state: &'a TaskState,
     pub state: &'a State,
     pub last_action: &'a [f32],
     /// Default position of each joint [rad].
@@ -33,7 +33,7 @@ pub struct LeggedObserved<'a> {
 impl LeggedObserved<'_> {
     /// Height of the base's origin above measured point `i`, less 0.5 m, as in legged_gym.
     fn measured_height(&self, i: usize) -> f64 {
-        let Some(model) = &self.goal.model else { return 0.0 };
+        let Some(model) = &self.task_state.model else { return 0.0 };
         let ([x, y, z], [a, b], (sin, cos)) = (self.state.position, measured(i), self.heading);
         let ground = model.surface_height(x + cos * a - sin * b, y + sin * a + cos * b);
         (z - 0.5 - ground).clamp(-1.0, 1.0)

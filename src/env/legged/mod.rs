@@ -25,7 +25,7 @@ use super::feature::Features;
 use super::ground::Change;
 use super::random::Random;
 use super::spec::{CONTROL_RATE, Column, Spec};
-use super::task::{Goal, Setup, Task, Transition};
+use super::task::{Setup, Task, TaskState, Transition};
 use crate::error::{Error, Result};
 use crate::sim::engine::{Command, EngineKind};
 use crate::sim::{Model, State};
@@ -126,8 +126,8 @@ impl LeggedVelocity {
         Difficulty { level, ease: self.ease.powf(1.0 - level), commands, pushes: level }
     }
 
-    /// First state and goal of an episode at this level of the curriculum.
-    fn begin_at(&self, setup: &Setup<LeggedOptions>, level: f64, random: &mut Random) -> (State, Goal) {
+    /// First states of robot and task in an episode at this level of the curriculum.
+    fn begin_at(&self, setup: &Setup<LeggedOptions>, level: f64, random: &mut Random) -> (State, TaskState) {
         let noise = setup.options.angle_noise;
         let angles: Vec<f64> = self.angles.iter().map(|a| a + random.uniform(-noise, noise)).collect();
         let difficulty = self.difficulty(setup.options, level);
@@ -142,7 +142,7 @@ impl LeggedVelocity {
         (state.position[0], state.position[1]) = (at[0], at[1]);
         state.references.copy_from_slice(&self.angles);
         let [speed, _, turn] = legged.now;
-        (state, Goal { speed, turn, model: Some(model), legged: Some(legged), ..Goal::default() })
+        (state, TaskState { speed, turn, model: Some(model), legged: Some(legged), ..TaskState::default() })
     }
 }
 
@@ -206,12 +206,12 @@ impl Task for LeggedVelocity {
         &self.spec
     }
 
-    fn begin(&self, setup: &Setup<LeggedOptions>, random: &mut Random) -> (State, Goal) {
+    fn begin(&self, setup: &Setup<LeggedOptions>, random: &mut Random) -> (State, TaskState) {
         let level = setup.options.curriculum.map_or(1.0, |c| c.level);
         self.begin_at(setup, level, random)
     }
 
-    fn begin_after(&self, setup: &Setup<LeggedOptions>, last: &Goal, random: &mut Random) -> (State, Goal) {
+    fn begin_after(&self, setup: &Setup<LeggedOptions>, last: &TaskState, random: &mut Random) -> (State, TaskState) {
         let level = match (&setup.options.curriculum, &last.legged) {
             (None, _) => 1.0,
             (Some(curriculum), Some(last)) => curriculum.next(last.level, &last.followed),
@@ -228,15 +228,21 @@ impl Task for LeggedVelocity {
         }
     }
 
-    fn after_step(&self, setup: &Setup<LeggedOptions>, goal: &mut Goal, _state: &State, info: &[f32]) -> Change {
-        let Some(legged) = &mut goal.legged else { return Change::Nothing };
+    fn after_step(
+        &self,
+        setup: &Setup<LeggedOptions>,
+        task_state: &mut TaskState,
+        _state: &State,
+        info: &[f32],
+    ) -> Change {
+        let Some(legged) = &mut task_state.legged else { return Change::Nothing };
         let seen = StepFeedback {
             feet: &info[self.contacts..][..legged.air.len()],
             velocity: self.velocity.map(|k| info[k].into()),
             fell: self.falls.iter().any(|k| info[*k] > 0.0),
         };
         let push = legged.after_step(setup.options.draws(&self.units), self.units.commanded(), &seen);
-        [goal.speed, _, goal.turn] = legged.now;
+        [task_state.speed, _, task_state.turn] = legged.now;
         push.map_or(Change::Nothing, Change::Push)
     }
 
@@ -244,26 +250,35 @@ impl Task for LeggedVelocity {
         Some(self.units.ranges(&setup.options.commands))
     }
 
-    fn set_command(&self, goal: &mut Goal, command: [f64; 3]) {
-        [goal.speed, _, goal.turn] = command;
-        if let Some(legged) = &mut goal.legged {
+    fn set_command(&self, task_state: &mut TaskState, command: [f64; 3]) {
+        [task_state.speed, _, task_state.turn] = command;
+        if let Some(legged) = &mut task_state.legged {
             (legged.commands, legged.now) = (vec![command], command);
         }
     }
 
-    fn observe(&self, goal: &Goal, state: &State, last_action: &[f32], row: &mut [f32]) {
+    fn observe(&self, task_state: &TaskState, state: &State, last_action: &[f32], row: &mut [f32]) {
         let [gravity, velocity, angular_velocity] = base(state);
-        let command = goal.legged.as_ref().map_or([0.0; 3], |l| l.now);
+        let command = task_state.legged.as_ref().map_or([0.0; 3], |l| l.now);
         let ahead = state.rotation();
         let heading = ahead[1][0].atan2(ahead[0][0]).sin_cos();
         let default = &self.angles;
-        let observed =
-            LeggedObserved { goal, state, last_action, default, command, gravity, velocity, angular_velocity, heading };
+        let observed = LeggedObserved {
+            task_state,
+            state,
+            last_action,
+            default,
+            command,
+            gravity,
+            velocity,
+            angular_velocity,
+            heading,
+        };
         self.observation.fill(row, |value, i| value(&observed, i));
     }
 
     fn evaluate(&self, _setup: &Setup<LeggedOptions>, t: &Transition, info: &mut [f32]) -> bool {
-        let Some(legged) = &t.goal.legged else { return false };
+        let Some(legged) = &t.task_state.legged else { return false };
         let contacts = Contacts::of(t.model, t.after);
         let [gravity, velocity, angular_velocity] = base(t.after);
         let fallen = gravity[2] > FALLEN;
@@ -306,14 +321,14 @@ impl Task for LeggedVelocity {
     }
 
     /// The model is built again from the drawn values.
-    fn resume(setup: &Setup<LeggedOptions>, goal: &mut Goal) -> std::result::Result<(), String> {
-        let Goal { model: None, ground: None, legged: Some(legged), .. } = goal else {
+    fn resume(setup: &Setup<LeggedOptions>, task_state: &mut TaskState) -> std::result::Result<(), String> {
+        let TaskState { model: None, ground: None, legged: Some(legged), .. } = task_state else {
             return Err("its robot".into());
         };
         if !legged.is_sound(setup.options.draws(&Units::of(setup.model)), setup.model) {
             return Err("its drawn values".into());
         }
-        goal.model = Some(Arc::new(legged.model(setup.model).map_err(|e| e.to_string())?));
+        task_state.model = Some(Arc::new(legged.model(setup.model).map_err(|e| e.to_string())?));
         Ok(())
     }
 }

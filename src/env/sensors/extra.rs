@@ -1,6 +1,6 @@
 //! Columns of sensors that a task does not observe by itself.
 
-use super::{Seen, Sensor, Sensors};
+use super::{Sensor, SensorInput, Sensors};
 use crate::feature::Features;
 use crate::sim::pose::Pose;
 use crate::sim::{Model, State};
@@ -16,8 +16,8 @@ const RANGE: f64 = 10.0;
 const SWITCH: f64 = 0.02;
 
 /// A control step, for sensors.
-pub struct Moment<'a> {
-    seen: &'a Seen<'a>,
+pub struct MeasuredStep<'a> {
+    input: &'a SensorInput<'a>,
     model: &'a Model,
     /// Equal to `after` at the beginning of an episode.
     before: &'a State,
@@ -30,14 +30,14 @@ pub struct Moment<'a> {
 }
 
 /// Computes one number.
-pub type Measure = fn(&Moment, usize) -> f64;
+pub type Measure = fn(&MeasuredStep, usize) -> f64;
 
-impl<'a> Moment<'a> {
-    pub fn new(seen: &'a Seen<'a>, imu_position: [f64; 3]) -> Self {
-        let [before, after] = seen.states;
+impl<'a> MeasuredStep<'a> {
+    pub fn new(input: &'a SensorInput<'a>, imu_position: [f64; 3]) -> Self {
+        let [before, after] = input.states;
         Self {
-            seen,
-            model: seen.model,
+            input,
+            model: input.model,
             before,
             after,
             imu_position,
@@ -50,12 +50,12 @@ impl<'a> Moment<'a> {
     /// Force of the ground on each foot along the surface's normal [N]: in the last time step, or, if the engine does not keep it, at the
     /// end of the control step.
     fn forces(&self) -> &[f64] {
-        if !self.seen.supports.is_empty() {
-            return self.seen.supports;
+        if !self.input.normal_forces.is_empty() {
+            return self.input.normal_forces;
         }
         self.forces.get_or_init(|| {
-            let whole = self.seen.sand.map(|sand| State { sand: Some(Box::new(sand.clone())), ..self.after.clone() });
-            let pose = Pose::of(self.model, whole.as_ref().unwrap_or(self.after), self.seen.footing);
+            let whole = self.input.sand.map(|sand| State { sand: Some(Box::new(sand.clone())), ..self.after.clone() });
+            let pose = Pose::of(self.model, whole.as_ref().unwrap_or(self.after), self.input.footing);
             match &self.model.tree {
                 None => pose.leg_forces.iter().map(|force| force.z).collect(),
                 Some(tree) => tree.stance.feet.iter().map(|foot| pose.force_on(self.model, *foot).z).collect(),
@@ -82,11 +82,11 @@ impl<'a> Moment<'a> {
             [0, 1, 2].map(|i| state.velocity[i] + around[i])
         };
         let (old, new, gravity) = (velocity(self.before), velocity(self.after), self.model.gravity);
-        self.after.to_body([0, 1, 2].map(|i| (new[i] - old[i]) / self.seen.period - gravity[i]))
+        self.after.to_body([0, 1, 2].map(|i| (new[i] - old[i]) / self.input.period - gravity[i]))
     }
 }
 
-/// Names of the feet, in the order of [`Moment::forces`].
+/// Names of the feet, in the order of [`MeasuredStep::forces`].
 fn feet(model: &Model) -> Vec<String> {
     match &model.tree {
         Some(tree) => tree.stance.feet.iter().map(|body| tree.tree.bodies[*body].name.clone()).collect(),

@@ -52,14 +52,14 @@ impl HardwareFiles {
 
     /// The values of all episodes; of drawn quantities, those of the file.
     pub fn values(&self) -> HardwareDescription {
-        self.random.as_ref().map_or_else(|| self.values.clone(), |random| random.over(&self.values))
+        self.random.as_ref().map_or_else(|| self.values.clone(), |random| random.or(&self.values))
     }
 
     /// The values of an episode.
     pub fn of_episode(&self, seed: u64, number: u64) -> HardwareDescription {
         let Some(random) = &self.random else { return self.values.clone() };
         let mut stream = stream(seed, number, DRAW);
-        random.drawn(|| stream.random::<f64>()).over(&self.values)
+        random.drawn(|| stream.random::<f64>()).or(&self.values)
     }
 
     /// Range of the delay of actions [s], if the options have `own`.

@@ -5,9 +5,9 @@
 //! remembers is a part of the episode ([`SensorMemory`]), so snapshots contain it. Its random numbers depend on the
 //! environment's seed, the episode and the step alone.
 //!
-//! To add a sensor: a variant of [`Sensor`], with `ALL` and `name`; a line in [`Sensors`] and its arm of `of`; and the mark
-//! [`Features::sensed`] at the columns that a task has of it, or, if no task has it, its columns in [`extra`]. In [`plan`]: `IMU` if it is
-//! a vector of the inertial measurement unit.
+//! To add a sensor: its line in `sensors!`, and one in [`Sensors`]; and the mark [`Features::sensed`] at the columns that
+//! a task has of it, or, if no task has it, its columns in [`extra`]. In [`model`]: `IMU` if it is a vector of the
+//! inertial measurement unit.
 //!
 //! [`Features::sensed`]: super::feature::Features::sensed
 
@@ -15,36 +15,61 @@ mod delay;
 mod extra;
 mod hardware;
 mod memory;
+mod model;
 mod options;
-mod plan;
 mod random;
 mod signal;
 
 pub use delay::ActionDelay;
 pub use hardware::{HardwareFiles, motors};
 pub use memory::SensorMemory;
+pub use model::{Privileged, SensorInput, SensorModel};
 pub use options::{Hardware, Imperfections, Motors, SensorOptions, Sensors};
-pub use plan::{Plan, Privileged, Seen};
 
 use serde::{Deserialize, Serialize};
 
-/// What measures a column of the observation.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Sensor {
+/// Declares the sensors, one line each: the variant, and its key in option `sensors`.
+macro_rules! sensors {
+    ($($(#[doc = $doc:literal])* $Variant:ident: $key:ident,)*) => {
+        /// What measures a column of the observation.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+        #[serde(rename_all = "snake_case")]
+        pub enum Sensor {
+            $($(#[doc = $doc])* $Variant,)*
+        }
+
+        impl Sensor {
+            pub const ALL: [Self; [$(Self::$Variant),*].len()] = [$(Self::$Variant),*];
+
+            /// Its key in option `sensors`.
+            pub fn name(self) -> &'static str {
+                match self { $(Self::$Variant => stringify!($key),)* }
+            }
+        }
+
+        impl Sensors {
+            /// The imperfections of a sensor; None: it is exact, and the task need not observe it.
+            pub fn of(&self, sensor: Sensor) -> Option<Imperfections> {
+                match sensor { $(Sensor::$Variant => self.$key,)* }
+            }
+        }
+    };
+}
+
+sensors! {
     /// Direction of gravity in the base's frame, as an inertial measurement unit estimates it.
-    Gravity,
+    Gravity: gravity,
     /// Velocity of the base, as an estimator of the state gives it.
-    LinVel,
-    Gyroscope,
-    Accelerometer,
-    JointPosition,
-    JointVelocity,
-    JointTorque,
-    ContactForce,
-    ContactSwitch,
-    Heights,
-    RangeFinder,
+    LinVel: lin_vel,
+    Gyroscope: gyroscope,
+    Accelerometer: accelerometer,
+    JointPosition: joint_position,
+    JointVelocity: joint_velocity,
+    JointTorque: joint_torque,
+    ContactForce: contact_force,
+    ContactSwitch: contact_switch,
+    Heights: heights,
+    RangeFinder: range_finder,
 }
 
 /// Which function of the measured value a column is.
@@ -54,39 +79,6 @@ pub enum Part {
     /// Of an angle.
     Sine,
     Cosine,
-}
-
-impl Sensor {
-    pub const ALL: [Self; 11] = [
-        Self::Gravity,
-        Self::LinVel,
-        Self::Gyroscope,
-        Self::Accelerometer,
-        Self::JointPosition,
-        Self::JointVelocity,
-        Self::JointTorque,
-        Self::ContactForce,
-        Self::ContactSwitch,
-        Self::Heights,
-        Self::RangeFinder,
-    ];
-
-    /// Its key in option `sensors`.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Gravity => "gravity",
-            Self::LinVel => "lin_vel",
-            Self::Gyroscope => "gyroscope",
-            Self::Accelerometer => "accelerometer",
-            Self::JointPosition => "joint_position",
-            Self::JointVelocity => "joint_velocity",
-            Self::JointTorque => "joint_torque",
-            Self::ContactForce => "contact_force",
-            Self::ContactSwitch => "contact_switch",
-            Self::Heights => "heights",
-            Self::RangeFinder => "range_finder",
-        }
-    }
 }
 
 #[cfg(test)]

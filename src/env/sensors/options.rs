@@ -55,25 +55,6 @@ options! {
     }
 }
 
-impl Sensors {
-    /// The imperfections of a sensor; None: it is exact, and the task need not observe it.
-    pub fn of(&self, sensor: Sensor) -> Option<Imperfections> {
-        match sensor {
-            Sensor::Gravity => self.gravity,
-            Sensor::LinVel => self.lin_vel,
-            Sensor::Gyroscope => self.gyroscope,
-            Sensor::Accelerometer => self.accelerometer,
-            Sensor::JointPosition => self.joint_position,
-            Sensor::JointVelocity => self.joint_velocity,
-            Sensor::JointTorque => self.joint_torque,
-            Sensor::ContactForce => self.contact_force,
-            Sensor::ContactSwitch => self.contact_switch,
-            Sensor::Heights => self.heights,
-            Sensor::RangeFinder => self.range_finder,
-        }
-    }
-}
-
 /// `"exact"`, or sensors.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SensorOptions(pub Sensors);

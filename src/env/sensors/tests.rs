@@ -4,10 +4,10 @@ mod hardware;
 
 use super::signal::wrapped;
 use super::{Sensor, Sensors};
+use crate::episode::Episode;
 use crate::options::Options as _;
 use crate::registry::{Blueprint, TASK_IDS};
 use crate::shard::Shard;
-use crate::snapshot::Resumed;
 use serde_json::{Value, json};
 
 const STEPS: usize = 30;
@@ -107,7 +107,7 @@ fn snapshots_keep_what_sensors_remember() {
         let mut other = shard(id, &options, chosen.len());
         for (i, from) in chosen.iter().enumerate() {
             let task = other.task(i).clone();
-            other.restore(i, &Resumed::new(&saved[*from], &task).unwrap());
+            other.restore(i, &Episode::resume(&saved[*from], &task).unwrap());
         }
         let (wide, width) = (one.spec().observation.len(), one.actions());
         for time in 5..12 {
@@ -123,10 +123,10 @@ fn snapshots_keep_what_sensors_remember() {
         }
         let mut broken = saved[0].clone();
         broken.sensed.pop();
-        assert!(Resumed::new(&broken, one.task(0)).is_err(), "{id}");
+        assert!(Episode::resume(&broken, one.task(0)).is_err(), "{id}");
         let mut broken = saved[0].clone();
         broken.delayed.push(0.0);
-        assert!(Resumed::new(&broken, one.task(0)).is_err(), "{id}");
+        assert!(Episode::resume(&broken, one.task(0)).is_err(), "{id}");
     }
 }
 

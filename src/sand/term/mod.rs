@@ -82,22 +82,23 @@ pub enum Group {
 }
 
 impl Group {
-    const ALL: [(&'static str, Group); 15] = [
-        ("froude", Group::Froude),
-        ("depth_over_width", Group::DepthOverWidth),
-        ("grain_over_width", Group::GrainOverWidth),
-        ("curvature", Group::Curvature),
-        ("acceleration", Group::Acceleration),
-        ("passes", Group::Passes),
-        ("wall", Group::Wall),
-        ("sin_gamma", Group::SinGamma),
-        ("cos_gamma", Group::CosGamma),
-        ("sin_beta", Group::SinBeta),
-        ("cos_beta", Group::CosBeta),
-        ("whole_froude", Group::WholeFroude),
-        ("sin_attack", Group::SinAttack),
-        ("cos_attack", Group::CosAttack),
-        ("saturation", Group::Saturation),
+    /// Name, group, and the group in words and in TeX.
+    const ALL: [(&'static str, Group, &'static str, &'static str); 15] = [
+        ("froude", Group::Froude, "v_n²/(g|z|)", r"\frac{v_n^2}{g|z|}"),
+        ("depth_over_width", Group::DepthOverWidth, "|z|/w", r"\frac{|z|}{w}"),
+        ("grain_over_width", Group::GrainOverWidth, "d/w", r"\frac{d}{w}"),
+        ("curvature", Group::Curvature, "κw", r"\kappa w"),
+        ("acceleration", Group::Acceleration, "a_n/g", r"\frac{a_n}{g}"),
+        ("passes", Group::Passes, "passes", r"n"),
+        ("wall", Group::Wall, "wall/w", r"\frac{l}{w}"),
+        ("sin_gamma", Group::SinGamma, "sin γ", r"\sin\gamma"),
+        ("cos_gamma", Group::CosGamma, "cos γ", r"\cos\gamma"),
+        ("sin_beta", Group::SinBeta, "sin β", r"\sin\beta"),
+        ("cos_beta", Group::CosBeta, "cos β", r"\cos\beta"),
+        ("whole_froude", Group::WholeFroude, "v²/(gw)", r"\frac{v^2}{gw}"),
+        ("sin_attack", Group::SinAttack, "sin α", r"\sin\alpha"),
+        ("cos_attack", Group::CosAttack, "cos α", r"\cos\alpha"),
+        ("saturation", Group::Saturation, "|z|/(|z|+w)", r"\frac{|z|}{|z|+w}"),
     ];
 
     pub fn named(name: &str) -> Result<Self> {
@@ -105,25 +106,9 @@ impl Group {
         Self::ALL.iter().find(|g| g.0 == name).map(|g| g.1).ok_or_else(|| Error::unknown("group", name, &known))
     }
 
-    /// The group in words and in TeX.
-    pub fn symbols(self) -> (&'static str, &'static str) {
-        match self {
-            Group::Froude => ("v_n²/(g|z|)", r"\frac{v_n^2}{g|z|}"),
-            Group::DepthOverWidth => ("|z|/w", r"\frac{|z|}{w}"),
-            Group::GrainOverWidth => ("d/w", r"\frac{d}{w}"),
-            Group::Curvature => ("κw", r"\kappa w"),
-            Group::Acceleration => ("a_n/g", r"\frac{a_n}{g}"),
-            Group::Passes => ("passes", r"n"),
-            Group::Wall => ("wall/w", r"\frac{l}{w}"),
-            Group::SinGamma => ("sin γ", r"\sin\gamma"),
-            Group::CosGamma => ("cos γ", r"\cos\gamma"),
-            Group::SinBeta => ("sin β", r"\sin\beta"),
-            Group::CosBeta => ("cos β", r"\cos\beta"),
-            Group::WholeFroude => ("v²/(gw)", r"\frac{v^2}{gw}"),
-            Group::SinAttack => ("sin α", r"\sin\alpha"),
-            Group::CosAttack => ("cos α", r"\cos\alpha"),
-            Group::Saturation => ("|z|/(|z|+w)", r"\frac{|z|}{|z|+w}"),
-        }
+    /// The group of this name in words and in TeX.
+    fn symbols(name: &str) -> [&'static str; 2] {
+        Self::ALL.iter().find(|g| g.0 == name).map_or([""; 2], |g| [g.2, g.3])
     }
 
     /// May the group be negative?
@@ -265,7 +250,7 @@ impl Term {
     /// The term in words.
     pub fn formula(&self) -> String {
         let power = |(name, power): (&String, &f64)| {
-            let symbol = Group::named(name).map_or("", |g| g.symbols().0);
+            let symbol = Group::symbols(name)[0];
             format!(" · ({symbol})^{power}")
         };
         let groups: String = self.groups.iter().map(power).collect();
@@ -278,7 +263,7 @@ impl Term {
 
     pub fn tex(&self) -> String {
         let power = |(name, power): (&String, &f64)| {
-            let symbol = Group::named(name).map_or("", |g| g.symbols().1);
+            let symbol = Group::symbols(name)[1];
             format!(r"\left({symbol}\right)^{{{power}}}")
         };
         let groups: String = self.groups.iter().map(power).collect();

@@ -1,11 +1,10 @@
 //! `sandgait.v1.StudyService`: the offline tools, as the command line has them.
 //!
-//! * [`compute`]: the studies themselves, also for callers in this process.
-//! * [`decode`]: requests to studies that are ready to run; [`encode`]: their results as tables.
+//! * [`compute`]: checks requests and computes the studies, also for callers in this process.
+//! * [`encode`]: their results as tables.
 //! * [`line`]: one study at a time, the others in a queue, with progress reports.
 
 pub mod compute;
-mod decode;
 mod encode;
 mod line;
 

@@ -11,14 +11,14 @@
 //! plain implicit one. Our own scheme; the factor 4 is our choice, because of 2, 4 and 6 it gave the least error over
 //! 16 walks (0.47 % at 1 ms; `docs/convergence.md`).
 
-use super::frames::{LaneJoint, LaneState, LegFrame, base_frame, child_frame, trust};
 use super::model::{LaneBody, LaneModel};
 use super::plane::PlaneField;
 use super::sand::{Travel, belly, link_sand};
-use crate::actuator::{self, NEWTON, TorqueLimits};
+use crate::actuator::{self, LimitedTorque, NEWTON};
+use crate::blocks::{LaneJoint, LaneState, LinkFrame};
 use crate::number::{Real, Vec3};
 use crate::spatial::{Inertia, PointMasses, Symmetric, Twist, Wrench};
-use crate::stop::{Stop, StopTorque};
+use crate::stop::{ImplicitTorque, Stop};
 use crate::used::Surfaces;
 
 /// Results of the inward pass for one joint, which the outward pass needs.
@@ -35,8 +35,7 @@ struct Hinge<R> {
 impl<R: Real> Hinge<R> {
     fn empty() -> Self {
         let zero = R::zero();
-        let axis = Twist { angular: Vec3::zero(), linear: Vec3::zero() };
-        Self { axis, inertia_axis: Wrench::zero(), inverse: zero, drive: zero, acceleration: zero }
+        Self { axis: Twist::zero(), inertia_axis: Wrench::zero(), inverse: zero, drive: zero, acceleration: zero }
     }
 }
 
@@ -44,19 +43,19 @@ impl<R: Real> Hinge<R> {
 pub struct LegScratch<R, const J: usize> {
     /// One entry for each joint.
     hinges: Vec<Hinge<R>>,
-    limits: Vec<TorqueLimits<R>>,
+    limits: Vec<LimitedTorque<R>>,
     /// For each link of each leg, its masses with those of the sand, and the wrench that its motion needs.
     links: Vec<[(PointMasses<R>, Wrench<R>); J]>,
     /// The sand's force on each leg along the surface's normal, for sensors.
-    pub supports: Vec<R>,
+    pub normal_forces: Vec<R>,
 }
 
 impl<R: Real, const J: usize> LegScratch<R, J> {
     pub fn new(joints: usize) -> Self {
         let link = (PointMasses::zero(), Wrench::zero());
-        let (hinges, limits) = (vec![Hinge::empty(); joints], vec![TorqueLimits::none(); joints]);
-        let supports = vec![R::zero(); joints / J];
-        Self { hinges, limits, links: vec![[link; J]; joints / J], supports }
+        let (hinges, limits) = (vec![Hinge::empty(); joints], vec![LimitedTorque::none(); joints]);
+        let normal_forces = vec![R::zero(); joints / J];
+        Self { hinges, limits, links: vec![[link; J]; joints / J], normal_forces }
     }
 }
 
@@ -68,25 +67,25 @@ pub fn step<R: Real, const J: usize>(
     scratch: &mut LegScratch<R, J>,
     surfaces: Option<&Surfaces<R>>,
 ) {
-    let LegScratch { hinges, limits, links, supports } = scratch;
-    let base = base_frame(state);
+    let LegScratch { hinges, limits, links, normal_forces } = scratch;
+    let base = LinkFrame::base(state);
     let mut position = state.position;
-    position.x += state.travelled;
+    position.x += state.travelled[0];
     let (mut inertia, mut bias) = base_inertia(model, &base);
     let travel = Travel { position, velocity: [base.velocity.linear.x, base.velocity.linear.y], strength: None };
-    let belly_found = travel.over(surfaces, 0);
+    let belly_found = travel.above(surfaces, 0);
     belly(model, &base, &belly_found, &mut inertia, &mut bias);
     for (l, leg) in model.legs.iter().enumerate() {
         let (joints, hinges) = (&state.joints[l * J..][..J], &mut hinges[l * J..][..J]);
-        let found = travel.over(surfaces, l + 1);
-        supports[l] = load_leg(model, leg, &base, &found, joints, hinges, &mut links[l]);
+        let found = travel.above(surfaces, l + 1);
+        normal_forces[l] = load_leg(model, leg, &base, &found, joints, hinges, &mut links[l]);
     }
-    limits.iter_mut().for_each(TorqueLimits::begin);
+    limits.iter_mut().for_each(LimitedTorque::begin);
     let mut acceleration = solve(model, &state.joints, links, hinges, limits, inertia, bias);
     if model.actuator.has_lines() {
         for pass in 0..NEWTON + hinges.len() {
             let joint = |i: usize| (&model.actuator, state.joints[i].rate, hinges[i].acceleration);
-            if !actuator::again(limits, joint, model.dt, pass) {
+            if !actuator::next_pass(limits, joint, model.dt, pass) {
                 break;
             }
             acceleration = solve(model, &state.joints, links, hinges, limits, inertia, bias);
@@ -95,7 +94,7 @@ pub fn step<R: Real, const J: usize>(
     for ((joint, hinge), limits) in state.joints.iter_mut().zip(hinges).zip(limits) {
         move_joint(model, joint, hinge.acceleration, limits, &mut state.work);
     }
-    move_base(state, &acceleration, model.dt);
+    state.move_base(&acceleration, model.dt);
 }
 
 /// Solves for the accelerations of base and joints; `inertia` and `bias` are those of the base with its belly.
@@ -105,7 +104,7 @@ fn solve<R: Real, const J: usize>(
     joints: &[LaneJoint<R>],
     links: &[[(PointMasses<R>, Wrench<R>); J]],
     hinges: &mut [Hinge<R>],
-    limits: &mut [TorqueLimits<R>],
+    limits: &mut [LimitedTorque<R>],
     mut inertia: Inertia<R>,
     mut bias: Wrench<R>,
 ) -> Twist<R> {
@@ -129,7 +128,7 @@ fn solve<R: Real, const J: usize>(
 }
 
 #[inline(always)]
-fn base_inertia<R: Real, const J: usize>(model: &LaneModel<R, J>, base: &LegFrame<R>) -> (Inertia<R>, Wrench<R>) {
+fn base_inertia<R: Real, const J: usize>(model: &LaneModel<R, J>, base: &LinkFrame<R>) -> (Inertia<R>, Wrench<R>) {
     let own = Symmetric { diagonal: model.base_inertia, off: Vec3::zero() }.rotated(&base.rotation);
     let omega = base.velocity.angular;
     let bias = Wrench { moment: omega.cross(own.apply(omega)), force: -(model.gravity * model.base_mass) };
@@ -143,7 +142,7 @@ fn link<R: Real, const J: usize>(
     model: &LaneModel<R, J>,
     body: &LaneBody<R>,
     rate: R,
-    frame: &LegFrame<R>,
+    frame: &LinkFrame<R>,
     travel: &Travel<R>,
 ) -> ((PointMasses<R>, Wrench<R>), R) {
     let [e0, e1] = &body.plane;
@@ -151,7 +150,7 @@ fn link<R: Real, const J: usize>(
     let velocities = places.velocity(&frame.velocity);
     let mut accelerations = places.velocity(&frame.bias).plus(&velocities.cross(-frame.velocity.angular));
     accelerations.at = accelerations.at - model.gravity;
-    let expected = frame.change.scaled(trust(frame, places.value([R::zero(), body.length])));
+    let expected = frame.change.scaled(frame.trust(places.value([R::zero(), body.length])));
     let middle = places.velocity(&expected.scale_add(R::splat(0.5), &frame.velocity));
     let (mut sand, drag) = link_sand(&model.ground, body, rate, &places, &middle, travel);
     sand.plus(&drag.forces(&places.velocity(&expected)));
@@ -164,7 +163,7 @@ fn link<R: Real, const J: usize>(
 fn load_leg<R: Real, const J: usize>(
     model: &LaneModel<R, J>,
     leg: &[LaneBody<R>; J],
-    base: &LegFrame<R>,
+    base: &LinkFrame<R>,
     travel: &Travel<R>,
     joints: &[LaneJoint<R>],
     hinges: &mut [Hinge<R>],
@@ -172,8 +171,8 @@ fn load_leg<R: Real, const J: usize>(
 ) -> R {
     let (mut parent, mut support) = (*base, R::zero());
     for j in 0..J {
-        let (frame, axis) = child_frame(&parent, &leg[j], &joints[j]);
-        hinges[j].axis = axis;
+        let frame = leg[j].frame(&parent, &joints[j]);
+        hinges[j].axis = frame.axis;
         let (link, force) = link(model, &leg[j], joints[j].rate, &frame, travel);
         links[j] = link;
         support += force;
@@ -190,7 +189,7 @@ fn fold_leg<R: Real, const J: usize>(
     links: &[(PointMasses<R>, Wrench<R>); J],
     joints: &[LaneJoint<R>],
     hinges: &mut [Hinge<R>],
-    limits: &mut [TorqueLimits<R>],
+    limits: &mut [LimitedTorque<R>],
 ) -> (Inertia<R>, Wrench<R>) {
     let mut carried: Option<(Inertia<R>, Wrench<R>)> = None;
     for j in (0..J).rev() {
@@ -226,22 +225,22 @@ fn drive<R: Real, const J: usize>(
     joint: &LaneJoint<R>,
     own: R,
     load: R,
-    limits: &mut TorqueLimits<R>,
-) -> StopTorque<R> {
+    limits: &mut LimitedTorque<R>,
+) -> ImplicitTorque<R> {
     let dt = model.dt;
     let rate = joint.command_rate.clamp(-model.speed_limit, model.speed_limit);
     let rate_error = rate - joint.rate;
-    let error = rate_error.mul_add(dt, joint.reference - joint.angle);
+    let error = rate_error.mul_add(dt, joint.reference - joint.position);
     let torque = model.kp.mul_add(error, model.kd.mul_add(rate_error, joint.command_torque));
     let yielding = dt * dt.mul_add(model.kp, model.kd);
-    let servo = model.actuator.track(StopTorque { torque, yielding }, joint.torque, dt);
+    let servo = model.actuator.track(ImplicitTorque { torque, yielding }, joint.torque, dt);
     let mut others = model.actuator.gear(joint.rate, joint.torque, dt);
     if let Some(range) = range {
-        let stops = Stop::of(range, joint.angle, joint.rate, own, dt);
+        let stops = Stop::of(range, joint.position, joint.rate, own, dt);
         let acts = R::zero().lt(stops.push.yielding);
         if R::any(acts) {
             let stop = stops.at(servo.plus(others).plus(stops.push).moves(own, load));
-            others = StopTorque::select(acts, others.plus(stop), others);
+            others = ImplicitTorque::select(acts, others.plus(stop), others);
         }
     }
     let expected = servo.plus(others).moves(own, load);
@@ -255,34 +254,16 @@ fn move_joint<R: Real, const J: usize>(
     model: &LaneModel<R, J>,
     joint: &mut LaneJoint<R>,
     acceleration: R,
-    limits: &TorqueLimits<R>,
+    limits: &LimitedTorque<R>,
     work: &mut R,
 ) {
     let torque = limits.push.at(acceleration);
     joint.torque = model.actuator.reported(torque, torque, joint.rate, acceleration, model.dt);
     joint.change = acceleration * model.dt;
     joint.rate += joint.change;
-    joint.angle = joint.rate.mul_add(model.dt, joint.angle);
+    joint.position = joint.rate.mul_add(model.dt, joint.position);
     let rate = joint.command_rate.clamp(-model.speed_limit, model.speed_limit);
     let reference = rate.mul_add(model.dt, joint.reference);
-    joint.reference = reference.clamp(joint.angle - model.lag_limit, joint.angle + model.lag_limit);
+    joint.reference = reference.clamp(joint.position - model.lag_limit, joint.position + model.lag_limit);
     *work += (joint.torque * joint.rate).abs() * model.dt;
-}
-
-/// Moves the base by semi-implicit Euler; the rotation by the exponential map to third order, then normalised.
-#[inline(always)]
-fn move_base<R: Real>(state: &mut LaneState<R>, acceleration: &Twist<R>, dt: R) {
-    state.change = acceleration.scaled(dt);
-    state.velocity += state.change.linear;
-    state.angular_velocity += state.change.angular;
-    state.position = state.velocity.scale_add(dt, state.position);
-    let half = state.angular_velocity * (dt * R::splat(0.5));
-    let squared = half.norm_squared();
-    let real = squared.mul_add(R::splat(-0.5), R::one());
-    let half = half * squared.mul_add(R::splat(-1.0 / 6.0), R::one());
-    let (w, v) = state.orientation;
-    let new_w = real * w - half.dot(v);
-    let new_v = v.scale_add(real, half.scale_add(w, half.cross(v)));
-    let norm = R::splat(1.5) - R::splat(0.5) * new_w.mul_add(new_w, new_v.norm_squared());
-    state.orientation = (new_w * norm, new_v * norm);
 }

@@ -3,11 +3,13 @@
 use super::plane::PlaneMoments;
 use crate::Model;
 use crate::actuator::LaneActuator;
+use crate::blocks::{LaneJoint, LinkFrame, turned_about};
 use crate::error::{Error, Result};
 use crate::links::exact;
 use crate::model::{LinkBody, Plate};
 use crate::number::{Real, Vec3};
 use crate::sand::SandBed;
+use crate::spatial::Twist;
 use crate::stop::NO_LIMIT;
 
 type V = nalgebra::Vector3<f64>;
@@ -169,6 +171,15 @@ impl<R: Real> LaneBody<R> {
             chord: b.chord.iter().map(|p| plate(p, plane)).collect(),
             bulge: R::splat(b.bulge),
         }
+    }
+
+    /// The body's frame, turned about its hinge.
+    #[inline(always)]
+    pub fn frame(&self, parent: &LinkFrame<R>, joint: &LaneJoint<R>) -> LinkFrame<R> {
+        let axis = parent.rotation.apply(self.axis);
+        let origin = parent.point(self.joint);
+        let rotation = turned_about(&parent.rotation, axis, joint.position);
+        parent.carry(rotation, origin, Twist::hinge(axis, origin), joint)
     }
 
     fn set_lane(&mut self, lane: usize, b: &LinkBody) {

@@ -1,8 +1,8 @@
 //! Forces of the sand on the belly and the legs.
 
-use super::frames::{LaneState, LegFrame, base_frame, child_frame, trust};
 use super::model::{LaneBody, LaneModel, LanePlate};
 use super::plane::{PlaneField, PlaneForces, PlaneMoments};
+use crate::blocks::{LaneState, LinkFrame};
 use crate::number::{Real, Vec3};
 use crate::sand::law::StressLaw;
 use crate::sand::{LawCoefficients, Plain, SandBed, SegmentState, StressModel};
@@ -21,9 +21,9 @@ pub struct Travel<R> {
 }
 
 impl<R: Real> Travel<R> {
-    /// Over the sand that body number `body` has found: 0 is the belly, then come the legs.
+    /// Above the sand that body number `body` has found: 0 is the belly, then come the legs.
     #[inline(always)]
-    pub fn over(&self, surfaces: Option<&Surfaces<R>>, body: usize) -> Self {
+    pub fn above(&self, surfaces: Option<&Surfaces<R>>, body: usize) -> Self {
         let mut found = *self;
         if let Some(surfaces) = surfaces {
             found.position.z = self.position.z - surfaces.levels[body];
@@ -37,7 +37,7 @@ impl<R: Real> Travel<R> {
 #[inline(always)]
 pub fn belly<R: Real, const J: usize>(
     model: &LaneModel<R, J>,
-    base: &LegFrame<R>,
+    base: &LinkFrame<R>,
     travel: &Travel<R>,
     inertia: &mut Inertia<R>,
     bias: &mut Wrench<R>,
@@ -58,7 +58,7 @@ fn belly_by<R: Real, const J: usize>(
     law: &impl StressLaw<R>,
     stress_model: &impl StressModel<R>,
     model: &LaneModel<R, J>,
-    base: &LegFrame<R>,
+    base: &LinkFrame<R>,
     travel: &Travel<R>,
     inertia: &mut Inertia<R>,
     bias: &mut Wrench<R>,
@@ -69,7 +69,7 @@ fn belly_by<R: Real, const J: usize>(
     let [length, width] = model.belly_corner;
     let mut trusted = R::one();
     for corner in [[length, width], [length, -width], [-length, width], [-length, -width]] {
-        trusted = trusted.min(trust(base, places.value(corner)));
+        trusted = trusted.min(base.trust(places.value(corner)));
     }
     let expected = base.change.scaled(trusted);
     let velocities = places.velocity(&expected.scale_add(R::splat(0.5), &base.velocity));
@@ -108,7 +108,7 @@ pub fn pieces<R: Real, const J: usize>(
     pieces: &mut Vec<LanePiece<R>>,
 ) {
     pieces.clear();
-    let base = base_frame(state);
+    let base = LinkFrame::base(state);
     let turn = &base.rotation;
     let places = PlaneField { at: turn.z * model.belly_height, by: [turn.x, turn.y] };
     let velocities = places.velocity(&base.velocity);
@@ -129,7 +129,7 @@ pub fn pieces<R: Real, const J: usize>(
     for (l, leg) in model.legs.iter().enumerate() {
         let mut frame = base;
         for (body, joint) in leg.iter().zip(&state.joints[l * J..]) {
-            frame = child_frame(&frame, body, joint).0;
+            frame = body.frame(&frame, joint);
             let [e0, e1] = &body.plane;
             let places = PlaneField { at: frame.origin, by: [frame.rotation.apply(*e0), frame.rotation.apply(*e1)] };
             let velocities = places.velocity(&frame.velocity);

@@ -22,6 +22,7 @@ mod world;
 
 use super::command::Command;
 use super::frame::{BodyFrame, V};
+use super::integrator::Integrator;
 use super::{Model, State};
 use crate::sand::SandBed;
 pub(super) use sand::{PlacedBody, load_link};
@@ -44,34 +45,30 @@ impl RapierEngine {
     pub fn new(model: &Model, count: usize) -> Self {
         Self { robots: (0..count).map(|_| RapierRobot::new(model)).collect() }
     }
+}
 
-    /// See [`super::engine::Engine::set_model`].
-    pub fn set_model(&mut self, index: usize, model: &Model) {
+impl Integrator for RapierEngine {
+    fn set_model(&mut self, index: usize, model: &Model) {
         self.robots[index].next_model = Some(model.clone());
     }
 
-    /// See [`super::engine::Engine::set_footing`].
-    pub fn set_footing(&mut self, index: usize, model: &Model, shares: &[f64]) {
+    fn set_footing(&mut self, index: usize, model: &Model, shares: &[f64]) {
         self.robots[index].model.scale_areas(model, shares);
     }
 
-    /// See [`super::engine::Engine::set_state`].
-    pub fn set_state(&mut self, index: usize, state: &State) {
+    fn set_state(&mut self, index: usize, state: &State) {
         self.robots[index].set_state(state);
     }
 
-    /// See [`super::engine::Engine::state`].
-    pub fn state(&self, index: usize, out: &mut State) {
+    fn state(&self, index: usize, out: &mut State) {
         out.clone_from(&self.robots[index].state);
     }
 
-    /// See [`super::engine::Engine::command`].
-    pub fn command(&mut self, index: usize, command: &Command) {
+    fn command(&mut self, index: usize, command: &Command) {
         self.robots[index].set_command(command);
     }
 
-    /// See [`super::engine::Engine::advance`].
-    pub fn advance(&mut self, steps: usize) {
+    fn advance_in_parts(&mut self, steps: usize, _ends: bool) {
         for robot in &mut self.robots {
             robot.renew(steps);
             (0..steps).for_each(|_| robot.step());

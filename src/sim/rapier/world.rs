@@ -9,7 +9,7 @@ use crate::frame::{M, V};
 use crate::model::{LinkBody, Model};
 use crate::motor::Motor;
 use crate::solid::RigidPose;
-use crate::stop::{Stop, StopTorque};
+use crate::stop::{ImplicitTorque, Stop};
 use crate::{State, engine::Command};
 use rapier3d::glamx::{Pose3, Quat, Vec3};
 use rapier3d::prelude::*;
@@ -42,7 +42,7 @@ pub struct World {
     pub links: Vec<RobotPart>,
     /// Torques at each link's joint that are no part of its motor in rapier, for speed 0 [N·m], and their decrease with the speed
     /// after the step [N·m·s/rad].
-    others: Vec<StopTorque<f64>>,
+    others: Vec<ImplicitTorque<f64>>,
     /// Obstacles that move, in the order of the state's objects.
     rocks: Vec<RobotPart>,
     /// The base's and the links' colliders; none without obstacles.
@@ -97,7 +97,7 @@ impl World {
                 multibody.armature_mut()[BASE_DOFS + i] = ((body.armature + rotor) * PER_SQUARE_METRE) as f32;
             }
         }
-        let others = vec![StopTorque::none(); links.len()];
+        let others = vec![ImplicitTorque::none(); links.len()];
         Self { physics, base, drag, edge, links, others, rocks: Vec::new(), colliders: Vec::new(), origin: V::zeros() }
     }
 
@@ -201,7 +201,7 @@ impl World {
             let [middle, half] = limits(model, rate);
             let stop = stop(body, angle, rate, (push, gear.limits(rate)), model.scene.dt);
             let torque = middle + stop.torque;
-            others[i] = StopTorque { torque, yielding: gear.slows(rate, state.torques[i]) + stop.yielding };
+            others[i] = ImplicitTorque { torque, yielding: gear.slows(rate, state.torques[i]) + stop.yielding };
             let motor = &mut link.joint.data.motors[HINGE];
             motor.damping = (push.yielding * PER_SQUARE_METRE) as f32;
             motor.target_vel = ((push.torque - middle) / push.yielding) as f32;
@@ -271,8 +271,8 @@ fn relative(pose: &RigidPose, origin: V) -> Pose3 {
 }
 
 /// The motor's torque after its lag, and how it yields to speed [N·m·s/rad].
-fn track(model: &Model, torque: f64, yielding: f64, before: f64) -> StopTorque<f64> {
-    LaneActuator::<f64>::splat(&model.motor.actuator).track(StopTorque { torque, yielding }, before, model.scene.dt)
+fn track(model: &Model, torque: f64, yielding: f64, before: f64) -> ImplicitTorque<f64> {
+    LaneActuator::<f64>::splat(&model.motor.actuator).track(ImplicitTorque { torque, yielding }, before, model.scene.dt)
 }
 
 /// Middle and half width of the limits of a motor's torque at this rate.
@@ -293,18 +293,18 @@ fn stop(
     body: &LinkBody,
     angle: f64,
     rate: f64,
-    (servo, limits): (StopTorque<f64>, [f64; 2]),
+    (servo, limits): (ImplicitTorque<f64>, [f64; 2]),
     dt: f64,
-) -> StopTorque<f64> {
-    let Some(range) = body.range else { return StopTorque::none() };
+) -> ImplicitTorque<f64> {
+    let Some(range) = body.range else { return ImplicitTorque::none() };
     let own = inertia_at_joint(body);
     let stops = Stop::of(range, angle, rate, own, dt);
-    let servo = StopTorque { torque: servo.torque - servo.yielding * rate, yielding: servo.yielding * dt };
+    let servo = ImplicitTorque { torque: servo.torque - servo.yielding * rate, yielding: servo.yielding * dt };
     let first = servo.plus(stops.push).moves(own, 0.0);
     let limited = servo.within(limits[0], limits[1], first);
     let stop = stops.at(limited.plus(stops.push).moves(own, 0.0));
     let yielding = stop.yielding / dt;
-    StopTorque { torque: stop.torque + yielding * rate, yielding }
+    ImplicitTorque { torque: stop.torque + yielding * rate, yielding }
 }
 
 /// Inertia of a link and its rotor about its joint [kg·m²].

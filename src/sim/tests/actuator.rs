@@ -5,7 +5,7 @@ use sandgait_sim::actuator::{Actuator, LaneActuator};
 use sandgait_sim::engine::{Command, Engine, EngineKind};
 use sandgait_sim::frame::{BodyFrame, M, V};
 use sandgait_sim::model::Scene;
-use sandgait_sim::stop::StopTorque;
+use sandgait_sim::stop::ImplicitTorque;
 use sandgait_sim::tree::{TreeModel, of_robot, of_touching};
 use sandgait_sim::{Model, Robot, State};
 
@@ -35,7 +35,7 @@ fn torque_falls_along_the_line() {
 
 #[test]
 fn a_lag_follows_the_servo() {
-    let push = StopTorque { torque: 2.0, yielding: 0.5 };
+    let push = ImplicitTorque { torque: 2.0, yielding: 0.5 };
     let at_once = LaneActuator::<f64>::splat(&Actuator::default()).track(push, 1.0, 1e-3);
     assert_eq!((at_once.torque, at_once.yielding), (2.0, 0.5));
     let slow = LaneActuator::<f64>::splat(&Actuator { torque_time: Some(0.02), ..Actuator::default() });
@@ -48,7 +48,7 @@ fn a_lag_follows_the_servo() {
 
 #[test]
 fn a_weak_magnet_gives_less_torque() {
-    let push = StopTorque { torque: 2.0, yielding: 0.5 };
+    let push = ImplicitTorque { torque: 2.0, yielding: 0.5 };
     let weak = LaneActuator::<f64>::splat(&Actuator { torque_constant: Some(0.8), ..Actuator::default() });
     let push = weak.track(push, 0.0, 1e-3);
     assert_eq!((push.torque, push.yielding), (1.6, 0.4));

@@ -6,7 +6,8 @@ use sandgait_number::met_denormals;
 use sandgait_sand::Medium;
 use sandgait_sim::Robot;
 use sandgait_sim::command::Command;
-use sandgait_sim::lanes::*;
+use sandgait_sim::engine::Integrator as _;
+use sandgait_sim::lanes;
 use sandgait_sim::model::Scene;
 use sandgait_sim::{Model, State};
 
@@ -29,7 +30,7 @@ fn model(robot: &str, leg: &str, slope_deg: f64) -> Model {
 /// Share of 20 ms control steps within `time` [s] in which `robots` of one block meet a denormal operand, with
 /// hips that turn at `rate(time, joint)` [rad/s].
 fn share(model: &Model, start: &State, time: f64, rate: impl Fn(f64, usize) -> f64) -> f64 {
-    let mut engine = LanesEngine::with_isa(Isa::choose().unwrap(), model, 1).unwrap();
+    let mut engine = lanes::engine(Isa::choose().unwrap(), model, 1).unwrap();
     engine.set_state(0, start);
     let steps = (time / 0.02) as usize;
     let mut met = 0;
@@ -71,7 +72,7 @@ fn what_decays_ends_at_zero() {
         let mut lying = standing.clone();
         (lying.orientation, lying.position[2]) = ([0.0, 1.0, 0.0, 0.0], 0.05);
         for start in [&standing, &lying] {
-            let mut engine = LanesEngine::with_isa(Isa::choose().unwrap(), &model, 1).unwrap();
+            let mut engine = lanes::engine(Isa::choose().unwrap(), &model, 1).unwrap();
             engine.set_state(0, start);
             let mut state = start.clone();
             for _ in 0..3000 {

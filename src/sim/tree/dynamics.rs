@@ -6,9 +6,10 @@
 //! each body's own motion needs), the forces of sand and ground, [`fold`] toward the base, and [`unfold`] outward.
 
 use super::{JointKind, Tree};
+use crate::blocks::{LaneJoint, LaneState, LinkFrame, turned_about};
 use crate::number::{Mat3, Real, Vec3};
 use crate::spatial::{Inertia, Symmetric, Twist, Wrench};
-use crate::stop::StopTorque;
+use crate::stop::ImplicitTorque;
 
 /// A [`super::TreeBody`], one lane for each environment.
 #[derive(Clone)]
@@ -25,40 +26,6 @@ pub struct LaneTreeBody<R> {
     pub armature: R,
 }
 
-/// Position and motion of the robots, one in each lane.
-#[derive(Clone)]
-pub struct LaneTreeMotion<R> {
-    /// Orientation of the base: quaternion w and (x, y, z).
-    pub orientation: (R, Vec3<R>),
-    /// Velocity of the base, linear part at its origin.
-    pub velocity: Twist<R>,
-    /// Change of the base's velocity in the last step.
-    pub change: Twist<R>,
-    pub joints: Vec<JointMotion<R>>,
-}
-
-#[derive(Clone, Copy)]
-pub struct JointMotion<R> {
-    pub position: R,
-    pub rate: R,
-    /// Change of `rate` in the last step.
-    pub change: R,
-}
-
-/// Position and motion of a body; lengths from the base's origin, world axes.
-#[derive(Clone, Copy)]
-pub struct LinkFrame<R> {
-    pub rotation: Mat3<R>,
-    pub origin: Vec3<R>,
-    pub velocity: Twist<R>,
-    /// Acceleration that is due to velocities alone.
-    pub bias: Twist<R>,
-    /// Change of the velocity by the last step's accelerations.
-    pub change: Twist<R>,
-    /// Axis of the joint that carries the body.
-    pub axis: Twist<R>,
-}
-
 /// The wrench that moves a body: `inertia` times its acceleration, plus `bias`.
 #[derive(Clone, Copy)]
 pub struct LinkLoad<R> {
@@ -73,14 +40,14 @@ pub struct TreeHinge<R> {
     inertia_axis: Wrench<R>,
     inverse: R,
     drive: R,
-    pub push: StopTorque<R>,
+    pub push: ImplicitTorque<R>,
 }
 
 /// The torques that drive and hold the joints.
 pub trait Drive<R> {
     /// The push on joint `joint`, if `own` is the inertia behind it and `load` the torque at which it does not
     /// accelerate, both with the parent held still.
-    fn push(&mut self, joint: usize, own: R, load: R) -> StopTorque<R>;
+    fn push(&mut self, joint: usize, own: R, load: R) -> ImplicitTorque<R>;
 }
 
 impl<R: Real> LaneTreeBody<R> {
@@ -127,6 +94,21 @@ impl<R: Real> LaneTreeBody<R> {
             }
         }
     }
+
+    /// The body's frame, moved by its joint.
+    #[inline(always)]
+    fn frame(&self, parent: &LinkFrame<R>, joint: &LaneJoint<R>) -> LinkFrame<R> {
+        let rotation = parent.rotation.compose(&self.turn);
+        let (axis, mut origin) = (rotation.apply(self.axis), parent.point(self.offset));
+        let (rotation, axis) = match self.kind {
+            JointKind::Hinge => (turned_about(&rotation, axis, joint.position), Twist::hinge(axis, origin)),
+            JointKind::Slide => {
+                origin = axis.scale_add(joint.position, origin);
+                (rotation, Twist { angular: Vec3::zero(), linear: axis })
+            }
+        };
+        parent.carry(rotation, origin, axis, joint)
+    }
 }
 
 /// `x`, or zero if it is a rounding error of lengths and directions, whose products could become denormal in `f32`.
@@ -134,79 +116,12 @@ fn exact(x: f64) -> f64 {
     if x.abs() < 1e-14 { 0.0 } else { x }
 }
 
-impl<R: Real> LinkFrame<R> {
-    pub fn at_rest() -> Self {
-        let still = Twist { angular: Vec3::zero(), linear: Vec3::zero() };
-        let (rotation, origin) = (Mat3::identity(), Vec3::zero());
-        Self { rotation, origin, velocity: still, bias: still, change: still, axis: still }
-    }
-
-    /// Position of the body's point `p`.
-    #[inline(always)]
-    pub fn point(&self, p: Vec3<R>) -> Vec3<R> {
-        self.origin + self.rotation.apply(p)
-    }
-
-    #[inline(always)]
-    fn base(motion: &LaneTreeMotion<R>) -> Self {
-        let (velocity, change) = (motion.velocity, motion.change);
-        // If the origin's classical acceleration is zero, the spatial one is −ω × v.
-        let bias = Twist { angular: Vec3::zero(), linear: velocity.linear.cross(velocity.angular) };
-        let (rotation, origin) = (turned_by(motion.orientation), Vec3::zero());
-        Self { rotation, origin, velocity, bias, change, axis: LinkFrame::at_rest().axis }
-    }
-
-    #[inline(always)]
-    fn child(&self, body: &LaneTreeBody<R>, joint: &JointMotion<R>) -> Self {
-        let rotation = self.rotation.compose(&body.turn);
-        let (axis, mut origin) = (rotation.apply(body.axis), self.point(body.offset));
-        let (rotation, axis) = match body.kind {
-            JointKind::Hinge => {
-                let (sin, cos) = joint.position.sin_cos();
-                let [x, y, z] = [rotation.x, rotation.y, rotation.z];
-                let rotation =
-                    Mat3::new(turned(x, axis, sin, cos), turned(y, axis, sin, cos), turned(z, axis, sin, cos));
-                (rotation, Twist::hinge(axis, origin))
-            }
-            JointKind::Slide => {
-                origin = axis.scale_add(joint.position, origin);
-                (rotation, Twist { angular: Vec3::zero(), linear: axis })
-            }
-        };
-        let velocity = axis.scale_add(joint.rate, &self.velocity);
-        let bias = velocity.carries(&axis).scale_add(joint.rate, &self.bias);
-        let change = axis.scale_add(joint.change, &self.change);
-        Self { rotation, origin, velocity, bias, change, axis }
-    }
-}
-
-/// Columns of the rotation of a unit quaternion.
-#[inline(always)]
-pub fn turned_by<R: Real>((w, v): (R, Vec3<R>)) -> Mat3<R> {
-    let (one, two) = (R::one(), R::splat(2.0));
-    let (xx, yy, zz) = (v.x * v.x, v.y * v.y, v.z * v.z);
-    let (xy, xz, yz) = (v.x * v.y, v.x * v.z, v.y * v.z);
-    let (wx, wy, wz) = (w * v.x, w * v.y, w * v.z);
-    Mat3::new(
-        Vec3::new(one - two * (yy + zz), two * (xy + wz), two * (xz - wy)),
-        Vec3::new(two * (xy - wz), one - two * (xx + zz), two * (yz + wx)),
-        Vec3::new(two * (xz + wy), two * (yz - wx), one - two * (xx + yy)),
-    )
-}
-
-/// `u` turned about the unit vector `axis` (Rodrigues' formula).
-#[inline(always)]
-fn turned<R: Real>(u: Vec3<R>, axis: Vec3<R>, sin: R, cos: R) -> Vec3<R> {
-    let along = axis * (axis.dot(u) * (R::one() - cos));
-    axis.cross(u).scale_add(sin, u.scale_add(cos, along))
-}
-
 /// Computes positions and velocities of all bodies.
 #[inline(always)]
-pub fn place<R: Real>(bodies: &[LaneTreeBody<R>], motion: &LaneTreeMotion<R>, frames: &mut [LinkFrame<R>]) {
-    frames[0] = LinkFrame::base(motion);
+pub fn place<R: Real>(bodies: &[LaneTreeBody<R>], state: &LaneState<R>, frames: &mut [LinkFrame<R>]) {
+    frames[0] = LinkFrame::base(state);
     for i in 1..bodies.len() {
-        frames[i] = frames[bodies[i].parent].child(&bodies[i], &motion.joints[i - 1]);
+        frames[i] = bodies[i].frame(&frames[bodies[i].parent], &state.joints[i - 1]);
     }
 }
 
@@ -318,6 +233,6 @@ impl<R: Real> LinkLoad<R> {
 impl<R: Real> TreeHinge<R> {
     pub fn free() -> Self {
         let zero = R::zero();
-        Self { inertia_axis: Wrench::zero(), inverse: zero, drive: zero, push: StopTorque::none() }
+        Self { inertia_axis: Wrench::zero(), inverse: zero, drive: zero, push: ImplicitTorque::none() }
     }
 }

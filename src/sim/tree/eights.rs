@@ -3,10 +3,10 @@
 //! A lane with fewer plates than the others has plates without area, and the last lanes may have no plates at all. Both add
 //! exactly zero.
 
-use super::dynamics::LinkFrame;
 use super::patches::{Ball, BodyPatches, Facet, Panel, Patch, Tile};
 use super::sand::{Total, on_patches, under_body};
 use super::terrain::{Local, Surface};
+use crate::blocks::LinkFrame;
 use crate::number::{EIGHT, Eight, Mat3, Vec3};
 use crate::sand::SandBed;
 use crate::spatial::{Inertia, PointMasses, Symmetric, Twist, Wrench};

@@ -1,14 +1,13 @@
 //! For checks, in `f64`: accelerations of a tree in free flight, and the sand's forces on it in a given motion.
 
-use super::dynamics::{
-    Drive, JointMotion, LaneTreeBody, LaneTreeMotion, LinkFrame, LinkLoad, TreeHinge, fold, load, place, unfold,
-};
+use super::dynamics::{Drive, LaneTreeBody, LinkLoad, TreeHinge, fold, load, place, unfold};
 use super::relief::LaneRelief;
 use super::{Tree, sand};
 use crate::Model;
+use crate::blocks::{LaneJoint, LaneState, LinkFrame};
 use crate::number::{Real, Vec3};
 use crate::spatial::Twist;
-use crate::stop::StopTorque;
+use crate::stop::ImplicitTorque;
 
 /// Gravity in [`accelerations`] [m/s²], as in the reference programs.
 pub const GRAVITY: f64 = 9.81;
@@ -18,8 +17,8 @@ struct FixedTorques<'a, R>(&'a [R]);
 
 impl<R: Real> Drive<R> for FixedTorques<'_, R> {
     #[inline(always)]
-    fn push(&mut self, joint: usize, _own: R, _load: R) -> StopTorque<R> {
-        StopTorque { torque: self.0[joint], yielding: R::zero() }
+    fn push(&mut self, joint: usize, _own: R, _load: R) -> ImplicitTorque<R> {
+        ImplicitTorque { torque: self.0[joint], yielding: R::zero() }
     }
 }
 
@@ -49,15 +48,15 @@ pub struct TreePose {
 }
 
 impl TreePose {
-    fn motion<R: Real>(&self) -> LaneTreeMotion<R> {
+    fn state<R: Real>(&self) -> LaneState<R> {
         let [w, x, y, z] = self.quat;
         let joint =
-            |(q, qd): (&f64, &f64)| JointMotion { position: R::splat(*q), rate: R::splat(*qd), change: R::zero() };
-        LaneTreeMotion {
+            |(q, qd): (&f64, &f64)| LaneJoint { position: R::splat(*q), rate: R::splat(*qd), ..LaneJoint::still() };
+        LaneState {
             orientation: (R::splat(w), Vec3::splat([x, y, z])),
             velocity: Twist { angular: Vec3::splat(self.w), linear: Vec3::splat(self.v) },
-            change: Twist { angular: Vec3::zero(), linear: Vec3::zero() },
             joints: self.q.iter().zip(&self.qd).map(joint).collect(),
+            ..LaneState::hovering(0)
         }
     }
 }
@@ -68,7 +67,7 @@ pub fn sand_loads(model: &Model, position: [f64; 3], pose: &TreePose) -> Vec<[[f
     let bodies = LaneTreeBody::<f64>::all(&tree.tree);
     let count = bodies.len();
     let (mut frames, mut loads) = (vec![LinkFrame::at_rest(); count], vec![LinkLoad::none(); count]);
-    place(&bodies, &pose.motion(), &mut frames);
+    place(&bodies, &pose.state(), &mut frames);
     let ground = model.scene.ground();
     let relief = model.scene.relief.as_ref().map(|r| LaneRelief(vec![r.clone()]));
     sand::press(&ground, &tree.patches, &frames, &Vec3::splat(position), &relief, None, &mut loads, model.scene.dt);
@@ -89,13 +88,12 @@ pub fn accelerations(tree: &Tree, pose: &TreePose) -> TreeAccelerations {
 pub fn accelerations_by<R: Real>(tree: &Tree, pose: &TreePose) -> TreeAccelerations {
     let mut bodies = LaneTreeBody::<R>::all(tree);
     bodies.iter_mut().for_each(|b| b.armature = R::zero());
-    let (motion, still) = (pose.motion(), Twist { angular: Vec3::zero(), linear: Vec3::zero() });
     let torques: Vec<R> = pose.tau.iter().map(|t| R::splat(*t)).collect();
     let count = bodies.len();
     let (mut frames, mut loads) = (vec![LinkFrame::at_rest(); count], vec![LinkLoad::none(); count]);
-    let (mut hinges, mut moved) = (vec![TreeHinge::free(); count - 1], vec![still; count]);
+    let (mut hinges, mut moved) = (vec![TreeHinge::free(); count - 1], vec![Twist::zero(); count]);
     let mut joints = vec![R::zero(); count - 1];
-    place(&bodies, &motion, &mut frames);
+    place(&bodies, &pose.state(), &mut frames);
     load(&bodies, &frames, Vec3::splat([0.0, 0.0, -GRAVITY]), &mut loads);
     let base = fold(&bodies, &frames, &mut FixedTorques(&torques), &mut loads, &mut hinges);
     unfold(&bodies, &frames, &hinges, &base, &mut moved, &mut joints);

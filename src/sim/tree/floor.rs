@@ -7,10 +7,11 @@
 //! (λ < 0) are left out, and points that got faster although more than μ λ held them slide with a friction of μ λ.
 
 use super::contact::ContactPoint;
-use super::dynamics::{LinkFrame, LinkLoad};
+use super::dynamics::LinkLoad;
 use super::hard::HardGround;
 use super::model::TreeModel;
 use super::terrain::Surface;
+use crate::blocks::LinkFrame;
 use crate::number::{Real, Vec3};
 use crate::spatial::{Twist, Wrench};
 

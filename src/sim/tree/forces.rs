@@ -70,8 +70,7 @@ pub fn support(model: &Model, state: &State) -> f64 {
     accelerate(&tree, &state, &mut s, found);
     let mut loads = vec![LinkLoad::none(); tree.bodies.len()];
     sand::press(&tree.ground, &tree.patches, &s.frames, &place, &tree.relief, found, &mut loads, tree.dt);
-    let still = Twist { angular: Vec3::zero(), linear: Vec3::zero() };
-    loads.iter().map(|load| force(load, &still).z).sum()
+    loads.iter().map(|load| force(load, &Twist::zero()).z).sum()
 }
 
 /// The force that a load which contains nothing else exerts on a body with this acceleration.

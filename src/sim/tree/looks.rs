@@ -48,29 +48,8 @@ pub struct VisualShape {
     pub body: usize,
     /// The shape's position [m] and quaternion w, x, y, z in the body's frame.
     pub at: [f64; 7],
-    pub form: Form,
-}
-
-/// Sizes in metres; cylinders and capsules lie along their own z.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case", deny_unknown_fields)]
-pub enum Form {
-    Sphere {
-        radius: f64,
-    },
-    Capsule {
-        radius: f64,
-        half_length: f64,
-    },
-    Cylinder {
-        radius: f64,
-        half_length: f64,
-    },
-    Box {
-        half: [f64; 3],
-    },
-    /// Index of a mesh.
-    Mesh(usize),
+    /// A mesh is an index in [`Looks::meshes`].
+    pub form: Geometry<usize>,
 }
 
 impl VisualShape {
@@ -89,18 +68,10 @@ impl Looks {
         let mut all = Self::default();
         for (body, shapes) in bodies.enumerate() {
             for shape in shapes {
-                let form = match &shape.geometry {
-                    Geometry::Sphere { radius } => Form::Sphere { radius: *radius },
-                    Geometry::Capsule { radius, half_length } => {
-                        Form::Capsule { radius: *radius, half_length: *half_length }
-                    }
-                    Geometry::Cylinder { radius, half_length } => {
-                        Form::Cylinder { radius: *radius, half_length: *half_length }
-                    }
-                    Geometry::Box { half } => Form::Box { half: (*half).into() },
-                    Geometry::Mesh(_) if !meshed => continue,
-                    Geometry::Mesh(triangles) => Form::Mesh(all.mesh(LookMesh::of(triangles))),
-                };
+                if matches!(shape.geometry, Geometry::Mesh(_)) && !meshed {
+                    continue;
+                }
+                let form = shape.geometry.with_mesh(|triangles| all.mesh(LookMesh::of(triangles)));
                 let (p, q) = (shape.origin.translation.vector, shape.origin.rotation);
                 // Nine digits, as in a recording's header.
                 let at = [p.x, p.y, p.z, q.w, q.i, q.j, q.k].map(|x| (x * 1e9).round() / 1e9);
@@ -118,7 +89,7 @@ impl Looks {
             let meshed: usize = self.meshes.iter().map(|m| m.faces.len()).sum();
             if bare && meshed + 2 * own.len() <= MOST_TRIANGLES {
                 let faces: Vec<_> = own.iter().flat_map(halves).collect();
-                let form = Form::Mesh(self.mesh(LookMesh::of(&faces)));
+                let form = Geometry::Mesh(self.mesh(LookMesh::of(&faces)));
                 self.shapes.push(VisualShape { body, at: [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], form });
             }
         }
@@ -146,7 +117,7 @@ impl Looks {
 
     /// Triangles of all shapes.
     fn drawn(&self) -> usize {
-        let of = |s: &VisualShape| if let Form::Mesh(i) = s.form { self.meshes[i].faces.len() } else { PRIMITIVE };
+        let of = |s: &VisualShape| if let Geometry::Mesh(i) = s.form { self.meshes[i].faces.len() } else { PRIMITIVE };
         self.shapes.iter().map(of).sum()
     }
 
@@ -173,15 +144,15 @@ impl Looks {
         }
         for shape in &self.shapes {
             let sizes = match shape.form {
-                Form::Sphere { radius } => [radius; 3],
-                Form::Capsule { radius, half_length } | Form::Cylinder { radius, half_length } => {
+                Geometry::Sphere { radius } => [radius; 3],
+                Geometry::Capsule { radius, half_length } | Geometry::Cylinder { radius, half_length } => {
                     [radius, half_length, radius]
                 }
-                Form::Box { half } => half,
-                Form::Mesh(i) if i >= self.meshes.len() => {
+                Geometry::Box { half } => half.into(),
+                Geometry::Mesh(i) if i >= self.meshes.len() => {
                     return wrong(format!("mesh {i} of {}", self.meshes.len()));
                 }
-                Form::Mesh(_) => [0.0; 3],
+                Geometry::Mesh(_) => [0.0; 3],
             };
             if shape.body >= bodies {
                 return wrong(format!("body {} of {bodies}", shape.body));

@@ -49,13 +49,14 @@ mod step;
 pub mod symmetry;
 pub mod terrain;
 
-pub use engine::TreeEngine;
+pub use engine::engine;
 pub use hard::HardGround;
 pub use model::TreeModel;
 pub use plates::{of_body, of_shapes, of_touching};
 pub use robot::of_robot;
 
 use nalgebra::{Isometry3, Matrix3, Unit, Vector3};
+use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 /// A robot. Bodies are in depth-first order: each comes after its parent, and the bodies of a branch are contiguous.
@@ -151,25 +152,31 @@ pub struct TreeShape {
     pub friction: f64,
 }
 
-/// Sizes in metres; cylinders and capsules lie along their own z.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Geometry {
-    Sphere {
-        radius: f64,
-    },
-    Capsule {
-        radius: f64,
-        half_length: f64,
-    },
-    Cylinder {
-        radius: f64,
-        half_length: f64,
-    },
-    Box {
-        half: Vector3<f64>,
-    },
-    /// Triangles, counterclockwise seen from outside.
-    Mesh(Arc<Vec<[Vector3<f64>; 3]>>),
+/// Triangles, counterclockwise seen from outside.
+pub type Triangles = Arc<Vec<[Vector3<f64>; 3]>>;
+
+/// Sizes in metres; cylinders and capsules lie along their own z. A mesh is its triangles, or the index of a mesh.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Geometry<M = Triangles> {
+    Sphere { radius: f64 },
+    Capsule { radius: f64, half_length: f64 },
+    Cylinder { radius: f64, half_length: f64 },
+    Box { half: Vector3<f64> },
+    Mesh(M),
+}
+
+impl<M> Geometry<M> {
+    /// The same shape, if it is a mesh with that of `mesh`.
+    pub fn with_mesh<N>(&self, mesh: impl FnOnce(&M) -> N) -> Geometry<N> {
+        match *self {
+            Self::Sphere { radius } => Geometry::Sphere { radius },
+            Self::Capsule { radius, half_length } => Geometry::Capsule { radius, half_length },
+            Self::Cylinder { radius, half_length } => Geometry::Cylinder { radius, half_length },
+            Self::Box { half } => Geometry::Box { half },
+            Self::Mesh(ref triangles) => Geometry::Mesh(mesh(triangles)),
+        }
+    }
 }
 
 impl Tree {

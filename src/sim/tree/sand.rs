@@ -4,10 +4,11 @@
 //! linearly implicit, f⁺ = f − C (v⁺ − v), and in smooth motion the velocities are expected to change as in the last
 //! step. The law is evaluated once a patch ([`super::patches`]), for those of its plates that lead in the sand.
 
-use super::dynamics::{LinkFrame, LinkLoad};
+use super::dynamics::LinkLoad;
 use super::leading::{Own, leading};
 use super::patches::{BodyPatches, Patch};
 use super::terrain::{Local, Surface};
+use crate::blocks::LinkFrame;
 use crate::number::{Mat3, Real, Spread, Vec3};
 use crate::sand::intruder::IntruderPlate;
 use crate::sand::law::{Normals, StressLaw};
@@ -53,7 +54,7 @@ pub fn press<R: Real>(
         }
         let trusted = plates.corners.iter().fold(R::one(), |least, c| {
             let place = frame.point(Vec3::splat(*c));
-            least.min(trust(frame, place))
+            least.min(frame.trust(place))
         });
         let expected = frame.change.scaled(trusted);
         let middle = expected.scale_add(R::splat(0.5), &frame.velocity);
@@ -168,15 +169,6 @@ pub fn under_body<R: Real>(
         low = Vec3::new(least(other.x, low.x), least(other.y, low.y), least(other.z, low.z));
     }
     surface.under(*place + low)
-}
-
-/// Weight w at `place`: near 1 in smooth motion, in which the next change of velocity is about the last one, and 0 if
-/// the place sticks; see [`crate::lanes`].
-#[inline(always)]
-fn trust<R: Real>(frame: &LinkFrame<R>, place: Vec3<R>) -> R {
-    let (speed, change) = (frame.velocity.at(place).norm_squared(), frame.change.at(place).norm_squared());
-    let share = speed / change.mul_add(R::splat(4.0), speed + R::splat(1e-30));
-    share * share
 }
 
 /// The sand's effect on one body at rest or in motion with `velocity`, about the base's origin at `place`; None if no

@@ -8,10 +8,11 @@
 
 use super::Tree;
 use super::contact::ContactPoint;
-use super::dynamics::{self, Folded, LinkFrame};
+use super::dynamics::{self, Folded};
 use super::kinematics::chain;
 use super::limbs::FreeJoints;
 use super::stance::Stance;
+use crate::blocks::LinkFrame;
 use crate::number::{Real, Vec3};
 use crate::spatial::{Twist, Wrench};
 use crate::stop::NO_LIMIT;
@@ -144,7 +145,7 @@ impl SelfContact {
             return;
         }
         wrenches.resize(count, Wrench::zero());
-        accelerations.resize(count * overlaps.len(), LinkFrame::at_rest().velocity);
+        accelerations.resize(count * overlaps.len(), Twist::zero());
         joints.resize((count - 1) * overlaps.len(), R::zero());
         for (k, overlap) in overlaps.iter_mut().enumerate() {
             let own = &mut accelerations[k * count..][..count];

@@ -5,11 +5,12 @@
 //! independent of q̈; motors with a known stall torque are checked afterwards ([`crate::actuator`]). Dry friction is F q̇⁺/max(|q̇|, v₀), with
 //! the rate q̇⁺ after the step, q̇ before it, and v₀ = [`CREEP`].
 
-use super::dynamics::{Drive, JointMotion};
+use super::dynamics::Drive;
 use super::model::TreeModel;
-use crate::actuator::{Actuator, CREEP, LaneActuator, TorqueLimits};
+use crate::actuator::{Actuator, CREEP, LaneActuator, LimitedTorque};
+use crate::blocks::LaneJoint;
 use crate::number::Real;
-use crate::stop::{NO_LIMIT, Stop, StopTorque};
+use crate::stop::{ImplicitTorque, NO_LIMIT, Stop};
 
 /// The torques that drive and hold a joint, one lane each.
 #[derive(Clone, Copy)]
@@ -23,25 +24,6 @@ pub struct LaneMotor<R> {
     range: [R; 2],
     /// Stiffness and rest position of a spring.
     spring: [R; 2],
-}
-
-/// The servo of a joint in one step.
-#[derive(Clone, Copy)]
-pub struct LaneServo<R> {
-    pub reference: R,
-    /// Torque of the motor in the last step.
-    pub torque: R,
-    /// Speed of the reference.
-    pub command_rate: R,
-    /// Torque added to the servo's.
-    pub command_torque: R,
-}
-
-impl<R: Real> LaneServo<R> {
-    pub fn still() -> Self {
-        let zero = R::zero();
-        Self { reference: zero, torque: zero, command_rate: zero, command_torque: zero }
-    }
 }
 
 impl<R: Real> LaneMotor<R> {
@@ -81,60 +63,52 @@ impl<R: Real> LaneMotor<R> {
 
     /// Speed of the reference for a command, within the motor's speed limit.
     #[inline(always)]
-    pub fn reference_rate(&self, servo: &LaneServo<R>) -> R {
-        servo.command_rate.clamp(-self.speed_limit, self.speed_limit)
+    pub fn reference_rate(&self, joint: &LaneJoint<R>) -> R {
+        joint.command_rate.clamp(-self.speed_limit, self.speed_limit)
     }
 
     /// The servo's push without limits.
     #[inline(always)]
-    fn servo(&self, servo: &LaneServo<R>, joint: &JointMotion<R>, dt: R) -> StopTorque<R> {
-        let rate_error = self.reference_rate(servo) - joint.rate;
-        let error = rate_error.mul_add(dt, servo.reference - joint.position);
-        let torque = self.kp.mul_add(error, self.kd.mul_add(rate_error, servo.command_torque));
+    fn servo(&self, joint: &LaneJoint<R>, dt: R) -> ImplicitTorque<R> {
+        let rate_error = self.reference_rate(joint) - joint.rate;
+        let error = rate_error.mul_add(dt, joint.reference - joint.position);
+        let torque = self.kp.mul_add(error, self.kd.mul_add(rate_error, joint.command_torque));
         let yielding = dt * dt.mul_add(self.kp, self.kd);
-        self.actuator.track(StopTorque { torque, yielding }, servo.torque, dt)
+        self.actuator.track(ImplicitTorque { torque, yielding }, joint.torque, dt)
     }
 }
 
 /// Computes all torques at the joints in one step.
 pub struct JointTorques<'a, R> {
     pub motors: &'a [LaneMotor<R>],
-    pub servos: &'a [LaneServo<R>],
-    pub joints: &'a [JointMotion<R>],
-    pub limits: &'a mut [TorqueLimits<R>],
+    pub joints: &'a [LaneJoint<R>],
+    pub limits: &'a mut [LimitedTorque<R>],
     pub dt: R,
 }
 
 impl<R: Real> LaneMotor<R> {
     /// The motor's torque in a step in which its joint accelerated by `acceleration`.
     #[inline(always)]
-    pub fn torque(
-        &self,
-        servo: &LaneServo<R>,
-        joint: &JointMotion<R>,
-        limits: &TorqueLimits<R>,
-        acceleration: R,
-        dt: R,
-    ) -> R {
+    pub fn torque(&self, joint: &LaneJoint<R>, limits: &LimitedTorque<R>, acceleration: R, dt: R) -> R {
         let [low, high] = self.actuator.limits(joint.rate);
-        let flat = self.servo(servo, joint, dt).at(acceleration).clamp(low, high);
+        let flat = self.servo(joint, dt).at(acceleration).clamp(low, high);
         self.actuator.reported(flat, limits.push.at(acceleration), joint.rate, acceleration, dt)
     }
 }
 
 impl<R: Real> Drive<R> for JointTorques<'_, R> {
     #[inline(always)]
-    fn push(&mut self, i: usize, own: R, load: R) -> StopTorque<R> {
+    fn push(&mut self, i: usize, own: R, load: R) -> ImplicitTorque<R> {
         let (motor, joint, dt) = (&self.motors[i], &self.joints[i], self.dt);
-        let servo = motor.servo(&self.servos[i], joint, dt);
-        let gear = motor.actuator.gear(joint.rate, self.servos[i].torque, dt);
-        let damping = StopTorque { torque: -(motor.damping * joint.rate), yielding: motor.damping * dt };
+        let servo = motor.servo(joint, dt);
+        let gear = motor.actuator.gear(joint.rate, joint.torque, dt);
+        let damping = ImplicitTorque { torque: -(motor.damping * joint.rate), yielding: motor.damping * dt };
         let slows = motor.friction / joint.rate.abs().max(R::splat(CREEP));
-        let rub = StopTorque { torque: -(slows * joint.rate), yielding: slows * dt };
+        let rub = ImplicitTorque { torque: -(slows * joint.rate), yielding: slows * dt };
         let stops = Stop::of(motor.range, joint.position, joint.rate, own, dt);
         let [stiffness, rest] = motor.spring;
         let pulled = joint.rate.mul_add(dt, joint.position) - rest;
-        let spring = StopTorque { torque: -(stiffness * pulled), yielding: stiffness * (dt * dt) };
+        let spring = ImplicitTorque { torque: -(stiffness * pulled), yielding: stiffness * (dt * dt) };
         let always = damping.plus(rub).plus(spring).plus(gear);
         let all = servo.plus(always).plus(stops.push);
         let first = all.moves(own, load);

@@ -3,7 +3,7 @@
 use super::models::*;
 use super::*;
 use sandgait_number::Isa;
-use sandgait_sim::engine::Command;
+use sandgait_sim::engine::{Command, Integrator as _};
 use sandgait_sim::model::Scene;
 use sandgait_sim::{Model, State};
 use std::sync::Arc;
@@ -33,7 +33,7 @@ pub fn conserved(model: &Model, state: &State) -> (V, V, f64) {
 /// Position of a robot after `time` under gravity alone.
 fn flown(tree: &Tree, pose: &TreePose, dt: f64, time: f64) -> [(V, V, f64); 2] {
     let model = loosened(&model_of(tree.clone(), dt));
-    let mut engine = TreeEngine::with_isa(Isa::F64, &model, 1).unwrap();
+    let mut engine = sandgait_sim::tree::engine(Isa::F64, &model, 1).unwrap();
     let mut state = state_of(pose, 100.0);
     engine.set_state(0, &state);
     let before = conserved(&model, &state);
@@ -118,7 +118,7 @@ fn a_ball_bounces() {
         own.compliance.stiffness = 1e5;
         own.compliance.damping = 2.0 * zeta * 1e5_f64.sqrt();
         model = Model::of_tree(own, &model.scene).unwrap();
-        let mut engine = TreeEngine::with_isa(Isa::F64, &model, 1).unwrap();
+        let mut engine = sandgait_sim::tree::engine(Isa::F64, &model, 1).unwrap();
         let mut state = State::at_rest(0.05 + 0.1, &[]);
         engine.set_state(0, &state);
         // The largest speed after the bounce.
@@ -166,7 +166,7 @@ fn a_quadruped_stands_on_its_feet() {
 
 /// Robot `k` of several after a second of trotting, alone or among `others`.
 fn trotted(isa: Isa, model: &Model, count: usize, k: usize) -> State {
-    let mut engine = TreeEngine::with_isa(isa, model, count).unwrap();
+    let mut engine = sandgait_sim::tree::engine(isa, model, count).unwrap();
     let starts = |i: usize| {
         let mut start = standing(&quadruped());
         start.position = [0.1 * i as f64, -0.05 * i as f64, 0.33];
@@ -204,10 +204,10 @@ fn lanes_do_not_see_each_other() {
 fn states_go_on_with_the_same_bits() {
     let model = on_sand(Some(0.0));
     let isa = Isa::choose().unwrap();
-    let mut engine = TreeEngine::with_isa(isa, &model, 1).unwrap();
+    let mut engine = sandgait_sim::tree::engine(isa, &model, 1).unwrap();
     let mut state = standing(&quadruped());
     engine.set_state(0, &state);
-    let mut other = TreeEngine::with_isa(isa, &model, 1).unwrap();
+    let mut other = sandgait_sim::tree::engine(isa, &model, 1).unwrap();
     for step in 0..50 {
         engine.state(0, &mut state);
         other.set_state(0, &State::from_row(12, &state.row()).unwrap());
@@ -277,7 +277,7 @@ fn servos_and_stops() {
     model.gravity = V::zeros();
     let target = |q: f64| Command { targets: vec![q; 12], ..Command::still(12) };
     let after = |command: &Command, time: f64| {
-        let mut engine = TreeEngine::with_isa(Isa::F64, &model, 1).unwrap();
+        let mut engine = sandgait_sim::tree::engine(Isa::F64, &model, 1).unwrap();
         let mut state = standing(&tree);
         engine.set_state(0, &state);
         engine.command(0, command);
@@ -304,7 +304,7 @@ fn servos_and_stops() {
     let mut free = Model::of_tree(loose, &model.scene).unwrap();
     free.gravity = V::zeros();
     for (torque, moves) in [(0.05, false), (0.3, true)] {
-        let mut engine = TreeEngine::with_isa(Isa::F64, &free, 1).unwrap();
+        let mut engine = sandgait_sim::tree::engine(Isa::F64, &free, 1).unwrap();
         let mut state = standing(&tree);
         engine.set_state(0, &state);
         engine.command(0, &Command { torques: vec![torque; 12], ..Command::still(12) });

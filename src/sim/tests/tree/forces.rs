@@ -4,6 +4,7 @@ use super::engine::conserved;
 use super::models::{block, on_hard, on_sand, plates, quadruped, run, scene, standing, trot};
 use super::*;
 use sandgait_number::Isa;
+use sandgait_sim::engine::Integrator as _;
 use sandgait_sim::model::Scene;
 use sandgait_sim::tree::forces::{pushes, touching};
 use sandgait_sim::{Model, State};
@@ -34,7 +35,7 @@ fn sum(model: &Model, state: &State) -> V {
 fn forces_change_the_momentum() {
     for (name, model) in grounds() {
         let (weight, dt) = (model.total_mass() * sandgait_sand::GRAVITY, model.scene.dt);
-        let mut engine = TreeEngine::with_isa(Isa::F64, &model, 1).unwrap();
+        let mut engine = sandgait_sim::tree::engine(Isa::F64, &model, 1).unwrap();
         let mut state = standing(&quadruped());
         engine.set_state(0, &state);
         let (mut largest, mut worst) = (0.0_f64, 0.0_f64);

@@ -4,7 +4,7 @@ use super::*;
 use sandgait_number::{Isa, Vec3};
 use sandgait_sand::Medium;
 use sandgait_sand::intruder::{BodyShape, IntruderPlate, PlatedBody};
-use sandgait_sim::engine::Command;
+use sandgait_sim::engine::{Command, Integrator as _};
 use sandgait_sim::model::Scene;
 use sandgait_sim::{Model, State};
 
@@ -72,7 +72,7 @@ pub fn on_hard(tree: Tree, slope_deg: f64, dt: f64) -> Model {
 
 /// The state after `time`.
 pub fn run(isa: Isa, model: &Model, start: &State, time: f64) -> State {
-    let mut engine = TreeEngine::with_isa(isa, model, 1).unwrap();
+    let mut engine = sandgait_sim::tree::engine(isa, model, 1).unwrap();
     engine.set_state(0, start);
     let mut state = start.clone();
     let steps = (time / model.scene.dt).round() as usize;

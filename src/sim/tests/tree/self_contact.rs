@@ -4,7 +4,7 @@ use super::engine::conserved;
 use super::models::*;
 use super::*;
 use sandgait_number::Isa;
-use sandgait_sim::engine::Command;
+use sandgait_sim::engine::{Command, Integrator as _};
 use sandgait_sim::tree::kinematics::frames;
 use sandgait_sim::{Model, State};
 
@@ -36,7 +36,7 @@ fn start() -> State {
 
 /// Robot `k` after half a second in which its servos pull the front feet through each other, and the least distance of the feet.
 fn crossed(isa: Isa, model: &Model, count: usize, k: usize) -> (State, f64) {
-    let mut engine = TreeEngine::with_isa(isa, model, count).unwrap();
+    let mut engine = sandgait_sim::tree::engine(isa, model, count).unwrap();
     let named = |i: usize| if count == 1 { k } else { i };
     let (mut state, own) = (start(), if count == 1 { 0 } else { k });
     let mut least = f64::INFINITY;

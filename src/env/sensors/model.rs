@@ -1,6 +1,6 @@
 //! The sensors of a session: from exact values to the rows that policies get.
 
-use super::extra::{self, Measure, Moment};
+use super::extra::{self, Measure, MeasuredStep};
 use super::memory::{SensorMemory, shift};
 use super::random::stream;
 use super::signal::{Senses, Signal, wrapped};
@@ -20,7 +20,7 @@ use std::sync::Arc;
 const IMU: [Sensor; 3] = [Sensor::Gravity, Sensor::Gyroscope, Sensor::Accelerometer];
 
 /// How a session's observations follow from exact values.
-pub struct Plan {
+pub struct SensorModel {
     sensors: Sensors,
     /// Columns of exact values: the task's, then those of added sensors.
     exact: Vec<Column>,
@@ -43,11 +43,11 @@ pub struct Plan {
 }
 
 /// The episode whose sensors are read.
-pub struct Seen<'a> {
+pub struct SensorInput<'a> {
     pub model: &'a Model,
     pub footing: &'a [f64],
     /// The sand's force on each leg along the surface's normal [N]; empty: not known.
-    pub supports: &'a [f64],
+    pub normal_forces: &'a [f64],
     /// The sand that was moved; None without memory.
     pub sand: Option<&'a Moved>,
     /// State before and after the step; at the beginning of an episode both are its first state.
@@ -65,7 +65,7 @@ pub enum Privileged<'a> {
     Next(&'a mut [f32]),
 }
 
-impl Plan {
+impl SensorModel {
     /// None: the sensors are exact, and rows are as the task fills them. `spec` becomes that of the session.
     ///
     /// # Errors
@@ -146,7 +146,7 @@ impl Plan {
     }
 
     /// Does a column need the sand's force on each leg?
-    pub fn needs_supports(&self) -> bool {
+    pub fn needs_normal_forces(&self) -> bool {
         let forces = |c: &Column| matches!(c.sensor, Some((Sensor::ContactForce | Sensor::ContactSwitch, _)));
         self.added.columns().iter().any(forces)
     }
@@ -187,14 +187,14 @@ impl Plan {
     pub fn sense(
         &self,
         memory: &mut SensorMemory,
-        seen: &Seen,
+        input: &SensorInput,
         observe: impl FnOnce(&mut [f32]),
         observation: &mut [f32],
         privileged: Privileged,
     ) {
         let width = self.exact.len();
         let begins = memory.sampled.is_empty();
-        let [seed, number, step] = seen.at;
+        let [seed, number, step] = input.at;
         if begins {
             let [_, sampled, rows] = self.sizes();
             (memory.sampled, memory.seen) = (vec![0.0; sampled], vec![0.0; rows]);
@@ -204,8 +204,8 @@ impl Plan {
         let senses = drawn.as_deref().unwrap_or(&self.senses);
         shift(&mut memory.sampled, width);
         let (row, before) = memory.sampled.split_at_mut(width);
-        self.fill_exact(row, seen, observe);
-        self.tell(row, privileged);
+        self.fill_exact(row, input, observe);
+        self.copy_privileged(row, privileged);
         self.turn_imu(senses, row);
         let mut random = stream(seed, number, step);
         if begins {
@@ -233,7 +233,7 @@ impl Plan {
     pub fn repeat(
         &self,
         memory: &SensorMemory,
-        seen: &Seen,
+        input: &SensorInput,
         observe: impl FnOnce(&mut [f32]),
         observation: &mut [f32],
         info: &mut [f32],
@@ -241,13 +241,13 @@ impl Plan {
         observation.copy_from_slice(&memory.seen);
         if self.privileged {
             let mut row = vec![0.0; self.exact.len()];
-            self.fill_exact(&mut row, seen, observe);
-            self.tell(&row, Privileged::Present(info));
+            self.fill_exact(&mut row, input, observe);
+            self.copy_privileged(&row, Privileged::Present(info));
         }
     }
 
     /// Copies privileged values to their place at the end of an info row, if there is one.
-    fn tell(&self, exact: &[f32], privileged: Privileged) {
+    fn copy_privileged(&self, exact: &[f32], privileged: Privileged) {
         let (info, back) = match privileged {
             Privileged::Present(info) => (info, 2 * exact.len()),
             Privileged::Next(info) => (info, exact.len()),
@@ -258,11 +258,11 @@ impl Plan {
         }
     }
 
-    fn fill_exact(&self, row: &mut [f32], seen: &Seen, observe: impl FnOnce(&mut [f32])) {
+    fn fill_exact(&self, row: &mut [f32], input: &SensorInput, observe: impl FnOnce(&mut [f32])) {
         let (own, others) = row.split_at_mut(self.own());
         observe(own);
-        let moment = Moment::new(seen, self.sensors.imu_position);
-        self.added.fill(others, |measure, i| measure(&moment, i));
+        let step = MeasuredStep::new(input, self.sensors.imu_position);
+        self.added.fill(others, |measure, i| measure(&step, i));
         clip(row, &self.exact);
     }
 

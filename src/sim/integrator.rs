@@ -1,0 +1,43 @@
+//! What every engine does.
+
+use super::command::Command;
+use super::{Model, State};
+use crate::sand::memory::Moved;
+
+/// What an engine does with its robots, which it names by their index.
+pub trait Integrator: Send {
+    /// Gives robot `index` another model with equally many joints and plates. Takes effect with the next
+    /// `set_state`.
+    fn set_model(&mut self, index: usize, model: &Model);
+
+    /// Scales the sand's stress on each leg of robot `index`, which has `model`, by `shares` [legs], until the
+    /// model or the shares are set again. Takes effect at once. No task of engine `tree` has footprints.
+    fn set_footing(&mut self, _index: usize, _model: &Model, _shares: &[f64]) {}
+
+    fn set_state(&mut self, index: usize, state: &State);
+
+    /// Copies robot `index`'s state into `out` without allocating.
+    fn state(&self, index: usize, out: &mut State);
+
+    /// The sand around robot `index`; None if it has no memory.
+    fn sand(&self, _index: usize) -> Option<&Moved> {
+        None
+    }
+
+    fn command(&mut self, index: usize, command: &Command);
+
+    /// Advances every robot by `steps` time steps in parts, of which the last one `ends` it: parts do not change bits, except in engine
+    /// `rapier` with obstacles.
+    fn advance_in_parts(&mut self, steps: usize, ends: bool);
+
+    /// Advances every robot by `steps` time steps.
+    fn advance(&mut self, steps: usize) {
+        self.advance_in_parts(steps, true);
+    }
+
+    /// Fills `out` with the sand's force on each leg of robot `index` along the surface's normal in the last time step [N]. Empty: the
+    /// engine does not keep it, and [`super::pose::Pose`] computes it.
+    fn normal_forces(&self, _index: usize, out: &mut Vec<f64>) {
+        out.clear();
+    }
+}
