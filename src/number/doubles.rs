@@ -109,6 +109,10 @@ impl Real for Doubles {
         Self(from_fn(|i| f64::from_bits((mask[i] & yes.0[i].to_bits()) | (!mask[i] & no.0[i].to_bits()))))
     }
     #[inline(always)]
+    fn bits(mask: Self::Mask) -> u32 {
+        mask.iter().rev().fold(0, |bits, m| bits << 1 | u32::from(*m != 0))
+    }
+    #[inline(always)]
     fn any(mask: Self::Mask) -> bool {
         mask.iter().any(|m| *m != 0)
     }

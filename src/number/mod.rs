@@ -69,8 +69,13 @@ pub trait Real:
     fn lt(self, other: Self) -> Self::Mask;
     /// In each lane: `yes` if `mask` is true, else `no`.
     fn select(mask: Self::Mask, yes: Self, no: Self) -> Self;
+    /// Bit i: is `mask` true in lane i?
+    fn bits(mask: Self::Mask) -> u32;
     /// Is `mask` true in any lane?
-    fn any(mask: Self::Mask) -> bool;
+    #[inline(always)]
+    fn any(mask: Self::Mask) -> bool {
+        Self::bits(mask) != 0
+    }
 
     /// Runs `kernel` compiled for the instruction set of this type.
     #[inline(always)]
@@ -175,8 +180,8 @@ macro_rules! scalar {
                 if mask { yes } else { no }
             }
             #[inline(always)]
-            fn any(mask: bool) -> bool {
-                mask
+            fn bits(mask: bool) -> u32 {
+                mask.into()
             }
             #[inline(always)]
             fn sin_cos(self) -> (Self, Self) {

@@ -84,8 +84,8 @@ impl<R: Real> Real for Pair<R> {
         Self(R::select(mask.0, yes.0, no.0), R::select(mask.1, yes.1, no.1))
     }
     #[inline(always)]
-    fn any(mask: Self::Mask) -> bool {
-        R::any(mask.0) || R::any(mask.1)
+    fn bits(mask: Self::Mask) -> u32 {
+        R::bits(mask.0) | R::bits(mask.1) << R::LANES
     }
     #[inline(always)]
     fn dispatch<K: Kernel>(kernel: K) {

@@ -96,7 +96,7 @@ impl Real for Portable {
         Self(mask.select(yes.0, no.0))
     }
     #[inline(always)]
-    fn any(mask: f32x4) -> bool {
-        mask.any()
+    fn bits(mask: f32x4) -> u32 {
+        mask.to_bitmask()
     }
 }

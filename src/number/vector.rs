@@ -47,9 +47,11 @@ impl<R: Real> Vec3<R> {
         Self::new(self.x.mul_add(s, o.x), self.y.mul_add(s, o.y), self.z.mul_add(s, o.z))
     }
     /// Lane `index` as `f64`.
+    #[inline(always)]
     pub fn lane(&self, index: usize) -> [f64; 3] {
         [self.x.lane(index), self.y.lane(index), self.z.lane(index)]
     }
+    #[inline(always)]
     pub fn set_lane(&mut self, index: usize, v: [f64; 3]) {
         self.x.set_lane(index, v[0]);
         self.y.set_lane(index, v[1]);

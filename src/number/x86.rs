@@ -13,7 +13,7 @@ use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 macro_rules! lanes {
     ($(#[$doc:meta])* $name:ident, $register:ty, $float:ty, $lanes:literal, $mask:ty, $features:literal, $splat:ident,
      $add:ident, $sub:ident, $mul:ident, $div:ident, $fma:ident, $sqrt:ident, $min:ident, $max:ident,
-     abs: $abs:expr, round: $round:expr, lt: $lt:expr, select: $select:expr, any: $any:expr) => {
+     abs: $abs:expr, round: $round:expr, lt: $lt:expr, select: $select:expr, bits: $bits:expr) => {
         $(#[$doc])*
         #[derive(Clone, Copy)]
         #[repr(transparent)]
@@ -99,8 +99,8 @@ macro_rules! lanes {
                 Self(unsafe { $select(mask, yes.0, no.0) })
             }
             #[inline(always)]
-            fn any(mask: $mask) -> bool {
-                unsafe { $any(mask) }
+            fn bits(mask: $mask) -> u32 {
+                unsafe { $bits(mask) }
             }
             #[inline(always)]
             fn dispatch<K: Kernel>(kernel: K) {
@@ -133,7 +133,7 @@ lanes!(
     round: |x| _mm512_roundscale_ps::<{ _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC }>(x),
     lt: |a, b| _mm512_cmp_ps_mask::<_CMP_LT_OQ>(a, b),
     select: |m, yes, no| _mm512_mask_blend_ps(m, no, yes),
-    any: |m| _mm512_mask2int(m) != 0
+    bits: |m| _mm512_mask2int(m) as u32
 );
 
 lanes!(
@@ -144,7 +144,7 @@ lanes!(
     round: |x| _mm256_round_ps::<{ _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC }>(x),
     lt: |a, b| _mm256_cmp_ps::<_CMP_LT_OQ>(a, b),
     select: |m, yes, no| _mm256_blendv_ps(no, yes, m),
-    any: |m| _mm256_movemask_ps(m) != 0
+    bits: |m| _mm256_movemask_ps(m) as u32
 );
 
 lanes!(
@@ -155,7 +155,7 @@ lanes!(
     round: |x| _mm512_roundscale_pd::<{ _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC }>(x),
     lt: |a, b| _mm512_cmp_pd_mask::<_CMP_LT_OQ>(a, b),
     select: |m, yes, no| _mm512_mask_blend_pd(m, no, yes),
-    any: |m| _cvtmask8_u32(m) != 0
+    bits: _cvtmask8_u32
 );
 
 lanes!(
@@ -166,7 +166,7 @@ lanes!(
     round: |x| _mm256_round_pd::<{ _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC }>(x),
     lt: |a, b| _mm256_cmp_pd::<_CMP_LT_OQ>(a, b),
     select: |m, yes, no| _mm256_blendv_pd(no, yes, m),
-    any: |m| _mm256_movemask_pd(m) != 0
+    bits: |m| _mm256_movemask_pd(m) as u32
 );
 
 impl Eight for Avx512Doubles {

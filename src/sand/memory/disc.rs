@@ -22,11 +22,17 @@ pub(super) fn ahead(taken: &Taken, reach: f64, size: f64, cell: f64) -> Disc {
     let length = (px * px + py * py).sqrt();
     let share = length.min(1.0);
     let around = reach + size;
-    let before = (0.5 * reach).max(size);
-    let radius = (around + (before - around) * share).max(1.5 * cell);
+    let radius = (around + (before(reach, size) - around) * share).max(SMALLEST * cell);
     let along = if length > 1e-6 { [px / length, py / length] } else { [1.0, 0.0] };
     Disc { center: [x + radius * share * along[0], y + radius * share * along[1]], radius, along }
 }
+
+/// Radius of the disc ahead of a body that ploughs, and the smallest radius of a disc [cells].
+#[inline(always)]
+pub(super) fn before(reach: f64, size: f64) -> f64 {
+    (0.5 * reach).max(size)
+}
+pub(super) const SMALLEST: f64 = 1.5;
 
 /// Pairs of places in a disc, at most; and as many as robots use at a time: our choice. They differ from time to time, so
 /// that after a few times all of the disc has got its share.
@@ -47,15 +53,18 @@ static PLACES: LazyLock<[[f64; 2]; PAIRS]> = LazyLock::new(|| {
 const GOLDEN: f64 = 0.618_033_988_749_895;
 
 impl Disc {
-    /// Cells of some places of the disc, mirrored about its direction.
+    /// Visits cells of some places of the disc, mirrored about its direction.
     #[inline(always)]
-    pub fn places(&self, frame: GridFrame, pairs: usize, turns: u32) -> impl Iterator<Item = usize> {
+    pub fn visit(&self, frame: GridFrame, pairs: usize, turns: u32, mut visit: impl FnMut(usize)) {
         let Self { center: [x, y], radius, along: [ux, uy] } = *self;
         let (table, first) = (&*PLACES, turns as usize % PAIRS * pairs);
-        (0..2 * pairs).filter_map(move |k| {
-            let [a, b] = table[(first + k / 2) % PAIRS];
-            let (a, b) = (a * radius, if k % 2 == 0 { b * radius } else { -(b * radius) });
-            frame.index(frame.cell_at([x + a * ux - b * uy, y + a * uy + b * ux]))
-        })
+        for k in first..first + pairs {
+            let [a, b] = table[k % PAIRS].map(|c| c * radius);
+            for b in [b, -b] {
+                if let Some(at) = frame.index(frame.cell_at([x + a * ux - b * uy, y + a * uy + b * ux])) {
+                    visit(at);
+                }
+            }
+        }
     }
 }

@@ -1,4 +1,5 @@
 //! Heights of the sand on a square grid that moves with a body.
+#![allow(clippy::needless_range_loop, clippy::manual_memcpy)] // Loops over indices become vectors; calls with closures or slices may not.
 
 /// Heights are whole multiples of the cell's size over this: our choice. So sums are exact, volume is conserved to the
 /// last bit, and 16 bits reach 32 cells up and down.
@@ -8,16 +9,19 @@ const STEPS: f64 = 1024.0;
 /// choice from the one to three degrees between both angles (Jaeger & Nagel, Science 255, 1992). So most sand rests soon.
 const SLIDES_ON: i16 = 32;
 
+/// Heights in a vector of AVX2.
+const WIDE: usize = 16;
+
 /// A periodic square of cells. Each cell of the world has one place in it; when the square moves, places of cells that
 /// are left behind are used again for cells ahead, which are level and fresh.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Grid {
     pub frame: GridFrame,
-    /// Row by row along x, in steps of [`GridFrame::quantum`].
+    /// In steps of [`GridFrame::quantum`], row by row along x.
     pub(super) heights: Vec<i16>,
     /// How much of the possible compaction each cell has had, from 0 to 255.
     pub(super) packed: Vec<u8>,
-    /// Rows in which sand may slide.
+    /// Rows that have changed since sand slid last.
     pub(super) awake: Vec<bool>,
     /// No cell has been higher.
     pub(super) top: i16,
@@ -61,10 +65,15 @@ impl GridFrame {
     /// Place of a cell in the lists; None outside of the square.
     #[inline(always)]
     pub fn index(&self, [x, y]: [i32; 2]) -> Option<usize> {
+        Some((self.line(1, y)? << self.bits) | self.line(0, x)?)
+    }
+
+    /// Column (`axis` 0) or row (1) of a cell in the lists.
+    #[inline(always)]
+    pub(super) fn line(&self, axis: usize, i: i32) -> Option<usize> {
         let side = 1_u32 << self.bits;
-        let inside = |k: usize, i: i32| (i.wrapping_sub(self.corner[k]) as u32) < side;
-        let mask = side as i32 - 1;
-        (inside(0, x) && inside(1, y)).then_some((((y & mask) as usize) << self.bits) | (x & mask) as usize)
+        let inside = (i.wrapping_sub(self.corner[axis]) as u32) < side;
+        inside.then_some((i as u32 & (side - 1)) as usize)
     }
 }
 
@@ -146,7 +155,8 @@ impl Grid {
         let half = 1_i32 << (self.frame.bits - 1);
         let new = self.frame.cell_at(place).map(|i| i.saturating_sub(half));
         // It moves when the place is an eighth of the side off: our choice, so that it does not move in every step.
-        if (0..2).all(|k| new[k].abs_diff(self.frame.corner[k]) < half as u32 / 4) {
+        let near = |k: usize| new[k].abs_diff(self.frame.corner[k]) < half as u32 / 4;
+        if near(0) && near(1) {
             return;
         }
         self.move_to(new);
@@ -170,13 +180,10 @@ impl Grid {
         }
     }
 
-    /// Marks the row of a cell, and its neighbours, as rows in which sand may slide.
+    /// Marks the row of a cell as one that has changed.
     #[inline(always)]
     pub(super) fn wake(&mut self, index: usize) {
-        let (row, mask) = (index >> self.frame.bits, self.frame.side() - 1);
-        self.awake[row] = true;
-        self.awake[(row + 1) & mask] = true;
-        self.awake[row.wrapping_sub(1) & mask] = true;
+        self.awake[index >> self.frame.bits] = true;
     }
 
     /// One sweep of sliding, first along x, then along y. If the difference in height of two neighbouring cells exceeds
@@ -186,69 +193,106 @@ impl Grid {
     pub fn slide(&mut self, steepest: f64) {
         let limit = (steepest * STEPS).round().clamp(f64::from(SLIDES_ON), 32_000.0) as i16 - SLIDES_ON;
         match self.frame.bits {
-            6 => self.sweep::<64, 66>(limit),
-            7 => self.sweep::<128, 130>(limit),
-            _ => self.sweep::<256, 258>(limit),
+            6 => self.sweep::<4>(limit),
+            7 => self.sweep::<8>(limit),
+            _ => self.sweep::<16>(limit),
         }
     }
 
-    /// `N` cells along a side; `WIDE` is `N` + 2.
+    /// `V` vectors a row. Nothing slides between cells that have not changed since they were looked at.
     #[inline(always)]
-    fn sweep<const N: usize, const WIDE: usize>(&mut self, limit: i16) {
-        let mask = N - 1;
-        let (heights, _) = self.heights.as_chunks_mut::<N>();
+    fn sweep<const V: usize>(&mut self, limit: i16) {
+        let (heights, _) = self.heights.as_chunks_mut::<WIDE>();
+        let (rows, _) = heights.as_chunks_mut::<V>();
+        let mask = rows.len() - 1;
         // The square's edges are not neighbours, although their places are.
-        let [first_column, first_row] = self.frame.corner.map(|c| (c & (N as i32 - 1)) as usize);
-        let mut passes = [-1_i16; WIDE];
-        passes[first_column] = 0;
-        passes[N] = if first_column == 0 { 0 } else { -1 };
-        // Rows with a copy of the other end's cell at each end: all of them are written before the first is read, which would
-        // have to wait for it.
-        let mut wide = [[0_i16; WIDE]; N];
-        for (row, wide) in wide.iter_mut().enumerate().filter(|(row, _)| self.awake[*row]) {
-            wide[1..=N].copy_from_slice(&heights[row]);
-            (wide[0], wide[N + 1]) = (heights[row][N - 1], heights[row][0]);
-        }
-        let mut awake = [false; N];
-        for (row, wide) in wide.iter().enumerate().filter(|(row, _)| self.awake[*row]) {
-            let mut moves = 0;
-            for (i, height) in heights[row].iter_mut().enumerate() {
-                let come = slid(wide[i], wide[i + 1], limit) & passes[i];
-                let out = slid(wide[i + 1], wide[i + 2], limit) & passes[i + 1];
-                *height = height.wrapping_add(come.wrapping_sub(out));
-                moves |= out;
+        let [first_column, first_row] = self.frame.corner.map(|c| c as usize & mask);
+        let mut passes = [[-1_i16; WIDE]; V];
+        let last = first_column.wrapping_sub(1) & mask;
+        passes[last / WIDE][last % WIDE] = 0;
+        let mut changed = [false; 16 * WIDE];
+        for (y, row) in rows.iter_mut().enumerate().filter(|(y, _)| self.awake[*y]) {
+            let (old, mut out) = (*row, [[0; WIDE]; V]);
+            for k in 0..V {
+                let mut next = [old[(k + 1) % V][0]; WIDE];
+                for i in 1..WIDE {
+                    next[i - 1] = old[k][i];
+                }
+                out[k] = flow(old[k], next, limit, passes[k]);
             }
-            awake[row] = moves != 0;
+            for k in 0..V {
+                let mut come = [out[(k + V - 1) % V][WIDE - 1]; WIDE];
+                for i in 1..WIDE {
+                    come[i] = out[k][i - 1];
+                }
+                row[k] = moved(old[k], come, out[k]);
+            }
+            changed[y] = any(&out);
         }
-        let mut come = [0_i16; N];
-        let (mut came, mut looked) = (false, false);
-        for k in 0..N {
-            let (row, next) = ((first_row + k) & mask, (first_row + k + 1) & mask);
-            let last = k + 1 == N;
-            if !(looked || !last && (self.awake[row] || self.awake[next])) {
+        let (mut come, mut came) = ([[0; WIDE]; V], false);
+        for k in 0..rows.len() {
+            let (y, next) = ((first_row + k) & mask, (first_row + k + 1) & mask);
+            let looked = k < mask && (self.awake[y] || self.awake[next]);
+            if !(looked || came) {
                 continue;
             }
-            looked = !last && (self.awake[row] || self.awake[next]);
-            let (old, other) = (heights[row], heights[next]);
-            let kept = if looked { -1 } else { 0 };
-            let out: [i16; N] = std::array::from_fn(|i| slid(old[i], other[i], limit) & kept);
-            heights[row] = std::array::from_fn(|i| old[i].wrapping_add(come[i].wrapping_sub(out[i])));
-            let passed = out.iter().fold(0, |any, o| any | o) != 0;
-            awake[row] |= passed || came;
+            let (old, other) = (rows[y], rows[next]);
+            let kept = [if looked { -1 } else { 0 }; WIDE];
+            let mut out = [[0; WIDE]; V];
+            for k in 0..V {
+                out[k] = flow(old[k], other[k], limit, kept);
+            }
+            for k in 0..V {
+                rows[y][k] = moved(old[k], come[k], out[k]);
+            }
+            let passed = any(&out);
+            changed[y] |= passed || came;
             (come, came) = (out, passed);
         }
-        for row in 0..N {
-            self.awake[row] = awake[row] || awake[(row + 1) & mask] || awake[row.wrapping_sub(1) & mask];
+        self.awake.copy_from_slice(&changed[..=mask]);
+    }
+}
+
+type Wide = [i16; WIDE];
+
+/// What slides from cells to their neighbours, where all bits of `passes` are set.
+#[inline(always)]
+fn flow(heights: Wide, neighbours: Wide, limit: i16, passes: Wide) -> Wide {
+    let mut out = [0; WIDE];
+    for i in 0..WIDE {
+        out[i] = slid(heights[i], neighbours[i], limit) & passes[i];
+    }
+    out
+}
+
+/// Heights after a movement.
+#[inline(always)]
+fn moved(old: Wide, come: Wide, out: Wide) -> Wide {
+    let mut new = [0; WIDE];
+    for i in 0..WIDE {
+        new[i] = old[i].wrapping_add(come[i].wrapping_sub(out[i]));
+    }
+    new
+}
+
+/// Does anything slide?
+#[inline(always)]
+fn any<const V: usize>(out: &[Wide; V]) -> bool {
+    let mut any = [0; WIDE];
+    for out in out {
+        for i in 0..WIDE {
+            any[i] |= out[i];
         }
     }
+    any != [0; WIDE]
 }
 
 /// What slides from a cell to its neighbour; negative: to the cell.
 #[inline(always)]
 fn slid(height: i16, neighbour: i16, limit: i16) -> i16 {
-    let over = |a: i16, b: i16| {
-        let excess = a.saturating_sub(b).saturating_sub(limit);
-        if excess > SLIDES_ON { excess >> 2 } else { 0 }
-    };
-    over(height, neighbour).wrapping_sub(over(neighbour, height))
+    let step = height.saturating_sub(neighbour);
+    // A shift rounds down; so a negative excess counts from further away, and both directions are alike.
+    let excess = step.wrapping_sub(step.clamp(-3 - limit, limit));
+    let rests = step == step.clamp(-SLIDES_ON - limit, limit + SLIDES_ON);
+    if rests { 0 } else { excess >> 2 }
 }

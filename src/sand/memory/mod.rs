@@ -27,7 +27,7 @@ pub use disc::PAIRS;
 pub use grid::{Grid, GridFrame};
 pub use settings::{MemorySettings, REPOSE_DEG};
 
-use disc::{Disc, ahead};
+use disc::{Disc, SMALLEST, ahead};
 use serde::{Deserialize, Serialize};
 use settings::{AHEAD, CLEARING, DENSER, LOST, WAY};
 
@@ -81,14 +81,15 @@ pub struct Moved {
     pub sliding: f32,
 }
 
-/// Work space; its contents are not kept.
+/// The cells of a body: work space, its contents are not kept.
 #[derive(Clone, Debug, Default)]
 pub struct Marks {
-    cells: Vec<u32>,
-    round: u32,
+    cells: Vec<u8>,
+    round: u8,
 }
 
 impl Marks {
+    #[inline(always)]
     fn begin(&mut self, cells: usize) {
         if self.cells.len() < cells {
             self.cells.resize(cells, 0);
@@ -98,11 +99,6 @@ impl Marks {
             self.cells.fill(0);
             self.round = 1;
         }
-    }
-
-    #[inline(always)]
-    fn set(&mut self, index: usize) {
-        self.cells[index] = self.round;
     }
 
     #[inline(always)]
@@ -217,7 +213,7 @@ impl Moved {
             self.put(s, &ahead(&taken, reach, size, s.cell), &taken, marks, size);
             let travelled = (way[0] * way[0] + way[1] * way[1]).sqrt();
             if travelled > 0.0 {
-                let radius = (0.5 * reach).max(size).max(1.5 * s.cell);
+                let radius = disc::before(reach, size).max(SMALLEST * s.cell);
                 let (height, dense) = self.beyond(s, &taken, radius, way.map(|w| w / travelled));
                 let share = (travelled / (WAY * radius)).min(1.0);
                 level += (height - level) * share;
@@ -255,58 +251,57 @@ impl Moved {
     /// Takes what the pieces sweep out of their cells.
     #[inline(always)]
     fn take(&mut self, s: &MemorySettings, pieces: &[SurfacePiece], time: f64, size: f64, marks: &mut Marks) -> Taken {
-        let (cell, quantum) = (s.cell, self.grid.frame.quantum());
+        let Grid { frame, heights, packed, awake, .. } = &mut self.grid;
+        let (frame, heights) = (*frame, heights.as_mut_slice());
+        let (packed, marked) = (&mut packed[..heights.len()], &mut marks.cells[..heights.len()]);
+        let (cell, quantum) = (s.cell, frame.quantum());
         let mut taken = Taken::default();
         let (per_volume, per_quantum) = (time / (cell * cell * quantum), 1.0 / quantum);
+        let zone = DENSER * 2.0 * size.max(cell);
         // What is left of whole steps goes to the next cell, so that slow motions lose nothing.
         let (mut due, mut denser) = (0.5, 0.5);
         for p in pieces {
             // A piece that pushes sideways keeps its cell empty.
-            let [nx, ny, _] = p.normal;
+            let ([nx, ny, nz], [x, y, z]) = (p.normal, p.place);
             let clearing = 1.0 + (CLEARING - 1.0) * (nx * nx + ny * ny);
-            let height = clearing * p.rate() * per_volume;
-            if height <= 0.0 {
+            let cells = i32::from(p.cells);
+            let each = clearing * p.rate() * per_volume / f64::from(cells * cells);
+            if each <= 0.0 {
                 continue;
             }
-            let [x, y, z] = p.place;
             let floor = (z * per_quantum).ceil().clamp(-32_000.0, 32_000.0) as i32;
-            let half = 0.5 * f64::from(p.cells - 1) * cell;
-            let [i, j] = self.grid.frame.cell_at([x - half, y - half]);
-            let cells = i32::from(p.cells);
-            let height = if cells == 1 { height } else { height / f64::from(cells * cells) };
-            for k in 0..cells * cells {
-                let Some(at) = self.grid.frame.index([i.wrapping_add(k % cells), j.wrapping_add(k / cells)]) else {
-                    continue;
-                };
-                let above = i32::from(self.grid.heights[at]) - floor;
-                if above <= 0 {
-                    continue;
+            let half = 0.5 * f64::from(cells - 1) * cell;
+            let [i, j] = frame.cell_at([x - half, y - half]);
+            let down = if s.gain > 1.0 { (-nz).max(0.0) } else { 0.0 };
+            for row in (0..cells).filter_map(|b| frame.line(1, j.saturating_add(b))) {
+                let before = taken.amount;
+                for column in (0..cells).filter_map(|a| frame.line(0, i.saturating_add(a))) {
+                    let at = row * frame.side() + column;
+                    let above = i32::from(heights[at]) - floor;
+                    if above <= 0 {
+                        continue;
+                    }
+                    marked[at] = marks.round;
+                    due += each;
+                    let whole = due as i32;
+                    due -= f64::from(whole);
+                    let now = above.min(whole);
+                    heights[at] -= now as i16;
+                    let a = f64::from(now);
+                    taken.amount += now;
+                    taken.place = [taken.place[0] + a * x, taken.place[1] + a * y];
+                    taken.push = [taken.push[0] + a * nx, taken.push[1] + a * ny];
+                    if down > 0.0 && packed[at] < 255 {
+                        let loose = 1.0 - f64::from(packed[at]) / 255.0;
+                        let lost = a * LOST * down * down * loose;
+                        taken.lost += lost;
+                        denser += 255.0 * lost * quantum / zone;
+                        let whole = denser as u8;
+                        denser -= f64::from(whole);
+                        packed[at] = packed[at].saturating_add(whole);
+                    }
                 }
-                marks.set(at);
-                due += height;
-                let whole = due as i32;
-                if whole == 0 {
-                    continue;
-                }
-                due -= f64::from(whole);
-                let amount = above.min(whole);
-                self.grid.heights[at] -= amount as i16;
-                self.grid.wake(at);
-                taken.amount += amount;
-                let a = f64::from(amount);
-                taken.place = [taken.place[0] + a * x, taken.place[1] + a * y];
-                taken.push = [taken.push[0] + a * p.normal[0], taken.push[1] + a * p.normal[1]];
-                let down = (-p.normal[2]).max(0.0);
-                let loose = 1.0 - f64::from(self.grid.packed[at]) / 255.0;
-                if s.gain > 1.0 && down > 0.0 && loose > 0.0 {
-                    let lost = a * LOST * down * down * loose;
-                    taken.lost += lost;
-                    let zone = DENSER * 2.0 * size.max(cell);
-                    denser += 255.0 * lost * quantum / zone;
-                    let whole = denser as u8;
-                    denser -= f64::from(whole);
-                    self.grid.packed[at] = self.grid.packed[at].saturating_add(whole);
-                }
+                awake[row] |= taken.amount > before;
             }
         }
         taken
@@ -319,14 +314,12 @@ impl Moved {
         let mut disc = *disc;
         // A disc that the body covers grows until a place is free.
         for _ in 0..8 {
-            let mut free = [0_usize; 2 * PAIRS];
+            let mut free = [0_u16; 2 * PAIRS];
             let mut count = 0;
-            for at in disc.places(self.grid.frame, s.pairs, self.turns) {
-                if !marks.is_set(at) {
-                    free[count] = at;
-                    count += 1;
-                }
-            }
+            disc.visit(self.grid.frame, s.pairs, self.turns, |at| {
+                free[count] = at as u16;
+                count += usize::from(!marks.is_set(at));
+            });
             if count == 0 {
                 disc.radius = 1.5 * disc.radius + s.cell;
                 continue;
@@ -334,15 +327,16 @@ impl Moved {
             let (each, rest) = (amount / count as i32, amount % count as i32);
             let keep = 1.0 - (f64::from(each) * self.grid.frame.quantum() / size.max(s.cell)).min(1.0);
             for (k, at) in free[..count].iter().enumerate() {
+                let at = usize::from(*at);
                 let now = each + i32::from((k as i32) < rest);
-                let height = &mut self.grid.heights[*at];
+                let height = &mut self.grid.heights[at];
                 *height = height.saturating_add(now as i16);
                 self.grid.top = self.grid.top.max(*height);
                 // Sand that was moved is loose.
-                if self.grid.packed[*at] > 0 {
-                    self.grid.packed[*at] = (f64::from(self.grid.packed[*at]) * keep) as u8;
+                if self.grid.packed[at] > 0 {
+                    self.grid.packed[at] = (f64::from(self.grid.packed[at]) * keep) as u8;
                 }
-                self.grid.wake(*at);
+                self.grid.wake(at);
             }
             return;
         }
@@ -356,11 +350,11 @@ impl Moved {
         let next = |k: usize| taken.place[k] / amount + AHEAD * radius * along[k];
         let next = Disc { center: [next(0), next(1)], radius, along };
         let (mut count, mut height, mut packed) = (0, 0, 0);
-        for at in next.places(self.grid.frame, s.pairs, self.turns) {
+        next.visit(self.grid.frame, s.pairs, self.turns, |at| {
             count += 1;
             height += i32::from(self.grid.heights[at]);
             packed += i32::from(self.grid.packed[at]);
-        }
+        });
         let mean = |sum: i32| f64::from(sum) / f64::from(count.max(1));
         (mean(height) * self.grid.frame.quantum(), mean(packed) / 255.0)
     }

@@ -50,6 +50,8 @@ pub struct LaneMemory<R> {
     dt: f64,
     pub pieces: Vec<LanePiece<R>>,
     groups: Vec<BodyPieces<R>>,
+    /// Of each piece, bit by bit: may it move sand in this lane?
+    masks: Vec<u32>,
     own: Vec<SurfacePiece>,
     marks: Marks,
 }
@@ -75,6 +77,7 @@ impl<R: Real> LaneMemory<R> {
             dt: model.scene.dt,
             pieces: Vec::new(),
             groups: Vec::new(),
+            masks: Vec::new(),
             own: Vec::new(),
             marks: Marks::default(),
         })
@@ -132,12 +135,21 @@ impl<R: Real> LaneMemory<R> {
     /// in each lane [m]; `middle`: the robot's position from there.
     #[inline(always)]
     pub fn update(&mut self, origins: &[[f64; 2]], middle: Vec3<R>) {
-        let Self { settings, moved, pieces, groups, own, marks, every, dt, .. } = self;
+        let Self { surfaces, settings, moved, pieces, groups, masks, own, marks, every, dt } = self;
         groups.clear();
         for (k, p) in pieces.iter().enumerate() {
             match groups.last_mut() {
                 Some(group) if group.body == p.body => (group.to, group.low) = (k + 1, group.low.min(p.place.z)),
                 _ => groups.push(BodyPieces { body: p.body, from: k, to: k + 1, low: p.place.z }),
+            }
+        }
+        // In all lanes at once: pieces above the highest sand move none, except for a body's lowest.
+        masks.clear();
+        let high = surfaces.tops - R::splat((ABOVE - 1.0) * settings[0].cell);
+        for group in groups.iter() {
+            let high = high.max(group.low);
+            for p in &pieces[group.from..group.to] {
+                masks.push(!R::bits(high.lt(p.place.z)));
             }
         }
         for (lane, (settings, moved)) in settings.iter().zip(moved.iter_mut()).enumerate() {
@@ -166,11 +178,11 @@ impl<R: Real> LaneMemory<R> {
                 own.clear();
                 let mut sum = [0.0; 3];
                 let inside = moved.found[*body].inside;
-                for p in &pieces[*from..*to] {
-                    let z = p.place.z.lane(lane);
-                    if z > high.max(low) {
+                for (p, mask) in pieces[*from..*to].iter().zip(&masks[*from..*to]) {
+                    if mask >> lane & 1 == 0 {
                         continue;
                     }
+                    let z = p.place.z.lane(lane);
                     let place = [origin[0] + p.place.x.lane(lane), origin[1] + p.place.y.lane(lane), z];
                     // Inside, only pieces below the surface count.
                     if inside && z > low && z >= moved.grid.height(moved.grid.frame.cell_at([place[0], place[1]])) {
