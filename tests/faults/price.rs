@@ -220,7 +220,7 @@ async fn the_dearest_requests_keep_within_memory_and_delay_nobody() {
     let created = (created.is_ok(), begun.elapsed());
     stop.store(true, Ordering::Relaxed);
     for client in clients {
-        client.await.unwrap();
+        client.await.unwrap_or_else(|error| panic!("{error}; {}", server.log()));
     }
     times.sort_by(f64::total_cmp);
     let [median, late, last] = [50, 95, 100].map(|part| times[(times.len() * part / 100).min(times.len() - 1)]);

@@ -1,7 +1,7 @@
 //! The forward model of a robot's log: what the diagnosis requires of every forward model.
 
-use super::logged::LoggedHardware;
 use super::model::TrajectoryModel;
+use super::sensors::LoggedHardware;
 use super::windows::{BINS, Window};
 use crate::fit::slope;
 use crate::forward::{Feature, ForwardModel, Menu, SandParameters, Testable, stronger};

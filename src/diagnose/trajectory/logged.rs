@@ -3,41 +3,12 @@
 
 use super::log::Run;
 use super::model::TrajectoryModel;
-use super::sensors::Mounting;
+use super::sensors::LoggedHardware;
 use super::servo;
 use super::windows::{BINS, Integral};
-use crate::hardware::{DELAY, FILTER, FRICTION, ROTATION, TORQUE_CONSTANT, TORQUE_GAIN};
-use crate::sim::hardware::HardwareDescription;
 
 /// Joint speed over which the friction changes its sign [rad/s]: our choice, below the speeds of a stride.
 const FRICTION_SPEED: f64 = 0.5;
-
-/// The hardware as a log shows it.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct LoggedHardware {
-    pub mounting: Mounting,
-    /// Share by which logged torques are too large.
-    pub torque_gain: f64,
-    /// Share by which, by the log, motors give more than servos request.
-    pub servo_gain: f64,
-    /// Friction of each joint [N·m].
-    pub friction: f64,
-}
-
-impl LoggedHardware {
-    /// What a file states. Quantities that do not change the mean of what is logged, such as noise, have no effect.
-    pub fn of(file: &HardwareDescription) -> Self {
-        let value = |path: &str| file.value(path).unwrap_or(0.0);
-        let torque_gain = value(TORQUE_GAIN);
-        let constant = file.value(TORQUE_CONSTANT).unwrap_or(1.0);
-        Self {
-            mounting: Mounting { turn: ROTATION.map(value), delay: value(DELAY[0]), low_pass: value(FILTER[0]) },
-            torque_gain,
-            servo_gain: constant * (1.0 + torque_gain) - 1.0,
-            friction: value(FRICTION),
-        }
-    }
-}
 
 impl TrajectoryModel<'_> {
     /// The numbers of a replay as they are logged: with errors of the torques, and with what motors of this torque limit give

@@ -2,9 +2,8 @@
 
 use super::keys::Keys;
 use super::log::Log;
-use super::logged::LoggedHardware;
 use super::replay::{ReplayRobot, ReplayedJoint};
-use super::sensors::Layout;
+use super::sensors::{Layout, LoggedHardware};
 use super::servo::{self, RequestedTorques};
 use super::windows::{BINS, Integral, Window, bins, windows};
 use crate::error::{Error, Result};

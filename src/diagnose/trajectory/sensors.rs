@@ -2,7 +2,9 @@
 
 use super::replay::{SIGNALS, Signals};
 use super::windows::{BINS, Integral, Window, bins};
+use crate::hardware::{DELAY, FILTER, FRICTION, ROTATION, TORQUE_CONSTANT, TORQUE_GAIN};
 use crate::observations::Channel;
+use crate::sim::hardware::HardwareDescription;
 
 const IMU: [(&str, &str); 6] = [
     ("gyro_x", "rad/s"),
@@ -63,6 +65,33 @@ pub struct Mounting {
     pub delay: f64,
     /// Time constant of the first-order filter of its readings [s].
     pub low_pass: f64,
+}
+
+/// The hardware as a log shows it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LoggedHardware {
+    pub mounting: Mounting,
+    /// Share by which logged torques are too large.
+    pub torque_gain: f64,
+    /// Share by which, by the log, motors give more than servos request.
+    pub servo_gain: f64,
+    /// Friction of each joint [N·m].
+    pub friction: f64,
+}
+
+impl LoggedHardware {
+    /// What a file states. Quantities that do not change the mean of what is logged, such as noise, have no effect.
+    pub fn of(file: &HardwareDescription) -> Self {
+        let value = |path: &str| file.value(path).unwrap_or(0.0);
+        let torque_gain = value(TORQUE_GAIN);
+        let constant = file.value(TORQUE_CONSTANT).unwrap_or(1.0);
+        Self {
+            mounting: Mounting { turn: ROTATION.map(value), delay: value(DELAY[0]), low_pass: value(FILTER[0]) },
+            torque_gain,
+            servo_gain: constant * (1.0 + torque_gain) - 1.0,
+            friction: value(FRICTION),
+        }
+    }
 }
 
 type M = nalgebra::Matrix3<f64>;
