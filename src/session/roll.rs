@@ -20,16 +20,19 @@ pub struct Rolling {
     last: Roll,
     /// Number of steps of the next part.
     steps: usize,
+    /// Number of steps before the present part.
+    before: usize,
     begun: Instant,
 }
 
 impl Rolling {
     pub fn new(roll: &Roll) -> Self {
-        Self { last: roll.clone(), steps: 1, begun: Instant::now() }
+        Self { last: roll.clone(), steps: 1, before: 0, begun: Instant::now() }
     }
 
     /// The operation of the next part; None after the last one.
     pub fn next_part(&mut self) -> Option<Operation> {
+        self.before = self.made();
         self.last = self.last.next(self.steps)?;
         self.begun = Instant::now();
         Some(Operation::Roll(self.last.clone()))
@@ -52,9 +55,15 @@ impl Rolling {
 
     /// The present part is done; its time determines the length of the next one.
     pub fn went(&mut self) {
-        let fitting = self.steps as f64 * TURN.as_secs_f64() / self.begun.elapsed().as_secs_f64().max(1e-6);
-        self.steps = (fitting as usize).clamp(1, GROWTH * self.steps);
+        self.steps = next_steps(self.made() - self.before, self.begun.elapsed());
     }
+}
+
+/// Steps of the next part, after a part that made `done` steps in `time`. That may be fewer than were asked for, because their memory
+/// is limited.
+fn next_steps(done: usize, time: Duration) -> usize {
+    let fitting = done as f64 * TURN.as_secs_f64() / time.as_secs_f64().max(1e-6);
+    (fitting as usize).clamp(1, GROWTH * done.max(1))
 }
 
 /// Results of a rollout; one row for each environment.
@@ -137,5 +146,22 @@ impl Rolled {
         self.lengths = rollouts().flat_map(|r| &r.lengths).copied().collect();
         self.terminated = flags(|r| &r.terminated);
         self.truncated = flags(|r| &r.truncated);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Parts whose memory limits them to a few steps do not let the number asked for grow without end.
+    #[test]
+    fn short_parts_ask_for_a_few_steps() {
+        let mut asked = 1;
+        for _ in 0..100 {
+            asked = next_steps(asked.min(3), Duration::ZERO);
+            assert!((1..=12).contains(&asked), "{asked}");
+        }
+        assert_eq!(next_steps(100, Duration::from_millis(60)), 50);
+        assert_eq!(next_steps(5, Duration::from_secs(9)), 1);
     }
 }
