@@ -17,13 +17,14 @@ const DRAWN: usize = 100;
 /// Number of channels in a figure: our choice. A robot's log has dozens of channels.
 const CHANNELS: usize = 6;
 
-const KEY: [(&str, &str); 3] =
-    [("measured", color::BLACK), ("plain model", color::BLUE), ("extended model", color::VERMILION)];
+const COLORS: [&str; 3] = [color::BLACK, color::BLUE, color::VERMILION];
 
 /// Measured and predicted loads.
 pub fn curves(html: &mut String, c: &Curves) {
-    let shown = if c.extended.is_some() { &KEY[..] } else { &KEY[..2] };
-    let keys = shown.iter().map(|(name, hue)| format!("<span class=key style='background:{hue}'></span>{name}"));
+    let third = if c.sand_is_plain { "plain model with the hardware that was found" } else { "extended model" };
+    let shown =
+        ["measured", "plain model", third].into_iter().zip(COLORS).take(if c.extended.is_some() { 3 } else { 2 });
+    let keys = shown.map(|(name, hue)| format!("<span class=key style='background:{hue}'></span>{name}"));
     let _ = write!(html, "<h2>Measured and predicted</h2><p class=small>{}", keys.collect::<String>());
     // A run of a robot has one number for each channel, a trial of a force log has many.
     match c.observations.units.iter().all(|u| u.samples == 1) {
@@ -124,7 +125,7 @@ fn by_condition(html: &mut String, c: &Curves) {
         );
         for (condition, units) in o.repetitions().iter().enumerate().filter(|g| !g.1.is_empty()) {
             let _ = write!(html, "<tr><td>{}<td><div>", escape(&c.conditions[condition]));
-            for (stack, (_, hue)) in stacks.iter().zip(KEY) {
+            for (stack, hue) in stacks.iter().zip(COLORS) {
                 for &u in units {
                     let _ = write!(
                         html,

@@ -197,7 +197,8 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
     let plain = model.as_simulated(&plain);
     let conditions = conditions::described(&observations, model);
     let medium = model.medium().name.clone();
-    let curves = Curves { groups, conditions, medium, plain, extended, band, observations: observations.clone() };
+    let (sand_is_plain, observations) = (fit.is_none(), observations.clone());
+    let curves = Curves { groups, conditions, medium, plain, extended, sand_is_plain, band, observations };
     Ok(Diagnosis { report, sand, hardware, curves, name: "the data".into() })
 }
 

@@ -49,7 +49,7 @@ fn page(diagnosis: &Diagnosis, json: &str) -> String {
         escape(&diagnosis.name)
     );
     let details = verdict(&mut html, r);
-    next(&mut html, r);
+    next(&mut html, r, !diagnosis.hardware.quantities.is_empty());
     figures::curves(&mut html, &diagnosis.curves);
     found(&mut html, r);
     gain(&mut html, diagnosis);
@@ -109,10 +109,10 @@ fn verdict<'a>(html: &mut String, r: &'a Report) -> Vec<&'a str> {
 }
 
 /// What to do, by the verdict.
-fn next(html: &mut String, r: &Report) {
+fn next(html: &mut String, r: &Report, hardware: bool) {
     let what = match r.verdict {
         Verdict::NoiseFloor => {
-            "Nothing needs to be changed. More accurate data, or more repetitions, could still show a cause."
+            "The sand needs no change. More accurate data, or more repetitions, could still show a cause."
         }
         Verdict::Named => "Simulate with <code>sand.toml</code>, within the range of validity below.",
         Verdict::Ambiguous => {
@@ -130,7 +130,11 @@ fn next(html: &mut String, r: &Report) {
         true => " <code>sand.toml</code> predicts left-out conditions better, but as a stand-in for that effect.",
         false => "",
     };
-    let _ = write!(html, "<div class=next><p><b>What to do next.</b> {what}{stand_in}</p>");
+    let found = match hardware {
+        true => " Train with <code>hardware.toml</code>: it has what was found of motors, sensors and delays.",
+        false => "",
+    };
+    let _ = write!(html, "<div class=next><p><b>What to do next.</b> {what}{stand_in}{found}</p>");
     if let Some(next) = &r.next_experiment {
         let _ = write!(html, "<p>{}:</p><ul>", escape(&capital(&next.why)));
         for p in &next.conditions {

@@ -233,6 +233,8 @@ pub struct Curves {
     pub medium: String,
     pub plain: Vec<f64>,
     pub extended: Option<Vec<f64>>,
+    /// Has the extended model the plain sand, with hardware that was found?
+    pub sand_is_plain: bool,
     /// Standard deviation of one repetition about the model.
     pub band: Vec<f64>,
 }
