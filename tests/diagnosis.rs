@@ -120,6 +120,11 @@ fn a_cause_outside_the_library_is_none_of_these() {
     let r = hidden(&[("wall", 1.0)]);
     assert_eq!(r.verdict, Verdict::NoneOfThese, "{}", r.summary);
     assert!(r.causes.is_empty() && r.whereabouts.is_some());
+    // A log of examples/diagnosis_study.rs, in which fits with values of the plain sand gain from the freedom of an unused parameter. They
+    // are not compared, so the table of evidence must not have them (`sound` checks it).
+    let value = Xoshiro256PlusPlus::seed_from_u64(158).random_range(0.4..1.5);
+    let log = testbed::log(7515, &Hidden { causes: vec![("wall", value)] }, 0.05);
+    assert_eq!(diagnosis(&log.noisy).report.verdict, Verdict::NoneOfThese);
 }
 
 /// A log of simulated grains, which no force theory made, and facts about it.
