@@ -101,6 +101,6 @@ fn wrong_input_gives_one_line_and_no_report() {
     refused(
         &csv,
         &with("[units]\nt = \"ms\"\n"),
-        &["the simulation of run", "diverges: check that the log is of this robot"],
+        &["the simulation of run 1_0 diverges: check that the log is of this robot"],
     );
 }

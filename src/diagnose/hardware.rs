@@ -24,6 +24,19 @@ const EFFECTS: [(&str, &str, f64); 5] = [
     ("friction", FRICTION, 0.0),
 ];
 
+/// The quantities that a nuisance of a robot's log is about.
+pub fn quantities_of(nuisance: &str) -> &'static [&'static str] {
+    match nuisance {
+        "imu_rotation_x" => &[ROTATION[0]],
+        "imu_rotation_y" => &[ROTATION[1]],
+        "imu_rotation_z" => &[ROTATION[2]],
+        "imu_delay" | "imu_blur" => &[DELAY[0], DELAY[1], DELAY[2], FILTER[0], FILTER[1], FILTER[2]],
+        "torque_constant" | "servo_gain" => &[TORQUE_GAIN, TORQUE_CONSTANT],
+        "friction" => &[FRICTION],
+        _ => &[],
+    }
+}
+
 /// A value with a half of its 95 % interval, not below `least`.
 fn quantity(value: f64, half: f64, least: f64) -> HardwareQuantity {
     HardwareQuantity { value, interval: [value - half, value + half].map(|x| x.max(least)) }

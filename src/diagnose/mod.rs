@@ -187,8 +187,8 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
         sand.mechanisms = fit.mechanisms;
         sand.terms = selection.as_ref().and_then(|s| s.law.as_ref()).map(|law| law.term.clone()).into_iter().collect();
     }
-    let mut hardware = hardware::found(&report);
-    hardware.quantities.extend(model.given_hardware().quantities);
+    // What is given was not looked for, so the two have no quantity in common.
+    let hardware = hardware::found(&report).or(&model.given_hardware());
     let extended = model.with_hardware(&(sand.mechanisms, sand.coefficients), &hardware);
     let extended = extended.or_else(|| fit.map(|fit| model.as_simulated(&fit.prediction)));
     model.finish(&mut sand);

@@ -44,8 +44,8 @@ impl Nuisance {
 /// surface within 2 mm; clocks within 2 ms and 0.1 %; filters up to some 5 ms; half the length of a body within 1
 /// mm, the friction of its surface within 0.15.
 ///
-/// For a robot's log: an IMU mounted within 3°, late by 10 ms, with a blur as that of a filter of 7 ms (23 Hz), and offsets within 0.05 rad/s and 0.1 m/s²;
-/// torques within 2 %, and within 2 % of what servos request; offsets of torques and friction of joints within 5 % of
+/// For a robot's log: an IMU mounted within 3°, late by 10 ms, with a blur as that of a filter of 7 ms (23 Hz), and
+/// offsets within 0.05 rad/s and 0.1 m/s²; torques within 2 %, and within 2 % of what servos request; offsets of torques and friction of joints within 5 % of
 /// the torques' rms; the mass within 2 %; beds that scatter by 5 %; errors of the simulation of 10 % of a channel's
 /// standard deviation within a stride, independent between parts of a stride. Two simulators of the same robot on the
 /// same sand differ by half of that, but the differences in neighbouring parts are similar.

@@ -202,9 +202,10 @@ fn judged(
     }
 }
 
-/// The models of the table: the plain one, all fits, a law alone, and a law beside the leading cause.
+/// The models of the table: the plain one, all fits, a law alone, and a law beside the leading cause. A fit with the value of the plain
+/// sand is none: what it gains is the freedom of a parameter that it does not use.
 fn models<'a>(candidates: &'a Candidates, [alone, beside]: [Option<&'a Laws>; 2]) -> Vec<Contender<'a>> {
-    let fits = [&candidates.base].into_iter().chain(&candidates.fits);
+    let fits = [&candidates.base].into_iter().chain(candidates.fits.iter().filter(|fit| !fit.is_idle()));
     let mut models: Vec<Contender> = fits.map(|fit| Contender { fit, laws: None }).collect();
     models.extend(alone.map(|laws| Contender { fit: &candidates.base, laws: Some(laws) }));
     let leading = candidates.leading.map(|k| &candidates.fits[k]);
@@ -241,7 +242,7 @@ fn entries(
             _ => false,
         };
         let inside = |j: &usize| models[*j].laws.is_none() && *j != k && models[*j].fit.ids == *ids;
-        let entry = Compared {
+        Compared {
             causes: ids.len(),
             law: models[k].laws.is_some_and(|_| table.rows[k].law.is_some()),
             unnamed: ids.iter().any(|id| unnamed.contains(id)),
@@ -254,8 +255,7 @@ fn entries(
             beats: (0..models.len()).map(|j| table.beats(k, j)).collect(),
             ahead: table.ahead(k),
             error: if k == 0 { plain } else { table.rows[k].held_out.rmse() },
-        };
-        if models[k].fit.is_idle() { entry.left_out() } else { entry }
+        }
     };
     (0..models.len()).map(of).collect()
 }

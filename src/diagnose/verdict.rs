@@ -88,7 +88,7 @@ impl Ruling {
 
 impl Compared {
     /// An entry that is not compared.
-    pub fn left_out(&self) -> Self {
+    fn left_out(&self) -> Self {
         let beats = vec![false; self.beats.len()];
         Self { causes: 0, law: false, elpd: f64::NEG_INFINITY, beats, ahead: false, ..self.clone() }
     }

@@ -101,9 +101,7 @@ impl ReportView<'_> {
     fn evidence(&self) -> Vec<EvidenceRow> {
         let Some(s) = self.selection else { return Vec::new() };
         let count = s.entries.len();
-        // An idle fit was not compared, either.
-        let compared = |k: &usize| !s.ruling.left_out.contains(k) && !s.fit_of(*k).is_idle();
-        let mut order: Vec<usize> = (1..count).filter(compared).collect();
+        let mut order: Vec<usize> = (1..count).filter(|k| !s.ruling.left_out.contains(k)).collect();
         let best = order.iter().chain([&0]).max_by(|a, b| s.table.elpd(**a).total_cmp(&s.table.elpd(**b)));
         let best = best.copied().unwrap_or(0);
         order.sort_by(|a, b| s.table.elpd(*b).total_cmp(&s.table.elpd(*a)));

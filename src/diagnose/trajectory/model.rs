@@ -9,7 +9,7 @@ use super::windows::{BINS, Integral, Window, bins, windows};
 use crate::error::{Error, Result};
 use crate::experiment::{Experiment, GivenModel};
 use crate::forward::ForwardModel;
-use crate::hardware::{DELAY, FILTER, FRICTION, ROTATION, TORQUE_CONSTANT, TORQUE_GAIN, TORQUE_LIMIT};
+use crate::hardware::{TORQUE_CONSTANT, TORQUE_LIMIT, quantities_of};
 use crate::known::Known;
 use crate::nuisance::Priors;
 use crate::observations::{Channel, Observations, Size, Unit};
@@ -111,16 +111,7 @@ impl<'a> TrajectoryModel<'a> {
 
     /// Does the experiment file state what a nuisance is about?
     pub(super) fn is_given(&self, nuisance: &str) -> bool {
-        let gives = |paths: &[&str]| paths.iter().any(|path| self.given.hardware.value(path).is_some());
-        match nuisance {
-            "imu_rotation_x" => gives(&ROTATION[..1]),
-            "imu_rotation_y" => gives(&ROTATION[1..2]),
-            "imu_rotation_z" => gives(&ROTATION[2..]),
-            "imu_delay" | "imu_blur" => gives(&DELAY) || gives(&FILTER),
-            "torque_constant" | "servo_gain" => gives(&[TORQUE_GAIN, TORQUE_CONSTANT]),
-            "friction" => gives(&[FRICTION]),
-            _ => false,
-        }
+        quantities_of(nuisance).iter().any(|path| self.given.hardware.value(path).is_some())
     }
 
     pub fn windows(&self) -> &[Window] {

@@ -289,23 +289,20 @@ type V = nalgebra::Vector3<f64>;
 /// Appends what the sensors read over the tick from `before` to `now`.
 pub fn sample(task: &Replay, before: &State, now: &State, track: &mut Signals) {
     let tick = task.drive.tick;
-    let rotation = |state: &State| {
-        let rows = state.rotation();
-        nalgebra::Matrix3::from_fn(|i, j| rows[i][j])
-    };
+    let rows = now.rotation();
+    let turn = nalgebra::Matrix3::from_fn(|i, j| rows[i][j]);
     let vector = V::from;
     let omega = vector(now.angular_velocity);
     let alpha = (omega - vector(before.angular_velocity)) / tick;
     // The change of the velocities belongs to a time before that of the attitude (see `Signals::lag`).
-    let mut between = now.clone();
-    let earlier = 0.5 * (1.0 + track.step / tick);
-    let near = now.orientation.iter().zip(&before.orientation).map(|(a, b)| a * b).sum::<f64>().signum();
-    for (k, own) in between.orientation.iter_mut().enumerate() {
-        *own = (1.0 - earlier) * now.orientation[k] + earlier * near * before.orientation[k];
-    }
-    let size = between.orientation.iter().map(|q| q * q).sum::<f64>().sqrt();
-    between.orientation.iter_mut().for_each(|q| *q /= size);
-    let (turn, then) = (rotation(now), rotation(&between));
+    let attitude = |state: &State| {
+        let [w, x, y, z] = state.orientation;
+        nalgebra::Quaternion::new(w, x, y, z)
+    };
+    let (here, there) = (attitude(now), attitude(before));
+    let there = if here.dot(&there) < 0.0 { -there } else { there };
+    let then = here.lerp(&there, 0.5 * (1.0 + track.step / tick));
+    let then = nalgebra::UnitQuaternion::from_quaternion(then).to_rotation_matrix().into_inner();
     let place = then * vector(task.imu);
     let acceleration = (vector(now.velocity) - vector(before.velocity)) / tick;
     let gravity = task.model.gravity;
