@@ -3,7 +3,6 @@
 use sandgait::sand::LegShape;
 use sandgait::sand::intruder::with_friction;
 use sandgait::sand::intrusion::{CHORD, HIP_HEIGHT, Load, OMEGA, Rotation, WIDTH};
-use sandgait::sand::memory::REPOSE_DEG;
 use sandgait::{Error, Result};
 use std::path::PathBuf;
 
@@ -49,9 +48,9 @@ pub struct IntrudeArgs {
     /// Sand that was moved stays moved: paths in time, with heaps, furrows and prints (docs/memory.md)
     #[arg(long, requires = "trials")]
     memory: bool,
-    /// Angle of repose of the sand [°]
-    #[arg(long, value_name = "DEG", default_value_t = REPOSE_DEG, requires = "memory")]
-    repose_deg: f64,
+    /// Angle of repose of the sand [°]; default: 25 for glass beads, 28 for other media
+    #[arg(long, value_name = "DEG", requires = "memory")]
+    repose_deg: Option<f64>,
     /// Side of a cell of the surface [m]; default: a tenth of the body's longest horizontal side
     #[arg(long, value_name = "METRES", requires = "memory")]
     cell: Option<f64>,

@@ -52,7 +52,7 @@ struct TrialRows {
 
 /// Options of `--memory`.
 pub struct Memory<'a> {
-    pub repose_deg: f64,
+    pub repose_deg: Option<f64>,
     pub cell: Option<f64>,
     /// File for the surface after each path.
     pub surface: Option<&'a Path>,

@@ -1,6 +1,6 @@
 //! Eight lanes of `f64`, for work that needs double precision on many similar items: the segments of an intruder.
 
-use super::{Kernel, Real};
+use super::{Kernel, PlainShorts, Real};
 use std::array::from_fn;
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
@@ -63,6 +63,7 @@ impl Real for Doubles {
     const LANES: usize = LANES;
     /// In each lane all bits are set, or none.
     type Mask = [u64; LANES];
+    type Shorts = PlainShorts;
 
     #[inline(always)]
     fn splat(value: f64) -> Self {

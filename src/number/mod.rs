@@ -12,6 +12,7 @@ mod eight;
 mod isa;
 mod pair;
 mod portable;
+mod shorts;
 mod vector;
 #[cfg(target_arch = "x86_64")]
 mod x86;
@@ -24,6 +25,7 @@ pub use eight::{EIGHT, Eight, EightWork, Spread};
 pub use isa::{Isa, Work};
 pub use pair::Pair;
 pub use portable::Portable;
+pub use shorts::{PlainShorts, SHORTS, Shorts};
 pub use vector::{Mat3, Vec3};
 
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
@@ -51,6 +53,8 @@ pub trait Real:
     const LANES: usize;
     /// The result of a comparison, one truth value for each lane.
     type Mask: Copy;
+    /// Lanes of integers in the same instruction set.
+    type Shorts: Shorts;
 
     /// The same number in every lane.
     fn splat(value: f64) -> Self;
@@ -135,6 +139,7 @@ macro_rules! scalar {
         impl Real for $float {
             const LANES: usize = 1;
             type Mask = bool;
+            type Shorts = PlainShorts;
             #[inline(always)]
             fn splat(value: f64) -> Self {
                 value as $float

@@ -54,6 +54,7 @@ macro_rules! both {
 impl<R: Real> Real for Pair<R> {
     const LANES: usize = 2 * R::LANES;
     type Mask = (R::Mask, R::Mask);
+    type Shorts = R::Shorts;
 
     #[inline(always)]
     fn splat(value: f64) -> Self {

@@ -1,6 +1,6 @@
 //! Four lanes in portable code.
 
-use super::Real;
+use super::{PlainShorts, Real};
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 use wide::f32x4;
 
@@ -48,6 +48,7 @@ impl Real for Portable {
     const LANES: usize = 4;
     /// In each lane all bits are set, or none.
     type Mask = f32x4;
+    type Shorts = PlainShorts;
 
     #[inline(always)]
     fn splat(value: f64) -> Self {

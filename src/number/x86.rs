@@ -6,7 +6,7 @@
 //! private to this crate, and used through [`super::Isa`] only, behind that check. (2) Access to a lane reads the
 //! register's memory as an array of floats.
 
-use super::{EIGHT, Eight, Kernel, Pair, Real};
+use super::{EIGHT, Eight, Kernel, Pair, Real, SHORTS, Shorts};
 use std::arch::x86_64::*;
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
@@ -49,6 +49,7 @@ macro_rules! lanes {
         impl Real for $name {
             const LANES: usize = $lanes;
             type Mask = $mask;
+            type Shorts = Avx2Shorts;
 
             #[inline(always)]
             fn splat(value: f64) -> Self {
@@ -58,7 +59,8 @@ macro_rules! lanes {
             #[inline(always)]
             fn lane(&self, index: usize) -> f64 {
                 // SAFETY: the register's memory is an array of floats.
-                f64::from(unsafe { std::mem::transmute::<$register, [$float; $lanes]>(self.0) }[index])
+                let lanes = unsafe { &*(&raw const self.0).cast::<[$float; $lanes]>() };
+                f64::from(lanes[index])
             }
             #[inline(always)]
             fn set_lane(&mut self, index: usize, value: f64) {
@@ -196,5 +198,100 @@ impl Eight for Pair<Avx2Doubles> {
         // SAFETY: inside `dispatch`, see the module; the array has eight numbers.
         let [low, high] = unsafe { [_mm256_loadu_pd(at), _mm256_loadu_pd(at.add(4))] };
         Self(Avx2Doubles(low), Avx2Doubles(high))
+    }
+}
+
+/// Sixteen lanes of `i16`.
+#[derive(Clone, Copy)]
+#[repr(transparent)]
+pub struct Avx2Shorts(__m256i);
+
+macro_rules! shorts {
+    ($($method:ident $intrinsic:ident)*) => {
+        $(
+            #[inline(always)]
+            fn $method(self, other: Self) -> Self {
+                // SAFETY: inside `dispatch`, see the module.
+                Self(unsafe { $intrinsic(self.0, other.0) })
+            }
+        )*
+    };
+}
+
+// SAFETY of each block: inside `dispatch`, see the module; arrays have sixteen numbers.
+impl Shorts for Avx2Shorts {
+    shorts! {
+        plus _mm256_add_epi16
+        minus _mm256_sub_epi16
+        less _mm256_subs_epi16
+        min _mm256_min_epi16
+        max _mm256_max_epi16
+        and _mm256_and_si256
+        or _mm256_or_si256
+        high_product _mm256_mulhi_epu16
+        low_product _mm256_mullo_epi16
+        above _mm256_cmpgt_epi16
+        signed _mm256_sign_epi16
+    }
+
+    #[inline(always)]
+    fn splat(value: i16) -> Self {
+        Self(unsafe { _mm256_set1_epi16(value) })
+    }
+    #[inline(always)]
+    fn of(lanes: &[i16; SHORTS]) -> Self {
+        Self(unsafe { _mm256_loadu_si256(lanes.as_ptr().cast()) })
+    }
+    #[inline(always)]
+    fn of_bytes(lanes: &[u8; SHORTS]) -> Self {
+        Self(unsafe { _mm256_cvtepu8_epi16(_mm_loadu_si128(lanes.as_ptr().cast())) })
+    }
+    #[inline(always)]
+    fn to(self, lanes: &mut [i16; SHORTS]) {
+        unsafe { _mm256_storeu_si256(lanes.as_mut_ptr().cast(), self.0) }
+    }
+    #[inline(always)]
+    fn to_bytes(self, lanes: &mut [u8; SHORTS]) {
+        unsafe {
+            let packed = _mm_packus_epi16(_mm256_castsi256_si128(self.0), _mm256_extracti128_si256::<1>(self.0));
+            _mm_storeu_si128(lanes.as_mut_ptr().cast(), packed);
+        }
+    }
+    #[inline(always)]
+    fn raised(self, before: Self) -> Self {
+        unsafe {
+            let below = _mm256_permute2x128_si256::<0x21>(before.0, self.0);
+            Self(_mm256_alignr_epi8::<14>(self.0, below))
+        }
+    }
+    #[inline(always)]
+    fn lowered(self, last: i16) -> Self {
+        unsafe {
+            // The upper half in the lower one.
+            let above = _mm256_permute2x128_si256::<0x81>(self.0, self.0);
+            let above = _mm256_insert_epi16::<8>(above, last);
+            Self(_mm256_alignr_epi8::<2>(above, self.0))
+        }
+    }
+    #[inline(always)]
+    fn magnitude(self) -> Self {
+        Self(unsafe { _mm256_abs_epi16(self.0) })
+    }
+    #[inline(always)]
+    fn quarter_over(self, other: Self) -> Self {
+        Self(unsafe { _mm256_srli_epi16::<2>(_mm256_subs_epu16(self.0, other.0)) })
+    }
+    #[inline(always)]
+    fn any(self) -> bool {
+        unsafe { _mm256_testz_si256(self.0, self.0) == 0 }
+    }
+    #[inline(always)]
+    fn sum(self) -> i32 {
+        unsafe {
+            let pairs = _mm256_madd_epi16(self.0, _mm256_set1_epi16(1));
+            let four = _mm_add_epi32(_mm256_castsi256_si128(pairs), _mm256_extracti128_si256::<1>(pairs));
+            let two = _mm_add_epi32(four, _mm_shuffle_epi32::<0b00_00_11_10>(four));
+            _mm_cvtsi128_si32(_mm_add_epi32(two, _mm_shuffle_epi32::<0b01>(two)))
+        }
     }
 }

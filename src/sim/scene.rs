@@ -6,7 +6,7 @@ use super::tree::relief::Relief;
 use super::tree::{HardGround, TreeModel};
 use crate::error::{Error, Result, check_range};
 use crate::number::Real;
-use crate::sand::memory::{MemorySettings, REPOSE_DEG};
+use crate::sand::memory::MemorySettings;
 use crate::sand::{Law, Mechanisms, Medium, Regularization, SandBed, SandDescription};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -90,20 +90,20 @@ impl Scene {
         (self.medium, self.law, self.mechanisms) = (sand.medium(), sand.law, sand.mechanisms);
     }
 
-    /// Gives the sand memory, for `robot`: cells of half a leg's width, or so large that the square contains the robot.
+    /// Gives the sand memory, for `robot`: cells of three quarters of a leg's width, or so large that the square contains the robot.
     pub fn remember(&mut self, robot: &Robot) {
         let width = robot.leg.link.iter().rev().find_map(|link| link.sand.as_ref()).map_or(0.01, |strip| strip.width);
         let long = |v: [f64; 3]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
         let legs: f64 = robot.leg.link.iter().map(|link| long(link.reach)).sum();
         let reach = robot.hip.iter().map(|hip| long(hip.position)).fold(0.0, f64::max) + legs;
-        let cell = (0.5 * width).max(reach / WITHIN);
-        self.memory = Some(MemorySettings::new(&self.medium, cell, BITS, 2.0 * width, REPOSE_DEG));
+        let cell = (0.75 * width).max(reach / WITHIN);
+        self.memory = Some(MemorySettings::new(&self.medium, cell, BITS, 2.0 * width, None));
     }
 
     /// The same for a tree robot: its square contains it as it stands.
     pub fn remember_tree(&mut self, tree: &TreeModel) {
         let cell = tree.reach().max(1e-3) / WITHIN;
-        self.memory = Some(MemorySettings::new(&self.medium, cell, BITS, 2.0 * cell, REPOSE_DEG));
+        self.memory = Some(MemorySettings::new(&self.medium, cell, BITS, 2.0 * cell, None));
     }
 
     /// The sand, ready for evaluation.

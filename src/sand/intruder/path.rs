@@ -5,7 +5,7 @@ use super::{IntruderPlate, PlatedBody};
 use crate::SandDescription;
 use crate::error::{Error, Result, check_range};
 use crate::memory::{Marks, MemorySettings, Moved, PAIRS, SurfacePiece};
-use crate::number::Vec3;
+use crate::number::{PlainShorts, Vec3};
 
 /// Cells along a side of a path's square, as a power of two: 256.
 const BITS: u32 = 8;
@@ -45,9 +45,14 @@ struct Last {
 }
 
 impl<'a> Path<'a> {
-    /// `repose_deg`: angle of repose of the sand [°].
-    pub fn new(body: &'a PlatedBody, sand: &'a SandDescription, repose_deg: f64, cell: Option<f64>) -> Result<Self> {
-        check_range("repose-deg", repose_deg, 5.0..=60.0)?;
+    /// `repose_deg`: angle of repose of the sand [°]; None: that of its medium.
+    pub fn new(
+        body: &'a PlatedBody,
+        sand: &'a SandDescription,
+        repose_deg: Option<f64>,
+        cell: Option<f64>,
+    ) -> Result<Self> {
+        repose_deg.map(|deg| check_range("repose-deg", deg, 5.0..=60.0)).transpose()?;
         let cell = match cell {
             Some(cell) => check_range("cell", cell, 1e-4..=1.0)?,
             None => widest(body) / CELLS,
@@ -97,7 +102,7 @@ impl<'a> Path<'a> {
 
     /// Lets the sand slide until it rests.
     pub fn settle(&mut self) {
-        (0..MOST_SWEEPS).for_each(|_| self.moved.grid.slide(self.settings.repose));
+        (0..MOST_SWEEPS).for_each(|_| self.moved.grid.slide::<PlainShorts>(self.settings.repose));
     }
 
     /// The force on the body in the sand that it has found, and the height of its lowest point.
@@ -142,13 +147,13 @@ impl<'a> Path<'a> {
             })
         };
         let pieces: Vec<SurfacePiece> = self.body.plates.iter().filter_map(piece).collect();
-        self.moved.meet(&self.settings, 0, &pieces, [way[0], way[1]], time, &mut self.marks);
+        self.moved.push(&self.settings, 0, &pieces, [way[0], way[1]], time, &mut self.marks);
         self.sliding += time;
         let sweep = self.settings.sweep;
         let sweeps = ((self.sliding / sweep) as usize).min(MOST_SWEEPS);
         self.sliding -= sweeps as f64 * sweep;
         self.sliding = self.sliding.min(sweep);
-        (0..sweeps).for_each(|_| self.moved.grid.slide(self.settings.repose));
+        (0..sweeps).for_each(|_| self.moved.grid.slide::<PlainShorts>(self.settings.repose));
     }
 }
 

@@ -15,19 +15,17 @@ pub(super) struct Disc {
 
 /// The disc that gets the sand: around a body that presses, ahead of one that ploughs.
 #[inline(always)]
-pub(super) fn ahead(taken: &Taken, reach: f64, size: f64, cell: f64) -> Disc {
-    let amount = f64::from(taken.amount);
-    let [x, y] = taken.place.map(|p| p / amount);
-    let [px, py] = taken.push.map(|p| p / amount);
+pub(super) fn ahead(taken: &Taken, reach: f64, size: f64, least: f64) -> Disc {
+    let ([x, y], [px, py]) = (taken.place, taken.push);
     let length = (px * px + py * py).sqrt();
     let share = length.min(1.0);
     let around = reach + size;
-    let radius = (around + (before(reach, size) - around) * share).max(SMALLEST * cell);
+    let radius = (around + (before(reach, size) - around) * share).max(SMALLEST * least);
     let along = if length > 1e-6 { [px / length, py / length] } else { [1.0, 0.0] };
     Disc { center: [x + radius * share * along[0], y + radius * share * along[1]], radius, along }
 }
 
-/// Radius of the disc ahead of a body that ploughs, and the smallest radius of a disc [cells].
+/// Radius of the disc ahead of a body that ploughs, and the smallest radius of a disc, in the smallest length.
 #[inline(always)]
 pub(super) fn before(reach: f64, size: f64) -> f64 {
     (0.5 * reach).max(size)
@@ -61,7 +59,7 @@ impl Disc {
         for k in first..first + pairs {
             let [a, b] = table[k % PAIRS].map(|c| c * radius);
             for b in [b, -b] {
-                if let Some(at) = frame.index(frame.cell_at([x + a * ux - b * uy, y + a * uy + b * ux])) {
+                if let Some(at) = frame.index_at([x + a * ux - b * uy, y + a * uy + b * ux]) {
                     visit(at);
                 }
             }

@@ -1,5 +1,6 @@
 //! Heights of the sand on a square grid that moves with a body.
-#![allow(clippy::needless_range_loop, clippy::manual_memcpy)] // Loops over indices become vectors; calls with closures or slices may not.
+
+use sandgait_number::{SHORTS, Shorts};
 
 /// Heights are whole multiples of the cell's size over this: our choice. So sums are exact, volume is conserved to the
 /// last bit, and 16 bits reach 32 cells up and down.
@@ -9,19 +10,17 @@ const STEPS: f64 = 1024.0;
 /// choice from the one to three degrees between both angles (Jaeger & Nagel, Science 255, 1992). So most sand rests soon.
 const SLIDES_ON: i16 = 32;
 
-/// Heights in a vector of AVX2.
-const WIDE: usize = 16;
-
-/// A periodic square of cells. Each cell of the world has one place in it; when the square moves, places of cells that
-/// are left behind are used again for cells ahead, which are level and fresh.
+/// A square of cells that moves over the world. Cell (i, j) of the world has the place (j · side + i) mod side² in the lists, so
+/// neighbours along x are neighbours there, too. When the square moves, places of cells that are left behind are used
+/// again for cells ahead, which are level and fresh.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Grid {
     pub frame: GridFrame,
-    /// In steps of [`GridFrame::quantum`], row by row along x.
+    /// In steps of [`GridFrame::quantum`].
     pub(super) heights: Vec<i16>,
     /// How much of the possible compaction each cell has had, from 0 to 255.
     pub(super) packed: Vec<u8>,
-    /// Rows that have changed since sand slid last.
+    /// Which lines of `side` heights have changed since sand slid last.
     pub(super) awake: Vec<bool>,
     /// No cell has been higher.
     pub(super) top: i16,
@@ -62,18 +61,34 @@ impl GridFrame {
         [(x * self.per_meter).floor() as i32, (y * self.per_meter).floor() as i32]
     }
 
-    /// Place of a cell in the lists; None outside of the square.
+    /// Place in the lists of the cell that contains a place [m]; None outside of the square. An integer up to 2³¹ is in the lowest bits of
+    /// its sum with 1.5 · 2⁵², which is faster than a conversion that saturates.
     #[inline(always)]
-    pub fn index(&self, [x, y]: [i32; 2]) -> Option<usize> {
-        Some((self.line(1, y)? << self.bits) | self.line(0, x)?)
+    pub(super) fn index_at(&self, [x, y]: [f64; 2]) -> Option<usize> {
+        let integer = |x: f64| ((x * self.per_meter).floor() + 6_755_399_441_055_744.0).to_bits() as i32;
+        self.index([integer(x), integer(y)])
     }
 
-    /// Column (`axis` 0) or row (1) of a cell in the lists.
+    /// Place of a cell in the lists; None outside of the square.
     #[inline(always)]
-    pub(super) fn line(&self, axis: usize, i: i32) -> Option<usize> {
+    pub fn index(&self, cell: [i32; 2]) -> Option<usize> {
         let side = 1_u32 << self.bits;
-        let inside = (i.wrapping_sub(self.corner[axis]) as u32) < side;
-        inside.then_some((i as u32 & (side - 1)) as usize)
+        let inside = |k: usize| (cell[k].wrapping_sub(self.corner[k]) as u32) < side;
+        (inside(0) && inside(1)).then(|| self.place(cell))
+    }
+
+    /// The same for a cell of the square.
+    #[inline(always)]
+    pub(super) fn place(&self, [x, y]: [i32; 2]) -> usize {
+        ((y as usize) << self.bits).wrapping_add(x as usize) & ((1 << (2 * self.bits)) - 1)
+    }
+
+    /// The part of `count` cells from `first` on, along an axis, that is in the square: first cell and number.
+    #[inline(always)]
+    pub(super) fn inside(&self, axis: usize, first: i32, count: i32) -> (i32, i32) {
+        let corner = self.corner[axis];
+        let from = first.max(corner);
+        (from, first.saturating_add(count).min(corner + (1 << self.bits)).saturating_sub(from))
     }
 }
 
@@ -166,21 +181,20 @@ impl Grid {
     fn move_to(&mut self, new: [i32; 2]) {
         let old = std::mem::replace(&mut self.frame.corner, new);
         let side = self.frame.side() as i32;
-        let mask = side - 1;
-        for (k, (new, old)) in new.into_iter().zip(old).enumerate() {
+        for (axis, (new, old)) in new.into_iter().zip(old).enumerate() {
             let moved = new.saturating_sub(old).clamp(-side, side);
             let fresh = if moved > 0 { new + side - moved..new + side } else { new..new - moved };
             for line in fresh {
-                let line = (line & mask) as usize;
-                for i in 0..side as usize {
-                    let at = if k == 0 { (i << self.frame.bits) | line } else { (line << self.frame.bits) | i };
+                let across = self.frame.corner[1 - axis];
+                for other in across..across + side {
+                    let at = self.frame.place(if axis == 0 { [line, other] } else { [other, line] });
                     (self.heights[at], self.packed[at]) = (0, 0);
                 }
             }
         }
     }
 
-    /// Marks the row of a cell as one that has changed.
+    /// Marks the line of a cell as one that has changed.
     #[inline(always)]
     pub(super) fn wake(&mut self, index: usize) {
         self.awake[index >> self.frame.bits] = true;
@@ -188,111 +202,131 @@ impl Grid {
 
     /// One sweep of sliding, first along x, then along y. If the difference in height of two neighbouring cells exceeds
     /// `steepest` (a tangent), a quarter of the excess over [`SLIDES_ON`] less moves down. With a quarter to each of two
-    /// neighbours cells cannot swing: our choice. All cells of a line move at once, so their order has no effect.
+    /// neighbours cells cannot swing: our choice. All cells move at once, so their order has no effect. Nothing slides
+    /// between cells that have not changed since they were looked at.
     #[inline(always)]
-    pub fn slide(&mut self, steepest: f64) {
+    pub fn slide<S: Shorts>(&mut self, steepest: f64) {
         let limit = (steepest * STEPS).round().clamp(f64::from(SLIDES_ON), 32_000.0) as i16 - SLIDES_ON;
+        let slope = Slope { rest: S::splat(limit), start: S::splat(limit + SLIDES_ON) };
         match self.frame.bits {
-            6 => self.sweep::<4>(limit),
-            7 => self.sweep::<8>(limit),
-            _ => self.sweep::<16>(limit),
+            6 => self.sweep::<S, 64, 4>(&slope),
+            7 => self.sweep::<S, 128, 8>(&slope),
+            _ => self.sweep::<S, 256, 16>(&slope),
         }
     }
 
-    /// `V` vectors a row. Nothing slides between cells that have not changed since they were looked at.
+    /// `W` heights a line, in `V` vectors.
     #[inline(always)]
-    fn sweep<const V: usize>(&mut self, limit: i16) {
-        let (heights, _) = self.heights.as_chunks_mut::<WIDE>();
-        let (rows, _) = heights.as_chunks_mut::<V>();
-        let mask = rows.len() - 1;
-        // The square's edges are not neighbours, although their places are.
-        let [first_column, first_row] = self.frame.corner.map(|c| c as usize & mask);
-        let mut passes = [[-1_i16; WIDE]; V];
-        let last = first_column.wrapping_sub(1) & mask;
-        passes[last / WIDE][last % WIDE] = 0;
-        let mut changed = [false; 16 * WIDE];
-        for (y, row) in rows.iter_mut().enumerate().filter(|(y, _)| self.awake[*y]) {
-            let (old, mut out) = (*row, [[0; WIDE]; V]);
-            for k in 0..V {
-                let mut next = [old[(k + 1) % V][0]; WIDE];
-                for i in 1..WIDE {
-                    next[i - 1] = old[k][i];
-                }
-                out[k] = flow(old[k], next, limit, passes[k]);
-            }
-            for k in 0..V {
-                let mut come = [out[(k + V - 1) % V][WIDE - 1]; WIDE];
-                for i in 1..WIDE {
-                    come[i] = out[k][i - 1];
-                }
-                row[k] = moved(old[k], come, out[k]);
-            }
-            changed[y] = any(&out);
-        }
-        let (mut come, mut came) = ([[0; WIDE]; V], false);
-        for k in 0..rows.len() {
-            let (y, next) = ((first_row + k) & mask, (first_row + k + 1) & mask);
-            let looked = k < mask && (self.awake[y] || self.awake[next]);
-            if !(looked || came) {
+    fn sweep<S: Shorts, const W: usize, const V: usize>(&mut self, slope: &Slope<S>) {
+        // The edges of the square are not neighbours, although their places are: along x the pair that ends at this column of
+        // all lines, along y the pairs from the places before this one, a whole line of them.
+        let first = self.frame.place(self.frame.corner);
+        let mut changed = [false; W];
+        self.slide_along::<S, W, V>(slope, first % W, &mut changed);
+        self.slide_across::<S, W, V>(slope, first, &mut changed);
+        self.awake.copy_from_slice(&changed);
+    }
+
+    #[inline(always)]
+    fn slide_along<S: Shorts, const W: usize, const V: usize>(
+        &mut self,
+        slope: &Slope<S>,
+        first: usize,
+        changed: &mut [bool; W],
+    ) {
+        let (lines, _) = self.heights.as_chunks_mut::<W>();
+        let mut edge = [-1; W];
+        edge[(first + W - 1) % W] = 0;
+        // The lists' ends are neighbours, too.
+        let very_first = lines[0][0];
+        let mut before = {
+            let own = S::load(&lines[W - 1], W - SHORTS);
+            slope.slides(own, own.lowered(very_first)).and(S::load(&edge, W - SHORTS))
+        };
+        for y in 0..W {
+            // A line's ends have neighbours in the lines beside it.
+            if !(self.awake[y] || self.awake[(y + W - 1) % W] || self.awake[(y + 1) % W]) {
+                before = S::splat(0);
                 continue;
             }
-            let (old, other) = (rows[y], rows[next]);
-            let kept = [if looked { -1 } else { 0 }; WIDE];
-            let mut out = [[0; WIDE]; V];
+            let next_line = if y + 1 < W { lines[y + 1][0] } else { very_first };
+            let line = &mut lines[y];
+            let mut slid = S::splat(0);
             for k in 0..V {
-                out[k] = flow(old[k], other[k], limit, kept);
+                let own = S::load(line, k * SHORTS);
+                let next = if k + 1 < V { S::load(line, k * SHORTS + 1) } else { own.lowered(next_line) };
+                let out = slope.slides(own, next).and(S::load(&edge, k * SHORTS));
+                let come = out.raised(before);
+                own.plus(come.minus(out)).store(line, k * SHORTS);
+                slid = slid.or(come).or(out);
+                before = out;
             }
+            changed[y] = slid.any();
+        }
+    }
+
+    #[inline(always)]
+    fn slide_across<S: Shorts, const W: usize, const V: usize>(
+        &mut self,
+        slope: &Slope<S>,
+        first: usize,
+        changed: &mut [bool; W],
+    ) {
+        let (lines, _) = self.heights.as_chunks_mut::<W>();
+        // The square's first and last rows share this line: its places before the column are of the last row.
+        let (first_line, column) = (first / W, first % W);
+        let (mut before, mut behind, all) = ([-1; W], [-1; W], [-1; W]);
+        before[column..].fill(0);
+        behind[..column].fill(0);
+        let last_line = (first_line + W - 1) % W;
+        let (mut shared, mut any) = ([S::splat(0); V], S::splat(0));
+        for k in 0..V {
+            let (own, next) = (S::load(&lines[last_line], k * SHORTS), S::load(&lines[first_line], k * SHORTS));
+            shared[k] = slope.slides(own, next).and(S::load(&before, k * SHORTS));
+            any = any.or(shared[k]);
+        }
+        let ended = any.any();
+        let (mut come, mut came) = (shared, ended);
+        for step in 0..W - 1 {
+            let (y, next) = ((first_line + step) % W, (first_line + step + 1) % W);
+            if !(came || changed[y] || changed[next] || self.awake[y] || self.awake[next]) {
+                continue;
+            }
+            let pairs = if step == 0 { &behind } else { &all };
+            let mut passed = S::splat(0);
             for k in 0..V {
-                rows[y][k] = moved(old[k], come[k], out[k]);
+                let (own, next) = (S::load(&lines[y], k * SHORTS), S::load(&lines[next], k * SHORTS));
+                let out = slope.slides(own, next).and(S::load(pairs, k * SHORTS));
+                own.plus(come[k].minus(out)).store(&mut lines[y], k * SHORTS);
+                come[k] = out;
+                passed = passed.or(out);
             }
-            let passed = any(&out);
+            let passed = passed.any();
             changed[y] |= passed || came;
-            (come, came) = (out, passed);
+            came = passed;
         }
-        self.awake.copy_from_slice(&changed[..=mask]);
-    }
-}
-
-type Wide = [i16; WIDE];
-
-/// What slides from cells to their neighbours, where all bits of `passes` are set.
-#[inline(always)]
-fn flow(heights: Wide, neighbours: Wide, limit: i16, passes: Wide) -> Wide {
-    let mut out = [0; WIDE];
-    for i in 0..WIDE {
-        out[i] = slid(heights[i], neighbours[i], limit) & passes[i];
-    }
-    out
-}
-
-/// Heights after a movement.
-#[inline(always)]
-fn moved(old: Wide, come: Wide, out: Wide) -> Wide {
-    let mut new = [0; WIDE];
-    for i in 0..WIDE {
-        new[i] = old[i].wrapping_add(come[i].wrapping_sub(out[i]));
-    }
-    new
-}
-
-/// Does anything slide?
-#[inline(always)]
-fn any<const V: usize>(out: &[Wide; V]) -> bool {
-    let mut any = [0; WIDE];
-    for out in out {
-        for i in 0..WIDE {
-            any[i] |= out[i];
+        for k in 0..V {
+            let own = S::load(&lines[last_line], k * SHORTS);
+            own.plus(come[k].minus(shared[k])).store(&mut lines[last_line], k * SHORTS);
         }
+        changed[last_line] |= came || ended;
+        changed[first_line] |= ended;
     }
-    any != [0; WIDE]
 }
 
-/// What slides from a cell to its neighbour; negative: to the cell.
-#[inline(always)]
-fn slid(height: i16, neighbour: i16, limit: i16) -> i16 {
-    let step = height.saturating_sub(neighbour);
-    // A shift rounds down; so a negative excess counts from further away, and both directions are alike.
-    let excess = step.wrapping_sub(step.clamp(-3 - limit, limit));
-    let rests = step == step.clamp(-SLIDES_ON - limit, limit + SLIDES_ON);
-    if rests { 0 } else { excess >> 2 }
+/// Differences in height.
+struct Slope<S> {
+    /// Sand that slides comes to rest with the first, and begins to slide beyond the second.
+    rest: S,
+    start: S,
+}
+
+impl<S: Shorts> Slope<S> {
+    /// What slides from cells to their neighbours; negative: to the cells.
+    #[inline(always)]
+    fn slides(&self, heights: S, neighbours: S) -> S {
+        let step = heights.less(neighbours);
+        let size = step.magnitude();
+        size.quarter_over(self.rest).and(size.above(self.start)).signed(step)
+    }
 }

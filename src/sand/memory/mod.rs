@@ -19,6 +19,7 @@
 //! * **Compaction.** Pressing down takes volume out of loose sand until it is closely packed, and the sand that a body
 //!   finds compacted is stronger: [`MemorySettings::gain`].
 
+mod cut;
 mod disc;
 mod grid;
 mod settings;
@@ -27,7 +28,9 @@ pub use disc::PAIRS;
 pub use grid::{Grid, GridFrame};
 pub use settings::{MemorySettings, REPOSE_DEG};
 
+use cut::Taking;
 use disc::{Disc, SMALLEST, ahead};
+use sandgait_number::{PlainShorts, Real, Shorts, Vec3};
 use serde::{Deserialize, Serialize};
 use settings::{AHEAD, CLEARING, DENSER, LOST, WAY};
 
@@ -55,18 +58,68 @@ pub struct SurfacePiece {
     pub area: f64,
     /// Velocity [m/s].
     pub velocity: [f64; 3],
-    /// Cells along each side of the square that it covers, at least 1.
+    /// Cells along each side of the square that it covers, from 1 to [`MOST_CELLS`].
     pub cells: u8,
 }
 
+/// Numbers of a sequence for the pieces of a body at a time: our choice, a prime.
+const PIECES: u32 = 61;
+/// Most cells along a side of a piece's square.
+pub const MOST_CELLS: u8 = 16;
+
+/// The same in the units of a grid.
+#[derive(Clone, Copy, Debug)]
+pub struct GridPiece {
+    /// The cell in which its middle is, and the first one of its square.
+    pub cell: [i32; 2],
+    pub first: [i32; 2],
+    /// Along each side of its square.
+    pub cells: u8,
+    /// How much it falls from cell to cell along x and y [steps of the grid].
+    pub falls: [f32; 2],
+    /// Place from the body's origin [cells].
+    pub place: [f32; 2],
+    /// Height [steps of the grid].
+    pub height: f32,
+    pub normal: [f32; 3],
+    /// [m²]
+    pub area: f32,
+    /// Along x and y [m/s].
+    pub velocity: [f32; 2],
+    /// What it takes out of each of its cells in time [steps/s]: see [`swept`].
+    pub rate: f32,
+}
+
 impl SurfacePiece {
-    /// Volume swept per time [m³/s], without what is only lifted.
-    #[inline(always)]
-    fn rate(&self) -> f64 {
-        let ([nx, ny, nz], [vx, vy, vz]) = (self.normal, self.velocity);
-        let lifted = nz.max(0.0) * vz.max(0.0);
-        self.area * (nx * vx + ny * vy + nz * vz - lifted).max(0.0)
+    /// On the grid, with the body's origin in this cell.
+    pub fn on(&self, grid: &GridFrame, origin: [i32; 2]) -> GridPiece {
+        let [x, y, z] = self.place;
+        let half = 0.5 * f64::from(self.cells - 1) * grid.cell;
+        GridPiece {
+            cell: grid.cell_at([x, y]),
+            first: grid.cell_at([x - half, y - half]),
+            cells: self.cells,
+            falls: [0.0; 2],
+            place: [x / grid.cell - f64::from(origin[0]), y / grid.cell - f64::from(origin[1])].map(|c| c as f32),
+            height: (z / grid.quantum()) as f32,
+            normal: self.normal.map(|n| n as f32),
+            area: self.area as f32,
+            velocity: [self.velocity[0], self.velocity[1]].map(|v| v as f32),
+            rate: swept(Vec3::splat(self.normal), Vec3::splat(self.velocity), self.area, self.cells, grid) as f32,
+        }
     }
+}
+
+/// What a piece takes out of each of its cells in time [steps/s]: the volume that it sweeps, without what is only lifted. A
+/// piece that pushes sideways keeps its cell empty.
+#[inline(always)]
+pub fn swept<R: Real>(normal: Vec3<R>, velocity: Vec3<R>, area: R, cells: u8, grid: &GridFrame) -> R {
+    let lifted = normal.z.max(R::zero()) * velocity.z.max(R::zero());
+    let volume = area * (normal.dot(velocity) - lifted).max(R::zero());
+    let sideways = normal.x * normal.x + normal.y * normal.y;
+    let clearing = sideways.mul_add(R::splat(CLEARING - 1.0), R::one());
+    let side = f64::from(cells) * grid.cell;
+    clearing * volume * R::splat(1.0 / (side * side * grid.quantum()))
 }
 
 /// The surface around a robot or an intruder, and what each of its bodies has found.
@@ -84,8 +137,8 @@ pub struct Moved {
 /// The cells of a body: work space, its contents are not kept.
 #[derive(Clone, Debug, Default)]
 pub struct Marks {
-    cells: Vec<u8>,
-    round: u8,
+    cells: Vec<i16>,
+    round: i16,
 }
 
 impl Marks {
@@ -107,15 +160,30 @@ impl Marks {
     }
 }
 
-/// Sums over the cells from which a body takes sand.
+/// What a body has taken out of its cells.
 #[derive(Default)]
 struct Taken {
-    /// In steps of the grid.
+    /// [steps of the grid]
     amount: i32,
     lost: f64,
-    /// Weighted by the amount: place, and the horizontal part of the normal.
+    /// Means weighted by the amount: place [m], and the horizontal part of the normal.
     place: [f64; 2],
     push: [f64; 2],
+    /// Mean velocity along x and y of the pieces in the sand, weighted by their area [m/s].
+    velocity: [f64; 2],
+}
+
+/// How a body has moved since sand was moved last.
+#[derive(Clone, Copy, Debug)]
+pub struct BodyMotion {
+    /// The cell of the origin from which places count.
+    pub origin: [i32; 2],
+    /// Height of its lowest piece [m].
+    pub low: f64,
+    /// Distance along x and y that it has moved [m]; None: that of its pieces in the sand, on average over their area.
+    pub way: Option<[f64; 2]>,
+    /// [s]
+    pub time: f64,
 }
 
 impl Moved {
@@ -177,10 +245,9 @@ impl Moved {
         size_of::<Self>() + bodies * size_of::<LocalSand>() + (3 << (2 * s.bits)) + (1 << s.bits)
     }
 
-    /// Moves sand by a body in `time` [s], and updates what the body finds. `pieces`: its leading pieces; `way`: the
-    /// distance along x and y that it has moved [m].
-    #[inline(always)]
-    pub fn meet(
+    /// Moves sand by a body in `time` [s], and updates what the body finds. `pieces`: its leading pieces; `way`: the distance
+    /// along x and y that it has moved [m].
+    pub fn push(
         &mut self,
         s: &MemorySettings,
         body: usize,
@@ -189,11 +256,28 @@ impl Moved {
         time: f64,
         marks: &mut Marks,
     ) {
+        let frame = self.grid.frame;
+        let origin = pieces.first().map_or([0; 2], |p| frame.cell_at([p.place[0], p.place[1]]));
         let low = pieces.iter().fold(f64::INFINITY, |low, p| low.min(p.place[2]));
+        let pieces: Vec<_> = pieces.iter().map(|piece| piece.on(&frame, origin)).collect();
+        self.meet::<PlainShorts>(s, body, &pieces, &BodyMotion { origin, low, way: Some(way), time }, marks);
+    }
+
+    /// The same for pieces in the units of the grid.
+    #[inline(always)]
+    pub fn meet<S: Shorts>(
+        &mut self,
+        s: &MemorySettings,
+        body: usize,
+        pieces: &[GridPiece],
+        motion: &BodyMotion,
+        marks: &mut Marks,
+    ) {
+        let BodyMotion { low, time, .. } = *motion;
         let LocalSand { level, packed, size, inside } = self.found[body];
         let (mut level, mut packed, mut size) = (f64::from(level), f64::from(packed), f64::from(size));
         if !inside || low >= level {
-            let (under, dense, wide) = self.below(pieces, low);
+            let (under, dense, wide) = self.below(pieces, low, s.least);
             if !inside || low >= under {
                 let inside = low < under;
                 let [level, packed, size] = [under, dense, wide].map(|x| x as f32);
@@ -207,13 +291,14 @@ impl Moved {
             }
         }
         marks.begin(self.grid.heights.len());
-        let taken = self.take(s, pieces, time, size, marks);
+        let taken = self.take::<S>(s, pieces, motion, size, marks);
         if taken.amount > 0 {
-            let reach = s.wedge() * (level - low).max(s.cell);
-            self.put(s, &ahead(&taken, reach, size, s.cell), &taken, marks, size);
+            let reach = s.wedge() * (level - low).max(s.least);
+            self.put(s, &ahead(&taken, reach, size, s.least), &taken, marks, size);
+            let way = motion.way.unwrap_or(taken.velocity.map(|v| v * time));
             let travelled = (way[0] * way[0] + way[1] * way[1]).sqrt();
             if travelled > 0.0 {
-                let radius = disc::before(reach, size).max(SMALLEST * s.cell);
+                let radius = disc::before(reach, size).max(SMALLEST * s.least);
                 let (height, dense) = self.beyond(s, &taken, radius, way.map(|w| w / travelled));
                 let share = (travelled / (WAY * radius)).min(1.0);
                 level += (height - level) * share;
@@ -227,17 +312,18 @@ impl Moved {
 
     /// Mean height [m] and compaction below the lowest pieces of a body, and the radius of a disc of their area [m].
     #[inline(always)]
-    fn below(&self, pieces: &[SurfacePiece], low: f64) -> (f64, f64, f64) {
+    fn below(&self, pieces: &[GridPiece], low: f64, least: f64) -> (f64, f64, f64) {
+        let frame = &self.grid.frame;
+        let lowest = ((low + least) / frame.quantum()) as f32;
         let (mut area, mut sums) = (0.0, [0.0; 2]);
         let (mut middle, mut squares) = ([0.0; 2], 0.0);
-        for p in pieces.iter().filter(|p| p.place[2] < low + self.grid.frame.cell) {
-            let [x, y, _] = p.place;
-            let cell = self.grid.frame.cell_at([x, y]);
-            area += p.area;
-            sums[0] += p.area * self.grid.height(cell);
-            sums[1] += p.area * self.grid.frame.index(cell).map_or(0.0, |i| f64::from(self.grid.packed[i]) / 255.0);
-            middle = [middle[0] + p.area * x, middle[1] + p.area * y];
-            squares += p.area * (x * x + y * y);
+        for p in pieces.iter().filter(|p| p.height < lowest) {
+            let ([x, y], own) = (p.place.map(f64::from), f64::from(p.area));
+            area += own;
+            sums[0] += own * self.grid.height(p.cell);
+            sums[1] += own * frame.index(p.cell).map_or(0.0, |i| f64::from(self.grid.packed[i]) / 255.0);
+            middle = [middle[0] + own * x, middle[1] + own * y];
+            squares += own * (x * x + y * y);
         }
         if area == 0.0 {
             return (0.0, 0.0, 0.0);
@@ -245,65 +331,50 @@ impl Moved {
         let middle = middle.map(|m| m / area);
         // Of a disc with the same second moment.
         let spread = (squares / area - middle[0] * middle[0] - middle[1] * middle[1]).max(0.0);
-        (sums[0] / area, sums[1] / area, (2.0 * spread).sqrt())
+        (sums[0] / area, sums[1] / area, frame.cell * (2.0 * spread).sqrt())
     }
 
     /// Takes what the pieces sweep out of their cells.
     #[inline(always)]
-    fn take(&mut self, s: &MemorySettings, pieces: &[SurfacePiece], time: f64, size: f64, marks: &mut Marks) -> Taken {
-        let Grid { frame, heights, packed, awake, .. } = &mut self.grid;
-        let (frame, heights) = (*frame, heights.as_mut_slice());
-        let (packed, marked) = (&mut packed[..heights.len()], &mut marks.cells[..heights.len()]);
-        let (cell, quantum) = (s.cell, frame.quantum());
+    fn take<S: Shorts>(
+        &mut self,
+        s: &MemorySettings,
+        pieces: &[GridPiece],
+        motion: &BodyMotion,
+        size: f64,
+        marks: &mut Marks,
+    ) -> Taken {
+        let quantum = self.grid.frame.quantum();
         let mut taken = Taken::default();
-        let (per_volume, per_quantum) = (time / (cell * cell * quantum), 1.0 / quantum);
-        let zone = DENSER * 2.0 * size.max(cell);
-        // What is left of whole steps goes to the next cell, so that slow motions lose nothing.
-        let (mut due, mut denser) = (0.5, 0.5);
-        for p in pieces {
-            // A piece that pushes sideways keeps its cell empty.
-            let ([nx, ny, nz], [x, y, z]) = (p.normal, p.place);
-            let clearing = 1.0 + (CLEARING - 1.0) * (nx * nx + ny * ny);
-            let cells = i32::from(p.cells);
-            let each = clearing * p.rate() * per_volume / f64::from(cells * cells);
+        // Of the volume pressed down: what is lost, and the compaction of a cell by a step [1/255].
+        let lost = if s.gain > 1.0 { LOST } else { 0.0 };
+        let denser = 256.0 * lost * quantum / (DENSER * 2.0 * size.max(s.cell));
+        let top = f32::from(self.grid.top);
+        let mut area = 0.0;
+        for (k, p) in pieces.iter().enumerate().filter(|(_, p)| p.height < top) {
+            let each = p.rate * motion.time as f32;
             if each <= 0.0 {
                 continue;
             }
-            let floor = (z * per_quantum).ceil().clamp(-32_000.0, 32_000.0) as i32;
-            let half = 0.5 * f64::from(cells - 1) * cell;
-            let [i, j] = frame.cell_at([x - half, y - half]);
-            let down = if s.gain > 1.0 { (-nz).max(0.0) } else { 0.0 };
-            for row in (0..cells).filter_map(|b| frame.line(1, j.saturating_add(b))) {
-                let before = taken.amount;
-                for column in (0..cells).filter_map(|a| frame.line(0, i.saturating_add(a))) {
-                    let at = row * frame.side() + column;
-                    let above = i32::from(heights[at]) - floor;
-                    if above <= 0 {
-                        continue;
-                    }
-                    marked[at] = marks.round;
-                    due += each;
-                    let whole = due as i32;
-                    due -= f64::from(whole);
-                    let now = above.min(whole);
-                    heights[at] -= now as i16;
-                    let a = f64::from(now);
-                    taken.amount += now;
-                    taken.place = [taken.place[0] + a * x, taken.place[1] + a * y];
-                    taken.push = [taken.push[0] + a * nx, taken.push[1] + a * ny];
-                    if down > 0.0 && packed[at] < 255 {
-                        let loose = 1.0 - f64::from(packed[at]) / 255.0;
-                        let lost = a * LOST * down * down * loose;
-                        taken.lost += lost;
-                        denser += 255.0 * lost * quantum / zone;
-                        let whole = denser as u8;
-                        denser -= f64::from(whole);
-                        packed[at] = packed[at].saturating_add(whole);
-                    }
-                }
-                awake[row] |= taken.amount > before;
+            let down = f64::from((-p.normal[2]).max(0.0)).powi(2);
+            // Pieces that share a cell do not take their parts of steps at the same time.
+            let turn = self.turns.wrapping_mul(PIECES).wrapping_add(k as u32);
+            let Taking { amount, loose, met } = self.grid.cut::<S>(p, motion.origin, each, down * denser, turn, marks);
+            let a = f64::from(amount);
+            let add = |sum: [f64; 2], weight: f64, own: [f32; 2]| [0, 1].map(|k| sum[k] + weight * f64::from(own[k]));
+            if met {
+                area += f64::from(p.area);
+                taken.velocity = add(taken.velocity, p.area.into(), p.velocity);
             }
+            taken.amount += amount;
+            taken.place = add(taken.place, a, p.place);
+            taken.push = add(taken.push, a, [p.normal[0], p.normal[1]]);
+            taken.lost += f64::from(loose) * lost * down;
         }
+        let amount = f64::from(taken.amount.max(1));
+        taken.place = [0, 1].map(|k| (taken.place[k] / amount + f64::from(motion.origin[k])) * s.cell);
+        taken.push = taken.push.map(|p| p / amount);
+        taken.velocity = taken.velocity.map(|v| v / area.max(1e-12));
         taken
     }
 
@@ -346,8 +417,7 @@ impl Moved {
     /// that it pushes now.
     #[inline(always)]
     fn beyond(&self, s: &MemorySettings, taken: &Taken, radius: f64, along: [f64; 2]) -> (f64, f64) {
-        let amount = f64::from(taken.amount);
-        let next = |k: usize| taken.place[k] / amount + AHEAD * radius * along[k];
+        let next = |k: usize| taken.place[k] + AHEAD * radius * along[k];
         let next = Disc { center: [next(0), next(1)], radius, along };
         let (mut count, mut height, mut packed) = (0, 0, 0);
         next.visit(self.grid.frame, s.pairs, self.turns, |at| {

@@ -27,9 +27,10 @@ pub(super) const AHEAD: f64 = 3.5;
 /// Way in which a body gets there, in the same radii, as the length of a first-order lag: our choice, the end of the disc that gets
 /// the pushed sand.
 pub(super) const WAY: f64 = 2.0;
-/// Angle of repose [°] of sand that is not described further: our choice from the published 25 to 35° of dry sand, nearer to
-/// the 22 to 26° of smooth spheres, so that the forces in both grain experiments of `tests/data/memory` hold with it.
+/// Angle of repose [°]: our choice from the published 25 to 35° of dry sand, in their lower half, because loose sand rests less
+/// steeply than packed sand. Of glass beads: our choice from the published 22 to 26° of smooth spheres.
 pub const REPOSE_DEG: f64 = 28.0;
+const REPOSE_DEG_OF_BEADS: f64 = 25.0;
 
 /// The sand's constants for its memory.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -45,19 +46,31 @@ pub struct MemorySettings {
     pub gain: f64,
     /// Duration of a sweep of sliding [s].
     pub sweep: f64,
+    /// Smallest length of what a body finds, and of where its sand goes [m].
+    pub least: f64,
     /// Pairs of places among which a body's sand is distributed at a time, up to [`PAIRS`].
     pub pairs: usize,
 }
 
 impl MemorySettings {
-    /// `size`: length of what presses and ploughs [m]; `repose_deg`: angle of repose [°].
+    /// `size`: length of what presses and ploughs [m]; `repose_deg`: angle of repose [°]; None: that of the medium.
     ///
     /// A sweep takes 2 c²/(√g size^1.5), so heaps as large as the body flatten within a few times √(size/g), the time in
     /// which sand falls as far, on every grid. Our choice; twice and half that time change the forces on the plates in
     /// grains by less than 0.2 of the first pass.
-    pub fn new(medium: &Medium, cell: f64, bits: u32, size: f64, repose_deg: f64) -> Self {
+    pub fn new(medium: &Medium, cell: f64, bits: u32, size: f64, repose_deg: Option<f64>) -> Self {
         let sweep = 2.0 * cell * cell / (GRAVITY.sqrt() * size.powf(1.5));
-        Self { cell, bits, repose: repose_deg.to_radians().tan(), gain: Self::gain(medium), sweep, pairs: FEW }
+        let beads = medium.name == "glass-beads";
+        let repose_deg = repose_deg.unwrap_or(if beads { REPOSE_DEG_OF_BEADS } else { REPOSE_DEG });
+        Self {
+            cell,
+            bits,
+            repose: repose_deg.to_radians().tan(),
+            gain: Self::gain(medium),
+            sweep,
+            least: cell,
+            pairs: FEW,
+        }
     }
 
     /// Media that are closely packed already cannot be compacted. Of the named ones that is said of one.
@@ -77,6 +90,7 @@ impl MemorySettings {
         check_range("memory.repose", self.repose, 0.05..=2.0)?;
         check_range("memory.gain", self.gain, 1.0..=10.0)?;
         check_range("memory.pairs", self.pairs as f64, 1.0..=PAIRS as f64)?;
+        check_range("memory.least", self.least, 1e-4..=1.0)?;
         check_range("memory.sweep", self.sweep, 1e-7..=1e3).map(drop)
     }
 

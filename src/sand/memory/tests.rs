@@ -8,9 +8,6 @@ use crate::intruder::{BodyShape, DepthOrLoad, PlatedBody, Trial, TrialOutcome, c
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-/// Angle of repose of the grains [°]: spheres with friction 0.4; the sides of their furrows are at 20 to 26°.
-const GRAINS_REPOSE: f64 = 25.0;
-
 const PLATE_DOWN: &str = "box:length=0.006,width=0.025,height=0.038";
 const PLATE_FLAT: &str = "box:length=0.038,width=0.025,height=0.006";
 
@@ -33,7 +30,7 @@ struct Passes {
     heights: Vec<f64>,
 }
 
-fn run(shape: &str, rows: &str, surface: &str, repose: f64, cell: Option<f64>) -> Passes {
+fn run(shape: &str, rows: &str, surface: &str, repose: Option<f64>, cell: Option<f64>) -> Passes {
     let (sand, body) = (sand(), body(shape));
     let mut path = Path::new(&body, &sand, repose, cell).unwrap();
     let (grains, mut heights, mut done) = (table(surface), Vec::new(), Vec::new());
@@ -55,12 +52,12 @@ fn run(shape: &str, rows: &str, surface: &str, repose: f64, cell: Option<f64>) -
     Passes { rows: done, heights }
 }
 
-fn plough(repose: f64, cell: Option<f64>) -> Passes {
+fn plough(repose: Option<f64>, cell: Option<f64>) -> Passes {
     let rows = include_str!("../../../tests/data/memory/plough.csv");
     run(PLATE_DOWN, rows, include_str!("../../../tests/data/memory/plough_surface.csv"), repose, cell)
 }
 
-fn press(repose: f64, cell: Option<f64>) -> Passes {
+fn press(repose: Option<f64>, cell: Option<f64>) -> Passes {
     let rows = include_str!("../../../tests/data/memory/press.csv");
     run(PLATE_FLAT, rows, include_str!("../../../tests/data/memory/press_surface.csv"), repose, cell)
 }
@@ -95,7 +92,7 @@ impl Passes {
 /// grains' ratio; heights are within 4 mm rms. A single reading of the grains scatters by 1.8 mm about its neighbours.
 #[test]
 fn a_plate_ploughs_its_furrow_again_as_in_grains() {
-    let passes = plough(GRAINS_REPOSE, None);
+    let passes = plough(None, None);
     for pass in [2.0, 3.0] {
         for third in 0..3 {
             let [grains, model] = passes.furrow(pass, third);
@@ -109,7 +106,7 @@ fn a_plate_ploughs_its_furrow_again_as_in_grains() {
 /// neighbours, and sand far from the print reads 3.8 mm below zero, so 4 mm are not reached.
 #[test]
 fn a_foot_presses_its_print_again_as_in_grains() {
-    let passes = press(GRAINS_REPOSE, None);
+    let passes = press(None, None);
     // Deeper than 25 mm the third press of the grains jumps by a third from one millimetre to the next.
     for depth in [0.005, 0.01, 0.02] {
         for pass in [2.0, 3.0] {
@@ -120,18 +117,32 @@ fn a_foot_presses_its_print_again_as_in_grains() {
     assert!(passes.heights.iter().all(|h| *h < 4.7), "{:?}", passes.heights);
 }
 
+/// The figures of docs/memory.md.
+#[test]
+fn figures_of_both_experiments() {
+    for repose in [None, Some(REPOSE_DEG)] {
+        let (furrow, print) = (plough(repose, None), press(repose, None));
+        let ratios = |pass| [0, 1, 2].map(|third| furrow.furrow(pass, third));
+        let presses = |pass| [0.005, 0.01, 0.02].map(|depth| print.pressed(pass, depth));
+        println!("{repose:?}: furrow {:.2?} {:.2?}, heights {:.1?} mm", ratios(2.0), ratios(3.0), furrow.heights);
+        println!("{repose:?}: print {:.2?} {:.2?}, heights {:.1?} mm", presses(2.0), presses(3.0), print.heights);
+        let worst = |of: &[[f64; 2]]| of.iter().map(|[grains, model]| (grains - model).abs()).fold(0.0, f64::max);
+        assert!(worst(&ratios(2.0)).max(worst(&ratios(3.0))) < 0.25 && worst(&presses(2.0)) < 0.3);
+    }
+}
+
 /// The ratios do not hang on the angle of repose or the cells' size.
 #[test]
 fn other_angles_and_cells_change_little() {
-    let (usual, usual_press) = (plough(GRAINS_REPOSE, None), press(GRAINS_REPOSE, None));
-    let finer = [plough(GRAINS_REPOSE, Some(0.0019)), plough(22.0, None), plough(28.0, None)];
+    let (usual, usual_press) = (plough(None, None), press(None, None));
+    let finer = [plough(None, Some(0.0019)), plough(Some(22.0), None), plough(Some(28.0), None)];
     for other in finer {
         for (pass, third) in [2.0, 3.0].into_iter().flat_map(|p| [0, 1, 2].map(|t| (p, t))) {
             let [[_, a], [_, b]] = [&usual, &other].map(|p| p.furrow(pass, third));
             assert!((a - b).abs() < 0.2, "pass {pass}, third {third}: {a:.2} and {b:.2}");
         }
     }
-    for other in [press(GRAINS_REPOSE, Some(0.0028)), press(22.0, None), press(28.0, None)] {
+    for other in [press(None, Some(0.0028)), press(Some(22.0), None), press(Some(28.0), None)] {
         for depth in [0.01, 0.02] {
             let [[_, a], [_, b]] = [&usual_press, &other].map(|p| p.pressed(2.0, depth));
             assert!((a - b).abs() < 0.25, "{depth} m: {a:.2} and {b:.2}");
@@ -146,7 +157,7 @@ fn fresh_sand_is_the_theory() {
     for shape in [PLATE_FLAT, "sphere:radius=0.02", "cylinder:radius=0.03,width=0.02"] {
         let body = body(shape);
         for speed in [0.01, 0.5] {
-            let mut path = Path::new(&body, &sand, 30.0, None).unwrap();
+            let mut path = Path::new(&body, &sand, Some(30.0), None).unwrap();
             for k in 0..40 {
                 let depth = -0.002 + 0.0005 * f64::from(k);
                 let trial = Trial { velocity: [0.0, 0.0, -speed], spin: [0.0; 3], given: DepthOrLoad::Depth(depth) };
@@ -165,7 +176,7 @@ fn settings(random: &mut impl Rng, gain: f64) -> MemorySettings {
     let cell = random.random_range(0.002..0.01);
     let pairs = random.random_range(1..=PAIRS);
     let size = random.random_range(0.01..0.05);
-    MemorySettings { gain, pairs, ..MemorySettings::new(&medium, cell, 6, size, random.random_range(15.0..40.0)) }
+    MemorySettings { gain, pairs, ..MemorySettings::new(&medium, cell, 6, size, Some(random.random_range(15.0..40.0))) }
 }
 
 /// A body of random pieces around a place.
@@ -214,14 +225,14 @@ fn volume_stays_and_sliding_dissipates() {
             place = std::array::from_fn(|k| (place[k] + velocity[k] * time).clamp(-8.0 * s.cell, 8.0 * s.cell));
             let body = pieces(&mut random, place, velocity, 6.0 * s.cell);
             let (before, heights) = (sum(&moved), moved.grid.heights.clone());
-            moved.meet(&s, 0, &body, [velocity[0] * time, velocity[1] * time], time, &mut marks);
+            moved.push(&s, 0, &body, [velocity[0] * time, velocity[1] * time], time, &mut marks);
             let after = sum(&moved);
             assert!(after == before || (loose && after < before), "round {round}: {before} {after}");
             swept += i64::from(heights != moved.grid.heights);
             let LocalSand { level, packed, size, .. } = moved.found[0];
             assert!(level.is_finite() && size.is_finite() && (0.0..=1.0).contains(&packed));
             let rough = energy(&moved);
-            moved.grid.slide(s.repose);
+            moved.grid.slide::<PlainShorts>(s.repose);
             assert!(sum(&moved) == after && energy(&moved) <= rough, "round {round}");
             slid += i64::from(energy(&moved) < rough);
         }
@@ -244,7 +255,7 @@ fn heaps_rest_wherever_the_square_begins() {
             moved.grid.heights[index] = height;
             moved.grid.wake(index);
         }
-        (0..4000).for_each(|_| moved.grid.slide(s.repose));
+        (0..4000).for_each(|_| moved.grid.slide::<PlainShorts>(s.repose));
         assert!(moved.grid.awake.iter().all(|awake| !awake));
         let near = |i: i32, j: i32| moved.grid.height([middle[0] + i, middle[1] + j]);
         let around = (0..400).map(|k| (k % 20 - 10, k / 20 - 10)).collect::<Vec<_>>();
@@ -287,7 +298,7 @@ fn bytes_come_back() {
     let s = settings(&mut random, 1.8);
     let (mut moved, mut marks) = (Moved::new(&s, 2), Marks::default());
     let body = pieces(&mut random, [0.0, 0.0, -0.01], [0.1, 0.0, -0.1], 0.03);
-    moved.meet(&s, 1, &body, [0.001, 0.0], 0.01, &mut marks);
+    moved.push(&s, 1, &body, [0.001, 0.0], 0.01, &mut marks);
     moved.sliding = 0.25;
     let bytes = moved.to_bytes();
     assert_eq!(Moved::from_bytes(&s, 2, &bytes).as_ref(), Some(&moved));
@@ -322,7 +333,7 @@ fn wheels_on_fresh_sand_are_the_theory() {
             continue;
         }
         let trial = Trial { velocity: [vx, vy, 0.0], spin: [0.0, wy, 0.0], given: DepthOrLoad::Load(load) };
-        let mut path = Path::new(&body, &sand, REPOSE_DEG, None).unwrap();
+        let mut path = Path::new(&body, &sand, None, None).unwrap();
         let times = (0..50).map(|k| 0.5 * f64::from(k));
         let with = times.fold(0.0, |_, time| path.step(&PathPoint { time, place: None, trial }).depth);
         errors.push([with, compute(&body, &sand, &trial).depth].map(|d| d - depth));

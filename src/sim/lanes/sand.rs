@@ -5,6 +5,7 @@ use super::plane::{PlaneField, PlaneForces, PlaneMoments};
 use crate::blocks::{LaneState, LinkFrame};
 use crate::number::{Real, Vec3};
 use crate::sand::law::StressLaw;
+use crate::sand::memory::MOST_CELLS;
 use crate::sand::{LawCoefficients, Plain, SandBed, SegmentState, StressModel};
 use crate::spatial::{Inertia, Wrench};
 use crate::used::{LanePiece, Surfaces};
@@ -112,20 +113,16 @@ pub fn pieces<R: Real, const J: usize>(
     let turn = &base.rotation;
     let places = PlaneField { at: turn.z * model.belly_height, by: [turn.x, turn.y] };
     let velocities = places.velocity(&base.velocity);
-    // Four pieces a plate, which is taken for a square.
-    let quarter = R::splat(0.25);
+    // The same in all lanes.
+    let along_side = |side: R| (side.lane(0) / cell - 0.1).ceil().clamp(1.0, MOST_CELLS.into()) as u8;
     for plate in &model.belly {
-        let side = (plate.area * quarter).sqrt();
-        // The same in all lanes, up to the number of cells.
-        let cells = (side.lane(0) / cell).round().clamp(1.0, 8.0) as u8;
-        for k in 0..4 {
-            let [u, v] = [k % 2, k / 2].map(|i| side * R::splat(f64::from(i) - 0.5));
-            let at = [plate.center[0] + u, plate.center[1] + v];
-            let (place, velocity) = (state.position + places.value(at), velocities.value(at));
-            let area = plate.area * quarter;
-            pieces.push(LanePiece { body: 0, place, normal: -turn.z, velocity, area, one_sided: true, cells });
-        }
+        // A plate is taken for a square.
+        let cells = along_side(plate.area.sqrt());
+        let at = plate.center;
+        let (place, velocity) = (state.position + places.value(at), velocities.value(at));
+        pieces.push(LanePiece { body: 0, place, normal: -turn.z, velocity, area: plate.area, one_sided: true, cells });
     }
+    let quarter = R::splat(0.25);
     for (l, leg) in model.legs.iter().enumerate() {
         let mut frame = base;
         for (body, joint) in leg.iter().zip(&state.joints[l * J..]) {
@@ -139,11 +136,12 @@ pub fn pieces<R: Real, const J: usize>(
                 let plate = &pair[pair.len() / 2];
                 let area = pair.iter().fold(R::zero(), |sum, p| sum + p.area) * R::splat(0.5);
                 let beside = across * (plate.width * quarter);
+                let cells = along_side(plate.width * R::splat(0.5));
                 let (place, velocity) = (state.position + places.value(plate.center), velocities.value(plate.center));
                 let normal = places.change(plate.normal);
                 for place in [place + beside, place - beside] {
                     let body = l + 1;
-                    pieces.push(LanePiece { body, place, normal, velocity, area, one_sided: false, cells: 1 });
+                    pieces.push(LanePiece { body, place, normal, velocity, area, one_sided: false, cells });
                 }
             }
         }

@@ -1,11 +1,14 @@
 //! Robots on sand that remembers: bits, states, volume, and convergence.
 
 use sandgait_sand::Medium;
-use sandgait_sand::memory::{MemorySettings, REPOSE_DEG};
+use sandgait_sand::memory::MemorySettings;
 use sandgait_sim::engine::{Command, Engine, EngineKind};
 use sandgait_sim::model::Scene;
 use sandgait_sim::{Model, Robot, State};
 use std::f64::consts::TAU;
+
+/// Width of a leg [m].
+const WIDTH: f64 = 0.01;
 
 fn model(leg: &str, dt: f64) -> Model {
     let robot = Robot::built_in("xplorer").unwrap().with_leg_shape(leg).unwrap();
@@ -81,47 +84,60 @@ fn states_go_on() {
     assert_ne!(after(&engine, 0, &start).position, after(&other, 2, &start).position);
 }
 
-/// Walking speed over four strides [m/s], as in the reference experiments.
+/// Walking speed along its path over sixteen strides [m/s], the median over starts from heights that differ by 0.1 mm. Any rounding
+/// changes a robot's way a little, so a single walk scatters by 2 %, and a few of them stumble.
 fn speed(model: &Model, hz: f64) -> f64 {
+    const STARTS: usize = 32;
     let start = start(model);
-    let mut engine = Engine::new(EngineKind::Lanes, model, 1).unwrap();
-    engine.set_state(0, &start);
-    engine.command(0, &command(TAU * hz));
+    let mut engine = Engine::new(EngineKind::Lanes, model, STARTS).unwrap();
+    for i in 0..STARTS {
+        let [x, y, z] = start.position;
+        engine.set_state(i, &State { position: [x, y, z + 1e-4 * i as f64], ..start.clone() });
+        engine.command(i, &command(TAU * hz));
+    }
+    // Control steps of 20 ms.
+    let (dt, each) = (model.scene.dt, (0.02 / model.scene.dt).round() as usize);
     let mut state = start.clone();
     let mut advance = |time: f64| {
-        // Control steps of 20 ms.
-        let steps = (time / model.scene.dt).round() as usize;
-        let each = (0.02 / model.scene.dt).round() as usize;
-        for k in 0..steps.div_ceil(each) {
-            engine.advance(each.min(steps - k * each));
-        }
-        engine.state(0, &mut state);
-        state.position[0]
+        let steps = (time / dt).round() as usize;
+        (0..steps.div_ceil(each)).for_each(|k| engine.advance(each.min(steps - k * each)));
+        let mut place = |i| {
+            engine.state(i, &mut state);
+            state.position
+        };
+        (0..STARTS).map(&mut place).collect::<Vec<_>>()
     };
-    let from = advance(0.5 + 2.0 / hz);
-    (advance(4.0 / hz) - from) * hz / 4.0
+    let mut last = advance(0.5 + 2.0 / hz);
+    let mut ways = [0.0; STARTS];
+    for _ in 0..16 {
+        let now = advance(1.0 / hz);
+        for ((way, a), b) in ways.iter_mut().zip(&last).zip(&now) {
+            *way += (b[0] - a[0]).hypot(b[1] - a[1]);
+        }
+        last = now;
+    }
+    ways.sort_by(f64::total_cmp);
+    0.5 * (ways[STARTS / 2 - 1] + ways[STARTS / 2]) * hz / 16.0
 }
 
-/// With an eighth of the time step and half the cells, walking speeds stay within 2 % if the convex side of the legs leads.
-/// With the concave side leading they do not converge yet (−4 % at 2 Hz), which docs/memory.md says; those speeds are printed only.
+/// With an eighth of the time step and half the cells, walking speeds stay within 2 %, and within 3 % if the concave side of the
+/// legs leads.
 #[test]
 fn walks_converge() {
-    let mut worst: f64 = 0.0;
     for (leg, hz) in [("L", 1.0), ("L", 2.0), ("L", 3.0), ("revL", 2.0), ("revL", 3.0), ("C", 2.0)] {
         let usual = model(leg, 1e-3);
         let mut fine = model(leg, 1.25e-4);
         let settings = fine.scene.memory.unwrap();
-        let size = 4.0 * settings.cell;
-        fine.scene.memory = Some(MemorySettings::new(&fine.scene.medium, 0.5 * settings.cell, 7, size, REPOSE_DEG));
+        assert_eq!(settings.cell, 0.75 * WIDTH);
+        let halved = MemorySettings::new(&fine.scene.medium, 0.5 * settings.cell, 7, 2.0 * WIDTH, None);
+        fine.scene.memory = Some(MemorySettings { least: settings.least, ..halved });
         let mut fresh = usual.clone();
         fresh.scene.memory = None;
         let [a, b, none] = [&usual, &fine, &fresh].map(|m| speed(m, hz));
         println!("{leg} {hz} Hz: {a:.4}, fine {b:.4} ({:.2} %), without memory {none:.4}", 100.0 * (a / b - 1.0));
-        if !leg.starts_with("rev") {
-            worst = worst.max((a / b - 1.0).abs());
-        }
+        let most = if leg.starts_with("rev") { 0.03 } else { 0.02 };
+        assert!((a / b - 1.0).abs() < most, "{leg} {hz} Hz: {a} and {b}");
     }
-    assert!(worst < 0.02, "{worst}");
 }
 
 /// Only engines that have memory take such a model.

@@ -5,7 +5,7 @@
 //! as on level sand.
 
 use crate::number::{Real, Vec3};
-use crate::sand::memory::{Marks, MemorySettings, Moved, SurfacePiece};
+use crate::sand::memory::{BodyMotion, GridFrame, GridPiece, Marks, MemorySettings, Moved, swept};
 use crate::{Model, State};
 
 /// Time between two movements of sand [s]: our choice, a control step of the tasks. A foot that pushes with 0.5 m/s moves by two
@@ -27,7 +27,7 @@ pub struct LanePiece<R> {
     pub area: R,
     /// Does only the side of the normal touch sand?
     pub one_sided: bool,
-    /// See [`SurfacePiece`].
+    /// See [`GridPiece`].
     pub cells: u8,
 }
 
@@ -50,9 +50,8 @@ pub struct LaneMemory<R> {
     dt: f64,
     pub pieces: Vec<LanePiece<R>>,
     groups: Vec<BodyPieces<R>>,
-    /// Of each piece, bit by bit: may it move sand in this lane?
-    masks: Vec<u32>,
-    own: Vec<SurfacePiece>,
+    /// Of each lane: the pieces that may move sand, body by body.
+    listed: Vec<Vec<GridPiece>>,
     marks: Marks,
 }
 
@@ -62,6 +61,8 @@ struct BodyPieces<R> {
     from: usize,
     to: usize,
     low: R,
+    /// Where its pieces end in the lists of each lane.
+    ends: [usize; MOST_LANES],
 }
 
 impl<R: Real> LaneMemory<R> {
@@ -77,8 +78,7 @@ impl<R: Real> LaneMemory<R> {
             dt: model.scene.dt,
             pieces: Vec::new(),
             groups: Vec::new(),
-            masks: Vec::new(),
-            own: Vec::new(),
+            listed: vec![Vec::new(); R::LANES],
             marks: Marks::default(),
         })
     }
@@ -135,22 +135,40 @@ impl<R: Real> LaneMemory<R> {
     /// in each lane [m]; `middle`: the robot's position from there.
     #[inline(always)]
     pub fn update(&mut self, origins: &[[f64; 2]], middle: Vec3<R>) {
-        let Self { surfaces, settings, moved, pieces, groups, masks, own, marks, every, dt } = self;
+        let Self { surfaces, settings, moved, pieces, groups, listed, marks, every, dt } = self;
         groups.clear();
         for (k, p) in pieces.iter().enumerate() {
             match groups.last_mut() {
                 Some(group) if group.body == p.body => (group.to, group.low) = (k + 1, group.low.min(p.place.z)),
-                _ => groups.push(BodyPieces { body: p.body, from: k, to: k + 1, low: p.place.z }),
+                _ => {
+                    groups.push(BodyPieces { body: p.body, from: k, to: k + 1, low: p.place.z, ends: [0; MOST_LANES] })
+                }
             }
         }
-        // In all lanes at once: pieces above the highest sand move none, except for a body's lowest.
-        masks.clear();
-        let high = surfaces.tops - R::splat((ABOVE - 1.0) * settings[0].cell);
-        for group in groups.iter() {
+        // The cell of each lane's origin, and the origin's place in it [cells].
+        let frame = moved[0].grid.frame;
+        let mut corner = LaneCorner { cells: [[0; 2]; MOST_LANES], within: [R::zero(); 2] };
+        let mut due = 0;
+        for lane in 0..R::LANES {
+            for k in 0..2 {
+                let x = origins[lane][k] / frame.cell;
+                corner.cells[lane][k] = x.floor() as i32;
+                corner.within[k].set_lane(lane, x - x.floor());
+            }
+            due |= u32::from(moved[lane].pending >= *every) << lane;
+            listed[lane].clear();
+        }
+        // Pieces above the highest sand move none, except for a body's lowest.
+        let high = surfaces.tops - R::splat(ABOVE * frame.cell);
+        for group in groups.iter_mut() {
             let high = high.max(group.low);
             for p in &pieces[group.from..group.to] {
-                masks.push(!R::bits(high.lt(p.place.z)));
+                let lanes = due & !R::bits(high.lt(p.place.z));
+                if lanes != 0 {
+                    p.list(&frame, &corner, lanes, listed);
+                }
             }
+            group.ends.iter_mut().zip(listed.iter()).for_each(|(end, list)| *end = list.len());
         }
         for (lane, (settings, moved)) in settings.iter().zip(moved.iter_mut()).enumerate() {
             if moved.pending < *every {
@@ -160,6 +178,7 @@ impl<R: Real> LaneMemory<R> {
             moved.pending = 0;
             let [x, y, _] = middle.lane(lane);
             moved.grid.follow([origin[0] + x, origin[1] + y]);
+            let mut from = 0;
             let high = moved.grid.highest() + settings.cell;
             // Bodies without pieces are far above.
             let mut next = 0;
@@ -168,40 +187,23 @@ impl<R: Real> LaneMemory<R> {
                 next = group.body + 1;
             }
             moved.found[next..].iter_mut().for_each(|found| found.inside = false);
-            for BodyPieces { body, from, to, low } in groups.iter() {
-                let low = low.lane(lane);
+            for BodyPieces { body, low, ends, .. } in groups.iter() {
+                let (low, own) = (low.lane(lane), &listed[lane][from..ends[lane]]);
+                from = ends[lane];
                 // Well above the sand: what it finds does not matter yet.
                 if low > high + (ABOVE - 1.0) * settings.cell {
                     moved.found[*body].inside = false;
                     continue;
                 }
-                own.clear();
-                let mut sum = [0.0; 3];
-                let inside = moved.found[*body].inside;
-                for (p, mask) in pieces[*from..*to].iter().zip(&masks[*from..*to]) {
-                    if mask >> lane & 1 == 0 {
-                        continue;
-                    }
-                    let z = p.place.z.lane(lane);
-                    let place = [origin[0] + p.place.x.lane(lane), origin[1] + p.place.y.lane(lane), z];
-                    // Inside, only pieces below the surface count.
-                    if inside && z > low && z >= moved.grid.height(moved.grid.frame.cell_at([place[0], place[1]])) {
-                        continue;
-                    }
-                    let piece = p.of(lane, place);
-                    let [vx, vy, _] = piece.velocity;
-                    sum = [sum[0] + piece.area * vx, sum[1] + piece.area * vy, sum[2] + piece.area];
-                    own.push(piece);
-                }
-                let way = [0, 1].map(|k| sum[k] / sum[2].max(1e-12) * time);
-                moved.meet(settings, *body, own, way, time, marks);
+                let motion = BodyMotion { origin: corner.cells[lane], low, way: None, time };
+                moved.meet::<R::Shorts>(settings, *body, own, &motion, marks);
             }
             // Sweeps of sliding that are due by now.
             moved.sliding += (time / settings.sweep) as f32;
             let sweeps = moved.sliding.floor();
             moved.sliding -= sweeps;
             for _ in 0..(sweeps as usize).min(MOST_SWEEPS) {
-                moved.grid.slide(settings.repose);
+                moved.grid.slide::<R::Shorts>(settings.repose);
             }
         }
         (0..R::LANES).for_each(|lane| self.show(lane));
@@ -211,15 +213,65 @@ impl<R: Real> LaneMemory<R> {
 /// Most sweeps after one movement: our choice, a bound on the time of a step for very fine grids.
 const MOST_SWEEPS: usize = 16;
 
+/// Pieces of several cells that are steeper than this are level [rad]: our choice, 60°.
+const STEEPEST: f64 = std::f64::consts::FRAC_PI_3;
+/// Most lanes of a number type: see [`crate::number::Isa::lanes`].
+const MOST_LANES: usize = 16;
+
+/// The cell of each lane's origin, and the origin's place in it [cells].
+struct LaneCorner<R> {
+    cells: [[i32; 2]; MOST_LANES],
+    within: [R; 2],
+}
+
 impl<R: Real> LanePiece<R> {
+    /// Adds the piece, in the units of the grids, to the lists of these lanes (bit by bit).
     #[inline(always)]
-    fn of(&self, lane: usize, place: [f64; 3]) -> SurfacePiece {
-        let velocity = self.velocity.lane(lane);
-        let mut normal = self.normal.lane(lane);
-        let along = normal[0] * velocity[0] + normal[1] * velocity[1] + normal[2] * velocity[2];
-        if along < 0.0 && !self.one_sided {
-            normal = normal.map(|n| -n);
+    fn list(&self, frame: &GridFrame, corner: &LaneCorner<R>, lanes: u32, listed: &mut [Vec<GridPiece>]) {
+        let Self { place, velocity, area, cells, .. } = *self;
+        let inwards = if self.one_sided { R::one() } else { self.normal.dot(velocity) };
+        let side = R::select(inwards.lt(R::zero()), -R::one(), R::one());
+        let normal = self.normal * side;
+        let per_cell = R::splat(1.0 / frame.cell);
+        let [x, y] = [place.x.mul_add(per_cell, corner.within[0]), place.y.mul_add(per_cell, corner.within[1])];
+        // The next integer below is the nearest one to half a cell less.
+        let below = |less: f64| [x, y].map(|x| (x - R::splat(0.5 + less)).round());
+        let (middle, first) = (below(0.0), below(0.5 * f64::from(cells - 1)));
+        let height = place.z * R::splat(1.0 / frame.quantum());
+        let rate = swept(normal, velocity, area, cells, frame);
+        // Of several cells each has the height of the piece's plane there, if that is not too steep.
+        let level = R::splat(STEEPEST.cos()).lt(normal.z.abs());
+        let cell_in_steps = R::splat(if cells > 1 { frame.cell / frame.quantum() } else { 0.0 });
+        let along_z = R::select(level, normal.z, R::one());
+        let falls = [normal.x, normal.y].map(|n| R::select(level, n / along_z * cell_in_steps, R::zero()));
+        for (lane, list) in listed.iter_mut().enumerate().take(R::LANES) {
+            if lanes >> lane & 1 == 0 {
+                continue;
+            }
+            let [origin_x, origin_y] = corner.cells[lane];
+            let cell = |c: &[R; 2]| {
+                [origin_x.wrapping_add(integer(c[0].lane(lane))), origin_y.wrapping_add(integer(c[1].lane(lane)))]
+            };
+            let single = |x: &R| x.lane(lane) as f32;
+            list.push(GridPiece {
+                cell: cell(&middle),
+                first: cell(&first),
+                cells,
+                falls: [single(&falls[0]), single(&falls[1])],
+                place: [single(&x), single(&y)],
+                height: single(&height),
+                normal: [single(&normal.x), single(&normal.y), single(&normal.z)],
+                area: single(&area),
+                velocity: [single(&velocity.x), single(&velocity.y)],
+                rate: single(&rate),
+            });
         }
-        SurfacePiece { place, normal, area: self.area.lane(lane), velocity, cells: self.cells }
     }
+}
+
+/// An integer between −2³¹ and 2³¹. It is in the lowest bits of its sum with 1.5 · 2⁵², which is faster than a conversion that
+/// saturates.
+#[inline(always)]
+fn integer(x: f64) -> i32 {
+    (x + 6_755_399_441_055_744.0).to_bits() as i32
 }
