@@ -244,6 +244,7 @@ impl UrdfReader<'_> {
             armature: 0.0,
             torque_limit: None,
             speed_limit: None,
+            motor: Default::default(),
             kp: None,
             kd: None,
             rest: None,

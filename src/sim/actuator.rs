@@ -24,7 +24,7 @@
 //! solution is made, and a torque may be beyond its constant limit by the part that the acceleration of the link before adds (about 1 %).
 
 use super::stop::{ImplicitTorque, NO_LIMIT};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, check_range};
 use crate::number::Real;
 use serde::{Deserialize, Serialize};
 
@@ -86,6 +86,24 @@ impl Actuator {
             all.stall_torque = Some(STALL * limit.ok_or_else(unknown)?);
         }
         Ok(all)
+    }
+
+    /// Refuses numbers that no motor of a robot has; `owner` names what has the motor.
+    pub fn validate(&self, owner: &str) -> Result<()> {
+        for (name, value, range) in [
+            ("torque_limit", self.torque_limit, 1e-6..=1e4),
+            ("stall_torque", self.stall_torque, 1e-6..=1e5),
+            ("no_load_speed", self.no_load_speed, 1e-3..=1e4),
+            ("torque_time", self.torque_time, 0.0..=10.0),
+            ("torque_constant", self.torque_constant, 0.01..=100.0),
+            ("friction", self.friction, 0.0..=1e4),
+            ("damping", self.damping, 0.0..=1e4),
+            ("efficiency", self.efficiency, 0.01..=1.0),
+            ("rotor_inertia", self.rotor_inertia, 0.0..=1e3),
+        ] {
+            value.map(|value| check_range(&format!("{owner}.{name}"), value, range)).transpose()?;
+        }
+        Ok(())
     }
 
     fn numbers(&self) -> [f64; 10] {

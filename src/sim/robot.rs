@@ -280,19 +280,7 @@ impl Robot {
         }
         check_range("servo.kp", self.servo.kp, 0.0..=1e4)?;
         check_range("servo.kd", self.servo.kd, 0.0..=1e3)?;
-        check_range("servo.torque_limit", self.servo.torque_limit.unwrap_or(1.0), 1e-6..=1e4)?;
-        check_range("servo.stall_torque", self.servo.stall_torque.unwrap_or(1.0), 1e-6..=1e5)?;
-        check_range("servo.no_load_speed", self.servo.no_load_speed.unwrap_or(1.0), 1e-3..=1e4)?;
-        for (name, value, most) in [
-            ("torque_time", self.servo.torque_time, 10.0),
-            ("friction", self.servo.friction, 1e4),
-            ("damping", self.servo.damping, 1e4),
-            ("rotor_inertia", self.servo.rotor_inertia, 1e3),
-        ] {
-            check_range(&format!("servo.{name}"), value.unwrap_or(0.0), 0.0..=most)?;
-        }
-        check_range("servo.torque_constant", self.servo.torque_constant.unwrap_or(1.0), 0.01..=100.0)?;
-        check_range("servo.efficiency", self.servo.efficiency.unwrap_or(1.0), 0.01..=1.0)?;
+        self.servo.actuator().validate("servo")?;
         check_range("servo.speed_limit", self.servo.speed_limit.unwrap_or(1.0), 1e-3..=1e4)?;
         if !matches!(self.leg.link.len(), 1..=3) {
             return Err(Error::invalid(

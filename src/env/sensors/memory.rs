@@ -18,19 +18,20 @@ pub struct SensorMemory {
 impl SensorMemory {
     /// All numbers, for a snapshot.
     pub fn numbers(&self) -> Vec<f32> {
-        let past = self.past.iter().flat_map(|p| [p.bias, p.filtered]);
+        let past = self.past.iter().flat_map(|p| [p.bias, p.filtered, p.exact]);
         past.chain(self.sampled.iter().copied()).chain(self.seen.iter().copied()).collect()
     }
 
     /// A memory of these sizes from its [`Self::numbers`]; None if their count is wrong or one is not finite.
     pub(super) fn from_numbers(numbers: &[f32], sizes: [usize; 3]) -> Option<Self> {
         let [signals, sampled, seen] = sizes;
-        if numbers.len() != 2 * signals + sampled + seen || !numbers.iter().all(|x| x.is_finite()) {
+        if numbers.len() != 3 * signals + sampled + seen || !numbers.iter().all(|x| x.is_finite()) {
             return None;
         }
-        let (past, rows) = numbers.split_at(2 * signals);
+        let (past, rows) = numbers.split_at(3 * signals);
         let (sampled, seen) = rows.split_at(sampled);
-        let past = past.as_chunks::<2>().0.iter().map(|[bias, filtered]| Past { bias: *bias, filtered: *filtered });
+        let past = past.as_chunks::<3>().0.iter();
+        let past = past.map(|[bias, filtered, exact]| Past { bias: *bias, filtered: *filtered, exact: *exact });
         Some(Self { senses: None, past: past.collect(), sampled: sampled.to_vec(), seen: seen.to_vec() })
     }
 }

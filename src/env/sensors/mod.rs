@@ -1,17 +1,14 @@
 //! Sensors between the simulated robot and the observation, and the delay between the action and the motors.
 //!
 //! A task computes exact values. A column that belongs to a [`Sensor`] passes through the sensor's imperfections, in this
-//! order: bias and random walk, white noise, low-pass filter, quantization, delay, dropout. Everything that a sensor
+//! order: the part of the delay that is no whole control step (the sensor samples so long before the step ends), bias and
+//! random walk, white noise, low-pass filter, quantization, the delay's whole steps, dropout. Everything that a sensor
 //! remembers is a part of the episode ([`SensorMemory`]), so snapshots contain it. Its random numbers depend on the
 //! environment's seed, the episode and the step alone.
 //!
-//! To add a sensor: its line in `sensors!`, and one in [`Sensors`]; and the mark [`Features::sensed`] at the columns that
-//! a task has of it, or, if no task has it, its columns in [`extra`]. In [`model`]: `IMU` if it is a vector of the
-//! inertial measurement unit.
-//!
-//! [`Features::sensed`]: super::feature::Features::sensed
+//! How to add a sensor: row "a sensor" of the table in `ARCHITECTURE.md`.
 
-mod delay;
+mod action_delay;
 mod extra;
 mod hardware;
 mod memory;
@@ -20,7 +17,7 @@ mod options;
 mod random;
 mod signal;
 
-pub use delay::ActionDelay;
+pub use action_delay::ActionDelay;
 pub use hardware::{HardwareFiles, motors};
 pub use memory::SensorMemory;
 pub use model::{Privileged, SensorInput, SensorModel};

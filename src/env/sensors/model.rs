@@ -103,7 +103,7 @@ impl SensorModel {
                 .map_or(0.0, |(sensor, _)| files.longest(sensor, sensors.of(sensor).unwrap_or_default()))
         };
         let longest = signals.iter().map(delay).fold(0.0, f64::max);
-        // The newest row, those back to the longest delay, and one to interpolate or to take differences from.
+        // The newest row, those back to the longest delay, and one to take differences from.
         let kept = (longest / period).ceil() as usize + 2;
         let history = *history as usize;
         let of_step = |back: usize| {
@@ -145,10 +145,9 @@ impl SensorModel {
         }))
     }
 
-    /// Does a column need the sand's force on each leg?
+    /// May a column need the ground's force on each leg? Those of added sensors may.
     pub fn needs_normal_forces(&self) -> bool {
-        let forces = |c: &Column| matches!(c.sensor, Some((Sensor::ContactForce | Sensor::ContactSwitch, _)));
-        self.added.columns().iter().any(forces)
+        self.added.len() > 0
     }
 
     /// Number of the task's own columns.
@@ -163,7 +162,7 @@ impl SensorModel {
     /// Numbers that an episode's sensors remember.
     pub fn numbers(&self) -> usize {
         let [signals, sampled, seen] = self.sizes();
-        2 * signals + sampled + seen
+        3 * signals + sampled + seen
     }
 
     /// An episode's memory from a snapshot.

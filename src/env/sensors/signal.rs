@@ -13,8 +13,10 @@ pub struct Signal {
     pub column: usize,
     /// The column of an angle's cosine.
     pub cosine: Option<usize>,
-    /// The delay: whole control steps, and the rest as a share of one.
-    pub late: (usize, f32),
+    /// Whole control steps of the delay.
+    pub late: usize,
+    /// The rest of the delay, as a share of a control step: the sensor samples so long before the step ends.
+    early: f64,
     /// Places of column and cosine in the row that the policy gets; empty if it does not get them.
     pub places: Vec<(usize, usize)>,
     /// Probability that a sample is lost.
@@ -51,6 +53,8 @@ pub struct Past {
     pub bias: f32,
     /// Output of the low-pass filter.
     pub filtered: f32,
+    /// The exact value at the end of the control step before.
+    pub exact: f32,
 }
 
 impl Signal {
@@ -64,13 +68,13 @@ impl Signal {
         let whole = (delay + ROUNDING).floor();
         // A delay of whole steps copies bits.
         let rest = delay - whole;
-        let late = (whole as usize, if rest > ROUNDING { rest as f32 } else { 0.0 });
         let Imperfections { gain, offset, noise_density, bias, random_walk, low_pass, quantization, dropout, .. } =
             imperfections;
         Some(Self {
             column,
             cosine: None,
-            late,
+            late: whole as usize,
+            early: if rest > ROUNDING { rest } else { 0.0 },
             places: Vec::new(),
             dropout,
             alters: [gain, offset, noise_density, bias, random_walk, low_pass, quantization] != [0.0; 7],
@@ -78,7 +82,7 @@ impl Signal {
             offset,
             bias,
             walk: random_walk * period.sqrt(),
-            // Samples at the rate 1/period carry the density up to half of that rate (Kalibr's IMU noise model).
+            // Of one sample of white noise with this density (Kalibr's IMU noise model).
             noise: noise_density / period.sqrt(),
             follows: (low_pass > 0.0).then(|| -(-period / low_pass).exp_m1()),
             quantization,
@@ -89,11 +93,9 @@ impl Signal {
         [Some(self.column), self.cosine].into_iter().flatten()
     }
 
-    /// The delayed value of `column` among sampled rows of `width` numbers, the newest first.
+    /// The value of `column`, late by whole steps, among sampled rows of `width` numbers, the newest first.
     pub fn delayed(&self, sampled: &[f32], width: usize, column: usize) -> f32 {
-        let (whole, rest) = self.late;
-        let at = |back: usize| sampled[back * width + column];
-        if rest == 0.0 { at(whole) } else { at(whole) + (at(whole + 1) - at(whole)) * rest }
+        sampled[self.late * width + column]
     }
 
     /// The measured value in a row.
@@ -111,7 +113,7 @@ impl Signal {
 
     /// The first sample of an episode.
     pub fn begin(&self, random: &mut Xoshiro256PlusPlus, row: &mut [f32]) -> Past {
-        let mut past = Past::default();
+        let mut past = Past { exact: self.value(row) as f32, ..Past::default() };
         if self.alters {
             past.bias = (self.bias * random.sample::<f64, _>(StandardNormal)) as f32;
             let noisy = self.noisy(self.value(row), &past, random);
@@ -123,21 +125,27 @@ impl Signal {
 
     /// A later sample; `row` has the exact values.
     pub fn sample(&self, random: &mut Xoshiro256PlusPlus, past: &mut Past, row: &mut [f32]) {
-        if !self.alters {
+        let mut value = self.value(row);
+        if self.early > 0.0 {
+            let exact = std::mem::replace(&mut past.exact, value as f32);
+            value = self.between(value, exact.into(), self.early);
+        } else if !self.alters {
             return;
         }
         if self.walk > 0.0 {
             past.bias += (self.walk * random.sample::<f64, _>(StandardNormal)) as f32;
         }
-        let mut value = self.noisy(self.value(row), past, random);
+        value = self.noisy(value, past, random);
         if let Some(share) = self.follows {
-            let before = f64::from(past.filtered);
-            // An angle is filtered along the shorter way.
-            let change = if self.cosine.is_some() { wrapped(value - before) } else { value - before };
-            value = before + change * share;
+            value = self.between(past.filtered.into(), value, share);
             past.filtered = value as f32;
         }
         self.set(row, self.quantized(value));
+    }
+
+    /// `from`, moved to `to` by this share of the distance; an angle along the shorter way.
+    fn between(&self, from: f64, to: f64, share: f64) -> f64 {
+        from + share * if self.cosine.is_some() { wrapped(to - from) } else { to - from }
     }
 
     fn noisy(&self, value: f64, past: &Past, random: &mut Xoshiro256PlusPlus) -> f64 {

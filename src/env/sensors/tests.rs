@@ -3,7 +3,7 @@
 mod hardware;
 
 use super::signal::wrapped;
-use super::{Sensor, Sensors};
+use super::{Sensor, Sensors, extra};
 use crate::episode::Episode;
 use crate::options::Options as _;
 use crate::registry::{Blueprint, TASK_IDS};
@@ -59,9 +59,9 @@ fn run(shard: &mut Shard, steps: usize) -> Vec<Vec<f32>> {
 /// An entry for each sensor that the task observes.
 fn each(id: &str, options: &Value, entry: &Value) -> Value {
     let blueprint = Blueprint::new(id, options.clone()).unwrap();
-    let sensors = blueprint.task.spec().observation.iter().filter_map(|c| c.sensor.map(|(s, _)| s.name()));
-    let all = sensors.chain(["accelerometer", "joint_torque", "contact_force", "contact_switch", "range_finder"]);
-    Value::Object(all.map(|name| (name.to_owned(), entry.clone())).collect())
+    let own = blueprint.task.spec().observation.iter().filter_map(|c| c.sensor.map(|(s, _)| s));
+    let added = Sensor::ALL.into_iter().filter(|s| extra::columns(*s, blueprint.task.model()).is_some());
+    Value::Object(own.chain(added).map(|sensor| (sensor.name().to_owned(), entry.clone())).collect())
 }
 
 /// A sensor that is not in the list would be accepted as an option and have no effect.
@@ -170,6 +170,11 @@ fn noise_has_its_density() {
     let pairs = all.windows(2).flat_map(|w| w[0].iter().zip(&w[1]).map(|(a, b)| a * b));
     let correlation = pairs.sum::<f64>() / (48.0 * 2099.0) / wanted.powi(2);
     assert!(correlation.abs() < 0.02, "{correlation}");
+    // A delay between control steps makes it no smaller.
+    let late = errors(&json!({"noise_density": 0.02, "delay": 0.01}), 1000, 0);
+    // After the robot has come to rest.
+    let found = deviation(late[100..].iter().flatten().copied());
+    assert!((found / wanted - 1.0).abs() < 0.02, "{found} {wanted}");
     assert_eq!(all[..50], errors(&json!({"noise_density": 0.02}), 50, 0)[..], "seeds fix the noise");
     assert_ne!(all[..50], errors(&json!({"noise_density": 0.02}), 50, 100)[..]);
 }

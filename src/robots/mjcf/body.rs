@@ -232,6 +232,7 @@ impl Builder<'_> {
             armature: element.not_negative("armature")?.unwrap_or(0.0),
             torque_limit: None,
             speed_limit: None,
+            motor: Default::default(),
             kp: None,
             kd: None,
             rest: None,

@@ -6,7 +6,7 @@ use sandgait_sim::engine::{Command, Engine, EngineKind};
 use sandgait_sim::frame::{BodyFrame, M, V};
 use sandgait_sim::model::Scene;
 use sandgait_sim::stop::ImplicitTorque;
-use sandgait_sim::tree::{TreeModel, of_robot, of_touching};
+use sandgait_sim::tree::{TreeModel, of_robot, of_touching, packed};
 use sandgait_sim::{Model, Robot, State};
 
 #[test]
@@ -260,4 +260,32 @@ fn gears_and_stops_take_energy() {
             assert!(!loses || energy < 0.9 * work, "{} round {round}: {energy} J of {work} J", kind.name());
         }
     }
+}
+
+/// A robot of ours keeps its motors as a tree, and packed for a server.
+#[test]
+fn trees_keep_the_motors_of_a_file() {
+    let mut robot = Robot::built_in("xplorer").unwrap();
+    let motors = Actuator {
+        torque_limit: Some(0.3),
+        stall_torque: Some(0.7),
+        no_load_speed: Some(21.0),
+        torque_time: Some(0.012),
+        torque_constant: Some(1.1),
+        friction: Some(0.002),
+        damping: Some(0.001),
+        efficiency: Some(0.8),
+        rotor_inertia: Some(1e-6),
+    };
+    robot.servo.set_actuator(&motors);
+    robot.servo.speed_limit = Some(30.0);
+    let tree = of_robot("xplorer", &robot).unwrap();
+    let plates = vec![Vec::new(); tree.bodies.len()];
+    let packed = packed::pack(&tree, &plates, None).unwrap();
+    for model in [TreeModel::new(tree, plates).unwrap(), packed::unpack(&packed).unwrap()] {
+        assert!(model.motors.iter().all(|motor| motor.actuator == motors && motor.speed_limit == Some(30.0)));
+    }
+    let broken = packed.replace("\"efficiency\":0.8", "\"efficiency\":8.0");
+    let error = packed::unpack(&broken).unwrap_err().to_string();
+    assert!(broken != packed && error.contains("efficiency"), "{error}");
 }

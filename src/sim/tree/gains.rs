@@ -96,8 +96,8 @@ pub fn motors(tree: &Tree, contacts: &[Vec<ContactPoint>], stance: &Stance) -> V
             speed_limit: joint.speed_limit,
             actuator: Actuator {
                 torque_limit: joint.torque_limit,
-                no_load_speed: joint.speed_limit,
-                ..Actuator::default()
+                no_load_speed: joint.motor.no_load_speed.or(joint.speed_limit),
+                ..joint.motor
             },
         }
     };

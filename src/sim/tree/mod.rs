@@ -55,6 +55,7 @@ pub use model::TreeModel;
 pub use plates::{of_body, of_shapes, of_touching};
 pub use robot::of_robot;
 
+use crate::actuator::Actuator;
 use nalgebra::{Isometry3, Matrix3, Unit, Vector3};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -110,6 +111,8 @@ pub struct TreeJoint {
     pub torque_limit: Option<f64>,
     /// Largest speed of the motor [rad/s or m/s]; None: no known limit.
     pub speed_limit: Option<f64>,
+    /// What else the file says of the motor and its gear; its torque limit is `torque_limit`.
+    pub motor: Actuator,
     /// Position gain of the servo [N·m/rad], if the file has one.
     pub kp: Option<f64>,
     /// Speed gain of the servo [N·m·s/rad], if the file has one.

@@ -5,6 +5,7 @@ use super::contact::{ContactPoint, contact_points};
 use super::looks::Looks;
 use super::model::TreeModel;
 use super::{Geometry, JointKind, Mimic, Tree, TreeBody, TreeJoint, TreeShape};
+use crate::actuator::Actuator;
 use crate::error::{Error, Result, check_range};
 use crate::number::Vec3;
 use crate::sand::intruder::IntruderPlate;
@@ -74,9 +75,15 @@ struct PackedJoint {
     armature: f64,
     torque_limit: Option<f64>,
     speed_limit: Option<f64>,
+    #[serde(default, skip_serializing_if = "is_unknown")]
+    motor: Actuator,
     kp: Option<f64>,
     kd: Option<f64>,
     rest: Option<f64>,
+}
+
+fn is_unknown(motor: &Actuator) -> bool {
+    *motor == Actuator::default()
 }
 
 /// A shape that is not a mesh, for pictures.
@@ -217,6 +224,7 @@ impl PackedBody {
         }
         let Some(joint) = &self.joint else { return Ok(()) };
         let name = |what: &str| format!("{what} of {}", joint.name);
+        joint.motor.validate(&joint.name)?;
         unit("axis", joint.axis.iter().map(|x| x * x).sum())?;
         for (what, x) in [("damping", joint.damping), ("friction", joint.friction), ("armature", joint.armature)] {
             check_range(&name(what), x, 0.0..=1e9)?;
@@ -275,6 +283,7 @@ fn joint(j: &TreeJoint) -> PackedJoint {
         armature: j.armature,
         torque_limit: j.torque_limit,
         speed_limit: j.speed_limit,
+        motor: j.motor,
         kp: j.kp,
         kd: j.kd,
         rest: j.rest,
@@ -294,6 +303,7 @@ fn joint_of(j: PackedJoint) -> TreeJoint {
         armature: j.armature,
         torque_limit: j.torque_limit,
         speed_limit: j.speed_limit,
+        motor: j.motor,
         kp: j.kp,
         kd: j.kd,
         rest: j.rest,

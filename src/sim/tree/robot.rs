@@ -53,6 +53,7 @@ pub fn of_robot(name: &str, robot: &Robot) -> Result<Tree> {
                     armature: body.armature,
                     torque_limit: limit(robot.servo.torque_limit),
                     speed_limit: limit(robot.servo.speed_limit),
+                    motor: robot.servo.actuator(),
                     kp: Some(robot.servo.kp),
                     kd: Some(robot.servo.kd),
                     rest: None,

@@ -65,6 +65,7 @@ pub fn random_tree(draw: &mut SignedDraw, count: usize) -> Tree {
             armature: 0.0,
             torque_limit: None,
             speed_limit: None,
+            motor: Default::default(),
             kp: None,
             kd: None,
             rest: None,

@@ -104,6 +104,7 @@ pub fn quadruped() -> Tree {
             armature: 0.005,
             torque_limit: Some(20.0),
             speed_limit: Some(20.0),
+            motor: Default::default(),
             kp: Some(60.0),
             kd: Some(1.5),
             rest: Some(rest),
