@@ -1,6 +1,6 @@
 //! The one error type: a wrong input of the user, or a failure of the machine.
 
-/// Every fallible call of the crate returns this. `Display` is one line fit for a terminal or a gRPC status.
+/// Every fallible function of the program returns this. `Display` is one line fit for a terminal or a gRPC status.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Error {
     /// A value that the named field does not accept; the caller can correct it.

@@ -46,12 +46,12 @@ fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// A folder that this process alone writes into. The system ends the lock with the process, however it ends.
+/// A folder that this process alone writes into. The system ends the lock when the process ends, for whatever reason.
 #[derive(Debug)]
 pub struct Lock(File);
 
 impl Lock {
-    /// Locks `folder`, which exists. If another process has locked it, this is an error with `advice`.
+    /// Locks `folder`, which must exist. If another process has locked it, the error ends with `advice`.
     ///
     /// The folder itself is locked, so no file is left. A file system without locks for folders (NFS, or Lustre without
     /// the mount option `flock`) gives no protection; that is no error, because people train there too.
@@ -69,7 +69,7 @@ impl Lock {
 impl Drop for Lock {
     /// A forked child may hold the folder open, too, so closing it would not end the lock.
     fn drop(&mut self) {
-        // It cannot fail for a lock that is held; without locks there is nothing to end.
+        // Unlocking cannot fail for a lock that is held. On a file system without locks there is nothing to unlock.
         let _ = self.0.unlock();
     }
 }

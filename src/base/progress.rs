@@ -39,8 +39,8 @@ impl Progress for PartialProgress<'_> {
     }
 }
 
-/// Interval at which [`Latch::stopped`] asks: our choice. Work then stops within a second, and asking takes hardly any
-/// time.
+/// Least time between two questions of [`Latch::stopped`]: our choice, because work then stops within a second, and
+/// asking takes hardly any time.
 const ASKED: Duration = Duration::from_millis(200);
 
 /// For work whose results cannot carry an error. The work asks [`Latch::stopped`] and, if stopped, ends early with

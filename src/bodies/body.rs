@@ -16,8 +16,9 @@ pub struct Bodies {
     bodies: Vec<CutBody>,
 }
 
-/// A body's plates. Without a plate size the law is evaluated once for each patch of them, by the code of engine `tree`;
-/// otherwise, and for thin plates, once for each plate, as in `sandgait intrude`.
+/// A body's plates. Without a plate size the law is evaluated once for each patch of plates, by the code of engine
+/// `tree`. With a plate size, and for a body with a thin plate or a face, it is evaluated once for each plate, as in
+/// `sandgait intrude`.
 #[derive(Debug)]
 pub(crate) struct CutBody {
     pub pieces: Vec<BodyPlate>,
@@ -30,8 +31,8 @@ pub(crate) struct CutBody {
 }
 
 impl Bodies {
-    /// Each body's name and parts. `plate_size` [m]: see [`Bodies::plates`]; None: finer plates than those of robots
-    /// in engine `tree`, for the force in each single pose.
+    /// Each body's name and parts. `plate_size` [m]: size of the plates, for each of which the law is then evaluated.
+    /// None: plates that are finer than those of robots in engine `tree`, for accurate forces in every single pose.
     pub fn new(bodies: Vec<(String, Vec<BodyPart>)>, plate_size: Option<f64>) -> Result<Self> {
         if bodies.is_empty() {
             return Err(Error::invalid("bodies", "there are none"));

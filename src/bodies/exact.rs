@@ -1,17 +1,23 @@
 //! The force law for each plate by itself, with the rules of `sandgait intrude` for plates that the leading edge or
 //! the surface of the sand crosses.
 //!
-//! There a flat plate leads or does not. Here its force rises over the small range of n·v̂ that
-//! [`crate::sand::Regularization::leading_edge_gate`] gives, because an integrator needs a force without jumps: from 0 for a
-//! flat plate, and about 0 for a bent one, of which on average half leads at n·v̂ = 0.
+//! In `sandgait intrude` a flat plate either leads or does not. Here its force rises over a small range of n·v̂, which
+//! [`crate::sand::Regularization::leading_edge_gate`] gives, because an integrator needs a force without jumps. For a
+//! flat plate the range begins at n·v̂ = 0. For a bent plate it lies evenly about 0, because on average half of a bent
+//! plate leads at n·v̂ = 0.
 //!
-//! The drag D of a body is the sum over its plates (or patches) of two parts. The plate's force F falls to zero with the
-//! speed; its slope along v, as the secant from rest, is c = −F·v/v², which acts against changes in all directions. And
-//! the share s(n·v̂) of the plate that leads changes with the direction of motion: the force along n changes by
-//! e = −F·n s'/(s √(v² + v0²)) for each unit of n·v. Both together would count a change along v twice, so that the second
-//! part is without its effect along v ([`Total::add_slope`]): D = Σ Jᵀ(c I + e (q qᵀ − κ² v̂v̂ᵀ))J. It is symmetric and
-//! positive semidefinite, and along the motion ξ it is the secant's: ξᵀDξ = −ξᵀf. Near rest v̂ = v/√(v² + v0²) is 0 and
-//! q = n, because there the force grows by both.
+//! The drag D of a body is the sum of two parts over its plates (or patches).
+//!
+//! First, the plate's force F falls to zero with the speed. Its slope along v, taken as the secant from rest, is
+//! c = −F·v/v². It acts against changes of v in all directions.
+//!
+//! Second, the share s(n·v̂) of the plate that leads changes with the direction of motion. So the force along n changes
+//! by e = −F·n s'/(s √(v² + v0²)) for each unit of n·v.
+//!
+//! Both parts together would count a change along v twice. So the second part has no effect along v
+//! ([`Total::add_slope`]): D = Σ Jᵀ(c I + e (q qᵀ − κ² v̂v̂ᵀ))J. D is symmetric and positive semidefinite, and along
+//! the motion ξ it equals the secant: ξᵀDξ = −ξᵀf. Near rest v̂ = v/√(v² + v0²) is 0 and q = n, because there the force
+//! grows by both parts.
 
 use super::part::BodyPlate;
 use crate::number::{Real, Vec3};
@@ -36,7 +42,8 @@ struct PlateScene<'a, R> {
     gate: R,
 }
 
-/// Force and drag on a plate at `at`, from the body's common point, with its normal and velocity in the world.
+/// Force and drag on a plate whose centre is `at` from the body's common point, with its normal and velocity in the
+/// world's axes. `edge` is the e of the module's text.
 struct PlateForce<R> {
     force: Vec3<R>,
     drag: R,
@@ -123,7 +130,8 @@ impl<R: Real> PlateScene<'_, R> {
         if !R::any(zero.lt(leads)) {
             return None;
         }
-        // If the edge crosses the plate, its leading part moves with half of the edge's n·v.
+        // If the leading edge crosses the plate, n·v of the leading part runs from 0 to `along + uneven`: its mean is
+        // half of this.
         let toward = along.max((along + uneven) * half).max(zero);
         let (full, drag) = self.law(&site, area, normal, normal.scale_add(toward - along, v), v);
         let rising = (-full.dot(normal)).max(zero) * growth;
@@ -131,7 +139,8 @@ impl<R: Real> PlateScene<'_, R> {
         Some(PlateForce { force: full * leads, drag: drag * leads, edge, at, normal, v })
     }
 
-    /// The law's force on a plate that moves with `v`, in the world's axes, and its drag against `own`: −f·v/v².
+    /// The law's force on a plate that moves with `v`, in the world's axes, and its drag −f·u/u² against the plate's
+    /// own velocity u = `own`.
     #[inline(always)]
     fn law(&self, site: &SegmentState<R>, area: R, normal: Vec3<R>, v: Vec3<R>, own: Vec3<R>) -> (Vec3<R>, R) {
         let force = match self.under.axes() {

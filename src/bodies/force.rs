@@ -15,8 +15,8 @@ use crate::sim::tree::terrain::Surface;
 pub(crate) trait BodyForce<R: Real> {
     fn surface(&self) -> &Under<R>;
 
-    /// The force on one body about `place`, with drags as masses of `dt` = 1 s; None if it is not in the sand. `travel`:
-    /// horizontal velocity of the vehicle.
+    /// The force on one body about `place`, with drags as masses of `dt` = 1 s; None if the body is not in the sand.
+    /// `travel`: horizontal velocity of the vehicle.
     fn on(&self, body: &CutBody, frame: &LinkFrame<R>, place: &Vec3<R>, travel: [R; 2]) -> Option<Total<R>>;
 }
 

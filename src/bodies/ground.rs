@@ -17,10 +17,11 @@ pub struct GroundOptions {
     pub slope_deg: f64,
     /// Heights of the surface; not together with a slope.
     pub relief: Option<Relief>,
-    /// See [`Regularization::rest_speed`] [m/s]. Our choice 2e-6, a fifth of that of the engines: bodies of any weight, in any
-    /// medium, then creep by less than 0.1 mm in 10 s.
+    /// See [`Regularization::rest_speed`] [m/s]. Our choice 2e-6, a fifth of the engines' value, because bodies of any
+    /// weight, in any medium, then creep by less than 0.1 mm in 10 s.
     pub rest_speed: f64,
-    /// See [`Regularization::leading_edge_gate`]. Another value than the default applies to plates of a given size only.
+    /// See [`Regularization::leading_edge_gate`]. A value other than the default is only for bodies that are computed
+    /// plate by plate.
     pub leading_edge_gate: f64,
 }
 
@@ -51,8 +52,8 @@ impl SandGround {
         check_range("height", options.height, -1e4..=1e4)?;
         let slope_deg = options.slope_deg + description.mechanisms.slope.to_degrees();
         check_range("slope_deg", slope_deg, -Scene::MAX_SLOPE_DEG..=Scene::MAX_SLOPE_DEG)?;
-        // Below 1e-9 m/s the drag at rest exceeds what single precision can resolve; above 0.1 m/s a robot sinks
-        // while it stands: our choice.
+        // Our choice, because below 1e-9 m/s the drag at rest exceeds what single precision can resolve, and above
+        // 0.1 m/s a robot sinks while it stands.
         check_range("rest_speed", options.rest_speed, 1e-9..=0.1)?;
         check_range("leading_edge_gate", options.leading_edge_gate, 1e-3..=1.0)?;
         if options.relief.is_some() && slope_deg != 0.0 {
@@ -81,7 +82,8 @@ impl SandGround {
         &self.description
     }
 
-    /// Mechanisms of the description that act on a vehicle's motion; bodies then need the vehicle's velocity.
+    /// The first mechanism of the description that depends on the motion of a vehicle. If there is one, the caller must
+    /// give the vehicle's velocity.
     pub fn needs_travel(&self) -> Option<&'static str> {
         let m = &self.description.mechanisms;
         let all = [("skid_loss", m.skid_loss), ("graze_loss", m.graze_loss), ("slip_bearing", m.slip_bearing)];

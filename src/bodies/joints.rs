@@ -1,9 +1,10 @@
 //! Sand in the joint space of a tree of bodies, in the form of MuJoCo's arrays.
 //!
 //! The force on a body at the end of a step is f − C (v⁺ − v) with its drag C. With v⁺ − v = J q̈ dt this is the
-//! generalized force Jᵀf − dt JᵀCJ q̈, so M q̈ = τ + Jᵀf − dt JᵀCJ q̈ becomes (M + dt JᵀCJ) q̈ = τ + Jᵀf: the sand adds
-//! an inertia that has no momentum and no weight. JᵀCJ couples only joints on one way from a body to the root, so it has
-//! an entry only where M has one, and a simulator's own sparse factorisation serves for both.
+//! generalized force Jᵀf − dt JᵀCJ q̈, so M q̈ = τ + Jᵀf − dt JᵀCJ q̈ becomes (M + dt JᵀCJ) q̈ = τ + Jᵀf. The term
+//! dt JᵀCJ is added to the inertia only, so that it resists changes of velocity; it has no weight and causes no
+//! velocity-product forces. JᵀCJ couples only joints on the same path from a body to the root. So it has an entry only
+//! where M has one, and a simulator's own sparse factorisation serves for the sum.
 
 use super::body::Bodies;
 use super::force::{BodyForce, EightGround, LaneGround};
@@ -39,7 +40,8 @@ pub struct TreeMotion<'a> {
     pub velocity: &'a [f64],
     /// Centre of mass of the tree below each body [bodies, 3]; those of the roots are used.
     pub center: &'a [f64],
-    /// Velocity of each degree of freedom's body for a unit rate [dofs, 6], as `velocity`.
+    /// Velocity, in the form of `velocity`, of the body that each degree of freedom moves, at a unit rate of this
+    /// degree of freedom [dofs, 6].
     pub axis: &'a [f64],
 }
 
@@ -52,7 +54,7 @@ pub struct JointSand {
     chains: Vec<Vec<usize>>,
 }
 
-/// A body's drag over (angular, linear) velocity, and the products with the axes of its degrees of freedom.
+/// A spatial vector, angular part first: a wrench, a row of a drag, or the product of a drag and an axis.
 type Spatial = [f64; 6];
 
 impl JointSand {
@@ -194,9 +196,10 @@ impl JointSand {
         }
     }
 
-    /// MuJoCo keeps only the diagonal of M for a body that floats alone with its centre of mass at its origin. There
-    /// the diagonal matrix with entries √H_ii Σ_j |H_ij|/√H_jj takes the place of H = dt JᵀCJ. It is not less than H
-    /// (Gershgorin, after scaling by 1/√H_ii), so the motion stays stable, and equals it to first order in dt.
+    /// The diagonal entry of `dof` for a body that floats alone with its centre of mass at its origin: MuJoCo then
+    /// keeps only the diagonal of M. The diagonal matrix with entries √H_ii Σ_j |H_ij|/√H_jj takes the place of
+    /// H = dt JᵀCJ. This matrix minus H is positive semidefinite (Gershgorin, after scaling by 1/√H_ii), so the motion
+    /// stays stable. The accelerations differ from those with H by a term of order dt.
     fn dominant(&self, chain: &[usize], dof: usize, axes: &[f64], drag: &[Spatial; 6], dt: f64) -> f64 {
         let axis = |dof: usize| &axes[6 * dof..6 * dof + 6];
         let dot = |a: &[f64], b: &Spatial| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();

@@ -23,10 +23,11 @@ const KINDS: [&str; 9] = [
 ];
 /// Friction is not used: sand's force does not depend on it.
 const FRICTION: f64 = 1.0;
-/// Plates along the longer side of a thin plate, unless the user gives a size: our choice, as many segments as give
-/// walking speeds within 0.2 % (`docs/convergence.md`).
+/// Plates along the longer side of a thin plate, unless the user gives a size: our choice, twice the segments of a leg
+/// of the reference robot.
 const ALONG: f64 = 24.0;
-/// |q|² − 1 above which a quaternion is no rotation: our choice, beyond the drift of simulators in single precision.
+/// Largest ||q|² − 1| of a quaternion that counts as a rotation: our choice, beyond the drift of simulators in single
+/// precision.
 pub const UNIT: f64 = 1e-3;
 
 /// A shape at its place in a body's frame.
@@ -72,7 +73,7 @@ impl BodyPart {
             "cylinder" => {
                 let wheel = sizes.contains("width");
                 if wheel {
-                    // Turned back about x, the axis z becomes y.
+                    // A turn of −90° about x takes the axis z to y.
                     origin = Isometry3::rotation(Vector3::x() * -std::f64::consts::FRAC_PI_2);
                 }
                 read(&["radius", if wheel { "width" } else { "height" }])

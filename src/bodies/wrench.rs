@@ -1,5 +1,6 @@
-//! Forces on many bodies in many states. Numbers of type `f64` are computed in `f64`, with eight patches of a body in lanes;
-//! those of type `f32` in lanes of `f32` with one state in each. So the bits of a result depend on its own state only.
+//! Forces on many bodies in many states. For arrays of `f64` the forces are computed in `f64`, with eight patches of a
+//! body in lanes. For arrays of `f32` they are computed in `f32`, with one state in each lane. So the bits of a result
+//! depend on its own state only.
 
 use super::body::{Bodies, CutBody};
 use super::force::{BodyForce, EightGround, LaneGround};
@@ -13,11 +14,11 @@ use crate::sim::tree::terrain::Surface;
 use std::marker::PhantomData;
 use std::thread;
 
-/// Fewest bodies in all states together for a further thread: our choice, some ten times the 30 µs in which a thread
-/// starts.
+/// Number of bodies, in all states together, for each further thread: our choice, because they take some ten times the
+/// 30 µs in which a thread starts.
 const FOR_A_THREAD: usize = 1024;
 
-/// A number of the caller's arrays.
+/// The type of the numbers in the caller's arrays.
 pub trait Precision: Copy + Send + Sync + Into<f64> {
     /// Number of states that are computed together.
     fn lanes(isa: Isa) -> usize;
@@ -55,18 +56,18 @@ impl Precision for f32 {
 #[derive(Clone, Copy)]
 pub struct Strided<'a, T> {
     pub numbers: &'a [T],
-    /// Numbers from one state, and from one body, to the next.
+    /// Distance in `numbers` from one state to the next, and from one body to the next.
     pub steps: [usize; 2],
 }
 
 /// Poses and velocities of all bodies in all states.
 pub struct Motions<'a, T> {
     pub states: usize,
-    /// Of the bodies' origins [m].
+    /// Positions of the bodies' origins [m].
     pub position: Strided<'a, T>,
     /// (w, x, y, z)
     pub quaternion: Strided<'a, T>,
-    /// Of the bodies' origins [m/s].
+    /// Velocities of the bodies' origins [m/s].
     pub velocity: Strided<'a, T>,
     /// In the world's axes [rad/s].
     pub angular_velocity: Strided<'a, T>,
@@ -221,7 +222,7 @@ impl<T: Precision> StateShare<'_, T> {
         for lane in 0..R::LANES {
             let row = m.quaternion.row((from + lane).min(states - 1), index, 4);
             let q: [f64; 4] = std::array::from_fn(|k| row[k].into());
-            // To first order in the deviation from length 1.
+            // Normalises the quaternion, to first order in the deviation of its length from 1.
             let scale = 1.5 - 0.5 * q.iter().map(|x| x * x).sum::<f64>();
             turn.0.set_lane(lane, q[0] * scale);
             turn.1.set_lane(lane, [q[1] * scale, q[2] * scale, q[3] * scale]);
@@ -255,7 +256,7 @@ impl<T: Precision> StateShare<'_, T> {
     }
 }
 
-/// An inertia's lane as a matrix over (linear, angular).
+/// One lane of an inertia as a matrix over (linear, angular).
 #[inline(always)]
 pub(crate) fn matrix<R: Real>(inertia: &Inertia<R>, lane: usize) -> [[f64; 6]; 6] {
     let mut all = [[0.0; 6]; 6];
@@ -276,9 +277,10 @@ pub(crate) fn matrix<R: Real>(inertia: &Inertia<R>, lane: usize) -> [[f64; 6]; 6
 }
 
 impl Bodies {
-    /// The sand's force [N] and torque about each body's origin [N·m] in the world's axes: `wrench` is
-    /// [states, bodies, 6]. `drag`, [states, bodies, 6, 6], becomes −∂(wrench)/∂(velocity, angular velocity), see
-    /// [`super::exact`]: symmetric and positive semidefinite, along the motion the secant from rest. `threads`: the most to use.
+    /// The sand's force [N] and torque [N·m] about each body's origin, in the world's axes: `wrench` is [states,
+    /// bodies, 6]. `drag`, [states, bodies, 6, 6], becomes −∂(wrench)/∂(velocity, angular velocity), see
+    /// [`super::exact`]. It is symmetric and positive semidefinite, and along the motion it is the secant from rest.
+    /// `threads`: the most to use.
     pub fn wrench<T: Precision>(
         &self,
         sand: &SandGround,

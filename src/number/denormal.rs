@@ -1,9 +1,10 @@
-//! Denormal numbers are so small that a processor may take a hundred times as long for them.
+//! Denormal numbers are the smallest floating-point numbers. A processor may take a hundred times as long to compute
+//! with them.
 //!
 //! All code that advances a robot counts denormal numbers as zero ([`flushed`]). In `f32` they are below 1.2e-38,
-//! far below any meaningful force, speed or angle, so nothing is lost. The setting belongs to the processor's
-//! thread. An engine sets it when it begins to advance and restores it at the end. So the bits are the same on
-//! every thread, in every batch, in this process or in a server, and the caller's thread (Python's, for example)
+//! far below any meaningful force, speed or angle, so nothing is lost. Each thread has its own setting. An engine
+//! changes it when it begins to advance, and restores it at the end. So the bits are the same on every thread, in every
+//! batch, in this process or in a server, and the caller's thread (Python's, for example) keeps its own setting.
 //! keeps its own setting.
 
 /// Runs `work` with denormal operands and results counted as zero, and restores the previous setting, also on a
@@ -14,7 +15,7 @@ pub fn flushed<T>(work: impl FnOnce() -> T) -> T {
     with(|word| word | control::FLUSH, work)
 }
 
-/// Runs `work`, code of another program, with the usual denormal numbers.
+/// Runs `work` with denormal numbers kept, as code that is not ours expects.
 pub fn unflushed<T>(work: impl FnOnce() -> T) -> T {
     with(|word| word & !control::FLUSH, work)
 }

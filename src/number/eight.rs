@@ -6,7 +6,8 @@ use super::{Isa, Real};
 /// Number of lanes of [`Eight`].
 pub const EIGHT: usize = 8;
 
-/// Eight lanes of `f64`. All fuse multiplication and addition, and [`Eight::sum`] has one order, so they give the same bits.
+/// Eight lanes of `f64`. Every implementation fuses multiplication and addition, and [`Eight::sum`] adds in a fixed
+/// order, so all implementations give the same bits.
 pub trait Eight: Real {
     fn of_singles(lanes: &[f32; EIGHT]) -> Self;
     fn of_doubles(lanes: &[f64; EIGHT]) -> Self;
@@ -20,7 +21,7 @@ pub trait Eight: Real {
     }
 }
 
-/// A number, or one for each lane, that is put into lanes.
+/// A number for all lanes, or an array with one number for each lane.
 pub trait Spread<R>: Copy {
     fn spread(&self) -> R;
 }
@@ -59,8 +60,8 @@ pub trait EightWork {
 }
 
 impl Isa {
-    /// Runs `work` in registers of AVX-512 or AVX2 if this is the instruction set and the machine has it, otherwise without
-    /// lanes.
+    /// Runs `work` in registers of AVX-512 or AVX2 if `self` is that instruction set and the machine has it, otherwise
+    /// without lanes.
     pub fn eights<W: EightWork>(self, work: W) -> W::Out {
         match self {
             #[cfg(target_arch = "x86_64")]

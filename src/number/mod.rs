@@ -30,12 +30,13 @@ pub use vector::{Mat3, Vec3};
 
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
-/// Work that is compiled for an instruction set, see [`Real::dispatch`]. All functions it calls must be inlined.
+/// Work that is compiled for an instruction set, see [`Real::dispatch`]. All functions that `run` calls must be
+/// inlined.
 pub trait Kernel {
     fn run(self);
 }
 
-/// A real number, or a vector of them computed lane by lane. No lane ever reads another.
+/// A real number, or a vector of real numbers that is computed lane by lane. No lane ever reads another lane.
 pub trait Real:
     Copy
     + Send
@@ -124,7 +125,8 @@ pub trait Real:
         let (s, c) = (Self::select(odd, cos, sin), Self::select(odd, sin, cos));
         let turn = |k: Self| {
             let k = k * Self::splat(0.25);
-            // fraction of a turn in [-1/2, 1/2]: quadrants 2 and 3 are negative for the sine
+            // Fraction of a turn: 0, 1/4, 1/2 or 3/4. The sine is negative in quadrants 2 and 3, and the cosine is the
+            // sine one quadrant later.
             let fraction = k - (k - Self::splat(0.375)).round();
             Self::splat(0.375).lt(fraction)
         };

@@ -1,4 +1,4 @@
-//! Two values of a number type as one with twice as many lanes.
+//! Two values of a number type as one value with twice as many lanes.
 
 use super::{Kernel, Real};
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};

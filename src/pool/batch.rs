@@ -12,10 +12,11 @@ use std::sync::Arc;
 /// Is asked for memory [bytes] before a request takes it; an error refuses the request.
 pub type Account = Arc<dyn Fn(usize) -> Result<()> + Send + Sync>;
 
-/// Number of environments of a batch, from 1 to `most`.
+/// Checks the number of environments of a batch: it is from 1 to `most`.
 ///
 /// # Errors
-/// The number is outside; too many are a matter of the limit, and the caller may ask another server.
+/// The number is outside this range. Too many environments give [`Error::Exhausted`], because the caller may ask
+/// another server.
 pub fn check_envs(envs: usize, most: usize) -> Result<usize> {
     let range = format!("{envs} is outside [1, {most}]");
     match envs {
@@ -34,8 +35,8 @@ pub struct Batch {
     pub(super) begun: Vec<bool>,
 }
 
-/// Memory of the rows of one part of a rollout, unless one step has more [bytes]: our choice, some 5,000 steps of one
-/// environment.
+/// Memory [bytes] of the rows of one part of a rollout, unless one step has more: our choice, the rows of some 5,000
+/// steps of one environment.
 const PART: usize = 1 << 19;
 
 impl Batch {
@@ -58,7 +59,7 @@ impl Batch {
         self.task.spec()
     }
 
-    /// From now on `account` is asked for the memory of models and snapshots; None: nobody is.
+    /// From now on `account` is asked for the memory of models and snapshots; with None, that memory is not limited.
     pub fn set_account(&mut self, account: Option<Account>) {
         self.account = account;
     }
@@ -74,7 +75,7 @@ impl Batch {
         models.values().map(|task| task.model().memory_bytes()).sum()
     }
 
-    /// The shards in order of the environments; `rows` of each hold the results of the last operation.
+    /// The shards in order of the environments. Their `rows` hold the results of the last operation.
     pub fn shards(&self) -> &[Shard] {
         &self.shards
     }

@@ -6,10 +6,10 @@
 //!     └──────────────── done(Batch), once every shard has run ◀──────┘
 //! ```
 //!
-//! One thread owns a shard while it runs. Results depend neither on the thread nor on the number of threads. The queue
-//! gives out one shard of each waiting batch in turn, so a session of many environments cannot starve a small one.
-//! While other sessions wait, a shard of a rollout is given out for one control step at a time. This crate has no
-//! messages, and never runs on the async runtime's threads.
+//! One thread owns a shard while the shard runs. Results depend neither on the thread nor on the number of threads. The
+//! queue gives out one shard of each waiting batch in turn, so a session of many environments cannot starve a small
+//! one. While other sessions wait, a shard of a rollout is given out for one control step at a time. This crate knows
+//! no messages of the server, and never runs on the threads of its async runtime.
 
 use sandgait_base::{error, parallel};
 use sandgait_env as env;

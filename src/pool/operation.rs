@@ -5,7 +5,7 @@ use crate::env::{AnyTask, Shard};
 use crate::policy::Network;
 use std::sync::Arc;
 
-/// A checked request. Only [`Batch`] can make one, so a pool gets no malformed ones.
+/// A checked request. Only [`super::Batch`] makes operations, so a pool gets no malformed ones.
 pub enum Operation {
     Reset { chosen: Option<Vec<bool>>, seeds: Option<Vec<u64>>, tasks: Option<ResetTasks> },
     Step { actions: Vec<f32>, held: Option<Vec<bool>> },
@@ -86,7 +86,7 @@ impl Operation {
         }
     }
 
-    /// Number of environments, of `envs`, that the operation advances; 0 if it is not a step.
+    /// How many of `envs` environments the operation advances; 0 if it is not a step.
     pub fn steps(&self, envs: usize) -> usize {
         match self {
             Self::Step { held, .. } => envs - held.iter().flatten().filter(|held| **held).count(),
@@ -94,8 +94,8 @@ impl Operation {
         }
     }
 
-    /// Parts after each of which a worker checks whether other sessions wait: a control step of a rollout is one
-    /// part.
+    /// Number of parts. After each part a worker checks whether other sessions wait. In a rollout one control step is
+    /// one part; every other operation is one part.
     pub(super) fn parts(&self) -> usize {
         match self {
             Self::Roll(roll) => roll.steps.len(),
@@ -121,7 +121,7 @@ impl Operation {
             }
             Self::Restore { episodes } => {
                 shard.rows.clear();
-                // A rollout ends with this; its rows have been read.
+                // A rollout ends with a restore, after its rows have been read.
                 shard.begin_rollout();
                 for i in 0..envs {
                     shard.restore(i, &episodes[start + i]);

@@ -11,8 +11,8 @@ const TAG: usize = 32;
 /// Shortest key [bytes]; 128 bits cannot be guessed.
 const SHORTEST: usize = 16;
 
-/// Makes and checks tags. With a key it is HMAC-SHA-256, so that nobody without the key can make valid data;
-/// without a key SHA-256, which only detects damage.
+/// Makes and checks tags. With a key the tag is an HMAC-SHA-256, so nobody without the key can make valid data. Without
+/// a key it is a SHA-256, which only detects damage.
 #[derive(Clone, Default)]
 pub struct Seal(Option<Hmac<Sha256>>);
 

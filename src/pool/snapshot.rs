@@ -28,7 +28,8 @@ const VERSION: &str = env!("CARGO_PKG_VERSION");
 /// packed robot. Every real part is longer than the shortest, which prevents a small snapshot with very many empty parts.
 const PART: std::ops::RangeInclusive<usize> = 64..=4 << 20;
 
-/// Copies of a snapshot while it is made: its parts, the CBOR of all of them, and the finished bytes.
+/// Number of copies of a snapshot in memory while it is made: its parts, the CBOR of all of them, and the finished
+/// bytes.
 const COPIES: usize = 3;
 
 /// Environments in the middle of their episodes.
@@ -56,7 +57,7 @@ impl PackedPart {
         ciborium::into_writer(whole, &mut bytes).map_err(|e| broken(format!("cannot be written: {e}")))?;
         match PART.contains(&bytes.len()) {
             true => Ok(Self(bytes)),
-            // It could not be read again.
+            // Such a part could not be read again.
             false => Err(broken(format!("options of {} bytes are more than {}", bytes.len(), PART.end()))),
         }
     }
@@ -198,7 +199,8 @@ impl Batch {
         (0..self.envs()).map(&mut one).collect()
     }
 
-    /// This session's task with `options`. They may differ from the session's in options that a reset can change.
+    /// This session's task with `options`, which may differ from the session's own only in options that a reset can
+    /// change.
     fn task_with(&self, options: Map<String, Value>) -> Result<Arc<dyn AnyTask>> {
         let fixed = "it was taken with options that this session does not have and a reset cannot change";
         let changes = self.task().reset_to(options).ok_or_else(|| broken(fixed))?;

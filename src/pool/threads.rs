@@ -14,7 +14,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// Called on a worker thread when a batch is finished; not called if the pool ends before.
+/// Called on the thread that finishes the last shard of a batch; not called if the pool ends before.
 type Done = Box<dyn FnOnce(Result<Batch>) + Send>;
 
 /// A worker without work looks for new work for this time before it sleeps. Our choice: about as long as a sleeping
@@ -39,7 +39,7 @@ struct Job {
     id: u64,
 }
 
-/// The same batch, filled with the shards that are done.
+/// The batch of a [`Job`], to which its finished shards return.
 struct Pending {
     id: u64,
     /// The batch without its shards.
@@ -57,7 +57,8 @@ struct Queue {
     next_id: u64,
     /// Number of threads that now work on a shard.
     active: usize,
-    /// Number of workers that now look for new work; news sets it to 0, because all of them see it.
+    /// Number of workers that now watch for new work. Each change of `news` sets it to 0, because all watching workers
+    /// see the change.
     watching: usize,
     asleep: usize,
     closed: bool,
@@ -76,7 +77,7 @@ struct PoolState {
 pub struct Pool {
     shared: Arc<PoolState>,
     workers: Vec<JoinHandle<()>>,
-    /// With as many active threads no caller assists.
+    /// Callers do not assist while this many threads are active.
     most_active: usize,
 }
 
@@ -89,7 +90,7 @@ impl PoolState {
 }
 
 impl Pool {
-    /// `threads` ≥ 1 workers; 0 for one each processor.
+    /// A pool of `threads` workers; 0: one worker for each processor.
     pub fn new(threads: usize) -> Self {
         let threads = if threads == 0 { processors() } else { threads };
         let most_watching = processors() - 1;
@@ -169,10 +170,11 @@ impl Pool {
         receiver.recv().unwrap_or_else(|_| Err(Error::Exhausted("the worker pool was closed".into())))
     }
 
-    /// Works on shards that wait for a worker, on the thread of a caller that has nothing else to do. It ends if no shard
-    /// waits, or after `time`. In a pool with fewer threads than the machine has processors it also ends if as many
-    /// threads work as the pool has. With more, workers may share a processor while the caller's is free. Operations of
-    /// several parts are left to the workers, because they may take long.
+    /// Works on shards that wait for a worker, on the thread of a caller that has nothing else to do. It ends if no
+    /// shard waits, or after `time`. In a pool with fewer threads than the machine has processors it also ends while as
+    /// many threads work as the pool has. In a larger pool workers may share a processor while the caller's processor
+    /// is free, so the caller assists then, too. Operations of several parts are left to the workers, because they may
+    /// take long.
     pub fn assist(&self, time: Duration) {
         let start = Instant::now();
         let mut queue = self.shared.queue.lock();
@@ -224,7 +226,8 @@ fn take(queue: &mut Queue, place: usize) -> Option<(u64, Arc<Operation>, QueuedS
     Some((id, operation, queued))
 }
 
-/// Puts a shard with parts left behind all other jobs.
+/// Puts an unfinished shard back into the queue: behind the other waiting shards of its job or, if there are none,
+/// behind all other jobs.
 fn put_back(queue: &mut Queue, id: u64, operation: Arc<Operation>, queued: QueuedShard) {
     match queue.jobs.iter_mut().find(|job| job.id == id) {
         Some(job) => job.waiting.insert(0, queued),
@@ -317,8 +320,8 @@ fn give_back(shared: &PoolState, id: u64, start: usize, shard: Shard, panicked: 
     pending.batch.shards.extend(pending.finished.into_iter().map(|f| f.1));
     let lost = || Error::Internal("the simulation of this session failed".into());
     let Pending { batch, panicked, done, .. } = pending;
-    // If `done` panics, its values are dropped, by which their owner notices the panic. This thread goes on with the
-    // work of other sessions.
+    // If `done` panics, the values that it holds are dropped, and whoever waits for them notices this. This thread goes
+    // on with the work of other sessions.
     drop(catch_unwind(AssertUnwindSafe(|| done(if panicked { Err(lost()) } else { Ok(batch) }))));
     shared.queue.lock()
 }

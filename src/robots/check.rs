@@ -6,10 +6,10 @@ use crate::notes::Notes;
 use crate::sim::tree::{JointKind, TreeBody};
 use nalgebra::{Isometry3, Matrix3, Matrix6, UnitQuaternion, Vector3, Vector6};
 
-/// Smallest inertia at a joint, as a share of the inertia that it carries: our choice, far above rounding and far
-/// below robots.
+/// Smallest inertia at a joint, as a share of the inertia that it carries: our choice, far above rounding and far below
+/// that of any real robot.
 const LEAST_SHARE: f64 = 1e-9;
-/// A pose without symmetry [rad or m]: our choice.
+/// Joint positions without a symmetry [rad]; a slide takes a tenth of the number [m]. Our choice.
 const POSE: [f64; 5] = [0.31, -0.47, 0.73, -0.19, 0.57];
 
 /// Refuses robots that cannot be simulated.
@@ -70,7 +70,7 @@ fn spatial(body: &TreeBody) -> Matrix6<f64> {
     inertia
 }
 
-/// Transforms motions of the parent's frame to those of the frame `at` in it.
+/// Transforms motions in a parent's frame to motions in the frame whose pose in the parent is `at`.
 fn motion(at: &Isometry3<f64>) -> Matrix6<f64> {
     let turn = at.rotation.inverse().to_rotation_matrix().into_inner();
     let mut x = Matrix6::zeros();

@@ -7,7 +7,8 @@ use nalgebra::{Matrix4, Point3, Rotation3, Unit, Vector3};
 use roxmltree::Node;
 use std::collections::HashMap;
 
-/// Largest number of triangles of a mesh: our choice, the largest we have seen (the trunk of go1.urdf) has 307,000.
+/// Largest number of triangles of a mesh: our choice, because the largest mesh that we have seen (the trunk of
+/// go1.urdf) has 307,000.
 pub const MOST_TRIANGLES: usize = 500_000;
 
 type Triangle = [Vector3<f64>; 3];

@@ -17,7 +17,7 @@ const ROUNDING: f64 = 1e-6;
 /// Moments of inertia of this size count as rounding [kg·m²]: our choice, a milligram at a distance of a millimetre.
 const NOTHING: f64 = 1e-12;
 
-/// Mass, centre and inertia about it, along the axes of the link.
+/// Mass, centre of mass, and inertia about this centre, along the axes of the link.
 #[derive(Clone, Copy, Debug)]
 pub struct Inertial {
     pub mass: f64,
@@ -95,7 +95,7 @@ pub struct Visual {
     pub look: DraftShape,
 }
 
-/// A link and the joint that carries it; None: fixed to its parent.
+/// A link, and the joint that carries it (None: the link is fixed to its parent).
 #[derive(Clone, Debug)]
 pub struct DraftLink {
     pub name: String,
@@ -144,8 +144,8 @@ pub fn merged(name: &str, links: Vec<DraftLink>) -> Result<Merged> {
         massless: Vec::new(),
         base_is_free: false,
     };
-    // Entries are a link, the body that carries it, and the link's frame in the body's; depth first, in the file's
-    // order.
+    // Entries are a link, the body that carries it, and the pose in that body of the link's parent. Links are visited
+    // depth first, in the file's order.
     let mut left = vec![(0, 0, Isometry3::identity())];
     while let Some((i, carrier, within)) = left.pop() {
         let link = &links[i];
@@ -203,7 +203,8 @@ pub fn shift(by: Vector3<f64>) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::from(by), nalgebra::UnitQuaternion::identity())
 }
 
-/// Names a link's shapes: the link's own name if it has one only, else `link/name`, unnamed ones by their number.
+/// Names a link's shapes. A single shape gets the link's name. Of several, each gets `link/name`, or `link/number` if
+/// it has no name.
 pub fn name_shapes(link: &str, shapes: &mut [TreeShape]) {
     let many = shapes.len() > 1;
     for (k, shape) in shapes.iter_mut().enumerate() {

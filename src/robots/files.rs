@@ -8,7 +8,8 @@ use std::path::{Component, Path, PathBuf};
 pub const MOST_TEXT: u64 = 8 << 20;
 /// Largest mesh file [bytes]: our choice; the largest we have seen has 28 MiB.
 pub const MOST_MESH: u64 = 64 << 20;
-/// How many folders above the description a package may begin: our choice; `package/robots/name/urdf` has three.
+/// In how many folders, the description's own and those above it, a package may begin: our choice, because
+/// `package/robots/name/urdf` needs four.
 const HIGHEST: usize = 4;
 /// Usual names of folders with descriptions (ROS, MuJoCo Menagerie); meshes lie in folders beside them.
 const CUSTOM: [&str; 6] = ["urdf", "robots", "robot", "mjcf", "xml", "models"];
@@ -49,7 +50,7 @@ impl SourceFile {
 pub struct Files {
     /// Folder of the description.
     folder: PathBuf,
-    /// Its package: no file outside is opened.
+    /// Root folder of its package. No file outside of the package is opened.
     root: PathBuf,
 }
 
@@ -71,8 +72,8 @@ impl Files {
         Ok(Self { folder, root })
     }
 
-    /// A file that a description names, relative to the folder `within` its own. `package://NAME/…` is searched in
-    /// the folder NAME that contains the description.
+    /// Finds a file that a description names. The name is relative to the folder `within`, which is relative to the
+    /// description's folder. `package://NAME/…` is searched in the package NAME.
     pub fn find(&self, within: &str, name: &str) -> Result<PathBuf> {
         let (start, rest, root) = match name.strip_prefix("package://").or_else(|| name.strip_prefix("model://")) {
             Some(rest) => {
@@ -102,7 +103,8 @@ impl Files {
         if real.starts_with(&root) { Ok(real) } else { Err(outside()) }
     }
 
-    /// The folder of a package: it contains the description, or lies beside it in the package's root.
+    /// The folder of package `name`: the folder of this name that contains the description, or else the package's root,
+    /// if its `package.xml` has this name.
     fn package(&self, name: &str) -> Option<PathBuf> {
         let own = self.folder.ancestors().take(HIGHEST).find(|f| f.file_name().is_some_and(|n| n == name));
         let declared = || {

@@ -5,8 +5,9 @@ use std::collections::HashMap;
 
 type V = Vector3<f64>;
 
-/// A point this near to a face, relative to the size of the whole, lies on it. Our choice: a hundredth of single
-/// precision's rounding, and more where rounding would leave gaps in the surface.
+/// A point that is nearer to a face than this share of the whole's size lies on the face. Our choice: the first number
+/// is a hundredth of single precision's rounding, and the next ones are tried where rounding leaves gaps in the
+/// surface.
 const ON_FACE: [f64; 3] = [1e-9, 1e-7, 1e-5];
 
 struct HullFace {

@@ -10,13 +10,13 @@ use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// Largest number of triangles of all meshes of a robot: our choice, 144 MB.
+/// Largest number of triangles of all meshes of a robot: our choice, because they take 144 MB.
 const MOST_TOGETHER: usize = 2_000_000;
 /// Corners closer than this share of the mesh's size are merged: our choice, ten times single precision's rounding.
 const SAME: f64 = 1e-6;
 
 pub type Triangle = [Vector3<f64>; 3];
-/// Volume or area, centre, and inertia about it for density 1.
+/// Volume or area, centre, and inertia about this centre for density 1.
 type MassMoments = (f64, Vector3<f64>, Matrix3<f64>);
 
 /// A mesh by its file.
@@ -26,7 +26,7 @@ pub struct MeshFile {
     pub scale: Vector3<f64>,
 }
 
-/// Every file that was read, with its own triangles.
+/// The triangles of every file that was read, before they are scaled.
 #[derive(Default)]
 pub struct Meshes {
     read: HashMap<PathBuf, Arc<Vec<Triangle>>>,
@@ -78,7 +78,7 @@ impl Meshes {
     }
 }
 
-/// Scaling by a mirror image turns a mesh inside out; this reverses the triangles.
+/// Scales a mesh. A mirror image would be inside out, so its triangles are reversed.
 pub fn scaled(triangles: &[Triangle], scale: &Vector3<f64>) -> Vec<Triangle> {
     let mirrored = scale.product() < 0.0;
     let one = |t: &Triangle| {

@@ -79,7 +79,7 @@ pub struct Import {
     pub found: FoundJoints,
     /// Does the file say that the base moves freely?
     pub base_is_free: bool,
-    /// What touches sand unless the user says so; None: feet, lower links and base.
+    /// What touches sand unless the user names shapes; None: feet, lower links and base.
     touches: Option<Vec<String>>,
     /// None: the file is no packed robot.
     pub packed: Option<Box<PackedRobot>>,
@@ -225,8 +225,8 @@ impl Import {
         Ok(all)
     }
 
-    /// Shapes for pictures and recordings, meshes with fewer triangles; None where they are the primitives that a
-    /// packed robot has anyway.
+    /// Shapes for pictures and recordings, with coarser meshes. None if they are the primitives that a packed robot has
+    /// anyway.
     pub fn looks(&self) -> Result<Option<Looks>> {
         let small = coarse::coarse(&self.seen()?, MOST_TRIANGLES);
         let seen = Looks::of(small.iter().map(|shapes| &shapes[..]), true);

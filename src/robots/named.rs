@@ -1,5 +1,6 @@
-//! Robots by name: a small file of ours for each (`robots/NAME.toml`: where public packages have the description; pose,
-//! gains, what touches; source and licence of these numbers), laid over the description.
+//! Robots by name. For each there is a small file of ours, `robots/NAME.toml`, which is laid over the description. It
+//! says where public packages have the description. It gives the pose, the gains, what touches sand, and the source and
+//! licence of these numbers.
 
 use super::posture::Posture;
 use super::{Import, load_with};
@@ -76,7 +77,7 @@ impl NamedRobot {
         }
     }
 
-    /// The description in the first of `folders` that has one.
+    /// The first of the paths in `files` that one of `folders` has.
     pub fn description(&self, folders: &[PathBuf]) -> Option<PathBuf> {
         let in_folder = |file: &String| folders.iter().map(|f| f.join(file)).find(|path| path.is_file());
         self.files.iter().find_map(in_folder)

@@ -4,7 +4,7 @@
 use super::xml::Element;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Largest number of lines, and of names in a line: our choice; the lines fit on a screen.
+/// Largest number of lines, and of names in a line: our choice, because the lines then fit on a screen.
 const MOST_LINES: usize = 20;
 const MOST_NAMES: usize = 4;
 

@@ -11,8 +11,8 @@ use serde::Deserialize;
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
 
-/// A joint's position may be so far outside of its range and is still within it [rad or m]: our choice, for numbers that
-/// files round to three digits.
+/// A joint's position counts as within its range if it is at most this far outside [rad or m]: our choice, because
+/// files round numbers to three digits.
 const ROUNDING: f64 = 1e-3;
 
 /// Values laid over a description, by patterns of joint names.
@@ -68,8 +68,8 @@ fn joints(tree: &mut Tree) -> impl Iterator<Item = &mut TreeJoint> {
     tree.bodies.iter_mut().filter_map(|b| b.joint.as_mut())
 }
 
-/// Fills in pose and gains of the joints that have none, and says which these were, and why the file's pose is ignored if it
-/// is.
+/// Fills in pose and gains of the joints that have none. Returns the stance, the joints that had none, and the reason
+/// why the file's pose is ignored, if it is.
 pub fn settle(tree: &mut Tree, laid_over: &Posture) -> (Stance, FoundJoints, Option<&'static str>) {
     let contacts = contact_points(tree);
     let (stance, ignored) = standing(tree, &contacts, laid_over);
@@ -86,8 +86,9 @@ pub fn settle(tree: &mut Tree, laid_over: &Posture) -> (Stance, FoundJoints, Opt
     (stance, found, ignored)
 }
 
-/// The stance of the file's pose, or of the one that is found if joints cannot take the file's, or if more legs stand in the
-/// one that is found; and why the file's pose is ignored if it is.
+/// The stance in the file's pose. A pose that is found takes its place if more legs stand in the found one, or if as
+/// many legs stand in it and joints cannot take the file's pose. Also returns the reason why the file's pose is
+/// ignored, if it is.
 fn standing(tree: &mut Tree, contacts: &[Vec<ContactPoint>], laid_over: &Posture) -> (Stance, Option<&'static str>) {
     let own = Stance::of(tree, contacts);
     if tree.joints().any(|j| j.rest.is_none()) {

@@ -12,9 +12,9 @@ const MOST_NAMES: usize = 40;
 pub type ShapeIndex = (usize, usize);
 
 impl Import {
-    /// The shapes with these names, in the order of bodies. Without names: feet and lower links (the last bodies of
-    /// the legs), and the base itself. A name is that of a body, of a link of the file,
-    /// or of a shape.
+    /// The shapes with these names, in the order of bodies. A name is that of a body, of a link of the file, or of a
+    /// shape. Without names they are what the robot's own file names, or else feet and lower links (the last bodies of
+    /// the legs), and the base.
     pub fn touching(&self, names: Option<&[String]>) -> Result<Vec<ShapeIndex>> {
         let Some(names) = names.or(self.touches.as_deref()) else { return Ok(lowest_parts(&self.tree, &self.stance)) };
         let mut found = Vec::new();

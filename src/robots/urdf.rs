@@ -20,7 +20,7 @@ struct UrdfReader<'a> {
     notes: &'a mut Notes,
 }
 
-/// A link and its parent joint, by their indices in the file.
+/// A joint, with the indices of its parent link and its child link in the file.
 struct UrdfJoint<'a> {
     element: &'a Element,
     parent: usize,
@@ -211,7 +211,7 @@ impl UrdfReader<'_> {
         }))
     }
 
-    /// None: fixed.
+    /// Reads a joint; None if it is fixed.
     fn joint(&mut self, element: &Element) -> Result<Option<TreeJoint>> {
         let known = ["origin", "parent", "child", "axis", "limit", "dynamics", "mimic"];
         self.notes.other_children(element, &known);

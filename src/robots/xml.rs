@@ -55,7 +55,7 @@ fn element(node: &roxmltree::Node, file: &Arc<Path>, lines: &LineStarts, depth: 
     Ok(Element { tag, attributes, children, file: file.clone(), line })
 }
 
-/// Offsets at which lines begin.
+/// Offsets at which lines end.
 struct LineStarts(Vec<usize>);
 
 impl LineStarts {

@@ -18,9 +18,9 @@ pub struct Regularization {
     /// constant load is of this order; our choice, because 1e-5 lets the reference robot sink less than 0.02 mm in 10
     /// s.
     pub rest_speed: f64,
-    /// Gate of a one-sided surface: it pushes with the share clamp(n·v̂ / gate, 0, 1) of its force, which is zero when
-    /// it moves away from the sand and 1 when it leads. Our choice 0.2: a hard test (0) converges badly in the time
-    /// step (7-12 % error at 1 ms).
+    /// Gate of a one-sided surface. The surface pushes with the share clamp(n·v̂ / gate, 0, 1) of its force. The share
+    /// is zero when the surface moves away from the sand, and 1 when it leads. Our choice 0.2, because a hard test (0)
+    /// converges badly in the time step (7-12 % error at 1 ms).
     pub leading_edge_gate: f64,
     /// Gate of `penetration-drag-1d`, whose force depends on the signs of v_z and v_x; each sign is smoothed to
     /// clamp(v̂_i / gate, −1, 1). Our choice 0.02 (1.1°): the sharpest that a 0.5 ms step still resolves.
@@ -32,8 +32,8 @@ pub struct Regularization {
 impl Regularization {
     /// No regularisation: for the law itself, not for dynamics.
     pub const BARE: Self = Self { rest_speed: 1e-30, leading_edge_gate: 1e-20, sign_gate: 1e-20, friction: None };
-    /// For solid bodies with many plates that face all ways: a sharper leading edge. Our choice 0.02: forces are
-    /// within 1 % of a sharp edge's, and walks at 1 ms within 1 % of those at 0.125 ms.
+    /// For solid bodies with many plates that face all ways: a sharper leading edge. Our choice 0.02, because forces
+    /// are then within 1 % of a sharp edge's, and walks at 1 ms within 1 % of those at 0.125 ms.
     pub const SOLID: Self = Self { leading_edge_gate: 0.02, ..Self::DEFAULT };
     /// The regularisation for dynamics; each field gives the reason for its number.
     pub const DEFAULT: Self = Self { rest_speed: 1e-5, leading_edge_gate: 0.2, sign_gate: 0.02, friction: None };
@@ -45,7 +45,7 @@ impl Default for Regularization {
     }
 }
 
-/// The coefficients of the chosen law. Hot loops match on it once and then take the law as a type parameter.
+/// The coefficients of the chosen law. Hot loops match on this once, and then have the law as a type parameter.
 #[derive(Clone, Copy)]
 pub enum LawCoefficients<R> {
     Li2013(PlanarTable<R>),
@@ -100,7 +100,7 @@ pub struct Contact<R> {
     pub force: Vec3<R>,
     /// Force against the motion divided by the speed, −f·v/v² [N·s/m], never negative: the slope of the straight line
     /// from rest to the present velocity (secant). Near rest the regularised force is linear in v, and the secant
-    /// equals its slope. It does so only if v² in the denominator is not regularised by v0², too.
+    /// equals its slope. For this the denominator must be v² itself, and not v² + v0².
     pub drag: R,
     /// Slope of the leading-edge gate along the normal [N·s/m], never negative; 0 for two-sided segments.
     pub edge: R,
@@ -158,7 +158,7 @@ impl<R: Real> SandBed<R> {
         }
     }
 
-    /// Stress per depth [N/m³] of the law alone, at full speed along `v`.
+    /// Stress per depth [N/m³] of the law alone, on a segment with unit normal `n` in this motion.
     #[inline(always)]
     pub fn stress(&self, n: Vec3<R>, motion: &Motion<R>) -> Vec3<R> {
         self.law.stress(n, motion)
@@ -244,7 +244,7 @@ impl<R: Real> SandBed<R> {
     }
 
     /// Force on the leading part of a curved face. `area`: area of this part [m²]; `loaded`: its mean depth, weighted
-    /// by depth [m]; `growth`: factor with which its force grows with n·v̂.
+    /// by depth [m]; `growth`: relative growth of its force for each unit of n·v̂.
     #[inline(always)]
     #[allow(clippy::too_many_arguments)] // all arguments stay in registers
     pub fn leading_part_by(

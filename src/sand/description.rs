@@ -56,7 +56,7 @@ impl SandDescription {
 
     pub fn from_toml(text: &str) -> Result<Self> {
         let sand: Self = toml::from_str(text).map_err(|e| Error::invalid("sand", e.message().to_string()))?;
-        // Twenty times the densest mineral bed: our choice, which catches wrong units.
+        // Our choice, because no sand is outside of these bounds.
         check_range("bulk_density", sand.bulk_density, 1.0..=20_000.0)?;
         // 100 N/cm³, the bound of Medium::generic.
         for c in sand.coefficients.to_array() {

@@ -2,8 +2,8 @@
 
 use crate::number::Real;
 
-/// ln(1 + x) for 0 ≤ x < 10⁴, relative error below 1e-7: ln y = 32 artanh((r − 1)/(r + 1)) with r = y^(1/16), the
-/// series cut at the 13th power.
+/// ln(1 + x) for 0 ≤ x < 10⁴, relative error below 1e-7: with y = 1 + x, ln y = 32 artanh((r − 1)/(r + 1)) and
+/// r = y^(1/16). The series of artanh is cut at the 13th power.
 #[inline(always)]
 pub fn log_one_plus<R: Real>(x: R) -> R {
     let root = (x + R::one()).sqrt().sqrt().sqrt().sqrt();
@@ -17,8 +17,9 @@ pub fn log_one_plus<R: Real>(x: R) -> R {
     sum * z * R::splat(32.0)
 }
 
-/// tanh x for x ≥ 0, absolute error below 1e-7: tanh x = 2 t/(1 + t²) with t = tanh(x/2), three times from the
-/// continued fraction of tanh(x/8), which is exact to single precision for x ≤ 9; beyond, 1.
+/// tanh x for x ≥ 0, absolute error below 1e-7: tanh x = 2 t/(1 + t²) with t = tanh(x/2), used three times. It begins
+/// with the continued fraction of tanh(x/8), which is exact to single precision for x ≤ 9. Above 9.5, x counts as 9.5,
+/// where tanh is 1 within the error.
 #[inline(always)]
 pub fn tanh<R: Real>(x: R) -> R {
     let y = x.min(R::splat(9.5)) * R::splat(0.125);

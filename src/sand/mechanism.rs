@@ -145,8 +145,8 @@ macro_rules! mechanisms {
 }
 
 // A row: `id: symbol, unit, [least, greatest], typical, side, intrusion …, walking …, [columns], law, source`, with the
-// meaning of [`Mechanism`]'s fields. The row may end with `exponent P`, `unfelt "reason"` or `ceiling`, which set the last
-// three of these fields.
+// meaning of [`Mechanism`]'s fields. The row may end with `exponent P`, `unfelt "reason"` or `ceiling`, which sets the
+// field of this name.
 mechanisms! {
     inertial_drag: "λ", "1", [0.0, 30.0], 0.5, Sand, intrusion true, walking true, [],
         "extra stress −λ ρ v_n² n on the leading face", "Agarwal et al. 2021 (dynamic RFT): 1.1 oblique plate, 1.4 sphere, 2.8 plane-strain plate",

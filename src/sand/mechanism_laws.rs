@@ -181,8 +181,9 @@ impl<R: Real> SandMechanisms<R> {
         new
     }
 
-    /// For bodies that a motor moves on a given path, as in force logs: `friction_clip` is the cap as its source defines it, even
-    /// where the rest of the force then acts along the motion. Bodies that the sand's force moves would gain energy by that.
+    /// For bodies that a motor moves on a given path, as in force logs. `friction_clip` is then the cap as its source
+    /// defines it, even where the rest of the force then acts along the motion. Bodies that the sand moves would gain
+    /// energy from such a force, so for them the cap is weaker there.
     pub fn for_prescribed_motion(self) -> Self {
         Self { prescribed: true, ..self }
     }
@@ -306,8 +307,8 @@ impl<R: Real> SandMechanisms<R> {
 }
 
 impl<R: Real> StressModel<R> for SandMechanisms<R> {
-    /// A power of depth p is computed at the depth weighted by depth. For a piece that reaches the surface this is
-    /// 1.4 % off at p = 0.2; the mean depth would be 4 % off.
+    /// With `depth_power`, the power of the depth is computed at `loaded`. For a piece that reaches the surface this is
+    /// 1.4 % off at p = 1.2; with the mean depth it would be 4 % off.
     #[inline(always)]
     fn by_depths(&self, mean: R, loaded: R) -> R {
         if !self.active.depth_power {
@@ -370,8 +371,8 @@ impl<R: Real> StressModel<R> for SandMechanisms<R> {
 
 /// Slip ratio of a segment with velocity `v` on a body that travels with V: −v·V̂/max(|V|, |v − V|). It is −1 if the
 /// body drags the segment along (a locked wheel), 0 if the segment does not move on the sand (the bottom of a rolling
-/// wheel), and near 1 if it moves backward fast (a spinning wheel). This is the slip ratio of terramechanics for each
-/// segment. It goes to 0 if the body hardly travels.
+/// wheel), and near 1 if the segment moves backward fast (a spinning wheel). This is the slip ratio of terramechanics,
+/// for each segment by itself. It goes to 0 if the body hardly travels.
 #[inline(always)]
 fn slip<R: Real>(v: Vec3<R>, [x, y]: [R; 2]) -> R {
     let squared = x * x + y * y;

@@ -1,7 +1,7 @@
 //! Intruders cut into segments: legs and plates as thin curved strips in the vertical plane.
 //!
-//! Frame of a leg: hip at the origin, at angle 0 the tip is straight down at (0, −2R); forward is +x. A leg with
-//! ξ > 0 bulges forward: rotated so that its tip moves forward its convex side leads.
+//! Frame of a leg: the hip is at the origin, forward is +x, and at angle 0 the tip is straight down at (0, −2R). A leg
+//! with ξ > 0 bulges forward: when it rotates so that its tip moves forward, its convex side leads.
 
 use crate::error::{Error, Result, check_range};
 use serde::{Deserialize, Serialize};
@@ -58,7 +58,7 @@ impl LegShape {
         Ok(LegShape::TwoPiece { xi: xi_deg.to_radians() })
     }
 
-    /// Direction in which it bulges: 1 forward, −1 backward, 0 for a straight leg.
+    /// Direction in which the leg bulges: 1 forward, −1 backward, 0 for a straight leg.
     pub fn bulge(&self) -> f64 {
         match *self {
             LegShape::TwoPiece { xi: 0.0 } => 0.0,

@@ -11,17 +11,19 @@
 //! τ ← τ_old + (k τ_servo − τ_old) dt/(T + dt), the backward Euler step of T dτ/dt = k τ_servo − τ, in which k is the motor's torque constant
 //! divided by the one that the drive reckons with.
 //!
-//! The gear takes the torque (F + (1 − η) |τ_old|) sign ω + B ω away: dry friction F, dry friction in proportion to the torque that the
-//! gear carries, which is what an efficiency η of less than 1 means in both directions, and viscous friction B. It is implicit in the speed
-//! at the step's end, as the friction of joints in [`super::tree`], so it takes energy at any acceleration. The rotor's inertia adds to the
-//! joint's.
+//! The gear takes the torque (F + (1 − η) |τ_old|) sign ω + B ω away: dry friction F, dry friction in proportion to the
+//! torque that the gear carries, and viscous friction B. The second part is what an efficiency η of less than 1 means
+//! in both directions. Like the friction of joints in [`super::tree`], the friction is implicit in the speed at the
+//! step's end, so it takes energy at any acceleration. The rotor's inertia is added to the joint's.
 //!
-//! **Limits.** Servos are implicit in the acceleration, so a torque is known after all accelerations are. An engine first solves with each
-//! motor's torque limited at the acceleration that its joint would have with the link before it held still. For motors whose stall torque is
-//! known, it then compares each torque with the line at the speeds before and after the step, and solves again until none is beyond
-//! ([`LimitedTorque`]): each pass puts a torque that is beyond on the lower of the two lines (Newton's method for piecewise linear functions), which
-//! usually ends after one. A torque that is still beyond after [`NEWTON`] passes is 0 in this step. Without a known stall torque one
-//! solution is made, and a torque may be beyond its constant limit by the part that the acceleration of the link before adds (about 1 %).
+//! **Limits.** Servos are implicit in the acceleration, so a torque is known only after all accelerations are. An
+//! engine first solves with each motor's torque limited at the acceleration that its joint would have if the link
+//! before it were held still. For motors whose stall torque is known, the engine then compares each torque with the
+//! line at the speeds before and after the step. If some torques are beyond their lines, the engine puts each of them
+//! on the lower of the two lines and solves again ([`LimitedTorque`]; Newton's method for piecewise linear functions).
+//! Usually one such pass is enough. A torque that is still beyond after [`NEWTON`] passes is 0 in this step. Without a
+//! known stall torque the engine solves only once. A torque may then be beyond its constant limit by the part that the
+//! acceleration of the link before adds (about 1 %).
 
 use super::stop::{ImplicitTorque, NO_LIMIT};
 use crate::error::{Error, Result, check_range};
@@ -36,13 +38,14 @@ const STALL: f64 = 2.0;
 /// rate a joint turns by only 0.06° in a second.
 pub const CREEP: f64 = 1e-3;
 
-/// Passes after which a torque that is still beyond its limits becomes 0: our choice; three pieces of a line are found in three.
+/// Number of passes after which a torque that is still beyond its limits becomes 0: our choice, because a line has
+/// three pieces, which three passes find.
 pub const NEWTON: usize = 6;
 /// Rounding that does not count as beyond the limits, as shares of the smallest limit and of the stall torque: some 100 and 10 units of the
 /// last place of `f32`. The reported torque is cut to the limits.
 const ROUNDING: [f64; 2] = [1e-5, 1e-6];
 
-/// The motor of a joint and its gear. None: not known.
+/// The motor of a joint and its gear. A property that is None is not known.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Actuator {
@@ -139,11 +142,12 @@ pub struct LaneActuator<R> {
     rotor_inertia: R,
     /// 1 where the stall torque is known, else 0.
     has_line: R,
-    /// What any lane has. A step leaves out what none has, which changes no bits.
+    /// The parts that some lane has. A step leaves out the parts that no lane has, which changes no bits.
     any: Has,
 }
 
-/// Does a motor have a line of torque over speed, a gear that takes energy or has inertia, a servo that is not followed exactly?
+/// Does a motor have a line of torque over speed, a gear with friction or a rotor's inertia, a torque that differs from
+/// the servo's?
 #[derive(Clone, Copy, Default)]
 struct Has {
     line: bool,
@@ -271,7 +275,8 @@ impl<R: Real> LaneActuator<R> {
         [ImplicitTorque { torque: -lower.torque, yielding: lower.yielding }, most(rate, acceleration, high)]
     }
 
-    /// By how much `torque` is beyond the limits of a motor whose stall torque is known; not above 0: it is within.
+    /// By how much `torque` is beyond the limits of a motor whose stall torque is known; 0 or less if it is within
+    /// them.
     #[inline(always)]
     pub fn beyond(&self, torque: R, rate: R, acceleration: R, dt: R) -> R {
         let [lower, upper] = self.bounds(rate, acceleration, dt).map(|bound| bound.at(acceleration));
@@ -313,7 +318,7 @@ impl<R: Real> LimitedTorque<R> {
         self.held = R::zero();
     }
 
-    /// The motor's push in this pass; `push` is that of a first one.
+    /// The motor's torque in this pass; in a first pass it is `push`.
     #[inline(always)]
     pub fn pass(&mut self, servo: ImplicitTorque<R>, push: ImplicitTorque<R>) -> ImplicitTorque<R> {
         self.servo = servo;
@@ -322,9 +327,10 @@ impl<R: Real> LimitedTorque<R> {
     }
 }
 
-/// Prepares the next pass after pass number `pass` of motors with `limits`, if a torque is beyond them: joint `i` has
-/// `joint(i)`: actuator, rate before the step and acceleration. Returns false if no torque is. All motors of a robot go on with the pieces of
-/// their lines at these accelerations; other robots of the block keep theirs.
+/// Prepares the pass after pass number `pass` and returns true if a torque is beyond its motor's limits. `limits` has
+/// an entry for each joint, and `joint(i)` gives the actuator of joint `i`, its rate before the step and its
+/// acceleration. In a robot with such a torque, all motors go on with the pieces of their lines at these accelerations.
+/// Motors of the other robots of the block keep theirs. Returns false if no torque is beyond its limits.
 #[inline(always)]
 pub fn next_pass<'a, R: Real>(
     limits: &mut [LimitedTorque<R>],

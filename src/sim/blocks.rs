@@ -14,7 +14,8 @@ use crate::number::{Isa, Mat3, Real, Vec3, Work};
 use crate::sand::memory::Moved;
 use std::f64::consts::TAU;
 
-/// Robots in blocks of as many as the instruction set has lanes. A block is an engine whose robots have the numbers of the lanes.
+/// Robots in blocks of as many as the instruction set has lanes. A block is an engine in which the number of a robot is
+/// that of its lane.
 pub struct LaneEngine {
     blocks: Vec<Box<dyn Integrator>>,
     lanes: usize,
@@ -76,7 +77,7 @@ impl Integrator for LaneEngine {
 pub struct LaneState<R> {
     /// Position of the base from the lane's origin.
     pub position: Vec3<R>,
-    /// Origin of x and y [m], for ground that varies along the way.
+    /// `origins` as lanes [m], for ground that varies along the way.
     pub travelled: [R; 2],
     /// Quaternion w and (x, y, z).
     pub orientation: (R, Vec3<R>),
@@ -123,7 +124,7 @@ impl<R: Real> LaneJoint<R> {
         }
     }
 
-    /// The whole turns in its angle.
+    /// The whole turns in the joint's angle [rad].
     #[inline(always)]
     pub fn whole_turns(&self) -> R {
         (self.position * R::splat(1.0 / TAU)).round() * R::splat(TAU)

@@ -6,12 +6,13 @@ use crate::sand::memory::Moved;
 
 /// What an engine does with its robots, which it names by their index.
 pub trait Integrator: Send {
-    /// Gives robot `index` another model with equally many joints and plates. Takes effect with the next
-    /// `set_state`.
+    /// Gives robot `index` another model with equally many joints and plates. The model takes effect at the next
+    /// `set_state` at the latest.
     fn set_model(&mut self, index: usize, model: &Model);
 
-    /// Scales the sand's stress on each leg of robot `index`, which has `model`, by `shares` [legs], until the
-    /// model or the shares are set again. Takes effect at once. No task of engine `tree` has footprints.
+    /// Scales the sand's stress on each leg of robot `index`, which has `model`, by `shares` [legs], until the model or
+    /// the shares are set again. Takes effect at once. The default does nothing, because no task of engine `tree` has
+    /// footprints.
     fn set_footing(&mut self, _index: usize, _model: &Model, _shares: &[f64]) {}
 
     fn set_state(&mut self, index: usize, state: &State);
@@ -26,8 +27,8 @@ pub trait Integrator: Send {
 
     fn command(&mut self, index: usize, command: &Command);
 
-    /// Advances every robot by `steps` time steps in parts, of which the last one `ends` it: parts do not change bits, except in engine
-    /// `rapier` with obstacles.
+    /// Advances every robot by `steps` time steps, a part of a control step; `ends`: it is the last part. How a control
+    /// step is divided into parts changes no bits, except in engine `rapier` with obstacles.
     fn advance_in_parts(&mut self, steps: usize, ends: bool);
 
     /// Advances every robot by `steps` time steps.
@@ -35,8 +36,8 @@ pub trait Integrator: Send {
         self.advance_in_parts(steps, true);
     }
 
-    /// Fills `out` with the sand's force on each leg of robot `index` along the surface's normal in the last time step [N]. Empty: the
-    /// engine does not keep it, and [`super::pose::Pose`] computes it.
+    /// Fills `out` with the sand's force on each leg of robot `index` along the surface's normal in the last time step
+    /// [N]. If the engine does not keep this force, `out` becomes empty, and [`super::pose::Pose`] computes the force.
     fn normal_forces(&self, _index: usize, out: &mut Vec<f64>) {
         out.clear();
     }

@@ -17,7 +17,7 @@
 //! * [`blocks`]: robots in lanes, for `lanes` and `tree`; [`spatial`]: their spatial algebra; [`stop`]: the ends of a joint's range.
 //! * [`lanes`]: the fast engine, articulated bodies over SIMD lanes of robots.
 //! * [`rapier`]: rapier3d multibodies, one world for each robot.
-//! * [`carriage`]: a leg on a driven carriage, whose forces are measured.
+//! * [`carriage`]: a leg on a driven carriage; the sand's forces on it are measured.
 //! * [`tree`]: any legged robot as a tree of bodies.
 //! * `used`: sand that remembers, in lanes.
 //! * [`walk`]: the speed protocol of the reference experiments.

@@ -32,7 +32,7 @@ pub struct Model {
     pub base_inertia: V,
     /// One-sided plates under the base.
     pub belly: Vec<Plate>,
-    /// One chain of bodies a hip, from the hip outward; all chains have the same length.
+    /// One chain of bodies for each hip, from the hip outward; all chains have the same length.
     pub legs: Vec<Vec<LinkBody>>,
     pub motor: Motor,
     /// Gravity in the surface's frame [m/s²].
@@ -121,7 +121,7 @@ impl Model {
         self.scene.relief.as_ref().map_or(0.0, |relief| relief.at(x, y).0)
     }
 
-    /// Joint angles of the whole robot, in the order of [`State::angles`].
+    /// Names of all joints, in the order of [`State::angles`].
     pub fn joint_names(&self) -> Vec<String> {
         match &self.tree {
             Some(tree) => tree.tree.joints().map(|j| j.name.clone()).collect(),
@@ -209,7 +209,7 @@ impl Model {
         Ok(self)
     }
 
-    /// Limits the motors' torque to `share`, at most 1, of the servos' torque limit.
+    /// Reduces torque limit and stall torque of the motors to `share`, at most 1, of the servo's.
     pub fn weaken_motors(&mut self, share: f64) {
         let servo = &mut self.robot.servo;
         for torque in [&mut servo.torque_limit, &mut servo.stall_torque].into_iter().flatten() {
@@ -218,7 +218,8 @@ impl Model {
         self.motor = Motor::new(&self.robot.servo, &self.scene.mechanisms);
     }
 
-    /// Scales each leg's plate areas of `full`, the same robot, by `shares` [legs]; the sand's stress scales alike.
+    /// Sets the plate areas of each leg to `shares` [legs] of those in `full`, a model of the same robot. The sand's
+    /// force scales alike.
     pub fn scale_areas(&mut self, full: &Self, shares: &[f64]) {
         for ((chain, full), share) in self.legs.iter_mut().zip(&full.legs).zip(shares) {
             for (body, full) in chain.iter_mut().zip(full) {

@@ -1,8 +1,8 @@
 //! Rigid obstacles on and in the sand: steps, walls, hard patches, rocks. Data only; [`super::solid`] computes
 //! their geometry.
 //!
-//! Sand and obstacles do not influence each other: a wall does not stop the sand's flow around a leg beside it. No
-//! sand acts on the part of a robot inside or on top of an obstacle.
+//! Sand and obstacles do not influence each other: a wall does not stop the sand's flow around a leg beside it. The
+//! sand pushes on each part of a robot below the surface, also on a part that overlaps an obstacle there.
 
 use super::solid::Solid;
 use crate::error::{Error, Result, check_range};

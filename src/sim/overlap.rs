@@ -15,8 +15,8 @@ pub fn overlap(model: &Model, state: &State) -> f64 {
     overlaps(model, state).fold(0.0, |deepest, (_, depth)| depth.max(deepest))
 }
 
-/// The deepest overlap, divided by the depth of the obstacle's centre: 0 outside of all obstacles, 1 at a centre. For a
-/// body that passes through the middle of an obstacle it is nearly 1.
+/// The deepest overlap, divided by the depth of the obstacle's centre: 0 outside of all obstacles, 1 at a centre. The
+/// share is nearly 1 for a body that passes through the middle of an obstacle.
 pub fn overlap_share(model: &Model, state: &State) -> f64 {
     overlaps(model, state).fold(0.0, |deepest, (solid, depth)| (depth / solid.depth_of_centre()).max(deepest))
 }

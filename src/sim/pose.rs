@@ -7,9 +7,9 @@ use super::{Model, State};
 use crate::number::Vec3;
 use crate::sand::{Contact, SandBed, SegmentState};
 
-/// A leg stands if the sand holds it with more than this share of the robot's weight, and a body of a robot from a
-/// file has an arrow: our choice, far above the force on a leg in the air (none) and far below that on one of three
-/// legs (a third).
+/// A leg stands if the sand holds it with more than this share of the robot's weight. Likewise a body of a robot from a
+/// file has an arrow if the ground pushes it with more. Our choice, because the share is far above the force on a leg
+/// in the air (none) and far below that on one of three legs (a third).
 const STANCE: f64 = 0.02;
 
 /// A small flat piece that sand may push on, as a [`Model`] has it.
@@ -64,7 +64,8 @@ pub fn segments(model: &Model) -> Vec<SandSegment<'_>> {
 
 impl Pose {
     /// The forces are those of the sand at this moment's velocities, computed in `f64` by the engines' functions.
-    /// `footing` is each leg's share of the stress, see [`super::engine::Engine::set_footing`]; None: 1.
+    /// `footing` is each leg's share of the stress, see [`super::integrator::Integrator::set_footing`]; a leg without
+    /// an entry has 1.
     pub fn of(model: &Model, state: &State, footing: &[f64]) -> Self {
         let ground: SandBed<f64> = model.scene.ground();
         let base = BodyFrame::base(state);
@@ -99,8 +100,9 @@ impl Pose {
         pose
     }
 
-    /// Adds the sand's forces on a link. They act on its strip, or in part on its straight chord if sand fills its concave
-    /// leading side. `found` is the leg's share of the stress, `level` the surface that it has found [m].
+    /// Adds the sand's forces on a link. They act on its strip, or in part on its straight chord if sand fills its
+    /// concave leading side. `found` is the leg's share of the stress, `level` the height of the surface that the leg
+    /// has found [m].
     fn press_link(
         &mut self,
         model: &Model,
@@ -152,8 +154,8 @@ impl Pose {
         touching.iter().position(|b| *b == body).map_or(V::zeros(), |k| self.contacts[k].force)
     }
 
-    /// Forces of the ground to draw, one for each leg that stands, or for each body that touches; the position is the
-    /// mean of its segments' positions, weighted by their forces.
+    /// Forces of the ground to draw, one for each leg that stands, or for each body that touches. The position of a
+    /// leg's force is the mean of its segments' positions, weighted by their forces.
     pub fn arrows(&self, model: &Model) -> Vec<SegmentForce> {
         let segments = segments(model);
         let of_leg = |leg: usize| {
@@ -184,7 +186,7 @@ fn mean_place(loads: impl Iterator<Item = SegmentForce>) -> Option<V> {
     (total > 0.0).then(|| sum / total)
 }
 
-/// The ground's force on each body that can touch it. Where there is none, its position is the body's origin.
+/// The ground's force on each body that can touch it. If there is no force, its position is the body's origin.
 fn contacts(model: &Model, state: &State) -> Vec<SegmentForce> {
     let Some(robot) = &model.tree else { return Vec::new() };
     let (frames, pushes) = (kinematics::frames(&robot.tree, state), forces::pushes(model, state));

@@ -74,7 +74,8 @@ pub struct Link {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Strip {
-    /// `L`, `revL`, `C`, `revC`, `flat` or `xi=DEGREES`; a positive ξ leads when the joint turns positively.
+    /// `L`, `revL`, `C`, `revC`, `flat` or `xi=DEGREES`. With a positive ξ the convex side leads when the joint turns
+    /// positively.
     pub shape: String,
     /// [m]
     pub width: f64,

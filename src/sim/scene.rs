@@ -44,7 +44,8 @@ pub struct Scene {
     pub memory: Option<MemorySettings>,
 }
 
-/// Cells along a side of the square of heights that moves with a robot, as a power of two: 64. Our choice: 12 KiB.
+/// Cells along a side of the square of heights that moves with a robot, as a power of two: 64. Our choice, because they
+/// take 12 KiB.
 const BITS: u32 = 6;
 
 /// Most cells from the robot's middle to its farthest point: our choice, so that some cells are left around it while the
@@ -100,7 +101,7 @@ impl Scene {
         self.memory = Some(MemorySettings::new(&self.medium, cell, BITS, 2.0 * width, None));
     }
 
-    /// The same for a tree robot: its square contains it as it stands.
+    /// The same for a tree robot; the square contains the robot as it stands.
     pub fn remember_tree(&mut self, tree: &TreeModel) {
         let cell = tree.reach().max(1e-3) / WITHIN;
         self.memory = Some(MemorySettings::new(&self.medium, cell, BITS, 2.0 * cell, None));

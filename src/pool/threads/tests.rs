@@ -12,8 +12,8 @@ fn begun() -> (Batch, Operation) {
     (batch, reset)
 }
 
-/// The only worker is busy elsewhere, so the shards of a batch wait: who waits for them computes them, but not while
-/// as many threads work as the pool has.
+/// The only worker is busy, so the shards of a batch wait. The thread that waits for the batch computes them, but not
+/// while as many threads work as the pool has.
 #[test]
 fn who_waits_computes() {
     let mut pool = Pool::new(1);

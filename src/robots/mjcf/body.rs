@@ -36,7 +36,7 @@ const JOINT_KNOWN: [&str; 17] = [
 
 /// The geoms of a body.
 struct BodyGeoms {
-    /// Does the body's mass come from elsewhere?
+    /// Does the body's mass come from elsewhere than its geoms?
     weighed: bool,
     read: Vec<Geom>,
 }
@@ -97,7 +97,7 @@ impl Builder<'_> {
                 }
             }
         }
-        // Children of the body use a frame of its own, fixed to the last joint's.
+        // Children of the body use the body's own frame, which is fixed to the frame of its last joint.
         let own = self.push(DraftLink::new(name, carrier, at, None));
         self.content(element, own, class)
     }

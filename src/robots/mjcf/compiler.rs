@@ -21,7 +21,7 @@ pub struct Compiler {
     pub meshdir: String,
     pub strippath: bool,
     pub from_geoms: FromGeoms,
-    /// Groups of geoms that contribute to inertia.
+    /// First and last of the groups of geoms that contribute to inertia.
     pub groups: [f64; 2],
     pub least_mass: f64,
     pub least_inertia: f64,
@@ -167,7 +167,8 @@ pub fn flag(element: &Element, name: &str) -> Result<Option<bool>> {
     }
 }
 
-/// Is a range active? `limited` decides; with `auto` it is active if given.
+/// Is a range active? The attribute `name` decides. If it is absent or `auto`, the range is active if it is `given` and
+/// `autolimits` is true.
 pub fn limited(element: &Element, name: &str, given: bool, autolimits: bool) -> Result<bool> {
     match element.get(name) {
         None | Some("auto") => Ok(given && autolimits),

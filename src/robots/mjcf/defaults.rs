@@ -32,7 +32,7 @@ type Class = HashMap<String, Attributes>;
 #[derive(Default)]
 pub struct Defaults {
     classes: HashMap<String, Class>,
-    /// Names of the outermost class besides `main`.
+    /// The outermost class, which is also called `main`.
     outermost: Class,
 }
 

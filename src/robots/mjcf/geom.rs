@@ -30,11 +30,11 @@ enum Filling {
     Exact,
     /// From the volume by the rule of [`mesh::legacy`], MuJoCo's default.
     Legacy,
-    /// From a thin shell, whose mass by area is 1 m × density.
+    /// From a thin shell, whose mass per unit of area is density × 1 m.
     Shell,
 }
 
-/// A `<mesh>` by its file and its attributes.
+/// The triangles of a `<mesh>`, and how its mass is computed.
 pub struct Mesh {
     triangles: Arc<Vec<Triangle>>,
     filling: Filling,
@@ -67,7 +67,8 @@ const MESH_KNOWN: [&str; 12] = [
 ];
 
 impl GeomReader<'_> {
-    /// Name and triangles of a `<mesh>`, defaults applied; in place of the triangles the reason why its file cannot be read.
+    /// Name and triangles of a `<mesh>` to which its defaults are applied. If its file cannot be read, the reason takes
+    /// the place of the triangles.
     pub fn mesh(&mut self, element: &Element) -> Result<(String, Result<Mesh>)> {
         self.notes.others(element, &MESH_KNOWN);
         let scale = Vector3::from(element.numbers("scale")?.unwrap_or([1.0; 3]));
@@ -141,7 +142,7 @@ fn inline(element: &Element, vertices: &[f64]) -> Result<Vec<Triangle>> {
 pub struct Geom {
     pub name: String,
     pub origin: Isometry3<f64>,
-    /// None if the colliding shape has no volume.
+    /// The shape that collides; None if the geom does not collide.
     pub collision: Option<Geometry>,
     pub look: DraftShape,
     pub friction: f64,
@@ -263,7 +264,8 @@ fn found<'a>(element: &Element, assets: &'a Assets) -> Result<&'a Mesh> {
     asset.as_ref().map_err(Error::clone)
 }
 
-/// Mass and inertia from the geom's mass or density; none if it has neither.
+/// Mass and inertia from the geom's mass or else its density; none if its density is 0 or its group does not contribute
+/// to inertia.
 fn weighed(element: &Element, compiler: &Compiler, volume: f64, own: &Inertial) -> Result<Inertial> {
     let group = element.number("group")?.unwrap_or(0.0);
     if group < compiler.groups[0] || group > compiler.groups[1] {

@@ -116,7 +116,7 @@ struct MjcfBase<'a> {
 #[derive(Default)]
 struct BesideRobot {
     joints: HashSet<String>,
-    /// Numbers that a keyframe has for those before and after the robot.
+    /// Numbers of positions that a keyframe has for the bodies before and after the robot.
     positions: [usize; 2],
 }
 
@@ -196,7 +196,7 @@ struct Including<'a> {
 }
 
 impl Including<'_> {
-    /// With the content of included files in place of each `<include>`.
+    /// Returns `element` with the content of included files in place of each `<include>`.
     fn expanded(&mut self, mut element: Element) -> Result<Element> {
         let mut children = Vec::with_capacity(element.children.len());
         for child in std::mem::take(&mut element.children) {

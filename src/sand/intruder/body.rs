@@ -249,8 +249,8 @@ impl PlatedBody {
         match &self.corners {
             Corners::Sphere(radius) => [-radius, *radius],
             Corners::Cylinder(radius, half) => {
-                // During a turn the cylinder's axis takes every height between these, up to a sign, which mirrors
-                // the cylinder.
+                // During a turn the height of the cylinder's axis (unit vector) takes every value from `least` to
+                // `most`, up to a sign, which mirrors the cylinder.
                 let (middle, swing) = ((axis.y * axis.z).abs(), (1.0 - axis.y * axis.y).max(0.0).sqrt() * level);
                 let (least, most) = ((middle - swing).max(0.0), middle + swing);
                 let steepest = half / radius.hypot(*half);

@@ -4,7 +4,7 @@ use super::IntruderPlate;
 use crate::number::Vec3;
 use std::f64::consts::{PI, TAU};
 
-/// Fewest plates around a round body, for forces within 1 % at any size: our choice.
+/// Fewest plates around a round body: our choice, because forces are then within 1 % at any size.
 pub const FINE: usize = 16;
 
 /// Number of pieces of at most `size`, at least `least`.
@@ -67,7 +67,8 @@ pub fn cylinder_across(radius: f64, width: f64, size: f64, wide: f64, least: usi
     plates
 }
 
-/// A cylinder about y between two half balls, `length` long without them; plates two thirds as long as `size`.
+/// A cylinder about y between two half balls. `length` is that of the cylinder alone. The plates are two thirds as long
+/// as `size`.
 pub fn capsule(radius: f64, length: f64, size: f64, least: usize) -> Vec<IntruderPlate> {
     let mut plates = Vec::new();
     let size = size / 1.5;

@@ -4,8 +4,9 @@ use super::{IntruderPlate, Triangle, mesh};
 use crate::number::Vec3;
 use std::collections::BTreeMap;
 
-/// Number of directions that plates are sorted by: cells on the six faces of a cube, 6 × 6². Our choice: the
-/// normals in a plate differ by at most 15°.
+/// Plates are sorted by their direction into cells on the six faces of a cube. This is the number of cells along a side
+/// of a face, so there are 6 × 6² cells. Our choice, because a cell is 15° wide, and the normals in a plate differ
+/// little.
 const DIRECTIONS: f64 = 6.0;
 
 /// Sums over the triangles of a plate.

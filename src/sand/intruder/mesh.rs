@@ -78,8 +78,9 @@ fn read_stl(path: &Path, mut reader: impl BufRead + Seek, most: usize) -> Result
     Ok(triangles)
 }
 
-/// Number of triangles of a binary STL whose length fits that number; None: another file, which is read from its begin. The header of some
-/// binary files begins with "solid", as text does, so that alone decides nothing.
+/// Number of triangles of a binary STL. None if the length of the file does not fit this number: then the file is of
+/// another kind, and is read from its start. The header of some binary files begins with "solid", as text files do, so
+/// that word alone decides nothing.
 fn binary_count(reader: &mut (impl BufRead + Seek)) -> std::io::Result<Option<usize>> {
     let length = reader.seek(SeekFrom::End(0))?;
     reader.rewind()?;
@@ -168,7 +169,7 @@ pub fn plates(path: &Path, triangles: &[Triangle], size: f64, most: usize) -> Re
         return Err(Error::file(path, "the surface is not closed"));
     }
     if volume(&plates) < 0.0 {
-        // Every triangle with its winding reversed.
+        // The mesh is inside out: all its triangles are wound the other way round.
         plates.iter_mut().for_each(|p| p.normal = -p.normal);
     }
     Ok(plates)

@@ -1,7 +1,8 @@
 //! Any rigid body in steady motion through sand: plates on its surface, and the mean force and torque on them.
 //!
-//! PlatedBody frame: x heading, y axle, z up, parallel to the world's axes; the given velocity is that of the origin. Every
-//! plate is one-sided and pushes where it leads: n·v ≥ 0 and below the surface (Agarwal, Goldman & Kamrin 2023).
+//! The frame of a [`PlatedBody`] has x along the heading, y along the axle and z up, parallel to the world's axes. The
+//! given velocity is that of the origin. Every plate is one-sided and pushes where it leads: n·v ≥ 0 and below the
+//! surface (Agarwal, Goldman & Kamrin 2023).
 
 mod body;
 pub mod cut;
@@ -30,7 +31,7 @@ pub struct IntruderPlate {
     pub area: f64,
     /// From the centre to two neighbouring edges, along the surface [m].
     pub half: [Vec3<f64>; 2],
-    /// Curvature of the surface along each of them [1/m]; 0 where it is flat.
+    /// Curvature of the surface along each vector of `half` [1/m]; 0 where it is flat.
     pub bend: [f64; 2],
 }
 

@@ -9,10 +9,10 @@ use crate::number::{PlainShorts, Vec3};
 
 /// Cells along a side of a path's square, as a power of two: 256.
 const BITS: u32 = 8;
-/// Cells along a body's longest horizontal side: our choice, because with twice as many the forces on the grains'
-/// plates change by less than 5 %.
+/// Cells along a body's longest horizontal side: our choice, because with twice as many the forces on the plates of the
+/// simulated grains change by less than 5 %.
 const CELLS: f64 = 10.0;
-/// Most sweeps in a row: a bed at rest needs no more.
+/// Largest number of sweeps in a row in which sand slides: a bed comes to rest within these.
 const MOST_SWEEPS: usize = 200;
 
 /// A moment of a path.
@@ -71,7 +71,7 @@ impl<'a> Path<'a> {
             let place = moment.place.unwrap_or_default();
             let low = self.force(&moment.trial).1;
             self.moved.grid.follow(place);
-            // A body that begins in the sand has found it level.
+            // A body that begins in the sand finds level sand.
             self.sweep(place, place, low, low, 0.0, &moment.trial);
             self.last = Some(Last { moment: *moment, place, low });
             return self.force(&moment.trial).0;
@@ -136,13 +136,14 @@ impl<'a> Path<'a> {
         let piece = |p: &IntruderPlate| {
             let v = velocity + spin.cross(p.center);
             let [x, y, z] = p.center.lane(0);
-            // Without motion every piece is looked at.
+            // Without motion n·v is 0, and no piece is left out.
             (p.normal.dot(v) >= 0.0).then(|| SurfacePiece {
                 place: [to[0] + x, to[1] + y, origin + z],
                 normal: p.normal.lane(0),
                 area: p.area,
                 velocity: v.lane(0),
-                // Sand beside a body slides against it; with 1 furrows in grains are 1 mm too narrow and shallow.
+                // Sand beside a body slides against it. With 1, furrows are 1 mm narrower and shallower than in
+                // simulated grains.
                 cells: 2,
             })
         };

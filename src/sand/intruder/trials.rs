@@ -6,8 +6,8 @@ use crate::number::Vec3;
 use crate::parallel;
 use crate::{Regularization, SandBed, SandDescription, SegmentState};
 
-/// Number of depths, from no part covered to all covered, at which the search for a load begins: our choice, 4 mm
-/// apart for a wheel of 125 mm.
+/// Number of depths, from no part covered to all covered, at which the search for a load begins: our choice, because
+/// they are then 4 mm apart for a wheel of 125 mm.
 const STEPS: usize = 32;
 /// Accuracy [m] of the depth that carries a load: our choice, far below what can be measured.
 const EXACT: f64 = 1e-8;
@@ -94,7 +94,7 @@ pub fn without_effect(sand: &SandDescription) -> Vec<&'static str> {
 /// The same sand with friction coefficient `mu` on the body's surface.
 pub fn with_friction(sand: &SandDescription, mu: f64) -> Result<SandDescription> {
     let mut sand = sand.clone();
-    // A coefficient of 10 is rougher than any surface; below 0.1 1/μ would exceed the catalogue's bound.
+    // A coefficient of 10 is rougher than any surface. Below 0.1, 1/μ would exceed the catalogue's bound.
     sand.mechanisms.friction_clip = 1.0 / check_range("mu-s", mu, 0.1..=10.0)?;
     Ok(sand)
 }
@@ -258,8 +258,8 @@ impl DepthForce {
         if speed == 0.0 {
             return None;
         }
-        // Small numbers for two cases that rounding would decide otherwise: whether a plate leads that moves along
-        // itself, and which side of a vertical plate leads.
+        // Small numbers decide two cases that rounding would decide otherwise: whether a plate that moves along itself
+        // leads, and which side of a vertical plate leads.
         let least = 1e-12 * speed;
         let n = plate.normal;
         let normal = if n.z.abs() < 1e-12 { Vec3::new(n.x, n.y, 0.0) } else { n };
@@ -269,8 +269,8 @@ impl DepthForce {
         if leading == 0.0 {
             return None;
         }
-        // If the centre does not lead, the leading part moves with half of the edge's n·v. A plate that moves along
-        // itself is pushed too, not pulled.
+        // If the leading edge crosses the plate, n·v of the leading part runs from 0 to `along + uneven`: its mean is
+        // half of this. A plate that moves along itself is pushed too, not pulled.
         let toward = if leading < 1.0 { (along + uneven) / 2.0 } else { along.max(least) };
         let v = normal.scale_add(toward - along, v);
         let at = |depth| {

@@ -12,8 +12,8 @@
 //! ẑ. This form needs no local frame and no trigonometry.
 //!
 //! Two properties of the published fit that users should know, both tested in `tests/laws_of_sand.rs`:
-//! * a plate drawn upward can gain energy: in 0.08 % of all pairs of directions, at most 0.006 ξ_n of stress per
-//!   depth   along the motion, and more than 0.001 ξ_n only where it is nearly horizontal (β < 12°);
+//! * a plate drawn upward can gain energy: in 0.08 % of all pairs of directions the stress per depth along the motion
+//!   is up to 0.006 ξ_n, and it is above 0.001 ξ_n only where the plate is nearly horizontal (β < 12°);
 //! * across a vertical plate, where β jumps from π/2 to −π/2, α jumps by up to 0.05 ξ_n.
 
 use super::{Motion, Normals, StressLaw};
@@ -88,7 +88,7 @@ fn functions<R: Real>(x1: R, x2: R, x3: R) -> [R; 3] {
     f
 }
 
-/// Parts of f1, f2, f3 that are even, and odd, in (x2, x3), which change their sign with the normal.
+/// The even and the odd parts of f1, f2, f3 in (x2, x3). x2 and x3 change their sign with the normal.
 #[inline(always)]
 fn parts<R: Real>(x1: R, x2: R, x3: R) -> [[R; 3]; 2] {
     let t = terms(x1, x2, x3);
@@ -280,20 +280,20 @@ impl<R: Real> StressLaw<R> for SpatialTable<R> {
         self.scaled(alpha, n, toward, m)
     }
 
-    /// The law has a jump where a plate is vertical, so a part of the normals may be on each side of it. Otherwise as the
-    /// default.
+    /// The mean of the fit is exact to second order in the deviation from the mean normal, if the deviations are equal
+    /// in all directions. The law has a jump where a plate is vertical, so the normals may lie on both sides of it.
     #[inline(always)]
     fn mean_stress(&self, normals: &Normals<R>, m: &Motion<R>) -> Vec3<R> {
         let (n, u, one) = (normals.unit, m.v * m.inverse_speed, R::one());
         let (x1, x2, x3) = (-u.z, -n.z, n.dot(u));
         let lower = R::select(x2.lt(R::zero()), -one, one);
-        // Mean of the side's sign, if the normals' z varies evenly by ± √(1.5 variance): our choice, between √3, which is
-        // right for bands of a cylinder, and 0, which suits balls.
+        // Mean of the side's sign, if the normals' z varies evenly by ± √1.5 standard deviations: our choice, because
+        // this lies between √3, which is right for bands of a cylinder, and 0, which suits balls.
         let mean = n.z * (one - normals.spread);
         let varies = (normals.squares.z - mean * mean).max(R::splat(1e-12)) * R::splat(1.5);
         let side = (x2 / varies.sqrt()).clamp(-one, one);
         let [even, odd] = parts(x1, x2, x3);
-        // α on the two sides is common ± differing.
+        // α on the two sides is `common` ± `differing`.
         let mut common = n.scale_add(odd[0], u * even[1]);
         common.z -= even[2];
         // σ²/4 of the Laplacian on the sphere, with σ² = 2 · spread.

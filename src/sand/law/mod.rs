@@ -73,8 +73,8 @@ pub trait StressLaw<R: Real>: Copy {
     /// same.
     fn stress(&self, n: Vec3<R>, motion: &Motion<R>) -> Vec3<R>;
 
-    /// Mean of [`StressLaw::stress`] over `normals`. This default is exact to second order in the deviation from the
-    /// mean normal, if the deviations are equal in all directions.
+    /// Mean of [`StressLaw::stress`] over `normals`. This default is the stress for the mean normal: exact to first
+    /// order in the deviation from it, and exact for laws in which the normal does not count.
     #[inline(always)]
     fn mean_stress(&self, normals: &Normals<R>, motion: &Motion<R>) -> Vec3<R> {
         self.stress(normals.unit, motion)

@@ -18,7 +18,7 @@ pub struct PenetrationDrag<R> {
 }
 
 impl<R: Real> PenetrationDrag<R> {
-    /// `sign_gate`: see [`crate::Surface::sign_gate`].
+    /// `sign_gate`: see [`crate::Regularization::sign_gate`].
     pub fn splat(c: &Coefficients, sign_gate: f64) -> Self {
         Self {
             penetration: R::splat(c.penetration()),

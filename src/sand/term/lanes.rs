@@ -52,8 +52,8 @@ impl<R: Real> LaneTerms<R> {
         Self { slots: [slot; MOST_TERMS], count: 0 }
     }
 
-    /// Sets one lane's terms. Lanes share slots. Terms that differ in more than their coefficient take a slot each,
-    /// in a fixed order. If no slot is left for a lane's terms, its strength becomes NaN, which ends its episode.
+    /// Sets one lane's terms. Lanes share slots. Terms that differ in more than their coefficient take a slot each, in
+    /// a fixed order. If no slot is left for a lane's terms, the lane's strength becomes NaN, which ends its episode.
     pub fn set_lane(&mut self, lane: usize, terms: &[Term], bulk_density: f64) {
         (0..self.count).for_each(|k| self.slots[k].strength.set_lane(lane, 0.0));
         for term in terms {
@@ -151,7 +151,8 @@ fn group<R: Real>(factor: &Factor, piece: &TermArguments<R>) -> R {
     }
 }
 
-/// x^power. Multiples of a quarter are roots and products; others have no lane arithmetic here and are slow.
+/// x^power. If the power is a multiple of a quarter, it is made of roots and products. Other powers have no lane
+/// arithmetic here and are slow.
 #[inline(always)]
 fn power<R: Real>(x: R, power: f64) -> R {
     let quarters = power * 4.0;

@@ -1,9 +1,9 @@
 //! Additional stress terms of `sand.toml` (`[[term]]`), checked when they are read.
 //!
 //! A term adds the stress `coefficient · ρ g |z| · Π group^power` on a submerged piece, against the normal of its
-//! leading face or against its tangential velocity; or it changes the force law's own stress by the share
-//! `coefficient · Π group^power`. Each group is clamped to its range, so a term is never
-//! extrapolated beyond the data it was found in. Both engines and the force logs evaluate it through [`LaneTerms`].
+//! leading face or against its tangential velocity. Or it changes the force law's own stress by the share
+//! `coefficient · Π group^power`. Each group is clamped to its range, so a term is never extrapolated beyond the data
+//! in which it was found. Both engines and the force logs evaluate terms through [`LaneTerms`].
 
 mod lanes;
 
@@ -20,7 +20,7 @@ pub use lanes::{LaneTerms, TermArguments};
 pub const MOST_TERMS: usize = 4;
 /// Largest number of groups of one term.
 const MOST_GROUPS: usize = 4;
-/// Number of orientations and of directions at which energy is checked, over 90° to either side.
+/// Number of steps in 90°, to either side, of the orientations and of the directions at which energy is checked.
 const ANGLES: i32 = 18;
 
 /// The direction of a term's stress.
@@ -135,7 +135,7 @@ pub struct Term {
 /// detect it.
 const UNTOLD: f64 = 1e-3;
 
-/// Bounds of the law's own stress on a moving piece, per depth [N/m³].
+/// The law's own stress on a moving piece, per depth [N/m³].
 struct Resisting {
     /// Push on the leading face.
     normal: f64,
@@ -167,8 +167,7 @@ impl Term {
         self.groups.iter().map(factor).collect()
     }
 
-    /// Refuses a term that would add energy, pull, break mirror symmetry or act above the surface, and one without
-    /// bounds.
+    /// Refuses a term that would add energy, pull, break mirror symmetry, act above the surface, or grow without bound.
     pub fn check(&self, coefficients: &Coefficients, bulk_density: f64) -> Result<()> {
         check_range("term.coefficient", self.coefficient, -1e4..=1e4)?;
         let factors = self.factors()?;
@@ -367,7 +366,8 @@ mod tests {
         let sideways =
             "on = \"normal\"\ncoefficient = 1.0\ngroups = { sin_beta = 1.0 }\nrange = { sin_beta = [-1.0, 1.0] }";
         assert!(refused(sideways).contains("mirror"), "{}", refused(sideways));
-        // Reducing the stress where the piece pushes down hard does not make a pull.
+        // This term is accepted. It reduces the stress most on level pieces that move straight down. There the law's
+        // own stress is large, so the sum still resists the motion.
         let lowered = "on = \"normal\"\ncoefficient = -0.02\ngroups = { sin_gamma = 2.0, cos_beta = 2.0 }\n\
                        range = { sin_gamma = [0.0, 1.0], cos_beta = [0.0, 1.0] }";
         assert_eq!(refused(lowered), "");

@@ -74,7 +74,7 @@ impl<R: Real, const J: usize> LegLanes<R, J> {
         block
     }
 
-    /// At the end of a control step; takes whole turns out of angles and their references where joints have no range.
+    /// Ends a control step: takes whole turns out of angles and their references where joints have no range.
     #[inline(always)]
     fn fold(&mut self) {
         self.state.fold();

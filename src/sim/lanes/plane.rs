@@ -2,8 +2,8 @@
 //!
 //! A link is a curve in the plane of its side view, and a belly is flat. So a piece is at o + p₀ e₀ + p₁ e₁, and each
 //! component of its position, velocity and depth needs two products. The sums Σf, Σp₀f, Σp₁f and the moments of the
-//! pieces' masses up to second order give the wrench and inertia of all pieces. So these are computed once for a body
-//! and not for each piece.
+//! pieces' masses up to second order give the wrench and the inertia of all pieces. Wrench and inertia are therefore
+//! computed once for a body, and not for each piece.
 
 use crate::number::{Real, Vec3};
 use crate::spatial::{PointMasses, Symmetric, Twist, Wrench};

@@ -22,7 +22,7 @@ pub struct Travel<R> {
 }
 
 impl<R: Real> Travel<R> {
-    /// Above the sand that body number `body` has found: 0 is the belly, then come the legs.
+    /// The same, above the sand that body number `body` has found: number 0 is the belly, then come the legs.
     #[inline(always)]
     pub fn above(&self, surfaces: Option<&Surfaces<R>>, body: usize) -> Self {
         let mut found = *self;
@@ -113,7 +113,7 @@ pub fn pieces<R: Real, const J: usize>(
     let turn = &base.rotation;
     let places = PlaneField { at: turn.z * model.belly_height, by: [turn.x, turn.y] };
     let velocities = places.velocity(&base.velocity);
-    // The same in all lanes.
+    // Lane 0 gives the number of cells for all lanes.
     let along_side = |side: R| (side.lane(0) / cell - 0.1).ceil().clamp(1.0, MOST_CELLS.into()) as u8;
     for plate in &model.belly {
         // A plate is taken for a square.

@@ -15,8 +15,8 @@ use rapier3d::prelude::*;
 /// Thickness of a leg's strip over its width: 2 mm on the reference robot. Our choice, because the paper does not say.
 const THICKNESS: f64 = 0.2;
 
-/// Sweeps of the projected Gauss-Seidel method over contacts and motors together, in worlds with obstacles: our choice.
-/// 16 take no measurably longer time than 8, because the dynamics take far more time.
+/// Sweeps of the projected Gauss-Seidel method over contacts and motors together, in worlds with obstacles: our choice,
+/// because 16 sweeps take no measurably longer time than 8: the dynamics take far more.
 const SWEEPS: usize = 16;
 
 /// Contacts are springs with this frequency [Hz] and damping ratio between the touching bodies' masses. Our choice:

@@ -250,8 +250,8 @@ impl RapierRobot {
     }
 }
 
-/// Takes whole turns out of angles and their references, so that both stay small while a hip turns: of joints that are
-/// `endless`.
+/// Takes whole turns out of the angles and references of the joints that are `endless`, so that both stay small while a
+/// hip turns.
 pub(super) fn fold_turns(state: &mut State, endless: impl Iterator<Item = bool>) {
     let joints = state.angles.iter_mut().zip(&mut state.references).zip(endless);
     for ((angle, reference), _) in joints.filter(|(_, endless)| *endless) {

@@ -183,10 +183,10 @@ impl World {
         }
     }
 
-    /// Sets every motor's target. The servo kp(θ_ref⁺ − θ⁺) + kd(ω_ref − ω⁺) + τ, with θ⁺ = θ + dt ω⁺, is a damper
-    /// of strength kd + dt kp that pulls toward one speed; so the gains enter implicitly and the limit clips the
-    /// result. rapier has one limit for both directions, so the middle of the limits is not a part of the motor
-    /// ([`Self::push_joint`]). A stop is a damper, too, and what it pushes at speed 0.
+    /// Sets every motor's target. The servo kp(θ_ref⁺ − θ⁺) + kd(ω_ref − ω⁺) + τ, with θ⁺ = θ + dt ω⁺, is a damper of
+    /// strength kd + dt kp that pulls toward one speed. So the gains enter implicitly and the limit clips the result.
+    /// rapier has one limit for both directions, so the middle of the limits is not a part of the motor
+    /// ([`Self::push_joint`]). A stop is a damper, too, plus its torque at speed 0.
     pub fn drive(&mut self, model: &Model, state: &State, command: &Command) {
         let yielding = yielding(&model.motor, model.scene.dt);
         let mut others = std::mem::take(&mut self.others);
@@ -225,8 +225,9 @@ impl World {
         self.push(part, arm, wrench);
     }
 
-    /// Applies what is no part of a joint's motor, the middle of its limits and the stop's push, to the link and, in the other direction, to
-    /// the one before it. `axis`: that of the joint, in the world. It must follow all loads.
+    /// Applies the torque at a joint that is no part of its motor (the middle of the limits and the stop's torque) to
+    /// the link and, in the other direction, to the part before it. `axis` is the joint's axis in the world. Both parts
+    /// must have got their loads before, because [`Self::load`] resets their torques.
     pub fn push_joint(&mut self, joint: usize, axis: V, [before, link]: [RobotPart; 2]) {
         let torque = self.others.get(joint).map_or(0.0, |other| other.torque);
         if torque != 0.0 {
@@ -286,9 +287,9 @@ fn yielding(motor: &Motor, dt: f64) -> f64 {
     (motor.kd + dt * motor.kp).max(LEAST_YIELDING)
 }
 
-/// A stop's torque at speed 0 and its decrease with the speed after the step [N·m·s/rad]. Only the solution shows whether a stop would
-/// pull, and rapier solves once: it is judged for the link alone, under the servo's torque within its `limits`. A stop may so hold a joint
-/// that leaves it for one step.
+/// A stop's torque at speed 0 and its decrease with the speed after the step [N·m·s/rad]. Only the solution shows
+/// whether a stop would pull, but rapier solves once. So this is judged for the link alone, under the servo's torque
+/// within its `limits`. A stop may therefore hold a joint that leaves it for one step.
 fn stop(
     body: &LinkBody,
     angle: f64,

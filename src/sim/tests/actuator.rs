@@ -169,7 +169,7 @@ fn no_torque_is_beyond_its_line() {
     }
 }
 
-/// A line needs its torque, and what is known replaces what the robot's file says.
+/// A line of torque over speed needs a torque. Known properties replace those in the robot's file.
 #[test]
 fn motors_are_changed_where_they_are_known() {
     let ideal = hexapod(EngineKind::Lanes, "xplorer", |_| (), &Actuator::default());
@@ -210,8 +210,8 @@ const TORQUE: f64 = 3e-3;
 /// and grows with the angle in a step (6 % at 0.05 rad).
 const OWN_ERROR: f64 = 0.02;
 
-/// A robot floats without gravity, and its motors apply random torques. What its kinetic energy gains is less than the work of the motors,
-/// by the losses of gears and stops; without losses it is that work.
+/// A robot floats without gravity, and its motors apply random torques. It gains the work of the motors as kinetic
+/// energy, less the losses of gears and stops.
 #[test]
 fn gears_and_stops_take_energy() {
     for kind in ENGINES {

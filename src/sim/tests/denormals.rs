@@ -27,8 +27,8 @@ fn model(robot: &str, leg: &str, slope_deg: f64) -> Model {
     Model::new(&robot, &scene).unwrap()
 }
 
-/// Share of 20 ms control steps within `time` [s] in which `robots` of one block meet a denormal operand, with
-/// hips that turn at `rate(time, joint)` [rad/s].
+/// Share of `time`/0.02 s control steps, of 40 time steps each, in which the robot meets a denormal operand, with hips
+/// that turn at `rate(time, joint)` [rad/s].
 fn share(model: &Model, start: &State, time: f64, rate: impl Fn(f64, usize) -> f64) -> f64 {
     let mut engine = lanes::engine(Isa::choose().unwrap(), model, 1).unwrap();
     engine.set_state(0, start);

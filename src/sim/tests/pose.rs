@@ -24,7 +24,7 @@ fn the_forces_carry_the_robot() {
     engine.command(0, &command);
     engine.advance(2000);
     let (mut sum, mut stances) = (V::zeros(), 0);
-    // Four strides of 0.5 s, sampled every millisecond.
+    // Eight strides of 0.5 s, sampled every 2 ms.
     for _ in 0..2000 {
         engine.advance(2);
         engine.state(0, &mut state);

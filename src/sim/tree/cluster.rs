@@ -13,7 +13,7 @@ type V = Vector3<f64>;
 /// Normal, and place as a share of the body's size.
 type NormalAndPlace = SVector<f64, 6>;
 
-/// Iterations that move parts to the means of their plates: our choice, later ones change little.
+/// Iterations that move parts to the means of their plates: our choice, because later ones change little.
 const ROUNDS: usize = 8;
 /// About `count` plates, or fewer, in place of `plates`. A part whose normals turn by less than `flat` [rad] from its
 /// middle to its edge is flat along that side.
@@ -40,7 +40,8 @@ fn looks(plates: &[IntruderPlate]) -> Vec<NormalAndPlace> {
         along.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], x| [a.min(x), b.max(x)])
     };
     let extent = V::from_fn(|k, _| ends(k)[1] - ends(k)[0]);
-    // Half of the diagonal of the box around the body: at this distance a place differs as much as opposite normals do.
+    // Half of the diagonal of the box around the body. So places a whole diagonal apart differ as much as opposite
+    // normals do.
     let size = (0.5 * extent.norm()).max(1e-9);
     let look = |p: &IntruderPlate| {
         let (n, x) = (normal(p), center(p) / size);
@@ -115,7 +116,7 @@ fn parts(plates: &[IntruderPlate], count: usize) -> Vec<Vec<usize>> {
     members
 }
 
-/// For each mean the others, with their distances from it, nearest first.
+/// For each mean all means, with their distances from it, nearest first.
 fn neighbours(means: &[NormalAndPlace]) -> Vec<Vec<(f64, usize)>> {
     let of = |mean: &NormalAndPlace| {
         let mut all: Vec<(f64, usize)> = means.iter().enumerate().map(|(k, m)| ((m - mean).norm(), k)).collect();
@@ -125,8 +126,8 @@ fn neighbours(means: &[NormalAndPlace]) -> Vec<Vec<(f64, usize)>> {
     means.iter().map(of).collect()
 }
 
-/// The mean that is closest to `look`, the first one of several. The search begins at mean `guess` and ends where, by the
-/// triangle inequality, no other can be as close; the small number is for rounding.
+/// The mean that is closest to `look`; of several, the first one. The search begins at mean `guess` and ends where, by
+/// the triangle inequality, no other mean can be as close. The small number is for rounding.
 fn closest(look: &NormalAndPlace, guess: usize, means: &[NormalAndPlace], around: &[Vec<(f64, usize)>]) -> usize {
     let away = |k: usize| (means[k] - look).norm_squared();
     let mut best = (away(guess), guess);
@@ -143,8 +144,8 @@ fn closest(look: &NormalAndPlace, guess: usize, means: &[NormalAndPlace], around
     best.1
 }
 
-/// The plate that a part makes; None if its normals cancel. `middle`: a point from which the volume is measured. `limit`: see
-/// [`few`].
+/// The plate that a part makes; None if its normals cancel. `middle`: a point from which the volume is measured.
+/// `limit`: the `flat` of [`few`].
 fn together(plates: &[IntruderPlate], part: &[usize], middle: V, limit: f64) -> Option<IntruderPlate> {
     let own = || part.iter().map(|i| &plates[*i]);
     let area: f64 = own().map(|p| p.area).sum();

@@ -18,12 +18,13 @@ pub struct ContactPoint {
     pub friction: f64,
 }
 
-/// Number of fixed points on each rim of a cylinder, besides the lowest point, so that the cylinder can stand. Our
-/// choice.
+/// Number of fixed points on each rim of a cylinder, besides the lowest point: our choice, so that the cylinder can
+/// stand.
 const RIM: usize = 4;
 
-/// Steps from the middle to the edge of a cube's face in the lattice of directions in which [`outermost`] looks: our choice,
-/// neighbours differ by at most 27°, so that every corner of a box is found in any orientation.
+/// Steps from the middle to the edge of a cube's face in the lattice of directions in which [`outermost`] looks: our
+/// choice, because neighbouring directions then differ by at most 27°, so that every corner of a box is found in any
+/// orientation.
 const STEPS: i32 = 2;
 /// A point that is less than this [m] behind the outermost one touches with it: our choice.
 const LEVEL: f64 = 1e-6;
@@ -38,7 +39,7 @@ pub fn contact_points(tree: &Tree) -> Vec<Vec<ContactPoint>> {
 }
 
 impl ContactPoint {
-    /// Distance that it reaches along a unit vector from the body's origin [m].
+    /// Distance that the point reaches along a unit vector from the body's origin [m].
     pub fn reach(&self, toward: &V) -> f64 {
         let part = self.axis.map_or(1.0, |axis| (1.0 - axis.dot(toward).powi(2)).max(0.0).sqrt());
         self.center.dot(toward) + self.radius * part
@@ -52,7 +53,7 @@ impl ContactPoint {
     }
 }
 
-/// The points of all shapes of a body that are outermost in some direction; flat ground touches no others first.
+/// The points of all shapes of a body that are outermost in some direction. Flat ground touches one of these first.
 fn outermost(points: Vec<ContactPoint>) -> Vec<ContactPoint> {
     let mut kept = vec![false; points.len()];
     let side = || -STEPS..=STEPS;

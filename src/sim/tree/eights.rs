@@ -14,8 +14,8 @@ use crate::spatial::{Inertia, PointMasses, Symmetric, Twist, Wrench};
 /// Eight patches, one in each lane.
 pub type EightPatches = Patch<[f32; EIGHT], [f64; EIGHT]>;
 
-/// The patches of a body. Together are patches with about as many plates, so that few lanes are empty, and among them
-/// neighbours: what is above the sand, or does not lead, is skipped eight at a time.
+/// The patches of a body, eight in lanes. Each eight have about as many plates, so that few lanes are empty, and where
+/// possible they are neighbours: eight patches that are all above the sand, or do not lead, are skipped.
 pub fn eights(patches: &[Patch]) -> Vec<EightPatches> {
     let mut order: Vec<(PlateCounts, [f64; 6], &Patch)> = patches.iter().map(|p| (counts(p), look(p), p)).collect();
     order.sort_by_key(|p| p.0);
@@ -32,7 +32,7 @@ fn counts(patch: &Patch) -> PlateCounts {
     [class(patch.panels.len()), class(patch.tiles.len()), class(patch.facets.len())]
 }
 
-/// Mean normal, and place in units of the patch's distance from the body's origin: neighbours have similar ones.
+/// Mean normal, and place in units of the patch's distance from the body's origin. Neighbours have similar numbers.
 fn look(patch: &Patch) -> [f64; 6] {
     let facets = patch.facets.iter().chain(patch.panels.iter().map(|p| &p.facet));
     let mut sum = [0.0; 3];
@@ -45,7 +45,7 @@ fn look(patch: &Patch) -> [f64; 6] {
     [x / n, y / n, z / n, c[0] / r, c[1] / r, c[2] / r]
 }
 
-/// Orders patches so that each eight are neighbours: halves them across their widest extent, again and again.
+/// Orders patches so that each eight are neighbours: halves the list across its widest extent, again and again.
 fn arrange(patches: &mut [(PlateCounts, [f64; 6], &Patch)]) {
     if patches.len() <= EIGHT {
         return;
@@ -63,7 +63,7 @@ fn arrange(patches: &mut [(PlateCounts, [f64; 6], &Patch)]) {
 }
 
 fn together(patches: &[&Patch]) -> EightPatches {
-    // A lane without a patch has its place from the first, so that it makes no difference.
+    // A lane without a patch has the place of the first patch, so that it makes no difference.
     let ball = |of: &dyn Fn(&Ball) -> f64| lanes(|i| of(&patches.get(i).unwrap_or(&patches[0]).ball));
     Patch {
         facets: rows(patches, |p| &p.facets, facets),

@@ -76,7 +76,7 @@ impl<R: Real> TreeLanes<R> {
         Self { tree: lanes, state: LaneState::hovering(joints), scratch, memory, endless }
     }
 
-    /// At the end of a control step; takes whole turns out of angles and their references.
+    /// Ends a control step: takes whole turns out of angles and their references.
     #[inline(always)]
     fn fold(&mut self) {
         self.state.fold();
@@ -126,8 +126,8 @@ impl<R: Real> Kernel for AdvanceTrees<'_, R> {
 }
 
 impl<R: Real> TreeLanes<R> {
-    /// Gives one lane other ground. A kind of ground that no lane had before costs the other lanes time, but adds exactly
-    /// zero to their forces.
+    /// Gives one lane other ground. If no lane had this kind of ground before, it costs the other lanes time, but adds
+    /// exactly zero to their forces.
     fn set_ground(&mut self, lane: usize, model: &Model, tree: &Arc<TreeModel>) {
         if !model.has_sand() {
             let coefficients = model.scene.medium.coefficients.scaled(0.0);

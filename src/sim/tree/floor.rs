@@ -1,10 +1,10 @@
 //! Contact with hard ground: Coulomb friction, and a compliance that is linearly implicit.
 //!
-//! A point at depth δ is pushed out by λ = k (δ − ½ dt v_n⁺) − c v_n⁺, with its speed v_n⁺ along the normal after
-//! the step. This is stable for every k, and of the stable choices it dissipates the least. Along the ground −C
-//! v_t⁺ holds it, with C = μ λ/max(|v_t|, v₀). Each step is solved twice. The first solution uses λ = k δ and v_t
-//! before the step, the second one λ and v_t of the first solution. In the second solution points that would pull
-//! (λ < 0) are left out, and points that got faster although more than μ λ held them slide with a friction of μ λ.
+//! A point at depth δ is pushed out by λ = k (δ − ½ dt v_n⁺) − c v_n⁺, with its speed v_n⁺ along the normal after the
+//! step. This is stable for every k, and of the stable choices it dissipates the least. Along the ground the force
+//! −C v_t⁺ holds the point, with C = μ λ/max(|v_t|, v₀). Each step is solved twice. The first solution uses λ = k δ and
+//! v_t before the step, the second one λ and v_t of the first solution. In the second solution points that would pull
+//! (λ < 0) are left out. Points that the first solution holds with more than μ λ slide with a friction of μ λ.
 
 use super::contact::ContactPoint;
 use super::dynamics::LinkLoad;
@@ -15,8 +15,8 @@ use crate::blocks::LinkFrame;
 use crate::number::{Real, Vec3};
 use crate::spatial::{Twist, Wrench};
 
-/// Factor on the reach within which points are examined if the ground is not flat: our choice. It is enough if the
-/// slope changes by twice the angle of repose within the reach.
+/// Factor on the reach within which points are examined if the ground is not flat: our choice, because it is enough if
+/// the slope changes by twice the angle of repose within the reach.
 const BENT: f64 = 2.5;
 
 /// One piece of [`HardGround`] for each lane.
@@ -60,12 +60,12 @@ pub struct Touch<R> {
     pub at: Vec3<R>,
     normal: Vec3<R>,
     velocity: Vec3<R>,
-    /// k δ [N]; 0 or negative in lanes in which the point does not touch.
+    /// k δ [N]; 0 in lanes in which the point does not touch.
     spring: R,
     friction: R,
     /// C [N·s/m]
     hold: R,
-    /// 1 if it touches, else 0.
+    /// 1 if the point touches and pushes, else 0.
     here: R,
     /// Friction of a sliding point, which does not depend on the solution [N].
     slide: Vec3<R>,

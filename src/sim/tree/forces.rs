@@ -43,7 +43,7 @@ pub fn pushes(model: &Model, state: &State) -> Vec<PointForce> {
     let mut all = Vec::new();
     for body in tree.patches.iter() {
         for patch in &body.patches {
-            // Everything but the patch is the body's, so the force is the patch's share of the body's.
+            // All other fields are the body's own, so the force is the patch's share of the body's force.
             let alone = [BodyPatches { patches: vec![patch.clone()], ..*body }];
             loads[body.body] = LinkLoad::none();
             sand::press(&tree.ground, &alone, &s.frames, &place, &tree.relief, found.as_ref(), &mut loads, tree.dt);
@@ -73,7 +73,7 @@ pub fn support(model: &Model, state: &State) -> f64 {
     loads.iter().map(|load| force(load, &Twist::zero()).z).sum()
 }
 
-/// The force that a load which contains nothing else exerts on a body with this acceleration.
+/// The force on a body with this acceleration, from a load that contains this force only.
 fn force(load: &LinkLoad<f64>, acceleration: &Twist<f64>) -> V {
     let mut needed = load.inertia.apply(acceleration);
     needed.add(&load.bias);

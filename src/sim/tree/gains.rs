@@ -9,16 +9,16 @@
 //!  kp = (W/n) max(20 Σ rᵢ²/ℓ, p),   kd = 2 ζ kp/ω,   ζ = 0.3
 //! ```
 //!
-//! The second term holds a leg that stands straight, so that its levers are small. With at least four feet a robot can sway to
-//! the side on legs that stay parallel: if it moves by x, each hip turns by x/ℓ, and the weight does the work W x²/(2ℓ). It
-//! comes back if the hips need more work, n kp x²/(2ℓ²), so kp must be above (W/n) ℓ; p = 1.5 ℓ. Other robots can tip over
-//! about their feet: if the centre of mass, at the height h, moves aside by x, the weight turns each joint, at the height yᵢ,
-//! by W x/(n kp), and these turns together move the centre of mass by Σ (h − yᵢ) W x/(n kp). The robot falls if this is more
-//! than x, so kp must be above (W/n) Σ (h − yᵢ); p is 3 times this sum, over the joints whose axes are horizontal, for motions
-//! forward or to the side, whichever is larger. A joint outside of the legs carries a mass m with its centre at the distance
-//! r: kp = 10 m g r, so gravity moves it by at most 0.1 rad, and ω² = 10 g/r. All numbers are our choice. For A1,
-//! W/n = 29 N, ℓ = 0.3 m and Σr² = 0.02 m² they give 39 N·m/rad and 0.9 N·m·s/rad; legged_gym takes 20 and 0.5, under which
-//! A1 sinks twice as far.
+//! The second term is for a leg that stands straight and so has small levers. With at least four feet a robot can sway
+//! to the side on legs that stay parallel: if it moves by x, each hip turns by x/ℓ, and the weight does the work
+//! W x²/(2ℓ). It comes back if the hips need more work, n kp x²/(2ℓ²), so kp must be above (W/n) ℓ; p = 1.5 ℓ. Other
+//! robots can tip over about their feet. If the centre of mass, at the height h, moves aside by x, the weight turns
+//! each joint, at the height yᵢ, by W x/(n kp). These turns together move the centre of mass by Σ (h − yᵢ) W x/(n kp).
+//! The robot falls if this is more than x, so kp must be above (W/n) Σ (h − yᵢ). p is 3 times this sum, over the joints
+//! whose axes are horizontal, for motions forward or to the side, whichever is larger. A joint outside of the legs
+//! carries a mass m with its centre at the distance r: kp = 10 m g r, so gravity moves the joint by at most 0.1 rad,
+//! and ω² = 10 g/r. All numbers are our choice. For A1, W/n = 29 N, ℓ = 0.3 m and Σr² = 0.02 m² they give 39 N·m/rad
+//! and 0.9 N·m·s/rad; legged_gym takes 20 and 0.5, under which A1 sinks twice as far.
 
 use super::contact::ContactPoint;
 use super::kinematics::{chain, lowest};
@@ -35,14 +35,14 @@ const LEGS: f64 = 20.0;
 const OTHERS: f64 = 10.0;
 /// ζ, damping ratio.
 const DAMPING: f64 = 0.3;
-/// A joint that follows another is stiffer by this factor, with the same damping ratio: our choice, so that its load moves
-/// it by less than 1 mrad.
+/// A joint that follows another is stiffer by this factor, with the same damping ratio: our choice, because the load of
+/// a robot that stands then moves the joint by at most some 2 mrad.
 const FOLLOWING: f64 = 100.0;
 /// p/ℓ of robots with at least four feet.
 const POSTURE: f64 = 1.5;
-/// kp over that at which a robot with fewer feet tips over.
+/// Ratio of kp to the one at which a robot with fewer feet tips over.
 const UPRIGHT: f64 = 3.0;
-/// Smallest distance of a centre of mass from its joint [m]: our choice, for parts that are balanced about it.
+/// Smallest distance of a centre of mass from its joint [m]: our choice, for parts that are balanced about the joint.
 const NEAREST: f64 = 0.01;
 
 /// A joint's motor and servo.

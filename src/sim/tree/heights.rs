@@ -1,6 +1,6 @@
-//! Heights of a file as one text, which a client sends to a server: `heights:` and base64 of a zlib stream. It holds
-//! the numbers of rows and columns (u16), then each height less the plane through its three neighbours before it, in
-//! steps of [`STEP`], as variable-length integers. Smooth ground takes about a byte a node.
+//! Heights of a file as one text, which a client sends to a server: `heights:` and base64 of a zlib stream. The stream
+//! holds the numbers of rows and columns (u16), then for each node its height minus that of the plane through its three
+//! neighbours before it, in steps of [`STEP`], as variable-length integers. Smooth ground takes about a byte a node.
 
 use crate::error::{Error, Result};
 use base64::prelude::{BASE64_STANDARD, Engine as _};

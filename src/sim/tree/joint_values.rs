@@ -7,9 +7,9 @@ use std::collections::BTreeMap;
 /// Largest number of joints that a message names: our choice, so that the message stays readable.
 const MOST_NAMES: usize = 12;
 
-/// The value of each joint, in order; None: no pattern matches. A pattern is a joint's whole name, or has a `*` for
-/// any letters (`.*` means the same, as in Isaac Lab), or is a part of the name, as in legged_gym. Of several patterns the
-/// whole name counts, or else the longest pattern.
+/// The value of each joint, in order; None: no pattern matches. A pattern is a joint's whole name, or has a `*` for any
+/// letters (`.*` means the same, as in Isaac Lab), or is a part of the name, as in legged_gym. If several patterns
+/// match, the whole name counts, or else the longest pattern.
 ///
 /// # Errors
 /// Names the pattern of `option` that matches no joint.

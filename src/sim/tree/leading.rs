@@ -60,7 +60,7 @@ pub(super) fn leading<R: Real, M: StressModel<R>, S: Spread<R>, D>(
         let normal: Vec3<R> = lanes(&facet.normal);
         let share = facet.along(&own).mul_add(facet.growth.spread(), facet.begun.spread());
         let depth = -(own.up.dot(lanes(&facet.center)) + own.height);
-        // √(1 − x²) with an error below 0.05.
+        // About √(1 − x²): at most 0.17 too small (near x = 0.94), and on average over all directions 0.04.
         let x = normal.dot(own.up);
         let flat = x * x;
         let rise = facet.rise.spread() * (one - flat) * flat.mul_add(R::splat(0.6), one);
@@ -87,7 +87,7 @@ pub(super) fn leading<R: Real, M: StressModel<R>, S: Spread<R>, D>(
 }
 
 impl<S> Facet<S> {
-    /// n·v̂ of its centre.
+    /// n·v̂ of the plate's centre.
     #[inline(always)]
     fn along<R: Real>(&self, own: &Own<R>) -> R
     where
@@ -141,13 +141,14 @@ impl<S> Panel<S> {
         let sides: [Vec3<R>; 2] = [lanes(&self.half[0]), lanes(&self.half[1])];
         let [bent, straight] = [sides[0].dot(own.up), sides[1].dot(own.up)];
         let turn: Vec3<R> = lanes(&self.turn);
-        // n·v̂ changes by ± `spread` towards the edges of the bent side. Lengths ending in `_s` are multiplied by it, so
-        // that one division suffices.
+        // n·v̂ changes by ± `spread` towards the edges of the bent side. Names that end in `_s` are for numbers
+        // multiplied by `spread`, so that one division suffices.
         let turning = turn.dot(own.linear);
         let spread = turning.abs().max(R::splat(crate::sand::Regularization::SOLID.leading_edge_gate / 2.0));
         let (half, third) = (R::splat(0.5), R::splat(1.0 / 3.0));
         let leads_s = (half * (facet.along(own) + spread)).clamp(zero, spread);
-        // The plate leads with the part that is turned towards the velocity: its middle and its share of the length.
+        // The part that is turned towards the velocity leads: its middle (`ahead_s`) and its share of the length
+        // (`leads_s`).
         let ahead_s = R::select(turning.lt(zero), leads_s - spread, spread - leads_s);
         let rise_s = leads_s * bent;
         let flat = spread * spread * straight.mul_add(straight, R::splat(1e-20));
@@ -170,7 +171,7 @@ impl<S> Panel<S> {
             sum.deep = part.mul_add(mean.mul_add(mean, range * range * third), sum.deep);
         }
         sum.add(facet, turn.scale_add(ahead, lanes(&facet.normal)), load);
-        // The load lies below the middle of the part.
+        // The load's centre lies below the middle of the part.
         let below = part * (mean_s * per_rise_s).mul_add(wet - one, -(wet * wet * third));
         sum.place = sides[1].scale_add(below * straight, sum.place);
         sum.place = sides[0].scale_add(load.mul_add(ahead, below * leads * leads * bent), sum.place);

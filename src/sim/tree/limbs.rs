@@ -21,10 +21,10 @@ pub const STEPS: usize = 40;
 /// Weight of a joint's distance from its preferred position [1/rad], beside distances in lengths of the limb: our
 /// choice. It selects among the solutions and moves the foot by less than a thousandth of the limb's length.
 const PREFERENCE: f64 = 0.02;
-/// Weight of the sole's tilt [1/rad]: our choice; sole and position are reached equally well.
+/// Weight of the sole's tilt [1/rad]: our choice, because tilt and position are then reached equally well.
 const LEVEL: f64 = 0.3;
-/// Points within this part of the limb's length belong to one sole; it must extend as far in both directions. Our
-/// choice.
+/// Points that are higher than the lowest one by less than this part of the limb's length belong to the sole. A sole
+/// must extend farther than that in both horizontal directions. Our choice.
 const SOLE: f64 = 0.03;
 
 /// A branch of the tree from the base to its last body with a shape.
@@ -32,7 +32,7 @@ const SOLE: f64 = 0.03;
 pub struct Limb {
     /// From the base outward, without the base.
     pub path: Vec<usize>,
-    /// Its last body, and the last bodies of branches that part from it.
+    /// The limb's last body, and the last bodies of branches that part from the limb.
     pub ends: Vec<usize>,
     /// The part of `path` that a search moves.
     moving: Vec<usize>,
@@ -68,7 +68,8 @@ pub struct FreeJoints {
 }
 
 impl FreeJoints {
-    /// Joints with a position in the file keep it. Others are free in their range, and prefer 0.
+    /// Joints with a position in the file keep it. Joints that follow others keep the position that follows from the
+    /// preferred one of their leader. All others are free in their range, and prefer 0.
     pub fn of(tree: &Tree) -> Self {
         let mut all = Self::free(tree);
         for f in tree.followers() {
@@ -200,7 +201,8 @@ impl Limb {
         behind.map(|i| tree.bodies[*i].origin.translation.vector.norm()).sum::<f64>() + farthest(&contacts[self.end()])
     }
 
-    /// The joint after the hip [m], in the base's frame; the tip's body if there is none.
+    /// Position of the knee [m], in the base's frame: of the first joint that lies far behind the hip or, if there is
+    /// none, of the last body.
     pub fn knee(&self, tree: &Tree, angles: &[f64]) -> V {
         let after = self
             .path
@@ -220,8 +222,8 @@ impl Limb {
         self.tip_of(&self.frame(tree, angles, self.end()), contacts).0
     }
 
-    /// Distance of the tip from the joint of the limb's last body, as a part of that of the body's farthest point; 1 for a
-    /// flat sole.
+    /// Distance of the tip from the joint of the limb's last body, as a part of the distance of that body's farthest
+    /// point; 1 for a flat sole.
     pub fn tip_distance(&self, tree: &Tree, contacts: &[Vec<ContactPoint>], angles: &[f64]) -> f64 {
         let (frame, farthest) = (self.frame(tree, angles, self.end()), farthest(&contacts[self.end()]));
         if self.sole.is_some() || farthest == 0.0 {
@@ -230,7 +232,8 @@ impl Limb {
         (self.tip_of(&frame, contacts).0 - frame.translation.vector).norm() / farthest
     }
 
-    /// The tip, and the point of the foot that moves with the same velocity when the foot turns.
+    /// The tip, and the point of the foot with whose velocity the tip moves when the foot turns: a ball's lowest point
+    /// moves with the ball's centre.
     fn tip_of(&self, frame: &Isometry3<f64>, contacts: &[Vec<ContactPoint>]) -> (V, V) {
         if let Some(sole) = &self.sole {
             let at = frame.transform_point(&sole.center.into()).coords;
@@ -253,8 +256,8 @@ impl Limb {
         all
     }
 
-    /// Moves the tip to `target` (in the base's frame) and levels the sole. Begins at `first`, if given, and at several
-    /// other positions if that fails; returns the best solution.
+    /// Moves the tip to `target` (in the base's frame) and levels the sole. Searches from `first`, if given, and from
+    /// `starts` other positions. Returns the solution with the least `worth`, to which a miss of the target adds much.
     #[allow(clippy::too_many_arguments)] // the robot, the range of the search, and what is wanted
     pub fn reach(
         &self,

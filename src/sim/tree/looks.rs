@@ -7,7 +7,8 @@ use nalgebra::{Isometry3, Quaternion, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 
-/// Largest number of triangles of all meshes of a robot, each mesh counted once: our choice, some 50 kB of a packed robot.
+/// Largest number of triangles of all meshes of a robot, each mesh counted once: our choice, because they take some 50
+/// kB of a packed robot.
 pub const MOST_TRIANGLES: usize = 4000;
 /// Largest number of shapes, and of corners of all meshes: our choices.
 const MOST_SHAPES: usize = 10_000;
@@ -81,7 +82,7 @@ impl Looks {
         all.finished()
     }
 
-    /// The same with plates in place of the shapes of bodies that have none, if they are few enough to draw.
+    /// The same with plates for bodies without shapes, if the plates are few enough to draw.
     #[must_use]
     pub fn or_plates(mut self, plates: &[Vec<IntruderPlate>]) -> Self {
         for (body, own) in plates.iter().enumerate() {

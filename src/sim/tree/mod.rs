@@ -12,11 +12,13 @@
 //!   [`forces`]: those of both at one moment, for pictures.
 //! * [`contact`]: the points; [`terrain`]: the ground's surface near a point, [`relief`]: a surface that is not
 //!   flat, [`heights`]: those of a file as one text.
-//! * [`kinematics`]: frames of bodies and their lowest points; [`joint_values`]: values for joints by patterns of their names; [`limbs`]: legs, arms and tails, and how each moves;
-//!   [`stance`]: the standing pose; [`gains`]: servo gains; [`standing`]: does the robot stand?
+//! * [`kinematics`]: frames of bodies and their lowest points; [`joint_values`]: values for joints by patterns of their
+//!   names; [`limbs`]: legs, arms and tails, and how each moves; [`stance`]: the standing pose; [`gains`]: servo gains;
+//!   [`standing`]: does the robot stand?
 //! * [`symmetry`]: left and right; [`looks`]: shapes for pictures; [`packed`]: a robot as one text.
 //! * [`plates`]: collision shapes as the plates that push on sand, few in place of many ([`cluster`]); [`patches`]:
-//!   plates with nearly the same normal, gathered, eight of them in lanes in [`eights`]; [`robot`]: our own robots as trees.
+//!   plates with nearly the same normal, gathered; [`eights`]: eight patches in lanes; [`robot`]: our own robots as
+//!   trees.
 
 mod cluster;
 pub mod contact;
@@ -117,7 +119,8 @@ pub struct TreeJoint {
     pub kp: Option<f64>,
     /// Speed gain of the servo [N·m·s/rad], if the file has one.
     pub kd: Option<f64>,
-    /// Position in the standing pose [rad or m], if the file has one (MJCF: the first keyframe).
+    /// Position in the standing pose [rad or m], if the file has one (MJCF: the keyframe `home`, or else the first
+    /// one).
     pub rest: Option<f64>,
 }
 
@@ -170,7 +173,7 @@ pub enum Geometry<M = Triangles> {
 }
 
 impl<M> Geometry<M> {
-    /// The same shape, if it is a mesh with that of `mesh`.
+    /// The same shape; a mesh is replaced by what `mesh` makes of it.
     pub fn with_mesh<N>(&self, mesh: impl FnOnce(&M) -> N) -> Geometry<N> {
         match *self {
             Self::Sphere { radius } => Geometry::Sphere { radius },

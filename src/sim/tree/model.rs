@@ -32,7 +32,7 @@ pub struct TreeModel {
     pub tree: Arc<Tree>,
     /// Mass of the base [kg], in place of that in `tree`: with a payload and what an episode adds.
     pub base_mass: f64,
-    /// One a joint.
+    /// One for each joint.
     pub motors: Vec<TreeMotor>,
     /// Plates that touch sand, in the frame of each body.
     pub plates: Arc<Vec<Vec<IntruderPlate>>>,
@@ -51,8 +51,8 @@ pub struct TreeModel {
 
 impl Compliance {
     /// The whole weight on one point sinks it by 1 mm. Damping is half of the critical damping of a quarter of the
-    /// mass. A held point creeps with up to 1e-5 m/s, as on sand. Our choices: a foot at rest sinks by less than
-    /// 0.3 mm, which changes no gait noticeably.
+    /// mass. A held point creeps with up to 1e-5 m/s, as on sand. Our choices, because one of four feet at rest then
+    /// sinks by less than 0.3 mm, which changes no gait noticeably.
     pub fn of_mass(mass: f64) -> Self {
         let weight = mass * GRAVITY;
         let stiffness = weight / 1e-3;

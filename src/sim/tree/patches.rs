@@ -100,9 +100,10 @@ pub struct Ball<D = f64> {
 pub struct BodyPatches {
     pub body: usize,
     pub patches: Vec<Patch>,
-    /// A ball that contains all of them.
+    /// A ball that contains all plates.
     pub ball: Ball,
-    /// Corners of a box that contains them, where the weight of the expected change is evaluated.
+    /// Corners of a box that contains the plates' centres. The weight of the expected change is evaluated at these
+    /// corners.
     pub corners: [[f64; 3]; 8],
 }
 

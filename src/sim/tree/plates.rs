@@ -19,14 +19,14 @@ const ROBOT: f64 = 800.0;
 /// Number of plates that a body is cut into before they are gathered: our choice. With 3,000 the error on ANYmal's shanks
 /// was half as large again.
 const FINE: f64 = 8000.0;
-/// See [`cluster::few`]: our choice. Of 0.03, 0.1 and 0.2 it gave the least error on six robots.
+/// See [`cluster::few`]: our choice, because among 0.03, 0.1 and 0.2 it gave the least error on six robots.
 const FLAT: f64 = 0.1;
-/// The same for [`of_body`], whose plates are smaller: our choice. Of 0.02, 0.04 and 0.1 it gave the least error on random
-/// shapes.
+/// The same for [`of_body`], whose plates are smaller: our choice, because among 0.02, 0.04 and 0.1 it gave the least
+/// error on random shapes.
 const FLAT_FINE: f64 = 0.04;
-/// Number of plates in [`of_body`] of a shape that is flat, and of one that is curved everywhere; between them in proportion to
-/// the curved part of its surface. Our choice: rms errors of forces on random shapes are near 0.5 %, and one call for an ant
-/// takes less than 15 µs (`make study-plates`, `benches/sand.py`).
+/// Number of plates in [`of_body`] of a shape that is flat, and of one that is curved everywhere; between them in
+/// proportion to the curved part of its surface. Our choice, because rms errors of forces on random shapes are then
+/// near 0.5 %, and one call for an ant takes less than 15 µs (`make study-plates`, `benches/sand.py`).
 const FLAT_SHAPE: f64 = 256.0;
 const CURVED_SHAPE: f64 = 512.0;
 /// Largest number of plates of a body in [`of_body`], to bound the time of a call: our choice, two curved shapes.
@@ -189,8 +189,9 @@ fn area(shapes: &[&TreeShape]) -> f64 {
     shapes.iter().map(|s| s.geometry.area()).sum()
 }
 
-/// Number of plates of each body with these areas [m²], the base first: [`BODY`], and for the base [`BASE`]. If these are
-/// more than [`ROBOT`] together, bodies get numbers in proportion to the square root of their areas, at most those.
+/// Number of plates of each body with these areas [m²], the base first: [`BODY`], and for the base [`BASE`]. If these
+/// numbers together are more than [`ROBOT`], they are reduced to numbers in proportion to the square roots of the
+/// areas.
 fn counts(areas: &[f64]) -> Vec<f64> {
     let most = |b: usize| if b == 0 { BASE } else { BODY };
     let at = |scale: f64| -> Vec<f64> {
@@ -215,8 +216,8 @@ fn counts(areas: &[f64]) -> Vec<f64> {
     at(low)
 }
 
-/// Plates of shapes that are fixed to one body, in the body's frame, finer than those of [`of_shapes`]: for the force in each
-/// single pose.
+/// Plates of shapes that are fixed to one body, in the body's frame: finer than those of [`of_shapes`], for accurate
+/// forces in every single pose.
 pub fn of_body(shapes: &[&TreeShape]) -> Result<Vec<IntruderPlate>> {
     let small: Vec<f64> = shapes.iter().map(|s| (s.geometry.area() / FINE).sqrt()).collect();
     let visible = visible(shapes, &small)?;

@@ -13,7 +13,7 @@ pub const REPOSE_DEG: f64 = 35.0;
 const NODES: std::ops::RangeInclusive<f64> = 4.0..=512.0;
 /// Least and greatest height of a node [m]: our choice.
 const HEIGHTS: std::ops::RangeInclusive<f64> = -100.0..=100.0;
-/// Number of waves whose sum makes dunes: our choice, enough that no direction dominates.
+/// Number of waves whose sum makes dunes: our choice, because with these no direction dominates.
 const WAVES: usize = 24;
 /// Number of nodes along a side of dunes, and in a wave length: our choice, so that dunes repeat after eight wave lengths.
 const SIDE: usize = 128;
@@ -98,12 +98,12 @@ impl Relief {
         self
     }
 
-    /// `spacing` [m], `repeats`, and `heights` [m]: rows along y of numbers along x.
     /// Memory [bytes].
     pub fn bytes(&self) -> usize {
         size_of::<Self>() + size_of_val(&self.heights[..]) + self.json.len()
     }
 
+    /// `spacing` [m], `repeats`, and `heights` [m]: rows along y of numbers along x.
     pub fn json(&self) -> &str {
         &self.json
     }
@@ -114,7 +114,7 @@ impl Relief {
     }
 
     /// Tangent of the steepest slope, and its position [m]. Only nodes and the points half way between them are
-    /// evaluated, because the slope is largest at one of these.
+    /// evaluated. Between these the slope may be a few percent steeper.
     pub fn steepest(&self) -> (f64, [f64; 2]) {
         let half = self.spacing / 2.0;
         let places = (0..4 * self.rows * self.columns)

@@ -2,7 +2,7 @@
 //!
 //! Plates are one-sided with the leading-edge rule. The scheme in time is that of [`crate::lanes`]: the force is
 //! linearly implicit, f⁺ = f − C (v⁺ − v), and in smooth motion the velocities are expected to change as in the last
-//! step. The law is evaluated once a patch ([`super::patches`]), for those of its plates that lead in the sand.
+//! step. The law is evaluated once for each patch ([`super::patches`]), for those of its plates that lead in the sand.
 
 use super::dynamics::LinkLoad;
 use super::leading::{Own, leading};
@@ -172,8 +172,8 @@ pub fn under_body<R: Real>(
 }
 
 /// The sand's effect on one body at rest or in motion with `velocity`, about the base's origin at `place`; None if no
-/// plate is in the sand. `travel`: horizontal velocity of the robot. With `SECANT` the slopes of
-/// leading edges add nothing to the drag along the motion ([`Total::add_slope`]); those of engine `tree` do.
+/// plate is in the sand. `travel`: horizontal velocity of the robot. With `SECANT` the slopes of leading edges add
+/// nothing to the drag along the motion ([`Total::add_slope`]). Without it, as in engine `tree`, they do.
 #[inline(always)]
 #[allow(clippy::too_many_arguments)] // all arguments stay in registers
 pub fn on_body<R: Real, const SECANT: bool>(
@@ -191,8 +191,8 @@ pub fn on_body<R: Real, const SECANT: bool>(
     on_patches::<R, _, _, SECANT>(ground, all, frame, velocity, place, travel, under, strength, dt)
 }
 
-/// The same for a body's patches with one number for all lanes, or one patch in each lane. The force of a body is then the
-/// sum over lanes.
+/// The same for a body's patches, of which each lane has either all, or one of its own. If each lane has one of its
+/// own, the force on a body is the sum over lanes.
 #[inline(always)]
 #[allow(clippy::too_many_arguments)] // all arguments stay in registers
 pub fn on_patches<R: Real, S: Spread<R>, D: Spread<R>, const SECANT: bool>(
@@ -236,7 +236,7 @@ fn by<R: Real, S: Spread<R>, D: Spread<R>, M: StressModel<R>, const SECANT: bool
 ) -> Option<Total<R>> {
     let (zero, tiny) = (R::zero(), R::splat(1e-20));
     let (mut total, mut wet) = (Total::none(), false);
-    // Rows of the surface's own axes in the world: z along its normal, x along the world's x.
+    // The surface's own axes in the world, as columns: z along its normal, x without a part along the world's y.
     let axes = under.axes();
     let turn = axes.as_ref().map_or(frame.rotation, |axes| axes.transposed().compose(&frame.rotation));
     let own = Own {
@@ -307,8 +307,8 @@ impl<R: Real> Total<R> {
 
     /// Adds the slope e of the force along n by n·v, at a plate with the drag c that moves along v̂:
     /// e (q qᵀ − κ² v̂v̂ᵀ) with q = n − (n·v̂ − κ) v̂. A change along v does not turn v̂ and moves no leading edge, so
-    /// the part along v̂ is taken out. κ is n·v̂, and then q is n, but |κ| ≤ √(c/e), so that c I and this are together
-    /// positive semidefinite.
+    /// the part along v̂ is taken out. κ is n·v̂, so that q is n, but at most √(c/e) in size, so that c I and this matrix
+    /// together are positive semidefinite.
     #[inline(always)]
     pub fn add_slope(&mut self, at: Vec3<R>, n: Vec3<R>, unit: Vec3<R>, e: R, c: R) {
         let (along, most) = (n.dot(unit), (c / e.max(R::splat(1e-30))).sqrt());
@@ -328,7 +328,7 @@ impl<R: Real> Total<R> {
 }
 
 impl<R: Real> Local<R> {
-    /// Columns x, y, z of the surface's axes, z its normal; None where it is level in all lanes.
+    /// The surface's axes x, y, z as columns, z its normal; None where the surface is level in all lanes.
     #[inline(always)]
     pub fn axes(&self) -> Option<Mat3<R>> {
         let n = self.normal;

@@ -1,10 +1,11 @@
 //! Contact between parts of one robot: a leg that meets another leg or the base.
 //!
-//! A body has a capsule inside the box around its points of contact, the base up to three. Two may come no closer than to touch, and an
-//! overlap δ leaves with the speed δ/τ. There is no friction. A force along the line between their nearest points does this; it
-//! follows from the robot's accelerations under a unit force ([`dynamics::respond`]), with motors, sand and ground as they are in
-//! this step. So the contact has no stiffness, and is stable with every time step. Several contacts are solved one after the
-//! other, twice, and none pulls (projected Gauss-Seidel; E. Catto, Iterative Dynamics with Temporal Coherence, 2005).
+//! A body has a capsule inside the box around its points of contact, the base up to three. Two capsules may come no
+//! closer than to touch, and an overlap δ leaves with the speed δ/τ. There is no friction. A force along the line
+//! between the nearest points of the two axes does this. The force follows from the robot's accelerations under a unit
+//! force ([`dynamics::respond`]), with motors, sand and ground as they are in this step. So the contact has no
+//! stiffness, and is stable with every time step. Several contacts are solved one after the other, twice, and none
+//! pulls (projected Gauss-Seidel; E. Catto, Iterative Dynamics with Temporal Coherence, 2005).
 
 use super::Tree;
 use super::contact::ContactPoint;
@@ -22,7 +23,7 @@ type V = Vector3<f64>;
 
 /// τ, the time in which an overlap leaves [s]: our choice, a control step.
 const LEAVES: f64 = 0.02;
-/// Times that all contacts are solved: our choice.
+/// How often all contacts are solved: our choice.
 const SWEEPS: usize = 2;
 /// Largest number of capsules of the base, which is often flat: our choice. Other bodies have one.
 const MOST_CAPSULES: f64 = 3.0;
@@ -40,7 +41,7 @@ const CROSSING: f64 = 1e-4;
 /// Axes whose angle has a smaller squared sine are parallel: our choice, above the rounding of `f32`.
 const PARALLEL: f64 = 1e-4;
 
-/// A ball that moves along a line.
+/// All points that are within `radius` of a line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Capsule {
     /// Ends of the line in the body's frame [m].
@@ -317,8 +318,8 @@ fn distance_squared<R: Real>(line: &[Vec3<R>; 2], point: Vec3<R>) -> R {
     along.scale_add(-s, to).norm_squared()
 }
 
-/// The nearest points of two line segments (C. Ericson, Real-Time Collision Detection, 2005, section 5.1.9). Of parallel ones a
-/// point near the middle.
+/// The nearest points of two line segments (C. Ericson, Real-Time Collision Detection, 2005, section 5.1.9). For
+/// parallel segments these are points near the middle.
 #[inline(always)]
 fn nearest<R: Real>([p, q]: [[Vec3<R>; 2]; 2]) -> [Vec3<R>; 2] {
     let (zero, one, tiny) = (R::zero(), R::one(), R::splat(1e-12));

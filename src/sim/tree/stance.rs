@@ -9,9 +9,9 @@ use nalgebra::{Isometry3, Vector3};
 
 type V = Vector3<f64>;
 
-/// A leg that is bent so far that its foot is nearer to the hip than this part of its longest reach is not used. Our
-/// choice: the middle between this and the longest reach is 0.7. The usual poses of A1, Aliengo, HyQ, Mini Cheetah,
-/// Solo and Spot have 0.70 to 0.73, Go1's 0.64.
+/// A leg does not stand with its foot nearer to the hip than this part of its longest reach. Our choice, because the
+/// middle between this and the longest reach is then 0.7. The usual poses of A1, Aliengo, HyQ, Mini Cheetah, Solo and
+/// Spot have 0.70 to 0.73, Go1's 0.64.
 const FOLDED: f64 = 0.4;
 /// Part of its longest reach to which a leg of a robot with fewer than four feet is extended: our choice, because such
 /// a robot stands with its feet flat, and knees that bend more need more torque. Unitree's H1 stands at 0.92 and
@@ -22,15 +22,16 @@ const HEIGHTS: usize = 18;
 const STARTS: usize = 12;
 /// A foot is at its place if it is nearer than this part of the leg's length: our choice.
 const REACHED: f64 = 0.01;
-/// A limb is a leg if its end is in the lowest three tenths of the robot's height, and moves up and down by at least
-/// this part of its length: our choice. Arms and tails do not reach so low, wheels and propellers do not move their
+/// A limb is a leg if its end is in the lowest three tenths of the robot's height, and can move up and down by at
+/// least a tenth of the limb's length: our choice. Arms and tails do not reach so low, wheels and propellers do not move their
 /// lowest point.
 const LOWEST: f64 = 0.3;
 const TRAVEL: f64 = 0.1;
 /// A body of a leg belongs to the foot if it is nearer to the ground than this part of the robot's height: our choice.
 const NEAR: f64 = 0.02;
-/// Feet are moved toward the point under the centre of mass if that is farther from their middle than this part of their
-/// distance from it; by at most this part of the leg's length. Our choice.
+/// Feet are moved forward or back toward the point under the centre of mass, if that point is farther from the middle
+/// of the feet than this part of the distance of the farthest foot from the middle. They are moved by at most this part
+/// of the leg's length. Our choice.
 const OFF_CENTER: f64 = 0.25;
 
 /// Largest number of frames that all searches of a robot compute: our choice, about a second. A robot with many limbs of
@@ -137,7 +138,7 @@ struct Search<'a> {
     tree: &'a Tree,
     contacts: &'a [Vec<ContactPoint>],
     joints: FreeJoints,
-    /// Start positions of a search.
+    /// Number of start positions of a search.
     starts: usize,
 }
 
@@ -201,7 +202,8 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// The place of a limb's foot if it is a leg; None if its foot reaches no place under the hip.
+    /// The place of a limb's foot and its heights, if the limb may be a leg; None if the foot would not be below the
+    /// hip.
     fn leg<'l>(&self, limb: &'l Limb, frames: &[Isometry3<f64>], many: bool) -> Option<LegReach<'l>> {
         let (tree, contacts) = (self.tree, self.contacts);
         let hip = frames[limb.hip].translation.vector;
@@ -226,7 +228,7 @@ impl<'a> Search<'a> {
             let target = place - V::z() * depth;
             let mut found = self.reach(limb, target, last.as_deref(), depths.is_none());
             if found.off >= REACHED && last.is_some() {
-                // A straight leg does not bend by itself.
+                // A search that begins with a straight leg does not bend it.
                 found = self.reach(limb, target, last.as_deref(), true);
             }
             if found.off < REACHED {
@@ -251,7 +253,7 @@ impl<'a> Search<'a> {
 
     fn reach(&self, limb: &Limb, target: V, first: Option<&[f64]>, widely: bool) -> Reached {
         let hip = limb.hip;
-        // Of several solutions the one with the knee farther back, and among equals the least bent.
+        // Among several solutions, less bent ones with the knee farther back are preferred.
         let worth = |r: &Reached| {
             let (knee, from) = (limb.knee(self.tree, &r.angles), limb.frame(self.tree, &r.angles, hip));
             let kneels = KNEELS * (FAR_HALF - limb.tip_distance(self.tree, self.contacts, &r.angles)).max(0.0);
@@ -261,7 +263,7 @@ impl<'a> Search<'a> {
         limb.reach(self.tree, self.contacts, &self.joints, target, first, starts, &worth)
     }
 
-    /// All feet on one level, moved by `shift`.
+    /// Joint angles with all feet on one level, moved by `shift`.
     fn standing(&self, legs: &[LegReach], start: &[f64], shift: V) -> Vec<f64> {
         let mut angles = start.to_vec();
         let ground = legs.iter().map(|l| l.place.z - l.wanted).sum::<f64>() / legs.len().max(1) as f64;

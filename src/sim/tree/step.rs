@@ -125,7 +125,7 @@ pub fn accelerate<R: Real>(
 fn solve<R: Real>(model: &LaneTree<R>, state: &LaneState<R>, s: &mut TreeScratch<R>) {
     let (dt, joints) = (model.dt, &state.joints);
     s.limits.iter_mut().for_each(LimitedTorque::begin);
-    // `fold` changes the loads; where motors have lines, it may be made several times.
+    // `fold` changes the loads, and runs several times if motors have lines.
     let lines = model.motors.iter().any(|motor| motor.actuator.has_lines());
     if lines {
         s.unfolded.copy_from_slice(&s.loads);
@@ -142,7 +142,7 @@ fn solve<R: Real>(model: &LaneTree<R>, state: &LaneState<R>, s: &mut TreeScratch
     }
 }
 
-/// Computes rates, positions and servos after the step.
+/// Computes rates, positions, torques and servos' references after the step.
 #[inline(always)]
 fn move_joints<R: Real>(
     model: &LaneTree<R>,

@@ -125,7 +125,7 @@ impl LeftRight {
     /// Largest difference of the accelerations of mirrored robots in some poses, as a share of the accelerations.
     fn off(&self, robot: &TreeModel, size: f64) -> f64 {
         let (rest, torque) = (&robot.stance.angles, 0.05 * robot.mass() * GRAVITY * size);
-        // Even in [−1, 1): multiples of the golden ratio.
+        // Numbers spread evenly over [−1, 1): multiples of the golden ratio.
         let mut k = 0.0;
         let mut draw = || {
             k += 1.0;

@@ -14,7 +14,7 @@ pub trait Surface<R> {
 /// The tangent plane of the surface.
 #[derive(Clone, Copy)]
 pub struct Local<R> {
-    /// A point of it [m], world.
+    /// A point of the plane [m], in the world.
     pub point: Vec3<R>,
     /// Upward unit vector.
     pub normal: Vec3<R>,

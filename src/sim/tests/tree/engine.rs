@@ -30,7 +30,7 @@ pub fn conserved(model: &Model, state: &State) -> (V, V, f64) {
     (p, l, e)
 }
 
-/// Position of a robot after `time` under gravity alone.
+/// [`conserved`] of a robot before and after `time` [s] under gravity alone.
 fn flown(tree: &Tree, pose: &TreePose, dt: f64, time: f64) -> [(V, V, f64); 2] {
     let model = loosened(&model_of(tree.clone(), dt));
     let mut engine = sandgait_sim::tree::engine(Isa::F64, &model, 1).unwrap();
@@ -164,7 +164,7 @@ fn a_quadruped_stands_on_its_feet() {
     }
 }
 
-/// Robot `k` of several after a second of trotting, alone or among `others`.
+/// Robot `k` of `count` after a second of trotting; if `count` is 1, it is alone.
 fn trotted(isa: Isa, model: &Model, count: usize, k: usize) -> State {
     let mut engine = sandgait_sim::tree::engine(isa, model, count).unwrap();
     let starts = |i: usize| {
@@ -258,7 +258,7 @@ fn a_plane_of_heights_is_a_slope() {
         start.orientation = [turn.w, turn.i, turn.j, turn.k];
         let tilted = run(Isa::F64, &model(0.0, Some(plane.clone())), &start, 0.6);
         let back = turn.inverse() * (V::from(tilted.position) - origin);
-        // Positions in single precision; the heights of the nodes have the same precision.
+        // The heights of the nodes are in single precision.
         assert!((back - V::from(flat.position)).norm() < 2e-5, "{hard}: {back} {flat:?}");
         let moved = (V::from(flat.position) - V::new(0.0, 0.0, 0.35)).norm();
         assert!(moved > 0.01, "{hard}: {flat:?}");

@@ -206,7 +206,8 @@ fn every_branch_is_in_balance() {
     }
 }
 
-/// The largest difference divided by the largest acceleration, of linear, angular and joint accelerations whichever is largest.
+/// The largest difference divided by the largest acceleration: the greatest of these ratios for linear, angular and
+/// joint accelerations.
 pub fn difference(a: &TreeAccelerations, b: &TreeAccelerations) -> f64 {
     let of = |a: &[f64], b: &[f64]| {
         let most = b.iter().fold(1e-9_f64, |m, x| m.max(x.abs()));
@@ -215,7 +216,7 @@ pub fn difference(a: &TreeAccelerations, b: &TreeAccelerations) -> f64 {
     of(&a.a, &b.a).max(of(&a.alpha, &b.alpha)).max(of(&a.qdd, &b.qdd))
 }
 
-/// Single precision, in every instruction set that lanes may have.
+/// Single precision, alone and in portable lanes.
 #[test]
 fn single_precision_is_enough() {
     let mut draw = SignedDraw::new(2);

@@ -24,7 +24,7 @@ pub fn state_of(pose: &TreePose, height: f64) -> State {
     state
 }
 
-/// A model without motors and friction.
+/// The model with its servos switched off.
 pub fn loosened(model: &Model) -> Model {
     let mut tree = (**model.tree.as_ref().unwrap()).clone();
     tree.motors.iter_mut().for_each(|m| (m.kp, m.kd) = (0.0, 0.0));
@@ -138,7 +138,7 @@ pub fn standing(tree: &Tree) -> State {
     State::at_rest(0.35, &angles)
 }
 
-/// Plates of balls at the feet and of the trunk's underside.
+/// Plates of the balls at the feet; other bodies have none.
 pub fn plates(tree: &Tree) -> Vec<Vec<IntruderPlate>> {
     let ball = PlatedBody::cut(&BodyShape::Sphere { radius: 0.02 }, Some(0.01)).unwrap().plates;
     let shifted = |p: &IntruderPlate| IntruderPlate { center: p.center + Vec3::new(0.0, 0.0, -0.2), ..*p };
