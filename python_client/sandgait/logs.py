@@ -86,7 +86,7 @@ def to_csv(path: str | PathLike[str], topics: Mapping[str, str] | None = None) -
 
 
 def main() -> int:
-    """Writes a recording as CSV. The exit code is 2 if it cannot be read, and then nothing is written."""
+    """Writes a recording as CSV. If the recording cannot be read, nothing is written, and the exit code is 2."""
     parser = argparse.ArgumentParser(prog="python -m sandgait.logs", description="Writes a recording as CSV.")
     parser.add_argument("file", help="a Parquet, MCAP or bag file, or the folder of a LeRobot data set or a ROS 2 bag")
     parser.add_argument("--out", required=True, type=Path, help="the CSV file to write")
