@@ -45,7 +45,7 @@ class BadSettings(ValueError):
 
 
 def task_id(name: str) -> str:
-    """Id of the latest version of task `name`. If the name is unknown or has a version, `sandgait/` is put before it."""
+    """Id of the latest version of task `name`. `sandgait/` is put before an unknown name or one with a version."""
     return max((task for task in sandgait.TASKS if task.startswith(f"sandgait/{name}-v")), default=f"sandgait/{name}")
 
 

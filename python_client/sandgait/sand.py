@@ -118,8 +118,8 @@ class Sand:
         `travel` [..., 3]: velocity of the vehicle that the bodies belong to, for mechanisms that depend on it. `out`:
         an array for the result, or with `drag=True` a pair of arrays. `threads`: the most to use; 0: all processors.
 
-        Arrays of float64 are computed in float64; arrays of float32 have a state in each SIMD lane. Other Python threads
-        run meanwhile.
+        Arrays of float64 are computed in float64; arrays of float32 have a state in each SIMD lane. Other Python
+        threads run meanwhile.
         """
         count = len(bodies.names)
         arrays = [position, quaternion, velocity, angular_velocity]
@@ -147,7 +147,7 @@ class Sand:
 
 
 def implicit_wrench(wrench: Any, drag: Any, jacobian: Any, mass: Any, force: Any, dt: float) -> Array:
-    """The sand's wrench on each body at the end of a step, for simulators that take no drag, but external forces.
+    """The sand's wrench on each body at the end of a step, for simulators that take external forces but no drag.
 
     It solves (M + dt JᵀCJ) q̈ = τ + Jᵀf and returns f − dt C J q̈. `wrench` f [..., bodies, 6] and `drag` C
     [..., bodies, 6, 6] are those of `Sand.wrench`; `jacobian` J [..., bodies, 6, dofs] maps generalized velocities to
