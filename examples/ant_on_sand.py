@@ -3,8 +3,8 @@
     python examples/ant_on_sand.py                     # ten minutes on two cores
     python examples/ant_on_sand.py --minutes 1 --out runs/try
 
-It compares with standing: actions of 0, which get the reward for being healthy alone. Needs sandgait[mujoco,sb3].
-The program writes curve.csv, curve.png, policy.zip and normalization.pkl into the output directory.
+It compares the result with standing: actions of 0, which get only the reward for being healthy. It needs
+sandgait[mujoco,sb3], and writes curve.csv, curve.png, policy.zip and normalization.pkl into the output directory.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def make() -> gymnasium.Env[Any, Any]:
 
 
 def mean_return(act: Callable[[Any], Any], episodes: int = 5) -> float:
-    """Mean return of an ant that does what `act` says."""
+    """Mean return of an ant whose action is `act(observation)` in every step."""
     env, returns = make(), []
     for seed in range(episodes):
         observation, _ = env.reset(seed=seed)

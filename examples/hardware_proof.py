@@ -1,8 +1,9 @@
 """Does a policy need sensors, motors and delays in its training? Makes the table of docs/hardware.md.
 
 For each task it trains policies with exact sensors and ideal motors, and policies with randomised ones, and evaluates
-all of them with (a) exact sensors and ideal motors, (b) the motors, noise and a 40 ms delay of a real robot, (c) twice
-that. Trainings that exist already in `--out` are taken as they are, so the script can be stopped and started again.
+all of them with (a) exact sensors and ideal motors, (b) the motors, noise and a 40 ms delay of a real robot, (c) motors
+half as strong and half as fast, and twice the noise and delay. Trainings that exist already in `--out` are taken as
+they are, so the script can be stopped and started again.
 """
 
 from __future__ import annotations
@@ -21,16 +22,16 @@ GYROSCOPE = {"noise_density": 8.7e-5, "bias": 0.0087}
 #: Dynamixel AX-18A (docs/hardware.md), the motor of Trossen's PhantomX hexapod: 10 bits over 300°, that is 0.0051 rad.
 AX18 = {"stall_torque": 1.8, "no_load_speed": 10.2}
 #: X-RHex, a hexapod whose legs turn as those of HexapodGait (Galloway et al. 2010): maxon EC 45 flat, 50 W, 24 V (part
-#: 251601: 0.822 N·m, 6,710 rev/min), behind a gear of 28:1. For this robot of 0.15 kg only its speed is a limit.
+#: 251601: 0.822 N·m, 6,710 rev/min), behind a gear of 28:1. For our robot of 0.15 kg only the motor's speed is a limit.
 X_RHEX = {"stall_torque": 23.0, "no_load_speed": 25.1}
-#: `legged_gym` adds uniform noise of ± these values; a standard deviation is that divided by √3, and at 50 Hz the
-#: density is that divided by √50.
+#: `legged_gym` adds uniform noise of ± these values. The standard deviation is the value divided by √3, and the density
+#: at 50 Hz is the standard deviation divided by √50.
 LEGGED_GYM = {"lin_vel": 0.1, "gyroscope": 0.2, "gravity": 0.05, "joint_position": 0.01, "joint_velocity": 1.5}
 
 
 def hexapod(times: float) -> dict[str, Any]:
-    """Noise of the PhantomX's sensors, `times` as large. An estimator's velocity and attitude have errors of 0.02 m/s
-    and 0.01 (our choice)."""
+    """The noise of the PhantomX's sensors, multiplied by `times`. An estimator's velocity and attitude have errors of
+    0.02 m/s and 0.01 (our choice)."""
     return {
         "gyroscope": {name: times * value for name, value in GYROSCOPE.items()},
         "joint_position": {"quantization": times * 0.0051},
@@ -40,7 +41,7 @@ def hexapod(times: float) -> dict[str, Any]:
 
 
 def quadruped(times: float) -> dict[str, Any]:
-    """Noise as in legged_gym, `times` as large."""
+    """The noise of legged_gym, multiplied by `times`."""
     return {name: {"noise_density": times * most / 3**0.5 / 50**0.5} for name, most in LEGGED_GYM.items()}
 
 
@@ -48,7 +49,7 @@ def quadruped(times: float) -> dict[str, Any]:
 TASKS: dict[str, tuple[str, dict[str, Any], Any, dict[str, float], int]] = {
     "HexapodGait": ("sandgait/HexapodGait-v1", {}, hexapod, X_RHEX, 2_000_000),
     "HexapodLegs": ("sandgait/HexapodLegs-v1", {}, hexapod, AX18, 4_000_000),
-    # Unitree Go1's motors by Isaac Lab; the robot is sandcat, whose legs carry a similar load.
+    # The motors are those of Unitree Go1 in Isaac Lab; the robot is sandcat, whose legs carry a similar load.
     "sandcat": (
         "sandgait/LeggedVelocity-v1",
         {"ground": "rigid"},

@@ -56,7 +56,7 @@ length = 0.038
 width = 0.025
 """
 
-# Strengths that are published for dry and slightly cohesive sands, or else usual in laboratories.
+# Strengths that are published for dry and slightly cohesive sands, or that are usual in laboratories.
 CAUSES: dict[str, tuple[float, float, bool]] = {
     "inertial_drag": (1.1, 2.8, False),
     "concave_fill": (0.4, 1.0, False),
@@ -144,7 +144,7 @@ def law(
     push = hidden.get("inertial_drag", 0.0) * DENSITY * vn**2 + hidden.get("cohesion", 0.0) * np.tanh(vn / 1e-3)
     push = push + hidden.get("added_mass", 0.0) * DENSITY * WIDTH * dvn
     if "law" in hidden:  # a law outside of the catalogue: coefficient · ρ g |z| · Fr^a · (|z|/w)^b
-        under = np.maximum(under, 1e-9)  # because powers of a negative depth, above the surface, are not defined
+        under = np.maximum(under, 1e-9)  # above the surface the depth is negative, and its powers are not defined
         froude = vn**2 / (9.81 * under)
         push = push + hidden["law"] * DENSITY * 9.81 * under * froude ** hidden["a"] * (under / WIDTH) ** hidden["b"]
     return np.asarray((stress - push[..., None] * n) * (depth > 0)[..., None])

@@ -19,7 +19,7 @@ from gymnasium.vector.utils import batch_space
 
 import sandgait
 
-#: First words of the names of the observed columns of HexapodGait.
+#: The policy observes those columns of HexapodGait whose names begin with these words.
 SEEN = ("gravity direction", "sine of hip angle", "cosine of hip angle", "hip speed", "previous action")
 
 #: Cost of one joule of the hips' work [J]; tilt that ends an episode [rad]; cost of such an end [J].
@@ -65,7 +65,7 @@ class Climb(VectorEnv[Any, Any, Any]):
         ended = batch.terminated | batch.truncated
         infos: dict[str, Any] = {"height_work": height}
         if (fell & ~ended).any():
-            # These episodes end by this task's rule, and the simulation would continue them; so they are reset here.
+            # This task ends these episodes, but the simulation would continue them. So they are reset here.
             mask = fell & ~ended
             observations, _ = self.simulation.reset(options={"reset_mask": mask})
             batch.observations[mask] = observations[mask]

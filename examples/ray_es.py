@@ -31,7 +31,8 @@ START = np.array([0.2] * 6 + [0.1, 1.0, 0.0])
 #: range.
 SIGMA = np.array([0.1] * 6 + [0.1, 0.3, 0.5])
 
-#: Step of the mean in standard deviations, if a number is fully correlated with the rank. Our choice, untuned.
+#: Step of a number's mean, in standard deviations, if the number is fully correlated with the rank: our choice,
+#: untuned.
 RATE = 4.0
 
 #: Control steps of an episode: 3 s.

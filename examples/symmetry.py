@@ -2,8 +2,8 @@
 
 The mirror image of a symmetric robot on sand is again that robot on sand. So a good policy chooses the mirrored action
 for the mirrored observation. A network that is averaged with its own mirror image always does so. This helps a robot to
-walk straight: observations do not have the heading, so no policy can correct it later. `sandgait.mirror` gives the
-mirrors of a task's rows.
+walk straight: observations do not have the heading, so no policy can correct a wrong heading later. `sandgait.mirror`
+gives the mirrors of a task's rows.
 """
 
 from __future__ import annotations

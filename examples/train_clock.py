@@ -31,8 +31,8 @@ import matplotlib.pyplot as plt
 
 Values = npt.NDArray[np.float64]
 
-#: Control steps of a trial: a whole episode. Fast tripods leave their direction only after some seconds, so that
-#: shorter trials would favour them.
+#: Control steps of a trial: a whole episode. Fast tripods leave their direction only after some seconds, so shorter
+#: trials would favour fast tripods.
 STEPS = 500
 
 #: Commanded speeds [m/s] for which the grid's rewards are compared: the task's range.
@@ -93,8 +93,8 @@ def action(frequency: float, duty: float, sweep_deg: float, offset_deg: float) -
 
 
 def tripods() -> npt.NDArray[np.float64]:
-    """Clocks of constant rates from 0.25 to 5 Hz. A clock's rate is constant if its duty factor is the sweep's share of
-    a turn."""
+    """Clocks of constant rates from 0.25 to 5 Hz. A clock's rate is constant if its duty factor equals the share of the
+    sweep in a turn."""
     return np.array([action(f, 0.5, 180, 0) for f in np.arange(0.25, 5.01, 0.25)])
 
 
@@ -110,8 +110,8 @@ def grid(coarse: bool) -> npt.NDArray[np.float64]:
 
 
 def policy(clocks: Values) -> Policy:
-    """A policy of clocks. `clocks` has one clock, or one for each entry of COMMANDS; then the nearest entry to a row's
-    commanded speed, its last column but one, is used."""
+    """A policy of clocks. `clocks` has one clock, or one for each entry of COMMANDS. Then a row gets the clock of the
+    entry that is nearest to the row's commanded speed, its last column but one."""
     if len(clocks) == 1:
         return lambda rows: np.repeat(clocks, len(rows), axis=0)
     return lambda rows: clocks[np.abs(rows[:, -2:-1] - COMMANDS).argmin(axis=1)]
@@ -128,7 +128,7 @@ def evolve(limit: float, arguments: argparse.Namespace) -> tuple[Values, list[st
     generator = np.random.default_rng(arguments.seed)
     random = generator.uniform(-1.0, 1.0, (arguments.random, 10))
     random[:, 0] = generator.uniform(0.8, 1.0, len(random))  # 4.5 to 5 Hz
-    random[:, 1:4] = 0.0  # constant rate, because stance and swing can differ little so close to the motors' limit
+    random[:, 1:4] = 0.0  # constant rate: near the motors' limit stance and swing can hardly differ
     starts = random[np.argsort(costs(in_parts(random, address, options), limit))[:restarts]]
     searches = [
         CMA(start, 0.2, bounds=np.array([[-1.0, 1.0]] * 10), seed=arguments.seed + i + 1, population_size=POPULATION)
@@ -136,7 +136,7 @@ def evolve(limit: float, arguments: argparse.Namespace) -> tuple[Values, list[st
     ]
     for generation in range(arguments.generations):
         rows = np.array([[search.ask() for _ in range(POPULATION)] for search in searches])
-        # All clocks of a generation have the same start, and each generation has another start. So no clock is the best
+        # All clocks of a generation have the same start, and each generation has a new start. So no clock is the best
         # because of its start.
         played = trial(rows.reshape(-1, 10), 1 + generation, address, options)
         values = costs(played, limit).reshape(restarts, POPULATION)

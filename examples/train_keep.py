@@ -2,9 +2,8 @@
 
     python examples/train_keep.py runs/legs-0 runs/legs-1 runs/legs-2
 
-The folder examples/policies/TASK-ALGORITHM/ gets the first run's policy as policy.onnx with its settings, and the
-curves and scores of all runs; curve.png shows all curves. tests/python/test_kept_policies.py evaluates the policy
-again.
+The folder examples/policies/TASK-ALGORITHM/ gets the first run's policy (policy.onnx) and settings, and the curves and
+scores of all runs. curve.png shows all curves. tests/python/test_kept_policies.py evaluates the policy again.
 """
 
 from __future__ import annotations

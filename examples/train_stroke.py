@@ -37,7 +37,8 @@ Values = npt.NDArray[np.float64]
 #: Number of times in a stroke at which CMA-ES chooses the speeds of both joints.
 KNOTS = 10
 
-#: Start angles of the hip for circular strokes [rad]: all at which the leg is outside of the sand, and the task's own.
+#: Start angles of the hip for circular strokes [rad]: those at which the leg is outside of the sand, and that of the
+#: task.
 HIPS = np.arange(-3.0, 3.01, 0.25)
 
 #: Hip speeds of circular strokes, as actions: up to one turn in a second, in both directions.

@@ -45,7 +45,7 @@ class BadSettings(ValueError):
 
 
 def task_id(name: str) -> str:
-    """Id of the latest version of task `name`. An unknown name, or one with a version, only gets `sandgait/`."""
+    """Id of the latest version of task `name`. `sandgait/` is put before an unknown name or one with a version."""
     return max((task for task in sandgait.TASKS if task.startswith(f"sandgait/{name}-v")), default=f"sandgait/{name}")
 
 
@@ -132,8 +132,8 @@ def read_curve(path: Path, until: float = np.inf) -> list[Row]:
 
 
 def done(row: Row, settings: dict[str, Any]) -> float:
-    """The finished share of a training at a point of its curve, from 0 to 1: of its steps or of its time, whichever is
-    greater."""
+    """The finished share of a training at a point of its curve, from 0 to 1: the greater one of the shares of its steps
+    and of its time."""
     return min(1.0, max(row.seconds / float(settings["seconds"]), row.steps / int(settings["n_timesteps"])))
 
 
@@ -244,7 +244,7 @@ def last_checkpoint(out: Path) -> Path:
 
 
 def other_training(folder: Path) -> Path:
-    """Checks that `folder` has the files of a training that another one can start from."""
+    """Checks that `folder` has the files of a training from which another training can start."""
     for name in ("policy.zip", "normalize.pkl"):
         if not (folder / name).is_file():
             raise BadSettings(f"--start-from: no {name} in {folder}")
@@ -301,7 +301,7 @@ def prepare(
         model = kind.load(checkpoint, env=normalized, device="cpu")
         if isinstance(model, SAC):
             model.load_replay_buffer(checkpoint.with_name(f"model_replay_buffer_{steps}_steps.pkl"))
-        normalized.seed(seed + steps)  # so that episodes differ from those of the first part
+        normalized.seed(seed + steps)  # so that episodes differ from those before the checkpoint
     progress = Progress(timed, settings, out / "curve.csv", curve)
     callbacks: list[BaseCallback] = []
     if mirrors is not None and settings["normalize"]:

@@ -153,8 +153,8 @@ def export_onnx(model: Any, path: FilePath, normalize: Any = None) -> Path:
     return export_onnx(model, path, normalize)
 
 
-#: Control steps until gymnasium truncates an episode. A test compares them with the server's. LegStroke has no limit
-#: here, because one episode is one stroke and ends with it.
+#: Control steps until gymnasium truncates an episode. A test compares these numbers with the server's. LegStroke has no
+#: limit here, because one episode is one stroke and ends with it.
 _TIME_LIMITS = {_id: 500 for _id in TASKS if "/Hexapod" in _id} | {"sandgait/LeggedVelocity-v1": 1000}
 
 for _id in TASKS:

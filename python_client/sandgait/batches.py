@@ -40,8 +40,8 @@ class Rollout(NamedTuple):
     #: f32 [steps, num_envs, observation] after each step. Zero after an environment's rollout has ended. Empty without
     #: `trajectories`.
     observations: npt.NDArray[np.float32]
-    #: f32 [steps, num_envs]; zero and empty in the same cases.
+    #: f32 [steps, num_envs]; zero and empty in the same cases as `observations`.
     rewards: npt.NDArray[np.float32]
-    #: f32 [steps, num_envs, action]: the policy's actions; zero and empty in the same cases. Also empty if the caller
-    #: gave the actions.
+    #: f32 [steps, num_envs, action]: the policy's actions; zero and empty in the same cases as `observations`, and also
+    #: empty if the caller gave the actions.
     actions: npt.NDArray[np.float32]

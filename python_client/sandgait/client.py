@@ -173,7 +173,7 @@ def _error(code: int, message: str, address: str) -> SandgaitError:
     if kind is InvalidRequest:
         return keyword_error(message)
     if kind is ServerLost:
-        # A server with TLS ends a connection without it; how that is noticed depends on the order of packets.
+        # A server with TLS ends a connection without TLS. The order of packets decides how the client notices it.
         ended = re.search("frame with invalid size|broken pipe|reset by peer", message) and "TLS" not in message
         if ended and not getattr(address, "tls", False) and not address.startswith("unix:"):
             message += "; if it is a server with TLS, sandgait.Remote takes its certificate (ca or tls=True)"

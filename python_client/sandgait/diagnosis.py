@@ -32,7 +32,7 @@ class Diagnosis:
         self.html = html
         #: The extended model as `sand.toml`. If no mechanism reduces the error, this is the plain model.
         self.sand = sand
-        #: What was found of motors, sensors and delays, as `hardware.toml`.
+        #: What the diagnosis has found about motors, sensors and delays, as `hardware.toml`.
         self.hardware = hardware
         #: Measured and predicted loads, one row for each sample. Columns: trial, condition, shape, progress (angle
         #: [rad] or position along the path [m]). Each channel C has the columns C (measured), C_plain and C_extended
@@ -41,7 +41,7 @@ class Diagnosis:
 
     @property
     def verdict(self) -> str:
-        """The verdict: noise_floor, named, ambiguous, none_of_these or insufficient_data."""
+        """The verdict: noise_floor, named, ambiguous, described, none_of_these or insufficient_data."""
         return cast(str, self.report["verdict"])
 
     @property

@@ -68,7 +68,7 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._over = False
         #: First observation of the next episode, which the server begins in the step that ends an episode.
         self._next: Observation | None = None
-        #: Its exact values, with option `privileged`.
+        #: With option `privileged`: the exact values of the sensors for `_next`.
         self._next_privileged: Observation | None = None
         #: The action of a step whose answer was not returned yet, and this answer as soon as it has arrived.
         self._in_flight: npt.NDArray[np.float32] | None = None
@@ -81,8 +81,9 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Begins an episode. `options`: new values of task options; they hold until another reset changes them.
 
-        The returned info has the keys of a step's info. All its values are 0, because no step has been made yet, except
-        `privileged`: with option `privileged=True`, exact values of all sensors, of `privileged_observation_space`.
+        The returned info has the keys of a step's info. Its values are 0, because no step has been made yet. With
+        option `privileged=True`, `info["privileged"]` has the exact values of all sensors, as in
+        `privileged_observation_space`.
         """
         if self._in_flight is not None:
             with contextlib.suppress(InvalidRequest):
@@ -186,8 +187,8 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._view.stop_recording()
 
     def set_command(self, command: npt.ArrayLike) -> Observation:
-        """Replaces the commanded velocity for the rest of the episode. Returns the observation with it; behind a
-        delayed sensor it shows it one step later.
+        """Replaces the commanded velocity for the rest of the episode. Returns the observation with the new command; if
+        a sensor is delayed, the observation shows the command one step later.
 
         `command` is [3]: forward, to the left [m/s], yaw rate [rad/s]. HexapodGait and its relatives have no command to
         the left, so their second number is 0.

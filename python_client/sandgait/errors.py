@@ -12,8 +12,8 @@ class InvalidRequest(SandgaitError, ValueError):
 
 
 class UnknownOption(InvalidRequest, TypeError):
-    """A keyword that the task does not have, when an environment is made. Some libraries try a keyword of their own and
-    leave it out after Python's usual `TypeError`."""
+    """An environment was to be made with a keyword that the task does not have. Some libraries try a keyword of their
+    own and leave it out after Python's usual `TypeError`."""
 
 
 class AccessDenied(SandgaitError, PermissionError):

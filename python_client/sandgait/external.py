@@ -23,7 +23,7 @@ Array = npt.NDArray[Any]
 
 
 class VectorEnvironments:
-    """All environments of a training. Actions are within ±1, which stand for the ends of the action space."""
+    """All environments of a training. Actions are within ±1; −1 and 1 stand for the ends of the action space."""
 
     def __init__(self, env: VectorEnv[Any, Any, Any]) -> None:
         self.env, self.num_envs = env, env.num_envs
@@ -33,7 +33,7 @@ class VectorEnvironments:
         if not np.issubdtype(space.dtype, np.floating):
             raise InvalidRequest(f"env: its action space has numbers of type {space.dtype}, not floating-point ones")
         low, high = space.low.astype(np.float64), space.high.astype(np.float64)
-        # Older environments state the largest float32 where they mean no bound.
+        # Older environments state the largest float32 as a bound if there is none.
         if not (np.maximum(-low, high) < np.finfo(np.float32).max).all():
             raise InvalidRequest("env: its action space has no bounds; give it some, to which actions are scaled")
         self._center, self._half, self._low, self._high = 0.5 * (low + high), 0.5 * (high - low), low, high
@@ -87,7 +87,7 @@ class VectorEnvironments:
     def _note(self, infos: dict[str, Any], skipped: Array, ended: Array) -> None:
         """Adds the reward terms of a step: columns of numbers whose names begin with "reward"."""
         self._transitions += int((~skipped).sum())
-        # With SAME_STEP the values of an episode's last step may be here, and `infos` has those of the reset.
+        # With SAME_STEP `final_info` may have the values of an episode's last step, and `infos` those of the reset.
         finals = infos.get("final_info") if self._mode is AutoresetMode.SAME_STEP and ended.any() else None
         finals = finals if isinstance(finals, dict) else {}
         for name in dict.fromkeys([*infos, *finals]):
@@ -101,7 +101,7 @@ class VectorEnvironments:
                 self._sums[column_name] = self._sums.get(column_name, 0.0) + float(column[~skipped].sum())
 
     def _column(self, given: Any) -> Array | None:
-        """Numbers [num_envs]; None if this is something else."""
+        """`given` as numbers [num_envs]; None if it is something else."""
         column = np.asarray(given)
         return column if column.shape == (self.num_envs,) and column.dtype.kind in "fiub" else None
 

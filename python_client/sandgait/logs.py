@@ -4,7 +4,7 @@
 
 `sandgait.diagnose` does the same with a recording. Files are read by pyarrow, mcap and rosbags, which
 `pip install 'sandgait[logs]'` installs, in a process of their own with limits on memory and size. So a damaged or
-hostile file ends with one error, even if a library crashes on it. Nothing but the table goes further.
+hostile file ends with one error, even if a library crashes on it. Only the table is passed on.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def to_csv(path: str | PathLike[str], topics: Mapping[str, str] | None = None) -
         raise InvalidRequest(f"topics: {wrong[0]!r} is unknown; known: joints, imu")
     chosen = [f"{name}={topic}" for name, topic in (topics or {}).items()]
     command = [sys.executable, "-P", "-W", "ignore", READER, form, str(source.resolve()), *chosen]
-    # OpenBLAS reserves memory for each of its threads, which would count as the file's.
+    # OpenBLAS reserves memory for each of its threads, which would count as memory that the file needs.
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
     with TemporaryFile() as errors:
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, env=environment) as reader:
@@ -86,7 +86,7 @@ def to_csv(path: str | PathLike[str], topics: Mapping[str, str] | None = None) -
 
 
 def main() -> int:
-    """Writes a recording as CSV. The exit code is 2 if it cannot be read, and then nothing is written."""
+    """Writes a recording as CSV. If the recording cannot be read, nothing is written, and the exit code is 2."""
     parser = argparse.ArgumentParser(prog="python -m sandgait.logs", description="Writes a recording as CSV.")
     parser.add_argument("file", help="a Parquet, MCAP or bag file, or the folder of a LeRobot data set or a ROS 2 bag")
     parser.add_argument("--out", required=True, type=Path, help="the CSV file to write")

@@ -21,14 +21,14 @@ import numpy.typing as npt
 
 #: Largest memory of this process [bytes]: our choice. The messages of MOST_NUMBERS take about half of it.
 MEMORY = 2 << 30
-#: Largest file that it may write [bytes]: our choice; compressed bags are unpacked into temporary files.
+#: Largest file that this process may write [bytes]: our choice; compressed bags are unpacked into temporary files.
 UNPACKED = 8 << 30
 #: Largest number of values: the limit of the diagnosis (src/diagnose/trajectory/log.rs).
 MOST_NUMBERS = 20_000_000
-#: Largest number of columns: our choice, those of some ten robots.
+#: Largest number of columns: our choice, as many as some ten robots have.
 MOST_COLUMNS = 2000
-#: Longest time between two messages of the IMU over which its readings are interpolated [s]: our choice, the longest
-#: usual time between two samples of the joints.
+#: Longest time between two messages of the IMU between which its readings are interpolated [s]: our choice, the
+#: longest usual time between two samples of the joints.
 LONGEST_GAP = 0.05
 
 JOINTS, IMU = "sensor_msgs/msg/JointState", "sensor_msgs/msg/Imu"
@@ -72,7 +72,7 @@ def parquet(path: Path) -> Any:
 
 
 def _is_data(kind: Any) -> bool:
-    """Is this the type of numbers, of texts, or of lists of numbers? Other columns, such as images, are left out."""
+    """Has a column of this type numbers, texts, or lists of numbers? Other columns, such as images, are left out."""
     import pyarrow.types as types
 
     if types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind):
@@ -221,7 +221,7 @@ def _rows(joints: list[tuple[int, Any]], imu: list[tuple[int, Any]]) -> dict[str
         a, b = quat[before], quat[after]
         sign = np.where((a * b).sum(axis=1, keepdims=True) < 0, -1.0, 1.0)  # q and -q are the same attitude
         mixed = a + share * (sign * b - a)
-        # The length of the first one is kept, so that the check of the table refuses an invalid quaternion.
+        # The length of the first quaternion is kept, so that the check of the table refuses an invalid quaternion.
         length = np.maximum(np.linalg.norm(mixed, axis=1, keepdims=True), 1e-9)
         mixed *= np.linalg.norm(a, axis=1, keepdims=True) / length
         columns |= {f"quat_{axis}": mixed[:, k] for k, axis in enumerate("wxyz")}

@@ -1,10 +1,10 @@
 """Sand in MuJoCo models: `add_sand`. Needs `sandgait[mujoco]`.
 
 A step with sand is M q̈ = τ + Jᵀ(f − dt C J q̈): f is the sand's force on the bodies at the beginning of the step and
-C its drag, so the force acts at the end of the step, f − C (v⁺ − v). Between `mj_step1` and `mj_step2`, Jᵀf is added
-to the passive forces and dt JᵀCJ to the inertia matrix M, which has entries wherever JᵀCJ has some, because a body is
-moved by the joints between it and the root. MuJoCo factorises the sum, and the constraints see it, too. The sand's
-drag is an inertia without weight and without momentum.
+C its drag. So the acting force is that at the end of the step, f − C (v⁺ − v). Between `mj_step1` and `mj_step2`, Jᵀf
+is added to the passive forces and dt JᵀCJ to the inertia matrix M. M has entries wherever JᵀCJ has some, because only
+the joints between a body and the root move the body. MuJoCo factorises the sum, and the constraints use the sum, too.
+The sand's drag is an inertia without weight and without momentum.
 """
 
 from __future__ import annotations
@@ -118,9 +118,9 @@ class ModelSand:
         self._drawn = _replace_floor(model, floors, self._bodies, sand)
         if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
             model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-        # A body that sleeps keeps its M, and with it the drag of an earlier step.
+        # A sleeping body keeps its part of M, which contains the drag of an earlier step.
         model.opt.enableflags &= ~int(getattr(mujoco.mjtEnableBit, "mjENBL_SLEEP", 0))
-        if hasattr(mujoco.MjData, "iLD"):  # before MuJoCo 3.6 islands have copies of M, made before the sand's drag
+        if hasattr(mujoco.MjData, "iLD"):  # before MuJoCo 3.6 islands copy M before it has the drag
             model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, "mjDSBL_ISLAND", 0))
             model.opt.enableflags &= ~int(getattr(mujoco.mjtEnableBit, "mjENBL_ISLAND", 0))
         self._address = model._address
@@ -181,7 +181,7 @@ class ModelSand:
             scene.ngeom += 1
 
     def markers(self, data: mujoco.MjData, *, forces: bool = True) -> list[dict[str, Any]]:
-        """The same as keywords of `mjv_initGeom`."""
+        """What `draw` adds, each as keywords of `mjv_initGeom`."""
         model = self.model
         all = [] if self._drawn else self._surface(model, data)
         if not forces:
@@ -264,7 +264,7 @@ def _parts(
     floors: list[int],
     bodies: Iterable[str] | Mapping[str, Any] | None,
 ) -> dict[int, list[Any]]:
-    """Shapes in the frame of each body that moves by itself; those welded to it are part of it."""
+    """Shapes of each body that moves by itself, in its frame. Bodies welded to a body are parts of it."""
     parts: dict[int, list[Any]] = {}
     if isinstance(bodies, str):
         raise InvalidRequest("bodies: is a name, not a list of names")
@@ -373,7 +373,7 @@ def _replace_floor(model: mujoco.MjModel, floors: list[int], bodies: list[int], 
     for pair in range(model.npair):
         first, second = int(model.pair_geom1[pair]), int(model.pair_geom2[pair])
         if (first in floors and on_sand[second]) or (second in floors and on_sand[first]):
-            model.pair_margin[pair] = -1e6  # nearer than this no two geoms come
+            model.pair_margin[pair] = -1e6  # no two geoms overlap that deeply, so they never touch
     level = not sand._is_relief and sand.surface(0.0, 0.0)[1][2] == 1.0
     drawn = False
     for floor in floors:

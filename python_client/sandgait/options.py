@@ -41,7 +41,7 @@ def _text(name: str, file: Any) -> Any:
 
 
 def keyword_error(message: str) -> InvalidRequest:
-    """The exception for a refused request; an unknown option has Python's words for an unknown keyword."""
+    """The exception for a refused request. For an unknown option it has Python's words for an unknown keyword."""
     unknown = re.match(r'option "(.*)" is unknown; known: ', message)
     if unknown is None:
         return InvalidRequest(message)
@@ -55,5 +55,5 @@ def _heights(file: object) -> str:
 
 
 def packages() -> list[str]:
-    """Folders in which packages with robots' descriptions may lie: those that Python imports from."""
+    """Folders from which Python imports. Packages with robots' descriptions may be in them."""
     return [folder for folder in sys.path if folder]

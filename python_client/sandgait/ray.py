@@ -39,8 +39,7 @@ class _Server:
     def __init__(self, threads: int, token: str) -> None:
         listen = f"{ray.util.get_node_ip_address()}:0"
         #: Directory that only this user can enter, for the token and the certificate. It is removed after the server
-        #: has
-        #: reported its address, because the server needs no file of it any more.
+        #: has reported its address, because the server then needs no file in it any more.
         self._directory = tempfile.TemporaryDirectory()
         token_file, self._certificate = (Path(self._directory.name) / name for name in ("token", "certificate"))
         token_file.touch(0o600)

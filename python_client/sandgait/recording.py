@@ -30,8 +30,8 @@ _SAME = ("shapes", "relief")
 _AS_BEFORE = "as before"
 _FOREIGN = "this is not one of sandgait's recordings"
 
-#: Largest unpacked size of a recording [bytes]: our choice, because four hours of a hexapod fit into it, at 50 Hz with
-#: 300 numbers each time.
+#: Largest unpacked size of a recording [bytes]: our choice, because four hours of a hexapod fit into it, with 300
+#: numbers at 50 Hz.
 MAX_BYTES = 2**30
 
 
@@ -119,7 +119,7 @@ class _CutOff(Exception):
 
 
 def _blocks(stream: IO[bytes], path: FilePath, left: int) -> Iterator[tuple[bytes, list[bytes]]]:
-    """Header and rows of each section. Unpacks at most `left` bytes, also if a block states a greater length."""
+    """Header and rows of each section. Unpacks at most `left` bytes, even if a block states a greater length."""
     header: bytes | None = None
     rows: list[bytes] = []
     while start := stream.read(_BLOCK.size):
@@ -192,5 +192,5 @@ class Recorder:
             raise SandgaitError(f"{self._path}: the recording cannot be written: {error.strerror}") from error
 
     def close(self) -> None:
-        """Completes the file, which cannot be read before."""
+        """Completes the file. Before that the file cannot be read."""
         self._file.close()

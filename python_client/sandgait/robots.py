@@ -1,4 +1,4 @@
-"""Robots from descriptions: does one stand?"""
+"""Robots from descriptions: does a robot stand?"""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def check_robot(robot: str | Path, ground: str | None = None) -> dict[str, Any]:
     """Lets a robot stand in its default pose for five seconds on hard ground and on sand, as `sandgait robot --check`.
 
     `robot`: path of a URDF, MJCF or packed file, a name that `sandgait robots` lists, or `"name=path"`. `ground`: a
-    ground in place of sand (`"poppy-close"`), as LeggedVelocity takes it.
+    ground of LeggedVelocity in place of sand, such as `"poppy-close"`.
 
     The sheet is a dictionary: `stands`, `plates`, `dt`, `needed_dt` [s], and for each of `grounds` whether and why the
     robot does not stand there (`stands`, `reason`), `height` and `default_height` of the base [m], `tilt` [rad], `feet`

@@ -104,7 +104,7 @@ class Sand:
         out: Any = None,
         threads: int = 0,
     ) -> Any:
-        """Force [N] and torque [N·m] of the sand on each body, in the world's axes, the torque about its origin.
+        """Force [N] of the sand on each body, and torque [N·m] about the body's origin, in the world's axes.
 
         `position` [m], `velocity` of the bodies' origins [m/s] and `angular_velocity` in the world's axes [rad/s] are
         [..., bodies, 3], `quaternion` (w, x, y, z) is [..., bodies, 4]. All are float32 or all float64: numpy's arrays,
@@ -118,7 +118,8 @@ class Sand:
         `travel` [..., 3]: velocity of the vehicle that the bodies belong to, for mechanisms that depend on it. `out`:
         an array for the result, or with `drag=True` a pair of arrays. `threads`: the most to use; 0: all processors.
 
-        float64 is computed in float64, float32 in SIMD lanes. Other Python threads run meanwhile.
+        Arrays of float64 are computed in float64; arrays of float32 have a state in each SIMD lane. Other Python
+        threads run meanwhile.
         """
         count = len(bodies.names)
         arrays = [position, quaternion, velocity, angular_velocity]
@@ -146,7 +147,7 @@ class Sand:
 
 
 def implicit_wrench(wrench: Any, drag: Any, jacobian: Any, mass: Any, force: Any, dt: float) -> Array:
-    """The sand's wrench on each body at the end of a step, for simulators that take external forces only.
+    """The sand's wrench on each body at the end of a step, for simulators that take external forces but no drag.
 
     It solves (M + dt JᵀCJ) q̈ = τ + Jᵀf and returns f − dt C J q̈. `wrench` f [..., bodies, 6] and `drag` C
     [..., bodies, 6, 6] are those of `Sand.wrench`; `jacobian` J [..., bodies, 6, dofs] maps generalized velocities to
@@ -169,9 +170,10 @@ class Bodies:
     `ellipsoid:length=M,width=M,height=M`, `plate:length=M,width=M` (thin, sand on both faces),
     `face:length=M,width=M` (the same, sand on the face towards +z only), `mesh:FILE` (closed, STL or OBJ, in metres).
 
-    `plate_size` [m]: size of the plates, of which the law is evaluated for each by itself, as in `sandgait intrude`.
-    Without it a shape has 256 plates, up to 512 if it is curved, and the law is evaluated for patches of them by the
-    code of the engine for robots from files, which itself has fewer plates. See docs/simulators.md for the errors.
+    `plate_size` [m]: size of the plates. The law is then evaluated for each plate by itself, as in `sandgait intrude`.
+    Without `plate_size` a shape has 256 plates, or up to 512 if it is curved, and the law is evaluated for patches of
+    plates. The code for this is that of the engine for robots from files, which itself uses fewer plates.
+    docs/simulators.md has the errors.
     """
 
     def __init__(self, bodies: Mapping[str, Shape | Iterable[Shape]], plate_size: float | None = None) -> None:
@@ -272,7 +274,7 @@ def _array(name: str, array: Any) -> Array:
 
 
 def _rows(array: Array) -> Array:
-    """The same with contiguous rows; copied only if it has none."""
+    """`array` with contiguous rows. It is copied only if its rows are not contiguous."""
     if array.strides[-1] != array.itemsize or min(array.strides) < 0 or not array.flags.aligned:
         return np.ascontiguousarray(array)
     return array

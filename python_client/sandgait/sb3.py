@@ -81,8 +81,8 @@ class EnvironmentView:
 class SandgaitVecEnv(VecEnv):
     """`SandgaitVectorEnv` with stable-baselines3's interface.
 
-    Only environments whose episode ended have entries in their info dictionaries: the step's reward terms and figures,
-    `terminal_observation` and `TimeLimit.truncated`. The info columns of every step are in `batch`.
+    The info dictionary of an environment has entries only if its episode ended: the step's reward terms and figures,
+    `terminal_observation` and `TimeLimit.truncated`. `batch` has the info columns of every step.
     """
 
     def __init__(self, envs: SandgaitVectorEnv) -> None:

@@ -33,7 +33,7 @@ STOP_TIMEOUT = 5.0
 
 
 def command() -> list[str]:
-    """The command of the program `sandgait`: $SANDGAIT_BINARY if it is set, else this package in a Python process."""
+    """The command that runs `sandgait`: $SANDGAIT_BINARY if it is set, else this package in a Python process."""
     chosen = os.environ.get("SANDGAIT_BINARY")
     if not chosen:
         program = Path(__file__).parents[1] / "sandgait_command" / "__main__.py"
@@ -137,7 +137,7 @@ def _private_directory() -> str:
 _lock = threading.Lock()
 _server: EmbeddedServer | None = None
 _inherited: list[EmbeddedServer] = []
-#: Number of threads that environments have requested; None if none has, then SANDGAIT_THREADS is used.
+#: Number of threads that environments have requested. None if no environment has; then SANDGAIT_THREADS is used.
 _threads: int | None = None
 
 

@@ -26,11 +26,11 @@ from .door import Camera, Held, check_count
 from .errors import SandgaitError, ServerLost, SessionLost
 from .spaces import Task
 
-#: Time for which attempts to reach a server are repeated [s], without and with `resume`. The lease is 300 s by default.
+#: Time for which a session tries to reach a server again [s], without and with `resume`. The lease is 300 s by default.
 RETRY = 2.0
 RETRY_RESUME = 60.0
 
-#: Number of requests between two snapshots of a session with `resume=True`. To repeat so many takes a few seconds.
+#: Number of requests between two snapshots of a session with `resume=True`. To repeat them takes a few seconds.
 SNAPSHOT_EVERY = 200
 
 
@@ -42,7 +42,7 @@ class _Link:
         self.address = ""
         self.session_id = ""
         self.stream: Stream | None = None
-        #: Longest wait of `close` for the server [s]. Later the session ends with its lease.
+        #: Longest wait of `close` for the server [s]. Without an answer by then the session ends with its lease.
         self.patience = client.CLOSE_TIMEOUT
 
     def drop(self) -> None:

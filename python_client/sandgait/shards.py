@@ -26,7 +26,7 @@ Address = str | Sequence[str] | None
 #: Longest wait for servers to confirm that sessions are closed [s].
 CLOSE_TIMEOUT = 2.0
 
-#: The same after other doors have used up that time [s]. It is enough for a server that runs.
+#: Wait for the remaining doors after others have used up that time [s]. It is enough for a server that runs.
 LEAST_PATIENCE = 0.05
 
 #: Deadline for closing sessions at the end of Python; None before this closing has begun.

@@ -63,7 +63,7 @@ class Intrusion(Table):
 
 
 class Trials(Table):
-    """Motions of a body through sand with constant velocity; one row for each motion. Rows without equilibrium are NaN.
+    """Motions of a body through sand with constant velocity; one row for each motion. A row without equilibrium is NaN.
 
     Columns: Fx, Fy, Fz [N], Tx, Ty, Tz [N·m] about the body's origin, depth [m], status (ok or no_equilibrium).
     """
@@ -123,8 +123,8 @@ class Walks(Table):
         return axes
 
 
-#: For each measure: its column, the factor to the unit of the axis, the label of the axis, and −1 if the best design
-#: has the greatest value, else 1.
+#: For each measure: its column, the factor that gives the unit of the axis, the label of the axis, and a sign: −1 if
+#: the best design has the greatest value, else 1.
 _MEASURES = {
     "speed": ("speed", 100.0, "forward speed [cm/s]", -1.0),
     "cost-of-transport": ("cost_of_transport", 1.0, "cost of transport", 1.0),
@@ -132,7 +132,7 @@ _MEASURES = {
 
 
 class Sweep(Table):
-    """Walks of a grid of designs, or of the best design found.
+    """Walks of a grid of designs, or of the best design that a search has found.
 
     The table has one row for each design; the last parameter varies fastest. Columns: the `parameters` in their units,
     then the columns of :class:`Walks` without the frequency.
@@ -309,8 +309,8 @@ def walk(
 
     `leg`: shape of the legs, L, revL, C, revC, flat or xi=DEGREES; by default the robot's own. `engine`: lanes or
     rapier. `medium`, `law`, `sand`: the same as for :func:`intrude`. `slope_deg`: slope of the surface [°]; a positive
-    slope rises in the walking direction. `dt`: time step [s]; by default 0.0005. `robot`: a built-in robot or a .toml
-    file.
+    slope rises in the walking direction. `dt`: time step [s]; by default 0.001, or 0.0005 with rapier. `robot`: a
+    built-in robot or a .toml file.
     """
     frequencies = np.atleast_1d(np.asarray(frequency, dtype=np.float64)).ravel()
     request = {

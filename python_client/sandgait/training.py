@@ -31,11 +31,11 @@ class Training:
     steps: int
     #: Duration of the training [s], including the parts before a resumption.
     seconds: float
-    #: The learning curve. Columns: steps, seconds [s], return, the mean over the episodes that ended since the row
-    #: before, and each reward term by its name in `info`, its mean in a step since the row before.
+    #: The learning curve. Columns: steps, seconds [s], return (the mean over the episodes that ended since the row
+    #: before), and each reward term by its name in `info` (its mean over the steps since the row before).
     curve: Table
-    #: Evaluation of the policy without noise, as in settings.json: over 100 seeds that the training did not use, or for
-    #: LeggedVelocity of nine commands. None for LegStroke and for environments of other packages.
+    #: Evaluation of the policy without noise, as in settings.json: over 100 seeds that the training did not use, or
+    #: over nine commands for LeggedVelocity. None for LegStroke and for environments of other packages.
     score: dict[str, Any] | None
     #: The results as text.
     summary: str
@@ -147,7 +147,7 @@ Mirror = tuple[list[int], list[float]]
 def mirror(task: str, **options: Any) -> tuple[Mirror, Mirror]:
     """The left–right mirrors of a task's observations and of its actions: a mirrored row is `signs * row[order]`.
 
-    That of a robot from a file follows from its geometry in the standing pose. If the robot is not symmetric,
+    The mirror of a robot from a file follows from its geometry in the standing pose. If the robot is not symmetric,
     InvalidRequest names the joint. `options`: the same as for `gymnasium.make`.
     """
     return _native.mirror(task, with_files(options))

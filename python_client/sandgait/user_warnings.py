@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import gymnasium
 
-#: Number of notes that a warning shows: our choice, so that it can be read at a glance.
+#: Number of notes that a warning shows: our choice, so that the warning can be read at a glance.
 SHOWN = 3
 
 #: Folders whose code calls this package on behalf of the user.

@@ -32,8 +32,8 @@ Step = tuple[Observations, npt.NDArray[np.float64], Flags, Flags, dict[str, Any]
 class _Turn:
     """How far the present step is."""
 
-    #: The environments whose episode has ended and whose next one has not begun. With NEXT_STEP their next step begins
-    #: it, with DISABLED only a reset does, and with SAME_STEP there are none.
+    #: The environments whose episode has ended and whose next episode has not begun. With NEXT_STEP their next step
+    #: begins it, with DISABLED only a reset does. With SAME_STEP there are no such environments.
     ended: Flags
     in_flight: bool = False
     #: The answer of the step in flight, once it has come.
@@ -67,8 +67,8 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
     the first four environments in a window. `render_camera` places the camera, for example
     `{"azimuth_deg": 90, "elevation_deg": 20, "distance": 2.0, "follow": False}`: the angles about the vertical from the
     x axis to the camera (0: ahead, 90: on the left) and above the horizon [°], the distance [m], and whether the camera
-    looks at the robot or at the world's origin. What is left out has its default: beside the robot, which it follows,
-    at a distance that fits its size.
+    looks at the robot or at the world's origin. Entries that are left out have their defaults: the camera is beside the
+    robot, at a distance that fits the robot's size, and follows it.
 
     A pickle or copy of environments that were reset includes their states (module `pickling`).
 
@@ -127,8 +127,8 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         `seed`: if it is an int s, environment i has the seed s + i. If it is a list, entry i is the seed of environment
         i, and with entry None its random stream continues. `options`: new values of task options, and `reset_mask`,
         bool [num_envs], which says which environments to reset. The returned infos have the columns of a step's infos,
-        all 0, because these environments have not made a step yet, except `privileged`: with option `privileged=True`,
-        exact values of all sensors, float32 [num_envs, values].
+        which are 0, because these environments have not made a step yet. With option `privileged=True`,
+        `infos["privileged"]` has the exact values of all sensors, float32 [num_envs, values].
         """
         options = dict(options or {})
         mask = self._mask(options.pop("reset_mask", None))
@@ -158,7 +158,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         return observations, infos
 
     def _after_reset(self, rows: Observations | None, mask: Flags, begun: Flags) -> Observations:
-        """Observations after a reset of `mask`, from the server's `rows`, None if it was not asked. Environments that
+        """Observations after a reset of `mask`. `rows`: the server's, or None if it was not asked. Environments that
         wait for their reset keep their last observation."""
         turn = self._turn
         if turn.lasts is None or turn.firsts is None:
@@ -285,8 +285,8 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
     def _infos(self, batch: Batch) -> dict[str, Any]:
         """Reward terms and figures as columns [num_envs] with gymnasium's masks, grouped like those of SyncVectorEnv.
 
-        If an environment's episode ended, its values of this step are in `final_info`, and its column has the 0 of the
-        next episode's reset, except for the exact values of sensors. The other environments have 0 in `final_info`.
+        If an environment's episode ended, its values of this step are in `final_info`. The columns then have the values
+        of the next episode's reset for it: 0, and the exact values of sensors. The others have 0 in `final_info`.
         """
         columns, ended = batch.infos, batch.final_indices
         if not ended.size:
@@ -312,11 +312,11 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         return infos
 
     def set_command(self, command: npt.ArrayLike) -> Observations:
-        """Replaces the commanded velocity for the rest of the present episodes. Returns the observations with it;
-        behind a delayed sensor they show it one step later.
+        """Replaces the commanded velocity for the rest of the present episodes. Returns the observations with the new
+        commands; if a sensor is delayed, the observations show them one step later.
 
-        `command` is [3] for all environments or [num_envs, 3]: forward, to the left [m/s], yaw rate [rad/s]. For an
-        environment whose episode has ended it is the command of the next one, which has already begun.
+        `command` is [3] for all environments or [num_envs, 3]: forward, to the left [m/s], yaw rate [rad/s]. If the
+        episode of an environment has ended, its command is that of the next episode, which has already begun.
         """
         self._require_rest("set_command")
         rows = commands(command, self.num_envs)

@@ -132,8 +132,8 @@ class View:
     def moved(self, *, record_ended: bool, show_ended: bool) -> None:
         """Records the state after a reset or step, and shows it in the window.
 
-        The arguments matter if an episode ended in the step: if true, its last state is taken, else the first state of
-        the next episode.
+        The arguments matter if an episode ended in the step: if an argument is true, the last state of that episode is
+        taken, else the first state of the next one.
         """
         if self._recorder is not None:
             self._recorder.add(*self._shards.observe(self.index, record_ended))

@@ -19,7 +19,7 @@ class OnSand(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordConstr
         env = OnSand(gymnasium.make("Ant-v5"), medium="poppy-loose")
 
     Rewards, observations and ends are the environment's own; its `contact_forces` include those of the sand. `sand`, a
-    `sandgait.Sand`, replaces `medium` and `law`; `bodies` and `plate_size` as for `sandgait.mujoco.add_sand`. With
+    `sandgait.Sand`, replaces `medium` and `law`. `bodies` and `plate_size`: as for `sandgait.mujoco.add_sand`. With
     `show_forces=True` pictures have an arrow for each force.
 
     An environment of dm_control is changed in place and returned: `env = OnSand(suite.load("quadruped", "walk"))`.

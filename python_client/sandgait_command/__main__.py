@@ -1,4 +1,4 @@
-"""`python -m sandgait_command`, also by its path."""
+"""Runs the command line for `python -m sandgait_command`, or if Python is given the path of this package."""
 
 import sys
 from pathlib import Path
