@@ -5,7 +5,6 @@
 //! far below any meaningful force, speed or angle, so nothing is lost. Each thread has its own setting. An engine
 //! changes it when it begins to advance, and restores it at the end. So the bits are the same on every thread, in every
 //! batch, in this process or in a server, and the caller's thread (Python's, for example) keeps its own setting.
-//! keeps its own setting.
 
 /// Runs `work` with denormal operands and results counted as zero, and restores the previous setting, also on a
 /// panic.
@@ -13,11 +12,6 @@
 /// Works on x86-64 and aarch64; on other processors it only runs `work`.
 pub fn flushed<T>(work: impl FnOnce() -> T) -> T {
     with(|word| word | control::FLUSH, work)
-}
-
-/// Runs `work` with denormal numbers kept, as code that is not ours expects.
-pub fn unflushed<T>(work: impl FnOnce() -> T) -> T {
-    with(|word| word & !control::FLUSH, work)
 }
 
 #[inline(never)] // not inlined: the compiler must not move arithmetic into or out of `work`
@@ -121,7 +115,6 @@ mod tests {
     fn denormals_are_zero_inside_and_numbers_outside() {
         assert_eq!(flushed(halved_smallest), 0.0);
         assert!(halved_smallest() > 0.0);
-        assert!(flushed(|| unflushed(halved_smallest)) > 0.0);
         let caught = std::panic::catch_unwind(|| flushed(|| panic!("on purpose")));
         assert!(caught.is_err() && halved_smallest() > 0.0);
     }

@@ -27,15 +27,15 @@ fn model(robot: &str, leg: &str, slope_deg: f64) -> Model {
     Model::new(&robot, &scene).unwrap()
 }
 
-/// Share of `time`/0.02 s control steps, of 40 time steps each, in which the robot meets a denormal operand, with hips
+/// Share of the control steps of 0.04 s, of 40 time steps each, in which the robot meets a denormal operand, with hips
 /// that turn at `rate(time, joint)` [rad/s].
 fn share(model: &Model, start: &State, time: f64, rate: impl Fn(f64, usize) -> f64) -> f64 {
     let mut engine = lanes::engine(Isa::choose().unwrap(), model, 1).unwrap();
     engine.set_state(0, start);
-    let steps = (time / 0.02) as usize;
+    let steps = (time / 0.04) as usize;
     let mut met = 0;
     for step in 0..steps {
-        let rates = (0..model.joints()).map(|j| rate(step as f64 * 0.02, j)).collect();
+        let rates = (0..model.joints()).map(|j| rate(step as f64 * 0.04, j)).collect();
         engine.command(0, &Command { rates, torques: vec![0.0; model.joints()], targets: vec![] });
         met += usize::from(met_denormals(|| engine.advance(40)));
     }

@@ -26,7 +26,7 @@ fn command(rate: f64) -> Command {
     Command { rates: vec![rate; 6], torques: vec![0.0; 6], targets: vec![] }
 }
 
-/// State and sand after `steps` time steps of robot `index` of an engine.
+/// State and sand of robot `index` of an engine, with what `like` has besides.
 fn after(engine: &Engine, index: usize, like: &State) -> State {
     let mut state = like.clone();
     engine.state(index, &mut state);
@@ -120,7 +120,7 @@ fn speed(model: &Model, hz: f64) -> f64 {
     0.5 * (ways[STARTS / 2 - 1] + ways[STARTS / 2]) * hz / 16.0
 }
 
-/// With an eighth of the time step and half the cells, walking speeds stay within 2 %, and within 3 % if the concave side of the
+/// With an eighth of the time step and cells of half the size, walking speeds stay within 2 %, and within 3 % if the concave side of the
 /// legs leads.
 #[test]
 fn walks_converge() {

@@ -98,11 +98,6 @@ impl Relief {
         self
     }
 
-    /// Memory [bytes].
-    pub fn bytes(&self) -> usize {
-        size_of::<Self>() + size_of_val(&self.heights[..]) + self.json.len()
-    }
-
     /// `spacing` [m], `repeats`, and `heights` [m]: rows along y of numbers along x.
     pub fn json(&self) -> &str {
         &self.json

@@ -59,23 +59,20 @@ fn tree_speed(robot: &Robot, scene: &Scene, frequency: f64) -> f64 {
     (state.position[0] - from) / (end - start)
 }
 
+/// Engine `tree` has no gradual leading edge, so engine `lanes` with a sharp one is compared: within 1 % up to 3 Hz with the convex
+/// side leading, except where legs leave the sand soon (5 Hz) or its concave side leads.
 #[test]
 fn the_reference_hexapod_walks_as_in_lanes() {
-    for leg in ["L", "revL"] {
+    for (leg, most) in [("L", 0.01), ("revL", 0.07)] {
         let mut robot = Robot::built_in("xplorer").unwrap();
         robot.leg.link[0].sand.as_mut().unwrap().shape = leg.into();
         for frequency in [1.0, 2.0, 3.0, 5.0] {
-            for surface in [Regularization::DEFAULT, Regularization::SOLID] {
-                let scene = Scene { surface, ..scene(1e-3) };
-                let trial = WalkTrial::new(Model::new(&robot, &scene).unwrap(), frequency);
-                let lanes = walk(EngineKind::Lanes, &trial).unwrap().speed;
-                let tree = tree_speed(&robot, &scene, frequency);
-                println!(
-                    "{leg} {frequency} {}: {lanes:.4} {tree:.4} {:+.4}",
-                    surface.leading_edge_gate,
-                    tree / lanes - 1.0
-                );
-            }
+            let scene = Scene { surface: Regularization::SOLID, ..scene(1e-3) };
+            let trial = WalkTrial::new(Model::new(&robot, &scene).unwrap(), frequency);
+            let lanes = walk(EngineKind::Lanes, &trial).unwrap().speed;
+            let tree = tree_speed(&robot, &scene, frequency);
+            let most = if frequency > 3.0 { 0.05_f64.max(most) } else { most };
+            assert!((tree / lanes - 1.0).abs() < most, "{leg} {frequency} Hz: {lanes} {tree}");
         }
     }
 }
