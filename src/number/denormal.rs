@@ -14,6 +14,11 @@ pub fn flushed<T>(work: impl FnOnce() -> T) -> T {
     with(|word| word | control::FLUSH, work)
 }
 
+/// Runs `work` with denormal numbers kept, as code that is not ours expects.
+pub fn unflushed<T>(work: impl FnOnce() -> T) -> T {
+    with(|word| word & !control::FLUSH, work)
+}
+
 #[inline(never)] // not inlined: the compiler must not move arithmetic into or out of `work`
 fn with<T>(setting: impl FnOnce(control::Word) -> control::Word, work: impl FnOnce() -> T) -> T {
     struct Restore(control::Word);
@@ -115,6 +120,7 @@ mod tests {
     fn denormals_are_zero_inside_and_numbers_outside() {
         assert_eq!(flushed(halved_smallest), 0.0);
         assert!(halved_smallest() > 0.0);
+        assert!(flushed(|| unflushed(halved_smallest)) > 0.0);
         let caught = std::panic::catch_unwind(|| flushed(|| panic!("on purpose")));
         assert!(caught.is_err() && halved_smallest() > 0.0);
     }

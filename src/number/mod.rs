@@ -17,7 +17,7 @@ mod vector;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
-pub use denormal::flushed;
+pub use denormal::{flushed, unflushed};
 #[cfg(target_arch = "x86_64")]
 pub use denormal::met_denormals;
 pub use doubles::{Doubles, add_scaled, dot};
