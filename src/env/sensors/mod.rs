@@ -1,13 +1,13 @@
 //! Sensors between the simulated robot and the observation, and the delay between the action and the motors.
 //!
-//! A task computes exact values. A column that belongs to a [`Sensor`] passes through the sensor's imperfections, in this
-//! order: bias and random walk, white noise, low-pass filter, quantization, delay, dropout. Everything that a sensor
-//! remembers is a part of the episode ([`SensorMemory`]), so snapshots contain it. Its random numbers depend on the
-//! environment's seed, the episode and the step alone.
+//! A task computes exact values. A column that belongs to a [`Sensor`] passes through the sensor's imperfections, in
+//! this order: gain and offset, bias and random walk, white noise, low-pass filter, quantization, delay, dropout.
+//! Everything that a sensor remembers is a part of the episode ([`SensorMemory`]), so snapshots contain it. Its random
+//! numbers depend on the environment's seed, the episode and the step alone.
 //!
-//! To add a sensor: its line in `sensors!`, and one in [`Sensors`]; and the mark [`Features::sensed`] at the columns that
-//! a task has of it, or, if no task has it, its columns in [`extra`]. In [`model`]: `IMU` if it is a vector of the
-//! inertial measurement unit.
+//! To add a sensor, add a line to `sensors!` and one to [`Sensors`]. If a task observes it, mark the task's columns
+//! with [`Features::sensed`]; else add its columns to [`extra`]. If its values are a vector of the inertial measurement
+//! unit, add it to `IMU` in [`model`].
 //!
 //! [`Features::sensed`]: super::feature::Features::sensed
 
@@ -76,7 +76,7 @@ sensors! {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Part {
     Value,
-    /// Of an angle.
+    /// The sine, of a value that is an angle; likewise the cosine.
     Sine,
     Cosine,
 }

@@ -78,7 +78,8 @@ impl Signal {
             offset,
             bias,
             walk: random_walk * period.sqrt(),
-            // Samples at the rate 1/period carry the density up to half of that rate (Kalibr's IMU noise model).
+            // Standard deviation of one sample of white noise with this density: density / √period (Kalibr's IMU noise
+            // model).
             noise: noise_density / period.sqrt(),
             follows: (low_pass > 0.0).then(|| -(-period / low_pass).exp_m1()),
             quantization,
