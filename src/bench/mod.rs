@@ -32,7 +32,7 @@ pub trait Stepper {
         1
     }
 
-    /// Makes these control steps; `actions` is f32 [steps, envs, action].
+    /// Makes the control steps of one call; `actions` is f32 [steps, envs, action].
     fn step(&mut self, actions: &[f32]) -> Result<()>;
 
     /// Fills `actions`, f32 [envs, action], by `policy`.

@@ -18,16 +18,16 @@ pub mod read;
 use crate::error::{Error, Result};
 use crate::sand::law::agarwal2023;
 
-/// Number of stretches of depth that are left out one by one. Our choice: few and long, so that their noise is
-/// nearly independent. With it the 95 % interval covers the truth in 94 % of simulated tests with independent
-/// noise, in 92 % with noise correlated over 5 of 200 samples and in 89 % over 10 (12 stretches: 93, 89 and 83 %).
+/// Number of stretches of depth that are left out one by one. Our choice: few and long, so that their noise is nearly
+/// independent. With this number the 95 % interval covers the truth in 94 % of simulated tests with independent noise,
+/// in 92 % with noise correlated over 5 of 200 samples and in 89 % over 10 (12 stretches: 93, 89 and 83 %).
 const STRETCHES: usize = 6;
 /// Student's t at 97.5 % with [`STRETCHES`] − 1 degrees of freedom.
 const T_95: f64 = 2.571;
 /// Least number of samples in a test: our choice, four for each stretch.
 const LEAST_SAMPLES: usize = 4 * STRETCHES;
-/// Share of the greatest depth that is left out at the top, where grains still pile up: our choice; the paper fits
-/// its steady state only.
+/// Share of the greatest depth that is left out at the top, where grains still pile up: our choice, because the paper,
+/// too, fits the steady state only.
 const TRANSIENT: f64 = 0.1;
 /// If the line explains less than this share of the variance, the test was not a quasi-static penetration, whose force
 /// is proportional to the depth. Our choice, below 1 because of noise.

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-/// The laws of p that are compared.
+/// The laws of the pressure p that are compared; z is the depth and D the diameter of the body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PressureLaw {

@@ -16,8 +16,8 @@ use serde::Serialize;
 const STRETCHES: usize = 12;
 /// Least number of stretches with samples: our choice, because a power of depth needs several.
 const LEAST_STRETCHES: usize = 4;
-/// Number of compliances that are tried, evenly from 0 to the largest possible one, at which the compliance of the rig
-/// explains all of the depth. Our choice, because the steps are then below 2 % of the largest one.
+/// Number of compliances that are tried, evenly from 0 to 0.8 of the one that would explain all of the depth of a
+/// stretch. Our choice, because the steps are then below 2 % of the largest one.
 const COMPLIANCES: usize = 60;
 /// A law with more parameters is preferred only if it predicts better by this share: our choice, so that chance does
 /// not decide.
@@ -62,7 +62,7 @@ pub struct LawScore {
     pub fitted_percent: f64,
     /// On pushes that were left out.
     pub other_push_percent: f64,
-    /// On sizes that were left out; None if there is only one size.
+    /// On sizes that were left out; None if too few sizes remain for the fit.
     pub other_size_percent: Option<f64>,
 }
 
@@ -85,7 +85,7 @@ pub struct Pushes {
     pub laws: Vec<LawScore>,
     /// The recommended law.
     pub law: PressureLaw,
-    /// n in |z|^n, fitted with a free exponent of size.
+    /// n in |z|^n, fitted together with the exponent of size if there are several sizes.
     pub depth_exponent: Value,
     /// q in D^q; None if there is only one size.
     pub size_exponent: Option<Value>,
@@ -143,8 +143,8 @@ pub fn compare(pushes: &[Penetration], compliance: Option<f64>) -> Result<Pushes
     Ok(study)
 }
 
-/// The simplest law whose error no other law reduces by more than the share [`WORTH`]. The error is that on left-out sizes or, if
-/// there is only one size, on left-out pushes.
+/// The simplest law whose error no other law reduces by more than the share [`WORTH`]. The error is that on left-out
+/// sizes or, if a law has none, that on left-out pushes.
 fn chosen(scores: &[LawScore]) -> PressureLaw {
     let error = |s: &LawScore| s.other_size_percent.unwrap_or(s.other_push_percent);
     let least = scores.iter().map(error).fold(f64::INFINITY, f64::min);
@@ -322,8 +322,8 @@ fn by_size(pushes: &[Penetration]) -> Result<Vec<OfSize>> {
     diameters(pushes).into_iter().map(of).collect()
 }
 
-/// Scatter between pushes of one size above which a warning says that the sand was not prepared alike [%]: our
-/// choice; beds prepared by hand scatter by 5 to 10 %.
+/// Scatter between pushes of one size above which a warning says that the sand was not prepared alike [%]: our choice,
+/// because beds prepared by hand scatter by 5 to 10 %.
 const MOST_SCATTER: f64 = 10.0;
 
 fn cautions(study: &Pushes, pushes: &[Penetration]) -> Vec<String> {

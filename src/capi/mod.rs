@@ -36,7 +36,7 @@ unsafe fn text<'a>(name: &str, text: *const c_char) -> Result<&'a str> {
     if text.is_null() {
         return Err(Error::invalid(name, "is NULL"));
     }
-    // SAFETY: the caller's.
+    // SAFETY: the caller promises it.
     unsafe { CStr::from_ptr(text) }.to_str().map_err(|_| Error::invalid(name, "is not UTF-8"))
 }
 
@@ -46,7 +46,7 @@ unsafe fn numbers<'a>(name: &str, array: *const f64, count: usize) -> Result<&'a
     match (count, array.is_null()) {
         (0, _) => Ok(&[]),
         (_, true) => Err(Error::invalid(name, "is NULL")),
-        // SAFETY: the caller's.
+        // SAFETY: the caller promises it.
         _ => Ok(unsafe { slice::from_raw_parts(array, count) }),
     }
 }

@@ -193,7 +193,7 @@ impl BenchArgs {
             _ => "baseline",
         };
         let (median, min, max) = (rates[rates.len() / 2], rates[0], rates[rates.len() - 1]);
-        // The name of the choice on the command line; no transport is hidden.
+        // The name of the transport on the command line; each has one, because none is hidden.
         let through = self.through.to_possible_value();
         let through = through.as_ref().map_or("", clap::builder::PossibleValue::get_name);
         let json = json!({

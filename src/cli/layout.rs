@@ -16,8 +16,8 @@ pub fn table(rows: &[Vec<String>]) -> String {
     rows.iter().map(line).collect()
 }
 
-/// The same in [`WIDTH`]: columns that do not fit follow in further tables, each of which begins with the first `keys`
-/// columns.
+/// Like [`table`], but within [`WIDTH`]: columns that do not fit follow in further tables, each of which begins with
+/// the first `keys` columns.
 pub fn narrow_table(rows: &[Vec<String>], keys: usize) -> String {
     let widths = widths(rows);
     let wide = |columns: &[usize]| columns.iter().map(|k| widths[*k] + GAP).sum::<usize>() - GAP;
@@ -41,7 +41,8 @@ pub fn narrow_table(rows: &[Vec<String>], keys: usize) -> String {
 /// Rows as columns in [`WIDTH`]; the last column has a text, which continues below itself.
 pub fn glossary(rows: &[Vec<String>]) -> String {
     let heads: Vec<Vec<String>> = rows.iter().map(|row| row[..row.len() - 1].to_vec()).collect();
-    // A text needs room: where the other columns take most of the line, it begins on the next one. The least width is our choice.
+    // A text needs room: if the other columns leave less than 28 characters (our choice) of the line, the text begins
+    // on the next line.
     let before: usize = widths(&heads).iter().map(|w| w + GAP).sum();
     let [indent, beside] = if before + 28 <= WIDTH { [before, 1] } else { [6, 0] };
     let mut text = String::new();

@@ -242,7 +242,7 @@ impl SandArgs {
         }
     }
 
-    /// The same for walking robots. Warns on stderr of each mechanism that has no effect on them.
+    /// Like [`Self::sand`], for walking robots. Also warns on stderr of each mechanism that has no effect on them.
     fn sand_to_walk_on(&self) -> Result<SandDescription> {
         let sand = self.sand()?;
         warn_of_unfelt(&sand);

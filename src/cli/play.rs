@@ -105,7 +105,7 @@ impl PlayArgs {
         let mut options = settings["options"].as_object().cloned().unwrap_or_default();
         options.extend(super::train::options(&self.option)?);
         let mut options = Value::Object(options);
-        // Options that Python wrote name files.
+        // Options in a settings.json that Python wrote contain paths of files.
         super::read_files(&mut options)?;
         options["max_episode_steps"] = json!(STEPS);
         if task == LeggedVelocity::ID {
@@ -149,7 +149,7 @@ fn walk(
         due += period;
         match due.checked_duration_since(Instant::now()) {
             Some(early) => std::thread::sleep(early),
-            // Too slow for real time: the clock starts again, so that no hurry follows.
+            // The machine is too slow for real time. The clock starts again, so that later steps do not hurry.
             None => due = Instant::now(),
         }
     }

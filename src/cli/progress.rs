@@ -7,8 +7,8 @@ use sandgait::progress::Progress;
 use std::io::IsTerminal as _;
 use std::time::{Duration, Instant};
 
-/// A log gets a line at every tenth of the work, but none sooner after the line before or the start than [`SHORT`], and at
-/// least one every [`LONG`]. Our choice: work of a few seconds writes nothing.
+/// A log gets a line at every tenth of the work, but none within [`SHORT`] after the start or the last line; and it
+/// gets at least one every [`LONG`]. Our choice, so that short work writes nothing.
 const SHORT: Duration = Duration::from_secs(2);
 const LONG: Duration = Duration::from_secs(60);
 

@@ -83,7 +83,7 @@ impl StandingReport {
         self.grounds.iter().all(|g| g.standing.stands)
     }
 
-    /// The joints' positions at the end, on the last ground.
+    /// The robot's state at the end, on the last ground.
     pub fn last_state(&self) -> Option<&sandgait::sim::State> {
         self.grounds.last().map(|g| &g.standing.state)
     }

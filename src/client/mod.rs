@@ -84,7 +84,7 @@ fn reason(error: &dyn std::error::Error) -> String {
     }
 }
 
-/// A stream that was cut off inside a message: the session may still exist.
+/// The status of a stream that was cut off inside a message: the session may still exist.
 fn cut(status: Status) -> Status {
     match status.code() {
         Code::Unknown | Code::Internal => Status::unavailable(status.message().to_owned()),

@@ -32,7 +32,7 @@ pub struct TrainingSession {
     sequence: u64,
     envs: usize,
     observation: usize,
-    /// Columns of infos; 0 if the server's are others than this version's.
+    /// Number of info columns; 0 if the server's info columns differ from those of this version.
     info: usize,
 }
 

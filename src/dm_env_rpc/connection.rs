@@ -119,7 +119,8 @@ impl Connection {
         match &mut self.agent {
             Some(agent) if agent.place.name() == reset.world_name => agent.reset(reset.settings).await,
             _ => {
-                // This connection may never make another step, so the ResetWorld must not wait for it.
+                // The connection that has joined the world may never make another step, so this wait also ends when the
+                // server stops.
                 let stop = self.worlds.sessions.stop();
                 let done = self.worlds.reset(&reset.world_name, settings::changes(reset.settings)?);
                 let stopped = || Err(Error::Cancelled("the server is shutting down".into()));

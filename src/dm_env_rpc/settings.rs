@@ -15,7 +15,7 @@ use std::collections::HashMap;
 /// Settings as in a message.
 pub type TensorSettings = HashMap<String, Tensor>;
 
-/// Longest list in a setting; the longest option has two entries.
+/// Longest list in a setting; the longest option has a name for each sensor at most.
 const LONGEST: usize = 64;
 
 /// The arguments of a new world.

@@ -7,7 +7,7 @@
 //! | observation | 2 | reward | f32 [] |
 //! | observation | 3 | discount | f32 [], 0 where the episode terminated, else 1 |
 //!
-//! `reward` and `discount` are the names DeepMind's adaptor looks for. With one tensor for each column, a step
+//! `reward` and `discount` are the names that DeepMind's adaptor looks for. With one tensor for each column, a step
 //! would be some forty named scalars, which every agent would have to join again.
 
 use super::proto::tensor::{FloatArray, Payload};
@@ -53,7 +53,7 @@ impl WorldView {
         Self { observation, reward: rows.rewards[0], state }
     }
 
-    /// The same results as the end of an episode that is ended from outside.
+    /// The same observation, without a reward, as the end of an episode that was ended from outside.
     pub fn interrupted(&self) -> Self {
         Self { observation: self.observation.clone(), reward: 0.0, state: EnvironmentStateType::Interrupted }
     }

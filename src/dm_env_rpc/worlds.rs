@@ -73,7 +73,7 @@ enum WorldRequest {
 }
 
 impl WorldRequest {
-    /// None: hold the environment.
+    /// The operation of the request; None: the environment stays as it is.
     fn operation(self, batch: &mut Batch) -> Result<Option<Operation>> {
         match self {
             Self::Begin if batch.is_fresh() => Ok(None),

@@ -1,14 +1,15 @@
 //! A gait as parameters: hips that follow a two-speed clock, after the Buehler clock of RHex (Saranli, Buehler &
 //! Koditschek, Int. J. Robotics Research 20:616, 2001, section 3.2.1).
 //!
-//! A leg's stance takes the share `duty` of a stride; in it the leg sweeps the angle `sweep`, centred on `offset`, at a
-//! constant speed. In the rest of the stride, the swing, it turns on to the start of the sweep at another speed. Leg i
-//! is `phases[i]` of a stride ahead of the clock.
+//! A leg's stance takes the share `duty` of a stride. During stance the leg sweeps the angle `sweep`, centred on
+//! `offset`, at a constant speed. During the rest of the stride, the swing, the leg turns on to the start of the sweep
+//! at another speed. A leg is ahead of the clock by its phase in the alternating tripod plus its own phase, which is a
+//! part of the action.
 //!
 //! The clock has no memory of its own. Its phase is computed from the servos' references: each leg's reference gives a
 //! phase, from which the leg's own phase is subtracted; the circular mean over all legs is the phase of the clock.
-//! Every leg then moves toward its angle one control step later. So snapshots contain the phase, the clock is
-//! symmetric, and it waits for legs that the speed limit slows down. Speeds are constant within a control step, which
+//! Every leg then moves toward its angle one control step later. So snapshots contain the phase, the clock treats all
+//! legs alike, and it waits for legs that the speed limit slows down. Speeds are constant within a control step, which
 //! smooths the change between stance and swing.
 
 use super::reference::toward;

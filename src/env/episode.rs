@@ -15,10 +15,10 @@ pub struct Episode {
     pub(super) number: u64,
     pub(super) steps: u32,
     pub(super) task_state: TaskState,
-    /// The present state. The engine keeps the sand that was moved; a copy of the episode has it here.
+    /// The present state. The sand that was moved is not in it but in the engine, except in a copy of the episode.
     pub(super) state: State,
     pub(super) last_action: Vec<f32>,
-    /// What its sensors remember.
+    /// What the episode's sensors remember.
     pub(super) sensed: SensorMemory,
     pub(super) delay: ActionDelay,
 }
@@ -48,14 +48,14 @@ pub(super) struct Environment {
 pub(super) enum Before {
     /// A reset.
     Begin,
-    /// The end of the episode before; the info row has its last values.
+    /// The end of the previous episode. The info row has the last values of that episode.
     End,
     Step,
     Restore,
 }
 
 impl Episode {
-    /// The model that simulates it.
+    /// The model that simulates the episode.
     pub(super) fn model(&self) -> &Arc<Model> {
         self.task_state.model.as_ref().unwrap_or(self.task.model())
     }
@@ -79,8 +79,8 @@ impl Environment {
         Self { episode, stale: false, before: still, normal_forces: Vec::new(), ended: None }
     }
 
-    /// Fills an observation row, and the sensors' part of an info row. `before`: the state that the step began with; `sand`: the
-    /// sand that was moved.
+    /// Fills an observation row, and the sensors' part of an info row. `before`: what led to the present state; `sand`:
+    /// the sand that was moved.
     pub fn observe(&mut self, before: Before, period: f64, sand: Option<&Moved>, row: &mut [f32], info: &mut [f32]) {
         let Episode { task, seed, number, steps, task_state, state, last_action, sensed, .. } = &mut self.episode;
         let Some(sensors) = task.sensing() else {

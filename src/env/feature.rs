@@ -14,7 +14,7 @@ use super::spec::Column;
 /// number's index in its group.
 pub struct Features<F> {
     all: Vec<FeatureColumn<F>>,
-    /// Where the group begins that was added last.
+    /// Index at which the last added group begins.
     last: usize,
 }
 
@@ -70,7 +70,7 @@ impl<F: Copy> Features<F> {
         self.sensed_as(sensor, Part::Value)
     }
 
-    /// The same for a function of the measured values.
+    /// Like [`Self::sensed`], for columns that are the function `part` of the measured value.
     pub fn sensed_as(mut self, sensor: Sensor, part: Part) -> Self {
         self.all[self.last..].iter_mut().for_each(|feature| feature.column.sensor = Some((sensor, part)));
         self

@@ -44,7 +44,7 @@ truncated after `max_episode_steps`, or when its state can no longer be computed
 
 The cost of transport of several steps is Σ`work` / (`weight` · distance).";
 
-/// `STOPS`: have joints stops at the ends of their ranges?
+/// `STOPS`: do the joints have stops at the ends of their ranges?
 pub struct HexapodLegs<const STOPS: bool> {
     spec: Spec,
     weights: Weights,

@@ -78,7 +78,7 @@ pub fn heading(state: &State) -> [f64; 2] {
     direction([rotation[0][0], rotation[1][0]]).unwrap_or([1.0, 0.0])
 }
 
-/// A vector's direction; the zero vector stays zero.
+/// A vector's direction; None if the vector is almost zero.
 fn direction([x, y]: [f64; 2]) -> Option<[f64; 2]> {
     let norm = x.hypot(y);
     (norm > 1e-9).then(|| [x / norm, y / norm])

@@ -16,7 +16,8 @@ use crate::sim::engine::EngineKind;
 use serde_json::Value;
 use std::sync::Arc;
 
-/// All tasks, one row each, a later version after an earlier one; a task's own file has the rest.
+/// All tasks, one row each. A later version of a task comes after the earlier one. The rest stands in the task's own
+/// file.
 const KINDS: [TaskKind; 7] = [
     TaskKind::of::<HexapodGait>(),
     TaskKind::of::<HexapodLegs<false>>(),
@@ -185,9 +186,9 @@ impl Blueprint {
         self.shared_bytes() + envs * self.bytes_per_env()
     }
 
-    /// Memory of one environment [bytes]: rows twice (final observations), its robot, its episode, the one before it, and
-    /// the copy that a rollout or restore makes, with the sand around it. The measured constant is for two episodes; each episode of a tree robot
-    /// has a model of its own.
+    /// Memory of one environment [bytes]: rows twice (final observations), its robot, its episode, the one before it,
+    /// and the copy that a rollout or restore makes, with the sand around it. [`Task::EPISODE_BYTES`] is for two
+    /// episodes. Each episode of a tree robot has a model of its own.
     pub fn bytes_per_env(&self) -> usize {
         let (spec, model) = (self.task.spec(), self.task.model());
         let rows = 4 * (2 * spec.observation.len() + spec.info.len() + spec.action.len());

@@ -113,8 +113,8 @@ impl RockOptions {
     }
 }
 
-/// An irregular rock: hull of points on an ellipsoid with axes of 0.7 to 1 times `radius` [m]. Three pairs of them lie
-/// on its axes, so the hull has a volume.
+/// An irregular rock: hull of points on an ellipsoid with axes of 0.7 to 1 times `radius` [m]. Three pairs of the
+/// points lie on the ellipsoid's axes, so the hull has a volume.
 fn rock(radius: f64, random: &mut Random) -> ObstacleShape {
     let axes = [0; 3].map(|_| radius * random.uniform(0.7, 1.0));
     let mut points = Vec::with_capacity(CORNERS);

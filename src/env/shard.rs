@@ -102,7 +102,8 @@ impl Shard {
         let environment = &mut self.environments[i];
         environment.episode.task.set_command(&mut environment.episode.task_state, command);
         let wide = self.task.spec().observation.len();
-        // Sensors sample with steps, so behind them the policy sees the command one step later.
+        // Sensors take a sample in each step, so a policy that observes through sensors sees the command one step
+        // later.
         let row = &mut self.rows.observations[i * wide..][..wide];
         environment.observe(Before::Restore, self.period, self.engine.sand(i), row, &mut []);
     }
@@ -128,7 +129,8 @@ impl Shard {
         }
     }
 
-    /// Advances all environments by a control step. Actions that arrive in the middle of it act from then on.
+    /// Advances all environments by a control step. An action that arrives in the middle of the step acts from its
+    /// arrival on.
     fn advance(&mut self) {
         let arrivals = self.environments.iter().filter_map(|e| e.episode.delay.second().map(|(at, _)| at));
         let mut times: Vec<usize> = arrivals.collect();

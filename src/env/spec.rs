@@ -61,7 +61,7 @@ pub struct RewardTerm {
     pub name: &'static str,
     /// Description of the term without its weight.
     pub law: &'static str,
-    /// The weight, if it is an option.
+    /// Factor of the term in the reward.
     pub weight: f64,
 }
 
@@ -77,7 +77,7 @@ pub struct Spec {
     pub action: Vec<Column>,
     /// Reward terms, weighted, then other figures of the step.
     pub info: Vec<Column>,
-    /// Number of leading info columns that are reward terms; the reward is their sum.
+    /// The terms of the reward, in the order of the first info columns; the reward is the sum of these columns.
     pub reward: Vec<RewardTerm>,
     pub max_episode_steps: u32,
     /// Control steps in a second of simulated time [Hz].

@@ -13,8 +13,9 @@ use crate::sim::{Model, State};
 use serde_json::{Map, Value};
 use std::sync::Arc;
 
-/// What a task knows of an episode besides the robot's state: commands, drawn model, ground, level of the curriculum. It is
-/// drawn or chosen when the episode begins, and changed by [`Task::after_step`] alone.
+/// What a task knows of an episode besides the robot's state: commands, drawn model, ground, level of the curriculum.
+/// It is drawn or chosen when the episode begins, and then changed by [`Task::after_step`] and [`Task::set_command`]
+/// alone.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TaskState {
     /// Commanded forward speed [m/s].
@@ -84,7 +85,8 @@ pub trait Task: Send + Sync + Sized + 'static {
     /// First state of the robot, and of the task, in an episode.
     fn begin(&self, setup: &Setup<Self::Options>, random: &mut Random) -> (State, TaskState);
 
-    /// The same for an episode that follows one whose last state of the task was `last` in the same environment.
+    /// First states of robot and task in an episode that follows another in the same environment; `last`: the state of
+    /// the task at the end of the other.
     fn begin_after(&self, setup: &Setup<Self::Options>, _last: &TaskState, random: &mut Random) -> (State, TaskState) {
         self.begin(setup, random)
     }
@@ -143,7 +145,8 @@ pub trait Task: Send + Sync + Sized + 'static {
 pub trait AnyTask: Send + Sync {
     fn spec(&self) -> &Spec;
     fn model(&self) -> &Arc<Model>;
-    /// The first episode of an environment, or the one after an episode whose last state of the task was `last`.
+    /// First states of robot and task in an environment's first episode, or in one that follows another; `last`: the
+    /// state of the task at the end of the other.
     fn begin(&self, last: Option<&TaskState>, random: &mut Random) -> (State, TaskState);
     fn command(&self, action: &[f32], state: &State, command: &mut Command);
     fn after_step(&self, task_state: &mut TaskState, state: &State, info: &[f32]) -> Change;
@@ -326,7 +329,8 @@ impl<T: Task> AnyTask for TaskSetup<T> {
 
     fn resume(&self, task_state: &mut TaskState) -> std::result::Result<(), String> {
         match T::resume(&self.setup(), task_state) {
-            // The model of a task that draws none is the session's with drawn motors, which `draw_motors` makes again.
+            // If the task itself draws no model, this one is the session's with drawn motors; `draw_motors` makes it
+            // again.
             Err(_) if self.hardware.is_random() && task_state.model.take().is_some() => {
                 T::resume(&self.setup(), task_state)
             }

@@ -15,8 +15,8 @@ use serde::Serialize;
 use serde_json::{Map, Value, json};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Commands as shares of the ends of the training's ranges: forward, to the left, and yaw rate. One alone or several
-/// together, half or nearly all of the ranges: our choice.
+/// Commands as shares of the ends of the training's ranges: forward, to the left, and yaw rate. In each command one
+/// component or several are not 0, at about half or nearly all of their ranges: our choice.
 const SHARES: [[f64; 3]; 9] = [
     [0.5, 0.0, 0.0],
     [0.9, 0.0, 0.0],
@@ -33,8 +33,8 @@ const NAMES: [&str; 3] = ["lin_vel_x", "lin_vel_y", "ang_vel_yaw"];
 const VELOCITY: [&str; 3] = ["speed", "lin_vel_y", "ang_vel_yaw"];
 const COMMAND: [&str; 3] = ["command_lin_vel_x", "command_lin_vel_y", "command_ang_vel_yaw"];
 
-/// Number of robots for each command, duration, and the time at the start that is not counted [s]: our choice; a robot walks
-/// steadily after a second.
+/// Number of robots for each command, duration, and the time at the start that is not counted [s]: our choice, because
+/// a robot walks steadily after a second.
 const ROBOTS: usize = 16;
 const SECONDS: f64 = 6.0;
 const BEGINNING: f64 = 2.0;
@@ -45,7 +45,7 @@ pub struct CommandResult {
     pub command: [f64; 3],
     /// Mean over the robots that did not fall, in the base's frame; 0 if all fell.
     pub velocity: [f64; 3],
-    /// |velocity − command| / |command|; yaw rates have the weight that they have in legged_gym's rewards.
+    /// |velocity − command| / |command|, where 1 rad/s counts as much as 1 m/s.
     pub error: f64,
     /// Share of the robots that fell.
     pub falls: f64,
@@ -68,7 +68,8 @@ pub struct CommandStudy {
 }
 
 impl CommandStudy {
-    /// `options`: keywords of LeggedVelocity, those of the policy's training. Its ranges of commands are kept as the scale.
+    /// `options`: keywords of LeggedVelocity, those of the policy's training. The ranges of commands in them are the
+    /// scale of the commands.
     pub fn new(policy: &PolicySource, options: &Value) -> Result<Self> {
         let base = Blueprint::new(LeggedVelocity::ID, policy.with_control(options.clone())?)?;
         let gait = policy.gait(&base)?;

@@ -44,8 +44,8 @@ const MOST_SEEDS: usize = 100_000;
 /// Largest number of combinations of media and slopes, and of all their episodes together: our choice, an hour's work.
 const MOST_CONDITIONS: usize = 1_000;
 const MOST_EPISODES: usize = 1_000_000;
-/// Number of episodes that are played together, if the seeds of one condition are not more: our choice. All processors have
-/// work, and the sums over the episodes take some 2 MB.
+/// Number of episodes that are played together, unless one condition has more seeds: our choice, because all processors
+/// then have work, and the sums over the episodes take some 2 MB.
 const TOGETHER: usize = 1 << 14;
 /// Largest memory of the models of conditions that are played together [bytes], unless one is larger: our choice, thousands
 /// of flat beds, or some dozens with a relief.

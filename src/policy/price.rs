@@ -21,8 +21,8 @@ pub const MOST_PRODUCTS: usize = 2 << 20;
 pub const MOST_VALUES: usize = 16 * MOST_WIDTH;
 /// Largest number of fields of a file: our choice, 64 for each node. Weights are one field.
 const MOST_FIELDS: usize = 64 * MOST_NODES;
-/// A field of two bytes becomes a struct of at most this size [bytes], when its list grows with room to spare; a test
-/// measures it.
+/// A field of two bytes becomes a struct of at most this size [bytes], with its part of the spare room of the list that
+/// holds it; a test measures it.
 const FIELD: usize = 512;
 
 /// What a network costs while it is used.

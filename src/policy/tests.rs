@@ -33,7 +33,7 @@ static ALLOCATOR: Counted = Counted;
 
 const SIZES: [usize; 2] = [40, 40];
 
-/// The files, and the words of their refusals; None: it is taken.
+/// The files, and the words of their refusals; None: the file is accepted.
 fn files() -> Vec<(&'static str, Vec<u8>, Option<&'static str>)> {
     let file = |nodes: &[Vec<u8>], tensors: &[Vec<u8>]| file(nodes, tensors, SIZES.map(|n| n as u64));
     let [relu, nothing] = [node("Relu", &["x"], "y"), Vec::new()];

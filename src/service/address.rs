@@ -114,7 +114,7 @@ pub fn bind_tcp(address: SocketAddr) -> std::io::Result<TcpListener> {
     socket.listen(BACKLOG)
 }
 
-/// A socket only its owner can connect to: the mode is set before anyone can, between bind and listen.
+/// A socket to which only its owner can connect. The mode is set between bind and listen, before anyone can connect.
 fn bind_unix(path: &Path) -> std::io::Result<(UnixListener, SocketFile)> {
     remove_stale(path)?;
     let socket = UnixSocket::new_stream()?;

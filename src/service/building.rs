@@ -12,7 +12,7 @@ pub struct SessionEnvironments {
     pub books: SessionRecord,
 }
 
-/// What belongs to a session's environments.
+/// What a session keeps besides its environments: its last answer, and the memory that is reserved for it.
 pub struct SessionRecord {
     pub done: LastAnswer,
     pub reservation: Reservation,
@@ -70,6 +70,6 @@ pub fn failed() -> Error {
     Error::Internal("the request failed inside the server".into())
 }
 
-/// Length of a turn of making environments: our choice, short for waiting clients, long against the time between
-/// threads (some 50 µs).
+/// Length of a turn of making environments: our choice, short for waiting clients, and long against the time that a
+/// change of threads takes (some 50 µs).
 pub const TURN: Duration = Duration::from_millis(10);

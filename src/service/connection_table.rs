@@ -7,7 +7,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio_util::sync::CancellationToken;
 
-/// Time limit for a TLS handshake, and for a peer's first call: our choice. Clients need some ms.
+/// Time limit for a TLS handshake, and for a peer's first call: our choice, because clients need only some
+/// milliseconds.
 pub const OPENING: Duration = Duration::from_secs(10);
 
 /// How long a connection may be without a call: our choice, as long as a session's default lease.
@@ -26,8 +27,8 @@ struct ConnectionEntries {
 }
 
 struct ConnectionEntry {
-    /// Calls that have not ended, and those of them that were admitted: that had the token, where one is required.
-    /// Calls for the server's health need none and are not counted as admitted.
+    /// Number of calls that have not ended, and how many of them were admitted: they have the token, if one is
+    /// required. Calls for the server's health need no token and do not count as admitted.
     calls: usize,
     admitted: usize,
     /// When it was accepted, or ended its last call.

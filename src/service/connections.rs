@@ -32,14 +32,14 @@ use tokio::time::{interval, timeout};
 use tokio_util::sync::CancellationToken;
 use tower_service::Service as _;
 
-/// A peer that acknowledges no data, or answers no HTTP/2 ping, for this time is dropped. Our choice; a browser's tab
-/// may be inactive for some seconds.
+/// A peer that acknowledges no data, or answers no HTTP/2 ping, for this time is dropped. Our choice, because a
+/// browser's tab may be inactive for some seconds.
 const SILENCE: Duration = Duration::from_secs(60);
 
 /// Time limit for calls to end after the server stops; a step takes milliseconds.
 const GRACE: Duration = Duration::from_secs(3);
 
-/// Time to wait before accepting again when it failed, because no file descriptors were left.
+/// Time to wait before accepting again after it failed because no file descriptors were left.
 const PAUSE: Duration = Duration::from_millis(50);
 
 /// Interval at which idle connections are searched.

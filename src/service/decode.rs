@@ -54,7 +54,7 @@ pub enum RequestWeight {
     Long,
 }
 
-/// Where this request is checked. Models are built from reset options.
+/// How long this request keeps the thread that checks it. From options of a reset models are built, which takes long.
 pub fn weight(request: &proto::RunSessionRequest) -> RequestWeight {
     match &request.request {
         Some(Request::Step(step)) if step.actions.len() + step.held.len() <= LIGHT => RequestWeight::Light,

@@ -82,7 +82,7 @@ fn final_indices(batch: &Batch) -> Bytes {
     bytes.into()
 }
 
-/// A task's tables, its options with the values they have in `blueprint`.
+/// A task's tables, and its options with their values in `blueprint`.
 pub fn task(blueprint: &Blueprint) -> proto::Task {
     let Spec { id, summary, observation, action, info, reward, max_episode_steps, control_rate, .. } =
         blueprint.task.spec();

@@ -21,8 +21,8 @@ impl<T: Message + Default + 'static> RequestFrame<T> {
         request.into_inner().open(&messages).await
     }
 
-    /// The message, with its share. Its parts are counted before any is unpacked, and large messages are unpacked on
-    /// another thread than the async runtime's: [`SMALL`] ones take 0.3 ms at worst.
+    /// The message, with its share. Its parts are counted before any is unpacked. A message of at most [`SMALL`] is
+    /// unpacked on this thread, which takes 0.3 ms at worst; a larger one is unpacked on a blocking thread.
     pub async fn open(self, messages: &Messages) -> std::result::Result<(T, Option<Share>), Status> {
         let (bytes, share) = (self.0, messages.take_share());
         let layout = messages.layout();

@@ -73,7 +73,7 @@ fn with_checksum(snapshot: &[u8], random: &mut Xoshiro256PlusPlus) -> Option<Vec
     Some([head, Sha256::digest(&body).as_slice(), &body].concat())
 }
 
-/// CBOR with a value changed somewhere, also in CBOR that is inside it.
+/// Changes one value, which may be in CBOR nested in a byte string.
 fn with_another_value(random: &mut Xoshiro256PlusPlus, bytes: &[u8]) -> Vec<u8> {
     let Ok(mut value) = ciborium::from_reader::<Cbor, _>(bytes) else { return mutate::mutated(random, bytes, &[]) };
     change(random, &mut value);
@@ -128,7 +128,7 @@ fn wrong_leaf(random: &mut Xoshiro256PlusPlus, leaf: &Cbor) -> Cbor {
     }
 }
 
-/// A request with wrong contents: the message can be decoded.
+/// A request with wrong contents, whose message can still be decoded.
 fn spoiled(random: &mut Xoshiro256PlusPlus, mut request: Request) -> Request {
     let mut spoil = |field: &mut bytes::Bytes| *field = mutate::mutated(random, field, &[]).into();
     match &mut request {

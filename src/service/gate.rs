@@ -14,8 +14,8 @@ use http_body_util::BodyExt as _;
 use std::sync::Arc;
 use tonic::{Code, Status};
 
-/// Calls of this service need no token: a client that checks a server's health seldom has one, and the answer
-/// contains nothing else.
+/// Calls of this service need no token: a client that checks a server's health seldom has one, and the answer tells
+/// nothing but the health.
 const OPEN: &str = "/grpc.health.v1.Health/";
 
 #[derive(Clone)]

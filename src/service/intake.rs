@@ -237,7 +237,7 @@ impl MessageReader {
     }
 
     /// Number of the bytes that have arrived and belong to the present message, or to small ones after it. A large
-    /// message comes alone, because its share is that of the message which tonic reads.
+    /// message comes alone, because [`Messages`] keeps one share only, that of the message which tonic reads.
     fn ready(&mut self) -> usize {
         let mut end = self.missing.min(self.arrived.len());
         self.missing -= end;

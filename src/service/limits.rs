@@ -31,8 +31,8 @@ pub struct Limits {
 }
 
 impl Limits {
-    /// Our choice: room for any training, and half of a 16 GiB machine; requests as large as the steps of the
-    /// largest session, and rollouts of some minutes; a connection and a call for each session.
+    /// Our choice: any training has room, in half of the memory of a 16 GiB machine. A request may be as large as a
+    /// step of the largest session, or as a rollout of some minutes. Each session may have a connection and a call.
     pub const DEFAULT: Self = Self {
         sessions: 1024,
         environments: MOST_ENVIRONMENTS,

@@ -1,6 +1,7 @@
 //! The gRPC service `sandgait.v1`: messages in, messages out.
 //!
-//! The only crate of the server with protobuf and the network. It never computes on the async runtime's threads.
+//! The async runtime's threads pass messages on, and unpack and check small requests. Simulation and other long work
+//! run on other threads.
 //!
 //! * [`address`]: the address of a server; [`server`]: its services until it is stopped.
 //! * [`connections`]: incoming connections and their limits; [`refusals`]: the sampled log of refusals.

@@ -57,8 +57,8 @@ impl Drop for TimeLimit {
     }
 }
 
-/// Lets the answers of a call hold the share that [`Messages::hold_for_answer`] has. If the client does not read one in
-/// `stall` and the time of its transfer, the connection is closed.
+/// Lets each answer of a call hold the share that was given to [`Messages::hold_for_answer`]. If the client does not
+/// read an answer within `stall` and the time of its transfer, the connection is closed.
 pub async fn pass(State(stall): State<Duration>, call: Request, next: Next) -> Response {
     let messages = call.extensions().get::<Messages>().cloned();
     let link = call.extensions().get::<ConnectionHandle>().cloned();
@@ -68,7 +68,7 @@ pub async fn pass(State(stall): State<Duration>, call: Request, next: Next) -> R
     answers.map(|body| {
         Body::new(body.map_frame(move |frame| {
             frame.map_data(|bytes| {
-                // At most the answer before this one is still in the queue.
+                // Of the earlier answers, only the last can still be in the queue.
                 let queued = std::mem::replace(&mut ahead, bytes.len()) + bytes.len();
                 let Some(share) = messages.take_answer_share() else { return bytes };
                 let time = stall + Duration::from_secs((queued / SLOWEST) as u64);

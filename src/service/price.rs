@@ -8,8 +8,8 @@
 //! Two bytes can be an empty list, which takes 32 bytes when it is unpacked, so the size of a message limits neither
 //! memory nor time. Therefore all fields of a message are counted before unpacking, down to the values of its options.
 //!
-//! Time is bounded by notice: all work of more than some 10 ms is done in parts, and ends after the present part if
-//! nobody waits for it any more (`SessionWork::end`, `Progress::report`).
+//! Time has another bound: all work of more than some 10 ms is done in parts, and ends after the present part if nobody
+//! waits for it any more (`SessionWork::end`, `Progress::report`).
 
 use super::proto;
 use super::proto::run_session_request::Request;
@@ -46,7 +46,7 @@ const TEXTS: usize = LONGEST_OPTIONS + SMALL;
 /// Calls without a row have messages of at most [`SMALL`].
 static CALLS: [CallBounds; 11] = [
     call("CreateSession", TEXTS, &CREATE_SESSION),
-    // `--max-message-mib` bounds it, too.
+    // `--max-message-mib` bounds these messages, too.
     call("RunSession", usize::MAX, &RUN_SESSION),
     call("DescribeSession", SMALL, &SESSION_ID),
     call("CloseSession", SMALL, &SESSION_ID),
@@ -78,7 +78,8 @@ pub fn of_request(request: &Request, part: usize) -> Result<usize> {
     let parts = |trajectories: bool| if trajectories { PARTS * part } else { 0 };
     Ok(match request {
         Request::Attach(_) | Request::Step(_) | Request::SetCommand(_) | Request::Reset(_) | Request::Save(_) => 0,
-        // The copy of each episode that these make is in the session's reservation. A header has meshes and heights.
+        // The session's reservation includes the copy of each episode that a restore makes. The header of an
+        // observation, which can have meshes and heights, is not counted.
         Request::Restore(_) | Request::Observe(_) => 0,
         Request::Rollout(rollout) => parts(rollout.trajectories),
         // Weights, and their arrangement in lanes.
@@ -112,8 +113,8 @@ fn pixels(render: &proto::Render) -> Result<(usize, usize)> {
 /// models side by side (2026-11-23).
 const DIAGNOSED_ROW: usize = 24 << 10;
 
-/// Refuses data whose diagnosis would take more than `memory` [bytes], all that a server may use. Requests do not share
-/// that, but only one study runs at a time.
+/// Refuses data whose diagnosis would take more than `memory` [bytes], all that a server may use. Nothing reserves this
+/// memory, but only one study runs at a time.
 ///
 /// # Errors
 /// The data have too many rows.

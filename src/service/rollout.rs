@@ -60,7 +60,7 @@ async fn run(mut work: SessionWork, roll: Roll, back: Operation, trajectories: b
     }
 }
 
-/// Makes all steps; the results after the last one. The outer error means that the environments are lost.
+/// Makes all steps, and returns the results after the last one. The outer error means that the environments are lost.
 async fn parts(
     work: &mut SessionWork,
     roll: &Roll,

@@ -124,7 +124,7 @@ pub struct Services {
 }
 
 impl Services {
-    /// Adds a service, which then has health and a token, too.
+    /// Adds a service. The health service then reports it, and its calls need the token.
     pub fn add<S>(&mut self, service: S) -> &mut Self
     where
         S: NamedService + Clone + Send + Sync + 'static,
@@ -172,7 +172,7 @@ fn add_services(
     Ok(())
 }
 
-/// Does the work when the server stops, besides closing its connections.
+/// Waits until the server stops; then does everything that is left to do, except closing its connections.
 async fn end(
     sessions: Arc<Sessions>,
     mut health: HealthReporter,

@@ -143,8 +143,8 @@ impl Sessions {
         Ok((id, blueprint))
     }
 
-    /// Runs `part`, of some milliseconds, on a blocking thread when its turn has come. So there is always a thread for
-    /// short work besides.
+    /// Runs `part`, of some milliseconds, on a blocking thread when its turn has come. So there is always a blocking
+    /// thread left for short work.
     pub async fn turn<T: Send + 'static>(&self, part: impl FnOnce() -> Result<T> + Send + 'static) -> Result<T> {
         // The semaphore is never closed, so `acquire` cannot fail. The permit goes with the work, which continues
         // even if no caller waits.

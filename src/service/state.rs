@@ -57,7 +57,8 @@ struct SessionFile {
     snapshot: Option<Vec<u8>>,
 }
 
-/// Number of threads that save sessions: our choice. They mostly wait for the disk, and 1,024 syncs of 5 ms take 0.3 s.
+/// Number of threads that save sessions: our choice, because they mostly wait for the disk: 1,024 syncs of 5 ms take
+/// 0.3 s.
 const SAVERS: usize = 16;
 
 /// How often a stopping server looks for sessions whose operations have ended.
@@ -109,8 +110,8 @@ impl StateDir {
             let path = entry.map_err(unusable)?.path();
             let unfinished = path.file_name().is_some_and(|n| n.to_string_lossy().starts_with(UNFINISHED));
             if unfinished {
-                // A server was killed while it wrote this file: no other runs, because of the lock. If it cannot be
-                // removed it does no harm.
+                // A server was killed while it wrote this file. No other server is writing it now, because of the lock.
+                // A file that cannot be removed does no harm.
                 let _ = fs::remove_file(&path);
             }
             if unfinished || path.extension().is_none_or(|e| e != ENDING) {
@@ -135,7 +136,7 @@ impl StateDir {
     /// that requests use, so nothing else delays this.
     ///
     /// # Errors
-    /// Some sessions were not saved: their names. The log has the reasons.
+    /// Some sessions were not saved; the error has their names, and the log has the reasons.
     pub async fn save(&self, sessions: &Sessions, deadline: Instant) -> Result<()> {
         let (sender, receiver) = std::sync::mpsc::channel::<StoppedSession>();
         let receiver = Arc::new(Mutex::new(receiver));
@@ -283,7 +284,7 @@ mod tests {
         assert_eq!(files, Limits::DEFAULT.sessions + 1, "and the lock");
     }
 
-    /// A session that an operation has beyond the deadline is named.
+    /// A session on which an operation still runs at the deadline is named.
     #[tokio::test]
     async fn sessions_that_are_not_saved_are_named() {
         let directory = tempfile::tempdir().unwrap();

@@ -183,7 +183,8 @@ impl SessionStream {
         Ok(None)
     }
 
-    /// A share of `bytes` besides that of the message. Waits for it without the environments.
+    /// A share of `bytes` besides that of the message. While this waits for the share, it does not hold the
+    /// environments.
     async fn paid(
         &self,
         guard: SessionGuard,
@@ -215,7 +216,7 @@ impl SessionStream {
         Ok((guard, share.map(|share| Some(Arc::new(share)))))
     }
 
-    /// Starts the work on the thread that suits it. Long work waits for its turn without a thread.
+    /// Starts the work on the thread that suits it. Long work occupies no thread while it waits for its turn.
     async fn start(&self, work: SessionWork, request: RunSessionRequest) {
         let (pool, weight) = (self.pool.clone(), decode::weight(&request));
         if let Some(Request::Render(render)) = request.request {

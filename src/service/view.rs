@@ -30,7 +30,7 @@ pub async fn render(mut work: SessionWork, request: Render) {
             });
             Ok((work, left, pixels, drawn))
         };
-        // If it is broken off, the work is dropped, which returns the environments.
+        // If nobody waits any more, the work is dropped, which returns the environments.
         let Some(Ok((back, rest, done, drawn))) = end.run_until_cancelled(sessions.turn(turn)).await else { return };
         (work, left, pixels) = (back, rest, done);
         if let Err(Some(error)) = drawn {

@@ -148,7 +148,7 @@ impl Environments {
 
 impl EnvironmentsGuard {
     /// # Panics
-    /// Never: functions that pass the environments on consume it.
+    /// Never: functions that pass the environments on consume the guard.
     pub fn batch(&mut self) -> &mut Batch {
         self.batch.as_mut().expect("a guard has its environments until it ends")
     }
@@ -177,7 +177,7 @@ impl EnvironmentsGuard {
             Err(error) => self.end(Some(Answer::Refused(error))),
             Ok(operation) => {
                 let Some(batch) = self.batch.take() else { return };
-                // The pool drops this without calling it when it ends; then no caller is left.
+                // When the pool ends, it drops this function without calling it; then no caller is left.
                 pool.run(batch, operation, move |batch| self.back(batch));
             }
         }

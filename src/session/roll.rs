@@ -7,8 +7,8 @@ use crate::pool::{Batch, Operation, Pool, Roll};
 use std::time::{Duration, Instant};
 
 /// Time between two checks whether the caller still waits, and time of one part of trajectories. Our choice: long
-/// against the fixed cost of a part, short for a caller that waits for an end. Other sessions do not wait for it,
-/// because the pool interleaves them.
+/// against the fixed cost of a part, short for a caller that waits for an end. Other sessions do not wait for a part to
+/// end, because the pool interleaves sessions.
 const TURN: Duration = Duration::from_millis(30);
 
 /// Largest ratio of the steps in a part to those in the part before, because the first part's single step may have been
@@ -59,8 +59,8 @@ impl Rolling {
     }
 }
 
-/// Steps of the next part, after a part that made `done` steps in `time`. That may be fewer than were asked for, because their memory
-/// is limited.
+/// Steps of the next part, after a part that made `done` steps in `time`. `done` may be fewer than were asked for,
+/// because the memory of a part is limited.
 fn next_steps(done: usize, time: Duration) -> usize {
     let fitting = done as f64 * TURN.as_secs_f64() / time.as_secs_f64().max(1e-6);
     (fitting as usize).clamp(1, GROWTH * done.max(1))

@@ -35,7 +35,7 @@ pub struct Design {
 }
 
 impl Design {
-    /// Stride frequency [Hz] unless another is given: our choice, legs of any shape walk at it.
+    /// Stride frequency [Hz] unless another is given: our choice, because legs of any shape walk at it.
     pub const FREQUENCY: f64 = 2.0;
 
     /// Sets parameters by their names, in order.

@@ -15,7 +15,7 @@ use std::cell::Cell;
 
 /// Robots in the swarm: our choice, two full blocks of lanes, one for each core of a small machine.
 const SWARM: usize = 32;
-/// Moves of the swarm: our choice; two parameters are found to about 1 % of their range.
+/// Moves of the swarm: our choice, because two parameters are then found to about 1 % of their range.
 const MOVES: u64 = 25;
 /// The same seed in every search.
 const SEED: u64 = 1;

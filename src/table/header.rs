@@ -36,7 +36,7 @@ pub struct ReadOptions<'a> {
     pub units: BTreeMap<String, String>,
     /// Longer tables are refused.
     pub most_rows: Option<usize>,
-    /// Told every some rows. Its error stops the reading.
+    /// Gets reports while rows are read. Its error stops the reading.
     pub progress: &'a dyn Progress,
 }
 

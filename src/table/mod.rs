@@ -16,9 +16,9 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
-/// Largest file: larger ones are refused before they are read, and streams when they exceed it. For the longest log
-/// that can be diagnosed this is more than 6 kB for each row. Our choice; it also bounds the memory that a row without
-/// an end takes.
+/// Largest file [bytes]. A larger one is refused before it is read, and a stream is refused when it exceeds this size.
+/// For the longest log that can be diagnosed this is more than 6 kB for each row. Our choice; it also bounds the memory
+/// that a row without an end takes.
 const MOST_BYTES: u64 = 256 << 20;
 /// Rows between two reports of progress: our choice, some milliseconds' work.
 const REPORT_ROWS: usize = 1000;

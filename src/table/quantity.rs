@@ -1,6 +1,6 @@
 //! Kinds of quantity in a column, and their units.
 
-/// Kind of quantity in a column: decides which units it takes.
+/// Kind of quantity in a column, which decides which units the column may have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Quantity {
     Text,
@@ -63,7 +63,7 @@ impl Quantity {
         }
     }
 
-    /// Factor from a unit to SI, if it is a unit of this quantity.
+    /// Factor from a unit to the first one of [`Self::units`], if it is a unit of this quantity.
     pub fn factor(self, unit: &str) -> Option<f64> {
         self.units().iter().find(|u| u.0 == unit).map(|u| u.1)
     }

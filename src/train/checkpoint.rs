@@ -29,11 +29,11 @@ fn layers(plan: &TrainingPlan) -> impl Iterator<Item = (String, &NetworkLayer)> 
 pub struct Checkpoint {
     pub learnt: TrainingState,
     pub open: OpenPoint,
-    /// What differs from going on with the newest checkpoint as it is, one sentence each.
+    /// One sentence for each difference from going on with the newest checkpoint as it is.
     pub notices: Vec<String>,
 }
 
-/// Saves all of `learnt`, and what is `open` of the curve. Weights are f32 [inputs, outputs].
+/// Saves all of `learnt`, and `open`, the sums for the next point of the curve. Weights are f32 [inputs, outputs].
 pub fn save(path: &Path, plan: &TrainingPlan, learnt: &TrainingState, open: &OpenPoint) -> Result<()> {
     let mut file = Tensors::default();
     let about = [
@@ -248,7 +248,7 @@ fn read(file: &Tensors, plan: &TrainingPlan, away: bool) -> Result<Checkpoint> {
     Ok(Checkpoint { learnt, open: open(file), notices: notices.into_iter().collect() })
 }
 
-/// What is open of the curve; files of earlier versions have no reward terms.
+/// The sums for the next point of the curve; files of earlier versions have no reward terms.
 fn open(file: &Tensors) -> OpenPoint {
     let names: Vec<String> =
         file.text("curve.terms").ok().and_then(|t| serde_json::from_str(t).ok()).unwrap_or_default();

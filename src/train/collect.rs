@@ -27,7 +27,7 @@ const LEVEL: &str = "level";
 /// The environments of a group.
 enum GroupEnvironments {
     Here(Box<Shard>),
-    /// On a server or of another program; the rows of their last step.
+    /// Environments on a server or in another program. This holds only the rows of their last reset or step.
     Away(Rows),
 }
 
@@ -82,7 +82,7 @@ pub struct PolicyContext<'a> {
 }
 
 impl RolloutGroup {
-    /// All environments of a training, without a state yet; `away`: not the training's own.
+    /// All environments of a training, without a state yet; `away`: they are not the training's own.
     pub fn all(spec: &TrainingSpec, settings: &Hyperparameters, networks: &Networks, away: bool) -> Result<Vec<Self>> {
         let lanes = spec.blueprint.as_ref().map_or(1, |blueprint| blueprint.engine.shard_size());
         let size = settings.n_envs.div_ceil(PIECES).next_multiple_of(lanes);
@@ -244,8 +244,8 @@ impl RolloutGroup {
         }
     }
 
-    /// Normalizes the rewards of step `step`, the last one. If an episode was truncated, adds the value of its last
-    /// observation.
+    /// Normalizes the rewards of step `step`, the last one that was made. If an episode was truncated, adds the value
+    /// of its last observation.
     fn pay(&mut self, play: &PolicyContext, step: usize) {
         let first = step * self.envs;
         if let Some(scales) = play.scales {

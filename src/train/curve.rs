@@ -21,7 +21,7 @@ pub struct CurvePoint {
     pub terms: Vec<(String, f64)>,
 }
 
-/// What has come since the last point.
+/// Sums since the last point of the curve, for its next point.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct OpenPoint {
     /// Sum of returns and number of the episodes.
@@ -81,7 +81,7 @@ impl LearningCurve {
         };
         let new: Vec<_> = point.terms.iter().map(|(name, _)| name).filter(|name| !self.terms.contains(name)).collect();
         if !new.is_empty() {
-            // Other programs' terms have names only when they come.
+            // The names of another program's terms are known only when the terms come.
             self.terms.extend(new.into_iter().cloned());
             self.file = begun(&self.path, &self.terms, &self.points)?;
         }

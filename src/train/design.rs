@@ -35,8 +35,8 @@ const SEEDS: usize = 100;
 const COMPARED: usize = 3;
 /// Largest number of trainings of a study: our choice, some days.
 const MOST_TRAININGS: usize = 10_000;
-/// Number of designs that a search trains at the same time, and number of evenly spread designs at its beginning
-/// for each parameter: our choice.
+/// Number of designs that a search trains at the same time. A search begins with this number of evenly spread designs,
+/// and as many again for each parameter: our choice.
 const TOGETHER: usize = 4;
 /// The same seed in every search.
 const SEARCH_SEED: u64 = 1;
@@ -82,7 +82,7 @@ pub struct Findings {
     pub designs: Vec<Vec<String>>,
     /// One row for each design, one entry for each training.
     pub trained: Vec<Vec<Trained>>,
-    /// The best ones by the measure, best first.
+    /// The best designs by the measure, best first.
     pub best: Vec<DesignComparison>,
 }
 

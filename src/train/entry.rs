@@ -29,16 +29,16 @@ pub fn settings(file: Option<&Path>, task: &str, changes: Vec<(String, Value)>) 
 }
 
 /// Samples of a rollout, and the number of its minibatches: those of PPO's paper for MuJoCo (Schulman et al. 2017,
-/// arXiv:1707.06347, table 3) and of CleanRL. Least number of steps in a rollout and of samples in a minibatch: our choice, so
-/// that advantages of many environments still look ahead, and small rollouts do not make noisy gradients.
+/// arXiv:1707.06347, table 3) and of CleanRL. Least number of steps in a rollout and of samples in a minibatch: our
+/// choice, so that advantages look ahead even with many environments, and gradients of small rollouts are not noisy.
 const SAMPLES: usize = 2048;
 const MINIBATCHES: usize = 32;
 const LEAST_STEPS: usize = 16;
 const LEAST_BATCH: usize = 64;
 
 /// Settings for `envs` environments of another program: the entry `name` of `file`, or those of stable-baselines3 with
-/// normalization and a falling learning rate as in CleanRL; with `changes`. If they limit only the time, the number of steps
-/// has no limit.
+/// normalization and a falling learning rate as in CleanRL; with `changes`. If `changes` limit only the time, the
+/// number of steps has no limit.
 pub fn external(
     file: Option<&Path>,
     name: &str,

@@ -1,4 +1,4 @@
-//! Files that TensorBoard reads: records with checksums (TFRecord), each a protobuf message `tensorflow.TensorBoardEvent`.
+//! Files that TensorBoard reads: records with checksums (TFRecord), each a protobuf message `tensorflow.Event`.
 
 use crate::error::{Error, Result};
 use prost::Message as _;

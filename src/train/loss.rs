@@ -88,7 +88,7 @@ pub struct LossSlopes<'a> {
     pub means: &'a mut [f32],
     /// f32 [n]
     pub values: &'a mut [f32],
-    /// f32 [action], added to.
+    /// f32 [action]; the derivatives are added to it.
     pub log_std: &'a mut [f32],
 }
 

@@ -95,7 +95,7 @@ impl Kernel for AddBias<'_> {
     }
 }
 
-/// Derivatives before a tangent from those after it: `slopes` · (1 − y²).
+/// Derivatives by the inputs of hyperbolic tangents from those by their outputs y: `slopes` · (1 − y²).
 pub struct TanhGradient<'a> {
     pub slopes: &'a mut [f32],
     pub outputs: &'a [f32],

@@ -5,7 +5,7 @@ use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
 use crate::sim::tree::symmetry::LeftRight;
 
-/// For each column the column with its mirrored value, and the sign.
+/// For each column of a mirror image, the column that its value comes from, and the sign.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mirror {
     pub order: Vec<usize>,
@@ -36,7 +36,7 @@ impl Mirror {
             let found = columns.iter().position(|c| c.name == *wanted);
             found.ok_or_else(|| refused(&format!("{:?} has no mirror image {wanted:?}", column.name)))
         };
-        // The mirror is its own inverse, so the value of a column comes from the one to which it moves.
+        // The mirror is its own inverse, so a column gets its new value from the column to which its own value moves.
         let order = columns.iter().zip(&images).map(place).collect::<Result<_>>()?;
         Ok(Self { order, signs: images.into_iter().map(|(_, sign)| sign).collect() })
     }

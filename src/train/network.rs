@@ -190,7 +190,7 @@ impl Networks {
         if self.mirror.is_some() { 2 } else { 1 }
     }
 
-    /// Means and values of `rows` rows, which `fill` writes, f32 [rows, observation].
+    /// Computes the means and values of `rows` rows of observations, which `fill` writes, f32 [rows, observation].
     pub fn forward(&self, parameters: &[f32], pass: &mut NetworkPass, rows: usize, fill: impl FnOnce(&mut [f32])) {
         let (wide, all) = (self.shape.observation, rows * self.images());
         pass.rows = rows;

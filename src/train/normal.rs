@@ -69,7 +69,7 @@ impl BatchMoments {
         }
     }
 
-    /// Moments of these rows and of others together.
+    /// Adds the rows of `other` to these moments.
     pub fn join(&mut self, other: &Self) {
         if other.count == 0.0 {
             return;

@@ -30,7 +30,7 @@ pub trait RemoteEnvironments: Send {
     }
 }
 
-/// Environments that are not the training's own, if it uses such.
+/// Environments that are not the training's own, if it uses any.
 pub type OptionalRemote<'a> = Option<&'a mut (dyn RemoteEnvironments + 'static)>;
 
 /// The rows of the environments in `part`, counted from its start.

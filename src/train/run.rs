@@ -28,7 +28,7 @@ const TRAINING: f64 = 0.97;
 /// Interval of checks whether the training was stopped: our choice, well below the 100 ms that a person notices.
 const PATIENCE: Duration = Duration::from_millis(20);
 
-/// Makes environments that are not the training's own, from its plan and the options that its request has.
+/// Makes environments that are not the training's own, from the training's plan and the options of its request.
 pub type Connect = dyn Fn(&TrainingPlan, &Value, Pause) -> Result<Box<dyn RemoteEnvironments>> + Send + Sync;
 
 /// A request for a training.
@@ -51,7 +51,7 @@ pub struct TrainingRequest {
     pub start_from: Option<PathBuf>,
     /// Steps between two checkpoints.
     pub checkpoint_every: u64,
-    /// Makes the environments on a server; None: they are in this process.
+    /// Makes the environments on a server or in another program; None: they are in this process.
     pub connect: Option<Box<Connect>>,
 }
 
@@ -61,8 +61,8 @@ pub struct TrainingOutcome {
     pub last: Option<UpdateReport>,
     /// The learning curve.
     pub curve: Vec<CurvePoint>,
-    /// What differs from going on with the newest checkpoint as it is, one sentence each: checkpoints that were skipped, and
-    /// the reason for new episodes.
+    /// One sentence for each difference from going on with the newest checkpoint as it is: checkpoints that were
+    /// skipped, and the reason for new episodes.
     pub notices: Vec<String>,
     /// The policy without noise over 100 unseen seeds; None for LegStroke and for other programs' environments.
     pub score: Option<PolicyScore>,
@@ -94,7 +94,7 @@ impl TrainingRequest {
         };
         let folder = checkpoint::folder(&self.out);
         std::fs::create_dir_all(&folder).map_err(|e| Error::file(&folder, e))?;
-        // Another process may have begun since the folder was missing.
+        // If the folder was missing, another process may have made it since then, and have begun a training in it.
         let _lock = lock.map_or_else(|| self.lock(), Ok)?;
         self.check_unused()?;
         let about = json!({

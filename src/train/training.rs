@@ -21,7 +21,7 @@ pub struct Training<'a, 'r> {
     pub learnt: TrainingState,
     remote: OptionalRemote<'r>,
     began: Instant,
-    /// Duration of earlier parts [s].
+    /// Duration of the training before this run [s].
     before: f64,
     /// Duration of the rollouts [s].
     rollouts: f64,
@@ -134,8 +134,8 @@ impl<'a, 'r> Training<'a, 'r> {
         Ok((finished, rollout.explained_variance()))
     }
 
-    /// Sends the pieces' actions to environments that are not the training's own, and gives the results to the pieces: step
-    /// `step`.
+    /// Makes step `step` of environments that are not the training's own: sends the pieces' actions, and gives the
+    /// results to the pieces.
     fn step_away(&mut self, step: usize, observer: &mut dyn Observer) -> Result<()> {
         let Some(remote) = &mut self.remote else { return Ok(()) };
         let pieces = &self.shared.pieces;

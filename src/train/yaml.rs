@@ -10,7 +10,7 @@ use std::collections::HashMap;
 const MOST_BYTES: usize = 1 << 20;
 /// Deepest nesting.
 const MOST_DEPTH: usize = 32;
-/// Memory of all values [bytes]. Those with an anchor count twice, and again at every use.
+/// Largest memory of all values [bytes]. A value with an anchor counts twice, and once more at every use.
 const MOST_MEMORY: usize = 8 << 20;
 /// Memory of a value besides its text [bytes]: with its place in a list or table.
 const VALUE: usize = 64;
@@ -63,7 +63,7 @@ impl YamlReader {
                     OpenYaml::List(list) => Value::Array(list),
                     OpenYaml::Table(table, _) => Value::Object(table),
                 };
-                // Its parts are counted already.
+                // The parts of the value are counted already.
                 self.place(value, anchor, VALUE)
             }
             Event::Alias(anchor) => {

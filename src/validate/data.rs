@@ -71,7 +71,7 @@ pub struct SteadyState {
 }
 
 impl SteadyState {
-    /// Rows of one condition have the same slip angle and slip ratio.
+    /// The condition of this row: rows of one condition have the same slip angle and slip ratio.
     pub fn condition(&self) -> (i64, i64) {
         ((self.slip_angle).round() as i64, (self.slip * 10.0).round() as i64)
     }

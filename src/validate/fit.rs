@@ -20,8 +20,8 @@ const LARGEST: f64 = 8.0;
 /// Friction of sand on sand, for wheels that carry sand between their teeth: tan 35°, within the 30° to 40° of dry
 /// sands (angle of repose 29°). It is not fitted, because rows at slip ratios ≤ 0 hardly distinguish 0.55 from 0.9.
 const SAND_ON_SAND: f64 = 0.70;
-/// μ_s of a smooth wheel and its standard deviation. The data give none, so the deviation is wide, with values for
-/// polished to rough plates.
+/// μ_s of a smooth wheel and its standard deviation. The data give none, so the deviation is wide enough for polished
+/// to rough plates.
 const SMOOTH: [f64; 2] = [0.45, 0.30];
 
 /// The value of `slip_bearing` from Vesic's formula; it is not fitted.

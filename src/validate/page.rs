@@ -32,7 +32,7 @@ To compare your own data, make a folder with a `validation.toml` like that in `t
 Fy, Fz, slip_angle_deg and slip. Then run `sandgait validate --data FOLDER --out DIR`.
 ";
 
-/// One comparison: the rows of the fit, and the predicted rows.
+/// One comparison: a title that says what was fitted, and the measured rows with their predictions.
 struct Comparison {
     title: String,
     /// Title of its figure.

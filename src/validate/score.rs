@@ -7,8 +7,8 @@ use crate::sand::intruder::{DepthOrLoad, Status, Trial, compute};
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-/// Number of bootstrap resamples of conditions for an interval: our choice; the ends then vary by less than a tenth of
-/// the width.
+/// Number of bootstrap resamples of conditions for an interval: our choice, because the ends then vary by less than a
+/// tenth of the width.
 const RESAMPLES: usize = 400;
 
 /// A sand's predictions for one row.
@@ -28,7 +28,7 @@ pub struct MeasuredPair {
     pub prediction: Prediction,
 }
 
-/// Every row of a wheel in `sand`.
+/// Predicts every row of a wheel in `sand`.
 pub fn predict(index: usize, wheel: &Wheel, sand: &SandDescription, rows: &[SteadyState]) -> Vec<MeasuredPair> {
     parallel::map(rows, |row| {
         let at = |given| compute(&wheel.body, sand, &Trial { given, ..row.trial });

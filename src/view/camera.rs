@@ -30,7 +30,7 @@ const HIGHER: u32 = 4;
 /// Vertical field of view [rad]: our choice, that of a normal lens.
 const FIELD_OF_VIEW: f64 = 0.72;
 
-/// Distance in robot radii: our choice; the robot fills half of the picture's width.
+/// Distance in robot radii: our choice, because the robot then fills half of the picture's width.
 const DISTANCE: f64 = 3.9;
 
 /// Nothing nearer than this is drawn [m].
@@ -90,7 +90,7 @@ pub struct Camera {
 /// A point of the picture [px], y downward, and its distance along the line of sight [m].
 pub type ScreenPoint = ([f32; 2], f64);
 
-/// Half of the robot's length with extended legs [m].
+/// Half of the robot's length with extended legs [m]; for a robot from a file, its standing height.
 pub fn radius(model: &Model) -> f64 {
     if let Some(tree) = &model.tree {
         return tree.standing_height(&tree.stance.angles).max(1e-3);
@@ -126,8 +126,8 @@ impl Camera {
         (0..HIGHER).map(|k| at(ELEVATION * f64::from(1 + k))).find(clear).unwrap_or_else(|| at(ELEVATION))
     }
 
-    /// Looks at `target` from the direction `away`, at a distance [m] or, if there is none, at one that fits a robot of a
-    /// half length [m].
+    /// Looks at `target` from the direction `away`. `distance`: the distance [m], or, as an error, the half length [m]
+    /// of a robot that the distance is to fit.
     fn towards(target: V, away: V, up: V, distance: std::result::Result<f64, f64>, [width, height]: [u32; 2]) -> Self {
         let forward = -away;
         let right = forward.cross(&up).normalize();
@@ -153,7 +153,7 @@ impl Camera {
         Self::towards(target, away, V::z(), options.distance.ok_or(radius), [width, height])
     }
 
-    /// The point that it looks at.
+    /// The point that the camera looks at.
     pub fn target(&self) -> V {
         self.target
     }

@@ -75,7 +75,7 @@ pub fn header(model: &Model, about: &About) -> String {
     text
 }
 
-/// Rounded to 1e-9: far below any length of a robot, and half as long in the file.
+/// The vector, rounded to 1e-9. This is far below any length of a robot, and makes the text half as long.
 fn list(v: V) -> [f64; 3] {
     [v.x, v.y, v.z].map(|c| (c * 1e9).round() / 1e9)
 }

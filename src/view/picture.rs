@@ -25,8 +25,8 @@ const ROCK: Rgb = [150.0, 142.0, 134.0];
 const ARROW: Rgb = [200.0, 30.0, 60.0];
 const INK: [u8; 3] = [40, 44, 50];
 
-/// Spacing of the lines on the sand [m]: fine ones, and coarse ones with their x beside them; for small robots, and for those
-/// whose drawn sand reaches further than [`SMALL`].
+/// Spacing of the fine lines on the sand, and of the coarse lines that have their x beside them [m]: first for small
+/// robots, then for robots whose drawn sand reaches further than [`SMALL`].
 const SPACING: [[f64; 2]; 2] = [[0.05, 0.25], [0.25, 1.0]];
 /// Reach of the drawn sand of small robots [m]: our choice, 64 fine lines.
 const SMALL: f64 = 3.2;
@@ -253,7 +253,7 @@ impl SandCanvas {
         self.fill(seen, &paint);
     }
 
-    /// Lines at round x and y, and the positions of the labels of the coarse ones.
+    /// Draws lines at round x and y; returns the labels of the coarse lines.
     fn lines(&mut self, model: &Model, state: &State) -> Labels {
         let reach = (12.0 * self.radius).max(4.0 * SPACING[0][0]);
         let [fine, coarse] = SPACING[usize::from(reach > SMALL)];

@@ -36,7 +36,7 @@ impl RasterTriangle {
         [a.min(b).min(c), a.max(b).max(c)]
     }
 
-    /// The same, lit on the side that faces the camera: meshes may be inside out.
+    /// Like [`Self::flat`], but lit on the side that faces the camera, because meshes may be inside out.
     pub fn lit(camera: &Camera, corners: &[V; 3], color: Rgb) -> Option<Self> {
         let [a, b, c] = corners;
         let normal = (b - a).cross(&(c - a)).try_normalize(0.0)?;

@@ -76,7 +76,7 @@ pub fn row(model: &Model, moment: &RecordedState) -> Vec<f32> {
     row
 }
 
-/// Sides of the field of heights of a moment.
+/// Number of heights along each side of a moment's field of heights.
 pub const HEIGHTS: usize = 32;
 
 /// x and y of the first node and the distance between nodes [m], then the heights of the sand around the robot, rows

@@ -7,17 +7,18 @@ use crate::sim::tree::forces::support;
 use crate::sim::{Model, State};
 use serde::{Deserialize, Serialize};
 
-/// Depth to which the feet of a standing robot sink at level 0, as a part of the legs' length: our choice; the robot's own
-/// servos give way by a twentieth (`tree::gains`), so such sand is as good as hard.
+/// Depth to which the feet of a standing robot sink at level 0, as a part of the legs' length: our choice, because the
+/// robot's own servos give way by a twentieth of that length (`tree::gains`), so such sand is as good as hard.
 const FIRM: f64 = 0.02;
 /// Speed at which the support of the sand is computed, in units of √(gℓ): our choice, slow; the force hardly depends on it.
 const SLOW: f64 = 1e-3;
-/// Largest factor on the sand's stress: our choice, for robots on points.
+/// Largest factor on the sand's stress: our choice, for robots that stand on points.
 pub const MOST_EASE: f64 = 200.0;
 
 options! {
-    /// When levels rise and fall: our choice, an error of 0.4 leaves no doubt that the robot walks, and standing still has 1.
-    /// Commands are full at all levels by default, because standing still earns most of the reward under slow ones.
+    /// When levels rise and fall. Our choice, because an error of 0.4 leaves no doubt that the robot walks; a robot
+    /// that stands still has an error of 1, or less under slow commands. By default commands are full at all levels,
+    /// because a robot that stands still earns most of the reward under slow commands.
     #[derive(Copy, Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct Curriculum {
@@ -33,9 +34,10 @@ options! {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Followed {
-    /// Sum of the velocities under the present command since its beginning was over: forward, to the left [m/s], yaw [rad/s].
+    /// Sum of the velocities under the present command, without those at its beginning: forward, to the left [m/s], yaw
+    /// [rad/s].
     pub sum: [f64; 3],
-    /// Number of these steps.
+    /// Number of steps in `sum`.
     pub steps: u32,
     /// Sum of the errors of earlier commands, and their number.
     pub error: f64,
@@ -55,8 +57,9 @@ impl Followed {
         self.steps += 1;
     }
 
-    /// Ends `command`, whose error counts if the robot had time to follow it. Errors are relative to the command, but to
-    /// at least `least`.
+    /// Ends `command`. Its error counts if steps were added under it. Velocities and commands are first divided by
+    /// `unit`, the ends of the commands' default ranges. The error of the mean velocity is then divided by the length
+    /// of the command, or by [`LEAST`] if the command is shorter.
     pub fn end(&mut self, command: [f64; 3], unit: [f64; 3]) {
         if self.steps > 0 {
             let n = f64::from(self.steps);
@@ -69,7 +72,8 @@ impl Followed {
     }
 }
 
-/// Errors are relative to the command, but at least to this part of the largest one: our choice.
+/// Least length of a command that an error is divided by, in units of the ends of the commands' default ranges. Our
+/// choice, because an error relative to a very slow command has no bound.
 const LEAST: f64 = 0.4;
 
 impl Curriculum {

@@ -23,7 +23,7 @@ pub struct Difficulty {
     pub level: f64,
     /// Factor on the sand's stress besides the drawn one.
     pub ease: f64,
-    /// Shares of commands and of pushes.
+    /// Factors on commands and on pushes.
     pub commands: f64,
     pub pushes: f64,
 }
@@ -43,7 +43,7 @@ pub struct LeggedEpisode {
     pub added_mass: f64,
     /// Factor on torque limits and gains.
     pub motor_strength: f64,
-    /// Forward, sideways [m/s] and yaw [rad/s], one after the other.
+    /// The commands in the order in which the robot gets them: forward, sideways [m/s] and yaw [rad/s].
     pub commands: Vec<[f64; 3]>,
     /// Velocities that pushes give the base along x and y [m/s].
     pub pushes: Vec<[f64; 2]>,

@@ -34,11 +34,13 @@ use episode::{Difficulty, LeggedEpisode, StepFeedback};
 use reward::{Contacts, LeggedStep};
 use std::sync::Arc;
 
-/// The robot has fallen if gravity's direction along the base's z axis is above this: cos 60°. Our choice.
+/// The robot has fallen if the component of gravity's direction along the base's z axis is above this: −cos 60°. Our
+/// choice.
 const FALLEN: f64 = -0.5;
 
-/// Part of the standing height of a robot with fewer than four feet, below which it has fallen: our choice; with its
-/// base so low it kneels or sits. A robot on four feet may lie on its belly in sand and stand up again.
+/// A robot with fewer than four legs has fallen if its base is lower than this part of its standing height: our choice,
+/// because a robot with such a low base kneels or sits. A robot with four legs may lie on its belly in sand and stand
+/// up again.
 const LOW: f64 = 0.5;
 
 const ABOUT: &str = "\
@@ -89,7 +91,8 @@ pub struct LeggedVelocity {
     ease: f64,
 }
 
-/// How an action moves a joint: its target is `default` plus the action times `scale`, which a servo follows.
+/// How an action moves a joint: the joint's target is `default` plus the action times `scale`, and a servo follows the
+/// target.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct JointTarget {
     pub joint: String,
@@ -304,7 +307,7 @@ impl Task for LeggedVelocity {
         step.terminated()
     }
 
-    /// Environments share feet and heights with others of the session.
+    /// All environments of a session stand on the same feet. Either all of them have ground with heights, or none.
     fn check_change(old: &Model, new: &Model) -> Result<()> {
         if old.scene.relief.is_some() != new.scene.relief.is_some() {
             let reason = "a reset changes neither flat ground to ground with heights nor back: make other environments";
@@ -333,7 +336,7 @@ impl Task for LeggedVelocity {
     }
 }
 
-/// Is the base of a robot with fewer than four feet lower than [`LOW`] of its standing height?
+/// Is the base of a robot with fewer than four legs lower than [`LOW`] of its standing height?
 fn is_too_low(model: &Model, state: &State) -> bool {
     let Some(tree) = &model.tree else { return false };
     let [x, y, z] = state.position;

@@ -10,9 +10,10 @@ use crate::sim::{Model, State};
 use crate::spec::CONTROL_RATE;
 use crate::task::Transition;
 
-/// σ of the tracking terms, of velocities in units of the commands' default ends. Our choice: legged_gym has 0.25 for ends of 1, at
-/// which an error of a fifth of a slow command costs 4 % of the term. ANYmal C then walks a fifth too fast on packed seeds (mean error
-/// of nine commands 18 %), and with 0.1 as fast as commanded (6 %, after the same 12 million steps; docs/robots.md).
+/// σ of the tracking terms exp(−error² / σ); velocities are in units of the ends of the commands' default ranges. Our
+/// choice, because legged_gym's 0.25 (for ends of 1) is too wide: an error of a fifth of a command at half of the
+/// range's end costs only 4 % of the term. With 0.25 ANYmal C walks a fifth too fast on packed seeds (mean error of
+/// nine commands 18 %). With 0.1 it walks as fast as commanded (6 %, after the same 12 million steps; docs/robots.md).
 const TRACKING: f64 = 0.1;
 /// Air time from which on a step is rewarded [√(ℓ/g)]: legged_gym's 0.5 s on ANYmal's legs of 0.5 m.
 const AIR: f64 = 2.2;
@@ -25,9 +26,9 @@ pub struct Contacts {
     /// Contact of each foot, in the order of the stance's feet.
     pub feet: Vec<bool>,
     pub base: bool,
-    /// Does a body touch that is neither base nor part of a leg?
+    /// Does a body that is neither the base nor part of a leg touch the ground?
     pub upper: bool,
-    /// Number of other bodies that touch the ground.
+    /// Number of bodies besides the base and the feet that touch the ground.
     pub others: usize,
 }
 
@@ -75,9 +76,10 @@ impl LeggedStep<'_> {
 }
 
 reward_terms! {
-    /// Weights of the reward's terms, with legged_gym's names and signs; each is a rate per second. Velocities are in the base's
-    /// frame; v_max and ω_max are the ends of the commands' default ranges. Weights of terms with units are legged_gym's for ANYmal C
-    /// (ℓ = 0.5 m), that of the torques is between those of its A1 (0.26) and ANYmal C (0.65), rounded.
+    /// Weights of the reward's terms, with legged_gym's names and signs; each is a rate per second. Velocities are in
+    /// the base's frame; v_max and ω_max are the ends of the commands' default ranges. Weights of terms in the robot's
+    /// units are those that legged_gym has for ANYmal C (ℓ = 0.5 m), converted and rounded; the weight of the torques
+    /// is between that of its A1 (0.26) and that of its ANYmal C (0.65).
     pub struct Rewards of LeggedStep<'_>, weights in [-1e4, 1e4] {
         tracking_lin_vel: 1.0, "exp(−(((v_x − commanded) / v_max,x)² + ((v_y − commanded) / v_max,y)²) / 0.1)", |s| {
             let [x, y, _] = s.units.commanded();

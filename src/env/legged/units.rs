@@ -16,9 +16,10 @@ pub struct Units {
     pub torque: f64,
 }
 
-/// Ends of the commands' default ranges in these units, forward, to the left and yaw: our choice. A Froude number of 0.25 forward
-/// is a brisk walk (animals change from walk to trot near 0.5, Alexander & Jayes 1983), half of that speed sideways, and one
-/// turn in some 30 times √(ℓ/g). Of legs of half a metre (ANYmal) these are 1.1 m/s, 0.55 m/s and 0.9 rad/s; legged_gym has 1, 1 and 1.
+/// Ends of the commands' default ranges in these units, forward, to the left and yaw: our choice. The speed forward has
+/// a Froude number of 0.25, which is a brisk walk (animals change from walk to trot near 0.5, Alexander & Jayes 1983).
+/// The speed to the left is half of it. One turn takes some 30 times √(ℓ/g). With legs of half a metre (ANYmal) these
+/// ends are 1.1 m/s, 0.55 m/s and 0.9 rad/s; legged_gym has 1, 1 and 1.
 pub const COMMANDED: [f64; 3] = [0.5, 0.25, 0.2];
 
 impl Units {

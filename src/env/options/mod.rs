@@ -59,7 +59,7 @@ pub struct TaskOptions<O> {
     pub hardware: Hardware,
 }
 
-/// The option that some tasks have themselves; its key [`DRAWN`] is every task's.
+/// An option that some tasks declare themselves. Every task has its key [`DRAWN`].
 const DRAWS: &str = "domain_rand";
 const DRAWN: &str = "hardware";
 
@@ -74,7 +74,7 @@ impl<O: Options> TaskOptions<O> {
         };
         match self.task.get(DRAWS) {
             Some(_) => drop(self.task.set(DRAWS, &of_task)?),
-            // The task has no keys besides; it names those that it does not know.
+            // The task has no other keys in this option. The call refuses, by name, keys that it does not know.
             None if !value.is_null() => drop(self.hardware.set(DRAWS, &of_task)?),
             None => (),
         }

@@ -46,7 +46,8 @@ impl ActionDelay {
         self.at(self.steps + usize::from(self.substeps > 0))
     }
 
-    /// The action that they follow afterwards, and the time step at which it arrives; None: it is the same.
+    /// The action that the motors follow afterwards, and the time step at which it arrives; None: they follow the first
+    /// one during the whole control step.
     pub fn second(&self) -> Option<(usize, &[f32])> {
         (self.substeps > 0).then(|| (self.substeps, self.at(self.steps)))
     }
@@ -60,7 +61,7 @@ impl ActionDelay {
         &self.actions
     }
 
-    /// The same delay with these actions; None if they are not as many.
+    /// The same delay with these actions; None if their number is wrong or one is not within ±1.
     pub fn resume(mut self, actions: &[f32]) -> Option<Self> {
         let sound = actions.len() == self.actions.len() && actions.iter().all(|a| (-1.0..=1.0).contains(a));
         self.actions.copy_from_slice(if sound { actions } else { return None });

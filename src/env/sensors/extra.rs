@@ -12,7 +12,8 @@ const TORQUE: f64 = 1e4; // [N·m]
 const FORCE: f64 = 1e6; // [N]
 /// Range of the range finder [m]: our choice, that of small lidars.
 const RANGE: f64 = 10.0;
-/// A foot's switch closes at this share of the robot's weight: that of a standing leg in pictures.
+/// A foot's switch closes if the force on the foot is above this share of the robot's weight: the same share as for a
+/// leg that counts as standing (`Pose::stance`).
 const SWITCH: f64 = 0.02;
 
 /// A control step, for sensors.

@@ -1,4 +1,4 @@
-//! What `hardware.toml` says of a task's motors, sensors and delays. It holds where the options say nothing.
+//! What `hardware.toml` says of a task's motors, sensors and delays. Its values hold where the options say nothing.
 
 use super::options::{Imperfections, LONGEST_DELAY, Motors};
 use super::random::stream;
@@ -50,7 +50,8 @@ impl HardwareFiles {
         self.random.is_some()
     }
 
-    /// The values of all episodes; of drawn quantities, those of the file.
+    /// The values that all episodes share; for drawn quantities, the values in the file whose intervals they are drawn
+    /// from.
     pub fn values(&self) -> HardwareDescription {
         self.random.as_ref().map_or_else(|| self.values.clone(), |random| random.or(&self.values))
     }
@@ -112,7 +113,7 @@ fn check(file: &HardwareDescription) -> Result<()> {
     Ok(())
 }
 
-/// `own`, with the file's values where it has the default's.
+/// `own`, but with the file's value for each option that has its default in `own`.
 fn filled<O: Options>(own: &O, table: &str, file: &HardwareDescription) -> O {
     let (mut all, default) = (own.clone(), O::default());
     for row in O::rows() {

@@ -1,8 +1,8 @@
 //! Sensors between the simulated robot and the observation, and the delay between the action and the motors.
 //!
 //! A task computes exact values. A column that belongs to a [`Sensor`] passes through the sensor's imperfections, in this
-//! order: the part of the delay that is no whole control step (the sensor samples so long before the step ends), bias and
-//! random walk, white noise, low-pass filter, quantization, the delay's whole steps, dropout. Everything that a sensor
+//! order: the part of the delay that is no whole control step (the sensor samples so long before the step ends), gain
+//! and offset, bias and random walk, white noise, low-pass filter, quantization, the delay's whole steps, dropout. Everything that a sensor
 //! remembers is a part of the episode ([`SensorMemory`]), so snapshots contain it. Its random numbers depend on the
 //! environment's seed, the episode and the step alone.
 //!
@@ -73,7 +73,7 @@ sensors! {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Part {
     Value,
-    /// Of an angle.
+    /// The sine, of a value that is an angle; likewise the cosine.
     Sine,
     Cosine,
 }

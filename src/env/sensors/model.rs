@@ -29,9 +29,9 @@ pub struct SensorModel {
     files: HardwareFiles,
     /// Signals of joint positions and speeds, joint by joint, if speeds are differences of positions.
     speeds: Vec<[usize; 2]>,
-    /// Exact columns that the policy gets of one step.
+    /// Indices of the exact columns that the policy gets of one step.
     shown: Vec<usize>,
-    /// Places and columns of those among them that no signal changes.
+    /// The shown columns that no signal changes: the place in the policy's row, and the exact column.
     copied: Vec<(usize, usize)>,
     /// First column of each vector of the inertial measurement unit.
     imu: Vec<usize>,
@@ -66,7 +66,8 @@ pub enum Privileged<'a> {
 }
 
 impl SensorModel {
-    /// None: the sensors are exact, and rows are as the task fills them. `spec` becomes that of the session.
+    /// The sensors of a session; None: they are exact, and rows are as the task fills them. `spec` becomes that of the
+    /// session.
     ///
     /// # Errors
     /// Names a sensor that the task does not observe and that cannot be added.

@@ -32,8 +32,8 @@ options! {
 }
 
 options! {
-    /// Imperfections by sensor. A sensor without an entry is exact. One that the task does not observe is added to the
-    /// observation by its entry, which may be empty.
+    /// Imperfections by sensor. A sensor without an entry is exact. A sensor that the task does not observe is added to
+    /// the observation if it has an entry, which may be empty.
     #[derive(Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct Sensors {

@@ -82,7 +82,8 @@ impl Signal {
             offset,
             bias,
             walk: random_walk * period.sqrt(),
-            // Of one sample of white noise with this density (Kalibr's IMU noise model).
+            // Standard deviation of one sample of white noise with this density: density / √period (Kalibr's IMU noise
+            // model).
             noise: noise_density / period.sqrt(),
             follows: (low_pass > 0.0).then(|| -(-period / low_pass).exp_m1()),
             quantization,

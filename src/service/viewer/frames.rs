@@ -57,8 +57,8 @@ pub struct ViewerFrame {
     pub rows: Bytes,
 }
 
-/// The next blocks for a watcher that has the header `head`: a row, after a header if that has changed. A slow watcher
-/// misses some. None when no more frames will come.
+/// The next blocks for a watcher that has the header `head`: a row, with a header before it if the header has changed.
+/// A slow watcher misses some. None when no more frames will come.
 pub async fn next_blocks(frames: &mut broadcast::Receiver<ViewerFrame>, head: &mut Bytes) -> Option<Bytes> {
     loop {
         match frames.recv().await {
@@ -83,7 +83,7 @@ pub type Frames = broadcast::Sender<ViewerFrame>;
 pub fn encode(task: Arc<dyn AnyTask>) -> (Latest, Frames) {
     let (latest, mut moments) = watch::channel(None::<Arc<ViewedState>>);
     let frames = broadcast::Sender::new(WAITING);
-    // The task does not hold it, so that receivers notice when no more frames will come.
+    // The task does not keep the sender alive, so that receivers notice when no more frames will come.
     let weak = frames.downgrade();
     tokio::spawn(async move {
         let mut section: Option<(Arc<ViewedState>, Bytes)> = None;

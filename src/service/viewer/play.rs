@@ -114,7 +114,8 @@ mod tests {
     use axum::http::Request;
     use tower_service::Service as _;
 
-    /// Only a message with the key and three numbers changes the command; other sites' names reach nothing.
+    /// Only a message with the key and three numbers changes the command; requests with the name of another site are
+    /// refused.
     #[tokio::test]
     async fn steering_needs_the_key() {
         let blueprint = Blueprint::new("sandgait/HexapodGait-v1", serde_json::Value::Null).unwrap();

@@ -250,7 +250,7 @@ function draw_legend(context, rows, left, y) {
   });
 }
 
-/** Legs with the column that tells which are held: for a robot from a file, its feet in contact. */
+/** Legs, each with the column that tells whether the ground holds it (for a robot from a file: its foot). */
 function held(section) {
   if (section.header.legs.length) {
     return section.header.legs.map(({ name, tripod }, k) => ({ name, color: LEG_COLORS[tripod], column: "stance", k }));
@@ -259,7 +259,7 @@ function held(section) {
   return feet.map((column, i) => ({ name: column.slice(CONTACT.length), color: COLORS[i % 6], column, k: 0 }));
 }
 
-/** One bar a leg, dark while the ground holds it. */
+/** One bar for each leg, dark while the ground holds the leg. */
 function gait(canvas, view, section) {
   const legs = held(section);
   canvas.style.minHeight = `${ROW * legs.length + 25}px`;
@@ -298,8 +298,8 @@ function commanded(section) {
 }
 
 /**
- * Velocity of the base in the frame of the task's command [m/s]: for tasks with a velocity command that of the base, for
- * others that of the robot's heading, which lies in the surface. And its yaw rate in that frame [rad/s].
+ * Velocity [m/s] and yaw rate [rad/s] of the base in the frame of the task's command. For tasks with a command to the left
+ * this is the frame of the base, for others that of the robot's heading, which lies in the surface.
  */
 function base_velocity(section, row) {
   const turn = quaternion(section.get(row, "orientation"));
@@ -313,7 +313,7 @@ function base_velocity(section, row) {
   return { forward: v.x, left: v.y, yaw: w.z };
 }
 
-/** Numbers of the name's end that the names of a leg's joints have in common with those of other legs. */
+/** A joint's name without the name of its leg, if it begins with that. */
 function joint_name(name, leg) {
   return name.startsWith(leg) ? name.slice(leg.length).replace(/^[-_ ]+/, "") || name : name;
 }

@@ -31,7 +31,7 @@ function fail(error) {
 /** Sections whose footprints are kept. */
 const PRINTED = 20;
 
-/** Footprints of what came in since the last look. */
+/** Marks the footprints of the moments that came in since the last look. */
 function mark() {
   const { moments } = player.recording;
   for (; player.marked + 1 < moments.length; player.marked += 1) {

@@ -5,7 +5,7 @@
 const CELL = 0.004;
 const CELLS = [220, 130];
 
-/** Deepest print that is drawn [m], and looks between two moments: a drawing, because the sand's surface is not computed. */
+/** Deepest print that is drawn [m], and number of looks between two moments. Prints are drawn, not computed. */
 const DEEPEST = 0.012;
 const LOOKS = 3;
 

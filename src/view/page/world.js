@@ -119,7 +119,7 @@ function shape(obstacle) {
   return geometry;
 }
 
-/** An arrow a force: where the ground pushes, how hard and which way. `size`: of the robot, relative to the usual one. */
+/** One arrow for each force: where the ground pushes, how hard and which way. `size`: of the robot; 1 is usual. */
 class Arrows {
   constructor(section, group, size) {
     const count = Math.max(section.pushed, 1);
