@@ -360,10 +360,21 @@ impl<const N: usize> Kernel for Sum<'_, N> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
+    use super::super::experiment::Experiment;
+    use super::super::force_log::planned;
     use super::super::force_model::ForceLogModel;
+    use super::super::forward::ForwardModel;
     use super::*;
-    use crate::sand::{Medium, SandDescription};
+
+    /// Forces along a track in loose poppy seeds with these mechanisms: all Fx, then all Fz, then all torques.
+    pub fn forces(mechanisms: Mechanisms, track: &Track) -> Vec<f64> {
+        let toml = "kind = \"intrusion\"\nmedium = \"poppy-loose\"\nbulk_density = 640.0\n";
+        let mut experiment = Experiment::from_toml(toml).unwrap();
+        experiment.shapes.insert(track.shape.clone(), track.intruder);
+        let model = ForceLogModel::new(&planned(vec![track.clone()], 3), &experiment).unwrap();
+        model.predict(&mechanisms, &model.medium().coefficients)
+    }
 
     /// Cohesion pushes with the same stress on the whole submerged area, so its force on a vertical plate grows with
     /// every step into the sand, however small the step is against a segment.
@@ -377,12 +388,8 @@ mod tests {
         };
         let track =
             Track { beta: std::f64::consts::FRAC_PI_2, ..Track::leg(intruder, 0.0, (0..steps).map(pose).collect()) };
-        let force = |cohesion: f64| {
-            let mut sand = SandDescription::plain(&Medium::named("poppy-loose").unwrap());
-            sand.mechanisms = Mechanisms { cohesion, ..Mechanisms::default() };
-            ForceLogModel::one(&sand, track.clone()).unwrap().into_iter().map(|load| load.fx).collect::<Vec<_>>()
-        };
-        for (i, (with, without)) in force(cohesion).into_iter().zip(force(0.0)).enumerate() {
+        let force = |cohesion: f64| forces(Mechanisms { cohesion, ..Mechanisms::default() }, &track);
+        for (i, (with, without)) in force(cohesion).into_iter().zip(force(0.0)).take(steps as usize).enumerate() {
             let submerged = i as f64 / f64::from(steps);
             let expected = -cohesion * width * length * submerged;
             assert!((with - without - expected).abs() < 1e-6, "{submerged}: {} and not {expected}", with - without);

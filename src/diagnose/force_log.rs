@@ -3,25 +3,16 @@
 use super::columns::columns;
 use super::experiment::{Experiment, Intruder};
 use super::motion::{Heading, heading, moving, progress};
-use super::observations::{Channel, Names, Observations, Size, Unit};
+use super::observations::{Channel, MeasuredLog, Names, Observations, Size, Unit};
+use super::series::low_middle_high;
 use super::track::{ArmPose, Track};
 use crate::error::Result;
 use crate::progress::Progress;
 use crate::table::{HeaderColumn, Quantity, Row};
 use std::path::Path;
 
-/// A force log, read and checked.
-pub struct ForceLog {
-    pub observations: Observations,
-    pub tracks: Vec<Track>,
-    /// Track of each unit.
-    pub track_of: Vec<usize>,
-    /// Optional columns that are absent or blank throughout.
-    pub missing: Vec<&'static str>,
-    /// Notes for the report on how the log was read.
-    pub notes: Vec<String>,
-    pub sha256: String,
-}
+/// A force log; the setting of a trial is its track.
+pub type ForceLog = MeasuredLog<Track>;
 
 columns! {
     TRIAL = "trial" Text true;
@@ -217,7 +208,8 @@ fn assemble(
     if torque {
         channels.push(Channel::new("Ty", "N·m", false));
     }
-    let (mut values, mut units, mut tracks, mut track_of) = (Vec::new(), Vec::new(), Vec::<Track>::new(), Vec::new());
+    let (mut values, mut units, mut settings, mut setting_of) =
+        (Vec::new(), Vec::new(), Vec::<Track>::new(), Vec::new());
     let mut headings: Vec<Option<Heading>> = vec![None; conditions.len()];
     let (mut rows, mut resting) = (0, 0);
     for trial in trials {
@@ -238,7 +230,7 @@ fn assemble(
         }
         rows += trial.loads.len();
         resting += trial.loads.len() - kept.len();
-        let known = tracks.iter().position(|t| *t == trial.track);
+        let known = settings.iter().position(|t| *t == trial.track);
         units.push(Unit {
             id: trial.id,
             condition: trial.condition,
@@ -246,9 +238,9 @@ fn assemble(
             samples: kept.len(),
             progress: kept.iter().map(|&i| progress[i]).collect(),
         });
-        track_of.push(known.unwrap_or(tracks.len()));
+        setting_of.push(known.unwrap_or(settings.len()));
         if known.is_none() {
-            tracks.push(trial.track);
+            settings.push(trial.track);
         }
     }
     let said = || {
@@ -258,7 +250,7 @@ fn assemble(
     };
     let notes = if resting > 0 { vec![said()] } else { Vec::new() };
     let observations = Observations { size: Size::Force, values, channels, units, conditions };
-    ForceLog { observations, tracks, track_of, missing, notes, sha256 }
+    ForceLog { observations, settings, setting_of, missing, notes, sha256 }
 }
 
 /// A log of planned trials: one unit for each track, and zeros for forces.
@@ -297,8 +289,7 @@ pub fn possible(tracks: &[Track]) -> Vec<(Track, String)> {
     let mut out = Vec::new();
     for base in shapes {
         let own = tracks.iter().filter(|t| t.shape == base.shape).map(Track::rate);
-        let (low, high) = own.fold((f64::MAX, 0.0), |(l, h), r| (f64::min(l, r), f64::max(h, r)));
-        for rate in [low, (low * high).sqrt(), high] {
+        for rate in low_middle_high(own) {
             for deep in [true, false] {
                 for (pass, x_bed) in [(1, 0.0), (2, 0.0), (1, 0.1), (1, -0.1)] {
                     let angles: &[(f64, f64)] = match base.intruder {
@@ -318,11 +309,7 @@ pub fn possible(tracks: &[Track]) -> Vec<(Track, String)> {
 impl Track {
     /// Fastest angular speed of a leg [rad/s] or speed of a plate [m/s].
     fn rate(&self) -> f64 {
-        let rate = |p: &ArmPose| match self.intruder {
-            Intruder::Leg { .. } => p.omega.abs(),
-            Intruder::Plate { .. } => p.velocity[0].hypot(p.velocity[1]),
-        };
-        self.poses.iter().map(rate).fold(0.0, f64::max)
+        self.poses.iter().map(|pose| self.speed(pose)).fold(0.0, f64::max)
     }
 
     /// This track's intruder in another trial, and a description of that trial; angles in degrees.

@@ -2,7 +2,8 @@
 
 use super::columns::columns;
 use super::experiment::Experiment;
-use super::observations::{Channel, Names, Observations, Size, Unit};
+use super::observations::{Channel, MeasuredLog, Names, Observations, Size, Unit};
+use super::series::low_middle_high;
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::sand::LegShape;
@@ -27,16 +28,8 @@ pub struct WalkSetup {
     pub strides: f64,
 }
 
-/// Runs, read and checked.
-pub struct WalkingLog {
-    pub observations: Observations,
-    pub setups: Vec<WalkSetup>,
-    /// Setup of each unit.
-    pub setup_of: Vec<usize>,
-    /// Optional columns that are absent or blank throughout.
-    pub missing: Vec<&'static str>,
-    pub sha256: String,
-}
+/// Runs of a robot.
+pub type WalkingLog = MeasuredLog<WalkSetup>;
 
 columns! {
     RUN = "run" Text true;
@@ -115,14 +108,9 @@ pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Re
         Ok(())
     })?;
     let missing = optional.iter().zip(seen).filter(|s| !s.1).map(|s| COLUMNS[*s.0].name).collect();
-    let setup_of = runs.iter().map(|r| r.setup).collect();
-    Ok(WalkingLog {
-        observations: observations(runs, conditions.list),
-        setups,
-        setup_of,
-        missing,
-        sha256: summary.sha256,
-    })
+    let setting_of = runs.iter().map(|r| r.setup).collect();
+    let (observations, notes) = (observations(runs, conditions.list), Vec::new());
+    Ok(WalkingLog { observations, settings: setups, setting_of, missing, notes, sha256: summary.sha256 })
 }
 
 fn setup(row: &Row, experiment: &Experiment) -> Result<WalkSetup> {
@@ -202,8 +190,8 @@ pub fn planned(setups: Vec<WalkSetup>, channels: Vec<Channel>) -> WalkingLog {
         units: (0..setups.len()).map(unit).collect(),
         conditions: (0..setups.len()).map(|i| i.to_string()).collect(),
     };
-    let setup_of = (0..setups.len()).collect();
-    WalkingLog { observations, setups, setup_of, missing: Vec::new(), sha256: String::new() }
+    let (setting_of, notes) = ((0..setups.len()).collect(), Vec::new());
+    WalkingLog { observations, settings: setups, setting_of, missing: Vec::new(), notes, sha256: String::new() }
 }
 
 /// Runs that a laboratory with these `setups` could make: its legs and their mirror images, at the slowest, middle and
@@ -211,8 +199,7 @@ pub fn planned(setups: Vec<WalkSetup>, channels: Vec<Channel>) -> WalkingLog {
 /// robot's mass.
 pub fn possible(setups: &[WalkSetup]) -> Vec<(WalkSetup, String)> {
     let Some(first) = setups.first() else { return Vec::new() };
-    let frequencies = setups.iter().map(|s| s.frequency.abs());
-    let (low, high) = frequencies.fold((f64::MAX, 0.0), |(l, h), f| (f64::min(l, f), f64::max(h, f)));
+    let frequencies = low_middle_high(setups.iter().map(|s| s.frequency.abs()));
     let mut legs: Vec<String> = setups.iter().map(|s| s.leg.clone()).collect();
     legs.extend(["L", "revL"].map(String::from));
     let shape = |leg: &String| LegShape::named(leg).ok();
@@ -220,7 +207,7 @@ pub fn possible(setups: &[WalkSetup]) -> Vec<(WalkSetup, String)> {
     legs.dedup_by(|a, b| shape(a) == shape(b));
     let mut out = Vec::new();
     for leg in legs {
-        for frequency in [low, (low * high).sqrt(), high] {
+        for frequency in frequencies {
             for (slope_deg, payload, x_bed) in
                 [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0), (-10.0, 0.0, 0.0), (0.0, 0.05, 0.0), (0.0, 0.0, -0.3)]
             {
