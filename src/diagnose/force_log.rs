@@ -46,8 +46,8 @@ struct Growing {
     track: Track,
     /// Intrusion angle [rad] of each row that gives one.
     gammas: Vec<Option<f64>>,
-    loads: Vec<[f64; 2]>,
-    torques: Vec<Option<f64>>,
+    /// Fx, Fz and Ty of each row; not all logs have Ty.
+    loads: Vec<[Option<f64>; 3]>,
 }
 
 /// Reads the log; `experiment` names shapes, medium and units.
@@ -67,8 +67,7 @@ pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Re
         let place = ids.place(id);
         let track = track_header(row, experiment)?;
         if place == trials.len() {
-            let (gammas, loads, torques) = (Vec::new(), Vec::new(), Vec::new());
-            trials.push(Growing { id: id.into(), condition, track, gammas, loads, torques });
+            trials.push(Growing { id: id.into(), condition, track, gammas: Vec::new(), loads: Vec::new() });
         } else {
             check_same(row, &trials[place], &track, condition)?;
         }
@@ -79,13 +78,13 @@ pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Re
         }
         trial.track.poses.push(pose);
         trial.gammas.push(row.within(GAMMA, MOST)?);
-        trial.loads.push([bounded(row, FX)?, bounded(row, FZ)?]);
-        trial.torques.push(row.within(TY, MOST)?);
+        let forces = [row.needed_within(FX, MOST)?, row.needed_within(FZ, MOST)?];
+        trial.loads.push([Some(forces[0]), Some(forces[1]), row.within(TY, MOST)?]);
         Ok(())
     })?;
     let mut missing: Vec<_> =
         [PASS, PASS_DX, X_BED].iter().zip(seen).filter(|s| !s.1).map(|s| COLUMNS[*s.0].name).collect();
-    let torque = trials.iter().all(|t| t.torques.iter().all(Option::is_some));
+    let torque = trials.iter().flat_map(|t| &t.loads).all(|load| load[2].is_some());
     if !torque {
         missing.push("Ty");
     }
@@ -95,14 +94,6 @@ pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Re
 
 /// Above 1 MN, or 1e6 of anything, a value is broken or in the wrong unit, and squares would overflow: our choice.
 const MOST: f64 = 1e6;
-
-fn bounded(row: &Row, column: usize) -> Result<f64> {
-    row.within(column, MOST)?.ok_or_else(|| row.blank(column))
-}
-
-fn optional(row: &Row, column: usize, neutral: f64) -> Result<f64> {
-    if row.text(column).is_none() { Ok(neutral) } else { bounded(row, column) }
-}
 
 fn check_medium(row: &Row, experiment: &Experiment, first: &mut Option<String>) -> Result<()> {
     let Some(name) = row.text(MEDIUM) else { return Ok(()) };
@@ -127,12 +118,12 @@ fn track_header(row: &Row, experiment: &Experiment) -> Result<Track> {
     };
     let kind = row.needed_text(KIND)?;
     let (hip_height, beta) = match (kind, intruder) {
-        ("leg", Intruder::Leg { .. }) => (bounded(row, HIP_Z)?, 0.0),
-        ("plate", Intruder::Plate { .. }) => (0.0, bounded(row, BETA)?),
+        ("leg", Intruder::Leg { .. }) => (row.needed_within(HIP_Z, MOST)?, 0.0),
+        ("plate", Intruder::Plate { .. }) => (0.0, row.needed_within(BETA, MOST)?),
         ("leg" | "plate", _) => return Err(row.error(KIND, format!("{kind} is not the type of shape {shape}"))),
         _ => return Err(row.error(KIND, format!("{kind:?} is unknown; known: leg, plate"))),
     };
-    let pass = optional(row, PASS, 1.0)?;
+    let pass = row.within(PASS, MOST)?.unwrap_or(1.0);
     if !(1.0..=1e6).contains(&pass) || pass.fract() != 0.0 {
         return Err(row.error(PASS, format!("{pass} is no pass number (1 fresh bed, 2 re-used, …)")));
     }
@@ -142,8 +133,8 @@ fn track_header(row: &Row, experiment: &Experiment) -> Result<Track> {
         hip_height,
         beta,
         pass: pass as u32,
-        pass_dx: optional(row, PASS_DX, 0.0)?,
-        x_bed: optional(row, X_BED, 0.0)?,
+        pass_dx: row.within(PASS_DX, MOST)?.unwrap_or(0.0),
+        x_bed: row.within(X_BED, MOST)?.unwrap_or(0.0),
         poses: Vec::new(),
     })
 }
@@ -183,15 +174,18 @@ fn check_same(row: &Row, trial: &Growing, now: &Track, condition: usize) -> Resu
 }
 
 fn pose(row: &Row, intruder: &Intruder) -> Result<ArmPose> {
-    let t = bounded(row, T)?;
+    let t = row.needed_within(T, MOST)?;
     Ok(match intruder {
-        Intruder::Leg { .. } => {
-            ArmPose { t, theta: bounded(row, THETA)?, omega: bounded(row, OMEGA)?, ..ArmPose::default() }
-        }
+        Intruder::Leg { .. } => ArmPose {
+            t,
+            theta: row.needed_within(THETA, MOST)?,
+            omega: row.needed_within(OMEGA, MOST)?,
+            ..ArmPose::default()
+        },
         Intruder::Plate { .. } => ArmPose {
             t,
-            center: [bounded(row, X)?, bounded(row, Z)?],
-            velocity: [bounded(row, VX)?, bounded(row, VZ)?],
+            center: [row.needed_within(X, MOST)?, row.needed_within(Z, MOST)?],
+            velocity: [row.needed_within(VX, MOST)?, row.needed_within(VZ, MOST)?],
             ..ArmPose::default()
         },
     })
@@ -222,11 +216,8 @@ fn assemble(
         }
         let kept = moving(&trial.track);
         let progress = progress(&trial.track, common);
-        for channel in 0..2 {
-            values.extend(kept.iter().map(|&i| trial.loads[i][channel]));
-        }
-        if torque {
-            values.extend(kept.iter().filter_map(|&i| trial.torques[i]));
+        for channel in 0..channels.len() {
+            values.extend(kept.iter().filter_map(|&i| trial.loads[i][channel]));
         }
         rows += trial.loads.len();
         resting += trial.loads.len() - kept.len();
@@ -261,14 +252,7 @@ pub fn planned(tracks: Vec<Track>, channels: usize) -> ForceLog {
         .enumerate()
         .map(|(i, track)| {
             let samples = track.poses.len();
-            Growing {
-                id: i.to_string(),
-                condition: i,
-                track,
-                gammas: Vec::new(),
-                loads: vec![[0.0; 2]; samples],
-                torques: vec![Some(0.0); samples],
-            }
+            Growing { id: i.to_string(), condition: i, track, gammas: Vec::new(), loads: vec![[Some(0.0); 3]; samples] }
         })
         .collect();
     assemble(trials, names, channels > 2, Vec::new(), String::new())

@@ -2,7 +2,7 @@
 
 use super::columns::columns;
 use super::experiment::{BodyDescription, Experiment};
-use super::observations::{Channel, MeasuredLog, Names, Observations, Size, Unit};
+use super::observations::{Channel, MeasuredLog, Names, Observations, Size};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::sand::intruder::{DepthOrLoad, Trial};
@@ -64,14 +64,7 @@ const MOST: f64 = 1e6;
 /// Reads the rows; `experiment` describes bodies and units.
 pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Result<IntruderLog> {
     let (mut conditions, mut ids) = (Names::default(), Names::default());
-    let mut observations = Observations {
-        size: Size::Force,
-        values: Vec::new(),
-        channels: CHANNELS.to_vec(),
-        units: Vec::new(),
-        conditions: Vec::new(),
-    };
-    let mut settings = Vec::new();
+    let (mut rows, mut values, mut settings) = (Vec::new(), Vec::new(), Vec::new());
     let summary = experiment.read(path, COLUMNS, progress, |row| {
         let id = row.needed_text(TRIAL)?;
         if ids.place(id) != settings.len() {
@@ -83,15 +76,14 @@ pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Re
         row.needed_text(REP)?;
         let condition = conditions.place(row.needed_text(CONDITION)?);
         let unsteadiness = [sd(row, FX_SD)?, sd(row, FY_SD)?, sd(row, DEPTH_SD)?];
-        let start = observations.values.len();
-        observations.units.push(Unit { id: id.into(), condition, start, samples: 1, progress: vec![0.0] });
+        rows.push((id.to_string(), condition));
         for column in [FX, FY, DEPTH] {
-            observations.values.push(row.within(column, MOST)?.ok_or_else(|| row.blank(column))?);
+            values.push(row.needed_within(column, MOST)?);
         }
         settings.push(SteadyRow { body: body(row, experiment)?, trial: trial(row, path)?, unsteadiness });
         Ok(())
     })?;
-    observations.conditions = conditions.list;
+    let observations = Observations::of_rows(Size::Force, CHANNELS.to_vec(), rows.into_iter(), values, conditions.list);
     let (setting_of, missing, notes) = ((0..settings.len()).collect(), Vec::new(), notes(experiment));
     Ok(IntruderLog { observations, settings, setting_of, missing, notes, sha256: summary.sha256 })
 }
@@ -116,7 +108,7 @@ fn trial(row: &Row, path: &Path) -> Result<Trial> {
         *value = row.within(column, MOST)?.unwrap_or(0.0);
     }
     let [vx, vy, vz, wx, wy, wz] = motion;
-    let load = row.within(LOAD, MOST)?.ok_or_else(|| row.blank(LOAD))?;
+    let load = row.needed_within(LOAD, MOST)?;
     let trial = Trial { velocity: [vx, vy, vz], spin: [wx, wy, wz], given: DepthOrLoad::Load(load) };
     trial.validated().map_err(|e| Error::file(path, format!("row {}: {e}", row.line)))
 }

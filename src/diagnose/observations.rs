@@ -62,6 +62,24 @@ pub struct Observations {
 }
 
 impl Observations {
+    /// Those of units with one number a channel; each unit has an id and a condition.
+    pub fn of_rows(
+        size: Size,
+        channels: Vec<Channel>,
+        rows: impl Iterator<Item = (String, usize)>,
+        values: Vec<f64>,
+        conditions: Vec<String>,
+    ) -> Self {
+        let unit = |(row, (id, condition)): (usize, (String, usize))| Unit {
+            id,
+            condition,
+            start: row * channels.len(),
+            samples: 1,
+            progress: vec![0.0],
+        };
+        Self { size, values, units: rows.enumerate().map(unit).collect(), channels, conditions }
+    }
+
     /// All numbers of a unit in a stack.
     pub fn span(&self, unit: &Unit) -> Range<usize> {
         unit.start..unit.start + unit.samples * self.channels.len()

@@ -2,7 +2,7 @@
 
 use super::columns::columns;
 use super::experiment::Experiment;
-use super::observations::{Channel, MeasuredLog, Names, Observations, Size, Unit};
+use super::observations::{Channel, MeasuredLog, Names, Observations, Size};
 use super::series::low_middle_high;
 use crate::error::{Error, Result};
 use crate::progress::Progress;
@@ -119,7 +119,7 @@ fn setup(row: &Row, experiment: &Experiment) -> Result<WalkSetup> {
     if experiment.robot.as_deref() != Some(robot) && !Robot::names().contains(&robot) {
         return Err(row.error(ROBOT, Error::unknown("robot", robot, &Robot::names())));
     }
-    let frequency = row.within(FREQUENCY, 20.0)?.ok_or_else(|| row.blank(FREQUENCY))?;
+    let frequency = row.needed_within(FREQUENCY, 20.0)?;
     if frequency.abs() < 0.02 {
         return Err(row.error(FREQUENCY, format!("{frequency} Hz is no walk: at least 0.02 Hz")));
     }
@@ -168,28 +168,16 @@ fn leg(row: &Row) -> Result<String> {
 fn observations(runs: Vec<WalkRun>, conditions: Vec<String>) -> Observations {
     let complete = |c: &usize| runs.iter().all(|r| r.measured[*c].is_some());
     let kept: Vec<usize> = (0..CHANNELS.len()).filter(complete).collect();
-    let mut values = Vec::new();
-    let units = runs.iter().map(|run| {
-        let start = values.len();
-        values.extend(kept.iter().filter_map(|&c| run.measured[c]));
-        Unit { id: run.id.clone(), condition: run.condition, start, samples: 1, progress: vec![0.0] }
-    });
-    let units = units.collect();
+    let values = runs.iter().flat_map(|run| kept.iter().filter_map(|&c| run.measured[c])).collect();
     let channels = kept.iter().map(|&c| CHANNELS[c].1.clone()).collect();
-    Observations { size: Size::Channel, values, channels, units, conditions }
+    Observations::of_rows(Size::Channel, channels, runs.iter().map(|r| (r.id.clone(), r.condition)), values, conditions)
 }
 
 /// Planned runs: one unit for each setup, and zeros for measurements.
 pub fn planned(setups: Vec<WalkSetup>, channels: Vec<Channel>) -> WalkingLog {
-    let count = channels.len();
-    let unit = |i: usize| Unit { id: i.to_string(), condition: i, start: i * count, samples: 1, progress: vec![0.0] };
-    let observations = Observations {
-        size: Size::Channel,
-        values: vec![0.0; count * setups.len()],
-        channels,
-        units: (0..setups.len()).map(unit).collect(),
-        conditions: (0..setups.len()).map(|i| i.to_string()).collect(),
-    };
+    let names: Vec<String> = (0..setups.len()).map(|i| i.to_string()).collect();
+    let (rows, values) = (names.iter().cloned().zip(0..), vec![0.0; channels.len() * setups.len()]);
+    let observations = Observations::of_rows(Size::Channel, channels, rows, values, names.clone());
     let (setting_of, notes) = ((0..setups.len()).collect(), Vec::new());
     WalkingLog { observations, settings: setups, setting_of, missing: Vec::new(), notes, sha256: String::new() }
 }
