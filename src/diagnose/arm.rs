@@ -360,21 +360,9 @@ impl<const N: usize> Kernel for Sum<'_, N> {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
-    use super::super::experiment::Experiment;
-    use super::super::force_log::planned;
-    use super::super::force_model::ForceLogModel;
-    use super::super::forward::ForwardModel;
+mod tests {
+    use super::super::force_model::tests::forces;
     use super::*;
-
-    /// Forces along a track in loose poppy seeds with these mechanisms: all Fx, then all Fz, then all torques.
-    pub fn forces(mechanisms: Mechanisms, track: &Track) -> Vec<f64> {
-        let toml = "kind = \"intrusion\"\nmedium = \"poppy-loose\"\nbulk_density = 640.0\n";
-        let mut experiment = Experiment::from_toml(toml).unwrap();
-        experiment.shapes.insert(track.shape.clone(), track.intruder);
-        let model = ForceLogModel::new(&planned(vec![track.clone()], 3), &experiment).unwrap();
-        model.predict(&mechanisms, &model.medium().coefficients)
-    }
 
     /// Cohesion pushes with the same stress on the whole submerged area, so its force on a vertical plate grows with
     /// every step into the sand, however small the step is against a segment.

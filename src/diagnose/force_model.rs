@@ -366,3 +366,17 @@ impl ForwardModel for ForceLogModel<'_> {
         &self.tracks[self.track_of[unit]].shape
     }
 }
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+
+    /// Forces along a track in loose poppy seeds with these mechanisms: all Fx, then all Fz, then all torques.
+    pub fn forces(mechanisms: Mechanisms, track: &Track) -> Vec<f64> {
+        let toml = "kind = \"intrusion\"\nmedium = \"poppy-loose\"\nbulk_density = 640.0\n";
+        let mut experiment = Experiment::from_toml(toml).unwrap();
+        experiment.shapes.insert(track.shape.clone(), track.intruder);
+        let model = ForceLogModel::new(&planned(vec![track.clone()], 3), &experiment).unwrap();
+        model.predict(&mechanisms, &model.medium().coefficients)
+    }
+}

@@ -35,8 +35,8 @@ pub fn leading_sides(sides: &[Segment], place: RigidMotion, slope: f64, pressure
 
 #[cfg(test)]
 mod tests {
-    use super::super::arm::tests::forces;
     use super::super::experiment::Intruder;
+    use super::super::force_model::tests::forces;
     use super::super::track::{ArmPose, Track};
     use crate::sand::mechanism::Mechanisms;
 
