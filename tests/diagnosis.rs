@@ -274,7 +274,7 @@ fn plates_that_start_from_rest_are_mirrored() {
     for (vx, beta) in [([0.0, 0.1, 0.1, 0.1], 0.5), ([0.0, -0.1, -0.1, -0.1], -0.5), ([0.001, -0.1, -0.1, -0.1], -0.5)]
     {
         let log = force_log::read(&file(directory.path(), &text(vx)), &experiment(), &Silent).unwrap();
-        assert_eq!(log.tracks[0].beta, beta, "{vx:?}");
+        assert_eq!(log.settings[0].beta, beta, "{vx:?}");
     }
 }
 

@@ -73,7 +73,7 @@ fn walks_as_reported(directory: &Path, d: &Diagnosis) {
     let experiment = Experiment::from_toml(hall::EXPERIMENT).unwrap();
     let log = walking_log::read(&directory.join("runs.csv"), &experiment, &Silent).unwrap();
     let trials: Vec<WalkTrial> = log
-        .setups
+        .settings
         .iter()
         .map(|s| {
             let mut scene = Scene::flat(sand.medium());
@@ -93,7 +93,7 @@ fn walks_as_reported(directory: &Path, d: &Diagnosis) {
         assert!((walk.speed / extended - 1.0).abs() < 1e-6, "{}: {} {extended}", reported.condition, walk.speed);
         compared += 1;
     }
-    assert_eq!(compared, log.setups.len());
+    assert_eq!(compared, log.settings.len());
 }
 
 /// A diagnosis that is stopped during its simulations ends without finishing them.

@@ -51,7 +51,7 @@ pub fn text(path: &Path, text: &str) -> Result<Tests> {
 }
 
 fn take(row: &Row, depth: &mut Vec<f64>, force: &mut Vec<f64>, several: &mut Several) -> Result<()> {
-    let [z, f] = [0, 1].map(|k| row.within(k, MOST).and_then(|x| x.ok_or_else(|| row.blank(k))));
+    let [z, f] = [0, 1].map(|k| row.needed_within(k, MOST));
     let (z, f) = (z?, f?);
     depth.push(z);
     force.push(f);

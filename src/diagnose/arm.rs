@@ -361,9 +361,8 @@ impl<const N: usize> Kernel for Sum<'_, N> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::force_model::ForceLogModel;
+    use super::super::force_model::tests::forces;
     use super::*;
-    use crate::sand::{Medium, SandDescription};
 
     /// Cohesion pushes with the same stress on the whole submerged area, so its force on a vertical plate grows with
     /// every step into the sand, however small the step is against a segment.
@@ -377,12 +376,8 @@ mod tests {
         };
         let track =
             Track { beta: std::f64::consts::FRAC_PI_2, ..Track::leg(intruder, 0.0, (0..steps).map(pose).collect()) };
-        let force = |cohesion: f64| {
-            let mut sand = SandDescription::plain(&Medium::named("poppy-loose").unwrap());
-            sand.mechanisms = Mechanisms { cohesion, ..Mechanisms::default() };
-            ForceLogModel::one(&sand, track.clone()).unwrap().into_iter().map(|load| load.fx).collect::<Vec<_>>()
-        };
-        for (i, (with, without)) in force(cohesion).into_iter().zip(force(0.0)).enumerate() {
+        let force = |cohesion: f64| forces(Mechanisms { cohesion, ..Mechanisms::default() }, &track);
+        for (i, (with, without)) in force(cohesion).into_iter().zip(force(0.0)).take(steps as usize).enumerate() {
             let submerged = i as f64 / f64::from(steps);
             let expected = -cohesion * width * length * submerged;
             assert!((with - without - expected).abs() < 1e-6, "{submerged}: {} and not {expected}", with - without);

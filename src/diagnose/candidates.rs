@@ -26,6 +26,7 @@ const FINALISTS: usize = 8;
 pub const SECOND: f64 = 0.01;
 
 /// Noise, whitening and nuisances about one candidate.
+#[derive(Clone)]
 pub struct Surroundings {
     pub noise: Noise,
     /// Sizes of the candidate's prediction, to which a part of the noise is proportional.
@@ -34,7 +35,15 @@ pub struct Surroundings {
     pub nuisances: Vec<Nuisance>,
 }
 
+impl Surroundings {
+    /// A study with this noise and these nuisances.
+    pub fn about<'a>(&'a self, study: &FitInputs<'a>) -> FitInputs<'a> {
+        study.under(&self.whitener, self.nuisances.clone())
+    }
+}
+
 /// The inputs of a selection.
+#[derive(Clone, Copy)]
 pub struct SearchSpace<'a> {
     pub source: &'a NoiseData<'a>,
     pub noise: &'a Noise,
@@ -42,6 +51,8 @@ pub struct SearchSpace<'a> {
     pub ids: &'a [usize],
     /// Those that act on these data, but cannot be tested with them.
     pub untestable: &'a [usize],
+    /// Causes that are fitted, and that may not be named; these are in no pair.
+    pub unnamed: &'a [usize],
     /// Ids of sensor mechanisms that may be named as causes.
     pub interest: &'a [String],
 }
@@ -73,21 +84,22 @@ impl Candidates {
     }
 }
 
-/// Fits singles and pairs; causes in `unnamed` are in no pair. Pairs are tried if a single cause predicts left-out
-/// conditions better than the plain model.
+/// Fits singles and pairs. Pairs are tried if a single cause predicts left-out conditions better than the plain model.
 pub fn candidates(
     study: &FitInputs,
     asked: &SearchSpace,
-    unnamed: &[usize],
     report: &dyn Fn(f64, &str) -> Result<()>,
 ) -> Result<Candidates> {
     report(0.1, "effect of every cause")?;
-    let (source, noise, ids) = (asked.source, asked.noise, [asked.ids, asked.untestable].concat());
+    let ids = [asked.ids, asked.untestable].concat();
     let screen = Screen::new(study, &ids);
     let scores = screen.scores(study.whitener, &study.observations.values);
     report(0.3, "single causes")?;
     // Nuisances have nonlinear effects, so they are linearised at the plain model's fit before causes are tested.
-    let straight = study.under(study.whitener, study.nuisances_about(&study.recalibrated()));
+    let nuisances = study.nuisances_about(&study.recalibrated());
+    let (noise, sizes, whitener) = (asked.noise.clone(), asked.source.sizes.clone(), study.whitener.clone());
+    let around = Surroundings { noise, sizes, whitener, nuisances };
+    let straight = around.about(study);
     let mut fits = singles(&straight, &screen, &scores, &ids);
     let base = beneath(&straight, straight.recalibrated(), &fits);
     let earlier = base.objective;
@@ -98,75 +110,71 @@ pub fn candidates(
     for fit in &mut behind {
         (fit.prediction, fit.white, fit.slopes) = Default::default();
     }
-    let found = leading(&straight, &base, &fits);
-    let mut now = Stage { fits, base, around: None };
+    let leading = leading(&straight, &base, &fits);
+    let screened = screen.candidates.clone();
+    let mut found = Candidates { screened, around: around.clone(), base, fits, leading, behind, earlier };
     report(0.5, "singles under the noise of the best")?;
-    now = now.settled(&straight, source, noise, found);
-    if found.is_some() {
+    found.settle(study, asked);
+    if leading.is_some() {
         report(0.6, "pairs of causes")?;
-        now = with_pairs(study, source, noise, (&screen, unnamed), now, report)?;
+        found.add_pairs(study, asked, &screen, report)?;
     }
-    let Stage { fits, base, around } = now;
-    let around = around.unwrap_or_else(|| surroundings(&straight, source, noise, &base));
-    let last = study.under(&around.whitener, around.nuisances.clone());
-    let leading = leading(&last, &base, &fits);
-    let screened = screen.candidates;
-    Ok(Candidates { screened, leading, around, base, fits, behind, earlier })
+    found.leading = self::leading(&found.around.about(study), &found.base, &found.fits);
+    Ok(found)
 }
 
-/// The candidate that predicts left-out conditions best, if it does so better than the plain model. A candidate with a value of the
-/// plain sand does not count: what it gains is the freedom of a parameter that it does not use.
+/// The plain model and the fits. A fit with the value of the plain sand is left out: what it gains is the freedom of a
+/// parameter that it does not use.
+pub fn contenders<'a>(base: &'a Fit, fits: &'a [Fit]) -> Vec<Contender<'a>> {
+    let fits = [base].into_iter().chain(fits.iter().filter(|fit| !fit.is_idle()));
+    fits.map(|fit| Contender { fit, laws: None }).collect()
+}
+
+/// The candidate that predicts left-out conditions best, if it does so better than the plain model.
 fn leading(study: &FitInputs, base: &Fit, fits: &[Fit]) -> Option<usize> {
     let all: Vec<usize> = (0..study.observations.conditions.len()).collect();
-    let models: Vec<Contender> = [base].into_iter().chain(fits).map(|fit| Contender { fit, laws: None }).collect();
+    let models = contenders(base, fits);
     let table = EvidenceTable::new(study, study.whitener, &models, &all);
-    let size = |k: usize| if models[k].fit.is_idle() { 0 } else { models[k].fit.ids.len() };
-    verdict::leading(models.len(), size, |k| table.elpd(k), |a, b| table.beats(a, b), SECOND).map(|k| k - 1)
+    let size = |k: usize| models[k].fit.ids.len();
+    let leads = verdict::leading(models.len(), size, |k| table.elpd(k), |a, b| table.beats(a, b), SECOND)?;
+    fits.iter().position(|fit| std::ptr::eq(fit, models[leads].fit))
 }
 
-/// The fits at one stage of the search.
-struct Stage {
-    fits: Vec<Fit>,
-    base: Fit,
-    around: Option<Surroundings>,
-}
+impl Candidates {
+    /// The leading fit, or the plain one.
+    fn best(&self) -> &Fit {
+        self.leading.map_or(&self.base, |k| &self.fits[k])
+    }
 
-impl Stage {
     /// Learns the noise again about the leading fit and fits all again with it, until that changes the leading fit by less
     /// than one σ. If none leads, the noise is learnt about the plain model, and the other fits stay.
-    fn settled(mut self, study: &FitInputs, source: &NoiseData, noise: &Noise, leading: Option<usize>) -> Self {
-        let mut leading = leading;
+    fn settle(&mut self, study: &FitInputs, asked: &SearchSpace) {
         for _ in 0..NOISES {
-            let best = leading.map_or(&self.base, |k| &self.fits[k]).clone();
             let (next, before) = {
-                let now = self.around.as_ref().map(|a| study.under(&a.whitener, a.nuisances.clone()));
-                let now = now.as_ref().unwrap_or(study);
-                (surroundings(now, source, noise, &best), now.reading(&best))
+                let now = self.around.about(study);
+                (surroundings(&now, asked, self.best()), now.reading(self.best()))
             };
-            let renewed = study.under(&next.whitener, next.nuisances.clone());
-            if leading.is_none() {
+            let renewed = next.about(study);
+            if self.leading.is_none() {
                 self.base = renewed.fit_from(&[&self.base]).swap_remove(0);
-                leading = self::leading(&renewed, &self.base, &self.fits);
+                self.leading = leading(&renewed, &self.base, &self.fits);
             }
-            if leading.is_none() {
-                self.around = Some(next);
-                break;
+            let leads = self.leading.is_some();
+            if leads {
+                self.refit(&renewed);
+                self.leading = leading(&renewed, &self.base, &self.fits);
             }
-            self.refit(&renewed, leading);
-            leading = self::leading(&renewed, &self.base, &self.fits);
-            let after = renewed.reading(leading.map_or(&self.base, |k| &self.fits[k]));
-            let moved = next.whitener.apply(&slope(&after, &before, 1.0));
-            self.around = Some(next);
-            if dot(&moved, &moved) < 1.0 {
+            let moved = next.whitener.apply(&slope(&renewed.reading(self.best()), &before, 1.0));
+            self.around = next;
+            if !leads || dot(&moved, &moved) < 1.0 {
                 break;
             }
         }
-        self
     }
 
     /// Fits all again from their ends.
-    fn refit(&mut self, study: &FitInputs, leading: Option<usize>) {
-        let beside = leading.map_or(Vec::new(), |k| study.beside(&self.fits[k]));
+    fn refit(&mut self, study: &FitInputs) {
+        let beside = self.leading.map_or(Vec::new(), |k| study.beside(&self.fits[k]));
         let mut again = study.fit_from(&self.fits.iter().chain(&beside).collect::<Vec<_>>());
         for other in again.split_off(self.fits.len()) {
             let same = again.iter_mut().find(|f| f.ids == other.ids && other.objective < f.objective);
@@ -174,6 +182,60 @@ impl Stage {
         }
         self.base = beneath(study, study.fit_from(&[&self.base]).swap_remove(0), &again);
         self.fits = ranked(again);
+    }
+
+    /// Tries second causes in addition to the best single one.
+    fn add_pairs(
+        &mut self,
+        study: &FitInputs,
+        asked: &SearchSpace,
+        screen: &Screen,
+        report: &dyn Fn(f64, &str) -> Result<()>,
+    ) -> Result<()> {
+        let (fits, around) = (&self.fits, self.around.clone());
+        let renewed = around.about(study);
+        let scores = screen.scores(renewed.whitener, &study.observations.values);
+        let Some(best) = fits.iter().find(|f| !asked.unnamed.contains(&f.ids[0])) else { return Ok(()) };
+        let id = best.ids[0];
+        let second = renewed.further(best, &screen.candidates);
+        let linear = screen.pairs(&scores.gram, &scores.score);
+        let from_best = second.iter().map(|s| [id, s.id]);
+        let from_all = linear.iter().map(|&(_, i, j)| [screen.candidates[i].0, screen.candidates[j].0]);
+        let mut tried: Vec<[usize; 2]> = Vec::new();
+        for pair in from_best.filter(|p| !asked.unnamed.contains(&p[1])).take(PAIRS_FITTED / 2).chain(from_all) {
+            if tried.len() < PAIRS_FITTED
+                && !pair.iter().any(|id| asked.unnamed.contains(id))
+                && !tried.iter().any(|t| *t == pair || *t == [pair[1], pair[0]])
+            {
+                tried.push(pair);
+            }
+        }
+        let start = |id: usize| fits.iter().find(|f| f.ids == [id]).map_or(0.0, |f| f.values()[0]);
+        let starts = |pair: &[usize; 2]| {
+            let mut ids = pair.to_vec();
+            ids.sort_unstable();
+            let values = if pair[0] == id {
+                let other = second.iter().find(|s| s.id == pair[1]).map_or(0.0, |s| s.start);
+                if ids[0] == id { [start(id), other] } else { [other, start(id)] }
+            } else {
+                [0.5 * start(ids[0]), 0.5 * start(ids[1])]
+            };
+            further_starts(&renewed, &ids, &values)
+        };
+        let mut pairs = ranked(renewed.fit_all(&tried.iter().map(starts).collect::<Vec<_>>()));
+        pairs.truncate(FINALISTS);
+        let place = fits.iter().position(|f| f.ids == [id]).unwrap_or(0);
+        if let Some(lower) = pairs.first().and_then(|pair| beyond(&renewed, &fits[place], pair)) {
+            self.fits[place] = lower;
+        }
+        self.fits.extend(pairs);
+        self.leading = leading(&renewed, &self.base, &self.fits);
+        if self.best().ids.len() > 1 {
+            report(0.75, "pairs under the noise of the best")?;
+            drop(renewed);
+            self.settle(study, asked);
+        }
+        Ok(())
     }
 }
 
@@ -194,63 +256,6 @@ fn singles(study: &FitInputs, screen: &Screen, scores: &Scores, ids: &[usize]) -
         (ids, from)
     };
     ranked(study.fit_all(&columns.iter().map(start).collect::<Vec<_>>()))
-}
-
-/// Tries second causes in addition to the best single one.
-fn with_pairs(
-    study: &FitInputs,
-    source: &NoiseData,
-    noise: &Noise,
-    (screen, unnamed): (&Screen, &[usize]),
-    now: Stage,
-    report: &dyn Fn(f64, &str) -> Result<()>,
-) -> Result<Stage> {
-    let Stage { mut fits, base, around: Some(around) } = now else { return Ok(now) };
-    let whitener = around.whitener.clone();
-    let renewed = study.under(&whitener, around.nuisances.clone());
-    let scores = screen.scores(renewed.whitener, &study.observations.values);
-    let Some(best) = fits.iter().find(|f| !unnamed.contains(&f.ids[0])) else {
-        return Ok(Stage { fits, base, around: Some(around) });
-    };
-    let id = best.ids[0];
-    let second = renewed.further(best, &screen.candidates);
-    let linear = screen.pairs(&scores.gram, &scores.score);
-    let from_best = second.iter().map(|s| [id, s.id]);
-    let from_all = linear.iter().map(|&(_, i, j)| [screen.candidates[i].0, screen.candidates[j].0]);
-    let mut tried: Vec<[usize; 2]> = Vec::new();
-    for pair in from_best.filter(|p| !unnamed.contains(&p[1])).take(PAIRS_FITTED / 2).chain(from_all) {
-        if tried.len() < PAIRS_FITTED
-            && !pair.iter().any(|id| unnamed.contains(id))
-            && !tried.iter().any(|t| *t == pair || *t == [pair[1], pair[0]])
-        {
-            tried.push(pair);
-        }
-    }
-    let start = |id: usize| fits.iter().find(|f| f.ids == [id]).map_or(0.0, |f| f.values()[0]);
-    let starts = |pair: &[usize; 2]| {
-        let mut ids = pair.to_vec();
-        ids.sort_unstable();
-        let values = if pair[0] == id {
-            let other = second.iter().find(|s| s.id == pair[1]).map_or(0.0, |s| s.start);
-            if ids[0] == id { [start(id), other] } else { [other, start(id)] }
-        } else {
-            [0.5 * start(ids[0]), 0.5 * start(ids[1])]
-        };
-        further_starts(&renewed, &ids, &values)
-    };
-    let mut pairs = ranked(renewed.fit_all(&tried.iter().map(starts).collect::<Vec<_>>()));
-    pairs.truncate(FINALISTS);
-    let place = fits.iter().position(|f| f.ids == [id]).unwrap_or(0);
-    if let Some(lower) = pairs.first().and_then(|pair| beyond(&renewed, &fits[place], pair)) {
-        fits[place] = lower;
-    }
-    fits.extend(pairs);
-    let leads = leading(&renewed, &base, &fits);
-    if leads.is_none_or(|k| fits[k].ids.len() < 2) {
-        return Ok(Stage { fits, base, around: Some(around) });
-    }
-    report(0.75, "pairs under the noise of the best")?;
-    Ok(Stage { fits, base, around: Some(around) }.settled(&renewed, source, noise, leads))
 }
 
 /// Start states of a fit of `ids`: `values`, and every further start of each.
@@ -305,7 +310,8 @@ fn beneath(study: &FitInputs, base: Fit, fits: &[Fit]) -> Fit {
 
 /// Noise, whitening and nuisances about a fit. The common part of a repetition's noise acts along the fit's
 /// prediction.
-pub fn surroundings(study: &FitInputs, source: &NoiseData, start: &Noise, fit: &Fit) -> Surroundings {
+fn surroundings(study: &FitInputs, asked: &SearchSpace, fit: &Fit) -> Surroundings {
+    let source = asked.source;
     let coefficients = study.coefficients(&fit.deviations);
     let mut uncertainty = study.model.uncertainty(&(fit.mechanisms, coefficients), &fit.prediction);
     uncertainty.shared.retain(|s| source.uncertainty.shared.iter().any(|own| own.name == s.name));
@@ -314,7 +320,7 @@ pub fn surroundings(study: &FitInputs, source: &NoiseData, start: &Noise, fit: &
     let reading = study.reading(fit);
     let sizes = sizes_of(study.observations, &reading);
     let source = NoiseData { prediction: &reading, sizes: &sizes, uncertainty: &uncertainty, ..*source };
-    let noise = source.noise(Some(start), &|| study.model.stopped());
+    let noise = source.noise(Some(asked.noise), &|| study.model.stopped());
     let whitener = Whitener::new(&source, &noise);
     let nuisances = bent(study, &whitener, fit);
     Surroundings { noise, sizes, whitener, nuisances }

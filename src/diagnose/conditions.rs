@@ -2,6 +2,7 @@
 
 use super::forward::{Feature, ForwardModel};
 use super::observations::Observations;
+use super::series::ends;
 use super::words::{after, digits};
 
 /// A feature counts as constant within a trial if it varies by at most this share of its largest size there: our choice, because
@@ -40,7 +41,7 @@ fn said(feature: &Feature, value: f64) -> String {
 
 /// The mean of values that hardly vary, rounded to three digits.
 fn steady(values: &[f64]) -> Option<f64> {
-    let [low, high] = values.iter().fold([f64::MAX, f64::MIN], |[a, b], v| [a.min(*v), b.max(*v)]);
+    let [low, high] = ends(values.iter().copied());
     let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
     (high - low <= STEADY * low.abs().max(high.abs())).then(|| digits(mean).parse().ok())?
 }

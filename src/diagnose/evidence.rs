@@ -203,6 +203,13 @@ impl EvidenceTable {
         self.rows[k].elpd.iter().sum()
     }
 
+    /// Rows by their elpd, the greatest first.
+    pub fn ranked(&self, rows: impl Iterator<Item = usize>) -> Vec<usize> {
+        let mut order: Vec<usize> = rows.collect();
+        order.sort_by(|a, b| self.elpd(*b).total_cmp(&self.elpd(*a)));
+        order
+    }
+
     /// elpd of `a` minus that of `b`, and its standard error.
     pub fn difference(&self, a: usize, b: usize) -> [f64; 2] {
         if a == b {

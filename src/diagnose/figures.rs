@@ -3,6 +3,7 @@
 
 use super::misfit::Misfit;
 use super::report::Curves;
+use super::series::ends;
 use super::words::digits;
 use crate::plot::{Axis, Figure, FigurePanel, Mark, Style, color, escape};
 use std::fmt::Write;
@@ -81,7 +82,7 @@ fn panel(c: &Curves, u: usize, channel: usize) -> FigurePanel {
     let dots: Vec<[f64; 2]> = dots.collect();
     // The band may be far wider than all curves, so it does not set the scale.
     let shown = dots.iter().copied().chain(at(&|k| c.plain[k])).chain(at(&|k| model[k])).map(|p| p[1]);
-    let [least, most] = shown.fold([f64::MAX, f64::MIN], |r, v| [r[0].min(v), r[1].max(v)]);
+    let [least, most] = ends(shown);
     let air = 0.08 * (most - least).max(1e-9);
     let low = at(&|k| model[k] - c.band[k]);
     let band = low.iter().zip(at(&|k| model[k] + c.band[k])).map(|(l, h)| [l[0], l[1], h[1]]).collect();
@@ -112,7 +113,7 @@ fn by_condition(html: &mut String, c: &Curves) {
     for (k, channel) in o.channels.iter().enumerate() {
         let stacks: Vec<&[f64]> = [&o.values, &c.plain].into_iter().chain(&c.extended).map(Vec::as_slice).collect();
         let all = o.units.iter().map(|u| u.block(k).start).flat_map(|i| stacks.iter().map(move |s| s[i]));
-        let [low, high] = all.fold([f64::MAX, f64::MIN], |[a, b], v| [a.min(v), b.max(v)]);
+        let [low, high] = ends(all);
         let at = |v: f64| 2.0 + 96.0 * (v - low) / (high - low).max(1e-300);
         let open = if k == 0 { " open" } else { "" };
         let _ = write!(

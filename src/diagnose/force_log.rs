@@ -3,25 +3,16 @@
 use super::columns::columns;
 use super::experiment::{Experiment, Intruder};
 use super::motion::{Heading, heading, moving, progress};
-use super::observations::{Channel, Names, Observations, Size, Unit};
+use super::observations::{Channel, MeasuredLog, Names, Observations, Size, Unit};
+use super::series::low_middle_high;
 use super::track::{ArmPose, Track};
 use crate::error::Result;
 use crate::progress::Progress;
 use crate::table::{HeaderColumn, Quantity, Row};
 use std::path::Path;
 
-/// A force log, read and checked.
-pub struct ForceLog {
-    pub observations: Observations,
-    pub tracks: Vec<Track>,
-    /// Track of each unit.
-    pub track_of: Vec<usize>,
-    /// Optional columns that are absent or blank throughout.
-    pub missing: Vec<&'static str>,
-    /// Notes for the report on how the log was read.
-    pub notes: Vec<String>,
-    pub sha256: String,
-}
+/// A force log; the setting of a trial is its track.
+pub type ForceLog = MeasuredLog<Track>;
 
 columns! {
     TRIAL = "trial" Text true;
@@ -55,8 +46,8 @@ struct Growing {
     track: Track,
     /// Intrusion angle [rad] of each row that gives one.
     gammas: Vec<Option<f64>>,
-    loads: Vec<[f64; 2]>,
-    torques: Vec<Option<f64>>,
+    /// Fx, Fz and Ty of each row; not all logs have Ty.
+    loads: Vec<[Option<f64>; 3]>,
 }
 
 /// Reads the log; `experiment` names shapes, medium and units.
@@ -76,8 +67,7 @@ pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Re
         let place = ids.place(id);
         let track = track_header(row, experiment)?;
         if place == trials.len() {
-            let (gammas, loads, torques) = (Vec::new(), Vec::new(), Vec::new());
-            trials.push(Growing { id: id.into(), condition, track, gammas, loads, torques });
+            trials.push(Growing { id: id.into(), condition, track, gammas: Vec::new(), loads: Vec::new() });
         } else {
             check_same(row, &trials[place], &track, condition)?;
         }
@@ -88,13 +78,13 @@ pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Re
         }
         trial.track.poses.push(pose);
         trial.gammas.push(row.within(GAMMA, MOST)?);
-        trial.loads.push([bounded(row, FX)?, bounded(row, FZ)?]);
-        trial.torques.push(row.within(TY, MOST)?);
+        let forces = [row.needed_within(FX, MOST)?, row.needed_within(FZ, MOST)?];
+        trial.loads.push([Some(forces[0]), Some(forces[1]), row.within(TY, MOST)?]);
         Ok(())
     })?;
     let mut missing: Vec<_> =
         [PASS, PASS_DX, X_BED].iter().zip(seen).filter(|s| !s.1).map(|s| COLUMNS[*s.0].name).collect();
-    let torque = trials.iter().all(|t| t.torques.iter().all(Option::is_some));
+    let torque = trials.iter().flat_map(|t| &t.loads).all(|load| load[2].is_some());
     if !torque {
         missing.push("Ty");
     }
@@ -104,14 +94,6 @@ pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Re
 
 /// Above 1 MN, or 1e6 of anything, a value is broken or in the wrong unit, and squares would overflow: our choice.
 const MOST: f64 = 1e6;
-
-fn bounded(row: &Row, column: usize) -> Result<f64> {
-    row.within(column, MOST)?.ok_or_else(|| row.blank(column))
-}
-
-fn optional(row: &Row, column: usize, neutral: f64) -> Result<f64> {
-    if row.text(column).is_none() { Ok(neutral) } else { bounded(row, column) }
-}
 
 fn check_medium(row: &Row, experiment: &Experiment, first: &mut Option<String>) -> Result<()> {
     let Some(name) = row.text(MEDIUM) else { return Ok(()) };
@@ -136,12 +118,12 @@ fn track_header(row: &Row, experiment: &Experiment) -> Result<Track> {
     };
     let kind = row.needed_text(KIND)?;
     let (hip_height, beta) = match (kind, intruder) {
-        ("leg", Intruder::Leg { .. }) => (bounded(row, HIP_Z)?, 0.0),
-        ("plate", Intruder::Plate { .. }) => (0.0, bounded(row, BETA)?),
+        ("leg", Intruder::Leg { .. }) => (row.needed_within(HIP_Z, MOST)?, 0.0),
+        ("plate", Intruder::Plate { .. }) => (0.0, row.needed_within(BETA, MOST)?),
         ("leg" | "plate", _) => return Err(row.error(KIND, format!("{kind} is not the type of shape {shape}"))),
         _ => return Err(row.error(KIND, format!("{kind:?} is unknown; known: leg, plate"))),
     };
-    let pass = optional(row, PASS, 1.0)?;
+    let pass = row.within(PASS, MOST)?.unwrap_or(1.0);
     if !(1.0..=1e6).contains(&pass) || pass.fract() != 0.0 {
         return Err(row.error(PASS, format!("{pass} is no pass number (1 fresh bed, 2 re-used, …)")));
     }
@@ -151,8 +133,8 @@ fn track_header(row: &Row, experiment: &Experiment) -> Result<Track> {
         hip_height,
         beta,
         pass: pass as u32,
-        pass_dx: optional(row, PASS_DX, 0.0)?,
-        x_bed: optional(row, X_BED, 0.0)?,
+        pass_dx: row.within(PASS_DX, MOST)?.unwrap_or(0.0),
+        x_bed: row.within(X_BED, MOST)?.unwrap_or(0.0),
         poses: Vec::new(),
     })
 }
@@ -192,15 +174,18 @@ fn check_same(row: &Row, trial: &Growing, now: &Track, condition: usize) -> Resu
 }
 
 fn pose(row: &Row, intruder: &Intruder) -> Result<ArmPose> {
-    let t = bounded(row, T)?;
+    let t = row.needed_within(T, MOST)?;
     Ok(match intruder {
-        Intruder::Leg { .. } => {
-            ArmPose { t, theta: bounded(row, THETA)?, omega: bounded(row, OMEGA)?, ..ArmPose::default() }
-        }
+        Intruder::Leg { .. } => ArmPose {
+            t,
+            theta: row.needed_within(THETA, MOST)?,
+            omega: row.needed_within(OMEGA, MOST)?,
+            ..ArmPose::default()
+        },
         Intruder::Plate { .. } => ArmPose {
             t,
-            center: [bounded(row, X)?, bounded(row, Z)?],
-            velocity: [bounded(row, VX)?, bounded(row, VZ)?],
+            center: [row.needed_within(X, MOST)?, row.needed_within(Z, MOST)?],
+            velocity: [row.needed_within(VX, MOST)?, row.needed_within(VZ, MOST)?],
             ..ArmPose::default()
         },
     })
@@ -217,7 +202,8 @@ fn assemble(
     if torque {
         channels.push(Channel::new("Ty", "N·m", false));
     }
-    let (mut values, mut units, mut tracks, mut track_of) = (Vec::new(), Vec::new(), Vec::<Track>::new(), Vec::new());
+    let (mut values, mut units, mut settings, mut setting_of) =
+        (Vec::new(), Vec::new(), Vec::<Track>::new(), Vec::new());
     let mut headings: Vec<Option<Heading>> = vec![None; conditions.len()];
     let (mut rows, mut resting) = (0, 0);
     for trial in trials {
@@ -230,15 +216,12 @@ fn assemble(
         }
         let kept = moving(&trial.track);
         let progress = progress(&trial.track, common);
-        for channel in 0..2 {
-            values.extend(kept.iter().map(|&i| trial.loads[i][channel]));
-        }
-        if torque {
-            values.extend(kept.iter().filter_map(|&i| trial.torques[i]));
+        for channel in 0..channels.len() {
+            values.extend(kept.iter().filter_map(|&i| trial.loads[i][channel]));
         }
         rows += trial.loads.len();
         resting += trial.loads.len() - kept.len();
-        let known = tracks.iter().position(|t| *t == trial.track);
+        let known = settings.iter().position(|t| *t == trial.track);
         units.push(Unit {
             id: trial.id,
             condition: trial.condition,
@@ -246,9 +229,9 @@ fn assemble(
             samples: kept.len(),
             progress: kept.iter().map(|&i| progress[i]).collect(),
         });
-        track_of.push(known.unwrap_or(tracks.len()));
+        setting_of.push(known.unwrap_or(settings.len()));
         if known.is_none() {
-            tracks.push(trial.track);
+            settings.push(trial.track);
         }
     }
     let said = || {
@@ -258,7 +241,7 @@ fn assemble(
     };
     let notes = if resting > 0 { vec![said()] } else { Vec::new() };
     let observations = Observations { size: Size::Force, values, channels, units, conditions };
-    ForceLog { observations, tracks, track_of, missing, notes, sha256 }
+    ForceLog { observations, settings, setting_of, missing, notes, sha256 }
 }
 
 /// A log of planned trials: one unit for each track, and zeros for forces.
@@ -269,14 +252,7 @@ pub fn planned(tracks: Vec<Track>, channels: usize) -> ForceLog {
         .enumerate()
         .map(|(i, track)| {
             let samples = track.poses.len();
-            Growing {
-                id: i.to_string(),
-                condition: i,
-                track,
-                gammas: Vec::new(),
-                loads: vec![[0.0; 2]; samples],
-                torques: vec![Some(0.0); samples],
-            }
+            Growing { id: i.to_string(), condition: i, track, gammas: Vec::new(), loads: vec![[Some(0.0); 3]; samples] }
         })
         .collect();
     assemble(trials, names, channels > 2, Vec::new(), String::new())
@@ -297,8 +273,7 @@ pub fn possible(tracks: &[Track]) -> Vec<(Track, String)> {
     let mut out = Vec::new();
     for base in shapes {
         let own = tracks.iter().filter(|t| t.shape == base.shape).map(Track::rate);
-        let (low, high) = own.fold((f64::MAX, 0.0), |(l, h), r| (f64::min(l, r), f64::max(h, r)));
-        for rate in [low, (low * high).sqrt(), high] {
+        for rate in low_middle_high(own) {
             for deep in [true, false] {
                 for (pass, x_bed) in [(1, 0.0), (2, 0.0), (1, 0.1), (1, -0.1)] {
                     let angles: &[(f64, f64)] = match base.intruder {
@@ -318,11 +293,7 @@ pub fn possible(tracks: &[Track]) -> Vec<(Track, String)> {
 impl Track {
     /// Fastest angular speed of a leg [rad/s] or speed of a plate [m/s].
     fn rate(&self) -> f64 {
-        let rate = |p: &ArmPose| match self.intruder {
-            Intruder::Leg { .. } => p.omega.abs(),
-            Intruder::Plate { .. } => p.velocity[0].hypot(p.velocity[1]),
-        };
-        self.poses.iter().map(rate).fold(0.0, f64::max)
+        self.poses.iter().map(|pose| self.speed(pose)).fold(0.0, f64::max)
     }
 
     /// This track's intruder in another trial, and a description of that trial; angles in degrees.

@@ -4,12 +4,14 @@ use super::acceleration::Accelerations;
 use super::arm::{Arm, IntruderSegments, filtered, read};
 use super::experiment::{Experiment, Intruder};
 use super::fit::slope;
-use super::force_log::ForceLog;
+use super::force_log::{ForceLog, planned, possible};
 use super::forward::{Feature, ForwardModel, Menu, SandParameters, Testable, stronger, testable};
+use super::known::Recent;
 use super::motion::moving;
-use super::nuisance::{Nuisance, Priors};
+use super::nuisance::Nuisance;
 use super::observations::{Channel, Observations};
-use super::response::{CoefficientResponse, Responses, is_linear};
+use super::response::{CoefficientResponse, is_linear};
+use super::series::root_mean_square;
 use super::shared::{SharedNoise, Uncertainty};
 use super::track::{ArmPose, Track};
 use crate::error::Result;
@@ -19,9 +21,8 @@ use crate::progress::Latch;
 use crate::sand::intrusion::Load;
 use crate::sand::mechanism::Mechanisms;
 use crate::sand::mechanism_laws::{SandMechanisms, footprint};
-use crate::sand::{Coefficients, Law, Medium, Regularization, SandBed, SandDescription, Term};
+use crate::sand::{Coefficients, Law, Medium, Regularization, SandBed, Term};
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
 
 /// The arm prescribes the motion, so no segment rests in the sand and no creep speed is needed.
 const PRESCRIBED: Regularization = Regularization { rest_speed: 1e-9, ..Regularization::DEFAULT };
@@ -30,7 +31,7 @@ const PRESCRIBED: Regularization = Regularization { rest_speed: 1e-9, ..Regulari
 #[derive(Clone)]
 pub struct ForceLogModel<'a> {
     latch: Option<&'a Latch<'a>>,
-    medium: Medium,
+    experiment: Experiment,
     tracks: Vec<Track>,
     /// For each track the indices of the samples in motion.
     kept: Vec<Vec<usize>>,
@@ -40,14 +41,14 @@ pub struct ForceLogModel<'a> {
     /// Track of each unit.
     track_of: Vec<usize>,
     missing: Vec<&'static str>,
-    priors: Priors,
-    responses: Responses,
-    measuring: LastMeasuring,
+    responses: Recent<Mechanisms, CoefficientResponse>,
+    measuring: Recent<SandParameters, Measuring>,
 }
 
 /// What nuisances change in the data of one state.
 struct Measuring {
-    sand: SandParameters,
+    /// Tilt, offsets and filter of the sensor in this state.
+    mechanisms: Mechanisms,
     here: Vec<f64>,
     /// Change of the data per unit of delay, depth and tilt.
     late: Vec<f64>,
@@ -55,16 +56,6 @@ struct Measuring {
     tilt: Vec<f64>,
     /// Loads of each track at the steps of a filter.
     steps: Vec<Vec<[Load; 1]>>,
-}
-
-/// The last result. A clone has none, because its model may be changed.
-#[derive(Default)]
-struct LastMeasuring(Mutex<Option<Arc<Measuring>>>);
-
-impl Clone for LastMeasuring {
-    fn clone(&self) -> Self {
-        Self::default()
-    }
 }
 
 /// Step of the depth [m] for derivatives by nuisances: our choice, as for the three steps below a small part of the
@@ -78,44 +69,37 @@ const TILT_STEP: f64 = 1e-4;
 const STRENGTH_STEP: f64 = 0.02;
 /// Names of the nuisances that each channel of each trial has of its own.
 const OFFSETS: [(&str, &str); 3] = [("offset_Fx", "drift_Fx"), ("offset_Fz", "drift_Fz"), ("offset_Ty", "drift_Ty")];
+/// Number of responses to the coefficients that are kept: our choice. Fits need slopes and predictions at few states at a
+/// time, and a response is ten stacks.
+const RESPONSES: usize = 8;
 /// Number of states with the same mechanisms from which computing the response to the coefficients is cheaper.
 const ANSWERS: usize = 4;
 
 impl<'a> ForceLogModel<'a> {
     pub fn new(log: &ForceLog, experiment: &Experiment) -> Result<Self> {
         let cuts = experiment.shapes.iter().map(|(name, shape)| Ok((name.clone(), IntruderSegments::new(shape)?)));
-        let (medium, priors) = (experiment.medium.clone(), experiment.nuisances.clone());
-        Ok(Self { priors, missing: log.missing.clone(), ..Self::along(log, medium, cuts.collect::<Result<_>>()?) })
+        Ok(Self::along(log, experiment.clone(), cuts.collect::<Result<_>>()?))
     }
 
     /// A model of the tracks of a log.
-    fn along(log: &ForceLog, medium: Medium, cuts: BTreeMap<String, IntruderSegments>) -> Self {
+    fn along(log: &ForceLog, experiment: Experiment, cuts: BTreeMap<String, IntruderSegments>) -> Self {
         Self {
             latch: None,
-            medium,
-            kept: log.tracks.iter().map(moving).collect(),
-            tracks: log.tracks.clone(),
+            experiment,
+            kept: log.settings.iter().map(moving).collect(),
+            tracks: log.settings.clone(),
             cuts,
             layout: Observations { values: Vec::new(), ..log.observations.clone() },
-            track_of: log.track_of.clone(),
-            missing: Vec::new(),
-            priors: Priors::default(),
-            responses: Responses::default(),
-            measuring: LastMeasuring::default(),
+            track_of: log.setting_of.clone(),
+            missing: log.missing.clone(),
+            responses: Recent::up_to(RESPONSES),
+            measuring: Recent::up_to(2),
         }
     }
 
     /// This model with a `latch` that may stop its computations.
     pub fn stopped_by(self, latch: &'a Latch<'a>) -> Self {
         Self { latch: Some(latch), ..self }
-    }
-
-    /// Loads along one track in a described sand.
-    pub fn one(sand: &SandDescription, track: Track) -> Result<Vec<Load>> {
-        let cuts = BTreeMap::from([(track.shape.clone(), IntruderSegments::new(&track.intruder)?)]);
-        let model = Self::along(&super::force_log::planned(Vec::new(), 3), sand.medium(), cuts);
-        let ground = model.ground(&model.medium.coefficients);
-        Ok(model.arm(&track, &sand.mechanisms, &[ground]).readings().into_iter().map(|[load]| load).collect())
     }
 
     /// A stack of f(time since the trial began, share of the trial's time, channel).
@@ -137,20 +121,20 @@ impl<'a> ForceLogModel<'a> {
     /// Root mean square of one channel of a prediction; at least 1e-6 of its unit.
     fn rms(&self, prediction: &[f64], channel: usize) -> f64 {
         let blocks = self.layout.units.iter().flat_map(|u| u.block(channel));
-        let (square, count) = blocks.fold((0.0, 0.0), |(s, n), k| (s + prediction[k] * prediction[k], n + 1.0));
-        (square / f64::max(count, 1.0)).sqrt().max(1e-6)
+        root_mean_square(blocks.map(|k| prediction[k])).max(1e-6)
     }
 
     /// Without the medium's ζ: only `slip_bearing` uses it, which has no effect on a body that does not travel, and in
     /// these logs none does ([`super::arm`]).
     fn sand(&self, m: &Mechanisms) -> SandMechanisms<Doubles> {
-        let mut sand = SandMechanisms::new(m, self.medium.bulk_density);
-        (0..Doubles::LANES).for_each(|l| sand.set_terms(l, &self.medium.terms, self.medium.bulk_density));
+        let Medium { bulk_density, terms, .. } = self.medium();
+        let mut sand = SandMechanisms::new(m, *bulk_density);
+        (0..Doubles::LANES).for_each(|l| sand.set_terms(l, terms, *bulk_density));
         sand.for_prescribed_motion()
     }
 
     fn ground(&self, coefficients: &Coefficients) -> SandBed<Doubles> {
-        SandBed::new(Law::Li2013, &Medium { coefficients: *coefficients, ..self.medium.clone() }, &PRESCRIBED)
+        SandBed::new(Law::Li2013, &Medium { coefficients: *coefficients, ..self.medium().clone() }, &PRESCRIBED)
     }
 
     fn arm<'b, const N: usize>(
@@ -167,7 +151,7 @@ impl<'a> ForceLogModel<'a> {
             grounds,
             accelerations: (m.added_mass != 0.0).then(|| Accelerations::new(&track.poses, 0.0)),
             footprint: footprint(m.footprint, track.pass, track.pass_dx),
-            drag: m.inertial_drag * self.medium.bulk_density,
+            drag: m.inertial_drag * self.medium().bulk_density,
         }
     }
 
@@ -203,18 +187,8 @@ impl<'a> ForceLogModel<'a> {
         slope(&self.stacks(&loads)[0], prediction, 1.0).into_iter().map(f64::abs).collect()
     }
 
-    /// The response to the coefficients under `m`, computed once.
-    fn response(&self, m: &Mechanisms) -> Arc<CoefficientResponse> {
-        self.responses.of(m, || CoefficientResponse::new(|states| self.in_grounds(m, states)))
-    }
-
-    /// What nuisances change in the data with this sand. The last result is kept.
-    fn measuring(&self, sand: &SandParameters) -> Arc<Measuring> {
-        let mut kept = self.measuring.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(known) = kept.as_ref().filter(|k| k.sand == *sand) {
-            return known.clone();
-        }
-        let (m, c) = sand;
+    /// What nuisances change in the data with this sand.
+    fn measuring(&self, (m, c): &SandParameters) -> Measuring {
         let here = self.predict(m, c);
         let by = |changed: Mechanisms, step: f64| slope(&self.predict(&changed, c), &here, step);
         let late = by(Mechanisms { delay: m.delay + TIME_STEP, ..*m }, TIME_STEP);
@@ -222,16 +196,14 @@ impl<'a> ForceLogModel<'a> {
         let tilt = by(Mechanisms { sensor_tilt: m.sensor_tilt + TILT_STEP, ..*m }, TILT_STEP);
         let grounds = [self.ground(c)];
         let steps = parallel::map(&self.tracks, |t| self.arm(t, m, &grounds).between());
-        let made = Arc::new(Measuring { sand: *sand, here, late, deep, tilt, steps });
-        *kept = Some(made.clone());
-        made
+        Measuring { mechanisms: *m, here, late, deep, tilt, steps }
     }
 }
 
 impl Measuring {
     /// Change of the data by a filter of time constant `tau`.
     fn filtered(&self, model: &ForceLogModel, tau: f64) -> Vec<f64> {
-        let m = &self.sand.0;
+        let m = &self.mechanisms;
         let through = |(steps, track): (&Vec<[Load; 1]>, &Track)| {
             let mut loads = filtered(&track.poses, steps, m.lowpass + tau);
             read(m, &mut loads);
@@ -273,9 +245,9 @@ impl ForwardModel for ForceLogModel<'_> {
         if self.stopped() {
             return Vec::new();
         }
-        let measuring = self.measuring(sand);
+        let measuring = self.measuring.of(sand, || self.measuring(sand));
         let Measuring { here, late, deep, tilt, .. } = &*measuring;
-        let sd = |kind: &str| self.priors.sd(kind);
+        let sd = |kind: &str| self.experiment.nuisances.sd(kind);
         let mut all = Vec::new();
         for (channel, Channel { name, unit, .. }) in self.layout.channels.iter().enumerate() {
             let own = |stack: &[f64]| self.only(stack, channel);
@@ -317,15 +289,17 @@ impl ForwardModel for ForceLogModel<'_> {
         let alike = |m: &Mechanisms| states.iter().filter(|s| s.0 == *m).count();
         parallel::map(states, |(m, c)| {
             if !self.stopped() && is_linear(m) && alike(m) >= ANSWERS {
-                return self.response(m).at(c);
+                let predict = |sands| self.in_grounds(m, sands);
+                return self.responses.of(m, || CoefficientResponse::new(predict)).at(c);
             }
             self.predict(m, c)
         })
     }
 
     fn with_terms(&self, terms: &[Term]) -> Option<Box<dyn ForwardModel + '_>> {
-        let medium = Medium { terms: terms.to_vec(), ..self.medium.clone() };
-        Some(Box::new(Self { medium, ..self.clone() }))
+        let mut model = self.clone();
+        model.experiment.medium.terms = terms.to_vec();
+        Some(Box::new(model))
     }
 
     fn reach(&self) -> [f64; 3] {
@@ -340,8 +314,8 @@ impl ForwardModel for ForceLogModel<'_> {
         [most("speed"), most("depth"), self.tracks.iter().map(width).fold(f64::MAX, f64::min)]
     }
 
-    fn medium(&self) -> &Medium {
-        &self.medium
+    fn experiment(&self) -> &Experiment {
+        &self.experiment
     }
 
     fn testable(&self) -> Testable {
@@ -382,18 +356,27 @@ impl ForwardModel for ForceLogModel<'_> {
 
     /// Other tracks with the same intruders.
     fn menu(&self) -> Option<Menu<'_>> {
-        let (tracks, descriptions): (Vec<_>, Vec<_>) = super::force_log::possible(&self.tracks).into_iter().unzip();
-        let log = super::force_log::planned(tracks, self.layout.channels.len());
-        let (latch, missing, priors) = (self.latch, self.missing.clone(), self.priors.clone());
-        let model = Self { latch, missing, priors, ..Self::along(&log, self.medium.clone(), self.cuts.clone()) };
-        (!descriptions.is_empty()).then(|| Menu {
-            model: Box::new(model),
-            observations: log.observations,
-            descriptions,
-        })
+        let (tracks, descriptions): (Vec<_>, Vec<_>) = possible(&self.tracks).into_iter().unzip();
+        let log = planned(tracks, self.layout.channels.len());
+        let model = Self { latch: self.latch, ..Self::along(&log, self.experiment.clone(), self.cuts.clone()) };
+        Some(Menu { model: Box::new(model), observations: log.observations, descriptions })
     }
 
     fn group(&self, unit: usize) -> &str {
         &self.tracks[self.track_of[unit]].shape
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+
+    /// Forces along a track in loose poppy seeds with these mechanisms: all Fx, then all Fz, then all torques.
+    pub fn forces(mechanisms: Mechanisms, track: &Track) -> Vec<f64> {
+        let toml = "kind = \"intrusion\"\nmedium = \"poppy-loose\"\nbulk_density = 640.0\n";
+        let mut experiment = Experiment::from_toml(toml).unwrap();
+        experiment.shapes.insert(track.shape.clone(), track.intruder);
+        let model = ForceLogModel::new(&planned(vec![track.clone()], 3), &experiment).unwrap();
+        model.predict(&mechanisms, &model.medium().coefficients)
     }
 }

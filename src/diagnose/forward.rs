@@ -1,5 +1,6 @@
 //! Forward models: predictions of a data set. All statistics use only [`ForwardModel`].
 
+use super::experiment::Experiment;
 use super::nuisance::Nuisance;
 use super::observations::Observations;
 use super::shared::Uncertainty;
@@ -76,10 +77,6 @@ pub trait ForwardModel: Sync {
     fn with_hardware(&self, _sand: &SandParameters, _found: &HardwareDescription) -> Option<Vec<f64>> {
         None
     }
-    /// The hardware that the experiment states.
-    fn given_hardware(&self) -> HardwareDescription {
-        HardwareDescription::default()
-    }
     /// The same model with terms in its sand; None if it does not support them.
     fn with_terms(&self, _terms: &[Term]) -> Option<Box<dyn ForwardModel + '_>> {
         None
@@ -90,14 +87,24 @@ pub trait ForwardModel: Sync {
     }
     /// Adds to a simulator's sand the settings that this kind of data is predicted with, besides the medium.
     fn finish(&self, _sand: &mut SandDescription) {}
+    /// What the experiment file states.
+    fn experiment(&self) -> &Experiment;
     /// The medium of the plain model.
-    fn medium(&self) -> &Medium;
+    fn medium(&self) -> &Medium {
+        &self.experiment().medium
+    }
+    /// The sand of the plain model.
+    fn plain_sand(&self) -> SandParameters {
+        (Mechanisms::default(), self.medium().coefficients)
+    }
     /// The mechanisms that act on this kind of data.
     fn testable(&self) -> Testable;
     /// The features of the data.
     fn features(&self) -> Vec<Feature>;
     /// Trials that the same apparatus could make next.
-    fn menu(&self) -> Option<Menu<'_>>;
+    fn menu(&self) -> Option<Menu<'_>> {
+        None
+    }
     /// A name in reports for the group of a unit (its shape).
     fn group(&self, unit: usize) -> &str;
 }

@@ -14,27 +14,22 @@ pub const TORQUE_CONSTANT: &str = "actuator.torque_constant";
 pub const TORQUE_LIMIT: &str = "actuator.torque_limit";
 pub const FRICTION: &str = "actuator.friction";
 
-/// An effect of measuring that a report names for a robot's own log: its id there, the quantity that it is in a simulation, and the least
-/// possible value.
-const EFFECTS: [(&str, &str, f64); 5] = [
-    ("imu_rotation_x", ROTATION[0], f64::NEG_INFINITY),
-    ("imu_rotation_y", ROTATION[1], f64::NEG_INFINITY),
-    ("imu_rotation_z", ROTATION[2], f64::NEG_INFINITY),
-    ("torque_constant", TORQUE_GAIN, f64::NEG_INFINITY),
-    ("friction", FRICTION, 0.0),
+/// Effects of measuring that a report names for a robot's own log, each with the quantities that it is about in a simulation. Where
+/// the effect is itself the first of them, its least possible value.
+const EFFECTS: [(&str, &[&str], Option<f64>); 8] = [
+    ("imu_rotation_x", &[ROTATION[0]], Some(f64::NEG_INFINITY)),
+    ("imu_rotation_y", &[ROTATION[1]], Some(f64::NEG_INFINITY)),
+    ("imu_rotation_z", &[ROTATION[2]], Some(f64::NEG_INFINITY)),
+    ("imu_delay", &[DELAY[0], DELAY[1], DELAY[2], FILTER[0], FILTER[1], FILTER[2]], None),
+    ("imu_blur", &[DELAY[0], DELAY[1], DELAY[2], FILTER[0], FILTER[1], FILTER[2]], None),
+    ("torque_constant", &[TORQUE_GAIN, TORQUE_CONSTANT], Some(f64::NEG_INFINITY)),
+    ("servo_gain", &[TORQUE_GAIN, TORQUE_CONSTANT], None),
+    ("friction", &[FRICTION], Some(0.0)),
 ];
 
 /// The quantities that a nuisance of a robot's log is about.
 pub fn quantities_of(nuisance: &str) -> &'static [&'static str] {
-    match nuisance {
-        "imu_rotation_x" => &[ROTATION[0]],
-        "imu_rotation_y" => &[ROTATION[1]],
-        "imu_rotation_z" => &[ROTATION[2]],
-        "imu_delay" | "imu_blur" => &[DELAY[0], DELAY[1], DELAY[2], FILTER[0], FILTER[1], FILTER[2]],
-        "torque_constant" | "servo_gain" => &[TORQUE_GAIN, TORQUE_CONSTANT],
-        "friction" => &[FRICTION],
-        _ => &[],
-    }
+    EFFECTS.iter().find(|effect| effect.0 == nuisance).map_or(&[], |effect| effect.1)
 }
 
 /// A value with a half of its 95 % interval, not below `least`.
@@ -47,9 +42,10 @@ pub fn found(report: &Report) -> HardwareDescription {
     let source = format!("sandgait diagnose, data {}: {}", report.data_sha256, report.summary);
     let mut all = HardwareDescription { source, ..HardwareDescription::default() };
     let measured = |id: &str| report.nuisances.iter().find(|n| n.id == id && n.level == "log").map(|n| (n.value, n.sd));
-    for (id, path, least) in EFFECTS {
+    for (id, paths, least) in EFFECTS {
+        let Some(least) = least else { continue };
         if let Some((value, sd)) = measured(id).filter(|(v, sd)| v.abs() > NORMAL * sd && *v > least) {
-            all.quantities.insert(path.into(), quantity(value, NORMAL * sd, least));
+            all.quantities.insert(paths[0].into(), quantity(value, NORMAL * sd, least));
         }
     }
     all.quantities.extend(late(measured("imu_delay"), measured("imu_blur")));

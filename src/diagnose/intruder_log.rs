@@ -1,8 +1,8 @@
 //! Reads steady states of a body in sand (intruder CSV), with one row for each steady state under a known load.
 
 use super::columns::columns;
-use super::experiment::Experiment;
-use super::observations::{Channel, Names, Observations, Size, Unit};
+use super::experiment::{BodyDescription, Experiment};
+use super::observations::{Channel, MeasuredLog, Names, Observations, Size};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::sand::intruder::{DepthOrLoad, Trial};
@@ -27,14 +27,8 @@ impl SteadyRow {
     }
 }
 
-/// Checked steady states of a log; each is a unit.
-pub struct IntruderLog {
-    pub observations: Observations,
-    pub states: Vec<SteadyRow>,
-    /// Does the log have standard deviations in time?
-    pub has_unsteadiness: bool,
-    pub sha256: String,
-}
+/// Steady states of a body; each is a unit.
+pub type IntruderLog = MeasuredLog<SteadyRow>;
 
 columns! {
     TRIAL = "trial" Text true;
@@ -70,36 +64,28 @@ const MOST: f64 = 1e6;
 /// Reads the rows; `experiment` describes bodies and units.
 pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Result<IntruderLog> {
     let (mut conditions, mut ids) = (Names::default(), Names::default());
-    let mut observations = Observations {
-        size: Size::Force,
-        values: Vec::new(),
-        channels: CHANNELS.to_vec(),
-        units: Vec::new(),
-        conditions: Vec::new(),
-    };
-    let (mut states, mut has_unsteadiness) = (Vec::new(), false);
+    let (mut rows, mut values, mut settings) = (Vec::new(), Vec::new(), Vec::new());
     let summary = experiment.read(path, COLUMNS, progress, |row| {
         let id = row.needed_text(TRIAL)?;
-        if ids.place(id) != states.len() {
+        if ids.place(id) != settings.len() {
             return Err(row.error(TRIAL, format!("{id} is in the file twice")));
         }
-        if states.len() == MOST_ROWS {
+        if settings.len() == MOST_ROWS {
             return Err(row.error(TRIAL, format!("more than {MOST_ROWS} rows: split the data")));
         }
         row.needed_text(REP)?;
         let condition = conditions.place(row.needed_text(CONDITION)?);
         let unsteadiness = [sd(row, FX_SD)?, sd(row, FY_SD)?, sd(row, DEPTH_SD)?];
-        has_unsteadiness |= unsteadiness.iter().any(|s| *s > 0.0);
-        let start = observations.values.len();
-        observations.units.push(Unit { id: id.into(), condition, start, samples: 1, progress: vec![0.0] });
+        rows.push((id.to_string(), condition));
         for column in [FX, FY, DEPTH] {
-            observations.values.push(row.within(column, MOST)?.ok_or_else(|| row.blank(column))?);
+            values.push(row.needed_within(column, MOST)?);
         }
-        states.push(SteadyRow { body: body(row, experiment)?, trial: trial(row, path)?, unsteadiness });
+        settings.push(SteadyRow { body: body(row, experiment)?, trial: trial(row, path)?, unsteadiness });
         Ok(())
     })?;
-    observations.conditions = conditions.list;
-    Ok(IntruderLog { observations, states, has_unsteadiness, sha256: summary.sha256 })
+    let observations = Observations::of_rows(Size::Force, CHANNELS.to_vec(), rows.into_iter(), values, conditions.list);
+    let (setting_of, missing, notes) = ((0..settings.len()).collect(), Vec::new(), notes(experiment));
+    Ok(IntruderLog { observations, settings, setting_of, missing, notes, sha256: summary.sha256 })
 }
 
 fn sd(row: &Row, column: usize) -> Result<f64> {
@@ -122,7 +108,15 @@ fn trial(row: &Row, path: &Path) -> Result<Trial> {
         *value = row.within(column, MOST)?.unwrap_or(0.0);
     }
     let [vx, vy, vz, wx, wy, wz] = motion;
-    let load = row.within(LOAD, MOST)?.ok_or_else(|| row.blank(LOAD))?;
+    let load = row.needed_within(LOAD, MOST)?;
     let trial = Trial { velocity: [vx, vy, vz], spin: [wx, wy, wz], given: DepthOrLoad::Load(load) };
     trial.validated().map_err(|e| Error::file(path, format!("row {}: {e}", row.line)))
+}
+
+/// Notes for the report on the sand's file.
+fn notes(experiment: &Experiment) -> Vec<String> {
+    let said = |(name, body): (&String, &BodyDescription)| {
+        format!("{name}: {}, surface friction μ_s {} (sandgait intrude --mu-s)", body.body, body.friction)
+    };
+    experiment.bodies.iter().map(said).collect()
 }

@@ -2,7 +2,7 @@
 
 use super::experiment::{BodyDescription, Experiment};
 use super::fit::slope;
-use super::forward::{Feature, ForwardModel, Menu, SandParameters, Testable, stronger};
+use super::forward::{Feature, ForwardModel, SandParameters, Testable, stronger};
 use super::intruder_log::{CHANNELS, IntruderLog, SteadyRow};
 use super::nuisance::{Nuisance, Priors};
 use super::shared::{SharedNoise, Uncertainty};
@@ -10,7 +10,7 @@ use crate::error::{Error, Result};
 use crate::progress::Latch;
 use crate::sand::intruder::{DepthOrLoad, PlatedBody, Status, Trial, compute, without_effect};
 use crate::sand::mechanism::{CATALOG, Mechanisms, Side};
-use crate::sand::{Coefficients, Law, Medium, SandDescription};
+use crate::sand::{Coefficients, Medium, SandDescription};
 use std::collections::BTreeMap;
 
 /// Plates along a body's longest side: our choice; forces are within 2 % of those of plates three times as fine, a
@@ -34,12 +34,9 @@ struct BodyPlates {
 /// Predicts the rows of an intruder log.
 pub struct IntruderModel<'a> {
     latch: &'a Latch<'a>,
-    medium: Medium,
-    law: Law,
+    experiment: Experiment,
     states: Vec<SteadyRow>,
     cuts: BTreeMap<String, BodyPlates>,
-    has_unsteadiness: bool,
-    priors: Priors,
 }
 
 /// Error of the law itself, as a share of the load: resistive force theory is within 10 to 15 % of measured forces
@@ -68,12 +65,9 @@ impl<'a> IntruderModel<'a> {
         };
         Ok(Self {
             latch,
-            medium: experiment.medium.clone(),
-            law: experiment.law,
-            states: log.states.clone(),
+            experiment: experiment.clone(),
+            states: log.settings.clone(),
             cuts: experiment.bodies.iter().map(cut).collect::<Result<_>>()?,
-            has_unsteadiness: log.has_unsteadiness,
-            priors: experiment.nuisances.clone(),
         })
     }
 
@@ -81,10 +75,10 @@ impl<'a> IntruderModel<'a> {
     fn sand(&self, body: &BodyDescription, mechanisms: &Mechanisms, coefficients: &Coefficients) -> SandDescription {
         let friction_clip = 1.0 / body.friction.max(0.1);
         SandDescription {
-            law: self.law,
+            law: self.experiment.law,
             coefficients: *coefficients,
             mechanisms: Mechanisms { friction_clip, ..*mechanisms },
-            ..SandDescription::plain(&self.medium)
+            ..SandDescription::plain(self.medium())
         }
     }
 
@@ -174,7 +168,7 @@ impl ForwardModel for IntruderModel<'_> {
         let sinkage = |row: usize| LAW_ERROR * strength[3 * row + 2].abs();
         let common = vec![only(0, &load), only(1, &load), only(2, &sinkage)];
         let mut shared = vec![SharedNoise::one("bed_strength", "1", 0.05, true, strength.clone())];
-        if self.has_unsteadiness {
+        if self.states.iter().any(|s| s.unsteadiness.iter().any(|sd| *sd > 0.0)) {
             let of = |c: usize| only(c, &|row| self.states[row].unsteadiness[c]);
             let stacks = (0..CHANNELS.len()).map(of).collect();
             shared.push(SharedNoise { name: "unsteadiness", unit: "1", guess: 0.3, optional: true, stacks });
@@ -192,20 +186,21 @@ impl ForwardModel for IntruderModel<'_> {
             ("geometry", self.felt(sand, larger, GEOMETRY_STEP)),
             ("surface_friction", self.felt(sand, rougher, FRICTION_STEP)),
         ];
-        let of =
-            |(id, slope): (&str, Vec<f64>)| Nuisance::linear(id.into(), Priors::unit(id), self.priors.sd(id), slope);
+        let of = |(id, slope): (&str, Vec<f64>)| {
+            Nuisance::linear(id.into(), Priors::unit(id), self.experiment.nuisances.sd(id), slope)
+        };
         slopes.into_iter().map(of).filter(|n| n.sd > 0.0).collect()
     }
 
     fn finish(&self, sand: &mut SandDescription) {
-        sand.law = self.law;
+        sand.law = self.experiment.law;
         if let [cut] = self.cuts.values().collect::<Vec<_>>()[..] {
             sand.mechanisms.friction_clip = 1.0 / cut.description.friction;
         }
     }
 
-    fn medium(&self) -> &Medium {
-        &self.medium
+    fn experiment(&self) -> &Experiment {
+        &self.experiment
     }
 
     fn testable(&self) -> Testable {
@@ -226,10 +221,6 @@ impl ForwardModel for IntruderModel<'_> {
         ]
     }
 
-    fn menu(&self) -> Option<Menu<'_>> {
-        None
-    }
-
     fn group(&self, unit: usize) -> &str {
         &self.states[unit].body
     }
@@ -242,12 +233,4 @@ impl IntruderModel<'_> {
         let (v, rim) = (state.trial.velocity[0].hypot(state.trial.velocity[1]), -low * state.trial.spin[1]);
         if v > 0.0 { (rim - v) / v.max(rim.abs()) } else { 0.0 }
     }
-}
-
-/// Notes for the report on the sand's file.
-pub fn notes(experiment: &Experiment) -> Vec<String> {
-    let said = |(name, body): (&String, &BodyDescription)| {
-        format!("{name}: {}, surface friction μ_s {} (sandgait intrude --mu-s)", body.body, body.friction)
-    };
-    experiment.bodies.iter().map(said).collect()
 }

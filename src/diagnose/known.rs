@@ -1,10 +1,52 @@
-//! Results of simulations that may be asked for again.
+//! Results that may be asked for again.
 
 use super::forward::SandParameters;
 use std::collections::HashMap;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
-/// Results by the bits of what they were computed with.
+/// The last results, each by what it was computed with. A clone has none, because its owner may be changed.
+pub struct Recent<K, T> {
+    results: Mutex<Vec<(K, Arc<T>)>>,
+    most: usize,
+}
+
+impl<K, T> Clone for Recent<K, T> {
+    fn clone(&self) -> Self {
+        Self::up_to(self.most)
+    }
+}
+
+impl<K, T> Recent<K, T> {
+    /// Keeps `most` results, at least two.
+    pub fn up_to(most: usize) -> Self {
+        Self { results: Mutex::default(), most }
+    }
+}
+
+impl<K: Clone + PartialEq, T> Recent<K, T> {
+    pub fn known(&self, key: &K) -> Option<Arc<T>> {
+        let known = self.results.lock().unwrap_or_else(PoisonError::into_inner);
+        known.iter().find(|k| k.0 == *key).map(|k| k.1.clone())
+    }
+
+    /// The result for `key`, computed if it is not known. Other threads wait meanwhile, because they usually need the same
+    /// one.
+    pub fn of(&self, key: &K, compute: impl FnOnce() -> T) -> Arc<T> {
+        let mut known = self.results.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, result)) = known.iter().find(|k| k.0 == *key) {
+            return result.clone();
+        }
+        let result = Arc::new(compute());
+        // The first result, usually the plain model's, stays, because it is needed most often.
+        if known.len() == self.most {
+            known.remove(1);
+        }
+        known.push((key.clone(), result.clone()));
+        result
+    }
+}
+
+/// All results, by the bits of what they were computed with.
 pub struct Known<T> {
     results: Mutex<HashMap<Vec<u64>, T>>,
     /// From this number on, all are forgotten.

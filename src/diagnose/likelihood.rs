@@ -4,15 +4,16 @@
 //! at a time, so the contributions of the other channels are kept. A change of a shared direction's size only scales
 //! products.
 
+use super::known::Recent;
 use super::noise::{ChannelFilter, ChannelNoise, Noise, NoiseClock};
 use super::repeats::Repeats;
 use super::shared::{Likelihood, gram};
 use nalgebra::{DMatrix, DVector};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 /// Number of noises of a channel whose products are kept: our choice, slightly more than a gradient or a curvature
 /// needs.
-const KEPT: usize = 12;
+const KEPT: usize = 13;
 
 /// One condition, one channel.
 struct LikelihoodPart {
@@ -21,21 +22,19 @@ struct LikelihoodPart {
     products: DMatrix<f64>,
 }
 
-/// Terms of every condition that were computed earlier, with the channel's noise for which they hold.
-type Known = Mutex<Vec<(ChannelNoise, Arc<Vec<LikelihoodPart>>)>>;
-
 /// Differences of repetitions, for repeated evaluation of their likelihood.
 pub struct Landscape<'a> {
     repeats: &'a [Repeats],
     steps: Vec<Vec<f64>>,
-    channels: Vec<Known>,
+    /// Terms of every condition, for each channel by its noise.
+    channels: Vec<Recent<ChannelNoise, Vec<LikelihoodPart>>>,
 }
 
 impl<'a> Landscape<'a> {
     pub fn new(repeats: &'a [Repeats], clock: NoiseClock) -> Self {
         let steps = repeats.iter().map(|r| clock.steps(&r.progress)).collect();
         let channels = repeats.first().map_or(0, |r| r.sizes.len());
-        Self { repeats, steps, channels: (0..channels).map(|_| Known::default()).collect() }
+        Self { repeats, steps, channels: vec![Recent::up_to(KEPT); channels] }
     }
 
     /// −2 log likelihood.
@@ -61,25 +60,8 @@ impl<'a> Landscape<'a> {
 
     /// Terms of channel `c` under its own noise.
     fn parts(&self, c: usize, noise: &ChannelNoise) -> Arc<Vec<LikelihoodPart>> {
-        let kept = || self.channels[c].lock().unwrap_or_else(PoisonError::into_inner);
-        {
-            let mut known = kept();
-            if let Some(place) = known.iter().position(|k| k.0 == *noise) {
-                // An entry in use moves to the end, and the first one is dropped first.
-                let found = known.remove(place);
-                let parts = found.1.clone();
-                known.push(found);
-                return parts;
-            }
-        }
         let of = |(repeat, steps): (&Repeats, &Vec<f64>)| LikelihoodPart::new(repeat, c, noise, steps);
-        let made = Arc::new(self.repeats.iter().zip(&self.steps).map(of).collect::<Vec<_>>());
-        let mut known = kept();
-        if known.len() == KEPT {
-            known.remove(0);
-        }
-        known.push((*noise, made.clone()));
-        made
+        self.channels[c].of(noise, || self.repeats.iter().zip(&self.steps).map(of).collect())
     }
 }
 

@@ -38,33 +38,51 @@ pub fn misfit(
     counts: impl Fn(usize) -> bool,
 ) -> Vec<Misfit> {
     let mut table = Vec::new();
-    for feature in model.features() {
-        for range in ranges(&feature) {
-            let inside = |u: usize, i: usize| counts(u) && (range[0]..=range[1]).contains(&feature.values[u][i]);
-            add(&mut table, observations, prediction, inside, &feature, Some(range), None);
+    let mut add =
+        |by: &str, unit: &str, range: Option<[f64; 2]>, group: Option<&str>, inside: &dyn Fn(usize, usize) -> bool| {
+            for (c, channel) in observations.channels.iter().enumerate() {
+                let (mut sum, mut sum_of_errors, mut square, mut size, mut count) = (0.0, 0.0, 0.0, 0.0, 0usize);
+                for (u, unit) in observations.units.iter().enumerate().filter(|(u, _)| counts(*u)) {
+                    for (_, k) in unit.block(c).enumerate().filter(|(i, _)| inside(u, *i)) {
+                        let error = observations.values[k] - prediction[k];
+                        sum += error * prediction[k].signum();
+                        sum_of_errors += error.abs();
+                        square += error * error;
+                        size += prediction[k].abs();
+                        count += 1;
+                    }
+                }
+                let n = count as f64;
+                table.extend((count > 0).then(|| Misfit {
+                    by: by.into(),
+                    unit: unit.into(),
+                    range,
+                    group: group.map(Into::into),
+                    channel: channel.name.to_string(),
+                    mean: sum / n,
+                    rms: (square / n).sqrt(),
+                    relative: (size > PREDICTED * sum_of_errors).then(|| sum / size),
+                    samples: count,
+                }));
+            }
+        };
+    for Feature { name, unit, values } in &model.features() {
+        for range in ranges(values) {
+            add(name, unit, Some(range), None, &|u, i| (range[0]..=range[1]).contains(&values[u][i]));
         }
     }
     let mut groups: Vec<&str> = (0..observations.units.len()).map(|u| model.group(u)).collect();
     groups.sort_unstable();
     groups.dedup();
-    let shape = Feature { name: "shape", unit: "", values: Vec::new() };
     for group in groups {
-        add(
-            &mut table,
-            observations,
-            prediction,
-            |u, _| counts(u) && model.group(u) == group,
-            &shape,
-            None,
-            Some(group),
-        );
+        add("shape", "", None, Some(group), &|u, _| model.group(u) == group);
     }
     table
 }
 
 /// Quantile ranges of a feature; its single values if it has only few.
-fn ranges(feature: &Feature) -> Vec<[f64; 2]> {
-    let mut all: Vec<f64> = feature.values.iter().flatten().copied().collect();
+fn ranges(values: &[Vec<f64>]) -> Vec<[f64; 2]> {
+    let mut all: Vec<f64> = values.iter().flatten().copied().collect();
     all.sort_by(f64::total_cmp);
     let mut distinct = all.clone();
     distinct.dedup_by(|a, b| (*a - *b).abs() <= 1e-9 * b.abs().max(1e-9));
@@ -73,44 +91,6 @@ fn ranges(feature: &Feature) -> Vec<[f64; 2]> {
     }
     let edge = |k: usize| all[(k * (all.len() - 1)) / RANGES];
     (0..RANGES).map(|k| [edge(k), edge(k + 1)]).filter(|r| r[1] > r[0]).collect()
-}
-
-fn add(
-    table: &mut Vec<Misfit>,
-    observations: &Observations,
-    prediction: &[f64],
-    inside: impl Fn(usize, usize) -> bool,
-    feature: &Feature,
-    range: Option<[f64; 2]>,
-    group: Option<&str>,
-) {
-    for (c, channel) in observations.channels.iter().enumerate() {
-        let (mut sum, mut sum_of_errors, mut square, mut size, mut count) = (0.0, 0.0, 0.0, 0.0, 0usize);
-        for (u, unit) in observations.units.iter().enumerate() {
-            for (_, k) in unit.block(c).enumerate().filter(|(i, _)| inside(u, *i)) {
-                let error = observations.values[k] - prediction[k];
-                sum += error * prediction[k].signum();
-                sum_of_errors += error.abs();
-                square += error * error;
-                size += prediction[k].abs();
-                count += 1;
-            }
-        }
-        if count > 0 {
-            let n = count as f64;
-            table.push(Misfit {
-                by: feature.name.into(),
-                unit: feature.unit.into(),
-                range,
-                group: group.map(Into::into),
-                channel: channel.name.to_string(),
-                mean: sum / n,
-                rms: (square / n).sqrt(),
-                relative: (size > PREDICTED * sum_of_errors).then(|| sum / size),
-                samples: count,
-            });
-        }
-    }
 }
 
 /// The report names a range if its error is this many times the smallest error of the same table: our choice.

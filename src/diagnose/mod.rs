@@ -60,6 +60,7 @@ pub mod report;
 mod response;
 mod screen;
 mod select;
+mod series;
 pub mod shared;
 mod sides;
 mod speed_exponent;
@@ -85,12 +86,13 @@ use force_model::ForceLogModel;
 use forward::ForwardModel;
 use intruder_model::IntruderModel;
 use noise::{NoiseData, scatters, sizes};
+use nuisance::Priors;
 use observations::Observations;
 use report::{Curves, Diagnosis, Untestable};
 use select::select;
 use std::path::Path;
 use study::FitInputs;
-use view::ReportView;
+use view::{ReportView, without_verdict};
 use walking_model::WalkingModel;
 use whiten::Whitener;
 
@@ -105,56 +107,45 @@ pub fn diagnose(data: &Path, experiment: &Experiment, progress: &dyn Progress) -
 }
 
 fn diagnose_kind(data: &Path, experiment: &Experiment, progress: &Latch) -> Result<Diagnosis> {
-    let (coefficient_sd, interest) = (experiment.coefficient_sd, experiment.nuisances.interest.clone());
     match experiment.kind {
         DataKind::Intrusion => {
             let log = force_log::read(data, experiment, progress)?;
             let model = ForceLogModel::new(&log, experiment)?.stopped_by(progress);
-            let (observations, sha256, notes) = (log.observations, log.sha256, log.notes);
-            diagnose_measured(Measured { observations, coefficient_sd, interest, sha256, notes }, &model, progress)
+            diagnose_measured(&log.observations, log.sha256, log.notes, &model, progress)
         }
         DataKind::Walking => {
             let log = walking_log::read(data, experiment, progress)?;
             let model = WalkingModel::new(&log, experiment, progress)?;
-            let (observations, sha256, notes) = (log.observations, log.sha256, vec![model.step_note()?]);
-            diagnose_measured(Measured { observations, coefficient_sd, interest, sha256, notes }, &model, progress)
+            diagnose_measured(&log.observations, log.sha256, vec![model.step_note()?], &model, progress)
         }
         DataKind::Trajectory => {
-            let (measured, model) = trajectory::measured(data, experiment, progress)?;
-            diagnose_measured(measured, &model, progress)
+            let (observations, sha256, notes, model) = trajectory::measured(data, experiment, progress)?;
+            diagnose_measured(&observations, sha256, notes, &model, progress)
         }
         DataKind::Intruder => {
             let log = intruder_log::read(data, experiment, progress)?;
             let model = IntruderModel::new(&log, experiment, progress)?;
-            let (observations, sha256, notes) = (log.observations, log.sha256, intruder_model::notes(experiment));
-            diagnose_measured(Measured { observations, coefficient_sd, interest, sha256, notes }, &model, progress)
+            diagnose_measured(&log.observations, log.sha256, log.notes, &model, progress)
         }
     }
 }
 
-/// Measured numbers, and facts about them.
-pub struct Measured {
-    pub observations: Observations,
-    /// Relative prior standard deviation of each stress coefficient.
-    pub coefficient_sd: f64,
-    /// Mechanisms of the sensor that may be named as causes.
-    pub interest: Vec<String>,
-    /// Checksum of the data file.
-    pub sha256: String,
-    /// Notes for the report on how the numbers were prepared.
-    pub notes: Vec<String>,
-}
-
-/// Diagnoses measured numbers with a forward model for them.
-pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress: &dyn Progress) -> Result<Diagnosis> {
-    let Measured { observations, coefficient_sd, interest, sha256, notes } = measured;
+/// Diagnoses measured numbers with a forward model for them; `notes` say how they were prepared, and `sha256` is the
+/// checksum of their file.
+fn diagnose_measured(
+    observations: &Observations,
+    sha256: String,
+    notes: Vec<String>,
+    model: &dyn ForwardModel,
+    progress: &dyn Progress,
+) -> Result<Diagnosis> {
+    let Experiment { coefficient_sd, nuisances: Priors { interest, .. }, given, .. } = model.experiment();
     progress.report(0.02, "noise from the repetitions")?;
-    let coefficients = model.medium().coefficients;
-    let plain = model.predict(&Mechanisms::default(), &coefficients);
-    let all = model.uncertainty(&(Mechanisms::default(), coefficients), &plain);
-    let sizes = sizes(&observations);
-    let source =
-        NoiseData { observations: &observations, prediction: &plain, sizes: &sizes, uncertainty: &all, left_out: &[] };
+    let plain_sand = model.plain_sand();
+    let plain = model.predict(&plain_sand.0, &plain_sand.1);
+    let all = model.uncertainty(&plain_sand, &plain);
+    let sizes = sizes(observations);
+    let source = NoiseData { observations, prediction: &plain, sizes: &sizes, uncertainty: &all, left_out: &[] };
     let noise = source.noise(None, &|| model.stopped());
     let supported = source.supported(&noise);
     let mut uncertainty = all.clone();
@@ -163,20 +154,25 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
     let source = NoiseData { uncertainty: &uncertainty, ..source };
     let noise = if pruned { source.noise(None, &|| model.stopped()) } else { noise };
     let whitener = Whitener::new(&source, &noise);
-    let study = FitInputs::new(&observations, model, &whitener, coefficient_sd);
+    let study = FitInputs::new(observations, model, &whitener, *coefficient_sd);
     let (ids, unknown, untestable) = testable(&study);
     let floor = source.floor();
-    let selection = match scatters(&observations, &floor) {
+    let selection = match scatters(observations, &floor) {
         true => {
-            let asked =
-                SearchSpace { source: &source, noise: &noise, ids: &ids, untestable: &unknown, interest: &interest };
+            let (ids, untestable, unnamed) = (&ids[..], &unknown[..], &unknown[..]);
+            let asked = SearchSpace { source: &source, noise: &noise, ids, untestable, unnamed, interest };
             Some(select(&study, &asked, progress)?)
         }
         false => None,
     };
     progress.report(0.95, "report")?;
-    let view = ReportView { study: &study, source: &source, noise: &noise, selection: selection.as_ref(), floor };
-    let report = view.report(untestable, sha256, notes);
+    let report = without_verdict(&study, untestable, sha256, notes);
+    let report = match &selection {
+        Some(selection) => {
+            ReportView { study: &study, source: &source, noise: &noise, selection, floor }.report(report)
+        }
+        None => report,
+    };
     debug_assert_eq!(statements::violations(&report), Vec::<String>::new());
     let fit = selection.as_ref().and_then(|s| s.fit());
     let mut sand = SandDescription::plain(model.medium());
@@ -188,14 +184,14 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
         sand.terms = selection.as_ref().and_then(|s| s.law.as_ref()).map(|law| law.term.clone()).into_iter().collect();
     }
     // What is given was not looked for, so the two have no quantity in common.
-    let hardware = hardware::found(&report).or(&model.given_hardware());
+    let hardware = hardware::found(&report).or(&given.hardware);
     let extended = model.with_hardware(&(sand.mechanisms, sand.coefficients), &hardware);
     let extended = extended.or_else(|| fit.map(|fit| model.as_simulated(&fit.prediction)));
     model.finish(&mut sand);
     let band = noise.standard_deviation(&source);
     let groups = (0..observations.units.len()).map(|u| model.group(u).to_string()).collect();
     let plain = model.as_simulated(&plain);
-    let conditions = conditions::described(&observations, model);
+    let conditions = conditions::described(observations, model);
     let medium = model.medium().name.clone();
     let (sand_is_plain, observations) = (fit.is_none(), observations.clone());
     let curves = Curves { groups, conditions, medium, plain, extended, sand_is_plain, band, observations };

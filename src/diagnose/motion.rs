@@ -3,7 +3,6 @@
 //! Real drives start from rest, stop, and go on. Velocities and positions are noisy, so the decisions use both,
 //! over several samples.
 
-use super::experiment::Intruder;
 use super::track::{ArmPose, Track};
 
 /// Below this share of the trial's speed an intruder rests: our choice, above the noise of velocities at rest and
@@ -36,38 +35,23 @@ impl Heading {
     }
 }
 
-/// The coordinates that move: the angle of a leg, or the centre of a plate.
-fn place(track: &Track, pose: &ArmPose) -> [f64; 2] {
-    match track.intruder {
-        Intruder::Leg { .. } => [pose.theta, 0.0],
-        Intruder::Plate { .. } => pose.center,
-    }
-}
-
-fn speed(track: &Track, pose: &ArmPose) -> f64 {
-    match track.intruder {
-        Intruder::Leg { .. } => pose.omega.abs(),
-        Intruder::Plate { .. } => pose.velocity[0].hypot(pose.velocity[1]),
-    }
-}
-
 fn between(a: [f64; 2], b: [f64; 2]) -> f64 {
     (b[0] - a[0]).hypot(b[1] - a[1])
 }
 
 /// Largest distance from where the trial starts.
 fn extent(track: &Track) -> f64 {
-    let start = place(track, &track.poses[0]);
-    track.poses.iter().map(|p| between(start, place(track, p))).fold(0.0, f64::max)
+    let start = track.place(&track.poses[0]);
+    track.poses.iter().map(|p| between(start, track.place(p))).fold(0.0, f64::max)
 }
 
 /// The displacement from the start until the trial has certainly started.
 pub fn heading(track: &Track) -> Heading {
-    let (start, extent) = (place(track, &track.poses[0]), extent(track));
-    let out = |p: &ArmPose| between(start, place(track, p)) >= SET_OUT * extent;
+    let (start, extent) = (track.place(&track.poses[0]), extent(track));
+    let out = |p: &ArmPose| between(start, track.place(p)) >= SET_OUT * extent;
     match track.poses.iter().position(out).filter(|_| extent > 0.0) {
         Some(until) => {
-            let end = place(track, &track.poses[until]);
+            let end = track.place(&track.poses[until]);
             let way = between(start, end);
             Heading { along: [0, 1].map(|k| (end[k] - start[k]) / way), until }
         }
@@ -82,12 +66,12 @@ pub fn heading(track: &Track) -> Heading {
 /// Fluctuations within [`SLACK`] do not count: a point follows the position within that distance, and the path of this
 /// point is returned. So noise at rest does not add up.
 pub fn progress(track: &Track, heading: &Heading) -> Vec<f64> {
-    let start = place(track, &track.poses[0]);
+    let start = track.place(&track.poses[0]);
     let from = start[0] * heading.along[0] + start[1] * heading.along[1];
     let leash = SLACK * extent(track);
     let (mut behind, mut path, mut furthest) = (start, 0.0, 0.0);
     let at = |pose: &ArmPose| {
-        let here = place(track, pose);
+        let here = track.place(pose);
         let away = between(behind, here);
         if away > leash {
             let pulled = (away - leash) / away;
@@ -107,11 +91,11 @@ pub fn moving(track: &Track) -> Vec<usize> {
     let poses = &track.poses;
     let usual = usual_speed(track);
     let seen = |a: usize, b: usize| match a < b {
-        true => between(place(track, &poses[a]), place(track, &poses[b])) / (poses[b].t - poses[a].t),
+        true => between(track.place(&poses[a]), track.place(&poses[b])) / (poses[b].t - poses[a].t),
         false => f64::INFINITY,
     };
     let moves = |i: &usize| {
-        let logged = speed(track, &poses[*i]);
+        let logged = track.speed(&poses[*i]);
         // At the ends of a rest, only the samples on one side are at rest.
         let before = seen(i.saturating_sub(REACH), *i);
         let after = seen(*i, (i + REACH).min(poses.len() - 1));
@@ -124,7 +108,7 @@ pub fn moving(track: &Track) -> Vec<usize> {
 
 /// The logged speed at the median of the path: rests and single outliers hardly affect it.
 fn usual_speed(track: &Track) -> f64 {
-    let mut speeds: Vec<f64> = track.poses.iter().map(|p| speed(track, p)).collect();
+    let mut speeds: Vec<f64> = track.poses.iter().map(|p| track.speed(p)).collect();
     speeds.sort_by(f64::total_cmp);
     let half = 0.5 * speeds.iter().sum::<f64>();
     let mut way = 0.0;
@@ -137,6 +121,8 @@ fn usual_speed(track: &Track) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::experiment::Intruder;
+    use super::super::track::ArmPose;
     use super::*;
 
     /// A plate that rests, goes down 3 cm at 0.1 m/s, rests, and comes up again, sampled every millisecond; the

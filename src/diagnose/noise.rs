@@ -13,7 +13,8 @@
 //! repetitions, which do not depend on the model of the sand.
 
 use super::errors::SquaredErrors;
-use super::observations::{Observations, Size, interpolate};
+use super::observations::{Observations, Size};
+use super::series::{interpolate, root_mean_square};
 use super::shared::Uncertainty;
 
 /// Noise of one channel.
@@ -167,8 +168,7 @@ pub struct NoiseData<'a> {
 pub fn scatters(observations: &Observations, floor: &SquaredErrors) -> bool {
     let counted = observations.channels.iter().enumerate().filter(|c| c.1.in_rmse);
     let blocks = counted.flat_map(|(c, _)| observations.units.iter().map(move |u| u.block(c)));
-    let (square, count) = blocks.flatten().fold((0.0, 0.0), |(s, n), k| (s + observations.values[k].powi(2), n + 1.0));
-    floor.rmse() > COPIES * (square / f64::max(count, 1.0)).sqrt()
+    floor.rmse() > COPIES * root_mean_square(blocks.flatten().map(|k| observations.values[k]))
 }
 
 impl Noise {

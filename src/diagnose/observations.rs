@@ -62,6 +62,24 @@ pub struct Observations {
 }
 
 impl Observations {
+    /// Those of units with one number a channel; each unit has an id and a condition.
+    pub fn of_rows(
+        size: Size,
+        channels: Vec<Channel>,
+        rows: impl Iterator<Item = (String, usize)>,
+        values: Vec<f64>,
+        conditions: Vec<String>,
+    ) -> Self {
+        let unit = |(row, (id, condition)): (usize, (String, usize))| Unit {
+            id,
+            condition,
+            start: row * channels.len(),
+            samples: 1,
+            progress: vec![0.0],
+        };
+        Self { size, values, units: rows.enumerate().map(unit).collect(), channels, conditions }
+    }
+
     /// All numbers of a unit in a stack.
     pub fn span(&self, unit: &Unit) -> Range<usize> {
         unit.start..unit.start + unit.samples * self.channels.len()
@@ -89,6 +107,21 @@ impl Observations {
     }
 }
 
+/// A log, read and checked: what was measured, and in which setting.
+pub struct MeasuredLog<S> {
+    pub observations: Observations,
+    /// What was done. Trials that move alike share a setting, and so do runs with the same setup.
+    pub settings: Vec<S>,
+    /// Setting of each unit.
+    pub setting_of: Vec<usize>,
+    /// Optional columns that are absent or blank throughout.
+    pub missing: Vec<&'static str>,
+    /// Notes for the report on how the numbers were prepared.
+    pub notes: Vec<String>,
+    /// Checksum of the data file.
+    pub sha256: String,
+}
+
 /// Assigns numbers to names in order of appearance.
 #[derive(Default)]
 pub struct Names {
@@ -105,18 +138,4 @@ impl Names {
         self.list.push(name.into());
         self.list.len() - 1
     }
-}
-
-/// Interpolates `values`, given at increasing `from`, linearly at `at`; constant beyond the ends.
-pub fn interpolate(from: &[f64], values: &[f64], at: f64) -> f64 {
-    let right = from.partition_point(|&p| p < at);
-    if right == 0 {
-        return values[0];
-    }
-    if right == from.len() {
-        return values[right - 1];
-    }
-    let (a, b) = (from[right - 1], from[right]);
-    let share = if b > a { (at - a) / (b - a) } else { 0.0 };
-    values[right - 1] + share * (values[right] - values[right - 1])
 }

@@ -1,7 +1,8 @@
 //! Writes the results of a diagnosis: `report.json`, `sand.toml`, and `report.html`, one self-contained page.
 
 use super::figures;
-use super::report::{Diagnosis, Report};
+use super::report::{Diagnosis, EvidenceRow, NuisanceValue, Report, RunMeans, Tried};
+use super::series::root_mean_square;
 use super::verdict::{Verdict, Written};
 use super::words::{after, digits, span};
 use crate::error::{Error, Result};
@@ -54,7 +55,7 @@ fn page(diagnosis: &Diagnosis, json: &str) -> String {
     found(&mut html, r);
     gain(&mut html, diagnosis);
     if !details.is_empty() {
-        let _ = write!(html, "<h2>In detail</h2><ul>{}</ul>", details.iter().map(|d| item(d)).collect::<String>());
+        let _ = write!(html, "<h2>In detail</h2>{}", list(details.into_iter().map(sentence)));
     }
     figures::misfit(&mut html, &r.misfit);
     if !r.runs.is_empty() {
@@ -68,8 +69,22 @@ fn page(diagnosis: &Diagnosis, json: &str) -> String {
     html
 }
 
-fn item(text: &str) -> String {
-    format!("<li>{}", escape(&capital(text)))
+/// A text for the page that begins with a capital.
+fn sentence(text: &str) -> String {
+    escape(&capital(text))
+}
+
+/// A list of items in HTML.
+fn list(items: impl IntoIterator<Item = String>) -> String {
+    format!("<ul>{}</ul>", items.into_iter().map(|item| format!("<li>{item}")).collect::<String>())
+}
+
+/// A table of cells in HTML, row by row under its heads.
+fn table<const N: usize>(heads: [&str; N], rows: impl IntoIterator<Item = [String; N]>) -> String {
+    let heads: String = heads.iter().map(|head| format!("<th>{head}")).collect();
+    let row = |cells: [String; N]| format!("<tr>{}", cells.map(|cell| format!("<td>{cell}")).concat());
+    let rows: String = rows.into_iter().map(row).collect();
+    format!("<div class=wide><table><tr>{heads}{rows}</table></div>")
 }
 
 fn capital(text: &str) -> String {
@@ -101,7 +116,7 @@ fn verdict<'a>(html: &mut String, r: &'a Report) -> Vec<&'a str> {
     let shorter = r.summary.strip_suffix(place).map_or(&r.summary[..], |s| s.trim_end_matches("; "));
     let (own, places) = (clauses(shorter), clauses(place));
     let (first, rest) = own.split_at(own.len().min(2));
-    let _ = write!(html, "<p class=verdict>{}.</p>", escape(&capital(&first.join("; "))));
+    let _ = write!(html, "<p class=verdict>{}.</p>", sentence(&first.join("; ")));
     for warning in &r.warnings {
         let _ = write!(html, "<p><b>Warning:</b> {}</p>", escape(warning));
     }
@@ -136,11 +151,11 @@ fn next(html: &mut String, r: &Report, hardware: bool) {
     };
     let _ = write!(html, "<div class=next><p><b>What to do next.</b> {what}{stand_in}{found}</p>");
     if let Some(next) = &r.next_experiment {
-        let _ = write!(html, "<p>{}:</p><ul>", escape(&capital(&next.why)));
-        for p in &next.conditions {
-            let _ = write!(html, "<li>{} × {}: {:.1} σ", p.repetitions, escape(&p.condition), p.expected_separation);
-        }
-        html.push_str("</ul>");
+        let trials = next
+            .conditions
+            .iter()
+            .map(|p| format!("{} × {}: {:.1} σ", p.repetitions, escape(&p.condition), p.expected_separation));
+        let _ = write!(html, "<p>{}:</p>{}", sentence(&next.why), list(trials));
     }
     if matches!(r.verdict, Verdict::Named | Verdict::Ambiguous | Verdict::Described) {
         html.push_str(
@@ -177,7 +192,7 @@ fn found(html: &mut String, r: &Report) {
             digits(c.ci95[0]),
             digits(c.ci95[1]),
             if after(&c.unit).is_empty() { ", without unit" } else { "" },
-            entry.map_or(String::new(), |m| escape(&capital(m.law))),
+            entry.map_or(String::new(), |m| sentence(m.law)),
             entry.map_or(String::new(), source)
         );
     }
@@ -258,73 +273,63 @@ fn by_shape(html: &mut String, diagnosis: &Diagnosis, unit: &str) {
         let own = o.units.iter().zip(&c.groups).filter(|(_, group)| shape.is_none_or(|s| s == *group));
         let blocks =
             own.flat_map(|(u, _)| (0..o.channels.len()).filter(|k| o.channels[*k].in_rmse).flat_map(|k| u.block(k)));
-        let (sum, count) = blocks.fold((0.0, 0.0), |(s, n), k| (s + (o.values[k] - prediction[k]).powi(2), n + 1.0));
-        (sum / f64::max(count, 1.0)).sqrt()
+        root_mean_square(blocks.map(|k| o.values[k] - prediction[k]))
     };
+    let extended = |shape| c.extended.as_ref().map_or("–".into(), |e| digits(rms(e, shape)));
+    let all = shapes.iter().map(|s| (*s, Some(*s))).chain([("all", None)]);
+    let rows = all.map(|(name, shape)| [escape(name), digits(rms(&c.plain, shape)), extended(shape)]);
+    let heads = ["shape".into(), format!("plain model [{unit}]"), format!("extended model [{unit}]")];
     let _ = write!(
         html,
         "<p class=small>The same error by shape, in all data. The extended model was fitted to them, so that its error over all is \
-         somewhat smaller here than on left-out conditions.</p><div class=wide><table><tr><th>shape<th>plain model [{unit}]<th>extended model [{unit}]"
+         somewhat smaller here than on left-out conditions.</p>{}",
+        table(heads.each_ref().map(String::as_str), rows)
     );
-    for (name, shape) in shapes.iter().map(|s| (*s, Some(*s))).chain([("all", None)]) {
-        let extended = c.extended.as_ref().map_or("–".into(), |e| digits(rms(e, shape)));
-        let _ = write!(html, "<tr><td>{}<td>{}<td>{extended}", escape(name), digits(rms(&c.plain, shape)));
-    }
-    html.push_str("</table></div>");
 }
 
 /// Writes a table for runs, which have one number for each channel.
 fn runs(html: &mut String, diagnosis: &Diagnosis) {
-    html.push_str("<details><summary>Means over repetitions as a table</summary><div class=wide><table><tr><th>condition<th>channel<th>measured<th>plain<th>extended<th>unit");
     let c = &diagnosis.curves;
-    for run in &diagnosis.report.runs {
+    let row = |run: &RunMeans| {
         let condition = c.observations.conditions.iter().position(|name| *name == run.condition);
-        let _ = write!(
-            html,
-            "<tr><td>{}<td>{}<td>{}<td>{}<td>{}<td>{}",
-            escape(condition.map_or(&run.condition, |k| &c.conditions[k])),
-            run.channel,
-            digits(run.measured),
-            digits(run.plain),
-            run.extended.map_or("–".into(), digits),
-            run.unit
-        );
-    }
-    html.push_str("</table></div></details>");
+        let condition = condition.map_or(&run.condition, |k| &c.conditions[k]);
+        let extended = run.extended.map_or("–".into(), digits);
+        let numbers = (digits(run.measured), digits(run.plain), extended);
+        [escape(condition), run.channel.clone(), numbers.0, numbers.1, numbers.2, run.unit.clone()]
+    };
+    let heads = ["condition", "channel", "measured", "plain", "extended", "unit"];
+    let rows = table(heads, diagnosis.report.runs.iter().map(row));
+    let _ = write!(html, "<details><summary>Means over repetitions as a table</summary>{rows}</details>");
 }
 
 /// The models that were compared.
 fn compared(html: &mut String, r: &Report) {
     if !r.evidence.is_empty() {
-        html.push_str(
-            "<h2>Evidence</h2><p class=small>elpd: log density that a model gives left-out conditions, summed. The difference is \
-             that to the best model; a model is clearly worse if its difference is more than twice the standard error. \
-             sand.toml holds the model in bold.</p><div class=wide><table><tr><th>model<th>elpd<th>difference to the best<th>standard error",
-        );
-        for m in &r.evidence {
+        let row = |m: &EvidenceRow| {
             let parts: Vec<&str> = m.ids.iter().chain(&m.terms).map(String::as_str).collect();
             let name = if parts.is_empty() { "plain model".into() } else { escape(&parts.join(" + ")) };
             let name = if m.written { format!("<b>{name}</b>") } else { name };
-            let _ = write!(html, "<tr><td>{name}<td>{:.1}<td>{:.1}<td>{:.1}", m.elpd, m.difference, m.standard_error);
-        }
-        html.push_str("</table></div>");
-    }
-    html.push_str("<h2>Candidate causes</h2><div class=wide><table><tr><th>cause<th>value<th>Δχ²<th>ΔAIC<th>ΔBIC<th>error on left-out conditions<th>distance to the best [σ]");
-    for c in r.candidates.iter().take(16) {
-        let values: Vec<_> = c.values.iter().map(|v| digits(*v)).collect();
+            let [elpd, difference, error] = [m.elpd, m.difference, m.standard_error].map(|v| format!("{v:.1}"));
+            [name, elpd, difference, error]
+        };
+        let heads = ["model", "elpd", "difference to the best", "standard error"];
         let _ = write!(
             html,
-            "<tr><td>{}<td>{}<td>{:.1}<td>{:.1}<td>{:.1}<td>{}<td>{}",
-            c.ids.join(" + "),
-            values.join(", "),
-            c.delta_chi2,
-            c.delta_aic,
-            c.delta_bic,
-            c.cv_gain.map_or("–".into(), |g| format!("{:+.1} %", -100.0 * g).replace('-', "−")),
-            c.distance_to_best.map_or("–".into(), |d| format!("{d:.1}"))
+            "<h2>Evidence</h2><p class=small>elpd: log density that a model gives left-out conditions, summed. The difference is \
+             that to the best model; a model is clearly worse if its difference is more than twice the standard error. \
+             sand.toml holds the model in bold.</p>{}",
+            table(heads, r.evidence.iter().map(row))
         );
     }
-    html.push_str("</table></div>");
+    let row = |c: &Tried| {
+        let values: Vec<_> = c.values.iter().map(|v| digits(*v)).collect();
+        let [chi2, aic, bic] = [c.delta_chi2, c.delta_aic, c.delta_bic].map(|v| format!("{v:.1}"));
+        let gain = c.cv_gain.map_or("–".into(), |g| format!("{:+.1} %", -100.0 * g).replace('-', "−"));
+        let distance = c.distance_to_best.map_or("–".into(), |d| format!("{d:.1}"));
+        [c.ids.join(" + "), values.join(", "), chi2, aic, bic, gain, distance]
+    };
+    let heads = ["cause", "value", "Δχ²", "ΔAIC", "ΔBIC", "error on left-out conditions", "distance to the best [σ]"];
+    let _ = write!(html, "<h2>Candidate causes</h2>{}", table(heads, r.candidates.iter().take(16).map(row)));
 }
 
 fn beside(html: &mut String, r: &Report) {
@@ -333,43 +338,41 @@ fn beside(html: &mut String, r: &Report) {
             format!("{:.0} % of the plain model's misfit remains. {}", 100.0 * rest.fraction, capital(&rest.place));
         let _ = write!(html, "<h2>What remains</h2><p>{}</p>", escape(&text));
     }
-    html.push_str("<h2>Nuisances</h2><p class=small>Effects of the measurement. Fits marginalise over them, and they are not causes.</p><ul>");
-    for n in &r.nuisances {
+    let nuisance = |n: &NuisanceValue| {
         let channel = n.channel.as_ref().map_or(String::new(), |c| format!(" {c}"));
-        let unit = after(n.unit);
         let value = if n.level == "log" { format!("{} ± ", digits(n.value)) } else { "scatters by ".into() };
-        let _ = write!(html, "<li>{}{channel} ({}): {value}{}{unit}", n.id, n.level, digits(n.sd));
-    }
-    html.push_str("</ul>");
+        format!("{}{channel} ({}): {value}{}{}", n.id, n.level, digits(n.sd), after(n.unit))
+    };
+    let _ = write!(
+        html,
+        "<h2>Nuisances</h2><p class=small>Effects of the measurement. Fits marginalise over them, and they are not causes.</p>{}",
+        list(r.nuisances.iter().map(nuisance))
+    );
     if !r.upper_limits.is_empty() {
-        html.push_str(
-            "<h2>Causes that were not found</h2><p class=small>Upper limits of their strengths, at 95 %.</p><ul>",
+        let limits = r.upper_limits.iter();
+        let limits = limits.map(|l| format!("{} &lt; {}{}", l.id, digits(l.value), after(&l.unit)));
+        let _ = write!(
+            html,
+            "<h2>Causes that were not found</h2><p class=small>Upper limits of their strengths, at 95 %.</p>{}",
+            list(limits)
         );
-        for limit in &r.upper_limits {
-            let _ = write!(html, "<li>{} &lt; {}{}", limit.id, digits(limit.value), after(&limit.unit));
-        }
-        html.push_str("</ul>");
     }
 }
 
 fn unknowns(html: &mut String, r: &Report) {
-    if r.ambiguity_set.len() > 1 || !r.untestable.is_empty() {
-        html.push_str("<h2>What these data cannot decide</h2><ul>");
-        if r.ambiguity_set.len() > 1 {
-            let set: Vec<_> = r.ambiguity_set.iter().map(|ids| ids.join(" + ")).collect();
-            let _ = write!(html, "<li>which of these explanations is right: {}", set.join(" | "));
-        }
-        for u in &r.untestable {
-            let _ = write!(html, "<li>{}: {}", u.id, escape(&u.why));
-        }
-        html.push_str("</ul>");
+    let set: Vec<_> = r.ambiguity_set.iter().map(|ids| ids.join(" + ")).collect();
+    let rivals = (set.len() > 1).then(|| format!("which of these explanations is right: {}", set.join(" | ")));
+    let untestable = r.untestable.iter().map(|u| format!("{}: {}", u.id, escape(&u.why)));
+    let undecided: Vec<String> = rivals.into_iter().chain(untestable).collect();
+    if !undecided.is_empty() {
+        let _ = write!(html, "<h2>What these data cannot decide</h2>{}", list(undecided));
     }
     let units = |name: &str| r.misfit.iter().find(|m| m.by == name).map_or("", |m| m.unit.as_str());
     let ranges: Vec<_> =
         r.valid_range.iter().map(|(name, v)| format!("{name} {}", span(*v, units(name)).replace('-', "−"))).collect();
     let _ = write!(html, "<h2>Range of validity</h2><p>{}</p>", ranges.join(" · "));
     if !r.notes.is_empty() {
-        let _ = write!(html, "<h2>Notes</h2><ul>{}</ul>", r.notes.iter().map(|n| item(n)).collect::<String>());
+        let _ = write!(html, "<h2>Notes</h2>{}", list(r.notes.iter().map(|n| sentence(n))));
     }
 }
 

@@ -55,7 +55,7 @@ pub struct Tried {
 }
 
 /// Mean square of the smooth part of the whitened residual: 1 is noise alone.
-#[derive(Clone, Debug, Serialize, PartialEq)]
+#[derive(Clone, Debug, Default, Serialize, PartialEq)]
 pub struct LackOfFit {
     pub plain: Option<f64>,
     pub extended: Option<f64>,
@@ -144,7 +144,7 @@ pub struct NextExperiment {
 }
 
 /// All results of a diagnosis.
-#[derive(Clone, Debug, Serialize, PartialEq)]
+#[derive(Clone, Debug, Default, Serialize, PartialEq)]
 pub struct Report {
     pub schema: &'static str,
     pub verdict: Verdict,

@@ -5,14 +5,9 @@ use super::fit::COEFFICIENTS;
 use crate::number::add_scaled;
 use crate::sand::Coefficients;
 use crate::sand::mechanism::Mechanisms;
-use std::sync::{Arc, Mutex, PoisonError};
 
 /// Coefficient [N/m³] at which a column is computed: of usual size.
 const UNIT: f64 = 1e5;
-/// Number of responses that are kept: our choice. Fits need slopes and predictions at few states at a time, and a
-/// response is ten stacks.
-const KEPT: usize = 8;
-
 /// Is the force linear in the coefficients? It is not with a friction limit, which compares two parts of the force,
 /// or with a leg that bends.
 pub fn is_linear(m: &Mechanisms) -> bool {
@@ -47,38 +42,5 @@ impl CoefficientResponse {
             add_scaled(&mut all, c, column);
         }
         all
-    }
-}
-
-/// The last responses. A clone has none, because its model may be changed.
-#[derive(Default)]
-pub struct Responses(Mutex<Vec<(Mechanisms, Arc<CoefficientResponse>)>>);
-
-impl Clone for Responses {
-    fn clone(&self) -> Self {
-        Self::default()
-    }
-}
-
-impl Responses {
-    pub fn known(&self, m: &Mechanisms) -> Option<Arc<CoefficientResponse>> {
-        let known = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        known.iter().find(|k| k.0 == *m).map(|k| k.1.clone())
-    }
-
-    /// The response for `m`, computed if it is not known. Other threads wait meanwhile, because they usually need
-    /// the same one.
-    pub fn of(&self, m: &Mechanisms, make: impl FnOnce() -> CoefficientResponse) -> Arc<CoefficientResponse> {
-        let mut known = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((_, response)) = known.iter().find(|k| k.0 == *m) {
-            return response.clone();
-        }
-        let made = Arc::new(make());
-        // The first response, usually the plain model's, stays, because it is needed most often.
-        if known.len() == KEPT {
-            known.remove(1);
-        }
-        known.push((*m, made.clone()));
-        made
     }
 }

@@ -1,7 +1,7 @@
 //! Selects the cause: fits the candidates, compares them by one table of evidence, and measures the gain of what is
 //! written.
 
-use super::candidates::{Candidates, SECOND, SearchSpace, candidates};
+use super::candidates::{Candidates, SECOND, SearchSpace, candidates, contenders};
 use super::errors::SquaredErrors;
 use super::evidence::{EvidenceTable, LEAST};
 use super::fit::Fit;
@@ -91,7 +91,7 @@ pub fn select(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -
     };
     let sensor: Vec<usize> = asked.ids.iter().copied().filter(marginalised).collect();
     let unnamed = [&sensor[..], asked.untestable].concat();
-    let selection = attempt(study, asked, &unnamed, progress)?;
+    let selection = attempt(study, &SearchSpace { unnamed: &unnamed, ..*asked }, progress)?;
     if sensor.is_empty() || selection.verdict() != Verdict::NoiseFloor || study.nuisances.is_empty() {
         return Ok(selection);
     }
@@ -107,24 +107,23 @@ pub fn select(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -
     if with - elpd(bare.recalibrated()) < 2.0 * LEAST {
         return Ok(selection);
     }
-    let other = attempt(&bare, asked, asked.untestable, progress)?;
+    let other = attempt(&bare, asked, progress)?;
     let as_well = |best: &Fit| elpd(bare.fit_from(&[best]).swap_remove(0)) > with - 2.0 * LEAST;
     Ok(if other.best().is_some_and(as_well) { other } else { selection })
 }
 
 /// Fits and compares once.
-fn attempt(study: &FitInputs, asked: &SearchSpace, unnamed: &[usize], progress: &dyn Progress) -> Result<Selection> {
-    let report = |done: f64, stage: &str| progress.report(done, stage);
-    let mut candidates = candidates(study, asked, unnamed, &report)?;
+fn attempt(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -> Result<Selection> {
+    let mut candidates = candidates(study, asked, &|done, stage| progress.report(done, stage))?;
     progress.report(0.8, "laws in the data")?;
-    let around = candidates.around.whitener.clone();
-    let renewed = study.under(&around, candidates.around.nuisances.clone());
+    let around = candidates.around.clone();
+    let renewed = around.about(study);
     let profiled = explored(&renewed, &mut candidates);
     let alone = laws(&renewed, &candidates.base);
     let leading = candidates.leading.map(|k| &candidates.fits[k]);
     let beside = leading.filter(|_| alone.is_some()).and_then(|fit| laws(&renewed, fit));
     progress.report(0.85, "held-out conditions")?;
-    Ok(judged(study, &renewed, asked, unnamed, candidates, [alone, beside], profiled))
+    Ok(judged(study, &renewed, asked, candidates, [alone, beside], profiled))
 }
 
 /// Compares all models and rules on them. Where the plain model, with nuisances, leaves no more than noise may, mechanisms
@@ -134,19 +133,18 @@ fn judged(
     study: &FitInputs,
     renewed: &FitInputs,
     asked: &SearchSpace,
-    unnamed: &[usize],
     mut candidates: Candidates,
     mut dictionary: [Option<Laws>; 2],
     profiled: Option<Vec<[f64; 2]>>,
 ) -> Selection {
     let all: Vec<usize> = (0..study.observations.conditions.len()).collect();
-    let marginalised = |id: &usize| unnamed.contains(id) && !asked.untestable.contains(id);
+    let marginalised = |id: &usize| asked.unnamed.contains(id) && !asked.untestable.contains(id);
     let plain = study.plain();
     let plain = SquaredErrors::of(study.observations, |k| plain.prediction[k], &all);
     loop {
         let models = models(&candidates, dictionary.each_ref().map(Option::as_ref));
         let table = EvidenceTable::new(renewed, renewed.whitener, &models, &all);
-        let mut entries = entries(renewed, &table, &models, &all, asked, unnamed);
+        let mut entries = entries(renewed, &table, &models, &all, asked);
         let mut ruling = verdict(&entries, SECOND);
         let measured = |&k: &usize| models[k].fit.ids.iter().any(marginalised);
         if entries[0].misfit <= 0.0 && !ruling.set.is_empty() && ruling.set.iter().all(measured) {
@@ -154,12 +152,12 @@ fn judged(
             dictionary[1] = dictionary[1].take().filter(|_| candidates.leading.is_some());
             continue;
         }
-        let mut nested = nested(renewed, asked, &candidates, (&models, unnamed), &ruling);
+        let mut nested = nested(renewed, asked, &candidates, &models, &ruling);
         // If the choice that is made anew in each fold raises the error, this is the error of what it chooses.
         while !matches!(ruling.written, Written::Cause | Written::Plain) && nested[1].rmse() >= entries[0].error {
             entries[ruling.model].error = nested[1].rmse();
             ruling = verdict(&entries, SECOND);
-            nested = self::nested(renewed, asked, &candidates, (&models, unnamed), &ruling);
+            nested = self::nested(renewed, asked, &candidates, &models, &ruling);
         }
         // The model is fitted once more, with the variance of its errors in each condition: at least that of the noise.
         let (model, row) = (&models[ruling.model], &table.rows[ruling.model]);
@@ -202,11 +200,9 @@ fn judged(
     }
 }
 
-/// The models of the table: the plain one, all fits, a law alone, and a law beside the leading cause. A fit with the value of the plain
-/// sand is none: what it gains is the freedom of a parameter that it does not use.
+/// The models of the table: the plain one, all fits, a law alone, and a law beside the leading cause.
 fn models<'a>(candidates: &'a Candidates, [alone, beside]: [Option<&'a Laws>; 2]) -> Vec<Contender<'a>> {
-    let fits = [&candidates.base].into_iter().chain(candidates.fits.iter().filter(|fit| !fit.is_idle()));
-    let mut models: Vec<Contender> = fits.map(|fit| Contender { fit, laws: None }).collect();
+    let mut models = contenders(&candidates.base, &candidates.fits);
     models.extend(alone.map(|laws| Contender { fit: &candidates.base, laws: Some(laws) }));
     let leading = candidates.leading.map(|k| &candidates.fits[k]);
     models.extend(leading.zip(beside).map(|(fit, laws)| Contender { fit, laws: Some(laws) }));
@@ -227,7 +223,6 @@ fn entries(
     models: &[Contender],
     used: &[usize],
     asked: &SearchSpace,
-    unnamed: &[usize],
 ) -> Vec<Compared> {
     let plain = study.plain();
     let plain = SquaredErrors::of(study.observations, |k| plain.prediction[k], used).rmse();
@@ -245,7 +240,7 @@ fn entries(
         Compared {
             causes: ids.len(),
             law: models[k].laws.is_some_and(|_| table.rows[k].law.is_some()),
-            unnamed: ids.iter().any(|id| unnamed.contains(id)),
+            unnamed: ids.iter().any(|id| asked.unnamed.contains(id)),
             unlikely: ids.iter().zip(models[k].fit.values()).any(unlikely),
             within: (0..models.len()).filter(inside).collect(),
             alike: (0..models.len()).filter(hidden).collect(),
@@ -303,7 +298,7 @@ fn nested(
     study: &FitInputs,
     asked: &SearchSpace,
     candidates: &Candidates,
-    (models, unnamed): (&[Contender], &[usize]),
+    models: &[Contender],
     ruling: &Ruling,
 ) -> [SquaredErrors; 2] {
     let conditions = study.observations.conditions.len();
@@ -316,7 +311,7 @@ fn nested(
         let table = EvidenceTable::new(study, &whitener, models, &rest);
         let chosen = match ruling.written {
             Written::Plain => 0,
-            _ => verdict(&entries(study, &table, models, &rest, asked, unnamed), SECOND).model,
+            _ => verdict(&entries(study, &table, models, &rest, asked), SECOND).model,
         };
         [0, chosen].map(|k| held_out(study, &models[k], table.rows[k].law, &table.rows[k].step, held))
     });

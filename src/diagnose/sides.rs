@@ -36,10 +36,9 @@ pub fn leading_sides(sides: &[Segment], place: RigidMotion, slope: f64, pressure
 #[cfg(test)]
 mod tests {
     use super::super::experiment::Intruder;
-    use super::super::force_model::ForceLogModel;
+    use super::super::force_model::tests::forces;
     use super::super::track::{ArmPose, Track};
     use crate::sand::mechanism::Mechanisms;
-    use crate::sand::{Medium, SandDescription};
 
     /// A plate that moves along itself pushes sand away with its leading side, λ ρ v² on 2.5 × 0.6 cm. A thin plate, or
     /// one in the air, has no such force.
@@ -48,14 +47,10 @@ mod tests {
         let drag = |thickness: Option<f64>, way: f64, z: f64| {
             let intruder = Intruder::Plate { length: 0.038, width: 0.025, thickness };
             let pose = |t: f64| ArmPose { t, center: [way * t, z], velocity: [way, 0.0], ..ArmPose::default() };
-            let load = |inertial_drag: f64| {
-                let mut sand = SandDescription::plain(&Medium::named("poppy-loose").unwrap());
-                sand.bulk_density = 640.0;
-                sand.mechanisms = Mechanisms { inertial_drag, ..Default::default() };
-                ForceLogModel::one(&sand, Track::leg(intruder, 0.0, vec![pose(0.0), pose(0.01)])).unwrap()[0]
-            };
+            let track = Track::leg(intruder, 0.0, vec![pose(0.0), pose(0.01)]);
+            let load = |inertial_drag: f64| forces(Mechanisms { inertial_drag, ..Default::default() }, &track);
             let (with, without) = (load(2.0), load(0.0));
-            [with.fx - without.fx, with.fz - without.fz]
+            [with[0] - without[0], with[2] - without[2]]
         };
         for way in [-0.5, 0.5] {
             let [fx, fz] = drag(Some(0.006), way, -0.03);

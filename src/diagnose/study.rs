@@ -40,7 +40,7 @@ impl<'a> FitInputs<'a> {
         let steps = CATALOG.map(|entry| SMOOTH_STEP * entry.coordinate_typical());
         let (nuisances, marginal_slopes) = (Vec::new(), [Vec::new(), Vec::new()]);
         let mut study = Self { observations, model, whitener, coefficient_sd, nuisances, marginal_slopes, steps };
-        study.set_nuisances(model.nuisances(&study.plain_sand(), &[]));
+        study.set_nuisances(model.nuisances(&model.plain_sand(), &[]));
         let plain = study.plain();
         if let Some(roughness) = model.roughness() {
             study.find_steps(roughness, &plain.prediction);
@@ -83,11 +83,7 @@ impl<'a> FitInputs<'a> {
         self.marginal_slopes = [plain.swap_remove(0).slopes, white];
     }
 
-    /// The sand of the plain model, and that of a fit.
-    pub fn plain_sand(&self) -> SandParameters {
-        (Mechanisms::default(), self.model.medium().coefficients)
-    }
-
+    /// The sand of a fit.
     pub fn sand(&self, fit: &Fit) -> SandParameters {
         (fit.mechanisms, self.coefficients(&fit.deviations))
     }

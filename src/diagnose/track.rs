@@ -47,7 +47,24 @@ pub struct Track {
 }
 
 impl Track {
+    /// The coordinates that move: the angle of a leg [rad], or the centre of a plate [m].
+    pub fn place(&self, pose: &ArmPose) -> [f64; 2] {
+        match self.intruder {
+            Intruder::Leg { .. } => [pose.theta, 0.0],
+            Intruder::Plate { .. } => pose.center,
+        }
+    }
+
+    /// Their speed as logged.
+    pub fn speed(&self, pose: &ArmPose) -> f64 {
+        match self.intruder {
+            Intruder::Leg { .. } => pose.omega.abs(),
+            Intruder::Plate { .. } => pose.velocity[0].hypot(pose.velocity[1]),
+        }
+    }
+
     /// A leg on fresh ground at x = 0.
+    #[cfg(test)]
     pub fn leg(intruder: Intruder, hip_height: f64, poses: Vec<ArmPose>) -> Self {
         let (shape, beta, pass, pass_dx, x_bed) = ("leg".into(), 0.0, 1, 0.0, 0.0);
         Self { shape, intruder, hip_height, beta, pass, pass_dx, x_bed, poses }

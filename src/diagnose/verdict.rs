@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 /// The outcome of a diagnosis.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
     /// No model predicts left-out conditions better than the plain one, whose errors are within the data's own scatter.
@@ -17,11 +17,12 @@ pub enum Verdict {
     /// Neither a mechanism nor a law explains the main part of the misfit.
     NoneOfThese,
     /// There are no repetitions, or only copies, so no noise floor.
+    #[default]
     InsufficientData,
 }
 
 /// What `sand.toml` holds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Written {
     /// A named cause, or the best of an ambiguity set.
@@ -31,6 +32,7 @@ pub enum Written {
     /// Mechanisms that predict left-out conditions better, but that are not held for the cause.
     Proxy,
     /// The plain model.
+    #[default]
     Plain,
 }
 

@@ -3,6 +3,8 @@
 use super::errors::SquaredErrors;
 use super::evidence::NORMAL;
 use super::fit::{COEFFICIENTS, Fit};
+use super::forward::Feature;
+use super::further::Further;
 use super::laws::FittedLaw;
 use super::noise::{Noise, NoiseData};
 use super::report::{
@@ -10,6 +12,7 @@ use super::report::{
     TermFound, Tried, Untestable, UpperLimit,
 };
 use super::select::Selection;
+use super::series::ends;
 use super::study::FitInputs;
 use super::summary::summary;
 use super::verdict::{Verdict, Written};
@@ -18,76 +21,84 @@ use super::{laws, misfit, next_experiment, speed_exponent};
 use crate::sand::mechanism::CATALOG;
 use crate::student;
 
-/// The inputs of a report.
+/// What a report says of the data and the plain model. Without repetitions this is all that it says.
+pub fn without_verdict(
+    study: &FitInputs,
+    untestable: Vec<Untestable>,
+    data_sha256: String,
+    notes: Vec<String>,
+) -> Report {
+    let (observations, model, plain) = (study.observations, study.model, study.plain().prediction);
+    let range = |f: Feature| (f.name.to_string(), ends(f.values.iter().flatten().copied()));
+    let why = match observations.has_replicates() {
+        true => "repetitions are copies of each other, so their scatter is no noise floor",
+        false => "no condition is repeated",
+    };
+    let mut report = Report {
+        schema: "sandgait.diagnosis.v3",
+        misfit: misfit::misfit(observations, model, &plain, |_| true),
+        untestable,
+        valid_range: model.features().into_iter().map(range).collect(),
+        warnings: vec![why.into()],
+        notes,
+        runs: runs(study, None),
+        data_sha256,
+        ..Report::default()
+    };
+    report.summary = summary(&report);
+    report
+}
+
+/// The inputs of a report with a verdict.
 pub struct ReportView<'a> {
     pub study: &'a FitInputs<'a>,
     pub source: &'a NoiseData<'a>,
     pub noise: &'a Noise,
-    pub selection: Option<&'a Selection>,
+    pub selection: &'a Selection,
     pub floor: SquaredErrors,
 }
 
 impl ReportView<'_> {
-    pub fn report(&self, untestable: Vec<Untestable>, data_sha256: String, mut notes: Vec<String>) -> Report {
-        notes.extend(self.left_out());
-        let observations = self.study.observations;
-        let (model, plain) = (self.study.model, self.study.plain().prediction);
-        let misfit = misfit::misfit(observations, model, &plain, |_| true);
-        let significant = self.selection.is_some_and(|s| s.verdict() != Verdict::NoiseFloor);
-        let whereabouts = misfit::whereabouts(observations, model, &plain, "the plain model's error");
-        let ranges = model.features().into_iter().map(|f| {
-            let all = f.values.iter().flatten().copied();
-            (f.name.to_string(), all.fold([f64::MAX, f64::MIN], |r, v| [r[0].min(v), r[1].max(v)]))
-        });
+    /// The report, from that without a verdict.
+    pub fn report(&self, mut without: Report) -> Report {
+        let (study, s) = (self.study, self.selection);
+        let plain = || study.plain().prediction;
+        let whereabouts = misfit::whereabouts(study.observations, study.model, &plain(), "the plain model's error");
         let causes = self.causes();
         // The noise with the scale of the errors that remain.
-        let renewed = self.selection.map(|s| self.study.under(&s.whitener, s.candidates.around.nuisances.clone()));
-        let channels = observations.channels.iter().zip(&self.noise.channels);
-        let entry = self.selection.map_or(0, |s| s.ruling.model);
+        let renewed = study.under(&s.whitener, s.candidates.around.nuisances.clone());
+        let shared = self.source.uncertainty.shared.iter().zip(&self.noise.shared);
+        let channels = study.observations.channels.iter().zip(&self.noise.channels);
+        without.notes.extend(self.left_out());
         let mut report = Report {
-            schema: "sandgait.diagnosis.v3",
-            verdict: self.selection.map_or(Verdict::InsufficientData, Selection::verdict),
-            written: self.selection.map_or(Written::Plain, |s| s.ruling.written),
+            verdict: s.ruling.verdict,
+            written: s.ruling.written,
             evidence: self.evidence(),
-            summary: String::new(),
-            whereabouts: whereabouts.filter(|_| significant),
+            whereabouts: whereabouts.filter(|_| s.ruling.verdict != Verdict::NoiseFloor),
             correlations: self.named().map(|s| s.intervals.correlations.clone()).unwrap_or_default(),
             warnings: self.warnings(&causes),
             causes,
-            ambiguity_set: self
-                .selection
-                .map_or(Vec::new(), |s| s.ruling.set.iter().map(|&k| names(s.fit_of(k))).collect()),
+            ambiguity_set: s.ruling.set.iter().map(|&k| names(s.fit_of(k))).collect(),
             candidates: self.tried(),
             lack_of_fit: LackOfFit {
-                plain: self.selection.map(|s| s.table.lack(0)),
-                extended: self.selection.filter(|_| entry > 0).map(|s| s.table.lack(entry)),
-                limit: self.selection.map(|s| s.table.limit),
+                plain: Some(s.table.lack(0)),
+                extended: s.fit().map(|_| s.table.lack(s.ruling.model)),
+                limit: Some(s.table.limit),
             },
             gain: self.gain(),
-            nuisances: renewed.as_ref().map_or(Vec::new(), |study| self.nuisances(study)),
-            remainder: self.remainder(),
-            terms: self.terms(),
-            upper_limits: renewed.as_ref().map_or(Vec::new(), |study| self.upper_limits(study)),
-            degrees_of_freedom: self.selection.map(|s| s.table.degrees),
-            form: renewed.as_ref().and_then(|study| self.form(study)),
-            misfit,
-            next_experiment: self.next_experiment(&untestable),
-            untestable,
-            valid_range: ranges.collect(),
-            noise: self.selection.map(|_| NoiseSummary {
-                shared: self
-                    .source
-                    .uncertainty
-                    .shared
-                    .iter()
-                    .zip(&self.noise.shared)
-                    .map(|(s, sd)| (s.name.into(), *sd))
-                    .collect(),
+            nuisances: self.nuisances(&renewed),
+            remainder: Some(self.remainder()),
+            terms: s.law.iter().map(|law| self.term(law)).collect(),
+            upper_limits: self.upper_limits(&renewed),
+            degrees_of_freedom: Some(s.table.degrees),
+            form: self.form(&renewed),
+            next_experiment: self.next_experiment(&without.untestable),
+            noise: Some(NoiseSummary {
+                shared: shared.map(|(s, sd)| (s.name.into(), *sd)).collect(),
                 channels: channels.map(|(c, n)| (c.name.to_string(), [n.grain, n.sensor, n.phi])).collect(),
             }),
-            notes,
-            runs: self.runs(),
-            data_sha256,
+            runs: runs(study, s.fit()),
+            ..without
         };
         report.summary = summary(&report);
         report
@@ -95,32 +106,30 @@ impl ReportView<'_> {
 
     /// The selection, if a cause is named.
     fn named(&self) -> Option<&Selection> {
-        self.selection.filter(|s| s.ruling.written == Written::Cause)
+        Some(self.selection).filter(|s| s.ruling.written == Written::Cause)
     }
 
     fn evidence(&self) -> Vec<EvidenceRow> {
-        let Some(s) = self.selection else { return Vec::new() };
-        let count = s.entries.len();
-        let mut order: Vec<usize> = (1..count).filter(|k| !s.ruling.left_out.contains(k)).collect();
-        let best = order.iter().chain([&0]).max_by(|a, b| s.table.elpd(**a).total_cmp(&s.table.elpd(**b)));
-        let best = best.copied().unwrap_or(0);
-        order.sort_by(|a, b| s.table.elpd(*b).total_cmp(&s.table.elpd(*a)));
+        let s = self.selection;
+        let compared = |k: &usize| !s.ruling.left_out.contains(k);
+        let best = s.table.ranked((0..s.entries.len()).filter(compared))[0];
         let of = |k: usize| {
             let [difference, standard_error] = s.table.difference(k, best);
             let terms = s.formulas[k].iter().cloned().collect();
             let (ids, written) = (names(s.fit_of(k)), k == s.ruling.model);
             EvidenceRow { ids, terms, elpd: s.table.elpd(k), difference, standard_error, written }
         };
+        let order = s.table.ranked((1..s.entries.len()).filter(compared));
         [0].into_iter().chain(order).map(of).collect()
     }
 
     /// A note on the models that are not compared.
     fn left_out(&self) -> Option<String> {
-        let s = self.selection?;
-        let error = |k: &usize| s.entries[*k].error;
-        let best = s.ruling.left_out.iter().max_by(|a, b| s.table.elpd(**a).total_cmp(&s.table.elpd(**b)))?;
-        let law = s.formulas[*best].iter().map(|law| format!("the law {law}"));
-        let named: Vec<String> = names(s.fit_of(*best)).into_iter().chain(law).collect();
+        let s = self.selection;
+        let error = |k: usize| s.entries[k].error;
+        let best = *s.table.ranked(s.ruling.left_out.iter().copied()).first()?;
+        let law = s.formulas[best].iter().map(|law| format!("the law {law}"));
+        let named: Vec<String> = names(s.fit_of(best)).into_iter().chain(law).collect();
         let unit = self.study.observations.channels.iter().find(|c| c.in_rmse).map_or("", |c| c.unit);
         let count = match s.ruling.left_out.len() {
             1 => "one model is".to_string(),
@@ -132,29 +141,23 @@ impl ReportView<'_> {
             named.join(" with "),
             digits(error(best)),
             after(unit),
-            digits(error(&0))
+            digits(error(0))
         ))
     }
 
     fn warnings(&self, causes: &[Cause]) -> Vec<String> {
         let mut warnings: Vec<String> =
             causes.iter().filter(|c| c.at_bound).map(|c| format!("{} is at its bound", c.id)).collect();
-        let Some(selection) = self.selection else {
-            let why = match self.study.observations.has_replicates() {
-                true => "repetitions are copies of each other, so their scatter is no noise floor",
-                false => "no condition is repeated",
-            };
-            return vec![why.into()];
-        };
-        warnings.extend(selection.fit().and_then(far_coefficients));
-        let unfelt = selection.fit().map(|fit| fit.mechanisms.unfelt_by_walkers()).unwrap_or_default();
+        let fit = self.selection.fit();
+        warnings.extend(fit.and_then(far_coefficients));
+        let unfelt = fit.map(|fit| fit.mechanisms.unfelt_by_walkers()).unwrap_or_default();
         warnings.extend(unfelt.into_iter().map(|line| format!("sand.toml: {line}")));
         warnings
     }
 
     fn form(&self, study: &FitInputs) -> Option<speed_exponent::SpeedExponent> {
         let selection = self.named()?;
-        crate::sand::mechanism::CATALOG[*selection.best()?.ids.first()?].exponent?;
+        CATALOG[*selection.best()?.ids.first()?].exponent?;
         speed_exponent::form(study, selection, &laws::laws(study, &selection.candidates.base)?)
     }
 
@@ -180,31 +183,23 @@ impl ReportView<'_> {
         fit.ids.iter().enumerate().map(cause).collect()
     }
 
-    fn terms(&self) -> Vec<TermFound> {
-        let Some(selection) = self.selection else { return Vec::new() };
-        let table = &selection.table;
-        let reach = student::two_sided_95(table.degrees.max(2.0));
-        let found = |law: &FittedLaw| TermFound {
-            formula: law.term.formula(),
-            tex: law.term.tex(),
-            on: law.term.on.name().into(),
-            groups: law.term.groups.clone(),
-            coefficient: law.term.coefficient,
-            ci95: [law.term.coefficient - reach * law.sd, law.term.coefficient + reach * law.sd],
-            range: law.term.range.clone(),
-        };
-        selection.law.as_ref().map(found).into_iter().collect()
-    }
-
-    /// The final fit: what is written, or the fitted plain model.
-    fn standing(&self) -> Option<&Fit> {
-        self.selection.map(|s| &s.standing)
+    fn term(&self, law: &FittedLaw) -> TermFound {
+        let (term, reach) = (&law.term, student::two_sided_95(self.selection.table.degrees.max(2.0)));
+        TermFound {
+            formula: term.formula(),
+            tex: term.tex(),
+            on: term.on.name().into(),
+            groups: term.groups.clone(),
+            coefficient: term.coefficient,
+            ci95: [term.coefficient - reach * law.sd, term.coefficient + reach * law.sd],
+            range: term.range.clone(),
+        }
     }
 
     /// Values of the nuisances that all data share, and standard deviations of those that differ between trials or
     /// beds.
     fn nuisances(&self, study: &FitInputs) -> Vec<NuisanceValue> {
-        let (Some(selection), Some(fit)) = (self.selection, self.standing()) else { return Vec::new() };
+        let (selection, fit) = (self.selection, &self.selection.standing);
         let reach = study.nuisance_reach(fit, selection.table.degrees);
         let split = |id: &str| match id.split_once('_').filter(|(_, c)| ["Fx", "Fz", "Ty"].contains(c)) {
             Some((kind, channel)) => (kind.to_string(), Some(channel.to_string())),
@@ -228,33 +223,33 @@ impl ReportView<'_> {
         values
     }
 
-    fn remainder(&self) -> Option<Remainder> {
-        let (selection, standing) = (self.selection?, self.standing()?);
+    fn remainder(&self) -> Remainder {
+        let (study, selection) = (self.study, self.selection);
         let (table, entry) = (&selection.table, selection.ruling.model);
         let significant = table.lack(entry) > table.limit;
-        let place =
-            misfit::whereabouts(self.study.observations, self.study.model, &standing.prediction, "what remains");
+        let left = &selection.standing.prediction;
+        let place = misfit::whereabouts(study.observations, study.model, left, "what remains");
         let unlocated = || "spread over all data".to_string();
         let left = selection.entries[entry].unexplained;
-        Some(Remainder {
+        Remainder {
             significant,
             fraction: if significant { left.clamp(0.0, 1.0) } else { 0.0 },
             place: if significant { place.unwrap_or_else(unlocated) } else { String::new() },
             lack_of_fit: table.lack(entry),
             limit: table.limit,
-        })
+        }
     }
 
     /// Upper limits of the causes that were not found.
     fn upper_limits(&self, study: &FitInputs) -> Vec<UpperLimit> {
-        let (Some(selection), Some(standing)) = (self.selection, self.standing()) else { return Vec::new() };
+        let (selection, standing) = (self.selection, &self.selection.standing);
         if standing.slopes.is_empty() {
             return Vec::new();
         }
         let table = &selection.table;
         let screened = &selection.candidates.screened;
         let asked: Vec<(usize, f64)> = screened.iter().filter(|c| !CATALOG[c.0].ceiling).copied().collect();
-        let limit = |further: &super::further::Further| {
+        let limit = |further: &Further| {
             let entry = &CATALOG[further.id];
             let (degrees, sd) = (table.degrees.max(2.0), further.sd);
             let most = match entry.bounds[0] < 0.0 {
@@ -269,7 +264,7 @@ impl ReportView<'_> {
     }
 
     fn tried(&self) -> Vec<Tried> {
-        let Some(s) = self.selection else { return Vec::new() };
+        let s = self.selection;
         let base = s.table.rows[0].held_out.rmse();
         let n = (self.study.observations.values.len() as f64).ln();
         let best = s.best().or_else(|| s.candidates.leading.map(|k| &s.candidates.fits[k]));
@@ -287,15 +282,14 @@ impl ReportView<'_> {
             }
         };
         // Entries with a law are no candidates of their own.
-        let mut order: Vec<usize> =
-            (1..s.entries.len()).filter(|&k| s.formulas[k].is_none() && s.entries[k].causes > 0).collect();
-        order.sort_by(|a, b| s.table.elpd(*b).total_cmp(&s.table.elpd(*a)));
-        let compared = order.into_iter().map(|k| tried(s.fit_of(k), s.candidates.base.objective, Some(k)));
+        let alone = (1..s.entries.len()).filter(|&k| s.formulas[k].is_none() && s.entries[k].causes > 0);
+        let compared =
+            s.table.ranked(alone).into_iter().map(|k| tried(s.fit_of(k), s.candidates.base.objective, Some(k)));
         compared.chain(s.candidates.behind.iter().map(|fit| tried(fit, s.candidates.earlier, None))).collect()
     }
 
     fn gain(&self) -> Gain {
-        let Some(selection) = self.selection else { return Gain::default() };
+        let selection = self.selection;
         let (plain, [base, chosen]) = (&selection.plain, &selection.nested);
         let extended = if selection.ruling.written == Written::Plain { plain } else { chosen };
         let (before, after, floor) = (plain.rmse(), extended.rmse(), self.floor.rmse());
@@ -313,35 +307,9 @@ impl ReportView<'_> {
         }
     }
 
-    /// Measured and predicted means of every condition, for runs, which have one number for each channel.
-    fn runs(&self) -> Vec<RunMeans> {
-        let o = self.study.observations;
-        if o.units.iter().any(|u| u.samples > 1) {
-            return Vec::new();
-        }
-        let simulated = |prediction: &[f64]| self.study.model.as_simulated(prediction);
-        let plain = simulated(&self.study.plain().prediction);
-        let extended = self.selection.and_then(|s| s.fit()).map(|f| simulated(&f.prediction));
-        let groups = o.repetitions();
-        let row = |(condition, units): (usize, &Vec<usize>), c: usize| {
-            let mean = |stack: &[f64]| {
-                units.iter().map(|&u| stack[o.units[u].block(c).start]).sum::<f64>() / units.len() as f64
-            };
-            RunMeans {
-                condition: o.conditions[condition].clone(),
-                channel: o.channels[c].name.to_string(),
-                unit: o.channels[c].unit.into(),
-                measured: mean(&o.values),
-                plain: mean(&plain),
-                extended: extended.as_ref().map(|e| mean(e)),
-            }
-        };
-        groups.iter().enumerate().flat_map(|g| (0..o.channels.len()).map(move |c| row(g, c))).collect()
-    }
-
     /// The experiment that separates the explanations of the set.
     fn next_experiment(&self, untestable: &[Untestable]) -> Option<NextExperiment> {
-        let selection = self.selection.filter(|s| s.ruling.set.len() > 1)?;
+        let selection = Some(self.selection).filter(|s| s.ruling.set.len() > 1)?;
         let set: Vec<&Fit> = selection.ruling.set.iter().map(|&k| selection.fit_of(k)).collect();
         let menu = self.study.model.menu();
         let noise = &selection.candidates.around.noise;
@@ -354,6 +322,31 @@ impl ReportView<'_> {
         }
         (!why.is_empty()).then(|| NextExperiment { why: why.join("; "), conditions })
     }
+}
+
+/// Measured and predicted means of every condition, for runs, which have one number for each channel.
+fn runs(study: &FitInputs, extended: Option<&Fit>) -> Vec<RunMeans> {
+    let o = study.observations;
+    if o.units.iter().any(|u| u.samples > 1) {
+        return Vec::new();
+    }
+    let simulated = |prediction: &[f64]| study.model.as_simulated(prediction);
+    let plain = simulated(&study.plain().prediction);
+    let extended = extended.map(|f| simulated(&f.prediction));
+    let groups = o.repetitions();
+    let row = |(condition, units): (usize, &Vec<usize>), c: usize| {
+        let mean =
+            |stack: &[f64]| units.iter().map(|&u| stack[o.units[u].block(c).start]).sum::<f64>() / units.len() as f64;
+        RunMeans {
+            condition: o.conditions[condition].clone(),
+            channel: o.channels[c].name.to_string(),
+            unit: o.channels[c].unit.into(),
+            measured: mean(&o.values),
+            plain: mean(&plain),
+            extended: extended.as_ref().map(|e| mean(e)),
+        }
+    };
+    groups.iter().enumerate().flat_map(|g| (0..o.channels.len()).map(move |c| row(g, c))).collect()
 }
 
 /// Ids of a fit's causes.

@@ -2,7 +2,8 @@
 
 use super::columns::columns;
 use super::experiment::Experiment;
-use super::observations::{Channel, Names, Observations, Size, Unit};
+use super::observations::{Channel, MeasuredLog, Names, Observations, Size};
+use super::series::low_middle_high;
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::sand::LegShape;
@@ -27,16 +28,8 @@ pub struct WalkSetup {
     pub strides: f64,
 }
 
-/// Runs, read and checked.
-pub struct WalkingLog {
-    pub observations: Observations,
-    pub setups: Vec<WalkSetup>,
-    /// Setup of each unit.
-    pub setup_of: Vec<usize>,
-    /// Optional columns that are absent or blank throughout.
-    pub missing: Vec<&'static str>,
-    pub sha256: String,
-}
+/// Runs of a robot.
+pub type WalkingLog = MeasuredLog<WalkSetup>;
 
 columns! {
     RUN = "run" Text true;
@@ -115,14 +108,9 @@ pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Re
         Ok(())
     })?;
     let missing = optional.iter().zip(seen).filter(|s| !s.1).map(|s| COLUMNS[*s.0].name).collect();
-    let setup_of = runs.iter().map(|r| r.setup).collect();
-    Ok(WalkingLog {
-        observations: observations(runs, conditions.list),
-        setups,
-        setup_of,
-        missing,
-        sha256: summary.sha256,
-    })
+    let setting_of = runs.iter().map(|r| r.setup).collect();
+    let (observations, notes) = (observations(runs, conditions.list), Vec::new());
+    Ok(WalkingLog { observations, settings: setups, setting_of, missing, notes, sha256: summary.sha256 })
 }
 
 fn setup(row: &Row, experiment: &Experiment) -> Result<WalkSetup> {
@@ -131,7 +119,7 @@ fn setup(row: &Row, experiment: &Experiment) -> Result<WalkSetup> {
     if experiment.robot.as_deref() != Some(robot) && !Robot::names().contains(&robot) {
         return Err(row.error(ROBOT, Error::unknown("robot", robot, &Robot::names())));
     }
-    let frequency = row.within(FREQUENCY, 20.0)?.ok_or_else(|| row.blank(FREQUENCY))?;
+    let frequency = row.needed_within(FREQUENCY, 20.0)?;
     if frequency.abs() < 0.02 {
         return Err(row.error(FREQUENCY, format!("{frequency} Hz is no walk: at least 0.02 Hz")));
     }
@@ -180,30 +168,18 @@ fn leg(row: &Row) -> Result<String> {
 fn observations(runs: Vec<WalkRun>, conditions: Vec<String>) -> Observations {
     let complete = |c: &usize| runs.iter().all(|r| r.measured[*c].is_some());
     let kept: Vec<usize> = (0..CHANNELS.len()).filter(complete).collect();
-    let mut values = Vec::new();
-    let units = runs.iter().map(|run| {
-        let start = values.len();
-        values.extend(kept.iter().filter_map(|&c| run.measured[c]));
-        Unit { id: run.id.clone(), condition: run.condition, start, samples: 1, progress: vec![0.0] }
-    });
-    let units = units.collect();
+    let values = runs.iter().flat_map(|run| kept.iter().filter_map(|&c| run.measured[c])).collect();
     let channels = kept.iter().map(|&c| CHANNELS[c].1.clone()).collect();
-    Observations { size: Size::Channel, values, channels, units, conditions }
+    Observations::of_rows(Size::Channel, channels, runs.iter().map(|r| (r.id.clone(), r.condition)), values, conditions)
 }
 
 /// Planned runs: one unit for each setup, and zeros for measurements.
 pub fn planned(setups: Vec<WalkSetup>, channels: Vec<Channel>) -> WalkingLog {
-    let count = channels.len();
-    let unit = |i: usize| Unit { id: i.to_string(), condition: i, start: i * count, samples: 1, progress: vec![0.0] };
-    let observations = Observations {
-        size: Size::Channel,
-        values: vec![0.0; count * setups.len()],
-        channels,
-        units: (0..setups.len()).map(unit).collect(),
-        conditions: (0..setups.len()).map(|i| i.to_string()).collect(),
-    };
-    let setup_of = (0..setups.len()).collect();
-    WalkingLog { observations, setups, setup_of, missing: Vec::new(), sha256: String::new() }
+    let names: Vec<String> = (0..setups.len()).map(|i| i.to_string()).collect();
+    let (rows, values) = (names.iter().cloned().zip(0..), vec![0.0; channels.len() * setups.len()]);
+    let observations = Observations::of_rows(Size::Channel, channels, rows, values, names.clone());
+    let (setting_of, notes) = ((0..setups.len()).collect(), Vec::new());
+    WalkingLog { observations, settings: setups, setting_of, missing: Vec::new(), notes, sha256: String::new() }
 }
 
 /// Runs that a laboratory with these `setups` could make: its legs and their mirror images, at the slowest, middle and
@@ -211,8 +187,7 @@ pub fn planned(setups: Vec<WalkSetup>, channels: Vec<Channel>) -> WalkingLog {
 /// robot's mass.
 pub fn possible(setups: &[WalkSetup]) -> Vec<(WalkSetup, String)> {
     let Some(first) = setups.first() else { return Vec::new() };
-    let frequencies = setups.iter().map(|s| s.frequency.abs());
-    let (low, high) = frequencies.fold((f64::MAX, 0.0), |(l, h), f| (f64::min(l, f), f64::max(h, f)));
+    let frequencies = low_middle_high(setups.iter().map(|s| s.frequency.abs()));
     let mut legs: Vec<String> = setups.iter().map(|s| s.leg.clone()).collect();
     legs.extend(["L", "revL"].map(String::from));
     let shape = |leg: &String| LegShape::named(leg).ok();
@@ -220,7 +195,7 @@ pub fn possible(setups: &[WalkSetup]) -> Vec<(WalkSetup, String)> {
     legs.dedup_by(|a, b| shape(a) == shape(b));
     let mut out = Vec::new();
     for leg in legs {
-        for frequency in [low, (low * high).sqrt(), high] {
+        for frequency in frequencies {
             for (slope_deg, payload, x_bed) in
                 [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0), (-10.0, 0.0, 0.0), (0.0, 0.05, 0.0), (0.0, 0.0, -0.3)]
             {

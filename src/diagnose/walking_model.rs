@@ -34,7 +34,7 @@ const PHASES: [f64; 4] = [-0.2, -0.1, 0.1, 0.2];
 /// [`ForwardModel::model_error`].
 pub struct WalkingModel<'a> {
     latch: &'a Latch<'a>,
-    medium: Medium,
+    experiment: Experiment,
     setups: Vec<WalkSetup>,
     robots: HashMap<(String, String), Robot>,
     /// Setup of each unit.
@@ -58,23 +58,8 @@ struct Others {
 impl<'a> WalkingModel<'a> {
     /// Refuses a setup whose plain simulation gives non-finite numbers. `latch` may stop all simulations.
     pub fn new(log: &WalkingLog, experiment: &Experiment, latch: &'a Latch<'a>) -> Result<Self> {
-        let mut robots = HashMap::new();
-        for setup in &log.setups {
-            let robot = Robot::load(&setup.robot)?.with_leg_shape(&setup.leg)?;
-            robots.insert((setup.robot.clone(), setup.leg.clone()), robot);
-        }
-        let mut model = Self {
-            latch,
-            medium: experiment.medium.clone(),
-            setups: log.setups.clone(),
-            robots,
-            setup_of: log.setup_of.clone(),
-            channels: log.observations.channels.clone(),
-            missing: log.missing.clone(),
-            known: Known::default(),
-            correction: Vec::new(),
-        };
-        let plain = (Mechanisms::default(), model.medium.coefficients);
+        let mut model = Self::along(log, experiment, latch)?;
+        let plain = model.plain_sand();
         let trials = model.trials(&plain).into_iter().collect::<Result<Vec<_>>>()?;
         trials.iter().try_for_each(WalkTrial::validate)?;
         let results = model.simulate(&[plain], 0.0);
@@ -93,11 +78,30 @@ impl<'a> WalkingModel<'a> {
         }
     }
 
+    /// A model of the setups of a log, without a correction.
+    fn along(log: &WalkingLog, experiment: &Experiment, latch: &'a Latch<'a>) -> Result<Self> {
+        let robot = |setup: &WalkSetup| {
+            let robot = Robot::load(&setup.robot)?.with_leg_shape(&setup.leg)?;
+            Ok(((setup.robot.clone(), setup.leg.clone()), robot))
+        };
+        Ok(Self {
+            latch,
+            experiment: experiment.clone(),
+            setups: log.settings.clone(),
+            robots: log.settings.iter().map(robot).collect::<Result<_>>()?,
+            setup_of: log.setting_of.clone(),
+            channels: log.observations.channels.clone(),
+            missing: log.missing.clone(),
+            known: Known::default(),
+            correction: Vec::new(),
+        })
+    }
+
     /// Corrects the error of the default time step, which is some tenths of a percent. Each channel of each setup is
     /// multiplied by a factor: the plain simulation's result with an eighth of the time step, divided by that with the
     /// whole step. An eighth of the error remains.
     fn correct_step(&mut self) -> Result<()> {
-        let plain = (Mechanisms::default(), self.medium.coefficients);
+        let plain = self.plain_sand();
         let (fine, coarse) = (self.stepped(EngineKind::Lanes, &plain, FINE)?, self.predict(&plain.0, &plain.1));
         let ratio = |(f, c): (&f64, &f64)| if (f / c).is_finite() { f / c } else { 1.0 };
         self.correction = fine.iter().zip(&coarse).map(ratio).collect();
@@ -124,7 +128,7 @@ impl<'a> WalkingModel<'a> {
     /// A trial for every setup.
     fn trials(&self, (mechanisms, coefficients): &SandParameters) -> Vec<Result<WalkTrial>> {
         let trial = |setup: &WalkSetup| {
-            let mut scene = Scene::flat(Medium { coefficients: *coefficients, ..self.medium.clone() });
+            let mut scene = Scene::flat(Medium { coefficients: *coefficients, ..self.medium().clone() });
             (scene.mechanisms, scene.slope_deg, scene.payload) = (*mechanisms, setup.slope_deg, setup.payload);
             let robot = &self.robots[&(setup.robot.clone(), setup.leg.clone())];
             let trial = WalkTrial::new(Model::new(robot, &scene)?, setup.frequency);
@@ -246,8 +250,8 @@ impl ForwardModel for WalkingModel<'_> {
         Uncertainty { shared, common: (0..count).map(of).collect(), own: Vec::new() }
     }
 
-    fn medium(&self) -> &Medium {
-        &self.medium
+    fn experiment(&self) -> &Experiment {
+        &self.experiment
     }
 
     fn testable(&self) -> Testable {
@@ -271,27 +275,8 @@ impl ForwardModel for WalkingModel<'_> {
     fn menu(&self) -> Option<Menu<'_>> {
         let (setups, descriptions): (Vec<_>, Vec<_>) = walking_log::possible(&self.setups).into_iter().unzip();
         let log = walking_log::planned(setups, self.channels.clone());
-        let mut robots = HashMap::new();
-        for setup in &log.setups {
-            let robot = Robot::load(&setup.robot).and_then(|r| r.with_leg_shape(&setup.leg)).ok()?;
-            robots.insert((setup.robot.clone(), setup.leg.clone()), robot);
-        }
-        let model = Self {
-            latch: self.latch,
-            medium: self.medium.clone(),
-            setups: log.setups,
-            robots,
-            setup_of: log.setup_of,
-            channels: self.channels.clone(),
-            missing: self.missing.clone(),
-            known: Known::default(),
-            correction: Vec::new(),
-        };
-        (!descriptions.is_empty()).then(|| Menu {
-            model: Box::new(model),
-            observations: log.observations,
-            descriptions,
-        })
+        let model = Self::along(&log, &self.experiment, self.latch).ok()?;
+        Some(Menu { model: Box::new(model), observations: log.observations, descriptions })
     }
 
     fn group(&self, unit: usize) -> &str {

@@ -61,6 +61,11 @@ impl Row<'_> {
         }
     }
 
+    /// The same, and an error if it is blank.
+    pub fn needed_within(&self, column: usize, most: f64) -> Result<f64> {
+        self.within(column, most)?.ok_or_else(|| self.blank(column))
+    }
+
     /// The cell in SI units; an error if it is blank.
     pub fn needed(&self, column: usize) -> Result<f64> {
         self.number(column)?.ok_or_else(|| self.blank(column))

@@ -8,6 +8,7 @@ use super::log::{Log, Run};
 use super::sensors::Layout;
 use super::windows::BINS;
 use crate::error::{Error, Result};
+use crate::series::ends;
 use crate::sim::model::GRAVITY;
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
@@ -50,7 +51,7 @@ fn speed(run: &Run, j: usize, name: &str) -> Option<String> {
     let q = &run.q[j];
     let inner = 2..q.len().saturating_sub(2);
     let change = |i: usize| (q[i + 2] - q[i - 2]) / (run.t[i + 2] - run.t[i - 2]);
-    let [low, high] = q.iter().fold([f64::MAX, f64::MIN], |[a, b], v| [a.min(*v), b.max(*v)]);
+    let [low, high] = ends(q.iter().copied());
     // Samples at which an angle is wrapped are left out.
     let steady = |i: &usize| (q[i + 2] - q[i - 2]).abs() <= 0.5 * (high - low);
     let ratio = proportion(inner.filter(steady).map(|i| (change(i), qd[i])))?;

@@ -3,11 +3,12 @@
 use super::model::TrajectoryModel;
 use super::sensors::LoggedHardware;
 use super::windows::{BINS, Window};
+use crate::experiment::Experiment;
 use crate::fit::slope;
 use crate::forward::{Feature, ForwardModel, Menu, SandParameters, Testable, stronger};
 use crate::nuisance::Nuisance;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
-use crate::sand::{Coefficients, Medium, SandDescription};
+use crate::sand::{Coefficients, SandDescription};
 use crate::shared::Uncertainty;
 use crate::sim::hardware::HardwareDescription;
 use std::collections::HashMap;
@@ -42,26 +43,23 @@ impl ForwardModel for TrajectoryModel<'_> {
     /// offsets of its sensors, and the error of the time step. At each number the model errs by a share of the channel's
     /// standard deviation within the stride, and by the scatter of [`Self::unsettled`].
     fn uncertainty(&self, sand: &SandParameters, prediction: &[f64]) -> Uncertainty {
-        let sd = |kind: &str| self.priors.sd(kind);
         let (harder, coefficients) = stronger(sand, STRENGTH_STEP);
         let harder = self.predict(&harder, &coefficients);
-        let mut common = vec![slope(&harder, prediction, STRENGTH_STEP / sd("bed_strength").max(1e-9))];
-        let torque = sd("torque_offset") * self.torque_rms(prediction);
+        let mut common = vec![slope(&harder, prediction, STRENGTH_STEP / self.prior("bed_strength").max(1e-9))];
+        let torque = self.prior("torque_offset") * self.torque_rms(prediction);
         let joints = self.layout.joints;
         for channel in 0..self.layout.count() {
             let size = match channel {
                 c if c < joints => torque,
-                c if c < joints + 3 => sd("gyro_bias"),
-                c if c < joints + 6 => sd("acc_bias"),
+                c if c < joints + 3 => self.prior("gyro_bias"),
+                c if c < joints + 6 => self.prior("acc_bias"),
                 c if Some(c) == self.layout.servo_channel() => torque / (joints as f64).sqrt(),
                 _ => continue,
             };
             common.push(self.stack(|_, c, _| if c == channel { size } else { 0.0 }));
         }
-        let fine = self.tracks(&[*sand], 0.0, 4.0).swap_remove(0);
-        let fine = self.logged(self.read(&fine, self.hardware.mounting), self.limit(sand), &self.hardware);
-        common.push(slope(&fine, prediction, 1.0));
-        let share = sd("model_error");
+        common.push(slope(&self.replayed(sand, 0.0, 4.0, &self.hardware), prediction, 1.0));
+        let share = self.prior("model_error");
         let swing = |block: &[f64]| {
             let mean = block.iter().sum::<f64>() / block.len() as f64;
             (block.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / block.len() as f64).sqrt()
@@ -82,19 +80,17 @@ impl ForwardModel for TrajectoryModel<'_> {
         for (id, own) in gains.into_iter().filter(|g| !g.1.is_empty()) {
             let of = |(k, v): (usize, &f64)| if own.contains(&(k % self.span() / BINS)) { *v } else { 0.0 };
             let gain = here.iter().enumerate().map(of).collect();
-            all.push(Nuisance::linear(id.into(), "1", self.priors.sd(id), gain));
+            all.push(Nuisance::linear(id.into(), "1", self.prior(id), gain));
         }
         all.push(self.friction(self.torque_rms(&here)));
-        let heavier = self.tracks(&[*sand], MASS_STEP, 1.0).swap_remove(0);
-        let heavier = self.logged(self.read(&heavier, self.hardware.mounting), self.limit(sand), &self.hardware);
-        let by_mass = slope(&heavier, &here, MASS_STEP);
-        all.push(Nuisance::linear("mass".into(), "1", self.priors.sd("mass"), by_mass));
+        let by_mass = slope(&self.replayed(sand, MASS_STEP, 1.0, &self.hardware), &here, MASS_STEP);
+        all.push(Nuisance::linear("mass".into(), "1", self.prior("mass"), by_mass));
         all.retain(|n| n.sd > 0.0 && !self.is_given(&n.id));
         all
     }
 
-    fn medium(&self) -> &Medium {
-        &self.medium
+    fn experiment(&self) -> &Experiment {
+        &self.experiment
     }
 
     fn testable(&self) -> Testable {
@@ -105,22 +101,14 @@ impl ForwardModel for TrajectoryModel<'_> {
             ),
             _ => None,
         };
-        let given = self.given.mechanisms;
+        let given = self.experiment.given.mechanisms;
         let asked = CATALOG.iter().enumerate().filter(|(index, m)| m.walking && given.get(*index) == 0.0);
         asked.map(|(index, m)| (index, why(m))).collect()
     }
 
     fn with_hardware(&self, sand: &SandParameters, found: &HardwareDescription) -> Option<Vec<f64>> {
         let hardware = LoggedHardware::of(found);
-        if hardware == self.hardware {
-            return None;
-        }
-        let tracks = self.tracks(&[*sand], 0.0, 1.0).swap_remove(0);
-        Some(self.logged(self.read(&tracks, hardware.mounting), self.limit(sand), &hardware))
-    }
-
-    fn given_hardware(&self) -> HardwareDescription {
-        self.given.hardware.clone()
+        (hardware != self.hardware).then(|| self.replayed(sand, 0.0, 1.0, &hardware))
     }
 
     fn finish(&self, sand: &mut SandDescription) {

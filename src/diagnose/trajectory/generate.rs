@@ -1,9 +1,9 @@
 //! Logs for tests: the hexapod walks with servos in the rapier engine, not in the engine that replays, and its sensors have errors.
 
 use super::replay::{Replay, ReplayRobot, ReplayedJoint, Signals, sample};
-use crate::observations::interpolate;
 use crate::sand::mechanism::Mechanisms;
 use crate::sand::{Coefficients, Medium};
+use crate::series::interpolate;
 use crate::sim::engine::EngineKind;
 use crate::sim::model::Scene;
 use crate::sim::walk::{WalkTrial, Watch, walk_watched};

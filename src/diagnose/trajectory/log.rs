@@ -2,6 +2,7 @@
 
 use super::keys::{Keys, RunTable};
 use crate::error::{Error, Result};
+use crate::series::ends;
 use crate::table::{HeaderColumn, Quantity, Row};
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -276,7 +277,7 @@ impl<'a> Gather<'a> {
 
 /// Makes an angle continuous that is logged between −π and π.
 fn unwrap(q: &mut [f64]) {
-    let [low, high] = q.iter().fold([f64::MAX, f64::MIN], |[a, b], v| [a.min(*v), b.max(*v)]);
+    let [low, high] = ends(q.iter().copied());
     if high - low > 1.05 * TAU {
         return; // the angle is continuous already
     }

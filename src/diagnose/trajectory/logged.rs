@@ -25,7 +25,7 @@ impl TrajectoryModel<'_> {
         }
         let (Some(asked), Some(channel)) = (&self.asked, self.layout.servo_channel()) else { return stack };
         let given = asked.given(&self.log.runs, limit);
-        let means = self.windows.iter().flat_map(|window| given.of(&self.log.runs[window.run], window));
+        let means = self.windows.iter().flat_map(|w| servo::means(&self.log.runs[w.run], w, &given[w.run]));
         let means: Vec<f64> = means.map(|mean| (1.0 + hardware.servo_gain) * mean).collect();
         for (own, means) in stack.chunks_mut(self.span()).zip(means.chunks(BINS)) {
             own[channel * BINS..][..BINS].copy_from_slice(means);

@@ -6,6 +6,7 @@ use super::sensors::Mounting;
 use super::windows::BINS;
 use crate::fit::slope;
 use crate::nuisance::Nuisance;
+use crate::series::root_mean_square;
 
 /// Steps of the IMU's rotation [rad] and delay [s] for derivatives: our choices.
 const TURN_STEP: f64 = 1e-3;
@@ -17,12 +18,11 @@ impl TrajectoryModel<'_> {
     /// Root mean square of all torques of a prediction [N·m].
     pub(super) fn torque_rms(&self, prediction: &[f64]) -> f64 {
         let own = prediction.chunks(self.span()).flat_map(|unit| &unit[..self.layout.joints * BINS]);
-        let (square, count) = own.fold((0.0, 0.0), |(s, n), v| (s + v * v, n + 1.0));
-        (square / f64::max(count, 1.0)).sqrt().max(1e-9)
+        root_mean_square(own.copied()).max(1e-9)
     }
 
     pub(super) fn friction(&self, rms: f64) -> Nuisance {
-        Nuisance::linear("friction".into(), "N·m", self.priors.sd("friction") * rms, self.moving.clone())
+        Nuisance::linear("friction".into(), "N·m", self.prior("friction") * rms, self.moving.clone())
     }
 
     /// Rotation, lag and blur of the IMU, linearised at `values`. The lag is the mean of the IMU's response in time, the blur its
@@ -51,7 +51,7 @@ impl TrajectoryModel<'_> {
         let mut bend = slope(&here, &self.read(tracks, given), 1.0);
         let mut all = Vec::new();
         for (k, (name, unit, prior, step)) in ALL.into_iter().enumerate() {
-            let sd = self.priors.sd(prior);
+            let sd = self.prior(prior);
             if sd == 0.0 || self.is_given(name) {
                 continue;
             }

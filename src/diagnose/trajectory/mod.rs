@@ -1,6 +1,6 @@
 //! A robot's own log: the diagnosis of the sand from what the joints and the IMU measured during walks.
 //!
-//! [`read`] reads the file into a [`log`]. [`windows`] selects the parts of each run that are compared. [`replay`] simulates them
+//! [`read`] makes a [`log`] of the file. [`windows`] selects the parts of each run that are compared. [`replay`] simulates them
 //! with the logged joint angles. [`sensors`] and [`servo`] compute what the log's sensors would have read. [`model`] puts this
 //! together as a forward model. The strides of a run are its repetitions. Effects that belong to one run (strength of the bed,
 //! offsets of the sensors) are errors that all strides of this run share.
@@ -15,7 +15,6 @@ mod logged;
 mod measuring;
 mod model;
 mod plan;
-mod read;
 mod replay;
 mod sensors;
 mod servo;
@@ -24,31 +23,46 @@ mod simulate;
 mod tests;
 mod windows;
 
-pub use model::TrajectoryModel;
-pub use read::read;
-
-use super::Measured;
 use super::experiment::Experiment;
+use super::observations::Observations;
 use crate::error::Result;
-use crate::progress::Latch;
+use crate::progress::{Latch, Progress};
+use crate::table::{self, ReadOptions};
+use log::{Gather, JointColumns, Log};
+use model::TrajectoryModel;
+use replay::ReplayRobot;
 use std::path::Path;
 
-/// The measured data, and the model that predicts them.
+/// Reads a log and refuses it if units or signs are wrong.
+fn read(data: &Path, experiment: &Experiment, progress: &dyn Progress) -> Result<Log> {
+    let keys = &experiment.trajectory;
+    let joints = ReplayRobot::of(experiment)?.joint_names();
+    let names = JointColumns::new(&joints, keys)?;
+    let columns = names.columns();
+    let [renamed, units] = [&experiment.columns, &experiment.units].map(|table| names.for_each_joint(table));
+    let asked = ReadOptions { renamed, units, progress, ..ReadOptions::new(&columns) };
+    let mut gather = Gather::new(&names, keys);
+    let summary = table::read(data, &asked, |row| gather.take(row))?;
+    let log = gather.finish(data, summary.sha256)?;
+    consistency::check(data, &log, &joints, keys.imu.quat)?;
+    Ok(log)
+}
+
+/// The measured numbers, the checksum of their file, how they were prepared, and the model that predicts them.
 pub fn measured<'a>(
     data: &Path,
     experiment: &Experiment,
     latch: &'a Latch<'a>,
-) -> Result<(Measured, TrajectoryModel<'a>)> {
+) -> Result<(Observations, String, Vec<String>, TrajectoryModel<'a>)> {
     let log = read(data, experiment, latch)?;
     let sha256 = log.sha256.clone();
     let (model, observations) = TrajectoryModel::new(log, experiment, latch)?;
-    consistency::against_replay(data, model.layout(), &observations.values, &model.plain())?;
-    let notes = vec![format!(
+    consistency::against_replay(data, &model.layout, &observations.values, &model.plain())?;
+    let note = format!(
         "the logged joint angles are replayed, in {} windows with {} strides in all; {}",
-        model.windows().len(),
+        model.windows.len(),
         observations.units.len(),
-        model::channel_names(&observations.channels, &model.joint_names()),
-    )];
-    let interest = experiment.nuisances.interest.clone();
-    Ok((Measured { observations, coefficient_sd: experiment.coefficient_sd, interest, sha256, notes }, model))
+        model.torque_channels(&observations.channels),
+    );
+    Ok((observations, sha256, vec![note], model))
 }

@@ -1,34 +1,29 @@
 //! The model of a robot's log: predicts what its sensors read while its joints move as logged.
 
-use super::keys::Keys;
 use super::log::Log;
 use super::replay::{ReplayRobot, ReplayedJoint};
 use super::sensors::{Layout, LoggedHardware};
 use super::servo::{self, RequestedTorques};
 use super::windows::{BINS, Integral, Window, bins, windows};
 use crate::error::{Error, Result};
-use crate::experiment::{Experiment, GivenModel};
+use crate::experiment::Experiment;
 use crate::forward::ForwardModel;
 use crate::hardware::{TORQUE_CONSTANT, TORQUE_LIMIT, quantities_of};
 use crate::known::Known;
-use crate::nuisance::Priors;
 use crate::observations::{Channel, Observations, Size, Unit};
 use crate::progress::Latch;
-use crate::sand::Medium;
-use crate::sand::mechanism::Mechanisms;
 use crate::sim::model::Scene;
 use std::collections::HashMap;
 use std::f64::consts::TAU;
 
 /// Largest number of predictions that are kept in memory: our choice, some 10 MB in all.
-pub(super) const KNOWN: usize = 128;
+const KNOWN: usize = 128;
 
 /// The log, and all that is needed to predict it.
 pub struct TrajectoryModel<'a> {
     pub(super) latch: &'a Latch<'a>,
-    pub(super) medium: Medium,
-    pub(super) keys: Keys,
-    pub(super) priors: Priors,
+    /// Facts about the log. What it states of the torque limit is among the mechanisms, which limit what servos request.
+    pub(super) experiment: Experiment,
     pub(super) log: Log,
     /// The robot of each run.
     pub(super) bodies: Vec<ReplayRobot>,
@@ -38,8 +33,7 @@ pub struct TrajectoryModel<'a> {
     pub(super) window_of: Vec<usize>,
     pub(super) layout: Layout,
     pub(super) asked: Option<RequestedTorques>,
-    /// What earlier diagnoses have found, and its hardware as a log shows it.
-    pub(super) given: GivenModel,
+    /// The hardware that the experiment file states, as a log shows it.
     pub(super) hardware: LoggedHardware,
     /// See [`Self::moving`].
     pub(super) moving: Vec<f64>,
@@ -49,16 +43,13 @@ pub struct TrajectoryModel<'a> {
 impl<'a> TrajectoryModel<'a> {
     /// The model, and the measured numbers that it predicts.
     pub fn new(log: Log, experiment: &Experiment, latch: &'a Latch<'a>) -> Result<(Self, Observations)> {
-        let keys = experiment.trajectory.clone();
-        let robot = experiment.robot.as_deref().unwrap_or("xplorer");
-        let body = ReplayRobot::load(robot, keys.touches.as_deref())?;
+        let body = ReplayRobot::of(experiment)?;
         let bodies = log.runs.iter().map(|r| body.with_leg(r.leg.as_deref())).collect::<Result<Vec<_>>>()?;
-        let windows = windows(&log.runs, keys.window);
+        let windows = windows(&log.runs, experiment.trajectory.window);
         if windows.is_empty() {
             let reason = "no run has a whole stride after its first one: log runs of at least three strides";
             return Err(Error::invalid("data", reason));
         }
-        let drives = windows.iter().map(|w| ReplayedJoint::new(&log.runs[w.run], w, Scene::DEFAULT_DT)).collect();
         let asked = servo::asked(&log, &bodies)?;
         let there = |name: &str| !log.missing.contains(&name);
         let layout = Layout {
@@ -67,39 +58,19 @@ impl<'a> TrajectoryModel<'a> {
             place: there("x, y, z"),
             servo: asked.is_some(),
         };
-        let window_of = window_of(&windows);
-        let mut given = experiment.given.clone();
+        let mut experiment = experiment.clone();
+        let given = &mut experiment.given;
         if given.mechanisms.motor_torque_limit == 0.0 {
-            // The mechanism limits what servos request.
             let limit = given.hardware.value(TORQUE_LIMIT).unwrap_or(0.0);
             given.mechanisms.motor_torque_limit = limit / given.hardware.value(TORQUE_CONSTANT).unwrap_or(1.0);
         }
-        let mut model = Self {
-            latch,
-            medium: experiment.medium.clone(),
-            keys,
-            priors: experiment.nuisances.clone(),
-            log,
-            bodies,
-            windows,
-            drives,
-            window_of,
-            layout,
-            asked,
-            hardware: LoggedHardware::of(&given.hardware),
-            given,
-            moving: Vec::new(),
-            known: Known::up_to(KNOWN),
-        };
-        model.moving = model.moving();
-        let plain = model.predict(&Mechanisms::default(), &model.medium.coefficients);
+        let model = Self { asked, ..Self::along(experiment, latch, layout, log, bodies, windows) };
+        let plain = model.plain();
         if let Some(error) = latch.error() {
             return Err(error);
         }
-        if plain.iter().any(|p| !p.is_finite()) {
-            let span = BINS * model.layout.count();
-            let place = plain.iter().position(|p| !p.is_finite()).unwrap_or(0) / span;
-            let run = &model.log.runs[model.windows[model.window_of[place]].run].name;
+        if let Some(lost) = plain.iter().position(|p| !p.is_finite()) {
+            let run = &model.log.runs[model.windows[model.window_of[lost / model.span()]].run].name;
             return Err(Error::invalid(
                 "data",
                 format!("the simulation of run {run} diverges: check that the log is of this robot"),
@@ -109,26 +80,54 @@ impl<'a> TrajectoryModel<'a> {
         Ok((model, observations))
     }
 
+    /// A model of these windows of a log, without requested torques.
+    pub(super) fn along(
+        experiment: Experiment,
+        latch: &'a Latch<'a>,
+        layout: Layout,
+        log: Log,
+        bodies: Vec<ReplayRobot>,
+        windows: Vec<Window>,
+    ) -> Self {
+        let drive = |w: &Window| ReplayedJoint::new(&log.runs[w.run], w, Scene::DEFAULT_DT);
+        let of_window = |(k, w): (usize, &Window)| std::iter::repeat_n(k, w.strides.len());
+        let mut model = Self {
+            drives: windows.iter().map(drive).collect(),
+            window_of: windows.iter().enumerate().flat_map(of_window).collect(),
+            hardware: LoggedHardware::of(&experiment.given.hardware),
+            asked: None,
+            moving: Vec::new(),
+            known: Known::up_to(KNOWN),
+            latch,
+            experiment,
+            log,
+            bodies,
+            windows,
+            layout,
+        };
+        model.moving = model.moving();
+        model
+    }
+
     /// Does the experiment file state what a nuisance is about?
     pub(super) fn is_given(&self, nuisance: &str) -> bool {
-        quantities_of(nuisance).iter().any(|path| self.given.hardware.value(path).is_some())
+        quantities_of(nuisance).iter().any(|path| self.experiment.given.hardware.value(path).is_some())
     }
 
-    pub fn windows(&self) -> &[Window] {
-        &self.windows
-    }
-
-    pub fn layout(&self) -> &Layout {
-        &self.layout
+    /// Prior standard deviation of a kind of nuisances.
+    pub(super) fn prior(&self, kind: &str) -> f64 {
+        self.experiment.nuisances.sd(kind)
     }
 
     /// What the plain model predicts.
     pub fn plain(&self) -> Vec<f64> {
-        self.predict(&Mechanisms::default(), &self.medium.coefficients)
+        self.simulate(&[self.plain_sand()]).swap_remove(0)
     }
 
-    pub fn joint_names(&self) -> Vec<String> {
-        self.bodies[0].joint_names()
+    /// A sentence that says which joint each torque channel belongs to.
+    pub fn torque_channels(&self, channels: &[Channel]) -> String {
+        let own = channels.iter().filter(|c| c.name.starts_with("torque_")).zip(self.bodies[0].joint_names());
+        own.map(|(c, joint)| format!("{} is {joint}", c.name)).collect::<Vec<_>>().join(", ")
     }
 
     pub(super) fn span(&self) -> usize {
@@ -193,12 +192,6 @@ impl<'a> TrajectoryModel<'a> {
     }
 }
 
-/// Window of each unit.
-pub(super) fn window_of(windows: &[Window]) -> Vec<usize> {
-    let of_window = |(k, w): (usize, &Window)| std::iter::repeat_n(k, w.strides.len());
-    windows.iter().enumerate().flat_map(of_window).collect()
-}
-
 /// Phase at the middle of each part of a stride [rad].
 pub(super) fn progress() -> Vec<f64> {
     (0..BINS).map(|b| (b as f64 + 0.5) * TAU / BINS as f64).collect()
@@ -206,12 +199,6 @@ pub(super) fn progress() -> Vec<f64> {
 
 /// Mean horizontal speed from `a` to `b` [m/s].
 fn speed(t: &[f64], place: &[Vec<f64>; 3], a: f64, b: f64) -> f64 {
-    let at = |k: usize, time: f64| crate::observations::interpolate(t, &place[k], time);
+    let at = |k: usize, time: f64| crate::series::interpolate(t, &place[k], time);
     (at(0, b) - at(0, a)).hypot(at(1, b) - at(1, a)) / (b - a)
-}
-
-/// A sentence that says which joint each torque channel belongs to.
-pub fn channel_names(channels: &[Channel], joints: &[String]) -> String {
-    let own = channels.iter().filter(|c| c.name.starts_with("torque_")).zip(joints);
-    own.map(|(c, joint)| format!("{} is {joint}", c.name)).collect::<Vec<_>>().join(", ")
 }

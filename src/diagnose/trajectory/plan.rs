@@ -1,14 +1,13 @@
 //! Walks that could be logged next: the diagnosis proposes the one that best distinguishes the causes, such as "walk at 3 Hz up 5°".
 
-use super::log::Run;
-use super::model::{KNOWN, TrajectoryModel, progress, window_of};
-use super::replay::{ReplayRobot, ReplayedJoint, Signals};
+use super::log::{Log, Run};
+use super::model::{TrajectoryModel, progress};
+use super::replay::{ReplayRobot, Signals};
 use super::servo::RequestedTorques;
 use super::windows::{BINS, Window, windows};
-use crate::forward::Menu;
-use crate::known::Known;
+use crate::forward::{ForwardModel, Menu};
 use crate::observations::{Observations, Size, Unit};
-use crate::sand::mechanism::Mechanisms;
+use crate::series::ends;
 use crate::sim::model::Scene;
 use crate::sim::walk::hip_angle;
 use std::f64::consts::TAU;
@@ -30,29 +29,13 @@ impl TrajectoryModel<'_> {
     /// advance.
     pub(super) fn planned(&self) -> Option<Menu<'_>> {
         let (runs, bodies, descriptions) = self.walks()?;
-        let mut all = windows(&runs, self.keys.window);
+        let mut all = windows(&runs, self.experiment.trajectory.window);
         if all.len() != runs.len() {
             return None;
         }
         all.iter_mut().for_each(|w| w.strides = w.strides.split_off(w.strides.len() - 1));
-        let mut model = TrajectoryModel {
-            latch: self.latch,
-            medium: self.medium.clone(),
-            keys: self.keys.clone(),
-            priors: self.priors.clone(),
-            drives: all.iter().map(|w| ReplayedJoint::new(&runs[w.run], w, Scene::DEFAULT_DT)).collect(),
-            window_of: window_of(&all),
-            windows: all,
-            log: super::log::Log { runs, missing: self.log.missing.clone(), sha256: String::new() },
-            bodies,
-            layout: self.layout,
-            asked: None,
-            given: self.given.clone(),
-            hardware: self.hardware,
-            moving: Vec::new(),
-            known: Known::up_to(KNOWN),
-        };
-        model.moving = model.moving();
+        let log = Log { runs, missing: self.log.missing.clone(), sha256: String::new() };
+        let mut model = TrajectoryModel::along(self.experiment.clone(), self.latch, self.layout, log, bodies, all);
         if self.layout.servo {
             model.asked = Some(model.needed()?);
         }
@@ -82,7 +65,7 @@ impl TrajectoryModel<'_> {
         if matches!(self.bodies[0], ReplayRobot::Tree(_)) || !self.log.runs.iter().all(turns) {
             return None;
         }
-        let (low, high) = known.iter().fold((f64::MAX, 0.0), |(l, h), f| (f64::min(l, f.abs()), f64::max(h, f.abs())));
+        let [low, high] = ends(known.iter().map(|f| f.abs()));
         let offered = FREQUENCIES.iter().filter(|f| (low / BEYOND..=high * BEYOND).contains(*f));
         let mut legs: Vec<Option<String>> = self.log.runs.iter().map(|r| r.leg.clone()).collect();
         if legs.iter().all(Option::is_some) {
@@ -105,8 +88,7 @@ impl TrajectoryModel<'_> {
 
     /// The torques that the joints' motion needs on plain sand: the servos request these from the motors.
     fn needed(&self) -> Option<RequestedTorques> {
-        let plain = (Mechanisms::default(), self.medium.coefficients);
-        let tracks = self.tracks(&[plain], 0.0, 1.0).swap_remove(0);
+        let tracks = self.tracks(&[self.plain_sand()], 0.0, 1.0).swap_remove(0);
         let of = |window: &Window, track: &Signals| -> Option<Vec<Vec<f64>>> {
             let run = &self.log.runs[window.run];
             let tick = |t: f64| (((t - window.from) / Scene::DEFAULT_DT).round() as usize).max(1) - 1;

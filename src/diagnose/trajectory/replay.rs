@@ -6,6 +6,7 @@
 use super::log::Run;
 use super::windows::Window;
 use crate::error::{Error, Result};
+use crate::experiment::Experiment;
 use crate::progress::Latch;
 use crate::robots;
 use crate::sim::actuator::Actuator;
@@ -37,6 +38,12 @@ pub enum ReplayRobot {
 }
 
 impl ReplayRobot {
+    /// The robot of an experiment.
+    pub fn of(experiment: &Experiment) -> Result<Self> {
+        let touches = experiment.trajectory.touches.as_deref();
+        Self::load(experiment.robot.as_deref().unwrap_or("xplorer"), touches)
+    }
+
     /// A built-in robot, our own TOML, or a URDF or MJCF file.
     pub fn load(name: &str, touches: Option<&[String]>) -> Result<Self> {
         let lower = name.to_ascii_lowercase();

@@ -156,26 +156,12 @@ pub fn read(
         for (b, [from, to]) in bins(*stride).enumerate() {
             let mean = |signal: usize| integrals[signal].mean(from, to);
             let vector = |first: usize| turn * nalgebra::Vector3::from_fn(|k, _| mean(joints + first + k));
-            for j in 0..joints {
-                own[j * BINS + b] = mean(j);
-            }
-            let (gyro, acc) = (vector(0), vector(3));
-            for (k, value) in gyro.iter().chain(acc.iter()).enumerate() {
-                own[(joints + k) * BINS + b] = *value;
-            }
-            let mut next = joints + 6;
-            if layout.attitude {
-                let up = vector(6);
-                (own[next * BINS + b], own[(next + 1) * BINS + b]) = (up.x, up.y);
-                next += 2;
-            }
-            if layout.place {
-                own[next * BINS + b] = mean(joints + 9);
-                next += 1;
-            }
-            if layout.servo {
-                own[next * BINS + b] = 0.0;
-            }
+            let [gyro, acc, up] = [0, 3, 6].map(vector);
+            let up = up.iter().take(if layout.attitude { 2 } else { 0 });
+            let of_imu = gyro.iter().chain(acc.iter()).chain(up).copied();
+            let speed = layout.place.then(|| mean(joints + 9));
+            let numbers = (0..joints).map(mean).chain(of_imu).chain(speed).chain(layout.servo.then_some(0.0));
+            numbers.enumerate().for_each(|(channel, number)| own[channel * BINS + b] = number);
         }
     }
     stack

@@ -105,18 +105,6 @@ fn zero(asked: &[f64], given: &[f64], limit: f64) -> f64 {
     best
 }
 
-/// Predicted torques of the motors [N·m], mean over the joints, at each sample of each run.
-pub struct MotorTorques {
-    runs: Vec<Vec<f64>>,
-}
-
-impl MotorTorques {
-    /// Means over the parts of a window's strides.
-    pub fn of(&self, run: &Run, window: &Window) -> Vec<f64> {
-        mean(run, window, &self.runs[window.run])
-    }
-}
-
 impl RequestedTorques {
     /// Requests that are known exactly: `torques` run by run, joint by joint, sample by sample.
     pub fn exactly(runs: &[Run], torques: Vec<Vec<Vec<f64>>>) -> Self {
@@ -127,8 +115,8 @@ impl RequestedTorques {
         Self { runs: runs.iter().zip(torques).map(of).collect() }
     }
 
-    /// Torques of motors with a limit [N·m]; a limit of 0 means no limit.
-    pub fn given(&self, runs: &[Run], limit: f64) -> MotorTorques {
+    /// Torques of motors with a limit [N·m], mean over the joints, at each sample of each run; a limit of 0 means no limit.
+    pub fn given(&self, runs: &[Run], limit: f64) -> Vec<Vec<f64>> {
         let limit = if limit > 0.0 { limit } else { f64::MAX };
         let of = |(own, run): (&OfRun, &Run)| {
             let mut sum = vec![0.0; run.t.len()];
@@ -140,17 +128,18 @@ impl RequestedTorques {
             }
             sum
         };
-        MotorTorques { runs: self.runs.iter().zip(runs).map(of).collect() }
+        self.runs.iter().zip(runs).map(of).collect()
     }
 }
 
-/// Logged torques of the motors [N·m], mean over the joints, in the same parts of strides as [`MotorTorques::of`].
+/// Logged torques of the motors [N·m], mean over the joints, in the parts of a window's strides.
 pub fn logged(run: &Run, window: &Window) -> Vec<f64> {
     let given = |i: usize| run.tau.iter().map(|tau| tau[i]).sum::<f64>() / run.tau.len() as f64;
-    mean(run, window, &(0..run.t.len()).map(given).collect::<Vec<_>>())
+    means(run, window, &(0..run.t.len()).map(given).collect::<Vec<_>>())
 }
 
-fn mean(run: &Run, window: &Window, values: &[f64]) -> Vec<f64> {
+/// Means of a run's samples over the parts of a window's strides.
+pub fn means(run: &Run, window: &Window, values: &[f64]) -> Vec<f64> {
     let integral = Integral::new(&run.t, values);
     window.strides.iter().flat_map(|s| bins(*s)).map(|[a, b]| integral.mean(a, b)).collect()
 }

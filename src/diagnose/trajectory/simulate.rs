@@ -2,10 +2,10 @@
 
 use super::model::TrajectoryModel;
 use super::replay::{Replay, ReplayRobot, Signals, replay};
-use super::sensors::{Mounting, read};
+use super::sensors::{LoggedHardware, Mounting, read};
 use super::windows::{BINS, bins};
 use crate::error::Result;
-use crate::forward::{SandParameters, stronger};
+use crate::forward::{ForwardModel, SandParameters, stronger};
 use crate::known::key;
 use crate::sand::mechanism::Mechanisms;
 use crate::sand::{Medium, Regularization};
@@ -26,7 +26,7 @@ impl TrajectoryModel<'_> {
         dt: f64,
     ) -> Result<Vec<Model>> {
         let of = |run: usize| {
-            let mut scene = Scene::flat(Medium { coefficients: *coefficients, ..self.medium.clone() });
+            let mut scene = Scene::flat(Medium { coefficients: *coefficients, ..self.medium().clone() });
             // The joints move as logged, so a weak motor has no effect here; it shows in the requested torques.
             scene.mechanisms = Mechanisms { motor_torque_limit: 0.0, ..self.with_given(mechanisms) };
             (scene.slope_deg, scene.dt) = (self.log.runs[run].slope_deg, dt);
@@ -55,7 +55,7 @@ impl TrajectoryModel<'_> {
         let task = |(state, k): (usize, usize)| Replay {
             model: &models[state][self.windows[k].run],
             drive: &self.drives[k],
-            imu: self.keys.imu.position,
+            imu: self.experiment.trajectory.imu.position,
         };
         let tasks: Vec<Replay> =
             (0..states.len()).flat_map(|s| (0..self.windows.len()).map(move |k| (s, k))).map(task).collect();
@@ -67,7 +67,7 @@ impl TrajectoryModel<'_> {
 
     /// These mechanisms, and those that the experiment file states.
     pub(super) fn with_given(&self, mechanisms: &Mechanisms) -> Mechanisms {
-        let (own, given) = (mechanisms.values(), self.given.mechanisms.values());
+        let (own, given) = (mechanisms.values(), self.experiment.given.mechanisms.values());
         Mechanisms::from_values(std::array::from_fn(|k| if own[k] == 0.0 { given[k] } else { own[k] }))
     }
 
@@ -81,9 +81,21 @@ impl TrajectoryModel<'_> {
         let of = |(k, track): (usize, &Signals)| {
             let (window, tick) = (&self.windows[k], self.drives[k].tick);
             let times = &self.log.runs[window.run].t;
-            read(&self.layout, window, times, track, tick, mounting, self.keys.imu.quat)
+            read(&self.layout, window, times, track, tick, mounting, self.experiment.trajectory.imu.quat)
         };
         tracks.iter().enumerate().flat_map(of).collect()
+    }
+
+    /// Predicted numbers of one state with other masses, time steps and hardware than those of [`Self::simulate`].
+    pub(super) fn replayed(
+        &self,
+        sand: &SandParameters,
+        payload: f64,
+        finer: f64,
+        hardware: &LoggedHardware,
+    ) -> Vec<f64> {
+        let tracks = self.tracks(&[*sand], payload, finer).swap_remove(0);
+        self.logged(self.read(&tracks, hardware.mounting), self.limit(sand), hardware)
     }
 
     /// Predicted numbers of several states, with the hardware that the experiment file states.

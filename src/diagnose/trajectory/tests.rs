@@ -2,9 +2,10 @@
 
 use super::generate::{EXPERIMENT, Truth, csv, experiment, file};
 use super::log::Log;
+use super::model::TrajectoryModel;
 use super::sensors::Mounting;
 use super::windows::BINS;
-use super::{TrajectoryModel, consistency, read};
+use super::{consistency, read};
 use crate::diagnose;
 use crate::error::Result;
 use crate::experiment::Experiment;

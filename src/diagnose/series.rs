@@ -1,0 +1,32 @@
+//! Functions of series of numbers.
+
+/// The least and the greatest number.
+pub fn ends(numbers: impl Iterator<Item = f64>) -> [f64; 2] {
+    numbers.fold([f64::MAX, f64::MIN], |[low, high], v| [low.min(v), high.max(v)])
+}
+
+/// The least number, the geometric mean of the ends, and the greatest number, of positive ones.
+pub fn low_middle_high(numbers: impl Iterator<Item = f64>) -> [f64; 3] {
+    let [low, high] = ends(numbers);
+    [low, (low * high).sqrt(), high]
+}
+
+/// Root mean square; 0 of no numbers.
+pub fn root_mean_square(numbers: impl Iterator<Item = f64>) -> f64 {
+    let (square, count) = numbers.fold((0.0, 0.0), |(square, count), v| (square + v * v, count + 1.0));
+    (square / f64::max(count, 1.0)).sqrt()
+}
+
+/// Interpolates `values`, given at increasing `from`, linearly at `at`; constant beyond the ends.
+pub fn interpolate(from: &[f64], values: &[f64], at: f64) -> f64 {
+    let right = from.partition_point(|&p| p < at);
+    if right == 0 {
+        return values[0];
+    }
+    if right == from.len() {
+        return values[right - 1];
+    }
+    let (a, b) = (from[right - 1], from[right]);
+    let share = if b > a { (at - a) / (b - a) } else { 0.0 };
+    values[right - 1] + share * (values[right] - values[right - 1])
+}
