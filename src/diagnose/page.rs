@@ -184,7 +184,7 @@ fn found(html: &mut String, r: &Report) {
         let entry = CATALOG.iter().find(|m| m.id == c.id);
         let _ = write!(
             html,
-            "<p><b>{}</b>: {} = {}{}, 95 % interval {} to {}{}.<br>{}.<br><span class=small>NoiseData: {}</span></p>",
+            "<p><b>{}</b>: {} = {}{}, 95 % interval {} to {}{}.<br>{}.<br><span class=small>Source: {}</span></p>",
             c.id,
             entry.map_or("value", |m| m.symbol),
             digits(c.value),

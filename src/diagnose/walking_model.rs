@@ -31,7 +31,7 @@ const PHASES: [f64; 4] = [-0.2, -0.1, 0.1, 0.2];
 
 /// Predicts the mean of a run's repetitions by one run with all hips at their nominal phase on a bed of nominal
 /// strength. The difference to the mean over other phases and strengths is an error of the model and part of
-/// [`ForwardModel::model_error`].
+/// [`ForwardModel::uncertainty`].
 pub struct WalkingModel<'a> {
     latch: &'a Latch<'a>,
     experiment: Experiment,

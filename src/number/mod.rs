@@ -17,9 +17,9 @@ mod vector;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
-pub use denormal::{flushed, unflushed};
 #[cfg(target_arch = "x86_64")]
 pub use denormal::met_denormals;
+pub use denormal::{flushed, unflushed};
 pub use doubles::{Doubles, add_scaled, dot};
 pub use eight::{EIGHT, Eight, EightWork, Spread};
 pub use isa::{Isa, Work};
