@@ -101,7 +101,7 @@ fn files(name: &str) -> BTreeMap<File, BTreeSet<File>> {
 /// The files among `known` that `file`, whose content is `text`, names.
 fn named(file: &File, text: &str, known: &BTreeSet<File>) -> BTreeSet<File> {
     let tests = ["#[cfg(test)]\nmod", "#[cfg(test)]\npub(super) mod"];
-    let code = tests.iter().fold(text.as_str(), |code, tests| code.split(tests).next().unwrap_or_default());
+    let code = tests.iter().fold(text, |code, tests| code.split(tests).next().unwrap_or_default());
     let lines = code.lines().map(|line| line.split("//").next().unwrap_or_default());
     let mut all = BTreeSet::new();
     for line in lines {

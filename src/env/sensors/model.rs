@@ -148,7 +148,7 @@ impl SensorModel {
 
     /// May a column need the ground's force on each leg? Those of added sensors may.
     pub fn needs_normal_forces(&self) -> bool {
-        self.added.len() > 0
+        !self.added.is_empty()
     }
 
     /// Number of the task's own columns.

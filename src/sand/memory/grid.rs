@@ -1,4 +1,5 @@
 //! Heights of the sand on a square grid that moves with a body.
+#![allow(clippy::needless_range_loop)] // Loops over indices become straight vector code; iterators with closures may not.
 
 use sandgait_number::{SHORTS, Shorts};
 

@@ -150,11 +150,9 @@ impl<R: Real> LaneMemory<R> {
         let mut corner = LaneCorner { cells: [[0; 2]; MOST_LANES], within: [R::zero(); 2] };
         let mut due = 0;
         for lane in 0..R::LANES {
-            for k in 0..2 {
-                let x = origins[lane][k] / frame.cell;
-                corner.cells[lane][k] = x.floor() as i32;
-                corner.within[k].set_lane(lane, x - x.floor());
-            }
+            let place = origins[lane].map(|x| x / frame.cell);
+            corner.cells[lane] = place.map(|x| x.floor() as i32);
+            corner.within.iter_mut().zip(place).for_each(|(within, x)| within.set_lane(lane, x - x.floor()));
             due |= u32::from(moved[lane].pending >= *every) << lane;
             listed[lane].clear();
         }
