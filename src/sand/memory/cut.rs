@@ -72,7 +72,7 @@ const OTHER: i16 = 25_173;
 const ORDER: [i16; SHORTS] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15];
 
 /// How a piece cuts into a row of cells.
-struct Row<S> {
+struct CellRow<S> {
     /// See [`floor`]: of the first cell, and how much it falls from cell to cell.
     floor: S,
     falls: S,
@@ -113,7 +113,7 @@ impl Grid {
         let height = piece.height - piece.falls[0] * from_middle(0, x);
         for y in y..y + rows {
             let own = S::splat(floor(height - piece.falls[1] * from_middle(1, y)));
-            let row = Row { floor: own, falls, chance: S::splat(chance([x, y], turn)), portion };
+            let row = CellRow { floor: own, falls, chance: S::splat(chance([x, y], turn)), portion };
             let (at, columns) = (self.frame.place([x, y]), columns as usize);
             let beyond = (at + columns).saturating_sub(self.heights.len());
             all.add(self.cut_row(at, 0, columns - beyond, &row, marks));
@@ -156,7 +156,7 @@ impl Grid {
         at: usize,
         number: usize,
         count: usize,
-        row: &Row<S>,
+        row: &CellRow<S>,
         marks: &mut Marks,
     ) -> Taking {
         let from = at.min(self.heights.len() - SHORTS);
@@ -237,7 +237,7 @@ mod tests {
                 let own = single.0.cut_one(at, floor(height), portion, chance(cell, round), &mut single.1);
                 single.2.add(own);
             }
-            let row = Row {
+            let row = CellRow {
                 floor: PlainShorts::splat(floor(height)),
                 falls: PlainShorts::splat(0),
                 chance: PlainShorts::splat(chance(first, round)),
