@@ -189,7 +189,7 @@ impl Moved {
         let frame = self.grid.frame;
         let origin = pieces.first().map_or([0; 2], |p| frame.cell_at([p.place[0], p.place[1]]));
         let low = pieces.iter().fold(f64::INFINITY, |low, p| low.min(p.place[2]));
-        let pieces: Vec<_> = pieces.iter().map(|piece| piece.on(&frame, origin)).collect();
+        let pieces: Vec<_> = (0..).zip(pieces).map(|(number, piece)| piece.on(number, &frame, origin)).collect();
         self.meet::<PlainShorts>(s, body, &pieces, &BodyMotion { origin, low, way: Some(way), time }, marks);
     }
 
@@ -281,14 +281,14 @@ impl Moved {
         let denser = 256.0 * lost * quantum / (DENSER * 2.0 * size.max(s.cell));
         let top = f32::from(self.grid.top);
         let mut area = 0.0;
-        for (k, p) in pieces.iter().enumerate().filter(|(_, p)| p.height < top) {
+        for p in pieces.iter().filter(|p| p.height < top) {
             let each = p.rate * motion.time as f32;
             if each <= 0.0 {
                 continue;
             }
             let down = f64::from((-p.normal[2]).max(0.0)).powi(2);
             // Pieces that share a cell do not take their parts of steps at the same time.
-            let turn = self.turns.wrapping_mul(PIECES).wrapping_add(k as u32);
+            let turn = self.turns.wrapping_mul(PIECES).wrapping_add(p.number.into());
             let Taking { amount, loose, met } = self.grid.cut::<S>(p, motion.origin, each, down * denser, turn, marks);
             let a = f64::from(amount);
             let add = |sum: [f64; 2], weight: f64, own: [f32; 2]| [0, 1].map(|k| sum[k] + weight * f64::from(own[k]));

@@ -30,6 +30,8 @@ pub struct GridPiece {
     pub first: [i32; 2],
     /// Along each side of its square.
     pub cells: u8,
+    /// Among its body's pieces.
+    pub number: u16,
     /// How much it falls from cell to cell along x and y [steps of the grid].
     pub falls: [f32; 2],
     /// Place from the body's origin [cells].
@@ -46,14 +48,15 @@ pub struct GridPiece {
 }
 
 impl SurfacePiece {
-    /// On the grid, with the body's origin in this cell.
-    pub fn on(&self, grid: &GridFrame, origin: [i32; 2]) -> GridPiece {
+    /// On the grid, with the body's origin in this cell. `number`: among its body's pieces.
+    pub fn on(&self, number: u16, grid: &GridFrame, origin: [i32; 2]) -> GridPiece {
         let [x, y, z] = self.place;
         let half = 0.5 * f64::from(self.cells - 1) * grid.cell;
         GridPiece {
             cell: grid.cell_at([x, y]),
             first: grid.cell_at([x - half, y - half]),
             cells: self.cells,
+            number,
             falls: [0.0; 2],
             place: [x / grid.cell - f64::from(origin[0]), y / grid.cell - f64::from(origin[1])].map(|c| c as f32),
             height: (z / grid.quantum()) as f32,

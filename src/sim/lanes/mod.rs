@@ -105,8 +105,7 @@ impl<R: Real, const J: usize> Kernel for AdvanceLegs<'_, R, J> {
             if let Some(memory) = memory
                 && memory.tick()
             {
-                sand::pieces(model, state, memory.cell(), &mut memory.pieces);
-                memory.update(&state.origins, state.position);
+                sand::move_sand(model, state, memory);
             }
         }
         if self.ends {

@@ -8,7 +8,7 @@ use crate::sand::law::StressLaw;
 use crate::sand::memory::MOST_CELLS;
 use crate::sand::{LawCoefficients, Plain, SandBed, SegmentState, StressModel};
 use crate::spatial::{Inertia, Wrench};
-use crate::used::{LanePiece, Surfaces};
+use crate::used::{LaneMemory, LanePiece, Surfaces};
 
 /// Position and horizontal velocity of the robot's base.
 #[derive(Clone, Copy)]
@@ -100,31 +100,31 @@ fn belly_by<R: Real, const J: usize>(
     }
 }
 
-/// Lists the pieces of the belly (body 0) and of each leg (bodies 1, 2, …) that may move sand.
+/// Moves sand by the belly (body 0) and each leg (bodies 1, 2, …).
 #[inline(always)]
-pub fn pieces<R: Real, const J: usize>(
-    model: &LaneModel<R, J>,
-    state: &LaneState<R>,
-    cell: f64,
-    pieces: &mut Vec<LanePiece<R>>,
-) {
-    pieces.clear();
-    let base = LinkFrame::base(state);
-    let turn = &base.rotation;
-    let places = PlaneField { at: turn.z * model.belly_height, by: [turn.x, turn.y] };
-    let velocities = places.velocity(&base.velocity);
+pub fn move_sand<R: Real, const J: usize>(model: &LaneModel<R, J>, state: &LaneState<R>, memory: &mut LaneMemory<R>) {
+    let cell = memory.cell();
+    let mut turn = memory.turn(&state.origins, state.position);
     // Lane 0 gives the number of cells for all lanes.
     let along_side = |side: R| (side.lane(0) / cell - 0.1).ceil().clamp(1.0, MOST_CELLS.into()) as u8;
-    for plate in &model.belly {
+    let mut pieces = Vec::with_capacity(MANY);
+    let base = LinkFrame::base(state);
+    let turned = &base.rotation;
+    let places = PlaneField { at: turned.z * model.belly_height, by: [turned.x, turned.y] };
+    let velocities = places.velocity(&base.velocity);
+    for (number, plate) in (0..).zip(&model.belly) {
         // A plate is taken for a square.
         let cells = along_side(plate.area.sqrt());
         let at = plate.center;
         let (place, velocity) = (state.position + places.value(at), velocities.value(at));
-        pieces.push(LanePiece { body: 0, place, normal: -turn.z, velocity, area: plate.area, one_sided: true, cells });
+        let (area, normal) = (plate.area, -turned.z);
+        pieces.push(LanePiece { place, normal, velocity, area, one_sided: true, cells, number });
     }
+    turn.by(0, &pieces);
     let quarter = R::splat(0.25);
     for (l, leg) in model.legs.iter().enumerate() {
-        let mut frame = base;
+        pieces.clear();
+        let (mut frame, mut number) = (base, 0);
         for (body, joint) in leg.iter().zip(&state.joints[l * J..]) {
             frame = body.frame(&frame, joint);
             let [e0, e1] = &body.plane;
@@ -140,13 +140,18 @@ pub fn pieces<R: Real, const J: usize>(
                 let (place, velocity) = (state.position + places.value(plate.center), velocities.value(plate.center));
                 let normal = places.change(plate.normal);
                 for place in [place + beside, place - beside] {
-                    let body = l + 1;
-                    pieces.push(LanePiece { body, place, normal, velocity, area, one_sided: false, cells });
+                    pieces.push(LanePiece { place, normal, velocity, area, one_sided: false, cells, number });
+                    number += 1;
                 }
             }
         }
+        turn.by(l + 1, &pieces);
     }
+    turn.end();
 }
+
+/// About as many pieces as a leg or a belly has.
+const MANY: usize = 32;
 
 /// Depth of a place in a plane, if it is below the surface in any lane.
 #[inline(always)]

@@ -114,9 +114,7 @@ impl<R: Real> Kernel for AdvanceTrees<'_, R> {
                 && memory.tick()
             {
                 dynamics::place(&tree.bodies, state, &mut scratch.frames);
-                let tops = memory.surfaces.tops;
-                sand::pieces(feelers, &tree.patches, &scratch.frames, state.position, tops, &mut memory.pieces);
-                memory.update(&state.origins, state.position);
+                sand::move_sand(feelers, &tree.patches, &scratch.frames, state, memory);
             }
         }
         if self.ends {

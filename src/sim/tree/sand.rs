@@ -8,13 +8,13 @@ use super::dynamics::LinkLoad;
 use super::leading::{Own, leading};
 use super::patches::{BodyPatches, Patch};
 use super::terrain::{Local, Surface};
-use crate::blocks::LinkFrame;
+use crate::blocks::{LaneState, LinkFrame};
 use crate::number::{Mat3, Real, Spread, Vec3};
 use crate::sand::intruder::IntruderPlate;
 use crate::sand::law::{Normals, StressLaw};
 use crate::sand::{LawCoefficients, Plain, SandBed, SegmentState, StressModel};
 use crate::spatial::{Inertia, PointMasses, Twist, Wrench};
-use crate::used::{LanePiece, Surfaces};
+use crate::used::{LaneMemory, LanePiece, Surfaces};
 use std::collections::BTreeMap;
 
 /// The sand's effect on a body: forces about the base's origin, and its drag as masses. `edge`: how the force changes
@@ -106,17 +106,17 @@ impl Feeler {
     }
 }
 
-/// Lists the pieces of all bodies that may move sand, for [`crate::used`].
+/// Moves sand by the bodies near it.
 #[inline(always)]
-pub fn pieces<R: Real>(
+pub fn move_sand<R: Real>(
     feelers: &[Feeler],
     bodies: &[BodyPatches],
     frames: &[LinkFrame<R>],
-    from: Vec3<R>,
-    tops: R,
-    pieces: &mut Vec<LanePiece<R>>,
+    state: &LaneState<R>,
+    memory: &mut LaneMemory<R>,
 ) {
-    pieces.clear();
+    let (from, tops) = (state.position, memory.surfaces.tops);
+    let mut turn = memory.turn(&state.origins, from);
     let mut all = feelers;
     for plates in bodies {
         let skipped = all.iter().take_while(|feeler| feeler.body < plates.body).count();
@@ -125,26 +125,42 @@ pub fn pieces<R: Real>(
         all = rest;
         let frame = &frames[plates.body];
         let center = from + frame.point(Vec3::splat(plates.ball.center));
-        if R::any((center.z - R::splat(plates.ball.reach)).lt(tops)) {
-            own.iter().for_each(|feeler| feeler.place(frame, from, pieces));
+        if own.is_empty() || !R::any((center.z - R::splat(plates.ball.reach)).lt(tops)) {
+            continue;
         }
+        let mut low = R::splat(f64::INFINITY);
+        for feeler in own {
+            low = low.min(feeler.place(frame, from).z);
+        }
+        turn.begin(plates.body, low);
+        for (number, feeler) in (0..).zip(own) {
+            let place = feeler.place(frame, from);
+            if turn.reaches(place.z) {
+                turn.list(&feeler.piece(number, frame, place));
+            }
+        }
+        turn.move_sand();
     }
+    turn.end();
 }
 
 impl Feeler {
     #[inline(always)]
-    fn place<R: Real>(&self, frame: &LinkFrame<R>, from: Vec3<R>, pieces: &mut Vec<LanePiece<R>>) {
-        let feeler = self;
-        let at = frame.point(Vec3::splat(feeler.center));
-        pieces.push(LanePiece {
-            body: feeler.body,
-            place: from + at,
-            normal: frame.rotation.apply(Vec3::splat(feeler.normal)),
-            velocity: frame.velocity.at(at),
-            area: R::splat(feeler.area),
+    fn place<R: Real>(&self, frame: &LinkFrame<R>, from: Vec3<R>) -> Vec3<R> {
+        from + frame.point(Vec3::splat(self.center))
+    }
+
+    #[inline(always)]
+    fn piece<R: Real>(&self, number: u16, frame: &LinkFrame<R>, place: Vec3<R>) -> LanePiece<R> {
+        LanePiece {
+            place,
+            normal: frame.rotation.apply(Vec3::splat(self.normal)),
+            velocity: frame.velocity.at(frame.point(Vec3::splat(self.center))),
+            area: R::splat(self.area),
             one_sided: true,
             cells: 1,
-        });
+            number,
+        }
     }
 }
 

@@ -18,7 +18,6 @@ const ABOVE: f64 = 8.0;
 /// A piece of a body's surface in all lanes.
 #[derive(Clone, Copy)]
 pub struct LanePiece<R> {
-    pub body: usize,
     /// From the lane's origin of x and y [m].
     pub place: Vec3<R>,
     pub normal: Vec3<R>,
@@ -29,6 +28,7 @@ pub struct LanePiece<R> {
     pub one_sided: bool,
     /// See [`GridPiece`].
     pub cells: u8,
+    pub number: u16,
 }
 
 /// What each body has found, in lanes.
@@ -38,6 +38,8 @@ pub struct Surfaces<R> {
     pub strengths: Vec<R>,
     /// Bodies above this height find nothing yet [m].
     pub tops: R,
+    /// Pieces above this height move no sand [m]. A body's lowest piece is listed all the same.
+    pub high: R,
 }
 
 /// The sand around the robots of a block.
@@ -48,36 +50,27 @@ pub struct LaneMemory<R> {
     /// [time steps]
     every: u32,
     dt: f64,
-    pub pieces: Vec<LanePiece<R>>,
-    groups: Vec<BodyPieces<R>>,
-    /// Of each lane: the pieces that may move sand, body by body.
+    /// Of each lane: the pieces of a body that may move sand.
     listed: Vec<Vec<GridPiece>>,
     marks: Marks,
-}
-
-/// The pieces of a body, and their lowest height.
-struct BodyPieces<R> {
-    body: usize,
-    from: usize,
-    to: usize,
-    low: R,
-    /// Where its pieces end in the lists of each lane.
-    ends: [usize; MOST_LANES],
 }
 
 impl<R: Real> LaneMemory<R> {
     /// For robots with `bodies` bodies that touch sand; None if the model's sand has no memory.
     pub fn new(model: &Model, bodies: usize) -> Option<Self> {
         let settings = model.scene.memory?;
-        let surfaces = Surfaces { levels: vec![R::zero(); bodies], strengths: vec![R::one(); bodies], tops: R::zero() };
+        let surfaces = Surfaces {
+            levels: vec![R::zero(); bodies],
+            strengths: vec![R::one(); bodies],
+            tops: R::zero(),
+            high: R::zero(),
+        };
         Some(Self {
             surfaces,
             settings: vec![settings; R::LANES],
             moved: vec![Moved::new(&settings, bodies); R::LANES],
             every: (PERIOD / model.scene.dt).round().max(1.0) as u32,
             dt: model.scene.dt,
-            pieces: Vec::new(),
-            groups: Vec::new(),
             listed: vec![Vec::new(); R::LANES],
             marks: Marks::default(),
         })
@@ -112,8 +105,9 @@ impl<R: Real> LaneMemory<R> {
     /// Puts what a lane's bodies have found into the lanes.
     #[inline(always)]
     fn show(&mut self, lane: usize) {
-        let top = self.moved[lane].grid.highest() + ABOVE * self.settings[lane].cell;
-        self.surfaces.tops.set_lane(lane, top);
+        let high = self.moved[lane].grid.highest();
+        self.surfaces.high.set_lane(lane, high);
+        self.surfaces.tops.set_lane(lane, high + ABOVE * self.settings[lane].cell);
         for (body, found) in self.moved[lane].found.iter().enumerate() {
             self.surfaces.levels[body].set_lane(lane, found.level.into());
             self.surfaces.strengths[body].set_lane(lane, self.settings[lane].strength(found));
@@ -131,80 +125,140 @@ impl<R: Real> LaneMemory<R> {
         due
     }
 
-    /// Moves the sand of the lanes where it is time, by `self.pieces`, which are sorted by body. `origins`: of x and y
-    /// in each lane [m]; `middle`: the robot's position from there.
+    /// Begins to move the sand of the lanes where it is time. `origins`: of x and y in each lane [m]; `middle`: the robot's
+    /// position from there.
     #[inline(always)]
-    pub fn update(&mut self, origins: &[[f64; 2]], middle: Vec3<R>) {
-        let Self { surfaces, settings, moved, pieces, groups, listed, marks, every, dt } = self;
-        groups.clear();
-        for (k, p) in pieces.iter().enumerate() {
-            match groups.last_mut() {
-                Some(group) if group.body == p.body => (group.to, group.low) = (k + 1, group.low.min(p.place.z)),
-                _ => {
-                    groups.push(BodyPieces { body: p.body, from: k, to: k + 1, low: p.place.z, ends: [0; MOST_LANES] })
-                }
-            }
-        }
-        // The cell of each lane's origin, and the origin's place in it [cells].
-        let frame = moved[0].grid.frame;
+    pub fn turn(&mut self, origins: &[[f64; 2]], middle: Vec3<R>) -> Turn<'_, R> {
+        let frame = self.moved[0].grid.frame;
         let mut corner = LaneCorner { cells: [[0; 2]; MOST_LANES], within: [R::zero(); 2] };
         let mut due = 0;
         for lane in 0..R::LANES {
             let place = origins[lane].map(|x| x / frame.cell);
             corner.cells[lane] = place.map(|x| x.floor() as i32);
             corner.within.iter_mut().zip(place).for_each(|(within, x)| within.set_lane(lane, x - x.floor()));
-            due |= u32::from(moved[lane].pending >= *every) << lane;
-            listed[lane].clear();
-        }
-        // Pieces above the highest sand move none, except for a body's lowest.
-        let high = surfaces.tops - R::splat(ABOVE * frame.cell);
-        for group in groups.iter_mut() {
-            let high = high.max(group.low);
-            for p in &pieces[group.from..group.to] {
-                let lanes = due & !R::bits(high.lt(p.place.z));
-                if lanes != 0 {
-                    p.list(&frame, &corner, lanes, listed);
-                }
+            if self.moved[lane].pending >= self.every {
+                due |= 1 << lane;
+                let [x, y, _] = middle.lane(lane);
+                self.moved[lane].grid.follow([origins[lane][0] + x, origins[lane][1] + y]);
             }
-            group.ends.iter_mut().zip(listed.iter()).for_each(|(end, list)| *end = list.len());
         }
-        for (lane, (settings, moved)) in settings.iter().zip(moved.iter_mut()).enumerate() {
-            if moved.pending < *every {
+        let (low, high) = (R::zero(), R::zero());
+        Turn { memory: self, frame, corner, due, body: 0, low, high, lanes: 0, enters: 0, next: 0 }
+    }
+}
+
+/// One movement of sand, body by body.
+pub struct Turn<'a, R> {
+    memory: &'a mut LaneMemory<R>,
+    frame: GridFrame,
+    corner: LaneCorner<R>,
+    /// Lanes where sand is moved now (bit by bit, as all sets of lanes).
+    due: u32,
+    /// The body that moves sand now, and the height of its lowest piece [m].
+    body: usize,
+    low: R,
+    /// Pieces above this height move no sand, except for the lowest [m].
+    high: R,
+    /// Lanes where this body is near the sand, and where it is at the surface and so looks at all its pieces.
+    lanes: u32,
+    enters: u32,
+    /// The body after it.
+    next: usize,
+}
+
+impl<R: Real> Turn<'_, R> {
+    /// Begins with the pieces of a body, whose lowest has this height [m]. Bodies come in order; those that do not come are far above the
+    /// sand.
+    #[inline(always)]
+    pub fn begin(&mut self, body: usize, low: R) {
+        self.skip_to(body);
+        (self.body, self.low, self.next) = (body, low, body + 1);
+        let surfaces = &self.memory.surfaces;
+        self.high = surfaces.high.max(low);
+        // Well above the sand: what it finds does not matter yet.
+        let near = surfaces.high + R::splat(ABOVE * self.frame.cell);
+        self.lanes = self.due & !R::bits(near.lt(low));
+        self.enters = !R::bits(low.lt(surfaces.levels[body]));
+        for (lane, moved) in self.memory.moved.iter_mut().enumerate() {
+            self.enters |= u32::from(!moved.found[body].inside) << lane;
+            if (self.due & !self.lanes) >> lane & 1 == 1 {
+                moved.found[body].inside = false;
+            }
+        }
+    }
+
+    /// Can a piece of this height move sand in any lane?
+    #[inline(always)]
+    pub fn reaches(&self, height: R) -> bool {
+        self.lanes & !R::bits(self.high.lt(height)) != 0
+    }
+
+    /// Adds a piece of the body.
+    #[inline(always)]
+    pub fn list(&mut self, piece: &LanePiece<R>) {
+        let lanes = self.lanes & !R::bits(self.high.lt(piece.place.z));
+        piece.list(&self.frame, &self.corner, [lanes, lanes & self.enters], &mut self.memory.listed);
+    }
+
+    /// Moves sand by the pieces of the body.
+    #[inline(always)]
+    pub fn move_sand(&mut self) {
+        let Self { body, low, lanes, .. } = *self;
+        let LaneMemory { settings, moved, listed, marks, dt, .. } = &mut *self.memory;
+        for lane in 0..R::LANES {
+            if lanes >> lane & 1 == 0 {
                 continue;
             }
-            let (origin, time) = (origins[lane], f64::from(moved.pending) * *dt);
+            let time = f64::from(moved[lane].pending) * *dt;
+            let motion = BodyMotion { origin: self.corner.cells[lane], low: low.lane(lane), way: None, time };
+            moved[lane].meet::<R::Shorts>(&settings[lane], body, &listed[lane], &motion, marks);
+            listed[lane].clear();
+        }
+    }
+
+    /// Moves sand by all pieces of a body.
+    #[inline(always)]
+    pub fn by(&mut self, body: usize, pieces: &[LanePiece<R>]) {
+        let mut low = R::splat(f64::INFINITY);
+        for piece in pieces {
+            low = low.min(piece.place.z);
+        }
+        self.begin(body, low);
+        for piece in pieces {
+            self.list(piece);
+        }
+        self.move_sand();
+    }
+
+    /// Lets sand slide, after all bodies have moved it.
+    #[inline(always)]
+    pub fn end(mut self) {
+        self.skip_to(self.memory.surfaces.levels.len());
+        for lane in 0..R::LANES {
+            if self.due >> lane & 1 == 0 {
+                continue;
+            }
+            let LaneMemory { settings, moved, dt, .. } = &mut *self.memory;
+            let (settings, moved) = (&settings[lane], &mut moved[lane]);
+            moved.sliding += (f64::from(moved.pending) * *dt / settings.sweep) as f32;
             moved.pending = 0;
-            let [x, y, _] = middle.lane(lane);
-            moved.grid.follow([origin[0] + x, origin[1] + y]);
-            let mut from = 0;
-            let high = moved.grid.highest() + settings.cell;
-            // Bodies without pieces are far above.
-            let mut next = 0;
-            for group in groups.iter() {
-                moved.found[next..group.body].iter_mut().for_each(|found| found.inside = false);
-                next = group.body + 1;
-            }
-            moved.found[next..].iter_mut().for_each(|found| found.inside = false);
-            for BodyPieces { body, low, ends, .. } in groups.iter() {
-                let (low, own) = (low.lane(lane), &listed[lane][from..ends[lane]]);
-                from = ends[lane];
-                // Well above the sand: what it finds does not matter yet.
-                if low > high + (ABOVE - 1.0) * settings.cell {
-                    moved.found[*body].inside = false;
-                    continue;
-                }
-                let motion = BodyMotion { origin: corner.cells[lane], low, way: None, time };
-                moved.meet::<R::Shorts>(settings, *body, own, &motion, marks);
-            }
-            // Sweeps of sliding that are due by now.
-            moved.sliding += (time / settings.sweep) as f32;
             let sweeps = moved.sliding.floor();
             moved.sliding -= sweeps;
             for _ in 0..(sweeps as usize).min(MOST_SWEEPS) {
                 moved.grid.slide::<R::Shorts>(settings.repose);
             }
+            self.memory.show(lane);
         }
-        (0..R::LANES).for_each(|lane| self.show(lane));
+    }
+
+    /// The bodies before this one that have not come are not in the sand.
+    #[inline(always)]
+    fn skip_to(&mut self, body: usize) {
+        for (lane, moved) in self.memory.moved.iter_mut().enumerate() {
+            if self.due >> lane & 1 == 1 {
+                moved.found[self.next..body].iter_mut().for_each(|found| found.inside = false);
+            }
+        }
     }
 }
 
@@ -223,38 +277,47 @@ struct LaneCorner<R> {
 }
 
 impl<R: Real> LanePiece<R> {
-    /// Adds the piece, in the units of the grids, to the lists of these lanes (bit by bit).
+    /// Adds the piece, in the units of the grids, to the lists of these lanes (bit by bit): of the first ones if it takes sand, of the
+    /// second ones always.
     #[inline(always)]
-    fn list(&self, frame: &GridFrame, corner: &LaneCorner<R>, lanes: u32, listed: &mut [Vec<GridPiece>]) {
-        let Self { place, velocity, area, cells, .. } = *self;
+    fn list(&self, frame: &GridFrame, corner: &LaneCorner<R>, lanes: [u32; 2], listed: &mut [Vec<GridPiece>]) {
+        let Self { place, velocity, area, cells, number, .. } = *self;
         let inwards = if self.one_sided { R::one() } else { self.normal.dot(velocity) };
         let side = R::select(inwards.lt(R::zero()), -R::one(), R::one());
         let normal = self.normal * side;
+        let rate = swept(normal, velocity, area, cells, frame);
+        let mut lanes = lanes[1] | lanes[0] & R::bits(R::zero().lt(rate));
+        if lanes == 0 {
+            return;
+        }
         let per_cell = R::splat(1.0 / frame.cell);
         let [x, y] = [place.x.mul_add(per_cell, corner.within[0]), place.y.mul_add(per_cell, corner.within[1])];
         // The next integer below is the nearest one to half a cell less.
         let below = |less: f64| [x, y].map(|x| (x - R::splat(0.5 + less)).round());
-        let (middle, first) = (below(0.0), below(0.5 * f64::from(cells - 1)));
+        let middle = below(0.0);
         let height = place.z * R::splat(1.0 / frame.quantum());
-        let rate = swept(normal, velocity, area, cells, frame);
-        // Of several cells each has the height of the piece's plane there, if that is not too steep.
-        let level = R::splat(STEEPEST.cos()).lt(normal.z.abs());
-        let cell_in_steps = R::splat(if cells > 1 { frame.cell / frame.quantum() } else { 0.0 });
-        let along_z = R::select(level, normal.z, R::one());
-        let falls = [normal.x, normal.y].map(|n| R::select(level, n / along_z * cell_in_steps, R::zero()));
-        for (lane, list) in listed.iter_mut().enumerate().take(R::LANES) {
-            if lanes >> lane & 1 == 0 {
-                continue;
-            }
+        let (mut first, mut falls) = (middle, [R::zero(); 2]);
+        if cells > 1 {
+            first = below(0.5 * f64::from(cells - 1));
+            // Each cell has the height of the piece's plane there, if that is not too steep.
+            let level = R::splat(STEEPEST.cos()).lt(normal.z.abs());
+            let cell_in_steps = R::splat(frame.cell / frame.quantum());
+            let along_z = R::select(level, normal.z, R::one());
+            falls = [normal.x, normal.y].map(|n| R::select(level, n / along_z * cell_in_steps, R::zero()));
+        }
+        while lanes != 0 {
+            let lane = lanes.trailing_zeros() as usize;
+            lanes &= lanes - 1;
             let [origin_x, origin_y] = corner.cells[lane];
             let cell = |c: &[R; 2]| {
                 [origin_x.wrapping_add(integer(c[0].lane(lane))), origin_y.wrapping_add(integer(c[1].lane(lane)))]
             };
             let single = |x: &R| x.lane(lane) as f32;
-            list.push(GridPiece {
+            listed[lane].push(GridPiece {
                 cell: cell(&middle),
                 first: cell(&first),
                 cells,
+                number,
                 falls: [single(&falls[0]), single(&falls[1])],
                 place: [single(&x), single(&y)],
                 height: single(&height),
