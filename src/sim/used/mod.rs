@@ -1,4 +1,4 @@
-//! Sand that remembers, for engines that compute environments in lanes. See [`crate::sand::memory`] for the equations.
+//! Sand with memory, for engines that compute environments in lanes. See [`crate::sand::memory`] for the equations.
 //!
 //! Heights differ from lane to lane, so sand is moved lane by lane, in `f64`, every [`PERIOD`]. In between, each body of
 //! a robot has one level from which depths count, and one strength: two numbers in lanes, so the force law stays as fast
@@ -8,18 +8,18 @@ use crate::number::{Real, Vec3};
 use crate::sand::memory::{BodyMotion, GridFrame, GridPiece, Marks, MemorySettings, Moved, swept};
 use crate::{Model, State};
 
-/// Time between two movements of sand [s]: our choice, a control step of the tasks. A foot that pushes with 0.5 m/s moves by two
-/// cells. Half and twice this time change the speeds of hexapods whose convex side leads by at most 2 % (`walks_converge`).
+/// Time between two movements of sand [s]: our choice, a control step of the tasks. A foot that pushes with 0.5 m/s moves by
+/// 1 cm, 1.3 cells of the hexapods. Half and twice this time change the speeds of hexapods whose convex side leads by at most 2 % (`walks_converge`).
 const PERIOD: f64 = 2e-2;
-/// Height above the highest sand above which a body finds nothing yet [cells]: our choice, 4 cm for the hexapods, which a leg of
-/// theirs falls in [`PERIOD`] with 2 m/s.
+/// A body that is higher than this above the highest sand finds nothing yet [cells]: our choice, 6 cm for the hexapods. A leg that falls
+/// with 2 m/s moves by 4 cm in [`PERIOD`].
 const ABOVE: f64 = 8.0;
 
 /// A piece of a body's surface in all lanes.
 #[derive(Clone, Copy)]
 pub struct LanePiece<R> {
     pub body: usize,
-    /// From the lane's origin of x and y [m].
+    /// Relative to the lane's origin of x and y [m].
     pub place: Vec3<R>,
     pub normal: Vec3<R>,
     pub velocity: Vec3<R>,
@@ -27,7 +27,7 @@ pub struct LanePiece<R> {
     pub area: R,
     /// Does only the side of the normal touch sand?
     pub one_sided: bool,
-    /// See [`GridPiece`].
+    /// See [`GridPiece::cells`].
     pub cells: u8,
 }
 
@@ -61,7 +61,7 @@ struct BodyPieces<R> {
     from: usize,
     to: usize,
     low: R,
-    /// Where its pieces end in the lists of each lane.
+    /// Where this body's pieces end in the list of each lane.
     ends: [usize; MOST_LANES],
 }
 
@@ -90,7 +90,7 @@ impl<R: Real> LaneMemory<R> {
         }
     }
 
-    /// Takes the sand of `state`; level sand if it has none.
+    /// Takes the sand of `state`; level sand if `state` has none that fits.
     pub fn set_state(&mut self, lane: usize, state: &State) {
         let bodies = self.surfaces.levels.len();
         self.moved[lane] = match &state.sand {
@@ -120,7 +120,7 @@ impl<R: Real> LaneMemory<R> {
         }
     }
 
-    /// Counts a time step. Is sand to be moved in any lane?
+    /// Counts a time step. Returns whether it is time to move sand in any lane.
     #[inline(always)]
     pub fn tick(&mut self) -> bool {
         let mut due = false;
@@ -131,8 +131,8 @@ impl<R: Real> LaneMemory<R> {
         due
     }
 
-    /// Moves the sand of the lanes where it is time, by `self.pieces`, which are sorted by body. `origins`: of x and y
-    /// in each lane [m]; `middle`: the robot's position from there.
+    /// Moves the sand in the lanes where it is time, with `self.pieces`, which are sorted by body. `origins`: origins of x and y
+    /// in each lane [m]; `middle`: the robot's position relative to them.
     #[inline(always)]
     pub fn update(&mut self, origins: &[[f64; 2]], middle: Vec3<R>) {
         let Self { surfaces, settings, moved, pieces, groups, listed, marks, every, dt } = self;
@@ -156,7 +156,7 @@ impl<R: Real> LaneMemory<R> {
             due |= u32::from(moved[lane].pending >= *every) << lane;
             listed[lane].clear();
         }
-        // Pieces above the highest sand move none, except for a body's lowest.
+        // Pieces above the highest sand move no sand. A body's lowest piece is listed in any case.
         let high = surfaces.tops - R::splat(ABOVE * frame.cell);
         for group in groups.iter_mut() {
             let high = high.max(group.low);
@@ -178,7 +178,7 @@ impl<R: Real> LaneMemory<R> {
             moved.grid.follow([origin[0] + x, origin[1] + y]);
             let mut from = 0;
             let high = moved.grid.highest() + settings.cell;
-            // Bodies without pieces are far above.
+            // Bodies without pieces are far above the sand.
             let mut next = 0;
             for group in groups.iter() {
                 moved.found[next..group.body].iter_mut().for_each(|found| found.inside = false);
@@ -188,7 +188,7 @@ impl<R: Real> LaneMemory<R> {
             for BodyPieces { body, low, ends, .. } in groups.iter() {
                 let (low, own) = (low.lane(lane), &listed[lane][from..ends[lane]]);
                 from = ends[lane];
-                // Well above the sand: what it finds does not matter yet.
+                // The body is well above the sand: what it finds does not matter yet.
                 if low > high + (ABOVE - 1.0) * settings.cell {
                     moved.found[*body].inside = false;
                     continue;
@@ -196,7 +196,7 @@ impl<R: Real> LaneMemory<R> {
                 let motion = BodyMotion { origin: corner.cells[lane], low, way: None, time };
                 moved.meet::<R::Shorts>(settings, *body, own, &motion, marks);
             }
-            // Sweeps of sliding that are due by now.
+            // Sweeps of sliding that are due now.
             moved.sliding += (time / settings.sweep) as f32;
             let sweeps = moved.sliding.floor();
             moved.sliding -= sweeps;
@@ -237,7 +237,7 @@ impl<R: Real> LanePiece<R> {
         let (middle, first) = (below(0.0), below(0.5 * f64::from(cells - 1)));
         let height = place.z * R::splat(1.0 / frame.quantum());
         let rate = swept(normal, velocity, area, cells, frame);
-        // Of several cells each has the height of the piece's plane there, if that is not too steep.
+        // If a piece covers several cells, the piece's plane gives the height in each of them, unless it is too steep.
         let level = R::splat(STEEPEST.cos()).lt(normal.z.abs());
         let cell_in_steps = R::splat(if cells > 1 { frame.cell / frame.quantum() } else { 0.0 });
         let along_z = R::select(level, normal.z, R::one());
