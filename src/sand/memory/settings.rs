@@ -20,8 +20,8 @@ const GAIN: f64 = 0.464 / 0.254;
 /// with 8 and 16 they are alike. A piece never takes sand from below itself.
 pub(super) const CLEARING: f64 = 16.0;
 /// Distance from the sand that a body pushes to the middle of the sand that it finds next, in radii of the disc that gets the
-/// pushed sand. That disc ends at 2; the sand that the body finds next begins at 2.5, because some of the pushed sand slides ahead. We
-/// chose 3.5 on the furrows of `tests/data/memory`. With 2, half of a body's own heap counted, and wheels were 6 mm too high in fresh
+/// pushed sand. That disc ends at 2; the sand that the body finds next begins at 2.5, because some of the pushed sand slides ahead. Our
+/// choice, on the furrows of `tests/data/memory`. With 2, half of a body's own heap counted, and wheels were 6 mm too high in fresh
 /// sand; with 4, furrows are as good.
 pub(super) const AHEAD: f64 = 3.5;
 /// The level follows that sand as a first-order lag; this is the lag's length, in the same radii: our choice, the end of the disc that
