@@ -1,6 +1,6 @@
 //! The readings of a force sensor while a plate or leg moves along its track.
 //!
-//! [`SandMechanisms`] evaluates the mechanisms in the sand; this file adds those of measuring, in this order: depth
+//! [`SandMechanisms`] evaluates the mechanisms in the sand; this file adds the effects of measuring, in this order: depth
 //! reference, compliance, delay, filter, tilt, offsets.
 
 use super::acceleration::Accelerations;
@@ -15,8 +15,8 @@ use crate::sand::mechanism_laws::{SandMechanisms, SegmentState, StressModel, slo
 use crate::sand::shape::{Segment, straight};
 use crate::sand::{LegShape, SandBed};
 
-/// Number of segments of a plate or leg: our choice. Of a segment that crosses the surface, the submerged part counts;
-/// without this, a pressure that does not vanish at the surface, such as `cohesion`, would be found 2 % too small.
+/// Number of segments of a plate or leg: our choice. If a segment crosses the surface, its submerged part counts;
+/// otherwise a pressure that does not vanish at the surface, such as `cohesion`, would be found 2 % too small.
 const SEGMENTS: usize = 40;
 /// A trial starts at rest if its first speed is below this share of its greatest: our choice, as for the samples at
 /// rest that are left out.
@@ -140,7 +140,7 @@ pub fn filtered<const N: usize>(poses: &[ArmPose], steps: &[[Load; N]], tau: f64
     out
 }
 
-/// Computes the loads of one track with one set of mechanisms in N beds that differ in their stress coefficients only.
+/// Computes the loads of one track with one set of mechanisms in N beds that differ only in their stress coefficients.
 pub struct Arm<'a, const N: usize> {
     pub track: &'a Track,
     pub cut: &'a IntruderSegments,
@@ -328,7 +328,7 @@ impl<const N: usize> Kernel for Sum<'_, N> {
             let ahead = lead * splat(arm.cut.half_thickness);
             let (x, z) = (at[0] + n[0] * ahead, at[1] + n[1] * ahead);
             let (normal, velocity) = (into(n), into(v));
-            // Of a segment that crosses the surface, the submerged share counts, at its own mean depth.
+            // If a segment crosses the surface, its submerged share counts, at the mean depth of this share.
             let (depth, extent) = (slope_depth(slope, x, z), normal.x.abs() * block.half);
             let share = ((depth + extent) / (extent + extent + splat(1e-12))).max(zero).min(Doubles::one());
             let mean = Doubles::select(depth.lt(extent), splat(0.5) * (depth + extent), depth);

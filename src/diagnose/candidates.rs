@@ -1,4 +1,4 @@
-//! The candidates: fits of every cause, and of pairs, with the noise learnt again about the best of them.
+//! The candidates: fits of every cause, and of pairs. The noise is learnt again from the residual of the best one.
 
 use super::evidence::EvidenceTable;
 use super::fit::{COEFFICIENTS, Fit, slope};
@@ -21,8 +21,8 @@ const NOISES: usize = 3;
 /// Number of candidates of one size that are fitted with the final noise and compared: our choice; those further behind
 /// differ by hundreds of χ².
 const FINALISTS: usize = 8;
-/// Share of a pair's evidence that its second cause must add: our choice. A weaker one beside a very strong first cause
-/// may stand for a small error in that cause's law.
+/// Share of a pair's evidence that its second cause must add: our choice. A weaker second cause beside a very strong first one
+/// may stand for a small error in the first one's law.
 pub const SECOND: f64 = 0.01;
 
 /// Noise, whitening and nuisances about one candidate.
@@ -49,9 +49,9 @@ pub struct SearchSpace<'a> {
     pub noise: &'a Noise,
     /// Catalogue indices of the causes that the data can show.
     pub ids: &'a [usize],
-    /// Those that act on these data, but cannot be tested with them.
+    /// Causes that act on these data, but cannot be tested with them.
     pub untestable: &'a [usize],
-    /// Causes that are fitted, and that may not be named; these are in no pair.
+    /// Causes that are fitted, but may not be named; they are in no pair.
     pub unnamed: &'a [usize],
     /// Ids of sensor mechanisms that may be named as causes.
     pub interest: &'a [String],
@@ -104,9 +104,9 @@ pub fn candidates(
     let base = beneath(&straight, straight.recalibrated(), &fits);
     let earlier = base.objective;
     let mut behind = fits.split_off(fits.len().min(FINALISTS));
-    // What cannot be tested is compared in any case, because it may look like another cause.
+    // Causes that cannot be tested are compared in any case, because they may look like another cause.
     fits.extend(behind.extract_if(.., |fit| asked.untestable.contains(&fit.ids[0])));
-    // Of the others only values and objectives are reported, and stacks use most of the memory.
+    // For the other candidates only values and objectives are reported, so their stacks, which use most of the memory, are dropped.
     for fit in &mut behind {
         (fit.prediction, fit.white, fit.slopes) = Default::default();
     }
@@ -123,8 +123,7 @@ pub fn candidates(
     Ok(found)
 }
 
-/// The plain model and the fits. A fit with the value of the plain sand is left out: what it gains is the freedom of a
-/// parameter that it does not use.
+/// The plain model and the fits. A fit with the value of the plain sand is left out: it explains nothing by its cause.
 pub fn contenders<'a>(base: &'a Fit, fits: &'a [Fit]) -> Vec<Contender<'a>> {
     let fits = [base].into_iter().chain(fits.iter().filter(|fit| !fit.is_idle()));
     fits.map(|fit| Contender { fit, laws: None }).collect()
@@ -146,8 +145,8 @@ impl Candidates {
         self.leading.map_or(&self.base, |k| &self.fits[k])
     }
 
-    /// Learns the noise again about the leading fit and fits all again with it, until that changes the leading fit by less
-    /// than one σ. If none leads, the noise is learnt about the plain model, and the other fits stay.
+    /// Learns the noise again about the leading fit and fits all candidates again with it, until this changes the leading fit by less
+    /// than one σ. If no fit leads, the noise is learnt about the plain model, and the other fits stay.
     fn settle(&mut self, study: &FitInputs, asked: &SearchSpace) {
         for _ in 0..NOISES {
             let (next, before) = {

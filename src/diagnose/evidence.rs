@@ -1,10 +1,10 @@
 //! The one measure of evidence: how well a model predicts conditions that were left out.
 //!
-//! **Numbers.** Differences between the repetitions of a condition tell nothing about causes, so only their mean counts.
+//! **Numbers.** Differences between the repetitions of a condition tell nothing about causes, so only the repetitions' mean counts.
 //! The whitened numbers of each repetition and channel are projected on the first cosines along the trial (DCT-II), and
 //! the repetitions are averaged. For noise alone each of these numbers is standard normal.
 //!
-//! **Prediction.** A model is linear in its parameters about its fit: values of causes, deviations of the stress
+//! **Prediction.** Near its fit a model is linear in its parameters: values of causes, deviations of the stress
 //! coefficients, and nuisances, each with a normal prior. The posterior from all conditions but c predicts those of c
 //! with mean J δ and covariance φ V, V = 1 + J Σ Jᵀ/φ. φ ≥ 1 is the scale of the model's own errors: their variance in the
 //! other conditions, in units of the noise's. The variance of the noise is marginalised too. It comes from repetitions
@@ -12,24 +12,25 @@
 //!
 //! −½ ln |V| − ½ n ln φ − ½ (ν + n) ln(1 + Q/(νφ)) + a constant of the condition, Q = eᵀ V⁻¹ e, e the error, n its numbers.
 //!
-//! Their sum over c is the elpd (Vehtari, Gelman & Gabry 2017). A parameter that only condition c shows has its prior
-//! there: the fastest or deepest condition is predicted with a wide V, and does not veto. What is stated of coefficients
-//! and nuisances, a deviation of 0 ± 1 each, counts as one more condition, so that a model that needs coefficients far
-//! from their statement pays for it.
+//! The sum of these densities over c is the elpd (Vehtari, Gelman & Gabry 2017). If only condition c shows a parameter, the parameter has
+//! its prior in the prediction of c: the fastest or deepest condition is predicted with a wide V, and does not veto. The stated
+//! priors of coefficients and nuisances, a deviation of 0 ± 1 each, count as one more condition, so that a model that needs
+//! coefficients far from the stated ones has a lower elpd.
 //!
 //! **Standard error of a difference.** The conditions of an experiment are chosen, and not drawn from a population: a
-//! cause that acts in the fastest condition only is no less certain for this. So the error is that of the difference for
-//! the same conditions, measured again. s = V⁻¹ e is the expected error of the condition's own, besides that of the
-//! parameters. With Δ the difference of s between the worse model B and the better model A, and w = (ν + n)/(ν + Q/φ)/φ of each,
-//! a condition's difference changes with its own errors by
+//! cause that acts in the fastest condition only is no less certain for this. So the standard error says how much the difference would
+//! change if the same conditions were measured again. s = V⁻¹ e is the expected error of the condition itself, without the error of
+//! the parameters. Let A be the better model, B the worse one, Δ = s_B − s_A, and w = (ν + n)/(ν + Q/φ)/φ for each model. The
+//! condition's own errors change its difference by
 //!
 //! x = w_B Δᵀ s_A − ½ (w_A − w_B)(Q_A − n/w_A), 1/w_A the variance of the errors in this condition.
 //!
-//! Its variance is the greater of two estimates: w_B² |Δ|²/w_A + ½ n (1 − w_B/w_A)², if the errors are noise, and the sum
-//! of x², if they are the model's own and correlated within a condition (clusters: Liang & Zeger 1986). Where errors are not
-//! small, the first order is too large, and the spread of the differences between conditions (Vehtari et al.) replaces the
-//! second estimate if it is less. Both are widened by Student's t, for ν and for the number of conditions. The standard
-//! error is at least 2, because differences below 4 are no evidence (Sivula, Magnusson, Matamoros & Vehtari 2020).
+//! The variance of the whole difference is the greater of two estimates. If the errors are noise, it is the sum of
+//! w_B² |Δ|²/w_A + ½ n (1 − w_B/w_A)² over conditions. If they are the model's own errors, correlated within a condition, it is the sum
+//! of x² (clusters: Liang & Zeger 1986), or the spread of the differences between conditions (Vehtari et al.) if that is less, because
+//! x, which is of first order, is too large where errors are not small. Both estimates are widened by Student's t, the first for ν,
+//! the second for the number of conditions. The standard error is at least 2, because differences below 4 are no
+//! evidence (Sivula, Magnusson, Matamoros & Vehtari 2020).
 
 use super::fit::{Fit, Stack};
 use super::left_out::{Contender, LeftOutRow, Linear};
@@ -46,8 +47,8 @@ use std::sync::Arc;
 
 /// Number of cosines along a trial: our choice; features shorter than a sixteenth of a trial count as noise.
 const WAVES: usize = 16;
-/// Prior standard deviation of coefficients and nuisances, in those that are stated, if the statement is left out: our
-/// choice, wide.
+/// Prior standard deviation of coefficients and nuisances when their stated priors are the condition that is left out, in units of the
+/// stated ones: our choice, wide.
 const UNSTATED: f64 = 10.0;
 /// Least standard error, see above.
 pub const LEAST: f64 = 2.0;
@@ -86,7 +87,7 @@ impl<'a> Projection<'a> {
         group.iter().map(|&u| self.study.observations.units[u].samples).min().unwrap_or(0).min(WAVES)
     }
 
-    /// For each repetition of a group its numbers.
+    /// The numbers of each repetition of a group.
     fn each(&self, white: &[f64], group: &[usize]) -> Vec<Vec<f64>> {
         let o = self.study.observations;
         let waves = self.waves(group);
@@ -169,7 +170,7 @@ impl EvidenceTable {
         };
         let degrees = models.first().map_or(1.0, |(m, _)| projection.degrees(&residual(m.fit)));
         let rows = parallel::map(&models, |(m, laws)| {
-            // What is known of coefficients and nuisances is one more condition: deviations of 0 ± 1 are its numbers.
+            // The stated priors of coefficients and nuisances are one more condition: deviations of 0 ± 1 are its numbers.
             let (count, values) = (m.fit.deviations.len(), m.fit.ids.len());
             let own = |c: &Stack| known[&place(c)].clone();
             let stated = |k: usize| DVector::from_fn(count, |i, _| if k == values + i { 1.0 } else { 0.0 });
@@ -236,7 +237,7 @@ impl EvidenceTable {
         [difference, of(noise, self.degrees).max(of(clusters, count)).max(LEAST)]
     }
 
-    /// w of condition `c`: one over the variance of the errors of a row's model there, in units of the noise's.
+    /// w of condition `c`: one over the variance of the errors of the row's model in this condition, in units of the noise's variance.
     pub fn weight(&self, row: &LeftOutRow, c: usize) -> f64 {
         let (n, scale) = (self.sizes[c], row.scales[c]);
         (self.degrees + n) / (self.degrees + row.squares[c] / scale) / scale
@@ -259,13 +260,13 @@ impl EvidenceTable {
         self.rows[k].squares.iter().sum::<f64>() / self.sizes.iter().sum::<f64>().max(1.0)
     }
 
-    /// Variance of the errors of row `k` beyond that of the noise, in units of it; 0 if noise alone may leave as much.
+    /// Variance of the errors of row `k` beyond the noise's variance, in units of the latter; 0 if noise alone may leave as much.
     pub fn misfit(&self, k: usize) -> f64 {
         if self.lack(k) <= self.limit { 0.0 } else { self.rows[k].scale - 1.0 }
     }
 
-    /// Share of the plain model's misfit that row `k` leaves. Where all errors are smaller than noise and what is stated of the model's
-    /// errors, by more than chance, the misfit is the whole of the errors.
+    /// Share of the plain model's misfit that row `k` leaves. If the plain model's errors are smaller, by more than chance, than noise and
+    /// the stated errors of the model allow, the misfit is the whole of the errors.
     pub fn unexplained(&self, k: usize) -> f64 {
         if self.lack(0) * self.limit < 1.0 {
             return self.lack(k) / self.lack(0).max(1e-9);

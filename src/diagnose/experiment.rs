@@ -141,7 +141,7 @@ pub struct Experiment {
     pub given: GivenModel,
 }
 
-/// What earlier diagnoses have found, which a robot's log is predicted with from the start.
+/// The results of earlier diagnoses, with which a robot's log is predicted from the start.
 #[derive(Clone, Debug, Default)]
 pub struct GivenModel {
     /// The mechanisms of the `sand.toml` that is the medium.
@@ -160,7 +160,8 @@ impl Experiment {
         Self::parse(&text, &read).map_err(|e| Error::file(path, e))
     }
 
-    /// The text of a file. Instead of the names of other files it has their texts: a server reads no files that a client names.
+    /// Reads the text of an experiment file that contains the texts of other files instead of their names: a server reads no files that a
+    /// client names.
     pub fn from_toml(text: &str) -> Result<Self> {
         Self::parse(text, &|name| Err(Error::invalid(name, "a server reads no files; send the content of this one")))
     }

@@ -33,7 +33,7 @@ impl Fit {
         self.ids.iter().map(|&id| self.mechanisms.get(id)).collect()
     }
 
-    /// Has one of the fitted mechanisms the value of the plain sand? Then the fit explains nothing by it.
+    /// Has one of the fitted mechanisms the value of the plain sand? Then this mechanism explains nothing.
     pub fn is_idle(&self) -> bool {
         self.ids.iter().any(|&id| self.mechanisms.get(id) == Mechanisms::PLAIN.get(id))
     }

@@ -124,8 +124,8 @@ impl<'a> ForceLogModel<'a> {
         root_mean_square(blocks.map(|k| prediction[k])).max(1e-6)
     }
 
-    /// Without the medium's ζ: only `slip_bearing` uses it, which has no effect on a body that does not travel, and in
-    /// these logs none does ([`super::arm`]).
+    /// The mechanisms without the medium's ζ. Only `slip_bearing` uses ζ; it has no effect on a body that does not travel, and no
+    /// body in these logs travels ([`super::arm`]).
     fn sand(&self, m: &Mechanisms) -> SandMechanisms<Doubles> {
         let Medium { bulk_density, terms, .. } = self.medium();
         let mut sand = SandMechanisms::new(m, *bulk_density);

@@ -17,7 +17,7 @@ pub fn stronger((mechanisms, coefficients): &SandParameters, share: f64) -> Sand
     (Mechanisms { scale: (1.0 + mechanisms.scale) * (1.0 + share) - 1.0, ..*mechanisms }, *coefficients)
 }
 
-/// Mechanisms as indices of the catalogue, each with the reason why the data cannot test it, if they cannot.
+/// Mechanisms as indices of the catalogue; where the data cannot test a mechanism, with the reason.
 pub type Testable = Vec<(usize, Option<String>)>;
 
 /// The mechanisms of one kind of data; one whose columns are `missing` cannot be tested.
@@ -85,7 +85,7 @@ pub trait ForwardModel: Sync {
     fn reach(&self) -> [f64; 3] {
         [1.0; 3]
     }
-    /// Adds to a simulator's sand the settings that this kind of data is predicted with, besides the medium.
+    /// Adds to a simulator's sand the settings, besides the medium, with which the model predicts this kind of data.
     fn finish(&self, _sand: &mut SandDescription) {}
     /// What the experiment file states.
     fn experiment(&self) -> &Experiment;

@@ -2,8 +2,8 @@
 //!
 //! Each coefficient is c_k (1 + s d_k), with s its relative prior sd and d_k ~ N(0, 1). The d_k are fitted too, with
 //! the prior's penalty d_k². For a linear model the least value of |W (y − m)|² + |d|² is the χ² under the covariance
-//! V + s² J Jᵀ. Nuisances are fitted in the same way, as columns after those of the coefficients; they change the
-//! readings and not the prediction of the sand.
+//! V + s² J Jᵀ. Nuisances are fitted in the same way, with their columns after those of the coefficients; they change the
+//! readings, but not the prediction of the sand.
 
 use super::fit::{COEFFICIENTS, Fit, Stack, slope};
 use super::normal_equations::NormalEquations;
@@ -19,8 +19,8 @@ const SETTLED: f64 = 0.01;
 /// The least gain of a step for a rough model, whose χ² differs by this much between neighbouring states.
 const SETTLED_ROUGHLY: f64 = 0.25;
 
-/// Bound of a nuisance in prior standard deviations: our choice. Without it a model with a large error would be
-/// compensated by absurd nuisances.
+/// Bound of a nuisance in prior standard deviations: our choice. Without this bound absurd nuisances would compensate for a large error of
+/// the model.
 pub const MOST_DEVIATION: f64 = 3.0;
 /// Largest number of Gauss-Newton steps of a fit: our choice; most fits converge in four.
 const ROUNDS: usize = 12;

@@ -14,8 +14,8 @@ pub const TORQUE_CONSTANT: &str = "actuator.torque_constant";
 pub const TORQUE_LIMIT: &str = "actuator.torque_limit";
 pub const FRICTION: &str = "actuator.friction";
 
-/// Effects of measuring that a report names for a robot's own log, each with the quantities that it is about in a simulation. Where
-/// the effect is itself the first of them, its least possible value.
+/// Effects of measuring that a report names for a robot's own log, each with the quantities of a simulation that it changes. If the
+/// effect is itself the first of these quantities: the least possible value.
 const EFFECTS: [(&str, &[&str], Option<f64>); 8] = [
     ("imu_rotation_x", &[ROTATION[0]], Some(f64::NEG_INFINITY)),
     ("imu_rotation_y", &[ROTATION[1]], Some(f64::NEG_INFINITY)),
@@ -27,17 +27,18 @@ const EFFECTS: [(&str, &[&str], Option<f64>); 8] = [
     ("friction", &[FRICTION], Some(0.0)),
 ];
 
-/// The quantities that a nuisance of a robot's log is about.
+/// The quantities of a simulation that a nuisance of a robot's log changes.
 pub fn quantities_of(nuisance: &str) -> &'static [&'static str] {
     EFFECTS.iter().find(|effect| effect.0 == nuisance).map_or(&[], |effect| effect.1)
 }
 
-/// A value with a half of its 95 % interval, not below `least`.
+/// A value and the half width of its 95 % interval, which does not reach below `least`.
 fn quantity(value: f64, half: f64, least: f64) -> HardwareQuantity {
     HardwareQuantity { value, interval: [value - half, value + half].map(|x| x.max(least)) }
 }
 
-/// The quantities whose 95 % interval excludes 0, and the torque limit of a weak motor that is a cause.
+/// The quantities whose 95 % interval excludes the ideal value (0; 1 for the torque constant), and the torque limit if a weak motor is a
+/// cause.
 pub fn found(report: &Report) -> HardwareDescription {
     let source = format!("sandgait diagnose, data {}: {}", report.data_sha256, report.summary);
     let mut all = HardwareDescription { source, ..HardwareDescription::default() };
@@ -49,8 +50,8 @@ pub fn found(report: &Report) -> HardwareDescription {
         }
     }
     all.quantities.extend(late(measured("imu_delay"), measured("imu_blur")));
-    // A drive's torque is (1 + s)/(1 + g) of what its servo requests: by the log it is 1 + s of that, and the log is wrong by the factor
-    // 1 + g. If the requests are not known, the drive computes its torque from the current, as the log does: s = 0.
+    // A drive's torque is (1 + s)/(1 + g) times the torque that its servo requests: the logged torque is 1 + s times the request, and the
+    // log is wrong by the factor 1 + g. If the requests are not known, the drive computes its torque from the current, as the log does: s = 0.
     if let Some((gain, sd)) = measured("torque_constant") {
         let (servo, servo_sd) = measured("servo_gain").unwrap_or_default();
         let (value, half) = ((1.0 + servo) / (1.0 + gain), NORMAL * sd.hypot(servo_sd));
@@ -60,7 +61,7 @@ pub fn found(report: &Report) -> HardwareDescription {
         }
     }
     if let Some(cause) = report.causes.iter().find(|cause| cause.id == "motor_torque_limit" && cause.value > 0.0) {
-        // The cause limits what servos request, of which motors give the share (1 + s)/(1 + g).
+        // The cause limits the requested torques, and motors give (1 + s)/(1 + g) times these.
         let [(gain, gain_sd), (servo, servo_sd)] =
             ["torque_constant", "servo_gain"].map(|id| measured(id).unwrap_or_default());
         let share = (1.0 + servo) / (1.0 + gain);
@@ -72,9 +73,9 @@ pub fn found(report: &Report) -> HardwareDescription {
     all
 }
 
-/// Delay and filter of the IMU, of its lag [s] and its blur [s²], each with its standard deviation: a first-order filter of time
-/// constant T has the lag T and the blur T². If the log does not show a blur, all of the lag is the delay, and the interval says how much of
-/// it a filter may be.
+/// Delay and filter of the IMU, from its lag [s] and its blur [s²], each with its standard deviation. A first-order filter of time
+/// constant T has the lag T and the blur T². If the log does not show a blur, the whole lag is the delay, and its interval extends
+/// downwards by the largest filter that the log allows.
 fn late(lag: Option<(f64, f64)>, blur: Option<(f64, f64)>) -> Vec<(String, HardwareQuantity)> {
     let Some((lag, sd)) = lag.filter(|(lag, sd)| *lag > NORMAL * sd) else { return Vec::new() };
     let half = NORMAL * sd;
@@ -111,8 +112,8 @@ mod tests {
     /// Number of logs: our choice, because each takes seconds.
     const LOGS: u64 = 3;
 
-    /// Logs of walks with a late and crooked IMU, of which every other one has weak motors. The intervals of what is found contain the truth in
-    /// nearly all cases; with so few logs two of ten may miss it.
+    /// Logs of walks whose IMU is late and rotated; every other log has weak motors. Nearly all intervals of what is found contain the
+    /// truth; with so few logs two of ten may miss it.
     #[test]
     fn intervals_contain_the_truth() {
         let (mut within, mut all) = (0, 0);

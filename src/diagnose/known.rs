@@ -1,10 +1,10 @@
-//! Results that may be asked for again.
+//! Results that are kept, because they may be needed again.
 
 use super::forward::SandParameters;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// The last results, each by what it was computed with. A clone has none, because its owner may be changed.
+/// The last results, each with the inputs from which it was computed. A clone has no results, because its owner may be changed.
 pub struct Recent<K, T> {
     results: Mutex<Vec<(K, Arc<T>)>>,
     most: usize,
@@ -30,7 +30,7 @@ impl<K: Clone + PartialEq, T> Recent<K, T> {
     }
 
     /// The result for `key`, computed if it is not known. Other threads wait meanwhile, because they usually need the same
-    /// one.
+    /// result.
     pub fn of(&self, key: &K, compute: impl FnOnce() -> T) -> Arc<T> {
         let mut known = self.results.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, result)) = known.iter().find(|k| k.0 == *key) {
@@ -46,10 +46,10 @@ impl<K: Clone + PartialEq, T> Recent<K, T> {
     }
 }
 
-/// All results, by the bits of what they were computed with.
+/// All results, by the bits of their inputs.
 pub struct Known<T> {
     results: Mutex<HashMap<Vec<u64>, T>>,
-    /// From this number on, all are forgotten.
+    /// From this number on, all results are forgotten.
     most: usize,
 }
 
@@ -77,7 +77,7 @@ impl<T: Clone> Known<T> {
         let known = || self.results.lock().unwrap_or_else(PoisonError::into_inner);
         let is_new = |k: &usize| !known().contains_key(&keys[*k]) && !keys[..*k].contains(&keys[*k]);
         let new: Vec<usize> = (0..keys.len()).filter(is_new).collect();
-        // Others compute meanwhile, and may forget results: those that are known now are taken first.
+        // Other threads may compute meanwhile, and results may be forgotten: so the results known now are taken first.
         let mut own: HashMap<&[u64], T> =
             keys.iter().filter_map(|key| Some((key.as_slice(), known().get(key)?.clone()))).collect();
         own.extend(new.iter().map(|&k| keys[k].as_slice()).zip(compute(&new)));

@@ -1,7 +1,7 @@
 //! Laws found in the data: a coefficient times powers of dimensionless groups, as a stress or as a share of the force
 //! law's own stress.
 //!
-//! A law is sparse: one term of at most two groups. Its powers are parameters as its coefficient is: the law is chosen
+//! A law has one term of at most two groups. Its powers are parameters, like its coefficient: the law is chosen
 //! anew with each condition left out, so a large dictionary gains nothing by chance ([`super::evidence`]).
 
 use super::fit::{Fit, slope};
@@ -30,8 +30,8 @@ const SHALLOW: f64 = 1e-3;
 /// slightly on them.
 const ROUNDS: usize = 3;
 
-/// Share of a law's effect that a cause may explain for both to be fitted together: at more, the variance inflation factor
-/// is above 10, the usual limit of collinearity (Marquardt, Technometrics 12:591, 1970).
+/// A law and a cause are fitted together only if the cause explains at most this share of the law's effect: with more, the variance
+/// inflation factor is above 10, the usual limit of collinearity (Marquardt, Technometrics 12:591, 1970).
 const COLLINEAR: f64 = 0.9;
 
 /// A law with its coefficient.
@@ -98,7 +98,7 @@ pub fn laws(study: &FitInputs, base: &Fit) -> Option<Laws> {
     let column = |law: &Term| {
         let model = study.model.with_terms(std::slice::from_ref(law))?;
         let column = slope(&model.predict(&base.mechanisms, &coefficients), &base.prediction, 1.0);
-        // The coefficient that would fit alone tells the sign; a law that sand cannot follow is left out.
+        // The coefficient of the law fitted alone gives the sign. A law that sand cannot follow is left out.
         let white = study.whitener.apply(&column);
         if !base.ids.is_empty() && normal.explained(&white, base.ids.len())? > COLLINEAR {
             return None;
@@ -114,7 +114,7 @@ pub fn laws(study: &FitInputs, base: &Fit) -> Option<Laws> {
 }
 
 /// The law `term` fitted in addition to `base`, from its coefficient. The values of named causes are `held`: the law
-/// describes what they leave, and takes no part of them. None if sand cannot follow the fitted law.
+/// describes the misfit that they leave, and takes no part of their values. None if sand cannot follow the fitted law.
 pub fn fitted(study: &FitInputs, base: &Fit, mut term: Term, held: bool) -> Option<FittedLaw> {
     let values = if held { base.ids.len() } else { 0 };
     let (own, rest) = base.slopes.split_at(values);

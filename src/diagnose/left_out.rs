@@ -1,4 +1,4 @@
-//! Predicts every condition from the others, for a model that is linear about its fit.
+//! Predicts every condition from the others, with a model that is linear near its fit.
 
 use super::errors::SquaredErrors;
 use super::fit::{COEFFICIENTS, Fit, Stack};
@@ -12,13 +12,13 @@ use std::sync::Arc;
 const ROUNDS: usize = 4;
 const FOUND: f64 = 0.1;
 
-/// A model to compare: a fit, and the laws of which it may have one.
+/// A model to compare: a fit, and laws, at most one of which is chosen in addition.
 pub struct Contender<'a> {
     pub fit: &'a Fit,
     pub laws: Option<&'a Laws>,
 }
 
-/// Laws, with the change of a fit's prediction by each with the coefficient 1. The columns take the most memory of a
+/// Laws. The column of each is the change of a fit's prediction by this law with the coefficient 1. The columns take the most memory of a
 /// diagnosis, and single precision is far more than a law needs.
 pub struct Laws {
     pub terms: Vec<Term>,
@@ -27,11 +27,11 @@ pub struct Laws {
 
 /// How one model predicts each condition from the others.
 pub struct LeftOutRow {
-    /// Log predictive density of each condition that is used, and of what is stated of coefficients and nuisances.
+    /// Log predictive density of each condition that is used, and last of the stated priors of coefficients and nuisances.
     pub elpd: Vec<f64>,
-    /// V⁻¹ e of each condition: the expected error of its own, besides that of the parameters.
+    /// V⁻¹ e of each condition: the expected error of the condition itself, without the error of the parameters.
     pub own: Vec<DVector<f64>>,
-    /// Scale of the errors: as the other conditions show it for each condition, and as all show it.
+    /// Scale of the errors. `scales`: for each condition, as the other conditions show it; `scale`: as all conditions show it.
     pub scales: Vec<f64>,
     pub scale: f64,
     /// Q of each condition.
@@ -44,7 +44,7 @@ pub struct LeftOutRow {
     pub law: Option<usize>,
 }
 
-/// A model, linear about its fit, in the numbers of the conditions. The last condition is what is stated of coefficients
+/// A model that is linear near its fit, in the numbers of the conditions. The last condition is the stated priors of coefficients
 /// and nuisances.
 pub struct Linear {
     pub residual: Vec<DVector<f64>>,
@@ -56,7 +56,7 @@ pub struct Linear {
     pub widths: Vec<f64>,
 }
 
-/// Products of a condition: information and score of the parameters; of each law those with the parameters, with itself,
+/// Products of a condition: information and score of the parameters; for each law its products with the parameters and with itself,
 /// and its score.
 struct Products {
     information: DMatrix<f64>,
@@ -158,7 +158,8 @@ impl Linear {
         self.residual.len() - 1
     }
 
-    /// Weight of a condition if the variance of errors is `scale` times that of the noise. What is stated has its own.
+    /// Weight of a condition if the variance of errors is `scale` times that of the noise. The condition of the stated priors has a weight
+    /// of its own.
     fn weight(&self, c: usize, scale: f64) -> f64 {
         if c < self.measured() { scale.recip() } else { 1.0 }
     }
@@ -175,8 +176,8 @@ impl Linear {
         all
     }
 
-    /// Scale of the errors that the conditions but one show: their mean square, together with one more condition that
-    /// shows what the repetitions show. No model has less scatter than the repetitions.
+    /// Scale of the errors that all conditions but one show: their mean square, together with one more condition that
+    /// scatters as the repetitions do. No model has less scatter than the repetitions.
     fn scale(&self, left: &[LeftOut], without: Option<usize>) -> f64 {
         let own = |c: usize| left[c].square / left[c].error.len().max(1) as f64;
         let (mut sum, mut count) = (1.0, 1.0);

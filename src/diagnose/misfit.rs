@@ -23,7 +23,7 @@ pub struct Misfit {
     pub samples: usize,
 }
 
-/// A relative error is stated if the predicted size is at least this share of the error's: our choice, because an error
+/// A relative error is stated if the predicted size is at least this share of the error's size: our choice, because an error
 /// relative to a negligible force has no meaning.
 const PREDICTED: f64 = 0.2;
 

@@ -183,7 +183,7 @@ fn diagnose_measured(
         sand.mechanisms = fit.mechanisms;
         sand.terms = selection.as_ref().and_then(|s| s.law.as_ref()).map(|law| law.term.clone()).into_iter().collect();
     }
-    // What is given was not looked for, so the two have no quantity in common.
+    // The diagnosis does not look for hardware that the experiment file states, so the two have no quantity in common.
     let hardware = hardware::found(&report).or(&given.hardware);
     let extended = model.with_hardware(&(sand.mechanisms, sand.coefficients), &hardware);
     let extended = extended.or_else(|| fit.map(|fit| model.as_simulated(&fit.prediction)));
@@ -198,8 +198,8 @@ fn diagnose_measured(
     Ok(Diagnosis { report, sand, hardware, curves, name: "the data".into() })
 }
 
-/// Causes that the data can show; causes that act on the data, but that they cannot tell for lack of a column; and
-/// all of the latter and those without effect, with the reason.
+/// Causes that the data can show; causes that act on the data, but cannot be tested for lack of a column; and
+/// all causes that cannot be tested, because of a column or because they have no effect, with the reason.
 fn testable(study: &FitInputs) -> (Vec<usize>, Vec<usize>, Vec<Untestable>) {
     let (mut ids, mut unknown, mut untestable) = (Vec::new(), Vec::new(), Vec::new());
     let coefficients = study.model.medium().coefficients;

@@ -17,15 +17,15 @@ pub struct NormalEquations {
 }
 
 impl NormalEquations {
-    /// What a further whitened column tells besides the fit with this whitened `residual`: its score and its
-    /// information, with the fit's parameters free. None if the normal equations have no solution.
+    /// Score and information of a further whitened column beside the fit with this whitened `residual`,
+    /// with the fit's parameters free. None if the normal equations have no solution.
     pub fn beside(&self, column: &[f64], residual: &[f64]) -> Option<[f64; 2]> {
         let cross = DVector::from_iterator(self.white.len(), self.white.iter().map(|own| dot(own, column)));
         let solved = self.information.clone().cholesky()?.solve(&cross);
         Some([dot(column, residual) - solved.dot(&self.score), dot(column, column) - cross.dot(&solved)])
     }
 
-    /// Share of a further whitened column that the first `count` parameters explain, beyond what the others do.
+    /// Share of a further whitened column that the first `count` parameters explain, beyond what the other parameters explain.
     pub fn explained(&self, column: &[f64], count: usize) -> Option<f64> {
         let free = |from: usize| {
             let n = self.white.len() - from;
@@ -38,8 +38,8 @@ impl NormalEquations {
 }
 
 impl FitInputs<'_> {
-    /// A slope, whitened. Those that fits share are known; the others are made when they are needed, because all
-    /// candidates' together would take as much memory as everything else.
+    /// A slope, whitened. Slopes that fits share are kept; other slopes are whitened when they are needed, because those of all
+    /// candidates together would take as much memory as everything else.
     pub fn whitened(&self, slope: &Stack) -> Stack {
         let known = self.marginal_slopes[0].iter().position(|own| Arc::ptr_eq(own, slope));
         let known = known.and_then(|k| self.marginal_slopes[1].get(k));
@@ -70,11 +70,11 @@ impl FitInputs<'_> {
         values_of(fit, self.normal_equations(fit).information.try_inverse())
     }
 
-    /// The same covariance if the errors within a condition are correlated in an unknown way, as those of a law are that
+    /// The same covariance if the errors within a condition are correlated in an unknown way, like those of a law that
     /// is not quite right: the scatter of the fit with one condition left out each time (the jackknife over clusters,
-    /// CV3 of MacKinnon, Nielsen & Webb, Journal of Applied Econometrics 38:671, 2023), and what is stated of
-    /// coefficients and nuisances. A condition is left out by one Gauss-Newton step. A value that this condition alone
-    /// shows goes back to its prior.
+    /// CV3 of MacKinnon, Nielsen & Webb, Journal of Applied Econometrics 38:671, 2023), with the stated uncertainty of
+    /// coefficients and nuisances added. A condition is left out by one Gauss-Newton step. If this condition alone shows a value,
+    /// the value returns to its prior.
     pub fn jackknife(&self, fit: &Fit) -> DMatrix<f64> {
         values_of(fit, self.jackknife_of_all(fit))
     }
@@ -103,8 +103,8 @@ impl FitInputs<'_> {
         Some(scatter * ((count - 1.0) / count) + &inverse * stated * &inverse)
     }
 
-    /// Half the 95 % interval of each nuisance, in prior standard deviations: as that of a value (`select.rs`), the greater of that
-    /// under the noise, which has these degrees of freedom, and that from the scatter between conditions. None without slopes.
+    /// Half the 95 % interval of each nuisance, in prior standard deviations. As for values (`select.rs`), the greater of two counts: the
+    /// one under the noise, which has these degrees of freedom, and the one from the scatter between conditions. None without slopes.
     pub fn nuisance_reach(&self, fit: &Fit, degrees: f64) -> Option<Vec<f64>> {
         if fit.slopes.is_empty() {
             return None;
@@ -151,8 +151,8 @@ fn values_of(fit: &Fit, covariance: Option<DMatrix<f64>>) -> DMatrix<f64> {
 mod tests {
     use super::super::laws::tests::with_cohesion;
 
-    /// The jackknife is the scatter of fits that are made anew without one condition each, and what is stated of the
-    /// coefficients and nuisances.
+    /// The jackknife is the scatter of fits that are made anew without one condition each, with the stated uncertainty of
+    /// coefficients and nuisances added.
     #[test]
     fn the_jackknife_is_that_of_fits_without_one_condition() {
         with_cohesion(|study, fit| {

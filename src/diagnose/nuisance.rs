@@ -45,10 +45,11 @@ impl Nuisance {
 /// mm, the friction of its surface within 0.15.
 ///
 /// For a robot's log: an IMU mounted within 3°, late by 10 ms, with a blur as that of a filter of 7 ms (23 Hz), and
-/// offsets within 0.05 rad/s and 0.1 m/s²; torques within 2 %, and within 2 % of what servos request; offsets of torques and friction of joints within 5 % of
-/// the torques' rms; the mass within 2 %; beds that scatter by 5 %; errors of the simulation of 10 % of a channel's
-/// standard deviation within a stride, independent between parts of a stride. Two simulators of the same robot on the
-/// same sand differ by half of that, but the differences in neighbouring parts are similar.
+/// offsets within 0.05 rad/s and 0.1 m/s²; logged torques within 2 % of the true ones and of those that servos
+/// request; offsets of torques and friction of joints within 5 % of the torques' rms; the mass within 2 %; beds that
+/// scatter by 5 %; errors of the simulation of 10 % of a channel's standard deviation within a stride, independent
+/// between parts of a stride. Two simulators of the same robot on the same sand differ by half of that, but the
+/// differences in neighbouring parts are similar.
 const KINDS: [(&str, &str, f64); 21] = [
     ("offset", "1", 0.1),
     ("gain", "1", 0.02),
@@ -105,7 +106,7 @@ const SAME: [(&str, &str); 6] = [
     ("lowpass", "lowpass"),
 ];
 
-/// Standard deviation that is stated of a mechanism of the sensor; None for other mechanisms.
+/// Stated standard deviation of a mechanism of the sensor; None for other mechanisms.
 pub fn stated(nuisances: &[Nuisance], mechanism: &str) -> Option<f64> {
     let (_, same) = SAME.iter().find(|s| s.0 == mechanism)?;
     nuisances.iter().find(|n| n.id.starts_with(same)).map(|n| n.sd)

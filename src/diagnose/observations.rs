@@ -9,8 +9,8 @@ use std::ops::Range;
 pub struct Channel {
     pub name: Cow<'static, str>,
     pub unit: &'static str,
-    /// Does it count in the held-out error [unit of the channel]? Torque does not, because its unit differs from
-    /// force.
+    /// Does it count in the held-out error [unit of the channel]? Channels with another unit do not, such as the torque of a force
+    /// log.
     pub in_rmse: bool,
 }
 
@@ -62,7 +62,7 @@ pub struct Observations {
 }
 
 impl Observations {
-    /// Those of units with one number a channel; each unit has an id and a condition.
+    /// Observations of units with one number for each channel; each unit has an id and a condition.
     pub fn of_rows(
         size: Size,
         channels: Vec<Channel>,
@@ -110,7 +110,7 @@ impl Observations {
 /// A log, read and checked: what was measured, and in which setting.
 pub struct MeasuredLog<S> {
     pub observations: Observations,
-    /// What was done. Trials that move alike share a setting, and so do runs with the same setup.
+    /// Motions or setups. Trials that move alike share a setting, and so do runs with the same setup.
     pub settings: Vec<S>,
     /// Setting of each unit.
     pub setting_of: Vec<usize>,

@@ -15,7 +15,7 @@ use nalgebra::{DMatrix, DVector};
 /// smooth objective crosses the tolerance, and some far out, because a rough one may cross it again.
 const STEPS: [f64; 11] = [0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 9.0, 13.0, 20.0];
 
-/// Largest number of rounds; if the scans of one find a lower point, the next one scans from there. Our choice.
+/// Largest number of rounds: our choice. If the scans of a round find a lower point, the next round scans from there.
 const ROUNDS: usize = 3;
 /// A point this much lower [χ²] is another minimum: our choice, a quarter of the effect of one σ.
 const LOWER: f64 = 0.25;

@@ -54,7 +54,7 @@ pub struct Tried {
     pub distance_to_best: Option<f64>,
 }
 
-/// Mean square of the smooth part of the whitened residual: 1 is noise alone.
+/// Mean square of the whitened errors on left-out conditions, after repetitions were averaged: 1 is noise alone.
 #[derive(Clone, Debug, Default, Serialize, PartialEq)]
 pub struct LackOfFit {
     pub plain: Option<f64>,
@@ -87,10 +87,10 @@ pub struct NuisanceValue {
     pub id: String,
     /// The channel, if each has its own.
     pub channel: Option<String>,
-    /// `log`: all data have one value. `trial`, `bed`: each has its own, with mean 0 and standard deviation `sd`.
+    /// `log`: all data have one value. `trial`, `bed`: each trial or bed has its own value, with mean 0 and standard deviation `sd`.
     pub level: &'static str,
     pub value: f64,
-    /// For a value of the log, its 95 % interval divided by that of a normal distribution with standard deviation 1.
+    /// For a value of the whole log: the width of its 95 % interval, divided by that of a normal distribution with standard deviation 1.
     pub sd: f64,
     pub unit: &'static str,
 }
@@ -100,7 +100,7 @@ pub struct NuisanceValue {
 pub struct Remainder {
     /// Is the misfit larger than noise?
     pub significant: bool,
-    /// Remaining share of the plain model's misfit beyond noise, as log predictive density.
+    /// Share of the plain model's misfit, the variance of its errors beyond noise, that remains.
     pub fraction: f64,
     #[serde(rename = "where")]
     pub place: String,
@@ -148,7 +148,7 @@ pub struct NextExperiment {
 pub struct Report {
     pub schema: &'static str,
     pub verdict: Verdict,
-    /// What `sand.toml` holds.
+    /// What `sand.toml` contains.
     pub written: Written,
     /// The models that the verdict compares, the plain one first.
     pub evidence: Vec<EvidenceRow>,

@@ -24,14 +24,14 @@ pub struct Screen {
     plain: Vec<f64>,
 }
 
-/// Products of the whitened columns with the coefficients projected out, and with the residual.
+/// Products of the whitened columns with each other, the coefficients projected out, and with the residual.
 pub struct Scores {
     pub gram: DMatrix<f64>,
     pub score: DVector<f64>,
 }
 
 impl Screen {
-    /// Columns at the state of `fit`, for the candidates that it does not contain.
+    /// Effects of the candidates on the prediction of the plain model.
     pub fn new(study: &FitInputs, candidates: &[usize]) -> Self {
         let plain = study.model.predict(&Mechanisms::default(), &study.model.medium().coefficients);
         let tried = candidates.iter().flat_map(|&id| starts(study, id).into_iter().map(move |value| (id, value)));

@@ -1,4 +1,4 @@
-//! Selects the cause: fits the candidates, compares them by one table of evidence, and measures the gain of what is
+//! Selects the cause: fits the candidates, compares them by one table of evidence, and measures the gain of the model that is
 //! written.
 
 use super::candidates::{Candidates, SECOND, SearchSpace, candidates, contenders};
@@ -25,7 +25,7 @@ use nalgebra::DMatrix;
 /// Number of folds in which noise, model and values are chosen anew: our choice; each needs its own noise.
 const FOLDS: usize = 6;
 
-/// Where the bed's place or its earlier passes are unknown, these mechanisms may multiply the stress by the same factor
+/// If the place in the bed or the number of earlier passes is unknown, these mechanisms may multiply the stress by the same factor
 /// everywhere, as `scale` does.
 pub const FACTORS: [&str; 2] = ["packing_grad", "footprint"];
 
@@ -47,9 +47,9 @@ pub struct Selection {
     pub formulas: Vec<Option<String>>,
     /// 95 % intervals of the coordinates of the best cause, and the correlations of its values.
     pub intervals: Intervals,
-    /// Held-out errors of the fitted plain model, and of what is written, chosen anew in each fold.
+    /// Held-out errors of the fitted plain model, and of the written model, which is chosen anew in each fold.
     pub nested: [SquaredErrors; 2],
-    /// Errors of the plain model, of which nothing is fitted.
+    /// Errors of the plain model without any fit.
     pub plain: SquaredErrors,
 }
 
@@ -95,8 +95,8 @@ pub fn select(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -
     if sensor.is_empty() || selection.verdict() != Verdict::NoiseFloor || study.nuisances.is_empty() {
         return Ok(selection);
     }
-    // All are compared under the noise of the first: with nuisances and without.
-    // Their nuisances differ, so what is stated of them does not count.
+    // Selections with and without nuisances are compared under the noise of the first one.
+    // Their nuisances differ, so the densities of the stated priors do not count.
     let conditions = study.observations.conditions.len();
     let measured = |table: &EvidenceTable| table.rows[0].elpd[..conditions].iter().sum::<f64>();
     let with = measured(&selection.table);
@@ -126,9 +126,9 @@ fn attempt(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -> R
     Ok(judged(study, &renewed, asked, candidates, [alone, beside], profiled))
 }
 
-/// Compares all models and rules on them. Where the plain model, with nuisances, leaves no more than noise may, mechanisms
-/// of the sensor are no explanations beside it, because it contains them; then all are compared without them. A law that sand cannot follow, once it is fitted with everything else, is taken
-/// out of the dictionary, and all are compared again.
+/// Compares all models and rules on them. If the plain model, with nuisances, leaves no more than noise may, mechanisms of the sensor are
+/// no explanations beside it, because it contains them as nuisances; then all models are compared without these mechanisms. If sand cannot
+/// follow a law that was fitted with everything else, the law is taken out of the dictionary, and all models are compared again.
 fn judged(
     study: &FitInputs,
     renewed: &FitInputs,
@@ -153,7 +153,7 @@ fn judged(
             continue;
         }
         let mut nested = nested(renewed, asked, &candidates, &models, &ruling);
-        // If the choice that is made anew in each fold raises the error, this is the error of what it chooses.
+        // If the choice that is made anew in each fold raises the error, this is the error of the models chosen in the folds.
         while !matches!(ruling.written, Written::Cause | Written::Plain) && nested[1].rmse() >= entries[0].error {
             entries[ruling.model].error = nested[1].rmse();
             ruling = verdict(&entries, SECOND);
@@ -291,7 +291,7 @@ fn intervals(study: &FitInputs, fit: &Fit, degrees: f64, profiled: Option<Vec<[f
     }
 }
 
-/// Held-out errors of the fitted plain model and of what is written: in each fold the noise is learnt, the data are
+/// Held-out errors of the fitted plain model and of the written model: in each fold the noise is learnt, the data are
 /// whitened, and the model to write is chosen without the held-out conditions. Values change by one Gauss-Newton step
 /// from the full fits, which is exact for a linear model.
 fn nested(

@@ -24,7 +24,7 @@ pub struct SpeedExponent {
     pub ci95: [f64; 2],
     /// Is the law's own power beaten?
     pub excluded: bool,
-    /// Do the data exclude powers half a step away from the law's own?
+    /// Do the data exclude all powers that differ from the law's own by ¾ or more?
     pub told_apart: bool,
 }
 
@@ -43,8 +43,8 @@ impl SpeedExponent {
     }
 }
 
-/// Compares the powers of the speed in the best cause's law; None if it has none, or if laws cannot be tested with these
-/// data.
+/// Compares powers of the speed in place of that of the best cause's law; None if the law has no such power, or if laws cannot be tested
+/// with these data.
 pub fn form(study: &FitInputs, selection: &Selection, laws: &Laws) -> Option<SpeedExponent> {
     let best = selection.best().filter(|b| b.ids.len() == 1)?;
     let (id, law) = (CATALOG[best.ids[0]].id, CATALOG[best.ids[0]].exponent?);

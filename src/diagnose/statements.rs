@@ -1,5 +1,5 @@
-//! Statements that hold for every report. Tests and studies check them on every report that they make, and the
-//! program itself in debug builds.
+//! Statements that hold for every report. Tests and studies check them on every report that they make; the
+//! program does so in debug builds.
 
 use super::report::{EvidenceRow, Report};
 use super::select::FACTORS;
@@ -35,7 +35,7 @@ pub fn violations(r: &Report) -> Vec<String> {
             -plain.difference, plain.standard_error, r.lack_of_fit
         ),
     );
-    // 2. The best model is written if it predicts better, and the gain is its own.
+    // 2. If a model predicts better than the plain one, a model is written, and the gain is that of the written model.
     holds(
         !behind(plain) || r.written != Written::Plain,
         "a model predicts better than the plain one, but the plain one is written".into(),
@@ -66,7 +66,7 @@ pub fn violations(r: &Report) -> Vec<String> {
         format!("{:?} with {:?} written", r.verdict, r.written),
     );
     holds(named != r.causes.is_empty(), "causes without a name, or a name without causes".into());
-    // 3. Nothing that these data cannot test could look the same as a named cause.
+    // 3. No cause that these data cannot test may look the same as a named cause.
     if r.verdict == Verdict::Named {
         let untested = |c: &&EvidenceRow| c.ids.iter().any(|id| r.untestable.iter().any(|u| u.id == *id));
         let near: Vec<_> =
@@ -82,7 +82,7 @@ pub fn violations(r: &Report) -> Vec<String> {
         (r.verdict == Verdict::Ambiguous) == (r.ambiguity_set.len() > 1),
         "the set does not agree with the verdict".into(),
     );
-    // 4. The sentence is that of the table.
+    // 4. The sentence follows from the table.
     holds(r.summary == summary(r), format!("the sentence is not made from the report: {}", r.summary));
     found
 }

@@ -52,7 +52,7 @@ fn law(r: &Report) -> String {
     r.terms.iter().map(said).collect::<Vec<_>>().join(" and ")
 }
 
-/// The gain of what is written.
+/// The gain of the written model.
 fn lowers(r: &Report) -> String {
     let (Some(share), Some([low, high])) = (r.gain.reduction, r.gain.ci95) else { return String::new() };
     let verb = if share >= 0.0 { "lowers" } else { "raises" };
@@ -95,7 +95,7 @@ fn none(r: &Report) -> String {
     }
 }
 
-/// The best explanation other than the one named, and how much worse it predicts.
+/// The best explanation besides the named one, and how much worse it predicts.
 fn next_best(r: &Report) -> String {
     let Some([own, ..]) = r.ambiguity_set.first_chunk::<1>() else { return String::new() };
     let rival = |c: &&EvidenceRow| c.ids.len() == own.len() && c.ids != *own && c.terms.is_empty();

@@ -21,7 +21,7 @@ pub enum Verdict {
     InsufficientData,
 }
 
-/// What `sand.toml` holds.
+/// What `sand.toml` contains.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Written {
@@ -29,7 +29,7 @@ pub enum Written {
     Cause,
     /// A law found in the data.
     Description,
-    /// Mechanisms that predict left-out conditions better, but that are not held for the cause.
+    /// Mechanisms that predict left-out conditions better, but that are probably not the cause.
     Proxy,
     /// The plain model.
     #[default]
@@ -47,16 +47,16 @@ pub struct Compared {
     pub causes: usize,
     /// Does it contain a law found in the data?
     pub law: bool,
-    /// May it not be named, because these data cannot test one of its causes, or because it is an effect of measuring?
+    /// May it not be named, because these data cannot test one of its causes, or because one is an effect of measuring?
     pub unnamed: bool,
     /// Does it need an effect of measuring far beyond what is stated of it?
     pub unlikely: bool,
-    /// Is every one of its causes in entry `k`, too?
+    /// Entries without a law that have the same causes.
     pub within: Vec<usize>,
     /// Entries that these data cannot test, and that could look the same if more were known.
     pub alike: Vec<usize>,
     pub elpd: f64,
-    /// Variance of its errors beyond that of the noise, in units of it; 0 if noise alone may leave as much.
+    /// Variance of its errors beyond the noise's variance, in units of the latter; 0 if noise alone may leave as much.
     pub misfit: f64,
     /// Share of the plain model's misfit that it leaves.
     pub unexplained: f64,
@@ -64,7 +64,7 @@ pub struct Compared {
     pub beats: Vec<bool>,
     /// Does it predict better than the plain model, beyond the standard error?
     pub ahead: bool,
-    /// Error of the sand alone, without nuisances, on left-out conditions; of the plain sand nothing is fitted.
+    /// Error of the sand alone, without nuisances, on left-out conditions; for the plain model, without any fit.
     pub error: f64,
 }
 
@@ -77,8 +77,8 @@ pub struct Ruling {
     pub model: usize,
     /// The explanations that the data cannot distinguish, the best first; empty if none is named.
     pub set: Vec<usize>,
-    /// Entries that are not compared: they give left-out conditions a higher density, but their sand errs more than the
-    /// plain one.
+    /// Entries that are not compared: they give left-out conditions a higher density, but the error of their sand is larger than that of
+    /// the plain sand.
     pub left_out: Vec<usize>,
 }
 
@@ -89,7 +89,7 @@ impl Ruling {
 }
 
 impl Compared {
-    /// An entry that is not compared.
+    /// This entry, so changed that it is not compared.
     fn left_out(&self) -> Self {
         let beats = vec![false; self.beats.len()];
         Self { causes: 0, law: false, elpd: f64::NEG_INFINITY, beats, ahead: false, ..self.clone() }
@@ -99,8 +99,8 @@ impl Compared {
 /// The verdict; the first entry of the table is the plain model. `second` is the share of a pair's evidence that its
 /// second cause must add.
 ///
-/// A simulator uses the sand alone. So what is written without being held for the cause must also err less than the plain
-/// sand. Where it does not, no model that raises the error is compared.
+/// A simulator uses the sand alone. So a proxy or a description must also have a smaller error than the plain
+/// sand. If it has not, all models that raise the error are left out of the comparison.
 pub fn verdict(table: &[Compared], second: f64) -> Ruling {
     let ruling = by_density(table, second);
     let raises = |k: &usize| table[*k].error >= table[0].error;
@@ -116,7 +116,7 @@ pub fn verdict(table: &[Compared], second: f64) -> Ruling {
 /// The verdict by the densities of left-out conditions.
 fn by_density(table: &[Compared], second: f64) -> Ruling {
     let better = |k: &usize| table[*k].beats[0];
-    // If one of a kind predicts better than the plain model, the best of its kind stands for it.
+    // The entry of this kind with the greatest elpd, if any entry of this kind predicts better than the plain model.
     let best_of = |keep: &dyn Fn(&Compared) -> bool| {
         let own: Vec<usize> = (1..table.len()).filter(|k| keep(&table[*k])).collect();
         let best = own.iter().copied().max_by(|a, b| table[*a].elpd.total_cmp(&table[*b].elpd));
@@ -163,8 +163,8 @@ pub fn leading(
     best(2).filter(|&pair| single.is_none_or(|s| earns(pair, s))).or(single)
 }
 
-/// The verdict if no model predicts better beyond twice the standard error. Where the plain model leaves more than noise
-/// may, there is a misfit in any case, and the best stand-in needs less evidence than a cause: one standard error.
+/// The verdict if no model predicts better beyond twice the standard error. If the plain model leaves more than noise
+/// may, there is certainly a misfit, and a stand-in (a proxy or a description) needs less evidence than a cause: one standard error.
 fn without_cause(table: &[Compared]) -> Ruling {
     if table[0].misfit <= 0.0 {
         return Ruling::without_name(Verdict::NoiseFloor, Written::Plain, 0);
@@ -176,8 +176,8 @@ fn without_cause(table: &[Compared]) -> Ruling {
     }
 }
 
-/// Models that are `better` than the plain one, and not held for the cause. A stand-in is written for its use: of those
-/// that the best one does not beat it is the one whose sand alone errs least.
+/// The ruling if models are `better` than the plain one, but none is the cause. A simulator will use what is written: so of the models that
+/// the best one does not beat, the one whose sand alone has the smallest error is written.
 fn stand_in(table: &[Compared], best: usize, better: &dyn Fn(usize) -> bool) -> Ruling {
     let as_good = (1..table.len()).filter(|&k| better(k) && !table[best].beats[k]);
     let model = as_good.min_by(|a, b| table[*a].error.total_cmp(&table[*b].error)).unwrap_or(best);
@@ -188,8 +188,8 @@ fn stand_in(table: &[Compared], best: usize, better: &dyn Fn(usize) -> bool) -> 
 /// The verdict if `cause` explains the main part.
 fn named(table: &[Compared], cause: usize) -> Ruling {
     let of_size = |k: &usize| table[*k].causes == table[cause].causes && !table[*k].law;
-    // A rival explains at least half as much, and is not beaten. An effect of measuring is none if it would have to be
-    // far larger than what is stated of it.
+    // A rival explains more than half as much, and is not beaten. An effect of measuring is no rival if it would have to be
+    // far larger than stated.
     let gain = |k: usize| table[k].elpd - table[0].elpd;
     let near = |k: &usize| !table[cause].beats[*k] && gain(*k) > MAIN_PART * gain(cause) && !table[*k].unlikely;
     let rival = |k: &usize| of_size(k) && *k != cause && near(k);
@@ -209,7 +209,7 @@ fn named(table: &[Compared], cause: usize) -> Ruling {
     }
     let alone = set.len() == 1 && !table[cause].unnamed;
     let verdict = if alone { Verdict::Named } else { Verdict::Ambiguous };
-    // A law beside the best one is written with it if it predicts better, and if there is a misfit for it to explain.
+    // A law beside the first explanation is written with it if both together predict better, and if there is a misfit left to explain.
     let beside = |k: &usize| {
         table[*k].law && table[set[0]].misfit > 0.0 && table[*k].within.contains(&set[0]) && table[*k].beats[set[0]]
     };

@@ -21,7 +21,7 @@ use super::{laws, misfit, next_experiment, speed_exponent};
 use crate::sand::mechanism::CATALOG;
 use crate::student;
 
-/// What a report says of the data and the plain model. Without repetitions this is all that it says.
+/// The part of a report on the data and the plain model. Without repetitions a report has no other part.
 pub fn without_verdict(
     study: &FitInputs,
     untestable: Vec<Untestable>,
@@ -59,7 +59,7 @@ pub struct ReportView<'a> {
 }
 
 impl ReportView<'_> {
-    /// The report, from that without a verdict.
+    /// The report, from the report without a verdict.
     pub fn report(&self, mut without: Report) -> Report {
         let (study, s) = (self.study, self.selection);
         let plain = || study.plain().prediction;

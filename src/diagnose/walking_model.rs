@@ -212,7 +212,7 @@ impl ForwardModel for WalkingModel<'_> {
         Some(ROUGHNESS)
     }
 
-    /// **Noise.** Beds differ in strength, and the numbers of a run change with it as their derivative states. If a gait
+    /// **Noise.** Beds differ in strength, and the numbers of a run change with the strength according to their derivative. If a gait
     /// sticks, slips or stalls, small differences grow: the directions of `gait_scatter` are the changes of the nominal
     /// run with other initial phases, and the curvature in the strength. For regular gaits both are negligible.
     ///
@@ -242,7 +242,7 @@ impl ForwardModel for WalkingModel<'_> {
             // The correction leaves an eighth of the step's error.
             let left = (fine[k] - prediction[k] / self.correction.get(k).copied().unwrap_or(1.0)) / FINE;
             let differences = [other[k] - prediction[k], fine[k] - prediction[k], left, average];
-            // A diverged simulation says nothing about the others.
+            // A difference to a diverged simulation says nothing, so it does not count.
             differences.into_iter().filter(|d| d.is_finite()).map(|d| d * d).sum::<f64>().sqrt()
         };
         let count = self.channels.len();

@@ -14,7 +14,7 @@ use crate::sim::hardware::HardwareDescription;
 use std::collections::HashMap;
 use std::f64::consts::TAU;
 
-/// A derivative by finite differences counts if its step changes the predicted data by this many σ in all: our choice, as for
+/// A derivative by finite differences is reliable if its step changes the predicted data by this many σ in all: our choice, as for
 /// walking runs.
 const ROUGHNESS: f64 = 4.0;
 /// Relative step of the sand's strength for the derivative by the strength of the bed: our choice, about the scatter of beds.
@@ -73,8 +73,8 @@ impl ForwardModel for TrajectoryModel<'_> {
         let here = self.predict(&sand.0, &sand.1);
         let tracks = self.tracks(&[*sand], 0.0, 1.0).swap_remove(0);
         let mut all = self.mounting(&tracks, values);
-        // A wrong constant changes the logged torques of a given motion. What servos request and what the log says of it have a ratio of
-        // their own: a drive that reckons with the same wrong constant gives the requested torque by the log.
+        // A wrong constant changes the logged torques of a given motion. The ratio of logged to requested torques is another
+        // nuisance: if a drive computes with the same wrong constant, the logged torque is the requested one.
         let servo = self.layout.servo_channel().map_or(0..0, |c| c..c + 1);
         let gains = [("torque_constant", 0..self.layout.joints), ("servo_gain", servo)];
         for (id, own) in gains.into_iter().filter(|g| !g.1.is_empty()) {

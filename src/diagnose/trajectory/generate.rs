@@ -26,7 +26,7 @@ pub struct Truth {
     pub low_pass: f64,
     /// Mass of the base, as a multiple of the robot file's.
     pub mass: f64,
-    /// Torque of the motors, as a multiple of what their drives reckon with.
+    /// Torque of the motors, as a multiple of the torque that their drives compute.
     pub drive: f64,
     pub seed: u64,
 }
@@ -123,7 +123,7 @@ fn rows(
             write!(text, ",{:.5}", tau / truth.drive * (1.0 + 0.02 * normal()) + offset).unwrap();
         }
         let read = |signal: usize| {
-            // Sample k of the track is of the end of tick k, (k + 1) ms.
+            // Sample k of the track belongs to the end of tick k, at (k + 1) ms.
             let at = 1e-3 * i as f64 - truth.delay + track.lag(joints + signal, joints, 1e-3);
             let near = (-2..=2).map(|k| 1e-3 * f64::from(k) + at);
             near.map(|t| interpolate(&times, &track.signals[joints + signal], t)).sum::<f64>() / 5.0

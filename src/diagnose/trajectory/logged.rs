@@ -1,5 +1,5 @@
-//! What stands between a replay and the log besides the sand: mounting, delay and filter of the IMU, errors of the logged torques,
-//! and friction in the joints.
+//! Effects besides the sand by which a log differs from its replay: mounting, delay and filter of the IMU, errors of the logged
+//! torques, and friction in the joints.
 
 use super::log::Run;
 use super::model::TrajectoryModel;
@@ -11,7 +11,7 @@ use super::windows::{BINS, Integral};
 const FRICTION_SPEED: f64 = 0.5;
 
 impl TrajectoryModel<'_> {
-    /// The numbers of a replay as they are logged: with errors of the torques, and with what motors of this torque limit give
+    /// The numbers of a replay as a log shows them: with errors of the torques, and with torques of motors that have this torque limit
     /// [N·m].
     pub(super) fn logged(&self, mut stack: Vec<f64>, limit: f64, hardware: &LoggedHardware) -> Vec<f64> {
         let torques = self.layout.joints * BINS;

@@ -28,7 +28,7 @@ impl TrajectoryModel<'_> {
     /// Rotation, lag and blur of the IMU, linearised at `values`. The lag is the mean of the IMU's impulse response over time,
     /// the blur its variance (Elmore, J. Appl. Phys. 19, 1948): a delay adds to the mean alone, a first-order filter of time constant T
     /// adds T to the mean and T² to the variance.
-    /// None of these is linear, so the first nuisance carries the difference between the prediction at `values` and its linear
+    /// The effects of these are not linear, so the first nuisance carries the difference between the prediction at `values` and its linear
     /// continuation from 0.
     pub(super) fn mounting(&self, tracks: &[Signals], values: &[(String, f64)]) -> Vec<Nuisance> {
         // Name, unit, kind of the prior, and step of the derivative.

@@ -22,7 +22,7 @@ const KNOWN: usize = 128;
 /// The log, and all that is needed to predict it.
 pub struct TrajectoryModel<'a> {
     pub(super) latch: &'a Latch<'a>,
-    /// Facts about the log. What it states of the torque limit is among the mechanisms, which limit what servos request.
+    /// Facts about the log. A torque limit that they state becomes a mechanism, which limits the requested torques.
     pub(super) experiment: Experiment,
     pub(super) log: Log,
     /// The robot of each run.
@@ -109,7 +109,7 @@ impl<'a> TrajectoryModel<'a> {
         model
     }
 
-    /// Does the experiment file state what a nuisance is about?
+    /// Does the experiment file state the hardware that a nuisance changes?
     pub(super) fn is_given(&self, nuisance: &str) -> bool {
         quantities_of(nuisance).iter().any(|path| self.experiment.given.hardware.value(path).is_some())
     }

@@ -201,10 +201,10 @@ impl Signals {
         Self { signals: vec![Vec::with_capacity(ticks); joints + SIGNALS], step }
     }
 
-    /// How long before the end of a tick a signal had the value that it has there [s]. The engines' steps are those of semi-implicit
-    /// Euler, which moves positions with the velocities at the end of a step. This is the leapfrog method, in which these velocities are
-    /// those of the middle of the step (Hairer, Lubich & Wanner 2003, section 1). So forces belong to the start of a step, and the
-    /// change of a velocity over a tick to the middle between the two steps that end the ticks.
+    /// How long before the end of a tick the signal's value at that tick is valid [s]. The engines' steps are those of semi-implicit
+    /// Euler, which moves positions with the velocities at the end of a step. This is the leapfrog method: these velocities belong
+    /// to the middle of the step (Hairer, Lubich & Wanner 2003, section 1). So forces belong to the start of a step, and the
+    /// change of a velocity over a tick belongs to the middle between the two steps that end the ticks.
     pub fn lag(&self, signal: usize, joints: usize, tick: f64) -> f64 {
         match signal.checked_sub(joints) {
             None => self.step,

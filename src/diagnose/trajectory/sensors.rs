@@ -73,14 +73,14 @@ pub struct LoggedHardware {
     pub mounting: Mounting,
     /// Share by which logged torques are too large.
     pub torque_gain: f64,
-    /// Share by which, by the log, motors give more than servos request.
+    /// Share by which logged torques are larger than the torques that servos request.
     pub servo_gain: f64,
     /// Friction of each joint [N·m].
     pub friction: f64,
 }
 
 impl LoggedHardware {
-    /// What a file states. Quantities that do not change the mean of what is logged, such as noise, have no effect.
+    /// The hardware that a file states. Quantities that do not change the mean of logged values, such as noise, have no effect.
     pub fn of(file: &HardwareDescription) -> Self {
         let value = |path: &str| file.value(path).unwrap_or(0.0);
         let torque_gain = value(TORQUE_GAIN);
@@ -121,7 +121,7 @@ fn low_passed(signal: &[f64], share: f64) -> Vec<f64> {
 }
 
 /// The predicted numbers of one window: stride by stride, channel by channel. The servo's channel is 0 here. The replay's signals are
-/// sampled at the `times` of the log, and taken as linear in between, as those of the log are.
+/// sampled at the `times` of the log and interpolated linearly, like those of the log.
 pub fn read(
     layout: &Layout,
     window: &Window,

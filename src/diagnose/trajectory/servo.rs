@@ -10,8 +10,8 @@ use super::windows::{Integral, Window, bins};
 use crate::error::Result;
 use crate::sim::walk::hip_angle;
 
-/// Requested torques are cut off at this multiple of the largest logged torque: our choice. A joint far behind its command requests
-/// any torque, which says nothing about the motor.
+/// Requested torques are cut off at this multiple of the largest logged torque: our choice. The request of a joint far behind its
+/// command may be arbitrarily large, which says nothing about the motor.
 const MOST: f64 = 2.0;
 
 /// Time after which the hips turn steadily [s]: the protocol's hold and ramp end at 0.5 s.

@@ -117,7 +117,7 @@ impl TrajectoryModel<'_> {
     }
 
     /// Variance of each predicted number due to chaotic motion. If a gait hops or sways, a change of the sand that is too small to
-    /// measure changes the robot's path, and the numbers after it carry little information. The variance is the scatter of replays on
+    /// measure changes the robot's path, and later numbers carry little information. The variance is the scatter of replays on
     /// sands that differ by [`NUDGES`]. Within one window and channel these errors are correlated, so the sum over all its numbers is
     /// taken: together they count less than one number.
     pub(super) fn unsettled(&self, sand: &SandParameters, prediction: &[f64]) -> Vec<f64> {

@@ -82,7 +82,8 @@ fn a_weak_motor_is_named() {
     named(&Truth { delay: 0.002, ..Truth::new(weak, 5) }, "motor_torque_limit", 0.01);
 }
 
-/// A drive that reckons with a wrong torque constant gives, by the log, what its servo requests. A wrong sensor shows another torque.
+/// If a drive computes with a wrong torque constant, the logged torque is the one that its servo requests. With a wrong sensor, the logged
+/// torque is another one.
 #[test]
 fn a_wrong_drive_is_told_from_a_wrong_sensor() {
     let found = |text: &str| {
@@ -121,7 +122,7 @@ fn what_is_found_closes_the_loop() {
     for (k, (a, b)) in told.iter().zip(&second.curves.plain).enumerate() {
         assert!((a - b).abs() <= 1e-12 * a.abs().max(1e-3), "number {k}: {a} and {b}");
     }
-    // Both files hold what was given.
+    // Both files contain what was given.
     assert_eq!(second.sand.mechanisms, first.sand.mechanisms);
     assert!(first.hardware.quantities.iter().all(|(path, q)| second.hardware.quantities[path] == *q));
     // Without the hardware the predictions differ.

@@ -4,7 +4,7 @@ use super::grid::Grid;
 use super::{GridPiece, Marks};
 use sandgait_number::{SHORTS, Shorts};
 
-/// What cells have given [steps of the grid].
+/// Sand that was taken out of cells [steps of the grid].
 #[derive(Clone, Copy, Default)]
 pub(super) struct Taking {
     pub amount: i32,
@@ -23,10 +23,10 @@ impl Taking {
     }
 }
 
-/// What a piece takes out of each cell, and does to it.
+/// What a piece takes out of each cell, and how much it compacts the cell.
 #[derive(Clone, Copy)]
 struct Portion {
-    /// Whole steps, and the part of a step beyond, from −2¹⁵ to 2¹⁵.
+    /// Whole steps, and the remaining part of a step: from −2¹⁵ (none) to 2¹⁵ (a whole step).
     whole: i16,
     part: i16,
     /// Compaction for each step of loose sand [1/255 · 2⁻¹⁶].
@@ -57,15 +57,16 @@ fn floor(height: f32) -> i16 {
 /// R₃ sequence: M. Roberts 2018, The unreasonable effectiveness of quasirandom sequences).
 const EVENLY: [u32; 3] = [53_685, 43_977, 36_025];
 
-/// What is not a whole step is one where it exceeds the cell's chance in this turn, so that slow motions lose nothing.
+/// The chance of a cell in this turn. A part of a step counts as a whole step where it exceeds the chance, and as nothing elsewhere, so
+/// that on average slow motions take what they sweep.
 #[inline(always)]
 fn chance([x, y]: [i32; 2], turn: u32) -> i16 {
     let [a, b, c] = EVENLY;
     (x as u32).wrapping_mul(a).wrapping_add((y as u32).wrapping_mul(b)).wrapping_add(turn.wrapping_mul(c)) as i16
 }
 
-/// Another chance that does not depend on the first: factor of a multiplicative congruential generator modulo 2¹⁶ (any that is 5
-/// modulo 8 has the longest period: Knuth, The Art of Computer Programming 2, 3.2.1.2).
+/// A chance times this factor is another chance that hardly depends on the first: the factor of a multiplicative congruential generator
+/// modulo 2¹⁶ (every factor that is 5 modulo 8 has the longest period: Knuth, The Art of Computer Programming 2, 3.2.1.2).
 const OTHER: i16 = 25_173;
 
 /// Numbers of lanes.
@@ -73,10 +74,10 @@ const ORDER: [i16; SHORTS] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 
 
 /// How a piece cuts into a row of cells.
 struct CellRow<S> {
-    /// See [`floor`]: of the first cell, and how much it falls from cell to cell.
+    /// [`floor`] of the first cell, and how much it falls from cell to cell.
     floor: S,
     falls: S,
-    /// Of the first cell.
+    /// [`chance`] of the first cell.
     chance: S,
     portion: Portion,
 }
@@ -148,8 +149,8 @@ impl Grid {
         Taking { amount: now.into(), loose, met: true }
     }
 
-    /// The same for `count` cells beside each other; the first one is number `number` of its row. They are in the lists from
-    /// `at` on, which do not end before.
+    /// The same for `count` cells beside each other, which are in the lists from `at` on; the lists do not end before the last of them.
+    /// `number`: number of the first of these cells in its row.
     #[inline(always)]
     fn cut_row<S: Shorts>(
         &mut self,
@@ -211,8 +212,8 @@ mod tests {
     use rand_xoshiro::Xoshiro256PlusPlus;
     use sandgait_number::PlainShorts;
 
-    /// Rows of vectors do with each cell what is done with a single one, wherever the lists end; and on average over the turns cells
-    /// give what a piece sweeps, and become as dense as that says.
+    /// `cut_row` does with each cell what `cut_one` does with a single cell, wherever the lists end. On average over the turns, a piece
+    /// takes what it sweeps.
     #[test]
     fn rows_are_cells() {
         let medium = Medium::named("poppy-loose").unwrap();

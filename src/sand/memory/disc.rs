@@ -1,4 +1,4 @@
-//! The disc ahead of a body, or around it, over which its sand is distributed.
+//! The disc ahead of a body, or around it, over which the sand that the body pushes is distributed.
 
 use super::Taken;
 use super::grid::GridFrame;
@@ -25,15 +25,15 @@ pub(super) fn ahead(taken: &Taken, reach: f64, size: f64, least: f64) -> Disc {
     Disc { center: [x + radius * share * along[0], y + radius * share * along[1]], radius, along }
 }
 
-/// Radius of the disc ahead of a body that ploughs, and the smallest radius of a disc, in the smallest length.
+/// Radius of the disc ahead of a body that ploughs. [`SMALLEST`]: the smallest radius of a disc, in units of `MemorySettings::least`.
 #[inline(always)]
 pub(super) fn before(reach: f64, size: f64) -> f64 {
     (0.5 * reach).max(size)
 }
 pub(super) const SMALLEST: f64 = 1.5;
 
-/// Pairs of places in a disc, at most; and as many as robots use at a time: our choice. They differ from time to time, so
-/// that after a few times all of the disc has got its share.
+/// Largest number of pairs of places in a disc, and the number that robots use in one turn (`FEW`): our choice. The pairs
+/// differ from turn to turn, so that after a few turns all parts of the disc have got their share.
 pub const PAIRS: usize = 64;
 pub(super) const FEW: usize = 6;
 

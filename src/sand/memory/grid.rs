@@ -7,21 +7,22 @@ use sandgait_number::{SHORTS, Shorts};
 /// last bit, and 16 bits reach 32 cells up and down.
 const STEPS: f64 = 1024.0;
 
-/// Sand that slides comes to rest at this much less than the slope at which it begins to, in steps of a cell's size: 1.8° from level, our
-/// choice from the one to three degrees between both angles (Jaeger & Nagel, Science 255, 1992). So most sand rests soon.
+/// Sand begins to slide at the angle of repose, and stops at a slope that is lower by this many steps for each cell, 1/32: 1.4° at 28°
+/// and 1.5° at 25°. Our choice from the one to three degrees between both angles (Jaeger & Nagel, Science 255, 1992). So most sand
+/// rests soon.
 const SLIDES_ON: i16 = 32;
 
 /// A square of cells that moves over the world. Cell (i, j) of the world has the place (j · side + i) mod side² in the lists, so
-/// neighbours along x are neighbours there, too. When the square moves, places of cells that are left behind are used
-/// again for cells ahead, which are level and fresh.
+/// neighbours along x are neighbours in the lists, too. When the square moves, the places of the cells behind it are used
+/// again for the new cells ahead, which are level and fresh.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Grid {
     pub frame: GridFrame,
     /// In steps of [`GridFrame::quantum`].
     pub(super) heights: Vec<i16>,
-    /// How much of the possible compaction each cell has had, from 0 to 255.
+    /// Compaction of each cell, from 0 (loose) to 255 (closely packed).
     pub(super) packed: Vec<u8>,
-    /// Which lines of `side` heights have changed since sand slid last.
+    /// Which lines of `side` heights have changed since the last sweep of sliding.
     pub(super) awake: Vec<bool>,
     /// No cell has been higher.
     pub(super) top: i16,
@@ -145,7 +146,7 @@ impl Grid {
         out.extend(self.heights.iter().flat_map(|h| h.to_le_bytes()));
     }
 
-    /// Reads what [`Self::write`] has written for a grid of the same size; None if it is something else.
+    /// Reads the bytes that [`Self::write`] has written for a grid of the same size; None if they are not such bytes.
     pub(super) fn read(&mut self, bytes: &[u8]) -> Option<()> {
         let (head, rest) = bytes.split_first_chunk::<10>()?;
         let [a, b, c, d, e, f, g, h, low, high] = *head;
@@ -170,7 +171,7 @@ impl Grid {
     pub fn follow(&mut self, place: [f64; 2]) {
         let half = 1_i32 << (self.frame.bits - 1);
         let new = self.frame.cell_at(place).map(|i| i.saturating_sub(half));
-        // It moves when the place is an eighth of the side off: our choice, so that it does not move in every step.
+        // The square moves when the place is an eighth of the side from its middle: our choice, so that it does not move in every step.
         let near = |k: usize| new[k].abs_diff(self.frame.corner[k]) < half as u32 / 4;
         if near(0) && near(1) {
             return;
@@ -201,10 +202,10 @@ impl Grid {
         self.awake[index >> self.frame.bits] = true;
     }
 
-    /// One sweep of sliding, first along x, then along y. If the difference in height of two neighbouring cells exceeds
-    /// `steepest` (a tangent), a quarter of the excess over [`SLIDES_ON`] less moves down. With a quarter to each of two
-    /// neighbours cells cannot swing: our choice. All cells move at once, so their order has no effect. Nothing slides
-    /// between cells that have not changed since they were looked at.
+    /// One sweep of sliding, first along x, then along y. Sand slides if the slope between two neighbouring cells exceeds
+    /// `steepest` (a tangent): a quarter of the excess over the slope at which sliding stops ([`SLIDES_ON`]) moves down. With a
+    /// quarter to each of two neighbours, heights cannot oscillate: our choice. All cells move at once, so their order has no
+    /// effect. A sweep skips lines that have not changed since the last sweep, and whose neighbours have not.
     #[inline(always)]
     pub fn slide<S: Shorts>(&mut self, steepest: f64) {
         let limit = (steepest * STEPS).round().clamp(f64::from(SLIDES_ON), 32_000.0) as i16 - SLIDES_ON;
@@ -317,13 +318,13 @@ impl Grid {
 
 /// Differences in height.
 struct Slope<S> {
-    /// Sand that slides comes to rest with the first, and begins to slide beyond the second.
+    /// Sand that slides comes to rest at `rest`, and sand at rest begins to slide beyond `start`.
     rest: S,
     start: S,
 }
 
 impl<S: Shorts> Slope<S> {
-    /// What slides from cells to their neighbours; negative: to the cells.
+    /// Amounts that slide from cells to their neighbours; negative: from the neighbours to the cells.
     #[inline(always)]
     fn slides(&self, heights: S, neighbours: S) -> S {
         let step = heights.less(neighbours);

@@ -4,7 +4,7 @@
 //! bodies change, and the force law's depth is counted from the surface that a body has found:
 //!
 //! * **Swept volume.** A piece of a body's surface with area A, outward normal m and velocity v, below the sand's
-//!   surface, moves the volume A (m·v)₊ dt out of its cell; sand that it only lifts falls back and counts as not moved.
+//!   surface, moves the volume A (m·v)₊ dt out of its cell. Sand that the piece only lifts falls back and counts as not moved.
 //!   This is the bulldozing of soil contact models (Krenn & Hirzinger, SCM, ASTRA 2009: displaced soil is counted and
 //!   put around the contact; Holz, Beer & Kuhlen 2009).
 //! * **Where it goes.** Ahead of the body, within the reach L = D tan(45° + φ/2) of the passive wedge (Rankine 1857; the
@@ -12,12 +12,12 @@
 //!   A body that moves straight down spreads it around itself within the same reach.
 //! * **Sliding.** Slopes above the angle of repose slide (Grid::slide; a cellular rule as in Bak, Tang & Wiesenfeld 1987
 //!   and in SCM's erosion step).
-//! * **What a body finds.** The level from which depths count is the mean height below the body when it enters. While it
+//! * **What a body finds.** Depths count from a level: when the body enters, the mean height below its lowest pieces. While the body
 //!   travels, the level follows the mean height ahead of the heap that the body pushes now. The theory's measured
-//!   coefficients contain that heap. So a body that goes straight down in fresh sand, or rolls over it, has the force of the
-//!   theory.
-//! * **Compaction.** Pressing down takes volume out of loose sand until it is closely packed, and the sand that a body
-//!   finds compacted is stronger: [`MemorySettings::gain`].
+//!   coefficients contain that heap. So a body that goes straight down in fresh sand, or rolls over fresh sand, has the force of
+//!   the theory.
+//! * **Compaction.** Pressing down takes volume out of loose sand until the sand is closely packed. Compacted sand is
+//!   stronger: [`MemorySettings::gain`].
 
 mod cut;
 mod disc;
@@ -36,20 +36,21 @@ use sandgait_number::{PlainShorts, Shorts};
 use serde::{Deserialize, Serialize};
 use settings::{AHEAD, DENSER, LOST, WAY};
 
-/// What a body has found.
+/// The level and the compaction of the sand that a body has found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LocalSand {
     /// Height of the surface from which its depth counts [m].
     pub level: f32,
     /// How compacted the sand is, from 0 to 1.
     pub packed: f32,
-    /// Radius of a disc of the area with which the body has entered [m].
+    /// Radius of a disc with the second moment of the area with which the body has entered [m].
     pub size: f32,
     /// Is the body in the sand?
     pub inside: bool,
 }
 
-/// Numbers of the sequence of chances that a body's pieces use in a turn: our choice, about as many as a leg or a belly has pieces.
+/// How many numbers of the sequence of chances a body uses in a turn, one for each piece: our choice, about as many as a leg or a belly
+/// has pieces.
 const PIECES: u32 = 61;
 
 /// The surface around a robot or an intruder, and what each of its bodies has found.
@@ -57,14 +58,14 @@ const PIECES: u32 = 61;
 pub struct Moved {
     pub grid: Grid,
     pub found: Vec<LocalSand>,
-    /// Time since sand was moved last [time steps], for engines; and times that bodies have moved it.
+    /// `pending`: time since sand was moved last [time steps], for engines; `turns`: how often bodies have moved sand.
     pub pending: u32,
     pub turns: u32,
-    /// Sweeps of sliding that are due, less than one: for engines.
+    /// Part of a sweep of sliding that is due, for engines.
     pub sliding: f32,
 }
 
-/// The cells of a body: work space, its contents are not kept.
+/// Marks the cells from which a body could take sand in this turn. This is work space: its contents do not outlive the turn.
 #[derive(Clone, Debug, Default)]
 pub struct Marks {
     cells: Vec<i16>,
@@ -96,7 +97,7 @@ struct Taken {
     /// [steps of the grid]
     amount: i32,
     lost: f64,
-    /// Means weighted by the amount: place [m], and the horizontal part of the normal.
+    /// Means weighted by the amount: place [m], and the horizontal part of the normals.
     place: [f64; 2],
     push: [f64; 2],
     /// Mean velocity along x and y of the pieces in the sand, weighted by their area [m/s].
@@ -108,9 +109,9 @@ struct Taken {
 pub struct BodyMotion {
     /// The cell of the origin from which places count.
     pub origin: [i32; 2],
-    /// Height of its lowest piece [m].
+    /// Height of the body's lowest piece [m].
     pub low: f64,
-    /// Distance along x and y that it has moved [m]; None: that of its pieces in the sand, on average over their area.
+    /// Distance along x and y that the body has moved [m]; None: the mean of its pieces in the sand, weighted by their area.
     pub way: Option<[f64; 2]>,
     /// [s]
     pub time: f64,
@@ -133,7 +134,7 @@ impl Moved {
         self.found.len() == bodies && self.grid.frame.is_of(s.cell, s.bits)
     }
 
-    /// Everything, for [`Self::from_bytes`]; little-endian.
+    /// All numbers, little-endian, for [`Self::from_bytes`].
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut out = Vec::with_capacity(3 * self.grid.heights.len() + 100);
         out.extend([self.pending, self.turns, self.sliding.to_bits()].iter().flat_map(|n| n.to_le_bytes()));
@@ -175,8 +176,8 @@ impl Moved {
         size_of::<Self>() + bodies * size_of::<LocalSand>() + (3 << (2 * s.bits)) + (1 << s.bits)
     }
 
-    /// Moves sand by a body in `time` [s], and updates what the body finds. `pieces`: its leading pieces; `way`: the distance
-    /// along x and y that it has moved [m].
+    /// Moves the sand that a body pushes in `time` [s], and updates what the body finds. `pieces`: the body's leading pieces; `way`: the
+    /// distance along x and y that the body has moved [m].
     pub fn push(
         &mut self,
         s: &MemorySettings,
@@ -259,12 +260,12 @@ impl Moved {
             return (0.0, 0.0, 0.0);
         }
         let middle = middle.map(|m| m / area);
-        // Of a disc with the same second moment.
+        // The radius is that of a disc with the same second moment.
         let spread = (squares / area - middle[0] * middle[0] - middle[1] * middle[1]).max(0.0);
         (sums[0] / area, sums[1] / area, frame.cell * (2.0 * spread).sqrt())
     }
 
-    /// Takes what the pieces sweep out of their cells.
+    /// Takes the sand that the pieces sweep out of their cells.
     #[inline(always)]
     fn take<S: Shorts>(
         &mut self,
@@ -276,7 +277,7 @@ impl Moved {
     ) -> Taken {
         let quantum = self.grid.frame.quantum();
         let mut taken = Taken::default();
-        // Of the volume pressed down: what is lost, and the compaction of a cell by a step [1/255].
+        // The share of the volume pressed down that is lost, and the compaction of a cell by one step [1/255].
         let lost = if s.gain > 1.0 { LOST } else { 0.0 };
         let denser = 256.0 * lost * quantum / (DENSER * 2.0 * size.max(s.cell));
         let top = f32::from(self.grid.top);
@@ -287,7 +288,7 @@ impl Moved {
                 continue;
             }
             let down = f64::from((-p.normal[2]).max(0.0)).powi(2);
-            // Pieces that share a cell do not take their parts of steps at the same time.
+            // Pieces that share a cell use different chances, so they do not round up in the same turn.
             let turn = self.turns.wrapping_mul(PIECES).wrapping_add(p.number.into());
             let Taking { amount, loose, met } = self.grid.cut::<S>(p, motion.origin, each, down * denser, turn, marks);
             let a = f64::from(amount);
@@ -343,8 +344,8 @@ impl Moved {
         }
     }
 
-    /// Mean height [m] and compaction of the sand that the body will find next: of a disc of this radius ahead of the sand
-    /// that it pushes now.
+    /// Mean height [m] and compaction of the sand that the body will find next: in a disc of this radius, ahead of the sand
+    /// that the body pushes now.
     #[inline(always)]
     fn beyond(&self, s: &MemorySettings, taken: &Taken, radius: f64, along: [f64; 2]) -> (f64, f64) {
         let next = |k: usize| taken.place[k] + AHEAD * radius * along[k];

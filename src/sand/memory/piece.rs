@@ -25,10 +25,10 @@ pub const MOST_CELLS: u8 = 16;
 /// The same in the units of a grid.
 #[derive(Clone, Copy, Debug)]
 pub struct GridPiece {
-    /// The cell in which its middle is, and the first one of its square.
+    /// The cell that contains the piece's middle, and the first cell of the piece's square.
     pub cell: [i32; 2],
     pub first: [i32; 2],
-    /// Along each side of its square.
+    /// Cells along each side of its square.
     pub cells: u8,
     /// Among its body's pieces.
     pub number: u16,
@@ -43,7 +43,7 @@ pub struct GridPiece {
     pub area: f32,
     /// Along x and y [m/s].
     pub velocity: [f32; 2],
-    /// What it takes out of each of its cells in time [steps/s]: see [`swept`].
+    /// What the piece takes out of each of its cells [steps/s]: see [`swept`].
     pub rate: f32,
 }
 
@@ -68,8 +68,8 @@ impl SurfacePiece {
     }
 }
 
-/// What a piece takes out of each of its cells in time [steps/s]: the volume that it sweeps, without what is only lifted. A
-/// piece that pushes sideways keeps its cell empty.
+/// What a piece takes out of each of its cells [steps/s]: the volume that it sweeps, without sand that it only lifts. A
+/// piece that pushes sideways takes more, to keep its cell empty (`CLEARING`).
 #[inline(always)]
 pub fn swept<R: Real>(normal: Vec3<R>, velocity: Vec3<R>, area: R, cells: u8, grid: &GridFrame) -> R {
     let lifted = normal.z.max(R::zero()) * velocity.z.max(R::zero());

@@ -15,17 +15,17 @@ pub(super) const DENSER: f64 = 1.0 - 0.58 / 0.62;
 /// Strength of closely packed over that of loosely packed sand: the ratio of ζ of both kinds of poppy seeds (Li, Zhang &
 /// Goldman 2013), 0.464/0.254.
 const GAIN: f64 = 0.464 / 0.254;
-/// How much faster than it sweeps a piece empties the cell that it is in, if it pushes sideways: our choice, so that the
-/// heap ahead does not slide back through the body within a cell's length. With 4 the furrows in grains are 30 % too
-/// shallow, with 8 and 16 they are alike. A piece never takes sand from below itself.
+/// A piece that pushes sideways empties its cell this many times as fast as it sweeps: our choice, so that the
+/// heap ahead does not slide back through the body within a cell's length. With 4, furrows are 30 % shallower than in grains;
+/// with 8 and 16 they are alike. A piece never takes sand from below itself.
 pub(super) const CLEARING: f64 = 16.0;
 /// Distance from the sand that a body pushes to the middle of the sand that it finds next, in radii of the disc that gets the
-/// pushed sand. That disc ends at 2 and the sand beyond begins at 2.5, because some slides ahead. Our choice, on the furrows of
-/// `tests/data/memory`: with 2, as half of its own heap counted, wheels were 6 mm too high in fresh sand; with 4 furrows are as
-/// good.
+/// pushed sand. That disc ends at 2; the sand that the body finds next begins at 2.5, because some of the pushed sand slides ahead. Our
+/// choice, on the furrows of `tests/data/memory`. With 2, half of a body's own heap counted, and wheels were 6 mm too high in fresh
+/// sand; with 4, furrows are as good.
 pub(super) const AHEAD: f64 = 3.5;
-/// Way in which a body gets there, in the same radii, as the length of a first-order lag: our choice, the end of the disc that gets
-/// the pushed sand.
+/// The level follows that sand as a first-order lag; this is the lag's length, in the same radii: our choice, the end of the disc that
+/// gets the pushed sand.
 pub(super) const WAY: f64 = 2.0;
 /// Angle of repose [°]: our choice from the published 25 to 35° of dry sand, in their lower half, because loose sand rests less
 /// steeply than packed sand. Of glass beads: our choice from the published 22 to 26° of smooth spheres.
@@ -46,18 +46,18 @@ pub struct MemorySettings {
     pub gain: f64,
     /// Duration of a sweep of sliding [s].
     pub sweep: f64,
-    /// Smallest length of what a body finds, and of where its sand goes [m].
+    /// Least depth that counts in the reach of pushed sand, unit of the smallest disc, and height of a body's lowest layer [m].
     pub least: f64,
-    /// Pairs of places among which a body's sand is distributed at a time, up to [`PAIRS`].
+    /// Pairs of places among which a body's sand is distributed in one turn, up to [`PAIRS`].
     pub pairs: usize,
 }
 
 impl MemorySettings {
-    /// `size`: length of what presses and ploughs [m]; `repose_deg`: angle of repose [°]; None: that of the medium.
+    /// `size`: length of the bodies that press and plough [m]; `repose_deg`: angle of repose [°]; None: that of the medium.
     ///
-    /// A sweep takes 2 c²/(√g size^1.5), so heaps as large as the body flatten within a few times √(size/g), the time in
-    /// which sand falls as far, on every grid. Our choice; twice and half that time change the forces on the plates in
-    /// grains by less than 0.2 of the first pass.
+    /// A sweep takes 2 c²/(√g size^1.5) with cells of side c. So on every grid heaps as large as the body flatten within a few times
+    /// √(size/g), about the time in which sand falls as far. Our choice; twice and half that time change the forces on the plates of
+    /// `tests/data/memory` by less than 0.2 of the first pass.
     pub fn new(medium: &Medium, cell: f64, bits: u32, size: f64, repose_deg: Option<f64>) -> Self {
         let sweep = 2.0 * cell * cell / (GRAVITY.sqrt() * size.powf(1.5));
         let beads = medium.name == "glass-beads";
@@ -73,7 +73,7 @@ impl MemorySettings {
         }
     }
 
-    /// Media that are closely packed already cannot be compacted. Of the named ones that is said of one.
+    /// Media that are closely packed already cannot be compacted. Of the named media, only `poppy-close` is.
     fn gain(medium: &Medium) -> f64 {
         if medium.name == "poppy-close" { 1.0 } else { GAIN }
     }
@@ -83,7 +83,7 @@ impl MemorySettings {
         Self { gain: Self::gain(medium), ..self }
     }
 
-    /// Refuses numbers that no sand has, and sizes that are not meant.
+    /// Refuses numbers that no sand has, and sizes outside of the intended ranges.
     pub fn validate(&self) -> Result<()> {
         check_range("memory.cell", self.cell, 1e-4..=1.0)?;
         check_range("memory.bits", f64::from(self.bits), 6.0..=8.0)?;
@@ -94,13 +94,13 @@ impl MemorySettings {
         check_range("memory.sweep", self.sweep, 1e-7..=1e3).map(drop)
     }
 
-    /// Factor on the sand's strength for what a body has found.
+    /// Factor on the sand's strength where a body has found `found`.
     #[inline(always)]
     pub fn strength(&self, found: &LocalSand) -> f64 {
         1.0 + (self.gain - 1.0) * f64::from(found.packed)
     }
 
-    /// Reach of the passive wedge over the depth: tan(45° + φ/2) = tan φ + 1/cos φ.
+    /// Reach of the passive wedge, divided by the depth: tan(45° + φ/2) = tan φ + 1/cos φ.
     pub(super) fn wedge(&self) -> f64 {
         self.repose + (1.0 + self.repose * self.repose).sqrt()
     }

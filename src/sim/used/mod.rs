@@ -1,4 +1,4 @@
-//! Sand that remembers, for engines that compute environments in lanes. See [`crate::sand::memory`] for the equations.
+//! Sand with memory, for engines that compute environments in lanes. See [`crate::sand::memory`] for the equations.
 //!
 //! Heights differ from lane to lane, so sand is moved lane by lane, in `f64`, every [`PERIOD`]. In between, each body of
 //! a robot has one level from which depths count, and one strength: two numbers in lanes, so the force law stays as fast
@@ -8,17 +8,17 @@ use crate::number::{Real, Vec3};
 use crate::sand::memory::{BodyMotion, GridFrame, GridPiece, Marks, MemorySettings, Moved, swept};
 use crate::{Model, State};
 
-/// Time between two movements of sand [s]: our choice, a control step of the tasks. A foot that pushes with 0.5 m/s moves by two
-/// cells. Half and twice this time change the speeds of hexapods whose convex side leads by at most 2 % (`walks_converge`).
+/// Time between two movements of sand [s]: our choice, a control step of the tasks. A foot that pushes with 0.5 m/s moves by
+/// 1 cm, 1.3 cells of the hexapods. Half and twice this time change the speeds of hexapods whose convex side leads by at most 2 % (`walks_converge`).
 const PERIOD: f64 = 2e-2;
-/// Height above the highest sand above which a body finds nothing yet [cells]: our choice, 4 cm for the hexapods, which a leg of
-/// theirs falls in [`PERIOD`] with 2 m/s.
+/// A body that is higher than this above the highest sand finds nothing yet [cells]: our choice, 6 cm for the hexapods. A leg that falls
+/// with 2 m/s moves by 4 cm in [`PERIOD`].
 const ABOVE: f64 = 8.0;
 
 /// A piece of a body's surface in all lanes.
 #[derive(Clone, Copy)]
 pub struct LanePiece<R> {
-    /// From the lane's origin of x and y [m].
+    /// Relative to the lane's origin of x and y [m].
     pub place: Vec3<R>,
     pub normal: Vec3<R>,
     pub velocity: Vec3<R>,
@@ -26,8 +26,9 @@ pub struct LanePiece<R> {
     pub area: R,
     /// Does only the side of the normal touch sand?
     pub one_sided: bool,
-    /// See [`GridPiece`].
+    /// See [`GridPiece::cells`].
     pub cells: u8,
+    /// See [`GridPiece::number`].
     pub number: u16,
 }
 
@@ -83,7 +84,7 @@ impl<R: Real> LaneMemory<R> {
         }
     }
 
-    /// Takes the sand of `state`; level sand if it has none.
+    /// Takes the sand of `state`; level sand if `state` has none that fits.
     pub fn set_state(&mut self, lane: usize, state: &State) {
         let bodies = self.surfaces.levels.len();
         self.moved[lane] = match &state.sand {
@@ -114,7 +115,7 @@ impl<R: Real> LaneMemory<R> {
         }
     }
 
-    /// Counts a time step. Is sand to be moved in any lane?
+    /// Counts a time step. Returns whether it is time to move sand in any lane.
     #[inline(always)]
     pub fn tick(&mut self) -> bool {
         let mut due = false;
@@ -152,7 +153,7 @@ pub struct Turn<'a, R> {
     memory: &'a mut LaneMemory<R>,
     frame: GridFrame,
     corner: LaneCorner<R>,
-    /// Lanes where sand is moved now (bit by bit, as all sets of lanes).
+    /// Lanes where sand is moved now (one bit a lane, as in all sets of lanes).
     due: u32,
     /// The body that moves sand now, and the height of its lowest piece [m].
     body: usize,
@@ -277,8 +278,8 @@ struct LaneCorner<R> {
 }
 
 impl<R: Real> LanePiece<R> {
-    /// Adds the piece, in the units of the grids, to the lists of these lanes (bit by bit): of the first ones if it takes sand, of the
-    /// second ones always.
+    /// Adds the piece, in the units of the grids, to the lists of these lanes (one bit a lane): to the first lanes' if it takes sand, to
+    /// the second lanes' always.
     #[inline(always)]
     fn list(&self, frame: &GridFrame, corner: &LaneCorner<R>, lanes: [u32; 2], listed: &mut [Vec<GridPiece>]) {
         let Self { place, velocity, area, cells, number, .. } = *self;
