@@ -13,13 +13,14 @@ SOURCES := $(shell find src tests/data/real_wheel python_client Cargo.toml Cargo
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help train policies test test-rust test-python test-browser test-clients notices page-three native film diagnosis-picture bench bench-peers bench-network study \
+.PHONY: help train policies test test-long test-rust test-python test-browser test-clients notices page-three native film diagnosis-picture bench bench-peers bench-network study \
 	study-messy study-convergence study-plates study-robots study-drop study-rocks study-load study-codesign study-starts study-hardware proto task-pages docs
 
 help:
 	@echo "make train   train a hexapod to walk on sand (5 minutes), results in runs/; TASK=HexapodLegs, ARGS=--help"
 	@echo "make policies   train the policies in examples/policies again (some 70 minutes)"
 	@echo "make test    check formatting and lints, and run all tests, Rust and Python"
+	@echo "make test-long   run the tests of many cases in full: more seeds, logs, damaged files and seconds under load"
 	@echo "make test-browser   test the live page and replays in headless Chromium, which apt installs if it is missing"
 	@echo "make test-clients   test TorchRL, Minari, RLlib, skrl, Tianshou and CleanRL, in versions of their own (gigabytes)"
 	@echo "make notices   write THIRD_PARTY_NOTICES.txt, which releases contain"
@@ -65,7 +66,11 @@ test:
 	$(MAKE) test-python
 
 # Tests need no code of one unit a crate, and two cores compile several units in less time.
-test test-rust test-python: export CARGO_PROFILE_RELEASE_CODEGEN_UNITS := 16
+test test-long test-rust test-python: export CARGO_PROFILE_RELEASE_CODEGEN_UNITS := 16
+
+# Tests of many cases take a part of these in `make test` (tests/testbed/long.rs, `LONG` in tests/python/conftest.py).
+test-long:
+	SANDGAIT_TEST_LONG=1 $(MAKE) test
 
 test-rust:
 	cargo fmt --all --check
@@ -209,6 +214,8 @@ $(VENV)/tools: $(PINS)
 # All packages that tests need, some 7 GB with torch.
 $(VENV)/packages: $(VENV)/tools
 	$(BIN)/pip install --quiet --no-compile --requirement $(PINS)
+	@# Two processes compile faster than pip does. Without it every import of torch takes six seconds where PYTHONDONTWRITEBYTECODE is set.
+	-$(BIN)/python -m compileall -q -j 0 $(VENV)/lib > /dev/null
 	@touch $@
 
 $(VENV)/wheel: $(SOURCES) $(VENV)/tools

@@ -1,5 +1,7 @@
 //! The diagnosis of force logs: it finds hidden causes, refuses bad data, and never panics.
 
+#[path = "testbed/long.rs"]
+mod long;
 mod testbed;
 
 use rand::{Rng, SeedableRng};
@@ -85,9 +87,10 @@ fn forward_model_agrees_with_the_test_bed() {
 /// right.
 #[test]
 fn hidden_causes_are_named() {
-    for (id, value) in
-        [("inertial_drag", 1.0), ("slope", -0.05), ("cohesion", 150.0), ("concave_fill", 0.3), ("sensor_tilt", 0.08)]
-    {
+    // Other tests here have logs with drag and cohesion, too.
+    let all =
+        [("slope", -0.05), ("concave_fill", 0.3), ("sensor_tilt", 0.08), ("inertial_drag", 1.0), ("cohesion", 150.0)];
+    for (id, value) in long::first(3, all) {
         let r = hidden(&[(id, value)]);
         assert_eq!(
             (r.verdict, r.ambiguity_set.clone()),
@@ -192,10 +195,11 @@ fn rests_change_no_verdict() {
         Rests { samples: [5, 7, 6], noise: 0.0, held: 0.8 },
         Rests { samples: [9, 8, 4], noise: 0.02, held: 0.7 },
     ];
-    for causes in [vec![], vec![("inertial_drag", 1.0)], vec![("scale", 0.3)]] {
+    for (k, causes) in [vec![], vec![("inertial_drag", 1.0)], vec![("scale", 0.3)]].into_iter().enumerate() {
         let log = testbed::log(11, &Hidden { causes }, 0.05).noisy;
         let base = diagnosis(&log).report;
-        for rests in rests {
+        // In `make test` each cause has rests of one kind.
+        for rests in long::first(1, (k..k + 3).map(|kind| rests[kind % 3])) {
             let r = diagnosis(&with_rests(&log, rests)).report;
             assert_eq!((r.verdict, &r.ambiguity_set), (base.verdict, &base.ambiguity_set), "{rests:?}: {}", r.summary);
             for (found, expected) in r.causes.iter().zip(&base.causes) {
@@ -464,7 +468,7 @@ fn damaged(base: &[u8], rng: &mut Xoshiro256PlusPlus) -> Vec<u8> {
     bytes
 }
 
-/// Ten thousand damaged walking logs and as many damaged experiment files are read, or refused in one line, without a
+/// Damaged walking logs and as many damaged experiment files are read, or refused in one line, without a
 /// panic.
 #[test]
 fn damaged_runs_and_experiments_never_panic() {
@@ -488,16 +492,19 @@ fn damaged_runs_and_experiments_never_panic() {
             refused[kind] += 1;
         }
     };
-    for _ in 0..10_000 {
+    for _ in long::first(1500, 0..10_000) {
         std::fs::write(&path, damaged(WALKS.as_bytes(), &mut rng)).unwrap();
         count(0, walking_log::read(&path, &experiment, &Silent).map(drop));
         let text = String::from_utf8_lossy(&damaged(EXPERIMENT.as_bytes(), &mut rng)).into_owned();
         count(1, Experiment::from_toml(&text).map(drop));
     }
-    assert!(accepted.iter().chain(&refused).all(|n| *n > 100), "{accepted:?} accepted, {refused:?} refused");
+    assert!(
+        accepted.iter().chain(&refused).all(|n| *n > long::either(30, 100)),
+        "{accepted:?} accepted, {refused:?} refused"
+    );
 }
 
-/// Ten thousand damaged files are read without a panic, and those that can still be read are diagnosed without one.
+/// Damaged files are read without a panic, and those that can still be read are diagnosed without one.
 #[test]
 fn damaged_files_never_panic() {
     let log = testbed::log(3, &Hidden::default(), 0.05).noisy;
@@ -515,14 +522,14 @@ fn damaged_files_never_panic() {
     let (path, experiment) = (directory.path().join("data.csv"), experiment());
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(1);
     let mut diagnosed = 0;
-    for round in 0..10_000 {
+    for round in long::first(1500, 0..10_000) {
         let bytes = damaged(&base, &mut rng);
         std::fs::write(&path, &bytes).unwrap();
-        if force_log::read(&path, &experiment, &Silent).is_ok() && round % 10 == 0 {
+        if force_log::read(&path, &experiment, &Silent).is_ok() && round % long::either(2, 10) == 0 {
             let report = sound(&path, &experiment);
             assert!(report.json().unwrap().contains("verdict"));
             diagnosed += 1;
         }
     }
-    assert!(diagnosed > 20, "{diagnosed} damaged files were still readable");
+    assert!(diagnosed > long::either(8, 20), "{diagnosed} damaged files were still readable");
 }

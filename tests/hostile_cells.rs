@@ -4,11 +4,14 @@
 #[path = "testbed/walking.rs"]
 #[allow(dead_code)] // only its tables are used here
 mod hall;
+#[path = "testbed/long.rs"]
+mod long;
 #[allow(dead_code)] // only its tables are used here
 mod testbed;
 
 use sandgait::diagnose::diagnose;
 use sandgait::diagnose::experiment::Experiment;
+use sandgait::diagnose::force_log;
 use sandgait::diagnose::walking_log;
 use sandgait::progress::Silent;
 use std::path::Path;
@@ -78,14 +81,13 @@ fn force_logs() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("data.csv");
     let experiment = Experiment::from_toml(testbed::EXPERIMENT).unwrap();
-    let (mut diagnosed, mut refused) = (0, 0);
+    let (mut taken, mut diagnosed, mut refused) = (Vec::new(), 0, 0);
     for (what, text) in damages(&small) {
-        std::fs::write(&path, text).unwrap();
-        match diagnose(&path, &experiment, &Silent) {
-            Ok(d) => {
+        std::fs::write(&path, &text).unwrap();
+        match force_log::read(&path, &experiment, &Silent) {
+            Ok(_) => {
                 assert!(!what.ends_with("twice"), "{what}: taken");
-                assert!(d.report.causes.iter().all(|c| c.value.is_finite()), "{what}");
-                diagnosed += 1;
+                taken.push((what, text));
             }
             Err(error) => {
                 one_line(&what, &error.to_string());
@@ -93,7 +95,18 @@ fn force_logs() {
             }
         }
     }
-    assert!(diagnosed > 50 && refused > 100, "{diagnosed} diagnosed, {refused} refused");
+    assert!(taken.len() > 50 && refused > 100, "{} taken, {refused} refused", taken.len());
+    for (what, text) in long::every(5, &taken) {
+        std::fs::write(&path, text).unwrap();
+        match diagnose(&path, &experiment, &Silent) {
+            Ok(d) => {
+                assert!(d.report.causes.iter().all(|c| c.value.is_finite()), "{what}");
+                diagnosed += 1;
+            }
+            Err(error) => one_line(what, &error.to_string()),
+        }
+    }
+    assert!(diagnosed > taken.len() / 10, "{diagnosed} diagnosed of {}", taken.len());
 }
 
 #[test]
@@ -120,7 +133,8 @@ fn walking_runs() {
     assert!(taken.len() > 30 && refused > 100, "{} taken, {refused} refused", taken.len());
     // Simulations are slow, so only the most extreme numbers that are accepted are simulated, in one column each.
     let wild = |what: &str| what.ends_with("999999 once") && !what.starts_with("run");
-    for (what, text) in taken.iter().filter(|t| wild(&t.0) && (t.0.starts_with("speed") || t.0.starts_with("hip_t"))) {
+    let simulated = taken.iter().filter(|t| wild(&t.0) && (t.0.starts_with("speed") || t.0.starts_with("hip_t")));
+    for (what, text) in long::every(2, simulated) {
         std::fs::write(&path, text).unwrap();
         match diagnose(&path, &experiment, &Silent) {
             Ok(d) => assert!(d.report.causes.iter().all(|c| c.value.is_finite()), "{what}"),

@@ -2,6 +2,9 @@
 //! sums over many small cells on each surface and computes the angles β, γ and ψ by trigonometry. It shares no code
 //! with the program.
 
+#[path = "testbed/long.rs"]
+mod long;
+
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::sand::intruder::{BodyShape, DepthOrLoad, PlatedBody, Trial, compute};
@@ -194,7 +197,7 @@ fn three_hundred_rows_agree_with_a_second_implementation() {
                 errors.push(off([found.force, found.torque], expected, arm));
                 assert!(errors[errors.len() - 1] < 0.02, "{name} {trial:?} {mu}: {found:?} {expected:?}");
             }
-            if expected[0][2] > 0.5 * norm(expected[0]) {
+            if row % long::either(4, 1) == 0 && expected[0][2] > 0.5 * norm(expected[0]) {
                 // At the depth found for a load, the second implementation must give this load.
                 let loaded = Trial { given: DepthOrLoad::Load(expected[0][2]), ..trial };
                 let found = compute(&fine, &sand(mu), &loaded);
@@ -231,7 +234,7 @@ fn turning_bodies_agree_with_a_second_implementation() {
                 (0..8).map(|k| [0, 1, 2].map(|i| [0.05, 0.03, 0.02][i] * f64::from(2 * (k >> i & 1) - 1))).collect()
             }
         };
-        for _ in 0..6 {
+        for _ in long::first(2, 0..6) {
             let [v, w] = [0.03, 1.0].map(|most| [0; 3].map(|_| random.random_range(-most..most)));
             let v = [v[0], v[1], -f64::abs(v[2])];
             let depth = random.random_range(0.01..0.04);

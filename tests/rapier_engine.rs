@@ -1,5 +1,8 @@
 //! The engine `rapier`: physical laws first, then converged reference walks.
 
+#[path = "testbed/long.rs"]
+mod long;
+
 use sandgait::sand::{Mechanisms, Medium};
 use sandgait::sim::engine::{Command, Engine, EngineKind, Integrator as _};
 use sandgait::sim::model::Scene;
@@ -355,14 +358,15 @@ fn agrees_with_the_engine_lanes() {
     let plain = Mechanisms::PLAIN;
     let filled = Mechanisms { concave_fill: 0.8, inertial_drag: 2.0, ..plain };
     let skids = Mechanisms { skid_loss: 0.8, graze_loss: 0.7, slip_bearing: 1.0, friction_clip: 1.8, ..plain };
-    for (robot, leg, slope_deg, mechanisms) in [
-        ("xplorer", "C", 0.0, plain),
+    let all = [
         ("xplorer", "C", 0.0, skids),
+        ("xplorer18", "flat", 10.0, plain),
+        ("xplorer", "revL", 0.0, filled),
+        ("xplorer", "C", 0.0, plain),
         ("xplorer", "revC", 0.0, plain),
         ("xplorer", "L", 5.0, plain),
-        ("xplorer", "revL", 0.0, filled),
-        ("xplorer18", "flat", 10.0, plain),
-    ] {
+    ];
+    for (robot, leg, slope_deg, mechanisms) in long::first(3, all) {
         let scene = Scene { slope_deg, mechanisms, dt: 5e-5, ..scene() };
         let model = model_of(robot, leg, &scene, |r| r.servo.torque_limit = Some(0.02));
         let start = State::at_rest(0.03, &vec![0.0; model.joints()]);

@@ -44,6 +44,9 @@ mod known;
 mod laws;
 mod left_out;
 mod likelihood;
+#[cfg(test)]
+#[path = "../../tests/testbed/long.rs"]
+mod long;
 mod minimise;
 mod misfit;
 mod motion;

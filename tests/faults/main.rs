@@ -6,6 +6,8 @@ mod doors;
 #[path = "../grpc/harness.rs"]
 mod harness;
 mod load;
+#[path = "../testbed/long.rs"]
+mod long;
 #[expect(dead_code, reason = "the rest is for other tests")]
 #[path = "../testbed/onnx.rs"]
 mod onnx;

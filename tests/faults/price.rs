@@ -3,7 +3,7 @@
 
 use crate::harness::{Bearer, Client, Session, create, number, options, wave};
 use crate::process::Process;
-use crate::{ALONE, resident};
+use crate::{ALONE, long, resident};
 use rand::{Rng as _, SeedableRng as _};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::service::proto::run_session_request::Request;
@@ -33,8 +33,9 @@ const STEP: f64 = 50.0;
 /// A policy for HexapodGait.
 const PPO: &[u8] = include_bytes!("../data/policy_ppo.onnx");
 
-/// Numbers of steps that the other session makes, 20 a second: until each kind was answered.
-const LEAST: usize = 200;
+/// Numbers of steps that the other session makes, 20 a second: until each kind was answered. The least in `make test`, and in
+/// `make test-long`.
+const LEAST: [usize; 2] = [60, 200];
 const MOST: usize = 1200;
 
 /// After this number of steps only those kinds are asked for that were not answered yet: the memory for large requests can be taken
@@ -200,11 +201,11 @@ async fn the_dearest_requests_keep_within_memory_and_delay_nobody() {
     let channel = Endpoint::from_shared(format!("http://{address}")).unwrap().connect().await.unwrap();
     let own = (stop.clone(), done.clone());
     clients.push(tokio::spawn(async move { use_studies(channel, &own.0, &own.1).await }));
-    let (mut most, mut times) = (0.0_f64, Vec::new());
+    let (mut most, mut times, least) = (0.0_f64, Vec::new(), long::either(LEAST[0], LEAST[1]));
     for (time, expected) in expected.iter().enumerate() {
         // Large requests wait for each other's memory, so it takes a while until each kind has been answered.
         let all = done.iter().all(|n| n.load(Ordering::Relaxed) > 0);
-        if all && time >= LEAST {
+        if all && time >= least {
             break;
         }
         late.store(time >= LATE, Ordering::Relaxed);

@@ -5,6 +5,8 @@ mod determinism;
 mod fuzz;
 mod harness;
 mod large;
+#[path = "../testbed/long.rs"]
+mod long;
 mod mutate;
 mod policies;
 mod raw;

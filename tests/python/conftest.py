@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import tempfile
@@ -16,9 +17,17 @@ from sandgait import server
 
 ID = "sandgait/HexapodGait-v1"
 
+#: Tests of many cases run a part of these in `make test`, which takes seconds, and all of them in `make test-long`.
+LONG = "SANDGAIT_TEST_LONG" in os.environ
+
 #: First line of a program that a test interrupts. A process that a shell started in the background ignores SIGINT, and
 #: its children inherit this, so the program restores the default.
 HEARS_CTRL_C = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests of the Ray cluster come first: at the place where the tests are divided, both workers would start a cluster."""
+    items.sort(key=lambda item: item.path.name != "test_ray.py")
 
 
 class RemoteServer:

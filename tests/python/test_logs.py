@@ -24,6 +24,7 @@ from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_typestore
 
 import sandgait
+from conftest import LONG
 from sandgait import logs
 
 DATA = Path(__file__).parents[1] / "data/trajectory"
@@ -200,7 +201,7 @@ def test_damaged_files_give_a_table_or_one_line(tmp_path: Path) -> None:
     ):
         whole = files[name].read_bytes()
         variants = [whole[: len(whole) // 2], whole[:60]]
-        for _ in range(4):
+        for _ in range(4 if LONG else 1):
             changed = bytearray(whole)
             for _ in range(rng.randrange(1, 8)):
                 at = len(whole) - 1 - rng.randrange(min(len(whole), rng.choice([len(whole), 2000])))
@@ -217,7 +218,7 @@ def test_damaged_files_give_a_table_or_one_line(tmp_path: Path) -> None:
             assert len(said) < 500
             assert "\n" not in said
             assert "Traceback" not in said
-    assert read_anyway < 30, "most of these files are broken"
+    assert read_anyway < (30 if LONG else 15), "most of these files are broken"
 
 
 def bomb(compressor: Any) -> bytes:

@@ -63,7 +63,7 @@ def test_environments_over_the_cluster_give_the_same_numbers(servers: sandgait.r
 def test_the_evolution_strategy_learns(servers: sandgait.ray.Servers) -> None:
     import ray_es
 
-    _, curve = ray_es.evolve(servers, generations=8, population=64)
+    _, curve = ray_es.evolve(servers, generations=5, population=64)
     assert np.mean(curve[-2:]) > np.mean(curve[:2]) + 5.0, curve
 
 

@@ -21,7 +21,7 @@ import pandas as pd
 import pytest
 
 import sandgait
-from conftest import HEARS_CTRL_C, RemoteServer
+from conftest import HEARS_CTRL_C, LONG, RemoteServer
 from sandgait import logs, server
 
 matplotlib.use("Agg")
@@ -238,21 +238,49 @@ def test_data_frames_and_tables_replace_files(diagnosis: sandgait.Diagnosis) -> 
 WALK = Path(__file__).parents[1] / "data/trajectory"
 
 
-def test_a_robots_own_log_in_each_format(tmp_path: Path) -> None:
+class Taken(Exception):
+    """The data have been read, and their diagnosis begins."""
+
+
+def taken(data: Any, experiment: Any) -> None:
+    """A diagnosis that ends after it has read the data."""
+
+    def told(_share: float, stage: str) -> None:
+        if "reading" not in stage:
+            raise Taken
+
+    with pytest.raises(Taken):
+        sandgait.diagnose(data, experiment, progress=told)
+
+
+def test_a_robots_own_log_in_each_format(diagnosis: sandgait.Diagnosis, tmp_path: Path) -> None:
+    """Recordings give the table of which docs/diagnosis.md and a test of the command make a whole diagnosis."""
     experiment = tomllib.loads((WALK / "walk_mcap.toml").read_text())
+    taken(WALK / "walk.mcap", experiment)
+    # What was found is given to the next diagnosis.
+    diagnosis.save(tmp_path / "found")
+    hardware = tmp_path / "hardware.toml"
+    hardware.write_text('source = "a test"\n[actuator.torque_constant]\nvalue = 0.96\ninterval = [0.95, 0.97]\n')
+    given = {"medium": str(tmp_path / "found/sand.toml"), "hardware": str(hardware)}
+    taken(WALK / "walk.mcap", {**experiment, **given})
+    # The report is a function of the table.
+    parquet = pd.read_csv(io.BytesIO(logs.to_csv(WALK / "walk.parquet")))
+    assert parquet.equals(pd.read_csv(WALK / "walk.csv"))
+    if LONG:
+        whole_diagnoses_of_a_robots_own_log(experiment, tmp_path)
+
+
+def whole_diagnoses_of_a_robots_own_log(experiment: dict[str, Any], tmp_path: Path) -> None:
     mcap = sandgait.diagnose(WALK / "walk.mcap", experiment, progress=False)
     table = tmp_path / "walk.csv"
     table.write_bytes(logs.to_csv(WALK / "walk.mcap"))
     command("diagnose", table, "--experiment", WALK / "walk_mcap.toml", "--out", tmp_path)
     assert mcap.report_json == (tmp_path / "report.json").read_text()
     assert (mcap.verdict, [cause["id"] for cause in mcap.causes]) == ("named", ["inertial_drag"])
-    # What was found is given to the next diagnosis, which finds no more.
+    # With what was found, nothing more is.
     given = {"medium": str(tmp_path / "sand.toml"), "hardware": str(tmp_path / "hardware.toml")}
     again = sandgait.diagnose(WALK / "walk.mcap", {**experiment, **given}, progress=False)
     assert again.verdict == "noise_floor"
-    # The report is a function of the table.
-    parquet = pd.read_csv(io.BytesIO(logs.to_csv(WALK / "walk.parquet")))
-    assert parquet.equals(pd.read_csv(WALK / "walk.csv"))
 
 
 def test_curves_contain_the_data(diagnosis: sandgait.Diagnosis) -> None:

@@ -141,12 +141,14 @@ async fn connections_without_http2_are_closed() {
     let server = Process::start(&["--listen", PORT]);
     let mut session = Session::create(server.client().await, 2, &[]).await.unwrap();
     session.reset(1).await;
-    for begun in [&b""[..], &PREFACE[..20], b"GET / HTTP/1.1\r\n\r\n"] {
+    // All at the same time, because each waits for the server's limit.
+    let peers = [&b""[..], &PREFACE[..20], b"GET / HTTP/1.1\r\n\r\n"].map(async |begun| {
         let mut stream = TcpStream::connect(&server.address).await.unwrap();
         stream.write_all(begun).await.unwrap();
         let closed = tokio::time::timeout(Duration::from_secs(60), stream.read_to_end(&mut Vec::new())).await;
         assert!(closed.is_ok(), "{begun:?}: still open");
-    }
+    });
+    futures_util::future::join_all(peers).await;
     // This connection has a call and was silent for the same time.
     session.step(0).await;
 }

@@ -5,19 +5,19 @@ use super::log::Log;
 use super::model::TrajectoryModel;
 use super::sensors::Mounting;
 use super::windows::BINS;
-use super::{consistency, read};
-use crate::diagnose;
+use super::{consistency, measured, read};
 use crate::error::Result;
 use crate::experiment::Experiment;
 use crate::forward::ForwardModel;
 use crate::hardware::found;
 use crate::progress::{Latch, Silent};
-use crate::report::Diagnosis;
+use crate::report::{Diagnosis, Report};
 use crate::sand::mechanism::Mechanisms;
-use crate::sim::hardware::HardwareQuantity;
+use crate::sim::hardware::{HardwareDescription, HardwareQuantity};
 use crate::sim::model::Scene;
 use crate::statements::violations;
 use crate::verdict::Verdict;
+use crate::{diagnose, long};
 
 fn diagnosed(text: &str) -> Result<Diagnosis> {
     let diagnosis = diagnose(file(text).path(), &experiment(), &Silent);
@@ -29,8 +29,7 @@ fn read_text(text: &str) -> Result<Log> {
 }
 
 /// The verdict names this cause alone, with its value to a tenth.
-fn named(truth: &Truth, id: &str, value: f64) {
-    let report = diagnosed(&csv(truth)).unwrap().report;
+fn named(report: &Report, id: &str, value: f64) {
     assert_eq!(report.verdict, Verdict::Named, "{}", report.summary);
     let [cause] = &report.causes[..] else { panic!("{}", report.summary) };
     assert_eq!(cause.id, id, "{}", report.summary);
@@ -41,8 +40,9 @@ fn named(truth: &Truth, id: &str, value: f64) {
 #[test]
 fn without_a_hidden_cause_the_verdict_is_noise_floor() {
     let truth = Truth { mass: 1.03, delay: 0.008, ..Truth::new(Mechanisms::PLAIN, 1) };
-    let report = diagnosed(&csv(&truth)).unwrap().report;
+    let Diagnosis { report, hardware, .. } = diagnosed(&csv(&truth)).unwrap();
     assert_eq!(report.verdict, Verdict::NoiseFloor, "{}", report.summary);
+    lag_found(&hardware, 1, [truth.delay, truth.low_pass]);
     let value = |id: &str| report.nuisances.iter().find(|n| n.id == id).unwrap().value;
     assert!((value("imu_delay") - truth.delay).abs() < 1.5e-3, "{}", value("imu_delay"));
     for (axis, turn) in ["x", "y", "z"].iter().zip(truth.turn) {
@@ -51,14 +51,17 @@ fn without_a_hidden_cause_the_verdict_is_noise_floor() {
     }
 }
 
+/// `what_is_found_closes_the_loop` has a log with drag, and a test of `hardware` one with weak motors.
 #[test]
-fn inertial_drag_is_named() {
-    named(&Truth::new(Mechanisms { inertial_drag: 5.0, ..Mechanisms::PLAIN }, 2), "inertial_drag", 5.0);
-}
-
-#[test]
-fn a_slope_is_named() {
-    named(&Truth::new(Mechanisms { slope: 0.07, ..Mechanisms::PLAIN }, 3), "slope", 0.07);
+fn causes_are_named() {
+    let all = [
+        (Mechanisms { slope: 0.07, ..Mechanisms::PLAIN }, 3, 0.004, "slope", 0.07),
+        (Mechanisms { inertial_drag: 5.0, ..Mechanisms::PLAIN }, 2, 0.004, "inertial_drag", 5.0),
+        (Mechanisms { motor_torque_limit: 0.01, ..Mechanisms::PLAIN }, 5, 0.002, "motor_torque_limit", 0.01),
+    ];
+    for (mechanisms, seed, delay, id, value) in long::first(1, all) {
+        named(&diagnosed(&csv(&Truth { delay, ..Truth::new(mechanisms, seed) })).unwrap().report, id, value);
+    }
 }
 
 /// A log does not say where in the bed its runs began, so a bed that is stronger elsewhere may look like a stronger medium.
@@ -70,36 +73,35 @@ fn what_an_unknown_place_may_hide_is_not_named_alone() {
     assert!((report.causes[0].value / 0.5 - 1.0).abs() < 0.1, "{}", report.summary);
     let why = "packing_grad cannot be tested: the log does not say at which position of the bed each run began";
     assert!(report.summary.contains(why), "{}", report.summary);
-    let graded = Truth::new(Mechanisms { packing_grad: 0.25, ..Mechanisms::PLAIN }, 9);
-    let report = diagnosed(&csv(&graded)).unwrap().report;
-    assert_eq!(report.verdict, Verdict::Ambiguous, "{}", report.summary);
-    assert!(report.ambiguity_set.contains(&vec!["packing_grad".to_string()]), "{}", report.summary);
-}
-
-#[test]
-fn a_weak_motor_is_named() {
-    let weak = Mechanisms { motor_torque_limit: 0.01, ..Mechanisms::PLAIN };
-    named(&Truth { delay: 0.002, ..Truth::new(weak, 5) }, "motor_torque_limit", 0.01);
+    for seed in long::first(0, [9]) {
+        let graded = Truth::new(Mechanisms { packing_grad: 0.25, ..Mechanisms::PLAIN }, seed);
+        let report = diagnosed(&csv(&graded)).unwrap().report;
+        assert_eq!(report.verdict, Verdict::Ambiguous, "{}", report.summary);
+        assert!(report.ambiguity_set.contains(&vec!["packing_grad".to_string()]), "{}", report.summary);
+    }
 }
 
 /// If a drive computes with a wrong torque constant, the logged torque is the one that its servo requests. With a wrong sensor, the logged
-/// torque is another one.
+/// torque is another one. `what_is_found_closes_the_loop` has another log of a wrong drive.
 #[test]
 fn a_wrong_drive_is_told_from_a_wrong_sensor() {
-    let found = |text: &str| {
-        let found = found(&diagnosed(text).unwrap().report).quantities;
-        ["sensors.joint_torque.gain", "actuator.torque_constant"].map(|path| found.get(path).copied())
-    };
-    let within = |found: Option<HardwareQuantity>, truth: f64| {
-        let [low, high] = found.unwrap().interval;
-        assert!((low..=high).contains(&truth), "{truth} is outside [{low}, {high}]");
-    };
-    let [gain, constant] = found(&csv(&Truth { drive: 0.96, ..Truth::new(Mechanisms::PLAIN, 10) }));
-    within(gain, 1.0 / 0.96 - 1.0);
-    within(constant, 0.96);
-    let [gain, constant] = found(&changed(&csv(&Truth::new(Mechanisms::PLAIN, 10)), &["tau:"], |v| 1.04 * v));
-    within(gain, 0.04);
-    assert_eq!(constant, None);
+    let found = |text: &str| found(&diagnosed(text).unwrap().report);
+    drive_found(&found(&changed(&csv(&Truth::new(Mechanisms::PLAIN, 10)), &["tau:"], |v| 1.04 * v)), 0.04, None);
+    for seed in long::first(0, [10]) {
+        let wrong = Truth { drive: 0.96, ..Truth::new(Mechanisms::PLAIN, seed) };
+        drive_found(&found(&csv(&wrong)), 1.0 / 0.96 - 1.0, Some(0.96));
+    }
+}
+
+/// The intervals contain the gain of the torque sensors and the drives' torque constant, which is not found if it is right.
+fn drive_found(hardware: &HardwareDescription, gain: f64, constant: Option<f64>) {
+    for (path, truth) in [("sensors.joint_torque.gain", Some(gain)), ("actuator.torque_constant", constant)] {
+        let found = hardware.quantities.get(path);
+        assert_eq!(found.is_some(), truth.is_some(), "{path}: {found:?}");
+        if let (Some(HardwareQuantity { interval: [low, high], .. }), Some(truth)) = (found, truth) {
+            assert!((low..=high).contains(&&truth), "{path}: {truth} is outside [{low}, {high}]");
+        }
+    }
 }
 
 /// A log that is simulated again with the sand and the hardware found has the predictions of the report, and nothing else is found.
@@ -108,15 +110,16 @@ fn what_is_found_closes_the_loop() {
     let truth = Truth { drive: 0.96, ..Truth::new(Mechanisms { inertial_drag: 5.0, ..Mechanisms::PLAIN }, 11) };
     let text = csv(&truth);
     let first = diagnosed(&text).unwrap();
+    named(&first.report, "inertial_drag", 5.0);
+    drive_found(&first.hardware, 1.0 / 0.96 - 1.0, Some(0.96));
     let hardware = first.hardware.to_toml();
     assert!(first.hardware.value("sensors.gyroscope.delay").is_some(), "{hardware}");
     let again = |hardware: &str| {
         let own = EXPERIMENT
             .replace("\"poppy-loose\"\nbulk_density = 638.0", &format!("{:?}", first.sand.to_toml().unwrap()));
-        let experiment = Experiment::from_toml(&format!("hardware = {hardware:?}\n{own}")).unwrap();
-        diagnose(file(&text).path(), &experiment, &Silent).unwrap()
+        Experiment::from_toml(&format!("hardware = {hardware:?}\n{own}")).unwrap()
     };
-    let second = again(&hardware);
+    let second = diagnose(file(&text).path(), &again(&hardware), &Silent).unwrap();
     assert_eq!(second.report.verdict, Verdict::NoiseFloor, "{}", second.report.summary);
     let told = first.curves.extended.unwrap();
     for (k, (a, b)) in told.iter().zip(&second.curves.plain).enumerate() {
@@ -126,25 +129,32 @@ fn what_is_found_closes_the_loop() {
     assert_eq!(second.sand.mechanisms, first.sand.mechanisms);
     assert!(first.hardware.quantities.iter().all(|(path, q)| second.hardware.quantities[path] == *q));
     // Without the hardware the predictions differ.
-    let without = again("source = \"none\"\n");
-    assert!(told.iter().zip(&without.curves.plain).any(|(a, b)| (a - b).abs() > 0.01));
+    let latch = Latch::new(&Silent);
+    let (.., model) = measured(file(&text).path(), &again("source = \"none\"\n"), &latch).unwrap();
+    let (mechanisms, coefficients) = model.plain_sand();
+    assert!(told.iter().zip(&model.predict(&mechanisms, &coefficients)).any(|(a, b)| (a - b).abs() > 0.01));
 }
 
 /// The intervals contain delay and filter of the IMU, and a slow filter is told from a delay.
 #[test]
 fn a_filter_is_told_from_a_delay() {
-    let paths = ["sensors.gyroscope.delay", "sensors.gyroscope.low_pass"];
-    for (seed, truth) in [(21, [0.0, 0.008]), (22, [0.0, 0.004]), (23, [0.006, 0.0]), (24, [0.004, 0.009])] {
+    let all = [(24, [0.004, 0.009]), (21, [0.0, 0.008]), (22, [0.0, 0.004]), (23, [0.006, 0.0])];
+    for (seed, truth) in long::first(1, all) {
         let truth_of_log = Truth { delay: truth[0], low_pass: truth[1], ..Truth::new(Mechanisms::PLAIN, seed) };
-        let found = diagnosed(&csv(&truth_of_log)).unwrap().hardware;
-        println!("{seed}: {truth:?} {:?}", paths.map(|path| found.quantities.get(path).copied()));
-        for (path, truth) in paths.into_iter().zip(truth) {
-            let interval = found.quantities.get(path).map_or([0.0; 2], |q| q.interval);
-            assert!((interval[0]..=interval[1]).contains(&truth) || interval == [0.0; 2], "{seed} {path}: {found:?}");
-        }
-        assert!(truth[1] < 0.006 || found.value(paths[1]).is_some(), "{seed}: {found:?}");
-        assert!(paths.iter().any(|path| found.value(path).is_some()), "{seed}: nothing is found");
+        lag_found(&diagnosed(&csv(&truth_of_log)).unwrap().hardware, seed, truth);
     }
+}
+
+/// The intervals contain delay and filter of the IMU. A filter is found if its time constant is more than 6 ms.
+fn lag_found(found: &HardwareDescription, seed: u64, truth: [f64; 2]) {
+    let paths = ["sensors.gyroscope.delay", "sensors.gyroscope.low_pass"];
+    println!("{seed}: {truth:?} {:?}", paths.map(|path| found.quantities.get(path).copied()));
+    for (path, truth) in paths.into_iter().zip(truth) {
+        let interval = found.quantities.get(path).map_or([0.0; 2], |q| q.interval);
+        assert!((interval[0]..=interval[1]).contains(&truth) || interval == [0.0; 2], "{seed} {path}: {found:?}");
+    }
+    assert!(truth[1] < 0.006 || found.value(paths[1]).is_some(), "{seed}: {found:?}");
+    assert!(paths.iter().any(|path| found.value(path).is_some()), "{seed}: nothing is found");
 }
 
 /// Every planned walk is predicted, and the predictions of different causes differ.

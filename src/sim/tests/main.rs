@@ -8,6 +8,8 @@ mod heights;
 mod inertia;
 mod joint_values;
 mod leg_planes;
+#[path = "../../../tests/testbed/long.rs"]
+mod long;
 mod plane;
 mod pose;
 mod relief;
