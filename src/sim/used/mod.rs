@@ -133,14 +133,14 @@ impl<R: Real> LaneMemory<R> {
         let frame = self.moved[0].grid.frame;
         let mut corner = LaneCorner { cells: [[0; 2]; MOST_LANES], within: [R::zero(); 2] };
         let mut due = 0;
-        for lane in 0..R::LANES {
-            let place = origins[lane].map(|x| x / frame.cell);
+        for (lane, origin) in origins.iter().enumerate().take(R::LANES) {
+            let place = origin.map(|x| x / frame.cell);
             corner.cells[lane] = place.map(|x| x.floor() as i32);
             corner.within.iter_mut().zip(place).for_each(|(within, x)| within.set_lane(lane, x - x.floor()));
             if self.moved[lane].pending >= self.every {
                 due |= 1 << lane;
                 let [x, y, _] = middle.lane(lane);
-                self.moved[lane].grid.follow([origins[lane][0] + x, origins[lane][1] + y]);
+                self.moved[lane].grid.follow([origin[0] + x, origin[1] + y]);
             }
         }
         let (low, high) = (R::zero(), R::zero());
