@@ -4,7 +4,7 @@ use super::figures;
 use super::report::{Diagnosis, EvidenceRow, NuisanceValue, Report, RunMeans, Tried};
 use super::series::root_mean_square;
 use super::verdict::{Verdict, Written};
-use super::words::{after, digits, span};
+use super::words::{after, capital, clauses, digits, span};
 use crate::error::{Error, Result};
 use crate::plot::{color, escape};
 use crate::sand::mechanism::{CATALOG, Mechanism};
@@ -85,29 +85,6 @@ fn table<const N: usize>(heads: [&str; N], rows: impl IntoIterator<Item = [Strin
     let row = |cells: [String; N]| format!("<tr>{}", cells.map(|cell| format!("<td>{cell}")).concat());
     let rows: String = rows.into_iter().map(row).collect();
     format!("<div class=wide><table><tr>{heads}{rows}</table></div>")
-}
-
-fn capital(text: &str) -> String {
-    let mut letters = text.chars();
-    letters.next().map_or(String::new(), |first| first.to_uppercase().chain(letters).collect())
-}
-
-/// The clauses of a sentence: its parts between semicolons that are not in brackets.
-fn clauses(sentence: &str) -> Vec<&str> {
-    let (mut parts, mut depth, mut from) = (Vec::new(), 0, 0);
-    for (at, letter) in sentence.char_indices() {
-        match letter {
-            '(' => depth += 1,
-            ')' => depth -= 1,
-            ';' if depth == 0 => {
-                parts.push(sentence[from..at].trim());
-                from = at + 1;
-            }
-            _ => {}
-        }
-    }
-    parts.push(sentence[from..].trim());
-    parts
 }
 
 /// Writes the beginning of the summary, and returns its other clauses.
@@ -391,14 +368,4 @@ fn foot(html: &mut String, diagnosis: &Diagnosis) {
         time::OffsetDateTime::now_utc().date(),
         diagnosis.report.data_sha256
     );
-}
-
-#[cfg(test)]
-mod tests {
-    use super::clauses;
-
-    #[test]
-    fn clauses_end_outside_of_brackets() {
-        assert_eq!(clauses("a (b; c); d"), ["a (b; c)", "d"]);
-    }
 }

@@ -1,17 +1,23 @@
 //! Studies over gRPC: the same numbers and errors as on the command line, progress that only grows, and cancellation.
 
+#[path = "answers.rs"]
+mod answers;
+#[path = "trials.rs"]
+mod trials;
+
 use crate::harness::Server;
 use crate::{long, testbed};
+use answers::{first_progress, whole};
 use sandgait::service::Limits;
 use sandgait::service::proto::study_service_client::StudyServiceClient;
-use sandgait::service::proto::{DiagnoseRequest, DiagnoseResponse, diagnose_request, diagnose_response};
-use sandgait::service::proto::{File, IntrudeRequest, Progress, Robot, Sand, Series, SweepRequest, Table};
-use sandgait::service::proto::{TableResponse, TrialsRequest, Variation, WalkRequest, table_response, trials_request};
+use sandgait::service::proto::{DiagnoseRequest, diagnose_request, diagnose_response};
+use sandgait::service::proto::{File, IntrudeRequest, Robot, Sand, Series, SweepRequest, Table};
+use sandgait::service::proto::{TrialsRequest, Variation, WalkRequest, table_response, trials_request};
 use std::path::Path;
 use std::process::Command;
 use std::time::{Duration, Instant};
 use tonic::transport::Channel;
-use tonic::{Code, Status, Streaming};
+use tonic::{Code, Status};
 
 type Client = StudyServiceClient<Channel>;
 
@@ -66,53 +72,6 @@ fn diagnose() -> DiagnoseRequest {
     DiagnoseRequest {
         data: file("force.csv", &testbed::log(3, &hidden, 0.05).noisy),
         experiment: file("experiment.toml", testbed::EXPERIMENT).map(diagnose_request::Experiment::File),
-    }
-}
-
-enum Event {
-    Progress(Progress),
-    Result,
-}
-
-/// One message of any study's stream.
-trait Message {
-    fn event(&self) -> Event;
-}
-
-macro_rules! message {
-    ($response:ty, $module:ident) => {
-        impl Message for $response {
-            fn event(&self) -> Event {
-                match &self.event {
-                    Some($module::Event::Progress(p)) => Event::Progress(p.clone()),
-                    _ => Event::Result,
-                }
-            }
-        }
-    };
-}
-message!(TableResponse, table_response);
-message!(DiagnoseResponse, diagnose_response);
-
-/// All progress messages of a study, and its last message.
-async fn whole<T: Message>(mut stream: Streaming<T>) -> (Vec<Progress>, T) {
-    let mut told = Vec::new();
-    while let Some(message) = stream.message().await.unwrap() {
-        match message.event() {
-            Event::Progress(progress) => told.push(progress),
-            Event::Result => {
-                assert!(stream.message().await.unwrap().is_none(), "the result comes last");
-                return (told, message);
-            }
-        }
-    }
-    panic!("the stream ended without a result");
-}
-
-async fn first_progress<T: Message>(stream: &mut Streaming<T>) -> Progress {
-    match stream.message().await.unwrap().unwrap().event() {
-        Event::Progress(progress) => progress,
-        Event::Result => panic!("a result before any progress"),
     }
 }
 
@@ -401,74 +360,4 @@ async fn a_server_that_stops_ends_its_studies() {
     let status = tokio::time::timeout(Duration::from_secs(5), ended).await.unwrap().unwrap_err();
     assert_eq!((status.code(), status.message()), (Code::Unavailable, "the server stops"));
     tokio::time::timeout(Duration::from_secs(5), server.done.take().unwrap()).await.unwrap().unwrap().unwrap();
-}
-
-fn doubles(values: &[f64]) -> Vec<u8> {
-    values.iter().flat_map(|v| v.to_le_bytes()).collect()
-}
-
-/// A wheel that rolls at 1 cm/s under 20 N in each row.
-fn rolling(rows: usize) -> TrialsRequest {
-    TrialsRequest {
-        body: Some(trials_request::Body::Shape("cylinder:radius=0.0625,width=0.06".into())),
-        velocity: doubles(&[0.01, 0.0, 0.0]).repeat(rows).into(),
-        spin: Some(doubles(&[0.0, 0.16, 0.0]).repeat(rows).into()),
-        load: Some(doubles(&[20.0]).repeat(rows).into()),
-        ..Default::default()
-    }
-}
-
-#[tokio::test]
-async fn trials_give_one_row_a_motion() {
-    let server = Server::start(1).await;
-    let mut client = client(&server).await;
-    let (told, last) = whole(client.trials(rolling(4_000)).await.unwrap().into_inner()).await;
-    assert!(told.iter().all(|p| p.stage == "trials") && told.is_sorted_by(|a, b| a.fraction <= b.fraction), "{told:?}");
-    let Some(table_response::Event::Table(table)) = last.event else { panic!() };
-    let [fz, depth, lost] = ["Fz", "depth", "no_equilibrium"].map(|name| numbers(&table, name));
-    assert_eq!(fz.len(), 4_000);
-    assert!(fz.iter().all(|f| (f - 20.0).abs() < 1e-3) && depth.iter().all(|d| *d == depth[0] && *d > 1e-3));
-    assert!(lost.iter().all(|l| *l == 0.0));
-    // The first client has left, so the next study begins before the first would have ended.
-    let mut long = client.trials(rolling(900_000)).await.unwrap().into_inner();
-    first_progress(&mut long).await;
-    drop(long);
-    let next = tokio::time::timeout(Duration::from_secs(20), walked(&mut client, walk(&[2.0]))).await;
-    assert!(next.is_ok(), "the slot was not freed");
-}
-
-#[tokio::test]
-async fn impossible_trials_are_refused() {
-    let server = Server::start(1).await;
-    let mut client = client(&server).await;
-    let one = || rolling(1);
-    let mesh = |name: &str, content: Vec<u8>| TrialsRequest {
-        body: Some(trials_request::Body::Mesh(File { name: name.into(), content: content.into() })),
-        ..one()
-    };
-    let cases = [
-        (TrialsRequest { body: None, ..one() }, "body: none given"),
-        (
-            TrialsRequest { body: Some(trials_request::Body::Shape("/etc/passwd.stl".into())), ..one() },
-            "send the content of the mesh",
-        ),
-        (TrialsRequest { velocity: vec![0; 23].into(), ..one() }, "velocity: 23 bytes"),
-        (TrialsRequest { velocity: vec![0; 32].into(), ..one() }, "not a multiple of three"),
-        (TrialsRequest { velocity: vec![].into(), ..one() }, "number of rows: 0"),
-        (TrialsRequest { spin: Some(vec![0; 8].into()), ..one() }, "spin: 1 numbers; 1 rows have 3"),
-        (TrialsRequest { depth: Some(doubles(&[0.01]).into()), ..one() }, "trial 1: both depth and load"),
-        (TrialsRequest { load: None, ..one() }, "trial 1: neither depth nor load"),
-        (TrialsRequest { load: Some(doubles(&[f64::INFINITY]).into()), ..one() }, "trial 1: load"),
-        (TrialsRequest { friction: Some(f64::NAN), ..one() }, "mu-s"),
-        (TrialsRequest { plate_size: Some(1e-6), ..one() }, "plate-size"),
-        (mesh("scan.stl", vec![255; 200]), "scan.stl: "),
-        (mesh("scan.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n".to_vec()), "scan.obj: the surface is not closed"),
-        (mesh("scan.obj", vec![b' '; (4 << 20) + 1]), "mesh: 4194305 bytes are more than"),
-    ];
-    for (request, says) in cases {
-        let status = client.trials(request).await.err().unwrap_or_else(|| panic!("not refused: {says}"));
-        assert!(status.code() == Code::InvalidArgument && status.message().contains(says), "{says}: {status}");
-    }
-    let large = TrialsRequest { velocity: vec![0; 70 << 20].into(), ..one() };
-    assert_eq!(client.trials(large).await.unwrap_err().code(), Code::ResourceExhausted);
 }

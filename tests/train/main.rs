@@ -1,14 +1,16 @@
 //! `sandgait train` on the command line: wrong input is refused, a stopped training and a killed server leave a
 //! checkpoint, and a resumed training gives the same bits.
 
+mod servers;
+mod studies;
+
 use sandgait::progress::{Progress, Silent};
 use sandgait::train::{Hyperparameters, TrainingRequest};
 use sandgait::{Error, Result};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
-use std::io::{BufRead as _, BufReader, Read as _};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Command, Output, Stdio};
 use std::sync::Mutex;
 
 fn train(arguments: &[&str]) -> Output {
@@ -337,36 +339,6 @@ fn a_second_process_is_refused() {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
-/// A process `sandgait serve`, which is ended when this value is dropped.
-struct Server {
-    process: Child,
-    address: String,
-}
-
-impl Server {
-    fn start() -> Self {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_sandgait"));
-        command.args(["serve", "--listen", "127.0.0.1:0", "--exit-on-stdin-close"]);
-        let mut process = command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
-        let mut line = String::new();
-        BufReader::new(process.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
-        let address = line.trim().trim_start_matches("listening on ").to_owned();
-        Self { process, address }
-    }
-
-    fn kill(&mut self) {
-        self.process.kill().unwrap();
-        self.process.wait().unwrap();
-    }
-}
-
-impl Drop for Server {
-    fn drop(&mut self) {
-        let _ = self.process.kill();
-        let _ = self.process.wait();
-    }
-}
-
 /// Settings of small trainings for the command line.
 const SMALL: [&str; 14] = [
     "--set",
@@ -384,144 +356,3 @@ const SMALL: [&str; 14] = [
     "--checkpoint-every",
     "100000000",
 ];
-
-/// Training with environments on a server gives the same bits as in the process, also after it is resumed.
-#[test]
-fn environments_on_a_server_give_the_same_bits() {
-    let server = Server::start();
-    let directory = tempfile::tempdir().unwrap();
-    let [here, away] = ["here", "away"].map(|name| directory.path().join(name));
-    let run = |out: &Path, more: &[&str]| {
-        let done =
-            train(&[&SMALL[..], &["--out", out.to_str().unwrap(), "--set", "learning_rate=1e-3"], more].concat());
-        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
-        String::from_utf8(done.stdout).unwrap()
-    };
-    run(&here, &["--timesteps", "1280"]);
-    run(&away, &["--timesteps", "640", "--address", &server.address]);
-    let text = run(&away, &["--timesteps", "1280", "--address", &server.address, "--resume"]);
-    assert!(!text.contains("new episodes began"), "{text}");
-    assert!(result(&here) == result(&away));
-    let text = run(&away, &["--timesteps", "1408", "--resume"]);
-    assert!(
-        text.contains("new episodes began at the resumption: the checkpoint's environments are of a server"),
-        "{text}"
-    );
-}
-
-/// If the server is killed during a training, there is one line and a checkpoint, and the training can be resumed
-/// without the server.
-#[test]
-fn a_training_survives_a_killed_server() {
-    let mut server = Server::start();
-    let directory = tempfile::tempdir().unwrap();
-    let out = directory.path().join("out");
-    let curve = out.join("curve.csv");
-    let arguments = [&SMALL[..], &["--out", out.to_str().unwrap(), "--timesteps", "100000000"]].concat();
-    let mut command = Command::new(env!("CARGO_BIN_EXE_sandgait"));
-    command.arg("train").args(&arguments).args(["--address", &server.address]);
-    let mut training = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-    // Some updates, so that the checkpoint matters.
-    while std::fs::read_to_string(&curve).map_or(0, |text| text.lines().count()) < 5 {
-        assert!(training.try_wait().unwrap().is_none(), "the training ended");
-        std::thread::sleep(std::time::Duration::from_millis(10));
-    }
-    server.kill();
-    assert_eq!(training.wait().unwrap().code(), Some(2));
-    let mut line = String::new();
-    training.stderr.take().unwrap().read_to_string(&mut line).unwrap();
-    let begins = format!("sandgait: server {}: ", server.address);
-    assert!(
-        line.starts_with(&begins) && line.lines().count() == 1 && line.ends_with("go on with --resume\n"),
-        "{line}"
-    );
-    let text = std::fs::read_to_string(&curve).unwrap();
-    let told: u64 = text.lines().last().unwrap().split(',').next().unwrap().parse().unwrap();
-    let kept = std::fs::read_dir(out.join("checkpoints")).unwrap();
-    let kept = kept.map(|e| e.unwrap().path().file_stem().unwrap().to_str().unwrap().parse::<u64>().unwrap());
-    let kept = kept.max().unwrap();
-    assert!(kept >= told, "{kept} steps are kept, {told} were told");
-    let more = (kept + 128).to_string();
-    let arguments = [&arguments[..arguments.len() - 1], &[more.as_str(), "--resume"]].concat();
-    let done = train(&arguments);
-    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
-}
-
-/// `sandgait sweep` with short episodes.
-fn sweep(arguments: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_sandgait"));
-    command.arg("sweep").args(arguments).args(["--option", "max_episode_steps=40"]).output().unwrap()
-}
-
-/// When a stopped study is started again, it reads finished trainings from their files and repeats the others. Its
-/// results equal those of an uninterrupted study to the bit.
-#[test]
-fn a_study_that_was_stopped_goes_on() {
-    let directory = tempfile::tempdir().unwrap();
-    let out = directory.path().join("study");
-    let study = |steps: &str| {
-        let arguments = ["--vary", "xi=-40:40:2", "--learn-steps", steps, "--trainings", "2", "--out"];
-        let done = sweep(&[&arguments[..], &[out.to_str().unwrap(), "--measure", "return"]].concat());
-        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
-        String::from_utf8(done.stdout).unwrap()
-    };
-    let read = |name: &str| std::fs::read(out.join(name)).unwrap();
-    let made = |name: &str| std::fs::metadata(out.join(name)).unwrap().modified().unwrap();
-    let text = study("8192");
-    assert!(text.contains("design0-*.onnx") && text.contains("±"), "{text}");
-    let (table, policy, kept, lost) =
-        (read("learnt.csv"), read("design1-0.onnx"), made("design0-1.json"), made("design1-0.json"));
-    // The same state as after a stop in the last training but one.
-    std::fs::remove_file(out.join("design1-0.json")).unwrap();
-    assert_eq!(study("8192"), text);
-    assert!(read("learnt.csv") == table && read("design1-0.onnx") == policy);
-    assert!(made("design0-1.json") == kept && made("design1-0.json") > lost);
-    // With other settings in the same directory, the old results are not used.
-    study("4096");
-    assert!(read("learnt.csv") != table && made("design0-1.json") > kept);
-}
-
-/// A search that trains a policy for each design stays within the bounds and tries more designs near the expected best.
-#[test]
-fn a_search_learns_for_each_design() {
-    let directory = tempfile::tempdir().unwrap();
-    let out = directory.path().to_str().unwrap();
-    let arguments = ["--vary", "base-mass=0.1:0.4:2", "--optimize", "return", "--designs", "10", "--trainings", "1"];
-    let done = sweep(&[&arguments[..], &["--learn-steps", "4096", "--out", out]].concat());
-    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
-    let table = std::fs::read_to_string(directory.path().join("learnt.csv")).unwrap();
-    let masses: Vec<f64> = table.lines().skip(1).map(|l| l.split(',').next().unwrap().parse().unwrap()).collect();
-    assert_eq!(masses.len(), 10);
-    assert!(masses.iter().all(|m| (0.1..=0.4).contains(m)), "{masses:?}");
-    let mut sorted = masses.clone();
-    sorted.sort_by(f64::total_cmp);
-    sorted.dedup();
-    assert_eq!(sorted.len(), 10, "{masses:?}");
-}
-
-#[test]
-fn wrong_studies_are_one_line_and_write_nothing() {
-    let directory = tempfile::tempdir().unwrap();
-    let out = directory.path().join("out");
-    let vary = ["--vary", "xi=-40:40:2", "--out", out.to_str().unwrap()];
-    for (arguments, words) in [
-        (&["--learn", "5", "--learn-steps", "5"] as &[&str], "cannot be used with"),
-        (&["--learn-steps", "0"], "n_timesteps: 0 is outside"),
-        (&["--learn", "0"], "seconds: 0 is outside"),
-        (&["--learn", "5", "--trainings", "0"], "--trainings: 0 is outside"),
-        (&["--learn", "5", "--optimize", "return", "--designs", "0"], "--designs: 0 is outside"),
-        (&["--learn", "5", "--optimize", "height"], "measure \"height\" is unknown"),
-        (
-            &["--learn", "5", "--optimize", "return", "--vary", "leg=L,C"],
-            "vary: leg needs two numbers to search between",
-        ),
-        (&["--learn", "5", "--vary", "frequency=1:2:2"], "frequency: with --learn each design learns its own"),
-        (&["--warm", "5"], "they are used only with --learn or --learn-steps"),
-    ] {
-        let done = sweep(&[&vary[..], arguments].concat());
-        let line = String::from_utf8(done.stderr).unwrap();
-        assert_eq!(done.status.code(), Some(2), "{arguments:?}: {line}");
-        assert!(line.lines().count() == 1 && line.contains(words), "{line}");
-        assert!(!out.exists(), "{arguments:?} wrote something");
-    }
-}
