@@ -26,7 +26,7 @@ HEARS_CTRL_C = "import signal; signal.signal(signal.SIGINT, signal.default_int_h
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests of the Ray cluster come first: at the place where the tests are divided, both workers would start a cluster."""
+    """Tests of the Ray cluster come first: later both workers of pytest would start a cluster at the same time."""
     items.sort(key=lambda item: item.path.name != "test_ray.py")
 
 

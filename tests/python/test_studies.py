@@ -42,7 +42,7 @@ TABLES: dict[str, Any] = {
 }
 
 #: A study that takes minutes.
-LONG = {"xi": np.arange(-75, 75, 0.5), "frequency": np.linspace(1, 4, 300)}
+MINUTES = {"xi": np.arange(-75, 75, 0.5), "frequency": np.linspace(1, 4, 300)}
 
 
 def command(*arguments: str | Path) -> str:
@@ -391,7 +391,7 @@ def test_an_interrupted_study_frees_the_server() -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        sandgait.sweep(LONG, progress=interrupt)
+        sandgait.sweep(MINUTES, progress=interrupt)
     with pytest.raises(KeyboardInterrupt):
         sandgait.diagnose(LOG, EXPERIMENT, progress=interrupt)
     start = time.monotonic()
