@@ -222,7 +222,7 @@ struct Served(Child);
 
 impl Drop for Served {
     fn drop(&mut self) {
-        // This fails if the server has ended already.
+        // `kill` fails if the server has ended already.
         let _ = self.0.kill();
     }
 }
@@ -312,7 +312,8 @@ fn a_recorded_walk_is_replayed() {
     assert_eq!(recorded, speed(&plain), "who looks changes nothing");
     let summary = &json(&["replay", file, "--json"])[0];
     assert_eq!((&summary["robot"], &summary["medium"]), (&"xplorer".into(), &"poppy-loose".into()));
-    // 0.5 s of hold and ramp and six strides of 0.5 s, at a hundred moments a second; the mean includes hold and ramp.
+    // The recording has a hundred moments a second, over 0.5 s of hold and ramp and six strides of 0.5 s. The mean
+    // speed includes hold and ramp.
     assert!((350..=352).contains(&summary["moments"].as_u64().unwrap()), "{summary}");
     let mean = summary["mean_speed"].as_f64().unwrap();
     assert!(mean > 0.7 * recorded && mean < recorded, "{mean} {recorded}");

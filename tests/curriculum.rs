@@ -61,7 +61,7 @@ fn levels_follow_the_robot() {
     };
     near(&levels(short(0.0, 0.75), 0.0, 5), &[0.75, 0.85, 0.95, 1.0, 1.0]);
     near(&levels(short(0.5, 0.25), 0.0, 5), &[0.25, 0.15, 0.05, 0.0, 0.0]);
-    // Tall and stiff on slippery ground is not needed: all joints at their ends let the robot fall on its base.
+    // Action 1 turns all joints far from the standing pose, and the robot falls on its base.
     near(&levels(short(0.0, 0.5), 1.0, 3), &[0.5, 0.4, 0.3]);
     let mut off = short(0.0, 0.5);
     off["curriculum"] = Value::Null;
@@ -112,7 +112,7 @@ fn history(blueprint: &Blueprint, seeds: &[u64], at: usize, from: Option<usize>)
     all
 }
 
-/// Bits depend neither on the neighbours nor on a snapshot in the middle of an episode.
+/// An environment's results depend on no bit of its neighbours, nor on a snapshot in the middle of an episode.
 #[test]
 fn levels_have_the_same_bits_in_every_batch() {
     let blueprint = blueprint(
@@ -140,9 +140,8 @@ fn sunk(options: Value) -> f64 {
     feet.iter().map(depth).sum::<f64>() / feet.len() as f64 / tree.stance.leg_length
 }
 
-/// At level 0 sand carries the robot like hard ground: the feet sink by some 2 % of the legs' length, and up to
-/// twice as much because the robot is set down with a bump; at level 1 as without a
-/// curriculum.
+/// At level 0 sand carries the robot like hard ground: the feet sink by some 2 % of the legs' length, and up to twice
+/// as much because the robot is set down with a bump. At level 1 the feet sink as without a curriculum.
 #[test]
 fn the_first_level_is_firm() {
     let ground = json!({"ground": "poppy-loose", "angle_noise": 0.0, "domain_rand": null});

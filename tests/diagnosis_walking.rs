@@ -73,7 +73,7 @@ fn walks_as_reported(directory: &Path, d: &Diagnosis) {
     d.write(&out).unwrap();
     let mut sand = SandDescription::load(&out.join("sand.toml")).unwrap();
     let hardware = HardwareDescription::load(&out.join("hardware.toml")).unwrap();
-    // A weak motor is in both files; here it is that of the hardware.
+    // Both files have the limit of a weak motor; the simulation takes it from hardware.toml.
     let weak = Some(sand.mechanisms.motor_torque_limit).filter(|limit| *limit > 0.0);
     let torque_limit = hardware.value("actuator.torque_limit");
     assert_eq!(torque_limit, weak);
@@ -125,7 +125,7 @@ fn a_diagnosis_stops_during_its_simulations() {
     let stops = Stops(Mutex::default());
     let outcome = diagnose(&file(directory.path(), &text), &experiment, &stops);
     assert!(matches!(outcome.err(), Some(Error::Cancelled(_))));
-    // Usually within a second; ten seconds on a loaded machine.
+    // The diagnosis usually ends within a second; on a loaded machine it may take ten.
     let stopped = stops.0.lock().unwrap().1.unwrap();
     assert!(stopped.elapsed() < Duration::from_secs(10), "{:?}", stopped.elapsed());
 }

@@ -85,8 +85,8 @@ fn feet_of_a_standing_robot_touch_the_surface() {
     assert!(heights.iter().all(|z| *z > -1e-12) && heights.iter().filter(|z| **z < 1e-12).count() == 3, "{heights:?}");
 }
 
-/// Ten seconds at a constant rate from rest have the same speed and cost of transport as the four strides of the speed
-/// protocol.
+/// A robot that starts at rest and walks for ten seconds at a constant rate has the same speed and cost of transport as
+/// in the four strides of the speed protocol.
 #[test]
 fn a_tripods_speed_and_cost_are_those_of_a_walk() {
     let got = figures("tripod:2", json!({"angle_noise": 0.0, "leg": "C"}));

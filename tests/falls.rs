@@ -1,5 +1,5 @@
-//! Falling is never rewarded. A search looks for action plans that end in a fall with a high return. For each of them,
-//! the same plan followed by standing still from some step on has a higher return.
+//! Falling is never rewarded. A search looks for action plans that end in a fall with a high return. For each such
+//! plan, the return is higher if the robot stands still from some step on.
 
 use rand::{Rng as _, SeedableRng as _};
 use rand_xoshiro::Xoshiro256PlusPlus;

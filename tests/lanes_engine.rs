@@ -159,7 +159,7 @@ fn instruction_sets_agree() {
     }
 }
 
-/// An environment's bits depend neither on its lane nor on its neighbours.
+/// An environment's results depend neither on its lane nor on its neighbours, to the last bit.
 #[test]
 fn lanes_do_not_affect_each_other() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(4);
@@ -178,8 +178,8 @@ fn lanes_do_not_affect_each_other() {
     }
 }
 
-/// The same with mechanisms of the sand switched on and neighbours at other stride frequencies: mechanisms that act at
-/// any depth must still not act in the air.
+/// An environment's results do not depend on its neighbours when mechanisms of the sand are switched on and neighbours
+/// have other stride frequencies: mechanisms that act at any depth must still not act in the air.
 #[test]
 fn lanes_do_not_affect_each_other_on_any_sand() {
     use sandgait::sim::engine::EngineKind;
@@ -218,7 +218,7 @@ fn a_diverged_lane_does_not_affect_the_others() {
     }
 }
 
-/// After its state is read and set again, the simulation goes on with the same bits.
+/// After its state is read and set again, the simulation continues bit-identically.
 #[test]
 fn a_state_set_again_gives_the_same_bits() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(5);
@@ -241,7 +241,7 @@ fn a_state_set_again_gives_the_same_bits() {
     }
 }
 
-/// The bits of a robot's motion do not depend on its position, with any instruction set and precision, because a lane computes
+/// A robot's motion is bit-identical at every position, with any instruction set and precision, because a lane computes
 /// with positions relative to its robot's last position. Only the position itself is rounded, to a double.
 #[test]
 fn translation_changes_no_bit() {

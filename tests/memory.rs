@@ -54,7 +54,7 @@ fn taken(task: &str, options: &Value, envs: usize) -> [usize; 2] {
 #[test]
 fn environments_take_what_is_reserved() {
     let many = |count: usize| robot(|r| r["bodies"][0]["shapes"] = (0..count).map(|_| shape("s")).collect());
-    // At the end of the first leg, so that the robot stands on all of them.
+    // All points are at the end of the first leg, so that the robot stands on all of them.
     let point = json!([0.0, 0.0, -0.18, 0.022, 1.0, 0.0, 0.0, 0.0]);
     let points = |count: usize| robot(|r| r["bodies"][3]["contacts"] = (0..count).map(|_| point.clone()).collect());
     let long =
@@ -72,19 +72,20 @@ fn environments_take_what_is_reserved() {
         for envs in [16, 208] {
             let [took, reserved] = taken(ID, &options, envs);
             println!("{what}: {envs} environments take {} KiB of {} KiB", took >> 10, reserved >> 10);
-            // The copy of each episode that a rollout or a restore makes is reserved, too, and not made here.
+            // The reservation includes the copy of each episode that a rollout or a restore makes; this test makes no
+            // such copy.
             assert!(took <= reserved, "{what}: {envs} environments took {took} of {reserved} bytes");
             assert!(reserved < 5 * took, "{what}: {reserved} bytes are reserved for {took}");
         }
     }
 }
 
-/// At least the memory that is used, and not so much that few sessions fit: our choice, a factor of 6, because an
-/// episode may have more patches, rocks or commands than these.
+/// At least the used memory is reserved, and at most 6 times as much, so that not too few sessions fit. The factor is
+/// our choice, because an episode may have more patches, rocks or commands than the episodes here.
 #[test]
 fn every_task_takes_what_is_reserved() {
     for task in TASK_IDS {
-        // Its constant is for resident memory, and this test counts what is allocated, used or not.
+        // For rapier the resident memory is reserved, and this test counts all allocated memory, used or not.
         if Blueprint::new(task, Value::Null).unwrap().engine == EngineKind::Rapier {
             continue;
         }

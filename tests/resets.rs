@@ -64,8 +64,8 @@ impl Session {
     }
 }
 
-/// Two resets, each with an option, give the same bits as a session that was made with both options, also after ends of
-/// episodes.
+/// Two resets, each with an option, give bit-identical results to those of a session that was made with both options,
+/// also after ends of episodes.
 #[test]
 fn options_of_several_resets_are_all_in_force() {
     let short = json!({"max_episode_steps": 15});

@@ -102,7 +102,8 @@ fn a_missing_mesh_is_refused_only_where_it_is_needed() {
     assert!(read(&quadruped("", &massless, "", "")).is_ok());
 }
 
-/// MuJoCo lets the geoms of a `<pair>` collide whatever their `contype`; so do feet that collide with the floor alone.
+/// MuJoCo lets the geoms of a `<pair>` collide whatever their `contype`. So feet with `contype` 0 touch the ground if
+/// pairs with the floor name them; without these pairs the robot is refused.
 #[test]
 fn geoms_of_a_pair_touch_the_ground() {
     let silent = r#"contype="0" conaffinity="0""#;
@@ -145,7 +146,8 @@ fn a_pose_laid_over_outside_of_the_ranges_is_said() {
     assert!(warned(-2.7) && !warned(-1.5));
 }
 
-/// Legs without hips to the side, whose feet are 5 cm beside the hips' axes: the pose bends the knees, and the robot stands.
+/// The legs have no hip joints to the side, and their feet are 5 cm beside the hips' axes. The computed pose bends the
+/// knees, and the robot stands.
 #[test]
 fn legs_that_move_in_a_plane_stand_on_bent_knees() {
     let folder = tempfile::tempdir().unwrap();

@@ -234,8 +234,8 @@ fn shard_of(blueprint: &Blueprint) -> Shard {
     shard
 }
 
-/// After a reset with new pose, gains, commands, pushes and ground the environment has the same bits as one that was made
-/// with these options.
+/// After a reset with new pose, gains, commands, pushes and ground the environment is bit-identical to one that was
+/// made with these options.
 #[test]
 fn resets_change_gains_commands_and_ground() {
     let changes = json!({
@@ -359,7 +359,7 @@ fn check_has_exit_codes() {
         said.contains("on rigid: stands") && said.contains("on poppy-close: stands") && said.contains("steps/s"),
         "{said}"
     );
-    // Sand of a hundredth of the strength does not carry it.
+    // Sand of a hundredth of the strength does not carry the robot.
     let sinks = sandgait(&["robot", robot, "--check", "--ground", "zeta=0.005"]);
     assert_eq!(sinks.status.code(), Some(1), "{}", String::from_utf8_lossy(&sinks.stdout));
     assert_eq!(sandgait(&["robot", robot, "--check", "--ground", "lava"]).status.code(), Some(2));

@@ -70,7 +70,7 @@ fn torque_follows_the_sign_of_the_command() {
     }
 }
 
-/// The lag limit does not change a bit of a standing robot, whose motors are below their torque limit.
+/// The lag limit changes no bit in the motion of a standing robot, because its motors are below their torque limit.
 #[test]
 fn the_lag_limit_does_not_affect_unsaturated_motors() {
     for kind in EngineKind::ALL {
@@ -110,7 +110,7 @@ fn pulled(kind: EngineKind, model: &Model, start: &State, to: f64) -> Vec<State>
 }
 
 /// A command that pulls every joint far beyond its range: the joints stop within 0.02 rad of it, in both engines, and
-/// come back when the command does. Joints that stay within their range move by the same bits as without one.
+/// come back when the command does. Joints that stay within their range move bit-identically to joints without a range.
 ///
 /// These motors have no speed limit and turn joints by up to 0.3 rad in a time step, so that the stops need some steps.
 #[test]

@@ -116,7 +116,7 @@ fn bad_cells_are_named() {
     }
 }
 
-/// A walk has the same bits alone and together with others in lanes and on several cores.
+/// A walk is bit-identical alone and together with others, in lanes and on several cores.
 #[test]
 fn parallel_walks_equal_single_walks() {
     let mut trials = Vec::new();

@@ -38,7 +38,8 @@ fn both_engines_walk_on_a_sand_with_a_term() {
     assert!((ours[1] / oracle[1] - 1.0).abs() < 0.03, "{ours:?} {oracle:?}");
 }
 
-/// The stress equals the formula, in lanes and for a single number. A lane without the term keeps its bits.
+/// The stress equals the formula, in lanes and for a single number. The result of a lane without the term is
+/// bit-identical to that of sand without the term.
 #[test]
 fn a_term_is_its_formula_in_every_lane() {
     let (with, without) = (sand(TERM), sand(""));

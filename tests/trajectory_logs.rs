@@ -42,7 +42,7 @@ fn a_log_names_its_cause() {
     assert!((given.mechanisms.inertial_drag - value).abs() < 1e-6 * value);
     let hardware = HardwareDescription::load(&out.join("hardware.toml")).unwrap();
     assert!(!hardware.quantities.is_empty() && given.hardware == hardware);
-    // With what was found, nothing more is.
+    // A diagnosis that is given what was found finds nothing more.
     for log in long::first(0, [data("walk.csv")]) {
         let output = diagnose(&log, &again, &next);
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));

@@ -56,7 +56,7 @@ fn contact_forces_are_those_of_used_sand() {
     assert!(differs, "the prints have no effect");
 }
 
-/// In each task robots leave prints, and a saved environment goes on with the same bits beside others.
+/// In each task robots leave prints, and a restored environment continues bit-identically beside others.
 #[test]
 fn prints_are_left_and_saved() {
     for (task, options) in TASKS {
@@ -130,7 +130,8 @@ fn wrong_options_are_named() {
     }
 }
 
-/// At most 16 KiB an environment more, and twice that is reserved because a rollout keeps a copy.
+/// Sand that remembers takes at most 16 KiB more for each environment. Twice as much is reserved, because a rollout
+/// keeps a copy.
 #[test]
 fn memory_has_a_price() {
     for (task, options) in TASKS {

@@ -209,7 +209,7 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     def restore(self, snapshot: bytes | FilePath) -> Observation:
         """Sets the state to that of a snapshot (bytes or a file), and returns the observation. The environment then
-        continues with the same bits."""
+        continues bit-identically."""
         self._session.send_restore(read_snapshot(snapshot), None)
         self._over, self._next, self._seeded, self._in_flight = False, None, True, None
         observation: Observation = self._session.receive().observations[0]

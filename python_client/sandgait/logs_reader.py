@@ -72,7 +72,7 @@ def parquet(path: Path) -> Any:
 
 
 def _is_data(kind: Any) -> bool:
-    """Has a column of this type numbers, texts, or lists of numbers? Other columns, such as images, are left out."""
+    """Does a column of this type have numbers, texts, or lists of numbers? All others, such as images, are left out."""
     import pyarrow.types as types
 
     if types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind):

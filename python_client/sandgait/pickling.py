@@ -1,7 +1,7 @@
 """Arguments of an environment, and its pickling and copying.
 
 The pickle of an environment has its constructor's arguments and, after the first reset, a snapshot. When the copy is
-used for the first time, it opens a session and restores the snapshot. It then continues with the same bits.
+used for the first time, it opens a session and restores the snapshot. It then continues bit-identically.
 """
 
 from __future__ import annotations

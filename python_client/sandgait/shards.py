@@ -26,7 +26,8 @@ Address = str | Sequence[str] | None
 #: Longest wait for servers to confirm that sessions are closed [s].
 CLOSE_TIMEOUT = 2.0
 
-#: Wait for the remaining doors after others have used up that time [s]. It is enough for a server that runs.
+#: Longest wait for each remaining door after others have used up that time [s]. It is enough for a server that
+#: runs.
 LEAST_PATIENCE = 0.05
 
 #: Deadline for closing sessions at the end of Python; None before this closing has begun.

@@ -86,7 +86,7 @@ def train(
     They cannot be saved, so a training that is resumed begins new episodes.
 
     The training ends after `seconds` of time or `timesteps` control steps. Without `seconds` there is no limit of time,
-    and the result has the same bits in each run.
+    and the result is bit-identical in each run.
 
     `hyperparameters`: a file in the format of rl-zoo3; by default the program's own values. `settings`: values that
     replace those of the file. `resume`: continue the training in `out`, which must have the same task, options, seed

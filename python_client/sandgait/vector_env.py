@@ -330,7 +330,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         """Takes a snapshot of all environments, for `restore`. With `path` also writes it to a file, completely or not
         at all.
 
-        After a restore the environments continue with the same bits, on servers of the same version and instruction
+        After a restore the environments continue bit-identically, on servers of the same version and instruction
         set.
         """
         self._require_rest("save")

@@ -18,14 +18,16 @@ was fitted to the rows, although the model's authors knew the rows. *Left out* m
 with other slip angles or other slip ratios. *Fitted* means that the model was fitted to the same rows, so this is no prediction. The slip
 ratio of a wheel is positive when it spins, negative when it skids, and −1 when it is locked.
 
-3D-RFT computes the force on each plate as if the plate moved alone. This has three limits. A locked wheel sinks 20 mm deeper than
-predicted, because sand is carried away from under it (`skid_loss`). A spinning wheel sinks less than predicted, because a smooth surface
-that slides along itself carries more than in the law (`slip_bearing`). A side face that moves nearly along itself carries less than in the
-law (`graze_loss`). With these mechanisms the locked wheel at an angle still has the largest errors. A fit on these wheels has a `depth_power`
-below 0. This is not a property of the sand, because the resistance of discs in this sand grows faster than in proportion to depth and size. So the
-fitted file does not apply to other sizes or loads. The grouser wheel is modelled as a cylinder of its tip radius, with the friction of sand on
-sand. The program does not have the grouser wheel's rows at positive slip ratios. So its sinkage at positive slip ratios and the pull of its grousers
-were never compared with measurements.
+3D-RFT computes the force on each plate as if the plate moved alone. This assumption is wrong in three cases. A locked
+wheel sinks 20 mm deeper than predicted, because sand is carried away from under it (`skid_loss`). A spinning wheel
+sinks less than predicted, because a smooth surface that slides along itself carries more than in the law
+(`slip_bearing`). A side face that moves nearly along itself carries less than in the law (`graze_loss`). With these
+mechanisms the locked wheel at an angle still has the largest errors. A fit on these wheels has a `depth_power` below 0.
+This value is not a property of the sand, because the resistance of discs in this sand grows faster than in proportion
+to depth and size. So the fitted file does not apply to other sizes or loads. The grouser wheel is modelled as a
+cylinder of its tip radius, with the friction of sand on sand. The program does not have the grouser wheel's rows at
+positive slip ratios. So its sinkage at positive slip ratios and the pull of its grousers were never compared with
+measurements.
 
 To compare your own data, make a folder with a `validation.toml` like that in `tests/data/real_wheel`. It has title, source, licence, and an
 `[[intruder]]` table for each body, with name, body, rows, sand and, if there is a fit, fitted. The rows have the columns vx, vy, wy, depth, Fx,

@@ -1,5 +1,5 @@
-//! All requests at the same time that once stopped a server, filled its memory or kept others out. The server's memory stays
-//! bounded, another client is answered quickly, and its numbers keep their bits.
+//! Makes all the requests that once stopped a server, filled its memory or kept others out, at the same time. The
+//! server's memory stays bounded, and another client gets quick answers, bit-identical to those of an idle server.
 
 use crate::harness::{Bearer, Client, Session, client, create, number, options, step, text, wave};
 use crate::process::{self, Process};
@@ -93,7 +93,7 @@ impl Target {
         }
     }
 
-    /// Counts a refusal with these words. Another one may only say that others have the memory or the turn.
+    /// Counts a refusal with these words. Any other refusal may only say that others have the memory or the turn.
     fn refused(&self, kind: usize, words: &str, code: Code, message: &str) {
         match code {
             Code::ResourceExhausted if !message.contains(words) => {}

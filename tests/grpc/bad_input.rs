@@ -13,7 +13,8 @@ fn check(failure: &Failure, code: Code, words: &[&str]) {
     }
 }
 
-/// Of two equal sessions one gets the request `bad` between a reset and a step. Afterwards both must give the same bits.
+/// Of two equal sessions one gets the request `bad` between a reset and a step. Afterwards the answers of both must be
+/// bit-identical.
 async fn refused(bad: Option<Request>, code: Code, words: &[&str]) {
     let server = Server::start(1).await;
     let (mut session, mut undisturbed) = (server.session(3).await, server.session(3).await);

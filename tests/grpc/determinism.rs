@@ -1,4 +1,5 @@
-//! Equal seeds and actions give equal bits, for any number of threads and any distribution of environments over sessions.
+//! Equal seeds and actions give bit-identical results, for any number of threads and any distribution of environments
+//! over sessions.
 
 use crate::harness::{Server, Session, floats, step, text, wave};
 use sandgait::service::proto::run_session_request::Request;

@@ -38,8 +38,8 @@ async fn sessions_with_very_many_values_are_refused_unread() {
     }
 }
 
-/// Each field is refused because of its length, before it is decoded. The session goes on with the same bits as one without such
-/// requests.
+/// Each field is refused because of its length, before it is decoded. The session continues bit-identically to one
+/// without such requests.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn fields_that_are_too_long_for_the_session() {
     let server = Server::with_limits(1, limits()).await;

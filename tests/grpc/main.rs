@@ -84,8 +84,9 @@ async fn a_masked_reset_leaves_the_others_alone() {
     assert_ne!(row(&before, 1), row(&after, 1));
 }
 
-/// After a reset with options, the chosen environment equals one of a session that was made with these options, also after a further
-/// reset without options. The other environment equals one of a session without them.
+/// A reset with options changes the chosen environment only. It then equals an environment of a session that was made
+/// with these options, also after a further reset without options. The other environment equals one of a session that
+/// was made without options.
 #[tokio::test]
 async fn options_change_at_reset_and_hold() {
     let server = Server::start(1).await;

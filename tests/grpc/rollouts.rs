@@ -65,7 +65,7 @@ async fn a_rollout_equals_its_steps_and_changes_nothing() {
     assert_eq!(got, returns);
     assert_eq!(last.lengths, lengths.iter().flat_map(|n: &u32| n.to_le_bytes()).collect::<Vec<_>>());
     assert_eq!((last.truncated.as_ref(), last.terminated.as_ref()), (&[1; 20][..], &[0; 20][..]));
-    // The environments are unchanged, so the same rollout gives the same numbers again; so does one with returns only.
+    // The environments are unchanged, so the same rollout with returns only gives the same returns.
     let short = self::parts(&mut session, rollout(envs, steps, false)).await;
     let [only] = &short[..] else { panic!() };
     assert_eq!((&only.returns, only.first_step, only.steps), (&last.returns, 0, steps as u32));

@@ -41,7 +41,7 @@ async fn a_client_that_dies_in_mid_step_leaves_no_trace() {
     let mut looks = server.client().await;
     let mut list = async || looks.list_sessions(ListSessionsRequest {}).await.unwrap().into_inner().sessions;
     for _ in 0..2 {
-        // A step of these takes some 300 ms.
+        // A step of all these environments takes some 300 ms.
         let mut session = None;
         until(async || {
             session = Session::create(server.client().await, ENVS as u32, &[]).await.ok();

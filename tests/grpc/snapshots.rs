@@ -1,4 +1,4 @@
-//! Snapshots: a restored or forked session goes on with the same bits, and damaged snapshots are refused.
+//! Snapshots: a restored or forked session continues bit-identically, and damaged snapshots are refused.
 
 use crate::harness::{Server, Session, TASK, number, options, text};
 use sandgait::service::PROTOCOL;

@@ -28,7 +28,7 @@ fn rows(environments: &Environments) -> Vec<f32> {
     guard.batch().shards().iter().flat_map(|s| s.rows.observations.clone()).collect()
 }
 
-/// Steps on the caller's thread and on the pool's threads have the same bits. A refused step changes nothing.
+/// Steps on the caller's thread and on the pool's threads are bit-identical. A refused step changes nothing.
 #[test]
 fn here_and_in_the_pool() {
     let pool = Pool::new(3);

@@ -10,7 +10,8 @@ fn columns() -> [HeaderColumn<'static>; 1] {
     [HeaderColumn::needed("force", Quantity::Force)]
 }
 
-/// The file's header is read once, and no more columns than anyone has are read at all.
+/// The file's header is read only once, so a long header takes little time; a file with more than 4096 columns is
+/// refused.
 #[test]
 fn a_long_header_takes_no_time() {
     let columns = columns();

@@ -1,4 +1,5 @@
-//! ONNX files byte by byte, also such as no tool writes. They have one input `x` and one output `y`, both rows of numbers.
+//! Writes ONNX files byte by byte, so that they may contain what no tool writes. They have one input `x` and one output
+//! `y`, both rows of numbers.
 
 /// A field of a protocol buffer that has a length.
 pub fn field(tag: u64, content: &[u8]) -> Vec<u8> {

@@ -1,4 +1,4 @@
-//! Packed robots as somebody might craft them who knows the format.
+//! Packed robots that an attacker who knows the format might craft.
 
 use sandgait::sim::tree::packed;
 use serde_json::{Value, json};
