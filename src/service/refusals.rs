@@ -53,7 +53,7 @@ impl Refusals {
         }
     }
 
-    /// If a line may be written now, the number of refusals since the last one. `more`: there is a new refusal.
+    /// If a line may be written now, the number of refusals since the last line. `more`: there is a new refusal.
     fn due(&self, kind: Refusal, now: Instant, more: bool) -> Option<u64> {
         let mut lines = self.0[kind as usize].lock();
         let early = lines.last.is_some_and(|last| now < last + PAUSE);

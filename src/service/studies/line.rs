@@ -70,7 +70,7 @@ impl Drop for QueuePlace {
 /// A study's progress, and its result at the end.
 pub type Events<A> = BoxStream<'static, std::result::Result<A, Status>>;
 
-/// What a study sends: an event, and with its result the memory of its request.
+/// What a study sends: an event; the result also carries the memory share of the request.
 type StudyItem<A> = (std::result::Result<A, Status>, Option<Share>);
 
 impl StudyQueue {

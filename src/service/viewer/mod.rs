@@ -1,4 +1,4 @@
-//! The live page: sessions of this server as they step, for browsers.
+//! The live page: it shows browsers how sessions of this server step.
 //!
 //! ```text
 //!  GET /                     the page, the same that `sandgait replay --html` writes
