@@ -40,7 +40,7 @@ impl Building {
         Ok(())
     }
 
-    /// Environments that are still to be made. All shards but the last are full.
+    /// Number of environments that are still to be made. All shards but the last are full.
     pub fn missing(&self) -> usize {
         self.envs.saturating_sub(self.shards.len() * self.blueprint.engine.shard_size())
     }

@@ -1,4 +1,4 @@
-//! What a batch can be asked to do, and how a thread does it on one shard.
+//! The operations on a batch, and how a thread carries them out on one shard.
 
 use crate::env::episode::Episode;
 use crate::env::{AnyTask, Shard};

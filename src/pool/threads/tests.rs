@@ -13,7 +13,7 @@ fn begun() -> (Batch, Operation) {
 }
 
 /// The only worker is busy, so the shards of a batch wait. The thread that waits for the batch computes them, but not
-/// while as many threads work as the pool has.
+/// while as many threads work as the pool has threads.
 #[test]
 fn who_waits_computes() {
     let mut pool = Pool::new(1);
