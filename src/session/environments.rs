@@ -6,7 +6,7 @@
 //!                   └── dropped ──▶ back as it was; in a panic: lost
 //! ```
 //!
-//! A caller can stop waiting for an answer and take it later; it is kept until the next request.
+//! A caller can stop waiting for an answer and take it later; the answer is kept until the next request.
 
 use super::roll::{self, Rolled};
 use super::{MOST_ENVIRONMENTS, MOST_MEMORY};
@@ -18,8 +18,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-/// Up to this many shards the caller's thread helps: our choice, well within the 100 ms in which Ctrl-C must act. A
-/// step of a shard takes some 1 ms with rapier, 0.1 ms with lanes.
+/// Largest number of shards with which the caller's thread helps: our choice, well within the 100 ms in which Ctrl-C
+/// must act. A step of a shard takes some 1 ms with rapier, 0.1 ms with lanes.
 const SOON: usize = 64;
 
 /// Environments are created for this time without a check whether the caller still waits.
@@ -165,7 +165,7 @@ impl EnvironmentsGuard {
         }
     }
 
-    /// The environments are lost.
+    /// Marks the environments as lost, for this reason.
     fn lose(mut self, error: Error) {
         self.batch = None;
         self.shared.put(BatchState::Lost(error), None);
