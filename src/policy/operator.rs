@@ -117,7 +117,7 @@ pub enum Operator {
         input: usize,
         function: Function,
     },
-    /// An operand of one number applies to all numbers of the other.
+    /// An operand that is one number applies to all numbers of the other operand.
     Both {
         left: Operand,
         right: Operand,
@@ -150,7 +150,7 @@ impl Operator {
     }
 }
 
-/// Number `k` of an operand, or its only one.
+/// Number `k` of an operand, or its only number.
 fn operand(values: &[Vec<Lanes>], operand: &Operand, k: usize) -> Lanes {
     match operand {
         Operand::Value(i) => values[*i][if values[*i].len() == 1 { 0 } else { k }],
