@@ -104,7 +104,7 @@ impl Drop for SocketFile {
     }
 }
 
-/// A TCP listener with a queue of [`BACKLOG`] connections, because the usual 128 are too few if a hundred connections
+/// A TCP listener with a queue of `BACKLOG` connections, because the usual 128 are too few if a hundred connections
 /// arrive in a second. Needs a tokio runtime.
 pub fn bind_tcp(address: SocketAddr) -> std::io::Result<TcpListener> {
     let socket = if address.is_ipv4() { TcpSocket::new_v4() } else { TcpSocket::new_v6() }?;
