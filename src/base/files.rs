@@ -14,8 +14,9 @@ pub fn write(path: &Path, content: &[u8]) -> Result<()> {
 
 /// The same as [`write`], but the new name is on the disk only after [`sync_folder`]. For many files in one folder.
 ///
-/// The content is written to `NAME.partial` beside the file first. If the process is killed there, this file stays, and
-/// the next call replaces it. Two processes must not write the same path at the same time: see [`Lock`].
+/// The content is written to `NAME.partial` beside the file first. If the process is killed before the file is renamed,
+/// `NAME.partial` stays, and the next call replaces it. Two processes must not write the same path at the same time:
+/// see [`Lock`].
 pub fn put(path: &Path, content: &[u8]) -> Result<()> {
     let mut beside = path.as_os_str().to_owned();
     beside.push(".partial");
