@@ -38,7 +38,7 @@ pub fn narrow_table(rows: &[Vec<String>], keys: usize) -> String {
     parts.iter().map(part).collect::<Vec<_>>().join("\n")
 }
 
-/// Rows as columns in [`WIDTH`]; the last column has a text, which continues below itself.
+/// Rows as columns within [`WIDTH`]. The last column has a text, whose further lines are indented.
 pub fn glossary(rows: &[Vec<String>]) -> String {
     let heads: Vec<Vec<String>> = rows.iter().map(|row| row[..row.len() - 1].to_vec()).collect();
     // A text needs room: if the other columns leave less than 28 characters (our choice) of the line, the text begins
