@@ -61,7 +61,7 @@ impl Row<'_> {
         }
     }
 
-    /// The same, and an error if it is blank.
+    /// The same as [`Self::within`], but a blank cell is an error.
     pub fn needed_within(&self, column: usize, most: f64) -> Result<f64> {
         self.within(column, most)?.ok_or_else(|| self.blank(column))
     }
