@@ -73,7 +73,7 @@ impl Stepper for ServerStepper {
 /// Control steps of one rollout: our choice, the episode of `examples/ray_es.py`.
 const ROLLOUT: usize = 150;
 
-/// A session like that of [`ServerStepper`], which makes a rollout at a time.
+/// A session like that of [`ServerStepper`], but each step of it is a rollout.
 pub struct RolloutStepper {
     pub remote: ServerStepper,
     /// Request every step's rows?
