@@ -12,7 +12,7 @@ pub struct SessionEnvironments {
     pub books: SessionRecord,
 }
 
-/// What a session keeps besides its environments: its last answer, and the memory that is reserved for it.
+/// What a session keeps besides its environments: its last answer, and its reservation of memory.
 pub struct SessionRecord {
     pub done: LastAnswer,
     pub reservation: Reservation,

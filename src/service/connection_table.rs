@@ -27,8 +27,8 @@ struct ConnectionEntries {
 }
 
 struct ConnectionEntry {
-    /// Number of calls that have not ended, and how many of them were admitted: they have the token, if one is
-    /// required. Calls for the server's health need no token and do not count as admitted.
+    /// Number of calls that have not ended, and how many of them were admitted. An admitted call has the token, if a
+    /// token is required. Calls for the server's health need no token and do not count as admitted.
     calls: usize,
     admitted: usize,
     /// When the connection was accepted, or when its last call ended.

@@ -39,7 +39,7 @@ const SILENCE: Duration = Duration::from_secs(60);
 /// Time limit for calls to end after the server stops; a step takes milliseconds.
 const GRACE: Duration = Duration::from_secs(3);
 
-/// Time to wait before accepting again after it failed because no file descriptors were left.
+/// After a connection could not be accepted because no file descriptors were left, the server waits for this time.
 const PAUSE: Duration = Duration::from_millis(50);
 
 /// Time between two searches for idle connections.
@@ -58,7 +58,7 @@ const FRAME: u32 = 1 << 20;
 /// connections on other listeners. The room is at least 4.
 pub fn room(wanted: usize, others: usize) -> usize {
     let Rlimit { mut current, maximum } = getrlimit(Resource::Nofile);
-    // The soft limit exists for programs that use `select`; this one does not.
+    // The soft limit exists for programs that use `select`; this program does not use it.
     if setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum }).is_ok() {
         current = maximum;
     }
@@ -250,7 +250,8 @@ impl Connections {
 /// Largest number of connections to the page of metrics: our choice, for some programs that ask at the same time.
 pub const METRICS: usize = 32;
 
-/// Largest number of connections to the live page besides those of watchers: our choice, enough for some browsers.
+/// Largest number of connections to the live page besides the connections of watchers: our choice, enough for some
+/// browsers.
 pub const BESIDE_WATCHERS: usize = 128;
 
 /// Answers requests for pages with `routes`, on at most `most` connections, until `stop` is cancelled.

@@ -199,7 +199,8 @@ struct MessageReader {
     arrived: Bytes,
     /// Missing bytes of the present message.
     missing: usize,
-    /// Time by which the present message must have arrived; only a first or large message has one.
+    /// Time by which the present message must have arrived; only a call's first message and large messages have a time
+    /// limit.
     deadline: Option<Instant>,
     messages: Messages,
     intake: Arc<Intake>,

@@ -81,7 +81,7 @@ impl Metrics {
         }
     }
 
-    /// Counts the episodes that ended in this step; after other operations the flags are not set.
+    /// Counts the episodes that ended in this step; operations other than a step set no flags.
     fn ended_episodes(&self, batch: &Batch) {
         let spec = batch.spec();
         let diverged = spec.info.iter().position(|c| c.name == "diverged");

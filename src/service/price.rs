@@ -97,8 +97,8 @@ pub fn of_request(request: &Request, part: usize) -> Result<usize> {
 /// wait for the stream, and two as bytes in the queue of HTTP/2.
 const PARTS: usize = 6;
 
-/// Largest number of pictures of one request: our choice, 64 × 64 of them. Each takes some 0.2 ms or more, however few
-/// pixels it has.
+/// Largest number of pictures of one request: our choice, 64 × 64 of them. A picture takes some 0.2 ms or more, however
+/// few pixels it has.
 const MOST_PICTURES: usize = 4096;
 
 /// Number of pixels of all pictures together, and of one picture.

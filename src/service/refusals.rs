@@ -43,8 +43,8 @@ impl Refusals {
         }
     }
 
-    /// Logs how many refusals had no line, so that the last ones of a burst are not lost. Must be called from time
-    /// to time.
+    /// Logs how many refusals had no line, so that the last refusals of a burst also get a line. Must be called from
+    /// time to time.
     pub fn log_suppressed(&self) {
         for (kind, words) in KINDS {
             if let Some(suppressed) = self.due(kind, Instant::now(), false) {

@@ -183,7 +183,7 @@ async fn end(
     let deadline = Instant::now() + SAVED;
     for name in names {
         health.set_service_status(name, ServingStatus::NotServing).await;
-        // Ends the streams of watchers after their last events.
+        // Ends the streams of clients that watch the health, after their last events.
         health.clear_service_status(name).await;
     }
     match state {

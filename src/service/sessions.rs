@@ -252,7 +252,8 @@ impl Sessions {
     /// has ended, or if another stream has the session.
     pub async fn take(self: &Arc<Self>, hold: &StreamHold) -> Option<SessionGuard> {
         loop {
-            // Registers before the check, so that a return between the check and the wait is not missed.
+            // Registers for the notification before the check, so that environments that come back between the check
+            // and the wait are not missed.
             let back = {
                 let mut entries = self.entries.lock();
                 let running = |e: &&mut SessionEntry| e.stream == hold.stream && !self.stop.is_cancelled();

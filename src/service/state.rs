@@ -74,7 +74,7 @@ const LOCK: &str = ".lock";
 #[derive(Clone, Debug)]
 pub struct StateDir {
     path: PathBuf,
-    /// Locked until the last copy of this is dropped.
+    /// Locked until the last copy of this value is dropped.
     _lock: Arc<File>,
     /// [`File::sync_all`], or a slow disk in tests.
     sync: fn(&File) -> std::io::Result<()>,
@@ -132,8 +132,8 @@ impl StateDir {
         self.sync_names()
     }
 
-    /// Saves sessions until `deadline`: idle sessions at once, the others as soon as no operation runs on them.
-    /// Requests use other threads than this, so they do not delay it.
+    /// Saves sessions until `deadline`: idle sessions at once, the others as soon as no operation runs on them. This
+    /// work has threads of its own, so requests do not delay it.
     ///
     /// # Errors
     /// Some sessions were not saved; the error has their names, and the log has the reasons.

@@ -29,7 +29,7 @@ use std::sync::atomic::Ordering;
 use tokio::sync::mpsc;
 use tonic::{Status, Streaming};
 
-/// What a call has from its start.
+/// The data that a call has from its start.
 pub struct SessionCall {
     pub messages: Messages,
     pub intake: Arc<Intake>,

@@ -216,7 +216,7 @@ pub fn walk(request: WalkRequest) -> Result<StudyWork<Table>> {
     }))
 }
 
-/// Largest number of stride frequencies in one request: our choice; each has a model in memory.
+/// Largest number of stride frequencies in one request: our choice, because each frequency has a model in memory.
 const MOST_FREQUENCIES: usize = 4096;
 
 pub fn sweep(request: SweepRequest) -> Result<StudyWork<Table>> {

@@ -50,7 +50,7 @@ impl ViewedState {
     }
 }
 
-/// A moment, and the header of the section that it belongs to.
+/// A moment of a recording, and the header of the section that it belongs to.
 #[derive(Clone)]
 pub struct ViewerFrame {
     pub head: Bytes,

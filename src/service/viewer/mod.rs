@@ -1,4 +1,4 @@
-//! The live page: it shows browsers how sessions of this server step.
+//! The live page: in a browser it shows the sessions of this server while they step.
 //!
 //! ```text
 //!  GET /                     the page, the same that `sandgait replay --html` writes
