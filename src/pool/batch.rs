@@ -27,7 +27,7 @@ pub fn check_envs(envs: usize, most: usize) -> Result<usize> {
     }
 }
 
-/// The environments of one session. `Pool::run` takes it and gives it back.
+/// The environments of one session. `Pool::run` takes a batch and gives it back.
 pub struct Batch {
     pub(super) shards: Vec<Shard>,
     task: Arc<dyn AnyTask>,
@@ -60,7 +60,7 @@ impl Batch {
         self.task.spec()
     }
 
-    /// From now on `account` is asked for the memory of models and snapshots; with None, that memory is not limited.
+    /// From now on `account` must allow the memory of models and snapshots; with None, this memory is not limited.
     pub fn set_account(&mut self, account: Option<Account>) {
         self.account = account;
     }
@@ -156,8 +156,8 @@ impl Batch {
         }
     }
 
-    /// Checks new commands, f32 [envs, 3]: velocity forward and to the left [m/s], yaw rate [rad/s]. They hold for the rest
-    /// of the present episodes.
+    /// Checks new commands, f32 [envs, 3]: velocity forward and to the left [m/s], yaw rate [rad/s]. They apply for the
+    /// rest of the present episodes.
     pub fn set_command(&self, commands: &[f32]) -> Result<Operation> {
         self.check_begun("set_command")?;
         if commands.len() != 3 * self.envs {

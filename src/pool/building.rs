@@ -27,7 +27,7 @@ impl Building {
         Ok(Self { blueprint: blueprint.clone(), envs, shards: Vec::new() })
     }
 
-    /// Makes at least one more shard, and further ones until `time` has passed.
+    /// Makes at least one more shard, and further shards until `time` has passed.
     pub fn go_on(&mut self, time: Duration) -> Result<()> {
         let begun = Instant::now();
         while self.missing() > 0 {

@@ -5,7 +5,7 @@ use crate::env::{AnyTask, Shard};
 use crate::policy::Network;
 use std::sync::Arc;
 
-/// A checked request. Only [`super::Batch`] makes operations, so a pool gets no malformed ones.
+/// A checked request. Only [`super::Batch`] makes operations, so a pool gets no malformed operations.
 pub enum Operation {
     Reset { chosen: Option<Vec<bool>>, seeds: Option<Vec<u64>>, tasks: Option<ResetTasks> },
     Step { actions: Vec<f32>, held: Option<Vec<bool>> },

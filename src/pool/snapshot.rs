@@ -164,7 +164,7 @@ impl Batch {
     }
 
     /// Checks that environment i of this batch can go on as environment `sources[i]` of `snapshot`. Without `sources`
-    /// the environment is i modulo the snapshot's number of environments.
+    /// it must be able to go on as environment i modulo the snapshot's number of environments.
     fn resumed(&self, snapshot: &Snapshot, sources: Option<&[u32]>) -> Result<Vec<Arc<Episode>>> {
         if snapshot.task != self.spec().id {
             return Err(broken(format!("it is of {}, not of {}", snapshot.task, self.spec().id)));

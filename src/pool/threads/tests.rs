@@ -57,8 +57,8 @@ fn a_panic_of_who_is_told_costs_no_worker() {
     assert_eq!(pool.wait(batch, reset).unwrap().envs(), 40);
 }
 
-/// Jobs come when the workers are in any state: at work, watching, falling asleep or asleep. Each job is finished
-/// without help from a later one.
+/// Jobs come when the workers are in any state: at work, watching, falling asleep or asleep. Each job is finished, even
+/// if no later job comes.
 #[test]
 fn no_job_is_forgotten() {
     for threads in [1, 2] {
