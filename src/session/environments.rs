@@ -22,7 +22,7 @@ use std::time::Duration;
 /// must act. A step of a shard takes some 1 ms with rapier, 0.1 ms with lanes.
 const SOON: usize = 64;
 
-/// Environments are created for this time without a check whether the caller still waits.
+/// Between two checks whether the caller still waits, environments are created for this time.
 const BUILDING: Duration = Duration::from_millis(10);
 
 /// The answer to the last request.
@@ -88,7 +88,7 @@ impl SharedBatch {
 }
 
 impl Environments {
-    /// `envs` environments of `blueprint`, which need a first reset; `stopped` ends the work.
+    /// `envs` environments of `blueprint`, which need a first reset; the work ends when `stopped` returns true.
     pub fn new(blueprint: &Blueprint, envs: usize, stopped: impl Fn() -> bool) -> Result<Self> {
         let bytes = blueprint.bytes(check_envs(envs, MOST_ENVIRONMENTS)?);
         if bytes > MOST_MEMORY {
@@ -165,7 +165,7 @@ impl EnvironmentsGuard {
         }
     }
 
-    /// Marks the environments as lost, for this reason.
+    /// Marks the environments as lost, because of `error`.
     fn lose(mut self, error: Error) {
         self.batch = None;
         self.shared.put(BatchState::Lost(error), None);

@@ -59,8 +59,8 @@ impl Rolling {
     }
 }
 
-/// Steps of the next part, after a part that made `done` steps in `time`. `done` may be fewer than were asked for,
-/// because the memory of a part is limited.
+/// Steps of the next part, after a part that made `done` steps in `time`. `done` may be fewer steps than the operation
+/// should make, because the memory of a part is limited.
 fn next_steps(done: usize, time: Duration) -> usize {
     let fitting = done as f64 * TURN.as_secs_f64() / time.as_secs_f64().max(1e-6);
     (fitting as usize).clamp(1, GROWTH * done.max(1))

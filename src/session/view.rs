@@ -13,7 +13,7 @@ pub const MOST_PIXELS: u64 = 1 << 25;
 /// Number of pixels of `count` pictures, each of `size` (width and height).
 ///
 /// # Errors
-/// They are more than one request may have.
+/// The pixels are more than one request may have.
 pub fn check_pixels(count: usize, size: [u32; 2]) -> Result<usize> {
     let [width, height] = size;
     let pixels = (count as u64).saturating_mul(u64::from(width) * u64::from(height));
