@@ -32,7 +32,7 @@ pub struct TrainingSession {
     sequence: u64,
     envs: usize,
     observation: usize,
-    /// Number of info columns; 0 if the server's info columns differ from those of this version.
+    /// Number of info columns; 0 if the server's info columns differ from the columns of this version.
     info: usize,
 }
 
