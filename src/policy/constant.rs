@@ -41,7 +41,7 @@ impl Constant {
         Ok(Self { dims, data })
     }
 
-    /// The numbers as integers, for a shape. `f32` holds integers this small exactly.
+    /// The numbers as integers, for a shape. `f32` is exact for such small integers.
     pub fn whole(&self) -> Vec<i64> {
         self.data.iter().map(|x| *x as i64).collect()
     }

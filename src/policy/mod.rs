@@ -29,7 +29,7 @@ pub mod write;
 pub use network::Network;
 pub use price::{Price, reading_bytes};
 
-/// Environments computed side by side: as many as a shard of engine `lanes` has.
+/// Number of environments that are computed side by side: as many as a shard of engine `lanes` has.
 const LANES: usize = 16;
 
 /// One number for each lane.

@@ -161,7 +161,7 @@ fn operand(values: &[Vec<Lanes>], operand: &Operand, k: usize) -> Lanes {
 /// Number of outputs that are summed at the same time, so that each input is read once for all of them.
 const TILE: usize = 4;
 
-/// Each sum starts at its bias and adds the inputs in order, so its bits do not depend on the tile.
+/// Each sum starts at its bias and adds the inputs in order, so it does not depend on the tile, to the last bit.
 fn dense(input: &[Lanes], weights: &[f32], bias: &[f32], out: &mut [Lanes]) {
     let width = bias.len();
     for first in (0..width).step_by(TILE) {
