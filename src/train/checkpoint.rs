@@ -137,7 +137,8 @@ pub fn is_used(out: &Path) -> bool {
     !all(out).is_empty() || ["policy.onnx", "policy.safetensors"].iter().any(|name| out.join(name).exists())
 }
 
-/// Says what differs if the checkpoint is not of the training of `plan`. The end of a training may differ.
+/// If the checkpoint is not of the training of `plan`, the error says what differs. The limits of steps and time may
+/// differ.
 fn belongs(file: &Tensors, plan: &TrainingPlan) -> std::result::Result<(), String> {
     let text = |name: &str| file.text(name).map_err(|e| e.to_string());
     let seed = plan.seed.to_string();

@@ -204,7 +204,8 @@ impl RolloutGroup {
         }
     }
 
-    /// Stores `rows`, the results of step `step` of remote environments. Those with `skipped` did not make this step.
+    /// Stores `rows`, the results of step `step` of remote environments. An environment whose `skipped` is true did not
+    /// make this step.
     pub fn answered(&mut self, play: &PolicyContext, step: usize, rows: Rows, skipped: &[bool]) {
         self.place = GroupEnvironments::Away(rows);
         self.note(play, step, skipped);

@@ -45,7 +45,7 @@ const SEARCH_SEED: u64 = 1;
 pub struct DesignStudy {
     pub base: Design,
     pub axes: Vec<SweepAxis>,
-    /// Task options besides those of the design, such as `command`.
+    /// Task options, such as `command`, besides the options that the design sets.
     pub options: Map<String, Value>,
     /// Settings, with the steps or the time of each training on one thread.
     pub settings: Hyperparameters,

@@ -9,7 +9,7 @@ use std::path::Path;
 /// The settings of `sandgait train` without a file.
 const OWN: &str = include_str!("ppo_fast.yml");
 
-/// The end of a training as changes of settings. If only a number of steps is given, the time has no limit.
+/// The limits of a training, as changes of settings. If only a number of steps is given, the time has no limit.
 pub fn ends(timesteps: Option<u64>, seconds: Option<f64>) -> Vec<(String, Value)> {
     let steps = timesteps.map(|steps| ("n_timesteps", json!(steps)));
     let time = match (timesteps, seconds) {

@@ -86,7 +86,7 @@ mod tests {
     use crate::policy::Network;
     use serde_json::{Value, json};
 
-    /// The file's actions equal those of the learnt networks, with and without mirror and normalization.
+    /// The file's actions equal the actions of the learnt networks, with and without mirror and normalization.
     #[test]
     fn the_file_acts_as_the_networks_do() {
         for (mirror, normalize, sizes) in [

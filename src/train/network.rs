@@ -28,7 +28,7 @@ pub struct NetworkSizes {
     pub action: usize,
     pub actor: Vec<NetworkLayer>,
     pub critic: Vec<NetworkLayer>,
-    /// Indices in `parameters` of the logarithms of the action's standard deviations.
+    /// Indices of the logarithms of the action's standard deviations in the array of parameters.
     pub log_std: Range<usize>,
     /// Number of parameters.
     pub parameters: usize,

@@ -14,7 +14,7 @@ use rand::SeedableRng as _;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use std::sync::Arc;
 
-/// Largest number of numbers in the observations and actions of a rollout: our choice, 4 GiB.
+/// Largest number of values in the observations and actions of a rollout: our choice, 4 GiB.
 const MOST_NUMBERS: usize = 1 << 30;
 
 /// The state of a training: everything that is needed to continue it.

@@ -23,7 +23,7 @@ enum OpenYaml {
 }
 
 struct YamlReader {
-    /// Values that are not complete, with their anchors; the innermost last.
+    /// Values that are not complete, with their anchors; the innermost value is last.
     open: Vec<(OpenYaml, usize)>,
     anchors: HashMap<usize, (Value, usize)>,
     /// Memory of the values so far [bytes].
