@@ -71,7 +71,7 @@ fn bootstrap(episodes: &[EpisodeSums], term: fn(&EpisodeSums) -> [f64; 2], of: f
     let mut resampled =
         || of((0..terms.len()).fold([0.0; 2], |s, _| sum(s, &terms[random.random_range(0..terms.len())])));
     let mut values: Vec<f64> = (0..RESAMPLES).map(|_| resampled()).collect();
-    // Undefined resamples sort above all others: their distance was too short, so their cost has no bound.
+    // Undefined resamples are sorted above all others: their distance was not positive, so their cost has no bound.
     values.sort_by(|a, b| a.is_nan().cmp(&b.is_nan()).then(a.total_cmp(b)));
     let end = |share: f64| values[(share * (RESAMPLES - 1) as f64).round() as usize];
     if mean.is_nan() {
