@@ -188,7 +188,7 @@ impl JoinedWorld {
         tensors::specs(self.task.spec())
     }
 
-    /// A ResetWorld of another connection that waits for this one, if any.
+    /// A ResetWorld of another connection that waits for this connection, if there is one.
     pub fn interrupt(&self) -> Option<PendingReset> {
         self.worlds.joined.lock().get_mut(self.name()).and_then(|joined| joined.interrupt.take())
     }
