@@ -1,6 +1,6 @@
 //! Texts that fit a terminal of 80 columns.
 
-/// Width of printed tables and texts: that of a standard terminal.
+/// Width of printed tables and texts: the width of a standard terminal.
 pub const WIDTH: usize = 80;
 
 /// Blanks between two columns.

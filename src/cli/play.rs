@@ -41,7 +41,7 @@ pub struct PlayArgs {
     seconds: Option<f64>,
 }
 
-/// The policy that this program contains: that of `examples/policies/HexapodGait-ppo`.
+/// The policy that this program contains: the policy in `examples/policies/HexapodGait-ppo`.
 const HEXAPOD: &[u8] = include_bytes!("../../examples/policies/HexapodGait-ppo/policy.onnx");
 const HEXAPOD_SETTINGS: &str = include_str!("../../examples/policies/HexapodGait-ppo/settings.json");
 

@@ -70,7 +70,8 @@ impl Drop for Bar {
 mod tests {
     use super::*;
 
-    /// Lines of work with a report every tenth of a second, and the seconds at which they come.
+    /// The lines that work of `seconds` writes if it reports every tenth of a second, and the times at which they come
+    /// [s].
     fn lines(seconds: f64) -> Vec<(f64, String)> {
         let start = Instant::now();
         let mut log = ProgressLog { tenth: 0, at: start };
