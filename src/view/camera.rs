@@ -1,5 +1,5 @@
-//! The camera, which gravity keeps level. By default it follows the robot, beside it and a little in front, at a
-//! distance that fits the robot's size.
+//! The camera, which is upright with respect to gravity. By default it follows the robot, beside it and a little in
+//! front, at a distance that fits the robot's size.
 
 use crate::error::{Result, check_range};
 use crate::sim::frame::V;
@@ -27,7 +27,7 @@ const ELEVATION: f64 = 0.32;
 /// [`ELEVATION`].
 const HIGHER: u32 = 4;
 
-/// Vertical field of view [rad]: our choice, that of a normal lens.
+/// Vertical field of view [rad]: our choice, the field of view of a normal lens.
 const FIELD_OF_VIEW: f64 = 0.72;
 
 /// Distance in robot radii: our choice, because the robot then fills half of the picture's width.
@@ -81,7 +81,7 @@ pub struct Camera {
     right: V,
     up: V,
     forward: V,
-    /// Size in the picture of a metre at a distance of 1 m [px].
+    /// Size in the picture of a length of 1 m at a distance of 1 m [px].
     focal: f64,
     middle: [f64; 2],
     target: V,

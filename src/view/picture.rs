@@ -36,7 +36,7 @@ const FINE_SHARE: f64 = 0.5;
 /// Drawn thickness of legs [m]: our choice; the physics takes them as thin strips.
 const THICKNESS: f64 = 0.002;
 
-/// Length of an arrow of the robot's weight, in robot radii: our choice.
+/// Length of an arrow for a force equal to the robot's weight, in robot radii: our choice.
 const ARROW_LENGTH: f64 = 0.9;
 
 /// Texts, and where they begin [px].
