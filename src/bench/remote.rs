@@ -16,7 +16,7 @@ use tokio_util::sync::CancellationToken;
 /// Number of the next socket of this process.
 static NEXT: AtomicU32 = AtomicU32::new(0);
 
-/// A session of a server in this process, one stream, one step in flight.
+/// A session of a server in this process, with one stream and one step in flight.
 pub struct ServerStepper {
     stream: Stream,
     sequence: u64,
