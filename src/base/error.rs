@@ -1,6 +1,7 @@
 //! The one error type: a wrong input of the user, or a failure of the machine.
 
-/// Every fallible function of the program returns this. `Display` is one line fit for a terminal or a gRPC status.
+/// Every fallible function of the program returns this. `Display` writes one line that suits a terminal or a gRPC
+/// status.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Error {
     /// A value that the named field does not accept; the caller can correct it.

@@ -5,8 +5,8 @@ use std::fs::{File, TryLockError};
 use std::io::{ErrorKind, Write as _};
 use std::path::{Path, PathBuf};
 
-/// Replaces the file at `path`, or creates it. After a power cut or a kill at any moment the path has either the old
-/// content or the new one, complete. When this returns, the new one is on the disk.
+/// Replaces the file at `path`, or creates it. After a power cut or a kill at any moment the path has either the
+/// complete old content or the complete new content. When this returns, the new content is on the disk.
 pub fn write(path: &Path, content: &[u8]) -> Result<()> {
     put(path, content)?;
     sync_folder(folder_of(path))
@@ -14,8 +14,9 @@ pub fn write(path: &Path, content: &[u8]) -> Result<()> {
 
 /// The same as [`write`], but the new name is on the disk only after [`sync_folder`]. For many files in one folder.
 ///
-/// The content is written to `NAME.partial` beside the file first. If the process is killed there, this file stays, and
-/// the next call replaces it. Two processes must not write the same path at the same time: see [`Lock`].
+/// The content is written to `NAME.partial` beside the file first. If the process is killed before the file is renamed,
+/// `NAME.partial` stays, and the next call replaces it. Two processes must not write the same path at the same time:
+/// see [`Lock`].
 pub fn put(path: &Path, content: &[u8]) -> Result<()> {
     let mut beside = path.as_os_str().to_owned();
     beside.push(".partial");
@@ -33,7 +34,7 @@ pub fn put(path: &Path, content: &[u8]) -> Result<()> {
     })
 }
 
-/// Writes a folder's names to the disk: those of new, renamed and removed files.
+/// Writes to the disk the names of a folder's new, renamed and removed files.
 pub fn sync_folder(folder: &Path) -> Result<()> {
     match File::open(folder).and_then(|folder| folder.sync_all()) {
         // Some network file systems cannot do this for folders.

@@ -39,8 +39,8 @@ impl Progress for PartialProgress<'_> {
     }
 }
 
-/// Least time between two questions of [`Latch::stopped`]: our choice, because work then stops within a second, and
-/// asking takes hardly any time.
+/// Least time between two calls of [`Latch::stopped`] that ask the receiver: our choice, because work then stops within
+/// a second, and asking takes hardly any time.
 const ASKED: Duration = Duration::from_millis(200);
 
 /// For work whose results cannot carry an error. The work asks [`Latch::stopped`] and, if stopped, ends early with
@@ -65,7 +65,7 @@ impl<'a> Latch<'a> {
         }
     }
 
-    /// Asks by reporting the present stage again.
+    /// Has the receiver stopped the work? Asks it by reporting the present stage again, but not at every call.
     pub fn stopped(&self) -> bool {
         let mut told = self.told.lock();
         if told.error.is_none() && told.asked.elapsed() >= ASKED {

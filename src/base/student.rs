@@ -1,5 +1,5 @@
-//! Quantiles of Student's t (Cornish-Fisher expansion in 1/ν, Abramowitz & Stegun 26.7.5). They are too small. The
-//! quantile at 97.5 % is too small by 3 % at 2 degrees of freedom and by a quarter at 1, that at 95 % by less.
+//! Quantiles of Student's t (Cornish-Fisher expansion in 1/ν, with ν degrees of freedom; Abramowitz & Stegun 26.7.5).
+//! They are too small: at 97.5 % by 3 % for 2 degrees of freedom and by a quarter for 1, at 95 % by less.
 
 /// The quantile at 97.5 %.
 pub fn two_sided_95(degrees: f64) -> f64 {
@@ -11,7 +11,7 @@ pub fn one_sided_95(degrees: f64) -> f64 {
     quantile(1.644_854, degrees)
 }
 
-/// F(1, ν) at 95 %: the rise of an objective at the ends of a confidence interval.
+/// The quantile of F(1, ν) at 95 %: the rise of an objective at the ends of a confidence interval.
 pub fn square_at_95(degrees: f64) -> f64 {
     two_sided_95(degrees).powi(2)
 }

@@ -19,7 +19,7 @@ use std::time::{Duration, Instant};
 
 /// Source of a measurement's actions.
 pub enum Actions {
-    /// Batches, f32 [envs, action] each, made before the clock starts and used in turn.
+    /// Batches, f32 [envs, action] each, which are made before the clock starts and used in turn.
     Made(Vec<Vec<f32>>),
     /// A policy that looks at each step's observations; its own time is not counted.
     Policy(Network),

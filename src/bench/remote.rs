@@ -16,7 +16,7 @@ use tokio_util::sync::CancellationToken;
 /// Number of the next socket of this process.
 static NEXT: AtomicU32 = AtomicU32::new(0);
 
-/// A session of a server in this process, one stream, one step in flight.
+/// A session of a server in this process, with one stream and one step in flight.
 pub struct ServerStepper {
     stream: Stream,
     sequence: u64,
@@ -73,7 +73,7 @@ impl Stepper for ServerStepper {
 /// Control steps of one rollout: our choice, the episode of `examples/ray_es.py`.
 const ROLLOUT: usize = 150;
 
-/// A session like that of [`ServerStepper`], which makes a rollout at a time.
+/// A session like that of [`ServerStepper`], but each step of it is a rollout.
 pub struct RolloutStepper {
     pub remote: ServerStepper,
     /// Request every step's rows?

@@ -22,7 +22,7 @@ pub struct CShape {
     quaternion: [f64; 4],
 }
 
-/// The value, or `failed` and the error's text for [`sandgait_error`].
+/// The value; on an error `failed`, with the text kept for [`sandgait_error`].
 fn told<T>(result: Result<T>, failed: T) -> T {
     result.unwrap_or_else(|e| {
         ERROR.with(|last| *last.borrow_mut() = CString::new(e.to_string().replace('\0', " ")).unwrap_or_default());
@@ -31,7 +31,7 @@ fn told<T>(result: Result<T>, failed: T) -> T {
 }
 
 /// # Safety
-/// NULL, or text that ends with a zero.
+/// `text` is NULL, or a text that ends with a zero byte.
 unsafe fn text<'a>(name: &str, text: *const c_char) -> Result<&'a str> {
     if text.is_null() {
         return Err(Error::invalid(name, "is NULL"));
@@ -41,7 +41,7 @@ unsafe fn text<'a>(name: &str, text: *const c_char) -> Result<&'a str> {
 }
 
 /// # Safety
-/// NULL, or an array of this many numbers.
+/// `array` is NULL, or has `count` numbers.
 unsafe fn numbers<'a>(name: &str, array: *const f64, count: usize) -> Result<&'a [f64]> {
     match (count, array.is_null()) {
         (0, _) => Ok(&[]),
@@ -162,7 +162,7 @@ pub unsafe extern "C" fn sandgait_wrench(
             return Err(Error::invalid("sand or bodies", "is NULL"));
         };
         let count = bodies.len();
-        // No memory has larger arrays.
+        // No memory can hold larger arrays.
         if states > isize::MAX as usize / (36 * size_of::<f64>() * count.max(1)) {
             return Err(Error::invalid("states", format!("{states} are too many")));
         }

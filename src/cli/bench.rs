@@ -177,7 +177,7 @@ impl BenchArgs {
             }
         }
         if task == LeggedVelocity::ID {
-            // The speed on the sand itself: at lower levels of the curriculum the feet sink less.
+            // Measures the speed on the sand itself, because at lower levels of the curriculum the feet sink less.
             options.entry("curriculum").or_insert(Value::Null);
         }
         let mut options = options.into();
@@ -195,7 +195,7 @@ impl BenchArgs {
             _ => "baseline",
         };
         let (median, min, max) = (rates[rates.len() / 2], rates[0], rates[rates.len() - 1]);
-        // The name of the transport on the command line; each has one, because none is hidden.
+        // The name of the transport on the command line. Every transport has a name, because none is hidden.
         let through = self.through.to_possible_value();
         let through = through.as_ref().map_or("", clap::builder::PossibleValue::get_name);
         let json = json!({

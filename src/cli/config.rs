@@ -1,4 +1,5 @@
-//! A file of options. Its options are inserted before those of the command line, which therefore take precedence.
+//! A file of options. Its options are inserted before the options of the command line, so that the command line takes
+//! precedence.
 
 use clap::Command;
 use sandgait::{Error, Result};

@@ -104,7 +104,7 @@ fn follow(
     Ok(format!("{name}, {}\n\n{table}\n{summary}\n", LeggedVelocity::ID))
 }
 
-/// Writes the results to the files that were asked for.
+/// Writes the results to the requested files.
 fn write(files: &[Option<PathBuf>; 2], json: &Value, csv: &str) -> Result<()> {
     for (path, content) in files.iter().zip([super::json(json), csv.to_owned()]) {
         let Some(path) = path else { continue };

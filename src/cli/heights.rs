@@ -42,7 +42,7 @@ pub fn pack(path: &Path) -> Result<String> {
         other => other,
     };
     let rows = rows.map_err(|reason| Error::file(path, reason))?;
-    // Any spacing is good here, because it is checked later.
+    // Any spacing is good here, because the actual spacing is checked later.
     Relief::new(1.0, &rows).map_err(named)?;
     heights::pack(&rows).map_err(named)
 }

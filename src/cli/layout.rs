@@ -1,6 +1,6 @@
 //! Texts that fit a terminal of 80 columns.
 
-/// Width of printed tables and texts: that of a standard terminal.
+/// Width of printed tables and texts: the width of a standard terminal.
 pub const WIDTH: usize = 80;
 
 /// Blanks between two columns.
@@ -38,7 +38,7 @@ pub fn narrow_table(rows: &[Vec<String>], keys: usize) -> String {
     parts.iter().map(part).collect::<Vec<_>>().join("\n")
 }
 
-/// Rows as columns in [`WIDTH`]; the last column has a text, which continues below itself.
+/// Rows as columns within [`WIDTH`]. The last column has a text, whose further lines are indented.
 pub fn glossary(rows: &[Vec<String>]) -> String {
     let heads: Vec<Vec<String>> = rows.iter().map(|row| row[..row.len() - 1].to_vec()).collect();
     // A text needs room: if the other columns leave less than 28 characters (our choice) of the line, the text begins

@@ -72,7 +72,7 @@ fn read_files(options: &mut serde_json::Value) -> Result<()> {
 /// Replaces the path of a hardware.toml by its text.
 fn read_hardware(option: Option<&mut serde_json::Value>) -> Result<()> {
     let Some(option) = option else { return Ok(()) };
-    // A text of a file has several lines.
+    // The text of a file has several lines, and a path has one.
     if let Some(path) = option.as_str().filter(|text| !text.is_empty() && !text.contains('\n')) {
         *option = std::fs::read_to_string(path).map_err(|e| Error::file(path.as_ref(), e))?.into();
     }
@@ -202,7 +202,7 @@ fn one_line(error: &clap::Error) -> String {
     }
 }
 
-/// Rust's words for a number outside of its range, `3 is not in 5..=65535`, in mathematical ones.
+/// Changes Rust's words for a number outside its range, such as `3 is not in 5..=65535`, into mathematical notation.
 fn range(reason: &str) -> String {
     let Some((value, range)) = reason.split_once(" is not in ") else { return reason.to_owned() };
     let (low, high) = range.split_once("..").unwrap_or((range, ""));
@@ -274,7 +274,8 @@ fn warn_of_unfelt(sand: &SandDescription) {
 /// Number of notes of one kind that a warning shows: our choice, so that it can be read at a glance.
 const SHOWN: usize = 3;
 
-/// One warning on stderr of all `notes`, which are of one kind. `whole`: where to find those that are left out.
+/// Writes one warning on stderr with `notes`, which are of one kind. `whole`: where to find the notes that are left
+/// out.
 fn warn(notes: &[String], whole: &str) {
     if notes.is_empty() {
         return;

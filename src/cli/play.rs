@@ -41,7 +41,7 @@ pub struct PlayArgs {
     seconds: Option<f64>,
 }
 
-/// The policy that this program contains: that of `examples/policies/HexapodGait-ppo`.
+/// The policy that this program contains: the policy in `examples/policies/HexapodGait-ppo`.
 const HEXAPOD: &[u8] = include_bytes!("../../examples/policies/HexapodGait-ppo/policy.onnx");
 const HEXAPOD_SETTINGS: &str = include_str!("../../examples/policies/HexapodGait-ppo/settings.json");
 
@@ -137,7 +137,7 @@ fn walk(
     let (start, mut due) = (Instant::now(), Instant::now());
     while !stop.is_cancelled() && seconds.is_none_or(|s| start.elapsed().as_secs_f64() < s) {
         let shares = page.command();
-        // A share of −1 is the low end, 0 stands still.
+        // A share of −1 is the low end of the range, and 0 stands still.
         let command = std::array::from_fn(|k| {
             let [low, high] = ranges[k];
             if shares[k] < 0.0 { -shares[k] * low.min(0.0) } else { shares[k] * high.max(0.0) }

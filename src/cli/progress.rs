@@ -7,8 +7,8 @@ use sandgait::progress::Progress;
 use std::io::IsTerminal as _;
 use std::time::{Duration, Instant};
 
-/// A log gets a line at every tenth of the work, but none within [`SHORT`] after the start or the last line; and it
-/// gets at least one every [`LONG`]. Our choice, so that short work writes nothing.
+/// A log gets a line at every tenth of the work, but no line within [`SHORT`] after the start or the last line. It gets
+/// at least one line in every [`LONG`]. Our choice, so that short work writes nothing.
 const SHORT: Duration = Duration::from_secs(2);
 const LONG: Duration = Duration::from_secs(60);
 
@@ -70,7 +70,8 @@ impl Drop for Bar {
 mod tests {
     use super::*;
 
-    /// Lines of work with a report every tenth of a second, and the seconds at which they come.
+    /// The lines that work of `seconds` writes if it reports every tenth of a second, and the times at which they come
+    /// [s].
     fn lines(seconds: f64) -> Vec<(f64, String)> {
         let start = Instant::now();
         let mut log = ProgressLog { tenth: 0, at: start };

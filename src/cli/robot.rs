@@ -212,12 +212,12 @@ fn load(file: &Path) -> Result<Import> {
     }
 }
 
-/// `1.5`, or `-` if the file gives none.
+/// A number such as `1.5`, or `-` if the file gives none.
 fn or_dash(value: Option<f64>) -> String {
     value.map_or_else(|| "-".into(), |v| format!("{v:.4}").trim_end_matches('0').trim_end_matches('.').to_owned())
 }
 
-/// Units of the columns of the joints' table: those of the kinds of joints that the robot has.
+/// Units of the columns of the joints' table, for the kinds of joints that the robot has.
 fn joint_units(tree: &sim::tree::Tree) -> Vec<String> {
     const HINGE: [&str; 10] =
         ["rad", "rad", "N·m", "rad/s", "N·m·s/rad", "N·m", "kg·m²", "N·m/rad", "N·m·s/rad", "rad"];

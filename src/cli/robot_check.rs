@@ -150,7 +150,7 @@ impl StandingReport {
         text
     }
 
-    /// The joints that need the greatest part of their torque, or the greatest torque where no limit is known.
+    /// The joints that need the greatest share of their torque limit, or the greatest torque if no limit is known.
     fn hardest(&self, standing: &Standing) -> String {
         let mut order: Vec<usize> = (0..self.joints.len()).collect();
         let key = |i: usize| (standing.torques[i].1.unwrap_or(0.0), standing.torques[i].0);

@@ -14,11 +14,12 @@ use tracing_subscriber::layer::SubscriberExt as _;
 use tracing_subscriber::util::SubscriberInitExt as _;
 
 /// Number of blocking threads beyond one for each processor: one for a study, and one so that large requests do not
-/// delay small ones. (The others create and free environments and check large requests.) Blocking threads compute and
-/// never wait. So more of them would compete for the processors, and each needs memory (tokio's default is 512).
+/// delay small ones. (The other blocking threads create and free environments and check large requests.) Blocking
+/// threads compute and never wait, so more of them would compete for the processors, and each thread needs memory
+/// (tokio's default is 512).
 const SPARE_THREADS: usize = 2;
 
-/// Longest delay of the process's end by a request in preparation.
+/// Longest time by which a request in preparation delays the end of the process.
 const GRACE: Duration = Duration::from_millis(500);
 
 /// Serve environments over gRPC until SIGTERM or Ctrl-C.

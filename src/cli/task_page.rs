@@ -1,4 +1,4 @@
-//! The page of a task as Markdown, from the same tables as its rows.
+//! The page of a task as Markdown, made from the tables that also define the task's rows.
 
 use sandgait::Result;
 use sandgait::env::control::Control;

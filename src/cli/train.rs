@@ -131,8 +131,8 @@ fn place(address: String, token: Option<&Path>, ca: Option<&Path>) -> Result<Ser
 }
 
 impl TrainingArgs {
-    /// Checks everything except what only the task and the server can check. `changes`: settings that replace those of the
-    /// file; `options`: of the task, as an object; `place`: the server that has the environments.
+    /// Checks everything except what only the task and the server can check. `changes`: settings that replace those of
+    /// the file; `options`: options of the task, as an object; `place`: the server that has the environments.
     pub fn request(
         self,
         mut changes: Vec<(String, Value)>,
@@ -146,8 +146,8 @@ impl TrainingArgs {
         self.checked(TrainingRequest { connect: place.map(connected), ..unchecked })
     }
 
-    /// The same for another program's environments, which `connect` gives. `self.task` is their name, and `options` is what
-    /// identifies them besides.
+    /// The same for another program's environments, which `connect` makes. `self.task` is their name, and `options` has
+    /// what else identifies them.
     pub fn external(
         self,
         mut changes: Vec<(String, Value)>,
@@ -185,7 +185,7 @@ impl TrainingArgs {
     }
 }
 
-/// A request without the arguments.
+/// A request to which the arguments are not added yet.
 fn unchecked(task: String, options: Value, settings: Hyperparameters) -> TrainingRequest {
     TrainingRequest {
         task,
@@ -209,7 +209,7 @@ fn connected(place: ServerAddress) -> Box<Connect> {
     })
 }
 
-/// Options of a task from words NAME=VALUE, with files read.
+/// Options of a task from words NAME=VALUE. Files that the values name are read.
 pub fn options(words: &[String]) -> Result<Map<String, Value>> {
     let options = words.iter().map(|word| entry::pair("--option", word)).collect::<Result<Map<_, _>>>()?;
     let mut options = Value::Object(options);

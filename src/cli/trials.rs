@@ -32,7 +32,7 @@ const LOAD: usize = 7;
 const TRIAL: usize = 8;
 const TIME: usize = 9;
 const PLACE: [usize; 2] = [10, 11];
-/// Number of columns besides those of paths.
+/// Number of columns of steady motions; the columns after them are for paths.
 const STEADY: usize = 8;
 
 /// Columns that are added to each row.
@@ -112,7 +112,7 @@ fn follow(
     Ok(followed.into_iter().flat_map(|(outcomes, _)| outcomes).collect())
 }
 
-/// The cells that a path has moved, after the sand has come to rest.
+/// The cells that a path has moved as lines of CSV, after the sand has come to rest.
 fn lines(name: &str, path: &mut path::Path) -> String {
     path.settle();
     let grid = &path.moved.grid;

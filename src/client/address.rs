@@ -46,7 +46,7 @@ impl Interceptor for Bearer {
 }
 
 impl ServerAddress {
-    /// A new connection; proxies of the environment are not used.
+    /// A new connection. Proxies that environment variables name are not used.
     pub async fn connect(&self) -> Result<(Channel, Bearer), Status> {
         let token = self.token.as_ref().map(|token| format!("Bearer {token}").parse());
         let bearer = Bearer(token.transpose().map_err(|_| Status::invalid_argument("token: not visible ASCII"))?);
@@ -86,7 +86,7 @@ fn endpoint(uri: String) -> Result<Endpoint, Status> {
         .keep_alive_while_idle(true))
 }
 
-/// Why there is no connection.
+/// The status that says why there is no connection.
 fn unreachable(error: &tonic::transport::Error) -> Status {
     Status::unavailable(super::reason(error))
 }

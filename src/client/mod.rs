@@ -61,8 +61,8 @@ pub async fn studies(place: &ServerAddress) -> Result<Studies, Status> {
     Ok(client.max_decoding_message_size(usize::MAX).max_encoding_message_size(usize::MAX))
 }
 
-/// The error of a call that did not reach the server, or whose answer was lost. A server's own status has no
-/// source.
+/// Changes the status of a call that did not reach the server, or whose answer was lost. A status that the server sent
+/// has no source error, and stays as it is.
 fn lost(status: Status) -> Status {
     match std::error::Error::source(&status) {
         Some(cause) => Status::unavailable(reason(cause)),

@@ -26,7 +26,7 @@ pub struct Stream {
 }
 
 impl Stream {
-    /// Attaches to session `session_id` at `place`. `stopped` is called now and then, and can interrupt this.
+    /// Attaches to session `session_id` at `place`. `stopped` is called now and then; its error ends the attempt.
     pub fn open<E>(
         place: ServerAddress,
         session_id: String,
@@ -64,8 +64,8 @@ impl Stream {
         }))
     }
 
-    /// Queues a request without waiting. `here` means that the caller waits for the answer next, and the request is
-    /// sent then.
+    /// Queues a request without waiting. `here`: the caller waits for the answer next, and the request is sent while it
+    /// waits.
     pub fn send(&self, request: RunSessionRequest, here: bool) {
         if let Some(requests) = &*self.requests.lock() {
             // If the stream is broken, the call that waits for the answer gets the error.

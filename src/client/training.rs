@@ -32,7 +32,7 @@ pub struct TrainingSession {
     sequence: u64,
     envs: usize,
     observation: usize,
-    /// Number of info columns; 0 if the server's info columns differ from those of this version.
+    /// Number of info columns; 0 if the server's info columns differ from the columns of this version.
     info: usize,
 }
 
@@ -74,8 +74,8 @@ impl TrainingSession {
         Ok(session)
     }
 
-    /// The answer to `asked`. If the stream breaks, new streams are tried for a while. Requests are numbered, so
-    /// none is carried out twice.
+    /// The answer to `asked`. If the stream breaks, new streams are tried for a while. Requests are numbered, so no
+    /// request is carried out twice.
     fn ask(&mut self, asked: SessionRequest, pause: Pause) -> Result<Answer> {
         self.sequence += 1;
         let request = RunSessionRequest { session_id: String::new(), sequence: self.sequence, request: Some(asked) };
@@ -179,7 +179,7 @@ fn own(columns: &[sandgait_env::Column]) -> impl Iterator<Item = &str> {
     columns.iter().map(|column| column.name.as_str())
 }
 
-/// Does a session have the rows of `spec`, and equally long episodes?
+/// Does the server's task have the columns of `spec`, and episodes of the same length?
 fn is_same(task: &Task, spec: &Spec) -> bool {
     names(&task.observation).eq(own(&spec.observation))
         && names(&task.action).eq(own(&spec.action))

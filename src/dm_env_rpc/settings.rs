@@ -1,6 +1,6 @@
 //! Settings of worlds and resets: tensors by name, converted from and to keywords of `gymnasium.make`.
 //!
-//! A scalar is a number, text or truth value, a tensor of one dimension a list. Clients flatten nested settings
+//! A scalar is a number, text or truth value, and a tensor of one dimension is a list. Clients flatten nested settings
 //! with dots: `weights.tracking` is the field `tracking` of the option `weights`.
 
 use super::proto::Tensor;
@@ -15,7 +15,7 @@ use std::collections::HashMap;
 /// Settings as in a message.
 pub type TensorSettings = HashMap<String, Tensor>;
 
-/// Longest list in a setting; the longest option has a name for each sensor at most.
+/// Largest length of a list in a setting. The longest option has at most one name for each sensor.
 const LONGEST: usize = 64;
 
 /// The arguments of a new world.

@@ -96,7 +96,8 @@ pub fn check_requested(requested: &[u64]) -> Result<()> {
     }
 }
 
-/// The only action row, each number within its column's bounds. A single number applies to all columns.
+/// Checks the only action and returns its row; each number is within its column's bounds. A single number applies to
+/// all columns.
 pub fn action(spec: &Spec, mut tensors: HashMap<u64, Tensor>) -> Result<Vec<f32>> {
     let found = tensors.remove(&ACTION);
     if let Some(uid) = tensors.keys().min() {

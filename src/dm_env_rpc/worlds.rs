@@ -47,7 +47,7 @@ impl Drop for JoinedWorld {
     fn drop(&mut self) {
         let mut joined = self.worlds.joined.lock();
         self.worlds.sessions.detach(&self.hold);
-        // Another connection has joined the world meanwhile if a stream of sandgait.v1 took it from this one.
+        // Another connection has joined the world meanwhile if a stream of sandgait.v1 took the world from this one.
         if joined.get(&self.hold.id).is_some_and(|j| j.stream == self.hold.stream) {
             // This drops the sender of a waiting ResetWorld, which then finds the world free.
             joined.remove(&self.hold.id);
@@ -188,7 +188,7 @@ impl JoinedWorld {
         tensors::specs(self.task.spec())
     }
 
-    /// A ResetWorld of another connection that waits for this one, if any.
+    /// A ResetWorld of another connection that waits for this connection, if there is one.
     pub fn interrupt(&self) -> Option<PendingReset> {
         self.worlds.joined.lock().get_mut(self.name()).and_then(|joined| joined.interrupt.take())
     }
@@ -272,8 +272,9 @@ mod tests {
         (worlds, name)
     }
 
-    /// A stream of `sandgait.v1` takes the world from the first connection, and leaves it. The second connection joins
-    /// it, and then the first one notices and leaves. In an earlier version the world could now be destroyed.
+    /// A stream of `sandgait.v1` takes the world from the first connection, and then leaves it. The second connection
+    /// joins the world, and then the first one notices this and leaves. In an earlier version the world could now be
+    /// destroyed.
     #[tokio::test]
     async fn a_world_in_use_is_not_destroyed() {
         let (worlds, name) = world().await;
@@ -290,8 +291,8 @@ mod tests {
         worlds.destroy(&name).unwrap();
     }
 
-    /// A connection waits for its ResetWorld of a world that another has joined, and leaves. In an earlier version every
-    /// later ResetWorld was refused.
+    /// A connection requests a ResetWorld of a world that another connection has joined, and leaves before the answer.
+    /// In an earlier version every later ResetWorld was refused.
     #[tokio::test]
     async fn an_abandoned_reset_makes_room() {
         let (worlds, name) = world().await;

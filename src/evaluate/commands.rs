@@ -15,8 +15,8 @@ use serde::Serialize;
 use serde_json::{Map, Value, json};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Commands as shares of the ends of the training's ranges: forward, to the left, and yaw rate. In each command one
-/// component or several are not 0, at about half or nearly all of their ranges: our choice.
+/// Commands forward, to the left and of the yaw rate, as shares of the ends of the training's ranges. In each command
+/// one or more components are not 0, at about half or nearly all of their ranges: our choice.
 const SHARES: [[f64; 3]; 9] = [
     [0.5, 0.0, 0.0],
     [0.9, 0.0, 0.0],
@@ -33,8 +33,8 @@ const NAMES: [&str; 3] = ["lin_vel_x", "lin_vel_y", "ang_vel_yaw"];
 const VELOCITY: [&str; 3] = ["speed", "lin_vel_y", "ang_vel_yaw"];
 const COMMAND: [&str; 3] = ["command_lin_vel_x", "command_lin_vel_y", "command_ang_vel_yaw"];
 
-/// Number of robots for each command, duration, and the time at the start that is not counted [s]: our choice, because
-/// a robot walks steadily after a second.
+/// Number of robots for each command, duration of an episode, and the time at its start that is not counted [s]: our
+/// choice, because a robot walks steadily after a second.
 const ROBOTS: usize = 16;
 const SECONDS: f64 = 6.0;
 const BEGINNING: f64 = 2.0;
@@ -68,8 +68,8 @@ pub struct CommandStudy {
 }
 
 impl CommandStudy {
-    /// `options`: keywords of LeggedVelocity, those of the policy's training. The ranges of commands in them are the
-    /// scale of the commands.
+    /// `options`: the keywords of LeggedVelocity with which the policy was trained. Their ranges of commands scale the
+    /// commands of the study.
     pub fn new(policy: &PolicySource, options: &Value) -> Result<Self> {
         let base = Blueprint::new(LeggedVelocity::ID, policy.with_control(options.clone())?)?;
         let gait = policy.gait(&base)?;
@@ -129,7 +129,7 @@ fn columns(spec: &Spec, names: [&str; 3]) -> Result<[usize; 3]> {
     Ok(at)
 }
 
-/// Robots that follow the one command of `blueprint`.
+/// Lets robots follow the command of `blueprint`.
 fn follow(blueprint: &Blueprint, gait: &Gait, report: &dyn Fn() -> Result<()>) -> Result<CommandResult> {
     let spec = blueprint.task.spec();
     let (velocity, commanded) = (columns(spec, VELOCITY)?, columns(spec, COMMAND)?);

@@ -45,8 +45,8 @@ pub struct EpisodeSums {
     pub work: f64,
     /// Weight of robot and payload [N].
     pub weight: f64,
-    /// Distance of the base while at least one foot was in the sand [m], and this distance if the feet had not moved in
-    /// the sand [m]; from both the slip of the gait is computed.
+    /// Distance that the base moved while at least one foot was in the sand [m], and the distance that it would have
+    /// moved if the feet had not moved in the sand [m]. The slip of the gait is computed from both.
     pub carried: f64,
     pub without_slip: f64,
     /// The robot flipped or was buried.

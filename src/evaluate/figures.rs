@@ -1,17 +1,17 @@
-//! Figures with intervals, from the sums over episodes.
+//! Scores with confidence intervals, from the sums over episodes.
 
 use super::episode::EpisodeSums;
 use rand::{Rng as _, SeedableRng as _};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use serde::Serialize;
 
-/// Resamples of the bootstrap: the ends of an interval are good to some 3 % of its width (Efron & Tibshirani 1993,
-/// An Introduction to the Bootstrap, §13.3 ask for 1000).
+/// Number of resamples of the bootstrap. The ends of an interval are then exact to some 3 % of its width (Efron &
+/// Tibshirani 1993, An Introduction to the Bootstrap, §13.3, ask for 1000).
 const RESAMPLES: usize = 2000;
 /// The same seed in every run.
 const SEED: u64 = 1;
 
-/// A figure and its 95 % interval; NaN if it is undefined.
+/// A score and its 95 % interval; NaN if it is undefined.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Estimate {
     pub mean: f64,
@@ -19,7 +19,7 @@ pub struct Estimate {
     pub high: f64,
 }
 
-/// Figures of a policy on one medium and slope.
+/// Scores of a policy on one medium and slope.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Figures {
     pub episodes: usize,
@@ -29,7 +29,8 @@ pub struct Figures {
     pub speed: Estimate,
     /// |mean speed − commanded speed| [m/s].
     pub speed_error: Estimate,
-    /// Work of all episodes over weight times distance of all; undefined if the distance is not forward.
+    /// Sum of the work of all episodes, divided by the sum of weight times distance; undefined unless the latter is
+    /// positive.
     pub cost_of_transport: Estimate,
     /// Slip of the gait: 1 − distance / distance without slip, over all episodes; undefined if the feet did not push
     /// backward.
@@ -60,8 +61,8 @@ fn ratio([above, below]: [f64; 2]) -> f64 {
     if below > 0.0 { above / below } else { f64::NAN }
 }
 
-/// A function of sums over episodes, with the percentile bootstrap's interval over episodes. If the resamples beyond an
-/// end of the interval are undefined, that end is undefined, too.
+/// A function of sums over episodes, with the percentile bootstrap's interval over episodes. If the resamples beyond
+/// one end of the interval are undefined, this end is undefined, too.
 fn bootstrap(episodes: &[EpisodeSums], term: fn(&EpisodeSums) -> [f64; 2], of: fn([f64; 2]) -> f64) -> Estimate {
     let terms: Vec<[f64; 2]> = episodes.iter().map(term).collect();
     let sum = |sum: [f64; 2], t: &[f64; 2]| [sum[0] + t[0], sum[1] + t[1]];
@@ -70,7 +71,7 @@ fn bootstrap(episodes: &[EpisodeSums], term: fn(&EpisodeSums) -> [f64; 2], of: f
     let mut resampled =
         || of((0..terms.len()).fold([0.0; 2], |s, _| sum(s, &terms[random.random_range(0..terms.len())])));
     let mut values: Vec<f64> = (0..RESAMPLES).map(|_| resampled()).collect();
-    // Undefined resamples sort above all others: their distance was too short, so their cost has no bound.
+    // Undefined resamples are sorted above all others: their distance was not positive, so their cost has no bound.
     values.sort_by(|a, b| a.is_nan().cmp(&b.is_nan()).then(a.total_cmp(b)));
     let end = |share: f64| values[(share * (RESAMPLES - 1) as f64).round() as usize];
     if mean.is_nan() {

@@ -16,7 +16,7 @@ const TOP_RATE: f64 = crate::env::reference::TOP_SPEED / std::f64::consts::TAU;
 pub enum PolicySource {
     /// An ONNX file: its name for people, and its bytes.
     Network { name: String, bytes: Vec<u8> },
-    /// All hips at one rate [Hz]; without a rate, the best one is searched.
+    /// All hips at one rate [Hz]; without a rate, a search finds the best rate.
     Tripod(Option<f64>),
     /// One action of a task with `control="clock"`, held throughout.
     Clock(Vec<f64>),
@@ -98,7 +98,7 @@ impl PolicySource {
     }
 }
 
-/// A clock's action, after checks.
+/// The action of a clock, after it was checked.
 fn held(action: &[f64], spec: &Spec) -> Result<Vec<f32>> {
     let columns = &spec.action;
     if action.len() != columns.len() {
@@ -129,7 +129,7 @@ impl Gait {
 
     /// An instance for the environments of a shard with these seeds.
     pub fn player(&self, seeds: &[u64]) -> Player<'_> {
-        // Episodes are numbered from 0, so no episode uses this stream.
+        // Episodes are numbered from 0, so no episode uses this stream of random numbers.
         let random = |seed: &u64| Random::new(*seed, u64::MAX);
         Player { gait: self, random: seeds.iter().map(random).collect() }
     }

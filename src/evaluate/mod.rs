@@ -32,14 +32,15 @@ use serde_json::{Value, json};
 /// Training uses small seeds; the seeds of an evaluation start here, as in `examples/evaluate_gait.py`.
 pub const FIRST_SEED: u64 = 1_000_000;
 
-/// Seeds for the search of the tripod's rate, which no reported result uses. Two blocks of lanes.
+/// Seeds for the search of the tripod's rate, in two blocks of lanes; no reported result uses them.
 const SEARCH_SEEDS: std::ops::Range<u64> = 2_000_000..2_000_032;
 
 /// Rates that the search tries, as multiples of [`RATE_STEP`]: 0.25, 0.5, … 5 Hz.
 const RATES: std::ops::RangeInclusive<u32> = 1..=20;
 const RATE_STEP: f64 = 0.25;
 
-/// Largest number of seeds: our choice. With so many, intervals are a hundredth of the spread between episodes.
+/// Largest number of seeds: our choice. With so many seeds, intervals are a hundredth as wide as the spread between
+/// episodes.
 const MOST_SEEDS: usize = 100_000;
 /// Largest number of combinations of media and slopes, and of all their episodes together: our choice, an hour's work.
 const MOST_CONDITIONS: usize = 1_000;
@@ -47,8 +48,8 @@ const MOST_EPISODES: usize = 1_000_000;
 /// Number of episodes that are played together, unless one condition has more seeds: our choice, because all processors
 /// then have work, and the sums over the episodes take some 2 MB.
 const TOGETHER: usize = 1 << 14;
-/// Largest memory of the models of conditions that are played together [bytes], unless one is larger: our choice, thousands
-/// of flat beds, or some dozens with a relief.
+/// Largest memory of the models of conditions that are played together [bytes], unless one model is larger: our choice,
+/// thousands of flat beds, or some dozens with a relief.
 const MODELS: usize = 16 << 20;
 
 /// A request for an evaluation.
@@ -58,9 +59,9 @@ pub struct EvaluationRequest {
     /// Keywords of the task (a JSON object; null for none).
     pub options: Value,
     pub seeds: usize,
-    /// Media; if empty, that of the options.
+    /// Media; if empty, the medium of the options.
     pub media: Vec<String>,
-    /// Slopes [°]; if empty, that of the options.
+    /// Slopes [°]; if empty, the slope of the options.
     pub slopes: Vec<f64>,
 }
 
@@ -127,8 +128,8 @@ impl Evaluation {
         self.base.changed(&ResetOptions::new(json!({"medium": medium, "slope_deg": slope_deg}))?)
     }
 
-    /// Runs all episodes; returns one row for each medium and slope; the slope varies fastest. An error of `progress` stops
-    /// the work. The episodes of some conditions at a time are in memory.
+    /// Runs all episodes; returns one row for each medium and slope; the slope varies fastest. An error of `progress`
+    /// stops the work. Only the episodes of some conditions are in memory at a time.
     pub fn run(&self, progress: &dyn Progress) -> Result<Vec<EvaluationRow>> {
         let searched = if self.gait.is_none() { RATES.count() * SEARCH_SEEDS.count() } else { 0 };
         let models = MODELS / self.base.task.model().memory_bytes().max(1);

@@ -37,7 +37,8 @@ pub fn play(jobs: &[EpisodeJob], progress: &dyn Progress) -> Result<Vec<Vec<Epis
         // After a stop no further block starts.
         advance(0)?;
         let (steps, episodes) = block(job, seeds, &|| advance(REPORT_STEPS))?;
-        // Reports the steps that episodes did not make because they ended early, and the last ones.
+        // Reports the steps that episodes did not make because they ended early, and the last steps that were not
+        // reported yet.
         advance(longest(job) - steps / REPORT_STEPS * REPORT_STEPS)?;
         Ok(episodes)
     });
@@ -50,8 +51,8 @@ pub fn play(jobs: &[EpisodeJob], progress: &dyn Progress) -> Result<Vec<Vec<Epis
         .collect()
 }
 
-/// Runs until the last of these episodes has ended; returns the number of steps. `report` is called every
-/// [`REPORT_STEPS`] of them.
+/// Runs until the last of these episodes has ended; returns the number of steps. `report` is called after every
+/// [`REPORT_STEPS`] steps.
 fn block(job: &EpisodeJob, seeds: &[u64], report: &dyn Fn() -> Result<()>) -> Result<(usize, Vec<EpisodeSums>)> {
     let spec = job.blueprint.task.spec();
     let (columns, period) = (Columns::of(spec)?, 1.0 / spec.control_rate);

@@ -34,7 +34,7 @@ fn of_mark(mark: &Mark) -> [Option<[f64; 2]>; 2] {
     }
 }
 
-/// The range of an axis: the one that it states, or that of all marks with a margin of at most 5 % (none for heat maps).
+/// The range of an axis: the range that it states, or else the range of all marks with a margin of at most 5 % (no margin for heat maps).
 pub fn range(axis: &Axis, marks: &[Mark], which: usize) -> [f64; 2] {
     if let Some(range) = axis.range {
         return range;

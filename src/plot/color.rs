@@ -1,4 +1,4 @@
-//! Palettes whose colours colour-blind readers can distinguish.
+//! Palettes with colours that colour-blind readers can tell apart.
 
 // Okabe & Ito 2008, without yellow, which is hard to see on white.
 pub const BLUE: &str = "#0072b2";
@@ -13,7 +13,7 @@ pub const BLACK: &str = "#222222";
 /// For series without a meaning of their own.
 pub const CYCLE: [&str; 6] = [BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY];
 
-/// From red through the spectrum to blue, as the paper colours its families of curves; `share` in [0, 1].
+/// From red through the spectrum to blue, as Li et al. 2012 colour their families of curves; `share` in [0, 1].
 pub fn rainbow(share: f64) -> String {
     // All these colours are dark enough to be read on white.
     hsl(240.0 * share.clamp(0.0, 1.0), 0.75, 0.42)

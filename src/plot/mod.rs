@@ -4,7 +4,7 @@
 //!
 //! * [`axis`]: ranges, round ticks and the map from data to the page.
 //! * [`draw`]: panels, marks and legend as SVG.
-//! * [`color`]: palettes whose colours colour-blind readers can distinguish.
+//! * [`color`]: palettes with colours that colour-blind readers can tell apart.
 //! * [`png`]: converts SVG to PNG; the font is compiled in.
 
 use sandgait_base::error;

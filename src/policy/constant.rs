@@ -3,7 +3,7 @@
 use super::format::{DOUBLE, FLOAT, INT64, Tensor};
 use crate::error::{Error, Result};
 
-/// The beginning of a name of the file, which may be long.
+/// The beginning of a name in the file, because the whole name may be long.
 pub(super) fn shown(name: &str) -> &str {
     name.char_indices().nth(100).map_or(name, |(end, _)| &name[..end])
 }
@@ -41,7 +41,7 @@ impl Constant {
         Ok(Self { dims, data })
     }
 
-    /// The numbers as integers, for a shape. `f32` holds integers this small exactly.
+    /// The numbers as integers, for a shape. `f32` is exact for such small integers.
     pub fn whole(&self) -> Vec<i64> {
         self.data.iter().map(|x| *x as i64).collect()
     }
@@ -60,7 +60,7 @@ impl Constant {
     }
 }
 
-/// The numbers, which are in one of the two fields; None if the number of bytes is wrong.
+/// The numbers, which the file has in one of two fields; None if the number of bytes is wrong.
 fn numbers<T: Copy, const N: usize>(
     typed: &[T],
     raw: &[u8],

@@ -9,9 +9,9 @@
 //! * [`network`]: runs the program.
 //! * [`write`]: ONNX files of our own.
 //!
-//! A network is computed for [`LANES`] environments at a time, one in each lane. Sums are in the order of the weights.
-//! So an action's bits depend on the environment's own observation alone, not on its neighbours, the batch or the
-//! threads.
+//! A network is computed for [`LANES`] environments at a time, one in each lane. Sums are computed in the order of the
+//! weights. So an action depends, to the last bit, only on the environment's own observation, and not on its
+//! neighbours, the batch or the threads.
 
 use sandgait_base::error;
 use sandgait_env as env;
@@ -29,10 +29,10 @@ pub mod write;
 pub use network::Network;
 pub use price::{Price, reading_bytes};
 
-/// Environments computed side by side: as many as a shard of engine `lanes` has.
+/// Number of environments that are computed side by side: as many as a shard of engine `lanes` has.
 const LANES: usize = 16;
 
-/// One number of every lane.
+/// One number for each lane.
 type Lanes = [f32; LANES];
 
 /// Largest file [bytes]: a million weights, some ten times what walking needs. Our choice.

@@ -7,7 +7,7 @@ use super::{LANES, Lanes};
 use crate::env::Spec;
 use crate::error::{Error, Result};
 
-/// A deterministic policy of one task; shared by all that run it.
+/// A deterministic policy of one task. All threads that run it share it.
 #[derive(Debug)]
 pub struct Network {
     program: Program,
@@ -31,7 +31,7 @@ impl Network {
         Price::of(&self.program, self.observation)
     }
 
-    /// Fills `actions`, f32 [n, action], clipped to their bounds, from `observations`, f32 [n, observation]. NaN in
+    /// Computes `actions`, f32 [n, action], clipped to their bounds, from `observations`, f32 [n, observation]. NaN in
     /// an action is an error.
     pub fn act(&self, observations: &[f32], actions: &mut [f32]) -> Result<()> {
         let mut values = vec![vec![[0.0; LANES]; self.observation]];

@@ -117,7 +117,7 @@ pub enum Operator {
         input: usize,
         function: Function,
     },
-    /// An operand of one number applies to all numbers of the other.
+    /// An operand that is one number applies to all numbers of the other operand.
     Both {
         left: Operand,
         right: Operand,
@@ -150,7 +150,7 @@ impl Operator {
     }
 }
 
-/// Number `k` of an operand, or its only one.
+/// Number `k` of an operand, or its only number.
 fn operand(values: &[Vec<Lanes>], operand: &Operand, k: usize) -> Lanes {
     match operand {
         Operand::Value(i) => values[*i][if values[*i].len() == 1 { 0 } else { k }],
@@ -161,7 +161,7 @@ fn operand(values: &[Vec<Lanes>], operand: &Operand, k: usize) -> Lanes {
 /// Number of outputs that are summed at the same time, so that each input is read once for all of them.
 const TILE: usize = 4;
 
-/// Each sum starts at its bias and adds the inputs in order, so its bits do not depend on the tile.
+/// Each sum starts at its bias and adds the inputs in order, so it does not depend on the tile, to the last bit.
 fn dense(input: &[Lanes], weights: &[f32], bias: &[f32], out: &mut [Lanes]) {
     let width = bias.len();
     for first in (0..width).step_by(TILE) {

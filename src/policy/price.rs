@@ -1,5 +1,5 @@
-//! What a network costs at most. Every file is held to these bounds before the memory or the work that it asks for is
-//! spent.
+//! What a network costs at most. Every file is checked against these bounds before it takes the memory or the time that
+//! it asks for.
 //!
 //! | part | bound |
 //! |---|---|
@@ -21,8 +21,8 @@ pub const MOST_PRODUCTS: usize = 2 << 20;
 pub const MOST_VALUES: usize = 16 * MOST_WIDTH;
 /// Largest number of fields of a file: our choice, 64 for each node. Weights are one field.
 const MOST_FIELDS: usize = 64 * MOST_NODES;
-/// A field of two bytes becomes a struct of at most this size [bytes], with its part of the spare room of the list that
-/// holds it; a test measures it.
+/// Largest memory that a field of two bytes takes when it is decoded [bytes]: its struct, with its part of the spare
+/// room of the list that holds it. A test measures it.
 const FIELD: usize = 512;
 
 /// What a network costs while it is used.
@@ -55,11 +55,11 @@ impl Price {
     }
 }
 
-/// Memory that reading a file of this many bytes takes at most, besides the file [bytes]: integers of one byte become
-/// eight, then four more as constants; the program has at most [`MOST_PRODUCTS`] weights.
+/// Largest memory that reading a file of `file` bytes takes, besides the file itself [bytes]. An integer of one byte
+/// becomes eight bytes, then four more as a constant. The program has at most [`MOST_PRODUCTS`] weights.
 pub const fn reading_bytes(file: usize) -> usize {
     let fields = if file / 2 < MOST_FIELDS { file / 2 } else { MOST_FIELDS };
-    // Lists double when they grow, and hold the old numbers and the new ones meanwhile.
+    // A list doubles when it grows, and meanwhile holds both its old and its new memory.
     3 * (8 + 4) * file + FIELD * fields + size_of::<f32>() * (MOST_PRODUCTS + 2 * MOST_VALUES)
 }
 

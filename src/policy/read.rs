@@ -72,9 +72,9 @@ enum NameMeaning {
 
 struct OnnxReader<'a> {
     names: HashMap<&'a str, NameMeaning>,
-    /// Numbers of each value.
+    /// How many numbers each value has.
     widths: Vec<usize>,
-    /// Numbers of all steps together.
+    /// How many numbers all steps have together.
     values: usize,
     steps: Vec<Step>,
     products: usize,

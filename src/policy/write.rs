@@ -5,7 +5,7 @@ use super::format::{
 };
 use prost::Message as _;
 
-/// Operator set and format version of the files: those of 2022, which present runtimes support.
+/// Operator set and format version of the files: the versions of 2022, which present runtimes support.
 const OPSET: i64 = 18;
 const IR: i64 = 8;
 

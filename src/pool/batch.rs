@@ -9,7 +9,8 @@ use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::sync::Arc;
 
-/// Is asked for memory [bytes] before a request takes it; an error refuses the request.
+/// A function that is called with the memory [bytes] that a request needs, before the request takes it. An error
+/// refuses the request.
 pub type Account = Arc<dyn Fn(usize) -> Result<()> + Send + Sync>;
 
 /// Checks the number of environments of a batch: it is from 1 to `most`.
@@ -26,7 +27,7 @@ pub fn check_envs(envs: usize, most: usize) -> Result<usize> {
     }
 }
 
-/// The environments of one session. `Pool::run` takes it and gives it back.
+/// The environments of one session. `Pool::run` takes a batch and gives it back.
 pub struct Batch {
     pub(super) shards: Vec<Shard>,
     task: Arc<dyn AnyTask>,
@@ -35,7 +36,7 @@ pub struct Batch {
     pub(super) begun: Vec<bool>,
 }
 
-/// Memory [bytes] of the rows of one part of a rollout, unless one step has more: our choice, the rows of some 5,000
+/// Memory [bytes] of the rows of one part of a rollout, unless one step needs more: our choice, the rows of some 5,000
 /// steps of one environment.
 const PART: usize = 1 << 19;
 
@@ -59,7 +60,7 @@ impl Batch {
         self.task.spec()
     }
 
-    /// From now on `account` is asked for the memory of models and snapshots; with None, that memory is not limited.
+    /// From now on `account` must allow the memory of models and snapshots; with None, this memory is not limited.
     pub fn set_account(&mut self, account: Option<Account>) {
         self.account = account;
     }
@@ -102,8 +103,8 @@ impl Batch {
         Ok(Operation::Reset { chosen, seeds, tasks })
     }
 
-    /// The tasks of the `chosen` environments, changed by `options`. Environments with a common task still share
-    /// one afterwards.
+    /// The tasks of the `chosen` environments, changed by `options`. Environments that share a task also share the
+    /// changed task.
     fn changed(&self, chosen: Option<&[bool]>, options: &ResetOptions) -> Result<ResetTasks> {
         let mut tasks = ResetTasks { all: Vec::new(), of: Vec::with_capacity(self.envs) };
         let mut known: HashMap<usize, u32> = HashMap::new();
@@ -138,7 +139,7 @@ impl Batch {
         Ok(Operation::Step { actions, held: None })
     }
 
-    /// The error if `field` has `got` numbers, which are not a row of `width` numbers for each environment.
+    /// The error that `field` has `got` numbers, and not `width` numbers for each environment.
     pub fn wrong_rows(&self, field: &str, got: usize, width: usize) -> Error {
         let n = self.envs;
         Error::invalid(field, format!("{got} numbers, expected {} = [{n}, {width}]", n * width))
@@ -155,8 +156,8 @@ impl Batch {
         }
     }
 
-    /// Checks new commands, f32 [envs, 3]: velocity forward and to the left [m/s], yaw rate [rad/s]. They hold for the rest
-    /// of the present episodes.
+    /// Checks new commands, f32 [envs, 3]: velocity forward and to the left [m/s], yaw rate [rad/s]. They apply for the
+    /// rest of the present episodes.
     pub fn set_command(&self, commands: &[f32]) -> Result<Operation> {
         self.check_begun("set_command")?;
         if commands.len() != 3 * self.envs {

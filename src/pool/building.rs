@@ -27,7 +27,7 @@ impl Building {
         Ok(Self { blueprint: blueprint.clone(), envs, shards: Vec::new() })
     }
 
-    /// Makes at least one more shard, and further ones until `time` has passed.
+    /// Makes at least one more shard, and further shards until `time` has passed.
     pub fn go_on(&mut self, time: Duration) -> Result<()> {
         let begun = Instant::now();
         while self.missing() > 0 {
@@ -40,7 +40,7 @@ impl Building {
         Ok(())
     }
 
-    /// Environments that are still to be made. All shards but the last are full.
+    /// Number of environments that are still to be made. All shards but the last are full.
     pub fn missing(&self) -> usize {
         self.envs.saturating_sub(self.shards.len() * self.blueprint.engine.shard_size())
     }

@@ -1,4 +1,4 @@
-//! Many environments over threads.
+//! Runs many environments on threads.
 //!
 //! ```text
 //!  session ── Batch (its shards) ──▶ Pool queue ──▶ worker threads, one shard at a time, sessions in turn

@@ -1,11 +1,11 @@
-//! What a batch can be asked to do, and how a thread does it on one shard.
+//! The operations on a batch, and how a thread carries them out on one shard.
 
 use crate::env::episode::Episode;
 use crate::env::{AnyTask, Shard};
 use crate::policy::Network;
 use std::sync::Arc;
 
-/// A checked request. Only [`super::Batch`] makes operations, so a pool gets no malformed ones.
+/// A checked request. Only [`super::Batch`] makes operations, so a pool gets no malformed operations.
 pub enum Operation {
     Reset { chosen: Option<Vec<bool>>, seeds: Option<Vec<u64>>, tasks: Option<ResetTasks> },
     Step { actions: Vec<f32>, held: Option<Vec<bool>> },

@@ -39,7 +39,7 @@ impl Seal {
         }
     }
 
-    /// Is `tag` the tag of `data`? The time is the same for every wrong tag. The error gives the reason.
+    /// Is `tag` the tag of `data`? The check takes the same time for every wrong tag. The error gives the reason.
     pub fn check(&self, tag: &[u8; TAG], data: &[u8]) -> std::result::Result<(), &'static str> {
         let checksum = || Sha256::digest(data).as_slice() == tag;
         match &self.0 {

@@ -4,9 +4,10 @@
 //!  "sandgait snapshot\n" │ length u8, version of sandgait │ tag of the rest │ CBOR
 //! ```
 //!
-//! The tag is a [`Seal`]'s. Equal bits are guaranteed for one version and one instruction set only, so a snapshot of
-//! another version is refused. Options and episodes are CBOR inside the CBOR. Only the requested ones are unpacked, one
-//! by one, so restoring needs memory for the batch's own environments only, whatever the snapshot's size.
+//! [`Seal`] makes the tag. Environments continue bit-identically only on the same version and instruction set, so a
+//! snapshot of another version is refused. Options and episodes are CBOR inside the CBOR. Only those that are requested
+//! are unpacked, one by one, so a restore needs memory only for the batch's own environments, whatever the snapshot's
+//! size.
 
 use super::batch::Batch;
 use super::operation::Operation;
@@ -24,8 +25,9 @@ use std::sync::Arc;
 const MAGIC: &[u8] = b"sandgait snapshot\n";
 const VERSION: &str = env!("CARGO_PKG_VERSION");
 
-/// Shortest and longest part [bytes]: our choice. The largest options are 512 × 512 heights of a relief, 2.4 MB, beside a
-/// packed robot. Every real part is longer than the shortest, which prevents a small snapshot with very many empty parts.
+/// Shortest and longest part [bytes]: our choice. The largest options are 512 × 512 heights of a relief, 2.4 MB, beside
+/// a packed robot. Every real part is longer than the shortest; this limit prevents a small snapshot with very many
+/// empty parts.
 const PART: std::ops::RangeInclusive<usize> = 64..=4 << 20;
 
 /// Number of copies of a snapshot in memory while it is made: its parts, the CBOR of all of them, and the finished
@@ -39,7 +41,7 @@ pub struct Snapshot {
     pub task: String,
     /// Each different set of options once: [`AnyTask::options`].
     options: Vec<PackedPart>,
-    /// Index of the environment's options, and its episode: [`SavedEpisode`].
+    /// For each environment, the index of its options and its episode: [`SavedEpisode`].
     episodes: Vec<(u32, PackedPart)>,
 }
 
@@ -57,7 +59,7 @@ impl PackedPart {
         ciborium::into_writer(whole, &mut bytes).map_err(|e| broken(format!("cannot be written: {e}")))?;
         match PART.contains(&bytes.len()) {
             true => Ok(Self(bytes)),
-            // Such a part could not be read again.
+            // A part outside this range could not be read again.
             false => Err(broken(format!("options of {} bytes are more than {}", bytes.len(), PART.end()))),
         }
     }
@@ -153,15 +155,16 @@ impl Batch {
     }
 
     /// Checks that environment i can go on as environment `sources[i]` of `snapshot`. Without `sources`, environment i
-    /// goes on as number i modulo the number in the snapshot, so a snapshot of one environment is copied to all.
+    /// goes on as environment i modulo n of a snapshot of n environments, so a snapshot of one environment is copied to
+    /// all.
     pub fn restore(&mut self, snapshot: &Snapshot, sources: Option<&[u32]>) -> Result<Operation> {
         let episodes = self.resumed(snapshot, sources)?;
         self.begun.fill(true);
         Ok(Operation::Restore { episodes })
     }
 
-    /// Checks that environment i of this batch can go on as environment `sources[i]` of `snapshot` (if none are
-    /// given: i modulo the snapshot's number).
+    /// Checks that environment i of this batch can go on as environment `sources[i]` of `snapshot`. Without `sources`
+    /// it must be able to go on as environment i modulo the snapshot's number of environments.
     fn resumed(&self, snapshot: &Snapshot, sources: Option<&[u32]>) -> Result<Vec<Arc<Episode>>> {
         if snapshot.task != self.spec().id {
             return Err(broken(format!("it is of {}, not of {}", snapshot.task, self.spec().id)));

@@ -14,7 +14,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// Called on the thread that finishes the last shard of a batch; not called if the pool ends before.
+/// Called on the thread that finishes the last shard of a batch; not called if the pool ends earlier.
 type Done = Box<dyn FnOnce(Result<Batch>) + Send>;
 
 /// A worker without work looks for new work for this time before it sleeps. Our choice: about as long as a sleeping
@@ -34,7 +34,7 @@ struct QueuedShard {
 /// A batch whose shards wait for workers.
 struct Job {
     operation: Arc<Operation>,
-    /// Shards that no worker has now; the last one is taken first.
+    /// Shards on which no worker works now; the last shard is taken first.
     waiting: Vec<QueuedShard>,
     id: u64,
 }
@@ -153,8 +153,8 @@ impl Pool {
         id
     }
 
-    /// The same as [`Pool::wait`], but the caller's thread works, too, in place of one of the pool's. For a single
-    /// shard no other thread is woken.
+    /// The same as [`Pool::wait`], but the caller's thread also works, in place of one of the pool's threads. For a
+    /// single shard no other thread is woken.
     pub fn help(&self, batch: Batch, operation: Operation) -> Result<Batch> {
         let (sender, receiver) = std::sync::mpsc::sync_channel(1);
         let id = self.enqueue(batch, operation, 1, move |batch| {
@@ -171,10 +171,9 @@ impl Pool {
     }
 
     /// Works on shards that wait for a worker, on the thread of a caller that has nothing else to do. It ends if no
-    /// shard waits, or after `time`. In a pool with fewer threads than the machine has processors it also ends while as
-    /// many threads work as the pool has. In a larger pool workers may share a processor while the caller's processor
-    /// is free, so the caller assists then, too. Operations of several parts are left to the workers, because they may
-    /// take long.
+    /// shard waits, or after `time`. In a pool with fewer threads than processors it also ends when that many threads
+    /// are working. In a larger pool workers may share a processor while the caller's processor is free, so there the
+    /// caller assists even then. Operations of several parts are left to the workers, because they may take long.
     pub fn assist(&self, time: Duration) {
         let start = Instant::now();
         let mut queue = self.shared.queue.lock();
@@ -303,7 +302,7 @@ fn work(shared: &PoolState, id: u64, operation: &Operation, queued: &mut QueuedS
     }
 }
 
-/// Returns a shard to its batch; the last one completes it.
+/// Returns a shard to its batch; the last shard completes the batch.
 fn give_back(shared: &PoolState, id: u64, start: usize, shard: Shard, panicked: bool) -> MutexGuard<'_, Queue> {
     let mut queue = shared.queue.lock();
     queue.active -= 1;

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use tokio::net::{TcpListener, TcpSocket, UnixListener, UnixSocket};
 
-/// Connections that the kernel keeps until they are accepted.
+/// Largest number of connections that the kernel queues until they are accepted.
 const BACKLOG: u32 = 1024;
 
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -22,7 +22,7 @@ pub enum Address {
 impl FromStr for Address {
     type Err = Error;
 
-    /// `HOST:PORT` (port 0: any free one) or `unix:PATH`.
+    /// `HOST:PORT` (port 0: any free port) or `unix:PATH`.
     fn from_str(text: &str) -> Result<Self> {
         if let Some(path) = text.strip_prefix("unix:") {
             let path = path.strip_prefix("//").unwrap_or(path);
@@ -104,8 +104,8 @@ impl Drop for SocketFile {
     }
 }
 
-/// A listener with a queue of unaccepted connections as long as a Unix socket's; the usual 128 are few if a hundred
-/// arrive a second. Needs a tokio runtime.
+/// A TCP listener with a queue of `BACKLOG` connections, because the usual 128 are too few if a hundred connections
+/// arrive in a second. Needs a tokio runtime.
 pub fn bind_tcp(address: SocketAddr) -> std::io::Result<TcpListener> {
     let socket = if address.is_ipv4() { TcpSocket::new_v4() } else { TcpSocket::new_v6() }?;
     // A port can be used again while its last connections are still closing.

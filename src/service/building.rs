@@ -12,7 +12,7 @@ pub struct SessionEnvironments {
     pub books: SessionRecord,
 }
 
-/// What a session keeps besides its environments: its last answer, and the memory that is reserved for it.
+/// What a session keeps besides its environments: its last answer, and its reservation of memory.
 pub struct SessionRecord {
     pub done: LastAnswer,
     pub reservation: Reservation,
@@ -23,11 +23,11 @@ pub struct SessionRecord {
 pub struct LastAnswer {
     /// Number of the last request that was answered.
     pub sequence: u64,
-    /// Its answer; None for requests that changed nothing and can be repeated.
+    /// The answer to this request. None if the request changed nothing, because such a request can be repeated.
     pub answer: Option<RunSessionResponse>,
 }
 
-/// Frees environments, if any, off the async runtime's threads, because many of them take a while.
+/// Frees environments, if there are any, on a blocking thread of the async runtime, because many of them take a while.
 pub fn release<T: Send + 'static>(environments: Option<T>) {
     match tokio::runtime::Handle::try_current() {
         Ok(runtime) if environments.is_some() => drop(runtime.spawn_blocking(|| drop(environments))),
@@ -35,7 +35,7 @@ pub fn release<T: Send + 'static>(environments: Option<T>) {
     }
 }
 
-/// A session under construction; None afterwards.
+/// A session under construction; None once it is finished.
 pub struct SessionBuilder(pub Option<(Building, Reservation)>);
 
 impl Drop for SessionBuilder {
@@ -70,6 +70,6 @@ pub fn failed() -> Error {
     Error::Internal("the request failed inside the server".into())
 }
 
-/// Length of a turn of making environments: our choice, short for waiting clients, and long against the time that a
-/// change of threads takes (some 50 µs).
+/// Length of one turn of making environments. Our choice: short for clients that wait, and much longer than a change of
+/// threads takes (some 50 µs).
 pub const TURN: Duration = Duration::from_millis(10);

@@ -1,4 +1,4 @@
-//! The present connections of a listener, and which of them make room for new ones.
+//! The present connections of a listener, and the choice of those that are closed to make room for new ones.
 
 use parking_lot::Mutex;
 use std::collections::HashMap;
@@ -27,25 +27,25 @@ struct ConnectionEntries {
 }
 
 struct ConnectionEntry {
-    /// Number of calls that have not ended, and how many of them were admitted: they have the token, if one is
-    /// required. Calls for the server's health need no token and do not count as admitted.
+    /// Number of calls that have not ended, and how many of them were admitted. An admitted call has the token, if a
+    /// token is required. Calls for the server's health need no token and do not count as admitted.
     calls: usize,
     admitted: usize,
-    /// When it was accepted, or ended its last call.
+    /// When the connection was accepted, or when its last call ended.
     since: Instant,
-    /// Has it begun a call?
+    /// Has the connection begun a call?
     used: bool,
     pub end: CancellationToken,
 }
 
 impl ConnectionTable {
-    /// At most `most` connections.
+    /// A table of at most `most` connections.
     pub fn new(most: usize) -> Arc<Self> {
         Arc::new(Self { most, entries: Mutex::default() })
     }
 
-    /// Adds a connection. If there is no room, the one that has been without an admitted call for the longest time is
-    /// closed. None if all have admitted calls.
+    /// Adds a connection. If there is no room, this closes the connection that has been without an admitted call for
+    /// the longest time. None if all connections have admitted calls.
     pub fn admit(self: &Arc<Self>, peer: Option<SocketAddr>) -> Option<ConnectionHandle> {
         let mut entries = self.entries.lock();
         if entries.all.len() >= self.most {

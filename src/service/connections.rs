@@ -39,25 +39,26 @@ const SILENCE: Duration = Duration::from_secs(60);
 /// Time limit for calls to end after the server stops; a step takes milliseconds.
 const GRACE: Duration = Duration::from_secs(3);
 
-/// Time to wait before accepting again after it failed because no file descriptors were left.
+/// After a connection could not be accepted because no file descriptors were left, the server waits for this time.
 const PAUSE: Duration = Duration::from_millis(50);
 
-/// Interval at which idle connections are searched.
+/// Time between two searches for idle connections.
 const TICK: Duration = Duration::from_secs(1);
 
-/// Closed connections that may still have their file descriptors. Our choice: a quarter of [`RESERVE`].
+/// Largest number of closed connections that still have their file descriptors. Our choice: a quarter of [`RESERVE`].
 const CLOSING: usize = 16;
 
-/// File descriptors for other purposes: files of sessions, listeners, the runtime. Our choice.
+/// Number of file descriptors for other purposes: files of sessions, listeners, the runtime. Our choice.
 const RESERVE: usize = 64;
 
 /// Largest HTTP/2 frame that is accepted [bytes].
 const FRAME: u32 = 1 << 20;
 
-/// Number of connections for which there are file descriptors besides `others`, at most `wanted`.
+/// Number of connections, at most `wanted`, for which the limit of file descriptors leaves room besides `others`
+/// connections on other listeners. The room is at least 4.
 pub fn room(wanted: usize, others: usize) -> usize {
     let Rlimit { mut current, maximum } = getrlimit(Resource::Nofile);
-    // The soft limit exists for programs that use `select`; this one does not.
+    // The soft limit exists for programs that use `select`; this program does not use it.
     if setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum }).is_ok() {
         current = maximum;
     }
@@ -75,12 +76,12 @@ pub enum ListenSocket {
     Unix(UnixListener),
 }
 
-/// A connection's bytes.
+/// The byte stream of a connection.
 trait ByteStream: AsyncRead + AsyncWrite + Send + Unpin {}
 
 impl<T: AsyncRead + AsyncWrite + Send + Unpin> ByteStream for T {}
 
-/// What a socket has accepted, before its handshake.
+/// An accepted connection, before its TLS handshake.
 enum Accepted {
     Tcp(tokio::net::TcpStream, SocketAddr),
     Unix(tokio::net::UnixStream),
@@ -115,7 +116,7 @@ pub enum Protocol {
     Http1,
 }
 
-/// A listener's connections and what they reach.
+/// A listener's connections and the routes that they reach.
 #[derive(Clone)]
 pub struct Connections {
     pub table: Arc<ConnectionTable>,
@@ -126,8 +127,8 @@ pub struct Connections {
 }
 
 impl Connections {
-    /// Serves what `socket` accepts until `stop` is cancelled; then waits until all calls have ended or [`GRACE`] is
-    /// over.
+    /// Serves the connections that `socket` accepts until `stop` is cancelled. Then waits until all calls have ended or
+    /// [`GRACE`] is over.
     pub async fn serve(self, socket: ListenSocket, stop: CancellationToken) {
         let permits = self.table.most + CLOSING;
         let free = Arc::new(Semaphore::new(permits));
@@ -238,7 +239,7 @@ impl Connections {
             }
             Protocol::Http1 => {
                 let mut builder = http1::Builder::new();
-                // A connection that waits for another request would only take room.
+                // A connection that waits for another request would only take a place.
                 builder.timer(TokioTimer::new()).header_read_timeout(OPENING).keep_alive(false);
                 drop(watcher.watch(builder.serve_connection(stream, service)).await);
             }
@@ -249,7 +250,8 @@ impl Connections {
 /// Largest number of connections to the page of metrics: our choice, for some programs that ask at the same time.
 pub const METRICS: usize = 32;
 
-/// Largest number of connections to the live page besides those of watchers: our choice, enough for some browsers.
+/// Largest number of connections to the live page besides the connections of watchers: our choice, enough for some
+/// browsers.
 pub const BESIDE_WATCHERS: usize = 128;
 
 /// Answers requests for pages with `routes`, on at most `most` connections, until `stop` is cancelled.

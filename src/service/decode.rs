@@ -1,4 +1,4 @@
-//! From messages to checked operations. Every request passes through here first.
+//! Turns messages into checked operations. Every request passes through here first.
 
 use super::proto::{self, run_session_request::Request};
 use super::values;
@@ -30,7 +30,7 @@ pub fn operation(batch: &mut Batch, request: Option<Request>, seal: &Seal) -> Re
             batch.restore(&snapshot, sources.as_deref())
         }
         Some(Request::SetCommand(set)) => batch.set_command(&floats("commands", &set.commands)?),
-        // The other requests are not operations and were answered before.
+        // The other requests are not operations; they were answered before.
         Some(_) | None => {
             let known =
                 "neither reset, step, attach, save, restore, rollout, policy_rollout, render, observe nor set_command";
@@ -39,22 +39,23 @@ pub fn operation(batch: &mut Batch, request: Option<Request>, seal: &Seal) -> Re
     }
 }
 
-/// Size of messages that are checked on the thread that received them: 16 KiB of actions (more than 600 hexapods)
-/// take microseconds.
+/// Largest size of messages that are checked on the thread that received them [bytes]: 16 KiB of actions (more than 600
+/// hexapods) take microseconds.
 const LIGHT: usize = 16 << 10;
 
 /// How long a request keeps the thread that checks it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RequestWeight {
-    /// Some microseconds: the thread that received it.
+    /// Some microseconds: checked on the thread that received it.
     Light,
-    /// Some milliseconds: a blocking thread.
+    /// Some milliseconds: checked on a blocking thread.
     Short,
-    /// Longer: a blocking thread, in turns.
+    /// Longer: checked on a blocking thread, in turns.
     Long,
 }
 
-/// How long this request keeps the thread that checks it. From options of a reset models are built, which takes long.
+/// How long this request keeps the thread that checks it. A reset with options makes this thread build models, which
+/// takes long.
 pub fn weight(request: &proto::RunSessionRequest) -> RequestWeight {
     match &request.request {
         Some(Request::Step(step)) if step.actions.len() + step.held.len() <= LIGHT => RequestWeight::Light,
@@ -77,7 +78,8 @@ pub fn floats(field: &str, bytes: &[u8]) -> Result<Vec<f32>> {
     Ok(numbers.iter().map(|b| f32::from_le_bytes(*b)).collect())
 }
 
-/// Largest step, command or reset without options of a session [bytes], with its envelope.
+/// Size of the session's largest message, envelope included, that is a step, a command or a reset without options
+/// [bytes].
 pub fn largest_step(batch: &Batch) -> usize {
     let step = 4 * batch.spec().action.len() + 1;
     let (reset, command) = (8 + 1, 4 * 3);

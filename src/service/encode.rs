@@ -1,4 +1,4 @@
-//! From rows and tables to messages.
+//! Turns rows and tables into messages.
 
 use super::proto;
 use super::sessions::SessionSummary;
@@ -27,8 +27,8 @@ pub fn batch(batch: &Batch) -> proto::Batch {
     }
 }
 
-/// The steps of a rollout since its last part; `made` is the number of all steps so far. `actions`: include them,
-/// because a network chose them.
+/// The steps of a rollout that were made since the last part. `made`: number of steps of the rollout so far. `actions`:
+/// whether the message includes the actions, because a network chose them.
 pub fn rollout(batch: &Batch, made: usize, is_last: bool, actions: bool) -> proto::RolloutPart {
     let shards = batch.shards();
     let steps = shards.first().map_or(0, |s| s.rollout.steps.len());
@@ -70,7 +70,7 @@ fn floats<'a>(parts: impl Iterator<Item = &'a [f32]> + Clone) -> Bytes {
     bytes.into()
 }
 
-/// Indices in shards start at the shard's first environment, those in messages at the batch's.
+/// A shard counts environments from its own first environment, a message from the batch's first one.
 fn final_indices(batch: &Batch) -> Bytes {
     let mut bytes = Vec::new();
     let mut start = 0;
@@ -113,7 +113,7 @@ fn option(keyword: Keyword) -> proto::Option {
     }
 }
 
-/// A session in lists and logs.
+/// A session as lists and logs show it.
 pub fn summary(summary: &SessionSummary) -> proto::SessionSummary {
     proto::SessionSummary {
         name: summary.name.clone(),

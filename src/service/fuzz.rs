@@ -60,8 +60,8 @@ fn requests(batch: &Batch) -> Vec<Vec<u8>> {
     all.into_iter().map(|request| message(request).encode_to_vec()).collect()
 }
 
-/// A snapshot that was changed by somebody who knows the format: its checksum is right. Either bytes are changed,
-/// or values in the CBOR.
+/// A changed snapshot with the right checksum, as somebody who knows the format can make it. The change is either in
+/// the bytes or in values of the CBOR.
 fn with_checksum(snapshot: &[u8], random: &mut Xoshiro256PlusPlus) -> Option<Vec<u8>> {
     let start = b"sandgait snapshot\n".len();
     let digest = start + 1 + usize::from(*snapshot.get(start)?);

@@ -14,8 +14,8 @@ use http_body_util::BodyExt as _;
 use std::sync::Arc;
 use tonic::{Code, Status};
 
-/// Calls of this service need no token: a client that checks a server's health seldom has one, and the answer tells
-/// nothing but the health.
+/// Calls of this service need no token: a client that checks a server's health seldom has a token, and the answer
+/// reveals only the health.
 const OPEN: &str = "/grpc.health.v1.Health/";
 
 #[derive(Clone)]
@@ -31,7 +31,7 @@ pub async fn pass(State(gate): State<Gate>, call: Request, next: Next) -> Respon
     let open = call.uri().path().starts_with(OPEN);
     let admitted = open || gate.token.as_ref().is_none_or(|t| t.admits(given));
     let link = call.extensions().get::<ConnectionHandle>().cloned();
-    // The connection has a call until the body of the answer is dropped.
+    // The call counts until the body of its answer is dropped.
     let begun = link.as_ref().map(|link| link.begin(admitted && !open));
     let answer = if admitted {
         next.run(call).await
@@ -40,7 +40,7 @@ pub async fn pass(State(gate): State<Gate>, call: Request, next: Next) -> Respon
         gate.refusals.log(Refusal::Token, &peer, call.uri().path());
         Status::unauthenticated("this server asks for its bearer token").into_http()
     };
-    // A call that fails at once has its code in the headers, others have it in the trailers.
+    // A call that fails at once has its code in the headers; other calls have it in the trailers.
     count(&gate.metrics, answer.headers());
     answer.map(|body| {
         let counted = body.map_frame(move |frame| {

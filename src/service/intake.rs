@@ -4,9 +4,9 @@
 //!  call ──▶ length of the next message ──▶ too large: refused ──▶ large: waits for its share ──▶ read ──▶ RequestFrame
 //! ```
 //!
-//! Small messages pass. Large messages of all calls together may take [`Intake::room`]. While one waits, HTTP/2's
-//! flow control stops its sender. A request holds its [`Share`] until it has released its memory and its answer has been
-//! sent; see `outgoing.rs`.
+//! Small messages need no share. The large messages of all calls together may take [`Intake::room`]. While a message
+//! waits for its share, HTTP/2's flow control stops its sender. A request holds its [`Share`] until it has released its
+//! memory and its answer has been sent; see `outgoing.rs`.
 
 use super::limits::Limits;
 use super::price::{self, COPIES, CallBounds, LONGEST_OPTIONS, MessageLayout, SMALL};
@@ -32,11 +32,11 @@ const UNIT: usize = 1 << 10;
 /// of clients.
 const WAIT: Duration = Duration::from_secs(30);
 
-/// Time limit for the arrival of a call's first message, and of a large message in addition to its transfer at 1 MiB/s.
-/// Our choice, because a slow or busy client may pause for some seconds.
+/// Time limit for the arrival of a call's first message. A large message has this time in addition to the time of its
+/// transfer at 1 MiB/s. Our choice, because a slow or busy client may pause for some seconds.
 const ARRIVAL: Duration = Duration::from_secs(10);
 
-/// Bytes before a message: a flag and its length.
+/// Number of bytes before a message: a flag and the message's length.
 const HEADER: usize = 5;
 
 type BoxError = Box<dyn std::error::Error + Send + Sync>;
@@ -50,7 +50,7 @@ pub struct Intake {
     largest: usize,
 }
 
-/// Part of the memory for requests; given back when it is dropped.
+/// Part of the memory for requests. Dropping it releases the memory.
 pub struct Share {
     permit: Mutex<OwnedSemaphorePermit>,
     room: usize,
@@ -61,7 +61,7 @@ impl Share {
         self.permit.lock().num_permits() * UNIT
     }
 
-    /// Takes `bytes` more, if they are free now.
+    /// Takes `bytes` more, if so many are free now.
     pub fn grow(&self, bytes: usize) -> Result<()> {
         let mut permit = self.permit.lock();
         let more = permit.semaphore().clone().try_acquire_many_owned(units(bytes)).map_err(|_| {
@@ -78,7 +78,7 @@ fn units(bytes: usize) -> u32 {
 }
 
 impl Limits {
-    /// Memory for requests: a quarter of all, but no more than twice what the largest request needs.
+    /// Memory for requests: a quarter of all memory, but at most twice what the largest request needs.
     pub fn of_requests(&self) -> usize {
         (self.memory / 4).min(2 * COPIES * self.request)
     }
@@ -91,16 +91,16 @@ impl Limits {
 
 impl Intake {
     pub fn new(limits: &Limits) -> Arc<Self> {
-        // The other half is for what the allocator holds of freed requests: our choice, because the server of
-        // `tests/faults/price.rs` held that much. Below some size no request would be possible: our choice, twice the
-        // longest options.
+        // The other half is for freed requests whose memory the allocator keeps: our choice, because the server of
+        // `tests/faults/price.rs` kept that much. Below some size the server could accept no request; the minimum,
+        // twice the longest options, is our choice.
         let room = (limits.of_requests() / 2).max(COPIES * 2 * LONGEST_OPTIONS);
         let shares = Arc::new(Semaphore::new(room / UNIT));
         Arc::new(Self { shares, room, largest: limits.request.min(room / COPIES) })
     }
 
-    /// Bytes that a client may send on a stream before the server has read them; twice that on a connection. Our
-    /// choice: enough for a step of the largest usual batch, limited so that 32 connections stay within the memory for
+    /// Bytes that a client may send on a stream before the server has read them; on a connection twice as many. Our
+    /// choice: enough for a step of the largest usual batch, and so few that 32 connections stay within the memory for
     /// requests.
     pub fn window(&self) -> u32 {
         (self.room / 64).clamp(64 << 10, 4 << 20) as u32
@@ -149,7 +149,7 @@ impl Messages {
     }
 
     pub fn of<T>(request: &tonic::Request<T>) -> Self {
-        // Only calls that did not come through [`pass`], in tests, have none.
+        // Only calls in tests have none, because they do not come through [`pass`].
         request.extensions().get::<Self>().cloned().unwrap_or_else(|| Self::new(price::of_call("")))
     }
 
@@ -162,7 +162,7 @@ impl Messages {
         self.0.call.layout
     }
 
-    /// The share of the message that tonic reads or has just read, if it is large.
+    /// The share of the message that tonic reads or has just read, if this message is large.
     pub fn take_share(&self) -> Option<Share> {
         self.0.share.lock().take()
     }
@@ -199,7 +199,8 @@ struct MessageReader {
     arrived: Bytes,
     /// Missing bytes of the present message.
     missing: usize,
-    /// Time by which the present message must have arrived; only a first or large message has one.
+    /// Time by which the present message must have arrived; only a call's first message and large messages have a time
+    /// limit.
     deadline: Option<Instant>,
     messages: Messages,
     intake: Arc<Intake>,
@@ -207,7 +208,7 @@ struct MessageReader {
 }
 
 impl MessageReader {
-    /// The next bytes for tonic: those of the present message, or of some small ones.
+    /// The next bytes for tonic, from the present message or from several small messages.
     async fn next(mut self) -> std::result::Result<Option<(Bytes, Self)>, BoxError> {
         loop {
             let ready = self.ready();
@@ -236,8 +237,8 @@ impl MessageReader {
         }
     }
 
-    /// Number of the bytes that have arrived and belong to the present message, or to small ones after it. A large
-    /// message comes alone, because [`Messages`] keeps one share only, that of the message which tonic reads.
+    /// Number of bytes that have arrived and belong to the present message, or to small messages after it. A large
+    /// message comes alone, because [`Messages`] keeps only one share, for the message that tonic reads.
     fn ready(&mut self) -> usize {
         let mut end = self.missing.min(self.arrived.len());
         self.missing -= end;

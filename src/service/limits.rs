@@ -21,8 +21,8 @@ pub struct Limits {
     pub request: usize,
     /// Largest number of watchers of the live page.
     pub watchers: usize,
-    /// Longest time until a client has read an answer that takes memory for requests, in addition to its transfer at
-    /// 1 MiB/s.
+    /// Time in which a client must have read an answer that takes memory for requests, in addition to the answer's
+    /// transfer at 1 MiB/s.
     pub stall: Duration,
     /// Largest number of connections at the same time.
     pub connections: u32,
@@ -31,8 +31,9 @@ pub struct Limits {
 }
 
 impl Limits {
-    /// Our choice: any training has room, in half of the memory of a 16 GiB machine. A request may be as large as a
-    /// step of the largest session, or as a rollout of some minutes. Each session may have a connection and a call.
+    /// Our choice: this suffices for any training, and takes half of the memory of a 16 GiB machine. A request may be
+    /// as large as a step of the largest session, or as a rollout of some minutes. Each session may have a connection
+    /// and a call.
     pub const DEFAULT: Self = Self {
         sessions: 1024,
         environments: MOST_ENVIRONMENTS,
@@ -73,7 +74,7 @@ pub fn fits(field: &str, needed: usize, free: usize) -> Result<()> {
 }
 
 impl Reservation {
-    /// Reserves `models` bytes for models, in place of those that were reserved for them.
+    /// Reserves `models` bytes for models, in place of the bytes that were reserved for models before.
     pub fn set_models(&mut self, models: usize) -> Result<()> {
         let mut usage = self.usage.lock();
         let others = usage.memory - self.models;

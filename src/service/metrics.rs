@@ -34,8 +34,8 @@ pub struct Metrics {
     registry: Registry,
 }
 
-/// Bounds from 0.1 ms to 3.3 s, each twice the one before: our choice, from a step of 16 environments to a reset of the
-/// largest session.
+/// Bounds of the histogram from 0.1 ms to 3.3 s, each twice the bound before: our choice, from a step of 16
+/// environments to a reset of the largest session.
 fn times() -> Histogram {
     Histogram::new(exponential_buckets(1e-4, 2.0, 16))
 }
@@ -69,8 +69,8 @@ impl Default for Metrics {
 }
 
 impl Metrics {
-    /// Starts measuring `operation` on a batch of `envs` environments; the returned function is called with the
-    /// batch when its rows are complete. Not for parts of rollouts.
+    /// Starts measuring `operation` on a batch of `envs` environments; the returned function is called with the batch
+    /// when its rows are complete. Parts of rollouts are not measured in this way.
     pub fn begin(self: &Arc<Self>, operation: &Operation, envs: usize) -> impl FnOnce(&Batch) + Send + use<> {
         let (name, steps) = (operation.name(), operation.steps(envs));
         let (all, begun) = (self.clone(), Instant::now());
@@ -81,7 +81,7 @@ impl Metrics {
         }
     }
 
-    /// Counts the episodes that ended in this step; after other operations the flags are not set.
+    /// Counts the episodes that ended in this step; operations other than a step set no flags.
     fn ended_episodes(&self, batch: &Batch) {
         let spec = batch.spec();
         let diverged = spec.info.iter().position(|c| c.name == "diverged");
@@ -102,7 +102,7 @@ impl Metrics {
         self.steps.inc_by(steps);
     }
 
-    /// Counts a call that ended, or a request of a stream that was refused, with this code.
+    /// Counts a call that ended with this code, or a request of a stream that was refused with it. OK is not counted.
     pub fn ended(&self, code: Code) {
         if code != Code::Ok {
             self.failures.get_or_create(&[("code", format!("{code:?}"))]).inc();

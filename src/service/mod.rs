@@ -8,10 +8,11 @@
 //! * [`security`]: TLS and the token; [`gate`]: the layer around all calls.
 //! * [`metrics`]: counters, as a page.
 //! * [`sessions`]: the environments of clients, and the limits; [`state`]: sessions that outlive their server.
-//! * [`stream`]: one RunSession stream, request by request; [`work`]: the work of one request; [`rollout`]: the request of many steps.
+//! * [`stream`]: one RunSession stream, request by request; [`work`]: the work of one request; [`rollout`]: the work of a request for a rollout.
 //! * [`view`]: requests for pictures and moments; [`viewer`]: the page that follows sessions.
 //! * [`studies`]: the offline tools, one at a time.
-//! * [`price`]: what each call may cost; [`intake`]: the memory of requests; [`outgoing`]: that of answers; [`frame`]: requests that are not unpacked.
+//! * [`price`]: what each call may cost; [`intake`]: the memory of requests; [`outgoing`]: the memory of answers; [`frame`]: requests that are not
+//!   unpacked.
 //! * [`decode`], [`encode`], [`values`]: messages from and to the crate's types.
 //! * [`status`]: the map from errors to gRPC codes.
 

@@ -1,12 +1,12 @@
-//! Answers until they have left the server.
+//! The memory of answers, until they have left the server.
 //!
 //! ```text
 //!  answer ──encode──▶ bytes and their share of the memory ──▶ HTTP/2's queue ──▶ socket: the share is free again
 //!                                                               └── not in time: the connection is closed
 //! ```
 //!
-//! HTTP/2 queues the bytes of an answer and asks for the next answer before the client has read the first. Therefore the
-//! queued bytes themselves hold the share, not the stream that made the answer.
+//! HTTP/2 queues the bytes of an answer and asks for the next answer before the client has read the first. Therefore
+//! the queued bytes themselves hold the share; the stream that made the answer does not.
 
 use super::connection_table::ConnectionHandle;
 use super::intake::{Messages, Share};
@@ -20,7 +20,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::task::AbortHandle;
 
-/// Slowest transfer of an answer [bytes/s]: our choice, some 8 Mbit/s. Slower clients still have [`super::Limits::stall`].
+/// Slowest transfer of an answer [bytes/s]: our choice, some 8 Mbit/s. [`super::Limits::stall`] is added to the time that this transfer takes.
 const SLOWEST: usize = 1 << 20;
 
 /// Bytes that hold their share of the memory for requests until HTTP/2 has sent them, or drops them because the stream

@@ -6,7 +6,8 @@
 //! ```
 //!
 //! Two bytes can be an empty list, which takes 32 bytes when it is unpacked, so the size of a message limits neither
-//! memory nor time. Therefore all fields of a message are counted before unpacking, down to the values of its options.
+//! memory nor time. Therefore all fields of a message are counted before it is unpacked, down to the values of its
+//! options.
 //!
 //! Time has another bound: all work of more than some 10 ms is done in parts, and ends after the present part if nobody
 //! waits for it any more (`SessionWork::end`, `Progress::report`).
@@ -33,17 +34,17 @@ const fn call(method: &'static str, largest: usize, layout: MessageLayout) -> Ca
 /// Memory of a message with its unpacked parts, as a multiple of its size: actions are copied once.
 pub const COPIES: usize = 2;
 
-/// Memory of a study of trials as a multiple of its message. A row of 32 bytes is unpacked to 32, becomes a motion of 64 and an
-/// outcome of 72, and these a table of 64, which is encoded once.
+/// Memory of a study of trials as a multiple of its message. A row of 32 bytes is unpacked to 32 bytes. It becomes a
+/// motion of 64 bytes, then an outcome of 72 bytes, then 64 bytes of a table, which is encoded once.
 const TRIAL_COPIES: usize = 10;
 
 /// Messages of at most this size [bytes] need no share of the memory for requests.
 pub const SMALL: usize = 16 << 10;
 
-/// Texts and options of a request.
+/// Size of the texts and options of a request [bytes].
 const TEXTS: usize = LONGEST_OPTIONS + SMALL;
 
-/// Calls without a row have messages of at most [`SMALL`].
+/// Bounds of the calls. A call that is not listed has messages of at most [`SMALL`] bytes.
 static CALLS: [CallBounds; 11] = [
     call("CreateSession", TEXTS, &CREATE_SESSION),
     // `--max-message-mib` bounds these messages, too.
@@ -51,7 +52,7 @@ static CALLS: [CallBounds; 11] = [
     call("DescribeSession", SMALL, &SESSION_ID),
     call("CloseSession", SMALL, &SESSION_ID),
     call("Process", TEXTS, PLAIN),
-    // A robot and sand as files.
+    // These requests can have a robot and sand as files.
     call("Intrude", TEXTS, PLAIN),
     call("Walk", TEXTS, PLAIN),
     call("Sweep", TEXTS, &SWEEP),
@@ -68,9 +69,8 @@ pub fn of_call(path: &str) -> &'static CallBounds {
     CALLS.iter().find(|call| Some(call.method) == method).unwrap_or(&OTHER)
 }
 
-/// Largest memory of a session's request and its answer [bytes], besides the message and what the session has
-/// reserved. `part`: see [`Batch::part_bytes`]. Requests that make models or snapshots add their memory while they make
-/// it.
+/// Largest memory of a session's request and its answer [bytes], besides the message and what the session has reserved.
+/// `part`: see [`Batch::part_bytes`]. Requests that make models or snapshots add this memory while they make them.
 ///
 /// # Errors
 /// The request asks for more than any request may.
@@ -86,21 +86,22 @@ pub fn of_request(request: &Request, part: usize) -> Result<usize> {
         Request::PolicyRollout(network) => 2 * network.onnx.len() + parts(network.trajectories),
         Request::Render(render) => {
             let (all, one) = pixels(render)?;
-            // The canvas of the present picture and its pixels; then all pixels, and their copy in the message.
+            // All pixels, and then the larger of two: the canvas of the present picture with its pixels, or the copy of
+            // all pixels in the message.
             3 * all + (7 * one).max(3 * all)
         }
     })
 }
 
-/// Largest number of copies of a part of a rollout at the same time: the rows, one that is encoded, two that wait for
-/// the stream, and two as bytes in the queue of HTTP/2.
+/// Largest number of copies of a part of a rollout at the same time: the rows, one copy that is being encoded, two that
+/// wait for the stream, and two as bytes in the queue of HTTP/2.
 const PARTS: usize = 6;
 
-/// Largest number of pictures of one request: our choice, 64 × 64 of them. Each takes some 0.2 ms or more, however few
-/// pixels it has.
+/// Largest number of pictures of one request: our choice, 64 × 64 of them. A picture takes some 0.2 ms or more, however
+/// few pixels it has.
 const MOST_PICTURES: usize = 4096;
 
-/// Numbers of pixels of all pictures and of one.
+/// Number of pixels of all pictures together, and of one picture.
 fn pixels(render: &proto::Render) -> Result<(usize, usize)> {
     let (count, size) = (render.indices.len(), [render.width, render.height]);
     if count > MOST_PICTURES {
@@ -109,12 +110,12 @@ fn pixels(render: &proto::Render) -> Result<(usize, usize)> {
     Ok((view::check_pixels(count, size)?, view::check_pixels(count.min(1), size)?))
 }
 
-/// Memory of a diagnosis for each row of its data [bytes]: 929 MiB were measured for 40,000 rows of a force log, all
-/// models side by side (2026-11-23).
+/// Memory of a diagnosis for each row of its data [bytes]: 929 MiB were measured for 40,000 rows of a force log, when
+/// all models ran at the same time (2026-11-23).
 const DIAGNOSED_ROW: usize = 24 << 10;
 
-/// Refuses data whose diagnosis would take more than `memory` [bytes], all that a server may use. Nothing reserves this
-/// memory, but only one study runs at a time.
+/// Refuses data whose diagnosis would take more than `memory` [bytes], which is all memory that a server may use.
+/// Nothing reserves this memory, but only one study runs at a time.
 ///
 /// # Errors
 /// The data have too many rows.
@@ -178,7 +179,7 @@ const fn options(number: u64) -> FieldBounds {
     once(number, "options", LONGEST_OPTIONS, Some(&STRUCT))
 }
 
-/// An id has 32 characters; a longer one cannot be valid.
+/// An id has 32 characters; a text that is longer than this bound is no id.
 const fn session_id() -> FieldBounds {
     once(1, "session_id", 256, None)
 }
@@ -197,7 +198,7 @@ static RUN_SESSION: [FieldBounds; 10] = [
     once(6, "save", usize::MAX, Some(PLAIN)),
     once(7, "restore", usize::MAX, Some(PLAIN)),
     once(8, "rollout", usize::MAX, Some(PLAIN)),
-    // Numbers of environments: one byte of a message can become four.
+    // Indices of environments: one byte of a message can become four.
     once(20, "render", 256 << 10, Some(PLAIN)),
     once(21, "observe", usize::MAX, Some(PLAIN)),
     once(30, "policy_rollout", usize::MAX, Some(PLAIN)),
@@ -298,7 +299,7 @@ fn field<'a>(bytes: &mut &'a [u8]) -> Option<(u64, Option<&'a [u8]>)> {
             Some(bytes.split_off(..length)?)
         }
         5 => skip(4).map(|_| None)?,
-        // Groups: no message of ours has any.
+        // Groups; our messages have none.
         _ => return None,
     };
     Some((key >> 3, value))

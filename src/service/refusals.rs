@@ -43,8 +43,8 @@ impl Refusals {
         }
     }
 
-    /// Logs how many refusals had no line, so that the last ones of a burst are not lost. Must be called from time
-    /// to time.
+    /// Logs how many refusals had no line, so that the last refusals of a burst also get a line. Must be called from
+    /// time to time.
     pub fn log_suppressed(&self) {
         for (kind, words) in KINDS {
             if let Some(suppressed) = self.due(kind, Instant::now(), false) {
@@ -53,7 +53,7 @@ impl Refusals {
         }
     }
 
-    /// If a line may be written now, the number of refusals since the last one. `more`: there is a new refusal.
+    /// If a line may be written now, the number of refusals since the last line. `more`: there is a new refusal.
     fn due(&self, kind: Refusal, now: Instant, more: bool) -> Option<u64> {
         let mut lines = self.0[kind as usize].lock();
         let early = lines.last.is_some_and(|last| now < last + PAUSE);

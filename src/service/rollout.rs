@@ -1,5 +1,5 @@
-//! A rollout request: some steps at a time, so that it ends when nobody waits for it any more; then all environments
-//! are restored.
+//! Carries out a request for a rollout, some steps at a time, so that the work can end when nobody waits for it any
+//! more. Then all environments are restored.
 
 use super::encode;
 use super::proto::run_session_response::Response;
@@ -52,7 +52,8 @@ async fn run(mut work: SessionWork, roll: Roll, back: Operation, trajectories: b
             let (answers, end) = (work.answers.clone(), work.end.clone());
             let answer = work.response(Response::Rollout(last));
             work.settle(None);
-            // The environments are back before a slow client reads the answer; its memory is in use until then.
+            // The environments go back before a slow client reads the answer; the answer's memory is in use until the
+            // client has read it.
             let _share = work.share.clone();
             drop(work);
             let _ = end.run_until_cancelled(answers.send(answer)).await;

@@ -59,8 +59,8 @@ const SCHEME: &[u8] = b"Bearer ";
 pub struct Tls(TlsAcceptor);
 
 impl Tls {
-    /// PEM files: the certificate (with those between it and the root, if any), its private key, and, if clients must have
-    /// certificates too, those of the authorities that issue them.
+    /// Reads PEM files: the certificate (with the intermediate certificates, if there are any), its private key and, if
+    /// clients must have certificates too, the certificates of the authorities that issue them.
     pub fn load(certificate: &Path, key: &Path, client_ca: Option<&Path>) -> Result<Self> {
         let chain = certificates(certificate)?;
         let secret = PrivateKeyDer::from_pem_file(key).map_err(|e| Error::file(key, format!("no private key: {e}")))?;
@@ -117,7 +117,7 @@ pub fn warn_if_shared(path: &Path) {
     }
 }
 
-/// Needs at least one certificate.
+/// Reads certificates; the file must have at least one.
 fn certificates(path: &Path) -> Result<Vec<CertificateDer<'static>>> {
     let read = CertificateDer::pem_file_iter(path).and_then(Iterator::collect::<std::result::Result<Vec<_>, _>>);
     let found = read.map_err(|e| Error::file(path, e))?;

@@ -46,7 +46,7 @@ pub struct ServerSetup {
     pub limits: Limits,
     /// Encryption; for TCP only.
     pub tls: Option<Tls>,
-    /// The secret of all calls except those for the server's health.
+    /// The secret that every call needs, except calls for the server's health.
     pub token: Option<Token>,
     /// The key of snapshots and kept sessions.
     pub seal: Seal,
@@ -66,7 +66,7 @@ pub type AddServices = Box<dyn FnOnce(&mut Services, &Arc<Sessions>, &Arc<Pool>)
 /// Serves until `stop` is cancelled, then lets every stream finish its present operation.
 pub async fn serve(listener: Listener, setup: ServerSetup, stop: CancellationToken) -> Result<()> {
     let ServerSetup { threads, limits, tls, token, seal, metrics, viewer, state, others: add_others } = setup;
-    // File descriptors for the pages.
+    // The connections of the pages need file descriptors, too.
     let (most, streams) = (limits.connections as usize, limits.streams);
     let watched = limits.watchers + connections::BESIDE_WATCHERS;
     let others = [(metrics.is_some(), connections::METRICS), (viewer.is_some(), watched)];
@@ -183,7 +183,7 @@ async fn end(
     let deadline = Instant::now() + SAVED;
     for name in names {
         health.set_service_status(name, ServingStatus::NotServing).await;
-        // Ends the streams of watchers after their last events.
+        // Ends the streams of clients that watch the health, after their last events.
         health.clear_service_status(name).await;
     }
     match state {

@@ -7,8 +7,8 @@
 //! ```
 //!
 //! Environments are created in turns of some milliseconds, with one turn at a time for each processor. So a client that
-//! creates very many delays neither clients that create few nor the steps of others, and if it disconnects, the work
-//! ends.
+//! creates very many environments delays neither clients that create few nor the steps of other clients. If it
+//! disconnects, the work ends.
 //!
 //! The environments are stored here whenever no operation runs on them, so a broken stream loses nothing.
 
@@ -44,13 +44,13 @@ struct SessionEntry {
     /// Notified when the environments are back.
     back: Arc<Notify>,
     sequence: u64,
-    /// Number of the stream that has the session, or of the last one that had it.
+    /// Number of the stream that has the session, or of the last stream that had it.
     stream: u64,
     attached: bool,
     /// Time at which the session lost its last stream, by the monotonic clock, which nobody can set.
     idle_since: Instant,
-    /// Cancelled when the session is closed, when the server stops, or, for a stream, when another stream takes the
-    /// session.
+    /// Both are cancelled when the session is closed or the server stops. `stream_end` is also cancelled when another
+    /// stream takes the session.
     end: CancellationToken,
     stream_end: CancellationToken,
 }
@@ -89,7 +89,7 @@ pub struct Sessions {
     /// Turns for making environments, one for each processor.
     turns: Arc<Semaphore>,
     stop: CancellationToken,
-    /// Tags of snapshots.
+    /// Makes and checks the tags of snapshots.
     pub seal: Seal,
     pub metrics: Arc<Metrics>,
     pub watchers: Arc<Watchers>,
@@ -143,8 +143,8 @@ impl Sessions {
         Ok((id, blueprint))
     }
 
-    /// Runs `part`, of some milliseconds, on a blocking thread when its turn has come. So there is always a blocking
-    /// thread left for short work.
+    /// Runs `part`, which takes some milliseconds, on a blocking thread when its turn has come. Because the turns are
+    /// few, a blocking thread is always left for short work.
     pub async fn turn<T: Send + 'static>(&self, part: impl FnOnce() -> Result<T> + Send + 'static) -> Result<T> {
         // The semaphore is never closed, so `acquire` cannot fail. The permit goes with the work, which continues
         // even if no caller waits.
@@ -156,8 +156,8 @@ impl Sessions {
         tokio::task::spawn_blocking(work).await.unwrap_or_else(|_| Err(failed()))
     }
 
-    /// Creates environments at once, with their share of the limits. This takes long, so the async runtime's threads
-    /// must not call it.
+    /// Creates environments now, and reserves their share of the limits. This takes long, so the async runtime's
+    /// threads must not call it.
     pub fn build(&self, blueprint: &Blueprint, envs: usize) -> Result<SessionEnvironments> {
         self.begin(blueprint, envs)?.finish()
     }
@@ -190,7 +190,8 @@ impl Sessions {
         }
         let same = name(&id);
         if entries.keys().any(|other| name(other) == same) {
-            // The probability is one in four thousand million. Names in logs, lists and files must be unique.
+            // Another session has this name with a probability of one in four thousand million. Names in logs, lists
+            // and files must be unique.
             return Err(Error::Exhausted("the session's name is taken; try again".into()));
         }
         entries.insert(id, entry);
@@ -247,11 +248,12 @@ impl Sessions {
         }
     }
 
-    /// The session's environments, when no operation runs on them. None if the session or the server has ended or
-    /// another stream has it.
+    /// Waits until no operation runs on the session's environments, and takes them. None if the session or the server
+    /// has ended, or if another stream has the session.
     pub async fn take(self: &Arc<Self>, hold: &StreamHold) -> Option<SessionGuard> {
         loop {
-            // Registers before the check, so that a return between the check and the wait is not missed.
+            // Registers for the notification before the check, so that environments that come back between the check
+            // and the wait are not missed.
             let back = {
                 let mut entries = self.entries.lock();
                 let running = |e: &&mut SessionEntry| e.stream == hold.stream && !self.stop.is_cancelled();

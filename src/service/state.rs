@@ -1,5 +1,5 @@
-//! Sessions that continue after a restart of their server: one file each, which a stopping server writes and the next
-//! one restores.
+//! Sessions that continue after a restart of their server. A server that stops writes one file for each session, and
+//! the next server restores them.
 //!
 //! ```text
 //!  "sandgait session\n" │ tag of the rest, as in snapshots │ SessionFile
@@ -57,14 +57,14 @@ struct SessionFile {
     snapshot: Option<Vec<u8>>,
 }
 
-/// Number of threads that save sessions: our choice, because they mostly wait for the disk: 1,024 syncs of 5 ms take
-/// 0.3 s.
+/// Number of threads that save sessions. Our choice: they mostly wait for the disk, and 16 threads make 1,024 syncs of
+/// 5 ms in 0.3 s.
 const SAVERS: usize = 16;
 
 /// How often a stopping server looks for sessions whose operations have ended.
 const LOOK: Duration = Duration::from_millis(2);
 
-/// Largest number of names in the message at the end; the log has all of them.
+/// Largest number of names in the error message; the log has all of them.
 const NAMED: usize = 16;
 
 /// Name of the file whose lock a running server holds.
@@ -74,7 +74,7 @@ const LOCK: &str = ".lock";
 #[derive(Clone, Debug)]
 pub struct StateDir {
     path: PathBuf,
-    /// Locked until the last copy of this is dropped.
+    /// Locked until the last copy of this value is dropped.
     _lock: Arc<File>,
     /// [`File::sync_all`], or a slow disk in tests.
     sync: fn(&File) -> std::io::Result<()>,
@@ -132,8 +132,8 @@ impl StateDir {
         self.sync_names()
     }
 
-    /// Saves every session when no operation runs on it, idle ones at once, until `deadline`. The threads are not those
-    /// that requests use, so nothing else delays this.
+    /// Saves sessions until `deadline`: idle sessions at once, the others as soon as no operation runs on them. This
+    /// work has threads of its own, so requests do not delay it.
     ///
     /// # Errors
     /// Some sessions were not saved; the error has their names, and the log has the reasons.
@@ -262,8 +262,8 @@ mod tests {
         file.sync_all()
     }
 
-    /// The largest number of sessions, on a slow disk, and beside blocking work that fills all threads of the runtime.
-    /// One after the other their syncs would take 5 s.
+    /// The largest default number of sessions is saved on a slow disk, while blocking work fills all threads of the
+    /// runtime. One after the other, the syncs would take 5 s.
     #[tokio::test]
     async fn the_default_number_of_sessions_is_saved_in_time() {
         let directory = tempfile::tempdir().unwrap();

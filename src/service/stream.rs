@@ -5,9 +5,9 @@
 //!     └── refused: Failure, nothing has changed, the stream goes on
 //! ```
 //!
-//! A client may send ahead; the next message is read after the last one was answered, so flow control slows a fast
-//! sender. This file does not compute: a light request is checked on the async thread, a heavy one on a blocking
-//! thread, and the pool's threads step and encode.
+//! A client may send requests before it has read earlier answers. The server reads the next message after it has
+//! answered the last one, so flow control slows a fast sender. This file does not compute: a light request is checked
+//! on the async thread, a heavy one on a blocking thread, and the pool's threads step and encode.
 
 use super::building::LastAnswer;
 use super::decode::RequestWeight;
@@ -29,7 +29,7 @@ use std::sync::atomic::Ordering;
 use tokio::sync::mpsc;
 use tonic::{Status, Streaming};
 
-/// Data of a call from its start.
+/// The data that a call has from its start.
 pub struct SessionCall {
     pub messages: Messages,
     pub intake: Arc<Intake>,
@@ -183,7 +183,7 @@ impl SessionStream {
         Ok(None)
     }
 
-    /// A share of `bytes` besides that of the message. While this waits for the share, it does not hold the
+    /// A share of `bytes`, besides the share of the message. While this waits for the share, it does not hold the
     /// environments.
     async fn paid(
         &self,
@@ -206,7 +206,7 @@ impl SessionStream {
         let own = self.share.as_ref().map_or(0, |share| share.bytes());
         let share = match self.share.is_none() {
             true => hold.end.run_until_cancelled(intake.share(bytes)).await.ok_or_else(|| self.ended())?,
-            // Two requests that wait while they have memory could wait for each other.
+            // Two requests that wait while each holds memory could wait for each other for ever.
             false => Err(Error::Exhausted(format!(
                 "needs about {} MiB besides its message, which are taken by others; try again",
                 (own + bytes).div_ceil(1 << 20)

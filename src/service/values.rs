@@ -1,4 +1,4 @@
-//! Protobuf's JSON-like values from and to serde's.
+//! Turns protobuf's JSON-like values into serde's, and back.
 
 use crate::error::{Error, Result};
 use prost_types::value::Kind;

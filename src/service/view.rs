@@ -1,4 +1,4 @@
-//! Requests for pictures and moments, as messages.
+//! Requests for pictures and for the moments of recordings, as messages.
 
 use super::building::TURN;
 use super::proto::run_session_response::Response;
@@ -41,7 +41,7 @@ pub async fn render(mut work: SessionWork, request: Render) {
     work.finish(Response::Pictures(Pictures { pixels: pixels.into() }), false);
 }
 
-/// One environment's moment.
+/// The present moment of one environment, as in a recording.
 pub fn observe(batch: &Batch, request: &Observe) -> Result<Observation> {
     let (header, row) = view::observe(batch, request.index as usize, request.ended)?;
     Ok(Observation { header, row: row.into() })

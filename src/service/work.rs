@@ -52,7 +52,7 @@ impl SessionWork {
     }
 
     /// From now on the memory of models and snapshots that the batch makes is taken from the request's share. The
-    /// returned number is their sum.
+    /// returned number is the sum of this memory [bytes].
     pub fn count_memory(&mut self) -> Arc<AtomicUsize> {
         let made = Arc::<AtomicUsize>::default();
         if let Some(share) = self.share.clone() {
@@ -152,7 +152,7 @@ mod tests {
         assert!(sessions.list().is_empty(), "the session has ended");
     }
 
-    /// In the pool: the worker that runs the last shard encodes the answer.
+    /// The panic is in the pool: the worker that runs the last shard encodes the answer.
     #[test]
     fn a_panic_while_an_answer_is_made_is_answered() {
         let (sessions, pool) = (sessions(), Pool::new(1));
@@ -169,7 +169,7 @@ mod tests {
         assert_eq!(sessions.usage().sessions, 0);
     }
 
-    /// In a task of the runtime, for example a rollout.
+    /// The panic is in a task of the runtime, for example in a rollout.
     #[test]
     fn a_panic_between_the_parts_of_a_rollout_is_answered() {
         let sessions = sessions();

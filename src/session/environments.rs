@@ -6,7 +6,7 @@
 //!                   └── dropped ──▶ back as it was; in a panic: lost
 //! ```
 //!
-//! A caller can stop waiting for an answer and take it later; it is kept until the next request.
+//! A caller can stop waiting for an answer and take it later; the answer is kept until the next request.
 
 use super::roll::{self, Rolled};
 use super::{MOST_ENVIRONMENTS, MOST_MEMORY};
@@ -18,11 +18,11 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-/// Up to this many shards the caller's thread helps: our choice, well within the 100 ms in which Ctrl-C must act. A
-/// step of a shard takes some 1 ms with rapier, 0.1 ms with lanes.
+/// Largest number of shards with which the caller's thread helps: our choice, well within the 100 ms in which Ctrl-C
+/// must act. A step of a shard takes some 1 ms with rapier, 0.1 ms with lanes.
 const SOON: usize = 64;
 
-/// Environments are created for this time without a check whether the caller still waits.
+/// Between two checks whether the caller still waits, environments are created for this time.
 const BUILDING: Duration = Duration::from_millis(10);
 
 /// The answer to the last request.
@@ -88,7 +88,7 @@ impl SharedBatch {
 }
 
 impl Environments {
-    /// `envs` environments of `blueprint`, which need a first reset; `stopped` ends the work.
+    /// `envs` environments of `blueprint`, which need a first reset; the work ends when `stopped` returns true.
     pub fn new(blueprint: &Blueprint, envs: usize, stopped: impl Fn() -> bool) -> Result<Self> {
         let bytes = blueprint.bytes(check_envs(envs, MOST_ENVIRONMENTS)?);
         if bytes > MOST_MEMORY {
@@ -165,7 +165,7 @@ impl EnvironmentsGuard {
         }
     }
 
-    /// The environments are lost.
+    /// Marks the environments as lost, because of `error`.
     fn lose(mut self, error: Error) {
         self.batch = None;
         self.shared.put(BatchState::Lost(error), None);

@@ -1,6 +1,6 @@
 //! The operations of a session on its environments, for clients over the network and for the same process.
 //!
-//! * [`view`]: pictures, and moments as recordings hold them.
+//! * [`view`]: pictures, and the moments of recordings.
 //! * [`roll`]: rollouts, some steps at a time.
 //! * [`environments`]: a session of this process, without messages or a network.
 

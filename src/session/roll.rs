@@ -6,9 +6,9 @@ use crate::error::{Error, Result};
 use crate::pool::{Batch, Operation, Pool, Roll};
 use std::time::{Duration, Instant};
 
-/// Time between two checks whether the caller still waits, and time of one part of trajectories. Our choice: long
-/// against the fixed cost of a part, short for a caller that waits for an end. Other sessions do not wait for a part to
-/// end, because the pool interleaves sessions.
+/// Time of one part of a rollout; between parts we check whether the caller still waits. Our choice: long compared with
+/// the fixed cost of a part, and short for a caller that wants to stop. Other sessions do not wait for a part to end,
+/// because the pool interleaves sessions.
 const TURN: Duration = Duration::from_millis(30);
 
 /// Largest ratio of the steps in a part to those in the part before, because the first part's single step may have been
@@ -59,8 +59,8 @@ impl Rolling {
     }
 }
 
-/// Steps of the next part, after a part that made `done` steps in `time`. `done` may be fewer than were asked for,
-/// because the memory of a part is limited.
+/// Steps of the next part, after a part that made `done` steps in `time`. `done` may be fewer steps than the operation
+/// should make, because the memory of a part is limited.
 fn next_steps(done: usize, time: Duration) -> usize {
     let fitting = done as f64 * TURN.as_secs_f64() / time.as_secs_f64().max(1e-6);
     (fitting as usize).clamp(1, GROWTH * done.max(1))
@@ -153,7 +153,7 @@ impl Rolled {
 mod tests {
     use super::*;
 
-    /// Parts whose memory limits them to a few steps do not let the number asked for grow without end.
+    /// If memory limits the parts to a few steps, the number of steps for the next part does not grow without end.
     #[test]
     fn short_parts_ask_for_a_few_steps() {
         let mut asked = 1;

@@ -1,4 +1,4 @@
-//! Operations for viewers: pictures, and moments in the form of recordings.
+//! Operations for viewers: pictures, and moments in the format of recordings.
 
 use crate::env::{EnvView, Spec};
 use crate::error::{Error, Result};
@@ -7,13 +7,13 @@ use crate::sim::Model;
 pub use sandgait_view::CameraOptions;
 use sandgait_view::{self as view, About, RecordedState};
 
-/// Largest number of pixels of one request, all its pictures together: our choice, 100 MB.
+/// Largest number of pixels of all pictures of one request together: our choice, 100 MB.
 pub const MOST_PIXELS: u64 = 1 << 25;
 
-/// Number of pixels of `count` pictures of `size`, width and height.
+/// Number of pixels of `count` pictures, each of `size` (width and height).
 ///
 /// # Errors
-/// They are more than one request may have.
+/// The pixels are more than one request may have.
 pub fn check_pixels(count: usize, size: [u32; 2]) -> Result<usize> {
     let [width, height] = size;
     let pixels = (count as u64).saturating_mul(u64::from(width) * u64::from(height));

@@ -13,7 +13,7 @@ pub const MOST_WALKS: usize = 500_000;
 /// Walks whose models are in memory at the same time: our choice, some 100 MiB.
 const PORTION: usize = 4096;
 
-/// One walk for each grid point, the last axis fastest. An error of `progress` stops them.
+/// One walk for each grid point; the last axis varies fastest. An error of `progress` stops the walks.
 pub fn grid(base: &Design, axes: &[SweepAxis], progress: &dyn Progress) -> Result<Vec<WalkResult>> {
     let count = check_grid(base, axes)?;
     let mut results = Vec::with_capacity(count);

@@ -13,7 +13,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use std::borrow::Borrow;
 use std::cell::Cell;
 
-/// Robots in the swarm: our choice, two full blocks of lanes, one for each core of a small machine.
+/// Robots in the swarm: our choice, two full blocks of lanes, one block for each core of a small machine.
 const SWARM: usize = 32;
 /// Moves of the swarm: our choice, because two parameters are then found to about 1 % of their range.
 const MOVES: u64 = 25;

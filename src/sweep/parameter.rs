@@ -33,7 +33,7 @@ enum ParameterChange {
     By(fn(&mut Design, &str) -> Result<()>),
 }
 
-/// The bounds of a number that robot or scene check themselves.
+/// The bounds of a number that the robot or the scene checks itself.
 const CHECKED_LATER: [f64; 2] = [f64::MIN, f64::MAX];
 
 const fn sets(name: &'static str, unit: &'static str, bounds: [f64; 2], of: fn(&mut Design) -> &mut f64) -> Parameter {

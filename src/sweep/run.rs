@@ -10,8 +10,9 @@ use parking_lot::Mutex;
 /// Walks every trial, in the order given. An error of `progress` stops all of them within a second of simulated
 /// time.
 ///
-/// A block has one law, regularisation and time step, and equally many plates in every lane. Among such trials,
-/// those of similar duration share a block, because a block runs until its slowest robot has finished its strides.
+/// A block has one law, regularisation and time step, and equally many plates in every lane. Among trials that agree in
+/// these, those of similar duration share a block, because a block runs until its slowest robot has finished its
+/// strides.
 pub fn walk_all(engine: EngineKind, trials: &[WalkTrial], progress: &dyn Progress) -> Result<Vec<WalkResult>> {
     let mut order: Vec<usize> = (0..trials.len()).collect();
     order.sort_by(|a, b| {

@@ -4,7 +4,7 @@ use super::{SweepAxis, SweepMeasure};
 use crate::plot::{self, Figure, FigurePanel, Mark, Style, color};
 use crate::sim::walk::WalkResult;
 
-/// Rows in the order of the grid, the last axis fastest.
+/// Rows in the order of the grid; the last axis varies fastest.
 pub fn csv(axes: &[SweepAxis], results: &[WalkResult]) -> String {
     let names = axes.iter().map(|a| match a.parameter.unit {
         "" => a.parameter.name.to_owned(),

@@ -23,7 +23,7 @@ impl<'a> HeaderColumn<'a> {
     }
 }
 
-/// Largest number of columns of a file: our choice, some ten times those of a robot's log with every joint's quantities.
+/// Largest number of columns of a file: our choice, some ten times as many as a robot's log with every joint's quantities has.
 const MOST_COLUMNS: usize = 4096;
 
 /// The columns that a reader requests from a table.

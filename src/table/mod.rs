@@ -16,7 +16,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
-/// Largest file [bytes]. A larger one is refused before it is read, and a stream is refused when it exceeds this size.
+/// Largest file [bytes]. A larger file is refused before it is read, and a stream is refused when it exceeds this size.
 /// For the longest log that can be diagnosed this is more than 6 kB for each row. Our choice; it also bounds the memory
 /// that a row without an end takes.
 const MOST_BYTES: u64 = 256 << 20;
@@ -61,7 +61,7 @@ impl Row<'_> {
         }
     }
 
-    /// The same, and an error if it is blank.
+    /// The same as [`Self::within`], but a blank cell is an error.
     pub fn needed_within(&self, column: usize, most: f64) -> Result<f64> {
         self.within(column, most)?.ok_or_else(|| self.blank(column))
     }

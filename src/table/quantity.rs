@@ -21,7 +21,7 @@ pub enum Quantity {
 }
 
 impl Quantity {
-    /// Units and their factor to the first one, which is the SI unit except for degrees.
+    /// Units and their factor to the first unit, which is the SI unit except for degrees.
     pub fn units(self) -> &'static [(&'static str, f64)] {
         const DEGREE: f64 = std::f64::consts::PI / 180.0;
         match self {
@@ -63,7 +63,7 @@ impl Quantity {
         }
     }
 
-    /// Factor from a unit to the first one of [`Self::units`], if it is a unit of this quantity.
+    /// Factor from a unit to the first unit of [`Self::units`], if it is a unit of this quantity.
     pub fn factor(self, unit: &str) -> Option<f64> {
         self.units().iter().find(|u| u.0 == unit).map(|u| u.1)
     }

@@ -29,7 +29,7 @@ fn layers(plan: &TrainingPlan) -> impl Iterator<Item = (String, &NetworkLayer)> 
 pub struct Checkpoint {
     pub learnt: TrainingState,
     pub open: OpenPoint,
-    /// One sentence for each difference from going on with the newest checkpoint as it is.
+    /// One sentence for each way in which this differs from the newest checkpoint.
     pub notices: Vec<String>,
 }
 
@@ -45,7 +45,7 @@ pub fn save(path: &Path, plan: &TrainingPlan, learnt: &TrainingState, open: &Ope
         ("steps", learnt.steps.to_string()),
         ("updates", learnt.updates.to_string()),
         ("adam_steps", learnt.adam.steps.to_string()),
-        // With other options the episodes would be different ones.
+        // With other options the episodes would differ.
         ("options", json!(plan.spec.options).to_string()),
         ("curve.terms", json!(open.terms.iter().map(|(name, _)| name).collect::<Vec<_>>()).to_string()),
     ];
@@ -94,8 +94,8 @@ pub fn save(path: &Path, plan: &TrainingPlan, learnt: &TrainingState, open: &Ope
     file.save(path)
 }
 
-/// Reads a file of [`save`] for a plan with the same task, networks and normalization; `away`: environments are on
-/// a server.
+/// Reads a file of [`save`] for a plan with the same task, networks and normalization. `away`: the environments are
+/// remote.
 pub fn load(path: &Path, plan: &TrainingPlan, away: bool) -> Result<Checkpoint> {
     of_file(path, &Tensors::load(path)?, plan, away)
 }
@@ -132,12 +132,13 @@ pub fn newest(out: &Path, plan: &TrainingPlan, away: bool) -> Result<Checkpoint>
     Err(broken.into_iter().next().unwrap_or_else(|| Error::file(&folder(out), "there is no checkpoint to go on from")))
 }
 
-/// Has `out` the results of a training?
+/// Does `out` contain the results of a training?
 pub fn is_used(out: &Path) -> bool {
     !all(out).is_empty() || ["policy.onnx", "policy.safetensors"].iter().any(|name| out.join(name).exists())
 }
 
-/// Says what differs if the checkpoint is not of the training of `plan`. The end of a training may differ.
+/// If the checkpoint is not of the training of `plan`, the error says what differs. The limits of steps and time may
+/// differ.
 fn belongs(file: &Tensors, plan: &TrainingPlan) -> std::result::Result<(), String> {
     let text = |name: &str| file.text(name).map_err(|e| e.to_string());
     let seed = plan.seed.to_string();
@@ -158,7 +159,8 @@ fn belongs(file: &Tensors, plan: &TrainingPlan) -> std::result::Result<(), Strin
     differs(Some(&table("options")?), Some(&plan.spec.options)).map_or(Ok(()), Err)
 }
 
-/// The first value of `there` that is not in `here`. Names that only `here` has are of a newer version.
+/// The first value of `there` that is missing or different in `here`. A name that only `here` has comes from a newer
+/// version, and is no difference.
 fn differs(there: Option<&Map<String, Value>>, here: Option<&Map<String, Value>>) -> Option<String> {
     let short = |value: &Value| {
         let text = value.to_string();
@@ -170,7 +172,7 @@ fn differs(there: Option<&Map<String, Value>>, here: Option<&Map<String, Value>>
     Some(format!("its {name} is {}, not {}", short(value), here.get(name).map_or("known".into(), short)))
 }
 
-/// The environments, or the reason why those of `file` cannot be used.
+/// The environments of `file`, or the reason why they cannot be used.
 fn environments(
     file: &Tensors,
     plan: &TrainingPlan,

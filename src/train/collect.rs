@@ -17,7 +17,7 @@ use rand_distr::StandardNormal;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use std::ops::DerefMut;
 
-/// Number of pieces that the environments are divided into, for any number of threads; fewer for engines with
+/// Number of pieces into which the environments are divided, the same for any number of threads; fewer for engines with
 /// lanes.
 const PIECES: usize = 8;
 
@@ -27,7 +27,8 @@ const LEVEL: &str = "level";
 /// The environments of a group.
 enum GroupEnvironments {
     Here(Box<Shard>),
-    /// Environments on a server or in another program. This holds only the rows of their last reset or step.
+    /// Remote environments, which are on a server or in another program. This holds only the rows of their last reset
+    /// or step.
     Away(Rows),
 }
 
@@ -60,14 +61,15 @@ pub struct RolloutGroup {
     pub skipped: Vec<usize>,
     /// Discounted sum of rewards of each environment, for their normalization.
     pub discounted: Vec<f64>,
-    /// Statistics of the last step's observations and discounted sums.
+    /// Statistics of the observations and the discounted sums in the last step.
     pub seen: [BatchMoments; 2],
     /// Sums of the weighted reward terms in this rollout, and the levels of the environments at its end.
     pub terms: Vec<f64>,
     pub levels: Vec<f32>,
     /// Info column with the level of a curriculum.
     level: Option<usize>,
-    /// Sum of rewards of each environment's episode so far, and of those that ended in this rollout.
+    /// Sums of rewards: for each environment those of its present episode so far, and one sum for each episode that
+    /// ended in this rollout.
     pub running: Vec<f64>,
     pub finished: Vec<f64>,
 }
@@ -82,7 +84,7 @@ pub struct PolicyContext<'a> {
 }
 
 impl RolloutGroup {
-    /// All environments of a training, without a state yet; `away`: they are not the training's own.
+    /// All environments of a training, without a state yet; `away`: they are remote.
     pub fn all(spec: &TrainingSpec, settings: &Hyperparameters, networks: &Networks, away: bool) -> Result<Vec<Self>> {
         let lanes = spec.blueprint.as_ref().map_or(1, |blueprint| blueprint.engine.shard_size());
         let size = settings.n_envs.div_ceil(PIECES).next_multiple_of(lanes);
@@ -136,13 +138,13 @@ impl RolloutGroup {
         }
     }
 
-    /// Takes `rows`, the first ones of environments that are not the training's own.
+    /// Takes `rows`, the first rows of remote environments.
     pub fn take(&mut self, rows: Rows) {
         self.seen[0].set(&rows.observations);
         self.place = GroupEnvironments::Away(rows);
     }
 
-    /// The present episodes; none of environments that are not the training's own.
+    /// The present episodes; none if the environments are remote.
     pub fn episodes(&self) -> Vec<SavedEpisode> {
         match &self.place {
             GroupEnvironments::Here(shard) => (0..self.envs).map(|i| shard.save(i)).collect(),
@@ -166,7 +168,7 @@ impl RolloutGroup {
         self.terms.fill(0.0);
     }
 
-    /// Makes step `step` of the rollout; for environments that are not the training's own it only computes the actions.
+    /// Makes step `step` of the rollout; if the environments are remote, it only computes the actions.
     pub fn act(&mut self, play: &PolicyContext, step: usize) {
         if step > 0 {
             self.pay(play, step - 1);
@@ -202,7 +204,8 @@ impl RolloutGroup {
         }
     }
 
-    /// Stores the results `rows` of step `step`, which the environments in `skipped` did not make.
+    /// Stores `rows`, the results of step `step` of remote environments. An environment whose `skipped` is true did not
+    /// make this step.
     pub fn answered(&mut self, play: &PolicyContext, step: usize, rows: Rows, skipped: &[bool]) {
         self.place = GroupEnvironments::Away(rows);
         self.note(play, step, skipped);
@@ -244,8 +247,8 @@ impl RolloutGroup {
         }
     }
 
-    /// Normalizes the rewards of step `step`, the last one that was made. If an episode was truncated, adds the value
-    /// of its last observation.
+    /// Normalizes the rewards of step `step`, the last step that was made. If an episode was truncated, adds the
+    /// discounted value of its last observation.
     fn pay(&mut self, play: &PolicyContext, step: usize) {
         let first = step * self.envs;
         if let Some(scales) = play.scales {

@@ -1,5 +1,5 @@
-//! Threads that compute the phases of a training. Each phase is a number of items, and each free thread takes the
-//! next one.
+//! Threads that compute the phases of a training. A phase has a number of items, and each free thread takes the next
+//! item.
 //!
 //! No phase waits for a thread that has no item: if other programs use some processors, the running threads take
 //! all items. The result of an item must not depend on the thread that computes it; then the number of threads has

@@ -1,4 +1,4 @@
-//! The learning curve: a point whenever enough episodes have ended, as a file and a figure.
+//! The learning curve as a file and a figure. It gets a point whenever enough episodes have ended.
 
 use super::plan::UpdateReport;
 use crate::error::{Error, Result};
@@ -16,19 +16,20 @@ pub struct CurvePoint {
     pub mean_return: f64,
     /// Mean level of the task's curriculum, if it has one.
     pub level: Option<f64>,
-    /// Each reward term, and its mean in a step since the point before. The mean in a step, not the sum of an episode, is our
-    /// choice: it is known when no episode has ended, and it does not depend on how long episodes are.
+    /// Each reward term with its mean per step since the point before. A mean per step, and not the sum over an
+    /// episode, is our choice: it is known even if no episode has ended, and it does not depend on how long episodes
+    /// are.
     pub terms: Vec<(String, f64)>,
 }
 
 /// Sums since the last point of the curve, for its next point.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct OpenPoint {
-    /// Sum of returns and number of the episodes.
+    /// Sum of the returns of episodes, and number of these episodes.
     pub episodes: [f64; 2],
     /// Number of updates.
     pub updates: f64,
-    /// Each reward term, and the sum of its means in the updates.
+    /// Each reward term with the sum of its means, one mean for each update.
     pub terms: Vec<(String, f64)>,
 }
 
@@ -81,7 +82,7 @@ impl LearningCurve {
         };
         let new: Vec<_> = point.terms.iter().map(|(name, _)| name).filter(|name| !self.terms.contains(name)).collect();
         if !new.is_empty() {
-            // The names of another program's terms are known only when the terms come.
+            // The names of another program's terms are known only when the first terms come.
             self.terms.extend(new.into_iter().cloned());
             self.file = begun(&self.path, &self.terms, &self.points)?;
         }
@@ -175,8 +176,8 @@ mod tests {
         UpdateReport { steps, episodes: 1, mean_return: 2.0, terms, ..UpdateReport::default() }
     }
 
-    /// Terms are means over the updates since the point before; they get columns when they come, also in a file of an
-    /// earlier version, and are read again.
+    /// Terms are means over the updates since the point before. They get columns when they first come, also in a file
+    /// of an earlier version, and can be read back.
     #[test]
     fn terms_get_columns() {
         let directory = tempfile::tempdir().unwrap();

@@ -1,4 +1,5 @@
-//! `policy.json`: all that a program needs to run `policy.onnx`, on a robot or elsewhere, besides the network.
+//! `policy.json`: all that a program needs besides the network `policy.onnx` to run the policy, on a robot or
+//! elsewhere.
 
 use super::plan::TrainingPlan;
 use crate::env::Task;

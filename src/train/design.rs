@@ -1,5 +1,5 @@
-//! Design studies in which a gait is learnt for every design: designs of a grid or of a search, several trainings of
-//! each, and a comparison of the best designs on seeds that were used neither in training nor in the choice.
+//! Design studies in which a gait is learnt for every design of a grid or a search. Each design has several trainings,
+//! and the best designs are compared on seeds that were used neither in training nor in the choice.
 
 use super::export::onnx;
 pub use super::measure::{GaitMeasure, TrainingMean};
@@ -26,7 +26,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Seeds for ranking designs; no reported result uses them. Two blocks of lanes.
+/// Seeds for ranking designs, in two blocks of lanes; no reported result uses them.
 const CHOICE_SEEDS: std::ops::Range<u64> = 3_000_000..3_000_032;
 /// Number of seeds of the final comparison; they begin at [`FIRST_SEED`], as in evaluations.
 const SEEDS: usize = 100;
@@ -35,8 +35,8 @@ const SEEDS: usize = 100;
 const COMPARED: usize = 3;
 /// Largest number of trainings of a study: our choice, some days.
 const MOST_TRAININGS: usize = 10_000;
-/// Number of designs that a search trains at the same time. A search begins with this number of evenly spread designs,
-/// and as many again for each parameter: our choice.
+/// Number of designs that a search trains at the same time. A search begins with evenly spread designs: this number,
+/// and this number more for each parameter. Our choice.
 const TOGETHER: usize = 4;
 /// The same seed in every search.
 const SEARCH_SEED: u64 = 1;
@@ -45,14 +45,14 @@ const SEARCH_SEED: u64 = 1;
 pub struct DesignStudy {
     pub base: Design,
     pub axes: Vec<SweepAxis>,
-    /// Task options besides those of the design, such as `command`.
+    /// Task options, such as `command`, besides the options that the design sets.
     pub options: Map<String, Value>,
     /// Settings, with the steps or the time of each training on one thread.
     pub settings: Hyperparameters,
     /// Number of trainings of each design.
     pub trainings: usize,
-    /// If given, designs after the first on the last axis start from their neighbour's policy, and learn for this
-    /// long: [s], or steps if steps end a training.
+    /// If given, each design after the first on the last axis starts from its neighbour's policy and learns for this
+    /// time [s], or for this number of steps if a number of steps ends each training.
     pub warm: Option<f64>,
     /// Number of designs in a search between the axes' least and greatest values; None: the whole grid.
     pub search: Option<usize>,
@@ -78,7 +78,7 @@ pub struct DesignComparison {
 
 /// Results of a study.
 pub struct Findings {
-    /// Values on the axes, in the order of the grid, the last axis fastest, or of the search.
+    /// Values on the axes, in the order of the grid (the last axis varies fastest) or of the search.
     pub designs: Vec<Vec<String>>,
     /// One row for each design, one entry for each training.
     pub trained: Vec<Vec<Trained>>,
@@ -122,7 +122,7 @@ impl DesignStudy {
             options.insert("torque_limit".into(), json!(limit));
         }
         let blueprint = Blueprint::new(HexapodGait::ID, Value::Object(options))?;
-        // The servos are those of the task, if it has any.
+        // The servos have the task's limit of torque, if it has one.
         changed.robot.servo.torque_limit = blueprint.task.option("torque_limit").as_f64();
         changed.robot.servo.anti_windup = true;
         let blueprint = blueprint.with_model(Model::new(&changed.robot, &changed.scene)?)?;
@@ -192,8 +192,8 @@ impl DesignStudy {
         Ok((designs, trained, expected.into_iter().map(|value| -value).collect()))
     }
 
-    /// All trainings of `designs`, whose numbers start at `first`: chains of neighbours if they are warm-started,
-    /// otherwise independent; one thread for each training.
+    /// Makes all trainings of `designs`, whose numbers start at `first`, with one thread for each training.
+    /// Warm-started trainings form chains of neighbours; other trainings are independent.
     fn train(&self, designs: &[Vec<String>], first: usize, told: &StudyProgress) -> Result<Trainings> {
         let length = match (self.warm, self.search) {
             (Some(_), None) => self.axes.last().map_or(1, |axis| axis.values.len()),
@@ -257,7 +257,7 @@ impl<'a> StudyProgress<'a> {
     }
 }
 
-/// Values in the axes' form.
+/// Values as texts, in the form that the axes use.
 fn named(values: &[f64]) -> Vec<String> {
     // Rounded to six digits, so that a sum of steps is not printed as 0.30000000000000004.
     values.iter().map(|v| format!("{v:.6e}").parse().map_or_else(|_| v.to_string(), |v: f64| v.to_string())).collect()
@@ -286,7 +286,7 @@ fn noise(measure: GaitMeasure, trained: &[Vec<Trained>]) -> f64 {
     if freedom > 0.0 { squares / freedom / each } else { 0.0 }
 }
 
-/// Designs whose trainings failed get the least value of the others.
+/// Gives designs whose trainings failed the least value of the other designs.
 fn finite(looks: &[EvaluatedDesign]) -> Vec<EvaluatedDesign> {
     let least = looks.iter().map(|l| l.value).filter(|v| v.is_finite()).fold(f64::INFINITY, f64::min);
     let least = if least.is_finite() { least } else { 0.0 };
@@ -294,7 +294,7 @@ fn finite(looks: &[EvaluatedDesign]) -> Vec<EvaluatedDesign> {
     looks.iter().map(|look| EvaluatedDesign { at: look.at.clone(), value: value(look) }).collect()
 }
 
-/// One training, from a neighbour's policy if there is one; read from its files if it was finished before.
+/// Makes one training, from a neighbour's policy if there is one. If it was finished before, reads its files instead.
 fn one(
     plan: &TrainingPlan,
     record: &TrainingRecord,

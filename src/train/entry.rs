@@ -9,7 +9,7 @@ use std::path::Path;
 /// The settings of `sandgait train` without a file.
 const OWN: &str = include_str!("ppo_fast.yml");
 
-/// The end of a training as changes of settings. If only a number of steps is given, the time has no limit.
+/// The limits of a training, as changes of settings. If only a number of steps is given, the time has no limit.
 pub fn ends(timesteps: Option<u64>, seconds: Option<f64>) -> Vec<(String, Value)> {
     let steps = timesteps.map(|steps| ("n_timesteps", json!(steps)));
     let time = match (timesteps, seconds) {
@@ -28,17 +28,18 @@ pub fn settings(file: Option<&Path>, task: &str, changes: Vec<(String, Value)>) 
     Hyperparameters::from_entry(&entry)
 }
 
-/// Samples of a rollout, and the number of its minibatches: those of PPO's paper for MuJoCo (Schulman et al. 2017,
-/// arXiv:1707.06347, table 3) and of CleanRL. Least number of steps in a rollout and of samples in a minibatch: our
-/// choice, so that advantages look ahead even with many environments, and gradients of small rollouts are not noisy.
+/// Samples of a rollout, and number of its minibatches: the values of PPO's paper for MuJoCo (Schulman et al. 2017,
+/// arXiv:1707.06347, table 3) and of CleanRL. The least number of steps in a rollout and of samples in a minibatch are
+/// our choice, so that advantages look ahead even with many environments, and gradients of small rollouts are not
+/// noisy.
 const SAMPLES: usize = 2048;
 const MINIBATCHES: usize = 32;
 const LEAST_STEPS: usize = 16;
 const LEAST_BATCH: usize = 64;
 
-/// Settings for `envs` environments of another program: the entry `name` of `file`, or those of stable-baselines3 with
-/// normalization and a falling learning rate as in CleanRL; with `changes`. If `changes` limit only the time, the
-/// number of steps has no limit.
+/// Settings for `envs` environments of another program, with `changes`: the entry `name` of `file`, or else the
+/// settings of stable-baselines3 with normalization and, as in CleanRL, a falling learning rate. If `changes` limit
+/// only the time, the number of steps has no limit.
 pub fn external(
     file: Option<&Path>,
     name: &str,
@@ -66,7 +67,7 @@ pub fn external(
     Hyperparameters::from_entry(&entry)
 }
 
-/// Replaces values of `entry`; a dictionary changes key by key.
+/// Replaces values of `entry`. In a dictionary only the given keys change.
 fn change(entry: &mut Map<String, Value>, changes: Vec<(String, Value)>) {
     for (name, value) in changes {
         match (entry.get_mut(&name), value) {
@@ -119,7 +120,7 @@ mod tests {
         for task in ["HexapodGait", "HexapodLegs", "HexapodTerrain", "HexapodRocks"] {
             let read = settings(Some(&python), task_id(task), Vec::new()).unwrap();
             assert_eq!((read.gamma, read.learning_rate.falls, read.mirror), (0.95, true, Some(true)));
-            // settings.json gives the same settings again.
+            // The settings can be read back from settings.json.
             assert_eq!(Hyperparameters::from_entry(read.json().as_object().unwrap()).unwrap(), read);
         }
     }

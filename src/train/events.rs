@@ -59,7 +59,7 @@ impl EventFile {
         Ok(events)
     }
 
-    /// Numbers by their tags; NaN is left out.
+    /// Writes numbers with their tags; a number that is not finite is left out.
     pub fn scalars(&mut self, step: u64, scalars: &[(&str, f64)]) -> Result<()> {
         let known = scalars.iter().filter(|(_, value)| value.is_finite());
         let value =

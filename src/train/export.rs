@@ -11,7 +11,7 @@ pub fn onnx(plan: &TrainingPlan, learnt: &TrainingState) -> Vec<u8> {
     let mut file = OnnxWriter::new(shape.observation);
     let mut x = file.input();
     if let Some(normal) = &learnt.normal {
-        // The mean as a sum of two f32: for a number that hardly varies, one f32 is not precise enough.
+        // The mean is a sum of two f32, because one f32 is not precise enough for a number that hardly varies.
         let mean = &normal.observations.mean;
         let center: Vec<f32> = mean.iter().map(|m| *m as f32).collect();
         let rest: Vec<f32> = mean.iter().zip(&center).map(|(m, c)| (m - f64::from(*c)) as f32).collect();
@@ -24,7 +24,7 @@ pub fn onnx(plan: &TrainingPlan, learnt: &TrainingState) -> Vec<u8> {
     let mut layers: Vec<[Vec<f32>; 2]> = shape.actor.iter().map(|layer| numbers(layer, parameters)).collect();
     let bounds: Vec<[f32; 2]> = plan.spec.action.iter().map(|c| [c.low as f32, c.high as f32]).collect();
     if plan.spec.blueprint.is_none() {
-        // From ±1 to the ends of the action space.
+        // Scales the output from ±1 to the ends of the action space.
         let [weights, bias] = &mut layers[shape.actor.len() - 1];
         for row in weights.chunks_exact_mut(shape.action).chain([&mut bias[..]]) {
             row.iter_mut().zip(&bounds).for_each(|(w, [low, high])| *w *= 0.5 * (high - low));
@@ -41,8 +41,8 @@ pub fn onnx(plan: &TrainingPlan, learnt: &TrainingState) -> Vec<u8> {
             let [weights, _] = &mut image[0];
             let width = shape.actor[0].outputs;
             for (k, (from, sign)) in observation.order.iter().zip(&observation.signs).enumerate() {
-                // Input k of the mirror image is number `from` of the row times `sign`. So the image's weights of
-                // number `from` are those of input k times `sign`.
+                // Input k of the mirror image is `sign` times number `from` of the row. So the image's weights of
+                // number `from` are `sign` times the weights of input k.
                 let row = layers[0][0][k * width..(k + 1) * width].iter().map(|w| sign * w);
                 weights[from * width..(from + 1) * width].iter_mut().zip(row).for_each(|(out, w)| *out = w);
             }
@@ -86,7 +86,7 @@ mod tests {
     use crate::policy::Network;
     use serde_json::{Value, json};
 
-    /// The file's actions equal those of the learnt networks, with and without mirror and normalization.
+    /// The file's actions equal the actions of the learnt networks, with and without mirror and normalization.
     #[test]
     fn the_file_acts_as_the_networks_do() {
         for (mirror, normalize, sizes) in [

@@ -9,7 +9,7 @@ use crate::session::view::{header, row};
 use crate::view::{self, RecordingWriter};
 use std::path::Path;
 
-/// Number of moments in the picture, and width and height of each [px].
+/// Number of moments in the picture, and width and height of each moment [px].
 const MOMENTS: usize = 4;
 const SIZE: [u32; 2] = [480, 270];
 
@@ -29,7 +29,7 @@ pub fn film(blueprint: &Blueprint, network: &Network, seed: u64, recording: &Pat
         shard.step(&action);
         let look = shard.look(0, true);
         out.row(&row(&look)).map_err(broken)?;
-        // In the middle of each part of the longest episode.
+        // The longest episode has [`MOMENTS`] equal parts, and this step is in the middle of one of them.
         if (0..MOMENTS).any(|k| step == (2 * k + 1) * longest / (2 * MOMENTS)) {
             let caption = format!("{:6.2} s   x {:6.3} m", look.time, look.state.position[0]).replace('-', "−");
             pixels.extend(view::draw(

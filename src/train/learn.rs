@@ -1,12 +1,12 @@
-//! From a rollout to a gradient: minibatches in random order, each divided into chunks for threads.
+//! Computes gradients from a rollout: minibatches in random order, each divided into chunks for threads.
 
 use super::loss::{ActionNoise, LossSlopes, LossSums, LossWeights, Samples, slopes};
 use super::network::{NetworkPass, Networks};
 use rand::seq::SliceRandom as _;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-/// Samples that a thread takes at a time, for any number of threads: enough for fast matrix products, and few
-/// enough to stay in a processor's own cache.
+/// Number of samples that a thread takes at a time, the same for any number of threads: enough for fast matrix
+/// products, and few enough to stay in a processor's own cache.
 pub const CHUNK: usize = 128;
 
 /// The transitions, one row for each step of an environment.
@@ -44,7 +44,7 @@ impl RolloutBuffer {
         self.rewards.len()
     }
 
-    /// Adds the rows of `other` except those in `skipped`, which ascend.
+    /// Adds the rows of `other`, except those with the indices `skipped`, which ascend.
     pub fn append(&mut self, other: &mut Self, skipped: &[usize]) {
         let rows = other.rows();
         for (all, more) in self.all().into_iter().zip(other.all()) {
@@ -145,7 +145,8 @@ impl Chunk {
         }
     }
 
-    /// Computes the gradient of the loss of chunk `index` of the present minibatch, and its sums, without the entropy.
+    /// Computes, for chunk `index` of the present minibatch, the gradient of the loss without the entropy, and the sums
+    /// for reports.
     pub fn learn(
         &mut self,
         networks: &Networks,

@@ -6,8 +6,8 @@
 //!    └────────────────────────────────────────────────────────────────────────────────┘
 //! ```
 //!
-//! All random numbers are functions of seed and number of the update, and all sums have a fixed order. So a
-//! training that ends after steps, not seconds, has the same bits on any number of threads of one instruction set.
+//! All random numbers are functions of the seed and the update's number, and all sums have a fixed order. So a training
+//! that a number of steps ends, and not a time, is bit-identical on any number of threads of one instruction set.
 
 use super::crew;
 use super::plan::{Observer, TrainingPlan, TrainingState};
@@ -18,7 +18,8 @@ use crate::error::Result;
 use crate::number::flushed;
 
 impl TrainingPlan {
-    /// Continues from `learnt` until steps or time end it, with the environments in this process or of `remote`.
+    /// Continues from `learnt` until the limit of steps or time, with environments in this process or those of
+    /// `remote`.
     pub fn run(
         &self,
         learnt: TrainingState,
@@ -47,7 +48,7 @@ mod tests {
     use crate::plan::{TrainingState, UpdateReport};
     use serde_json::json;
 
-    /// Any number of threads learns the same bits; another seed does not.
+    /// The result is bit-identical for any number of threads, and differs for another seed.
     #[test]
     fn threads_change_nothing() {
         let entry = json!({
@@ -88,7 +89,7 @@ mod tests {
         }
     }
 
-    /// A training that is interrupted at any place goes on from its last update with the same bits.
+    /// A training that is interrupted anywhere continues bit-identically from its last update.
     #[test]
     fn what_is_broken_off_goes_on_with_the_same_bits() {
         let entry = json!({
@@ -98,7 +99,7 @@ mod tests {
         let plan = plan(&entry, 2);
         let timeless = |learnt: TrainingState| TrainingState { seconds: 0.0, ..learnt };
         let whole = timeless(plan.run(plan.begin(), None, &mut |_: &TrainingState, _: &UpdateReport| Ok(())).unwrap());
-        // Nine or ten pauses an update: in a rollout, during learning, at an update's end.
+        // An update has nine or ten pauses: in a rollout, during learning, at its end.
         for left in [11, 16, 25, 38] {
             let mut observer = Break { left, last: plan.begin() };
             assert!(plan.run(plan.begin(), None, &mut observer).is_err());
@@ -108,7 +109,7 @@ mod tests {
         }
     }
 
-    /// A learning rate that is far too large: the earlier parameters are kept, and the message suggests a remedy.
+    /// If the learning rate is far too large, the earlier parameters are kept, and the message suggests a remedy.
     #[test]
     fn what_is_not_finite_ends_the_training() {
         let entry = json!({

@@ -1,4 +1,4 @@
-//! PPO's loss (Schulman et al. 2017, arXiv:1707.06347) of some samples, and its derivatives, term by term as in
+//! PPO's loss (Schulman et al. 2017, arXiv:1707.06347) over some samples, and its derivatives, term by term as in
 //! stable-baselines3 2.9.
 
 use std::ops::AddAssign;
@@ -40,7 +40,8 @@ pub struct LossSums {
     pub policy: f64,
     pub value: f64,
     pub clipped: f64,
-    /// Estimate of the divergence of the new policy from the old one: (r − 1) − ln r (J. Schulman 2020).
+    /// Estimate of the divergence of the new policy from the old one: (r − 1) − ln r, with the ratio r of their
+    /// probabilities of the action (J. Schulman 2020).
     pub kl: f64,
 }
 
@@ -57,7 +58,7 @@ impl AddAssign for LossSums {
 /// A normal distribution's standard deviations, in the forms that are needed.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ActionNoise {
-    /// f32 [action]: 1/σ
+    /// f32 [action]: 1 / standard deviation.
     inverse: Vec<f32>,
     /// Logarithm of the density at the mean.
     peak: f32,
@@ -92,8 +93,8 @@ pub struct LossSlopes<'a> {
     pub log_std: &'a mut [f32],
 }
 
-/// Derivatives of the mean loss by the networks' outputs `means` and `values`, and by the logarithms of σ; the
-/// entropy's are left out, because they do not depend on the samples.
+/// Derivatives of the mean loss by the networks' outputs `means` and `values`, and by the logarithms of the standard
+/// deviations. The derivatives of the entropy are left out, because they do not depend on the samples.
 pub fn slopes(
     weights: &LossWeights,
     samples: &Samples,

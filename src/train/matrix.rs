@@ -1,8 +1,8 @@
 //! The arithmetic of networks: products of matrices, and element-wise functions.
 //!
-//! Numbers are added in an order that depends on sizes alone, so results have the same bits on every thread. The
-//! products are those of crate `matrixmultiply`, which nalgebra needs anyway. Measured 2026-11-22 on an AMD EPYC
-//! (Zen 5), one thread, 128 to 256 rows by 64 × 64: 70 to 130 GFLOP/s, crate `gemm` 48 to 71.
+//! Numbers are added in an order that depends on sizes alone, so results are bit-identical on every thread. Crate
+//! `matrixmultiply`, which nalgebra needs anyway, computes the products. Measured 2026-11-22 on an AMD EPYC (Zen 5)
+//! with one thread and 128 to 256 rows by 64 × 64, it reached 70 to 130 GFLOP/s, and crate `gemm` 48 to 71.
 
 use crate::number::Kernel;
 
@@ -95,7 +95,7 @@ impl Kernel for AddBias<'_> {
     }
 }
 
-/// Derivatives by the inputs of hyperbolic tangents from those by their outputs y: `slopes` · (1 − y²).
+/// Turns the derivatives by the outputs y of hyperbolic tangents into those by their inputs: `slopes` · (1 − y²).
 pub struct TanhGradient<'a> {
     pub slopes: &'a mut [f32],
     pub outputs: &'a [f32],

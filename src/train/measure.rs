@@ -3,7 +3,7 @@
 use crate::error::{Error, Result};
 use crate::evaluate::episode::EpisodeSums;
 
-/// A measure.
+/// A measure of a gait.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GaitMeasure {
     Return,
@@ -48,7 +48,7 @@ impl GaitMeasure {
         }
     }
 
-    /// Smaller is better; NaN is worst.
+    /// The value as a cost: smaller is better, and NaN is worst.
     pub fn cost(self, value: f64) -> f64 {
         let cost = if self == Self::CostOfTransport { value } else { -value };
         if cost.is_nan() { f64::INFINITY } else { cost }
@@ -72,8 +72,8 @@ impl TrainingMean {
     }
 }
 
-/// 97.5 % point of Student's t distribution (Fisher & Yates, Statistical Tables, table III); beyond the table the
-/// value of its last row, which makes the interval slightly too wide.
+/// 97.5 % point of Student's t distribution (Fisher & Yates, Statistical Tables, table III). Beyond the table we use
+/// the value of its last row, which makes the interval slightly too wide.
 fn student(freedom: usize) -> f64 {
     const POINTS: [f64; 10] = [12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228];
     POINTS[freedom.clamp(1, POINTS.len()) - 1]

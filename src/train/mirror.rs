@@ -13,8 +13,8 @@ pub struct Mirror {
 }
 
 impl Mirror {
-    /// The mirrors of observation rows and of action rows. Those of a robot from a file follow from its geometry, those
-    /// of our own hexapods from the names of their legs.
+    /// The mirrors of observation rows and of action rows. For a robot from a file they follow from its geometry, for
+    /// our own hexapods from the names of their legs.
     pub fn both(blueprint: &Blueprint) -> Result<[Self; 2]> {
         let (spec, model) = (blueprint.task.spec(), blueprint.task.model());
         let Some(robot) = &model.tree else {
@@ -138,7 +138,7 @@ mod tests {
     /// measured heights, for many steps.
     #[test]
     fn a_legged_robot_walks_like_its_mirror_image() {
-        // In sand the patches of plates are not exactly mirror images: 3e-3 after two steps.
+        // In sand the patches of plates are not exactly mirror images: the difference is 3e-3 after two steps.
         for ground in ["rigid"] {
             let options = |sign: f64| {
                 let commands = json!({"lin_vel_x": [0.5, 0.5], "lin_vel_y": vec![0.3 * sign; 2], "ang_vel_yaw": vec![0.6 * sign; 2]});

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!  settings ──▶ plan, learner ──▶ training: rollouts (collect, normal, remote) and updates (learn, loss, adam) in turn, over a crew
-//!                  │                         └── network, mirror, matrix            of threads; saved_environments: to go on with the same bits
+//!                  │                         └── network, mirror, matrix            of threads; saved_environments: to go on bit-identically
 //!                  ├──▶ run: one training, with policy.onnx, checkpoints, learning curve, events, film
 //!                  └──▶ design: many designs, a gait learnt for each
 //! ```

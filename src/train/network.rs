@@ -1,8 +1,9 @@
 //! Actor and critic: each has layers with hyperbolic tangents and then a linear layer. They share no layers, but all
 //! parameters are in one array.
 //!
-//! The actor gives the mean of a normal distribution; the standard deviations are further parameters. With a mirror
-//! both networks are averaged with their mirror images: (f(s) + M f(M s)) / 2 and (v(s) + v(M s)) / 2.
+//! The actor gives the mean of a normal distribution; the standard deviations are further parameters. With a mirror M,
+//! actor f and critic v are averaged with their mirror images. For observation s they are (f(s) + M f(M s)) / 2 and
+//! (v(s) + v(M s)) / 2.
 
 use super::matrix::{AddBias, Matrix, SumRows, TanhGradient, multiply};
 use super::mirror::Mirror;
@@ -27,7 +28,7 @@ pub struct NetworkSizes {
     pub action: usize,
     pub actor: Vec<NetworkLayer>,
     pub critic: Vec<NetworkLayer>,
-    /// Indices in the parameters of the logarithms of the action's standard deviations.
+    /// Indices of the logarithms of the action's standard deviations in the array of parameters.
     pub log_std: Range<usize>,
     /// Number of parameters.
     pub parameters: usize,
@@ -54,8 +55,8 @@ impl NetworkSizes {
         Self { observation, action, actor, critic, log_std, parameters }
     }
 
-    /// Initial parameters of stable-baselines3's PPO: orthogonal weights (Saxe et al. 2014), with a gain of √2
-    /// before a tangent, 0.01 for the action, 1 for the value; biases 0.
+    /// Initial parameters of stable-baselines3's PPO: orthogonal weights (Saxe et al. 2014), with a gain of √2 before a
+    /// hyperbolic tangent, 0.01 for the action and 1 for the value; biases are 0.
     pub fn begin(&self, log_std: f32, random: &mut impl Rng) -> Vec<f32> {
         let mut parameters = vec![0.0; self.parameters];
         for (stack, last) in [(&self.actor, 0.01), (&self.critic, 1.0)] {
@@ -77,7 +78,7 @@ fn orthogonal(layer: &NetworkLayer, gain: f64, random: &mut impl Rng, weights: &
     let mut vectors: Vec<Vec<f64>> = Vec::with_capacity(count);
     while vectors.len() < count {
         let mut v: Vec<f64> = (0..length).map(|_| random.sample(StandardNormal)).collect();
-        // Twice, because the second time removes the rounding errors of the first.
+        // Done twice, because the second time removes the rounding errors of the first.
         for u in vectors.iter().chain(&vectors) {
             let along: f64 = u.iter().zip(&v).map(|(a, b)| a * b).sum();
             v.iter_mut().zip(u).for_each(|(v, u)| *v -= along * u);
@@ -185,7 +186,7 @@ impl Networks {
         }
     }
 
-    /// Number of rows in the networks for each requested row.
+    /// Number of rows that the networks compute for each requested row.
     fn images(&self) -> usize {
         if self.mirror.is_some() { 2 } else { 1 }
     }
@@ -222,7 +223,8 @@ impl Networks {
         }
     }
 
-    /// Adds to `gradient` the contribution of the derivatives by the last [`Networks::forward`]'s means and values.
+    /// Adds to `gradient` the contribution of the derivatives by the means and values of the last
+    /// [`Networks::forward`].
     pub fn backward(
         &self,
         parameters: &[f32],

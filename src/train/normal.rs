@@ -155,7 +155,7 @@ mod tests {
             let column: Vec<f64> = rows.iter().skip(k).step_by(3).map(|x| f64::from(*x)).collect();
             let mean = column.iter().sum::<f64>() / 200.0;
             let variance = column.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / 200.0;
-            // The prior counts for 1e-4 rows.
+            // The initial statistics count as 1e-4 rows.
             assert!((running.mean[k] - mean).abs() < 1e-5 && (running.variance[k] - variance).abs() < 1e-5);
         }
     }

@@ -14,7 +14,7 @@ use rand::SeedableRng as _;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use std::sync::Arc;
 
-/// Most numbers in the observations and actions of a rollout: our choice, 4 GiB.
+/// Largest number of values in the observations and actions of a rollout: our choice, 4 GiB.
 const MOST_NUMBERS: usize = 1 << 30;
 
 /// The state of a training: everything that is needed to continue it.
@@ -33,7 +33,7 @@ pub struct TrainingState {
     pub environments: Option<Arc<SavedEnvironments>>,
 }
 
-/// Observes a training. An error of an observer ends it.
+/// Observes a training. An error of an observer ends the training.
 pub trait Observer {
     /// Called after each update.
     fn update(&mut self, learnt: &TrainingState, report: &UpdateReport) -> Result<()>;
@@ -82,7 +82,7 @@ pub struct UpdateReport {
     pub simulation: f64,
     /// Mean level of the task's curriculum at the end of the rollout; None if it has none.
     pub level: Option<f64>,
-    /// Each reward term of `info` by its name, and its mean in a step.
+    /// The name of each reward term of `info`, and its mean per step.
     pub terms: Vec<(String, f64)>,
 }
 
@@ -136,7 +136,7 @@ impl TrainingPlan {
         }
     }
 
-    /// The networks and the normalization of `other`, and nothing else of it.
+    /// The initial state, but with the networks and the normalization of `other`.
     pub fn begin_from(&self, other: &TrainingState) -> TrainingState {
         TrainingState { parameters: other.parameters.clone(), normal: other.normal.clone(), ..self.begin() }
     }

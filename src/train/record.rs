@@ -49,7 +49,7 @@ impl TrainingRecord {
         Some((checkpoint::load(&self.file("safetensors"), plan, false).ok()?.learnt, measures))
     }
 
-    /// Saves the results of the training. The last file marks the others as complete.
+    /// Saves the results of the training. The last file is written when the others are complete.
     pub fn write(&self, plan: &TrainingPlan, learnt: &TrainingState, onnx: &[u8], measures: &[f64; 3]) -> Result<()> {
         let keep = |ending: &str, content: &[u8]| files::write(&self.file(ending), content);
         let policy = TrainingState { environments: None, ..learnt.clone() };

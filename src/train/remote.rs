@@ -1,4 +1,5 @@
-//! Environments on a server or of another program, from which the training gets the same rows as from its own.
+//! Remote environments: they are on a server or in another program, and give a training the same rows as its own
+//! environments.
 
 use crate::env::shard::Rows;
 use crate::error::Result;
@@ -18,19 +19,20 @@ pub trait RemoteEnvironments: Send {
     /// Restores saved environments.
     fn restore(&mut self, snapshot: &[u8], pause: Pause) -> Result<Rows>;
 
-    /// The environments that have ignored their action in the last step, because it began their next episode: one flag for
-    /// each environment, or none if no environment ever does this. Such a step is not learnt from.
+    /// One flag for each environment: did it ignore its action in the last step, because this step began its next
+    /// episode? Empty if no environment ever does this. The training does not learn from such a step.
     fn skipped(&self) -> &[bool] {
         &[]
     }
 
-    /// Mean of each reward term in a step since the call before; None: the rows' infos have the task's terms.
+    /// Mean per step of each reward term since the last call of this function; None: the rows' infos have the task's
+    /// terms.
     fn terms(&mut self) -> Result<Option<Vec<(String, f64)>>> {
         Ok(None)
     }
 }
 
-/// Environments that are not the training's own, if it uses any.
+/// Remote environments, if the training uses any.
 pub type OptionalRemote<'a> = Option<&'a mut (dyn RemoteEnvironments + 'static)>;
 
 /// The rows of the environments in `part`, counted from its start.

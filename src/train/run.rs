@@ -28,17 +28,17 @@ const TRAINING: f64 = 0.97;
 /// Interval of checks whether the training was stopped: our choice, well below the 100 ms that a person notices.
 const PATIENCE: Duration = Duration::from_millis(20);
 
-/// Makes environments that are not the training's own, from the training's plan and the options of its request.
+/// Makes remote environments from the training's plan and the options of its request.
 pub type Connect = dyn Fn(&TrainingPlan, &Value, Pause) -> Result<Box<dyn RemoteEnvironments>> + Send + Sync;
 
 /// A request for a training.
 pub struct TrainingRequest {
     /// The task's id, or the name of another program's environments.
     pub task: String,
-    /// Keywords of the task; without them the settings' `env_kwargs` apply. For another program's environments all that
-    /// identifies them besides their name.
+    /// Keywords of the task; without them the settings' `env_kwargs` apply. For another program's environments these
+    /// are all facts that identify them besides their name.
     pub options: Value,
-    /// The spaces of another program's environments, which `connect` gives; None: the environments are of a task.
+    /// The spaces of another program's environments, which `connect` makes; None: the environments are those of a task.
     pub external: Option<ExternalSpaces>,
     pub settings: Hyperparameters,
     pub seed: u64,
@@ -61,8 +61,8 @@ pub struct TrainingOutcome {
     pub last: Option<UpdateReport>,
     /// The learning curve.
     pub curve: Vec<CurvePoint>,
-    /// One sentence for each difference from going on with the newest checkpoint as it is: checkpoints that were
-    /// skipped, and the reason for new episodes.
+    /// One sentence for each way in which the training differs from one that simply goes on with the newest checkpoint:
+    /// checkpoints that were skipped, and the reason for new episodes.
     pub notices: Vec<String>,
     /// The policy without noise over 100 unseen seeds; None for LegStroke and for other programs' environments.
     pub score: Option<PolicyScore>,
@@ -214,7 +214,7 @@ impl TrainingRequest {
         let (recording, picture) = (self.out.join("walk.rec"), self.out.join("walk.png"));
         let mut shown = options.clone();
         if spec.id == LeggedVelocity::ID {
-            // The ground of the task itself, not that of the curriculum's first level.
+            // Shows the ground of the task itself, not the ground of the curriculum's first level.
             shown["curriculum"] = Value::Null;
         }
         let shown = Blueprint::new(&self.task, shown)?;
@@ -256,7 +256,7 @@ struct TrainingFiles<'a> {
     seconds: f64,
     newest: TrainingState,
     progress: &'a dyn Progress,
-    /// The last progress report, and the time of the last check.
+    /// The last progress report, and when we last asked whether to stop.
     told: (f64, String),
     asked: Instant,
 }
@@ -317,7 +317,7 @@ impl TrainingFiles<'_> {
 
     fn save(&mut self) -> Result<PathBuf> {
         let path = checkpoint::path(&self.request.out, self.newest.steps);
-        // A checkpoint goes on from a curve that has all points before it.
+        // The curve on the disk must have all points before the checkpoint.
         self.curve.sync()?;
         checkpoint::save(&path, self.plan, &self.newest, &self.curve.open)?;
         self.saved = self.newest.steps;

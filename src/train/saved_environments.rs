@@ -1,4 +1,4 @@
-//! Saved environments in the middle of their episodes, from which a training goes on with the same bits.
+//! Saved environments in the middle of their episodes, from which a training continues bit-identically.
 
 use super::collect::RolloutGroup;
 use super::remote::{OptionalRemote, Pause};
@@ -50,7 +50,7 @@ impl Episodes {
 }
 
 impl SavedEnvironments {
-    /// Saves the environments in `pieces`, or of `remote`; None if they cannot be saved.
+    /// Saves the environments in `pieces`, or those of `remote`; None if they cannot be saved.
     pub fn of(pieces: &[Mutex<RolloutGroup>], remote: OptionalRemote<'_>, pause: Pause) -> Result<Option<Self>> {
         let mut kept = Self { episodes: Episodes::Here(Vec::new()), discounted: Vec::new(), returns: Vec::new() };
         let mut here = Vec::new();

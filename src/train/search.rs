@@ -7,8 +7,8 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 
 /// Length scales of the covariance, as shares of the range; the likeliest one is taken. Our choice.
 const LENGTHS: [f64; 5] = [0.08, 0.15, 0.3, 0.6, 1.2];
-/// Number of candidate points for each choice: our choice, dense against the shortest length scale in two
-/// dimensions.
+/// Number of candidate points for each choice: our choice. In two dimensions their distances are small compared with
+/// the shortest length scale.
 const CANDIDATES: usize = 1000;
 /// Bases of Halton's sequence, one for each parameter.
 const BASES: [u64; 6] = [2, 3, 5, 7, 11, 13];
@@ -38,8 +38,8 @@ pub fn spread(index: u64, parameters: usize) -> Vec<f64> {
     BASES.iter().take(parameters).map(|base| digit(*base)).collect()
 }
 
-/// The `count` next points, after `looks`, whose values have the variance `noise`. So that the points of one choice are
-/// not close together, the expected value at each chosen point is used as if it had been measured.
+/// The `count` next points after `looks`. `noise`: variance of the values of `looks`. The expected value at each chosen
+/// point is used as if it had been measured, so that the points of one choice are not close together.
 pub fn next(looks: &[EvaluatedDesign], noise: f64, count: usize, random: &mut Xoshiro256PlusPlus) -> Vec<Vec<f64>> {
     let mut looks = looks.to_vec();
     let mut places = Vec::with_capacity(count);

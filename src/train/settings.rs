@@ -1,5 +1,5 @@
-//! Hyperparameters: names and meaning as in stable-baselines3's PPO, and as in `examples/train.py` for those of the
-//! script.
+//! Hyperparameters. Names and meanings are those of stable-baselines3's PPO; those of further settings are as in
+//! `examples/train.py`.
 
 use crate::error::{Error, Result, check_range};
 use serde_json::{Map, Value, json};
@@ -34,7 +34,7 @@ pub struct Hyperparameters {
     pub seconds: Option<f64>,
     /// Normalize observations and rewards by running statistics.
     pub normalize: bool,
-    /// Whether the policy is made symmetric in left and right; None (`auto`): if the robot is.
+    /// Is the policy made symmetric in left and right? None (`auto`): yes, if the robot is symmetric.
     pub mirror: Option<bool>,
     pub learning_rate: Schedule,
     /// Steps of each environment between two updates.
@@ -118,7 +118,7 @@ impl Default for Hyperparameters {
 }
 
 impl Hyperparameters {
-    /// Reads and checks the settings of a file's entry; those that it does not give are the defaults of stable-baselines3.
+    /// Reads and checks the settings of a file's entry. Settings that it does not give have the defaults of stable-baselines3.
     pub fn from_entry(entry: &Map<String, Value>) -> Result<Self> {
         let mut settings = Self::default();
         for (name, value) in entry {

@@ -1,4 +1,4 @@
-//! What a training knows of its environments: those of a task, or of another program.
+//! What a training knows of its environments, which are those of a task or of another program.
 
 use crate::env::Column;
 use crate::env::registry::Blueprint;

@@ -90,7 +90,7 @@ impl<'a, 'r> Training<'a, 'r> {
         (count > 0).then(|| sum / f64::from(count))
     }
 
-    /// Each weighted reward term, and its mean in the rollout's steps.
+    /// Each weighted reward term with its mean over the rollout's steps.
     fn terms(&mut self) -> Result<Vec<(String, f64)>> {
         if let Some(remote) = self.remote.as_deref_mut()
             && let Some(terms) = remote.terms()?
@@ -104,7 +104,7 @@ impl<'a, 'r> Training<'a, 'r> {
         Ok((0..spec.reward.len()).map(mean).collect())
     }
 
-    /// Fills the rollout; returns the returns of the episodes that ended, and the explained variance of the values.
+    /// Fills the rollout; gives the returns of the episodes that ended, and the explained variance of the values.
     fn roll(&mut self, crew: &WorkCrew<'_, Phase>, observer: &mut dyn Observer) -> Result<(Vec<f64>, f64)> {
         let (settings, pieces) = (&self.plan.settings, &self.shared.pieces);
         for (k, piece) in pieces.iter().enumerate() {
@@ -134,8 +134,7 @@ impl<'a, 'r> Training<'a, 'r> {
         Ok((finished, rollout.explained_variance()))
     }
 
-    /// Makes step `step` of environments that are not the training's own: sends the pieces' actions, and gives the
-    /// results to the pieces.
+    /// Makes step `step` of remote environments: sends the pieces' actions, and gives the results to the pieces.
     fn step_away(&mut self, step: usize, observer: &mut dyn Observer) -> Result<()> {
         let Some(remote) = &mut self.remote else { return Ok(()) };
         let pieces = &self.shared.pieces;
@@ -239,7 +238,7 @@ impl<'a, 'r> Training<'a, 'r> {
         Ok(all)
     }
 
-    /// The gradient of a minibatch from those of its chunks, in their order.
+    /// The gradient of a minibatch: the sum of the gradients of its chunks, in their order.
     fn gather(&self, chunks: usize) -> (Vec<f32>, LossSums) {
         let mut sums = LossSums::default();
         let mut gradient = vec![0.0; self.plan.networks.shape.parameters];

@@ -12,7 +12,7 @@ const MOST_BYTES: usize = 1 << 20;
 const MOST_DEPTH: usize = 32;
 /// Largest memory of all values [bytes]. A value with an anchor counts twice, and once more at every use.
 const MOST_MEMORY: usize = 8 << 20;
-/// Memory of a value besides its text [bytes]: with its place in a list or table.
+/// Memory of a value besides its text, including its place in a list or table [bytes].
 const VALUE: usize = 64;
 
 /// An incomplete value.
@@ -23,7 +23,7 @@ enum OpenYaml {
 }
 
 struct YamlReader {
-    /// Values that are not complete, with their anchors; the innermost last.
+    /// Values that are not complete, with their anchors; the innermost value is last.
     open: Vec<(OpenYaml, usize)>,
     anchors: HashMap<usize, (Value, usize)>,
     /// Memory of the values so far [bytes].
@@ -114,7 +114,7 @@ impl YamlReader {
     }
 }
 
-/// Adds a table's entries, or those of a list of tables, except for existing names.
+/// Adds the entries of a table, or of a list of tables, except entries whose names exist already.
 fn merge(table: &mut Map<String, Value>, value: Value) -> YamlResult {
     match value {
         Value::Object(other) => other.into_iter().for_each(|(name, value)| {

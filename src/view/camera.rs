@@ -1,5 +1,5 @@
-//! The camera: level with gravity. By default it follows the robot, beside it and a little in front, at a distance
-//! that fits the robot's size.
+//! The camera, which is upright with respect to gravity. By default it follows the robot, beside it and a little in
+//! front, at a distance that fits the robot's size.
 
 use crate::error::{Result, check_range};
 use crate::sim::frame::V;
@@ -23,11 +23,11 @@ pub fn check_size(size: [u32; 2]) -> Result<()> {
 const AZIMUTH: f64 = 0.55 - std::f64::consts::FRAC_PI_2;
 const ELEVATION: f64 = 0.32;
 
-/// Largest number of elevations that are tried until no dune hides the robot; each is higher than the one before by
+/// Largest number of elevations that are tried until no dune hides the robot; each is higher than the last by
 /// [`ELEVATION`].
 const HIGHER: u32 = 4;
 
-/// Vertical field of view [rad]: our choice, that of a normal lens.
+/// Vertical field of view [rad]: our choice, the field of view of a normal lens.
 const FIELD_OF_VIEW: f64 = 0.72;
 
 /// Distance in robot radii: our choice, because the robot then fills half of the picture's width.
@@ -81,7 +81,7 @@ pub struct Camera {
     right: V,
     up: V,
     forward: V,
-    /// Size in the picture of a metre at a distance of 1 m [px].
+    /// Size in the picture of a length of 1 m at a distance of 1 m [px].
     focal: f64,
     middle: [f64; 2],
     target: V,
@@ -126,8 +126,8 @@ impl Camera {
         (0..HIGHER).map(|k| at(ELEVATION * f64::from(1 + k))).find(clear).unwrap_or_else(|| at(ELEVATION))
     }
 
-    /// Looks at `target` from the direction `away`. `distance`: the distance [m], or, as an error, the half length [m]
-    /// of a robot that the distance is to fit.
+    /// Looks at `target` from the direction `away`. `distance`: `Ok` has the distance [m]; `Err` has half of a robot's
+    /// length [m], to which the distance is fitted.
     fn towards(target: V, away: V, up: V, distance: std::result::Result<f64, f64>, [width, height]: [u32; 2]) -> Self {
         let forward = -away;
         let right = forward.cross(&up).normalize();

@@ -3,7 +3,7 @@
 use crate::sim::Model;
 use crate::sim::tree::HardGround;
 
-/// Share of grey over a piece that is covered with sand: our choice.
+/// Share of grey where sand covers a piece: our choice.
 const COVERED: f32 = 0.4;
 /// Brightness of grey relative to sand: our choice.
 const DARK: f32 = 0.8;
@@ -21,8 +21,8 @@ pub fn rises(hard: &[HardGround]) -> bool {
     hard.iter().any(|piece| piece.depth < 0.0)
 }
 
-/// A colour of the sand as it is seen at a place, by a pixel that covers the length `blur` [m]. Far away, where a pixel
-/// covers more than a copy of a piece, this is a mean.
+/// The colour of a pixel that shows `place` and covers the length `blur` [m] of the ground, where sand would have the
+/// colour `sand`. Far away, where a pixel covers more than one copy of a piece, this is a mean.
 pub fn shaded(hard: &[HardGround], place: [f64; 2], blur: f64, sand: [f32; 3]) -> [f32; 3] {
     let share = |piece: &HardGround| {
         let outside = piece.outside(place);
@@ -66,7 +66,7 @@ mod tests {
         // From far away one sees the mean of slabs and sand.
         let far = |x| tint(shaded(&[slab(0.0)], [x, 0.0], 10.0, sand));
         assert!((far(0.0) - 60.0 * (1.0 - 0.5 * 0.375)).abs() < 0.1 && far(0.8) == far(0.0));
-        // The flanks of a slab above the sand fall by 2 a metre.
+        // The flanks of a slab above the sand fall by 2 m in a metre.
         assert_eq!([tint(at(-0.1, 0.44, 0.0)), tint(at(-0.1, 0.46, 0.0))], [0.0, 60.0]);
         assert_eq!(shaded(&[], [0.0; 2], 0.0, sand), sand);
     }

@@ -80,7 +80,7 @@ fn list(v: V) -> [f64; 3] {
     [v.x, v.y, v.z].map(|c| (c * 1e9).round() / 1e9)
 }
 
-/// The bodies of a robot from a file; its shapes are listed apart.
+/// The bodies of a robot from a file; its shapes are listed separately.
 fn tree_bodies(robot: &TreeModel) -> Vec<Value> {
     let one = |(i, body): (usize, &TreeBody)| {
         let q = body.origin.rotation;

@@ -6,7 +6,7 @@ use base64::engine::general_purpose::STANDARD;
 const PAGE: &str = include_str!("page/page.html");
 const STYLE: &str = include_str!("page/style.css");
 
-/// The page's scripts, in this order, because each script uses the ones before it. three.js is bundled by `make page-three`.
+/// The page's scripts, in this order, because each script uses the scripts before it. three.js is bundled by `make page-three`.
 const SCRIPTS: [&str; 6] = [
     include_str!("page/three.js"),
     include_str!("page/recording.js"),

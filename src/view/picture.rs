@@ -25,8 +25,8 @@ const ROCK: Rgb = [150.0, 142.0, 134.0];
 const ARROW: Rgb = [200.0, 30.0, 60.0];
 const INK: [u8; 3] = [40, 44, 50];
 
-/// Spacing of the fine lines on the sand, and of the coarse lines that have their x beside them [m]: first for small
-/// robots, then for robots whose drawn sand reaches further than [`SMALL`].
+/// Spacing of the fine lines on the sand, and of the coarse lines that are labelled with x [m]: first for small robots,
+/// then for robots whose drawn sand reaches further than [`SMALL`].
 const SPACING: [[f64; 2]; 2] = [[0.05, 0.25], [0.25, 1.0]];
 /// Reach of the drawn sand of small robots [m]: our choice, 64 fine lines.
 const SMALL: f64 = 3.2;
@@ -36,7 +36,7 @@ const FINE_SHARE: f64 = 0.5;
 /// Drawn thickness of legs [m]: our choice; the physics takes them as thin strips.
 const THICKNESS: f64 = 0.002;
 
-/// Length of an arrow of the robot's weight, in robot radii: our choice.
+/// Length of an arrow for a force equal to the robot's weight, in robot radii: our choice.
 const ARROW_LENGTH: f64 = 0.9;
 
 /// Texts, and where they begin [px].
@@ -336,7 +336,8 @@ impl SandCanvas {
         }
     }
 
-    /// Arrows of the ground's force on each leg, or body that touches, from the point where it acts.
+    /// Draws arrows of the ground's force on each leg, or on each body that touches the ground, from the point where
+    /// the force acts.
     fn arrows(&mut self, model: &Model, pose: &Pose) {
         let per_newton = ARROW_LENGTH * self.radius / (model.total_mass() * model.gravity.norm());
         let thick = self.map.height() as f32 / 180.0;

@@ -80,7 +80,7 @@ pub fn row(model: &Model, moment: &RecordedState) -> Vec<f32> {
 pub const HEIGHTS: usize = 32;
 
 /// x and y of the first node and the distance between nodes [m], then the heights of the sand around the robot, rows
-/// along y: every second cell of its square. Zeros without sand.
+/// along y. Only some cells of the square of sand are nodes, at equal distances. All numbers are zero without sand.
 fn heights(state: &State) -> Vec<f32> {
     let mut all = vec![0.0; 3 + HEIGHTS * HEIGHTS];
     let Some(sand) = &state.sand else { return all };

@@ -11,12 +11,12 @@ use resvg::tiny_skia::{Pixmap, PremultipliedColorU8};
 
 /// Two colours of the ground, in squares.
 const GROUND: [Rgb; 2] = [[230.0, 213.0, 178.0], [222.0, 203.0, 166.0]];
-/// Side of these squares, and of the cells that the ground is drawn by [m]; larger ones for larger robots.
+/// Side of these squares, and of the cells in which the ground is drawn [m]. Both are larger for larger robots.
 const SQUARE: f64 = 0.25;
 const CELL: f64 = 0.05;
 /// Largest number of cells from the robot to the edge of the drawn ground: our choice, to bound the time of a picture.
 const REACH: f64 = 64.0;
-/// Share of a part under the surface that is visible through the sand.
+/// Share of a robot's colour in a pixel where the robot is under the surface.
 const BURIED: f32 = 0.22;
 /// Rows of pixels that are drawn at a time, so that large pictures need little memory: our choice.
 const BAND: usize = 32;
@@ -71,7 +71,7 @@ pub fn ground(model: &Model, state: &State, [x, y]: [f64; 2]) -> Option<Vec<Colo
     Some(all)
 }
 
-/// The square of sand that moves with a robot, every cell of it.
+/// All cells of the square of sand that moves with a robot.
 fn moved(sand: &Moved) -> Vec<ColoredTriangle> {
     let (cell, side) = (sand.grid.frame.cell, sand.grid.frame.side());
     let nodes: Vec<V> = (sand.grid.cells())
@@ -85,8 +85,8 @@ fn moved(sand: &Moved) -> Vec<ColoredTriangle> {
     all
 }
 
-/// Paints robot, ground and hard ground into `map`. `camera`: that of a picture with [`SAMPLES`] times as many pixels
-/// along each side. Parts of the robot under the surface shine through.
+/// Paints robot, ground and hard ground into `map`. `camera`: the camera of a picture with [`SAMPLES`] times as many
+/// pixels along each side. Parts of the robot under the surface shine through.
 pub fn paint(
     map: &mut Pixmap,
     camera: &Camera,
@@ -140,7 +140,7 @@ pub fn paint(
                 };
                 let below = match hard {
                     [] => sand,
-                    // All of the ground is seen grey: no place has to be found.
+                    // All of the ground is seen grey, so the place need not be found.
                     _ if everywhere && seen.is_finite() => hard::grey(sand),
                     _ => camera
                         .point(place, seen)

@@ -6,7 +6,7 @@ use resvg::usvg;
 use std::fmt::Write as _;
 use std::sync::{Arc, OnceLock};
 
-/// A letter's cell [px]; DejaVu Sans Mono is 0.602 of its size wide.
+/// A letter's cell [px]. The width of a letter of DejaVu Sans Mono is 0.602 times its size.
 pub const CELL: [usize; 2] = [8, 16];
 const SIZE: f64 = 13.0;
 

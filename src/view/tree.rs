@@ -26,8 +26,8 @@ const SIDES: usize = 32;
 /// them.
 const BEFORE: f64 = 2e-3;
 
-/// A PNG of `size` [px]: `tree` in its standing pose, with its lowest point on the ground, or at `state`, with the ground at
-/// z = 0; `seen` (visual shapes) and `plates` are lists by body, in the bodies' frames.
+/// A PNG of `size` [px] that shows `tree` in its standing pose with its lowest point on the ground, or at `state` with
+/// the ground at z = 0. `seen` (visual shapes) and `plates` have one list for each body, in the frame of the body.
 ///
 /// # Errors
 /// Names the side that is out of range, or the camera's value that is out of its range.
@@ -110,7 +110,7 @@ fn turned(profile: &[[f64; 2]]) -> Vec<[V; 3]> {
     faces
 }
 
-/// The triangles of a shape; `of_mesh` has those of a mesh.
+/// The triangles of a shape; `of_mesh` gives the triangles of a mesh.
 pub(super) fn triangles<M>(geometry: &Geometry<M>, of_mesh: impl Fn(&M) -> Vec<[V; 3]>) -> Vec<[V; 3]> {
     let arc = |radius: f64, lift: f64, from: usize, to: usize| {
         let steps = SIDES / 2;

@@ -1,4 +1,4 @@
-//! The example in C gets the numbers that Rust gets, and the texts of errors.
+//! The example in C gets the same numbers as Rust, and the texts of errors.
 
 use sandgait_bodies::{Bodies, BodyPart, GroundOptions, Motions, SandGround, Strided};
 use sandgait_sand::SandDescription;

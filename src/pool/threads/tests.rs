@@ -13,7 +13,7 @@ fn begun() -> (Batch, Operation) {
 }
 
 /// The only worker is busy, so the shards of a batch wait. The thread that waits for the batch computes them, but not
-/// while as many threads work as the pool has.
+/// while as many threads work as the pool has threads.
 #[test]
 fn who_waits_computes() {
     let mut pool = Pool::new(1);
@@ -57,8 +57,8 @@ fn a_panic_of_who_is_told_costs_no_worker() {
     assert_eq!(pool.wait(batch, reset).unwrap().envs(), 40);
 }
 
-/// Jobs come when the workers are in any state: at work, watching, falling asleep or asleep. Each job is finished
-/// without help from a later one.
+/// Jobs come when the workers are in any state: at work, watching, falling asleep or asleep. Each job is finished, even
+/// if no later job comes.
 #[test]
 fn no_job_is_forgotten() {
     for threads in [1, 2] {

@@ -7,8 +7,8 @@ use crate::names::name;
 use crate::pool::Batch;
 use std::sync::Arc;
 
-/// A session's environments, out for one request. Dropping this returns them, unless the pool has lost them or the
-/// thread panics; then the session ends, because its clients would otherwise wait for ever.
+/// A session's environments, taken out for one request. Dropping this returns them, unless the pool has lost them or
+/// the thread panics; then the session ends, because its clients would otherwise wait for ever.
 pub struct SessionGuard {
     pub sessions: Arc<Sessions>,
     pub id: String,
@@ -60,7 +60,7 @@ impl SessionGuard {
         if made > 0
             && let (Some(books), Some(batch)) = (&mut self.books, &self.batch)
         {
-            // Less than was reserved, which is always possible.
+            // This is less than was reserved, so it is always possible.
             let _ = books.reservation.set_models(batch.model_bytes());
         }
     }

@@ -6,9 +6,9 @@ use std::future::poll_fn;
 use std::pin::pin;
 use std::task::Poll;
 
-/// The second stream gets the first notification that the environments are back, but has lost the session by then.
-/// The third, which waits too, must get them. The second handles the notification in one of two ways at random,
-/// hence the rounds.
+/// The second stream gets the first notification that the environments are back, but has lost the session by then. The
+/// third stream also waits, and must get the environments. The second stream handles the notification in one of two
+/// ways at random, so the test runs several rounds.
 #[tokio::test]
 async fn environments_come_back_to_the_third_stream_though_a_second_waited() {
     let sessions = Sessions::new(Limits::default(), crate::pool::Seal::default(), CancellationToken::new());
@@ -24,7 +24,7 @@ async fn environments_come_back_to_the_third_stream_though_a_second_waited() {
         tokio::task::yield_now().await;
         let third = sessions.attach(&id).unwrap();
         let mut last = pin!(sessions.take(&third));
-        // The third waits, and the second has not run since it lost the session.
+        // The third stream waits, and the second has not run since it lost the session.
         let waits = poll_fn(|cx| Poll::Ready(last.as_mut().poll(cx).is_pending())).await;
         assert!(waits && !waiting.is_finished());
         drop(environments);

@@ -1,5 +1,5 @@
-//! The computations of all studies, for clients of the server and for this process. A request is checked first, before
-//! it waits in the queue, except for the rows of measured data; the returned function does the work.
+//! The computations of all studies, for clients of the server and for this process. A request is checked before it
+//! waits in the queue; only the rows of measured data are checked later. The returned function does the work.
 
 use super::encode;
 use crate::diagnose::experiment::Experiment;
@@ -47,7 +47,7 @@ pub enum StudyResult {
 }
 
 impl StudyRequest {
-    /// Runs the study on this thread and those that it starts.
+    /// Runs the study on this thread and on threads that it starts.
     pub fn compute(self, progress: &dyn Progress) -> Result<StudyResult> {
         match self {
             Self::Intrude(request) => intrude(request).map(StudyResult::Table),
@@ -111,8 +111,8 @@ pub fn intrude(request: IntrudeRequest) -> Result<Table> {
 /// Number of motions between two reports: our choice, about a second for a wheel.
 const TOGETHER: usize = 2_000;
 
-/// Largest number of plates of a client's body: our choice; they take 8 MB, and 300 MB in all positions of a period. A
-/// default wheel has some 3,000.
+/// Largest number of plates of a client's body. Our choice: they take 8 MB, and 300 MB in all positions of a period. A
+/// default wheel has some 3,000 plates.
 const MOST_PLATES: usize = 50_000;
 
 pub fn trials(request: TrialsRequest) -> Result<StudyWork<Table>> {
@@ -216,7 +216,7 @@ pub fn walk(request: WalkRequest) -> Result<StudyWork<Table>> {
     }))
 }
 
-/// Largest number of stride frequencies in one request: our choice; each has a model in memory.
+/// Largest number of stride frequencies in one request: our choice, because each frequency has a model in memory.
 const MOST_FREQUENCIES: usize = 4096;
 
 pub fn sweep(request: SweepRequest) -> Result<StudyWork<Table>> {

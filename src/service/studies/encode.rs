@@ -1,4 +1,4 @@
-//! From results to tables: columns of f64 with names and units.
+//! Turns results into tables: columns of f64 with names and units.
 
 use crate::diagnose::report::Curves;
 use crate::evaluate::{self, EvaluationRow};

@@ -24,7 +24,7 @@ use tonic::Status;
 /// Largest number of studies in line, including the running one: our choice, so that their requests stay within 1 GiB.
 const PLACES: usize = 16;
 
-/// Largest number of events that wait for a slow client; further ones are left out, but never the result.
+/// Largest number of events that wait for a slow client. Further events are left out, but the result is always sent.
 const EVENTS: usize = 8;
 
 /// Smallest progress that is reported: our choice, some 200 events a study.
@@ -70,7 +70,7 @@ impl Drop for QueuePlace {
 /// A study's progress, and its result at the end.
 pub type Events<A> = BoxStream<'static, std::result::Result<A, Status>>;
 
-/// What a study sends: an event, and with its result the memory of its request.
+/// What a study sends: an event; the result also carries the memory share of the request.
 type StudyItem<A> = (std::result::Result<A, Status>, Option<Share>);
 
 impl StudyQueue {

@@ -2,7 +2,7 @@
 //!
 //! * [`compute`]: checks requests and computes the studies, also for callers in this process.
 //! * [`encode`]: their results as tables.
-//! * [`line`]: one study at a time, the others in a queue, with progress reports.
+//! * [`line`]: runs one study at a time while the others wait in a queue, and reports progress.
 
 pub mod compute;
 mod encode;

@@ -1,4 +1,4 @@
-//! Frames for watchers: moments of one environment, encoded once for all its watchers.
+//! Frames for watchers: the present moments of one environment, encoded once for all its watchers.
 //!
 //! ```text
 //!  thread that stepped ──ViewedState──▶ latest ──▶ task that encodes ──ViewerFrame──▶ watchers
@@ -14,7 +14,7 @@ use std::sync::Arc;
 use tokio::sync::broadcast::error::RecvError;
 use tokio::sync::{broadcast, watch};
 
-/// Largest number of frames that wait for a slow browser: our choice, about those of one second.
+/// Largest number of frames that wait for a slow browser: our choice, about as many as come in one second.
 const WAITING: usize = 64;
 
 /// A copy of an environment's visible state.
@@ -50,7 +50,7 @@ impl ViewedState {
     }
 }
 
-/// A moment, and the header of the section that it belongs to.
+/// A moment of a recording, and the header of the section that it belongs to.
 #[derive(Clone)]
 pub struct ViewerFrame {
     pub head: Bytes,
@@ -58,7 +58,7 @@ pub struct ViewerFrame {
 }
 
 /// The next blocks for a watcher that has the header `head`: a row, with a header before it if the header has changed.
-/// A slow watcher misses some. None when no more frames will come.
+/// A slow watcher misses some rows. None when no more frames will come.
 pub async fn next_blocks(frames: &mut broadcast::Receiver<ViewerFrame>, head: &mut Bytes) -> Option<Bytes> {
     loop {
         match frames.recv().await {
@@ -83,7 +83,7 @@ pub type Frames = broadcast::Sender<ViewerFrame>;
 pub fn encode(task: Arc<dyn AnyTask>) -> (Latest, Frames) {
     let (latest, mut moments) = watch::channel(None::<Arc<ViewedState>>);
     let frames = broadcast::Sender::new(WAITING);
-    // The task does not keep the sender alive, so that receivers notice when no more frames will come.
+    // This async task does not keep the sender alive, so that receivers notice when no more frames will come.
     let weak = frames.downgrade();
     tokio::spawn(async move {
         let mut section: Option<(Arc<ViewedState>, Bytes)> = None;

@@ -1,4 +1,4 @@
-//! The live page: sessions of this server as they step, for browsers.
+//! The live page: in a browser it shows the sessions of this server while they step.
 //!
 //! ```text
 //!  GET /                     the page, the same that `sandgait replay --html` writes

@@ -1,4 +1,4 @@
-//! The page of one environment that its viewers steer: the live page, with arrow keys or a gamepad.
+//! The page of one environment that its viewers steer: the live page, and also arrow keys or a gamepad.
 //!
 //! ```text
 //!  GET /, /sessions, /watch/play/0    as the live page of a server
@@ -52,8 +52,8 @@ impl PlayedEnvironment {
         self.latest.send_replace(Some(Arc::new(ViewedState::of(look))));
     }
 
-    /// The last command of a page: shares from −1 to 1 of the largest commands backward and forward, to the right and left, and
-    /// of the yaw rate.
+    /// The last command of a page, as three shares of the largest command: from −1 (backward) to 1 (forward), from −1
+    /// (right) to 1 (left), and from −1 to 1 for the yaw rate.
     pub fn command(&self) -> [f64; 3] {
         *self.command.lock()
     }

@@ -15,8 +15,8 @@ use tokio::sync::broadcast::Receiver;
 /// Least interval between frames of an environment: our choice, 60 a second, the rate of screens.
 const PAUSE: Duration = Duration::from_micros(16_600);
 
-/// Least interval for each watcher, so that with many watchers frames are less frequent: our choice, 2,000 frames a
-/// second in all, some percent of a processor.
+/// The interval is also at least this time for each watcher, so that frames are less frequent with many watchers. Our
+/// choice: 2,000 frames a second in all, some percent of a processor.
 const EACH: Duration = Duration::from_micros(500);
 
 /// All watchers of this server.
