@@ -3,14 +3,14 @@
 //!
 //! A leg's stance takes the share `duty` of a stride. During stance the leg sweeps the angle `sweep`, centred on
 //! `offset`, at a constant speed. During the rest of the stride, the swing, the leg turns on to the start of the sweep
-//! at another speed. A leg is ahead of the clock by its phase in the alternating tripod plus its own phase, which is a
-//! part of the action.
+//! at another speed. A leg's phase is ahead of the clock's phase by the leg's phase in the alternating tripod plus a
+//! phase of its own, which is a part of the action.
 //!
 //! The clock has no memory of its own. Its phase is computed from the servos' references: each leg's reference gives a
-//! phase, from which the leg's own phase is subtracted; the circular mean over all legs is the phase of the clock.
-//! Every leg then moves toward its angle one control step later. So snapshots contain the phase, the clock treats all
-//! legs alike, and it waits for legs that the speed limit slows down. Speeds are constant within a control step, which
-//! smooths the change between stance and swing.
+//! phase, from which the amount that the leg is ahead is subtracted; the circular mean over all legs is the phase of
+//! the clock. Each leg then moves toward the angle that it should have at the end of the control step. So snapshots
+//! contain the phase, the clock treats all legs alike, and it waits for legs that the speed limit slows down. Speeds
+//! are constant within a control step, which smooths the change between stance and swing.
 
 use super::reference::toward;
 use super::spec::{CONTROL_RATE, Column};
@@ -36,7 +36,7 @@ pub struct Clock {
     tripod: Vec<f64>,
 }
 
-/// A choice of the parameters that all legs share.
+/// Values of the gait parameters that all legs share.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Stride {
     /// [Hz]
@@ -107,7 +107,7 @@ impl Clock {
         names.map(|name| Column::new(name, "1", -1.0, 1.0)).collect()
     }
 
-    /// Moves every reference toward its angle one control step later.
+    /// Moves every reference toward the angle that it should have at the end of the control step.
     pub fn command(&self, action: &[f32], state: &State, command: &mut Command) {
         let stride = Stride::of(action);
         let (_, own) = action.split_at(SHARED);
@@ -131,7 +131,7 @@ mod tests {
 
     const NARROW: Stride = Stride { frequency: 2.0, duty: 0.4, sweep: 1.0, offset: 0.3 };
 
-    /// Stance sweeps its angle in its share of the stride, swing the rest of the turn in the rest of the stride.
+    /// Stance sweeps the angle `sweep` in the share `duty` of the stride; swing turns the leg by the rest of the turn in the rest of the stride.
     #[test]
     fn two_speeds_make_one_turn() {
         let span = |a: f64, b: f64| NARROW.angle(b) - NARROW.angle(a);

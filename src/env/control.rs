@@ -82,7 +82,7 @@ impl Driver {
                 hips.for_each(|((a, reference), rate)| *rate = toward(f64::from(*a) * PI, *reference))
             }
             Control::Torque => {
-                // Without gains the reference has no effect; it follows the hip so that the two stay close.
+                // Without servo gains the reference has no effect. It follows the hip's angle, so that reference and angle stay close.
                 let angles = state.angles.iter().zip(&state.references).zip(&mut command.rates);
                 angles.for_each(|((angle, reference), rate)| *rate = (angle - reference) * CONTROL_RATE);
                 let torques = action.iter().zip(&mut command.torques);

@@ -15,7 +15,7 @@ pub struct Episode {
     pub(super) number: u64,
     pub(super) steps: u32,
     pub(super) task_state: TaskState,
-    /// The present state. The sand that was moved is not in it but in the engine, except in a copy of the episode.
+    /// The present state. Sand that was moved is stored in the engine; only in a copy of the episode is it in this state.
     pub(super) state: State,
     pub(super) last_action: Vec<f32>,
     /// What the episode's sensors remember.
@@ -33,7 +33,7 @@ pub(super) struct Ended {
 /// One environment of a shard.
 pub(super) struct Environment {
     pub episode: Episode,
-    /// A reset may have changed the task's options since the engine got them.
+    /// True if a reset may have changed the task's options since the engine got them.
     pub stale: bool,
     /// The state before the last step; if that step ended an episode, the final state of that episode.
     pub before: State,
@@ -43,12 +43,12 @@ pub(super) struct Environment {
     pub ended: Option<Ended>,
 }
 
-/// What has led to the state that is observed.
+/// The event before the observed state.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Before {
     /// A reset.
     Begin,
-    /// The end of the previous episode. The info row has the last values of that episode.
+    /// The end of the previous episode, whose last values are in the info row.
     End,
     Step,
     Restore,
@@ -79,8 +79,8 @@ impl Environment {
         Self { episode, stale: false, before: still, normal_forces: Vec::new(), ended: None }
     }
 
-    /// Fills an observation row, and the sensors' part of an info row. `before`: what led to the present state; `sand`:
-    /// the sand that was moved.
+    /// Fills an observation row, and the sensors' part of an info row. `before`: the event before the present state;
+    /// `sand`: the sand that was moved.
     pub fn observe(&mut self, before: Before, period: f64, sand: Option<&Moved>, row: &mut [f32], info: &mut [f32]) {
         let Episode { task, seed, number, steps, task_state, state, last_action, sensed, .. } = &mut self.episode;
         let Some(sensors) = task.sensing() else {

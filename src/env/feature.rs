@@ -70,7 +70,7 @@ impl<F: Copy> Features<F> {
         self.sensed_as(sensor, Part::Value)
     }
 
-    /// Like [`Self::sensed`], for columns that are the function `part` of the measured value.
+    /// Like [`Self::sensed`], for columns that have the function `part` of the measured value, for example its sine.
     pub fn sensed_as(mut self, sensor: Sensor, part: Part) -> Self {
         self.all[self.last..].iter_mut().for_each(|feature| feature.column.sensor = Some((sensor, part)));
         self

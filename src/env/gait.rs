@@ -131,8 +131,8 @@ impl Task for HexapodGait {
     }
 }
 
-/// Mean angle by which the hips turned in a step [rad]. The tread of a wheel whose radius is the leg's length 2R would
-/// move by 2R times this angle.
+/// Mean angle by which the hips turned in a step [rad]. A rolling wheel with the leg's length 2R as its radius would
+/// advance by 2R times this angle.
 fn hip_turn(t: &Transition) -> f64 {
     let hips = t.after.angles.iter().zip(&t.before.angles);
     hips.map(|(after, before)| wrap_angle(after - before)).sum::<f64>() / t.after.angles.len() as f64

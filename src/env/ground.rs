@@ -18,9 +18,9 @@ pub struct UsedGround {
     pub zeta: Vec<f64>,
     /// Length of a patch along x [m]; patch 0 begins at x = 0.
     pub patch_length: f64,
-    /// κ of ground that was stepped on.
+    /// κ of mechanism `footprint`: on a footprint the stress is 1 − κ times that on fresh ground.
     pub footprint: f64,
-    /// Distance from the start at which the command reverses [m].
+    /// Distance from the start at which the command reverses [m], so that the robot is to walk back.
     pub turning_point: f64,
     /// Sign of x on the way out, which is that of the first command.
     pub outward: f64,
@@ -30,7 +30,7 @@ pub struct UsedGround {
     pub patch: usize,
     /// Where each leg that is in the sand entered it [m].
     pub standing: Vec<Option<[f64; 2]>>,
-    /// Stress on each leg as a share of that on fresh ground.
+    /// Factor on the stress on each leg; 1 on fresh ground.
     pub footing: Vec<f64>,
     /// Footprints [m], oldest first.
     pub prints: Vec<[f64; 2]>,
@@ -49,7 +49,7 @@ pub enum Change {
 }
 
 impl UsedGround {
-    /// Can an episode of a robot with `legs` legs have reached this ground? Checks snapshots.
+    /// For snapshots: can an episode of a robot with `legs` legs have reached this ground?
     pub fn is_sound(&self, legs: usize) -> bool {
         let number = |x: &f64| x.is_finite();
         let points = self.prints.iter().chain(self.standing.iter().flatten()).flatten();
@@ -83,7 +83,7 @@ impl UsedGround {
     /// Updates the ground for the robot's present state.
     pub fn after_step(&mut self, model: &Model, state: &State) -> Change {
         let mut change = Change::Nothing;
-        // Footprints of this step count from the next step on, so that the order of the legs does not matter.
+        // Footprints that legs leave in this step have an effect from the next step on, so that the order of the legs does not matter.
         let mut left = Vec::new();
         for leg in 0..self.standing.len() {
             let [x, y, z] = model.tip(state, leg);
@@ -111,7 +111,7 @@ impl UsedGround {
         change
     }
 
-    /// Share of the stress for a leg that enters at `place` [m]: the nearest footprint counts.
+    /// Factor on the stress for a leg that enters the sand at `place` [m]; only the nearest footprint counts.
     fn footing_at(&self, place: [f64; 2]) -> f64 {
         if self.footprint == 0.0 {
             return 1.0;
@@ -156,8 +156,8 @@ mod tests {
         Model::new(&robot, &Scene::flat(Medium::named("poppy-loose").unwrap())).unwrap()
     }
 
-    /// The middle leg meets the front leg's footprint. Ground without footprints is fresh, also for a leg that
-    /// stays where it is.
+    /// The middle leg meets the front leg's footprint. Ground without footprints is fresh, and a leg that stays where
+    /// it is does not meet its own footprint.
     #[test]
     fn prints_are_found_again() {
         let (model, mut ground) = (model(), ground(0.5));
@@ -188,7 +188,7 @@ mod tests {
         }
     }
 
-    /// Out and back, out and back again, whatever the sign of the first command.
+    /// The robot walks out and back twice, with either sign of the first command.
     #[test]
     fn robots_turn_round_at_both_ends() {
         for outward in [1.0, -1.0] {

@@ -1,5 +1,5 @@
-//! `sandgait/HexapodLegs`: foot trajectories of a robot with three joints a leg; speed and turning commands. Joints stop at the ends of
-//! their ranges in `-v2`; in `-v1` a load can push them beyond.
+//! `sandgait/HexapodLegs`: foot trajectories of a robot with three joints a leg; speed and turning commands. In `-v2`, stops hold
+//! joints within their ranges; in `-v1`, a load can push joints beyond their ranges.
 
 use super::feature::Features;
 use super::locomotion::{self, Figure, Observe, Observed, WalkStep, Weights};

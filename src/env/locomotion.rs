@@ -27,7 +27,7 @@ pub struct Observed<'a> {
     pub task_state: &'a TaskState,
     pub state: &'a State,
     pub last_action: &'a [f32],
-    /// Gravity's direction and the base's velocities, all in the body frame.
+    /// Gravity's direction; this and the next fields, the base's velocities, are in the body frame.
     pub gravity: [f64; 3],
     pub velocity: [f64; 3],
     pub angular_velocity: [f64; 3],
@@ -84,13 +84,13 @@ fn direction([x, y]: [f64; 2]) -> Option<[f64; 2]> {
     (norm > 1e-9).then(|| [x / norm, y / norm])
 }
 
-/// Mean velocity of the base's centre over a step, forward and to the left [m/s]: its displacement, in the frame of the
-/// heading halfway between before and after. A policy that does not observe its heading can follow such a command.
-/// legged_gym (`_reward_tracking_lin_vel`, base frame) and Isaac Lab (`track_lin_vel_xy_yaw_frame_exp`) reward the
-/// same.
+/// Mean velocity of the base's centre over a step, forward and to the left [m/s]: its displacement over time, in the
+/// frame of the heading halfway between the headings before and after the step. A policy that does not observe its
+/// heading can follow a command in this frame. legged_gym (`_reward_tracking_lin_vel`, base frame) and Isaac Lab
+/// (`track_lin_vel_xy_yaw_frame_exp`) reward the same.
 fn heading_velocity(t: &Transition) -> [f64; 2] {
     let [before, after] = [t.before, t.after].map(heading);
-    // After half a turn within the step the halfway heading is undefined.
+    // If the robot makes half a turn within the step, the halfway heading is undefined.
     let [cos, sin] = direction([before[0] + after[0], before[1] + after[1]]).unwrap_or(after);
     let [x, y] = [0, 1].map(|i| (t.after.position[i] - t.before.position[i]) / t.period);
     [cos * x + sin * y, cos * y - sin * x]
@@ -104,8 +104,8 @@ fn cost(x: f64) -> f64 {
 }
 
 reward_terms! {
-    /// Weight of each reward term. Before weighting, all terms are of order 1 in a step; `termination` counts once an
-    /// episode. Our choice: tracking dominates, and the costs decide between gaits of the same speed. `alive` and
+    /// Weight of each reward term. Before weighting, all terms are of order 1 in a step; `termination` counts once in
+    /// an episode. Our choice: tracking dominates, and the costs decide between gaits of the same speed. `alive` and
     /// `termination` make sure that falling is never rewarded: a robot that stands gets `alive` in each step, which is
     /// more than standing costs on any slope, and a fall costs as much as 4 s of `alive` (tests/falls.rs). gymnasium's
     /// Ant has `healthy_reward`, Isaac Lab `is_alive` and `is_terminated`. v_forward, v_left: the base's mean velocity

@@ -16,7 +16,7 @@ pub struct EnvView<'a> {
     pub task_state: &'a TaskState,
     /// The sand that was moved; None without memory, and for an episode that has ended.
     pub sand: Option<&'a Moved>,
-    /// Stress on each leg as a share of that on fresh ground; empty if all ground is fresh.
+    /// Factor on the stress on each leg, 1 on fresh ground; empty if all ground is fresh.
     pub footing: &'a [f64],
     /// Seed and number of the episode.
     pub episode: (u64, u64),
@@ -67,8 +67,8 @@ impl Shard {
     }
 }
 
-/// The figures of an episode's first state, such as its commands: those of a step in which nothing moves. No reward has
-/// been paid.
+/// The figures of an episode's first state, such as its commands. They are computed as for a step in which nothing
+/// moves, with no reward.
 fn at_start(episode: &Episode, spec: &Spec) -> Vec<f32> {
     let mut info = vec![0.0; spec.info.len()];
     let Episode { task, task_state, state, last_action, .. } = episode;

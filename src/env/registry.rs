@@ -16,8 +16,8 @@ use crate::sim::engine::EngineKind;
 use serde_json::Value;
 use std::sync::Arc;
 
-/// All tasks, one row each. A later version of a task comes after the earlier one. The rest stands in the task's own
-/// file.
+/// All tasks, one row each. A later version of a task comes after the earlier version. Everything else about a task is
+/// in its own file.
 const KINDS: [TaskKind; 7] = [
     TaskKind::of::<HexapodGait>(),
     TaskKind::of::<HexapodLegs<false>>(),
@@ -52,8 +52,8 @@ pub const TASK_IDS: [&str; KINDS.len()] = {
     ids
 };
 
-/// The id of the task that a user calls `name`: the id itself, without `sandgait/`, or also without the version, which means the latest
-/// one. Another name is returned as it is.
+/// The id of the task that a user calls `name`. A user may leave out `sandgait/`, and also the version, which then is the latest. Any
+/// other name is returned unchanged.
 pub fn task_id(name: &str) -> &str {
     let bare = |id: &'static str| id.trim_start_matches("sandgait/");
     let short = |id| bare(id).split("-v").next();
@@ -65,7 +65,7 @@ pub fn task_id(name: &str) -> &str {
 pub struct Keyword {
     pub name: &'static str,
     pub help: &'static str,
-    /// The help; for a dictionary, together with the help of its keys.
+    /// The help; for a dictionary, also the help of its keys.
     pub summary: String,
     /// The option's value in this session.
     pub value: Value,
@@ -165,7 +165,7 @@ impl Blueprint {
         Ok(Self { task: self.task.changed(reset)?, ..*self })
     }
 
-    /// Options without effect, with the reason: mechanisms of a sand.toml that have no effect on robots.
+    /// Warnings about mechanisms of a sand.toml that have no effect on robots, with the reason.
     pub fn warnings(&self) -> Vec<String> {
         self.task.model().scene.mechanisms.unfelt_by_walkers()
     }
@@ -186,9 +186,9 @@ impl Blueprint {
         self.shared_bytes() + envs * self.bytes_per_env()
     }
 
-    /// Memory of one environment [bytes]: rows twice (final observations), its robot, its episode, the one before it,
-    /// and the copy that a rollout or restore makes, with the sand around it. [`Task::EPISODE_BYTES`] is for two
-    /// episodes. Each episode of a tree robot has a model of its own.
+    /// Memory of one environment [bytes]: its rows twice (because of final observations), its robot, its episode, the
+    /// previous episode, and the copy of the episode, with sand, that a rollout or restore makes.
+    /// [`Task::EPISODE_BYTES`] is for two episodes. Each episode of a tree robot has its own model.
     pub fn bytes_per_env(&self) -> usize {
         let (spec, model) = (self.task.spec(), self.task.model());
         let rows = 4 * (2 * spec.observation.len() + spec.info.len() + spec.action.len());
@@ -203,7 +203,7 @@ impl Blueprint {
     }
 
     /// Memory that environments with the same options share [bytes]: the model, and the names of all columns, which the
-    /// task has twice. Each reset or restore that brings other options needs it once more.
+    /// task stores twice. Each reset or restore with other options needs this memory again.
     pub fn shared_bytes(&self) -> usize {
         let spec = self.task.spec();
         let columns = spec.observation.iter().chain(&spec.action).chain(&spec.info);

@@ -60,8 +60,8 @@ const TRIES: usize = 20;
 /// Corners of a rock: enough to look irregular.
 pub(super) const CORNERS: usize = 12;
 
-/// Height scan: points ahead and to the sides of the base's centre [m], in its heading; from behind the base to two
-/// thirds of a body length before it.
+/// Height scan: coordinates of its points ahead of the base's centre and to the sides [m], relative to the heading;
+/// from behind the base to two thirds of a body length ahead of it.
 const SCAN_X: [f64; 7] = [-0.05, 0.0, 0.05, 0.1, 0.13, 0.16, 0.2];
 const SCAN_Y: [f64; 5] = [-0.1, -0.05, 0.0, 0.05, 0.1];
 

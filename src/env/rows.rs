@@ -13,7 +13,7 @@ pub struct Rows {
     pub truncated: Vec<u8>,
     /// f32 [envs, info]
     pub infos: Vec<f32>,
-    /// Environments of this shard whose episode ended in this step, ascending.
+    /// Indices of the environments of this shard whose episode ended in this step, in ascending order.
     pub ended: Vec<u32>,
     /// f32 [ended, observation]: last row of each ended episode.
     pub final_observations: Vec<f32>,

@@ -73,8 +73,9 @@ impl Shard {
         self.environments.iter().all(|e| e.episode.steps == 0)
     }
 
-    /// Begins new episodes in the environments for which `chosen` is true. An environment with an entry in `task` gets
-    /// that task instead of its own. With `seeds`, the streams of random numbers start anew; otherwise they continue.
+    /// Begins new episodes in the environments for which `chosen` is true. An environment for which `task` has an entry
+    /// gets this task instead of its own. With `seeds`, the streams of random numbers start anew; without, they
+    /// continue.
     pub fn reset<'a>(
         &mut self,
         chosen: impl Fn(usize) -> bool,
@@ -109,7 +110,7 @@ impl Shard {
     }
 
     /// Makes one control step of every environment; `actions` is f32 [envs, action] within its bounds. If an episode
-    /// ends, the next one begins at once, and the row has its first observation.
+    /// ends, the next episode begins at once, and the row has the first observation of the next episode.
     pub fn step(&mut self, actions: &[f32]) {
         self.rows.clear();
         let width = self.task.spec().action.len();
@@ -150,9 +151,9 @@ impl Shard {
         self.engine.advance(self.substeps - now);
     }
 
-    /// The same as [`Shard::step`], for the environments that `held` does not name. Held ones keep their state, and their rows
-    /// are zeros except for the observation. Because lanes advance together, held environments make the step and are
-    /// then restored.
+    /// The same as [`Shard::step`], except for environments for which `held` is true. Those keep their state, and their rows
+    /// are zeros except for the observation. Because lanes advance together, held environments also make the step and are then
+    /// restored.
     pub fn step_but(&mut self, actions: &[f32], held: impl Fn(usize) -> bool) {
         let kept: Vec<_> = (0..self.envs()).filter(|i| held(*i)).map(|i| (i, self.keep(i))).collect();
         self.step(actions);
@@ -162,7 +163,7 @@ impl Shard {
         }
     }
 
-    /// Evaluates environment `i`'s step, and begins the next episode if this one ended.
+    /// Evaluates environment `i`'s step, and begins the next episode if the present one has ended.
     fn finish(&mut self, i: usize, action: &[f32]) {
         let spec = self.task.spec();
         let (wide, info) = (spec.observation.len(), spec.info.len());
@@ -242,7 +243,7 @@ impl Shard {
     pub(super) fn take_up(&mut self, i: usize, before: Before) {
         let episode = &mut self.environments[i].episode;
         self.engine.set_state(i, &episode.state);
-        // The engine has the sand from here on.
+        // From here on, the sand is in the engine.
         episode.state.sand = None;
         if episode.task_state.ground.is_some() {
             change_ground(&mut self.engine, i, episode, Change::Footing);
@@ -262,7 +263,7 @@ impl Shard {
 }
 
 impl Shard {
-    /// Prepares a rollout; must come before its first [`Shard::roll`].
+    /// Prepares a rollout; must be called before the first [`Shard::roll`].
     pub fn begin_rollout(&mut self) {
         self.rollout = Rollout::begin(self.envs());
     }
@@ -284,7 +285,7 @@ impl Shard {
         }
     }
 
-    /// The last step's rows, zeros where `over`.
+    /// The last step's rows, with zeros for environments that are `over`.
     fn recorded(&self, actions: &[f32], over: &[bool]) -> Recorded {
         let rows = &self.rows;
         let [wide, width] = [rows.observations.len(), actions.len()].map(|n| n / over.len());

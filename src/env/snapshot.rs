@@ -1,7 +1,7 @@
 //! Episodes as data: everything that the rest of an episode, and all later episodes, depend on.
 //!
-//! [`Shard::save`] and [`Shard::restore`] keep every bit: a restored environment goes on exactly as the saved one,
-//! in any lane of any batch of the same task.
+//! [`Shard::save`] and [`Shard::restore`] keep every bit: a restored environment goes on exactly as the saved
+//! environment, in any lane of any batch of the same task.
 
 use super::episode::{Before, Episode};
 use super::ground::UsedGround;
@@ -28,11 +28,11 @@ pub struct SavedEpisode {
     pub steps: u32,
     /// Commanded speed [m/s] and yaw speed [rad/s].
     pub goal: [f64; 2],
-    /// The model of an episode that drew parts of it, such as rocks.
+    /// Robot and scene, if the episode drew parts of them, such as rocks.
     pub drawn: Option<Box<(Robot, Scene)>>,
     /// The ground of tasks with patches or footprints.
     pub ground: Option<UsedGround>,
-    /// For LeggedVelocity; the model is built again from these values.
+    /// Values of an episode of LeggedVelocity, from which the model is built again.
     #[serde(default)]
     pub legged: Option<LeggedEpisode>,
     /// [`State::row`]
@@ -103,8 +103,8 @@ impl Episode {
     }
 }
 
-/// The model of an episode that drew parts of it. Masses, sand and slope are checked like any other input; all
-/// dimensions that memory depends on must equal those of `task`.
+/// The model of an episode that drew parts of its model. Masses, sand and slope are checked like any other input. All
+/// numbers of parts, on which the memory depends, must equal those of `task`.
 fn drawn(robot: &Robot, scene: &Scene, task: &dyn AnyTask) -> Result<Model> {
     let own = task.model();
     if !robot.is_variant_of(&own.robot) {
@@ -246,8 +246,8 @@ mod tests {
                 let before = drawn.clone();
                 change(&mut drawn.0, &mut drawn.1);
                 if *drawn == before {
-                    // LegStroke has a leg of this shape, but its snapshots contain no robot, so one with a robot is
-                    // refused.
+                    // LegStroke has a leg of this shape, but its snapshots contain no robot, so a snapshot with a robot
+                    // is refused.
                     assert_eq!(id, "sandgait/LegStroke-v0", "{what}");
                 }
                 let error = resume(&blueprint, &crafted).err().unwrap_or_else(|| panic!("{id}: {what} is taken"));

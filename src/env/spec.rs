@@ -14,7 +14,7 @@ pub struct Column {
     pub unit: &'static str,
     pub low: f64,
     pub high: f64,
-    /// What measures it, and which function of the measured value it is; None: it is not measured.
+    /// The sensor that measures this number, and the function of the measured value that this column has; None: no sensor measures it.
     pub sensor: Option<(Sensor, Part)>,
 }
 

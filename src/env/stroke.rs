@@ -16,8 +16,8 @@ use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 
 options! {
-    /// Options of LegStroke. `dt`: with this time step, efficiencies are within 1 % of those with an eighth of it,
-    /// which a test checks.
+    /// Options of LegStroke. `dt`: with this time step, efficiencies differ by at most 1 % from those with an eighth of
+    /// the time step, which a test checks.
     pub struct StrokeTaskOptions {
         law: Law = Law::Li2013, "resistive force law: li2013, penetration-drag-1d or agarwal2023";
         dt: f64 = 4e-3, "time step [s], which divides the control period";
@@ -34,8 +34,8 @@ options! {
     /// during a stroke, so that the best constant-rate strokes are near the middle of the range of joint speeds; `lift`
     /// is a sixth of the weight of the reference hexapod scaled to this leg (lengths × 1.9, mass × 1.9³); `lift_weight`
     /// is more than the greatest possible efficiency. `height` and `start` are as in Li et al. 2012, section 3: the tip
-    /// points forward, 1.75 rad from straight down. Below the slowest carriage speed thrust per work has no meaning
-    /// (see the task's page); above the fastest RFT is not valid.
+    /// points forward, 1.75 rad from straight down. Below the least allowed carriage speed, thrust per work has no
+    /// meaning (see the task's page); above the greatest, RFT is not valid.
     #[derive(Copy, Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct StrokeOptions {
@@ -77,7 +77,7 @@ const TOP_SPEED: f64 = TAU;
 /// work of good strokes.
 const LEAST_WORK: f64 = 1e-3;
 
-/// Depth of the leg at the end of a stroke at which the penalty is full [m]. Our choice, about an eighth of the leg's length.
+/// If the leg is this deep in the sand at the end of a stroke, the penalty has its full size [m]. Our choice, about an eighth of the leg's length.
 const LEFT_DEPTH: f64 = 0.01;
 
 /// Bounds of the observation, far above the values of good strokes on the default sand; larger values are clipped.
@@ -134,8 +134,8 @@ pub struct LegStroke {
 struct Account {
     /// Thrust impulse × carriage speed / work, in [-1, 1].
     efficiency: f64,
-    /// Share of the lift impulse that is still missing; 0 before the stroke begins, so that the terms of the steps
-    /// sum up to the missing share at the end.
+    /// Share of the lift impulse that is still missing. It counts as 0 before the stroke begins, so that the steps'
+    /// terms add up to the missing share at the end.
     missing: f64,
     /// Finished share of the stroke.
     progress: f64,
@@ -146,7 +146,7 @@ struct StrokeStep<'a> {
     t: &'a Transition<'a>,
     before: Account,
     after: Account,
-    /// Depth of the leg at the end [m].
+    /// Depth of the leg in the sand at the end of the stroke [m].
     left: f64,
     /// Length of the whole stroke [s].
     duration: f64,
@@ -186,7 +186,7 @@ fn figures() -> Features<Figure> {
 }
 
 impl LegStroke {
-    /// Results of a stroke in `state`. The finished share follows from the carriage's distance.
+    /// Results of the stroke up to `state`. The finished share of the stroke follows from the carriage's distance.
     fn account(&self, stroke: &StrokeOptions, state: &State) -> Account {
         let progress = state.position[0] / (stroke.carriage_speed * self.duration);
         let [thrust, _, lift] = state.impulse;
@@ -282,7 +282,7 @@ impl Task for LegStroke {
     fn evaluate(&self, setup: &Setup<StrokeTaskOptions>, t: &Transition, info: &mut [f32]) -> bool {
         let stroke = &setup.options.stroke;
         let [before, after] = [t.before, t.after].map(|state| self.account(stroke, state));
-        // Half a step of tolerance, because the carriage's distance is a sum of many small ones.
+        // The tolerance is half a step, because the carriage's distance is a sum of many small distances.
         let over = after.progress * self.duration * CONTROL_RATE > f64::from(self.spec.max_episode_steps) - 0.5;
         let left = if over { stroke.deepest(t.model, &t.after.angles) } else { 0.0 };
         let step = StrokeStep { t, before, after, left, duration: self.duration };

@@ -67,7 +67,7 @@ pub trait Task: Send + Sync + Sized + 'static {
     /// Memory of an episode's state, options and bookkeeping [bytes], and its share of the messages in flight;
     /// measured.
     const EPISODE_BYTES: usize = 2_000;
-    /// Does it command velocities to the left?
+    /// Does the task command velocities to the left?
     const SIDEWAYS: bool = false;
 
     type Options: Options;
@@ -85,8 +85,8 @@ pub trait Task: Send + Sync + Sized + 'static {
     /// First state of the robot, and of the task, in an episode.
     fn begin(&self, setup: &Setup<Self::Options>, random: &mut Random) -> (State, TaskState);
 
-    /// First states of robot and task in an episode that follows another in the same environment; `last`: the state of
-    /// the task at the end of the other.
+    /// First states of robot and task in an episode that is not the environment's first; `last`: the state of the task
+    /// at the end of the previous episode.
     fn begin_after(&self, setup: &Setup<Self::Options>, _last: &TaskState, random: &mut Random) -> (State, TaskState) {
         self.begin(setup, random)
     }
@@ -126,7 +126,7 @@ pub trait Task: Send + Sync + Sized + 'static {
         0
     }
 
-    /// Refuses a reset after which the environments' engine and rows would not suit the model.
+    /// Refuses a reset after which the model would not fit the environments' engine and rows.
     fn check_change(_old: &Model, _new: &Model) -> Result<()> {
         Ok(())
     }
@@ -145,8 +145,8 @@ pub trait Task: Send + Sync + Sized + 'static {
 pub trait AnyTask: Send + Sync {
     fn spec(&self) -> &Spec;
     fn model(&self) -> &Arc<Model>;
-    /// First states of robot and task in an environment's first episode, or in one that follows another; `last`: the
-    /// state of the task at the end of the other.
+    /// First states of robot and task in an episode. `last`: the state of the task at the end of the previous episode;
+    /// None: this is the environment's first episode.
     fn begin(&self, last: Option<&TaskState>, random: &mut Random) -> (State, TaskState);
     fn command(&self, action: &[f32], state: &State, command: &mut Command);
     fn after_step(&self, task_state: &mut TaskState, state: &State, info: &[f32]) -> Change;
@@ -154,7 +154,7 @@ pub trait AnyTask: Send + Sync {
     fn observe(&self, task_state: &TaskState, state: &State, last_action: &[f32], row: &mut [f32]);
     fn evaluate(&self, transition: &Transition, info: &mut [f32]) -> bool;
 
-    /// How observations follow from exact values; None: they are these values.
+    /// How observations follow from exact values; None: observations are the exact values.
     fn sensing(&self) -> Option<&SensorModel>;
 
     /// Gives an episode the motors that it draws.
@@ -178,7 +178,7 @@ pub trait AnyTask: Send + Sync {
     /// See [`Task::set_command`].
     fn set_command(&self, task_state: &mut TaskState, command: [f64; 3]);
 
-    /// The options' declarations.
+    /// The declarations of all options.
     fn rows(&self) -> Vec<OptionRow>;
 
     /// The value of option `name`; null if there is none.
@@ -187,11 +187,11 @@ pub trait AnyTask: Send + Sync {
     /// The same task after a reset's changes.
     fn changed(&self, reset: &ResetOptions) -> Result<Arc<dyn AnyTask>>;
 
-    /// The same task with a model that the options do not describe. A reset with options would replace it.
+    /// The same task with a model that the options do not describe. A reset with options would replace this model.
     fn with_model(&self, model: Model) -> Result<Arc<dyn AnyTask>>;
 
-    /// Equal for all copies of a setup, and different for every other live setup, because each setup makes its own
-    /// model.
+    /// An id that copies of a setup share, and that differs from the ids of all other live setups, because each setup
+    /// makes its own model.
     fn id(&self) -> usize {
         Arc::as_ptr(self.model()).addr()
     }
@@ -201,8 +201,8 @@ pub trait AnyTask: Send + Sync {
         self.rows().iter().map(|row| (row.name.to_owned(), self.option(row.name))).collect()
     }
 
-    /// The changes by which a reset gives the options `all`, as returned by [`AnyTask::options`]; None if a reset
-    /// cannot.
+    /// The changes with which a reset would set the options to `all`, as returned by [`AnyTask::options`]; None if no
+    /// reset can.
     fn reset_to(&self, mut all: Map<String, Value>) -> Option<ResetOptions> {
         let rows = self.rows();
         if rows.len() != all.len() {
@@ -229,7 +229,7 @@ pub(super) struct TaskSetup<T: Task> {
     task: Arc<T>,
     options: TaskOptions<T::Options>,
     model: Arc<Model>,
-    /// The task's, with the columns of sensors.
+    /// The task's spec, with the columns of sensors.
     spec: Spec,
     hardware: HardwareFiles,
     sensing: Option<SensorModel>,
@@ -309,7 +309,7 @@ impl<T: Task> AnyTask for TaskSetup<T> {
         }
         let motors = sensors::motors(self.options.hardware.actuator, &self.hardware.of_episode(seed, number));
         let model = task_state.model.as_ref().unwrap_or(&self.model);
-        // The ends of the intervals were checked, so the values between them are possible.
+        // The ends of the intervals were checked, so this cannot fail for the values between them.
         if let Ok(model) = Model::clone(model).with_motors(&motors.into()) {
             task_state.model = Some(Arc::new(model));
         }
@@ -329,8 +329,8 @@ impl<T: Task> AnyTask for TaskSetup<T> {
 
     fn resume(&self, task_state: &mut TaskState) -> std::result::Result<(), String> {
         match T::resume(&self.setup(), task_state) {
-            // If the task itself draws no model, this one is the session's with drawn motors; `draw_motors` makes it
-            // again.
+            // If the task itself draws no model, the model in the state is the session's model with drawn motors;
+            // `draw_motors` makes it again.
             Err(_) if self.hardware.is_random() && task_state.model.take().is_some() => {
                 T::resume(&self.setup(), task_state)
             }

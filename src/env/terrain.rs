@@ -28,8 +28,8 @@ options! {
 options! {
     /// Ranges [low, high] that an episode's quantities are drawn from, uniformly. `zeta`: our choice; relative to poppy
     /// seeds, from the stiffness of plastic pellets to twice that of closely packed seeds. Batches of one medium differ
-    /// by 20-40 % (Li, Zhang & Goldman 2013). The others are our choice too: patches of one to four body lengths,
-    /// payloads of up to a third of the robot's mass; no published law of `footprint` was found.
+    /// by 20-40 % (Li, Zhang & Goldman 2013). The other ranges are also our choice: patches of one to four body
+    /// lengths, payloads of up to a third of the robot's mass; we found no published law for `footprint`.
     /// [`Randomize::quantities`] has the bounds.
     #[derive(Copy, Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
@@ -129,7 +129,7 @@ impl Randomize {
     }
 }
 
-/// Drawn quantities of an episode that its model contains.
+/// The drawn quantities that are part of an episode's model.
 struct TerrainDraw {
     slope_deg: f64,
     payload: f64,
@@ -203,7 +203,7 @@ impl Task for HexapodTerrain {
     }
 
     fn model(options: &TerrainOptions) -> Result<Model> {
-        // The model comes first, because its error names slope or payload.
+        // Builds the model first, because its error message names slope or payload.
         let (model, own) = (HexapodGait::model(&options.gait)?, &options.gait.walking);
         options.randomize.validate(own.slope_deg, own.payload)?;
         if own.memory && options.randomize.footprint != [0.0; 2] {

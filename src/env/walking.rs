@@ -50,7 +50,7 @@ impl Walking {
         }
         let mut robot = Robot::load(self.robot.name())?.with_leg_shape(&self.leg)?;
         robot.servo.torque_limit = Some(self.torque_limit);
-        // The lag of a servo is not in the observation, so it must stay small.
+        // The observation does not contain the servos' lag, so the lag must stay small.
         robot.servo.anti_windup = true;
         if !servos {
             (robot.servo.kp, robot.servo.kd) = (0.0, 0.0);
@@ -77,7 +77,7 @@ pub fn set_sand(scene: &mut Scene, text: &str) -> Result<()> {
     Ok(())
 }
 
-/// The robot at rest on the surface with joints near their start, within their stops, and commands drawn from the options' ranges.
+/// The robot at rest on the surface, with joints near their start positions and within their stops, and commands drawn from the options' ranges.
 pub fn begin(setup: &Setup<Walking>, random: &mut Random) -> (State, TaskState) {
     let Walking { angle_noise, command, turn, .. } = *setup.options;
     let mut angles = setup.model.tripod_angles();

@@ -37,10 +37,10 @@ impl Coefficients {
         }
     }
 
-    /// The generic set, to be multiplied by a medium's ζ. Source: Science 2013, table S2.
+    /// The generic set, to be multiplied by a medium's ζ [N/cm³]. Source: Science 2013, table S2.
     pub const GENERIC: Self = Self::per_cm3([0.206, 0.169, 0.212, 0.358, 0.055, -0.124, 0.253, 0.007, 0.088]);
-    /// Loosely packed 1 mm poppy seeds. Source: implementations of the 2013 data, which are public and all derive
-    /// from one; the numbers are likely but not confirmed.
+    /// Loosely packed 1 mm poppy seeds. Source: public implementations of the 2013 data, all derived from one
+    /// implementation; the numbers are probably right, but not confirmed.
     pub const POPPY_LOOSE: Self = Self::per_cm3([0.051, 0.047, 0.053, 0.083, 0.020, -0.026, 0.057, 0.0, 0.025]);
     /// Closely packed 1 mm poppy seeds. Source and certainty as for [`Self::POPPY_LOOSE`].
     pub const POPPY_CLOSE: Self = Self::per_cm3([0.094, 0.092, 0.092, 0.151, 0.035, -0.039, 0.086, 0.018, 0.046]);

@@ -1,4 +1,4 @@
-//! Force on one segment, and the derivatives an implicit integrator needs.
+//! Force on one segment, and the derivatives that an implicit integrator needs.
 //!
 //! Resistive force theory depends on the direction of the velocity only: it is dry friction, undefined at rest and
 //! stiff. The parameters in [`Regularization`] make it usable in dynamics.
@@ -14,16 +14,16 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Regularization {
-    /// Speed scale v0 [m/s] below which the force falls to zero: the direction v/|v| becomes v/√(v²+v0²). Creep under a
-    /// constant load is of this order; our choice, because 1e-5 lets the reference robot sink less than 0.02 mm in 10
-    /// s.
+    /// Speed scale v0 [m/s] below which the force falls to zero: the direction v/|v| becomes v/√(v²+v0²). Under a
+    /// constant load a body creeps with about this speed. Our choice 1e-5, because the reference robot then sinks by
+    /// less than 0.02 mm in 10 s.
     pub rest_speed: f64,
     /// Gate of a one-sided surface. The surface pushes with the share clamp(n·v̂ / gate, 0, 1) of its force. The share
     /// is zero when the surface moves away from the sand, and 1 when it leads. Our choice 0.2, because a hard test (0)
     /// converges badly in the time step (7-12 % error at 1 ms).
     pub leading_edge_gate: f64,
     /// Gate of `penetration-drag-1d`, whose force depends on the signs of v_z and v_x; each sign is smoothed to
-    /// clamp(v̂_i / gate, −1, 1). Our choice 0.02 (1.1°): the sharpest that a 0.5 ms step still resolves.
+    /// clamp(v̂_i / gate, −1, 1). Our choice 0.02 (1.1°), the sharpest gate that a time step of 0.5 ms still resolves.
     pub sign_gate: f64,
     /// Friction coefficient μ_s of the intruder's surface, for `agarwal2023`: caps its tangential stress. None: no cap.
     pub friction: Option<f64>,
@@ -32,8 +32,9 @@ pub struct Regularization {
 impl Regularization {
     /// No regularisation: for the law itself, not for dynamics.
     pub const BARE: Self = Self { rest_speed: 1e-30, leading_edge_gate: 1e-20, sign_gate: 1e-20, friction: None };
-    /// For solid bodies with many plates that face all ways: a sharper leading edge. Our choice 0.02, because forces
-    /// are then within 1 % of a sharp edge's, and walks at 1 ms within 1 % of those at 0.125 ms.
+    /// For solid bodies with many plates in all directions: a sharper leading edge. Our choice 0.02, because forces
+    /// then differ by at most 1 % from forces with a sharp edge, and walks at 1 ms by at most 1 % from walks at 0.125
+    /// ms.
     pub const SOLID: Self = Self { leading_edge_gate: 0.02, ..Self::DEFAULT };
     /// The regularisation for dynamics; each field gives the reason for its number.
     pub const DEFAULT: Self = Self { rest_speed: 1e-5, leading_edge_gate: 0.2, sign_gate: 0.02, friction: None };
@@ -164,7 +165,7 @@ impl<R: Real> SandBed<R> {
         self.law.stress(n, motion)
     }
 
-    /// The factor on the law's stress per depth at a depth [m]: the depth, unless `depth_power` changes it.
+    /// The factor [m] with which the law's stress per depth is multiplied: the depth, unless `depth_power` is on.
     #[inline(always)]
     pub fn grown(&self, depth: R) -> R {
         self.mechanisms.as_ref().map_or(depth, |mechanisms| mechanisms.depth(depth))
@@ -180,13 +181,13 @@ impl<R: Real> SandBed<R> {
     pub fn motion(&self, v: Vec3<R>) -> Motion<R> {
         let squared = v.norm_squared();
         let (speed, finite) = ((squared + self.rest_speed_squared).sqrt(), squared + R::splat(1e-24));
-        // Both reciprocals from one division.
+        // One division gives both reciprocals.
         let inverse = R::one() / (speed * finite);
         let (inverse_speed, inverse_square) = (finite * inverse, speed * inverse);
         Motion { v, inverse_speed, moving: squared * inverse_speed * inverse_speed, inverse_square }
     }
 
-    /// A thin plate in the sand, both sides together: `area` [m²], unit normal `n`, velocity `v` [m/s].
+    /// The sand's force on both sides together of a thin plate: `area` [m²], unit normal `n`, velocity `v` [m/s].
     #[inline(always)]
     pub fn thin_plate(&self, site: &SegmentState<R>, area: R, n: Vec3<R>, v: Vec3<R>) -> Contact<R> {
         match (&self.law, &self.mechanisms) {
@@ -212,7 +213,7 @@ impl<R: Real> SandBed<R> {
         Contact { force, drag: secant(force, &motion), edge: R::zero() }
     }
 
-    /// A face of a solid body with outward normal `n`: the sand is on one side only and can push, not pull.
+    /// The sand's force on a face of a solid body with outward normal `n`. The sand is on one side only, and pushes but never pulls.
     #[inline(always)]
     pub fn one_sided(&self, site: &SegmentState<R>, area: R, n: Vec3<R>, v: Vec3<R>) -> Contact<R> {
         match (&self.law, &self.mechanisms) {

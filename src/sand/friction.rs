@@ -1,7 +1,6 @@
-//! The one number ξ_n of a medium (Agarwal, Goldman & Kamrin, PNAS 120:e2214017120 (2023)), from its friction and
-//! density.
+//! The number ξ_n of a medium (Agarwal, Goldman & Kamrin, PNAS 120:e2214017120 (2023)), from its friction and density.
 
-/// α_z(0, π/2, 0)/ξ_n: the table's value for a horizontal plate pushed straight down.
+/// α_z(0, π/2, 0)/ξ_n for a horizontal plate pushed straight down; from the paper's table.
 pub const PENETRATION: f64 = 0.87574;
 
 /// ξ_n [N/m³] from the internal friction μ and the critical density ρ_c [kg/m³]: ρ_c g (894μ³ − 386μ² + 89μ), fitted

@@ -17,9 +17,9 @@ pub fn log_one_plus<R: Real>(x: R) -> R {
     sum * z * R::splat(32.0)
 }
 
-/// tanh x for x ≥ 0, absolute error below 1e-7: tanh x = 2 t/(1 + t²) with t = tanh(x/2), used three times. It begins
-/// with the continued fraction of tanh(x/8), which is exact to single precision for x ≤ 9. Above 9.5, x counts as 9.5,
-/// where tanh is 1 within the error.
+/// tanh x for x ≥ 0, absolute error below 1e-7: the formula tanh x = 2 t/(1 + t²) with t = tanh(x/2) is used three
+/// times. It begins with tanh(x/8) as a continued fraction, which is exact to single precision for x ≤ 9. An x above
+/// 9.5 is replaced by 9.5, where tanh is 1 within the error.
 #[inline(always)]
 pub fn tanh<R: Real>(x: R) -> R {
     let y = x.min(R::splat(9.5)) * R::splat(0.125);

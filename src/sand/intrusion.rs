@@ -84,8 +84,7 @@ impl Rotation {
         let mut ground = SandBed::new(sand.law, &medium, &Regularization::default()).with(mechanisms, &medium);
         ground.mechanisms = ground.mechanisms.map(SandMechanisms::for_prescribed_motion);
         let chord = straight([0.0, 0.0], [0.0, -self.chord], self.width, SEGMENTS);
-        // Does the concave side lead? A leg that bulges forward and turns backward fills with sand, and so does the
-        // reverse.
+        // Does the concave side lead? Sand fills a leg that bulges forward and turns backward, or the reverse.
         let concave_leads = self.shape.bulge() * self.omega < 0.0;
         let fill = if concave_leads { mechanisms.concave_fill } else { 0.0 };
         let (sin, cos) = mechanisms.slope.sin_cos();

@@ -1,7 +1,7 @@
 //! Mechanisms that plain resistive force theory leaves out: the one list that simulator, diagnosis, report and
-//! documentation use. A new mechanism is one new entry of [`CATALOG`]'s table and, if it acts on the stress of a
-//! segment, additions to `SandMechanisms` in [`super::mechanism_laws`]: a field, its first value in `new`, its lane's
-//! value in `set_lane`, if needed a flag in `Active`, and its equation in `force`.
+//! documentation use. To add a mechanism, add a row to [`CATALOG`]'s table. If the mechanism acts on the stress of a
+//! segment, also extend `SandMechanisms` in [`super::mechanism_laws`]: a field, the field's first value in `new`, a
+//! lane's value in `set_lane`, if needed a flag in `Active`, and the equation in `force`.
 //!
 //! Every parameter is 0 when its mechanism is off. The equations of the measuring side (sensors, log, drive) are in
 //! `diagnose::arm` and `diagnose::forward`.
@@ -28,7 +28,7 @@ pub struct Mechanism {
     pub symbol: &'static str,
     /// SI unit; "1" if dimensionless.
     pub unit: &'static str,
-    /// Least and greatest value of a fit: physical bounds where they exist, otherwise our choice, wide.
+    /// Least and greatest value in a fit: physical bounds where they exist, otherwise our choice of wide bounds.
     pub bounds: [f64; 2],
     /// A typical strength. Steps of numerical derivatives and scales of priors are multiples of it.
     pub typical: f64,
@@ -41,11 +41,11 @@ pub struct Mechanism {
     pub columns: &'static [&'static str],
     pub law: &'static str,
     pub source: &'static str,
-    /// Is the value an upper limit? Then 0 is off, and a lower value acts more strongly.
+    /// Is the value an upper limit? Then 0 switches the mechanism off, and otherwise a lower value acts more strongly.
     pub ceiling: bool,
     /// Power of the speed in its law, if a diagnosis can fit another power to the data.
     pub exponent: Option<f64>,
-    /// The reason why the mechanism has no effect on a walking robot; None if it has one, or acts in the sensor.
+    /// The reason why the mechanism has no effect on a walking robot; None: it has an effect, or it acts in the sensor.
     pub unfelt: Option<&'static str>,
 }
 
@@ -209,7 +209,7 @@ impl Mechanisms {
         self.values()[index]
     }
 
-    /// A copy with one value changed.
+    /// A copy in which the value at `index` is changed.
     pub fn with(&self, index: usize, value: f64) -> Self {
         let mut values = self.values();
         values[index] = value;

@@ -1,14 +1,14 @@
 //! The stress laws of the mechanisms that act in the sand, for one number or for lanes with a strength each.
 //!
-//! With a strength of 0, the stress has the bits of plain theory. So a lane without a mechanism has the same bits
-//! beside lanes that have it.
+//! With a strength of 0, the stress is bit-identical to that of plain theory. So a lane without a mechanism gives the
+//! same results beside lanes that have the mechanism.
 
 use super::functions::{log_one_plus, tanh};
 use super::mechanism::Mechanisms;
 use super::term::{LaneTerms, Term, TermArguments};
 use crate::number::{Real, Vec3};
 
-/// Depth z0 [m] at which `depth_power` leaves the stress as it is.
+/// Depth z0 [m] at which `depth_power` does not change the stress.
 const DEPTH_REFERENCE: f64 = 0.02;
 /// Distance [m] over which a footprint fades.
 const FOOTPRINT_REACH: f64 = 0.03;
@@ -19,10 +19,10 @@ const RATE_REFERENCE: f64 = 0.01;
 /// Normal speed [m/s] over which cohesion builds up.
 const COHESION_SPEED: f64 = 1e-3;
 /// Least factor on the stress that `rate_log` and `packing_grad` may give. Both laws are straight lines fitted over a
-/// small range; extrapolated far enough they become negative, and the sand would drive the motion. Loosely packed poppy
-/// seeds have .254/.464 = 0.55 of the stress of closely packed ones (`sand::media`). Our choice 0.2 is well below that,
-/// so it only takes effect in extrapolations: `rate_log` of −0.1 beyond 30 m/s, of −0.25 beyond 0.24 m/s;
-/// `packing_grad` of ±0.1 at 80 cm from the reference, of ±0.3 at 27 cm.
+/// small range; extrapolated far enough, they would become negative, and the sand would drive the motion. Loosely
+/// packed poppy seeds have .254/.464 = 0.55 of the stress of closely packed ones (`sand::media`). Our choice 0.2 is
+/// well below 0.55, so the limit only takes effect in extrapolations: with `rate_log` = −0.1 above 30 m/s, with −0.25
+/// above 0.24 m/s; with `packing_grad` = ±0.1 beyond 80 cm from the reference, with ±0.3 beyond 27 cm.
 pub const LEAST_FACTOR: f64 = 0.2;
 
 /// Speed [m/s] above which a body counts as travelling: our choice, a thirtieth of the slowest wheel that was
@@ -50,7 +50,7 @@ pub struct SegmentState<R> {
 }
 
 impl<R: Real> SegmentState<R> {
-    /// On fresh ground, in steady motion.
+    /// A segment on fresh ground, in steady motion.
     #[inline(always)]
     pub fn fresh(depth: R, x: R) -> Self {
         let zero = R::zero();
@@ -73,11 +73,11 @@ impl<R: Real> SegmentState<R> {
 /// Computes the stress on a segment from a law's stress per depth. Hot loops take it as a type parameter, so that
 /// mechanisms do not make plain theory slower.
 pub trait StressModel<R: Real> {
-    /// Does the force depend on depth and area by their product alone?
+    /// Does the force depend on depth and area only through their product?
     const BY_LOAD: bool = false;
 
     /// Force [N] on a segment of `area` [m²] with unit normal `n` and velocity `v`, from the law's stress per depth
-    /// [N/m³]. Without a mechanism it has the bits of [`Plain`]: depth times area is computed first.
+    /// [N/m³]. Without a mechanism it is bit-identical to that of [`Plain`], so depth times area is computed first.
     fn force(&self, per_depth: Vec3<R>, n: Vec3<R>, v: Vec3<R>, site: &SegmentState<R>, area: R) -> Vec3<R>;
 
     /// Factor on the law's force for a large piece whose parts lie at different depths: `mean` is their mean depth
@@ -88,7 +88,7 @@ pub trait StressModel<R: Real> {
     }
 }
 
-/// Plain resistive force theory: proportional to depth, nothing else.
+/// Plain resistive force theory: the stress is proportional to depth, without any mechanism.
 #[derive(Clone, Copy)]
 pub struct Plain;
 
@@ -137,7 +137,7 @@ pub struct SandMechanisms<R> {
     cohesion: R,
     depth_excess: R,
     scale: R,
-    /// g over its length [1/m]
+    /// Strength g of `packing_grad` divided by the length [`PACKING_LENGTH`] [1/m].
     packing: R,
     rate: R,
     inverse_friction: R,
@@ -181,9 +181,9 @@ impl<R: Real> SandMechanisms<R> {
         new
     }
 
-    /// For bodies that a motor moves on a given path, as in force logs. `friction_clip` is then the cap as its source
-    /// defines it, even where the rest of the force then acts along the motion. Bodies that the sand moves would gain
-    /// energy from such a force, so for them the cap is weaker there.
+    /// For bodies that a motor moves on a given path, as in force logs. `friction_clip` is then the limit as its source
+    /// defines it, even where the remaining force acts along the motion. A body that moves freely would gain energy
+    /// from such a force, so for free bodies the limit is weaker there.
     pub fn for_prescribed_motion(self) -> Self {
         Self { prescribed: true, ..self }
     }
@@ -223,8 +223,8 @@ impl<R: Real> SandMechanisms<R> {
         self.penetration.set_lane(lane, penetration);
     }
 
-    /// The law's stress per depth plus that of `slip_bearing`: c (1 − μ)^1.5 ζ s₊ (−m_z)₊ against the leading side m,
-    /// where s₊ is the positive part of the segment's slip ratio.
+    /// The law's stress per depth plus the stress per depth of `slip_bearing`, c (1 − μ)^1.5 ζ s₊ (−m_z)₊. It pushes
+    /// against the leading side with normal m, where s₊ is the positive part of the segment's slip ratio.
     #[inline(always)]
     fn carried(&self, per_depth: Vec3<R>, n: Vec3<R>, slip: R, along: R) -> Vec3<R> {
         let down = R::select(along.lt(R::zero()), n.z, -n.z).max(R::zero());
@@ -232,9 +232,9 @@ impl<R: Real> SandMechanisms<R> {
         n.scale_add(R::select(along.lt(R::zero()), push, -push), per_depth)
     }
 
-    /// `force` with its part along the face limited to 1/`inverse_friction` times the part along the normal; 0 limits
-    /// nothing. If the law's normal part acts along the motion (plates drawn out at a shallow angle), the part along the
-    /// face stays so large that the whole force still brakes the motion, unless the motion is prescribed.
+    /// `force` with its tangential part limited to 1/`inverse_friction` times its normal part; 0 means no limit. If the
+    /// law's normal part drives the motion (plates drawn out at a shallow angle), the tangential part stays large
+    /// enough that the whole force still brakes the motion, unless the motion is prescribed.
     #[inline(always)]
     fn capped(&self, force: Vec3<R>, n: Vec3<R>, v: Vec3<R>) -> Vec3<R> {
         let normal = force.dot(n);
@@ -250,8 +250,9 @@ impl<R: Real> SandMechanisms<R> {
         tangential.scale_add(allowed.max(needed) - R::one(), force)
     }
 
-    /// `force` with its vertical part over 1 + κ s₋². If the horizontal part drives the motion, the vertical part
-    /// brakes it and is not reduced, so the sand adds no energy.
+    /// `force` with its vertical part divided by 1 + κ s₋², where κ is the strength of `skid_loss` and s₋ the negative
+    /// part of the slip ratio. If the horizontal part drives the motion, the vertical part brakes it and is not
+    /// reduced, so the sand adds no energy.
     #[inline(always)]
     fn skidding(&self, force: Vec3<R>, v: Vec3<R>, slip: R) -> Vec3<R> {
         let skid = slip.min(R::zero());
@@ -260,9 +261,9 @@ impl<R: Real> SandMechanisms<R> {
         Vec3::new(force.x, force.y, force.z * R::select(feeds, R::one(), left))
     }
 
-    /// Share of its force that a steep face keeps when it travels along itself: 1 − κ_g |n_h|⁸ (1 −
-    /// |n_h·V̂|/|n_h|), n_h the horizontal part of its normal, V̂ the direction of travel. Never negative, so the
-    /// sand adds no energy.
+    /// Share of the force that remains on a steep face when the body travels along the face: 1 − κ_g |n_h|⁸ (1 −
+    /// |n_h·V̂|/|n_h|), n_h the horizontal part of its normal, V̂ the direction of travel. Never negative, so the sand
+    /// adds no energy.
     #[inline(always)]
     fn grazing(&self, n: Vec3<R>, [x, y]: [R; 2]) -> R {
         let steep = n.x * n.x + n.y * n.y;
@@ -280,7 +281,7 @@ impl<R: Real> SandMechanisms<R> {
         if !self.active.depth_power {
             return depth;
         }
-        // Powers have no lane arithmetic here. They are slow, but computed only while this mechanism is on.
+        // Powers are computed lane by lane, which is slow, but only while this mechanism is on.
         let mut powered = depth;
         for lane in 0..R::LANES {
             let (d, excess) = (depth.lane(lane), self.depth_excess.lane(lane));
@@ -307,8 +308,8 @@ impl<R: Real> SandMechanisms<R> {
 }
 
 impl<R: Real> StressModel<R> for SandMechanisms<R> {
-    /// With `depth_power`, the power of the depth is computed at `loaded`. For a piece that reaches the surface this is
-    /// 1.4 % off at p = 1.2; with the mean depth it would be 4 % off.
+    /// With `depth_power`, the power of the depth is computed at `loaded`. For a piece that reaches the surface the
+    /// error is 1.4 % at p = 1.2; with the mean depth it would be 4 %.
     #[inline(always)]
     fn by_depths(&self, mean: R, loaded: R) -> R {
         if !self.active.depth_power {
@@ -321,8 +322,9 @@ impl<R: Real> StressModel<R> for SandMechanisms<R> {
 
     /// The law's stress per depth plus that of `slip_bearing` is multiplied by the depth and by the factors of `scale`,
     /// `footprint`, `packing_grad` and `rate_log`. Then `friction_clip`, `graze_loss` and `skid_loss` reduce the force.
-    /// Inertia, `added_mass`, `cohesion` and the normal terms of `sand.toml` push against the leading face in addition;
-    /// the tangential terms act against the tangential velocity, and terms on the law multiply its force.
+    /// Further forces are added: inertia, `added_mass`, `cohesion` and the normal terms of `sand.toml` push against the
+    /// leading face, and the tangential terms act against the tangential velocity. Terms on the law multiply the law's
+    /// force.
     #[inline(always)]
     fn force(&self, per_depth: Vec3<R>, n: Vec3<R>, v: Vec3<R>, site: &SegmentState<R>, area: R) -> Vec3<R> {
         let along = n.dot(v);
@@ -362,7 +364,7 @@ impl<R: Real> StressModel<R> for SandMechanisms<R> {
             force = force * share;
             force += LaneTerms::against_slip(n, v) * (tangential * area);
         }
-        // A lane in the air beside one in the sand is computed with depth 0; there is no force on it.
+        // If only some lanes are in the sand, a lane in the air is computed with depth 0, and gets no force.
         let push = R::select(R::zero().lt(site.depth), pressure * area, R::zero());
         let toward_front = R::select(along.lt(R::zero()), push, -push);
         n.scale_add(toward_front, force)
@@ -372,7 +374,7 @@ impl<R: Real> StressModel<R> for SandMechanisms<R> {
 /// Slip ratio of a segment with velocity `v` on a body that travels with V: −v·V̂/max(|V|, |v − V|). It is −1 if the
 /// body drags the segment along (a locked wheel), 0 if the segment does not move on the sand (the bottom of a rolling
 /// wheel), and near 1 if the segment moves backward fast (a spinning wheel). This is the slip ratio of terramechanics,
-/// for each segment by itself. It goes to 0 if the body hardly travels.
+/// for each segment by itself. Where the body hardly travels, the ratio goes to 0.
 #[inline(always)]
 fn slip<R: Real>(v: Vec3<R>, [x, y]: [R; 2]) -> R {
     let squared = x * x + y * y;
@@ -381,8 +383,8 @@ fn slip<R: Real>(v: Vec3<R>, [x, y]: [R; 2]) -> R {
     -(v.x * x + v.y * y) / ((squared * greater).sqrt() + R::splat(TRAVEL_SPEED * TRAVEL_SPEED))
 }
 
-/// Share of the bearing that remains under an inclined load, (1 − μ)^1.5: Vesic (1973) for a square footing whose load
-/// is inclined by the surface's friction μ; 0 if no friction is given (fully rough).
+/// Share of the bearing capacity that remains under an inclined load, (1 − μ)^1.5: Vesic (1973), for a square footing
+/// whose load is inclined by the surface's friction μ. The share is 0 if no friction is given (fully rough).
 fn inclination(inverse_friction: f64) -> f64 {
     if inverse_friction > 0.0 { (1.0 - 1.0 / inverse_friction).max(0.0).powf(1.5) } else { 0.0 }
 }

@@ -22,7 +22,7 @@ pub struct Medium {
     pub terms: Vec<Term>,
 }
 
-/// Media measured as a whole set: name, coefficients, bulk density [kg/m³], source.
+/// Media whose coefficients were all measured: name, coefficients, bulk density [kg/m³], source.
 const MEASURED: [(&str, Coefficients, f64, &str); 2] = [
     ("poppy-loose", Coefficients::POPPY_LOOSE, 638.0, "1 mm poppy seeds, loosely packed; the sand of Li et al. 2012"),
     (
@@ -33,8 +33,8 @@ const MEASURED: [(&str, Coefficients, f64, &str); 2] = [
     ),
 ];
 
-/// Media of which only ζ [N/cm³] is known, on the generic set: name, ζ, bulk density [kg/m³], source. The sources
-/// give no densities; these are handbook values for the material, our choice. Plain RFT does not use them.
+/// Media of which only ζ [N/cm³] is known; it multiplies the generic set: name, ζ, bulk density [kg/m³], source. The
+/// sources give no densities; our choice is handbook values for the materials. Plain RFT does not use them.
 const SCALED: [(&str, f64, f64, &str); 4] = [
     ("glass-beads", 0.33, 1500.0, "Treers et al. 2021"),
     ("plastic-pellets", 0.111, 560.0, "Treers et al. 2021"),
@@ -87,8 +87,8 @@ impl Medium {
 
     /// The generic set, scaled so that `agarwal2023` gets its ξ_n for friction μ and critical density ρ_c [kg/m³].
     fn from_friction(mu: f64, density: f64) -> Result<Self> {
-        // Our choice, because no granular medium is outside of these bounds. Between them and the fitted range
-        // `caution` gives a warning.
+        // Our choice, because no granular medium is outside of these bounds. For a μ within these bounds but outside of
+        // the fitted range, `caution` gives a warning.
         check_range("mu", mu, 0.05..=2.0)?;
         check_range("rho", density, 10.0..=20_000.0)?;
         let zeta = friction::from_friction(mu, density) * friction::PENETRATION / PER_CM3;

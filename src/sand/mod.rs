@@ -9,7 +9,7 @@
 //! * [`mechanism`]: the list of mechanisms that plain theory leaves out, with sources and bounds.
 //! * [`mechanism_laws`]: the equations of the mechanisms that act in the sand.
 //! * [`term`]: additional stress terms from `sand.toml`.
-//! * [`memory`]: sand that was moved stays moved: heights of the surface and compaction.
+//! * [`memory`]: sand that stays where it was moved: heights of the surface, and compaction.
 //! * [`shape`]: intruders (plates and legs) cut into segments.
 //! * [`description`]: medium and mechanisms as a file, `sand.toml`.
 //! * [`intruder`]: any rigid body in steady motion, from plates on its surface.

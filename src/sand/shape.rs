@@ -50,7 +50,7 @@ impl LegShape {
         })
     }
 
-    /// A two-piece leg by its knee angle [°]. At ±90° the leg would have no length; that is refused.
+    /// A two-piece leg by its knee angle [°]. ±90° is refused, because the leg's first piece would then have no length.
     pub fn two_piece(xi_deg: f64) -> Result<Self> {
         if !(xi_deg.is_finite() && xi_deg.abs() < 90.0) {
             return Err(Error::invalid("xi_deg", format!("{xi_deg} is not between -90 and 90 (exclusive)")));

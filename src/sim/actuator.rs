@@ -6,10 +6,10 @@
 //!  τ(ω) = min(τ_limit, τ_stall (1 − ω/ω₀)),   not below 0
 //! ```
 //!
-//! with the stall torque and the no-load speed of a DC motor behind its gear, at the joint (the same as Isaac Lab's
-//! `DCMotor`, whose saturation effort is the stall torque). The servo's torque is tracked with a first-order lag:
-//! τ ← τ_old + (k τ_servo − τ_old) dt/(T + dt), the backward Euler step of T dτ/dt = k τ_servo − τ, in which k is the motor's torque constant
-//! divided by the one that the drive reckons with.
+//! with the stall torque and the no-load speed of a DC motor behind its gear, at the joint (the same as Isaac Lab's `DCMotor`, whose
+//! saturation effort is the stall torque). The servo's torque is tracked with a first-order lag: τ ← τ_old + (k τ_servo − τ_old) dt/(T + dt),
+//! the backward Euler step of T dτ/dt = k τ_servo − τ, in which k is the motor's torque constant divided by the torque constant that the
+//! drive assumes.
 //!
 //! The gear takes the torque (F + (1 − η) |τ_old|) sign ω + B ω away: dry friction F, dry friction in proportion to the
 //! torque that the gear carries, and viscous friction B. The second part is what an efficiency η of less than 1 means
@@ -21,9 +21,9 @@
 //! before it were held still. For motors whose stall torque is known, the engine then compares each torque with the
 //! line at the speeds before and after the step. If some torques are beyond their lines, the engine puts each of them
 //! on the lower of the two lines and solves again ([`LimitedTorque`]; Newton's method for piecewise linear functions).
-//! Usually one such pass is enough. A torque that is still beyond after [`NEWTON`] passes is 0 in this step. Without a
-//! known stall torque the engine solves only once. A torque may then be beyond its constant limit by the part that the
-//! acceleration of the link before adds (about 1 %).
+//! Usually one such pass is enough. A torque that is still beyond its line after [`NEWTON`] passes is 0 in this step.
+//! Without a known stall torque the engine solves only once. A torque may then exceed its constant limit by about 1 %,
+//! because the previous link's acceleration adds to it.
 
 use super::stop::{ImplicitTorque, NO_LIMIT};
 use crate::error::{Error, Result, check_range};
@@ -38,8 +38,8 @@ const STALL: f64 = 2.0;
 /// rate a joint turns by only 0.06° in a second.
 pub const CREEP: f64 = 1e-3;
 
-/// Number of passes after which a torque that is still beyond its limits becomes 0: our choice, because a line has
-/// three pieces, which three passes find.
+/// Number of passes after which a torque that is still beyond its limits becomes 0: our choice, twice the number of
+/// pieces of a line.
 pub const NEWTON: usize = 6;
 /// Rounding that does not count as beyond the limits, as shares of the smallest limit and of the stall torque: some 100 and 10 units of the
 /// last place of `f32`. The reported torque is cut to the limits.
@@ -59,18 +59,18 @@ pub struct Actuator {
     pub torque_time: Option<f64>,
     /// k; None: 1.
     pub torque_constant: Option<f64>,
-    /// F [N·m]; None: that of the joint.
+    /// F [N·m]; None: the joint's own friction.
     pub friction: Option<f64>,
-    /// B [N·m·s/rad]; None: that of the joint.
+    /// B [N·m·s/rad]; None: the joint's own damping.
     pub damping: Option<f64>,
     /// η; None: 1.
     pub efficiency: Option<f64>,
-    /// At the joint, in addition to the joint's own [kg·m²]; None: 0.
+    /// Rotor inertia at the joint [kg·m²], added to the joint's own inertia; None: 0.
     pub rotor_inertia: Option<f64>,
 }
 
 impl Actuator {
-    /// These properties, and those of `other` where they are not known.
+    /// A copy in which `other` supplies the properties that are not known here.
     pub fn or(&self, other: &Self) -> Result<Self> {
         let mut all = Self {
             torque_limit: self.torque_limit.or(other.torque_limit),
@@ -142,11 +142,11 @@ pub struct LaneActuator<R> {
     rotor_inertia: R,
     /// 1 where the stall torque is known, else 0.
     has_line: R,
-    /// The parts that some lane has. A step leaves out the parts that no lane has, which changes no bits.
+    /// The parts of the motor model that at least one lane has. A step skips all other parts; the results are bit-identical.
     any: Has,
 }
 
-/// Does a motor have a line of torque over speed, a gear with friction or a rotor's inertia, a torque that differs from
+/// Does a motor have: a line of torque over speed; a gear with friction, or a rotor with inertia; a torque that lags
 /// the servo's?
 #[derive(Clone, Copy, Default)]
 struct Has {
@@ -211,7 +211,7 @@ impl<R: Real> LaneActuator<R> {
         [-most(-part), most(part)]
     }
 
-    /// The torque that follows the servo's `push` in this step, if it was `before` in the last one.
+    /// The motor's torque in this step, which follows the servo's `push` with a lag; `before`: its torque in the last step.
     #[inline(always)]
     pub fn track(&self, push: ImplicitTorque<R>, before: R, dt: R) -> ImplicitTorque<R> {
         if !self.any.lag {
@@ -223,12 +223,12 @@ impl<R: Real> LaneActuator<R> {
             yielding: push.yielding * self.torque_constant,
         };
         let torque = (push.torque - before).mul_add(share, before);
-        // Exactly the servo's without a lag.
+        // Without a lag, the torque is exactly the servo's.
         let free = R::one().lt(share + R::splat(f64::from(f32::EPSILON)));
         ImplicitTorque { torque: R::select(free, push.torque, torque), yielding: push.yielding * share }
     }
 
-    /// Friction of the gear and inertia of the rotor, if the motor's torque was `before` in the last step.
+    /// Friction of the gear and inertia of the rotor; `before`: the motor's torque in the last step.
     #[inline(always)]
     pub fn gear(&self, rate: R, before: R, dt: R) -> ImplicitTorque<R> {
         if !self.any.gear {
@@ -238,14 +238,14 @@ impl<R: Real> LaneActuator<R> {
         ImplicitTorque { torque: -(slows * rate), yielding: slows.mul_add(dt, self.rotor_inertia) }
     }
 
-    /// Friction of the gear for each unit of speed.
+    /// Friction of the gear divided by the speed [N·m·s/rad].
     #[inline(always)]
     pub fn slows(&self, rate: R, before: R) -> R {
         let dry = self.loss.mul_add(before.abs(), self.friction);
         dry / rate.abs().max(R::splat(CREEP)) + self.damping
     }
 
-    /// `servo` within the limits, if the joint accelerates by `acceleration`.
+    /// The torque `servo`, limited for a joint that accelerates by `acceleration`.
     #[inline(always)]
     pub fn limited(&self, servo: ImplicitTorque<R>, rate: R, acceleration: R, dt: R) -> ImplicitTorque<R> {
         let [low, high] = self.limits(rate);
@@ -260,7 +260,7 @@ impl<R: Real> LaneActuator<R> {
         ImplicitTorque::select(R::zero().lt(self.has_line), piece, flat)
     }
 
-    /// The least and the greatest torque for the speeds before and after the step, near `acceleration`.
+    /// The least and the greatest torque that the lines allow at the speeds before and after the step, near `acceleration`.
     #[inline(always)]
     fn bounds(&self, rate: R, acceleration: R, dt: R) -> [ImplicitTorque<R>; 2] {
         let [low, high] = self.limits(rate);
@@ -285,7 +285,7 @@ impl<R: Real> LaneActuator<R> {
         ((torque - upper).max(lower - torque) - rounding) * self.has_line
     }
 
-    /// The torque to report: `flat`, or `torque` without rounding beyond the limits where the stall torque is known.
+    /// The torque to report: where the stall torque is known, `torque` clamped to the limits, which removes rounding; else `flat`.
     #[inline(always)]
     pub fn reported(&self, flat: R, torque: R, rate: R, acceleration: R, dt: R) -> R {
         if !self.has_lines() {
@@ -299,11 +299,11 @@ impl<R: Real> LaneActuator<R> {
 /// A motor's torque in the passes of one step.
 #[derive(Clone, Copy)]
 pub struct LimitedTorque<R> {
-    /// The servo's, without limits.
+    /// The servo's torque without limits.
     servo: ImplicitTorque<R>,
-    /// What the last pass solved with.
+    /// The torque of the last pass, or, if [`next_pass`] has prepared another pass, of that pass.
     pub push: ImplicitTorque<R>,
-    /// 1 in lanes where `push` is what the next pass solves with.
+    /// 1 in lanes where the next pass uses `push`.
     held: R,
 }
 
@@ -318,7 +318,7 @@ impl<R: Real> LimitedTorque<R> {
         self.held = R::zero();
     }
 
-    /// The motor's torque in this pass; in a first pass it is `push`.
+    /// The motor's torque in this pass; in the first pass this is the argument `push`.
     #[inline(always)]
     pub fn pass(&mut self, servo: ImplicitTorque<R>, push: ImplicitTorque<R>) -> ImplicitTorque<R> {
         self.servo = servo;
@@ -329,8 +329,9 @@ impl<R: Real> LimitedTorque<R> {
 
 /// Prepares the pass after pass number `pass` and returns true if a torque is beyond its motor's limits. `limits` has
 /// an entry for each joint, and `joint(i)` gives the actuator of joint `i`, its rate before the step and its
-/// acceleration. In a robot with such a torque, all motors go on with the pieces of their lines at these accelerations.
-/// Motors of the other robots of the block keep theirs. Returns false if no torque is beyond its limits.
+/// acceleration. In a robot with such a torque, all motors use the pieces of their lines at these accelerations in the
+/// next pass. Motors of the other robots in the block keep their torques. Returns false if no torque is beyond its
+/// limits.
 #[inline(always)]
 pub fn next_pass<'a, R: Real>(
     limits: &mut [LimitedTorque<R>],

@@ -1,7 +1,7 @@
 //! Robots in lanes of an instruction set, one robot in each lane: what the engines [`super::lanes`] and [`super::tree`]
 //! share.
 //!
-//! * [`LaneEngine`]: robots in blocks of as many as there are lanes.
+//! * [`LaneEngine`]: robots in blocks, one robot in each lane of a block.
 //! * [`LaneState`]: positions and motions of the robots in a block.
 //! * [`LinkFrame`]: position and motion of one body of each robot.
 
@@ -14,8 +14,8 @@ use crate::number::{Isa, Mat3, Real, Vec3, Work};
 use crate::sand::memory::Moved;
 use std::f64::consts::TAU;
 
-/// Robots in blocks of as many as the instruction set has lanes. A block is an engine in which the number of a robot is
-/// that of its lane.
+/// Robots in blocks; a block holds as many robots as the instruction set has lanes. Each block is an engine, in which a
+/// robot's index is that of its lane.
 pub struct LaneEngine {
     blocks: Vec<Box<dyn Integrator>>,
     lanes: usize,
@@ -71,8 +71,8 @@ impl Integrator for LaneEngine {
     }
 }
 
-/// State of the robots in one block, one lane each; see [`State`]. The base's place is its centre of mass in engine `lanes`, and the
-/// origin of its link in engine `tree`.
+/// State of the robots in one block, one lane each; see [`State`]. `position` is that of the base's centre of mass in engine
+/// `lanes`, and of its link's origin in engine `tree`.
 #[derive(Clone)]
 pub struct LaneState<R> {
     /// Position of the base from the lane's origin.
@@ -90,7 +90,7 @@ pub struct LaneState<R> {
     /// Origin of each lane's x and y [m]. Distances from it stay small, so `f32` keeps its accuracy however far a
     /// robot walks.
     pub origins: Vec<[f64; 2]>,
-    /// Work of each lane up to the last control step [J]. Small amounts since then are not lost in a large sum.
+    /// Work of each lane up to the last control step [J]. It is separate from `work`, so that adding small amounts to a large sum loses no accuracy.
     pub works: Vec<f64>,
 }
 
@@ -138,7 +138,7 @@ impl<R: Real> LaneJoint<R> {
 }
 
 impl<R: Real> LaneState<R> {
-    /// Robots that hover motionless above the ground, as those of lanes without an environment do.
+    /// Robots that hover motionless above the ground; lanes without an environment hold such robots.
     pub fn hovering(joints: usize) -> Self {
         Self {
             position: Vec3::splat([0.0, 0.0, 1e3]),
@@ -210,7 +210,7 @@ impl<R: Real> LaneState<R> {
         self.position + Vec3::new(self.travelled[0], self.travelled[1], R::zero())
     }
 
-    /// At the end of a control step: moves each lane's x and y into its origin, and its work into the sum.
+    /// At the end of a control step: adds each lane's x and y to its origin, and its work to the sum in `works`.
     #[inline(always)]
     pub fn fold(&mut self) {
         for lane in 0..R::LANES {
@@ -225,7 +225,7 @@ impl<R: Real> LaneState<R> {
         self.work = R::zero();
     }
 
-    /// Moves the base by semi-implicit Euler; the rotation by the exponential map to third order, then normalised.
+    /// Moves the base by the semi-implicit Euler method. The rotation uses the exponential map to third order and is then normalised.
     #[inline(always)]
     pub fn move_base(&mut self, acceleration: &Twist<R>, dt: R) {
         self.change = acceleration.scaled(dt);
@@ -274,7 +274,7 @@ impl<R: Real> LinkFrame<R> {
         Self { rotation, origin, velocity, bias, change, axis: Twist::zero() }
     }
 
-    /// The frame of a body at `rotation` and `origin` that a joint with this axis moves against the present body.
+    /// The frame of a child body at `rotation` and `origin`, which a joint with this axis moves relative to the present body.
     #[inline(always)]
     pub fn carry(&self, rotation: Mat3<R>, origin: Vec3<R>, axis: Twist<R>, joint: &LaneJoint<R>) -> Self {
         let velocity = axis.scale_add(joint.rate, &self.velocity);
@@ -289,8 +289,8 @@ impl<R: Real> LinkFrame<R> {
         self.origin + self.rotation.apply(p)
     }
 
-    /// Weight w at `place`: near 1 in smooth motion, in which the next change of velocity is about the last one, and 0
-    /// if the place sticks; see [`super::lanes`].
+    /// Weight w of the expected change of velocity at `place`: near 1 in smooth motion, where the next change is about
+    /// equal to the last one, and 0 if the place sticks; see [`super::lanes`].
     #[inline(always)]
     pub fn trust(&self, place: Vec3<R>) -> R {
         let (speed, change) = (self.velocity.at(place).norm_squared(), self.change.at(place).norm_squared());

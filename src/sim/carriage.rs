@@ -1,7 +1,7 @@
 //! Legs under driven carriages: the base moves at a prescribed velocity, joints turn at prescribed rates, and the
 //! sand's forces are measured. There are no masses and no servos, so there are no equations of motion to solve.
 //!
-//! Work is the work of the joints, ∫ Σ τ ω dt. It equals the work on the sand plus the work on the carriage.
+//! `work` is that of the joints, ∫ Σ τ ω dt. It equals the work on the sand plus the work on the carriage.
 //!
 //! Bodies and sand are those of engine [`super::rapier`], in `f64`. A time step is the midpoint rule.
 
@@ -95,7 +95,7 @@ impl Carriage {
         angles.iter_mut().zip(rates).for_each(|(a, rate)| *a += *rate * time);
     }
 
-    /// Adds the sand's impulse and work during `dt`, and stores the torques that balance the sand.
+    /// Adds the sand's impulse and the joints' work during `dt`, and stores the joint torques that balance the sand's forces.
     fn feel(&mut self, dt: f64) {
         let state = &mut self.state;
         let base = BodyFrame::base(state);

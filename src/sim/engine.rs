@@ -40,7 +40,7 @@ impl EngineKind {
         }
     }
 
-    /// Default time step [s]: walks are within 1 to 2 % of the converged ones; see `docs/convergence.md`.
+    /// Default time step [s], at which walks differ from the converged ones by at most 1 to 2 %; see `docs/convergence.md`.
     pub fn default_dt(self) -> f64 {
         match self {
             Self::Lanes | Self::Tree | Self::Carriage => Scene::DEFAULT_DT,
@@ -48,7 +48,7 @@ impl EngineKind {
         }
     }
 
-    /// Number of environments in a shard, which a thread computes as a whole.
+    /// Number of environments in a shard. One thread computes a whole shard.
     pub fn shard_size(self) -> usize {
         match self {
             Self::Lanes | Self::Tree | Self::Carriage => 16,
@@ -62,7 +62,7 @@ impl EngineKind {
     }
 }
 
-/// Robots that advance together, each on its own sand, with denormal numbers counted as zero: see [`flushed`].
+/// Robots that advance together, each on its own sand. The processor treats denormal numbers as zero: see [`flushed`].
 pub struct Engine(Box<dyn Integrator>);
 
 impl Engine {

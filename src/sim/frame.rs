@@ -6,7 +6,7 @@ use super::model::LinkBody;
 pub type V = nalgebra::Vector3<f64>;
 pub type M = nalgebra::Matrix3<f64>;
 
-/// Pose and motion of a body's frame, in world axes, with lengths from the base's centre of mass.
+/// Pose and motion of a body's frame, in world axes, with positions relative to the base's centre of mass.
 #[derive(Clone, Copy, Debug)]
 pub struct BodyFrame {
     /// Own axes to world axes.
@@ -17,9 +17,9 @@ pub struct BodyFrame {
     velocity: V,
     /// [rad/s]
     pub angular_velocity: V,
-    /// Acceleration of the origin if every generalized acceleration is zero [m/s²].
+    /// Acceleration that the origin has while all generalized accelerations are zero [m/s²].
     acceleration: V,
-    /// Angular acceleration if every generalized acceleration is zero [rad/s²].
+    /// Angular acceleration of the body while all generalized accelerations are zero [rad/s²].
     angular_acceleration: V,
 }
 
@@ -51,12 +51,12 @@ impl BodyFrame {
         }
     }
 
-    /// Velocity [m/s] of the body's point `arm` away from its origin, world axes.
+    /// Velocity [m/s] of the body's point at `arm` from its origin; world axes.
     pub fn velocity_at(&self, arm: V) -> V {
         self.velocity + self.angular_velocity.cross(&arm)
     }
 
-    /// Acceleration [m/s²] of the point `arm` away from the origin that is due to velocities alone, world axes.
+    /// Acceleration [m/s²] of the point at `arm` from the origin, due to velocities alone; world axes.
     pub fn acceleration_at(&self, arm: V) -> V {
         let turning = self.angular_velocity.cross(&self.angular_velocity.cross(&arm));
         self.acceleration + self.angular_acceleration.cross(&arm) + turning

@@ -1,7 +1,7 @@
 //! `hardware.toml`: what is known of a robot's motors, sensors and delays, as a file. The diagnosis writes it, and all tasks read it.
 //!
-//! Each entry is a quantity with its value and its 95 % interval. Its tables are those of the tasks' options: `actuator`,
-//! `sensors.gyroscope` and so on, and `action_delay`.
+//! Each entry is a quantity with its value and its 95 % interval. The file's tables have the names of the tasks'
+//! options: `actuator`, `sensors.gyroscope` and so on; `action_delay` is an entry without a table.
 
 use crate::error::{Error, Result};
 use serde::Deserialize;
@@ -25,7 +25,7 @@ pub struct HardwareDescription {
     pub quantities: BTreeMap<String, HardwareQuantity>,
 }
 
-/// Deepest table: `sensors.imu_rotation.x`.
+/// Number of names in the longest path: `sensors.imu_rotation.x`.
 const DEEPEST: usize = 3;
 
 impl HardwareDescription {
@@ -101,7 +101,7 @@ impl HardwareDescription {
         self.quantities.get(path).map(|quantity| quantity.value)
     }
 
-    /// These quantities, and those of `other` where they are missing.
+    /// These quantities, together with those of `other` that are missing here.
     pub fn or(&self, other: &Self) -> Self {
         let mut quantities = other.quantities.clone();
         quantities.extend(self.quantities.clone());

@@ -10,9 +10,9 @@ pub trait Integrator: Send {
     /// `set_state` at the latest.
     fn set_model(&mut self, index: usize, model: &Model);
 
-    /// Scales the sand's stress on each leg of robot `index`, which has `model`, by `shares` [legs], until the model or
-    /// the shares are set again. Takes effect at once. The default does nothing, because no task of engine `tree` has
-    /// footprints.
+    /// Multiplies the sand's stress on each leg of robot `index`, which has `model`, by the leg's factor in `shares`
+    /// until model or shares are set again. Takes effect at once. The default does nothing, because no task of engine
+    /// `tree` has footprints.
     fn set_footing(&mut self, _index: usize, _model: &Model, _shares: &[f64]) {}
 
     fn set_state(&mut self, index: usize, state: &State);
@@ -27,8 +27,9 @@ pub trait Integrator: Send {
 
     fn command(&mut self, index: usize, command: &Command);
 
-    /// Advances every robot by `steps` time steps, a part of a control step; `ends`: it is the last part. How a control
-    /// step is divided into parts changes no bits, except in engine `rapier` with obstacles.
+    /// Advances every robot by `steps` time steps, which are a part of a control step; `ends`: it is the last part.
+    /// Results are bit-identical for every division of a control step into parts, except in engine `rapier` with
+    /// obstacles.
     fn advance_in_parts(&mut self, steps: usize, ends: bool);
 
     /// Advances every robot by `steps` time steps.

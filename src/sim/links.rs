@@ -39,7 +39,7 @@ pub struct LinkBody {
     /// Lowest and highest angle, at which the joint stops [rad]; None: it turns freely.
     pub range: Option<[f64; 2]>,
     pub plates: Vec<Plate>,
-    /// The straight strip from joint to tip in place of `plates`, for `concave_fill`.
+    /// Plates of the straight strip from joint to tip, which replace `plates` when sand fills the concave side (`concave_fill`).
     pub chord: Vec<Plate>,
     /// Direction of the strip's bulge: 1 if the bulging side leads when the joint turns positively, −1 if the other
     /// side leads, 0 if the strip is straight.
@@ -76,7 +76,7 @@ pub fn leg(robot: &Robot, hip: [f64; 3], yaw: f64) -> Result<Vec<LinkBody>> {
     Ok(chain)
 }
 
-/// A link's mass is spread over its strip's segments as thin rods; without a strip, over the straight reach.
+/// The strip's segments carry a link's mass as thin rods; without a strip, the straight reach carries it.
 fn body(link: &Link, joint: V, turn: nalgebra::Rotation3<f64>) -> Result<LinkBody> {
     let reach = V::from(link.reach);
     let axis = V::from(link.axis).normalize();
@@ -126,8 +126,8 @@ fn body(link: &Link, joint: V, turn: nalgebra::Rotation3<f64>) -> Result<LinkBod
     })
 }
 
-/// `v` with rounding errors replaced by exact zeros. cos 90° is 6e-17 in `f64`, and a product of two such numbers
-/// is denormal in `f32`. 1e-12 of the norm is far above rounding and far below any length in a drawing.
+/// `v` with rounding errors replaced by exact zeros: cos 90° is 6e-17 in `f64`, and products of such numbers can be
+/// denormal in `f32`. 1e-12 of the norm is far above rounding and far below any length in a drawing.
 pub(super) fn exact<const R: usize, const C: usize>(v: nalgebra::SMatrix<f64, R, C>) -> nalgebra::SMatrix<f64, R, C> {
     let least = 1e-12 * v.norm();
     v.map(|x| if x.abs() < least { 0.0 } else { x })
@@ -160,6 +160,6 @@ fn pieces(segments: &[Segment], width: f64, place: impl Fn([f64; 2]) -> V, acros
     runs.into_iter().map(piece).collect()
 }
 
-/// Sharpest bend inside a piece [rad]: two of a C-leg's twelve segments are one piece, and its chord stays within
-/// 0.2 mm of the arc.
+/// Sharpest bend inside a piece [rad]. With this value two of a C-leg's twelve segments make one piece, whose chord
+/// stays within 0.2 mm of the arc.
 const BEND: f64 = 0.35;

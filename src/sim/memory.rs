@@ -1,4 +1,4 @@
-//! Memory of models and robots, for limits. A test compares the numbers with what is allocated.
+//! Memory that models and robots need, for limits. A test compares the numbers with the memory that is allocated.
 
 use super::engine::EngineKind;
 use super::model::LinkBody;
@@ -53,8 +53,8 @@ impl Model {
         self.episode_bytes() + self.tree.as_ref().map_or(0, |tree| of_shared(tree)) + relief
     }
 
-    /// Memory of a copy whose masses, motors, sand or obstacles an episode has drawn [bytes]: what is not shared with
-    /// the model that it was made from.
+    /// Memory of a copy whose masses, motors, sand or obstacles an episode has drawn [bytes]. Parts that the copy
+    /// shares with the original model do not count.
     pub fn episode_bytes(&self) -> usize {
         let body = |body: &LinkBody| list(&body.plates) + list(&body.chord) + list(&body.pieces);
         let corners = |o: &super::Obstacle| match &o.shape {

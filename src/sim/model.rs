@@ -39,7 +39,7 @@ pub struct Model {
     pub gravity: V,
     /// Geometry of the scene's obstacles.
     pub solids: Vec<Solid>,
-    /// A robot that is a tree of bodies. Such a model has no legs in `legs`, and of `robot` only the name is used.
+    /// A robot that is a tree of bodies. `legs` is then empty, and only the name in `robot` is used.
     pub tree: Option<Arc<TreeModel>>,
 }
 
@@ -105,8 +105,8 @@ impl Model {
         !self.scene.hard.iter().any(HardGround::is_everything)
     }
 
-    /// Number of bodies that find a surface of their own in sand with memory: the belly and the legs, or the bodies of a
-    /// tree.
+    /// Number of bodies that each have their own surface level in sand with memory: the belly and the legs, or the
+    /// bodies of a tree.
     pub fn sand_bodies(&self) -> usize {
         self.tree.as_ref().map_or(1 + self.legs.len(), |tree| tree.tree.bodies.len())
     }
@@ -161,8 +161,8 @@ impl Model {
         self.base_mass + self.legs.iter().flatten().map(|b| b.mass).sum::<f64>()
     }
 
-    /// Joint angles [rad] at the start of the alternating tripod: freely turning hips of tripod A point straight
-    /// down, of B straight up; all other joints are at 0.
+    /// Joint angles [rad] at the start of the alternating tripod: hips that turn freely point straight down in tripod A
+    /// and straight up in tripod B; all other joints are at 0.
     pub fn tripod_angles(&self) -> Vec<f64> {
         let links = &self.robot.leg.link;
         let turns = |j: usize| j == 0 && links[j].range.is_none();
@@ -186,7 +186,7 @@ impl Model {
         self.gravity = gravity(&self.scene);
     }
 
-    /// The same model with these properties of all motors, where they are known.
+    /// The same model, whose motors all get the properties that are known in `motors`.
     ///
     /// # Errors
     /// A no-load speed needs a stall torque or a torque limit.
@@ -209,7 +209,7 @@ impl Model {
         Ok(self)
     }
 
-    /// Reduces torque limit and stall torque of the motors to `share`, at most 1, of the servo's.
+    /// Sets torque limit and stall torque of the motors to `share` (at most 1) times those of the servo.
     pub fn weaken_motors(&mut self, share: f64) {
         let servo = &mut self.robot.servo;
         for torque in [&mut servo.torque_limit, &mut servo.stall_torque].into_iter().flatten() {
@@ -218,8 +218,8 @@ impl Model {
         self.motor = Motor::new(&self.robot.servo, &self.scene.mechanisms);
     }
 
-    /// Sets the plate areas of each leg to `shares` [legs] of those in `full`, a model of the same robot. The sand's
-    /// force scales alike.
+    /// Sets each leg's plate areas to the leg's factor in `shares` times those in `full`, a model of the same robot.
+    /// The sand's force is proportional to the area.
     pub fn scale_areas(&mut self, full: &Self, shares: &[f64]) {
         for ((chain, full), share) in self.legs.iter_mut().zip(&full.legs).zip(shares) {
             for (body, full) in chain.iter_mut().zip(full) {

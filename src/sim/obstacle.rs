@@ -17,7 +17,7 @@ const MOST_CORNERS: usize = 64;
 /// Depth of steps, walls and patches under the surface [m]: more than a leg of the built-in robots reaches.
 const FOUNDATION: f64 = 0.05;
 
-/// The leg friction of Li, Zhang & Goldman 2012. They state none for rock; the same value is our choice.
+/// Friction coefficient of a leg in Li, Zhang & Goldman 2012. They give none for rock; to use the same value is our choice.
 pub const FRICTION: f64 = 0.36;
 
 /// One rigid obstacle.

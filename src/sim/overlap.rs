@@ -9,8 +9,8 @@ type V = nalgebra::Vector3<f64>;
 /// Number of points along and across a leg's piece, and along each edge of the base.
 const GRID: usize = 5;
 
-/// Deepest overlap [m] of the model's obstacles with the middle surfaces of the legs and with the base; 0 if none.
-/// Legs and base are sampled on a grid of points, obstacles also at their corners.
+/// Deepest overlap [m] of an obstacle with the base or with the middle surface of a leg; 0 if there is none. Legs and
+/// base are sampled on a grid of points, obstacles also at their corners.
 pub fn overlap(model: &Model, state: &State) -> f64 {
     overlaps(model, state).fold(0.0, |deepest, (_, depth)| depth.max(deepest))
 }

@@ -7,9 +7,9 @@ use super::{Model, State};
 use crate::number::Vec3;
 use crate::sand::{Contact, SandBed, SegmentState};
 
-/// A leg stands if the sand holds it with more than this share of the robot's weight. Likewise a body of a robot from a
-/// file has an arrow if the ground pushes it with more. Our choice, because the share is far above the force on a leg
-/// in the air (none) and far below that on one of three legs (a third).
+/// A leg stands if the sand's force on it is above this share of the robot's weight. Likewise a picture shows an arrow
+/// on a body of a robot from a file if the ground's force on the body is above this share. Our choice: a leg in the air
+/// has no force, and each of three legs on the ground has a third of the weight.
 const STANCE: f64 = 0.02;
 
 /// A small flat piece that sand may push on, as a [`Model`] has it.
@@ -41,9 +41,9 @@ pub struct Pose {
     pub leg_forces: Vec<V>,
     /// Does the sand hold the leg? One value for each leg.
     pub stance: Vec<bool>,
-    /// The ground's force on each body of [`forces::touching`] and its mean place: only for robots from files.
+    /// The ground's force on each body of [`forces::touching`], and the mean place of this force; only for robots from files.
     pub contacts: Vec<SegmentForce>,
-    /// Least force of a leg that stands [N].
+    /// A leg with a smaller force does not stand [N].
     least: f64,
     /// Velocity of the base along x and y [m/s].
     travel: [f64; 2],
@@ -100,9 +100,9 @@ impl Pose {
         pose
     }
 
-    /// Adds the sand's forces on a link. They act on its strip, or in part on its straight chord if sand fills its
-    /// concave leading side. `found` is the leg's share of the stress, `level` the height of the surface that the leg
-    /// has found [m].
+    /// Adds the sand's forces on a link. They act on its strip, and in part on its straight chord if sand fills the
+    /// concave leading side. `found` is the factor on the stress for this leg, `level` the height of the sand's surface
+    /// at the leg [m].
     fn press_link(
         &mut self,
         model: &Model,
@@ -154,8 +154,9 @@ impl Pose {
         touching.iter().position(|b| *b == body).map_or(V::zeros(), |k| self.contacts[k].force)
     }
 
-    /// Forces of the ground to draw, one for each leg that stands, or for each body that touches. The position of a
-    /// leg's force is the mean of its segments' positions, weighted by their forces.
+    /// Forces of the ground to draw: one for each leg that stands or, in a robot from a file, for each body that
+    /// touches the ground. The position of a leg's force is the mean of its segments' positions, weighted by their
+    /// forces.
     pub fn arrows(&self, model: &Model) -> Vec<SegmentForce> {
         let segments = segments(model);
         let of_leg = |leg: usize| {
@@ -167,7 +168,7 @@ impl Pose {
     }
 }
 
-/// Level of the sand [m] and factor on its strength that a body has found in sand with memory: 0 is the belly.
+/// Level of the sand at a body [m], and the factor on the sand's strength there, in sand with memory. Body 0 is the belly.
 fn found(model: &Model, state: &State, body: usize) -> [f64; 2] {
     match (&state.sand, &model.scene.memory) {
         (Some(sand), Some(settings)) => {

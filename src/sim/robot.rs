@@ -99,7 +99,7 @@ pub struct Servo {
     /// Largest speed that can be commanded [rad/s]; no limit if not given.
     #[serde(default)]
     pub speed_limit: Option<f64>,
-    /// Is the reference held back while the motor is at its limit? See [`super::motor::Motor::lag_limit`].
+    /// Does the reference wait while the motor is at its torque limit? See [`super::motor::Motor::lag_limit`].
     #[serde(default)]
     pub anti_windup: bool,
     /// The motor behind its gear: see [`Actuator`].
@@ -117,7 +117,7 @@ pub struct Servo {
     pub damping: Option<f64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub efficiency: Option<f64>,
-    /// In addition to the links' `armature`.
+    /// Added to the links' `armature`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rotor_inertia: Option<f64>,
 }
@@ -247,7 +247,7 @@ impl Robot {
         self.hip.iter().flat_map(|h| self.leg.link.iter().map(move |l| name(h, l))).collect()
     }
 
-    /// Is this the robot `own`, apart from masses and the servo?
+    /// Is this robot equal to `own`, except for masses, rotor inertias and the servo?
     pub fn is_variant_of(&self, own: &Self) -> bool {
         let mut same = own.clone();
         (same.base.mass, same.servo) = (self.base.mass, self.servo);
@@ -257,7 +257,7 @@ impl Robot {
         same == *self
     }
 
-    /// The ranges catch wrong units: our choice, far outside the range where RFT was measured.
+    /// The ranges are to detect wrong units: our choice, far wider than the range in which RFT was measured.
     pub fn validate(&self) -> Result<()> {
         check_range("base.mass", self.base.mass, 1e-4..=1e3)?;
         for s in self.base.size {

@@ -19,7 +19,7 @@ pub struct Scene {
     pub law: Law,
     #[serde(default)]
     pub surface: Regularization,
-    /// Mechanisms. Those of sensors and logs have no effect here.
+    /// Mechanisms of the sand. Mechanisms that concern sensors and logs have no effect here.
     #[serde(default)]
     pub mechanisms: Mechanisms,
     /// The surface rises toward +x [°]; gravity tilts in the surface's frame.
@@ -38,8 +38,8 @@ pub struct Scene {
     /// that reads a scene adds it.
     #[serde(skip)]
     pub relief: Option<Arc<Relief>>,
-    /// Sand that was moved stays moved; None: the surface is always as at the start. Engines `lanes` and `tree` support
-    /// it, on flat sand.
+    /// Settings of sand that stays where the robot has moved it; None: the surface never changes. Engines `lanes` and
+    /// `tree` support it, on flat sand.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub memory: Option<MemorySettings>,
 }
@@ -48,13 +48,13 @@ pub struct Scene {
 /// take 12 KiB.
 const BITS: u32 = 6;
 
-/// Most cells from the robot's middle to its farthest point: our choice, so that some cells are left around it while the
-/// square follows in steps of eight cells.
+/// Largest distance from the robot's middle to its farthest point [cells]: our choice, so that some cells remain around
+/// the robot, although the square follows it in steps of eight cells.
 const WITHIN: f64 = 22.0;
 
 impl Scene {
-    /// Time step of engine `lanes`, 1 ms: the largest at which its reference walks are within 1 % of the converged
-    /// ones (`docs/convergence.md`). Other engines have their own: [`super::engine::EngineKind::default_dt`].
+    /// Time step of engine `lanes`, 1 ms: the largest at which the reference walks differ from the converged ones by at
+    /// most 1 % (`docs/convergence.md`). Other engines have their own: [`super::engine::EngineKind::default_dt`].
     pub const DEFAULT_DT: f64 = 1e-3;
 
     /// Steepest slope, uphill or downhill [°]: natural slopes of dry sand end near 35°, its angle of repose.
@@ -91,7 +91,8 @@ impl Scene {
         (self.medium, self.law, self.mechanisms) = (sand.medium(), sand.law, sand.mechanisms);
     }
 
-    /// Gives the sand memory, for `robot`: cells of three quarters of a leg's width, or so large that the square contains the robot.
+    /// Gives the sand memory, for `robot`. A cell's side is three quarters of a leg's width, or larger if the square must be larger
+    /// to contain the robot.
     pub fn remember(&mut self, robot: &Robot) {
         let width = robot.leg.link.iter().rev().find_map(|link| link.sand.as_ref()).map_or(0.01, |strip| strip.width);
         let long = |v: [f64; 3]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -112,7 +113,7 @@ impl Scene {
         SandBed::new(self.law, &self.medium, &self.surface).with(&self.mechanisms, &self.medium)
     }
 
-    /// Refuses what sand with memory is not defined for.
+    /// Refuses scenes for which sand with memory is not defined.
     fn check_memory(&self) -> Result<()> {
         let no = |reason: &str| Err(Error::invalid("memory", reason));
         if self.mechanisms.footprint != 0.0 {

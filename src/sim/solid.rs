@@ -19,8 +19,8 @@ pub struct Plate {
     pub width: f64,
 }
 
-/// Rings and sectors of a sphere's facets. A side of a box has [`GRID`]² facets, a triangle of a hull 4. Our choice,
-/// because facets are then smaller than the depth to which a rock sinks.
+/// Rings and sectors of a sphere's facets. A side of a box has [`GRID`]² facets, a triangle of a hull 4. Our choice:
+/// facets are then smaller than the depth to which a rock sinks.
 const RINGS: usize = 8;
 const SECTORS: usize = 12;
 const GRID: usize = 4;
@@ -241,7 +241,7 @@ impl Solid {
         }
     }
 
-    /// Depth of the lowest point under the centre of mass [m] with the body turned as in `pose`.
+    /// Vertical distance of the lowest point under the centre of mass [m], for a body with the orientation of `pose`.
     pub fn below(&self, pose: &RigidPose) -> f64 {
         match self.kind {
             SolidKind::Sphere { radius } => radius,

@@ -1,5 +1,5 @@
-//! Spatial algebra about one common point: wrenches and inertias of bodies in a shared, world-aligned frame, so
-//! that those of child and parent add. After R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapters 2 and
+//! Spatial algebra about one common point: wrenches and inertias of all bodies are in one shared, world-aligned frame,
+//! so that those of child and parent add. After R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapters 2 and
 //! 7.
 
 use crate::number::{Mat3, Real, Vec3};
@@ -133,7 +133,7 @@ impl<R: Real> Symmetric<R> {
     }
 }
 
-/// Point masses as the sums of their moments: those of a link, and those that represent sand's implicit drag.
+/// Point masses, represented by sums of their moments: the masses of a link, and masses that represent sand's implicit drag.
 #[derive(Clone, Copy)]
 pub struct PointMasses<R> {
     pub mass: R,
@@ -211,8 +211,8 @@ impl<R: Real> Inertia<R> {
         }
     }
 
-    /// Adds Σ s w wᵀ of wrenches w that all have the force `force`; `moments` holds Σs, and Σsm and Σsmmᵀ of their
-    /// moments m.
+    /// Adds Σ s w wᵀ for wrenches w with the same force `force` and different moments m; `moments` holds Σs, Σsm and
+    /// Σsmmᵀ.
     #[inline(always)]
     pub fn add_outers(&mut self, moments: &PointMasses<R>, force: Vec3<R>) {
         self.rotary.add(&moments.second);

@@ -21,7 +21,7 @@ pub struct State {
     pub rates: Vec<f64>,
     /// Servo reference angles θ_ref [rad].
     pub references: Vec<f64>,
-    /// Torque each joint applied in the last time step [N·m].
+    /// Torque that each joint applied in the last time step [N·m].
     pub torques: Vec<f64>,
     /// Change of `velocity` [m/s] and `angular_velocity` [rad/s] in the last time step; zero at the start. Engine
     /// `lanes` expects about the same change in the next step: see [`super::lanes`].
@@ -31,13 +31,13 @@ pub struct State {
     pub rate_changes: Vec<f64>,
     /// ∫ Σ|τ ω| dt since the state was set [J]; for engine `carriage`, whose drives recover energy, ∫ Σ τ ω dt.
     pub work: f64,
-    /// ∫ sand's force on the legs dt since the state was set [N·s]; only engine `carriage` measures it.
+    /// Impulse of the sand's force on the legs since the state was set, ∫ F dt [N·s]; only engine `carriage` measures it.
     pub impulse: [f64; 3],
-    /// The scene's obstacles that move, in their order.
+    /// The scene's obstacles that move, in the scene's order.
     #[serde(default)]
     pub objects: Vec<ObjectState>,
-    /// Sand that was moved; None: level, or not asked for. Engines read it when a state is set, and give it only by
-    /// [`super::engine::Engine::sand`], because it is large.
+    /// Sand that was moved; None: the sand is level, or this copy does not contain it. Engines read the field when a
+    /// state is set, but return their sand only by [`super::engine::Engine::sand`], because it is large.
     #[serde(skip)]
     pub sand: Option<Box<Moved>>,
 }
@@ -158,12 +158,12 @@ impl State {
         self.rate_changes.fill(0.0);
     }
 
-    /// [`Self::is_sound`] for a state from outside: also checks forces and sums, and the unit length of every
-    /// orientation.
+    /// [`Self::is_sound`] for a state from outside: also checks torques, work and impulse, and that every orientation
+    /// has length 1.
     pub fn is_possible(&self) -> bool {
         let numbers = || self.references.iter().chain(&self.torques).chain(&self.impulse).chain([&self.work]);
         let unit = |q: &[f64; 4]| (q.iter().map(|c| c * c).sum::<f64>().sqrt() - 1.0).abs() < 1e-2;
-        // A servo's reference moves on while its joint is blocked; the bound is our choice, far beyond any episode.
+        // A servo's reference keeps moving while its joint is blocked, so the reference needs a bound: our choice, far beyond any episode.
         self.is_sound()
             && numbers().all(|x| x.abs() < 1e9)
             && unit(&self.orientation)

@@ -4,14 +4,15 @@ use crate::number::Real;
 
 /// Stands for "no limit": far above any servo, and finite in `f32`.
 pub const NO_LIMIT: f64 = 1e9;
-/// Resistance of a stop to acceleration, as a multiple of the joint's inertia: our choice, because a load then
-/// accelerates a joint at its stop a thousand times less than elsewhere.
+/// Resistance of a stop to acceleration, as a multiple of the joint's inertia: our choice. A load then accelerates a
+/// joint at its stop a thousand times less than elsewhere.
 const STIFF: f64 = 1e3;
-/// Number of time steps in which a stop pushes a joint back into its range: our choice, because the joint then returns
-/// with an eighth of the speed of a return in one step.
+/// Number of time steps in which a stop pushes a joint back into its range: our choice. A return in one step would be
+/// eight times as fast.
 const RETURN: f64 = 8.0;
 
-/// Torque on a joint that falls with its acceleration q̈: `torque` − `yielding` q̈.
+/// Torque on a joint that falls with its acceleration q̈: `torque` − `yielding` q̈. Engine `rapier` also uses this type
+/// for torques that fall with the rate after the step q̇⁺: `torque` − `yielding` q̇⁺, where `yielding` is in N·m·s/rad.
 #[derive(Clone, Copy)]
 pub struct ImplicitTorque<R> {
     /// [N·m or N]
@@ -20,7 +21,7 @@ pub struct ImplicitTorque<R> {
     pub yielding: R,
 }
 
-/// A stop's push, and the least and the greatest torque that it can have: it only pushes back.
+/// A stop's push, and the least and the greatest torque that it can have. One of the two limits is 0, because a stop only pushes back.
 pub struct Stop<R> {
     pub push: ImplicitTorque<R>,
     pub limits: [R; 2],
@@ -47,13 +48,13 @@ impl<R: Real> ImplicitTorque<R> {
         self.torque - self.yielding * acceleration
     }
 
-    /// The acceleration under this push, if `own` is the inertia and `load` the torque at which it is 0.
+    /// The acceleration under this push. `own` is the joint's inertia; a push of `load` would give the acceleration 0.
     #[inline(always)]
     pub fn moves(&self, own: R, load: R) -> R {
         (self.torque - load) / (own + self.yielding)
     }
 
-    /// This push; if its torque at `acceleration` is beyond `low` or `high`, this limit as a constant torque.
+    /// This push or, if its torque at `acceleration` is beyond the limit `low` or `high`, that limit as a constant torque.
     #[inline(always)]
     pub fn within(&self, low: R, high: R, acceleration: R) -> Self {
         let torque = self.at(acceleration);
@@ -70,7 +71,7 @@ impl<R: Real> Stop<R> {
         let zero = R::zero();
         let stiff = own * R::splat(STIFF);
         let next = rate.mul_add(dt, position);
-        // Distance of the joint beyond its range, now or, at its present rate, soon.
+        // Distance of the joint beyond its range, now or, at its present rate, after the step.
         let beyond = (next - most).max(position - most).max(zero) + (next - least).min(position - least).min(zero);
         let past = (position - most).max(zero) + (position - least).min(zero);
         let out = (past / (dt * R::splat(RETURN)) + rate) * (stiff / dt);

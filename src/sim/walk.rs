@@ -1,7 +1,7 @@
 //! The speed protocol: measures a robot's speed at a constant stride frequency, or its motion while it stands.
 //!
-//! Hold for 0.3 s, ramp the hips' speed up linearly in 0.2 s, turn them at constant speed for two strides, then measure
-//! over four. At frequency 0 the robot stands: settle for 1 s, then measure over 10 s.
+//! Hold for 0.3 s, ramp the hips' speed up linearly in 0.2 s, turn the hips at constant speed for two strides, then
+//! measure over four strides. At frequency 0 the robot stands: settle for 1 s, then measure over 10 s.
 
 use super::engine::{Command, Engine, EngineKind};
 use super::model::GRAVITY;
@@ -65,7 +65,8 @@ const HOLD: f64 = 0.3;
 const RAMP: f64 = 0.2;
 const STRIDES_BEFORE: f64 = 2.0;
 const STRIDES_MEASURED: f64 = 4.0;
-/// A robot set down on the surface comes to rest within 0.2 s; our choice leaves room for soft sand.
+/// Time for a standing robot to settle before the measurement [s]: our choice. A robot that is set down on the surface
+/// comes to rest within 0.2 s, or later on soft sand.
 const SETTLE: f64 = 1.0;
 /// Time over which a standing robot is measured [s].
 const STAND: f64 = 10.0;
@@ -141,20 +142,20 @@ pub fn walk(kind: EngineKind, trial: &WalkTrial) -> Result<WalkResult> {
 
 /// Receives a walk's states while it runs.
 pub struct Watch<'a> {
-    /// Calls a second of simulated time: at most 1000, the number of the protocol's samples.
+    /// Number of calls in a second of simulated time: at most 1000, because the protocol takes 1000 samples a second.
     pub rate: f64,
     /// Takes the time [s] and the state.
     pub see: &'a mut dyn FnMut(f64, &State),
 }
 
-/// The same as [`walk`], and gives the states, with the first one, to `watch`.
+/// The same as [`walk`]; also passes the states, from the first one on, to `watch`.
 pub fn walk_watched(kind: EngineKind, trial: &WalkTrial, watch: &mut Watch) -> Result<WalkResult> {
     check_range("rate", watch.rate, 1.0..=1.0 / TICK)?;
     let results = run(kind, std::slice::from_ref(trial), &|_| Ok(()), Some(watch))?;
     results.first().copied().ok_or_else(|| Error::invalid("trials", "none"))
 }
 
-/// Simulated time [s] between two calls of `advanced`: some milliseconds of work, our choice.
+/// Simulated time [s] between two calls of `advanced`: our choice; the processor needs some milliseconds for it.
 const REPORT_TIME: f64 = 1.0;
 
 /// Runs `trials` side by side in one engine; all robots must have the same number of joints and plates. `advanced`
@@ -249,7 +250,7 @@ impl<'a> Meter<'a> {
     /// Takes the state of robot `index` at `time`, one `tick` [s] after the last.
     fn sample(&mut self, engine: &Engine, index: usize, time: f64, tick: f64) {
         let window = self.trial.window();
-        // Starts one sample before the window, because the window's start lies between two samples.
+        // Reads the state from one sample before the window on, because the window's start lies between two samples.
         if time + tick < window[0] || self.ends[1].is_some() {
             return;
         }

@@ -31,7 +31,7 @@ pub struct LeggedObserved<'a> {
 }
 
 impl LeggedObserved<'_> {
-    /// Height of the base's origin above measured point `i`, less 0.5 m, as in legged_gym.
+    /// Height of the base's origin above the ground at measured point `i`, less 0.5 m, as in legged_gym.
     fn measured_height(&self, i: usize) -> f64 {
         let Some(model) = &self.task_state.model else { return 0.0 };
         let ([x, y, z], [a, b], (sin, cos)) = (self.state.position, measured(i), self.heading);

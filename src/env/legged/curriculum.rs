@@ -7,18 +7,20 @@ use crate::sim::tree::forces::support;
 use crate::sim::{Model, State};
 use serde::{Deserialize, Serialize};
 
-/// Depth to which the feet of a standing robot sink at level 0, as a part of the legs' length: our choice, because the
-/// robot's own servos give way by a twentieth of that length (`tree::gains`), so such sand is as good as hard.
+/// Depth to which the feet of a standing robot sink at level 0, as a part of the legs' length: our choice. The robot's
+/// own servos give way by a twentieth of this length (`tree::gains`), so sand that gives way less is almost like hard
+/// ground.
 const FIRM: f64 = 0.02;
-/// Speed at which the support of the sand is computed, in units of √(gℓ): our choice, slow; the force hardly depends on it.
+/// Speed of sinking at which the sand's supporting force is computed, in units of √(gℓ), ℓ the legs' length: our choice,
+/// slow; the force hardly depends on it.
 const SLOW: f64 = 1e-3;
-/// Largest factor on the sand's stress: our choice, for robots that stand on points.
+/// Largest factor on the sand's stress: our choice. Robots with pointed feet need large factors.
 pub const MOST_EASE: f64 = 200.0;
 
 options! {
-    /// When levels rise and fall. Our choice, because an error of 0.4 leaves no doubt that the robot walks; a robot
-    /// that stands still has an error of 1, or less under slow commands. By default commands are full at all levels,
-    /// because a robot that stands still earns most of the reward under slow commands.
+    /// When levels rise and fall. Our choice, because a robot with an error of 0.4 certainly walks; a robot that stands
+    /// still has an error of 1, or less under slow commands. By default commands have their full size at all levels,
+    /// because under slow commands a robot would get most of the reward by standing still.
     #[derive(Copy, Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct Curriculum {
@@ -34,8 +36,8 @@ options! {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Followed {
-    /// Sum of the velocities under the present command, without those at its beginning: forward, to the left [m/s], yaw
-    /// [rad/s].
+    /// Sum over steps of the velocity under the present command: forward, to the left [m/s], yaw [rad/s]. Steps at the
+    /// beginning of the command are left out.
     pub sum: [f64; 3],
     /// Number of steps in `sum`.
     pub steps: u32,
@@ -46,7 +48,7 @@ pub struct Followed {
 }
 
 impl Followed {
-    /// Can an episode have reached this? Checks snapshots.
+    /// For snapshots: can an episode have reached these values?
     pub fn is_sound(&self) -> bool {
         self.sum.iter().chain([&self.error]).all(|x| x.is_finite()) && self.error >= 0.0
     }
@@ -72,8 +74,8 @@ impl Followed {
     }
 }
 
-/// Least length of a command that an error is divided by, in units of the ends of the commands' default ranges. Our
-/// choice, because an error relative to a very slow command has no bound.
+/// An error is divided by the length of its command, but at least by this, in units of the ends of the commands'
+/// default ranges. Our choice, because an error relative to a very slow command would have no bound.
 const LEAST: f64 = 0.4;
 
 impl Curriculum {
@@ -91,7 +93,7 @@ impl Curriculum {
     }
 }
 
-/// The factor on the stress of the model's sand at which its standing robot sinks by [`FIRM`]; at least 1.
+/// The factor on the sand's stress with which the model's standing robot sinks by [`FIRM`]; at least 1, at most [`MOST_EASE`].
 pub fn ease(model: &Model) -> f64 {
     let Some(tree) = &model.tree else { return 1.0 };
     if !model.has_sand() {

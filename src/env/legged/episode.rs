@@ -12,8 +12,8 @@ use std::sync::Arc;
 /// Largest number of commands, and of pushes, that an episode draws; after that they repeat. Our choice: with the default
 /// time between two commands they last 17 minutes.
 const MOST: usize = 100;
-/// Time at the start of a command that does not count for the curriculum [s]: as in `sandgait evaluate --commands`, but at most
-/// half of the time between two commands.
+/// The curriculum ignores this time at the start of a command [s], as does `sandgait evaluate --commands`; but at most half of
+/// the time between two commands.
 const BEGINNING: f64 = 2.0;
 
 /// An episode's difficulty.
@@ -21,22 +21,22 @@ const BEGINNING: f64 = 2.0;
 pub struct Difficulty {
     /// 0 to 1
     pub level: f64,
-    /// Factor on the sand's stress besides the drawn one.
+    /// Factor on the sand's stress, in addition to the drawn factor.
     pub ease: f64,
-    /// Factors on commands and on pushes.
+    /// Factor on commands; the next field is the factor on pushes.
     pub commands: f64,
     pub pushes: f64,
 }
 
 impl Difficulty {
-    /// The task itself.
+    /// The full difficulty, without a curriculum.
     pub const FULL: Self = Self { level: 1.0, ease: 1.0, commands: 1.0, pushes: 1.0 };
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LeggedEpisode {
-    /// Factors on the friction of hard ground and on the sand's stress.
+    /// Factor on the friction of hard ground; the next field is the factor on the sand's stress.
     pub friction: f64,
     pub sand: f64,
     /// [kg]
@@ -102,12 +102,12 @@ impl LeggedEpisode {
         }
     }
 
-    /// Can an episode with these ranges `from` have reached these values? `model`: the session's.
+    /// For snapshots: can an episode with the ranges `from` have reached these values? `model`: the session's model.
     pub fn is_sound(&self, from: Draws, model: &Model) -> bool {
         let feet = model.tree.as_ref().map_or(0, |tree| tree.stance.feet.len());
         let most = |x: &f64| x.abs() <= MOST_COMMAND;
         let rand = from.rand;
-        // A reset may have changed the ranges meanwhile, so the values are compared with the bounds of the options.
+        // A reset may have changed the ranges since the draw, so the values are compared with the bounds of the options.
         (0.0..=10.0).contains(&self.friction)
             && (0.05..=20.0 * MOST_EASE).contains(&self.sand)
             && (0.0..=1.0).contains(&self.level)

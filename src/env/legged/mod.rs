@@ -78,7 +78,7 @@ pub struct LeggedVelocity {
     rewards: Rewards,
     observation: Features<Observe>,
     figures: Features<Figure>,
-    /// Indices in an info row: of the feet's contacts, of the velocities, of the ways to fall.
+    /// Index in an info row of the feet's contacts; the next fields are the indices of the velocities and of the ways to fall.
     contacts: usize,
     velocity: [usize; 3],
     falls: [usize; 3],
@@ -307,7 +307,7 @@ impl Task for LeggedVelocity {
         step.terminated()
     }
 
-    /// All environments of a session stand on the same feet. Either all of them have ground with heights, or none.
+    /// All environments of a session need robots with the same feet, and either all or none need ground with heights.
     fn check_change(old: &Model, new: &Model) -> Result<()> {
         if old.scene.relief.is_some() != new.scene.relief.is_some() {
             let reason = "a reset changes neither flat ground to ground with heights nor back: make other environments";
@@ -323,7 +323,7 @@ impl Task for LeggedVelocity {
         Ok(())
     }
 
-    /// The model is built again from the drawn values.
+    /// Builds the model again from the drawn values.
     fn resume(setup: &Setup<LeggedOptions>, task_state: &mut TaskState) -> std::result::Result<(), String> {
         let TaskState { model: None, ground: None, legged: Some(legged), .. } = task_state else {
             return Err("its robot".into());

@@ -22,11 +22,11 @@ use std::f64::consts::PI;
 use std::sync::Arc;
 
 options! {
-    /// Options of LeggedVelocity. `dt`: our choice, twice that of the hexapods, whose feet move faster. A trot of the
-    /// test quadruped at this time step differed from one at 0.125 ms by up to 5 % in sand and 10 % on hard ground; at
-    /// 1 ms by 8 % on hard ground. Episodes take 20 s as in legged_gym. legged_gym has an `action_scale` of 0.25 and no
-    /// bounds on actions. Here actions are within ± 1, and with a scale of 0.25 Go1's feet would move too little to
-    /// walk; so the scale of each joint follows from its torque limit and gain.
+    /// Options of LeggedVelocity. `dt`: our choice, twice that of the hexapods, whose feet move faster. With this time
+    /// step a trot of the test quadruped differed from a trot at 0.125 ms by up to 5 % in sand and 10 % on hard ground;
+    /// with 1 ms, by 8 % on hard ground. Episodes take 20 s as in legged_gym. legged_gym has an `action_scale` of 0.25
+    /// and no bounds on actions. Here actions are within ± 1, and with a scale of 0.25 Go1's feet would move too little
+    /// to walk; so the scale of each joint follows from its torque limit and gain.
     pub struct LeggedOptions {
         robot: RobotName = RobotName::TREE.into(), "built-in robot sandcat, or a packed robot file (in Python its path)";
         law: Law = Law::Li2013, "resistive force law: li2013, penetration-drag-1d or agarwal2023";
@@ -131,12 +131,12 @@ impl LeggedOptions {
     }
 }
 
-/// Commanded speeds below this part of √(gℓ) are zero: legged_gym has 0.2 m/s of at most 1 m/s; our choice is smaller, so that slow
-/// steps to the side are learned too.
+/// Commanded speeds below this part of √(gℓ) are zero: legged_gym has a limit of 0.2 m/s, for commands of at most 1 m/s. Our choice
+/// is smaller, so that a policy also learns slow steps to the side.
 const SMALL: f64 = 0.05;
 
-/// Least and greatest scale of an action [rad]. With the least one, our choice, a foot moves by some 0.4 lengths of the leg. The
-/// greatest one, also that of a joint without a known torque limit, is that of Isaac Lab's velocity tasks.
+/// Least and greatest scale of an action [rad]. The least is our choice: with it a foot moves by some 0.4 lengths of the leg.
+/// The greatest is that of Isaac Lab's velocity tasks; joints without a known torque limit have it, too.
 const SCALES: [f64; 2] = [0.4, 0.5];
 /// Scale of a sliding joint without a range, as a part of the legs' length: our choice.
 const SLIDING: f64 = 0.25;

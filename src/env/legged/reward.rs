@@ -11,14 +11,15 @@ use crate::spec::CONTROL_RATE;
 use crate::task::Transition;
 
 /// σ of the tracking terms exp(−error² / σ); velocities are in units of the ends of the commands' default ranges. Our
-/// choice, because legged_gym's 0.25 (for ends of 1) is too wide: an error of a fifth of a command at half of the
-/// range's end costs only 4 % of the term. With 0.25 ANYmal C walks a fifth too fast on packed seeds (mean error of
-/// nine commands 18 %). With 0.1 it walks as fast as commanded (6 %, after the same 12 million steps; docs/robots.md).
+/// choice, because legged_gym's 0.25 (where the ends are 1) is too wide: for a command of half the range's end, an
+/// error of a fifth of the command costs only 4 % of the term. With 0.25 ANYmal C walks a fifth too fast on packed
+/// seeds (mean error of nine commands 18 %). With 0.1 it walks as fast as commanded (6 %, after the same 12 million
+/// steps; docs/robots.md).
 const TRACKING: f64 = 0.1;
-/// Air time from which on a step is rewarded [√(ℓ/g)]: legged_gym's 0.5 s on ANYmal's legs of 0.5 m.
+/// A step is rewarded if its foot was in the air for longer than this [√(ℓ/g)]: legged_gym's 0.5 s for ANYmal's legs of 0.5 m.
 const AIR: f64 = 2.2;
 
-/// Share of a joint's range at either end that the joint should avoid (A1: soft limits of 0.9).
+/// Share of a joint's range, at each of its two ends, that the joint should avoid (A1 in legged_gym: soft limits of 0.9).
 const OUTER: f64 = 0.05;
 
 /// The bodies that touch the ground.
@@ -55,7 +56,7 @@ pub struct LeggedStep<'a> {
     /// Default position of each joint [rad].
     pub default: &'a [f64],
     pub units: &'a Units,
-    /// Gravity's direction, and velocity and angular velocity in the base's frame, after the step.
+    /// Gravity's direction after the step; this and the next two fields, velocity and angular velocity, are in the base's frame.
     pub gravity: [f64; 3],
     pub velocity: [f64; 3],
     pub angular_velocity: [f64; 3],
@@ -78,8 +79,8 @@ impl LeggedStep<'_> {
 reward_terms! {
     /// Weights of the reward's terms, with legged_gym's names and signs; each is a rate per second. Velocities are in
     /// the base's frame; v_max and ω_max are the ends of the commands' default ranges. Weights of terms in the robot's
-    /// units are those that legged_gym has for ANYmal C (ℓ = 0.5 m), converted and rounded; the weight of the torques
-    /// is between that of its A1 (0.26) and that of its ANYmal C (0.65).
+    /// units are legged_gym's weights for ANYmal C (ℓ = 0.5 m), converted and rounded; the weight of the torques is
+    /// between legged_gym's weights for A1 (0.26) and for ANYmal C (0.65), converted.
     pub struct Rewards of LeggedStep<'_>, weights in [-1e4, 1e4] {
         tracking_lin_vel: 1.0, "exp(−(((v_x − commanded) / v_max,x)² + ((v_y − commanded) / v_max,y)²) / 0.1)", |s| {
             let [x, y, _] = s.units.commanded();

@@ -4,8 +4,8 @@ use super::draws::{Commands, MOST_COMMAND};
 use crate::sim::Model;
 use crate::sim::model::GRAVITY;
 
-/// Units from the legs' length ℓ and the weight W. Robots that move with equal numbers in these units move alike, only larger
-/// (R. McN. Alexander & A. S. Jayes, J. Zool. 201 (1983) 135): v²/(gℓ) is the Froude number.
+/// Units from the legs' length ℓ and the weight W. Two robots whose motions have equal numbers in these units move alike, one
+/// only larger than the other (R. McN. Alexander & A. S. Jayes, J. Zool. 201 (1983) 135). v²/(gℓ) is the Froude number.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Units {
     /// √(gℓ) [m/s]
@@ -38,7 +38,7 @@ impl Units {
         [x * self.speed, y * self.speed, yaw * self.rate].map(|end| end.min(MOST_COMMAND))
     }
 
-    /// The ranges of the commands: those that are given, else those of the robot.
+    /// The ranges of the commands: the given range, or, where none is given, the robot's default range.
     pub fn ranges(&self, commands: &Commands) -> [[f64; 2]; 3] {
         let given = [commands.lin_vel_x, commands.lin_vel_y, commands.ang_vel_yaw];
         let own = self.commanded();

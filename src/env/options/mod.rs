@@ -52,19 +52,19 @@ pub trait Options: Clone + Default + PartialEq + std::fmt::Debug + Send + Sync +
     fn check_all(&self, prefix: &str) -> Result<()>;
 }
 
-/// The options of a task, and those that every task has.
+/// The options of a task, together with the options that every task has.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TaskOptions<O> {
     pub task: O,
     pub hardware: Hardware,
 }
 
-/// An option that some tasks declare themselves. Every task has its key [`DRAWN`].
+/// An option that some tasks declare themselves. In every task it has the key [`DRAWN`].
 const DRAWS: &str = "domain_rand";
 const DRAWN: &str = "hardware";
 
 impl<O: Options> TaskOptions<O> {
-    /// Sets [`DRAWS`]: null draws nothing.
+    /// Sets option [`DRAWS`]; with null, nothing is drawn.
     fn set_draws(&mut self, value: &Value) -> Result<bool> {
         let mut of_task = value.clone();
         let own = match &mut of_task {
@@ -74,7 +74,7 @@ impl<O: Options> TaskOptions<O> {
         };
         match self.task.get(DRAWS) {
             Some(_) => drop(self.task.set(DRAWS, &of_task)?),
-            // The task has no other keys in this option. The call refuses, by name, keys that it does not know.
+            // The task has no other keys in this option. This call refuses unknown keys and names them.
             None if !value.is_null() => drop(self.hardware.set(DRAWS, &of_task)?),
             None => (),
         }

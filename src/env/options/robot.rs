@@ -5,8 +5,8 @@ use crate::sim::tree::{TreeModel, packed};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::sync::{Arc, OnceLock};
 
-/// A built-in robot's name, or the text of a packed one ([`packed::pack`]). It is read once, and all environments
-/// share it.
+/// A built-in robot's name, or the text of a packed one ([`packed::pack`]). The robot is read once, and all
+/// environments share it.
 #[derive(Clone)]
 pub struct RobotName(Arc<Held>);
 

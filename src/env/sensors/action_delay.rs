@@ -4,13 +4,13 @@ use super::memory::shift;
 use super::random::stream;
 use rand::Rng as _;
 
-/// Separates the draw of the delay from the sensors' draws, which count steps from 0.
+/// In place of a step's number, this selects the random numbers for the delay. The sensors' draws use the step's number, counted from 0.
 const DRAW: u64 = u64::MAX;
 
 /// The delay of an episode's actions.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ActionDelay {
-    /// Number of whole control steps, and of time steps besides.
+    /// Number of whole control steps in the delay; the next field is the number of remaining time steps.
     steps: usize,
     substeps: usize,
     /// Actions of the last control steps: the newest first; empty if no action is ever late.
@@ -35,19 +35,19 @@ impl ActionDelay {
         self.actions.is_empty()
     }
 
-    /// Takes the action of this control step.
+    /// Adds the action of this control step.
     pub fn push(&mut self, action: &[f32]) {
         shift(&mut self.actions, self.width);
         self.actions[..self.width].copy_from_slice(action);
     }
 
-    /// The action that the motors follow at first in this control step.
+    /// The action that the motors follow at the start of this control step.
     pub fn first(&self) -> &[f32] {
         self.at(self.steps + usize::from(self.substeps > 0))
     }
 
-    /// The action that the motors follow afterwards, and the time step at which it arrives; None: they follow the first
-    /// one during the whole control step.
+    /// The action that arrives within this control step, and the time step at which it arrives; None: the motors follow
+    /// the first action during the whole control step.
     pub fn second(&self) -> Option<(usize, &[f32])> {
         (self.substeps > 0).then(|| (self.substeps, self.at(self.steps)))
     }

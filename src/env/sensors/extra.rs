@@ -12,8 +12,8 @@ const TORQUE: f64 = 1e4; // [N·m]
 const FORCE: f64 = 1e6; // [N]
 /// Range of the range finder [m]: our choice, that of small lidars.
 const RANGE: f64 = 10.0;
-/// A foot's switch closes if the force on the foot is above this share of the robot's weight: the same share as for a
-/// leg that counts as standing (`Pose::stance`).
+/// A foot's switch closes if the force on the foot is above this share of the robot's weight, the same share as for a
+/// standing leg (`Pose::stance`).
 const SWITCH: f64 = 0.02;
 
 /// A control step, for sensors.
@@ -64,7 +64,7 @@ impl<'a> MeasuredStep<'a> {
         })
     }
 
-    /// Distance of the ground along the base's downward axis [m].
+    /// Distance from the base to the ground along the base's downward axis [m].
     fn range(&self) -> f64 {
         let [x, y, z] = self.after.position;
         let down = self.after.rotation()[2][2];
@@ -72,8 +72,8 @@ impl<'a> MeasuredStep<'a> {
         if down > height / RANGE { height / down } else { RANGE }
     }
 
-    /// Acceleration of the accelerometer less that of gravity, body frame [m/s²]: from the change of its velocity in the
-    /// control step.
+    /// Acceleration of the accelerometer, from the change of its velocity in the control step, less the acceleration of
+    /// gravity [m/s²]; body frame.
     fn specific_force(&self) -> [f64; 3] {
         let velocity = |state: &State| {
             let (turn, spin) = (state.rotation(), state.angular_velocity);
@@ -95,7 +95,7 @@ fn feet(model: &Model) -> Vec<String> {
     }
 }
 
-/// The columns of `sensor`; None: only a task itself can observe it.
+/// The columns of `sensor`; None: this sensor cannot be added, but a task may observe it by itself.
 pub fn columns(sensor: Sensor, model: &Model) -> Option<Features<Measure>> {
     let (none, feet) = (Features::<Measure>::none(), feet(model));
     let columns = match sensor {
@@ -116,7 +116,7 @@ pub fn columns(sensor: Sensor, model: &Model) -> Option<Features<Measure>> {
     Some(columns.sensed(sensor))
 }
 
-/// The columns that `sensors` add to an observation which already has those of `own`.
+/// The columns that `sensors` add to an observation that already has the columns of the sensors `own`.
 pub fn added(sensors: &Sensors, own: &[Sensor], model: &Model) -> Features<Measure> {
     let named = Sensor::ALL.into_iter().filter(|s| sensors.of(*s).is_some() && !own.contains(s));
     named.filter_map(|sensor| columns(sensor, model)).fold(Features::<Measure>::none(), Features::and)

@@ -1,4 +1,4 @@
-//! What `hardware.toml` says of a task's motors, sensors and delays. Its values hold where the options say nothing.
+//! What `hardware.toml` says of a task's motors, sensors and delays. Its values hold for all options that the user leaves at their defaults.
 
 use super::options::{Imperfections, LONGEST_DELAY, Motors};
 use super::random::stream;
@@ -9,7 +9,8 @@ use crate::sim::hardware::{HardwareDescription, HardwareQuantity};
 use rand::Rng as _;
 use std::f64::consts::PI;
 
-/// Separates the draws of hardware from those of sensors, which count steps from 0, and from that of the actions' delay.
+/// In place of a step's number, this selects the random numbers for hardware. It differs from the steps' numbers, which
+/// the sensors' draws use, and from the number for the actions' delay.
 const DRAW: u64 = u64::MAX - 1;
 /// Path of the delay of actions.
 const ACTION_DELAY: &str = "action_delay";
@@ -50,8 +51,8 @@ impl HardwareFiles {
         self.random.is_some()
     }
 
-    /// The values that all episodes share; for drawn quantities, the values in the file whose intervals they are drawn
-    /// from.
+    /// The values that all episodes share. For a drawn quantity, this is the value in the file from whose interval
+    /// episodes draw.
     pub fn values(&self) -> HardwareDescription {
         self.random.as_ref().map_or_else(|| self.values.clone(), |random| random.or(&self.values))
     }
@@ -63,7 +64,7 @@ impl HardwareFiles {
         random.drawn(|| stream.random::<f64>()).or(&self.values)
     }
 
-    /// Range of the delay of actions [s], if the options have `own`.
+    /// Range of the delay of actions [s]; `own`: the range in the options.
     pub fn action_delay(&self, own: [f64; 2]) -> [f64; 2] {
         let of = |file: &HardwareDescription| file.quantities.get(ACTION_DELAY).copied();
         match (own, self.random.as_ref().and_then(of), of(&self.values)) {
@@ -73,7 +74,7 @@ impl HardwareFiles {
         }
     }
 
-    /// Longest delay of `sensor` in any episode [s].
+    /// Longest delay that `sensor` can have in an episode [s].
     pub fn longest(&self, sensor: Sensor, own: Imperfections) -> f64 {
         let path = format!("sensors.{}.delay", sensor.name());
         let drawn = self.random.as_ref().and_then(|file| file.quantities.get(&path)).map(|q| q.interval[1]);
@@ -113,7 +114,7 @@ fn check(file: &HardwareDescription) -> Result<()> {
     Ok(())
 }
 
-/// `own`, but with the file's value for each option that has its default in `own`.
+/// `own`, in which the file's values replace all options that have their default.
 fn filled<O: Options>(own: &O, table: &str, file: &HardwareDescription) -> O {
     let (mut all, default) = (own.clone(), O::default());
     for row in O::rows() {
@@ -135,7 +136,7 @@ pub fn imperfections(own: Imperfections, sensor: Sensor, file: &HardwareDescript
     filled(&own, &format!("sensors.{}", sensor.name()), file)
 }
 
-/// Does the file say anything of this sensor?
+/// Does the file have any quantity of this sensor?
 pub fn names(file: &HardwareDescription, sensor: Sensor) -> bool {
     let table = format!("sensors.{}.", sensor.name());
     file.quantities.keys().any(|path| path.starts_with(&table))

@@ -6,10 +6,10 @@ use std::sync::Arc;
 /// The sensors' part of an episode; empty for a task whose sensors are exact.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SensorMemory {
-    /// The sensors that the episode has drawn; None: those of the session.
+    /// The sensors that the episode has drawn; None: it uses the session's sensors.
     pub(super) senses: Option<Arc<Senses>>,
     pub(super) past: Vec<Past>,
-    /// Rows as the sensors sampled them, not delayed: the newest first.
+    /// Rows as the sensors sampled them, before the delay; the newest first.
     pub(super) sampled: Vec<f32>,
     /// Rows that the policy got: the newest first.
     pub(super) seen: Vec<f32>,

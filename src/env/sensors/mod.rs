@@ -1,10 +1,10 @@
 //! Sensors between the simulated robot and the observation, and the delay between the action and the motors.
 //!
-//! A task computes exact values. A column that belongs to a [`Sensor`] passes through the sensor's imperfections, in this
-//! order: the part of the delay that is no whole control step (the sensor samples so long before the step ends), gain
-//! and offset, bias and random walk, white noise, low-pass filter, quantization, the delay's whole steps, dropout. Everything that a sensor
-//! remembers is a part of the episode ([`SensorMemory`]), so snapshots contain it. Its random numbers depend on the
-//! environment's seed, the episode and the step alone.
+//! A task computes exact values. A column that belongs to a [`Sensor`] passes through the sensor's imperfections, in this order: the part
+//! of the delay beyond whole control steps (the sensor samples this much before the step ends), gain and offset, bias and random walk,
+//! white noise, low-pass filter, quantization, the delay's whole steps, dropout. Everything that a sensor remembers is a part of the
+//! episode ([`SensorMemory`]), so snapshots contain it. Its random numbers depend on the environment's seed, the episode and the step
+//! alone.
 //!
 //! How to add a sensor: row "a sensor" of the table in `ARCHITECTURE.md`.
 
@@ -45,7 +45,7 @@ macro_rules! sensors {
         }
 
         impl Sensors {
-            /// The imperfections of a sensor; None: it is exact, and the task need not observe it.
+            /// The imperfections of a sensor; None: the sensor is exact, and is not added to the observation.
             pub fn of(&self, sensor: Sensor) -> Option<Imperfections> {
                 match sensor { $(Sensor::$Variant => self.$key,)* }
             }

@@ -22,20 +22,20 @@ const IMU: [Sensor; 3] = [Sensor::Gravity, Sensor::Gyroscope, Sensor::Accelerome
 /// How a session's observations follow from exact values.
 pub struct SensorModel {
     sensors: Sensors,
-    /// Columns of exact values: the task's, then those of added sensors.
+    /// Columns of exact values: the task's columns, then the columns of added sensors.
     exact: Vec<Column>,
     added: Features<Measure>,
     senses: Senses,
     files: HardwareFiles,
-    /// Signals of joint positions and speeds, joint by joint, if speeds are differences of positions.
+    /// For each joint the indices of the signals of its position and its speed, if speeds are differences of positions.
     speeds: Vec<[usize; 2]>,
-    /// Indices of the exact columns that the policy gets of one step.
+    /// Indices of the exact columns that a policy gets for each step.
     shown: Vec<usize>,
     /// The shown columns that no signal changes: the place in the policy's row, and the exact column.
     copied: Vec<(usize, usize)>,
     /// First column of each vector of the inertial measurement unit.
     imu: Vec<usize>,
-    /// Number of rows that policies get at once, and of sampled rows that are kept.
+    /// Number of rows that a policy gets at once; the next field is the number of sampled rows that are kept.
     history: usize,
     kept: usize,
     privileged: bool,
@@ -52,22 +52,22 @@ pub struct SensorInput<'a> {
     pub sand: Option<&'a Moved>,
     /// State before and after the step; at the beginning of an episode both are its first state.
     pub states: [&'a State; 2],
-    /// Seed, number and step of the episode: the random numbers are a function of them.
+    /// The episode's seed and number, and the step. The random numbers are a function of these three.
     pub at: [u64; 3],
     /// Duration of the step [s].
     pub period: f64,
 }
 
-/// The info row that gets exact values: those that belong to its step, or those of the first observation of the next episode,
-/// which begins in the same step.
+/// The info row that gets exact values: either the values of its own step, or the values at the first observation of the next
+/// episode, which begins in the same step.
 pub enum Privileged<'a> {
     Present(&'a mut [f32]),
     Next(&'a mut [f32]),
 }
 
 impl SensorModel {
-    /// The sensors of a session; None: they are exact, and rows are as the task fills them. `spec` becomes that of the
-    /// session.
+    /// The sensors of a session; None: all sensors are exact, and rows are as the task fills them. Changes `spec` to
+    /// the session's columns.
     ///
     /// # Errors
     /// Names a sensor that the task does not observe and that cannot be added.
@@ -104,7 +104,7 @@ impl SensorModel {
                 .map_or(0.0, |(sensor, _)| files.longest(sensor, sensors.of(sensor).unwrap_or_default()))
         };
         let longest = signals.iter().map(delay).fold(0.0, f64::max);
-        // The newest row, those back to the longest delay, and one to take differences from.
+        // Kept: the newest row, the rows of the longest delay, and one more for finite differences.
         let kept = (longest / period).ceil() as usize + 2;
         let history = *history as usize;
         let of_step = |back: usize| {
@@ -146,7 +146,7 @@ impl SensorModel {
         }))
     }
 
-    /// May a column need the ground's force on each leg? Those of added sensors may.
+    /// May a column need the ground's force on each leg? Only columns of added sensors may.
     pub fn needs_normal_forces(&self) -> bool {
         !self.added.is_empty()
     }
@@ -160,7 +160,7 @@ impl SensorModel {
         [self.senses.signals.len(), self.kept * self.exact.len(), self.history * self.shown.len()]
     }
 
-    /// Numbers that an episode's sensors remember.
+    /// Number of values that an episode's sensors remember.
     pub fn numbers(&self) -> usize {
         let [signals, sampled, seen] = self.sizes();
         3 * signals + sampled + seen
@@ -172,7 +172,7 @@ impl SensorModel {
         Some(SensorMemory { senses: self.drawn(seed, number), ..memory })
     }
 
-    /// The sensors that an episode draws; None: they are those of the session.
+    /// The sensors that an episode draws; None: it uses the session's sensors.
     fn drawn(&self, seed: u64, number: u64) -> Option<Arc<Senses>> {
         self.files.is_random().then(|| {
             let values = self.files.of_episode(seed, number);
@@ -182,8 +182,8 @@ impl SensorModel {
         })
     }
 
-    /// Fills the first observation of an episode, if its memory is empty; else that of the next step. `observe` fills a row
-    /// of the task's own columns.
+    /// Fills an observation: the first one of an episode if the memory is empty, else the observation of the next step.
+    /// `observe` fills a row of the task's own columns.
     pub fn sense(
         &self,
         memory: &mut SensorMemory,
@@ -228,8 +228,8 @@ impl SensorModel {
         observation.copy_from_slice(&memory.seen);
     }
 
-    /// Fills the same rows again, after a restore. The accelerometer's privileged value is then that of a robot whose
-    /// velocity does not change.
+    /// Fills the same rows again, after a restore. The accelerometer's privileged value is then computed as if the
+    /// robot's velocity did not change.
     pub fn repeat(
         &self,
         memory: &SensorMemory,
@@ -246,7 +246,7 @@ impl SensorModel {
         }
     }
 
-    /// Copies privileged values to their place at the end of an info row, if there is one.
+    /// Copies privileged values to their place at the end of an info row, if the row has such a place.
     fn copy_privileged(&self, exact: &[f32], privileged: Privileged) {
         let (info, back) = match privileged {
             Privileged::Present(info) => (info, 2 * exact.len()),
@@ -266,7 +266,7 @@ impl SensorModel {
         clip(row, &self.exact);
     }
 
-    /// Turns the vectors of an inertial measurement unit that is mounted askew.
+    /// Turns vectors into the frame of an inertial measurement unit that is not aligned with the base.
     fn turn_imu(&self, senses: &Senses, row: &mut [f32]) {
         let Some(turn) = &senses.turn else { return };
         for start in &self.imu {
@@ -279,7 +279,7 @@ impl SensorModel {
     /// Adds the row that the policy gets now.
     fn show(&self, senses: &Senses, memory: &mut SensorMemory, random: &mut Xoshiro256PlusPlus, begins: bool) {
         let SensorMemory { sampled, seen, .. } = memory;
-        // The first row still has the values of the step before.
+        // After the shift, the first row still has the values of the step before. A lost sample keeps them.
         let wide = self.shown.len();
         shift(seen, wide);
         let (row, others) = seen.split_at_mut(wide);
@@ -300,13 +300,13 @@ impl SensorModel {
     }
 }
 
-/// Rotation from the base's frame to that of the inertial measurement unit; None: they are the same.
+/// Rotation from the base's frame to the frame of the inertial measurement unit; None: the frames are equal.
 fn turn(sensors: &Sensors, values: &HardwareDescription) -> Option<Rotation3<f64>> {
     let vector = hardware::imu_rotation(sensors, values);
     (vector != [0.0; 3]).then(|| Rotation3::from_scaled_axis(Vector3::from(vector)).inverse())
 }
 
-/// Gives each signal the places of its columns among those that are `shown`; returns places and columns of the others.
+/// Gives each signal the places of its columns among the columns that are `shown`. Returns places and columns of all shown columns without a signal.
 fn places(shown: &[usize], signals: &mut [Signal]) -> Vec<(usize, usize)> {
     let place = |column: usize| Some((shown.iter().position(|i| *i == column)?, column));
     signals.iter_mut().for_each(|signal| signal.places = signal.columns().filter_map(place).collect());

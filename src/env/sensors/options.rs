@@ -1,4 +1,4 @@
-//! Options that every task has: its sensors, the delay of its actions, and rows that a policy may see besides.
+//! Options that every task has: its sensors, the delay of its actions, and additional rows for a policy.
 
 use super::Sensor;
 use crate::error::{Error, Result, check_range};
@@ -9,13 +9,13 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 use serde_json::Value;
 use std::f64::consts::PI;
 
-/// Longest delay of a sensor or an action [s]: our choice, several times that of a robot that is steered over a network.
+/// Longest delay of a sensor or an action [s]: our choice, several times the delay of a robot that is steered over a network.
 pub const LONGEST_DELAY: f64 = 0.5;
 /// Largest number of observations in a row of [`Hardware::history`]: our choice, more than the 15 of usual policies.
 const MOST_HISTORY: f64 = 64.0;
 
 options! {
-    /// What is imperfect about a sensor. u: the unit of its values.
+    /// Imperfections of a sensor. u: the unit of its values.
     #[derive(Copy, Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct Imperfections {
@@ -132,7 +132,7 @@ impl From<Motors> for Actuator {
 }
 
 options! {
-    /// What the hardware of an episode is drawn from.
+    /// The files from whose intervals an episode's hardware is drawn.
     #[derive(Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct HardwareRand {

@@ -3,7 +3,7 @@
 use rand::SeedableRng as _;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-/// Separates the sensors' random numbers from those of the episode: an arbitrary number.
+/// An arbitrary number that makes the sensors' random numbers independent of the episode's other random numbers.
 const STREAM: u64 = 0x5e15_0125;
 /// The random numbers of one step of an episode. The numbers are mixed by the finalizer of splitmix64 (Steele, Lea & Flood,
 /// OOPSLA 2014), so neighbouring ones give unrelated streams.

@@ -9,15 +9,15 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 /// A value of a sensor, its columns in a row of exact values, and what a control step does to it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Signal {
-    /// The column; of an angle, the column of its sine.
+    /// The column of the value; for an angle that is shown as sine and cosine, the column of the sine.
     pub column: usize,
     /// The column of an angle's cosine.
     pub cosine: Option<usize>,
     /// Whole control steps of the delay.
     pub late: usize,
-    /// The rest of the delay, as a share of a control step: the sensor samples so long before the step ends.
+    /// The rest of the delay, as a share of a control step: the sensor samples this much before the step ends.
     early: f64,
-    /// Places of column and cosine in the row that the policy gets; empty if it does not get them.
+    /// For `column` and `cosine`: the place in the row that the policy gets, and the column. Empty if the policy does not get them.
     pub places: Vec<(usize, usize)>,
     /// Probability that a sample is lost.
     pub dropout: f64,
@@ -25,17 +25,17 @@ pub struct Signal {
     alters: bool,
     gain: f64,
     offset: f64,
-    /// Standard deviations: of the constant error, of its change in a step, of a sample's noise.
+    /// Standard deviation of the constant error; the next fields: of its change in a step, and of a sample's noise.
     bias: f64,
     walk: f64,
     noise: f64,
-    /// Share of its distance to a new sample by which the low-pass filter moves; None: no filter.
+    /// The low-pass filter's output moves toward a new sample by this share of the distance; None: no filter.
     follows: Option<f64>,
     quantization: f64,
 }
 
-/// A rest of a delay below this share of a control step is rounding: our choice, which moves no value by more than a millionth of its
-/// change in a step.
+/// If the rest of a delay is below this share of a control step, it counts as rounding and is 0: our choice, which changes a value by
+/// at most a millionth of its change in a step.
 const ROUNDING: f64 = 1e-6;
 
 /// The sensors of an episode.
@@ -58,7 +58,7 @@ pub struct Past {
 }
 
 impl Signal {
-    /// `period`: that of the control [s].
+    /// `period`: duration of a control step [s].
     pub fn new(column: usize, part: Part, imperfections: Imperfections, period: f64) -> Option<Self> {
         // Sine and cosine are one signal, which begins with its sine.
         if part == Part::Cosine {
@@ -66,7 +66,7 @@ impl Signal {
         }
         let delay = imperfections.delay / period;
         let whole = (delay + ROUNDING).floor();
-        // A delay of whole steps copies bits.
+        // A delay of whole steps copies values exactly.
         let rest = delay - whole;
         let Imperfections { gain, offset, noise_density, bias, random_walk, low_pass, quantization, dropout, .. } =
             imperfections;
@@ -94,7 +94,7 @@ impl Signal {
         [Some(self.column), self.cosine].into_iter().flatten()
     }
 
-    /// The value of `column`, late by whole steps, among sampled rows of `width` numbers, the newest first.
+    /// The value of `column`, delayed by the whole steps. `sampled` holds rows of `width` numbers, the newest first.
     pub fn delayed(&self, sampled: &[f32], width: usize, column: usize) -> f32 {
         sampled[self.late * width + column]
     }
@@ -144,7 +144,7 @@ impl Signal {
         self.set(row, self.quantized(value));
     }
 
-    /// `from`, moved to `to` by this share of the distance; an angle along the shorter way.
+    /// `from`, moved toward `to` by this share of the distance; an angle moves the shorter way round.
     fn between(&self, from: f64, to: f64, share: f64) -> f64 {
         from + share * if self.cosine.is_some() { wrapped(to - from) } else { to - from }
     }

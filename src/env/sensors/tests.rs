@@ -98,7 +98,7 @@ fn snapshots_keep_what_sensors_remember() {
     for (id, options) in cases() {
         let sensors = json!({"sensors": each(id, &options, &entry), "history": 3, "privileged": true, "action_delay": [0.01, 0.05]});
         let options = with(&with(&options, sensors), json!({"domain_rand": {"hardware": HARDWARE}}));
-        // As in a batch, engine `rapier` has one environment a shard: its steps are not cut where a neighbour's action arrives.
+        // As in a batch, engine `rapier` has one environment in a shard, so its steps are not divided where a neighbour's action arrives.
         let alone = Blueprint::new(id, options.clone()).unwrap().engine.shard_size() == 1;
         let (envs, chosen) = if alone { (1, vec![0]) } else { (3, vec![2, 0]) };
         let mut one = shard(id, &options, envs);
@@ -130,7 +130,7 @@ fn snapshots_keep_what_sensors_remember() {
     }
 }
 
-/// Differences from the exact values of one sensor in a robot that stands still, for each value and step.
+/// For a robot that stands still, the errors of one sensor: each step's measured values less the exact ones.
 fn errors(entry: &Value, steps: usize, seed: u64) -> Vec<Vec<f64>> {
     let id = "sandgait/HexapodGait-v1";
     let options = json!({"sensors": {"gyroscope": entry}, "privileged": true, "max_episode_steps": 1_000_000});
@@ -170,7 +170,7 @@ fn noise_has_its_density() {
     let pairs = all.windows(2).flat_map(|w| w[0].iter().zip(&w[1]).map(|(a, b)| a * b));
     let correlation = pairs.sum::<f64>() / (48.0 * 2099.0) / wanted.powi(2);
     assert!(correlation.abs() < 0.02, "{correlation}");
-    // A delay between control steps makes it no smaller.
+    // A delay that is no whole number of control steps makes the noise no smaller.
     let late = errors(&json!({"noise_density": 0.02, "delay": 0.01}), 1000, 0);
     // After the robot has come to rest.
     let found = deviation(late[100..].iter().flatten().copied());
@@ -221,7 +221,7 @@ fn quantization_dropout_and_filter() {
     }
 }
 
-/// The motors of a delayed environment do what those of an exact one did before.
+/// In an environment with a delay, motors do later what they do in an environment without a delay.
 #[test]
 fn delayed_actions_reach_the_motors_later() {
     let id = "sandgait/HexapodGait-v1";
@@ -252,7 +252,7 @@ fn delayed_actions_reach_the_motors_later() {
     }
 }
 
-/// Neither actions that arrive in the middle of a step nor motors at their limits change the bits of other environments, though all are
+/// Actions that arrive in the middle of a step, and motors at their limits, leave the other environments bit-identical, though all are
 /// simulated together.
 #[test]
 fn delays_and_motors_of_neighbours_change_no_bits() {
@@ -277,7 +277,7 @@ fn delays_and_motors_of_neighbours_change_no_bits() {
     }
 }
 
-/// The info row of a step that ends an episode has the exact values of the next one's first observation.
+/// The info row of a step that ends an episode has the exact values of the next episode's first observation.
 #[test]
 fn the_next_episodes_exact_values_come_with_the_end() {
     for (id, options) in cases() {

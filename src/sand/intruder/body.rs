@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 
 /// Allowed lengths of bodies [m]: our choice, which catches wrong units.
 const LENGTHS: std::ops::RangeInclusive<f64> = 1e-4..=10.0;
-/// Number of plates along a body's longest side, unless the user gives a size. Our choice: forces are within 1 % of
-/// those of plates ten times finer.
+/// Number of plates along a body's longest side, unless the user gives a size. Our choice: forces then differ by at
+/// most 1 % from forces with plates ten times finer.
 const ALONG: f64 = 50.0;
 
 /// A body before it is cut into plates.
@@ -92,7 +92,7 @@ fn rising(mut plates: Vec<IntruderPlate>) -> Vec<IntruderPlate> {
 pub struct PlatedBody {
     /// Plates of a body at rest or turning about y, lowest first.
     pub plates: Vec<IntruderPlate>,
-    /// Plates of a body that turns about another axis, if they differ; otherwise empty.
+    /// Plates of a body that turns about another axis, if they differ from `plates`; otherwise empty.
     turning: Vec<IntruderPlate>,
     /// Points whose convex hull contains all plates; the lowest one is the body's lowest point.
     corners: Corners,
@@ -102,10 +102,10 @@ pub struct PlatedBody {
     turns: usize,
 }
 
-/// Number of positions for each plate along the longest side: our choice. A period in 96 positions has forces within 1 % of
-/// those in 400; with plates half as long and twice as many positions, within 0.3 %.
+/// Number of positions for each plate along the longest side: our choice. With 96 positions in a period forces differ by at
+/// most 1 % from forces with 400; with plates half as long and twice as many positions, by at most 0.3 %.
 const TURNS: f64 = 1.92;
-/// Least and largest number of positions: our choice, because fewer are inaccurate and more take too long.
+/// Least and largest number of positions: our choice, because fewer positions are inaccurate and more take too long.
 const FEWEST_TURNS: usize = 48;
 const MOST_TURNS: usize = 384;
 /// Largest number of plates in all positions together: our choice; with as many, the search for a load takes 300 MB.
@@ -249,8 +249,8 @@ impl PlatedBody {
         match &self.corners {
             Corners::Sphere(radius) => [-radius, *radius],
             Corners::Cylinder(radius, half) => {
-                // During a turn the height of the cylinder's axis (unit vector) takes every value from `least` to
-                // `most`, up to a sign, which mirrors the cylinder.
+                // During a turn the vertical component of the cylinder's axis (unit vector) takes every value from
+                // `least` to `most`, except for its sign. A change of the sign only mirrors the cylinder.
                 let (middle, swing) = ((axis.y * axis.z).abs(), (1.0 - axis.y * axis.y).max(0.0).sqrt() * level);
                 let (least, most) = ((middle - swing).max(0.0), middle + swing);
                 let steepest = half / radius.hypot(*half);

@@ -12,8 +12,8 @@ fn pieces(length: f64, size: f64, least: usize) -> usize {
     ((length / size - 1e-9).ceil() as usize).max(least)
 }
 
-/// A cylinder about y. The plates are half as long as `size` along the rim and four times as wide across it, because
-/// with a level axis the pressure changes along the rim and hardly across it.
+/// A cylinder about y. Along the rim the plates are half as long as `size`, across it four times as wide, because on a
+/// cylinder with a level axis the pressure changes along the rim and hardly across it.
 pub fn cylinder(radius: f64, width: f64, size: f64, least: usize) -> Vec<IntruderPlate> {
     cylinder_across(radius, width, size, 4.0 * size, least)
 }
@@ -43,7 +43,7 @@ pub fn cylinder_across(radius: f64, width: f64, size: f64, wide: f64, least: usi
     let rings = pieces(radius, size, least / 4);
     for side in [-1.0, 1.0] {
         for ring in 0..rings {
-            // Rings of equal area, thin near the rim, because that part is in the sand.
+            // The rings have equal areas and so are thin near the rim, which is the part in the sand.
             let [inner, outer] = [ring, ring + 1].map(|r| radius * (r as f64 / rings as f64).sqrt());
             let sectors = pieces(TAU * outer, size, 3 * least / 4);
             // Distance of a sector's centroid from the axis.

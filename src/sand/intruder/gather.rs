@@ -19,8 +19,8 @@ struct PlateSum {
     volume: f64,
 }
 
-/// Outward plates of about `size` from a closed surface, with its area and volume. Longer triangles are halved.
-/// Triangles of one cell with similar normals become one plate. None if there would be too many.
+/// Outward plates of about `size` from a closed surface, with its area and volume. Triangles longer than this are
+/// halved. Triangles in the same cell with similar normals become one plate. None if there would be too many.
 pub fn gathered(triangles: &[Triangle], size: f64) -> Option<Vec<IntruderPlate>> {
     let corners = triangles.iter().flatten();
     let [low, high] = corners.fold([[f64::MAX; 3], [f64::MIN; 3]], |[low, high], p| {

@@ -78,9 +78,9 @@ fn read_stl(path: &Path, mut reader: impl BufRead + Seek, most: usize) -> Result
     Ok(triangles)
 }
 
-/// Number of triangles of a binary STL. None if the length of the file does not fit this number: then the file is of
-/// another kind, and is read from its start. The header of some binary files begins with "solid", as text files do, so
-/// that word alone decides nothing.
+/// Number of triangles of a binary STL. None if the length of the file does not fit this number: then the file is no
+/// binary STL, and reading begins again at its start. Some binary files begin with "solid", as text files do, so the
+/// number and the length decide.
 fn binary_count(reader: &mut (impl BufRead + Seek)) -> std::io::Result<Option<usize>> {
     let length = reader.seek(SeekFrom::End(0))?;
     reader.rewind()?;
@@ -169,7 +169,7 @@ pub fn plates(path: &Path, triangles: &[Triangle], size: f64, most: usize) -> Re
         return Err(Error::file(path, "the surface is not closed"));
     }
     if volume(&plates) < 0.0 {
-        // The mesh is inside out: all its triangles are wound the other way round.
+        // The mesh is inside out: the corners of all its triangles are in the opposite order.
         plates.iter_mut().for_each(|p| p.normal = -p.normal);
     }
     Ok(plates)

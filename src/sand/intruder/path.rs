@@ -12,7 +12,7 @@ const BITS: u32 = 8;
 /// Cells along a body's longest horizontal side: our choice, because with twice as many the forces on the plates of the
 /// simulated grains change by less than 5 %.
 const CELLS: f64 = 10.0;
-/// Largest number of sweeps in a row in which sand slides: a bed comes to rest within these.
+/// Largest number of consecutive sweeps in which sand slides; a bed comes to rest within this number.
 const MOST_SWEEPS: usize = 200;
 
 /// A moment of a path.
@@ -20,7 +20,7 @@ const MOST_SWEEPS: usize = 200;
 pub struct PathPoint {
     /// [s]
     pub time: f64,
-    /// Place of the body's origin along x and y [m]; None: where the velocities since the last row have carried it.
+    /// Position of the body's origin along x and y [m]; None: it follows from the last row's position and the velocities since then.
     pub place: Option<[f64; 2]>,
     pub trial: Trial,
 }
@@ -33,7 +33,7 @@ pub struct Path<'a> {
     pub moved: Moved,
     marks: Marks,
     last: Option<Last>,
-    /// Time that sliding has not used yet [s].
+    /// Time for which the sand has not slid yet [s].
     sliding: f64,
 }
 
@@ -80,7 +80,7 @@ impl<'a> Path<'a> {
         let drift = [0, 1].map(|k| last.place[k] + last.moment.trial.velocity[k] * time);
         let place = moment.place.unwrap_or(drift);
         let (_, mut low) = self.force(&moment.trial);
-        // Parts of the way of at most half a cell, in which sand is moved.
+        // Divides the way into parts of at most half a cell; the body moves sand in each part.
         let way = (place[0] - last.place[0]).hypot(place[1] - last.place[1]).max((low - last.low).abs());
         let parts = (way / (0.5 * self.settings.cell)).ceil().clamp(1.0, 1e4) as usize;
         let mut at = (last.place, last.low);
@@ -105,7 +105,7 @@ impl<'a> Path<'a> {
         (0..MOST_SWEEPS).for_each(|_| self.moved.grid.slide::<PlainShorts>(self.settings.repose));
     }
 
-    /// The force on the body in the sand that it has found, and the height of its lowest point.
+    /// The force on the body in the sand as it now is, and the height of the body's lowest point.
     fn force(&self, trial: &Trial) -> (TrialOutcome, f64) {
         let found = self.moved.found[0];
         let strength = self.settings.strength(&found);
@@ -136,14 +136,14 @@ impl<'a> Path<'a> {
         let piece = |p: &IntruderPlate| {
             let v = velocity + spin.cross(p.center);
             let [x, y, z] = p.center.lane(0);
-            // Without motion n·v is 0, and no piece is left out.
+            // If the body does not move, n·v is 0, so no piece is left out.
             (p.normal.dot(v) >= 0.0).then(|| SurfacePiece {
                 place: [to[0] + x, to[1] + y, origin + z],
                 normal: p.normal.lane(0),
                 area: p.area,
                 velocity: v.lane(0),
-                // Sand beside a body slides against it. With 1, furrows are 1 mm narrower and shallower than in
-                // simulated grains.
+                // Sand beside a body slides toward it. With 1 in place of 2, furrows are 1 mm narrower and shallower
+                // than in simulated grains.
                 cells: 2,
             })
         };

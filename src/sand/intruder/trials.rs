@@ -6,15 +6,15 @@ use crate::number::Vec3;
 use crate::parallel;
 use crate::{Regularization, SandBed, SandDescription, SegmentState};
 
-/// Number of depths, from no part covered to all covered, at which the search for a load begins: our choice, because
-/// they are then 4 mm apart for a wheel of 125 mm.
+/// Number of depths, from no part of the body covered to all covered, at which the search for a load begins: our
+/// choice, because the depths are then 4 mm apart for a wheel of 125 mm.
 const STEPS: usize = 32;
 /// Accuracy [m] of the depth that carries a load: our choice, far below what can be measured.
 const EXACT: f64 = 1e-8;
-/// Two depths [m] at which a force is computed, to separate the part that grows with depth from the constant part.
+/// Two depths [m] at which a plate's force is computed, to separate the part that grows with depth from the constant part.
 const PROBES: [f64; 2] = [0.02, 0.04];
 
-/// The given quantity of a trial besides its motion.
+/// The quantity that is given in a trial, in addition to the motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum DepthOrLoad {
     /// Depth of the lowest point below the undisturbed surface [m]; for a body that is not round, of the lowest
@@ -126,8 +126,8 @@ struct DepthForce {
     constant: Vec3<f64>,
 }
 
-/// Shares of a body's height for which pieces are computed. If the part below the first share carries the load, the
-/// others are not needed.
+/// Plates are first prepared up to the first share of the body's height. If this part carries the load, the plates
+/// above it are not needed.
 const PARTS: [f64; 2] = [0.4, 1.0];
 
 /// A body in motion: its leading plates below some height in all positions of a period, lowest first.
@@ -258,8 +258,8 @@ impl DepthForce {
         if speed == 0.0 {
             return None;
         }
-        // Small numbers decide two cases that rounding would decide otherwise: whether a plate that moves along itself
-        // leads, and which side of a vertical plate leads.
+        // These small numbers decide two cases that rounding would decide otherwise: whether a plate that moves along
+        // itself leads, and which side of a vertical plate leads.
         let least = 1e-12 * speed;
         let n = plate.normal;
         let normal = if n.z.abs() < 1e-12 { Vec3::new(n.x, n.y, 0.0) } else { n };
@@ -269,8 +269,8 @@ impl DepthForce {
         if leading == 0.0 {
             return None;
         }
-        // If the leading edge crosses the plate, n·v of the leading part runs from 0 to `along + uneven`: its mean is
-        // half of this. A plate that moves along itself is pushed too, not pulled.
+        // If the leading edge crosses the plate, n·v of the leading part ranges from 0 to `along + uneven`, so its mean
+        // is half of this. A plate that moves along itself is also pushed, not pulled.
         let toward = if leading < 1.0 { (along + uneven) / 2.0 } else { along.max(least) };
         let v = normal.scale_add(toward - along, v);
         let at = |depth| {

@@ -14,7 +14,7 @@
 //! Two properties of the published fit that users should know, both tested in `tests/laws_of_sand.rs`:
 //! * a plate drawn upward can gain energy: in 0.08 % of all pairs of directions the stress per depth along the motion
 //!   is up to 0.006 ξ_n, and it is above 0.001 ξ_n only where the plate is nearly horizontal (β < 12°);
-//! * across a vertical plate, where β jumps from π/2 to −π/2, α jumps by up to 0.05 ξ_n.
+//! * where a plate passes the vertical and β jumps from π/2 to −π/2, α jumps by up to 0.05 ξ_n.
 
 use super::{Motion, Normals, StressLaw};
 use crate::coefficients::Coefficients;
@@ -102,7 +102,7 @@ fn parts<R: Real>(x1: R, x2: R, x3: R) -> [[R; 3]; 2] {
     parts
 }
 
-/// Is the term of odd degree in (x2, x3)?
+/// Does the term have an odd degree in (x2, x3)?
 const ODD: [bool; 20] = {
     let mut odd = [false; 20];
     let of = [2, 3, 7, 9, 11, 12, 14, 15, 16, 17];
@@ -182,11 +182,12 @@ fn laplacian<R: Real>(x1: R, x2: R, x3: R, n: Vec3<R>, u: Vec3<R>) -> Vec3<R> {
     all
 }
 
-/// Derivative by x2, at x2 = 0, of the part of α that changes its sign with the side. There dN = −ẑ dx2 and dx3 = x1 dx2.
+/// Derivative with respect to x2, at x2 = 0, of the part of α that changes its sign with the side of the plate. At x2 =
+/// 0, dN = −ẑ dx2 and dx3 = x1 dx2.
 #[inline(always)]
 fn slope<R: Real>(x1: R, x3: R, even_1: R, n: Vec3<R>, u: Vec3<R>) -> Vec3<R> {
     let (two, x11, x13, x33) = (R::splat(2.0), x1 * x1, x1 * x3, x3 * x3);
-    // The component along N has the even parts, those along u and ẑ have the odd parts.
+    // The component along N contains the even parts, the components along u and ẑ contain the odd parts.
     let along_n = sum([(8, x3), (19, x13), (6, two * x13), (18, two * x1 * x13)])[0];
     let [_, along_u, along_z] = sum([
         (2, R::one()),
@@ -203,8 +204,8 @@ fn slope<R: Real>(x1: R, x3: R, even_1: R, n: Vec3<R>, u: Vec3<R>) -> Vec3<R> {
     all
 }
 
-/// The published components (α_r, α_θ, α_z)/ξ_n at angles [rad], without the surface's friction. β counts modulo π
-/// in [−π/2, π/2]; a π/2 that was rounded up in writing stays π/2.
+/// The published components (α_r, α_θ, α_z)/ξ_n at angles [rad], without the surface's friction. β is taken modulo π
+/// into [−π/2, π/2]; a β that rounding has put slightly above π/2 is not reduced.
 pub fn components(beta: f64, gamma: f64, psi: f64) -> [f64; 3] {
     use std::f64::consts::{FRAC_PI_2, PI};
     let turns = if beta.abs() <= FRAC_PI_2 + 1e-6 { 0.0 } else { (beta / PI).round() };
@@ -214,8 +215,8 @@ pub fn components(beta: f64, gamma: f64, psi: f64) -> [f64; 3] {
     [f1 * sin_b * cos_p + f2 * cos_g, f1 * sin_b * sin_p, -f1 * cos_b - f2 * sin_g - f3]
 }
 
-/// α with its normal part turned against the leading side n and its tangential part cut at μ times the normal one:
-/// |α·n|(−n) + min(μ |α_n|/|α_t|, 1) α_t. `leading` is n·u over the gate, within ±1.
+/// α with two changes: its normal part acts against the leading side n, and its tangential part is at most μ times the
+/// normal part: |α·n|(−n) + min(μ |α_n|/|α_t|, 1) α_t. `leading` is n·u divided by the gate, clamped to ±1.
 #[inline(always)]
 fn on_surface<R: Real>(alpha: Vec3<R>, n: Vec3<R>, leading: R, friction: Option<R>) -> Vec3<R> {
     let normal = alpha.dot(n);
@@ -230,7 +231,7 @@ fn on_surface<R: Real>(alpha: Vec3<R>, n: Vec3<R>, leading: R, friction: Option<
     tangential.scale_add((friction * normal.abs() / size).min(R::one()), n * normal)
 }
 
-/// The published components with the surface's friction, at angles [rad]; `friction` is μ_s.
+/// The published components at angles [rad], limited by the surface's friction μ_s = `friction`.
 pub fn components_on_surface(beta: f64, gamma: f64, psi: f64, friction: f64) -> [f64; 3] {
     let ([r, t, z], n) =
         (components(beta, gamma, psi), Vec3::new(beta.sin() * psi.cos(), beta.sin() * psi.sin(), -beta.cos()));
@@ -287,8 +288,8 @@ impl<R: Real> StressLaw<R> for SpatialTable<R> {
         let (n, u, one) = (normals.unit, m.v * m.inverse_speed, R::one());
         let (x1, x2, x3) = (-u.z, -n.z, n.dot(u));
         let lower = R::select(x2.lt(R::zero()), -one, one);
-        // Mean of the side's sign, if the normals' z varies evenly by ± √1.5 standard deviations: our choice, because
-        // this lies between √3, which is right for bands of a cylinder, and 0, which suits balls.
+        // Mean sign of the side, if the normals' z is uniformly distributed within ± √1.5 standard deviations: our
+        // choice, between √3, which is right for bands of a cylinder, and 0, which suits balls.
         let mean = n.z * (one - normals.spread);
         let varies = (normals.squares.z - mean * mean).max(R::splat(1e-12)) * R::splat(1.5);
         let side = (x2 / varies.sqrt()).clamp(-one, one);
@@ -303,7 +304,7 @@ impl<R: Real> StressLaw<R> for SpatialTable<R> {
         let mut alpha = differing.scale_add(side, common);
         let across = one - side * side;
         if R::any(R::zero().lt(across)) {
-            // Half the distance of the normals on either side from the mean, weighted by their shares.
+            // Adds the slope times half the distance of the normals on either side from the mean, weighted by the shares of the sides.
             alpha += slope(x1, x3, even[0], n, u) * (across * varies.sqrt() * R::splat(0.5));
         }
         self.scaled(alpha, n, x3, m)

@@ -7,7 +7,7 @@ use super::{Motion, Normals, StressLaw};
 use crate::media::{Coefficients, Medium};
 use crate::number::{Real, Vec3};
 
-/// Coefficients of `li2013`, gathered by the products in the form without trigonometry; [N/m³].
+/// Coefficients of `li2013` [N/m³], combined as the form without trigonometry needs them.
 #[derive(Clone, Copy)]
 pub struct PlanarTable<R> {
     a00: R,
@@ -57,8 +57,8 @@ impl<R: Real> StressLaw<R> for PlanarTable<R> {
     /// α_z = A00 + A10 cos 2β + B11 sin(2β+γ) + B01 sin γ + B₋₁₁ sin(−2β+γ),
     /// α_x = C11 cos(2β+γ) + C01 cos γ + C₋₁₁ cos(−2β+γ) + D10 sin 2β, force = −α_x e + α_z ẑ.
     ///
-    /// Out of the plane: cos 2β → N_z² − (N·e)², sin 2β → −2 N_z (N·e), cos γ = |v_h|/|v|, sin γ = −v_z/|v|.
-    /// For vertical motion e is the horizontal direction of the normal, the limit of motion in the normal's plane.
+    /// In space, N the normal: cos 2β → N_z² − (N·e)², sin 2β → −2 N_z (N·e), cos γ = |v_h|/|v|, sin γ = −v_z/|v|. For
+    /// vertical motion e is the horizontal direction of the normal, the limit of motion in the normal's plane.
     #[inline(always)]
     fn stress(&self, n: Vec3<R>, m: &Motion<R>) -> Vec3<R> {
         let along = n.x.mul_add(m.v.x, n.y * m.v.y);
@@ -109,8 +109,8 @@ impl<R: Real> PlanarTable<R> {
 /// A vector along e, about as long as the horizontal velocity; `along` is its product with the normal.
 #[inline(always)]
 fn heading<R: Real>(n: Vec3<R>, along: R, m: &Motion<R>) -> [R; 2] {
-    // Adds 1e-6 of the vertical speed along the normal. This determines e only if the horizontal speed is below 1e-6 of
-    // the vertical one.
+    // Adds 1e-6 of the vertical speed along the normal. This has an effect on e only if the horizontal speed is not far
+    // above 1e-6 of the vertical speed.
     let nudge = R::splat(1e-6) * m.v.z.abs();
     let nudge = R::select(along.lt(R::zero()), -nudge, nudge);
     [n.x.mul_add(nudge, m.v.x), n.y.mul_add(nudge, m.v.y)]

@@ -69,12 +69,12 @@ pub trait StressLaw<R: Real>: Copy {
     /// Sets the medium of lane `lane`.
     fn set_lane(&mut self, lane: usize, medium: &Medium);
 
-    /// Stress per depth [N/m³] on a thin segment with unit normal `n`, both sides together. `n` and −`n` give the
-    /// same.
+    /// Stress per depth [N/m³] on a thin segment with unit normal `n`, both sides together. `n` and −`n` give the same
+    /// stress.
     fn stress(&self, n: Vec3<R>, motion: &Motion<R>) -> Vec3<R>;
 
     /// Mean of [`StressLaw::stress`] over `normals`. This default is the stress for the mean normal: exact to first
-    /// order in the deviation from it, and exact for laws in which the normal does not count.
+    /// order in the normals' deviation from the mean, and fully exact for laws that do not depend on the normal.
     #[inline(always)]
     fn mean_stress(&self, normals: &Normals<R>, motion: &Motion<R>) -> Vec3<R> {
         self.stress(normals.unit, motion)
@@ -84,17 +84,17 @@ pub trait StressLaw<R: Real>: Copy {
 /// The normals of a curved face.
 #[derive(Clone, Copy)]
 pub struct Normals<R> {
-    /// Unit vector along their mean.
+    /// Unit vector along the mean normal.
     pub unit: Vec3<R>,
-    /// 1 − length of their mean.
+    /// 1 − length of the mean normal.
     pub spread: R,
-    /// Means of their products: xx, yy, zz and yz, xz, xy.
+    /// Means of the products of the normals' components: xx, yy, zz; the next field: yz, xz, xy.
     pub squares: Vec3<R>,
     pub products: Vec3<R>,
 }
 
 impl<R: Real> Normals<R> {
-    /// From their mean `mean`, which must not be 0.
+    /// From the normals' mean `mean`, which must not be 0, and the means of their products.
     #[inline(always)]
     pub fn new(mean: Vec3<R>, squares: Vec3<R>, products: Vec3<R>) -> Self {
         let squared = mean.norm_squared();

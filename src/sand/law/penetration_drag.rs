@@ -38,15 +38,15 @@ impl<R: Real> StressLaw<R> for PenetrationDrag<R> {
 
     /// α_z(β, γ>0) = α_z(0, π/2), α_z(β, γ<0) = α_z(0, −π/2), α_x = α_x(π/2, 0) with the sign of v_x, whatever β.
     ///
-    /// Out of the plane the drag opposes the horizontal velocity. Each sign s(u) of a direction's component u is
-    /// clamp(u / gate, −1, 1), so that an implicit step can cross it.
+    /// In three dimensions the drag opposes the horizontal velocity. The sign of a component u of the direction is
+    /// smoothed to s(u) = clamp(u / gate, −1, 1), so that an implicit step can cross zero.
     #[inline(always)]
     fn stress(&self, _n: Vec3<R>, m: &Motion<R>) -> Vec3<R> {
         let (zero, one) = (R::zero(), R::one());
         let down = (-(m.v.z * m.inverse_speed) * self.inverse_gate).clamp(-one, one);
         let vertical = self.penetration.mul_add(down.max(zero), self.extraction * (-down).max(zero));
-        // s(|v_h|/|v|) v_h/|v_h| = min(1/(gate |v|), 1/|v_h|) v_h; vertical motion has an infinite 1/|v_h| and no
-        // drag.
+        // s(|v_h|/|v|) v_h/|v_h| = min(1/(gate |v|), 1/|v_h|) v_h; for vertical motion 1/|v_h| is infinite, and the
+        // drag is 0.
         let horizontal = m.v.x.mul_add(m.v.x, m.v.y * m.v.y).sqrt();
         let along = self.drag * (m.inverse_speed * self.inverse_gate).min(one / horizontal);
         Vec3::new(-(along * m.v.x), -(along * m.v.y), vertical)

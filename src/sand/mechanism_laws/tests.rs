@@ -62,7 +62,7 @@ fn functions_without_trigonometry() {
     }
 }
 
-/// One lane's mechanisms must not change a bit of another lane.
+/// One lane's mechanisms must leave the other lanes bit-identical.
 #[test]
 fn neutral_lanes_are_plain() {
     use crate::number::Portable;
@@ -88,7 +88,8 @@ fn neutral_lanes_are_plain() {
     assert_eq!(stress.lane(1), plain.lane(1));
 }
 
-/// A lane in the air beside one in the sand: inertia and cohesion do not vanish at depth 0 without a check.
+/// A lane in the air gets no force while another lane is in the sand. This needs a check in the code, because inertia
+/// and cohesion do not vanish at depth 0 by themselves.
 #[test]
 fn nothing_pushes_in_the_air() {
     let every = Mechanisms { inertial_drag: 1.0, cohesion: 100.0, added_mass: 1.0, ..Default::default() };

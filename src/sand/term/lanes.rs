@@ -22,7 +22,7 @@ struct LaneTerm<R> {
     on: On,
     factors: [Factor; MOST_GROUPS],
     count: usize,
-    /// coefficient · ρ g [N/m³], or the coefficient alone for a share of the law's stress; 0 in lanes without the term.
+    /// coefficient · ρ g [N/m³], or, if the term is a share of the law's stress, the coefficient alone; 0 in lanes without the term.
     strength: R,
 }
 
@@ -52,8 +52,9 @@ impl<R: Real> LaneTerms<R> {
         Self { slots: [slot; MOST_TERMS], count: 0 }
     }
 
-    /// Sets one lane's terms. Lanes share slots. Terms that differ in more than their coefficient take a slot each, in
-    /// a fixed order. If no slot is left for a lane's terms, the lane's strength becomes NaN, which ends its episode.
+    /// Sets one lane's terms. Lanes share slots for terms: terms that differ only in their coefficient share a slot,
+    /// and all others take a slot each, in a fixed order. If no slot is left for a lane's terms, the lane's strength
+    /// becomes NaN, which ends its episode.
     pub fn set_lane(&mut self, lane: usize, terms: &[Term], bulk_density: f64) {
         (0..self.count).for_each(|k| self.slots[k].strength.set_lane(lane, 0.0));
         for term in terms {
@@ -151,8 +152,8 @@ fn group<R: Real>(factor: &Factor, piece: &TermArguments<R>) -> R {
     }
 }
 
-/// x^power. If the power is a multiple of a quarter, it is made of roots and products. Other powers have no lane
-/// arithmetic here and are slow.
+/// x^power. If the power is a multiple of a quarter, roots and products give the result. Other powers are computed lane
+/// by lane, which is slow.
 #[inline(always)]
 fn power<R: Real>(x: R, power: f64) -> R {
     let quarters = power * 4.0;

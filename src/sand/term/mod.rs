@@ -1,9 +1,9 @@
 //! Additional stress terms of `sand.toml` (`[[term]]`), checked when they are read.
 //!
 //! A term adds the stress `coefficient · ρ g |z| · Π group^power` on a submerged piece, against the normal of its
-//! leading face or against its tangential velocity. Or it changes the force law's own stress by the share
-//! `coefficient · Π group^power`. Each group is clamped to its range, so a term is never extrapolated beyond the data
-//! in which it was found. Both engines and the force logs evaluate terms through [`LaneTerms`].
+//! leading face or against its tangential velocity. A term with `on = "law"` instead changes the force law's own stress
+//! by the share `coefficient · Π group^power`. Each group is clamped to its range, so a term is never extrapolated
+//! beyond the data in which it was found. Both engines and the force logs evaluate terms through [`LaneTerms`].
 
 mod lanes;
 
@@ -15,12 +15,12 @@ use std::collections::BTreeMap;
 
 pub use lanes::{LaneTerms, TermArguments};
 
-/// Largest number of terms of one sand, and of different terms in environments that are computed together: our choice,
-/// because each term makes a step slower.
+/// Largest number of terms of one sand. Environments that are computed together may also have at most this many
+/// different terms. Our choice, because each term makes a step slower.
 pub const MOST_TERMS: usize = 4;
 /// Largest number of groups of one term.
 const MOST_GROUPS: usize = 4;
-/// Number of steps in 90°, to either side, of the orientations and of the directions at which energy is checked.
+/// Energy is checked at orientations and directions from −90° to 90°; this is the number of steps in 90°.
 const ANGLES: i32 = 18;
 
 /// The direction of a term's stress.
@@ -56,7 +56,7 @@ pub enum Group {
     Froude,
     /// |z|/w, w the width across the plane of motion
     DepthOverWidth,
-    /// Grain diameter over w; 0 if it is not given.
+    /// Grain diameter divided by w; 0 if no diameter is given.
     GrainOverWidth,
     /// Curvature times w; 0 for flat pieces; all pieces of the engines are flat.
     Curvature,
@@ -64,13 +64,13 @@ pub enum Group {
     Acceleration,
     /// Number of earlier passes over this place; 0 in the engines.
     Passes,
-    /// Distance of a wall over w; far away if it is not given.
+    /// Distance of a wall divided by w; if no distance is given, the wall counts as far away.
     Wall,
     SinGamma,
     CosGamma,
     SinBeta,
     CosBeta,
-    /// |v|²/(g w): the whole speed, along the piece too.
+    /// |v|²/(g w) with the whole speed, not only its normal part.
     WholeFroude,
     /// |v_n|/|v|: 1 if the piece moves along its normal, 0 if it moves along itself. α is the angle of attack, between
     /// the piece and its velocity.
@@ -189,8 +189,8 @@ impl Term {
     }
 
     /// The law with the term must resist the motion at every orientation and direction, for all values of the other
-    /// groups within their ranges. The published coefficients themselves pull a little at some steep orientations;
-    /// a term may not pull more than they do.
+    /// groups within their ranges. At some steep orientations the published coefficients themselves drive the motion a
+    /// little; with a term, the law must not drive it more.
     fn check_energy(
         &self,
         factors: &[(Group, f64, [f64; 2])],
@@ -226,7 +226,7 @@ impl Term {
         Ok(())
     }
 
-    /// Least value at an orientation and direction, over the ranges of all other groups.
+    /// Least value of the term at an orientation and direction, over the ranges of all other groups.
     fn least(&self, factors: &[(Group, f64, [f64; 2])], beta: f64, gamma: f64) -> f64 {
         let mut bounds = [self.coefficient; 2];
         for (group, power, [low, high]) in factors {
@@ -311,7 +311,7 @@ fn check_factor(group: Group, power: f64, low: f64, high: f64) -> Result<()> {
     Ok(())
 }
 
-/// The corner of the ranges at which the product is greatest.
+/// Values of the groups, each at an end of its range, for which the product is greatest.
 fn extreme(factors: &[(Group, f64, [f64; 2])]) -> Vec<f64> {
     factors.iter().map(|(_, power, [low, high])| if *power < 0.0 { *low } else { high.abs().max(low.abs()) }).collect()
 }
@@ -371,7 +371,7 @@ mod tests {
         let lowered = "on = \"normal\"\ncoefficient = -0.02\ngroups = { sin_gamma = 2.0, cos_beta = 2.0 }\n\
                        range = { sin_gamma = [0.0, 1.0], cos_beta = [0.0, 1.0] }";
         assert_eq!(refused(lowered), "");
-        // The law's own stress may be taken away, but not turned round.
+        // A term may reduce the law's own stress to 0, but not reverse it.
         let less = "on = \"law\"\ncoefficient = -0.9\ngroups = { saturation = 1.0, sin_attack = 2.0 }\n\
                     range = { saturation = [0.0, 1.0], sin_attack = [0.0, 1.0] }";
         assert_eq!(refused(less), "");

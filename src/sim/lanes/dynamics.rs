@@ -2,13 +2,13 @@
 //!
 //! An articulated-body algorithm (Featherstone 2008, chapter 7) for a free base with legs, in a world-aligned frame at
 //! the base's centre of mass. Sand is linearly implicit: its force after the step is f − C (v⁺ − v) with the present
-//! velocity v, which has the same effect as point masses dt C at the segments. These masses are added to the inertia
-//! only: velocity-product terms are computed before, with all accelerations zero, so the added masses cause none.
+//! velocity v. This has the same effect as point masses dt C at the segments. The masses enter the inertia only:
+//! velocity-product terms are computed earlier, without these masses and with all accelerations zero.
 //!
-//! In smooth motion, a step changes the velocities by about the same Δv as the last step. Then the sand's force is
-//! evaluated in the middle of the step, at v + ½ w Δv, and its drag acts on the difference from the expected change, f
-//! − C (v⁺ − v − w Δv). The weight w = (v² / (v² + 4 Δv²))² falls to zero if a segment sticks. At w = 0 the step is the
-//! plain implicit one. The scheme is our own. The factor 4 is our choice: among 2, 4 and 6 it gave the least error over
+//! In smooth motion, a step changes the velocities by about the same Δv as the last step. So the sand's force f is
+//! evaluated in the middle of the step, at v + ½ w Δv, and its drag acts on the difference from the expected change: f
+//! − C (v⁺ − v − w Δv). The weight w = (v² / (v² + 4 Δv²))² falls to zero if a segment sticks. At w = 0 the step is
+//! plainly implicit. The scheme is our own. The factor 4 is our choice: among 2, 4 and 6 it gave the least error over
 //! 16 walks (0.47 % at 1 ms; `docs/convergence.md`).
 
 use super::model::{LaneBody, LaneModel};
@@ -44,7 +44,7 @@ pub struct LegScratch<R, const J: usize> {
     /// One entry for each joint.
     hinges: Vec<Hinge<R>>,
     limits: Vec<LimitedTorque<R>>,
-    /// For each link of each leg, its masses with those of the sand, and the wrench that its motion needs.
+    /// For each link of each leg: its masses with the masses that the sand adds, and the wrench that its motion needs.
     links: Vec<[(PointMasses<R>, Wrench<R>); J]>,
     /// The sand's force on each leg along the surface's normal, for sensors.
     pub normal_forces: Vec<R>,
@@ -135,8 +135,8 @@ fn base_inertia<R: Real, const J: usize>(model: &LaneModel<R, J>, base: &LinkFra
     (Inertia::central(model.base_mass, own), bias)
 }
 
-/// A link's masses with those that the sand adds, the wrench that its motion needs while all joint accelerations are
-/// zero, and the sand's force on it along z.
+/// Returns a link's masses with the masses that the sand adds, the wrench that the link's motion needs while all joint
+/// accelerations are zero, and the sand's force on the link along z.
 #[inline(always)]
 fn link<R: Real, const J: usize>(
     model: &LaneModel<R, J>,
@@ -181,7 +181,7 @@ fn load_leg<R: Real, const J: usize>(
     support
 }
 
-/// Inward pass over one leg, whose joints may have ranges: the leg's articulated inertia and bias, which add to the base's.
+/// Inward pass over one leg, whose joints may have ranges. Returns the leg's articulated inertia and bias, to be added to those of the base.
 #[inline(always)]
 fn fold_leg<R: Real, const J: usize>(
     model: &LaneModel<R, J>,

@@ -1,11 +1,11 @@
 //! The fast engine: articulated-body dynamics over lanes of environments. The instruction set is chosen at run time.
 //!
-//! * `dynamics`: one time step; generic over the number, so it exists once for `f64`, and for 8 and 16 lanes of `f32`.
+//! * `dynamics`: one time step; generic over the number type, so one code serves `f64`, and 8 and 16 lanes of `f32`.
 //! * `sand`: forces of the sand on the bodies.
 //! * [`plane`]: sand forces on the plates of one plane, summed in its two coordinates.
 //! * [`model`]: the model's numbers, one lane for each environment.
 //!
-//! Lanes never read each other: an environment's bits do not depend on its lane, its neighbours or the batch.
+//! Lanes never read each other, so an environment's results are bit-identical in any lane, with any neighbours and in any batch.
 
 mod dynamics;
 pub mod model;
@@ -74,7 +74,7 @@ impl<R: Real, const J: usize> LegLanes<R, J> {
         block
     }
 
-    /// Ends a control step: takes whole turns out of angles and their references where joints have no range.
+    /// Ends a control step: removes whole turns from the angles and references of joints without a range.
     #[inline(always)]
     fn fold(&mut self) {
         self.state.fold();

@@ -67,8 +67,8 @@ pub struct LaneModel<R, const J: usize> {
     pub dt: R,
 }
 
-/// Largest distance of a plate's centre from its body's plane [m], and largest deviation of its normal from the required
-/// direction: allows for rounding, and is far below any effect on a force.
+/// Largest distance of a plate's centre from its body's plane [m], and largest deviation of its normal from the
+/// required direction: above rounding errors, and far too small to affect a force.
 const FLAT: f64 = 1e-9;
 
 /// The plane of a body: e₁ along its reach, e₀ across it toward the normals, or in any direction if the body is a
@@ -87,7 +87,7 @@ pub fn in_plane(v: V, [e0, e1]: [V; 2]) -> [f64; 2] {
     [v.dot(&e0), v.dot(&e1)].map(|x| nonzero(x, v.norm()))
 }
 
-/// Σ m r rᵀ about the joint [kg·m²]; the inertia about the centre of mass is tr(S) − S of the same sum S there.
+/// Σ m r rᵀ about the joint [kg·m²]; the inertia about the centre of mass is tr(S) 1 − S, where S is the same sum about the centre of mass.
 fn second_moment(body: &LinkBody) -> M {
     let about_center = M::identity() * (body.inertia.trace() / 2.0) - body.inertia;
     about_center + body.center * body.center.transpose() * body.mass
@@ -103,8 +103,8 @@ pub fn moments(body: &LinkBody, [e0, e1]: [V; 2]) -> PlaneMoments<f64> {
     }
 }
 
-/// `x`, or zero if it is a rounding error relative to `scale`, which could become denormal in `f32`. See
-/// [`crate::number::flushed`].
+/// `x`, or zero if `x` is only a rounding error of numbers of the size `scale`. Products of rounding errors could
+/// become denormal in `f32`: see [`crate::number::flushed`].
 fn nonzero(x: f64, scale: f64) -> f64 {
     if x.abs() < 1e-9 * scale { 0.0 } else { x }
 }

@@ -1,9 +1,9 @@
 //! Bodies that lie in a plane: forces and masses summed in the plane's two coordinates.
 //!
-//! A link is a curve in the plane of its side view, and a belly is flat. So a piece is at o + p₀ e₀ + p₁ e₁, and each
-//! component of its position, velocity and depth needs two products. The sums Σf, Σp₀f, Σp₁f and the moments of the
-//! pieces' masses up to second order give the wrench and the inertia of all pieces. Wrench and inertia are therefore
-//! computed once for a body, and not for each piece.
+//! A link is a curve in the plane of its side view, and a belly is flat. So a piece is at o + p₀ e₀ + p₁ e₁, and two
+//! products suffice for each component of its position, velocity and depth. The sums Σf, Σp₀f, Σp₁f and the moments of
+//! the pieces' masses up to second order give the wrench and the inertia of all pieces. Wrench and inertia are
+//! therefore computed once for a body, and not for each piece.
 
 use crate::number::{Real, Vec3};
 use crate::spatial::{PointMasses, Symmetric, Twist, Wrench};
@@ -33,7 +33,7 @@ impl<R: Real> PlaneField<R> {
         self.at.scale_add(mass, self.change(first))
     }
 
-    /// Velocities of these places on a body that moves with `twist`.
+    /// `self` is a field of places: their velocities on a body that moves with `twist`.
     #[inline(always)]
     pub fn velocity(&self, twist: &Twist<R>) -> Self {
         Self { at: twist.at(self.at), by: [twist.angular.cross(self.by[0]), twist.angular.cross(self.by[1])] }

@@ -22,7 +22,7 @@ pub struct Travel<R> {
 }
 
 impl<R: Real> Travel<R> {
-    /// The same, above the sand that body number `body` has found: number 0 is the belly, then come the legs.
+    /// The same, with height and strength of the sand that body number `body` has found: number 0 is the belly, then come the legs.
     #[inline(always)]
     pub fn above(&self, surfaces: Option<&Surfaces<R>>, body: usize) -> Self {
         let mut found = *self;
@@ -150,7 +150,7 @@ pub fn move_sand<R: Real, const J: usize>(model: &LaneModel<R, J>, state: &LaneS
     turn.end();
 }
 
-/// About as many pieces as a leg or a belly has.
+/// Initial room for pieces, about as many as a leg or a belly has.
 const MANY: usize = 32;
 
 /// Depth of a place in a plane, if it is below the surface in any lane.

@@ -16,15 +16,15 @@ use rapier3d::prelude::*;
 const THICKNESS: f64 = 0.2;
 
 /// Sweeps of the projected Gauss-Seidel method over contacts and motors together, in worlds with obstacles: our choice,
-/// because 16 sweeps take no measurably longer time than 8: the dynamics take far more.
+/// because 16 sweeps take no measurably longer than 8; the dynamics take far longer than either.
 const SWEEPS: usize = 16;
 
 /// Contacts are springs with this frequency [Hz] and damping ratio between the touching bodies' masses. Our choice:
 /// a third of an overlap closes in a step of 0.5 ms; `examples/rocks_study.rs` measures the remaining overlaps.
 const SOFTNESS: SpringCoefficients<f32> = SpringCoefficients { natural_frequency: 1000.0, damping_ratio: 3.0 };
 
-/// Upper bound of speeds [m/s]. Contacts between bodies that may meet within a step at this speed are found before
-/// the step.
+/// Upper bound of speeds [m/s]. Contacts are found before a step if the bodies would meet within the step at this
+/// speed.
 const TOP_SPEED: f32 = 10.0;
 
 /// Largest speed at which a penetration is pushed out [m/s]: our choice, below the legs' own speed.
@@ -77,7 +77,7 @@ fn collider(shape: &SharedShape, own: Group, others: Group, friction: f64) -> Co
         .friction_combine_rule(CoefficientCombineRule::Max)
 }
 
-/// The base's box, cut off at the belly if that is higher than the box's bottom, so that rock and sand touch the
+/// The base's box, cut off at the belly if the belly is higher than the box's bottom, so that rock and sand touch the
 /// same surface.
 fn base(model: &Model) -> SharedShape {
     let [length, width, height] = model.robot.base.size;

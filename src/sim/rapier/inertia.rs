@@ -4,7 +4,7 @@ use super::units::{quat, scaled, scaled_twice};
 use crate::frame::{M, V};
 use rapier3d::prelude::MassProperties;
 
-/// Point masses, or a whole body, by their moments; in the frame of the body that carries them.
+/// The moments of point masses, or of a whole body, in the frame of the body that carries them.
 #[derive(Clone, Copy, Debug)]
 pub struct Masses {
     /// [kg]
@@ -62,7 +62,7 @@ impl Masses {
         mass_properties(self.mass, self.center(), &self.inertia())
     }
 
-    /// The inertia of masses that resist motion along the unit vector `along` only.
+    /// The inertia if the masses resist motion along the unit vector `along` only.
     pub fn inertia_along(&self, along: V) -> M {
         let cross = along.cross_matrix();
         cross * self.central_second() * cross.transpose()

@@ -7,11 +7,11 @@
 //! * [`contact`]: colliders of robot and obstacles; [`rocks`]: obstacles that move.
 //!
 //! We keep the state in `f64`; rapier solves in `f32` for the velocities after each step. rapier's multibody gives the
-//! right motion under certain conditions only; a comment states each condition at the line that establishes it.
+//! right motion under certain conditions only. A comment states each condition, at the line that ensures it.
 //!
 //! rapier's contacts keep data between steps: impulses to start from, points, the order of pairs. A world with
-//! obstacles is therefore built anew at the start of every `advance`, so that a state that is read and set again
-//! gives the same bits. In such worlds the bits depend on how a time is divided into calls of `advance`.
+//! obstacles is therefore built anew at the start of every `advance`, so that a state that is read and set again gives
+//! bit-identical results. In such worlds the results depend on how a duration is divided into calls of `advance`.
 
 mod contact;
 pub mod inertia;
@@ -78,7 +78,7 @@ impl Integrator for RapierEngine {
 
 struct RapierRobot {
     model: Model,
-    /// Model that replaces the present one at the next `set_state`.
+    /// Model that will replace the present model at the next `set_state`.
     next_model: Option<Model>,
     ground: SandBed<f64>,
     /// Mass properties of the links with no sand on them.
@@ -250,7 +250,7 @@ impl RapierRobot {
     }
 }
 
-/// Takes whole turns out of the angles and references of the joints that are `endless`, so that both stay small while a
+/// Removes whole turns from the angles and references of the joints that are `endless`, so that both stay small while a
 /// hip turns.
 pub(super) fn fold_turns(state: &mut State, endless: impl Iterator<Item = bool>) {
     let joints = state.angles.iter_mut().zip(&mut state.references).zip(endless);

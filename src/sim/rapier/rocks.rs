@@ -4,10 +4,10 @@
 //! because it needs no parameters besides those of the sand. It neglects the grains that pile up in front of a pushed
 //! rock.
 //!
-//! Weight and sand are solved first, linearly implicit as for the robot but with the full 6 × 6 matrix. rapier then
-//! starts from those velocities and adds the effect of contacts. For rapier the rock's mass includes the sand's added
-//! point masses; the masses that represent the leading-edge gate, which act along the normal, are taken in all
-//! directions. So a body that touches a rock feels the sand behind it, a little too strongly.
+//! The motion under weight and sand is solved first, linearly implicit as for the robot but with the full 6 × 6 matrix.
+//! rapier starts from the resulting velocities and adds the effect of contacts. For rapier the rock's mass includes the
+//! point masses that represent sand. The masses for the leading-edge gate should act along the normal only, but
+//! rapier's act in all directions. So a body that touches a rock feels the sand behind the rock a little too strongly.
 
 use super::inertia::Masses;
 use super::sand::lanes;
@@ -31,15 +31,15 @@ pub struct Rock {
     inertia: M,
 }
 
-/// A rock slower than this [m/s] rests: ten times the sand's creep under a constant load.
+/// A rock slower than this [m/s] rests: ten times the speed with which it creeps in sand under a constant load.
 const REST: f64 = 1e-4;
 
 /// No body that may meet a resting rock is faster than this [m/s]: our choice, twice the fastest walk.
 const APPROACH: f64 = 2.0;
 
-/// For each object, whether it stays fixed for the next `time` [s]. These are the objects that neither move nor fall,
-/// and that neither the robot nor a moving object can reach. If a robot pushes a rock against a resting one within that
-/// time, the resting one acts as fixed; at the next call it moves.
+/// For each object, whether it stays fixed for the next `time` [s]. An object stays fixed if it neither moves nor
+/// falls, and neither the robot nor a moving object can reach it. If a rock is nevertheless pushed against it within
+/// that time, it acts as fixed until the next call.
 pub fn resting(model: &Model, rocks: &[Rock], ground: &SandBed<f64>, state: &State, time: f64) -> Vec<bool> {
     let slow = |(rock, object): (&Rock, &ObjectState)| {
         let (solid, mut after) = (&model.solids[rock.index], *object);

@@ -1,9 +1,9 @@
 //! The sand's effect on one body: a wrench, and point masses that represent the implicit part of the force.
 //!
-//! After a step the sand's force is f − C (v⁺ − v) with the present velocity v and C = drag·1 + edge·n nᵀ. A point
-//! mass dt·C at the segment has the same effect: it resists acceleration and has no weight. rapier's multibody
-//! keeps velocities and not momentum, so the mass may change from step to step. A mass also causes velocity-product
-//! forces (centrifugal, Coriolis, gyroscopic); each wrench here contains their negative.
+//! After a step the sand's force is f − C (v⁺ − v) with the present velocity v and C = drag·1 + edge·n nᵀ. A point mass
+//! dt·C at the segment has the same effect: it resists acceleration; it gets no weight. rapier's multibody keeps
+//! velocities and not momentum, so the mass may change from step to step. A mass also causes velocity-product forces
+//! (centrifugal, Coriolis, gyroscopic); each wrench here contains the opposite forces, which cancel them.
 
 use super::inertia::Masses;
 use crate::frame::{BodyFrame, V};
@@ -60,8 +60,8 @@ pub fn load_belly(ground: &SandBed<f64>, plates: &[Plate], at: &PlacedBody, dt: 
     load
 }
 
-/// The sand's effect on a link that turns at `rate` [rad/s]: on its strip, or in part on the straight chord if sand fills its
-/// concave leading side.
+/// The sand's effect on a link that turns at `rate` [rad/s]: on its strip, and in part on the straight chord if sand fills
+/// its concave leading side.
 pub fn load_link(ground: &SandBed<f64>, body: &LinkBody, rate: f64, at: &PlacedBody, dt: f64) -> SandLoad {
     let concave_leads = body.bulge * rate < 0.0;
     let fill = ground.mechanisms.as_ref().filter(|_| concave_leads).map_or(0.0, |mechanisms| mechanisms.fill);

@@ -3,7 +3,7 @@
 //! parry's search for contacts has absolute tolerances: it ignores a triangle whose cross product is shorter than
 //! 1.1e-3 square units. In metres, all triangles of a leg or of a rock of some centimetres are that small, and parry
 //! sometimes reports a deep overlap in place of a gap. So rapier's unit of length is smaller than a metre. Masses,
-//! times and angles keep their units; so forces scale as lengths, moments and inertias as their squares.
+//! times and angles keep their units. So forces scale as lengths, and moments and inertias as squares of lengths.
 
 use crate::frame::V;
 use rapier3d::glamx::{Quat, Vec3};

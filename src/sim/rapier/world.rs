@@ -14,9 +14,9 @@ use crate::{State, engine::Command};
 use rapier3d::glamx::{Pose3, Quat, Vec3};
 use rapier3d::prelude::*;
 
-/// Sweeps of the projected Gauss-Seidel method over the motors of one step. Joints couple through the base; each sweep
-/// multiplies the remaining error by the ratio of that coupling to the servo's own yielding, which is a few percent for
-/// the reference robot.
+/// Sweeps of the projected Gauss-Seidel method over the motors of one step. Joints couple through the base. Each sweep
+/// multiplies the remaining error by the ratio of this coupling to the servo's own damping kd + dt kp, a few percent
+/// for the reference robot.
 const MOTOR_SWEEPS: usize = 4;
 
 /// Smallest kd + dt kp [N·m·s/rad] of a motor. With it a servo without gains still applies its feed-forward torque.
@@ -29,7 +29,7 @@ pub struct RobotPart(RigidBodyHandle);
 /// rapier's objects. They hold no state of ours: coordinates, velocities, masses and forces are written every step.
 ///
 /// Without obstacles the base is always at rapier's origin, so that `f32` keeps its accuracy however far the robot
-/// walks. In a world with obstacles, the base was there when the world was built.
+/// walks. In a world with obstacles, the base is at rapier's origin only when the world is built.
 pub struct World {
     physics: PhysicsWorld,
     pub base: RobotPart,
@@ -40,8 +40,8 @@ pub struct World {
     pub edge: RobotPart,
     /// Every link of every leg, in the order of the joints.
     pub links: Vec<RobotPart>,
-    /// Torques at each link's joint that are no part of its motor in rapier, for speed 0 [N·m], and their decrease with the speed
-    /// after the step [N·m·s/rad].
+    /// For each link's joint, the sum of the torques that rapier's motor does not give: middle of the motor's limits, gear and
+    /// stop. `torque` is their value at speed 0 [N·m], `yielding` their decrease with the speed after the step [N·m·s/rad].
     others: Vec<ImplicitTorque<f64>>,
     /// Obstacles that move, in the order of the state's objects.
     rocks: Vec<RobotPart>,
@@ -183,10 +183,10 @@ impl World {
         }
     }
 
-    /// Sets every motor's target. The servo kp(θ_ref⁺ − θ⁺) + kd(ω_ref − ω⁺) + τ, with θ⁺ = θ + dt ω⁺, is a damper of
-    /// strength kd + dt kp that pulls toward one speed. So the gains enter implicitly and the limit clips the result.
-    /// rapier has one limit for both directions, so the middle of the limits is not a part of the motor
-    /// ([`Self::push_joint`]). A stop is a damper, too, plus its torque at speed 0.
+    /// Sets every motor's target. The servo kp(θ_ref⁺ − θ⁺) + kd(ω_ref − ω⁺) + τ, with θ⁺ = θ + dt ω⁺, is a damper with
+    /// the coefficient kd + dt kp that pulls toward one speed. So the gains enter implicitly, and rapier clips the
+    /// torque at the limit. rapier has one limit for both directions, so the middle of the two limits is not a part of
+    /// the motor ([`Self::push_joint`] applies it). A stop is also a damper, plus its torque at speed 0.
     pub fn drive(&mut self, model: &Model, state: &State, command: &Command) {
         let yielding = yielding(&model.motor, model.scene.dt);
         let mut others = std::mem::take(&mut self.others);
@@ -225,9 +225,9 @@ impl World {
         self.push(part, arm, wrench);
     }
 
-    /// Applies the torque at a joint that is no part of its motor (the middle of the limits and the stop's torque) to
-    /// the link and, in the other direction, to the part before it. `axis` is the joint's axis in the world. Both parts
-    /// must have got their loads before, because [`Self::load`] resets their torques.
+    /// Applies the torque at a joint that rapier's motor does not give (the middle of the limits and the stop's torque)
+    /// to the link and, in the opposite direction, to the part before it. `axis` is the joint's axis in the world. Both
+    /// parts must have got their loads before, because [`Self::load`] resets their torques.
     pub fn push_joint(&mut self, joint: usize, axis: V, [before, link]: [RobotPart; 2]) {
         let torque = self.others.get(joint).map_or(0.0, |other| other.torque);
         if torque != 0.0 {
@@ -271,7 +271,7 @@ fn relative(pose: &RigidPose, origin: V) -> Pose3 {
     Pose3::from_parts(scaled(pose.position - origin), quat(&turn))
 }
 
-/// The motor's torque after its lag, and how it yields to speed [N·m·s/rad].
+/// The motor's torque with its lag; `yielding` is its decrease with speed [N·m·s/rad].
 fn track(model: &Model, torque: f64, yielding: f64, before: f64) -> ImplicitTorque<f64> {
     LaneActuator::<f64>::splat(&model.motor.actuator).track(ImplicitTorque { torque, yielding }, before, model.scene.dt)
 }
@@ -288,8 +288,9 @@ fn yielding(motor: &Motor, dt: f64) -> f64 {
 }
 
 /// A stop's torque at speed 0 and its decrease with the speed after the step [N·m·s/rad]. Only the solution shows
-/// whether a stop would pull, but rapier solves once. So this is judged for the link alone, under the servo's torque
-/// within its `limits`. A stop may therefore hold a joint that leaves it for one step.
+/// whether a stop would pull, but rapier solves once. So this function decides it from the link alone, under the
+/// servo's torque within its `limits`. A stop may therefore hold a joint for one step although the joint moves away
+/// from it.
 fn stop(
     body: &LinkBody,
     angle: f64,

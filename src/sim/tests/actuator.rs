@@ -64,7 +64,7 @@ impl Draw {
     }
 }
 
-/// At any acceleration a gear's torque opposes the speed at the step's end.
+/// At any acceleration, the gear's friction opposes the speed at the step's end.
 #[test]
 fn a_gear_takes_energy_at_any_acceleration() {
     let mut draw = Draw(7);
@@ -87,7 +87,7 @@ fn a_gear_takes_energy_at_any_acceleration() {
 
 const ENGINES: [EngineKind; 3] = [EngineKind::Lanes, EngineKind::Rapier, EngineKind::Tree];
 
-/// The hexapod with these motors, for any engine.
+/// The built-in robot `name` with these motors, for any engine.
 fn hexapod(kind: EngineKind, name: &str, change: impl Fn(&mut Robot), motors: &Actuator) -> Model {
     let mut robot = Robot::load(name).unwrap();
     change(&mut robot);
@@ -169,7 +169,7 @@ fn no_torque_is_beyond_its_line() {
     }
 }
 
-/// A line of torque over speed needs a torque. Known properties replace those in the robot's file.
+/// A no-load speed needs a torque. Known properties replace the properties in the robot's file.
 #[test]
 fn motors_are_changed_where_they_are_known() {
     let ideal = hexapod(EngineKind::Lanes, "xplorer", |_| (), &Actuator::default());
@@ -206,8 +206,8 @@ fn energy(model: &Model, state: &State) -> f64 {
 
 /// Largest torque of [`gears_and_stops_take_energy`] [N·m]: links then turn by at most 0.02 rad in a step.
 const TORQUE: f64 = 3e-3;
-/// The steps' own error of energy, as a share of the largest one. Without losses, 0.7 % were seen; it halves with the time step in all engines,
-/// and grows with the angle in a step (6 % at 0.05 rad).
+/// Error of energy that the time steps cause, as a share of the largest energy. Without losses it was 0.7 %; it halves with the time step in
+/// all engines, and grows with the angle in a step (6 % at 0.05 rad).
 const OWN_ERROR: f64 = 0.02;
 
 /// A robot floats without gravity, and its motors apply random torques. It gains the work of the motors as kinetic
@@ -262,7 +262,7 @@ fn gears_and_stops_take_energy() {
     }
 }
 
-/// A robot of ours keeps its motors as a tree, and packed for a server.
+/// A built-in robot keeps its motors as a tree, and packed for a server.
 #[test]
 fn trees_keep_the_motors_of_a_file() {
     let mut robot = Robot::built_in("xplorer").unwrap();

@@ -1,5 +1,5 @@
-//! Counts denormal numbers in the processor while the engine runs without [`sandgait_number::flushed`]. So a new constant
-//! that should be zero is found on every x86-64 processor, even if denormal numbers cost no time there.
+//! Counts denormal numbers in the processor while the engine runs without [`sandgait_number::flushed`]. So the test
+//! finds a new constant that should be zero on every x86-64 processor, also on one where denormal numbers cost no time.
 
 use crate::long;
 use sandgait_number::Isa;
@@ -43,8 +43,8 @@ fn share(model: &Model, start: &State, time: f64, rate: impl Fn(f64, usize) -> f
     met as f64 / steps as f64
 }
 
-/// A constant that is denormal, or makes denormal products, appears in every step. Values that pass through
-/// zero are denormal now and then: at most 6 % of control steps were seen.
+/// A constant that is denormal, or makes denormal products, appears in every step. Values that pass through zero are
+/// denormal now and then: in our runs in at most 6 % of the control steps.
 #[test]
 fn robots_that_move_meet_hardly_any() {
     for (robot, leg) in FORMS {

@@ -26,7 +26,7 @@ fn command(rate: f64) -> Command {
     Command { rates: vec![rate; 6], torques: vec![0.0; 6], targets: vec![] }
 }
 
-/// State and sand of robot `index` of an engine, with what `like` has besides.
+/// State and sand of robot `index` of an engine; all fields that the engine does not fill are those of `like`.
 fn after(engine: &Engine, index: usize, like: &State) -> State {
     let mut state = like.clone();
     engine.state(index, &mut state);
@@ -34,7 +34,7 @@ fn after(engine: &Engine, index: usize, like: &State) -> State {
     state
 }
 
-/// An environment's bits depend neither on its lane nor on its neighbours.
+/// An environment's results are bit-identical in every lane and with every neighbour.
 #[test]
 fn neighbours_do_not_matter() {
     let model = model("L", 1e-3);
@@ -54,7 +54,7 @@ fn neighbours_do_not_matter() {
     assert_eq!(run(20, 18), alone);
 }
 
-/// A state that is read with its sand and set again goes on with the same bits, also between two movements of sand.
+/// A state that is read with its sand and set again goes on bit-identically, also between two movements of sand.
 #[test]
 fn states_go_on() {
     let model = model("revL", 1e-3);
@@ -77,7 +77,7 @@ fn states_go_on() {
         engine.advance(518);
     }
     assert_eq!(after(&engine, 0, &start), after(&other, 2, &start));
-    // Without its sand it goes on elsewhere.
+    // A state that is set without its sand goes on differently.
     other.set_state(2, &State { sand: None, ..middle });
     other.command(2, &command(9.0));
     other.advance(518);
@@ -85,7 +85,7 @@ fn states_go_on() {
 }
 
 /// Walking speed along its path over sixteen strides [m/s], the median over starts from heights that differ by 0.1 mm. Any rounding
-/// changes a robot's way a little, so a single walk scatters by 2 %, and a few of them stumble.
+/// changes a robot's way a little, so the speeds of single walks scatter by 2 %, and in a few walks the robot stumbles.
 fn speed(model: &Model, hz: f64) -> f64 {
     const STARTS: usize = 32;
     let start = start(model);
@@ -120,7 +120,7 @@ fn speed(model: &Model, hz: f64) -> f64 {
     0.5 * (ways[STARTS / 2 - 1] + ways[STARTS / 2]) * hz / 16.0
 }
 
-/// With an eighth of the time step and cells of half the size, walking speeds stay within 2 %, and within 3 % if the concave side of the
+/// With an eighth of the time step and cells of half the size, walking speeds change by at most 2 %, or 3 % if the concave side of the
 /// legs leads.
 #[test]
 fn walks_converge() {

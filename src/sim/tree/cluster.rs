@@ -1,9 +1,10 @@
 //! Gathers many small plates of a body into few: each new plate is a part of the surface with nearly one normal.
 //!
-//! Parts are clusters of normals and places: the part whose normals and places vary most is halved across its principal
-//! axis (principal direction divisive partitioning, Boley 1998) until there are as many as wanted. Then each small plate
-//! moves to the part with the nearest mean (Lloyd 1982). So parts are small where the surface is bent and large where it
-//! is flat. A new plate has its part's area, mean normal, extents and bends, and encloses the same volume.
+//! Parts are clusters of normals and places: the part whose normals and places vary most is divided in two across its
+//! principal axis (principal direction divisive partitioning, Boley 1998), until there are as many parts as wanted.
+//! Then each small plate moves to the part with the nearest mean (Lloyd 1982). So parts are small where the surface is
+//! bent and large where it is flat. A new plate has its part's area, mean normal, extents and bends, and encloses the
+//! same volume.
 
 use crate::number::Vec3;
 use crate::sand::intruder::IntruderPlate;
@@ -15,8 +16,8 @@ type NormalAndPlace = SVector<f64, 6>;
 
 /// Iterations that move parts to the means of their plates: our choice, because later ones change little.
 const ROUNDS: usize = 8;
-/// About `count` plates, or fewer, in place of `plates`. A part whose normals turn by less than `flat` [rad] from its
-/// middle to its edge is flat along that side.
+/// About `count` plates, or fewer, in place of `plates`. If a part's normals turn by less than `flat` [rad] from its
+/// middle to the edge of one side, its plate is flat along that side.
 pub fn few(plates: &[IntruderPlate], count: usize, flat: f64) -> Vec<IntruderPlate> {
     if plates.len() <= count {
         return plates.to_vec();
@@ -40,7 +41,7 @@ fn looks(plates: &[IntruderPlate]) -> Vec<NormalAndPlace> {
         along.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], x| [a.min(x), b.max(x)])
     };
     let extent = V::from_fn(|k, _| ends(k)[1] - ends(k)[0]);
-    // Half of the diagonal of the box around the body. So places a whole diagonal apart differ as much as opposite
+    // Half of the diagonal of the box around the body. Two places a whole diagonal apart then differ by 2, as opposite
     // normals do.
     let size = (0.5 * extent.norm()).max(1e-9);
     let look = |p: &IntruderPlate| {
@@ -50,12 +51,12 @@ fn looks(plates: &[IntruderPlate]) -> Vec<NormalAndPlace> {
     plates.iter().map(look).collect()
 }
 
-/// Plates that may become one, with the mean of their looks and the axis along which they vary most.
+/// Plates that may become one plate; the mean of their normals and places, and the axis along which these vary most.
 struct PlateCluster {
     members: Vec<usize>,
     mean: NormalAndPlace,
     axis: NormalAndPlace,
-    /// Sum of the squares along this axis, times area.
+    /// Sum over the plates of area times squared deviation along this axis.
     spread: f64,
 }
 
@@ -116,7 +117,7 @@ fn parts(plates: &[IntruderPlate], count: usize) -> Vec<Vec<usize>> {
     members
 }
 
-/// For each mean all means, with their distances from it, nearest first.
+/// For each mean a list of all means with their distances from it, nearest first.
 fn neighbours(means: &[NormalAndPlace]) -> Vec<Vec<(f64, usize)>> {
     let of = |mean: &NormalAndPlace| {
         let mut all: Vec<(f64, usize)> = means.iter().enumerate().map(|(k, m)| ((m - mean).norm(), k)).collect();
@@ -126,8 +127,8 @@ fn neighbours(means: &[NormalAndPlace]) -> Vec<Vec<(f64, usize)>> {
     means.iter().map(of).collect()
 }
 
-/// The mean that is closest to `look`; of several, the first one. The search begins at mean `guess` and ends where, by
-/// the triangle inequality, no other mean can be as close. The small number is for rounding.
+/// The mean that is closest to `look`; of equally close means, the first one. The search begins at mean `guess` and
+/// ends where, by the triangle inequality, no other mean can be as close. The small number is for rounding.
 fn closest(look: &NormalAndPlace, guess: usize, means: &[NormalAndPlace], around: &[Vec<(f64, usize)>]) -> usize {
     let away = |k: usize| (means[k] - look).norm_squared();
     let mut best = (away(guess), guess);
@@ -144,8 +145,8 @@ fn closest(look: &NormalAndPlace, guess: usize, means: &[NormalAndPlace], around
     best.1
 }
 
-/// The plate that a part makes; None if its normals cancel. `middle`: a point from which the volume is measured.
-/// `limit`: the `flat` of [`few`].
+/// The plate that replaces the plates of a part; None if their normals cancel. `middle`: the reference point for the
+/// enclosed volume. `limit`: the argument `flat` of [`few`].
 fn together(plates: &[IntruderPlate], part: &[usize], middle: V, limit: f64) -> Option<IntruderPlate> {
     let own = || part.iter().map(|i| &plates[*i]);
     let area: f64 = own().map(|p| p.area).sum();

@@ -5,7 +5,7 @@ use nalgebra::{Isometry3, Vector3};
 
 type V = Vector3<f64>;
 
-/// A ball of some radius, or the lowest point of a disc's rim; in the frame of its body.
+/// A point of contact in the frame of its body: the lowest point of a ball, or of a disc's rim.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ContactPoint {
     /// Centre [m].
@@ -22,11 +22,11 @@ pub struct ContactPoint {
 /// stand.
 const RIM: usize = 4;
 
-/// Steps from the middle to the edge of a cube's face in the lattice of directions in which [`outermost`] looks: our
-/// choice, because neighbouring directions then differ by at most 27°, so that every corner of a box is found in any
-/// orientation.
+/// [`outermost`] looks in directions toward a lattice of points on a cube; this is the number of lattice steps from the
+/// middle of a face to its edge. Our choice: neighbouring directions then differ by at most 27°, so every corner of a
+/// box is found in any orientation.
 const STEPS: i32 = 2;
-/// A point that is less than this [m] behind the outermost one touches with it: our choice.
+/// A point that is less than this [m] behind the outermost one counts as equally far out: our choice.
 const LEVEL: f64 = 1e-6;
 
 /// Points of contact, one list for each body.
@@ -65,7 +65,7 @@ fn outermost(points: Vec<ContactPoint>) -> Vec<ContactPoint> {
             *kept |= point.reach(&toward) > most - LEVEL;
         }
     }
-    // The fixed points of a rim stay with it: the cylinder stands on them.
+    // The fixed points of a rim are kept with it, because the cylinder stands on them.
     let rims: Vec<ContactPoint> =
         points.iter().zip(&kept).filter(|(p, kept)| **kept && p.axis.is_some()).map(|(p, _)| *p).collect();
     let on_rim = |p: &ContactPoint| p.axis.is_none() && rims.iter().any(|rim| rim.carries(p));

@@ -45,8 +45,8 @@ pub struct TreeHinge<R> {
 
 /// The torques that drive and hold the joints.
 pub trait Drive<R> {
-    /// The push on joint `joint`, if `own` is the inertia behind it and `load` the torque at which it does not
-    /// accelerate, both with the parent held still.
+    /// The torque on joint `joint`. `own` is the inertia that the joint moves, and `load` the torque at which it does
+    /// not accelerate, both with the parent held still.
     fn push(&mut self, joint: usize, own: R, load: R) -> ImplicitTorque<R>;
 }
 
@@ -111,7 +111,7 @@ impl<R: Real> LaneTreeBody<R> {
     }
 }
 
-/// `x`, or zero if it is a rounding error of lengths and directions, whose products could become denormal in `f32`.
+/// `x`, or zero if `x` is only a rounding error of a length or direction. Products of rounding errors could become denormal in `f32`.
 fn exact(x: f64) -> f64 {
     if x.abs() < 1e-14 { 0.0 } else { x }
 }
@@ -167,7 +167,7 @@ pub fn fold<R: Real>(
     base.inertia.solve(&base.bias.scale_add(-R::one(), &Wrench::zero()))
 }
 
-/// Outward pass: computes accelerations of the joints, and those of all bodies beyond the ones due to velocities alone.
+/// Outward pass: computes the accelerations of the joints, and for each body its acceleration less the part that is due to velocities alone.
 #[inline(always)]
 pub fn unfold<R: Real>(
     bodies: &[LaneTreeBody<R>],
@@ -185,7 +185,7 @@ pub fn unfold<R: Real>(
     }
 }
 
-/// What [`fold`] has left.
+/// Results of [`fold`].
 pub struct Folded<'a, R> {
     pub bodies: &'a [LaneTreeBody<R>],
     pub frames: &'a [LinkFrame<R>],
@@ -194,8 +194,8 @@ pub struct Folded<'a, R> {
     pub base: &'a Inertia<R>,
 }
 
-/// Accelerations by a force on the first of two bodies and its opposite on the second one, beyond those of the solution that was
-/// folded. `wrenches` is work space.
+/// Changes of the accelerations from the folded solution if a force acts on the first of two bodies and the opposite force on
+/// the second one. `wrenches` is work space.
 #[inline(always)]
 pub fn respond<R: Real>(
     folded: &Folded<R>,

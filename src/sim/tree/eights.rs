@@ -1,7 +1,7 @@
-//! A body's patches in lanes, eight at a time, for forces on one state: see [`super::sand::on_patches`].
+//! A body's patches in lanes, eight at a time, to compute the forces on one robot in one state: see [`super::sand::on_patches`].
 //!
-//! A lane with fewer plates than the others has plates without area, and the last lanes may have no plates at all. Both add
-//! exactly zero.
+//! A lane with fewer plates than the other lanes is filled with plates without area, and the last lanes may have only such
+//! plates. These plates add exactly zero.
 
 use super::patches::{Ball, BodyPatches, Facet, Panel, Patch, Tile};
 use super::sand::{Total, on_patches, under_body};
@@ -14,8 +14,9 @@ use crate::spatial::{Inertia, PointMasses, Symmetric, Twist, Wrench};
 /// Eight patches, one in each lane.
 pub type EightPatches = Patch<[f32; EIGHT], [f64; EIGHT]>;
 
-/// The patches of a body, eight in lanes. Each eight have about as many plates, so that few lanes are empty, and where
-/// possible they are neighbours: eight patches that are all above the sand, or do not lead, are skipped.
+/// The patches of a body in groups of eight, one in each lane. The patches of a group have about equal numbers of
+/// plates, so few lanes are empty. Where possible they are neighbours, because a group is skipped if all its patches
+/// are above the sand or do not lead.
 pub fn eights(patches: &[Patch]) -> Vec<EightPatches> {
     let mut order: Vec<(PlateCounts, [f64; 6], &Patch)> = patches.iter().map(|p| (counts(p), look(p), p)).collect();
     order.sort_by_key(|p| p.0);
@@ -24,7 +25,7 @@ pub fn eights(patches: &[Patch]) -> Vec<EightPatches> {
     order.chunks(EIGHT).map(together).collect()
 }
 
-/// Numbers of panels, tiles and facets, in classes: powers of √2, rounded up.
+/// Numbers of panels, tiles and facets, each rounded up to a power of √2.
 type PlateCounts = [u32; 3];
 
 fn counts(patch: &Patch) -> PlateCounts {
@@ -45,7 +46,7 @@ fn look(patch: &Patch) -> [f64; 6] {
     [x / n, y / n, z / n, c[0] / r, c[1] / r, c[2] / r]
 }
 
-/// Orders patches so that each eight are neighbours: halves the list across its widest extent, again and again.
+/// Orders patches so that each eight consecutive ones are neighbours: divides the list in two across its widest extent, again and again.
 fn arrange(patches: &mut [(PlateCounts, [f64; 6], &Patch)]) {
     if patches.len() <= EIGHT {
         return;
@@ -63,7 +64,7 @@ fn arrange(patches: &mut [(PlateCounts, [f64; 6], &Patch)]) {
 }
 
 fn together(patches: &[&Patch]) -> EightPatches {
-    // A lane without a patch has the place of the first patch, so that it makes no difference.
+    // A lane without a patch gets the place of the first patch, so that it does not change which groups are skipped.
     let ball = |of: &dyn Fn(&Ball) -> f64| lanes(|i| of(&patches.get(i).unwrap_or(&patches[0]).ball));
     Patch {
         facets: rows(patches, |p| &p.facets, facets),
@@ -120,7 +121,7 @@ fn tiles(all: &[Tile; EIGHT]) -> Tile<[f32; EIGHT]> {
     Tile { facet: facets(&all.map(|t| t.facet)), half: [0, 1].map(|k| three(all, |t| t.half[k])) }
 }
 
-/// The sand's effect on one body at rest or in motion, the same as [`super::sand::on_body`] with the slopes of secants.
+/// The sand's effect on one body at rest or in motion, the same as [`super::sand::on_body`] with `SECANT`.
 #[inline(always)]
 pub fn on_eights<R: Eight>(
     ground: &SandBed<R>,

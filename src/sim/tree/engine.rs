@@ -47,7 +47,7 @@ struct TreeLanes<R: Real> {
     scratch: TreeScratch<R>,
     /// The sand's memory, and the pieces that move it.
     memory: Option<(LaneMemory<R>, Vec<Feeler>)>,
-    /// Joints that turn freely: whole turns are taken out of their angles.
+    /// For each joint, whether it turns freely. Whole turns are then removed from its angle.
     endless: Vec<bool>,
 }
 
@@ -76,7 +76,7 @@ impl<R: Real> TreeLanes<R> {
         Self { tree: lanes, state: LaneState::hovering(joints), scratch, memory, endless }
     }
 
-    /// Ends a control step: takes whole turns out of angles and their references.
+    /// Ends a control step: removes whole turns from the angles of free joints and their references.
     #[inline(always)]
     fn fold(&mut self) {
         self.state.fold();
@@ -86,7 +86,7 @@ impl<R: Real> TreeLanes<R> {
     }
 }
 
-/// Model and state of one robot, and the surfaces that its bodies have found in sand with memory.
+/// Model and state of one robot, and, in sand with memory, the sand's level and strength at each body.
 type Alone = (LaneTree<f64>, LaneState<f64>, Option<Surfaces<f64>>);
 
 /// One robot in `f64`, ready for a time step from `state`; None if the model's robot is no tree.
@@ -124,8 +124,8 @@ impl<R: Real> Kernel for AdvanceTrees<'_, R> {
 }
 
 impl<R: Real> TreeLanes<R> {
-    /// Gives one lane other ground. If no lane had this kind of ground before, it costs the other lanes time, but adds
-    /// exactly zero to their forces.
+    /// Gives one lane other ground. If no lane had this kind of ground before, all lanes now compute it, but the ground
+    /// adds exactly zero to the forces in the other lanes.
     fn set_ground(&mut self, lane: usize, model: &Model, tree: &Arc<TreeModel>) {
         if !model.has_sand() {
             let coefficients = model.scene.medium.coefficients.scaled(0.0);

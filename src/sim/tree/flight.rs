@@ -1,4 +1,4 @@
-//! For checks, in `f64`: accelerations of a tree in free flight, and the sand's forces on it in a given motion.
+//! Functions for checks, in `f64`: accelerations of a tree in free flight, and the sand's forces on a tree in a given motion.
 
 use super::dynamics::{Drive, LaneTreeBody, LinkLoad, TreeHinge, fold, load, place, unfold};
 use super::relief::LaneRelief;

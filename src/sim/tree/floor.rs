@@ -1,10 +1,11 @@
 //! Contact with hard ground: Coulomb friction, and a compliance that is linearly implicit.
 //!
-//! A point at depth δ is pushed out by λ = k (δ − ½ dt v_n⁺) − c v_n⁺, with its speed v_n⁺ along the normal after the
-//! step. This is stable for every k, and of the stable choices it dissipates the least. Along the ground the force
-//! −C v_t⁺ holds the point, with C = μ λ/max(|v_t|, v₀). Each step is solved twice. The first solution uses λ = k δ and
-//! v_t before the step, the second one λ and v_t of the first solution. In the second solution points that would pull
-//! (λ < 0) are left out. Points that the first solution holds with more than μ λ slide with a friction of μ λ.
+//! The normal force on a point at depth δ is λ = k (δ − ½ dt v_n⁺) − c v_n⁺, where v_n⁺ is the point's speed along the
+//! normal after the step. This scheme is stable for every k, and of the stable schemes it dissipates the least. Along
+//! the ground the force −C v_t⁺ holds the point, with C = μ λ/max(|v_t|, v₀). Each step is solved twice. The first
+//! solution computes C from λ = k δ and from v_t before the step, the second one from λ and v_t of the first solution.
+//! The second solution leaves out points that would pull (λ < 0). Points that the first solution holds with a force of
+//! more than μ λ slide with a friction of μ λ.
 
 use super::contact::ContactPoint;
 use super::dynamics::LinkLoad;
@@ -15,7 +16,7 @@ use crate::blocks::LinkFrame;
 use crate::number::{Real, Vec3};
 use crate::spatial::{Twist, Wrench};
 
-/// Factor on the reach within which points are examined if the ground is not flat: our choice, because it is enough if
+/// Factor on the distance within which points are examined if the ground is not flat: our choice. It suffices even if
 /// the slope changes by twice the angle of repose within the reach.
 const BENT: f64 = 2.5;
 
@@ -92,7 +93,7 @@ impl<R: Real> Floor<R> {
         floor
     }
 
-    /// Gives one lane other ground. If it has fewer pieces than other lanes, its remaining pieces are put out of reach.
+    /// Gives one lane other ground. If the lane has fewer pieces than other lanes, its unused pieces are put out of reach.
     pub fn set_lane(&mut self, lane: usize, model: &TreeModel, hard: &[HardGround]) {
         self.pieces.resize(self.pieces.len().max(hard.len()), LaneSlab::nowhere());
         for (k, piece) in self.pieces.iter_mut().enumerate() {
@@ -103,7 +104,7 @@ impl<R: Real> Floor<R> {
         self.creep.set_lane(lane, model.compliance.creep);
     }
 
-    /// Finds the points that touch. `local` is the surface under a body, `place` the position of the base's origin.
+    /// Finds the points that touch. `local` gives the surface under a body, `place` is the position of the base's origin.
     #[inline(always)]
     pub fn find(
         &self,
@@ -121,8 +122,8 @@ impl<R: Real> Floor<R> {
             let frame = &frames[contacts.body];
             let center = frame.point(Vec3::splat(contacts.center));
             let under = local.under(*place + center);
-            // Hard ground is nowhere higher than the least depth of its pieces. If the surface bends, it may rise by
-            // more than its slope at this point gives.
+            // Hard ground is nowhere higher than the least depth of its pieces. If the surface bends, it may rise more
+            // steeply than at this point.
             let reach = if local.is_flat() { 1.0 } else { BENT } * contacts.reach;
             let depth = under.depth(*place + center) + R::splat(reach);
             let near = |p: &LaneSlab<R>| R::any(p.depth.lt(depth));
@@ -179,7 +180,7 @@ impl<R: Real> Floor<R> {
         }
     }
 
-    /// C of a point whose friction is at most `most`, at the velocity `along` the ground.
+    /// C of a point whose friction is at most `most` [N] and whose velocity along the ground is `along`.
     #[inline(always)]
     fn hold(&self, most: R, along: Vec3<R>) -> R {
         most / along.norm_squared().sqrt().max(self.creep)
@@ -207,13 +208,13 @@ impl<R: Real> Floor<R> {
         load.bias.add(&Wrench { moment: -t.at.cross(force), force: -force });
     }
 
-    /// Decrease of a point's normal force with its speed [N·s/m].
+    /// Decrease of a point's normal force with the point's speed after the step [N·s/m].
     #[inline(always)]
     fn yielding(&self, dt: R) -> R {
         self.stiffness.mul_add(dt * R::splat(0.5), self.damping)
     }
 
-    /// Decides which points are left out, held or sliding, from the bodies' `accelerations` in the first solution.
+    /// Decides from the bodies' `accelerations` in the first solution which points are left out, are held, or slide.
     #[inline(always)]
     pub fn classify(&self, touches: &mut [Touch<R>], accelerations: &[Twist<R>], dt: R) {
         let (zero, one) = (R::zero(), R::one());

@@ -31,8 +31,9 @@ pub fn touching(model: &Model) -> Vec<usize> {
     (0..tree.tree.bodies.len()).filter(|b| touches(*b)).collect()
 }
 
-/// The forces in the time step that begins at `state`, if the servos keep their references. They are computed in
-/// `f64` by the engine's functions, with the accelerations of that step, so their sum is what changes the momentum.
+/// The forces in the time step that begins at `state`, if the servos keep their references. The engine's functions
+/// compute them in `f64`, with the accelerations of that step, so the sum of these forces and the weight is the change
+/// of momentum per time.
 pub fn pushes(model: &Model, state: &State) -> Vec<PointForce> {
     let Some((tree, state, found)) = engine::alone(model, state) else { return Vec::new() };
     let mut s = TreeScratch::new(tree.bodies.len());
@@ -43,7 +44,7 @@ pub fn pushes(model: &Model, state: &State) -> Vec<PointForce> {
     let mut all = Vec::new();
     for body in tree.patches.iter() {
         for patch in &body.patches {
-            // All other fields are the body's own, so the force is the patch's share of the body's force.
+            // All other fields are those of the whole body, so the result is the patch's share of the body's force.
             let alone = [BodyPatches { patches: vec![patch.clone()], ..*body }];
             loads[body.body] = LinkLoad::none();
             sand::press(&tree.ground, &alone, &s.frames, &place, &tree.relief, found.as_ref(), &mut loads, tree.dt);

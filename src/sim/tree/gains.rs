@@ -1,5 +1,5 @@
-//! Servo gains of joints for which the file has none, from the robot's weight, the length of its legs, and the natural
-//! frequency that the robot is to have on its legs.
+//! Servo gains of joints for which the file has none, from the robot's weight, the length of its legs, and the wanted
+//! natural frequency of the robot on its legs.
 //!
 //! A robot of weight W stands on n legs of length ℓ. On its legs it is to be a mass on a spring with ω² = 20 g/ℓ, so
 //! its weight lowers it by ℓ/20. Joint i of a leg moves the foot up and down with the lever rᵢ. If all joints of the
@@ -9,16 +9,16 @@
 //!  kp = (W/n) max(20 Σ rᵢ²/ℓ, p),   kd = 2 ζ kp/ω,   ζ = 0.3
 //! ```
 //!
-//! The second term is for a leg that stands straight and so has small levers. With at least four feet a robot can sway
-//! to the side on legs that stay parallel: if it moves by x, each hip turns by x/ℓ, and the weight does the work
-//! W x²/(2ℓ). It comes back if the hips need more work, n kp x²/(2ℓ²), so kp must be above (W/n) ℓ; p = 1.5 ℓ. Other
-//! robots can tip over about their feet. If the centre of mass, at the height h, moves aside by x, the weight turns
-//! each joint, at the height yᵢ, by W x/(n kp). These turns together move the centre of mass by Σ (h − yᵢ) W x/(n kp).
-//! The robot falls if this is more than x, so kp must be above (W/n) Σ (h − yᵢ). p is 3 times this sum, over the joints
-//! whose axes are horizontal, for motions forward or to the side, whichever is larger. A joint outside of the legs
-//! carries a mass m with its centre at the distance r: kp = 10 m g r, so gravity moves the joint by at most 0.1 rad,
-//! and ω² = 10 g/r. All numbers are our choice. For A1, W/n = 29 N, ℓ = 0.3 m and Σr² = 0.02 m² they give 39 N·m/rad
-//! and 0.9 N·m·s/rad; legged_gym takes 20 and 0.5, under which A1 sinks twice as far.
+//! The term p is for a leg that stands straight and so has small levers. With at least four feet a robot can sway to
+//! the side on legs that stay parallel: if it moves by x, each hip turns by x/ℓ, and the weight does the work W
+//! x²/(2ℓ). It comes back if turning the hips takes more work than this, n kp x²/(2ℓ²), so kp must be above (W/n) ℓ; we
+//! take p = 1.5 ℓ. Other robots can tip over about their feet. If the centre of mass, at the height h, moves aside by
+//! x, the weight turns each joint, at the height yᵢ, by W x/(n kp). These turns together move the centre of mass by Σ
+//! (h − yᵢ) W x/(n kp). The robot falls if this is more than x, so kp must be above (W/n) Σ (h − yᵢ). p is 3 times this
+//! sum, over the joints whose axes are horizontal, for motions forward or to the side, whichever is larger. A joint
+//! outside of the legs carries a mass m with its centre at the distance r: kp = 10 m g r, so gravity moves the joint by
+//! at most 0.1 rad, and ω² = 10 g/r. All numbers are our choice. For A1, W/n = 29 N, ℓ = 0.3 m and Σr² = 0.02 m² they
+//! give 39 N·m/rad and 0.9 N·m·s/rad; legged_gym takes 20 and 0.5, under which A1 sinks twice as far.
 
 use super::contact::ContactPoint;
 use super::kinematics::{chain, lowest};
@@ -30,7 +30,7 @@ use nalgebra::{Isometry3, Vector2, Vector3};
 
 type V = Vector3<f64>;
 
-/// ω² ℓ/g of a robot on its legs, and ω² r/g of other joints.
+/// ω² ℓ/g of a robot on its legs; the second constant is ω² r/g of other joints.
 const LEGS: f64 = 20.0;
 const OTHERS: f64 = 10.0;
 /// ζ, damping ratio.
@@ -40,7 +40,7 @@ const DAMPING: f64 = 0.3;
 const FOLLOWING: f64 = 100.0;
 /// p/ℓ of robots with at least four feet.
 const POSTURE: f64 = 1.5;
-/// Ratio of kp to the one at which a robot with fewer feet tips over.
+/// Ratio of kp to the kp at which a robot with fewer than four feet tips over.
 const UPRIGHT: f64 = 3.0;
 /// Smallest distance of a centre of mass from its joint [m]: our choice, for parts that are balanced about the joint.
 const NEAREST: f64 = 0.01;
@@ -104,7 +104,7 @@ pub fn motors(tree: &Tree, contacts: &[Vec<ContactPoint>], stance: &Stance) -> V
     tree.joints().zip(&found).map(motor).collect()
 }
 
-/// Gains of the joints of one leg; sliding joints have those of the whole leg in N/m.
+/// Gains of the joints of one leg; sliding joints get the gains of the whole leg, in N/m and N·s/m.
 fn of_leg(
     tree: &Tree,
     contacts: &[Vec<ContactPoint>],
@@ -144,7 +144,7 @@ fn standing_point(frame: &Isometry3<f64>, points: &[ContactPoint], height: f64) 
     if near.is_empty() { low } else { near.iter().sum::<V>() / near.len() as f64 }
 }
 
-/// Gains of each joint from what it carries.
+/// Gains of each joint from the masses that it carries.
 fn carriers(tree: &Tree, frames: &[Isometry3<f64>], stance: &Stance) -> Vec<Gains> {
     let mut sums: Vec<(f64, V)> = frames.iter().zip(&tree.bodies).map(|(f, b)| (b.mass, b.moment(f))).collect();
     for i in (1..tree.bodies.len()).rev() {

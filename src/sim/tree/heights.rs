@@ -1,6 +1,7 @@
-//! Heights of a file as one text, which a client sends to a server: `heights:` and base64 of a zlib stream. The stream
-//! holds the numbers of rows and columns (u16), then for each node its height minus that of the plane through its three
-//! neighbours before it, in steps of [`STEP`], as variable-length integers. Smooth ground takes about a byte a node.
+//! Heights of a file as one text, which a client sends to a server: `heights:` and a zlib stream in base64. The stream
+//! holds the numbers of rows and columns (u16). Then for each node it holds a height as a variable-length integer, in
+//! steps of [`STEP`]: the node's height above the plane through the three neighbours before it. Smooth ground takes
+//! about a byte a node.
 
 use crate::error::{Error, Result};
 use base64::prelude::{BASE64_STANDARD, Engine as _};
@@ -8,7 +9,7 @@ use std::io::{Read, Write};
 
 /// Heights are rounded to this [m]: our choice, a tenth of what a foot sinks into hard ground.
 const STEP: f64 = 1e-4;
-/// Longest text [bytes]: our choice, so that a packed robot has room beside it within a session's options.
+/// Longest text [bytes]: our choice, so that a session's options have room for a packed robot, too.
 const MOST_TEXT: usize = 128 << 10;
 /// Largest number of heights: 512 × 512.
 const MOST: usize = 1 << 18;
@@ -74,7 +75,7 @@ pub fn unpack(text: &str) -> Result<Vec<Vec<f64>>> {
     let broken = |e: &dyn std::fmt::Display| Error::invalid("relief.file", format!("not packed heights: {e}"));
     let packed = BASE64_STANDARD.decode(text.trim_start_matches(MARK).trim()).map_err(|e| broken(&e))?;
     let mut bytes = Vec::new();
-    // Never unpacks without bound.
+    // Limits the size of the unpacked data.
     let most = (4 + MOST * LONGEST) as u64;
     flate2::read::ZlibDecoder::new(&packed[..]).take(most).read_to_end(&mut bytes).map_err(|e| broken(&e))?;
     let (head, mut rest) = bytes.split_first_chunk::<4>().ok_or_else(|| broken(&"cut off"))?;

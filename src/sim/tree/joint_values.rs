@@ -9,7 +9,7 @@ const MOST_NAMES: usize = 12;
 
 /// The value of each joint, in order; None: no pattern matches. A pattern is a joint's whole name, or has a `*` for any
 /// letters (`.*` means the same, as in Isaac Lab), or is a part of the name, as in legged_gym. If several patterns
-/// match, the whole name counts, or else the longest pattern.
+/// match, a pattern that is the whole name counts, or else the longest pattern.
 ///
 /// # Errors
 /// Names the pattern of `option` that matches no joint.

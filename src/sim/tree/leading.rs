@@ -4,7 +4,7 @@ use super::patches::{BodyPatches, Facet, Panel, Patch, Tile};
 use crate::number::{Real, Spread, Vec3};
 use crate::sand::StressModel;
 
-/// A body's velocity, and the surface, in the body's frame.
+/// The velocity of a body and the sand's surface, both in the body's frame.
 pub(super) struct Own<R> {
     pub(super) linear: Vec3<R>,
     pub(super) angular: Vec3<R>,
@@ -14,8 +14,8 @@ pub(super) struct Own<R> {
 }
 
 impl BodyPatches {
-    /// Horizontal extent of the box around the plates, across the velocity of the box's centre [m]. If the body moves
-    /// up or down, this is the extent along its own y: legs swing in their x-z plane.
+    /// Horizontal extent of the box around the plates, perpendicular to the velocity of the box's centre [m]. If the
+    /// body moves up or down, this is the extent along its own y: legs swing in their x-z plane.
     #[inline(always)]
     pub(super) fn width<R: Real>(&self, own: &Own<R>) -> R {
         let middle = Vec3::splat(self.ball.center);
@@ -35,14 +35,15 @@ impl BodyPatches {
 pub(super) struct Leading<R> {
     /// [m²]
     pub(super) area: R,
-    /// ∫ depth dA [m³], and the same times depth, normal, its products (xx, yy, zz; yz, xz, xy) and place.
+    /// ∫ depth dA [m³]. The next sums have a further factor in the integral: depth; normal; the products of its
+    /// components (xx, yy, zz; yz, xz, xy); place.
     pub(super) load: R,
     pub(super) deep: R,
     pub(super) normal: Vec3<R>,
     pub(super) squares: Vec3<R>,
     pub(super) products: Vec3<R>,
     pub(super) place: Vec3<R>,
-    /// Derivative of `load` by n·v̂ [m³].
+    /// Derivative of `load` with respect to n·v̂ [m³].
     pub(super) growth: R,
 }
 
@@ -81,7 +82,7 @@ pub(super) fn leading<R: Real, M: StressModel<R>, S: Spread<R>, D>(
     for tile in &patch.tiles {
         tile.press::<R, M>(&own, &mut sum);
     }
-    // Normals are unit vectors, also for bent plates.
+    // n·n = 1, also in the mean over a bent plate, so the three squares add up to the load.
     sum.squares.z = sum.load - sum.squares.x - sum.squares.y;
     sum
 }
@@ -107,7 +108,7 @@ impl<S> Tile<S> {
         let (zero, one, facet) = (R::zero(), R::one(), &self.facet);
         let halves = [lanes::<R, S>(&self.half[0]), lanes(&self.half[1])];
         let slopes = [halves[0].dot(own.up), halves[1].dot(own.up)];
-        // n·v̂ differs by at most ± `spread` from that of the centre, because the body turns.
+        // Because the body turns, n·v̂ at the plate's corners differs by up to ± `spread` from n·v̂ at its centre.
         let turning = own.angular.cross(lanes(&facet.normal));
         let spread = halves[0].dot(turning).abs() + halves[1].dot(turning).abs();
         let growth =
@@ -207,8 +208,8 @@ impl<R: Real> Leading<R> {
         self.place = lanes(&facet.center).scale_add(load, self.place);
     }
 
-    /// Adds the derivative by n·v̂ of the load of a plate at `depth`, of which the share `leads` leads. `edge` is its
-    /// area times the derivative of that share.
+    /// Adds the derivative with respect to n·v̂ of the load of a plate at `depth`. The share `leads` of the plate
+    /// leads; `edge` is the plate's area times the derivative of that share.
     #[inline(always)]
     fn grow(&mut self, leads: R, edge: R, depth: R) {
         let (zero, one) = (R::zero(), R::one());

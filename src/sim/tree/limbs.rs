@@ -7,8 +7,9 @@ use nalgebra::{DMatrix, DVector, Isometry3, Vector3};
 
 type V = Vector3<f64>;
 
-/// Largest number of limbs that are searched, and of joints of a limb that a search moves, counted from its end: our
-/// choice, more than those of any robot we know. They bound the time of a search.
+/// Largest number of limbs that are searched. The second constant is the largest number of joints of a limb that a
+/// search moves, counted from the limb's end. Our choice: both are above those of any robot we know, and bound the time
+/// of a search.
 pub const MOST_LIMBS: usize = 32;
 const MOST_MOVING: usize = 8;
 /// Farthest position of a joint in a search [rad or m], for joints that turn without limits: our choice.
@@ -18,13 +19,14 @@ const FARTHEST: f64 = 2.8;
 const SHARED: f64 = 0.5;
 /// Steps of Levenberg and Marquardt's method: our choice; most searches need ten.
 pub const STEPS: usize = 40;
-/// Weight of a joint's distance from its preferred position [1/rad], beside distances in lengths of the limb: our
-/// choice. It selects among the solutions and moves the foot by less than a thousandth of the limb's length.
+/// Weight of a joint's distance from its preferred position [1/rad], relative to distances of the tip in lengths of the
+/// limb: our choice. The weight selects among the solutions; it shifts the foot by less than a thousandth of the limb's
+/// length.
 const PREFERENCE: f64 = 0.02;
-/// Weight of the sole's tilt [1/rad]: our choice, because tilt and position are then reached equally well.
+/// Weight of the sole's tilt [1/rad]: our choice, so that a search reaches tilt and position equally well.
 const LEVEL: f64 = 0.3;
-/// Points that are higher than the lowest one by less than this part of the limb's length belong to the sole. A sole
-/// must extend farther than that in both horizontal directions. Our choice.
+/// Points less than this part of the limb's length above the lowest point belong to the sole. A sole must extend by
+/// more than this in both horizontal directions. Our choice.
 const SOLE: f64 = 0.03;
 
 /// A branch of the tree from the base to its last body with a shape.
@@ -38,7 +40,7 @@ pub struct Limb {
     moving: Vec<usize>,
     /// Sum of the distances between joints, and from the last one to its farthest point [m].
     pub length: f64,
-    /// The first joint behind which the limb is long: the hip of a leg, the shoulder of an arm.
+    /// The first joint that a long part of the limb follows (more than a quarter of its length): the hip of a leg, the shoulder of an arm.
     pub hip: usize,
     sole: Option<Sole>,
 }
@@ -55,7 +57,7 @@ struct Sole {
 pub struct Reached {
     /// Positions of all joints of the robot; those of other limbs are unchanged.
     pub angles: Vec<f64>,
-    /// Distance from the wanted position, as a part of the limb's length.
+    /// Distance of the tip from the wanted position, as a part of the limb's length.
     pub off: f64,
     /// Sum of the squared distances of joints from their preferred positions.
     pub bent: f64,
@@ -68,8 +70,8 @@ pub struct FreeJoints {
 }
 
 impl FreeJoints {
-    /// Joints with a position in the file keep it. Joints that follow others keep the position that follows from the
-    /// preferred one of their leader. All others are free in their range, and prefer 0.
+    /// A joint with a position in the file keeps it. A joint that follows a leader keeps the position that the leader's
+    /// preferred position gives. All other joints are free in their range, and their preferred position is 0.
     pub fn of(tree: &Tree) -> Self {
         let mut all = Self::free(tree);
         for f in tree.followers() {
@@ -82,7 +84,7 @@ impl FreeJoints {
         all
     }
 
-    /// Joints that are free in their range, also where the file has a position.
+    /// All joints are free in their range, also joints with a position in the file.
     pub fn free(tree: &Tree) -> Self {
         let range =
             |j: &super::TreeJoint| j.range.unwrap_or([-FARTHEST, FARTHEST]).map(|end| end.clamp(-FARTHEST, FARTHEST));
@@ -201,8 +203,8 @@ impl Limb {
         behind.map(|i| tree.bodies[*i].origin.translation.vector.norm()).sum::<f64>() + farthest(&contacts[self.end()])
     }
 
-    /// Position of the knee [m], in the base's frame: of the first joint that lies far behind the hip or, if there is
-    /// none, of the last body.
+    /// Position of the knee in the base's frame [m]. The knee is the first joint after the hip that is far from the
+    /// joint before it; if there is none, it is the joint of the last body.
     pub fn knee(&self, tree: &Tree, angles: &[f64]) -> V {
         let after = self
             .path
@@ -232,8 +234,8 @@ impl Limb {
         (self.tip_of(&frame, contacts).0 - frame.translation.vector).norm() / farthest
     }
 
-    /// The tip, and the point of the foot with whose velocity the tip moves when the foot turns: a ball's lowest point
-    /// moves with the ball's centre.
+    /// The tip, and the point of the foot whose velocity the tip has. A ball's lowest point has the velocity of the
+    /// ball's centre, because another point is the lowest when the foot turns.
     fn tip_of(&self, frame: &Isometry3<f64>, contacts: &[Vec<ContactPoint>]) -> (V, V) {
         if let Some(sole) = &self.sole {
             let at = frame.transform_point(&sole.center.into()).coords;
@@ -257,7 +259,8 @@ impl Limb {
     }
 
     /// Moves the tip to `target` (in the base's frame) and levels the sole. Searches from `first`, if given, and from
-    /// `starts` other positions. Returns the solution with the least `worth`, to which a miss of the target adds much.
+    /// `starts` other positions. Returns the solution with the least sum of `worth` and a large penalty for missing the
+    /// target.
     #[allow(clippy::too_many_arguments)] // the robot, the range of the search, and what is wanted
     pub fn reach(
         &self,
@@ -288,8 +291,8 @@ impl Limb {
         best.map_or_else(|| Reached { angles: joints.preferred.clone(), off: f64::INFINITY, bent: 0.0 }, |b| b.1)
     }
 
-    /// Levenberg and Marquardt's method from one start. Joints at the end of their range stay there while they push
-    /// outward.
+    /// Levenberg and Marquardt's method from one start. Joints at the end of their range stay there while the step
+    /// would move them outward.
     fn descend(
         &self,
         tree: &Tree,

@@ -63,8 +63,8 @@ impl VisualShape {
 }
 
 impl Looks {
-    /// The looks of the shapes of each body. Equal meshes are kept once. With `meshed`, meshes are included; they must
-    /// be small.
+    /// The shapes of each body for pictures. Equal meshes are stored once. With `meshed`, meshes are included; they
+    /// must be small.
     pub fn of<'a>(bodies: impl Iterator<Item = &'a [TreeShape]>, meshed: bool) -> Self {
         let mut all = Self::default();
         for (body, shapes) in bodies.enumerate() {
@@ -82,7 +82,7 @@ impl Looks {
         all.finished()
     }
 
-    /// The same with plates for bodies without shapes, if the plates are few enough to draw.
+    /// A copy that shows a body without shapes by its plates, if there are few enough plates to draw.
     #[must_use]
     pub fn or_plates(mut self, plates: &[Vec<IntruderPlate>]) -> Self {
         for (body, own) in plates.iter().enumerate() {
@@ -107,7 +107,7 @@ impl Looks {
     /// Fills in the JSON.
     #[must_use]
     pub fn finished(mut self) -> Self {
-        // Numbers and lists alone: this cannot fail.
+        // There are only numbers and lists, so this cannot fail.
         self.json = serde_json::to_string(&self).unwrap_or_default();
         self
     }

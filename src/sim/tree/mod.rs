@@ -1,24 +1,24 @@
 //! Any legged robot: a tree of rigid bodies with a floating base. Crate `robots` reads URDF, MJCF and TOML into it;
 //! engine `tree` simulates it.
 //!
-//! Each body has a frame at its joint. `origin` is that frame in the parent's when the joint's position is 0. The
-//! base's frame is that of the file (URDF: the root link's, MJCF: the free body's).
+//! Each body has a frame at its joint. `origin` is the pose of that frame in the parent's frame when the joint's
+//! position is 0. The base's frame is the one in the file (URDF: the root link's, MJCF: the free body's).
 //!
 //! * [`model`]: a tree as an engine needs it: motors, plates, points of contact; [`hard`]: hard ground as a user
 //!   describes it.
 //! * [`engine`]: lanes of such robots; [`step`]: one time step.
-//! * [`dynamics`]: accelerations of a tree, over any number; [`flight`]: those in free flight, for checks.
-//! * [`servo`]: motors, bearings and stops; [`sand`]: sand on plates; [`floor`]: hard ground under points;
-//!   [`forces`]: those of both at one moment, for pictures.
-//! * [`contact`]: the points; [`terrain`]: the ground's surface near a point, [`relief`]: a surface that is not
-//!   flat, [`heights`]: those of a file as one text.
+//! * [`dynamics`]: accelerations of a tree, for any number type; [`flight`]: accelerations in free flight, for checks.
+//! * [`servo`]: motors, bearings and stops; [`sand`]: sand on plates; [`floor`]: hard ground under points; [`forces`]:
+//!   forces of sand and hard ground at one moment, for pictures.
+//! * [`contact`]: the points of contact; [`terrain`]: the ground's surface near a point; [`relief`]: a surface that is
+//!   not flat; [`heights`]: the heights of a file as one text.
 //! * [`kinematics`]: frames of bodies and their lowest points; [`joint_values`]: values for joints by patterns of their
 //!   names; [`limbs`]: legs, arms and tails, and how each moves; [`stance`]: the standing pose; [`gains`]: servo gains;
 //!   [`standing`]: does the robot stand?
 //! * [`symmetry`]: left and right; [`looks`]: shapes for pictures; [`packed`]: a robot as one text.
-//! * [`plates`]: collision shapes as the plates that push on sand, few in place of many ([`cluster`]); [`patches`]:
-//!   plates with nearly the same normal, gathered; [`eights`]: eight patches in lanes; [`robot`]: our own robots as
-//!   trees.
+//! * [`plates`]: cuts collision shapes into the plates that push on sand; [`cluster`]: replaces many plates by few;
+//!   [`patches`]: gathers plates with nearly the same normal; [`eights`]: eight patches in lanes; [`robot`]: our own
+//!   robots as trees.
 
 mod cluster;
 pub mod contact;
@@ -113,18 +113,18 @@ pub struct TreeJoint {
     pub torque_limit: Option<f64>,
     /// Largest speed of the motor [rad/s or m/s]; None: no known limit.
     pub speed_limit: Option<f64>,
-    /// What else the file says of the motor and its gear; its torque limit is `torque_limit`.
+    /// Further properties of the motor and its gear from the file; the torque limit is in `torque_limit`.
     pub motor: Actuator,
     /// Position gain of the servo [N·m/rad], if the file has one.
     pub kp: Option<f64>,
     /// Speed gain of the servo [N·m·s/rad], if the file has one.
     pub kd: Option<f64>,
-    /// Position in the standing pose [rad or m], if the file has one (MJCF: the keyframe `home`, or else the first
-    /// one).
+    /// Position in the standing pose [rad or m], if the file has it (MJCF: in keyframe `home`, or else in the first
+    /// keyframe).
     pub rest: Option<f64>,
 }
 
-/// A joint's position is `ratio` times that of joint `leader`, plus `offset` [rad or m]. A stiff servo holds it there.
+/// A joint's position is `ratio` times the position of joint `leader`, plus `offset` [rad or m]. A stiff servo holds the joint at this position.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mimic {
     pub leader: String,
@@ -191,7 +191,7 @@ impl Tree {
         self.bodies.iter().filter_map(|b| b.joint.as_ref())
     }
 
-    /// The joints that follow others. A leader that does not exist is left out; readers refuse it.
+    /// The joints that follow others, without joints whose leader does not exist; readers of files refuse these.
     pub fn followers(&self) -> Vec<Follower> {
         let place = |name: &str| self.joints().position(|j| j.name == name);
         let follower = |(joint, own): (usize, &TreeJoint)| {

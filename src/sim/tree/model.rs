@@ -13,7 +13,7 @@ use crate::sand::intruder::IntruderPlate;
 use crate::sand::{GRAVITY, Law};
 use std::sync::Arc;
 
-/// Compliance and friction of hard ground at each point that touches.
+/// Compliance of hard ground at each point of contact, and the speed of creep.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Compliance {
     /// [N/m]
@@ -30,7 +30,7 @@ pub struct Compliance {
 pub struct TreeModel {
     /// The robot of the file.
     pub tree: Arc<Tree>,
-    /// Mass of the base [kg], in place of that in `tree`: with a payload and what an episode adds.
+    /// Mass of the base [kg], with a payload and the mass that an episode adds. It replaces the mass in `tree`.
     pub base_mass: f64,
     /// One for each joint.
     pub motors: Vec<TreeMotor>,
@@ -67,7 +67,7 @@ impl TreeModel {
         Self::with_contacts(tree, plates, contacts)
     }
 
-    /// The same as [`Self::new`], with points of contact that are known already.
+    /// The same as [`Self::new`], for points of contact that the caller supplies.
     pub fn with_contacts(
         tree: Tree,
         plates: Vec<Vec<IntruderPlate>>,
@@ -84,8 +84,8 @@ impl TreeModel {
         Ok(Self { tree, base_mass, motors, plates, patches, contacts, self_contact, compliance, stance, looks })
     }
 
-    /// The model with other shapes for pictures. Without this it shows its primitives, and plates where a body has
-    /// none.
+    /// The model with other shapes for pictures. Without this call, pictures show the primitives of each body, or its
+    /// plates if it has no primitives.
     pub fn with_looks(self, looks: Looks) -> Self {
         Self { looks: Arc::new(looks.finished()), ..self }
     }
@@ -102,7 +102,7 @@ impl TreeModel {
         self
     }
 
-    /// A copy whose motors give at most `limit` [N·m], if that is not 0.
+    /// A copy whose motors give at most `limit` [N·m]; with a limit of 0 nothing changes.
     pub fn with_weak_motors(mut self, limit: f64) -> Self {
         for motor in self.motors.iter_mut().filter(|_| limit > 0.0) {
             let own = &mut motor.actuator.torque_limit;

@@ -1,5 +1,5 @@
-//! A tree robot as one text, which a client sends to a server: JSON, compressed as `tree:` and base64 of a zlib
-//! stream. It contains the plates and points of contact of meshes, but no mesh, except small ones for pictures.
+//! A tree robot as one text, which a client sends to a server: `tree:` and a zlib stream of JSON in base64. Instead of
+//! meshes it contains their plates and points of contact, and only small meshes for pictures.
 
 use super::contact::{ContactPoint, contact_points};
 use super::looks::Looks;
@@ -107,7 +107,7 @@ enum PackedForm {
     Box,
 }
 
-/// Packs `tree` with the plates of each body, and with shapes for pictures where its primitives do not suffice.
+/// Packs `tree` with the plates of each body. `looks` has the shapes for pictures; None: the tree's primitives suffice.
 pub fn pack(tree: &Tree, plates: &[Vec<IntruderPlate>], looks: Option<&Looks>) -> Result<String> {
     let contacts = contact_points(tree);
     let bodies = tree.bodies.iter().enumerate().map(|(i, b)| body(b, &contacts[i], &plates[i])).collect();
@@ -153,7 +153,7 @@ pub fn is_packed(text: &str) -> bool {
     text.starts_with(MARK)
 }
 
-/// Refuses a robot whose numbers [`unpack`] would refuse.
+/// Refuses a robot that [`unpack`] would refuse because of its numbers.
 pub fn check(tree: &Tree) -> Result<()> {
     check_range("number of bodies", tree.bodies.len() as f64, 1.0..=MOST_BODIES as f64)?;
     tree.bodies.iter().try_for_each(|b| body(b, &[], &[]).check())
@@ -164,7 +164,7 @@ pub fn unpack_compressed(text: &str) -> Result<TreeModel> {
     let broken = |e: &dyn std::fmt::Display| Error::invalid("robot", format!("not a packed robot: {e}"));
     let bytes = BASE64_STANDARD.decode(text.trim_start_matches(MARK).trim()).map_err(|e| broken(&e))?;
     let mut json = String::new();
-    // Reads one byte more than allowed, so that a longer text is noticed, and never unpacks without bound.
+    // Unpacks at most one byte more than allowed, so that a longer text is noticed and the unpacked size is limited.
     let most = MOST_BYTES as u64 + 1;
     flate2::read::ZlibDecoder::new(&bytes[..]).take(most).read_to_string(&mut json).map_err(|e| broken(&e))?;
     unpack(&json)
@@ -213,7 +213,7 @@ impl PackedBody {
         let pieces = self.contacts.iter().flatten().chain(self.plates.iter().flatten()).copied();
         let shapes = self.shapes.iter().flat_map(|s| s.origin.into_iter().chain(s.size).chain([s.friction]));
         let own = self.origin.into_iter().chain(self.center).chain(self.inertia);
-        // The bound is far beyond any robot. Joint limits may be large, because some files use them for no limit.
+        // The bound is far beyond any robot. Joint limits may be large, because some files write a large number for "no limit".
         for x in own.chain(joint).chain(pieces).chain(shapes) {
             check_range(&format!("a number of {}", self.name), x, -1e12..=1e12)?;
         }
@@ -342,7 +342,7 @@ fn contact_of(&[x, y, z, radius, friction, i, j, k]: &[f64; 8]) -> ContactPoint 
     ContactPoint { center: Vector3::new(x, y, z), radius, axis, friction }
 }
 
-/// Rounds to six digits: fewer than the lanes' precision, and more than any shape is known to.
+/// Rounds to six digits, fewer than single precision has, and more than any shape is known to.
 fn plate(p: &IntruderPlate) -> [f64; 15] {
     let [c, n, a, b] = [p.center, p.normal, p.half[0], p.half[1]].map(|v| v.lane(0));
     let all = [c[0], c[1], c[2], n[0], n[1], n[2], p.area, a[0], a[1], a[2], b[0], b[1], b[2], p.bend[0], p.bend[1]];

@@ -5,8 +5,9 @@
 //! force is the law's force on the leading part in the sand, weighted by depth: for the mean normal, and for the
 //! deviations of normals from it ([`crate::sand::law::StressLaw::mean_stress`]).
 //!
-//! Lanes carry either one environment each, which share a patch, or one patch each ([`super::eights`]). So the numbers of a
-//! patch are of a type `S` (single precision) or `D` that [`crate::number::Spread`] puts into lanes.
+//! There are two uses of lanes: each lane has its own environment, and all share one patch; or each lane has its own patch
+//! ([`super::eights`]). So the numbers of a patch have a type `S` (single precision) or `D` that [`crate::number::Spread`]
+//! puts into lanes.
 
 use crate::sand::intruder::IntruderPlate;
 use crate::sand::{Law, Regularization};
@@ -15,26 +16,25 @@ use nalgebra::Vector3;
 type V = Vector3<f64>;
 
 /// Largest distance of a plate from its patch's centre. The distance combines normals (unit vectors) and positions,
-/// divided by the body's size and multiplied by [`BY_PLACE`]. Our choice: forces on round feet are within 2 % of
-/// those of fine plates (`tests/robots.rs`). `li2013` has the exact mean over normals, so its patches are large;
-/// mechanisms use the mean normal only. `agarwal2023` is of fourth degree in the normal and discontinuous where a
-/// plate is vertical.
+/// divided by the body's size and multiplied by [`BY_PLACE`]. Our choice: forces on round feet are within 2 % of those
+/// of fine plates (`tests/robots.rs`). `li2013` has the exact mean over normals, so its patches are large; mechanisms
+/// use the mean normal only. `agarwal2023` is a polynomial of fourth degree in the normal and discontinuous where a
+/// plate is vertical, so its patches are small.
 const APART: [f64; 2] = [0.7, 0.21];
-/// Share of [`APART`] for fine plates: our choice. With 1 for `li2013` the errors on spinning bodies were twice as large;
-/// smaller patches for `agarwal2023` lose its mean over normals, and the errors on balls grow.
+/// Factor on [`APART`] for fine plates: our choice. With 1 for `li2013` the errors on spinning bodies were twice as
+/// large. With smaller patches for `agarwal2023` its mean over normals is lost, and the errors on balls grow.
 const FINER: [f64; 2] = [0.4, 0.8];
 /// Weight of positions relative to normals: our choice. With 0.6 for `li2013` the error on Bolt's lower leg was twice as
 /// large.
 const BY_PLACE: [f64; 2] = [1.2, 0.6];
-/// Weight of normals that vary in one direction only, which the mean of `agarwal2023` does not take into account:
-/// our choice.
+/// Weight of normals that vary in one direction only, a case that the mean of `agarwal2023` does not cover: our choice.
 const ONE_WAY: [f64; 2] = [1.0, 1.6];
 /// Largest number of patches of a body: our choice, to bound the time of a step.
 const MOST: usize = 512;
 /// Iterations that move patches to the centres of their plates (Lloyd 1982): our choice, later ones change little.
 const ROUNDS: usize = 8;
-/// Share of a plate's size over which it begins to lead: our choice, between a square's half side and its half
-/// diagonal.
+/// The leading share of a plate that is bent along both sides grows from 0 to 1 while n·v̂ at its centre grows from −w
+/// to w. This is the ratio of w to the rms change of the normal from the centre to the edges: our choice.
 const EDGE: f64 = 0.8;
 
 /// A plate in the form that lanes need, in its body's frame: bent along both sides, or part of a [`Panel`] or [`Tile`].
@@ -145,12 +145,12 @@ impl BodyPatches {
         Self::within(body, plates, law, 1.0)
     }
 
-    /// The same with smaller patches, for the fine plates of [`super::plates::of_body`].
+    /// The patches of one body, smaller than those of [`Self::of`], for the fine plates of [`super::plates::of_body`].
     pub fn fine(body: usize, plates: &[IntruderPlate], law: Law) -> Self {
         Self::within(body, plates, law, FINER[usize::from(law == Law::Agarwal2023)])
     }
 
-    /// `share`: of [`APART`].
+    /// `share`: factor on [`APART`].
     fn within(body: usize, plates: &[IntruderPlate], law: Law, share: f64) -> Self {
         let ends = ends(plates);
         let corners = std::array::from_fn(|i| [0, 1, 2].map(|k| ends[k][i >> k & 1]));
@@ -238,7 +238,7 @@ fn apart(a: &NormalAndPlace, b: &NormalAndPlace) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum()
 }
 
-/// Indices of the plates of each patch. There are so many patches that every plate is near a patch's centre.
+/// Indices of the plates of each patch. Patches are added until every plate is near a patch's centre.
 fn alike(plates: &[IntruderPlate], ball: &Ball, law: Law, share: f64) -> Vec<Vec<usize>> {
     let kind = usize::from(law == Law::Agarwal2023);
     let (most, turned) = (share * APART[kind], ONE_WAY[kind]);

@@ -11,25 +11,26 @@ use std::f64::consts::{PI, TAU};
 /// velocities forces on feet and lower legs are within 2 % of those of fine plates (rms; `tests/robots.rs`,
 /// `make study-plates`).
 const BODY: f64 = 128.0;
-/// The same for the base: our choice, because the base seldom touches sand.
+/// Number of plates of the base: our choice, because the base seldom touches sand.
 const BASE: f64 = 64.0;
-/// Largest number of plates of a robot, unless the user gives a size: our choice, six limbs. Sand on 576 plates takes
-/// four times as long as the motion of twelve joints.
+/// Largest number of plates of a robot, unless the user gives a size: our choice, those of six limbs. Sand on 576
+/// plates takes four times as long as the motion of twelve joints.
 const ROBOT: f64 = 800.0;
 /// Number of plates that a body is cut into before they are gathered: our choice. With 3,000 the error on ANYmal's shanks
 /// was half as large again.
 const FINE: f64 = 8000.0;
-/// See [`cluster::few`]: our choice, because among 0.03, 0.1 and 0.2 it gave the least error on six robots.
+/// Argument `flat` of [`cluster::few`] [rad]: our choice, because among 0.03, 0.1 and 0.2 it gave the least error on six robots.
 const FLAT: f64 = 0.1;
-/// The same for [`of_body`], whose plates are smaller: our choice, because among 0.02, 0.04 and 0.1 it gave the least
-/// error on random shapes.
+/// The argument `flat` of [`cluster::few`] for [`of_body`], whose plates are smaller: our choice, because among 0.02,
+/// 0.04 and 0.1 it gave the least error on random shapes.
 const FLAT_FINE: f64 = 0.04;
-/// Number of plates in [`of_body`] of a shape that is flat, and of one that is curved everywhere; between them in
-/// proportion to the curved part of its surface. Our choice, because rms errors of forces on random shapes are then
-/// near 0.5 %, and one call for an ant takes less than 15 µs (`make study-plates`, `benches/sand.py`).
+/// Number of plates that [`of_body`] gives a flat shape and a shape that is curved everywhere; for other shapes it
+/// interpolates linearly in the curved part of the surface. Our choice, because rms errors of forces on random shapes
+/// are then near 0.5 %, and one call for gymnasium's Ant takes less than 15 µs (`make study-plates`,
+/// `benches/sand.py`).
 const FLAT_SHAPE: f64 = 256.0;
 const CURVED_SHAPE: f64 = 512.0;
-/// Largest number of plates of a body in [`of_body`], to bound the time of a call: our choice, two curved shapes.
+/// Largest number of plates of a body in [`of_body`], to bound the time of a call: our choice, those of two curved shapes.
 const MOST_OF_BODY: f64 = 1024.0;
 /// Fewest plates around a round shape: our choice, half of those in `sandgait intrude`.
 const COARSE: usize = 8;

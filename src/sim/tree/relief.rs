@@ -15,10 +15,11 @@ const NODES: std::ops::RangeInclusive<f64> = 4.0..=512.0;
 const HEIGHTS: std::ops::RangeInclusive<f64> = -100.0..=100.0;
 /// Number of waves whose sum makes dunes: our choice, because with these no direction dominates.
 const WAVES: usize = 24;
-/// Number of nodes along a side of dunes, and in a wave length: our choice, so that dunes repeat after eight wave lengths.
+/// Number of nodes along a side of a field of dunes; the second constant is the number of nodes in a wavelength. Our
+/// choice: dunes then repeat after eight wavelengths.
 const SIDE: usize = 128;
 const A_WAVE: f64 = 16.0;
-/// Largest number of nodes along a side that are drawn on a page: our choice, some 100 kB.
+/// Largest number of nodes along a side that a page draws: our choice; the page then needs some 100 kB for them.
 const DRAWN: usize = 128;
 
 /// Heights on a square grid; the surface is the quadratic B-spline over them, so its normal changes without a jump.
@@ -185,7 +186,7 @@ impl SplitMix64 {
 /// A relief in each lane.
 pub struct LaneRelief(pub Vec<Arc<Relief>>);
 
-/// None: level ground. One type holds both cases, so that the step is compiled once.
+/// None is level ground. One type serves for both cases, so that the step is compiled only once.
 impl<R: Real> Surface<R> for Option<LaneRelief> {
     #[inline(always)]
     fn is_flat(&self) -> bool {

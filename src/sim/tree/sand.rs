@@ -73,7 +73,7 @@ pub fn press<R: Real>(
     }
 }
 
-/// A piece of a body's surface that moves sand: plates that are close together and face alike, taken together.
+/// A piece of a body's surface that moves sand. It stands for plates that are close together and face about the same way.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Feeler {
     pub body: usize,

@@ -1,9 +1,9 @@
 //! Contact between parts of one robot: a leg that meets another leg or the base.
 //!
-//! A body has a capsule inside the box around its points of contact, the base up to three. Two capsules may come no
-//! closer than to touch, and an overlap δ leaves with the speed δ/τ. There is no friction. A force along the line
-//! between the nearest points of the two axes does this. The force follows from the robot's accelerations under a unit
-//! force ([`dynamics::respond`]), with motors, sand and ground as they are in this step. So the contact has no
+//! A body has a capsule inside the box around its points of contact, the base up to three. Two capsules are not to
+//! overlap; where they do, they part with the speed δ/τ, where δ is the overlap. There is no friction: the force acts
+//! along the line between the nearest points of the two axes. The force follows from the robot's accelerations under a
+//! unit force ([`dynamics::respond`]), with motors, sand and ground as they are in this step. So the contact has no
 //! stiffness, and is stable with every time step. Several contacts are solved one after the other, twice, and none
 //! pulls (projected Gauss-Seidel; E. Catto, Iterative Dynamics with Temporal Coherence, 2005).
 
@@ -21,16 +21,17 @@ use nalgebra::{Isometry3, Matrix3, Vector3};
 
 type V = Vector3<f64>;
 
-/// τ, the time in which an overlap leaves [s]: our choice, a control step.
+/// τ, the time in which capsules that overlap part [s]: our choice, a control step.
 const LEAVES: f64 = 0.02;
-/// How often all contacts are solved: our choice.
+/// Number of times that all contacts are solved: our choice.
 const SWEEPS: usize = 2;
 /// Largest number of capsules of the base, which is often flat: our choice. Other bodies have one.
 const MOST_CAPSULES: f64 = 3.0;
 /// Bodies that are nearer than this in the standing pose never meet [m]: our choice, because the shapes of neighbours overlap.
 const NEIGHBOURS: f64 = 5e-3;
-/// Poses that are tried to see which bodies can meet, a prime number, and the generator of their lattice. Bodies can meet if
-/// their least distance is less than the part `NEAR` of the range of their distances. Our choice.
+/// Number of poses that are tried to find which bodies can meet, a prime; `GENERATOR` generates the lattice of these poses.
+/// Two bodies can meet if, over these poses, their least distance is below `NEAR` times the range of their distances. Our
+/// choice.
 const POSES: usize = 499;
 const GENERATOR: usize = 331;
 const NEAR: f64 = 0.1;
@@ -75,11 +76,11 @@ struct Overlap<R> {
     at: Vec3<R>,
     /// From the second body to the first one.
     normal: Vec3<R>,
-    /// Least speed with which they must part [m/s]; −[`NO_LIMIT`] in lanes in which they are too far apart to meet.
+    /// Least speed with which the two capsules must part [m/s]; −[`NO_LIMIT`] in lanes in which they are too far apart to meet.
     wanted: R,
     /// Force so far [N].
     force: R,
-    /// Speed with which they part after a time step with a force of 1 N [m/(N·s)].
+    /// Speed with which the two capsules part after a time step with a force of 1 N [m/(N·s)].
     mobility: R,
 }
 
@@ -100,7 +101,7 @@ pub struct StepAccelerations<'a, R> {
 }
 
 impl SelfContact {
-    /// Bodies of different legs, and the last body of a leg and the base, if they can meet within the ranges of their joints.
+    /// Finds the pairs that can meet within the ranges of the joints: bodies of different legs, and the last body of a leg with the base.
     pub fn of(tree: &Tree, contacts: &[Vec<ContactPoint>], stance: &Stance) -> Self {
         let leg_of = |body: usize| stance.legs.iter().position(|leg| leg.contains(&body));
         let is_last = |body: usize| stance.legs.iter().any(|leg| leg.last() == Some(&body));
@@ -130,7 +131,7 @@ impl SelfContact {
         Self { bodies, pairs: candidates }
     }
 
-    /// Adds to the accelerations what keeps bodies apart.
+    /// Changes the accelerations so that bodies stay apart.
     #[inline(always)]
     pub fn keep_apart<R: Real>(
         &self,
@@ -186,7 +187,7 @@ impl SelfContact {
         for own in &self.bodies {
             centers.push(frames[own.body].point(Vec3::splat(own.center.into())));
         }
-        // How far two bodies come closer in this step.
+        // Largest distance by which two bodies come closer in this step.
         let soon = CLOSING * dt.lane(0);
         for &[a, b] in &self.pairs {
             let (one, other) = (&self.bodies[a], &self.bodies[b]);
@@ -276,7 +277,7 @@ impl BodyCapsules {
 impl Capsule {
     #[inline(always)]
     fn line<R: Real>(&self, frame: &LinkFrame<R>) -> [Vec3<R>; 2] {
-        // No closure: it would be compiled without the instruction set.
+        // This is no closure, because a closure would be compiled without the instruction set.
         let [a, b] = self.ends;
         [frame.point(Vec3::splat(a.into())), frame.point(Vec3::splat(b.into()))]
     }

@@ -1,9 +1,9 @@
 //! Torques at the joints: motors, bearings, springs and stops, all linearly implicit in the joint's rate.
 //!
-//! Each torque is τ(q̈) = torque − yielding q̈. A motor's torque is limited, and a stop only pushes. Whether a torque
-//! is at its limit is computed with the parent held still, as in [`crate::lanes`]. A torque at its limit is independent
-//! of q̈. Motors with a known stall torque are checked afterwards ([`crate::actuator`]). Dry friction is
-//! F q̇⁺/max(|q̇|, v₀), with the rate q̇⁺ after the step, q̇ before it, and v₀ = [`CREEP`].
+//! Each torque is τ(q̈) = torque − yielding q̈. A motor's torque is limited, and a stop only pushes. The check whether
+//! a torque is at its limit assumes that the parent is held still, as in [`crate::lanes`]. A torque at its limit is
+//! independent of q̈. Motors with a known stall torque are checked afterwards ([`crate::actuator`]). Dry friction is F
+//! q̇⁺/max(|q̇|, v₀), with the rate q̇⁺ after the step, q̇ before it, and v₀ = [`CREEP`].
 
 use super::dynamics::Drive;
 use super::model::TreeModel;
@@ -50,7 +50,7 @@ impl<R: Real> LaneMotor<R> {
             out.kd.set_lane(lane, motor.kd);
             out.actuator.set_lane(lane, &motor.actuator);
             out.speed_limit.set_lane(lane, motor.speed_limit.unwrap_or(NO_LIMIT));
-            // Known properties of the gear replace the file's values.
+            // If a property of the gear is known, it replaces the joint's value from the file.
             let of_joint = |gear: Option<f64>, joint: f64| if gear.is_some() { 0.0 } else { joint };
             out.damping.set_lane(lane, of_joint(motor.actuator.damping, joint.damping));
             out.friction.set_lane(lane, of_joint(motor.actuator.friction, joint.friction));

@@ -9,18 +9,18 @@ use nalgebra::{Isometry3, Vector3};
 
 type V = Vector3<f64>;
 
-/// A leg does not stand with its foot nearer to the hip than this part of its longest reach. Our choice, because the
-/// middle between this and the longest reach is then 0.7. The usual poses of A1, Aliengo, HyQ, Mini Cheetah, Solo and
-/// Spot have 0.70 to 0.73, Go1's 0.64.
+/// Least distance of a standing leg's foot from the hip, as a part of the leg's longest reach. Our choice, because the
+/// middle between this and the longest reach is then 0.7. In the usual poses of A1, Aliengo, HyQ, Mini Cheetah, Solo
+/// and Spot it is 0.70 to 0.73, in Go1's 0.64.
 const FOLDED: f64 = 0.4;
 /// Part of its longest reach to which a leg of a robot with fewer than four feet is extended: our choice, because such
 /// a robot stands with its feet flat, and knees that bend more need more torque. Unitree's H1 stands at 0.92 and
 /// G1 at 0.98 (Isaac Lab 2.0).
 const UPRIGHT: f64 = 0.9;
-/// Heights of a leg that are tried, as parts of its length, and start positions of a search: our choice.
+/// Number of heights of a leg that are tried. The second constant is the number of start positions of a search. Our choice.
 const HEIGHTS: usize = 18;
 const STARTS: usize = 12;
-/// A foot is at its place if it is nearer than this part of the leg's length: our choice.
+/// A foot counts as at its place if its distance from the place is below this part of the leg's length: our choice.
 const REACHED: f64 = 0.01;
 /// A limb is a leg if its end is in the lowest three tenths of the robot's height, and can move up and down by at
 /// least a tenth of the limb's length: our choice. Arms and tails do not reach so low, wheels and propellers do not move their
@@ -34,16 +34,16 @@ const NEAR: f64 = 0.02;
 /// of the leg's length. Our choice.
 const OFF_CENTER: f64 = 0.25;
 
-/// Largest number of frames that all searches of a robot compute: our choice, about a second. A robot with many limbs of
-/// hundreds of joints is searched from fewer positions.
+/// Largest number of body frames that all searches of a robot compute together: our choice, which takes about a second.
+/// For a robot with many limbs of hundreds of joints, searches begin from fewer positions.
 const MOST_FRAMES: usize = 10_000_000;
 
-/// A leg stands on the far half of its last body, not on that body's end at the knee: our choice. `KNEELS` is more than any
-/// other difference between two solutions.
+/// A leg stands on the far half of its last body, not on that body's end at the knee: our choice. `KNEELS` is the penalty
+/// for kneeling, larger than any other difference between two solutions.
 const FAR_HALF: f64 = 0.5;
 const KNEELS: f64 = 1e3;
 
-/// Cosine of the angle between axes that count as one: our choice, 2.5°, more than the rounding of files.
+/// Axes count as parallel if the cosine of their angle is above this: our choice, 2.5°, more than the rounding of files.
 const PARALLEL: f64 = 0.999;
 
 /// A robot's standing pose.
@@ -124,7 +124,7 @@ fn is_under(tree: &Tree, end: usize, body: usize, of: &Limb) -> bool {
     false
 }
 
-/// Removes a single limb in the middle of a robot whose other limbs stand at its sides: a neck, an arm or a tail.
+/// Removes limbs in the middle of a robot if at least two other limbs are at its sides: a neck, an arm or a tail.
 fn beside(legs: &mut Vec<&Limb>, frames: &[Isometry3<f64>]) {
     let aside = |l: &Limb| frames[l.hip].translation.vector.y.abs() > 0.05 * l.length;
     let sides = legs.iter().filter(|l| aside(l)).count();
@@ -193,7 +193,7 @@ impl<'a> Search<'a> {
         angles
     }
 
-    /// Holds the joints that carry several of the legs, as a waist does: turned for one leg, they would lift the others.
+    /// Holds the joints that carry several of the legs, such as a waist: a search for one leg would move the other legs, too.
     fn hold_shared(&mut self, legs: &[&Limb]) {
         for body in 1..self.tree.bodies.len() {
             if legs.iter().filter(|leg| leg.path.contains(&body)).count() > 1 {
@@ -210,7 +210,7 @@ impl<'a> Search<'a> {
         let tip = limb.tip(tree, contacts, &self.joints.preferred);
         let length = limb.length_behind_hip(tree, contacts);
         let mut place = hip;
-        // A leg whose knee bends sideways, as a spider's, stands at the distance of its knee.
+        // A leg whose knee is beside its hip, as a spider's, stands as far out as its knee.
         let knee = limb.path.iter().skip_while(|i| **i != limb.hip).nth(1);
         let out = knee.and_then(|i| {
             let (_, axis) = tree.bodies[*i].axis(&frames[*i])?;
@@ -238,13 +238,13 @@ impl<'a> Search<'a> {
                 break;
             }
         }
-        // A limb that reaches no such place, for lack of joints, stands as it is.
+        // A limb that has too few joints to reach such a place stands as it is.
         let depths = depths.unwrap_or([hip.z - tip.z; 2]);
         (depths[1] > 0.0).then_some(LegReach { limb, place, depths, wanted: depths[1] })
     }
 
-    /// The part of `to_foot` across the plane in which the foot moves, if all hinges of the leg have one axis. Such a leg cannot
-    /// put its foot elsewhere.
+    /// The part of `to_foot` perpendicular to the plane in which the foot moves, if all hinges of the leg have parallel axes.
+    /// Such a leg cannot change this part.
     fn beside_plane(&self, limb: &Limb, frames: &[Isometry3<f64>], to_foot: V) -> V {
         let mut axes = limb.path.iter().filter_map(|i| self.tree.bodies[*i].hinge_axis(&frames[*i]));
         let Some(axis) = axes.next() else { return V::zeros() };
@@ -253,7 +253,7 @@ impl<'a> Search<'a> {
 
     fn reach(&self, limb: &Limb, target: V, first: Option<&[f64]>, widely: bool) -> Reached {
         let hip = limb.hip;
-        // Among several solutions, less bent ones with the knee farther back are preferred.
+        // Of several solutions, the one that is less bent and has its knee farther back is preferred.
         let worth = |r: &Reached| {
             let (knee, from) = (limb.knee(self.tree, &r.angles), limb.frame(self.tree, &r.angles, hip));
             let kneels = KNEELS * (FAR_HALF - limb.tip_distance(self.tree, self.contacts, &r.angles)).max(0.0);

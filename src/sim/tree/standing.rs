@@ -7,23 +7,25 @@ use crate::error::{Error, Result};
 use crate::{Model, State};
 use nalgebra::Vector3;
 
-/// Time in which the weight grows from nothing to its full value, and time for which the robot then stands [s]: our
-/// choice. A robot that is dropped sinks deeper into sand than one that is set down, because its energy must be spent.
+/// Time in which the weight grows from 0 to its full value. The second constant is the time for which the robot then
+/// stands [s]. Our choice. A robot that is dropped sinks deeper into sand than one that is set down, because the sand
+/// must dissipate its energy.
 const SETTING_DOWN: f64 = 2.0;
 const STANDING: f64 = 5.0;
 /// Time between two changes of the weight [s]: our choice.
 const PERIOD: f64 = 0.02;
 /// A robot stands if its base has tilted by at most 30°, is not lower than half of its standing height, moves with at most
-/// 5 cm/s, and carries at most a twentieth of the weight itself. Our choice.
+/// 5 cm/s, and at most a twentieth of the weight rests on bodies other than legs and feet. Our choice.
 const UPRIGHT: f64 = 0.866;
 const LOW: f64 = 0.5;
 const STILL: f64 = 0.05;
 const BELLY: f64 = 0.05;
-/// Time steps that are tried [s], the finest last, and the duration of a run [s].
+/// Time steps that are tried [s], the finest last. The second constant is the duration of a run [s].
 const STEPS: [f64; 7] = [5e-3, 4e-3, 2e-3, 1e-3, 5e-4, 2.5e-4, 1.25e-4];
 const BOB_TIME: f64 = 4.0;
-/// Frequency [Hz] and size [rad] of the joints' motion in these runs, on four feet and on fewer, and the difference of the
-/// base's mean height that is accepted, as a part of the standing height. Our choice.
+/// Frequency of the joints' motion in these runs [Hz]. The next constants are its amplitude [rad], for robots with at
+/// least four legs and with fewer, and the accepted mean difference of the base's height, as a part of the standing
+/// height. Our choice.
 const BOB: f64 = 2.0;
 const BOB_SIZE: [f64; 2] = [0.2, 0.05];
 const ACCEPTED: f64 = 0.01;
@@ -47,14 +49,14 @@ pub struct Standing {
     /// Why it does not stand, in a few words.
     pub reason: String,
     pub state: State,
-    /// Height of the base's origin above the ground, and in the default pose [m].
+    /// Height of the base's origin above the ground at the end, and in the default pose [m].
     pub height: [f64; 2],
     /// Angle of the base's z axis against the ground's normal [rad].
     pub tilt: f64,
     pub feet: Vec<FootPrint>,
-    /// The part of the weight that the ground carries under base, trunk and other bodies that are no feet.
+    /// The part of the weight that rests on bodies other than legs and feet.
     pub belly: f64,
-    /// |torque| of each joint, and as a part of its limit if that is known.
+    /// |torque| of each joint [N·m]; the same as a part of the joint's torque limit, if the limit is known.
     pub torques: Vec<(f64, Option<f64>)>,
 }
 
@@ -148,8 +150,9 @@ fn judged(model: &Model, state: State) -> Result<Standing> {
     })
 }
 
-/// The largest of the usual time steps at which the base's height, while all joints bend with 2 Hz, differs on average by at
-/// most 1 % of the standing height from that at 0.125 ms; None if there is none. `model_at`: the model with a time step.
+/// The largest time step in `STEPS` that is fine enough, or None. In the test all joints bend with 2 Hz. On average the
+/// base's height may differ from that of a run at 0.125 ms by at most 1 % of the standing height. `model_at`: makes the
+/// model with a given time step.
 pub fn needed_step(model_at: impl Fn(f64) -> Result<Model>) -> Result<Option<f64>> {
     let heights = |dt: f64| -> Result<Vec<f64>> {
         let model = model_at(dt)?;
@@ -181,7 +184,7 @@ pub fn needed_step(model_at: impl Fn(f64) -> Result<Model>) -> Result<Option<f64
     Ok(None)
 }
 
-/// Control steps a second that one thread makes with 16 robots in their default pose, measured for `seconds`.
+/// Measures for `seconds` how many control steps a second one thread makes with 16 robots in their default pose.
 pub fn speed(model: &Model, control_rate: f64, seconds: f64) -> Result<f64> {
     let count = EngineKind::Tree.shard_size();
     let state = start(model)?;

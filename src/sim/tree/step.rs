@@ -39,7 +39,7 @@ pub struct LaneTree<R> {
 pub struct TreeScratch<R> {
     pub frames: Vec<LinkFrame<R>>,
     loads: Vec<LinkLoad<R>>,
-    /// Loads without those of hard ground.
+    /// Loads without the forces of hard ground.
     bare: Vec<LinkLoad<R>>,
     /// Loads before they are folded.
     unfolded: Vec<LinkLoad<R>>,
@@ -125,7 +125,7 @@ pub fn accelerate<R: Real>(
 fn solve<R: Real>(model: &LaneTree<R>, state: &LaneState<R>, s: &mut TreeScratch<R>) {
     let (dt, joints) = (model.dt, &state.joints);
     s.limits.iter_mut().for_each(LimitedTorque::begin);
-    // `fold` changes the loads, and runs several times if motors have lines.
+    // `fold` changes the loads, so a copy is needed if it runs several times, which it does for motors with lines of torque over speed.
     let lines = model.motors.iter().any(|motor| motor.actuator.has_lines());
     if lines {
         s.unfolded.copy_from_slice(&s.loads);

@@ -1,5 +1,5 @@
-//! The left–right symmetry of a robot, from its geometry in the standing pose: the mirror image across the base's x–z plane
-//! of each joint and body is another one, or itself. Names are not used.
+//! The left–right symmetry of a robot, from its geometry in the standing pose. A robot is symmetric if each joint and each
+//! body has a mirror image across the base's x–z plane: another joint or body, or itself. Names are not used.
 //!
 //! The mirror S = diag(1, −1, 1) takes a point p to S p. A hinge's axis is a pseudovector: its image is −S a. So if a
 //! hinge with axis a has the image hinge with axis b = −s S a, s = ±1, the positions off the standing pose mirror as
@@ -15,13 +15,13 @@ use nalgebra::{Isometry3, Vector3};
 
 type V = Vector3<f64>;
 
-/// Largest distance of a joint's axis, and of a body's lowest height, from where the mirror puts it, as a share of the robot's
-/// size: our choice, some millimetres, more than drawings are off.
+/// Largest distance between a joint's axis and the mirrored axis of its image, and between the heights of their bodies' lowest
+/// points, as a share of the robot's size: our choice, some millimetres, more than the errors of drawings.
 const PLACE: f64 = 0.02;
 /// Least cosine of the angle between axes: our choice, 2.6°.
 const ALONG: f64 = 0.999;
 /// Largest difference between the accelerations of a mirrored robot and the mirrored accelerations, as a share of them: our
-/// choice. Real robots carry their computers and batteries off the middle; a policy that is symmetric is good for them, too.
+/// choice. Real robots carry their computers and batteries away from the middle plane; a symmetric policy suits them, too.
 const ACCELERATIONS: f64 = 0.25;
 /// Poses in which accelerations are compared.
 const POSES: usize = 4;
@@ -40,8 +40,8 @@ struct StandingBody {
     /// A point of the axis.
     at: V,
     center: V,
-    /// Height of the lowest point, if it has points of contact. Of a level side any point may be the lowest, so its place
-    /// is not compared.
+    /// Height of the body's lowest point, if the body has points of contact. The horizontal position of this point is
+    /// not compared, because any point of a level side may be the lowest.
     low: Option<f64>,
 }
 
@@ -75,7 +75,7 @@ impl LeftRight {
             let parent = images[body.parent].map_or(0, |(image, _)| image);
             let candidates = (1..tree.bodies.len()).filter(|k| !taken[*k] && tree.bodies[*k].parent == parent);
             let fits = candidates.filter_map(|k| Some((k, sign(tree, &all, [i, k], PLACE * size)?)));
-            // Two wheels on one axle have the same axis, so the nearest fitting body is the image.
+            // Several bodies may fit, because two wheels on one axle have the same axis; the image is the nearest of them.
             let off = |k: usize| (mirrored(all[i].center) - all[k].center).norm();
             let best = fits.min_by(|a, b| off(a.0).total_cmp(&off(b.0)));
             let (image, sign) = best.ok_or_else(|| {
@@ -125,7 +125,7 @@ impl LeftRight {
     /// Largest difference of the accelerations of mirrored robots in some poses, as a share of the accelerations.
     fn off(&self, robot: &TreeModel, size: f64) -> f64 {
         let (rest, torque) = (&robot.stance.angles, 0.05 * robot.mass() * GRAVITY * size);
-        // Numbers spread evenly over [−1, 1): multiples of the golden ratio.
+        // Multiples of the golden ratio without their whole part are spread evenly; scaled to [−1, 1).
         let mut k = 0.0;
         let mut draw = || {
             k += 1.0;
@@ -152,14 +152,14 @@ impl LeftRight {
     }
 }
 
-/// The sign between the positions of the joints of body i and of body k, if they are mirror images of each other within
-/// `most` [m].
+/// The factor, 1 or −1, from the position of body i's joint to that of body k's joint; None if the bodies are not
+/// mirror images of each other within `most` [m].
 fn sign(tree: &Tree, all: &[StandingBody], [i, k]: [usize; 2], most: f64) -> Option<f64> {
     let (a, b) = (tree.bodies[i].joint.as_ref()?, tree.bodies[k].joint.as_ref()?);
     let turn = if a.kind == JointKind::Hinge { -1.0 } else { 1.0 };
     let along = all[k].axis.dot(&(turn * mirrored(all[i].axis)));
     let apart = mirrored(all[i].at) - all[k].at;
-    // A hinge may be anywhere along its axis, a slide anywhere.
+    // The position of a hinge along its axis has no effect, and neither has any part of a slide's position.
     let off = if a.kind == JointKind::Hinge { (apart - all[k].axis * apart.dot(&all[k].axis)).norm() } else { 0.0 };
     let low = match (all[i].low, all[k].low) {
         (Some(a), Some(b)) => (a - b).abs(),

@@ -1,4 +1,4 @@
-//! The ground's surface near a point: a plane.
+//! The ground's surface, and its tangent plane near a point.
 
 use crate::number::{Real, Vec3};
 

@@ -32,7 +32,7 @@ pub struct LanePiece<R> {
     pub number: u16,
 }
 
-/// What each body has found, in lanes.
+/// Level and strength of the sand at each body, in lanes.
 pub struct Surfaces<R> {
     /// [m]
     pub levels: Vec<R>,
@@ -51,7 +51,7 @@ pub struct LaneMemory<R> {
     /// [time steps]
     every: u32,
     dt: f64,
-    /// Of each lane: the pieces of a body that may move sand.
+    /// For each lane, the pieces of a body that may move sand.
     listed: Vec<Vec<GridPiece>>,
     marks: Marks,
 }
@@ -84,7 +84,7 @@ impl<R: Real> LaneMemory<R> {
         }
     }
 
-    /// Takes the sand of `state`; level sand if `state` has none that fits.
+    /// Takes over the sand of `state`; takes level sand if `state` has no sand of the right size.
     pub fn set_state(&mut self, lane: usize, state: &State) {
         let bodies = self.surfaces.levels.len();
         self.moved[lane] = match &state.sand {

@@ -16,7 +16,7 @@ fn a_hardware_file_is_the_same_as_its_options() {
         });
         let observes = shard(id, &options, 1).spec().observation.iter().any(|c| c.name.contains("angular velocity"));
         if !observes {
-            // The task has no such sensor and no motors; the file's action delay holds.
+            // The task has no such sensor and no motors, but it uses the file's action delay.
             assert_eq!(Blueprint::new(id, file).unwrap().task.action_delay(), [0.02, 0.02], "{id}");
             continue;
         }

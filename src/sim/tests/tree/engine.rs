@@ -88,7 +88,7 @@ fn a_block_on_a_slope_sticks_or_slides() {
     }
 }
 
-/// No drift at rest: a block thrown onto level ground comes to rest, and the ground carries its weight.
+/// A block that is thrown onto level ground comes to rest and does not drift, and the ground carries its weight.
 #[test]
 fn what_rests_stays() {
     for isa in ISAS {
@@ -106,8 +106,8 @@ fn what_rests_stays() {
     }
 }
 
-/// A ball without damping returns to its height. With damping ratio ζ it returns to the height of a linear spring
-/// and damper that can only push (Schwager & Pöschel 2007).
+/// A ball without damping returns to its first height. With damping ratio ζ it returns to the height that a linear
+/// spring and damper give that only push (Schwager & Pöschel 2007).
 #[test]
 fn a_ball_bounces() {
     let ball = |zeta: f64, dt: f64| {
@@ -172,7 +172,7 @@ fn trotted(isa: Isa, model: &Model, count: usize, k: usize) -> State {
         start.position = [0.1 * i as f64, -0.05 * i as f64, 0.33];
         start
     };
-    // Computed alone, the robot also gets the commands of robot `k`.
+    // A robot that is computed alone also gets the commands of robot `k`.
     let named = |i: usize| if count == 1 { k } else { i };
     (0..count).for_each(|i| engine.set_state(i, &starts(named(i))));
     for step in 0..50 {
@@ -184,7 +184,7 @@ fn trotted(isa: Isa, model: &Model, count: usize, k: usize) -> State {
     state
 }
 
-/// Bits depend neither on the lane nor on the neighbours.
+/// Results are bit-identical in every lane and with every neighbour.
 #[test]
 fn lanes_do_not_see_each_other() {
     for isa in Isa::ALL.into_iter().filter(|isa| isa.available()) {
@@ -199,7 +199,7 @@ fn lanes_do_not_see_each_other() {
     }
 }
 
-/// A state read and set again, as a row, goes on with the same bits.
+/// A state that is read as a row and set again goes on bit-identically.
 #[test]
 fn states_go_on_with_the_same_bits() {
     let model = on_sand(Some(0.0));
@@ -269,7 +269,7 @@ fn a_plane_of_heights_is_a_slope() {
 #[test]
 fn servos_and_stops() {
     let tree = quadruped();
-    // A trunk of a hundred tonnes, so that the robot hardly moves in the air.
+    // The trunk has a mass of a hundred tonnes, so that it hardly moves in the air.
     let mut heavy = tree.clone();
     heavy.bodies[0].mass = 1e5;
     heavy.bodies[0].inertia *= 1e5;
@@ -297,8 +297,7 @@ fn servos_and_stops() {
         // Dry friction of 0.1 N·m leaves an error of up to 0.1/60 rad; a stop gives way in proportion to its load.
         assert!((state.angles[i] - expected).abs() < 4e-3, "{i}: {} {expected}", state.angles[i]);
     }
-    // Dry friction holds a smaller torque, apart from creep: 0.05 N·m without a servo. A torque of 0.3 N·m
-    // overcomes it.
+    // Without a servo, dry friction holds a torque of 0.05 N·m, apart from creep. A torque of 0.3 N·m overcomes it.
     let mut loose = (**model.tree.as_ref().unwrap()).clone();
     loose.motors.iter_mut().for_each(|m| (m.kp, m.kd) = (0.0, 0.0));
     let mut free = Model::of_tree(loose, &model.scene).unwrap();

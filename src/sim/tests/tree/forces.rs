@@ -50,7 +50,7 @@ fn forces_change_the_momentum() {
             largest = largest.max(force.norm() / weight);
             worst = worst.max((change - force - model.gravity * model.total_mass()).norm() / weight);
         }
-        // The momentum after a step is that of bodies that have moved, which differs in the order of the time step.
+        // The momentum after a step is computed for the bodies' new poses, which differ in the order of the time step.
         assert!(largest > 0.9 && worst < 0.02, "{name}: {largest} {worst}");
     }
 }
@@ -77,7 +77,7 @@ fn forces_carry_a_standing_robot() {
     }
 }
 
-/// Pictures draw hard ground where the engine has it: a small ball is pushed just below its top, and not just above.
+/// Pictures draw hard ground where the engine has it: a small ball is pushed just below the ground's top, and not just above it.
 #[test]
 fn hard_ground_is_where_it_is_drawn() {
     let mut tree = block([0.001; 3], 1.0, 0.5);

@@ -158,7 +158,7 @@ fn motions(tree: &Tree, pose: &TreePose, found: &TreeAccelerations) -> Vec<Movin
     all
 }
 
-/// Force and moment about `about` that all bodies of the branch at `root` need.
+/// Force, and moment about point `about`, that the motion of all bodies of the branch at `root` needs.
 fn needed(tree: &Tree, motions: &[Moving], root: usize, about: V) -> (V, V) {
     let (mut force, mut moment) = (V::zeros(), V::zeros());
     for (i, (body, m)) in tree.bodies.iter().zip(motions).enumerate() {
@@ -206,8 +206,8 @@ fn every_branch_is_in_balance() {
     }
 }
 
-/// The largest difference divided by the largest acceleration: the greatest of these ratios for linear, angular and
-/// joint accelerations.
+/// For linear, angular and joint accelerations each: the largest difference divided by the largest acceleration.
+/// Returns the greatest of the three ratios.
 pub fn difference(a: &TreeAccelerations, b: &TreeAccelerations) -> f64 {
     let of = |a: &[f64], b: &[f64]| {
         let most = b.iter().fold(1e-9_f64, |m, x| m.max(x.abs()));
@@ -216,7 +216,7 @@ pub fn difference(a: &TreeAccelerations, b: &TreeAccelerations) -> f64 {
     of(&a.a, &b.a).max(of(&a.alpha, &b.alpha)).max(of(&a.qdd, &b.qdd))
 }
 
-/// Single precision, alone and in portable lanes.
+/// Single precision, as one number and in portable lanes, gives the accelerations of double precision.
 #[test]
 fn single_precision_is_enough() {
     let mut draw = SignedDraw::new(2);

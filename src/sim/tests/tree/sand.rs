@@ -45,7 +45,7 @@ fn by_lanes<R: Real>(
     v: V,
     gate: f64,
 ) -> (V, V) {
-    // In the body's frame; `sand::intruder` has the plates of the turned body.
+    // Turns plates back into the body's frame, because `sand::intruder` has the plates of the turned body.
     let back = |p: &IntruderPlate| IntruderPlate {
         center: vec3(turn.inverse() * nalgebra_of(p.center)),
         normal: vec3(turn.inverse() * nalgebra_of(p.normal)),
@@ -83,8 +83,8 @@ fn sands() -> [SandDescription; 3] {
     [loose.clone(), spatial, SandDescription { mechanisms, ..loose }]
 }
 
-/// A velocity at which no face of a turned box moves almost along itself. On such a face the engines apply the load
-/// gradually, and `sand::intruder` at once.
+/// A velocity at which no face of a turned box moves almost along itself. When such a face begins to lead, the engines
+/// apply the load gradually, and `sand::intruder` applies it at once.
 fn clear_of(turn: &Rotation3<f64>, draw: impl FnMut() -> V) -> V {
     let along = |v: &V| {
         (0..3).any(|k| turn.matrix().column(k).dot(&v.normalize()).abs() < Regularization::SOLID.leading_edge_gate)
@@ -105,7 +105,7 @@ fn the_force_is_that_of_a_body_in_steady_motion() {
         for _ in 0..6 {
             let turn = Rotation3::from_scaled_axis(draw.vector() * 3.0);
             let body = turned_box(V::new(0.03, 0.02, 0.01), &turn, folder.path());
-            // At least half of the body is in the sand: in slight contact few plates carry the whole force.
+            // At least half of the body is in the sand, because in slight contact few plates would carry the whole force.
             let (depth, v) = (0.01 * (1.0 + draw.number()), clear_of(&turn, || draw.vector() * 0.3));
             let expected = by_intruder(&body, &sand, depth, v);
             let found = by_lanes::<f64>(&body.plates, &sand, &turn, depth, v, 1e-20);
@@ -132,8 +132,8 @@ fn assert_near((f, m): (V, V), (force, moment): (V, V), part: f64) {
     assert!(off <= part * scale, "{} of it: {f} {m}\n{force} {moment}", off / scale);
 }
 
-/// A term by depth over width takes the body's extent across its horizontal velocity, and along its own y if it moves
-/// straight down.
+/// A term that depends on depth over width uses the body's extent across its horizontal velocity; if the body moves
+/// straight down, it uses the extent along the body's y axis.
 #[test]
 fn a_term_takes_the_width_across_the_motion() {
     let text = "on = \"normal\"\ncoefficient = 1e4\ngroups = { depth_over_width = 1.0 }\n\

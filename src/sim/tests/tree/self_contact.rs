@@ -34,7 +34,7 @@ fn start() -> State {
     state
 }
 
-/// Robot `k` after half a second in which its servos pull the front feet through each other, and the least distance of the feet.
+/// Robot `k` after half a second in which its servos try to cross the front feet, and the least distance of the feet in this time.
 fn crossed(isa: Isa, model: &Model, count: usize, k: usize) -> (State, f64) {
     let mut engine = sandgait_sim::tree::engine(isa, model, count).unwrap();
     let named = |i: usize| if count == 1 { k } else { i };
@@ -90,7 +90,7 @@ fn a_meeting_gains_no_energy() {
     assert_ne!(after, free, "they meet");
 }
 
-/// A meeting in one lane changes no bit of another; robots whose parts do not meet move as without the option.
+/// If legs meet in one lane, the other lanes stay bit-identical; robots whose parts do not meet move as without the option.
 #[test]
 fn only_those_that_meet_are_changed() {
     for isa in Isa::ALL.into_iter().filter(|isa| isa.available()) {
