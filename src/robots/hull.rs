@@ -5,8 +5,8 @@ use std::collections::HashMap;
 
 type V = Vector3<f64>;
 
-/// A point that is nearer to a face than this share of the whole's size lies on the face. Our choice: the first number
-/// is a hundredth of single precision's rounding, and the next ones are tried where rounding leaves gaps in the
+/// A point counts as on a face if its distance is below this share of the size of the whole. Our choice: the first
+/// number is a hundredth of single precision's rounding; the next numbers are tried if rounding leaves gaps in the
 /// surface.
 const ON_FACE: [f64; 3] = [1e-9, 1e-7, 1e-5];
 

@@ -1,4 +1,4 @@
-//! `<equality>`: joints that follow others. Other equalities close a chain, which a tree cannot do.
+//! `<equality>`: joints that follow others. Other equalities would close a loop of bodies, and a tree has no loops.
 
 use crate::error::Result;
 use crate::sim::tree::{Mimic, Tree};
