@@ -145,8 +145,8 @@ impl Candidates {
         self.leading.map_or(&self.base, |k| &self.fits[k])
     }
 
-    /// Learns the noise again about the leading fit and fits all candidates again with it, until this changes the leading fit by less
-    /// than one σ. If no fit leads, the noise is learnt about the plain model, and the other fits stay.
+    /// Learns the noise again from the leading fit's residual and fits all candidates again with this noise, until the leading fit
+    /// changes by less than one σ. If no fit leads, the noise is learnt from the plain model's residual, and the other fits stay.
     fn settle(&mut self, study: &FitInputs, asked: &SearchSpace) {
         for _ in 0..NOISES {
             let (next, before) = {

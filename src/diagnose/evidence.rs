@@ -6,14 +6,14 @@
 //!
 //! **Prediction.** Near its fit a model is linear in its parameters: values of causes, deviations of the stress
 //! coefficients, and nuisances, each with a normal prior. The posterior from all conditions except c predicts the residual
-//! numbers of c with mean J δ and covariance φ V, V = 1 + J Σ Jᵀ/φ. Here J has the derivatives of these numbers by the
-//! parameters, and δ and Σ are mean and covariance of the parameters' changes from the fit. φ ≥ 1 is the scale of the
+//! numbers of c with mean J δ and covariance φ V, V = 1 + J Σ Jᵀ/φ. Here J has the derivatives of the model's numbers by
+//! the parameters, and δ and Σ are mean and covariance of the parameters' changes from the fit. φ ≥ 1 is the scale of the
 //! model's own errors: their variance in the other conditions, divided by the variance of the noise. The variance of the
 //! noise is also marginalised. It is estimated from repetitions with ν degrees of freedom, so the prediction is a
 //! multivariate Student t, with log density
 //!
-//! −½ ln |V| − ½ n ln φ − ½ (ν + n) ln(1 + Q/(νφ)) + a constant of the condition, where e = residual − J δ is the error, Q
-//! = eᵀ V⁻¹ e, and n the number of components of e.
+//! −½ ln |V| − ½ n ln φ − ½ (ν + n) ln(1 + Q/(νφ)) + a constant of the condition, where e = residual − J δ is the error, n
+//! its number of components, and Q = eᵀ V⁻¹ e.
 //!
 //! The sum of these densities over c is the elpd (Vehtari, Gelman & Gabry 2017). If only condition c contains information on a parameter,
 //! the prediction of c uses the parameter's prior. So the fastest or deepest condition is predicted with a wide V, and cannot exclude a

@@ -77,7 +77,7 @@ pub trait ForwardModel: Sync {
     fn with_hardware(&self, _sand: &SandParameters, _found: &HardwareDescription) -> Option<Vec<f64>> {
         None
     }
-    /// The same model with terms in its sand; None if it does not support them.
+    /// The same model with these terms added to its sand; None if the model does not support terms.
     fn with_terms(&self, _terms: &[Term]) -> Option<Box<dyn ForwardModel + '_>> {
         None
     }

@@ -3,8 +3,8 @@
 //! Each coefficient is c_k (1 + s d_k), with s its relative prior sd and d_k ~ N(0, 1). The d_k are also fitted, with
 //! the prior's penalty d_k². W whitens the measured numbers y and the prediction m, V is the covariance of the noise,
 //! and J the derivatives of m by the s d_k. For a linear model the least value of |W (y − m)|² + |d|² is the χ² under
-//! the covariance V + s² J Jᵀ. Nuisances are fitted in the same way, with their columns after those of the
-//! coefficients; they change the readings, but not the prediction of the sand.
+//! the covariance V + s² J Jᵀ. Nuisances are fitted in the same way, with their columns after the coefficients'
+//! columns; they change the readings, but not the prediction of the sand.
 
 use super::fit::{COEFFICIENTS, Fit, Stack, slope};
 use super::normal_equations::NormalEquations;
@@ -17,7 +17,7 @@ use std::sync::Arc;
 
 /// A fit ends with a step that reduces χ² by less than this: a hundredth of a unit is far below every threshold in use.
 const SETTLED: f64 = 0.01;
-/// The same for a rough model, whose χ² differs by about this much between neighbouring states.
+/// The least gain for a rough model, whose χ² differs by about this much between neighbouring states.
 const SETTLED_ROUGHLY: f64 = 0.25;
 
 /// Bound of a nuisance in prior standard deviations: our choice. Without this bound, nuisances could take absurd values to compensate for
@@ -247,7 +247,7 @@ impl FitInputs<'_> {
         }
     }
 
-    /// Computes the derivatives by the values of the active fits, and puts them before those by the coefficients.
+    /// Computes the slopes of the active fits by the values, and puts them before the slopes by the coefficients.
     fn set_value_slopes(&self, fits: &mut [Fit], active: &[usize]) {
         let (mut steps, mut states) = (Vec::new(), Vec::new());
         for fit in active.iter().map(|&k| &fits[k]) {

@@ -1,5 +1,5 @@
-//! Learns the parameters of the noise from the repetitions in the data: those for which the differences between
-//! repetitions are most likely.
+//! Learns the parameters of the noise from the repetitions in the data: the parameters with which the differences
+//! between repetitions are most likely.
 
 use super::errors::SquaredErrors;
 use super::likelihood::Landscape;

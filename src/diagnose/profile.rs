@@ -65,7 +65,7 @@ fn within(scan: &[(f64, f64)], least: f64, allowed: f64) -> [f64; 2] {
     [low, high]
 }
 
-/// Fits with value `k` fixed at several points about that of `fit`. The other values first change as the slopes at
+/// Fits with value `k` fixed at several points about its value in `fit`. The other values first change as the slopes at
 /// `fit` predict, and then by a Gauss-Newton step from the residual, if the step reduces the objective.
 fn scan(study: &FitInputs, fit: &Fit, k: usize) -> Vec<Fit> {
     let (at, bounds) = (fit.coordinates()[k], CATALOG[fit.ids[k]].coordinate_bounds());

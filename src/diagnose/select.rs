@@ -96,8 +96,8 @@ pub fn select(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -
     if sensor.is_empty() || selection.verdict() != Verdict::NoiseFloor || study.nuisances.is_empty() {
         return Ok(selection);
     }
-    // Selections with and without nuisances are compared under the noise of the first one. Their nuisances differ, so
-    // the densities of the stated priors are left out of the comparison.
+    // Selections with and without nuisances are compared under the noise of the selection with nuisances. Their
+    // nuisances differ, so the densities of the stated priors are left out of the comparison.
     let conditions = study.observations.conditions.len();
     let measured = |table: &EvidenceTable| table.rows[0].elpd[..conditions].iter().sum::<f64>();
     let with = measured(&selection.table);
@@ -155,8 +155,8 @@ fn judged(
             continue;
         }
         let mut nested = nested(renewed, asked, &candidates, &models, &ruling);
-        // The models chosen anew in the folds may have no smaller error than the plain model. Their error then replaces that of the written model,
-        // and the verdict is given again.
+        // If the models chosen anew in the folds have no smaller error than the plain model, their error replaces the written model's error, and
+        // the verdict is given again.
         while !matches!(ruling.written, Written::Cause | Written::Plain) && nested[1].rmse() >= entries[0].error {
             entries[ruling.model].error = nested[1].rmse();
             ruling = verdict(&entries, SECOND);

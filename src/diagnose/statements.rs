@@ -35,7 +35,7 @@ pub fn violations(r: &Report) -> Vec<String> {
             -plain.difference, plain.standard_error, r.lack_of_fit
         ),
     );
-    // 2. If a model predicts better than the plain one, a model is written, and the gain is that of the written model.
+    // 2. If a model predicts better than the plain one, a model is written, and the reported gain is the gain of the written model.
     holds(
         !behind(plain) || r.written != Written::Plain,
         "a model predicts better than the plain one, but the plain one is written".into(),

@@ -61,7 +61,7 @@ static CHANNELS: [(usize, Channel); MEASURED] = [
     (SPEED_ERROR, Channel::new("hip_speed_error_rms", "rad/s", false)),
 ];
 
-/// Number of strides in a measurement, if the data do not give it: that of the protocol.
+/// Number of strides in the protocol's measurement, for data that do not give it.
 const STRIDES: f64 = 4.0;
 /// Largest number of different setups: our choice. Each is simulated some five hundred times, and sixty runs take about
 /// a minute.

@@ -98,8 +98,8 @@ impl<'a> WalkingModel<'a> {
     }
 
     /// Corrects the error of the default time step, which is some tenths of a percent. Each channel of each setup is
-    /// multiplied by a factor: the plain simulation's result with an eighth of the time step, divided by that with the
-    /// whole step. An eighth of the error remains.
+    /// multiplied by a factor: the plain simulation's result with an eighth of the time step, divided by its result
+    /// with the whole step. An eighth of the error remains.
     fn correct_step(&mut self) -> Result<()> {
         let plain = self.plain_sand();
         let (fine, coarse) = (self.stepped(EngineKind::Lanes, &plain, FINE)?, self.predict(&plain.0, &plain.1));

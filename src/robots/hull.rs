@@ -83,7 +83,7 @@ impl Hull<'_> {
         Some(faces)
     }
 
-    /// Links those of `faces` that share an edge as neighbours.
+    /// Links faces of `faces` that share an edge as neighbours.
     fn join(&mut self, faces: &[usize]) -> Option<()> {
         let mut edges = HashMap::new();
         for &f in faces {
@@ -103,7 +103,7 @@ impl Hull<'_> {
         faces.iter().all(|f| self.faces[*f].beside.iter().all(|b| *b != usize::MAX)).then_some(())
     }
 
-    /// Assigns each point to the first face that it lies outside of.
+    /// Assigns each point to the first face on whose outer side it lies.
     fn assign(&mut self, points: &[usize], faces: &[usize]) {
         for &p in points {
             if let Some(&f) = faces.iter().find(|f| self.height(**f, p) > self.least) {

@@ -111,7 +111,7 @@ pub fn load(path: &Path) -> Result<Import> {
     load_with(path, &Posture::default())
 }
 
-/// Reads a robot, and replaces poses and gains by those in `posture`.
+/// Reads a robot, and replaces poses and gains by the values in `posture`.
 pub fn load_with(path: &Path, posture: &Posture) -> Result<Import> {
     let ending = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
     match ending.as_deref() {

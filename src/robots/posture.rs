@@ -15,7 +15,7 @@ use std::collections::BTreeMap;
 /// files round numbers to three digits.
 const ROUNDING: f64 = 1e-3;
 
-/// Values that replace those of a description, by patterns of joint names.
+/// Values that replace a description's values, by patterns of joint names.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Posture {

@@ -65,7 +65,7 @@ fn grains() -> Result<String> {
     Ok(text)
 }
 
-/// Walking speeds compared with those of independent codes.
+/// Compares walking speeds with the results of independent codes.
 fn walks() -> Result<String> {
     let trial = |leg: &str, frequency: f64| -> Result<WalkTrial> {
         let scene = Scene::flat(Medium::named("poppy-loose")?);

@@ -45,7 +45,7 @@ impl RunTable {
     }
 }
 
-/// Largest number of runs that an experiment file lists: our choice, the same as that of a log.
+/// Largest number of runs that an experiment file lists: our choice, the same as in a log.
 const MOST_RUNS: usize = 1000;
 
 /// Names of the keys. The key `topics` has no effect on a CSV file; it is for recordings that `sandgait.logs` (Python) reads.

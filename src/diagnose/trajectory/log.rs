@@ -10,7 +10,7 @@ use std::path::Path;
 
 /// Largest number of values in a log: our choice, 160 MB.
 const MOST_NUMBERS: usize = 20_000_000;
-/// Largest number of a robot's joints: our choice, those of a hexapod with four joints a leg.
+/// Largest number of a robot's joints: our choice, enough for a hexapod with four joints a leg.
 pub const MOST_JOINTS: usize = 24;
 /// Largest number of runs in a log: our choice.
 const MOST_RUNS: usize = 1000;

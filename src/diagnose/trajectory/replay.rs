@@ -25,7 +25,7 @@ const STIFFER: f64 = 20.0;
 pub const SIGNALS: usize = 11;
 /// Time simulated after the end of a window [s], for sensors with a delay: five times the usual delay.
 pub const BEYOND: f64 = 0.03;
-/// Number of robots in one engine: that of the widest block of lanes.
+/// Number of robots in one engine: as many as the widest block of lanes holds.
 const TOGETHER: usize = 16;
 /// Number of ticks between two checks for a cancellation.
 const CHECK_INTERVAL: usize = 256;

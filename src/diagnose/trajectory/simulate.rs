@@ -86,7 +86,7 @@ impl TrajectoryModel<'_> {
         tracks.iter().enumerate().flat_map(of).collect()
     }
 
-    /// Predicted numbers of one state with other masses, time steps and hardware than those of [`Self::simulate`].
+    /// Predicted numbers of one state, with another mass, time step and hardware than in [`Self::simulate`].
     pub(super) fn replayed(
         &self,
         sand: &SandParameters,
