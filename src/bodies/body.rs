@@ -17,8 +17,8 @@ pub struct Bodies {
 }
 
 /// A body's plates. Without a plate size the law is evaluated once for each patch of plates, by the code of engine
-/// `tree`. With a plate size, and for a body with a thin plate or a face, it is evaluated once for each plate, as in
-/// `sandgait intrude`.
+/// `tree`. With a plate size, and for a body with a thin plate or a face, the law is evaluated once for each plate, as
+/// in `sandgait intrude`.
 #[derive(Debug)]
 pub(crate) struct CutBody {
     pub pieces: Vec<BodyPlate>,
@@ -26,13 +26,14 @@ pub(crate) struct CutBody {
     pub exact: bool,
     /// A ball that contains the plates.
     pub ball: Ball,
-    /// The patches for each law, and the same with eight in lanes.
+    /// For each law the patches, once singly and once as groups of eight in lanes.
     patches: [OnceLock<(BodyPatches, Vec<EightPatches>)>; 3],
 }
 
 impl Bodies {
-    /// Each body's name and parts. `plate_size` [m]: size of the plates, for each of which the law is then evaluated.
-    /// None: plates that are finer than those of robots in engine `tree`, for accurate forces in every single pose.
+    /// Each body's name and parts. `plate_size` [m]: size of the plates; the law is then evaluated for each plate.
+    /// None: the plates are finer than those of robots in engine `tree`, so that forces are accurate in every single
+    /// pose.
     pub fn new(bodies: Vec<(String, Vec<BodyPart>)>, plate_size: Option<f64>) -> Result<Self> {
         if bodies.is_empty() {
             return Err(Error::invalid("bodies", "there are none"));

@@ -1,23 +1,23 @@
-//! The force law for each plate by itself, with the rules of `sandgait intrude` for plates that the leading edge or
-//! the surface of the sand crosses.
+//! Evaluates the force law for each plate separately. For plates that the leading edge or the surface of the sand
+//! crosses, the rules are those of `sandgait intrude`.
 //!
 //! In `sandgait intrude` a flat plate either leads or does not. Here its force rises over a small range of n·v̂, which
 //! [`crate::sand::Regularization::leading_edge_gate`] gives, because an integrator needs a force without jumps. For a
-//! flat plate the range begins at n·v̂ = 0. For a bent plate it lies evenly about 0, because on average half of a bent
-//! plate leads at n·v̂ = 0.
+//! flat plate the range begins at n·v̂ = 0. For a bent plate the range is symmetric about 0, because on average half of
+//! a bent plate leads at n·v̂ = 0.
 //!
 //! The drag D of a body is the sum of two parts over its plates (or patches).
 //!
-//! First, the plate's force F falls to zero with the speed. Its slope along v, taken as the secant from rest, is
-//! c = −F·v/v². It acts against changes of v in all directions.
+//! First, the plate's force F falls to zero with the speed. Its slope along v, taken as the secant from rest, is c =
+//! −F·v/v². This part of the drag acts against changes of v in all directions.
 //!
 //! Second, the share s(n·v̂) of the plate that leads changes with the direction of motion. So the force along n changes
 //! by e = −F·n s'/(s √(v² + v0²)) for each unit of n·v.
 //!
 //! Both parts together would count a change along v twice. So the second part has no effect along v
 //! ([`Total::add_slope`]): D = Σ Jᵀ(c I + e (q qᵀ − κ² v̂v̂ᵀ))J. D is symmetric and positive semidefinite, and along
-//! the motion ξ it equals the secant: ξᵀDξ = −ξᵀf. Near rest v̂ = v/√(v² + v0²) is 0 and q = n, because there the force
-//! grows by both parts.
+//! the motion ξ it equals the secant: ξᵀDξ = −ξᵀf. Near rest v̂ = v/√(v² + v0²) is 0 and so q = n: there a change of v
+//! increases the force through both parts.
 
 use super::part::BodyPlate;
 use crate::number::{Real, Vec3};
@@ -27,11 +27,11 @@ use crate::sim::spatial::Twist;
 use crate::sim::tree::sand::Total;
 use crate::sim::tree::terrain::Local;
 
-/// Below this a normal's z counts as 0, so that rounding does not decide which side of a vertical plate is the lower
-/// one. The same as in `sandgait intrude`.
+/// A normal's z below this counts as 0, so that rounding does not decide which side of a vertical plate is the lower
+/// side. The value is that of `sandgait intrude`.
 const UPRIGHT: f64 = 1e-12;
 
-/// What all plates of a body share.
+/// The data that all plates of a body share.
 struct PlateScene<'a, R> {
     bed: &'a SandBed<R>,
     frame: &'a LinkFrame<R>,
@@ -100,7 +100,7 @@ impl<R: Real> PlateScene<'_, R> {
         if !R::any(zero.lt(low)) {
             return None;
         }
-        // Mean depth of the part in the sand, and its share of the plate.
+        // Mean depth of the part of the plate in the sand, and this part's share of the plate.
         let low = low.max(zero);
         let covered = depth.lt(rise);
         let mean = R::select(covered, low * half, depth);
@@ -120,7 +120,7 @@ impl<R: Real> PlateScene<'_, R> {
             let turning = normal.dot(self.velocity.angular.cross(sides[k]));
             sum + sides[k].dot(v).mul_add(R::splat(plate.bend[k]), turning).abs()
         });
-        // The share that leads rises from 0 at n·v = −`before` to 1 at `after`.
+        // The leading share of the plate rises from 0 at n·v = −`before` to 1 at n·v = `after`.
         let range = self.gate / self.bed.inverse_speed(v);
         let bent = plate.bend != [0.0; 2];
         let before = if bent { uneven.max(range * half) } else { uneven };
@@ -130,8 +130,8 @@ impl<R: Real> PlateScene<'_, R> {
         if !R::any(zero.lt(leads)) {
             return None;
         }
-        // If the leading edge crosses the plate, n·v of the leading part runs from 0 to `along + uneven`: its mean is
-        // half of this.
+        // If the leading edge crosses the plate, n·v of the leading part ranges from 0 to `along + uneven`, so its mean
+        // is half of this.
         let toward = along.max((along + uneven) * half).max(zero);
         let (full, drag) = self.law(&site, area, normal, normal.scale_add(toward - along, v), v);
         let rising = (-full.dot(normal)).max(zero) * growth;

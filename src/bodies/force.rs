@@ -15,8 +15,8 @@ use crate::sim::tree::terrain::Surface;
 pub(crate) trait BodyForce<R: Real> {
     fn surface(&self) -> &Under<R>;
 
-    /// The force on one body about `place`, with drags as masses of `dt` = 1 s; None if the body is not in the sand.
-    /// `travel`: horizontal velocity of the vehicle.
+    /// Force and moment on one body about `place`, and its drag, given as masses for `dt` = 1 s; None if the body is
+    /// not in the sand. `travel`: horizontal velocity of the vehicle.
     fn on(&self, body: &CutBody, frame: &LinkFrame<R>, place: &Vec3<R>, travel: [R; 2]) -> Option<Total<R>>;
 }
 
@@ -99,7 +99,7 @@ impl<R: Eight> Kernel for EightForce<'_, R> {
     }
 }
 
-/// The force law for each plate by itself.
+/// Evaluates the force law for each plate separately.
 #[inline(always)]
 fn on_each<R: Real>(
     (sand, bed, under): (&SandGround, &SandBed<R>, &Under<R>),

@@ -15,7 +15,7 @@ pub struct GroundOptions {
     pub height: f64,
     /// Inclination [°]: the surface rises towards +x.
     pub slope_deg: f64,
-    /// Heights of the surface; not together with a slope.
+    /// Heights of the surface; cannot be combined with a slope.
     pub relief: Option<Relief>,
     /// See [`Regularization::rest_speed`] [m/s]. Our choice 2e-6, a fifth of the engines' value, because bodies of any
     /// weight, in any medium, then creep by less than 0.1 mm in 10 s.
@@ -52,8 +52,8 @@ impl SandGround {
         check_range("height", options.height, -1e4..=1e4)?;
         let slope_deg = options.slope_deg + description.mechanisms.slope.to_degrees();
         check_range("slope_deg", slope_deg, -Scene::MAX_SLOPE_DEG..=Scene::MAX_SLOPE_DEG)?;
-        // Our choice, because below 1e-9 m/s the drag at rest exceeds what single precision can resolve, and above
-        // 0.1 m/s a robot sinks while it stands.
+        // Our choice of bounds: below 1e-9 m/s the drag at rest is too large for single precision, and above 0.1 m/s a
+        // standing robot sinks.
         check_range("rest_speed", options.rest_speed, 1e-9..=0.1)?;
         check_range("leading_edge_gate", options.leading_edge_gate, 1e-3..=1.0)?;
         if options.relief.is_some() && slope_deg != 0.0 {
@@ -133,7 +133,7 @@ pub(crate) struct Under<R> {
     relief: Option<LaneRelief>,
 }
 
-/// "Flat" means here that the plane is the same everywhere; it may be inclined.
+/// "Flat" here means one plane, which may be inclined.
 impl<R: Real> terrain::Surface<R> for Under<R> {
     #[inline(always)]
     fn is_flat(&self) -> bool {

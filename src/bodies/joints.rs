@@ -1,10 +1,10 @@
 //! Sand in the joint space of a tree of bodies, in the form of MuJoCo's arrays.
 //!
 //! The force on a body at the end of a step is f − C (v⁺ − v) with its drag C. With v⁺ − v = J q̈ dt this is the
-//! generalized force Jᵀf − dt JᵀCJ q̈, so M q̈ = τ + Jᵀf − dt JᵀCJ q̈ becomes (M + dt JᵀCJ) q̈ = τ + Jᵀf. The term
-//! dt JᵀCJ is added to the inertia only, so that it resists changes of velocity; it has no weight and causes no
-//! velocity-product forces. JᵀCJ couples only joints on the same path from a body to the root. So it has an entry only
-//! where M has one, and a simulator's own sparse factorisation serves for the sum.
+//! generalized force Jᵀf − dt JᵀCJ q̈, so M q̈ = τ + Jᵀf − dt JᵀCJ q̈ becomes (M + dt JᵀCJ) q̈ = τ + Jᵀf. The term dt
+//! JᵀCJ is added to the inertia only. So it resists changes of velocity, but has no weight and causes no
+//! velocity-product forces. JᵀCJ couples only joints on the same path from a body to the root. So JᵀCJ has an entry
+//! only where M has an entry, and a simulator can factorise the sum with its own sparse factorisation.
 
 use super::body::Bodies;
 use super::force::{BodyForce, EightGround, LaneGround};
@@ -23,7 +23,7 @@ pub struct TreeIndex {
     pub root: Vec<usize>,
     /// The last degree of freedom that moves each of these bodies.
     pub last_dof: Vec<usize>,
-    /// The degree of freedom before each one on the way to the root; negative: none.
+    /// For each degree of freedom the next one on the way to the root; negative: there is none.
     pub dof_parent: Vec<i32>,
     /// The lower triangle of M by rows: first entry, number of entries, and their columns.
     pub row_start: Vec<i32>,
@@ -38,10 +38,10 @@ pub struct TreeMotion<'a> {
     pub rotation: &'a [f64],
     /// Angular and linear velocity of each body [bodies, 6], the linear part at its tree's centre of mass.
     pub velocity: &'a [f64],
-    /// Centre of mass of the tree below each body [bodies, 3]; those of the roots are used.
+    /// Centre of mass of the subtree of each body [bodies, 3]; only the roots' entries are used.
     pub center: &'a [f64],
-    /// Velocity, in the form of `velocity`, of the body that each degree of freedom moves, at a unit rate of this
-    /// degree of freedom [dofs, 6].
+    /// For each degree of freedom at unit rate, the velocity of the body that it moves, in the form of `velocity`
+    /// [dofs, 6].
     pub axis: &'a [f64],
 }
 
@@ -147,7 +147,7 @@ impl JointSand {
         Ok(())
     }
 
-    /// Frame of body `k`, whose common point is the tree's centre of mass; that point; the velocity of the tree's root.
+    /// Returns the frame of body `k`, relative to the tree's centre of mass; this centre; and the horizontal velocity of the tree's root.
     fn frame(&self, motion: &TreeMotion<'_>, k: usize) -> (LinkFrame<f64>, Vec3<f64>, [f64; 2]) {
         let (body, root) = (self.tree.body[k], self.tree.root[k]);
         let vector = |all: &[f64], i: usize| Vec3::new(all[3 * i], all[3 * i + 1], all[3 * i + 2]);
@@ -246,7 +246,7 @@ impl<F: FnMut(usize, Spatial, [Spatial; 6])> EachBody<'_, F> {
     }
 }
 
-/// The matrix over (angular, linear) of one over (linear, angular).
+/// Reorders a matrix from (linear, angular) to (angular, linear).
 fn angular_first(m: &[[f64; 6]; 6]) -> [Spatial; 6] {
     std::array::from_fn(|i| std::array::from_fn(|j| m[(i + 3) % 6][(j + 3) % 6]))
 }

@@ -9,7 +9,7 @@ use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use std::path::Path;
 use std::sync::Arc;
 
-/// What a body can consist of, with the names and lengths of each.
+/// The shapes that a body can consist of, each with its name and lengths.
 const KINDS: [&str; 9] = [
     "sphere:radius=M",
     "box:length=M,width=M,height=M",
@@ -40,7 +40,7 @@ pub struct BodyPart {
 #[derive(Clone, Debug)]
 enum PartKind {
     Solid(Geometry),
-    /// A rectangle in the plane of x and y [m]. `thin`: sand acts on both faces, else on the upper one (+z) only.
+    /// A rectangle in the plane of x and y [m]. `thin`: sand acts on both faces; otherwise only on the upper face (+z).
     Sheet {
         length: f64,
         width: f64,
@@ -48,7 +48,7 @@ enum PartKind {
     },
 }
 
-/// A plate, and whether it is a thin one, on which sand acts from both sides.
+/// A plate, and whether it is thin, so that sand acts on both of its sides.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BodyPlate {
     pub plate: IntruderPlate,
@@ -102,7 +102,7 @@ impl BodyPart {
         Ok(Self { kind: PartKind::Solid(solid(name, triangles)?), origin: Isometry3::identity() })
     }
 
-    /// The same part moved: to `position` [m], and turned by the quaternion (w, x, y, z).
+    /// The same part, moved to `position` [m] and turned by the quaternion (w, x, y, z).
     pub fn placed(mut self, position: [f64; 3], quaternion: [f64; 4]) -> Result<Self> {
         let [w, x, y, z] = quaternion;
         let squared = w * w + x * x + y * y + z * z;
@@ -171,8 +171,8 @@ fn solid(name: &str, triangles: Vec<[Vector3<f64>; 3]>) -> Result<Geometry> {
     Err(Error::invalid("mesh", format!("{name}: the surface is not closed")))
 }
 
-/// The surface that sand pushes on: the mesh itself if it is closed, otherwise its convex hull; and whether it is the
-/// hull. None: the mesh is flat.
+/// The surface that sand pushes on: the mesh itself if it is closed, otherwise its convex hull. The second value is
+/// true for the hull. None: the mesh is flat.
 pub fn closed_surface(triangles: Vec<[[f64; 3]; 3]>) -> Option<(Vec<[[f64; 3]; 3]>, bool)> {
     let vectors: Vec<_> = triangles.iter().map(|t| t.map(Vector3::from)).collect();
     match closed(&vectors) {

@@ -1,4 +1,4 @@
-//! Forces are those of `sandgait intrude` and of engine `tree`.
+//! Forces equal the forces of `sandgait intrude` and of engine `tree`.
 
 use super::*;
 use crate::number::Vec3;

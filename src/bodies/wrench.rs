@@ -1,6 +1,6 @@
 //! Forces on many bodies in many states. For arrays of `f64` the forces are computed in `f64`, with eight patches of a
-//! body in lanes. For arrays of `f32` they are computed in `f32`, with one state in each lane. So the bits of a result
-//! depend on its own state only.
+//! body in lanes. For arrays of `f32` they are computed in `f32`, with one state in each lane. So each result depends,
+//! to the last bit, on its own state only.
 
 use super::body::{Bodies, CutBody};
 use super::force::{BodyForce, EightGround, LaneGround};
@@ -14,8 +14,8 @@ use crate::sim::tree::terrain::Surface;
 use std::marker::PhantomData;
 use std::thread;
 
-/// Number of bodies, in all states together, for each further thread: our choice, because they take some ten times the
-/// 30 µs in which a thread starts.
+/// For each such number of bodies, counted over all states, one more thread is used: our choice, because the forces on
+/// this many bodies take some ten times the 30 µs in which a thread starts.
 const FOR_A_THREAD: usize = 1024;
 
 /// The type of the numbers in the caller's arrays.
@@ -23,7 +23,7 @@ pub trait Precision: Copy + Send + Sync + Into<f64> {
     /// Number of states that are computed together.
     fn lanes(isa: Isa) -> usize;
     fn of(value: f64) -> Self;
-    /// Computes a share of the states in this precision. Not generic, so that this crate alone compiles the hot loops.
+    /// Computes a share of the states in this precision. The function is not generic, so that the hot loops are compiled in this crate alone.
     fn compute(isa: Isa, share: StateShare<'_, Self>) -> Result<()>;
 }
 
@@ -103,7 +103,7 @@ impl<'a, T: Precision> Motions<'a, T> {
             for state in 0..states {
                 for (body, of) in bodies.names().iter().enumerate() {
                     let row = array.row(state, body, width);
-                    // A sum is finite only if every number is, and numbers near the largest are wrong, too.
+                    // A sum is finite only if every number is finite. Numbers so large that only their sum overflows are also wrong.
                     if !row.iter().fold(0.0, |sum: f64, x| sum + (*x).into()).is_finite() {
                         return Err(Error::invalid(name, format!("of {of:?} in state {state} is not finite")));
                     }
@@ -214,7 +214,7 @@ impl<T: Precision> StateShare<'_, T> {
         // The body may be anywhere in a ball about its origin.
         let reach = Vec3::<f64>::splat(body.ball.center).norm_squared().sqrt() + body.ball.reach;
         let near = place.surface().under(at).depth(at) + R::splat(reach);
-        // On uneven ground the surface next to the body may be higher than below it.
+        // On uneven ground the surface beside the body may be higher than the surface below the body, so only flat ground allows this test.
         if place.surface().is_flat() && !R::any(R::zero().lt(near)) {
             return;
         }

@@ -1,9 +1,9 @@
 //! The scale of a user's sand from one slow vertical penetration of a horizontal plate.
 //!
 //! Force over depth is a line through the origin, F = ζ z A (Li et al. 2012, section 2: linear fit with zero
-//! intercept), so ζ is one least-squares slope. Samples of a force trace are not independent. So the confidence
-//! interval comes from leaving out one stretch of depth at a time (jackknife), not from the scatter of single
-//! samples.
+//! intercept), so ζ is one least-squares slope. Samples of a force log are not independent of each other. So the
+//! confidence interval is computed by leaving out one stretch of depth at a time (jackknife), and not from the scatter
+//! of single samples.
 
 use sandgait_base::{error, student};
 use sandgait_plot as plot;
@@ -26,11 +26,11 @@ const STRETCHES: usize = 6;
 const T_95: f64 = 2.571;
 /// Least number of samples in a test: our choice, four for each stretch.
 const LEAST_SAMPLES: usize = 4 * STRETCHES;
-/// Share of the greatest depth that is left out at the top, where grains still pile up: our choice, because the paper,
-/// too, fits the steady state only.
+/// The uppermost part of the test, where grains still pile up, is left out; this is its share of the greatest depth.
+/// Our choice, because Li et al. 2012 also fit the steady state only.
 const TRANSIENT: f64 = 0.1;
 /// If the line explains less than this share of the variance, the test was not a quasi-static penetration, whose force
-/// is proportional to the depth. Our choice, below 1 because of noise.
+/// is proportional to the depth. Our choice; it is below 1 because of noise.
 const LEAST_R_SQUARED: f64 = 0.8;
 
 /// Results of a penetration test.
@@ -45,13 +45,13 @@ pub struct Calibration {
     pub xi_n_interval: [f64; 2],
     /// Share of the force's variance that the line explains.
     pub r_squared: f64,
-    /// Depth at which a line with free intercept starts [m]; 0 if depth was counted from the surface.
+    /// Depth at which the force of a line with free intercept is 0 [m]; about 0 if depth was counted from the surface.
     pub surface_offset: f64,
     /// Number of samples in the fit.
     pub samples: usize,
     /// Area of the plate [m²].
     pub area: f64,
-    /// Warnings about the number.
+    /// Warnings about the result.
     pub cautions: Vec<String>,
 }
 

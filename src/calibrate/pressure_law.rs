@@ -14,8 +14,8 @@ pub enum PressureLaw {
     Size,
     /// p = k |z|^n (D/D0)^q
     PowerAndSize,
-    /// p = a D + b |z|: bearing capacity of a round footing, a for the weight of the sand beside it, b for the depth
-    /// (Terzaghi 1943).
+    /// p = a D + b |z|: bearing capacity of a round footing (Terzaghi 1943); a D is due to the weight of the sand
+    /// beside the footing, b |z| to the depth.
     Footing,
 }
 

@@ -1,9 +1,9 @@
 //! How the resistance to penetration grows with depth and with size, from several pushes of discs or plates.
 //!
-//! Pressure p = F/A of each push is averaged over stretches of depth, so that each push weighs alike. Five laws are
-//! fitted to ln p by least squares. Each must then predict a push, and a size, that was left out of its fit. The rig
-//! bends by its compliance times the force, and the log contains this deflection as depth; the compliance is fitted,
-//! too.
+//! The pressure p = F/A of each push is averaged over stretches of depth, so that all pushes have about equal weight.
+//! Five laws are fitted to ln p by least squares. Each law is then tested on pushes, and on sizes, that were left out
+//! of its fit. The rig bends by its compliance times the force, and the log contains this deflection as depth; the
+//! compliance is fitted, too.
 
 pub use super::pressure_law::PressureLaw;
 use super::{TRANSIENT, refused};
@@ -16,11 +16,11 @@ use serde::Serialize;
 const STRETCHES: usize = 12;
 /// Least number of stretches with samples: our choice, because a power of depth needs several.
 const LEAST_STRETCHES: usize = 4;
-/// Number of compliances that are tried, evenly from 0 to 0.8 of the one that would explain all of the depth of a
-/// stretch. Our choice, because the steps are then below 2 % of the largest one.
+/// Number of compliances that are tried, evenly spaced from 0 to 0.8 times the compliance that would explain the whole
+/// depth of a stretch. Our choice, because the steps are then below 2 % of the largest one.
 const COMPLIANCES: usize = 60;
-/// A law with more parameters is preferred only if it predicts better by this share: our choice, so that chance does
-/// not decide.
+/// A law with more parameters is preferred only if its prediction error is smaller by this share: our choice, so that
+/// chance does not decide.
 const WORTH: f64 = 0.05;
 /// Largest number of pushes: our choice, far more than an experiment has.
 pub const MOST_PUSHES: usize = 1000;
@@ -31,7 +31,7 @@ pub const MOST_SAMPLES: usize = 1_000_000;
 #[derive(Clone, Debug)]
 pub struct Penetration {
     pub name: String,
-    /// Diameter [m]; of a rectangle, of the disc with the same area.
+    /// Diameter of the disc [m]; for a rectangle, the diameter of the disc with the same area.
     pub diameter: f64,
     /// Depth [m] and force [N].
     pub points: Vec<[f64; 2]>,
@@ -58,11 +58,11 @@ pub struct Value {
 pub struct LawScore {
     pub law: PressureLaw,
     pub formula: &'static str,
-    /// On the pushes of the fit.
+    /// Error on the pushes of the fit.
     pub fitted_percent: f64,
-    /// On pushes that were left out.
+    /// Error on pushes that were left out of the fit.
     pub other_push_percent: f64,
-    /// On sizes that were left out; None if too few sizes remain for the fit.
+    /// Error on sizes that were left out of the fit; None if too few sizes remain for a fit.
     pub other_size_percent: Option<f64>,
 }
 
@@ -72,7 +72,7 @@ pub struct OfSize {
     /// [m]
     pub diameter: f64,
     pub pushes: usize,
-    /// Force over depth and area through the origin, mean over the pushes [N/cm³].
+    /// ζ of a line through the origin, F = ζ z A, mean over the pushes [N/cm³].
     pub zeta: f64,
     /// Standard deviation between pushes, in % of the mean; none for one push.
     pub repeatability_percent: Option<f64>,
@@ -96,7 +96,7 @@ pub struct Pushes {
     pub cautions: Vec<String>,
 }
 
-/// One stretch of a push: ln of depth, of size and of pressure; the depth is without the rig's deflection.
+/// One stretch of a push: the logarithms of depth, size and pressure; the rig's deflection is subtracted from the depth.
 type Point = [f64; 3];
 
 /// Compares the laws. `compliance` [m/N] of the rig is fitted if it is not given.
@@ -143,8 +143,8 @@ pub fn compare(pushes: &[Penetration], compliance: Option<f64>) -> Result<Pushes
     Ok(study)
 }
 
-/// The simplest law whose error no other law reduces by more than the share [`WORTH`]. The error is that on left-out
-/// sizes or, if a law has none, that on left-out pushes.
+/// The simplest law whose error no other law reduces by more than the share [`WORTH`]. The error of a law is its error
+/// on left-out sizes or, if it has no such error, on left-out pushes.
 fn chosen(scores: &[LawScore]) -> PressureLaw {
     let error = |s: &LawScore| s.other_size_percent.unwrap_or(s.other_push_percent);
     let least = scores.iter().map(error).fold(f64::INFINITY, f64::min);
@@ -159,7 +159,7 @@ fn diameters(pushes: &[Penetration]) -> Vec<f64> {
     all
 }
 
-/// Mean depth and force of each stretch of depth below the first tenth.
+/// Mean depth and force of each stretch of depth, without the uppermost tenth of the depth.
 fn stretches(push: &Penetration) -> Result<Vec<[f64; 2]>> {
     let deepest = push.points.iter().map(|p| p[0]).fold(0.0, f64::max);
     let from = TRANSIENT * deepest;
@@ -207,7 +207,7 @@ fn fit(law: PressureLaw, points: &[Point]) -> Result<[f64; 3]> {
         PressureLaw::Power => vec![1.0, p[0]],
         PressureLaw::Size => vec![1.0, p[1]],
         PressureLaw::PowerAndSize => vec![1.0, p[0], p[1]],
-        // Relative errors: each pressure counts as 1.
+        // Each equation is divided by its pressure, so that least squares minimises relative errors.
         PressureLaw::Footing => vec![(p[1] - p[2]).exp(), (p[0] - p[2]).exp()],
     };
     let target = |p: &Point| match law {
@@ -250,7 +250,7 @@ fn percent(sum: f64, count: usize) -> f64 {
 fn score(law: PressureLaw, pushes: &[Penetration], points: &[Vec<Point>]) -> Result<LawScore> {
     let all: Vec<usize> = (0..pushes.len()).collect();
     let count = points.iter().map(Vec::len).sum();
-    // Each group in turn is predicted by a law fitted on all others.
+    // Leaves out each group in turn: a law that is fitted to all other groups predicts it.
     let left_out = |groups: &[Vec<usize>]| -> Result<f64> {
         let mut sum = 0.0;
         for group in groups {
@@ -262,7 +262,7 @@ fn score(law: PressureLaw, pushes: &[Penetration], points: &[Vec<Point>]) -> Res
     let sizes = diameters(pushes);
     let of_size = |d: &f64| all.iter().copied().filter(|k| (pushes[*k].diameter - d).abs() < 1e-6).collect();
     let groups: Vec<Vec<usize>> = sizes.iter().map(of_size).collect();
-    // A law with an exponent of size needs two sizes in its fit.
+    // A law with an exponent of size needs at least two sizes in its fit.
     let enough = sizes.len() > 1 + usize::from(law.knows_size());
     let gathered = gathered(points, &all);
     Ok(LawScore {
@@ -274,7 +274,7 @@ fn score(law: PressureLaw, pushes: &[Penetration], points: &[Vec<Point>]) -> Res
     })
 }
 
-/// The compliance [m/N] with which the law with the most exponents fits best.
+/// The compliance [m/N] with which the law that has the most exponents fits best.
 fn soft(pushes: &[Penetration], stretches: &[Vec<[f64; 2]>], chosen: &[usize], sized: bool) -> Result<f64> {
     let law = if sized { PressureLaw::PowerAndSize } else { PressureLaw::Power };
     let all = stretches.iter().flatten();
@@ -322,8 +322,8 @@ fn by_size(pushes: &[Penetration]) -> Result<Vec<OfSize>> {
     diameters(pushes).into_iter().map(of).collect()
 }
 
-/// Scatter between pushes of one size above which a warning says that the sand was not prepared alike [%]: our choice,
-/// because beds prepared by hand scatter by 5 to 10 %.
+/// If pushes of one size scatter by more than this [%], a warning says that the sand was not prepared equally: our
+/// choice, because beds prepared by hand scatter by 5 to 10 %.
 const MOST_SCATTER: f64 = 10.0;
 
 fn cautions(study: &Pushes, pushes: &[Penetration]) -> Vec<String> {

@@ -31,7 +31,7 @@ pub struct Tests {
     pub pushes: Vec<Penetration>,
 }
 
-/// Reads a file. `units` are those of depth and force if the header does not give them.
+/// Reads a file. `units` gives the units of depth and force if the header does not.
 pub fn file(path: &Path, units: BTreeMap<String, String>) -> Result<Tests> {
     let mut several = Several::default();
     let (mut depth, mut force) = (Vec::new(), Vec::new());
@@ -58,7 +58,7 @@ fn take(row: &Row, depth: &mut Vec<f64>, force: &mut Vec<f64>, several: &mut Sev
     if row.text(2).is_some() { several.take(row, z, f) } else { Ok(()) }
 }
 
-/// Pushes as they are read.
+/// Pushes while they are read.
 #[derive(Default)]
 struct Several {
     pushes: Vec<Penetration>,

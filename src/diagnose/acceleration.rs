@@ -4,16 +4,16 @@ use super::track::ArmPose;
 use std::ops::Range;
 
 /// Number of samples from which an acceleration is computed if the motion is smooth: our choice. For a velocity with a
-/// period of thirteen samples the error is then 0.2 % inside a trial and 1 % at its ends (with two samples 4 % and a
-/// quarter); noise of the velocity has a third more effect.
+/// period of thirteen samples the error is then 0.2 % inside a trial and 1 % at its ends (with two samples: 4 % and 25
+/// %); noise of the velocity has an effect larger by a third.
 const STENCIL: usize = 5;
 /// The number of samples if no stretch of [`STENCIL`] is smooth; short enough for a ramp of three samples.
 const SHORT: usize = 3;
-/// A stretch is smooth if the last of its differences is below this share of those before: our choice, above that
-/// of a period of thirteen samples (a quarter) and below that of a kink.
+/// A stretch is smooth if its difference of the highest order is below this share of the differences of lower order:
+/// our choice, above the share for a period of thirteen samples (a quarter) and below that for a kink.
 const SMOOTH: f64 = 0.5;
 
-/// The stretch centred on the sample is used unless it is this many times rougher than the smoothest one beside it
+/// The stretch centred on the sample is used unless it is this many times rougher than the smoothest other stretch
 /// (Shu, Journal of Scientific Computing 5:127, 1990, takes 2).
 const SHIFT: f64 = 2.0;
 
@@ -39,7 +39,8 @@ fn stencils(poses: &[ArmPose]) -> Vec<Range<usize>> {
     (0..poses.len()).map(chosen).collect()
 }
 
-/// Size of the last difference of the velocities over a stretch, and of the greatest before it except the first.
+/// Size of the velocities' difference of the highest order over a stretch, and the greatest size of a difference of
+/// lower order, without the first order.
 fn roughness(poses: &[ArmPose]) -> [f64; 2] {
     let mut differences: Vec<[f64; 3]> = poses.iter().map(moving).collect();
     let interval = (poses[poses.len() - 1].t - poses[0].t) / (poses.len() - 1).max(1) as f64;
@@ -67,7 +68,7 @@ fn moving(pose: &ArmPose) -> [f64; 3] {
 pub struct Accelerations<'a> {
     poses: &'a [ArmPose],
     stencils: Vec<Range<usize>>,
-    /// By how many of their standard deviations they differ from the most likely ones.
+    /// Deviation of the accelerations from the most likely ones, in standard deviations.
     deviation: f64,
 }
 
@@ -96,9 +97,9 @@ impl<'a> Accelerations<'a> {
         })
     }
 
-    /// Standard deviation of the accelerations at a sample, with a sign. A log gives their means over the intervals
-    /// before and after it, and not how they change at the sample. In between, every value is equally likely: a
-    /// rectangular distribution (JCGM 100:2008, 4.3.7).
+    /// Standard deviation of the accelerations at a sample, with a sign. A log gives the mean accelerations over the
+    /// intervals before and after the sample, and not how they change at the sample. In between, every value is equally
+    /// likely: a rectangular distribution (JCGM 100:2008, 4.3.7).
     fn sd(&self, sample: usize) -> [f64; 3] {
         if sample == 0 || sample + 1 >= self.poses.len() {
             return [0.0; 3];

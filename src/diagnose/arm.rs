@@ -15,11 +15,12 @@ use crate::sand::mechanism_laws::{SandMechanisms, SegmentState, StressModel, slo
 use crate::sand::shape::{Segment, straight};
 use crate::sand::{LegShape, SandBed};
 
-/// Number of segments of a plate or leg: our choice. If a segment crosses the surface, its submerged part counts;
-/// otherwise a pressure that does not vanish at the surface, such as `cohesion`, would be found 2 % too small.
+/// Number of segments of a plate or leg: our choice. If a segment crosses the surface, only its submerged part counts;
+/// without this rule, a fit would give a pressure that does not vanish at the surface, such as `cohesion`, 2 % too
+/// small.
 const SEGMENTS: usize = 40;
-/// A trial starts at rest if its first speed is below this share of its greatest: our choice, as for the samples at
-/// rest that are left out.
+/// A trial starts at rest if its first speed is below this share of its greatest speed: our choice, the same share as
+/// for samples at rest, which are left out.
 const REST: f64 = 0.05;
 /// Steps per sample interval of the low-pass filter; the force is linear in between. Our choice.
 const FILTER_STEPS: usize = 6;
@@ -103,7 +104,7 @@ fn filter_times(poses: &[ArmPose]) -> Vec<f64> {
     steps.chain(poses.last().map(|p| p.t)).collect()
 }
 
-/// Is the first speed negligible against the greatest?
+/// Is the first speed negligible against the greatest speed?
 fn begins_at_rest(poses: &[ArmPose]) -> bool {
     let speeds = |p: &ArmPose| [p.omega.abs(), p.velocity[0].hypot(p.velocity[1])];
     let first = speeds(&poses[0]);
@@ -123,11 +124,11 @@ pub fn filtered<const N: usize>(poses: &[ArmPose], steps: &[[Load; N]], tau: f64
         let h = times[k] - times[k - 1];
         if h > 0.0 && !(rests && k <= FILTER_STEPS) {
             let decay = (-h / tau).exp();
-            // weights of the force at the start and the end of a step
+            // Weights of the force at the start and at the end of a step.
             let end = 1.0 - (1.0 - decay) * tau / h;
             let start = 1.0 - decay - end;
             let next = |y: f64, a: f64, b: f64| decay * y + start * a + end * b;
-            // At rest the direction of the coming motion is not known, so the first force is that of the next step.
+            // At rest the direction of the coming motion is not known, so the first force is taken from the next step.
             let before = if rests && k == FILTER_STEPS + 1 { &steps[k] } else { &steps[k - 1] };
             for (y, (a, b)) in state.iter_mut().zip(before.iter().zip(&steps[k])) {
                 *y = Load { fx: next(y.fx, a.fx, b.fx), fz: next(y.fz, a.fz, b.fz), ty: next(y.ty, a.ty, b.ty) };
@@ -147,7 +148,7 @@ pub struct Arm<'a, const N: usize> {
     pub mechanisms: &'a Mechanisms,
     pub sand: SandMechanisms<Doubles>,
     pub grounds: &'a [SandBed<Doubles>; N],
-    /// Those of the track; None without added mass.
+    /// The track's accelerations; None without added mass.
     pub accelerations: Option<Accelerations<'a>>,
     /// [`crate::sand::mechanism_laws::footprint`] of the track's pass.
     pub footprint: f64,
@@ -156,7 +157,7 @@ pub struct Arm<'a, const N: usize> {
 }
 
 impl<const N: usize> Arm<'_, N> {
-    /// Loads like those in the log, one for each pose.
+    /// The loads that the sensor would have read, one for each pose.
     pub fn readings(&self) -> Vec<[Load; N]> {
         let m = self.mechanisms;
         let mut loads: Vec<[Load; N]> = if m.lowpass > 0.0 {
@@ -168,7 +169,7 @@ impl<const N: usize> Arm<'_, N> {
         loads
     }
 
-    /// The pose whose force the log has at sample `index`: `delay` earlier.
+    /// The pose whose force the log has at sample `index`: the pose at a time earlier by the delay.
     fn late(&self, index: usize, pose: &ArmPose) -> ArmPose {
         if self.mechanisms.delay == 0.0 { *pose } else { self.pose_at(pose.t - self.mechanisms.delay, index) }
     }
@@ -267,7 +268,7 @@ impl<const N: usize> Arm<'_, N> {
             return full;
         };
         let chi = self.mechanisms.concave_fill;
-        // A leg that bulges forward (ξ > 0) and turns backward, or the reverse: its concave side leads.
+        // If a leg bulges forward (ξ > 0) and turns backward, or the reverse, its concave side leads.
         if chi == 0.0 || xi_deg * pose.omega >= 0.0 {
             return full;
         }
@@ -315,7 +316,7 @@ impl<const N: usize> Kernel for Sum<'_, N> {
         for block in blocks {
             let r = turn(block.center);
             let at = [splat(place.origin[0]) + r[0], splat(place.origin[1]) + r[1]];
-            // Well above the surface, so no force.
+            // These segments are well above the surface, so there is no force on them.
             let reach = splat(-arm.cut.half_thickness) - block.half;
             if !Doubles::any(reach.lt(slope_depth(slope, at[0], at[1]))) {
                 continue;

@@ -1,4 +1,4 @@
-//! The candidates: fits of every cause, and of pairs. The noise is learnt again from the residual of the best one.
+//! The candidates: fits of every cause, and of pairs of causes. The noise is learnt again from the residual of the best candidate.
 
 use super::evidence::EvidenceTable;
 use super::fit::{COEFFICIENTS, Fit, slope};
@@ -18,14 +18,14 @@ const PAIRS_FITTED: usize = 14;
 /// How often the noise is learnt again, at most, after the best candidate has changed: our choice; two times usually
 /// suffice.
 const NOISES: usize = 3;
-/// Number of candidates of one size that are fitted with the final noise and compared: our choice; those further behind
-/// differ by hundreds of χ².
+/// Number of candidates with one cause, and of pairs, that are fitted with the final noise and compared: our choice;
+/// all others have a χ² that is larger by hundreds.
 const FINALISTS: usize = 8;
-/// Share of a pair's evidence that its second cause must add: our choice. A weaker second cause beside a very strong first one
-/// may stand for a small error in the first one's law.
+/// Share of a pair's evidence that its second cause must add: our choice. A weaker second cause beside a very strong first
+/// cause may only describe a small error in the law of the first cause.
 pub const SECOND: f64 = 0.01;
 
-/// Noise, whitening and nuisances about one candidate.
+/// Noise, whitening and nuisances, computed at one candidate's fit.
 #[derive(Clone)]
 pub struct Surroundings {
     pub noise: Noise,
@@ -57,9 +57,9 @@ pub struct SearchSpace<'a> {
     pub interest: &'a [String],
 }
 
-/// Fits under one noise, and what was found before it.
+/// Fits under one noise, and results of earlier steps.
 pub struct Candidates {
-    /// The causes that were tried, and the value at which each effect was computed.
+    /// The causes that were tried, each with the value at which its effect was computed.
     pub screened: Vec<(usize, f64)>,
     /// Noise, whitening and nuisances of the last fits.
     pub around: Surroundings,
@@ -67,16 +67,16 @@ pub struct Candidates {
     pub base: Fit,
     /// Singles, then pairs, each best first, fitted with the final noise.
     pub fits: Vec<Fit>,
-    /// The fit that predicts left-out conditions best, if it does so better than the plain model.
+    /// The fit that predicts left-out conditions best, if its prediction is better than the plain model's.
     pub leading: Option<usize>,
-    /// Candidates far behind, which were fitted with an earlier noise; without stacks.
+    /// Candidates with a far larger χ², which were fitted only with an earlier noise; their stacks are empty.
     pub behind: Vec<Fit>,
-    /// Objective of the plain model under that noise.
+    /// Objective of the plain model under that earlier noise.
     pub earlier: f64,
 }
 
 impl Candidates {
-    /// Takes out all candidates with a mechanism of this kind.
+    /// Removes all candidates with a mechanism for which `kind` is true.
     pub fn without(&mut self, kind: &dyn Fn(&usize) -> bool) {
         let leading = self.leading.map(|k| self.fits[k].ids.clone());
         self.fits.retain(|fit| !fit.ids.iter().any(kind));
@@ -104,7 +104,7 @@ pub fn candidates(
     let base = beneath(&straight, straight.recalibrated(), &fits);
     let earlier = base.objective;
     let mut behind = fits.split_off(fits.len().min(FINALISTS));
-    // Causes that cannot be tested are compared in any case, because they may look like another cause.
+    // Causes that cannot be tested are always compared, because they may look like another cause.
     fits.extend(behind.extract_if(.., |fit| asked.untestable.contains(&fit.ids[0])));
     // For the other candidates only values and objectives are reported, so their stacks, which use most of the memory, are dropped.
     for fit in &mut behind {
@@ -123,13 +123,13 @@ pub fn candidates(
     Ok(found)
 }
 
-/// The plain model and the fits. A fit with the value of the plain sand is left out: it explains nothing by its cause.
+/// The plain model and the fits. A fit in which a cause has its value of the plain sand is left out, because this cause explains nothing.
 pub fn contenders<'a>(base: &'a Fit, fits: &'a [Fit]) -> Vec<Contender<'a>> {
     let fits = [base].into_iter().chain(fits.iter().filter(|fit| !fit.is_idle()));
     fits.map(|fit| Contender { fit, laws: None }).collect()
 }
 
-/// The candidate that predicts left-out conditions best, if it does so better than the plain model.
+/// The candidate that predicts left-out conditions best, if its prediction is better than the plain model's.
 fn leading(study: &FitInputs, base: &Fit, fits: &[Fit]) -> Option<usize> {
     let all: Vec<usize> = (0..study.observations.conditions.len()).collect();
     let models = contenders(base, fits);
@@ -145,8 +145,8 @@ impl Candidates {
         self.leading.map_or(&self.base, |k| &self.fits[k])
     }
 
-    /// Learns the noise again about the leading fit and fits all candidates again with it, until this changes the leading fit by less
-    /// than one σ. If no fit leads, the noise is learnt about the plain model, and the other fits stay.
+    /// Learns the noise again from the leading fit's residual and fits all candidates again with this noise, until the leading fit
+    /// changes by less than one σ. If no fit leads, the noise is learnt from the plain model's residual, and the other fits stay.
     fn settle(&mut self, study: &FitInputs, asked: &SearchSpace) {
         for _ in 0..NOISES {
             let (next, before) = {
@@ -171,7 +171,7 @@ impl Candidates {
         }
     }
 
-    /// Fits all again from their ends.
+    /// Repeats all fits, each from its end state.
     fn refit(&mut self, study: &FitInputs) {
         let beside = self.leading.map_or(Vec::new(), |k| study.beside(&self.fits[k]));
         let mut again = study.fit_from(&self.fits.iter().chain(&beside).collect::<Vec<_>>());
@@ -183,7 +183,7 @@ impl Candidates {
         self.fits = ranked(again);
     }
 
-    /// Tries second causes in addition to the best single one.
+    /// Tries second causes in addition to the best single cause.
     fn add_pairs(
         &mut self,
         study: &FitInputs,
@@ -257,7 +257,7 @@ fn singles(study: &FitInputs, screen: &Screen, scores: &Scores, ids: &[usize]) -
     ranked(study.fit_all(&columns.iter().map(start).collect::<Vec<_>>()))
 }
 
-/// Start states of a fit of `ids`: `values`, and every further start of each.
+/// Start states of a fit of `ids`: `values`, and for each value its further starts.
 fn further_starts(study: &FitInputs, ids: &[usize], values: &[f64]) -> (Vec<usize>, Vec<Vec<f64>>) {
     let mut from = vec![values.to_vec()];
     for (k, &id) in ids.iter().enumerate() {
@@ -276,7 +276,7 @@ fn linear_start(screen: &Screen, scores: &Scores, column: usize) -> f64 {
     let entry = &CATALOG[id];
     let felt = scores.gram[(column, column)];
     if entry.ceiling {
-        return value; // its effect is far from proportional, so a linear estimate from the plain model is meaningless
+        return value; // the effect is far from proportional to the value, so a linear estimate from the plain model has no meaning
     }
     let estimate = if felt > FELT { entry.typical * scores.score[column] / felt } else { 0.0 };
     let reach = (USUAL * entry.typical).max(8.0 * value.abs());
@@ -284,18 +284,18 @@ fn linear_start(screen: &Screen, scores: &Scores, column: usize) -> f64 {
     if start == 0.0 { value * 0.1 } else { start }
 }
 
-/// The objective of a rough model has several minima, and the linear estimate may lead into one near the plain model.
-/// So there is a second start with the same sign, at the largest value that estimates may have. None for a smooth
-/// model, for which the first start suffices.
+/// The objective of a rough model has several minima, and the linear estimate may lead into a minimum near the plain
+/// model. So a fit has a second start, with the same sign, at the largest value that estimates may have. None for a
+/// smooth model, for which the first start suffices.
 fn far_start(study: &FitInputs, id: usize, estimate: f64) -> Option<f64> {
     let entry = &CATALOG[id];
     let far = (USUAL * entry.typical).copysign(estimate).clamp(entry.bounds[0], entry.bounds[1]);
     (study.model.roughness().is_some() && !entry.ceiling).then_some(far)
 }
 
-/// The plain fit of a rough model may have ended in a local minimum, and a cause may then gain only by leading out
-/// of it. So the plain model is fitted again from the end of the best of `fits`, and replaces `base` if its
-/// objective is lower.
+/// If the model is rough, the fit of the plain model may have ended in a local minimum, and a cause may then gain only
+/// because its fit leaves this minimum. So the plain model is fitted again from the end of the best of `fits`, and
+/// replaces `base` if its objective is lower.
 fn beneath(study: &FitInputs, base: Fit, fits: &[Fit]) -> Fit {
     let best = fits.iter().min_by(|a, b| a.objective.total_cmp(&b.objective));
     let Some(best) = best.filter(|best| study.model.roughness().is_some() && best.objective < base.objective) else {
@@ -349,8 +349,8 @@ fn bent(study: &FitInputs, whitener: &Whitener, fit: &Fit) -> Vec<Nuisance> {
         if turned.fold(0.0, f64::max) < STRAIGHT {
             break;
         }
-        // The effect of a filter depends on its time constant, and hardly on the small changes of other parameters
-        // here.
+        // The effect of a filter depends on its time constant, and hardly on the small changes of the other parameters
+        // in these rounds.
         let next = study.under(whitener, now.nuisances_of(fit, &at));
         let there = next.restated(&at);
         if there.objective > least {
@@ -365,8 +365,9 @@ fn bent(study: &FitInputs, whitener: &Whitener, fit: &Fit) -> Vec<Nuisance> {
     now.nuisances_of(fit, &at)
 }
 
-/// The single cause of a rough model may have ended in a local minimum, and a pair may then gain only by leading
-/// out of it: fits the single cause again from the pair's end, and keeps it if its objective is lower.
+/// If the model is rough, the fit of a single cause may have ended in a local minimum, and a pair may then gain only
+/// because its fit leaves this minimum. So the single cause is fitted again from the pair's end, and this fit is kept
+/// if its objective is lower.
 fn beyond(study: &FitInputs, single: &Fit, pair: &Fit) -> Option<Fit> {
     let id = *single.ids.first().filter(|id| study.model.roughness().is_some() && pair.ids.contains(id))?;
     let mechanisms = Mechanisms::default().with(id, pair.mechanisms.get(id));

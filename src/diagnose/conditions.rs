@@ -1,16 +1,17 @@
-//! What a condition is, in words: its shape, and the features that distinguish it.
+//! Describes conditions in words: by the intruder's shape or leg, and by the features that differ between conditions.
 
 use super::forward::{Feature, ForwardModel};
 use super::observations::Observations;
 use super::series::ends;
 use super::words::{after, digits};
 
-/// A feature counts as constant within a trial if it varies by at most this share of its largest size there: our choice, because
-/// measured speeds vary by some percent.
+/// A feature counts as constant within a trial if it varies by at most this share of its largest size in the trial: our choice,
+/// because measured speeds vary by some percent.
 const STEADY: f64 = 0.1;
 
 /// A text for each condition, such as `L, speed 0.76 m/s, pass 2`. Features that are the same in all conditions, or that vary
-/// within a trial, are left out. Conditions with equal texts get their names in the data added.
+/// within a trial, are left out. If several conditions have the same text, the name that each has in the data is added to its
+/// text.
 pub fn described(observations: &Observations, model: &dyn ForwardModel) -> Vec<String> {
     let firsts: Vec<usize> = observations.repetitions().iter().filter_map(|units| units.first().copied()).collect();
     let features = model.features();

@@ -18,7 +18,7 @@ impl SquaredErrors {
         (self.square.iter().sum::<f64>() / self.count.iter().sum::<f64>().max(1.0)).sqrt()
     }
 
-    /// Errors of a prediction, number by number, on the conditions `held`, over the channels that count.
+    /// Errors of a prediction on the conditions `held`, over the channels that count. `prediction` gives each number of the stack.
     pub fn of(o: &Observations, prediction: impl Fn(usize) -> f64, held: &[usize]) -> Self {
         let of = |&condition: &usize| {
             let units = o.units.iter().filter(|u| u.condition == condition);
@@ -32,7 +32,7 @@ impl SquaredErrors {
         Self { square, count }
     }
 
-    /// 95 % interval of the fraction by which `other` is smaller: bootstrap over conditions, 2000 draws.
+    /// 95 % interval of the fraction by which `other` is smaller than these errors: bootstrap over conditions, 2000 draws.
     pub fn reduction_interval(&self, other: &SquaredErrors) -> [f64; 2] {
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(3);
         let n = self.square.len();

@@ -1,36 +1,39 @@
 //! The one measure of evidence: how well a model predicts conditions that were left out.
 //!
-//! **Numbers.** Differences between the repetitions of a condition tell nothing about causes, so only the repetitions' mean counts.
-//! The whitened numbers of each repetition and channel are projected on the first cosines along the trial (DCT-II), and
-//! the repetitions are averaged. For noise alone each of these numbers is standard normal.
+//! **Numbers.** Differences between the repetitions of a condition contain no information on causes, so only the repetitions' mean
+//! counts. The whitened numbers of each repetition and channel are projected on the first cosines along the trial (DCT-II), and the
+//! repetitions are averaged. For noise alone each of these numbers is standard normal.
 //!
 //! **Prediction.** Near its fit a model is linear in its parameters: values of causes, deviations of the stress
-//! coefficients, and nuisances, each with a normal prior. The posterior from all conditions but c predicts those of c
-//! with mean J δ and covariance φ V, V = 1 + J Σ Jᵀ/φ. φ ≥ 1 is the scale of the model's own errors: their variance in the
-//! other conditions, in units of the noise's. The variance of the noise is marginalised too. It comes from repetitions
-//! with ν degrees of freedom, so the prediction is a multivariate Student t, with log density
+//! coefficients, and nuisances, each with a normal prior. The posterior from all conditions except c predicts the residual
+//! numbers of c with mean J δ and covariance φ V, V = 1 + J Σ Jᵀ/φ. Here J has the derivatives of the model's numbers by
+//! the parameters, and δ and Σ are mean and covariance of the parameters' changes from the fit. φ ≥ 1 is the scale of the
+//! model's own errors: their variance in the other conditions, divided by the variance of the noise. The variance of the
+//! noise is also marginalised. It is estimated from repetitions with ν degrees of freedom, so the prediction is a
+//! multivariate Student t, with log density
 //!
-//! −½ ln |V| − ½ n ln φ − ½ (ν + n) ln(1 + Q/(νφ)) + a constant of the condition, Q = eᵀ V⁻¹ e, e the error, n its numbers.
+//! −½ ln |V| − ½ n ln φ − ½ (ν + n) ln(1 + Q/(νφ)) + a constant of the condition, where e = residual − J δ is the error, n
+//! its number of components, and Q = eᵀ V⁻¹ e.
 //!
-//! The sum of these densities over c is the elpd (Vehtari, Gelman & Gabry 2017). If only condition c shows a parameter, the parameter has
-//! its prior in the prediction of c: the fastest or deepest condition is predicted with a wide V, and does not veto. The stated
-//! priors of coefficients and nuisances, a deviation of 0 ± 1 each, count as one more condition, so that a model that needs
-//! coefficients far from the stated ones has a lower elpd.
+//! The sum of these densities over c is the elpd (Vehtari, Gelman & Gabry 2017). If only condition c contains information on a parameter,
+//! the prediction of c uses the parameter's prior. So the fastest or deepest condition is predicted with a wide V, and cannot exclude a
+//! model by itself. The stated priors of coefficients and nuisances, a deviation of 0 ± 1 each, count as one more condition, so that a
+//! model that needs coefficients far from the stated ones has a lower elpd.
 //!
-//! **Standard error of a difference.** The conditions of an experiment are chosen, and not drawn from a population: a
-//! cause that acts in the fastest condition only is no less certain for this. So the standard error says how much the difference would
-//! change if the same conditions were measured again. s = V⁻¹ e is the expected error of the condition itself, without the error of
-//! the parameters. Let A be the better model, B the worse one, Δ = s_B − s_A, and w = (ν + n)/(ν + Q/φ)/φ for each model. The
-//! condition's own errors change its difference by
+//! **Standard error of a difference.** The conditions of an experiment are chosen, and not drawn from a population, so a cause is no
+//! less certain because it acts in the fastest condition only. So the standard error says by how much the difference would change if
+//! the same conditions were measured again. s = V⁻¹ e is the expected error of the condition itself, without the error of the
+//! parameters. Let A be the better model, B the worse model, Δ = s_B − s_A, and w = (ν + n)/(ν + Q/φ)/φ for each model. The errors of
+//! one condition change its part of elpd_A − elpd_B by
 //!
-//! x = w_B Δᵀ s_A − ½ (w_A − w_B)(Q_A − n/w_A), 1/w_A the variance of the errors in this condition.
+//! x = w_B Δᵀ s_A − ½ (w_A − w_B)(Q_A − n/w_A), where 1/w_A is the variance of the errors in this condition.
 //!
-//! The variance of the whole difference is the greater of two estimates. If the errors are noise, it is the sum of
-//! w_B² |Δ|²/w_A + ½ n (1 − w_B/w_A)² over conditions. If they are the model's own errors, correlated within a condition, it is the sum
-//! of x² (clusters: Liang & Zeger 1986), or the spread of the differences between conditions (Vehtari et al.) if that is less, because
-//! x, which is of first order, is too large where errors are not small. Both estimates are widened by Student's t, the first for ν,
-//! the second for the number of conditions. The standard error is at least 2, because differences below 4 are no
-//! evidence (Sivula, Magnusson, Matamoros & Vehtari 2020).
+//! The variance of elpd_A − elpd_B is the greater of two estimates. If the errors are noise, it is the sum of w_B² |Δ|²/w_A + ½ n (1 −
+//! w_B/w_A)² over conditions. If the errors are the model's own and correlated within a condition, it is the sum of x² (clusters: Liang
+//! & Zeger 1986), or, if this is less, the spread of the differences between conditions (Vehtari et al.), because x is of first order
+//! and too large where errors are not small. Both estimates are widened by Student's t, the first for ν, the second for the number of
+//! conditions. The standard error is at least 2, because differences below 4 are no evidence (Sivula, Magnusson, Matamoros & Vehtari
+//! 2020).
 
 use super::fit::{Fit, Stack};
 use super::left_out::{Contender, LeftOutRow, Linear};
@@ -47,12 +50,12 @@ use std::sync::Arc;
 
 /// Number of cosines along a trial: our choice; features shorter than a sixteenth of a trial count as noise.
 const WAVES: usize = 16;
-/// Prior standard deviation of coefficients and nuisances when their stated priors are the condition that is left out, in units of the
-/// stated ones: our choice, wide.
+/// Prior standard deviation of coefficients and nuisances, in units of the stated ones, if the condition that is left out is the
+/// stated priors: our choice, wide.
 const UNSTATED: f64 = 10.0;
-/// Least standard error, see above.
+/// Least standard error: see the text of this module.
 pub const LEAST: f64 = 2.0;
-/// Half of a 95 % interval in standard deviations of a normal distribution, to which quantiles of Student's t are compared.
+/// Half of the 95 % interval of a normal distribution in standard deviations. Quantiles of Student's t are divided by this.
 pub const NORMAL: f64 = 1.96;
 
 /// The comparison of all models under one noise.
@@ -62,7 +65,7 @@ pub struct EvidenceTable {
     pub sizes: Vec<f64>,
     /// ν
     pub degrees: f64,
-    /// Greatest mean square that noise alone may leave, see [`EvidenceTable::lack`].
+    /// Greatest mean square of errors that noise alone may cause, see [`EvidenceTable::lack`].
     pub limit: f64,
 }
 
@@ -112,8 +115,9 @@ impl<'a> Projection<'a> {
         self.groups.iter().map(mean).collect()
     }
 
-    /// Degrees of freedom: those of the repetitions, or fewer if their scatter differs between conditions. A variance
-    /// that is itself distributed as inverse χ² with ν has the relative variance 2/(ν − 4).
+    /// Degrees of freedom of the noise: those of the repetitions, or fewer if the scatter of repetitions differs
+    /// between conditions. If a variance is itself distributed as inverse χ² with ν degrees of freedom, its relative
+    /// variance is 2/(ν − 4).
     fn degrees(&self, residual: &[f64]) -> f64 {
         let white = self.whitener.apply(residual);
         let (mut squares, mut free, mut expected) = (Vec::new(), 0.0, 0.0);
@@ -149,7 +153,7 @@ impl EvidenceTable {
     /// Compares `models`; the first is the plain one. Only the conditions `used` count.
     pub fn new(study: &FitInputs, whitener: &Whitener, models: &[Contender], used: &[usize]) -> Self {
         let projection = Projection::new(study, whitener, used);
-        // Fits share columns, which are told apart by their address.
+        // Fits share columns; two columns are the same if they have the same address.
         let place = |c: &Stack| Arc::as_ptr(c) as usize;
         let mut unique: Vec<Stack> = models.iter().flat_map(|m| &m.fit.slopes).cloned().collect();
         unique.sort_by_key(place);
@@ -170,7 +174,7 @@ impl EvidenceTable {
         };
         let degrees = models.first().map_or(1.0, |(m, _)| projection.degrees(&residual(m.fit)));
         let rows = parallel::map(&models, |(m, laws)| {
-            // The stated priors of coefficients and nuisances are one more condition: deviations of 0 ± 1 are its numbers.
+            // The stated priors of coefficients and nuisances are one more condition, whose numbers are the deviations, each 0 ± 1.
             let (count, values) = (m.fit.deviations.len(), m.fit.ids.len());
             let own = |c: &Stack| known[&place(c)].clone();
             let stated = |k: usize| DVector::from_fn(count, |i, _| if k == values + i { 1.0 } else { 0.0 });
@@ -211,7 +215,7 @@ impl EvidenceTable {
         order
     }
 
-    /// elpd of `a` minus that of `b`, and its standard error.
+    /// elpd of `a` minus elpd of `b`, and the standard error of this difference.
     pub fn difference(&self, a: usize, b: usize) -> [f64; 2] {
         if a == b {
             return [0.0; 2];
@@ -255,18 +259,18 @@ impl EvidenceTable {
         difference > error
     }
 
-    /// Mean square of the numbers that row `k` leaves: 1 for noise alone.
+    /// Mean square of the errors of row `k`, in units of the noise's variance: 1 for noise alone.
     pub fn lack(&self, k: usize) -> f64 {
         self.rows[k].squares.iter().sum::<f64>() / self.sizes.iter().sum::<f64>().max(1.0)
     }
 
-    /// Variance of the errors of row `k` beyond the noise's variance, in units of the latter; 0 if noise alone may leave as much.
+    /// Variance of the errors of row `k` beyond the noise's variance, in units of the noise's variance; 0 if noise alone may cause such errors.
     pub fn misfit(&self, k: usize) -> f64 {
         if self.lack(k) <= self.limit { 0.0 } else { self.rows[k].scale - 1.0 }
     }
 
-    /// Share of the plain model's misfit that row `k` leaves. If the plain model's errors are smaller, by more than chance, than noise and
-    /// the stated errors of the model allow, the misfit is the whole of the errors.
+    /// The misfit of row `k` as a share of the plain model's misfit. If the plain model's errors are smaller than noise and the stated
+    /// errors of the model would give, by more than chance, the mean square of all errors takes the place of the misfit.
     pub fn unexplained(&self, k: usize) -> f64 {
         if self.lack(0) * self.limit < 1.0 {
             return self.lack(k) / self.lack(0).max(1e-9);
@@ -282,7 +286,7 @@ fn prior(fit: &Fit) -> Vec<[f64; 2]> {
     fit.ids.iter().zip(fit.coordinates()).map(value).chain(fit.deviations.iter().map(deviation)).collect()
 }
 
-/// Prior standard deviation of a law's coefficient: its stress may be as large as all others together. Our choice.
+/// Prior standard deviation of a law's coefficient: with it, the law's effect is as large as the whole prediction. Our choice.
 fn width(column: &[f64], prediction: &[f64]) -> f64 {
     (dot(prediction, prediction) / dot(column, column).max(1e-300)).sqrt()
 }

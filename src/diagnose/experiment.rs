@@ -122,7 +122,7 @@ pub struct Experiment {
     pub kind: DataKind,
     /// Medium with the experiment's bulk density.
     pub medium: Medium,
-    /// Is the medium the user's own `[sand]` table? Then rows may use any one name for it.
+    /// Is the medium from the user's own `[sand]` table? Then the rows of the data may use any name for it, but only one.
     pub own_sand: bool,
     /// Relative prior standard deviation of each stress coefficient.
     pub coefficient_sd: f64,
@@ -134,17 +134,17 @@ pub struct Experiment {
     pub nuisances: Priors,
     /// Column → unit, for columns that are not in SI.
     pub units: BTreeMap<String, String>,
-    /// Our column name → theirs.
+    /// Our name of a column → the data's name.
     pub columns: BTreeMap<String, String>,
     /// The table of a robot's log.
     pub trajectory: Keys,
     pub given: GivenModel,
 }
 
-/// The results of earlier diagnoses, with which a robot's log is predicted from the start.
+/// Results of earlier diagnoses. The plain model of a robot's log already contains them.
 #[derive(Clone, Debug, Default)]
 pub struct GivenModel {
-    /// The mechanisms of the `sand.toml` that is the medium.
+    /// The mechanisms in the `sand.toml` that the experiment names as its medium.
     pub mechanisms: Mechanisms,
     pub hardware: HardwareDescription,
 }
@@ -217,7 +217,7 @@ impl Experiment {
         }
         for (name, body) in &file.body {
             body.shape().map_err(|e| Error::invalid(format!("body.{name}"), e.to_string()))?;
-            // The range of --mu-s in `sandgait intrude`.
+            // The same range as that of --mu-s in `sandgait intrude`.
             check_range(&format!("body.{name}.friction"), body.friction, 0.1..=10.0)?;
         }
         Ok(Self {
@@ -248,7 +248,7 @@ impl Experiment {
     }
 }
 
-/// The sand that an earlier diagnosis has found, as the medium of a robot's log.
+/// Reads the sand that an earlier diagnosis has found, which becomes the medium of a robot's log.
 fn found_sand(text: &str, kind: DataKind, own_sand: bool) -> Result<SandDescription> {
     let sand = SandDescription::from_toml(text)?;
     match (kind, own_sand, sand.law) {

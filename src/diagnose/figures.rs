@@ -8,8 +8,8 @@ use super::words::digits;
 use crate::plot::{Axis, Figure, FigurePanel, Mark, Style, color, escape};
 use std::fmt::Write;
 
-/// Number of conditions in a figure, and of further ones that a click shows: our choice, so that the page stays readable.
-/// Those with the largest errors of the plain model come first.
+/// Number of conditions in a figure, and of further conditions that a click shows: our choice, so that the page stays
+/// readable. The conditions with the largest errors of the plain model come first.
 const CURVES: [usize; 2] = [3, 6];
 
 /// Largest number of samples of a trial in a figure: our choice; more cannot be distinguished.
@@ -171,7 +171,7 @@ pub fn bars(html: &mut String, rows: &[BarRow]) {
 /// The mean relative error of the plain model over each feature. All bars have the same scale.
 pub fn misfit(html: &mut String, misfit: &[Misfit]) {
     let mut channels: Vec<&str> = Vec::new();
-    // The torque has another unit than the forces, and shows nothing that they do not.
+    // The torque is left out: it has another unit than the forces, and shows nothing that the forces do not show.
     for m in misfit.iter().filter(|m| m.channel != "Ty") {
         if !channels.contains(&m.channel.as_str()) {
             channels.push(&m.channel);

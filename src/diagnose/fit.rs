@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 /// Number of the stress coefficients.
 pub const COEFFICIENTS: usize = 9;
-/// A vector in the order of the measured numbers, shared between fits: usually nine columns of each fit are those of
-/// the plain model, and columns use most of the memory.
+/// A vector in the order of the measured numbers. Fits share vectors, because vectors use most of the memory, and
+/// usually nine columns of each fit are equal to the plain model's.
 pub type Stack = Arc<Vec<f64>>;
 
 /// A fitted model.
@@ -19,9 +19,9 @@ pub struct Fit {
     pub deviations: Vec<f64>,
     /// Prediction of the sand, without nuisances.
     pub prediction: Vec<f64>,
-    /// W (y − m), m the prediction with the nuisances.
+    /// W (y − m): W whitens, y has the measured numbers, and m the prediction with the nuisances.
     pub white: Vec<f64>,
-    /// |W (y − m)|² + |d|²
+    /// |W (y − m)|² + |d|², where d are the `deviations`.
     pub objective: f64,
     /// ∂m/∂(coordinate of each id, deviation of each coefficient and nuisance), not whitened.
     pub slopes: Vec<Stack>,
@@ -51,7 +51,7 @@ impl Fit {
     }
 }
 
-/// Change of a prediction per `step`; numbers missing from a diverged simulation count as unchanged.
+/// Change of a prediction divided by `step`; numbers that are missing because a simulation diverged count as unchanged.
 pub fn slope(moved: &[f64], from: &[f64], step: f64) -> Vec<f64> {
     moved.iter().zip(from).map(|(a, b)| (a - b) / step).map(|s| if s.is_finite() { s } else { 0.0 }).collect()
 }

@@ -39,7 +39,7 @@ columns! {
     TY = "Ty" Torque false;
 }
 
-/// A trial while its rows come in.
+/// A trial whose rows are still being read.
 struct Growing {
     id: String,
     condition: usize,
@@ -140,8 +140,8 @@ fn track_header(row: &Row, experiment: &Experiment) -> Result<Track> {
 }
 
 /// Sets a plate's β in our frame. Attack and intrusion angles are stated for motion toward +x (v ∥ (cos γ, −sin γ)). If
-/// the logged velocity is the mirror image of that, the plate is mirrored, too. The first direction in which the plate
-/// certainly moves decides this, because at rest the logged velocity is noise.
+/// the logged velocity is toward −x, the mirror image of this, the plate is also mirrored. The first direction in which
+/// the plate certainly moves decides, because at rest the logged velocity is noise.
 fn mirror(trial: &mut Growing) {
     let poses = &trial.track.poses;
     let outward = poses.iter().zip(&trial.gammas).take(heading(&trial.track).until + 1);
@@ -155,7 +155,7 @@ fn mirror(trial: &mut Growing) {
     }
 }
 
-/// Refuses a trial with contradictory rows.
+/// Refuses a row that contradicts the earlier rows of its trial.
 fn check_same(row: &Row, trial: &Growing, now: &Track, condition: usize) -> Result<()> {
     let was = &trial.track;
     let same = [
@@ -261,8 +261,8 @@ pub fn planned(tracks: Vec<Track>, channels: usize) -> ForceLog {
 /// Number of samples in a planned trial.
 const PLANNED_SAMPLES: usize = 60;
 
-/// Trials that the apparatus of `tracks` could make: its intruders at the slowest, middle and fastest speed used,
-/// at two depths, on fresh and re-used ground, at both ends of the bed.
+/// Trials that the apparatus of `tracks` could make: each intruder at the slowest, a middle and the fastest speed in
+/// the log, at two depths, on fresh and on used ground, at both ends of the bed.
 pub fn possible(tracks: &[Track]) -> Vec<(Track, String)> {
     let mut shapes: Vec<&Track> = Vec::new();
     for track in tracks {

@@ -24,7 +24,7 @@ use crate::sand::mechanism_laws::{SandMechanisms, footprint};
 use crate::sand::{Coefficients, Law, Medium, Regularization, SandBed, Term};
 use std::collections::BTreeMap;
 
-/// The arm prescribes the motion, so no segment rests in the sand and no creep speed is needed.
+/// The arm prescribes the motion, so no load makes a segment creep, and the rest speed can be very small.
 const PRESCRIBED: Regularization = Regularization { rest_speed: 1e-9, ..Regularization::DEFAULT };
 
 /// Predicts force logs.
@@ -45,7 +45,7 @@ pub struct ForceLogModel<'a> {
     measuring: Recent<SandParameters, Measuring>,
 }
 
-/// What nuisances change in the data of one state.
+/// Effects of nuisances on the data, for one state of the sand.
 struct Measuring {
     /// Tilt, offsets and filter of the sensor in this state.
     mechanisms: Mechanisms,
@@ -58,8 +58,8 @@ struct Measuring {
     steps: Vec<Vec<[Load; 1]>>,
 }
 
-/// Step of the depth [m] for derivatives by nuisances: our choice, as for the three steps below a small part of the
-/// nuisance's usual size.
+/// Step of the depth [m] for derivatives with respect to nuisances: our choice. This step and the three below are a
+/// small part of the nuisance's usual size.
 const DEPTH_STEP: f64 = 2e-4;
 /// Step of times [s].
 const TIME_STEP: f64 = 1e-3;
@@ -67,12 +67,13 @@ const TIME_STEP: f64 = 1e-3;
 const TILT_STEP: f64 = 1e-4;
 /// Relative step of the sand's strength.
 const STRENGTH_STEP: f64 = 0.02;
-/// Names of the nuisances that each channel of each trial has of its own.
+/// Names of the nuisances that have their own value in each channel of each trial.
 const OFFSETS: [(&str, &str); 3] = [("offset_Fx", "drift_Fx"), ("offset_Fz", "drift_Fz"), ("offset_Ty", "drift_Ty")];
 /// Number of responses to the coefficients that are kept: our choice. Fits need slopes and predictions at few states at a
 /// time, and a response is ten stacks.
 const RESPONSES: usize = 8;
-/// Number of states with the same mechanisms from which computing the response to the coefficients is cheaper.
+/// For at least this number of states with the same mechanisms, the response to the coefficients is computed, because
+/// it is cheaper than separate predictions.
 const ANSWERS: usize = 4;
 
 impl<'a> ForceLogModel<'a> {
@@ -173,8 +174,8 @@ impl<'a> ForceLogModel<'a> {
         self.stacks(&loads)
     }
 
-    /// Standard deviation of each number of a prediction, because accelerations are only roughly known from samples;
-    /// empty if no force depends on them.
+    /// Standard deviation of each number of a prediction that results from the accelerations, which samples give only
+    /// roughly; empty if no force depends on accelerations.
     fn doubt(&self, (m, c): &SandParameters, prediction: &[f64]) -> Vec<f64> {
         if m.added_mass == 0.0 {
             return Vec::new();
@@ -187,7 +188,7 @@ impl<'a> ForceLogModel<'a> {
         slope(&self.stacks(&loads)[0], prediction, 1.0).into_iter().map(f64::abs).collect()
     }
 
-    /// What nuisances change in the data with this sand.
+    /// Effects of nuisances on the data with this sand.
     fn measuring(&self, (m, c): &SandParameters) -> Measuring {
         let here = self.predict(m, c);
         let by = |changed: Mechanisms, step: f64| slope(&self.predict(&changed, c), &here, step);
@@ -284,7 +285,7 @@ impl ForwardModel for ForceLogModel<'_> {
         }
     }
 
-    /// If several states differ in the coefficients alone, the response to these is computed once.
+    /// For states that differ only in the coefficients, the response to the coefficients is computed once.
     fn predict_many(&self, states: &[SandParameters]) -> Vec<Vec<f64>> {
         let alike = |m: &Mechanisms| states.iter().filter(|s| s.0 == *m).count();
         parallel::map(states, |(m, c)| {

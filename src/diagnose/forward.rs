@@ -12,7 +12,7 @@ use crate::sim::hardware::HardwareDescription;
 /// The sand to predict with.
 pub type SandParameters = (Mechanisms, Coefficients);
 
-/// The same sand, stronger by a share.
+/// The same sand with all stresses increased by a share.
 pub fn stronger((mechanisms, coefficients): &SandParameters, share: f64) -> SandParameters {
     (Mechanisms { scale: (1.0 + mechanisms.scale) * (1.0 + share) - 1.0, ..*mechanisms }, *coefficients)
 }
@@ -20,7 +20,7 @@ pub fn stronger((mechanisms, coefficients): &SandParameters, share: f64) -> Sand
 /// Mechanisms as indices of the catalogue; where the data cannot test a mechanism, with the reason.
 pub type Testable = Vec<(usize, Option<String>)>;
 
-/// The mechanisms of one kind of data; one whose columns are `missing` cannot be tested.
+/// The mechanisms of one kind of data. A mechanism whose columns are `missing` cannot be tested.
 pub fn testable(kind: impl Fn(&Mechanism) -> bool, missing: &[&str]) -> Testable {
     let why = |m: &Mechanism| {
         let lacking: Vec<_> = m.columns.iter().filter(|c| missing.contains(c)).copied().collect();
@@ -58,12 +58,12 @@ pub trait ForwardModel: Sync {
     fn stopped(&self) -> bool {
         false
     }
-    /// Change [σ of all data together] below which a numerical slope is not reliable; None if predictions are
-    /// smooth.
+    /// A numerical slope is not reliable if its step changes all data together by less than this [σ]; None if
+    /// predictions are smooth.
     fn roughness(&self) -> Option<f64> {
         None
     }
-    /// What makes repetitions differ, and what makes the model err, at the prediction with `sand`.
+    /// Causes of differences between repetitions, and errors of the model, at the prediction with `sand`.
     fn uncertainty(&self, sand: &SandParameters, prediction: &[f64]) -> Uncertainty;
     /// Nuisances that all data share, computed at the prediction with `sand`; `values` are their present estimates.
     fn nuisances(&self, _sand: &SandParameters, _values: &[(String, f64)]) -> Vec<Nuisance> {
@@ -73,11 +73,11 @@ pub trait ForwardModel: Sync {
     fn as_simulated(&self, prediction: &[f64]) -> Vec<f64> {
         prediction.to_vec()
     }
-    /// The simulator's prediction with this hardware; None if it changes nothing.
+    /// The simulator's prediction with this hardware; None if the hardware does not change the prediction.
     fn with_hardware(&self, _sand: &SandParameters, _found: &HardwareDescription) -> Option<Vec<f64>> {
         None
     }
-    /// The same model with terms in its sand; None if it does not support them.
+    /// The same model with these terms added to its sand; None if the model does not support terms.
     fn with_terms(&self, _terms: &[Term]) -> Option<Box<dyn ForwardModel + '_>> {
         None
     }
@@ -85,7 +85,7 @@ pub trait ForwardModel: Sync {
     fn reach(&self) -> [f64; 3] {
         [1.0; 3]
     }
-    /// Adds to a simulator's sand the settings, besides the medium, with which the model predicts this kind of data.
+    /// Adds to the sand of a simulation all settings other than the medium with which the model predicts this kind of data.
     fn finish(&self, _sand: &mut SandDescription) {}
     /// What the experiment file states.
     fn experiment(&self) -> &Experiment;

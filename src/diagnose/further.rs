@@ -1,4 +1,4 @@
-//! Further causes in addition to a fitted model: their gain, size, and upper limit.
+//! Further causes in addition to a fitted model: the gain, the size, and the upper limit of each.
 
 use super::fit::{Fit, slope};
 use super::screen::USUAL;

@@ -1,9 +1,10 @@
 //! Fits mechanisms by generalised least squares with the uncertainty of the stress coefficients marginalised.
 //!
-//! Each coefficient is c_k (1 + s d_k), with s its relative prior sd and d_k ~ N(0, 1). The d_k are fitted too, with
-//! the prior's penalty d_k². For a linear model the least value of |W (y − m)|² + |d|² is the χ² under the covariance
-//! V + s² J Jᵀ. Nuisances are fitted in the same way, with their columns after those of the coefficients; they change the
-//! readings, but not the prediction of the sand.
+//! Each coefficient is c_k (1 + s d_k), with s its relative prior sd and d_k ~ N(0, 1). The d_k are also fitted, with
+//! the prior's penalty d_k². W whitens the measured numbers y and the prediction m, V is the covariance of the noise,
+//! and J the derivatives of m by the s d_k. For a linear model the least value of |W (y − m)|² + |d|² is the χ² under
+//! the covariance V + s² J Jᵀ. Nuisances are fitted in the same way, with their columns after the coefficients'
+//! columns; they change the readings, but not the prediction of the sand.
 
 use super::fit::{COEFFICIENTS, Fit, Stack, slope};
 use super::normal_equations::NormalEquations;
@@ -14,21 +15,21 @@ use crate::sand::mechanism::{CATALOG, Mechanisms};
 use nalgebra::{DMatrix, DVector};
 use std::sync::Arc;
 
-/// A fit ends with a step that gains less: a hundredth of a unit of χ² is far below every threshold in use.
+/// A fit ends with a step that reduces χ² by less than this: a hundredth of a unit is far below every threshold in use.
 const SETTLED: f64 = 0.01;
-/// The least gain of a step for a rough model, whose χ² differs by this much between neighbouring states.
+/// The least gain for a rough model, whose χ² differs by about this much between neighbouring states.
 const SETTLED_ROUGHLY: f64 = 0.25;
 
-/// Bound of a nuisance in prior standard deviations: our choice. Without this bound absurd nuisances would compensate for a large error of
-/// the model.
+/// Bound of a nuisance in prior standard deviations: our choice. Without this bound, nuisances could take absurd values to compensate for
+/// a large error of the model.
 pub const MOST_DEVIATION: f64 = 3.0;
 /// Largest number of Gauss-Newton steps of a fit: our choice; most fits converge in four.
 const ROUNDS: usize = 12;
-/// From this step on a fit can be abandoned because it is far behind another; the first step may be short. Our
-/// choice.
+/// From this step on a fit can be abandoned because another fit has a much lower objective. Not earlier, because the
+/// first step may be short. Our choice.
 const HEAD_START: usize = 2;
-/// A fit is abandoned if its distance to the best is more than this many times the gain of its last step: our
-/// choice; gains shrink from step to step.
+/// A fit is abandoned if its objective is higher than the best by more than this many times the gain of its last step:
+/// our choice; gains shrink from step to step.
 const REACH: f64 = 4.0;
 
 impl FitInputs<'_> {
@@ -60,7 +61,7 @@ impl FitInputs<'_> {
             own.sort_by(|a, b| a.objective.total_cmp(&b.objective));
             own.truncate(2);
             promising.push(own.len());
-            begun.extend(own); // after the starts of the remaining sets
+            begun.extend(own); // these are tried after the starts of the remaining sets
         }
         let mut fitted = self.refine(begun, ROUNDS, false).into_iter();
         let best = |count: usize| {
@@ -70,7 +71,7 @@ impl FitInputs<'_> {
         promising.into_iter().filter_map(best).collect()
     }
 
-    /// Continues fits from their ends, at first with their slopes by causes and coefficients.
+    /// Continues fits from their end states; the first step uses their slopes by causes and coefficients.
     pub fn fit_from(&self, fits: &[&Fit]) -> Vec<Fit> {
         let state = |f: &&Fit| {
             let mut deviations = f.deviations.clone();
@@ -99,12 +100,12 @@ impl FitInputs<'_> {
         self.refine(vec![self.restated(earlier)], ROUNDS / 2, false).swap_remove(0)
     }
 
-    /// The same fit evaluated with these inputs: nothing is fitted again, and the slopes are kept.
+    /// The same fit, evaluated with these inputs. Nothing is fitted again, and the slopes are kept.
     pub fn restated(&self, fit: &Fit) -> Fit {
         self.moved_by(&[(fit, vec![0.0; fit.ids.len() + fit.deviations.len()])]).swap_remove(0)
     }
 
-    /// Fits with their parameters changed by a step each, without fitting anything again; they keep their slopes.
+    /// Changes the parameters of each fit by its step. Nothing is fitted again, and the slopes are kept.
     pub fn moved_by(&self, steps: &[(&Fit, Vec<f64>)]) -> Vec<Fit> {
         let state = |(fit, step): &(&Fit, Vec<f64>)| {
             let (mechanisms, deviations) = moved(fit, step, 1.0);
@@ -136,10 +137,10 @@ impl FitInputs<'_> {
         self.at_all(starts.iter().map(state).collect())
     }
 
-    /// Gauss-Newton steps within bounds, shortened until they reduce the objective. All fits step together, so that
-    /// the model predicts many states at once. The objective is always exact. With `exact` the slopes by the
-    /// coefficients are computed at the end state and not at the plain model. Fits that can no longer become the
-    /// best are abandoned.
+    /// Gauss-Newton steps within bounds, shortened until they reduce the objective. All fits step together, so that the
+    /// model predicts many states at once. The objective is always exact. With `exact` the slopes by the coefficients
+    /// are computed at the end state and not at the plain model. Fits that are unlikely to become the best are
+    /// abandoned.
     pub(super) fn refine(&self, mut fits: Vec<Fit>, rounds: usize, exact: bool) -> Vec<Fit> {
         for fit in fits.iter_mut().filter(|f| f.slopes.is_empty()) {
             fit.slopes.clone_from(&self.marginal_slopes[0]);
@@ -222,9 +223,9 @@ impl FitInputs<'_> {
         })
     }
 
-    /// Sets the slopes of the active fits by the coefficients; those by the values follow later.
+    /// Sets the slopes of the active fits by the coefficients; [`Self::set_value_slopes`] sets the slopes by the values.
     pub(super) fn set_coefficient_slopes(&self, fits: &mut [Fit], active: &[usize]) {
-        // In prior standard deviations: wide for a rough model.
+        // The step in prior standard deviations; large for a rough model.
         let step = if self.model.roughness().is_some() { 1.0 } else { 0.1 };
         let state = |fit: &Fit, k: usize| {
             let mut deviations = fit.deviations.clone();
@@ -246,7 +247,7 @@ impl FitInputs<'_> {
         }
     }
 
-    /// Computes the derivatives by the values of the active fits, and puts them before those by the coefficients.
+    /// Computes the slopes of the active fits by the values, and puts them before the slopes by the coefficients.
     fn set_value_slopes(&self, fits: &mut [Fit], active: &[usize]) {
         let (mut steps, mut states) = (Vec::new(), Vec::new());
         for fit in active.iter().map(|&k| &fits[k]) {

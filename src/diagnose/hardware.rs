@@ -14,8 +14,8 @@ pub const TORQUE_CONSTANT: &str = "actuator.torque_constant";
 pub const TORQUE_LIMIT: &str = "actuator.torque_limit";
 pub const FRICTION: &str = "actuator.friction";
 
-/// Effects of measuring that a report names for a robot's own log, each with the quantities of a simulation that it changes. If the
-/// effect is itself the first of these quantities: the least possible value.
+/// Effects of measuring that a report names for a robot's own log, each with the quantities of a simulation that it changes. The
+/// last entry is the least possible value, if the effect is itself the first of these quantities.
 const EFFECTS: [(&str, &[&str], Option<f64>); 8] = [
     ("imu_rotation_x", &[ROTATION[0]], Some(f64::NEG_INFINITY)),
     ("imu_rotation_y", &[ROTATION[1]], Some(f64::NEG_INFINITY)),
@@ -37,8 +37,8 @@ fn quantity(value: f64, half: f64, least: f64) -> HardwareQuantity {
     HardwareQuantity { value, interval: [value - half, value + half].map(|x| x.max(least)) }
 }
 
-/// The quantities whose 95 % interval excludes the ideal value (0; 1 for the torque constant), and the torque limit if a weak motor is a
-/// cause.
+/// The quantities whose 95 % interval excludes the ideal value (0; 1 for the torque constant), and also the torque limit if a weak motor
+/// is among the causes.
 pub fn found(report: &Report) -> HardwareDescription {
     let source = format!("sandgait diagnose, data {}: {}", report.data_sha256, report.summary);
     let mut all = HardwareDescription { source, ..HardwareDescription::default() };
@@ -61,7 +61,7 @@ pub fn found(report: &Report) -> HardwareDescription {
         }
     }
     if let Some(cause) = report.causes.iter().find(|cause| cause.id == "motor_torque_limit" && cause.value > 0.0) {
-        // The cause limits the requested torques, and motors give (1 + s)/(1 + g) times these.
+        // The cause limits the requested torques, and motors give (1 + s)/(1 + g) times the requested torques.
         let [(gain, gain_sd), (servo, servo_sd)] =
             ["torque_constant", "servo_gain"].map(|id| measured(id).unwrap_or_default());
         let share = (1.0 + servo) / (1.0 + gain);
@@ -113,8 +113,9 @@ mod tests {
     /// Seeds of the logs: our choice, because each takes seconds.
     const LOGS: [u64; 3] = [1, 0, 2];
 
-    /// Logs of walks whose IMU is late and rotated. Those with an odd seed have weak motors, which are named with their value to a tenth.
-    /// Nearly all intervals of what is found contain the truth; with so few logs two of ten may miss it.
+    /// Logs of walks whose IMU is late and rotated. Logs with an odd seed also have weak motors; the diagnosis names this cause, and its
+    /// value is right to a tenth. Nearly all intervals of the found quantities contain the true value; with so few logs two of ten may
+    /// miss it.
     #[test]
     fn intervals_contain_the_truth() {
         let (mut within, mut all, mut logs) = (0, 0, 0);

@@ -16,7 +16,7 @@ pub struct SteadyRow {
     pub body: String,
     /// The motion under the measured load.
     pub trial: Trial,
-    /// Standard deviations in time, channel by channel; 0 where the data have none.
+    /// Standard deviation in time of each channel; 0 if the data do not have it.
     pub unsteadiness: [f64; 3],
 }
 
@@ -50,7 +50,7 @@ columns! {
     FY_SD = "Fy_sd" Force false;
 }
 
-/// The predicted channels at the measured load: two forces, which count in the error, and the sinkage.
+/// The predicted channels at the measured load: two forces, which count in the error, and the sinkage, which does not.
 pub const CHANNELS: [Channel; 3] =
     [Channel::new("Fx", "N", true), Channel::new("Fy", "N", true), Channel::new("depth", "m", false)];
 

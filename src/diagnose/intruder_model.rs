@@ -13,18 +13,18 @@ use crate::sand::mechanism::{CATALOG, Mechanisms, Side};
 use crate::sand::{Coefficients, Medium, SandDescription};
 use std::collections::BTreeMap;
 
-/// Plates along a body's longest side: our choice; forces are within 2 % of those of plates three times as fine, a
-/// quarter of the scatter of measured forces.
+/// Plates along a body's longest side: our choice. Forces differ by at most 2 % from forces with plates three times as
+/// fine, which is a quarter of the scatter of measured forces.
 const ALONG: f64 = 16.0;
-/// Step of lengths for derivatives by nuisances [m]: our choice, as for the two steps below; small, and far above
-/// rounding.
+/// Step of lengths for derivatives with respect to nuisances [m]: our choice. This step and the two below are small,
+/// and far above rounding.
 const GEOMETRY_STEP: f64 = 5e-4;
 /// Step of the friction coefficient.
 const FRICTION_STEP: f64 = 0.02;
 /// Relative step of the sand's strength.
 const STRENGTH_STEP: f64 = 0.02;
 
-/// A body in plates: as described, and slightly larger.
+/// A body cut into plates: once as described, and once slightly larger.
 struct BodyPlates {
     description: BodyDescription,
     nominal: PlatedBody,
@@ -39,9 +39,9 @@ pub struct IntruderModel<'a> {
     cuts: BTreeMap<String, BodyPlates>,
 }
 
-/// Error of the law itself, as a share of the load: resistive force theory is within 10 to 15 % of measured forces
-/// (Li, Zhang & Goldman 2013; Agarwal, Goldman & Kamrin 2023), and repetitions scatter by much less. Without it the
-/// rows with the least scatter would dominate the choice of a cause.
+/// Error of the law itself, as a share of the load: resistive force theory differs from measured forces by 10 to 15 %
+/// (Li, Zhang & Goldman 2013; Agarwal, Goldman & Kamrin 2023), and repetitions scatter by much less. Without this
+/// error, the rows with the least scatter would dominate the choice of a cause.
 const LAW_ERROR: f64 = 0.1;
 
 /// Deviations of a body from its description.
@@ -102,13 +102,13 @@ impl<'a> IntruderModel<'a> {
         self.states.iter().flat_map(of).collect()
     }
 
-    /// Derivative of the prediction by a change of the body.
+    /// Derivative of the prediction with respect to a change of the body.
     fn felt(&self, (m, c): &SandParameters, changed: Changed, step: f64) -> Vec<f64> {
         slope(&self.predict_changed(m, c, changed), &self.predict(m, c), step)
     }
 }
 
-/// Fx, Fy and depth under the load; if the sand cannot carry it, those of the fully covered body.
+/// Fx, Fy and depth under the load; if the sand cannot carry the load, the values for the fully covered body.
 fn under_load(body: &PlatedBody, sand: &SandDescription, trial: &Trial) -> [f64; 3] {
     let outcome = compute(body, sand, trial);
     let outcome = match outcome.status {
@@ -155,8 +155,9 @@ impl ForwardModel for IntruderModel<'_> {
         self.predict_changed(mechanisms, coefficients, Changed::default())
     }
 
-    /// Beds differ in strength, and readings of a steady state fluctuate in time. The law errs by a tenth of the load in
-    /// either force, and by the change of sinkage for a tenth of the strength; conditions and channels are independent.
+    /// Beds differ in strength, and readings of a steady state fluctuate in time. The error of the law is a tenth of
+    /// the load in each of the two forces, and in the sinkage the change that a tenth of the sand's strength causes.
+    /// These errors are independent between conditions and channels.
     fn uncertainty(&self, sand: &SandParameters, prediction: &[f64]) -> Uncertainty {
         let (m, c) = stronger(sand, STRENGTH_STEP);
         let strength = slope(&self.predict(&m, &c), prediction, STRENGTH_STEP);

@@ -1,10 +1,11 @@
-//! Results that are kept, because they may be needed again.
+//! Stores results, because they may be needed again.
 
 use super::forward::SandParameters;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// The last results, each with the inputs from which it was computed. A clone has no results, because its owner may be changed.
+/// The last results, each with the inputs from which it was computed. A clone starts without results, because they would be
+/// wrong if its owner is changed.
 pub struct Recent<K, T> {
     results: Mutex<Vec<(K, Arc<T>)>>,
     most: usize,
@@ -29,8 +30,8 @@ impl<K: Clone + PartialEq, T> Recent<K, T> {
         known.iter().find(|k| k.0 == *key).map(|k| k.1.clone())
     }
 
-    /// The result for `key`, computed if it is not known. Other threads wait meanwhile, because they usually need the same
-    /// result.
+    /// The result for `key`, computed if it is not known. Other threads wait during the computation, because they usually
+    /// need the same result.
     pub fn of(&self, key: &K, compute: impl FnOnce() -> T) -> Arc<T> {
         let mut known = self.results.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, result)) = known.iter().find(|k| k.0 == *key) {
@@ -46,10 +47,10 @@ impl<K: Clone + PartialEq, T> Recent<K, T> {
     }
 }
 
-/// All results, by the bits of their inputs.
+/// Stores all results by the bits of their inputs.
 pub struct Known<T> {
     results: Mutex<HashMap<Vec<u64>, T>>,
-    /// From this number on, all results are forgotten.
+    /// If there are this many results, all are forgotten.
     most: usize,
 }
 
@@ -77,7 +78,7 @@ impl<T: Clone> Known<T> {
         let known = || self.results.lock().unwrap_or_else(PoisonError::into_inner);
         let is_new = |k: &usize| !known().contains_key(&keys[*k]) && !keys[..*k].contains(&keys[*k]);
         let new: Vec<usize> = (0..keys.len()).filter(is_new).collect();
-        // Other threads may compute meanwhile, and results may be forgotten: so the results known now are taken first.
+        // During the computation another thread may make the store forget its results, so this copies the known results first.
         let mut own: HashMap<&[u64], T> =
             keys.iter().filter_map(|key| Some((key.as_slice(), known().get(key)?.clone()))).collect();
         own.extend(new.iter().map(|&k| keys[k].as_slice()).zip(compute(&new)));

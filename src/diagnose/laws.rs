@@ -13,25 +13,25 @@ use crate::sand::GRAVITY;
 use crate::sand::term::{On, Term};
 use std::sync::Arc;
 
-/// Powers of v_n²/(g|z|) and of |z|/w in laws of the normal speed: our choice, up to the cube of the speed, in steps
-/// that logs can resolve.
+/// Powers of v_n²/(g|z|) in laws of the normal speed; the next constant has the powers of |z|/w. Our choice: up to the
+/// cube of the speed, in steps that logs can resolve.
 const FROUDE: [f64; 6] = [0.25, 0.5, 0.75, 1.0, 1.25, 1.5];
 const DEPTH: [f64; 8] = [-1.0, -0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75];
 /// Powers of |z|/w in pressures that do not depend on speed; with −1 the pressure does not vanish at the surface. The
 /// power 0 would be the medium itself.
 const STILL: [f64; 7] = [-1.0, -0.75, -0.5, -0.25, 0.5, 1.0, 1.5];
-/// Powers of the whole speed's group: from its root to its square.
+/// Powers of the group |v|²/(g w) of the whole speed: from the root of the speed to its square.
 const WHOLE: [f64; 4] = [0.25, 0.5, 0.75, 1.0];
 /// Powers of sines, cosines and of the saturation.
 const SHAPE: [f64; 3] = [1.0, 2.0, 4.0];
 /// Least depth [m] in the range of a law: segments nearer to the surface carry almost no force. Our choice.
 const SHALLOW: f64 = 1e-3;
-/// Rounds in which law, causes, coefficients and nuisances are fitted together: our choice, because the columns depend
-/// slightly on them.
+/// Number of rounds in which law, causes, coefficients and nuisances are fitted together: our choice. Several are
+/// needed, because the columns depend slightly on the fitted values.
 const ROUNDS: usize = 3;
 
-/// A law and a cause are fitted together only if the cause explains at most this share of the law's effect: with more, the variance
-/// inflation factor is above 10, the usual limit of collinearity (Marquardt, Technometrics 12:591, 1970).
+/// A law and a cause are fitted together only if the cause explains at most this share of the law's effect: with a larger share,
+/// the variance inflation factor is above 10, the usual limit of collinearity (Marquardt, Technometrics 12:591, 1970).
 const COLLINEAR: f64 = 0.9;
 
 /// A law with its coefficient.
@@ -69,7 +69,7 @@ fn dictionary([speed, depth, width]: [f64; 3]) -> Vec<Term> {
     for p in WHOLE {
         all.push(term(On::Law, &[("whole_froude", p)]));
         all.push(term(On::Normal, &[("whole_froude", p)]));
-        // Without depth: pressure and drag of the whole speed.
+        // Laws without depth: pressure and drag by the whole speed.
         all.push(term(On::Normal, &[("whole_froude", p), ("depth_over_width", -1.0)]));
         all.push(term(On::Tangential, &[("whole_froude", p), ("depth_over_width", -1.0)]));
     }
@@ -88,9 +88,9 @@ fn dictionary([speed, depth, width]: [f64; 3]) -> Vec<Term> {
     all
 }
 
-/// The laws that are physically possible about `base`, with their columns; None if the model supports no laws. Beside a
-/// cause, a law whose effect on these data is nearly that of the cause itself is left out: it would describe the cause
-/// once more, and take a part of its value.
+/// The laws that are physically possible about `base`, with their columns; None if the model supports no laws. A law is
+/// left out if its effect on these data is nearly that of a cause of `base`: it would describe this cause a second
+/// time, and take a part of the cause's value.
 pub fn laws(study: &FitInputs, base: &Fit) -> Option<Laws> {
     study.model.with_terms(&[])?;
     let coefficients = study.coefficients(&base.deviations);
@@ -98,7 +98,7 @@ pub fn laws(study: &FitInputs, base: &Fit) -> Option<Laws> {
     let column = |law: &Term| {
         let model = study.model.with_terms(std::slice::from_ref(law))?;
         let column = slope(&model.predict(&base.mechanisms, &coefficients), &base.prediction, 1.0);
-        // The coefficient of the law fitted alone gives the sign. A law that sand cannot follow is left out.
+        // The law is first fitted alone, which gives the sign of its coefficient. A law that sand cannot follow is left out.
         let white = study.whitener.apply(&column);
         if !base.ids.is_empty() && normal.explained(&white, base.ids.len())? > COLLINEAR {
             return None;
@@ -113,8 +113,9 @@ pub fn laws(study: &FitInputs, base: &Fit) -> Option<Laws> {
     Some(Laws { terms, columns })
 }
 
-/// The law `term` fitted in addition to `base`, from its coefficient. The values of named causes are `held`: the law
-/// describes the misfit that they leave, and takes no part of their values. None if sand cannot follow the fitted law.
+/// The law `term`, fitted in addition to `base`, starting from the coefficient in `term`. With `held`, the values of
+/// the causes do not change: the law then describes only the misfit that the causes leave. None if sand cannot follow
+/// the fitted law.
 pub fn fitted(study: &FitInputs, base: &Fit, mut term: Term, held: bool) -> Option<FittedLaw> {
     let values = if held { base.ids.len() } else { 0 };
     let (own, rest) = base.slopes.split_at(values);
@@ -190,8 +191,8 @@ pub(super) mod tests {
         all.into_iter().find(|t| t.on == On::Normal && t.groups == named).unwrap()
     }
 
-    /// The pressure |z| (|z|/w)^−1 does not depend on depth, as cohesion does not. Beside cohesion it would describe the
-    /// same stress once more; beside the plain model it may.
+    /// The pressure |z| (|z|/w)^−1 does not depend on depth, as cohesion does not. In addition to cohesion this law
+    /// would describe the same stress a second time, so it is left out; in addition to the plain model it is allowed.
     #[test]
     fn a_law_that_repeats_a_cause_is_left_out_beside_it() {
         with_cohesion(|study, fit| {
@@ -202,8 +203,8 @@ pub(super) mod tests {
         });
     }
 
-    /// A law beside a named cause is fitted to what the cause leaves. Without that it would take a part of the cause's
-    /// value.
+    /// A law in addition to a named cause is fitted to the misfit that the cause leaves. Otherwise the law would take a
+    /// part of the cause's value.
     #[test]
     fn a_law_beside_a_named_cause_leaves_it_its_value() {
         with_cohesion(|study, fit| {

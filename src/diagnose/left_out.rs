@@ -7,12 +7,12 @@ use crate::sand::Term;
 use nalgebra::{DMatrix, DVector};
 use std::sync::Arc;
 
-/// Largest number of rounds for the scale of a model's errors, and the relative change below which it counts as found:
-/// our choices; the scale changes the prediction only through the weight of the priors.
+/// Largest number of rounds to find the scale of a model's errors. The next constant is the relative change below which
+/// the scale counts as found. Our choices; the scale affects the prediction only through the weight of the priors.
 const ROUNDS: usize = 4;
 const FOUND: f64 = 0.1;
 
-/// A model to compare: a fit, and laws, at most one of which is chosen in addition.
+/// A model to compare: a fit, and laws, of which at most one is added to the fit.
 pub struct Contender<'a> {
     pub fit: &'a Fit,
     pub laws: Option<&'a Laws>,
@@ -27,11 +27,11 @@ pub struct Laws {
 
 /// How one model predicts each condition from the others.
 pub struct LeftOutRow {
-    /// Log predictive density of each condition that is used, and last of the stated priors of coefficients and nuisances.
+    /// Log predictive density of each condition that is used; the last entry is that of the stated priors of coefficients and nuisances.
     pub elpd: Vec<f64>,
     /// V⁻¹ e of each condition: the expected error of the condition itself, without the error of the parameters.
     pub own: Vec<DVector<f64>>,
-    /// Scale of the errors. `scales`: for each condition, as the other conditions show it; `scale`: as all conditions show it.
+    /// Scale φ of the errors: `scales` has, for each condition, the estimate from the other conditions; `scale` is the estimate from all conditions.
     pub scales: Vec<f64>,
     pub scale: f64,
     /// Q of each condition.
@@ -44,8 +44,8 @@ pub struct LeftOutRow {
     pub law: Option<usize>,
 }
 
-/// A model that is linear near its fit, in the numbers of the conditions. The last condition is the stated priors of coefficients
-/// and nuisances.
+/// The linear approximation of a model near its fit, for the numbers of each condition. The last condition is the stated priors
+/// of coefficients and nuisances.
 pub struct Linear {
     pub residual: Vec<DVector<f64>>,
     pub slopes: Vec<Vec<DVector<f64>>>,
@@ -78,7 +78,7 @@ struct LeftOut {
     wider: f64,
 }
 
-/// All conditions under one scale of the errors.
+/// The predictions of all conditions with one scale of the errors.
 struct Predicted {
     law: Option<usize>,
     step: DVector<f64>,
@@ -102,7 +102,7 @@ impl Products {
         rest
     }
 
-    /// The law that gains most.
+    /// The law that reduces the errors most.
     fn best_law(&self) -> Option<usize> {
         if self.laws.is_empty() {
             return None;
@@ -158,13 +158,13 @@ impl Linear {
         self.residual.len() - 1
     }
 
-    /// Weight of a condition if the variance of errors is `scale` times that of the noise. The condition of the stated priors has a weight
-    /// of its own.
+    /// Weight of a condition if the variance of errors is `scale` times that of the noise. The weight of the last condition, the stated
+    /// priors, does not depend on `scale`.
     fn weight(&self, c: usize, scale: f64) -> f64 {
         if c < self.measured() { scale.recip() } else { 1.0 }
     }
 
-    /// Products of all conditions together, and the prior.
+    /// Sum of the products of all conditions, together with the prior.
     fn total(&self, each: &[Products], scale: f64) -> Products {
         let n = self.slopes.len();
         let mut all = Products {
@@ -176,8 +176,9 @@ impl Linear {
         all
     }
 
-    /// Scale of the errors that all conditions but one show: their mean square, together with one more condition that
-    /// scatters as the repetitions do. No model has less scatter than the repetitions.
+    /// Scale of the errors, estimated from all conditions except `without`: their mean square, where one more condition
+    /// is counted that scatters as the repetitions do. The scale is at least 1, because no model scatters less than the
+    /// repetitions.
     fn scale(&self, left: &[LeftOut], without: Option<usize>) -> f64 {
         let own = |c: usize| left[c].square / left[c].error.len().max(1) as f64;
         let (mut sum, mut count) = (1.0, 1.0);
@@ -214,7 +215,7 @@ impl Linear {
         Predicted { law, step, left }
     }
 
-    /// The row of the table; `degrees` are those of the noise.
+    /// The row of the table; `degrees` are the degrees of freedom of the noise.
     pub fn row(&self, study: &FitInputs, model: &Contender, used: &[usize], degrees: f64) -> LeftOutRow {
         let each: Vec<Products> = (0..self.residual.len()).map(|c| self.products(c)).collect();
         let mut scale = 1.0;
@@ -272,7 +273,7 @@ fn inverted(a: DMatrix<f64>) -> DMatrix<f64> {
     a.cholesky().map_or_else(|| DMatrix::zeros(n, n), |f| f.inverse())
 }
 
-/// Errors of the sand's prediction, without nuisances, on the conditions `held`, with the parameters changed by `step`.
+/// Errors of the prediction on the conditions `held`, for the sand alone without nuisances, with the parameters changed by `step`.
 pub fn held_out(
     study: &FitInputs,
     model: &Contender,

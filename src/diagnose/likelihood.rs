@@ -1,8 +1,8 @@
 //! Likelihood of the differences between repetitions under a noise model.
 //!
 //! Channels have independent noise, so products of whitened columns are sums over channels. A search changes one number
-//! at a time, so the contributions of the other channels are kept. A change of a shared direction's size only scales
-//! products.
+//! at a time, so the contributions of the other channels are stored. If the size of a shared direction changes, the
+//! stored products are only scaled.
 
 use super::known::Recent;
 use super::noise::{ChannelFilter, ChannelNoise, Noise, NoiseClock};
@@ -15,7 +15,7 @@ use std::sync::Arc;
 /// needs.
 const KEPT: usize = 13;
 
-/// One condition, one channel.
+/// Contribution of one channel of one condition.
 struct LikelihoodPart {
     log_determinant: f64,
     /// Products of the shared directions and the differences, whitened.
@@ -26,7 +26,7 @@ struct LikelihoodPart {
 pub struct Landscape<'a> {
     repeats: &'a [Repeats],
     steps: Vec<Vec<f64>>,
-    /// Terms of every condition, for each channel by its noise.
+    /// For each channel the contributions of all conditions, stored by the channel's noise.
     channels: Vec<Recent<ChannelNoise, Vec<LikelihoodPart>>>,
 }
 
@@ -58,7 +58,7 @@ impl<'a> Landscape<'a> {
         total
     }
 
-    /// Terms of channel `c` under its own noise.
+    /// Contributions of channel `c` under its noise.
     fn parts(&self, c: usize, noise: &ChannelNoise) -> Arc<Vec<LikelihoodPart>> {
         let of = |(repeat, steps): (&Repeats, &Vec<f64>)| LikelihoodPart::new(repeat, c, noise, steps);
         self.channels[c].of(noise, || self.repeats.iter().zip(&self.steps).map(of).collect())

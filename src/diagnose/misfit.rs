@@ -15,10 +15,10 @@ pub struct Misfit {
     pub range: Option<[f64; 2]>,
     pub group: Option<String>,
     pub channel: String,
-    /// Mean of (measured − predicted) along the predicted direction, and root mean square [unit of the channel].
+    /// Mean of measured − predicted, positive in the direction of the prediction [unit of the channel]; the next field is the root mean square.
     pub mean: f64,
     pub rms: f64,
-    /// Mean error over mean predicted size; None if the predicted size is negligible.
+    /// Mean error divided by the mean size of the prediction; None if this size is negligible.
     pub relative: Option<f64>,
     pub samples: usize,
 }
@@ -80,7 +80,7 @@ pub fn misfit(
     table
 }
 
-/// Quantile ranges of a feature; its single values if it has only few.
+/// Ranges of a feature with equal numbers of samples; if the feature has only few different values, these values.
 fn ranges(values: &[Vec<f64>]) -> Vec<[f64; 2]> {
     let mut all: Vec<f64> = values.iter().flatten().copied().collect();
     all.sort_by(f64::total_cmp);
@@ -95,12 +95,12 @@ fn ranges(values: &[Vec<f64>]) -> Vec<[f64; 2]> {
 
 /// The report names a range if its error is this many times the smallest error of the same table: our choice.
 const UNEVEN: f64 = 1.25;
-/// An error counts as increasing or decreasing along a feature despite reversals of up to this share of its greatest
+/// An error counts as increasing or decreasing along a feature even if it reverses by up to this share of its greatest
 /// size, which may be noise: our choice.
 const DIP: f64 = 0.1;
 
-/// One sentence: the shape with the largest error of `prediction`, and the ranges of the features where that `error`
-/// (its name) is large; None if it is similar everywhere.
+/// One sentence that names the shape with the largest error of `prediction`, and the ranges of the features where the
+/// error is large; `error` is the name of the error. None if the error is similar everywhere.
 pub fn whereabouts(
     observations: &Observations,
     model: &dyn ForwardModel,

@@ -1,14 +1,11 @@
 //! Diagnosis: finds where the simulation errs, names the cause, extends the model, and measures the gain.
 //!
-//! 1. [`force_log`], [`walking_log`], [`intruder_log`] or [`trajectory`] reads the data, [`experiment`] the facts
-//!    about them.
-//! 2. A [`forward`] model predicts the data.
-//! 3. [`noise_search`] learns the [`noise`] from repetitions, with the errors that a trial shares ([`shared`]), and
-//!    [`whiten`] whitens the residuals.
-//! 4. [`gauss_newton`] makes [`fit`]s, in which [`nuisance`]s are marginalised.
-//! 5. [`select`] chooses: it fits the [`candidates`] and the [`laws`], compares them in one table of [`evidence`], and
-//!    reads the [`verdict`] off it.
-//! 6. [`view`] and [`report`] show the result, and [`statements`] must hold for it.
+//! 1. [`force_log`], [`walking_log`], [`intruder_log`] or [`trajectory`] reads the data, and [`experiment`] reads the
+//! facts about the data. 2. A [`forward`] model predicts the data. 3. [`noise_search`] learns the [`noise`] from
+//! repetitions, with the errors that a trial shares ([`shared`]), and [`whiten`] whitens the residuals. 4.
+//! [`gauss_newton`] makes [`fit`]s, in which [`nuisance`]s are marginalised. 5. [`select`] chooses: it fits the
+//! [`candidates`] and the [`laws`], compares them in one table of [`evidence`], and takes the [`verdict`] from this
+//! table. 6. [`view`] and [`report`] show the result, for which all [`statements`] must hold.
 //!
 //! Steps 3 to 6 use only [`observations`] and a [`forward::ForwardModel`]. Another kind of data needs only its own
 //! reader and forward model.
@@ -201,8 +198,9 @@ fn diagnose_measured(
     Ok(Diagnosis { report, sand, hardware, curves, name: "the data".into() })
 }
 
-/// Causes that the data can show; causes that act on the data, but cannot be tested for lack of a column; and
-/// all causes that cannot be tested, because of a column or because they have no effect, with the reason.
+/// Returns three lists: causes that the data can show; causes that act on the data, but cannot be tested because a
+/// column is missing; and, with the reason, all causes that cannot be tested, because a column is missing or because
+/// they have no effect.
 fn testable(study: &FitInputs) -> (Vec<usize>, Vec<usize>, Vec<Untestable>) {
     let (mut ids, mut unknown, mut untestable) = (Vec::new(), Vec::new(), Vec::new());
     let coefficients = study.model.medium().coefficients;

@@ -5,8 +5,8 @@
 
 use super::track::{ArmPose, Track};
 
-/// Below this share of the trial's speed an intruder rests: our choice, above the noise of velocities at rest and
-/// far below any speed of interest.
+/// An intruder rests if its speed is below this share of the trial's speed: our choice, above the noise of velocities
+/// at rest and far below any speed of interest.
 const REST: f64 = 0.05;
 /// A velocity up to this share counts as noise if the position shows rest: our choice.
 const NOISY_REST: f64 = 0.2;
@@ -16,7 +16,7 @@ const REACH: usize = 2;
 /// on a distance of 4 cm, 1° on one of 200°.
 const SLACK: f64 = 0.005;
 /// Share of the trial's extent after which an intruder has certainly started: our choice, because the error of the
-/// direction is then only twice the position's noise / the extent.
+/// direction is then only twice the position's noise divided by the extent.
 const SET_OUT: f64 = 0.5;
 
 /// The first direction of motion of a trial.
@@ -63,8 +63,8 @@ pub fn heading(track: &Track) -> Heading {
 /// start at different times are matched by position and not by time. The path never decreases; it also grows when the
 /// intruder moves back.
 ///
-/// Fluctuations within [`SLACK`] do not count: a point follows the position within that distance, and the path of this
-/// point is returned. So noise at rest does not add up.
+/// Fluctuations within [`SLACK`] do not count: the path is that of a point that follows the position and lags it by at
+/// most this distance. So noise at rest does not add up.
 pub fn progress(track: &Track, heading: &Heading) -> Vec<f64> {
     let start = track.place(&track.poses[0]);
     let from = start[0] * heading.along[0] + start[1] * heading.along[1];
@@ -84,9 +84,8 @@ pub fn progress(track: &Track, heading: &Heading) -> Vec<f64> {
     track.poses.iter().map(at).collect()
 }
 
-/// Samples at which the intruder moves; all samples if it never does. The force law depends on the direction of
-/// motion only, so it does not predict the force at rest, which may have any value up to the one that starts a
-/// motion.
+/// Samples at which the intruder moves; all samples if it never does. The force law depends on the direction of motion
+/// only, so it does not predict the force at rest, which may have any value up to the force that starts a motion.
 pub fn moving(track: &Track) -> Vec<usize> {
     let poses = &track.poses;
     let usual = usual_speed(track);
@@ -96,7 +95,7 @@ pub fn moving(track: &Track) -> Vec<usize> {
     };
     let moves = |i: &usize| {
         let logged = track.speed(&poses[*i]);
-        // At the ends of a rest, only the samples on one side are at rest.
+        // At the start or end of a rest, only the samples on one side are at rest.
         let before = seen(i.saturating_sub(REACH), *i);
         let after = seen(*i, (i + REACH).min(poses.len() - 1));
         let seen = before.min(after);

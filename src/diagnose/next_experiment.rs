@@ -13,9 +13,9 @@ use serde::Serialize;
 pub struct Proposal {
     pub condition: String,
     pub repetitions: usize,
-    /// Whitened distance between the two explanations on these repetitions [σ].
+    /// Whitened distance between the predictions of the two explanations for `REPETITIONS` repetitions of this condition [σ].
     pub expected_separation: f64,
-    /// The two nearest explanations, which this condition separates.
+    /// The causes of the two nearest explanations, which this condition separates.
     pub separates: [Vec<String>; 2],
 }
 
@@ -31,7 +31,7 @@ pub fn propose(menu: &Menu, noise: &Noise, study: &FitInputs, set: &[&Fit], coun
     };
     let observations = Observations { values: first.clone(), ..menu.observations.clone() };
     let mut uncertainty = menu.model.uncertainty(sand, first);
-    // One unit represents all repetitions; more repetitions do not reduce their common error.
+    // One unit represents all repetitions. More repetitions do not reduce the error that they share, so its size is multiplied by √n.
     let errors = uncertainty.common.iter_mut().flatten().chain(&mut uncertainty.own);
     errors.for_each(|e| *e *= (REPETITIONS as f64).sqrt());
     let (sizes, uncertainty) = (&sizes(&observations), &uncertainty);
@@ -49,8 +49,8 @@ pub fn propose(menu: &Menu, noise: &Noise, study: &FitInputs, set: &[&Fit], coun
     let separations = separation(a, b);
     let mut order: Vec<usize> = (0..separations.len()).collect();
     order.sort_by(|i, j| separations[*j].total_cmp(&separations[*i]));
-    // Trials that differ only in a quantity without effect on both explanations separate them equally, so one of
-    // them is enough.
+    // Trials that differ only in a quantity without effect on both explanations separate these equally, so only one
+    // such trial is kept.
     order.dedup_by(|a, b| (separations[*a] / separations[*b] - 1.0).abs() < 1e-3);
     let names = |f: &Fit| f.ids.iter().map(|&id| crate::sand::mechanism::CATALOG[id].id.to_string()).collect();
     order

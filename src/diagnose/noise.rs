@@ -1,16 +1,17 @@
 //! The model of the noise in the data. Its parameters are learnt from the data's own repetitions, see
 //! [`super::noise_search`].
 //!
-//! The noise has three parts: a part that the whole trial shares ([`super::shared`]: the strength of its bed, the
-//! phase of the hips), an AR(1) noise in proportion to a size S, and white sensor noise:
+//! The noise has three parts: a part that all numbers of a trial share ([`super::shared`]: from the strength of its bed
+//! or the phase of the hips), the noise of grains, which is an AR(1) noise in proportion to a size S, and white sensor
+//! noise:
 //!
 //! y_c(i) = m_c(i) + Σ_k g_k u_kc(i) + s_c(i) a(i) + b_c e(i), a(i) = φ a(i−1) + √(1−φ²) w(i), s_c(i) = grain_c
 //! S(i).
 //!
 //! S is |F| in force logs (grains push on all channels alike) and the channel's own mean in walking runs. φ is the
-//! correlation over a step of a [`NoiseClock`]: the noise of grains is correlated along the path, that of filters and
-//! amplifiers in time; the repetitions decide. The parameters maximise the likelihood of the differences between
-//! repetitions, which do not depend on the model of the sand.
+//! correlation over a step of a [`NoiseClock`]. The noise of grains is correlated along the path, and the noise of
+//! filters and amplifiers in time; which clock is used follows from the repetitions. The parameters maximise the
+//! likelihood of the differences between repetitions, which do not depend on the model of the sand.
 
 use super::errors::SquaredErrors;
 use super::observations::{Observations, Size};
@@ -20,7 +21,7 @@ use super::shared::Uncertainty;
 /// Noise of one channel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ChannelNoise {
-    /// Standard deviation of the grain noise per size [1; m for torques].
+    /// Standard deviation of the grain noise divided by the size S [1; m for torques].
     pub grain: f64,
     /// Standard deviation of the sensor noise [unit of the channel].
     pub sensor: f64,
@@ -31,9 +32,9 @@ pub struct ChannelNoise {
 /// The coordinate along which the grain noise is correlated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NoiseClock {
-    /// From sample to sample.
+    /// The correlation is from sample to sample.
     Sample,
-    /// Along the path; a step is a sixtieth of it (our choice; φ depends on it, the correlation does not).
+    /// The correlation is along the path. A step is a sixtieth of the path: our choice, on which φ depends, but not the noise.
     Path,
 }
 
@@ -70,8 +71,9 @@ pub fn sizes(observations: &Observations) -> Sizes {
     sizes_of(observations, &observations.values)
 }
 
-/// The sizes of `values`, for instance those of a model's prediction. Near the data a model's own sizes are better:
-/// with measured sizes, samples that noise has made small would get too much weight, and every fit would be too low.
+/// The sizes of `values`, for instance those of a model's prediction. If a model is near the data, the sizes of its
+/// prediction are better than measured sizes: with these, samples that noise has made small would get too much weight,
+/// and every fit would be too low.
 pub fn sizes_of(observations: &Observations, values: &[f64]) -> Sizes {
     let groups = observations.repetitions();
     let mut out = vec![Vec::new(); observations.units.len()];
@@ -109,14 +111,15 @@ fn smoothed(size: &[f64]) -> Vec<f64> {
 /// Whitens one channel of one unit: the innovations of the Kalman filter of grain + sensor noise, unit variance each.
 #[derive(Clone, Debug)]
 pub struct ChannelFilter {
-    /// (correlation with the sample before, grain sd, Kalman gain, 1/innovation sd) of each sample.
+    /// For each sample: correlation with the sample before, standard deviation of the grain noise, Kalman gain, and
+    /// 1/standard deviation of the innovation.
     steps: Vec<[f64; 4]>,
     pub log_determinant: f64,
 }
 
 impl ChannelFilter {
-    /// `clock` has the steps between samples ([`NoiseClock::steps`]), `own` the additional variance of each sample, if
-    /// any.
+    /// `clock` has the steps between samples ([`NoiseClock::steps`]), and `own` the additional variance of each sample;
+    /// it may be empty.
     pub fn new(noise: &ChannelNoise, magnitude: &[f64], clock: &[f64], own: &[f64]) -> Self {
         let (mut variance, mut log_determinant, mut product) = (1.0, 0.0, 1.0);
         let steps: Vec<_> = magnitude
@@ -129,7 +132,7 @@ impl ChannelFilter {
                 let s = noise.grain * size;
                 let total = s * s * variance + noise.sensor * noise.sensor + own.get(i).copied().unwrap_or(0.0);
                 let gain = variance * s / total;
-                // One logarithm for a product of many factors, before the product overflows.
+                // Takes one logarithm for a product of many factors, before the product overflows.
                 product *= total;
                 if !(1e-150..1e150).contains(&product) {
                     log_determinant += f64::ln(product);
@@ -164,7 +167,7 @@ pub struct NoiseData<'a> {
     pub left_out: &'a [usize],
 }
 
-/// Is there scatter between the repetitions, so that they give a noise floor? Copies have none.
+/// Do the repetitions differ, so that they give a noise floor? Copies do not differ.
 pub fn scatters(observations: &Observations, floor: &SquaredErrors) -> bool {
     let counted = observations.channels.iter().enumerate().filter(|c| c.1.in_rmse);
     let blocks = counted.flat_map(|(c, _)| observations.units.iter().map(move |u| u.block(c)));

@@ -1,5 +1,5 @@
-//! Learns the parameters of the noise from the repetitions in the data: those for which the differences between
-//! repetitions are most likely.
+//! Learns the parameters of the noise from the repetitions in the data: the parameters with which the differences
+//! between repetitions are most likely.
 
 use super::errors::SquaredErrors;
 use super::likelihood::Landscape;
@@ -33,15 +33,15 @@ impl NoiseData<'_> {
         Noise { clock, channels, shared: self.uncertainty.shared.iter().map(|s| s.guess).collect() }
     }
 
-    /// Learns the noise from the repetitions; `start` is an earlier estimate from similar data. After a stop it
-    /// returns the estimate reached so far.
+    /// Learns the noise from the repetitions; `start` is an earlier estimate from similar data. If the work is stopped,
+    /// it returns the estimate reached so far.
     pub fn noise(&self, start: Option<&Noise>, stopped: &(dyn Fn() -> bool + Sync)) -> Noise {
         let repeats = self.repeats();
         if let Some(start) = start {
             return self.search(&repeats, start.clock, Some(start), stopped).0;
         }
         let of = |clock: &NoiseClock| self.search(&repeats, *clock, None, stopped);
-        // A unit with a single number has no correlation.
+        // If all units have a single number, there is no correlation, and one clock suffices.
         let clocks = [NoiseClock::Sample, NoiseClock::Path];
         let clocks = if self.observations.units.iter().any(|u| u.samples > 1) { &clocks[..] } else { &clocks[..1] };
         let found = crate::parallel::map(clocks, of).into_iter().min_by(|a, b| a.1.total_cmp(&b.1));
@@ -49,8 +49,8 @@ impl NoiseData<'_> {
     }
 
     /// Names of the shared directions that the repetitions support: an optional direction is left out if the likelihood
-    /// without it is not significantly lower (at 95 %). Directions without support cannot be estimated and would widen
-    /// the gates.
+    /// without it is not significantly lower (at 95 %). The size of a direction without support cannot be estimated,
+    /// and the direction would only increase the uncertainty.
     pub fn supported(&self, noise: &Noise) -> Vec<&'static str> {
         let repeats = self.repeats();
         let landscape = Landscape::new(&repeats, noise.clock);
@@ -79,8 +79,8 @@ impl NoiseData<'_> {
         (Noise::unpack(&found, self.observations.channels.len(), clock), value)
     }
 
-    /// −2 log likelihood of packed noise, plus a prior of three e-folds about the guess, which matters only if the data
-    /// contain no information.
+    /// −2 log likelihood of packed noise, plus a prior about the guess with a standard deviation of three e-folds,
+    /// which matters only if the data contain no information.
     fn deviance<'b>(
         &'b self,
         repeats: &'b [Repeats],
@@ -117,7 +117,7 @@ impl NoiseData<'_> {
 }
 
 impl Noise {
-    /// Search space of the likelihood: ln grain, ln sensor, logit φ of each channel, then the shared ones' ln.
+    /// Coordinates of the search: ln grain, ln sensor and logit φ of each channel, then the logarithm of each shared standard deviation.
     fn pack(&self) -> Vec<f64> {
         let channel = |c: &ChannelNoise| [c.grain.ln(), c.sensor.ln(), (c.phi / (1.0 - c.phi)).ln()];
         self.channels.iter().flat_map(channel).chain(self.shared.iter().map(|s| s.ln())).collect()

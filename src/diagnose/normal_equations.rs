@@ -38,8 +38,8 @@ impl NormalEquations {
 }
 
 impl FitInputs<'_> {
-    /// A slope, whitened. Slopes that fits share are kept; other slopes are whitened when they are needed, because those of all
-    /// candidates together would take as much memory as everything else.
+    /// A slope, whitened. Slopes that fits share are stored whitened. Other slopes are whitened when they are needed, because
+    /// all of them together would take as much memory as everything else.
     pub fn whitened(&self, slope: &Stack) -> Stack {
         let known = self.marginal_slopes[0].iter().position(|own| Arc::ptr_eq(own, slope));
         let known = known.and_then(|k| self.marginal_slopes[1].get(k));
@@ -65,16 +65,16 @@ impl FitInputs<'_> {
         NormalEquations { white, information, score }
     }
 
-    /// Covariance of the fitted coordinates, the coefficients marginalised.
+    /// Covariance of the fitted coordinates; coefficients and nuisances are marginalised.
     pub fn covariance(&self, fit: &Fit) -> DMatrix<f64> {
         values_of(fit, self.normal_equations(fit).information.try_inverse())
     }
 
-    /// The same covariance if the errors within a condition are correlated in an unknown way, like those of a law that
-    /// is not quite right: the scatter of the fit with one condition left out each time (the jackknife over clusters,
-    /// CV3 of MacKinnon, Nielsen & Webb, Journal of Applied Econometrics 38:671, 2023), with the stated uncertainty of
-    /// coefficients and nuisances added. A condition is left out by one Gauss-Newton step. If this condition alone shows a value,
-    /// the value returns to its prior.
+    /// The same covariance for errors that are correlated within a condition in an unknown way, such as the errors of a law that
+    /// is not quite right: the scatter of fits that leave out one condition each (the jackknife over clusters, CV3 of MacKinnon,
+    /// Nielsen & Webb, Journal of Applied Econometrics 38:671, 2023), with the stated uncertainty of coefficients and nuisances
+    /// added. One Gauss-Newton step leaves out a condition. If only this condition contains information on a value, the value
+    /// returns to its prior.
     pub fn jackknife(&self, fit: &Fit) -> DMatrix<f64> {
         values_of(fit, self.jackknife_of_all(fit))
     }
@@ -103,8 +103,9 @@ impl FitInputs<'_> {
         Some(scatter * ((count - 1.0) / count) + &inverse * stated * &inverse)
     }
 
-    /// Half the 95 % interval of each nuisance, in prior standard deviations. As for values (`select.rs`), the greater of two counts: the
-    /// one under the noise, which has these degrees of freedom, and the one from the scatter between conditions. None without slopes.
+    /// Half the 95 % interval of each nuisance, in prior standard deviations. As for values (`select.rs`), it is the greater of two: the
+    /// interval under the noise, which has `degrees` degrees of freedom, and the interval from the scatter between conditions. None if
+    /// the fit has no slopes.
     pub fn nuisance_reach(&self, fit: &Fit, degrees: f64) -> Option<Vec<f64>> {
         if fit.slopes.is_empty() {
             return None;
@@ -134,13 +135,13 @@ impl FitInputs<'_> {
     }
 }
 
-/// Precision and score of a value's prior at coordinate `at`: it is within [`USUAL`] typical strengths of 0.
+/// Precision and score of a value's prior at coordinate `at`. The prior is normal about 0, with a standard deviation of [`USUAL`] typical strengths.
 pub fn value_prior(id: usize, at: f64) -> [f64; 2] {
     let precision = (USUAL * CATALOG[id].coordinate_typical()).powi(-2);
     [precision, -precision * at]
 }
 
-/// The part of a covariance that belongs to the values of a fit; infinite if there is none.
+/// The part of a covariance that belongs to the values of a fit; infinite if there is no covariance.
 fn values_of(fit: &Fit, covariance: Option<DMatrix<f64>>) -> DMatrix<f64> {
     let count = fit.ids.len();
     let own = covariance.map(|v| v.view((0, 0), (count, count)).into_owned());

@@ -1,9 +1,9 @@
 //! Nuisances: effects of measuring that occur in every laboratory. They are not causes in the sand, so they are
 //! marginalised like the coefficients.
 //!
-//! A nuisance is a column: the change of the data by one prior standard deviation, computed at the current fit.
-//! Nuisances that all trials share are here; those that each trial has of its own (offset, drift, surface, strength
-//! of its bed) are noise of low rank whose size is learnt from the repetitions ([`super::shared`]).
+//! A nuisance is a column: the change of the data by one prior standard deviation, computed at the current fit. This
+//! file has the nuisances that all trials share. Effects that differ between trials (offset, drift, surface, strength
+//! of the bed) are noise of low rank whose size is learnt from the repetitions ([`super::shared`]).
 
 use super::fit::Stack;
 use crate::error::{Error, Result, check_range};
@@ -39,13 +39,13 @@ impl Nuisance {
     }
 }
 
-/// Kinds of nuisances with unit and default prior standard deviation. Our choices, typical for a careful
-/// laboratory: a load cell's zero within a tenth of what it reads, its gain within 2 %, mounted within 3°; the
-/// surface within 2 mm; clocks within 2 ms and 0.1 %; filters up to some 5 ms; half the length of a body within 1
-/// mm, the friction of its surface within 0.15.
+/// Kinds of nuisances with unit and default prior standard deviation. Our choices, typical for a careful laboratory:
+/// the zero of a load cell is known within a tenth of what the cell reads, its gain within 2 %, its mounting within 3°;
+/// the height of the surface within 2 mm; clocks within 2 ms and 0.1 %; filters up to some 5 ms; half the length of a
+/// body within 1 mm, the friction of its surface within 0.15.
 ///
-/// For a robot's log: an IMU mounted within 3°, late by 10 ms, with a blur as that of a filter of 7 ms (23 Hz), and
-/// offsets within 0.05 rad/s and 0.1 m/s²; logged torques within 2 % of the true ones and of those that servos
+/// For a robot's log: an IMU mounted within 3°, late by 10 ms, with the blur of a filter of 7 ms (23 Hz), and offsets
+/// within 0.05 rad/s and 0.1 m/s²; logged torques within 2 % of the true torques and of the torques that servos
 /// request; offsets of torques and friction of joints within 5 % of the torques' rms; the mass within 2 %; beds that
 /// scatter by 5 %; errors of the simulation of 10 % of a channel's standard deviation within a stride, independent
 /// between parts of a stride. Two simulators of the same robot on the same sand differ by half of that, but the
@@ -88,7 +88,7 @@ impl Default for Priors {
     }
 }
 
-/// The table as it is in the file.
+/// The form of the table in the file.
 #[derive(Deserialize)]
 #[serde(untagged)]
 pub enum PriorEntry {
@@ -106,7 +106,7 @@ const SAME: [(&str, &str); 6] = [
     ("lowpass", "lowpass"),
 ];
 
-/// Stated standard deviation of a mechanism of the sensor; None for other mechanisms.
+/// Stated standard deviation of a mechanism of the sensor; None for all other mechanisms.
 pub fn stated(nuisances: &[Nuisance], mechanism: &str) -> Option<f64> {
     let (_, same) = SAME.iter().find(|s| s.0 == mechanism)?;
     nuisances.iter().find(|n| n.id.starts_with(same)).map(|n| n.sd)

@@ -9,8 +9,8 @@ use std::ops::Range;
 pub struct Channel {
     pub name: Cow<'static, str>,
     pub unit: &'static str,
-    /// Does it count in the held-out error [unit of the channel]? Channels with another unit do not, such as the torque of a force
-    /// log.
+    /// Does the channel count in the held-out error? All channels that count have the same unit, so for example the torque of a
+    /// force log does not.
     pub in_rmse: bool,
 }
 
@@ -28,8 +28,8 @@ pub struct Unit {
     /// Start of its block of `samples × channels` numbers in the stack; channel by channel.
     pub start: usize,
     pub samples: usize,
-    /// Coordinate that increases along the trial and is comparable between repetitions (angle travelled [rad], path
-    /// [m]).
+    /// Coordinate that increases along the trial and has the same meaning in all repetitions (angle travelled [rad],
+    /// path [m]).
     pub progress: Vec<f64>,
 }
 
@@ -41,7 +41,7 @@ impl Unit {
     }
 }
 
-/// The size to which the proportional part of the noise is proportional.
+/// The size S to which the noise of grains is proportional.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Size {
     /// The magnitude of the force whose components are the first two channels.
@@ -57,7 +57,7 @@ pub struct Observations {
     pub values: Vec<f64>,
     pub channels: Vec<Channel>,
     pub units: Vec<Unit>,
-    /// Names of the conditions; repetitions of a condition differ by chance only.
+    /// Names of the conditions. Repetitions of a condition differ only by chance.
     pub conditions: Vec<String>,
 }
 
@@ -110,9 +110,9 @@ impl Observations {
 /// A log, read and checked: what was measured, and in which setting.
 pub struct MeasuredLog<S> {
     pub observations: Observations,
-    /// Motions or setups. Trials that move alike share a setting, and so do runs with the same setup.
+    /// Motions or setups. Trials with the same motion share a setting, as do runs with the same setup.
     pub settings: Vec<S>,
-    /// Setting of each unit.
+    /// Index in `settings` for each unit.
     pub setting_of: Vec<usize>,
     /// Optional columns that are absent or blank throughout.
     pub missing: Vec<&'static str>,

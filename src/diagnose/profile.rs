@@ -3,21 +3,21 @@
 //!
 //! If a gait sticks or stalls, the objective is rough: slopes are valid only locally, and a fit may end in a local
 //! minimum. So each value is changed by finite steps, and the runs are simulated with it. The fit moves to the lowest
-//! point, and the interval reaches from the first to the last point at which the objective is within the noise's
-//! tolerance.
+//! point. The interval reaches from the first to the last point at which the objective exceeds the lowest one by at
+//! most the tolerance `allowed`, which the noise determines.
 
 use super::fit::Fit;
 use super::study::FitInputs;
 use crate::sand::mechanism::CATALOG;
 use nalgebra::{DMatrix, DVector};
 
-/// Steps on either side, in standard deviations of the slope-based interval. Our choice: close together where a
-/// smooth objective crosses the tolerance, and some far out, because a rough one may cross it again.
+/// Steps on either side, in standard deviations of the slope-based interval. Our choice: close together where a smooth
+/// objective crosses the tolerance, and some farther out, because a rough objective may cross the tolerance again.
 const STEPS: [f64; 11] = [0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 9.0, 13.0, 20.0];
 
 /// Largest number of rounds: our choice. If the scans of a round find a lower point, the next round scans from there.
 const ROUNDS: usize = 3;
-/// A point this much lower [χ²] is another minimum: our choice, a quarter of the effect of one σ.
+/// If a point is lower than the fit by more than this [χ²], it belongs to another minimum: our choice, a quarter of the effect of one σ.
 const LOWER: f64 = 0.25;
 
 /// The lowest point in scans of each value about `fit`, and the first and last coordinate of each value at which
@@ -40,7 +40,7 @@ pub fn explore(study: &FitInputs, fit: &Fit, allowed: f64) -> (Fit, Vec<[f64; 2]
 
 fn interval(fit: &Fit, scan: &[Fit], k: usize, allowed: f64) -> [f64; 2] {
     if scan.is_empty() {
-        return [f64::NAN; 2]; // the slope-based interval has to suffice
+        return [f64::NAN; 2]; // only the slope-based interval remains
     }
     let place = |fit: &Fit| (fit.coordinates()[k], fit.objective);
     let mut all: Vec<(f64, f64)> = scan.iter().map(place).chain([place(fit)]).collect();
@@ -65,8 +65,8 @@ fn within(scan: &[(f64, f64)], least: f64, allowed: f64) -> [f64; 2] {
     [low, high]
 }
 
-/// Fits with value `k` fixed at several points about that of `fit`. The other values first change as the slopes at
-/// `fit` predict, and then by a Gauss-Newton step from the residual, if that helps.
+/// Fits with value `k` fixed at several points about its value in `fit`. The other values first change as the slopes at
+/// `fit` predict, and then by a Gauss-Newton step from the residual, if the step reduces the objective.
 fn scan(study: &FitInputs, fit: &Fit, k: usize) -> Vec<Fit> {
     let (at, bounds) = (fit.coordinates()[k], CATALOG[fit.ids[k]].coordinate_bounds());
     let sd = study.covariance(fit)[(k, k)].sqrt();
@@ -89,7 +89,7 @@ fn scan(study: &FitInputs, fit: &Fit, k: usize) -> Vec<Fit> {
     moved.into_iter().zip(second).map(|(a, b)| if b.objective < a.objective { b } else { a }).collect()
 }
 
-/// A step of all parameters, from that of the others and that of parameter `k`.
+/// A step of all parameters, made of the `step` of the `others` and the step `own` of parameter `k`.
 fn whole(others: &[usize], step: &DVector<f64>, k: usize, own: f64) -> Vec<f64> {
     let mut all = vec![0.0; others.len() + 1];
     others.iter().zip(step.iter()).for_each(|(&i, s)| all[i] = *s);
@@ -109,7 +109,7 @@ mod tests {
             (low + 2.0 * 3.84f64.sqrt()).abs() < 1e-9 && (high - 2.0 * 3.84f64.sqrt()).abs() < 1e-9,
             "{low} {high}"
         );
-        // Rough: the objective falls again at 6, and the last point is inside.
+        // In this rough scan the objective falls again at 6, so the last point is inside.
         let rough = [(0.0, 1.0), (1.0, 9.0), (2.0, 1.0), (3.0, 50.0), (6.0, 4.0)];
         assert_eq!(within(&rough, 1.0, 3.84), [0.0, 6.0]);
     }

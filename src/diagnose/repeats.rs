@@ -10,8 +10,8 @@ pub struct Repeats {
     pub sizes: Vec<Vec<f64>>,
     /// Progress of the matched samples.
     pub progress: Vec<f64>,
-    /// Directions of noise that a repetition's numbers share: index in [`super::shared::Uncertainty::shared`], and the direction channel by
-    /// channel.
+    /// Directions of the noise that all numbers of a repetition share: the index in [`super::shared::Uncertainty::shared`], and the
+    /// direction channel by channel.
     pub shared: Vec<(usize, Vec<Vec<f64>>)>,
     /// Orthonormal differences of the residuals, each channel by channel.
     pub differences: Vec<Vec<Vec<f64>>>,
@@ -71,11 +71,11 @@ impl NoiseData<'_> {
     }
 }
 
-/// Matches the samples of the repetitions along the path. Each row has one sample of each repetition; samples are in
-/// order, and none is used twice. Each sample of the repetition with the fewest samples gets the nearest samples of the
-/// others. Samples are not interpolated, because an interpolated value has less noise than a sample. Rows in which
-/// every channel of every repetition is exactly zero are left out: they come from simulated intruders in the air, and
-/// would give a noise of zero.
+/// Matches the samples of the repetitions along the path. Each row of the result has one sample of each repetition;
+/// samples are in order, and none is used twice. A sample of the repetition with the fewest samples is matched with the
+/// nearest sample of each other repetition. Samples are not interpolated, because an interpolated value has less noise
+/// than a sample. Rows in which every channel of every repetition is exactly zero are left out, because they come from
+/// simulated intruders in the air, and would give a noise of zero.
 fn matched(observations: &Observations, group: &[usize]) -> Vec<Vec<usize>> {
     let units: Vec<&Unit> = group.iter().map(|&u| &observations.units[u]).collect();
     let Some(leader) = (0..units.len()).min_by_key(|&k| units[k].samples) else { return Vec::new() };
@@ -92,7 +92,7 @@ fn matched(observations: &Observations, group: &[usize]) -> Vec<Vec<usize>> {
             let left = right.saturating_sub(1).max(next[k]);
             let away = |j: usize| progress.get(j).map_or(f64::INFINITY, |p| (p - at).abs());
             let best = if away(left) <= away(right) { left } else { right };
-            // Half the distance between samples, and the rounding of the log.
+            // A match is at most half the distance between samples away; the small number is for the rounding of the log.
             (away(best) <= reach + 1e-9).then_some(best)
         };
         let row: Option<Vec<usize>> =
@@ -109,9 +109,9 @@ fn matched(observations: &Observations, group: &[usize]) -> Vec<Vec<usize>> {
     rows
 }
 
-/// The misfit that all repetitions of a condition share, in one channel: the running mean of their residuals along
-/// the path. It is subtracted from each residual at its own sample, so that matched samples at slightly different
-/// positions do not differ by it.
+/// The misfit that all repetitions of a condition share, in one channel: the running mean of their residuals along the
+/// path. It is subtracted from each residual at the sample's own position, because matched samples are at slightly
+/// different positions and would otherwise differ by this misfit.
 struct Smooth {
     progress: Vec<f64>,
     /// Cumulative sums of the residuals.
@@ -120,7 +120,7 @@ struct Smooth {
 }
 
 impl Smooth {
-    /// Number of samples on either side, in distances of one repetition's samples: our choice.
+    /// Range of the running mean to either side, in distances between samples of one repetition: our choice.
     const REACH: f64 = 2.0;
 
     fn new(observations: &Observations, group: &[usize], channel: usize, residual: &dyn Fn(usize) -> f64) -> Self {

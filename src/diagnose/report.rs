@@ -30,7 +30,7 @@ pub struct EvidenceRow {
     pub terms: Vec<String>,
     /// Log predictive density of left-out conditions, summed over the conditions.
     pub elpd: f64,
-    /// `elpd` minus that of the best model, 0 or negative.
+    /// `elpd` minus the elpd of the best model, 0 or negative.
     pub difference: f64,
     /// Standard error of `difference`, over conditions.
     pub standard_error: f64,
@@ -44,17 +44,17 @@ pub struct Tried {
     pub ids: Vec<String>,
     pub values: Vec<f64>,
     pub delta_chi2: f64,
-    /// Fraction by which it reduces the held-out error of the plain model with fitted coefficients.
+    /// Fraction by which the candidate reduces the held-out error of the plain model with fitted coefficients.
     pub cv_gain: Option<f64>,
     pub lack_of_fit: Option<f64>,
-    /// Differences of χ² plus 2, or ln n, for each parameter.
+    /// Change of χ² + 2 × number of parameters (AIC); the next field has ln n in place of 2 (BIC).
     pub delta_aic: f64,
     pub delta_bic: f64,
     /// Whitened distance to the best explanation [σ].
     pub distance_to_best: Option<f64>,
 }
 
-/// Mean square of the whitened errors on left-out conditions, after repetitions were averaged: 1 is noise alone.
+/// Mean squares of the whitened errors on left-out conditions, after repetitions were averaged; noise alone gives 1.
 #[derive(Clone, Debug, Default, Serialize, PartialEq)]
 pub struct LackOfFit {
     pub plain: Option<f64>,
@@ -74,8 +74,9 @@ pub struct Gain {
     pub noise_floor: Option<f64>,
     pub reduction: Option<f64>,
     pub ci95: Option<[f64; 2]>,
-    /// Reduction of the error as a share of the achievable one, which is the plain model's error minus the scatter.
-    /// None if 0 is in the 95 % interval of that difference. By chance it may be slightly above 1.
+    /// Reduction of the error as a share of the achievable reduction, which is the plain model's error minus the
+    /// scatter between repetitions. None if 0 is in the 95 % interval of the achievable reduction. By chance the share
+    /// may be slightly above 1.
     pub achievable_fraction: Option<f64>,
     /// Were cause, noise and whitening chosen without the held-out conditions in each fold?
     pub nested: bool,
@@ -85,12 +86,12 @@ pub struct Gain {
 #[derive(Clone, Debug, Serialize, PartialEq)]
 pub struct NuisanceValue {
     pub id: String,
-    /// The channel, if each has its own.
+    /// The channel, if each channel has its own value.
     pub channel: Option<String>,
     /// `log`: all data have one value. `trial`, `bed`: each trial or bed has its own value, with mean 0 and standard deviation `sd`.
     pub level: &'static str,
     pub value: f64,
-    /// For a value of the whole log: the width of its 95 % interval, divided by that of a normal distribution with standard deviation 1.
+    /// For a value of the whole log: the width of its 95 % interval divided by the width for a normal distribution with standard deviation 1.
     pub sd: f64,
     pub unit: &'static str,
 }
@@ -125,7 +126,7 @@ pub struct TermFound {
 #[derive(Clone, Debug, Serialize, PartialEq)]
 pub struct UpperLimit {
     pub id: String,
-    /// Upper limit of its size, for either sign.
+    /// Upper limit of the size of the cause's value, for either sign.
     pub value: f64,
     pub unit: String,
     pub level: f64,
@@ -168,8 +169,8 @@ pub struct Report {
     pub upper_limits: Vec<UpperLimit>,
     /// Degrees of freedom of the estimated noise along the causes' effects.
     pub degrees_of_freedom: Option<f64>,
-    /// Does the law of the best cause have the right exponent of the speed? None if it has no such exponent or it
-    /// cannot be tested.
+    /// Does the law of the best cause have the right exponent of the speed? None if the law has no such exponent, or if
+    /// the data cannot test it.
     pub form: Option<SpeedExponent>,
     pub misfit: Vec<Misfit>,
     /// The ranges with the largest errors of the plain model, in one sentence; None without significant misfit.
@@ -202,10 +203,11 @@ pub struct RunMeans {
 /// Noise as learnt from the repetitions.
 #[derive(Clone, Debug, Serialize, PartialEq)]
 pub struct NoiseSummary {
-    /// Common parts of a repetition's numbers, and their sd: `bed_strength` (relative), `depth_zero`, offsets and
-    /// drifts of force logs; `bed_strength` and `gait_scatter` of walking runs.
+    /// Standard deviations of the noise that all numbers of a repetition share: `bed_strength` (relative),
+    /// `depth_zero`, offsets and drifts of force logs; `bed_strength` and `gait_scatter` of walking runs.
     pub shared: BTreeMap<String, f64>,
-    /// Channel → [proportional sd, constant sd, correlation of the proportional part from sample to sample].
+    /// Channel → [standard deviation of the proportional noise, standard deviation of the constant noise, correlation
+    /// of the proportional noise from sample to sample].
     pub channels: BTreeMap<String, [f64; 3]>,
 }
 
@@ -214,7 +216,7 @@ pub struct Diagnosis {
     pub report: Report,
     /// The extended model (the plain one if nothing helps), for the simulator.
     pub sand: SandDescription,
-    /// What was found of the robot's motors, sensors and delays, and what the experiment file states of them.
+    /// Properties of the robot's motors, sensors and delays that were found, together with those that the experiment file states.
     pub hardware: HardwareDescription,
     /// Measured, plain and extended stacks, for plots.
     pub curves: Curves,
@@ -227,13 +229,13 @@ pub struct Curves {
     pub observations: super::observations::Observations,
     /// The shape of each unit.
     pub groups: Vec<String>,
-    /// What each condition is, in words.
+    /// Description of each condition in words.
     pub conditions: Vec<String>,
     /// Name of the sand.
     pub medium: String,
     pub plain: Vec<f64>,
     pub extended: Option<Vec<f64>>,
-    /// Has the extended model the plain sand, with hardware that was found?
+    /// Does the extended model consist of the plain sand and of hardware that was found?
     pub sand_is_plain: bool,
     /// Standard deviation of one repetition about the model.
     pub band: Vec<f64>,

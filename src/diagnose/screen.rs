@@ -1,4 +1,4 @@
-//! The linear effect of every candidate on the data: where fits begin, and which pairs are worth a fit.
+//! The linear effect of every candidate on the data. It gives the start values of fits, and the pairs that are worth a fit.
 
 use super::fit::{Stack, slope};
 use super::shared::gram;
@@ -8,8 +8,8 @@ use crate::number::dot;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
 use nalgebra::{DMatrix, DVector};
 
-/// A cause affects the data if its typical strength changes them by more than 0.01 σ in all: our choice, far below the
-/// smallest effect that could be found.
+/// A cause affects the data if its typical strength changes all data together by more than 0.01 σ: our choice, far
+/// below the smallest effect that could be found. This is the square of 0.01.
 pub const FELT: f64 = 1e-4;
 /// Bound of a linear estimate in typical strengths: our choice; further from the plain model the linear estimate is
 /// not reliable.
@@ -24,7 +24,7 @@ pub struct Screen {
     plain: Vec<f64>,
 }
 
-/// Products of the whitened columns with each other, the coefficients projected out, and with the residual.
+/// Products of the whitened columns with each other and with the residual, after the coefficients' effects were projected out.
 pub struct Scores {
     pub gram: DMatrix<f64>,
     pub score: DVector<f64>,
@@ -67,7 +67,7 @@ impl Screen {
         value >= 0.0 || CATALOG[self.candidates[column].0].coordinate_bounds()[0] < 0.0
     }
 
-    /// Every pair of different causes with its Δχ², best first, as pairs of columns.
+    /// All pairs of different causes, as Δχ² and two columns; the pair with the greatest gain comes first.
     pub fn pairs(&self, gram: &DMatrix<f64>, score: &DVector<f64>) -> Vec<(f64, usize, usize)> {
         let mut all = Vec::new();
         for i in 0..score.len() {
@@ -93,7 +93,7 @@ impl Screen {
 /// choice, because the behaviour changes at the limit at which a motor begins to stall.
 const CEILINGS: usize = 7;
 
-/// Start values of a mechanism's fit; more than one if its effect is far from proportional.
+/// Start values of a mechanism's fit; more than one value if the effect is far from proportional to the value.
 pub fn starts(study: &FitInputs, id: usize) -> Vec<f64> {
     let entry = &CATALOG[id];
     match entry.id {

@@ -1,5 +1,5 @@
-//! Selects the cause: fits the candidates, compares them by one table of evidence, and measures the gain of the model that is
-//! written.
+//! Selects the cause: fits the candidates, compares them by one table of evidence, and measures the gain of the model that
+//! `sand.toml` gets.
 
 use super::candidates::{Candidates, SECOND, SearchSpace, candidates, contenders};
 use super::errors::SquaredErrors;
@@ -32,14 +32,14 @@ pub const FACTORS: [&str; 2] = ["packing_grad", "footprint"];
 /// All results of one diagnosis.
 pub struct Selection {
     pub candidates: Candidates,
-    /// The models of the table, as indices of `candidates.fits`; None for the plain model and for a law alone.
+    /// For each model of the table its index in `candidates.fits`; None for the plain model and for a law alone.
     pub places: Vec<Option<usize>>,
     pub table: EvidenceTable,
     pub entries: Vec<Compared>,
     pub ruling: Ruling,
-    /// The fit of the model that is written, or of the plain one, under the scale of its errors.
+    /// The fit of the written model, or of the plain model, with the noise scaled to its errors.
     pub standing: Fit,
-    /// The whitening under that scale.
+    /// The whitening with the noise scaled to the errors of `standing`.
     pub whitener: Whitener,
     /// The law that is written.
     pub law: Option<FittedLaw>,
@@ -83,7 +83,8 @@ impl Selection {
 }
 
 /// Runs the whole selection. Effects of the sensor are nuisances, which are marginalised. Only if the plain model with
-/// nuisances leaves nothing, mechanisms of the sensor are tried instead of nuisances; they must predict as well.
+/// nuisances leaves no misfit, mechanisms of the sensor are tried in place of nuisances; they must predict as well as
+/// the nuisances.
 pub fn select(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -> Result<Selection> {
     let marginalised = |id: &usize| {
         let entry = &CATALOG[*id];
@@ -95,8 +96,8 @@ pub fn select(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -
     if sensor.is_empty() || selection.verdict() != Verdict::NoiseFloor || study.nuisances.is_empty() {
         return Ok(selection);
     }
-    // Selections with and without nuisances are compared under the noise of the first one.
-    // Their nuisances differ, so the densities of the stated priors do not count.
+    // Selections with and without nuisances are compared under the noise of the selection with nuisances. Their
+    // nuisances differ, so the densities of the stated priors are left out of the comparison.
     let conditions = study.observations.conditions.len();
     let measured = |table: &EvidenceTable| table.rows[0].elpd[..conditions].iter().sum::<f64>();
     let with = measured(&selection.table);
@@ -112,7 +113,7 @@ pub fn select(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -
     Ok(if other.best().is_some_and(as_well) { other } else { selection })
 }
 
-/// Fits and compares once.
+/// Makes all fits and compares them once.
 fn attempt(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -> Result<Selection> {
     let mut candidates = candidates(study, asked, &|done, stage| progress.report(done, stage))?;
     progress.report(0.8, "laws in the data")?;
@@ -126,9 +127,10 @@ fn attempt(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -> R
     Ok(judged(study, &renewed, asked, candidates, [alone, beside], profiled))
 }
 
-/// Compares all models and rules on them. If the plain model, with nuisances, leaves no more than noise may, mechanisms of the sensor are
-/// no explanations beside it, because it contains them as nuisances; then all models are compared without these mechanisms. If sand cannot
-/// follow a law that was fitted with everything else, the law is taken out of the dictionary, and all models are compared again.
+/// Compares all models and gives the verdict. If the errors of the plain model, with nuisances, are no larger than noise may cause,
+/// mechanisms of the sensor are no separate explanations, because the plain model contains them as nuisances; then all models are compared
+/// again without these mechanisms. If sand cannot follow a law that was fitted with everything else, the law is taken out of the
+/// dictionary, and all models are compared again.
 fn judged(
     study: &FitInputs,
     renewed: &FitInputs,
@@ -153,13 +155,14 @@ fn judged(
             continue;
         }
         let mut nested = nested(renewed, asked, &candidates, &models, &ruling);
-        // If the choice that is made anew in each fold raises the error, this is the error of the models chosen in the folds.
+        // If the models chosen anew in the folds have no smaller error than the plain model, their error replaces the written model's error, and
+        // the verdict is given again.
         while !matches!(ruling.written, Written::Cause | Written::Plain) && nested[1].rmse() >= entries[0].error {
             entries[ruling.model].error = nested[1].rmse();
             ruling = verdict(&entries, SECOND);
             nested = self::nested(renewed, asked, &candidates, &models, &ruling);
         }
-        // The model is fitted once more, with the variance of its errors in each condition: at least that of the noise.
+        // The model is fitted once more, with the variance of its errors in each condition, which is at least the variance of the noise.
         let (model, row) = (&models[ruling.model], &table.rows[ruling.model]);
         let weights = study.observations.units.iter().map(|unit| table.weight(row, unit.condition).min(1.0));
         let whitener = renewed.whitener.weighted(weights);
@@ -267,10 +270,10 @@ fn explored(study: &FitInputs, candidates: &mut Candidates) -> Option<Vec<[f64; 
     Some(intervals)
 }
 
-/// 95 % intervals. A standard error is that under the noise, or that from the scatter between conditions if this is
-/// greater (Angrist & Pischke, Mostly Harmless Econometrics, 2009, 8.1): the first one is too small where the law is not
-/// quite right, and the second one where few conditions matter. Both are widened by Student's t, because the noise is
-/// only estimated and conditions are few.
+/// 95 % intervals. A standard error is the greater of two (Angrist & Pischke, Mostly Harmless Econometrics, 2009, 8.1):
+/// the one under the noise, which is too small if the law is not quite right, and the one from the scatter between
+/// conditions, which is too small if few conditions matter. Both are widened by Student's t, because the noise is only
+/// estimated and conditions are few.
 fn intervals(study: &FitInputs, fit: &Fit, degrees: f64, profiled: Option<Vec<[f64; 2]>>) -> Intervals {
     let (count, covariance, jackknife) = (fit.ids.len(), study.covariance(fit), study.jackknife(fit));
     let others = (study.observations.conditions.len() as f64 - 1.0).max(2.0);
@@ -292,8 +295,8 @@ fn intervals(study: &FitInputs, fit: &Fit, degrees: f64, profiled: Option<Vec<[f
 }
 
 /// Held-out errors of the fitted plain model and of the written model: in each fold the noise is learnt, the data are
-/// whitened, and the model to write is chosen without the held-out conditions. Values change by one Gauss-Newton step
-/// from the full fits, which is exact for a linear model.
+/// whitened, and the model to write is chosen without the held-out conditions. In each fold, values are those of the
+/// full fits, changed by one Gauss-Newton step, which is exact for a linear model.
 fn nested(
     study: &FitInputs,
     asked: &SearchSpace,
@@ -329,8 +332,8 @@ fn nested(
 /// Conditions held out in each fold.
 fn folds(conditions: usize) -> Vec<Vec<usize>> {
     let folds = FOLDS.min(conditions);
-    // Neighbouring conditions of a design are similar. A stride without a common divisor with their number distributes
-    // them over the folds.
+    // Neighbouring conditions of a design are similar. A stride that has no common divisor with the number of
+    // conditions distributes them over the folds.
     let stride = (conditions / 2 + 1..conditions + 2).find(|s| gcd(*s, conditions) == 1).unwrap_or(1);
     (0..folds).map(|f| (f..conditions).step_by(folds).map(|k| k * stride % conditions).collect()).collect()
 }

@@ -5,13 +5,13 @@ pub fn ends(numbers: impl Iterator<Item = f64>) -> [f64; 2] {
     numbers.fold([f64::MAX, f64::MIN], |[low, high], v| [low.min(v), high.max(v)])
 }
 
-/// The least number, the geometric mean of the ends, and the greatest number, of positive ones.
+/// Of positive numbers: the least, the geometric mean of least and greatest, and the greatest.
 pub fn low_middle_high(numbers: impl Iterator<Item = f64>) -> [f64; 3] {
     let [low, high] = ends(numbers);
     [low, (low * high).sqrt(), high]
 }
 
-/// Root mean square; 0 of no numbers.
+/// Root mean square; 0 if there are no numbers.
 pub fn root_mean_square(numbers: impl Iterator<Item = f64>) -> f64 {
     let (square, count) = numbers.fold((0.0, 0.0), |(square, count), v| (square + v * v, count + 1.0));
     (square / f64::max(count, 1.0)).sqrt()

@@ -1,8 +1,9 @@
 //! Noise that all numbers of one repetition share: noise of low rank.
 //!
 //! For example, the whole bed of a trial is a little stronger or weaker, or a robot's hips start a little earlier or
-//! later, and all measurements of this trial change accordingly. With the directions as columns of U and their standard
-//! deviations in it, the covariance of a unit is D + U Uᵀ, D the noise of its channels.
+//! later, and all measurements of this trial change accordingly. Let the columns of U be the directions, each
+//! multiplied by its standard deviation. Then the covariance of a unit is D + U Uᵀ, where D is the covariance of the
+//! noise of its channels.
 
 use crate::number::{add_scaled, dot};
 use nalgebra::{DMatrix, DVector};
@@ -21,13 +22,13 @@ pub struct SharedNoise {
     pub stacks: Vec<Vec<f64>>,
 }
 
-/// What makes repetitions differ, and what makes a model err, at one prediction.
+/// Causes of differences between repetitions, and errors of the model, at one prediction.
 #[derive(Clone, Debug, Default)]
 pub struct Uncertainty {
     /// Noise that all numbers of a repetition share.
     pub shared: Vec<SharedNoise>,
-    /// Errors of the model that are the same for all repetitions of a condition, as vectors of one standard deviation
-    /// each.
+    /// Errors of the model that are the same for all repetitions of a condition; each vector has the size of one
+    /// standard deviation.
     pub common: Vec<Vec<f64>>,
     /// Standard deviation of the model's error at each number, independent between numbers and equal in all repetitions;
     /// empty if it is not known.

@@ -1,8 +1,8 @@
 //! Side faces of a thick plate.
 //!
-//! Published stresses are those of whole plates, sides included (Li, Zhang & Goldman 2013 measured a plate of 3.8 × 2.5
-//! × 0.6 cm). So the sides have no stress of their own. They only add the inertia of the sand that they push away, as
-//! the faces of a solid body do in engine `tree`.
+//! Published stresses are for whole plates, including their sides (Li, Zhang & Goldman 2013 measured a plate of 3.8 ×
+//! 2.5 × 0.6 cm). So the sides have no stress of their own. The sides only add the inertia of the sand that they push
+//! away, as the faces of a solid body do in engine `tree`.
 
 use super::track::RigidMotion;
 use crate::sand::intrusion::Load;
@@ -15,7 +15,7 @@ pub fn sides(length: f64, width: f64, thickness: f64) -> Vec<Segment> {
     if thickness > 0.0 { vec![side(-1.0), side(1.0)] } else { Vec::new() }
 }
 
-/// Load on the submerged sides that lead: `pressure` of their normal speed, on a surface that rises by `slope` [rad].
+/// Load on the submerged sides that lead; `pressure` gives the pressure from the normal speed, and the sand's surface rises by `slope` [rad].
 pub fn leading_sides(sides: &[Segment], place: RigidMotion, slope: f64, pressure: impl Fn(f64) -> f64) -> Load {
     let (sin, cos) = place.turn;
     let turn = |[x, z]: [f64; 2]| [x * cos - z * sin, x * sin + z * cos];
@@ -40,8 +40,8 @@ mod tests {
     use super::super::track::{ArmPose, Track};
     use crate::sand::mechanism::Mechanisms;
 
-    /// A plate that moves along itself pushes sand away with its leading side, λ ρ v² on 2.5 × 0.6 cm. A thin plate, or
-    /// one in the air, has no such force.
+    /// A plate that moves along itself pushes sand away with its leading side, λ ρ v² on 2.5 × 0.6 cm. There is no such
+    /// force on a thin plate or on a plate in the air.
     #[test]
     fn drag_acts_on_the_leading_side_of_a_thick_plate() {
         let drag = |thickness: Option<f64>, way: f64, z: f64| {

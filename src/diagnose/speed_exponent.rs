@@ -1,4 +1,4 @@
-//! The form of a cause's law: which powers of the speed predict left-out conditions as well as the law's own.
+//! The form of a cause's law: which powers of the speed predict left-out conditions as well as the power in the law.
 //!
 //! The stress ρ v^q of the speed alone is the term of groups (v_n²/(g|z|))^(q/2) (|z|/w)^(q/2 − 1). Each power is a model
 //! of its own in a table of evidence.
@@ -12,7 +12,7 @@ use crate::sand::mechanism::CATALOG;
 use crate::sand::term::On;
 use serde::Serialize;
 
-/// The powers of the speed that predict as well as the best one.
+/// Result of the comparison of powers of the speed.
 #[derive(Clone, Debug, Serialize, PartialEq)]
 pub struct SpeedExponent {
     pub id: String,
@@ -20,7 +20,7 @@ pub struct SpeedExponent {
     pub law: f64,
     /// The power that predicts best.
     pub found: f64,
-    /// Least and greatest power that the best one does not beat.
+    /// Least and greatest power that the best power does not beat.
     pub ci95: [f64; 2],
     /// Is the law's own power beaten?
     pub excluded: bool,
@@ -29,7 +29,7 @@ pub struct SpeedExponent {
 }
 
 impl SpeedExponent {
-    /// A clause for the report's sentence; empty if the data agree with the law and with no other power.
+    /// A clause for the report's sentence; empty if the data agree with the law's power and exclude other powers.
     pub fn said(&self) -> String {
         let Self { id, law, found, ci95: [low, high], .. } = self;
         let [law, found, low, high] = [law, found, low, high].map(|v| digits(*v));
@@ -43,8 +43,8 @@ impl SpeedExponent {
     }
 }
 
-/// Compares powers of the speed in place of that of the best cause's law; None if the law has no such power, or if laws cannot be tested
-/// with these data.
+/// Replaces the power of the speed in the best cause's law by other powers, and compares them. None if the law has no such power, or if
+/// these data cannot test laws.
 pub fn form(study: &FitInputs, selection: &Selection, laws: &Laws) -> Option<SpeedExponent> {
     let best = selection.best().filter(|b| b.ids.len() == 1)?;
     let (id, law) = (CATALOG[best.ids[0]].id, CATALOG[best.ids[0]].exponent?);

@@ -25,7 +25,7 @@ pub fn violations(r: &Report) -> Vec<String> {
         return vec!["the table does not begin with the plain model".into()];
     };
     let behind = |c: &EvidenceRow| -c.difference > 2.0 * c.standard_error;
-    // 1. Noise only where nothing predicts better, and the plain model leaves no more than noise may.
+    // 1. The verdict is noise only if no model predicts better and the errors of the plain model are no larger than noise may cause.
     let noise = r.verdict == Verdict::NoiseFloor;
     let within = r.lack_of_fit.plain.zip(r.lack_of_fit.limit).is_some_and(|(lack, limit)| lack <= limit);
     holds(
@@ -35,7 +35,7 @@ pub fn violations(r: &Report) -> Vec<String> {
             -plain.difference, plain.standard_error, r.lack_of_fit
         ),
     );
-    // 2. If a model predicts better than the plain one, a model is written, and the gain is that of the written model.
+    // 2. If a model predicts better than the plain one, a model is written, and the reported gain is the gain of the written model.
     holds(
         !behind(plain) || r.written != Written::Plain,
         "a model predicts better than the plain one, but the plain one is written".into(),
@@ -66,7 +66,7 @@ pub fn violations(r: &Report) -> Vec<String> {
         format!("{:?} with {:?} written", r.verdict, r.written),
     );
     holds(named != r.causes.is_empty(), "causes without a name, or a name without causes".into());
-    // 3. No cause that these data cannot test may look the same as a named cause.
+    // 3. A cause is named only if no cause that these data cannot test could look the same.
     if r.verdict == Verdict::Named {
         let untested = |c: &&EvidenceRow| c.ids.iter().any(|id| r.untestable.iter().any(|u| u.id == *id));
         let near: Vec<_> =
@@ -82,7 +82,7 @@ pub fn violations(r: &Report) -> Vec<String> {
         (r.verdict == Verdict::Ambiguous) == (r.ambiguity_set.len() > 1),
         "the set does not agree with the verdict".into(),
     );
-    // 4. The sentence follows from the table.
+    // 4. The report's sentence follows from the table.
     holds(r.summary == summary(r), format!("the sentence is not made from the report: {}", r.summary));
     found
 }

@@ -48,8 +48,8 @@ impl<'a> FitInputs<'a> {
         study
     }
 
-    /// Finds steps that change the data by at least `target` σ in all, so that numerical slopes of a rough simulation
-    /// are smooth. Each step is doubled from a tenth of the typical strength up to at most a quarter of the fitted
+    /// Finds steps that change all data together by at least `target` σ, so that numerical slopes of a rough simulation
+    /// are reliable. Each step is doubled from a tenth of the typical strength up to at most a quarter of the fitted
     /// range.
     fn find_steps(&mut self, target: f64, plain: &[f64]) {
         let mut open: Vec<usize> =
@@ -71,7 +71,7 @@ impl<'a> FitInputs<'a> {
         }
     }
 
-    /// Sets `nuisances`, and the slopes that fits marginalise over: by the coefficients at the plain model, then by the nuisances.
+    /// Sets `nuisances`, and `marginal_slopes`: the slopes by the coefficients at the plain model, then the slopes by the nuisances.
     fn set_nuisances(&mut self, nuisances: Vec<Nuisance>) {
         self.nuisances = nuisances;
         self.marginal_slopes = [self.nuisances.iter().map(|n| n.column.clone()).collect(), Vec::new()];
@@ -94,7 +94,7 @@ impl<'a> FitInputs<'a> {
         own.map(|(n, d)| (n.id.clone(), n.sd * d)).collect()
     }
 
-    /// Number of slopes by coefficients and nuisances, which follow those by values.
+    /// Number of slopes by coefficients and nuisances; in a fit they follow the slopes by values.
     pub fn marginals(&self) -> usize {
         COEFFICIENTS + self.nuisances.len()
     }
@@ -105,7 +105,7 @@ impl<'a> FitInputs<'a> {
         (0.5 * CATALOG[id].coordinate_typical()).max(self.steps[id])
     }
 
-    /// The same study with another model whose predictions without mechanisms are the same.
+    /// The same study with another model, which gives the same predictions if there are no mechanisms.
     pub fn with_model<'b>(&'b self, model: &'b dyn ForwardModel) -> FitInputs<'b> {
         let (nuisances, marginal_slopes) = (self.nuisances.clone(), self.marginal_slopes.clone());
         FitInputs { model, nuisances, marginal_slopes, ..*self }

@@ -1,10 +1,10 @@
-//! A diagnosis in one sentence, made from the report's own table.
+//! Makes one sentence from the table of a report.
 
 use super::report::{EvidenceRow, Report};
 use super::verdict::{Verdict, Written};
 use super::words::{after, digits};
 
-/// The verdict in one sentence; `unit` is that of the errors.
+/// The verdict in one sentence.
 pub fn summary(r: &Report) -> String {
     let verdict = match r.verdict {
         Verdict::InsufficientData => {

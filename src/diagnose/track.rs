@@ -55,7 +55,7 @@ impl Track {
         }
     }
 
-    /// Their speed as logged.
+    /// The logged speed of these coordinates.
     pub fn speed(&self, pose: &ArmPose) -> f64 {
         match self.intruder {
             Intruder::Leg { .. } => pose.omega.abs(),

@@ -6,17 +6,17 @@ use serde::Serialize;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
-    /// No model predicts left-out conditions better than the plain one, whose errors are within the data's own scatter.
+    /// No model predicts left-out conditions better than the plain model, whose errors are within the scatter of the repetitions.
     NoiseFloor,
     /// One cause, or one pair, explains the main part of the misfit, and no other explanation predicts as well.
     Named,
-    /// Several causes that these data cannot distinguish.
+    /// Several causes explain the misfit, and these data cannot distinguish them.
     Ambiguous,
     /// A law found in the data explains the main part of the misfit, and predicts better than every cause.
     Described,
     /// Neither a mechanism nor a law explains the main part of the misfit.
     NoneOfThese,
-    /// There are no repetitions, or only copies, so no noise floor.
+    /// There is no noise floor, because there are no repetitions, or only copies.
     #[default]
     InsufficientData,
 }
@@ -43,28 +43,28 @@ pub const MAIN_PART: f64 = 0.5;
 /// One model of the table.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Compared {
-    /// Number of its causes.
+    /// Number of causes in the model.
     pub causes: usize,
     /// Does it contain a law found in the data?
     pub law: bool,
-    /// May it not be named, because these data cannot test one of its causes, or because one is an effect of measuring?
+    /// Must the model not be named, because these data cannot test one of its causes, or because one of them is an effect of measuring?
     pub unnamed: bool,
-    /// Does it need an effect of measuring far beyond what is stated of it?
+    /// Does it need an effect of measuring that is far larger than stated?
     pub unlikely: bool,
     /// Entries without a law that have the same causes.
     pub within: Vec<usize>,
-    /// Entries that these data cannot test, and that could look the same if more were known.
+    /// Entries that these data cannot test, and that could have the same effects as this entry.
     pub alike: Vec<usize>,
     pub elpd: f64,
-    /// Variance of its errors beyond the noise's variance, in units of the latter; 0 if noise alone may leave as much.
+    /// Variance of its errors beyond the noise's variance, in units of the noise's variance; 0 if noise alone may cause such errors.
     pub misfit: f64,
-    /// Share of the plain model's misfit that it leaves.
+    /// Share of the plain model's misfit that remains with this model.
     pub unexplained: f64,
     /// Does it predict better than entry `k`, beyond twice the standard error?
     pub beats: Vec<bool>,
     /// Does it predict better than the plain model, beyond the standard error?
     pub ahead: bool,
-    /// Error of the sand alone, without nuisances, on left-out conditions; for the plain model, without any fit.
+    /// Error of the sand alone, without nuisances, on left-out conditions; the plain model's is that without any fit.
     pub error: f64,
 }
 
@@ -75,10 +75,10 @@ pub struct Ruling {
     pub written: Written,
     /// The model that is written; 0 is the plain one.
     pub model: usize,
-    /// The explanations that the data cannot distinguish, the best first; empty if none is named.
+    /// The explanations that the data cannot distinguish, the best first; empty if no explanation is named.
     pub set: Vec<usize>,
-    /// Entries that are not compared: they give left-out conditions a higher density, but the error of their sand is larger than that of
-    /// the plain sand.
+    /// Entries that are not compared: they give left-out conditions a higher density, but their sand alone has a larger error than the
+    /// plain sand.
     pub left_out: Vec<usize>,
 }
 
@@ -89,7 +89,7 @@ impl Ruling {
 }
 
 impl Compared {
-    /// This entry, so changed that it is not compared.
+    /// A copy of this entry that takes no part in comparisons.
     fn left_out(&self) -> Self {
         let beats = vec![false; self.beats.len()];
         Self { causes: 0, law: false, elpd: f64::NEG_INFINITY, beats, ahead: false, ..self.clone() }
@@ -99,8 +99,9 @@ impl Compared {
 /// The verdict; the first entry of the table is the plain model. `second` is the share of a pair's evidence that its
 /// second cause must add.
 ///
-/// A simulator uses the sand alone. So a proxy or a description must also have a smaller error than the plain
-/// sand. If it has not, all models that raise the error are left out of the comparison.
+/// A simulator uses the sand alone. So a proxy or a description must also have a smaller error than the plain sand. If
+/// its error is not smaller, all models whose error is larger than the plain sand's are left out, and the rest is
+/// compared again.
 pub fn verdict(table: &[Compared], second: f64) -> Ruling {
     let ruling = by_density(table, second);
     let raises = |k: &usize| table[*k].error >= table[0].error;
@@ -140,9 +141,10 @@ fn by_density(table: &[Compared], second: f64) -> Ruling {
     stand_in(table, best, &|k| table[k].beats[0])
 }
 
-/// The best single cause or pair of `count` entries, the first of which is the plain model: the best of its size, if one
-/// of that size beats the plain model. A pair must also beat the best single cause and add the share `second` of its own
-/// evidence. `size` is the number of causes, 0 for entries that do not count.
+/// The best single cause or pair among `count` entries, of which the first is the plain model. It is the entry with the
+/// greatest elpd among those with equally many causes, if one of these beats the plain model. A pair must also beat the
+/// best single cause, and its second cause must add the share `second` of the pair's evidence. `size` is the number of
+/// causes, 0 for entries that do not count.
 pub fn leading(
     count: usize,
     size: impl Fn(usize) -> usize,
@@ -163,8 +165,9 @@ pub fn leading(
     best(2).filter(|&pair| single.is_none_or(|s| earns(pair, s))).or(single)
 }
 
-/// The verdict if no model predicts better beyond twice the standard error. If the plain model leaves more than noise
-/// may, there is certainly a misfit, and a stand-in (a proxy or a description) needs less evidence than a cause: one standard error.
+/// The verdict if no model predicts better beyond twice the standard error. If the plain model's errors are larger than noise may
+/// cause, there is certainly a misfit. A stand-in (a proxy or a description) then needs less evidence than a cause: one standard
+/// error.
 fn without_cause(table: &[Compared]) -> Ruling {
     if table[0].misfit <= 0.0 {
         return Ruling::without_name(Verdict::NoiseFloor, Written::Plain, 0);
@@ -176,8 +179,8 @@ fn without_cause(table: &[Compared]) -> Ruling {
     }
 }
 
-/// The ruling if models are `better` than the plain one, but none is the cause. A simulator will use what is written: so of the models that
-/// the best one does not beat, the one whose sand alone has the smallest error is written.
+/// The ruling if some models are `better` than the plain model, but none is the cause. A simulator uses only the sand of the written model.
+/// So, of the models that the best model does not beat, the one whose sand alone has the smallest error is written.
 fn stand_in(table: &[Compared], best: usize, better: &dyn Fn(usize) -> bool) -> Ruling {
     let as_good = (1..table.len()).filter(|&k| better(k) && !table[best].beats[k]);
     let model = as_good.min_by(|a, b| table[*a].error.total_cmp(&table[*b].error)).unwrap_or(best);
@@ -188,8 +191,8 @@ fn stand_in(table: &[Compared], best: usize, better: &dyn Fn(usize) -> bool) -> 
 /// The verdict if `cause` explains the main part.
 fn named(table: &[Compared], cause: usize) -> Ruling {
     let of_size = |k: &usize| table[*k].causes == table[cause].causes && !table[*k].law;
-    // A rival explains more than half as much, and is not beaten. An effect of measuring is no rival if it would have to be
-    // far larger than stated.
+    // A rival is an entry that gains more than half as much as the cause and is not beaten by it. An effect of measuring is
+    // no rival if it would have to be far larger than stated.
     let gain = |k: usize| table[k].elpd - table[0].elpd;
     let near = |k: &usize| !table[cause].beats[*k] && gain(*k) > MAIN_PART * gain(cause) && !table[*k].unlikely;
     let rival = |k: &usize| of_size(k) && *k != cause && near(k);
@@ -197,7 +200,7 @@ fn named(table: &[Compared], cause: usize) -> Ruling {
     set.sort_by(|a, b| table[*b].elpd.total_cmp(&table[*a].elpd));
     set.insert(0, cause);
     set.extend(table[cause].alike.iter().filter(|k| !set.contains(k)).copied().collect::<Vec<_>>());
-    // An effect that may not be named stands beside the best one that may.
+    // If no entry of the set may be named, the best entry that may be named is added.
     if set.iter().all(|&k| table[k].unnamed) {
         let others = (1..table.len()).filter(|k| of_size(k) && !table[*k].unnamed);
         set.extend(others.max_by(|a, b| table[*a].elpd.total_cmp(&table[*b].elpd)));
@@ -209,7 +212,7 @@ fn named(table: &[Compared], cause: usize) -> Ruling {
     }
     let alone = set.len() == 1 && !table[cause].unnamed;
     let verdict = if alone { Verdict::Named } else { Verdict::Ambiguous };
-    // A law beside the first explanation is written with it if both together predict better, and if there is a misfit left to explain.
+    // A law is written together with the first explanation if both together predict better, and if the explanation alone leaves a misfit.
     let beside = |k: &usize| {
         table[*k].law && table[set[0]].misfit > 0.0 && table[*k].within.contains(&set[0]) && table[*k].beats[set[0]]
     };
@@ -252,7 +255,7 @@ mod tests {
         assert_eq!(of(&table(&far)), (Named, Written::Cause, 1, vec![1]));
         let near = [(0, false, -100.0, 90.0), (1, false, 0.0, 0.0), (1, false, -5.0, 0.0)];
         assert_eq!(of(&table(&near)), (Ambiguous, Written::Cause, 1, vec![1, 2]));
-        // What explains hardly anything is no rival, even if it is not beaten.
+        // An entry that explains hardly anything is no rival, even if it is not beaten.
         let weak = [(0, false, -8.0, 0.0), (1, false, 3.0, 0.0), (1, false, -6.0, 0.0)];
         assert_eq!(of(&table(&weak)), (Named, Written::Cause, 1, vec![1]));
     }
@@ -304,7 +307,7 @@ mod tests {
         entries[2].error = 110.0;
         assert_eq!(of(&entries), (Verdict::NoneOfThese, Written::Plain, 0, Vec::new()));
         assert_eq!(verdict(&entries, 0.01).left_out, [1, 2]);
-        // A name is a statement on the cause, whatever the error of the rest.
+        // A cause is named whatever the error of its sand alone is.
         entries[1].unexplained = 0.0;
         assert_eq!(of(&entries), (Verdict::Named, Written::Cause, 1, vec![1]));
     }

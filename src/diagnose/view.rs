@@ -21,7 +21,7 @@ use super::{laws, misfit, next_experiment, speed_exponent};
 use crate::sand::mechanism::CATALOG;
 use crate::student;
 
-/// The part of a report on the data and the plain model. Without repetitions a report has no other part.
+/// The part of a report on the data and the plain model. If there are no repetitions, this is the whole report.
 pub fn without_verdict(
     study: &FitInputs,
     untestable: Vec<Untestable>,
@@ -65,7 +65,7 @@ impl ReportView<'_> {
         let plain = || study.plain().prediction;
         let whereabouts = misfit::whereabouts(study.observations, study.model, &plain(), "the plain model's error");
         let causes = self.causes();
-        // The noise with the scale of the errors that remain.
+        // The study with the noise scaled to the errors that remain.
         let renewed = study.under(&s.whitener, s.candidates.around.nuisances.clone());
         let shared = self.source.uncertainty.shared.iter().zip(&self.noise.shared);
         let channels = study.observations.channels.iter().zip(&self.noise.channels);
@@ -196,8 +196,8 @@ impl ReportView<'_> {
         }
     }
 
-    /// Values of the nuisances that all data share, and standard deviations of those that differ between trials or
-    /// beds.
+    /// Values of the nuisances that all data share, and standard deviations of the nuisances that differ between trials
+    /// or beds.
     fn nuisances(&self, study: &FitInputs) -> Vec<NuisanceValue> {
         let (selection, fit) = (self.selection, &self.selection.standing);
         let reach = study.nuisance_reach(fit, selection.table.degrees);
@@ -259,7 +259,7 @@ impl ReportView<'_> {
             UpperLimit { id: entry.id.into(), value: most, unit: entry.unit.into(), level: 0.95 }
         };
         let all = study.further(standing, &asked);
-        // An upper limit beyond the law's bound is left out.
+        // Upper limits beyond the bound of the mechanism's law are left out.
         all.iter().map(|f| (f.id, limit(f))).filter(|(id, l)| l.value < CATALOG[*id].bounds[1]).map(|l| l.1).collect()
     }
 
@@ -281,7 +281,7 @@ impl ReportView<'_> {
                 distance_to_best: best.filter(|_| entry.is_some()).map(|b| b.distance_squared(fit).sqrt()),
             }
         };
-        // Entries with a law are no candidates of their own.
+        // Entries with a law are not candidates.
         let alone = (1..s.entries.len()).filter(|&k| s.formulas[k].is_none() && s.entries[k].causes > 0);
         let compared =
             s.table.ranked(alone).into_iter().map(|k| tried(s.fit_of(k), s.candidates.base.objective, Some(k)));
@@ -293,7 +293,7 @@ impl ReportView<'_> {
         let (plain, [base, chosen]) = (&selection.plain, &selection.nested);
         let extended = if selection.ruling.written == Written::Plain { plain } else { chosen };
         let (before, after, floor) = (plain.rmse(), extended.rmse(), self.floor.rmse());
-        // If the plain model's error is hardly larger than the scatter, a share of their difference has no meaning.
+        // If the plain model's error is hardly larger than the scatter between repetitions, a share of the difference between the two has no meaning.
         let told = plain.reduction_interval(&self.floor)[0] > 0.0;
         Gain {
             held_out_rmse_plain: Some(before),
@@ -354,7 +354,7 @@ fn names(fit: &Fit) -> Vec<String> {
     fit.ids.iter().map(|&id| CATALOG[id].id.to_string()).collect()
 }
 
-/// A warning if the fit needs coefficients beyond three of their declared standard deviations: our choice.
+/// A warning if the fit needs coefficients that deviate by more than three of their stated standard deviations: our choice.
 fn far_coefficients(fit: &Fit) -> Option<String> {
     let furthest = fit.deviations[..COEFFICIENTS].iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs()))?;
     (furthest.abs() > 3.0).then(|| {

@@ -11,7 +11,7 @@ use crate::sim::Robot;
 use crate::table::{HeaderColumn, Quantity, Row};
 use std::path::Path;
 
-/// The setup of a run; runs with the same setup share one.
+/// The setup of a run; runs with the same setup share one `WalkSetup`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WalkSetup {
     pub robot: String,
@@ -61,7 +61,7 @@ static CHANNELS: [(usize, Channel); MEASURED] = [
     (SPEED_ERROR, Channel::new("hip_speed_error_rms", "rad/s", false)),
 ];
 
-/// Strides of the protocol's measurement if the data give none.
+/// Number of strides in the protocol's measurement, for data that do not give it.
 const STRIDES: f64 = 4.0;
 /// Largest number of different setups: our choice. Each is simulated some five hundred times, and sixty runs take about
 /// a minute.
@@ -144,7 +144,7 @@ fn setup(row: &Row, experiment: &Experiment) -> Result<WalkSetup> {
     })
 }
 
-/// The leg's shape: its name, or for two-piece legs the knee angle if it is given.
+/// The leg's shape: its name or, for a two-piece leg whose knee angle is given, this angle.
 fn leg(row: &Row) -> Result<String> {
     let name = row.needed_text(LEG)?;
     if !LegShape::NAMES.contains(&name) {
@@ -182,9 +182,9 @@ pub fn planned(setups: Vec<WalkSetup>, channels: Vec<Channel>) -> WalkingLog {
     WalkingLog { observations, settings: setups, setting_of, missing: Vec::new(), notes, sha256: String::new() }
 }
 
-/// Runs that a laboratory with these `setups` could make: its legs and their mirror images, at the slowest, middle and
-/// fastest stride frequency used, on level sand and 10° up and down, with and without a payload of a third of the
-/// robot's mass.
+/// Runs that a laboratory with these `setups` could make: its legs and their mirror images, at the lowest, a middle and
+/// the highest stride frequency in the log, on level sand and 10° up and down, with and without a payload of a third of
+/// the robot's mass.
 pub fn possible(setups: &[WalkSetup]) -> Vec<(WalkSetup, String)> {
     let Some(first) = setups.first() else { return Vec::new() };
     let frequencies = low_middle_high(setups.iter().map(|s| s.frequency.abs()));

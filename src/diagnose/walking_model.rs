@@ -18,20 +18,20 @@ use crate::sim::{Model, Robot};
 use crate::sweep::walk_all;
 use std::collections::HashMap;
 
-/// Steps of numerical slopes change the data by this many σ altogether: small against noise, and far above the
-/// roughness of a sticking gait (reversed leg at 1 Hz: 0.3 % when its phase shifts by 0.2 rad). Our choice.
+/// Steps of numerical slopes change all data together by this many σ: our choice, small against noise, and far above
+/// the roughness of a gait in which legs stick (reversed leg at 1 Hz: 0.3 % if the phase shifts by 0.2 rad).
 const ROUGHNESS: f64 = 4.0;
-/// The default time step divided by the small one from which its error is computed: our choice.
+/// Ratio of the default time step to the small time step with which the error of the default is computed: our choice.
 const FINE: f64 = 8.0;
 /// Step of the sand's strength for the direction of the shared noise: our choice, about the scatter of batches.
 const STRENGTH_STEP: f64 = 0.05;
 
-/// Initial phases [rad] that show how regular a gait is: the protocol's ±0.2 and half of it.
+/// Initial phases [rad] that show how regular a gait is: ±0.2, as in the protocol, and half of this.
 const PHASES: [f64; 4] = [-0.2, -0.1, 0.1, 0.2];
 
 /// Predicts the mean of a run's repetitions by one run with all hips at their nominal phase on a bed of nominal
-/// strength. The difference to the mean over other phases and strengths is an error of the model and part of
-/// [`ForwardModel::uncertainty`].
+/// strength. The mean over other phases and strengths differs from this run; the difference is an error of the model
+/// and a part of [`ForwardModel::uncertainty`].
 pub struct WalkingModel<'a> {
     latch: &'a Latch<'a>,
     experiment: Experiment,
@@ -49,9 +49,9 @@ pub struct WalkingModel<'a> {
 
 /// Predictions besides the nominal one.
 struct Others {
-    /// On a stronger and a weaker bed, by [`STRENGTH_STEP`].
+    /// Predictions on a stronger and on a weaker bed; the strength differs by [`STRENGTH_STEP`].
     beds: Vec<Vec<f64>>,
-    /// At the other [`PHASES`].
+    /// Predictions at each of [`PHASES`].
     phases: Vec<Vec<f64>>,
 }
 
@@ -98,8 +98,8 @@ impl<'a> WalkingModel<'a> {
     }
 
     /// Corrects the error of the default time step, which is some tenths of a percent. Each channel of each setup is
-    /// multiplied by a factor: the plain simulation's result with an eighth of the time step, divided by that with the
-    /// whole step. An eighth of the error remains.
+    /// multiplied by a factor: the plain simulation's result with an eighth of the time step, divided by its result
+    /// with the whole step. An eighth of the error remains.
     fn correct_step(&mut self) -> Result<()> {
         let plain = self.plain_sand();
         let (fine, coarse) = (self.stepped(EngineKind::Lanes, &plain, FINE)?, self.predict(&plain.0, &plain.1));
@@ -172,7 +172,7 @@ impl<'a> WalkingModel<'a> {
     }
 }
 
-/// The simulations of walks ask `latch`, too, whether to stop.
+/// The simulations of walks also check `latch`, which may stop them.
 impl Progress for WalkingModel<'_> {
     fn report(&self, _done: f64, _stage: &str) -> Result<()> {
         if self.latch.stopped() { self.latch.error().map_or(Ok(()), Err) } else { Ok(()) }
@@ -213,14 +213,15 @@ impl ForwardModel for WalkingModel<'_> {
     }
 
     /// **Noise.** Beds differ in strength, and the numbers of a run change with the strength according to their derivative. If a gait
-    /// sticks, slips or stalls, small differences grow: the directions of `gait_scatter` are the changes of the nominal
-    /// run with other initial phases, and the curvature in the strength. For regular gaits both are negligible.
+    /// sticks, slips or stalls, small differences grow. So the directions of `gait_scatter` are the changes of the nominal run by
+    /// other initial phases, and the curvature of the numbers as functions of the strength. For regular gaits both are negligible.
     ///
     /// **Errors of the model.** Four differences of simulations give their size: (1) the other engine's solution of the
     /// same equations; (2) the effect of the time step there beyond the correction of [`Self::correct_step`]; (3) the
     /// eighth of the step's error that the correction leaves; (4) the distance of the mean over other phases and beds from
     /// the nominal run, which is negligible for regular gaits. The error of each channel of each setup is their root sum
-    /// of squares, independent of the others, because one difference gives the size of an error and not its pattern.
+    /// of squares, independent of the other channels and setups, because one difference gives the size of an error and not
+    /// its pattern.
     fn uncertainty(&self, sand: &SandParameters, prediction: &[f64]) -> Uncertainty {
         let Others { beds, phases } = self.others(sand);
         let strength = slope(&beds[0], &beds[1], 2.0 * STRENGTH_STEP);
@@ -242,7 +243,7 @@ impl ForwardModel for WalkingModel<'_> {
             // The correction leaves an eighth of the step's error.
             let left = (fine[k] - prediction[k] / self.correction.get(k).copied().unwrap_or(1.0)) / FINE;
             let differences = [other[k] - prediction[k], fine[k] - prediction[k], left, average];
-            // A difference to a diverged simulation says nothing, so it does not count.
+            // A difference from a diverged simulation contains no information, so it does not count.
             differences.into_iter().filter(|d| d.is_finite()).map(|d| d * d).sum::<f64>().sqrt()
         };
         let count = self.channels.len();

@@ -22,8 +22,8 @@ pub struct Whitener {
 }
 
 impl Whitener {
-    /// The noise that a whole trial shares is proportional to the source's prediction. If it were proportional to the
-    /// measured mean, the fitted `scale` would have an error (−12.6 % on data without a hidden cause).
+    /// The noise that a whole trial shares is proportional to the source's prediction. If this noise were proportional
+    /// to the measured mean, the fitted `scale` would have an error (−12.6 % on data without a hidden cause).
     pub fn new(source: &NoiseData, noise: &Noise) -> Self {
         let repetitions = source.observations.repetitions();
         let units = source.observations.units.iter().zip(source.sizes).map(|(unit, sizes)| {
@@ -45,7 +45,7 @@ impl Whitener {
         Self { factors: vec![1.0; units.len()], units }
     }
 
-    /// The whitener of a noise with other weights (one over the variance), `weight` of each unit.
+    /// The whitener for a noise whose variance in each unit is divided by the unit's `weight`.
     pub fn weighted(&self, weight: impl Iterator<Item = f64>) -> Self {
         Self { units: self.units.clone(), factors: weight.map(f64::sqrt).collect() }
     }
@@ -70,9 +70,10 @@ impl UnitFilter {
         }
     }
 
-    /// The common noise of a repetition. An error of the model is the same in all n repetitions of a condition, so
-    /// their mean has its full variance e² and not a share of it. Whitening each unit with n e² gives the mean this
-    /// variance. It underweights the differences between repetitions, which contain no information on causes.
+    /// Adds the noise that all numbers of a repetition share. An error of the model, with variance e², is the same in
+    /// all n repetitions of a condition, so the mean of the repetitions has the full variance e² and not e²/n. If each
+    /// unit is whitened with the variance n e², the mean has this variance. The differences between repetitions then
+    /// have too little weight, but they contain no information on causes.
     fn share(&mut self, source: &NoiseData, noise: &Noise, root_of_repetitions: f64) {
         let mut columns = Vec::new();
         for (shared, sd) in source.uncertainty.shared.iter().zip(&noise.shared) {

@@ -22,7 +22,7 @@ pub struct UsedGround {
     pub footprint: f64,
     /// Distance from the start at which the command reverses [m], so that the robot is to walk back.
     pub turning_point: f64,
-    /// Sign of x on the way out, which is that of the first command.
+    /// Sign of x on the way out, the sign of the first command.
     pub outward: f64,
     /// Is the robot commanded to walk back to the start?
     pub returning: bool,

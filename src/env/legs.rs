@@ -20,7 +20,7 @@ options! {
     }
 }
 
-/// Largest speed of a target [rad/s]: that of a small hobby servo, 60° in 0.08 s. Our choice, because the robot is
+/// Largest speed of a target [rad/s], the speed of a small hobby servo: 60° in 0.08 s. Our choice, because the robot is
 /// our own.
 const TARGET_SPEED: f64 = 13.0;
 

@@ -47,7 +47,7 @@ impl Shard {
             Some(old) => (&old.task_state, old.steps, &old.action),
             None => (task_state, *steps, last_action),
         };
-        // Rewards and figures of a step that ended an episode do not belong to the start of the next one.
+        // Rewards and figures of a step that ended an episode do not belong to the start of the next episode.
         let begins = steps == 0 || (just_ended && old.is_none());
         let width = spec.info.len();
         let info = if begins { at_start(episode, spec) } else { self.rows.infos[i * width..][..width].to_vec() };

@@ -58,7 +58,7 @@ impl Shard {
         self.task.spec().action.len()
     }
 
-    /// Present state of environment `i`; right after the end of an episode, the start of the next one.
+    /// Present state of environment `i`; right after the end of an episode, this is the start of the next episode.
     pub fn state(&self, i: usize) -> &State {
         &self.environments[i].episode.state
     }

@@ -1,20 +1,21 @@
 //! Denormal numbers are the smallest floating-point numbers. A processor may take a hundred times as long to compute
 //! with them.
 //!
-//! All code that advances a robot counts denormal numbers as zero ([`flushed`]). In `f32` they are below 1.2e-38,
-//! far below any meaningful force, speed or angle, so nothing is lost. Each thread has its own setting. An engine
-//! changes it when it begins to advance, and restores it at the end. So the bits are the same on every thread, in every
-//! batch, in this process or in a server, and the caller's thread (Python's, for example) keeps its own setting.
+//! All code that advances a robot treats denormal numbers as zero ([`flushed`]). In `f32` they are below 1.2e-38, far
+//! below any meaningful force, speed or angle, so nothing is lost. Each thread has its own setting of the processor. An
+//! engine changes the setting when it begins to advance, and restores it at the end. So results are bit-identical on
+//! every thread, in every batch, in this process and in a server, and the caller's thread (Python's, for example) keeps
+//! its own setting.
 
-/// Runs `work` with denormal operands and results counted as zero, and restores the previous setting, also on a
-/// panic.
+/// Runs `work` while the processor treats denormal operands and results as zero. Restores the previous setting, also on
+/// a panic.
 ///
 /// Works on x86-64 and aarch64; on other processors it only runs `work`.
 pub fn flushed<T>(work: impl FnOnce() -> T) -> T {
     with(|word| word | control::FLUSH, work)
 }
 
-/// Runs `work` with denormal numbers kept, as code that is not ours expects.
+/// Runs `work` with denormal numbers, as code of others expects.
 pub fn unflushed<T>(work: impl FnOnce() -> T) -> T {
     with(|word| word & !control::FLUSH, work)
 }
@@ -94,8 +95,8 @@ mod control {
     pub fn write(_word: Word) {}
 }
 
-/// For tests: whether this thread computed with a denormal operand while `work` ran. The processor sets a flag (MXCSR,
-/// bit 1), so intermediate results are noticed, too.
+/// For tests: did this thread compute with a denormal operand while `work` ran? The processor sets a flag (MXCSR, bit
+/// 1), so the test also notices intermediate results.
 #[cfg(target_arch = "x86_64")]
 pub fn met_denormals(work: impl FnOnce()) -> bool {
     const DENORMAL_OPERAND: control::Word = 1 << 1;

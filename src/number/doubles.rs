@@ -6,8 +6,8 @@ use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
 const LANES: usize = 8;
 
-/// Plain arrays, which the compiler vectorises. No operation is fused, so every instruction set gives the same
-/// bits.
+/// Plain arrays, which the compiler vectorises. No operation is fused, so every instruction set gives bit-identical
+/// results.
 #[derive(Clone, Copy)]
 pub struct Doubles([f64; LANES]);
 
@@ -136,7 +136,7 @@ fn with_avx2<K: Kernel>(kernel: K) {
     kernel.run();
 }
 
-/// Sum of products of two vectors, the same bits on every machine.
+/// Sum of products of two vectors, bit-identical on every machine.
 pub fn dot(a: &[f64], b: &[f64]) -> f64 {
     let mut sum = 0.0;
     Doubles::dispatch(Dot { a, b, sum: &mut sum });

@@ -1,5 +1,5 @@
-//! Eight lanes of `f64`, for work on many similar items of one state: the patches of a body. Values in lanes come from numbers
-//! that all lanes share, or from one number for each lane.
+//! Eight lanes of `f64`, for work on many similar items of one state: the patches of a body. A value in lanes is made from one
+//! number that all lanes share, or from one number for each lane ([`Spread`]).
 
 use super::{Isa, Real};
 
@@ -7,7 +7,7 @@ use super::{Isa, Real};
 pub const EIGHT: usize = 8;
 
 /// Eight lanes of `f64`. Every implementation fuses multiplication and addition, and [`Eight::sum`] adds in a fixed
-/// order, so all implementations give the same bits.
+/// order, so all implementations give bit-identical results.
 pub trait Eight: Real {
     fn of_singles(lanes: &[f32; EIGHT]) -> Self;
     fn of_doubles(lanes: &[f64; EIGHT]) -> Self;
@@ -55,7 +55,7 @@ impl<R: Eight> Spread<R> for [f64; EIGHT] {
 pub trait EightWork {
     type Out;
     fn run<R: Eight>(self) -> Self::Out;
-    /// The same without lanes.
+    /// Does the same work without lanes.
     fn single(self) -> Self::Out;
 }
 

@@ -12,7 +12,7 @@ pub enum Isa {
     Avx2,
     /// 4 lanes of `f32` in portable code, for every processor.
     Baseline,
-    /// One lane of `f64`: the reference with which the others are compared.
+    /// One lane of `f64`: the reference for all other instruction sets.
     F64,
 }
 

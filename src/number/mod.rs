@@ -119,7 +119,7 @@ pub trait Real:
             .mul_add(x2, Self::splat(-1.388_731_625_493_765e-3))
             .mul_add(x2, Self::splat(4.166_664_568_298_827e-2))
             .mul_add(x2 * x2, x2.mul_add(Self::splat(-0.5), Self::one()));
-        // quarter mod 4 is the quadrant: odd ones swap sine and cosine, bit 1 changes the signs.
+        // `quarter` mod 4 is the quadrant. Odd quadrants swap sine and cosine, and bit 1 changes the signs.
         let half = quarter * Self::splat(0.5);
         let odd = Self::splat(0.25).lt((half - half.round()).abs());
         let (s, c) = (Self::select(odd, cos, sin), Self::select(odd, sin, cos));

@@ -1,5 +1,5 @@
 //! Sixteen lanes of `i16`, for work on many cells of one grid. All operations are exact, so every instruction set gives
-//! the same bits.
+//! the same result.
 
 /// Number of lanes of [`Shorts`].
 pub const SHORTS: usize = 16;
@@ -11,33 +11,33 @@ pub trait Shorts: Copy {
     /// Bytes from 0 to 255.
     fn of_bytes(lanes: &[u8; SHORTS]) -> Self;
     fn to(self, lanes: &mut [i16; SHORTS]);
-    /// Lanes from 0 to 255 as bytes; others saturate.
+    /// Writes the lanes as bytes; numbers outside of 0 to 255 saturate.
     fn to_bytes(self, lanes: &mut [u8; SHORTS]);
-    /// Wraps around, as do all where nothing else is said.
+    /// Sum. It wraps around, as do all operations here unless their comment says otherwise.
     fn plus(self, other: Self) -> Self;
     fn minus(self, other: Self) -> Self;
-    /// Saturates.
+    /// Difference, which saturates.
     fn less(self, other: Self) -> Self;
     fn min(self, other: Self) -> Self;
     fn max(self, other: Self) -> Self;
     /// Bit by bit.
     fn and(self, other: Self) -> Self;
     fn or(self, other: Self) -> Self;
-    /// Each lane's number in the next lane, and in the first one the last of `before`.
+    /// Moves each number to the next lane; the first lane gets the last number of `before`.
     fn raised(self, before: Self) -> Self;
-    /// Each lane's number in the lane before, and `last` in the last one.
+    /// Moves each number to the lane before; the last lane gets `last`.
     fn lowered(self, last: i16) -> Self;
     /// Absolute values, as `u16`.
     fn magnitude(self) -> Self;
-    /// A quarter of the difference of both as `u16`, or 0 if `self` is less.
+    /// A quarter of `self` − `other`, both as `u16`; 0 if `self` is less.
     fn quarter_over(self, other: Self) -> Self;
-    /// With the sign of `sign`; 0 where that is 0.
+    /// The number with the sign of `sign`; 0 where `sign` is 0.
     fn signed(self, sign: Self) -> Self;
-    /// Upper 16 bits of the product of both as `u16`.
+    /// Upper 16 bits of the product, with both factors as `u16`.
     fn high_product(self, other: Self) -> Self;
     /// Lower 16 bits of the product.
     fn low_product(self, other: Self) -> Self;
-    /// All bits where `self` > `other`, none elsewhere.
+    /// All bits set where `self` > `other`, no bit elsewhere.
     fn above(self, other: Self) -> Self;
     /// Is any bit set?
     fn any(self) -> bool;
@@ -169,7 +169,7 @@ mod tests {
 
     struct Every<'a>(&'a [[i16; SHORTS]; 3]);
 
-    /// All lanes of all operations on three vectors.
+    /// Results of all operations on three vectors.
     fn results<S: Shorts>([a, b, c]: [S; 3]) -> Vec<[i16; SHORTS]> {
         let all = [
             S::splat(-7),
@@ -219,7 +219,7 @@ mod tests {
         }
     }
 
-    /// Every instruction set gives the same bits.
+    /// Every instruction set gives the same results.
     #[test]
     fn instruction_sets_agree() {
         let mut state = 1_u64;

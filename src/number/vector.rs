@@ -94,7 +94,7 @@ impl<R: Real> Mul<R> for Vec3<R> {
     }
 }
 
-/// A 3×3 matrix as its columns; a rotation's columns are the images of the axes.
+/// A 3×3 matrix, stored as its columns. The columns of a rotation are the images of the axes.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct Mat3<R> {
     pub x: Vec3<R>,

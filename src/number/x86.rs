@@ -1,10 +1,10 @@
 //! Lanes in AVX2 and AVX-512 registers.
 //!
-//! Every `unsafe` here is one of two kinds. (1) Intrinsics need their instruction set. Values of these types are
+//! Every `unsafe` here is of one of two kinds. (1) Intrinsics need their instruction set. Values of these types are
 //! used only inside [`Real::dispatch`], and only after [`super::Isa::available`] has found the instruction set. The
-//! operators are safe functions nevertheless, because the equations are written with operators. So the types are
-//! private to this crate, and used through [`super::Isa`] only, behind that check. (2) Access to a lane reads the
-//! register's memory as an array of floats.
+//! operators have to be safe functions, because the equations are written with operators. So the types are private to
+//! this crate, and used only through [`super::Isa`], which makes this check. (2) Access to a lane reads the register's
+//! memory as an array of floats.
 
 use super::{EIGHT, Eight, Kernel, Pair, Real, SHORTS, Shorts};
 use std::arch::x86_64::*;

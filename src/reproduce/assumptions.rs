@@ -1,5 +1,6 @@
-//! Values that the paper does not state, and the ranges in which we vary them. Every band in the figures and claims is
-//! the envelope over these ranges. One value at a time differs from the declared model.
+//! Values that the paper does not state, and the ranges in which we vary them. The declared model has one value of each
+//! quantity. Every band in the figures and claims is the envelope over models in each of which one value differs from
+//! the declared one.
 
 use super::ReportTable;
 use crate::error::Result;
@@ -12,7 +13,7 @@ use crate::sweep::{Design, Parameter};
 pub const XI_DEG: f64 = 45.0;
 /// Knee angles tried [°].
 pub const XI_RANGE: [f64; 5] = [30.0, 37.5, 45.0, 52.5, 60.0];
-/// Declared hip height of the force measurements [m], and heights tried.
+/// Declared hip height of the force measurements [m]; the next constant has the heights tried.
 pub const HIP: f64 = 0.02;
 pub const HIP_RANGE: [f64; 5] = [0.0, 0.01, 0.02, 0.03, 0.04];
 
@@ -30,10 +31,11 @@ pub const WALKING: [(&str, &str); 10] = [
     ("belly", "0.015"),
 ];
 
-/// Knee angles tried for the walking L-leg besides the declared one [°].
+/// Knee angles tried for the walking L-leg, in addition to the declared angle [°].
 pub const WALKING_XI: [f64; 4] = [30.0, 37.5, 52.5, 60.0];
 
-/// The declared robot on the paper's medium with legs of knee angle `xi_deg`.
+/// The design with the declared value of every quantity, except for the legs' knee angle `xi_deg` [°]: robot `xplorer`
+/// on the paper's medium, loose poppy seeds.
 pub fn robot(law: Law, xi_deg: f64, frequency: f64) -> Result<Design> {
     let mut scene = Scene::flat(Medium::named("poppy-loose")?);
     scene.law = law;
@@ -41,8 +43,8 @@ pub fn robot(law: Law, xi_deg: f64, frequency: f64) -> Result<Design> {
     Ok(Design { robot, scene, frequency, phase: 0.0 })
 }
 
-/// The declared design, then the designs in each of which one assumption is changed; with `knees`, also other knee
-/// angles of the same sign.
+/// The declared design, then designs in each of which one of the assumptions in [`WALKING`] is changed; with `knees`,
+/// also other knee angles of the same sign.
 pub fn variants(law: Law, xi_deg: f64, frequency: f64, knees: bool) -> Result<Vec<Design>> {
     let declared = robot(law, xi_deg, frequency)?;
     let mut designs = vec![declared.clone()];

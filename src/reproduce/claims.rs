@@ -7,14 +7,14 @@ use serde::Serialize;
 pub enum ClaimVerdict {
     Reproduced,
     NotReproduced,
-    /// The paper gives the number in a figure only, or describes its experiment: there is nothing to compare.
+    /// The paper gives the number only in a figure, or the sentence describes the experiment, so there is nothing to compare.
     NoData,
 }
 
 /// One row of `claims.json`.
 #[derive(Clone, Debug, Serialize)]
 pub struct Claim {
-    /// Section, then a name.
+    /// Section of the paper, then a name.
     pub id: String,
     pub claim: String,
     pub seed_value: String,
@@ -51,8 +51,8 @@ impl Claim {
         }
     }
 
-    /// A claim that a model over-predicts by a percentage: `ratio` is model over reference at the declared assumptions,
-    /// `band` its range over all assumptions, `seed` the paper's ratio.
+    /// A claim that a model over-predicts by a percentage: `ratio` is the model's number divided by the reference at
+    /// the declared assumptions, `band` the range of this ratio over all assumptions, `seed` the paper's ratio.
     pub fn ratio(id: &str, claim: &str, seed_value: &str, seed: f64, ratio: f64, band: [f64; 2], note: &str) -> Self {
         let holds = (ratio / seed - 1.0).abs() <= TOLERANCE;
         let ours =

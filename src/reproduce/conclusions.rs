@@ -8,8 +8,8 @@ use crate::sim::engine::EngineKind;
 use crate::sim::walk::walk;
 use std::time::Instant;
 
-/// Upper bounds of the cost of one simulated second [s]. The row in `claims.json` names the next bound above the
-/// measured time, so that the file is the same in every run; the report has the measured time.
+/// Upper bounds of the cost of one simulated second [s]. `claims.json` gives the next bound above the measured time, so
+/// that the file is the same in every run; the report gives the measured time.
 const COSTS: [f64; 4] = [0.1, 1.0, 10.0, 100.0];
 
 pub fn part() -> FigureSection {
@@ -33,7 +33,7 @@ pub fn part() -> FigureSection {
     }
 }
 
-/// Wall-clock seconds for one simulated second of the declared robot at 2 Hz, best of three.
+/// Wall-clock time for one simulated second of the declared robot (`assumptions::robot`) at 2 Hz [s], the least of three.
 fn cost() -> Result<f64> {
     let trial = robot(Law::Li2013, XI_DEG, 2.0)?.trial()?;
     let once = || -> Result<f64> {

@@ -18,7 +18,7 @@ const HIP: f64 = 0.02;
 /// Width of the bins of leg angle [°].
 const STRETCH: f64 = 15.0;
 
-/// Mean of the beds for one leg and one speed.
+/// Mean over the beds, for one leg and one speed.
 struct MeanRun {
     shape: String,
     /// [rad/s]
@@ -43,8 +43,8 @@ fn runs() -> Result<Vec<MeanRun>> {
             runs.push(MeanRun { shape: shape.to_owned(), omega, samples: Vec::new() });
             runs.len() - 1
         });
-        // Both beds are sampled at the same angles. A row of the second bed is combined with the first bed's row at that
-        // angle: their mean, and half their difference.
+        // Both beds are sampled at the same angles. A row of the second bed is combined with the first bed's row at the
+        // same angle: the result is the mean of both rows and half of their difference.
         match runs[k].samples.iter_mut().find(|s| (s.0 - theta).abs() < 1e-9) {
             Some((_, mean, half)) => {
                 *half = Load { fx: (mean.fx - load.fx).abs() / 2.0, fz: (mean.fz - load.fz).abs() / 2.0, ty: 0.0 };
@@ -59,11 +59,11 @@ fn runs() -> Result<Vec<MeanRun>> {
 
 /// Errors of a law for one run and one component of the force.
 struct LawFit {
-    /// Root mean square error over the greatest measured force.
+    /// Root mean square error divided by the greatest measured force.
     rms: f64,
     /// Ratio of the greatest forces, law over measured.
     peaks: f64,
-    /// Centre of the bin of θ [°] with the largest mean error, and that error over the greatest force.
+    /// Centre of the bin of θ with the largest mean error [°], and this error divided by the greatest measured force.
     worst: (f64, f64),
 }
 

@@ -9,7 +9,7 @@ use crate::plot::{Axis, Figure, FigurePanel, Mark, Style, color};
 use crate::sand::intrusion::{Load, rotating_leg};
 use crate::sand::{Law, LegShape, Medium, Regularization, SandBed, Segment};
 
-/// The leg of the paper's section 3: hip-tip distance, width [m] and speed [rad/s].
+/// The leg of the paper's section 3: hip-tip distance [m]; the next constants are its width [m] and speed [rad/s].
 pub const CHORD: f64 = 0.076;
 pub const WIDTH: f64 = 0.025;
 const OMEGA: f64 = 0.2;
@@ -47,7 +47,7 @@ pub struct StandIn {
     pub table: ReportTable,
     /// A sentence on the accuracy of RFT.
     pub summary: String,
-    /// Greatest lift of the 1D models over that of the grains at the lower speed: L-leg, reversed L-leg.
+    /// Greatest lift of the 1D models divided by the greatest lift in the grains at the lower speed: for the L-leg and the reversed L-leg.
     pub lift_ratios: [f64; 2],
 }
 
@@ -74,7 +74,7 @@ fn envelope(law: Law, xi_deg: f64, of: Component) -> Result<Vec<[f64; 3]>> {
     Ok(band)
 }
 
-/// Pairs of knee angle and hip height; in each, at most one differs from the declared value.
+/// Pairs of knee angle [°] and hip height [m]; in each pair, at most one of the two differs from its declared value.
 fn assumed(xi_deg: f64) -> impl Iterator<Item = (f64, f64)> {
     let knees = XI_RANGE.into_iter().map(move |xi| (xi.copysign(xi_deg), HIP));
     knees.chain(HIP_RANGE.into_iter().map(move |hip| (xi_deg, hip)))
@@ -191,7 +191,7 @@ fn agreement(summary: &str) -> [Claim; 2] {
     ]
 }
 
-/// Ratio of peaks 1D/RFT, at the declared assumptions and over all.
+/// Peak force of the 1D models divided by that of RFT: at the declared assumptions, and its range over all assumptions.
 fn ratio(xi_deg: f64, of: Component) -> Result<(f64, [f64; 2])> {
     let at = |xi: f64, hip: f64| -> Result<f64> {
         Ok(peak(&stroke(Law::PenetrationDrag1d, xi, hip)?, of) / peak(&stroke(Law::Li2013, xi, hip)?, of))
@@ -200,7 +200,7 @@ fn ratio(xi_deg: f64, of: Component) -> Result<(f64, [f64; 2])> {
     Ok((at(xi_deg, HIP)?, extremes(all)))
 }
 
-/// Least ratio 1D/RFT over all assumptions and over all angles at which RFT's force is above a fifth of its peak.
+/// Least ratio of the 1D models' force to RFT's force, over all assumptions and over all angles at which RFT's force is above a fifth of its peak.
 fn least_ratio(xi_deg: f64, of: Component) -> Result<f64> {
     let mut least = f64::INFINITY;
     for (xi, hip) in assumed(xi_deg) {

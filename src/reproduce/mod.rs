@@ -1,15 +1,14 @@
 //! Compares our models with a paper: Li, Zhang & Goldman 2012, "A resistive force model for legged locomotion on
 //! granular media", its figures 2 to 5 and every quantitative sentence of its sections 2 to 6.
 //!
-//! Each part computes its figures and its [`Claim`]s from the models as they are; nothing here is fitted to the
-//! paper.
+//! Each part computes its figures and its [`Claim`]s from the unchanged models; nothing here is fitted to the paper.
 //!
 //! * [`stresses`]: figure 2.
 //! * [`legs`]: figure 3.
-//! * [`grains`]: data in place of its measured curves, from a simulated experiment.
+//! * [`grains`]: data from a simulated experiment, in place of figure 3's measured curves.
 //! * [`speeds`]: figure 4.
 //! * [`shapes`]: figure 5.
-//! * [`assumptions`]: what the paper does not state.
+//! * [`assumptions`]: values that the paper does not state.
 //! * [`claims`]: the verdict on each claim.
 //! * [`page`]: the report.
 

@@ -19,7 +19,7 @@ fn angles() -> Vec<f64> {
     (-15..=15).map(|k| f64::from(k) * 5.0).collect()
 }
 
-/// Walks for each knee angle ξ: first that of the declared robot, then those of its variants.
+/// For each knee angle ξ, first the walk of the declared robot, then the walks of its variants.
 fn walk(law: Law, frequency: f64) -> Result<Vec<Vec<WalkResult>>> {
     let (mut trials, mut width) = (Vec::new(), 1);
     for xi in angles() {

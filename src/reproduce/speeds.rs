@@ -19,7 +19,7 @@ pub fn frequencies() -> Vec<f64> {
 /// Speed [m/s] below which RFT is valid (the paper's section 2).
 const VALID: f64 = 0.5;
 
-/// Walks of one leg under one law: for each frequency the declared robot, then its variants.
+/// Walks with one leg shape under one law: for each frequency first the walk of the declared robot, then the walks of its variants.
 struct SpeedCurve {
     rows: Vec<Vec<WalkResult>>,
 }
@@ -39,7 +39,7 @@ impl SpeedCurve {
         Ok(Self { rows: results.chunks(width).map(<[WalkResult]>::to_vec).collect() })
     }
 
-    /// (f, declared speed in cm/s).
+    /// Frequency [Hz] and speed of the declared robot [cm/s].
     fn line(&self) -> Vec<[f64; 2]> {
         frequencies().into_iter().zip(&self.rows).map(|(f, r)| [f, 100.0 * r[0].speed]).collect()
     }
@@ -49,7 +49,7 @@ impl SpeedCurve {
         frequencies().into_iter().zip(&self.rows).map(|(f, r)| (f, ends(r))).map(|(f, [l, h])| [f, l, h]).collect()
     }
 
-    /// Mean over the frequencies of the speed's ratio to `other`'s, for each variant.
+    /// For each variant, the ratio of its speed to the speed in `other`, averaged over the frequencies.
     fn mean_ratios(&self, other: &Self) -> Vec<f64> {
         let count = self.rows[0].len();
         let ratio = |k: usize| {

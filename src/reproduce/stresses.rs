@@ -98,9 +98,9 @@ fn set_up() -> Vec<Claim> {
     ]
 }
 
-/// "For all β, both α_z and α_x had larger magnitudes for positive γ than for negative γ." There are two readings:
-/// literally, at the same β; or for plates that meet the grains at the same incidence on the way down and up, (β, γ)
-/// compared with (−β, −γ).
+/// "For all β, both α_z and α_x had larger magnitudes for positive γ than for negative γ." The sentence has two
+/// readings: literally, it compares plates at the same β; or it compares plates that meet the grains at the same
+/// incidence on the way down and up, (β, γ) with (−β, −γ).
 fn stronger_downward(ground: &SandBed<f64>, which: usize) -> Claim {
     let (mut all, mut mirrored, mut fewer, mut worst) = (0, 0, Vec::new(), (0.0, 0.0, 0.0));
     for beta in (-90..90).step_by(5).map(f64::from) {

@@ -1,4 +1,4 @@
-//! Refuses robots that no engine can simulate because of bodies without mass or joints that move no inertia.
+//! Refuses robots that no engine can simulate, because a body has no mass or a joint moves no inertia.
 
 use super::draft::Merged;
 use crate::error::{Error, Result};
@@ -9,7 +9,7 @@ use nalgebra::{Isometry3, Matrix3, Matrix6, UnitQuaternion, Vector3, Vector6};
 /// Smallest inertia at a joint, as a share of the inertia that it carries: our choice, far above rounding and far below
 /// that of any real robot.
 const LEAST_SHARE: f64 = 1e-9;
-/// Joint positions without a symmetry [rad]; a slide takes a tenth of the number [m]. Our choice.
+/// Joint positions of a pose without symmetry [rad]; a slide takes a tenth of the number [m]. Our choice.
 const POSE: [f64; 5] = [0.31, -0.47, 0.73, -0.19, 0.57];
 
 /// Refuses robots that cannot be simulated.

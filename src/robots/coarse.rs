@@ -1,5 +1,5 @@
-//! Small meshes in place of large ones, for pictures: corners of the same cell become one, at the point that keeps the
-//! surface best (vertex clustering with quadrics, Lindstrom 2000).
+//! Makes small meshes from large ones, for pictures: all corners in a cell become one corner, at the point that
+//! preserves the surface best (vertex clustering with quadrics, Lindstrom 2000).
 
 use super::mesh::Triangle;
 use crate::sim::tree::{Geometry, TreeShape};
@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, Vector3};
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
-/// How often the range of cell sizes is halved: our choice, because this determines the size within 0.02 %.
+/// Number of times that the range of cell sizes is halved: our choice, because this determines the size to 0.02 %.
 const ROUNDS: usize = 16;
 /// Singular values below this share of the largest are zero: Lindstrom's 1e-3.
 const FLAT: f64 = 1e-3;
@@ -129,7 +129,7 @@ mod tests {
         TreeShape { name: "shape".into(), origin: Isometry3::identity(), geometry, friction: 1.0 }
     }
 
-    /// An ellipsoid of 4000 triangles as a few hundred keeps its size and its volume; a shared mesh stays shared.
+    /// An ellipsoid of 4000 triangles that is reduced to a few hundred keeps its size and volume; a shared mesh stays shared.
     #[test]
     fn a_coarse_mesh_has_the_same_shape() {
         let fine = shapes::ellipsoid(Vector3::new(0.2, 0.1, 0.05));

@@ -48,7 +48,7 @@ pub fn read(source: &SourceFile) -> Result<Vec<Triangle>> {
     Ok(reader.triangles)
 }
 
-/// Compares names without their name space, because files have the name space of 1.4, that of 1.5, or none.
+/// Compares names without their name space, because files have the name space of version 1.4, the name space of version 1.5, or none.
 trait Tagged {
     fn has_tag_name_any(&self, name: &str) -> bool;
 }

@@ -1,4 +1,4 @@
-//! Links and joints as files have them, fixed joints too, and the tree of moving bodies made from them.
+//! Links and joints as files have them, with fixed joints, and the tree of moving bodies that is made from them.
 
 use super::mesh::MeshFile;
 use crate::error::{Error, Result};
@@ -30,7 +30,7 @@ impl Inertial {
         Self { mass: 0.0, center: Vector3::zeros(), inertia: Matrix3::zeros() }
     }
 
-    /// These mass properties in a frame in which their own frame lies at `at`.
+    /// The same mass properties in another frame; `at` is the pose of the old frame in the new one.
     pub fn moved(&self, at: &Isometry3<f64>) -> Self {
         let turn = at.rotation.to_rotation_matrix();
         let center = at.transform_point(&self.center.into()).coords;
@@ -103,7 +103,7 @@ pub struct DraftLink {
     pub parent: usize,
     pub origin: Isometry3<f64>,
     pub joint: Option<TreeJoint>,
-    /// May the link move without a mass of its own?
+    /// May the link move although it has no mass?
     pub massless: bool,
     pub inertial: Inertial,
     pub shapes: Vec<TreeShape>,

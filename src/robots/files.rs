@@ -8,8 +8,8 @@ use std::path::{Component, Path, PathBuf};
 pub const MOST_TEXT: u64 = 8 << 20;
 /// Largest mesh file [bytes]: our choice; the largest we have seen has 28 MiB.
 pub const MOST_MESH: u64 = 64 << 20;
-/// In how many folders, the description's own and those above it, a package may begin: our choice, because
-/// `package/robots/name/urdf` needs four.
+/// Number of folders, the description's own and those above it, that are tried as the root of the package: our choice,
+/// because `package/robots/name/urdf` needs four.
 const HIGHEST: usize = 4;
 /// Usual names of folders with descriptions (ROS, MuJoCo Menagerie); meshes lie in folders beside them.
 const CUSTOM: [&str; 6] = ["urdf", "robots", "robot", "mjcf", "xml", "models"];
@@ -98,7 +98,7 @@ impl Files {
         let whole = plain_path(&start.join(wanted));
         let outside = || Error::file(wanted, format!("lies outside of the robot's package {}", root.display()));
         let whole = whole.filter(|w| w.starts_with(&root)).ok_or_else(outside)?;
-        // Symbolic links must stay inside too.
+        // Symbolic links must also stay inside the package.
         let real = whole.canonicalize().map_err(|e| Error::file(&whole, e))?;
         if real.starts_with(&root) { Ok(real) } else { Err(outside()) }
     }
@@ -115,7 +115,7 @@ impl Files {
     }
 }
 
-/// The path without `.` and `..`, computed from its text alone; None if it leads above the top.
+/// The path without `.` and `..`, computed from its text alone; None if it leads above its start.
 fn plain_path(path: &Path) -> Option<PathBuf> {
     let mut plain = PathBuf::new();
     for part in path.components() {

@@ -5,8 +5,8 @@ use std::collections::HashMap;
 
 type V = Vector3<f64>;
 
-/// A point that is nearer to a face than this share of the whole's size lies on the face. Our choice: the first number
-/// is a hundredth of single precision's rounding, and the next ones are tried where rounding leaves gaps in the
+/// A point counts as on a face if its distance is below this share of the size of the whole. Our choice: the first
+/// number is a hundredth of single precision's rounding; the next numbers are tried if rounding leaves gaps in the
 /// surface.
 const ON_FACE: [f64; 3] = [1e-9, 1e-7, 1e-5];
 
@@ -83,7 +83,7 @@ impl Hull<'_> {
         Some(faces)
     }
 
-    /// Links those of `faces` that share an edge as neighbours.
+    /// Links faces of `faces` that share an edge as neighbours.
     fn join(&mut self, faces: &[usize]) -> Option<()> {
         let mut edges = HashMap::new();
         for &f in faces {
@@ -103,7 +103,7 @@ impl Hull<'_> {
         faces.iter().all(|f| self.faces[*f].beside.iter().all(|b| *b != usize::MAX)).then_some(())
     }
 
-    /// Assigns each point to the first face that it lies outside of.
+    /// Assigns each point to the first face on whose outer side it lies.
     fn assign(&mut self, points: &[usize], faces: &[usize]) {
         for &p in points {
             if let Some(&f) = faces.iter().find(|f| self.height(**f, p) > self.least) {

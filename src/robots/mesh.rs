@@ -135,8 +135,9 @@ pub fn solid(triangles: &[Triangle]) -> MassMoments {
     moments(volume, first, second)
 }
 
-/// The same as [`solid`], by MuJoCo's rule `legacy`: tetrahedra between the faces and the mean of their centres, all counted as
-/// positive, give the centre of mass; those between the faces and that centre give volume and inertia.
+/// The same as [`solid`], by MuJoCo's rule `legacy`: tetrahedra between the faces and the mean of the faces' centres, all
+/// counted as positive, give the centre of mass; then tetrahedra between the faces and the centre of mass give volume and
+/// inertia.
 pub fn legacy(triangles: &[Triangle]) -> MassMoments {
     let middle = middle_of_faces(triangles);
     let (volume, first, _) = tetrahedra(triangles, middle, true);
@@ -145,8 +146,8 @@ pub fn legacy(triangles: &[Triangle]) -> MassMoments {
     (volume, center, Matrix3::identity() * second.trace() - second)
 }
 
-/// Volume, first and second moments about `tip` of the tetrahedra between it and the faces; with `unsigned`,
-/// inverted ones count as positive.
+/// Volume, and first and second moments about `tip`, of the tetrahedra between `tip` and the faces; with `unsigned`,
+/// inverted tetrahedra count as positive.
 fn tetrahedra(triangles: &[Triangle], tip: Vector3<f64>, unsigned: bool) -> MassMoments {
     let (mut volume, mut first, mut second) = (0.0, Vector3::zeros(), Matrix3::zeros());
     for t in triangles {
@@ -162,7 +163,7 @@ fn tetrahedra(triangles: &[Triangle], tip: Vector3<f64>, unsigned: bool) -> Mass
     (volume, first, second)
 }
 
-/// Mean of the faces' centres, by area.
+/// Mean of the faces' centres, weighted by area.
 fn middle_of_faces(triangles: &[Triangle]) -> Vector3<f64> {
     let (mut sum, mut all) = (Vector3::zeros(), 0.0);
     for [a, b, c] in triangles {

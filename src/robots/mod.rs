@@ -5,8 +5,9 @@
 //!                              └─▶ files (inside of the package only) ─▶ mesh (STL, OBJ, DAE)
 //! ```
 //!
-//! `roxmltree` reads both formats; the program needs it for figures anyway. Bytes, nodes and depth are checked before
-//! anything is built from them, every element that is left out is named, and no file outside of the package is opened.
+//! `roxmltree` reads both XML formats; the program needs it for figures anyway. Bytes, nodes and depth are checked
+//! before anything is built from them, every element that is left out is named, and no file outside of the package is
+//! opened.
 
 use sandgait_base::error;
 use sandgait_sand as sand;
@@ -79,9 +80,9 @@ pub struct Import {
     pub found: FoundJoints,
     /// Does the file say that the base moves freely?
     pub base_is_free: bool,
-    /// What touches sand unless the user names shapes; None: feet, lower links and base.
+    /// Names of the shapes that touch sand unless the user names shapes; None: feet, lower links and base.
     touches: Option<Vec<String>>,
-    /// None: the file is no packed robot.
+    /// The packed robot in the file; None: the file is no packed robot.
     pub packed: Option<Box<PackedRobot>>,
     visuals: Vec<Vec<draft::Visual>>,
 }
@@ -110,7 +111,7 @@ pub fn load(path: &Path) -> Result<Import> {
     load_with(path, &Posture::default())
 }
 
-/// Reads a robot, and lays `posture` over it.
+/// Reads a robot, and replaces poses and gains by the values in `posture`.
 pub fn load_with(path: &Path, posture: &Posture) -> Result<Import> {
     let ending = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
     match ending.as_deref() {

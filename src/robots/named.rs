@@ -1,6 +1,6 @@
-//! Robots by name. For each there is a small file of ours, `robots/NAME.toml`, which is laid over the description. It
-//! says where public packages have the description. It gives the pose, the gains, what touches sand, and the source and
-//! licence of these numbers.
+//! Robots by name. Each robot has a small file of ours, `robots/NAME.toml`. The file says where public packages have
+//! the robot's description. It also gives the pose, the gains, what touches sand, and the source and licence of these
+//! numbers; they replace the description's values.
 
 use super::posture::Posture;
 use super::{Import, load_with};

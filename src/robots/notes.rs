@@ -1,5 +1,5 @@
-//! Notes on the parts of a description that this project changes or does not use. All parts that are treated alike give one
-//! line, which says what was done.
+//! Notes on the parts of a description that this project changes or does not use. One line names all parts that are treated
+//! alike, and says what was done with them.
 
 use super::xml::Element;
 use std::collections::{BTreeMap, BTreeSet};

@@ -1,5 +1,5 @@
-//! Standing pose and gains: from the file, from values laid over it, or found ([`crate::sim::tree::stance`],
-//! [`crate::sim::tree::gains`]).
+//! Standing pose and gains: from the file, from values that replace the file's, or computed
+//! ([`crate::sim::tree::stance`], [`crate::sim::tree::gains`]).
 
 use super::Import;
 use crate::error::{Error, Result};
@@ -15,7 +15,7 @@ use std::collections::BTreeMap;
 /// files round numbers to three digits.
 const ROUNDING: f64 = 1e-3;
 
-/// Values laid over a description, by patterns of joint names.
+/// Values that replace a description's values, by patterns of joint names.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Posture {
@@ -27,7 +27,7 @@ pub struct Posture {
     pub damping: BTreeMap<String, f64>,
 }
 
-/// The joints whose pose and gains were found, because neither the file nor a posture has them.
+/// The joints whose pose and gains were computed, because neither the file nor a posture has them.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FoundJoints {
     pub rest: Vec<bool>,
@@ -68,8 +68,8 @@ fn joints(tree: &mut Tree) -> impl Iterator<Item = &mut TreeJoint> {
     tree.bodies.iter_mut().filter_map(|b| b.joint.as_mut())
 }
 
-/// Fills in pose and gains of the joints that have none. Returns the stance, the joints that had none, and the reason
-/// why the file's pose is ignored, if it is.
+/// Computes pose and gains for the joints that have none. Returns the stance, these joints, and, if the file's pose is
+/// ignored, the reason.
 pub fn settle(tree: &mut Tree, laid_over: &Posture) -> (Stance, FoundJoints, Option<&'static str>) {
     let contacts = contact_points(tree);
     let (stance, ignored) = standing(tree, &contacts, laid_over);
@@ -86,9 +86,8 @@ pub fn settle(tree: &mut Tree, laid_over: &Posture) -> (Stance, FoundJoints, Opt
     (stance, found, ignored)
 }
 
-/// The stance in the file's pose. A pose that is found takes its place if more legs stand in the found one, or if as
-/// many legs stand in it and joints cannot take the file's pose. Also returns the reason why the file's pose is
-/// ignored, if it is.
+/// The stance in the file's pose. A computed pose replaces the file's pose if more legs stand in it, or if as many legs
+/// stand in it and the joints' ranges exclude the file's pose. If the file's pose is ignored, also returns the reason.
 fn standing(tree: &mut Tree, contacts: &[Vec<ContactPoint>], laid_over: &Posture) -> (Stance, Option<&'static str>) {
     let own = Stance::of(tree, contacts);
     if tree.joints().any(|j| j.rest.is_none()) {

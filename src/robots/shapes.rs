@@ -8,7 +8,7 @@ use nalgebra::Vector3;
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
 
-/// Bands of an ellipsoid between its poles: our choice, because its volume is then within 0.5 %.
+/// Bands of an ellipsoid between its poles: our choice, because the error of its volume is then below 0.5 %.
 const BANDS: usize = 32;
 
 /// A mesh that sand can push on: itself if its surface is closed, otherwise its convex hull, with a note.
@@ -34,7 +34,7 @@ pub fn closed_mesh(name: &str, triangles: Arc<Vec<Triangle>>, notes: &mut Notes)
 pub fn ellipsoid(half: Vector3<f64>) -> Geometry {
     let point = |band: usize, sector: usize| {
         let (up, around) = (PI * band as f64 / BANDS as f64, TAU * sector as f64 / (2 * BANDS) as f64);
-        // The first and the last sector have the same corner, with the same bits.
+        // The last sector ends at exactly the corner where the first sector begins.
         let around = if sector == 2 * BANDS { 0.0 } else { around };
         let (sin, cos) = up.sin_cos();
         let ring = if band == 0 || band == BANDS { 0.0 } else { sin };

@@ -21,7 +21,7 @@ struct StateRow {
     tau: Vec<f64>,
 }
 
-/// Rows, alone or with the names of their joints; other keys are ignored.
+/// The file's rows: as a list, or in a table with the names of the joints, whose other keys are ignored.
 #[derive(Deserialize)]
 #[serde(untagged)]
 enum JointRows {
@@ -29,7 +29,7 @@ enum JointRows {
     Bare(Vec<StateRow>),
 }
 
-/// The accelerations at each row of `path`, joints in the order of the file's `joints`, or the tree's if it has none.
+/// The accelerations at each row of `path`. Joints are in the order of the file's `joints` or, without these, in the tree's order.
 pub fn compute(tree: &Tree, path: &Path) -> Result<Vec<TreeAccelerations>> {
     let source = SourceFile::read(path, MOST_BYTES)?;
     let file: JointRows = serde_json::from_str(source.text()?).map_err(|e| {

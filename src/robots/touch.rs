@@ -13,8 +13,8 @@ pub type ShapeIndex = (usize, usize);
 
 impl Import {
     /// The shapes with these names, in the order of bodies. A name is that of a body, of a link of the file, or of a
-    /// shape. Without names they are what the robot's own file names, or else feet and lower links (the last bodies of
-    /// the legs), and the base.
+    /// shape. Without names, these are the shapes that the robot's own file names, or else all shapes of feet, lower
+    /// links (the last bodies of the legs) and base.
     pub fn touching(&self, names: Option<&[String]>) -> Result<Vec<ShapeIndex>> {
         let Some(names) = names.or(self.touches.as_deref()) else { return Ok(lowest_parts(&self.tree, &self.stance)) };
         let mut found = Vec::new();

@@ -40,8 +40,8 @@ pub fn parse(source: &SourceFile) -> Result<Element> {
 fn element(node: &roxmltree::Node, file: &Arc<Path>, lines: &LineStarts, depth: usize) -> Result<Element> {
     let line = lines.at(node.range().start);
     let name = |namespace: Option<&str>, name: &str| match namespace {
-        // Elements of other name spaces (xacro, sensor) keep the name space, so that they are not mistaken for
-        // ours.
+        // Elements of other name spaces (xacro, sensor) keep the name space in their name, so that they are not
+        // mistaken for elements of the robot.
         Some(space) => format!("{space}:{name}"),
         None => name.to_owned(),
     };

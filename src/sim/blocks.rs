@@ -15,7 +15,7 @@ use crate::sand::memory::Moved;
 use std::f64::consts::TAU;
 
 /// Robots in blocks; a block holds as many robots as the instruction set has lanes. Each block is an engine, in which a
-/// robot's index is that of its lane.
+/// robot's index is the index of its lane.
 pub struct LaneEngine {
     blocks: Vec<Box<dyn Integrator>>,
     lanes: usize,
@@ -71,8 +71,8 @@ impl Integrator for LaneEngine {
     }
 }
 
-/// State of the robots in one block, one lane each; see [`State`]. `position` is that of the base's centre of mass in engine
-/// `lanes`, and of its link's origin in engine `tree`.
+/// State of the robots in one block, one lane each; see [`State`]. `position` is the base's centre of mass in engine
+/// `lanes`, and the origin of the base's link in engine `tree`.
 #[derive(Clone)]
 pub struct LaneState<R> {
     /// Position of the base from the lane's origin.

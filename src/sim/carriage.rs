@@ -1,9 +1,9 @@
 //! Legs under driven carriages: the base moves at a prescribed velocity, joints turn at prescribed rates, and the
 //! sand's forces are measured. There are no masses and no servos, so there are no equations of motion to solve.
 //!
-//! `work` is that of the joints, ∫ Σ τ ω dt. It equals the work on the sand plus the work on the carriage.
+//! `work` is the work of the joints, ∫ Σ τ ω dt. It equals the work on the sand plus the work on the carriage.
 //!
-//! Bodies and sand are those of engine [`super::rapier`], in `f64`. A time step is the midpoint rule.
+//! Bodies and sand are computed as in engine [`super::rapier`], in `f64`. A time step is one step of the midpoint rule.
 
 use super::command::Command;
 use super::frame::BodyFrame;

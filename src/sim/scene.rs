@@ -102,7 +102,7 @@ impl Scene {
         self.memory = Some(MemorySettings::new(&self.medium, cell, BITS, 2.0 * width, None));
     }
 
-    /// The same for a tree robot; the square contains the robot as it stands.
+    /// Gives the sand memory, for a tree robot. The square contains the robot in its standing pose.
     pub fn remember_tree(&mut self, tree: &TreeModel) {
         let cell = tree.reach().max(1e-3) / WITHIN;
         self.memory = Some(MemorySettings::new(&self.medium, cell, BITS, 2.0 * cell, None));

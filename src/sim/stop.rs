@@ -21,7 +21,7 @@ pub struct ImplicitTorque<R> {
     pub yielding: R,
 }
 
-/// A stop's push, and the least and the greatest torque that it can have. One of the two limits is 0, because a stop only pushes back.
+/// A stop's push, and the least and the greatest torque that it can have. If the stop acts, one of the limits is 0, because it only pushes back.
 pub struct Stop<R> {
     pub push: ImplicitTorque<R>,
     pub limits: [R; 2],

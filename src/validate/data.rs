@@ -36,7 +36,7 @@ struct Description {
     title: String,
     source: String,
     licence: String,
-    /// Rows at larger slip angles are not scored [°].
+    /// Rows at larger slip angles than this do not count in the score [°].
     most_slip_angle_deg: f64,
     intruder: Vec<IntruderDescription>,
 }
@@ -71,13 +71,13 @@ pub struct SteadyState {
 }
 
 impl SteadyState {
-    /// The condition of this row: rows of one condition have the same slip angle and slip ratio.
+    /// The condition of this row; all rows of a condition have the same slip angle and slip ratio.
     pub fn condition(&self) -> (i64, i64) {
         ((self.slip_angle).round() as i64, (self.slip * 10.0).round() as i64)
     }
 }
 
-/// A body and what was measured with it.
+/// A wheel and its measurements.
 #[derive(Clone, Debug)]
 pub struct Wheel {
     pub name: String,

@@ -7,28 +7,28 @@ use crate::sand::intruder::{DepthOrLoad, Trial, compute};
 use crate::sand::{Law, Mechanisms, Medium, SandDescription};
 use nalgebra::{DMatrix, DVector};
 
-/// Errors that count as a residual of 1, as shares of the load: of Fx and Fy at the measured sinkage, of Fz, and of Fx
-/// and Fy under the measured load; then of the sinkage [m]. Our choice, because a good model has about these errors.
+/// Errors that give a residual of 1. The first three are shares of the load: the error of Fx and Fy at the measured
+/// sinkage, of Fz at the measured sinkage, and of Fx and Fy under the measured load. The last is the error of the
+/// sinkage [m]. Our choice, because a good model has about these errors.
 const TOLERANCES: [f64; 4] = [0.08, 0.15, 0.08, 0.0035];
-/// Step in depth [m] for the stiffness that converts a missing force into sinkage.
+/// Step in depth [m] for the numerical stiffness dF/dz, which converts a missing vertical force into sinkage.
 const STEP: f64 = 5e-4;
-/// Least stiffness [N/m] when a missing force is converted into sinkage, so that a wheel without support counts as a
-/// few centimetres.
+/// Least stiffness [N/m] in this conversion, so that a wheel without support counts as an error of a few centimetres.
 const SOFTEST: f64 = 200.0;
 /// Largest residual: our choice, so that rows without support do not outweigh all others.
 const LARGEST: f64 = 8.0;
 /// Friction of sand on sand, for wheels that carry sand between their teeth: tan 35°, within the 30° to 40° of dry
 /// sands (angle of repose 29°). It is not fitted, because rows at slip ratios ≤ 0 hardly distinguish 0.55 from 0.9.
 const SAND_ON_SAND: f64 = 0.70;
-/// μ_s of a smooth wheel and its standard deviation. The data give none, so the deviation is wide enough for polished
-/// to rough plates.
+/// μ_s of a smooth wheel and its standard deviation. The data do not contain μ_s, so the deviation is wide enough for
+/// polished to rough plates.
 const SMOOTH: [f64; 2] = [0.45, 0.30];
 
 /// The value of `slip_bearing` from Vesic's formula; it is not fitted.
 pub const BEARING: f64 = 1.0;
 
-/// The fitted numbers: ζ [N/cm³], `depth_power`, `skid_loss` and `graze_loss`, shared by all wheels, and one μ_s of
-/// the wheels that carry no sand.
+/// The fitted numbers: ζ [N/cm³], `depth_power`, `skid_loss` and `graze_loss`, which all wheels share, and μ_s, which
+/// all wheels without carried sand share.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Parameters {
     pub zeta: f64,
@@ -121,8 +121,8 @@ pub fn fit(wheels: &[Wheel], rows: &[Vec<SteadyState>]) -> Result<Parameters> {
     Ok(Parameters::from_vector(&x))
 }
 
-/// Residuals: Fx, Fy, Fz at the measured sinkage, the sinkage under the measured load and Fx, Fy there (to first
-/// order), and the deviation of the friction from its expected value.
+/// Residuals: Fx, Fy, Fz at the measured sinkage; the sinkage, Fx and Fy under the measured load (to first order); and
+/// the deviation of the friction from its expected value.
 fn residuals(wheels: &[Wheel], rows: &[Vec<SteadyState>], x: &DVector<f64>) -> Result<DVector<f64>> {
     let parameters = Parameters::from_vector(x);
     let mut all = Vec::new();

@@ -15,9 +15,9 @@ use std::fmt::Write as _;
 /// Stride frequencies of the walks [Hz].
 const FREQUENCIES: [f64; 4] = [1.0, 2.0, 3.0, 5.0];
 
-/// Forward speeds [m/s] of `xplorer` on loose poppy seeds at [`FREQUENCIES`]. They come from two implementations that
-/// share no code with this one and have converged with explicit steps of 10⁻⁵ s. With L-legs and a hard leading edge,
-/// MuJoCo 4.0.0 and rapier's multibodies agree with one of them within 1 %.
+/// Forward speeds [m/s] of `xplorer` on loose poppy seeds at [`FREQUENCIES`]. They come from two other implementations,
+/// which share no code with this program; with explicit steps of 10⁻⁵ s, their results have converged. With L-legs and
+/// a hard leading edge, MuJoCo 4.0.0 and rapier's multibodies agree with one of the two within 1 %.
 const WALKS: [(&str, [f64; 4]); 2] =
     [("L", [0.1201, 0.2870, 0.4161, 0.7139]), ("revL", [0.0715, 0.1308, 0.2401, 0.4387])];
 
@@ -65,7 +65,7 @@ fn grains() -> Result<String> {
     Ok(text)
 }
 
-/// Walking speeds compared with those of independent codes.
+/// Compares walking speeds with the results of independent codes.
 fn walks() -> Result<String> {
     let trial = |leg: &str, frequency: f64| -> Result<WalkTrial> {
         let scene = Scene::flat(Medium::named("poppy-loose")?);

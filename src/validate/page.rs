@@ -49,7 +49,7 @@ pub struct Scoreboard {
 }
 
 impl Scoreboard {
-    /// Predicts every row, and fits again with one slip angle left out at a time.
+    /// Predicts every row. Also repeats the fit with each slip angle left out.
     pub fn new(data: DataSet) -> Result<Self> {
         let mut comparisons = Vec::new();
         let each = |of: &dyn Fn(&Wheel) -> Option<crate::sand::SandDescription>| -> Vec<MeasuredPair> {
@@ -145,8 +145,8 @@ impl Scoreboard {
         text
     }
 
-    /// The first sentences of the page: the rows of the first comparison with the largest error in sinkage, and their
-    /// errors.
+    /// The first sentences of the page: they name the rows of the first comparison with the largest error in sinkage,
+    /// and these errors.
     pub fn worst(&self) -> String {
         let c = &self.comparisons[0];
         let regimes = REGIMES.iter().map(|(name, belongs)| (name, select(c, |p| belongs(&p.row))));

@@ -103,7 +103,7 @@ fn flight(folder: &Path, name: &str, robot: &str, reference: &str) -> Result<(us
     Ok((found.len(), worst))
 }
 
-/// The quadruped with the servo of the reference.
+/// The quadruped with the servo gains of the reference simulation.
 fn quadruped(floor: &ReferenceFloor) -> Result<Model> {
     let folder = tempfile::tempdir().map_err(|e| Error::Exhausted(format!("no directory for temporary files: {e}")))?;
     let path = folder.path().join("sandcat.xml");

@@ -7,8 +7,8 @@ use crate::sand::intruder::{DepthOrLoad, Status, Trial, compute};
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-/// Number of bootstrap resamples of conditions for an interval: our choice, because the ends then vary by less than a
-/// tenth of the width.
+/// Number of bootstrap resamples of the conditions for an interval: our choice, because the interval's ends then vary
+/// by less than a tenth of its width.
 const RESAMPLES: usize = 400;
 
 /// A sand's predictions for one row.
@@ -16,7 +16,7 @@ const RESAMPLES: usize = 400;
 pub struct Prediction {
     /// Forces at the measured sinkage [N].
     pub force: [f64; 3],
-    /// Under the measured load: sinkage [m] and forces [N]; None without equilibrium.
+    /// Sinkage [m] and forces [N] under the measured load; None if there is no equilibrium.
     pub carried: Option<(f64, [f64; 3])>,
 }
 
@@ -42,8 +42,8 @@ pub fn predict(index: usize, wheel: &Wheel, sand: &SandDescription, rows: &[Stea
     })
 }
 
-/// Root mean squares: Fx, Fy, Fz at the measured sinkage in % of the mean load, sinkage in mm, Fx, Fy under the
-/// measured load.
+/// Names of the root mean square errors: Fx, Fy, Fz at the measured sinkage in % of the mean load; sinkage in mm; Fx,
+/// Fy under the measured load in % of the mean load.
 pub const FIGURES: [&str; 6] = ["Fx %", "Fy %", "Fz %", "sinkage mm", "Fx under load %", "Fy under load %"];
 
 /// [`FIGURES`] of some rows.

@@ -1,8 +1,8 @@
 //! Finds wrong units and signs before the diagnosis. Each error is one line that says what to state in the experiment file.
 //!
-//! Quantities that depend on each other are compared: joint speeds with the change of angles, angles with the command, specific
-//! force with gravity and with the attitude. Torques, gyro and speed are compared with the replay, whose error is some ten percent;
-//! a wrong unit gives a factor of 57 or more, a wrong sign a negative one.
+//! The checks compare quantities that depend on each other: joint speeds with the change of angles, angles with the command,
+//! specific force with gravity and with the attitude. They also compare torques, gyro and speed with the replay, whose error is
+//! some ten percent; a wrong unit gives a ratio of 57 or more, a wrong sign a negative ratio.
 
 use super::log::{Log, Run};
 use super::sensors::Layout;
@@ -13,14 +13,14 @@ use crate::sim::model::GRAVITY;
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
 
-/// A ratio counts as one of the known ratios if it is this near to it, relative: our choice, much less than the distance between any
-/// two known ratios.
+/// A ratio counts as a known ratio if it differs from it by less than this share: our choice, much less than the distance between
+/// any two known ratios.
 const NEAR: f64 = 0.2;
 /// Least correlation for which a ratio is evaluated: our choice, because a ratio of unrelated signals has no meaning.
 const CLEAR: f64 = 0.7;
 const DEGREES: f64 = 180.0 / PI;
 
-/// The ratio of `b` to `a` by their rms, with the sign of their correlation; none if the correlation is below [`CLEAR`].
+/// The ratio of the rms of `b` to the rms of `a`, with the sign of their correlation; None if the correlation is weaker than [`CLEAR`].
 fn proportion(pairs: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
     let (aa, ab, bb) = pairs.fold((0.0, 0.0, 0.0), |(x, y, z), (a, b)| (x + a * a, y + a * b, z + b * b));
     (ab.abs() > CLEAR * (aa * bb).sqrt() && aa > 0.0 && bb > 0.0).then(|| ab.signum() * (bb / aa).sqrt())
@@ -77,7 +77,7 @@ fn speed(run: &Run, j: usize, name: &str) -> Option<String> {
     Some(format!("qd:{name} {what} q:{name}: {mend}"))
 }
 
-/// Compares the angles with the hips' command, for joints that turn round.
+/// Compares the angles with the hips' command, for joints that make full turns.
 fn command(run: &Run, j: usize, name: &str) -> Option<String> {
     let told = TAU * run.frequency?;
     let (q, half) = (&run.q[j], run.t.len() / 2);
@@ -142,7 +142,7 @@ fn attitude(run: &Run) -> Option<String> {
         };
         (0..w.len()).map(up).sum::<f64>() / (w.len().max(1) as f64 * GRAVITY)
     };
-    // The correlation of the tilt alone is checked too: with a wrong order or the inverse rotation it is negative.
+    // The correlation of the tilt alone is also checked: it is negative if the quaternion's order is wrong or its rotation is the inverse.
     let tilt = |q: &dyn Fn(usize) -> [f64; 4]| {
         let pairs = (0..w.len()).flat_map(|i| {
             let [w, x, y, z] = q(i);
@@ -171,7 +171,7 @@ fn attitude(run: &Run) -> Option<String> {
     })
 }
 
-/// Refuses a log whose torques, gyro or speed differ from the replay by the factor of a wrong unit or sign.
+/// Refuses a log in which the ratio of torques, gyro or speed to the replay is that of a wrong unit or sign.
 pub fn against_replay(path: &Path, layout: &Layout, measured: &[f64], replayed: &[f64]) -> Result<()> {
     let span = BINS * layout.count();
     let ratio = |channels: std::ops::Range<usize>| {

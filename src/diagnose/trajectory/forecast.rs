@@ -14,8 +14,8 @@ use crate::sim::hardware::HardwareDescription;
 use std::collections::HashMap;
 use std::f64::consts::TAU;
 
-/// A derivative by finite differences is reliable if its step changes the predicted data by this many σ in all: our choice, as for
-/// walking runs.
+/// A derivative by finite differences is reliable if its step changes all predicted data together by this many σ: our choice, as
+/// for walking runs.
 const ROUGHNESS: f64 = 4.0;
 /// Relative step of the sand's strength for the derivative by the strength of the bed: our choice, about the scatter of beds.
 const STRENGTH_STEP: f64 = 0.05;
@@ -39,9 +39,9 @@ impl ForwardModel for TrajectoryModel<'_> {
         Some(ROUGHNESS)
     }
 
-    /// Nothing here is learnt from the scatter of repetitions. All strides of a run share the strength of its bed, the
-    /// offsets of its sensors, and the error of the time step. At each number the model errs by a share of the channel's
-    /// standard deviation within the stride, and by the scatter of [`Self::unsettled`].
+    /// The sizes here are not learnt from the scatter of repetitions. All strides of a run share the strength of its
+    /// bed, the offsets of its sensors, and the error of the time step. At each number the model errs by a share of the
+    /// channel's standard deviation within the stride, and by the scatter of [`Self::unsettled`].
     fn uncertainty(&self, sand: &SandParameters, prediction: &[f64]) -> Uncertainty {
         let (harder, coefficients) = stronger(sand, STRENGTH_STEP);
         let harder = self.predict(&harder, &coefficients);
@@ -73,8 +73,9 @@ impl ForwardModel for TrajectoryModel<'_> {
         let here = self.predict(&sand.0, &sand.1);
         let tracks = self.tracks(&[*sand], 0.0, 1.0).swap_remove(0);
         let mut all = self.mounting(&tracks, values);
-        // A wrong constant changes the logged torques of a given motion. The ratio of logged to requested torques is another
-        // nuisance: if a drive computes with the same wrong constant, the logged torque is the requested one.
+        // A wrong torque constant changes the logged torques of a given motion. The ratio of logged to requested torques is
+        // a separate nuisance, because if a drive also computes with the wrong constant, the logged torque equals the
+        // requested torque.
         let servo = self.layout.servo_channel().map_or(0..0, |c| c..c + 1);
         let gains = [("torque_constant", 0..self.layout.joints), ("servo_gain", servo)];
         for (id, own) in gains.into_iter().filter(|g| !g.1.is_empty()) {

@@ -1,4 +1,4 @@
-//! Logs for tests: the hexapod walks with servos in the rapier engine, not in the engine that replays, and its sensors have errors.
+//! Logs for tests: the hexapod walks with servos in engine `rapier`, which is not the engine that replays the logs, and its sensors have errors.
 
 use super::replay::{Replay, ReplayRobot, ReplayedJoint, Signals, sample};
 use crate::sand::mechanism::Mechanisms;
@@ -26,7 +26,7 @@ pub struct Truth {
     pub low_pass: f64,
     /// Mass of the base, as a multiple of the robot file's.
     pub mass: f64,
-    /// Torque of the motors, as a multiple of the torque that their drives compute.
+    /// Ratio of the motors' torque to the torque that their drives compute.
     pub drive: f64,
     pub seed: u64,
 }
@@ -61,7 +61,7 @@ pub fn csv(truth: &Truth) -> String {
     }
     text += ",gyro_x,gyro_y,gyro_z,acc_x,acc_y,acc_z\n";
     let mut medium = Medium::named("poppy-loose").unwrap();
-    // Coefficients and beds scatter about the nominal ones. Their mean strength is kept, because it is part of the truth.
+    // Coefficients and strengths of beds scatter about the nominal values. Their mean strength does not change, because it is a part of the truth.
     let nominal = medium.coefficients.to_array();
     let drawn = nominal.map(|c| c * (1.0 + 0.05 * normal()));
     let size = |all: [f64; 9]| all.iter().map(|c| c.abs()).sum::<f64>();
@@ -107,7 +107,7 @@ fn rows(
     let offsets: Vec<f64> = (0..joints).map(|_| 2e-4 * normal()).collect();
     let biases: Vec<f64> = (0..6).map(|k| if k < 3 { 0.02 } else { 0.05 } * normal()).collect();
     let times: Vec<f64> = (1..states.len()).map(|k| 1e-3 * k as f64).collect();
-    // The engine wraps angles to one turn; a log counts on.
+    // The engine wraps angles to one turn; in a log they keep increasing.
     let mut angles = states[0].angles.clone();
     for i in (0..states.len() - 1).step_by(5) {
         let state = &states[i];

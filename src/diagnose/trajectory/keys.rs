@@ -9,7 +9,7 @@ use serde::Deserialize;
 pub struct Imu {
     /// Position in the base's frame [m].
     pub position: [f64; 3],
-    /// Rotation from its frame to the base's frame, as a quaternion w, x, y, z.
+    /// Rotation from the IMU's frame to the base's frame, as a quaternion w, x, y, z.
     pub quat: [f64; 4],
 }
 
@@ -45,10 +45,10 @@ impl RunTable {
     }
 }
 
-/// Largest number of runs that an experiment file lists: our choice, the same as that of a log.
+/// Largest number of runs that an experiment file lists: our choice, the same as in a log.
 const MOST_RUNS: usize = 1000;
 
-/// The keys' names. A CSV has no topics: they belong to a recording that `sandgait.logs` (Python) reads.
+/// Names of the keys. The key `topics` has no effect on a CSV file; it is for recordings that `sandgait.logs` (Python) reads.
 pub const NAMES: [&str; 10] =
     ["imu", "motor", "slope_deg", "stride_frequency", "leg", "touches", "window", "topics", "run", "hardware"];
 /// Length of the windows if the file gives none [s]: our choice, about a stride.
@@ -68,13 +68,13 @@ pub struct Keys {
     pub leg: Option<String>,
     /// Bodies or shapes that touch the sand, for a robot from a URDF or MJCF file.
     pub touches: Option<Vec<String>>,
-    /// Length of the windows if the log has no strides: no joint turns round and no stride frequency is given [s].
+    /// Length of the windows [s] if the log has no strides, because no joint makes full turns and no stride frequency is given.
     pub window: f64,
     pub runs: Vec<RunTable>,
 }
 
 impl Keys {
-    /// The same keys, checked; runs without a name get their number, and the quaternion gets the length 1.
+    /// Checks the keys, gives runs without a name their number, and normalises the quaternion.
     pub fn checked(mut self) -> Result<Keys> {
         // A sensor more than 10 m from the base, or a torque constant above 1000 N·m/A, has a wrong unit: our choices.
         self.imu.position.iter().try_for_each(|p| check_range("imu.position", *p, -10.0..=10.0).map(drop))?;

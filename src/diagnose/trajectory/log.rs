@@ -10,14 +10,14 @@ use std::path::Path;
 
 /// Largest number of values in a log: our choice, 160 MB.
 const MOST_NUMBERS: usize = 20_000_000;
-/// Largest number of a robot's joints: our choice, those of a hexapod with four joints a leg.
+/// Largest number of a robot's joints: our choice, enough for a hexapod with four joints a leg.
 pub const MOST_JOINTS: usize = 24;
 /// Largest number of runs in a log: our choice.
 const MOST_RUNS: usize = 1000;
 /// Fewest samples of a run: our choice; a tenth of a second at 200 Hz is less than a stride.
 const FEWEST_SAMPLES: usize = 20;
-/// Longest usual time between two samples [s], and the longest gap as a multiple of the usual time: our choices. A slower log misses
-/// the forces within a stride; over a longer gap the joints' motion is unknown.
+/// Longest usual time between two samples [s]. The next constant is the longest gap as a multiple of the usual time. Our choices: a
+/// slower log misses the forces within a stride, and during a longer gap the joints' motion is unknown.
 const LONGEST_STEP: f64 = 0.05;
 const LONGEST_GAP: f64 = 10.0;
 /// Largest number that is accepted: our choice, far above every quantity of a robot in SI units.
@@ -40,7 +40,7 @@ pub struct Run {
     pub qd: Vec<Vec<f64>>,
     /// Joint torques [N·m].
     pub tau: Vec<Vec<f64>>,
-    /// Angular velocity [rad/s] and, below, specific force [m/s²], in the IMU's frame.
+    /// Angular velocity [rad/s] in the IMU's frame; the next field is the specific force [m/s²] in this frame.
     pub gyro: [Vec<f64>; 3],
     pub acc: [Vec<f64>; 3],
     /// Rotation from the IMU's frame to the level frame, w, x, y, z; empty if the log has none.
@@ -103,7 +103,7 @@ pub struct JointColumns<'a> {
 }
 
 impl<'a> JointColumns<'a> {
-    /// The columns of these joints; with currents instead of torques if the torque constant is given.
+    /// The columns of these joints. If the torque constant is given, the log has currents in place of torques.
     pub fn new(joints: &'a [String], keys: &Keys) -> Result<Self> {
         if joints.is_empty() || joints.len() > MOST_JOINTS {
             let reason = format!("the robot has {} joints; a log is replayed with 1 to {MOST_JOINTS}", joints.len());
@@ -174,7 +174,7 @@ impl<'a> Gather<'a> {
         let t = number(T)?;
         let cut = self.keys.runs.iter().find(|cut| cut.holds(t));
         if cut.is_none() && !self.keys.runs.is_empty() {
-            return Ok(()); // the row belongs to none of the runs that the experiment file lists
+            return Ok(()); // the experiment file lists runs, and the row belongs to none of them
         }
         let place = self.place(row, cut)?;
         let run = &mut self.runs[place];
@@ -215,7 +215,7 @@ impl<'a> Gather<'a> {
         }
     }
 
-    /// The run that a row belongs to: the one that the experiment file lists (`cut`), or that of the column `run`.
+    /// Index of the run that a row belongs to: the run `cut` that the experiment file lists, or the run in the column `run`.
     fn place(&mut self, row: &Row, cut: Option<&RunTable>) -> Result<usize> {
         if cut.is_some() && row.text(RUN).is_some() {
             return Err(row.error(RUN, "the log says which rows are a run, and the experiment file lists [[run]] too"));
@@ -284,7 +284,7 @@ fn unwrap(q: &mut [f64]) {
     let mut turns = 0.0;
     for i in 1..q.len() {
         let change = q[i] + turns - q[i - 1];
-        // Only at a jump of nearly one turn: between two samples no joint moves by 0.8 of a turn.
+        // Corrects only jumps of nearly one turn, because no joint moves by 0.8 of a turn between two samples.
         if (change.abs() / TAU - 1.0).abs() < 0.2 {
             turns -= TAU.copysign(change);
         }

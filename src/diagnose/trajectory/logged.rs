@@ -1,5 +1,5 @@
-//! Effects besides the sand by which a log differs from its replay: mounting, delay and filter of the IMU, errors of the logged
-//! torques, and friction in the joints.
+//! Effects, other than those of the sand, that make a log differ from its replay: mounting, delay and filter of the IMU, errors
+//! of the logged torques, and friction in the joints.
 
 use super::log::Run;
 use super::model::TrajectoryModel;
@@ -11,8 +11,8 @@ use super::windows::{BINS, Integral};
 const FRICTION_SPEED: f64 = 0.5;
 
 impl TrajectoryModel<'_> {
-    /// The numbers of a replay as a log shows them: with errors of the torques, and with torques of motors that have this torque limit
-    /// [N·m].
+    /// The numbers of a replay as a log shows them: with errors of the logged torques, and with the torques of motors whose limit is
+    /// `limit` [N·m].
     pub(super) fn logged(&self, mut stack: Vec<f64>, limit: f64, hardware: &LoggedHardware) -> Vec<f64> {
         let torques = self.layout.joints * BINS;
         if hardware.torque_gain != 0.0 || hardware.friction != 0.0 {

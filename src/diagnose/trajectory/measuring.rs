@@ -11,7 +11,7 @@ use crate::series::root_mean_square;
 /// Steps of the IMU's rotation [rad] and delay [s] for derivatives: our choices.
 const TURN_STEP: f64 = 1e-3;
 const DELAY_STEP: f64 = 1e-3;
-/// The same for its blur [s²]: our choice, that of a filter of 2 ms.
+/// Step of the IMU's blur for derivatives [s²]: our choice, the blur of a filter of 2 ms.
 const BLUR_STEP: f64 = 4e-6;
 
 impl TrajectoryModel<'_> {
@@ -25,11 +25,10 @@ impl TrajectoryModel<'_> {
         Nuisance::linear("friction".into(), "N·m", self.prior("friction") * rms, self.moving.clone())
     }
 
-    /// Rotation, lag and blur of the IMU, linearised at `values`. The lag is the mean of the IMU's impulse response over time,
-    /// the blur its variance (Elmore, J. Appl. Phys. 19, 1948): a delay adds to the mean alone, a first-order filter of time constant T
-    /// adds T to the mean and T² to the variance.
-    /// The effects of these are not linear, so the first nuisance carries the difference between the prediction at `values` and its linear
-    /// continuation from 0.
+    /// Rotation, lag and blur of the IMU, linearised at `values`. The lag is the mean of the IMU's impulse response over time, the blur
+    /// its variance (Elmore, J. Appl. Phys. 19, 1948): a delay adds to the mean alone, a first-order filter of time constant T adds T to
+    /// the mean and T² to the variance. The effects of these quantities are not linear. So the first nuisance also contains, in its
+    /// `bend`, the effect at `values` minus the linear terms from 0.
     pub(super) fn mounting(&self, tracks: &[Signals], values: &[(String, f64)]) -> Vec<Nuisance> {
         // Name, unit, kind of the prior, and step of the derivative.
         const ALL: [(&str, &str, &str, f64); 5] = [
@@ -40,7 +39,7 @@ impl TrajectoryModel<'_> {
             ("imu_blur", "s²", "imu_blur", BLUR_STEP),
         ];
         let given = self.hardware.mounting;
-        // A log is not early by more than 10 ms, and the simulation ends `BEYOND` after the window.
+        // Limits the delay: a log is early by at most 10 ms, and the simulation ends `BEYOND` after the window.
         let mounted = |v: [f64; 5]| {
             let low_pass = v[4].max(0.0).sqrt().min(BEYOND);
             let delay = (v[3] - low_pass).clamp(-0.01, BEYOND);

@@ -1,9 +1,9 @@
-//! A robot's own log: the diagnosis of the sand from what the joints and the IMU measured during walks.
+//! A robot's own log: diagnoses the sand from measurements of the joints and the IMU during walks.
 //!
 //! [`read`] makes a [`log`] of the file. [`windows`] selects the parts of each run that are compared. [`replay`] simulates them
-//! with the logged joint angles. [`sensors`] and [`servo`] compute what the log's sensors would have read. [`model`] puts this
-//! together as a forward model. The strides of a run are its repetitions. Effects that belong to one run (strength of the bed,
-//! offsets of the sensors) are errors that all strides of this run share.
+//! with the logged joint angles. [`sensors`] and [`servo`] compute what the log's sensors would have read. [`model`] combines
+//! these parts to a forward model. The strides of a run are its repetitions. Effects that belong to one run (strength of the
+//! bed, offsets of the sensors) are errors that all strides of this run share.
 
 mod consistency;
 mod forecast;
@@ -48,7 +48,7 @@ fn read(data: &Path, experiment: &Experiment, progress: &dyn Progress) -> Result
     Ok(log)
 }
 
-/// The measured numbers, the checksum of their file, how they were prepared, and the model that predicts them.
+/// The measured numbers, the checksum of their file, notes on how they were prepared, and the model that predicts them.
 pub fn measured<'a>(
     data: &Path,
     experiment: &Experiment,

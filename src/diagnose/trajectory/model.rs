@@ -22,7 +22,7 @@ const KNOWN: usize = 128;
 /// The log, and all that is needed to predict it.
 pub struct TrajectoryModel<'a> {
     pub(super) latch: &'a Latch<'a>,
-    /// Facts about the log. A torque limit that they state becomes a mechanism, which limits the requested torques.
+    /// Facts about the log. If they state a torque limit, it becomes a mechanism, which limits the requested torques.
     pub(super) experiment: Experiment,
     pub(super) log: Log,
     /// The robot of each run.
@@ -33,7 +33,7 @@ pub struct TrajectoryModel<'a> {
     pub(super) window_of: Vec<usize>,
     pub(super) layout: Layout,
     pub(super) asked: Option<RequestedTorques>,
-    /// The hardware that the experiment file states, as a log shows it.
+    /// The effects on a log of the hardware that the experiment file states.
     pub(super) hardware: LoggedHardware,
     /// See [`Self::moving`].
     pub(super) moving: Vec<f64>,
@@ -119,7 +119,7 @@ impl<'a> TrajectoryModel<'a> {
         self.experiment.nuisances.sd(kind)
     }
 
-    /// What the plain model predicts.
+    /// The prediction of the plain model.
     pub fn plain(&self) -> Vec<f64> {
         self.simulate(&[self.plain_sand()]).swap_remove(0)
     }

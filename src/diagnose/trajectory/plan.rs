@@ -15,7 +15,7 @@ use std::f64::consts::TAU;
 /// Stride frequencies [Hz] and slopes [°] that may be proposed: our choices, round numbers in the range of hexapods on sand.
 const FREQUENCIES: [f64; 5] = [1.0, 2.0, 3.0, 4.0, 5.0];
 const SLOPES_DEG: [f64; 4] = [0.0, 5.0, 10.0, -5.0];
-/// Frequencies up to this factor outside the range of the log are proposed: our choice; the motors can probably reach them.
+/// Proposed frequencies are outside of the log's range by at most this factor: our choice; the motors can probably reach them.
 const BEYOND: f64 = 1.5;
 /// Turns of the hips in a planned walk: a lead-in and the stride that is compared.
 const TURNS: f64 = 2.9;
@@ -25,8 +25,8 @@ const START: f64 = 0.5;
 const RATE: f64 = 200.0;
 
 impl TrajectoryModel<'_> {
-    /// Walks at constant stride frequency. None if the joints swing instead of turning round, because their motion is not known in
-    /// advance.
+    /// Walks at constant stride frequency. None if the joints swing and do not make full turns, because their motion is then not
+    /// known in advance.
     pub(super) fn planned(&self) -> Option<Menu<'_>> {
         let (runs, bodies, descriptions) = self.walks()?;
         let mut all = windows(&runs, self.experiment.trajectory.window);
@@ -86,7 +86,7 @@ impl TrajectoryModel<'_> {
         (!runs.is_empty()).then_some((runs, bodies, descriptions))
     }
 
-    /// The torques that the joints' motion needs on plain sand: the servos request these from the motors.
+    /// The torques that the joints' motion needs on plain sand. The servos would request these torques from the motors.
     fn needed(&self) -> Option<RequestedTorques> {
         let tracks = self.tracks(&[self.plain_sand()], 0.0, 1.0).swap_remove(0);
         let of = |window: &Window, track: &Signals| -> Option<Vec<Vec<f64>>> {

@@ -1,7 +1,7 @@
 //! Simulates a robot whose joints move as logged; its base is free.
 //!
-//! The engines have no prescribed joint angles, only servos. Servos twenty times as stiff as the robot's own follow the log to a
-//! millirad, and their torque is the torque that the motion needs.
+//! The engines have no prescribed joint angles, only servos. So a replay has servos twenty times as stiff as the robot's own.
+//! They follow the log to a millirad, and their torque is the torque that the motion needs.
 
 use super::log::Run;
 use super::windows::Window;
@@ -25,9 +25,9 @@ const STIFFER: f64 = 20.0;
 pub const SIGNALS: usize = 11;
 /// Time simulated after the end of a window [s], for sensors with a delay: five times the usual delay.
 pub const BEYOND: f64 = 0.03;
-/// Robots in one engine: as many as the widest block of lanes.
+/// Number of robots in one engine: as many as the widest block of lanes holds.
 const TOGETHER: usize = 16;
-/// Number of ticks between two checks whether the work was cancelled.
+/// Number of ticks between two checks for a cancellation.
 const CHECK_INTERVAL: usize = 256;
 
 /// A robot, from our own description or from a URDF or MJCF file.
@@ -95,7 +95,7 @@ impl ReplayRobot {
                 let mut model = Model::new(robot, scene)?;
                 let weight = model.total_mass() * crate::sim::model::GRAVITY;
                 let kp = if robot.servo.kp > 0.0 { robot.servo.kp } else { weight * robot.base.size[0] };
-                // Without damping in the robot's file: the ratio kd/kp of the reference hexapod.
+                // If the robot's file has no damping, kd/kp is that of the reference hexapod.
                 let kd = if robot.servo.kd > 0.0 { robot.servo.kd } else { 0.01 * kp };
                 model.motor.kp = STIFFER * kp;
                 model.motor.kd = STIFFER * kd;
@@ -123,7 +123,7 @@ impl ReplayRobot {
     }
 }
 
-/// A logged angle without the steps of its encoder: a cubic through seven samples (Savitzky & Golay 1964).
+/// Smooths a logged angle, which has the steps of an encoder: a cubic fitted to seven samples (Savitzky & Golay 1964).
 pub fn smoothed(q: &[f64]) -> Vec<f64> {
     const WEIGHTS: [f64; 7] = [-2.0, 3.0, 6.0, 7.0, 6.0, 3.0, -2.0];
     let n = q.len();
@@ -186,8 +186,8 @@ impl ReplayedJoint {
     }
 }
 
-/// The result of one replay: each signal at every tick, first the torques, then the [`SIGNALS`] others. The first value is that of
-/// one tick after the start.
+/// The result of one replay: each signal at every tick, first the torques, then the other [`SIGNALS`] signals. The first value is
+/// for the time one tick after the start.
 #[derive(Clone, Default)]
 pub struct Signals {
     /// Signal by signal.
@@ -201,10 +201,11 @@ impl Signals {
         Self { signals: vec![Vec::with_capacity(ticks); joints + SIGNALS], step }
     }
 
-    /// How long before the end of a tick the signal's value at that tick is valid [s]. The engines' steps are those of semi-implicit
-    /// Euler, which moves positions with the velocities at the end of a step. This is the leapfrog method: these velocities belong
-    /// to the middle of the step (Hairer, Lubich & Wanner 2003, section 1). So forces belong to the start of a step, and the
-    /// change of a velocity over a tick belongs to the middle between the two steps that end the ticks.
+    /// The signal's value at a tick belongs to a time before the end of the tick; this is the difference [s]. The engines use the
+    /// semi-implicit Euler method, which moves positions with the velocities at the end of a step. This is the leapfrog method, in
+    /// which these velocities belong to the middle of the step (Hairer, Lubich & Wanner 2003, section 1). So forces belong to the
+    /// start of a step. The change of a velocity from one tick to the next belongs to the middle between the last steps of the two
+    /// ticks.
     pub fn lag(&self, signal: usize, joints: usize, tick: f64) -> f64 {
         match signal.checked_sub(joints) {
             None => self.step,
@@ -224,7 +225,7 @@ pub struct Replay<'a> {
 
 /// Replays all tasks, distributed over the processors. The tracks are empty after a cancellation.
 pub fn replay(engine: EngineKind, tasks: &[Replay], latch: &Latch) -> Result<Vec<Signals>> {
-    // Tasks of similar length are computed together, so that few lanes idle.
+    // Computes tasks of similar length together, so that few lanes are idle.
     let mut order: Vec<usize> = (0..tasks.len()).collect();
     order.sort_by_key(|&k| std::cmp::Reverse(tasks[k].drive.ticks));
     let chunks: Vec<&[usize]> = order.chunks(TOGETHER).collect();
@@ -301,7 +302,7 @@ pub fn sample(task: &Replay, before: &State, now: &State, track: &mut Signals) {
     let vector = V::from;
     let omega = vector(now.angular_velocity);
     let alpha = (omega - vector(before.angular_velocity)) / tick;
-    // The change of the velocities belongs to a time before that of the attitude (see `Signals::lag`).
+    // The change of the velocities belongs to an earlier time than the attitude (see `Signals::lag`).
     let attitude = |state: &State| {
         let [w, x, y, z] = state.orientation;
         nalgebra::Quaternion::new(w, x, y, z)

@@ -26,7 +26,7 @@ pub struct Layout {
     pub attitude: bool,
     /// Does the log have the base's position?
     pub place: bool,
-    /// Does the log have the angles that the servos were commanded to?
+    /// Does the log have the commanded angles of the servos?
     pub servo: bool,
 }
 
@@ -67,13 +67,13 @@ pub struct Mounting {
     pub low_pass: f64,
 }
 
-/// The hardware as a log shows it.
+/// The effects of hardware on a log.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LoggedHardware {
     pub mounting: Mounting,
     /// Share by which logged torques are too large.
     pub torque_gain: f64,
-    /// Share by which logged torques are larger than the torques that servos request.
+    /// Share by which logged torques exceed the torques that servos request.
     pub servo_gain: f64,
     /// Friction of each joint [N·m].
     pub friction: f64,
@@ -106,8 +106,8 @@ impl Mounting {
     }
 }
 
-/// A signal behind a first-order filter, exact for a signal that is linear between its samples. `share`: time between two samples
-/// over the filter's time constant.
+/// The output of a first-order filter, exact for a signal that is linear between its samples. `share`: time between two samples
+/// divided by the filter's time constant.
 fn low_passed(signal: &[f64], share: f64) -> Vec<f64> {
     let kept = (-share).exp();
     let mean = (1.0 - kept) / share;
@@ -121,7 +121,7 @@ fn low_passed(signal: &[f64], share: f64) -> Vec<f64> {
 }
 
 /// The predicted numbers of one window: stride by stride, channel by channel. The servo's channel is 0 here. The replay's signals are
-/// sampled at the `times` of the log and interpolated linearly, like those of the log.
+/// sampled at the `times` of the log and interpolated linearly, as are the log's signals.
 pub fn read(
     layout: &Layout,
     window: &Window,
@@ -136,7 +136,7 @@ pub fn read(
     if track.signals.first().map_or(0, Vec::len) < 2 || track.signals.len() < joints + SIGNALS {
         return stack;
     }
-    // One sample more at each end.
+    // Takes one more sample at each end.
     let first = times.partition_point(|t| *t < window.from).saturating_sub(1);
     let times = &times[first..(times.partition_point(|t| *t < window.end()) + 1).min(times.len())];
     let imu = joints..joints + IMU_SIGNALS;
@@ -167,7 +167,7 @@ pub fn read(
     stack
 }
 
-/// A signal at other times. It has a value every `tick`, the first one at `start`.
+/// Interpolates a signal at `times`. The signal has a value every `tick`, the first at `start`.
 fn resampled(signal: &[f64], start: f64, tick: f64, times: &[f64]) -> Vec<f64> {
     let last = (signal.len() - 1) as f64;
     let at = |t: &f64| {

@@ -1,8 +1,8 @@
 //! The torque that the servos requested from the motors. A weak motor gives less.
 //!
-//! A replay uses the joints' motion as logged, so it cannot show that the joints lagged behind their command. The servo's law can:
-//! from the commanded and the logged angles it gives the requested torque. In this file, `asked` is the requested torque and `given`
-//! the motor's torque.
+//! In a replay the joints move as logged, so it cannot show that they lagged behind their command. But the servo's law gives the
+//! requested torque from the commanded and the logged angles. In this file, `asked` is the requested torque and `given` the motor's
+//! torque.
 
 use super::log::{Log, Run};
 use super::replay::{ReplayRobot, smoothed};
@@ -10,8 +10,8 @@ use super::windows::{Integral, Window, bins};
 use crate::error::Result;
 use crate::sim::walk::hip_angle;
 
-/// Requested torques are cut off at this multiple of the largest logged torque: our choice. The request of a joint far behind its
-/// command may be arbitrarily large, which says nothing about the motor.
+/// Requested torques are cut off at this multiple of the largest logged torque: our choice. If a joint is far behind its command,
+/// the request may be arbitrarily large, and contains no information on the motor.
 const MOST: f64 = 2.0;
 
 /// Time after which the hips turn steadily [s]: the protocol's hold and ramp end at 0.5 s.
@@ -37,7 +37,7 @@ pub struct RequestedTorques {
     runs: Vec<OfRun>,
 }
 
-/// The requested torques of a log. None if it does not give the command of the hips, or if the robot has no servo.
+/// The requested torques of a log. None if the log does not give the hips' command, or if the robot has no servo.
 pub fn asked(log: &Log, bodies: &[ReplayRobot]) -> Result<Option<RequestedTorques>> {
     let runs: Option<Vec<_>> = log.runs.iter().zip(bodies).map(|(run, body)| of_run(run, body)).collect();
     Ok(runs.map(|runs| RequestedTorques { runs }))
@@ -68,20 +68,20 @@ fn most(run: &Run) -> f64 {
     MOST * run.tau.iter().flatten().fold(0.0, |m: f64, t| m.max(t.abs()))
 }
 
-/// Change of `q` per time about a sample, from `apart` samples before it to as many after it.
+/// Slope of `q` over time at sample `i`, from `apart` samples before it to `apart` samples after it.
 pub fn slope(t: &[f64], q: &[f64], i: usize, apart: usize) -> f64 {
     let (a, b) = (i.saturating_sub(apart), (i + apart).min(q.len() - 1));
     (q[b] - q[a]) / (t[b] - t[a])
 }
 
-/// Number of values that are tried first for the offset in [`zero`], evenly among the sorted differences: our choice.
+/// Number of values that are tried first for the offset in [`zero`], at even steps in the list of sorted differences: our choice.
 const TRIED: usize = 24;
 /// Largest number of iterations that improve the best of these values: our choice; each at least halves the error.
 const CLOSER: usize = 8;
 
-/// The angle of a joint at the start of its command is not known, nor is the exact time of the start. This makes a constant error of
-/// the requested torque. The result is the torque [N·m] to add to the requests, so that motors with this limit give the logged
-/// torques with the least squared error. Samples at the limit carry no information about it.
+/// The angle of a joint at the start of its command is not known, nor is the exact time of the start. So the requested torque has a
+/// constant error. Returns the torque [N·m] to add to the requests with which motors with this limit give the logged torques with
+/// the least squared error. Samples at the limit contain no information on this torque.
 fn zero(asked: &[f64], given: &[f64], limit: f64) -> f64 {
     let mut apart: Vec<f64> = asked.iter().zip(given).map(|(a, t)| t - a).collect();
     if limit == f64::MAX {
@@ -148,7 +148,7 @@ pub fn means(run: &Run, window: &Window, values: &[f64]) -> Vec<f64> {
 mod tests {
     use super::zero;
 
-    /// The motor is at its limit most of the time, and the requests have a hidden constant offset.
+    /// The offset is found although the motor is at its limit most of the time.
     #[test]
     fn a_servos_offset_is_found_despite_the_limit() {
         let asked: Vec<f64> = (0..400).map(|i| 0.03 * (0.1 * f64::from(i)).sin() + 0.02).collect();

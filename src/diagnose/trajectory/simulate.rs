@@ -14,7 +14,7 @@ use crate::sim::model::Scene;
 
 /// Relative changes of the sand's strength that are too small to measure: our choice, at most a hundredth of the scatter of beds.
 const NUDGES: [f64; 6] = [-3e-4, -2e-4, -1e-4, 1e-4, 2e-4, 3e-4];
-/// Factor on the variance of predictions under [`NUDGES`]: our choice, so that chaotic motion adds less than a quarter
+/// Factor on the variance of predictions with [`NUDGES`]: our choice, so that chaotic motion adds less than a quarter
 /// to χ² for each window and channel.
 const SETTLED: f64 = 4.0;
 
@@ -27,7 +27,7 @@ impl TrajectoryModel<'_> {
     ) -> Result<Vec<Model>> {
         let of = |run: usize| {
             let mut scene = Scene::flat(Medium { coefficients: *coefficients, ..self.medium().clone() });
-            // The joints move as logged, so a weak motor has no effect here; it shows in the requested torques.
+            // The joints move as logged, so a weak motor has no effect in the replay; it has an effect on the servo's channel.
             scene.mechanisms = Mechanisms { motor_torque_limit: 0.0, ..self.with_given(mechanisms) };
             (scene.slope_deg, scene.dt) = (self.log.runs[run].slope_deg, dt);
             if matches!(self.bodies[run], ReplayRobot::Tree(_)) {
@@ -45,8 +45,8 @@ impl TrajectoryModel<'_> {
         (0..self.log.runs.len()).map(of).collect()
     }
 
-    /// Tracks of several states, state by state and window by window. `payload` is a share of the robot's mass; the time step is divided
-    /// by `finer`.
+    /// Tracks of several states, state by state and window by window. `payload` is given as a share of the robot's mass; the time step
+    /// is divided by `finer`.
     pub(super) fn tracks(&self, states: &[SandParameters], payload: f64, finer: f64) -> Vec<Vec<Signals>> {
         let dt = Scene::DEFAULT_DT / finer;
         let models: Result<Vec<Vec<Model>>> = states.iter().map(|s| self.models(s, payload, dt)).collect();
@@ -65,7 +65,7 @@ impl TrajectoryModel<'_> {
         }
     }
 
-    /// These mechanisms, and those that the experiment file states.
+    /// These mechanisms, together with the mechanisms that the experiment file states.
     pub(super) fn with_given(&self, mechanisms: &Mechanisms) -> Mechanisms {
         let (own, given) = (mechanisms.values(), self.experiment.given.mechanisms.values());
         Mechanisms::from_values(std::array::from_fn(|k| if own[k] == 0.0 { given[k] } else { own[k] }))
@@ -86,7 +86,7 @@ impl TrajectoryModel<'_> {
         tracks.iter().enumerate().flat_map(of).collect()
     }
 
-    /// Predicted numbers of one state with other masses, time steps and hardware than those of [`Self::simulate`].
+    /// Predicted numbers of one state, with another mass, time step and hardware than in [`Self::simulate`].
     pub(super) fn replayed(
         &self,
         sand: &SandParameters,
@@ -100,7 +100,7 @@ impl TrajectoryModel<'_> {
 
     /// Predicted numbers of several states, with the hardware that the experiment file states.
     pub(super) fn simulate(&self, states: &[SandParameters]) -> Vec<Vec<f64>> {
-        // The joints move as logged, so a weak motor changes only what the servos request.
+        // The joints move as logged, so a weak motor changes only the servo's channel.
         let strong = |(m, c): &SandParameters| (Mechanisms { motor_torque_limit: 0.0, ..*m }, *c);
         let keys = states.iter().map(|state| key(&strong(state), &[])).collect();
         let stacks = self.known.of(keys, |new| {
@@ -117,9 +117,9 @@ impl TrajectoryModel<'_> {
     }
 
     /// Variance of each predicted number due to chaotic motion. If a gait hops or sways, a change of the sand that is too small to
-    /// measure changes the robot's path, and later numbers carry little information. The variance is the scatter of replays on
-    /// sands that differ by [`NUDGES`]. Within one window and channel these errors are correlated, so the sum over all its numbers is
-    /// taken: together they count less than one number.
+    /// measure changes the robot's path, and later numbers carry little information. The variance is the scatter of replays on sands
+    /// that differ by [`NUDGES`]. Within one window and channel these errors are correlated. So each number gets the sum of the
+    /// variances of all numbers in its window and channel: together these numbers then count less than one.
     pub(super) fn unsettled(&self, sand: &SandParameters, prediction: &[f64]) -> Vec<f64> {
         let nudged = self.simulate(&NUDGES.map(|nudge| stronger(sand, nudge)));
         let (span, count) = (self.span(), self.layout.count());
@@ -129,7 +129,7 @@ impl TrajectoryModel<'_> {
             let square = nudged.iter().map(|n| (n[k] - here).powi(2)).sum::<f64>() / NUDGES.len() as f64;
             squares[block(k)] += if square.is_finite() { square } else { 0.0 };
         }
-        // Mean square times the count of the block's numbers, that is, their sum of squares.
+        // The sum of squares over the block is the mean square times the count of its numbers.
         (0..prediction.len()).map(|k| SETTLED * squares[block(k)]).collect()
     }
 

@@ -64,7 +64,7 @@ fn causes_are_named() {
     }
 }
 
-/// A log does not say where in the bed its runs began, so a bed that is stronger elsewhere may look like a stronger medium.
+/// A log does not contain the places in the bed where runs began, so a medium that looks stronger may be a bed whose strength varies.
 #[test]
 fn what_an_unknown_place_may_hide_is_not_named_alone() {
     let strong = Truth::new(Mechanisms { scale: 0.5, ..Mechanisms::PLAIN }, 4);
@@ -81,8 +81,8 @@ fn what_an_unknown_place_may_hide_is_not_named_alone() {
     }
 }
 
-/// If a drive computes with a wrong torque constant, the logged torque is the one that its servo requests. With a wrong sensor, the logged
-/// torque is another one. `what_is_found_closes_the_loop` has another log of a wrong drive.
+/// If a drive computes with a wrong torque constant, the logged torque is the torque that its servo requests. If a torque sensor is wrong,
+/// the logged torque differs from the request. `what_is_found_closes_the_loop` has another log of a wrong drive.
 #[test]
 fn a_wrong_drive_is_told_from_a_wrong_sensor() {
     let found = |text: &str| found(&diagnosed(text).unwrap().report);
@@ -93,7 +93,7 @@ fn a_wrong_drive_is_told_from_a_wrong_sensor() {
     }
 }
 
-/// The intervals contain the gain of the torque sensors and the drives' torque constant, which is not found if it is right.
+/// The intervals contain the gain of the torque sensors and the drives' torque constant; a torque constant that is right is not reported.
 fn drive_found(hardware: &HardwareDescription, gain: f64, constant: Option<f64>) {
     for (path, truth) in [("sensors.joint_torque.gain", Some(gain)), ("actuator.torque_constant", constant)] {
         let found = hardware.quantities.get(path);
@@ -104,7 +104,7 @@ fn drive_found(hardware: &HardwareDescription, gain: f64, constant: Option<f64>)
     }
 }
 
-/// A log that is simulated again with the sand and the hardware found has the predictions of the report, and nothing else is found.
+/// If a log is diagnosed again with the sand and hardware that were found, the predictions are those of the first report, and nothing more is found.
 #[test]
 fn what_is_found_closes_the_loop() {
     let truth = Truth { drive: 0.96, ..Truth::new(Mechanisms { inertial_drag: 5.0, ..Mechanisms::PLAIN }, 11) };
@@ -125,7 +125,7 @@ fn what_is_found_closes_the_loop() {
     for (k, (a, b)) in told.iter().zip(&second.curves.plain).enumerate() {
         assert!((a - b).abs() <= 1e-12 * a.abs().max(1e-3), "number {k}: {a} and {b}");
     }
-    // Both files contain what was given.
+    // The second diagnosis keeps what it was given: the sand and the hardware of the first.
     assert_eq!(second.sand.mechanisms, first.sand.mechanisms);
     assert!(first.hardware.quantities.iter().all(|(path, q)| second.hardware.quantities[path] == *q));
     // Without the hardware the predictions differ.
@@ -135,7 +135,7 @@ fn what_is_found_closes_the_loop() {
     assert!(told.iter().zip(&model.predict(&mechanisms, &coefficients)).any(|(a, b)| (a - b).abs() > 0.01));
 }
 
-/// The intervals contain delay and filter of the IMU, and a slow filter is told from a delay.
+/// The intervals contain delay and filter of the IMU, and a slow filter is distinguished from a delay.
 #[test]
 fn a_filter_is_told_from_a_delay() {
     let all = [(24, [0.004, 0.009]), (21, [0.0, 0.008]), (22, [0.0, 0.004]), (23, [0.006, 0.0])];
@@ -268,7 +268,7 @@ fn mutated_logs_do_not_panic() {
 }
 
 /// The readings of a replay are at the right time: compared with a replay in steps of a sixteenth, they are late by less than a
-/// third of a step.
+/// third of a time step.
 #[test]
 fn readings_are_not_late() {
     let log = read_text(&csv(&Truth::new(Mechanisms::PLAIN, 7))).unwrap();

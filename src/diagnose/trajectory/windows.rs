@@ -1,5 +1,5 @@
-//! Selects the parts of a log that are replayed. A window is a lead-in, which is simulated but not compared, and then the strides
-//! that are compared.
+//! Selects the parts of a log that are replayed. A window consists of a lead-in, which is simulated but not compared, and of the
+//! strides after it, which are compared.
 //!
 //! The state at the start of a replay (depth of the feet, motion of the base) is not in the log. Sand dissipates energy, so the
 //! simulation forgets its initial state during the lead-in.
@@ -13,7 +13,7 @@ pub const BINS: usize = 16;
 const LEAD_IN: f64 = 0.75;
 /// A run with at most this number of strides is one window: our choice.
 const STRIDES: usize = 12;
-/// Largest number of strides of such a run that are compared: our choice; more strides repeat the same information.
+/// Number of strides of such a short run that are compared, at most: our choice; more strides repeat the same information.
 const COMPARED: usize = 4;
 /// Number of windows in a longer run: our choice, which limits the computing time.
 const WINDOWS_OF_RUN: usize = 3;
@@ -21,9 +21,9 @@ const WINDOWS_OF_RUN: usize = 3;
 const WINDOWS: usize = 96;
 /// Strides in each window of a longer run: our choice, as many as are compared in a short run ([`COMPARED`]).
 const STRIDES_OF_MANY: usize = 4;
-/// A joint has begun to move at this distance from its first angle [rad]: our choice, above the noise of encoders.
+/// A joint has begun to move if its angle differs from its first angle by this [rad]: our choice, above the noise of encoders.
 const MOVES: f64 = 0.1;
-/// A joint with more turns than this in a run turns round; other joints swing.
+/// A joint with more turns than this in a run makes full turns; other joints swing.
 const TURNS: f64 = 1.5;
 
 /// Part of a run that is replayed.

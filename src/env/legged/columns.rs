@@ -76,7 +76,7 @@ pub fn contact(foot: &String) -> Column {
     Column::new(format!("contact, {foot}"), "1", 0.0, 1.0)
 }
 
-/// Info columns after those of the reward.
+/// Info columns after the reward's columns.
 pub fn figures(feet: &[String]) -> Features<Figure> {
     Features::<Figure>::none()
         .free("speed", "m/s", |s, _| s.velocity[0])
@@ -110,8 +110,8 @@ pub fn base(state: &State) -> [[f64; 3]; 3] {
     [[0.0, 0.0, -1.0], state.velocity, state.angular_velocity].map(|v| state.to_body(v))
 }
 
-/// Points around the robot whose heights are observed, along and across: those of legged_gym (`measured_points_x`,
-/// `measured_points_y`), 0.1 m apart.
+/// Points around the robot whose heights are observed: numbers of points along and across, 0.1 m apart, as in
+/// legged_gym (`measured_points_x`, `measured_points_y`).
 const MEASURED: [usize; 2] = [17, 11];
 
 /// Position of point `i` [m].

@@ -21,7 +21,7 @@ pub struct Draws {
 }
 
 options! {
-    /// Ranges of commands, by default those of the robot's size (`units`).
+    /// Ranges of commands; the default ranges follow from the robot's size (`units`).
     #[derive(Copy, Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct Commands {

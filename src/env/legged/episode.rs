@@ -1,4 +1,4 @@
-//! The values that an episode of LeggedVelocity draws when it begins, and those that it updates.
+//! The values that an episode of LeggedVelocity draws when it begins, and the values that it updates.
 
 use super::curriculum::{Followed, MOST_EASE};
 use super::draws::{Draws, MOST_COMMAND};

@@ -22,11 +22,11 @@ use std::f64::consts::PI;
 use std::sync::Arc;
 
 options! {
-    /// Options of LeggedVelocity. `dt`: our choice, twice that of the hexapods, whose feet move faster. With this time
-    /// step a trot of the test quadruped differed from a trot at 0.125 ms by up to 5 % in sand and 10 % on hard ground;
-    /// with 1 ms, by 8 % on hard ground. Episodes take 20 s as in legged_gym. legged_gym has an `action_scale` of 0.25
-    /// and no bounds on actions. Here actions are within ± 1, and with a scale of 0.25 Go1's feet would move too little
-    /// to walk; so the scale of each joint follows from its torque limit and gain.
+    /// Options of LeggedVelocity. `dt`: our choice, twice the hexapods' time step, because hexapods' feet move faster.
+    /// With this time step a trot of the test quadruped differed from a trot at 0.125 ms by up to 5 % in sand and 10 %
+    /// on hard ground; with 1 ms, by 8 % on hard ground. Episodes take 20 s as in legged_gym. legged_gym has an
+    /// `action_scale` of 0.25 and no bounds on actions. Here actions are within ± 1, and with a scale of 0.25 Go1's
+    /// feet would move too little to walk; so the scale of each joint follows from its torque limit and gain.
     pub struct LeggedOptions {
         robot: RobotName = RobotName::TREE.into(), "built-in robot sandcat, or a packed robot file (in Python its path)";
         law: Law = Law::Li2013, "resistive force law: li2013, penetration-drag-1d or agarwal2023";

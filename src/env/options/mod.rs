@@ -40,7 +40,7 @@ pub struct OptionRow {
 
 /// A struct of options; [`options!`](crate::options!) implements it.
 pub trait Options: Clone + Default + PartialEq + std::fmt::Debug + Send + Sync + 'static {
-    /// All options in the order of the declaration, those of included structs first.
+    /// All options in the order of the declaration; the options of included structs come first.
     fn rows() -> Vec<OptionRow>;
 
     fn get(&self, name: &str) -> Option<Value>;

@@ -10,7 +10,7 @@ use std::cell::OnceCell;
 const SPECIFIC_FORCE: f64 = 1e3; // [m/s²]
 const TORQUE: f64 = 1e4; // [N·m]
 const FORCE: f64 = 1e6; // [N]
-/// Range of the range finder [m]: our choice, that of small lidars.
+/// Range of the range finder [m]: our choice, as small lidars have.
 const RANGE: f64 = 10.0;
 /// A foot's switch closes if the force on the foot is above this share of the robot's weight, the same share as for a
 /// standing leg (`Pose::stance`).

@@ -42,7 +42,7 @@ const ROUNDING: f64 = 1e-6;
 #[derive(Debug, PartialEq)]
 pub struct Senses {
     pub signals: Vec<Signal>,
-    /// Rotation from the base's frame to that of the inertial measurement unit; None: they are the same.
+    /// Rotation from the base's frame to the frame of the inertial measurement unit; None: the frames are equal.
     pub turn: Option<Rotation3<f64>>,
 }
 

@@ -44,7 +44,7 @@ fn action(shard: &Shard, time: usize) -> Vec<f32> {
     (0..shard.envs() * shard.actions()).map(|k| 0.3 * ((k * 7 + time) as f32 * 0.31).sin()).collect()
 }
 
-/// The observations of open-loop control, first that of the reset.
+/// The observations of open-loop control, beginning with the observation of the reset.
 fn run(shard: &mut Shard, steps: usize) -> Vec<Vec<f32>> {
     let mut rows = vec![shard.rows.observations.clone()];
     for time in 0..steps {
@@ -298,7 +298,7 @@ fn the_next_episodes_exact_values_come_with_the_end() {
     }
 }
 
-/// The forces that engine `lanes` keeps are those of `Pose` on average.
+/// The forces that engine `lanes` keeps equal the forces of `Pose` on average.
 #[test]
 fn kept_forces_are_those_of_the_pose() {
     let options = json!({"sensors": {"contact_force": {}}, "command": [0.3, 0.3]});

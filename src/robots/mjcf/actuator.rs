@@ -33,8 +33,8 @@ const KNOWN: [&str; 22] = [
     "jointinparent",
 ];
 
-/// Gives joints the limits and gains of the actuators that drive them. Actuators of the joints `others`, which belong to
-/// bodies beside the robot, are left out.
+/// Gives joints the limits and gains of the actuators that drive them. `others` are joints of bodies that are not part
+/// of the robot; their actuators are left out.
 pub fn apply(
     root: &Element,
     defaults: &Defaults,
@@ -108,7 +108,7 @@ fn drive(element: &Element, autolimits: bool, joint: &mut TreeJoint, notes: &mut
     Ok(())
 }
 
-/// Limits a joint's torque to `factor` times a range, unless its own limit is smaller.
+/// Limits a joint's torque to `factor` times a range, unless the joint already has a smaller limit.
 fn limit(joint: &mut TreeJoint, range: Option<[f64; 2]>, factor: f64, notes: &mut Notes) {
     let Some([low, high]) = range.map(|r| r.map(|x| x * factor.abs())) else { return };
     let most = high.min(-low);
@@ -122,8 +122,8 @@ fn limit(joint: &mut TreeJoint, range: Option<[f64; 2]>, factor: f64, notes: &mu
     }
 }
 
-/// Sets the standing pose: that of the keyframe `home`, or else of the first. Keyframes have `before` numbers for bodies
-/// before the robot, and `after` for those behind it.
+/// Sets the standing pose from the keyframe `home`, or else from the first keyframe. In a keyframe, `before` numbers of
+/// other bodies precede the robot's numbers, and `after` numbers follow them.
 pub fn rest(root: &Element, tree: &mut Tree, [before, after]: [usize; 2], notes: &mut Notes) -> Result<()> {
     let mut keys = root.all("keyframe").flat_map(|section| section.all("key")).filter(|k| k.get("qpos").is_some());
     let Some(first) = keys.next() else { return Ok(()) };

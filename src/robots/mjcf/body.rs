@@ -36,7 +36,7 @@ const JOINT_KNOWN: [&str; 17] = [
 
 /// The geoms of a body.
 struct BodyGeoms {
-    /// Does the body's mass come from elsewhere than its geoms?
+    /// Does the body have a mass from another source than its geoms?
     weighed: bool,
     read: Vec<Geom>,
 }

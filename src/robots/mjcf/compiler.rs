@@ -21,7 +21,7 @@ pub struct Compiler {
     pub meshdir: String,
     pub strippath: bool,
     pub from_geoms: FromGeoms,
-    /// First and last of the groups of geoms that contribute to inertia.
+    /// Numbers of the first and the last group of geoms that contribute to inertia.
     pub groups: [f64; 2],
     pub least_mass: f64,
     pub least_inertia: f64,
@@ -133,7 +133,7 @@ impl Compiler {
                 };
                 (c.is_ascii_lowercase(), UnitQuaternion::from_axis_angle(&about, a * self.angle))
             });
-            // Lower-case letters rotate about axes of the rotating frame, capitals about fixed ones.
+            // Lower-case letters rotate about axes of the rotating frame, capital letters about fixed axes.
             return Ok(turns.fold(UnitQuaternion::identity(), |q, (along, t)| if along { q * t } else { t * q }));
         }
         if let Some([a, b, c, d, e, f]) = element.numbers("xyaxes")? {

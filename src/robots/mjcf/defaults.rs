@@ -21,7 +21,7 @@ pub const ACTUATORS: [&str; 11] = [
 ];
 /// Name under which the defaults store an actuator's kind.
 pub const KIND: &str = "(kind)";
-/// Attributes of orientation: one that is given replaces any other of the class.
+/// Attributes of orientation: if an element gives one of them, it replaces any of them in the class.
 const ORIENTATIONS: [&str; 5] = ["quat", "axisangle", "euler", "xyaxes", "zaxis"];
 /// Attributes with lists: a shorter list replaces the beginning of the class's list.
 const LISTS: [&str; 4] = ["size", "friction", "gainprm", "biasprm"];
@@ -116,7 +116,7 @@ fn take(class: &mut Class, section: &Element) {
     }
 }
 
-/// The numbers of `own`, followed by the further ones of `class`.
+/// The numbers of `own`, followed by the numbers of `class` at the places after them.
 fn joined(own: &str, class: &str) -> String {
     let more = class.split_whitespace().skip(own.split_whitespace().count());
     own.split_whitespace().chain(more).collect::<Vec<_>>().join(" ")

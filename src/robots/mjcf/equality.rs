@@ -1,4 +1,4 @@
-//! `<equality>`: joints that follow others. Other equalities close a chain, which a tree cannot do.
+//! `<equality>`: joints that follow others. Other equalities would close a loop of bodies, and a tree has no loops.
 
 use crate::error::Result;
 use crate::sim::tree::{Mimic, Tree};
@@ -27,8 +27,8 @@ pub fn apply(root: &Element, tree: &mut Tree) -> Result<()> {
             ));
         }
         let [offset, slope] = [0, 1].map(|k| coefficients.get(k).copied().unwrap_or(0.0));
-        // Without a second joint, the first one is held at a constant position: it follows any other joint with ratio
-        // 0.
+        // If the equality names only one joint, it holds this joint at a constant position. The joint then follows any
+        // other joint with ratio 0.
         let any = tree.joints().map(|j| j.name.clone()).find(|name| name != follower);
         let (leader, ratio) = match element.get("joint2") {
             Some(leader) => (leader.to_owned(), slope),

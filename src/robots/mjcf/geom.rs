@@ -1,4 +1,4 @@
-//! `<geom>` and `<mesh>`: shapes, and the inertia that bodies take from them.
+//! `<geom>` and `<mesh>`: shapes, and the inertia of bodies that follows from shapes.
 
 use super::compiler::{Compiler, flag, from_z};
 use crate::draft::{DraftShape, Inertial};
@@ -43,7 +43,7 @@ pub struct Mesh {
 /// Meshes by name. If a file cannot be read, its mesh has the reason instead: only a geom that needs its mesh is refused.
 pub type Assets = HashMap<String, Result<Mesh>>;
 
-/// What is needed to read an asset.
+/// The data needed to read an asset.
 pub struct GeomReader<'a> {
     pub compiler: &'a Compiler,
     pub files: &'a Files,
@@ -67,8 +67,8 @@ const MESH_KNOWN: [&str; 12] = [
 ];
 
 impl GeomReader<'_> {
-    /// Name and triangles of a `<mesh>` to which its defaults are applied. If its file cannot be read, the reason takes
-    /// the place of the triangles.
+    /// Name and triangles of a `<mesh>` to which its defaults are applied. If its file cannot be read, the result has
+    /// the reason instead of triangles.
     pub fn mesh(&mut self, element: &Element) -> Result<(String, Result<Mesh>)> {
         self.notes.others(element, &MESH_KNOWN);
         let scale = Vector3::from(element.numbers("scale")?.unwrap_or([1.0; 3]));

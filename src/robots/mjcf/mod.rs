@@ -20,7 +20,7 @@ use nalgebra::Isometry3;
 use std::collections::HashSet;
 use std::path::PathBuf;
 
-/// Sections that change how the robot moves: leaving one out would change the robot.
+/// Sections that are refused, because leaving them out would change how the robot moves.
 const REFUSED: [&str; 2] = ["deformable", "extension"];
 /// Sections that are read.
 const READ: [&str; 8] = ["equality", "compiler", "default", "asset", "worldbody", "actuator", "keyframe", "include"];
@@ -85,7 +85,7 @@ fn ends(pair: &Element) -> impl Iterator<Item = String> {
     ["geom1", "geom2"].into_iter().filter_map(|end| pair.get(end)).map(str::to_owned)
 }
 
-/// Lets the geoms called `paired` collide: a `<pair>` of MuJoCo does so whatever their `contype` and `conaffinity`.
+/// Lets the geoms called `paired` collide: in MuJoCo, a `<pair>` collides whatever the `contype` and `conaffinity` of its geoms.
 fn collide(element: &mut Element, paired: &HashSet<String>) {
     for child in &mut element.children {
         if child.tag == "geom" && child.get("name").is_some_and(|name| paired.contains(name)) {
@@ -112,7 +112,7 @@ struct MjcfBase<'a> {
     free: bool,
 }
 
-/// The joints of the world's bodies beside the robot, which are left out.
+/// The joints of the other bodies of the world, which are left out.
 #[derive(Default)]
 struct BesideRobot {
     joints: HashSet<String>,
@@ -120,7 +120,7 @@ struct BesideRobot {
     positions: [usize; 2],
 }
 
-/// The one body of the world that moves freely and carries joints; others that move freely, such as a ball, are left out.
+/// The robot's base: the only body of the world that moves freely and carries joints. Other free bodies, such as a ball, are left out.
 fn base<'a>(root: &'a Element, notes: &mut Notes) -> Result<(MjcfBase<'a>, BesideRobot)> {
     let mut bodies = Vec::new();
     for world in root.all("worldbody") {

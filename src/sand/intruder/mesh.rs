@@ -21,7 +21,7 @@ const BINARY_HEAD: u64 = 84;
 /// |Σ n A|/Σ A above which a surface is not closed: our choice, far above the rounding of STL's single precision.
 const OPEN: f64 = 1e-3;
 
-/// The triangles of a file, without those of zero area.
+/// The triangles of a file, without triangles of zero area.
 pub fn read(path: &Path) -> Result<Vec<Triangle>> {
     let file = File::open(path).map_err(|e| Error::file(path, e))?;
     let bytes = file.metadata().map_err(|e| Error::file(path, e))?.len();

@@ -1,8 +1,8 @@
 //! Any rigid body in steady motion through sand: plates on its surface, and the mean force and torque on them.
 //!
 //! The frame of a [`PlatedBody`] has x along the heading, y along the axle and z up, parallel to the world's axes. The
-//! given velocity is that of the origin. Every plate is one-sided. It pushes where it leads, n·v ≥ 0, and is below the
-//! surface (Agarwal, Goldman & Kamrin 2023).
+//! given velocity is the velocity of the origin. Every plate is one-sided. It pushes where it leads, n·v ≥ 0, and is
+//! below the surface (Agarwal, Goldman & Kamrin 2023).
 
 mod body;
 pub mod cut;

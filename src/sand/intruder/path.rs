@@ -45,7 +45,7 @@ struct Last {
 }
 
 impl<'a> Path<'a> {
-    /// `repose_deg`: angle of repose of the sand [°]; None: that of its medium.
+    /// `repose_deg`: angle of repose of the sand [°]; None: the medium's angle.
     pub fn new(
         body: &'a PlatedBody,
         sand: &'a SandDescription,

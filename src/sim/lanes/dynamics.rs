@@ -97,7 +97,7 @@ pub fn step<R: Real, const J: usize>(
     state.move_base(&acceleration, model.dt);
 }
 
-/// Solves for the accelerations of base and joints; `inertia` and `bias` are those of the base with its belly.
+/// Solves for the accelerations of base and joints; `inertia` and `bias` belong to the base with its belly.
 #[inline(always)]
 fn solve<R: Real, const J: usize>(
     model: &LaneModel<R, J>,

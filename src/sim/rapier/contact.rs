@@ -121,7 +121,7 @@ pub fn tune(parameters: &mut IntegrationParameters) {
     parameters.num_internal_pgs_iterations = SWEEPS;
     // The "normalized" lengths below are in metres.
     parameters.length_unit = PER_METRE as f32;
-    // We integrate the positions, so the velocities that we read must include those that push a penetration out.
+    // We integrate the positions, so the velocities that we read must include the velocities with which rapier pushes a penetration out.
     parameters.num_internal_stabilization_iterations = 0;
     parameters.contact_softness = SOFTNESS;
     parameters.static_contact_softness = SOFTNESS;

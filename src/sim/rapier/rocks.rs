@@ -1,8 +1,7 @@
 //! Obstacles that move: weight and sand in `f64`, contacts by rapier.
 //!
 //! A rock's whole surface is made of one-sided facets of resistive force theory, like a belly. This is our choice,
-//! because it needs no parameters besides those of the sand. It neglects the grains that pile up in front of a pushed
-//! rock.
+//! because facets need no parameters besides the sand's. It neglects the grains that pile up in front of a pushed rock.
 //!
 //! The motion under weight and sand is solved first, linearly implicit as for the robot but with the full 6 × 6 matrix.
 //! rapier starts from the resulting velocities and adds the effect of contacts. For rapier the rock's mass includes the
@@ -70,7 +69,7 @@ fn reach(model: &Model) -> f64 {
 pub struct RockInSand {
     pub pose: RigidPose,
     pub properties: MassProperties,
-    /// From the rock's centre to that of rock and sand together, world axes [m].
+    /// From the rock's centre of mass to the common centre of mass of rock and sand, world axes [m].
     arm: V,
 }
 

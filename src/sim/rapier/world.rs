@@ -33,8 +33,8 @@ pub struct RobotPart(RigidBodyHandle);
 pub struct World {
     physics: PhysicsWorld,
     pub base: RobotPart,
-    /// Massless bodies fixed to the base, for the sand's added masses. The base's own centre of mass must stay at
-    /// its origin, because rapier takes a root's velocity for that of its centre of mass.
+    /// Massless bodies fixed to the base, for the sand's added masses. The base's own centre of mass must stay at its
+    /// origin, because rapier takes a root's velocity as the velocity of the root's centre of mass.
     pub drag: RobotPart,
     /// The same as `drag`, with mass along the vertical only.
     pub edge: RobotPart,

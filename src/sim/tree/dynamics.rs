@@ -195,7 +195,7 @@ pub struct Folded<'a, R> {
 }
 
 /// Changes of the accelerations from the folded solution if a force acts on the first of two bodies and the opposite force on
-/// the second one. `wrenches` is work space.
+/// the second body. `wrenches` is work space.
 #[inline(always)]
 pub fn respond<R: Real>(
     folded: &Folded<R>,

@@ -11,7 +11,7 @@ use nalgebra::Vector3;
 
 type V = Vector3<f64>;
 
-/// A force on a body: the sand's on a patch of plates, or that of hard ground on a point of contact.
+/// A force on a body: the force of sand on a patch of plates, or the force of hard ground on a point of contact.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PointForce {
     pub body: usize,

@@ -132,7 +132,7 @@ pub struct Mimic {
     pub offset: f64,
 }
 
-/// The same with indices of joints.
+/// A [`Mimic`] with indices of joints in place of names.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Follower {
     pub joint: usize,
@@ -224,7 +224,7 @@ impl TreeBody {
         self.joint.as_ref().map(|j| (j.kind, frame.rotation * j.axis.into_inner()))
     }
 
-    /// The same axis if the joint is a hinge.
+    /// Axis of its joint if the joint is a hinge, with the body at `frame`; else None.
     pub fn hinge_axis(&self, frame: &Isometry3<f64>) -> Option<Vector3<f64>> {
         self.axis(frame).filter(|(kind, _)| *kind == JointKind::Hinge).map(|(_, axis)| axis)
     }

@@ -8,12 +8,12 @@ use nalgebra::{Point3, Vector3};
 use std::f64::consts::{PI, TAU};
 
 /// Number of plates of a body that touches sand, unless the user gives a size. Our choice: at random poses and
-/// velocities forces on feet and lower legs are within 2 % of those of fine plates (rms; `tests/robots.rs`,
+/// velocities forces on feet and lower legs differ by at most 2 % from forces on fine plates (rms; `tests/robots.rs`,
 /// `make study-plates`).
 const BODY: f64 = 128.0;
 /// Number of plates of the base: our choice, because the base seldom touches sand.
 const BASE: f64 = 64.0;
-/// Largest number of plates of a robot, unless the user gives a size: our choice, those of six limbs. Sand on 576
+/// Largest number of plates of a robot, unless the user gives a size: our choice, enough for six limbs. Sand on 576
 /// plates takes four times as long as the motion of twelve joints.
 const ROBOT: f64 = 800.0;
 /// Number of plates that a body is cut into before they are gathered: our choice. With 3,000 the error on ANYmal's shanks
@@ -30,7 +30,7 @@ const FLAT_FINE: f64 = 0.04;
 /// `benches/sand.py`).
 const FLAT_SHAPE: f64 = 256.0;
 const CURVED_SHAPE: f64 = 512.0;
-/// Largest number of plates of a body in [`of_body`], to bound the time of a call: our choice, those of two curved shapes.
+/// Largest number of plates of a body in [`of_body`], to bound the time of a call: our choice, enough for two curved shapes.
 const MOST_OF_BODY: f64 = 1024.0;
 /// Fewest plates around a round shape: our choice, half of those in `sandgait intrude`.
 const COARSE: usize = 8;

@@ -1,8 +1,8 @@
 //! Sand on plates that face any direction, fixed to the bodies of a tree.
 //!
-//! Plates are one-sided with the leading-edge rule. The scheme in time is that of [`crate::lanes`]: the force is
-//! linearly implicit, f⁺ = f − C (v⁺ − v), and in smooth motion the velocities are expected to change as in the last
-//! step. The law is evaluated once for each patch ([`super::patches`]), for those of its plates that lead in the sand.
+//! Plates are one-sided with the leading-edge rule. The time step works as in [`crate::lanes`]: the force is linearly
+//! implicit, f⁺ = f − C (v⁺ − v), and in smooth motion the velocities are expected to change as in the last step. The
+//! law is evaluated once for each patch ([`super::patches`]), for those of its plates that lead in the sand.
 
 use super::dynamics::LinkLoad;
 use super::leading::{Own, leading};
@@ -207,8 +207,8 @@ pub fn on_body<R: Real, const SECANT: bool>(
     on_patches::<R, _, _, SECANT>(ground, all, frame, velocity, place, travel, under, strength, dt)
 }
 
-/// The same for a body's patches, of which each lane has either all, or one of its own. If each lane has one of its
-/// own, the force on a body is the sum over lanes.
+/// The same as [`on_body`] for a body's patches. Either all lanes share each patch, or each lane has a patch of its
+/// own; then the force on the body is the sum over lanes.
 #[inline(always)]
 #[allow(clippy::too_many_arguments)] // all arguments stay in registers
 pub fn on_patches<R: Real, S: Spread<R>, D: Spread<R>, const SECANT: bool>(

@@ -94,7 +94,7 @@ pub struct SelfContactScratch<R> {
     joints: Vec<R>,
 }
 
-/// Accelerations in a step: those of bodies, and those of joints.
+/// Accelerations of bodies and joints in a step.
 pub struct StepAccelerations<'a, R> {
     pub bodies: &'a mut [Twist<R>],
     pub joints: &'a mut [R],

@@ -152,8 +152,8 @@ impl LeftRight {
     }
 }
 
-/// The factor, 1 or −1, from the position of body i's joint to that of body k's joint; None if the bodies are not
-/// mirror images of each other within `most` [m].
+/// The factor, 1 or −1, from the position of body i's joint to the mirrored position of body k's joint; None if the
+/// bodies are not mirror images of each other within `most` [m].
 fn sign(tree: &Tree, all: &[StandingBody], [i, k]: [usize; 2], most: f64) -> Option<f64> {
     let (a, b) = (tree.bodies[i].joint.as_ref()?, tree.bodies[k].joint.as_ref()?);
     let turn = if a.kind == JointKind::Hinge { -1.0 } else { 1.0 };

@@ -168,8 +168,8 @@ pub struct Turn<'a, R> {
 }
 
 impl<R: Real> Turn<'_, R> {
-    /// Begins with the pieces of a body, whose lowest has this height [m]. Bodies come in order; those that do not come are far above the
-    /// sand.
+    /// Begins with the pieces of a body, whose lowest has this height [m]. Calls come in the order of the bodies; a body without a call
+    /// is far above the sand.
     #[inline(always)]
     pub fn begin(&mut self, body: usize, low: R) {
         self.skip_to(body);
@@ -293,7 +293,7 @@ impl<R: Real> LanePiece<R> {
         }
         let per_cell = R::splat(1.0 / frame.cell);
         let [x, y] = [place.x.mul_add(per_cell, corner.within[0]), place.y.mul_add(per_cell, corner.within[1])];
-        // The next integer below is the nearest one to half a cell less.
+        // Rounds down: the largest integer not above x is the integer nearest to x − ½.
         let below = |less: f64| [x, y].map(|x| (x - R::splat(0.5 + less)).round());
         let middle = below(0.0);
         let height = place.z * R::splat(1.0 / frame.quantum());

@@ -1,4 +1,4 @@
-//! Forces for pictures are those that move the robot.
+//! Forces in pictures are the forces that move the robot.
 
 use super::engine::conserved;
 use super::models::{block, on_hard, on_sand, plates, quadruped, run, scene, standing, trot};

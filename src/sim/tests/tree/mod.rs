@@ -120,7 +120,7 @@ impl Moving {
     }
 }
 
-/// The motion of every body from that of the joints, by the rules for moving frames.
+/// Computes the motion of every body from the joints' motion, by the rules for moving frames.
 fn motions(tree: &Tree, pose: &TreePose, found: &TreeAccelerations) -> Vec<Moving> {
     let [w, x, y, z] = pose.quat;
     let quat = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z));

@@ -117,8 +117,8 @@ fn the_force_is_that_of_a_body_in_steady_motion() {
         for _ in 0..6 {
             let (depth, v) = (0.01 * (1.0 + draw.number()), draw.vector() * 0.3);
             let found = by_lanes::<f64>(&ball.plates, &sand, &Rotation3::identity(), depth, v, 1e-20);
-            // The law is evaluated for a patch's mean normal, not for each plate. The error is within that of the
-            // default plates.
+            // The law is evaluated for a patch's mean normal, not for each plate. The error is no larger than the error
+            // of the default plates.
             assert_near(found, by_intruder(&ball, &sand, depth, v), 2e-2);
         }
     }
