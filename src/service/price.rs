@@ -15,6 +15,7 @@
 use super::proto;
 use super::proto::run_session_request::Request;
 use crate::error::{Error, Result};
+use crate::pool::Batch;
 use crate::session::view;
 
 /// The bounds of a call's messages.
@@ -70,28 +71,34 @@ pub fn of_call(path: &str) -> &'static CallBounds {
 }
 
 /// Largest memory of a session's request and its answer [bytes], besides the message and what the session has reserved.
-/// `part`: see [`Batch::part_bytes`]. Requests that make models or snapshots add this memory while they make them.
+/// Requests that make models or snapshots add this memory while they make them.
 ///
 /// # Errors
 /// The request asks for more than any request may.
-pub fn of_request(request: &Request, part: usize) -> Result<usize> {
-    let parts = |trajectories: bool| if trajectories { PARTS * part } else { 0 };
+pub fn of_request(request: &Request, batch: &Batch) -> Result<usize> {
+    let parts = |trajectories: bool| if trajectories { PARTS * batch.part_bytes() } else { 0 };
     Ok(match request {
         Request::Attach(_) | Request::Step(_) | Request::SetCommand(_) | Request::Reset(_) | Request::Save(_) => 0,
-        // The session's reservation includes the copy of each episode that a restore makes. The header of an
-        // observation, which can have meshes and heights, is not counted.
-        Request::Restore(_) | Request::Observe(_) => 0,
+        // The session's reservation includes the copy of each episode that a restore makes.
+        Request::Restore(_) => 0,
+        // What cannot be observed is refused without a header.
+        Request::Observe(observe) => {
+            let look = batch.look(observe.index as usize, observe.ended);
+            look.map_or(0, |look| HEADERS * look.model.drawing_bytes())
+        }
         Request::Rollout(rollout) => parts(rollout.trajectories),
         // Weights, and their arrangement in lanes.
         Request::PolicyRollout(network) => 2 * network.onnx.len() + parts(network.trajectories),
         Request::Render(render) => {
             let (all, one) = pixels(render)?;
-            // All pixels, and then the larger of two: the canvas of the present picture with its pixels, or the copy of
-            // all pixels in the message.
+            // All pixels, and the larger of two: the present picture's canvas with its pixels, or the message's copy.
             3 * all + (7 * one).max(3 * all)
         }
     })
 }
+
+/// Most copies of an observation's header at once: two while it grows, one in the message, one in HTTP/2's queue.
+const HEADERS: usize = 4;
 
 /// Largest number of copies of a part of a rollout at the same time: the rows, one copy that is being encoded, two that
 /// wait for the stream, and two as bytes in the queue of HTTP/2.
@@ -320,6 +327,7 @@ fn varint(bytes: &mut &[u8]) -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::env::registry::Blueprint;
     use crate::proto::{CreateSessionRequest, Reset, RunSessionRequest, Step};
     use prost::Message as _;
     use prost_types::value::Kind;
@@ -374,5 +382,18 @@ mod tests {
         for broken in [&whole[..whole.len() - 1], &[0xff; 20], &[0x0b], &[0x08]] {
             assert!(refusal(broken, &RUN_SESSION).starts_with("message: cannot be read"));
         }
+    }
+
+    /// The price of an observation covers its header, nearly all of which are the shapes of the robot.
+    #[test]
+    fn headers_of_observations_are_priced() {
+        let go1 = Blueprint::new("sandgait/LeggedVelocity-v1", serde_json::json!({})).unwrap();
+        let mut batch = Batch::new(&go1, 1).unwrap();
+        let price = |batch: &Batch| of_request(&Request::Observe(proto::Observe::default()), batch).unwrap();
+        assert_eq!(price(&batch), 0);
+        let reset = batch.reset(None, Some(vec![1]), crate::env::ResetOptions::default()).unwrap();
+        batch = crate::pool::Pool::new(1).wait(batch, reset).unwrap();
+        let (shapes, header) = (price(&batch) / HEADERS, view::observe(&batch, 0, false).unwrap().0.len());
+        assert!(shapes > 1000 && (shapes..shapes + 16_384).contains(&header), "{shapes} of {header}");
     }
 }

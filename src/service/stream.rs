@@ -157,8 +157,8 @@ impl SessionStream {
             return Ok(Some(answer));
         }
         self.call.messages.let_pass(decode::largest_step(guard.batch()));
-        let part = guard.batch().part_bytes();
-        let priced = request.request.as_ref().map_or(Ok(0), |request| price::of_request(request, part));
+        let batch = guard.batch();
+        let priced = request.request.as_ref().map_or(Ok(0), |request| price::of_request(request, batch));
         let grows = decode::weight(&request) == RequestWeight::Long;
         let (guard, share) = match priced {
             Ok(0) if !grows => (guard, Ok(None)),

@@ -68,6 +68,12 @@ impl Model {
         size_of::<Self>() + of_robot(&self.robot) + scene + list(&self.belly) + legs + solids + tree
     }
 
+    /// Length of the texts of shapes and heights in the header of a recording [bytes].
+    pub fn drawing_bytes(&self) -> usize {
+        let shapes = self.tree.as_ref().map_or(0, |tree| tree.looks.json().len());
+        shapes + self.scene.relief.as_ref().map_or(0, |relief| relief.json().len())
+    }
+
     /// Memory of one robot in an engine [bytes], without its model.
     pub fn robot_bytes(&self, engine: EngineKind) -> usize {
         self.sand_bytes() + self.engine_bytes(engine)
