@@ -125,7 +125,7 @@ fn no_list_of_a_packed_robot_is_free() {
     }
 }
 
-/// A chain of bodies with many feet: the search of its stance is bounded. No leg of it reaches below the base.
+/// A chain of bodies with many feet: the search for its stance takes a bounded time. No leg of this robot reaches below the base.
 #[test]
 fn a_long_chain_stands_up_in_time() {
     let robot = robot(long_chain);

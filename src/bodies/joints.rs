@@ -54,7 +54,7 @@ pub struct JointSand {
     chains: Vec<Vec<usize>>,
 }
 
-/// A spatial vector, angular part first: a wrench, a row of a drag, or the product of a drag and an axis.
+/// A spatial vector, angular part first: a wrench, a row of the drag matrix C, or the product of C and an axis.
 type Spatial = [f64; 6];
 
 impl JointSand {

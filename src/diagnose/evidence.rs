@@ -160,7 +160,7 @@ impl EvidenceTable {
         unique.dedup_by_key(|c| place(c));
         let projected = parallel::map(&unique, |c| projection.apply(c));
         let known: HashMap<_, _> = unique.iter().map(place).zip(&projected).collect();
-        // Numbers of each law, and the prior standard deviation of its coefficient.
+        // The projected columns of each law, and the prior standard deviations of their coefficients.
         let laws = |m: &Contender| {
             let of = |column: &Arc<Vec<f32>>| {
                 let column: Vec<f64> = column.iter().copied().map(f64::from).collect();

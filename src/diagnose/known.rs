@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// The last results, each with the inputs from which it was computed. A clone starts without results, because they would be
-/// wrong if its owner is changed.
+/// wrong if the clone's owner then changes.
 pub struct Recent<K, T> {
     results: Mutex<Vec<(K, Arc<T>)>>,
     most: usize,

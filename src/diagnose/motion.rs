@@ -10,7 +10,7 @@ use super::track::{ArmPose, Track};
 const REST: f64 = 0.05;
 /// A velocity up to this share counts as noise if the position shows rest: our choice.
 const NOISY_REST: f64 = 0.2;
-/// Number of samples on either side over which the position is compared.
+/// Speeds from positions are taken over up to this many samples before and after.
 const REACH: usize = 2;
 /// Share of the trial's extent within which fluctuations of the position do not count as motion: our choice, 0.2 mm
 /// on a distance of 4 cm, 1° on one of 200°.

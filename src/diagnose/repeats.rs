@@ -120,7 +120,7 @@ struct Smooth {
 }
 
 impl Smooth {
-    /// Range of the running mean to either side, in distances between samples of one repetition: our choice.
+    /// Half-width of the running mean, in mean spacings of the samples of the shortest repetition: our choice.
     const REACH: f64 = 2.0;
 
     fn new(observations: &Observations, group: &[usize], channel: usize, residual: &dyn Fn(usize) -> f64) -> Self {

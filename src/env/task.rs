@@ -157,7 +157,7 @@ pub trait AnyTask: Send + Sync {
     /// How observations follow from exact values; None: observations are the exact values.
     fn sensing(&self) -> Option<&SensorModel>;
 
-    /// Gives an episode the motors that it draws.
+    /// Draws the motors of an episode, if they are random.
     fn draw_motors(&self, task_state: &mut TaskState, seed: u64, number: u64);
 
     /// Does each episode have motors of its own?

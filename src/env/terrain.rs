@@ -26,8 +26,8 @@ options! {
 }
 
 options! {
-    /// Ranges [low, high] that an episode's quantities are drawn from, uniformly. `zeta`: our choice; relative to poppy
-    /// seeds, from the stiffness of plastic pellets to twice that of closely packed seeds. Batches of one medium differ
+    /// Ranges [low, high] that an episode's quantities are drawn from, uniformly. `zeta`: our choice; relative to
+    /// loosely packed poppy seeds, from plastic pellets to 1.1 times closely packed seeds. Batches of one medium differ
     /// by 20-40 % (Li, Zhang & Goldman 2013). The other ranges are also our choice: patches of one to four body
     /// lengths, payloads of up to a third of the robot's mass; we found no published law for `footprint`.
     /// [`Randomize::quantities`] has the bounds.

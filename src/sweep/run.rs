@@ -7,7 +7,7 @@ use crate::sim::engine::EngineKind;
 use crate::sim::walk::{WalkResult, WalkTrial, walk_many};
 use parking_lot::Mutex;
 
-/// Walks every trial, in the order given. An error of `progress` stops all of them within a second of simulated
+/// Walks all trials; the results have the order of the trials. An error of `progress` stops all of them within a second of simulated
 /// time.
 ///
 /// A block has one law, regularisation and time step, and equally many plates in every lane. Among trials that agree in

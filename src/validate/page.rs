@@ -83,7 +83,7 @@ impl Scoreboard {
             comparisons.push(Comparison {
                 short: "Fitted",
                 title:
-                    "fitted: the fit used the same rows, so these are the least errors of this model and no prediction"
+                    "fitted: the fit used the same rows, so these are the least errors of this model, not errors of a prediction"
                         .into(),
                 pairs: each(&|w| w.fitted.clone()),
             });

@@ -26,7 +26,7 @@ fn a_study_that_was_stopped_goes_on() {
     assert!(text.contains("design0-*.onnx") && text.contains("±"), "{text}");
     let (table, policy, kept, lost) =
         (read("learnt.csv"), read("design1-0.onnx"), made("design0-1.json"), made("design1-0.json"));
-    // The same state as after a stop in the last training but one.
+    // Without its file of results a training counts as unfinished.
     std::fs::remove_file(out.join("design1-0.json")).unwrap();
     assert_eq!(study("8192"), text);
     assert!(read("learnt.csv") == table && read("design1-0.onnx") == policy);

@@ -317,7 +317,7 @@ impl Stream {
         self.stream.last_sequence
     }
 
-    /// Sends without waiting. `here`: the caller will wait for the answer next.
+    /// Sends a request and does not wait for its answer. `here`: the caller waits for the answer next, so its thread sends.
     #[pyo3(signature = (request, here = false))]
     fn send(&self, request: &Request, here: bool) {
         let (session_id, sequence) = (String::new(), request.sequence);

@@ -127,7 +127,7 @@ pub fn tune(parameters: &mut IntegrationParameters) {
     parameters.static_contact_softness = SOFTNESS;
     parameters.normalized_max_corrective_velocity = PUSH_OUT;
     parameters.normalized_prediction_distance = (TOP_SPEED * parameters.dt).max(2e-3);
-    // The default would keep contact points over 5 cm, a third of the robot.
+    // By default rapier keeps old contact points until a pair of bodies has moved by 5 cm, a third of the robot.
     parameters.contact_recycling = false;
     parameters.friction_model = FrictionModel::Coulomb;
 }

@@ -61,7 +61,7 @@ pub(super) fn leading<R: Real, M: StressModel<R>, S: Spread<R>, D>(
         let normal: Vec3<R> = lanes(&facet.normal);
         let share = facet.along(&own).mul_add(facet.growth.spread(), facet.begun.spread());
         let depth = -(own.up.dot(lanes(&facet.center)) + own.height);
-        // About √(1 − x²): at most 0.17 too small (near x = 0.94), and on average over all directions 0.04.
+        // The factor of `rise` is about √(1 − x²): at most 0.17 too small (near x = 0.94), and 0.04 on average over all directions.
         let x = normal.dot(own.up);
         let flat = x * x;
         let rise = facet.rise.spread() * (one - flat) * flat.mul_add(R::splat(0.6), one);

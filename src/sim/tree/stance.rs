@@ -263,7 +263,7 @@ impl<'a> Search<'a> {
         limb.reach(self.tree, self.contacts, &self.joints, target, first, starts, &worth)
     }
 
-    /// Joint angles with all feet on one level, moved by `shift`.
+    /// Joint angles that put all feet on one level; the feet are moved along x and y by `shift`.
     fn standing(&self, legs: &[LegReach], start: &[f64], shift: V) -> Vec<f64> {
         let mut angles = start.to_vec();
         let ground = legs.iter().map(|l| l.place.z - l.wanted).sum::<f64>() / legs.len().max(1) as f64;
