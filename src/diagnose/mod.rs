@@ -1,11 +1,14 @@
 //! Diagnosis: finds where the simulation errs, names the cause, extends the model, and measures the gain.
 //!
 //! 1. [`force_log`], [`walking_log`], [`intruder_log`] or [`trajectory`] reads the data, and [`experiment`] reads the
-//! facts about the data. 2. A [`forward`] model predicts the data. 3. [`noise_search`] learns the [`noise`] from
-//! repetitions, with the errors that a trial shares ([`shared`]), and [`whiten`] whitens the residuals. 4.
-//! [`gauss_newton`] makes [`fit`]s, in which [`nuisance`]s are marginalised. 5. [`select`] chooses: it fits the
-//! [`candidates`] and the [`laws`], compares them in one table of [`evidence`], and takes the [`verdict`] from this
-//! table. 6. [`view`] and [`report`] show the result, for which all [`statements`] must hold.
+//!    facts about the data.
+//! 2. A [`forward`] model predicts the data.
+//! 3. [`noise_search`] learns the [`noise`] from repetitions, with the errors that a trial shares ([`shared`]), and
+//!    [`whiten`] whitens the residuals.
+//! 4. [`gauss_newton`] makes [`fit`]s, in which [`nuisance`]s are marginalised.
+//! 5. [`select`] chooses: it fits the [`candidates`] and the [`laws`], compares them in one table of [`evidence`], and
+//!    takes the [`verdict`] from this table.
+//! 6. [`view`] and [`report`] show the result, for which all [`statements`] must hold.
 //!
 //! Steps 3 to 6 use only [`observations`] and a [`forward::ForwardModel`]. Another kind of data needs only its own
 //! reader and forward model.
