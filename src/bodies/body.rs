@@ -1,8 +1,9 @@
 //! Bodies cut into the plates that sand pushes on.
 
+use super::ground::SandGround;
 use super::part::{BodyPart, BodyPlate};
 use crate::error::{Error, Result};
-use crate::sand::Law;
+use crate::sand::{Law, Regularization};
 use crate::sand::intruder::IntruderPlate;
 use crate::sim::tree::eights::{EightPatches, eights};
 use crate::sim::tree::patches::{Ball, BodyPatches};
@@ -68,6 +69,15 @@ impl Bodies {
 
     pub(crate) fn cut(&self) -> &[CutBody] {
         &self.bodies
+    }
+
+    /// Refuses a leading-edge gate that patches of plates do not have.
+    pub(crate) fn check_gate(&self, sand: &SandGround) -> Result<()> {
+        let size = Regularization::SOLID.leading_edge_gate;
+        if sand.surface.leading_edge_gate == size || self.bodies.iter().all(|b| b.exact) {
+            return Ok(());
+        }
+        Err(Error::invalid("leading_edge_gate", format!("other than {size} needs bodies with a plate_size")))
     }
 }
 

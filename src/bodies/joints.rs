@@ -59,6 +59,7 @@ type Spatial = [f64; 6];
 
 impl JointSand {
     pub fn new(sand: SandGround, bodies: Bodies, tree: TreeIndex) -> Result<Self> {
+        bodies.check_gate(&sand)?;
         let wrong = |what: &str| Err(Error::invalid("tree", format!("{what} does not fit the others")));
         let (dofs, count) = (tree.dof_parent.len(), bodies.len());
         if [tree.body.len(), tree.root.len(), tree.last_dof.len()] != [count; 3] {

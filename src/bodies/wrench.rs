@@ -298,11 +298,7 @@ impl Bodies {
             let reason = format!("is missing: mechanism {id} depends on the velocity of the vehicle");
             return Err(Error::invalid("travel", reason));
         }
-        let size = crate::sand::Regularization::SOLID.leading_edge_gate;
-        if sand.surface.leading_edge_gate != size && self.cut().iter().any(|b| !b.exact) {
-            let reason = format!("other than {size} needs bodies with a plate_size");
-            return Err(Error::invalid("leading_edge_gate", reason));
-        }
+        self.check_gate(sand)?;
         wrench.fill(T::of(0.0));
         if let Some(drag) = &mut drag {
             drag.fill(T::of(0.0));

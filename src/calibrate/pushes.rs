@@ -143,10 +143,12 @@ pub fn compare(pushes: &[Penetration], compliance: Option<f64>) -> Result<Pushes
     Ok(study)
 }
 
-/// The simplest law whose error no other law reduces by more than the share [`WORTH`]. The error of a law is its error
-/// on left-out sizes or, if it has no such error, on left-out pushes.
+/// The simplest law whose error no other law reduces by more than the share [`WORTH`]. If each law has an error on
+/// left-out sizes, these errors are compared. If one lacks it, the errors on left-out pushes are, because the two kinds
+/// cannot be compared: a left-out size is harder to predict.
 fn chosen(scores: &[LawScore]) -> PressureLaw {
-    let error = |s: &LawScore| s.other_size_percent.unwrap_or(s.other_push_percent);
+    let sizes = scores.iter().all(|s| s.other_size_percent.is_some());
+    let error = |s: &LawScore| s.other_size_percent.filter(|_| sizes).unwrap_or(s.other_push_percent);
     let least = scores.iter().map(error).fold(f64::INFINITY, f64::min);
     let near = scores.iter().filter(|s| error(s) <= least * (1.0 + WORTH));
     near.min_by_key(|s| s.law.parameters()).map_or(PressureLaw::Proportional, |s| s.law)

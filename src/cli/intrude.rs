@@ -18,7 +18,8 @@ use std::path::PathBuf;
 /// the sand cannot carry the load. If a body that is not round turns, forces are means over a turn.
 ///
 /// With --memory the sand remembers: rows with the same `trial` are one path in time, from level sand on. Each row has
-/// a time t [s]; x and y [m] are the place of the body's origin, or else it moves on with the velocities of the row above.
+/// a time t [s]. x and y [m] are the place of the body's origin; without them the body moves on with the velocities of
+/// the row above.
 /// Depths are below the undisturbed surface.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
