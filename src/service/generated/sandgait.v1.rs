@@ -375,9 +375,9 @@ pub struct RolloutPart {
     #[prost(bytes = "bytes", tag = "30")]
     pub actions: ::prost::bytes::Bytes,
 }
-/// Results of a reset, step or restore for all environments. If an episode ended in this step, the environment has already
-/// been reset (autoreset mode SAME_STEP). `observations` then has the first observation of the new episode, and the
-/// `final_*` fields have the last observation of the old one.
+/// Results of a reset, step, restore or new command for all environments. If an episode ended in this step, the environment
+/// has already been reset (autoreset mode SAME_STEP). `observations` then has the first observation of the new episode, and
+/// the `final_*` fields have the last observation of the old one.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct Batch {
     /// f32 \[num_envs, observations\]
