@@ -100,7 +100,7 @@ impl FitInputs<'_> {
         self.refine(vec![self.restated(earlier)], ROUNDS / 2, false).swap_remove(0)
     }
 
-    /// The same fit, evaluated with these inputs. Nothing is fitted again, and the slopes are kept.
+    /// The same fit, evaluated with the data and nuisances of `self`. Nothing is fitted again, and the slopes are kept.
     pub fn restated(&self, fit: &Fit) -> Fit {
         self.moved_by(&[(fit, vec![0.0; fit.ids.len() + fit.deviations.len()])]).swap_remove(0)
     }

@@ -98,11 +98,11 @@ pub fn laws(study: &FitInputs, base: &Fit) -> Option<Laws> {
     let column = |law: &Term| {
         let model = study.model.with_terms(std::slice::from_ref(law))?;
         let column = slope(&model.predict(&base.mechanisms, &coefficients), &base.prediction, 1.0);
-        // The law is first fitted alone, which gives the sign of its coefficient. A law that sand cannot follow is left out.
         let white = study.whitener.apply(&column);
         if !base.ids.is_empty() && normal.explained(&white, base.ids.len())? > COLLINEAR {
             return None;
         }
+        // Whether a law is physically possible depends on the sign of its coefficient, which a fit of this law alone gives.
         let estimate = dot(&white, &base.white) / dot(&white, &white).max(1e-300);
         let fitted = Term { coefficient: estimate, ..law.clone() };
         fitted.check(&coefficients, study.model.medium().bulk_density).ok()?;
@@ -114,8 +114,8 @@ pub fn laws(study: &FitInputs, base: &Fit) -> Option<Laws> {
 }
 
 /// The law `term`, fitted in addition to `base`, starting from the coefficient in `term`. With `held`, the values of
-/// the causes do not change: the law then describes only the misfit that the causes leave. None if sand cannot follow
-/// the fitted law.
+/// the causes do not change: the law then describes only the misfit that the causes leave. None if the fitted law is
+/// physically impossible ([`Term::check`]).
 pub fn fitted(study: &FitInputs, base: &Fit, mut term: Term, held: bool) -> Option<FittedLaw> {
     let values = if held { base.ids.len() } else { 0 };
     let (own, rest) = base.slopes.split_at(values);

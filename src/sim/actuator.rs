@@ -260,7 +260,9 @@ impl<R: Real> LaneActuator<R> {
         ImplicitTorque::select(R::zero().lt(self.has_line), piece, flat)
     }
 
-    /// The least and the greatest torque that the lines allow at the speeds before and after the step, near `acceleration`.
+    /// The motor's least and greatest torque. Its torque-speed line must allow the torque at the speed before the step and
+    /// at the speed after it. The speed after the step depends on the acceleration, so each bound is piecewise linear in
+    /// the acceleration; the result is the piece that contains `acceleration`.
     #[inline(always)]
     fn bounds(&self, rate: R, acceleration: R, dt: R) -> [ImplicitTorque<R>; 2] {
         let [low, high] = self.limits(rate);
