@@ -3,8 +3,8 @@
 use super::ground::SandGround;
 use super::part::{BodyPart, BodyPlate};
 use crate::error::{Error, Result};
-use crate::sand::{Law, Regularization};
 use crate::sand::intruder::IntruderPlate;
+use crate::sand::{Law, Regularization};
 use crate::sim::tree::eights::{EightPatches, eights};
 use crate::sim::tree::patches::{Ball, BodyPatches};
 use crate::sim::tree::{of_body, of_shapes};

@@ -19,10 +19,12 @@ pub struct Plate {
     pub width: f64,
 }
 
-/// Rings and sectors of a sphere's facets. A side of a box has [`GRID`]² facets, a triangle of a hull 4. Our choice:
-/// facets are then smaller than the depth to which a rock sinks.
+/// Rings and sectors of a sphere's facets. Our choice: a facet spans 22.5° by 30°. With fewer facets the force grows
+/// unevenly while a rock sinks, and more make a step slower.
 const RINGS: usize = 8;
 const SECTORS: usize = 12;
+/// A side of a box has `GRID`² facets, a triangle of a hull 4. Our choice, because a box that tilts then dips facet by
+/// facet and not a side at once; more make a step slower.
 const GRID: usize = 4;
 
 /// The two triangles of each side of a box, as numbers of corners. Bit k of a corner's number is 1 if the corner lies on the

@@ -61,16 +61,21 @@ impl WalkResult {
     }
 }
 
+/// Time for which the robot stands before it walks [s]. This and the next three constants are the protocol of the
+/// reference programs with whose speeds `sandgait validate` compares.
 const HOLD: f64 = 0.3;
+/// Time in which the hips' speed rises [s].
 const RAMP: f64 = 0.2;
+/// Strides before the measurement, in which traces of the start can die out, and strides of the measurement: whole ones,
+/// because speed varies within a stride.
 const STRIDES_BEFORE: f64 = 2.0;
 const STRIDES_MEASURED: f64 = 4.0;
 /// Time for a standing robot to settle before the measurement [s]: our choice. A robot that is set down on the surface
 /// comes to rest within 0.2 s, or later on soft sand.
 const SETTLE: f64 = 1.0;
-/// Time over which a standing robot is measured [s].
+/// Time over which a standing robot is measured [s]: our choice, long, so that slow creep shows in `sink` and `drift`.
 const STAND: f64 = 10.0;
-/// Interval of commands and samples [s]: short against a stride, long against a time step.
+/// Interval of commands and samples [s]: our choice, short against a stride, and not below the usual time steps.
 const TICK: f64 = 1e-3;
 
 /// The hips' command at `time` [s] after the protocol's start: angle turned so far [rad] and speed [rad/s].

@@ -19,14 +19,15 @@ pub struct ContactPoint {
 }
 
 /// Number of fixed points on each rim of a cylinder, besides the lowest point: our choice, so that the cylinder can
-/// stand.
+/// stand. More make a step slower.
 const RIM: usize = 4;
 
 /// [`outermost`] looks in directions toward a lattice of points on a cube; this is the number of lattice steps from the
 /// middle of a face to its edge. Our choice: neighbouring directions then differ by at most 27°, so every corner of a
 /// box is found in any orientation.
 const STEPS: i32 = 2;
-/// A point that is less than this [m] behind the outermost one counts as equally far out: our choice.
+/// A point that is less than this [m] behind the outermost one counts as equally far out: our choice, above the
+/// rounding of `f32` in meshes, and far below what hard ground yields.
 const LEVEL: f64 = 1e-6;
 
 /// Points of contact, one list for each body.

@@ -30,19 +30,23 @@ use nalgebra::{Isometry3, Vector2, Vector3};
 
 type V = Vector3<f64>;
 
-/// ω² ℓ/g of a robot on its legs; the second constant is ω² r/g of other joints.
+/// ω² ℓ/g of a robot on its legs: our choice, because its weight then lowers it by some ℓ/20. Larger ones make stiff
+/// legs.
 const LEGS: f64 = 20.0;
+/// ω² r/g of other joints: our choice, because gravity then moves the joint by at most 0.1 rad.
 const OTHERS: f64 = 10.0;
-/// ζ, damping ratio.
+/// ζ, damping ratio: our choice, because kd/kp of A1 is then nearly that of legged_gym: 0.023 s, and 0.5/20 = 0.025 s.
 const DAMPING: f64 = 0.3;
 /// A joint that follows another is stiffer by this factor, with the same damping ratio: our choice, because the load of
 /// a robot that stands then moves the joint by at most some 2 mrad.
 const FOLLOWING: f64 = 100.0;
-/// p/ℓ of robots with at least four feet.
+/// p/ℓ of robots with at least four feet: our choice, half as much again as the 1 below which they sway to the side.
 const POSTURE: f64 = 1.5;
-/// Ratio of kp to the kp at which a robot with fewer than four feet tips over.
+/// Ratio of kp to the kp at which a robot with fewer than four feet tips over: our choice. Near 1 it comes back slowly
+/// from a push, and larger values make stiff legs.
 const UPRIGHT: f64 = 3.0;
-/// Smallest distance of a centre of mass from its joint [m]: our choice, for parts that are balanced about the joint.
+/// Smallest distance of a centre of mass from its joint, and smallest length of a leg [m]: our choice, because a part
+/// that is balanced about its joint would have no gain, and a leg without length an infinite one.
 const NEAREST: f64 = 0.01;
 
 /// A joint's motor and servo.

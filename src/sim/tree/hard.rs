@@ -21,11 +21,12 @@ pub struct HardGround {
 }
 
 impl HardGround {
-    /// A rectangle at least this long or wide [m] is endless for a walking robot: our choice.
+    /// A rectangle at least this long or wide [m] is endless for a walking robot: our choice, 100 km, farther than any
+    /// episode leads.
     pub const ENDLESS: f64 = 1e5;
     /// Largest number of pieces in a scene: our choice, because each makes a step slower.
     pub const MOST: usize = 8;
-    /// Slope beyond the edges: the ground falls by this times the distance.
+    /// Slope beyond the edges: the ground falls by this times the distance. Our choice; [`HardGround`] says why.
     pub const EDGE: f64 = 2.0;
 
     /// Hard ground everywhere, in place of sand.

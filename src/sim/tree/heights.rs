@@ -11,9 +11,9 @@ use std::io::{Read, Write};
 const STEP: f64 = 1e-4;
 /// Longest text [bytes]: our choice, so that a session's options have room for a packed robot, too.
 const MOST_TEXT: usize = 128 << 10;
-/// Largest number of heights: 512 × 512.
+/// Largest number of heights: 512 × 512, as many as [`super::relief::Relief::new`] accepts.
 const MOST: usize = 1 << 18;
-/// Largest number of bytes of a packed height.
+/// Largest number of bytes of a packed height: our choice, because heights within 100 m need four of seven bits each.
 const LONGEST: usize = 5;
 /// The prefix of packed texts.
 pub const MARK: &str = "heights:";

@@ -12,10 +12,11 @@ type V = Vector3<f64>;
 /// of a search.
 pub const MOST_LIMBS: usize = 32;
 const MOST_MOVING: usize = 8;
-/// Farthest position of a joint in a search [rad or m], for joints that turn without limits: our choice.
+/// Farthest position of a joint in a search [rad or m], for joints that turn without limits: our choice, less than half
+/// a turn, so that no pose is found twice.
 const FARTHEST: f64 = 2.8;
 /// Two branches are one limb (a hand with fingers, a foot with toes) if they share more than this part of their
-/// length: our choice.
+/// length: our choice, because fingers and toes are short, and legs share little of a trunk.
 const SHARED: f64 = 0.5;
 /// Steps of Levenberg and Marquardt's method: our choice; most searches need ten.
 pub const STEPS: usize = 40;
@@ -26,7 +27,8 @@ const PREFERENCE: f64 = 0.02;
 /// Weight of the sole's tilt [1/rad]: our choice, so that a search reaches tilt and position equally well.
 const LEVEL: f64 = 0.3;
 /// Points less than this part of the limb's length above the lowest point belong to the sole. A sole must extend by
-/// more than this in both horizontal directions. Our choice.
+/// more than this in both horizontal directions. Our choice: a sole's rounded edges count, and a point or ball is no
+/// sole.
 const SOLE: f64 = 0.03;
 
 /// A branch of the tree from the base to its last body with a shape.
@@ -95,6 +97,7 @@ impl FreeJoints {
 
     /// Start `k` of a search: the preferred position, then positions spread over the ranges (Halton's sequence).
     fn start(&self, k: usize, moving: &[usize]) -> Vec<f64> {
+        // The first primes, as Halton's sequence needs: one for each joint.
         const BASES: [usize; MOST_MOVING] = [2, 3, 5, 7, 11, 13, 17, 19];
         let mut angles = self.preferred.clone();
         for (base, body) in BASES.iter().zip(moving.iter().rev()).filter(|_| k > 0) {
@@ -374,6 +377,7 @@ impl Limb {
 
     /// How far the tip moves up and down when the joints move [m].
     pub fn travel(&self, tree: &Tree, contacts: &[Vec<ContactPoint>], joints: &FreeJoints) -> f64 {
+        // Our choice: enough to see whether a limb's end moves by a tenth of its length; more take longer.
         const SAMPLES: usize = 32;
         let height = |k: usize| self.tip(tree, contacts, &joints.start(k, &self.moving)).z;
         let [low, high] = (0..SAMPLES).map(height).fold([f64::MAX, f64::MIN], |[a, b], z| [a.min(z), b.max(z)]);

@@ -10,12 +10,14 @@ use std::collections::HashMap;
 /// Largest number of triangles of all meshes of a robot, each mesh counted once: our choice, because they take some 50
 /// kB of a packed robot.
 pub const MOST_TRIANGLES: usize = 4000;
-/// Largest number of shapes, and of corners of all meshes: our choices.
+/// Largest number of shapes, and of meshes: our choice, which bounds the memory and time that a client's robot takes.
 const MOST_SHAPES: usize = 10_000;
+/// Largest number of corners of all meshes: three for each triangle, as in a mesh whose triangles share no corners.
 const MOST_CORNERS: usize = 3 * MOST_TRIANGLES;
 /// Largest number of triangles of all shapes: our choice, so that a picture takes at most some tenths of a second.
 const MOST_DRAWN: usize = 1 << 20;
-/// Largest number of triangles with which pictures draw a primitive.
+/// Number of triangles that counts for a primitive: those of a sphere in pictures, 2 · 32 · 16. A capsule has 64 more,
+/// other primitives fewer.
 const PRIMITIVE: usize = 1 << 10;
 /// Corners of meshes are rounded to this [m], which no picture shows: our choice.
 const ROUNDED: f64 = 1e-4;

@@ -16,7 +16,7 @@ use std::io::{Read, Write};
 
 /// Longest JSON [bytes]: our choice, more than a robot with [`MOST_PIECES`] needs.
 const MOST_BYTES: usize = 6 << 20;
-/// Longest packed text [bytes]: it leaves room for other options within a session's limit.
+/// Longest packed text [bytes]: our choice, which leaves room for other options within a session's limit of 256 KiB.
 const MOST_PACKED: usize = 224 << 10;
 /// The prefix of packed texts.
 const MARK: &str = "tree:";
@@ -24,9 +24,10 @@ const MARK: &str = "tree:";
 const MOST_BODIES: usize = 256;
 /// Largest number of a robot's plates and points of contact together: our choice, also far beyond real time.
 const MOST_PIECES: usize = 20_000;
-/// Largest number of a robot's primitive shapes: our choice. They are for pictures alone.
+/// Largest number of a robot's primitive shapes: our choice. They are for pictures alone, and more would cost memory
+/// and time.
 const MOST_SHAPES: usize = 4_096;
-/// Longest name of the robot, a body, a joint or a shape [bytes]: our choice.
+/// Longest name of the robot, a body, a joint or a shape [bytes]: our choice, because error messages quote names whole.
 const LONGEST_NAME: usize = 200;
 
 #[derive(Serialize, Deserialize)]

@@ -19,7 +19,8 @@ const ROBOT: f64 = 800.0;
 /// Number of plates that a body is cut into before they are gathered: our choice. With 3,000 the error on ANYmal's shanks
 /// was half as large again.
 const FINE: f64 = 8000.0;
-/// Argument `flat` of [`cluster::few`] [rad]: our choice, because among 0.03, 0.1 and 0.2 it gave the least error on six robots.
+/// Argument `flat` of [`cluster::few`] [rad]: our choice, because among 0.03, 0.1 and 0.2 it gave the least error on
+/// six robots.
 const FLAT: f64 = 0.1;
 /// The argument `flat` of [`cluster::few`] for [`of_body`], whose plates are smaller: our choice, because among 0.02,
 /// 0.04 and 0.1 it gave the least error on random shapes.
@@ -36,7 +37,8 @@ const MOST_OF_BODY: f64 = 1024.0;
 const COARSE: usize = 8;
 /// Largest number of plates of a shape: our choice, a hundred times what can be simulated in real time.
 const MOST_PLATES: f64 = 20_000.0;
-/// Allowed sizes of plates [m].
+/// Allowed sizes of plates [m]: our choice, from below a grain of sand to beyond a robot's foot. Others have wrong
+/// units.
 const SIZES: std::ops::RangeInclusive<f64> = 1e-4..=1.0;
 
 impl Geometry {

@@ -6,12 +6,12 @@ use crate::number::{Real, Vec3};
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
-/// Steepest slope at which dry, loose sand rests [°], the limit of [`crate::model::Scene`]; media have no limits of
-/// their own.
+/// Steepest slope at which dry, loose sand rests [°]: [`crate::model::Scene::MAX_SLOPE_DEG`], where natural slopes of
+/// dry sand end. Media have no limits of their own.
 pub const REPOSE_DEG: f64 = 35.0;
-/// Least and greatest number of nodes along a side: our choice.
+/// Least and greatest number of nodes along a side: our choice. The spline takes three nodes, and 512 × 512 take 1 MiB.
 const NODES: std::ops::RangeInclusive<f64> = 4.0..=512.0;
-/// Least and greatest height of a node [m]: our choice.
+/// Least and greatest height of a node [m]: our choice, because higher ground has wrong units. `f32` has 0.01 mm there.
 const HEIGHTS: std::ops::RangeInclusive<f64> = -100.0..=100.0;
 /// Number of waves whose sum makes dunes: our choice, because with these no direction dominates.
 const WAVES: usize = 24;

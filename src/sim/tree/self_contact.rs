@@ -21,23 +21,31 @@ use nalgebra::{Isometry3, Matrix3, Vector3};
 
 type V = Vector3<f64>;
 
-/// τ, the time in which capsules that overlap part [s]: our choice, a control step.
+/// τ, the time in which capsules that overlap part [s]: our choice, a control step. A shorter time throws bodies apart,
+/// and with a longer one they stay in each other.
 const LEAVES: f64 = 0.02;
-/// Number of times that all contacts are solved: our choice.
+/// Number of times that all contacts are solved: our choice. The second time corrects contacts that later ones have
+/// disturbed; more sweeps cost time.
 const SWEEPS: usize = 2;
-/// Largest number of capsules of the base, which is often flat: our choice. Other bodies have one.
+/// Largest number of capsules of the base: our choice, because one leaves out the sides of a flat base, and each costs
+/// time. Other bodies have one.
 const MOST_CAPSULES: f64 = 3.0;
-/// Bodies that are nearer than this in the standing pose never meet [m]: our choice, because the shapes of neighbours overlap.
+/// Bodies that are nearer than this in the standing pose never meet [m]: our choice, because the shapes of neighbours
+/// overlap.
 const NEIGHBOURS: f64 = 5e-3;
-/// Number of poses that are tried to find which bodies can meet, a prime; `GENERATOR` generates the lattice of these poses.
-/// Two bodies can meet if, over these poses, their least distance is below `NEAR` times the range of their distances. Our
-/// choice.
+/// Number of poses that are tried to find which bodies can meet: our choice, because more find rarer meetings and take
+/// longer. It is a prime, so that each joint has another place in each pose.
 const POSES: usize = 499;
+/// Generates the lattice of these poses: our choice, because its powers repeat only after 249 joints.
 const GENERATOR: usize = 331;
+/// Two bodies can meet if, over these poses, their least distance is below this times the range of their distances. Our
+/// choice: it is above 0, because bodies may come nearer between the poses, and larger ones add pairs that never meet.
 const NEAR: f64 = 0.1;
-/// Largest speed at which bodies that meet are stopped before they overlap [m/s]: our choice.
+/// Largest speed at which bodies that meet are stopped before they overlap [m/s]: our choice. Faster ones overlap first
+/// and then part; with a larger value each step looks at more pairs.
 const CLOSING: f64 = 5.0;
-/// Axes that are nearer than this have no direction in which to part [m]: our choice.
+/// Axes that are nearer than this have no direction in which to part [m]: our choice, far above the rounding of `f32`
+/// and far below a link's radius.
 const CROSSING: f64 = 1e-4;
 /// Axes whose angle has a smaller squared sine are parallel: our choice, above the rounding of `f32`.
 const PARALLEL: f64 = 1e-4;

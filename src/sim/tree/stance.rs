@@ -17,10 +17,14 @@ const FOLDED: f64 = 0.4;
 /// a robot stands with its feet flat, and knees that bend more need more torque. Unitree's H1 stands at 0.92 and
 /// G1 at 0.98 (Isaac Lab 2.0).
 const UPRIGHT: f64 = 0.9;
-/// Number of heights of a leg that are tried. The second constant is the number of start positions of a search. Our choice.
+/// Number of heights of a leg that are tried: our choice, which finds the usable heights to 1/18 of the leg's length.
+/// More take longer.
 const HEIGHTS: usize = 18;
+/// Number of start positions of a search: our choice, because a knee can bend in several ways, and one start finds one
+/// of them. More take longer.
 const STARTS: usize = 12;
-/// A foot counts as at its place if its distance from the place is below this part of the leg's length: our choice.
+/// A foot counts as at its place if its distance from the place is below this part of the leg's length: our choice,
+/// more than a search's own error. A larger value counts heights that the leg does not reach.
 const REACHED: f64 = 0.01;
 /// A limb is a leg if its end is in the lowest three tenths of the robot's height, and can move up and down by at
 /// least a tenth of the limb's length: our choice. Arms and tails do not reach so low, wheels and propellers do not move their
@@ -28,10 +32,12 @@ const REACHED: f64 = 0.01;
 const LOWEST: f64 = 0.3;
 const TRAVEL: f64 = 0.1;
 /// A body of a leg belongs to the foot if it is nearer to the ground than this part of the robot's height: our choice.
+/// With a smaller value a sole that is not quite level loses its heel or toes, with a larger one shanks may be feet.
 const NEAR: f64 = 0.02;
 /// Feet are moved forward or back toward the point under the centre of mass, if that point is farther from the middle
 /// of the feet than this part of the distance of the farthest foot from the middle. They are moved by at most this part
-/// of the leg's length. Our choice.
+/// of the leg's length. Our choice: nearer points leave the weight well between the feet, and longer ways tilt the
+/// legs.
 const OFF_CENTER: f64 = 0.25;
 
 /// Largest number of body frames that all searches of a robot compute together: our choice, which takes about a second.
@@ -43,7 +49,8 @@ const MOST_FRAMES: usize = 10_000_000;
 const FAR_HALF: f64 = 0.5;
 const KNEELS: f64 = 1e3;
 
-/// Axes count as parallel if the cosine of their angle is above this: our choice, 2.5°, more than the rounding of files.
+/// Axes count as parallel if the cosine of their angle is above this: our choice, 2.6°, more than the rounding of
+/// files.
 const PARALLEL: f64 = 0.999;
 
 /// A robot's standing pose.

@@ -7,27 +7,35 @@ use crate::error::{Error, Result};
 use crate::{Model, State};
 use nalgebra::Vector3;
 
-/// Time in which the weight grows from 0 to its full value. The second constant is the time for which the robot then
-/// stands [s]. Our choice. A robot that is dropped sinks deeper into sand than one that is set down, because the sand
-/// must dissipate its energy.
+/// Time in which the weight grows from 0 to its full value [s]. Our choice, several periods of a robot on its legs: one
+/// that is dropped sinks deeper into sand than one that is set down, because the sand must dissipate its energy.
 const SETTING_DOWN: f64 = 2.0;
+/// Time for which the robot then stands [s]: our choice, so that a slow fall shows; a longer time makes the check
+/// slower.
 const STANDING: f64 = 5.0;
-/// Time between two changes of the weight [s]: our choice.
+/// Time between two changes of the weight [s]: our choice, a control step. All of `STEPS` divide it, and the weight
+/// changes by less than 2 % at once.
 const PERIOD: f64 = 0.02;
-/// A robot stands if its base has tilted by at most 30°, is not lower than half of its standing height, moves with at most
-/// 5 cm/s, and at most a twentieth of the weight rests on bodies other than legs and feet. Our choice.
+/// A robot stands if its base has tilted by at most 30°, is not lower than half of its standing height, moves with at
+/// most 5 cm/s, and at most a twentieth of the weight rests on bodies other than legs and feet. Our choice: a robot may
+/// lean or sink, but one that falls, slides or lies on its belly does not stand.
 const UPRIGHT: f64 = 0.866;
 const LOW: f64 = 0.5;
 const STILL: f64 = 0.05;
 const BELLY: f64 = 0.05;
-/// Time steps that are tried [s], the finest last. The second constant is the duration of a run [s].
+/// Time steps that are tried [s], the finest last. Our choice: from the largest that a scene accepts, mostly by halves;
+/// all divide a control step.
 const STEPS: [f64; 7] = [5e-3, 4e-3, 2e-3, 1e-3, 5e-4, 2.5e-4, 1.25e-4];
+/// Duration of a run with each of them [s]: our choice, eight periods of `BOB`; a longer one makes the check slower.
 const BOB_TIME: f64 = 4.0;
-/// Frequency of the joints' motion in these runs [Hz]. The next constants are its amplitude [rad], for robots with at
-/// least four legs and with fewer, and the accepted mean difference of the base's height, as a part of the standing
-/// height. Our choice.
+/// Frequency of the joints' motion in these runs [Hz]: our choice, about as fast as legs step. A faster motion needs a
+/// finer step.
 const BOB: f64 = 2.0;
+/// Amplitude of this motion [rad], for robots with at least four legs and with fewer: our choice, because a robot on
+/// two feet tips over more easily.
 const BOB_SIZE: [f64; 2] = [0.2, 0.05];
+/// Accepted mean difference of the base's height, as a part of the standing height: our choice, because a smaller one
+/// asks for finer steps, which make the simulation slower.
 const ACCEPTED: f64 = 0.01;
 
 /// A foot of a standing robot.

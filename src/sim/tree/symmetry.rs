@@ -18,12 +18,13 @@ type V = Vector3<f64>;
 /// Largest distance between a joint's axis and the mirrored axis of its image, and between the heights of their bodies' lowest
 /// points, as a share of the robot's size: our choice, some millimetres, more than the errors of drawings.
 const PLACE: f64 = 0.02;
-/// Least cosine of the angle between axes: our choice, 2.6°.
+/// Least cosine of the angle between axes: our choice, 2.6°, more than the rounding of files.
 const ALONG: f64 = 0.999;
 /// Largest difference between the accelerations of a mirrored robot and the mirrored accelerations, as a share of them: our
 /// choice. Real robots carry their computers and batteries away from the middle plane; a symmetric policy suits them, too.
 const ACCELERATIONS: f64 = 0.25;
-/// Poses in which accelerations are compared.
+/// Poses in which accelerations are compared: our choice. In each pose all joints are turned, moving and driven, so few
+/// suffice.
 const POSES: usize = 4;
 
 /// For each joint the joint on the other side, or itself, and the sign of its position.
