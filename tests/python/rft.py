@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-#: The coefficients c_1k, c_2k, c_3k, in one row for each of the monomials 1, x1, x2, x3, x1², x2², x3², x1x2, x2x3, x3x1,
-#: x1³, x2³, x3³, x1x2², x2x1², x2x3², x3x2², x3x1², x1x3², x1x2x3.
+#: The coefficients c_1k, c_2k, c_3k, in one row for each of the monomials 1, x1, x2, x3, x1², x2², x3², x1x2, x2x3,
+#: x3x1, x1³, x2³, x3³, x1x2², x2x1², x2x3², x3x2², x3x1², x1x3², x1x2x3.
 _TABLE = np.array(
     [
         [0.00212, -0.06796, -0.02634],
