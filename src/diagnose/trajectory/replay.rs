@@ -7,6 +7,7 @@ use super::log::Run;
 use super::windows::Window;
 use crate::error::{Error, Result};
 use crate::experiment::Experiment;
+use crate::number::Isa;
 use crate::progress::Latch;
 use crate::robots;
 use crate::sim::actuator::Actuator;
@@ -25,8 +26,6 @@ const STIFFER: f64 = 20.0;
 pub const SIGNALS: usize = 11;
 /// Time simulated after the end of a window [s], for sensors with a delay: five times the usual delay.
 pub const BEYOND: f64 = 0.03;
-/// Number of robots in one engine: as many as the widest block of lanes holds.
-const TOGETHER: usize = 16;
 /// Number of ticks between two checks for a cancellation.
 const CHECK_INTERVAL: usize = 256;
 
@@ -225,10 +224,10 @@ pub struct Replay<'a> {
 
 /// Replays all tasks, distributed over the processors. The tracks are empty after a cancellation.
 pub fn replay(engine: EngineKind, tasks: &[Replay], latch: &Latch) -> Result<Vec<Signals>> {
-    // Computes tasks of similar length together, so that few lanes are idle.
+    // Each engine has one block of lanes. Tasks of similar length share an engine, so that few lanes are idle.
     let mut order: Vec<usize> = (0..tasks.len()).collect();
     order.sort_by_key(|&k| std::cmp::Reverse(tasks[k].drive.ticks));
-    let chunks: Vec<&[usize]> = order.chunks(TOGETHER).collect();
+    let chunks: Vec<&[usize]> = order.chunks(Isa::choose()?.lanes()).collect();
     let done = crate::parallel::map(&chunks, |chunk| {
         let own: Vec<&Replay> = chunk.iter().map(|&k| &tasks[k]).collect();
         block(engine, &own, latch)
