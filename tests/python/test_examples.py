@@ -15,8 +15,6 @@ from pathlib import Path
 import pytest
 import torch
 
-from conftest import LONG
-
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "examples"))
 
@@ -79,7 +77,6 @@ def test_the_proof_of_hardware_compares_trainings(tmp_path: Path) -> None:
     assert run("examples/hardware_proof.py", *short) == first, "finished trainings are taken as they are"
 
 
-@pytest.mark.skipif(not LONG, reason="make test-long runs it; PPO's training has the same test")
 def test_sac_trains_and_goes_on_with_its_buffer(tmp_path: Path) -> None:
     sac = ["--algorithm", "sac", "--envs", "8", "--set", "learning_starts=200", "--out", str(tmp_path)]
     options = ["--options", json.dumps({"max_episode_steps": 50}), "--checkpoint-every", "400"]
