@@ -25,7 +25,8 @@ from .user_warnings import warn
 #: Version of the protocol of this client. The server refuses other versions.
 PROTOCOL = 1
 
-#: Longest wait for a server to confirm that a session is closed [s].
+#: Longest wait for a server to confirm that a session is closed [s]: our choice, so that the end of Python is not held
+#: up. Without an answer the session ends with its lease.
 CLOSE_TIMEOUT = 2.0
 
 #: Name and exception of each of gRPC's status codes.

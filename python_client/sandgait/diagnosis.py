@@ -15,10 +15,12 @@ from .errors import InvalidRequest, LimitReached
 from .studies import Display, FilePath, ProgressOption, columns, file
 from .tables import Table, new_axes
 
-#: Largest size of the data [bytes] that a server accepts. `sandgait diagnose` on the command line reads larger files.
+#: Largest size of the data [bytes]: our choice, 1 MiB less than the request that a server accepts, for the experiment.
+#: `sandgait diagnose` on the command line reads larger files.
 MOST_BYTES = 63 * 2**20
 
-#: Default number of conditions in a figure: those with the largest errors of the plain model.
+#: Default number of conditions in a figure: those with the largest errors of the plain model. Our choice, because each
+#: has a row of panels.
 CONDITIONS = 4
 
 

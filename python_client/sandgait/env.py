@@ -22,7 +22,7 @@ from .view import RENDER_MODES, SIZE
 Observation = npt.NDArray[np.float32]
 
 
-#: Length of the longest episode that a server supports [control steps].
+#: Length of the longest episode that a server supports [control steps] (`MAX_STEPS` in src/env/walking.rs).
 LONGEST_EPISODE = 1_000_000
 
 

@@ -28,7 +28,8 @@ try:
 except ImportError as error:
     raise ImportError("ray is not installed: pip install 'sandgait[ray]'") from error
 
-#: Longest wait for all servers to start [s]. It is long, because a cluster may have to start Python on each node first.
+#: Longest wait for all servers to start [s]: our choice. It is long, because a cluster may have to start Python on each
+#: node first.
 START_TIMEOUT = 60.0
 
 

@@ -25,10 +25,11 @@ from pathlib import Path
 from .errors import SandgaitError, ServerLost
 from .threads import agreed, wanted
 
-#: Longest wait for the server to answer after its start [s].
+#: Longest wait for the server to answer after its start [s]: our choice, because a busy machine may delay the start.
 START_TIMEOUT = 20.0
 
-#: Longest wait for the server to end by itself [s]. After this time it is killed.
+#: Longest wait for the server to end by itself [s], within which it ends when its input closes. After this time it is
+#: killed.
 STOP_TIMEOUT = 5.0
 
 

@@ -26,11 +26,13 @@ from .door import Camera, Held, check_count
 from .errors import SandgaitError, ServerLost, SessionLost
 from .spaces import Task
 
-#: Time for which a session tries to reach a server again [s], without and with `resume`. The lease is 300 s by default.
+#: Time for which a session tries to reach a server again [s], without and with `resume`: our choice. With `resume` a
+#: server may start again meanwhile. The lease is 300 s by default.
 RETRY = 2.0
 RETRY_RESUME = 60.0
 
-#: Number of requests between two snapshots of a session with `resume=True`. To repeat them takes a few seconds.
+#: Number of requests between two snapshots of a session with `resume=True`: our choice. To repeat them takes a few
+#: seconds, and more snapshots would slow the steps.
 SNAPSHOT_EVERY = 200
 
 

@@ -23,10 +23,10 @@ from .errors import InvalidRequest
 #: The place of environments: None for this process, or the address of one or several servers.
 Address = str | Sequence[str] | None
 
-#: Longest wait for servers to confirm that sessions are closed [s].
+#: Longest wait for servers to confirm that sessions are closed [s]: our choice, as for one session.
 CLOSE_TIMEOUT = 2.0
 
-#: Longest wait for each remaining door after others have used up that time [s]. It is enough for a server that
+#: Longest wait for each remaining door after others have used up that time [s]: our choice, enough for a server that
 #: runs.
 LEAST_PATIENCE = 0.05
 

@@ -3,7 +3,7 @@
 /// Width of printed tables and texts: the width of a standard terminal.
 pub const WIDTH: usize = 80;
 
-/// Blanks between two columns.
+/// Blanks between two columns: our choice, because texts with blanks would run together with one.
 const GAP: usize = 2;
 
 /// Rows as left-aligned columns.

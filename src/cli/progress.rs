@@ -37,6 +37,7 @@ impl ProgressLog {
 }
 
 impl Bar {
+    /// Steps of the bar: our choice, ten for each percent that it prints.
     const STEPS: u64 = 1000;
 
     pub fn new() -> Self {

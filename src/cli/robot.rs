@@ -11,7 +11,7 @@ use sandgait::{Error, Result, sim, view};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
-/// Width and height of pictures [px].
+/// Width and height of pictures [px]: our choice, the ratio 4:3 for which the camera chooses its distance.
 const PICTURE: [u32; 2] = [960, 720];
 
 /// Read a robot from a URDF, MJCF or TOML file, and print masses, joints, limits, and the shapes that touch sand.

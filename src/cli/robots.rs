@@ -5,7 +5,7 @@ use sandgait::{Error, Result, view};
 use serde_json::json;
 use std::path::PathBuf;
 
-/// Width and height of pictures [px].
+/// Width and height of pictures [px]: our choice, half of those of `sandgait robot`, because there are many pictures.
 const PICTURE: [u32; 2] = [480, 360];
 
 /// List the robots that have a name: option `robot` and `sandgait robot` take these names.

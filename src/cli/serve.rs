@@ -19,7 +19,8 @@ use tracing_subscriber::util::SubscriberInitExt as _;
 /// (tokio's default is 512).
 const SPARE_THREADS: usize = 2;
 
-/// Longest time by which a request in preparation delays the end of the process.
+/// Longest time by which a request in preparation delays the end of the process: our choice, because the server ends
+/// within 5 s and saves sessions for 4 s of them.
 const GRACE: Duration = Duration::from_millis(500);
 
 /// Serve environments over gRPC until SIGTERM or Ctrl-C.

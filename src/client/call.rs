@@ -10,7 +10,8 @@ use std::time::Duration;
 use tokio::time::timeout;
 use tonic::Status;
 
-/// Longest wait for an answer.
+/// Longest wait for an answer: our choice. A request may wait 30 s for memory of the server, and then its environments
+/// are made.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 async fn soon<T>(call: impl Future<Output = Result<T, Status>>) -> Result<T, Status> {

@@ -9,7 +9,8 @@ use tokio::runtime::Runtime;
 /// limit for pings.
 const IDLE: Duration = Duration::from_secs(1);
 
-/// Length of one turn of driving.
+/// Length of one turn of driving: our choice. Shorter turns wake the thread more often; after longer turns it notices
+/// later that a caller drives the connection.
 const SLICE: Duration = Duration::from_millis(20);
 
 struct ConnectionUse {

@@ -91,7 +91,7 @@ impl Stream {
     }
 }
 
-/// Interval of checks whether the caller still waits.
+/// Interval of checks whether the caller still waits: our choice, well within the 100 ms in which Ctrl-C must act.
 pub const PATIENCE: Duration = Duration::from_millis(20);
 
 fn ended() -> Status {

@@ -20,8 +20,8 @@ use tonic::{Code, Status};
 /// Time during which the client tries to reach a server again, the same as in the Python client.
 const RETRY: Duration = Duration::from_secs(2);
 
-/// Longest wait for a server to free a session that is no longer needed. Without an answer, the session ends with its
-/// lease.
+/// Longest wait for a server to free a session that is no longer needed: our choice, so that a training's end is not
+/// held up. Without an answer, the session ends with its lease.
 const CLOSING: Duration = Duration::from_secs(2);
 
 /// A session with one request in flight at most.

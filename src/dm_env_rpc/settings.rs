@@ -15,7 +15,7 @@ use std::collections::HashMap;
 /// Settings as in a message.
 pub type TensorSettings = HashMap<String, Tensor>;
 
-/// Largest length of a list in a setting. The longest option has at most one name for each sensor.
+/// Largest length of a list in a setting: our choice. The longest option has at most one name for each sensor.
 const LONGEST: usize = 64;
 
 /// The arguments of a new world.

@@ -8,7 +8,7 @@ use serde::Serialize;
 /// Number of resamples of the bootstrap. The ends of an interval are then exact to some 3 % of its width (Efron &
 /// Tibshirani 1993, An Introduction to the Bootstrap, §13.3, ask for 1000).
 const RESAMPLES: usize = 2000;
-/// The same seed in every run.
+/// The same seed in every run, so that a figure can be repeated; the number is arbitrary.
 const SEED: u64 = 1;
 
 /// A score and its 95 % interval; NaN if it is undefined.

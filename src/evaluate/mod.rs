@@ -29,18 +29,20 @@ use gait::Gait;
 use serde::Serialize;
 use serde_json::{Value, json};
 
-/// Training uses small seeds; the seeds of an evaluation start here, as in `examples/evaluate_gait.py`.
+/// The seeds of an evaluation start here, as in `examples/evaluate_gait.py`: our choice. Trainings in Python usually
+/// have small seeds, and those of `sandgait train` start at 2⁴⁰.
 pub const FIRST_SEED: u64 = 1_000_000;
 
-/// Seeds for the search of the tripod's rate, in two blocks of lanes; no reported result uses them.
+/// Seeds for the search of the tripod's rate, in two blocks of lanes: our choice; no reported result uses them.
 const SEARCH_SEEDS: std::ops::Range<u64> = 2_000_000..2_000_032;
 
-/// Rates that the search tries, as multiples of [`RATE_STEP`]: 0.25, 0.5, … 5 Hz.
+/// Rates that the search tries, as multiples of [`RATE_STEP`]: 0.25, 0.5, … 5 Hz. Our choice: 5 Hz is the limit of all
+/// hips (`env::reference::TOP_SPEED`), and a finer step takes longer.
 const RATES: std::ops::RangeInclusive<u32> = 1..=20;
 const RATE_STEP: f64 = 0.25;
 
-/// Largest number of seeds: our choice. With so many seeds, intervals are a hundredth as wide as the spread between
-/// episodes.
+/// Largest number of seeds: our choice. With so many seeds, the interval of a mean reaches 0.6 % of the standard
+/// deviation between episodes to each side.
 const MOST_SEEDS: usize = 100_000;
 /// Largest number of combinations of media and slopes, and of all their episodes together: our choice, an hour's work.
 const MOST_CONDITIONS: usize = 1_000;
@@ -66,7 +68,8 @@ pub struct EvaluationRequest {
 }
 
 impl EvaluationRequest {
-    /// Default number of seeds: intervals are then about a fifth as wide as the spread between episodes.
+    /// Default number of seeds: our choice. The interval of a mean then reaches a fifth of the standard deviation
+    /// between episodes to each side.
     pub const SEEDS: usize = 100;
 }
 

@@ -4,7 +4,8 @@ use super::axis::{label, range, ticks};
 use super::{Axis, Dash, Figure, FigurePanel, Mark, Style, color, escape};
 use std::fmt::Write;
 
-/// Size of a panel without margins, the margins, and the font size [px].
+/// Size of a panel without margins, the margins, and the font size [px]: our choice. The margins have room for titles,
+/// ticks and labels of this font; larger panels make the font smaller on a page.
 const WIDTH: f64 = 380.0;
 const HEIGHT: f64 = 270.0;
 const LEFT: f64 = 70.0;

@@ -5,7 +5,7 @@ use resvg::{tiny_skia, usvg};
 use std::path::Path;
 use std::sync::{Arc, OnceLock};
 
-/// Pixels per SVG unit: sharp on dense screens and in print.
+/// Pixels per SVG unit: our choice, sharp on dense screens and in print.
 const SCALE: f32 = 2.0;
 
 fn fonts() -> Arc<usvg::fontdb::Database> {

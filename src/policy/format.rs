@@ -1,7 +1,7 @@
 //! The parts of an ONNX file that are read or written: a subset of `onnx.proto` (ONNX IR version 10, Apache-2.0).
 //! The decoder skips the rest, and refuses messages that nest too deeply.
 
-/// `TensorProto.DataType`
+/// Numbers of `TensorProto.DataType` in `onnx.proto`.
 pub const FLOAT: i32 = 1;
 pub const INT64: i32 = 7;
 pub const DOUBLE: i32 = 11;

@@ -158,7 +158,8 @@ fn operand(values: &[Vec<Lanes>], operand: &Operand, k: usize) -> Lanes {
     }
 }
 
-/// Number of outputs that are summed at the same time, so that each input is read once for all of them.
+/// Number of outputs that are summed at the same time, so that each input is read once for all of them. Our choice: the
+/// sums take half of the registers of AVX2; with eight outputs no register would be left.
 const TILE: usize = 4;
 
 /// Each sum starts at its bias and adds the inputs in order, so it does not depend on the tile, to the last bit.

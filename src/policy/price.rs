@@ -17,7 +17,7 @@ use prost::encoding::{DecodeContext, WireType, decode_key, decode_varint, skip_f
 pub const MOST_NODES: usize = 256;
 pub const MOST_WIDTH: usize = 4096;
 pub const MOST_PRODUCTS: usize = 2 << 20;
-/// Sixteen layers of [`MOST_WIDTH`].
+/// Our choice, sixteen layers of [`MOST_WIDTH`].
 pub const MOST_VALUES: usize = 16 * MOST_WIDTH;
 /// Largest number of fields of a file: our choice, 64 for each node. Weights are one field.
 const MOST_FIELDS: usize = 64 * MOST_NODES;

@@ -5,7 +5,7 @@ use hmac::{Hmac, KeyInit as _, Mac as _};
 use sha2::{Digest as _, Sha256};
 use std::path::Path;
 
-/// Length of a tag [bytes].
+/// Length of a tag [bytes]: that of a SHA-256.
 const TAG: usize = 32;
 
 /// Shortest key [bytes]; 128 bits cannot be guessed.

@@ -11,13 +11,14 @@ use crate::sweep::{Design, Parameter};
 
 /// Declared knee angle of the L-leg [°]: both pieces have the same length, as in the paper's figure.
 pub const XI_DEG: f64 = 45.0;
-/// Knee angles tried [°].
+/// Knee angles tried [°]: our choice, up to 15° to each side of the declared angle.
 pub const XI_RANGE: [f64; 5] = [30.0, 37.5, 45.0, 52.5, 60.0];
-/// Declared hip height of the force measurements [m]; the next constant has the heights tried.
+/// Declared hip height of the force measurements [m], and the heights tried: our choice, from a hip at the surface to
+/// twice the declared height.
 pub const HIP: f64 = 0.02;
 pub const HIP_RANGE: [f64; 5] = [0.0, 0.01, 0.02, 0.03, 0.04];
 
-/// Changes of the walking robot, one at a time.
+/// Changes of the walking robot, one at a time: our choice of what the paper leaves open.
 pub const WALKING: [(&str, &str); 10] = [
     ("phase", "0.7854"),
     ("phase", "1.5708"),
@@ -31,7 +32,7 @@ pub const WALKING: [(&str, &str); 10] = [
     ("belly", "0.015"),
 ];
 
-/// Knee angles tried for the walking L-leg, in addition to the declared angle [°].
+/// Knee angles tried for the walking L-leg, in addition to the declared angle [°]: our choice, as in [`XI_RANGE`].
 pub const WALKING_XI: [f64; 4] = [30.0, 37.5, 52.5, 60.0];
 
 /// The design with the declared value of every quantity, except for the legs' knee angle `xi_deg` [°]: robot `xplorer`

@@ -9,7 +9,7 @@ use crate::sim::walk::walk;
 use std::time::Instant;
 
 /// Upper bounds of the cost of one simulated second [s]. `claims.json` gives the next bound above the measured time, so
-/// that the file is the same in every run; the report gives the measured time.
+/// that the file is the same in every run; the report gives the measured time. Powers of ten are our choice.
 const COSTS: [f64; 4] = [0.1, 1.0, 10.0, 100.0];
 
 pub fn part() -> FigureSection {

@@ -10,7 +10,8 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use tokio::net::{TcpListener, TcpSocket, UnixListener, UnixSocket};
 
-/// Largest number of connections that the kernel queues until they are accepted.
+/// Largest number of connections that the kernel queues until they are accepted: our choice, as many as the server has
+/// at a time by default.
 const BACKLOG: u32 = 1024;
 
 #[derive(Clone, Debug, PartialEq, Eq)]

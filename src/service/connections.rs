@@ -36,13 +36,15 @@ use tower_service::Service as _;
 /// browser's tab may be inactive for some seconds.
 const SILENCE: Duration = Duration::from_secs(60);
 
-/// Time limit for calls to end after the server stops; a step takes milliseconds.
+/// Time limit for calls to end after the server stops: our choice, because a step takes milliseconds, and the server
+/// must end within 5 s.
 const GRACE: Duration = Duration::from_secs(3);
 
-/// After a connection could not be accepted because no file descriptors were left, the server waits for this time.
+/// After a connection could not be accepted because no file descriptors were left, the server waits for this time: our
+/// choice. Without it the server would try again at once and keep a processor busy.
 const PAUSE: Duration = Duration::from_millis(50);
 
-/// Time between two searches for idle connections.
+/// Time between two searches for idle connections: our choice, a tenth of [`OPENING`], the shorter of their limits.
 const TICK: Duration = Duration::from_secs(1);
 
 /// Largest number of closed connections that still have their file descriptors. Our choice: a quarter of [`RESERVE`].
@@ -51,7 +53,8 @@ const CLOSING: usize = 16;
 /// Number of file descriptors for other purposes: files of sessions, listeners, the runtime. Our choice.
 const RESERVE: usize = 64;
 
-/// Largest HTTP/2 frame that is accepted [bytes].
+/// Largest HTTP/2 frame that is accepted [bytes]: our choice. Frames of the default 16 KiB (RFC 9113, 6.5.2) cut large
+/// messages into many; a whole frame is held in memory.
 const FRAME: u32 = 1 << 20;
 
 /// Number of connections, at most `wanted`, for which the limit of file descriptors leaves room besides `others`

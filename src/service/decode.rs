@@ -39,8 +39,8 @@ pub fn operation(batch: &mut Batch, request: Option<Request>, seal: &Seal) -> Re
     }
 }
 
-/// Largest size of messages that are checked on the thread that received them [bytes]: 16 KiB of actions (more than 600
-/// hexapods) take microseconds.
+/// Largest size of messages that are checked on the thread that received them [bytes]: our choice, because 16 KiB of
+/// actions (more than 600 hexapods) take microseconds.
 const LIGHT: usize = 16 << 10;
 
 /// How long a request keeps the thread that checks it.

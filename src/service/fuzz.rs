@@ -20,6 +20,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use serde_json::{Value, json};
 use sha2::{Digest as _, Sha256};
 
+/// Environments of a session: our choice, few, so that a case is fast, but more than one.
 const ENVS: usize = 3;
 
 /// A policy for the first of [`TASK_IDS`].

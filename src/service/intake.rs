@@ -25,7 +25,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::{Instant, timeout, timeout_at};
 use tonic::Status;
 
-/// Unit of shares [bytes].
+/// Unit of shares [bytes]: our choice, because a semaphore takes its permits as `u32`, and bytes would end at 4 GiB.
 const UNIT: usize = 1 << 10;
 
 /// Longest wait of a request for its share: our choice, longer than the largest step and shorter than the time limits
@@ -36,7 +36,7 @@ const WAIT: Duration = Duration::from_secs(30);
 /// transfer at 1 MiB/s. Our choice, because a slow or busy client may pause for some seconds.
 const ARRIVAL: Duration = Duration::from_secs(10);
 
-/// Number of bytes before a message: a flag and the message's length.
+/// Number of bytes before a message: a flag and the message's length (gRPC over HTTP2, Length-Prefixed-Message).
 const HEADER: usize = 5;
 
 type BoxError = Box<dyn std::error::Error + Send + Sync>;

@@ -39,7 +39,7 @@ pub const COPIES: usize = 2;
 /// motion of 64 bytes, then an outcome of 72 bytes, then 64 bytes of a table, which is encoded once.
 const TRIAL_COPIES: usize = 10;
 
-/// Messages of at most this size [bytes] need no share of the memory for requests.
+/// Messages of at most this size [bytes] need no share of the memory for requests: our choice, as 1,024 take 16 MiB.
 pub const SMALL: usize = 16 << 10;
 
 /// Size of the texts and options of a request [bytes].
@@ -154,8 +154,8 @@ pub struct FieldBounds {
 /// A message whose fields are only counted.
 const PLAIN: MessageLayout = &[];
 
-/// Longest options of a session or a reset [bytes]: our choice. The text of a `sand.toml`, by far the longest
-/// option, has some 2 KiB.
+/// Longest options of a session or a reset [bytes]: our choice. A packed robot, the longest option, has up to 224 KiB,
+/// and the text of a `sand.toml` some 2 KiB.
 pub const LONGEST_OPTIONS: usize = 256 << 10;
 
 /// Largest number of fields of one message: our choice, twice the number of seeds of the largest usual session, if each seed is a
@@ -166,7 +166,7 @@ const MOST_FIELDS: usize = 1 << 17;
 /// together have some 50.
 const MOST_MESSAGES: usize = 4_096;
 
-/// Deepest nesting of messages; a value inside a list takes three or four levels.
+/// Deepest nesting of messages: our choice, below prost's 100. A list inside a list takes two levels, a table three.
 const DEEPEST: usize = 48;
 
 const fn once(number: u64, name: &'static str, longest: usize, inside: Option<MessageLayout>) -> FieldBounds {
@@ -216,8 +216,8 @@ const LARGEST_MESH: usize = 4 << 20;
 
 static FILE: [FieldBounds; 1] = [once(2, "mesh", LARGEST_MESH, None)];
 
-/// Largest request of a diagnosis [bytes]: 40,000 rows of a force log, the most that a diagnosis takes, have about
-/// 8 MB.
+/// Largest request of a diagnosis [bytes]: our choice. 40,000 rows of a force log, the most that a diagnosis takes,
+/// have about 8 MB; logs of robots may have more rows.
 const LARGEST_DIAGNOSIS: usize = 64 << 20;
 
 /// Largest network that is evaluated [bytes].

@@ -35,7 +35,7 @@ use tonic::service::{Routes, RoutesBuilder};
 use tonic_health::ServingStatus;
 use tonic_health::server::{HealthReporter, HealthService};
 
-/// Time limit for saving sessions after the server was stopped.
+/// Time limit for saving sessions after the server was stopped: our choice, because the server must end within 5 s.
 const SAVED: Duration = Duration::from_secs(4);
 
 /// The settings of a server, apart from its address.

@@ -61,10 +61,11 @@ struct SessionFile {
 /// 5 ms in 0.3 s.
 const SAVERS: usize = 16;
 
-/// How often a stopping server looks for sessions whose operations have ended.
+/// How often a stopping server looks for sessions whose operations have ended: our choice, often in the 4 s that saving
+/// may take, and seldom enough to keep no processor busy.
 const LOOK: Duration = Duration::from_millis(2);
 
-/// Largest number of names in the error message; the log has all of them.
+/// Largest number of names in the error message: our choice, some lines on a terminal; the log has all of them.
 const NAMED: usize = 16;
 
 /// Name of the file whose lock a running server holds.

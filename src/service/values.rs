@@ -4,7 +4,7 @@ use crate::error::{Error, Result};
 use prost_types::value::Kind;
 use serde_json::{Map, Number, Value};
 
-/// Largest integer up to which all integers are exact in protobuf's f64.
+/// Largest integer up to which all integers are exact in protobuf's f64: 2⁵³.
 const EXACT: f64 = 9_007_199_254_740_992.0;
 
 /// Keywords of a request; `None` and an empty struct both mean no keywords.

@@ -22,7 +22,8 @@ use std::time::Duration;
 /// must act. A step of a shard takes some 1 ms with rapier, 0.1 ms with lanes.
 const SOON: usize = 64;
 
-/// Between two checks whether the caller still waits, environments are created for this time.
+/// Between two checks whether the caller still waits, environments are created for this time: our choice, a tenth of
+/// the time in which Ctrl-C must act.
 const BUILDING: Duration = Duration::from_millis(10);
 
 /// The answer to the last request.

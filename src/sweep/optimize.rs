@@ -17,7 +17,7 @@ use std::cell::Cell;
 const SWARM: usize = 32;
 /// Moves of the swarm: our choice, because two parameters are then found to about 1 % of their range.
 const MOVES: u64 = 25;
-/// The same seed in every search.
+/// The same seed in every search, so that a search can be repeated; the number is arbitrary.
 const SEED: u64 = 1;
 
 /// Number of walks in a search.

@@ -3,6 +3,7 @@
 
 use crate::number::{Isa, Kernel};
 
+/// Adam's β₁ and β₂, the values of Kingma & Ba and PyTorch's defaults.
 const BETAS: [f32; 2] = [0.9, 0.999];
 /// Adam's ε, added to the root of the mean square; the value of stable-baselines3's PPO.
 const EPSILON: f32 = 1e-5;

@@ -18,7 +18,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use std::ops::DerefMut;
 
 /// Number of pieces into which the environments are divided, the same for any number of threads; fewer for engines with
-/// lanes.
+/// lanes. Our choice: at most so many threads act at a time, and smaller pieces make smaller batches for the networks.
 const PIECES: usize = 8;
 
 /// Name of the info column with the level of a curriculum.

@@ -26,7 +26,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Seeds for ranking designs, in two blocks of lanes; no reported result uses them.
+/// Seeds for ranking designs, in two blocks of lanes: our choice; no reported result uses them.
 const CHOICE_SEEDS: std::ops::Range<u64> = 3_000_000..3_000_032;
 /// Number of seeds of the final comparison; they begin at [`FIRST_SEED`], as in evaluations.
 const SEEDS: usize = 100;
@@ -38,7 +38,7 @@ const MOST_TRAININGS: usize = 10_000;
 /// Number of designs that a search trains at the same time. A search begins with evenly spread designs: this number,
 /// and this number more for each parameter. Our choice.
 const TOGETHER: usize = 4;
-/// The same seed in every search.
+/// The same seed in every search, so that a search can be repeated; the number is arbitrary.
 const SEARCH_SEED: u64 = 1;
 
 /// A request for a study.

@@ -9,7 +9,8 @@ use crate::session::view::{header, row};
 use crate::view::{self, RecordingWriter};
 use std::path::Path;
 
-/// Number of moments in the picture, and width and height of each moment [px].
+/// Number of moments in the picture, and width and height of each moment [px]: our choice. They stand below each other,
+/// 1080 px high in all, as high as a usual screen.
 const MOMENTS: usize = 4;
 const SIZE: [u32; 2] = [480, 270];
 

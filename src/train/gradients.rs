@@ -9,6 +9,7 @@ use crate::number::Isa;
 use rand::SeedableRng as _;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
+/// Sizes of a row: our choice, small, and different, so that exchanged indices are found.
 const OBSERVATION: usize = 4;
 const ACTION: usize = 3;
 

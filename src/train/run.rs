@@ -22,7 +22,7 @@ use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// The training's share of the progress; the rest is for the evaluation.
+/// The training's share of the progress; the rest is for the evaluation, which is shorter: our choice.
 const TRAINING: f64 = 0.97;
 
 /// Interval of checks whether the training was stopped: our choice, well below the 100 ms that a person notices.

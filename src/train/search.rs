@@ -10,7 +10,8 @@ const LENGTHS: [f64; 5] = [0.08, 0.15, 0.3, 0.6, 1.2];
 /// Number of candidate points for each choice: our choice. In two dimensions their distances are small compared with
 /// the shortest length scale.
 const CANDIDATES: usize = 1000;
-/// Bases of Halton's sequence, one for each parameter.
+/// Bases of Halton's sequence, one for each parameter: the first primes. Six are our choice, because points of larger
+/// bases fill the cube less evenly.
 const BASES: [u64; 6] = [2, 3, 5, 7, 11, 13];
 
 /// Largest number of parameters of a search: one for each of [`BASES`].

@@ -12,7 +12,8 @@ const MOST_BYTES: usize = 1 << 20;
 const MOST_DEPTH: usize = 32;
 /// Largest memory of all values [bytes]. A value with an anchor counts twice, and once more at every use.
 const MOST_MEMORY: usize = 8 << 20;
-/// Memory of a value besides its text, including its place in a list or table [bytes].
+/// Memory that is counted for a value besides its text [bytes]: our choice, twice the size of [`Value`], because lists
+/// have spare room. Tables of few entries take more.
 const VALUE: usize = 64;
 
 /// An incomplete value.

@@ -11,9 +11,11 @@ use nalgebra::{DMatrix, DVector};
 /// sinkage, of Fz at the measured sinkage, and of Fx and Fy under the measured load. The last is the error of the
 /// sinkage [m]. Our choice, because a good model has about these errors.
 const TOLERANCES: [f64; 4] = [0.08, 0.15, 0.08, 0.0035];
-/// Step in depth [m] for the numerical stiffness dF/dz, which converts a missing vertical force into sinkage.
+/// Step in depth [m] for the numerical stiffness dF/dz, which converts a missing vertical force into sinkage: our
+/// choice, small compared with sinkages, large compared with rounding.
 const STEP: f64 = 5e-4;
-/// Least stiffness [N/m] in this conversion, so that a wheel without support counts as an error of a few centimetres.
+/// Least stiffness [N/m] in this conversion, so that a wheel without support counts as an error of a few centimetres:
+/// our choice.
 const SOFTEST: f64 = 200.0;
 /// Largest residual: our choice, so that rows without support do not outweigh all others.
 const LARGEST: f64 = 8.0;
@@ -41,7 +43,7 @@ pub struct Parameters {
 /// Least and greatest values, in the order of the fields. Our choice: wide, because they must not limit a fit.
 const LOW: [f64; 5] = [0.1, -0.6, 0.0, 0.0, 0.15];
 const HIGH: [f64; 5] = [4.0, 1.0, 6.0, 1.0, 0.95];
-/// Values from which a fit starts, typical for dry sand.
+/// Values from which a fit starts: our choice, typical for dry sand.
 const START: [f64; 5] = [0.85, -0.2, 0.6, 0.5, SMOOTH[0]];
 
 impl Parameters {

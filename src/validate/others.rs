@@ -12,7 +12,7 @@ use crate::sim::walk::{self, WalkTrial};
 use crate::sim::{Model, Robot};
 use std::fmt::Write as _;
 
-/// Stride frequencies of the walks [Hz].
+/// Stride frequencies of the walks [Hz]: those of the walks of the other implementations.
 const FREQUENCIES: [f64; 4] = [1.0, 2.0, 3.0, 5.0];
 
 /// Forward speeds [m/s] of `xplorer` on loose poppy seeds at [`FREQUENCIES`]. They come from two other implementations,

@@ -26,7 +26,8 @@ const ARROW: Rgb = [200.0, 30.0, 60.0];
 const INK: [u8; 3] = [40, 44, 50];
 
 /// Spacing of the fine lines on the sand, and of the coarse lines that are labelled with x [m]: first for small robots,
-/// then for robots whose drawn sand reaches further than [`SMALL`].
+/// then for robots whose drawn sand reaches further than [`SMALL`]. Our choice: round lengths, a coarse line at every
+/// fifth or fourth fine line.
 const SPACING: [[f64; 2]; 2] = [[0.05, 0.25], [0.25, 1.0]];
 /// Reach of the drawn sand of small robots [m]: our choice, 64 fine lines.
 const SMALL: f64 = 3.2;

@@ -76,7 +76,8 @@ pub fn row(model: &Model, moment: &RecordedState) -> Vec<f32> {
     row
 }
 
-/// Number of heights along each side of a moment's field of heights.
+/// Number of heights along each side of a moment's field of heights: our choice, a power of two as the grid's side is,
+/// and 4 KiB a moment.
 pub const HEIGHTS: usize = 32;
 
 /// x and y of the first node and the distance between nodes [m], then the heights of the sand around the robot, rows

@@ -11,12 +11,13 @@ use resvg::tiny_skia::{Pixmap, PremultipliedColorU8};
 
 /// Two colours of the ground, in squares.
 const GROUND: [Rgb; 2] = [[230.0, 213.0, 178.0], [222.0, 203.0, 166.0]];
-/// Side of these squares, and of the cells in which the ground is drawn [m]. Both are larger for larger robots.
+/// Side of these squares, and of the cells in which the ground is drawn [m]: our choice, five cells a square. The cells
+/// are larger for larger robots, because of [`REACH`].
 const SQUARE: f64 = 0.25;
 const CELL: f64 = 0.05;
 /// Largest number of cells from the robot to the edge of the drawn ground: our choice, to bound the time of a picture.
 const REACH: f64 = 64.0;
-/// Share of a robot's colour in a pixel where the robot is under the surface.
+/// Share of a robot's colour in a pixel where the robot is under the surface: our choice, faint but visible.
 const BURIED: f32 = 0.22;
 /// Rows of pixels that are drawn at a time, so that large pictures need little memory: our choice.
 const BAND: usize = 32;

@@ -6,7 +6,8 @@ use resvg::usvg;
 use std::fmt::Write as _;
 use std::sync::{Arc, OnceLock};
 
-/// A letter's cell [px]. The width of a letter of DejaVu Sans Mono is 0.602 times its size.
+/// A letter's cell, and the size of the font [px]: our choice. The width of a letter of DejaVu Sans Mono is 0.602 times
+/// its size, so that it fits into the cell.
 pub const CELL: [usize; 2] = [8, 16];
 const SIZE: f64 = 13.0;
 

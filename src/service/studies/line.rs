@@ -24,7 +24,8 @@ use tonic::Status;
 /// Largest number of studies in line, including the running one: our choice, so that their requests stay within 1 GiB.
 const PLACES: usize = 16;
 
-/// Largest number of events that wait for a slow client. Further events are left out, but the result is always sent.
+/// Largest number of events that wait for a slow client: our choice, because old progress helps nobody. Further events
+/// are left out, but the result is always sent.
 const EVENTS: usize = 8;
 
 /// Smallest progress that is reported: our choice, some 200 events a study.

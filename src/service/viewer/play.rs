@@ -28,7 +28,7 @@ use tokio_util::sync::CancellationToken;
 
 /// Largest number of browsers: our choice.
 const MOST: usize = 16;
-/// Largest message of a page [bytes]: three numbers need fewer.
+/// Largest message of a page [bytes]: our choice; three numbers need fewer.
 const MESSAGE: usize = 256;
 
 /// One environment on a page.
