@@ -75,7 +75,7 @@ test-long:
 test-rust:
 	cargo fmt --all --check
 	PYO3_PYTHON=$(PYTHON) cargo clippy --release --workspace --all-targets -- -D warnings
-	@# cargo-nextest takes a seventh less time, because tests of several programs run at once. It knows no tests in comments.
+	@# cargo-nextest runs tests of several programs at once. It does not run the examples in doc comments.
 	if cargo nextest --version > /dev/null 2>&1; then \
 		cargo nextest run --release && cargo test --release --doc; \
 	else cargo test --release; fi
