@@ -19,8 +19,7 @@ use std::path::PathBuf;
 ///
 /// With --memory the sand remembers: rows with the same `trial` are one path in time, from level sand on. Each row has
 /// a time t [s]. x and y [m] are the place of the body's origin; without them the body moves on with the velocities of
-/// the row above.
-/// Depths are below the undisturbed surface.
+/// the row above. Depths are below the undisturbed surface.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait intrude --shape L --csv L.csv

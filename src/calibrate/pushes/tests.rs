@@ -46,14 +46,17 @@ fn two_sizes_compare_all_laws_on_left_out_pushes() {
     let two = |p: fn(f64, f64) -> f64| -> Vec<Penetration> {
         pushes(p, 0.0).into_iter().filter(|push| push.diameter < 0.09).collect()
     };
-    // The pushes of one size were made in sand that is 3 % stronger, as beds prepared by hand are.
+    // Beds prepared by hand scatter by some percent; here those of the second size are by chance the stronger ones.
     let mut plain = two(|z, _| 3e5 * z);
-    plain[3..].iter_mut().flat_map(|push| &mut push.points).for_each(|p| p[1] *= 1.03);
+    for (push, strength) in plain.iter_mut().zip([0.97, 1.0, 1.03, 1.022, 1.082]) {
+        push.points.iter_mut().for_each(|p| p[1] *= strength);
+    }
     let study = compare(&plain, Some(0.0)).unwrap();
     assert!(study.laws.iter().any(|l| l.other_size_percent.is_none() && l.law.knows_size()));
     let error = |law| study.laws.iter().find(|l| l.law == law).unwrap().other_push_percent;
     let best = study.laws.iter().map(|l| l.other_push_percent).fold(f64::INFINITY, f64::min);
     assert!(error(study.law) <= best * (1.0 + WORTH), "{study:?}");
+    assert_eq!(study.law, PressureLaw::Proportional, "{:?}", study.laws);
     let sized = compare(&two(|z, d| 3e5 * z * (d / 0.06).powf(0.8)), Some(0.0)).unwrap();
     assert_eq!(sized.law, PressureLaw::Size, "{:?}", sized.laws);
 }

@@ -275,6 +275,7 @@ fn block(kind: EngineKind, tasks: &[&Replay], latch: &Latch) -> Result<Vec<Signa
         for (i, task) in tasks.iter().enumerate().filter(|(_, t)| k < t.drive.ticks) {
             engine.state(i, &mut now);
             sample(task, &before[i], &now, &mut tracks[i]);
+            // The next call of `state` overwrites `now`.
             std::mem::swap(&mut before[i], &mut now);
         }
     }
