@@ -20,11 +20,11 @@ use crate::sim::robot::{Robot, Tripod};
 use std::f64::consts::{PI, TAU};
 
 /// Values at action −1 and 1. Our choice: action 0, the middle, is the gait of the reference experiments, the
-/// alternating tripod at one constant speed, at 2.5 Hz.
+/// alternating tripod at one constant speed, at 2.5 Hz. Duty and sweep keep the divisors of [`Stride`] above 0.
 const FREQUENCY: [f64; 2] = [0.0, 5.0]; // [Hz]; 5 Hz is the highest of Li et al. 2012
 const DUTY: [f64; 2] = [0.2, 0.8];
 const SWEEP: [f64; 2] = [PI / 6.0, 11.0 * PI / 6.0]; // [rad]
-const OFFSET: [f64; 2] = [-PI / 2.0, PI / 2.0]; // [rad]
+const OFFSET: [f64; 2] = [-PI / 2.0, PI / 2.0]; // [rad]; at the ends the leg is horizontal in the middle of stance
 /// Each leg's phase relative to its tripod, in strides: the range covers all values.
 const PHASE: [f64; 2] = [-0.5, 0.5];
 

@@ -4,7 +4,8 @@ use crate::sand::mechanism_laws::footprint;
 use crate::sim::{Model, State};
 use serde::{Deserialize, Serialize};
 
-/// Number of patches after which their sand repeats.
+/// Number of patches after which their sand repeats. Our choice: by default they are at least 2.4 m long together, and
+/// a robot turns back after at most 1.2 m.
 pub const PATCHES: usize = 16;
 
 /// Number of footprints that are kept; the oldest one is forgotten first. Our choice: some 80 strides of six legs.
@@ -52,6 +53,7 @@ impl UsedGround {
     /// For snapshots: can an episode of a robot with `legs` legs have reached this ground?
     pub fn is_sound(&self, legs: usize) -> bool {
         let number = |x: &f64| x.is_finite();
+        // The bounds of ζ and of the length are wider than those of the options (`Randomize::quantities`).
         let points = self.prints.iter().chain(self.standing.iter().flatten()).flatten();
         self.zeta.len() == PATCHES
             && self.zeta.iter().all(|z| (1e-2..=1e2).contains(z))

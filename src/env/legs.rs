@@ -24,10 +24,11 @@ options! {
 /// our own.
 const TARGET_SPEED: f64 = 13.0;
 
-/// Bound of the observed joint speed [rad/s]; larger values are clipped.
+/// Bound of the observed joint speed [rad/s]; larger values are clipped. Our choice, as for the hips of HexapodGait.
 const JOINT_SPEED: f64 = 3.0 * TARGET_SPEED;
 
-/// Observed angles may exceed their range by this much [rad] under load.
+/// Observed angles may exceed their range by this much [rad] under load. Our choice, ten times the angle at which a
+/// servo gives its default torque limit.
 const OVERSHOOT: f64 = 0.5;
 
 const ABOUT: &str = "\

@@ -149,6 +149,7 @@ impl Blueprint {
         let task: Arc<dyn AnyTask> = Arc::new(TaskSetup::<T>::new(options, check_keyword)?);
         let (dt, period) = (task.model().scene.dt, 1.0 / task.spec().control_rate);
         let steps = period / dt;
+        // Our choice of the tolerance: a time step may be rounded to seven digits.
         if (steps - steps.round()).abs() > 1e-6 * steps {
             return Err(Error::invalid("dt", format!("{dt} does not divide the control period {period} s")));
         }

@@ -34,7 +34,8 @@ options! {
 
 options! {
     /// The obstacles on the sand. Sizes are our choice: rocks of half to one and a half times the reference robot's
-    /// leg, steps of up to half a leg. Granite has 2,650 kg/m³.
+    /// leg, steps of up to half a leg. Sixteen obstacles on the default field are some two body lengths apart. Granite
+    /// has 2,650 kg/m³.
     #[derive(Copy, Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct RockOptions {
@@ -48,27 +49,29 @@ options! {
     }
 }
 
-/// Distance behind the start at which the field begins [m].
+/// Distance behind the start at which the field begins [m]: our choice, two lengths of the reference robot.
 const BEHIND: f64 = 0.3;
 
-/// No obstacle is closer to the start than this [m]: half the reference robot's length, a leg and a margin.
+/// No obstacle is closer to the start than this [m]: our choice, half the reference robot's length, a leg and a margin.
 const CLEAR: f64 = 0.15;
 
-/// Largest number of random positions tried for one obstacle before it is left out.
+/// Largest number of random positions tried for one obstacle before it is left out. Our choice, because more
+/// than half of the default field is free.
 const TRIES: usize = 20;
 
-/// Corners of a rock: enough to look irregular.
+/// Corners of a rock: our choice, enough to look irregular.
 pub(super) const CORNERS: usize = 12;
 
-/// Height scan: coordinates of its points ahead of the base's centre and to the sides [m], relative to the heading;
-/// from behind the base to two thirds of a body length ahead of it.
+/// Height scan: coordinates of its points ahead of the base's centre and to the sides [m], relative to the heading.
+/// Our choice: from under the base to 12.5 cm, less than a body length, ahead of it.
 const SCAN_X: [f64; 7] = [-0.05, 0.0, 0.05, 0.1, 0.13, 0.16, 0.2];
 const SCAN_Y: [f64; 5] = [-0.1, -0.05, 0.0, 0.05, 0.1];
 
-/// Bound of a scanned height [m]; larger values are clipped.
+/// Bound of a scanned height [m]; larger values are clipped. Our choice, above the 6 cm of the highest default rock.
 const SCAN_HEIGHT: f64 = 0.1;
 
 impl RockOptions {
+    /// Our choice of the smallest field: it contains the circle of [`CLEAR`] around the start.
     fn validate(&self) -> Result<()> {
         check_range("rocks.field[0]", self.field[0], 0.5..=100.0)?;
         check_range("rocks.field[1]", self.field[1], 0.4..=100.0).map(drop)
@@ -94,7 +97,8 @@ impl RockOptions {
         [random.uniform(-BEHIND, length - BEHIND), random.uniform(-width / 2.0, width / 2.0)]
     }
 
-    /// One obstacle at the origin, and the radius [m] of the free space it needs.
+    /// One obstacle at the origin, and the radius [m] of the free space that it needs: for a rock, our choice, half a
+    /// radius more than its own.
     fn obstacle(&self, random: &mut Random) -> (Obstacle, f64) {
         let size = |random: &mut Random| random.uniform(self.size[0], self.size[1]);
         let (loose, step) = (random.uniform(0.0, 1.0) < self.dynamic_fraction, random.uniform(0.0, 1.0) < 0.5);
@@ -113,8 +117,8 @@ impl RockOptions {
     }
 }
 
-/// An irregular rock: hull of points on an ellipsoid with axes of 0.7 to 1 times `radius` [m]. Three pairs of the
-/// points lie on the ellipsoid's axes, so the hull has a volume.
+/// An irregular rock: hull of points on an ellipsoid with half axes of 0.7 to 1 times `radius` [m], our choice. Three
+/// pairs of the points lie on the ellipsoid's axes, so the hull has a volume.
 fn rock(radius: f64, random: &mut Random) -> ObstacleShape {
     let axes = [0; 3].map(|_| radius * random.uniform(0.7, 1.0));
     let mut points = Vec::with_capacity(CORNERS);

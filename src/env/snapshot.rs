@@ -57,6 +57,7 @@ impl Episode {
         let model = saved.drawn.as_deref().map(|(robot, scene)| drawn(robot, scene, &**task)).transpose();
         let model = model.map_err(|e| unfit(&e.to_string()))?.map(Arc::new);
         let [speed, turn] = saved.goal;
+        // Our choice of the bound: far above the commands of all tasks.
         if !saved.goal.iter().all(|g| g.abs() < 1e3) {
             return Err(unfit("its goal"));
         }

@@ -33,9 +33,9 @@ options! {
     /// Carriage, leg and constraint. Our choices: at `carriage_speed` the carriage moves by two lengths of the leg
     /// during a stroke, so that the best constant-rate strokes are near the middle of the range of joint speeds; `lift`
     /// is a sixth of the weight of the reference hexapod scaled to this leg (lengths × 1.9, mass × 1.9³); `lift_weight`
-    /// is more than the greatest possible efficiency. `height` and `start` are as in Li et al. 2012, section 3: the tip
-    /// points forward, 1.75 rad from straight down. Below the least allowed carriage speed, thrust per work has no
-    /// meaning (see the task's page); above the greatest, RFT is not valid.
+    /// is more than the greatest possible efficiency, and `exit_weight` equals it. `height` and `start` are as in Li et
+    /// al. 2012, section 3: the tip points forward, 1.75 rad from straight down. Below the least allowed carriage
+    /// speed, thrust per work has no meaning (see the task's page); above the greatest, RFT is not valid.
     #[derive(Copy, Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct StrokeOptions {
@@ -49,7 +49,7 @@ options! {
 }
 
 impl StrokeOptions {
-    /// Checks the start; `model`: the leg.
+    /// Checks the start; `model`: the leg. A nanometre in the sand is rounding.
     fn validate(&self, model: &Model) -> Result<()> {
         let range = |i: usize| model.legs[0][i].range.unwrap_or([-TAU, TAU]);
         for (i, angle) in self.start.iter().enumerate() {
@@ -77,10 +77,11 @@ const TOP_SPEED: f64 = TAU;
 /// work of good strokes.
 const LEAST_WORK: f64 = 1e-3;
 
-/// If the leg is this deep in the sand at the end of a stroke, the penalty has its full size [m]. Our choice, about an eighth of the leg's length.
+/// If the leg is this deep in the sand at the end of a stroke, the penalty has its full size [m]. Our choice, about a
+/// tenth of the leg's length.
 const LEFT_DEPTH: f64 = 0.01;
 
-/// Bounds of the observation, far above the values of good strokes on the default sand; larger values are clipped.
+/// Bounds of the observation: our choice, far above good strokes on the default sand. Larger values are clipped.
 const TORQUE: f64 = 10.0; // [N·m]
 const IMPULSE: f64 = 20.0; // [N·s]
 const WORK: f64 = 20.0; // [J]

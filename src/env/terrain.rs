@@ -29,8 +29,9 @@ options! {
     /// Ranges [low, high] that an episode's quantities are drawn from, uniformly. `zeta`: our choice; relative to
     /// loosely packed poppy seeds, from plastic pellets to 1.1 times closely packed seeds. Batches of one medium differ
     /// by 20-40 % (Li, Zhang & Goldman 2013). The other ranges are also our choice: patches of one to four body
-    /// lengths, payloads of up to a third of the robot's mass; we found no published law for `footprint`.
-    /// [`Randomize::quantities`] has the bounds.
+    /// lengths, payloads of up to a third of the robot's mass, slopes on which a policy from flat ground follows speeds
+    /// badly (docs/learning.md), motors that keep twice the rms torque of a 2 Hz walk, turning points after two to
+    /// eight body lengths; we found no published law for `footprint`. [`Randomize::quantities`] has the bounds.
     #[derive(Copy, Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct Randomize {
@@ -49,7 +50,7 @@ struct TerrainQuantity {
     name: &'static str,
     /// The range that an episode draws from.
     range: [f64; 2],
-    /// Bounds of the range.
+    /// Bounds of the range: our choice, far beyond useful values; no length, ζ or torque is 0.
     guard: [f64; 2],
     /// The value that changes nothing, if `difficulty` scales the range.
     neutral: Option<f64>,

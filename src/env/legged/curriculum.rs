@@ -20,7 +20,8 @@ pub const MOST_EASE: f64 = 200.0;
 options! {
     /// When levels rise and fall. Our choice, because a robot with an error of 0.4 certainly walks; a robot that stands
     /// still has an error of 1, or less under slow commands. By default commands have their full size at all levels,
-    /// because under slow commands a robot would get most of the reward by standing still.
+    /// because under slow commands a robot would get most of the reward by standing still. Ten rises take a robot from
+    /// level 0 to level 1.
     #[derive(Copy, Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct Curriculum {

@@ -3,7 +3,8 @@
 use crate::options;
 use serde::{Deserialize, Serialize};
 
-/// Largest commanded velocity: forward and to the left [m/s], yaw [rad/s].
+/// Largest commanded velocity: forward and to the left [m/s], yaw [rad/s]. Our choice: default ranges reach it only
+/// with legs above 10 m or below 2 cm.
 pub const MOST_COMMAND: f64 = 5.0;
 
 /// All ranges from which an episode's values are drawn.
@@ -21,7 +22,7 @@ pub struct Draws {
 }
 
 options! {
-    /// Ranges of commands; the default ranges follow from the robot's size (`units`).
+    /// Ranges of commands; the default ranges follow from the robot's size (`units`). The time is legged_gym's.
     #[derive(Copy, Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct Commands {
@@ -33,7 +34,9 @@ options! {
 }
 
 options! {
-    /// legged_gym has friction 0.5 to 1.25, ± 1 kg of 12, and a push every 15 s of up to 1 m/s.
+    /// legged_gym has friction 0.5 to 1.25, ± 1 kg of 12, and a push every 15 s of up to 1 m/s; Isaac Lab pushes by up
+    /// to 0.5 m/s. Factors on sand and motors are our choice: batches of sand differ by 20-40 % (Li, Zhang & Goldman
+    /// 2013), and motors may differ from their data by a tenth.
     #[derive(Copy, Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct DomainRand {

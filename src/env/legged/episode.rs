@@ -12,8 +12,8 @@ use std::sync::Arc;
 /// Largest number of commands, and of pushes, that an episode draws; after that they repeat. Our choice: with the default
 /// time between two commands they last 17 minutes.
 const MOST: usize = 100;
-/// The curriculum ignores this time at the start of a command [s], as does `sandgait evaluate --commands`; but at most half of
-/// the time between two commands.
+/// The curriculum ignores this time at the start of a command [s], as does `sandgait evaluate --commands`; but at most
+/// half of the time between two commands. Our choice, because a robot walks steadily after a second.
 const BEGINNING: f64 = 2.0;
 
 /// An episode's difficulty.
@@ -108,6 +108,7 @@ impl LeggedEpisode {
         let most = |x: &f64| x.abs() <= MOST_COMMAND;
         let rand = from.rand;
         // A reset may have changed the ranges since the draw, so the values are compared with the bounds of the options.
+        // No foot can be in the air for 1e6 s, because the longest episode takes 2e4 s.
         (0.0..=10.0).contains(&self.friction)
             && (0.05..=20.0 * MOST_EASE).contains(&self.sand)
             && (0.0..=1.0).contains(&self.level)
@@ -128,6 +129,7 @@ impl LeggedEpisode {
         let mut model = own.clone();
         let Some(tree) = &model.tree else { return Ok(model) };
         let mut tree = (**tree).clone();
+        // Our choice: a light base keeps a tenth of its mass, which stays above 0.
         tree.base_mass = (tree.base_mass + self.added_mass).max(0.1 * tree.base_mass);
         for motor in &mut tree.motors {
             motor.kp *= self.motor_strength;

@@ -35,7 +35,7 @@ use reward::{Contacts, LeggedStep};
 use std::sync::Arc;
 
 /// The robot has fallen if the component of gravity's direction along the base's z axis is above this: −cos 60°. Our
-/// choice.
+/// choice, between the steepest slope of sand (35°) and a robot that lies on its side (90°).
 const FALLEN: f64 = -0.5;
 
 /// A robot with fewer than four legs has fallen if its base is lower than this part of its standing height: our choice,

@@ -24,9 +24,10 @@ use std::sync::Arc;
 options! {
     /// Options of LeggedVelocity. `dt`: our choice, twice the hexapods' time step, because hexapods' feet move faster.
     /// With this time step a trot of the test quadruped differed from a trot at 0.125 ms by up to 5 % in sand and 10 %
-    /// on hard ground; with 1 ms, by 8 % on hard ground. Episodes take 20 s as in legged_gym. legged_gym has an
-    /// `action_scale` of 0.25 and no bounds on actions. Here actions are within ± 1, and with a scale of 0.25 Go1's
-    /// feet would move too little to walk; so the scale of each joint follows from its torque limit and gain.
+    /// on hard ground; with 1 ms, by 8 % on hard ground. Episodes take 20 s as in legged_gym. `angle_noise`: our
+    /// choice, so that starts differ. legged_gym has an `action_scale` of 0.25 and no bounds on actions. Here actions
+    /// are within ± 1, and with a scale of 0.25 Go1's feet would move too little to walk; so the scale of each joint
+    /// follows from its torque limit and gain.
     pub struct LeggedOptions {
         robot: RobotName = RobotName::TREE.into(), "built-in robot sandcat, or a packed robot file (in Python its path)";
         law: Law = Law::Li2013, "resistive force law: li2013, penetration-drag-1d or agarwal2023";
@@ -54,7 +55,7 @@ options! {
 
 options! {
     /// Random dunes by a seed, or heights that the user gives. Defaults: three lengths of a robot from crest to
-    /// crest, and a slope that affects the gait; our choice.
+    /// crest, and a slope that affects the gait; our choice. The spacing is legged_gym's (`horizontal_scale`).
     #[derive(Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct ReliefOptions {
@@ -138,7 +139,7 @@ const SMALL: f64 = 0.05;
 /// Least and greatest scale of an action [rad]. The least is our choice: with it a foot moves by some 0.4 lengths of the leg.
 /// The greatest is that of Isaac Lab's velocity tasks; joints without a known torque limit have it, too.
 const SCALES: [f64; 2] = [0.4, 0.5];
-/// Scale of a sliding joint without a range, as a part of the legs' length: our choice.
+/// Scale of a sliding joint without a range, as a part of the legs' length: our choice, less than the 0.4 of a hinge.
 const SLIDING: f64 = 0.25;
 
 /// The offset of each joint's target at action 1 [rad or m].

@@ -24,6 +24,7 @@ pub const COMMANDED: [f64; 3] = [0.5, 0.25, 0.2];
 
 impl Units {
     pub fn of(model: &Model) -> Self {
+        // Our choice of the least length, so that no unit is 0.
         let length = model.tree.as_ref().map_or(1.0, |tree| tree.stance.leg_length).max(1e-3);
         Self {
             speed: (GRAVITY * length).sqrt(),

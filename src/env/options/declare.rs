@@ -1,7 +1,8 @@
 //! The macro that declares options.
 
 /// Declares a struct of options; [`crate::options`] shows how, one line for each option:
-/// `name: Type = default, [low, high], reset, "help";`, where bounds and `reset` may be missing.
+/// `name: Type = default, [low, high], reset, "help";`, where bounds and `reset` may be missing. Bounds for which a
+/// struct gives no reason are our choice: far beyond useful values, they catch wrong units.
 #[macro_export]
 macro_rules! options {
     (

@@ -11,7 +11,7 @@ use std::f64::consts::PI;
 
 /// Longest delay of a sensor or an action [s]: our choice, several times the delay of a robot that is steered over a network.
 pub const LONGEST_DELAY: f64 = 0.5;
-/// Largest number of observations in a row of [`Hardware::history`]: our choice, more than the 15 of usual policies.
+/// Largest number of observations in a row of [`Hardware::history`]: our choice, four times the 15 of humanoid-gym.
 const MOST_HISTORY: f64 = 64.0;
 
 options! {
