@@ -16,6 +16,7 @@ pub fn square_at_95(degrees: f64) -> f64 {
     two_sided_95(degrees).powi(2)
 }
 
+/// `z`: the normal distribution's quantile.
 fn quantile(z: f64, degrees: f64) -> f64 {
     let n = degrees;
     let (z3, z5) = (z.powi(3), z.powi(5));

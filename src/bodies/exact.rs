@@ -100,7 +100,7 @@ impl<R: Real> PlateScene<'_, R> {
         if !R::any(zero.lt(low)) {
             return None;
         }
-        // Mean depth of the part of the plate in the sand, and this part's share of the plate.
+        // Mean depth of the part of the plate in the sand, and this part's share of the plate; 1e-30 prevents 0 / 0.
         let low = low.max(zero);
         let covered = depth.lt(rise);
         let mean = R::select(covered, low * half, depth);

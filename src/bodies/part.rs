@@ -128,7 +128,7 @@ impl BodyPart {
         }
     }
 
-    /// The plates of a thin plate or a face, of about `size` [m].
+    /// The plates of a thin plate or a face, of about `size` [m]. Rounding, up to 1e-9, adds no plate.
     pub(crate) fn sheet(&self, size: Option<f64>) -> Vec<BodyPlate> {
         let PartKind::Sheet { length, width, thin } = self.kind else { return Vec::new() };
         let size = size.unwrap_or(length.max(width) / ALONG);

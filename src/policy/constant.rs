@@ -3,7 +3,7 @@
 use super::format::{DOUBLE, FLOAT, INT64, Tensor};
 use crate::error::{Error, Result};
 
-/// The beginning of a name in the file, because the whole name may be long.
+/// The beginning of a name in the file, because the whole name may be long. Our choice: 100 characters fit in a line.
 pub(super) fn shown(name: &str) -> &str {
     name.char_indices().nth(100).map_or(name, |(end, _)| &name[..end])
 }

@@ -41,7 +41,8 @@ fn together(meshes: &[&Arc<Vec<Triangle>>], most: usize) -> Vec<Arc<Vec<Triangle
         return meshes.iter().map(|m| Arc::clone(m)).collect();
     }
     let extent = meshes.iter().flat_map(|m| m.iter()).flatten().map(|p| p.amax()).fold(0.0, f64::max);
-    // The size is searched on a logarithmic scale; a cell as large as the robot leaves no triangle.
+    // The size is searched on a logarithmic scale. Our choice of its ends: the smallest cells change no picture, and of
+    // the largest a mesh has at most eight.
     let (mut low, mut high) = ((1e-4 * extent).ln(), (4.0 * extent).ln());
     for _ in 0..ROUNDS {
         let middle = (low + high) / 2.0;

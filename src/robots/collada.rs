@@ -142,6 +142,7 @@ impl<'a> ColladaReader<'a> {
     fn faces(&mut self, part: Node<'a, 'a>, at: &Matrix4<f64>) -> Result<()> {
         let inputs = part.children().filter(|c| c.has_tag_name_any("input"));
         let offset = |n: &Node| n.attribute("offset").and_then(|o| o.parse::<usize>().ok()).unwrap_or(0);
+        // Our choice of the bound: a larger offset is a mistake, and the sum must not overflow.
         let stride = inputs.clone().map(|n| offset(&n)).max().unwrap_or(0).min(100) + 1;
         let Some(vertex) = inputs.clone().find(|n| n.attribute("semantic") == Some("VERTEX")) else {
             return Err(self.wrong("a mesh without vertices"));

@@ -74,6 +74,7 @@ impl Inertial {
         if self.mass == 0.0 && most > 0.0 {
             return Ok(Some("has an inertia without a mass; it is used as it is".into()));
         }
+        // Our choice of a tolerance of 0.1 %: files round numbers to three digits.
         let most_of_flat = (least + middle) * (1.0 + 1e-3);
         let doubtful = most > most_of_flat && most - least - middle > NOTHING;
         Ok(doubtful.then(|| {

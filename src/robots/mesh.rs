@@ -60,6 +60,7 @@ impl Meshes {
         if triangles.is_empty() {
             return Err(Error::file(path, "no triangles"));
         }
+        // Our choice of the bound: it catches numbers that are no lengths, before the robot's file scales the mesh.
         if triangles.iter().flatten().flatten().any(|x| !x.is_finite() || x.abs() > 1e6) {
             return Err(Error::file(path, "a vertex is not finite, or farther than 1000 km"));
         }

@@ -75,6 +75,7 @@ impl StateRow {
             }
         }
         let norm = self.quat.iter().map(|x| x * x).sum::<f64>().sqrt();
+        // Our choice of the bounds: numbers beyond them are mistakes.
         if !(norm > 1e-6 && norm < 1e6) {
             return Err("quat is no rotation".into());
         }

@@ -202,6 +202,7 @@ impl UrdfReader<'_> {
                 let name = shape.required("filename")?;
                 let path = self.files.find("", name).map_err(|e| shape.error(e))?;
                 let scale = Vector3::from(shape.numbers("scale")?.unwrap_or([1.0; 3]));
+                // Our choice of the bound: it catches mistakes; files in millimetres have 0.001.
                 if scale.iter().any(|s| *s == 0.0 || s.abs() > 1e4) {
                     return Err(shape.wrong("scale", "must not be 0, nor larger than 10000"));
                 }
@@ -227,6 +228,7 @@ impl UrdfReader<'_> {
             }
         };
         let mimic = element.first("mimic").map(mimic).transpose()?;
+        // URDF's default. Our choice of the least length: a shorter axis is rounding.
         let axis = match element.first("axis") {
             Some(axis) => axis.numbers("xyz")?.ok_or_else(|| axis.error("xyz is missing"))?,
             None => [1.0, 0.0, 0.0],

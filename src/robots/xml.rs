@@ -10,7 +10,7 @@ use std::sync::Arc;
 const MOST_NODES: u32 = 200_000;
 /// Deepest nesting: our choice, a leg of twenty links is less than half of it.
 const DEEPEST: usize = 100;
-/// Largest number of characters of a malformed number in a message.
+/// Largest number of characters of a malformed number in a message: our choice, so that the message stays readable.
 const QUOTED: usize = 40;
 
 /// An element; its text is dropped, because robots do not use it.
@@ -68,6 +68,7 @@ impl LineStarts {
     }
 }
 
+/// The beginning of a text, so that messages stay readable.
 fn shortened(text: &str, most: usize) -> String {
     match text.char_indices().nth(most) {
         Some((end, _)) => format!("{}…", &text[..end]),

@@ -108,7 +108,8 @@ fn drive(element: &Element, autolimits: bool, joint: &mut TreeJoint, notes: &mut
     Ok(())
 }
 
-/// Limits a joint's torque to `factor` times a range, unless the joint already has a smaller limit.
+/// Limits a joint's torque to `factor` times a range, unless the joint already has a smaller limit. A billionth counts
+/// as rounding.
 fn limit(joint: &mut TreeJoint, range: Option<[f64; 2]>, factor: f64, notes: &mut Notes) {
     let Some([low, high]) = range.map(|r| r.map(|x| x * factor.abs())) else { return };
     let most = high.min(-low);

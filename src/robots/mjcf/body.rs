@@ -217,6 +217,7 @@ impl Builder<'_> {
             "slide" => (JointKind::Slide, 1.0),
             other => return Err(element.wrong("type", format!("{other:?} is not read here: hinge, slide"))),
         };
+        // MuJoCo's default, and its bound for lengths (`mjEPS`).
         let axis = Vector3::from(element.numbers("axis")?.unwrap_or([0.0, 0.0, 1.0]));
         let axis = Unit::try_new(axis, 1e-14).ok_or_else(|| element.wrong("axis", "has no length"))?;
         let range = element.numbers::<2>("range")?.filter(|_| element.get("range").is_some());

@@ -51,7 +51,7 @@ const KNOWN: [&str; 17] = [
 ];
 
 impl Compiler {
-    /// Reads all `<compiler>` sections; later ones take precedence.
+    /// Reads all `<compiler>` sections; later ones take precedence. The defaults are MuJoCo's.
     pub fn read(root: &Element, notes: &mut Notes) -> Result<Self> {
         let mut c = Self {
             angle: 1f64.to_radians(),
@@ -114,6 +114,7 @@ impl Compiler {
         Ok(Isometry3::from_parts(Translation3::new(x, y, z), self.orientation(element)?))
     }
 
+    /// An element's rotation. A vector shorter than 1e-14, MuJoCo's `mjEPS`, has no direction.
     pub fn orientation(&self, element: &Element) -> Result<UnitQuaternion<f64>> {
         let nothing = |name: &str| element.wrong(name, "has no direction");
         let axis = |name: &str, v: [f64; 3]| Unit::try_new(Vector3::from(v), 1e-14).ok_or_else(|| nothing(name));
@@ -150,7 +151,7 @@ impl Compiler {
     }
 }
 
-/// The smallest rotation that takes z to `direction`; for −z, about x.
+/// The smallest rotation that takes z to `direction`; for −z, about x. The bound is that of MuJoCo's `mjuu_z2quat`.
 pub fn from_z(direction: Unit<Vector3<f64>>) -> UnitQuaternion<f64> {
     let across = Vector3::z().cross(&direction);
     let sin = across.norm();

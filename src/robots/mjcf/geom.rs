@@ -72,6 +72,7 @@ impl GeomReader<'_> {
     pub fn mesh(&mut self, element: &Element) -> Result<(String, Result<Mesh>)> {
         self.notes.others(element, &MESH_KNOWN);
         let scale = Vector3::from(element.numbers("scale")?.unwrap_or([1.0; 3]));
+        // Our choice of the bound: it catches mistakes; files in millimetres have 0.001.
         if scale.iter().any(|s| *s == 0.0 || s.abs() > 1e4) {
             return Err(element.wrong("scale", "must not be 0, nor larger than 10000"));
         }
@@ -102,7 +103,7 @@ impl GeomReader<'_> {
         if element.get("refpos").is_some() || element.get("refquat").is_some() {
             let place = Vector3::from(element.numbers("refpos")?.unwrap_or_default());
             let [w, x, y, z] = element.numbers("refquat")?.unwrap_or([1.0, 0.0, 0.0, 0.0]);
-            let turn = UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-14);
+            let turn = UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-14); // MuJoCo's `mjEPS`
             let turn = turn.ok_or_else(|| element.wrong("refquat", "has no direction"))?;
             triangles = Arc::new(triangles.iter().map(|t| t.map(|p| turn.inverse() * (p - place))).collect());
         }
@@ -207,6 +208,7 @@ pub fn geom(element: &Element, compiler: &Compiler, assets: &Assets, notes: &mut
     if let Some(ends) = element.numbers::<6>("fromto")? {
         let from_to = Vector3::new(ends[0] - ends[3], ends[1] - ends[4], ends[2] - ends[5]);
         let middle = Translation3::new(ends[0] + ends[3], ends[1] + ends[4], ends[2] + ends[5]);
+        // MuJoCo's `mjEPS`.
         let axis = Unit::try_new(from_to, 1e-14).ok_or_else(|| element.wrong("fromto", "has no length"))?;
         origin = Isometry3::from_parts(Translation3::from(middle.vector / 2.0), from_z(axis));
         let radius = size.first().copied().unwrap_or(0.0);
@@ -329,6 +331,7 @@ fn filled(element: &Element, mesh: &Mesh) -> Result<(f64, Inertial)> {
             mesh::solid(&hull)
         }
     };
+    // Our choice of the bound: the volume of a cube with sides of 22 µm [m³], or a shell's area [m²].
     if amount.is_nan() || amount <= 1e-14 {
         return Err(no_volume(element));
     }
