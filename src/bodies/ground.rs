@@ -54,7 +54,7 @@ impl SandGround {
         let slope_deg = options.slope_deg + description.mechanisms.slope.to_degrees();
         check_range("slope_deg", slope_deg, -Scene::MAX_SLOPE_DEG..=Scene::MAX_SLOPE_DEG)?;
         // Our choice of bounds: below 1e-9 m/s the drag at rest is too large for single precision, and above 0.1 m/s a
-        // standing robot sinks. The gate is compared with a cosine, so it is at most 1; it also divides, so it is above 0.
+        // standing robot sinks. The gate is compared with a cosine, so it is at most 1; it divides, so it is above 0.
         check_range("rest_speed", options.rest_speed, 1e-9..=0.1)?;
         check_range("leading_edge_gate", options.leading_edge_gate, 1e-3..=1.0)?;
         if options.relief.is_some() && slope_deg != 0.0 {

@@ -36,8 +36,8 @@ pub struct Batch {
     pub(super) begun: Vec<bool>,
 }
 
-/// Memory [bytes] of the rows of one part of a rollout, unless one step needs more: our choice, the rows of some 5,000
-/// steps of one environment.
+/// Memory [bytes] of the rows of one part of a rollout, unless one step needs more: our choice, the rows of some 2,700
+/// steps of one environment of HexapodGait.
 const PART: usize = 1 << 19;
 
 impl Batch {

@@ -21,7 +21,7 @@ pub enum Quantity {
 }
 
 impl Quantity {
-    /// Units and their factor to the first unit, which is the SI unit except for degrees.
+    /// Units and their factor to the first unit, which is the SI unit except for degrees. All hold by definition.
     pub fn units(self) -> &'static [(&'static str, f64)] {
         const DEGREE: f64 = std::f64::consts::PI / 180.0;
         match self {

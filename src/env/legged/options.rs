@@ -95,6 +95,7 @@ impl LeggedOptions {
 
     pub(super) fn model(&self) -> Result<Model> {
         let interval = self.domain_rand.map_or(0.0, |rand| rand.push_interval);
+        // Our choice: at least five control steps from a push to the next.
         if interval != 0.0 {
             check_range("domain_rand.push_interval", interval, 0.1..=1e4)?;
         }
