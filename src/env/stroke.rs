@@ -69,8 +69,8 @@ impl StrokeOptions {
     }
 }
 
-/// Joint speed at action 1 [rad/s]: one turn in the default stroke. A straight leg's tip then reaches 0.7 m/s;
-/// resistive force theory is known to be valid up to some 0.5 m/s.
+/// Joint speed at action 1 [rad/s]: our choice, one turn in the default stroke. A straight leg's tip then reaches
+/// 0.7 m/s, beyond the some 0.5 m/s up to which resistive force theory is known to be valid.
 const TOP_SPEED: f64 = TAU;
 
 /// Least work in the efficiency [J], so that the efficiency of a leg at rest is defined: our choice, a hundredth of the

@@ -10,7 +10,7 @@ use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// Largest number of triangles of all meshes of a robot: our choice, because they take 144 MB.
+/// Largest number of triangles of all meshes of a robot: our choice, which bounds their memory to 144 MB.
 const MOST_TOGETHER: usize = 2_000_000;
 /// Corners closer than this share of the mesh's size are merged: our choice, ten times single precision's rounding.
 const SAME: f64 = 1e-6;

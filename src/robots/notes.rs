@@ -4,8 +4,8 @@
 use super::xml::Element;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Largest number of lines, and of names in a line: our choice, because the lines then fit on a screen. Of a name
-/// they have at most 60 characters.
+/// Largest number of lines, and of names in a line: our choice, because the lines then fit on a screen. Names are
+/// cut after 60 characters.
 const MOST_LINES: usize = 20;
 const MOST_NAMES: usize = 4;
 
