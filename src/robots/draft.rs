@@ -5,7 +5,7 @@ use crate::error::{Error, Result};
 use crate::sim::tree::{Geometry, Tree, TreeBody, TreeJoint, TreeShape};
 use nalgebra::{Isometry3, Matrix3, Translation3, Vector3};
 
-/// Largest number of links of a file, and of joints that move: our choice, several times those of a humanoid with hands.
+/// Largest number of links of a file, and of joints that move: our choice, several times a humanoid's with hands.
 pub const MOST_LINKS: usize = 2000;
 const MOST_JOINTS: usize = 200;
 /// Largest mass [kg] and distance [m]: our choice, which catches wrong units.
