@@ -28,9 +28,9 @@ from .threads import agreed, wanted
 #: Longest wait for the server to answer after its start [s]: our choice, because a busy machine may delay the start.
 START_TIMEOUT = 20.0
 
-#: Longest wait for the server to end by itself [s], within which it ends when its input closes. After this time it is
-#: killed.
-STOP_TIMEOUT = 5.0
+#: Longest wait for the server to end by itself [s]: our choice, two seconds more than it needs at most after its input
+#: closes. After this time it is killed.
+STOP_TIMEOUT = 7.0
 
 
 def command() -> list[str]:

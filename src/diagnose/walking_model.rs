@@ -62,7 +62,7 @@ impl<'a> WalkingModel<'a> {
         let plain = model.plain_sand();
         let trials = model.trials(&plain).into_iter().collect::<Result<Vec<_>>>()?;
         trials.iter().try_for_each(WalkTrial::validate)?;
-        let results = model.simulate(&[plain], 0.0);
+        let results = model.simulate(&[plain], &[0.0]);
         if let Some(error) = latch.error() {
             return Err(error);
         }
@@ -137,20 +137,20 @@ impl<'a> WalkingModel<'a> {
         self.setups.iter().map(trial).collect()
     }
 
-    /// Results of every state with all hips `phase` [rad] ahead, setup by setup; NaN where a simulation is refused,
-    /// diverges, or is stopped.
-    fn simulate(&self, states: &[SandParameters], phase: f64) -> Vec<Vec<WalkResult>> {
-        let keys = states.iter().map(|state| key(state, &[phase])).collect();
-        self.known.of(keys, |new| self.simulate_phase(&new.iter().map(|&k| states[k]).collect::<Vec<_>>(), phase))
-    }
-
-    /// Every state's results with all hips `phase` [rad] ahead.
-    fn simulate_phase(&self, states: &[SandParameters], phase: f64) -> Vec<Vec<WalkResult>> {
-        let ahead = |trial: Result<WalkTrial>| trial.map(|t| WalkTrial { phase, ..t });
-        let trials: Result<Vec<WalkTrial>> = states.iter().flat_map(|s| self.trials(s)).map(ahead).collect();
-        let results = trials.and_then(|t| walk_all(EngineKind::Lanes, &t, self));
-        let results = results.unwrap_or_else(|_| vec![WalkResult::lost(); self.setups.len() * states.len()]);
-        results.chunks(self.setups.len().max(1)).map(<[_]>::to_vec).collect()
+    /// Results of every state with all hips ahead by each of `phases` [rad]: state by state, then phase by phase, setup
+    /// by setup. NaN where a simulation is refused, diverges, or is stopped.
+    fn simulate(&self, states: &[SandParameters], phases: &[f64]) -> Vec<Vec<WalkResult>> {
+        let cases: Vec<_> = states.iter().flat_map(|state| phases.iter().map(move |&phase| (state, phase))).collect();
+        let keys = cases.iter().map(|(state, phase)| key(state, &[*phase])).collect();
+        self.known.of(keys, |new| {
+            let ahead = |phase: f64| move |trial: Result<WalkTrial>| trial.map(|t| WalkTrial { phase, ..t });
+            let new = new.iter().map(|&k| cases[k]);
+            let trials: Result<Vec<WalkTrial>> =
+                new.clone().flat_map(|(state, phase)| self.trials(state).into_iter().map(ahead(phase))).collect();
+            let results = trials.and_then(|t| walk_all(EngineKind::Lanes, &t, self));
+            let results = results.unwrap_or_else(|_| vec![WalkResult::lost(); self.setups.len() * new.len()]);
+            results.chunks(self.setups.len().max(1)).map(<[_]>::to_vec).collect()
+        })
     }
 
     /// Prediction by `engine` with a time step `finer` times smaller than the default one.
@@ -162,8 +162,8 @@ impl<'a> WalkingModel<'a> {
 
     fn others(&self, sand: &SandParameters) -> Others {
         let beds = self.predict_many(&[STRENGTH_STEP, -STRENGTH_STEP].map(|share| stronger(sand, share)));
-        let phases = PHASES.iter().flat_map(|&phase| self.simulate(&[*sand], phase));
-        Others { beds, phases: phases.map(|r| self.corrected(self.stack(&r))).collect() }
+        let phases = self.simulate(&[*sand], &PHASES);
+        Others { beds, phases: phases.iter().map(|r| self.corrected(self.stack(r))).collect() }
     }
 
     fn stack(&self, results: &[WalkResult]) -> Vec<f64> {
@@ -195,11 +195,13 @@ impl ForwardModel for WalkingModel<'_> {
     }
 
     fn predict(&self, mechanisms: &Mechanisms, coefficients: &Coefficients) -> Vec<f64> {
-        self.corrected(self.simulate(&[(*mechanisms, *coefficients)], 0.0).iter().flat_map(|r| self.stack(r)).collect())
+        self.corrected(
+            self.simulate(&[(*mechanisms, *coefficients)], &[0.0]).iter().flat_map(|r| self.stack(r)).collect(),
+        )
     }
 
     fn predict_many(&self, states: &[SandParameters]) -> Vec<Vec<f64>> {
-        self.simulate(states, 0.0).iter().map(|r| self.corrected(self.stack(r))).collect()
+        self.simulate(states, &[0.0]).iter().map(|r| self.corrected(self.stack(r))).collect()
     }
 
     fn as_simulated(&self, prediction: &[f64]) -> Vec<f64> {

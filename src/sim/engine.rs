@@ -56,6 +56,14 @@ impl EngineKind {
         }
     }
 
+    /// Number of robots that advance together in about the time of one.
+    pub fn lanes(self) -> Result<usize> {
+        Ok(match self {
+            Self::Lanes | Self::Tree => Isa::choose()?.lanes(),
+            Self::Rapier | Self::Carriage => 1,
+        })
+    }
+
     pub fn named(name: &str) -> Result<Self> {
         let known = Self::ALL.map(Self::name);
         Self::ALL.into_iter().find(|e| e.name() == name).ok_or_else(|| Error::unknown("engine", name, &known))

@@ -20,10 +20,11 @@ pub fn walk_all(engine: EngineKind, trials: &[WalkTrial], progress: &dyn Progres
         let ((ka, da), (kb, db)) = (key(a), key(b));
         ka.cmp(&kb).then(da.total_cmp(&db))
     });
+    let lanes = engine.lanes()?;
     let mut blocks: Vec<Vec<usize>> = Vec::new();
     for index in order {
         match blocks.last_mut() {
-            Some(block) if block.len() < engine.shard_size() && kind(&trials[block[0]]) == kind(&trials[index]) => {
+            Some(block) if block.len() < lanes && kind(&trials[block[0]]) == kind(&trials[index]) => {
                 block.push(index);
             }
             _ => blocks.push(vec![index]),

@@ -7,7 +7,6 @@ use super::log::Run;
 use super::windows::Window;
 use crate::error::{Error, Result};
 use crate::experiment::Experiment;
-use crate::number::Isa;
 use crate::progress::Latch;
 use crate::robots;
 use crate::sim::actuator::Actuator;
@@ -227,7 +226,7 @@ pub fn replay(engine: EngineKind, tasks: &[Replay], latch: &Latch) -> Result<Vec
     // Each engine has one block of lanes. Tasks of similar length share an engine, so that few lanes are idle.
     let mut order: Vec<usize> = (0..tasks.len()).collect();
     order.sort_by_key(|&k| std::cmp::Reverse(tasks[k].drive.ticks));
-    let chunks: Vec<&[usize]> = order.chunks(Isa::choose()?.lanes()).collect();
+    let chunks: Vec<&[usize]> = order.chunks(engine.lanes()?).collect();
     let done = crate::parallel::map(&chunks, |chunk| {
         let own: Vec<&Replay> = chunk.iter().map(|&k| &tasks[k]).collect();
         block(engine, &own, latch)

@@ -9,7 +9,7 @@ use std::io::{Read, Write};
 
 /// Heights are rounded to this [m]: our choice, a tenth of what a foot sinks into hard ground.
 const STEP: f64 = 1e-4;
-/// Longest text [bytes]: our choice, so that a session's options have room for a packed robot, too.
+/// Longest text [bytes]: our choice, half of a session's options (256 KiB); a robot's file takes some of the other half.
 const MOST_TEXT: usize = 128 << 10;
 /// Largest number of heights: 512 × 512, as many as [`super::relief::Relief::new`] accepts.
 const MOST: usize = 1 << 18;

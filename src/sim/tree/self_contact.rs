@@ -10,8 +10,8 @@
 use super::Tree;
 use super::contact::ContactPoint;
 use super::dynamics::{self, Folded};
+use super::free_joints::FreeJoints;
 use super::kinematics::chain;
-use super::limbs::FreeJoints;
 use super::stance::Stance;
 use crate::blocks::LinkFrame;
 use crate::number::{Real, Vec3};

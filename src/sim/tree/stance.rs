@@ -3,8 +3,10 @@
 
 use super::Tree;
 use super::contact::ContactPoint;
+use super::free_joints::FreeJoints;
 use super::kinematics::{chain, lowest};
-use super::limbs::{FreeJoints, Limb, Reached, STEPS, limbs};
+use super::limbs::{Limb, limbs};
+use super::reach::{Reached, STEPS};
 use nalgebra::{Isometry3, Vector3};
 
 type V = Vector3<f64>;

@@ -1,0 +1,63 @@
+//! The joints that a search for a pose may move, their ranges, and where the search starts.
+
+use super::Tree;
+
+/// Largest number of joints of a limb that a search moves, counted from the limb's end: our choice, more than any limb we
+/// know has; it bounds the time of a search.
+pub(super) const MOST_MOVING: usize = 8;
+/// Farthest position of a joint in a search [rad or m], for joints that turn without limits: our choice, less than half
+/// a turn, so that no pose is found twice.
+const FARTHEST: f64 = 2.8;
+
+/// Joints that a search may move, and where it begins.
+pub struct FreeJoints {
+    pub ranges: Vec<[f64; 2]>,
+    pub preferred: Vec<f64>,
+}
+
+impl FreeJoints {
+    /// A joint with a position in the file keeps it. A joint that follows a leader keeps the position that the leader's
+    /// preferred position gives. All other joints are free in their range, and their preferred position is 0.
+    pub fn of(tree: &Tree) -> Self {
+        let mut all = Self::free(tree);
+        for f in tree.followers() {
+            let at = f.ratio * all.preferred[f.leader] + f.offset;
+            (all.ranges[f.joint], all.preferred[f.joint]) = ([at; 2], at);
+        }
+        for (i, rest) in tree.joints().enumerate().filter_map(|(i, j)| Some((i, j.rest?))) {
+            (all.ranges[i], all.preferred[i]) = ([rest; 2], rest);
+        }
+        all
+    }
+
+    /// All joints are free in their range, also joints with a position in the file.
+    pub fn free(tree: &Tree) -> Self {
+        let range =
+            |j: &super::TreeJoint| j.range.unwrap_or([-FARTHEST, FARTHEST]).map(|end| end.clamp(-FARTHEST, FARTHEST));
+        let ranges: Vec<[f64; 2]> = tree.joints().map(range).collect();
+        let preferred = ranges.iter().map(|[low, high]| 0.0_f64.clamp(*low, *high)).collect();
+        Self { ranges, preferred }
+    }
+
+    /// Start `k` of a search: the preferred position, then positions spread over the ranges (Halton's sequence).
+    pub(super) fn start(&self, k: usize, moving: &[usize]) -> Vec<f64> {
+        // The first primes, as Halton's sequence needs: one for each joint.
+        const BASES: [usize; MOST_MOVING] = [2, 3, 5, 7, 11, 13, 17, 19];
+        let mut angles = self.preferred.clone();
+        for (base, body) in BASES.iter().zip(moving.iter().rev()).filter(|_| k > 0) {
+            let [low, high] = self.ranges[body - 1];
+            angles[body - 1] = low + (high - low) * halton(k, *base);
+        }
+        angles
+    }
+}
+
+fn halton(mut k: usize, base: usize) -> f64 {
+    let (mut part, mut sum) = (1.0, 0.0);
+    while k > 0 {
+        part /= base as f64;
+        sum += part * (k % base) as f64;
+        k /= base;
+    }
+    sum
+}
