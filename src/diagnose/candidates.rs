@@ -311,8 +311,7 @@ fn beneath(study: &FitInputs, base: Fit, fits: &[Fit]) -> Fit {
 /// prediction.
 fn surroundings(study: &FitInputs, asked: &SearchSpace, fit: &Fit) -> Surroundings {
     let source = asked.source;
-    let coefficients = study.coefficients(&fit.deviations);
-    let mut uncertainty = study.model.uncertainty(&(fit.mechanisms, coefficients), &fit.prediction);
+    let mut uncertainty = study.model.uncertainty(&study.sand(fit), &fit.prediction);
     uncertainty.shared.retain(|s| source.uncertainty.shared.iter().any(|own| own.name == s.name));
     // The noise is learnt from the fit's residual, nuisances included, and is proportional to the prediction of the
     // sand.

@@ -97,8 +97,9 @@ const MOST: f64 = 1e6;
 
 fn check_medium(row: &Row, experiment: &Experiment, first: &mut Option<String>) -> Result<()> {
     let Some(name) = row.text(MEDIUM) else { return Ok(()) };
-    let expected = first
-        .get_or_insert_with(|| if experiment.own_sand { name.to_string() } else { experiment.medium.name.clone() });
+    let expected = first.get_or_insert_with(|| {
+        if experiment.file.sand.is_some() { name.to_string() } else { experiment.medium.name.clone() }
+    });
     if name != expected {
         return Err(row.error(MEDIUM, format!("medium {name:?} is unknown; the experiment's is {expected:?}")));
     }
@@ -108,8 +109,8 @@ fn check_medium(row: &Row, experiment: &Experiment, first: &mut Option<String>) 
 /// The track of a trial with this row, without poses yet.
 fn track_header(row: &Row, experiment: &Experiment) -> Result<Track> {
     let shape = row.needed_text(SHAPE)?;
-    let Some(intruder) = experiment.shapes.get(shape) else {
-        let known: Vec<_> = experiment.shapes.keys().map(String::as_str).collect();
+    let Some(intruder) = experiment.file.shapes.get(shape) else {
+        let known: Vec<_> = experiment.file.shapes.keys().map(String::as_str).collect();
         let known = match known.is_empty() {
             true => "the experiment describes no shape; give a table [shape.NAME]".into(),
             false => format!("known: {}", known.join(", ")),

@@ -78,7 +78,7 @@ const ANSWERS: usize = 4;
 
 impl<'a> ForceLogModel<'a> {
     pub fn new(log: &ForceLog, experiment: &Experiment) -> Result<Self> {
-        let cuts = experiment.shapes.iter().map(|(name, shape)| Ok((name.clone(), IntruderSegments::new(shape)?)));
+        let cuts = experiment.file.shapes.iter().map(|(name, shape)| Ok((name.clone(), IntruderSegments::new(shape)?)));
         Ok(Self::along(log, experiment.clone(), cuts.collect::<Result<_>>()?))
     }
 
@@ -189,9 +189,9 @@ impl<'a> ForceLogModel<'a> {
     }
 
     /// Effects of nuisances on the data with this sand.
-    fn measuring(&self, (m, c): &SandParameters) -> Measuring {
-        let here = self.predict(m, c);
-        let by = |changed: Mechanisms, step: f64| slope(&self.predict(&changed, c), &here, step);
+    fn measuring(&self, sand: &SandParameters) -> Measuring {
+        let (here, (m, c)) = (self.predict(sand), sand);
+        let by = |changed: Mechanisms, step: f64| slope(&self.predict(&(changed, *c)), &here, step);
         let late = by(Mechanisms { delay: m.delay + TIME_STEP, ..*m }, TIME_STEP);
         let deep = by(Mechanisms { depth_zero: m.depth_zero + DEPTH_STEP, ..*m }, DEPTH_STEP);
         let tilt = by(Mechanisms { sensor_tilt: m.sensor_tilt + TILT_STEP, ..*m }, TILT_STEP);
@@ -224,10 +224,9 @@ impl ForwardModel for ForceLogModel<'_> {
     /// load cell, which drifts.
     fn uncertainty(&self, sand: &SandParameters, prediction: &[f64]) -> Uncertainty {
         let (m, c) = sand;
-        let (harder, _) = stronger(sand, STRENGTH_STEP);
-        let strength = slope(&self.predict(&harder, c), prediction, STRENGTH_STEP);
+        let strength = slope(&self.predict(&stronger(sand, STRENGTH_STEP)), prediction, STRENGTH_STEP);
         let depth = Mechanisms { depth_zero: m.depth_zero + DEPTH_STEP, ..*m };
-        let depth = slope(&self.predict(&depth, c), prediction, DEPTH_STEP);
+        let depth = slope(&self.predict(&(depth, *c)), prediction, DEPTH_STEP);
         let mut shared = vec![
             SharedNoise::one("bed_strength", "1", 0.05, false, strength),
             SharedNoise::one("depth_zero", "m", 3e-4, true, depth),
@@ -275,25 +274,19 @@ impl ForwardModel for ForceLogModel<'_> {
         all
     }
 
-    fn predict(&self, mechanisms: &Mechanisms, coefficients: &Coefficients) -> Vec<f64> {
-        if self.stopped() {
-            return self.layout.stack(|_, _, _| f64::NAN);
-        }
-        match self.responses.known(mechanisms) {
-            Some(response) => response.at(coefficients),
-            None => self.in_grounds(mechanisms, [*coefficients]).swap_remove(0),
-        }
-    }
-
     /// For states that differ only in the coefficients, the response to the coefficients is computed once.
     fn predict_many(&self, states: &[SandParameters]) -> Vec<Vec<f64>> {
         let alike = |m: &Mechanisms| states.iter().filter(|s| s.0 == *m).count();
         parallel::map(states, |(m, c)| {
-            if !self.stopped() && is_linear(m) && alike(m) >= ANSWERS {
+            if self.stopped() {
+                return self.layout.stack(|_, _, _| f64::NAN);
+            }
+            if is_linear(m) && alike(m) >= ANSWERS {
                 let predict = |sands| self.in_grounds(m, sands);
                 return self.responses.of(m, || CoefficientResponse::new(predict)).at(c);
             }
-            self.predict(m, c)
+            let known = self.responses.known(m);
+            known.map_or_else(|| self.in_grounds(m, [*c]).swap_remove(0), |response| response.at(c))
         })
     }
 
@@ -376,8 +369,8 @@ pub(super) mod tests {
     pub fn forces(mechanisms: Mechanisms, track: &Track) -> Vec<f64> {
         let toml = "kind = \"intrusion\"\nmedium = \"poppy-loose\"\nbulk_density = 640.0\n";
         let mut experiment = Experiment::from_toml(toml).unwrap();
-        experiment.shapes.insert(track.shape.clone(), track.intruder);
+        experiment.file.shapes.insert(track.shape.clone(), track.intruder);
         let model = ForceLogModel::new(&planned(vec![track.clone()], 3), &experiment).unwrap();
-        model.predict(&mechanisms, &model.medium().coefficients)
+        model.predict(&(mechanisms, model.medium().coefficients))
     }
 }

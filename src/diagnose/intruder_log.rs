@@ -95,10 +95,10 @@ fn sd(row: &Row, column: usize) -> Result<f64> {
 
 fn body(row: &Row, experiment: &Experiment) -> Result<String> {
     let name = row.needed_text(BODY)?;
-    if experiment.bodies.contains_key(name) {
+    if experiment.file.bodies.contains_key(name) {
         return Ok(name.into());
     }
-    let known: Vec<&str> = experiment.bodies.keys().map(String::as_str).collect();
+    let known: Vec<&str> = experiment.file.bodies.keys().map(String::as_str).collect();
     Err(row.error(BODY, Error::unknown("body", name, &known)))
 }
 
@@ -118,5 +118,5 @@ fn notes(experiment: &Experiment) -> Vec<String> {
     let said = |(name, body): (&String, &BodyDescription)| {
         format!("{name}: {}, surface friction μ_s {} (sandgait intrude --mu-s)", body.body, body.friction)
     };
-    experiment.bodies.iter().map(said).collect()
+    experiment.file.bodies.iter().map(said).collect()
 }

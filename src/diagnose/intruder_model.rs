@@ -7,6 +7,7 @@ use super::intruder_log::{CHANNELS, IntruderLog, SteadyRow};
 use super::nuisance::{Nuisance, Priors};
 use super::shared::{SharedNoise, Uncertainty};
 use crate::error::{Error, Result};
+use crate::parallel;
 use crate::progress::Latch;
 use crate::sand::intruder::{DepthOrLoad, PlatedBody, Status, Trial, compute, without_effect};
 use crate::sand::mechanism::{CATALOG, Mechanisms, Side};
@@ -67,12 +68,12 @@ impl<'a> IntruderModel<'a> {
             latch,
             experiment: experiment.clone(),
             states: log.settings.clone(),
-            cuts: experiment.bodies.iter().map(cut).collect::<Result<_>>()?,
+            cuts: experiment.file.bodies.iter().map(cut).collect::<Result<_>>()?,
         })
     }
 
     /// The sand in contact with one body.
-    fn sand(&self, body: &BodyDescription, mechanisms: &Mechanisms, coefficients: &Coefficients) -> SandDescription {
+    fn sand(&self, body: &BodyDescription, (mechanisms, coefficients): &SandParameters) -> SandDescription {
         let friction_clip = 1.0 / body.friction.max(0.1);
         SandDescription {
             law: self.experiment.law,
@@ -82,14 +83,14 @@ impl<'a> IntruderModel<'a> {
         }
     }
 
-    fn predict_changed(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, changed: Changed) -> Vec<f64> {
+    fn predict_changed(&self, sand: &SandParameters, changed: Changed) -> Vec<f64> {
         let sands: BTreeMap<&str, SandDescription> = self
             .cuts
             .iter()
             .map(|(name, cut)| {
                 let friction = cut.description.friction + changed.friction;
                 let body = BodyDescription { friction, ..cut.description.clone() };
-                (name.as_str(), self.sand(&body, mechanisms, coefficients))
+                (name.as_str(), self.sand(&body, sand))
             })
             .collect();
         let of = |state: &SteadyRow| {
@@ -103,8 +104,8 @@ impl<'a> IntruderModel<'a> {
     }
 
     /// Derivative of the prediction with respect to a change of the body.
-    fn felt(&self, (m, c): &SandParameters, changed: Changed, step: f64) -> Vec<f64> {
-        slope(&self.predict_changed(m, c, changed), &self.predict(m, c), step)
+    fn felt(&self, sand: &SandParameters, changed: Changed, step: f64) -> Vec<f64> {
+        slope(&self.predict_changed(sand, changed), &self.predict(sand), step)
     }
 }
 
@@ -151,16 +152,15 @@ impl ForwardModel for IntruderModel<'_> {
         self.latch.stopped()
     }
 
-    fn predict(&self, mechanisms: &Mechanisms, coefficients: &Coefficients) -> Vec<f64> {
-        self.predict_changed(mechanisms, coefficients, Changed::default())
+    fn predict_many(&self, sands: &[SandParameters]) -> Vec<Vec<f64>> {
+        parallel::map(sands, |sand| self.predict_changed(sand, Changed::default()))
     }
 
     /// Beds differ in strength, and readings of a steady state fluctuate in time. The error of the law is a tenth of
     /// the load in each of the two forces, and in the sinkage the change that a tenth of the sand's strength causes.
     /// These errors are independent between conditions and channels.
     fn uncertainty(&self, sand: &SandParameters, prediction: &[f64]) -> Uncertainty {
-        let (m, c) = stronger(sand, STRENGTH_STEP);
-        let strength = slope(&self.predict(&m, &c), prediction, STRENGTH_STEP);
+        let strength = slope(&self.predict(&stronger(sand, STRENGTH_STEP)), prediction, STRENGTH_STEP);
         // f(row, channel) in one channel only
         let only = |channel: usize, f: &dyn Fn(usize) -> f64| -> Vec<f64> {
             (0..prediction.len()).map(|k| if k % 3 == channel { f(k / 3) } else { 0.0 }).collect()

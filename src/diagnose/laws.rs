@@ -93,11 +93,11 @@ fn dictionary([speed, depth, width]: [f64; 3]) -> Vec<Term> {
 /// time, and take a part of the cause's value.
 pub fn laws(study: &FitInputs, base: &Fit) -> Option<Laws> {
     study.model.with_terms(&[])?;
-    let coefficients = study.coefficients(&base.deviations);
+    let sand = study.sand(base);
     let normal = study.normal_equations(base);
     let column = |law: &Term| {
         let model = study.model.with_terms(std::slice::from_ref(law))?;
-        let column = slope(&model.predict(&base.mechanisms, &coefficients), &base.prediction, 1.0);
+        let column = slope(&model.predict(&sand), &base.prediction, 1.0);
         let white = study.whitener.apply(&column);
         if !base.ids.is_empty() && normal.explained(&white, base.ids.len())? > COLLINEAR {
             return None;
@@ -105,7 +105,7 @@ pub fn laws(study: &FitInputs, base: &Fit) -> Option<Laws> {
         // Whether a law is physically possible depends on the sign of its coefficient, which a fit of this law alone gives.
         let estimate = dot(&white, &base.white) / dot(&white, &white).max(1e-300);
         let fitted = Term { coefficient: estimate, ..law.clone() };
-        fitted.check(&coefficients, study.model.medium().bulk_density).ok()?;
+        fitted.check(&sand.1, study.model.medium().bulk_density).ok()?;
         Some((law.clone(), Arc::new(column.iter().map(|v| *v as f32).collect())))
     };
     let made = parallel::map(&dictionary(study.model.reach()), column);
@@ -127,7 +127,7 @@ pub fn fitted(study: &FitInputs, base: &Fit, mut term: Term, held: bool) -> Opti
         let step = 0.02 * term.coefficient;
         let more = Term { coefficient: term.coefficient + step, ..term.clone() };
         let model = study.model.with_terms(std::slice::from_ref(&more))?;
-        let moved = model.predict(&fit.mechanisms, &study.coefficients(&fit.deviations));
+        let moved = model.predict(&study.sand(&fit));
         let white = study.whitener.apply(&slope(&moved, &fit.prediction, step));
         let [score, left] = study.normal_equations(&fit).beside(&white, &fit.white)?;
         term.coefficient += score / left.max(1e-300);
@@ -168,7 +168,7 @@ pub(super) mod tests {
         let model = ForceLogModel::new(&log, &Experiment::from_toml(EXPERIMENT).unwrap()).unwrap();
         let hidden = Mechanisms { cohesion: 300.0, ..Mechanisms::default() };
         let law = Term { coefficient: 1.0, ..term(&[("froude", 0.75), ("depth_over_width", -0.25)]) };
-        let values = model.with_terms(&[law]).unwrap().predict(&hidden, &model.medium().coefficients);
+        let values = model.with_terms(&[law]).unwrap().predict(&(hidden, model.medium().coefficients));
         let observations = super::super::observations::Observations { values, ..log.observations.clone() };
         let channel = ChannelNoise { grain: 0.04, sensor: 0.03, phi: 0.5 };
         let noise = Noise { clock: NoiseClock::Path, channels: vec![channel; 2], shared: Vec::new() };

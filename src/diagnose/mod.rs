@@ -110,7 +110,7 @@ pub fn diagnose(data: &Path, experiment: &Experiment, progress: &dyn Progress) -
 }
 
 fn diagnose_kind(data: &Path, experiment: &Experiment, progress: &Latch) -> Result<Diagnosis> {
-    match experiment.kind {
+    match experiment.file.kind {
         DataKind::Intrusion => {
             let log = force_log::read(data, experiment, progress)?;
             let model = ForceLogModel::new(&log, experiment)?.stopped_by(progress);
@@ -142,10 +142,10 @@ fn diagnose_measured(
     model: &dyn ForwardModel,
     progress: &dyn Progress,
 ) -> Result<Diagnosis> {
-    let Experiment { coefficient_sd, nuisances: Priors { interest, .. }, given, .. } = model.experiment();
+    let Experiment { file, nuisances: Priors { interest, .. }, given, .. } = model.experiment();
     progress.report(0.02, "noise from the repetitions")?;
     let plain_sand = model.plain_sand();
-    let plain = model.predict(&plain_sand.0, &plain_sand.1);
+    let plain = model.predict(&plain_sand);
     let all = model.uncertainty(&plain_sand, &plain);
     let sizes = sizes(observations);
     let source = NoiseData { observations, prediction: &plain, sizes: &sizes, uncertainty: &all, left_out: &[] };
@@ -157,7 +157,7 @@ fn diagnose_measured(
     let source = NoiseData { uncertainty: &uncertainty, ..source };
     let noise = if pruned { source.noise(None, &|| model.stopped()) } else { noise };
     let whitener = Whitener::new(&source, &noise);
-    let study = FitInputs::new(observations, model, &whitener, *coefficient_sd);
+    let study = FitInputs::new(observations, model, &whitener, file.coefficient_sd);
     let (ids, unknown, untestable) = testable(&study);
     let floor = source.floor();
     let selection = match scatters(observations, &floor) {

@@ -24,7 +24,7 @@ const REPETITIONS: usize = 3;
 
 /// The `count` trials of the menu that best separate the two nearest explanations.
 pub fn propose(menu: &Menu, noise: &Noise, study: &FitInputs, set: &[&Fit], count: usize) -> Vec<Proposal> {
-    let states: Vec<_> = set.iter().map(|f| (f.mechanisms, study.coefficients(&f.deviations))).collect();
+    let states: Vec<_> = set.iter().map(|f| study.sand(f)).collect();
     let predictions = menu.model.predict_many(&states);
     let (Some(first), Some(sand)) = (predictions.first(), states.first()) else {
         return Vec::new();

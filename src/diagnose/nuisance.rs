@@ -89,7 +89,7 @@ impl Default for Priors {
 }
 
 /// The form of the table in the file.
-#[derive(Deserialize)]
+#[derive(Clone, Debug, Deserialize)]
 #[serde(untagged)]
 pub enum PriorEntry {
     Sd(f64),

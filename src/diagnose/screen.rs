@@ -33,7 +33,7 @@ pub struct Scores {
 impl Screen {
     /// Effects of the candidates on the prediction of the plain model.
     pub fn new(study: &FitInputs, candidates: &[usize]) -> Self {
-        let plain = study.model.predict(&Mechanisms::default(), &study.model.medium().coefficients);
+        let plain = study.model.predict(&study.model.plain_sand());
         let tried = candidates.iter().flat_map(|&id| starts(study, id).into_iter().map(move |value| (id, value)));
         let tried: Vec<_> = tried.collect();
         let coefficients = study.model.medium().coefficients;

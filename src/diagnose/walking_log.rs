@@ -114,9 +114,9 @@ pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Re
 }
 
 fn setup(row: &Row, experiment: &Experiment) -> Result<WalkSetup> {
-    let robot = row.text(ROBOT).or(experiment.robot.as_deref());
+    let robot = row.text(ROBOT).or(experiment.file.robot.as_deref());
     let robot = robot.ok_or_else(|| row.error(ROBOT, "is blank, and the experiment names none"))?;
-    if experiment.robot.as_deref() != Some(robot) && !Robot::names().contains(&robot) {
+    if experiment.file.robot.as_deref() != Some(robot) && !Robot::names().contains(&robot) {
         return Err(row.error(ROBOT, Error::unknown("robot", robot, &Robot::names())));
     }
     let frequency = row.needed_within(FREQUENCY, 20.0)?;

@@ -9,8 +9,7 @@ use super::shared::{SharedNoise, Uncertainty};
 use super::walking_log::{self, WalkSetup, WalkingLog};
 use crate::error::{Error, Result};
 use crate::progress::{Latch, Progress};
-use crate::sand::mechanism::Mechanisms;
-use crate::sand::{Coefficients, Medium};
+use crate::sand::Medium;
 use crate::sim::engine::EngineKind;
 use crate::sim::model::Scene;
 use crate::sim::walk::{WalkResult, WalkTrial};
@@ -102,7 +101,7 @@ impl<'a> WalkingModel<'a> {
     /// with the whole step. An eighth of the error remains.
     fn correct_step(&mut self) -> Result<()> {
         let plain = self.plain_sand();
-        let (fine, coarse) = (self.stepped(EngineKind::Lanes, &plain, FINE)?, self.predict(&plain.0, &plain.1));
+        let (fine, coarse) = (self.stepped(EngineKind::Lanes, &plain, FINE)?, self.predict(&plain));
         let ratio = |(f, c): (&f64, &f64)| if (f / c).is_finite() { f / c } else { 1.0 };
         self.correction = fine.iter().zip(&coarse).map(ratio).collect();
         Ok(())
@@ -192,12 +191,6 @@ fn channel(result: &WalkResult, name: &str) -> f64 {
 impl ForwardModel for WalkingModel<'_> {
     fn stopped(&self) -> bool {
         self.latch.stopped()
-    }
-
-    fn predict(&self, mechanisms: &Mechanisms, coefficients: &Coefficients) -> Vec<f64> {
-        self.corrected(
-            self.simulate(&[(*mechanisms, *coefficients)], &[0.0]).iter().flat_map(|r| self.stack(r)).collect(),
-        )
     }
 
     fn predict_many(&self, states: &[SandParameters]) -> Vec<Vec<f64>> {

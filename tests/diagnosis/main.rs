@@ -66,7 +66,7 @@ fn forward_model_agrees_with_the_test_bed() {
         let log = force_log::read(&file(directory.path(), &lab.clean), &experiment(), &Silent).unwrap();
         let model = ForceLogModel::new(&log, &experiment()).unwrap();
         let mechanisms = Mechanisms::default().with(Mechanisms::index(entry.id).unwrap(), entry.typical);
-        let ours = model.predict(&mechanisms, &medium.coefficients);
+        let ours = model.predict(&(mechanisms, medium.coefficients));
         let o = &log.observations;
         for unit in &o.units {
             for channel in 0..2 {
@@ -164,7 +164,7 @@ fn drag_is_the_main_cause_of_plates_in_grains() {
     assert_eq!(r.terms.len(), sand.terms.len());
     let log = force_log::read(&data, &experiment, &Silent).unwrap();
     let model = ForceLogModel::new(&log, &experiment).unwrap();
-    let again = model.with_terms(&sand.terms).unwrap().predict(&sand.mechanisms, &sand.coefficients);
+    let again = model.with_terms(&sand.terms).unwrap().predict(&(sand.mechanisms, sand.coefficients));
     assert!(again.iter().zip(&curves.extended.unwrap()).all(|(a, b)| (a - b).abs() < 1e-9));
 }
 
@@ -349,7 +349,7 @@ fn the_extended_sand_predicts_what_the_report_shows() {
     let sand = SandDescription::load(&directory.path().join("out/sand.toml")).unwrap();
     let log = force_log::read(&path, &experiment(), &Silent).unwrap();
     let model = ForceLogModel::new(&log, &experiment()).unwrap();
-    let again = model.predict(&sand.mechanisms, &sand.coefficients);
+    let again = model.predict(&(sand.mechanisms, sand.coefficients));
     let shown = diagnosis.curves.extended.unwrap();
     assert!(again.iter().zip(&shown).all(|(a, b)| (a - b).abs() < 1e-9));
 }

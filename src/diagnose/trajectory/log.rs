@@ -1,7 +1,8 @@
 //! A robot's own log in memory: runs with the samples of joints and IMU, gathered from the rows of a file.
 
-use super::keys::{Keys, RunTable};
+use super::keys::{MOST_RUNS, RunTable};
 use crate::error::{Error, Result};
+use crate::experiment::ExperimentFile;
 use crate::series::ends;
 use crate::table::{HeaderColumn, Quantity, Row};
 use std::collections::BTreeMap;
@@ -12,8 +13,6 @@ use std::path::Path;
 const MOST_NUMBERS: usize = 20_000_000;
 /// Largest number of a robot's joints: our choice, enough for a hexapod with four joints a leg.
 pub const MOST_JOINTS: usize = 24;
-/// Largest number of runs in a log: our choice.
-const MOST_RUNS: usize = 1000;
 /// Fewest samples of a run: our choice; a tenth of a second at 200 Hz is less than a stride.
 const FEWEST_SAMPLES: usize = 20;
 /// Longest usual time between two samples [s]. The next constant is the longest gap as a multiple of the usual time. Our choices: a
@@ -104,12 +103,12 @@ pub struct JointColumns<'a> {
 
 impl<'a> JointColumns<'a> {
     /// The columns of these joints. If the torque constant is given, the log has currents in place of torques.
-    pub fn new(joints: &'a [String], keys: &Keys) -> Result<Self> {
+    pub fn new(joints: &'a [String], file: &ExperimentFile) -> Result<Self> {
         if joints.is_empty() || joints.len() > MOST_JOINTS {
             let reason = format!("the robot has {} joints; a log is replayed with 1 to {MOST_JOINTS}", joints.len());
             return Err(Error::invalid("robot", reason));
         }
-        let currents = keys.torque_constant.is_some();
+        let currents = file.motor.torque_constant.is_some();
         let torque = if currents { "i" } else { "tau" };
         let of_joints =
             ["q", "qd", torque].into_iter().flat_map(|kind| joints.iter().map(move |j| format!("{kind}:{j}")));
@@ -150,7 +149,7 @@ impl<'a> JointColumns<'a> {
 /// Gathers the rows of a file into runs.
 pub struct Gather<'a> {
     names: &'a JointColumns<'a>,
-    keys: &'a Keys,
+    file: &'a ExperimentFile,
     runs: Vec<Run>,
     places: BTreeMap<String, usize>,
     numbers: usize,
@@ -159,8 +158,8 @@ pub struct Gather<'a> {
 }
 
 impl<'a> Gather<'a> {
-    pub fn new(names: &'a JointColumns<'a>, keys: &'a Keys) -> Self {
-        Self { names, keys, runs: Vec::new(), places: BTreeMap::new(), numbers: 0, there: None }
+    pub fn new(names: &'a JointColumns<'a>, file: &'a ExperimentFile) -> Self {
+        Self { names, file, runs: Vec::new(), places: BTreeMap::new(), numbers: 0, there: None }
     }
 
     pub fn take(&mut self, row: &Row) -> Result<()> {
@@ -169,11 +168,11 @@ impl<'a> Gather<'a> {
             let all = |from: usize, count: usize| (from..from + count).all(|c| row.text(c).is_some());
             [all(FIXED.len() + joints, joints), all(QUAT, 4), all(PLACE, 3)]
         });
-        let constant = self.keys.torque_constant.unwrap_or(1.0);
+        let constant = self.file.motor.torque_constant.unwrap_or(1.0);
         let number = |column: usize| row.within(column, MOST)?.ok_or_else(|| row.blank(column));
         let t = number(T)?;
-        let cut = self.keys.runs.iter().find(|cut| cut.holds(t));
-        if cut.is_none() && !self.keys.runs.is_empty() {
+        let cut = self.file.runs.iter().find(|cut| cut.holds(t));
+        if cut.is_none() && !self.file.runs.is_empty() {
             return Ok(()); // the experiment file lists runs, and the row belongs to none of them
         }
         let place = self.place(row, cut)?;
@@ -228,11 +227,11 @@ impl<'a> Gather<'a> {
             return Err(row.error(RUN, format!("more than {MOST_RUNS} runs")));
         }
         let joints = self.names.joints.len();
-        let frequency = cut.and_then(|c| c.stride_frequency).or(row.number(FREQUENCY)?).or(self.keys.stride_frequency);
+        let frequency = cut.and_then(|c| c.stride_frequency).or(row.number(FREQUENCY)?).or(self.file.stride_frequency);
         if frequency.is_some_and(|f| !(-20.0..=20.0).contains(&f)) {
             return Err(row.error(FREQUENCY, "is outside [-20, 20] Hz"));
         }
-        let slope_deg = cut.and_then(|c| c.slope_deg).or(row.number(SLOPE)?).unwrap_or(self.keys.slope_deg);
+        let slope_deg = cut.and_then(|c| c.slope_deg).or(row.number(SLOPE)?).unwrap_or(self.file.slope_deg);
         if slope_deg.abs() > crate::sim::model::Scene::MAX_SLOPE_DEG {
             return Err(
                 row.error(SLOPE, format!("{slope_deg} is outside ±{}", crate::sim::model::Scene::MAX_SLOPE_DEG))
@@ -241,7 +240,7 @@ impl<'a> Gather<'a> {
         self.runs.push(Run {
             name: name.into(),
             condition: cut.and_then(|c| c.condition.as_deref()).or(row.text(CONDITION)).unwrap_or(name).into(),
-            leg: cut.and_then(|c| c.leg.as_deref()).or(row.text(LEG)).or(self.keys.leg.as_deref()).map(Into::into),
+            leg: cut.and_then(|c| c.leg.as_deref()).or(row.text(LEG)).or(self.file.leg.as_deref()).map(Into::into),
             slope_deg,
             frequency,
             q: vec![Vec::new(); joints],

@@ -35,16 +35,16 @@ use std::path::Path;
 
 /// Reads a log and refuses it if units or signs are wrong.
 fn read(data: &Path, experiment: &Experiment, progress: &dyn Progress) -> Result<Log> {
-    let keys = &experiment.trajectory;
+    let file = &experiment.file;
     let joints = ReplayRobot::of(experiment)?.joint_names();
-    let names = JointColumns::new(&joints, keys)?;
+    let names = JointColumns::new(&joints, file)?;
     let columns = names.columns();
-    let [renamed, units] = [&experiment.columns, &experiment.units].map(|table| names.for_each_joint(table));
+    let [renamed, units] = [&file.columns, &file.units].map(|table| names.for_each_joint(table));
     let asked = ReadOptions { renamed, units, progress, ..ReadOptions::new(&columns) };
-    let mut gather = Gather::new(&names, keys);
+    let mut gather = Gather::new(&names, file);
     let summary = table::read(data, &asked, |row| gather.take(row))?;
     let log = gather.finish(data, summary.sha256)?;
-    consistency::check(data, &log, &joints, keys.imu.quat)?;
+    consistency::check(data, &log, &joints, file.imu.quat)?;
     Ok(log)
 }
 

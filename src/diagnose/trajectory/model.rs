@@ -45,7 +45,7 @@ impl<'a> TrajectoryModel<'a> {
     pub fn new(log: Log, experiment: &Experiment, latch: &'a Latch<'a>) -> Result<(Self, Observations)> {
         let body = ReplayRobot::of(experiment)?;
         let bodies = log.runs.iter().map(|r| body.with_leg(r.leg.as_deref())).collect::<Result<Vec<_>>>()?;
-        let windows = windows(&log.runs, experiment.trajectory.window);
+        let windows = windows(&log.runs, experiment.file.window);
         if windows.is_empty() {
             let reason = "no run has a whole stride after its first one: log runs of at least three strides";
             return Err(Error::invalid("data", reason));
@@ -121,7 +121,7 @@ impl<'a> TrajectoryModel<'a> {
 
     /// The prediction of the plain model.
     pub fn plain(&self) -> Vec<f64> {
-        self.simulate(&[self.plain_sand()]).swap_remove(0)
+        self.predict(&self.plain_sand())
     }
 
     /// A sentence that says which joint each torque channel belongs to.

@@ -29,7 +29,7 @@ impl TrajectoryModel<'_> {
     /// known in advance.
     pub(super) fn planned(&self) -> Option<Menu<'_>> {
         let (runs, bodies, descriptions) = self.walks()?;
-        let mut all = windows(&runs, self.experiment.trajectory.window);
+        let mut all = windows(&runs, self.experiment.file.window);
         if all.len() != runs.len() {
             return None;
         }

@@ -38,8 +38,8 @@ pub enum ReplayRobot {
 impl ReplayRobot {
     /// The robot of an experiment.
     pub fn of(experiment: &Experiment) -> Result<Self> {
-        let touches = experiment.trajectory.touches.as_deref();
-        Self::load(experiment.robot.as_deref().unwrap_or("xplorer"), touches)
+        let touches = experiment.file.touches.as_deref();
+        Self::load(experiment.file.robot.as_deref().unwrap_or("xplorer"), touches)
     }
 
     /// A built-in robot, our own TOML, or a URDF or MJCF file.

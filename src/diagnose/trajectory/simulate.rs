@@ -55,7 +55,7 @@ impl TrajectoryModel<'_> {
         let task = |(state, k): (usize, usize)| Replay {
             model: &models[state][self.windows[k].run],
             drive: &self.drives[k],
-            imu: self.experiment.trajectory.imu.position,
+            imu: self.experiment.file.imu.position,
         };
         let tasks: Vec<Replay> =
             (0..states.len()).flat_map(|s| (0..self.windows.len()).map(move |k| (s, k))).map(task).collect();
@@ -81,7 +81,7 @@ impl TrajectoryModel<'_> {
         let of = |(k, track): (usize, &Signals)| {
             let (window, tick) = (&self.windows[k], self.drives[k].tick);
             let times = &self.log.runs[window.run].t;
-            read(&self.layout, window, times, track, tick, mounting, self.experiment.trajectory.imu.quat)
+            read(&self.layout, window, times, track, tick, mounting, self.experiment.file.imu.quat)
         };
         tracks.iter().enumerate().flat_map(of).collect()
     }

@@ -131,8 +131,7 @@ fn what_is_found_closes_the_loop() {
     // Without the hardware the predictions differ.
     let latch = Latch::new(&Silent);
     let (.., model) = measured(file(&text).path(), &again("source = \"none\"\n"), &latch).unwrap();
-    let (mechanisms, coefficients) = model.plain_sand();
-    assert!(told.iter().zip(&model.predict(&mechanisms, &coefficients)).any(|(a, b)| (a - b).abs() > 0.01));
+    assert!(told.iter().zip(&model.plain()).any(|(a, b)| (a - b).abs() > 0.01));
 }
 
 /// The intervals contain delay and filter of the IMU, and a slow filter is distinguished from a delay.
@@ -172,7 +171,7 @@ fn planned_walks_distinguish_causes() {
         Mechanisms { slope: 0.1, ..Mechanisms::PLAIN },
         Mechanisms { motor_torque_limit: 0.005, ..Mechanisms::PLAIN },
     ];
-    let [plain, slope, weak] = causes.map(|m| menu.model.predict(&m, &coefficients));
+    let [plain, slope, weak] = causes.map(|m| menu.model.predict(&(m, coefficients)));
     for unit in &menu.observations.units {
         let span = menu.observations.span(unit);
         let apart = |a: &[f64]| a[span.clone()].iter().zip(&plain[span.clone()]).any(|(a, b)| (a - b).abs() > 1e-5);
