@@ -101,7 +101,7 @@ pub fn candidates(
     let around = Surroundings { noise, sizes, whitener, nuisances };
     let straight = around.about(study);
     let mut fits = singles(&straight, &screen, &scores, &ids);
-    let base = beneath(&straight, straight.recalibrated(), &fits);
+    let base = plain_beneath(&straight, straight.recalibrated(), &fits);
     let earlier = base.objective;
     let mut behind = fits.split_off(fits.len().min(FINALISTS));
     // Causes that cannot be tested are always compared, because they may look like another cause.
@@ -179,7 +179,7 @@ impl Candidates {
             let same = again.iter_mut().find(|f| f.ids == other.ids && other.objective < f.objective);
             same.into_iter().for_each(|f| *f = other.clone());
         }
-        self.base = beneath(study, study.fit_from(&[&self.base]).swap_remove(0), &again);
+        self.base = plain_beneath(study, study.fit_from(&[&self.base]).swap_remove(0), &again);
         self.fits = ranked(again);
     }
 
@@ -224,7 +224,7 @@ impl Candidates {
         let mut pairs = ranked(renewed.fit_all(&tried.iter().map(starts).collect::<Vec<_>>()));
         pairs.truncate(FINALISTS);
         let place = fits.iter().position(|f| f.ids == [id]).unwrap_or(0);
-        if let Some(lower) = pairs.first().and_then(|pair| beyond(&renewed, &fits[place], pair)) {
+        if let Some(lower) = pairs.first().and_then(|pair| beneath(&renewed, &fits[place], pair)) {
             self.fits[place] = lower;
         }
         self.fits.extend(pairs);
@@ -293,18 +293,25 @@ fn far_start(study: &FitInputs, id: usize, estimate: f64) -> Option<f64> {
     (study.model.roughness().is_some() && !entry.ceiling).then_some(far)
 }
 
-/// If the model is rough, the fit of the plain model may have ended in a local minimum, and a cause may then gain only
-/// because its fit leaves this minimum. So the plain model is fitted again from the end of the best of `fits`, and
-/// replaces `base` if its objective is lower.
-fn beneath(study: &FitInputs, base: Fit, fits: &[Fit]) -> Fit {
-    let best = fits.iter().min_by(|a, b| a.objective.total_cmp(&b.objective));
-    let Some(best) = best.filter(|best| study.model.roughness().is_some() && best.objective < base.objective) else {
-        return base;
-    };
-    let (ids, mechanisms) = (Vec::new(), Mechanisms::default());
-    let from = Fit { ids, mechanisms, slopes: Vec::new(), ..best.clone() };
+/// If the model is rough, a fit with fewer causes may have ended in a local minimum, and a fit with more causes may then gain
+/// only because it leaves this minimum. So the fit with fewer causes is made again from the `end` of the other one. Returns
+/// it if its objective is lower; None for a smooth model, and if the other fit lacks one of the causes.
+fn beneath(study: &FitInputs, fit: &Fit, end: &Fit) -> Option<Fit> {
+    if study.model.roughness().is_none() || !fit.ids.iter().all(|id| end.ids.contains(id)) {
+        return None;
+    }
+    let with = |all: Mechanisms, &id: &usize| all.with(id, end.mechanisms.get(id));
+    let mechanisms = fit.ids.iter().fold(Mechanisms::default(), with);
+    let from = Fit { ids: fit.ids.clone(), mechanisms, slopes: Vec::new(), ..end.clone() };
     let again = study.fit_from(&[&from]).swap_remove(0);
-    if again.objective < base.objective { again } else { base }
+    (again.objective < fit.objective).then_some(again)
+}
+
+/// The plain model's fit, made again from the end of the best of `fits` if this has a lower objective.
+fn plain_beneath(study: &FitInputs, base: Fit, fits: &[Fit]) -> Fit {
+    let best = fits.iter().min_by(|a, b| a.objective.total_cmp(&b.objective));
+    let best = best.filter(|best| best.objective < base.objective);
+    best.and_then(|best| beneath(study, &base, best)).unwrap_or(base)
 }
 
 /// Noise, whitening and nuisances about a fit. The common part of a repetition's noise acts along the fit's
@@ -362,15 +369,4 @@ fn bent(study: &FitInputs, whitener: &Whitener, fit: &Fit) -> Vec<Nuisance> {
         now = next;
     }
     now.nuisances_of(fit, &at)
-}
-
-/// If the model is rough, the fit of a single cause may have ended in a local minimum, and a pair may then gain only
-/// because its fit leaves this minimum. So the single cause is fitted again from the pair's end, and this fit is kept
-/// if its objective is lower.
-fn beyond(study: &FitInputs, single: &Fit, pair: &Fit) -> Option<Fit> {
-    let id = *single.ids.first().filter(|id| study.model.roughness().is_some() && pair.ids.contains(id))?;
-    let mechanisms = Mechanisms::default().with(id, pair.mechanisms.get(id));
-    let from = Fit { ids: vec![id], mechanisms, slopes: Vec::new(), ..pair.clone() };
-    let again = study.fit_from(&[&from]).swap_remove(0);
-    (again.objective < single.objective).then_some(again)
 }

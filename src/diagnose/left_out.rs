@@ -237,12 +237,10 @@ impl Linear {
             let density = -0.5 * (own.wider + n * scale.ln() + (degrees + n) * (square / degrees).ln_1p());
             density.max(-1e12)
         };
-        let mut held_out = SquaredErrors { square: Vec::new(), count: Vec::new() };
-        for (own, condition) in now.left.iter().zip(used) {
-            let errors = self::held_out(study, model, own.law, own.step.as_slice(), &[*condition]);
-            held_out.square.extend(errors.square);
-            held_out.count.extend(errors.count);
-        }
+        let held_out = |(own, condition): (&LeftOut, &usize)| {
+            held_out(study, model, own.law, own.step.as_slice(), std::slice::from_ref(condition)).0
+        };
+        let held_out = SquaredErrors(now.left.iter().zip(used).flat_map(held_out).collect());
         LeftOutRow {
             elpd: now.left.iter().zip(&scales).map(density).collect(),
             squares: now.left.iter().map(|own| own.square).collect(),

@@ -102,17 +102,16 @@ impl NoiseData<'_> {
     /// without repetitions do not contribute.
     pub fn floor(&self) -> SquaredErrors {
         let of = |group: &Vec<usize>| {
-            let (mut square, mut count) = (0.0, 0.0);
+            let [mut square, mut count] = [0.0; 2];
             for difference in self.repeats_of(group).differences {
                 for (values, _) in difference.iter().zip(&self.observations.channels).filter(|d| d.1.in_rmse) {
                     square += values.iter().map(|v| v * v).sum::<f64>();
                     count += values.len() as f64;
                 }
             }
-            (square, count)
+            [square, count]
         };
-        let (square, count) = self.observations.repetitions().iter().map(of).unzip();
-        SquaredErrors { square, count }
+        SquaredErrors(self.observations.repetitions().iter().map(of).collect())
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::fit::{COEFFICIENTS, Fit, Stack};
 use super::screen::USUAL;
+use super::shared::gram;
 use super::study::FitInputs;
 use crate::number::dot;
 use crate::sand::mechanism::CATALOG;
@@ -49,15 +50,8 @@ impl FitInputs<'_> {
     /// The normal equations at a fit, the prior of the deviations included.
     pub fn normal_equations(&self, fit: &Fit) -> NormalEquations {
         let white: Vec<Stack> = fit.slopes.iter().map(|s| self.whitened(s)).collect();
-        let (n, count) = (white.len(), fit.ids.len());
-        let mut information = DMatrix::zeros(n, n);
-        for i in 0..n {
-            for j in 0..=i {
-                let g = dot(&white[i], &white[j]);
-                (information[(i, j)], information[(j, i)]) = (g, g);
-            }
-        }
-        let mut score = DVector::from_fn(n, |i, _| dot(&white[i], &fit.white));
+        let (mut information, count) = (gram(&white), fit.ids.len());
+        let mut score = DVector::from_fn(white.len(), |i, _| dot(&white[i], &fit.white));
         for (k, deviation) in fit.deviations.iter().enumerate() {
             information[(count + k, count + k)] += 1.0;
             score[count + k] -= deviation;

@@ -62,10 +62,6 @@ pub struct Intervals {
 }
 
 impl Selection {
-    pub fn verdict(&self) -> Verdict {
-        self.ruling.verdict
-    }
-
     /// The fit of an entry of the table.
     pub fn fit_of(&self, entry: usize) -> &Fit {
         self.places[entry].map_or(&self.candidates.base, |k| &self.candidates.fits[k])
@@ -93,7 +89,7 @@ pub fn select(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -
     let sensor: Vec<usize> = asked.ids.iter().copied().filter(marginalised).collect();
     let unnamed = [&sensor[..], asked.untestable].concat();
     let selection = attempt(study, &SearchSpace { unnamed: &unnamed, ..*asked }, progress)?;
-    if sensor.is_empty() || selection.verdict() != Verdict::NoiseFloor || study.nuisances.is_empty() {
+    if sensor.is_empty() || selection.ruling.verdict != Verdict::NoiseFloor || study.nuisances.is_empty() {
         return Ok(selection);
     }
     // Selections with and without nuisances are compared under the noise of the selection with nuisances. Their
@@ -318,12 +314,10 @@ fn nested(
         };
         [0, chosen].map(|k| held_out(study, &models[k], table.rows[k].law, &table.rows[k].step, held))
     });
-    let mut total = [(); 2].map(|()| SquaredErrors { square: vec![0.0; conditions], count: vec![0.0; conditions] });
+    let mut total = [(); 2].map(|()| SquaredErrors(vec![[0.0; 2]; conditions]));
     for (held, parts) in folds.iter().zip(made) {
         for (total, part) in total.iter_mut().zip(parts) {
-            for (place, &condition) in held.iter().enumerate() {
-                (total.square[condition], total.count[condition]) = (part.square[place], part.count[place]);
-            }
+            held.iter().zip(part.0).for_each(|(&condition, own)| total.0[condition] = own);
         }
     }
     total

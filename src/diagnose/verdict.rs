@@ -116,15 +116,12 @@ pub fn verdict(table: &[Compared], second: f64) -> Ruling {
 
 /// The verdict by the densities of left-out conditions.
 fn by_density(table: &[Compared], second: f64) -> Ruling {
-    let better = |k: &usize| table[*k].beats[0];
-    // The entry of this kind with the greatest elpd, if any entry of this kind predicts better than the plain model.
+    let elpd = |k: usize| table[k].elpd;
     let best_of = |keep: &dyn Fn(&Compared) -> bool| {
-        let own: Vec<usize> = (1..table.len()).filter(|k| keep(&table[*k])).collect();
-        let best = own.iter().copied().max_by(|a, b| table[*a].elpd.total_cmp(&table[*b].elpd));
-        best.filter(|_| own.iter().any(better))
+        best((1..table.len()).filter(|k| keep(&table[*k])).collect(), elpd, |k| table[k].beats[0])
     };
     let size = |k: usize| if table[k].law { 0 } else { table[k].causes };
-    let explanation = leading(table.len(), size, |k| table[k].elpd, |a, b| table[a].beats[b], second);
+    let explanation = leading(table.len(), size, elpd, |a, b| table[a].beats[b], second);
     let law = best_of(&|e| e.law && e.causes == 0);
     let Some(best) = best_of(&|_| true) else {
         return without_cause(table);
@@ -141,6 +138,12 @@ fn by_density(table: &[Compared], second: f64) -> Ruling {
     stand_in(table, best, &|k| table[k].beats[0])
 }
 
+/// Of some entries the one with the greatest elpd, if any of them predicts `better` than the plain model.
+fn best(entries: Vec<usize>, elpd: impl Fn(usize) -> f64, better: impl Fn(usize) -> bool) -> Option<usize> {
+    let best = entries.iter().copied().max_by(|a, b| elpd(*a).total_cmp(&elpd(*b)));
+    best.filter(|_| entries.into_iter().any(better))
+}
+
 /// The best single cause or pair among `count` entries, of which the first is the plain model. It is the entry with the
 /// greatest elpd among those with equally many causes, if one of these beats the plain model. A pair must also beat the
 /// best single cause, and its second cause must add the share `second` of the pair's evidence. `size` is the number of
@@ -152,17 +155,13 @@ pub fn leading(
     beats: impl Fn(usize, usize) -> bool,
     second: f64,
 ) -> Option<usize> {
-    let best = |causes: usize| {
-        let own: Vec<usize> = (1..count).filter(|&k| size(k) == causes).collect();
-        let best = own.iter().copied().max_by(|a, b| elpd(*a).total_cmp(&elpd(*b)));
-        best.filter(|_| own.iter().any(|&k| beats(k, 0)))
-    };
-    let single = best(1);
+    let best_of = |causes: usize| best((1..count).filter(|&k| size(k) == causes).collect(), &elpd, |k| beats(k, 0));
+    let single = best_of(1);
     let earns = |pair: usize, single: usize| {
         let [gain, more] = [single, pair].map(|k| elpd(k) - elpd(0));
         beats(pair, single) && more - gain > second * more
     };
-    best(2).filter(|&pair| single.is_none_or(|s| earns(pair, s))).or(single)
+    best_of(2).filter(|&pair| single.is_none_or(|s| earns(pair, s))).or(single)
 }
 
 /// The verdict if no model predicts better beyond twice the standard error. If the plain model's errors are larger than noise may
