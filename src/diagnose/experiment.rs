@@ -311,14 +311,13 @@ fn medium(name: Option<&str>, sand: Option<&SandTable>) -> Result<Medium> {
 fn check_shape(name: &str, shape: &Intruder) -> Result<()> {
     let field = |part: &str| format!("shape.{name}.{part}");
     // 1 mm to 10 m as for LegShape::segments: smaller or larger ones have a wrong unit.
-    let (length, width, thickness) = match *shape {
-        Intruder::Leg { chord, width, xi_deg, thickness } => {
+    let (Intruder::Leg { width, thickness, .. } | Intruder::Plate { width, thickness, .. }) = *shape;
+    let length = match *shape {
+        Intruder::Leg { chord, xi_deg, .. } => {
             check_range(&field("xi_deg"), xi_deg, -89.9..=89.9)?;
-            (check_range(&field("chord"), chord, 1e-3..=10.0)?, width, thickness)
+            check_range(&field("chord"), chord, 1e-3..=10.0)?
         }
-        Intruder::Plate { length, width, thickness } => {
-            (check_range(&field("length"), length, 1e-3..=10.0)?, width, thickness)
-        }
+        Intruder::Plate { length, .. } => check_range(&field("length"), length, 1e-3..=10.0)?,
     };
     check_range(&field("width"), width, 1e-4..=10.0)?;
     check_range(&field("thickness"), thickness.unwrap_or(0.0), 0.0..=length)?;

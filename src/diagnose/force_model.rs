@@ -13,12 +13,11 @@ use super::observations::{Channel, Observations};
 use super::response::{CoefficientResponse, is_linear};
 use super::series::root_mean_square;
 use super::shared::{SharedNoise, Uncertainty};
-use super::track::{ArmPose, Track};
+use super::track::{ArmPose, Track, Wrench};
 use crate::error::Result;
 use crate::number::{Doubles, Real};
 use crate::parallel;
 use crate::progress::Latch;
-use crate::sand::intrusion::Load;
 use crate::sand::mechanism::Mechanisms;
 use crate::sand::mechanism_laws::{SandMechanisms, footprint};
 use crate::sand::{Coefficients, Law, Medium, Regularization, SandBed, Term};
@@ -55,7 +54,7 @@ struct Measuring {
     deep: Vec<f64>,
     tilt: Vec<f64>,
     /// Loads of each track at the steps of a filter.
-    steps: Vec<Vec<[Load; 1]>>,
+    steps: Vec<Vec<[Wrench; 1]>>,
 }
 
 /// Step of the depth [m] for derivatives with respect to nuisances: our choice. This step and the three below are a
@@ -157,12 +156,11 @@ impl<'a> ForceLogModel<'a> {
     }
 
     /// Puts loads, given track by track and pose by pose, into stacks: one stack for each of the N beds.
-    fn stacks<const N: usize>(&self, loads: &[Vec<[Load; N]>]) -> Vec<Vec<f64>> {
+    fn stacks<const N: usize>(&self, loads: &[Vec<[Wrench; N]>]) -> Vec<Vec<f64>> {
         let at = |bed: usize| {
             self.layout.stack(|u, channel, i| {
                 let track = self.track_of[u];
-                let load = &loads[track][self.kept[track][i]][bed];
-                [load.fx, load.fz, load.ty][channel]
+                loads[track][self.kept[track][i]][bed][channel]
             })
         };
         (0..N).map(at).collect()
@@ -205,7 +203,7 @@ impl Measuring {
     /// Change of the data by a filter of time constant `tau`.
     fn filtered(&self, model: &ForceLogModel, tau: f64) -> Vec<f64> {
         let m = &self.mechanisms;
-        let through = |(steps, track): (&Vec<[Load; 1]>, &Track)| {
+        let through = |(steps, track): (&Vec<[Wrench; 1]>, &Track)| {
             let mut loads = filtered(&track.poses, steps, m.lowpass + tau);
             read(m, &mut loads);
             loads

@@ -148,7 +148,7 @@ fn setup(row: &Row, experiment: &Experiment) -> Result<WalkSetup> {
 fn leg(row: &Row) -> Result<String> {
     let name = row.needed_text(LEG)?;
     if !LegShape::NAMES.contains(&name) {
-        return Err(row.error(LEG, format!("leg {name:?} is unknown; known: {}", LegShape::NAMES.join(", "))));
+        return Err(row.error(LEG, Error::unknown("leg", name, &LegShape::NAMES)));
     }
     let Some(xi) = row.within(XI, 89.9)? else { return Ok(name.into()) };
     let wrong = match name {
