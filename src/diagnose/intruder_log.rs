@@ -83,7 +83,8 @@ pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Re
         settings.push(SteadyRow { body: body(row, experiment)?, trial: trial(row, path)?, unsteadiness });
         Ok(())
     })?;
-    let observations = Observations::of_rows(Size::Force, CHANNELS.to_vec(), rows.into_iter(), values, conditions.list);
+    let observations =
+        Observations::of_rows(Size::Force, CHANNELS.to_vec(), &[0.0], rows.into_iter(), values, conditions.list);
     let (setting_of, missing, notes) = ((0..settings.len()).collect(), Vec::new(), notes(experiment));
     Ok(IntruderLog { observations, settings, setting_of, missing, notes, sha256: summary.sha256 })
 }

@@ -62,10 +62,11 @@ pub struct Observations {
 }
 
 impl Observations {
-    /// Observations of units with one number for each channel; each unit has an id and a condition.
+    /// Observations of units that all have the same `progress`; each row has a unit's id and condition.
     pub fn of_rows(
         size: Size,
         channels: Vec<Channel>,
+        progress: &[f64],
         rows: impl Iterator<Item = (String, usize)>,
         values: Vec<f64>,
         conditions: Vec<String>,
@@ -73,9 +74,9 @@ impl Observations {
         let unit = |(row, (id, condition)): (usize, (String, usize))| Unit {
             id,
             condition,
-            start: row * channels.len(),
-            samples: 1,
-            progress: vec![0.0],
+            start: row * channels.len() * progress.len(),
+            samples: progress.len(),
+            progress: progress.to_vec(),
         };
         Self { size, values, units: rows.enumerate().map(unit).collect(), channels, conditions }
     }

@@ -170,14 +170,21 @@ fn observations(runs: Vec<WalkRun>, conditions: Vec<String>) -> Observations {
     let kept: Vec<usize> = (0..CHANNELS.len()).filter(complete).collect();
     let values = runs.iter().flat_map(|run| kept.iter().filter_map(|&c| run.measured[c])).collect();
     let channels = kept.iter().map(|&c| CHANNELS[c].1.clone()).collect();
-    Observations::of_rows(Size::Channel, channels, runs.iter().map(|r| (r.id.clone(), r.condition)), values, conditions)
+    Observations::of_rows(
+        Size::Channel,
+        channels,
+        &[0.0],
+        runs.iter().map(|r| (r.id.clone(), r.condition)),
+        values,
+        conditions,
+    )
 }
 
 /// Planned runs: one unit for each setup, and zeros for measurements.
 pub fn planned(setups: Vec<WalkSetup>, channels: Vec<Channel>) -> WalkingLog {
     let names: Vec<String> = (0..setups.len()).map(|i| i.to_string()).collect();
     let (rows, values) = (names.iter().cloned().zip(0..), vec![0.0; channels.len() * setups.len()]);
-    let observations = Observations::of_rows(Size::Channel, channels, rows, values, names.clone());
+    let observations = Observations::of_rows(Size::Channel, channels, &[0.0], rows, values, names.clone());
     let (setting_of, notes) = ((0..setups.len()).collect(), Vec::new());
     WalkingLog { observations, settings: setups, setting_of, missing: Vec::new(), notes, sha256: String::new() }
 }

@@ -8,10 +8,9 @@
 mod consistency;
 mod forecast;
 #[cfg(test)]
-pub(super) mod generate;
+mod generate;
 pub(super) mod keys;
 mod log;
-mod logged;
 mod measuring;
 mod model;
 mod plan;

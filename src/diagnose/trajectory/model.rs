@@ -10,7 +10,7 @@ use crate::experiment::Experiment;
 use crate::forward::ForwardModel;
 use crate::hardware::{TORQUE_CONSTANT, TORQUE_LIMIT, quantities_of};
 use crate::known::Known;
-use crate::observations::{Channel, Observations, Size, Unit};
+use crate::observations::{Channel, Observations, Size};
 use crate::progress::Latch;
 use crate::sim::model::Scene;
 use std::collections::HashMap;
@@ -139,7 +139,7 @@ impl<'a> TrajectoryModel<'a> {
         let values = self.windows.iter().flat_map(|w| self.measured(w)).collect();
         let mut conditions: Vec<String> = Vec::new();
         let mut places = HashMap::new();
-        let mut units = Vec::new();
+        let mut rows = Vec::new();
         for (u, &w) in self.window_of.iter().enumerate() {
             let run = &self.log.runs[self.windows[w].run];
             let condition = *places.entry(self.windows[w].run).or_insert_with(|| {
@@ -150,15 +150,22 @@ impl<'a> TrajectoryModel<'a> {
                 });
                 conditions.len() - 1
             });
-            units.push(Unit {
-                id: format!("{}:{}", run.name, u + 1),
-                condition,
-                start: u * self.span(),
-                samples: BINS,
-                progress: progress(),
-            });
+            rows.push((format!("{}:{}", run.name, u + 1), condition));
         }
-        Observations { size: Size::Channel, values, channels: self.layout.channels(), units, conditions }
+        self.of_strides(rows, values, conditions)
+    }
+
+    /// Observations of strides, each with an id and a condition.
+    pub(super) fn of_strides(
+        &self,
+        rows: Vec<(String, usize)>,
+        values: Vec<f64>,
+        conditions: Vec<String>,
+    ) -> Observations {
+        // Phase at the middle of each part of a stride [rad].
+        let progress: Vec<f64> = (0..BINS).map(|b| (b as f64 + 0.5) * TAU / BINS as f64).collect();
+        let (size, channels) = (Size::Channel, self.layout.channels());
+        Observations::of_rows(size, channels, &progress, rows.into_iter(), values, conditions)
     }
 
     /// The measured numbers of one window.
@@ -190,11 +197,6 @@ impl<'a> TrajectoryModel<'a> {
         }
         stack
     }
-}
-
-/// Phase at the middle of each part of a stride [rad].
-pub(super) fn progress() -> Vec<f64> {
-    (0..BINS).map(|b| (b as f64 + 0.5) * TAU / BINS as f64).collect()
 }
 
 /// Mean horizontal speed from `a` to `b` [m/s].

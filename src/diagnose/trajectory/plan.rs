@@ -1,12 +1,11 @@
 //! Walks that could be logged next: the diagnosis proposes the one that best distinguishes the causes, such as "walk at 3 Hz up 5°".
 
 use super::log::{Log, Run};
-use super::model::{TrajectoryModel, progress};
+use super::model::TrajectoryModel;
 use super::replay::{ReplayRobot, Signals};
 use super::servo::RequestedTorques;
-use super::windows::{BINS, Window, windows};
+use super::windows::{Window, windows};
 use crate::forward::{ForwardModel, Menu};
-use crate::observations::{Observations, Size, Unit};
 use crate::series::ends;
 use crate::sim::model::Scene;
 use crate::sim::walk::hip_angle;
@@ -39,21 +38,9 @@ impl TrajectoryModel<'_> {
         if self.layout.servo {
             model.asked = Some(model.needed()?);
         }
-        let span = model.span();
-        let unit = |(u, id): (usize, &String)| Unit {
-            id: id.clone(),
-            condition: u,
-            start: u * span,
-            samples: BINS,
-            progress: progress(),
-        };
-        let observations = Observations {
-            size: Size::Channel,
-            values: vec![0.0; span * descriptions.len()],
-            channels: self.layout.channels(),
-            units: descriptions.iter().enumerate().map(unit).collect(),
-            conditions: descriptions.clone(),
-        };
+        let rows = descriptions.iter().cloned().zip(0..).collect();
+        let values = vec![0.0; model.span() * descriptions.len()];
+        let observations = model.of_strides(rows, values, descriptions.clone());
         Some(Menu { model: Box::new(model), observations, descriptions })
     }
 
