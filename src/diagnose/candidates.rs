@@ -96,7 +96,8 @@ pub fn candidates(
     let scores = screen.scores(study.whitener, &study.observations.values);
     report(0.3, "single causes")?;
     // Nuisances have nonlinear effects, so they are linearised at the plain model's fit before causes are tested.
-    let nuisances = study.nuisances_about(&study.recalibrated());
+    let plain = study.recalibrated();
+    let nuisances = study.nuisances_of(&plain, &plain);
     let (noise, sizes, whitener) = (asked.noise.clone(), asked.source.sizes.clone(), study.whitener.clone());
     let around = Surroundings { noise, sizes, whitener, nuisances };
     let straight = around.about(study);
@@ -343,7 +344,7 @@ fn bent(study: &FitInputs, whitener: &Whitener, fit: &Fit) -> Vec<Nuisance> {
     if study.nuisances.is_empty() {
         return Vec::new();
     }
-    let mut now = study.under(whitener, study.nuisances_about(fit));
+    let mut now = study.under(whitener, study.nuisances_of(fit, fit));
     let mut at = now.fit_from(&[fit]).swap_remove(0);
     let mut least = f64::INFINITY;
     let mut before = fit.clone();

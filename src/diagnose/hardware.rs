@@ -50,22 +50,18 @@ pub fn found(report: &Report) -> HardwareDescription {
         }
     }
     all.quantities.extend(late(measured("imu_delay"), measured("imu_blur")));
+    let [(gain, gain_sd), (servo, servo_sd)] =
+        ["torque_constant", "servo_gain"].map(|id| measured(id).unwrap_or_default());
+    let (share, sd) = ((1.0 + servo) / (1.0 + gain), gain_sd.hypot(servo_sd));
     // A drive's torque is (1 + s)/(1 + g) times the torque that its servo requests: the logged torque is 1 + s times the request, and the
     // log is wrong by the factor 1 + g. If the requests are not known, the drive computes its torque from the current, as the log does: s = 0.
-    if let Some((gain, sd)) = measured("torque_constant") {
-        let (servo, servo_sd) = measured("servo_gain").unwrap_or_default();
-        let (value, half) = ((1.0 + servo) / (1.0 + gain), NORMAL * sd.hypot(servo_sd));
-        let interval = [value * (1.0 - half), value * (1.0 + half)];
-        if !(interval[0]..=interval[1]).contains(&1.0) {
-            all.quantities.insert(TORQUE_CONSTANT.into(), HardwareQuantity { value, interval });
-        }
+    let interval = [share * (1.0 - NORMAL * sd), share * (1.0 + NORMAL * sd)];
+    if measured("torque_constant").is_some() && !(interval[0]..=interval[1]).contains(&1.0) {
+        all.quantities.insert(TORQUE_CONSTANT.into(), HardwareQuantity { value: share, interval });
     }
     if let Some(cause) = report.causes.iter().find(|cause| cause.id == "motor_torque_limit" && cause.value > 0.0) {
         // The cause limits the requested torques, and motors give (1 + s)/(1 + g) times the requested torques.
-        let [(gain, gain_sd), (servo, servo_sd)] =
-            ["torque_constant", "servo_gain"].map(|id| measured(id).unwrap_or_default());
-        let share = (1.0 + servo) / (1.0 + gain);
-        let half = |end: f64| (end / cause.value - 1.0).hypot(NORMAL * gain_sd.hypot(servo_sd));
+        let half = |end: f64| (end / cause.value - 1.0).hypot(NORMAL * sd);
         let value = cause.value * share;
         let interval = [value * (1.0 - half(cause.ci95[0])).max(0.0), value * (1.0 + half(cause.ci95[1]))];
         all.quantities.insert(TORQUE_LIMIT.into(), HardwareQuantity { value, interval });

@@ -9,9 +9,9 @@ use super::shared::{SharedNoise, Uncertainty};
 use crate::error::{Error, Result};
 use crate::parallel;
 use crate::progress::Latch;
+use crate::sand::SandDescription;
 use crate::sand::intruder::{DepthOrLoad, PlatedBody, Status, Trial, compute, without_effect};
 use crate::sand::mechanism::{CATALOG, Mechanisms, Side};
-use crate::sand::{Coefficients, Medium, SandDescription};
 use std::collections::BTreeMap;
 
 /// Plates along a body's longest side: our choice. Forces differ by at most 2 % from forces with plates three times as
@@ -27,7 +27,8 @@ const STRENGTH_STEP: f64 = 0.02;
 
 /// A body cut into plates: once as described, and once slightly larger.
 struct BodyPlates {
-    description: BodyDescription,
+    /// μ_s
+    friction: f64,
     nominal: PlatedBody,
     larger: PlatedBody,
 }
@@ -62,7 +63,7 @@ impl<'a> IntruderModel<'a> {
             let longest = 50.0 * coarse.plate_size;
             let nominal = PlatedBody::cut(&shape, Some(longest / ALONG)).map_err(named)?;
             let larger = nominal.scaled(1.0 + 2.0 * GEOMETRY_STEP / longest);
-            Ok((name.clone(), BodyPlates { description: description.clone(), nominal, larger }))
+            Ok((name.clone(), BodyPlates { friction: description.friction, nominal, larger }))
         };
         Ok(Self {
             latch,
@@ -72,9 +73,9 @@ impl<'a> IntruderModel<'a> {
         })
     }
 
-    /// The sand in contact with one body.
-    fn sand(&self, body: &BodyDescription, (mechanisms, coefficients): &SandParameters) -> SandDescription {
-        let friction_clip = 1.0 / body.friction.max(0.1);
+    /// The sand in contact with a body with this μ_s.
+    fn sand(&self, friction: f64, (mechanisms, coefficients): &SandParameters) -> SandDescription {
+        let friction_clip = 1.0 / friction.max(0.1);
         SandDescription {
             law: self.experiment.law,
             coefficients: *coefficients,
@@ -87,11 +88,7 @@ impl<'a> IntruderModel<'a> {
         let sands: BTreeMap<&str, SandDescription> = self
             .cuts
             .iter()
-            .map(|(name, cut)| {
-                let friction = cut.description.friction + changed.friction;
-                let body = BodyDescription { friction, ..cut.description.clone() };
-                (name.as_str(), self.sand(&body, sand))
-            })
+            .map(|(name, cut)| (name.as_str(), self.sand(cut.friction + changed.friction, sand)))
             .collect();
         let of = |state: &SteadyRow| {
             let (cut, sand) = (&self.cuts[&state.body], &sands[state.body.as_str()]);
@@ -122,10 +119,9 @@ fn under_load(body: &PlatedBody, sand: &SandDescription, trial: &Trial) -> [f64;
     [outcome.force[0], outcome.force[1], outcome.depth]
 }
 
-/// The reason why steady states cannot show a mechanism, if they cannot.
-fn lacking(id: &str) -> Option<String> {
-    let off = SandDescription { mechanisms: Mechanisms::from_values([1.0; Mechanisms::COUNT]), ..plainest() };
-    let said = if without_effect(&off).contains(&id) {
+/// The reason why steady states in sand with all mechanisms cannot show one of them, if they cannot.
+fn lacking(sand: &SandDescription, id: &str) -> Option<String> {
+    let said = if without_effect(sand).contains(&id) {
         "it is not defined for a body in steady motion"
     } else if id == "packing_grad" {
         "rows of steady states have no position in the bed"
@@ -135,16 +131,6 @@ fn lacking(id: &str) -> Option<String> {
         return None;
     };
     Some(said.into())
-}
-
-fn plainest() -> SandDescription {
-    SandDescription::plain(&Medium {
-        name: String::new(),
-        coefficients: Coefficients::from_array([0.0; 9]),
-        bulk_density: 1.0,
-        source: String::new(),
-        terms: Vec::new(),
-    })
 }
 
 impl ForwardModel for IntruderModel<'_> {
@@ -196,7 +182,7 @@ impl ForwardModel for IntruderModel<'_> {
     fn finish(&self, sand: &mut SandDescription) {
         sand.law = self.experiment.law;
         if let [cut] = self.cuts.values().collect::<Vec<_>>()[..] {
-            sand.mechanisms.friction_clip = 1.0 / cut.description.friction;
+            sand.mechanisms.friction_clip = 1.0 / cut.friction;
         }
     }
 
@@ -205,8 +191,10 @@ impl ForwardModel for IntruderModel<'_> {
     }
 
     fn testable(&self) -> Testable {
+        let mechanisms = Mechanisms::from_values([1.0; Mechanisms::COUNT]);
+        let all = SandDescription { mechanisms, ..SandDescription::plain(self.medium()) };
         let sand = CATALOG.iter().enumerate().filter(|(_, m)| m.side == Side::Sand);
-        sand.map(|(index, m)| (index, lacking(m.id))).collect()
+        sand.map(|(index, m)| (index, lacking(&all, m.id))).collect()
     }
 
     fn features(&self) -> Vec<Feature> {

@@ -82,7 +82,7 @@ mod words;
 use crate::error::Result;
 use crate::progress::{Latch, Progress};
 use crate::sand::SandDescription;
-use crate::sand::mechanism::{CATALOG, Mechanisms};
+use crate::sand::mechanism::CATALOG;
 use candidates::SearchSpace;
 use experiment::{DataKind, Experiment};
 use force_model::ForceLogModel;
@@ -206,12 +206,8 @@ fn diagnose_measured(
 /// they have no effect.
 fn testable(study: &FitInputs) -> (Vec<usize>, Vec<usize>, Vec<Untestable>) {
     let (mut ids, mut unknown, mut untestable) = (Vec::new(), Vec::new(), Vec::new());
-    let coefficients = study.model.medium().coefficients;
     let asked = study.model.testable();
-    let tried = asked.iter().flat_map(|&(id, _)| screen::starts(study, id).into_iter().map(move |v| (id, v)));
-    let tried: Vec<(usize, f64)> = tried.collect();
-    let states: Vec<_> = tried.iter().map(|&(id, v)| (Mechanisms::default().with(id, v), coefficients)).collect();
-    let there = study.model.predict_many(&states);
+    let (tried, there) = screen::tried(study, &asked.iter().map(|a| a.0).collect::<Vec<_>>());
     let plain = study.plain().prediction;
     let felt = |moved: &[f64]| {
         let white = study.whitener.apply(&fit::slope(moved, &plain, 1.0));

@@ -122,12 +122,7 @@ impl<'a> FitInputs<'a> {
         study
     }
 
-    /// This study's nuisances at `fit`.
-    pub fn nuisances_about(&self, fit: &Fit) -> Vec<Nuisance> {
-        self.nuisances_of(fit, fit)
-    }
-
-    /// The same as [`Self::nuisances_about`], with the nuisances' values of another fit.
+    /// This study's nuisances at `fit`, with the nuisances' values of the fit `adjusted`.
     pub fn nuisances_of(&self, fit: &Fit, adjusted: &Fit) -> Vec<Nuisance> {
         if self.nuisances.is_empty() {
             return Vec::new();

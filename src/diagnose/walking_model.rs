@@ -46,14 +46,6 @@ pub struct WalkingModel<'a> {
     correction: Vec<f64>,
 }
 
-/// Predictions besides the nominal one.
-struct Others {
-    /// Predictions on a stronger and on a weaker bed; the strength differs by [`STRENGTH_STEP`].
-    beds: Vec<Vec<f64>>,
-    /// Predictions at each of [`PHASES`].
-    phases: Vec<Vec<f64>>,
-}
-
 impl<'a> WalkingModel<'a> {
     /// Refuses a setup whose plain simulation gives non-finite numbers. `latch` may stop all simulations.
     pub fn new(log: &WalkingLog, experiment: &Experiment, latch: &'a Latch<'a>) -> Result<Self> {
@@ -159,12 +151,6 @@ impl<'a> WalkingModel<'a> {
         Ok(self.stack(&walk_all(engine, &trials, self)?))
     }
 
-    fn others(&self, sand: &SandParameters) -> Others {
-        let beds = self.predict_many(&[STRENGTH_STEP, -STRENGTH_STEP].map(|share| stronger(sand, share)));
-        let phases = self.simulate(&[*sand], &PHASES);
-        Others { beds, phases: phases.iter().map(|r| self.corrected(self.stack(r))).collect() }
-    }
-
     fn stack(&self, results: &[WalkResult]) -> Vec<f64> {
         let of = |&setup: &usize| self.channels.iter().map(move |c| channel(&results[setup], &c.name));
         self.setup_of.iter().flat_map(of).collect()
@@ -218,7 +204,9 @@ impl ForwardModel for WalkingModel<'_> {
     /// of squares, independent of the other channels and setups, because one difference gives the size of an error and not
     /// its pattern.
     fn uncertainty(&self, sand: &SandParameters, prediction: &[f64]) -> Uncertainty {
-        let Others { beds, phases } = self.others(sand);
+        let beds = self.predict_many(&[STRENGTH_STEP, -STRENGTH_STEP].map(|share| stronger(sand, share)));
+        let phases = self.simulate(&[*sand], &PHASES);
+        let phases: Vec<_> = phases.iter().map(|results| self.corrected(self.stack(results))).collect();
         let strength = slope(&beds[0], &beds[1], 2.0 * STRENGTH_STEP);
         let middle: Vec<f64> = beds[0].iter().zip(&beds[1]).map(|(a, b)| 0.5 * (a + b)).collect();
         let mut stacks = vec![slope(&middle, prediction, 1.0)];

@@ -52,8 +52,6 @@ pub struct Run {
 #[derive(Clone, Debug, Default)]
 pub struct Log {
     pub runs: Vec<Run>,
-    /// Optional columns that are absent.
-    pub missing: Vec<&'static str>,
     pub sha256: String,
 }
 
@@ -175,7 +173,7 @@ impl<'a> Gather<'a> {
         if cut.is_none() && !self.file.runs.is_empty() {
             return Ok(()); // the experiment file lists runs, and the row belongs to none of them
         }
-        let place = self.place(row, cut)?;
+        let place = self.place(row, cut, there[0])?;
         let run = &mut self.runs[place];
         if run.t.last().is_some_and(|last| t <= *last) {
             return Err(row.error(T, format!("{t} s is not after the previous sample of the same run")));
@@ -215,7 +213,8 @@ impl<'a> Gather<'a> {
     }
 
     /// Index of the run that a row belongs to: the run `cut` that the experiment file lists, or the run in the column `run`.
-    fn place(&mut self, row: &Row, cut: Option<&RunTable>) -> Result<usize> {
+    /// `speeds`: does the log have joint speeds?
+    fn place(&mut self, row: &Row, cut: Option<&RunTable>, speeds: bool) -> Result<usize> {
         if cut.is_some() && row.text(RUN).is_some() {
             return Err(row.error(RUN, "the log says which rows are a run, and the experiment file lists [[run]] too"));
         }
@@ -244,7 +243,7 @@ impl<'a> Gather<'a> {
             slope_deg,
             frequency,
             q: vec![Vec::new(); joints],
-            qd: vec![Vec::new(); joints],
+            qd: vec![Vec::new(); if speeds { joints } else { 0 }],
             tau: vec![Vec::new(); joints],
             ..Run::default()
         });
@@ -260,17 +259,11 @@ impl<'a> Gather<'a> {
                 "no row belongs to a run that the experiment file lists: `from` and `to` are values of t [s]",
             ));
         }
-        let there = self.there.unwrap_or_default();
-        if !there[0] {
-            self.runs.iter_mut().for_each(|r| r.qd.clear());
-        }
         self.runs.iter_mut().flat_map(|r| &mut r.q).for_each(|q| unwrap(q));
         for run in &self.runs {
             run.validate().map_err(|reason| Error::file(path, format!("run {}: {reason}", run.name)))?;
         }
-        let optional = [("qd:JOINT", there[0]), ("quat_w … quat_z", there[1]), ("x, y, z", there[2])];
-        let missing = optional.iter().filter(|o| !o.1).map(|o| o.0).collect();
-        Ok(Log { runs: self.runs, missing, sha256 })
+        Ok(Log { runs: self.runs, sha256 })
     }
 }
 

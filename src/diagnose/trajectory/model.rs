@@ -51,11 +51,10 @@ impl<'a> TrajectoryModel<'a> {
             return Err(Error::invalid("data", reason));
         }
         let asked = servo::asked(&log, &bodies)?;
-        let there = |name: &str| !log.missing.contains(&name);
         let layout = Layout {
             joints: log.runs[0].q.len(),
-            attitude: there("quat_w … quat_z"),
-            place: there("x, y, z"),
+            attitude: !log.runs[0].attitude[0].is_empty(),
+            place: !log.runs[0].place[0].is_empty(),
             servo: asked.is_some(),
         };
         let mut experiment = experiment.clone();

@@ -33,7 +33,7 @@ impl TrajectoryModel<'_> {
             return None;
         }
         all.iter_mut().for_each(|w| w.strides = w.strides.split_off(w.strides.len() - 1));
-        let log = Log { runs, missing: self.log.missing.clone(), sha256: String::new() };
+        let log = Log { runs, sha256: String::new() };
         let mut model = TrajectoryModel::along(self.experiment.clone(), self.latch, self.layout, log, bodies, all);
         if self.layout.servo {
             model.asked = Some(model.needed()?);
