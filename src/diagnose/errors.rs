@@ -20,11 +20,9 @@ impl SquaredErrors {
     pub fn of(o: &Observations, prediction: impl Fn(usize) -> f64, held: &[usize]) -> Self {
         let of = |&condition: &usize| {
             let units = o.units.iter().filter(|u| u.condition == condition);
-            let counted = o.channels.iter().enumerate().filter(|c| c.1.in_rmse).map(|c| c.0);
-            let blocks = units.flat_map(|u| counted.clone().map(|c| u.block(c)));
             let add =
                 |[square, count]: [f64; 2], k: usize| [square + (o.values[k] - prediction(k)).powi(2), count + 1.0];
-            blocks.flatten().fold([0.0; 2], add)
+            o.counted(units).fold([0.0; 2], add)
         };
         Self(held.iter().map(of).collect())
     }

@@ -245,9 +245,9 @@ fn assemble(
     ForceLog { observations, settings, setting_of, missing, notes, sha256 }
 }
 
-/// A log of planned trials: one unit for each track, and zeros for forces.
-pub fn planned(tracks: Vec<Track>, channels: usize) -> ForceLog {
-    let names = (0..tracks.len()).map(|i| i.to_string()).collect();
+/// A log of planned trials, each with a description: one condition for each, and zeros for forces.
+pub fn planned(trials: Vec<(Track, String)>, channels: usize) -> ForceLog {
+    let (tracks, names): (Vec<Track>, Vec<String>) = trials.into_iter().unzip();
     let trials = tracks
         .into_iter()
         .enumerate()

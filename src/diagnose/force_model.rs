@@ -348,10 +348,9 @@ impl ForwardModel for ForceLogModel<'_> {
 
     /// Other tracks with the same intruders.
     fn menu(&self) -> Option<Menu<'_>> {
-        let (tracks, descriptions): (Vec<_>, Vec<_>) = possible(&self.tracks).into_iter().unzip();
-        let log = planned(tracks, self.layout.channels.len());
+        let log = planned(possible(&self.tracks), self.layout.channels.len());
         let model = Self { latch: self.latch, ..Self::along(&log, self.experiment.clone(), self.cuts.clone()) };
-        Some(Menu { model: Box::new(model), observations: log.observations, descriptions })
+        Some(Menu { model: Box::new(model), observations: log.observations })
     }
 
     fn group(&self, unit: usize) -> &str {
@@ -368,7 +367,7 @@ pub(super) mod tests {
         let toml = "kind = \"intrusion\"\nmedium = \"poppy-loose\"\nbulk_density = 640.0\n";
         let mut experiment = Experiment::from_toml(toml).unwrap();
         experiment.file.shapes.insert(track.shape.clone(), track.intruder);
-        let model = ForceLogModel::new(&planned(vec![track.clone()], 3), &experiment).unwrap();
+        let model = ForceLogModel::new(&planned(vec![(track.clone(), String::new())], 3), &experiment).unwrap();
         model.predict(&(mechanisms, model.medium().coefficients))
     }
 }

@@ -37,12 +37,10 @@ pub struct Feature {
     pub values: Vec<Vec<f64>>,
 }
 
-/// Trials that could be made next.
+/// Trials that could be made next. Each is a condition, whose name describes it.
 pub struct Menu<'a> {
     pub model: Box<dyn ForwardModel + 'a>,
     pub observations: Observations,
-    /// A description of each trial.
-    pub descriptions: Vec<String>,
 }
 
 /// Predicts the stack of [`Observations`] for any mechanisms and coefficients.

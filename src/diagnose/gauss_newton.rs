@@ -107,11 +107,7 @@ impl FitInputs<'_> {
 
     /// Changes the parameters of each fit by its step. Nothing is fitted again, and the slopes are kept.
     pub fn moved_by(&self, steps: &[(&Fit, Vec<f64>)]) -> Vec<Fit> {
-        let state = |(fit, step): &(&Fit, Vec<f64>)| {
-            let (mechanisms, deviations) = moved(fit, step, 1.0);
-            (fit.ids.clone(), mechanisms, deviations)
-        };
-        let there = self.at_all(steps.iter().map(state).collect());
+        let there = self.at_all(steps.iter().map(|(fit, step)| moved(fit, step, 1.0)).collect());
         there.into_iter().zip(steps).map(|(there, (fit, _))| Fit { slopes: fit.slopes.clone(), ..there }).collect()
     }
 
@@ -182,11 +178,7 @@ impl FitInputs<'_> {
         let mut pending: Vec<usize> = (0..active.len()).collect();
         let mut share = 1.0;
         while !pending.is_empty() && share > 0.02 {
-            let state = |&i: &usize| {
-                let fit = &fits[active[i]];
-                let (mechanisms, deviations) = moved(fit, &steps[i], share);
-                (fit.ids.clone(), mechanisms, deviations)
-            };
+            let state = |&i: &usize| moved(&fits[active[i]], &steps[i], share);
             let trials = self.at_all(pending.iter().map(state).collect());
             let mut left = Vec::new();
             for (i, trial) in pending.into_iter().zip(trials) {
@@ -302,7 +294,8 @@ impl FitInputs<'_> {
     }
 }
 
-fn moved(fit: &Fit, step: &[f64], share: f64) -> (Mechanisms, Vec<f64>) {
+/// Causes, mechanisms and deviations of a fit after a share of a step.
+fn moved(fit: &Fit, step: &[f64], share: f64) -> (Vec<usize>, Mechanisms, Vec<f64>) {
     let mut mechanisms = fit.mechanisms;
     for ((&id, at), step) in fit.ids.iter().zip(fit.coordinates()).zip(step) {
         let (entry, bounds) = (&CATALOG[id], CATALOG[id].coordinate_bounds());
@@ -315,7 +308,7 @@ fn moved(fit: &Fit, step: &[f64], share: f64) -> (Mechanisms, Vec<f64>) {
             *d = d.clamp(-MOST_DEVIATION, MOST_DEVIATION);
         }
     }
-    (mechanisms, deviations)
+    (fit.ids.clone(), mechanisms, deviations)
 }
 
 /// Solves the normal equations with the `held` parameters fixed.

@@ -163,8 +163,7 @@ pub(super) mod tests {
             let pose = ArmPose { velocity: [velocity, 0.0], ..ArmPose::default() };
             Track { shape: "plate".into(), ..Track::leg(intruder, 0.0, vec![pose]) }
         };
-        let tracks = possible(&[at(0.05), at(1.0)]).into_iter().map(|(track, _)| track).collect();
-        let log = planned(tracks, 2);
+        let log = planned(possible(&[at(0.05), at(1.0)]), 2);
         let model = ForceLogModel::new(&log, &Experiment::from_toml(EXPERIMENT).unwrap()).unwrap();
         let hidden = Mechanisms { cohesion: 300.0, ..Mechanisms::default() };
         let law = Term { coefficient: 1.0, ..term(&[("froude", 0.75), ("depth_over_width", -0.25)]) };

@@ -58,6 +58,7 @@ pub struct Linear {
 
 /// Products of a condition: information and score of the parameters; for each law its products with the parameters and with itself,
 /// and its score.
+#[derive(Clone)]
 struct Products {
     information: DMatrix<f64>,
     score: DVector<f64>,
@@ -96,8 +97,7 @@ impl Products {
     }
 
     fn less(&self, other: &Products, weight: f64) -> Products {
-        let (information, score) = (self.information.clone(), self.score.clone());
-        let mut rest = Products { information, score, laws: self.laws.clone() };
+        let mut rest = self.clone();
         rest.add(other, -weight);
         rest
     }

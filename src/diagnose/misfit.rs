@@ -114,24 +114,21 @@ pub fn whereabouts(
     let worst = worst.and_then(|(row, _)| row.group.as_deref());
     let own = worst.map(|shape| misfit(observations, model, prediction, |u| model.group(u) == shape));
     let own = own.as_ref().unwrap_or(&everything);
+    let unit = after(observations.error_unit());
     let mut said: Vec<(f64, String)> = Vec::new();
     for feature in model.features() {
-        said.extend(course(&sizes(own, feature.name, observations), &unit(observations)));
+        said.extend(course(&sizes(own, feature.name, observations), &unit));
     }
     said.sort_by(|a, b| b.0.total_cmp(&a.0));
     let places: Vec<String> = said.into_iter().take(3).map(|s| s.1).collect();
     let shape = worst.map(|name| {
         let sizes: Vec<String> =
             shapes.iter().map(|(row, size)| format!("{} {}", row.place(), digits(*size))).collect();
-        format!("is largest for {name} (rms {}{})", sizes.join(", "), unit(observations))
+        format!("is largest for {name} (rms {}{unit})", sizes.join(", "))
     });
     let of = if worst.is_some() && !places.is_empty() { "; there it " } else { "" };
     let text = format!("{}{of}{}", shape.unwrap_or_default(), places.join(", "));
     (!text.is_empty()).then(|| format!("{error} {text}"))
-}
-
-fn unit(observations: &Observations) -> String {
-    after(observations.channels.iter().find(|c| c.in_rmse).map_or("", |c| c.unit))
 }
 
 /// Root mean square error over all values of the channels that count, row by row of the feature `by`.

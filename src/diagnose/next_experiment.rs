@@ -57,7 +57,7 @@ pub fn propose(menu: &Menu, noise: &Noise, study: &FitInputs, set: &[&Fit], coun
         .into_iter()
         .take(count)
         .map(|k| Proposal {
-            condition: menu.descriptions[k].clone(),
+            condition: menu.observations.conditions[k].clone(),
             repetitions: REPETITIONS,
             expected_separation: separations[k],
             separates: [names(set[a]), names(set[b])],

@@ -165,9 +165,8 @@ pub struct NoiseData<'a> {
 
 /// Do the repetitions differ, so that they give a noise floor? Copies do not differ.
 pub fn scatters(observations: &Observations, floor: &SquaredErrors) -> bool {
-    let counted = observations.channels.iter().enumerate().filter(|c| c.1.in_rmse);
-    let blocks = counted.flat_map(|(c, _)| observations.units.iter().map(move |u| u.block(c)));
-    floor.rmse() > COPIES * root_mean_square(blocks.flatten().map(|k| observations.values[k]))
+    let counted = observations.counted(observations.units.iter());
+    floor.rmse() > COPIES * root_mean_square(counted.map(|k| observations.values[k]))
 }
 
 impl Noise {

@@ -102,6 +102,17 @@ impl Observations {
         groups
     }
 
+    /// Places in a stack of the numbers of some units that count in the error.
+    pub fn counted<'a>(&'a self, units: impl Iterator<Item = &'a Unit>) -> impl Iterator<Item = usize> {
+        let channels = self.channels.iter().enumerate().filter(|c| c.1.in_rmse).map(|c| c.0);
+        units.flat_map(move |unit| channels.clone().flat_map(|c| unit.block(c)))
+    }
+
+    /// Unit of the channels that count in the error.
+    pub fn error_unit(&self) -> &'static str {
+        self.channels.iter().find(|c| c.in_rmse).map_or("", |c| c.unit)
+    }
+
     /// Does any condition have repetitions? Without them there is no noise floor.
     pub fn has_replicates(&self) -> bool {
         self.repetitions().iter().any(|units| units.len() > 1)

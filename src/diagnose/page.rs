@@ -202,7 +202,7 @@ fn source(entry: &Mechanism) -> String {
 /// Errors on left-out conditions, and in all data by shape.
 fn gain(html: &mut String, diagnosis: &Diagnosis) {
     let g = &diagnosis.report.gain;
-    let unit = diagnosis.curves.observations.channels.iter().find(|c| c.in_rmse).map_or("", |c| c.unit);
+    let unit = diagnosis.curves.observations.error_unit();
     let rows = [
         ("plain model", g.held_out_rmse_plain, color::BLUE),
         ("coefficients fitted within their prior", g.held_out_rmse_recalibrated, color::BLUE),
@@ -248,9 +248,7 @@ fn by_shape(html: &mut String, diagnosis: &Diagnosis, unit: &str) {
     shapes.dedup();
     let rms = |prediction: &[f64], shape: Option<&str>| {
         let own = o.units.iter().zip(&c.groups).filter(|(_, group)| shape.is_none_or(|s| s == *group));
-        let blocks =
-            own.flat_map(|(u, _)| (0..o.channels.len()).filter(|k| o.channels[*k].in_rmse).flat_map(|k| u.block(k)));
-        root_mean_square(blocks.map(|k| o.values[k] - prediction[k]))
+        root_mean_square(o.counted(own.map(|(unit, _)| unit)).map(|k| o.values[k] - prediction[k]))
     };
     let extended = |shape| c.extended.as_ref().map_or("–".into(), |e| digits(rms(e, shape)));
     let all = shapes.iter().map(|s| (*s, Some(*s))).chain([("all", None)]);

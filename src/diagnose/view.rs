@@ -130,7 +130,6 @@ impl ReportView<'_> {
         let best = *s.table.ranked(s.ruling.left_out.iter().copied()).first()?;
         let law = s.formulas[best].iter().map(|law| format!("the law {law}"));
         let named: Vec<String> = names(s.fit_of(best)).into_iter().chain(law).collect();
-        let unit = self.study.observations.channels.iter().find(|c| c.in_rmse).map_or("", |c| c.unit);
         let count = match s.ruling.left_out.len() {
             1 => "one model is".to_string(),
             more => format!("{more} models are"),
@@ -140,7 +139,7 @@ impl ReportView<'_> {
              density is higher; the best, {}, errs by {}{}, and the plain one by {}",
             named.join(" with "),
             digits(error(best)),
-            after(unit),
+            after(self.study.observations.error_unit()),
             digits(error(0))
         ))
     }

@@ -163,9 +163,9 @@ fn leg(row: &Row) -> Result<String> {
     Ok(if named { name.into() } else { format!("xi={}", if name == "revL" { -xi.abs() } else { xi }) })
 }
 
-/// Planned runs: one unit for each setup, and zeros for measurements.
-pub fn planned(setups: Vec<WalkSetup>, channels: Vec<Channel>) -> WalkingLog {
-    let names: Vec<String> = (0..setups.len()).map(|i| i.to_string()).collect();
+/// Planned runs, each with a description: one condition for each, and zeros for measurements.
+pub fn planned(runs: Vec<(WalkSetup, String)>, channels: Vec<Channel>) -> WalkingLog {
+    let (setups, names): (Vec<WalkSetup>, Vec<String>) = runs.into_iter().unzip();
     let (rows, values) = (names.iter().cloned().zip(0..), vec![0.0; channels.len() * setups.len()]);
     let observations = Observations::of_rows(Size::Channel, channels, &[0.0], rows, values, names.clone());
     let (setting_of, notes) = ((0..setups.len()).collect(), Vec::new());

@@ -257,10 +257,9 @@ impl ForwardModel for WalkingModel<'_> {
     }
 
     fn menu(&self) -> Option<Menu<'_>> {
-        let (setups, descriptions): (Vec<_>, Vec<_>) = walking_log::possible(&self.setups).into_iter().unzip();
-        let log = walking_log::planned(setups, self.channels.clone());
+        let log = walking_log::planned(walking_log::possible(&self.setups), self.channels.clone());
         let model = Self::along(&log, &self.experiment, self.latch).ok()?;
-        Some(Menu { model: Box::new(model), observations: log.observations, descriptions })
+        Some(Menu { model: Box::new(model), observations: log.observations })
     }
 
     fn group(&self, unit: usize) -> &str {

@@ -40,8 +40,8 @@ impl TrajectoryModel<'_> {
         }
         let rows = descriptions.iter().cloned().zip(0..).collect();
         let values = vec![0.0; model.span() * descriptions.len()];
-        let observations = model.of_strides(rows, values, descriptions.clone());
-        Some(Menu { model: Box::new(model), observations, descriptions })
+        let observations = model.of_strides(rows, values, descriptions);
+        Some(Menu { model: Box::new(model), observations })
     }
 
     /// The walks, their robots, and their descriptions.

@@ -207,8 +207,9 @@ fn planned_walks_distinguish_causes() {
     let latch = Latch::new(&Silent);
     let (model, _) = TrajectoryModel::new(log, &experiment(), &latch).unwrap();
     let menu = model.menu().unwrap();
-    assert!(menu.descriptions.iter().any(|d| d == "walk at 3 Hz up 5°, leg L"), "{:?}", menu.descriptions);
-    assert_eq!(menu.descriptions.len(), menu.observations.units.len());
+    let descriptions = &menu.observations.conditions;
+    assert!(descriptions.iter().any(|d| d == "walk at 3 Hz up 5°, leg L"), "{descriptions:?}");
+    assert_eq!(descriptions.len(), menu.observations.units.len());
     let coefficients = model.medium().coefficients;
     let causes = [
         Mechanisms::PLAIN,
