@@ -283,17 +283,13 @@ fn medium(name: Option<&str>, sand: Option<&SandTable>) -> Result<Medium> {
         (Some(CoefficientsSource::Named(set)), None) if set != "generic" => Medium::named(set)?,
         (Some(CoefficientsSource::Named(set)), Some(zeta)) if set == "generic" => Medium::generic(zeta)?,
         (None, Some(zeta)) => Medium::generic(zeta)?,
-        (None, None) => match name {
-            Some(name) => Medium::named(name)?,
-            None => {
-                return Err(Error::invalid("sand", "needs coefficients (a medium's name or nine numbers) or zeta"));
-            }
-        },
+        (None, None) => {
+            let wrong = "needs coefficients (a medium's name or nine numbers) or zeta";
+            Medium::named(name.ok_or_else(|| Error::invalid("sand", wrong))?)?
+        }
         _ => {
-            return Err(Error::invalid(
-                "sand",
-                "zeta belongs to coefficients = \"generic\": give both, or another set without zeta",
-            ));
+            let wrong = "zeta belongs to coefficients = \"generic\": give both, or another set without zeta";
+            return Err(Error::invalid("sand", wrong));
         }
     };
     for c in medium.coefficients.to_array() {

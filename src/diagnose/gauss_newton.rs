@@ -204,10 +204,9 @@ impl FitInputs<'_> {
             let mut residual: Vec<f64> = self.observations.values.iter().zip(prediction).map(|(y, m)| y - m).collect();
             bends.iter().for_each(|bend| residual.iter_mut().zip(bend.iter()).for_each(|(r, b)| *r -= b));
             let mut white = self.whitener.apply(&residual);
-            let known = self.marginal_slopes[1].len() - self.nuisances.len();
-            for (column, d) in self.marginal_slopes[1][known..].iter().zip(&deviations[COEFFICIENTS..]) {
-                add_scaled(&mut white, -d, column);
-            }
+            // The plain model has nuisances of 0. It is computed before their whitened columns are known.
+            let felt = self.nuisances.iter().zip(&deviations[COEFFICIENTS..]).filter(|(_, d)| **d != 0.0);
+            felt.for_each(|(nuisance, d)| add_scaled(&mut white, -d, &self.whitened(&nuisance.column)));
             let objective = dot(&white, &white) + dot(deviations, deviations);
             let objective = if objective.is_finite() { objective } else { f64::MAX };
             let (ids, deviations, prediction) = (ids.clone(), deviations.clone(), prediction.clone());
@@ -233,8 +232,7 @@ impl FitInputs<'_> {
             for (&k, moved) in part.iter().zip(moved.chunks(COEFFICIENTS)) {
                 let fit = &mut fits[k];
                 fit.slopes = moved.iter().map(|m| Arc::new(slope(m, &fit.prediction, step))).collect();
-                let known = self.marginal_slopes[1].len() - self.nuisances.len();
-                fit.slopes.extend_from_slice(&self.marginal_slopes[0][known..]);
+                fit.slopes.extend(self.nuisances.iter().map(|n| n.column.clone()));
             }
         }
     }

@@ -74,13 +74,11 @@ impl<'a> FitInputs<'a> {
     /// Sets `nuisances`, and `marginal_slopes`: the slopes by the coefficients at the plain model, then the slopes by the nuisances.
     fn set_nuisances(&mut self, nuisances: Vec<Nuisance>) {
         self.nuisances = nuisances;
-        self.marginal_slopes = [self.nuisances.iter().map(|n| n.column.clone()).collect(), Vec::new()];
-        let whitened = |study: &Self, slopes: &[Stack]| parallel::map(slopes, |s| study.whitened(s));
-        self.marginal_slopes[1] = whitened(self, &self.marginal_slopes[0]);
         let mut plain = vec![self.plain()];
         self.set_coefficient_slopes(&mut plain, &[0]);
-        let white = whitened(self, &plain[0].slopes);
-        self.marginal_slopes = [plain.swap_remove(0).slopes, white];
+        let slopes = plain.swap_remove(0).slopes;
+        let white = parallel::map(&slopes, |slope| self.whitened(slope));
+        self.marginal_slopes = [slopes, white];
     }
 
     /// The sand of a fit.

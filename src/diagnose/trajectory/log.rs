@@ -1,6 +1,7 @@
 //! A robot's own log in memory: runs with the samples of joints and IMU, gathered from the rows of a file.
 
 use super::keys::{MOST_RUNS, RunTable};
+use crate::columns::columns;
 use crate::error::{Error, Result};
 use crate::experiment::ExperimentFile;
 use crate::series::ends;
@@ -55,42 +56,32 @@ pub struct Log {
     pub sha256: String,
 }
 
-/// Columns that do not depend on the robot; the columns of joints follow them.
-const FIXED: [(&str, Quantity, bool); 23] = [
-    ("run", Quantity::Text, false),
-    ("condition", Quantity::Text, false),
-    ("rep", Quantity::Text, false),
-    ("leg", Quantity::Text, false),
-    ("slope_deg", Quantity::Degrees, false),
-    ("stride_frequency", Quantity::Frequency, false),
-    ("t", Quantity::Time, true),
-    ("gyro_x", Quantity::AngularSpeed, true),
-    ("gyro_y", Quantity::AngularSpeed, true),
-    ("gyro_z", Quantity::AngularSpeed, true),
-    ("acc_x", Quantity::Acceleration, true),
-    ("acc_y", Quantity::Acceleration, true),
-    ("acc_z", Quantity::Acceleration, true),
-    ("quat_w", Quantity::Number, false),
-    ("quat_x", Quantity::Number, false),
-    ("quat_y", Quantity::Number, false),
-    ("quat_z", Quantity::Number, false),
-    ("x", Quantity::Length, false),
-    ("y", Quantity::Length, false),
-    ("z", Quantity::Length, false),
-    ("vx", Quantity::Speed, false),
-    ("vy", Quantity::Speed, false),
-    ("vz", Quantity::Speed, false),
-];
-const RUN: usize = 0;
-const CONDITION: usize = 1;
-const LEG: usize = 3;
-const SLOPE: usize = 4;
-const FREQUENCY: usize = 5;
-const T: usize = 6;
-const GYRO: usize = 7;
-const ACC: usize = 10;
-const QUAT: usize = 13;
-const PLACE: usize = 17;
+// Columns that do not depend on the robot; the columns of joints follow them. Vectors are read from their first column on.
+columns! {
+    RUN = "run" Text false;
+    CONDITION = "condition" Text false;
+    _REP = "rep" Text false;
+    LEG = "leg" Text false;
+    SLOPE = "slope_deg" Degrees false;
+    FREQUENCY = "stride_frequency" Frequency false;
+    T = "t" Time true;
+    GYRO = "gyro_x" AngularSpeed true;
+    _GYRO_Y = "gyro_y" AngularSpeed true;
+    _GYRO_Z = "gyro_z" AngularSpeed true;
+    ACC = "acc_x" Acceleration true;
+    _ACC_Y = "acc_y" Acceleration true;
+    _ACC_Z = "acc_z" Acceleration true;
+    QUAT = "quat_w" Number false;
+    _QUAT_X = "quat_x" Number false;
+    _QUAT_Y = "quat_y" Number false;
+    _QUAT_Z = "quat_z" Number false;
+    PLACE = "x" Length false;
+    _Y = "y" Length false;
+    _Z = "z" Length false;
+    _VX = "vx" Speed false;
+    _VY = "vy" Speed false;
+    _VZ = "vz" Speed false;
+}
 
 /// Names of the joints' columns, three for each joint.
 pub struct JointColumns<'a> {
@@ -115,7 +106,6 @@ impl<'a> JointColumns<'a> {
 
     /// The columns that a log must or may have.
     pub fn columns(&self) -> Vec<HeaderColumn<'_>> {
-        let fixed = FIXED.iter().map(|&(name, quantity, required)| HeaderColumn { name, quantity, required });
         let kinds = [
             (Quantity::Angle, true),
             (Quantity::AngularSpeed, false),
@@ -125,7 +115,7 @@ impl<'a> JointColumns<'a> {
             let (quantity, required) = kinds[k / self.joints.len()];
             HeaderColumn { name, quantity, required }
         });
-        fixed.chain(own).collect()
+        COLUMNS.iter().copied().chain(own).collect()
     }
 
     /// A table of columns, in which an entry such as `"q:*" = "state.*.pos"` stands for the same entry of every joint.
@@ -164,7 +154,7 @@ impl<'a> Gather<'a> {
         let joints = self.names.joints.len();
         let there = *self.there.get_or_insert_with(|| {
             let all = |from: usize, count: usize| (from..from + count).all(|c| row.text(c).is_some());
-            [all(FIXED.len() + joints, joints), all(QUAT, 4), all(PLACE, 3)]
+            [all(COLUMNS.len() + joints, joints), all(QUAT, 4), all(PLACE, 3)]
         });
         let constant = self.file.motor.torque_constant.unwrap_or(1.0);
         let number = |column: usize| row.within(column, MOST)?.ok_or_else(|| row.blank(column));
@@ -179,7 +169,7 @@ impl<'a> Gather<'a> {
             return Err(row.error(T, format!("{t} s is not after the previous sample of the same run")));
         }
         run.t.push(t);
-        let base = FIXED.len();
+        let base = COLUMNS.len();
         for j in 0..joints {
             run.q[j].push(number(base + j)?);
             if there[0] {
