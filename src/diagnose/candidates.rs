@@ -11,6 +11,7 @@ use super::verdict;
 use super::whiten::Whitener;
 use crate::error::Result;
 use crate::number::dot;
+use crate::progress::Progress;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
 
 /// Number of pairs that are fitted, the best of the linear screen: our choice, because each fit takes time.
@@ -85,16 +86,12 @@ impl Candidates {
 }
 
 /// Fits singles and pairs. Pairs are tried if a single cause predicts left-out conditions better than the plain model.
-pub fn candidates(
-    study: &FitInputs,
-    asked: &SearchSpace,
-    report: &dyn Fn(f64, &str) -> Result<()>,
-) -> Result<Candidates> {
-    report(0.1, "effect of every cause")?;
+pub fn candidates(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -> Result<Candidates> {
+    progress.report(0.1, "effect of every cause")?;
     let ids = [asked.ids, asked.untestable].concat();
     let screen = Screen::new(study, &ids);
     let scores = screen.scores(study.whitener, &study.observations.values);
-    report(0.3, "single causes")?;
+    progress.report(0.3, "single causes")?;
     // Nuisances have nonlinear effects, so they are linearised at the plain model's fit before causes are tested.
     let plain = study.recalibrated();
     let nuisances = study.nuisances_of(&plain, &plain);
@@ -114,11 +111,11 @@ pub fn candidates(
     let leading = leading(&straight, &base, &fits);
     let screened = screen.candidates.clone();
     let mut found = Candidates { screened, around: around.clone(), base, fits, leading, behind, earlier };
-    report(0.5, "singles under the noise of the best")?;
+    progress.report(0.5, "singles under the noise of the best")?;
     found.settle(study, asked);
     if leading.is_some() {
-        report(0.6, "pairs of causes")?;
-        found.add_pairs(study, asked, &screen, report)?;
+        progress.report(0.6, "pairs of causes")?;
+        found.add_pairs(study, asked, &screen, progress)?;
     }
     found.leading = self::leading(&found.around.about(study), &found.base, &found.fits);
     Ok(found)
@@ -190,7 +187,7 @@ impl Candidates {
         study: &FitInputs,
         asked: &SearchSpace,
         screen: &Screen,
-        report: &dyn Fn(f64, &str) -> Result<()>,
+        progress: &dyn Progress,
     ) -> Result<()> {
         let (fits, around) = (&self.fits, self.around.clone());
         let renewed = around.about(study);
@@ -231,7 +228,7 @@ impl Candidates {
         self.fits.extend(pairs);
         self.leading = leading(&renewed, &self.base, &self.fits);
         if self.best().ids.len() > 1 {
-            report(0.75, "pairs under the noise of the best")?;
+            progress.report(0.75, "pairs under the noise of the best")?;
             drop(renewed);
             self.settle(study, asked);
         }

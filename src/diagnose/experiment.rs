@@ -58,12 +58,6 @@ fn usual_friction() -> f64 {
     0.45
 }
 
-impl BodyDescription {
-    pub fn shape(&self) -> Result<BodyShape> {
-        BodyShape::named(&self.body)
-    }
-}
-
 #[derive(Clone, Debug, Deserialize)]
 #[serde(untagged)]
 enum CoefficientsSource {
@@ -216,7 +210,7 @@ impl Experiment {
             check_shape(name, shape)?;
         }
         for (name, body) in &file.bodies {
-            body.shape().map_err(|e| Error::invalid(format!("body.{name}"), e.to_string()))?;
+            BodyShape::named(&body.body).map_err(|e| Error::invalid(format!("body.{name}"), e.to_string()))?;
             // The same range as that of --mu-s in `sandgait intrude`.
             check_range(&format!("body.{name}.friction"), body.friction, 0.1..=10.0)?;
         }

@@ -10,7 +10,7 @@ use crate::error::{Error, Result};
 use crate::parallel;
 use crate::progress::Latch;
 use crate::sand::SandDescription;
-use crate::sand::intruder::{DepthOrLoad, PlatedBody, Status, Trial, compute, without_effect};
+use crate::sand::intruder::{BodyShape, DepthOrLoad, PlatedBody, Status, Trial, compute, without_effect};
 use crate::sand::mechanism::{CATALOG, Mechanisms, Side};
 use std::collections::BTreeMap;
 
@@ -57,7 +57,7 @@ struct Changed {
 impl<'a> IntruderModel<'a> {
     pub fn new(log: &IntruderLog, experiment: &Experiment, latch: &'a Latch<'a>) -> Result<Self> {
         let cut = |(name, description): (&String, &BodyDescription)| {
-            let shape = description.shape()?;
+            let shape = BodyShape::named(&description.body)?;
             let named = |e: Error| Error::invalid(format!("body.{name}"), e.to_string());
             let coarse = PlatedBody::cut(&shape, None).map_err(named)?;
             let longest = 50.0 * coarse.plate_size;

@@ -1,6 +1,6 @@
 //! The normal equations of a fit, and the covariances that follow from them.
 
-use super::fit::{COEFFICIENTS, Fit, Stack};
+use super::fit::{Fit, Stack};
 use super::screen::USUAL;
 use super::shared::gram;
 use super::study::FitInputs;
@@ -59,9 +59,11 @@ impl FitInputs<'_> {
         NormalEquations { white, information, score }
     }
 
-    /// Covariance of the fitted coordinates; coefficients and nuisances are marginalised.
+    /// Covariance of the parameters under the noise; infinite if the normal equations have no solution.
     pub fn covariance(&self, fit: &Fit) -> DMatrix<f64> {
-        values_of(fit, self.normal_equations(fit).information.try_inverse())
+        let count = fit.ids.len() + fit.deviations.len();
+        let inverse = self.normal_equations(fit).information.try_inverse();
+        inverse.unwrap_or_else(|| DMatrix::from_element(count, count, f64::INFINITY))
     }
 
     /// The same covariance for errors that are correlated within a condition in an unknown way, such as the errors of a law that
@@ -69,12 +71,7 @@ impl FitInputs<'_> {
     /// Nielsen & Webb, Journal of Applied Econometrics 38:671, 2023), with the stated uncertainty of coefficients and nuisances
     /// added. One Gauss-Newton step leaves out a condition. If only this condition contains information on a value, the value
     /// returns to its prior.
-    pub fn jackknife(&self, fit: &Fit) -> DMatrix<f64> {
-        values_of(fit, self.jackknife_of_all(fit))
-    }
-
-    /// The jackknife of values, coefficients and nuisances.
-    fn jackknife_of_all(&self, fit: &Fit) -> Option<DMatrix<f64>> {
+    fn jackknife(&self, fit: &Fit) -> Option<DMatrix<f64>> {
         let normal = self.normal_equations(fit);
         let (mut information, mut pull) = (normal.information.clone(), DVector::zeros(normal.score.len()));
         for (k, (&id, at)) in fit.ids.iter().zip(fit.coordinates()).enumerate() {
@@ -97,19 +94,20 @@ impl FitInputs<'_> {
         Some(scatter * ((count - 1.0) / count) + &inverse * stated * &inverse)
     }
 
-    /// Half the 95 % interval of each nuisance, in prior standard deviations. As for values (`select.rs`), it is the greater of two: the
-    /// interval under the noise, which has `degrees` degrees of freedom, and the interval from the scatter between conditions. None if
-    /// the fit has no slopes.
-    pub fn nuisance_reach(&self, fit: &Fit, degrees: f64) -> Option<Vec<f64>> {
-        if fit.slopes.is_empty() {
-            return None;
-        }
-        let (noise, scatter) = (self.normal_equations(fit).information.try_inverse()?, self.jackknife_of_all(fit)?);
+    /// Half the 95 % interval of each parameter: values in their coordinates, deviations in prior standard deviations. It is the
+    /// greater of two (Angrist & Pischke, Mostly Harmless Econometrics, 2009, 8.1): the one under the noise, which has `degrees`
+    /// degrees of freedom, is too small if the law is not quite right, and the one from the scatter between conditions is too
+    /// small if few conditions matter. Both are widened by Student's t, because the noise is only estimated and conditions are
+    /// few. Infinite if the normal equations have no solution.
+    pub fn reach(&self, fit: &Fit, degrees: f64) -> Vec<f64> {
+        let (noise, scatter) = (self.covariance(fit), self.jackknife(fit));
         let others = (self.observations.conditions.len() as f64 - 1.0).max(2.0);
-        let first = fit.ids.len() + COEFFICIENTS;
         let reach = |variance: f64, degrees: f64| (student::square_at_95(degrees) * variance.max(0.0)).sqrt();
-        let of = |k: usize| reach(noise[(k, k)], degrees.max(2.0)).max(reach(scatter[(k, k)], others));
-        Some((first..noise.nrows()).map(of).collect())
+        let of = |k: usize| {
+            let scatter = scatter.as_ref().map_or(f64::INFINITY, |covariance| covariance[(k, k)]);
+            reach(noise[(k, k)], degrees.max(2.0)).max(reach(scatter, others))
+        };
+        (0..noise.nrows()).map(of).collect()
     }
 
     /// Information and score of some units alone, from whitened slopes.
@@ -135,13 +133,6 @@ pub fn value_prior(id: usize, at: f64) -> [f64; 2] {
     [precision, -precision * at]
 }
 
-/// The part of a covariance that belongs to the values of a fit; infinite if there is no covariance.
-fn values_of(fit: &Fit, covariance: Option<DMatrix<f64>>) -> DMatrix<f64> {
-    let count = fit.ids.len();
-    let own = covariance.map(|v| v.view((0, 0), (count, count)).into_owned());
-    own.unwrap_or_else(|| DMatrix::from_element(count, count, f64::INFINITY))
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::laws::tests::with_cohesion;
@@ -162,7 +153,7 @@ mod tests {
             let scatter = scatter.sum::<f64>() * (conditions as f64 - 1.0) / conditions as f64;
             let inverse = study.normal_equations(&fit).information.try_inverse().unwrap();
             let stated: f64 = (1..inverse.nrows()).map(|k| inverse[(0, k)].powi(2)).sum();
-            let found = study.jackknife(&fit)[(0, 0)];
+            let found = study.jackknife(&fit).unwrap()[(0, 0)];
             assert!((found / (scatter + stated) - 1.0).abs() < 0.02, "{found} and not {scatter} + {stated}");
         });
     }

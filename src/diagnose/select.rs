@@ -20,7 +20,6 @@ use crate::progress::Progress;
 use crate::sand::Term;
 use crate::sand::mechanism::{CATALOG, Side};
 use crate::student;
-use nalgebra::DMatrix;
 
 /// Number of folds in which noise, model and values are chosen anew: our choice; each needs its own noise.
 const FOLDS: usize = 6;
@@ -111,7 +110,7 @@ pub fn select(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -
 
 /// Makes all fits and compares them once.
 fn attempt(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -> Result<Selection> {
-    let mut candidates = candidates(study, asked, &|done, stage| progress.report(done, stage))?;
+    let mut candidates = candidates(study, asked, progress)?;
     progress.report(0.8, "laws in the data")?;
     let around = candidates.around.clone();
     let renewed = around.about(study);
@@ -266,19 +265,13 @@ fn explored(study: &FitInputs, candidates: &mut Candidates) -> Option<Vec<[f64; 
     Some(intervals)
 }
 
-/// 95 % intervals. A standard error is the greater of two (Angrist & Pischke, Mostly Harmless Econometrics, 2009, 8.1):
-/// the one under the noise, which is too small if the law is not quite right, and the one from the scatter between
-/// conditions, which is too small if few conditions matter. Both are widened by Student's t, because the noise is only
-/// estimated and conditions are few.
+/// 95 % intervals of the values, and their correlations.
 fn intervals(study: &FitInputs, fit: &Fit, degrees: f64, profiled: Option<Vec<[f64; 2]>>) -> Intervals {
-    let (count, covariance, jackknife) = (fit.ids.len(), study.covariance(fit), study.jackknife(fit));
-    let others = (study.observations.conditions.len() as f64 - 1.0).max(2.0);
+    let (count, covariance, reach) = (fit.ids.len(), study.covariance(fit), study.reach(fit, degrees));
     let range = |k: usize| {
         let at = fit.coordinates()[k];
-        let reach = |covariance: &DMatrix<f64>, degrees| (student::square_at_95(degrees) * covariance[(k, k)]).sqrt();
-        let reach = reach(&covariance, degrees.max(2.0)).max(reach(&jackknife, others));
         let profiled = profiled.as_ref().and_then(|p| p.get(k)).filter(|i| i.iter().all(|u| u.is_finite()));
-        let [low, high] = profiled.copied().unwrap_or([at - reach, at + reach]);
+        let [low, high] = profiled.copied().unwrap_or([at - reach[k], at + reach[k]]);
         let bounds = CATALOG[fit.ids[k]].coordinate_bounds();
         [low.clamp(bounds[0], bounds[1]), high.clamp(bounds[0], bounds[1])]
     };

@@ -199,7 +199,7 @@ impl ReportView<'_> {
     /// or beds.
     fn nuisances(&self, study: &FitInputs) -> Vec<NuisanceValue> {
         let (selection, fit) = (self.selection, &self.selection.standing);
-        let reach = study.nuisance_reach(fit, selection.table.degrees);
+        let reach = if fit.slopes.is_empty() { Vec::new() } else { study.reach(fit, selection.table.degrees) };
         let split = |id: &str| match id.split_once('_').filter(|(_, c)| ["Fx", "Fz", "Ty"].contains(c)) {
             Some((kind, channel)) => (kind.to_string(), Some(channel.to_string())),
             None => (id.to_string(), None),
@@ -208,7 +208,8 @@ impl ReportView<'_> {
         let mut values: Vec<NuisanceValue> = all
             .map(|(k, (n, d))| {
                 let (id, channel) = split(&n.id);
-                let share = reach.as_ref().map_or(1.0, |reach| reach[k] / NORMAL);
+                let reach = reach.get(fit.ids.len() + COEFFICIENTS + k).filter(|reach| reach.is_finite());
+                let share = reach.map_or(1.0, |reach| reach / NORMAL);
                 NuisanceValue { id, channel, level: "log", value: d * n.sd, sd: share * n.sd, unit: n.unit }
             })
             .collect();

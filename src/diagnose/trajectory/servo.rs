@@ -61,11 +61,11 @@ fn of_run(run: &Run, body: &ReplayRobot) -> Option<OfRun> {
         };
         joints.push((0..q.len()).map(torque).collect());
     }
-    Some(OfRun { joints, turning, most: most(run), exact: false })
+    Some(OfRun { joints, turning, most: MOST * greatest(&run.tau), exact: false })
 }
 
-fn most(run: &Run) -> f64 {
-    MOST * run.tau.iter().flatten().fold(0.0, |m: f64, t| m.max(t.abs()))
+fn greatest(torques: &[Vec<f64>]) -> f64 {
+    torques.iter().flatten().fold(0.0, |most: f64, torque| most.max(torque.abs()))
 }
 
 /// Slope of `q` over time at sample `i`, from `apart` samples before it to `apart` samples after it.
@@ -109,7 +109,7 @@ impl RequestedTorques {
     /// Requests that are known exactly: `torques` run by run, joint by joint, sample by sample.
     pub fn exactly(runs: &[Run], torques: Vec<Vec<Vec<f64>>>) -> Self {
         let of = |(run, joints): (&Run, Vec<Vec<f64>>)| {
-            let most = joints.iter().flatten().fold(0.0, |m: f64, t| m.max(t.abs()));
+            let most = greatest(&joints);
             OfRun { joints, turning: run.t.len(), most, exact: true }
         };
         Self { runs: runs.iter().zip(torques).map(of).collect() }

@@ -293,7 +293,7 @@ pub fn diagnose(request: DiagnoseRequest) -> Result<StudyWork<Diagnosis>> {
         return Err(Error::unknown("robot", robot, &Robot::names()));
     }
     for (name, body) in &experiment.file.bodies {
-        if let BodyShape::Mesh(_) = body.shape()? {
+        if let BodyShape::Mesh(_) = BodyShape::named(&body.body)? {
             return Err(Error::invalid(
                 format!("body.{name}"),
                 "a server reads no mesh files; use sandgait diagnose on the command line",
