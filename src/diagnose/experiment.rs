@@ -1,7 +1,6 @@
 //! EXPERIMENT.toml: facts that the data file does not contain.
 
 use super::nuisance::{PriorEntry, Priors};
-use super::trajectory::keys::{self, Imu, MOST_RUNS, MotorKeys, RunTable};
 use crate::error::{Error, Result, check_range};
 use crate::progress::Progress;
 use crate::sand::intruder::BodyShape;
@@ -16,6 +15,13 @@ use std::path::Path;
 
 /// Largest number of rows of a log: our choice, because the diagnosis of such a log uses some 0.6 GiB.
 pub const MOST_ROWS: usize = 40_000;
+
+/// Largest number of runs in a log, and of runs that an experiment file lists: our choice.
+pub const MOST_RUNS: usize = 1000;
+
+/// Keys that only `kind = "trajectory"` has. The key `topics` has no effect on a CSV file; it is for recordings that `sandgait.logs` (Python) reads.
+const TRAJECTORY_KEYS: [&str; 10] =
+    ["imu", "motor", "slope_deg", "stride_frequency", "leg", "touches", "window", "topics", "run", "hardware"];
 
 /// The kind of data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
@@ -74,6 +80,54 @@ pub struct SandTable {
     bulk_density: Option<f64>,
 }
 
+/// The table `[imu]`.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Imu {
+    /// Position in the base's frame [m].
+    pub position: [f64; 3],
+    /// Rotation from the IMU's frame to the base's frame, as a quaternion w, x, y, z.
+    pub quat: [f64; 4],
+}
+
+impl Default for Imu {
+    fn default() -> Self {
+        Self { position: [0.0; 3], quat: [1.0, 0.0, 0.0, 0.0] }
+    }
+}
+
+/// The table `[motor]`.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MotorKeys {
+    /// Torque constant of the motors [N·m/A]; if it is given, the log has currents instead of torques.
+    pub torque_constant: Option<f64>,
+}
+
+/// A table `[[run]]`: the part of the log that is one run, for logs without a column `run`. `from` and `to` are values of `t` [s].
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RunTable {
+    pub name: Option<String>,
+    pub from: Option<f64>,
+    pub to: Option<f64>,
+    pub condition: Option<String>,
+    pub leg: Option<String>,
+    pub slope_deg: Option<f64>,
+    pub stride_frequency: Option<f64>,
+}
+
+impl RunTable {
+    pub fn holds(&self, t: f64) -> bool {
+        self.from.is_none_or(|from| t >= from) && self.to.is_none_or(|to| t < to)
+    }
+}
+
+/// Length of the windows if the file gives none [s]: our choice, about a stride.
+fn usual_window() -> f64 {
+    0.5
+}
+
 /// EXPERIMENT.toml as it is written. Only robots' own logs have the keys from `imu` on.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -114,7 +168,7 @@ pub struct ExperimentFile {
     /// Bodies or shapes that touch the sand, for a robot from a URDF or MJCF file.
     pub touches: Option<Vec<String>>,
     /// Length of the windows [s] if the log has no strides, because no joint makes full turns and no stride frequency is given.
-    #[serde(default = "keys::usual_window")]
+    #[serde(default = "usual_window")]
     pub window: f64,
     hardware: Option<String>,
     #[serde(rename = "topics")]
@@ -184,7 +238,7 @@ impl Experiment {
             )
         })?;
         let given: toml::Table = toml::from_str(text).unwrap_or_default();
-        let key = keys::NAMES.iter().find(|key| given.contains_key(**key));
+        let key = TRAJECTORY_KEYS.iter().find(|key| given.contains_key(**key));
         if let Some(key) = key.filter(|_| file.kind != DataKind::Trajectory) {
             return Err(Error::invalid(*key, "only kind = \"trajectory\" has this key"));
         }

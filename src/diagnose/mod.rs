@@ -35,7 +35,6 @@ mod fit;
 pub mod force_log;
 pub mod force_model;
 pub mod forward;
-mod further;
 mod gauss_newton;
 pub mod hardware;
 mod intruder_log;

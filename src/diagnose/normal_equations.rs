@@ -1,13 +1,16 @@
-//! The normal equations of a fit, and the covariances that follow from them.
+//! The normal equations of a fit, and what follows from them: covariances, and the gain, the size and the upper limit of further
+//! causes.
 
-use super::fit::{Fit, Stack};
+use super::fit::{Fit, Stack, slope};
 use super::screen::USUAL;
 use super::shared::gram;
 use super::study::FitInputs;
 use crate::number::dot;
+use crate::parallel;
 use crate::sand::mechanism::CATALOG;
 use crate::student;
 use nalgebra::{DMatrix, DVector};
+use std::collections::HashSet;
 use std::sync::Arc;
 
 /// Information matrix and score of a fit's (values, deviations), and its whitened slopes.
@@ -36,6 +39,19 @@ impl NormalEquations {
         };
         Some(1.0 - free(0)? / free(count)?.max(1e-300))
     }
+}
+
+/// A further cause in addition to a fitted model, from a linear estimate.
+#[derive(Clone, Copy, Debug)]
+pub struct Further {
+    /// Catalogue index.
+    pub id: usize,
+    /// Value from which a fit begins.
+    pub start: f64,
+    pub gain: f64,
+    /// Estimate and its standard deviation, in the mechanism's coordinate; the estimate may have the wrong sign.
+    pub estimate: f64,
+    pub sd: f64,
 }
 
 impl FitInputs<'_> {
@@ -108,6 +124,35 @@ impl FitInputs<'_> {
             reach(noise[(k, k)], degrees.max(2.0)).max(reach(scatter, others))
         };
         (0..noise.nrows()).map(of).collect()
+    }
+
+    /// Further causes in addition to a fitted model, in order of their gain [χ²], largest first.
+    pub fn further(&self, first: &Fit, candidates: &[(usize, f64)]) -> Vec<Further> {
+        let normal = self.normal_equations(first);
+        let others: Vec<_> = candidates.iter().filter(|c| !first.ids.contains(&c.0)).copied().collect();
+        let coefficients = self.coefficients(&first.deviations);
+        let states: Vec<_> = others.iter().map(|&(id, v)| (first.mechanisms.with(id, v), coefficients)).collect();
+        let moved: Vec<_> = others.into_iter().zip(self.model.predict_many(&states)).collect();
+        let mut found: Vec<_> = parallel::map(&moved, |&((id, value), ref moved)| {
+            let white = self.whitener.apply(&slope(moved, &first.prediction, value));
+            let [score, left] = normal.beside(&white, &first.white).unwrap_or_default();
+            let estimate = if left > 1e-12 { score / left } else { 0.0 };
+            let entry = &CATALOG[id];
+            let held =
+                estimate.clamp(entry.bounds[0], entry.bounds[1]).clamp(-USUAL * entry.typical, USUAL * entry.typical);
+            let held = if entry.ceiling { value } else { held };
+            Further {
+                id,
+                start: if held == 0.0 { 0.05 * value } else { held },
+                gain: if held * estimate > 0.0 { score * estimate } else { 0.0 },
+                estimate,
+                sd: left.max(1e-300).sqrt().recip(),
+            }
+        });
+        found.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+        let mut seen = HashSet::new();
+        found.retain(|f| seen.insert(f.id));
+        found
     }
 
     /// Information and score of some units alone, from whitened slopes.

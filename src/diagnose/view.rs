@@ -4,9 +4,9 @@ use super::errors::SquaredErrors;
 use super::evidence::NORMAL;
 use super::fit::{COEFFICIENTS, Fit};
 use super::forward::Feature;
-use super::further::Further;
 use super::laws::FittedLaw;
 use super::noise::{Noise, NoiseData};
+use super::normal_equations::Further;
 use super::report::{
     Cause, EvidenceRow, Gain, LackOfFit, NextExperiment, NoiseSummary, NuisanceValue, Remainder, Report, RunMeans,
     TermFound, Tried, Untestable, UpperLimit,

@@ -8,7 +8,7 @@ use super::log::{Log, Run};
 use super::sensors::Layout;
 use super::windows::BINS;
 use crate::error::{Error, Result};
-use crate::series::ends;
+use crate::series::{central_difference, ends};
 use crate::sim::model::GRAVITY;
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
@@ -55,7 +55,7 @@ fn speed(run: &Run, j: usize, name: &str) -> Option<String> {
     let qd = run.qd.get(j)?;
     let q = &run.q[j];
     let inner = 2..q.len().saturating_sub(2);
-    let change = |i: usize| (q[i + 2] - q[i - 2]) / (run.t[i + 2] - run.t[i - 2]);
+    let change = |i: usize| central_difference(&run.t, q, i, 2);
     let [low, high] = ends(q.iter().copied());
     // Samples at which an angle is wrapped are left out.
     let steady = |i: &usize| (q[i + 2] - q[i - 2]).abs() <= 0.5 * (high - low);

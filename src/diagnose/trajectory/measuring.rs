@@ -9,7 +9,7 @@ use super::servo;
 use super::windows::{BINS, Integral};
 use crate::fit::slope;
 use crate::nuisance::Nuisance;
-use crate::series::root_mean_square;
+use crate::series::{central_difference, root_mean_square};
 
 /// Steps of the IMU's rotation [rad] and delay [s] for derivatives: our choices.
 const TURN_STEP: f64 = 1e-3;
@@ -108,6 +108,7 @@ impl TrajectoryModel<'_> {
 
 /// Direction of each joint's motion at each sample, −1 to 1.
 fn signs(run: &Run) -> Vec<Vec<f64>> {
-    let of = |q: &Vec<f64>| (0..q.len()).map(|i| (servo::slope(&run.t, q, i, 2) / FRICTION_SPEED).tanh()).collect();
+    let of =
+        |q: &Vec<f64>| (0..q.len()).map(|i| (central_difference(&run.t, q, i, 2) / FRICTION_SPEED).tanh()).collect();
     run.q.iter().map(of).collect()
 }

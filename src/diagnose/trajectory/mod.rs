@@ -9,7 +9,6 @@ mod consistency;
 mod forecast;
 #[cfg(test)]
 mod generate;
-pub(super) mod keys;
 mod log;
 mod measuring;
 mod model;

@@ -8,6 +8,7 @@ use super::log::{Log, Run};
 use super::replay::{ReplayRobot, smoothed};
 use super::windows::{Integral, Window, bins};
 use crate::error::Result;
+use crate::series::central_difference;
 use crate::sim::walk::hip_angle;
 
 /// Requested torques are cut off at this multiple of the largest logged torque: our choice. If a joint is far behind its command,
@@ -56,7 +57,7 @@ fn of_run(run: &Run, body: &ReplayRobot) -> Option<OfRun> {
         let smooth = smoothed(q);
         let torque = |i: usize| {
             let [told, rate] = hip_angle(frequency, run.t[i] - run.t[0]);
-            let own = run.qd.get(j).map_or_else(|| slope(&run.t, &smooth, i, 1), |qd| qd[i]);
+            let own = run.qd.get(j).map_or_else(|| central_difference(&run.t, &smooth, i, 1), |qd| qd[i]);
             kp * (told - smooth[i]) + kd * (rate - own)
         };
         joints.push((0..q.len()).map(torque).collect());
@@ -66,12 +67,6 @@ fn of_run(run: &Run, body: &ReplayRobot) -> Option<OfRun> {
 
 fn greatest(torques: &[Vec<f64>]) -> f64 {
     torques.iter().flatten().fold(0.0, |most: f64, torque| most.max(torque.abs()))
-}
-
-/// Slope of `q` over time at sample `i`, from `apart` samples before it to `apart` samples after it.
-pub fn slope(t: &[f64], q: &[f64], i: usize, apart: usize) -> f64 {
-    let (a, b) = (i.saturating_sub(apart), (i + apart).min(q.len() - 1));
-    (q[b] - q[a]) / (t[b] - t[a])
 }
 
 /// Number of values that are tried first for the offset in [`zero`], at even steps in the list of sorted differences: our choice.
