@@ -36,7 +36,7 @@
 //! 2020).
 
 use super::fit::{Fit, Stack};
-use super::left_out::{Contender, LeftOutRow, Linear};
+use super::left_out::{CandidateLaw, Contender, LeftOutRow, Linear};
 use super::normal_equations::value_prior;
 use super::study::FitInputs;
 use super::whiten::Whitener;
@@ -162,11 +162,11 @@ impl EvidenceTable {
         let known: HashMap<_, _> = unique.iter().map(place).zip(&projected).collect();
         // The projected columns of each law, and the prior standard deviations of their coefficients.
         let laws = |m: &Contender| {
-            let of = |column: &Arc<Vec<f32>>| {
-                let column: Vec<f64> = column.iter().copied().map(f64::from).collect();
+            let of = |law: &CandidateLaw| {
+                let column: Vec<f64> = law.column.iter().copied().map(f64::from).collect();
                 (projection.apply(&column), width(&column, &m.fit.prediction))
             };
-            m.laws.map_or(Vec::new(), |laws| parallel::map(&laws.columns, of))
+            parallel::map(m.laws.unwrap_or_default(), of)
         };
         let models: Vec<(&Contender, _)> = models.iter().map(|m| (m, laws(m))).collect();
         let residual = |fit: &Fit| -> Vec<f64> {

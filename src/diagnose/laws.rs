@@ -5,13 +5,12 @@
 //! anew with each condition left out, so a large dictionary gains nothing by chance ([`super::evidence`]).
 
 use super::fit::{Fit, slope};
-use super::left_out::Laws;
+use super::left_out::CandidateLaw;
 use super::study::FitInputs;
 use crate::number::dot;
 use crate::parallel;
 use crate::sand::GRAVITY;
 use crate::sand::term::{On, Term};
-use std::sync::Arc;
 
 /// Powers of v_n²/(g|z|) in laws of the normal speed; the next constant has the powers of |z|/w. Our choice: up to the
 /// cube of the speed, in steps that logs can resolve.
@@ -91,7 +90,7 @@ fn dictionary([speed, depth, width]: [f64; 3]) -> Vec<Term> {
 /// The laws that are physically possible about `base`, with their columns; None if the model supports no laws. A law is
 /// left out if its effect on these data is nearly that of a cause of `base`: it would describe this cause a second
 /// time, and take a part of the cause's value.
-pub fn laws(study: &FitInputs, base: &Fit) -> Option<Laws> {
+pub fn laws(study: &FitInputs, base: &Fit) -> Option<Vec<CandidateLaw>> {
     study.model.with_terms(&[])?;
     let sand = study.sand(base);
     let normal = study.normal_equations(base);
@@ -106,11 +105,10 @@ pub fn laws(study: &FitInputs, base: &Fit) -> Option<Laws> {
         let estimate = dot(&white, &base.white) / dot(&white, &white).max(1e-300);
         let fitted = Term { coefficient: estimate, ..law.clone() };
         fitted.check(&sand.1, study.model.medium().bulk_density).ok()?;
-        Some((law.clone(), Arc::new(column.iter().map(|v| *v as f32).collect())))
+        Some(CandidateLaw { term: law.clone(), column: column.iter().map(|v| *v as f32).collect() })
     };
     let made = parallel::map(&dictionary(study.model.reach()), column);
-    let (terms, columns) = made.into_iter().flatten().unzip();
-    Some(Laws { terms, columns })
+    Some(made.into_iter().flatten().collect())
 }
 
 /// The law `term`, fitted in addition to `base`, starting from the coefficient in `term`. With `held`, the values of
@@ -196,9 +194,9 @@ pub(super) mod tests {
     fn a_law_that_repeats_a_cause_is_left_out_beside_it() {
         with_cohesion(|study, fit| {
             let still = term(&[("depth_over_width", -1.0)]);
-            let beside = |fit: &Fit| laws(study, fit).unwrap().terms.iter().any(|t| t.groups == still.groups);
+            let beside = |fit: &Fit| laws(study, fit).unwrap().iter().any(|law| law.term.groups == still.groups);
             assert!(beside(&study.recalibrated()) && !beside(fit));
-            assert!(laws(study, fit).unwrap().terms.len() > 20);
+            assert!(laws(study, fit).unwrap().len() > 20);
         });
     }
 

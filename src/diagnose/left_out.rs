@@ -5,7 +5,6 @@ use super::fit::{COEFFICIENTS, Fit, Stack};
 use super::study::FitInputs;
 use crate::sand::Term;
 use nalgebra::{DMatrix, DVector};
-use std::sync::Arc;
 
 /// Largest number of rounds to find the scale of a model's errors. The next constant is the relative change below which
 /// the scale counts as found. Our choices; the scale affects the prediction only through the weight of the priors.
@@ -15,14 +14,14 @@ const FOUND: f64 = 0.1;
 /// A model to compare: a fit, and laws, of which at most one is added to the fit.
 pub struct Contender<'a> {
     pub fit: &'a Fit,
-    pub laws: Option<&'a Laws>,
+    pub laws: Option<&'a [CandidateLaw]>,
 }
 
-/// Laws. The column of each is the change of a fit's prediction by this law with the coefficient 1. The columns take the most memory of a
-/// diagnosis, and single precision is far more than a law needs.
-pub struct Laws {
-    pub terms: Vec<Term>,
-    pub columns: Vec<Arc<Vec<f32>>>,
+/// A law that a model may have. Its column is the change of a fit's prediction by the law with the coefficient 1. The columns take
+/// the most memory of a diagnosis, and single precision is far more than a law needs.
+pub struct CandidateLaw {
+    pub term: Term,
+    pub column: Vec<f32>,
 }
 
 /// How one model predicts each condition from the others.
@@ -282,7 +281,7 @@ pub fn held_out(
     let fit = model.fit;
     let sand = fit.ids.len() + COEFFICIENTS;
     let parts: Vec<(f64, &Stack)> = step[..sand].iter().copied().zip(&fit.slopes[..sand]).collect();
-    let law = law.and_then(|l| model.laws.map(|own| (step[step.len() - 1], &own.columns[l])));
+    let law = law.and_then(|l| Some((step[step.len() - 1], &model.laws?[l].column)));
     let described = |k: usize| law.map_or(0.0, |(coefficient, column)| coefficient * f64::from(column[k]));
     SquaredErrors::of(
         study.observations,

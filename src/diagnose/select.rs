@@ -7,7 +7,7 @@ use super::evidence::{EvidenceTable, LEAST};
 use super::fit::Fit;
 use super::gauss_newton::MOST_DEVIATION;
 use super::laws::{FittedLaw, fitted, laws};
-use super::left_out::{Contender, Laws, held_out};
+use super::left_out::{CandidateLaw, Contender, held_out};
 use super::noise::NoiseData;
 use super::nuisance::stated;
 use super::profile;
@@ -131,7 +131,7 @@ fn judged(
     renewed: &FitInputs,
     asked: &SearchSpace,
     mut candidates: Candidates,
-    mut dictionary: [Option<Laws>; 2],
+    mut dictionary: [Option<Vec<CandidateLaw>>; 2],
     profiled: Option<Vec<[f64; 2]>>,
 ) -> Selection {
     let all: Vec<usize> = (0..study.observations.conditions.len()).collect();
@@ -139,7 +139,7 @@ fn judged(
     let plain = study.plain();
     let plain = SquaredErrors::of(study.observations, |k| plain.prediction[k], &all);
     loop {
-        let models = models(&candidates, dictionary.each_ref().map(Option::as_ref));
+        let models = models(&candidates, dictionary.each_ref().map(Option::as_deref));
         let table = EvidenceTable::new(renewed, renewed.whitener, &models, &all);
         let mut entries = entries(renewed, &table, &models, &all, asked);
         let mut ruling = verdict(&entries, SECOND);
@@ -168,10 +168,7 @@ fn judged(
         let law = term.as_ref().and_then(|term| fitted(&last, &fit, term.clone(), held));
         if let (Some(place), None) = (table.rows[ruling.model].law.filter(|_| term.is_some()), &law) {
             let own = usize::from(entries[ruling.model].causes > 0);
-            for laws in dictionary[own].iter_mut() {
-                laws.terms.remove(place);
-                laws.columns.remove(place);
-            }
+            dictionary[own].iter_mut().for_each(|laws| drop(laws.remove(place)));
             continue;
         }
         let formulas = (0..models.len()).map(|k| law_of(&table, &models, k).map(|t| t.formula())).collect();
@@ -199,7 +196,7 @@ fn judged(
 }
 
 /// The models of the table: the plain one, all fits, a law alone, and a law beside the leading cause.
-fn models<'a>(candidates: &'a Candidates, [alone, beside]: [Option<&'a Laws>; 2]) -> Vec<Contender<'a>> {
+fn models<'a>(candidates: &'a Candidates, [alone, beside]: [Option<&'a [CandidateLaw]>; 2]) -> Vec<Contender<'a>> {
     let mut models = contenders(&candidates.base, &candidates.fits);
     models.extend(alone.map(|laws| Contender { fit: &candidates.base, laws: Some(laws) }));
     let leading = candidates.leading.map(|k| &candidates.fits[k]);
@@ -211,7 +208,7 @@ fn models<'a>(candidates: &'a Candidates, [alone, beside]: [Option<&'a Laws>; 2]
 fn law_of(table: &EvidenceTable, models: &[Contender], k: usize) -> Option<Term> {
     let row = &table.rows[k];
     let coefficient = *row.step.last()?;
-    models[k].laws.zip(row.law).map(|(laws, l)| Term { coefficient, ..laws.terms[l].clone() })
+    models[k].laws.zip(row.law).map(|(laws, l)| Term { coefficient, ..laws[l].term.clone() })
 }
 
 /// The entries of a table over the conditions `used`, for the verdict.
