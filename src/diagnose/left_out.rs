@@ -28,13 +28,11 @@ pub struct CandidateLaw {
 pub struct LeftOutRow {
     /// Log predictive density of each condition that is used; the last entry is that of the stated priors of coefficients and nuisances.
     pub elpd: Vec<f64>,
-    /// V⁻¹ e of each condition: the expected error of the condition itself, without the error of the parameters.
-    pub own: Vec<DVector<f64>>,
+    /// Each condition, predicted from the others.
+    pub left: Vec<LeftOut>,
     /// Scale φ of the errors: `scales` has, for each condition, the estimate from the other conditions; `scale` is the estimate from all conditions.
     pub scales: Vec<f64>,
     pub scale: f64,
-    /// Q of each condition.
-    pub squares: Vec<f64>,
     /// Held-out errors in the data's own unit, of the sand without nuisances.
     pub held_out: SquaredErrors,
     /// Change of the parameters with no condition left out; with a law, its coefficient is the last one.
@@ -65,15 +63,15 @@ struct Products {
 }
 
 /// A condition, predicted from the others.
-struct LeftOut {
+pub struct LeftOut {
     /// The law chosen without the condition.
     law: Option<usize>,
     step: DVector<f64>,
     error: DVector<f64>,
-    /// V⁻¹ e
-    solved: DVector<f64>,
-    /// eᵀ V⁻¹ e
-    square: f64,
+    /// V⁻¹ e: the expected error of the condition itself, without the error of the parameters.
+    pub solved: DVector<f64>,
+    /// Q = eᵀ V⁻¹ e
+    pub square: f64,
     /// ln |V|
     wider: f64,
 }
@@ -242,8 +240,7 @@ impl Linear {
         let held_out = SquaredErrors(now.left.iter().zip(used).flat_map(held_out).collect());
         LeftOutRow {
             elpd: now.left.iter().zip(&scales).map(density).collect(),
-            squares: now.left.iter().map(|own| own.square).collect(),
-            own: now.left.into_iter().map(|own| own.solved).collect(),
+            left: now.left,
             scales,
             scale,
             held_out,
