@@ -112,11 +112,6 @@ impl Observations {
     pub fn error_unit(&self) -> &'static str {
         self.channels.iter().find(|c| c.in_rmse).map_or("", |c| c.unit)
     }
-
-    /// Does any condition have repetitions? Without them there is no noise floor.
-    pub fn has_replicates(&self) -> bool {
-        self.repetitions().iter().any(|units| units.len() > 1)
-    }
 }
 
 /// A log, read and checked: what was measured, and in which setting.

@@ -104,6 +104,7 @@ pub fn starts(study: &FitInputs, id: usize) -> Vec<f64> {
     match entry.id {
         "friction_clip" => vec![0.5, 2.0, 5.0],
         _ if entry.ceiling => (0..CEILINGS).map(|k| 2.0 * entry.typical * 0.5f64.powf(0.5 * k as f64)).collect(),
-        _ => vec![study.felt_strength(id)],
+        // A strength whose effect on the data is reliable: the typical strength, or a larger one for a rough model.
+        _ => vec![(0.5 * entry.coordinate_typical()).max(study.steps[id])],
     }
 }

@@ -86,21 +86,9 @@ impl<'a> FitInputs<'a> {
         (fit.mechanisms, self.coefficients(&fit.deviations))
     }
 
-    /// Nuisances with a fit's values.
-    pub fn nuisance_values(&self, fit: &Fit) -> Vec<(String, f64)> {
-        let own = self.nuisances.iter().zip(&fit.deviations[COEFFICIENTS..]);
-        own.map(|(n, d)| (n.id.clone(), n.sd * d)).collect()
-    }
-
     /// Number of slopes by coefficients and nuisances; in a fit they follow the slopes by values.
     pub fn marginals(&self) -> usize {
         COEFFICIENTS + self.nuisances.len()
-    }
-
-    /// A strength of mechanism `id`, in its coordinate, whose effect on the data is reliable: the typical strength, or
-    /// a larger one for a rough model.
-    pub fn felt_strength(&self, id: usize) -> f64 {
-        (0.5 * CATALOG[id].coordinate_typical()).max(self.steps[id])
     }
 
     /// The same study with another model, which gives the same predictions if there are no mechanisms.
@@ -125,7 +113,9 @@ impl<'a> FitInputs<'a> {
         if self.nuisances.is_empty() {
             return Vec::new();
         }
-        let mut there = self.model.nuisances(&self.sand(fit), &self.nuisance_values(adjusted));
+        let values = self.nuisances.iter().zip(&adjusted.deviations[COEFFICIENTS..]);
+        let values: Vec<_> = values.map(|(n, d)| (n.id.clone(), n.sd * d)).collect();
+        let mut there = self.model.nuisances(&self.sand(fit), &values);
         there.retain(|n| self.nuisances.iter().any(|own| own.id == n.id));
         there
     }

@@ -248,15 +248,35 @@ mod tests {
     }
 
     #[test]
-    fn a_name_needs_that_no_rival_predicts_as_well() {
+    fn the_verdict_follows_from_the_table() {
         use Verdict::*;
-        let far = [(0, false, -100.0, 90.0), (1, false, 0.0, 0.0), (1, false, -50.0, 40.0)];
-        assert_eq!(of(&table(&far)), (Named, Written::Cause, 1, vec![1]));
-        let near = [(0, false, -100.0, 90.0), (1, false, 0.0, 0.0), (1, false, -5.0, 0.0)];
-        assert_eq!(of(&table(&near)), (Ambiguous, Written::Cause, 1, vec![1, 2]));
-        // An entry that explains hardly anything is no rival, even if it is not beaten.
-        let weak = [(0, false, -8.0, 0.0), (1, false, 3.0, 0.0), (1, false, -6.0, 0.0)];
-        assert_eq!(of(&table(&weak)), (Named, Written::Cause, 1, vec![1]));
+        use Written::*;
+        let all = [
+            // A name needs that no rival predicts as well.
+            (vec![(0, false, -100.0, 90.0), (1, false, 0.0, 0.0), (1, false, -50.0, 40.0)], (Named, Cause, 1, vec![1])),
+            (
+                vec![(0, false, -100.0, 90.0), (1, false, 0.0, 0.0), (1, false, -5.0, 0.0)],
+                (Ambiguous, Cause, 1, vec![1, 2]),
+            ),
+            // An entry that explains hardly anything is no rival, even if it is not beaten.
+            (vec![(0, false, -8.0, 0.0), (1, false, 3.0, 0.0), (1, false, -6.0, 0.0)], (Named, Cause, 1, vec![1])),
+            // A remainder hides no name, and the smaller part is a proxy.
+            (vec![(0, false, -100.0, 100.0), (1, false, 0.0, 40.0)], (Named, Cause, 1, vec![1])),
+            (vec![(0, false, -100.0, 100.0), (1, false, 0.0, 60.0)], (NoneOfThese, Proxy, 1, vec![])),
+            // A law that predicts better describes.
+            (
+                vec![(0, false, -100.0, 90.0), (1, false, -40.0, 20.0), (0, true, 0.0, 0.0)],
+                (Described, Description, 2, vec![]),
+            ),
+            (vec![(0, false, -100.0, 90.0), (1, false, -5.0, 0.0), (0, true, 0.0, 0.0)], (Named, Cause, 1, vec![1])),
+            // If nothing is better, there is noise or misfit.
+            (vec![(0, false, -5.0, 0.0), (1, false, 0.0, 0.0)], (NoiseFloor, Plain, 0, vec![])),
+            (vec![(0, false, -5.0, 50.0), (1, false, 0.0, 45.0)], (NoneOfThese, Plain, 0, vec![])),
+            (vec![(0, false, -7.0, 50.0), (1, false, 0.0, 45.0)], (NoneOfThese, Proxy, 1, vec![])),
+        ];
+        for (entries, expected) in all {
+            assert_eq!(of(&table(&entries)), expected, "{entries:?}");
+        }
     }
 
     #[test]
@@ -270,32 +290,6 @@ mod tests {
         let mut far = table(&[(0, false, -100.0, 90.0), (1, false, -50.0, 40.0), (1, false, 0.0, 0.0)]);
         far[2].unnamed = true;
         assert_eq!(of(&far), (Verdict::Ambiguous, Written::Cause, 2, vec![2, 1]));
-    }
-
-    #[test]
-    fn a_remainder_hides_no_name_and_the_smaller_part_is_a_proxy() {
-        let small = [(0, false, -100.0, 100.0), (1, false, 0.0, 40.0)];
-        assert_eq!(of(&table(&small)), (Verdict::Named, Written::Cause, 1, vec![1]));
-        let large = [(0, false, -100.0, 100.0), (1, false, 0.0, 60.0)];
-        assert_eq!(of(&table(&large)), (Verdict::NoneOfThese, Written::Proxy, 1, Vec::new()));
-    }
-
-    #[test]
-    fn a_law_that_predicts_better_describes() {
-        let of_law = [(0, false, -100.0, 90.0), (1, false, -40.0, 20.0), (0, true, 0.0, 0.0)];
-        assert_eq!(of(&table(&of_law)), (Verdict::Described, Written::Description, 2, Vec::new()));
-        let as_well = [(0, false, -100.0, 90.0), (1, false, -5.0, 0.0), (0, true, 0.0, 0.0)];
-        assert_eq!(of(&table(&as_well)), (Verdict::Named, Written::Cause, 1, vec![1]));
-    }
-
-    #[test]
-    fn nothing_better_is_noise_or_misfit() {
-        let nothing = [(0, false, -5.0, 0.0), (1, false, 0.0, 0.0)];
-        assert_eq!(of(&table(&nothing)), (Verdict::NoiseFloor, Written::Plain, 0, Vec::new()));
-        let misfit = [(0, false, -5.0, 50.0), (1, false, 0.0, 45.0)];
-        assert_eq!(of(&table(&misfit)), (Verdict::NoneOfThese, Written::Plain, 0, Vec::new()));
-        let ahead = [(0, false, -7.0, 50.0), (1, false, 0.0, 45.0)];
-        assert_eq!(of(&table(&ahead)), (Verdict::NoneOfThese, Written::Proxy, 1, Vec::new()));
     }
 
     #[test]

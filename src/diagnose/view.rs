@@ -30,7 +30,7 @@ pub fn without_verdict(
 ) -> Report {
     let (observations, model, plain) = (study.observations, study.model, study.plain().prediction);
     let range = |f: Feature| (f.name.to_string(), ends(f.values.iter().flatten().copied()));
-    let why = match observations.has_replicates() {
+    let why = match observations.repetitions().iter().any(|units| units.len() > 1) {
         true => "repetitions are copies of each other, so their scatter is no noise floor",
         false => "no condition is repeated",
     };
