@@ -99,14 +99,14 @@ const UNEVEN: f64 = 1.25;
 /// size, which may be noise: our choice.
 const DIP: f64 = 0.1;
 
-/// One sentence that names the shape with the largest error of `prediction`, and the ranges of the features where the
-/// error is large; `error` is the name of the error. None if the error is similar everywhere.
+/// Clauses that name the shape with the largest error of `prediction`, and the ranges of the features where the error is
+/// large; `error` is the name of the error. None if the error is similar everywhere.
 pub fn whereabouts(
     observations: &Observations,
     model: &dyn ForwardModel,
     prediction: &[f64],
     error: &str,
-) -> Option<String> {
+) -> Vec<String> {
     let everything = misfit(observations, model, prediction, |_| true);
     let shapes = sizes(&everything, "shape", observations);
     let least = shapes.iter().map(|s| s.1).fold(f64::MAX, f64::min);
@@ -126,9 +126,9 @@ pub fn whereabouts(
             shapes.iter().map(|(row, size)| format!("{} {}", row.place(), digits(*size))).collect();
         format!("is largest for {name} (rms {}{unit})", sizes.join(", "))
     });
-    let of = if worst.is_some() && !places.is_empty() { "; there it " } else { "" };
-    let text = format!("{}{of}{}", shape.unwrap_or_default(), places.join(", "));
-    (!text.is_empty()).then(|| format!("{error} {text}"))
+    let places = (!places.is_empty()).then(|| places.join(", "));
+    let clauses = shape.into_iter().chain(places).zip([error, "there it"]);
+    clauses.map(|(text, subject)| format!("{subject} {text}")).collect()
 }
 
 /// Root mean square error over all values of the channels that count, row by row of the feature `by`.

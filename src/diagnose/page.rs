@@ -3,8 +3,9 @@
 use super::figures;
 use super::report::{Diagnosis, EvidenceRow, NuisanceValue, Report, RunMeans, Tried};
 use super::series::root_mean_square;
+use super::summary::clauses;
 use super::verdict::{Verdict, Written};
-use super::words::{after, capital, clauses, digits, span};
+use super::words::{after, capital, digits, span};
 use crate::error::{Error, Result};
 use crate::plot::{color, escape};
 use crate::sand::mechanism::{CATALOG, Mechanism};
@@ -55,7 +56,7 @@ fn page(diagnosis: &Diagnosis, json: &str) -> String {
     found(&mut html, r);
     gain(&mut html, diagnosis);
     if !details.is_empty() {
-        let _ = write!(html, "<h2>In detail</h2>{}", list(details.into_iter().map(sentence)));
+        let _ = write!(html, "<h2>In detail</h2>{}", list(details.iter().map(|clause| sentence(clause))));
     }
     figures::misfit(&mut html, &r.misfit);
     if !r.runs.is_empty() {
@@ -88,16 +89,14 @@ fn table<const N: usize>(heads: [&str; N], rows: impl IntoIterator<Item = [Strin
 }
 
 /// Writes the beginning of the summary, and returns its other clauses.
-fn verdict<'a>(html: &mut String, r: &'a Report) -> Vec<&'a str> {
-    let place = r.whereabouts.as_deref().unwrap_or_default();
-    let shorter = r.summary.strip_suffix(place).map_or(&r.summary[..], |s| s.trim_end_matches("; "));
-    let (own, places) = (clauses(shorter), clauses(place));
+fn verdict(html: &mut String, r: &Report) -> Vec<String> {
+    let own = clauses(r);
     let (first, rest) = own.split_at(own.len().min(2));
     let _ = write!(html, "<p class=verdict>{}.</p>", sentence(&first.join("; ")));
     for warning in &r.warnings {
         let _ = write!(html, "<p><b>Warning:</b> {}</p>", escape(warning));
     }
-    rest.iter().chain(&places).copied().filter(|clause| !clause.is_empty()).collect()
+    [rest, &r.whereabouts].concat()
 }
 
 /// What to do, by the verdict.

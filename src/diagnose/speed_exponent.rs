@@ -29,16 +29,16 @@ pub struct SpeedExponent {
 }
 
 impl SpeedExponent {
-    /// A clause for the report's sentence; empty if the data agree with the law's power and exclude other powers.
-    pub fn said(&self) -> String {
+    /// A clause for the report's sentence; None if the data agree with the law's power and exclude other powers.
+    pub fn said(&self) -> Option<String> {
         let Self { id, law, found, ci95: [low, high], .. } = self;
         let [law, found, low, high] = [law, found, low, high].map(|v| digits(*v));
         match (self.excluded, self.told_apart) {
-            (true, _) => format!("; the data prefer the power {found} of the speed where {id} has {law}"),
+            (true, _) => Some(format!("the data prefer the power {found} of the speed where {id} has {law}")),
             (false, false) => {
-                format!("; of the speed in {id} these data allow every power from {low} to {high}, not only {law}")
+                Some(format!("of the speed in {id} these data allow every power from {low} to {high}, not only {law}"))
             }
-            (false, true) => String::new(),
+            (false, true) => None,
         }
     }
 }

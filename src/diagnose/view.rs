@@ -62,8 +62,11 @@ impl ReportView<'_> {
     /// The report, from the report without a verdict.
     pub fn report(&self, mut without: Report) -> Report {
         let (study, s) = (self.study, self.selection);
-        let plain = || study.plain().prediction;
-        let whereabouts = misfit::whereabouts(study.observations, study.model, &plain(), "the plain model's error");
+        let plain = study.plain().prediction;
+        let whereabouts = match s.ruling.verdict {
+            Verdict::NoiseFloor => Vec::new(),
+            _ => misfit::whereabouts(study.observations, study.model, &plain, "the plain model's error"),
+        };
         let causes = self.causes();
         // The study with the noise scaled to the errors that remain.
         let renewed = study.under(&s.whitener, s.candidates.around.nuisances.clone());
@@ -74,7 +77,7 @@ impl ReportView<'_> {
             verdict: s.ruling.verdict,
             written: s.ruling.written,
             evidence: self.evidence(),
-            whereabouts: whereabouts.filter(|_| s.ruling.verdict != Verdict::NoiseFloor),
+            whereabouts,
             correlations: self.named().map(|s| s.intervals.correlations.clone()).unwrap_or_default(),
             warnings: self.warnings(&causes),
             causes,
@@ -229,12 +232,15 @@ impl ReportView<'_> {
         let significant = table.lack(entry) > table.limit;
         let left = &selection.standing.prediction;
         let place = misfit::whereabouts(study.observations, study.model, left, "what remains");
-        let unlocated = || "spread over all data".to_string();
         let left = selection.entries[entry].unexplained;
         Remainder {
             significant,
             fraction: if significant { left.clamp(0.0, 1.0) } else { 0.0 },
-            place: if significant { place.unwrap_or_else(unlocated) } else { String::new() },
+            place: match significant {
+                true if place.is_empty() => "spread over all data".into(),
+                true => place.join("; "),
+                false => String::new(),
+            },
             lack_of_fit: table.lack(entry),
             limit: table.limit,
         }

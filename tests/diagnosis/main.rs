@@ -124,7 +124,7 @@ fn without_a_hidden_cause_the_verdict_is_noise_floor() {
 fn a_cause_outside_the_library_is_none_of_these() {
     let r = hidden(&[("wall", 1.0)]);
     assert_eq!(r.verdict, Verdict::NoneOfThese, "{}", r.summary);
-    assert!(r.causes.is_empty() && r.whereabouts.is_some());
+    assert!(r.causes.is_empty() && !r.whereabouts.is_empty());
     // A log of examples/diagnosis_study.rs, in which fits with values of the plain sand gain from the freedom of an unused parameter. They
     // are not compared, so the table of evidence must not have them (`sound` checks it).
     let value = Xoshiro256PlusPlus::seed_from_u64(158).random_range(0.4..1.5);
