@@ -85,17 +85,13 @@ impl<'a> IntruderModel<'a> {
     }
 
     fn predict_changed(&self, sand: &SandParameters, changed: Changed) -> Vec<f64> {
-        let sands: BTreeMap<&str, SandDescription> = self
-            .cuts
-            .iter()
-            .map(|(name, cut)| (name.as_str(), self.sand(cut.friction + changed.friction, sand)))
-            .collect();
         let of = |state: &SteadyRow| {
-            let (cut, sand) = (&self.cuts[&state.body], &sands[state.body.as_str()]);
             if self.latch.stopped() {
                 return [f64::NAN; 3];
             }
-            under_load(if changed.larger { &cut.larger } else { &cut.nominal }, sand, &state.trial)
+            let cut = &self.cuts[&state.body];
+            let sand = self.sand(cut.friction + changed.friction, sand);
+            under_load(if changed.larger { &cut.larger } else { &cut.nominal }, &sand, &state.trial)
         };
         self.states.iter().flat_map(of).collect()
     }

@@ -118,7 +118,7 @@ fn diagnose_kind(data: &Path, experiment: &Experiment, progress: &Latch) -> Resu
         DataKind::Walking => {
             let log = walking_log::read(data, experiment, progress)?;
             let model = WalkingModel::new(&log, experiment, progress)?;
-            diagnose_measured(&log.observations, log.sha256, vec![model.step_note()?], &model, progress)
+            diagnose_measured(&log.observations, log.sha256, vec![model.step_note()], &model, progress)
         }
         DataKind::Trajectory => {
             let (observations, sha256, notes, model) = trajectory::measured(data, experiment, progress)?;

@@ -15,7 +15,6 @@ use crate::sim::model::Scene;
 use crate::sim::walk::{WalkResult, WalkTrial};
 use crate::sim::{Model, Robot};
 use crate::sweep::walk_all;
-use std::collections::HashMap;
 
 /// Steps of numerical slopes change all data together by this many σ: our choice, small against noise, and far above
 /// the roughness of a gait in which legs stick (reversed leg at 1 Hz: 0.3 % if the phase shifts by 0.2 rad).
@@ -35,7 +34,8 @@ pub struct WalkingModel<'a> {
     latch: &'a Latch<'a>,
     experiment: Experiment,
     setups: Vec<WalkSetup>,
-    robots: HashMap<(String, String), Robot>,
+    /// Robot of each setup.
+    robots: Vec<Robot>,
     /// Setup of each unit.
     setup_of: Vec<usize>,
     channels: Vec<Channel>,
@@ -51,30 +51,22 @@ impl<'a> WalkingModel<'a> {
     pub fn new(log: &WalkingLog, experiment: &Experiment, latch: &'a Latch<'a>) -> Result<Self> {
         let mut model = Self::along(log, experiment, latch)?;
         let plain = model.plain_sand();
-        let trials = model.trials(&plain).into_iter().collect::<Result<Vec<_>>>()?;
-        trials.iter().try_for_each(WalkTrial::validate)?;
+        model.trials(&plain, 0.0)?.iter().try_for_each(WalkTrial::validate)?;
         let results = model.simulate(&[plain], &[0.0]);
         if let Some(error) = latch.error() {
             return Err(error);
         }
-        let lost = results.iter().flatten().zip(&model.setups).find(|(result, _)| !result.speed.is_finite());
-        match lost {
-            Some((_, s)) => {
-                Err(Error::invalid("data", format!("the simulation of {} at {} Hz diverges", s.leg, s.frequency)))
-            }
-            None => {
-                model.correct_step()?;
-                Ok(model)
-            }
+        let mut walks = results.iter().flatten().zip(&model.setups);
+        if let Some((_, s)) = walks.find(|(result, _)| !result.speed.is_finite()) {
+            return Err(Error::invalid("data", format!("the simulation of {} at {} Hz diverges", s.leg, s.frequency)));
         }
+        model.correct_step()?;
+        Ok(model)
     }
 
     /// A model of the setups of a log, without a correction.
     fn along(log: &WalkingLog, experiment: &Experiment, latch: &'a Latch<'a>) -> Result<Self> {
-        let robot = |setup: &WalkSetup| {
-            let robot = Robot::load(&setup.robot)?.with_leg_shape(&setup.leg)?;
-            Ok(((setup.robot.clone(), setup.leg.clone()), robot))
-        };
+        let robot = |setup: &WalkSetup| Robot::load(&setup.robot)?.with_leg_shape(&setup.leg);
         Ok(Self {
             latch,
             experiment: experiment.clone(),
@@ -100,14 +92,14 @@ impl<'a> WalkingModel<'a> {
     }
 
     /// A note on how predictions are corrected.
-    pub fn step_note(&self) -> Result<String> {
+    pub fn step_note(&self) -> String {
         let largest = self.correction.iter().map(|ratio| (ratio - 1.0).abs()).fold(0.0, f64::max);
         let (step, fine) = (1e3 * Scene::DEFAULT_DT, 1e3 * Scene::DEFAULT_DT / FINE);
-        Ok(format!(
+        format!(
             "predictions are simulated with a time step of {step} ms and multiplied by the ratio of plain simulations with {fine} \
              and {step} ms, which differs from 1 by at most {} %; the report shows simulated numbers without this factor",
             super::words::digits(100.0 * largest)
-        ))
+        )
     }
 
     /// Simulated numbers, corrected.
@@ -116,16 +108,15 @@ impl<'a> WalkingModel<'a> {
         stack
     }
 
-    /// A trial for every setup.
-    fn trials(&self, (mechanisms, coefficients): &SandParameters) -> Vec<Result<WalkTrial>> {
-        let trial = |setup: &WalkSetup| {
+    /// A trial for every setup, with all hips `phase` [rad] ahead.
+    fn trials(&self, (mechanisms, coefficients): &SandParameters, phase: f64) -> Result<Vec<WalkTrial>> {
+        let trial = |(setup, robot): (&WalkSetup, &Robot)| {
             let mut scene = Scene::flat(Medium { coefficients: *coefficients, ..self.medium().clone() });
             (scene.mechanisms, scene.slope_deg, scene.payload) = (*mechanisms, setup.slope_deg, setup.payload);
-            let robot = &self.robots[&(setup.robot.clone(), setup.leg.clone())];
             let trial = WalkTrial::new(Model::new(robot, &scene)?, setup.frequency);
-            Ok(WalkTrial { x_bed: setup.x_bed, strides: setup.strides, ..trial })
+            Ok(WalkTrial { phase, x_bed: setup.x_bed, strides: setup.strides, ..trial })
         };
-        self.setups.iter().map(trial).collect()
+        self.setups.iter().zip(&self.robots).map(trial).collect()
     }
 
     /// Results of every state with all hips ahead by each of `phases` [rad]: state by state, then phase by phase, setup
@@ -134,10 +125,8 @@ impl<'a> WalkingModel<'a> {
         let cases: Vec<_> = states.iter().flat_map(|state| phases.iter().map(move |&phase| (state, phase))).collect();
         let keys = cases.iter().map(|(state, phase)| key(state, &[*phase])).collect();
         self.known.of(keys, |new| {
-            let ahead = |phase: f64| move |trial: Result<WalkTrial>| trial.map(|t| WalkTrial { phase, ..t });
-            let new = new.iter().map(|&k| cases[k]);
-            let trials: Result<Vec<WalkTrial>> =
-                new.clone().flat_map(|(state, phase)| self.trials(state).into_iter().map(ahead(phase))).collect();
+            let trials: Result<Vec<_>> = new.iter().map(|&k| self.trials(cases[k].0, cases[k].1)).collect();
+            let trials = trials.map(|trials| trials.into_iter().flatten().collect::<Vec<_>>());
             let results = trials.and_then(|t| walk_all(EngineKind::Lanes, &t, self));
             let results = results.unwrap_or_else(|_| vec![WalkResult::lost(); self.setups.len() * new.len()]);
             results.chunks(self.setups.len().max(1)).map(<[_]>::to_vec).collect()
@@ -146,7 +135,7 @@ impl<'a> WalkingModel<'a> {
 
     /// Prediction by `engine` with a time step `finer` times smaller than the default one.
     fn stepped(&self, engine: EngineKind, state: &SandParameters, finer: f64) -> Result<Vec<f64>> {
-        let mut trials = self.trials(state).into_iter().collect::<Result<Vec<_>>>()?;
+        let mut trials = self.trials(state, 0.0)?;
         trials.iter_mut().for_each(|t| t.model.scene.dt /= finer);
         Ok(self.stack(&walk_all(engine, &trials, self)?))
     }

@@ -4,7 +4,7 @@
 //! specific force with gravity and with the attitude. They also compare torques, gyro and speed with the replay, whose error is
 //! some ten percent; a wrong unit gives a ratio of 57 or more, a wrong sign a negative ratio.
 
-use super::log::{Log, Run};
+use super::log::Run;
 use super::sensors::Layout;
 use super::windows::BINS;
 use crate::error::{Error, Result};
@@ -37,8 +37,8 @@ fn named<T: Clone>(ratio: f64, known: &[(f64, T)]) -> Option<T> {
 }
 
 /// Refuses a log in which joints, gravity and attitude contradict each other. `joints` has the joints' names.
-pub fn check(path: &Path, log: &Log, joints: &[String], mount: [f64; 4]) -> Result<()> {
-    for run in &log.runs {
+pub fn check(path: &Path, runs: &[Run], joints: &[String], mount: [f64; 4]) -> Result<()> {
+    for run in runs {
         let found = (joints.iter().enumerate())
             .find_map(|(j, name)| speed(run, j, name).or_else(|| command(run, j, name)))
             .or_else(|| gravity(run, mount))

@@ -123,7 +123,7 @@ impl ForwardModel for TrajectoryModel<'_> {
         vec![
             per_bin("stride_frequency", "Hz", &|run, _| own.get(&run).copied().unwrap_or(0.0)),
             per_bin("phase", "rad", &|_, bin| (bin as f64 + 0.5) * TAU / BINS as f64),
-            per_bin("slope_deg", "°", &|run, _| self.log.runs[run].slope_deg),
+            per_bin("slope_deg", "°", &|run, _| self.runs[run].slope_deg),
         ]
     }
 
@@ -132,6 +132,6 @@ impl ForwardModel for TrajectoryModel<'_> {
     }
 
     fn group(&self, unit: usize) -> &str {
-        self.log.runs[self.windows[self.window_of[unit]].run].leg.as_deref().unwrap_or("robot")
+        self.runs[self.windows[self.window_of[unit]].run].leg.as_deref().unwrap_or("robot")
     }
 }

@@ -48,13 +48,6 @@ pub struct Run {
     pub place: [Vec<f64>; 3],
 }
 
-/// All runs.
-#[derive(Clone, Debug, Default)]
-pub struct Log {
-    pub runs: Vec<Run>,
-    pub sha256: String,
-}
-
 // Columns that do not depend on the robot; the columns of joints follow them. Vectors are read from their first column on.
 columns! {
     RUN = "run" Text false;
@@ -240,8 +233,8 @@ impl<'a> Gather<'a> {
         Ok(self.runs.len() - 1)
     }
 
-    /// The log, checked run by run.
-    pub fn finish(mut self, path: &Path, sha256: String) -> Result<Log> {
+    /// The runs, checked one by one.
+    pub fn finish(mut self, path: &Path) -> Result<Vec<Run>> {
         if self.runs.is_empty() {
             return Err(Error::file(
                 path,
@@ -252,7 +245,7 @@ impl<'a> Gather<'a> {
         for run in &self.runs {
             run.validate().map_err(|reason| Error::file(path, format!("run {}: {reason}", run.name)))?;
         }
-        Ok(Log { runs: self.runs, sha256 })
+        Ok(self.runs)
     }
 }
 

@@ -33,8 +33,8 @@ impl TrajectoryModel<'_> {
             }
         }
         let (Some(asked), Some(channel)) = (&self.asked, self.layout.servo_channel()) else { return stack };
-        let given = asked.given(&self.log.runs, limit);
-        let means = self.windows.iter().flat_map(|w| servo::means(&self.log.runs[w.run], w, &given[w.run]));
+        let given = asked.given(&self.runs, limit);
+        let means = self.windows.iter().flat_map(|w| servo::means(&self.runs[w.run], w, &given[w.run]));
         let means: Vec<f64> = means.map(|mean| (1.0 + hardware.servo_gain) * mean).collect();
         for (own, means) in stack.chunks_mut(self.span()).zip(means.chunks(BINS)) {
             own[channel * BINS..][..BINS].copy_from_slice(means);
@@ -45,8 +45,8 @@ impl TrajectoryModel<'_> {
     /// Mean direction of each joint's motion at each number of a prediction, −1 to 1; 0 at numbers that are no torques.
     pub(super) fn moving(&self) -> Vec<f64> {
         let joints = self.layout.joints;
-        let signs: Vec<Vec<Vec<f64>>> = self.log.runs.iter().map(signs).collect();
-        let of: Vec<Vec<Integral>> = (self.log.runs.iter().zip(&signs))
+        let signs: Vec<Vec<Vec<f64>>> = self.runs.iter().map(signs).collect();
+        let of: Vec<Vec<Integral>> = (self.runs.iter().zip(&signs))
             .map(|(run, signs)| signs.iter().map(|s| Integral::new(&run.t, s)).collect())
             .collect();
         self.stack(|run, channel, [a, b]| if channel < joints { of[run][channel].mean(a, b) } else { 0.0 })

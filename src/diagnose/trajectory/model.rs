@@ -1,6 +1,6 @@
 //! The model of a robot's log: predicts what its sensors read while its joints move as logged.
 
-use super::log::Log;
+use super::log::Run;
 use super::replay::{ReplayRobot, ReplayedJoint};
 use super::sensors::{Layout, LoggedHardware};
 use super::servo::{self, RequestedTorques};
@@ -24,7 +24,7 @@ pub struct TrajectoryModel<'a> {
     pub(super) latch: &'a Latch<'a>,
     /// Facts about the log. If they state a torque limit, it becomes a mechanism, which limits the requested torques.
     pub(super) experiment: Experiment,
-    pub(super) log: Log,
+    pub(super) runs: Vec<Run>,
     /// The robot of each run.
     pub(super) bodies: Vec<ReplayRobot>,
     pub(super) windows: Vec<Window>,
@@ -42,19 +42,19 @@ pub struct TrajectoryModel<'a> {
 
 impl<'a> TrajectoryModel<'a> {
     /// The model, and the measured numbers that it predicts.
-    pub fn new(log: Log, experiment: &Experiment, latch: &'a Latch<'a>) -> Result<(Self, Observations)> {
+    pub fn new(runs: Vec<Run>, experiment: &Experiment, latch: &'a Latch<'a>) -> Result<(Self, Observations)> {
         let body = ReplayRobot::of(experiment)?;
-        let bodies = log.runs.iter().map(|r| body.with_leg(r.leg.as_deref())).collect::<Result<Vec<_>>>()?;
-        let windows = windows(&log.runs, experiment.file.window);
+        let bodies = runs.iter().map(|r| body.with_leg(r.leg.as_deref())).collect::<Result<Vec<_>>>()?;
+        let windows = windows(&runs, experiment.file.window);
         if windows.is_empty() {
             let reason = "no run has a whole stride after its first one: log runs of at least three strides";
             return Err(Error::invalid("data", reason));
         }
-        let asked = servo::asked(&log, &bodies)?;
+        let asked = servo::asked(&runs, &bodies)?;
         let layout = Layout {
-            joints: log.runs[0].q.len(),
-            attitude: !log.runs[0].attitude[0].is_empty(),
-            place: !log.runs[0].place[0].is_empty(),
+            joints: runs[0].q.len(),
+            attitude: !runs[0].attitude[0].is_empty(),
+            place: !runs[0].place[0].is_empty(),
             servo: asked.is_some(),
         };
         let mut experiment = experiment.clone();
@@ -63,13 +63,13 @@ impl<'a> TrajectoryModel<'a> {
             let limit = given.hardware.value(TORQUE_LIMIT).unwrap_or(0.0);
             given.mechanisms.motor_torque_limit = limit / given.hardware.value(TORQUE_CONSTANT).unwrap_or(1.0);
         }
-        let model = Self { asked, ..Self::along(experiment, latch, layout, log, bodies, windows) };
+        let model = Self { asked, ..Self::along(experiment, latch, layout, runs, bodies, windows) };
         let plain = model.plain();
         if let Some(error) = latch.error() {
             return Err(error);
         }
         if let Some(lost) = plain.iter().position(|p| !p.is_finite()) {
-            let run = &model.log.runs[model.windows[model.window_of[lost / model.span()]].run].name;
+            let run = &model.runs[model.windows[model.window_of[lost / model.span()]].run].name;
             return Err(Error::invalid(
                 "data",
                 format!("the simulation of run {run} diverges: check that the log is of this robot"),
@@ -84,11 +84,11 @@ impl<'a> TrajectoryModel<'a> {
         experiment: Experiment,
         latch: &'a Latch<'a>,
         layout: Layout,
-        log: Log,
+        runs: Vec<Run>,
         bodies: Vec<ReplayRobot>,
         windows: Vec<Window>,
     ) -> Self {
-        let drive = |w: &Window| ReplayedJoint::new(&log.runs[w.run], w, Scene::DEFAULT_DT);
+        let drive = |w: &Window| ReplayedJoint::new(&runs[w.run], w, Scene::DEFAULT_DT);
         let of_window = |(k, w): (usize, &Window)| std::iter::repeat_n(k, w.strides.len());
         let mut model = Self {
             drives: windows.iter().map(drive).collect(),
@@ -99,7 +99,7 @@ impl<'a> TrajectoryModel<'a> {
             known: Known::up_to(KNOWN),
             latch,
             experiment,
-            log,
+            runs,
             bodies,
             windows,
             layout,
@@ -140,7 +140,7 @@ impl<'a> TrajectoryModel<'a> {
         let mut places = HashMap::new();
         let mut rows = Vec::new();
         for (u, &w) in self.window_of.iter().enumerate() {
-            let run = &self.log.runs[self.windows[w].run];
+            let run = &self.runs[self.windows[w].run];
             let condition = *places.entry(self.windows[w].run).or_insert_with(|| {
                 conditions.push(if run.condition == run.name {
                     run.name.clone()
@@ -169,7 +169,7 @@ impl<'a> TrajectoryModel<'a> {
 
     /// The measured numbers of one window.
     fn measured(&self, window: &Window) -> Vec<f64> {
-        let run = &self.log.runs[window.run];
+        let run = &self.runs[window.run];
         let [w, x, y, z] = &run.attitude;
         let up: Vec<Vec<f64>> = match self.layout.attitude {
             // x and y of the upward direction in the IMU's frame.

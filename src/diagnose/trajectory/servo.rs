@@ -4,7 +4,7 @@
 //! requested torque from the commanded and the logged angles. In this file, `asked` is the requested torque and `given` the motor's
 //! torque.
 
-use super::log::{Log, Run};
+use super::log::Run;
 use super::replay::{ReplayRobot, smoothed};
 use super::windows::{Integral, Window, bins};
 use crate::error::Result;
@@ -39,8 +39,8 @@ pub struct RequestedTorques {
 }
 
 /// The requested torques of a log. None if the log does not give the hips' command, or if the robot has no servo.
-pub fn asked(log: &Log, bodies: &[ReplayRobot]) -> Result<Option<RequestedTorques>> {
-    let runs: Option<Vec<_>> = log.runs.iter().zip(bodies).map(|(run, body)| of_run(run, body)).collect();
+pub fn asked(runs: &[Run], bodies: &[ReplayRobot]) -> Result<Option<RequestedTorques>> {
+    let runs: Option<Vec<_>> = runs.iter().zip(bodies).map(|(run, body)| of_run(run, body)).collect();
     Ok(runs.map(|runs| RequestedTorques { runs }))
 }
 

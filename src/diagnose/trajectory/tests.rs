@@ -1,7 +1,7 @@
 //! Diagnoses of logs that the module `generate` simulates in the rapier engine.
 
 use super::generate::{EXPERIMENT, Truth, csv, experiment, file};
-use super::log::Log;
+use super::log::Run;
 use super::model::TrajectoryModel;
 use super::sensors::Mounting;
 use super::windows::BINS;
@@ -25,8 +25,8 @@ fn diagnosed(text: &str) -> Result<Diagnosis> {
     diagnosis.inspect(|d| assert_eq!(violations(&d.report), Vec::<String>::new()))
 }
 
-fn read_text(text: &str) -> Result<Log> {
-    read(file(text).path(), &experiment(), &Silent)
+fn read_text(text: &str) -> Result<Vec<Run>> {
+    Ok(read(file(text).path(), &experiment(), &Silent)?.0)
 }
 
 /// The verdict names this cause alone, with its value to a tenth.
@@ -203,9 +203,9 @@ fn lag_found(found: &HardwareDescription, seed: u64, truth: [f64; 2]) {
 /// Every planned walk is predicted, and the predictions of different causes differ.
 #[test]
 fn planned_walks_distinguish_causes() {
-    let log = read_text(&csv(&Truth::new(Mechanisms::PLAIN, 7))).unwrap();
+    let runs = read_text(&csv(&Truth::new(Mechanisms::PLAIN, 7))).unwrap();
     let latch = Latch::new(&Silent);
-    let (model, _) = TrajectoryModel::new(log, &experiment(), &latch).unwrap();
+    let (model, _) = TrajectoryModel::new(runs, &experiment(), &latch).unwrap();
     let menu = model.menu().unwrap();
     let descriptions = &menu.observations.conditions;
     assert!(descriptions.iter().any(|d| d == "walk at 3 Hz up 5°, leg L"), "{descriptions:?}");
@@ -265,9 +265,9 @@ fn wrong_units_and_signs_are_named() {
 /// Quaternions in another order, and the inverse rotation.
 #[test]
 fn wrong_quaternions_are_named() {
-    let mut log = read_text(&csv(&Truth::new(Mechanisms::PLAIN, 7))).unwrap();
-    log.runs.truncate(1);
-    let run = &mut log.runs[0];
+    let mut runs = read_text(&csv(&Truth::new(Mechanisms::PLAIN, 7))).unwrap();
+    runs.truncate(1);
+    let run = &mut runs[0];
     run.acc = [vec![2.0; run.t.len()], vec![0.5; run.t.len()], vec![9.6; run.t.len()]];
     // The rotation that turns this specific force upward.
     let up = nalgebra::Vector3::new(2.0, 0.5, 9.6);
@@ -275,8 +275,8 @@ fn wrong_quaternions_are_named() {
     let [x, y, z, w] = [turn.i, turn.j, turn.k, turn.w];
     let names: Vec<String> = super::generate::body().joint_names();
     let mut told = |q: [f64; 4]| {
-        log.runs[0].attitude = q.map(|v| vec![v; log.runs[0].t.len()]);
-        let checked = consistency::check(std::path::Path::new("log"), &log, &names, [1.0, 0.0, 0.0, 0.0]);
+        runs[0].attitude = q.map(|v| vec![v; runs[0].t.len()]);
+        let checked = consistency::check(std::path::Path::new("log"), &runs, &names, [1.0, 0.0, 0.0, 0.0]);
         checked.err().map(|e| e.to_string()).unwrap_or_default()
     };
     assert_eq!(told([w, x, y, z]), "");
@@ -314,9 +314,9 @@ fn mutated_logs_do_not_panic() {
 /// third of a time step.
 #[test]
 fn readings_are_not_late() {
-    let log = read_text(&csv(&Truth::new(Mechanisms::PLAIN, 7))).unwrap();
+    let runs = read_text(&csv(&Truth::new(Mechanisms::PLAIN, 7))).unwrap();
     let latch = Latch::new(&Silent);
-    let (mut model, _) = TrajectoryModel::new(log, &experiment(), &latch).unwrap();
+    let (mut model, _) = TrajectoryModel::new(runs, &experiment(), &latch).unwrap();
     let plain = (Mechanisms::default(), model.medium().coefficients);
     let [coarse, fine] = [1.0, 16.0].map(|finer| model.tracks(&[plain], 0.0, finer).swap_remove(0));
     let [coarse, here] = [&coarse, &fine].map(|tracks| model.read(tracks, Mounting::default()));
