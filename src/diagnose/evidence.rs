@@ -227,7 +227,7 @@ impl EvidenceTable {
         for (c, n) in self.sizes.iter().enumerate() {
             let [own, others] = [best, other].map(|row| self.weight(row, c));
             let variance = own.recip();
-            let (ours, theirs) = (&best.left[c], &other.left[c]);
+            let (ours, theirs) = (&best.predicted.left[c], &other.predicted.left[c]);
             let apart = &theirs.solved - &ours.solved;
             noise += variance * others.powi(2) * apart.norm_squared() + 0.5 * n * (1.0 - others * variance).powi(2);
             let along = others * apart.dot(&ours.solved);
@@ -245,7 +245,7 @@ impl EvidenceTable {
     /// w of condition `c`: one over the variance of the errors of the row's model in this condition, in units of the noise's variance.
     pub fn weight(&self, row: &LeftOutRow, c: usize) -> f64 {
         let (n, scale) = (self.sizes[c], row.scales[c]);
-        (self.degrees + n) / (self.degrees + row.left[c].square / scale) / scale
+        (self.degrees + n) / (self.degrees + row.predicted.left[c].square / scale) / scale
     }
 
     /// Does `a` predict left-out conditions better than `b`, beyond twice the standard error?
@@ -262,7 +262,7 @@ impl EvidenceTable {
 
     /// Mean square of the errors of row `k`, in units of the noise's variance: 1 for noise alone.
     pub fn lack(&self, k: usize) -> f64 {
-        self.rows[k].left.iter().map(|own| own.square).sum::<f64>() / self.sizes.iter().sum::<f64>().max(1.0)
+        self.rows[k].predicted.left.iter().map(|own| own.square).sum::<f64>() / self.sizes.iter().sum::<f64>().max(1.0)
     }
 
     /// Variance of the errors of row `k` beyond the noise's variance, in units of the noise's variance; 0 if noise alone may cause such errors.

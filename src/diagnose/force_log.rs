@@ -1,9 +1,8 @@
 //! Reads force logs of plates and legs (intrusion CSV) into trials.
 
-use super::columns::columns;
 use super::experiment::{Experiment, Intruder};
 use super::motion::{Heading, heading, moving, progress};
-use super::observations::{Channel, MeasuredLog, Names, Observations, Size, Unit};
+use super::observations::{Channel, MeasuredLog, Names, Observations, Size, Unit, columns};
 use super::series::low_middle_high;
 use super::track::{ArmPose, Track};
 use crate::error::Result;

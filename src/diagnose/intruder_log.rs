@@ -1,8 +1,7 @@
 //! Reads steady states of a body in sand (intruder CSV), with one row for each steady state under a known load.
 
-use super::columns::columns;
 use super::experiment::{BodyDescription, Experiment};
-use super::observations::{Channel, MeasuredLog, Names, Observations, Size};
+use super::observations::{Channel, MeasuredLog, Names, Observations, Size, columns};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::sand::intruder::{DepthOrLoad, Trial};

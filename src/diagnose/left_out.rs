@@ -28,17 +28,13 @@ pub struct CandidateLaw {
 pub struct LeftOutRow {
     /// Log predictive density of each condition that is used; the last entry is that of the stated priors of coefficients and nuisances.
     pub elpd: Vec<f64>,
-    /// Each condition, predicted from the others.
-    pub left: Vec<LeftOut>,
+    /// The predictions with this `scale`.
+    pub predicted: Predicted,
     /// Scale φ of the errors: `scales` has, for each condition, the estimate from the other conditions; `scale` is the estimate from all conditions.
     pub scales: Vec<f64>,
     pub scale: f64,
     /// Held-out errors in the data's own unit, of the sand without nuisances.
     pub held_out: SquaredErrors,
-    /// Change of the parameters with no condition left out; with a law, its coefficient is the last one.
-    pub step: Vec<f64>,
-    /// The law chosen with no condition left out.
-    pub law: Option<usize>,
 }
 
 /// The linear approximation of a model near its fit, for the numbers of each condition. The last condition is the stated priors
@@ -77,10 +73,13 @@ pub struct LeftOut {
 }
 
 /// The predictions of all conditions with one scale of the errors.
-struct Predicted {
-    law: Option<usize>,
-    step: DVector<f64>,
-    left: Vec<LeftOut>,
+pub struct Predicted {
+    /// The law chosen with no condition left out.
+    pub law: Option<usize>,
+    /// Change of the parameters with no condition left out; with a law, its coefficient is the last one.
+    pub step: DVector<f64>,
+    /// Each condition, predicted from the others.
+    pub left: Vec<LeftOut>,
 }
 
 impl Products {
@@ -240,12 +239,10 @@ impl Linear {
         let held_out = SquaredErrors(now.left.iter().zip(used).flat_map(held_out).collect());
         LeftOutRow {
             elpd: now.left.iter().zip(&scales).map(density).collect(),
-            left: now.left,
+            predicted: now,
             scales,
             scale,
             held_out,
-            step: now.step.iter().copied().collect(),
-            law: now.law,
         }
     }
 

@@ -25,7 +25,6 @@ use sandgait_table as table;
 mod acceleration;
 mod arm;
 mod candidates;
-mod columns;
 mod conditions;
 mod errors;
 mod evidence;

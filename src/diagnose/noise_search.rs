@@ -72,30 +72,19 @@ impl NoiseData<'_> {
         stopped: &(dyn Fn() -> bool + Sync),
     ) -> (Noise, f64) {
         let center = self.guess(repeats, clock).pack();
-        let deviance = self.deviance(repeats, clock, &center, stopped);
-        let (from, rounds) = start.map_or((center.clone(), 60), |s| (s.pack(), 12));
-        let found = minimise(&deviance, from, rounds);
-        let value = deviance(&found);
-        (Noise::unpack(&found, self.observations.channels.len(), clock), value)
-    }
-
-    /// −2 log likelihood of packed noise, plus a prior about the guess with a standard deviation of three e-folds,
-    /// which matters only if the data contain no information.
-    fn deviance<'b>(
-        &'b self,
-        repeats: &'b [Repeats],
-        clock: NoiseClock,
-        center: &'b [f64],
-        stopped: &'b (dyn Fn() -> bool + Sync),
-    ) -> impl Fn(&[f64]) -> f64 + 'b {
-        let landscape = Landscape::new(repeats, clock);
-        move |p: &[f64]| {
+        let (landscape, channels) = (Landscape::new(repeats, clock), self.observations.channels.len());
+        // −2 log likelihood of packed noise, plus a prior about the guess with a standard deviation of three e-folds, which
+        // matters only if the data contain no information.
+        let deviance = |p: &[f64]| {
             if stopped() {
                 return f64::INFINITY;
             }
-            let prior: f64 = p.iter().zip(center).map(|(a, b)| ((a - b) / 3.0).powi(2)).sum();
-            prior + landscape.deviance(&Noise::unpack(p, self.observations.channels.len(), clock))
-        }
+            let prior: f64 = p.iter().zip(&center).map(|(a, b)| ((a - b) / 3.0).powi(2)).sum();
+            prior + landscape.deviance(&Noise::unpack(p, channels, clock))
+        };
+        let (from, rounds) = start.map_or((center.clone(), 60), |s| (s.pack(), 12));
+        let found = minimise(deviance, from, rounds);
+        (Noise::unpack(&found, channels, clock), deviance(&found))
     }
 
     /// Scatter of repetitions over the channels that count in the error: no model can predict it. Conditions

@@ -1,4 +1,5 @@
-//! Measured numbers in one stack, independent of how they were measured: the input of the statistics.
+//! Measured numbers in one stack, independent of how they were measured: the input of the statistics; and what the readers of logs
+//! share.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -146,3 +147,16 @@ impl Names {
         self.list.len() - 1
     }
 }
+
+/// Defines `COLUMNS`, and a constant with the index of each column. The calling file must have `HeaderColumn` and
+/// `Quantity` in scope.
+macro_rules! columns {
+    ($($place:ident = $name:literal $quantity:ident $required:literal;)*) => {
+        #[allow(non_camel_case_types, clippy::upper_case_acronyms)]
+        enum Index { $($place),* }
+        const COLUMNS: &[HeaderColumn] =
+            &[$(HeaderColumn { name: $name, quantity: Quantity::$quantity, required: $required }),*];
+        $(const $place: usize = Index::$place as usize;)*
+    };
+}
+pub(crate) use columns;

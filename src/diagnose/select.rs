@@ -166,7 +166,7 @@ fn judged(
         let term = law_of(&table, &models, ruling.model);
         let held = ruling.written == Written::Cause;
         let law = term.as_ref().and_then(|term| fitted(&last, &fit, term.clone(), held));
-        if let (Some(place), None) = (table.rows[ruling.model].law.filter(|_| term.is_some()), &law) {
+        if let (Some(place), None) = (table.rows[ruling.model].predicted.law.filter(|_| term.is_some()), &law) {
             let own = usize::from(entries[ruling.model].causes > 0);
             dictionary[own].iter_mut().for_each(|laws| drop(laws.remove(place)));
             continue;
@@ -206,8 +206,8 @@ fn models<'a>(candidates: &'a Candidates, [alone, beside]: [Option<&'a [Candidat
 
 /// The law that entry `k` chose with no condition left out, with the coefficient of the linear fit.
 fn law_of(table: &EvidenceTable, models: &[Contender], k: usize) -> Option<Term> {
-    let row = &table.rows[k];
-    let coefficient = *row.step.last()?;
+    let row = &table.rows[k].predicted;
+    let coefficient = *row.step.as_slice().last()?;
     models[k].laws.zip(row.law).map(|(laws, l)| Term { coefficient, ..laws[l].term.clone() })
 }
 
@@ -234,7 +234,7 @@ fn entries(
         let inside = |j: &usize| models[*j].laws.is_none() && *j != k && models[*j].fit.ids == *ids;
         Compared {
             causes: ids.len(),
-            law: models[k].laws.is_some_and(|_| table.rows[k].law.is_some()),
+            law: models[k].laws.is_some_and(|_| table.rows[k].predicted.law.is_some()),
             unnamed: ids.iter().any(|id| asked.unnamed.contains(id)),
             unlikely: ids.iter().zip(models[k].fit.values()).any(unlikely),
             within: (0..models.len()).filter(inside).collect(),
@@ -302,7 +302,10 @@ fn nested(
             Written::Plain => 0,
             _ => verdict(&entries(study, &table, models, &rest, asked), SECOND).model,
         };
-        [0, chosen].map(|k| held_out(study, &models[k], table.rows[k].law, &table.rows[k].step, held))
+        [0, chosen].map(|k| {
+            let row = &table.rows[k].predicted;
+            held_out(study, &models[k], row.law, row.step.as_slice(), held)
+        })
     });
     let mut total = [(); 2].map(|()| SquaredErrors(vec![[0.0; 2]; conditions]));
     for (held, parts) in folds.iter().zip(made) {

@@ -1,8 +1,7 @@
 //! Reads runs of a walking robot (walking CSV), with one row for each run.
 
-use super::columns::columns;
 use super::experiment::Experiment;
-use super::observations::{Channel, MeasuredLog, Names, Observations, Size};
+use super::observations::{Channel, MeasuredLog, Names, Observations, Size, columns};
 use super::series::low_middle_high;
 use crate::error::{Error, Result};
 use crate::progress::Progress;

@@ -75,7 +75,7 @@ impl<'a> WalkingModel<'a> {
             setup_of: log.setting_of.clone(),
             channels: log.observations.channels.clone(),
             missing: log.missing.clone(),
-            known: Known::default(),
+            known: Known::up_to(usize::MAX),
             correction: Vec::new(),
         })
     }

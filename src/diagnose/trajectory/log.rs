@@ -1,8 +1,8 @@
 //! A robot's own log in memory: runs with the samples of joints and IMU, gathered from the rows of a file.
 
-use crate::columns::columns;
 use crate::error::{Error, Result};
 use crate::experiment::{ExperimentFile, MOST_RUNS, RunTable};
+use crate::observations::columns;
 use crate::series::ends;
 use crate::table::{HeaderColumn, Quantity, Row};
 use std::collections::BTreeMap;
