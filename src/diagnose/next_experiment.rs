@@ -52,7 +52,6 @@ pub fn propose(menu: &Menu, noise: &Noise, study: &FitInputs, set: &[&Fit], coun
     // Trials that differ only in a quantity without effect on both explanations separate these equally, so only one
     // such trial is kept.
     order.dedup_by(|a, b| (separations[*a] / separations[*b] - 1.0).abs() < 1e-3);
-    let names = |f: &Fit| f.ids.iter().map(|&id| crate::sand::mechanism::CATALOG[id].id.to_string()).collect();
     order
         .into_iter()
         .take(count)
@@ -60,7 +59,7 @@ pub fn propose(menu: &Menu, noise: &Noise, study: &FitInputs, set: &[&Fit], coun
             condition: menu.observations.conditions[k].clone(),
             repetitions: REPETITIONS,
             expected_separation: separations[k],
-            separates: [names(set[a]), names(set[b])],
+            separates: [set[a].names(), set[b].names()],
         })
         .collect()
 }

@@ -4,6 +4,7 @@
 //! of its own in a table of evidence.
 
 use super::evidence::EvidenceTable;
+use super::laws::laws;
 use super::left_out::{CandidateLaw, Contender};
 use super::select::Selection;
 use super::study::FitInputs;
@@ -45,9 +46,10 @@ impl SpeedExponent {
 
 /// Replaces the power of the speed in the best cause's law by other powers, and compares them. None if the law has no such power, or if
 /// these data cannot test laws.
-pub fn form(study: &FitInputs, selection: &Selection, laws: &[CandidateLaw]) -> Option<SpeedExponent> {
+pub fn form(study: &FitInputs, selection: &Selection) -> Option<SpeedExponent> {
     let best = selection.best().filter(|b| b.ids.len() == 1)?;
     let (id, law) = (CATALOG[best.ids[0]].id, CATALOG[best.ids[0]].exponent?);
+    let laws = laws(study, &selection.candidates.base)?;
     let power = |CandidateLaw { term, .. }: &CandidateLaw| {
         let at = |name: &str| term.groups.get(name).copied().unwrap_or(0.0);
         let (speed, depth) = (at("froude"), at("depth_over_width"));

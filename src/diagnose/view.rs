@@ -17,7 +17,7 @@ use super::study::FitInputs;
 use super::summary::summary;
 use super::verdict::{Verdict, Written};
 use super::words::{after, digits};
-use super::{laws, misfit, next_experiment, speed_exponent};
+use super::{misfit, next_experiment, speed_exponent};
 use crate::sand::mechanism::CATALOG;
 use crate::student;
 
@@ -81,7 +81,7 @@ impl ReportView<'_> {
             correlations: self.named().map(|s| s.intervals.correlations.clone()).unwrap_or_default(),
             warnings: self.warnings(&causes),
             causes,
-            ambiguity_set: s.ruling.set.iter().map(|&k| names(s.fit_of(k))).collect(),
+            ambiguity_set: s.ruling.set.iter().map(|&k| s.fit_of(k).names()).collect(),
             candidates: self.tried(),
             lack_of_fit: LackOfFit {
                 plain: Some(s.table.lack(0)),
@@ -94,7 +94,7 @@ impl ReportView<'_> {
             terms: s.law.iter().map(|law| self.term(law)).collect(),
             upper_limits: self.upper_limits(&renewed),
             degrees_of_freedom: Some(s.table.degrees),
-            form: self.form(&renewed),
+            form: self.named().and_then(|s| speed_exponent::form(&renewed, s)),
             next_experiment: self.next_experiment(&without.untestable),
             noise: Some(NoiseSummary {
                 shared: shared.map(|(s, sd)| (s.name.into(), *sd)).collect(),
@@ -119,7 +119,7 @@ impl ReportView<'_> {
         let of = |k: usize| {
             let [difference, standard_error] = s.table.difference(k, best);
             let terms = s.formulas[k].iter().cloned().collect();
-            let (ids, written) = (names(s.fit_of(k)), k == s.ruling.model);
+            let (ids, written) = (s.fit_of(k).names(), k == s.ruling.model);
             EvidenceRow { ids, terms, elpd: s.table.elpd(k), difference, standard_error, written }
         };
         let order = s.table.ranked((1..s.entries.len()).filter(compared));
@@ -132,7 +132,7 @@ impl ReportView<'_> {
         let error = |k: usize| s.entries[k].error;
         let best = *s.table.ranked(s.ruling.left_out.iter().copied()).first()?;
         let law = s.formulas[best].iter().map(|law| format!("the law {law}"));
-        let named: Vec<String> = names(s.fit_of(best)).into_iter().chain(law).collect();
+        let named: Vec<String> = s.fit_of(best).names().into_iter().chain(law).collect();
         let count = match s.ruling.left_out.len() {
             1 => "one model is".to_string(),
             more => format!("{more} models are"),
@@ -155,12 +155,6 @@ impl ReportView<'_> {
         let unfelt = fit.map(|fit| fit.mechanisms.unfelt_by_walkers()).unwrap_or_default();
         warnings.extend(unfelt.into_iter().map(|line| format!("sand.toml: {line}")));
         warnings
-    }
-
-    fn form(&self, study: &FitInputs) -> Option<speed_exponent::SpeedExponent> {
-        let selection = self.named()?;
-        CATALOG[*selection.best()?.ids.first()?].exponent?;
-        speed_exponent::form(study, selection, &laws::laws(study, &selection.candidates.base)?)
     }
 
     /// Values with 95 % intervals.
@@ -262,11 +256,11 @@ impl ReportView<'_> {
                 true => further.estimate.abs() + student::two_sided_95(degrees) * sd,
                 false => further.estimate.max(0.0) + student::one_sided_95(degrees) * sd,
             };
-            UpperLimit { id: entry.id.into(), value: most, unit: entry.unit.into(), level: 0.95 }
+            let limit = UpperLimit { id: entry.id.into(), value: most, unit: entry.unit.into(), level: 0.95 };
+            // Upper limits beyond the bound of the mechanism's law are left out.
+            Some(limit).filter(|_| most < entry.bounds[1])
         };
-        let all = study.further(standing, &asked);
-        // Upper limits beyond the bound of the mechanism's law are left out.
-        all.iter().map(|f| (f.id, limit(f))).filter(|(id, l)| l.value < CATALOG[*id].bounds[1]).map(|l| l.1).collect()
+        study.further(standing, &asked).iter().filter_map(limit).collect()
     }
 
     fn tried(&self) -> Vec<Tried> {
@@ -277,7 +271,7 @@ impl ReportView<'_> {
         let tried = |fit: &Fit, earlier: f64, entry: Option<usize>| {
             let gained = earlier - fit.objective;
             Tried {
-                ids: names(fit),
+                ids: fit.names(),
                 values: fit.values(),
                 delta_chi2: gained,
                 cv_gain: entry.filter(|_| base > 0.0).map(|k| 1.0 - s.table.rows[k].held_out.rmse() / base),
@@ -320,7 +314,7 @@ impl ReportView<'_> {
         let menu = self.study.model.menu();
         let noise = &selection.candidates.around.noise;
         let conditions = menu.map_or(Vec::new(), |menu| next_experiment::propose(&menu, noise, self.study, &set, 3));
-        let unknown = untestable.iter().filter(|u| set.iter().any(|fit| names(fit).contains(&u.id)));
+        let unknown = untestable.iter().filter(|u| set.iter().any(|fit| fit.names().contains(&u.id)));
         let mut why: Vec<String> =
             unknown.map(|u| format!("a test of {} needs a log that says more: {}", u.id, u.why)).collect();
         if !conditions.is_empty() {
@@ -353,11 +347,6 @@ fn runs(study: &FitInputs, extended: Option<&Fit>) -> Vec<RunMeans> {
         }
     };
     groups.iter().enumerate().flat_map(|g| (0..o.channels.len()).map(move |c| row(g, c))).collect()
-}
-
-/// Ids of a fit's causes.
-fn names(fit: &Fit) -> Vec<String> {
-    fit.ids.iter().map(|&id| CATALOG[id].id.to_string()).collect()
 }
 
 /// A warning if the fit needs coefficients that deviate by more than three of their stated standard deviations: our choice.
