@@ -242,7 +242,6 @@ fn ranked(mut fits: Vec<Fit>) -> Vec<Fit> {
     fits
 }
 
-/// Fits every single cause.
 fn singles(study: &FitInputs, screen: &Screen, scores: &Scores, ids: &[usize]) -> Vec<Fit> {
     let columns: Vec<usize> = ids.iter().filter_map(|id| screen.candidates.iter().position(|c| c.0 == *id)).collect();
     let start = |&column: &usize| {

@@ -139,12 +139,11 @@ pub struct Names {
 
 impl Names {
     pub fn place(&mut self, name: &str) -> usize {
-        if let Some(&place) = self.places.get(name) {
-            return place;
-        }
-        self.places.insert(name.into(), self.list.len());
-        self.list.push(name.into());
-        self.list.len() - 1
+        let next = self.list.len();
+        *self.places.entry(name.into()).or_insert_with(|| {
+            self.list.push(name.into());
+            next
+        })
     }
 }
 

@@ -75,7 +75,6 @@ fn sentence(text: &str) -> String {
     escape(&capital(text))
 }
 
-/// A list of items in HTML.
 fn list(items: impl IntoIterator<Item = String>) -> String {
     format!("<ul>{}</ul>", items.into_iter().map(|item| format!("<li>{item}")).collect::<String>())
 }
@@ -276,7 +275,6 @@ fn runs(html: &mut String, diagnosis: &Diagnosis) {
     let _ = write!(html, "<details><summary>Means over repetitions as a table</summary>{rows}</details>");
 }
 
-/// The models that were compared.
 fn compared(html: &mut String, r: &Report) {
     if !r.evidence.is_empty() {
         let row = |m: &EvidenceRow| {

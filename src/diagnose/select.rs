@@ -40,7 +40,6 @@ pub struct Selection {
     pub standing: Fit,
     /// The whitening with the noise scaled to the errors of `standing`.
     pub whitener: Whitener,
-    /// The law that is written.
     pub law: Option<FittedLaw>,
     /// Formula of the law of each entry of the table that has one.
     pub formulas: Vec<Option<String>>,

@@ -102,7 +102,6 @@ impl<'a> WalkingModel<'a> {
         )
     }
 
-    /// Simulated numbers, corrected.
     fn corrected(&self, mut stack: Vec<f64>) -> Vec<f64> {
         stack.iter_mut().zip(&self.correction).for_each(|(s, ratio)| *s *= ratio);
         stack

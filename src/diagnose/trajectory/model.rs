@@ -118,7 +118,6 @@ impl<'a> TrajectoryModel<'a> {
         self.experiment.nuisances.sd(kind)
     }
 
-    /// The prediction of the plain model.
     pub fn plain(&self) -> Vec<f64> {
         self.predict(&self.plain_sand())
     }
@@ -167,7 +166,6 @@ impl<'a> TrajectoryModel<'a> {
         Observations::of_rows(size, channels, &progress, rows.into_iter(), values, conditions)
     }
 
-    /// The measured numbers of one window.
     fn measured(&self, window: &Window) -> Vec<f64> {
         let run = &self.runs[window.run];
         let [w, x, y, z] = &run.attitude;

@@ -37,7 +37,6 @@ pub enum ReplayRobot {
 }
 
 impl ReplayRobot {
-    /// The robot of an experiment.
     pub fn of(experiment: &Experiment) -> Result<Self> {
         let touches = experiment.file.touches.as_deref();
         Self::load(experiment.file.robot.as_deref().unwrap_or("xplorer"), touches)
@@ -185,7 +184,6 @@ impl ReplayedJoint {
 /// for the time one tick after the start.
 #[derive(Clone, Default)]
 pub struct Signals {
-    /// Signal by signal.
     pub signals: Vec<Vec<f64>>,
     /// Time step of the engine [s].
     pub step: f64,

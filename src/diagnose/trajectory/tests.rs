@@ -302,9 +302,7 @@ fn mutated_logs_do_not_panic() {
                 _ => bytes.truncate(at.max(1)),
             }
         }
-        let file = tempfile::Builder::new().suffix(".csv").tempfile().unwrap();
-        std::fs::write(file.path(), &bytes).unwrap();
-        if let Err(error) = read(file.path(), &experiment(), &Silent) {
+        if let Err(error) = read(file(&bytes).path(), &experiment(), &Silent) {
             assert!(!error.to_string().contains('\n'), "{error}");
         }
     }
