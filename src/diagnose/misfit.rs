@@ -4,6 +4,7 @@ use super::forward::{Feature, ForwardModel};
 use super::observations::Observations;
 use super::words::{after, digits, span};
 use serde::Serialize;
+use std::collections::BTreeSet;
 
 /// Error of the plain model in one range of one feature.
 #[derive(Clone, Debug, Serialize, PartialEq)]
@@ -71,10 +72,7 @@ pub fn misfit(
             add(name, unit, Some(range), None, &|u, i| (range[0]..=range[1]).contains(&values[u][i]));
         }
     }
-    let mut groups: Vec<&str> = (0..observations.units.len()).map(|u| model.group(u)).collect();
-    groups.sort_unstable();
-    groups.dedup();
-    for group in groups {
+    for group in (0..observations.units.len()).map(|u| model.group(u)).collect::<BTreeSet<_>>() {
         add("shape", "", None, Some(group), &|u, _| model.group(u) == group);
     }
     table

@@ -9,6 +9,7 @@ use super::words::{after, capital, digits, span};
 use crate::error::{Error, Result};
 use crate::plot::{color, escape};
 use crate::sand::mechanism::{CATALOG, Mechanism};
+use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::path::Path;
 
@@ -241,9 +242,7 @@ fn gain(html: &mut String, diagnosis: &Diagnosis) {
 fn by_shape(html: &mut String, diagnosis: &Diagnosis, unit: &str) {
     let c = &diagnosis.curves;
     let o = &c.observations;
-    let mut shapes: Vec<&str> = c.groups.iter().map(String::as_str).collect();
-    shapes.sort_unstable();
-    shapes.dedup();
+    let shapes: BTreeSet<&str> = c.groups.iter().map(String::as_str).collect();
     let rms = |prediction: &[f64], shape: Option<&str>| {
         let own = o.units.iter().zip(&c.groups).filter(|(_, group)| shape.is_none_or(|s| s == *group));
         root_mean_square(o.counted(own.map(|(unit, _)| unit)).map(|k| o.values[k] - prediction[k]))

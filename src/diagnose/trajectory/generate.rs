@@ -1,6 +1,6 @@
 //! Logs for tests: the hexapod walks with servos in engine `rapier`, which is not the engine that replays the logs, and its sensors have errors.
 
-use super::replay::{Replay, ReplayRobot, ReplayedJoint, Signals, sample};
+use super::replay::{Replay, ReplayedJoint, Signals, sample};
 use crate::sand::mechanism::Mechanisms;
 use crate::sand::{Coefficients, Medium};
 use crate::series::interpolate;
@@ -154,8 +154,4 @@ pub fn file(text: impl AsRef<[u8]>) -> tempfile::NamedTempFile {
     let file = tempfile::Builder::new().suffix(".csv").tempfile().unwrap();
     std::fs::write(file.path(), text).unwrap();
     file
-}
-
-pub fn body() -> ReplayRobot {
-    ReplayRobot::load("xplorer", None).unwrap()
 }

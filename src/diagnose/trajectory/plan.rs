@@ -9,6 +9,7 @@ use crate::forward::{ForwardModel, Menu};
 use crate::series::ends;
 use crate::sim::model::Scene;
 use crate::sim::walk::hip_angle;
+use std::collections::BTreeSet;
 use std::f64::consts::TAU;
 
 /// Stride frequencies [Hz] and slopes [°] that may be proposed: our choices, round numbers in the range of hexapods on sand.
@@ -53,12 +54,10 @@ impl TrajectoryModel<'_> {
         }
         let [low, high] = ends(known.iter().map(|f| f.abs()));
         let offered = FREQUENCIES.iter().filter(|f| (low / BEYOND..=high * BEYOND).contains(*f));
-        let mut legs: Vec<Option<String>> = self.runs.iter().map(|r| r.leg.clone()).collect();
+        let mut legs: BTreeSet<Option<String>> = self.runs.iter().map(|r| r.leg.clone()).collect();
         if legs.iter().all(Option::is_some) {
             legs.extend(["L", "revL"].map(|leg| Some(leg.to_string())));
         }
-        legs.sort();
-        legs.dedup();
         let (mut runs, mut bodies, mut descriptions) = (Vec::new(), Vec::new(), Vec::new());
         for frequency in offered {
             for slope_deg in SLOPES_DEG {

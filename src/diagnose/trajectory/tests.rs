@@ -3,6 +3,7 @@
 use super::generate::{EXPERIMENT, Truth, csv, experiment, file};
 use super::log::Run;
 use super::model::TrajectoryModel;
+use super::replay::ReplayRobot;
 use super::sensors::Mounting;
 use super::windows::BINS;
 use super::{consistency, measured, read};
@@ -273,7 +274,7 @@ fn wrong_quaternions_are_named() {
     let up = nalgebra::Vector3::new(2.0, 0.5, 9.6);
     let turn = nalgebra::UnitQuaternion::rotation_between(&up, &nalgebra::Vector3::z()).unwrap();
     let [x, y, z, w] = [turn.i, turn.j, turn.k, turn.w];
-    let names: Vec<String> = super::generate::body().joint_names();
+    let names: Vec<String> = ReplayRobot::load("xplorer", None).unwrap().joint_names();
     let mut told = |q: [f64; 4]| {
         runs[0].attitude = q.map(|v| vec![v; runs[0].t.len()]);
         let checked = consistency::check(std::path::Path::new("log"), &runs, &names, [1.0, 0.0, 0.0, 0.0]);
