@@ -54,8 +54,6 @@ pub struct SearchSpace<'a> {
     pub untestable: &'a [usize],
     /// Causes that are fitted, but may not be named; they are in no pair.
     pub unnamed: &'a [usize],
-    /// Ids of sensor mechanisms that may be named as causes.
-    pub interest: &'a [String],
 }
 
 /// Fits under one noise, and results of earlier steps.

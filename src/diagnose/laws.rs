@@ -177,7 +177,7 @@ pub(super) mod tests {
             left_out: &[],
         };
         let whitener = Whitener::new(&source, &noise);
-        let study = FitInputs::new(&observations, &model, &whitener, 0.08);
+        let study = FitInputs::new(&observations, &model, &whitener);
         let cohesion = Mechanisms::index("cohesion").unwrap();
         check(&study, &study.fit(&[cohesion], &[200.0]));
     }

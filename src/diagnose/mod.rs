@@ -86,8 +86,7 @@ use experiment::{DataKind, Experiment};
 use force_model::ForceLogModel;
 use forward::ForwardModel;
 use intruder_model::IntruderModel;
-use noise::{NoiseData, scatters, sizes};
-use nuisance::Priors;
+use noise::{NoiseData, sizes};
 use observations::Observations;
 use report::{Curves, Diagnosis, Untestable};
 use select::select;
@@ -140,7 +139,6 @@ fn diagnose_measured(
     model: &dyn ForwardModel,
     progress: &dyn Progress,
 ) -> Result<Diagnosis> {
-    let Experiment { file, nuisances: Priors { interest, .. }, given, .. } = model.experiment();
     progress.report(0.02, "noise from the repetitions")?;
     let plain_sand = model.plain_sand();
     let plain = model.predict(&plain_sand);
@@ -155,13 +153,12 @@ fn diagnose_measured(
     let source = NoiseData { uncertainty: &uncertainty, ..source };
     let noise = if pruned { source.noise(None, &|| model.stopped()) } else { noise };
     let whitener = Whitener::new(&source, &noise);
-    let study = FitInputs::new(observations, model, &whitener, file.coefficient_sd);
+    let study = FitInputs::new(observations, model, &whitener);
     let (ids, unknown, untestable) = testable(&study);
-    let floor = source.floor();
-    let selection = match scatters(observations, &floor) {
+    let selection = match source.scatters() {
         true => {
             let (ids, untestable, unnamed) = (&ids[..], &unknown[..], &unknown[..]);
-            let asked = SearchSpace { source: &source, noise: &noise, ids, untestable, unnamed, interest };
+            let asked = SearchSpace { source: &source, noise: &noise, ids, untestable, unnamed };
             Some(select(&study, &asked, progress)?)
         }
         false => None,
@@ -169,9 +166,7 @@ fn diagnose_measured(
     progress.report(0.95, "report")?;
     let report = without_verdict(&study, untestable, sha256, notes);
     let report = match &selection {
-        Some(selection) => {
-            ReportView { study: &study, source: &source, noise: &noise, selection, floor }.report(report)
-        }
+        Some(selection) => ReportView { study: &study, source: &source, noise: &noise, selection }.report(report),
         None => report,
     };
     debug_assert_eq!(statements::violations(&report), Vec::<String>::new());
@@ -185,7 +180,7 @@ fn diagnose_measured(
         sand.terms = selection.as_ref().and_then(|s| s.law.as_ref()).map(|law| law.term.clone()).into_iter().collect();
     }
     // The diagnosis does not look for hardware that the experiment file states, so the two have no quantity in common.
-    let hardware = hardware::found(&report).or(&given.hardware);
+    let hardware = hardware::found(&report).or(&model.experiment().given.hardware);
     let extended = model.with_hardware(&(sand.mechanisms, sand.coefficients), &hardware);
     let extended = extended.or_else(|| fit.map(|fit| model.as_simulated(&fit.prediction)));
     model.finish(&mut sand);

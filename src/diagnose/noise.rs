@@ -13,9 +13,8 @@
 //! filters and amplifiers in time; which clock is used follows from the repetitions. The parameters maximise the
 //! likelihood of the differences between repetitions, which do not depend on the model of the sand.
 
-use super::errors::SquaredErrors;
 use super::observations::{Observations, Size, Unit};
-use super::series::{interpolate, root_mean_square};
+use super::series::interpolate;
 use super::shared::Uncertainty;
 
 /// Noise of one channel.
@@ -58,10 +57,6 @@ pub struct Noise {
     /// Standard deviation along each of [`super::shared::SharedNoise`]'s directions.
     pub shared: Vec<f64>,
 }
-
-/// Repetitions that scatter by less than this share of the measured value are copies, or simulations without noise:
-/// our choice, the rounding of a log with six digits.
-const COPIES: f64 = 1e-6;
 
 /// The size S for each sample of each unit and channel: the mean over repetitions, smoothed over five samples.
 pub type Sizes = Vec<Vec<Vec<f64>>>;
@@ -161,12 +156,6 @@ pub struct NoiseData<'a> {
     pub uncertainty: &'a Uncertainty,
     /// Conditions that are not used.
     pub left_out: &'a [usize],
-}
-
-/// Do the repetitions differ, so that they give a noise floor? Copies do not differ.
-pub fn scatters(observations: &Observations, floor: &SquaredErrors) -> bool {
-    let counted = observations.counted(observations.units.iter());
-    floor.rmse() > COPIES * root_mean_square(counted.map(|k| observations.values[k]))
 }
 
 impl Noise {

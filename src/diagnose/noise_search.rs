@@ -6,10 +6,15 @@ use super::likelihood::Landscape;
 use super::minimise::minimise;
 use super::noise::{ChannelNoise, Noise, NoiseClock, NoiseData};
 use super::repeats::Repeats;
+use super::series::root_mean_square;
 use super::shared::SharedNoise;
 
 /// Quantile of χ² with one degree of freedom at 95 % (NIST/SEMATECH e-Handbook of Statistical Methods, 1.3.6.7.4).
 const AT_95_PERCENT: f64 = 3.841;
+
+/// Repetitions that scatter by less than this share of the measured value are copies, or simulations without noise:
+/// our choice, the rounding of a log with six digits.
+const COPIES: f64 = 1e-6;
 
 impl NoiseData<'_> {
     /// A first estimate from the size of the differences; the search starts here.
@@ -85,6 +90,12 @@ impl NoiseData<'_> {
         let (from, rounds) = start.map_or((center.clone(), 60), |s| (s.pack(), 12));
         let found = minimise(deviance, from, rounds);
         (Noise::unpack(&found, channels, clock), deviance(&found))
+    }
+
+    /// Do the repetitions differ, so that they give a noise floor? Copies do not differ.
+    pub fn scatters(&self) -> bool {
+        let counted = self.observations.counted(self.observations.units.iter());
+        self.floor().rmse() > COPIES * root_mean_square(counted.map(|k| self.observations.values[k]))
     }
 
     /// Scatter of repetitions over the channels that count in the error: no model can predict it. Conditions

@@ -80,9 +80,10 @@ impl Selection {
 /// nuisances leaves no misfit, mechanisms of the sensor are tried in place of nuisances; they must predict as well as
 /// the nuisances.
 pub fn select(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -> Result<Selection> {
+    let interest = &study.model.experiment().nuisances.interest;
     let marginalised = |id: &usize| {
         let entry = &CATALOG[*id];
-        entry.side == Side::Sensor && !asked.interest.iter().any(|own| own == entry.id)
+        entry.side == Side::Sensor && !interest.iter().any(|own| own == entry.id)
     };
     let sensor: Vec<usize> = asked.ids.iter().copied().filter(marginalised).collect();
     let unnamed = [&sensor[..], asked.untestable].concat();

@@ -19,8 +19,6 @@ pub struct FitInputs<'a> {
     pub observations: &'a Observations,
     pub model: &'a dyn ForwardModel,
     pub whitener: &'a Whitener,
-    /// Relative prior sd of the coefficients.
-    pub coefficient_sd: f64,
     /// Nuisances that all data share.
     pub nuisances: Vec<Nuisance>,
     /// Derivatives of the plain model's prediction by the coefficients and the nuisances: not whitened, and whitened.
@@ -31,15 +29,10 @@ pub struct FitInputs<'a> {
 }
 
 impl<'a> FitInputs<'a> {
-    pub fn new(
-        observations: &'a Observations,
-        model: &'a dyn ForwardModel,
-        whitener: &'a Whitener,
-        coefficient_sd: f64,
-    ) -> Self {
+    pub fn new(observations: &'a Observations, model: &'a dyn ForwardModel, whitener: &'a Whitener) -> Self {
         let steps = CATALOG.map(|entry| SMOOTH_STEP * entry.coordinate_typical());
         let (nuisances, marginal_slopes) = (Vec::new(), [Vec::new(), Vec::new()]);
-        let mut study = Self { observations, model, whitener, coefficient_sd, nuisances, marginal_slopes, steps };
+        let mut study = Self { observations, model, whitener, nuisances, marginal_slopes, steps };
         study.set_nuisances(model.nuisances(&model.plain_sand(), &[]));
         let plain = study.plain();
         if let Some(roughness) = model.roughness() {
@@ -137,9 +130,10 @@ impl<'a> FitInputs<'a> {
     /// set's root mean square: our choice.
     pub fn coefficients(&self, deviations: &[f64]) -> Coefficients {
         let mut c = self.model.medium().coefficients.to_array();
+        let sd = self.model.experiment().file.coefficient_sd;
         let floor = 0.5 * (c.iter().map(|c| c * c).sum::<f64>() / COEFFICIENTS as f64).sqrt();
         for (c, d) in c.iter_mut().zip(deviations) {
-            *c += c.abs().max(floor) * self.coefficient_sd * d;
+            *c += c.abs().max(floor) * sd * d;
         }
         Coefficients::from_array(c)
     }

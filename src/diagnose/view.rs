@@ -1,6 +1,5 @@
 //! Converts a diagnosis to a report.
 
-use super::errors::SquaredErrors;
 use super::evidence::NORMAL;
 use super::fit::{COEFFICIENTS, Fit};
 use super::forward::Feature;
@@ -55,7 +54,6 @@ pub struct ReportView<'a> {
     pub source: &'a NoiseData<'a>,
     pub noise: &'a Noise,
     pub selection: &'a Selection,
-    pub floor: SquaredErrors,
 }
 
 impl ReportView<'_> {
@@ -292,9 +290,10 @@ impl ReportView<'_> {
         let selection = self.selection;
         let (plain, [base, chosen]) = (&selection.plain, &selection.nested);
         let extended = if selection.ruling.written == Written::Plain { plain } else { chosen };
-        let (before, after, floor) = (plain.rmse(), extended.rmse(), self.floor.rmse());
+        let repetitions = self.source.floor();
+        let (before, after, floor) = (plain.rmse(), extended.rmse(), repetitions.rmse());
         // If the plain model's error is hardly larger than the scatter between repetitions, a share of the difference between the two has no meaning.
-        let told = plain.reduction_interval(&self.floor)[0] > 0.0;
+        let told = plain.reduction_interval(&repetitions)[0] > 0.0;
         Gain {
             held_out_rmse_plain: Some(before),
             held_out_rmse_recalibrated: Some(base.rmse()),
