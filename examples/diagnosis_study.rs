@@ -81,7 +81,7 @@ fn separation(log: &Log, cause: &str, name: &str) -> Outcome<f64> {
     };
     let whitener = Whitener::new(&source, &noise);
     // Sensor mechanisms are rivals here, so nuisances are left out.
-    let study = FitInputs::new(o, &model, &whitener, experiment.coefficient_sd).under(&whitener, Vec::new());
+    let study = FitInputs::new(o, &model, &whitener).under(&whitener, Vec::new());
     let truth = CATALOG.iter().position(|m| m.id == cause).map(|id| study.fit(&[id], &[CATALOG[id].typical]).objective);
     let rivals: Vec<usize> = model.testable().into_iter().map(|t| t.0).filter(|&id| CATALOG[id].id != cause).collect();
     let fits = parallel::map(&rivals, |&id| study.fit(&[id], &[0.3 * CATALOG[id].typical]).objective);

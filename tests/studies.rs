@@ -234,7 +234,7 @@ fn forces_with_mechanisms_agree_with_the_diagnosis() {
     for id in acting {
         let index = Mechanisms::index(id).unwrap();
         let mechanisms = Mechanisms::PLAIN.with(index, CATALOG[index].typical);
-        let (ours, theirs) = (loads(mechanisms), model.predict(&mechanisms, &experiment.medium.coefficients));
+        let (ours, theirs) = (loads(mechanisms), model.predict(&(mechanisms, experiment.medium.coefficients)));
         let largest = |d: &dyn Fn(usize) -> f64| (0..ours.len()).map(d).fold(0.0, f64::max);
         let effect = largest(&|k| (ours[k].fx - plain[k].fx).hypot(ours[k].fz - plain[k].fz));
         let off = largest(&|k| (ours[k].fx - theirs[k]).hypot(ours[k].fz - theirs[ours.len() + k]));

@@ -12,21 +12,18 @@ pub fn single(depth: &[f64], force: &[f64], c: &Calibration) -> Figure {
     let line = [0.0, deepest].map(|z| [1e3 * z, force_at(c.zeta, z)]);
     let data = depth.iter().zip(force).map(|(z, f)| [1e3 * z, *f]).collect();
     let label = format!("ζ = {:.3} N/cm³", c.zeta);
-    Figure {
-        title: "Penetration test".into(),
-        columns: 1,
-        panels: vec![FigurePanel {
-            x: Axis::new("depth [mm]"),
-            y: Axis::new("force [N]"),
-            marks: vec![
-                Mark::band("95 % confidence", color::BLUE, band.to_vec()),
-                Mark::line("measured", Style { width: 0.0, ..Style::line(color::VERMILION) }.with_dots(), data),
-                Mark::line(&label, Style::line(color::BLUE), line.to_vec()),
-            ],
-            ..FigurePanel::default()
-        }],
-        note: format!("plate {:.2} cm², {} samples in the fit, r² = {:.3}", c.area * 1e4, c.samples, c.r_squared),
-    }
+    let marks = vec![
+        Mark::band("95 % confidence", color::BLUE, band.to_vec()),
+        Mark::line("measured", Style { width: 0.0, ..Style::line(color::VERMILION) }.with_dots(), data),
+        Mark::line(&label, Style::line(color::BLUE), line.to_vec()),
+    ];
+    let note = format!("plate {:.2} cm², {} samples in the fit, r² = {:.3}", c.area * 1e4, c.samples, c.r_squared);
+    over_depth("Penetration test", "force [N]", marks, note)
+}
+
+fn over_depth(title: &str, y: &str, marks: Vec<Mark>, note: String) -> Figure {
+    let panel = FigurePanel { x: Axis::new("depth [mm]"), y: Axis::new(y), marks, ..FigurePanel::default() };
+    Figure { title: title.into(), columns: 1, panels: vec![panel], note }
 }
 
 /// Pressure over depth of every push, one colour for each size.
@@ -40,15 +37,6 @@ pub fn several(pushes: &[Penetration], study: &Pushes) -> Figure {
             marks.push(Mark::line(if nth == 0 { &label } else { "" }, style.clone(), points));
         }
     }
-    Figure {
-        title: "Penetration tests".into(),
-        columns: 1,
-        panels: vec![FigurePanel {
-            x: Axis::new("depth [mm]"),
-            y: Axis::new("pressure [kPa]"),
-            marks,
-            ..FigurePanel::default()
-        }],
-        note: format!("{} pushes; best law: {}", pushes.len(), study.law.formula()),
-    }
+    let note = format!("{} pushes; best law: {}", pushes.len(), study.law.formula());
+    over_depth("Penetration tests", "pressure [kPa]", marks, note)
 }

@@ -76,7 +76,7 @@ pub fn calibrate(depth: &[f64], force: &[f64], area: f64) -> Result<Calibration>
              not a slow vertical penetration counted from the surface"
         )));
     }
-    let half = T_95 * jackknife(&kept, greatest);
+    let half = T_95 * slope_error(&kept, greatest);
     let zeta = slope / area * 1e-6;
     let interval = [(slope - half) / area * 1e-6, (slope + half) / area * 1e-6];
     let (free_slope, intercept) = free_line(&kept);
@@ -156,12 +156,17 @@ fn free_line(points: &[[f64; 2]]) -> (f64, f64) {
 }
 
 /// Standard error of the slope from leaving out one stretch of depth at a time.
-fn jackknife(points: &[[f64; 2]], greatest: f64) -> f64 {
+fn slope_error(points: &[[f64; 2]], greatest: f64) -> f64 {
     let from = TRANSIENT * greatest;
     let stretch = |z: f64| (((z - from) / (greatest - from) * STRETCHES as f64) as usize).min(STRETCHES - 1);
     let without = |k: usize| through_origin(points.iter().filter(|p| stretch(p[0]) != k));
     let slopes: Vec<f64> = (0..STRETCHES).map(without).filter(|s| s.is_finite()).collect();
-    let count = slopes.len() as f64;
-    let mean = slopes.iter().sum::<f64>() / count;
-    ((count - 1.0) / count * slopes.iter().map(|s| (s - mean).powi(2)).sum::<f64>()).sqrt()
+    jackknife(&slopes)
+}
+
+/// Standard error of a value by the jackknife: `without` are the values with one part of the data left out.
+fn jackknife(without: &[f64]) -> f64 {
+    let count = without.len() as f64;
+    let mean = without.iter().sum::<f64>() / count;
+    ((count - 1.0) / count * without.iter().map(|x| (x - mean).powi(2)).sum::<f64>()).sqrt()
 }

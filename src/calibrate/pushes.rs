@@ -6,7 +6,7 @@
 //! compliance is fitted, too.
 
 pub use super::pressure_law::PressureLaw;
-use super::{TRANSIENT, refused};
+use super::{TRANSIENT, jackknife, refused};
 use crate::error::{Result, check_range};
 use crate::student;
 use nalgebra::{DMatrix, DVector};
@@ -127,7 +127,7 @@ pub fn compare(pushes: &[Penetration], compliance: Option<f64>) -> Result<Pushes
         without.push((c, parameters(&others, c)?));
     }
     let whole = parameters(&all, here)?;
-    let of = |k: usize| jackknife(whole[k], without.iter().map(|w| w.1[k]));
+    let of = |k: usize| with_interval(whole[k], without.iter().map(|w| w.1[k]));
     let greatest = |k: usize| pushes.iter().flat_map(|p| p.points.iter().map(move |q| q[k])).fold(0.0, f64::max);
     let mut study = Pushes {
         sizes: by_size(pushes)?,
@@ -135,7 +135,7 @@ pub fn compare(pushes: &[Penetration], compliance: Option<f64>) -> Result<Pushes
         laws: scores,
         depth_exponent: of(1),
         size_exponent: sized.then(|| of(2)),
-        compliance: jackknife(here, without.iter().map(|w| w.0)),
+        compliance: with_interval(here, without.iter().map(|w| w.0)),
         greatest: [greatest(0), greatest(1)],
         cautions: Vec::new(),
     };
@@ -294,12 +294,9 @@ fn soft(pushes: &[Penetration], stretches: &[Vec<[f64; 2]>], chosen: &[usize], s
 }
 
 /// A 95 % interval by the jackknife: `without` are the values with one push left out.
-fn jackknife(value: f64, without: impl Iterator<Item = f64>) -> Value {
+fn with_interval(value: f64, without: impl Iterator<Item = f64>) -> Value {
     let without: Vec<f64> = without.collect();
-    let n = without.len() as f64;
-    let mean = without.iter().sum::<f64>() / n;
-    let error = ((n - 1.0) / n * without.iter().map(|x| (x - mean).powi(2)).sum::<f64>()).sqrt();
-    let half = student::two_sided_95(n - 1.0) * error;
+    let half = student::two_sided_95(without.len() as f64 - 1.0) * jackknife(&without);
     Value { value, interval: [value - half, value + half] }
 }
 

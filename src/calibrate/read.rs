@@ -22,6 +22,7 @@ const COLUMNS: [HeaderColumn; 7] = [
 const SIZES: std::ops::RangeInclusive<f64> = 1e-4..=1.0;
 
 /// The contents of a file.
+#[derive(Default)]
 pub struct Tests {
     /// Depths of all rows [m].
     pub depth: Vec<f64>,
@@ -29,55 +30,41 @@ pub struct Tests {
     pub force: Vec<f64>,
     /// Empty if the file has no column `trial`.
     pub pushes: Vec<Penetration>,
+    /// Index of each trial's push.
+    places: HashMap<String, usize>,
+    /// Number of samples of all pushes.
+    samples: usize,
 }
 
 /// Reads a file. `units` gives the units of depth and force if the header does not.
 pub fn file(path: &Path, units: BTreeMap<String, String>) -> Result<Tests> {
-    let mut several = Several::default();
-    let (mut depth, mut force) = (Vec::new(), Vec::new());
+    let mut tests = Tests::default();
     let asked = ReadOptions { units, ..ReadOptions::new(&COLUMNS) };
-    table::read(path, &asked, |row| take(row, &mut depth, &mut force, &mut several))?;
-    several.tests(path, depth, force)
+    table::read(path, &asked, |row| tests.take(row))?;
+    tests.checked(path)
 }
 
 /// Reads tests from `text`; `path` names them in errors.
 pub fn text(path: &Path, text: &str) -> Result<Tests> {
-    let mut several = Several::default();
-    let (mut depth, mut force) = (Vec::new(), Vec::new());
-    table::parse(path, text.as_bytes(), &ReadOptions::new(&COLUMNS), |row| {
-        take(row, &mut depth, &mut force, &mut several)
-    })?;
-    several.tests(path, depth, force)
+    let mut tests = Tests::default();
+    table::parse(path, text.as_bytes(), &ReadOptions::new(&COLUMNS), |row| tests.take(row))?;
+    tests.checked(path)
 }
 
-fn take(row: &Row, depth: &mut Vec<f64>, force: &mut Vec<f64>, several: &mut Several) -> Result<()> {
-    let [z, f] = [0, 1].map(|k| row.needed_within(k, MOST));
-    let (z, f) = (z?, f?);
-    depth.push(z);
-    force.push(f);
-    if row.text(2).is_some() { several.take(row, z, f) } else { Ok(()) }
-}
-
-/// Pushes while they are read.
-#[derive(Default)]
-struct Several {
-    pushes: Vec<Penetration>,
-    /// Index of each trial's push.
-    places: HashMap<String, usize>,
-    samples: usize,
-}
-
-impl Several {
-    fn tests(self, path: &Path, depth: Vec<f64>, force: Vec<f64>) -> Result<Tests> {
-        if self.samples > 0 && self.samples < depth.len() {
-            let blank = depth.len() - self.samples;
-            return Err(Error::file(path, format!("column trial: blank in {blank} of {} rows", depth.len())));
+impl Tests {
+    fn checked(self, path: &Path) -> Result<Tests> {
+        let rows = self.depth.len();
+        if self.samples > 0 && self.samples < rows {
+            return Err(Error::file(path, format!("column trial: blank in {} of {rows} rows", rows - self.samples)));
         }
-        Ok(Tests { depth, force, pushes: self.pushes })
+        Ok(self)
     }
 
-    fn take(&mut self, row: &Row, depth: f64, force: f64) -> Result<()> {
-        let name = row.needed_text(2)?;
+    fn take(&mut self, row: &Row) -> Result<()> {
+        let (depth, force) = (row.needed_within(0, MOST)?, row.needed_within(1, MOST)?);
+        self.depth.push(depth);
+        self.force.push(force);
+        let Some(name) = row.text(2) else { return Ok(()) };
         let side = |k: usize| {
             let refused = |e: Error| row.error(k, e);
             row.number(k)?.map(|x| check_range(COLUMNS[k].name, x, SIZES).map_err(refused)).transpose()

@@ -6,10 +6,9 @@
 use super::acceleration::Accelerations;
 use super::experiment::Intruder;
 use super::sides::{leading_sides, sides};
-use super::track::{ArmPose, RigidMotion, Track};
+use super::track::{ArmPose, RigidMotion, Track, Wrench};
 use crate::error::Result;
 use crate::number::{Doubles, Kernel, Real, Vec3};
-use crate::sand::intrusion::Load;
 use crate::sand::mechanism::Mechanisms;
 use crate::sand::mechanism_laws::{SandMechanisms, SegmentState, StressModel, slope_depth};
 use crate::sand::shape::{Segment, straight};
@@ -64,32 +63,30 @@ pub struct IntruderSegments {
 
 impl IntruderSegments {
     pub fn new(intruder: &Intruder) -> Result<Self> {
-        Ok(match *intruder {
-            Intruder::Leg { chord, width, xi_deg, thickness } => IntruderSegments {
-                segments: blocks(&LegShape::two_piece(xi_deg)?.segments(chord, width, SEGMENTS)?, width),
-                chord: blocks(&straight([0.0, 0.0], [0.0, -chord], width, SEGMENTS), width),
-                sides: Vec::new(),
-                width,
-                half_thickness: thickness.unwrap_or(0.0) / 2.0,
-            },
-            Intruder::Plate { length, width, thickness } => IntruderSegments {
-                segments: blocks(&straight([-length / 2.0, 0.0], [length / 2.0, 0.0], width, SEGMENTS), width),
-                chord: Vec::new(),
-                sides: sides(length, width, thickness.unwrap_or(0.0)),
-                width,
-                half_thickness: thickness.unwrap_or(0.0) / 2.0,
-            },
-        })
+        let (Intruder::Leg { width, thickness, .. } | Intruder::Plate { width, thickness, .. }) = *intruder;
+        let thickness = thickness.unwrap_or(0.0);
+        let (segments, chord, sides) = match *intruder {
+            Intruder::Leg { chord, xi_deg, .. } => (
+                LegShape::two_piece(xi_deg)?.segments(chord, width, SEGMENTS)?,
+                straight([0.0, 0.0], [0.0, -chord], width, SEGMENTS),
+                Vec::new(),
+            ),
+            Intruder::Plate { length, .. } => (
+                straight([-length / 2.0, 0.0], [length / 2.0, 0.0], width, SEGMENTS),
+                Vec::new(),
+                sides(length, width, thickness),
+            ),
+        };
+        let [segments, chord] = [segments, chord].map(|own| blocks(&own, width));
+        Ok(Self { segments, chord, sides, width, half_thickness: thickness / 2.0 })
     }
 }
 
 /// Converts loads to the readings of a tilted sensor with offsets.
-pub fn read<const N: usize>(m: &Mechanisms, loads: &mut [[Load; N]]) {
+pub fn read<const N: usize>(m: &Mechanisms, loads: &mut [[Wrench; N]]) {
     let (sin, cos) = m.sensor_tilt.sin_cos();
-    for load in loads.iter_mut().flatten() {
-        let (fx, fz) = (load.fx, load.fz);
-        load.fx = fx * cos - fz * sin + m.bias_x;
-        load.fz = fx * sin + fz * cos + m.bias_z;
+    for [fx, fz, _] in loads.iter_mut().flatten() {
+        (*fx, *fz) = (*fx * cos - *fz * sin + m.bias_x, *fx * sin + *fz * cos + m.bias_z);
     }
 }
 
@@ -115,10 +112,10 @@ fn begins_at_rest(poses: &[ArmPose]) -> bool {
 /// − y. The filter is in steady state half a sample before the log; the solution is exact for a force that is
 /// linear between steps. In a trial that begins at rest, the filter begins with the force at the start of the
 /// motion.
-pub fn filtered<const N: usize>(poses: &[ArmPose], steps: &[[Load; N]], tau: f64) -> Vec<[Load; N]> {
+pub fn filtered<const N: usize>(poses: &[ArmPose], steps: &[[Wrench; N]], tau: f64) -> Vec<[Wrench; N]> {
     let times = filter_times(poses);
     let rests = begins_at_rest(poses);
-    let mut state = if rests { [Load::default(); N] } else { steps[0] };
+    let mut state = if rests { [[0.0; 3]; N] } else { steps[0] };
     let mut out = Vec::with_capacity(poses.len());
     for k in 1..steps.len() {
         let h = times[k] - times[k - 1];
@@ -131,7 +128,7 @@ pub fn filtered<const N: usize>(poses: &[ArmPose], steps: &[[Load; N]], tau: f64
             // At rest the direction of the coming motion is not known, so the first force is taken from the next step.
             let before = if rests && k == FILTER_STEPS + 1 { &steps[k] } else { &steps[k - 1] };
             for (y, (a, b)) in state.iter_mut().zip(before.iter().zip(&steps[k])) {
-                *y = Load { fx: next(y.fx, a.fx, b.fx), fz: next(y.fz, a.fz, b.fz), ty: next(y.ty, a.ty, b.ty) };
+                *y = [0, 1, 2].map(|c| next(y[c], a[c], b[c]));
             }
         }
         if k % FILTER_STEPS == 0 {
@@ -158,9 +155,9 @@ pub struct Arm<'a, const N: usize> {
 
 impl<const N: usize> Arm<'_, N> {
     /// The loads that the sensor would have read, one for each pose.
-    pub fn readings(&self) -> Vec<[Load; N]> {
+    pub fn readings(&self) -> Vec<[Wrench; N]> {
         let m = self.mechanisms;
-        let mut loads: Vec<[Load; N]> = if m.lowpass > 0.0 {
+        let mut loads: Vec<[Wrench; N]> = if m.lowpass > 0.0 {
             filtered(&self.track.poses, &self.between(), m.lowpass)
         } else {
             self.track.poses.iter().enumerate().map(|(i, p)| self.load(&self.late(i, p))).collect()
@@ -209,14 +206,14 @@ impl<const N: usize> Arm<'_, N> {
 
     /// Loads at the steps of a filter: [`FILTER_STEPS`] from one pose to the next, and half an interval before the
     /// first.
-    pub fn between(&self) -> Vec<[Load; N]> {
+    pub fn between(&self) -> Vec<[Wrench; N]> {
         let times = filter_times(&self.track.poses);
         let load = |(k, t): (usize, &f64)| self.load(&self.pose_at(t - self.mechanisms.delay, k / FILTER_STEPS));
         times.iter().enumerate().map(load).collect()
     }
 
     /// Load at a pose.
-    fn load(&self, pose: &ArmPose) -> [Load; N] {
+    fn load(&self, pose: &ArmPose) -> [Wrench; N] {
         let acceleration = self.accelerations.as_ref().map_or([0.0; 3], |own| own.at(pose.t));
         match self.track.intruder {
             Intruder::Plate { .. } => self.plate(pose, acceleration),
@@ -226,7 +223,7 @@ impl<const N: usize> Arm<'_, N> {
                     // Two rounds of θ = θ_motor + torque × compliance: the torque changes little over the lag.
                     for _ in 0..2 {
                         lagged.theta =
-                            pose.theta + self.mechanisms.compliance * self.leg(&lagged, acceleration[0])[0].ty;
+                            pose.theta + self.mechanisms.compliance * self.leg(&lagged, acceleration[0])[0][2];
                     }
                 }
                 self.leg(&lagged, acceleration[0])
@@ -234,7 +231,7 @@ impl<const N: usize> Arm<'_, N> {
         }
     }
 
-    fn plate(&self, pose: &ArmPose, acceleration: [f64; 3]) -> [Load; N] {
+    fn plate(&self, pose: &ArmPose, acceleration: [f64; 3]) -> [Wrench; N] {
         let origin = [pose.center[0], pose.center[1] - self.mechanisms.depth_zero];
         let change = [acceleration[1], acceleration[2]];
         let place = RigidMotion {
@@ -246,20 +243,19 @@ impl<const N: usize> Arm<'_, N> {
             spin_up: 0.0,
         };
         let sides = self.sides(place);
-        let with_sides = |l: Load| Load { fx: l.fx + sides.fx, fz: l.fz + sides.fz, ty: l.ty + sides.ty };
-        self.sum(&self.cut.segments, place).map(with_sides)
+        self.sum(&self.cut.segments, place).map(|load| [0, 1, 2].map(|c| load[c] + sides[c]))
     }
 
     /// Inertial drag on the leading side face of a thick plate.
-    fn sides(&self, place: RigidMotion) -> Load {
+    fn sides(&self, place: RigidMotion) -> Wrench {
         if self.drag == 0.0 {
-            return Load::default();
+            return [0.0; 3];
         }
         let pressure = |speed: f64| self.drag * speed * speed;
         leading_sides(&self.cut.sides, place, self.mechanisms.slope, pressure)
     }
 
-    fn leg(&self, pose: &ArmPose, spin_up: f64) -> [Load; N] {
+    fn leg(&self, pose: &ArmPose, spin_up: f64) -> [Wrench; N] {
         let origin = [0.0, self.track.hip_height - self.mechanisms.depth_zero];
         let turn = pose.theta.sin_cos();
         let place = RigidMotion { origin, turn, velocity: [0.0; 2], spin: pose.omega, change: [0.0; 2], spin_up };
@@ -274,16 +270,12 @@ impl<const N: usize> Arm<'_, N> {
         }
         let chord = self.sum(&self.cut.chord, place);
         let mix = |segments: f64, straight: f64| (1.0 - chi) * segments + chi * straight;
-        let both = |k: usize| (&full[k], &chord[k]);
-        std::array::from_fn(|k| {
-            let (a, b) = both(k);
-            Load { fx: mix(a.fx, b.fx), fz: mix(a.fz, b.fz), ty: mix(a.ty, b.ty) }
-        })
+        std::array::from_fn(|bed| [0, 1, 2].map(|c| mix(full[bed][c], chord[bed][c])))
     }
 
     /// Sums stress over segments.
-    fn sum(&self, blocks: &[Block], place: RigidMotion) -> [Load; N] {
-        let mut loads = [Load::default(); N];
+    fn sum(&self, blocks: &[Block], place: RigidMotion) -> [Wrench; N] {
+        let mut loads = [[0.0; 3]; N];
         Doubles::dispatch(Sum { arm: self, blocks, place, loads: &mut loads });
         loads
     }
@@ -293,7 +285,7 @@ struct Sum<'a, const N: usize> {
     arm: &'a Arm<'a, N>,
     blocks: &'a [Block],
     place: RigidMotion,
-    loads: &'a mut [Load; N],
+    loads: &'a mut [Wrench; N],
 }
 
 impl<const N: usize> Kernel for Sum<'_, N> {
@@ -354,9 +346,7 @@ impl<const N: usize> Kernel for Sum<'_, N> {
                 *sum_turn += r[0] * fz - r[1] * fx;
             }
         }
-        for (load, [fx, fz, ty]) in loads.iter_mut().zip(sums) {
-            *load = Load { fx: fx.sum(), fz: fz.sum(), ty: ty.sum() };
-        }
+        *loads = sums.map(|own| own.map(Doubles::sum));
     }
 }
 

@@ -11,6 +11,7 @@ use super::verdict;
 use super::whiten::Whitener;
 use crate::error::Result;
 use crate::number::dot;
+use crate::progress::Progress;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
 
 /// Number of pairs that are fitted, the best of the linear screen: our choice, because each fit takes time.
@@ -53,8 +54,6 @@ pub struct SearchSpace<'a> {
     pub untestable: &'a [usize],
     /// Causes that are fitted, but may not be named; they are in no pair.
     pub unnamed: &'a [usize],
-    /// Ids of sensor mechanisms that may be named as causes.
-    pub interest: &'a [String],
 }
 
 /// Fits under one noise, and results of earlier steps.
@@ -85,23 +84,20 @@ impl Candidates {
 }
 
 /// Fits singles and pairs. Pairs are tried if a single cause predicts left-out conditions better than the plain model.
-pub fn candidates(
-    study: &FitInputs,
-    asked: &SearchSpace,
-    report: &dyn Fn(f64, &str) -> Result<()>,
-) -> Result<Candidates> {
-    report(0.1, "effect of every cause")?;
+pub fn candidates(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -> Result<Candidates> {
+    progress.report(0.1, "effect of every cause")?;
     let ids = [asked.ids, asked.untestable].concat();
     let screen = Screen::new(study, &ids);
     let scores = screen.scores(study.whitener, &study.observations.values);
-    report(0.3, "single causes")?;
+    progress.report(0.3, "single causes")?;
     // Nuisances have nonlinear effects, so they are linearised at the plain model's fit before causes are tested.
-    let nuisances = study.nuisances_about(&study.recalibrated());
+    let plain = study.recalibrated();
+    let nuisances = study.nuisances_of(&plain, &plain);
     let (noise, sizes, whitener) = (asked.noise.clone(), asked.source.sizes.clone(), study.whitener.clone());
     let around = Surroundings { noise, sizes, whitener, nuisances };
     let straight = around.about(study);
     let mut fits = singles(&straight, &screen, &scores, &ids);
-    let base = beneath(&straight, straight.recalibrated(), &fits);
+    let base = plain_beneath(&straight, straight.recalibrated(), &fits);
     let earlier = base.objective;
     let mut behind = fits.split_off(fits.len().min(FINALISTS));
     // Causes that cannot be tested are always compared, because they may look like another cause.
@@ -113,11 +109,11 @@ pub fn candidates(
     let leading = leading(&straight, &base, &fits);
     let screened = screen.candidates.clone();
     let mut found = Candidates { screened, around: around.clone(), base, fits, leading, behind, earlier };
-    report(0.5, "singles under the noise of the best")?;
+    progress.report(0.5, "singles under the noise of the best")?;
     found.settle(study, asked);
     if leading.is_some() {
-        report(0.6, "pairs of causes")?;
-        found.add_pairs(study, asked, &screen, report)?;
+        progress.report(0.6, "pairs of causes")?;
+        found.add_pairs(study, asked, &screen, progress)?;
     }
     found.leading = self::leading(&found.around.about(study), &found.base, &found.fits);
     Ok(found)
@@ -179,7 +175,7 @@ impl Candidates {
             let same = again.iter_mut().find(|f| f.ids == other.ids && other.objective < f.objective);
             same.into_iter().for_each(|f| *f = other.clone());
         }
-        self.base = beneath(study, study.fit_from(&[&self.base]).swap_remove(0), &again);
+        self.base = plain_beneath(study, study.fit_from(&[&self.base]).swap_remove(0), &again);
         self.fits = ranked(again);
     }
 
@@ -189,7 +185,7 @@ impl Candidates {
         study: &FitInputs,
         asked: &SearchSpace,
         screen: &Screen,
-        report: &dyn Fn(f64, &str) -> Result<()>,
+        progress: &dyn Progress,
     ) -> Result<()> {
         let (fits, around) = (&self.fits, self.around.clone());
         let renewed = around.about(study);
@@ -224,13 +220,13 @@ impl Candidates {
         let mut pairs = ranked(renewed.fit_all(&tried.iter().map(starts).collect::<Vec<_>>()));
         pairs.truncate(FINALISTS);
         let place = fits.iter().position(|f| f.ids == [id]).unwrap_or(0);
-        if let Some(lower) = pairs.first().and_then(|pair| beyond(&renewed, &fits[place], pair)) {
+        if let Some(lower) = pairs.first().and_then(|pair| beneath(&renewed, &fits[place], pair)) {
             self.fits[place] = lower;
         }
         self.fits.extend(pairs);
         self.leading = leading(&renewed, &self.base, &self.fits);
         if self.best().ids.len() > 1 {
-            report(0.75, "pairs under the noise of the best")?;
+            progress.report(0.75, "pairs under the noise of the best")?;
             drop(renewed);
             self.settle(study, asked);
         }
@@ -244,7 +240,6 @@ fn ranked(mut fits: Vec<Fit>) -> Vec<Fit> {
     fits
 }
 
-/// Fits every single cause.
 fn singles(study: &FitInputs, screen: &Screen, scores: &Scores, ids: &[usize]) -> Vec<Fit> {
     let columns: Vec<usize> = ids.iter().filter_map(|id| screen.candidates.iter().position(|c| c.0 == *id)).collect();
     let start = |&column: &usize| {
@@ -293,26 +288,32 @@ fn far_start(study: &FitInputs, id: usize, estimate: f64) -> Option<f64> {
     (study.model.roughness().is_some() && !entry.ceiling).then_some(far)
 }
 
-/// If the model is rough, the fit of the plain model may have ended in a local minimum, and a cause may then gain only
-/// because its fit leaves this minimum. So the plain model is fitted again from the end of the best of `fits`, and
-/// replaces `base` if its objective is lower.
-fn beneath(study: &FitInputs, base: Fit, fits: &[Fit]) -> Fit {
-    let best = fits.iter().min_by(|a, b| a.objective.total_cmp(&b.objective));
-    let Some(best) = best.filter(|best| study.model.roughness().is_some() && best.objective < base.objective) else {
-        return base;
-    };
-    let (ids, mechanisms) = (Vec::new(), Mechanisms::default());
-    let from = Fit { ids, mechanisms, slopes: Vec::new(), ..best.clone() };
+/// If the model is rough, a fit with fewer causes may have ended in a local minimum, and a fit with more causes may then gain
+/// only because it leaves this minimum. So the fit with fewer causes is made again from the `end` of the other one. Returns
+/// it if its objective is lower; None for a smooth model, and if the other fit lacks one of the causes.
+fn beneath(study: &FitInputs, fit: &Fit, end: &Fit) -> Option<Fit> {
+    if study.model.roughness().is_none() || !fit.ids.iter().all(|id| end.ids.contains(id)) {
+        return None;
+    }
+    let with = |all: Mechanisms, &id: &usize| all.with(id, end.mechanisms.get(id));
+    let mechanisms = fit.ids.iter().fold(Mechanisms::default(), with);
+    let from = Fit { ids: fit.ids.clone(), mechanisms, slopes: Vec::new(), ..end.clone() };
     let again = study.fit_from(&[&from]).swap_remove(0);
-    if again.objective < base.objective { again } else { base }
+    (again.objective < fit.objective).then_some(again)
+}
+
+/// The plain model's fit, made again from the end of the best of `fits` if this has a lower objective.
+fn plain_beneath(study: &FitInputs, base: Fit, fits: &[Fit]) -> Fit {
+    let best = fits.iter().min_by(|a, b| a.objective.total_cmp(&b.objective));
+    let best = best.filter(|best| best.objective < base.objective);
+    best.and_then(|best| beneath(study, &base, best)).unwrap_or(base)
 }
 
 /// Noise, whitening and nuisances about a fit. The common part of a repetition's noise acts along the fit's
 /// prediction.
 fn surroundings(study: &FitInputs, asked: &SearchSpace, fit: &Fit) -> Surroundings {
     let source = asked.source;
-    let coefficients = study.coefficients(&fit.deviations);
-    let mut uncertainty = study.model.uncertainty(&(fit.mechanisms, coefficients), &fit.prediction);
+    let mut uncertainty = study.model.uncertainty(&study.sand(fit), &fit.prediction);
     uncertainty.shared.retain(|s| source.uncertainty.shared.iter().any(|own| own.name == s.name));
     // The noise is learnt from the fit's residual, nuisances included, and is proportional to the prediction of the
     // sand.
@@ -337,7 +338,7 @@ fn bent(study: &FitInputs, whitener: &Whitener, fit: &Fit) -> Vec<Nuisance> {
     if study.nuisances.is_empty() {
         return Vec::new();
     }
-    let mut now = study.under(whitener, study.nuisances_about(fit));
+    let mut now = study.under(whitener, study.nuisances_of(fit, fit));
     let mut at = now.fit_from(&[fit]).swap_remove(0);
     let mut least = f64::INFINITY;
     let mut before = fit.clone();
@@ -363,15 +364,4 @@ fn bent(study: &FitInputs, whitener: &Whitener, fit: &Fit) -> Vec<Nuisance> {
         now = next;
     }
     now.nuisances_of(fit, &at)
-}
-
-/// If the model is rough, the fit of a single cause may have ended in a local minimum, and a pair may then gain only
-/// because its fit leaves this minimum. So the single cause is fitted again from the pair's end, and this fit is kept
-/// if its objective is lower.
-fn beyond(study: &FitInputs, single: &Fit, pair: &Fit) -> Option<Fit> {
-    let id = *single.ids.first().filter(|id| study.model.roughness().is_some() && pair.ids.contains(id))?;
-    let mechanisms = Mechanisms::default().with(id, pair.mechanisms.get(id));
-    let from = Fit { ids: vec![id], mechanisms, slopes: Vec::new(), ..pair.clone() };
-    let again = study.fit_from(&[&from]).swap_remove(0);
-    (again.objective < single.objective).then_some(again)
 }

@@ -4,49 +4,43 @@ use super::observations::Observations;
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-/// Errors over the channels that count in the error, condition by condition.
+/// Errors over the channels that count in the error, condition by condition: sum of squares [unit of the channels, squared]
+/// and number of values.
 #[derive(Clone, Debug)]
-pub struct SquaredErrors {
-    /// Sum of squares [unit of the channels, squared] and number of values.
-    pub square: Vec<f64>,
-    pub count: Vec<f64>,
-}
+pub struct SquaredErrors(pub Vec<[f64; 2]>);
 
 impl SquaredErrors {
     /// Root mean square over all conditions.
     pub fn rmse(&self) -> f64 {
-        (self.square.iter().sum::<f64>() / self.count.iter().sum::<f64>().max(1.0)).sqrt()
+        let [square, count] = [0, 1].map(|k| self.0.iter().map(|own| own[k]).sum::<f64>());
+        (square / count.max(1.0)).sqrt()
     }
 
     /// Errors of a prediction on the conditions `held`, over the channels that count. `prediction` gives each number of the stack.
     pub fn of(o: &Observations, prediction: impl Fn(usize) -> f64, held: &[usize]) -> Self {
         let of = |&condition: &usize| {
             let units = o.units.iter().filter(|u| u.condition == condition);
-            let counted = o.channels.iter().enumerate().filter(|c| c.1.in_rmse).map(|c| c.0);
-            let blocks = units.flat_map(|u| counted.clone().map(|c| u.block(c)));
             let add =
-                |(square, count): (f64, f64), k: usize| (square + (o.values[k] - prediction(k)).powi(2), count + 1.0);
-            blocks.flatten().fold((0.0, 0.0), add)
+                |[square, count]: [f64; 2], k: usize| [square + (o.values[k] - prediction(k)).powi(2), count + 1.0];
+            o.counted(units).fold([0.0; 2], add)
         };
-        let (square, count) = held.iter().map(of).unzip();
-        Self { square, count }
+        Self(held.iter().map(of).collect())
     }
 
     /// 95 % interval of the fraction by which `other` is smaller than these errors: bootstrap over conditions, 2000 draws.
     pub fn reduction_interval(&self, other: &SquaredErrors) -> [f64; 2] {
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(3);
-        let n = self.square.len();
+        let n = self.0.len();
         let mut draws: Vec<f64> = (0..2000)
             .map(|_| {
-                let (mut own, mut others, mut counts) = (0.0, 0.0, [0.0; 2]);
+                let (mut own, mut others) = ([0.0; 2], [0.0; 2]);
                 for _ in 0..n {
                     let k = rng.random_range(0..n);
-                    own += self.square[k];
-                    others += other.square[k];
-                    counts = [counts[0] + self.count[k], counts[1] + other.count[k]];
+                    own = [own[0] + self.0[k][0], own[1] + self.0[k][1]];
+                    others = [others[0] + other.0[k][0], others[1] + other.0[k][1]];
                 }
-                let share = counts[0] / f64::max(counts[1], 1.0);
-                if own > 0.0 { 1.0 - (others / own * share).sqrt() } else { 0.0 }
+                let share = own[1] / f64::max(others[1], 1.0);
+                if own[0] > 0.0 { 1.0 - (others[0] / own[0] * share).sqrt() } else { 0.0 }
             })
             .collect();
         draws.sort_by(f64::total_cmp);

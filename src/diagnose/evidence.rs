@@ -36,7 +36,7 @@
 //! 2020).
 
 use super::fit::{Fit, Stack};
-use super::left_out::{Contender, LeftOutRow, Linear};
+use super::left_out::{CandidateLaw, Contender, LeftOutRow, Linear};
 use super::normal_equations::value_prior;
 use super::study::FitInputs;
 use super::whiten::Whitener;
@@ -162,11 +162,11 @@ impl EvidenceTable {
         let known: HashMap<_, _> = unique.iter().map(place).zip(&projected).collect();
         // The projected columns of each law, and the prior standard deviations of their coefficients.
         let laws = |m: &Contender| {
-            let of = |column: &Arc<Vec<f32>>| {
-                let column: Vec<f64> = column.iter().copied().map(f64::from).collect();
+            let of = |law: &CandidateLaw| {
+                let column: Vec<f64> = law.column.iter().copied().map(f64::from).collect();
                 (projection.apply(&column), width(&column, &m.fit.prediction))
             };
-            m.laws.map_or(Vec::new(), |laws| parallel::map(&laws.columns, of))
+            parallel::map(m.laws.unwrap_or_default(), of)
         };
         let models: Vec<(&Contender, _)> = models.iter().map(|m| (m, laws(m))).collect();
         let residual = |fit: &Fit| -> Vec<f64> {
@@ -227,10 +227,11 @@ impl EvidenceTable {
         for (c, n) in self.sizes.iter().enumerate() {
             let [own, others] = [best, other].map(|row| self.weight(row, c));
             let variance = own.recip();
-            let apart = &other.own[c] - &best.own[c];
+            let (ours, theirs) = (&best.predicted.left[c], &other.predicted.left[c]);
+            let apart = &theirs.solved - &ours.solved;
             noise += variance * others.powi(2) * apart.norm_squared() + 0.5 * n * (1.0 - others * variance).powi(2);
-            let along = others * apart.dot(&best.own[c]);
-            clusters += (along - 0.5 * (own - others) * (best.squares[c] - n * variance)).powi(2);
+            let along = others * apart.dot(&ours.solved);
+            clusters += (along - 0.5 * (own - others) * (ours.square - n * variance)).powi(2);
         }
         let each = best.elpd.iter().zip(&other.elpd).map(|(a, b)| a - b);
         let count = self.sizes.len() as f64;
@@ -244,7 +245,7 @@ impl EvidenceTable {
     /// w of condition `c`: one over the variance of the errors of the row's model in this condition, in units of the noise's variance.
     pub fn weight(&self, row: &LeftOutRow, c: usize) -> f64 {
         let (n, scale) = (self.sizes[c], row.scales[c]);
-        (self.degrees + n) / (self.degrees + row.squares[c] / scale) / scale
+        (self.degrees + n) / (self.degrees + row.predicted.left[c].square / scale) / scale
     }
 
     /// Does `a` predict left-out conditions better than `b`, beyond twice the standard error?
@@ -261,7 +262,7 @@ impl EvidenceTable {
 
     /// Mean square of the errors of row `k`, in units of the noise's variance: 1 for noise alone.
     pub fn lack(&self, k: usize) -> f64 {
-        self.rows[k].squares.iter().sum::<f64>() / self.sizes.iter().sum::<f64>().max(1.0)
+        self.rows[k].predicted.left.iter().map(|own| own.square).sum::<f64>() / self.sizes.iter().sum::<f64>().max(1.0)
     }
 
     /// Variance of the errors of row `k` beyond the noise's variance, in units of the noise's variance; 0 if noise alone may cause such errors.

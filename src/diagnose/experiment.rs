@@ -1,7 +1,6 @@
 //! EXPERIMENT.toml: facts that the data file does not contain.
 
 use super::nuisance::{PriorEntry, Priors};
-use super::trajectory::keys::{self, Imu, Keys, MotorKeys, RunTable};
 use crate::error::{Error, Result, check_range};
 use crate::progress::Progress;
 use crate::sand::intruder::BodyShape;
@@ -16,6 +15,13 @@ use std::path::Path;
 
 /// Largest number of rows of a log: our choice, because the diagnosis of such a log uses some 0.6 GiB.
 pub const MOST_ROWS: usize = 40_000;
+
+/// Largest number of runs in a log, and of runs that an experiment file lists: our choice.
+pub const MOST_RUNS: usize = 1000;
+
+/// Keys that only `kind = "trajectory"` has. The key `topics` has no effect on a CSV file; it is for recordings that `sandgait.logs` (Python) reads.
+const TRAJECTORY_KEYS: [&str; 10] =
+    ["imu", "motor", "slope_deg", "stride_frequency", "leg", "touches", "window", "topics", "run", "hardware"];
 
 /// The kind of data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
@@ -58,86 +64,128 @@ fn usual_friction() -> f64 {
     0.45
 }
 
-impl BodyDescription {
-    pub fn shape(&self) -> Result<BodyShape> {
-        BodyShape::named(&self.body)
-    }
-}
-
-#[derive(Deserialize)]
+#[derive(Clone, Debug, Deserialize)]
 #[serde(untagged)]
 enum CoefficientsSource {
     Named(String),
     Table(Coefficients),
 }
 
-#[derive(Deserialize)]
+#[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct SandTable {
+pub struct SandTable {
     name: Option<String>,
     coefficients: Option<CoefficientsSource>,
     zeta: Option<f64>,
     bulk_density: Option<f64>,
 }
 
-#[derive(Deserialize)]
+/// The table `[imu]`.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Imu {
+    /// Position in the base's frame [m].
+    pub position: [f64; 3],
+    /// Rotation from the IMU's frame to the base's frame, as a quaternion w, x, y, z.
+    pub quat: [f64; 4],
+}
+
+impl Default for Imu {
+    fn default() -> Self {
+        Self { position: [0.0; 3], quat: [1.0, 0.0, 0.0, 0.0] }
+    }
+}
+
+/// The table `[motor]`.
+#[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct File {
-    kind: DataKind,
+pub struct MotorKeys {
+    /// Torque constant of the motors [N·m/A]; if it is given, the log has currents instead of torques.
+    pub torque_constant: Option<f64>,
+}
+
+/// A table `[[run]]`: the part of the log that is one run, for logs without a column `run`. `from` and `to` are values of `t` [s].
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RunTable {
+    pub name: Option<String>,
+    pub from: Option<f64>,
+    pub to: Option<f64>,
+    pub condition: Option<String>,
+    pub leg: Option<String>,
+    pub slope_deg: Option<f64>,
+    pub stride_frequency: Option<f64>,
+}
+
+impl RunTable {
+    pub fn holds(&self, t: f64) -> bool {
+        self.from.is_none_or(|from| t >= from) && self.to.is_none_or(|to| t < to)
+    }
+}
+
+/// Length of the windows if the file gives none [s]: our choice, about a stride.
+fn usual_window() -> f64 {
+    0.5
+}
+
+/// EXPERIMENT.toml as it is written. Only robots' own logs have the keys from `imu` on.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ExperimentFile {
+    pub kind: DataKind,
     medium: Option<String>,
-    sand: Option<SandTable>,
+    /// The user's own sand. With it the rows of the data may use any name for the medium, but only one.
+    pub(super) sand: Option<SandTable>,
     bulk_density: Option<f64>,
-    coefficient_sd: Option<f64>,
-    robot: Option<String>,
-    #[serde(default)]
-    shape: BTreeMap<String, Intruder>,
+    /// Relative prior standard deviation of each stress coefficient.
+    #[serde(default = "usual_coefficient_sd")]
+    pub coefficient_sd: f64,
+    pub robot: Option<String>,
+    #[serde(default, rename = "shape")]
+    pub shapes: BTreeMap<String, Intruder>,
     law: Option<String>,
-    #[serde(default)]
-    body: BTreeMap<String, BodyDescription>,
+    #[serde(default, rename = "body")]
+    pub bodies: BTreeMap<String, BodyDescription>,
     #[serde(default)]
     nuisances: BTreeMap<String, PriorEntry>,
+    /// Column → unit, for columns that are not in SI.
     #[serde(default)]
-    units: BTreeMap<String, String>,
+    pub units: BTreeMap<String, String>,
+    /// Our name of a column → the data's name.
     #[serde(default)]
-    columns: BTreeMap<String, String>,
+    pub columns: BTreeMap<String, String>,
     #[serde(default)]
-    imu: Imu,
+    pub imu: Imu,
     #[serde(default)]
-    motor: MotorKeys,
-    slope_deg: Option<f64>,
-    stride_frequency: Option<f64>,
-    leg: Option<String>,
-    touches: Option<Vec<String>>,
-    window: Option<f64>,
+    pub motor: MotorKeys,
+    /// Slope of the surface [°], if the log has no column for it.
+    #[serde(default)]
+    pub slope_deg: f64,
+    /// Stride frequency [Hz], if the log has no column for it.
+    pub stride_frequency: Option<f64>,
+    /// Leg shape, if the log has no column for it.
+    pub leg: Option<String>,
+    /// Bodies or shapes that touch the sand, for a robot from a URDF or MJCF file.
+    pub touches: Option<Vec<String>>,
+    /// Length of the windows [s] if the log has no strides, because no joint makes full turns and no stride frequency is given.
+    #[serde(default = "usual_window")]
+    pub window: f64,
     hardware: Option<String>,
     #[serde(rename = "topics")]
     _topics: Option<IgnoredAny>,
-    #[serde(default)]
-    run: Vec<RunTable>,
+    #[serde(default, rename = "run")]
+    pub runs: Vec<RunTable>,
 }
 
 /// EXPERIMENT.toml, checked.
 #[derive(Clone, Debug)]
 pub struct Experiment {
-    pub kind: DataKind,
+    pub file: ExperimentFile,
     /// Medium with the experiment's bulk density.
     pub medium: Medium,
-    /// Is the medium from the user's own `[sand]` table? Then the rows of the data may use any name for it, but only one.
-    pub own_sand: bool,
-    /// Relative prior standard deviation of each stress coefficient.
-    pub coefficient_sd: f64,
-    pub robot: Option<String>,
-    pub shapes: BTreeMap<String, Intruder>,
     /// Force law that gives the stress tables of bodies in steady motion.
     pub law: Law,
-    pub bodies: BTreeMap<String, BodyDescription>,
     pub nuisances: Priors,
-    /// Column → unit, for columns that are not in SI.
-    pub units: BTreeMap<String, String>,
-    /// Our name of a column → the data's name.
-    pub columns: BTreeMap<String, String>,
-    /// The table of a robot's log.
-    pub trajectory: Keys,
     pub given: GivenModel,
 }
 
@@ -150,7 +198,9 @@ pub struct GivenModel {
 }
 
 /// Relative prior sd of the coefficients if the experiment gives none.
-const COEFFICIENT_SD: f64 = 0.08;
+fn usual_coefficient_sd() -> f64 {
+    0.08
+}
 
 impl Experiment {
     /// Reads the file, and the files that it names.
@@ -174,13 +224,13 @@ impl Experiment {
         progress: &dyn Progress,
         take: impl FnMut(&Row) -> Result<()>,
     ) -> Result<Summary> {
-        let (renamed, units) = (self.columns.clone(), self.units.clone());
+        let (renamed, units) = (self.file.columns.clone(), self.file.units.clone());
         table::read(data, &ReadOptions { columns, renamed, units, most_rows: Some(MOST_ROWS), progress }, take)
     }
 
     fn parse(text: &str, read_file: &dyn Fn(&str) -> Result<String>) -> Result<Self> {
         let read = |name: &str| if name.contains('\n') { Ok(name.to_string()) } else { read_file(name) };
-        let file: File = toml::from_str(text).map_err(|e| {
+        let mut file: ExperimentFile = toml::from_str(text).map_err(|e| {
             let line = e.span().map(|s| text[..s.start.min(text.len())].lines().count().max(1));
             Error::invalid(
                 "experiment",
@@ -188,11 +238,10 @@ impl Experiment {
             )
         })?;
         let given: toml::Table = toml::from_str(text).unwrap_or_default();
-        let key = keys::NAMES.iter().find(|key| given.contains_key(**key));
+        let key = TRAJECTORY_KEYS.iter().find(|key| given.contains_key(**key));
         if let Some(key) = key.filter(|_| file.kind != DataKind::Trajectory) {
             return Err(Error::invalid(*key, "only kind = \"trajectory\" has this key"));
         }
-        let own_sand = file.sand.is_some();
         let mut given = GivenModel::default();
         if let Some(name) = &file.hardware {
             given.hardware = HardwareDescription::from_toml(&read(name)?)?;
@@ -200,58 +249,65 @@ impl Experiment {
         let found = file.medium.as_deref().filter(|name| name.ends_with(".toml") || name.contains('\n'));
         let mut medium = match found {
             Some(name) => {
-                let sand = found_sand(&read(name)?, file.kind, own_sand)?;
+                let sand = found_sand(&read(name)?, &file)?;
                 given.mechanisms = sand.mechanisms;
                 sand.medium()
             }
-            None => medium(file.medium.as_deref(), file.sand)?,
+            None => medium(file.medium.as_deref(), file.sand.as_ref())?,
         };
         if let Some(density) = file.bulk_density {
             medium.bulk_density = density;
         }
         check_range("bulk_density", medium.bulk_density, 1.0..=20_000.0)?;
-        let coefficient_sd = file.coefficient_sd.unwrap_or(COEFFICIENT_SD);
-        check_range("coefficient_sd", coefficient_sd, 0.0..=1.0)?;
-        for (name, shape) in &file.shape {
+        check_range("coefficient_sd", file.coefficient_sd, 0.0..=1.0)?;
+        for (name, shape) in &file.shapes {
             check_shape(name, shape)?;
         }
-        for (name, body) in &file.body {
-            body.shape().map_err(|e| Error::invalid(format!("body.{name}"), e.to_string()))?;
+        for (name, body) in &file.bodies {
+            BodyShape::named(&body.body).map_err(|e| Error::invalid(format!("body.{name}"), e.to_string()))?;
             // The same range as that of --mu-s in `sandgait intrude`.
             check_range(&format!("body.{name}.friction"), body.friction, 0.1..=10.0)?;
         }
-        Ok(Self {
-            law: file.law.as_deref().map_or(Ok(Law::Agarwal2023), Law::named)?,
-            bodies: file.body,
-            kind: file.kind,
-            medium,
-            own_sand,
-            coefficient_sd,
-            robot: file.robot,
-            shapes: file.shape,
-            nuisances: Priors::from_table(&file.nuisances)?,
-            units: file.units,
-            columns: file.columns,
-            trajectory: Keys {
-                imu: file.imu,
-                torque_constant: file.motor.torque_constant,
-                slope_deg: file.slope_deg.unwrap_or(0.0),
-                stride_frequency: file.stride_frequency,
-                leg: file.leg,
-                touches: file.touches,
-                window: file.window.unwrap_or(keys::WINDOW),
-                runs: file.run,
+        let law = file.law.as_deref().map_or(Ok(Law::Agarwal2023), Law::named)?;
+        let nuisances = Priors::from_table(&file.nuisances)?;
+        file.check_trajectory()?;
+        Ok(Self { file, medium, law, nuisances, given })
+    }
+}
+
+impl ExperimentFile {
+    /// Checks the keys of a robot's log, gives runs without a name their number, and normalises the quaternion.
+    fn check_trajectory(&mut self) -> Result<()> {
+        // A sensor more than 10 m from the base, or a torque constant above 1000 N·m/A, has a wrong unit: our choices.
+        self.imu.position.iter().try_for_each(|p| check_range("imu.position", *p, -10.0..=10.0).map(drop))?;
+        let norm = self.imu.quat.iter().map(|q| q * q).sum::<f64>().sqrt();
+        if !(norm - 1.0).is_finite() || (norm - 1.0).abs() > 0.02 {
+            return Err(Error::invalid("imu.quat", format!("the quaternion (w, x, y, z) has length {norm}, not 1")));
+        }
+        self.imu.quat = self.imu.quat.map(|q| q / norm);
+        if self.runs.len() > MOST_RUNS {
+            let reason = format!("{} runs are listed; at most {MOST_RUNS} are read", self.runs.len());
+            return Err(Error::invalid("run", reason));
+        }
+        for (k, run) in self.runs.iter_mut().enumerate() {
+            let [from, to] = [run.from.unwrap_or(0.0), run.to.unwrap_or(f64::MAX)];
+            if from.is_nan() || to.is_nan() || from >= to {
+                let reason = format!("run {}: from = {from} is not before to = {to}", k + 1);
+                return Err(Error::invalid("run", reason));
             }
-            .checked()?,
-            given,
-        })
+            run.name.get_or_insert_with(|| (k + 1).to_string());
+        }
+        self.motor.torque_constant.map_or(Ok(0.0), |k| check_range("motor.torque_constant", k, 1e-6..=1e3))?;
+        check_range("slope_deg", self.slope_deg, -35.0..=35.0)?;
+        check_range("stride_frequency", self.stride_frequency.unwrap_or(0.0), -20.0..=20.0)?;
+        check_range("window", self.window, 0.05..=60.0).map(drop)
     }
 }
 
 /// Reads the sand that an earlier diagnosis has found, which becomes the medium of a robot's log.
-fn found_sand(text: &str, kind: DataKind, own_sand: bool) -> Result<SandDescription> {
+fn found_sand(text: &str, file: &ExperimentFile) -> Result<SandDescription> {
     let sand = SandDescription::from_toml(text)?;
-    match (kind, own_sand, sand.law) {
+    match (file.kind, file.sand.is_some(), sand.law) {
         (DataKind::Trajectory, false, Law::Li2013) => Ok(sand),
         (DataKind::Trajectory, true, _) => Err(Error::invalid("medium", "a sand.toml and a [sand] table are given")),
         (DataKind::Trajectory, ..) => Err(Error::invalid("medium", "a robot's log is replayed with law li2013 only")),
@@ -259,33 +315,29 @@ fn found_sand(text: &str, kind: DataKind, own_sand: bool) -> Result<SandDescript
     }
 }
 
-fn medium(name: Option<&str>, sand: Option<SandTable>) -> Result<Medium> {
+fn medium(name: Option<&str>, sand: Option<&SandTable>) -> Result<Medium> {
     let Some(sand) = sand else {
         let name = name.ok_or_else(|| Error::invalid("medium", "neither a medium name nor a [sand] table is given"))?;
         return Medium::named(name);
     };
-    let mut medium = match (sand.coefficients, sand.zeta) {
+    let mut medium = match (&sand.coefficients, sand.zeta) {
         (Some(CoefficientsSource::Table(coefficients)), None) => Medium {
             name: "own".into(),
-            coefficients,
+            coefficients: *coefficients,
             bulk_density: 1500.0,
             source: "experiment".into(),
             terms: Vec::new(),
         },
-        (Some(CoefficientsSource::Named(set)), None) if set != "generic" => Medium::named(&set)?,
+        (Some(CoefficientsSource::Named(set)), None) if set != "generic" => Medium::named(set)?,
         (Some(CoefficientsSource::Named(set)), Some(zeta)) if set == "generic" => Medium::generic(zeta)?,
         (None, Some(zeta)) => Medium::generic(zeta)?,
-        (None, None) => match name {
-            Some(name) => Medium::named(name)?,
-            None => {
-                return Err(Error::invalid("sand", "needs coefficients (a medium's name or nine numbers) or zeta"));
-            }
-        },
+        (None, None) => {
+            let wrong = "needs coefficients (a medium's name or nine numbers) or zeta";
+            Medium::named(name.ok_or_else(|| Error::invalid("sand", wrong))?)?
+        }
         _ => {
-            return Err(Error::invalid(
-                "sand",
-                "zeta belongs to coefficients = \"generic\": give both, or another set without zeta",
-            ));
+            let wrong = "zeta belongs to coefficients = \"generic\": give both, or another set without zeta";
+            return Err(Error::invalid("sand", wrong));
         }
     };
     for c in medium.coefficients.to_array() {
@@ -294,8 +346,8 @@ fn medium(name: Option<&str>, sand: Option<SandTable>) -> Result<Medium> {
     if let Some(density) = sand.bulk_density {
         medium.bulk_density = density;
     }
-    if let Some(name) = sand.name.or(name.map(Into::into)) {
-        medium.name = name;
+    if let Some(name) = sand.name.as_deref().or(name) {
+        medium.name = name.into();
     }
     Ok(medium)
 }
@@ -303,14 +355,13 @@ fn medium(name: Option<&str>, sand: Option<SandTable>) -> Result<Medium> {
 fn check_shape(name: &str, shape: &Intruder) -> Result<()> {
     let field = |part: &str| format!("shape.{name}.{part}");
     // 1 mm to 10 m as for LegShape::segments: smaller or larger ones have a wrong unit.
-    let (length, width, thickness) = match *shape {
-        Intruder::Leg { chord, width, xi_deg, thickness } => {
+    let (Intruder::Leg { width, thickness, .. } | Intruder::Plate { width, thickness, .. }) = *shape;
+    let length = match *shape {
+        Intruder::Leg { chord, xi_deg, .. } => {
             check_range(&field("xi_deg"), xi_deg, -89.9..=89.9)?;
-            (check_range(&field("chord"), chord, 1e-3..=10.0)?, width, thickness)
+            check_range(&field("chord"), chord, 1e-3..=10.0)?
         }
-        Intruder::Plate { length, width, thickness } => {
-            (check_range(&field("length"), length, 1e-3..=10.0)?, width, thickness)
-        }
+        Intruder::Plate { length, .. } => check_range(&field("length"), length, 1e-3..=10.0)?,
     };
     check_range(&field("width"), width, 1e-4..=10.0)?;
     check_range(&field("thickness"), thickness.unwrap_or(0.0), 0.0..=length)?;

@@ -33,6 +33,11 @@ impl Fit {
         self.ids.iter().map(|&id| self.mechanisms.get(id)).collect()
     }
 
+    /// Ids of the fitted mechanisms.
+    pub fn names(&self) -> Vec<String> {
+        self.ids.iter().map(|&id| CATALOG[id].id.to_string()).collect()
+    }
+
     /// Has one of the fitted mechanisms the value of the plain sand? Then this mechanism explains nothing.
     pub fn is_idle(&self) -> bool {
         self.ids.iter().any(|&id| self.mechanisms.get(id) == Mechanisms::PLAIN.get(id))

@@ -1,9 +1,8 @@
 //! Reads force logs of plates and legs (intrusion CSV) into trials.
 
-use super::columns::columns;
 use super::experiment::{Experiment, Intruder};
 use super::motion::{Heading, heading, moving, progress};
-use super::observations::{Channel, MeasuredLog, Names, Observations, Size, Unit};
+use super::observations::{Channel, MeasuredLog, Names, Observations, Size, Unit, columns};
 use super::series::low_middle_high;
 use super::track::{ArmPose, Track};
 use crate::error::Result;
@@ -97,8 +96,9 @@ const MOST: f64 = 1e6;
 
 fn check_medium(row: &Row, experiment: &Experiment, first: &mut Option<String>) -> Result<()> {
     let Some(name) = row.text(MEDIUM) else { return Ok(()) };
-    let expected = first
-        .get_or_insert_with(|| if experiment.own_sand { name.to_string() } else { experiment.medium.name.clone() });
+    let expected = first.get_or_insert_with(|| {
+        if experiment.file.sand.is_some() { name.to_string() } else { experiment.medium.name.clone() }
+    });
     if name != expected {
         return Err(row.error(MEDIUM, format!("medium {name:?} is unknown; the experiment's is {expected:?}")));
     }
@@ -108,8 +108,8 @@ fn check_medium(row: &Row, experiment: &Experiment, first: &mut Option<String>) 
 /// The track of a trial with this row, without poses yet.
 fn track_header(row: &Row, experiment: &Experiment) -> Result<Track> {
     let shape = row.needed_text(SHAPE)?;
-    let Some(intruder) = experiment.shapes.get(shape) else {
-        let known: Vec<_> = experiment.shapes.keys().map(String::as_str).collect();
+    let Some(intruder) = experiment.file.shapes.get(shape) else {
+        let known: Vec<_> = experiment.file.shapes.keys().map(String::as_str).collect();
         let known = match known.is_empty() {
             true => "the experiment describes no shape; give a table [shape.NAME]".into(),
             false => format!("known: {}", known.join(", ")),
@@ -244,9 +244,9 @@ fn assemble(
     ForceLog { observations, settings, setting_of, missing, notes, sha256 }
 }
 
-/// A log of planned trials: one unit for each track, and zeros for forces.
-pub fn planned(tracks: Vec<Track>, channels: usize) -> ForceLog {
-    let names = (0..tracks.len()).map(|i| i.to_string()).collect();
+/// A log of planned trials, each with a description: one condition for each, and zeros for forces.
+pub fn planned(trials: Vec<(Track, String)>, channels: usize) -> ForceLog {
+    let (tracks, names): (Vec<Track>, Vec<String>) = trials.into_iter().unzip();
     let trials = tracks
         .into_iter()
         .enumerate()

@@ -13,12 +13,11 @@ use super::observations::{Channel, Observations};
 use super::response::{CoefficientResponse, is_linear};
 use super::series::root_mean_square;
 use super::shared::{SharedNoise, Uncertainty};
-use super::track::{ArmPose, Track};
+use super::track::{ArmPose, Track, Wrench};
 use crate::error::Result;
 use crate::number::{Doubles, Real};
 use crate::parallel;
 use crate::progress::Latch;
-use crate::sand::intrusion::Load;
 use crate::sand::mechanism::Mechanisms;
 use crate::sand::mechanism_laws::{SandMechanisms, footprint};
 use crate::sand::{Coefficients, Law, Medium, Regularization, SandBed, Term};
@@ -55,7 +54,7 @@ struct Measuring {
     deep: Vec<f64>,
     tilt: Vec<f64>,
     /// Loads of each track at the steps of a filter.
-    steps: Vec<Vec<[Load; 1]>>,
+    steps: Vec<Vec<[Wrench; 1]>>,
 }
 
 /// Step of the depth [m] for derivatives with respect to nuisances: our choice. This step and the three below are a
@@ -78,7 +77,7 @@ const ANSWERS: usize = 4;
 
 impl<'a> ForceLogModel<'a> {
     pub fn new(log: &ForceLog, experiment: &Experiment) -> Result<Self> {
-        let cuts = experiment.shapes.iter().map(|(name, shape)| Ok((name.clone(), IntruderSegments::new(shape)?)));
+        let cuts = experiment.file.shapes.iter().map(|(name, shape)| Ok((name.clone(), IntruderSegments::new(shape)?)));
         Ok(Self::along(log, experiment.clone(), cuts.collect::<Result<_>>()?))
     }
 
@@ -157,12 +156,11 @@ impl<'a> ForceLogModel<'a> {
     }
 
     /// Puts loads, given track by track and pose by pose, into stacks: one stack for each of the N beds.
-    fn stacks<const N: usize>(&self, loads: &[Vec<[Load; N]>]) -> Vec<Vec<f64>> {
+    fn stacks<const N: usize>(&self, loads: &[Vec<[Wrench; N]>]) -> Vec<Vec<f64>> {
         let at = |bed: usize| {
             self.layout.stack(|u, channel, i| {
                 let track = self.track_of[u];
-                let load = &loads[track][self.kept[track][i]][bed];
-                [load.fx, load.fz, load.ty][channel]
+                loads[track][self.kept[track][i]][bed][channel]
             })
         };
         (0..N).map(at).collect()
@@ -189,9 +187,9 @@ impl<'a> ForceLogModel<'a> {
     }
 
     /// Effects of nuisances on the data with this sand.
-    fn measuring(&self, (m, c): &SandParameters) -> Measuring {
-        let here = self.predict(m, c);
-        let by = |changed: Mechanisms, step: f64| slope(&self.predict(&changed, c), &here, step);
+    fn measuring(&self, sand: &SandParameters) -> Measuring {
+        let (here, (m, c)) = (self.predict(sand), sand);
+        let by = |changed: Mechanisms, step: f64| slope(&self.predict(&(changed, *c)), &here, step);
         let late = by(Mechanisms { delay: m.delay + TIME_STEP, ..*m }, TIME_STEP);
         let deep = by(Mechanisms { depth_zero: m.depth_zero + DEPTH_STEP, ..*m }, DEPTH_STEP);
         let tilt = by(Mechanisms { sensor_tilt: m.sensor_tilt + TILT_STEP, ..*m }, TILT_STEP);
@@ -205,7 +203,7 @@ impl Measuring {
     /// Change of the data by a filter of time constant `tau`.
     fn filtered(&self, model: &ForceLogModel, tau: f64) -> Vec<f64> {
         let m = &self.mechanisms;
-        let through = |(steps, track): (&Vec<[Load; 1]>, &Track)| {
+        let through = |(steps, track): (&Vec<[Wrench; 1]>, &Track)| {
             let mut loads = filtered(&track.poses, steps, m.lowpass + tau);
             read(m, &mut loads);
             loads
@@ -224,10 +222,9 @@ impl ForwardModel for ForceLogModel<'_> {
     /// load cell, which drifts.
     fn uncertainty(&self, sand: &SandParameters, prediction: &[f64]) -> Uncertainty {
         let (m, c) = sand;
-        let (harder, _) = stronger(sand, STRENGTH_STEP);
-        let strength = slope(&self.predict(&harder, c), prediction, STRENGTH_STEP);
+        let strength = slope(&self.predict(&stronger(sand, STRENGTH_STEP)), prediction, STRENGTH_STEP);
         let depth = Mechanisms { depth_zero: m.depth_zero + DEPTH_STEP, ..*m };
-        let depth = slope(&self.predict(&depth, c), prediction, DEPTH_STEP);
+        let depth = slope(&self.predict(&(depth, *c)), prediction, DEPTH_STEP);
         let mut shared = vec![
             SharedNoise::one("bed_strength", "1", 0.05, false, strength),
             SharedNoise::one("depth_zero", "m", 3e-4, true, depth),
@@ -275,25 +272,19 @@ impl ForwardModel for ForceLogModel<'_> {
         all
     }
 
-    fn predict(&self, mechanisms: &Mechanisms, coefficients: &Coefficients) -> Vec<f64> {
-        if self.stopped() {
-            return self.layout.stack(|_, _, _| f64::NAN);
-        }
-        match self.responses.known(mechanisms) {
-            Some(response) => response.at(coefficients),
-            None => self.in_grounds(mechanisms, [*coefficients]).swap_remove(0),
-        }
-    }
-
     /// For states that differ only in the coefficients, the response to the coefficients is computed once.
     fn predict_many(&self, states: &[SandParameters]) -> Vec<Vec<f64>> {
         let alike = |m: &Mechanisms| states.iter().filter(|s| s.0 == *m).count();
         parallel::map(states, |(m, c)| {
-            if !self.stopped() && is_linear(m) && alike(m) >= ANSWERS {
+            if self.stopped() {
+                return self.layout.stack(|_, _, _| f64::NAN);
+            }
+            if is_linear(m) && alike(m) >= ANSWERS {
                 let predict = |sands| self.in_grounds(m, sands);
                 return self.responses.of(m, || CoefficientResponse::new(predict)).at(c);
             }
-            self.predict(m, c)
+            let known = self.responses.known(m);
+            known.map_or_else(|| self.in_grounds(m, [*c]).swap_remove(0), |response| response.at(c))
         })
     }
 
@@ -357,10 +348,9 @@ impl ForwardModel for ForceLogModel<'_> {
 
     /// Other tracks with the same intruders.
     fn menu(&self) -> Option<Menu<'_>> {
-        let (tracks, descriptions): (Vec<_>, Vec<_>) = possible(&self.tracks).into_iter().unzip();
-        let log = planned(tracks, self.layout.channels.len());
+        let log = planned(possible(&self.tracks), self.layout.channels.len());
         let model = Self { latch: self.latch, ..Self::along(&log, self.experiment.clone(), self.cuts.clone()) };
-        Some(Menu { model: Box::new(model), observations: log.observations, descriptions })
+        Some(Menu { model: Box::new(model), observations: log.observations })
     }
 
     fn group(&self, unit: usize) -> &str {
@@ -376,8 +366,8 @@ pub(super) mod tests {
     pub fn forces(mechanisms: Mechanisms, track: &Track) -> Vec<f64> {
         let toml = "kind = \"intrusion\"\nmedium = \"poppy-loose\"\nbulk_density = 640.0\n";
         let mut experiment = Experiment::from_toml(toml).unwrap();
-        experiment.shapes.insert(track.shape.clone(), track.intruder);
-        let model = ForceLogModel::new(&planned(vec![track.clone()], 3), &experiment).unwrap();
-        model.predict(&mechanisms, &model.medium().coefficients)
+        experiment.file.shapes.insert(track.shape.clone(), track.intruder);
+        let model = ForceLogModel::new(&planned(vec![(track.clone(), String::new())], 3), &experiment).unwrap();
+        model.predict(&(mechanisms, model.medium().coefficients))
     }
 }

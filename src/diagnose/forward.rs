@@ -4,7 +4,6 @@ use super::experiment::Experiment;
 use super::nuisance::Nuisance;
 use super::observations::Observations;
 use super::shared::Uncertainty;
-use crate::parallel;
 use crate::sand::mechanism::{CATALOG, Mechanism, Mechanisms};
 use crate::sand::{Coefficients, Medium, SandDescription, Term};
 use crate::sim::hardware::HardwareDescription;
@@ -38,21 +37,19 @@ pub struct Feature {
     pub values: Vec<Vec<f64>>,
 }
 
-/// Trials that could be made next.
+/// Trials that could be made next. Each is a condition, whose name describes it.
 pub struct Menu<'a> {
     pub model: Box<dyn ForwardModel + 'a>,
     pub observations: Observations,
-    /// A description of each trial.
-    pub descriptions: Vec<String>,
 }
 
 /// Predicts the stack of [`Observations`] for any mechanisms and coefficients.
 pub trait ForwardModel: Sync {
-    /// Predicts all numbers, in the order of `Observations::values`.
-    fn predict(&self, mechanisms: &Mechanisms, coefficients: &Coefficients) -> Vec<f64>;
-    /// Predicts with several sands at once.
-    fn predict_many(&self, sands: &[SandParameters]) -> Vec<Vec<f64>> {
-        parallel::map(sands, |(m, c)| self.predict(m, c))
+    /// Predicts all numbers, in the order of `Observations::values`, for several sands at once.
+    fn predict_many(&self, sands: &[SandParameters]) -> Vec<Vec<f64>>;
+    /// The same for one sand.
+    fn predict(&self, sand: &SandParameters) -> Vec<f64> {
+        self.predict_many(std::slice::from_ref(sand)).swap_remove(0)
     }
     /// Was the work stopped? Predictions after that are NaN.
     fn stopped(&self) -> bool {

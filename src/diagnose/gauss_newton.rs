@@ -107,11 +107,7 @@ impl FitInputs<'_> {
 
     /// Changes the parameters of each fit by its step. Nothing is fitted again, and the slopes are kept.
     pub fn moved_by(&self, steps: &[(&Fit, Vec<f64>)]) -> Vec<Fit> {
-        let state = |(fit, step): &(&Fit, Vec<f64>)| {
-            let (mechanisms, deviations) = moved(fit, step, 1.0);
-            (fit.ids.clone(), mechanisms, deviations)
-        };
-        let there = self.at_all(steps.iter().map(state).collect());
+        let there = self.at_all(steps.iter().map(|(fit, step)| moved(fit, step, 1.0)).collect());
         there.into_iter().zip(steps).map(|(there, (fit, _))| Fit { slopes: fit.slopes.clone(), ..there }).collect()
     }
 
@@ -182,11 +178,7 @@ impl FitInputs<'_> {
         let mut pending: Vec<usize> = (0..active.len()).collect();
         let mut share = 1.0;
         while !pending.is_empty() && share > 0.02 {
-            let state = |&i: &usize| {
-                let fit = &fits[active[i]];
-                let (mechanisms, deviations) = moved(fit, &steps[i], share);
-                (fit.ids.clone(), mechanisms, deviations)
-            };
+            let state = |&i: &usize| moved(&fits[active[i]], &steps[i], share);
             let trials = self.at_all(pending.iter().map(state).collect());
             let mut left = Vec::new();
             for (i, trial) in pending.into_iter().zip(trials) {
@@ -212,10 +204,9 @@ impl FitInputs<'_> {
             let mut residual: Vec<f64> = self.observations.values.iter().zip(prediction).map(|(y, m)| y - m).collect();
             bends.iter().for_each(|bend| residual.iter_mut().zip(bend.iter()).for_each(|(r, b)| *r -= b));
             let mut white = self.whitener.apply(&residual);
-            let known = self.marginal_slopes[1].len() - self.nuisances.len();
-            for (column, d) in self.marginal_slopes[1][known..].iter().zip(&deviations[COEFFICIENTS..]) {
-                add_scaled(&mut white, -d, column);
-            }
+            // The plain model has nuisances of 0. It is computed before their whitened columns are known.
+            let felt = self.nuisances.iter().zip(&deviations[COEFFICIENTS..]).filter(|(_, d)| **d != 0.0);
+            felt.for_each(|(nuisance, d)| add_scaled(&mut white, -d, &self.whitened(&nuisance.column)));
             let objective = dot(&white, &white) + dot(deviations, deviations);
             let objective = if objective.is_finite() { objective } else { f64::MAX };
             let (ids, deviations, prediction) = (ids.clone(), deviations.clone(), prediction.clone());
@@ -241,8 +232,7 @@ impl FitInputs<'_> {
             for (&k, moved) in part.iter().zip(moved.chunks(COEFFICIENTS)) {
                 let fit = &mut fits[k];
                 fit.slopes = moved.iter().map(|m| Arc::new(slope(m, &fit.prediction, step))).collect();
-                let known = self.marginal_slopes[1].len() - self.nuisances.len();
-                fit.slopes.extend_from_slice(&self.marginal_slopes[0][known..]);
+                fit.slopes.extend(self.nuisances.iter().map(|n| n.column.clone()));
             }
         }
     }
@@ -302,7 +292,8 @@ impl FitInputs<'_> {
     }
 }
 
-fn moved(fit: &Fit, step: &[f64], share: f64) -> (Mechanisms, Vec<f64>) {
+/// Causes, mechanisms and deviations of a fit after a share of a step.
+fn moved(fit: &Fit, step: &[f64], share: f64) -> (Vec<usize>, Mechanisms, Vec<f64>) {
     let mut mechanisms = fit.mechanisms;
     for ((&id, at), step) in fit.ids.iter().zip(fit.coordinates()).zip(step) {
         let (entry, bounds) = (&CATALOG[id], CATALOG[id].coordinate_bounds());
@@ -315,7 +306,7 @@ fn moved(fit: &Fit, step: &[f64], share: f64) -> (Mechanisms, Vec<f64>) {
             *d = d.clamp(-MOST_DEVIATION, MOST_DEVIATION);
         }
     }
-    (mechanisms, deviations)
+    (fit.ids.clone(), mechanisms, deviations)
 }
 
 /// Solves the normal equations with the `held` parameters fixed.

@@ -1,8 +1,7 @@
 //! Reads steady states of a body in sand (intruder CSV), with one row for each steady state under a known load.
 
-use super::columns::columns;
 use super::experiment::{BodyDescription, Experiment};
-use super::observations::{Channel, MeasuredLog, Names, Observations, Size};
+use super::observations::{Channel, MeasuredLog, Names, Observations, Size, columns};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::sand::intruder::{DepthOrLoad, Trial};
@@ -83,7 +82,8 @@ pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Re
         settings.push(SteadyRow { body: body(row, experiment)?, trial: trial(row, path)?, unsteadiness });
         Ok(())
     })?;
-    let observations = Observations::of_rows(Size::Force, CHANNELS.to_vec(), rows.into_iter(), values, conditions.list);
+    let observations =
+        Observations::of_rows(Size::Force, CHANNELS.to_vec(), &[0.0], rows.into_iter(), values, conditions.list);
     let (setting_of, missing, notes) = ((0..settings.len()).collect(), Vec::new(), notes(experiment));
     Ok(IntruderLog { observations, settings, setting_of, missing, notes, sha256: summary.sha256 })
 }
@@ -95,10 +95,10 @@ fn sd(row: &Row, column: usize) -> Result<f64> {
 
 fn body(row: &Row, experiment: &Experiment) -> Result<String> {
     let name = row.needed_text(BODY)?;
-    if experiment.bodies.contains_key(name) {
+    if experiment.file.bodies.contains_key(name) {
         return Ok(name.into());
     }
-    let known: Vec<&str> = experiment.bodies.keys().map(String::as_str).collect();
+    let known: Vec<&str> = experiment.file.bodies.keys().map(String::as_str).collect();
     Err(row.error(BODY, Error::unknown("body", name, &known)))
 }
 
@@ -118,5 +118,5 @@ fn notes(experiment: &Experiment) -> Vec<String> {
     let said = |(name, body): (&String, &BodyDescription)| {
         format!("{name}: {}, surface friction μ_s {} (sandgait intrude --mu-s)", body.body, body.friction)
     };
-    experiment.bodies.iter().map(said).collect()
+    experiment.file.bodies.iter().map(said).collect()
 }

@@ -7,10 +7,11 @@ use super::intruder_log::{CHANNELS, IntruderLog, SteadyRow};
 use super::nuisance::{Nuisance, Priors};
 use super::shared::{SharedNoise, Uncertainty};
 use crate::error::{Error, Result};
+use crate::parallel;
 use crate::progress::Latch;
-use crate::sand::intruder::{DepthOrLoad, PlatedBody, Status, Trial, compute, without_effect};
+use crate::sand::SandDescription;
+use crate::sand::intruder::{BodyShape, DepthOrLoad, PlatedBody, Status, Trial, compute, without_effect};
 use crate::sand::mechanism::{CATALOG, Mechanisms, Side};
-use crate::sand::{Coefficients, Medium, SandDescription};
 use std::collections::BTreeMap;
 
 /// Plates along a body's longest side: our choice. Forces differ by at most 2 % from forces with plates three times as
@@ -26,7 +27,8 @@ const STRENGTH_STEP: f64 = 0.02;
 
 /// A body cut into plates: once as described, and once slightly larger.
 struct BodyPlates {
-    description: BodyDescription,
+    /// μ_s
+    friction: f64,
     nominal: PlatedBody,
     larger: PlatedBody,
 }
@@ -55,25 +57,25 @@ struct Changed {
 impl<'a> IntruderModel<'a> {
     pub fn new(log: &IntruderLog, experiment: &Experiment, latch: &'a Latch<'a>) -> Result<Self> {
         let cut = |(name, description): (&String, &BodyDescription)| {
-            let shape = description.shape()?;
+            let shape = BodyShape::named(&description.body)?;
             let named = |e: Error| Error::invalid(format!("body.{name}"), e.to_string());
             let coarse = PlatedBody::cut(&shape, None).map_err(named)?;
             let longest = 50.0 * coarse.plate_size;
             let nominal = PlatedBody::cut(&shape, Some(longest / ALONG)).map_err(named)?;
             let larger = nominal.scaled(1.0 + 2.0 * GEOMETRY_STEP / longest);
-            Ok((name.clone(), BodyPlates { description: description.clone(), nominal, larger }))
+            Ok((name.clone(), BodyPlates { friction: description.friction, nominal, larger }))
         };
         Ok(Self {
             latch,
             experiment: experiment.clone(),
             states: log.settings.clone(),
-            cuts: experiment.bodies.iter().map(cut).collect::<Result<_>>()?,
+            cuts: experiment.file.bodies.iter().map(cut).collect::<Result<_>>()?,
         })
     }
 
-    /// The sand in contact with one body.
-    fn sand(&self, body: &BodyDescription, mechanisms: &Mechanisms, coefficients: &Coefficients) -> SandDescription {
-        let friction_clip = 1.0 / body.friction.max(0.1);
+    /// The sand in contact with a body with this μ_s.
+    fn sand(&self, friction: f64, (mechanisms, coefficients): &SandParameters) -> SandDescription {
+        let friction_clip = 1.0 / friction.max(0.1);
         SandDescription {
             law: self.experiment.law,
             coefficients: *coefficients,
@@ -82,29 +84,21 @@ impl<'a> IntruderModel<'a> {
         }
     }
 
-    fn predict_changed(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, changed: Changed) -> Vec<f64> {
-        let sands: BTreeMap<&str, SandDescription> = self
-            .cuts
-            .iter()
-            .map(|(name, cut)| {
-                let friction = cut.description.friction + changed.friction;
-                let body = BodyDescription { friction, ..cut.description.clone() };
-                (name.as_str(), self.sand(&body, mechanisms, coefficients))
-            })
-            .collect();
+    fn predict_changed(&self, sand: &SandParameters, changed: Changed) -> Vec<f64> {
         let of = |state: &SteadyRow| {
-            let (cut, sand) = (&self.cuts[&state.body], &sands[state.body.as_str()]);
             if self.latch.stopped() {
                 return [f64::NAN; 3];
             }
-            under_load(if changed.larger { &cut.larger } else { &cut.nominal }, sand, &state.trial)
+            let cut = &self.cuts[&state.body];
+            let sand = self.sand(cut.friction + changed.friction, sand);
+            under_load(if changed.larger { &cut.larger } else { &cut.nominal }, &sand, &state.trial)
         };
         self.states.iter().flat_map(of).collect()
     }
 
     /// Derivative of the prediction with respect to a change of the body.
-    fn felt(&self, (m, c): &SandParameters, changed: Changed, step: f64) -> Vec<f64> {
-        slope(&self.predict_changed(m, c, changed), &self.predict(m, c), step)
+    fn felt(&self, sand: &SandParameters, changed: Changed, step: f64) -> Vec<f64> {
+        slope(&self.predict_changed(sand, changed), &self.predict(sand), step)
     }
 }
 
@@ -121,10 +115,9 @@ fn under_load(body: &PlatedBody, sand: &SandDescription, trial: &Trial) -> [f64;
     [outcome.force[0], outcome.force[1], outcome.depth]
 }
 
-/// The reason why steady states cannot show a mechanism, if they cannot.
-fn lacking(id: &str) -> Option<String> {
-    let off = SandDescription { mechanisms: Mechanisms::from_values([1.0; Mechanisms::COUNT]), ..plainest() };
-    let said = if without_effect(&off).contains(&id) {
+/// The reason why steady states in sand with all mechanisms cannot show one of them, if they cannot.
+fn lacking(sand: &SandDescription, id: &str) -> Option<String> {
+    let said = if without_effect(sand).contains(&id) {
         "it is not defined for a body in steady motion"
     } else if id == "packing_grad" {
         "rows of steady states have no position in the bed"
@@ -136,31 +129,20 @@ fn lacking(id: &str) -> Option<String> {
     Some(said.into())
 }
 
-fn plainest() -> SandDescription {
-    SandDescription::plain(&Medium {
-        name: String::new(),
-        coefficients: Coefficients::from_array([0.0; 9]),
-        bulk_density: 1.0,
-        source: String::new(),
-        terms: Vec::new(),
-    })
-}
-
 impl ForwardModel for IntruderModel<'_> {
     fn stopped(&self) -> bool {
         self.latch.stopped()
     }
 
-    fn predict(&self, mechanisms: &Mechanisms, coefficients: &Coefficients) -> Vec<f64> {
-        self.predict_changed(mechanisms, coefficients, Changed::default())
+    fn predict_many(&self, sands: &[SandParameters]) -> Vec<Vec<f64>> {
+        parallel::map(sands, |sand| self.predict_changed(sand, Changed::default()))
     }
 
     /// Beds differ in strength, and readings of a steady state fluctuate in time. The error of the law is a tenth of
     /// the load in each of the two forces, and in the sinkage the change that a tenth of the sand's strength causes.
     /// These errors are independent between conditions and channels.
     fn uncertainty(&self, sand: &SandParameters, prediction: &[f64]) -> Uncertainty {
-        let (m, c) = stronger(sand, STRENGTH_STEP);
-        let strength = slope(&self.predict(&m, &c), prediction, STRENGTH_STEP);
+        let strength = slope(&self.predict(&stronger(sand, STRENGTH_STEP)), prediction, STRENGTH_STEP);
         // f(row, channel) in one channel only
         let only = |channel: usize, f: &dyn Fn(usize) -> f64| -> Vec<f64> {
             (0..prediction.len()).map(|k| if k % 3 == channel { f(k / 3) } else { 0.0 }).collect()
@@ -196,7 +178,7 @@ impl ForwardModel for IntruderModel<'_> {
     fn finish(&self, sand: &mut SandDescription) {
         sand.law = self.experiment.law;
         if let [cut] = self.cuts.values().collect::<Vec<_>>()[..] {
-            sand.mechanisms.friction_clip = 1.0 / cut.description.friction;
+            sand.mechanisms.friction_clip = 1.0 / cut.friction;
         }
     }
 
@@ -205,8 +187,10 @@ impl ForwardModel for IntruderModel<'_> {
     }
 
     fn testable(&self) -> Testable {
+        let mechanisms = Mechanisms::from_values([1.0; Mechanisms::COUNT]);
+        let all = SandDescription { mechanisms, ..SandDescription::plain(self.medium()) };
         let sand = CATALOG.iter().enumerate().filter(|(_, m)| m.side == Side::Sand);
-        sand.map(|(index, m)| (index, lacking(m.id))).collect()
+        sand.map(|(index, m)| (index, lacking(&all, m.id))).collect()
     }
 
     fn features(&self) -> Vec<Feature> {

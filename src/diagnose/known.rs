@@ -54,12 +54,6 @@ pub struct Known<T> {
     most: usize,
 }
 
-impl<T> Default for Known<T> {
-    fn default() -> Self {
-        Self::up_to(usize::MAX)
-    }
-}
-
 /// The bits of a sand and of other numbers.
 pub fn key((mechanisms, coefficients): &SandParameters, others: &[f64]) -> Vec<u64> {
     let numbers = mechanisms.values().into_iter().chain(coefficients.to_array());

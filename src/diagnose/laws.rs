@@ -5,13 +5,12 @@
 //! anew with each condition left out, so a large dictionary gains nothing by chance ([`super::evidence`]).
 
 use super::fit::{Fit, slope};
-use super::left_out::Laws;
+use super::left_out::CandidateLaw;
 use super::study::FitInputs;
 use crate::number::dot;
 use crate::parallel;
 use crate::sand::GRAVITY;
 use crate::sand::term::{On, Term};
-use std::sync::Arc;
 
 /// Powers of v_n²/(g|z|) in laws of the normal speed; the next constant has the powers of |z|/w. Our choice: up to the
 /// cube of the speed, in steps that logs can resolve.
@@ -91,13 +90,13 @@ fn dictionary([speed, depth, width]: [f64; 3]) -> Vec<Term> {
 /// The laws that are physically possible about `base`, with their columns; None if the model supports no laws. A law is
 /// left out if its effect on these data is nearly that of a cause of `base`: it would describe this cause a second
 /// time, and take a part of the cause's value.
-pub fn laws(study: &FitInputs, base: &Fit) -> Option<Laws> {
+pub fn laws(study: &FitInputs, base: &Fit) -> Option<Vec<CandidateLaw>> {
     study.model.with_terms(&[])?;
-    let coefficients = study.coefficients(&base.deviations);
+    let sand = study.sand(base);
     let normal = study.normal_equations(base);
     let column = |law: &Term| {
         let model = study.model.with_terms(std::slice::from_ref(law))?;
-        let column = slope(&model.predict(&base.mechanisms, &coefficients), &base.prediction, 1.0);
+        let column = slope(&model.predict(&sand), &base.prediction, 1.0);
         let white = study.whitener.apply(&column);
         if !base.ids.is_empty() && normal.explained(&white, base.ids.len())? > COLLINEAR {
             return None;
@@ -105,12 +104,11 @@ pub fn laws(study: &FitInputs, base: &Fit) -> Option<Laws> {
         // Whether a law is physically possible depends on the sign of its coefficient, which a fit of this law alone gives.
         let estimate = dot(&white, &base.white) / dot(&white, &white).max(1e-300);
         let fitted = Term { coefficient: estimate, ..law.clone() };
-        fitted.check(&coefficients, study.model.medium().bulk_density).ok()?;
-        Some((law.clone(), Arc::new(column.iter().map(|v| *v as f32).collect())))
+        fitted.check(&sand.1, study.model.medium().bulk_density).ok()?;
+        Some(CandidateLaw { term: law.clone(), column: column.iter().map(|v| *v as f32).collect() })
     };
     let made = parallel::map(&dictionary(study.model.reach()), column);
-    let (terms, columns) = made.into_iter().flatten().unzip();
-    Some(Laws { terms, columns })
+    Some(made.into_iter().flatten().collect())
 }
 
 /// The law `term`, fitted in addition to `base`, starting from the coefficient in `term`. With `held`, the values of
@@ -127,7 +125,7 @@ pub fn fitted(study: &FitInputs, base: &Fit, mut term: Term, held: bool) -> Opti
         let step = 0.02 * term.coefficient;
         let more = Term { coefficient: term.coefficient + step, ..term.clone() };
         let model = study.model.with_terms(std::slice::from_ref(&more))?;
-        let moved = model.predict(&fit.mechanisms, &study.coefficients(&fit.deviations));
+        let moved = model.predict(&study.sand(&fit));
         let white = study.whitener.apply(&slope(&moved, &fit.prediction, step));
         let [score, left] = study.normal_equations(&fit).beside(&white, &fit.white)?;
         term.coefficient += score / left.max(1e-300);
@@ -163,12 +161,11 @@ pub(super) mod tests {
             let pose = ArmPose { velocity: [velocity, 0.0], ..ArmPose::default() };
             Track { shape: "plate".into(), ..Track::leg(intruder, 0.0, vec![pose]) }
         };
-        let tracks = possible(&[at(0.05), at(1.0)]).into_iter().map(|(track, _)| track).collect();
-        let log = planned(tracks, 2);
+        let log = planned(possible(&[at(0.05), at(1.0)]), 2);
         let model = ForceLogModel::new(&log, &Experiment::from_toml(EXPERIMENT).unwrap()).unwrap();
         let hidden = Mechanisms { cohesion: 300.0, ..Mechanisms::default() };
         let law = Term { coefficient: 1.0, ..term(&[("froude", 0.75), ("depth_over_width", -0.25)]) };
-        let values = model.with_terms(&[law]).unwrap().predict(&hidden, &model.medium().coefficients);
+        let values = model.with_terms(&[law]).unwrap().predict(&(hidden, model.medium().coefficients));
         let observations = super::super::observations::Observations { values, ..log.observations.clone() };
         let channel = ChannelNoise { grain: 0.04, sensor: 0.03, phi: 0.5 };
         let noise = Noise { clock: NoiseClock::Path, channels: vec![channel; 2], shared: Vec::new() };
@@ -180,7 +177,7 @@ pub(super) mod tests {
             left_out: &[],
         };
         let whitener = Whitener::new(&source, &noise);
-        let study = FitInputs::new(&observations, &model, &whitener, 0.08);
+        let study = FitInputs::new(&observations, &model, &whitener);
         let cohesion = Mechanisms::index("cohesion").unwrap();
         check(&study, &study.fit(&[cohesion], &[200.0]));
     }
@@ -197,9 +194,9 @@ pub(super) mod tests {
     fn a_law_that_repeats_a_cause_is_left_out_beside_it() {
         with_cohesion(|study, fit| {
             let still = term(&[("depth_over_width", -1.0)]);
-            let beside = |fit: &Fit| laws(study, fit).unwrap().terms.iter().any(|t| t.groups == still.groups);
+            let beside = |fit: &Fit| laws(study, fit).unwrap().iter().any(|law| law.term.groups == still.groups);
             assert!(beside(&study.recalibrated()) && !beside(fit));
-            assert!(laws(study, fit).unwrap().terms.len() > 20);
+            assert!(laws(study, fit).unwrap().len() > 20);
         });
     }
 

@@ -5,7 +5,6 @@ use super::fit::{COEFFICIENTS, Fit, Stack};
 use super::study::FitInputs;
 use crate::sand::Term;
 use nalgebra::{DMatrix, DVector};
-use std::sync::Arc;
 
 /// Largest number of rounds to find the scale of a model's errors. The next constant is the relative change below which
 /// the scale counts as found. Our choices; the scale affects the prediction only through the weight of the priors.
@@ -15,33 +14,27 @@ const FOUND: f64 = 0.1;
 /// A model to compare: a fit, and laws, of which at most one is added to the fit.
 pub struct Contender<'a> {
     pub fit: &'a Fit,
-    pub laws: Option<&'a Laws>,
+    pub laws: Option<&'a [CandidateLaw]>,
 }
 
-/// Laws. The column of each is the change of a fit's prediction by this law with the coefficient 1. The columns take the most memory of a
-/// diagnosis, and single precision is far more than a law needs.
-pub struct Laws {
-    pub terms: Vec<Term>,
-    pub columns: Vec<Arc<Vec<f32>>>,
+/// A law that a model may have. Its column is the change of a fit's prediction by the law with the coefficient 1. The columns take
+/// the most memory of a diagnosis, and single precision is far more than a law needs.
+pub struct CandidateLaw {
+    pub term: Term,
+    pub column: Vec<f32>,
 }
 
 /// How one model predicts each condition from the others.
 pub struct LeftOutRow {
     /// Log predictive density of each condition that is used; the last entry is that of the stated priors of coefficients and nuisances.
     pub elpd: Vec<f64>,
-    /// V⁻¹ e of each condition: the expected error of the condition itself, without the error of the parameters.
-    pub own: Vec<DVector<f64>>,
+    /// The predictions with this `scale`.
+    pub predicted: Predicted,
     /// Scale φ of the errors: `scales` has, for each condition, the estimate from the other conditions; `scale` is the estimate from all conditions.
     pub scales: Vec<f64>,
     pub scale: f64,
-    /// Q of each condition.
-    pub squares: Vec<f64>,
     /// Held-out errors in the data's own unit, of the sand without nuisances.
     pub held_out: SquaredErrors,
-    /// Change of the parameters with no condition left out; with a law, its coefficient is the last one.
-    pub step: Vec<f64>,
-    /// The law chosen with no condition left out.
-    pub law: Option<usize>,
 }
 
 /// The linear approximation of a model near its fit, for the numbers of each condition. The last condition is the stated priors
@@ -58,6 +51,7 @@ pub struct Linear {
 
 /// Products of a condition: information and score of the parameters; for each law its products with the parameters and with itself,
 /// and its score.
+#[derive(Clone)]
 struct Products {
     information: DMatrix<f64>,
     score: DVector<f64>,
@@ -65,24 +59,27 @@ struct Products {
 }
 
 /// A condition, predicted from the others.
-struct LeftOut {
+pub struct LeftOut {
     /// The law chosen without the condition.
     law: Option<usize>,
     step: DVector<f64>,
     error: DVector<f64>,
-    /// V⁻¹ e
-    solved: DVector<f64>,
-    /// eᵀ V⁻¹ e
-    square: f64,
+    /// V⁻¹ e: the expected error of the condition itself, without the error of the parameters.
+    pub solved: DVector<f64>,
+    /// Q = eᵀ V⁻¹ e
+    pub square: f64,
     /// ln |V|
     wider: f64,
 }
 
 /// The predictions of all conditions with one scale of the errors.
-struct Predicted {
-    law: Option<usize>,
-    step: DVector<f64>,
-    left: Vec<LeftOut>,
+pub struct Predicted {
+    /// The law chosen with no condition left out.
+    pub law: Option<usize>,
+    /// Change of the parameters with no condition left out; with a law, its coefficient is the last one.
+    pub step: DVector<f64>,
+    /// Each condition, predicted from the others.
+    pub left: Vec<LeftOut>,
 }
 
 impl Products {
@@ -96,8 +93,7 @@ impl Products {
     }
 
     fn less(&self, other: &Products, weight: f64) -> Products {
-        let (information, score) = (self.information.clone(), self.score.clone());
-        let mut rest = Products { information, score, laws: self.laws.clone() };
+        let mut rest = self.clone();
         rest.add(other, -weight);
         rest
     }
@@ -237,21 +233,16 @@ impl Linear {
             let density = -0.5 * (own.wider + n * scale.ln() + (degrees + n) * (square / degrees).ln_1p());
             density.max(-1e12)
         };
-        let mut held_out = SquaredErrors { square: Vec::new(), count: Vec::new() };
-        for (own, condition) in now.left.iter().zip(used) {
-            let errors = self::held_out(study, model, own.law, own.step.as_slice(), &[*condition]);
-            held_out.square.extend(errors.square);
-            held_out.count.extend(errors.count);
-        }
+        let held_out = |(own, condition): (&LeftOut, &usize)| {
+            held_out(study, model, own.law, own.step.as_slice(), std::slice::from_ref(condition)).0
+        };
+        let held_out = SquaredErrors(now.left.iter().zip(used).flat_map(held_out).collect());
         LeftOutRow {
             elpd: now.left.iter().zip(&scales).map(density).collect(),
-            squares: now.left.iter().map(|own| own.square).collect(),
-            own: now.left.into_iter().map(|own| own.solved).collect(),
+            predicted: now,
             scales,
             scale,
             held_out,
-            step: now.step.iter().copied().collect(),
-            law: now.law,
         }
     }
 
@@ -284,7 +275,7 @@ pub fn held_out(
     let fit = model.fit;
     let sand = fit.ids.len() + COEFFICIENTS;
     let parts: Vec<(f64, &Stack)> = step[..sand].iter().copied().zip(&fit.slopes[..sand]).collect();
-    let law = law.and_then(|l| model.laws.map(|own| (step[step.len() - 1], &own.columns[l])));
+    let law = law.and_then(|l| Some((step[step.len() - 1], &model.laws?[l].column)));
     let described = |k: usize| law.map_or(0.0, |(coefficient, column)| coefficient * f64::from(column[k]));
     SquaredErrors::of(
         study.observations,

@@ -4,6 +4,7 @@ use super::forward::{Feature, ForwardModel};
 use super::observations::Observations;
 use super::words::{after, digits, span};
 use serde::Serialize;
+use std::collections::BTreeSet;
 
 /// Error of the plain model in one range of one feature.
 #[derive(Clone, Debug, Serialize, PartialEq)]
@@ -71,10 +72,7 @@ pub fn misfit(
             add(name, unit, Some(range), None, &|u, i| (range[0]..=range[1]).contains(&values[u][i]));
         }
     }
-    let mut groups: Vec<&str> = (0..observations.units.len()).map(|u| model.group(u)).collect();
-    groups.sort_unstable();
-    groups.dedup();
-    for group in groups {
+    for group in (0..observations.units.len()).map(|u| model.group(u)).collect::<BTreeSet<_>>() {
         add("shape", "", None, Some(group), &|u, _| model.group(u) == group);
     }
     table
@@ -99,14 +97,14 @@ const UNEVEN: f64 = 1.25;
 /// size, which may be noise: our choice.
 const DIP: f64 = 0.1;
 
-/// One sentence that names the shape with the largest error of `prediction`, and the ranges of the features where the
-/// error is large; `error` is the name of the error. None if the error is similar everywhere.
+/// Clauses that name the shape with the largest error of `prediction`, and the ranges of the features where the error is
+/// large; `error` is the name of the error. None if the error is similar everywhere.
 pub fn whereabouts(
     observations: &Observations,
     model: &dyn ForwardModel,
     prediction: &[f64],
     error: &str,
-) -> Option<String> {
+) -> Vec<String> {
     let everything = misfit(observations, model, prediction, |_| true);
     let shapes = sizes(&everything, "shape", observations);
     let least = shapes.iter().map(|s| s.1).fold(f64::MAX, f64::min);
@@ -114,24 +112,21 @@ pub fn whereabouts(
     let worst = worst.and_then(|(row, _)| row.group.as_deref());
     let own = worst.map(|shape| misfit(observations, model, prediction, |u| model.group(u) == shape));
     let own = own.as_ref().unwrap_or(&everything);
+    let unit = after(observations.error_unit());
     let mut said: Vec<(f64, String)> = Vec::new();
     for feature in model.features() {
-        said.extend(course(&sizes(own, feature.name, observations), &unit(observations)));
+        said.extend(course(&sizes(own, feature.name, observations), &unit));
     }
     said.sort_by(|a, b| b.0.total_cmp(&a.0));
     let places: Vec<String> = said.into_iter().take(3).map(|s| s.1).collect();
     let shape = worst.map(|name| {
         let sizes: Vec<String> =
             shapes.iter().map(|(row, size)| format!("{} {}", row.place(), digits(*size))).collect();
-        format!("is largest for {name} (rms {}{})", sizes.join(", "), unit(observations))
+        format!("is largest for {name} (rms {}{unit})", sizes.join(", "))
     });
-    let of = if worst.is_some() && !places.is_empty() { "; there it " } else { "" };
-    let text = format!("{}{of}{}", shape.unwrap_or_default(), places.join(", "));
-    (!text.is_empty()).then(|| format!("{error} {text}"))
-}
-
-fn unit(observations: &Observations) -> String {
-    after(observations.channels.iter().find(|c| c.in_rmse).map_or("", |c| c.unit))
+    let places = (!places.is_empty()).then(|| places.join(", "));
+    let clauses = shape.into_iter().chain(places).zip([error, "there it"]);
+    clauses.map(|(text, subject)| format!("{subject} {text}")).collect()
 }
 
 /// Root mean square error over all values of the channels that count, row by row of the feature `by`.

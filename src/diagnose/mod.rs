@@ -25,7 +25,6 @@ use sandgait_table as table;
 mod acceleration;
 mod arm;
 mod candidates;
-mod columns;
 mod conditions;
 mod errors;
 mod evidence;
@@ -35,7 +34,6 @@ mod fit;
 pub mod force_log;
 pub mod force_model;
 pub mod forward;
-mod further;
 mod gauss_newton;
 pub mod hardware;
 mod intruder_log;
@@ -82,14 +80,13 @@ mod words;
 use crate::error::Result;
 use crate::progress::{Latch, Progress};
 use crate::sand::SandDescription;
-use crate::sand::mechanism::{CATALOG, Mechanisms};
+use crate::sand::mechanism::CATALOG;
 use candidates::SearchSpace;
 use experiment::{DataKind, Experiment};
 use force_model::ForceLogModel;
 use forward::ForwardModel;
 use intruder_model::IntruderModel;
-use noise::{NoiseData, scatters, sizes};
-use nuisance::Priors;
+use noise::{NoiseData, sizes};
 use observations::Observations;
 use report::{Curves, Diagnosis, Untestable};
 use select::select;
@@ -110,7 +107,7 @@ pub fn diagnose(data: &Path, experiment: &Experiment, progress: &dyn Progress) -
 }
 
 fn diagnose_kind(data: &Path, experiment: &Experiment, progress: &Latch) -> Result<Diagnosis> {
-    match experiment.kind {
+    match experiment.file.kind {
         DataKind::Intrusion => {
             let log = force_log::read(data, experiment, progress)?;
             let model = ForceLogModel::new(&log, experiment)?.stopped_by(progress);
@@ -119,7 +116,7 @@ fn diagnose_kind(data: &Path, experiment: &Experiment, progress: &Latch) -> Resu
         DataKind::Walking => {
             let log = walking_log::read(data, experiment, progress)?;
             let model = WalkingModel::new(&log, experiment, progress)?;
-            diagnose_measured(&log.observations, log.sha256, vec![model.step_note()?], &model, progress)
+            diagnose_measured(&log.observations, log.sha256, vec![model.step_note()], &model, progress)
         }
         DataKind::Trajectory => {
             let (observations, sha256, notes, model) = trajectory::measured(data, experiment, progress)?;
@@ -142,10 +139,9 @@ fn diagnose_measured(
     model: &dyn ForwardModel,
     progress: &dyn Progress,
 ) -> Result<Diagnosis> {
-    let Experiment { coefficient_sd, nuisances: Priors { interest, .. }, given, .. } = model.experiment();
     progress.report(0.02, "noise from the repetitions")?;
     let plain_sand = model.plain_sand();
-    let plain = model.predict(&plain_sand.0, &plain_sand.1);
+    let plain = model.predict(&plain_sand);
     let all = model.uncertainty(&plain_sand, &plain);
     let sizes = sizes(observations);
     let source = NoiseData { observations, prediction: &plain, sizes: &sizes, uncertainty: &all, left_out: &[] };
@@ -157,13 +153,12 @@ fn diagnose_measured(
     let source = NoiseData { uncertainty: &uncertainty, ..source };
     let noise = if pruned { source.noise(None, &|| model.stopped()) } else { noise };
     let whitener = Whitener::new(&source, &noise);
-    let study = FitInputs::new(observations, model, &whitener, *coefficient_sd);
+    let study = FitInputs::new(observations, model, &whitener);
     let (ids, unknown, untestable) = testable(&study);
-    let floor = source.floor();
-    let selection = match scatters(observations, &floor) {
+    let selection = match source.scatters() {
         true => {
             let (ids, untestable, unnamed) = (&ids[..], &unknown[..], &unknown[..]);
-            let asked = SearchSpace { source: &source, noise: &noise, ids, untestable, unnamed, interest };
+            let asked = SearchSpace { source: &source, noise: &noise, ids, untestable, unnamed };
             Some(select(&study, &asked, progress)?)
         }
         false => None,
@@ -171,9 +166,7 @@ fn diagnose_measured(
     progress.report(0.95, "report")?;
     let report = without_verdict(&study, untestable, sha256, notes);
     let report = match &selection {
-        Some(selection) => {
-            ReportView { study: &study, source: &source, noise: &noise, selection, floor }.report(report)
-        }
+        Some(selection) => ReportView { study: &study, source: &source, noise: &noise, selection }.report(report),
         None => report,
     };
     debug_assert_eq!(statements::violations(&report), Vec::<String>::new());
@@ -187,7 +180,7 @@ fn diagnose_measured(
         sand.terms = selection.as_ref().and_then(|s| s.law.as_ref()).map(|law| law.term.clone()).into_iter().collect();
     }
     // The diagnosis does not look for hardware that the experiment file states, so the two have no quantity in common.
-    let hardware = hardware::found(&report).or(&given.hardware);
+    let hardware = hardware::found(&report).or(&model.experiment().given.hardware);
     let extended = model.with_hardware(&(sand.mechanisms, sand.coefficients), &hardware);
     let extended = extended.or_else(|| fit.map(|fit| model.as_simulated(&fit.prediction)));
     model.finish(&mut sand);
@@ -206,12 +199,8 @@ fn diagnose_measured(
 /// they have no effect.
 fn testable(study: &FitInputs) -> (Vec<usize>, Vec<usize>, Vec<Untestable>) {
     let (mut ids, mut unknown, mut untestable) = (Vec::new(), Vec::new(), Vec::new());
-    let coefficients = study.model.medium().coefficients;
     let asked = study.model.testable();
-    let tried = asked.iter().flat_map(|&(id, _)| screen::starts(study, id).into_iter().map(move |v| (id, v)));
-    let tried: Vec<(usize, f64)> = tried.collect();
-    let states: Vec<_> = tried.iter().map(|&(id, v)| (Mechanisms::default().with(id, v), coefficients)).collect();
-    let there = study.model.predict_many(&states);
+    let (tried, there) = screen::tried(study, &asked.iter().map(|a| a.0).collect::<Vec<_>>());
     let plain = study.plain().prediction;
     let felt = |moved: &[f64]| {
         let white = study.whitener.apply(&fit::slope(moved, &plain, 1.0));

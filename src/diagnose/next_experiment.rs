@@ -24,7 +24,7 @@ const REPETITIONS: usize = 3;
 
 /// The `count` trials of the menu that best separate the two nearest explanations.
 pub fn propose(menu: &Menu, noise: &Noise, study: &FitInputs, set: &[&Fit], count: usize) -> Vec<Proposal> {
-    let states: Vec<_> = set.iter().map(|f| (f.mechanisms, study.coefficients(&f.deviations))).collect();
+    let states: Vec<_> = set.iter().map(|f| study.sand(f)).collect();
     let predictions = menu.model.predict_many(&states);
     let (Some(first), Some(sand)) = (predictions.first(), states.first()) else {
         return Vec::new();
@@ -52,15 +52,14 @@ pub fn propose(menu: &Menu, noise: &Noise, study: &FitInputs, set: &[&Fit], coun
     // Trials that differ only in a quantity without effect on both explanations separate these equally, so only one
     // such trial is kept.
     order.dedup_by(|a, b| (separations[*a] / separations[*b] - 1.0).abs() < 1e-3);
-    let names = |f: &Fit| f.ids.iter().map(|&id| crate::sand::mechanism::CATALOG[id].id.to_string()).collect();
     order
         .into_iter()
         .take(count)
         .map(|k| Proposal {
-            condition: menu.descriptions[k].clone(),
+            condition: menu.observations.conditions[k].clone(),
             repetitions: REPETITIONS,
             expected_separation: separations[k],
-            separates: [names(set[a]), names(set[b])],
+            separates: [set[a].names(), set[b].names()],
         })
         .collect()
 }

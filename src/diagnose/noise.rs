@@ -13,9 +13,8 @@
 //! filters and amplifiers in time; which clock is used follows from the repetitions. The parameters maximise the
 //! likelihood of the differences between repetitions, which do not depend on the model of the sand.
 
-use super::errors::SquaredErrors;
-use super::observations::{Observations, Size};
-use super::series::{interpolate, root_mean_square};
+use super::observations::{Observations, Size, Unit};
+use super::series::interpolate;
 use super::shared::Uncertainty;
 
 /// Noise of one channel.
@@ -59,10 +58,6 @@ pub struct Noise {
     pub shared: Vec<f64>,
 }
 
-/// Repetitions that scatter by less than this share of the measured value are copies, or simulations without noise:
-/// our choice, the rounding of a log with six digits.
-const COPIES: f64 = 1e-6;
-
 /// The size S for each sample of each unit and channel: the mean over repetitions, smoothed over five samples.
 pub type Sizes = Vec<Vec<Vec<f64>>>;
 
@@ -75,32 +70,28 @@ pub fn sizes(observations: &Observations) -> Sizes {
 /// prediction are better than measured sizes: with these, samples that noise has made small would get too much weight,
 /// and every fit would be too low.
 pub fn sizes_of(observations: &Observations, values: &[f64]) -> Sizes {
-    let groups = observations.repetitions();
-    let mut out = vec![Vec::new(); observations.units.len()];
-    for group in &groups {
-        for &u in group {
-            let unit = &observations.units[u];
-            let mean = |c: usize, at: f64| {
-                let of = |v: &usize| {
-                    let other = &observations.units[*v];
-                    interpolate(&other.progress, &values[other.block(c)], at)
-                };
-                group.iter().map(of).sum::<f64>() / group.len() as f64
+    let (groups, channels) = (observations.repetitions(), observations.channels.len());
+    let of = |unit: &Unit| {
+        let group = &groups[unit.condition];
+        let mean = |c: usize, at: f64| {
+            let of = |v: &usize| {
+                let other = &observations.units[*v];
+                interpolate(&other.progress, &values[other.block(c)], at)
             };
-            let channels = observations.channels.len();
-            out[u] = match observations.size {
-                Size::Force => {
-                    let force = unit.progress.iter().map(|&at| mean(0, at).hypot(mean(1, at)));
-                    vec![smoothed(&force.collect::<Vec<_>>()); channels]
-                }
-                Size::Channel => {
-                    let own = |c: usize| unit.progress.iter().map(|&at| mean(c, at).abs()).collect::<Vec<_>>();
-                    (0..channels).map(|c| smoothed(&own(c))).collect()
-                }
-            };
+            group.iter().map(of).sum::<f64>() / group.len() as f64
+        };
+        match observations.size {
+            Size::Force => {
+                let force = unit.progress.iter().map(|&at| mean(0, at).hypot(mean(1, at)));
+                vec![smoothed(&force.collect::<Vec<_>>()); channels]
+            }
+            Size::Channel => {
+                let own = |c: usize| unit.progress.iter().map(|&at| mean(c, at).abs()).collect::<Vec<_>>();
+                (0..channels).map(|c| smoothed(&own(c))).collect()
+            }
         }
-    }
-    out
+    };
+    observations.units.iter().map(of).collect()
 }
 
 fn smoothed(size: &[f64]) -> Vec<f64> {
@@ -165,13 +156,6 @@ pub struct NoiseData<'a> {
     pub uncertainty: &'a Uncertainty,
     /// Conditions that are not used.
     pub left_out: &'a [usize],
-}
-
-/// Do the repetitions differ, so that they give a noise floor? Copies do not differ.
-pub fn scatters(observations: &Observations, floor: &SquaredErrors) -> bool {
-    let counted = observations.channels.iter().enumerate().filter(|c| c.1.in_rmse);
-    let blocks = counted.flat_map(|(c, _)| observations.units.iter().map(move |u| u.block(c)));
-    floor.rmse() > COPIES * root_mean_square(blocks.flatten().map(|k| observations.values[k]))
 }
 
 impl Noise {

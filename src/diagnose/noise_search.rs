@@ -6,10 +6,15 @@ use super::likelihood::Landscape;
 use super::minimise::minimise;
 use super::noise::{ChannelNoise, Noise, NoiseClock, NoiseData};
 use super::repeats::Repeats;
+use super::series::root_mean_square;
 use super::shared::SharedNoise;
 
 /// Quantile of χ² with one degree of freedom at 95 % (NIST/SEMATECH e-Handbook of Statistical Methods, 1.3.6.7.4).
 const AT_95_PERCENT: f64 = 3.841;
+
+/// Repetitions that scatter by less than this share of the measured value are copies, or simulations without noise:
+/// our choice, the rounding of a log with six digits.
+const COPIES: f64 = 1e-6;
 
 impl NoiseData<'_> {
     /// A first estimate from the size of the differences; the search starts here.
@@ -72,47 +77,41 @@ impl NoiseData<'_> {
         stopped: &(dyn Fn() -> bool + Sync),
     ) -> (Noise, f64) {
         let center = self.guess(repeats, clock).pack();
-        let deviance = self.deviance(repeats, clock, &center, stopped);
-        let (from, rounds) = start.map_or((center.clone(), 60), |s| (s.pack(), 12));
-        let found = minimise(&deviance, from, rounds);
-        let value = deviance(&found);
-        (Noise::unpack(&found, self.observations.channels.len(), clock), value)
-    }
-
-    /// −2 log likelihood of packed noise, plus a prior about the guess with a standard deviation of three e-folds,
-    /// which matters only if the data contain no information.
-    fn deviance<'b>(
-        &'b self,
-        repeats: &'b [Repeats],
-        clock: NoiseClock,
-        center: &'b [f64],
-        stopped: &'b (dyn Fn() -> bool + Sync),
-    ) -> impl Fn(&[f64]) -> f64 + 'b {
-        let landscape = Landscape::new(repeats, clock);
-        move |p: &[f64]| {
+        let (landscape, channels) = (Landscape::new(repeats, clock), self.observations.channels.len());
+        // −2 log likelihood of packed noise, plus a prior about the guess with a standard deviation of three e-folds, which
+        // matters only if the data contain no information.
+        let deviance = |p: &[f64]| {
             if stopped() {
                 return f64::INFINITY;
             }
-            let prior: f64 = p.iter().zip(center).map(|(a, b)| ((a - b) / 3.0).powi(2)).sum();
-            prior + landscape.deviance(&Noise::unpack(p, self.observations.channels.len(), clock))
-        }
+            let prior: f64 = p.iter().zip(&center).map(|(a, b)| ((a - b) / 3.0).powi(2)).sum();
+            prior + landscape.deviance(&Noise::unpack(p, channels, clock))
+        };
+        let (from, rounds) = start.map_or((center.clone(), 60), |s| (s.pack(), 12));
+        let found = minimise(deviance, from, rounds);
+        (Noise::unpack(&found, channels, clock), deviance(&found))
+    }
+
+    /// Do the repetitions differ, so that they give a noise floor? Copies do not differ.
+    pub fn scatters(&self) -> bool {
+        let counted = self.observations.counted(self.observations.units.iter());
+        self.floor().rmse() > COPIES * root_mean_square(counted.map(|k| self.observations.values[k]))
     }
 
     /// Scatter of repetitions over the channels that count in the error: no model can predict it. Conditions
     /// without repetitions do not contribute.
     pub fn floor(&self) -> SquaredErrors {
         let of = |group: &Vec<usize>| {
-            let (mut square, mut count) = (0.0, 0.0);
+            let [mut square, mut count] = [0.0; 2];
             for difference in self.repeats_of(group).differences {
                 for (values, _) in difference.iter().zip(&self.observations.channels).filter(|d| d.1.in_rmse) {
                     square += values.iter().map(|v| v * v).sum::<f64>();
                     count += values.len() as f64;
                 }
             }
-            (square, count)
+            [square, count]
         };
-        let (square, count) = self.observations.repetitions().iter().map(of).unzip();
-        SquaredErrors { square, count }
+        SquaredErrors(self.observations.repetitions().iter().map(of).collect())
     }
 }
 

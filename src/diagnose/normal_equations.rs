@@ -1,12 +1,16 @@
-//! The normal equations of a fit, and the covariances that follow from them.
+//! The normal equations of a fit, and what follows from them: covariances, and the gain, the size and the upper limit of further
+//! causes.
 
-use super::fit::{COEFFICIENTS, Fit, Stack};
+use super::fit::{Fit, Stack, slope};
 use super::screen::USUAL;
+use super::shared::gram;
 use super::study::FitInputs;
 use crate::number::dot;
+use crate::parallel;
 use crate::sand::mechanism::CATALOG;
 use crate::student;
 use nalgebra::{DMatrix, DVector};
+use std::collections::HashSet;
 use std::sync::Arc;
 
 /// Information matrix and score of a fit's (values, deviations), and its whitened slopes.
@@ -37,6 +41,19 @@ impl NormalEquations {
     }
 }
 
+/// A further cause in addition to a fitted model, from a linear estimate.
+#[derive(Clone, Copy, Debug)]
+pub struct Further {
+    /// Catalogue index.
+    pub id: usize,
+    /// Value from which a fit begins.
+    pub start: f64,
+    pub gain: f64,
+    /// Estimate and its standard deviation, in the mechanism's coordinate; the estimate may have the wrong sign.
+    pub estimate: f64,
+    pub sd: f64,
+}
+
 impl FitInputs<'_> {
     /// A slope, whitened. Slopes that fits share are stored whitened. Other slopes are whitened when they are needed, because
     /// all of them together would take as much memory as everything else.
@@ -49,15 +66,8 @@ impl FitInputs<'_> {
     /// The normal equations at a fit, the prior of the deviations included.
     pub fn normal_equations(&self, fit: &Fit) -> NormalEquations {
         let white: Vec<Stack> = fit.slopes.iter().map(|s| self.whitened(s)).collect();
-        let (n, count) = (white.len(), fit.ids.len());
-        let mut information = DMatrix::zeros(n, n);
-        for i in 0..n {
-            for j in 0..=i {
-                let g = dot(&white[i], &white[j]);
-                (information[(i, j)], information[(j, i)]) = (g, g);
-            }
-        }
-        let mut score = DVector::from_fn(n, |i, _| dot(&white[i], &fit.white));
+        let (mut information, count) = (gram(&white), fit.ids.len());
+        let mut score = DVector::from_fn(white.len(), |i, _| dot(&white[i], &fit.white));
         for (k, deviation) in fit.deviations.iter().enumerate() {
             information[(count + k, count + k)] += 1.0;
             score[count + k] -= deviation;
@@ -65,9 +75,11 @@ impl FitInputs<'_> {
         NormalEquations { white, information, score }
     }
 
-    /// Covariance of the fitted coordinates; coefficients and nuisances are marginalised.
+    /// Covariance of the parameters under the noise; infinite if the normal equations have no solution.
     pub fn covariance(&self, fit: &Fit) -> DMatrix<f64> {
-        values_of(fit, self.normal_equations(fit).information.try_inverse())
+        let count = fit.ids.len() + fit.deviations.len();
+        let inverse = self.normal_equations(fit).information.try_inverse();
+        inverse.unwrap_or_else(|| DMatrix::from_element(count, count, f64::INFINITY))
     }
 
     /// The same covariance for errors that are correlated within a condition in an unknown way, such as the errors of a law that
@@ -75,12 +87,7 @@ impl FitInputs<'_> {
     /// Nielsen & Webb, Journal of Applied Econometrics 38:671, 2023), with the stated uncertainty of coefficients and nuisances
     /// added. One Gauss-Newton step leaves out a condition. If only this condition contains information on a value, the value
     /// returns to its prior.
-    pub fn jackknife(&self, fit: &Fit) -> DMatrix<f64> {
-        values_of(fit, self.jackknife_of_all(fit))
-    }
-
-    /// The jackknife of values, coefficients and nuisances.
-    fn jackknife_of_all(&self, fit: &Fit) -> Option<DMatrix<f64>> {
+    fn jackknife(&self, fit: &Fit) -> Option<DMatrix<f64>> {
         let normal = self.normal_equations(fit);
         let (mut information, mut pull) = (normal.information.clone(), DVector::zeros(normal.score.len()));
         for (k, (&id, at)) in fit.ids.iter().zip(fit.coordinates()).enumerate() {
@@ -103,19 +110,49 @@ impl FitInputs<'_> {
         Some(scatter * ((count - 1.0) / count) + &inverse * stated * &inverse)
     }
 
-    /// Half the 95 % interval of each nuisance, in prior standard deviations. As for values (`select.rs`), it is the greater of two: the
-    /// interval under the noise, which has `degrees` degrees of freedom, and the interval from the scatter between conditions. None if
-    /// the fit has no slopes.
-    pub fn nuisance_reach(&self, fit: &Fit, degrees: f64) -> Option<Vec<f64>> {
-        if fit.slopes.is_empty() {
-            return None;
-        }
-        let (noise, scatter) = (self.normal_equations(fit).information.try_inverse()?, self.jackknife_of_all(fit)?);
+    /// Half the 95 % interval of each parameter: values in their coordinates, deviations in prior standard deviations. It is the
+    /// greater of two (Angrist & Pischke, Mostly Harmless Econometrics, 2009, 8.1): the one under the noise, which has `degrees`
+    /// degrees of freedom, is too small if the law is not quite right, and the one from the scatter between conditions is too
+    /// small if few conditions matter. Both are widened by Student's t, because the noise is only estimated and conditions are
+    /// few. Infinite if the normal equations have no solution.
+    pub fn reach(&self, fit: &Fit, degrees: f64) -> Vec<f64> {
+        let (noise, scatter) = (self.covariance(fit), self.jackknife(fit));
         let others = (self.observations.conditions.len() as f64 - 1.0).max(2.0);
-        let first = fit.ids.len() + COEFFICIENTS;
         let reach = |variance: f64, degrees: f64| (student::square_at_95(degrees) * variance.max(0.0)).sqrt();
-        let of = |k: usize| reach(noise[(k, k)], degrees.max(2.0)).max(reach(scatter[(k, k)], others));
-        Some((first..noise.nrows()).map(of).collect())
+        let of = |k: usize| {
+            let scatter = scatter.as_ref().map_or(f64::INFINITY, |covariance| covariance[(k, k)]);
+            reach(noise[(k, k)], degrees.max(2.0)).max(reach(scatter, others))
+        };
+        (0..noise.nrows()).map(of).collect()
+    }
+
+    /// Further causes in addition to a fitted model, in order of their gain [χ²], largest first.
+    pub fn further(&self, first: &Fit, candidates: &[(usize, f64)]) -> Vec<Further> {
+        let normal = self.normal_equations(first);
+        let others: Vec<_> = candidates.iter().filter(|c| !first.ids.contains(&c.0)).copied().collect();
+        let coefficients = self.coefficients(&first.deviations);
+        let states: Vec<_> = others.iter().map(|&(id, v)| (first.mechanisms.with(id, v), coefficients)).collect();
+        let moved: Vec<_> = others.into_iter().zip(self.model.predict_many(&states)).collect();
+        let mut found: Vec<_> = parallel::map(&moved, |&((id, value), ref moved)| {
+            let white = self.whitener.apply(&slope(moved, &first.prediction, value));
+            let [score, left] = normal.beside(&white, &first.white).unwrap_or_default();
+            let estimate = if left > 1e-12 { score / left } else { 0.0 };
+            let entry = &CATALOG[id];
+            let held =
+                estimate.clamp(entry.bounds[0], entry.bounds[1]).clamp(-USUAL * entry.typical, USUAL * entry.typical);
+            let held = if entry.ceiling { value } else { held };
+            Further {
+                id,
+                start: if held == 0.0 { 0.05 * value } else { held },
+                gain: if held * estimate > 0.0 { score * estimate } else { 0.0 },
+                estimate,
+                sd: left.max(1e-300).sqrt().recip(),
+            }
+        });
+        found.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+        let mut seen = HashSet::new();
+        found.retain(|f| seen.insert(f.id));
+        found
     }
 
     /// Information and score of some units alone, from whitened slopes.
@@ -141,13 +178,6 @@ pub fn value_prior(id: usize, at: f64) -> [f64; 2] {
     [precision, -precision * at]
 }
 
-/// The part of a covariance that belongs to the values of a fit; infinite if there is no covariance.
-fn values_of(fit: &Fit, covariance: Option<DMatrix<f64>>) -> DMatrix<f64> {
-    let count = fit.ids.len();
-    let own = covariance.map(|v| v.view((0, 0), (count, count)).into_owned());
-    own.unwrap_or_else(|| DMatrix::from_element(count, count, f64::INFINITY))
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::laws::tests::with_cohesion;
@@ -168,7 +198,7 @@ mod tests {
             let scatter = scatter.sum::<f64>() * (conditions as f64 - 1.0) / conditions as f64;
             let inverse = study.normal_equations(&fit).information.try_inverse().unwrap();
             let stated: f64 = (1..inverse.nrows()).map(|k| inverse[(0, k)].powi(2)).sum();
-            let found = study.jackknife(&fit)[(0, 0)];
+            let found = study.jackknife(&fit).unwrap()[(0, 0)];
             assert!((found / (scatter + stated) - 1.0).abs() < 0.02, "{found} and not {scatter} + {stated}");
         });
     }

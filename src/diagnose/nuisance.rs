@@ -89,7 +89,7 @@ impl Default for Priors {
 }
 
 /// The form of the table in the file.
-#[derive(Deserialize)]
+#[derive(Clone, Debug, Deserialize)]
 #[serde(untagged)]
 pub enum PriorEntry {
     Sd(f64),
@@ -126,7 +126,7 @@ impl Priors {
                 _ => return Err(Error::invalid("nuisances", format!("{name} has the wrong type"))),
             }
         }
-        let causes = ["bias_x", "bias_z", "sensor_tilt", "depth_zero", "delay", "lowpass"];
+        let causes = SAME.map(|same| same.0);
         match priors.interest.iter().find(|id| !causes.contains(&id.as_str())) {
             Some(id) => Err(Error::unknown("nuisances.interest", id, &causes)),
             None => Ok(priors),

@@ -1,4 +1,5 @@
-//! Measured numbers in one stack, independent of how they were measured: the input of the statistics.
+//! Measured numbers in one stack, independent of how they were measured: the input of the statistics; and what the readers of logs
+//! share.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -62,10 +63,11 @@ pub struct Observations {
 }
 
 impl Observations {
-    /// Observations of units with one number for each channel; each unit has an id and a condition.
+    /// Observations of units that all have the same `progress`; each row has a unit's id and condition.
     pub fn of_rows(
         size: Size,
         channels: Vec<Channel>,
+        progress: &[f64],
         rows: impl Iterator<Item = (String, usize)>,
         values: Vec<f64>,
         conditions: Vec<String>,
@@ -73,9 +75,9 @@ impl Observations {
         let unit = |(row, (id, condition)): (usize, (String, usize))| Unit {
             id,
             condition,
-            start: row * channels.len(),
-            samples: 1,
-            progress: vec![0.0],
+            start: row * channels.len() * progress.len(),
+            samples: progress.len(),
+            progress: progress.to_vec(),
         };
         Self { size, values, units: rows.enumerate().map(unit).collect(), channels, conditions }
     }
@@ -101,9 +103,15 @@ impl Observations {
         groups
     }
 
-    /// Does any condition have repetitions? Without them there is no noise floor.
-    pub fn has_replicates(&self) -> bool {
-        self.repetitions().iter().any(|units| units.len() > 1)
+    /// Places in a stack of the numbers of some units that count in the error.
+    pub fn counted<'a>(&'a self, units: impl Iterator<Item = &'a Unit>) -> impl Iterator<Item = usize> {
+        let channels = self.channels.iter().enumerate().filter(|c| c.1.in_rmse).map(|c| c.0);
+        units.flat_map(move |unit| channels.clone().flat_map(|c| unit.block(c)))
+    }
+
+    /// Unit of the channels that count in the error.
+    pub fn error_unit(&self) -> &'static str {
+        self.channels.iter().find(|c| c.in_rmse).map_or("", |c| c.unit)
     }
 }
 
@@ -131,11 +139,23 @@ pub struct Names {
 
 impl Names {
     pub fn place(&mut self, name: &str) -> usize {
-        if let Some(&place) = self.places.get(name) {
-            return place;
-        }
-        self.places.insert(name.into(), self.list.len());
-        self.list.push(name.into());
-        self.list.len() - 1
+        let next = self.list.len();
+        *self.places.entry(name.into()).or_insert_with(|| {
+            self.list.push(name.into());
+            next
+        })
     }
 }
+
+/// Defines `COLUMNS`, and a constant with the index of each column. The calling file must have `HeaderColumn` and
+/// `Quantity` in scope.
+macro_rules! columns {
+    ($($place:ident = $name:literal $quantity:ident $required:literal;)*) => {
+        #[allow(non_camel_case_types, clippy::upper_case_acronyms)]
+        enum Index { $($place),* }
+        const COLUMNS: &[HeaderColumn] =
+            &[$(HeaderColumn { name: $name, quantity: Quantity::$quantity, required: $required }),*];
+        $(const $place: usize = Index::$place as usize;)*
+    };
+}
+pub(crate) use columns;

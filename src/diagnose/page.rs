@@ -3,11 +3,13 @@
 use super::figures;
 use super::report::{Diagnosis, EvidenceRow, NuisanceValue, Report, RunMeans, Tried};
 use super::series::root_mean_square;
+use super::summary::clauses;
 use super::verdict::{Verdict, Written};
-use super::words::{after, capital, clauses, digits, span};
+use super::words::{after, capital, digits, span};
 use crate::error::{Error, Result};
 use crate::plot::{color, escape};
 use crate::sand::mechanism::{CATALOG, Mechanism};
+use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::path::Path;
 
@@ -55,7 +57,7 @@ fn page(diagnosis: &Diagnosis, json: &str) -> String {
     found(&mut html, r);
     gain(&mut html, diagnosis);
     if !details.is_empty() {
-        let _ = write!(html, "<h2>In detail</h2>{}", list(details.into_iter().map(sentence)));
+        let _ = write!(html, "<h2>In detail</h2>{}", list(details.iter().map(|clause| sentence(clause))));
     }
     figures::misfit(&mut html, &r.misfit);
     if !r.runs.is_empty() {
@@ -74,7 +76,6 @@ fn sentence(text: &str) -> String {
     escape(&capital(text))
 }
 
-/// A list of items in HTML.
 fn list(items: impl IntoIterator<Item = String>) -> String {
     format!("<ul>{}</ul>", items.into_iter().map(|item| format!("<li>{item}")).collect::<String>())
 }
@@ -88,16 +89,14 @@ fn table<const N: usize>(heads: [&str; N], rows: impl IntoIterator<Item = [Strin
 }
 
 /// Writes the beginning of the summary, and returns its other clauses.
-fn verdict<'a>(html: &mut String, r: &'a Report) -> Vec<&'a str> {
-    let place = r.whereabouts.as_deref().unwrap_or_default();
-    let shorter = r.summary.strip_suffix(place).map_or(&r.summary[..], |s| s.trim_end_matches("; "));
-    let (own, places) = (clauses(shorter), clauses(place));
+fn verdict(html: &mut String, r: &Report) -> Vec<String> {
+    let own = clauses(r);
     let (first, rest) = own.split_at(own.len().min(2));
     let _ = write!(html, "<p class=verdict>{}.</p>", sentence(&first.join("; ")));
     for warning in &r.warnings {
         let _ = write!(html, "<p><b>Warning:</b> {}</p>", escape(warning));
     }
-    rest.iter().chain(&places).copied().filter(|clause| !clause.is_empty()).collect()
+    [rest, &r.whereabouts].concat()
 }
 
 /// What to do, by the verdict.
@@ -202,7 +201,7 @@ fn source(entry: &Mechanism) -> String {
 /// Errors on left-out conditions, and in all data by shape.
 fn gain(html: &mut String, diagnosis: &Diagnosis) {
     let g = &diagnosis.report.gain;
-    let unit = diagnosis.curves.observations.channels.iter().find(|c| c.in_rmse).map_or("", |c| c.unit);
+    let unit = diagnosis.curves.observations.error_unit();
     let rows = [
         ("plain model", g.held_out_rmse_plain, color::BLUE),
         ("coefficients fitted within their prior", g.held_out_rmse_recalibrated, color::BLUE),
@@ -243,14 +242,10 @@ fn gain(html: &mut String, diagnosis: &Diagnosis) {
 fn by_shape(html: &mut String, diagnosis: &Diagnosis, unit: &str) {
     let c = &diagnosis.curves;
     let o = &c.observations;
-    let mut shapes: Vec<&str> = c.groups.iter().map(String::as_str).collect();
-    shapes.sort_unstable();
-    shapes.dedup();
+    let shapes: BTreeSet<&str> = c.groups.iter().map(String::as_str).collect();
     let rms = |prediction: &[f64], shape: Option<&str>| {
         let own = o.units.iter().zip(&c.groups).filter(|(_, group)| shape.is_none_or(|s| s == *group));
-        let blocks =
-            own.flat_map(|(u, _)| (0..o.channels.len()).filter(|k| o.channels[*k].in_rmse).flat_map(|k| u.block(k)));
-        root_mean_square(blocks.map(|k| o.values[k] - prediction[k]))
+        root_mean_square(o.counted(own.map(|(unit, _)| unit)).map(|k| o.values[k] - prediction[k]))
     };
     let extended = |shape| c.extended.as_ref().map_or("–".into(), |e| digits(rms(e, shape)));
     let all = shapes.iter().map(|s| (*s, Some(*s))).chain([("all", None)]);
@@ -279,7 +274,6 @@ fn runs(html: &mut String, diagnosis: &Diagnosis) {
     let _ = write!(html, "<details><summary>Means over repetitions as a table</summary>{rows}</details>");
 }
 
-/// The models that were compared.
 fn compared(html: &mut String, r: &Report) {
     if !r.evidence.is_empty() {
         let row = |m: &EvidenceRow| {

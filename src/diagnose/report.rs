@@ -7,7 +7,7 @@ use super::verdict::{Verdict, Written};
 use crate::error::{Error, Result};
 use crate::sand::SandDescription;
 use crate::sim::hardware::HardwareDescription;
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 use std::collections::BTreeMap;
 
 /// A cause with its strength.
@@ -173,9 +173,9 @@ pub struct Report {
     /// the data cannot test it.
     pub form: Option<SpeedExponent>,
     pub misfit: Vec<Misfit>,
-    /// The ranges with the largest errors of the plain model, in one sentence; None without significant misfit.
-    #[serde(rename = "where")]
-    pub whereabouts: Option<String>,
+    /// The ranges with the largest errors of the plain model, in clauses; none without significant misfit.
+    #[serde(rename = "where", serialize_with = "as_sentence")]
+    pub whereabouts: Vec<String>,
     pub untestable: Vec<Untestable>,
     pub next_experiment: Option<NextExperiment>,
     /// Feature → least and greatest value in the data.
@@ -187,6 +187,11 @@ pub struct Report {
     /// For walking data: means by condition and channel; empty for force logs.
     pub runs: Vec<RunMeans>,
     pub data_sha256: String,
+}
+
+/// Writes clauses as one sentence; null if there are none.
+fn as_sentence<S: Serializer>(clauses: &[String], serializer: S) -> std::result::Result<S::Ok, S::Error> {
+    (!clauses.is_empty()).then(|| clauses.join("; ")).serialize(serializer)
 }
 
 /// One channel of one condition, means over its repetitions.

@@ -5,7 +5,7 @@ use super::shared::gram;
 use super::study::FitInputs;
 use super::whiten::Whitener;
 use crate::number::dot;
-use crate::sand::mechanism::{CATALOG, Mechanisms};
+use crate::sand::mechanism::CATALOG;
 use nalgebra::{DMatrix, DVector};
 
 /// A cause affects the data if its typical strength changes all data together by more than 0.01 σ: our choice, far
@@ -30,15 +30,20 @@ pub struct Scores {
     pub score: DVector<f64>,
 }
 
+/// The start values of each cause, and the predictions with them.
+pub fn tried(study: &FitInputs, ids: &[usize]) -> (Vec<(usize, f64)>, Vec<Vec<f64>>) {
+    let values = ids.iter().flat_map(|&id| starts(study, id).into_iter().map(move |value| (id, value)));
+    let (values, (plain, coefficients)) = (values.collect::<Vec<_>>(), study.model.plain_sand());
+    let states: Vec<_> = values.iter().map(|&(id, value)| (plain.with(id, value), coefficients)).collect();
+    let moved = study.model.predict_many(&states);
+    (values, moved)
+}
+
 impl Screen {
     /// Effects of the candidates on the prediction of the plain model.
     pub fn new(study: &FitInputs, candidates: &[usize]) -> Self {
-        let plain = study.model.predict(&Mechanisms::default(), &study.model.medium().coefficients);
-        let tried = candidates.iter().flat_map(|&id| starts(study, id).into_iter().map(move |value| (id, value)));
-        let tried: Vec<_> = tried.collect();
-        let coefficients = study.model.medium().coefficients;
-        let states: Vec<_> = tried.iter().map(|&(id, v)| (Mechanisms::default().with(id, v), coefficients)).collect();
-        let moved = study.model.predict_many(&states);
+        let plain = study.model.predict(&study.model.plain_sand());
+        let (tried, moved) = tried(study, candidates);
         let column = |(&(id, value), moved): (&(usize, f64), Vec<f64>)| {
             slope(&moved, &plain, CATALOG[id].coordinate(value) / CATALOG[id].coordinate_typical())
         };
@@ -99,6 +104,7 @@ pub fn starts(study: &FitInputs, id: usize) -> Vec<f64> {
     match entry.id {
         "friction_clip" => vec![0.5, 2.0, 5.0],
         _ if entry.ceiling => (0..CEILINGS).map(|k| 2.0 * entry.typical * 0.5f64.powf(0.5 * k as f64)).collect(),
-        _ => vec![study.felt_strength(id)],
+        // A strength whose effect on the data is reliable: the typical strength, or a larger one for a rough model.
+        _ => vec![(0.5 * entry.coordinate_typical()).max(study.steps[id])],
     }
 }

@@ -7,7 +7,7 @@ use super::evidence::{EvidenceTable, LEAST};
 use super::fit::Fit;
 use super::gauss_newton::MOST_DEVIATION;
 use super::laws::{FittedLaw, fitted, laws};
-use super::left_out::{Contender, Laws, held_out};
+use super::left_out::{CandidateLaw, Contender, held_out};
 use super::noise::NoiseData;
 use super::nuisance::stated;
 use super::profile;
@@ -20,7 +20,6 @@ use crate::progress::Progress;
 use crate::sand::Term;
 use crate::sand::mechanism::{CATALOG, Side};
 use crate::student;
-use nalgebra::DMatrix;
 
 /// Number of folds in which noise, model and values are chosen anew: our choice; each needs its own noise.
 const FOLDS: usize = 6;
@@ -41,7 +40,6 @@ pub struct Selection {
     pub standing: Fit,
     /// The whitening with the noise scaled to the errors of `standing`.
     pub whitener: Whitener,
-    /// The law that is written.
     pub law: Option<FittedLaw>,
     /// Formula of the law of each entry of the table that has one.
     pub formulas: Vec<Option<String>>,
@@ -62,10 +60,6 @@ pub struct Intervals {
 }
 
 impl Selection {
-    pub fn verdict(&self) -> Verdict {
-        self.ruling.verdict
-    }
-
     /// The fit of an entry of the table.
     pub fn fit_of(&self, entry: usize) -> &Fit {
         self.places[entry].map_or(&self.candidates.base, |k| &self.candidates.fits[k])
@@ -86,14 +80,15 @@ impl Selection {
 /// nuisances leaves no misfit, mechanisms of the sensor are tried in place of nuisances; they must predict as well as
 /// the nuisances.
 pub fn select(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -> Result<Selection> {
+    let interest = &study.model.experiment().nuisances.interest;
     let marginalised = |id: &usize| {
         let entry = &CATALOG[*id];
-        entry.side == Side::Sensor && !asked.interest.iter().any(|own| own == entry.id)
+        entry.side == Side::Sensor && !interest.iter().any(|own| own == entry.id)
     };
     let sensor: Vec<usize> = asked.ids.iter().copied().filter(marginalised).collect();
     let unnamed = [&sensor[..], asked.untestable].concat();
     let selection = attempt(study, &SearchSpace { unnamed: &unnamed, ..*asked }, progress)?;
-    if sensor.is_empty() || selection.verdict() != Verdict::NoiseFloor || study.nuisances.is_empty() {
+    if sensor.is_empty() || selection.ruling.verdict != Verdict::NoiseFloor || study.nuisances.is_empty() {
         return Ok(selection);
     }
     // Selections with and without nuisances are compared under the noise of the selection with nuisances. Their
@@ -115,7 +110,7 @@ pub fn select(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -
 
 /// Makes all fits and compares them once.
 fn attempt(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -> Result<Selection> {
-    let mut candidates = candidates(study, asked, &|done, stage| progress.report(done, stage))?;
+    let mut candidates = candidates(study, asked, progress)?;
     progress.report(0.8, "laws in the data")?;
     let around = candidates.around.clone();
     let renewed = around.about(study);
@@ -136,7 +131,7 @@ fn judged(
     renewed: &FitInputs,
     asked: &SearchSpace,
     mut candidates: Candidates,
-    mut dictionary: [Option<Laws>; 2],
+    mut dictionary: [Option<Vec<CandidateLaw>>; 2],
     profiled: Option<Vec<[f64; 2]>>,
 ) -> Selection {
     let all: Vec<usize> = (0..study.observations.conditions.len()).collect();
@@ -144,7 +139,7 @@ fn judged(
     let plain = study.plain();
     let plain = SquaredErrors::of(study.observations, |k| plain.prediction[k], &all);
     loop {
-        let models = models(&candidates, dictionary.each_ref().map(Option::as_ref));
+        let models = models(&candidates, dictionary.each_ref().map(Option::as_deref));
         let table = EvidenceTable::new(renewed, renewed.whitener, &models, &all);
         let mut entries = entries(renewed, &table, &models, &all, asked);
         let mut ruling = verdict(&entries, SECOND);
@@ -171,12 +166,9 @@ fn judged(
         let term = law_of(&table, &models, ruling.model);
         let held = ruling.written == Written::Cause;
         let law = term.as_ref().and_then(|term| fitted(&last, &fit, term.clone(), held));
-        if let (Some(place), None) = (table.rows[ruling.model].law.filter(|_| term.is_some()), &law) {
+        if let (Some(place), None) = (table.rows[ruling.model].predicted.law.filter(|_| term.is_some()), &law) {
             let own = usize::from(entries[ruling.model].causes > 0);
-            for laws in dictionary[own].iter_mut() {
-                laws.terms.remove(place);
-                laws.columns.remove(place);
-            }
+            dictionary[own].iter_mut().for_each(|laws| drop(laws.remove(place)));
             continue;
         }
         let formulas = (0..models.len()).map(|k| law_of(&table, &models, k).map(|t| t.formula())).collect();
@@ -204,7 +196,7 @@ fn judged(
 }
 
 /// The models of the table: the plain one, all fits, a law alone, and a law beside the leading cause.
-fn models<'a>(candidates: &'a Candidates, [alone, beside]: [Option<&'a Laws>; 2]) -> Vec<Contender<'a>> {
+fn models<'a>(candidates: &'a Candidates, [alone, beside]: [Option<&'a [CandidateLaw]>; 2]) -> Vec<Contender<'a>> {
     let mut models = contenders(&candidates.base, &candidates.fits);
     models.extend(alone.map(|laws| Contender { fit: &candidates.base, laws: Some(laws) }));
     let leading = candidates.leading.map(|k| &candidates.fits[k]);
@@ -214,9 +206,9 @@ fn models<'a>(candidates: &'a Candidates, [alone, beside]: [Option<&'a Laws>; 2]
 
 /// The law that entry `k` chose with no condition left out, with the coefficient of the linear fit.
 fn law_of(table: &EvidenceTable, models: &[Contender], k: usize) -> Option<Term> {
-    let row = &table.rows[k];
-    let coefficient = *row.step.last()?;
-    models[k].laws.zip(row.law).map(|(laws, l)| Term { coefficient, ..laws.terms[l].clone() })
+    let row = &table.rows[k].predicted;
+    let coefficient = *row.step.as_slice().last()?;
+    models[k].laws.zip(row.law).map(|(laws, l)| Term { coefficient, ..laws[l].term.clone() })
 }
 
 /// The entries of a table over the conditions `used`, for the verdict.
@@ -242,7 +234,7 @@ fn entries(
         let inside = |j: &usize| models[*j].laws.is_none() && *j != k && models[*j].fit.ids == *ids;
         Compared {
             causes: ids.len(),
-            law: models[k].laws.is_some_and(|_| table.rows[k].law.is_some()),
+            law: models[k].laws.is_some_and(|_| table.rows[k].predicted.law.is_some()),
             unnamed: ids.iter().any(|id| asked.unnamed.contains(id)),
             unlikely: ids.iter().zip(models[k].fit.values()).any(unlikely),
             within: (0..models.len()).filter(inside).collect(),
@@ -270,19 +262,13 @@ fn explored(study: &FitInputs, candidates: &mut Candidates) -> Option<Vec<[f64; 
     Some(intervals)
 }
 
-/// 95 % intervals. A standard error is the greater of two (Angrist & Pischke, Mostly Harmless Econometrics, 2009, 8.1):
-/// the one under the noise, which is too small if the law is not quite right, and the one from the scatter between
-/// conditions, which is too small if few conditions matter. Both are widened by Student's t, because the noise is only
-/// estimated and conditions are few.
+/// 95 % intervals of the values, and their correlations.
 fn intervals(study: &FitInputs, fit: &Fit, degrees: f64, profiled: Option<Vec<[f64; 2]>>) -> Intervals {
-    let (count, covariance, jackknife) = (fit.ids.len(), study.covariance(fit), study.jackknife(fit));
-    let others = (study.observations.conditions.len() as f64 - 1.0).max(2.0);
+    let (count, covariance, reach) = (fit.ids.len(), study.covariance(fit), study.reach(fit, degrees));
     let range = |k: usize| {
         let at = fit.coordinates()[k];
-        let reach = |covariance: &DMatrix<f64>, degrees| (student::square_at_95(degrees) * covariance[(k, k)]).sqrt();
-        let reach = reach(&covariance, degrees.max(2.0)).max(reach(&jackknife, others));
         let profiled = profiled.as_ref().and_then(|p| p.get(k)).filter(|i| i.iter().all(|u| u.is_finite()));
-        let [low, high] = profiled.copied().unwrap_or([at - reach, at + reach]);
+        let [low, high] = profiled.copied().unwrap_or([at - reach[k], at + reach[k]]);
         let bounds = CATALOG[fit.ids[k]].coordinate_bounds();
         [low.clamp(bounds[0], bounds[1]), high.clamp(bounds[0], bounds[1])]
     };
@@ -316,14 +302,15 @@ fn nested(
             Written::Plain => 0,
             _ => verdict(&entries(study, &table, models, &rest, asked), SECOND).model,
         };
-        [0, chosen].map(|k| held_out(study, &models[k], table.rows[k].law, &table.rows[k].step, held))
+        [0, chosen].map(|k| {
+            let row = &table.rows[k].predicted;
+            held_out(study, &models[k], row.law, row.step.as_slice(), held)
+        })
     });
-    let mut total = [(); 2].map(|()| SquaredErrors { square: vec![0.0; conditions], count: vec![0.0; conditions] });
+    let mut total = [(); 2].map(|()| SquaredErrors(vec![[0.0; 2]; conditions]));
     for (held, parts) in folds.iter().zip(made) {
         for (total, part) in total.iter_mut().zip(parts) {
-            for (place, &condition) in held.iter().enumerate() {
-                (total.square[condition], total.count[condition]) = (part.square[place], part.count[place]);
-            }
+            held.iter().zip(part.0).for_each(|(&condition, own)| total.0[condition] = own);
         }
     }
     total

@@ -17,6 +17,12 @@ pub fn root_mean_square(numbers: impl Iterator<Item = f64>) -> f64 {
     (square / f64::max(count, 1.0)).sqrt()
 }
 
+/// Slope of `values` over `t` at sample `i`, from `apart` samples before it to `apart` samples after it.
+pub fn central_difference(t: &[f64], values: &[f64], i: usize, apart: usize) -> f64 {
+    let (a, b) = (i.saturating_sub(apart), (i + apart).min(values.len() - 1));
+    (values[b] - values[a]) / (t[b] - t[a])
+}
+
 /// Interpolates `values`, given at increasing `from`, linearly at `at`; constant beyond the ends.
 pub fn interpolate(from: &[f64], values: &[f64], at: f64) -> f64 {
     let right = from.partition_point(|&p| p < at);

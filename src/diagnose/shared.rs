@@ -7,6 +7,7 @@
 
 use crate::number::{add_scaled, dot};
 use nalgebra::{DMatrix, DVector};
+use std::borrow::Borrow;
 use std::ops::Range;
 
 /// Directions with a common standard deviation, which is learnt from the repetitions.
@@ -82,11 +83,11 @@ impl LowRank {
 }
 
 /// Products of every column with every other.
-pub fn gram(columns: &[Vec<f64>]) -> DMatrix<f64> {
+pub fn gram(columns: &[impl Borrow<Vec<f64>>]) -> DMatrix<f64> {
     let mut gram = DMatrix::zeros(columns.len(), columns.len());
     for i in 0..columns.len() {
         for j in 0..=i {
-            let product = dot(&columns[i], &columns[j]);
+            let product = dot(columns[i].borrow(), columns[j].borrow());
             (gram[(i, j)], gram[(j, i)]) = (product, product);
         }
     }

@@ -4,8 +4,7 @@
 //! 2.5 × 0.6 cm). So the sides have no stress of their own. The sides only add the inertia of the sand that they push
 //! away, as the faces of a solid body do in engine `tree`.
 
-use super::track::RigidMotion;
-use crate::sand::intrusion::Load;
+use super::track::{RigidMotion, Wrench};
 use crate::sand::mechanism_laws::slope_depth;
 use crate::sand::shape::Segment;
 
@@ -16,10 +15,10 @@ pub fn sides(length: f64, width: f64, thickness: f64) -> Vec<Segment> {
 }
 
 /// Load on the submerged sides that lead; `pressure` gives the pressure from the normal speed, and the sand's surface rises by `slope` [rad].
-pub fn leading_sides(sides: &[Segment], place: RigidMotion, slope: f64, pressure: impl Fn(f64) -> f64) -> Load {
+pub fn leading_sides(sides: &[Segment], place: RigidMotion, slope: f64, pressure: impl Fn(f64) -> f64) -> Wrench {
     let (sin, cos) = place.turn;
     let turn = |[x, z]: [f64; 2]| [x * cos - z * sin, x * sin + z * cos];
-    let mut load = Load::default();
+    let mut load = [0.0; 3];
     for side in sides {
         let (r, n) = (turn(side.center), turn(side.normal));
         let along = n[0] * place.velocity[0] + n[1] * place.velocity[1];
@@ -27,7 +26,7 @@ pub fn leading_sides(sides: &[Segment], place: RigidMotion, slope: f64, pressure
         if along > 0.0 && depth > 0.0 {
             let force = pressure(along) * side.area;
             let (fx, fz) = (-force * n[0], -force * n[1]);
-            load = Load { fx: load.fx + fx, fz: load.fz + fz, ty: load.ty + r[0] * fz - r[1] * fx };
+            load = [load[0] + fx, load[1] + fz, load[2] + r[0] * fz - r[1] * fx];
         }
     }
     load

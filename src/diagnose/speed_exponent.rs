@@ -4,7 +4,8 @@
 //! of its own in a table of evidence.
 
 use super::evidence::EvidenceTable;
-use super::left_out::{Contender, Laws};
+use super::laws::laws;
+use super::left_out::{CandidateLaw, Contender};
 use super::select::Selection;
 use super::study::FitInputs;
 use super::words::digits;
@@ -29,39 +30,35 @@ pub struct SpeedExponent {
 }
 
 impl SpeedExponent {
-    /// A clause for the report's sentence; empty if the data agree with the law's power and exclude other powers.
-    pub fn said(&self) -> String {
+    /// A clause for the report's sentence; None if the data agree with the law's power and exclude other powers.
+    pub fn said(&self) -> Option<String> {
         let Self { id, law, found, ci95: [low, high], .. } = self;
         let [law, found, low, high] = [law, found, low, high].map(|v| digits(*v));
         match (self.excluded, self.told_apart) {
-            (true, _) => format!("; the data prefer the power {found} of the speed where {id} has {law}"),
+            (true, _) => Some(format!("the data prefer the power {found} of the speed where {id} has {law}")),
             (false, false) => {
-                format!("; of the speed in {id} these data allow every power from {low} to {high}, not only {law}")
+                Some(format!("of the speed in {id} these data allow every power from {low} to {high}, not only {law}"))
             }
-            (false, true) => String::new(),
+            (false, true) => None,
         }
     }
 }
 
 /// Replaces the power of the speed in the best cause's law by other powers, and compares them. None if the law has no such power, or if
 /// these data cannot test laws.
-pub fn form(study: &FitInputs, selection: &Selection, laws: &Laws) -> Option<SpeedExponent> {
+pub fn form(study: &FitInputs, selection: &Selection) -> Option<SpeedExponent> {
     let best = selection.best().filter(|b| b.ids.len() == 1)?;
     let (id, law) = (CATALOG[best.ids[0]].id, CATALOG[best.ids[0]].exponent?);
-    let power = |k: &usize| {
-        let term = &laws.terms[*k];
+    let laws = laws(study, &selection.candidates.base)?;
+    let power = |CandidateLaw { term, .. }: &CandidateLaw| {
         let at = |name: &str| term.groups.get(name).copied().unwrap_or(0.0);
         let (speed, depth) = (at("froude"), at("depth_over_width"));
         let alone = term.on == On::Normal && term.groups.keys().all(|g| g == "froude" || g == "depth_over_width");
         (alone && speed > 0.0 && (depth - speed + 1.0).abs() < 1e-9).then_some(2.0 * speed)
     };
-    let each: Vec<(f64, Laws)> = (0..laws.terms.len())
-        .filter_map(|k| {
-            power(&k).map(|q| (q, Laws { terms: vec![laws.terms[k].clone()], columns: vec![laws.columns[k].clone()] }))
-        })
-        .collect();
-    let models: Vec<Contender> =
-        each.iter().map(|(_, laws)| Contender { fit: &selection.candidates.base, laws: Some(laws) }).collect();
+    let each: Vec<(f64, &CandidateLaw)> = laws.iter().filter_map(|law| Some((power(law)?, law))).collect();
+    let model = |&(_, law)| Contender { fit: &selection.candidates.base, laws: Some(std::slice::from_ref(law)) };
+    let models: Vec<Contender> = each.iter().map(model).collect();
     let all: Vec<usize> = (0..study.observations.conditions.len()).collect();
     let table = EvidenceTable::new(study, study.whitener, &models, &all);
     let top = (0..models.len()).max_by(|a, b| table.elpd(*a).total_cmp(&table.elpd(*b)))?;

@@ -19,8 +19,6 @@ pub struct FitInputs<'a> {
     pub observations: &'a Observations,
     pub model: &'a dyn ForwardModel,
     pub whitener: &'a Whitener,
-    /// Relative prior sd of the coefficients.
-    pub coefficient_sd: f64,
     /// Nuisances that all data share.
     pub nuisances: Vec<Nuisance>,
     /// Derivatives of the plain model's prediction by the coefficients and the nuisances: not whitened, and whitened.
@@ -31,15 +29,10 @@ pub struct FitInputs<'a> {
 }
 
 impl<'a> FitInputs<'a> {
-    pub fn new(
-        observations: &'a Observations,
-        model: &'a dyn ForwardModel,
-        whitener: &'a Whitener,
-        coefficient_sd: f64,
-    ) -> Self {
+    pub fn new(observations: &'a Observations, model: &'a dyn ForwardModel, whitener: &'a Whitener) -> Self {
         let steps = CATALOG.map(|entry| SMOOTH_STEP * entry.coordinate_typical());
         let (nuisances, marginal_slopes) = (Vec::new(), [Vec::new(), Vec::new()]);
-        let mut study = Self { observations, model, whitener, coefficient_sd, nuisances, marginal_slopes, steps };
+        let mut study = Self { observations, model, whitener, nuisances, marginal_slopes, steps };
         study.set_nuisances(model.nuisances(&model.plain_sand(), &[]));
         let plain = study.plain();
         if let Some(roughness) = model.roughness() {
@@ -74,13 +67,11 @@ impl<'a> FitInputs<'a> {
     /// Sets `nuisances`, and `marginal_slopes`: the slopes by the coefficients at the plain model, then the slopes by the nuisances.
     fn set_nuisances(&mut self, nuisances: Vec<Nuisance>) {
         self.nuisances = nuisances;
-        self.marginal_slopes = [self.nuisances.iter().map(|n| n.column.clone()).collect(), Vec::new()];
-        let whitened = |study: &Self, slopes: &[Stack]| parallel::map(slopes, |s| study.whitened(s));
-        self.marginal_slopes[1] = whitened(self, &self.marginal_slopes[0]);
         let mut plain = vec![self.plain()];
         self.set_coefficient_slopes(&mut plain, &[0]);
-        let white = whitened(self, &plain[0].slopes);
-        self.marginal_slopes = [plain.swap_remove(0).slopes, white];
+        let slopes = plain.swap_remove(0).slopes;
+        let white = parallel::map(&slopes, |slope| self.whitened(slope));
+        self.marginal_slopes = [slopes, white];
     }
 
     /// The sand of a fit.
@@ -88,21 +79,9 @@ impl<'a> FitInputs<'a> {
         (fit.mechanisms, self.coefficients(&fit.deviations))
     }
 
-    /// Nuisances with a fit's values.
-    pub fn nuisance_values(&self, fit: &Fit) -> Vec<(String, f64)> {
-        let own = self.nuisances.iter().zip(&fit.deviations[COEFFICIENTS..]);
-        own.map(|(n, d)| (n.id.clone(), n.sd * d)).collect()
-    }
-
     /// Number of slopes by coefficients and nuisances; in a fit they follow the slopes by values.
     pub fn marginals(&self) -> usize {
         COEFFICIENTS + self.nuisances.len()
-    }
-
-    /// A strength of mechanism `id`, in its coordinate, whose effect on the data is reliable: the typical strength, or
-    /// a larger one for a rough model.
-    pub fn felt_strength(&self, id: usize) -> f64 {
-        (0.5 * CATALOG[id].coordinate_typical()).max(self.steps[id])
     }
 
     /// The same study with another model, which gives the same predictions if there are no mechanisms.
@@ -122,17 +101,14 @@ impl<'a> FitInputs<'a> {
         study
     }
 
-    /// This study's nuisances at `fit`.
-    pub fn nuisances_about(&self, fit: &Fit) -> Vec<Nuisance> {
-        self.nuisances_of(fit, fit)
-    }
-
-    /// The same as [`Self::nuisances_about`], with the nuisances' values of another fit.
+    /// This study's nuisances at `fit`, with the nuisances' values of the fit `adjusted`.
     pub fn nuisances_of(&self, fit: &Fit, adjusted: &Fit) -> Vec<Nuisance> {
         if self.nuisances.is_empty() {
             return Vec::new();
         }
-        let mut there = self.model.nuisances(&self.sand(fit), &self.nuisance_values(adjusted));
+        let values = self.nuisances.iter().zip(&adjusted.deviations[COEFFICIENTS..]);
+        let values: Vec<_> = values.map(|(n, d)| (n.id.clone(), n.sd * d)).collect();
+        let mut there = self.model.nuisances(&self.sand(fit), &values);
         there.retain(|n| self.nuisances.iter().any(|own| own.id == n.id));
         there
     }
@@ -154,9 +130,10 @@ impl<'a> FitInputs<'a> {
     /// set's root mean square: our choice.
     pub fn coefficients(&self, deviations: &[f64]) -> Coefficients {
         let mut c = self.model.medium().coefficients.to_array();
+        let sd = self.model.experiment().file.coefficient_sd;
         let floor = 0.5 * (c.iter().map(|c| c * c).sum::<f64>() / COEFFICIENTS as f64).sqrt();
         for (c, d) in c.iter_mut().zip(deviations) {
-            *c += c.abs().max(floor) * self.coefficient_sd * d;
+            *c += c.abs().max(floor) * sd * d;
         }
         Coefficients::from_array(c)
     }

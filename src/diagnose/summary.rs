@@ -6,33 +6,38 @@ use super::words::{after, digits};
 
 /// The verdict in one sentence.
 pub fn summary(r: &Report) -> String {
-    let verdict = match r.verdict {
+    [clauses(r), r.whereabouts.clone()].concat().join("; ")
+}
+
+/// The clauses of the sentence, without those of the whereabouts.
+pub fn clauses(r: &Report) -> Vec<String> {
+    let mut all: Vec<String> = match r.verdict {
         Verdict::InsufficientData => {
             let why = r.warnings.last().map_or("no condition is repeated", String::as_str);
-            return format!("{why}: without a noise floor there is no verdict");
+            vec![format!("{why}: without a noise floor there is no verdict")]
         }
-        Verdict::NoiseFloor => {
+        Verdict::NoiseFloor => vec![
             "no significant misfit: no cause or law predicts left-out conditions better than the plain model, whose error is \
              within the scatter of the repetitions"
-                .into()
+                .into(),
+        ],
+        Verdict::Named => vec![format!("the misfit is explained by {}", found(r))],
+        Verdict::Ambiguous => vec![ambiguous(r)],
+        Verdict::Described => {
+            vec!["no known cause explains the misfit".into(), format!("a law found in the data does: {}", law(r))]
         }
-        Verdict::Named => format!("the misfit is explained by {}{}{}", found(r), lowers(r), next_best(r)),
-        Verdict::Ambiguous => ambiguous(r),
-        Verdict::Described => format!("no known cause explains the misfit; a law found in the data does: {}{}", law(r), lowers(r)),
         Verdict::NoneOfThese => none(r),
     };
-    let named = matches!(r.verdict, Verdict::Named | Verdict::Ambiguous);
-    let rest = r.remainder.as_ref().filter(|rest| named && rest.significant);
-    let rest = rest
-        .map_or(String::new(), |rest| format!("; misfit beyond noise remains ({:.0} % of it)", 100.0 * rest.fraction));
-    let beside = if named && !r.terms.is_empty() {
-        format!("; a law found in the data describes a part of the rest: {}", law(r))
-    } else {
-        String::new()
-    };
-    let form = r.form.as_ref().map_or(String::new(), |form| form.said());
-    let place = r.whereabouts.as_ref().map_or(String::new(), |place| format!("; {place}"));
-    verdict + &rest + &beside + &form + &place
+    all.extend(lowers(r).filter(|_| r.written != Written::Plain));
+    all.extend(next_best(r).filter(|_| r.verdict == Verdict::Named));
+    if matches!(r.verdict, Verdict::Named | Verdict::Ambiguous) {
+        let rest = r.remainder.as_ref().filter(|rest| rest.significant);
+        all.extend(rest.map(|rest| format!("misfit beyond noise remains ({:.0} % of it)", 100.0 * rest.fraction)));
+        let beside = (!r.terms.is_empty()).then(|| law(r));
+        all.extend(beside.map(|law| format!("a law found in the data describes a part of the rest: {law}")));
+    }
+    all.extend(r.form.as_ref().and_then(|form| form.said()));
+    all
 }
 
 /// The causes with their values.
@@ -53,12 +58,12 @@ fn law(r: &Report) -> String {
 }
 
 /// The gain of the written model.
-fn lowers(r: &Report) -> String {
-    let (Some(share), Some([low, high])) = (r.gain.reduction, r.gain.ci95) else { return String::new() };
+fn lowers(r: &Report) -> Option<String> {
+    let (share, [low, high]) = r.gain.reduction.zip(r.gain.ci95)?;
     let verb = if share >= 0.0 { "lowers" } else { "raises" };
     let [share, low, high] = [share.abs(), low, high].map(|v| format!("{:.0}", 100.0 * v));
     let interval = if verb == "lowers" { format!(" (95 % interval {low} to {high} %)") } else { String::new() };
-    format!("; on held-out conditions it {verb} the error by {share} %{interval}")
+    Some(format!("on held-out conditions it {verb} the error by {share} %{interval}"))
 }
 
 fn ambiguous(r: &Report) -> String {
@@ -73,38 +78,33 @@ fn ambiguous(r: &Report) -> String {
         .collect();
     let cannot = if cannot.is_empty() { String::new() } else { format!(" ({})", cannot.join("; ")) };
     format!(
-        "the misfit is explained by {}, or by {}: these data cannot distinguish them{cannot}{}",
+        "the misfit is explained by {}, or by {}: these data cannot distinguish them{cannot}",
         found(r),
-        others.join(", or by "),
-        lowers(r)
+        others.join(", or by ")
     )
 }
 
-fn none(r: &Report) -> String {
-    let names = |c: &EvidenceRow| c.ids.join(" with ");
+fn none(r: &Report) -> Vec<String> {
+    let unexplained = "no known cause explains the main part of the misfit".to_string();
     match r.written {
-        Written::Plain => {
-            "misfit remains, and no cause or law predicts left-out conditions better than the plain model, so the sand stays plain".into()
-        }
-        Written::Description => format!("no known cause explains the main part of the misfit; the best description, {}, does not either{}", law(r), lowers(r)),
+        Written::Plain => vec![
+            "misfit remains, and no cause or law predicts left-out conditions better than the plain model, so the sand stays plain"
+                .into(),
+        ],
+        Written::Description => vec![unexplained, format!("the best description, {}, does not either", law(r))],
         _ => {
-            let own = r.evidence.iter().find(|c| c.written).map_or(String::new(), names);
+            let own = r.evidence.iter().find(|c| c.written).map_or(String::new(), |c| c.ids.join(" with "));
             let law = if r.terms.is_empty() { String::new() } else { format!(" with {}", law(r)) };
-            format!("no known cause explains the main part of the misfit; as a stand-in and not as the cause, {own}{law} is written{}", lowers(r))
+            vec![unexplained, format!("as a stand-in and not as the cause, {own}{law} is written")]
         }
     }
 }
 
 /// The best explanation besides the named one, and how much worse it predicts.
-fn next_best(r: &Report) -> String {
-    let Some([own, ..]) = r.ambiguity_set.first_chunk::<1>() else { return String::new() };
+fn next_best(r: &Report) -> Option<String> {
+    let own = r.ambiguity_set.first()?;
     let rival = |c: &&EvidenceRow| c.ids.len() == own.len() && c.ids != *own && c.terms.is_empty();
-    let Some(next) = r.evidence.iter().filter(rival).max_by(|a, b| a.elpd.total_cmp(&b.elpd)) else {
-        return String::new();
-    };
-    format!(
-        "; the next best, {}, predicts them worse by {} standard errors",
-        next.ids.join(" + "),
-        digits(-next.difference / next.standard_error.max(1e-9))
-    )
+    let next = r.evidence.iter().filter(rival).max_by(|a, b| a.elpd.total_cmp(&b.elpd))?;
+    let errors = digits(-next.difference / next.standard_error.max(1e-9));
+    Some(format!("the next best, {}, predicts them worse by {errors} standard errors", next.ids.join(" + ")))
 }

@@ -15,6 +15,9 @@ pub struct ArmPose {
     pub velocity: [f64; 2],
 }
 
+/// Fx [N], Fz [N] and Ty [N·m] on an intruder.
+pub type Wrench = [f64; 3];
+
 /// Pose and motion of an intruder, rotated by (sin, cos) counter-clockwise about its origin; velocity and
 /// acceleration are those of the origin.
 #[derive(Clone, Copy)]

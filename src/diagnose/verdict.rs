@@ -116,15 +116,12 @@ pub fn verdict(table: &[Compared], second: f64) -> Ruling {
 
 /// The verdict by the densities of left-out conditions.
 fn by_density(table: &[Compared], second: f64) -> Ruling {
-    let better = |k: &usize| table[*k].beats[0];
-    // The entry of this kind with the greatest elpd, if any entry of this kind predicts better than the plain model.
+    let elpd = |k: usize| table[k].elpd;
     let best_of = |keep: &dyn Fn(&Compared) -> bool| {
-        let own: Vec<usize> = (1..table.len()).filter(|k| keep(&table[*k])).collect();
-        let best = own.iter().copied().max_by(|a, b| table[*a].elpd.total_cmp(&table[*b].elpd));
-        best.filter(|_| own.iter().any(better))
+        best((1..table.len()).filter(|k| keep(&table[*k])).collect(), elpd, |k| table[k].beats[0])
     };
     let size = |k: usize| if table[k].law { 0 } else { table[k].causes };
-    let explanation = leading(table.len(), size, |k| table[k].elpd, |a, b| table[a].beats[b], second);
+    let explanation = leading(table.len(), size, elpd, |a, b| table[a].beats[b], second);
     let law = best_of(&|e| e.law && e.causes == 0);
     let Some(best) = best_of(&|_| true) else {
         return without_cause(table);
@@ -141,6 +138,12 @@ fn by_density(table: &[Compared], second: f64) -> Ruling {
     stand_in(table, best, &|k| table[k].beats[0])
 }
 
+/// Of some entries the one with the greatest elpd, if any of them predicts `better` than the plain model.
+fn best(entries: Vec<usize>, elpd: impl Fn(usize) -> f64, better: impl Fn(usize) -> bool) -> Option<usize> {
+    let best = entries.iter().copied().max_by(|a, b| elpd(*a).total_cmp(&elpd(*b)));
+    best.filter(|_| entries.into_iter().any(better))
+}
+
 /// The best single cause or pair among `count` entries, of which the first is the plain model. It is the entry with the
 /// greatest elpd among those with equally many causes, if one of these beats the plain model. A pair must also beat the
 /// best single cause, and its second cause must add the share `second` of the pair's evidence. `size` is the number of
@@ -152,17 +155,13 @@ pub fn leading(
     beats: impl Fn(usize, usize) -> bool,
     second: f64,
 ) -> Option<usize> {
-    let best = |causes: usize| {
-        let own: Vec<usize> = (1..count).filter(|&k| size(k) == causes).collect();
-        let best = own.iter().copied().max_by(|a, b| elpd(*a).total_cmp(&elpd(*b)));
-        best.filter(|_| own.iter().any(|&k| beats(k, 0)))
-    };
-    let single = best(1);
+    let best_of = |causes: usize| best((1..count).filter(|&k| size(k) == causes).collect(), &elpd, |k| beats(k, 0));
+    let single = best_of(1);
     let earns = |pair: usize, single: usize| {
         let [gain, more] = [single, pair].map(|k| elpd(k) - elpd(0));
         beats(pair, single) && more - gain > second * more
     };
-    best(2).filter(|&pair| single.is_none_or(|s| earns(pair, s))).or(single)
+    best_of(2).filter(|&pair| single.is_none_or(|s| earns(pair, s))).or(single)
 }
 
 /// The verdict if no model predicts better beyond twice the standard error. If the plain model's errors are larger than noise may
@@ -249,15 +248,35 @@ mod tests {
     }
 
     #[test]
-    fn a_name_needs_that_no_rival_predicts_as_well() {
+    fn the_verdict_follows_from_the_table() {
         use Verdict::*;
-        let far = [(0, false, -100.0, 90.0), (1, false, 0.0, 0.0), (1, false, -50.0, 40.0)];
-        assert_eq!(of(&table(&far)), (Named, Written::Cause, 1, vec![1]));
-        let near = [(0, false, -100.0, 90.0), (1, false, 0.0, 0.0), (1, false, -5.0, 0.0)];
-        assert_eq!(of(&table(&near)), (Ambiguous, Written::Cause, 1, vec![1, 2]));
-        // An entry that explains hardly anything is no rival, even if it is not beaten.
-        let weak = [(0, false, -8.0, 0.0), (1, false, 3.0, 0.0), (1, false, -6.0, 0.0)];
-        assert_eq!(of(&table(&weak)), (Named, Written::Cause, 1, vec![1]));
+        use Written::*;
+        let all = [
+            // A name needs that no rival predicts as well.
+            (vec![(0, false, -100.0, 90.0), (1, false, 0.0, 0.0), (1, false, -50.0, 40.0)], (Named, Cause, 1, vec![1])),
+            (
+                vec![(0, false, -100.0, 90.0), (1, false, 0.0, 0.0), (1, false, -5.0, 0.0)],
+                (Ambiguous, Cause, 1, vec![1, 2]),
+            ),
+            // An entry that explains hardly anything is no rival, even if it is not beaten.
+            (vec![(0, false, -8.0, 0.0), (1, false, 3.0, 0.0), (1, false, -6.0, 0.0)], (Named, Cause, 1, vec![1])),
+            // A remainder hides no name, and the smaller part is a proxy.
+            (vec![(0, false, -100.0, 100.0), (1, false, 0.0, 40.0)], (Named, Cause, 1, vec![1])),
+            (vec![(0, false, -100.0, 100.0), (1, false, 0.0, 60.0)], (NoneOfThese, Proxy, 1, vec![])),
+            // A law that predicts better describes.
+            (
+                vec![(0, false, -100.0, 90.0), (1, false, -40.0, 20.0), (0, true, 0.0, 0.0)],
+                (Described, Description, 2, vec![]),
+            ),
+            (vec![(0, false, -100.0, 90.0), (1, false, -5.0, 0.0), (0, true, 0.0, 0.0)], (Named, Cause, 1, vec![1])),
+            // If nothing is better, there is noise or misfit.
+            (vec![(0, false, -5.0, 0.0), (1, false, 0.0, 0.0)], (NoiseFloor, Plain, 0, vec![])),
+            (vec![(0, false, -5.0, 50.0), (1, false, 0.0, 45.0)], (NoneOfThese, Plain, 0, vec![])),
+            (vec![(0, false, -7.0, 50.0), (1, false, 0.0, 45.0)], (NoneOfThese, Proxy, 1, vec![])),
+        ];
+        for (entries, expected) in all {
+            assert_eq!(of(&table(&entries)), expected, "{entries:?}");
+        }
     }
 
     #[test]
@@ -271,32 +290,6 @@ mod tests {
         let mut far = table(&[(0, false, -100.0, 90.0), (1, false, -50.0, 40.0), (1, false, 0.0, 0.0)]);
         far[2].unnamed = true;
         assert_eq!(of(&far), (Verdict::Ambiguous, Written::Cause, 2, vec![2, 1]));
-    }
-
-    #[test]
-    fn a_remainder_hides_no_name_and_the_smaller_part_is_a_proxy() {
-        let small = [(0, false, -100.0, 100.0), (1, false, 0.0, 40.0)];
-        assert_eq!(of(&table(&small)), (Verdict::Named, Written::Cause, 1, vec![1]));
-        let large = [(0, false, -100.0, 100.0), (1, false, 0.0, 60.0)];
-        assert_eq!(of(&table(&large)), (Verdict::NoneOfThese, Written::Proxy, 1, Vec::new()));
-    }
-
-    #[test]
-    fn a_law_that_predicts_better_describes() {
-        let of_law = [(0, false, -100.0, 90.0), (1, false, -40.0, 20.0), (0, true, 0.0, 0.0)];
-        assert_eq!(of(&table(&of_law)), (Verdict::Described, Written::Description, 2, Vec::new()));
-        let as_well = [(0, false, -100.0, 90.0), (1, false, -5.0, 0.0), (0, true, 0.0, 0.0)];
-        assert_eq!(of(&table(&as_well)), (Verdict::Named, Written::Cause, 1, vec![1]));
-    }
-
-    #[test]
-    fn nothing_better_is_noise_or_misfit() {
-        let nothing = [(0, false, -5.0, 0.0), (1, false, 0.0, 0.0)];
-        assert_eq!(of(&table(&nothing)), (Verdict::NoiseFloor, Written::Plain, 0, Vec::new()));
-        let misfit = [(0, false, -5.0, 50.0), (1, false, 0.0, 45.0)];
-        assert_eq!(of(&table(&misfit)), (Verdict::NoneOfThese, Written::Plain, 0, Vec::new()));
-        let ahead = [(0, false, -7.0, 50.0), (1, false, 0.0, 45.0)];
-        assert_eq!(of(&table(&ahead)), (Verdict::NoneOfThese, Written::Proxy, 1, Vec::new()));
     }
 
     #[test]

@@ -1,12 +1,11 @@
 //! Converts a diagnosis to a report.
 
-use super::errors::SquaredErrors;
 use super::evidence::NORMAL;
 use super::fit::{COEFFICIENTS, Fit};
 use super::forward::Feature;
-use super::further::Further;
 use super::laws::FittedLaw;
 use super::noise::{Noise, NoiseData};
+use super::normal_equations::Further;
 use super::report::{
     Cause, EvidenceRow, Gain, LackOfFit, NextExperiment, NoiseSummary, NuisanceValue, Remainder, Report, RunMeans,
     TermFound, Tried, Untestable, UpperLimit,
@@ -17,7 +16,7 @@ use super::study::FitInputs;
 use super::summary::summary;
 use super::verdict::{Verdict, Written};
 use super::words::{after, digits};
-use super::{laws, misfit, next_experiment, speed_exponent};
+use super::{misfit, next_experiment, speed_exponent};
 use crate::sand::mechanism::CATALOG;
 use crate::student;
 
@@ -30,7 +29,7 @@ pub fn without_verdict(
 ) -> Report {
     let (observations, model, plain) = (study.observations, study.model, study.plain().prediction);
     let range = |f: Feature| (f.name.to_string(), ends(f.values.iter().flatten().copied()));
-    let why = match observations.has_replicates() {
+    let why = match observations.repetitions().iter().any(|units| units.len() > 1) {
         true => "repetitions are copies of each other, so their scatter is no noise floor",
         false => "no condition is repeated",
     };
@@ -55,15 +54,17 @@ pub struct ReportView<'a> {
     pub source: &'a NoiseData<'a>,
     pub noise: &'a Noise,
     pub selection: &'a Selection,
-    pub floor: SquaredErrors,
 }
 
 impl ReportView<'_> {
     /// The report, from the report without a verdict.
     pub fn report(&self, mut without: Report) -> Report {
         let (study, s) = (self.study, self.selection);
-        let plain = || study.plain().prediction;
-        let whereabouts = misfit::whereabouts(study.observations, study.model, &plain(), "the plain model's error");
+        let plain = study.plain().prediction;
+        let whereabouts = match s.ruling.verdict {
+            Verdict::NoiseFloor => Vec::new(),
+            _ => misfit::whereabouts(study.observations, study.model, &plain, "the plain model's error"),
+        };
         let causes = self.causes();
         // The study with the noise scaled to the errors that remain.
         let renewed = study.under(&s.whitener, s.candidates.around.nuisances.clone());
@@ -74,11 +75,11 @@ impl ReportView<'_> {
             verdict: s.ruling.verdict,
             written: s.ruling.written,
             evidence: self.evidence(),
-            whereabouts: whereabouts.filter(|_| s.ruling.verdict != Verdict::NoiseFloor),
+            whereabouts,
             correlations: self.named().map(|s| s.intervals.correlations.clone()).unwrap_or_default(),
             warnings: self.warnings(&causes),
             causes,
-            ambiguity_set: s.ruling.set.iter().map(|&k| names(s.fit_of(k))).collect(),
+            ambiguity_set: s.ruling.set.iter().map(|&k| s.fit_of(k).names()).collect(),
             candidates: self.tried(),
             lack_of_fit: LackOfFit {
                 plain: Some(s.table.lack(0)),
@@ -91,7 +92,7 @@ impl ReportView<'_> {
             terms: s.law.iter().map(|law| self.term(law)).collect(),
             upper_limits: self.upper_limits(&renewed),
             degrees_of_freedom: Some(s.table.degrees),
-            form: self.form(&renewed),
+            form: self.named().and_then(|s| speed_exponent::form(&renewed, s)),
             next_experiment: self.next_experiment(&without.untestable),
             noise: Some(NoiseSummary {
                 shared: shared.map(|(s, sd)| (s.name.into(), *sd)).collect(),
@@ -116,7 +117,7 @@ impl ReportView<'_> {
         let of = |k: usize| {
             let [difference, standard_error] = s.table.difference(k, best);
             let terms = s.formulas[k].iter().cloned().collect();
-            let (ids, written) = (names(s.fit_of(k)), k == s.ruling.model);
+            let (ids, written) = (s.fit_of(k).names(), k == s.ruling.model);
             EvidenceRow { ids, terms, elpd: s.table.elpd(k), difference, standard_error, written }
         };
         let order = s.table.ranked((1..s.entries.len()).filter(compared));
@@ -129,8 +130,7 @@ impl ReportView<'_> {
         let error = |k: usize| s.entries[k].error;
         let best = *s.table.ranked(s.ruling.left_out.iter().copied()).first()?;
         let law = s.formulas[best].iter().map(|law| format!("the law {law}"));
-        let named: Vec<String> = names(s.fit_of(best)).into_iter().chain(law).collect();
-        let unit = self.study.observations.channels.iter().find(|c| c.in_rmse).map_or("", |c| c.unit);
+        let named: Vec<String> = s.fit_of(best).names().into_iter().chain(law).collect();
         let count = match s.ruling.left_out.len() {
             1 => "one model is".to_string(),
             more => format!("{more} models are"),
@@ -140,7 +140,7 @@ impl ReportView<'_> {
              density is higher; the best, {}, errs by {}{}, and the plain one by {}",
             named.join(" with "),
             digits(error(best)),
-            after(unit),
+            after(self.study.observations.error_unit()),
             digits(error(0))
         ))
     }
@@ -153,12 +153,6 @@ impl ReportView<'_> {
         let unfelt = fit.map(|fit| fit.mechanisms.unfelt_by_walkers()).unwrap_or_default();
         warnings.extend(unfelt.into_iter().map(|line| format!("sand.toml: {line}")));
         warnings
-    }
-
-    fn form(&self, study: &FitInputs) -> Option<speed_exponent::SpeedExponent> {
-        let selection = self.named()?;
-        CATALOG[*selection.best()?.ids.first()?].exponent?;
-        speed_exponent::form(study, selection, &laws::laws(study, &selection.candidates.base)?)
     }
 
     /// Values with 95 % intervals.
@@ -200,7 +194,7 @@ impl ReportView<'_> {
     /// or beds.
     fn nuisances(&self, study: &FitInputs) -> Vec<NuisanceValue> {
         let (selection, fit) = (self.selection, &self.selection.standing);
-        let reach = study.nuisance_reach(fit, selection.table.degrees);
+        let reach = if fit.slopes.is_empty() { Vec::new() } else { study.reach(fit, selection.table.degrees) };
         let split = |id: &str| match id.split_once('_').filter(|(_, c)| ["Fx", "Fz", "Ty"].contains(c)) {
             Some((kind, channel)) => (kind.to_string(), Some(channel.to_string())),
             None => (id.to_string(), None),
@@ -209,7 +203,8 @@ impl ReportView<'_> {
         let mut values: Vec<NuisanceValue> = all
             .map(|(k, (n, d))| {
                 let (id, channel) = split(&n.id);
-                let share = reach.as_ref().map_or(1.0, |reach| reach[k] / NORMAL);
+                let reach = reach.get(fit.ids.len() + COEFFICIENTS + k).filter(|reach| reach.is_finite());
+                let share = reach.map_or(1.0, |reach| reach / NORMAL);
                 NuisanceValue { id, channel, level: "log", value: d * n.sd, sd: share * n.sd, unit: n.unit }
             })
             .collect();
@@ -229,12 +224,15 @@ impl ReportView<'_> {
         let significant = table.lack(entry) > table.limit;
         let left = &selection.standing.prediction;
         let place = misfit::whereabouts(study.observations, study.model, left, "what remains");
-        let unlocated = || "spread over all data".to_string();
         let left = selection.entries[entry].unexplained;
         Remainder {
             significant,
             fraction: if significant { left.clamp(0.0, 1.0) } else { 0.0 },
-            place: if significant { place.unwrap_or_else(unlocated) } else { String::new() },
+            place: match significant {
+                true if place.is_empty() => "spread over all data".into(),
+                true => place.join("; "),
+                false => String::new(),
+            },
             lack_of_fit: table.lack(entry),
             limit: table.limit,
         }
@@ -256,11 +254,11 @@ impl ReportView<'_> {
                 true => further.estimate.abs() + student::two_sided_95(degrees) * sd,
                 false => further.estimate.max(0.0) + student::one_sided_95(degrees) * sd,
             };
-            UpperLimit { id: entry.id.into(), value: most, unit: entry.unit.into(), level: 0.95 }
+            let limit = UpperLimit { id: entry.id.into(), value: most, unit: entry.unit.into(), level: 0.95 };
+            // Upper limits beyond the bound of the mechanism's law are left out.
+            Some(limit).filter(|_| most < entry.bounds[1])
         };
-        let all = study.further(standing, &asked);
-        // Upper limits beyond the bound of the mechanism's law are left out.
-        all.iter().map(|f| (f.id, limit(f))).filter(|(id, l)| l.value < CATALOG[*id].bounds[1]).map(|l| l.1).collect()
+        study.further(standing, &asked).iter().filter_map(limit).collect()
     }
 
     fn tried(&self) -> Vec<Tried> {
@@ -271,7 +269,7 @@ impl ReportView<'_> {
         let tried = |fit: &Fit, earlier: f64, entry: Option<usize>| {
             let gained = earlier - fit.objective;
             Tried {
-                ids: names(fit),
+                ids: fit.names(),
                 values: fit.values(),
                 delta_chi2: gained,
                 cv_gain: entry.filter(|_| base > 0.0).map(|k| 1.0 - s.table.rows[k].held_out.rmse() / base),
@@ -292,9 +290,10 @@ impl ReportView<'_> {
         let selection = self.selection;
         let (plain, [base, chosen]) = (&selection.plain, &selection.nested);
         let extended = if selection.ruling.written == Written::Plain { plain } else { chosen };
-        let (before, after, floor) = (plain.rmse(), extended.rmse(), self.floor.rmse());
+        let repetitions = self.source.floor();
+        let (before, after, floor) = (plain.rmse(), extended.rmse(), repetitions.rmse());
         // If the plain model's error is hardly larger than the scatter between repetitions, a share of the difference between the two has no meaning.
-        let told = plain.reduction_interval(&self.floor)[0] > 0.0;
+        let told = plain.reduction_interval(&repetitions)[0] > 0.0;
         Gain {
             held_out_rmse_plain: Some(before),
             held_out_rmse_recalibrated: Some(base.rmse()),
@@ -314,7 +313,7 @@ impl ReportView<'_> {
         let menu = self.study.model.menu();
         let noise = &selection.candidates.around.noise;
         let conditions = menu.map_or(Vec::new(), |menu| next_experiment::propose(&menu, noise, self.study, &set, 3));
-        let unknown = untestable.iter().filter(|u| set.iter().any(|fit| names(fit).contains(&u.id)));
+        let unknown = untestable.iter().filter(|u| set.iter().any(|fit| fit.names().contains(&u.id)));
         let mut why: Vec<String> =
             unknown.map(|u| format!("a test of {} needs a log that says more: {}", u.id, u.why)).collect();
         if !conditions.is_empty() {
@@ -347,11 +346,6 @@ fn runs(study: &FitInputs, extended: Option<&Fit>) -> Vec<RunMeans> {
         }
     };
     groups.iter().enumerate().flat_map(|g| (0..o.channels.len()).map(move |c| row(g, c))).collect()
-}
-
-/// Ids of a fit's causes.
-fn names(fit: &Fit) -> Vec<String> {
-    fit.ids.iter().map(|&id| CATALOG[id].id.to_string()).collect()
 }
 
 /// A warning if the fit needs coefficients that deviate by more than three of their stated standard deviations: our choice.

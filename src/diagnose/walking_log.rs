@@ -1,8 +1,7 @@
 //! Reads runs of a walking robot (walking CSV), with one row for each run.
 
-use super::columns::columns;
 use super::experiment::Experiment;
-use super::observations::{Channel, MeasuredLog, Names, Observations, Size};
+use super::observations::{Channel, MeasuredLog, Names, Observations, Size, columns};
 use super::series::low_middle_high;
 use crate::error::{Error, Result};
 use crate::progress::Progress;
@@ -50,10 +49,8 @@ columns! {
     SPEED_ERROR = "hip_speed_error_rms" AngularSpeed false;
 }
 
-/// Number of measured columns.
-const MEASURED: usize = 5;
 /// Measured columns in the order of the channels; `field` is that of [`crate::sim::walk::WalkResult`].
-static CHANNELS: [(usize, Channel); MEASURED] = [
+static CHANNELS: [(usize, Channel); 5] = [
     (SPEED, Channel::new("speed", "m/s", true)),
     (HEIGHT, Channel::new("base_height", "m", false)),
     (PITCH, Channel::new("pitch_rms", "rad", false)),
@@ -67,17 +64,11 @@ const STRIDES: f64 = 4.0;
 /// a minute.
 const MOST_SETUPS: usize = 300;
 
-struct WalkRun {
-    id: String,
-    condition: usize,
-    setup: usize,
-    measured: [Option<f64>; MEASURED],
-}
-
 /// Reads the runs; `experiment` names robot, medium and units.
 pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Result<WalkingLog> {
     let (mut conditions, mut ids) = (Names::default(), Names::default());
-    let (mut runs, mut setups): (Vec<WalkRun>, Vec<WalkSetup>) = (Vec::new(), Vec::new());
+    let (mut rows, mut measured, mut setting_of) = (Vec::new(), Vec::new(), Vec::new());
+    let mut setups: Vec<WalkSetup> = Vec::new();
     let optional = [X_BED, SLOPE, PAYLOAD];
     let mut seen = [false; 3];
     let summary = experiment.read(path, COLUMNS, progress, |row| {
@@ -85,7 +76,7 @@ pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Re
             *seen |= row.text(column).is_some();
         }
         let id = row.needed_text(RUN)?;
-        if ids.place(id) != runs.len() {
+        if ids.place(id) != rows.len() {
             return Err(row.error(RUN, format!("{id} is in the file twice")));
         }
         row.needed_text(REP)?;
@@ -99,24 +90,30 @@ pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Re
         if known.is_none() {
             setups.push(setup);
         }
-        let mut measured = [None; MEASURED];
-        for (value, (column, _)) in measured.iter_mut().zip(&CHANNELS) {
+        let mut own = [None; CHANNELS.len()];
+        for (value, (column, _)) in own.iter_mut().zip(&CHANNELS) {
             *value = row.within(*column, 1e6)?;
         }
         row.needed(SPEED)?;
-        runs.push(WalkRun { id: id.into(), condition, setup: place, measured });
+        rows.push((id.to_owned(), condition));
+        measured.push(own);
+        setting_of.push(place);
         Ok(())
     })?;
     let missing = optional.iter().zip(seen).filter(|s| !s.1).map(|s| COLUMNS[*s.0].name).collect();
-    let setting_of = runs.iter().map(|r| r.setup).collect();
-    let (observations, notes) = (observations(runs, conditions.list), Vec::new());
+    // Channels that every run has.
+    let kept: Vec<usize> = (0..CHANNELS.len()).filter(|&c| measured.iter().all(|own| own[c].is_some())).collect();
+    let values = measured.iter().flat_map(|own| kept.iter().filter_map(|&c| own[c])).collect();
+    let (channels, rows) = (kept.iter().map(|&c| CHANNELS[c].1.clone()).collect(), rows.into_iter());
+    let observations = Observations::of_rows(Size::Channel, channels, &[0.0], rows, values, conditions.list);
+    let notes = Vec::new();
     Ok(WalkingLog { observations, settings: setups, setting_of, missing, notes, sha256: summary.sha256 })
 }
 
 fn setup(row: &Row, experiment: &Experiment) -> Result<WalkSetup> {
-    let robot = row.text(ROBOT).or(experiment.robot.as_deref());
+    let robot = row.text(ROBOT).or(experiment.file.robot.as_deref());
     let robot = robot.ok_or_else(|| row.error(ROBOT, "is blank, and the experiment names none"))?;
-    if experiment.robot.as_deref() != Some(robot) && !Robot::names().contains(&robot) {
+    if experiment.file.robot.as_deref() != Some(robot) && !Robot::names().contains(&robot) {
         return Err(row.error(ROBOT, Error::unknown("robot", robot, &Robot::names())));
     }
     let frequency = row.needed_within(FREQUENCY, 20.0)?;
@@ -148,7 +145,7 @@ fn setup(row: &Row, experiment: &Experiment) -> Result<WalkSetup> {
 fn leg(row: &Row) -> Result<String> {
     let name = row.needed_text(LEG)?;
     if !LegShape::NAMES.contains(&name) {
-        return Err(row.error(LEG, format!("leg {name:?} is unknown; known: {}", LegShape::NAMES.join(", "))));
+        return Err(row.error(LEG, Error::unknown("leg", name, &LegShape::NAMES)));
     }
     let Some(xi) = row.within(XI, 89.9)? else { return Ok(name.into()) };
     let wrong = match name {
@@ -165,19 +162,11 @@ fn leg(row: &Row) -> Result<String> {
     Ok(if named { name.into() } else { format!("xi={}", if name == "revL" { -xi.abs() } else { xi }) })
 }
 
-fn observations(runs: Vec<WalkRun>, conditions: Vec<String>) -> Observations {
-    let complete = |c: &usize| runs.iter().all(|r| r.measured[*c].is_some());
-    let kept: Vec<usize> = (0..CHANNELS.len()).filter(complete).collect();
-    let values = runs.iter().flat_map(|run| kept.iter().filter_map(|&c| run.measured[c])).collect();
-    let channels = kept.iter().map(|&c| CHANNELS[c].1.clone()).collect();
-    Observations::of_rows(Size::Channel, channels, runs.iter().map(|r| (r.id.clone(), r.condition)), values, conditions)
-}
-
-/// Planned runs: one unit for each setup, and zeros for measurements.
-pub fn planned(setups: Vec<WalkSetup>, channels: Vec<Channel>) -> WalkingLog {
-    let names: Vec<String> = (0..setups.len()).map(|i| i.to_string()).collect();
+/// Planned runs, each with a description: one condition for each, and zeros for measurements.
+pub fn planned(runs: Vec<(WalkSetup, String)>, channels: Vec<Channel>) -> WalkingLog {
+    let (setups, names): (Vec<WalkSetup>, Vec<String>) = runs.into_iter().unzip();
     let (rows, values) = (names.iter().cloned().zip(0..), vec![0.0; channels.len() * setups.len()]);
-    let observations = Observations::of_rows(Size::Channel, channels, rows, values, names.clone());
+    let observations = Observations::of_rows(Size::Channel, channels, &[0.0], rows, values, names.clone());
     let (setting_of, notes) = ((0..setups.len()).collect(), Vec::new());
     WalkingLog { observations, settings: setups, setting_of, missing: Vec::new(), notes, sha256: String::new() }
 }

@@ -9,14 +9,12 @@ use super::shared::{SharedNoise, Uncertainty};
 use super::walking_log::{self, WalkSetup, WalkingLog};
 use crate::error::{Error, Result};
 use crate::progress::{Latch, Progress};
-use crate::sand::mechanism::Mechanisms;
-use crate::sand::{Coefficients, Medium};
+use crate::sand::Medium;
 use crate::sim::engine::EngineKind;
 use crate::sim::model::Scene;
 use crate::sim::walk::{WalkResult, WalkTrial};
 use crate::sim::{Model, Robot};
 use crate::sweep::walk_all;
-use std::collections::HashMap;
 
 /// Steps of numerical slopes change all data together by this many σ: our choice, small against noise, and far above
 /// the roughness of a gait in which legs stick (reversed leg at 1 Hz: 0.3 % if the phase shifts by 0.2 rad).
@@ -36,7 +34,8 @@ pub struct WalkingModel<'a> {
     latch: &'a Latch<'a>,
     experiment: Experiment,
     setups: Vec<WalkSetup>,
-    robots: HashMap<(String, String), Robot>,
+    /// Robot of each setup.
+    robots: Vec<Robot>,
     /// Setup of each unit.
     setup_of: Vec<usize>,
     channels: Vec<Channel>,
@@ -47,43 +46,27 @@ pub struct WalkingModel<'a> {
     correction: Vec<f64>,
 }
 
-/// Predictions besides the nominal one.
-struct Others {
-    /// Predictions on a stronger and on a weaker bed; the strength differs by [`STRENGTH_STEP`].
-    beds: Vec<Vec<f64>>,
-    /// Predictions at each of [`PHASES`].
-    phases: Vec<Vec<f64>>,
-}
-
 impl<'a> WalkingModel<'a> {
     /// Refuses a setup whose plain simulation gives non-finite numbers. `latch` may stop all simulations.
     pub fn new(log: &WalkingLog, experiment: &Experiment, latch: &'a Latch<'a>) -> Result<Self> {
         let mut model = Self::along(log, experiment, latch)?;
         let plain = model.plain_sand();
-        let trials = model.trials(&plain).into_iter().collect::<Result<Vec<_>>>()?;
-        trials.iter().try_for_each(WalkTrial::validate)?;
+        model.trials(&plain, 0.0)?.iter().try_for_each(WalkTrial::validate)?;
         let results = model.simulate(&[plain], &[0.0]);
         if let Some(error) = latch.error() {
             return Err(error);
         }
-        let lost = results.iter().flatten().zip(&model.setups).find(|(result, _)| !result.speed.is_finite());
-        match lost {
-            Some((_, s)) => {
-                Err(Error::invalid("data", format!("the simulation of {} at {} Hz diverges", s.leg, s.frequency)))
-            }
-            None => {
-                model.correct_step()?;
-                Ok(model)
-            }
+        let mut walks = results.iter().flatten().zip(&model.setups);
+        if let Some((_, s)) = walks.find(|(result, _)| !result.speed.is_finite()) {
+            return Err(Error::invalid("data", format!("the simulation of {} at {} Hz diverges", s.leg, s.frequency)));
         }
+        model.correct_step()?;
+        Ok(model)
     }
 
     /// A model of the setups of a log, without a correction.
     fn along(log: &WalkingLog, experiment: &Experiment, latch: &'a Latch<'a>) -> Result<Self> {
-        let robot = |setup: &WalkSetup| {
-            let robot = Robot::load(&setup.robot)?.with_leg_shape(&setup.leg)?;
-            Ok(((setup.robot.clone(), setup.leg.clone()), robot))
-        };
+        let robot = |setup: &WalkSetup| Robot::load(&setup.robot)?.with_leg_shape(&setup.leg);
         Ok(Self {
             latch,
             experiment: experiment.clone(),
@@ -92,7 +75,7 @@ impl<'a> WalkingModel<'a> {
             setup_of: log.setting_of.clone(),
             channels: log.observations.channels.clone(),
             missing: log.missing.clone(),
-            known: Known::default(),
+            known: Known::up_to(usize::MAX),
             correction: Vec::new(),
         })
     }
@@ -102,39 +85,37 @@ impl<'a> WalkingModel<'a> {
     /// with the whole step. An eighth of the error remains.
     fn correct_step(&mut self) -> Result<()> {
         let plain = self.plain_sand();
-        let (fine, coarse) = (self.stepped(EngineKind::Lanes, &plain, FINE)?, self.predict(&plain.0, &plain.1));
+        let (fine, coarse) = (self.stepped(EngineKind::Lanes, &plain, FINE)?, self.predict(&plain));
         let ratio = |(f, c): (&f64, &f64)| if (f / c).is_finite() { f / c } else { 1.0 };
         self.correction = fine.iter().zip(&coarse).map(ratio).collect();
         Ok(())
     }
 
     /// A note on how predictions are corrected.
-    pub fn step_note(&self) -> Result<String> {
+    pub fn step_note(&self) -> String {
         let largest = self.correction.iter().map(|ratio| (ratio - 1.0).abs()).fold(0.0, f64::max);
         let (step, fine) = (1e3 * Scene::DEFAULT_DT, 1e3 * Scene::DEFAULT_DT / FINE);
-        Ok(format!(
+        format!(
             "predictions are simulated with a time step of {step} ms and multiplied by the ratio of plain simulations with {fine} \
              and {step} ms, which differs from 1 by at most {} %; the report shows simulated numbers without this factor",
             super::words::digits(100.0 * largest)
-        ))
+        )
     }
 
-    /// Simulated numbers, corrected.
     fn corrected(&self, mut stack: Vec<f64>) -> Vec<f64> {
         stack.iter_mut().zip(&self.correction).for_each(|(s, ratio)| *s *= ratio);
         stack
     }
 
-    /// A trial for every setup.
-    fn trials(&self, (mechanisms, coefficients): &SandParameters) -> Vec<Result<WalkTrial>> {
-        let trial = |setup: &WalkSetup| {
+    /// A trial for every setup, with all hips `phase` [rad] ahead.
+    fn trials(&self, (mechanisms, coefficients): &SandParameters, phase: f64) -> Result<Vec<WalkTrial>> {
+        let trial = |(setup, robot): (&WalkSetup, &Robot)| {
             let mut scene = Scene::flat(Medium { coefficients: *coefficients, ..self.medium().clone() });
             (scene.mechanisms, scene.slope_deg, scene.payload) = (*mechanisms, setup.slope_deg, setup.payload);
-            let robot = &self.robots[&(setup.robot.clone(), setup.leg.clone())];
             let trial = WalkTrial::new(Model::new(robot, &scene)?, setup.frequency);
-            Ok(WalkTrial { x_bed: setup.x_bed, strides: setup.strides, ..trial })
+            Ok(WalkTrial { phase, x_bed: setup.x_bed, strides: setup.strides, ..trial })
         };
-        self.setups.iter().map(trial).collect()
+        self.setups.iter().zip(&self.robots).map(trial).collect()
     }
 
     /// Results of every state with all hips ahead by each of `phases` [rad]: state by state, then phase by phase, setup
@@ -143,10 +124,8 @@ impl<'a> WalkingModel<'a> {
         let cases: Vec<_> = states.iter().flat_map(|state| phases.iter().map(move |&phase| (state, phase))).collect();
         let keys = cases.iter().map(|(state, phase)| key(state, &[*phase])).collect();
         self.known.of(keys, |new| {
-            let ahead = |phase: f64| move |trial: Result<WalkTrial>| trial.map(|t| WalkTrial { phase, ..t });
-            let new = new.iter().map(|&k| cases[k]);
-            let trials: Result<Vec<WalkTrial>> =
-                new.clone().flat_map(|(state, phase)| self.trials(state).into_iter().map(ahead(phase))).collect();
+            let trials: Result<Vec<_>> = new.iter().map(|&k| self.trials(cases[k].0, cases[k].1)).collect();
+            let trials = trials.map(|trials| trials.into_iter().flatten().collect::<Vec<_>>());
             let results = trials.and_then(|t| walk_all(EngineKind::Lanes, &t, self));
             let results = results.unwrap_or_else(|_| vec![WalkResult::lost(); self.setups.len() * new.len()]);
             results.chunks(self.setups.len().max(1)).map(<[_]>::to_vec).collect()
@@ -155,15 +134,9 @@ impl<'a> WalkingModel<'a> {
 
     /// Prediction by `engine` with a time step `finer` times smaller than the default one.
     fn stepped(&self, engine: EngineKind, state: &SandParameters, finer: f64) -> Result<Vec<f64>> {
-        let mut trials = self.trials(state).into_iter().collect::<Result<Vec<_>>>()?;
+        let mut trials = self.trials(state, 0.0)?;
         trials.iter_mut().for_each(|t| t.model.scene.dt /= finer);
         Ok(self.stack(&walk_all(engine, &trials, self)?))
-    }
-
-    fn others(&self, sand: &SandParameters) -> Others {
-        let beds = self.predict_many(&[STRENGTH_STEP, -STRENGTH_STEP].map(|share| stronger(sand, share)));
-        let phases = self.simulate(&[*sand], &PHASES);
-        Others { beds, phases: phases.iter().map(|r| self.corrected(self.stack(r))).collect() }
     }
 
     fn stack(&self, results: &[WalkResult]) -> Vec<f64> {
@@ -194,12 +167,6 @@ impl ForwardModel for WalkingModel<'_> {
         self.latch.stopped()
     }
 
-    fn predict(&self, mechanisms: &Mechanisms, coefficients: &Coefficients) -> Vec<f64> {
-        self.corrected(
-            self.simulate(&[(*mechanisms, *coefficients)], &[0.0]).iter().flat_map(|r| self.stack(r)).collect(),
-        )
-    }
-
     fn predict_many(&self, states: &[SandParameters]) -> Vec<Vec<f64>> {
         self.simulate(states, &[0.0]).iter().map(|r| self.corrected(self.stack(r))).collect()
     }
@@ -225,7 +192,9 @@ impl ForwardModel for WalkingModel<'_> {
     /// of squares, independent of the other channels and setups, because one difference gives the size of an error and not
     /// its pattern.
     fn uncertainty(&self, sand: &SandParameters, prediction: &[f64]) -> Uncertainty {
-        let Others { beds, phases } = self.others(sand);
+        let beds = self.predict_many(&[STRENGTH_STEP, -STRENGTH_STEP].map(|share| stronger(sand, share)));
+        let phases = self.simulate(&[*sand], &PHASES);
+        let phases: Vec<_> = phases.iter().map(|results| self.corrected(self.stack(results))).collect();
         let strength = slope(&beds[0], &beds[1], 2.0 * STRENGTH_STEP);
         let middle: Vec<f64> = beds[0].iter().zip(&beds[1]).map(|(a, b)| 0.5 * (a + b)).collect();
         let mut stacks = vec![slope(&middle, prediction, 1.0)];
@@ -276,10 +245,9 @@ impl ForwardModel for WalkingModel<'_> {
     }
 
     fn menu(&self) -> Option<Menu<'_>> {
-        let (setups, descriptions): (Vec<_>, Vec<_>) = walking_log::possible(&self.setups).into_iter().unzip();
-        let log = walking_log::planned(setups, self.channels.clone());
+        let log = walking_log::planned(walking_log::possible(&self.setups), self.channels.clone());
         let model = Self::along(&log, &self.experiment, self.latch).ok()?;
-        Some(Menu { model: Box::new(model), observations: log.observations, descriptions })
+        Some(Menu { model: Box::new(model), observations: log.observations })
     }
 
     fn group(&self, unit: usize) -> &str {

@@ -50,7 +50,6 @@ impl Whitener {
         Self { units: self.units.clone(), factors: weight.map(f64::sqrt).collect() }
     }
 
-    /// The whitened stack.
     pub fn apply(&self, stack: &[f64]) -> Vec<f64> {
         let mut white = stack.to_vec();
         for (unit, factor) in self.units.iter().zip(&self.factors) {

@@ -1,4 +1,4 @@
-//! Formats numbers, and takes sentences apart.
+//! Formats numbers and texts.
 
 /// A number with three significant digits, or with all digits before its decimal point if there are more.
 pub fn digits(value: f64) -> String {
@@ -30,32 +30,4 @@ pub fn span(range: [f64; 2], unit: &str) -> String {
 pub fn capital(text: &str) -> String {
     let mut letters = text.chars();
     letters.next().map_or(String::new(), |first| first.to_uppercase().chain(letters).collect())
-}
-
-/// The clauses of a sentence: its parts between semicolons that are not in brackets.
-pub fn clauses(sentence: &str) -> Vec<&str> {
-    let (mut parts, mut depth, mut from) = (Vec::new(), 0, 0);
-    for (at, letter) in sentence.char_indices() {
-        match letter {
-            '(' => depth += 1,
-            ')' => depth -= 1,
-            ';' if depth == 0 => {
-                parts.push(sentence[from..at].trim());
-                from = at + 1;
-            }
-            _ => {}
-        }
-    }
-    parts.push(sentence[from..].trim());
-    parts
-}
-
-#[cfg(test)]
-mod tests {
-    use super::clauses;
-
-    #[test]
-    fn clauses_end_outside_of_brackets() {
-        assert_eq!(clauses("a (b; c); d"), ["a (b; c)", "d"]);
-    }
 }

@@ -66,7 +66,7 @@ fn forward_model_agrees_with_the_test_bed() {
         let log = force_log::read(&file(directory.path(), &lab.clean), &experiment(), &Silent).unwrap();
         let model = ForceLogModel::new(&log, &experiment()).unwrap();
         let mechanisms = Mechanisms::default().with(Mechanisms::index(entry.id).unwrap(), entry.typical);
-        let ours = model.predict(&mechanisms, &medium.coefficients);
+        let ours = model.predict(&(mechanisms, medium.coefficients));
         let o = &log.observations;
         for unit in &o.units {
             for channel in 0..2 {
@@ -124,7 +124,7 @@ fn without_a_hidden_cause_the_verdict_is_noise_floor() {
 fn a_cause_outside_the_library_is_none_of_these() {
     let r = hidden(&[("wall", 1.0)]);
     assert_eq!(r.verdict, Verdict::NoneOfThese, "{}", r.summary);
-    assert!(r.causes.is_empty() && r.whereabouts.is_some());
+    assert!(r.causes.is_empty() && !r.whereabouts.is_empty());
     // A log of examples/diagnosis_study.rs, in which fits with values of the plain sand gain from the freedom of an unused parameter. They
     // are not compared, so the table of evidence must not have them (`sound` checks it).
     let value = Xoshiro256PlusPlus::seed_from_u64(158).random_range(0.4..1.5);
@@ -164,7 +164,7 @@ fn drag_is_the_main_cause_of_plates_in_grains() {
     assert_eq!(r.terms.len(), sand.terms.len());
     let log = force_log::read(&data, &experiment, &Silent).unwrap();
     let model = ForceLogModel::new(&log, &experiment).unwrap();
-    let again = model.with_terms(&sand.terms).unwrap().predict(&sand.mechanisms, &sand.coefficients);
+    let again = model.with_terms(&sand.terms).unwrap().predict(&(sand.mechanisms, sand.coefficients));
     assert!(again.iter().zip(&curves.extended.unwrap()).all(|(a, b)| (a - b).abs() < 1e-9));
 }
 
@@ -349,7 +349,7 @@ fn the_extended_sand_predicts_what_the_report_shows() {
     let sand = SandDescription::load(&directory.path().join("out/sand.toml")).unwrap();
     let log = force_log::read(&path, &experiment(), &Silent).unwrap();
     let model = ForceLogModel::new(&log, &experiment()).unwrap();
-    let again = model.predict(&sand.mechanisms, &sand.coefficients);
+    let again = model.predict(&(sand.mechanisms, sand.coefficients));
     let shown = diagnosis.curves.extended.unwrap();
     assert!(again.iter().zip(&shown).all(|(a, b)| (a - b).abs() < 1e-9));
 }

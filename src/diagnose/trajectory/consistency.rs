@@ -4,11 +4,11 @@
 //! specific force with gravity and with the attitude. They also compare torques, gyro and speed with the replay, whose error is
 //! some ten percent; a wrong unit gives a ratio of 57 or more, a wrong sign a negative ratio.
 
-use super::log::{Log, Run};
+use super::log::Run;
 use super::sensors::Layout;
 use super::windows::BINS;
 use crate::error::{Error, Result};
-use crate::series::ends;
+use crate::series::{central_difference, ends};
 use crate::sim::model::GRAVITY;
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
@@ -20,20 +20,25 @@ const NEAR: f64 = 0.2;
 const CLEAR: f64 = 0.7;
 const DEGREES: f64 = 180.0 / PI;
 
+/// The sums of a², a b and b².
+fn products(pairs: impl Iterator<Item = (f64, f64)>) -> (f64, f64, f64) {
+    pairs.fold((0.0, 0.0, 0.0), |(aa, ab, bb), (a, b)| (aa + a * a, ab + a * b, bb + b * b))
+}
+
 /// The ratio of the rms of `b` to the rms of `a`, with the sign of their correlation; None if the correlation is weaker than [`CLEAR`].
 fn proportion(pairs: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
-    let (aa, ab, bb) = pairs.fold((0.0, 0.0, 0.0), |(x, y, z), (a, b)| (x + a * a, y + a * b, z + b * b));
+    let (aa, ab, bb) = products(pairs);
     (ab.abs() > CLEAR * (aa * bb).sqrt() && aa > 0.0 && bb > 0.0).then(|| ab.signum() * (bb / aa).sqrt())
 }
 
-/// The name of the known ratio that `ratio` is near to.
-fn named<'a>(ratio: f64, known: &[(f64, &'a str)]) -> Option<&'a str> {
-    known.iter().find(|k| (ratio / k.0 - 1.0).abs() < NEAR).map(|k| k.1)
+/// What belongs to the known ratio that `ratio` is near to.
+fn named<T: Clone>(ratio: f64, known: &[(f64, T)]) -> Option<T> {
+    known.iter().find(|k| (ratio / k.0 - 1.0).abs() < NEAR).map(|k| k.1.clone())
 }
 
 /// Refuses a log in which joints, gravity and attitude contradict each other. `joints` has the joints' names.
-pub fn check(path: &Path, log: &Log, joints: &[String], mount: [f64; 4]) -> Result<()> {
-    for run in &log.runs {
+pub fn check(path: &Path, runs: &[Run], joints: &[String], mount: [f64; 4]) -> Result<()> {
+    for run in runs {
         let found = (joints.iter().enumerate())
             .find_map(|(j, name)| speed(run, j, name).or_else(|| command(run, j, name)))
             .or_else(|| gravity(run, mount))
@@ -50,30 +55,22 @@ fn speed(run: &Run, j: usize, name: &str) -> Option<String> {
     let qd = run.qd.get(j)?;
     let q = &run.q[j];
     let inner = 2..q.len().saturating_sub(2);
-    let change = |i: usize| (q[i + 2] - q[i - 2]) / (run.t[i + 2] - run.t[i - 2]);
+    let change = |i: usize| central_difference(&run.t, q, i, 2);
     let [low, high] = ends(q.iter().copied());
     // Samples at which an angle is wrapped are left out.
     let steady = |i: &usize| (q[i + 2] - q[i - 2]).abs() <= 0.5 * (high - low);
     let ratio = proportion(inner.filter(steady).map(|i| (change(i), qd[i])))?;
+    let unit = |what: &str, column: &str, unit: &str| format!("{what}; state [units] \"{column}:{name}\" = \"{unit}\"");
+    let degrees = || unit("the speed is in degrees", "qd", "deg/s");
     let known = [
-        (-1.0, "has the opposite sign of the change of"),
-        (DEGREES, "is 57.3 times the change of"),
-        (-DEGREES, "is -57.3 times the change of"),
-        (1.0 / DEGREES, "is 1/57.3 of the change of"),
-        (60.0 / TAU, "is 9.55 times the change of"),
-        (1.0 / TAU, "is 1/6.28 of the change of"),
+        (-1.0, ("has the opposite sign of the change of", "one of the two has the wrong sign".to_string())),
+        (DEGREES, ("is 57.3 times the change of", degrees())),
+        (-DEGREES, ("is -57.3 times the change of", degrees())),
+        (1.0 / DEGREES, ("is 1/57.3 of the change of", unit("the angle is in degrees", "q", "deg"))),
+        (60.0 / TAU, ("is 9.55 times the change of", unit("the speed is in turns a minute", "qd", "rpm"))),
+        (1.0 / TAU, ("is 1/6.28 of the change of", unit("the speed is in turns a second", "qd", "Hz"))),
     ];
-    let what = named(ratio, &known)?;
-    let mend = match named(
-        ratio.abs(),
-        &[(1.0, "="), (DEGREES, "qd"), (1.0 / DEGREES, "q"), (60.0 / TAU, "rpm"), (1.0 / TAU, "Hz")],
-    ) {
-        Some("qd") => format!("the speed is in degrees; state [units] \"qd:{name}\" = \"deg/s\""),
-        Some("q") => format!("the angle is in degrees; state [units] \"q:{name}\" = \"deg\""),
-        Some("rpm") => format!("the speed is in turns a minute; state [units] \"qd:{name}\" = \"rpm\""),
-        Some("Hz") => format!("the speed is in turns a second; state [units] \"qd:{name}\" = \"Hz\""),
-        _ => "one of the two has the wrong sign".to_string(),
-    };
+    let (what, mend) = named(ratio, &known)?;
     Some(format!("qd:{name} {what} q:{name}: {mend}"))
 }
 
@@ -149,8 +146,7 @@ fn attitude(run: &Run) -> Option<String> {
             let up = [2.0 * (x * z - w * y), 2.0 * (y * z + w * x)];
             [(up[0] * GRAVITY, run.acc[0][i]), (up[1] * GRAVITY, run.acc[1][i])]
         });
-        let (aa, ab, bb) =
-            pairs.fold((0.0, 0.0, 0.0), |(s, t, u), (a, b): (f64, f64)| (s + a * a, t + a * b, u + b * b));
+        let (aa, ab, bb) = products(pairs);
         ab / (aa * bb).sqrt().max(1e-12)
     };
     let as_is = |i: usize| [w[i], x[i], y[i], z[i]];

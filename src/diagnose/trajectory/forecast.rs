@@ -7,8 +7,8 @@ use crate::experiment::Experiment;
 use crate::fit::slope;
 use crate::forward::{Feature, ForwardModel, Menu, SandParameters, Testable, stronger};
 use crate::nuisance::Nuisance;
-use crate::sand::mechanism::{CATALOG, Mechanisms};
-use crate::sand::{Coefficients, SandDescription};
+use crate::sand::SandDescription;
+use crate::sand::mechanism::CATALOG;
 use crate::shared::Uncertainty;
 use crate::sim::hardware::HardwareDescription;
 use std::collections::HashMap;
@@ -27,10 +27,6 @@ impl ForwardModel for TrajectoryModel<'_> {
         self.latch.stopped()
     }
 
-    fn predict(&self, mechanisms: &Mechanisms, coefficients: &Coefficients) -> Vec<f64> {
-        self.simulate(&[(*mechanisms, *coefficients)]).swap_remove(0)
-    }
-
     fn predict_many(&self, states: &[SandParameters]) -> Vec<Vec<f64>> {
         self.simulate(states)
     }
@@ -43,8 +39,7 @@ impl ForwardModel for TrajectoryModel<'_> {
     /// bed, the offsets of its sensors, and the error of the time step. At each number the model errs by a share of the
     /// channel's standard deviation within the stride, and by the scatter of [`Self::unsettled`].
     fn uncertainty(&self, sand: &SandParameters, prediction: &[f64]) -> Uncertainty {
-        let (harder, coefficients) = stronger(sand, STRENGTH_STEP);
-        let harder = self.predict(&harder, &coefficients);
+        let harder = self.predict(&stronger(sand, STRENGTH_STEP));
         let mut common = vec![slope(&harder, prediction, STRENGTH_STEP / self.prior("bed_strength").max(1e-9))];
         let torque = self.prior("torque_offset") * self.torque_rms(prediction);
         let joints = self.layout.joints;
@@ -70,7 +65,7 @@ impl ForwardModel for TrajectoryModel<'_> {
     }
 
     fn nuisances(&self, sand: &SandParameters, values: &[(String, f64)]) -> Vec<Nuisance> {
-        let here = self.predict(&sand.0, &sand.1);
+        let here = self.predict(sand);
         let tracks = self.tracks(&[*sand], 0.0, 1.0).swap_remove(0);
         let mut all = self.mounting(&tracks, values);
         // A wrong torque constant changes the logged torques of a given motion. The ratio of logged to requested torques is
@@ -128,7 +123,7 @@ impl ForwardModel for TrajectoryModel<'_> {
         vec![
             per_bin("stride_frequency", "Hz", &|run, _| own.get(&run).copied().unwrap_or(0.0)),
             per_bin("phase", "rad", &|_, bin| (bin as f64 + 0.5) * TAU / BINS as f64),
-            per_bin("slope_deg", "°", &|run, _| self.log.runs[run].slope_deg),
+            per_bin("slope_deg", "°", &|run, _| self.runs[run].slope_deg),
         ]
     }
 
@@ -137,6 +132,6 @@ impl ForwardModel for TrajectoryModel<'_> {
     }
 
     fn group(&self, unit: usize) -> &str {
-        self.log.runs[self.windows[self.window_of[unit]].run].leg.as_deref().unwrap_or("robot")
+        self.runs[self.windows[self.window_of[unit]].run].leg.as_deref().unwrap_or("robot")
     }
 }

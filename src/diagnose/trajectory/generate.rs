@@ -1,6 +1,6 @@
 //! Logs for tests: the hexapod walks with servos in engine `rapier`, which is not the engine that replays the logs, and its sensors have errors.
 
-use super::replay::{Replay, ReplayRobot, ReplayedJoint, Signals, sample};
+use super::replay::{Replay, ReplayedJoint, Signals, sample};
 use crate::sand::mechanism::Mechanisms;
 use crate::sand::{Coefficients, Medium};
 use crate::series::interpolate;
@@ -49,7 +49,6 @@ pub fn experiment() -> crate::experiment::Experiment {
     crate::experiment::Experiment::from_toml(EXPERIMENT).unwrap()
 }
 
-/// The log as CSV.
 pub fn csv(truth: &Truth) -> String {
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(truth.seed);
     let mut normal = move || -> f64 { StandardNormal.sample(&mut rng) };
@@ -151,14 +150,8 @@ fn filter(signal: &mut [f64], time: f64) {
     }
 }
 
-/// A temporary file with this text.
-pub fn file(text: &str) -> tempfile::NamedTempFile {
+pub fn file(text: impl AsRef<[u8]>) -> tempfile::NamedTempFile {
     let file = tempfile::Builder::new().suffix(".csv").tempfile().unwrap();
     std::fs::write(file.path(), text).unwrap();
     file
-}
-
-/// The robot of these logs.
-pub fn body() -> ReplayRobot {
-    ReplayRobot::load("xplorer", None).unwrap()
 }

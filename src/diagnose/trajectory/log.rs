@@ -1,7 +1,8 @@
 //! A robot's own log in memory: runs with the samples of joints and IMU, gathered from the rows of a file.
 
-use super::keys::{Keys, RunTable};
 use crate::error::{Error, Result};
+use crate::experiment::{ExperimentFile, MOST_RUNS, RunTable};
+use crate::observations::columns;
 use crate::series::ends;
 use crate::table::{HeaderColumn, Quantity, Row};
 use std::collections::BTreeMap;
@@ -12,8 +13,6 @@ use std::path::Path;
 const MOST_NUMBERS: usize = 20_000_000;
 /// Largest number of a robot's joints: our choice, enough for a hexapod with four joints a leg.
 pub const MOST_JOINTS: usize = 24;
-/// Largest number of runs in a log: our choice.
-const MOST_RUNS: usize = 1000;
 /// Fewest samples of a run: our choice; a tenth of a second at 200 Hz is less than a stride.
 const FEWEST_SAMPLES: usize = 20;
 /// Longest usual time between two samples [s]. The next constant is the longest gap as a multiple of the usual time. Our choices: a
@@ -49,51 +48,32 @@ pub struct Run {
     pub place: [Vec<f64>; 3],
 }
 
-/// All runs.
-#[derive(Clone, Debug, Default)]
-pub struct Log {
-    pub runs: Vec<Run>,
-    /// Optional columns that are absent.
-    pub missing: Vec<&'static str>,
-    pub sha256: String,
+// Columns that do not depend on the robot; the columns of joints follow them. Vectors are read from their first column on.
+columns! {
+    RUN = "run" Text false;
+    CONDITION = "condition" Text false;
+    _REP = "rep" Text false;
+    LEG = "leg" Text false;
+    SLOPE = "slope_deg" Degrees false;
+    FREQUENCY = "stride_frequency" Frequency false;
+    T = "t" Time true;
+    GYRO = "gyro_x" AngularSpeed true;
+    _GYRO_Y = "gyro_y" AngularSpeed true;
+    _GYRO_Z = "gyro_z" AngularSpeed true;
+    ACC = "acc_x" Acceleration true;
+    _ACC_Y = "acc_y" Acceleration true;
+    _ACC_Z = "acc_z" Acceleration true;
+    QUAT = "quat_w" Number false;
+    _QUAT_X = "quat_x" Number false;
+    _QUAT_Y = "quat_y" Number false;
+    _QUAT_Z = "quat_z" Number false;
+    PLACE = "x" Length false;
+    _Y = "y" Length false;
+    _Z = "z" Length false;
+    _VX = "vx" Speed false;
+    _VY = "vy" Speed false;
+    _VZ = "vz" Speed false;
 }
-
-/// Columns that do not depend on the robot; the columns of joints follow them.
-const FIXED: [(&str, Quantity, bool); 23] = [
-    ("run", Quantity::Text, false),
-    ("condition", Quantity::Text, false),
-    ("rep", Quantity::Text, false),
-    ("leg", Quantity::Text, false),
-    ("slope_deg", Quantity::Degrees, false),
-    ("stride_frequency", Quantity::Frequency, false),
-    ("t", Quantity::Time, true),
-    ("gyro_x", Quantity::AngularSpeed, true),
-    ("gyro_y", Quantity::AngularSpeed, true),
-    ("gyro_z", Quantity::AngularSpeed, true),
-    ("acc_x", Quantity::Acceleration, true),
-    ("acc_y", Quantity::Acceleration, true),
-    ("acc_z", Quantity::Acceleration, true),
-    ("quat_w", Quantity::Number, false),
-    ("quat_x", Quantity::Number, false),
-    ("quat_y", Quantity::Number, false),
-    ("quat_z", Quantity::Number, false),
-    ("x", Quantity::Length, false),
-    ("y", Quantity::Length, false),
-    ("z", Quantity::Length, false),
-    ("vx", Quantity::Speed, false),
-    ("vy", Quantity::Speed, false),
-    ("vz", Quantity::Speed, false),
-];
-const RUN: usize = 0;
-const CONDITION: usize = 1;
-const LEG: usize = 3;
-const SLOPE: usize = 4;
-const FREQUENCY: usize = 5;
-const T: usize = 6;
-const GYRO: usize = 7;
-const ACC: usize = 10;
-const QUAT: usize = 13;
-const PLACE: usize = 17;
 
 /// Names of the joints' columns, three for each joint.
 pub struct JointColumns<'a> {
@@ -104,12 +84,12 @@ pub struct JointColumns<'a> {
 
 impl<'a> JointColumns<'a> {
     /// The columns of these joints. If the torque constant is given, the log has currents in place of torques.
-    pub fn new(joints: &'a [String], keys: &Keys) -> Result<Self> {
+    pub fn new(joints: &'a [String], file: &ExperimentFile) -> Result<Self> {
         if joints.is_empty() || joints.len() > MOST_JOINTS {
             let reason = format!("the robot has {} joints; a log is replayed with 1 to {MOST_JOINTS}", joints.len());
             return Err(Error::invalid("robot", reason));
         }
-        let currents = keys.torque_constant.is_some();
+        let currents = file.motor.torque_constant.is_some();
         let torque = if currents { "i" } else { "tau" };
         let of_joints =
             ["q", "qd", torque].into_iter().flat_map(|kind| joints.iter().map(move |j| format!("{kind}:{j}")));
@@ -118,7 +98,6 @@ impl<'a> JointColumns<'a> {
 
     /// The columns that a log must or may have.
     pub fn columns(&self) -> Vec<HeaderColumn<'_>> {
-        let fixed = FIXED.iter().map(|&(name, quantity, required)| HeaderColumn { name, quantity, required });
         let kinds = [
             (Quantity::Angle, true),
             (Quantity::AngularSpeed, false),
@@ -128,7 +107,7 @@ impl<'a> JointColumns<'a> {
             let (quantity, required) = kinds[k / self.joints.len()];
             HeaderColumn { name, quantity, required }
         });
-        fixed.chain(own).collect()
+        COLUMNS.iter().copied().chain(own).collect()
     }
 
     /// A table of columns, in which an entry such as `"q:*" = "state.*.pos"` stands for the same entry of every joint.
@@ -150,7 +129,7 @@ impl<'a> JointColumns<'a> {
 /// Gathers the rows of a file into runs.
 pub struct Gather<'a> {
     names: &'a JointColumns<'a>,
-    keys: &'a Keys,
+    file: &'a ExperimentFile,
     runs: Vec<Run>,
     places: BTreeMap<String, usize>,
     numbers: usize,
@@ -159,30 +138,30 @@ pub struct Gather<'a> {
 }
 
 impl<'a> Gather<'a> {
-    pub fn new(names: &'a JointColumns<'a>, keys: &'a Keys) -> Self {
-        Self { names, keys, runs: Vec::new(), places: BTreeMap::new(), numbers: 0, there: None }
+    pub fn new(names: &'a JointColumns<'a>, file: &'a ExperimentFile) -> Self {
+        Self { names, file, runs: Vec::new(), places: BTreeMap::new(), numbers: 0, there: None }
     }
 
     pub fn take(&mut self, row: &Row) -> Result<()> {
         let joints = self.names.joints.len();
         let there = *self.there.get_or_insert_with(|| {
             let all = |from: usize, count: usize| (from..from + count).all(|c| row.text(c).is_some());
-            [all(FIXED.len() + joints, joints), all(QUAT, 4), all(PLACE, 3)]
+            [all(COLUMNS.len() + joints, joints), all(QUAT, 4), all(PLACE, 3)]
         });
-        let constant = self.keys.torque_constant.unwrap_or(1.0);
+        let constant = self.file.motor.torque_constant.unwrap_or(1.0);
         let number = |column: usize| row.within(column, MOST)?.ok_or_else(|| row.blank(column));
         let t = number(T)?;
-        let cut = self.keys.runs.iter().find(|cut| cut.holds(t));
-        if cut.is_none() && !self.keys.runs.is_empty() {
+        let cut = self.file.runs.iter().find(|cut| cut.holds(t));
+        if cut.is_none() && !self.file.runs.is_empty() {
             return Ok(()); // the experiment file lists runs, and the row belongs to none of them
         }
-        let place = self.place(row, cut)?;
+        let place = self.place(row, cut, there[0])?;
         let run = &mut self.runs[place];
         if run.t.last().is_some_and(|last| t <= *last) {
             return Err(row.error(T, format!("{t} s is not after the previous sample of the same run")));
         }
         run.t.push(t);
-        let base = FIXED.len();
+        let base = COLUMNS.len();
         for j in 0..joints {
             run.q[j].push(number(base + j)?);
             if there[0] {
@@ -216,7 +195,8 @@ impl<'a> Gather<'a> {
     }
 
     /// Index of the run that a row belongs to: the run `cut` that the experiment file lists, or the run in the column `run`.
-    fn place(&mut self, row: &Row, cut: Option<&RunTable>) -> Result<usize> {
+    /// `speeds`: does the log have joint speeds?
+    fn place(&mut self, row: &Row, cut: Option<&RunTable>, speeds: bool) -> Result<usize> {
         if cut.is_some() && row.text(RUN).is_some() {
             return Err(row.error(RUN, "the log says which rows are a run, and the experiment file lists [[run]] too"));
         }
@@ -228,11 +208,11 @@ impl<'a> Gather<'a> {
             return Err(row.error(RUN, format!("more than {MOST_RUNS} runs")));
         }
         let joints = self.names.joints.len();
-        let frequency = cut.and_then(|c| c.stride_frequency).or(row.number(FREQUENCY)?).or(self.keys.stride_frequency);
+        let frequency = cut.and_then(|c| c.stride_frequency).or(row.number(FREQUENCY)?).or(self.file.stride_frequency);
         if frequency.is_some_and(|f| !(-20.0..=20.0).contains(&f)) {
             return Err(row.error(FREQUENCY, "is outside [-20, 20] Hz"));
         }
-        let slope_deg = cut.and_then(|c| c.slope_deg).or(row.number(SLOPE)?).unwrap_or(self.keys.slope_deg);
+        let slope_deg = cut.and_then(|c| c.slope_deg).or(row.number(SLOPE)?).unwrap_or(self.file.slope_deg);
         if slope_deg.abs() > crate::sim::model::Scene::MAX_SLOPE_DEG {
             return Err(
                 row.error(SLOPE, format!("{slope_deg} is outside ±{}", crate::sim::model::Scene::MAX_SLOPE_DEG))
@@ -241,11 +221,11 @@ impl<'a> Gather<'a> {
         self.runs.push(Run {
             name: name.into(),
             condition: cut.and_then(|c| c.condition.as_deref()).or(row.text(CONDITION)).unwrap_or(name).into(),
-            leg: cut.and_then(|c| c.leg.as_deref()).or(row.text(LEG)).or(self.keys.leg.as_deref()).map(Into::into),
+            leg: cut.and_then(|c| c.leg.as_deref()).or(row.text(LEG)).or(self.file.leg.as_deref()).map(Into::into),
             slope_deg,
             frequency,
             q: vec![Vec::new(); joints],
-            qd: vec![Vec::new(); joints],
+            qd: vec![Vec::new(); if speeds { joints } else { 0 }],
             tau: vec![Vec::new(); joints],
             ..Run::default()
         });
@@ -253,25 +233,19 @@ impl<'a> Gather<'a> {
         Ok(self.runs.len() - 1)
     }
 
-    /// The log, checked run by run.
-    pub fn finish(mut self, path: &Path, sha256: String) -> Result<Log> {
+    /// The runs, checked one by one.
+    pub fn finish(mut self, path: &Path) -> Result<Vec<Run>> {
         if self.runs.is_empty() {
             return Err(Error::file(
                 path,
                 "no row belongs to a run that the experiment file lists: `from` and `to` are values of t [s]",
             ));
         }
-        let there = self.there.unwrap_or_default();
-        if !there[0] {
-            self.runs.iter_mut().for_each(|r| r.qd.clear());
-        }
         self.runs.iter_mut().flat_map(|r| &mut r.q).for_each(|q| unwrap(q));
         for run in &self.runs {
             run.validate().map_err(|reason| Error::file(path, format!("run {}: {reason}", run.name)))?;
         }
-        let optional = [("qd:JOINT", there[0]), ("quat_w … quat_z", there[1]), ("x, y, z", there[2])];
-        let missing = optional.iter().filter(|o| !o.1).map(|o| o.0).collect();
-        Ok(Log { runs: self.runs, missing, sha256 })
+        Ok(self.runs)
     }
 }
 

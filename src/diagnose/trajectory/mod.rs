@@ -8,10 +8,8 @@
 mod consistency;
 mod forecast;
 #[cfg(test)]
-pub(super) mod generate;
-pub(super) mod keys;
+mod generate;
 mod log;
-mod logged;
 mod measuring;
 mod model;
 mod plan;
@@ -28,24 +26,24 @@ use super::observations::Observations;
 use crate::error::Result;
 use crate::progress::{Latch, Progress};
 use crate::table::{self, ReadOptions};
-use log::{Gather, JointColumns, Log};
+use log::{Gather, JointColumns, Run};
 use model::TrajectoryModel;
 use replay::ReplayRobot;
 use std::path::Path;
 
-/// Reads a log and refuses it if units or signs are wrong.
-fn read(data: &Path, experiment: &Experiment, progress: &dyn Progress) -> Result<Log> {
-    let keys = &experiment.trajectory;
+/// Reads the runs of a log and the checksum of its file; refuses the log if units or signs are wrong.
+fn read(data: &Path, experiment: &Experiment, progress: &dyn Progress) -> Result<(Vec<Run>, String)> {
+    let file = &experiment.file;
     let joints = ReplayRobot::of(experiment)?.joint_names();
-    let names = JointColumns::new(&joints, keys)?;
+    let names = JointColumns::new(&joints, file)?;
     let columns = names.columns();
-    let [renamed, units] = [&experiment.columns, &experiment.units].map(|table| names.for_each_joint(table));
+    let [renamed, units] = [&file.columns, &file.units].map(|table| names.for_each_joint(table));
     let asked = ReadOptions { renamed, units, progress, ..ReadOptions::new(&columns) };
-    let mut gather = Gather::new(&names, keys);
+    let mut gather = Gather::new(&names, file);
     let summary = table::read(data, &asked, |row| gather.take(row))?;
-    let log = gather.finish(data, summary.sha256)?;
-    consistency::check(data, &log, &joints, keys.imu.quat)?;
-    Ok(log)
+    let runs = gather.finish(data)?;
+    consistency::check(data, &runs, &joints, file.imu.quat)?;
+    Ok((runs, summary.sha256))
 }
 
 /// The measured numbers, the checksum of their file, notes on how they were prepared, and the model that predicts them.
@@ -54,9 +52,8 @@ pub fn measured<'a>(
     experiment: &Experiment,
     latch: &'a Latch<'a>,
 ) -> Result<(Observations, String, Vec<String>, TrajectoryModel<'a>)> {
-    let log = read(data, experiment, latch)?;
-    let sha256 = log.sha256.clone();
-    let (model, observations) = TrajectoryModel::new(log, experiment, latch)?;
+    let (runs, sha256) = read(data, experiment, latch)?;
+    let (model, observations) = TrajectoryModel::new(runs, experiment, latch)?;
     consistency::against_replay(data, &model.layout, &observations.values, &model.plain())?;
     let note = format!(
         "the logged joint angles are replayed, in {} windows with {} strides in all; {}",

@@ -1,6 +1,6 @@
 //! The model of a robot's log: predicts what its sensors read while its joints move as logged.
 
-use super::log::Log;
+use super::log::Run;
 use super::replay::{ReplayRobot, ReplayedJoint};
 use super::sensors::{Layout, LoggedHardware};
 use super::servo::{self, RequestedTorques};
@@ -10,7 +10,7 @@ use crate::experiment::Experiment;
 use crate::forward::ForwardModel;
 use crate::hardware::{TORQUE_CONSTANT, TORQUE_LIMIT, quantities_of};
 use crate::known::Known;
-use crate::observations::{Channel, Observations, Size, Unit};
+use crate::observations::{Channel, Observations, Size};
 use crate::progress::Latch;
 use crate::sim::model::Scene;
 use std::collections::HashMap;
@@ -24,7 +24,7 @@ pub struct TrajectoryModel<'a> {
     pub(super) latch: &'a Latch<'a>,
     /// Facts about the log. If they state a torque limit, it becomes a mechanism, which limits the requested torques.
     pub(super) experiment: Experiment,
-    pub(super) log: Log,
+    pub(super) runs: Vec<Run>,
     /// The robot of each run.
     pub(super) bodies: Vec<ReplayRobot>,
     pub(super) windows: Vec<Window>,
@@ -42,20 +42,19 @@ pub struct TrajectoryModel<'a> {
 
 impl<'a> TrajectoryModel<'a> {
     /// The model, and the measured numbers that it predicts.
-    pub fn new(log: Log, experiment: &Experiment, latch: &'a Latch<'a>) -> Result<(Self, Observations)> {
+    pub fn new(runs: Vec<Run>, experiment: &Experiment, latch: &'a Latch<'a>) -> Result<(Self, Observations)> {
         let body = ReplayRobot::of(experiment)?;
-        let bodies = log.runs.iter().map(|r| body.with_leg(r.leg.as_deref())).collect::<Result<Vec<_>>>()?;
-        let windows = windows(&log.runs, experiment.trajectory.window);
+        let bodies = runs.iter().map(|r| body.with_leg(r.leg.as_deref())).collect::<Result<Vec<_>>>()?;
+        let windows = windows(&runs, experiment.file.window);
         if windows.is_empty() {
             let reason = "no run has a whole stride after its first one: log runs of at least three strides";
             return Err(Error::invalid("data", reason));
         }
-        let asked = servo::asked(&log, &bodies)?;
-        let there = |name: &str| !log.missing.contains(&name);
+        let asked = servo::asked(&runs, &bodies)?;
         let layout = Layout {
-            joints: log.runs[0].q.len(),
-            attitude: there("quat_w … quat_z"),
-            place: there("x, y, z"),
+            joints: runs[0].q.len(),
+            attitude: !runs[0].attitude[0].is_empty(),
+            place: !runs[0].place[0].is_empty(),
             servo: asked.is_some(),
         };
         let mut experiment = experiment.clone();
@@ -64,13 +63,13 @@ impl<'a> TrajectoryModel<'a> {
             let limit = given.hardware.value(TORQUE_LIMIT).unwrap_or(0.0);
             given.mechanisms.motor_torque_limit = limit / given.hardware.value(TORQUE_CONSTANT).unwrap_or(1.0);
         }
-        let model = Self { asked, ..Self::along(experiment, latch, layout, log, bodies, windows) };
+        let model = Self { asked, ..Self::along(experiment, latch, layout, runs, bodies, windows) };
         let plain = model.plain();
         if let Some(error) = latch.error() {
             return Err(error);
         }
         if let Some(lost) = plain.iter().position(|p| !p.is_finite()) {
-            let run = &model.log.runs[model.windows[model.window_of[lost / model.span()]].run].name;
+            let run = &model.runs[model.windows[model.window_of[lost / model.span()]].run].name;
             return Err(Error::invalid(
                 "data",
                 format!("the simulation of run {run} diverges: check that the log is of this robot"),
@@ -85,11 +84,11 @@ impl<'a> TrajectoryModel<'a> {
         experiment: Experiment,
         latch: &'a Latch<'a>,
         layout: Layout,
-        log: Log,
+        runs: Vec<Run>,
         bodies: Vec<ReplayRobot>,
         windows: Vec<Window>,
     ) -> Self {
-        let drive = |w: &Window| ReplayedJoint::new(&log.runs[w.run], w, Scene::DEFAULT_DT);
+        let drive = |w: &Window| ReplayedJoint::new(&runs[w.run], w, Scene::DEFAULT_DT);
         let of_window = |(k, w): (usize, &Window)| std::iter::repeat_n(k, w.strides.len());
         let mut model = Self {
             drives: windows.iter().map(drive).collect(),
@@ -100,7 +99,7 @@ impl<'a> TrajectoryModel<'a> {
             known: Known::up_to(KNOWN),
             latch,
             experiment,
-            log,
+            runs,
             bodies,
             windows,
             layout,
@@ -119,9 +118,8 @@ impl<'a> TrajectoryModel<'a> {
         self.experiment.nuisances.sd(kind)
     }
 
-    /// The prediction of the plain model.
     pub fn plain(&self) -> Vec<f64> {
-        self.simulate(&[self.plain_sand()]).swap_remove(0)
+        self.predict(&self.plain_sand())
     }
 
     /// A sentence that says which joint each torque channel belongs to.
@@ -139,9 +137,9 @@ impl<'a> TrajectoryModel<'a> {
         let values = self.windows.iter().flat_map(|w| self.measured(w)).collect();
         let mut conditions: Vec<String> = Vec::new();
         let mut places = HashMap::new();
-        let mut units = Vec::new();
+        let mut rows = Vec::new();
         for (u, &w) in self.window_of.iter().enumerate() {
-            let run = &self.log.runs[self.windows[w].run];
+            let run = &self.runs[self.windows[w].run];
             let condition = *places.entry(self.windows[w].run).or_insert_with(|| {
                 conditions.push(if run.condition == run.name {
                     run.name.clone()
@@ -150,20 +148,26 @@ impl<'a> TrajectoryModel<'a> {
                 });
                 conditions.len() - 1
             });
-            units.push(Unit {
-                id: format!("{}:{}", run.name, u + 1),
-                condition,
-                start: u * self.span(),
-                samples: BINS,
-                progress: progress(),
-            });
+            rows.push((format!("{}:{}", run.name, u + 1), condition));
         }
-        Observations { size: Size::Channel, values, channels: self.layout.channels(), units, conditions }
+        self.of_strides(rows, values, conditions)
     }
 
-    /// The measured numbers of one window.
+    /// Observations of strides, each with an id and a condition.
+    pub(super) fn of_strides(
+        &self,
+        rows: Vec<(String, usize)>,
+        values: Vec<f64>,
+        conditions: Vec<String>,
+    ) -> Observations {
+        // Phase at the middle of each part of a stride [rad].
+        let progress: Vec<f64> = (0..BINS).map(|b| (b as f64 + 0.5) * TAU / BINS as f64).collect();
+        let (size, channels) = (Size::Channel, self.layout.channels());
+        Observations::of_rows(size, channels, &progress, rows.into_iter(), values, conditions)
+    }
+
     fn measured(&self, window: &Window) -> Vec<f64> {
-        let run = &self.log.runs[window.run];
+        let run = &self.runs[window.run];
         let [w, x, y, z] = &run.attitude;
         let up: Vec<Vec<f64>> = match self.layout.attitude {
             // x and y of the upward direction in the IMU's frame.
@@ -190,11 +194,6 @@ impl<'a> TrajectoryModel<'a> {
         }
         stack
     }
-}
-
-/// Phase at the middle of each part of a stride [rad].
-pub(super) fn progress() -> Vec<f64> {
-    (0..BINS).map(|b| (b as f64 + 0.5) * TAU / BINS as f64).collect()
 }
 
 /// Mean horizontal speed from `a` to `b` [m/s].

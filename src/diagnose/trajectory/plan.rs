@@ -1,15 +1,15 @@
 //! Walks that could be logged next: the diagnosis proposes the one that best distinguishes the causes, such as "walk at 3 Hz up 5°".
 
-use super::log::{Log, Run};
-use super::model::{TrajectoryModel, progress};
+use super::log::Run;
+use super::model::TrajectoryModel;
 use super::replay::{ReplayRobot, Signals};
 use super::servo::RequestedTorques;
-use super::windows::{BINS, Window, windows};
+use super::windows::{Window, windows};
 use crate::forward::{ForwardModel, Menu};
-use crate::observations::{Observations, Size, Unit};
 use crate::series::ends;
 use crate::sim::model::Scene;
 use crate::sim::walk::hip_angle;
+use std::collections::BTreeSet;
 use std::f64::consts::TAU;
 
 /// Stride frequencies [Hz] and slopes [°] that may be proposed: our choices, round numbers in the range of hexapods on sand.
@@ -29,57 +29,42 @@ impl TrajectoryModel<'_> {
     /// known in advance.
     pub(super) fn planned(&self) -> Option<Menu<'_>> {
         let (runs, bodies, descriptions) = self.walks()?;
-        let mut all = windows(&runs, self.experiment.trajectory.window);
+        let mut all = windows(&runs, self.experiment.file.window);
         if all.len() != runs.len() {
             return None;
         }
         all.iter_mut().for_each(|w| w.strides = w.strides.split_off(w.strides.len() - 1));
-        let log = Log { runs, missing: self.log.missing.clone(), sha256: String::new() };
-        let mut model = TrajectoryModel::along(self.experiment.clone(), self.latch, self.layout, log, bodies, all);
+        let mut model = TrajectoryModel::along(self.experiment.clone(), self.latch, self.layout, runs, bodies, all);
         if self.layout.servo {
             model.asked = Some(model.needed()?);
         }
-        let span = model.span();
-        let unit = |(u, id): (usize, &String)| Unit {
-            id: id.clone(),
-            condition: u,
-            start: u * span,
-            samples: BINS,
-            progress: progress(),
-        };
-        let observations = Observations {
-            size: Size::Channel,
-            values: vec![0.0; span * descriptions.len()],
-            channels: self.layout.channels(),
-            units: descriptions.iter().enumerate().map(unit).collect(),
-            conditions: descriptions.clone(),
-        };
-        Some(Menu { model: Box::new(model), observations, descriptions })
+        let rows = descriptions.iter().cloned().zip(0..).collect();
+        let values = vec![0.0; model.span() * descriptions.len()];
+        let observations = model.of_strides(rows, values, descriptions);
+        Some(Menu { model: Box::new(model), observations })
     }
 
     /// The walks, their robots, and their descriptions.
     fn walks(&self) -> Option<(Vec<Run>, Vec<ReplayRobot>, Vec<String>)> {
-        let known: Option<Vec<f64>> = self.log.runs.iter().map(|r| r.frequency).collect();
+        let known: Option<Vec<f64>> = self.runs.iter().map(|r| r.frequency).collect();
         let known = known.filter(|k| k.iter().all(|f| f.abs() > 0.02))?;
         let turns = |run: &Run| run.q.iter().all(|q| (q[q.len() - 1] - q[0]).abs() > TAU);
-        if matches!(self.bodies[0], ReplayRobot::Tree(_)) || !self.log.runs.iter().all(turns) {
+        if matches!(self.bodies[0], ReplayRobot::Tree(_)) || !self.runs.iter().all(turns) {
             return None;
         }
         let [low, high] = ends(known.iter().map(|f| f.abs()));
         let offered = FREQUENCIES.iter().filter(|f| (low / BEYOND..=high * BEYOND).contains(*f));
-        let mut legs: Vec<Option<String>> = self.log.runs.iter().map(|r| r.leg.clone()).collect();
+        let mut legs: BTreeSet<Option<String>> = self.runs.iter().map(|r| r.leg.clone()).collect();
         if legs.iter().all(Option::is_some) {
             legs.extend(["L", "revL"].map(|leg| Some(leg.to_string())));
         }
-        legs.sort();
-        legs.dedup();
         let (mut runs, mut bodies, mut descriptions) = (Vec::new(), Vec::new(), Vec::new());
         for frequency in offered {
             for slope_deg in SLOPES_DEG {
                 for leg in &legs {
                     bodies.push(self.bodies[0].with_leg(leg.as_deref()).ok()?);
                     descriptions.push(words(*frequency, slope_deg, leg.as_deref()));
-                    runs.push(walk(&self.log.runs[0], frequency.copysign(known[0]), slope_deg, leg.clone()));
+                    runs.push(walk(&self.runs[0], frequency.copysign(known[0]), slope_deg, leg.clone()));
                 }
             }
         }
@@ -90,7 +75,7 @@ impl TrajectoryModel<'_> {
     fn needed(&self) -> Option<RequestedTorques> {
         let tracks = self.tracks(&[self.plain_sand()], 0.0, 1.0).swap_remove(0);
         let of = |window: &Window, track: &Signals| -> Option<Vec<Vec<f64>>> {
-            let run = &self.log.runs[window.run];
+            let run = &self.runs[window.run];
             let tick = |t: f64| (((t - window.from) / Scene::DEFAULT_DT).round() as usize).max(1) - 1;
             let joint = |j: usize| -> Option<Vec<f64>> {
                 let own = track.signals.get(j).filter(|s| !s.is_empty())?;
@@ -99,7 +84,7 @@ impl TrajectoryModel<'_> {
             (0..self.layout.joints).map(joint).collect()
         };
         let torques: Option<Vec<_>> = self.windows.iter().zip(&tracks).map(|(w, t)| of(w, t)).collect();
-        Some(RequestedTorques::exactly(&self.log.runs, torques?))
+        Some(RequestedTorques::exactly(&self.runs, torques?))
     }
 }
 

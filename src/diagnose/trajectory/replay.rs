@@ -9,6 +9,7 @@ use crate::error::{Error, Result};
 use crate::experiment::Experiment;
 use crate::progress::Latch;
 use crate::robots;
+use crate::series::central_difference;
 use crate::sim::actuator::Actuator;
 use crate::sim::engine::{Command, Engine, EngineKind};
 use crate::sim::model::Scene;
@@ -36,10 +37,9 @@ pub enum ReplayRobot {
 }
 
 impl ReplayRobot {
-    /// The robot of an experiment.
     pub fn of(experiment: &Experiment) -> Result<Self> {
-        let touches = experiment.trajectory.touches.as_deref();
-        Self::load(experiment.robot.as_deref().unwrap_or("xplorer"), touches)
+        let touches = experiment.file.touches.as_deref();
+        Self::load(experiment.file.robot.as_deref().unwrap_or("xplorer"), touches)
     }
 
     /// A built-in robot, our own TOML, or a URDF or MJCF file.
@@ -141,11 +141,7 @@ fn between(t: &[f64], q: &[f64], at: f64) -> f64 {
     let left = right - 1;
     let h = t[right] - t[left];
     let s = ((at - t[left]) / h).clamp(0.0, 1.0);
-    let slope = |i: usize| {
-        let (a, b) = (i.saturating_sub(1), (i + 1).min(n - 1));
-        (q[b] - q[a]) / (t[b] - t[a])
-    };
-    let (m0, m1) = (h * slope(left), h * slope(right));
+    let [m0, m1] = [left, right].map(|i| h * central_difference(t, q, i, 1));
     let (s2, s3) = (s * s, s * s * s);
     (2.0 * s3 - 3.0 * s2 + 1.0) * q[left] + (s3 - 2.0 * s2 + s) * m0 + (3.0 * s2 - 2.0 * s3) * q[right] + (s3 - s2) * m1
 }
@@ -188,7 +184,6 @@ impl ReplayedJoint {
 /// for the time one tick after the start.
 #[derive(Clone, Default)]
 pub struct Signals {
-    /// Signal by signal.
     pub signals: Vec<Vec<f64>>,
     /// Time step of the engine [s].
     pub step: f64,

@@ -4,10 +4,11 @@
 //! requested torque from the commanded and the logged angles. In this file, `asked` is the requested torque and `given` the motor's
 //! torque.
 
-use super::log::{Log, Run};
+use super::log::Run;
 use super::replay::{ReplayRobot, smoothed};
 use super::windows::{Integral, Window, bins};
 use crate::error::Result;
+use crate::series::central_difference;
 use crate::sim::walk::hip_angle;
 
 /// Requested torques are cut off at this multiple of the largest logged torque: our choice. If a joint is far behind its command,
@@ -38,8 +39,8 @@ pub struct RequestedTorques {
 }
 
 /// The requested torques of a log. None if the log does not give the hips' command, or if the robot has no servo.
-pub fn asked(log: &Log, bodies: &[ReplayRobot]) -> Result<Option<RequestedTorques>> {
-    let runs: Option<Vec<_>> = log.runs.iter().zip(bodies).map(|(run, body)| of_run(run, body)).collect();
+pub fn asked(runs: &[Run], bodies: &[ReplayRobot]) -> Result<Option<RequestedTorques>> {
+    let runs: Option<Vec<_>> = runs.iter().zip(bodies).map(|(run, body)| of_run(run, body)).collect();
     Ok(runs.map(|runs| RequestedTorques { runs }))
 }
 
@@ -56,22 +57,16 @@ fn of_run(run: &Run, body: &ReplayRobot) -> Option<OfRun> {
         let smooth = smoothed(q);
         let torque = |i: usize| {
             let [told, rate] = hip_angle(frequency, run.t[i] - run.t[0]);
-            let own = run.qd.get(j).map_or_else(|| slope(&run.t, &smooth, i, 1), |qd| qd[i]);
+            let own = run.qd.get(j).map_or_else(|| central_difference(&run.t, &smooth, i, 1), |qd| qd[i]);
             kp * (told - smooth[i]) + kd * (rate - own)
         };
         joints.push((0..q.len()).map(torque).collect());
     }
-    Some(OfRun { joints, turning, most: most(run), exact: false })
+    Some(OfRun { joints, turning, most: MOST * greatest(&run.tau), exact: false })
 }
 
-fn most(run: &Run) -> f64 {
-    MOST * run.tau.iter().flatten().fold(0.0, |m: f64, t| m.max(t.abs()))
-}
-
-/// Slope of `q` over time at sample `i`, from `apart` samples before it to `apart` samples after it.
-pub fn slope(t: &[f64], q: &[f64], i: usize, apart: usize) -> f64 {
-    let (a, b) = (i.saturating_sub(apart), (i + apart).min(q.len() - 1));
-    (q[b] - q[a]) / (t[b] - t[a])
+fn greatest(torques: &[Vec<f64>]) -> f64 {
+    torques.iter().flatten().fold(0.0, |most: f64, torque| most.max(torque.abs()))
 }
 
 /// Number of values that are tried first for the offset in [`zero`], at even steps in the list of sorted differences: our choice.
@@ -109,7 +104,7 @@ impl RequestedTorques {
     /// Requests that are known exactly: `torques` run by run, joint by joint, sample by sample.
     pub fn exactly(runs: &[Run], torques: Vec<Vec<Vec<f64>>>) -> Self {
         let of = |(run, joints): (&Run, Vec<Vec<f64>>)| {
-            let most = joints.iter().flatten().fold(0.0, |m: f64, t| m.max(t.abs()));
+            let most = greatest(&joints);
             OfRun { joints, turning: run.t.len(), most, exact: true }
         };
         Self { runs: runs.iter().zip(torques).map(of).collect() }

@@ -29,7 +29,7 @@ impl TrajectoryModel<'_> {
             let mut scene = Scene::flat(Medium { coefficients: *coefficients, ..self.medium().clone() });
             // The joints move as logged, so a weak motor has no effect in the replay; it has an effect on the servo's channel.
             scene.mechanisms = Mechanisms { motor_torque_limit: 0.0, ..self.with_given(mechanisms) };
-            (scene.slope_deg, scene.dt) = (self.log.runs[run].slope_deg, dt);
+            (scene.slope_deg, scene.dt) = (self.runs[run].slope_deg, dt);
             if matches!(self.bodies[run], ReplayRobot::Tree(_)) {
                 scene.surface = Regularization::SOLID;
             }
@@ -42,7 +42,7 @@ impl TrajectoryModel<'_> {
                 false => Ok(model),
             }
         };
-        (0..self.log.runs.len()).map(of).collect()
+        (0..self.runs.len()).map(of).collect()
     }
 
     /// Tracks of several states, state by state and window by window. `payload` is given as a share of the robot's mass; the time step
@@ -55,7 +55,7 @@ impl TrajectoryModel<'_> {
         let task = |(state, k): (usize, usize)| Replay {
             model: &models[state][self.windows[k].run],
             drive: &self.drives[k],
-            imu: self.experiment.trajectory.imu.position,
+            imu: self.experiment.file.imu.position,
         };
         let tasks: Vec<Replay> =
             (0..states.len()).flat_map(|s| (0..self.windows.len()).map(move |k| (s, k))).map(task).collect();
@@ -80,8 +80,8 @@ impl TrajectoryModel<'_> {
     pub(super) fn read(&self, tracks: &[Signals], mounting: Mounting) -> Vec<f64> {
         let of = |(k, track): (usize, &Signals)| {
             let (window, tick) = (&self.windows[k], self.drives[k].tick);
-            let times = &self.log.runs[window.run].t;
-            read(&self.layout, window, times, track, tick, mounting, self.experiment.trajectory.imu.quat)
+            let times = &self.runs[window.run].t;
+            read(&self.layout, window, times, track, tick, mounting, self.experiment.file.imu.quat)
         };
         tracks.iter().enumerate().flat_map(of).collect()
     }

@@ -289,11 +289,11 @@ pub fn diagnose(request: DiagnoseRequest) -> Result<StudyWork<Diagnosis>> {
         }
     };
     // A server does not read files that a client names.
-    if let Some(robot) = experiment.robot.as_deref().filter(|r| !Robot::names().contains(r)) {
+    if let Some(robot) = experiment.file.robot.as_deref().filter(|r| !Robot::names().contains(r)) {
         return Err(Error::unknown("robot", robot, &Robot::names()));
     }
-    for (name, body) in &experiment.bodies {
-        if let BodyShape::Mesh(_) = body.shape()? {
+    for (name, body) in &experiment.file.bodies {
+        if let BodyShape::Mesh(_) = BodyShape::named(&body.body)? {
             return Err(Error::invalid(
                 format!("body.{name}"),
                 "a server reads no mesh files; use sandgait diagnose on the command line",
