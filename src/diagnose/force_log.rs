@@ -261,8 +261,8 @@ pub fn planned(trials: Vec<(Track, String)>, channels: usize) -> ForceLog {
 /// Number of samples in a planned trial.
 const PLANNED_SAMPLES: usize = 60;
 
-/// Trials that the apparatus of `tracks` could make: each intruder at the slowest, a middle and the fastest speed in
-/// the log, at two depths, on fresh and on used ground, at both ends of the bed.
+/// Trials that the apparatus of `tracks` could make: each intruder at its slowest, a middle and its fastest speed, at two
+/// depths, on used ground and on fresh ground, on fresh ground also 10 cm to either side; plates at several angles.
 pub fn possible(tracks: &[Track]) -> Vec<(Track, String)> {
     let mut shapes: Vec<&Track> = Vec::new();
     for track in tracks {

@@ -186,7 +186,7 @@ const fn options(number: u64) -> FieldBounds {
     once(number, "options", LONGEST_OPTIONS, Some(&STRUCT))
 }
 
-/// An id has 32 characters; a text that is longer than this bound is no id.
+/// An id has 32 characters, so a text of more than 256 bytes is no id. Our choice.
 const fn session_id() -> FieldBounds {
     once(1, "session_id", 256, None)
 }

@@ -223,8 +223,8 @@ impl Networks {
         }
     }
 
-    /// Adds to `gradient` the contribution of the derivatives by the means and values of the last
-    /// [`Networks::forward`].
+    /// Backpropagation through the last [`Networks::forward`]. `means` and `values` are the loss's derivatives by its means
+    /// and values; the derivatives by the parameters are added to `gradient`.
     pub fn backward(
         &self,
         parameters: &[f32],

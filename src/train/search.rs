@@ -71,8 +71,9 @@ struct GaussianProcess<'a> {
     mean: f64,
     variance: f64,
     length: f64,
-    /// Cholesky's factor of the covariance of `looks`, and the solution for their values.
+    /// Cholesky's factor of the covariance of the values of `looks`, noise included.
     factor: Vec<Vec<f64>>,
+    /// The inverse of this covariance times the values' distances from the mean.
     weights: Vec<f64>,
 }
 

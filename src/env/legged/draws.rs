@@ -45,7 +45,7 @@ options! {
         added_mass_range: [f64; 2] = [-0.08, 0.08], [-0.3, 1.0], "mass added to the base, as a share of the robot's mass";
         motor_strength_range: [f64; 2] = [0.9, 1.1], [0.1, 10.0], "factor on torque limits and gains of the motors";
         push_interval: f64 = 15.0, [0.0, 1e4], "time between two pushes [s], at least 0.1; 0: no pushes";
-        max_push_vel_xy: f64 = 0.5, [0.0, 5.0], "largest change of the base's velocity along x and along y by a push [m/s]";
+        max_push_vel_xy: f64 = 0.5, [0.0, 5.0], "largest velocity along x and along y that a push gives the base [m/s]";
     }
 }
 

@@ -39,7 +39,7 @@ use std::sync::Arc;
 const FALLEN: f64 = -0.5;
 
 /// A robot with fewer than four legs has fallen if its base is lower than this part of its standing height: our choice,
-/// because a robot with such a low base kneels or sits. A robot with four legs may lie on its belly in sand and stand
+/// because a robot with such a low base kneels or sits. A robot with four or more may lie on its belly in sand and stand
 /// up again.
 const LOW: f64 = 0.5;
 

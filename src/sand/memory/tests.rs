@@ -278,7 +278,7 @@ fn heaps_rest_wherever_the_square_begins() {
     }
 }
 
-/// Cells keep their heights while the square moves over them, and come in level.
+/// A cell keeps its height as long as the square covers it; a cell that the square newly covers is level.
 #[test]
 fn the_square_moves_over_the_sand() {
     let mut grid = Grid::new(0.01, 6);

@@ -65,7 +65,7 @@ pub fn press<R: Real>(
         let load = &mut loads[plates.body];
         let drag = total.inertia();
         let mut bias = total.wrench.scale_add(-R::one(), &load.bias);
-        // f + C w Δv, with the drags as masses dt C.
+        // The bias becomes −(f + C w Δv): `expected` is w Δv, and `drag` is dt C.
         let held = drag.apply(&expected.scaled(-(R::one() / dt)));
         bias.add(&held);
         load.inertia.add(&drag);

@@ -331,8 +331,8 @@ impl<R: Real> LanePiece<R> {
     }
 }
 
-/// An integer between −2³¹ and 2³¹. It is in the lowest bits of its sum with 1.5 · 2⁵², which is faster than a conversion that
-/// saturates.
+/// Converts `x`, a whole number between −2³¹ and 2³¹. In the sum with 1.5 · 2⁵² it is in the lowest 32 bits. This is faster
+/// than `as i32`, which saturates.
 #[inline(always)]
 fn integer(x: f64) -> i32 {
     (x + 6_755_399_441_055_744.0).to_bits() as i32
