@@ -74,9 +74,11 @@ pub struct Keys {
 }
 
 impl Keys {
-    /// Checks the keys, gives runs without a name their number, and normalises the quaternion.
+    /// Checks the keys, gives runs without a name their number, and normalises the quaternion, whose norm may differ
+    /// from 1 by as much as in a log. Slopes and frequencies have the ranges of a simulated walk.
     pub fn checked(mut self) -> Result<Keys> {
-        // A sensor more than 10 m from the base, or a torque constant above 1000 N·m/A, has a wrong unit: our choices.
+        // A sensor more than 10 m from the base, a torque constant above 1000 N·m/A, or a window of less than 50 ms or
+        // more than a minute has a wrong unit: our choices.
         self.imu.position.iter().try_for_each(|p| check_range("imu.position", *p, -10.0..=10.0).map(drop))?;
         let norm = self.imu.quat.iter().map(|q| q * q).sum::<f64>().sqrt();
         if !(norm - 1.0).is_finite() || (norm - 1.0).abs() > 0.02 {

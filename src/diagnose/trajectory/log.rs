@@ -12,7 +12,7 @@ use std::path::Path;
 const MOST_NUMBERS: usize = 20_000_000;
 /// Largest number of a robot's joints: our choice, enough for a hexapod with four joints a leg.
 pub const MOST_JOINTS: usize = 24;
-/// Largest number of runs in a log: our choice.
+/// Largest number of runs in a log: our choice, far more than the windows that are replayed.
 const MOST_RUNS: usize = 1000;
 /// Fewest samples of a run: our choice; a tenth of a second at 200 Hz is less than a stride.
 const FEWEST_SAMPLES: usize = 20;
@@ -279,12 +279,12 @@ impl<'a> Gather<'a> {
 fn unwrap(q: &mut [f64]) {
     let [low, high] = ends(q.iter().copied());
     if high - low > 1.05 * TAU {
-        return; // the angle is continuous already
+        return; // beyond a turn, and 5 % more for noise (our choice), the angle is continuous already
     }
     let mut turns = 0.0;
     for i in 1..q.len() {
         let change = q[i] + turns - q[i - 1];
-        // Corrects only jumps of nearly one turn, because no joint moves by 0.8 of a turn between two samples.
+        // Corrects only jumps of nearly one turn (our choice): no joint moves by 0.8 of a turn between two samples.
         if (change.abs() / TAU - 1.0).abs() < 0.2 {
             turns -= TAU.copysign(change);
         }
