@@ -327,7 +327,7 @@ fn by_size(pushes: &[Penetration]) -> Result<Vec<OfSize>> {
 }
 
 /// If pushes of one size scatter by more than this [%], a warning asks if the beds were prepared alike: our choice,
-/// twice the scatter of beds that the diagnosis assumes for a robot's log (`bed_strength` in `src/diagnose/nuisance.rs`).
+/// twice the scatter of beds that the diagnosis assumes for a robot's log (`bed_strength` in `diagnose/nuisance.rs`).
 const MOST_SCATTER: f64 = 10.0;
 
 fn cautions(study: &Pushes, pushes: &[Penetration]) -> Vec<String> {

@@ -14,7 +14,8 @@ use serde::de::IgnoredAny;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Largest number of rows of a log: our choice, because the diagnosis of such a log uses some 0.6 GiB.
+/// Largest number of rows of a log: our choice, because the diagnosis of such a log uses some 0.6 GiB (2026-11-24), and
+/// more samples in a trial add hardly any information.
 pub const MOST_ROWS: usize = 40_000;
 
 /// The kind of data.
@@ -149,7 +150,8 @@ pub struct GivenModel {
     pub hardware: HardwareDescription,
 }
 
-/// Relative prior sd of the coefficients if the experiment gives none.
+/// Relative prior sd of the coefficients if the experiment gives none: our choice, more than the 2 to 5 % that the
+/// tests and studies put into their coefficients, and less than the 20 to 40 % of different batches (docs/physics.md).
 const COEFFICIENT_SD: f64 = 0.08;
 
 impl Experiment {
@@ -209,6 +211,7 @@ impl Experiment {
         if let Some(density) = file.bulk_density {
             medium.bulk_density = density;
         }
+        // Less than air or more than gold is a wrong unit: our choice.
         check_range("bulk_density", medium.bulk_density, 1.0..=20_000.0)?;
         let coefficient_sd = file.coefficient_sd.unwrap_or(COEFFICIENT_SD);
         check_range("coefficient_sd", coefficient_sd, 0.0..=1.0)?;
@@ -268,7 +271,7 @@ fn medium(name: Option<&str>, sand: Option<SandTable>) -> Result<Medium> {
         (Some(CoefficientsSource::Table(coefficients)), None) => Medium {
             name: "own".into(),
             coefficients,
-            bulk_density: 1500.0,
+            bulk_density: 1500.0, // dry sand, as for `Medium::generic`
             source: "experiment".into(),
             terms: Vec::new(),
         },
@@ -288,6 +291,7 @@ fn medium(name: Option<&str>, sand: Option<SandTable>) -> Result<Medium> {
             ));
         }
     };
+    // 1e8 N/m³ are 100 N/cm³, as for `Medium::generic`: our choice, which catches wrong units.
     for c in medium.coefficients.to_array() {
         check_range("sand.coefficients", c, -1e8..=1e8)?;
     }
@@ -302,7 +306,7 @@ fn medium(name: Option<&str>, sand: Option<SandTable>) -> Result<Medium> {
 
 fn check_shape(name: &str, shape: &Intruder) -> Result<()> {
     let field = |part: &str| format!("shape.{name}.{part}");
-    // 1 mm to 10 m as for LegShape::segments: smaller or larger ones have a wrong unit.
+    // The ranges are those of `LegShape`: smaller or larger shapes have a wrong unit.
     let (length, width, thickness) = match *shape {
         Intruder::Leg { chord, width, xi_deg, thickness } => {
             check_range(&field("xi_deg"), xi_deg, -89.9..=89.9)?;

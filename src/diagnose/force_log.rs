@@ -149,7 +149,7 @@ fn mirror(trial: &mut Growing) {
         let [vx, vz] = pose.velocity;
         (along + vx * gamma.map_or(0.0, f64::cos), speeds + vx.hypot(vz))
     });
-    // A π/2 with few digits has a cosine of up to 1e-5.
+    // A π/2 with few digits has a cosine of up to 1e-5, and vx is then noise, some hundredth of the speed.
     if along < -1e-7 * speeds {
         trial.track.beta = -trial.track.beta;
     }
@@ -258,11 +258,12 @@ pub fn planned(tracks: Vec<Track>, channels: usize) -> ForceLog {
     assemble(trials, names, channels > 2, Vec::new(), String::new())
 }
 
-/// Number of samples in a planned trial.
+/// Number of samples in a planned trial: our choice, as many as a log needs (docs/diagnosis.md, 1).
 const PLANNED_SAMPLES: usize = 60;
 
 /// Trials that the apparatus of `tracks` could make: each intruder at the slowest, a middle and the fastest speed in
-/// the log, at two depths, on fresh and on used ground, at both ends of the bed.
+/// the log, at two depths, on fresh and on used ground, and at `x_bed` of ±10 cm. These, the angles of plates, and the
+/// depths and distances in [`Track::planned`] are our choice: round numbers that the usual drives can make.
 pub fn possible(tracks: &[Track]) -> Vec<(Track, String)> {
     let mut shapes: Vec<&Track> = Vec::new();
     for track in tracks {

@@ -11,7 +11,7 @@ use crate::sand::mechanism::CATALOG;
 pub struct Further {
     /// Catalogue index.
     pub id: usize,
-    /// Value from which a fit begins.
+    /// Value from which a fit begins: the estimate, or a twentieth of the screen's value if it is 0 (our choice).
     pub start: f64,
     pub gain: f64,
     /// Estimate and its standard deviation, in the mechanism's coordinate; the estimate may have the wrong sign.

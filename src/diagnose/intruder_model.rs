@@ -58,7 +58,7 @@ impl<'a> IntruderModel<'a> {
             let shape = description.shape()?;
             let named = |e: Error| Error::invalid(format!("body.{name}"), e.to_string());
             let coarse = PlatedBody::cut(&shape, None).map_err(named)?;
-            let longest = 50.0 * coarse.plate_size;
+            let longest = 50.0 * coarse.plate_size; // see `PlatedBody::cut`
             let nominal = PlatedBody::cut(&shape, Some(longest / ALONG)).map_err(named)?;
             let larger = nominal.scaled(1.0 + 2.0 * GEOMETRY_STEP / longest);
             Ok((name.clone(), BodyPlates { description: description.clone(), nominal, larger }))
@@ -73,7 +73,7 @@ impl<'a> IntruderModel<'a> {
 
     /// The sand in contact with one body.
     fn sand(&self, body: &BodyDescription, mechanisms: &Mechanisms, coefficients: &Coefficients) -> SandDescription {
-        let friction_clip = 1.0 / body.friction.max(0.1);
+        let friction_clip = 1.0 / body.friction.max(0.1); // its bound is 10
         SandDescription {
             law: self.experiment.law,
             coefficients: *coefficients,
@@ -157,7 +157,7 @@ impl ForwardModel for IntruderModel<'_> {
 
     /// Beds differ in strength, and readings of a steady state fluctuate in time. The error of the law is a tenth of
     /// the load in each of the two forces, and in the sinkage the change that a tenth of the sand's strength causes.
-    /// These errors are independent between conditions and channels.
+    /// These errors are independent between conditions and channels. The guesses are our choice, as in force logs.
     fn uncertainty(&self, sand: &SandParameters, prediction: &[f64]) -> Uncertainty {
         let (m, c) = stronger(sand, STRENGTH_STEP);
         let strength = slope(&self.predict(&m, &c), prediction, STRENGTH_STEP);

@@ -63,7 +63,8 @@ pub struct Noise {
 /// our choice, the rounding of a log with six digits.
 const COPIES: f64 = 1e-6;
 
-/// The size S for each sample of each unit and channel: the mean over repetitions, smoothed over five samples.
+/// The size S for each sample of each unit and channel: the mean over repetitions, smoothed over five samples (our
+/// choice), because the mean of few repetitions is noisy.
 pub type Sizes = Vec<Vec<Vec<f64>>>;
 
 /// The sizes of the measured values.

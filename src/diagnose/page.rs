@@ -279,7 +279,7 @@ fn runs(html: &mut String, diagnosis: &Diagnosis) {
     let _ = write!(html, "<details><summary>Means over repetitions as a table</summary>{rows}</details>");
 }
 
-/// The models that were compared.
+/// The models that were compared, and the first 16 candidates (our choice, as the page stays readable).
 fn compared(html: &mut String, r: &Report) {
     if !r.evidence.is_empty() {
         let row = |m: &EvidenceRow| {

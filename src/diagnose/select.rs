@@ -97,7 +97,7 @@ pub fn select(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -
         return Ok(selection);
     }
     // Selections with and without nuisances are compared under the noise of the selection with nuisances. Their
-    // nuisances differ, so the densities of the stated priors are left out of the comparison.
+    // nuisances differ, so the densities of the stated priors are left out of the comparison. A gain below 4 is chance.
     let conditions = study.observations.conditions.len();
     let measured = |table: &EvidenceTable| table.rows[0].elpd[..conditions].iter().sum::<f64>();
     let with = measured(&selection.table);
@@ -273,7 +273,7 @@ fn explored(study: &FitInputs, candidates: &mut Candidates) -> Option<Vec<[f64; 
 /// 95 % intervals. A standard error is the greater of two (Angrist & Pischke, Mostly Harmless Econometrics, 2009, 8.1):
 /// the one under the noise, which is too small if the law is not quite right, and the one from the scatter between
 /// conditions, which is too small if few conditions matter. Both are widened by Student's t, because the noise is only
-/// estimated and conditions are few.
+/// estimated and conditions are few. Below 2 degrees of freedom it takes 2 (our choice: [`student`] errs there).
 fn intervals(study: &FitInputs, fit: &Fit, degrees: f64, profiled: Option<Vec<[f64; 2]>>) -> Intervals {
     let (count, covariance, jackknife) = (fit.ids.len(), study.covariance(fit), study.jackknife(fit));
     let others = (study.observations.conditions.len() as f64 - 1.0).max(2.0);

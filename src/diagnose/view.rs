@@ -307,7 +307,7 @@ impl ReportView<'_> {
         }
     }
 
-    /// The experiment that separates the explanations of the set.
+    /// The experiment that separates the explanations of the set, of at most three conditions (our choice).
     fn next_experiment(&self, untestable: &[Untestable]) -> Option<NextExperiment> {
         let selection = Some(self.selection).filter(|s| s.ruling.set.len() > 1)?;
         let set: Vec<&Fit> = selection.ruling.set.iter().map(|&k| selection.fit_of(k)).collect();
@@ -354,7 +354,8 @@ fn names(fit: &Fit) -> Vec<String> {
     fit.ids.iter().map(|&id| CATALOG[id].id.to_string()).collect()
 }
 
-/// A warning if the fit needs coefficients that deviate by more than three of their stated standard deviations: our choice.
+/// A warning if the fit needs coefficients that deviate by more than three of their stated standard deviations: our
+/// choice, because a normal value does so once in 370 times.
 fn far_coefficients(fit: &Fit) -> Option<String> {
     let furthest = fit.deviations[..COEFFICIENTS].iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs()))?;
     (furthest.abs() > 3.0).then(|| {
