@@ -263,7 +263,7 @@ const PLANNED_SAMPLES: usize = 60;
 
 /// Trials that the apparatus of `tracks` could make: each intruder at the slowest, a middle and the fastest speed in
 /// the log, at two depths, on fresh and on used ground, and at `x_bed` of ±10 cm. These, the angles of plates, and the
-/// depths and distances in [`Track::planned`] are our choice: round numbers that the usual drives can make.
+/// depths and distances in `Track::planned` are our choice: round numbers that the usual drives can make.
 pub fn possible(tracks: &[Track]) -> Vec<(Track, String)> {
     let mut shapes: Vec<&Track> = Vec::new();
     for track in tracks {
