@@ -69,7 +69,7 @@ def add_sand(
     if not isinstance(model, mujoco.MjModel):
         raise InvalidRequest(f"model: is {type(model).__name__}, not mujoco.MjModel")
     if not hasattr(model, "M_rowadr"):
-        raise InvalidRequest(f"mujoco: version {mujoco.__version__} has two inertia matrices; sand needs 3.3.6 or later")
+        raise InvalidRequest(f"mujoco: {mujoco.__version__} has two inertia matrices; sand needs 3.3.6 or later")
     if not isinstance(sand, Sand):
         raise InvalidRequest(f"sand: is {type(sand).__name__}, not sandgait.Sand")
     if model._address in _MODELS:

@@ -22,7 +22,7 @@ use crate::sand::law::agarwal2023;
 /// independent. With this number the 95 % interval covers the truth in 94 % of simulated tests with independent noise,
 /// in 92 % with noise correlated over 5 of 200 samples and in 89 % over 10 (12 stretches: 93, 89 and 83 %).
 const STRETCHES: usize = 6;
-/// Student's t at 97.5 % with [`STRETCHES`] − 1 degrees of freedom.
+/// Student's t at 97.5 % with [`STRETCHES`] − 1 degrees of freedom (NIST/SEMATECH e-Handbook, 1.3.6.7.2).
 const T_95: f64 = 2.571;
 /// Least number of samples in a test: our choice, four for each stretch.
 const LEAST_SAMPLES: usize = 4 * STRETCHES;
@@ -57,6 +57,7 @@ pub struct Calibration {
 
 /// Fits `depth` [m, positive down] and `force` [N, positive up on the plate] of a plate of `area` [m²].
 pub fn calibrate(depth: &[f64], force: &[f64], area: f64) -> Result<Calibration> {
+    // A plate below 0.1 mm² or above 1 m² has a wrong unit: our choice.
     crate::error::check_range("area", area, 1e-7..=1.0)?;
     let greatest = depth.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     refuse(depth, force, greatest)?;
@@ -98,7 +99,8 @@ fn refused(reason: impl Into<String>) -> Error {
     Error::invalid("penetration test", reason)
 }
 
-/// Refuses data that cannot be fitted.
+/// Refuses data that cannot be fitted. The limits are our choice: a depth of more than 5 m has a wrong unit; because of
+/// noise, a tenth of the forces may be negative, and a tenth of the steps may go up by more than 0.01 % of the depth.
 fn refuse(depth: &[f64], force: &[f64], greatest: f64) -> Result<()> {
     if depth.len() < LEAST_SAMPLES {
         return Err(refused(format!("{} samples; at least {LEAST_SAMPLES} are needed", depth.len())));
@@ -123,6 +125,8 @@ fn refuse(depth: &[f64], force: &[f64], greatest: f64) -> Result<()> {
     Ok(())
 }
 
+/// The limits are our choice: a tenth of the depth is left out of the fit anyway; those of ζ are about half of the
+/// least and 1.6 times the greatest of the media in `src/sand/media.rs`.
 fn cautions(zeta: f64, greatest: f64, offset: f64, area: f64) -> Vec<String> {
     let mut cautions = Vec::new();
     if offset.abs() > 0.1 * greatest {

@@ -17,7 +17,7 @@ const STRETCHES: usize = 12;
 /// Least number of stretches with samples: our choice, because a power of depth needs several.
 const LEAST_STRETCHES: usize = 4;
 /// Number of compliances that are tried, evenly spaced from 0 to 0.8 times the compliance that would explain the whole
-/// depth of a stretch. Our choice, because the steps are then below 2 % of the largest one.
+/// depth of a stretch. Our choice: the steps are then below 2 % of the largest one, and no depth becomes 0 or less.
 const COMPLIANCES: usize = 60;
 /// A law with more parameters is preferred only if its prediction error is smaller by this share: our choice, so that
 /// chance does not decide.
@@ -154,6 +154,7 @@ fn chosen(scores: &[LawScore]) -> PressureLaw {
     near.min_by_key(|s| s.law.parameters()).map_or(PressureLaw::Proportional, |s| s.law)
 }
 
+/// The sizes; diameters that differ by less than 1 µm are one size: our choice, far below any tolerance of a disc.
 fn diameters(pushes: &[Penetration]) -> Vec<f64> {
     let mut all: Vec<f64> = pushes.iter().map(|p| p.diameter).collect();
     all.sort_by(f64::total_cmp);
@@ -202,7 +203,8 @@ fn gathered(points: &[Vec<Point>], chosen: &[usize]) -> Vec<Point> {
     chosen.iter().flat_map(|k| points[*k].iter().copied()).collect()
 }
 
-/// Parameters: ln of the scale (for `Footing`: a, b), exponent of depth, exponent of size.
+/// Parameters: ln of the scale (for `Footing`: a, b), exponent of depth, exponent of size. Singular values below 1e-9
+/// count as 0: our choice, above rounding.
 fn fit(law: PressureLaw, points: &[Point]) -> Result<[f64; 3]> {
     let column = |p: &Point| match law {
         PressureLaw::Proportional => vec![1.0],
@@ -321,8 +323,8 @@ fn by_size(pushes: &[Penetration]) -> Result<Vec<OfSize>> {
     diameters(pushes).into_iter().map(of).collect()
 }
 
-/// If pushes of one size scatter by more than this [%], a warning says that the sand was not prepared equally: our
-/// choice, because beds prepared by hand scatter by 5 to 10 %.
+/// If pushes of one size scatter by more than this [%], a warning asks if the beds were prepared alike: our choice,
+/// twice the scatter of beds that the diagnosis assumes for a robot's log (`bed_strength` in `diagnose/nuisance.rs`).
 const MOST_SCATTER: f64 = 10.0;
 
 fn cautions(study: &Pushes, pushes: &[Penetration]) -> Vec<String> {
@@ -360,6 +362,7 @@ fn cautions(study: &Pushes, pushes: &[Penetration]) -> Vec<String> {
             ));
         }
     }
+    // Below 0.5 m/s inertia adds less than a tenth to the force (docs/physics.md, limits of the law).
     let speeds = pushes.iter().filter_map(|p| p.speeds);
     let range = speeds.fold([f64::INFINITY, 0.0_f64], |[low, high], s| [low.min(s[0]), high.max(s[1])]);
     if range[1] > 0.5 {

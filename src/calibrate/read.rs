@@ -18,7 +18,7 @@ const COLUMNS: [HeaderColumn; 7] = [
     HeaderColumn { name: "width", quantity: Quantity::Length, required: false },
     HeaderColumn { name: "speed", quantity: Quantity::Speed, required: false },
 ];
-/// Allowed diameters and sides of plates [m]: our choice, wide.
+/// Allowed diameters and sides of plates [m]: our choice; smaller or larger ones have a wrong unit.
 const SIZES: std::ops::RangeInclusive<f64> = 1e-4..=1.0;
 
 /// The contents of a file.
@@ -88,6 +88,7 @@ impl Tests {
             self.pushes.push(Penetration { name: name.to_owned(), diameter, points: Vec::new(), speeds: None });
         }
         let push = &mut self.pushes[place];
+        // The rows of a push repeat its size, so only rounding may differ.
         if (push.diameter - diameter).abs() > 1e-9 {
             return Err(row.error(2, format!("{name} has two sizes")));
         }

@@ -7,7 +7,7 @@ use std::ops::Range;
 /// period of thirteen samples the error is then 0.2 % inside a trial and 1 % at its ends (with two samples: 4 % and 25
 /// %); noise of the velocity has an effect larger by a third.
 const STENCIL: usize = 5;
-/// The number of samples if no stretch of [`STENCIL`] is smooth; short enough for a ramp of three samples.
+/// The number of samples if no stretch of [`STENCIL`] is smooth: our choice, short enough for a ramp of three samples.
 const SHORT: usize = 3;
 /// A stretch is smooth if its difference of the highest order is below this share of the differences of lower order:
 /// our choice, above the share for a period of thirteen samples (a quarter) and below that for a kink.

@@ -14,14 +14,16 @@ use crate::sand::mechanism_laws::{SandMechanisms, SegmentState, StressModel, slo
 use crate::sand::shape::{Segment, straight};
 use crate::sand::{LegShape, SandBed};
 
-/// Number of segments of a plate or leg: our choice. If a segment crosses the surface, only its submerged part counts;
-/// without this rule, a fit would give a pressure that does not vanish at the surface, such as `cohesion`, 2 % too
+/// Number of segments of a plate or leg: our choice, because the error is then below the scatter of repetitions, unless
+/// they scatter by less than 0.5 % (docs/diagnosis.md, 5). If a segment crosses the surface, only its submerged part
+/// counts; otherwise a fit would give a pressure that does not vanish at the surface, such as `cohesion`, 2 % too
 /// small.
 const SEGMENTS: usize = 40;
 /// A trial starts at rest if its first speed is below this share of its greatest speed: our choice, the same share as
 /// for samples at rest, which are left out.
 const REST: f64 = 0.05;
-/// Steps per sample interval of the low-pass filter; the force is linear in between. Our choice.
+/// Steps per sample interval of the low-pass filter. Our choice: the filter is exact for a force that is linear in each
+/// step, and each step costs a computation of the force.
 const FILTER_STEPS: usize = 6;
 /// Segments that are computed together. The last group is filled up with segments of zero area.
 #[derive(Clone, Copy)]
@@ -321,7 +323,8 @@ impl<const N: usize> Kernel for Sum<'_, N> {
             let ahead = lead * splat(arm.cut.half_thickness);
             let (x, z) = (at[0] + n[0] * ahead, at[1] + n[1] * ahead);
             let (normal, velocity) = (into(n), into(v));
-            // If a segment crosses the surface, its submerged share counts, at the mean depth of this share.
+            // If a segment crosses the surface, its submerged share counts, at the mean depth of this share. A
+            // horizontal segment has no extent; 1e-12 avoids 0/0.
             let (depth, extent) = (slope_depth(slope, x, z), normal.x.abs() * block.half);
             let share = ((depth + extent) / (extent + extent + splat(1e-12))).max(zero).min(Doubles::one());
             let mean = Doubles::select(depth.lt(extent), splat(0.5) * (depth + extent), depth);

@@ -19,8 +19,8 @@ const PAIRS_FITTED: usize = 14;
 /// How often the noise is learnt again, at most, after the best candidate has changed: our choice; two times usually
 /// suffice.
 const NOISES: usize = 3;
-/// Number of candidates with one cause, and of pairs, that are fitted with the final noise and compared: our choice;
-/// all others have a χ² that is larger by hundreds.
+/// Number of candidates with one cause, and of pairs, that are fitted with the final noise and compared: our choice,
+/// because the χ² of the others is usually larger by hundreds.
 const FINALISTS: usize = 8;
 /// Share of a pair's evidence that its second cause must add: our choice. A weaker second cause beside a very strong first
 /// cause may only describe a small error in the law of the first cause.
@@ -142,7 +142,8 @@ impl Candidates {
     }
 
     /// Learns the noise again from the leading fit's residual and fits all candidates again with this noise, until the leading fit
-    /// changes by less than one σ. If no fit leads, the noise is learnt from the plain model's residual, and the other fits stay.
+    /// changes by less than one σ (our choice: noise hides such a change). If no fit leads, the noise is learnt from
+    /// the plain model's residual, and the other fits stay.
     fn settle(&mut self, study: &FitInputs, asked: &SearchSpace) {
         for _ in 0..NOISES {
             let (next, before) = {
@@ -179,7 +180,8 @@ impl Candidates {
         self.fits = ranked(again);
     }
 
-    /// Tries second causes in addition to the best single cause.
+    /// Tries pairs. Up to half of them are the best single cause with a second one; the others are the best of the
+    /// linear screen, whose causes begin at half of their single values, because they share the effect. Our choices.
     fn add_pairs(
         &mut self,
         study: &FitInputs,
@@ -265,7 +267,8 @@ fn further_starts(study: &FitInputs, ids: &[usize], values: &[f64]) -> (Vec<usiz
     (ids.to_vec(), from)
 }
 
-/// Start of a fit with a single cause: the linear estimate, limited to usual strengths of the mechanism.
+/// Start of a fit with a single cause: the linear estimate, limited to usual strengths of the mechanism, or to eight
+/// times the screen's value if that is more; a tenth of the screen's value if the estimate is 0. Our choices.
 fn linear_start(screen: &Screen, scores: &Scores, column: usize) -> f64 {
     let (id, value) = screen.candidates[column];
     let entry = &CATALOG[id];
@@ -328,7 +331,8 @@ fn surroundings(study: &FitInputs, asked: &SearchSpace, fit: &Fit) -> Surroundin
 
 /// Largest number of rounds for nuisances with a nonlinear effect: our choice; most fits need two.
 const BENDS: usize = 6;
-/// A change by less than this share of a prior standard deviation counts as converged: our choice.
+/// A change by less than this share of a prior standard deviation counts as converged: our choice, so that the effect
+/// of the nuisance is right to a fiftieth of what its prior allows.
 const STRAIGHT: f64 = 0.02;
 
 /// Nuisances linearised at `fit` under a whitening. Fit and nuisances are adjusted to each other in turns, because the

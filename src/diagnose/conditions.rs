@@ -34,8 +34,8 @@ pub fn described(observations: &Observations, model: &dyn ForwardModel) -> Vec<S
 
 fn said(feature: &Feature, value: f64) -> String {
     let name = feature.name.trim_end_matches("_deg").replace('_', " ");
+    // A value within the log's rounding is written as 0, and 2.00 as 2.
     let number = if value.abs() < 1e-9 { "0".into() } else { digits(value) };
-    // 2.00 is written as 2.
     let number = if number.contains('.') { number.trim_end_matches('0').trim_end_matches('.') } else { &number };
     format!("{name} {}{}", number.replace('-', "−"), after(feature.unit).replace(" °", "°"))
 }

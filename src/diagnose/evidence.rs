@@ -65,7 +65,8 @@ pub struct EvidenceTable {
     pub sizes: Vec<f64>,
     /// ν
     pub degrees: f64,
-    /// Greatest mean square of errors that noise alone may cause, see [`EvidenceTable::lack`].
+    /// Greatest mean square of errors that noise alone may cause: its mean and two standard deviations of its estimate
+    /// (our choice), see [`EvidenceTable::lack`].
     pub limit: f64,
 }
 
@@ -117,7 +118,7 @@ impl<'a> Projection<'a> {
 
     /// Degrees of freedom of the noise: those of the repetitions, or fewer if the scatter of repetitions differs
     /// between conditions. If a variance is itself distributed as inverse χ² with ν degrees of freedom, its relative
-    /// variance is 2/(ν − 4).
+    /// variance is 2/(ν − 4). Fewer than three conditions show no difference (our choice).
     fn degrees(&self, residual: &[f64]) -> f64 {
         let white = self.whitener.apply(residual);
         let (mut squares, mut free, mut expected) = (Vec::new(), 0.0, 0.0);

@@ -13,7 +13,8 @@ use serde::de::IgnoredAny;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Largest number of rows of a log: our choice, because the diagnosis of such a log uses some 0.6 GiB.
+/// Largest number of rows of a log: our choice, because the diagnosis of such a log uses some 0.6 GiB (2026-11-24), and
+/// more samples in a trial add hardly any information.
 pub const MOST_ROWS: usize = 40_000;
 
 /// Largest number of runs in a log, and of runs that an experiment file lists: our choice.
@@ -259,6 +260,7 @@ impl Experiment {
         if let Some(density) = file.bulk_density {
             medium.bulk_density = density;
         }
+        // Less than air or more than gold is a wrong unit: our choice.
         check_range("bulk_density", medium.bulk_density, 1.0..=20_000.0)?;
         check_range("coefficient_sd", file.coefficient_sd, 0.0..=1.0)?;
         for (name, shape) in &file.shapes {
@@ -341,6 +343,7 @@ fn medium(name: Option<&str>, sand: Option<&SandTable>) -> Result<Medium> {
             return Err(Error::invalid("sand", wrong));
         }
     };
+    // 1e8 N/m³ are 100 N/cm³, as for `Medium::generic`: our choice, which catches wrong units.
     for c in medium.coefficients.to_array() {
         check_range("sand.coefficients", c, -1e8..=1e8)?;
     }

@@ -80,7 +80,7 @@ fn panel(c: &Curves, u: usize, channel: usize) -> FigurePanel {
         v.block(channel).zip(&v.progress).map(|(k, p)| [*p, o.values[k]]).step_by(v.samples.div_ceil(DRAWN))
     });
     let dots: Vec<[f64; 2]> = dots.collect();
-    // The band may be far wider than all curves, so it does not set the scale.
+    // The band may be far wider than all curves, so it does not set the scale. The margin is our choice.
     let shown = dots.iter().copied().chain(at(&|k| c.plain[k])).chain(at(&|k| model[k])).map(|p| p[1]);
     let [least, most] = ends(shown);
     let air = 0.08 * (most - least).max(1e-9);

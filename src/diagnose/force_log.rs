@@ -149,7 +149,7 @@ fn mirror(trial: &mut Growing) {
         let [vx, vz] = pose.velocity;
         (along + vx * gamma.map_or(0.0, f64::cos), speeds + vx.hypot(vz))
     });
-    // A π/2 with few digits has a cosine of up to 1e-5.
+    // A π/2 with few digits has a cosine of up to 1e-5, and vx is then noise, some hundredth of the speed.
     if along < -1e-7 * speeds {
         trial.track.beta = -trial.track.beta;
     }
@@ -258,7 +258,7 @@ pub fn planned(trials: Vec<(Track, String)>, channels: usize) -> ForceLog {
     assemble(trials, names, channels > 2, Vec::new(), String::new())
 }
 
-/// Number of samples in a planned trial.
+/// Number of samples in a planned trial: our choice, as many as a log needs (docs/diagnosis.md, 1).
 const PLANNED_SAMPLES: usize = 60;
 
 /// Trials that the apparatus of `tracks` could make: each intruder at its slowest, a middle and its fastest speed, at two

@@ -57,8 +57,8 @@ struct Measuring {
     steps: Vec<Vec<[Wrench; 1]>>,
 }
 
-/// Step of the depth [m] for derivatives with respect to nuisances: our choice. This step and the three below are a
-/// small part of the nuisance's usual size.
+/// Step of the depth [m] for derivatives with respect to nuisances: our choice. This step and the three below are at
+/// most half of the nuisance's prior standard deviation.
 const DEPTH_STEP: f64 = 2e-4;
 /// Step of times [s].
 const TIME_STEP: f64 = 1e-3;
@@ -72,7 +72,7 @@ const OFFSETS: [(&str, &str); 3] = [("offset_Fx", "drift_Fx"), ("offset_Fz", "dr
 /// time, and a response is ten stacks.
 const RESPONSES: usize = 8;
 /// For at least this number of states with the same mechanisms, the response to the coefficients is computed, because
-/// it is cheaper than separate predictions.
+/// it is cheaper than separate predictions: our choice.
 const ANSWERS: usize = 4;
 
 impl<'a> ForceLogModel<'a> {
@@ -118,7 +118,7 @@ impl<'a> ForceLogModel<'a> {
         self.layout.stack(|u, c, i| if c == channel { stack[units[u].block(c).start + i] } else { 0.0 })
     }
 
-    /// Root mean square of one channel of a prediction; at least 1e-6 of its unit.
+    /// Root mean square of one channel of a prediction; at least 1e-6 of its unit, so that no size is 0.
     fn rms(&self, prediction: &[f64], channel: usize) -> f64 {
         let blocks = self.layout.units.iter().flat_map(|u| u.block(channel));
         root_mean_square(blocks.map(|k| prediction[k])).max(1e-6)
@@ -219,7 +219,7 @@ impl ForwardModel for ForceLogModel<'_> {
     }
 
     /// Each trial has its own bed strength, its own zero of the surface, and its own zero of each channel of the
-    /// load cell, which drifts.
+    /// load cell, which drifts. The guesses are our choice; the repetitions correct them.
     fn uncertainty(&self, sand: &SandParameters, prediction: &[f64]) -> Uncertainty {
         let (m, c) = sand;
         let strength = slope(&self.predict(&stronger(sand, STRENGTH_STEP)), prediction, STRENGTH_STEP);

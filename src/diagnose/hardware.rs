@@ -14,8 +14,8 @@ pub const TORQUE_CONSTANT: &str = "actuator.torque_constant";
 pub const TORQUE_LIMIT: &str = "actuator.torque_limit";
 pub const FRICTION: &str = "actuator.friction";
 
-/// Effects of measuring that a report names for a robot's own log, each with the quantities of a simulation that it changes. The
-/// last entry is the least possible value, if the effect is itself the first of these quantities.
+/// Effects of measuring that a report names for a robot's own log, each with the quantities of a simulation that it
+/// changes. If the effect is itself the first of these quantities, the last entry is its least possible value.
 const EFFECTS: [(&str, &[&str], Option<f64>); 8] = [
     ("imu_rotation_x", &[ROTATION[0]], Some(f64::NEG_INFINITY)),
     ("imu_rotation_y", &[ROTATION[1]], Some(f64::NEG_INFINITY)),

@@ -60,7 +60,7 @@ impl<'a> IntruderModel<'a> {
             let shape = BodyShape::named(&description.body)?;
             let named = |e: Error| Error::invalid(format!("body.{name}"), e.to_string());
             let coarse = PlatedBody::cut(&shape, None).map_err(named)?;
-            let longest = 50.0 * coarse.plate_size;
+            let longest = 50.0 * coarse.plate_size; // see `PlatedBody::cut`
             let nominal = PlatedBody::cut(&shape, Some(longest / ALONG)).map_err(named)?;
             let larger = nominal.scaled(1.0 + 2.0 * GEOMETRY_STEP / longest);
             Ok((name.clone(), BodyPlates { friction: description.friction, nominal, larger }))
@@ -140,7 +140,7 @@ impl ForwardModel for IntruderModel<'_> {
 
     /// Beds differ in strength, and readings of a steady state fluctuate in time. The error of the law is a tenth of
     /// the load in each of the two forces, and in the sinkage the change that a tenth of the sand's strength causes.
-    /// These errors are independent between conditions and channels.
+    /// These errors are independent between conditions and channels. The guesses are our choice, as in force logs.
     fn uncertainty(&self, sand: &SandParameters, prediction: &[f64]) -> Uncertainty {
         let strength = slope(&self.predict(&stronger(sand, STRENGTH_STEP)), prediction, STRENGTH_STEP);
         // f(row, channel) in one channel only

@@ -18,7 +18,7 @@ impl<K, T> Clone for Recent<K, T> {
 }
 
 impl<K, T> Recent<K, T> {
-    /// Keeps `most` results, at least two.
+    /// Keeps `most` results; `most` must be at least 2.
     pub fn up_to(most: usize) -> Self {
         Self { results: Mutex::default(), most }
     }

@@ -17,11 +17,11 @@ use crate::sand::term::{On, Term};
 const FROUDE: [f64; 6] = [0.25, 0.5, 0.75, 1.0, 1.25, 1.5];
 const DEPTH: [f64; 8] = [-1.0, -0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75];
 /// Powers of |z|/w in pressures that do not depend on speed; with −1 the pressure does not vanish at the surface. The
-/// power 0 would be the medium itself.
+/// power 0 would be the medium itself. Our choice.
 const STILL: [f64; 7] = [-1.0, -0.75, -0.5, -0.25, 0.5, 1.0, 1.5];
-/// Powers of the group |v|²/(g w) of the whole speed: from the root of the speed to its square.
+/// Powers of the group |v|²/(g w) of the whole speed: our choice, from the root of the speed to its square.
 const WHOLE: [f64; 4] = [0.25, 0.5, 0.75, 1.0];
-/// Powers of sines, cosines and of the saturation.
+/// Powers of sines, cosines and of the saturation: our choice, the higher, the narrower the peak.
 const SHAPE: [f64; 3] = [1.0, 2.0, 4.0];
 /// Least depth [m] in the range of a law: segments nearer to the surface carry almost no force. Our choice.
 const SHALLOW: f64 = 1e-3;
@@ -122,7 +122,7 @@ pub fn fitted(study: &FitInputs, base: &Fit, mut term: Term, held: bool) -> Opti
     for _ in 0..ROUNDS {
         let model = study.model.with_terms(std::slice::from_ref(&term))?;
         fit = study.with_model(&*model).fit_near(&fit);
-        let step = 0.02 * term.coefficient;
+        let step = 0.02 * term.coefficient; // our choice, as for mechanisms
         let more = Term { coefficient: term.coefficient + step, ..term.clone() };
         let model = study.model.with_terms(std::slice::from_ref(&more))?;
         let moved = model.predict(&study.sand(&fit));

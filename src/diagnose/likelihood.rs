@@ -11,8 +11,7 @@ use super::shared::{Likelihood, gram};
 use nalgebra::{DMatrix, DVector};
 use std::sync::Arc;
 
-/// Number of noises of a channel whose products are kept: our choice, slightly more than a gradient or a curvature
-/// needs.
+/// Number of noises of a channel whose products are kept: our choice; a gradient needs four, a line search some more.
 const KEPT: usize = 13;
 
 /// Contribution of one channel of one condition.

@@ -28,7 +28,7 @@ pub struct Misfit {
 /// relative to a negligible force has no meaning.
 const PREDICTED: f64 = 0.2;
 
-/// Number of ranges of a feature, each with the same number of samples.
+/// Number of ranges of a feature, each with the same number of samples: our choice, enough to show a trend.
 const RANGES: usize = 5;
 
 /// Errors of `prediction` in the ranges of every feature, and for every shape, over the units that count.
@@ -91,7 +91,8 @@ fn ranges(values: &[Vec<f64>]) -> Vec<[f64; 2]> {
     (0..RANGES).map(|k| [edge(k), edge(k + 1)]).filter(|r| r[1] > r[0]).collect()
 }
 
-/// The report names a range if its error is this many times the smallest error of the same table: our choice.
+/// The report names a range if its error is this many times the smallest error of the same table: our choice, because
+/// smaller differences may be noise.
 const UNEVEN: f64 = 1.25;
 /// An error counts as increasing or decreasing along a feature even if it reverses by up to this share of its greatest
 /// size, which may be noise: our choice.

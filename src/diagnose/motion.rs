@@ -8,9 +8,11 @@ use super::track::{ArmPose, Track};
 /// An intruder rests if its speed is below this share of the trial's speed: our choice, above the noise of velocities
 /// at rest and far below any speed of interest.
 const REST: f64 = 0.05;
-/// A velocity up to this share counts as noise if the position shows rest: our choice.
+/// A velocity up to this share counts as noise if the position shows rest: our choice, because with [`REST`] alone
+/// noise would count as motion.
 const NOISY_REST: f64 = 0.2;
-/// Speeds from positions are taken over up to this many samples before and after.
+/// Speeds from positions are taken over up to this many samples before and after: our choice, because the noise of one
+/// position weighs half as much over two intervals as over one.
 const REACH: usize = 2;
 /// Share of the trial's extent within which fluctuations of the position do not count as motion: our choice, 0.2 mm
 /// on a distance of 4 cm, 1° on one of 200°.

@@ -19,7 +19,7 @@ pub struct Proposal {
     pub separates: [Vec<String>; 2],
 }
 
-/// Number of repetitions that a proposal assumes.
+/// Number of repetitions that a proposal assumes: our choice, as many as docs/diagnosis.md recommends.
 const REPETITIONS: usize = 3;
 
 /// The `count` trials of the menu that best separate the two nearest explanations.
@@ -50,7 +50,7 @@ pub fn propose(menu: &Menu, noise: &Noise, study: &FitInputs, set: &[&Fit], coun
     let mut order: Vec<usize> = (0..separations.len()).collect();
     order.sort_by(|i, j| separations[*j].total_cmp(&separations[*i]));
     // Trials that differ only in a quantity without effect on both explanations separate these equally, so only one
-    // such trial is kept.
+    // such trial is kept. A thousandth is our choice, above rounding.
     order.dedup_by(|a, b| (separations[*a] / separations[*b] - 1.0).abs() < 1e-3);
     order
         .into_iter()

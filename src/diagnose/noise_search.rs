@@ -17,7 +17,8 @@ const AT_95_PERCENT: f64 = 3.841;
 const COPIES: f64 = 1e-6;
 
 impl NoiseData<'_> {
-    /// A first estimate from the size of the differences; the search starts here.
+    /// A first estimate from the size of the differences; the search starts here. How it divides them between grains
+    /// and sensor is our choice, which the search corrects.
     fn guess(&self, repeats: &[Repeats], clock: NoiseClock) -> Noise {
         let channel = |c: usize| {
             let (mut square, mut size, mut count) = (0.0, 0.0, 0.0);
@@ -62,13 +63,14 @@ impl NoiseData<'_> {
         let least = landscape.deviance(noise);
         let needed = |(k, shared): &(usize, &SharedNoise)| {
             let mut without = noise.clone();
-            without.shared[*k] = 1e-6 * shared.guess;
+            without.shared[*k] = 1e-6 * shared.guess; // practically 0
             !shared.optional || landscape.deviance(&without) - least > AT_95_PERCENT
         };
         self.uncertainty.shared.iter().enumerate().filter(needed).map(|(_, s)| s.name).collect()
     }
 
-    /// The likeliest noise for a given clock, and its −2 log likelihood.
+    /// The likeliest noise for a given clock, and its −2 log likelihood. The numbers of rounds are our choice: fewer if
+    /// the search starts near the end.
     fn search(
         &self,
         repeats: &[Repeats],

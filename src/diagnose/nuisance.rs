@@ -39,7 +39,7 @@ impl Nuisance {
     }
 }
 
-/// Kinds of nuisances with unit and default prior standard deviation. Our choices, typical for a careful laboratory:
+/// Kinds of nuisances with unit and default prior standard deviation. Our choices, usual in a careful laboratory:
 /// the zero of a load cell is known within a tenth of what the cell reads, its gain within 2 %, its mounting within 3°;
 /// the height of the surface within 2 mm; clocks within 2 ms and 0.1 %; filters up to some 5 ms; half the length of a
 /// body within 1 mm, the friction of its surface within 0.15.

@@ -15,7 +15,8 @@ use nalgebra::{DMatrix, DVector};
 /// objective crosses the tolerance, and some farther out, because a rough objective may cross the tolerance again.
 const STEPS: [f64; 11] = [0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 9.0, 13.0, 20.0];
 
-/// Largest number of rounds: our choice. If the scans of a round find a lower point, the next round scans from there.
+/// Largest number of rounds: our choice, because each round simulates all runs with [`STEPS`] on both sides. If the
+/// scans of a round find a lower point, the next round scans from there.
 const ROUNDS: usize = 3;
 /// If a point is lower than the fit by more than this [χ²], it belongs to another minimum: our choice, a quarter of the effect of one σ.
 const LOWER: f64 = 0.25;

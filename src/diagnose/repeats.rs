@@ -92,7 +92,7 @@ fn matched(observations: &Observations, group: &[usize]) -> Vec<Vec<usize>> {
             let left = right.saturating_sub(1).max(next[k]);
             let away = |j: usize| progress.get(j).map_or(f64::INFINITY, |p| (p - at).abs());
             let best = if away(left) <= away(right) { left } else { right };
-            // A match is at most half the distance between samples away; the small number is for the rounding of the log.
+            // A match is at most the mean distance between samples away, or 1e-9 more, for the rounding of the log.
             (away(best) <= reach + 1e-9).then_some(best)
         };
         let row: Option<Vec<usize>> =
@@ -120,7 +120,8 @@ struct Smooth {
 }
 
 impl Smooth {
-    /// Half-width of the running mean, in mean spacings of the samples of the shortest repetition: our choice.
+    /// Half-width of the running mean, in mean spacings of the samples of the shortest repetition: our choice, so that
+    /// the mean has about five samples of each repetition.
     const REACH: f64 = 2.0;
 
     fn new(observations: &Observations, group: &[usize], channel: usize, residual: &dyn Fn(usize) -> f64) -> Self {

@@ -6,10 +6,10 @@ use crate::number::add_scaled;
 use crate::sand::Coefficients;
 use crate::sand::mechanism::Mechanisms;
 
-/// Coefficient [N/m³] at which a column is computed, of the usual size of coefficients.
+/// Coefficient [N/m³] at which a column is computed: our choice, of the usual size; the response is linear.
 const UNIT: f64 = 1e5;
-/// Is the force linear in the coefficients? It is not linear with a friction limit, which compares two parts of the
-/// force, nor with a leg that bends.
+/// Is the force linear in the coefficients? It is not with a friction limit, which compares two parts of the force, nor
+/// with a leg that bends. `skid_loss` and `slip_bearing` count as nonlinear; they do not act in force logs.
 pub fn is_linear(m: &Mechanisms) -> bool {
     [m.friction_clip, m.compliance, m.skid_loss, m.slip_bearing] == [0.0; 4]
 }

@@ -25,7 +25,7 @@ pub struct SpeedExponent {
     pub ci95: [f64; 2],
     /// Is the law's own power beaten?
     pub excluded: bool,
-    /// Do the data exclude all powers that differ from the law's own by ¾ or more?
+    /// Do the data exclude all powers that differ from the law's own by ¾ or more? Our choice: those ½ away may remain.
     pub told_apart: bool,
 }
 

@@ -10,8 +10,8 @@ use crate::parallel;
 use crate::sand::Coefficients;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
 
-/// Step of numerical slopes of a smooth model, in typical strengths: our choice; the laws are computed in double
-/// precision.
+/// Step of numerical slopes of a smooth model, in typical strengths: our choice, small, and far above the rounding of
+/// laws that are computed in double precision.
 const SMOOTH_STEP: f64 = 0.02;
 
 /// Data, model and noise: the inputs of a fit.
@@ -43,7 +43,7 @@ impl<'a> FitInputs<'a> {
 
     /// Finds steps that change all data together by at least `target` σ, so that numerical slopes of a rough simulation
     /// are reliable. Each step is doubled from a tenth of the typical strength up to at most a quarter of the fitted
-    /// range.
+    /// range: our choice.
     fn find_steps(&mut self, target: f64, plain: &[f64]) {
         let mut open: Vec<usize> =
             (0..CATALOG.len()).filter(|&id| CATALOG[id].walking && !CATALOG[id].ceiling).collect();

@@ -36,8 +36,8 @@ pub enum Written {
     Plain,
 }
 
-/// Share of the misfit that a cause or law must explain to be named: more than half of the variance of the plain model's
-/// errors beyond noise.
+/// Share of the misfit that a cause or law must explain to be named: our choice, because less than half of the variance
+/// of the plain model's errors beyond noise is not the main part.
 pub const MAIN_PART: f64 = 0.5;
 
 /// One model of the table.

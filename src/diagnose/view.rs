@@ -306,7 +306,7 @@ impl ReportView<'_> {
         }
     }
 
-    /// The experiment that separates the explanations of the set.
+    /// The experiment that separates the explanations of the set, of at most three conditions (our choice).
     fn next_experiment(&self, untestable: &[Untestable]) -> Option<NextExperiment> {
         let selection = Some(self.selection).filter(|s| s.ruling.set.len() > 1)?;
         let set: Vec<&Fit> = selection.ruling.set.iter().map(|&k| selection.fit_of(k)).collect();

@@ -110,6 +110,7 @@ pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Re
     Ok(WalkingLog { observations, settings: setups, setting_of, missing, notes, sha256: summary.sha256 })
 }
 
+/// The setup in a row. The ranges are those of a simulated walk; longer measurements take too long (our choice).
 fn setup(row: &Row, experiment: &Experiment) -> Result<WalkSetup> {
     let robot = row.text(ROBOT).or(experiment.file.robot.as_deref());
     let robot = robot.ok_or_else(|| row.error(ROBOT, "is blank, and the experiment names none"))?;
@@ -171,9 +172,9 @@ pub fn planned(runs: Vec<(WalkSetup, String)>, channels: Vec<Channel>) -> Walkin
     WalkingLog { observations, settings: setups, setting_of, missing: Vec::new(), notes, sha256: String::new() }
 }
 
-/// Runs that a laboratory with these `setups` could make: its legs and their mirror images, at the lowest, a middle and
-/// the highest stride frequency in the log, on level sand and 10° up and down, with and without a payload of a third of
-/// the robot's mass.
+/// Runs that a laboratory with these `setups` could make: its legs, and legs L and revL, at the lowest, a middle and
+/// the highest stride frequency in the log, on level sand, 10° up and down, with a payload of 50 g (a third of the mass
+/// of `xplorer`), and 30 cm behind the usual start: our choice.
 pub fn possible(setups: &[WalkSetup]) -> Vec<(WalkSetup, String)> {
     let Some(first) = setups.first() else { return Vec::new() };
     let frequencies = low_middle_high(setups.iter().map(|s| s.frequency.abs()));

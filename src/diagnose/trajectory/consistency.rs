@@ -89,7 +89,8 @@ fn command(run: &Run, j: usize, name: &str) -> Option<String> {
     }
 }
 
-/// Compares the mean specific force with gravity: 9.81 m/s², upward.
+/// Compares the mean specific force with gravity: 9.81 m/s², upward. A factor of two is our choice, far above the error
+/// of a sensor and the accelerations of a walk, which have a mean of about 0.
 fn gravity(run: &Run, [w, x, y, z]: [f64; 4]) -> Option<String> {
     let mean = |v: &Vec<f64>| v.iter().sum::<f64>() / v.len() as f64;
     let own = nalgebra::Vector3::from_fn(|k, _| mean(&run.acc[k]));
@@ -128,7 +129,8 @@ fn gravity(run: &Run, [w, x, y, z]: [f64; 4]) -> Option<String> {
     })
 }
 
-/// Checks that the attitude turns the specific force upward.
+/// Checks that the attitude turns the specific force upward. The limits are our choice: 0.7 as for gravity, and ±0.5
+/// for the correlation of the tilt, which is near 1 if all is right and −1 with the inverse.
 fn attitude(run: &Run) -> Option<String> {
     let [w, x, y, z] = &run.attitude;
     let upward = |q: &dyn Fn(usize) -> [f64; 4]| {

@@ -37,7 +37,8 @@ impl ForwardModel for TrajectoryModel<'_> {
 
     /// The sizes here are not learnt from the scatter of repetitions. All strides of a run share the strength of its
     /// bed, the offsets of its sensors, and the error of the time step. At each number the model errs by a share of the
-    /// channel's standard deviation within the stride, and by the scatter of [`Self::unsettled`].
+    /// channel's standard deviation within the stride, and by the scatter of [`Self::unsettled`]. The error of the time
+    /// step is the difference to a replay with a quarter of it (our choice).
     fn uncertainty(&self, sand: &SandParameters, prediction: &[f64]) -> Uncertainty {
         let harder = self.predict(&stronger(sand, STRENGTH_STEP));
         let mut common = vec![slope(&harder, prediction, STRENGTH_STEP / self.prior("bed_strength").max(1e-9))];

@@ -253,12 +253,12 @@ impl<'a> Gather<'a> {
 fn unwrap(q: &mut [f64]) {
     let [low, high] = ends(q.iter().copied());
     if high - low > 1.05 * TAU {
-        return; // the angle is continuous already
+        return; // beyond a turn, and 5 % more for noise (our choice), the angle is continuous already
     }
     let mut turns = 0.0;
     for i in 1..q.len() {
         let change = q[i] + turns - q[i - 1];
-        // Corrects only jumps of nearly one turn, because no joint moves by 0.8 of a turn between two samples.
+        // Corrects only jumps of nearly one turn (our choice): no joint moves by 0.8 of a turn between two samples.
         if (change.abs() / TAU - 1.0).abs() < 0.2 {
             turns -= TAU.copysign(change);
         }

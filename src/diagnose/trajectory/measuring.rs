@@ -11,7 +11,7 @@ use crate::fit::slope;
 use crate::nuisance::Nuisance;
 use crate::series::{central_difference, root_mean_square};
 
-/// Steps of the IMU's rotation [rad] and delay [s] for derivatives: our choices.
+/// Steps of the IMU's rotation [rad] and delay [s] for derivatives: our choices, small against the priors.
 const TURN_STEP: f64 = 1e-3;
 const DELAY_STEP: f64 = 1e-3;
 /// Step of the IMU's blur for derivatives [s²]: our choice, the blur of a filter of 2 ms.
@@ -76,7 +76,8 @@ impl TrajectoryModel<'_> {
             ("imu_blur", "s²", "imu_blur", BLUR_STEP),
         ];
         let given = self.hardware.mounting;
-        // Limits the delay: a log is early by at most 10 ms, and the simulation ends `BEYOND` after the window.
+        // Limits the delay: the simulation ends `BEYOND` after the window, and a log is early by at most 10 ms: our
+        // choice.
         let mounted = |v: [f64; 5]| {
             let low_pass = v[4].max(0.0).sqrt().min(BEYOND);
             let delay = (v[3] - low_pass).clamp(-0.01, BEYOND);

@@ -17,11 +17,11 @@ const FREQUENCIES: [f64; 5] = [1.0, 2.0, 3.0, 4.0, 5.0];
 const SLOPES_DEG: [f64; 4] = [0.0, 5.0, 10.0, -5.0];
 /// Proposed frequencies are outside of the log's range by at most this factor: our choice; the motors can probably reach them.
 const BEYOND: f64 = 1.5;
-/// Turns of the hips in a planned walk: a lead-in and the stride that is compared.
+/// Turns of the hips in a planned walk: a lead-in of 0.75, two strides, of which the second is compared, and a margin.
 const TURNS: f64 = 2.9;
 /// Duration of the protocol's hold and ramp [s].
 const START: f64 = 0.5;
-/// Rate of a planned walk's samples [Hz].
+/// Rate of a planned walk's samples [Hz]: our choice, as in the logs of the study.
 const RATE: f64 = 200.0;
 
 impl TrajectoryModel<'_> {

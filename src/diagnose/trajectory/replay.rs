@@ -24,9 +24,9 @@ const STIFFER: f64 = 20.0;
 /// Number of signals in addition to the torques: angular velocity, specific force, upward direction (three each, in the base's frame),
 /// horizontal speed and height.
 pub const SIGNALS: usize = 11;
-/// Time simulated after the end of a window [s], for sensors with a delay: five times the usual delay.
+/// Time simulated after a window [s], for sensors with a delay: our choice, three prior standard deviations of it.
 pub const BEYOND: f64 = 0.03;
-/// Number of ticks between two checks for a cancellation.
+/// Number of ticks between two checks for a cancellation: our choice, a quarter of a second of a walk.
 const CHECK_INTERVAL: usize = 256;
 
 /// A robot, from our own description or from a URDF or MJCF file.
@@ -86,7 +86,8 @@ impl ReplayRobot {
         }
     }
 
-    /// The model with stiff servos, whose joints follow their targets.
+    /// The model with stiff servos, whose joints follow their targets. If the robot's file has no stiffness, the
+    /// robot's own is its weight times the base's length (our choice).
     pub fn model(&self, scene: &Scene) -> Result<Model> {
         match self {
             Self::Legged(robot) => {

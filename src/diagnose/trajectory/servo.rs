@@ -15,10 +15,10 @@ use crate::sim::walk::hip_angle;
 /// the request may be arbitrarily large, and contains no information on the motor.
 const MOST: f64 = 2.0;
 
-/// Time after which the hips turn steadily [s]: the protocol's hold and ramp end at 0.5 s.
+/// Time after which the hips turn steadily [s]: the protocol's hold and ramp end at 0.5 s; 0.1 s more is our choice.
 const SETTLED: f64 = 0.6;
 
-/// Fewest samples of steady turning: our choice.
+/// Fewest samples of steady turning: our choice, because the offset in [`zero`] is found from them.
 const FEWEST: usize = 30;
 
 /// Requested torques of one run.
@@ -71,7 +71,7 @@ fn greatest(torques: &[Vec<f64>]) -> f64 {
 
 /// Number of values that are tried first for the offset in [`zero`], at even steps in the list of sorted differences: our choice.
 const TRIED: usize = 24;
-/// Largest number of iterations that improve the best of these values: our choice; each at least halves the error.
+/// Largest number of iterations that improve the best of these values: our choice; one that does not help is the last.
 const CLOSER: usize = 8;
 
 /// The angle of a joint at the start of its command is not known, nor is the exact time of the start. So the requested torque has a

@@ -104,7 +104,7 @@ impl TrajectoryModel<'_> {
         let strong = |(m, c): &SandParameters| (Mechanisms { motor_torque_limit: 0.0, ..*m }, *c);
         let keys = states.iter().map(|state| key(&strong(state), &[])).collect();
         let stacks = self.known.of(keys, |new| {
-            // Sixteen at a time, because tracks need much memory.
+            // Sixteen at a time, because tracks need much memory: our choice.
             let some = |part: &[usize]| {
                 let states: Vec<SandParameters> = part.iter().map(|&k| states[k]).collect();
                 let tracks = self.tracks(&states, 0.0, 1.0);

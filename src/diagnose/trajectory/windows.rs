@@ -9,9 +9,9 @@ use std::f64::consts::TAU;
 
 /// Parts of a stride; the mean over each part is compared. Our choice: it resolves the gait up to the eighth harmonic.
 pub const BINS: usize = 16;
-/// Turns of the hips before the first stride that is compared: our choice.
+/// Turns of the hips before the first stride that is compared: our choice, so that short runs keep most strides.
 const LEAD_IN: f64 = 0.75;
-/// A run with at most this number of strides is one window: our choice.
+/// A run with at most this number of strides is one window: our choice, as many as are compared in a longer run.
 const STRIDES: usize = 12;
 /// Number of strides of such a short run that are compared, at most: our choice; more strides repeat the same information.
 const COMPARED: usize = 4;
@@ -23,7 +23,7 @@ const WINDOWS: usize = 96;
 const STRIDES_OF_MANY: usize = 4;
 /// A joint has begun to move if its angle differs from its first angle by this [rad]: our choice, above the noise of encoders.
 const MOVES: f64 = 0.1;
-/// A joint with more turns than this in a run makes full turns; other joints swing.
+/// A joint with more turns than this in a run makes full turns; other joints swing. Our choice: no joint swings so far.
 const TURNS: f64 = 1.5;
 
 /// Part of a run that is replayed.
