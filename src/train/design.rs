@@ -33,7 +33,7 @@ const SEEDS: usize = 100;
 /// Number of designs in the final comparison, the best of the ranking: our choice, because their intervals often
 /// overlap.
 const COMPARED: usize = 3;
-/// Largest number of trainings of a study: our choice, some days.
+/// Largest number of trainings of a study: our choice; so many take days.
 const MOST_TRAININGS: usize = 10_000;
 /// Number of designs that a search trains at the same time. A search begins with evenly spread designs: this number,
 /// and this number more for each parameter. Our choice.
