@@ -33,7 +33,7 @@ struct Portion {
     denser: u16,
 }
 
-/// Most steps that are taken at once, and the highest floor.
+/// Most steps that are taken at once, and the highest floor: our choice, a little below the largest `i16`.
 const HIGHEST: f32 = 32_000.0;
 
 impl Portion {
