@@ -105,7 +105,7 @@ impl Scene {
     }
 
     /// Gives the sand memory, for a tree robot. The square contains the robot in its standing pose, and sand slides as
-    /// around a body of two cells: our choice, because the sizes of feet differ.
+    /// around a body of two cells: our choice, because the sizes of feet differ. 1 mm keeps the cell from being 0.
     pub fn remember_tree(&mut self, tree: &TreeModel) {
         let cell = tree.reach().max(1e-3) / WITHIN;
         self.memory = Some(MemorySettings::new(&self.medium, cell, BITS, 2.0 * cell, None));

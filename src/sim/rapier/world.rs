@@ -239,7 +239,7 @@ impl World {
 
     fn push(&mut self, part: RobotPart, arm: V, wrench: &SandWrench) {
         let body = &mut self.physics.bodies[part.0];
-        body.reset_forces(false);
+        body.reset_forces(false); // rapier keeps forces until they are reset
         body.reset_torques(false);
         body.add_force(scaled(wrench.force), false);
         body.add_torque(scaled_twice(wrench.moment_about(arm)), false);
@@ -257,7 +257,7 @@ impl World {
             let [middle, half] = limits(model, *old);
             *torque = middle + (yielding * (target - rate)).clamp(-half, half);
         }
-        let velocities = multibody.generalized_velocity();
+        let velocities = multibody.generalized_velocity(); // the links' own are one step old
         let to = state.velocity.iter_mut().chain(&mut state.angular_velocity).chain(&mut state.rates);
         for (to, from) in to.zip(velocities.iter()) {
             *to = f64::from(*from);
