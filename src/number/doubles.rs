@@ -4,6 +4,7 @@ use super::{Kernel, PlainShorts, Real};
 use std::array::from_fn;
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
+/// Two registers of AVX2: our choice.
 const LANES: usize = 8;
 
 /// Plain arrays, which the compiler vectorises. No operation is fused, so every instruction set gives bit-identical

@@ -3,7 +3,7 @@
 
 use super::{Isa, Real};
 
-/// Number of lanes of [`Eight`].
+/// Number of lanes of [`Eight`]: a register of AVX-512, or two of AVX2.
 pub const EIGHT: usize = 8;
 
 /// Eight lanes of `f64`. Every implementation fuses multiplication and addition, and [`Eight::sum`] adds in a fixed

@@ -1,7 +1,7 @@
 //! Sixteen lanes of `i16`, for work on many cells of one grid. All operations are exact, so every instruction set gives
 //! the same result.
 
-/// Number of lanes of [`Shorts`].
+/// Number of lanes of [`Shorts`]: a register of AVX2.
 pub const SHORTS: usize = 16;
 
 /// Sixteen lanes of `i16`.

@@ -30,7 +30,7 @@ pub struct Regularization {
 }
 
 impl Regularization {
-    /// No regularisation: for the law itself, not for dynamics.
+    /// No regularisation: for the law itself, not for dynamics. Our choice of numbers too small to change a force.
     pub const BARE: Self = Self { rest_speed: 1e-30, leading_edge_gate: 1e-20, sign_gate: 1e-20, friction: None };
     /// For solid bodies with many plates in all directions: a sharper leading edge. Our choice 0.02, because forces
     /// then differ by at most 1 % from forces with a sharp edge, and walks at 1 ms by at most 1 % from walks at 0.125

@@ -39,10 +39,10 @@ pub fn rotating_leg(ground: &SandBed<f64>, segments: &[Segment], theta: f64, ome
     load
 }
 
-/// Segments along the leg: fine enough that forces no longer change in the fourth digit.
+/// Segments along the leg: our choice, because eight times as many change no force by more than 1e-5 of its peak.
 const SEGMENTS: usize = 400;
 
-/// θ from −1.75 to 1.75 rad in steps of 0.01, as in figure 3 of the paper.
+/// θ from −1.75 to 1.75 rad in steps of 0.01: our choice. The forces' peaks on all named legs are within ±0.9 rad.
 const HALF_SWEEP: i32 = 175;
 
 /// A leg that turns once through the sand about a fixed hip.
@@ -63,7 +63,7 @@ pub struct Rotation {
 pub const CHORD: f64 = 0.076;
 /// Li et al. 2012, section 3: width [m].
 pub const WIDTH: f64 = 0.025;
-/// Li et al. 2012, section 3: height of the hip above the sand [m].
+/// Height of the hip above the sand [m]: our choice, because the paper does not state it.
 pub const HIP_HEIGHT: f64 = 0.02;
 /// Li et al. 2012, section 3: angular speed [rad/s].
 pub const OMEGA: f64 = 0.2;

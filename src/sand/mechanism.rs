@@ -30,7 +30,8 @@ pub struct Mechanism {
     pub unit: &'static str,
     /// Least and greatest value in a fit: physical bounds where they exist, otherwise our choice of wide bounds.
     pub bounds: [f64; 2],
-    /// A typical strength. Steps of numerical derivatives and scales of priors are multiples of it.
+    /// A typical strength: our choice of an order of magnitude. Steps of numerical derivatives and scales of priors are
+    /// multiples of it.
     pub typical: f64,
     pub side: Side,
     /// Can force logs show the mechanism?
@@ -62,7 +63,8 @@ impl Mechanism {
         if self.ceiling && coordinate * self.bounds[1] < 1.0 { 0.0 } else { self.coordinate(coordinate) }
     }
 
-    /// Least and greatest coordinate. Fits may lower an upper limit to a fiftieth of its typical value: our choice.
+    /// Least and greatest coordinate. Fits may lower an upper limit to a fiftieth of its typical value: our choice,
+    /// because a motor with that torque just holds its leg level (`xplorer`: 2 g, 4 cm).
     pub fn coordinate_bounds(&self) -> [f64; 2] {
         if self.ceiling { [0.0, 50.0 / self.typical] } else { self.bounds }
     }

@@ -8,15 +8,16 @@ use super::mechanism::Mechanisms;
 use super::term::{LaneTerms, Term, TermArguments};
 use crate::number::{Real, Vec3};
 
-/// Depth z0 [m] at which `depth_power` does not change the stress.
+/// Depth z0 [m] at which `depth_power` does not change the stress: our choice; another z0 has the effect of `scale`.
 const DEPTH_REFERENCE: f64 = 0.02;
-/// Distance [m] over which a footprint fades.
+/// Distance [m] over which a footprint fades: our choice, because no published law was found.
 const FOOTPRINT_REACH: f64 = 0.03;
-/// Length [m] that `packing_grad` refers to.
+/// Length [m] that `packing_grad` refers to: our choice, because it only fixes the unit of g.
 const PACKING_LENGTH: f64 = 0.1;
-/// Speed [m/s] that `rate_log` refers to.
+/// Speed [m/s] that `rate_log` refers to: our choice, about the tip speed in the leg experiment of Li et al. 2012.
 const RATE_REFERENCE: f64 = 0.01;
-/// Normal speed [m/s] over which cohesion builds up.
+/// Normal speed [m/s] over which cohesion builds up: our choice, because a segment then has none at rest, and all of it
+/// at [`RATE_REFERENCE`].
 const COHESION_SPEED: f64 = 1e-3;
 /// Least factor on the stress that `rate_log` and `packing_grad` may give. Both laws are straight lines fitted over a
 /// small range; extrapolated far enough, they would become negative, and the sand would drive the motion. Loosely
@@ -234,7 +235,7 @@ impl<R: Real> SandMechanisms<R> {
 
     /// `force` with its tangential part limited to 1/`inverse_friction` times its normal part; 0 means no limit. If the
     /// law's normal part drives the motion (plates drawn out at a shallow angle), the tangential part stays large
-    /// enough that the whole force still brakes the motion, unless the motion is prescribed.
+    /// enough that the whole force still brakes the motion, unless the motion is prescribed. 1e-30 avoids 0/0.
     #[inline(always)]
     fn capped(&self, force: Vec3<R>, n: Vec3<R>, v: Vec3<R>) -> Vec3<R> {
         let normal = force.dot(n);
@@ -263,7 +264,7 @@ impl<R: Real> SandMechanisms<R> {
 
     /// Share of the force that remains on a steep face when the body travels along the face: 1 − κ_g |n_h|⁸ (1 −
     /// |n_h·V̂|/|n_h|), n_h the horizontal part of its normal, V̂ the direction of travel. Never negative, so the sand
-    /// adds no energy.
+    /// adds no energy. 1e-20 avoids 0/0.
     #[inline(always)]
     fn grazing(&self, n: Vec3<R>, [x, y]: [R; 2]) -> R {
         let steep = n.x * n.x + n.y * n.y;
@@ -315,7 +316,7 @@ impl<R: Real> StressModel<R> for SandMechanisms<R> {
         if !self.active.depth_power {
             return R::one();
         }
-        let tiny = R::splat(1e-12);
+        let tiny = R::splat(1e-12); // [m]; avoids 0/0 outside the sand
         let (mean, loaded) = (mean.max(tiny), loaded.max(tiny));
         self.depth(loaded) * mean / (self.depth(mean) * loaded)
     }

@@ -79,9 +79,10 @@ impl LegShape {
         [[0.0, 0.0], [cos * sin, -cos * cos], [0.0, -1.0]]
     }
 
-    /// Cuts the strip into exactly `count` ≥ 2 segments (`chord` = hip-tip distance 2R [m], `width` [m]).
+    /// Cuts the strip into exactly `count` ≥ 2 segments (`chord` = hip-tip distance 2R [m], `width` [m]). A lower piece
+    /// that is shorter than 1e-9 of the chord is only a rounding error, and is left out.
     pub fn segments(&self, chord: f64, width: f64, count: usize) -> Result<Vec<Segment>> {
-        // A robot smaller than 1 mm or larger than 10 m has wrong units: our choice.
+        // A robot smaller than 1 mm or larger than 10 m has wrong units, and no leg needs 10⁵ segments: our choice.
         check_range("chord", chord, 1e-3..=10.0)?;
         check_range("width", width, 1e-4..=10.0)?;
         if !(2..=100_000).contains(&count) {

@@ -41,8 +41,8 @@ pub const CREEP: f64 = 1e-3;
 /// Number of passes after which a torque that is still beyond its limits becomes 0: our choice, twice the number of
 /// pieces of a line.
 pub const NEWTON: usize = 6;
-/// Rounding that does not count as beyond the limits, as shares of the smallest limit and of the stall torque: some 100 and 10 units of the
-/// last place of `f32`. The reported torque is cut to the limits.
+/// Rounding that does not count as beyond the limits, as shares of the smallest limit and of the stall torque: our
+/// choice, some 100 and 10 units of the last place of `f32`. The reported torque is cut to the limits.
 const ROUNDING: [f64; 2] = [1e-5, 1e-6];
 
 /// The motor of a joint and its gear. A property that is None is not known.
@@ -91,7 +91,7 @@ impl Actuator {
         Ok(all)
     }
 
-    /// Refuses numbers that no motor of a robot has; `owner` names what has the motor.
+    /// Refuses numbers that no motor of a robot has, to catch wrong units: our choice. `owner` names the motor's owner.
     pub fn validate(&self, owner: &str) -> Result<()> {
         for (name, value, range) in [
             ("torque_limit", self.torque_limit, 1e-6..=1e4),

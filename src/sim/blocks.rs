@@ -138,7 +138,8 @@ impl<R: Real> LaneJoint<R> {
 }
 
 impl<R: Real> LaneState<R> {
-    /// Robots that hover motionless above the ground; lanes without an environment hold such robots.
+    /// Robots that hover motionless 1 km above the ground (our choice, above all dunes); lanes without an environment
+    /// hold such robots.
     pub fn hovering(joints: usize) -> Self {
         Self {
             position: Vec3::splat([0.0, 0.0, 1e3]),
@@ -225,7 +226,8 @@ impl<R: Real> LaneState<R> {
         self.work = R::zero();
     }
 
-    /// Moves the base by the semi-implicit Euler method. The rotation uses the exponential map to third order and is then normalised.
+    /// Moves the base by the semi-implicit Euler method. The rotation uses the exponential map to third order and is
+    /// then normalised by a step of Newton's method.
     #[inline(always)]
     pub fn move_base(&mut self, acceleration: &Twist<R>, dt: R) {
         self.change = acceleration.scaled(dt);
@@ -290,7 +292,8 @@ impl<R: Real> LinkFrame<R> {
     }
 
     /// Weight w of the expected change of velocity at `place`: near 1 in smooth motion, where the next change is about
-    /// equal to the last one, and 0 if the place sticks; see [`super::lanes`].
+    /// equal to the last one, and 0 if the place sticks. `lanes/dynamics.rs` has the reason for the factor 4; 1e-30
+    /// avoids 0/0 at rest.
     #[inline(always)]
     pub fn trust(&self, place: Vec3<R>) -> R {
         let (speed, change) = (self.velocity.at(place).norm_squared(), self.change.at(place).norm_squared());

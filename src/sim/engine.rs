@@ -48,7 +48,8 @@ impl EngineKind {
         }
     }
 
-    /// Number of environments in a shard. One thread computes a whole shard.
+    /// Number of environments in a shard, which one thread computes: our choice, the most lanes that an instruction set
+    /// has; `rapier` has no lanes.
     pub fn shard_size(self) -> usize {
         match self {
             Self::Lanes | Self::Tree | Self::Carriage => 16,

@@ -14,7 +14,7 @@ pub const MOST: usize = 256;
 /// Largest number of corners of a hull: our choice; a random rock has 12.
 const MOST_CORNERS: usize = 64;
 
-/// Depth of steps, walls and patches under the surface [m]: more than a leg of the built-in robots reaches.
+/// Depth of steps, walls and patches under the surface [m]: our choice, more than the length of a leg of `xplorer`.
 const FOUNDATION: f64 = 0.05;
 
 /// Friction coefficient of a leg in Li, Zhang & Goldman 2012. They give none for rock; to use the same value is our choice.

@@ -294,6 +294,7 @@ impl Robot {
 }
 
 impl Link {
+    /// As [`Robot::validate`]. Axes may have rounding errors: our choice, 1 % of the length and 0.001 rad.
     fn validate(&self) -> Result<()> {
         let norm = |v: [f64; 3]| v.iter().map(|c| c * c).sum::<f64>().sqrt();
         check_range("leg.link.axis (length)", norm(self.axis), 0.99..=1.01)?;

@@ -60,7 +60,7 @@ impl Scene {
     /// Steepest slope, uphill or downhill [°]: natural slopes of dry sand end near 35°, its angle of repose.
     pub const MAX_SLOPE_DEG: f64 = 35.0;
 
-    /// Largest payload [kg].
+    /// Largest payload [kg]: our choice, the mass of the heaviest base that [`Robot::validate`] accepts.
     pub const MAX_PAYLOAD: f64 = 1e3;
 
     pub fn flat(medium: Medium) -> Self {
@@ -91,8 +91,10 @@ impl Scene {
         (self.medium, self.law, self.mechanisms) = (sand.medium(), sand.law, sand.mechanisms);
     }
 
-    /// Gives the sand memory, for `robot`. A cell's side is three quarters of a leg's width, or larger if the square must be larger
-    /// to contain the robot.
+    /// Gives the sand memory, for `robot`. A cell's side is three quarters of a leg's width (our choice: half of it,
+    /// with finer steps, changes walking speeds by at most 2 %), or larger if the square must be larger to contain the
+    /// robot. Sand slides as around a body of twice a leg's width: our choice, between a leg's width and its length.
+    /// A robot without strips counts as 1 cm wide, like `xplorer`: also our choice.
     pub fn remember(&mut self, robot: &Robot) {
         let width = robot.leg.link.iter().rev().find_map(|link| link.sand.as_ref()).map_or(0.01, |strip| strip.width);
         let long = |v: [f64; 3]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -102,7 +104,8 @@ impl Scene {
         self.memory = Some(MemorySettings::new(&self.medium, cell, BITS, 2.0 * width, None));
     }
 
-    /// Gives the sand memory, for a tree robot. The square contains the robot in its standing pose.
+    /// Gives the sand memory, for a tree robot. The square contains the robot in its standing pose, and sand slides as
+    /// around a body of two cells: our choice, because the sizes of feet differ. 1 mm keeps the cell from being 0.
     pub fn remember_tree(&mut self, tree: &TreeModel) {
         let cell = tree.reach().max(1e-3) / WITHIN;
         self.memory = Some(MemorySettings::new(&self.medium, cell, BITS, 2.0 * cell, None));
@@ -128,6 +131,7 @@ impl Scene {
         Ok(())
     }
 
+    /// Refuses numbers outside of bounds that catch wrong units (our choice), and scenes that are not defined.
     pub(super) fn validate(&self) -> Result<()> {
         check_range("slope_deg", self.slope_deg, -Self::MAX_SLOPE_DEG..=Self::MAX_SLOPE_DEG)?;
         self.mechanisms.validated()?;

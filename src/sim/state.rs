@@ -159,7 +159,7 @@ impl State {
     }
 
     /// [`Self::is_sound`] for a state from outside: also checks torques, work and impulse, and that every orientation
-    /// has length 1.
+    /// has length 1, to 1 %: our choice, far above rounding in `f32`.
     pub fn is_possible(&self) -> bool {
         let numbers = || self.references.iter().chain(&self.torques).chain(&self.impulse).chain([&self.work]);
         let unit = |q: &[f64; 4]| (q.iter().map(|c| c * c).sum::<f64>().sqrt() - 1.0).abs() < 1e-2;

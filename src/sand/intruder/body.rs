@@ -224,7 +224,7 @@ impl PlatedBody {
         area(&self.plates)
     }
 
-    /// Does every rotation about `axis` (unit) leave the body unchanged?
+    /// Does every rotation about `axis` (unit, with rounding errors) leave the body unchanged?
     pub fn is_round_about(&self, axis: Vec3<f64>) -> bool {
         match self.corners {
             Corners::Sphere(_) => true,
@@ -267,7 +267,7 @@ impl PlatedBody {
     }
 }
 
-/// The requested or default plate size; an error if it makes too many plates.
+/// The requested or default plate size; an error if it makes too many plates. 1 % is a margin for rounding: our choice.
 fn size_within(asked: Option<f64>, longest: f64, surface: f64, most: usize) -> Result<f64> {
     let size = asked.unwrap_or(longest / ALONG);
     let least = (surface / most as f64).sqrt() * 1.01;

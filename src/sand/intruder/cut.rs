@@ -4,10 +4,11 @@ use super::IntruderPlate;
 use crate::number::Vec3;
 use std::f64::consts::{PI, TAU};
 
-/// Fewest plates around a round body: our choice, because forces are then within 1 % at any size.
+/// Fewest plates around a round body: our choice, because forces are then within 1 % at any size. The functions below
+/// need a fixed part of this number in other directions: also our choice.
 pub const FINE: usize = 16;
 
-/// Number of pieces of at most `size`, at least `least`.
+/// Number of pieces of at most `size`, at least `least`. 1e-9: a quotient just above an integer is a rounding error.
 fn pieces(length: f64, size: f64, least: usize) -> usize {
     ((length / size - 1e-9).ceil() as usize).max(least)
 }
@@ -68,7 +69,7 @@ pub fn cylinder_across(radius: f64, width: f64, size: f64, wide: f64, least: usi
 }
 
 /// A cylinder about y between two half balls. `length` is that of the cylinder alone. The plates are two thirds as long
-/// as `size`.
+/// as `size`, as on a [`sphere`]; along the cylinder twice that, because it is straight there.
 pub fn capsule(radius: f64, length: f64, size: f64, least: usize) -> Vec<IntruderPlate> {
     let mut plates = Vec::new();
     let size = size / 1.5;

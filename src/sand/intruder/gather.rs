@@ -60,6 +60,7 @@ fn direction(n: [f64; 3]) -> [u8; 3] {
 }
 
 impl PlateSum {
+    /// None if the triangles' normals cancel, except for rounding errors.
     fn plate(&self, middle: Vec3<f64>) -> Option<IntruderPlate> {
         let directed = Vec3::<f64>::splat(self.directed);
         let length = directed.norm_squared().sqrt();

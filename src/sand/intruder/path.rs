@@ -7,12 +7,12 @@ use crate::error::{Error, Result, check_range};
 use crate::memory::{Marks, MemorySettings, Moved, PAIRS, SurfacePiece};
 use crate::number::{PlainShorts, Vec3};
 
-/// Cells along a side of a path's square, as a power of two: 256.
+/// Cells along a side of a path's square, as a power of two: 256. Our choice, the most that a grid can have.
 const BITS: u32 = 8;
 /// Cells along a body's longest horizontal side: our choice, because with twice as many the forces on the plates of the
 /// simulated grains change by less than 5 %.
 const CELLS: f64 = 10.0;
-/// Largest number of consecutive sweeps in which sand slides; a bed comes to rest within this number.
+/// Largest number of consecutive sweeps in which sand slides: our choice, a bound on the time of a row.
 const MOST_SWEEPS: usize = 200;
 
 /// A moment of a path.
@@ -45,7 +45,7 @@ struct Last {
 }
 
 impl<'a> Path<'a> {
-    /// `repose_deg`: angle of repose of the sand [°]; None: the medium's angle.
+    /// `repose_deg`: angle of repose of the sand [°]; None: the medium's. The bounds catch wrong units: our choice.
     pub fn new(
         body: &'a PlatedBody,
         sand: &'a SandDescription,
@@ -80,7 +80,8 @@ impl<'a> Path<'a> {
         let drift = [0, 1].map(|k| last.place[k] + last.moment.trial.velocity[k] * time);
         let place = moment.place.unwrap_or(drift);
         let (_, mut low) = self.force(&moment.trial);
-        // Divides the way into parts of at most half a cell; the body moves sand in each part.
+        // Divides the way into parts of at most half a cell, so that the body skips no cell; it moves sand in each
+        // part. 10⁴ parts bound the time: our choice.
         let way = (place[0] - last.place[0]).hypot(place[1] - last.place[1]).max((low - last.low).abs());
         let parts = (way / (0.5 * self.settings.cell)).ceil().clamp(1.0, 1e4) as usize;
         let mut at = (last.place, last.low);
@@ -158,7 +159,7 @@ impl<'a> Path<'a> {
     }
 }
 
-/// The body's longest horizontal side [m].
+/// The body's longest horizontal side [m], at least the least length of a body.
 fn widest(body: &PlatedBody) -> f64 {
     let extent = |k: usize| {
         let along = body.plates.iter().map(|p| p.center.lane(0)[k]);
@@ -168,7 +169,7 @@ fn widest(body: &PlatedBody) -> f64 {
     extent(0).max(extent(1)).max(1e-4)
 }
 
-/// Refuses paths that cannot be followed.
+/// Refuses paths that cannot be followed. The bounds catch wrong units: our choice.
 pub fn check(body: &PlatedBody, sand: &SandDescription, moments: &[PathPoint]) -> Result<()> {
     let trials: Vec<Trial> = moments.iter().map(|m| m.trial).collect();
     check_all(sand, &trials)?;

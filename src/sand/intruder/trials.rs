@@ -11,7 +11,8 @@ use crate::{Regularization, SandBed, SandDescription, SegmentState};
 const STEPS: usize = 32;
 /// Accuracy [m] of the depth that carries a load: our choice, far below what can be measured.
 const EXACT: f64 = 1e-8;
-/// Two depths [m] at which a plate's force is computed, to separate the part that grows with depth from the constant part.
+/// Two depths [m] at which a plate's force is computed, to separate the part that grows with depth from the constant
+/// part: our choice. Any two depths give the same parts, unless a term of `sand.toml` depends on the depth otherwise.
 const PROBES: [f64; 2] = [0.02, 0.04];
 
 /// The quantity that is given in a trial, in addition to the motion.
@@ -127,7 +128,7 @@ struct DepthForce {
 }
 
 /// Plates are first prepared up to the first share of the body's height. If this part carries the load, the plates
-/// above it are not needed.
+/// above it are not needed. Our choice; it saves time.
 const PARTS: [f64; 2] = [0.4, 1.0];
 
 /// A body in motion: its leading plates below some height in all positions of a period, lowest first.
@@ -297,7 +298,8 @@ impl DepthForce {
     }
 }
 
-/// A root of `f` between two points with values of opposite signs, by false position in the Illinois form.
+/// A root of `f` between two points with values of opposite signs, by false position in the Illinois form. 100 steps
+/// bound the time: our choice.
 fn between(f: impl Fn(f64) -> f64, mut a: (f64, f64), mut b: (f64, f64)) -> f64 {
     for _ in 0..100 {
         let x = b.0 - b.1 * (b.0 - a.0) / (b.1 - a.1);

@@ -227,7 +227,7 @@ fn on_surface<R: Real>(alpha: Vec3<R>, n: Vec3<R>, leading: R, friction: Option<
     let Some(friction) = friction else { return pushed };
     let normal = pushed.dot(n);
     let tangential = pushed - n * normal;
-    let size = (tangential.norm_squared() + R::splat(1e-20)).sqrt();
+    let size = (tangential.norm_squared() + R::splat(1e-20)).sqrt(); // never 0
     tangential.scale_add((friction * normal.abs() / size).min(R::one()), n * normal)
 }
 
@@ -289,7 +289,7 @@ impl<R: Real> StressLaw<R> for SpatialTable<R> {
         let (x1, x2, x3) = (-u.z, -n.z, n.dot(u));
         let lower = R::select(x2.lt(R::zero()), -one, one);
         // Mean sign of the side, if the normals' z is uniformly distributed within ± √1.5 standard deviations: our
-        // choice, between √3, which is right for bands of a cylinder, and 0, which suits balls.
+        // choice, between √3, which is right for bands of a cylinder, and 0, which suits balls. 1e-12 avoids 0/0.
         let mean = n.z * (one - normals.spread);
         let varies = (normals.squares.z - mean * mean).max(R::splat(1e-12)) * R::splat(1.5);
         let side = (x2 / varies.sqrt()).clamp(-one, one);

@@ -64,7 +64,7 @@ impl<R: Real> StressLaw<R> for PlanarTable<R> {
         let along = n.x.mul_add(m.v.x, n.y * m.v.y);
         let [ex, ey] = heading(n, along, m);
         let normal_along = n.x.mul_add(ex, n.y * ey);
-        let squared = ex.mul_add(ex, ey.mul_add(ey, R::splat(1e-36)));
+        let squared = ex.mul_add(ex, ey.mul_add(ey, R::splat(1e-36))); // never 0; 1e-36 is not denormal in `f32`
         let ratio = normal_along / squared; // (N·e)/|v_h|
         let cos_2b = n.z.mul_add(n.z, -(normal_along * ratio));
         let minus_2nz = n.z * R::splat(-2.0);
@@ -81,7 +81,7 @@ impl<R: Real> StressLaw<R> for PlanarTable<R> {
         let (n, s, p) = (normals.unit, normals.squares, normals.products);
         let along = n.x.mul_add(m.v.x, n.y * m.v.y);
         let [ex, ey] = heading(n, along, m);
-        let inverse = R::one() / ex.mul_add(ex, ey.mul_add(ey, R::splat(1e-36)));
+        let inverse = R::one() / ex.mul_add(ex, ey.mul_add(ey, R::splat(1e-36))); // see `stress`
         let two_xy = p.z + p.z;
         let along_e = ex.mul_add(ex.mul_add(s.x, ey * two_xy), ey * ey * s.y);
         let cos_2b = s.z - along_e * inverse;

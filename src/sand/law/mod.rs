@@ -98,7 +98,7 @@ impl<R: Real> Normals<R> {
     #[inline(always)]
     pub fn new(mean: Vec3<R>, squares: Vec3<R>, products: Vec3<R>) -> Self {
         let squared = mean.norm_squared();
-        let inverse = R::one() / (squared + R::splat(1e-20)).sqrt();
+        let inverse = R::one() / (squared + R::splat(1e-20)).sqrt(); // never infinite
         let spread = (R::one() - squared * inverse).max(R::zero());
         Self { unit: mean * inverse, spread, squares, products }
     }

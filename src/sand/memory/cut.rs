@@ -33,7 +33,7 @@ struct Portion {
     denser: u16,
 }
 
-/// Most steps that are taken at once, and the highest floor.
+/// Most steps that are taken at once, and the highest floor: our choice, a little below the largest `i16`.
 const HIGHEST: f32 = 32_000.0;
 
 impl Portion {
@@ -144,7 +144,7 @@ impl Grid {
         let packed = &mut self.packed[at];
         let part = |of: i32, parts: u16, chance: i16| (of * i32::from(parts) + 32_767 - i32::from(chance)) >> 16;
         let (chance, other) = (chance.wrapping_mul(OTHER), chance.wrapping_mul(OTHER).wrapping_mul(OTHER));
-        let loose = part(now.into(), u16::from(255 - *packed) * 257, chance);
+        let loose = part(now.into(), u16::from(255 - *packed) * 257, chance); // 255 · 257 = 2¹⁶ − 1
         *packed = (i32::from(*packed) + part(loose, portion.denser, other)).min(255) as u8;
         Taking { amount: now.into(), loose, met: true }
     }

@@ -21,15 +21,17 @@ pub(super) fn ahead(taken: &Taken, reach: f64, size: f64, least: f64) -> Disc {
     let share = length.min(1.0);
     let around = reach + size;
     let radius = (around + (before(reach, size) - around) * share).max(SMALLEST * least);
+    // The disc of a shorter push is around the body, so its direction hardly matters.
     let along = if length > 1e-6 { [px / length, py / length] } else { [1.0, 0.0] };
     Disc { center: [x + radius * share * along[0], y + radius * share * along[1]], radius, along }
 }
 
-/// Radius of the disc ahead of a body that ploughs. [`SMALLEST`]: the smallest radius of a disc, in units of `MemorySettings::least`.
+/// Radius of the disc ahead of a body that ploughs: its far edge is at `reach`, and it is not smaller than the body.
 #[inline(always)]
 pub(super) fn before(reach: f64, size: f64) -> f64 {
     (0.5 * reach).max(size)
 }
+/// Smallest radius of a disc, in units of `MemorySettings::least`: our choice, so that a disc has more than one cell.
 pub(super) const SMALLEST: f64 = 1.5;
 
 /// Largest number of pairs of places in a disc, and the number that robots use in one turn (`FEW`): our choice. The pairs

@@ -146,7 +146,8 @@ impl Moved {
         out
     }
 
-    /// The sand of `bodies` bodies from its [`Self::to_bytes`]; None if it cannot be of these settings.
+    /// The sand of `bodies` bodies from its [`Self::to_bytes`]; None if it cannot be of these settings. `pending` is
+    /// bounded, so that it cannot overflow in later steps.
     pub fn from_bytes(s: &MemorySettings, bodies: usize, bytes: &[u8]) -> Option<Self> {
         let mut new = Self::new(s, bodies);
         let (counts, mut rest) = bytes.split_first_chunk::<12>()?;
@@ -159,7 +160,7 @@ impl Moved {
             (found.level, found.packed) = (f32::from_le_bytes([a, b, c, d]), f32::from_le_bytes([e, f, g, h]));
             found.size = f32::from_le_bytes([i, j, k, l]);
             found.inside = inside == 1;
-            // Heights end at 32 cells.
+            // Heights end at 32 cells; twice that for levels and sizes is our choice.
             let possible = f64::from(found.level.abs()) < 64.0 * s.cell
                 && (0.0..=1.0).contains(&found.packed)
                 && (0.0..=64.0 * s.cell).contains(&f64::from(found.size));
@@ -277,7 +278,8 @@ impl Moved {
     ) -> Taken {
         let quantum = self.grid.frame.quantum();
         let mut taken = Taken::default();
-        // The share of the volume pressed down that is lost, and the compaction of a cell by one step [1/255].
+        // The share of the volume pressed down that is lost, and the compaction of a cell by one step [1/255]. The
+        // compacted layer is as thick as the body's diameter (our choice).
         let lost = if s.gain > 1.0 { LOST } else { 0.0 };
         let denser = 256.0 * lost * quantum / (DENSER * 2.0 * size.max(s.cell));
         let top = f32::from(self.grid.top);
@@ -305,7 +307,7 @@ impl Moved {
         let amount = f64::from(taken.amount.max(1));
         taken.place = [0, 1].map(|k| (taken.place[k] / amount + f64::from(motion.origin[k])) * s.cell);
         taken.push = taken.push.map(|p| p / amount);
-        taken.velocity = taken.velocity.map(|v| v / area.max(1e-12));
+        taken.velocity = taken.velocity.map(|v| v / area.max(1e-12)); // avoids 0/0
         taken
     }
 
@@ -314,7 +316,7 @@ impl Moved {
     fn put(&mut self, s: &MemorySettings, disc: &Disc, taken: &Taken, marks: &Marks, size: f64) {
         let amount = taken.amount - taken.lost as i32;
         let mut disc = *disc;
-        // A disc that the body covers grows until a place is free.
+        // A disc that the body covers grows until a place is free, by half and a cell: our choice, eight times at most.
         for _ in 0..8 {
             let mut free = [0_u16; 2 * PAIRS];
             let mut count = 0;

@@ -24,8 +24,8 @@ pub(super) const CLEARING: f64 = 16.0;
 /// choice, on the furrows of `tests/data/memory`. With 2, half of a body's own heap counted, and wheels were 6 mm too high in fresh
 /// sand; with 4, furrows are as good.
 pub(super) const AHEAD: f64 = 3.5;
-/// The level follows that sand as a first-order lag; this is the lag's length, in the same radii: our choice, the end of the disc that
-/// gets the pushed sand.
+/// The level follows the sand that the body finds next as a first-order lag; this is the lag's length, in the same
+/// radii: our choice, the far end of the disc that gets the pushed sand.
 pub(super) const WAY: f64 = 2.0;
 /// Angle of repose [°]: our choice from the published 25 to 35° of dry sand, in their lower half, because loose sand rests less
 /// steeply than packed sand. Of glass beads: our choice from the published 22 to 26° of smooth spheres.
@@ -83,7 +83,7 @@ impl MemorySettings {
         Self { gain: Self::gain(medium), ..self }
     }
 
-    /// Refuses numbers that no sand has, and sizes outside of the intended ranges.
+    /// Refuses numbers that no sand has, and sizes outside of the intended ranges: our choice, to catch wrong units.
     pub fn validate(&self) -> Result<()> {
         check_range("memory.cell", self.cell, 1e-4..=1.0)?;
         check_range("memory.bits", f64::from(self.bits), 6.0..=8.0)?;

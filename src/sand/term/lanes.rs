@@ -124,6 +124,7 @@ impl<R: Real> Default for LaneTerms<R> {
     }
 }
 
+/// A group's value. Small numbers in the denominators keep it finite; the term's range limits it to less.
 #[inline(always)]
 fn group<R: Real>(factor: &Factor, piece: &TermArguments<R>) -> R {
     let gravity = R::splat(1.0 / GRAVITY);

@@ -105,7 +105,7 @@ fn belly_by<R: Real, const J: usize>(
 pub fn move_sand<R: Real, const J: usize>(model: &LaneModel<R, J>, state: &LaneState<R>, memory: &mut LaneMemory<R>) {
     let cell = memory.cell();
     let mut turn = memory.turn(&state.origins, state.position);
-    // Lane 0 gives the number of cells for all lanes.
+    // Lane 0 gives the number of cells for all lanes. A tenth of a cell needs no cell of its own: our choice.
     let along_side = |side: R| (side.lane(0) / cell - 0.1).ceil().clamp(1.0, MOST_CELLS.into()) as u8;
     let mut pieces = Vec::with_capacity(MANY);
     let base = LinkFrame::base(state);
@@ -131,7 +131,7 @@ pub fn move_sand<R: Real, const J: usize>(model: &LaneModel<R, J>, state: &LaneS
             let places = PlaneField { at: frame.origin, by: [frame.rotation.apply(*e0), frame.rotation.apply(*e1)] };
             let velocities = places.velocity(&frame.velocity);
             let across = places.by[0].cross(places.by[1]);
-            // Two plates at a time, in two pieces beside each other.
+            // Two plates at a time, in two pieces beside each other: our choice, for pieces about as large as cells.
             for pair in body.plates.chunks(2) {
                 let plate = &pair[pair.len() / 2];
                 let area = pair.iter().fold(R::zero(), |sum, p| sum + p.area) * R::splat(0.5);

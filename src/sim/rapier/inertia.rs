@@ -69,11 +69,11 @@ impl Masses {
     }
 }
 
-/// Smallest principal inertia as a share of the largest: rapier inverts the inertia in `f32`, and point masses in a
-/// line have no inertia about it.
+/// Smallest principal inertia as a share of the largest: our choice, some thousand times the rounding of `f32`, in
+/// which rapier inverts the inertia. Point masses in a line have no inertia about it.
 const RELATIVE_FLOOR: f64 = 1e-4;
-/// Smallest principal inertia in kg·m²: rapier multiplies three inverse inertias, whose product must stay finite in
-/// `f32`.
+/// Smallest principal inertia in kg·m²: our choice, because rapier multiplies three inverse inertias, and the product
+/// must stay finite in `f32`.
 const ABSOLUTE_FLOOR: f64 = 1e-12;
 
 /// Mass properties, in rapier's units, from an inertia matrix [kg·m²] about `center` [m]; no mass gives rapier's "no mass
@@ -94,7 +94,7 @@ pub fn mass_properties(mass: f64, center: V, inertia: &M) -> MassProperties {
 }
 
 /// Principal moments and axes (columns, right-handed) of a symmetric matrix: cyclic Jacobi rotations (Golub & Van
-/// Loan, *Matrix Computations*, algorithm 8.5.2). Six sweeps leave nothing above rounding in three dimensions.
+/// Loan, *Matrix Computations*, algorithm 8.5.2). Six sweeps leave nothing above rounding (1e-15) in three dimensions.
 pub fn principal(matrix: &M) -> (V, M) {
     let (mut a, mut axes) = (*matrix, M::identity());
     for (p, q) in [(0, 2), (0, 1), (1, 2)].into_iter().cycle().take(18) {

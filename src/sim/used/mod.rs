@@ -266,7 +266,8 @@ impl<R: Real> Turn<'_, R> {
 /// Most sweeps after one movement: our choice, a bound on the time of a step for very fine grids.
 const MOST_SWEEPS: usize = 16;
 
-/// Pieces of several cells that are steeper than this are level [rad]: our choice, 60°.
+/// A piece of several cells that is steeper than this counts as level [rad]: our choice, 60°, because a piece then
+/// falls by less than 2¹⁵ steps over sixteen cells.
 const STEEPEST: f64 = std::f64::consts::FRAC_PI_3;
 /// Most lanes of a number type: see [`crate::number::Isa::lanes`].
 const MOST_LANES: usize = 16;
