@@ -43,6 +43,18 @@ fn wrong_use_is_one_line() {
         assert!(done.status.code() == Some(2) && said.lines().count() == 1 && said.contains("row 2"), "{text}: {said}");
     }
     std::fs::write(&rows, "vx,depth\n0.1,0.01\n").unwrap();
+    // A term is taken as linear in the depth of a plate; with other groups than directions it would not be.
+    for (group, code) in [("froude", 2), ("cos_attack", 0)] {
+        let sand = directory.path().join("sand.toml");
+        let term = format!(
+            "[[term]]\non = \"law\"\ncoefficient = 0.2\ngroups = {{ {group} = 1.0 }}\nrange = {{ {group} = [0.0, 1.0] }}\n"
+        );
+        std::fs::write(&sand, format!("law = \"agarwal2023\"\nmedium = \"poppy-loose\"\n{term}")).unwrap();
+        let done = sandgait(&["intrude", "--body", WHEEL, "--trials", file, "--sand", sand.to_str().unwrap()]);
+        let said = String::from_utf8_lossy(&done.stderr).into_owned();
+        assert_eq!(done.status.code(), Some(code), "{group}: {said}");
+        assert!(code == 0 || said.lines().count() == 1 && said.contains("group froude"), "{said}");
+    }
     for more in [["--plate-size", "1e-7"], ["--mu-s", "0"], ["--shape", "L"], ["--omega", "1"]] {
         let done = sandgait(&["intrude", "--body", WHEEL, "--trials", file, more[0], more[1]]);
         let said = String::from_utf8_lossy(&done.stderr).into_owned();

@@ -92,6 +92,10 @@ pub fn without_effect(sand: &SandDescription) -> Vec<&'static str> {
     all.into_iter().filter(|(_, value)| *value != 0.0).map(|(id, _)| id).collect()
 }
 
+/// Groups of terms that vary with the depth or the width of a plate. They are refused, because the force on a plate is
+/// taken as linear in its depth, and the plates of a body have no width of their own.
+const VARYING: [&str; 4] = ["froude", "depth_over_width", "whole_froude", "saturation"];
+
 /// The same sand with friction coefficient `mu` on the body's surface.
 pub fn with_friction(sand: &SandDescription, mu: f64) -> Result<SandDescription> {
     let mut sand = sand.clone();
@@ -110,6 +114,11 @@ pub fn compute_all(body: &PlatedBody, sand: &SandDescription, trials: &[Trial]) 
 pub fn check_all(sand: &SandDescription, trials: &[Trial]) -> Result<()> {
     if let Some(id) = without_effect(sand).first() {
         return Err(Error::invalid("sand", format!("{id} is not defined for a body in steady motion")));
+    }
+    let mut groups = sand.terms.iter().flat_map(|term| term.groups.keys());
+    if let Some(group) = groups.find(|group| VARYING.contains(&group.as_str())) {
+        let reason = format!("a term with the group {group} is not defined for a body in steady motion");
+        return Err(Error::invalid("sand", reason));
     }
     for (row, trial) in trials.iter().enumerate() {
         trial.validated().map_err(|e| Error::invalid(format!("trial {}", row + 1), e.to_string()))?;
