@@ -49,7 +49,7 @@ fn wrong_use_is_one_line() {
         let term = format!(
             "[[term]]\non = \"law\"\ncoefficient = 0.2\ngroups = {{ {group} = 1.0 }}\nrange = {{ {group} = [0.0, 1.0] }}\n"
         );
-        std::fs::write(&sand, format!("law = \"agarwal2023\"\nmedium = \"poppy-loose\"\n{term}")).unwrap();
+        std::fs::write(&sand, std::fs::read_to_string(SAND).unwrap() + &term).unwrap();
         let done = sandgait(&["intrude", "--body", WHEEL, "--trials", file, "--sand", sand.to_str().unwrap()]);
         let said = String::from_utf8_lossy(&done.stderr).into_owned();
         assert_eq!(done.status.code(), Some(code), "{group}: {said}");
