@@ -85,13 +85,17 @@ impl<'a> IntruderModel<'a> {
     }
 
     fn predict_changed(&self, sand: &SandParameters, changed: Changed) -> Vec<f64> {
+        let in_contact = |(name, cut): (&String, &BodyPlates)| {
+            let body = if changed.larger { &cut.larger } else { &cut.nominal };
+            (name, (body, self.sand(cut.friction + changed.friction, sand)))
+        };
+        let bodies: BTreeMap<_, _> = self.cuts.iter().map(in_contact).collect();
         let of = |state: &SteadyRow| {
             if self.latch.stopped() {
                 return [f64::NAN; 3];
             }
-            let cut = &self.cuts[&state.body];
-            let sand = self.sand(cut.friction + changed.friction, sand);
-            under_load(if changed.larger { &cut.larger } else { &cut.nominal }, &sand, &state.trial)
+            let (body, sand) = &bodies[&state.body];
+            under_load(body, sand, &state.trial)
         };
         self.states.iter().flat_map(of).collect()
     }

@@ -117,7 +117,8 @@ action = lambda k: numpy.sin(numpy.arange(120) * 0.1 * k).reshape(20, 6)
 def same(ours, theirs): return all((a == b).all() for a, b in zip(ours[:4], theirs[:4]))
 def interrupt(*_): raise KeyboardInterrupt
 signal.signal(signal.SIGALRM, interrupt)
-os.kill(pid, signal.SIGSTOP)  # so that the step waits for certain
+os.kill(pid, signal.SIGSTOP)
+os.waitpid(pid, os.WUNTRACED)  # all its threads have stopped, so the step cannot be answered
 signal.setitimer(signal.ITIMER_REAL, 0.5)
 try:
     env.step(action(1))

@@ -4,7 +4,7 @@ use super::{IntruderPlate, PlatedBody};
 use crate::error::{Error, Result, check_range};
 use crate::number::Vec3;
 use crate::parallel;
-use crate::{Regularization, SandBed, SandDescription, SegmentState};
+use crate::{Regularization, SandBed, SandDescription, SegmentState, Term};
 
 /// Number of depths, from no part of the body covered to all covered, at which the search for a load begins: our
 /// choice, because the depths are then 4 mm apart for a wheel of 125 mm.
@@ -92,10 +92,6 @@ pub fn without_effect(sand: &SandDescription) -> Vec<&'static str> {
     all.into_iter().filter(|(_, value)| *value != 0.0).map(|(id, _)| id).collect()
 }
 
-/// Groups of terms that vary with the depth or the width of a plate. They are refused, because the force on a plate is
-/// taken as linear in its depth, and the plates of a body have no width of their own.
-const VARYING: [&str; 4] = ["froude", "depth_over_width", "whole_froude", "saturation"];
-
 /// The same sand with friction coefficient `mu` on the body's surface.
 pub fn with_friction(sand: &SandDescription, mu: f64) -> Result<SandDescription> {
     let mut sand = sand.clone();
@@ -115,8 +111,8 @@ pub fn check_all(sand: &SandDescription, trials: &[Trial]) -> Result<()> {
     if let Some(id) = without_effect(sand).first() {
         return Err(Error::invalid("sand", format!("{id} is not defined for a body in steady motion")));
     }
-    let mut groups = sand.terms.iter().flat_map(|term| term.groups.keys());
-    if let Some(group) = groups.find(|group| VARYING.contains(&group.as_str())) {
+    // The force on a plate is taken as linear in its depth, and the plates of a body have no width of their own.
+    if let Some(group) = sand.terms.iter().find_map(Term::varying_group) {
         let reason = format!("a term with the group {group} is not defined for a body in steady motion");
         return Err(Error::invalid("sand", reason));
     }

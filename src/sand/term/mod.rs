@@ -116,6 +116,24 @@ impl Group {
     fn signed(self) -> bool {
         matches!(self, Group::Acceleration | Group::SinGamma | Group::SinBeta)
     }
+
+    /// Does the group's value in [`LaneTerms`] change with the depth or the width of a piece?
+    fn varies_in_place(self) -> bool {
+        match self {
+            Group::Froude | Group::DepthOverWidth | Group::WholeFroude | Group::Saturation => true,
+            Group::GrainOverWidth
+            | Group::Curvature
+            | Group::Acceleration
+            | Group::Passes
+            | Group::Wall
+            | Group::SinGamma
+            | Group::CosGamma
+            | Group::SinBeta
+            | Group::CosBeta
+            | Group::SinAttack
+            | Group::CosAttack => false,
+        }
+    }
 }
 
 /// One term as written in `sand.toml`.
@@ -183,6 +201,11 @@ impl Term {
             return Err(Error::invalid("term", "grows without bound in its range"));
         }
         self.check_energy(&factors, coefficients, bulk_density)
+    }
+
+    /// The first group whose value changes with the depth or the width of a piece.
+    pub fn varying_group(&self) -> Option<&str> {
+        self.groups.keys().map(String::as_str).find(|name| Group::named(name).is_ok_and(Group::varies_in_place))
     }
 
     /// coefficient · Π group^power
