@@ -85,11 +85,11 @@ impl<'a> IntruderModel<'a> {
     }
 
     fn predict_changed(&self, sand: &SandParameters, changed: Changed) -> Vec<f64> {
-        let in_contact = |(name, cut): (&String, &BodyPlates)| {
+        let bodies = self.cuts.iter().map(|(name, cut)| {
             let body = if changed.larger { &cut.larger } else { &cut.nominal };
             (name, (body, self.sand(cut.friction + changed.friction, sand)))
-        };
-        let bodies: BTreeMap<_, _> = self.cuts.iter().map(in_contact).collect();
+        });
+        let bodies: BTreeMap<_, _> = bodies.collect();
         let of = |state: &SteadyRow| {
             if self.latch.stopped() {
                 return [f64::NAN; 3];
