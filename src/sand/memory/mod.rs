@@ -315,17 +315,20 @@ impl Moved {
     #[inline(always)]
     fn put(&mut self, s: &MemorySettings, disc: &Disc, taken: &Taken, marks: &Marks, size: f64) {
         let amount = taken.amount - taken.lost as i32;
-        let mut disc = *disc;
+        let mut wider = *disc;
         // A disc that the body covers grows until a place is free, by half and a cell: our choice, eight times at most.
-        for _ in 0..8 {
+        // If none is free even then, the sand falls back on the body's own cells.
+        for growths in 0..=8 {
+            let back = growths == 8;
+            let disc = if back { disc } else { &wider };
             let mut free = [0_u16; 2 * PAIRS];
             let mut count = 0;
             disc.visit(self.grid.frame, s.pairs, self.turns, |at| {
                 free[count] = at as u16;
-                count += usize::from(!marks.is_set(at));
+                count += usize::from(back || !marks.is_set(at));
             });
             if count == 0 {
-                disc.radius = 1.5 * disc.radius + s.cell;
+                wider.radius = 1.5 * disc.radius + s.cell;
                 continue;
             }
             let (each, rest) = (amount / count as i32, amount % count as i32);
@@ -334,7 +337,7 @@ impl Moved {
                 let at = usize::from(*at);
                 let now = each + i32::from((k as i32) < rest);
                 let height = &mut self.grid.heights[at];
-                *height = height.saturating_add(now as i16);
+                *height = height.saturating_add(now.min(i16::MAX.into()) as i16);
                 self.grid.top = self.grid.top.max(*height);
                 // Sand that was moved is loose.
                 if self.grid.packed[at] > 0 {

@@ -244,6 +244,30 @@ fn volume_stays_and_sliding_dissipates() {
     assert!(swept > 10_000 && slid > 10_000, "{swept} {slid}");
 }
 
+/// A plate as large as the whole square leaves no free place, and still no sand is lost.
+#[test]
+fn sand_below_a_plate_of_the_whole_square_stays() {
+    let medium = Medium::named("poppy-loose").unwrap();
+    let s = MemorySettings { gain: 1.0, ..MemorySettings::new(&medium, 0.005, 5, 0.02, None) };
+    let (mut moved, mut marks) = (Moved::new(&s, 1), Marks::default());
+    let place = |k: usize| (k as f64 - 15.5) * s.cell;
+    let cells = (0..32).flat_map(|i| (0..32).map(move |k| [i, k]));
+    let plate: Vec<_> = cells
+        .map(|[i, k]| SurfacePiece {
+            place: [place(i), place(k), -0.01],
+            normal: [0.0, 0.0, -1.0],
+            area: s.cell * s.cell,
+            velocity: [0.0, 0.0, -0.1],
+            cells: 1,
+        })
+        .collect();
+    for _ in 0..20 {
+        moved.push(&s, 0, &plate, [0.0; 2], 0.01, &mut marks);
+        assert_eq!(sum(&moved), 0);
+    }
+    assert!(energy(&moved) > 0);
+}
+
 /// Heaps come to rest at the angle of repose, and where the square begins does not matter.
 #[test]
 fn heaps_rest_wherever_the_square_begins() {
