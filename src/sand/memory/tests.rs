@@ -248,10 +248,10 @@ fn volume_stays_and_sliding_dissipates() {
 #[test]
 fn sand_below_a_plate_of_the_whole_square_stays() {
     let medium = Medium::named("poppy-loose").unwrap();
-    let s = MemorySettings { gain: 1.0, ..MemorySettings::new(&medium, 0.005, 5, 0.02, None) };
+    let s = MemorySettings { gain: 1.0, pairs: PAIRS, ..MemorySettings::new(&medium, 0.005, 6, 0.02, None) };
     let (mut moved, mut marks) = (Moved::new(&s, 1), Marks::default());
-    let place = |k: usize| (k as f64 - 15.5) * s.cell;
-    let cells = (0..32).flat_map(|i| (0..32).map(move |k| [i, k]));
+    let place = |k: usize| (k as f64 - 31.5) * s.cell;
+    let cells = (0..64).flat_map(|i| (0..64).map(move |k| [i, k]));
     let plate: Vec<_> = cells
         .map(|[i, k]| SurfacePiece {
             place: [place(i), place(k), -0.01],
@@ -262,7 +262,7 @@ fn sand_below_a_plate_of_the_whole_square_stays() {
         })
         .collect();
     for _ in 0..20 {
-        moved.push(&s, 0, &plate, [0.0; 2], 0.01, &mut marks);
+        moved.push(&s, 0, &plate, [0.0; 2], 0.001, &mut marks);
         assert_eq!(sum(&moved), 0);
     }
     assert!(energy(&moved) > 0);
