@@ -34,17 +34,30 @@ pub type Result<T> = std::result::Result<T, Error>;
 
 impl Error {
     pub fn invalid(field: impl Into<String>, reason: impl Into<String>) -> Self {
-        Self::Invalid { field: field.into(), reason: reason.into() }
+        Self::Invalid { field: shortened(field.into(), LONGEST_NAME), reason: shortened(reason.into(), LONGEST) }
     }
 
     pub fn unknown(what: &'static str, name: &str, known: &[&str]) -> Self {
-        Self::Unknown { what, name: name.into(), known: known.join(", ") }
+        Self::Unknown { what, name: shortened(name.into(), LONGEST_NAME), known: known.join(", ") }
     }
 
     /// One line, even if `reason` quotes several lines of a file.
     pub fn file(path: &std::path::Path, reason: impl std::fmt::Display) -> Self {
         Self::File { path: path.display().to_string(), reason: reason.to_string().replace(['\n', '\r'], " ") }
     }
+}
+
+/// Longest name and longest reason in a message [bytes]: our choice, because a message may quote a file that was given in
+/// place of a name, and a gRPC status has at most 16 KiB.
+const LONGEST_NAME: usize = 300;
+const LONGEST: usize = 4000;
+
+fn shortened(mut text: String, most: usize) -> String {
+    if text.len() > most {
+        text.truncate(text.floor_char_boundary(most));
+        text.push('…');
+    }
+    text
 }
 
 /// Refuses a number that is not finite or lies outside `range`, naming the field and the range.

@@ -127,7 +127,9 @@ const DIAGNOSED_ROW: usize = 24 << 10;
 /// # Errors
 /// The data have too many rows.
 pub fn check_diagnosis(data: &[u8], memory: usize) -> Result<()> {
-    let (rows, most) = (data.iter().filter(|byte| **byte == b'\n').count(), memory / DIAGNOSED_ROW);
+    // The reader ends a row at a line feed, at a carriage return, and at both together.
+    let alone = data.windows(2).filter(|pair| pair[0] == b'\r' && pair[1] != b'\n').count();
+    let (rows, most) = (alone + data.iter().filter(|byte| **byte == b'\n').count(), memory / DIAGNOSED_ROW);
     if rows > most {
         let limit = memory >> 20;
         return Err(Error::Exhausted(format!(

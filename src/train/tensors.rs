@@ -4,6 +4,7 @@
 use crate::error::{Error, Result};
 use crate::files;
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
+use sha2::{Digest, Sha256};
 use std::collections::HashMap;
 use std::path::Path;
 
@@ -35,6 +36,9 @@ macro_rules! elements {
 }
 
 elements!(f32: F32, f64: F64, i64: I64, u8: U8);
+
+/// Name of the text with [`Tensors::digest`].
+const DIGEST: &str = "sha256";
 
 #[derive(Default)]
 pub struct Tensors {
@@ -76,13 +80,33 @@ impl Tensors {
         self.about.get(name).map(String::as_str).ok_or_else(|| wrong(format!("it does not say its {name}")))
     }
 
+    /// SHA-256 of all texts but itself and of all arrays, in the order of their names.
+    fn digest(&self) -> String {
+        let mut hash = Sha256::new();
+        let mut about: Vec<_> = self.about.iter().filter(|(name, _)| *name != DIGEST).collect();
+        about.sort();
+        let mut add = |bytes: &[u8]| {
+            hash.update((bytes.len() as u64).to_le_bytes());
+            hash.update(bytes);
+        };
+        about.iter().for_each(|(name, text)| [name, text].iter().for_each(|t| add(t.as_bytes())));
+        let mut arrays: Vec<_> = self.arrays.iter().collect();
+        arrays.sort_by_key(|(name, _)| *name);
+        for (name, (dtype, shape, bytes)) in arrays {
+            [name.as_bytes(), format!("{dtype} {shape:?}").as_bytes(), bytes].iter().for_each(|b| add(b));
+        }
+        hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+
     fn encode(&self) -> Result<Vec<u8>> {
         let broken = |e| wrong(format!("it cannot be written: {e}"));
         let mut views = Vec::with_capacity(self.arrays.len());
         for (name, (dtype, shape, bytes)) in &self.arrays {
             views.push((name, TensorView::new(*dtype, shape.clone(), bytes).map_err(broken)?));
         }
-        safetensors::serialize(views, Some(self.about.clone())).map_err(broken)
+        let mut about = self.about.clone();
+        about.insert(DIGEST.into(), self.digest());
+        safetensors::serialize(views, Some(about)).map_err(broken)
     }
 
     fn decode(file: &[u8]) -> Result<Self> {
@@ -92,7 +116,13 @@ impl Tensors {
         let array = |(name, view): (&str, TensorView)| {
             (name.to_owned(), (view.dtype(), view.shape().to_vec(), view.data().to_vec()))
         };
-        Ok(Self { about: header.metadata().clone().unwrap_or_default(), arrays: all.iter().map(array).collect() })
+        let about = header.metadata().clone().unwrap_or_default();
+        let read = Self { about, arrays: all.iter().map(array).collect() };
+        // Files of earlier versions have no digest.
+        match read.about.get(DIGEST) {
+            Some(digest) if *digest != read.digest() => Err(wrong("it is damaged: its SHA-256 is another")),
+            _ => Ok(read),
+        }
     }
 
     pub fn load(path: &Path) -> Result<Self> {
@@ -133,14 +163,15 @@ mod tests {
         assert_eq!(read.get::<f32>("x", 2).unwrap(), [1.5, f32::MIN_POSITIVE]);
         assert_eq!((read.get("y", 1).unwrap(), read.text("task").unwrap()), (vec![0.1], "a"));
         assert!(read.get::<f32>("y", 1).is_err() && read.get::<f32>("x", 3).is_err() && !read.has("w"));
-        // A file that was cut off or changed gives an error or valid numbers.
+        // A file that was cut off, or whose arrays were changed, gives an error; a changed header an error or the same.
+        let arrays = bytes.len() - (2 * size_of::<f32>() + size_of::<f64>() + size_of::<i64>());
         for end in 0..bytes.len() {
             assert!(Tensors::decode(&bytes[..end]).is_err());
         }
         for place in 0..bytes.len() {
             let mut other = bytes.clone();
             other[place] ^= 0x11;
-            let _ = Tensors::decode(&other);
+            assert!(Tensors::decode(&other).is_err() || place < arrays);
         }
     }
 }

@@ -23,6 +23,7 @@ use crate::sim::model::Scene;
 use crate::sim::walk::WalkTrial;
 use crate::sim::{Model, Robot};
 use crate::sweep::grid::{check_grid, grid};
+use std::time::{Duration, Instant};
 use crate::sweep::{Design, SweepAxis, SweepMeasure, optimize, walk_all};
 use crate::values;
 use std::path::Path;
@@ -108,8 +109,10 @@ pub fn intrude(request: IntrudeRequest) -> Result<Table> {
     Ok(encode::table(encode::loads(&rotation.loads(&sand)?), warnings))
 }
 
-/// Number of motions between two reports: our choice, about a second for a wheel.
-const TOGETHER: usize = 2_000;
+/// A part of the motions, after which the study reports and can be stopped, begins with so many for each processor, and
+/// doubles while it takes less than this time: our choice.
+const FIRST_TOGETHER: usize = 2;
+const PART: Duration = Duration::from_millis(250);
 
 /// Largest number of plates of a client's body. Our choice: they take 8 MB, and 300 MB in all positions of a period. A
 /// default wheel has some 3,000 plates.
@@ -152,9 +155,13 @@ pub fn trials(request: TrialsRequest) -> Result<StudyWork<Table>> {
     let body = shaped(body, plate_size)?;
     Ok(Box::new(move |progress| {
         let mut outcomes = Vec::with_capacity(trials.len());
-        for part in trials.chunks(TOGETHER) {
+        let mut together = FIRST_TOGETHER * parallel::processors();
+        while outcomes.len() < trials.len() {
             progress.report(outcomes.len() as f64 / trials.len() as f64, "trials")?;
+            let (rest, start) = (&trials[outcomes.len()..], Instant::now());
+            let part = &rest[..together.min(rest.len())];
             outcomes.extend(parallel::map(part, |trial| intruder::compute(&body, &sand, trial)));
+            together *= if start.elapsed() < PART { 2 } else { 1 };
         }
         Ok(encode::table(encode::trials(&outcomes), warnings))
     }))
