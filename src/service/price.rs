@@ -335,6 +335,15 @@ mod tests {
     use prost_types::value::Kind;
     use prost_types::{ListValue, Struct, Value};
 
+    #[test]
+    fn rows_end_as_the_reader_ends_them() {
+        let memory = 10 * DIAGNOSED_ROW;
+        for end in ["\n", "\r", "\r\n"] {
+            assert!(check_diagnosis(format!("1{end}").repeat(9).as_bytes(), memory).is_ok(), "{end:?}");
+            assert!(check_diagnosis(format!("1{end}").repeat(12).as_bytes(), memory).is_err(), "{end:?}");
+        }
+    }
+
     fn list(values: Vec<Value>) -> Value {
         Value { kind: Some(Kind::ListValue(ListValue { values })) }
     }

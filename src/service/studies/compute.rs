@@ -23,10 +23,10 @@ use crate::sim::model::Scene;
 use crate::sim::walk::WalkTrial;
 use crate::sim::{Model, Robot};
 use crate::sweep::grid::{check_grid, grid};
-use std::time::{Duration, Instant};
 use crate::sweep::{Design, SweepAxis, SweepMeasure, optimize, walk_all};
 use crate::values;
 use std::path::Path;
+use std::time::{Duration, Instant};
 
 /// Work that reports its progress.
 pub type StudyWork<T> = Box<dyn FnOnce(&dyn Progress) -> Result<T> + Send>;
