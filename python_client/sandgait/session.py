@@ -109,7 +109,7 @@ class Session:
         return self._link.address
 
     def _create(self, address: str | None, task: str) -> Task:
-        address = address or server.address()
+        address = server.address() if address is None else address
         created = client.create_session(address, task, self.num_envs, self.options)
         self._link.address, self._link.session_id = address, created.session_id
         self._link.stream = Stream(address, created.session_id)
