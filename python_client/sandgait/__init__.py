@@ -46,6 +46,7 @@ from .errors import (
     SessionLost,
     UnknownAttribute,
     UnknownOption,
+    WrongType,
 )
 from .policies import Evaluation, evaluate
 from .recording import Recording, Section, read_recording
@@ -94,6 +95,7 @@ __all__ = [
     "UnknownAttribute",
     "UnknownOption",
     "Walks",
+    "WrongType",
     "__version__",
     "check_robot",
     "describe",

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from .arguments import checked, numbers
 from .door import study
 from .errors import InvalidRequest
 from .options import with_files
@@ -46,6 +47,7 @@ class Evaluation(Table):
         return self["cost_of_transport"]
 
 
+@checked
 def evaluate(
     policy: bytes | FilePath,
     task: str = "sandgait/HexapodGait-v1",
@@ -74,7 +76,7 @@ def evaluate(
         "options": with_files(options),
         "seeds": seeds,
         "media": list(media),
-        "slopes": np.asarray(list(slopes), float).tolist(),
+        "slopes": numbers("slopes", list(slopes), np.float64).tolist(),
     }
     with Display(progress) as told:
         reply = study(address, "Evaluate", request, told)

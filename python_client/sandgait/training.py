@@ -13,6 +13,7 @@ import numpy as np
 from gymnasium.vector import VectorEnv
 
 from . import _native
+from .arguments import checked
 from .errors import InvalidRequest
 from .external import VectorEnvironments, check_vector
 from .options import with_files
@@ -60,6 +61,7 @@ class Training:
         return f"<Training: {self.steps} steps in {self.seconds:.1f} s, in {self.out}>"
 
 
+@checked
 def train(
     task: str | VectorEnv[Any, Any, Any] = "sandgait/HexapodGait-v1",
     *,
@@ -144,6 +146,7 @@ def _place(address: str | None) -> _native.Address | None:
 Mirror = tuple[list[int], list[float]]
 
 
+@checked
 def mirror(task: str, **options: Any) -> tuple[Mirror, Mirror]:
     """The left–right mirrors of a task's observations and of its actions: a mirrored row is `signs * row[order]`.
 
