@@ -113,7 +113,7 @@ def _parts(hint: Any) -> tuple[Any, tuple[Any, ...]]:
 
 
 def _fits(value: Any, hint: Any) -> bool:
-    """Has `value` the type `hint`? Types that this function does not know are accepted."""
+    """Has `value` the type `hint`? For other types than these the function itself has an error with advice."""
     kind, inner = _parts(hint)
     if kind in (Union, types.UnionType):
         return any(_fits(value, one) for one in inner)
@@ -121,13 +121,11 @@ def _fits(value: Any, hint: Any) -> bool:
         return _TYPES[kind][1](value)
     if kind is Callable:
         return callable(value)
-    if kind is Any or not isinstance(kind, type) or getattr(kind, "_is_protocol", False):
-        return True
-    if issubclass(kind, Mapping):  # a DataFrame has keys, too
+    if isinstance(kind, type) and issubclass(kind, Mapping):  # a DataFrame has keys, too
         return hasattr(value, "keys") and all(_fits(key, inner[0]) for key in value.keys())  # noqa: SIM118
     if kind in _LISTS:
         return _fits_list(value, kind, inner)
-    return isinstance(value, kind)
+    return True
 
 
 def _fits_list(value: Any, kind: Any, inner: tuple[Any, ...]) -> bool:

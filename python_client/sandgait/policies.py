@@ -12,7 +12,7 @@ import numpy as np
 from .arguments import checked, numbers
 from .door import study
 from .errors import InvalidRequest
-from .options import with_files
+from .options import task_id, with_files
 from .snapshots import FilePath
 from .studies import Display, ProgressOption, columns
 from .tables import Numbers, Table
@@ -70,7 +70,7 @@ def evaluate(
     network = isinstance(policy, (bytes, PathLike)) or policy.endswith(".onnx")
     name = "policy.onnx" if isinstance(policy, bytes) else str(policy)
     request = {
-        "task_id": task,
+        "task_id": task_id(task),
         "onnx": (name, read_policy(policy)) if network else None,
         "gait": None if network else _with_clock(name),
         "options": with_files(options),

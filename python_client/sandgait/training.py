@@ -16,7 +16,7 @@ from . import _native
 from .arguments import checked
 from .errors import InvalidRequest
 from .external import VectorEnvironments, check_vector
-from .options import with_files
+from .options import task_id, with_files
 from .snapshots import FilePath
 from .studies import Display, ProgressOption
 from .tables import Table
@@ -106,7 +106,7 @@ def train(
     if vector is not None and resume and progress is True:
         print(f"{vector.name} cannot be saved: the training goes on with new episodes", file=sys.stderr)
     asked = {
-        "task": task if vector is None else vector.name,
+        "task": task_id(str(task)) if vector is None else vector.name,
         "hyperparameters": None if hyperparameters is None else Path(hyperparameters),
         "settings": dict(settings or {}),
         "options": with_files(options) if vector is None else vector.identity,
@@ -153,4 +153,4 @@ def mirror(task: str, **options: Any) -> tuple[Mirror, Mirror]:
     The mirror of a robot from a file follows from its geometry in the standing pose. If the robot is not symmetric,
     InvalidRequest names the joint. `options`: the same as for `gymnasium.make`.
     """
-    return _native.mirror(task, with_files(options))
+    return _native.mirror(task_id(task), with_files(options))

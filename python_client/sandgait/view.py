@@ -33,8 +33,6 @@ def camera(given: Mapping[str, Any] | None) -> Camera:
     """The camera of the keyword `render_camera`: a dictionary with some of azimuth_deg, elevation_deg, distance and
     follow."""
     known = {"azimuth_deg": None, "elevation_deg": None, "distance": None, "follow": True}
-    if given is not None and not isinstance(given, Mapping):
-        raise InvalidRequest(f"render_camera: {given!r} is not a dictionary")
     for name, value in (given or {}).items():
         if name not in known:
             raise InvalidRequest(f"render_camera: {name!r} is unknown; known: {', '.join(known)}")

@@ -71,6 +71,7 @@ def test_wrong_actions(actions: Any, says: str) -> None:
         ({"address": "http://127.0.0.1:50051"}, "address: 'http://127.0.0.1:50051' is neither"),
         ({"address": []}, "address: the list is empty"),
         ({"task": "sandgait/Flying-v0"}, "Flying-v0.*HexapodGait-v1"),
+        ({"task": "Flying"}, "Flying.*HexapodGait-v1"),
     ],
 )
 def test_wrong_options(options: dict[str, Any], says: str) -> None:
