@@ -13,13 +13,17 @@ import weakref
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-import mujoco
 import numpy as np
 import numpy.typing as npt
 
 from . import _native
 from .errors import InvalidRequest
 from .sand import Sand, Shape, shapes
+
+try:
+    import mujoco
+except ImportError as error:
+    raise ImportError("mujoco is not installed: pip install 'sandgait[mujoco]'") from error
 
 Array = npt.NDArray[np.float64]
 
