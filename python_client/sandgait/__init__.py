@@ -112,7 +112,6 @@ __all__ = [
     "walk",
 ]
 
-#: Ids of the tasks that this version registers. A test compares them with the server's.
 TASKS = (
     "sandgait/HexapodGait-v1",
     "sandgait/HexapodLegs-v1",
@@ -122,6 +121,7 @@ TASKS = (
     "sandgait/LegStroke-v0",
     "sandgait/LeggedVelocity-v1",
 )
+"""Ids of the tasks that this version registers. A later version of a task comes after an earlier one."""
 
 
 def make_sb3(
