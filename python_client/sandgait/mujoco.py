@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _native
+from .arguments import checked
 from .errors import InvalidRequest
 from .sand import Sand, Shape, shapes
 
@@ -51,6 +52,7 @@ _SHAPES = {
 _MODELS: weakref.WeakValueDictionary[int, ModelSand] = weakref.WeakValueDictionary()
 
 
+@checked
 def add_sand(
     model: mujoco.MjModel,
     sand: Sand,

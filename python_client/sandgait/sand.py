@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _native
-from .arguments import checked, numbers
-from .errors import InvalidRequest
+from .arguments import checked, numbers, shown
+from .errors import InvalidRequest, WrongType
 from .user_warnings import warn
 
 Array = npt.NDArray[Any]
@@ -125,6 +125,8 @@ class Sand:
         Arrays of float64 are computed in float64; arrays of float32 have a state in each SIMD lane. Other Python
         threads run meanwhile.
         """
+        if not isinstance(bodies, Bodies):
+            raise WrongType(f"bodies: expected sandgait.Bodies, got {shown(bodies)}")
         count = len(bodies.names)
         arrays = [position, quaternion, velocity, angular_velocity]
         kind, leading, states = _motion(arrays, count)

@@ -130,6 +130,7 @@ WRONG_TYPES: list[tuple[Callable[[], Any], str]] = [
     (lambda: sandgait.mirror(5), "task: expected a text, got 5"),
     (lambda: sandgait.describe(5), "address: expected a text or None, got 5"),
     (lambda: sandgait.Bodies(5), "bodies: expected a dictionary of names, got 5"),
+    (lambda: sandgait.Sand().wrench(5, *[np.zeros((1, 3))] * 4), "bodies: expected sandgait.Bodies, got 5"),
     (lambda: sandgait.Sand(slope_deg="a"), "slope_deg: expected a number, got 'a'"),
     (lambda: sandgait.Remote("127.0.0.1:1", token=5), "token: expected a text or None, got 5"),
     (lambda: gymnasium.make_vec(ID, num_envs="a"), "num_envs: expected a whole number, got 'a'"),
