@@ -387,7 +387,7 @@ def test_surface_and_forces_are_drawn(options: dict[str, Any]) -> None:
         (("model", sandgait.Sand()), "model: is str, not mujoco.MjModel"),
         ((None, "poppy-loose"), "sand: is str, not sandgait.Sand"),
         ((None, sandgait.Sand(), ["foot"]), "body: the model has none with the name 'foot'"),
-        ((None, sandgait.Sand(), "trunk"), "bodies: is a name, not a list of names"),
+        ((None, sandgait.Sand(), "trunk"), "bodies: expected a list of texts or a dictionary of names or None"),
         ((None, sandgait.Sand(), {"trunk": "cone:radius=1"}), "cone"),
         ((None, sandgait.Sand(leading_edge_gate=0.2)), "leading_edge_gate: other than 0.02 needs"),
     ],
