@@ -46,6 +46,7 @@ from .errors import (
     SessionLost,
     UnknownAttribute,
     UnknownOption,
+    WrongType,
 )
 from .policies import Evaluation, evaluate
 from .recording import Recording, Section, read_recording
@@ -94,6 +95,7 @@ __all__ = [
     "UnknownAttribute",
     "UnknownOption",
     "Walks",
+    "WrongType",
     "__version__",
     "check_robot",
     "describe",
@@ -110,7 +112,6 @@ __all__ = [
     "walk",
 ]
 
-#: Ids of the tasks that this version registers. A test compares them with the server's.
 TASKS = (
     "sandgait/HexapodGait-v1",
     "sandgait/HexapodLegs-v1",
@@ -120,6 +121,7 @@ TASKS = (
     "sandgait/LegStroke-v0",
     "sandgait/LeggedVelocity-v1",
 )
+"""Ids of the tasks that this version registers. A later version of a task comes after an earlier one."""
 
 
 def make_sb3(

@@ -48,7 +48,7 @@ _NOT_FOUND, _INVALID, _UNAUTHENTICATED = 5, 3, 16
 
 def place(address: str) -> _native.Address:
     """The native module's description of a server."""
-    if not re.fullmatch(r"unix:.+|.+:\d{1,5}", address):
+    if not re.fullmatch(r"unix:.+|(?!.*://).+:\d{1,5}", address):
         raise InvalidRequest(f'address: {address!r} is neither "host:port" nor "unix:/path"')
     if isinstance(address, Remote):
         return str(address), address.token, address.tls, address.ca, address.cert, address.key

@@ -10,6 +10,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from .arguments import checked
 from .door import study
 from .errors import InvalidRequest, LimitReached
 from .studies import Display, FilePath, ProgressOption, columns, file
@@ -133,6 +134,7 @@ class Diagnosis:
         ax.axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
 
 
+@checked
 def diagnose(
     data: Any, experiment: FilePath | Mapping[str, Any], address: str | None = None, progress: ProgressOption = True
 ) -> Diagnosis:

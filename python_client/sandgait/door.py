@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _native
+from .arguments import checked
 from .batches import Batch, Rollout
 from .errors import InvalidRequest, LimitReached
 from .options import keyword_error, with_files
@@ -144,6 +145,7 @@ class Local:
         return self._native.observe(index, ended)
 
 
+@checked
 def describe(address: str | None = None) -> tuple[str, tuple[Task, ...]]:
     """The version and the tasks of the server at `address`; without an address, those of this package."""
     if address is None:

@@ -10,12 +10,13 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
+from .arguments import checked
 from .attributes import refusal
 from .batches import Batch
 from .errors import InvalidRequest, OutOfOrder, SandgaitError
 from .pickling import Origin, Pickled
 from .snapshots import FilePath, read_snapshot, write_snapshot
-from .spaces import Actions, box, commands, info_columns, privileged
+from .spaces import Actions, box, check_seed, commands, info_columns, privileged
 from .vector_env import SandgaitVectorEnv
 from .view import RENDER_MODES, SIZE
 
@@ -43,6 +44,7 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     metadata: dict[str, Any] = {"render_modes": RENDER_MODES}
 
+    @checked
     def __init__(
         self,
         task: str,
@@ -76,6 +78,7 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         #: Attributes of this class. The user may set others.
         self._own = frozenset(self.__dict__) | {"_own"}
 
+    @checked
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
@@ -85,6 +88,7 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         option `privileged=True`, `info["privileged"]` has the exact values of all sensors, as in
         `privileged_observation_space`.
         """
+        check_seed(seed)
         if self._in_flight is not None:
             with contextlib.suppress(InvalidRequest):
                 self._answer()  # if the step ended the episode, the next one has begun already
@@ -178,6 +182,7 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         picture: npt.NDArray[np.uint8] = self._view.pictures([0], self._over)[0]
         return picture
 
+    @checked
     def record(self, path: FilePath) -> None:
         """Records to the file `path`: the state after each reset or step, until `stop_recording` or `close`."""
         self._view.record(path, 0)
@@ -200,6 +205,7 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         observation: Observation = self._session.receive().observations[0]
         return observation
 
+    @checked
     def save(self, path: FilePath | None = None) -> bytes:
         """Takes a snapshot, for `restore`. With `path` also writes it to a file, completely or not at all."""
         self._require_rest("save")
@@ -207,6 +213,7 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
             raise OutOfOrder("save: the episode is over; call reset first")
         return write_snapshot(self._session.save(), path)
 
+    @checked
     def restore(self, snapshot: bytes | FilePath) -> Observation:
         """Sets the state to that of a snapshot (bytes or a file), and returns the observation. The environment then
         continues bit-identically."""
@@ -215,6 +222,7 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         observation: Observation = self._session.receive().observations[0]
         return observation
 
+    @checked
     def fork(self, n: int) -> SandgaitVectorEnv:
         """`n` new environments in one vector, each with the keywords and in the state of this one. The caller must
         close the vector."""

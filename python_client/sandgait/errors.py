@@ -11,6 +11,10 @@ class InvalidRequest(SandgaitError, ValueError):
     """A value is wrong. The message names the field, the index and the range. The session continues."""
 
 
+class WrongType(InvalidRequest, TypeError):
+    """An argument has a wrong type. The message names the argument, what was expected, and what was given."""
+
+
 class UnknownOption(InvalidRequest, TypeError):
     """An environment was to be made with a keyword that the task does not have. Some libraries try a keyword of their
     own and leave it out after Python's usual `TypeError`."""

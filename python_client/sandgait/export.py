@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from .arguments import checked
 from .errors import InvalidRequest
 from .from_rust import to_sb3 as to_sb3
 from .snapshots import FilePath
@@ -27,6 +28,7 @@ except ImportError as error:
     raise ImportError(f"{error.name} is not installed: pip install 'sandgait[sb3]'") from error
 
 
+@checked
 def export_onnx(model: BaseAlgorithm, path: FilePath, normalize: VecNormalize | None = None) -> Path:
     """Writes the deterministic policy of a PPO, A2C, SAC, TD3 or DDPG `model` to the ONNX file `path`; returns `path`.
 

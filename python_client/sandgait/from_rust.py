@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from .arguments import checked
 from .errors import InvalidRequest
 from .snapshots import FilePath
 
@@ -51,6 +52,7 @@ def read_policy(path: FilePath) -> tuple[dict[str, str], Arrays]:
     return about, arrays
 
 
+@checked
 def to_sb3(path: FilePath, env: VecEnv, **changes: Any) -> PPO:
     """A PPO model with the weights and settings in `path`, a `policy.safetensors` or checkpoint of `sandgait train`.
 

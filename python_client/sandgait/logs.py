@@ -13,13 +13,14 @@ import argparse
 import os
 import subprocess
 import sys
-import warnings
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 from tempfile import TemporaryFile
 
+from .arguments import checked
 from .errors import InvalidRequest
+from .user_warnings import warn
 
 #: First bytes of each format that is converted.
 MARKS = {b"PAR1": "parquet", b"\x89MCAP": "mcap", b"#ROSBAG": "bag", b"SQLite format 3\0": "bag"}
@@ -49,6 +50,7 @@ def kind(source: str | PathLike[str]) -> str | None:
     return next((name for mark, name in MARKS.items() if first.startswith(mark)), None)
 
 
+@checked
 def to_csv(path: str | PathLike[str], topics: Mapping[str, str] | None = None) -> bytes:
     """The table in a recording, as CSV.
 
@@ -59,8 +61,6 @@ def to_csv(path: str | PathLike[str], topics: Mapping[str, str] | None = None) -
     form = kind(source)
     if form is None:
         raise InvalidRequest(f"{source}: neither Parquet, LeRobot, MCAP nor a bag of ROS 1 or ROS 2")
-    if not isinstance(topics or {}, Mapping):
-        raise InvalidRequest(f"topics: {topics!r} is no table with joints and imu")
     wrong = [name for name in topics or {} if name not in ("joints", "imu")]
     if wrong:
         raise InvalidRequest(f"topics: {wrong[0]!r} is unknown; known: joints, imu")
@@ -81,7 +81,7 @@ def to_csv(path: str | PathLike[str], topics: Mapping[str, str] | None = None) -
     if reader.returncode:
         raise InvalidRequest(f"{source}: {said[-1] if said else f'its reader crashed ({reader.returncode})'}")
     for line in said:
-        warnings.warn(f"{source}: {line}", stacklevel=2)
+        warn([f"{source}: {line}"])
     return table
 
 

@@ -13,13 +13,18 @@ import weakref
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-import mujoco
 import numpy as np
 import numpy.typing as npt
 
 from . import _native
+from .arguments import checked
 from .errors import InvalidRequest
 from .sand import Sand, Shape, shapes
+
+try:
+    import mujoco
+except ImportError as error:
+    raise ImportError("mujoco is not installed: pip install 'sandgait[mujoco]'") from error
 
 Array = npt.NDArray[np.float64]
 
@@ -47,6 +52,7 @@ _SHAPES = {
 _MODELS: weakref.WeakValueDictionary[int, ModelSand] = weakref.WeakValueDictionary()
 
 
+@checked
 def add_sand(
     model: mujoco.MjModel,
     sand: Sand,
@@ -243,8 +249,6 @@ def _number(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> int:
 
 def _floors(model: mujoco.MjModel, data: mujoco.MjData, names: Iterable[str] | None) -> list[int]:
     if names is not None:
-        if isinstance(names, str):
-            raise InvalidRequest("floor: is a name, not a list of names")
         return [_number(model, mujoco.mjtObj.mjOBJ_GEOM, name) for name in names]
     flat = (int(_GEOM.mjGEOM_PLANE), int(_GEOM.mjGEOM_HFIELD))
     fixed = model.body_weldid[model.geom_bodyid] == 0
@@ -266,8 +270,6 @@ def _parts(
 ) -> dict[int, list[Any]]:
     """Shapes of each body that moves by itself, in its frame. Bodies welded to a body are parts of it."""
     parts: dict[int, list[Any]] = {}
-    if isinstance(bodies, str):
-        raise InvalidRequest("bodies: is a name, not a list of names")
     if isinstance(bodies, Mapping):
         for name, own in bodies.items():
             body = _number(model, mujoco.mjtObj.mjOBJ_BODY, name)

@@ -13,6 +13,15 @@ from .errors import InvalidRequest, UnknownOption
 from .user_warnings import warn
 
 
+def task_id(name: str) -> str:
+    """The id of the task that a user calls `name`. The namespace can be left out, and also the version, which then is
+    the latest. Any other name is returned unchanged, because a server may have tasks that this client does not know."""
+    from . import TASKS  # not above, because that module imports this one
+
+    full = name if name.startswith("sandgait/") else f"sandgait/{name}"
+    return next((id for id in reversed(TASKS) if full in (id, id.rpartition("-v")[0])), name)
+
+
 def with_files(options: Mapping[str, Any]) -> Mapping[str, Any]:
     """Replaces paths of files (sand.toml, hardware.toml, URDF, MJCF, heights of the ground) by the files' contents."""
     texts: dict[str, Any] = {name: _text(name, options[name]) for name in ("sand", "hardware") if name in options}

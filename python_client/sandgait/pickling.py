@@ -7,13 +7,14 @@ used for the first time, it opens a session and restores the snapshot. It then c
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
 from .attributes import refusal
 from .errors import OutOfOrder, SandgaitError
+from .options import task_id
 from .shards import Address, Shards, open_shards
 from .snapshots import read_snapshot, write_snapshot
 from .spaces import Task
@@ -67,8 +68,9 @@ class Pickled:
     _options: frozenset[str] = frozenset()
 
     def _begin(self, origin: Origin) -> None:
-        self._origin, self._kept, self._shut = origin, None, False
-        self._opened = origin.open()
+        self._origin = replace(origin, task=task_id(origin.task))
+        self._kept, self._shut = None, False
+        self._opened = self._origin.open()
         self.task = self._opened[0].task
         self._options = frozenset(o.name for o in self.task.options)
 

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from .arguments import checked, numbers
 from .door import study
 from .errors import InvalidRequest
-from .options import with_files
+from .options import task_id, with_files
 from .snapshots import FilePath
 from .studies import Display, ProgressOption, columns
 from .tables import Numbers, Table
@@ -46,6 +47,7 @@ class Evaluation(Table):
         return self["cost_of_transport"]
 
 
+@checked
 def evaluate(
     policy: bytes | FilePath,
     task: str = "sandgait/HexapodGait-v1",
@@ -68,13 +70,13 @@ def evaluate(
     network = isinstance(policy, (bytes, PathLike)) or policy.endswith(".onnx")
     name = "policy.onnx" if isinstance(policy, bytes) else str(policy)
     request = {
-        "task_id": task,
+        "task_id": task_id(task),
         "onnx": (name, read_policy(policy)) if network else None,
         "gait": None if network else _with_clock(name),
         "options": with_files(options),
         "seeds": seeds,
         "media": list(media),
-        "slopes": np.asarray(list(slopes), float).tolist(),
+        "slopes": numbers("slopes", list(slopes), np.float64).tolist(),
     }
     with Display(progress) as told:
         reply = study(address, "Evaluate", request, told)

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from . import server
+from .arguments import checked
 from .errors import InvalidRequest, ServerLost
 from .remote import Remote
 
@@ -102,6 +103,7 @@ class Servers:
         self.close()
 
 
+@checked
 def serve(nodes: Sequence[str] | None = None, threads: int | None = None, num_cpus: float = 0.0) -> Servers:
     """Starts one server on each of `nodes` and waits until all have started.
 

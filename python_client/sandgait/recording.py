@@ -18,6 +18,7 @@ from typing import IO, Any, cast
 import numpy as np
 import numpy.typing as npt
 
+from .arguments import checked
 from .errors import InvalidRequest, SandgaitError
 
 FilePath = str | PathLike[str]
@@ -93,6 +94,7 @@ class Recording:
         return np.concatenate(parts)
 
 
+@checked
 def read_recording(path: FilePath, max_bytes: int = MAX_BYTES) -> Recording:
     """The recording in the file `path` as numpy arrays. A file that unpacks to more than `max_bytes` is refused."""
     sections: list[Section] = []

@@ -7,6 +7,7 @@ import os
 from os import PathLike
 from pathlib import Path
 
+from .arguments import checked
 from .errors import InvalidRequest
 
 FilePath = str | PathLike[str]
@@ -36,6 +37,7 @@ class Remote(str):
     key: bytes | None
     tls: bool
 
+    @checked
     def __new__(
         cls,
         address: str,

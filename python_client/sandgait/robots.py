@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from . import _native
+from .arguments import checked
 from .options import packages
 from .user_warnings import warn
 
 
+@checked
 def check_robot(robot: str | Path, ground: str | None = None) -> dict[str, Any]:
     """Lets a robot stand in its default pose for five seconds on hard ground and on sand, as `sandgait robot --check`.
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import os
-import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,9 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _native
-from .errors import InvalidRequest
+from .arguments import checked, numbers, shown
+from .errors import InvalidRequest, WrongType
+from .user_warnings import warn
 
 Array = npt.NDArray[Any]
 #: A shape: its name (`"sphere:radius=0.02"`), the triangles of a closed mesh [triangles, 3, 3] in metres, or one of
@@ -40,6 +41,7 @@ class Sand:
     regularise the law, see docs/physics.md.
     """
 
+    @checked
     def __init__(
         self,
         medium: str = "poppy-loose",
@@ -56,6 +58,7 @@ class Sand:
         self._made(_native.Sand(medium, law, None, *options))
 
     @classmethod
+    @checked
     def from_toml(
         cls,
         path: str | Path,
@@ -81,11 +84,12 @@ class Sand:
         #: Name of the force law.
         self.law: str = law
         for mechanism in without_effect:
-            warnings.warn(f"mechanism {mechanism} has no effect on single bodies", stacklevel=3)
+            warn([f"mechanism {mechanism} has no effect on single bodies"])
 
     def __repr__(self) -> str:
         return f"Sand({self.medium!r}, law={self.law!r})"
 
+    @checked
     def surface(self, x: float, y: float) -> tuple[float, Array]:
         """Height of the surface [m] at a place, and its upward unit normal."""
         height, normal = self._native.at(float(x), float(y))
@@ -121,6 +125,8 @@ class Sand:
         Arrays of float64 are computed in float64; arrays of float32 have a state in each SIMD lane. Other Python
         threads run meanwhile.
         """
+        if not isinstance(bodies, Bodies):
+            raise WrongType(f"bodies: expected sandgait.Bodies, got {shown(bodies)}")
         count = len(bodies.names)
         arrays = [position, quaternion, velocity, angular_velocity]
         kind, leading, states = _motion(arrays, count)
@@ -176,6 +182,7 @@ class Bodies:
     docs/simulators.md has the errors.
     """
 
+    @checked
     def __init__(self, bodies: Mapping[str, Shape | Iterable[Shape]], plate_size: float | None = None) -> None:
         #: Names, in the order of the arrays' rows.
         self.names: tuple[str, ...] = tuple(bodies)
@@ -187,6 +194,7 @@ class Bodies:
     def __repr__(self) -> str:
         return f"Bodies({', '.join(self.names)})"
 
+    @checked
     def plates(self, name: str) -> dict[str, Array]:
         """The plates of a body, in its frame.
 
@@ -216,11 +224,11 @@ def _shape(name: str, shape: Any) -> tuple[Any, Any, Any]:
         shape if isinstance(shape, tuple) and len(shape) == 3 else (shape, (0, 0, 0), (1, 0, 0, 0))
     )
     if not isinstance(solid, str):
-        triangles = np.asarray(solid, np.float64)
+        triangles = numbers(f"bodies: the mesh of {name!r}", solid, np.float64)
         if triangles.ndim != 3 or triangles.shape[1:] != (3, 3):
             raise InvalidRequest(f"bodies: the mesh of {name!r} has shape {triangles.shape}, not [triangles, 3, 3]")
         solid = triangles.tolist()
-    pose = [np.asarray(position, np.float64), np.asarray(quaternion, np.float64)]
+    pose = [numbers(f"bodies: the pose of {name!r}", part, np.float64) for part in (position, quaternion)]
     if [p.shape for p in pose] != [(3,), (4,)]:
         raise InvalidRequest(f"bodies: a shape of {name!r} has no position (x, y, z) and quaternion (w, x, y, z)")
     return solid, pose[0].tolist(), pose[1].tolist()
@@ -229,10 +237,13 @@ def _shape(name: str, shape: Any) -> tuple[Any, Any, Any]:
 def _relief(relief: Mapping[str, Any] | None) -> Any:
     if relief is None:
         return None
-    if set(relief) == {"spacing", "heights"}:
-        return float(relief["spacing"]), np.asarray(relief["heights"], np.float64).tolist()
-    if set(relief) == {"seed", "wavelength", "slope_deg"}:
-        return int(relief["seed"]), float(relief["wavelength"]), float(relief["slope_deg"])
+    try:
+        if set(relief) == {"spacing", "heights"}:
+            return float(relief["spacing"]), numbers("relief", relief["heights"], np.float64).tolist()
+        if set(relief) == {"seed", "wavelength", "slope_deg"}:
+            return int(relief["seed"]), float(relief["wavelength"]), float(relief["slope_deg"])
+    except (TypeError, ValueError) as error:
+        raise InvalidRequest(str(error) if isinstance(error, InvalidRequest) else f"relief: {error}") from None
     raise InvalidRequest("relief: give spacing and heights, or seed, wavelength and slope_deg")
 
 
@@ -270,7 +281,7 @@ def _array(name: str, array: Any) -> Array:
             return np.from_dlpack(array)
         except (BufferError, RuntimeError, TypeError, ValueError) as error:
             raise InvalidRequest(f"{name}: numpy cannot read it in place: {error}") from error
-    return np.asarray(array, np.float64)
+    return numbers(name, array, np.float64)
 
 
 def _rows(array: Array) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
+from .arguments import checked
 from .attributes import refusal
 from .errors import InvalidRequest, UnknownAttribute
 from .shards import Address
@@ -163,6 +164,7 @@ class SandgaitVecEnv(VecEnv):
 Environments = SandgaitVecEnv | VecMonitor
 
 
+@checked
 def make(
     task: str,
     num_envs: int,

@@ -36,6 +36,10 @@ RETRY_RESUME = 60.0
 SNAPSHOT_EVERY = 200
 
 
+#: Part of the error if a connection broke, or the server forgot the session.
+_ADVICE = "with resume=True environments continue after a restart of the server"
+
+
 class _Link:
     """Resources that a finalizer releases when a session ends. A reference to the session would prevent its end."""
 
@@ -109,7 +113,7 @@ class Session:
         return self._link.address
 
     def _create(self, address: str | None, task: str) -> Task:
-        address = address or server.address()
+        address = server.address() if address is None else address
         created = client.create_session(address, task, self.num_envs, self.options)
         self._link.address, self._link.session_id = address, created.session_id
         self._link.stream = Stream(address, created.session_id)
@@ -240,9 +244,10 @@ class Session:
                 except ServerLost as lost:
                     error = error or lost
                 except SessionLost as lost:  # the server runs, but it has no such session
-                    error = lost if not isinstance(error, ServerLost) else error
                     if not self._resume:
+                        error = SessionLost(f"{self.address}: {lost}; {_ADVICE}")
                         break
+                    error = error or lost
             elif not self._resume:
                 break
             if self._resume and self._rebuild():
@@ -251,8 +256,10 @@ class Session:
                 break
             time.sleep(pause)
             pause = min(2 * pause, 1.0)
-        self._broken = str(error)
-        raise error if error is not None else ServerLost(f"{self.address}: the server cannot be reached")
+        error = error or ServerLost(f"{self.address}: the server cannot be reached")
+        advice = "" if self._resume or _ADVICE in str(error) else f"; {_ADVICE}"
+        self._broken = f"the connection broke: {error}{advice}"
+        raise error
 
     def _attach(self) -> None:
         """Opens a new stream to the session, and sends the requests without an answer again."""

@@ -19,9 +19,11 @@ import numpy.typing as npt
 from .batches import Batch, Rollout
 from .door import Camera, Door, Held, Local
 from .errors import InvalidRequest
+from .spaces import check_seed
 
-#: The place of environments: None for this process, or the address of one or several servers.
-Address = str | Sequence[str] | None
+#: The place of environments: None for this process, or the address of one or several servers. In a list None stands for
+#: this process, too.
+Address = str | Sequence[str | None] | None
 
 #: Longest wait for servers to confirm that sessions are closed [s]: our choice, as for one session.
 CLOSE_TIMEOUT = 2.0
@@ -69,8 +71,7 @@ class Shards:
         """Asks for a reset. `seeds` and `mask` have one entry for each environment. Without seeds the random streams
         continue."""
         for i, seed in enumerate(seeds or ()):
-            if not 0 <= seed < 2**64:
-                raise InvalidRequest(f"seed[{i}]: {seed} is outside [0, 2**64)")
+            check_seed(seed, f"seed[{i}]")
         for door, part in zip(self._doors, self._slices, strict=True):
             chosen = None if mask is None else mask[part]
             door.send_reset(None if seeds is None else seeds[part], chosen, options)
@@ -211,6 +212,8 @@ def open_shards(
     """Environments on the servers of `address`. Without an address they are in this process or, if `isolated`, on its
     embedded server. `threads`: number of simulating threads of this process or of the embedded server."""
     addresses = [address] if address is None or isinstance(address, str) else list(address)
+    if not addresses:
+        raise InvalidRequest("address: the list is empty; None stands for this process")
     if threads is not None and None not in addresses:
         raise InvalidRequest("threads: it applies to this process; the server at an address was started with its own")
     if isolated and None not in addresses:

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from .arguments import numbers, shown
 from .errors import InvalidRequest
 
 
@@ -86,10 +87,16 @@ def info_columns(
 def commands(command: npt.ArrayLike, num_envs: int) -> npt.NDArray[np.float32]:
     """Rows [num_envs, 3] of a command [3] or of one for each environment."""
     try:
-        rows = np.broadcast_to(np.asarray(command, np.float32), (num_envs, 3))
-    except (TypeError, ValueError):
-        raise InvalidRequest(f"command: expected numbers [3] or [{num_envs}, 3], got {command!r}") from None
+        rows = np.broadcast_to(numbers("command", command, np.float32), (num_envs, 3))
+    except ValueError:
+        raise InvalidRequest(f"command: expected numbers [3] or [{num_envs}, 3], got {shown(command)}") from None
     return np.ascontiguousarray(rows)
+
+
+def check_seed(seed: int | None, name: str = "seed") -> None:
+    """Refuses a seed that has no 64 bits."""
+    if seed is not None and not 0 <= seed < 2**64:
+        raise InvalidRequest(f"{name}: {seed} is outside [0, 2**64)")
 
 
 def privileged(infos: npt.NDArray[np.float32], names: list[str], ended: Any = False) -> npt.NDArray[np.float32]:
@@ -108,15 +115,17 @@ class Actions:
 
     def rows(self, actions: npt.ArrayLike) -> npt.NDArray[np.float32]:
         """The caller's `actions` as float32 of the right shape. It is a copy if actions were clipped."""
-        rows = np.asarray(actions, dtype=np.float32)
+        rows = numbers(self._name, actions, np.float32)
         if rows.shape != self._low.shape:
             raise InvalidRequest(f"{self._name}: shape {rows.shape}, expected {self._low.shape}")
         return np.clip(rows, self._low, self._high) if self._clip else rows
 
     def explain(self, error: BaseException) -> BaseException:
-        """Adds the advice `clip_actions=True` to the refusal of an action beyond its bounds. Other errors are
-        unchanged."""
+        """The refusal of an action beyond its bounds, with the action's name here and the advice `clip_actions=True`.
+        Other errors are unchanged."""
         text = str(error)
-        if not isinstance(error, InvalidRequest) or not text.startswith("actions[") or "NaN" in text or "nan" in text:
+        if not isinstance(error, InvalidRequest) or not text.startswith("actions["):
             return error
-        return InvalidRequest(f"{text}; clip_actions=True clips")
+        advice = "" if "nan" in text.lower() else "; clip_actions=True clips"
+        own = text if self._name == "actions" else text.replace("actions[0]", self._name, 1)
+        return InvalidRequest(own + advice)

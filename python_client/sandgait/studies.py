@@ -7,7 +7,6 @@ results. `address`: a running server that computes the study; by default this pr
 from __future__ import annotations
 
 import sys
-import warnings
 from collections.abc import Callable, Iterable, Mapping
 from os import PathLike
 from pathlib import Path
@@ -16,9 +15,11 @@ from typing import Any, overload
 import numpy as np
 import numpy.typing as npt
 
+from .arguments import checked, numbers, shown
 from .door import study
 from .errors import InvalidRequest
 from .tables import Numbers, Table, new_axes
+from .user_warnings import warn
 
 FilePath = str | PathLike[str]
 
@@ -229,6 +230,7 @@ def intrude(
 ) -> Trials: ...
 
 
+@checked
 def intrude(
     shape: str | None = None,
     chord: float = 0.076,
@@ -291,6 +293,7 @@ def intrude(
     return Intrusion(*columns(study(address, "Intrude", request)))
 
 
+@checked
 def walk(
     frequency: float | npt.ArrayLike,
     leg: str | None = None,
@@ -312,7 +315,7 @@ def walk(
     slope rises in the walking direction. `dt`: time step [s]; by default 0.001, or 0.0005 with rapier. `robot`: a
     built-in robot or a .toml file.
     """
-    frequencies = np.atleast_1d(np.asarray(frequency, dtype=np.float64)).ravel()
+    frequencies = np.atleast_1d(numbers("frequency", frequency, np.float64)).ravel()
     request = {
         "leg": leg,
         "frequency": frequencies.tolist(),
@@ -327,6 +330,7 @@ def walk(
     return Walks(*columns(reply))
 
 
+@checked
 def sweep(
     vary: Mapping[str, Iterable[float] | Iterable[str]],
     *,
@@ -351,7 +355,7 @@ def sweep(
     between the least and the greatest value of each parameter.
     """
     request = {
-        "vary": [_variation(name, list(values)) for name, values in vary.items()],
+        "vary": [_variation(name, values) for name, values in vary.items()],
         "set": [_variation(name, [value]) for name, value in (set or {}).items()],
         "robot": _robot(robot),
         "frequency": frequency,
@@ -408,15 +412,16 @@ def _robot(robot: str) -> dict[str, Any]:
     return {"name": robot if named else None, "file": None if named else file(robot, "robot")}
 
 
-def _variation(name: str, values: list[Any]) -> tuple[str, list[float], list[str]]:
+def _variation(name: str, values: Iterable[Any]) -> tuple[str, list[float], list[str]]:
     # the command line writes leg-mass for the column leg_mass
     parameter = name.replace("_", "-")
-    if all(isinstance(value, str) for value in values):
-        return parameter, [], values
     try:
-        return parameter, [float(value) for value in values], []
+        listed = list(values)
+        if all(isinstance(value, str) for value in listed):
+            return parameter, [], listed
+        return parameter, [float(value) for value in listed], []
     except (TypeError, ValueError) as error:
-        raise InvalidRequest(f"{name}: {values!r} are neither all numbers nor all names") from error
+        raise InvalidRequest(f"{name}: {shown(values)} are neither all numbers nor all names") from error
 
 
 def columns(
@@ -425,7 +430,7 @@ def columns(
     """The arrays and the units of a table, with names that are valid in Python."""
     series, told = table
     for warning in told:
-        warnings.warn(warning, stacklevel=3)
+        warn([warning])
     names = [name.replace("-", "_") for name, _, _ in series]
     arrays = {name: np.asarray(values) for name, (_, _, values) in zip(names, series, strict=True)}
     return arrays, {name: unit for name, (_, unit, _) in zip(names, series, strict=True)}

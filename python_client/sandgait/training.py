@@ -13,9 +13,10 @@ import numpy as np
 from gymnasium.vector import VectorEnv
 
 from . import _native
+from .arguments import checked
 from .errors import InvalidRequest
 from .external import VectorEnvironments, check_vector
-from .options import with_files
+from .options import task_id, with_files
 from .snapshots import FilePath
 from .studies import Display, ProgressOption
 from .tables import Table
@@ -60,6 +61,7 @@ class Training:
         return f"<Training: {self.steps} steps in {self.seconds:.1f} s, in {self.out}>"
 
 
+@checked
 def train(
     task: str | VectorEnv[Any, Any, Any] = "sandgait/HexapodGait-v1",
     *,
@@ -104,7 +106,7 @@ def train(
     if vector is not None and resume and progress is True:
         print(f"{vector.name} cannot be saved: the training goes on with new episodes", file=sys.stderr)
     asked = {
-        "task": task if vector is None else vector.name,
+        "task": task_id(str(task)) if vector is None else vector.name,
         "hyperparameters": None if hyperparameters is None else Path(hyperparameters),
         "settings": dict(settings or {}),
         "options": with_files(options) if vector is None else vector.identity,
@@ -144,10 +146,11 @@ def _place(address: str | None) -> _native.Address | None:
 Mirror = tuple[list[int], list[float]]
 
 
+@checked
 def mirror(task: str, **options: Any) -> tuple[Mirror, Mirror]:
     """The left–right mirrors of a task's observations and of its actions: a mirrored row is `signs * row[order]`.
 
     The mirror of a robot from a file follows from its geometry in the standing pose. If the robot is not symmetric,
     InvalidRequest names the joint. `options`: the same as for `gymnasium.make`.
     """
-    return _native.mirror(task, with_files(options))
+    return _native.mirror(task_id(task), with_files(options))

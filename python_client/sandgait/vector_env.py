@@ -13,6 +13,7 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from .arguments import checked, numbers
 from .attributes import refusal
 from .batches import Batch, Rollout
 from .errors import InvalidRequest, OutOfOrder, SandgaitError, UnknownAttribute
@@ -20,7 +21,7 @@ from .pickling import Origin, Pickled
 from .policies import read_policy
 from .shards import Address
 from .snapshots import FilePath, read_snapshot, write_snapshot
-from .spaces import Actions, box, commands, info_columns, privileged
+from .spaces import Actions, box, check_seed, commands, info_columns, privileged
 from .view import RENDER_MODES, SIZE
 
 Observations = npt.NDArray[np.float32]
@@ -78,6 +79,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
 
     metadata: dict[str, Any] = {"render_modes": RENDER_MODES, "autoreset_mode": AutoresetMode.NEXT_STEP}
 
+    @checked
     def __init__(
         self,
         task: str,
@@ -116,6 +118,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         """The same as `metadata["autoreset_mode"]`."""
         return self._autoreset
 
+    @checked
     def reset(
         self,
         *,
@@ -187,6 +190,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         if seed is None:
             seeds = [None] * self.num_envs
         elif isinstance(seed, (int, np.integer)):
+            check_seed(seed)
             super().reset(seed=int(seed))
             seeds = [int(seed) + i for i in range(self.num_envs)]
         else:
@@ -326,6 +330,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
             self._turn.firsts = observations.copy()
         return observations
 
+    @checked
     def save(self, path: FilePath | None = None) -> bytes:
         """Takes a snapshot of all environments, for `restore`. With `path` also writes it to a file, completely or not
         at all.
@@ -336,6 +341,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         self._require_rest("save")
         return write_snapshot(self._session.save(), path)
 
+    @checked
     def restore(self, snapshot: bytes | FilePath, indices: npt.ArrayLike | None = None) -> Observations:
         """Sets environment i to the state of environment `indices[i]` of a snapshot (bytes or a file). Returns the
         observations.
@@ -353,6 +359,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         self._seeded[:], self._turn.ended[:] = True, False
         return self._session.receive().observations
 
+    @checked
     def fork(self, n: int, index: int = 0) -> SandgaitVectorEnv:
         """`n` new environments with the keywords of this one, each in the state of its environment `index`. The caller
         must close them."""
@@ -368,6 +375,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
             raise
         return copies
 
+    @checked
     def rollout(self, actions: npt.ArrayLike, trajectories: bool = False) -> Rollout:
         """Runs sequences of actions [steps, num_envs, action] from the present states, and then restores these states.
 
@@ -376,8 +384,9 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         step.
         """
         self._require_rest("rollout")
-        return self._session.rollout(np.asarray(actions, dtype=np.float32), trajectories)
+        return self._session.rollout(numbers("actions", actions, np.float32), trajectories)
 
+    @checked
     def rollout_policy(self, onnx: bytes | FilePath, steps: int, trajectories: bool = False) -> Rollout:
         """Runs a policy for `steps` control steps from the present states, and then restores these states.
 
@@ -415,6 +424,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
             pictures[ended] = self._view.pictures(ended.tolist(), ended=True)
         return tuple(pictures)
 
+    @checked
     def record(self, path: FilePath, index: int = 0) -> None:
         """Records environment `index` to the file `path`: its state after each reset or step from now on."""
         self._view.record(path, index)

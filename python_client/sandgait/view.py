@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -32,8 +33,6 @@ def camera(given: Mapping[str, Any] | None) -> Camera:
     """The camera of the keyword `render_camera`: a dictionary with some of azimuth_deg, elevation_deg, distance and
     follow."""
     known = {"azimuth_deg": None, "elevation_deg": None, "distance": None, "follow": True}
-    if given is not None and not isinstance(given, Mapping):
-        raise InvalidRequest(f"render_camera: {given!r} is not a dictionary")
     for name, value in (given or {}).items():
         if name not in known:
             raise InvalidRequest(f"render_camera: {name!r} is unknown; known: {', '.join(known)}")
@@ -126,7 +125,10 @@ class View:
         """Pictures, u8 [indices, height, width, 3]. `ended`: show the last state of an episode that ended in this
         step."""
         width, height = self._size
-        pixels = self._shards.render(indices, self._size, ended, self._camera)
+        try:
+            pixels = self._shards.render(indices, self._size, ended, self._camera)
+        except InvalidRequest as error:  # the number of pixels: the caller has chosen their size, not the indices
+            raise InvalidRequest(re.sub("^indices: ", "render_size: ", str(error))) from None
         return np.frombuffer(pixels, np.uint8).reshape(len(indices), height, width, 3).copy()
 
     def moved(self, *, record_ended: bool, show_ended: bool) -> None:

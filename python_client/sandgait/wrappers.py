@@ -6,11 +6,15 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 import gymnasium
-import mujoco
 
 from .errors import InvalidRequest
 from .mujoco import ModelSand, add_sand
 from .sand import Sand, Shape
+
+try:
+    import mujoco
+except ImportError as error:
+    raise ImportError("mujoco is not installed: pip install 'sandgait[mujoco]'") from error
 
 
 class OnSand(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordConstructorArgs):

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+import sandgait
 from pages import PAGES, ROOT, RUN, SHOWN, Run, blocks, inline_code, links
 from sandgait import server
 
@@ -133,6 +134,11 @@ def test_the_site_is_whole_and_needs_no_other_host(tmp_path: Path) -> None:
         if file.suffix == ".css":
             assert not re.findall(r"(?:url\(|@import )[\"']?(?:https?:)?//", file.read_text(encoding="utf-8")), file
     assert "<math" in (tmp_path / "physics.html").read_text(encoding="utf-8")
+    page = (tmp_path / "reference" / "python.html").read_text(encoding="utf-8")
+    shown = set(re.findall(r'<h2 id="sandgait\.([^"]*)"', page))
+    assert shown == {*sandgait.__all__, "export.to_sb3", "mujoco", "wrappers", "logs", "ray"}
+    for name in ("mujoco.add_sand", "wrappers.OnSand", "logs.to_csv", "ray.serve"):
+        assert f'id="sandgait.{name}"' in page
 
 
 def test_quoted_speeds_are_in_the_results() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,8 @@ def spoiled(index: tuple[int, int], value: float) -> np.ndarray:
         (spoiled((2, 1), np.nan), r"actions\[2\]\[1\].*NaN.*\[-1, 1\]"),
         (spoiled((3, 5), 1.01), r"actions\[3\]\[5\].*1\.01.*\[-1, 1\]"),
         (spoiled((0, 0), -np.inf), r"actions\[0\]\[0\].*inf.*\[-1, 1\]"),
-        ([["left"] * 6] * 4, "could not convert"),
+        ([["left"] * 6] * 4, "actions: expected numbers, got .*left"),
+        (np.zeros((4, 6), np.complex64), "actions: expected numbers"),
     ],
 )
 def test_wrong_actions(actions: Any, says: str) -> None:
@@ -65,7 +67,11 @@ def test_wrong_actions(actions: Any, says: str) -> None:
         ({"num_envs": 0}, "num_envs: 0 is outside"),
         ({"num_envs": -1}, "num_envs: -1 is outside"),
         ({"address": "nowhere"}, "address: 'nowhere' is neither"),
+        ({"address": ""}, "address: '' is neither"),
+        ({"address": "http://127.0.0.1:50051"}, "address: 'http://127.0.0.1:50051' is neither"),
+        ({"address": []}, "address: the list is empty"),
         ({"task": "sandgait/Flying-v0"}, "Flying-v0.*HexapodGait-v1"),
+        ({"task": "Flying"}, "Flying.*HexapodGait-v1"),
     ],
 )
 def test_wrong_options(options: dict[str, Any], says: str) -> None:
@@ -82,6 +88,7 @@ def test_render_mode_of_a_single_environment() -> None:
     ("arguments", "says"),
     [
         ({"seed": [1, 2, 3]}, "seed: 3 entries for 2"),
+        ({"seed": -3}, r"seed: -3 is outside \[0, "),
         ({"seed": [1, -2]}, r"seed\[1\]: -2 is outside"),
         ({"seed": [1, 2**64]}, r"seed\[1\]: 18446744073709551616 is outside"),
         ({"options": {"slpoe_deg": 3}}, "slpoe_deg.*slope_deg"),
@@ -95,6 +102,103 @@ def test_wrong_resets(arguments: dict[str, Any], says: str) -> None:
     with pytest.raises(ValueError, match=says):
         env.reset(**arguments)
     assert np.array_equal(env.reset(seed=0)[0], rows)
+
+
+def vector(num_envs: int = 2, **options: Any) -> sandgait.SandgaitVectorEnv:
+    env = sandgait.SandgaitVectorEnv(ID, num_envs, **options)
+    env.reset(seed=0)
+    return env
+
+
+def single(**options: Any) -> sandgait.SandgaitEnv:
+    env = sandgait.SandgaitEnv(ID, **options)
+    env.reset(seed=0)
+    return env
+
+
+#: Calls with an argument of a wrong type, and the whole message.
+WRONG_TYPES: list[tuple[Callable[[], Any], str]] = [
+    (lambda: sandgait.train(timesteps=5e3), "timesteps: expected a whole number or None, got 5000.0"),
+    (lambda: sandgait.train(seconds="a"), "seconds: expected a number or None, got 'a'"),
+    (lambda: sandgait.train(settings=5), "settings: expected a dictionary of names or None, got 5"),
+    (lambda: sandgait.train(resume="x"), "resume: expected True or False, got 'x'"),
+    (lambda: sandgait.intrude("L", chord="a"), "chord: expected a number, got 'a'"),
+    (lambda: sandgait.intrude(body="sphere:radius=0.1", rows=5), "rows: expected a dictionary of names or None, got 5"),
+    (lambda: sandgait.walk("a"), "frequency: expected numbers, got 'a'"),
+    (lambda: sandgait.evaluate(5), "policy: expected bytes or a text or a path, got 5"),
+    (lambda: sandgait.evaluate("tripod:2", slopes=["a"]), "slopes: expected a list of numbers, got ['a']"),
+    (lambda: sandgait.mirror(5), "task: expected a text, got 5"),
+    (lambda: sandgait.describe(5), "address: expected a text or None, got 5"),
+    (lambda: sandgait.Bodies(5), "bodies: expected a dictionary of names, got 5"),
+    (lambda: sandgait.Sand().wrench(5, *[np.zeros((1, 3))] * 4), "bodies: expected sandgait.Bodies, got 5"),
+    (lambda: sandgait.Sand(slope_deg="a"), "slope_deg: expected a number, got 'a'"),
+    (lambda: sandgait.Remote("127.0.0.1:1", token=5), "token: expected a text or None, got 5"),
+    (lambda: gymnasium.make_vec(ID, num_envs="a"), "num_envs: expected a whole number, got 'a'"),
+    (lambda: vector(render_size=640), "render_size: expected (a whole number, a whole number), got 640"),
+    (lambda: vector(render_size=(64.5, 64)), "render_size: expected (a whole number, a whole number), got (64.5, 64)"),
+    (lambda: vector(address=5), "address: expected a text or a list of texts or None, got 5"),
+    (lambda: vector(clip_actions="yes"), "clip_actions: expected True or False, got 'yes'"),
+    (lambda: single(clip_actions="yes"), "clip_actions: expected True or False, got 'yes'"),
+    (lambda: vector(isolated="x"), "isolated: expected True or False, got 'x'"),
+    (lambda: vector(resume=1), "resume: expected True or False, got 1"),
+    (lambda: vector().reset(options=5), "options: expected a dictionary of names or None, got 5"),
+    (lambda: vector().reset(options="abc"), "options: expected a dictionary of names or None, got 'abc'"),
+    (lambda: single().reset(options={1: 2}), "options: expected a dictionary of names or None, got {1: 2}"),
+    (
+        lambda: vector(4).reset(seed="a"),
+        "seed: expected a whole number or a list of whole numbers or None, got 'a'",
+    ),
+    (lambda: single().step(["a"]), "action: expected numbers, got ['a']"),
+    (lambda: single().step(np.array([1j])), "action: expected numbers, got array([0.+1.j])"),
+    (lambda: vector().rollout("a"), "actions: expected numbers, got 'a'"),
+    (lambda: vector().rollout_policy(b"", "a"), "steps: expected a whole number, got 'a'"),
+    (lambda: vector().restore(5), "snapshot: expected bytes or a text or a path, got 5"),
+    (lambda: vector().fork("a"), "n: expected a whole number, got 'a'"),
+]
+
+
+@pytest.mark.parametrize(("call", "says"), WRONG_TYPES, ids=[says.split(":")[0] for _, says in WRONG_TYPES])
+def test_an_argument_of_a_wrong_type(call: Callable[[], Any], says: str) -> None:
+    """It is refused before anything is made. The error is what Python raises for wrong types and values, too."""
+    with pytest.raises(sandgait.WrongType, match=f"^{re.escape(says)}$") as raised:
+        call()
+    assert isinstance(raised.value, sandgait.InvalidRequest)
+    assert isinstance(raised.value, TypeError)
+    assert isinstance(raised.value, ValueError)
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda: sandgait.train(seed=-1, timesteps=1), "seed: expected a whole number from 0, got -1"),
+        (lambda: sandgait.evaluate("tripod:2", seeds=-1), "seeds: expected a whole number from 0, got -1"),
+        (lambda: sandgait.evaluate("tripod:2", seeds=2**40), "seeds: expected a smaller number, got 1099511627776"),
+    ],
+)
+def test_a_number_that_the_native_module_cannot_convert(call: Callable[[], Any], says: str) -> None:
+    with pytest.raises(sandgait.InvalidRequest, match=f"^{says}$"):
+        call()
+
+
+def test_numbers_of_numpy_and_lists_are_accepted() -> None:
+    env = vector(np.int64(2), render_size=[np.int32(64), 48], clip_actions=np.True_, render_mode="rgb_array")
+    env.reset(seed=np.array([4, 5]), options={"slope_deg": np.float32(3)})
+    assert env.render()[0].shape == (48, 64, 3)
+    assert sandgait.intrude("L", chord=np.float32(0.08)).Fz.size
+
+
+def test_an_error_of_the_users_function_stays_as_it_is() -> None:
+    def told(share: float, stage: str) -> None:
+        raise TypeError("mine")
+
+    with pytest.raises(TypeError, match=r"^mine$"):
+        sandgait.walk(2.0, progress=told)
+
+
+def test_too_many_pixels() -> None:
+    env = vector(64, render_mode="rgb_array", render_size=(4096, 4096))
+    with pytest.raises(sandgait.InvalidRequest, match=r"^render_size: 64 pictures of 4096 × 4096"):
+        env.render()
 
 
 def test_a_step_before_the_first_reset() -> None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
 import sandgait
-from conftest import ID
+from conftest import ID, RemoteServer
 
 
 @pytest.mark.parametrize("options", [{}, {"leg": "C", "medium": "poppy-close", "slope_deg": 5}])
@@ -17,6 +20,36 @@ def test_check_env_finds_nothing(options: dict[str, object]) -> None:
     env = gymnasium.make(ID, **options)
     check_env(env.unwrapped)
     env.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "id"),
+    [
+        ("HexapodGait", "sandgait/HexapodGait-v1"),
+        ("HexapodGait-v1", "sandgait/HexapodGait-v1"),
+        ("sandgait/HexapodGait", "sandgait/HexapodGait-v1"),
+        ("HexapodLegs", "sandgait/HexapodLegs-v2"),
+        ("sandgait/HexapodLegs-v1", "sandgait/HexapodLegs-v1"),
+    ],
+)
+def test_short_names(name: str, id: str, remote: RemoteServer) -> None:
+    """The namespace can be left out, and the version, which then is the latest: wherever a task is named."""
+    for env in (
+        sandgait.SandgaitEnv(name),
+        sandgait.SandgaitVectorEnv(name, 2),
+        sandgait.SandgaitVectorEnv(name, 2, remote.address),
+        sandgait.make_sb3(name, 2).unwrapped.envs,
+    ):
+        assert env.task.id == id
+        env.close()
+    assert sandgait.mirror(name) == sandgait.mirror(id)
+    scores = [sandgait.evaluate("random", called, seeds=2)["return"] for called in (name, id)]
+    assert np.array_equal(*scores)
+
+
+def test_a_short_name_for_train(tmp_path: Path) -> None:
+    done = sandgait.train("sandgait/HexapodGait", timesteps=1, out=tmp_path / "run")
+    assert json.loads((done.out / "settings.json").read_text())["task"] == ID
 
 
 def test_registered_ids_are_the_servers() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from contextlib import nullcontext
 from itertools import pairwise
 from pathlib import Path
@@ -385,7 +387,7 @@ def test_surface_and_forces_are_drawn(options: dict[str, Any]) -> None:
         (("model", sandgait.Sand()), "model: is str, not mujoco.MjModel"),
         ((None, "poppy-loose"), "sand: is str, not sandgait.Sand"),
         ((None, sandgait.Sand(), ["foot"]), "body: the model has none with the name 'foot'"),
-        ((None, sandgait.Sand(), "trunk"), "bodies: is a name, not a list of names"),
+        ((None, sandgait.Sand(), "trunk"), "bodies: expected a list of texts or a dictionary of names or None"),
         ((None, sandgait.Sand(), {"trunk": "cone:radius=1"}), "cone"),
         ((None, sandgait.Sand(leading_edge_gate=0.2)), "leading_edge_gate: other than 0.02 needs"),
     ],
@@ -437,3 +439,11 @@ def test_implicit_wrenches_carry_a_robot() -> None:
         free.qfrc_applied[:] = 0.0
     assert free.qpos[2] == pytest.approx(data.qpos[2], abs=2e-3)
     assert wrench[:, 2].sum() == pytest.approx(9.81 * model.body_mass.sum(), rel=0.02)
+
+
+@pytest.mark.parametrize("module", ["mujoco", "wrappers"])
+def test_without_mujoco_an_error_says_how_to_install_it(module: str) -> None:
+    program = f"import sys; sys.modules['mujoco'] = None; import sandgait.{module}"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    last = done.stderr.strip().splitlines()[-1]
+    assert last == "ImportError: mujoco is not installed: pip install 'sandgait[mujoco]'"

@@ -360,7 +360,7 @@ def test_the_camera_stands_where_it_is_told(remote: RemoteServer) -> None:
         ({"distance": float("nan")}, "render_camera.distance: NaN is outside [0.01, 1000]"),
         ({"distance": "far"}, "render_camera: distance 'far' is not a number"),
         ({"follow": 1}, "render_camera: follow 1 is not True or False"),
-        ("left", "render_camera: 'left' is not a dictionary"),
+        ("left", "render_camera: expected a dictionary of names or None, got 'left'"),
     ],
 )
 def test_a_wrong_camera_is_refused(camera: Any, says: str) -> None:

@@ -179,9 +179,27 @@ def test_without_resume_a_dead_server_is_an_error_with_its_address(remote: Remot
     remote.kill()
     with pytest.raises(sandgait.ServerLost, match=remote.address):
         walk(env, range(2))
-    with pytest.raises(sandgait.SessionLost, match="make the environment anew"):
+    broke = (
+        "the connection broke: .*; with resume=True environments continue after a restart.*make the environment anew"
+    )
+    with pytest.raises(sandgait.SessionLost, match=broke):
         env.reset()
     env.close()
+
+
+def test_without_resume_a_server_that_was_started_again_does_not_know_the_session() -> None:
+    with RemoteServer("127.0.0.1:0") as first:
+        env = sandgait.SandgaitVectorEnv(ID, 2, first.address)
+        env.reset(seed=0)
+        first.kill()
+    with RemoteServer(first.address):
+        advice = "with resume=True environments continue after a restart of the server"
+        unknown = f'session ".*" is unknown; known: sessions that have not ended; {advice}'
+        with pytest.raises(sandgait.SessionLost, match=f"^{first.address}: {unknown}$"):
+            walk(env, range(1))
+        with pytest.raises(sandgait.SessionLost, match=rf"^this session has ended \(the connection broke: .*{unknown}"):
+            walk(env, range(1))
+        env.close()
 
 
 def test_several_servers_give_the_numbers_of_one(

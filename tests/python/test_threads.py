@@ -72,9 +72,15 @@ def test_the_first_number_of_threads_stays(
     assert says in error
 
 
-@pytest.mark.parametrize("threads", [0, -1, 65_536, "many", 1.5])
-def test_wrong_numbers_of_threads(threads: object) -> None:
+@pytest.mark.parametrize("threads", [0, -1, 65_536])
+def test_wrong_numbers_of_threads(threads: int) -> None:
     with pytest.raises(sandgait.InvalidRequest, match=r"threads: .* is not a whole number in \[1, 65535\]"):
+        sandgait.SandgaitEnv(ID, threads=threads)
+
+
+@pytest.mark.parametrize("threads", ["many", 1.5])
+def test_threads_that_are_no_number(threads: object) -> None:
+    with pytest.raises(sandgait.WrongType, match=r"^threads: expected a whole number or None, got "):
         sandgait.SandgaitEnv(ID, threads=threads)  # type: ignore[arg-type]
 
 

@@ -139,7 +139,7 @@ def test_actions_are_clipped_if_asked_for() -> None:
 
 
 def test_the_error_of_a_refused_action_mentions_clipping() -> None:
-    words = r"actions\[0\]\[0\]: 2 .* is outside \[-1, 1\]; clip_actions=True clips"
+    words = r"^actions\[0\]\[0\]: 2 .* is outside \[-1, 1\]; clip_actions=True clips"
     for address in (None, [None, None]):
         many = sandgait.SandgaitVectorEnv(ID, 2, address)
         many.reset(seed=0)
@@ -149,8 +149,10 @@ def test_the_error_of_a_refused_action_mentions_clipping() -> None:
         many.close()
     one = gymnasium.make(ID)
     one.reset(seed=0)
-    with pytest.raises(sandgait.InvalidRequest, match=words):
+    with pytest.raises(sandgait.InvalidRequest, match=words.replace(r"actions\[0\]", "action")):
         one.step(BEYOND)
+    with pytest.raises(sandgait.InvalidRequest, match=r"^action\[0\]: NaN"):
+        one.step(np.full(6, np.nan, np.float32))
     one.step(np.zeros(6, np.float32))
     one.close()
 
