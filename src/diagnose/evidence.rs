@@ -268,7 +268,7 @@ impl EvidenceTable {
 
     /// Variance of the errors of row `k` beyond the noise's variance, in units of the noise's variance; 0 if noise alone may cause such errors.
     pub fn misfit(&self, k: usize) -> f64 {
-        if self.lack(k) <= self.limit { 0.0 } else { self.rows[k].scale - 1.0 }
+        if self.lack(k) <= self.limit { 0.0 } else { self.lack(k) - 1.0 }
     }
 
     /// The misfit of row `k` as a share of the plain model's misfit. If the plain model's errors are smaller than noise and the stated
