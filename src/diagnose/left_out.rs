@@ -236,12 +236,7 @@ impl Linear {
             held_out(study, model, own.law, own.step.as_slice(), std::slice::from_ref(condition)).0
         };
         let held_out = SquaredErrors(now.left.iter().zip(used).flat_map(held_out).collect());
-        LeftOutRow {
-            elpd: now.left.iter().zip(&scales).map(density).collect(),
-            predicted: now,
-            scales,
-            held_out,
-        }
+        LeftOutRow { elpd: now.left.iter().zip(&scales).map(density).collect(), predicted: now, scales, held_out }
     }
 
     fn jacobian(&self, c: usize, law: Option<usize>) -> DMatrix<f64> {
