@@ -62,7 +62,7 @@ fn gravity_is_observed_on_a_slope() {
     });
     let blueprint = blueprint(options.clone());
     let place = |name: &str| blueprint.task.spec().observation.iter().position(|c| c.name == name).unwrap();
-    let (gravity, accelerometer) = (place("projected_gravity x"), place("accelerometer x"));
+    let (gravity, accelerometer) = (place("projected_gravity x"), place("specific force, body frame, x"));
     let mut shard = shard(options, 1);
     let still = vec![0.0; shard.actions()];
     (0..100).for_each(|_| shard.step(&still));

@@ -165,11 +165,15 @@ fn diagnose_measured(
     };
     progress.report(0.95, "report")?;
     let report = without_verdict(&study, untestable, sha256, notes);
-    let report = match &selection {
+    let mut report = match &selection {
         Some(selection) => ReportView { study: &study, source: &source, noise: &noise, selection }.report(report),
         None => report,
     };
-    debug_assert_eq!(statements::violations(&report), Vec::<String>::new());
+    let violated = statements::violations(&report);
+    debug_assert_eq!(violated, Vec::<String>::new());
+    let contradicts =
+        |what: String| format!("this report contradicts itself, which is a defect of this program: {what}");
+    report.warnings.extend(violated.into_iter().map(contradicts));
     let fit = selection.as_ref().and_then(|s| s.fit());
     let mut sand = SandDescription::plain(model.medium());
     if let Some(fit) = fit {

@@ -307,6 +307,26 @@ mod tests {
         assert_eq!(of(&far), (Verdict::Ambiguous, Written::Cause, 2, vec![2, 1]));
     }
 
+    /// An entry with a greater elpd, but of which it is not certain that it is better than the plain model, leads nothing;
+    /// and a pair must beat the best single cause even if no single cause beats the plain model.
+    #[test]
+    fn only_what_beats_the_plain_model_leads() {
+        let mut entries = table(&[(0, false, -100.0, 90.0), (1, false, 0.0, 0.0), (1, false, 3.0, 0.0)]);
+        entries[2].beats[0] = false;
+        assert_eq!(of(&entries), (Verdict::Ambiguous, Written::Cause, 1, vec![1, 2]));
+        let mut pair = table(&[(0, false, -16.0, 0.0), (1, false, -5.0, 0.0), (2, false, -4.6, 0.0)]);
+        pair[1].beats[0] = false;
+        assert_eq!(of(&pair).1, Written::Proxy);
+    }
+
+    /// The entry that is added to a set without names is marked, so that it does not count as an explanation.
+    #[test]
+    fn an_added_entry_is_marked() {
+        let mut far = table(&[(0, false, -100.0, 90.0), (1, false, -50.0, 40.0), (1, false, 0.0, 0.0)]);
+        far[2].unnamed = true;
+        assert_eq!(verdict(&far, 0.01).added, Some(1));
+    }
+
     #[test]
     fn a_stand_in_lowers_the_error_of_the_sand_alone() {
         let mut entries = table(&[(0, false, -100.0, 90.0), (1, false, 0.0, 60.0), (2, false, -8.0, 60.0)]);
