@@ -52,6 +52,30 @@ fn the_built_in_robot_equals_its_file() {
     assert!(own.trim() == packed, "pack the file again");
 }
 
+/// On a slope the observed gravity is gravity, and not the sand's normal: it agrees with the accelerometer of a robot at
+/// rest.
+#[test]
+fn gravity_is_observed_on_a_slope() {
+    let options = json!({
+        "ground": "rigid", "slope_deg": 10, "curriculum": null, "domain_rand": null,
+        "sensors": {"accelerometer": {}},
+    });
+    let blueprint = blueprint(options.clone());
+    let place = |name: &str| blueprint.task.spec().observation.iter().position(|c| c.name == name).unwrap();
+    let (gravity, accelerometer) = (place("projected_gravity x"), place("specific force, body frame, x"));
+    let mut shard = shard(options, 1);
+    let still = vec![0.0; shard.actions()];
+    (0..100).for_each(|_| shard.step(&still));
+    let read = |first: usize| [0, 1, 2].map(|k| f64::from(shard.rows.observations[first + k]));
+    let (seen, felt) = (read(gravity), read(accelerometer));
+    let norm = felt.iter().map(|a| a * a).sum::<f64>().sqrt();
+    for (seen, felt) in seen.iter().zip(felt) {
+        assert!((seen + felt / norm).abs() < 0.01, "{seen} {felt}");
+    }
+    let normal = shard.state(0).to_body([0.0, 0.0, -1.0]);
+    assert!((seen[0] - normal[0]).abs() > 0.1, "the robot stands on a slope: {seen:?} {normal:?}");
+}
+
 /// Without pushes and with zero actions, a robot stands for 10 s on every ground. So does the same robot from its URDF,
 /// for which a standing pose is computed, and from its MJCF, which states one.
 #[test]

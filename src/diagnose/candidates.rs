@@ -54,6 +54,8 @@ pub struct SearchSpace<'a> {
     pub untestable: &'a [usize],
     /// Causes that are fitted, but may not be named; they are in no pair.
     pub unnamed: &'a [usize],
+    /// Causes that would look like `scale`, and that have no effect on the prediction because a column is missing.
+    pub unseen: &'a [usize],
 }
 
 /// Fits under one noise, and results of earlier steps.

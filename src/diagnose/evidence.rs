@@ -2,7 +2,9 @@
 //!
 //! **Numbers.** Differences between the repetitions of a condition contain no information on causes, so only the repetitions' mean
 //! counts. The whitened numbers of each repetition and channel are projected on the first cosines along the trial (DCT-II), and the
-//! repetitions are averaged. For noise alone each of these numbers is standard normal.
+//! repetitions are averaged. For noise alone each of these numbers is standard normal. If the repetitions scatter more along one cosine
+//! of a channel than the noise model says, the numbers along it are divided by the standard deviation of this scatter: the model's
+//! noise of a sensor is white, but sensors may drift.
 //!
 //! **Prediction.** Near its fit a model is linear in its parameters: values of causes, deviations of the stress
 //! coefficients, and nuisances, each with a normal prior. The posterior from all conditions except c predicts the residual
@@ -50,6 +52,9 @@ use std::sync::Arc;
 
 /// Number of cosines along a trial: our choice; features shorter than a sixteenth of a trial count as noise.
 const WAVES: usize = 16;
+/// The scatter along a cosine replaces the noise model's if it is larger by this many standard errors: our choice, so that
+/// chance hardly ever does it (one in 740 times).
+const DRIFTS: f64 = 3.0;
 /// Prior standard deviation of coefficients and nuisances, in units of the stated ones, if the condition that is left out is the
 /// stated priors: our choice, wide.
 const UNSTATED: f64 = 10.0;
@@ -77,6 +82,8 @@ struct Projection<'a> {
     groups: Vec<Vec<usize>>,
     /// Cosines for each number of samples, wave by wave.
     cosines: HashMap<usize, Vec<Vec<f64>>>,
+    /// For each channel and cosine, one over the standard deviation of the noise in units of the noise model's.
+    shares: Vec<[f64; WAVES]>,
 }
 
 impl<'a> Projection<'a> {
@@ -84,7 +91,29 @@ impl<'a> Projection<'a> {
         let all = study.observations.repetitions();
         let groups = used.iter().map(|&k| all[k].clone()).collect();
         let cosines = study.observations.units.iter().map(|u| (u.samples, cosines(u.samples))).collect();
-        Self { study, whitener, groups, cosines }
+        let shares = vec![[1.0; WAVES]; study.observations.channels.len()];
+        let even = Self { study, whitener, groups, cosines, shares };
+        Self { shares: even.scatter(), ..even }
+    }
+
+    /// `shares` from the scatter of the repetitions about their means, which no model changes.
+    fn scatter(&self) -> Vec<[f64; WAVES]> {
+        let white = self.whitener.apply(&self.study.observations.values);
+        let mut sums = vec![[[0.0; 2]; WAVES]; self.shares.len()];
+        for group in self.groups.iter().filter(|g| g.len() > 1) {
+            let (each, waves, count) = (self.each(&white, group), self.waves(group), group.len() as f64);
+            for k in 0..each[0].len() {
+                let mean = each.iter().map(|e| e[k]).sum::<f64>() / count;
+                let [squares, free] = &mut sums[k / waves][k % waves];
+                *squares += each.iter().map(|e| (e[k] - mean).powi(2)).sum::<f64>();
+                *free += count - 1.0;
+            }
+        }
+        let share = |[squares, free]: [f64; 2]| {
+            let variance = squares / free.max(1.0);
+            if variance > 1.0 + DRIFTS * (2.0 / free.max(1.0)).sqrt() { variance.sqrt().recip() } else { 1.0 }
+        };
+        sums.into_iter().map(|channel| channel.map(share)).collect()
     }
 
     fn waves(&self, group: &[usize]) -> usize {
@@ -98,7 +127,9 @@ impl<'a> Projection<'a> {
         let of = |&u: &usize| {
             let unit = &o.units[u];
             let basis = &self.cosines[&unit.samples][..waves];
-            let own = |c: usize| basis.iter().map(move |b| dot(b, &white[unit.block(c)]));
+            let own = |c: usize| {
+                basis.iter().zip(&self.shares[c]).map(move |(b, share)| share * dot(b, &white[unit.block(c)]))
+            };
             (0..o.channels.len()).flat_map(own).collect()
         };
         group.iter().map(of).collect()
@@ -268,7 +299,7 @@ impl EvidenceTable {
 
     /// Variance of the errors of row `k` beyond the noise's variance, in units of the noise's variance; 0 if noise alone may cause such errors.
     pub fn misfit(&self, k: usize) -> f64 {
-        if self.lack(k) <= self.limit { 0.0 } else { self.rows[k].scale - 1.0 }
+        if self.lack(k) <= self.limit { 0.0 } else { self.lack(k) - 1.0 }
     }
 
     /// The misfit of row `k` as a share of the plain model's misfit. If the plain model's errors are smaller than noise and the stated

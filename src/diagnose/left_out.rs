@@ -28,11 +28,10 @@ pub struct CandidateLaw {
 pub struct LeftOutRow {
     /// Log predictive density of each condition that is used; the last entry is that of the stated priors of coefficients and nuisances.
     pub elpd: Vec<f64>,
-    /// The predictions with this `scale`.
+    /// The predictions with the scale φ of the errors that all conditions give.
     pub predicted: Predicted,
-    /// Scale φ of the errors: `scales` has, for each condition, the estimate from the other conditions; `scale` is the estimate from all conditions.
+    /// For each condition, φ as the other conditions give it.
     pub scales: Vec<f64>,
-    pub scale: f64,
     /// Held-out errors in the data's own unit, of the sand without nuisances.
     pub held_out: SquaredErrors,
 }
@@ -237,13 +236,7 @@ impl Linear {
             held_out(study, model, own.law, own.step.as_slice(), std::slice::from_ref(condition)).0
         };
         let held_out = SquaredErrors(now.left.iter().zip(used).flat_map(held_out).collect());
-        LeftOutRow {
-            elpd: now.left.iter().zip(&scales).map(density).collect(),
-            predicted: now,
-            scales,
-            scale,
-            held_out,
-        }
+        LeftOutRow { elpd: now.left.iter().zip(&scales).map(density).collect(), predicted: now, scales, held_out }
     }
 
     fn jacobian(&self, c: usize, law: Option<usize>) -> DMatrix<f64> {

@@ -89,7 +89,7 @@ use intruder_model::IntruderModel;
 use noise::{NoiseData, sizes};
 use observations::Observations;
 use report::{Curves, Diagnosis, Untestable};
-use select::select;
+use select::{FACTORS, select};
 use std::path::Path;
 use study::FitInputs;
 use view::{ReportView, without_verdict};
@@ -154,22 +154,26 @@ fn diagnose_measured(
     let noise = if pruned { source.noise(None, &|| model.stopped()) } else { noise };
     let whitener = Whitener::new(&source, &noise);
     let study = FitInputs::new(observations, model, &whitener);
-    let (ids, unknown, untestable) = testable(&study);
+    let Causes { ids, unknown, unseen, untestable } = testable(&study);
     let selection = match source.scatters() {
         true => {
-            let (ids, untestable, unnamed) = (&ids[..], &unknown[..], &unknown[..]);
-            let asked = SearchSpace { source: &source, noise: &noise, ids, untestable, unnamed };
+            let (ids, untestable, unnamed, unseen) = (&ids[..], &unknown[..], &unknown[..], &unseen[..]);
+            let asked = SearchSpace { source: &source, noise: &noise, ids, untestable, unnamed, unseen };
             Some(select(&study, &asked, progress)?)
         }
         false => None,
     };
     progress.report(0.95, "report")?;
     let report = without_verdict(&study, untestable, sha256, notes);
-    let report = match &selection {
+    let mut report = match &selection {
         Some(selection) => ReportView { study: &study, source: &source, noise: &noise, selection }.report(report),
         None => report,
     };
-    debug_assert_eq!(statements::violations(&report), Vec::<String>::new());
+    let violated = statements::violations(&report);
+    debug_assert_eq!(violated, Vec::<String>::new());
+    let contradicts =
+        |what: String| format!("this report contradicts itself, which is a defect of this program: {what}");
+    report.warnings.extend(violated.into_iter().map(contradicts));
     let fit = selection.as_ref().and_then(|s| s.fit());
     let mut sand = SandDescription::plain(model.medium());
     if let Some(fit) = fit {
@@ -194,11 +198,21 @@ fn diagnose_measured(
     Ok(Diagnosis { report, sand, hardware, curves, name: "the data".into() })
 }
 
-/// Returns three lists: causes that the data can show; causes that act on the data, but cannot be tested because a
-/// column is missing; and, with the reason, all causes that cannot be tested, because a column is missing or because
-/// they have no effect.
-fn testable(study: &FitInputs) -> (Vec<usize>, Vec<usize>, Vec<Untestable>) {
-    let (mut ids, mut unknown, mut untestable) = (Vec::new(), Vec::new(), Vec::new());
+/// The causes, by what the data can say of them; ids are indices of the catalogue.
+#[derive(Default)]
+struct Causes {
+    /// The data can show them.
+    ids: Vec<usize>,
+    /// They act on the data, but cannot be tested because a column is missing.
+    unknown: Vec<usize>,
+    /// The missing column alone decides whether they act, and they would act as `scale` does.
+    unseen: Vec<usize>,
+    /// All that cannot be tested, because a column is missing or because they have no effect.
+    untestable: Vec<Untestable>,
+}
+
+fn testable(study: &FitInputs) -> Causes {
+    let mut causes = Causes::default();
     let asked = study.model.testable();
     let (tried, there) = screen::tried(study, &asked.iter().map(|a| a.0).collect::<Vec<_>>());
     let plain = study.plain().prediction;
@@ -208,14 +222,18 @@ fn testable(study: &FitInputs) -> (Vec<usize>, Vec<usize>, Vec<Untestable>) {
     };
     for (id, why) in asked {
         let moves = tried.iter().zip(&there).any(|(t, moved)| t.0 == id && felt(moved));
-        if why.is_some() && moves {
-            unknown.push(id);
+        // Other kinds of data have no column of this kind, whatever the user logs.
+        let columns = study.model.experiment().file.kind == DataKind::Intrusion;
+        match why {
+            Some(_) if moves => causes.unknown.push(id),
+            Some(_) if columns && FACTORS.contains(&CATALOG[id].id) => causes.unseen.push(id),
+            _ => (),
         }
         let why = why.or_else(|| (!moves).then(|| "no trial of these data excites it".to_string()));
         match why {
-            Some(why) => untestable.push(Untestable { id: CATALOG[id].id.into(), why }),
-            None => ids.push(id),
+            Some(why) => causes.untestable.push(Untestable { id: CATALOG[id].id.into(), why }),
+            None => causes.ids.push(id),
         }
     }
-    (ids, unknown, untestable)
+    causes
 }

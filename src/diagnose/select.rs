@@ -49,6 +49,8 @@ pub struct Selection {
     pub nested: [SquaredErrors; 2],
     /// Errors of the plain model without any fit.
     pub plain: SquaredErrors,
+    /// See [`SearchSpace::unseen`].
+    pub unseen: Vec<usize>,
 }
 
 /// Uncertainty of a fit's values.
@@ -68,6 +70,15 @@ impl Selection {
     /// The fit that is written; None for the plain model.
     pub fn fit(&self) -> Option<&Fit> {
         (self.ruling.model > 0).then_some(&self.standing)
+    }
+
+    /// The causes of each explanation that the data cannot distinguish. What they cannot see may be in place of `scale`.
+    pub fn explanations(&self) -> Vec<Vec<String>> {
+        let mut all: Vec<Vec<String>> = self.ruling.set.iter().map(|&k| self.fit_of(k).names()).collect();
+        if self.ruling.set.first().is_some_and(|&k| self.entries[k].unseen) {
+            all.extend(self.unseen.iter().map(|&id| vec![CATALOG[id].id.to_owned()]));
+        }
+        all
     }
 
     /// The best cause, if one is named.
@@ -143,8 +154,9 @@ fn judged(
         let table = EvidenceTable::new(renewed, renewed.whitener, &models, &all);
         let mut entries = entries(renewed, &table, &models, &all, asked);
         let mut ruling = verdict(&entries, SECOND);
-        let measured = |&k: &usize| models[k].fit.ids.iter().any(marginalised);
-        if entries[0].misfit <= 0.0 && !ruling.set.is_empty() && ruling.set.iter().all(measured) {
+        let measured = |&&k: &&usize| models[k].fit.ids.iter().any(marginalised);
+        let mut explanations = ruling.set.iter().filter(|k| Some(**k) != ruling.added).peekable();
+        if entries[0].misfit <= 0.0 && explanations.peek().is_some() && explanations.all(|k| measured(&k)) {
             candidates.without(&marginalised);
             dictionary[1] = dictionary[1].take().filter(|_| candidates.leading.is_some());
             continue;
@@ -191,6 +203,7 @@ fn judged(
             intervals,
             nested,
             plain,
+            unseen: asked.unseen.to_vec(),
         };
     }
 }
@@ -239,6 +252,7 @@ fn entries(
             unlikely: ids.iter().zip(models[k].fit.values()).any(unlikely),
             within: (0..models.len()).filter(inside).collect(),
             alike: (0..models.len()).filter(hidden).collect(),
+            unseen: scaled && !asked.unseen.is_empty(),
             elpd: table.elpd(k),
             misfit: table.misfit(k),
             unexplained: table.unexplained(k),

@@ -74,8 +74,10 @@ pub fn violations(r: &Report) -> Vec<String> {
         holds(near.is_empty(), format!("named, but {} cannot be tested and predicts as well", near.join(", ")));
         holds(r.ambiguity_set.len() == 1, "named, with several explanations".into());
         let scaled = r.causes.iter().any(|c| c.id == "scale");
-        let hidden =
-            r.evidence.iter().filter(untested).any(|c| c.ids.len() == 1 && FACTORS.contains(&c.ids[0].as_str()));
+        let hidden = r
+            .untestable
+            .iter()
+            .any(|u| FACTORS.contains(&u.id.as_str()) && u.why.starts_with("the data have no column"));
         holds(!scaled || !hidden, "scale is named, but what cannot be tested may look the same".into());
     }
     holds(

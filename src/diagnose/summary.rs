@@ -18,7 +18,7 @@ pub fn clauses(r: &Report) -> Vec<String> {
         }
         Verdict::NoiseFloor => vec![
             "no significant misfit: no cause or law predicts left-out conditions better than the plain model, whose error is \
-             within the scatter of the repetitions"
+             within the scatter of the repetitions and the stated uncertainties"
                 .into(),
         ],
         Verdict::Named => vec![format!("the misfit is explained by {}", found(r))],
@@ -31,6 +31,8 @@ pub fn clauses(r: &Report) -> Vec<String> {
     all.extend(lowers(r).filter(|_| r.written != Written::Plain));
     all.extend(next_best(r).filter(|_| r.verdict == Verdict::Named));
     if matches!(r.verdict, Verdict::Named | Verdict::Ambiguous) {
+        all.extend(few_conditions(r));
+        all.extend(within_noise(r));
         let rest = r.remainder.as_ref().filter(|rest| rest.significant);
         all.extend(rest.map(|rest| format!("misfit beyond noise remains ({:.0} % of it)", 100.0 * rest.fraction)));
         let beside = (!r.terms.is_empty()).then(|| law(r));
@@ -100,11 +102,38 @@ fn none(r: &Report) -> Vec<String> {
     }
 }
 
+/// Says that a cause may also be absent, if its interval reaches 0: the evidence is then in few of the conditions.
+fn few_conditions(r: &Report) -> Option<String> {
+    let reaches = |c: &&super::report::Cause| c.ci95[0] <= 0.0 && c.ci95[1] >= 0.0;
+    let ids: Vec<&str> = r.causes.iter().filter(reaches).map(|c| c.id.as_str()).collect();
+    (!ids.is_empty())
+        .then(|| format!("the interval of {} reaches 0, because few conditions carry the evidence", ids.join(" and ")))
+}
+
+/// Says so, if the errors of the plain model as a whole may be noise, although a model predicts better.
+fn within_noise(r: &Report) -> Option<String> {
+    let small = r.lack_of_fit.plain.zip(r.lack_of_fit.limit).is_some_and(|(lack, limit)| lack <= limit);
+    small.then(|| "the plain model's errors as a whole are no larger than noise may cause".into())
+}
+
 /// The best explanation besides the named one, and how much worse it predicts.
 fn next_best(r: &Report) -> Option<String> {
     let own = r.ambiguity_set.first()?;
     let rival = |c: &&EvidenceRow| c.ids.len() == own.len() && c.ids != *own && c.terms.is_empty();
     let next = r.evidence.iter().filter(rival).max_by(|a, b| a.elpd.total_cmp(&b.elpd))?;
-    let errors = digits(-next.difference / next.standard_error.max(1e-9));
-    Some(format!("the next best, {}, predicts them worse by {errors} standard errors", next.ids.join(" + ")))
+    let name = next.ids.join(" + ");
+    let best = r.evidence.iter().find(|c| c.ids == *own && c.terms.is_empty()).filter(|c| c.difference < 0.0);
+    Some(match best {
+        // The standard errors of the table are of differences to the best row.
+        Some(named) => {
+            format!(
+                "the next best, {name}, predicts them worse by {} (difference of elpd)",
+                digits(named.elpd - next.elpd)
+            )
+        }
+        None => {
+            let errors = digits(-next.difference / next.standard_error.max(1e-9));
+            format!("the next best, {name}, predicts them worse by {errors} standard errors")
+        }
+    })
 }

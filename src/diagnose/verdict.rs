@@ -55,6 +55,8 @@ pub struct Compared {
     pub within: Vec<usize>,
     /// Entries that these data cannot test, and that could have the same effects as this entry.
     pub alike: Vec<usize>,
+    /// Could a cause that has no entry, because these data do not say whether it acts, look the same?
+    pub unseen: bool,
     pub elpd: f64,
     /// Variance of its errors beyond the noise's variance, in units of the noise's variance; 0 if noise alone may cause such errors.
     pub misfit: f64,
@@ -77,6 +79,8 @@ pub struct Ruling {
     pub model: usize,
     /// The explanations that the data cannot distinguish, the best first; empty if no explanation is named.
     pub set: Vec<usize>,
+    /// The entry of `set` that was added because no other entry of it may be named.
+    pub added: Option<usize>,
     /// Entries that are not compared: they give left-out conditions a higher density, but their sand alone has a larger error than the
     /// plain sand.
     pub left_out: Vec<usize>,
@@ -84,7 +88,7 @@ pub struct Ruling {
 
 impl Ruling {
     fn without_name(verdict: Verdict, written: Written, model: usize) -> Self {
-        Self { verdict, written, model, set: Vec::new(), left_out: Vec::new() }
+        Self { verdict, written, model, set: Vec::new(), added: None, left_out: Vec::new() }
     }
 }
 
@@ -118,7 +122,7 @@ pub fn verdict(table: &[Compared], second: f64) -> Ruling {
 fn by_density(table: &[Compared], second: f64) -> Ruling {
     let elpd = |k: usize| table[k].elpd;
     let best_of = |keep: &dyn Fn(&Compared) -> bool| {
-        best((1..table.len()).filter(|k| keep(&table[*k])).collect(), elpd, |k| table[k].beats[0])
+        best((1..table.len()).filter(|k| keep(&table[*k])), elpd, |k| table[k].beats[0])
     };
     let size = |k: usize| if table[k].law { 0 } else { table[k].causes };
     let explanation = leading(table.len(), size, elpd, |a, b| table[a].beats[b], second);
@@ -138,16 +142,19 @@ fn by_density(table: &[Compared], second: f64) -> Ruling {
     stand_in(table, best, &|k| table[k].beats[0])
 }
 
-/// Of some entries the one with the greatest elpd, if any of them predicts `better` than the plain model.
-fn best(entries: Vec<usize>, elpd: impl Fn(usize) -> f64, better: impl Fn(usize) -> bool) -> Option<usize> {
-    let best = entries.iter().copied().max_by(|a, b| elpd(*a).total_cmp(&elpd(*b)));
-    best.filter(|_| entries.into_iter().any(better))
+/// Of the entries that predict `better` than the plain model the one with the greatest elpd.
+fn best(
+    entries: impl Iterator<Item = usize>,
+    elpd: impl Fn(usize) -> f64,
+    better: impl Fn(usize) -> bool,
+) -> Option<usize> {
+    entries.filter(|&k| better(k)).max_by(|a, b| elpd(*a).total_cmp(&elpd(*b)))
 }
 
 /// The best single cause or pair among `count` entries, of which the first is the plain model. It is the entry with the
-/// greatest elpd among those with equally many causes, if one of these beats the plain model. A pair must also beat the
-/// best single cause, and its second cause must add the share `second` of the pair's evidence. `size` is the number of
-/// causes, 0 for entries that do not count.
+/// greatest elpd among those with equally many causes that beat the plain model. A pair must also beat the single cause
+/// with the greatest elpd, and its second cause must add the share `second` of the pair's evidence. `size` is the number
+/// of causes, 0 for entries that do not count.
 pub fn leading(
     count: usize,
     size: impl Fn(usize) -> usize,
@@ -155,13 +162,15 @@ pub fn leading(
     beats: impl Fn(usize, usize) -> bool,
     second: f64,
 ) -> Option<usize> {
-    let best_of = |causes: usize| best((1..count).filter(|&k| size(k) == causes).collect(), &elpd, |k| beats(k, 0));
-    let single = best_of(1);
+    let (size, elpd, beats) = (&size, &elpd, &beats);
+    let of_size = |causes: usize| (1..count).filter(move |&k| size(k) == causes);
+    let best_of = |causes: usize| best(of_size(causes), elpd, |k| beats(k, 0));
+    let simpler = of_size(1).max_by(|a, b| elpd(*a).total_cmp(&elpd(*b)));
     let earns = |pair: usize, single: usize| {
         let [gain, more] = [single, pair].map(|k| elpd(k) - elpd(0));
         beats(pair, single) && more - gain > second * more
     };
-    best_of(2).filter(|&pair| single.is_none_or(|s| earns(pair, s))).or(single)
+    best_of(2).filter(|&pair| simpler.is_none_or(|s| earns(pair, s))).or_else(|| best_of(1))
 }
 
 /// The verdict if no model predicts better beyond twice the standard error. If the plain model's errors are larger than noise may
@@ -200,23 +209,25 @@ fn named(table: &[Compared], cause: usize) -> Ruling {
     set.insert(0, cause);
     set.extend(table[cause].alike.iter().filter(|k| !set.contains(k)).copied().collect::<Vec<_>>());
     // If no entry of the set may be named, the best entry that may be named is added.
+    let mut added = None;
     if set.iter().all(|&k| table[k].unnamed) {
         let others = (1..table.len()).filter(|k| of_size(k) && !table[*k].unnamed);
-        set.extend(others.max_by(|a, b| table[*a].elpd.total_cmp(&table[*b].elpd)));
+        added = others.max_by(|a, b| table[*a].elpd.total_cmp(&table[*b].elpd));
+        set.extend(added);
     }
     let first = set.iter().position(|&k| !table[k].unnamed).filter(|&k| k > 0 && !table[cause].beats[set[k]]);
     if let Some(place) = first {
         let own = set.remove(place);
         set.insert(0, own);
     }
-    let alone = set.len() == 1 && !table[cause].unnamed;
+    let alone = set.len() == 1 && !table[cause].unnamed && !table[set[0]].unseen;
     let verdict = if alone { Verdict::Named } else { Verdict::Ambiguous };
     // A law is written together with the first explanation if both together predict better, and if the explanation alone leaves a misfit.
     let beside = |k: &usize| {
         table[*k].law && table[set[0]].misfit > 0.0 && table[*k].within.contains(&set[0]) && table[*k].beats[set[0]]
     };
     let model = (1..table.len()).find(beside).unwrap_or(set[0]);
-    Ruling { verdict, written: Written::Cause, model, set, left_out: Vec::new() }
+    Ruling { verdict, written: Written::Cause, model, set, added, left_out: Vec::new() }
 }
 
 #[cfg(test)]
@@ -232,6 +243,7 @@ mod tests {
             unlikely: false,
             within: Vec::new(),
             alike: Vec::new(),
+            unseen: false,
             elpd,
             misfit,
             unexplained: misfit / of[0].3.max(1e-9),
@@ -287,9 +299,32 @@ mod tests {
         let mut alike = table(&[(0, false, -100.0, 90.0), (1, false, 0.0, 0.0), (1, false, -90.0, 80.0)]);
         (alike[1].alike, alike[2].unnamed) = (vec![2], true);
         assert_eq!(of(&alike), (Verdict::Ambiguous, Written::Cause, 1, vec![1, 2]));
+        let mut unseen = table(&[(0, false, -100.0, 90.0), (1, false, 0.0, 0.0), (1, false, -90.0, 80.0)]);
+        unseen[1].unseen = true;
+        assert_eq!(of(&unseen), (Verdict::Ambiguous, Written::Cause, 1, vec![1]));
         let mut far = table(&[(0, false, -100.0, 90.0), (1, false, -50.0, 40.0), (1, false, 0.0, 0.0)]);
         far[2].unnamed = true;
         assert_eq!(of(&far), (Verdict::Ambiguous, Written::Cause, 2, vec![2, 1]));
+    }
+
+    /// An entry with a greater elpd, but of which it is not certain that it is better than the plain model, leads nothing;
+    /// and a pair must beat the best single cause even if no single cause beats the plain model.
+    #[test]
+    fn only_what_beats_the_plain_model_leads() {
+        let mut entries = table(&[(0, false, -100.0, 90.0), (1, false, 0.0, 0.0), (1, false, 3.0, 0.0)]);
+        entries[2].beats[0] = false;
+        assert_eq!(of(&entries), (Verdict::Ambiguous, Written::Cause, 1, vec![1, 2]));
+        let mut pair = table(&[(0, false, -16.0, 0.0), (1, false, -5.0, 0.0), (2, false, -4.6, 0.0)]);
+        pair[1].beats[0] = false;
+        assert_eq!(of(&pair).1, Written::Proxy);
+    }
+
+    /// The entry that is added to a set without names is marked, so that it does not count as an explanation.
+    #[test]
+    fn an_added_entry_is_marked() {
+        let mut far = table(&[(0, false, -100.0, 90.0), (1, false, -50.0, 40.0), (1, false, 0.0, 0.0)]);
+        far[2].unnamed = true;
+        assert_eq!(verdict(&far, 0.01).added, Some(1));
     }
 
     #[test]

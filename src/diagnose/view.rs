@@ -3,9 +3,11 @@
 use super::evidence::NORMAL;
 use super::fit::{COEFFICIENTS, Fit};
 use super::forward::Feature;
+use super::gauss_newton::MOST_DEVIATION;
 use super::laws::FittedLaw;
 use super::noise::{Noise, NoiseData};
 use super::normal_equations::Further;
+use super::nuisance::stated;
 use super::report::{
     Cause, EvidenceRow, Gain, LackOfFit, NextExperiment, NoiseSummary, NuisanceValue, Remainder, Report, RunMeans,
     TermFound, Tried, Untestable, UpperLimit,
@@ -79,7 +81,7 @@ impl ReportView<'_> {
             correlations: self.named().map(|s| s.intervals.correlations.clone()).unwrap_or_default(),
             warnings: self.warnings(&causes),
             causes,
-            ambiguity_set: s.ruling.set.iter().map(|&k| s.fit_of(k).names()).collect(),
+            ambiguity_set: s.explanations(),
             candidates: self.tried(),
             lack_of_fit: LackOfFit {
                 plain: Some(s.table.lack(0)),
@@ -90,7 +92,7 @@ impl ReportView<'_> {
             nuisances: self.nuisances(&renewed),
             remainder: Some(self.remainder()),
             terms: s.law.iter().map(|law| self.term(law)).collect(),
-            upper_limits: self.upper_limits(&renewed),
+            upper_limits: self.upper_limits(&renewed, &without.untestable),
             degrees_of_freedom: Some(s.table.degrees),
             form: self.named().and_then(|s| speed_exponent::form(&renewed, s)),
             next_experiment: self.next_experiment(&without.untestable),
@@ -149,7 +151,19 @@ impl ReportView<'_> {
         let mut warnings: Vec<String> =
             causes.iter().filter(|c| c.at_bound).map(|c| format!("{} is at its bound", c.id)).collect();
         let fit = self.selection.fit();
-        warnings.extend(fit.and_then(far_coefficients));
+        warnings.extend(far_coefficients(&self.selection.standing));
+        let nuisances = self.selection.candidates.around.nuisances.iter();
+        let at_end = nuisances.zip(self.selection.standing.deviations.iter().skip(COEFFICIENTS));
+        let at_end = at_end.filter(|(_, d)| d.abs() >= MOST_DEVIATION * (1.0 - 1e-6));
+        warnings.extend(at_end.map(|(nuisance, d)| {
+            format!(
+                "nuisance {} is {:.3}{}, at its bound of {MOST_DEVIATION} stated standard deviations: it may hide a cause, or the \
+                 stated uncertainty is too small",
+                nuisance.id,
+                d * nuisance.sd,
+                after(nuisance.unit)
+            )
+        }));
         let unfelt = fit.map(|fit| fit.mechanisms.unfelt_by_walkers()).unwrap_or_default();
         warnings.extend(unfelt.into_iter().map(|line| format!("sand.toml: {line}")));
         warnings
@@ -238,15 +252,23 @@ impl ReportView<'_> {
         }
     }
 
-    /// Upper limits of the causes that were not found.
-    fn upper_limits(&self, study: &FitInputs) -> Vec<UpperLimit> {
+    /// Upper limits of the causes that were not found. No limit is given for an explanation that the data cannot
+    /// exclude, for a cause that they cannot test, and for an effect that a nuisance already has.
+    fn upper_limits(&self, study: &FitInputs, untestable: &[Untestable]) -> Vec<UpperLimit> {
         let (selection, standing) = (self.selection, &self.selection.standing);
         if standing.slopes.is_empty() {
             return Vec::new();
         }
-        let table = &selection.table;
-        let screened = &selection.candidates.screened;
-        let asked: Vec<(usize, f64)> = screened.iter().filter(|c| !CATALOG[c.0].ceiling).copied().collect();
+        let (table, set) = (&selection.table, &selection.ruling.set);
+        let limited = |id: usize| {
+            let entry = &CATALOG[id];
+            !entry.ceiling
+                && !untestable.iter().any(|u| u.id == entry.id)
+                && !set.iter().any(|&k| selection.fit_of(k).ids.contains(&id))
+                && stated(&study.nuisances, entry.id).is_none()
+        };
+        let asked = selection.candidates.screened.iter().filter(|c| limited(c.0)).copied();
+        let asked: Vec<(usize, f64)> = asked.collect();
         let limit = |further: &Further| {
             let entry = &CATALOG[further.id];
             let (degrees, sd) = (table.degrees.max(2.0), further.sd);
@@ -258,7 +280,13 @@ impl ReportView<'_> {
             // Upper limits beyond the bound of the mechanism's law are left out.
             Some(limit).filter(|_| most < entry.bounds[1])
         };
-        study.further(standing, &asked).iter().filter_map(limit).collect()
+        // The prediction of the written model has its law, so the predictions that it is compared with need the law too.
+        let law = selection.law.as_ref().and_then(|law| study.model.with_terms(std::slice::from_ref(&law.term)));
+        let further = match &law {
+            Some(model) => study.with_model(&**model).further(standing, &asked),
+            None => study.further(standing, &asked),
+        };
+        further.iter().filter_map(limit).collect()
     }
 
     fn tried(&self) -> Vec<Tried> {
@@ -308,12 +336,15 @@ impl ReportView<'_> {
 
     /// The experiment that separates the explanations of the set, of at most three conditions (our choice).
     fn next_experiment(&self, untestable: &[Untestable]) -> Option<NextExperiment> {
-        let selection = Some(self.selection).filter(|s| s.ruling.set.len() > 1)?;
+        let explanations = Some(self.selection.explanations()).filter(|all| all.len() > 1)?;
+        let selection = self.selection;
         let set: Vec<&Fit> = selection.ruling.set.iter().map(|&k| selection.fit_of(k)).collect();
         let menu = self.study.model.menu();
         let noise = &selection.candidates.around.noise;
-        let conditions = menu.map_or(Vec::new(), |menu| next_experiment::propose(&menu, noise, self.study, &set, 3));
-        let unknown = untestable.iter().filter(|u| set.iter().any(|fit| fit.names().contains(&u.id)));
+        let conditions = menu.filter(|_| set.len() > 1);
+        let conditions =
+            conditions.map_or(Vec::new(), |menu| next_experiment::propose(&menu, noise, self.study, &set, 3));
+        let unknown = untestable.iter().filter(|u| explanations.iter().any(|ids| ids.contains(&u.id)));
         let mut why: Vec<String> =
             unknown.map(|u| format!("a test of {} needs a log that says more: {}", u.id, u.why)).collect();
         if !conditions.is_empty() {

@@ -28,7 +28,8 @@ pub struct Observed<'a> {
     pub task_state: &'a TaskState,
     pub state: &'a State,
     pub last_action: &'a [f32],
-    /// Gravity's direction; this and the next fields, the base's velocities, are in the body frame.
+    /// The sand's normal, reversed, which is gravity's direction on level sand only; LeggedVelocity has gravity itself.
+    /// This and the next fields, the base's velocities, are in the body frame.
     pub gravity: [f64; 3],
     pub velocity: [f64; 3],
     pub angular_velocity: [f64; 3],

@@ -127,7 +127,7 @@ pub fn parse(
         ));
     }
     let mut reader = csv::ReaderBuilder::new().comment(Some(b'#')).trim(csv::Trim::Headers).from_reader(&mut source);
-    let header = reader.headers().map_err(|e| Error::file(path, format!("row 1: {}", reason(&e))))?;
+    let header = reader.headers().map_err(|e| Error::file(path, reason(&e)))?;
     let header: Vec<String> = header.iter().map(|h| h.trim_start_matches('\u{feff}').to_owned()).collect();
     let places = asked.places(path, &header)?;
     let mut record = csv::StringRecord::new();

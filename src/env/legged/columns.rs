@@ -4,8 +4,8 @@ use super::draws::MOST_COMMAND;
 use super::reward::LeggedStep;
 use crate::feature::{Features, flag};
 use crate::sensors::Sensor;
-use crate::sim::State;
 use crate::sim::model::GRAVITY;
+use crate::sim::{Model, State};
 use crate::spec::Column;
 use crate::task::TaskState;
 
@@ -105,9 +105,11 @@ pub fn figures(feet: &[String]) -> Features<Figure> {
         .free("base_low", "1", |s, _| flag(s.too_low && !s.t.diverged))
 }
 
-/// Gravity's direction, velocity and angular velocity in the base's frame.
-pub fn base(state: &State) -> [[f64; 3]; 3] {
-    [[0.0, 0.0, -1.0], state.velocity, state.angular_velocity].map(|v| state.to_body(v))
+/// Gravity's direction, velocity and angular velocity in the base's frame. On inclined sand gravity is not along −z,
+/// because z is the sand's normal. `model` is that of the episode; without an episode the sand is level.
+pub fn base(model: Option<&Model>, state: &State) -> [[f64; 3]; 3] {
+    let down = model.map_or([0.0, 0.0, -1.0], |model| (model.gravity / model.gravity.norm()).into());
+    [down, state.velocity, state.angular_velocity].map(|v| state.to_body(v))
 }
 
 /// Points around the robot whose heights are observed: numbers of points along and across, 0.1 m apart, as in

@@ -261,7 +261,7 @@ impl Task for LeggedVelocity {
     }
 
     fn observe(&self, task_state: &TaskState, state: &State, last_action: &[f32], row: &mut [f32]) {
-        let [gravity, velocity, angular_velocity] = base(state);
+        let [gravity, velocity, angular_velocity] = base(task_state.model.as_deref(), state);
         let command = task_state.legged.as_ref().map_or([0.0; 3], |l| l.now);
         let ahead = state.rotation();
         let heading = ahead[1][0].atan2(ahead[0][0]).sin_cos();
@@ -283,7 +283,7 @@ impl Task for LeggedVelocity {
     fn evaluate(&self, _setup: &Setup<LeggedOptions>, t: &Transition, info: &mut [f32]) -> bool {
         let Some(legged) = &t.task_state.legged else { return false };
         let contacts = Contacts::of(t.model, t.after);
-        let [gravity, velocity, angular_velocity] = base(t.after);
+        let [gravity, velocity, angular_velocity] = base(Some(t.model), t.after);
         let fallen = gravity[2] > FALLEN;
         let base_contact = (contacts.base || contacts.upper) && !t.model.has_sand();
         let too_low = is_too_low(t.model, t.after);

@@ -162,7 +162,8 @@ impl<S> Panel<S> {
         let wet = (half * low_s * per_rise_s).min(one);
         let range_s = rise_s * wet;
         let mean_s = low_s - range_s;
-        let leads = leads_s * per_spread;
+        // Rounding must not give a panel that leads as a whole an edge, from which drag would follow.
+        let leads = R::select(leads_s.lt(spread), leads_s * per_spread, one);
         let (mean, ahead) = (mean_s * per_spread, ahead_s * per_spread);
         let part = leads * facet.area.spread() * wet;
         let load = part * mean;
