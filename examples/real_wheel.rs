@@ -31,7 +31,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let discs = SandDescription {
         name: "cmu-discs".into(),
         source: format!(
-            "ξ_n was fitted to pushes of a {:.0} mm disc up to {MOST_FORCE} N; this limit and μ_s were chosen after a look at the wheels' rows",
+            "ξ_n was fitted to pushes of a {:.0} mm disc up to {MOST_FORCE} N; this limit and μ_s were chosen after a look at the wheels' rows; \
+             slip_bearing is in the prediction, with 1 from Vesic's formula",
             1e3 * DIAMETER
         ),
         law: Law::Agarwal2023,

@@ -16,9 +16,20 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from . import _native
+from . import _native, user_warnings
 from .arguments import checked
 from .errors import InvalidRequest
+from .mujoco_floor import (
+    SAND_COLOUR,
+    body_name,
+    collide,
+    compare_floors,
+    find_floors,
+    number_of,
+    replace_floor,
+    restore_options,
+    saved_options,
+)
 from .sand import Sand, Shape, shapes
 
 try:
@@ -28,8 +39,7 @@ except ImportError as error:
 
 Array = npt.NDArray[np.float64]
 
-#: Colours of the sand's surface and of forces: our choice.
-SAND_COLOUR = (0.76, 0.65, 0.46, 1.0)
+#: Colour of forces: our choice.
 FORCE_COLOUR = (0.85, 0.2, 0.1, 1.0)
 #: Length of the arrow of a force that carries the model's weight, as a share of the model's extent: our choice.
 _ARROW = 0.5
@@ -67,7 +77,7 @@ def add_sand(
     and shapes in the bodies' frames (`sandgait.Bodies`). None: all bodies that move and collide with the floor. A
     mesh stands for itself if it is closed, otherwise its convex hull does. `plate_size`: see `sandgait.Bodies`.
     `floor`: names of the geoms that the sand replaces; None: all planes and height fields that face upward and do not
-    move. Bodies on sand no longer collide with them.
+    move. Bodies on sand no longer collide with them. A warning names a floor that is not where the sand's surface is.
 
     The integrator RK4 becomes implicitfast: dry friction has no fourth order, and RK4 would evaluate the sand four
     times.
@@ -101,12 +111,12 @@ class ModelSand:
     ) -> None:
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
-        floors = _floors(model, data, floor)
+        floors = find_floors(model, data, floor)
         parts = _parts(model, data, floors, bodies)
         #: The sand.
         self.sand = sand
         #: Names of the bodies on sand; bodies welded to another one count as that one.
-        self.names = tuple(_name(model, body) for body in parts)
+        self.names = tuple(body_name(model, body) for body in parts)
         self._bodies = list(parts)
         last = [int(model.body_dofadr[b] + model.body_dofnum[b] - 1) for b in parts]
         roots = [int(model.body_rootid[b]) for b in parts]
@@ -120,8 +130,10 @@ class ModelSand:
         #: The model.
         self.model = model
         self._dual = model.opt.solver == mujoco.mjtSolver.mjSOL_PGS or model.opt.noslip_iterations > 0
-        self._saved = _saved(model)
-        self._drawn = _replace_floor(model, floors, self._bodies, sand)
+        self._saved = saved_options(model)
+        same, notes = compare_floors(model, data, floors, sand)
+        user_warnings.warn(notes)
+        self._drawn = replace_floor(model, floors, self._bodies, same)
         if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
             model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         # A sleeping body keeps its part of M, which contains the drag of an earlier step.
@@ -135,7 +147,7 @@ class ModelSand:
     def remove(self) -> None:
         """Takes the sand away: floor, solver's options and colours are as before."""
         if _MODELS.pop(self._address, None) is not None:
-            _restore(self.model, self._saved)
+            restore_options(self.model, self._saved)
 
     def step(self, data: mujoco.MjData, nstep: int = 1) -> None:
         """`mujoco.mj_step` with sand."""
@@ -235,33 +247,6 @@ def _motion(data: mujoco.MjData) -> tuple[Array, ...]:
     return data.xpos, data.xmat, data.cvel, data.subtree_com, data.cdof
 
 
-def _name(model: mujoco.MjModel, body: int) -> str:
-    return mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, body) or f"body {body}"
-
-
-def _number(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> int:
-    number = mujoco.mj_name2id(model, kind, name)
-    if number < 0:
-        what = "body" if kind == mujoco.mjtObj.mjOBJ_BODY else "geom"
-        raise InvalidRequest(f"{what}: the model has none with the name {name!r}")
-    return int(number)
-
-
-def _floors(model: mujoco.MjModel, data: mujoco.MjData, names: Iterable[str] | None) -> list[int]:
-    if names is not None:
-        return [_number(model, mujoco.mjtObj.mjOBJ_GEOM, name) for name in names]
-    flat = (int(_GEOM.mjGEOM_PLANE), int(_GEOM.mjGEOM_HFIELD))
-    fixed = model.body_weldid[model.geom_bodyid] == 0
-    still = [g for g in range(model.ngeom) if int(model.geom_type[g]) in flat and fixed[g]]
-    # Steeper planes are walls.
-    return [g for g in still if data.geom_xmat[g][8] > 0.7]
-
-
-def _collide(model: mujoco.MjModel, one: int, other: int) -> bool:
-    kind, meets = model.geom_contype, model.geom_conaffinity
-    return bool(kind[one] & meets[other] or kind[other] & meets[one])
-
-
 def _parts(
     model: mujoco.MjModel,
     data: mujoco.MjData,
@@ -272,19 +257,19 @@ def _parts(
     parts: dict[int, list[Any]] = {}
     if isinstance(bodies, Mapping):
         for name, own in bodies.items():
-            body = _number(model, mujoco.mjtObj.mjOBJ_BODY, name)
+            body = number_of(model, mujoco.mjtObj.mjOBJ_BODY, name)
             for shape in own if isinstance(own, list) else [own]:
                 solid, position, quaternion = shape if isinstance(shape, tuple) else (shape, (0, 0, 0), (1, 0, 0, 0))
                 pose = _within(model, data, body, data.xpos[body], data.xmat[body])
                 parts.setdefault(_mover(model, body), []).append((solid, *_after(pose, position, quaternion)))
         return parts
-    chosen = None if bodies is None else {_number(model, mujoco.mjtObj.mjOBJ_BODY, name) for name in bodies}
+    chosen = None if bodies is None else {number_of(model, mujoco.mjtObj.mjOBJ_BODY, name) for name in bodies}
     for geom in range(model.ngeom):
         body = int(model.geom_bodyid[geom])
-        moves = model.body_weldid[body] != 0
+        moves = model.body_dofnum[model.body_weldid[body]] > 0
         named = moves if chosen is None else body in chosen
         meets = (
-            any(_collide(model, geom, f) for f in floors)
+            any(collide(model, geom, f) for f in floors)
             if floors
             else model.geom_contype[geom] | model.geom_conaffinity[geom]
         )
@@ -298,8 +283,9 @@ def _parts(
 
 def _mover(model: mujoco.MjModel, body: int) -> int:
     mover = int(model.body_weldid[body])
-    if mover == 0:
-        raise InvalidRequest(f"bodies: {_name(model, body)} does not move")
+    if model.body_dofnum[mover] == 0:
+        what = "does not move" if mover == 0 else "is a mocap body: sand pushes only bodies with joints"
+        raise InvalidRequest(f"bodies: {body_name(model, body)} {what}")
     return mover
 
 
@@ -340,50 +326,6 @@ def _solid(model: mujoco.MjModel, geom: int) -> Any:
         called = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_MESH, mesh)
         raise InvalidRequest(f"mesh {called}: is flat, it has no volume")
     return np.array(surface[0])
-
-
-_CONTACTS = ("geom_contype", "geom_conaffinity", "geom_rgba", "geom_matid", "pair_margin")
-_OPTIONS = ("integrator", "disableflags", "enableflags")
-
-
-def _saved(model: mujoco.MjModel) -> dict[str, Any]:
-    saved = {name: getattr(model, name).copy() for name in _CONTACTS}
-    return saved | {name: getattr(model.opt, name) for name in _OPTIONS}
-
-
-def _restore(model: mujoco.MjModel, saved: dict[str, Any]) -> None:
-    for name in _CONTACTS:
-        getattr(model, name)[:] = saved[name]
-    for name in _OPTIONS:
-        setattr(model.opt, name, saved[name])
-
-
-def _replace_floor(model: mujoco.MjModel, floors: list[int], bodies: list[int], sand: Sand) -> bool:
-    """Ends the contacts of bodies on sand with the floor. Returns whether a plane of the model shows the surface."""
-    on_sand = np.isin(model.body_weldid[model.geom_bodyid], bodies)
-    others = [g for g in range(model.ngeom) if not on_sand[g] and g not in floors]
-    stand = [[g for g in others if _collide(model, g, f)] for f in floors]
-    used = int(np.bitwise_or.reduce(model.geom_contype | model.geom_conaffinity, initial=0))
-    free = next((bit for bit in range(31) if not used >> bit & 1), None)
-    if free is None and any(stand):
-        raise InvalidRequest("floor: all 31 bits of contype and conaffinity are in use, none is left for other bodies")
-    for floor, standing in zip(floors, stand, strict=True):
-        model.geom_contype[floor] = 1 << free if standing and free is not None else 0
-        model.geom_conaffinity[floor] = 0
-        if free is not None:
-            model.geom_conaffinity[standing] |= 1 << free
-    for pair in range(model.npair):
-        first, second = int(model.pair_geom1[pair]), int(model.pair_geom2[pair])
-        if (first in floors and on_sand[second]) or (second in floors and on_sand[first]):
-            model.pair_margin[pair] = -1e6  # no two geoms overlap that deeply, so they never touch
-    level = not sand._is_relief and sand.surface(0.0, 0.0)[1][2] == 1.0
-    drawn = False
-    for floor in floors:
-        model.geom_matid[floor] = -1
-        shows = level and model.geom_type[floor] == _GEOM.mjGEOM_PLANE
-        model.geom_rgba[floor] = SAND_COLOUR if shows else (0, 0, 0, 0)
-        drawn |= shows
-    return drawn
 
 
 def _marker(kind: mujoco.mjtGeom, size: Any, position: Any, axis: Any, colour: Any) -> dict[str, Any]:

@@ -23,6 +23,8 @@ const KINDS: [&str; 9] = [
 ];
 /// Friction is not used: sand's force does not depend on it.
 const FRICTION: f64 = 1.0;
+/// Longest side of a mesh [m]: the bounds of the lengths of named shapes, which catch wrong units.
+const LENGTHS: std::ops::RangeInclusive<f64> = 1e-4..=10.0;
 /// Plates along the longer side of a thin plate, unless the user gives a size: our choice, twice the segments of a leg
 /// of the reference robot.
 const ALONG: f64 = 24.0;
@@ -161,6 +163,16 @@ fn mesh(path: &Path) -> Result<Geometry> {
 fn solid(name: &str, triangles: Vec<[Vector3<f64>; 3]>) -> Result<Geometry> {
     if triangles.is_empty() || triangles.iter().flatten().any(|p| !p.iter().all(|x| x.is_finite())) {
         return Err(Error::invalid("mesh", format!("{name} has no triangles, or a corner is not finite")));
+    }
+    let side = |k: usize| {
+        let along = || triangles.iter().flatten().map(|p| p[k]);
+        along().fold(f64::MIN, f64::max) - along().fold(f64::MAX, f64::min)
+    };
+    let longest = side(0).max(side(1)).max(side(2));
+    if !LENGTHS.contains(&longest) {
+        let [least, most] = [LENGTHS.start(), LENGTHS.end()];
+        let reason = format!("{name}: {longest:.3e} m is outside [{least:e}, {most}] m: meshes are in metres");
+        return Err(Error::invalid("mesh", reason));
     }
     let turned: Vec<_> = triangles.iter().map(|[a, b, c]| [*a, *c, *b]).collect();
     for triangles in [triangles, turned] {

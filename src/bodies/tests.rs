@@ -155,3 +155,17 @@ fn forces_on_default_plates_are_those_of_engine_tree() {
         }
     }
 }
+
+/// A mesh in millimetres, read as metres, is refused like other shapes that are too large.
+#[test]
+fn meshes_have_the_bounds_of_other_shapes() {
+    let tetrahedron = |side: f64| {
+        let [o, x, y, z] = [[0.0; 3], [side, 0.0, 0.0], [0.0, side, 0.0], [0.0, 0.0, side]];
+        BodyPart::triangles("foot", &[[o, y, x], [o, x, z], [o, z, y], [x, y, z]])
+    };
+    tetrahedron(0.1).unwrap();
+    for side in [100.0, 1e-5] {
+        let said = tetrahedron(side).unwrap_err().to_string();
+        assert!(said.contains("foot") && said.contains("meshes are in metres"), "{said}");
+    }
+}

@@ -98,9 +98,13 @@ fn inertias(bodies: &[TreeBody]) -> Result<()> {
         };
         let s = Vector6::new(angular.x, angular.y, angular.z, linear.x, linear.y, linear.z);
         let push = articulated[i] * s;
-        let (own, all) = (s.dot(&push), s.dot(&(carried[i] * s)));
-        if own.is_nan() || own <= LEAST_SHARE * all || all <= 0.0 {
-            return Err(Error::invalid(format!("joint {:?}", joint.name), "has no inertia to move"));
+        let (own, all) = (s.dot(&push) + joint.armature, s.dot(&(carried[i] * s)));
+        if own.is_nan() || own <= LEAST_SHARE * all || own <= 0.0 {
+            return Err(Error::invalid(
+                format!("joint {:?}", joint.name),
+                "has no inertia to move: give its body a mass away from the joint's line, or the joint an `armature` \
+                 (MJCF); of two joints along one line, each needs one",
+            ));
         }
         let x = motion(&moved);
         let left = articulated[i] - push * push.transpose() / own;

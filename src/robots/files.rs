@@ -92,11 +92,15 @@ impl Files {
             }
         };
         let wanted = Path::new(rest);
-        if wanted.is_absolute() || Path::new(within).is_absolute() {
-            return Err(Error::file(wanted, "absolute paths are not read: give one relative to the robot's file"));
-        }
+        let absolute = wanted.is_absolute() || Path::new(within).is_absolute();
+        let outside = || {
+            let hint = match absolute {
+                true => "absolute paths are read only inside of it; give one relative to the robot's file",
+                false => "a package.xml in a folder above the robot's file makes that folder the package",
+            };
+            Error::file(wanted, format!("lies outside of the robot's package {}: {hint}", root.display()))
+        };
         let whole = plain_path(&start.join(wanted));
-        let outside = || Error::file(wanted, format!("lies outside of the robot's package {}", root.display()));
         let whole = whole.filter(|w| w.starts_with(&root)).ok_or_else(outside)?;
         // Symbolic links must also stay inside the package.
         let real = whole.canonicalize().map_err(|e| Error::file(&whole, e))?;

@@ -131,8 +131,9 @@ pub fn load_with(path: &Path, posture: &Posture) -> Result<Import> {
     };
     let (format, merged) = match root.tag.as_str() {
         "robot" => {
-            let links = urdf::links(&root, &files, &mut meshes, &mut notes)?;
-            (Format::Urdf, draft::merged(root.get("name").unwrap_or(&stem), links).map_err(named)?)
+            let (links, free) = urdf::links(&root, &files, &mut meshes, &mut notes)?;
+            let merged = draft::merged(root.get("name").unwrap_or(&stem), links).map_err(named)?;
+            (Format::Urdf, draft::Merged { base_is_free: free, ..merged })
         }
         "mujoco" => {
             let main = path.canonicalize().map_err(|e| Error::file(path, e))?;

@@ -18,6 +18,8 @@ struct UrdfReader<'a> {
     files: &'a Files,
     meshes: &'a mut Meshes,
     notes: &'a mut Notes,
+    /// Number of visuals that cannot be read, and why the first of them cannot.
+    undrawn: Option<(usize, Error)>,
 }
 
 /// A joint, with the indices of its parent link and its child link in the file.
@@ -27,8 +29,8 @@ struct UrdfJoint<'a> {
     child: usize,
 }
 
-/// The links of a file, each after its parent.
-pub fn links(root: &Element, files: &Files, meshes: &mut Meshes, notes: &mut Notes) -> Result<Vec<DraftLink>> {
+/// The links of a file, each after its parent, and whether the file says that the base moves freely.
+pub fn links(root: &Element, files: &Files, meshes: &mut Meshes, notes: &mut Notes) -> Result<(Vec<DraftLink>, bool)> {
     notes.other_children(root, &["link", "joint", "material"]);
     let elements: Vec<&Element> = root.all("link").collect();
     if elements.is_empty() {
@@ -44,16 +46,44 @@ pub fn links(root: &Element, files: &Files, meshes: &mut Meshes, notes: &mut Not
         }
     }
     let joints = joints(root, &by_name)?;
-    let order = ordered(root, &elements, &joints)?;
+    let mut order = ordered(root, &elements, &joints)?;
+    let base_is_free = frees_base(&elements, &mut order)?;
     let mut place = vec![0; elements.len()];
-    let mut reader = UrdfReader { files, meshes, notes };
+    let mut reader = UrdfReader { files, meshes, notes, undrawn: None };
     let mut links = Vec::with_capacity(order.len());
     for (link, joint) in order {
         place[link] = links.len();
         let parent = joint.map_or(0, |j: &UrdfJoint| place[j.parent]);
         links.push(reader.link(elements[link], joint.map(|j| j.element), parent)?);
     }
-    Ok(links)
+    if let Some((count, first)) = reader.undrawn {
+        let visuals = if count == 1 { "visual is" } else { "visuals are" };
+        notes.say(format!("{count} {visuals} not drawn, because of errors in the file; the first: {first}"));
+    }
+    Ok((links, base_is_free))
+}
+
+/// A link in the file's order, and the joint that carries it.
+type OrderedLink<'a, 'b> = (usize, Option<&'b UrdfJoint<'a>>);
+
+/// Some files carry the base by a floating joint from a root that stands for the world. This removes the root and the
+/// joint from the order, and returns whether they were there.
+fn frees_base(elements: &[&Element], order: &mut Vec<OrderedLink>) -> Result<bool> {
+    let floats = |j: &&UrdfJoint| j.element.get("type") == Some("floating");
+    let Some(floating) = order.iter().find_map(|(_, joint)| joint.filter(floats)) else { return Ok(false) };
+    let world = elements[order[0].0];
+    let used = ["inertial", "collision"].iter().any(|tag| world.first(tag).is_some());
+    let alone = order.iter().filter(|(_, joint)| joint.is_some_and(|j| j.parent == order[0].0)).count() == 1;
+    if floating.parent != order[0].0 || used || !alone {
+        return Err(floating.element.wrong(
+            "type",
+            "\"floating\" is read only between a root link without mass, shapes and other joints and the robot's base: \
+             make the joint fixed, or replace it by prismatic and revolute joints",
+        ));
+    }
+    order.remove(0);
+    order[0].1 = None;
+    Ok(true)
 }
 
 fn joints<'a>(root: &'a Element, by_name: &HashMap<&str, usize>) -> Result<Vec<UrdfJoint<'a>>> {
@@ -78,7 +108,7 @@ fn ordered<'a, 'b>(
     root: &Element,
     elements: &[&Element],
     joints: &'b [UrdfJoint<'a>],
-) -> Result<Vec<(usize, Option<&'b UrdfJoint<'a>>)>> {
+) -> Result<Vec<OrderedLink<'a, 'b>>> {
     let mut carried = vec![None; elements.len()];
     let mut children = vec![Vec::new(); elements.len()];
     for joint in joints {
@@ -146,7 +176,11 @@ impl UrdfReader<'_> {
         name_shapes(&name, &mut shapes);
         let mut visuals = Vec::new();
         for visual in element.all("visual") {
-            visuals.push(Visual { origin: origin(visual)?, look: self.look(visual)? });
+            // Motion does not use visuals, so one that cannot be read does not refuse the robot.
+            match origin(visual).and_then(|origin| Ok(Visual { origin, look: self.look(visual)? })) {
+                Ok(visual) => visuals.push(visual),
+                Err(reason) => self.undrawn.get_or_insert((0, reason)).0 += 1,
+            }
         }
         let at = joint.map_or(Ok(Isometry3::identity()), origin)?;
         let joint = joint.map(|j| self.joint(j)).transpose()?.flatten();

@@ -32,9 +32,10 @@ pub struct Regularization {
 impl Regularization {
     /// No regularisation: for the law itself, not for dynamics. Our choice of numbers too small to change a force.
     pub const BARE: Self = Self { rest_speed: 1e-30, leading_edge_gate: 1e-20, sign_gate: 1e-20, friction: None };
-    /// For solid bodies with many plates in all directions: a sharper leading edge. Our choice 0.02, because forces
-    /// then differ by at most 1 % from forces with a sharp edge, and walks at 1 ms by at most 1 % from walks at 0.125
-    /// ms.
+    /// For solid bodies with many plates in all directions: a sharper leading edge. Our choice 0.02, because forces on
+    /// rounded bodies then differ by at most 1 % from forces with a sharp edge, and walks at 1 ms by at most 1 % from
+    /// walks at 0.125 ms. A flat face that moves within 1.1° of its own plane differs by up to its whole force; a sharp edge
+    /// counts it fully (docs/physics.md has an example).
     pub const SOLID: Self = Self { leading_edge_gate: 0.02, ..Self::DEFAULT };
     /// The regularisation for dynamics; each field gives the reason for its number.
     pub const DEFAULT: Self = Self { rest_speed: 1e-5, leading_edge_gate: 0.2, sign_gate: 0.02, friction: None };

@@ -26,7 +26,8 @@ const SAND_ON_SAND: f64 = 0.70;
 /// polished to rough plates.
 const SMOOTH: [f64; 2] = [0.45, 0.30];
 
-/// The value of `slip_bearing` from Vesic's formula; it is not fitted.
+/// The value of `slip_bearing` from Vesic's formula; it is not fitted. Our form of this mechanism was chosen for the
+/// wheels, and the prediction that is called "not fitted" contains it.
 pub const BEARING: f64 = 1.0;
 
 /// The fitted numbers: ζ [N/cm³], `depth_power`, `skid_loss` and `graze_loss`, which all wheels share, and μ_s, which

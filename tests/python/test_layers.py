@@ -36,7 +36,7 @@ def imports(path: Path) -> set[str]:
         ("mcap", {"logs_reader.py"}),
         ("rosbags", {"logs_reader.py"}),
         ("matplotlib", set()),
-        ("mujoco", {"mujoco.py", "wrappers.py"}),
+        ("mujoco", {"mujoco.py", "mujoco_floor.py", "wrappers.py"}),
         ("pygame", {"view.py"}),
     ],
 )

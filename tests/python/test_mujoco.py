@@ -447,3 +447,43 @@ def test_without_mujoco_an_error_says_how_to_install_it(module: str) -> None:
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     last = done.stderr.strip().splitlines()[-1]
     assert last == "ImportError: mujoco is not installed: pip install 'sandgait[mujoco]'"
+
+
+BALL = '<body name="ball" pos="0 0 0.1"><freejoint/><geom type="sphere" size="0.05"/></body>'
+
+
+def world(*parts: str) -> mujoco.MjModel:
+    asset = '<asset><hfield name="hills" nrow="8" ncol="8" size="1 1 0.1 0.1"/></asset>'
+    return mujoco.MjModel.from_xml_string(f"<mujoco>{asset}<worldbody>{''.join(parts)}</worldbody></mujoco>")
+
+
+def test_mocap_bodies_are_not_on_sand() -> None:
+    """Sand cannot push a body that a program moves."""
+    hand = '<body name="hand" mocap="true" pos="1 0 0.1"><geom type="sphere" size="0.05"/></body>'
+    model = world('<geom type="plane" size="1 1 1"/>', hand, BALL)
+    assert add_sand(model, sandgait.Sand()).names == ("ball",)
+    for bodies in (["hand"], {"hand": "sphere:radius=0.05"}):
+        with pytest.raises(InvalidRequest, match="hand is a mocap body"):
+            add_sand(world('<geom type="plane" size="1 1 1"/>', hand, BALL), sandgait.Sand(), bodies)
+
+
+@pytest.mark.parametrize(
+    ("floor", "options", "message"),
+    [
+        ('type="plane" size="1 1 1" pos="0 0 -0.325"', {}, r"'f' is at -0.325 m, the sand at 0 m; .*height=-0.325\)"),
+        ('type="plane" size="1 1 1"', {"height": 0.1}, r"'f' is at 0 m, the sand at 0.1 m; give Sand\(height=0\)"),
+        ('type="plane" size="1 1 1" euler="0 -20 0"', {}, r"'f' is inclined by 20°, .*give Sand\(slope_deg=20\)"),
+        ('type="plane" size="1 1 1" euler="20 0 0"', {}, "'f' is inclined by 20°.*: turn the model"),
+        ('type="hfield" hfield="hills"', {}, "'f' is a height field, the sand at 0 m; give Sand.relief="),
+        ('type="plane" size="1 1 1" pos="0 0 -0.325"', {"height": -0.325}, None),
+        ('type="plane" size="1 1 1" euler="0 -20 0"', {"slope_deg": 20.0}, None),
+        ('type="plane" size="1 1 1" pos="0 0 1"', {"relief": {"seed": 1, "wavelength": 2, "slope_deg": 10}}, None),
+    ],
+)
+def test_a_floor_that_is_not_where_the_sand_is(floor: str, options: dict[str, Any], message: str | None) -> None:
+    model = world(f'<geom name="f" {floor}/>', BALL)
+    with nullcontext() if message is None else pytest.warns(UserWarning, match=message):
+        ground = add_sand(model, sandgait.Sand(**options))
+    # A plane shows the sand's surface only where the surface is.
+    assert (model.geom_rgba[0][3] > 0) == (options == {"height": -0.325})
+    ground.remove()

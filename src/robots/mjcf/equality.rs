@@ -1,6 +1,6 @@
 //! `<equality>`: joints that follow others. Other equalities would close a loop of bodies, and a tree has no loops.
 
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::sim::tree::{Mimic, Tree};
 use crate::xml::Element;
 
@@ -12,11 +12,7 @@ pub fn apply(root: &Element, tree: &mut Tree) -> Result<()> {
     let active = |e: &&Element| e.get("active") != Some("false");
     for element in root.all("equality").flat_map(|section| &section.children).filter(active) {
         if element.tag != "joint" {
-            let ends = ["body1", "body2", "site1", "site2", "tendon1", "tendon2"].map(|name| element.get(name));
-            let ends = ends.into_iter().flatten().collect::<Vec<_>>().join(" and ");
-            return Err(element.error(format!(
-                "closes a chain between {ends}, which is not simulated: delete this line, and drive or fix the joints of one branch"
-            )));
+            return Err(refusal(element));
         }
         let follower = element.required("joint1")?;
         let coefficients = element.list("polycoef")?.unwrap_or_else(|| vec![0.0, 1.0]);
@@ -40,4 +36,29 @@ pub fn apply(root: &Element, tree: &mut Tree) -> Result<()> {
         joint.mimic = Some(Mimic { leader, ratio, offset });
     }
     Ok(())
+}
+
+/// Why an equality that is not between joints is refused.
+fn refusal(element: &Element) -> Error {
+    let end = |names: [&str; 2]| names.iter().find_map(|name| element.get(name));
+    let reason = match (element.tag.as_str(), end(["body1", "site1"]), end(["body2", "site2"])) {
+        ("tendon", ..) => {
+            let ties = match (element.get("tendon1").unwrap_or_default(), element.get("tendon2")) {
+                (one, Some(other)) => format!("ties the length of tendon {one:?} to that of tendon {other:?}"),
+                (one, None) => format!("holds the length of tendon {one:?}"),
+            };
+            format!(
+                "{ties}; tendons are not simulated: delete this line, and let one joint follow the other by an equality <joint>"
+            )
+        }
+        ("connect" | "weld", Some(one), other) => {
+            let other = other.map_or("the world".to_owned(), |name| format!("{name:?}"));
+            format!(
+                "closes a chain between {one:?} and {other}, which is not simulated: delete this line, and drive or fix \
+                 the joints of one branch"
+            )
+        }
+        _ => "is not simulated: delete this line".to_owned(),
+    };
+    element.error(reason)
 }

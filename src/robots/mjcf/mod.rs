@@ -144,7 +144,13 @@ fn base<'a>(root: &'a Element, notes: &mut Notes) -> Result<(MjcfBase<'a>, Besid
             notes.say("the base is fixed to the world in the file; here it moves freely");
             0
         }
-        _ => return Err(root.error("no body of <worldbody> has a free joint: add one to the base of the robot")),
+        ([], 0) => return Err(root.error("<worldbody> has no <body>: the robot's base is a body with a free joint")),
+        ([], count) => {
+            return Err(root.error(format!(
+                "none of the {count} bodies of <worldbody> has a free joint: add a <freejoint/> to the robot's base, or \
+                 wrap the bodies in a <body> with <freejoint/>"
+            )));
+        }
     };
     let base = bodies.remove(chosen);
     let mut beside = BesideRobot::default();

@@ -5,7 +5,7 @@
 //!
 //! * **Swept volume.** A piece of a body's surface with area A, outward normal m and velocity v, below the sand's
 //!   surface, moves the volume A (m·v)₊ dt out of its cell. Sand that the piece only lifts falls back and counts as not moved.
-//!   This is the bulldozing of soil contact models (Krenn & Hirzinger, SCM, ASTRA 2009: displaced soil is counted and
+//!   This is the bulldozing of soil contact models (SCM: Krenn & Hirzinger, ISTVS, Bremen 2009: displaced soil is counted and
 //!   put around the contact; Holz, Beer & Kuhlen 2009).
 //! * **Where it goes.** Ahead of the body, within the reach L = D tan(45° + φ/2) of the passive wedge (Rankine 1857; the
 //!   failure surface of excavation models, Reece 1964, McKyes 1985), D the depth of the body and φ the angle of repose.
@@ -14,8 +14,9 @@
 //!   and in SCM's erosion step).
 //! * **What a body finds.** Depths count from a level: when the body enters, the mean height below its lowest pieces. While the body
 //!   travels, the level follows the mean height ahead of the heap that the body pushes now. The theory's measured
-//!   coefficients contain that heap. So a body that goes straight down in fresh sand, or rolls over fresh sand, has the force of
-//!   the theory.
+//!   coefficients contain that heap. So a body that goes straight down in fresh sand has the force of the theory, and a
+//!   wheel or a narrow plate that travels over fresh sand nearly so. Balls and wider plates get up to twice the drag
+//!   (docs/memory.md, "Limits").
 //! * **Compaction.** Pressing down takes volume out of loose sand until the sand is closely packed. Compacted sand is
 //!   stronger: [`MemorySettings::gain`].
 
