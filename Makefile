@@ -17,7 +17,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 	study-messy study-convergence study-plates study-robots study-drop study-rocks study-load study-codesign study-starts study-hardware proto task-pages docs
 
 help:
-	@echo "make train   train a hexapod to walk on sand (5 minutes), results in runs/; TASK=HexapodLegs, ARGS=--help"
+	@echo "make train   train a hexapod to walk on sand (4 minutes), results in runs/; TASK=HexapodLegs, ARGS=--help"
 	@echo "make policies   train the policies in examples/policies again (some 70 minutes)"
 	@echo "make test    check formatting and lints, and run all tests, Rust and Python"
 	@echo "make test-long   run the tests of many cases in full: more seeds, logs, damaged files and seconds under load"

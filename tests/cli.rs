@@ -196,6 +196,31 @@ fn wrong_use_is_one_line() {
     refused(&["serve", "--listen", "0.0.0.0:0"], &["0.0.0.0:0", "--insecure"]);
 }
 
+/// Arguments that would be ignored, and gaits that do not suit a task.
+#[test]
+fn contradictions_are_refused() {
+    let sweep = |arguments: &[&str], words: &[&str]| {
+        refused(&[&["sweep", "--vary", "frequency=1:2:2", "--out", "/none/study"], arguments].concat(), words);
+    };
+    sweep(&["--vary", "frequency=3:4:2"], &["--vary: frequency is given already by --vary"]);
+    sweep(&["--frequency", "3"], &["--vary: frequency is given already by --frequency"]);
+    sweep(&["--set", "frequency=3"], &["--set: frequency is given already by --vary"]);
+    sweep(&["--set", "kp=1", "--set", "kp=2"], &["--set: kp is given already by --set"]);
+    sweep(&["--set", "zeta=0.3", "--medium", "poppy-close"], &["--set: zeta is given already by --medium"]);
+    for option in [&["--memory"] as &[&str], &["--mu-s", "0.3"], &["--surface", "s.csv"]] {
+        refused(&[&["intrude", "--shape", "L"], option].concat(), &["--shape", option[0]]);
+    }
+    refused(&["robot", "sandcat", "--pack", "--ground", "poppy-close"], &["--pack", "--ground"]);
+    refused(&["robot", "sandcat", "--picture", "x.gif"], &["--picture: \"x.gif\" does not end with .png"]);
+    let tasks = "known: sandgait/HexapodGait-v1, sandgait/HexapodRocks-v1";
+    refused(&["evaluate", "tripod", "--task", "LegStroke"], &["policy: a tripod is a gait of other tasks", tasks]);
+    refused(&["evaluate", "tripod", "--commands"], &["policy: it follows no commands; give FILE.onnx"]);
+    refused(&["evaluate", "tripod", "--task", "Nope"], &["task \"Nope\" is unknown"]);
+    let listed = ["--option", "weights=[5]", "--seconds", "0.01"];
+    refused(&[&["bench"], &listed[..]].concat(), &["weights: list, expected a dictionary"]);
+    assert_eq!(text(&["help", "--help"]), text(&["help"]));
+}
+
 #[test]
 fn wrong_use_writes_nothing() {
     let directory = tempfile::tempdir().unwrap();

@@ -125,9 +125,12 @@ fn a_refused_reset_changes_nothing() {
     let before = [0, 1].map(|i| session.options(i));
     for (wrong, said) in [
         (json!({"randomize": {"slope_deg": [-20.0, 20.0]}}), "randomize.slope_deg[1]: 20 is outside [-20, 15]"),
-        (json!({"randomize": {"mud": [0, 1]}}), "randomize: unknown field `mud`"),
+        (json!({"randomize": {"mud": [0, 1]}}), "randomize: key \"mud\" is unknown; known: "),
         (json!({"randomize": {"zeta": "soft"}}), "randomize: text \"soft\", expected"),
         (json!({"rocks": {"count": 1}}), "rocks: sandgait/HexapodTerrain-v1 has no such option"),
+        (json!({"slope_deg": null}), "slope_deg: null is not allowed"),
+        (json!({"medium": null}), "medium: null is not allowed"),
+        (json!({"randomize": [0.1]}), "randomize: list, expected a dictionary"),
     ] {
         let error = session.reset(None, wrong).unwrap_err();
         assert!(error.starts_with(said), "{error}, not {said}");

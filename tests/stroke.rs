@@ -184,7 +184,7 @@ fn wrong_options_are_refused_in_one_line() {
         (json!({"stroke": {"start": [0.0, 0.0]}}), "stroke.start: [0.0, 0.0] begins 87.5 mm in the sand"),
         (json!({"stroke": {"start": [-1.75, 3.0]}}), "stroke.start[1]: 3 is outside [-2.6, 2.6]"),
         (json!({"stroke": {"carriage_speed": 0.0}}), "stroke.carriage_speed: 0 is outside [0.01, 0.5]"),
-        (json!({"stroke": {"speed": 0.1}}), "stroke: unknown field `speed`"),
+        (json!({"stroke": {"speed": 0.1}}), "stroke: key \"speed\" is unknown; known: "),
         (json!({"engine": "lanes"}), "engine: sandgait/LegStroke-v0 has no such option"),
         (json!({"stroke": null}), "stroke: null"),
     ] {

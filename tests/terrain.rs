@@ -178,7 +178,7 @@ fn wrong_ranges_are_refused_in_one_line() {
         (json!({"slope_deg": 30}), "randomize.slope_deg[1]: 10 is outside [-10, 5]"),
         (json!({"payload": 1000}), "randomize.payload[1]: 0.05 is outside [0, 0] (it is added to payload = 1000)"),
         (json!({"payload": 1001}), "payload: 1001 is outside [0, 1000]"),
-        (json!({"randomize": {"mud": [0, 1]}}), "randomize: unknown field `mud`"),
+        (json!({"randomize": {"mud": [0, 1]}}), "randomize: key \"mud\" is unknown; known: "),
         (json!({"randomize": null}), "randomize: null"),
         (json!({"difficulty": 1.5}), "difficulty: 1.5 is outside [0, 1]"),
     ] {

@@ -7,6 +7,7 @@ use sandgait::env::registry::{Blueprint, TASK_IDS, task_id};
 use sandgait::env::{Spec, Task};
 use sandgait::number::Isa;
 use sandgait::policy::Network;
+use sandgait::session::MOST_ENVIRONMENTS;
 use sandgait::sim::engine::EngineKind;
 use sandgait::{Error, Result};
 use serde_json::{Map, Value, json};
@@ -40,10 +41,10 @@ pub struct BenchArgs {
     #[arg(long = "option", value_name = "KEY=VALUE")]
     options: Vec<String>,
     /// Number of environments
-    #[arg(long, default_value_t = 256, value_name = "N")]
+    #[arg(long, default_value_t = 256, value_name = "N", value_parser = super::whole::<usize>(1..=MOST_ENVIRONMENTS as u64))]
     envs: usize,
     /// Number of simulating threads; 0: one for each processor
-    #[arg(long, default_value_t = 1, value_name = "N")]
+    #[arg(long, default_value_t = 1, value_name = "N", value_parser = super::whole::<u16>(0..=super::MOST_THREADS))]
     threads: u16,
     /// Actions of the robots
     #[arg(long, value_enum, default_value_t = ActionChoice::Random)]
@@ -55,7 +56,7 @@ pub struct BenchArgs {
     #[arg(long, value_enum, default_value_t = Transport::Process)]
     through: Transport,
     /// Number of repeats, from 5 to 1000
-    #[arg(long, default_value_t = 7, value_name = "N", value_parser = clap::value_parser!(u16).range(5..=1000))]
+    #[arg(long, default_value_t = 7, value_name = "N", value_parser = super::whole::<u16>(5..=1000))]
     repeats: u16,
     /// Duration of a repeat [s]
     #[arg(long, default_value_t = 0.5, value_name = "S")]
@@ -75,7 +76,7 @@ enum Transport {
     GrpcTcp,
     /// A server on a Unix socket in this process, with rollouts of 150 steps whose answers have only the returns.
     Rollouts,
-    /// The same as `Rollouts`, but the answers also have the rows of every step.
+    /// The same as `rollouts`, but the answers also have the rows of every step.
     Trajectories,
 }
 
@@ -212,11 +213,14 @@ impl BenchArgs {
             "through": through,
             "actions": self.actions.name(),
         });
+        let plural = |count: usize| if count == 1 { "" } else { "s" };
         let line = format!(
-            "{median:.0} environment steps/s ({min:.0} to {max:.0}) · {} · engine {} ({isa}) · {} environments, {threads} threads, through {through}, actions {}\n",
+            "{median:.0} environment steps/s ({min:.0} to {max:.0}) · {} · engine {} ({isa}) · {} environment{}, {threads} thread{}, through {through}, actions {}\n",
             [&[task.to_owned()], &self.options[..]].concat().join(" "),
             engine.name(),
             self.envs,
+            plural(self.envs),
+            plural(threads),
             self.actions.name(),
         );
         (json, line)

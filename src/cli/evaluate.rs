@@ -7,7 +7,7 @@ use sandgait::env::gait::HexapodGait;
 use sandgait::env::legged::LeggedVelocity;
 use sandgait::env::registry::task_id;
 use sandgait::evaluate::commands::{self, CommandStudy};
-use sandgait::evaluate::{Evaluation, EvaluationRequest, EvaluationRow, PolicySource, table};
+use sandgait::evaluate::{Evaluation, EvaluationRequest, EvaluationRow, MOST_SEEDS, PolicySource, table};
 use sandgait::{Error, Result};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -38,7 +38,7 @@ pub struct EvaluateArgs {
     #[arg(long, value_name = "JSON")]
     options: Option<String>,
     /// Number of episodes; their seeds begin at 1,000,000
-    #[arg(long, value_name = "N", default_value_t = EvaluationRequest::SEEDS)]
+    #[arg(long, value_name = "N", default_value_t = EvaluationRequest::SEEDS, value_parser = super::whole::<usize>(2..=MOST_SEEDS as u64))]
     seeds: usize,
     /// Media, instead of the medium in the options
     #[arg(long, value_name = "NAME,…", value_delimiter = ',')]

@@ -30,7 +30,7 @@ use std::path::PathBuf;
   sandgait intrude --body sphere:radius=0.02 --trials steps.csv --memory --csv forces.csv --surface heights.csv")]
 pub struct IntrudeArgs {
     /// Shape of the leg: L, revL, C, revC, flat or xi=DEGREES
-    #[arg(long, allow_hyphen_values = true, required_unless_present = "body", conflicts_with_all = ["body", "trials"])]
+    #[arg(long, allow_hyphen_values = true, required_unless_present = "body", conflicts_with_all = ["body", "trials", "mu_s", "plate_size", "memory", "repose_deg", "cell", "surface"])]
     shape: Option<String>,
     /// Body: cylinder:radius=M,width=M (axle along y), box:length=M,width=M,height=M, sphere:radius=M, FILE.stl or
     /// FILE.obj [metres]

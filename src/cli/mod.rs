@@ -37,12 +37,13 @@ pub use train::{TrainingArgs, learn};
 
 use self::progress::Bar;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
-use clap::{CommandFactory as _, Parser, Subcommand};
+use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 use sandgait::sand::{Law, Medium, SandDescription};
 use sandgait::{Error, Result};
 use std::error::Error as _;
 use std::ffi::OsString;
 use std::io::Write as _;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 /// Batched reinforcement-learning environments of legged robots on sand.
@@ -119,8 +120,12 @@ commands! {
 
 /// Runs the command line `arguments`, the program's name first, and returns the exit code.
 pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
-    let arguments: Vec<OsString> = arguments.into_iter().collect();
-    let outcome = match Cli::try_parse_from(&arguments) {
+    let mut arguments: Vec<OsString> = arguments.into_iter().collect();
+    // `help` is a command that clap adds, without a help of its own.
+    if arguments.get(1).is_some_and(|command| command == "help") {
+        arguments.retain(|argument| argument != "--help" && argument != "-h");
+    }
+    let outcome = match parse(&arguments) {
         Ok(Cli { command: CliCommand::Serve(serve::ServeArgs { config: Some(file), .. }) }) => {
             with_file(&file, arguments).and_then(|cli| run(cli.command))
         }
@@ -155,7 +160,28 @@ fn with_file(file: &Path, given: Vec<OsString>) -> Result<Cli> {
     let command = all.get(1).and_then(|name| cli.find_subcommand(name));
     all.extend(config::arguments(command.unwrap_or(&cli), file)?);
     // The command line alone was valid, so the error is in the file.
-    Cli::try_parse_from(all.into_iter().chain(given)).map_err(|e| Error::file(file, one_line(&e)))
+    parse(&all.into_iter().chain(given).collect::<Vec<_>>()).map_err(|e| Error::file(file, one_line(&e)))
+}
+
+/// Parses a command line. `-1` is a value, so that a number below its range is refused with the range.
+fn parse(arguments: &[OsString]) -> std::result::Result<Cli, clap::Error> {
+    let numeric = |argument: clap::Arg| {
+        let takes_values = argument.get_action().takes_values() && !argument.is_allow_hyphen_values_set();
+        argument.allow_negative_numbers(takes_values)
+    };
+    let command = Cli::command().mut_subcommands(|command| command.mut_args(numeric));
+    Cli::from_arg_matches(&command.try_get_matches_from(arguments)?)
+}
+
+/// A parser of whole numbers in `range`. Its refusals name the range.
+fn whole<T: TryFrom<u64>>(
+    range: RangeInclusive<u64>,
+) -> impl Fn(&str) -> std::result::Result<T, String> + Clone + Send + Sync {
+    move |text| {
+        let number: i128 = text.parse().map_err(|_| "no whole number".to_owned())?;
+        let within = u64::try_from(number).ok().filter(|n| range.contains(n)).and_then(|n| T::try_from(n).ok());
+        within.ok_or_else(|| format!("{number} is outside [{}, {}]", range.start(), range.end()))
+    }
 }
 
 fn exit_code(error: &Error) -> u8 {
@@ -194,8 +220,12 @@ fn one_line(error: &clap::Error) -> String {
             format!("{}: {value:?} is unknown; known: {known}", name(argument))
         }
         (ErrorKind::ValueValidation, Some(argument), Some(value)) => {
-            let reason = error.source().map_or_else(String::new, |e| range(&e.to_string()));
-            let said = if reason.starts_with(&value) { reason } else { format!("{value:?}: {reason}") };
+            let reason = error.source().map_or_else(String::new, |e| match e.downcast_ref::<Error>() {
+                Some(Error::Invalid { reason, .. }) => reason.clone(),
+                _ => range(&e.to_string()),
+            });
+            let repeats = reason.starts_with(&value) || reason.starts_with(&format!("{value:?}"));
+            let said = if repeats { reason } else { format!("{value:?}: {reason}") };
             format!("{}: {said}", name(argument))
         }
         _ => without_usage(&error.to_string()),
@@ -218,6 +248,9 @@ fn without_usage(message: &str) -> String {
     let lines = said.lines().map(str::trim).filter(|l| !l.is_empty() && !l.starts_with("For more information"));
     lines.collect::<Vec<_>>().join(" ").trim_start_matches("error: ").replace(" tip:", "; tip:")
 }
+
+/// Largest number of threads: our choice, because usual machines have fewer cores.
+const MOST_THREADS: u64 = 1024;
 
 /// The sand of a command.
 #[derive(clap::Args)]
@@ -298,7 +331,8 @@ mod tests {
     use super::*;
 
     fn refused(line: &str) -> String {
-        let Err(error) = Cli::try_parse_from(line.split(' ')) else { panic!("{line} is accepted") };
+        let words: Vec<_> = line.split(' ').map(OsString::from).collect();
+        let Err(error) = parse(&words) else { panic!("{line} is accepted") };
         one_line(&error)
     }
 
@@ -306,9 +340,20 @@ mod tests {
     fn refusals_name_argument_value_and_range() {
         for (line, said) in [
             ("sandgait bench --repeats 3", "--repeats: 3 is outside [5, 1000]"),
-            ("sandgait bench --repeats x", "--repeats: \"x\": invalid digit found in string"),
+            ("sandgait bench --repeats x", "--repeats: \"x\": no whole number"),
+            ("sandgait bench --envs 0", "--envs: 0 is outside [1, 65536]"),
+            ("sandgait bench --envs 10000000000", "--envs: 10000000000 is outside [1, 65536]"),
+            ("sandgait bench --threads -1", "--threads: -1 is outside [0, 1024]"),
+            ("sandgait train --timesteps -5", "--timesteps: -5 is outside [1, 1000000000000]"),
+            ("sandgait train --threads -1", "--threads: -1 is outside [0, 1024]"),
+            ("sandgait train --checkpoint-every 0", "--checkpoint-every: 0 is outside [1, 1000000000000]"),
+            ("sandgait serve --max-sessions -1", "--max-sessions: -1 is outside [1, 4294967295]"),
+            ("sandgait serve --threads -1", "--threads: -1 is outside [0, 1024]"),
+            ("sandgait play x.onnx --port -1", "--port: -1 is outside [0, 65535]"),
+            ("sandgait evaluate tripod --seeds -3", "--seeds: -3 is outside [2, 100000]"),
+            ("sandgait serve --listen foo", "--listen: \"foo\" is not HOST:PORT or unix:PATH (invalid socket address)"),
             ("sandgait walk", "missing: --frequency <HZ>"),
-            ("sandgait serve --max-message-mib 4096", "--max-message-mib: 4096 is outside [1, 4096)"),
+            ("sandgait serve --max-message-mib 4096", "--max-message-mib: 4096 is outside [1, 4095]"),
             (
                 "sandgait walk --frequncy 2",
                 "unexpected argument '--frequncy' found; tip: a similar argument exists: '--frequency'",

@@ -6,7 +6,7 @@ use sandgait::env::gait::HexapodGait;
 use sandgait::env::legged::LeggedVelocity;
 use sandgait::env::registry::{Blueprint, task_id};
 use sandgait::policy::Network;
-use sandgait::service::{PlayedEnvironment, bind_tcp};
+use sandgait::service::{PlayedEnvironment, bind_tcp, resting};
 use sandgait::{Error, Result};
 use serde_json::{Value, json};
 use std::net::{Ipv4Addr, SocketAddr};
@@ -17,8 +17,10 @@ use tokio_util::sync::CancellationToken;
 /// Walk a robot with the arrow keys, in a browser on this machine.
 ///
 /// POLICY is an ONNX file of `sandgait train`, with settings.json beside it, or the task HexapodGait, whose policy is part of this
-/// program. Up and down: forward and back; left and right: turn; with Shift: to the side. A gamepad's sticks do the same. The
-/// address that is printed has the key that steering needs. Ctrl-C ends it.
+/// program. Up and down: forward and back; left and right: turn; with Shift: to the side. A gamepad's sticks do the same. A
+/// policy follows only the commands of its training: that of HexapodGait walks forward at 0.1 to 0.4 m/s and does not turn,
+/// and without a key it walks at 0.1 m/s. The page names the keys that have an effect. The address that is printed has the key
+/// that steering needs. Ctrl-C ends it.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait play HexapodGait
@@ -31,7 +33,7 @@ pub struct PlayArgs {
     #[arg(long, value_name = "NAME=VALUE")]
     option: Vec<String>,
     /// Port of the page; 0: any free one
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = super::whole::<u16>(0..=u16::MAX.into()))]
     port: u16,
     /// Do not open a browser
     #[arg(long)]
@@ -137,12 +139,7 @@ fn walk(
     let (start, mut due) = (Instant::now(), Instant::now());
     while !stop.is_cancelled() && seconds.is_none_or(|s| start.elapsed().as_secs_f64() < s) {
         let shares = page.command();
-        // A share of −1 is the low end of the range, and 0 stands still.
-        let command = std::array::from_fn(|k| {
-            let [low, high] = ranges[k];
-            if shares[k] < 0.0 { -shares[k] * low.min(0.0) } else { shares[k] * high.max(0.0) }
-        });
-        shard.set_command(0, command);
+        shard.set_command(0, std::array::from_fn(|k| commanded(ranges[k], shares[k])));
         network.act(&shard.rows.observations, &mut action)?;
         shard.step(&action);
         page.show(shard.look(0, false));
@@ -156,9 +153,32 @@ fn walk(
     Ok(())
 }
 
+/// The command in the range [`low`, `high`] at a share from −1 (the low end) to 1 (the high end). A share of 0 is the
+/// command next to standing still that the policy was trained with.
+fn commanded([low, high]: [f64; 2], share: f64) -> f64 {
+    let rest = resting([low, high]);
+    let end = if share < 0.0 { low } else { high };
+    rest + share.abs() * (end - rest)
+}
+
 /// Opens a browser, if this machine has the usual program for it.
 fn open(address: &str) {
     let program = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
     let quiet = std::process::Stdio::null;
     let _ = std::process::Command::new(program).arg(address).stdin(quiet()).stdout(quiet()).stderr(quiet()).spawn();
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A policy gets no command outside of its training.
+    #[test]
+    fn commands_stay_in_the_ranges_of_the_training() {
+        let at = |range| [-1.0, 0.0, 0.5, 1.0].map(|share| commanded(range, share));
+        assert_eq!(at([0.25, 0.75]), [0.25, 0.25, 0.5, 0.75]);
+        assert_eq!(at([0.0, 0.0]), [0.0; 4]);
+        assert_eq!(at([-1.0, 2.0]), [-1.0, 0.0, 1.0, 2.0]);
+        assert_eq!(at([-0.75, -0.25]), [-0.75, -0.25, -0.25, -0.25]);
+    }
 }

@@ -79,5 +79,6 @@ fn table(file: &Path, sections: &[Value]) -> String {
     let head = names.map(|name| format!("{}{}", name.replace('_', " "), unit(name))).to_vec();
     let rows = sections.iter().map(|s| names.iter().map(|n| text(&s[*n])).collect());
     let rows: Vec<Vec<String>> = std::iter::once(head).chain(rows).collect();
-    format!("{}\n{}", file.display(), narrow_table(&rows, 0))
+    let note = "mean speed: along x from the first to the last moment, with the start from rest";
+    format!("{}\n{}\n{note}\n", file.display(), narrow_table(&rows, 0))
 }

@@ -36,7 +36,7 @@ pub struct RobotArgs {
     #[arg(long)]
     json: bool,
     /// Draw the robot in its standing pose, with the plates that touch sand, to this PNG file
-    #[arg(long, value_name = "PNG")]
+    #[arg(long, value_name = "PNG", value_parser = png_path)]
     picture: Option<PathBuf>,
     /// Direction of the picture's camera [°]: the angle from the robot's front to its left; default: from its right front
     #[arg(long, value_name = "DEGREES", allow_negative_numbers = true, requires = "picture")]
@@ -54,7 +54,7 @@ pub struct RobotArgs {
     #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
     plate_size: Option<f64>,
     /// Print the robot as one text, for option `robot` of sandgait/LeggedVelocity-v1; with --json uncompressed
-    #[arg(long, conflicts_with_all = ["picture", "accelerations"])]
+    #[arg(long, conflicts_with_all = ["picture", "azimuth_deg", "elevation_deg", "distance", "ground", "accelerations"])]
     pack: bool,
     /// Let the robot stand in its default pose for five seconds on hard ground and on sand, and print a sheet; the exit code
     /// is 1 if it does not stand
@@ -66,6 +66,15 @@ pub struct RobotArgs {
     /// Print accelerations in free flight for the rows {quat, v, w, q, qd, tau} of this JSON file
     #[arg(long, value_name = "FILE", conflicts_with_all = ["json", "picture", "touches", "plate_size"])]
     accelerations: Option<PathBuf>,
+}
+
+/// Refuses a picture whose name promises another format.
+fn png_path(text: &str) -> std::result::Result<PathBuf, String> {
+    let path = PathBuf::from(text);
+    match path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("png")) {
+        true => Ok(path),
+        false => Err(format!("{text:?} does not end with .png, the only format")),
+    }
 }
 
 impl RobotArgs {

@@ -41,7 +41,7 @@ pub struct ServeArgs {
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:50051")]
     listen: Address,
     /// Number of simulating threads; 0: one for each processor
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = super::whole::<u16>(0..=super::MOST_THREADS))]
     threads: u16,
     /// Also serve DeepMind's protocol dm_env_rpc at the same address
     #[arg(long)]
@@ -109,7 +109,7 @@ struct Pages {
     #[arg(long)]
     viewer_insecure: bool,
     /// Largest number of simultaneous streams of the live page
-    #[arg(long, value_name = "N", default_value_t = LIMITS.watchers as u32, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = LIMITS.watchers as u32, value_parser = super::whole::<u32>(1..=u32::MAX.into()))]
     max_watchers: u32,
 }
 
@@ -120,25 +120,25 @@ const LIMITS: Limits = Limits::DEFAULT;
 #[derive(clap::Args)]
 struct SessionLimits {
     /// Largest number of sessions
-    #[arg(long, value_name = "N", default_value_t = LIMITS.sessions as u32, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = LIMITS.sessions as u32, value_parser = super::whole::<u32>(1..=u32::MAX.into()))]
     max_sessions: u32,
     /// Largest number of environments of one session
-    #[arg(long, value_name = "N", default_value_t = LIMITS.environments as u32, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = LIMITS.environments as u32, value_parser = super::whole::<u32>(1..=u32::MAX.into()))]
     max_envs: u32,
     /// Largest memory of all environments (estimated) and large requests together [MiB]
-    #[arg(long, value_name = "MIB", default_value_t = (LIMITS.memory >> 20) as u32, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "MIB", default_value_t = (LIMITS.memory >> 20) as u32, value_parser = super::whole::<u32>(1..=u32::MAX.into()))]
     max_memory_mib: u32,
     /// Largest size of a request [MiB]
-    #[arg(long, value_name = "MIB", default_value_t = (LIMITS.request >> 20) as u32, value_parser = clap::value_parser!(u32).range(1..4096))]
+    #[arg(long, value_name = "MIB", default_value_t = (LIMITS.request >> 20) as u32, value_parser = super::whole::<u32>(1..=4095))]
     max_message_mib: u32,
     /// The server frees a session that has been without a client for this time [s]
-    #[arg(long, value_name = "S", default_value_t = LIMITS.lease.as_secs() as u32, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "S", default_value_t = LIMITS.lease.as_secs() as u32, value_parser = super::whole::<u32>(1..=u32::MAX.into()))]
     lease_seconds: u32,
     /// Largest number of connections; lower if there are not enough file descriptors
-    #[arg(long, value_name = "N", default_value_t = LIMITS.connections, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = LIMITS.connections, value_parser = super::whole::<u32>(1..=u32::MAX.into()))]
     max_connections: u32,
     /// Largest number of simultaneous calls on one connection; further calls wait
-    #[arg(long, value_name = "N", default_value_t = LIMITS.streams, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = LIMITS.streams, value_parser = super::whole::<u32>(1..=u32::MAX.into()))]
     max_streams: u32,
 }
 

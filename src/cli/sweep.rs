@@ -6,6 +6,7 @@ use sandgait::env::gait::HexapodGait;
 use sandgait::error::check_range;
 use sandgait::files::{self, Lock};
 use sandgait::plot::png;
+use sandgait::sand::{Law, Medium};
 use sandgait::sim::Robot;
 use sandgait::sim::model::Scene;
 use sandgait::sweep::{Design, SweepAxis, SweepMeasure, grid, optimize, table};
@@ -36,9 +37,9 @@ pub struct SweepArgs {
     /// Built-in robot or FILE.toml, with one joint in each leg
     #[arg(long, default_value = Robot::DEFAULT)]
     robot: String,
-    /// Stride frequency [Hz]
-    #[arg(long, value_name = "HZ", default_value_t = Design::FREQUENCY)]
-    frequency: f64,
+    /// Stride frequency [Hz] [default: 2]
+    #[arg(long, value_name = "HZ")]
+    frequency: Option<f64>,
     #[command(flatten)]
     sand: super::SandArgs,
     /// Measure in the figure: speed or cost-of-transport; with --learn also return
@@ -55,17 +56,17 @@ pub struct SweepArgs {
     learn: Option<f64>,
     /// The same as --learn, but each training has this number of steps, so that the result has the same bits on a busy
     /// machine
-    #[arg(long, value_name = "STEPS", conflicts_with = "learn")]
+    #[arg(long, value_name = "STEPS", conflicts_with = "learn", value_parser = super::whole::<u64>(1..=1_000_000_000_000))]
     learn_steps: Option<u64>,
     /// Number of trainings of each design
-    #[arg(long, value_name = "N", default_value_t = 3)]
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = super::whole::<usize>(1..=1000))]
     trainings: usize,
     /// Along the last axis each design after the first starts with its neighbour's policy and learns for this time [s]
     /// or, with --learn-steps, for this number of steps
     #[arg(long, value_name = "SECONDS|STEPS", conflicts_with = "optimize")]
     warm: Option<f64>,
     /// Number of designs that --optimize tries with learnt gaits
-    #[arg(long, value_name = "N", default_value_t = 24)]
+    #[arg(long, value_name = "N", default_value_t = 24, value_parser = super::whole::<usize>(1..=300))]
     designs: usize,
     /// Option of the learnt task
     #[arg(long, value_name = "NAME=VALUE", allow_hyphen_values = true)]
@@ -81,6 +82,7 @@ impl SweepArgs {
         if axes.len() > 2 && self.optimize.is_none() {
             return Err(Error::invalid("--vary", "a grid takes one or two parameters; --optimize takes more"));
         }
+        self.check_once(&axes)?;
         let base = self.base()?;
         if self.learn.is_some() || self.learn_steps.is_some() {
             return self.learnt(base, axes);
@@ -95,10 +97,33 @@ impl SweepArgs {
         }
     }
 
+    /// Refuses a parameter that two arguments set.
+    fn check_once(&self, axes: &[SweepAxis]) -> Result<()> {
+        let sand = &self.sand;
+        let own = [
+            ("--frequency", self.frequency.is_some()),
+            ("--medium", sand.medium != Medium::DEFAULT),
+            ("--law", sand.law != Law::Li2013.name()),
+        ];
+        let own = own.iter().filter(|(_, given)| *given).map(|(option, _)| (*option, &option[2..]));
+        let varied = axes.iter().map(|axis| ("--vary", axis.parameter.name));
+        let set = self.set.iter().filter_map(|text| text.split_once('=')).map(|(name, _)| ("--set", name));
+        let mut seen: Vec<(&str, &str)> = Vec::new();
+        for (option, name) in own.chain(varied).chain(set) {
+            // ζ is the only number of a medium.
+            let sets = if name == "zeta" { "medium" } else { name };
+            if let Some((before, _)) = seen.iter().find(|(_, other)| *other == sets) {
+                return Err(Error::invalid(option, format!("{name} is given already by {before}")));
+            }
+            seen.push((option, sets));
+        }
+        Ok(())
+    }
+
     fn base(&self) -> Result<Design> {
         let scene = Scene::on(&self.sand.sand_to_walk_on()?);
         let robot = Robot::load(&self.robot)?;
-        let mut base = Design { robot, scene, frequency: self.frequency, phase: 0.0 };
+        let mut base = Design { robot, scene, frequency: self.frequency.unwrap_or(Design::FREQUENCY), phase: 0.0 };
         let setting = |setting: &'_ String| {
             let parts = setting.split_once('=').map(|(name, value)| (name.to_owned(), value.to_owned()));
             parts.ok_or_else(|| Error::invalid("--set", format!("{setting:?} is not NAME=VALUE")))
@@ -133,13 +158,11 @@ impl SweepArgs {
 
     fn learnt(&self, base: Design, axes: Vec<SweepAxis>) -> Result<String> {
         let measure = design::GaitMeasure::named(self.optimize.as_ref().unwrap_or(&self.measure))?;
-        let mut settings = entry::settings(None, HexapodGait::ID, entry::ends(self.learn_steps, self.learn))?;
+        let mut settings = entry::settings(None, HexapodGait::ID, entry::ends(self.learn_steps, self.learn)?)?;
         let pairs = self.option.iter().map(|o| entry::pair("--option", o)).collect::<Result<Vec<_>>>()?;
         let options = std::mem::take(&mut settings.env_kwargs).into_iter().chain(pairs).collect();
-        check_range("--trainings", self.trainings as f64, 1.0..=1000.0)?;
         self.warm.map_or(Ok(0.0), |warm| check_range("--warm", warm, 1e-3..=1e12))?;
         let search = self.optimize.as_ref().map(|_| self.designs);
-        search.map_or(Ok(0.0), |designs| check_range("--designs", designs as f64, 1.0..=300.0))?;
         let (trainings, warm, out) = (self.trainings, self.warm, self.out.clone());
         let study = design::DesignStudy { base, axes, options, settings, trainings, warm, search, out };
         study.check()?;

@@ -62,13 +62,13 @@ pub struct TrainingArgs {
     #[arg(long, value_name = "FILE.yml")]
     pub hyperparameters: Option<PathBuf>,
     /// Seed of the policy, its exploration and the environments
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = super::whole::<u64>(0..=MOST_SEED))]
     pub seed: u64,
     /// The training ends after this time [s], instead of that in the settings; the time before a resumption counts
     #[arg(long, value_name = "S")]
     pub seconds: Option<f64>,
     /// The training ends after this number of steps; without --seconds it has no limit of time
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = super::whole::<u64>(1..=MOST_STEPS))]
     pub timesteps: Option<u64>,
     /// Directory for the results [default: runs/TASK-fast]
     #[arg(long, value_name = "DIR")]
@@ -81,15 +81,15 @@ pub struct TrainingArgs {
     #[arg(long, value_name = "FILE.safetensors", conflicts_with = "resume")]
     pub start_from: Option<PathBuf>,
     /// Number of steps between two checkpoints
-    #[arg(long, value_name = "STEPS", default_value_t = 1_000_000)]
+    #[arg(long, value_name = "STEPS", default_value_t = 1_000_000, value_parser = super::whole::<u64>(1..=MOST_STEPS))]
     pub checkpoint_every: u64,
     /// Number of simulating threads; 0: one for each processor
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = super::whole::<usize>(0..=super::MOST_THREADS))]
     pub threads: usize,
 }
 
-/// Largest number of threads: our choice, because usual machines have fewer cores.
-const MOST_THREADS: usize = 1024;
+/// Largest number of steps: that of `n_timesteps` in the settings.
+const MOST_STEPS: u64 = 1_000_000_000_000;
 /// Largest seed of a training: our choice, so that the seeds of its episodes cannot overflow 64 bits.
 const MOST_SEED: u64 = (1 << 23) - 1;
 
@@ -140,7 +140,7 @@ impl TrainingArgs {
         place: Option<ServerAddress>,
     ) -> Result<TrainingRequest> {
         let task = task_id(&self.task);
-        changes.extend(entry::ends(self.timesteps, self.seconds));
+        changes.extend(entry::ends(self.timesteps, self.seconds)?);
         let settings = entry::settings(self.hyperparameters.as_deref(), task, changes)?;
         let unchecked = unchecked(task.to_owned(), options, settings);
         self.checked(TrainingRequest { connect: place.map(connected), ..unchecked })
@@ -156,7 +156,7 @@ impl TrainingArgs {
         envs: usize,
         connect: Box<Connect>,
     ) -> Result<TrainingRequest> {
-        changes.extend(entry::ends(self.timesteps, self.seconds));
+        changes.extend(entry::ends(self.timesteps, self.seconds)?);
         let settings = entry::external(self.hyperparameters.as_deref(), &self.task, envs, changes)?;
         let request = unchecked(self.task.clone(), options, settings);
         self.checked(TrainingRequest { external: Some(spaces), connect: Some(connect), ..request })
@@ -164,12 +164,17 @@ impl TrainingArgs {
 
     /// Adds the arguments to a request.
     fn checked(self, request: TrainingRequest) -> Result<TrainingRequest> {
-        let within = |name: &str, value: u64, most: u64| match value <= most {
+        // The command line has checked these already, but Python has not.
+        let within = |name: &str, value: u64, range: std::ops::RangeInclusive<u64>| match range.contains(&value) {
             true => Ok(()),
-            false => Err(Error::invalid(name, format!("{value} is outside [0, {most}]"))),
+            false => {
+                let reason = format!("{value} is outside [{}, {}]", range.start(), range.end());
+                Err(Error::invalid(name, reason))
+            }
         };
-        within("threads", self.threads as u64, MOST_THREADS as u64)?;
-        within("seed", self.seed, MOST_SEED)?;
+        within("threads", self.threads as u64, 0..=super::MOST_THREADS)?;
+        within("seed", self.seed, 0..=MOST_SEED)?;
+        within("checkpoint_every", self.checkpoint_every, 1..=MOST_STEPS)?;
         let task = &request.task;
         let name = task.trim_start_matches("sandgait/").rsplit_once("-v").map_or(task.as_str(), |(name, _)| name);
         let name = name.replace(|c: char| !c.is_alphanumeric() && c != '_', "-");
@@ -179,7 +184,7 @@ impl TrainingArgs {
             threads: if self.threads == 0 { parallel::processors() } else { self.threads },
             resume: self.resume,
             start_from: self.start_from,
-            checkpoint_every: self.checkpoint_every.max(1),
+            checkpoint_every: self.checkpoint_every,
             ..request
         })
     }

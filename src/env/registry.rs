@@ -86,22 +86,28 @@ pub fn reset_names() -> Vec<&'static str> {
     names
 }
 
+/// Ids of the tasks that have option `name`.
+pub fn tasks_with(name: &str) -> Vec<&'static str> {
+    let having = KINDS.iter().filter(|kind| (kind.rows)().iter().any(|row| row.name == name));
+    having.map(|kind| kind.id).collect()
+}
+
 /// Refuses keyword `name` of task `id` if it is not in the task's `rows`; names the tasks that have it.
 fn check_keyword(id: &str, rows: &[OptionRow], name: &str) -> Result<()> {
     if rows.iter().any(|row| row.name == name) {
         return Ok(());
     }
-    let others = KINDS.iter().filter(|kind| (kind.rows)().iter().any(|row| row.name == name));
-    let others: Vec<_> = others.map(|kind| kind.id).collect();
+    let others = tasks_with(name);
     if others.is_empty() {
         let known: Vec<_> = rows.iter().map(|row| row.name).collect();
         return Err(Error::unknown("option", name, &known));
     }
-    Err(Error::invalid(name, format!("{id} has no such option; {} has", others.join(", "))))
+    let have = if others.len() == 1 { "has" } else { "have" };
+    Err(Error::invalid(name, format!("{id} has no such option; {} {have}", others.join(", "))))
 }
 
 /// The error for an unknown task `id`: an earlier version of a task, or an unknown name.
-fn no_task(id: &str) -> Error {
+pub fn no_task(id: &str) -> Error {
     let version = |id: &str| id.rsplit_once("-v").and_then(|(name, v)| Some((name.to_owned(), v.parse::<u32>().ok()?)));
     let earlier = |new: &&&str| match (version(id), version(new)) {
         (Some((old, v)), Some((name, w))) => old == name && v < w,

@@ -71,9 +71,15 @@ impl CommandStudy {
     /// `options`: the keywords of LeggedVelocity with which the policy was trained. Their ranges of commands scale the
     /// commands of the study.
     pub fn new(policy: &PolicySource, options: &Value) -> Result<Self> {
-        let base = Blueprint::new(LeggedVelocity::ID, policy.with_control(options.clone())?)?;
-        let gait = policy.gait(&base)?;
-        let gait = gait.ok_or_else(|| Error::invalid("policy", "a tripod follows no commands"))?;
+        let no_policy = || {
+            let reason = format!("it follows no commands; give FILE.onnx of a policy of {}", LeggedVelocity::ID);
+            Error::invalid("policy", reason)
+        };
+        if !matches!(policy, PolicySource::Network { .. } | PolicySource::Random) {
+            return Err(no_policy());
+        }
+        let base = Blueprint::new(LeggedVelocity::ID, options.clone())?;
+        let gait = policy.gait(&base)?.ok_or_else(no_policy)?;
         let (ranges, own) = (base.task.option("commands"), Units::of(base.task.model()).commanded());
         let end = |k: usize, share: f64| {
             let end = ranges[NAMES[k]][usize::from(share > 0.0)].as_f64().unwrap_or(own[k].copysign(share));

@@ -1,7 +1,7 @@
 //! The evaluated gait: an uploaded network, or one of the gaits without a network.
 
 use crate::env::random::Random;
-use crate::env::registry::Blueprint;
+use crate::env::registry::{Blueprint, TASK_IDS, tasks_with};
 use crate::env::{Shard, Spec};
 use crate::error::{Error, Result, check_range};
 use crate::policy::Network;
@@ -66,8 +66,30 @@ impl PolicySource {
         }
     }
 
-    /// `options` with the control mode that this gait needs.
-    pub fn with_control(&self, mut options: Value) -> Result<Value> {
+    /// The gait in words, for messages.
+    fn kind(&self) -> &'static str {
+        match self {
+            Self::Tripod(_) => "a tripod",
+            Self::Standing => "standing",
+            Self::Clock(_) => "a clock",
+            Self::Network { .. } | Self::Random => "a policy",
+        }
+    }
+
+    /// Refuses a gait that is made for some tasks, and not for `task`.
+    fn check_task(&self, task: &str) -> Result<()> {
+        let suited = tasks_with("control");
+        // An unknown task is refused later, by its name.
+        if self.control().is_none() || suited.contains(&task) || !TASK_IDS.contains(&task) {
+            return Ok(());
+        }
+        let reason = format!("{} is a gait of other tasks than {task}; known: {}", self.kind(), suited.join(", "));
+        Err(Error::invalid("policy", reason))
+    }
+
+    /// `options` of `task` with the control mode that this gait needs.
+    pub fn with_control(&self, task: &str, mut options: Value) -> Result<Value> {
+        self.check_task(task)?;
         let Some(needed) = self.control() else { return Ok(options) };
         if options.is_null() {
             options = json!({});

@@ -43,7 +43,7 @@ const RATE_STEP: f64 = 0.25;
 
 /// Largest number of seeds: our choice. With so many seeds, the interval of a mean reaches 0.6 % of the standard
 /// deviation between episodes to each side.
-const MOST_SEEDS: usize = 100_000;
+pub const MOST_SEEDS: usize = 100_000;
 /// Largest number of combinations of media and slopes, and of all their episodes together: our choice, an hour's work.
 const MOST_CONDITIONS: usize = 1_000;
 const MOST_EPISODES: usize = 1_000_000;
@@ -100,7 +100,7 @@ impl Evaluation {
     pub fn new(request: &EvaluationRequest) -> Result<Self> {
         let EvaluationRequest { policy, task, options, seeds, media, slopes } = request;
         check_range("seeds", *seeds as f64, 2.0..=MOST_SEEDS as f64)?;
-        let options = policy.with_control(options.clone())?;
+        let options = policy.with_control(task, options.clone())?;
         let base = Blueprint::new(task, options)?;
         if base.task.spec().id == LeggedVelocity::ID {
             let reason = "it follows commands: `sandgait evaluate POLICY --commands` measures how well";

@@ -74,7 +74,7 @@ pub use security::{Tls, Token, warn_if_shared};
 pub use server::{AddServices, ServerSetup, serve};
 pub use state::StateDir;
 pub use values::{from_json, number};
-pub use viewer::play::PlayedEnvironment;
+pub use viewer::play::{PlayedEnvironment, resting};
 
 use crate::env::registry::{Blueprint, TASK_IDS};
 use crate::error::Error;

@@ -41,13 +41,30 @@ pub fn draw(batch: &Batch, index: usize, size: [u32; 2], ended: bool, camera: &C
 
 /// The caption of a picture.
 fn captions(look: &EnvView) -> Vec<String> {
-    let figure = |name: &str| look.spec.info.iter().position(|c| c.name == name).map(|k| look.info[k]);
-    let speed = figure("speed").unwrap_or(0.0);
-    let mut first = format!("{:6.2} s   {speed:6.3} m/s (commanded {:.3})", look.time, look.task_state.speed);
-    if look.model.scene.slope_deg != 0.0 {
-        first += &format!("   slope {}°", look.model.scene.slope_deg);
+    let figure = |name: &str| look.spec.info.iter().position(|c| c.name == name).map(|k| f64::from(look.info[k]));
+    let commanded = figure("commanded_speed").or_else(|| figure("command_lin_vel_x"));
+    vec![caption(look.time, figure("speed"), commanded, look.model.scene.slope_deg)]
+}
+
+/// Time, speed and commanded speed, if the task has them, and the slope, if there is one.
+fn caption(time: f64, speed: Option<f64>, commanded: Option<f64>, slope_deg: f64) -> String {
+    let mut text = format!("{time:6.2} s");
+    if let Some(speed) = speed {
+        text += &format!("   {:6.3} m/s", rounded(speed, 3));
     }
-    vec![first.replace('-', "−")]
+    if let Some(commanded) = commanded {
+        text += &format!(" (commanded {:.3})", rounded(commanded, 3));
+    }
+    if rounded(slope_deg, 1) != 0.0 {
+        text += &format!("   slope {:.1}°", slope_deg);
+    }
+    text.replace('-', "−")
+}
+
+/// `value` rounded to `digits`, so that a small negative number is written without a minus sign.
+fn rounded(value: f64, digits: i32) -> f64 {
+    let scale = 10.0_f64.powi(digits);
+    (value * scale).round() / scale + 0.0
 }
 
 /// One environment's moment: the header of its section in a recording, and its numbers, f32 little-endian.
@@ -74,4 +91,17 @@ pub fn header(spec: &Spec, model: &Model, episode: (u64, u64)) -> String {
 pub fn row(look: &EnvView) -> Vec<f32> {
     let EnvView { model, footing, time, action, reward, info, .. } = look;
     view::row(model, &RecordedState { time: *time, state: &look.whole_state(), footing, action, reward: *reward, info })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn captions_have_rounded_numbers_that_the_task_has() {
+        let text = caption(1.5, Some(-0.0001), Some(0.3), -1.351_941_55);
+        assert_eq!(text, "  1.50 s    0.000 m/s (commanded 0.300)   slope −1.4°");
+        assert_eq!(caption(0.0, Some(-0.25), None, 0.01), "  0.00 s   −0.250 m/s");
+        assert_eq!(caption(0.0, None, None, 0.0), "  0.00 s");
+    }
 }

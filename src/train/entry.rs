@@ -1,16 +1,23 @@
 //! Entries of hyperparameter files, one for each task.
 
-use super::settings::{Hyperparameters, MOST_SAMPLES, float};
+use super::settings::{Hyperparameters, MOST_SAMPLES, SECONDS, float};
 use super::yaml;
-use crate::error::{Error, Result};
+use crate::env::registry::{TASK_IDS, no_task};
+use crate::error::{Error, Result, check_range};
 use serde_json::{Map, Value, json};
 use std::path::Path;
 
 /// The settings of `sandgait train` without a file.
 const OWN: &str = include_str!("ppo_fast.yml");
+/// Their name in messages.
+const BUILT_IN: &str = "built-in settings";
 
 /// The limits of a training, as changes of settings. If only a number of steps is given, the time has no limit.
-pub fn ends(timesteps: Option<u64>, seconds: Option<f64>) -> Vec<(String, Value)> {
+///
+/// # Errors
+/// The time is out of range. It is checked here because JSON has no infinite number.
+pub fn ends(timesteps: Option<u64>, seconds: Option<f64>) -> Result<Vec<(String, Value)>> {
+    let seconds = seconds.map(|s| check_range("seconds", s, SECONDS)).transpose()?;
     let steps = timesteps.map(|steps| ("n_timesteps", json!(steps)));
     let time = match (timesteps, seconds) {
         (_, Some(seconds)) => Some(json!(seconds)),
@@ -18,7 +25,7 @@ pub fn ends(timesteps: Option<u64>, seconds: Option<f64>) -> Vec<(String, Value)
         (None, None) => None,
     };
     let time = time.map(|time| ("seconds", time));
-    steps.into_iter().chain(time).map(|(name, value)| (name.to_owned(), value)).collect()
+    Ok(steps.into_iter().chain(time).map(|(name, value)| (name.to_owned(), value)).collect())
 }
 
 /// The entry of `task` in `file`, or in the program's own file, with `changes`.
@@ -80,7 +87,7 @@ fn change(entry: &mut Map<String, Value>, changes: Vec<(String, Value)>) {
 fn entry(file: Option<&Path>, task: &str) -> Result<Map<String, Value>> {
     let (name, text) = match file {
         Some(path) => (path.display().to_string(), std::fs::read_to_string(path).map_err(|e| Error::file(path, e))?),
-        None => ("sandgait train".to_owned(), OWN.to_owned()),
+        None => (BUILT_IN.to_owned(), OWN.to_owned()),
     };
     let all = yaml::read(&text).map_err(|e| Error::File { path: name.clone(), reason: e.to_string() })?;
     let Value::Object(mut all) = all else {
@@ -91,6 +98,9 @@ fn entry(file: Option<&Path>, task: &str) -> Result<Map<String, Value>> {
         Some(_) => Err(Error::File { path: name, reason: format!("{task}: no table of settings") }),
         None => {
             let known: Vec<_> = all.keys().map(String::as_str).collect();
+            if file.is_none() && !TASK_IDS.contains(&task) {
+                return Err(no_task(task));
+            }
             let reason = format!("there are no settings for {task:?}, only for {}", known.join(", "));
             Err(Error::File { path: name, reason })
         }
@@ -171,6 +181,23 @@ mod tests {
         }
         let kept = settings(None, id, vec![pair("--set", "policy_kwargs={log_std_init: -1}").unwrap()]).unwrap();
         assert_eq!((kept.log_std_init, &kept.net_arch[0]), (-1.0, &vec![64, 64]));
-        assert!(settings(None, "sandgait/None-v1", Vec::new()).unwrap_err().to_string().contains("no settings for"));
+        let error = settings(None, "None", Vec::new()).unwrap_err().to_string();
+        assert!(error.starts_with("task \"None\" is unknown; known: sandgait/HexapodGait-v1, "), "{error}");
+        let error = settings(None, task_id("LegStroke"), Vec::new()).unwrap_err().to_string();
+        let said = "built-in settings: there are no settings for \"sandgait/LegStroke-v0\", only for ";
+        assert!(error.starts_with(said), "{error}");
+    }
+
+    /// In JSON a time that is no number would become null, which means no limit.
+    #[test]
+    fn the_time_is_a_number_in_its_range() {
+        for seconds in [f64::NAN, f64::INFINITY, -1.0, 0.0, 1e8] {
+            let error = ends(None, Some(seconds)).unwrap_err().to_string();
+            assert!(error.starts_with("seconds: ") && error.ends_with("is outside [0.001, 10000000]"), "{error}");
+        }
+        assert_eq!(
+            ends(Some(5), Some(2.5)).unwrap(),
+            [("n_timesteps".into(), json!(5)), ("seconds".into(), json!(2.5))]
+        );
     }
 }

@@ -32,7 +32,9 @@ pub fn film(blueprint: &Blueprint, network: &Network, seed: u64, recording: &Pat
         out.row(&row(&look)).map_err(broken)?;
         // The longest episode has [`MOMENTS`] equal parts, and this step is in the middle of one of them.
         if (0..MOMENTS).any(|k| step == (2 * k + 1) * longest / (2 * MOMENTS)) {
-            let caption = format!("{:6.2} s   x {:6.3} m", look.time, look.state.position[0]).replace('-', "−");
+            // Rounded first, so that no place is written as −0.000.
+            let x = (look.state.position[0] * 1e3).round() / 1e3 + 0.0;
+            let caption = format!("{:6.2} s   x {x:6.3} m", look.time).replace('-', "−");
             pixels.extend(view::draw(
                 look.model,
                 &look.whole_state(),

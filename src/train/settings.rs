@@ -85,6 +85,8 @@ const NAMES: [&str; 21] = [
 /// Limits, our choice: far above useful values, far below what fills a machine's memory.
 const MOST_ENVS: f64 = 65_536.0;
 pub(super) const MOST_SAMPLES: usize = 1 << 22;
+/// Time of a training [s].
+pub(super) const SECONDS: std::ops::RangeInclusive<f64> = 1e-3..=1e7;
 const MOST_LAYERS: usize = 8;
 const MOST_WIDTH: f64 = 1024.0;
 
@@ -132,7 +134,7 @@ impl Hyperparameters {
         match name {
             "n_envs" => self.n_envs = whole(name, value, 1.0, MOST_ENVS)? as usize,
             "n_timesteps" => self.n_timesteps = whole(name, value, 1.0, 1e12)? as u64,
-            "seconds" => self.seconds = optional(value, |v| number(name, v, 1e-3, 1e7))?,
+            "seconds" => self.seconds = optional(value, |v| number(name, v, *SECONDS.start(), *SECONDS.end()))?,
             "normalize" => self.normalize = flag(name, value)?,
             "mirror" => self.mirror = if value == "auto" { None } else { Some(flag(name, value)?) },
             "policy" if value == "MlpPolicy" => (),

@@ -2,7 +2,8 @@
 
 use super::camera::{Camera, CameraOptions, check_size, clip, radius};
 use super::raster::{LIGHT, Rgb, SAMPLES};
-use super::{solid, text};
+use super::solid;
+use super::text::{self, Labels};
 use crate::error::{Error, Result};
 use crate::sim::frame::{M, V};
 use crate::sim::overlap::obstacle_poses;
@@ -40,9 +41,6 @@ const THICKNESS: f64 = 0.002;
 /// Length of an arrow for a force equal to the robot's weight, in robot radii: our choice.
 const ARROW_LENGTH: f64 = 0.9;
 
-/// Texts, and where they begin [px].
-type Labels = Vec<([i64; 2], String)>;
-
 /// A convex flat face of a solid.
 struct PictureFace {
     corners: Vec<V>,
@@ -73,7 +71,7 @@ pub fn draw(
     };
     let mut pixels = canvas.pixels();
     let width = size[0] as usize;
-    for (at, label) in labels {
+    for (at, label) in text::apart(labels, size) {
         text::write(&mut pixels, width, at, &label, LINES.map(|c| (c * 0.75) as u8))?;
     }
     for (n, caption) in captions.iter().enumerate() {

@@ -11,6 +11,27 @@ use std::sync::{Arc, OnceLock};
 pub const CELL: [usize; 2] = [8, 16];
 const SIZE: f64 = 13.0;
 
+/// Texts, and where they begin [px].
+pub type Labels = Vec<([i64; 2], String)>;
+
+/// The labels that are wholly inside a picture of `size`, without those that overlap an earlier one.
+pub fn apart(labels: Labels, size: [u32; 2]) -> Labels {
+    let mut kept: Labels = Vec::new();
+    let width = |text: &str| (text.chars().count() * CELL[0]) as i64;
+    let cell = CELL[1] as i64;
+    for (at, text) in labels {
+        let [right, bottom] = [at[0] + width(&text), at[1] + cell];
+        let inside = at[0] >= 0 && at[1] >= 0 && right <= size[0].into() && bottom <= size[1].into();
+        let overlaps = kept
+            .iter()
+            .any(|([x, y], other)| at[0] < x + width(other) && *x < right && at[1] < y + cell && *y < bottom);
+        if inside && !overlaps {
+            kept.push((at, text));
+        }
+    }
+    kept
+}
+
 const OTHERS: [char; 4] = ['°', '·', '−', '²'];
 
 /// The coverage of each pixel of each letter, 0 to 255.
@@ -87,6 +108,14 @@ fn mix(below: u8, above: u8, cover: u8) -> u8 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn labels_are_whole_and_apart() {
+        let at = |x: i64, y: i64| ([x, y], "0.25 m".to_owned());
+        let labels =
+            vec![at(-1, 20), at(0, 20), at(40, 30), at(48, 20), at(110, 20), at(60, -1), at(112, 44), at(112, 45)];
+        assert_eq!(apart(labels, [160, 60]), [at(0, 20), at(48, 20), at(110, 20), at(112, 44)]);
+    }
 
     #[test]
     fn letters_differ_and_stay_inside() {

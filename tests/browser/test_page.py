@@ -359,7 +359,7 @@ def test_arrow_keys_steer_a_robot(page: Page, tmp_path: Path) -> None:
         assert url.startswith("http://127.0.0.1:")
         assert "/#key=" in url
         page.open(url)
-        page.until("document.getElementById('steering').textContent.startsWith('Arrow keys')")
+        page.until("document.getElementById('steering').textContent.startsWith('↑')")
         page.until("player.recording.moments.length > 20")
         newest = "player.recording.moments[player.recording.moments.length - 1]"
         command = f"{newest}.section.get({newest}.row, 'commanded_speed')[0]"

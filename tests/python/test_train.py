@@ -133,13 +133,16 @@ def test_wrong_settings_are_refused_and_write_nothing(tmp_path: Path) -> None:
         ({"settings": {"n_envs": 0}}, "n_envs: 0 is outside"),
         ({"settings": {"n_envs": 2, "n_steps": 2}}, "batch_size: 1024 is more than"),
         ({"threads": 5000}, "threads: 5000 is outside"),
+        ({"checkpoint_every": 0}, "checkpoint_every: 0 is outside"),
+        ({"seconds": float("nan")}, "seconds: NaN is outside"),
+        ({"seconds": float("inf")}, "seconds: inf is outside"),
         ({"leg": "Q"}, "leg"),
         ({"address": "nowhere"}, "neither"),
     ]
     for given, words in wrong:
         with pytest.raises(InvalidRequest, match=words):
             sandgait.train(out=out, progress=False, timesteps=4096, **given)
-    with pytest.raises(SandgaitError, match="there are no settings for"):
+    with pytest.raises(SandgaitError, match="task .* has been replaced by"):
         sandgait.train("sandgait/HexapodGait-v0", out=out, progress=False)
     with pytest.raises(SandgaitError, match="no checkpoint"):
         sandgait.train(out=out, progress=False, resume=True)

@@ -53,7 +53,7 @@ macro_rules! options {
                 })?
                 Ok(match name {
                     $(stringify!($field) => {
-                        self.$field = $crate::options::changed(name, &self.$field, value)?;
+                        self.$field = $crate::options::changed(stringify!($field), &self.$field, value)?;
                         true
                     })*
                     _ => false,

@@ -120,12 +120,10 @@ impl<O: Options> Options for TaskOptions<O> {
 pub struct ResetOptions(Map<String, Value>);
 
 impl ResetOptions {
-    /// Keywords from a JSON object. null, and a keyword that is null, change nothing. The task that gets them
-    /// checks names and values.
+    /// Keywords from a JSON object; null changes nothing. The task that gets them checks names and values, so that a
+    /// keyword with null means the same as for a new environment.
     pub fn new(keywords: Value) -> Result<Self> {
-        let mut keywords = object(keywords)?;
-        keywords.retain(|_, value| !value.is_null());
-        Ok(Self(keywords))
+        object(keywords).map(Self)
     }
 
     pub fn keywords(&self) -> &Map<String, Value> {

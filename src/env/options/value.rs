@@ -22,6 +22,11 @@ pub trait OptionValue {
     fn keys() -> Vec<OptionRow> {
         Vec::new()
     }
+
+    /// The names among which users choose, if the type has others too.
+    fn names() -> Vec<&'static str> {
+        Vec::new()
+    }
 }
 
 impl OptionValue for bool {}
@@ -44,6 +49,10 @@ impl OptionValue for EngineKind {
             true => Ok(()),
             false => Err(Error::unknown("engine", self.name(), &Self::ALL.map(Self::name))),
         }
+    }
+
+    fn names() -> Vec<&'static str> {
+        Self::ALL.map(Self::name).to_vec()
     }
 }
 
@@ -110,6 +119,7 @@ fn in_words(message: &str) -> String {
         ("a string", "a text"),
         ("a map", "a dictionary"),
         ("a sequence", "a list"),
+        ("string or map", "a text"),
         ("f64", "a number"),
         ("u32", "a whole number from 0"),
         ("u64", "a whole number from 0"),
@@ -120,20 +130,68 @@ fn in_words(message: &str) -> String {
         None if expected.starts_with("struct ") => "a dictionary",
         None => expected,
     };
-    let given = [("string", "text"), ("floating point", "number"), ("integer", "number"), ("map", "dictionary")]
+    let words = [
+        ("string", "text"),
+        ("floating point", "number"),
+        ("integer", "number"),
+        ("map", "dictionary"),
+        ("sequence", "list"),
+    ];
+    let given = words
         .iter()
         .fold(given.to_owned(), |said, (name, word)| said.replacen(&format!(": {name}"), &format!(": {word}"), 1));
     let given = given.trim_start_matches("invalid type: ").trim_start_matches("invalid value: ");
     format!("{given}expected {expected}")
 }
 
+/// The error for an unknown name, from serde's message: "unknown variant `a`, expected one of `b`, `c`", or the same
+/// with "field" for a key of a dictionary.
+fn unknown(name: &'static str, message: &str, names: &[&str]) -> Option<Error> {
+    let parts: Vec<&str> = message.split('`').collect();
+    let given = parts.get(1)?;
+    let known = match names {
+        [] => parts[2..].iter().skip(1).step_by(2).copied().collect::<Vec<_>>(),
+        names => names.to_vec(),
+    };
+    match *parts.first()? {
+        "unknown variant " => Some(Error::unknown(name, given, &known)),
+        "unknown field " => {
+            Some(Error::invalid(name, format!("key {given:?} is unknown; known: {}", known.join(", "))))
+        }
+        _ => None,
+    }
+}
+
+/// Refuses a list in place of a dictionary. serde would take its values as those of the keys, by their order.
+fn check_dictionaries(name: &str, keys: &[OptionRow], given: &Value) -> Result<()> {
+    match given {
+        Value::Array(_) if !keys.is_empty() => Err(Error::invalid(name, "list, expected a dictionary")),
+        Value::Object(given) => keys.iter().try_for_each(|key| {
+            let value = given.get(key.name).unwrap_or(&Value::Null);
+            check_dictionaries(&format!("{name}.{}", key.name), &key.keys, value)
+        }),
+        _ => Ok(()),
+    }
+}
+
 /// The value after `given` was set; in a dictionary, only the keys in `given` change.
-pub fn changed<T: Serialize + DeserializeOwned>(name: &str, old: &T, given: &Value) -> Result<T> {
+pub fn changed<T>(name: &'static str, old: &T, given: &Value) -> Result<T>
+where
+    T: OptionValue + Serialize + DeserializeOwned,
+{
     let refused = |e: serde_json::Error| match given {
         Value::Null => Error::invalid(name, "null is not allowed"),
-        _ => Error::invalid(name, in_words(&e.to_string())),
+        _ => {
+            let message = e.to_string();
+            unknown(name, &message, &T::names()).unwrap_or_else(|| Error::invalid(name, in_words(&message)))
+        }
     };
     let mut whole = serde_json::to_value(old).map_err(refused)?;
+    // Weights of rewards name no keys.
+    if whole.is_object() && given.is_array() {
+        return Err(Error::invalid(name, "list, expected a dictionary"));
+    }
+    check_dictionaries(name, &T::keys(), given)?;
     match (&mut whole, given) {
         (Value::Object(keys), Value::Object(given)) => keys.extend(given.clone()),
         (whole, given) => whole.clone_from(given),
@@ -150,7 +208,7 @@ mod tests {
     fn refusals_name_no_types_of_rust() {
         for (given, said) in [
             (json!("steep"), "x: text \"steep\", expected a number"),
-            (json!([1]), "x: sequence, expected a number"),
+            (json!([1]), "x: list, expected a number"),
             (json!({}), "x: dictionary, expected a number"),
             (json!(true), "x: boolean `true`, expected a number"),
             (Value::Null, "x: null is not allowed"),
@@ -162,5 +220,32 @@ mod tests {
             "n: number `-3`, expected a whole number from 0"
         );
         assert_eq!(changed("b", &true, &json!(3)).unwrap_err().to_string(), "b: number `3`, expected true or false");
+    }
+
+    /// serde takes a list as a dictionary's values in their order.
+    #[test]
+    fn a_list_is_no_dictionary() {
+        let refused = |result: Result<()>| result.unwrap_err().to_string();
+        let weights = |given| changed("weights", &crate::locomotion::Weights::default(), &given).map(drop);
+        assert_eq!(refused(weights(json!([5]))), "weights: list, expected a dictionary");
+        assert!(refused(weights(json!({"sped": 1}))).starts_with("weights: key \"sped\" is unknown; known: speed, "));
+        let motors = |given| changed("actuator", &crate::sensors::Motors::default(), &given).map(drop);
+        assert_eq!(refused(motors(json!([0.001]))), "actuator: list, expected a dictionary");
+        let sensors = |given| changed("sensors", &crate::sensors::SensorOptions::default(), &given).map(drop);
+        assert_eq!(refused(sensors(json!({"gyroscope": [1]}))), "sensors.gyroscope: list, expected a dictionary");
+        sensors(json!({"gyroscope": null, "imu_position": [0, 0, 1]})).unwrap();
+        assert_eq!(
+            refused(changed("x", &Some(BTreeMap::<String, f64>::new()), &json!([1])).map(drop)),
+            "x: list, expected a dictionary"
+        );
+    }
+
+    /// Users choose between two of the engines.
+    #[test]
+    fn unknown_names_are_named_with_the_known_ones() {
+        let engine = changed("engine", &EngineKind::Lanes, &json!("foo")).unwrap_err().to_string();
+        assert_eq!(engine, "engine \"foo\" is unknown; known: lanes, rapier");
+        let control = changed("control", &crate::control::Control::Torque, &json!("foo")).unwrap_err().to_string();
+        assert_eq!(control, "control \"foo\" is unknown; known: hip_speed, hip_target, torque, clock");
     }
 }

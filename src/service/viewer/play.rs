@@ -77,7 +77,42 @@ impl PlayedEnvironment {
 }
 
 async fn list(State(play): State<Arc<PlayedEnvironment>>) -> Response {
-    json(&value!([{"name": "play", "task": play.task.spec().id, "envs": 1, "steered": true}]))
+    let keys = play.task.command_ranges().map(|ranges| keys(&ranges));
+    json(&value!([{"name": "play", "task": play.task.spec().id, "envs": 1, "steered": true, "keys": keys}]))
+}
+
+/// The command in the range [`low`, `high`] that is nearest to standing still.
+pub fn resting([low, high]: [f64; 2]) -> f64 {
+    if low > 0.0 { low } else { high.min(0.0) }
+}
+
+/// What the keys do, for ranges of speeds forward, to the left [m/s] and yaw [rad/s]. Keys without an effect are left
+/// out.
+fn keys(ranges: &[[f64; 2]; 3]) -> String {
+    let [forward, aside, turn] = ranges;
+    let number = |x: f64| format!("{}", (x * 100.0).round() / 100.0).replace('-', "−");
+    let part = |[low, high]: [f64; 2], keys: [&str; 2], does: [&str; 2], unit: &str| {
+        let rest = resting([low, high]);
+        let has = [high > rest, low < rest];
+        let of = |words: [&str; 2], and: &str| match has {
+            [true, true] => words.join(and),
+            [true, false] => words[0].to_owned(),
+            _ => words[1].to_owned(),
+        };
+        let range = format!("{}: {}, {} to {} {unit}", of(keys, " "), of(does, " and "), number(low), number(high));
+        let still = if rest == 0.0 { String::new() } else { format!(" (without a key {})", number(rest)) };
+        has.contains(&true).then(|| range + &still)
+    };
+    let parts = [
+        part(*forward, ["↑", "↓"], ["forward", "back"], "m/s"),
+        part(*turn, ["←", "→"], ["turn left", "right"], "rad/s"),
+        part(*aside, ["Shift ←", "Shift →"], ["to the left", "right"], "m/s"),
+    ];
+    let parts: Vec<_> = parts.into_iter().flatten().collect();
+    match parts[..] {
+        [] => "The policy was trained with one command only.".into(),
+        _ => format!("{}. Or a gamepad.", parts.join("; ")),
+    }
 }
 
 async fn watch(State(play): State<Arc<PlayedEnvironment>>) -> Response {
@@ -110,6 +145,23 @@ async fn steer(State(play): State<Arc<PlayedEnvironment>>, headers: HeaderMap, b
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn only_keys_with_an_effect_are_named() {
+        let [none, both] = [[0.0, 0.0], [-1.0, 1.5]];
+        for (ranges, said) in [
+            ([[0.1, 0.4], none, none], "↑: forward, 0.1 to 0.4 m/s (without a key 0.1). Or a gamepad."),
+            ([[-0.2, 0.0], none, none], "↓: back, −0.2 to 0 m/s. Or a gamepad."),
+            (
+                [both, [-0.5, 0.5], both],
+                "↑ ↓: forward and back, −1 to 1.5 m/s; ← →: turn left and right, −1 to 1.5 rad/s; \
+                 Shift ← Shift →: to the left and right, −0.5 to 0.5 m/s. Or a gamepad.",
+            ),
+            ([[0.3, 0.3], none, none], "The policy was trained with one command only."),
+        ] {
+            assert_eq!(keys(&ranges), said);
+        }
+    }
     use crate::env::registry::Blueprint;
     use axum::http::Request;
     use tower_service::Service as _;

@@ -45,7 +45,9 @@ function mark() {
 }
 
 function text(value, digits) {
-  return value.toFixed(digits).replace("-", "−").padStart(7);
+  const rounded = value.toFixed(digits);
+  // A small negative number is rounded to "-0.000".
+  return (Number(rounded) ? rounded.replace("-", "−") : (0).toFixed(digits)).padStart(7);
 }
 
 /** The numbers beside the picture. */
@@ -185,8 +187,11 @@ function main() {
 /** Interval between two looks at keys and gamepad [ms]. */
 const STEERING = 50;
 
-/** Sends the command of arrow keys or a gamepad whenever it changes: shares from -1 to 1, forward, to the left, yaw to the left. */
-function steer() {
+/**
+ * Sends the command of arrow keys or a gamepad whenever it changes: shares from -1 to 1, forward, to the left, yaw to the left.
+ * `keys`: what they do, in words.
+ */
+function steer(keys) {
   const key = new URLSearchParams(location.hash.slice(1)).get("key") || "";
   const held = new Set();
   const arrows = ["ArrowUp", "ArrowDown", "ArrowLeft", "ArrowRight"];
@@ -214,13 +219,11 @@ function steer() {
     if (body === sent) return;
     sent = body;
     const reply = await fetch("steer", { method: "POST", body, headers: { authorization: `Bearer ${key}` } }).catch(() => null);
-    $("steering").textContent = reply && reply.ok ? STEERED : reply ? await reply.text() : "The program has ended.";
+    $("steering").textContent = reply && reply.ok ? keys : reply ? await reply.text() : "The program has ended.";
   }, STEERING);
   $("steering").hidden = false;
-  $("steering").textContent = STEERED;
+  $("steering").textContent = keys;
 }
-
-const STEERED = "Arrow keys: walk and turn; with Shift: to the side. Or a gamepad.";
 
 /** Lists the server's environments, and follows the one that is chosen. */
 async function follow_server() {
@@ -235,7 +238,8 @@ async function follow_server() {
   const list = async () => {
     const reply = await fetch("sessions");
     const sessions = await reply.json();
-    if (sessions.some((session) => session.steered) && $("steering").hidden) steer();
+    const steered = sessions.find((session) => session.steered);
+    if (steered && $("steering").hidden) steer(steered.keys);
     const options = sessions.flatMap(({ name, task, envs }) => Array.from({ length: Math.min(envs, 64) }, (_, i) =>
       [`${name}/${i}`, `${name} · ${task.replace("sandgait/", "")} · ${i + 1} of ${envs}`]));
     const known = Array.from(choice.options, (o) => o.value).join();
