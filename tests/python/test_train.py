@@ -142,7 +142,7 @@ def test_wrong_settings_are_refused_and_write_nothing(tmp_path: Path) -> None:
     for given, words in wrong:
         with pytest.raises(InvalidRequest, match=words):
             sandgait.train(out=out, progress=False, timesteps=4096, **given)
-    with pytest.raises(SandgaitError, match="task .* has been replaced by"):
+    with pytest.raises(SandgaitError, match=r"task .* has been replaced by"):
         sandgait.train("sandgait/HexapodGait-v0", out=out, progress=False)
     with pytest.raises(SandgaitError, match="no checkpoint"):
         sandgait.train(out=out, progress=False, resume=True)
