@@ -199,7 +199,7 @@ fn closed_chains_are_refused_by_name() {
         r#"<equality><connect body1="FL_calf" body2="FR_calf" anchor="0 0 0"/></equality></mujoco>"#,
     );
     let error = read(&closed, "xml").err().unwrap();
-    assert!(error.contains("FL_calf and FR_calf") && error.contains("delete"), "{error}");
+    assert!(error.contains("\"FL_calf\" and \"FR_calf\"") && error.contains("delete"), "{error}");
     let curve = text.replace(
         "</mujoco>",
         r#"<equality><joint joint1="FL_knee" joint2="FR_knee" polycoef="0 1 0.5 0 0"/></equality></mujoco>"#,

@@ -61,7 +61,7 @@ fn wrong_studies_are_one_line_and_write_nothing() {
     let vary = ["--vary", "xi=-40:40:2", "--out", out.to_str().unwrap()];
     for (arguments, words) in [
         (&["--learn", "5", "--learn-steps", "5"] as &[&str], "cannot be used with"),
-        (&["--learn-steps", "0"], "n_timesteps: 0 is outside"),
+        (&["--learn-steps", "0"], "--learn-steps: 0 is outside"),
         (&["--learn", "0"], "seconds: 0 is outside"),
         (&["--learn", "5", "--trainings", "0"], "--trainings: 0 is outside"),
         (&["--learn", "5", "--optimize", "return", "--designs", "0"], "--designs: 0 is outside"),

@@ -228,7 +228,9 @@ mod tests {
         let refused = |result: Result<()>| result.unwrap_err().to_string();
         let weights = |given| changed("weights", &crate::locomotion::Weights::default(), &given).map(drop);
         assert_eq!(refused(weights(json!([5]))), "weights: list, expected a dictionary");
-        assert!(refused(weights(json!({"sped": 1}))).starts_with("weights: key \"sped\" is unknown; known: speed, "));
+        assert!(
+            refused(weights(json!({"sped": 1}))).starts_with("weights: key \"sped\" is unknown; known: tracking, ")
+        );
         let motors = |given| changed("actuator", &crate::sensors::Motors::default(), &given).map(drop);
         assert_eq!(refused(motors(json!([0.001]))), "actuator: list, expected a dictionary");
         let sensors = |given| changed("sensors", &crate::sensors::SensorOptions::default(), &given).map(drop);
