@@ -31,7 +31,8 @@ def test_the_page_fits(report: Path, tmp_path: Path, width: int) -> None:
     page.picture(Path(os.environ.get("SANDGAIT_SHOTS", tmp_path)) / f"diagnosis_{width}.png")
     assert page.ask("document.documentElement.scrollWidth") <= width
     smallest = page.ask(
-        "Math.min(...[...document.querySelectorAll('svg text')].map(t => t.getBoundingClientRect().height))"
+        "Math.min(...[...document.querySelectorAll('svg text')].filter(t => t.textContent)"
+        ".map(t => t.getBoundingClientRect().height))"
     )
     assert smallest >= 9, "texts of figures are readable"
     first = page.ask("document.querySelector('.verdict').getBoundingClientRect().bottom")
