@@ -336,7 +336,10 @@ const MEASURED: &str = "<!-- measured -->";
 
 #[test]
 fn pages_agree_with_the_code() {
-    for id in TASK_IDS {
+    // Only the latest version of a task has a page.
+    let latest =
+        |id: &&str| id.rsplit_once("-v").is_some_and(|(name, _)| task_id(name.trim_start_matches("sandgait/")) == *id);
+    for id in TASK_IDS.into_iter().filter(latest) {
         let name = id.trim_start_matches("sandgait/");
         let path = format!("{}/docs/tasks/{name}.md", env!("CARGO_MANIFEST_DIR"));
         let page = std::fs::read_to_string(&path).unwrap();
