@@ -14,7 +14,7 @@ SOURCES := $(shell find src tests/data/real_wheel python_client Cargo.toml Cargo
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .PHONY: help train policies test test-long test-rust test-python test-browser test-clients notices page-three native film diagnosis-picture bench bench-peers bench-network study \
-	study-messy study-convergence study-plates study-robots study-drop study-rocks study-load study-codesign study-starts study-hardware proto task-pages docs
+	study-messy study-convergence study-plates study-robots study-drop study-rocks study-load study-starts study-hardware proto task-pages docs
 
 help:
 	@echo "make train   train a hexapod to walk on sand (4 minutes), results in runs/; TASK=HexapodLegs, ARGS=--help"
@@ -34,7 +34,6 @@ help:
 	@echo "make study   measure how often the diagnosis is right on data with known causes (some 15 minutes)"
 	@echo "make study-messy   the same on logs with all errors of a laboratory, some 2 s for each log; ARGS=\"FIRST COUNT\""
 	@echo "make study-convergence   measure the walking speed over the time step with both engines (some 3 minutes)"
-	@echo "make study-codesign   learn gaits for 25 legs, three times each, and write docs/codesign.md again (an hour on two idle cores)"
 	@echo "make study-starts   compare walking speeds at 1 ms with converged ones, over 24 starts (some 10 minutes)"
 	@echo "make study-hardware   train with exact and with randomised hardware, and evaluate on that of real robots (some two hours)"
 	@echo "make study-plates   compare forces on the default plates of FILES=\"…\" (or shapes=COUNT,SEED) with those on fine ones"
@@ -189,17 +188,6 @@ study-robots: $(VENV)/wheel
 
 study-rocks:
 	cargo run --release --example rocks_study
-
-# Every finished training is kept, so the study can be stopped and continued. Writes everything after the page's marker again.
-study-codesign:
-	cargo build --release
-	target/release/sandgait sweep --vary xi=-75:75:25 --learn-steps 3000000 --measure return \
-		--option 'command=[0.1,0.6]' --out runs/codesign
-	cp runs/codesign/learnt.png docs/images/codesign.png
-	sed -i '/<!-- measured -->/q' docs/codesign.md
-	{ echo; echo "![Return of each leg with its own gait over the leg's angle](images/codesign.png)"; echo; \
-		echo "Measured $$(date +%Y-%m-%d), $$(sed -n 's/^model name.*: //p' /proc/cpuinfo | head -1)."; echo; \
-		cat runs/codesign/learnt.md; } >> docs/codesign.md
 
 study-load:
 	SANDGAIT_LOAD_SECONDS=300 cargo test --release --test faults -- --nocapture under_load

@@ -334,10 +334,10 @@ fn a_picture_shows_the_robot() {
     let robot = here("robots/sandcat.xml");
     let about = json(&["robot", robot.to_str().unwrap(), "--json", "--picture", png.to_str().unwrap()]);
     assert_eq!(about["touches_sand"]["shapes"].as_array().unwrap().len(), 9);
-    let map = resvg::tiny_skia::Pixmap::load_png(&png).unwrap();
+    let map = tiny_skia::Pixmap::load_png(&png).unwrap();
     assert_eq!((map.width(), map.height()), (960, 720));
     // Plates are red and sand is not; both are visible, and neither fills the picture.
-    let red = |p: &&resvg::tiny_skia::PremultipliedColorU8| u32::from(p.red()) > 2 * u32::from(p.green()).max(60);
+    let red = |p: &&tiny_skia::PremultipliedColorU8| u32::from(p.red()) > 2 * u32::from(p.green()).max(60);
     let count = map.pixels().iter().filter(red).count();
     assert!((2_000..200_000).contains(&count), "{count}");
     for name in ["xplorer", "xplorer18"] {

@@ -2,7 +2,6 @@
 
 use sandgait::calibrate::pushes::{self, Penetration, Pushes, Value};
 use sandgait::calibrate::{self, Calibration, figure, read};
-use sandgait::plot::png;
 use sandgait::{Error, Result};
 use std::path::PathBuf;
 
@@ -22,7 +21,7 @@ const PLATE: f64 = 0.038 * 0.025;
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait calibrate push.csv --area 0.00095
-  sandgait calibrate push.csv --depth-unit mm --plot push.svg      (also push.png)
+  sandgait calibrate push.csv --depth-unit mm --plot push.svg
   sandgait calibrate discs.csv                                     (columns trial, diameter, depth, force)
   sandgait calibrate discs.csv --compliance 5e-5")]
 pub struct CalibrateArgs {
@@ -37,7 +36,7 @@ pub struct CalibrateArgs {
     /// Unit of the forces: N, mN, kN, gf, kgf or lbf
     #[arg(long)]
     force_unit: Option<String>,
-    /// Draw the test and the fitted line to this SVG file, and to a PNG file of the same name
+    /// Draw the test and the fitted line to this SVG file
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
     /// Compliance of the rig for several pushes [m/N]; default: it is fitted
@@ -64,7 +63,7 @@ impl CalibrateArgs {
         }
         let result = calibrate::calibrate(&read.depth, &read.force, self.area.unwrap_or(PLATE))?;
         if let Some(path) = &self.plot {
-            png::write_both(&figure::single(&read.depth, &read.force, &result).svg(), path)?;
+            figure::single(&read.depth, &read.force, &result).write(path)?;
         }
         for caution in &result.cautions {
             eprintln!("sandgait: warning: {caution}");
@@ -86,7 +85,7 @@ impl CalibrateArgs {
         }
         let study = pushes::compare(pushes, self.compliance)?;
         if let Some(path) = &self.plot {
-            png::write_both(&figure::several(pushes, &study).svg(), path)?;
+            figure::several(pushes, &study).write(path)?;
         }
         for caution in &study.cautions {
             eprintln!("sandgait: warning: {caution}");

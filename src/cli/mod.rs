@@ -4,7 +4,6 @@
 mod bench;
 mod calibrate;
 mod config;
-mod design;
 mod diagnose;
 mod evaluate;
 mod heights;

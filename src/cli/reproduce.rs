@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 /// Reproduce Li, Zhang & Goldman 2012: figures 2 to 5, and every claim with a number.
 ///
-/// Writes the figures as SVG and PNG, report.html and claims.json. These files have each claim with the paper's value,
+/// Writes the figures as SVG, report.html and claims.json. These files have each claim with the paper's value,
 /// ours, a verdict (reproduced, not_reproduced or no_data) and its reason.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:

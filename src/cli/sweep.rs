@@ -1,22 +1,17 @@
 //! `sandgait sweep`
 
 use super::Bar;
-use sandgait::env::Task;
-use sandgait::env::gait::HexapodGait;
-use sandgait::error::check_range;
 use sandgait::files::{self, Lock};
-use sandgait::plot::png;
 use sandgait::sand::{Law, Medium};
 use sandgait::sim::Robot;
 use sandgait::sim::model::Scene;
 use sandgait::sweep::{Design, SweepAxis, SweepMeasure, grid, optimize, table};
-use sandgait::train::{design, entry};
 use sandgait::{Error, Result};
 use std::path::PathBuf;
 
 /// Study a design: simulate walks of a robot over a grid of one or two parameters, or search for the best design.
 ///
-/// Writes sweep.csv, and sweep.svg and sweep.png with a heat map for two parameters or a line for one. A parameter is
+/// Writes sweep.csv, and sweep.svg with a heat map for two parameters or a line for one. A parameter is
 /// varied with NAME=FIRST:LAST:COUNT or NAME=VALUE,VALUE,… and fixed with --set NAME=VALUE. Names: xi, leg, chord,
 /// width, leg-mass, base-mass, hip-height, belly, frequency, phase, medium, zeta, law, slope, payload, torque-limit,
 /// kp.
@@ -24,9 +19,7 @@ use std::path::PathBuf;
 #[command(after_help = "Examples:
   sandgait sweep --vary xi=-75:75:31 --vary frequency=1:5:9 --out study
   sandgait sweep --robot mine.toml --vary medium=poppy-loose,poppy-close --vary width=0.005:0.02:16 --out study
-  sandgait sweep --vary xi=0:75:2 --vary chord=0.03:0.05:2 --optimize cost-of-transport --out study
-  sandgait sweep --vary xi=-75:75:25 --learn 60 --option command=[0.1,0.6] --out study    (a gait learnt for each leg)
-  sandgait sweep --vary xi=-75:75:2 --vary chord=0.03:0.05:2 --optimize return --learn-steps 3000000 --out study")]
+  sandgait sweep --vary xi=0:75:2 --vary chord=0.03:0.05:2 --optimize cost-of-transport --out study")]
 pub struct SweepArgs {
     /// Parameter and its values; can be given twice
     #[arg(long, value_name = "NAME=VALUES", required = true, allow_hyphen_values = true)]
@@ -42,35 +35,12 @@ pub struct SweepArgs {
     frequency: Option<f64>,
     #[command(flatten)]
     sand: super::SandArgs,
-    /// Measure in the figure: speed or cost-of-transport; with --learn also return
+    /// Measure in the figure: speed or cost-of-transport
     #[arg(long, default_value = "speed")]
     measure: String,
-    /// Search for the best design between the bounds instead of simulating the grid, by speed or cost-of-transport;
-    /// with --learn also by return
+    /// Search for the best design between the bounds instead of simulating the grid, by speed or cost-of-transport
     #[arg(long, value_name = "MEASURE")]
     optimize: Option<String>,
-    /// Learn a gait for each design for this time [s], on one thread, instead of walking at one frequency. The task is
-    /// HexapodGait with the settings of sandgait train. Each training is kept, and a repeated command continues the
-    /// study
-    #[arg(long, value_name = "SECONDS")]
-    learn: Option<f64>,
-    /// The same as --learn, but each training has this number of steps, so that the result has the same bits on a busy
-    /// machine
-    #[arg(long, value_name = "STEPS", conflicts_with = "learn", value_parser = super::whole::<u64>(1..=1_000_000_000_000))]
-    learn_steps: Option<u64>,
-    /// Number of trainings of each design
-    #[arg(long, value_name = "N", default_value_t = 3, value_parser = super::whole::<usize>(1..=1000))]
-    trainings: usize,
-    /// Along the last axis each design after the first starts with its neighbour's policy and learns for this time [s]
-    /// or, with --learn-steps, for this number of steps
-    #[arg(long, value_name = "SECONDS|STEPS", conflicts_with = "optimize")]
-    warm: Option<f64>,
-    /// Number of designs that --optimize tries with learnt gaits
-    #[arg(long, value_name = "N", default_value_t = 24, value_parser = super::whole::<usize>(1..=300))]
-    designs: usize,
-    /// Option of the learnt task
-    #[arg(long, value_name = "NAME=VALUE", allow_hyphen_values = true)]
-    option: Vec<String>,
     /// Directory for the results
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -84,12 +54,6 @@ impl SweepArgs {
         }
         self.check_once(&axes)?;
         let base = self.base()?;
-        if self.learn.is_some() || self.learn_steps.is_some() {
-            return self.learnt(base, axes);
-        }
-        if self.warm.is_some() || !self.option.is_empty() {
-            return Err(Error::invalid("--warm, --option", "they are used only with --learn or --learn-steps"));
-        }
         let measure = SweepMeasure::named(&self.measure)?;
         match &self.optimize {
             Some(goal) => self.search(&base, &axes, SweepMeasure::named(goal)?),
@@ -141,7 +105,7 @@ impl SweepArgs {
         let seconds = start.elapsed().as_secs_f64();
         self.write("sweep.csv", &table::csv(axes, &results))?;
         let title = title(base, axes);
-        png::write_both(&table::figure(axes, &results, measure, &title).svg(), &self.out.join("sweep.svg"))?;
+        table::figure(axes, &results, measure, &title).write(&self.out.join("sweep.svg"))?;
         let best = measure.best(&results).map_or_else(String::new, |i| {
             let at = axes.iter().zip(table::values(axes, i)).map(|(a, v)| format!("{} = {v}", a.parameter.label()));
             format!(
@@ -154,21 +118,6 @@ impl SweepArgs {
         let diverged = results.iter().filter(|r| !r.speed.is_finite()).count();
         let warning = if diverged > 0 { format!("{diverged} walks diverged and are blank\n") } else { String::new() };
         Ok(format!("{best}{warning}{count} walks in {seconds:.1} s → {}\n", self.out.join("sweep.csv").display()))
-    }
-
-    fn learnt(&self, base: Design, axes: Vec<SweepAxis>) -> Result<String> {
-        let measure = design::GaitMeasure::named(self.optimize.as_ref().unwrap_or(&self.measure))?;
-        let mut settings = entry::settings(None, HexapodGait::ID, entry::ends(self.learn_steps, self.learn)?)?;
-        let pairs = self.option.iter().map(|o| entry::pair("--option", o)).collect::<Result<Vec<_>>>()?;
-        let options = std::mem::take(&mut settings.env_kwargs).into_iter().chain(pairs).collect();
-        self.warm.map_or(Ok(0.0), |warm| check_range("--warm", warm, 1e-3..=1e12))?;
-        let search = self.optimize.as_ref().map(|_| self.designs);
-        let (trainings, warm, out) = (self.trainings, self.warm, self.out.clone());
-        let study = design::DesignStudy { base, axes, options, settings, trainings, warm, search, out };
-        study.check()?;
-        let _lock = self.prepare()?;
-        let findings = study.run(measure, &Bar::new())?;
-        super::design::report(&study, &findings, measure, &self.out)
     }
 
     fn search(&self, base: &Design, axes: &[SweepAxis], goal: SweepMeasure) -> Result<String> {

@@ -21,7 +21,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 ///
 /// Settings have the names of stable-baselines3's PPO and of examples/hyperparameters/ppo.yml. Without a file those of
 /// src/train/ppo_fast.yml are used. The command writes into the directory: policy.onnx (for evaluate, rollout_policy
-/// and export), policy.safetensors, settings.json, curve.csv, curve.png, evaluation.txt, walk.rec (for replay),
+/// and export), policy.safetensors, settings.json, curve.csv, curve.svg, evaluation.txt, walk.rec (for replay),
 /// walk.png, checkpoints/ and tensorboard/. docs/learning.md explains them.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:

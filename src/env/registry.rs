@@ -11,7 +11,6 @@ use super::stroke::LegStroke;
 use super::task::{AnyTask, Task, TaskSetup};
 use super::terrain::HexapodTerrain;
 use crate::error::{Error, Result};
-use crate::sim::Model;
 use crate::sim::engine::EngineKind;
 use serde_json::Value;
 use std::sync::Arc;
@@ -160,11 +159,6 @@ impl Blueprint {
             return Err(Error::invalid("dt", format!("{dt} does not divide the control period {period} s")));
         }
         Ok(Self { task, engine, episode_bytes: T::EPISODE_BYTES })
-    }
-
-    /// See [`AnyTask::with_model`].
-    pub fn with_model(self, model: Model) -> Result<Self> {
-        Ok(Self { task: self.task.with_model(model)?, ..self })
     }
 
     /// See [`AnyTask::changed`].

@@ -187,9 +187,6 @@ pub trait AnyTask: Send + Sync {
     /// The same task after a reset's changes.
     fn changed(&self, reset: &ResetOptions) -> Result<Arc<dyn AnyTask>>;
 
-    /// The same task with a model that the options do not describe. A reset with options would replace this model.
-    fn with_model(&self, model: Model) -> Result<Arc<dyn AnyTask>>;
-
     /// An id that copies of a setup share, and that differs from the ids of all other live setups, because each setup
     /// makes its own model.
     fn id(&self) -> usize {
@@ -383,10 +380,5 @@ impl<T: Task> AnyTask for TaskSetup<T> {
         let changed = Self::new(options, self.check_keyword)?;
         T::check_change(&self.model, &changed.model)?;
         Ok(Arc::new(changed))
-    }
-
-    fn with_model(&self, model: Model) -> Result<Arc<dyn AnyTask>> {
-        let (options, hardware) = (self.options.clone(), self.hardware.clone());
-        Ok(Arc::new(Self::with(options, hardware, Arc::new(model), self.check_keyword)?))
     }
 }

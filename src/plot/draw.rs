@@ -2,7 +2,10 @@
 
 use super::axis::{label, range, ticks};
 use super::{Axis, Dash, Figure, FigurePanel, Mark, Style, color, escape};
+use crate::error::Result;
+use crate::files;
 use std::fmt::Write;
+use std::path::Path;
 
 /// Size of a panel without margins, the margins, and the font size [px]: our choice. The margins have room for titles,
 /// ticks and labels of this font; larger panels make the font smaller on a page.
@@ -54,6 +57,11 @@ impl Figure {
         }
         svg.push_str("</svg>\n");
         svg
+    }
+
+    /// Writes [`Self::svg`] to `path`.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        files::write(path, self.svg().as_bytes())
     }
 }
 

@@ -1,18 +1,16 @@
-//! Figures: line plots and heat maps as SVG and PNG.
+//! Figures: line plots and heat maps as SVG.
 //!
 //! A [`Figure`] is data only; [`Figure::svg`] draws it. This module knows nothing of sand or robots.
 //!
 //! * [`axis`]: ranges, round ticks and the map from data to the page.
 //! * [`draw`]: panels, marks and legend as SVG.
 //! * [`color`]: palettes with colours that colour-blind readers can tell apart.
-//! * [`png`]: converts SVG to PNG; the font is compiled in.
 
-use sandgait_base::error;
+use sandgait_base::{error, files};
 
 pub mod axis;
 pub mod color;
 mod draw;
-pub mod png;
 
 /// One or more panels on a grid, with one legend for all.
 #[derive(Clone, Debug, Default)]

@@ -33,7 +33,7 @@ mod stresses;
 pub use claims::{Claim, ClaimVerdict};
 
 use crate::error::{Error, Result};
-use crate::plot::{Figure, png};
+use crate::plot::Figure;
 use std::path::Path;
 
 /// Our version of one figure of the paper, with its claims.
@@ -92,7 +92,7 @@ pub fn write(parts: &[FigureSection], out: &Path) -> Result<()> {
         std::fs::write(&path, text).map_err(|e| Error::file(&path, e))
     };
     for (name, figure) in parts.iter().flat_map(|p| &p.figures) {
-        png::write_both(&figure.svg(), &out.join(format!("{name}.svg")))?;
+        figure.write(&out.join(format!("{name}.svg")))?;
     }
     let claims: Vec<&Claim> = parts.iter().flat_map(|p| &p.claims).collect();
     let json = serde_json::to_string_pretty(&claims).map_err(|e| Error::Exhausted(e.to_string()))?;

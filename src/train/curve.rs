@@ -3,7 +3,7 @@
 use super::plan::UpdateReport;
 use crate::error::{Error, Result};
 use crate::files;
-use crate::plot::{Axis, Figure, FigurePanel, Mark, Style, color, png};
+use crate::plot::{Axis, Figure, FigurePanel, Mark, Style, color};
 use std::fs::File;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -96,7 +96,7 @@ impl LearningCurve {
         self.file.sync_data().map_err(|e| Error::file(&self.path, e))
     }
 
-    /// Draws the curve, and a line at the return of the policy without noise, as SVG and PNG.
+    /// Draws the curve, and a line at the return of the policy without noise, as SVG.
     pub fn draw(&self, path: &Path, title: &str, reached: Option<f64>) -> Result<()> {
         let points = self.points.iter().map(|p| [p.steps as f64 / 1e6, p.mean_return]).collect();
         let mut marks = vec![Mark::line("while it explores", Style::line(color::BLUE), points)];
@@ -115,7 +115,7 @@ impl LearningCurve {
             columns: 1,
             note: String::new(),
         };
-        png::write_both(&figure.svg(), path)
+        figure.write(path)
     }
 }
 

@@ -3,7 +3,6 @@
 use crate::env::Shard;
 use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
-use crate::plot::png;
 use crate::policy::Network;
 use crate::session::view::{header, row};
 use crate::view::{self, RecordingWriter};
@@ -51,7 +50,7 @@ pub fn film(blueprint: &Blueprint, network: &Network, seed: u64, recording: &Pat
     std::fs::write(recording, out.finish().map_err(broken)?).map_err(broken)?;
     let height = (pixels.len() / 3 / SIZE[0] as usize) as u32;
     if height > 0 {
-        let image = png::pixels(&pixels, [SIZE[0], height])?;
+        let image = view::png(&pixels, [SIZE[0], height])?;
         std::fs::write(picture, image).map_err(|e| Error::file(picture, e))?;
     }
     Ok(())

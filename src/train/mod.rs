@@ -3,11 +3,10 @@
 //! ```text
 //!  settings ──▶ plan, learner ──▶ training: rollouts (collect, normal, remote) and updates (learn, loss, adam) in turn, over a crew
 //!                  │                         └── network, mirror, matrix            of threads; saved_environments: to go on bit-identically
-//!                  ├──▶ run: one training, with policy.onnx, checkpoints, learning curve, events, film
-//!                  └──▶ design: many designs, a gait learnt for each
+//!                  └──▶ run: one training, with policy.onnx, checkpoints, learning curve, events, film
 //! ```
 
-use sandgait_base::{error, files, parallel, progress};
+use sandgait_base::{error, files, progress};
 use sandgait_env as env;
 use sandgait_evaluate as evaluate;
 use sandgait_number as number;
@@ -15,7 +14,6 @@ use sandgait_plot as plot;
 use sandgait_policy as policy;
 use sandgait_session as session;
 use sandgait_sim as sim;
-use sandgait_sweep as sweep;
 use sandgait_view as view;
 
 mod adam;
@@ -24,7 +22,6 @@ mod collect;
 mod crew;
 mod curve;
 mod describe;
-pub mod design;
 pub mod entry;
 mod events;
 mod export;
@@ -35,16 +32,13 @@ mod learn;
 mod learner;
 mod loss;
 mod matrix;
-mod measure;
 mod mirror;
 mod network;
 mod normal;
 pub mod plan;
-mod record;
 pub mod remote;
 mod run;
 mod saved_environments;
-mod search;
 pub mod settings;
 mod spec;
 mod tensors;

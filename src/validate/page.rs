@@ -4,7 +4,7 @@ use super::data::{DataSet, SteadyState, Wheel};
 use super::fit;
 use super::score::{FIGURES, ForceErrors, MeasuredPair, REGIMES, errors, intervals, predict, scatter};
 use crate::error::{Error, Result};
-use crate::plot::{Axis, Figure, FigurePanel, Mark, Style, color, png};
+use crate::plot::{Axis, Figure, FigurePanel, Mark, Style, color};
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -226,8 +226,8 @@ impl Scoreboard {
         let mut page = format!("# Scoreboard\n\n{}\n\n{INTRODUCTION}\n{}", self.worst(), self.text().trim_end());
         page.push('\n');
         for (number, c) in self.comparisons.iter().enumerate() {
-            png::write_both(&self.figure(c).svg(), &images.join(format!("validation_{number}.svg")))?;
-            let _ = write!(page, "\n![{}](images/validation_{number}.png)\n", capital(&c.title));
+            self.figure(c).write(&images.join(format!("validation_{number}.svg")))?;
+            let _ = write!(page, "\n![{}](images/validation_{number}.svg)\n", capital(&c.title));
         }
         if !others.is_empty() {
             let _ = write!(page, "\n{}\n", others.trim_end());

@@ -34,5 +34,5 @@ pub mod tree;
 pub use crate::sim::pose::Pose;
 pub use camera::CameraOptions;
 pub use header::{About, header};
-pub use picture::draw;
+pub use picture::{draw, png};
 pub use recording::{RecordedState, RecordingWriter, Section, read, row};

@@ -11,9 +11,9 @@ use crate::sim::pose::{Pose, SegmentForce};
 use crate::sim::robot::Tripod;
 use crate::sim::tree::TreeModel;
 use crate::sim::{Model, State};
-use resvg::tiny_skia::{
-    Color, FillRule, GradientStop, LineCap, LinearGradient, Paint, Path, PathBuilder, Pixmap, Point, Rect, Shader,
-    SpreadMode, Stroke, Transform,
+use tiny_skia::{
+    Color, FillRule, GradientStop, IntSize, LineCap, LinearGradient, Paint, Path, PathBuilder, Pixmap, Point, Rect,
+    Shader, SpreadMode, Stroke, Transform,
 };
 
 const SKY: [Rgb; 2] = [[226.0, 234.0, 241.0], [247.0, 246.0, 242.0]];
@@ -72,12 +72,21 @@ pub fn draw(
     let mut pixels = canvas.pixels();
     let width = size[0] as usize;
     for (at, label) in text::apart(labels, size) {
-        text::write(&mut pixels, width, at, &label, LINES.map(|c| (c * 0.75) as u8))?;
+        text::write(&mut pixels, width, at, &label, LINES.map(|c| (c * 0.75) as u8));
     }
     for (n, caption) in captions.iter().enumerate() {
-        text::write(&mut pixels, width, [8, 6 + (n * text::CELL[1]) as i64], caption, INK)?;
+        text::write(&mut pixels, width, [8, 6 + (n * text::CELL[1]) as i64], caption, INK);
     }
     Ok(pixels)
+}
+
+/// Encodes RGB rows, from the top, as a PNG image.
+pub fn png(rgb: &[u8], [width, height]: [u32; 2]) -> Result<Vec<u8>> {
+    let rgba = rgb.as_chunks::<3>().0.iter().flat_map(|[r, g, b]| [*r, *g, *b, 255]).collect();
+    let size = IntSize::from_wh(width, height);
+    let map = size.and_then(|size| Pixmap::from_vec(rgba, size));
+    let map = map.ok_or_else(|| Error::Internal(format!("an image is not {width} × {height}")))?;
+    map.encode_png().map_err(|e| Error::Exhausted(format!("the picture cannot be written: {e}")))
 }
 
 /// Six faces of a box about `center`, `half` its half sizes along the columns of `axes`.

@@ -7,7 +7,7 @@ use crate::sand::memory::Moved;
 use crate::sim::frame::V;
 use crate::sim::tree::{HardGround, TreeModel, kinematics};
 use crate::sim::{Model, State};
-use resvg::tiny_skia::{Pixmap, PremultipliedColorU8};
+use tiny_skia::{Pixmap, PremultipliedColorU8};
 
 /// Two colours of the ground, in squares.
 const GROUND: [Rgb; 2] = [[230.0, 213.0, 178.0], [222.0, 203.0, 166.0]];

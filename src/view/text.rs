@@ -1,15 +1,12 @@
-//! Writes text on a picture. The font is compiled in; its letters are rendered once and then copied.
+//! Writes text on a picture. The letters are compiled in as pixels, so a picture looks the same on every machine.
 
-use crate::error::{Error, Result};
-use resvg::tiny_skia::{Pixmap, Transform};
-use resvg::usvg;
-use std::fmt::Write as _;
-use std::sync::{Arc, OnceLock};
+use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_width};
 
-/// A letter's cell, and the size of the font [px]: our choice. The width of a letter of DejaVu Sans Mono is 0.602 times
-/// its size, so that it fits into the cell.
-pub const CELL: [usize; 2] = [8, 16];
-const SIZE: f64 = 13.0;
+/// The font: our choice, readable at the size of a picture's labels.
+const WEIGHT: FontWeight = FontWeight::Regular;
+const HEIGHT: RasterHeight = RasterHeight::Size16;
+/// A letter's cell [px].
+pub const CELL: [usize; 2] = [get_raster_width(WEIGHT, HEIGHT), HEIGHT.val()];
 
 /// Texts, and where they begin [px].
 pub type Labels = Vec<([i64; 2], String)>;
@@ -32,60 +29,19 @@ pub fn apart(labels: Labels, size: [u32; 2]) -> Labels {
     kept
 }
 
-const OTHERS: [char; 4] = ['°', '·', '−', '²'];
-
-/// The coverage of each pixel of each letter, 0 to 255.
-struct GlyphCells {
-    cells: Vec<[u8; CELL[0] * CELL[1]]>,
-}
-
-/// Index of a character's cell; a character without a cell is drawn as a blank.
-fn index(c: char) -> usize {
-    match c {
-        ' '..='~' => c as usize - ' ' as usize,
-        other => OTHERS.iter().position(|o| *o == other).map_or(0, |i| i + 95),
-    }
-}
-
-fn letters() -> Result<&'static GlyphCells> {
-    static LETTERS: OnceLock<Option<GlyphCells>> = OnceLock::new();
-    let letters = LETTERS.get_or_init(drawn).as_ref();
-    letters.ok_or_else(|| Error::Exhausted("the font of pictures cannot be drawn".into()))
-}
-
-fn drawn() -> Option<GlyphCells> {
-    let all: Vec<char> = (' '..='~').chain(OTHERS).collect();
-    let (width, height) = (CELL[0] * all.len(), CELL[1]);
-    let mut svg = format!("<svg xmlns='http://www.w3.org/2000/svg' width='{width}' height='{height}'>");
-    for (i, c) in all.iter().enumerate() {
-        let escaped = match c {
-            '<' => "&lt;".into(),
-            '&' => "&amp;".into(),
-            c => c.to_string(),
-        };
-        let x = i * CELL[0];
-        let _ =
-            write!(svg, "<text x='{x}' y='12.5' font-family='DejaVu Sans Mono' font-size='{SIZE}'>{escaped}</text>");
-    }
-    svg.push_str("</svg>");
-    let mut fonts = usvg::fontdb::Database::new();
-    fonts.load_font_data(dejavu::sans_mono::regular().to_vec());
-    let options = usvg::Options { fontdb: Arc::new(fonts), ..Default::default() };
-    let tree = usvg::Tree::from_str(&svg, &options).ok()?;
-    let mut map = Pixmap::new(width as u32, height as u32)?;
-    resvg::render(&tree, Transform::identity(), &mut map.as_mut());
-    let cell =
-        |i: usize| std::array::from_fn(|k| map.pixels()[k / CELL[0] * width + i * CELL[0] + k % CELL[0]].alpha());
-    Some(GlyphCells { cells: (0..all.len()).map(cell).collect() })
+/// The coverage of each pixel of a letter, 0 to 255, in rows of [`CELL`]. A character that the font lacks is a blank.
+fn pixels_of(c: char) -> &'static [u8] {
+    // The font has no minus sign, and its hyphen looks the same.
+    let c = if c == '−' { '-' } else { c };
+    get_raster(c, WEIGHT, HEIGHT).map_or(&[], |letter| letter.pixels())
 }
 
 /// Writes `text` with its upper left corner at (x, y) on `pixels`, which are RGB rows of `width`. Parts outside of the picture are
 /// cut off.
-pub fn write(pixels: &mut [u8], width: usize, [x, y]: [i64; 2], text: &str, color: [u8; 3]) -> Result<()> {
-    let letters = letters()?;
+pub fn write(pixels: &mut [u8], width: usize, [x, y]: [i64; 2], text: &str, color: [u8; 3]) {
     let height = pixels.len() / 3 / width;
     for (n, c) in text.chars().enumerate() {
-        for (k, cover) in letters.cells[index(c)].iter().enumerate().filter(|(_, c)| **c > 0) {
+        for (k, cover) in pixels_of(c).iter().enumerate().filter(|(_, c)| **c > 0) {
             let column = x + (n * CELL[0] + k % CELL[0]) as i64;
             let line = y + (k / CELL[0]) as i64;
             let inside = (0..width as i64).contains(&column) && (0..height as i64).contains(&line);
@@ -97,7 +53,6 @@ pub fn write(pixels: &mut [u8], width: usize, [x, y]: [i64; 2], text: &str, colo
             }
         }
     }
-    Ok(())
 }
 
 fn mix(below: u8, above: u8, cover: u8) -> u8 {
@@ -112,23 +67,27 @@ mod tests {
     #[test]
     fn labels_are_whole_and_apart() {
         let at = |x: i64, y: i64| ([x, y], "0.25 m".to_owned());
-        let labels =
-            vec![at(-1, 20), at(0, 20), at(40, 30), at(48, 20), at(110, 20), at(60, -1), at(112, 44), at(112, 45)];
-        assert_eq!(apart(labels, [160, 60]), [at(0, 20), at(48, 20), at(110, 20), at(112, 44)]);
+        let wide = 6 * CELL[0] as i64;
+        let last = 160 - wide;
+        let beside = [at(wide - 8, 30), at(wide, 20), at(last - 2, 20), at(60, -1), at(last, 44), at(last, 45)];
+        let labels = [vec![at(-1, 20), at(0, 20)], beside.to_vec()].concat();
+        assert_eq!(apart(labels, [160, 60]), [at(0, 20), at(wide, 20), at(last - 2, 20), at(last, 44)]);
     }
 
     #[test]
     fn letters_differ_and_stay_inside() {
         let ink = |text: &str, at: [i64; 2]| {
             let mut pixels = vec![255; 3 * 64 * 20];
-            write(&mut pixels, 64, at, text, [0; 3]).unwrap();
+            write(&mut pixels, 64, at, text, [0; 3]);
             pixels
         };
         let sum = |p: &[u8]| p.iter().map(|v| 255 - u64::from(*v)).sum::<u64>();
         assert_eq!(sum(&ink(" ", [0, 0])), 0);
         assert!(sum(&ink("W", [0, 0])) > 2 * sum(&ink(".", [0, 0])) && sum(&ink(".", [0, 0])) > 0);
         assert_ne!(ink("1", [0, 0]), ink("7", [0, 0]));
-        assert!(sum(&ink("°", [0, 0])) > 0);
+        for letter in ["°", "·", "−", "²"] {
+            assert!(sum(&ink(letter, [0, 0])) > 0, "{letter} is blank");
+        }
         for at in [[-4, -9], [60, 15], [-100, 0], [0, 100]] {
             ink("Wide text that leaves the picture", at);
         }

@@ -1,16 +1,16 @@
 //! An image of any robot: every visible triangle, with a depth buffer.
 
 use super::camera::{Camera, CameraOptions, check_size};
+use super::picture::png;
 use super::raster::{LIGHT, PixelRows, RasterTriangle, Rgb, SAMPLES};
 use super::text;
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::sand::intruder::IntruderPlate;
 use crate::sim::State;
 use crate::sim::frame::V;
 use crate::sim::tree::kinematics::{chain, frames};
 use crate::sim::tree::{Geometry, Tree, TreeShape};
 use nalgebra::Isometry3;
-use resvg::tiny_skia::{Pixmap, PremultipliedColorU8};
 use std::f64::consts::TAU;
 
 const SKY: [Rgb; 2] = [[226.0, 234.0, 241.0], [247.0, 246.0, 242.0]];
@@ -206,13 +206,8 @@ impl TreeCanvas {
             }
         }
         for (n, caption) in captions.iter().enumerate() {
-            text::write(&mut pixels, width as usize, [8, 6 + (n * text::CELL[1]) as i64], caption, INK)?;
+            text::write(&mut pixels, width as usize, [8, 6 + (n * text::CELL[1]) as i64], caption, INK);
         }
-        let failed = || Error::Exhausted("a picture of this size does not fit into memory".into());
-        let mut map = Pixmap::new(width, height).ok_or_else(failed)?;
-        for (to, rgb) in map.pixels_mut().iter_mut().zip(pixels.chunks_exact(3)) {
-            *to = PremultipliedColorU8::from_rgba(rgb[0], rgb[1], rgb[2], 255).ok_or_else(failed)?;
-        }
-        map.encode_png().map_err(|e| Error::Exhausted(format!("the picture cannot be written: {e}")))
+        png(&pixels, [width, height])
     }
 }

@@ -2,7 +2,6 @@
 //! checkpoint, and a resumed training gives the same bits.
 
 mod servers;
-mod studies;
 
 use sandgait::progress::{Progress, Silent};
 use sandgait::train::{Hyperparameters, TrainingRequest};
