@@ -132,7 +132,7 @@ fn dotted(color: &'static str) -> Style {
 pub fn report(study: &DesignStudy, findings: &Findings, measure: GaitMeasure, out: &Path) -> Result<String> {
     let write = |name: &str, content: &[u8]| {
         let path = out.join(name);
-        std::fs::write(&path, content).map_err(|e| Error::file(&path, e))
+        std::fs::write(&path, content).map_err(|e| Error::unwritten(&path, &e))
     };
     write("learnt.csv", csv(study, findings).as_bytes())?;
     png::write_both(&figure(study, findings, measure).svg(), &out.join("learnt.svg"))?;

@@ -36,8 +36,8 @@ pub fn encode(svg: &str) -> Result<Vec<u8>> {
 /// Writes `svg` to `path`, and as PNG to the same path with the ending `.png`.
 pub fn write_both(svg: &str, path: &Path) -> Result<()> {
     let image = path.with_extension("png");
-    std::fs::write(path, svg).map_err(|e| Error::file(path, e))?;
-    std::fs::write(&image, encode(svg)?).map_err(|e| Error::file(&image, e))
+    std::fs::write(path, svg).map_err(|e| Error::unwritten(path, &e))?;
+    std::fs::write(&image, encode(svg)?).map_err(|e| Error::unwritten(&image, &e))
 }
 
 /// Encodes RGB rows, from the top, as a PNG image.
