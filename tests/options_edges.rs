@@ -4,6 +4,7 @@
 use sandgait::env::options::OptionRow;
 use sandgait::env::registry::{Blueprint, TASK_IDS};
 use sandgait::pool::{Batch, Pool, Seal, Snapshot};
+use sandgait::sim::engine::EngineKind;
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
 
@@ -106,36 +107,54 @@ fn live(pool: &Pool, id: &str, options: &Value) -> Result<(), String> {
     Ok(())
 }
 
+/// Can the dictionary that has this key be given? A sensor that a task neither observes nor can add cannot.
+fn is_usable(id: &str, EdgePath { keys, .. }: &EdgePath) -> bool {
+    let parent = EdgePath { keys: keys[..keys.len() - 1].to_vec(), bounds: [0.0; 2] };
+    keys.len() < 3 || Blueprint::new(id, options(&[parent], &json!({}))).is_ok()
+}
+
+/// Tries all forms of `x`; the reasons why none of them can be made.
+fn tried(pool: &Pool, id: &str, paths: &[EdgePath], x: f64) -> Option<Vec<String>> {
+    let mut reasons = Vec::new();
+    for form in forms(x) {
+        match live(pool, id, &options(paths, &form)) {
+            Ok(()) => return None,
+            Err(reason) => reasons.push(reason),
+        }
+    }
+    Some(reasons)
+}
+
 #[test]
 fn what_options_allow_can_be_saved_and_restored() {
     let pool = Pool::new(1);
-    let mut wrong = Vec::new();
     for id in TASK_IDS {
         let plain = Blueprint::new(id, Value::Null).unwrap();
-        let (mut made, mut refused) = (0, 0);
-        for ((option, key), paths) in edges(&plain) {
-            let [low, high] = paths[0].bounds;
-            let tiny = (low <= TINY && TINY <= high).then_some(TINY);
-            for x in [Some(low), Some(high), tiny].into_iter().flatten() {
-                let outcomes: Vec<_> = forms(x).iter().map(|form| live(&pool, id, &options(&paths, form))).collect();
-                made += outcomes.iter().filter(|o| o.is_ok()).count();
-                if outcomes.iter().any(Result::is_ok) {
-                    continue;
-                }
-                refused += 1;
-                let reasons: Vec<_> = outcomes.into_iter().filter_map(Result::err).collect();
-                // Another option may forbid the value, such as a slope that a drawn one is added to.
-                let own = |reason: &String| {
-                    reason.contains(&format!("{key}: {x} is outside"))
-                        || reason.contains(&format!("{key}[0]: {x} is outside"))
-                };
-                if x != TINY && reasons.iter().any(own) {
-                    wrong.push(format!("{id} {option} {key} = {x}: {reasons:?}"));
-                }
+        let (mut all, mut refused) = (0, Vec::new());
+        for ((option, key), mut paths) in edges(&plain) {
+            // A carriage moves joints by their speeds, so it has no motors.
+            if option == "actuator" && plain.engine == EngineKind::Carriage {
+                continue;
+            }
+            paths.retain(|path| is_usable(id, path));
+            let Some(EdgePath { bounds: [low, high], .. }) = paths.first() else { continue };
+            all += 1;
+            let reasons: Vec<_> =
+                [*low, *high].into_iter().filter_map(|x| Some((x, tried(&pool, id, &paths, x)?))).collect();
+            for (x, said) in &reasons {
+                let own = [format!("{key}: {x} is outside"), format!("{key}[0]: {x} is outside")];
+                let is_own = |line: &String| own.iter().any(|o| line.contains(o));
+                assert!(!said.iter().any(is_own), "{id} {option} {key}: {said:?}");
+            }
+            if reasons.len() == 2 {
+                refused.push(format!("{option} {key}: {:?}", reasons[0].1));
+            }
+            if (*low..=*high).contains(&TINY) {
+                // It is refused, or gives finite numbers.
+                tried(&pool, id, &paths, TINY);
             }
         }
-        println!("{id}: {made} made, {refused} refused");
-        assert!(made > 40 && refused < made / 4, "{id}: {made} made, {refused} refused");
+        println!("{id}: {all} options; neither end alone: {refused:#?}");
+        assert!(all >= 15 && 8 * refused.len() <= all, "{id}: {all} options; neither end alone: {refused:#?}");
     }
-    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
