@@ -128,6 +128,11 @@ fn broken_urdf() -> Vec<Broken> {
             &["document type"],
         ),
         entry("nested too deep", format!("{}{}", "<robot>".repeat(100_000), "</robot>".repeat(100_000)), &["nested"]),
+        entry(
+            "too many attributes",
+            format!("<robot name=\"r\"{}/>", (0..90_000).map(|k| format!(" a{k}=\"\"")).collect::<String>()),
+            &["line 1", "more than 250 attributes"],
+        ),
         entry("too many elements", robot(&"<gazebo/>".repeat(300_000)), &["nodes"]),
         entry("too large", format!("<robot name=\"{}\"/>", "x".repeat(9 << 20)), &["MiB"]),
         entry("cut off", urdf[..urdf.len() / 2].into(), &["no XML"]),

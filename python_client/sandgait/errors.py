@@ -3,8 +3,15 @@
 from __future__ import annotations
 
 
+#: Longest message: that of the native module (src/base/error.rs). A message may repeat a text that was given as a name.
+LONGEST = 4300
+
+
 class SandgaitError(Exception):
     """Base class of this package's exceptions."""
+
+    def __init__(self, *args: object) -> None:
+        super().__init__(*(shortened(arg, LONGEST) if isinstance(arg, str) else arg for arg in args))
 
 
 class InvalidRequest(SandgaitError, ValueError):
@@ -42,3 +49,8 @@ class ServerLost(SandgaitError, ConnectionError):
 
 class SessionLost(SandgaitError):
     """The server runs, but this session has ended. Make the environment again."""
+
+
+def shortened(text: str, most: int) -> str:
+    """`text`, cut off after `most` characters."""
+    return text if len(text) <= most else text[:most] + "…"

@@ -1,15 +1,17 @@
 """Reads one recording and writes its table to stdout as CSV: the process that `sandgait.logs` starts.
 
-    python -P logs_reader.py FORM FILE [joints=TOPIC] [imu=TOPIC]
+    python -P logs_reader.py PARENT SECONDS FORM FILE [joints=TOPIC] [imu=TOPIC]
 
-It imports nothing of sandgait, so that it starts fast. An error is one line on stderr and exit code 2; other lines on
+It ends with the process PARENT, and after SECONDS of processor time. It imports nothing of sandgait, so that it starts fast. An error is one line on stderr and exit code 2; other lines on
 stderr are notes.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import resource
+import signal
 import sys
 from collections.abc import Iterator
 from contextlib import suppress
@@ -255,9 +257,28 @@ def _joints(messages: list[Any]) -> dict[str, Numbers]:
     return columns
 
 
-def main(form: str, file: str, *topics: str) -> None:
+def end_with(parent: int) -> None:
+    """This process is killed when the thread that started it ends, for whatever reason. Only Linux can do this; on other
+    systems the limit of processor time ends it."""
+    if sys.platform == "linux":
+        import ctypes
+
+        kill_me = 1  # PR_SET_PDEATHSIG (linux/prctl.h)
+        ctypes.CDLL(None).prctl(kill_me, signal.SIGKILL, 0, 0, 0)
+        if os.getppid() != parent:  # it ended before the call
+            sys.exit(1)
+
+
+def main(parent: str, seconds: str, form: str, file: str, *topics: str) -> None:
     """Writes the table, or one line on stderr."""
-    for what, most in ((resource.RLIMIT_AS, MEMORY), (resource.RLIMIT_FSIZE, UNPACKED), (resource.RLIMIT_CORE, 0)):
+    end_with(int(parent))
+    limits = (
+        (resource.RLIMIT_AS, MEMORY),
+        (resource.RLIMIT_FSIZE, UNPACKED),
+        (resource.RLIMIT_CORE, 0),
+        (resource.RLIMIT_CPU, int(seconds)),
+    )
+    for what, most in limits:
         with suppress(ValueError, OSError):  # some systems do not have all limits
             resource.setrlimit(what, (most, most))
     path = Path(file)

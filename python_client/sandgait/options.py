@@ -9,8 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from . import _native
-from .errors import InvalidRequest, UnknownOption
+from .errors import InvalidRequest, UnknownOption, shortened
 from .user_warnings import warn
+
+
+#: Longest part of a path in a message: our choice, a line of a terminal. A whole file's text may be given by mistake.
+SHOWN = 100
 
 
 def task_id(name: str) -> str:
@@ -45,8 +49,10 @@ def _text(name: str, file: Any) -> Any:
     """The contents of an option's `file`."""
     try:
         return Path(file).read_text(encoding="utf-8")
-    except (OSError, TypeError, UnicodeDecodeError) as error:
-        raise InvalidRequest(f"{name}: {file!r} cannot be read as a file: {error}") from error
+    except (OSError, TypeError, ValueError) as error:
+        # an OSError repeats the path
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise InvalidRequest(f"{name}: {shortened(repr(file), SHOWN)} cannot be read as a file: {reason}") from error
 
 
 def keyword_error(message: str) -> InvalidRequest:

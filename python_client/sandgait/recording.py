@@ -31,6 +31,13 @@ _SAME = ("shapes", "relief")
 _AS_BEFORE = "as before"
 _FOREIGN = "this is not one of sandgait's recordings"
 
+#: Largest numbers of sections, of bytes of all headers, and of commas and opening brackets in them, each of which is a
+#: value at most. Our choice, explained in src/view/recording.rs.
+_MOST_SECTIONS, _MOST_HEADERS, _MOST_VALUES = 100_000, 128 << 20, 8_000_000
+
+#: Number of bytes that are unpacked at a time: our choice.
+_PIECE = 1 << 20
+
 #: Largest unpacked size of a recording [bytes]: our choice, because four hours of a hexapod fit into it, with 300
 #: numbers at 50 Hz.
 MAX_BYTES = 2**30
@@ -120,10 +127,11 @@ class _CutOff(Exception):
     """The stream ends within a block."""
 
 
-def _blocks(stream: IO[bytes], path: FilePath, left: int) -> Iterator[tuple[bytes, list[bytes]]]:
+def _blocks(stream: IO[bytes], path: FilePath, left: int) -> Iterator[tuple[bytes, bytearray]]:
     """Header and rows of each section. Unpacks at most `left` bytes, even if a block states a greater length."""
     header: bytes | None = None
-    rows: list[bytes] = []
+    rows = bytearray()
+    sections, headers, values = 0, _MOST_HEADERS, _MOST_VALUES
     while start := stream.read(_BLOCK.size):
         if len(start) < _BLOCK.size:
             raise _CutOff
@@ -133,27 +141,43 @@ def _blocks(stream: IO[bytes], path: FilePath, left: int) -> Iterator[tuple[byte
         left -= _BLOCK.size + length
         if left < 0:
             raise InvalidRequest(f"{path}: it unpacks to more than max_bytes; take a larger one if you trust the file")
-        content = stream.read(length)
-        if len(content) < length:
-            raise _CutOff
         if kind == b"ROWS":
-            rows.append(content)
+            _extend(rows, stream, length)
             continue
         if header is not None:
             yield header, rows
-        header, rows = content, []
+        content = bytearray()
+        _extend(content, stream, min(length, headers + 1))
+        sections, headers = sections + 1, headers - length
+        values -= sum(content.count(mark) for mark in (b",", b"[", b"{"))
+        if sections > _MOST_SECTIONS:
+            raise InvalidRequest(f"{path}: it has more than {_MOST_SECTIONS} sections")
+        if headers < 0 or values < 0:
+            reason = f"its headers have more than {_MOST_HEADERS} bytes or {_MOST_VALUES} values"
+            raise InvalidRequest(f"{path}: {reason}")
+        header, rows = bytes(content), bytearray()
     if header is not None:
         yield header, rows
 
 
-def _section(head: bytes, rows: list[bytes], path: FilePath) -> Section:
+def _extend(content: bytearray, stream: IO[bytes], length: int) -> None:
+    """Adds the next `length` bytes of the stream, in pieces, so that a length that is not there takes no memory."""
+    while length > 0:
+        piece = stream.read(min(length, _PIECE))
+        if not piece:
+            raise _CutOff
+        content += piece
+        length -= len(piece)
+
+
+def _section(head: bytes, rows: bytearray, path: FilePath) -> Section:
     try:
         header = json.loads(head)
         version = header.get("format"), header.get("version")
         if version != (_FORMAT, _VERSION):
             raise InvalidRequest(f"{path}: this is no recording of version {_VERSION}")
         width = sum(math.prod(c["shape"]) for c in header["columns"])
-        table = np.frombuffer(b"".join(rows), "<f4").reshape(-1, width).astype(np.float32)
+        table = np.frombuffer(rows, "<f4").reshape(-1, width).astype(np.float32, copy=False)
         return Section(header, table)
     except InvalidRequest:
         raise

@@ -264,6 +264,11 @@ class Session:
     def _attach(self) -> None:
         """Opens a new stream to the session, and sends the requests without an answer again."""
         stream = Stream(self._link.address, self._link.session_id)
+        first = self._unanswered[0].sequence if self._unanswered else self._sequence + 1
+        if stream.last_sequence < first - 1:
+            # a server that was killed goes on with the sessions that it saved when it was last told to end
+            stream.close()
+            raise SessionLost(f"the server has an older state of the session: request {stream.last_sequence}")
         self._link.stream = stream
         for request in self._unanswered:
             if request.sequence >= stream.last_sequence:

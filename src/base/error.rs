@@ -1,5 +1,8 @@
 //! The one error type: a wrong input of the user, or a failure of the machine.
 
+use std::io;
+use std::path::Path;
+
 /// Every fallible function of the program returns this. `Display` writes one line that suits a terminal or a gRPC
 /// status.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -25,6 +28,12 @@ pub enum Error {
     /// A file could not be read or written.
     #[error("{path}: {reason}")]
     File { path: String, reason: String },
+    /// The machine cannot write: the disk is full, or the folder is read-only.
+    #[error("{path}: {reason}")]
+    Unwritten { path: String, reason: String },
+    /// A server that cannot be reached, or that has lost the session.
+    #[error("server {server}: {reason}")]
+    Lost { server: String, reason: String },
     /// A defect of this program, such as a panic; the user cannot correct it.
     #[error("{0}; please report this as a bug")]
     Internal(String),
@@ -41,10 +50,49 @@ impl Error {
         Self::Unknown { what, name: shortened(name.into(), LONGEST_NAME), known: known.join(", ") }
     }
 
-    /// One line, even if `reason` quotes several lines of a file.
-    pub fn file(path: &std::path::Path, reason: impl std::fmt::Display) -> Self {
-        Self::File { path: path.display().to_string(), reason: reason.to_string().replace(['\n', '\r'], " ") }
+    /// One line, even if `reason` quotes several lines of a file. The path may be any text that was given as one.
+    pub fn file(path: &Path, reason: impl std::fmt::Display) -> Self {
+        Self::File { path: shown(path), reason: one_line(reason) }
     }
+
+    /// A file that could not be written. A path that can never be one is the user's error, and everything else the
+    /// machine's.
+    pub fn unwritten(path: &Path, error: &io::Error) -> Self {
+        use io::ErrorKind::{AlreadyExists, InvalidFilename, InvalidInput, IsADirectory, NotADirectory, NotFound};
+        match error.kind() {
+            AlreadyExists | InvalidFilename | InvalidInput | IsADirectory | NotADirectory | NotFound => {
+                Self::file(path, error)
+            }
+            _ => Self::Unwritten { path: shown(path), reason: one_line(error) },
+        }
+    }
+
+    pub fn lost(server: &str, reason: impl Into<String>) -> Self {
+        Self::Lost { server: shortened(server.into(), LONGEST_NAME), reason: shortened(reason.into(), LONGEST) }
+    }
+
+    /// The same error with `note` at its end.
+    pub fn with_note(mut self, note: &str) -> Self {
+        match &mut self {
+            Self::Invalid { reason, .. }
+            | Self::File { reason, .. }
+            | Self::Unwritten { reason, .. }
+            | Self::Lost { reason, .. }
+            | Self::OutOfOrder(reason)
+            | Self::Exhausted(reason)
+            | Self::Cancelled(reason) => reason.push_str(note),
+            Self::Unknown { .. } | Self::Replaced { .. } | Self::Internal(_) => {}
+        }
+        self
+    }
+}
+
+fn shown(path: &Path) -> String {
+    shortened(path.display().to_string().replace(['\n', '\r'], " "), LONGEST_NAME)
+}
+
+fn one_line(reason: impl std::fmt::Display) -> String {
+    shortened(reason.to_string().replace(['\n', '\r'], " "), LONGEST)
 }
 
 /// Longest name and longest reason in a message [bytes]: our choice, because a message may quote a file that was given in
@@ -52,6 +100,12 @@ impl Error {
 const LONGEST_NAME: usize = 300;
 const LONGEST: usize = 4000;
 
+/// A whole message, cut off as its parts are.
+pub fn bounded(message: String) -> String {
+    shortened(message, LONGEST_NAME + LONGEST)
+}
+
+/// `text`, cut off after `most` bytes.
 fn shortened(mut text: String, most: usize) -> String {
     if text.len() > most {
         text.truncate(text.floor_char_boundary(most));

@@ -30,7 +30,7 @@ pub fn put(path: &Path, content: &[u8]) -> Result<()> {
     written.map_err(|e| {
         // The first error is the one to report; the incomplete file may not even exist.
         let _ = std::fs::remove_file(&beside);
-        Error::file(path, e)
+        Error::unwritten(path, &e)
     })
 }
 
@@ -38,7 +38,9 @@ pub fn put(path: &Path, content: &[u8]) -> Result<()> {
 pub fn sync_folder(folder: &Path) -> Result<()> {
     match File::open(folder).and_then(|folder| folder.sync_all()) {
         // Some network file systems cannot do this for folders.
-        Err(e) if !matches!(e.kind(), ErrorKind::InvalidInput | ErrorKind::Unsupported) => Err(Error::file(folder, e)),
+        Err(e) if !matches!(e.kind(), ErrorKind::InvalidInput | ErrorKind::Unsupported) => {
+            Err(Error::unwritten(folder, &e))
+        }
         _ => Ok(()),
     }
 }

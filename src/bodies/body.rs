@@ -2,13 +2,17 @@
 
 use super::ground::SandGround;
 use super::part::{BodyPart, BodyPlate};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, check_range};
 use crate::sand::intruder::IntruderPlate;
 use crate::sand::{Law, Regularization};
 use crate::sim::tree::eights::{EightPatches, eights};
 use crate::sim::tree::patches::{Ball, BodyPatches};
-use crate::sim::tree::{of_body, of_shapes};
+use crate::sim::tree::{PLATE_SIZES, of_body, of_shapes};
 use std::sync::OnceLock;
+
+/// Largest number of plates of all bodies: our choice, fifty shapes with as many plates as one may have. They take some
+/// 200 MB.
+const MOST_TOGETHER: usize = 1_000_000;
 
 /// Rigid bodies with their names, in the order of the caller.
 #[derive(Debug)]
@@ -39,12 +43,21 @@ impl Bodies {
         if bodies.is_empty() {
             return Err(Error::invalid("bodies", "there are none"));
         }
-        let (mut names, mut cut) = (Vec::new(), Vec::new());
+        if let Some(size) = plate_size {
+            check_range("plate_size", size, PLATE_SIZES)?;
+        }
+        let (mut names, mut cut, mut plates) = (Vec::new(), Vec::new(), 0);
         for (name, parts) in bodies {
             if names.contains(&name) {
                 return Err(Error::invalid("bodies", format!("{name:?} is given twice")));
             }
-            cut.push(CutBody::of(&name, &parts, plate_size)?);
+            let body = CutBody::of(&name, &parts, plate_size)?;
+            plates += body.pieces.len();
+            if plates > MOST_TOGETHER {
+                let reason = format!("the bodies have more than {MOST_TOGETHER} plates: take a larger plate_size");
+                return Err(Error::invalid("bodies", reason));
+            }
+            cut.push(body);
             names.push(name);
         }
         Ok(Self { names, bodies: cut })
@@ -84,7 +97,8 @@ impl Bodies {
 impl CutBody {
     fn of(name: &str, parts: &[BodyPart], size: Option<f64>) -> Result<Self> {
         let solids: Vec<_> = parts.iter().filter_map(|p| p.solid(name)).collect();
-        let thin: Vec<BodyPlate> = parts.iter().flat_map(|p| p.sheet(size)).collect();
+        let thin: Vec<_> = parts.iter().map(|p| p.sheet(size)).collect::<Result<_>>()?;
+        let thin = thin.concat();
         let exact = size.is_some() || !thin.is_empty();
         let solids: Vec<_> = solids.iter().collect();
         let plates = if size.is_some() { of_shapes(&solids, size) } else { of_body(&solids) };

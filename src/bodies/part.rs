@@ -4,7 +4,7 @@ use crate::error::{Error, Result};
 use crate::number::Vec3;
 use crate::robots::{Closed, closed, ellipsoid};
 use crate::sand::intruder::{IntruderPlate, read_file, sizes_of};
-use crate::sim::tree::{Geometry, TreeShape};
+use crate::sim::tree::{Geometry, MOST_PLATES, TreeShape};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use std::path::Path;
 use std::sync::Arc;
@@ -25,6 +25,8 @@ const KINDS: [&str; 9] = [
 const FRICTION: f64 = 1.0;
 /// Longest side of a mesh [m]: the bounds of the lengths of named shapes, which catch wrong units.
 const LENGTHS: std::ops::RangeInclusive<f64> = 1e-4..=10.0;
+/// Largest distance of a shape from its body's origin along an axis [m]: our choice, ten times the longest shape.
+const FARTHEST: f64 = 100.0;
 /// Plates along the longer side of a thin plate, unless the user gives a size: our choice, twice the segments of a leg
 /// of the reference robot.
 const ALONG: f64 = 24.0;
@@ -108,7 +110,7 @@ impl BodyPart {
     pub fn placed(mut self, position: [f64; 3], quaternion: [f64; 4]) -> Result<Self> {
         let [w, x, y, z] = quaternion;
         let squared = w * w + x * x + y * y + z * z;
-        if !(squared - 1.0).abs().lt(&UNIT) || position.iter().any(|p| !p.is_finite()) {
+        if !(squared - 1.0).abs().lt(&UNIT) || !position.iter().all(|p| p.abs() <= FARTHEST) {
             let reason = format!("position {position:?} and quaternion {quaternion:?} are no pose (w, x, y, z)");
             return Err(Error::invalid("shape", reason));
         }
@@ -131,9 +133,14 @@ impl BodyPart {
     }
 
     /// The plates of a thin plate or a face, of about `size` [m]. Rounding, up to 1e-9, adds no plate.
-    pub(crate) fn sheet(&self, size: Option<f64>) -> Vec<BodyPlate> {
-        let PartKind::Sheet { length, width, thin } = self.kind else { return Vec::new() };
+    pub(crate) fn sheet(&self, size: Option<f64>) -> Result<Vec<BodyPlate>> {
+        let PartKind::Sheet { length, width, thin } = self.kind else { return Ok(Vec::new()) };
         let size = size.unwrap_or(length.max(width) / ALONG);
+        let found = length * width / (size * size);
+        if found > MOST_PLATES {
+            let reason = format!("{found:.0} plates of {size} m on one shape are more than {MOST_PLATES}");
+            return Err(Error::invalid("plate_size", reason));
+        }
         let counts = [length, width].map(|side| ((side / size - 1e-9).ceil() as usize).max(1));
         let steps = [length / counts[0] as f64, width / counts[1] as f64];
         let vector = |v: Vector3<f64>| Vec3::splat((self.origin.rotation * v).into());
@@ -149,7 +156,7 @@ impl BodyPart {
                 pieces.push(BodyPlate { plate, thin });
             }
         }
-        pieces
+        Ok(pieces)
     }
 }
 

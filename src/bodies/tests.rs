@@ -65,6 +65,29 @@ fn with_drag(
 
 /// A change of the velocity within rounding changes the drag within rounding. Panels that lead as a whole had an edge or
 /// none, as rounding would have it.
+/// Sizes of plates that no body has are refused before any work, as are so many plates that no memory holds them.
+#[test]
+fn impossible_plates_are_refused() {
+    let made = |shape: &str, size: f64| {
+        let parts = vec![BodyPart::named(shape).unwrap()];
+        Bodies::new(vec![("a".into(), parts)], Some(size)).map(|bodies| bodies.plates(0).len())
+    };
+    for shape in ["plate:length=10,width=10", "face:length=0.1,width=0.1", "sphere:radius=0.1"] {
+        for size in [f64::NAN, -1.0, 0.0, 1e-6, 1e-310, f64::INFINITY, 1e9] {
+            let error = made(shape, size).unwrap_err().to_string();
+            assert!(error.contains("plate_size: ") && error.contains("is outside [0.0001, 1]"), "{error}");
+        }
+        let error = made(shape, 1e-4).unwrap_err().to_string();
+        assert!(error.contains("are more than 20000"), "{error}");
+        assert!(made(shape, 0.1).unwrap() <= 20_000);
+    }
+    let many = (0..60).map(|k| (k.to_string(), vec![BodyPart::named("box:length=1,width=1,height=1").unwrap()]));
+    let error = Bodies::new(many.collect(), Some(0.018)).unwrap_err().to_string();
+    assert!(error.contains("more than 1000000 plates"), "{error}");
+    let placed = |x: f64| BodyPart::named("sphere:radius=0.1").unwrap().placed([x, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]);
+    assert!(placed(1e300).is_err() && placed(f64::NAN).is_err() && placed(-100.0).is_ok());
+}
+
 #[test]
 fn drag_does_not_depend_on_rounding() {
     let shapes = [

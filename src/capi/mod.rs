@@ -6,6 +6,7 @@ use sandgait_bodies::{Bodies, BodyPart, GroundOptions, Motions, SandGround, Stri
 use sandgait_sand::SandDescription;
 use std::cell::RefCell;
 use std::ffi::{CStr, CString, c_char, c_int};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::{ptr, slice};
 
@@ -22,9 +23,11 @@ pub struct CShape {
     quaternion: [f64; 4],
 }
 
-/// The value; on an error `failed`, with the text kept for [`sandgait_error`].
-fn told<T>(result: Result<T>, failed: T) -> T {
-    result.unwrap_or_else(|e| {
+/// The value of `work`; on an error `failed`, with the text kept for [`sandgait_error`]. A panic, too, is an error:
+/// beyond this function it would abort the program that called.
+fn told<T>(work: impl FnOnce() -> Result<T>, failed: T) -> T {
+    let defect = |_| Err(Error::Internal("the call failed inside sandgait".into()));
+    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(defect).unwrap_or_else(|e| {
         ERROR.with(|last| *last.borrow_mut() = CString::new(e.to_string().replace('\0', " ")).unwrap_or_default());
         failed
     })
@@ -51,8 +54,8 @@ unsafe fn numbers<'a>(name: &str, array: *const f64, count: usize) -> Result<&'a
     }
 }
 
-fn made<T>(result: Result<T>) -> *mut T {
-    told(result.map(|value| Box::into_raw(Box::new(value))), ptr::null_mut())
+fn made<T>(work: impl FnOnce() -> Result<T>) -> *mut T {
+    told(|| work().map(|value| Box::into_raw(Box::new(value))), ptr::null_mut())
 }
 
 #[unsafe(no_mangle)]
@@ -60,8 +63,8 @@ pub extern "C" fn sandgait_error() -> *const c_char {
     ERROR.with(|last| last.borrow().as_ptr())
 }
 
-fn ground(description: Result<SandDescription>, height: f64, slope_deg: f64) -> *mut SandGround {
-    made(description.and_then(|d| SandGround::new(d, GroundOptions { height, slope_deg, ..Default::default() })))
+fn ground(description: impl FnOnce() -> Result<SandDescription>, height: f64, slope_deg: f64) -> *mut SandGround {
+    made(|| SandGround::new(description()?, GroundOptions { height, slope_deg, ..Default::default() }))
 }
 
 /// # Safety
@@ -75,7 +78,7 @@ pub unsafe extern "C" fn sandgait_sand_named(
 ) -> *mut SandGround {
     // SAFETY: see the module.
     let names = unsafe { text("medium", medium).and_then(|medium| Ok((medium, text("law", law)?))) };
-    ground(names.and_then(|(medium, law)| SandDescription::named(medium, law)), height, slope_deg)
+    ground(|| names.and_then(|(medium, law)| SandDescription::named(medium, law)), height, slope_deg)
 }
 
 /// # Safety
@@ -84,7 +87,7 @@ pub unsafe extern "C" fn sandgait_sand_named(
 pub unsafe extern "C" fn sandgait_sand_load(file: *const c_char, height: f64, slope_deg: f64) -> *mut SandGround {
     // SAFETY: see the module.
     let file = unsafe { text("file", file) };
-    ground(file.and_then(|file| SandDescription::load(Path::new(file))), height, slope_deg)
+    ground(|| file.and_then(|file| SandDescription::load(Path::new(file))), height, slope_deg)
 }
 
 /// # Safety
@@ -119,7 +122,7 @@ pub unsafe extern "C" fn sandgait_bodies_new(shapes: *const CShape, count: usize
         }
         Bodies::new(parts, (plate_size != 0.0).then_some(plate_size))
     };
-    made(all())
+    made(all)
 }
 
 /// # Safety
@@ -193,5 +196,5 @@ pub unsafe extern "C" fn sandgait_wrench(
         bodies.wrench(sand, &motions, threads, out, drag)?;
         Ok(0)
     };
-    told(work(), -1)
+    told(work, -1)
 }

@@ -108,7 +108,7 @@ fn follow(
 fn write(files: &[Option<PathBuf>; 2], json: &Value, csv: &str) -> Result<()> {
     for (path, content) in files.iter().zip([super::json(json), csv.to_owned()]) {
         let Some(path) = path else { continue };
-        std::fs::write(path, content).map_err(|e| Error::file(path, e))?;
+        std::fs::write(path, content).map_err(|e| Error::unwritten(path, &e))?;
     }
     Ok(())
 }

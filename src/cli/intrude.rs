@@ -86,7 +86,7 @@ impl IntrudeArgs {
         if let Some(path) = &self.csv {
             let rows = loads.iter().map(|(theta, l)| format!("{theta:.2},{:.6},{:.6},{:.8}\n", l.fx, l.fz, l.ty));
             let text: String = std::iter::once("theta,Fx,Fz,Ty\n".to_owned()).chain(rows).collect();
-            std::fs::write(path, text).map_err(|e| Error::file(path, e))?;
+            std::fs::write(path, text).map_err(|e| Error::unwritten(path, &e))?;
         }
         let largest = |name: &str, unit: &str, of: fn(&Load) -> f64| {
             let at = loads.iter().max_by(|a, b| of(&a.1).abs().total_cmp(&of(&b.1).abs()));

@@ -38,7 +38,7 @@ use self::progress::Bar;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 use sandgait::sand::{Law, Medium, SandDescription};
-use sandgait::{Error, Result};
+use sandgait::{Error, Result, error::bounded};
 use std::error::Error as _;
 use std::ffi::OsString;
 use std::io::Write as _;
@@ -138,14 +138,14 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
             Err(Error::invalid("command", "missing; see sandgait --help"))
         }
         Err(e) => {
-            eprintln!("sandgait: {}", one_line(&e));
+            eprintln!("sandgait: {}", bounded(one_line(&e)));
             return 2;
         }
     };
     match outcome {
         Ok(text) => print(&text),
         Err(error) => {
-            eprintln!("sandgait: {}", error.to_string().replace('\n', " "));
+            eprintln!("sandgait: {}", bounded(error.to_string().replace('\n', " ")));
             exit_code(&error)
         }
     }
@@ -186,7 +186,8 @@ fn whole<T: TryFrom<u64>>(
 fn exit_code(error: &Error) -> u8 {
     match error {
         Error::Invalid { .. } | Error::Unknown { .. } | Error::Replaced { .. } | Error::File { .. } => 2,
-        Error::OutOfOrder(_) | Error::Exhausted(_) | Error::Cancelled(_) | Error::Internal(_) => 1,
+        Error::Unwritten { .. } | Error::Lost { .. } | Error::Internal(_) => 1,
+        Error::OutOfOrder(_) | Error::Exhausted(_) | Error::Cancelled(_) => 1,
     }
 }
 

@@ -35,7 +35,7 @@ impl ReplayArgs {
         })?;
         if let Some(out) = self.html {
             let title = self.file.file_name().unwrap_or(self.file.as_os_str()).to_string_lossy();
-            std::fs::write(&out, page::replay(&bytes, &title)).map_err(|e| Error::file(&out, e))?;
+            std::fs::write(&out, page::replay(&bytes, &title)).map_err(|e| Error::unwritten(&out, &e))?;
             return Ok(format!("{}\n", out.display()));
         }
         let all: Vec<_> = sections.iter().map(summary).collect();
@@ -52,13 +52,13 @@ fn summary(section: &Section) -> Value {
     let speed = times.zip(places).map(|((t0, t1), (x0, x1))| (x1 - x0) / (t1 - t0)).filter(|v| v.is_finite());
     let header = &section.header;
     serde_json::json!({
-        "task": header["task"],
-        "robot": header["robot"],
-        "medium": header["medium"],
-        "seed": header["seed"],
-        "episode": header["episode"],
+        "task": header.task,
+        "robot": header.robot,
+        "medium": header.medium,
+        "seed": header.seed,
+        "episode": header.episode,
         "moments": section.len(),
-        "rate": header["rate"],
+        "rate": header.rate,
         "mean_speed": speed,
     })
 }

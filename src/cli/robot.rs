@@ -155,7 +155,7 @@ fn draw(
     let caption =
         format!("{}: {:.3} kg, {} joints", import.tree.name, import.tree.mass(), import.tree.joints().count());
     let png = view::tree::draw(&import.tree, &import.seen()?, &touching.plates, state, PICTURE, camera, &[caption])?;
-    std::fs::write(path, png).map_err(|e| Error::file(path, e))
+    std::fs::write(path, png).map_err(|e| Error::unwritten(path, &e))
 }
 
 /// Replaces a robot's name or file in a task's options by its packed text.

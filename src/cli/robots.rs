@@ -43,7 +43,7 @@ impl RobotsArgs {
                 let caption = format!("{name}: {:.1} kg, {} joints", tree.mass(), tree.joints().count());
                 let png = view::tree::draw(tree, &seen, &[], None, PICTURE, &camera, &[caption])?;
                 let path = folder.join(format!("{name}.png"));
-                std::fs::write(&path, png).map_err(|e| Error::file(&path, e))?;
+                std::fs::write(&path, png).map_err(|e| Error::unwritten(&path, &e))?;
             }
             all.push((name, named, file));
         }

@@ -272,7 +272,7 @@ impl Security {
             (Some(certificate), Some(key), ..) => Some(Tls::load(certificate, key, self.client_ca.as_deref())?),
             (.., Some(path), Address::Tcp(address)) => {
                 let (tls, certificate) = Tls::self_signed(address.ip())?;
-                std::fs::write(path, certificate).map_err(|e| Error::file(path, e))?;
+                std::fs::write(path, certificate).map_err(|e| Error::unwritten(path, &e))?;
                 Some(tls)
             }
             _ => None,

@@ -146,7 +146,7 @@ impl SweepArgs {
 
     /// Creates the folder for the results, and locks it for this process.
     fn prepare(&self) -> Result<Lock> {
-        std::fs::create_dir_all(&self.out).map_err(|e| Error::file(&self.out, e))?;
+        std::fs::create_dir_all(&self.out).map_err(|e| Error::unwritten(&self.out, &e))?;
         Lock::new(&self.out, "choose another one with --out, or wait until it has ended")
     }
 

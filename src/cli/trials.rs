@@ -74,7 +74,7 @@ pub fn run(
         Some(memory) => follow(&body, sand, &rows.paths, memory)?,
     };
     if let Some(path) = csv {
-        std::fs::write(path, rows.with(&outcomes)).map_err(|e| Error::file(path, e))?;
+        std::fs::write(path, rows.with(&outcomes)).map_err(|e| Error::unwritten(path, &e))?;
     }
     let lost = outcomes.iter().filter(|o| o.status == Status::NoEquilibrium).count();
     Ok(format!(
@@ -107,7 +107,7 @@ fn follow(
     let followed = followed.into_iter().collect::<Result<Vec<_>>>()?;
     if let Some(file) = memory.surface {
         let lines: String = followed.iter().filter_map(|(_, lines)| lines.as_deref()).collect();
-        std::fs::write(file, format!("trial,x,y,height\n{lines}")).map_err(|e| Error::file(file, e))?;
+        std::fs::write(file, format!("trial,x,y,height\n{lines}")).map_err(|e| Error::unwritten(file, &e))?;
     }
     Ok(followed.into_iter().flat_map(|(outcomes, _)| outcomes).collect())
 }

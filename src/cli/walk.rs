@@ -96,7 +96,7 @@ impl WalkArgs {
 
 /// Simulates the walk and writes the recording. The file appears when it is complete.
 fn recorded(engine: EngineKind, trial: &WalkTrial, path: &Path) -> Result<WalkResult> {
-    let failed = |e: std::io::Error| Error::file(path, e);
+    let failed = |e: std::io::Error| Error::unwritten(path, &e);
     let about = About { task: "sandgait walk", rate: RECORDED_RATE, ..About::default() };
     let mut writer = view::RecordingWriter::new(Vec::new(), &view::header(&trial.model, &about)).map_err(failed)?;
     let mut written = Ok(());

@@ -86,8 +86,11 @@ fn reason(error: &dyn std::error::Error) -> String {
 
 /// The status of a stream that was cut off inside a message: the session may still exist.
 fn cut(status: Status) -> Status {
+    // A broken connection may cancel its streams; a server's own status has no source.
+    let broken = status.code() == Code::Cancelled && std::error::Error::source(&status).is_some();
     match status.code() {
         Code::Unknown | Code::Internal => Status::unavailable(status.message().to_owned()),
+        Code::Cancelled if broken => Status::unavailable(status.message().to_owned()),
         _ => status,
     }
 }

@@ -31,13 +31,13 @@ impl Diagnosis {
         let json = self.json()?;
         let html = page(self, &json);
         let sand = format!("# {}\n{}", self.report.summary.replace('\n', " "), self.sand.to_toml()?);
-        std::fs::create_dir_all(out).map_err(|e| Error::file(out, e))?;
+        std::fs::create_dir_all(out).map_err(|e| Error::unwritten(out, &e))?;
         let hardware = self.hardware.to_toml();
         let files =
             [("report.json", &json), ("report.html", &html), ("sand.toml", &sand), ("hardware.toml", &hardware)];
         for (name, text) in files {
             let path = out.join(name);
-            std::fs::write(&path, text).map_err(|e| Error::file(&path, e))?;
+            std::fs::write(&path, text).map_err(|e| Error::unwritten(&path, &e))?;
         }
         Ok(())
     }

@@ -70,6 +70,8 @@ pub struct Keyword {
     pub value: Value,
     /// May a reset change this option?
     pub at_reset: bool,
+    /// See [`OptionRow::bounds`].
+    pub bounds: Option<[f64; 2]>,
     /// For a dictionary: its keys.
     pub keys: Vec<OptionRow>,
 }
@@ -174,10 +176,10 @@ impl Blueprint {
     /// The keywords of this task, with their values here.
     pub fn keywords(&self) -> Vec<Keyword> {
         let keyword = |row: OptionRow| {
-            let OptionRow { name, help, at_reset, keys } = row;
+            let OptionRow { name, help, at_reset, bounds, keys } = row;
             let keys_help: Vec<_> = keys.iter().map(|key| format!("{}: {}", key.name, key.help)).collect();
             let summary = if keys.is_empty() { help.into() } else { format!("{help}. {}", keys_help.join("; ")) };
-            Keyword { name, help, summary, value: self.task.option(name), at_reset, keys }
+            Keyword { name, help, summary, value: self.task.option(name), at_reset, bounds, keys }
         };
         self.task.rows().into_iter().map(keyword).collect()
     }

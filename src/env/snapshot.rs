@@ -111,7 +111,6 @@ fn drawn(robot: &Robot, scene: &Scene, task: &dyn AnyTask) -> Result<Model> {
     if !robot.is_variant_of(&own.robot) {
         return Err(Error::invalid("robot", "it is not the robot of the session"));
     }
-    robot.validate()?;
     let mut same = own.scene.clone();
     same.medium.coefficients = scene.medium.coefficients;
     (same.slope_deg, same.payload, same.mechanisms) = (scene.slope_deg, scene.payload, scene.mechanisms);

@@ -33,8 +33,8 @@ options! {
         medium: String = Medium::DEFAULT.into(), reset, "sand: a medium's name, zeta=VALUE or mu=VALUE,rho=VALUE";
         sand: String = String::new(), "text of a sand.toml, for example from a diagnosis (in Python its path); it replaces medium and law";
         memory: bool = false, "sand that was moved stays moved: prints, furrows and heaps, and sand that is pressed gets stronger (docs/memory.md)";
-        slope_deg: f64 = 0.0, reset, "slope of the surface [°]; a positive slope rises toward +x";
-        payload: f64 = 0.0, reset, "extra mass at the base's centre [kg]";
+        slope_deg: f64 = 0.0, [-Scene::MAX_SLOPE_DEG, Scene::MAX_SLOPE_DEG], reset, "slope of the surface [°]; a positive slope rises toward +x";
+        payload: f64 = 0.0, [0.0, Scene::MAX_PAYLOAD], reset, "extra mass at the base's centre [kg]";
         max_episode_steps: u32 = 500, [1.0, MAX_STEPS], "number of control steps after which an episode is truncated";
     }
 }

@@ -86,10 +86,10 @@ pub fn grains() -> Result<ReportTable> {
 
 /// Writes figures, `report.html` and `claims.json` into `out`.
 pub fn write(parts: &[FigureSection], out: &Path) -> Result<()> {
-    std::fs::create_dir_all(out).map_err(|e| Error::file(out, e))?;
+    std::fs::create_dir_all(out).map_err(|e| Error::unwritten(out, &e))?;
     let put = |name: &str, text: &str| {
         let path = out.join(name);
-        std::fs::write(&path, text).map_err(|e| Error::file(&path, e))
+        std::fs::write(&path, text).map_err(|e| Error::unwritten(&path, &e))
     };
     for (name, figure) in parts.iter().flat_map(|p| &p.figures) {
         figure.write(&out.join(format!("{name}.svg")))?;

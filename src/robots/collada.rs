@@ -2,6 +2,7 @@
 //! because files of robots are made for this.
 
 use super::files::SourceFile;
+use super::xml_bounds;
 use crate::error::{Error, Result};
 use nalgebra::{Matrix4, Point3, Rotation3, Unit, Vector3};
 use roxmltree::Node;
@@ -27,6 +28,7 @@ struct ColladaReader<'a> {
 }
 
 pub fn read(source: &SourceFile) -> Result<Vec<Triangle>> {
+    xml_bounds::check(source.text()?).map_err(|reason| Error::file(&source.path, reason))?;
     let options = roxmltree::ParsingOptions { allow_dtd: false, nodes_limit: MOST_NODES, ..Default::default() };
     let document = roxmltree::Document::parse_with_options(source.text()?, options)
         .map_err(|e| Error::file(&source.path, format!("no COLLADA: {e}")))?;

@@ -29,6 +29,7 @@ pub mod states;
 mod touch;
 mod urdf;
 mod xml;
+mod xml_bounds;
 
 pub use mesh::{Closed, closed};
 pub use shapes::ellipsoid;

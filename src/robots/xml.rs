@@ -1,6 +1,7 @@
 //! XML as elements with attributes. Size, number and depth are bounded, and every error names its line.
 
 use super::files::SourceFile;
+use super::xml_bounds;
 use crate::error::{Error, Result};
 use std::path::Path;
 use std::sync::Arc;
@@ -27,6 +28,7 @@ pub struct Element {
 /// expand without bound.
 pub fn parse(source: &SourceFile) -> Result<Element> {
     let text = source.text()?;
+    xml_bounds::check(text).map_err(|reason| Error::file(&source.path, reason))?;
     let options = roxmltree::ParsingOptions { allow_dtd: false, nodes_limit: MOST_NODES, ..Default::default() };
     let document = roxmltree::Document::parse_with_options(text, options).map_err(|e| match e {
         roxmltree::Error::NodesLimitReached => Error::file(&source.path, format!("more than {MOST_NODES} nodes")),

@@ -217,12 +217,16 @@ impl Connections {
     async fn answer(&self, stream: Box<dyn ByteStream>, link: &ConnectionHandle, watcher: Watcher) {
         let is_page = matches!(self.protocol, Protocol::Http1);
         let service = service_fn(move |mut request: Request<Incoming>| {
-            if is_page {
-                link.keep();
-            }
             request.extensions_mut().insert(link.clone());
-            let mut routes = self.routes.clone();
-            async move { routes.call(request).await }
+            let (mut routes, link) = (self.routes.clone(), link.clone());
+            async move {
+                let answer = routes.call(request).await;
+                // Until its request has been read to its end, a connection is idle: it may not hold a place.
+                if is_page {
+                    link.keep();
+                }
+                answer
+            }
         });
         let stream = TokioIo::new(stream);
         // Errors on a connection concern its peer only.

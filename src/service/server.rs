@@ -73,6 +73,9 @@ pub async fn serve(listener: Listener, setup: ServerSetup, stop: CancellationTok
     let others = others.iter().filter(|(given, _)| *given).map(|(_, connections)| connections).sum();
     let (sessions, pool) = (Sessions::new(limits, seal, stop.clone()), Arc::new(Pool::new(threads)));
     if let Some(state) = state.clone() {
+        let files = state.clone();
+        // It was not set before, because the sessions are new.
+        let _ = sessions.forget.set(Box::new(move |name| files.remove(name)));
         let (sessions, pool) = (sessions.clone(), pool.clone());
         off_runtime(move || state.take_up(&sessions, &pool)).await.map_err(|e| Error::Exhausted(e.message().into()))?;
     }

@@ -29,7 +29,7 @@ use crate::pool::{Building, Seal, check_envs};
 use parking_lot::Mutex;
 use serde_json::Value;
 use std::collections::HashMap;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::sync::{Notify, Semaphore};
 use tokio::time::Instant;
@@ -93,6 +93,8 @@ pub struct Sessions {
     pub seal: Seal,
     pub metrics: Arc<Metrics>,
     pub watchers: Arc<Watchers>,
+    /// Called with the name of each session that ends, if the server keeps files of sessions.
+    pub forget: OnceLock<Box<dyn Fn(&str) + Send + Sync>>,
 }
 
 impl Sessions {
@@ -108,6 +110,7 @@ impl Sessions {
             seal,
             metrics: Arc::default(),
             watchers,
+            forget: OnceLock::new(),
         })
     }
 
@@ -289,9 +292,17 @@ impl Sessions {
         let entry = self.entries.lock().remove(id).ok_or_else(|| unknown(id))?;
         tracing::info!(session = name(id), "a session was closed");
         entry.end.cancel();
-        self.watchers.ended(id);
+        self.ended(id);
         release(entry.environments);
         Ok(())
+    }
+
+    /// A session has ended, so nobody watches it, and it is not restored.
+    fn ended(&self, id: &str) {
+        self.watchers.ended(id);
+        if let Some(forget) = self.forget.get() {
+            forget(&name(id));
+        }
     }
 
     /// Ends a session that no stream has.
@@ -335,7 +346,7 @@ impl Sessions {
             let late: Vec<_> = self.entries.lock().extract_if(|_, entry| late(entry)).collect();
             for (id, entry) in late {
                 tracing::info!(session = name(&id), "a session's lease has run out");
-                self.watchers.ended(&id);
+                self.ended(&id);
                 release(entry.environments);
             }
         }

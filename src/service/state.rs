@@ -1,5 +1,7 @@
 //! Sessions that continue after a restart of their server. A server that stops writes one file for each session, and
-//! the next server restores them.
+//! the next server restores them. A file stays until its session is saved again or ends: a server that is killed, also
+//! while it restores, leaves the sessions as they were when they were last saved. Clients number their requests, so they
+//! notice that a session is older.
 //!
 //! ```text
 //!  "sandgait session\n" │ tag of the rest, as in snapshots │ SessionFile
@@ -7,9 +9,8 @@
 //!
 //! A file contains everything that a client of a restarted server needs: the session's id, the number of its last
 //! request with the answer, and the environments as a snapshot. The id is the right to use the session, so only the
-//! file's owner can read it. A file is written completely or not at all, and removed after it was restored. The tag
-//! detects files that were cut off or changed; without it a message that ends between two fields could be read as
-//! another session.
+//! file's owner can read it. A file is written completely or not at all. The tag detects files that were cut off or
+//! changed; without it a message that ends between two fields could be read as another session.
 
 use super::building::{LastAnswer, SessionEnvironments};
 use super::names::name;
@@ -23,7 +24,7 @@ use prost::Message;
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::fs::{self, File, TryLockError};
-use std::io::Write as _;
+use std::io::{ErrorKind, Write as _};
 use std::os::unix::fs::{DirBuilderExt as _, OpenOptionsExt as _};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -87,7 +88,7 @@ impl StateDir {
     /// # Errors
     /// The directory cannot be used, or another server uses it.
     pub fn new(path: &Path) -> Result<Self> {
-        let unusable = |e: std::io::Error| Error::file(path, e);
+        let unusable = |e: std::io::Error| Error::unwritten(path, &e);
         fs::DirBuilder::new().recursive(true).mode(0o700).create(path).map_err(unusable)?;
         let lock = File::options().create(true).append(true).mode(0o600).open(path.join(LOCK)).map_err(unusable)?;
         match lock.try_lock() {
@@ -121,16 +122,26 @@ impl StateDir {
             let file = path.display();
             match load(&path, &sessions.seal).and_then(|saved| adopt(saved, sessions, pool)) {
                 Ok(session) => tracing::info!(session, "a session was restored"),
-                Err(error) => {
-                    tracing::error!(%file, %error, "a session could not be restored; its file stays");
-                    continue;
-                }
-            }
-            if let Err(error) = fs::remove_file(&path) {
-                tracing::error!(%file, %error, "the file of a session that goes on could not be removed");
+                Err(error) => tracing::error!(%file, %error, "a session could not be restored; its file stays"),
             }
         }
-        self.sync_names()
+        Ok(())
+    }
+
+    fn file(&self, name: &str) -> PathBuf {
+        self.path.join(format!("{name}.{ENDING}"))
+    }
+
+    /// Removes the file of a session that has ended, if it has one. After a power cut it may be there again; the session
+    /// then ends with its lease.
+    pub fn remove(&self, name: &str) {
+        let file = self.file(name);
+        match fs::remove_file(&file) {
+            Err(error) if error.kind() != ErrorKind::NotFound => {
+                tracing::error!(file = %file.display(), %error, "the file of a session that has ended cannot be removed");
+            }
+            _ => {}
+        }
     }
 
     /// Saves sessions until `deadline`: idle sessions at once, the others as soon as no operation runs on them. This
@@ -200,8 +211,8 @@ impl StateDir {
 
     /// Writes a session's file under another name and then renames it, so it is either complete or not there.
     fn write(&self, name: &str, saved: &SessionFile, seal: &Seal) -> Result<()> {
-        let path = self.path.join(format!("{name}.{ENDING}"));
-        let unusable = |e: std::io::Error| Error::file(&path, e);
+        let path = self.file(name);
+        let unusable = |e: std::io::Error| Error::unwritten(&path, &e);
         // Temporary files can be read by their owner only (0600).
         let mut file = tempfile::Builder::new().prefix(UNFINISHED).tempfile_in(&self.path).map_err(unusable)?;
         let body = saved.encode_to_vec();

@@ -14,7 +14,7 @@ fn code(error: &Error) -> Code {
         Error::OutOfOrder(_) => Code::FailedPrecondition,
         Error::Exhausted(_) => Code::ResourceExhausted,
         Error::Cancelled(_) => Code::Cancelled,
-        Error::File { .. } => Code::Internal,
+        Error::File { .. } | Error::Unwritten { .. } | Error::Lost { .. } => Code::Internal,
         Error::Internal(_) => {
             tracing::error!(%error, "bug");
             Code::Internal

@@ -29,6 +29,7 @@ use super::stop::{ImplicitTorque, NO_LIMIT};
 use crate::error::{Error, Result, check_range};
 use crate::number::Real;
 use serde::{Deserialize, Serialize};
+use std::ops::RangeInclusive;
 
 /// Stall torque as a multiple of the torque limit where it is not known: our choice, so that the full torque is available up to half of
 /// the no-load speed.
@@ -69,6 +70,20 @@ pub struct Actuator {
     pub rotor_inertia: Option<f64>,
 }
 
+/// Ranges of a motor's properties, for the options of tasks, for files and for saved episodes alike. They catch wrong
+/// units: our choice, beyond the motor of any robot. An excavator's arm needs some 1e5 N·m.
+impl Actuator {
+    pub const TORQUE_LIMIT: RangeInclusive<f64> = 1e-6..=1e5;
+    pub const STALL_TORQUE: RangeInclusive<f64> = 1e-6..=STALL * 1e5;
+    pub const NO_LOAD_SPEED: RangeInclusive<f64> = 1e-3..=1e4;
+    pub const TORQUE_TIME: RangeInclusive<f64> = 0.0..=10.0;
+    pub const TORQUE_CONSTANT: RangeInclusive<f64> = 0.01..=100.0;
+    pub const FRICTION: RangeInclusive<f64> = 0.0..=1e5;
+    pub const DAMPING: RangeInclusive<f64> = 0.0..=1e5;
+    pub const EFFICIENCY: RangeInclusive<f64> = 0.01..=1.0;
+    pub const ROTOR_INERTIA: RangeInclusive<f64> = 0.0..=1e3;
+}
+
 impl Actuator {
     /// A copy in which `other` supplies the properties that are not known here.
     pub fn or(&self, other: &Self) -> Result<Self> {
@@ -91,18 +106,18 @@ impl Actuator {
         Ok(all)
     }
 
-    /// Refuses numbers that no motor of a robot has, to catch wrong units: our choice. `owner` names the motor's owner.
+    /// Refuses numbers that no motor of a robot has. `owner` names the motor's owner.
     pub fn validate(&self, owner: &str) -> Result<()> {
         for (name, value, range) in [
-            ("torque_limit", self.torque_limit, 1e-6..=1e4),
-            ("stall_torque", self.stall_torque, 1e-6..=1e5),
-            ("no_load_speed", self.no_load_speed, 1e-3..=1e4),
-            ("torque_time", self.torque_time, 0.0..=10.0),
-            ("torque_constant", self.torque_constant, 0.01..=100.0),
-            ("friction", self.friction, 0.0..=1e4),
-            ("damping", self.damping, 0.0..=1e4),
-            ("efficiency", self.efficiency, 0.01..=1.0),
-            ("rotor_inertia", self.rotor_inertia, 0.0..=1e3),
+            ("torque_limit", self.torque_limit, Self::TORQUE_LIMIT),
+            ("stall_torque", self.stall_torque, Self::STALL_TORQUE),
+            ("no_load_speed", self.no_load_speed, Self::NO_LOAD_SPEED),
+            ("torque_time", self.torque_time, Self::TORQUE_TIME),
+            ("torque_constant", self.torque_constant, Self::TORQUE_CONSTANT),
+            ("friction", self.friction, Self::FRICTION),
+            ("damping", self.damping, Self::DAMPING),
+            ("efficiency", self.efficiency, Self::EFFICIENCY),
+            ("rotor_inertia", self.rotor_inertia, Self::ROTOR_INERTIA),
         ] {
             value.map(|value| check_range(&format!("{owner}.{name}"), value, range)).transpose()?;
         }

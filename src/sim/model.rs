@@ -44,7 +44,9 @@ pub struct Model {
 }
 
 impl Model {
+    /// The bounds of robot and scene are checked here, so what can be made can also be saved and restored.
     pub fn new(robot: &Robot, scene: &Scene) -> Result<Self> {
+        robot.validate()?;
         scene.validate()?;
         if !scene.hard.is_empty() {
             return Err(Error::invalid(

@@ -7,7 +7,7 @@ use super::normal::{Normalizer, RunningStatistics};
 use super::plan::{TrainingPlan, TrainingState};
 use super::saved_environments::{Episodes, SavedEnvironments};
 use super::settings::Hyperparameters;
-use super::tensors::Tensors;
+use super::tensors::{self, Tensors};
 use crate::error::{Error, Result};
 use serde_json::{Map, Value, json};
 use std::path::{Path, PathBuf};
@@ -33,8 +33,42 @@ pub struct Checkpoint {
     pub notices: Vec<String>,
 }
 
-/// Saves all of `learnt`, and `open`, the sums for the next point of the curve. Weights are f32 [inputs, outputs].
-pub fn save(path: &Path, plan: &TrainingPlan, learnt: &TrainingState, open: &OpenPoint) -> Result<()> {
+/// Saves all of `learnt`, and `open`, the sums for the next point of the curve. Weights are f32 [inputs, outputs]. If the
+/// environments would make the file larger than can be read, they are left out; the sentence says so.
+pub fn save(path: &Path, plan: &TrainingPlan, learnt: &TrainingState, open: &OpenPoint) -> Result<Option<String>> {
+    save_within(path, plan, learnt, open, tensors::MOST)
+}
+
+fn save_within(
+    path: &Path,
+    plan: &TrainingPlan,
+    learnt: &TrainingState,
+    open: &OpenPoint,
+    most: u64,
+) -> Result<Option<String>> {
+    let mut file = of_learnt(plan, learnt, open);
+    let Some(kept) = &learnt.environments else { return file.save(path).map(|()| None) };
+    let bytes = kept.episodes.bytes()?;
+    let size = file.size_with(bytes.len());
+    if size > most {
+        let notice = format!(
+            "checkpoints have no environments, because they would have {} MiB, more than {}: after --resume new \
+             episodes begin",
+            size >> 20,
+            most >> 20
+        );
+        return file.save(path).map(|()| Some(notice));
+    }
+    let place = if matches!(kept.episodes, Episodes::OnServer(_)) { "server" } else { "here" };
+    file.about.insert("environments".into(), place.into());
+    file.add("environments", &[bytes.len()], &bytes);
+    file.add("environments.discounted", &[kept.discounted.len()], &kept.discounted);
+    file.add("environments.returns", &[kept.returns.len()], &kept.returns);
+    file.save(path).map(|()| None)
+}
+
+/// The contents of a checkpoint, except for the environments.
+fn of_learnt(plan: &TrainingPlan, learnt: &TrainingState, open: &OpenPoint) -> Tensors {
     let mut file = Tensors::default();
     let about = [
         ("format", FORMAT.to_owned()),
@@ -83,15 +117,7 @@ pub fn save(path: &Path, plan: &TrainingPlan, learnt: &TrainingState, open: &Ope
         file.add(format!("mirror.{name}.order"), &[mirror.order.len()], &order);
         file.add(format!("mirror.{name}.signs"), &[mirror.signs.len()], &mirror.signs);
     }
-    if let Some(kept) = &learnt.environments {
-        let bytes = kept.episodes.bytes()?;
-        let place = if matches!(kept.episodes, Episodes::OnServer(_)) { "server" } else { "here" };
-        file.about.insert("environments".into(), place.into());
-        file.add("environments", &[bytes.len()], &bytes);
-        file.add("environments.discounted", &[kept.discounted.len()], &kept.discounted);
-        file.add("environments.returns", &[kept.returns.len()], &kept.returns);
-    }
-    file.save(path)
+    file
 }
 
 /// Reads a file of [`save`] for a plan with the same task, networks and normalization. `away`: the environments are
@@ -281,4 +307,32 @@ fn all(out: &Path) -> Vec<PathBuf> {
     let mut all: Vec<_> = entries.filter_map(|entry| steps(entry.path())).collect();
     all.sort_unstable_by(|a, b| b.cmp(a));
     all.into_iter().map(|(_, path)| path).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What is written can be read: environments that are too large for a file are left out, with a notice.
+    #[test]
+    fn a_checkpoint_is_never_larger_than_can_be_read() {
+        let plan = crate::plan::tests::plan(&json!({"n_envs": 4, "n_steps": 2, "batch_size": 8}), 1);
+        let kept = |size| SavedEnvironments {
+            episodes: Episodes::OnServer(vec![7; size]),
+            discounted: vec![0.0; 4],
+            returns: vec![0.0; 4],
+        };
+        let learnt = |size| TrainingState { environments: Some(Arc::new(kept(size))), ..plan.begin() };
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("8.safetensors");
+        let most = 8 << 20;
+        for (size, fits) in [(1 << 20, true), (5 << 20, false)] {
+            let notice = save_within(&path, &plan, &learnt(size), &OpenPoint::default(), most).unwrap();
+            assert_eq!(notice.is_none(), fits, "{notice:?}");
+            assert!(std::fs::metadata(&path).unwrap().len() <= most);
+            let read = load(&path, &plan, true).unwrap();
+            assert_eq!(read.learnt.environments.is_some(), fits);
+            assert_eq!(read.notices.is_empty(), fits, "{:?}", read.notices);
+        }
+    }
 }

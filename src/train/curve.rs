@@ -43,16 +43,34 @@ pub struct LearningCurve {
     pub open: OpenPoint,
     /// Number of episodes in a point.
     enough: f64,
+    /// What was left out of an earlier file.
+    pub notice: Option<String>,
+}
+
+/// What an earlier curve's file has.
+#[derive(Default)]
+struct EarlierCurve {
+    terms: Vec<String>,
+    points: Vec<CurvePoint>,
+    /// Number of lines that are no points.
+    broken: usize,
 }
 
 impl LearningCurve {
     /// A curve in `path`. In a continued training it keeps the earlier points up to `until` steps, and goes on with `open`.
     pub fn new(path: &Path, until: Option<u64>, open: OpenPoint, envs: usize) -> Result<Self> {
-        let (terms, mut points) = if until.is_some() { read(path)? } else { Default::default() };
+        let earlier = if until.is_some() { read(path)? } else { EarlierCurve::default() };
+        let EarlierCurve { terms, mut points, broken } = earlier;
         points.retain(|p| Some(p.steps) <= until);
+        let said = |lines: usize| match lines {
+            1 => "1 line that is no point was".to_owned(),
+            n => format!("{n} lines that are no points were"),
+        };
+        let notice = (broken > 0).then(|| format!("{}: {} left out", path.display(), said(broken)));
         let file = begun(path, &terms, &points)?;
         // A point has an eighth as many episodes as there are environments, as in the curves of examples/train.py.
-        Ok(Self { points, file, path: path.into(), terms, open, enough: envs.div_ceil(8) as f64 })
+        let enough = envs.div_ceil(8) as f64;
+        Ok(Self { points, file, path: path.into(), terms, open, enough, notice })
     }
 
     /// Adds the episodes of an update.
@@ -88,12 +106,12 @@ impl LearningCurve {
         }
         let written = self.file.write_all(line(&point, &self.terms).as_bytes());
         self.points.push(point);
-        written.map_err(|e| Error::file(&self.path, e))
+        written.map_err(|e| Error::unwritten(&self.path, &e))
     }
 
     /// Writes all points to the disk.
     pub fn sync(&self) -> Result<()> {
-        self.file.sync_data().map_err(|e| Error::file(&self.path, e))
+        self.file.sync_data().map_err(|e| Error::unwritten(&self.path, &e))
     }
 
     /// Draws the curve, and a line at the return of the policy without noise, as SVG.
@@ -125,7 +143,7 @@ fn begun(path: &Path, terms: &[String], points: &[CurvePoint]) -> Result<File> {
     let lines = points.iter().map(|point| line(point, terms));
     let text = header.collect::<Vec<_>>().join(",") + "\n" + &lines.collect::<String>();
     files::write(path, text.as_bytes())?;
-    File::options().append(true).open(path).map_err(|e| Error::file(path, e))
+    File::options().append(true).open(path).map_err(|e| Error::unwritten(path, &e))
 }
 
 fn line(point: &CurvePoint, terms: &[String]) -> String {
@@ -135,36 +153,44 @@ fn line(point: &CurvePoint, terms: &[String]) -> String {
     format!("{},{:.2},{:.3},{level}{}\n", point.steps, point.seconds, point.mean_return, terms.collect::<String>())
 }
 
-/// The names of the reward terms and the points of a file, if there is one. A last line without an end was cut off when a
-/// process was killed, and is left out.
-fn read(path: &Path) -> Result<(Vec<String>, Vec<CurvePoint>)> {
+/// The columns that every curve has; those of earlier versions have no level.
+const COLUMNS: &str = "steps,seconds,return";
+
+/// The curve in a file, if there is one. A training goes on without the lines that are no points, because its checkpoint
+/// has all that it needs. A last line without an end was cut off when a process was killed, and does not count as broken.
+fn read(path: &Path) -> Result<EarlierCurve> {
     let bytes = match std::fs::read(path) {
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Default::default()),
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(EarlierCurve::default()),
         bytes => bytes.map_err(|e| Error::file(path, e))?,
     };
     let text = String::from_utf8_lossy(&bytes);
     let whole = text.rsplit_once('\n').map_or("", |(whole, _)| whole);
-    let mut lines = whole.lines();
-    let terms: Vec<String> = lines.next().unwrap_or_default().split(',').skip(4).map(str::to_owned).collect();
-    let point = |(k, line): (usize, &str)| {
-        let cells: Vec<_> = line.split(',').collect();
-        let read = || {
-            // Curves of earlier versions have no level.
-            let [steps, seconds, mean_return, ref more @ ..] = cells[..] else { return None };
-            let number = |cell: &&str| cell.parse::<f64>().ok();
-            let term = |(name, cell): (&String, &&str)| Some((name.clone(), number(cell)?));
-            Some(CurvePoint {
-                steps: steps.parse().ok()?,
-                seconds: seconds.parse().ok()?,
-                mean_return: mean_return.parse().ok()?,
-                level: more.first().and_then(number),
-                terms: terms.iter().zip(more.iter().skip(1)).filter_map(term).collect(),
-            })
-        };
-        read().ok_or_else(|| Error::file(path, format!("line {}: not steps, seconds and a return", k + 2)))
-    };
-    let points = lines.enumerate().map(point).collect::<Result<_>>()?;
-    Ok((terms, points))
+    let mut lines = whole.lines().peekable();
+    let header = lines.next_if(|line| line.starts_with(COLUMNS)).unwrap_or_default();
+    let terms: Vec<String> = header.split(',').skip(4).map(str::to_owned).collect();
+    let mut earlier = EarlierCurve { terms, ..EarlierCurve::default() };
+    for line in lines {
+        match point(line, &earlier.terms) {
+            Some(point) => earlier.points.push(point),
+            None => earlier.broken += 1,
+        }
+    }
+    Ok(earlier)
+}
+
+/// The point in a line; None: it is none.
+fn point(line: &str, terms: &[String]) -> Option<CurvePoint> {
+    let cells: Vec<_> = line.split(',').collect();
+    let [steps, seconds, mean_return, ref more @ ..] = cells[..] else { return None };
+    let number = |cell: &str| cell.parse::<f64>().ok().filter(|x| x.is_finite());
+    let term = |(name, cell): (&String, &&str)| Some((name.clone(), number(cell)?));
+    Some(CurvePoint {
+        steps: steps.parse().ok()?,
+        seconds: number(seconds)?,
+        mean_return: number(mean_return)?,
+        level: more.first().and_then(|cell| number(cell)),
+        terms: terms.iter().zip(more.iter().skip(1)).filter_map(term).collect(),
+    })
 }
 
 #[cfg(test)]
@@ -174,6 +200,32 @@ mod tests {
     fn report(steps: u64, terms: &[(&str, f64)]) -> UpdateReport {
         let terms = terms.iter().map(|(name, mean)| ((*name).to_owned(), *mean)).collect();
         UpdateReport { steps, episodes: 1, mean_return: 2.0, terms, ..UpdateReport::default() }
+    }
+
+    /// A damaged file keeps its good points, and the training goes on.
+    #[test]
+    fn lines_that_are_no_points_are_left_out() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("curve.csv");
+        let good = "steps,seconds,return,level\n8,1.00,-3.000,\n";
+        for (text, kept, notice) in [
+            (
+                format!("{good}garbage\n\0\u{fffd},,\n16,nan,2,\n24,3.00,1.000,\n32,"),
+                2,
+                "3 lines that are no points were",
+            ),
+            (format!("{good}x\n"), 1, "1 line that is no point was"),
+            ("\0garbage\n8,1.00,-3.000,\nmore\n".into(), 1, "2 lines that are no points were"),
+            (good.into(), 1, ""),
+        ] {
+            std::fs::write(&path, &text).unwrap();
+            let curve = LearningCurve::new(&path, Some(100), OpenPoint::default(), 16).unwrap();
+            assert_eq!(curve.points.len(), kept, "{text:?}");
+            assert!(curve.notice.clone().unwrap_or_default().contains(notice), "{:?}", curve.notice);
+            assert_eq!(curve.notice.is_none(), notice.is_empty());
+            let again = LearningCurve::new(&path, Some(100), OpenPoint::default(), 16).unwrap();
+            assert!(again.notice.is_none() && again.points == curve.points, "the file was repaired");
+        }
     }
 
     /// Terms are means over the updates since the point before. They get columns when they first come, also in a file

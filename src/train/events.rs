@@ -47,9 +47,9 @@ fn now() -> f64 {
 impl EventFile {
     /// A new file in `folder`, which is created if necessary; TensorBoard joins the files of a folder.
     pub fn new(folder: &Path) -> Result<Self> {
-        std::fs::create_dir_all(folder).map_err(|e| Error::file(folder, e))?;
+        std::fs::create_dir_all(folder).map_err(|e| Error::unwritten(folder, &e))?;
         let path = folder.join(format!("events.out.tfevents.{:.0}.sandgait.{}", now() * 1e3, std::process::id()));
-        let file = File::create(&path).map_err(|e| Error::file(&path, e))?;
+        let file = File::create(&path).map_err(|e| Error::unwritten(&path, &e))?;
         let mut events = Self { file, path };
         events.write(&TensorBoardEvent {
             wall_time: now(),
@@ -73,7 +73,7 @@ impl EventFile {
     }
 
     fn write(&mut self, event: &TensorBoardEvent) -> Result<()> {
-        self.file.write_all(&record(&event.encode_to_vec())).map_err(|e| Error::file(&self.path, e))
+        self.file.write_all(&record(&event.encode_to_vec())).map_err(|e| Error::unwritten(&self.path, &e))
     }
 }
 

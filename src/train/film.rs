@@ -15,7 +15,7 @@ const SIZE: [u32; 2] = [480, 270];
 
 /// Plays the episode of `seed` to its end; writes `recording` and, as PNG, `picture`.
 pub fn film(blueprint: &Blueprint, network: &Network, seed: u64, recording: &Path, picture: &Path) -> Result<()> {
-    let broken = |e: std::io::Error| Error::file(recording, e);
+    let broken = |e: std::io::Error| Error::unwritten(recording, &e);
     let mut shard = Shard::new(blueprint, 1)?;
     shard.reset(|_| true, Some(&[seed]), |_| None);
     let look = shard.look(0, true);
@@ -51,7 +51,7 @@ pub fn film(blueprint: &Blueprint, network: &Network, seed: u64, recording: &Pat
     let height = (pixels.len() / 3 / SIZE[0] as usize) as u32;
     if height > 0 {
         let image = view::png(&pixels, [SIZE[0], height])?;
-        std::fs::write(picture, image).map_err(|e| Error::file(picture, e))?;
+        std::fs::write(picture, image).map_err(|e| Error::unwritten(picture, &e))?;
     }
     Ok(())
 }

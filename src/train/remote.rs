@@ -30,6 +30,11 @@ pub trait RemoteEnvironments: Send {
     fn terms(&mut self) -> Result<Option<Vec<(String, f64)>>> {
         Ok(None)
     }
+
+    /// What went wrong and was repaired, one sentence each.
+    fn notices(&self) -> Vec<String> {
+        Vec::new()
+    }
 }
 
 /// Remote environments, if the training uses any.

@@ -84,7 +84,7 @@ impl TrainingRequest {
         let options = self.options()?;
         let plan = self.plan(&options)?;
         let lock = self.out.is_dir().then(|| self.lock()).transpose()?;
-        let checkpoint::Checkpoint { learnt, open, notices } = self.begin(&plan)?;
+        let checkpoint::Checkpoint { learnt, open, mut notices } = self.begin(&plan)?;
         let mut remote = match &self.connect {
             Some(connect) => {
                 let pause = &mut || progress.report(0.0, "connecting");
@@ -93,7 +93,7 @@ impl TrainingRequest {
             None => None,
         };
         let folder = checkpoint::folder(&self.out);
-        std::fs::create_dir_all(&folder).map_err(|e| Error::file(&folder, e))?;
+        std::fs::create_dir_all(&folder).map_err(|e| Error::unwritten(&folder, &e))?;
         // If the folder was missing, another process may have made it since then, and have begun a training in it.
         let _lock = lock.map_or_else(|| self.lock(), Ok)?;
         self.check_unused()?;
@@ -113,6 +113,7 @@ impl TrainingRequest {
             curve: LearningCurve::new(&self.out.join("curve.csv"), until, open, self.settings.n_envs)?,
             events: EventFile::new(&self.out.join("tensorboard"))?,
             last: None,
+            left_out: None,
             saved: learnt.steps,
             seconds: learnt.seconds,
             newest: learnt.clone(),
@@ -121,12 +122,15 @@ impl TrainingRequest {
             told: (0.0, "the training".into()),
             asked: Instant::now(),
         };
+        notices.extend(diary.curve.notice.take());
         let learnt = match plan.run(learnt, remote.as_deref_mut(), &mut diary) {
             Ok(learnt) => learnt,
             Err(error) => return Err(diary.abandon(error)),
         };
+        notices.extend(remote.iter().flat_map(|remote| remote.notices()));
         drop(remote);
         diary.save()?;
+        notices.extend(diary.left_out.take());
         let score = self.keep(&plan, &learnt, options, &PartialProgress::new(progress, [TRAINING, 1.0]))?;
         let reached = match &score {
             Some(PolicyScore::Walking(row)) => Some(row.figures.total_reward.mean),
@@ -250,6 +254,8 @@ struct TrainingFiles<'a> {
     curve: LearningCurve,
     events: EventFile,
     last: Option<UpdateReport>,
+    /// What the last checkpoint lacks.
+    left_out: Option<String>,
     /// Steps at the last checkpoint.
     saved: u64,
     /// Seconds at the last update.
@@ -319,7 +325,7 @@ impl TrainingFiles<'_> {
         let path = checkpoint::path(&self.request.out, self.newest.steps);
         // The curve on the disk must have all points before the checkpoint.
         self.curve.sync()?;
-        checkpoint::save(&path, self.plan, &self.newest, &self.curve.open)?;
+        self.left_out = checkpoint::save(&path, self.plan, &self.newest, &self.curve.open)?;
         self.saved = self.newest.steps;
         Ok(path)
     }
@@ -336,10 +342,6 @@ impl TrainingFiles<'_> {
                 Err(e) => format!("; no checkpoint: {e}"),
             },
         };
-        match error {
-            Error::Invalid { field, reason } => Error::Invalid { field, reason: reason + &note },
-            Error::Cancelled(why) => Error::Cancelled(why + &note),
-            other => other,
-        }
+        error.with_note(&note)
     }
 }

@@ -8,8 +8,14 @@ use sha2::{Digest, Sha256};
 use std::collections::HashMap;
 use std::path::Path;
 
-/// Largest file that is read [bytes]: our choice. A usual one has 1 MiB, nearly all of it environments.
-const MOST: u64 = 1 << 30;
+/// Largest file that is written or read [bytes]: our choice, to bound the memory of a reader, which needs three times as
+/// much. A usual one has 1 MiB, nearly all of it environments.
+pub const MOST: u64 = 4 << 30;
+
+/// Length of a file's header for each array, and for all texts together, at most [bytes]: our choice, ten times that of
+/// usual files. A file's size is estimated before it is made.
+const HEAD: usize = 1 << 10;
+const TEXTS: usize = 4 << 20;
 
 /// A number of an array, stored unchanged.
 pub trait TensorNumber: Copy {
@@ -80,6 +86,13 @@ impl Tensors {
         self.about.get(name).map(String::as_str).ok_or_else(|| wrong(format!("it does not say its {name}")))
     }
 
+    /// Size of the file, if `more` bytes are added: not less than it will be.
+    pub fn size_with(&self, more: usize) -> u64 {
+        let texts: usize = self.about.iter().map(|(name, text)| 2 * (name.len() + text.len())).sum();
+        let arrays: usize = self.arrays.values().map(|(.., bytes)| HEAD + bytes.len()).sum();
+        (TEXTS + texts + arrays + more) as u64
+    }
+
     /// SHA-256 of all texts but itself and of all arrays, in the order of their names.
     fn digest(&self) -> String {
         let mut hash = Sha256::new();
@@ -129,7 +142,7 @@ impl Tensors {
         let broken = |e: &dyn std::fmt::Display| Error::file(path, e);
         let size = std::fs::metadata(path).map_err(|e| broken(&e))?.len();
         if size > MOST {
-            return Err(broken(&format!("{size} bytes are more than {MOST}")));
+            return Err(broken(&too_large(size)));
         }
         let bytes = std::fs::read(path).map_err(|e| broken(&e))?;
         Self::decode(&bytes).map_err(|e| match e {
@@ -138,9 +151,18 @@ impl Tensors {
         })
     }
 
+    /// Writes a file that [`Self::load`] reads.
     pub fn save(&self, path: &Path) -> Result<()> {
-        files::write(path, &self.encode()?)
+        let bytes = self.encode()?;
+        if bytes.len() as u64 > MOST {
+            return Err(wrong(too_large(bytes.len() as u64)));
+        }
+        files::write(path, &bytes)
     }
+}
+
+fn too_large(size: u64) -> String {
+    format!("{size} bytes are more than {MOST}")
 }
 
 fn wrong(why: impl Into<String>) -> Error {

@@ -218,10 +218,10 @@ impl Scoreboard {
     /// Writes `validation.md` with `others` at its end, `validation_rows.csv`, and in `images/` a figure for each comparison.
     pub fn write(&self, folder: &Path, others: &str) -> Result<()> {
         let images = folder.join("images");
-        std::fs::create_dir_all(&images).map_err(|e| Error::file(&images, e))?;
+        std::fs::create_dir_all(&images).map_err(|e| Error::unwritten(&images, &e))?;
         let save = |name: &str, text: String| {
             let path = folder.join(name);
-            std::fs::write(&path, text).map_err(|e| Error::file(&path, e))
+            std::fs::write(&path, text).map_err(|e| Error::unwritten(&path, &e))
         };
         let mut page = format!("# Scoreboard\n\n{}\n\n{INTRODUCTION}\n{}", self.worst(), self.text().trim_end());
         page.push('\n');

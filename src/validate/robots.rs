@@ -88,7 +88,7 @@ pub fn text() -> Result<String> {
 fn flight(folder: &Path, name: &str, robot: &str, reference: &str) -> Result<(usize, f64)> {
     let save = |name: &str, text: &str| {
         let path = folder.join(name);
-        std::fs::write(&path, text).map_err(|e| Error::file(&path, e)).map(|()| path)
+        std::fs::write(&path, text).map_err(|e| Error::unwritten(&path, &e)).map(|()| path)
     };
     let (robot, rows) = (save(name, robot)?, save("rows.json", reference)?);
     let found = states::compute(&robots::load(&robot)?.tree, &rows)?;
@@ -107,7 +107,7 @@ fn flight(folder: &Path, name: &str, robot: &str, reference: &str) -> Result<(us
 fn quadruped(floor: &ReferenceFloor) -> Result<Model> {
     let folder = tempfile::tempdir().map_err(|e| Error::Exhausted(format!("no directory for temporary files: {e}")))?;
     let path = folder.path().join("sandcat.xml");
-    std::fs::write(&path, FLIGHTS[4].1).map_err(|e| Error::file(&path, e))?;
+    std::fs::write(&path, FLIGHTS[4].1).map_err(|e| Error::unwritten(&path, &e))?;
     let import = robots::load(&path)?;
     let plates = of_touching(&import.tree, &import.touching(None)?, None)?;
     let mut tree = TreeModel::new(import.tree, plates)?;

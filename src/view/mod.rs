@@ -35,4 +35,4 @@ pub use crate::sim::pose::Pose;
 pub use camera::CameraOptions;
 pub use header::{About, header};
 pub use picture::{draw, png};
-pub use recording::{RecordedState, RecordingWriter, Section, read, row};
+pub use recording::{RecordedState, RecordingHeader, RecordingWriter, Section, read, row};

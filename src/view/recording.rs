@@ -17,8 +17,8 @@ use crate::sim::{Model, State};
 use flate2::Compression;
 use flate2::read::MultiGzDecoder;
 use flate2::write::GzEncoder;
-use serde_json::Value;
-use std::io::{self, Read as _, Write};
+use serde::Deserialize;
+use std::io::{self, BufRead as _, BufReader, Read as _, Write};
 
 /// The header's `format` and `version`; a reader refuses any other.
 pub const FORMAT: &str = "sandgait recording";
@@ -27,11 +27,19 @@ pub const VERSION: u32 = 1;
 const HEAD: &[u8; 4] = b"HEAD";
 const ROWS: &[u8; 4] = b"ROWS";
 
-/// Largest block that is read [bytes]: our choice, a thousand times a usual header.
-const MOST: usize = 64 << 20;
+/// Largest number of numbers in a row: our choice, a thousand times those of a usual robot.
+const MOST_WIDE: u64 = 1 << 20;
 
 /// Largest unpacked size of a file [bytes]: our choice, some hours of one robot.
 const MOST_UNPACKED: u64 = 1 << 30;
+
+/// Largest numbers of sections, of bytes of all headers, and of commas and opening brackets in them, each of which is a
+/// value at most. Our choice: a day of episodes of 10 s has a tenth of these sections, and four hours of a hexapod have
+/// some 5 million values. They bound what a small file can make a reader take: Python needs up to 120 bytes for a value.
+/// `python_client/sandgait/recording.py` has the same numbers.
+const MOST_SECTIONS: usize = 100_000;
+const MOST_HEADERS: u64 = 128 << 20;
+const MOST_VALUES: usize = 8_000_000;
 
 /// One moment of a robot, and the task's info of the step that led to it.
 #[derive(Clone, Copy, Debug)]
@@ -147,37 +155,54 @@ impl<W: Write> RecordingWriter<W> {
 /// A section that was read.
 #[derive(Clone, Debug)]
 pub struct Section {
-    pub header: Value,
+    pub header: RecordingHeader,
     /// f32 [rows, width]
     pub rows: Vec<f32>,
     /// Numbers in a row.
     pub width: usize,
 }
 
+/// The parts of a header that a reader of the numbers needs. The robot's geometry, which may be large, is left out.
+#[derive(Clone, Debug, Deserialize)]
+pub struct RecordingHeader {
+    format: Option<String>,
+    version: Option<u32>,
+    columns: Option<Vec<RecordedColumn>>,
+    pub task: Option<String>,
+    pub robot: Option<String>,
+    pub medium: Option<String>,
+    pub seed: Option<u64>,
+    pub episode: Option<u64>,
+    pub rate: Option<f64>,
+}
+
+/// A column of a section's rows.
+#[derive(Clone, Debug, Deserialize)]
+struct RecordedColumn {
+    name: String,
+    shape: Vec<u64>,
+}
+
+impl RecordedColumn {
+    /// Numbers in a row; None: too many.
+    fn length(&self) -> Option<u64> {
+        self.shape.iter().try_fold(1_u64, |product, n| product.checked_mul(*n).filter(|p| *p <= MOST_WIDE))
+    }
+}
+
 impl Section {
     fn new(json: &[u8]) -> Result<Self> {
-        let header: Value = serde_json::from_slice(json).map_err(|e| broken(format!("its header: {e}")))?;
-        if header["format"] != FORMAT || header["version"] != VERSION {
-            let (format, version) = (&header["format"], &header["version"]);
-            return Err(broken(format!("it is {format} {version}, not \"{FORMAT}\" {VERSION}")));
+        let header: RecordingHeader = serde_json::from_slice(json).map_err(|e| broken(format!("its header: {e}")))?;
+        if header.format.as_deref() != Some(FORMAT) || header.version != Some(VERSION) {
+            let format = header.format.as_deref().unwrap_or("no format");
+            let version = header.version.map_or("without version".into(), |v| v.to_string());
+            return Err(broken(format!("it is {format:?} {version}, not \"{FORMAT}\" {VERSION}")));
         }
-        let columns = header["columns"].as_array().ok_or_else(|| broken("its header has no columns"))?;
-        let count = |column: &Value| {
-            let shape = column["shape"].as_array()?.iter().map(Value::as_u64).collect::<Option<Vec<_>>>()?;
-            shape.iter().try_fold(1_u64, |product, n| product.checked_mul(*n).filter(|p| *p <= MOST as u64))
-        };
-        let width = columns.iter().map(count).sum::<Option<u64>>().filter(|w| (1..=MOST as u64).contains(w));
-        let width = width.ok_or_else(|| broken("its columns have no shapes"))? as usize;
+        let columns = header.columns.as_ref().ok_or_else(|| broken("its header has no columns"))?;
+        let width = columns.iter().map(RecordedColumn::length).sum::<Option<u64>>();
+        let width = width.filter(|w| (1..=MOST_WIDE).contains(w));
+        let width = width.ok_or_else(|| broken(format!("its rows have not 1 to {MOST_WIDE} numbers")))? as usize;
         Ok(Self { header, rows: Vec::new(), width })
-    }
-
-    fn extend(&mut self, content: &[u8]) -> Result<()> {
-        let (numbers, rest) = content.as_chunks();
-        if !rest.is_empty() || numbers.len() % self.width != 0 {
-            return Err(broken(format!("{} bytes are no rows of {} numbers", content.len(), self.width)));
-        }
-        self.rows.extend(numbers.iter().map(|b| f32::from_le_bytes(*b)));
-        Ok(())
     }
 
     /// Number of moments.
@@ -192,10 +217,9 @@ impl Section {
     /// The numbers of column `name` at moment `index`; None if there is no such column or moment.
     pub fn at(&self, name: &str, index: usize) -> Option<&[f32]> {
         let mut start = index.checked_mul(self.width)?;
-        for column in self.header["columns"].as_array()? {
-            let shape = column["shape"].as_array()?;
-            let length = shape.iter().filter_map(Value::as_u64).product::<u64>() as usize;
-            if column["name"] == name {
+        for column in self.header.columns.iter().flatten() {
+            let length = column.length()? as usize;
+            if column.name == name {
                 return self.rows.get(start..start + length);
             }
             start += length;
@@ -211,36 +235,93 @@ fn broken(why: impl std::fmt::Display) -> Error {
 /// The sections of a file.
 ///
 /// # Errors
-/// If the file is not a recording, has another version, is damaged or cut off, or is larger than 1 GiB.
+/// If the file is not a recording, has another version, is damaged or cut off, or is larger than the bounds above.
 pub fn read(file: &[u8]) -> Result<Vec<Section>> {
-    let mut stream = Vec::new();
-    let unpacked = MultiGzDecoder::new(file).take(MOST_UNPACKED).read_to_end(&mut stream);
-    unpacked.map_err(|e| {
-        broken(if e.kind() == io::ErrorKind::UnexpectedEof {
-            "it is cut off".into()
-        } else {
-            format!("this is not one of sandgait's recordings ({e})")
-        })
-    })?;
-    if stream.len() as u64 == MOST_UNPACKED {
-        return Err(broken(format!("it has more than {MOST_UNPACKED} bytes")));
-    }
+    let stream = BufReader::new(MultiGzDecoder::new(file));
+    let mut unpacked = Unpacked { stream, left: MOST_UNPACKED, headers: MOST_HEADERS, values: MOST_VALUES };
     let mut sections: Vec<Section> = Vec::new();
-    let mut rest = &stream[..];
-    while !rest.is_empty() {
-        let (kind, after) = rest.split_first_chunk::<4>().ok_or_else(|| broken("it is cut off"))?;
-        let (length, after) = after.split_first_chunk::<4>().ok_or_else(|| broken("it is cut off"))?;
-        let length = u32::from_le_bytes(*length) as usize;
-        let (content, after) = after.split_at_checked(length).ok_or_else(|| broken("it is cut off"))?;
-        match (kind, sections.last_mut()) {
-            (HEAD, _) => sections.push(Section::new(content)?),
-            (ROWS, Some(section)) => section.extend(content)?,
-            _ => return Err(broken("this is not one of sandgait's recordings")),
+    while let Some((kind, length)) = unpacked.block()? {
+        match (&kind, sections.last_mut()) {
+            (HEAD, _) => sections.push(Section::new(&unpacked.header(length)?)?),
+            (ROWS, Some(section)) => unpacked.rows(length, section)?,
+            _ => return Err(broken(FOREIGN)),
         }
-        rest = after;
+        if sections.len() > MOST_SECTIONS {
+            return Err(broken(format!("it has more than {MOST_SECTIONS} sections")));
+        }
     }
     if sections.is_empty() {
         return Err(broken("it is empty"));
     }
     Ok(sections)
+}
+
+const FOREIGN: &str = "this is not one of sandgait's recordings";
+
+/// A file's stream, which is unpacked while it is read, and how much of it may still come.
+struct Unpacked<'a> {
+    stream: BufReader<MultiGzDecoder<&'a [u8]>>,
+    left: u64,
+    headers: u64,
+    values: usize,
+}
+
+impl Unpacked<'_> {
+    /// Kind and length of the next block; None at the end.
+    fn block(&mut self) -> Result<Option<([u8; 4], u64)>> {
+        if self.stream.fill_buf().map_err(|e| unreadable(&e))?.is_empty() {
+            return Ok(None);
+        }
+        let (mut kind, mut length) = ([0; 4], [0; 4]);
+        self.exactly(&mut kind)?;
+        self.exactly(&mut length)?;
+        Ok(Some((kind, u32::from_le_bytes(length).into())))
+    }
+
+    fn exactly(&mut self, bytes: &mut [u8]) -> Result<()> {
+        self.stream.read_exact(bytes).map_err(|e| unreadable(&e))
+    }
+
+    fn header(&mut self, length: u64) -> Result<Vec<u8>> {
+        let mut json = Vec::new();
+        let most = length.min(self.headers + 1);
+        self.stream.by_ref().take(most).read_to_end(&mut json).map_err(|e| unreadable(&e))?;
+        if (json.len() as u64) < most {
+            return Err(broken(CUT_OFF));
+        }
+        let values = json.iter().filter(|b| matches!(b, b',' | b'[' | b'{')).count();
+        let left = self.headers.checked_sub(length).zip(self.values.checked_sub(values));
+        (self.headers, self.values) = left.ok_or_else(|| {
+            broken(format!("its headers have more than {MOST_HEADERS} bytes or {MOST_VALUES} values"))
+        })?;
+        Ok(json)
+    }
+
+    fn rows(&mut self, length: u64, section: &mut Section) -> Result<()> {
+        let wide = 4 * section.width as u64;
+        if !length.is_multiple_of(wide) {
+            return Err(broken(format!("{length} bytes are no rows of {} numbers", section.width)));
+        }
+        self.left = self
+            .left
+            .checked_sub(length)
+            .ok_or_else(|| broken(format!("its rows have more than {MOST_UNPACKED} bytes")))?;
+        let (mut left, mut piece) = (length as usize, [0; 4096]);
+        while left > 0 {
+            let piece = &mut piece[..left.min(4096)];
+            self.exactly(piece)?;
+            left -= piece.len();
+            section.rows.extend(piece.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)));
+        }
+        Ok(())
+    }
+}
+
+const CUT_OFF: &str = "it is cut off";
+
+fn unreadable(error: &io::Error) -> Error {
+    match error.kind() {
+        io::ErrorKind::UnexpectedEof => broken(CUT_OFF),
+        _ => broken(format!("{FOREIGN} ({error})")),
+    }
 }

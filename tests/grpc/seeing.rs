@@ -71,11 +71,11 @@ async fn the_last_moment_of_an_episode_can_be_seen() {
         assert!((seen.at("time", 0).unwrap()[0] - k as f32 / 50.0).abs() < 1e-6);
         assert_eq!(seen.at("action", 0).unwrap(), actions);
         assert_eq!(seen.at("reward", 0).unwrap()[0].to_le_bytes(), batch.rewards[..4]);
-        assert_eq!((&seen.header["seed"], &seen.header["episode"]), (&3.into(), &0.into()));
+        assert_eq!((seen.header.seed, seen.header.episode), (Some(3), Some(0)));
     }
     let (last, next) = (moment(&mut session, 0, true).await, moment(&mut session, 0, false).await);
     assert!(last.at("position", 0).unwrap()[0] > 0.01, "it has walked");
-    assert_eq!(next.header["episode"], 1);
+    assert_eq!(next.header.episode, Some(1));
     assert_eq!([next.at("time", 0).unwrap()[0], next.at("reward", 0).unwrap()[0]], [0.0, 0.0]);
     assert_eq!(next.at("position", 0).unwrap()[..2], [0.0, 0.0]);
     let (ended, begun) =
@@ -83,7 +83,7 @@ async fn the_last_moment_of_an_episode_can_be_seen() {
     assert_ne!(ended, begun);
     // One step later the old episode cannot be shown any more.
     session.batch(step(&actions)).await;
-    assert_eq!(moment(&mut session, 0, true).await.header["episode"], 1);
+    assert_eq!(moment(&mut session, 0, true).await.header.episode, Some(1));
 }
 
 /// Rows contain the sand's force on every segment. For a standing robot the sum is its weight.

@@ -16,10 +16,13 @@ fn model() -> Model {
     Model::new(&Robot::load("xplorer").unwrap(), &scene).unwrap()
 }
 
-fn file() -> Vec<u8> {
-    let model = model();
+fn head() -> String {
     let about = About { task: "test", rate: 50.0, info: vec![("speed", "m/s")], actions: 2, ..Default::default() };
-    let head = header(&model, &about);
+    header(&model(), &about)
+}
+
+fn file() -> Vec<u8> {
+    let (model, head) = (model(), head());
     let mut writer = RecordingWriter::new(Vec::new(), &head).unwrap();
     for k in 0..3 {
         let mut state = State::at_rest(0.03 - 0.001 * f64::from(k), &model.tripod_angles());
@@ -47,9 +50,39 @@ fn what_was_written_is_read() {
     assert_eq!(first.at("position", 1).unwrap(), [0.0, 0.0, 0.029]);
     assert_eq!(first.at("action", 0).unwrap(), [0.5, -0.5]);
     assert_eq!((first.at("reward", 0).unwrap(), first.at("speed", 0).unwrap()), (&[1.5][..], &[0.25][..]));
-    assert_eq!(first.at("forces", 2).unwrap().len(), 3 * first.header["segments"].as_array().unwrap().len());
+    let segments = serde_json::from_str::<serde_json::Value>(&head()).unwrap()["segments"].as_array().unwrap().len();
+    assert_eq!(first.at("forces", 2).unwrap().len(), 3 * segments);
     assert!(first.at("forces", 2).unwrap().iter().any(|f| *f != 0.0), "legs are pressed into the sand");
     assert!(first.at("forces", 3).is_none() && first.at("nothing", 0).is_none() && sections[1].is_empty());
+}
+
+fn packed(stream: &[u8]) -> Vec<u8> {
+    let mut out = GzEncoder::new(Vec::new(), Compression::fast());
+    out.write_all(stream).unwrap();
+    out.finish().unwrap()
+}
+
+/// Small files that would take gigabytes. The message names the bound.
+#[test]
+fn headers_and_sections_are_bounded() {
+    let about = r#""format":"sandgait recording","version":1,"columns":[{"name":"t","shape":[]}]"#;
+    let plain = head_block(&format!("{{{about}}}"));
+    let long = head_block(&format!("{{{about},\"x\":\"{}\"}}", "x".repeat(129 << 20)));
+    let nested = head_block(&format!("{{{about},\"x\":[{}0]}}", "[],".repeat(4_000_001)));
+    let wide = head_block(&format!("{{{}}}", about.replace("[]}", "[4096, 4096]}")));
+    let rows = [plain.clone(), b"ROWS\xfc\xff\xff\xff".to_vec()].concat();
+    for (what, stream, said) in [
+        ("sections", plain.repeat(100_001), "more than 100000 sections"),
+        ("a long header", long, "more than 134217728 bytes"),
+        ("many values", nested, "8000000 values"),
+        ("many numbers in a row", wide, "not 1 to 1048576 numbers"),
+        ("many rows", rows, "more than 1073741824 bytes"),
+    ] {
+        let file = packed(&stream);
+        assert!(file.len() < 1 << 20, "{what}: {}", file.len());
+        let error = read(&file).unwrap_err().to_string();
+        assert!(error.contains(said), "{what}: {error}");
+    }
 }
 
 #[test]
@@ -61,11 +94,6 @@ fn what_is_no_recording_is_refused() {
     for length in [whole.len() / 3, whole.len() / 2, whole.len() - 1] {
         assert!(message(&whole[..length]).contains("cut off"));
     }
-    let packed = |stream: &[u8]| {
-        let mut out = GzEncoder::new(Vec::new(), Compression::fast());
-        out.write_all(stream).unwrap();
-        out.finish().unwrap()
-    };
     assert!(message(&packed(b"")).contains("empty"));
     assert!(message(&packed(b"ROWS\0\0\0\0")).contains("not one of sandgait's"));
     assert!(message(&packed(b"HEAD\x02\0\0\0{}")).contains("not \"sandgait recording\" 1"));

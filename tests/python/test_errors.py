@@ -317,3 +317,11 @@ def test_a_warning_of_a_kind_is_one_at_the_users_line(tmp_path: Path) -> None:
     assert Path(shown[0].filename) == Path(__file__)
     said = str(shown[0].message)
     assert re.fullmatch(r"links trunk, .* and \d+ more: no body has such an inertia .*; it is used as it is", said)
+
+
+@pytest.mark.parametrize("name", ["hardware", "sand", "robot", "leg"])
+def test_a_message_repeats_a_bounded_part(name: str) -> None:
+    """The text of a whole file may be given in place of its path or of a name."""
+    with pytest.raises(sandgait.InvalidRequest) as refused:
+        gymnasium.make(ID, **{name: "action_delay = 1 " * 10_000})
+    assert len(str(refused.value)) < 5000, name

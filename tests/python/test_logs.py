@@ -6,10 +6,12 @@ import bz2
 import csv
 import importlib.util
 import io
+import os
 import random
 import resource
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -225,6 +227,47 @@ def bomb(compressor: Any) -> bytes:
     """One stream that is unpacked into 3 GiB of zeros."""
     start = compressor.begin() if hasattr(compressor, "begin") else b""
     return start + b"".join(compressor.compress(bytes(64 << 20)) for _ in range(48)) + compressor.flush()
+
+
+def test_the_reader_has_a_time_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source, reader = tmp_path / "walk.mcap", tmp_path / "reader.py"
+    old_bag(source, FIRST)
+    reader.write_text("import time\ntime.sleep(600)\n")
+    monkeypatch.setattr(logs, "READER", str(reader))
+    monkeypatch.setattr(logs, "LONGEST", 1)
+    with pytest.raises(sandgait.InvalidRequest, match="it was not read within 1 s"):
+        logs.to_csv(source)
+
+
+def test_the_reader_ends_with_its_parent(tmp_path: Path) -> None:
+    """The reader waits for a file that never comes, and its parent is killed."""
+    source = tmp_path / "walk.mcap"
+    os.mkfifo(source)
+    code = (
+        "import os, subprocess, sys, time\n"
+        f"reader = [sys.executable, '-P', {logs.READER!r}, str(os.getpid()), '600', 'mcap', {str(source)!r}]\n"
+        "print(subprocess.Popen(reader).pid, flush=True)\n"
+        "time.sleep(600)\n"
+    )
+    for pause in (0.0, 2.0):  # before and after the reader has told the system
+        with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as parent:
+            assert parent.stdout
+            reader = int(parent.stdout.readline())
+            time.sleep(pause)
+            assert runs(reader)
+            parent.kill()
+        end = time.monotonic() + 20
+        while runs(reader):
+            assert time.monotonic() < end, "the reader outlives its parent"
+            time.sleep(0.05)
+
+
+def runs(process: int) -> bool:
+    """Does the process exist, and has it not ended?"""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
 
 
 def test_bombs_are_refused(tmp_path: Path) -> None:

@@ -153,10 +153,31 @@ def test_a_recording_is_unpacked_within_a_bound(tmp_path: Path) -> None:
     with pytest.raises(sandgait.InvalidRequest, match="max_bytes"):
         sandgait.read_recording(path)
     assert tracemalloc.get_traced_memory()[1] < 2**24
+    path.write_bytes(gzip.compress(head + 1_000_000 * block(b"ROWS", bytes(4)), 1))
+    tracemalloc.reset_peak()
+    assert len(sandgait.read_recording(path)) == 1_000_000
+    assert tracemalloc.get_traced_memory()[1] < 2**24, "a small block takes no more than its rows"
     tracemalloc.stop()
     for wrong in (b"[]", b"{", b'{"format": "sandgait recording", "version": 1}', b"[" * 100_000):
         path.write_bytes(gzip.compress(block(b"HEAD", wrong)))
         with pytest.raises(sandgait.InvalidRequest, match="not one of sandgait's recordings"):
+            sandgait.read_recording(path)
+
+
+def test_headers_and_sections_are_bounded(tmp_path: Path) -> None:
+    """JSON of some megabytes, which a small file can have, takes gigabytes as objects."""
+    path = tmp_path / "bomb.rec"
+    about = '"format": "sandgait recording", "version": 1, "columns": [{"name": "time", "shape": [1]}]'
+    plain = block(b"HEAD", f"{{{about}}}".encode())
+    nested = block(b"HEAD", f'{{{about}, "x": [{"[]," * 4_000_001}0]}}'.encode())
+    for stream, said in (
+        (100_001 * plain, "more than 100000 sections"),
+        (nested, "8000000 values"),
+        (block(b"HEAD", b"x" * (129 << 20)), "more than 134217728 bytes"),
+    ):
+        path.write_bytes(gzip.compress(stream, 1))
+        assert path.stat().st_size < 2**20
+        with pytest.raises(sandgait.InvalidRequest, match=said):
             sandgait.read_recording(path)
 
 

@@ -174,3 +174,30 @@ def test_a_restarted_server_is_found_again(tmp_path: Path) -> None:
         for _ in range(3):
             assert np.array_equal(env.step(actions)[0], calm.step(actions)[0])
         env.close()
+
+
+@pytest.mark.parametrize("resume", [False, True])
+def test_an_older_session_is_not_continued(tmp_path: Path, resume: bool) -> None:
+    """A killed server is started again with the sessions that it saved when it was last told to end. A client whose
+    session is older than its last step says so, or makes it anew."""
+    address, actions = f"unix:{tmp_path}/sock", np.full((3, 6), 0.3, np.float32)
+    state = ("--state-dir", str(tmp_path / "state"))
+    with RemoteServer(address, *state) as first:
+        env = sandgait.SandgaitVectorEnv(ID, 3, address=address, resume=resume)
+        env.reset(seed=5)
+        first.process.terminate()
+        assert first.process.wait(5) == 0
+    with RemoteServer(address, *state) as second:
+        rows = [env.step(actions)[0]]
+        second.kill()
+    calm = sandgait.SandgaitVectorEnv(ID, 3)
+    calm.reset(seed=5)
+    with RemoteServer(address, *state):
+        if resume:
+            rows += [env.step(actions)[0] for _ in range(3)]
+            assert all(np.array_equal(row, calm.step(actions)[0]) for row in rows)
+        else:
+            with pytest.raises(sandgait.SessionLost, match="an older state of the session: request 1"):
+                env.step(actions)
+        env.close()
+    calm.close()

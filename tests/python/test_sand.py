@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from pathlib import Path
 from typing import Any
@@ -339,6 +340,10 @@ def test_wrong_arrays(arrays: Any, message: str) -> None:
         (lambda: sandgait.Bodies({"a": ("sphere:radius=0.1", (0, 0, 0), (1, 1, 0, 0))}), "no pose"),
         (lambda: sandgait.Bodies({"a": "mesh:nowhere.stl"}), "nowhere.stl"),
         (lambda: sandgait.Bodies({"a": "sphere:radius=0.1"}, plate_size=1e-4), "plates"),
+        (lambda: sandgait.Bodies({"a": "plate:length=0.1,width=0.1"}, plate_size=1e-6), "plate_size: "),
+        (lambda: sandgait.Bodies({"a": "plate:length=0.1,width=0.1"}, plate_size=-1.0), "plate_size: -1 is outside"),
+        (lambda: sandgait.Bodies({"a": "face:length=0.1,width=0.1"}, plate_size=math.nan), "plate_size: NaN"),
+        (lambda: sandgait.Bodies({"a": "plate:length=10,width=10"}, plate_size=1e-4), "are more than 20000"),
     ],
 )
 def test_wrong_sand_and_bodies(make: Any, message: str) -> None:

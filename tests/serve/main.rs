@@ -6,6 +6,8 @@ mod connections;
 #[expect(dead_code, reason = "servers inside the test are for other tests")]
 #[path = "../grpc/harness.rs"]
 mod harness;
+#[path = "../testbed/long.rs"]
+mod long;
 mod operations;
 mod process;
 mod restarts;

@@ -94,6 +94,12 @@ impl Process {
         assert!(Command::new("kill").args([name, &self.id().to_string()]).status().unwrap().success());
     }
 
+    /// Kills the process, and waits until it has ended.
+    pub fn kill(mut self) {
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
+    }
+
     /// Sends SIGTERM. Returns the time until the process has ended with success, and its log.
     pub fn end(self) -> (Duration, String) {
         self.end_with(0)

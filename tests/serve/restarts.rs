@@ -1,6 +1,7 @@
 //! Sessions that continue after a restart of their server.
 
 use crate::harness::{Session, create, step, until, wave};
+use crate::long;
 use crate::process::{Process, refused, text};
 use sandgait::service::proto::run_session_request::Request;
 use sandgait::service::proto::run_session_response::Response;
@@ -73,13 +74,14 @@ async fn a_client_goes_on_where_it_was_with_the_same_bits() {
                 server = place.start();
                 let (again, last) = Session::resume(server.client().await, &id, sent - 1).await.unwrap();
                 assert!(last == sent || last == sent - 1, "{last} {sent}");
-                assert!(place.files().is_empty());
+                assert_eq!(place.files(), [file.clone()], "the file stays while the session goes on");
                 one = again;
             }
             assert_eq!(one.batch(actions(time as usize, width)).await, expected, "{task}, step {time}");
         }
         let close = CloseSessionRequest { session_id: one.id.clone() };
         one.client.close_session(close).await.unwrap();
+        assert!(place.files().is_empty(), "the session has ended");
     }
 }
 
@@ -231,6 +233,44 @@ async fn all_sessions_are_saved_beside_slow_requests() {
         // The pictures were not finished, so the client may ask for them again.
         assert_eq!(Session::resume(server.client().await, &session.id, 1).await.unwrap().1, 1);
     }
+}
+
+/// A server that is killed at any moment while it restores sessions leaves all of them, also when this happens again and
+/// again.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn kills_during_a_restore_lose_nothing() {
+    let place = Place::new();
+    let mut server = place.start();
+    let mut saved = Vec::new();
+    for seed in 0..40 {
+        let mut session = create_in(&server, 200).await;
+        session.reset(seed).await;
+        saved.push((session.id.clone(), session.step(0).await));
+    }
+    server.end();
+    let files = place.files();
+    assert_eq!(files.len(), saved.len());
+    for k in 0..long::either(8, 100) {
+        server = place.start();
+        // The whole restore takes some seconds at most.
+        tokio::time::sleep(Duration::from_millis(rand::random_range(0..1500))).await;
+        server.kill();
+        assert_eq!(place.files(), files, "kill {k}");
+    }
+    server = place.start();
+    for (id, last) in &saved {
+        let (mut session, sequence) = Session::resume(server.client().await, id, 1).await.unwrap();
+        assert_eq!((sequence, &session.step(0).await), (2, last));
+    }
+    // The session that ends has no file, and the one that goes on has its old one: after a kill a client sees its number.
+    let close = CloseSessionRequest { session_id: saved[0].0.clone() };
+    server.client().await.close_session(close).await.unwrap();
+    let (mut session, _) = Session::resume(server.client().await, &saved[1].0, 2).await.unwrap();
+    session.step(1).await;
+    server.kill();
+    assert_eq!(place.files().len(), saved.len() - 1);
+    server = place.start();
+    assert_eq!(Session::resume(server.client().await, &saved[1].0, 3).await.unwrap().1, 2);
 }
 
 /// A second server with the same directory is refused and changes nothing in it.

@@ -113,7 +113,7 @@ async fn steps_are_streamed_to_viewers() {
     let sections = reader.await.unwrap();
     assert_eq!(sections.len(), 1, "one header for an episode");
     let seen = &sections[0];
-    assert_eq!((&seen.header["seed"], seen.at("action", 0).unwrap()), (&3.into(), &[0.5; ACTIONS][..]));
+    assert_eq!((seen.header.seed, seen.at("action", 0).unwrap()), (Some(3), &[0.5; ACTIONS][..]));
     for k in 1..seen.len() {
         assert!(seen.at("time", k).unwrap()[0] > seen.at("time", k - 1).unwrap()[0]);
     }

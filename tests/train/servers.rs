@@ -6,15 +6,19 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
 /// A process `sandgait serve`, which is ended when this value is dropped.
-struct Server {
+pub struct Server {
     process: Child,
-    address: String,
+    pub address: String,
 }
 
 impl Server {
     fn start() -> Self {
+        Self::start_with(&[])
+    }
+
+    pub fn start_with(arguments: &[&str]) -> Self {
         let mut command = Command::new(env!("CARGO_BIN_EXE_sandgait"));
-        command.args(["serve", "--listen", "127.0.0.1:0", "--exit-on-stdin-close"]);
+        command.args(["serve", "--listen", "127.0.0.1:0", "--exit-on-stdin-close"]).args(arguments);
         let mut process = command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
         let mut line = String::new();
         BufReader::new(process.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
@@ -22,8 +26,9 @@ impl Server {
         Self { process, address }
     }
 
-    fn kill(&mut self) {
-        self.process.kill().unwrap();
+    /// Sends the signal, and waits for the end.
+    pub fn end(&mut self, signal: &str) {
+        assert!(Command::new("kill").args([signal, &self.process.id().to_string()]).status().unwrap().success());
         self.process.wait().unwrap();
     }
 }
@@ -59,8 +64,18 @@ fn environments_on_a_server_give_the_same_bits() {
     );
 }
 
-/// If the server is killed during a training, there is one line and a checkpoint, and the training can be resumed
-/// without the server.
+/// A server that is not there is no wrong request.
+#[test]
+fn a_server_that_cannot_be_reached_is_a_failure_of_the_machine() {
+    let output = train(&["--address", "unix:/none/sand.sock", "--out", "/none/out"]);
+    let line = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{line}");
+    assert!(line.starts_with("sandgait: server unix:/none/sand.sock: it cannot be reached: "), "{line}");
+    assert!(line.lines().count() == 1 && !Path::new("/none/out").exists());
+}
+
+/// If the server is killed during a training and does not come back, there is one line and a checkpoint, and the
+/// training can be resumed without the server.
 #[test]
 fn a_training_survives_a_killed_server() {
     let mut server = Server::start();
@@ -76,8 +91,8 @@ fn a_training_survives_a_killed_server() {
         assert!(training.try_wait().unwrap().is_none(), "the training ended");
         std::thread::sleep(std::time::Duration::from_millis(10));
     }
-    server.kill();
-    assert_eq!(training.wait().unwrap().code(), Some(2));
+    server.end("-KILL");
+    assert_eq!(training.wait().unwrap().code(), Some(1));
     let mut line = String::new();
     training.stderr.take().unwrap().read_to_string(&mut line).unwrap();
     let begins = format!("sandgait: server {}: ", server.address);

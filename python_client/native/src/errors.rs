@@ -14,13 +14,12 @@ pyo3::create_exception!(
 /// The class of `sandgait.errors`, chosen by what the caller can do.
 fn class(error: &Error) -> &'static str {
     match error {
-        // A training's errors, see `sandgait::client::training`.
-        Error::Invalid { field, .. } if field.starts_with("server ") => "ServerLost",
+        Error::Lost { .. } => "ServerLost",
         Error::Invalid { .. } | Error::Unknown { .. } | Error::Replaced { .. } | Error::File { .. } => "InvalidRequest",
         Error::OutOfOrder(_) => "OutOfOrder",
         Error::Exhausted(_) => "LimitReached",
         Error::Cancelled(_) => "SessionLost",
-        Error::Internal(_) => "SandgaitError",
+        Error::Unwritten { .. } | Error::Internal(_) => "SandgaitError",
     }
 }
 

@@ -2,10 +2,21 @@
 
 use crate::options;
 use serde::{Deserialize, Serialize};
+use std::ops::RangeInclusive;
 
 /// Largest commanded velocity: forward and to the left [m/s], yaw [rad/s]. Our choice: default ranges reach it only
 /// with legs above 10 m or below 2 cm.
 pub const MOST_COMMAND: f64 = 5.0;
+
+/// Bounds of drawn values, for options and for saved episodes. Our choice, as for all options: factors on the friction of
+/// hard ground, on the sand's stress, and on the motors; the added mass as a share of the robot's.
+pub const FRICTION: RangeInclusive<f64> = 0.0..=10.0;
+pub const SAND: RangeInclusive<f64> = 0.05..=20.0;
+pub const MOTOR_STRENGTH: RangeInclusive<f64> = 0.1..=10.0;
+pub const ADDED_MASS: RangeInclusive<f64> = -0.3..=1.0;
+
+/// Largest velocity along an axis that a push gives the base [m/s]: our choice, as above.
+pub const MOST_PUSH: f64 = 5.0;
 
 /// All ranges from which an episode's values are drawn.
 #[derive(Clone, Copy)]
@@ -40,12 +51,12 @@ options! {
     #[derive(Copy, Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct DomainRand {
-        friction_range: [f64; 2] = [0.5, 1.25], [0.0, 10.0], "factor on the friction of hard ground";
-        sand_range: [f64; 2] = [0.6, 1.6], [0.05, 20.0], "factor on the sand's stress";
-        added_mass_range: [f64; 2] = [-0.08, 0.08], [-0.3, 1.0], "mass added to the base, as a share of the robot's mass";
-        motor_strength_range: [f64; 2] = [0.9, 1.1], [0.1, 10.0], "factor on torque limits and gains of the motors";
+        friction_range: [f64; 2] = [0.5, 1.25], [FRICTION], "factor on the friction of hard ground";
+        sand_range: [f64; 2] = [0.6, 1.6], [SAND], "factor on the sand's stress";
+        added_mass_range: [f64; 2] = [-0.08, 0.08], [ADDED_MASS], "mass added to the base, as a share of the robot's mass";
+        motor_strength_range: [f64; 2] = [0.9, 1.1], [MOTOR_STRENGTH], "factor on torque limits and gains of the motors";
         push_interval: f64 = 15.0, [0.0, 1e4], "time between two pushes [s], at least 0.1; 0: no pushes";
-        max_push_vel_xy: f64 = 0.5, [0.0, 5.0], "largest velocity along x and along y that a push gives the base [m/s]";
+        max_push_vel_xy: f64 = 0.5, [0.0, MOST_PUSH], "largest velocity along x and along y that a push gives the base [m/s]";
     }
 }
 

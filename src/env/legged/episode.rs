@@ -1,7 +1,7 @@
 //! The values that an episode of LeggedVelocity draws when it begins, and the values that it updates.
 
 use super::curriculum::{Followed, MOST_EASE};
-use super::draws::{Draws, MOST_COMMAND};
+use super::draws::{ADDED_MASS, Draws, FRICTION, MOST_COMMAND, MOST_PUSH, MOTOR_STRENGTH, SAND};
 use crate::error::Result;
 use crate::random::Random;
 use crate::sim::Model;
@@ -109,17 +109,17 @@ impl LeggedEpisode {
         let rand = from.rand;
         // A reset may have changed the ranges since the draw, so the values are compared with the bounds of the options.
         // No foot can be in the air for 1e6 s, because the longest episode takes 2e4 s.
-        (0.0..=10.0).contains(&self.friction)
-            && (0.05..=20.0 * MOST_EASE).contains(&self.sand)
+        FRICTION.contains(&self.friction)
+            && (*SAND.start()..=SAND.end() * MOST_EASE).contains(&self.sand)
             && (0.0..=1.0).contains(&self.level)
             && self.followed.is_sound()
-            && (-0.3..=1.0).contains(&(self.added_mass / model.total_mass()))
-            && (0.1..=10.0).contains(&self.motor_strength)
+            && ADDED_MASS.contains(&(self.added_mass / model.total_mass()))
+            && MOTOR_STRENGTH.contains(&self.motor_strength)
             && (1..=MOST).contains(&self.commands.len())
             && self.commands.iter().flatten().chain(&self.now).all(most)
             && self.pushes.len() <= MOST
             && (rand.push_interval == 0.0 || !self.pushes.is_empty())
-            && self.pushes.iter().flatten().all(most)
+            && self.pushes.iter().flatten().all(|v| v.abs() <= MOST_PUSH)
             && self.air.len() == feet
             && self.air.iter().all(|t| (0.0..1e6).contains(t))
     }

@@ -13,7 +13,7 @@ use crate::sim::Model;
 use crate::sim::model::Scene;
 use crate::sim::tree::gains::TreeMotor;
 use crate::sim::tree::joint_values::by_pattern;
-use crate::sim::tree::relief::Relief;
+use crate::sim::tree::relief::{REPOSE_DEG, Relief};
 use crate::sim::tree::{HardGround, JointKind, TreeJoint, TreeModel, heights};
 use crate::walking::{MAX_STEPS, set_sand};
 use serde::{Deserialize, Serialize};
@@ -34,8 +34,8 @@ options! {
         dt: f64 = 2e-3, "time step [s], which divides the control period";
         angle_noise: f64 = 0.1, [0.0, PI], reset, "largest difference of the initial joint angles from the default pose, uniformly distributed [rad]";
         sand: String = String::new(), "text of a sand.toml, for example from a diagnosis (in Python its path); it replaces medium and law";
-        slope_deg: f64 = 0.0, reset, "slope of the surface [°]; a positive slope rises toward +x";
-        payload: f64 = 0.0, reset, "extra mass at the base's centre [kg]";
+        slope_deg: f64 = 0.0, [-Scene::MAX_SLOPE_DEG, Scene::MAX_SLOPE_DEG], reset, "slope of the surface [°]; a positive slope rises toward +x";
+        payload: f64 = 0.0, [0.0, Scene::MAX_PAYLOAD], reset, "extra mass at the base's centre [kg]";
         max_episode_steps: u32 = 1000, [1.0, MAX_STEPS], "number of control steps after which an episode is truncated";
         ground: String = Medium::DEFAULT.into(), reset, "rigid, mixed (slabs of hard ground in loose poppy seeds), dunes (of loose poppy seeds), a medium's name, zeta=VALUE, or mu=VALUE,rho=VALUE";
         curriculum: Option<Curriculum> = Some(Curriculum::default()), reset, "an environment's episodes become harder while its robot follows its commands, and easier while it does not; None: all have full difficulty";
@@ -60,11 +60,11 @@ options! {
     #[serde(deny_unknown_fields, default)]
     pub struct ReliefOptions {
         seed: u64 = 0, "seed of random dunes";
-        wavelength: f64 = 2.0, "approximate distance from crest to crest of dunes [m]";
-        slope_deg: f64 = 15.0, "greatest slope of dunes [°]";
+        wavelength: f64 = 2.0, [Relief::WAVELENGTH], "approximate distance from crest to crest of dunes [m]";
+        slope_deg: f64 = 15.0, [0.0, REPOSE_DEG], "greatest slope of dunes [°]";
         heights: Option<Vec<Vec<f64>>> = None, "heights instead of dunes [m]: rows along y, each with heights along x";
         file: String = String::new(), "packed heights of a file (in Python and on the command line the path of a .csv or .npy file)";
-        spacing: f64 = 0.1, "distance between neighbouring heights, from heights or from file [m]";
+        spacing: f64 = 0.1, [Relief::SPACING], "distance between neighbouring heights, from heights or from file [m]";
     }
 }
 

@@ -1,15 +1,16 @@
 //! The macro that declares options.
 
 /// Declares a struct of options; [`crate::options`] shows how, one line for each option:
-/// `name: Type = default, [low, high], reset, "help";`, where bounds and `reset` may be missing. Bounds for which a
-/// struct gives no reason are our choice: far beyond useful values, they catch wrong units.
+/// `name: Type = default, [low, high], reset, "help";`, where bounds and `reset` may be missing. `[RANGE]` are bounds
+/// that stand elsewhere. Bounds for which a struct gives no reason are our choice: far beyond useful values, they catch
+/// wrong units.
 #[macro_export]
 macro_rules! options {
     (
         $(#[$meta:meta])*
         pub struct $Name:ident {
             $(..$base:ident: $Base:ty = $base_default:expr;)?
-            $($field:ident: $type:ty = $default:expr, $([$low:expr, $high:expr],)? $($reset:ident,)? $help:literal;)*
+            $($field:ident: $type:ty = $default:expr, $([$($bound:expr),+],)? $($reset:ident,)? $help:literal;)*
         }
     ) => {
         $(#[$meta])*
@@ -31,6 +32,7 @@ macro_rules! options {
                     name: stringify!($field),
                     help: $help,
                     at_reset: $crate::options!(@reset $($reset)?),
+                    bounds: $crate::options!(@bounds $([$($bound),+])?),
                     keys: <$type as $crate::options::OptionValue>::keys(),
                 },)*];
                 $(if true { return [<$Base as $crate::options::Options>::rows(), own].concat(); })?
@@ -62,7 +64,7 @@ macro_rules! options {
 
             fn check_all(&self, prefix: &str) -> $crate::error::Result<()> {
                 $($crate::options::Options::check_all(&self.$base, prefix)?;)?
-                $($crate::options!(@check self.$field, &format!("{prefix}{}", stringify!($field)), $([$low, $high])?);)*
+                $($crate::options!(@check self.$field, &format!("{prefix}{}", stringify!($field)), $([$($bound),+])?);)*
                 Ok(())
             }
         }
@@ -83,5 +85,11 @@ macro_rules! options {
     (@check $value:expr, $name:expr, [$low:expr, $high:expr]) => {
         $crate::options::Bounded::within(&$value, $name, $low..=$high)?
     };
+    (@check $value:expr, $name:expr, [$range:expr]) => {
+        $crate::options::Bounded::within(&$value, $name, $range)?
+    };
+    (@bounds) => { None };
+    (@bounds [$low:expr, $high:expr]) => { Some([$low, $high]) };
+    (@bounds [$range:expr]) => { Some([*$range.start(), *$range.end()]) };
     (@check $value:expr, $name:expr,) => { $crate::options::OptionValue::check(&$value, $name)? };
 }

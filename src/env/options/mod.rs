@@ -34,6 +34,8 @@ pub struct OptionRow {
     pub help: &'static str,
     /// May a reset change this option?
     pub at_reset: bool,
+    /// Least and greatest value of its numbers, if they do not depend on other options.
+    pub bounds: Option<[f64; 2]>,
     /// For a dictionary: its keys.
     pub keys: Vec<OptionRow>,
 }

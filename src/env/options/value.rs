@@ -71,9 +71,26 @@ pub trait Bounded {
     fn within(&self, name: &str, bounds: RangeInclusive<f64>) -> Result<()>;
 }
 
+/// Smallest number of an option besides 0: our choice, a picometre or picosecond. Equations divide by options and square
+/// them; in single precision numbers below 1e-19 would give squares of 0, and quotients that are infinite or no numbers.
+const SMALLEST: f64 = 1e-12;
+
 impl Bounded for f64 {
     fn within(&self, name: &str, bounds: RangeInclusive<f64>) -> Result<()> {
-        check_range(name, *self, bounds).map(drop)
+        check_range(name, *self, bounds)?;
+        match self.abs() {
+            size if size > 0.0 && size < SMALLEST => {
+                Err(Error::invalid(name, format!("{self:e} is neither 0 nor as large as {SMALLEST:e}")))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// A vector, whose components have the same bounds.
+impl Bounded for [f64; 3] {
+    fn within(&self, name: &str, bounds: RangeInclusive<f64>) -> Result<()> {
+        self.iter().try_for_each(|x| x.within(name, bounds.clone()))
     }
 }
 

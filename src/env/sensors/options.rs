@@ -1,7 +1,7 @@
 //! Options that every task has: its sensors, the delay of its actions, and additional rows for a policy.
 
 use super::Sensor;
-use crate::error::{Error, Result, check_range};
+use crate::error::{Error, Result};
 use crate::options;
 use crate::options::OptionValue;
 use crate::sim::actuator::Actuator;
@@ -11,6 +11,9 @@ use std::f64::consts::PI;
 
 /// Longest delay of a sensor or an action [s]: our choice, several times the delay of a robot that is steered over a network.
 pub const LONGEST_DELAY: f64 = 0.5;
+/// Largest distance of the inertial measurement unit from the base's origin along an axis [m]: our choice, as for the
+/// parts of a robot.
+const FARTHEST: f64 = 10.0;
 /// Largest number of observations in a row of [`Hardware::history`]: our choice, four times the 15 of humanoid-gym.
 const MOST_HISTORY: f64 = 64.0;
 
@@ -48,8 +51,8 @@ options! {
         contact_switch: Option<Imperfections> = None, "is the force on a foot more than 2 % of the robot's weight? 0 or 1";
         heights: Option<Imperfections> = None, "measured heights of the ground [m]";
         range_finder: Option<Imperfections> = None, "distance from the base's origin to the ground along the base's downward axis [m], at most 10 m; the ground is taken to be level at its height under the base";
-        imu_position: [f64; 3] = [0.0; 3], "place of the accelerometer in the base's frame [m]";
-        imu_rotation: [f64; 3] = [0.0; 3], "rotation of the inertial measurement unit (gravity, gyroscope, accelerometer) from the base's frame: vector along its axis, with the angle as its length [rad]";
+        imu_position: [f64; 3] = [0.0; 3], [-FARTHEST, FARTHEST], "place of the accelerometer in the base's frame [m]";
+        imu_rotation: [f64; 3] = [0.0; 3], [-PI, PI], "rotation of the inertial measurement unit (gravity, gyroscope, accelerometer) from the base's frame: vector along its axis, with the angle as its length [rad]";
         velocity_by_differences: bool = false, "joint speeds are differences of the measured joint positions over the control period";
         without: Vec<String> = Vec::new(), "sensors whose values are left out of the observation, because the robot does not have them";
     }
@@ -81,9 +84,6 @@ impl<'de> Deserialize<'de> for SensorOptions {
 impl OptionValue for SensorOptions {
     fn check(&self, name: &str) -> Result<()> {
         self.0.check(name)?;
-        for x in self.0.imu_rotation {
-            check_range(&format!("{name}.imu_rotation"), x, -PI..=PI)?;
-        }
         let known = Sensor::ALL.map(Sensor::name);
         match self.0.without.iter().find(|w| !known.contains(&w.as_str())) {
             Some(unknown) => Err(Error::unknown("sensor", unknown, &known)),
@@ -101,15 +101,15 @@ options! {
     #[derive(Copy, Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct Motors {
-        torque_limit: Option<f64> = None, [1e-6, 1e5], "largest torque of motor and drive [N·m]; None: that of the robot";
-        stall_torque: Option<f64> = None, [1e-6, 1e5], "torque at standstill [N·m]; None: that of the robot, or twice its torque limit";
-        no_load_speed: Option<f64> = None, [1e-3, 1e4], "speed without a load [rad/s], at which the torque has fallen to zero; None: that of the robot, or no limit";
-        torque_time: Option<f64> = None, [0.0, 1.0], "time constant with which the torque follows the servo [s]; None: that of the robot, or 0";
-        torque_constant: Option<f64> = None, [0.01, 100.0], "the motors' torque constant divided by that with which their drives reckon: factor on the servo's torque; None: that of the robot, or 1";
-        friction: Option<f64> = None, [0.0, 1e5], "dry friction of the gear [N·m]; None: that of the robot";
-        damping: Option<f64> = None, [0.0, 1e5], "viscous friction of the gear [N·m·s/rad]; None: that of the robot";
-        efficiency: Option<f64> = None, [0.01, 1.0], "share of the torque that the gear passes on; None: that of the robot, or 1";
-        rotor_inertia: Option<f64> = None, [0.0, 1e3], "inertia of rotor and gear at the joint, in addition to the robot's [kg·m²]; None: that of the robot, or 0";
+        torque_limit: Option<f64> = None, [Actuator::TORQUE_LIMIT], "largest torque of motor and drive [N·m]; None: that of the robot";
+        stall_torque: Option<f64> = None, [Actuator::STALL_TORQUE], "torque at standstill [N·m]; None: that of the robot, or twice its torque limit";
+        no_load_speed: Option<f64> = None, [Actuator::NO_LOAD_SPEED], "speed without a load [rad/s], at which the torque has fallen to zero; None: that of the robot, or no limit";
+        torque_time: Option<f64> = None, [Actuator::TORQUE_TIME], "time constant with which the torque follows the servo [s]; None: that of the robot, or 0";
+        torque_constant: Option<f64> = None, [Actuator::TORQUE_CONSTANT], "the motors' torque constant divided by that with which their drives reckon: factor on the servo's torque; None: that of the robot, or 1";
+        friction: Option<f64> = None, [Actuator::FRICTION], "dry friction of the gear [N·m]; None: that of the robot";
+        damping: Option<f64> = None, [Actuator::DAMPING], "viscous friction of the gear [N·m·s/rad]; None: that of the robot";
+        efficiency: Option<f64> = None, [Actuator::EFFICIENCY], "share of the torque that the gear passes on; None: that of the robot, or 1";
+        rotor_inertia: Option<f64> = None, [Actuator::ROTOR_INERTIA], "inertia of rotor and gear at the joint, in addition to the robot's [kg·m²]; None: that of the robot, or 0";
     }
 }
 

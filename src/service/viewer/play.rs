@@ -166,6 +166,35 @@ mod tests {
     use axum::http::Request;
     use tower_service::Service as _;
 
+    /// Connections whose requests never come to their end do not keep others out.
+    #[tokio::test]
+    async fn unfinished_requests_make_room() {
+        use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+        let blueprint = Blueprint::new("sandgait/HexapodGait-v1", serde_json::Value::Null).unwrap();
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = listener.local_addr().unwrap();
+        let stop = CancellationToken::new();
+        tokio::spawn(PlayedEnvironment::new(blueprint.task, "secret").serve(listener, stop.clone()));
+        let connect = async |request: &str| {
+            let mut stream = tokio::net::TcpStream::connect(address).await.unwrap();
+            stream.write_all(request.as_bytes()).await.unwrap();
+            stream
+        };
+        let mut unfinished = Vec::new();
+        for k in 0..2 * MOST {
+            let head = "POST /steer HTTP/1.1\r\nhost: localhost\r\nauthorization: Bearer secret\r\n";
+            let body = if k % 2 == 0 { "content-length: 9\r\n\r\n[1, " } else { "" };
+            unfinished.push(connect(&format!("{head}{body}")).await);
+        }
+        tokio::time::sleep(std::time::Duration::from_millis(200)).await;
+        let mut stream = connect("GET /sessions HTTP/1.1\r\nhost: localhost\r\n\r\n").await;
+        let mut answer = String::new();
+        let read = tokio::time::timeout(std::time::Duration::from_secs(5), stream.read_to_string(&mut answer));
+        read.await.expect("an answer").unwrap();
+        assert!(answer.starts_with("HTTP/1.1 200"), "{answer}");
+        stop.cancel();
+    }
+
     /// Only a message with the key and three numbers changes the command; requests with the name of another site are
     /// refused.
     #[tokio::test]

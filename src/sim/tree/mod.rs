@@ -56,7 +56,7 @@ pub mod terrain;
 pub use engine::engine;
 pub use hard::HardGround;
 pub use model::TreeModel;
-pub use plates::{of_body, of_shapes, of_touching};
+pub use plates::{MOST_PLATES, PLATE_SIZES, of_body, of_shapes, of_touching};
 pub use robot::of_robot;
 
 use crate::actuator::Actuator;

@@ -36,10 +36,10 @@ const MOST_OF_BODY: f64 = 1024.0;
 /// Fewest plates around a round shape: our choice, half of those in `sandgait intrude`.
 const COARSE: usize = 8;
 /// Largest number of plates of a shape: our choice, a hundred times what can be simulated in real time.
-const MOST_PLATES: f64 = 20_000.0;
+pub const MOST_PLATES: f64 = 20_000.0;
 /// Allowed sizes of plates [m]: our choice, from below a grain of sand to beyond a robot's foot. Others have wrong
 /// units.
-const SIZES: std::ops::RangeInclusive<f64> = 1e-4..=1.0;
+pub const PLATE_SIZES: std::ops::RangeInclusive<f64> = 1e-4..=1.0;
 
 impl Geometry {
     /// Distance of the farthest point from the shape's origin [m].
@@ -245,7 +245,7 @@ fn together(shapes: &[&TreeShape], size: Option<f64>, count: f64) -> Result<Vec<
         return Ok(Vec::new());
     }
     let small = match size {
-        Some(size) => check_range("plate-size", size, SIZES)?,
+        Some(size) => check_range("plate-size", size, PLATE_SIZES)?,
         None => (area(shapes) / FINE).sqrt(),
     };
     let all = visible(shapes, &vec![small; shapes.len()])?.concat();

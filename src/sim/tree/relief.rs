@@ -39,6 +39,10 @@ pub struct Relief {
 }
 
 impl Relief {
+    /// Distances between nodes, and wavelengths of dunes [m]: our choice, from prints to hills.
+    pub const SPACING: std::ops::RangeInclusive<f64> = 1e-3..=100.0;
+    pub const WAVELENGTH: std::ops::RangeInclusive<f64> = 0.1..=100.0;
+
     /// [bytes]
     pub fn memory_bytes(&self) -> usize {
         size_of_val(&self.heights[..]) + self.json.len()
@@ -46,7 +50,7 @@ impl Relief {
 
     /// The node of row 0 and column 0 is at x = y = 0.
     pub fn new(spacing: f64, rows: &[Vec<f64>]) -> Result<Self> {
-        check_range("relief.spacing", spacing, 1e-3..=100.0)?;
+        check_range("relief.spacing", spacing, Self::SPACING)?;
         let columns = rows.first().map_or(0, Vec::len);
         check_range("relief.heights: rows", rows.len() as f64, NODES)?;
         check_range("relief.heights: columns", columns as f64, NODES)?;
@@ -63,7 +67,7 @@ impl Relief {
     /// Random dunes: waves of about `wavelength` [m] in all directions, `slope_deg` at the steepest point. They
     /// repeat after eight wave lengths.
     pub fn dunes(seed: u64, wavelength: f64, slope_deg: f64) -> Result<Self> {
-        check_range("relief.wavelength", wavelength, 0.1..=100.0)?;
+        check_range("relief.wavelength", wavelength, Self::WAVELENGTH)?;
         check_range("relief.slope_deg", slope_deg, 0.0..=REPOSE_DEG)?;
         let mut draw = SplitMix64(seed);
         let whole = SIDE as f64 / A_WAVE;
