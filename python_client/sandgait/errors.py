@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
+from . import _native
+
 
 class SandgaitError(Exception):
     """Base class of this package's exceptions."""
@@ -42,3 +46,8 @@ class ServerLost(SandgaitError, ConnectionError):
 
 class SessionLost(SandgaitError):
     """The server runs, but this session has ended. Make the environment again."""
+
+
+def unknown(what: str, name: object, known: Iterable[str]) -> InvalidRequest:
+    """The exception for a name that does not exist. It says which known name may be meant."""
+    return InvalidRequest(f"{what} {_native.unknown_name(str(name), list(known))}")
