@@ -31,6 +31,7 @@ macro_rules! options {
                     name: stringify!($field),
                     help: $help,
                     at_reset: $crate::options!(@reset $($reset)?),
+                    is_range: <$type as $crate::options::OptionValue>::IS_RANGE,
                     keys: <$type as $crate::options::OptionValue>::keys(),
                 },)*];
                 $(if true { return [<$Base as $crate::options::Options>::rows(), own].concat(); })?

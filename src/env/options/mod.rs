@@ -21,7 +21,7 @@ mod robot;
 mod value;
 
 pub use robot::RobotName;
-pub use value::{Bounded, OptionValue, changed};
+pub use value::{Bounded, NumberPair, OptionValue, changed};
 
 use crate::error::{Error, Result};
 use crate::sensors::Hardware;
@@ -34,6 +34,8 @@ pub struct OptionRow {
     pub help: &'static str,
     /// May a reset change this option?
     pub at_reset: bool,
+    /// Is it a range [low, high]? A number then stands for the range of that number alone.
+    pub is_range: bool,
     /// For a dictionary: its keys.
     pub keys: Vec<OptionRow>,
 }
