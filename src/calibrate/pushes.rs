@@ -8,6 +8,7 @@
 pub use super::pressure_law::PressureLaw;
 use super::{TRANSIENT, jackknife, refused};
 use crate::error::{Result, check_range};
+use crate::sand::mechanism_laws::DEPTH_REFERENCE;
 use crate::student;
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
@@ -74,6 +75,8 @@ pub struct OfSize {
     pub pushes: usize,
     /// ζ of a line through the origin, F = ζ z A, mean over the pushes [N/cm³].
     pub zeta: f64,
+    /// 95 % confidence interval of the mean, from the scatter between pushes; none for one push.
+    pub zeta_interval: Option<[f64; 2]>,
     /// Standard deviation between pushes, in % of the mean; none for one push.
     pub repeatability_percent: Option<f64>,
 }
@@ -93,6 +96,9 @@ pub struct Pushes {
     pub compliance: Value,
     /// Greatest depth [m] and force [N].
     pub greatest: [f64; 2],
+    /// The recommended law's parameters, see [`fit`].
+    #[serde(skip)]
+    fitted: [f64; 3],
     pub cautions: Vec<String>,
 }
 
@@ -129,9 +135,11 @@ pub fn compare(pushes: &[Penetration], compliance: Option<f64>) -> Result<Pushes
     let whole = parameters(&all, here)?;
     let of = |k: usize| with_interval(whole[k], without.iter().map(|w| w.1[k]));
     let greatest = |k: usize| pushes.iter().flat_map(|p| p.points.iter().map(move |q| q[k])).fold(0.0, f64::max);
+    let law = chosen(&scores);
     let mut study = Pushes {
         sizes: by_size(pushes)?,
-        law: chosen(&scores),
+        law,
+        fitted: fit(law, &gathered(&points(here)?, &all))?,
         laws: scores,
         depth_exponent: of(1),
         size_exponent: sized.then(|| of(2)),
@@ -141,6 +149,21 @@ pub fn compare(pushes: &[Penetration], compliance: Option<f64>) -> Result<Pushes
     };
     study.cautions = cautions(&study, pushes);
     Ok(study)
+}
+
+impl Pushes {
+    /// ζ [N/cm³] of a sand for bodies of this size, and the mechanism depth_power, whose laws agree with the recommended
+    /// one: |z| stands for z0 (|z|/z0)^n. A footing's law has no such form, so it is a line through the origin.
+    pub fn sand(&self, size: &OfSize) -> (f64, f64) {
+        let [scale, n, q] = self.fitted;
+        match self.law {
+            PressureLaw::Power | PressureLaw::PowerAndSize => {
+                let zeta = (scale + q * size.diameter.ln() + (n - 1.0) * DEPTH_REFERENCE.ln()).exp();
+                (1e-6 * zeta, n - 1.0)
+            }
+            _ => (size.zeta, 0.0),
+        }
+    }
 }
 
 /// The simplest law whose error no other law reduces by more than the share [`WORTH`]. If each law has an error on
@@ -318,7 +341,9 @@ fn by_size(pushes: &[Penetration]) -> Result<Vec<OfSize>> {
         }
         let scatter = (zetas.iter().map(|z| (z - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
         let repeatability_percent = (zetas.len() > 1).then(|| 100.0 * scatter / mean);
-        Ok(OfSize { diameter, pushes: zetas.len(), zeta: mean, repeatability_percent })
+        let half = student::two_sided_95(n - 1.0) * scatter / n.sqrt();
+        let zeta_interval = (zetas.len() > 1).then(|| [mean - half, mean + half]);
+        Ok(OfSize { diameter, pushes: zetas.len(), zeta: mean, zeta_interval, repeatability_percent })
     };
     diameters(pushes).into_iter().map(of).collect()
 }
