@@ -11,6 +11,7 @@ mod heights;
 mod intrude;
 mod layout;
 mod media;
+mod options;
 mod play;
 mod progress;
 mod replay;
@@ -25,6 +26,7 @@ mod sweep;
 mod task_page;
 mod tasks;
 mod train;
+mod trained;
 mod trials;
 mod validate;
 mod walk;
@@ -38,6 +40,7 @@ pub use train::{TrainingArgs, learn};
 use self::progress::Bar;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
+use sandgait::error::unknown_name;
 use sandgait::sand::{Law, Medium, SandDescription};
 use sandgait::{Error, Result};
 use std::error::Error as _;
@@ -62,16 +65,17 @@ const EXAMPLES: &str = "Examples:
 
 Each command has its own --help with more examples.";
 
-/// Replaces paths in a task's options by the files' packed texts: a robot, and heights of the ground.
+/// Replaces paths in a task's options by the files' texts: a robot, sand, hardware, and heights of the ground.
 fn read_files(options: &mut serde_json::Value) -> Result<()> {
     robot::read_option(options)?;
-    read_hardware(options.get_mut("hardware"))?;
-    read_hardware(options.get_mut("domain_rand").and_then(|draws| draws.get_mut("hardware")))?;
+    read_text(options.get_mut("sand"))?;
+    read_text(options.get_mut("hardware"))?;
+    read_text(options.get_mut("domain_rand").and_then(|draws| draws.get_mut("hardware")))?;
     heights::read_option(options)
 }
 
-/// Replaces the path of a hardware.toml by its text.
-fn read_hardware(option: Option<&mut serde_json::Value>) -> Result<()> {
+/// Replaces the path of a sand.toml or hardware.toml by its text.
+fn read_text(option: Option<&mut serde_json::Value>) -> Result<()> {
     let Some(option) = option else { return Ok(()) };
     // The text of a file has several lines, and a path has one.
     if let Some(path) = option.as_str().filter(|text| !text.is_empty() && !text.contains('\n')) {
@@ -163,14 +167,22 @@ fn with_file(file: &Path, given: Vec<OsString>) -> Result<Cli> {
     parse(&all.into_iter().chain(given).collect::<Vec<_>>()).map_err(|e| Error::file(file, one_line(&e)))
 }
 
-/// Parses a command line. `-1` is a value, so that a number below its range is refused with the range.
-fn parse(arguments: &[OsString]) -> std::result::Result<Cli, clap::Error> {
+/// The command line's grammar. `-1` is a value, so that a number below its range is refused with the range. Examples are
+/// broken so that each can be copied.
+fn grammar() -> clap::Command {
     let numeric = |argument: clap::Arg| {
         let takes_values = argument.get_action().takes_values() && !argument.is_allow_hyphen_values_set();
         argument.allow_negative_numbers(takes_values)
     };
-    let command = Cli::command().mut_subcommands(|command| command.mut_args(numeric));
-    Cli::from_arg_matches(&command.try_get_matches_from(arguments)?)
+    Cli::command().mut_subcommands(|command| {
+        let examples = command.get_after_help().map(|text| layout::examples(&text.to_string()));
+        let command = command.mut_args(numeric);
+        examples.into_iter().fold(command, clap::Command::after_help)
+    })
+}
+
+fn parse(arguments: &[OsString]) -> std::result::Result<Cli, clap::Error> {
+    Cli::from_arg_matches(&grammar().try_get_matches_from(arguments)?)
 }
 
 /// A parser of whole numbers in `range`. Its refusals name the range.
@@ -187,7 +199,9 @@ fn whole<T: TryFrom<u64>>(
 fn exit_code(error: &Error) -> u8 {
     match error {
         Error::Invalid { .. } | Error::Unknown { .. } | Error::Replaced { .. } | Error::File { .. } => 2,
-        Error::OutOfOrder(_) | Error::Exhausted(_) | Error::Cancelled(_) | Error::Internal(_) => 1,
+        // As a shell says of a program that Ctrl-C has ended.
+        Error::Cancelled(_) => 130,
+        Error::OutOfOrder(_) | Error::Exhausted(_) | Error::Internal(_) => 1,
     }
 }
 
@@ -217,7 +231,8 @@ fn one_line(error: &clap::Error) -> String {
         (ErrorKind::MissingRequiredArgument, Some(missing), _) => format!("missing: {missing}"),
         (ErrorKind::InvalidValue, Some(argument), Some(value)) if !value.is_empty() => {
             let known = context(ContextKind::ValidValue).unwrap_or_default();
-            format!("{}: {value:?} is unknown; known: {known}", name(argument))
+            let known: Vec<&str> = known.split(", ").collect();
+            format!("{}: {}", name(argument), unknown_name(&value, &known))
         }
         (ErrorKind::ValueValidation, Some(argument), Some(value)) => {
             let reason = error.source().map_or_else(String::new, |e| match e.downcast_ref::<Error>() {
@@ -362,13 +377,14 @@ mod tests {
             assert_eq!(refused(line), said);
         }
         let unknown = refused("sandgait bench --through grpc");
-        assert!(unknown.starts_with("--through: \"grpc\" is unknown; known: process, grpc-uds"), "{unknown}");
+        let said = "--through: \"grpc\" is unknown; did you mean \"grpc-uds\"? known: process, grpc-uds";
+        assert!(unknown.starts_with(said), "{unknown}");
     }
 
     /// At 80 and at 120 columns no line of any help is wider, and each word of the wide help is in the narrow one.
     #[test]
     fn help_is_wrapped_at_words() {
-        for command in Cli::command().get_subcommands() {
+        for command in grammar().get_subcommands() {
             let help = |width| command.clone().term_width(width).render_long_help().to_string();
             let words = |text: &str| text.split_whitespace().map(str::to_owned).collect::<Vec<_>>();
             let [narrow, wide] = [80, 120].map(|width| {
@@ -379,6 +395,27 @@ mod tests {
                 words(&text)
             });
             assert_eq!(narrow, wide, "{}", command.get_name());
+        }
+    }
+
+    /// Each example of a help at 80 columns is a command that a shell takes as it stands, and this program parses it.
+    #[test]
+    fn examples_can_be_copied() {
+        for command in grammar().get_subcommands() {
+            let help = command.clone().term_width(80).render_long_help().to_string();
+            let examples = help.rsplit_once("Examples:\n").map_or("", |(_, examples)| examples);
+            assert!(examples.contains("sandgait "), "{}", command.get_name());
+            for line in examples.replace("\\\n", " ").lines().filter(|l| !l.is_empty() && !l.trim().starts_with('#')) {
+                let line = line.split(" && ").next().unwrap().trim();
+                let words = line.split_whitespace().skip_while(|word| word.contains("SANDGAIT_")).map(OsString::from);
+                // An option of a JSON object would need a shell here.
+                if line.contains('\'') {
+                    continue;
+                }
+                if let Err(error) = parse(&words.collect::<Vec<_>>()) {
+                    panic!("{line}: {error}");
+                }
+            }
         }
     }
 }

@@ -1,6 +1,7 @@
 //! `sandgait sweep`
 
 use super::Bar;
+use super::options::OptionArgs;
 use sandgait::env::Task;
 use sandgait::env::gait::HexapodGait;
 use sandgait::error::check_range;
@@ -68,9 +69,8 @@ pub struct SweepArgs {
     /// Number of designs that --optimize tries with learnt gaits
     #[arg(long, value_name = "N", default_value_t = 24, value_parser = super::whole::<usize>(1..=300))]
     designs: usize,
-    /// Option of the learnt task
-    #[arg(long, value_name = "NAME=VALUE", allow_hyphen_values = true)]
-    option: Vec<String>,
+    #[command(flatten)]
+    options: OptionArgs,
     /// Directory for the results
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -87,7 +87,7 @@ impl SweepArgs {
         if self.learn.is_some() || self.learn_steps.is_some() {
             return self.learnt(base, axes);
         }
-        if self.warm.is_some() || !self.option.is_empty() {
+        if self.warm.is_some() || !self.options.is_empty() {
             return Err(Error::invalid("--warm, --option", "they are used only with --learn or --learn-steps"));
         }
         let measure = SweepMeasure::named(&self.measure)?;
@@ -159,7 +159,7 @@ impl SweepArgs {
     fn learnt(&self, base: Design, axes: Vec<SweepAxis>) -> Result<String> {
         let measure = design::GaitMeasure::named(self.optimize.as_ref().unwrap_or(&self.measure))?;
         let mut settings = entry::settings(None, HexapodGait::ID, entry::ends(self.learn_steps, self.learn)?)?;
-        let pairs = self.option.iter().map(|o| entry::pair("--option", o)).collect::<Result<Vec<_>>>()?;
+        let pairs = self.options.read()?;
         let options = std::mem::take(&mut settings.env_kwargs).into_iter().chain(pairs).collect();
         self.warm.map_or(Ok(0.0), |warm| check_range("--warm", warm, 1e-3..=1e12))?;
         let search = self.optimize.as_ref().map(|_| self.designs);
