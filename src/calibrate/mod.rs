@@ -11,6 +11,7 @@ use sandgait_sand as sand;
 use sandgait_table as table;
 
 pub mod figure;
+mod fitted_sand;
 pub mod pressure_law;
 pub mod pushes;
 pub mod read;

@@ -8,7 +8,6 @@
 pub use super::pressure_law::PressureLaw;
 use super::{TRANSIENT, jackknife, refused};
 use crate::error::{Result, check_range};
-use crate::sand::mechanism_laws::DEPTH_REFERENCE;
 use crate::student;
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
@@ -98,7 +97,7 @@ pub struct Pushes {
     pub greatest: [f64; 2],
     /// The recommended law's parameters, see [`fit`].
     #[serde(skip)]
-    fitted: [f64; 3],
+    pub(super) fitted: [f64; 3],
     pub cautions: Vec<String>,
 }
 
@@ -149,21 +148,6 @@ pub fn compare(pushes: &[Penetration], compliance: Option<f64>) -> Result<Pushes
     };
     study.cautions = cautions(&study, pushes);
     Ok(study)
-}
-
-impl Pushes {
-    /// ζ [N/cm³] of a sand for bodies of this size, and the mechanism depth_power, whose laws agree with the recommended
-    /// one: |z| stands for z0 (|z|/z0)^n. A footing's law has no such form, so it is a line through the origin.
-    pub fn sand(&self, size: &OfSize) -> (f64, f64) {
-        let [scale, n, q] = self.fitted;
-        match self.law {
-            PressureLaw::Power | PressureLaw::PowerAndSize => {
-                let zeta = (scale + q * size.diameter.ln() + (n - 1.0) * DEPTH_REFERENCE.ln()).exp();
-                (1e-6 * zeta, n - 1.0)
-            }
-            _ => (size.zeta, 0.0),
-        }
-    }
 }
 
 /// The simplest law whose error no other law reduces by more than the share [`WORTH`]. If each law has an error on

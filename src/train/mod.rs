@@ -39,6 +39,7 @@ mod measure;
 mod mirror;
 mod network;
 mod normal;
+mod outlook;
 pub mod plan;
 mod record;
 pub mod remote;

@@ -3,6 +3,7 @@
 
 use super::curve::{CurvePoint, LearningCurve, OpenPoint};
 use super::events::EventFile;
+use super::outlook::{OUTLOOK, outlook};
 use super::plan::{Observer, TrainingPlan, TrainingState, UpdateReport};
 use super::remote::{Pause, RemoteEnvironments};
 use super::settings::Hyperparameters;
@@ -27,23 +28,6 @@ const TRAINING: f64 = 0.97;
 
 /// File name of the policy.
 const POLICY: &str = "policy.onnx";
-
-/// The update after which a training with a curriculum says how long it usually takes: our choice, because the rate of
-/// the first updates is too low.
-const OUTLOOK: u32 = 4;
-/// Steps [millions] after which the mean level of the curriculum was 0.9 in the kept trainings of four robots with four
-/// legs on packed seeds (`examples/policies/LeggedVelocity-*/curve.csv`): after 3.8 to 4.5.
-const USUAL: [f64; 2] = [4.0, 5.0];
-
-/// What a training with a curriculum says of its duration at this `level` and `rate` [steps/s].
-fn outlook(level: f64, steps: u64, rate: f64) -> String {
-    let minutes = USUAL.map(|millions| ((1e6 * millions - steps as f64) / rate / 60.0).max(0.0).ceil());
-    format!(
-        "the curriculum is at level {level:.2} of 1: it rises when the robot follows its commands. Robots with four legs usually \
-         walk at level 1 after {} to {} M steps, here in {} to {} min; six legs and two legs can need several times as long",
-        USUAL[0], USUAL[1], minutes[0], minutes[1]
-    )
-}
 
 /// Interval of checks whether the training was stopped: our choice, well below the 100 ms that a person notices.
 const PATIENCE: Duration = Duration::from_millis(20);
@@ -98,6 +82,16 @@ pub enum PolicyScore {
     Commands(CommandTracking),
 }
 
+impl PolicyScore {
+    /// Mean return of an episode, if the score has one.
+    fn mean_return(&self) -> Option<f64> {
+        match self {
+            Self::Walking(row) => Some(row.figures.total_reward.mean),
+            Self::Commands(_) => None,
+        }
+    }
+}
+
 impl TrainingRequest {
     /// Trains, and writes all files into the folder. A training that is stopped leaves a checkpoint.
     pub fn run(&self, progress: &dyn Progress) -> Result<TrainingOutcome> {
@@ -150,11 +144,7 @@ impl TrainingRequest {
         diary.save()?;
         let score = self.keep(&plan, &learnt, options, &PartialProgress::new(progress, [TRAINING, 1.0]));
         let score = score.map_err(|error| self.after_training(error))?;
-        let reached = match &score {
-            Some(PolicyScore::Walking(row)) => Some(row.figures.total_reward.mean),
-            _ => None,
-        };
-        diary.curve.draw(&self.out.join("curve.svg"), &self.task, reached)?;
+        diary.curve.draw(&self.out.join("curve.svg"), &self.task, score.as_ref().and_then(PolicyScore::mean_return))?;
         let mut about = about;
         about["steps"] = learnt.steps.into();
         about["seconds"] = learnt.seconds.into();
@@ -387,17 +377,5 @@ impl TrainingFiles<'_> {
             Error::Cancelled(why) => Error::Cancelled(why + &note),
             other => other,
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_outlook_follows_from_the_rate() {
-        let said = outlook(0.25, 1_000_000, 50_000.0);
-        assert!(said.contains("level 0.25 of 1") && said.contains("4 to 5 M steps, here in 1 to 2 min"), "{said}");
-        assert!(outlook(0.95, 8_000_000, 50_000.0).contains("here in 0 to 0 min"));
     }
 }
