@@ -143,6 +143,7 @@ impl CalibrateArgs {
         sand.name = format!("zeta={zeta:.4}");
         sand.source = format!("sandgait calibrate {files}: {words}");
         sand.mechanisms.depth_power = depth_power;
+        sand.mechanisms.validated()?;
         files::write(path, sand.to_toml()?.as_bytes())
     }
 

@@ -11,20 +11,20 @@ pub struct OptionArgs {
     /// [0.1,0.6] or {"key": 1}; a number stands for a range of that number, and null for None. Of sand, hardware and
     /// robot VALUE can be a path
     #[arg(long = "option", value_name = "NAME=VALUE", allow_hyphen_values = true)]
-    words: Vec<String>,
+    option_words: Vec<String>,
     /// The same as one JSON object
     #[arg(long = "options", value_name = "JSON", hide = true, allow_hyphen_values = true)]
-    json: Option<String>,
+    options_json: Option<String>,
 }
 
 impl OptionArgs {
     pub fn is_empty(&self) -> bool {
-        self.words.is_empty() && self.json.is_none()
+        self.option_words.is_empty() && self.options_json.is_none()
     }
 
     /// The options as the user wrote them.
     pub fn words(&self) -> Vec<String> {
-        self.words.iter().chain(&self.json).cloned().collect()
+        self.option_words.iter().chain(&self.options_json).cloned().collect()
     }
 
     /// The options, with the contents of the files that they name.
@@ -48,13 +48,13 @@ impl OptionArgs {
     }
 
     fn named(&self) -> Result<Map<String, Value>> {
-        let mut options = match self.json.as_deref().map(serde_json::from_str) {
+        let mut options = match self.options_json.as_deref().map(serde_json::from_str) {
             None => Map::new(),
             Some(Ok(Value::Object(options))) => options,
             Some(Ok(other)) => return Err(Error::invalid("--options", format!("{other} is no JSON object"))),
             Some(Err(e)) => return Err(Error::invalid("--options", format!("not JSON: {e}"))),
         };
-        for word in &self.words {
+        for word in &self.option_words {
             let (name, value) = named(word)?;
             if options.insert(name.clone(), value).is_some() {
                 return Err(Error::invalid(format!("--option {name}"), "is given twice"));
@@ -81,7 +81,10 @@ mod tests {
     use serde_json::json;
 
     fn args(words: &[&str], given: Option<&str>) -> OptionArgs {
-        OptionArgs { words: words.iter().map(|w| (*w).to_owned()).collect(), json: given.map(str::to_owned) }
+        OptionArgs {
+            option_words: words.iter().map(|w| (*w).to_owned()).collect(),
+            options_json: given.map(str::to_owned),
+        }
     }
 
     #[test]

@@ -289,4 +289,8 @@ impl Progress for Interruptible {
         }
         self.bar.report(done, stage)
     }
+
+    fn note(&self, line: &str) {
+        self.bar.note(line);
+    }
 }
