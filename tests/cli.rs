@@ -130,9 +130,10 @@ fn bench_takes_the_task_options() {
     assert!(warned.status.success() && said.contains("added_mass has no effect on a walking robot"), "{said:?}");
     let refuse = |more: &[&str], words: &[&str]| refused(&[&quick[..], more].concat(), words);
     refuse(&["--actions", "policy"], &["--actions", "--policy FILE.onnx"]);
-    refuse(&["--policy", "x.onnx"], &["--policy", "--actions policy"]);
+    refuse(&["--policy", "x.onnx"], &["x.onnx"]);
+    refuse(&["--policy", "x.onnx", "--actions", "zero"], &["--policy", "--actions policy"]);
     refuse(&["--actions", "policy", "--policy", "Cargo.toml"], &["policy"]);
-    refuse(&["--option", "slope_deg"], &["--option", "slope_deg", "KEY=VALUE"]);
+    refuse(&["--option", "slope_deg"], &["--option", "slope_deg", "NAME=VALUE"]);
     refuse(&["--option", "slope_deg=80"], &["slope_deg", "80", "35"]);
     refuse(&["--option", "slop=1"], &["slop"]);
     let hardware = directory.path().join("hardware.toml");

@@ -387,7 +387,7 @@ fn evaluations_of_the_wrong_kind_say_which_is_right() {
         slopes: Vec::new(),
     };
     let error = Evaluation::new(&request).err().unwrap().to_string();
-    assert!(error.contains("`sandgait evaluate POLICY --commands` measures how well"), "{error}");
+    assert!(error.contains("`sandgait evaluate POLICY` measures how well"), "{error}");
     let refused =
         |policy: PolicySource, options: Value| CommandStudy::new(&policy, &options).err().unwrap().to_string();
     assert!(refused(PolicySource::Tripod(None), Value::Null).contains("it follows no commands"));

@@ -144,7 +144,17 @@ impl<'a> Twins<'a> {
         let (task_state, previous_action) = (&self.goals[i], &self.last[i]);
         let model = task_state.model.as_ref().unwrap_or(task.model());
         task.evaluate(
-            &Transition { model, task_state, before, after, action, previous_action, period, diverged: false },
+            &Transition {
+                model,
+                task_state,
+                before,
+                after,
+                foot_loads: &[],
+                action,
+                previous_action,
+                period,
+                diverged: false,
+            },
             &mut info,
         );
         (row, info)
@@ -270,6 +280,7 @@ fn paid(headings: [f64; 2], moved: [f64; 2], turning: f64, work: f64) -> impl Fn
         task_state: &task_state,
         before: &before,
         after: &after,
+        foot_loads: &[],
         action: &[0.0; 6],
         previous_action: &[0.0; 6],
         period: 0.02,

@@ -28,6 +28,7 @@ it. A `sandgait.Remote` is the address of a server that requires TLS or a token.
 
 from __future__ import annotations
 
+import importlib
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
@@ -124,6 +125,20 @@ TASKS = (
 """Ids of the tasks that this version registers. A later version of a task comes after an earlier one."""
 
 
+#: Modules for other packages. They are imported when they are first used, because those packages may not be installed.
+_LAZY = ("export", "logs", "mujoco", "ray", "sb3", "wrappers")
+
+
+def __getattr__(name: str) -> Any:
+    if name in _LAZY:
+        return importlib.import_module(f".{name}", __name__)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_LAZY})
+
+
 def make_sb3(
     id: str,
     num_envs: int,
@@ -131,6 +146,7 @@ def make_sb3(
     *,
     monitor: bool | FilePath = True,
     info_keywords: tuple[str, ...] = (),
+    torch_threads: int | None = 1,
     **options: Any,
 ) -> Environments:
     """`num_envs` environments of task `id` as a stable-baselines3 `VecEnv`; `options` as for `gymnasium.make_vec`.
@@ -138,10 +154,14 @@ def make_sb3(
     A `VecMonitor` wraps them, from which stable-baselines3 takes `ep_rew_mean`. If `monitor` is a path, the VecMonitor
     also writes every episode to that file, with the info columns `info_keywords`. With `monitor=False` there is no
     VecMonitor.
+
+    `torch_threads`: environments in this process give torch this number of threads, unless OMP_NUM_THREADS or
+    MKL_NUM_THREADS is set; None leaves torch's number. With more threads torch and the environments slow each other
+    down: a training that takes a second takes half a minute.
     """
     from .sb3 import make
 
-    return make(id, num_envs, address, monitor, info_keywords, options)
+    return make(id, num_envs, address, monitor, info_keywords, torch_threads, options)
 
 
 def export_onnx(model: Any, path: FilePath, normalize: Any = None) -> Path:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
+from . import _native
+
 
 #: Longest message: that of the native module (src/base/error.rs). A message may repeat a text that was given as a name.
 LONGEST = 4300
@@ -54,3 +58,8 @@ class SessionLost(SandgaitError):
 def shortened(text: str, most: int) -> str:
     """`text`, cut off after `most` characters."""
     return text if len(text) <= most else text[:most] + "…"
+
+
+def unknown(what: str, name: object, known: Iterable[str]) -> InvalidRequest:
+    """The exception for a name that does not exist. It says which known name may be meant."""
+    return InvalidRequest(f"{what} {_native.unknown_name(str(name), list(known))}")

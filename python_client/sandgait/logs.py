@@ -20,7 +20,7 @@ from pathlib import Path
 from tempfile import TemporaryFile
 
 from .arguments import checked
-from .errors import InvalidRequest
+from .errors import InvalidRequest, unknown
 from .user_warnings import warn
 
 #: First bytes of each format that is converted.
@@ -67,7 +67,7 @@ def to_csv(path: str | PathLike[str], topics: Mapping[str, str] | None = None) -
         raise InvalidRequest(f"{source}: neither Parquet, LeRobot, MCAP nor a bag of ROS 1 or ROS 2")
     wrong = [name for name in topics or {} if name not in ("joints", "imu")]
     if wrong:
-        raise InvalidRequest(f"topics: {wrong[0]!r} is unknown; known: joints, imu")
+        raise unknown("topics:", wrong[0], ("joints", "imu"))
     chosen = [f"{name}={topic}" for name, topic in (topics or {}).items()]
     own = [str(os.getpid()), str(LONGEST)]
     command = [sys.executable, "-P", "-W", "ignore", READER, *own, form, str(source.resolve()), *chosen]

@@ -46,7 +46,9 @@ def with_files(options: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _text(name: str, file: Any) -> Any:
-    """The contents of an option's `file`."""
+    """The contents of an option's `file`. A text of several lines, as settings.json has it, is the contents already."""
+    if isinstance(file, str) and (not file or "\n" in file):
+        return file
     try:
         return Path(file).read_text(encoding="utf-8")
     except (OSError, TypeError, ValueError) as error:
@@ -57,10 +59,13 @@ def _text(name: str, file: Any) -> Any:
 
 def keyword_error(message: str) -> InvalidRequest:
     """The exception for a refused request. For an unknown option it has Python's words for an unknown keyword."""
-    unknown = re.match(r'option "(.*)" is unknown; known: ', message)
+    unknown = re.match(r'option "(.*)" is unknown; (?:did you mean "(.*)"\? )?known: ', message)
     if unknown is None:
         return InvalidRequest(message)
-    return UnknownOption(f"unexpected keyword argument {unknown[1]!r}; the task's options: {message[unknown.end() :]}")
+    meant = f"did you mean {unknown[2]!r}? " if unknown[2] else ""
+    return UnknownOption(
+        f"unexpected keyword argument {unknown[1]!r}; {meant}the task's options: {message[unknown.end() :]}"
+    )
 
 
 def _heights(file: object) -> str:

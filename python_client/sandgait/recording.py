@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .arguments import checked
-from .errors import InvalidRequest, SandgaitError
+from .errors import InvalidRequest, SandgaitError, unknown
 
 FilePath = str | PathLike[str]
 Floats = npt.NDArray[np.float32]
@@ -69,7 +69,7 @@ class Section:
 
     def __getitem__(self, name: str) -> Floats:
         if name not in self._places:
-            raise InvalidRequest(f"column {name!r} is unknown; known: {', '.join(self._places)}")
+            raise unknown("column", name, self._places)
         place, shape = self._places[name]
         return self.rows[:, place].reshape(len(self.rows), *shape)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -12,12 +14,13 @@ from gymnasium.vector import AutoresetMode
 
 from .arguments import checked
 from .attributes import refusal
-from .errors import InvalidRequest, UnknownAttribute
+from .errors import InvalidRequest, UnknownAttribute, unknown
 from .shards import Address
 from .snapshots import FilePath
 from .vector_env import SandgaitVectorEnv
 
 try:
+    import torch
     from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 except ImportError as error:
     raise ImportError("stable-baselines3 is not installed: pip install 'sandgait[sb3]'") from error
@@ -164,6 +167,27 @@ class SandgaitVecEnv(VecEnv):
 Environments = SandgaitVecEnv | VecMonitor
 
 
+#: Variables by which a user chooses the number of torch's threads.
+_CHOSEN = ("OMP_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def limit_torch(threads: int | None) -> None:
+    """Gives torch this number of threads; None: as many as it has. Says on stderr if that changes the number.
+
+    Threads of torch wait for their next work without sleeping. Beside the threads of the environments they take the
+    processors from these and from each other; the networks of PPO are so small that one thread is as fast alone.
+    """
+    if threads is None or any(name in os.environ for name in _CHOSEN) or torch.get_num_threads() <= threads:
+        return
+    before = torch.get_num_threads()
+    torch.set_num_threads(threads)
+    print(
+        f"sandgait: torch has {threads} thread instead of {before}, because its threads and those of the environments "
+        f"slow each other down; make_sb3(…, torch_threads=None) leaves them",
+        file=sys.stderr,
+    )
+
+
 @checked
 def make(
     task: str,
@@ -171,17 +195,22 @@ def make(
     address: Address,
     monitor: bool | FilePath,
     info_keywords: tuple[str, ...],
+    torch_threads: int | None,
     options: dict[str, Any],
 ) -> Environments:
     """Implements `sandgait.make_sb3`."""
     if "autoreset_mode" in options:
         raise InvalidRequest("autoreset_mode: stable-baselines3 has a fixed one")
+    if torch_threads is not None and torch_threads < 1:
+        raise InvalidRequest(f"torch_threads: {torch_threads} is below 1")
     envs = SandgaitVecEnv(SandgaitVectorEnv(task, num_envs, address, autoreset_mode="SAME_STEP", **options))
+    if address is None:
+        limit_torch(torch_threads)
     if monitor is False:
         return envs
     known = [c.name for c in envs.envs.task.info]
-    unknown = [name for name in info_keywords if name not in known]
-    if unknown:
+    wrong = [name for name in info_keywords if name not in known]
+    if wrong:
         envs.close()
-        raise InvalidRequest(f"info_keywords: {unknown[0]!r} is unknown; known: {', '.join(known)}")
+        raise unknown("info_keywords:", wrong[0], known)
     return VecMonitor(envs, None if monitor is True else str(monitor), tuple(info_keywords))

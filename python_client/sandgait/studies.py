@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from .arguments import checked, numbers, shown
 from .door import study
-from .errors import InvalidRequest
+from .errors import InvalidRequest, unknown
 from .tables import Numbers, Table, new_axes
 from .user_warnings import warn
 
@@ -371,7 +371,7 @@ def sweep(
 
 def _measure(name: str) -> str:
     if name not in _MEASURES:
-        raise InvalidRequest(f'measure "{name}" is unknown; known: {", ".join(_MEASURES)}')
+        raise unknown("measure", name, _MEASURES)
     return name
 
 
@@ -390,7 +390,7 @@ def _motions(rows: Mapping[str, npt.ArrayLike]) -> dict[str, Any]:
     """The columns of `rows` as bytes."""
     for name in rows:
         if name not in _MOTION:
-            raise InvalidRequest(f"rows: column {name!r} is unknown; known: {', '.join(_MOTION)}")
+            raise unknown("rows: column", name, _MOTION)
     absent = {"depth": np.nan, "load": np.nan}
     try:
         given = [np.asarray(rows.get(name, absent.get(name, 0.0)), dtype=np.float64) for name in _MOTION]

@@ -16,7 +16,7 @@ from gymnasium.vector.utils import batch_space
 from .arguments import checked, numbers
 from .attributes import refusal
 from .batches import Batch, Rollout
-from .errors import InvalidRequest, OutOfOrder, SandgaitError, UnknownAttribute
+from .errors import InvalidRequest, OutOfOrder, SandgaitError, UnknownAttribute, unknown
 from .pickling import Origin, Pickled
 from .policies import read_policy
 from .shards import Address
@@ -458,4 +458,4 @@ def _autoreset(mode: AutoresetMode | str) -> AutoresetMode:
     for known in AutoresetMode:
         if mode in (known, known.value, known.name):
             return known
-    raise InvalidRequest(f"autoreset_mode: {mode!r} is unknown; known: {', '.join(m.name for m in AutoresetMode)}")
+    raise unknown("autoreset_mode:", mode, [m.name for m in AutoresetMode])

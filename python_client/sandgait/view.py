@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from . import _native
 from .door import Camera
-from .errors import InvalidRequest, OutOfOrder, SandgaitError
+from .errors import InvalidRequest, OutOfOrder, SandgaitError, unknown
 from .recording import FilePath, Recorder
 from .shards import Shards
 
@@ -35,7 +35,7 @@ def camera(given: Mapping[str, Any] | None) -> Camera:
     known = {"azimuth_deg": None, "elevation_deg": None, "distance": None, "follow": True}
     for name, value in (given or {}).items():
         if name not in known:
-            raise InvalidRequest(f"render_camera: {name!r} is unknown; known: {', '.join(known)}")
+            raise unknown("render_camera:", name, known)
         if not isinstance(value, bool if name == "follow" else (int, float)):
             raise InvalidRequest(
                 f"render_camera: {name} {value!r} is not {'True or False' if name == 'follow' else 'a number'}"
@@ -98,7 +98,7 @@ class View:
         self, shards: Shards, render_mode: str | None, size: tuple[int, int], camera_options: Mapping[str, Any] | None
     ) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
-            raise InvalidRequest(f"render_mode: {render_mode!r} is unknown; known: {', '.join(RENDER_MODES)}")
+            raise unknown("render_mode:", render_mode, RENDER_MODES)
         for name, side in zip(("width", "height"), size, strict=True):
             if not 16 <= side <= 4096:
                 raise InvalidRequest(f"render_size: {name} {side} is outside [16, 4096]")

@@ -11,8 +11,8 @@ pub enum Error {
     #[error("{field}: {reason}")]
     Invalid { field: String, reason: String },
     /// A name that does not exist.
-    #[error("{what} {name:?} is unknown; known: {known}")]
-    Unknown { what: &'static str, name: String, known: String },
+    #[error("{what} {}", unknown_name(name, known))]
+    Unknown { what: &'static str, name: String, known: Vec<String> },
     /// A name that has been replaced by another.
     #[error("{what} {name:?} has been replaced by {new:?}; see CHANGELOG")]
     Replaced { what: &'static str, name: String, new: String },
@@ -47,7 +47,8 @@ impl Error {
     }
 
     pub fn unknown(what: &'static str, name: &str, known: &[&str]) -> Self {
-        Self::Unknown { what, name: shortened(name.into(), LONGEST_NAME), known: known.join(", ") }
+        let known = known.iter().map(|known| (*known).to_owned()).collect();
+        Self::Unknown { what, name: shortened(name.into(), LONGEST_NAME), known }
     }
 
     /// One line, even if `reason` quotes several lines of a file. The path may be any text that was given as one.
@@ -95,6 +96,34 @@ fn one_line(reason: impl std::fmt::Display) -> String {
     shortened(reason.to_string().replace(['\n', '\r'], " "), LONGEST)
 }
 
+/// What a message says of a name that does not exist: the known name that the user most likely meant, if one is
+/// similar, and all known names.
+pub fn unknown_name<S: AsRef<str>>(name: &str, known: &[S]) -> String {
+    let meant = similar(name, known).map_or(String::new(), |meant| format!("did you mean {meant:?}? "));
+    let known: Vec<&str> = known.iter().map(AsRef::as_ref).collect();
+    format!("{name:?} is unknown; {meant}known: {}", known.join(", "))
+}
+
+/// A known name is similar from this Jaro similarity on: the value of clap, which makes the same suggestions for the
+/// options of the command line.
+const SIMILAR: f64 = 0.7;
+
+/// The known name that is most similar to `name`. The case, `_` in place of `-`, and the namespace and version of a
+/// task do not count.
+pub fn similar<'a, S: AsRef<str>>(name: &str, known: &'a [S]) -> Option<&'a str> {
+    let plain = |name: &str| {
+        let name = name.rsplit_once('/').map_or(name, |(_, name)| name);
+        let version = name.rsplit_once("-v").filter(|(_, version)| version.parse::<u32>().is_ok());
+        version.map_or(name, |(name, _)| name).to_lowercase().replace('_', "-")
+    };
+    // Among the known names may be a description, such as "sessions that have not ended".
+    let names = known.iter().map(AsRef::as_ref).filter(|known| !known.contains(' '));
+    let scored = names.map(|known| (known, strsim::jaro(&plain(name), &plain(known))));
+    // Of equals the first is taken.
+    let best = scored.filter(|(_, score)| *score > SIMILAR).rev().max_by(|a, b| a.1.total_cmp(&b.1))?;
+    Some(best.0)
+}
+
 /// Longest name and longest reason in a message [bytes]: our choice, because a message may quote a file that was given in
 /// place of a name, and a gRPC status has at most 16 KiB.
 const LONGEST_NAME: usize = 300;
@@ -128,5 +157,36 @@ pub fn short(value: f64) -> String {
     match value.abs() {
         size if size == 0.0 || (1e-6..1e15).contains(&size) => value.to_string(),
         _ => format!("{value:e}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_unknown_name_has_a_suggestion() {
+        let options = ["leg", "medium", "slope_deg", "torque_limit", "max_episode_steps"];
+        let tasks = ["sandgait/HexapodGait-v1", "sandgait/HexapodLegs-v1", "sandgait/LeggedVelocity-v1"];
+        let media = ["poppy-loose", "poppy-close", "glass-3mm-loose"];
+        for (name, known, meant) in [
+            ("mediun", &options[..], Some("medium")),
+            ("slope", &options[..], Some("slope_deg")),
+            ("torque-limit", &options[..], Some("torque_limit")),
+            ("episode_steps", &options[..], Some("max_episode_steps")),
+            ("HexapodGate", &tasks[..], Some("sandgait/HexapodGait-v1")),
+            ("leggedvelocity", &tasks[..], Some("sandgait/LeggedVelocity-v1")),
+            ("sandgait/HexapodLeg-v1", &tasks[..], Some("sandgait/HexapodLegs-v1")),
+            ("Poppy_Loose", &media[..], Some("poppy-loose")),
+            ("popy-close", &media[..], Some("poppy-close")),
+            ("xyz", &media[..], None),
+            ("", &media[..], None),
+            ("sessions", &["sessions that have not ended"][..], None),
+        ] {
+            assert_eq!(similar(name, known), meant, "{name}");
+        }
+        let said = Error::unknown("option", "mediun", &options[..2]).to_string();
+        assert_eq!(said, r#"option "mediun" is unknown; did you mean "medium"? known: leg, medium"#);
+        assert_eq!(Error::unknown("option", "xyz", &["leg"]).to_string(), r#"option "xyz" is unknown; known: leg"#);
     }
 }

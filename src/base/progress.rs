@@ -9,6 +9,9 @@ pub trait Progress: Sync {
     /// `done` is the finished share, 0 to 1; `stage` describes the next part of the work. If this returns an error,
     /// usually [`crate::Error::Cancelled`], the work stops and returns that error.
     fn report(&self, done: f64, stage: &str) -> Result<()>;
+
+    /// A line that the user should be able to read at any later time. The default ignores it.
+    fn note(&self, _line: &str) {}
 }
 
 /// Ignores all reports and never stops.
@@ -36,6 +39,10 @@ impl Progress for PartialProgress<'_> {
     fn report(&self, done: f64, stage: &str) -> Result<()> {
         let [start, end] = self.ends;
         self.whole.report(start + (end - start) * done, stage)
+    }
+
+    fn note(&self, line: &str) {
+        self.whole.note(line);
     }
 }
 

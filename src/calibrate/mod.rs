@@ -11,6 +11,7 @@ use sandgait_sand as sand;
 use sandgait_table as table;
 
 pub mod figure;
+mod fitted_sand;
 pub mod pressure_law;
 pub mod pushes;
 pub mod read;
@@ -24,14 +25,22 @@ use crate::sand::law::agarwal2023;
 const STRETCHES: usize = 6;
 /// Student's t at 97.5 % with [`STRETCHES`] − 1 degrees of freedom (NIST/SEMATECH e-Handbook, 1.3.6.7.2).
 const T_95: f64 = 2.571;
-/// Least number of samples in a test: our choice, four for each stretch.
-const LEAST_SAMPLES: usize = 4 * STRETCHES;
+/// A log has at least this number of samples: our choice, four for each stretch. In a test with fewer samples, such as
+/// readings by hand, each sample is a stretch of its own.
+const LOGGED: usize = 4 * STRETCHES;
+/// Least number of samples in a test: our choice, as few as a log has stretches.
+const LEAST_SAMPLES: usize = STRETCHES;
 /// The uppermost part of the test, where grains still pile up, is left out; this is its share of the greatest depth.
 /// Our choice, because Li et al. 2012 also fit the steady state only.
 const TRANSIENT: f64 = 0.1;
 /// If the line explains less than this share of the variance, the test was not a quasi-static penetration, whose force
 /// is proportional to the depth. Our choice; it is below 1 because of noise.
 const LEAST_R_SQUARED: f64 = 0.8;
+
+/// The plate of Li et al. 2012, section 2: 3.8 × 2.5 cm [m²].
+pub const PLATE: f64 = 0.038 * 0.025;
+/// A plate below 0.1 mm² or above 1 m² has a wrong unit: our choice.
+const AREAS: std::ops::RangeInclusive<f64> = 1e-7..=1.0;
 
 /// Results of a penetration test.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
@@ -57,8 +66,7 @@ pub struct Calibration {
 
 /// Fits `depth` [m, positive down] and `force` [N, positive up on the plate] of a plate of `area` [m²].
 pub fn calibrate(depth: &[f64], force: &[f64], area: f64) -> Result<Calibration> {
-    // A plate below 0.1 mm² or above 1 m² has a wrong unit: our choice.
-    crate::error::check_range("area", area, 1e-7..=1.0)?;
+    crate::error::check_range("area", area, AREAS)?;
     let greatest = depth.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     refuse(depth, force, greatest)?;
     let from = TRANSIENT * greatest;
@@ -77,7 +85,7 @@ pub fn calibrate(depth: &[f64], force: &[f64], area: f64) -> Result<Calibration>
              not a slow vertical penetration counted from the surface"
         )));
     }
-    let half = T_95 * slope_error(&kept, greatest);
+    let half = half_width(&kept, greatest);
     let zeta = slope / area * 1e-6;
     let interval = [(slope - half) / area * 1e-6, (slope + half) / area * 1e-6];
     let (free_slope, intercept) = free_line(&kept);
@@ -159,6 +167,16 @@ fn free_line(points: &[[f64; 2]]) -> (f64, f64) {
     (top / bottom, mf - top / bottom * mz)
 }
 
+/// Half of the slope's 95 % confidence interval.
+fn half_width(points: &[[f64; 2]], greatest: f64) -> f64 {
+    if points.len() >= LOGGED {
+        return T_95 * slope_error(points, greatest);
+    }
+    let without = |k: usize| through_origin(points.iter().enumerate().filter(|(i, _)| *i != k).map(|(_, p)| p));
+    let slopes: Vec<f64> = (0..points.len()).map(without).collect();
+    student::two_sided_95(points.len() as f64 - 1.0) * jackknife(&slopes)
+}
+
 /// Standard error of the slope from leaving out one stretch of depth at a time.
 fn slope_error(points: &[[f64; 2]], greatest: f64) -> f64 {
     let from = TRANSIENT * greatest;
@@ -173,4 +191,43 @@ fn jackknife(without: &[f64]) -> f64 {
     let count = without.len() as f64;
     let mean = without.iter().sum::<f64>() / count;
     ((count - 1.0) / count * without.iter().map(|x| (x - mean).powi(2)).sum::<f64>()).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Ten readings by hand, each off by up to `noise` N, of a sand with ζ = 0.3 N/cm³.
+    fn readings(seed: u64, noise: f64) -> (Vec<f64>, Vec<f64>) {
+        let mut random = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
+        let mut unit = || {
+            random ^= random << 13;
+            random ^= random >> 7;
+            random ^= random << 17;
+            (random >> 11) as f64 / (1_u64 << 53) as f64
+        };
+        let depth: Vec<f64> = (1..=10).map(|k| 5e-3 * f64::from(k)).collect();
+        let force = depth.iter().map(|z| 0.3e6 * z * 9.5e-4 + noise * (2.0 * unit() - 1.0)).collect();
+        (depth, force)
+    }
+
+    /// Ten readings are enough, and their interval covers the truth about as often as it says.
+    #[test]
+    fn ten_readings_by_hand_calibrate() {
+        let covers = |seed: u64| {
+            let (depth, force) = readings(seed, 0.4);
+            let c = calibrate(&depth, &force, 9.5e-4).unwrap();
+            assert_eq!(c.samples, 10);
+            (c.zeta_interval[0]..=c.zeta_interval[1]).contains(&0.3)
+        };
+        let covered = (0..1000).filter(|seed| covers(*seed)).count();
+        assert!((910..=985).contains(&covered), "{covered} of 1000");
+    }
+
+    #[test]
+    fn too_few_readings_are_refused() {
+        let (depth, force) = readings(1, 0.1);
+        let error = calibrate(&depth[..5], &force[..5], 9.5e-4).unwrap_err().to_string();
+        assert_eq!(error, "penetration test: 5 samples; at least 6 are needed");
+    }
 }

@@ -74,6 +74,8 @@ pub struct OfSize {
     pub pushes: usize,
     /// ζ of a line through the origin, F = ζ z A, mean over the pushes [N/cm³].
     pub zeta: f64,
+    /// 95 % confidence interval of the mean, from the scatter between pushes; none for one push.
+    pub zeta_interval: Option<[f64; 2]>,
     /// Standard deviation between pushes, in % of the mean; none for one push.
     pub repeatability_percent: Option<f64>,
 }
@@ -93,6 +95,9 @@ pub struct Pushes {
     pub compliance: Value,
     /// Greatest depth [m] and force [N].
     pub greatest: [f64; 2],
+    /// The recommended law's parameters, see [`fit`].
+    #[serde(skip)]
+    pub(super) fitted: [f64; 3],
     pub cautions: Vec<String>,
 }
 
@@ -129,9 +134,11 @@ pub fn compare(pushes: &[Penetration], compliance: Option<f64>) -> Result<Pushes
     let whole = parameters(&all, here)?;
     let of = |k: usize| with_interval(whole[k], without.iter().map(|w| w.1[k]));
     let greatest = |k: usize| pushes.iter().flat_map(|p| p.points.iter().map(move |q| q[k])).fold(0.0, f64::max);
+    let law = chosen(&scores);
     let mut study = Pushes {
         sizes: by_size(pushes)?,
-        law: chosen(&scores),
+        law,
+        fitted: fit(law, &gathered(&points(here)?, &all))?,
         laws: scores,
         depth_exponent: of(1),
         size_exponent: sized.then(|| of(2)),
@@ -318,7 +325,9 @@ fn by_size(pushes: &[Penetration]) -> Result<Vec<OfSize>> {
         }
         let scatter = (zetas.iter().map(|z| (z - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
         let repeatability_percent = (zetas.len() > 1).then(|| 100.0 * scatter / mean);
-        Ok(OfSize { diameter, pushes: zetas.len(), zeta: mean, repeatability_percent })
+        let half = student::two_sided_95(n - 1.0) * scatter / n.sqrt();
+        let zeta_interval = (zetas.len() > 1).then(|| [mean - half, mean + half]);
+        Ok(OfSize { diameter, pushes: zetas.len(), zeta: mean, zeta_interval, repeatability_percent })
     };
     diameters(pushes).into_iter().map(of).collect()
 }

@@ -30,23 +30,35 @@ pub struct Tests {
     pub force: Vec<f64>,
     /// Empty if the file has no column `trial`.
     pub pushes: Vec<Penetration>,
+    /// Diameter of pushes that state no size [m].
+    assumed: f64,
+    /// Did a push state no size?
+    pub without_size: bool,
     /// Index of each trial's push.
     places: HashMap<String, usize>,
     /// Number of samples of all pushes.
     samples: usize,
 }
 
-/// Reads a file. `units` gives the units of depth and force if the header does not.
-pub fn file(path: &Path, units: BTreeMap<String, String>) -> Result<Tests> {
-    let mut tests = Tests::default();
+/// Diameter of the disc with the same area [m² → m].
+pub fn diameter(area: f64) -> f64 {
+    (area / std::f64::consts::FRAC_PI_4).sqrt()
+}
+
+/// Reads a file. `units` gives the units of depth and force if the header does not, `area` [m²] the size of pushes that
+/// state none.
+pub fn file(path: &Path, units: BTreeMap<String, String>, area: f64) -> Result<Tests> {
+    // The same range as for one push.
+    check_range("area", area, super::AREAS)?;
+    let mut tests = Tests { assumed: diameter(area), ..Tests::default() };
     let asked = ReadOptions { units, ..ReadOptions::new(&COLUMNS) };
     table::read(path, &asked, |row| tests.take(row))?;
     tests.checked(path)
 }
 
 /// Reads tests from `text`; `path` names them in errors.
-pub fn text(path: &Path, text: &str) -> Result<Tests> {
-    let mut tests = Tests::default();
+pub fn text(path: &Path, text: &str, area: f64) -> Result<Tests> {
+    let mut tests = Tests { assumed: diameter(area), ..Tests::default() };
     table::parse(path, text.as_bytes(), &ReadOptions::new(&COLUMNS), |row| tests.take(row))?;
     tests.checked(path)
 }
@@ -71,7 +83,11 @@ impl Tests {
         };
         let diameter = match (side(3)?, side(4)?, side(5)?) {
             (Some(d), None, None) => d,
-            (None, Some(length), Some(width)) => (length * width / std::f64::consts::FRAC_PI_4).sqrt(),
+            (None, Some(length), Some(width)) => diameter(length * width),
+            (None, None, None) => {
+                self.without_size = true;
+                self.assumed
+            }
             _ => return Err(row.error(3, "give a diameter, or length and width, of each push")),
         };
         let speed = row.within(6, MOST)?.map(f64::abs);

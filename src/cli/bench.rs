@@ -1,16 +1,19 @@
 //! `sandgait bench`
 
+use super::options::OptionArgs;
+use super::trained::task_and_options;
 use clap::ValueEnum as _;
 use sandgait::bench::{Actions, Direct, RolloutStepper, ServerStepper, Stepper, measure, random_actions};
+use sandgait::env::gait::HexapodGait;
 use sandgait::env::legged::LeggedVelocity;
-use sandgait::env::registry::{Blueprint, TASK_IDS, task_id};
+use sandgait::env::registry::{Blueprint, TASK_IDS};
 use sandgait::env::{Spec, Task};
 use sandgait::number::Isa;
 use sandgait::policy::Network;
 use sandgait::session::MOST_ENVIRONMENTS;
 use sandgait::sim::engine::EngineKind;
 use sandgait::{Error, Result};
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -25,31 +28,31 @@ use std::time::Duration;
   sandgait bench --threads 1 --json
   sandgait bench --envs 256 --through grpc-uds
   sandgait bench --task all --actions zero      (robots that stand)
-  sandgait bench --actions policy --policy policy.onnx
+  sandgait bench --policy runs/gait/policy.onnx
   sandgait bench --task LeggedVelocity --option ground=rigid --option robot=robots/sandcat.urdf
   sandgait bench --option sand=sand.toml --option leg=C
   SANDGAIT_ISA=avx2 sandgait bench            (avx512, avx2, baseline or f64)")]
 pub struct BenchArgs {
-    /// Name or id of the task; `all` measures every task and prints a line for each
-    #[arg(long, default_value = "sandgait/HexapodGait-v1")]
-    task: String,
+    /// Name or id of the task; `all` measures every task and prints a line for each [default: the policy's, or
+    /// HexapodGait]
+    #[arg(long)]
+    task: Option<String>,
     /// Engine; default: the task's own
     #[arg(long)]
     engine: Option<String>,
-    /// Option of the task, repeatable; VALUE is JSON or plain text. VALUE of `sand` is the path of a sand.toml. VALUE
-    /// of `robot` can be the path of a URDF or MJCF file, and key `file` of `relief` the path of a CSV or NPY file
-    #[arg(long = "option", value_name = "KEY=VALUE")]
-    options: Vec<String>,
+    #[command(flatten)]
+    options: OptionArgs,
     /// Number of environments
     #[arg(long, default_value_t = 256, value_name = "N", value_parser = super::whole::<usize>(1..=MOST_ENVIRONMENTS as u64))]
     envs: usize,
     /// Number of simulating threads; 0: one for each processor
     #[arg(long, default_value_t = 1, value_name = "N", value_parser = super::whole::<u16>(0..=super::MOST_THREADS))]
     threads: u16,
-    /// Actions of the robots
-    #[arg(long, value_enum, default_value_t = ActionChoice::Random)]
-    actions: ActionChoice,
-    /// ONNX file of the network for `--actions policy`
+    /// Actions of the robots [default: random, or policy with --policy]
+    #[arg(long, value_enum)]
+    actions: Option<ActionChoice>,
+    /// Network that computes the actions. Task and options are those in settings.json beside it where --task and
+    /// --option say nothing
     #[arg(long, value_name = "FILE.onnx")]
     policy: Option<PathBuf>,
     /// Interface through which steps are requested
@@ -108,18 +111,21 @@ impl BenchArgs {
         if !(self.seconds > 0.0 && self.seconds <= 3600.0) {
             return Err(Error::invalid("--seconds", format!("{} is outside (0, 3600]", self.seconds)));
         }
-        if self.task != "all" {
-            let (json, line) = self.bench(task_id(&self.task))?;
+        if self.task.as_deref() != Some("all") {
+            let (task, options) =
+                task_and_options(self.policy.as_deref(), self.task.as_deref(), &self.options, HexapodGait::ID)?;
+            let (json, line) = self.bench(&task, options)?;
             return Ok(if self.json { super::json(&json) } else { line });
         }
-        let of_each = TASK_IDS.iter().map(|id| self.bench(id)).collect::<Result<Vec<_>>>()?;
+        let options = Value::Object(self.options.read()?);
+        let of_each = TASK_IDS.iter().map(|id| self.bench(id, options.clone())).collect::<Result<Vec<_>>>()?;
         let (all, lines): (Vec<_>, Vec<_>) = of_each.into_iter().unzip();
         Ok(if self.json { super::json(&all.into()) } else { lines.concat() })
     }
 
     /// Measures one task; returns JSON and a line of text.
-    fn bench(&self, task: &str) -> Result<(Value, String)> {
-        let options = self.task_options(task)?;
+    fn bench(&self, task: &str, options: Value) -> Result<(Value, String)> {
+        let options = self.task_options(task, options)?;
         let blueprint = Blueprint::new(task, options.clone())?;
         let (engine, spec) = (blueprint.engine, blueprint.task.spec());
         super::warn_of_unfelt_option(&options);
@@ -148,7 +154,7 @@ impl BenchArgs {
             let row = spec.action.iter().map(|c| (share * c.high) as f32);
             Ok(Actions::Made(vec![std::iter::repeat_n(row, rows).flatten().collect()]))
         };
-        match (self.actions, &self.policy) {
+        match (self.chosen(), &self.policy) {
             (ActionChoice::Policy, Some(file)) => {
                 let bytes = std::fs::read(file).map_err(|e| Error::file(file, e))?;
                 Network::new(&bytes, spec).map(Actions::Policy)
@@ -161,29 +167,22 @@ impl BenchArgs {
         }
     }
 
-    fn task_options(&self, task: &str) -> Result<Value> {
-        let mut options = Map::new();
-        if let Some(name) = &self.engine {
+    fn task_options(&self, task: &str, mut options: Value) -> Result<Value> {
+        if let (Some(name), Some(options)) = (&self.engine, options.as_object_mut()) {
+            if self.options.words().iter().any(|word| word.starts_with("engine=")) {
+                return Err(Error::invalid("--option engine", "is given twice: --engine has it already"));
+            }
             options.insert("engine".into(), EngineKind::named(name)?.name().into());
         }
-        for option in &self.options {
-            let wrong = |reason: &str| Error::invalid("--option", format!("{option:?} {reason}"));
-            let (key, text) = option.split_once('=').ok_or_else(|| wrong("is not KEY=VALUE"))?;
-            let value = match key {
-                "sand" => std::fs::read_to_string(text).map_err(|e| Error::file(text.as_ref(), e))?.into(),
-                _ => serde_json::from_str(text).unwrap_or_else(|_| text.into()),
-            };
-            if options.insert(key.into(), value).is_some() {
-                return Err(wrong("is given twice"));
-            }
-        }
-        if task == LeggedVelocity::ID {
+        if let (LeggedVelocity::ID, Some(options)) = (task, options.as_object_mut()) {
             // Measures the speed on the sand itself, because at lower levels of the curriculum the feet sink less.
             options.entry("curriculum").or_insert(Value::Null);
         }
-        let mut options = options.into();
-        super::read_files(&mut options)?;
         Ok(options)
+    }
+
+    fn chosen(&self) -> ActionChoice {
+        self.actions.unwrap_or(if self.policy.is_some() { ActionChoice::Policy } else { ActionChoice::Random })
     }
 
     fn report(&self, task: &str, engine: EngineKind, rates: &[f64]) -> (Value, String) {
@@ -207,21 +206,21 @@ impl BenchArgs {
             "engine": engine.name(),
             "isa": isa,
             "task": task,
-            "options": self.options,
+            "options": self.options.words(),
             "envs": self.envs,
             "threads": threads,
             "through": through,
-            "actions": self.actions.name(),
+            "actions": self.chosen().name(),
         });
         let plural = |count: usize| if count == 1 { "" } else { "s" };
         let line = format!(
             "{median:.0} environment steps/s ({min:.0} to {max:.0}) · {} · engine {} ({isa}) · {} environment{}, {threads} thread{}, through {through}, actions {}\n",
-            [&[task.to_owned()], &self.options[..]].concat().join(" "),
+            [vec![task.to_owned()], self.options.words()].concat().join(" "),
             engine.name(),
             self.envs,
             plural(self.envs),
             plural(threads),
-            self.actions.name(),
+            self.chosen().name(),
         );
         (json, line)
     }

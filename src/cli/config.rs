@@ -2,6 +2,7 @@
 //! precedence.
 
 use clap::Command;
+use sandgait::error::unknown_name;
 use sandgait::{Error, Result};
 use std::ffi::OsString;
 use std::fs;
@@ -25,7 +26,7 @@ pub fn arguments(command: &Command, path: &Path) -> Result<Vec<OsString>> {
     let mut arguments = Vec::new();
     for (key, value) in table {
         if !known.contains(&key.as_str()) {
-            return Err(Error::file(path, format!("{key:?} is unknown; known: {}", known.join(", "))));
+            return Err(Error::file(path, unknown_name(&key, &known)));
         }
         let is_flag = command.get_arguments().any(|a| a.get_long() == Some(&key) && !a.get_action().takes_values());
         let value = match value {

@@ -56,6 +56,35 @@ pub fn glossary(rows: &[Vec<String>]) -> String {
     text
 }
 
+/// Examples of a help text as lines within [`WIDTH`] that can be copied: a remark in brackets behind a command becomes a
+/// comment before it, and a long command goes on in further lines after a backslash, each beginning with an option.
+pub fn examples(text: &str) -> String {
+    let line = |line: &str| {
+        let Some(command) = line.strip_prefix("  ") else { return format!("{line}\n") };
+        let (command, remark) = match command.trim_end().strip_suffix(')').and_then(|c| c.rsplit_once("  (")) {
+            Some((command, remark)) => (command.trim_end(), format!("  # {remark}\n")),
+            None => (command, String::new()),
+        };
+        remark + &broken(command)
+    };
+    text.lines().map(line).collect::<String>().trim_end().to_owned()
+}
+
+/// A command as lines of a shell.
+fn broken(command: &str) -> String {
+    let mut lines = vec![String::from(" ")];
+    for part in command.replace(" --", "\n--").replace(" && ", " &&\n").lines() {
+        let room = WIDTH - " \\".len();
+        match lines.last_mut() {
+            Some(line) if line.trim().is_empty() || line.chars().count() + 1 + part.chars().count() <= room => {
+                *line += &format!(" {part}");
+            }
+            _ => lines.push(format!("      {part}")),
+        }
+    }
+    lines.join(" \\\n") + "\n"
+}
+
 /// Lines of at most `width` characters, broken at blanks. A longer word has a line of its own.
 pub fn wrapped(text: &str, width: usize) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
@@ -92,6 +121,16 @@ mod tests {
         assert!(cells.iter().all(|c| text.matches(c.as_str()).count() == 2), "{text}");
         let small = rows(&[&["a", "b"], &["c", "d"]]);
         assert_eq!(narrow_table(&small, 1), table(&small));
+    }
+
+    #[test]
+    fn long_examples_are_broken_as_a_shell_reads_them() {
+        let text = "Examples:\n  sandgait train      (a minute)\n  sandgait serve --listen 0.0.0.0:50051 --tls-cert server.pem --tls-key \
+                    server.key --token-file token";
+        let wanted = "Examples:\n  # a minute\n  sandgait train\n  sandgait serve --listen 0.0.0.0:50051 --tls-cert server.pem \\\n      \
+                      --tls-key server.key --token-file token";
+        assert_eq!(examples(text), wanted);
+        assert!(examples(text).lines().all(|line| line.chars().count() <= WIDTH));
     }
 
     #[test]

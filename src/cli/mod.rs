@@ -6,10 +6,12 @@ mod calibrate;
 mod config;
 mod diagnose;
 mod evaluate;
+mod grammar;
 mod heights;
 mod intrude;
 mod layout;
 mod media;
+mod options;
 mod play;
 mod progress;
 mod replay;
@@ -24,6 +26,7 @@ mod sweep;
 mod task_page;
 mod tasks;
 mod train;
+mod trained;
 mod trials;
 mod validate;
 mod walk;
@@ -34,12 +37,12 @@ pub use heights::pack as pack_heights;
 pub use robot::{check as check_robot, is_description, pack as pack_robot};
 pub use train::{TrainingArgs, learn};
 
+use self::grammar::{one_line, parse};
 use self::progress::Bar;
-use clap::error::{ContextKind, ContextValue, ErrorKind};
-use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
+use clap::error::ErrorKind;
+use clap::{CommandFactory as _, Parser, Subcommand};
 use sandgait::sand::{Law, Medium, SandDescription};
 use sandgait::{Error, Result, error::bounded};
-use std::error::Error as _;
 use std::ffi::OsString;
 use std::io::Write as _;
 use std::ops::RangeInclusive;
@@ -61,16 +64,17 @@ const EXAMPLES: &str = "Examples:
 
 Each command has its own --help with more examples.";
 
-/// Replaces paths in a task's options by the files' packed texts: a robot, and heights of the ground.
+/// Replaces paths in a task's options by the files' texts: a robot, sand, hardware, and heights of the ground.
 fn read_files(options: &mut serde_json::Value) -> Result<()> {
     robot::read_option(options)?;
-    read_hardware(options.get_mut("hardware"))?;
-    read_hardware(options.get_mut("domain_rand").and_then(|draws| draws.get_mut("hardware")))?;
+    read_text(options.get_mut("sand"))?;
+    read_text(options.get_mut("hardware"))?;
+    read_text(options.get_mut("domain_rand").and_then(|draws| draws.get_mut("hardware")))?;
     heights::read_option(options)
 }
 
-/// Replaces the path of a hardware.toml by its text.
-fn read_hardware(option: Option<&mut serde_json::Value>) -> Result<()> {
+/// Replaces the path of a sand.toml or hardware.toml by its text.
+fn read_text(option: Option<&mut serde_json::Value>) -> Result<()> {
     let Some(option) = option else { return Ok(()) };
     // The text of a file has several lines, and a path has one.
     if let Some(path) = option.as_str().filter(|text| !text.is_empty() && !text.contains('\n')) {
@@ -162,16 +166,6 @@ fn with_file(file: &Path, given: Vec<OsString>) -> Result<Cli> {
     parse(&all.into_iter().chain(given).collect::<Vec<_>>()).map_err(|e| Error::file(file, one_line(&e)))
 }
 
-/// Parses a command line. `-1` is a value, so that a number below its range is refused with the range.
-fn parse(arguments: &[OsString]) -> std::result::Result<Cli, clap::Error> {
-    let numeric = |argument: clap::Arg| {
-        let takes_values = argument.get_action().takes_values() && !argument.is_allow_hyphen_values_set();
-        argument.allow_negative_numbers(takes_values)
-    };
-    let command = Cli::command().mut_subcommands(|command| command.mut_args(numeric));
-    Cli::from_arg_matches(&command.try_get_matches_from(arguments)?)
-}
-
 /// A parser of whole numbers in `range`. Its refusals name the range.
 fn whole<T: TryFrom<u64>>(
     range: RangeInclusive<u64>,
@@ -187,7 +181,9 @@ fn exit_code(error: &Error) -> u8 {
     match error {
         Error::Invalid { .. } | Error::Unknown { .. } | Error::Replaced { .. } | Error::File { .. } => 2,
         Error::Unwritten { .. } | Error::Lost { .. } | Error::Internal(_) => 1,
-        Error::OutOfOrder(_) | Error::Exhausted(_) | Error::Cancelled(_) => 1,
+        // As a shell says of a program that Ctrl-C has ended.
+        Error::Cancelled(_) => 130,
+        Error::OutOfOrder(_) | Error::Exhausted(_) => 1,
     }
 }
 
@@ -201,52 +197,6 @@ fn print(text: &str) -> u8 {
         }
         _ => 0,
     }
-}
-
-/// clap's refusal in one line, in the words of this program's other messages.
-fn one_line(error: &clap::Error) -> String {
-    let context = |kind| match error.get(kind) {
-        Some(ContextValue::String(text)) => Some(text.clone()),
-        Some(ContextValue::Strings(all)) if !all.is_empty() => Some(all.join(", ")),
-        _ => None,
-    };
-    // `--repeats <N>` without its placeholder
-    let name = |argument: String| argument.split(" <").next().unwrap_or_default().to_owned();
-    let argument = context(ContextKind::InvalidArg);
-    match (error.kind(), argument, context(ContextKind::InvalidValue)) {
-        (ErrorKind::MissingRequiredArgument, Some(missing), _) => format!("missing: {missing}"),
-        (ErrorKind::InvalidValue, Some(argument), Some(value)) if !value.is_empty() => {
-            let known = context(ContextKind::ValidValue).unwrap_or_default();
-            format!("{}: {value:?} is unknown; known: {known}", name(argument))
-        }
-        (ErrorKind::ValueValidation, Some(argument), Some(value)) => {
-            let reason = error.source().map_or_else(String::new, |e| match e.downcast_ref::<Error>() {
-                Some(Error::Invalid { reason, .. }) => reason.clone(),
-                _ => range(&e.to_string()),
-            });
-            let repeats = reason.starts_with(&value) || reason.starts_with(&format!("{value:?}"));
-            let said = if repeats { reason } else { format!("{value:?}: {reason}") };
-            format!("{}: {said}", name(argument))
-        }
-        _ => without_usage(&error.to_string()),
-    }
-}
-
-/// Changes Rust's words for a number outside its range, such as `3 is not in 5..=65535`, into mathematical notation.
-fn range(reason: &str) -> String {
-    let Some((value, range)) = reason.split_once(" is not in ") else { return reason.to_owned() };
-    let (low, high) = range.split_once("..").unwrap_or((range, ""));
-    match high.strip_prefix('=') {
-        Some(high) => format!("{value} is outside [{low}, {high}]"),
-        None => format!("{value} is outside [{low}, {high})"),
-    }
-}
-
-/// clap's message without its usage block: `error: a … tip: b`.
-fn without_usage(message: &str) -> String {
-    let said = message.split("\nUsage:").next().unwrap_or(message);
-    let lines = said.lines().map(str::trim).filter(|l| !l.is_empty() && !l.starts_with("For more information"));
-    lines.collect::<Vec<_>>().join(" ").trim_start_matches("error: ").replace(" tip:", "; tip:")
 }
 
 /// Largest number of threads: our choice, because usual machines have fewer cores.
@@ -324,61 +274,4 @@ fn warn(notes: &[String], whole: &str) {
 /// Pretty JSON with a newline.
 fn json(value: &serde_json::Value) -> String {
     format!("{value:#}\n")
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn refused(line: &str) -> String {
-        let words: Vec<_> = line.split(' ').map(OsString::from).collect();
-        let Err(error) = parse(&words) else { panic!("{line} is accepted") };
-        one_line(&error)
-    }
-
-    #[test]
-    fn refusals_name_argument_value_and_range() {
-        for (line, said) in [
-            ("sandgait bench --repeats 3", "--repeats: 3 is outside [5, 1000]"),
-            ("sandgait bench --repeats x", "--repeats: \"x\": no whole number"),
-            ("sandgait bench --envs 0", "--envs: 0 is outside [1, 65536]"),
-            ("sandgait bench --envs 10000000000", "--envs: 10000000000 is outside [1, 65536]"),
-            ("sandgait bench --threads -1", "--threads: -1 is outside [0, 1024]"),
-            ("sandgait train --timesteps -5", "--timesteps: -5 is outside [1, 1000000000000]"),
-            ("sandgait train --threads -1", "--threads: -1 is outside [0, 1024]"),
-            ("sandgait train --checkpoint-every 0", "--checkpoint-every: 0 is outside [1, 1000000000000]"),
-            ("sandgait serve --max-sessions -1", "--max-sessions: -1 is outside [1, 4294967295]"),
-            ("sandgait serve --threads -1", "--threads: -1 is outside [0, 1024]"),
-            ("sandgait play x.onnx --port -1", "--port: -1 is outside [0, 65535]"),
-            ("sandgait evaluate tripod --seeds -3", "--seeds: -3 is outside [2, 100000]"),
-            ("sandgait serve --listen foo", "--listen: \"foo\" is not HOST:PORT or unix:PATH (invalid socket address)"),
-            ("sandgait walk", "missing: --frequency <HZ>"),
-            ("sandgait serve --max-message-mib 4096", "--max-message-mib: 4096 is outside [1, 4095]"),
-            (
-                "sandgait walk --frequncy 2",
-                "unexpected argument '--frequncy' found; tip: a similar argument exists: '--frequency'",
-            ),
-        ] {
-            assert_eq!(refused(line), said);
-        }
-        let unknown = refused("sandgait bench --through grpc");
-        assert!(unknown.starts_with("--through: \"grpc\" is unknown; known: process, grpc-uds"), "{unknown}");
-    }
-
-    /// At 80 and at 120 columns no line of any help is wider, and each word of the wide help is in the narrow one.
-    #[test]
-    fn help_is_wrapped_at_words() {
-        for command in Cli::command().get_subcommands() {
-            let help = |width| command.clone().term_width(width).render_long_help().to_string();
-            let words = |text: &str| text.split_whitespace().map(str::to_owned).collect::<Vec<_>>();
-            let [narrow, wide] = [80, 120].map(|width| {
-                let text = help(width);
-                // A line of examples without a blank to break at, such as a long option, may be wider.
-                let broad = text.lines().find(|l| l.chars().count() > width && l.trim().contains(' '));
-                assert_eq!(broad, None, "{} at {width}", command.get_name());
-                words(&text)
-            });
-            assert_eq!(narrow, wide, "{}", command.get_name());
-        }
-    }
 }

@@ -1,23 +1,25 @@
 //! `sandgait play`
 
+use super::options::OptionArgs;
+use super::trained::TrainedTask;
 use sandgait::env::Shard;
 use sandgait::env::Task;
 use sandgait::env::gait::HexapodGait;
 use sandgait::env::legged::LeggedVelocity;
 use sandgait::env::registry::{Blueprint, task_id};
 use sandgait::policy::Network;
-use sandgait::service::{PlayedEnvironment, bind_tcp, resting};
+use sandgait::service::{Address, PlayedEnvironment, bind_tcp, resting};
 use sandgait::{Error, Result};
 use serde_json::{Value, json};
-use std::net::{Ipv4Addr, SocketAddr};
-use std::path::{Path, PathBuf};
+use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
+use std::path::Path;
 use std::time::{Duration, Instant};
 use tokio_util::sync::CancellationToken;
 
-/// Walk a robot with the arrow keys, in a browser on this machine.
+/// Walk a robot with the arrow keys, in a browser on this machine or, with --listen, on a phone.
 ///
 /// POLICY is an ONNX file of `sandgait train`, with settings.json beside it, or the task HexapodGait, whose policy is part of this
-/// program. Up and down: forward and back; left and right: turn; with Shift: to the side. A gamepad's sticks do the same. A
+/// program. Up and down: forward and back; left and right: turn; with Shift: to the side. A gamepad's sticks do the same, and on a touch screen the page has sticks. A
 /// policy follows only the commands of its training: that of HexapodGait walks forward at 0.1 to 0.4 m/s and does not turn,
 /// and without a key it walks at 0.1 m/s. The page names the keys that have an effect. The address that is printed has the key
 /// that steering needs. Ctrl-C ends it.
@@ -25,16 +27,20 @@ use tokio_util::sync::CancellationToken;
 #[command(after_help = "Examples:
   sandgait play HexapodGait
   sandgait play runs/go1/policy.onnx
-  sandgait play runs/go1/policy.onnx --option ground=rigid --no-browser")]
+  sandgait play runs/go1/policy.onnx --option ground=rigid --no-browser
+  sandgait play HexapodGait --listen 0.0.0.0:8080      (a phone in the same network can steer)")]
 pub struct PlayArgs {
     /// FILE.onnx or HexapodGait
     policy: String,
-    /// Option of the task, in place of those in settings.json
-    #[arg(long, value_name = "NAME=VALUE")]
-    option: Vec<String>,
+    #[command(flatten)]
+    options: OptionArgs,
     /// Port of the page; 0: any free one
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = super::whole::<u16>(0..=u16::MAX.into()))]
     port: u16,
+    /// Address of the page, in place of one that only this machine can reach; port 0: any free one. Other machines see
+    /// the robot, and those that have the whole address steer it. Nothing is encrypted
+    #[arg(long, value_name = "HOST:PORT", conflicts_with = "port")]
+    listen: Option<Address>,
     /// Do not open a browser
     #[arg(long)]
     no_browser: bool,
@@ -52,8 +58,8 @@ const STEPS: u32 = 180_000;
 
 impl PlayArgs {
     pub fn run(self) -> Result<String> {
-        let (onnx, settings) = self.read()?;
-        let (blueprint, network) = self.prepare(&onnx, &settings)?;
+        let (onnx, trained) = self.read()?;
+        let (blueprint, network) = self.prepare(&onnx, &trained)?;
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
         let runtime = runtime.map_err(|e| Error::Exhausted(format!("cannot start threads: {e}")))?;
         let stop = CancellationToken::new();
@@ -65,10 +71,18 @@ impl PlayArgs {
         let key = format!("{:032x}", rand::random::<u128>());
         let _inside = runtime.enter();
         let page = PlayedEnvironment::new(blueprint.task.clone(), &key);
-        let place = SocketAddr::from((Ipv4Addr::LOCALHOST, self.port));
-        let unusable = |e: std::io::Error| Error::invalid("--port", format!("{place}: {e}"));
+        let place = self.place()?;
+        let name = if self.listen.is_some() { "--listen" } else { "--port" };
+        let unusable = |e: std::io::Error| Error::invalid(name, format!("{place}: {e}"));
         let listener = bind_tcp(place).map_err(unusable)?;
-        let address = format!("http://{}/#key={key}", listener.local_addr().map_err(unusable)?);
+        let bound = listener.local_addr().map_err(unusable)?;
+        if !bound.ip().is_loopback() {
+            eprintln!(
+                "sandgait: warning: other machines can reach this page, without encryption: all of them see the robot, and those \
+                 that know the address below steer it"
+            );
+        }
+        let address = format!("http://{}/#key={key}", reached(bound));
         println!("{address}");
         runtime.spawn(page.clone().serve(listener, stop.clone()));
         if !self.no_browser {
@@ -80,12 +94,19 @@ impl PlayArgs {
         walked.map(|()| String::new())
     }
 
-    /// The network's bytes and the settings of its training.
-    fn read(&self) -> Result<(Vec<u8>, Value)> {
-        let no_json = |path: &Path, e: serde_json::Error| Error::file(path, e);
+    fn place(&self) -> Result<SocketAddr> {
+        match &self.listen {
+            None => Ok(SocketAddr::from((Ipv4Addr::LOCALHOST, self.port))),
+            Some(Address::Tcp(place)) => Ok(*place),
+            Some(other) => Err(Error::invalid("--listen", format!("{other} is not HOST:PORT"))),
+        }
+    }
+
+    /// The network's bytes, and the task and options of its training.
+    fn read(&self) -> Result<(Vec<u8>, TrainedTask)> {
         if task_id(&self.policy) == HexapodGait::ID {
-            let settings = serde_json::from_str(HEXAPOD_SETTINGS);
-            return Ok((HEXAPOD.to_vec(), settings.map_err(|e| no_json(Path::new("settings.json"), e))?));
+            let own = TrainedTask::from_settings(Path::new("settings.json"), HEXAPOD_SETTINGS.as_bytes())?;
+            return Ok((HEXAPOD.to_vec(), own));
         }
         if !self.policy.ends_with(".onnx") {
             let reason = format!(
@@ -94,21 +115,15 @@ impl PlayArgs {
             );
             return Err(Error::invalid("policy", reason));
         }
-        let path = PathBuf::from(&self.policy);
-        let onnx = std::fs::read(&path).map_err(|e| Error::file(&path, e))?;
-        let beside = path.with_file_name("settings.json");
-        let text = std::fs::read(&beside).map_err(|e| Error::file(&beside, e))?;
-        Ok((onnx, serde_json::from_slice(&text).map_err(|e| no_json(&beside, e))?))
+        let path = Path::new(&self.policy);
+        let onnx = std::fs::read(path).map_err(|e| Error::file(path, e))?;
+        let missing = || Error::file(path, "there is no settings.json beside it, which names the task and its options");
+        Ok((onnx, TrainedTask::beside(path)?.ok_or_else(missing)?))
     }
 
     /// The task, without randomness and with long episodes, and its policy.
-    fn prepare(&self, onnx: &[u8], settings: &Value) -> Result<(Blueprint, Network)> {
-        let task = task_id(settings["task"].as_str().unwrap_or_default());
-        let mut options = settings["options"].as_object().cloned().unwrap_or_default();
-        options.extend(super::train::options(&self.option)?);
-        let mut options = Value::Object(options);
-        // Options in a settings.json that Python wrote contain paths of files.
-        super::read_files(&mut options)?;
+    fn prepare(&self, onnx: &[u8], trained: &TrainedTask) -> Result<(Blueprint, Network)> {
+        let (task, mut options) = (trained.id.as_str(), trained.options(&self.options)?);
         options["max_episode_steps"] = json!(STEPS);
         if task == LeggedVelocity::ID {
             options["domain_rand"] = Value::Null;
@@ -151,6 +166,24 @@ fn walk(
         }
     }
     Ok(())
+}
+
+/// An address at which browsers reach a page that listens on `bound`. In place of all addresses of this machine, it is
+/// the one from which the machine reaches others.
+fn reached(bound: SocketAddr) -> SocketAddr {
+    if !bound.ip().is_unspecified() {
+        return bound;
+    }
+    // Nothing is sent: connecting a UDP socket only chooses the route. The addresses are reserved for documentation
+    // (RFC 5737, RFC 3849).
+    let own = |from: &str, to: &str| {
+        let socket = UdpSocket::bind(from).ok()?;
+        socket.connect(to).ok()?;
+        socket.local_addr().ok().map(|own| own.ip())
+    };
+    let way = if bound.is_ipv4() { None } else { own("[::]:0", "[2001:db8::1]:9") };
+    let way = way.or_else(|| own("0.0.0.0:0", "192.0.2.1:9"));
+    SocketAddr::new(way.unwrap_or(Ipv4Addr::LOCALHOST.into()), bound.port())
 }
 
 /// The command in the range [`low`, `high`] at a share from −1 (the low end) to 1 (the high end). A share of 0 is the

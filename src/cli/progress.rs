@@ -59,6 +59,10 @@ impl Progress for Bar {
         self.bar.set_position((done * Self::STEPS as f64) as u64);
         Ok(())
     }
+
+    fn note(&self, line: &str) {
+        self.bar.suspend(|| eprintln!("sandgait: {line}"));
+    }
 }
 
 impl Drop for Bar {

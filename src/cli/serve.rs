@@ -4,7 +4,7 @@ use sandgait::service::{self, Address, Limits, Listener, Seal, ServerSetup, Stat
 use sandgait::{Error, Result};
 use std::io::{IsTerminal as _, Read as _, Write as _};
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
@@ -193,6 +193,35 @@ impl ServeArgs {
         }
     }
 
+    /// The log's first lines: who may come, and how much they may use.
+    fn introduce(&self, setup: &ServerSetup, address: &str) {
+        let security = &self.security;
+        let tls = match (&setup.tls, &security.tls_self_signed, &security.client_ca) {
+            (None, ..) => "none",
+            (_, Some(_), _) => "self-signed",
+            (.., Some(_)) => "with certificates of clients",
+            _ => "yes",
+        };
+        let token = if setup.token.is_some() { "needed" } else { "none" };
+        let version = env!("CARGO_PKG_VERSION");
+        tracing::info!(version, address, tls, token, "this server");
+        let Limits { sessions, environments, connections, streams, .. } = setup.limits;
+        let [memory_mib, request_mib] = [setup.limits.memory, setup.limits.request].map(|bytes| bytes >> 20);
+        let lease_s = setup.limits.lease.as_secs();
+        let threads = if self.threads == 0 { sandgait::parallel::processors() } else { self.threads.into() };
+        tracing::info!(
+            sessions,
+            environments,
+            memory_mib,
+            request_mib,
+            lease_s,
+            connections,
+            streams,
+            threads,
+            "its limits"
+        );
+    }
+
     async fn serve(
         self,
         mut setup: ServerSetup,
@@ -200,7 +229,7 @@ impl ServeArgs {
         viewer: Option<SocketAddr>,
     ) -> Result<()> {
         let stop = CancellationToken::new();
-        on_signals(&stop)?;
+        on_signals(&stop, self.state_dir.as_deref())?;
         let listener = Listener::bind(&self.listen).await?;
         if let Some(address) = metrics {
             let (listener, address) = bind_plain("--metrics", address)?;
@@ -212,7 +241,9 @@ impl ServeArgs {
             tracing::info!("browsers see the sessions at http://{address}");
             setup.viewer = Some(listener);
         }
-        let line = format!("listening on {}\n", listener.address()?);
+        let address = listener.address()?;
+        self.introduce(&setup, &address.to_string());
+        let line = format!("listening on {address}\n");
         let mut out = std::io::stdout();
         // The process that started this server may have closed its output.
         let _ = out.write_all(line.as_bytes()).and_then(|()| out.flush());
@@ -316,12 +347,20 @@ impl LogFormat {
     }
 }
 
-fn on_signals(stop: &CancellationToken) -> Result<()> {
-    for kind in [SignalKind::terminate(), SignalKind::interrupt()] {
+/// `state`: the folder in which sessions are saved.
+fn on_signals(stop: &CancellationToken, state: Option<&Path>) -> Result<()> {
+    for (kind, name) in [(SignalKind::terminate(), "SIGTERM"), (SignalKind::interrupt(), "SIGINT")] {
         let mut signal = signal(kind).map_err(|e| Error::Exhausted(format!("cannot listen for signals: {e}")))?;
         let stop = stop.clone();
+        let state = state.map(|folder| folder.display().to_string());
         tokio::spawn(async move {
             signal.recv().await;
+            match state {
+                Some(folder) => tracing::info!(signal = name, folder, "this server stops and saves its sessions"),
+                None => {
+                    tracing::info!(signal = name, "this server stops; without --state-dir its sessions are not saved");
+                }
+            }
             stop.cancel();
         });
     }

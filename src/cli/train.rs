@@ -1,6 +1,7 @@
 //! `sandgait train`
 
 use super::Bar;
+use super::options::OptionArgs;
 use sandgait::client::ServerAddress;
 use sandgait::client::training::TrainingSession;
 use sandgait::env::Task;
@@ -11,7 +12,7 @@ use sandgait::progress::Progress;
 use sandgait::train::remote::RemoteEnvironments;
 use sandgait::train::{Connect, ExternalSpaces, Hyperparameters, PolicyScore, TrainingOutcome, TrainingRequest, entry};
 use sandgait::{Error, Result, files, parallel};
-use serde_json::{Map, Value};
+use serde_json::Value;
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -38,9 +39,8 @@ pub struct TrainArgs {
     /// Replace the value of a setting
     #[arg(long, value_name = "NAME=VALUE", allow_hyphen_values = true)]
     set: Vec<String>,
-    /// Option of the task
-    #[arg(long, value_name = "NAME=VALUE", allow_hyphen_values = true)]
-    option: Vec<String>,
+    #[command(flatten)]
+    options: OptionArgs,
     /// Simulate on the server at host:port or unix:/path; learning stays in this process
     #[arg(long, value_name = "ADDRESS")]
     address: Option<String>,
@@ -106,7 +106,7 @@ impl TrainArgs {
 
     fn request(self) -> Result<TrainingRequest> {
         let changes = self.set.iter().map(|change| entry::pair("--set", change)).collect::<Result<_>>()?;
-        let options = Value::Object(options(&self.option)?);
+        let options = Value::Object(self.options.read()?);
         let place = self.address.map(|address| place(address, self.token_file.as_deref(), self.ca.as_deref()));
         self.training.request(changes, options, place.transpose()?)
     }
@@ -214,14 +214,6 @@ fn connected(place: ServerAddress) -> Box<Connect> {
     })
 }
 
-/// Options of a task from words NAME=VALUE. Files that the values name are read.
-pub fn options(words: &[String]) -> Result<Map<String, Value>> {
-    let options = words.iter().map(|word| entry::pair("--option", word)).collect::<Result<Map<_, _>>>()?;
-    let mut options = Value::Object(options);
-    super::read_files(&mut options)?;
-    Ok(options.as_object().cloned().unwrap_or_default())
-}
-
 /// Trains, and writes all files; returns the results, also as text.
 pub fn learn(request: &TrainingRequest, progress: &dyn Progress) -> Result<(TrainingOutcome, String)> {
     let outcome = request.run(progress)?;
@@ -296,5 +288,9 @@ impl Progress for Interruptible {
             return Err(Error::Cancelled("stopped".into()));
         }
         self.bar.report(done, stage)
+    }
+
+    fn note(&self, line: &str) {
+        self.bar.note(line);
     }
 }

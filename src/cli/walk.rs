@@ -1,12 +1,17 @@
 //! `sandgait walk`
 
+use super::options::OptionArgs;
+use sandgait::env::Task;
+use sandgait::env::gait::HexapodGait;
+use sandgait::env::registry::Blueprint;
+use sandgait::sand::{Law, Medium};
 use sandgait::sim::engine::EngineKind;
 use sandgait::sim::model::Scene;
 use sandgait::sim::walk::{WalkResult, WalkTrial, Watch, walk, walk_watched};
 use sandgait::sim::{Model, Robot};
 use sandgait::view::{self, About, RecordedState};
 use sandgait::{Error, Result};
-use serde_json::json;
+use serde_json::{Value, json};
 use std::path::Path;
 use std::time::Instant;
 
@@ -17,11 +22,13 @@ const RECORDED_RATE: f64 = 100.0;
 /// Simulate a walk with an alternating tripod at constant stride frequency, and measure the speed.
 ///
 /// The speed is measured over four strides, after two others. At frequency 0 the robot stands for 10 s, and its sinkage
-/// and drift are measured.
+/// and drift are measured. --option changes the robot and its sand by an option of HexapodGait; the other arguments take
+/// precedence.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait walk --leg L --frequency 2
   sandgait walk --leg revC --frequency 3 --medium poppy-close --slope-deg 5 --json
+  sandgait walk --frequency 2 --option torque_limit=0.02 --option memory=true
   sandgait walk --robot mine.toml --frequency 0        (stand still)
   sandgait walk --leg C --frequency 2 --record walk.rec && sandgait replay walk.rec --html walk.html")]
 pub struct WalkArgs {
@@ -45,6 +52,8 @@ pub struct WalkArgs {
     /// A built-in robot or a FILE.toml
     #[arg(long, default_value = Robot::DEFAULT)]
     robot: String,
+    #[command(flatten)]
+    options: OptionArgs,
     /// Record the walk in this file, with 100 states in a second, for `sandgait replay`
     #[arg(long, value_name = "FILE")]
     record: Option<std::path::PathBuf>,
@@ -53,8 +62,15 @@ pub struct WalkArgs {
     json: bool,
 }
 
+/// The options of HexapodGait that a walk has; the others are of the task's actions, commands and rewards.
+const OPTIONS: [&str; 11] =
+    ["robot", "engine", "law", "dt", "torque_limit", "leg", "medium", "sand", "memory", "slope_deg", "payload"];
+
 impl WalkArgs {
-    pub fn run(self) -> Result<String> {
+    fn model(&self) -> Result<(Model, EngineKind)> {
+        if !self.options.is_empty() {
+            return self.by_options();
+        }
         let mut robot = Robot::load(&self.robot)?;
         if let Some(leg) = &self.leg {
             robot = robot.with_leg_shape(leg)?;
@@ -62,7 +78,38 @@ impl WalkArgs {
         let mut scene = Scene::on(&self.sand.sand_to_walk_on()?);
         let engine = EngineKind::named(&self.engine)?;
         (scene.slope_deg, scene.dt) = (self.slope_deg, self.dt.unwrap_or(engine.default_dt()));
-        let trial = WalkTrial::new(Model::new(&robot, &scene)?, self.frequency);
+        Ok((Model::new(&robot, &scene)?, engine))
+    }
+
+    /// The model of HexapodGait with options of the task.
+    fn by_options(&self) -> Result<(Model, EngineKind)> {
+        let given = self.options.read()?;
+        if let Some(name) = given.keys().find(|name| !OPTIONS.contains(&name.as_str())) {
+            return Err(Error::unknown("option", name, &OPTIONS));
+        }
+        let number = |x: f64, default: f64| (x != default).then(|| json!(x));
+        let text = |text: &str, default: &str| (text != default).then(|| json!(text));
+        let sand = self.sand.sand.as_ref().map(|_| self.sand.sand().and_then(|sand| sand.to_toml())).transpose()?;
+        let arguments = [
+            ("leg", self.leg.as_ref().map(|leg| json!(leg))),
+            ("engine", text(&self.engine, EngineKind::Lanes.name())),
+            ("medium", text(&self.sand.medium, Medium::DEFAULT)),
+            ("law", text(&self.sand.law, Law::Li2013.name())),
+            ("sand", sand.map(|sand| json!(sand))),
+            ("slope_deg", number(self.slope_deg, 0.0)),
+            ("dt", self.dt.map(|dt| json!(dt))),
+            ("robot", text(&self.robot, Robot::DEFAULT)),
+        ];
+        let arguments = arguments.into_iter().filter_map(|(name, value)| Some((name.to_owned(), value?)));
+        let options = Value::Object(given.into_iter().chain(arguments).collect());
+        super::warn_of_unfelt_option(&options);
+        let blueprint = Blueprint::new(HexapodGait::ID, options)?;
+        Ok((Model::clone(blueprint.task.model()), blueprint.engine))
+    }
+
+    pub fn run(self) -> Result<String> {
+        let (model, engine) = self.model()?;
+        let trial = WalkTrial::new(model, self.frequency);
         let clock = Instant::now();
         let result = match &self.record {
             None => walk(engine, &trial)?,

@@ -39,6 +39,8 @@ pub(super) struct Environment {
     pub before: State,
     /// The sand's force on each leg in the last time step, if a sensor needs it and the engine keeps it.
     pub normal_forces: Vec<f64>,
+    /// The ground's force on each foot of a robot from a file in the last time step.
+    pub foot_loads: Vec<f64>,
     /// The episode before this one, if the last step ended it.
     pub ended: Option<Ended>,
 }
@@ -76,7 +78,7 @@ impl Environment {
             delay: ActionDelay::default(),
             task,
         };
-        Self { episode, stale: false, before: still, normal_forces: Vec::new(), ended: None }
+        Self { episode, stale: false, before: still, normal_forces: Vec::new(), foot_loads: Vec::new(), ended: None }
     }
 
     /// Fills an observation row, and the sensors' part of an info row. `before`: the event before the present state;

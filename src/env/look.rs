@@ -5,6 +5,7 @@ use super::shard::Shard;
 use super::spec::Spec;
 use super::task::{TaskState, Transition};
 use crate::sand::memory::Moved;
+use crate::sim::pose::foot_loads;
 use crate::sim::{Model, State};
 use std::sync::Arc;
 
@@ -77,6 +78,7 @@ fn at_start(episode: &Episode, spec: &Spec) -> Vec<f32> {
         task_state,
         before: state,
         after: state,
+        foot_loads: &foot_loads(episode.model(), state),
         action: last_action,
         previous_action: last_action,
         period: 1.0 / spec.control_rate,

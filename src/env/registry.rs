@@ -176,7 +176,7 @@ impl Blueprint {
     /// The keywords of this task, with their values here.
     pub fn keywords(&self) -> Vec<Keyword> {
         let keyword = |row: OptionRow| {
-            let OptionRow { name, help, at_reset, bounds, keys } = row;
+            let OptionRow { name, help, at_reset, bounds, keys, .. } = row;
             let keys_help: Vec<_> = keys.iter().map(|key| format!("{}: {}", key.name, key.help)).collect();
             let summary = if keys.is_empty() { help.into() } else { format!("{help}. {}", keys_help.join("; ")) };
             Keyword { name, help, summary, value: self.task.option(name), at_reset, bounds, keys }

@@ -8,6 +8,7 @@ use super::task::{Setup, Task, TaskState, Transition};
 use super::walking::Walking;
 use crate::error::{Error, Result, check_range};
 use crate::options;
+use crate::options::NumberPair;
 use crate::sim::engine::{Command, EngineKind};
 use crate::sim::obstacle::{FRICTION, Obstacle, ObstacleShape};
 use crate::sim::overlap::obstacle_poses;
@@ -45,7 +46,7 @@ options! {
         dynamic_fraction: f64 = 0.5, [0.0, 1.0], reset, "share of loose rocks; half of the other obstacles are fixed rocks and half are steps";
         density: f64 = 2650.0, [100.0, 2e4], reset, "density of loose rocks [kg/m³]";
         friction: f64 = FRICTION, [0.0, 10.0], reset, "Coulomb friction coefficient between robot and rock";
-        field: [f64; 2] = [1.6, 0.8], reset, "length and width of the field of obstacles [m]; the robot starts on its centre line, 0.3 m from its beginning";
+        field: NumberPair = NumberPair([1.6, 0.8]), reset, "length and width of the field of obstacles [m]; the robot starts on its centre line, 0.3 m from its beginning";
     }
 }
 
@@ -73,8 +74,8 @@ const SCAN_HEIGHT: f64 = 0.1;
 impl RockOptions {
     /// Our choice of the smallest field: it contains the circle of [`CLEAR`] around the start.
     fn validate(&self) -> Result<()> {
-        check_range("rocks.field[0]", self.field[0], 0.5..=100.0)?;
-        check_range("rocks.field[1]", self.field[1], 0.4..=100.0).map(drop)
+        check_range("rocks.field[0]", self.field.0[0], 0.5..=100.0)?;
+        check_range("rocks.field[1]", self.field.0[1], 0.4..=100.0).map(drop)
     }
 
     /// Draws an episode's obstacles; none overlap at the start.
@@ -93,7 +94,7 @@ impl RockOptions {
     }
 
     fn place(&self, random: &mut Random) -> [f64; 2] {
-        let [length, width] = self.field;
+        let NumberPair([length, width]) = self.field;
         [random.uniform(-BEHIND, length - BEHIND), random.uniform(-width / 2.0, width / 2.0)]
     }
 

@@ -167,8 +167,9 @@ impl Shard {
     fn finish(&mut self, i: usize, action: &[f32]) {
         let spec = self.task.spec();
         let (wide, info) = (spec.observation.len(), spec.info.len());
-        let Environment { episode, before, normal_forces, .. } = &mut self.environments[i];
+        let Environment { episode, before, normal_forces, foot_loads, .. } = &mut self.environments[i];
         self.engine.state(i, &mut episode.state);
+        self.engine.foot_loads(i, foot_loads);
         if episode.task.sensing().is_some_and(SensorModel::needs_normal_forces) {
             self.engine.normal_forces(i, normal_forces);
         }
@@ -184,6 +185,7 @@ impl Shard {
                 task_state: &episode.task_state,
                 before,
                 after: &episode.state,
+                foot_loads,
                 action,
                 previous_action: &episode.last_action,
                 period: self.period,

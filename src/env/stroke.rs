@@ -8,6 +8,7 @@ use super::task::{Setup, Task, TaskState, Transition};
 use super::walking::{MAX_STEPS, set_sand};
 use crate::error::{Error, Result, check_range};
 use crate::options;
+use crate::options::NumberPair;
 use crate::sand::{Law, Medium};
 use crate::sim::engine::{Command, EngineKind};
 use crate::sim::model::Scene;
@@ -41,7 +42,7 @@ options! {
     pub struct StrokeOptions {
         carriage_speed: f64 = 0.2, [0.01, 0.5], reset, "speed of the carriage toward +x [m/s]";
         height: f64 = 0.02, [0.0, 0.1], reset, "height of the hip over the sand [m]";
-        start: [f64; 2] = [-1.75, 0.0], reset, "angles [hip, knee] at the start [rad]; the leg must be outside of the sand";
+        start: NumberPair = NumberPair([-1.75, 0.0]), reset, "angles [hip, knee] at the start [rad]; the leg must be outside of the sand";
         lift: f64 = 1.7, [1e-3, 1e3], reset, "least mean lift over the stroke [N]";
         lift_weight: f64 = 2.0, [0.0, 1e3], reset, "penalty of a stroke without lift";
         exit_weight: f64 = 1.0, [0.0, 1e3], reset, "penalty of a stroke that leaves the leg 1 cm or more in the sand";
@@ -52,12 +53,12 @@ impl StrokeOptions {
     /// Checks the start; `model`: the leg. A nanometre in the sand is rounding.
     fn validate(&self, model: &Model) -> Result<()> {
         let range = |i: usize| model.legs[0][i].range.unwrap_or([-TAU, TAU]);
-        for (i, angle) in self.start.iter().enumerate() {
+        for (i, angle) in self.start.0.iter().enumerate() {
             check_range(&format!("stroke.start[{i}]"), *angle, range(i)[0]..=range(i)[1])?;
         }
-        let deepest = self.deepest(model, &self.start);
+        let deepest = self.deepest(model, &self.start.0);
         if deepest > 1e-9 {
-            let reason = format!("{:?} begins {:.1} mm in the sand", self.start, 1e3 * deepest);
+            let reason = format!("{:?} begins {:.1} mm in the sand", self.start.0, 1e3 * deepest);
             return Err(Error::invalid("stroke.start", reason));
         }
         Ok(())
@@ -260,7 +261,7 @@ impl Task for LegStroke {
 
     fn begin(&self, setup: &Setup<StrokeTaskOptions>, random: &mut Random) -> (State, TaskState) {
         let StrokeTaskOptions { stroke, angle_noise: noise, .. } = *setup.options;
-        let angles = stroke.start.map(|a| a + random.uniform(-noise, noise));
+        let angles = stroke.start.0.map(|a| a + random.uniform(-noise, noise));
         let mut state = State::at_rest(stroke.height, &angles);
         state.velocity[0] = stroke.carriage_speed;
         (state, TaskState { speed: stroke.carriage_speed, ..TaskState::default() })

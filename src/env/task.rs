@@ -50,6 +50,8 @@ pub struct Transition<'a> {
     pub task_state: &'a TaskState,
     pub before: &'a State,
     pub after: &'a State,
+    /// The ground's force on each foot of a robot from a file, along the surface's normal at the end of the step [N].
+    pub foot_loads: &'a [f64],
     /// This step's action, in [-1, 1].
     pub action: &'a [f32],
     pub previous_action: &'a [f32],

@@ -15,8 +15,8 @@ use serde::Serialize;
 use serde_json::{Map, Value, json};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Commands forward, to the left and of the yaw rate, as shares of the ends of the training's ranges. In each command
-/// one or more components are not 0, at about half or nearly all of their ranges: our choice.
+/// Commands forward, to the left and of the yaw rate, as shares of the training's ranges (see [`trained`]). In each
+/// command one or more components are not 0, at about half or nearly all of their ranges: our choice.
 const SHARES: [[f64; 3]; 9] = [
     [0.5, 0.0, 0.0],
     [0.9, 0.0, 0.0],
@@ -45,7 +45,8 @@ pub struct CommandResult {
     pub command: [f64; 3],
     /// Mean over the robots that did not fall, in the base's frame; 0 if all fell.
     pub velocity: [f64; 3],
-    /// |velocity − command| / |command|, where 1 rad/s counts as much as 1 m/s.
+    /// |velocity − command| / |command|, where 1 rad/s counts as much as 1 m/s. A command counts as no smaller than the
+    /// speed below which a training commands standing.
     pub error: f64,
     /// Share of the robots that fell.
     pub falls: f64,
@@ -65,6 +66,8 @@ pub struct CommandTracking {
 pub struct CommandStudy {
     blueprints: Vec<Blueprint>,
     gait: Gait,
+    /// Commanded speeds below this are zero in a training [m/s].
+    small: f64,
 }
 
 impl CommandStudy {
@@ -80,20 +83,19 @@ impl CommandStudy {
         }
         let base = Blueprint::new(LeggedVelocity::ID, options.clone())?;
         let gait = policy.gait(&base)?.ok_or_else(no_policy)?;
-        let (ranges, own) = (base.task.option("commands"), Units::of(base.task.model()).commanded());
-        let end = |k: usize, share: f64| {
-            let end = ranges[NAMES[k]][usize::from(share > 0.0)].as_f64().unwrap_or(own[k].copysign(share));
-            // Rounded, so that a table shows the number that was commanded.
-            (share.abs() * end * 1e3).round() / 1e3
-        };
-        let command = |shares: &[f64; 3]| -> [f64; 3] { std::array::from_fn(|k| end(k, shares[k])) };
-        let mut commands: Vec<_> = SHARES.iter().map(command).filter(|c| *c != [0.0; 3]).collect();
-        commands.dedup();
+        let units = Units::of(base.task.model());
+        let ranges = base.task.command_ranges().unwrap_or_default();
+        let mut commands: Vec<[f64; 3]> = Vec::new();
+        for command in SHARES.iter().filter_map(|shares| trained(&ranges, units.small(), *shares)) {
+            if !commands.contains(&command) {
+                commands.push(command);
+            }
+        }
         if commands.is_empty() {
             return Err(Error::invalid("commands", "all ranges are 0, so there is nothing to follow"));
         }
         let blueprints = commands.iter().map(|command| held(options, *command)).collect::<Result<_>>()?;
-        Ok(Self { blueprints, gait })
+        Ok(Self { blueprints, gait, small: units.small() })
     }
 
     /// Plays all episodes. An error of `progress` stops the work.
@@ -101,7 +103,7 @@ impl CommandStudy {
         let (done, count) = (AtomicUsize::new(0), self.blueprints.len());
         let lines = parallel::map(&self.blueprints, |blueprint| {
             let steps = blueprint.task.spec().max_episode_steps as usize * count;
-            follow(blueprint, &self.gait, &|| {
+            follow(blueprint, &self.gait, self.small, &|| {
                 let done = done.fetch_add(1, Ordering::Relaxed) + 1;
                 progress.report((done as f64 / steps as f64).min(1.0), &format!("{count} commands"))
             })
@@ -111,6 +113,29 @@ impl CommandStudy {
         let worst_error = lines.iter().map(|l| l.error).fold(0.0, f64::max);
         Ok(CommandTracking { mean_error: mean(|l| l.error), worst_error, falls: mean(|l| l.falls), lines })
     }
+}
+
+/// The command at these shares of the training's `ranges`: at 0 the one of a range that is nearest to standing still, at
+/// ±1 its ends. In a training, speeds along the ground below `small` are zero. Such a command is made as fast as
+/// `small`, in the same direction; if it is then out of the ranges, the robot turns only. None: the robot would stand.
+fn trained(ranges: &[[f64; 2]; 3], small: f64, shares: [f64; 3]) -> Option<[f64; 3]> {
+    // Rounded, so that a table shows the number that was commanded.
+    let rounded = |x: f64| (x * 1e3).round() / 1e3;
+    let at = |k: usize| {
+        let [low, high] = ranges[k];
+        let rest = 0.0_f64.clamp(low, high);
+        rounded(rest + shares[k].abs() * (if shares[k] < 0.0 { low } else { high } - rest))
+    };
+    let mut command: [f64; 3] = std::array::from_fn(at);
+    let speed = command[0].hypot(command[1]);
+    if speed < small {
+        // Rounding must not lead below the limit again.
+        let faster = |k: usize| (command[k].abs() * small / speed * 1e3).ceil() / 1e3 * command[k].signum();
+        let [x, y] = if speed > 0.0 { [faster(0), faster(1)] } else { [0.0; 2] };
+        let within = |k: usize, v: f64| v == command[k] || (ranges[k][0]..=ranges[k][1]).contains(&v);
+        [command[0], command[1]] = if within(0, x) && within(1, y) { [x, y] } else { [0.0; 2] };
+    }
+    (command != [0.0; 3]).then_some(command)
 }
 
 /// The task with one command, without randomness.
@@ -136,7 +161,7 @@ fn columns(spec: &Spec, names: [&str; 3]) -> Result<[usize; 3]> {
 }
 
 /// Lets robots follow the command of `blueprint`.
-fn follow(blueprint: &Blueprint, gait: &Gait, report: &dyn Fn() -> Result<()>) -> Result<CommandResult> {
+fn follow(blueprint: &Blueprint, gait: &Gait, small: f64, report: &dyn Fn() -> Result<()>) -> Result<CommandResult> {
     let spec = blueprint.task.spec();
     let (velocity, commanded) = (columns(spec, VELOCITY)?, columns(spec, COMMAND)?);
     let seeds: Vec<u64> = (FIRST_SEED..).take(ROBOTS).collect();
@@ -163,7 +188,7 @@ fn follow(blueprint: &Blueprint, gait: &Gait, report: &dyn Fn() -> Result<()>) -
     let velocity: [f64; 3] =
         std::array::from_fn(|k| standing.iter().map(|sum| sum[k]).sum::<f64>() / standing.len().max(1) as f64);
     let norm = |v: [f64; 3]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
-    let error = norm(std::array::from_fn(|k| velocity[k] - command[k])) / norm(command);
+    let error = norm(std::array::from_fn(|k| velocity[k] - command[k])) / norm(command).max(small);
     let falls = fell.iter().filter(|fell| **fell).count() as f64 / ROBOTS as f64;
     Ok(CommandResult { command, velocity, error, falls })
 }
@@ -222,4 +247,35 @@ pub fn csv(followed: &CommandTracking) -> String {
         text += &format!("{}\n", numbers.map(f64::to_string).collect::<Vec<_>>().join(","));
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Commands are inside of the ranges of the training, and none of them is set to zero by it.
+    #[test]
+    fn commands_are_those_of_the_training() {
+        let small = 0.086;
+        let of = |ranges: [[f64; 2]; 3]| SHARES.map(|shares| trained(&ranges, small, shares));
+        // Usual ranges: shares of their ends.
+        let usual = of([[-0.8, 0.8], [-0.4, 0.4], [-1.0, 1.0]]);
+        assert_eq!(usual[0], Some([0.4, 0.0, 0.0]));
+        assert_eq!(usual[3], Some([0.0, 0.16, 0.0]));
+        assert_eq!(usual[7], Some([0.48, 0.0, 0.6]));
+        // A small range to the side: 0.4 of it is made faster; a smaller one has no such command at all.
+        let [x, y, yaw] = of([[-0.8, 0.8], [-0.1, 0.1], [0.0, 0.0]])[3].unwrap();
+        assert!((x, yaw) == (0.0, 0.0) && (0.086..0.0875).contains(&y), "{y}");
+        assert_eq!(of([[-0.8, 0.8], [-0.08, 0.08], [-1.0, 1.0]])[3], None);
+        // A range without 0.
+        assert_eq!(of([[0.3, 0.6], [0.0, 0.0], [-1.0, 1.0]])[2], Some([0.3, 0.0, 0.0]));
+        assert_eq!(of([[0.3, 0.6], [0.0, 0.0], [-1.0, 1.0]])[5], Some([0.3, 0.0, 0.8]));
+        for ranges in [[[-0.8, 0.8], [-0.08, 0.08], [-1.0, 1.0]], [[0.0, 0.05], [0.0, 0.0], [0.1, 0.2]]] {
+            for command in of(ranges).into_iter().flatten() {
+                let inside = (0..3).all(|k| command[k] == 0.0 || (ranges[k][0]..=ranges[k][1]).contains(&command[k]));
+                let speed = command[0].hypot(command[1]);
+                assert!(inside && (speed == 0.0 || speed >= small), "{command:?}");
+            }
+        }
+    }
 }

@@ -103,7 +103,7 @@ impl Evaluation {
         let options = policy.with_control(task, options.clone())?;
         let base = Blueprint::new(task, options)?;
         if base.task.spec().id == LeggedVelocity::ID {
-            let reason = "it follows commands: `sandgait evaluate POLICY --commands` measures how well";
+            let reason = "it follows commands: `sandgait evaluate POLICY` measures how well";
             return Err(Error::invalid("task", format!("{}: {reason}", LeggedVelocity::ID)));
         }
         let text = |name: &str| base.task.option(name).as_str().unwrap_or_default().to_owned();

@@ -11,6 +11,7 @@ use std::hint::spin_loop;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::TryRecvError;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -167,6 +168,16 @@ impl Pool {
             queue = carry_out(&self.shared, id, operation, queued);
         }
         drop(queue);
+        // The last shards are nearly done. Waking up takes longer than they do, so this thread watches for them, as a
+        // worker watches for work; with one processor it would take the processor from them.
+        let start = Instant::now();
+        while self.shared.most_watching > 0 && start.elapsed() < WATCH {
+            match receiver.try_recv() {
+                Ok(batch) => return batch,
+                Err(TryRecvError::Empty) => spin_loop(),
+                Err(TryRecvError::Disconnected) => break,
+            }
+        }
         receiver.recv().unwrap_or_else(|_| Err(Error::Exhausted("the worker pool was closed".into())))
     }
 

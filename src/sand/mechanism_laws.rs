@@ -9,7 +9,7 @@ use super::term::{LaneTerms, Term, TermArguments};
 use crate::number::{Real, Vec3};
 
 /// Depth z0 [m] at which `depth_power` does not change the stress: our choice; another z0 has the effect of `scale`.
-const DEPTH_REFERENCE: f64 = 0.02;
+pub const DEPTH_REFERENCE: f64 = 0.02;
 /// Distance [m] over which a footprint fades: our choice, because no published law was found.
 const FOOTPRINT_REACH: f64 = 0.03;
 /// Length [m] that `packing_grad` refers to: our choice, because it only fixes the unit of g.

@@ -69,6 +69,10 @@ impl Integrator for LaneEngine {
     fn normal_forces(&self, index: usize, out: &mut Vec<f64>) {
         self.blocks[index / self.lanes].normal_forces(index % self.lanes, out);
     }
+
+    fn foot_loads(&self, index: usize, out: &mut Vec<f64>) {
+        self.blocks[index / self.lanes].foot_loads(index % self.lanes, out);
+    }
 }
 
 /// State of the robots in one block, one lane each; see [`State`]. `position` is the base's centre of mass in engine

@@ -42,4 +42,9 @@ pub trait Integrator: Send {
     fn normal_forces(&self, _index: usize, out: &mut Vec<f64>) {
         out.clear();
     }
+    /// Fills `out` with the ground's force on each foot of robot `index` along the surface's normal in the last time
+    /// step of the last control step [N]. Only engine `tree` has feet; in the others `out` becomes empty.
+    fn foot_loads(&self, _index: usize, out: &mut Vec<f64>) {
+        out.clear();
+    }
 }

@@ -83,7 +83,7 @@ impl Model {
         match (engine, &self.tree) {
             (EngineKind::Tree, Some(tree)) => {
                 let points = if self.scene.hard.is_empty() { 0 } else { tree.contacts.iter().map(Vec::len).sum() };
-                LANE + tree.tree.bodies.len() * LANE_BODY + points * LANE_POINT
+                LANE + tree.tree.bodies.len() * LANE_BODY + points * LANE_POINT + tree.stance.feet.len() * LANE_FOOT
             }
             // The resident memory of a session of thousands of environments divided by their number, without the data of
             // an episode.
@@ -94,8 +94,9 @@ impl Model {
     }
 }
 
-/// Memory of a lane of engine `tree`, of each of its bodies, and of each point that may touch hard ground [bytes]:
+/// Memory of a lane of engine `tree`, of each of its bodies, of each point that may touch hard ground, and of each foot [bytes]:
 /// counted in the structures of [`super::tree::engine`], where a list of touching points may have room for twice as many.
 const LANE: usize = 2_000;
 const LANE_BODY: usize = 800;
 const LANE_POINT: usize = 250;
+const LANE_FOOT: usize = 220;

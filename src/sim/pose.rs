@@ -7,10 +7,24 @@ use super::{Model, State};
 use crate::number::Vec3;
 use crate::sand::{Contact, SandBed, SegmentState};
 
-/// A leg stands if the sand's force on it is above this share of the robot's weight. Likewise a picture shows an arrow
-/// on a body of a robot from a file if the ground's force on the body is above this share. Our choice: a leg in the air
-/// has no force, and each of three legs on the ground has a third of the weight.
-const STANCE: f64 = 0.02;
+/// A leg or foot bears load if the ground's force on it is above this share of the robot's weight: then a leg stands, a
+/// foot is in contact and its switch closes, and a picture has an arrow for the force. Our choice: a leg in the air has
+/// no force, and each of two to six legs that stand has half to a sixth of the weight. The sand's force on a foot that
+/// is dragged through it can also be above this share.
+const BEARING: f64 = 0.02;
+
+/// The force above which a leg or foot of this robot bears load [N].
+pub fn bearing_force(model: &Model) -> f64 {
+    BEARING * model.total_mass() * model.gravity.norm()
+}
+
+/// The ground's force on each foot of a robot from a file along the surface's normal [N]; for other robots empty.
+pub fn foot_loads(model: &Model, state: &State) -> Vec<f64> {
+    let Some(tree) = &model.tree else { return Vec::new() };
+    let pushes = forces::pushes(model, state);
+    let on = |foot: &usize| pushes.iter().filter(|push| push.body == *foot).map(|push| push.force.z).sum::<f64>();
+    tree.stance.feet.iter().map(on).collect()
+}
 
 /// A small flat piece that sand may push on, as a [`Model`] has it.
 #[derive(Clone, Copy, Debug)]
@@ -76,7 +90,7 @@ impl Pose {
             leg_forces: Vec::new(),
             stance: Vec::new(),
             contacts: contacts(model, state),
-            least: STANCE * model.total_mass() * model.gravity.norm(),
+            least: bearing_force(model),
             travel: state.travel(),
         };
         let [level, strength] = found(model, state, 0);

@@ -2,7 +2,7 @@
 
 use super::quantity::Quantity;
 use super::shown;
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, unknown_name};
 use crate::progress::{Progress, Silent};
 use std::collections::{BTreeMap, HashSet};
 use std::path::Path;
@@ -124,7 +124,7 @@ fn factor(column: &HeaderColumn, unit: &str) -> std::result::Result<f64, String>
     let known: Vec<_> = column.quantity.units().iter().map(|u| u.0).collect();
     column.quantity.factor(unit).ok_or_else(|| match known.is_empty() {
         true => format!("unit {unit:?} is given, but this column has no unit"),
-        false => format!("unit {unit:?} is unknown; known: {}", known.join(", ")),
+        false => format!("unit {}", unknown_name(unit, &known)),
     })
 }
 

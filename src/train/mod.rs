@@ -35,6 +35,7 @@ mod matrix;
 mod mirror;
 mod network;
 mod normal;
+mod outlook;
 pub mod plan;
 pub mod remote;
 mod run;

@@ -3,6 +3,7 @@
 
 use super::curve::{CurvePoint, LearningCurve, OpenPoint};
 use super::events::EventFile;
+use super::outlook::{OUTLOOK, outlook};
 use super::plan::{Observer, TrainingPlan, TrainingState, UpdateReport};
 use super::remote::{Pause, RemoteEnvironments};
 use super::settings::Hyperparameters;
@@ -24,6 +25,9 @@ use std::time::{Duration, Instant};
 
 /// The training's share of the progress; the rest is for the evaluation, which is shorter: our choice.
 const TRAINING: f64 = 0.97;
+
+/// File name of the policy.
+const POLICY: &str = "policy.onnx";
 
 /// Interval of checks whether the training was stopped: our choice, well below the 100 ms that a person notices.
 const PATIENCE: Duration = Duration::from_millis(20);
@@ -78,6 +82,16 @@ pub enum PolicyScore {
     Commands(CommandTracking),
 }
 
+impl PolicyScore {
+    /// Mean return of an episode, if the score has one.
+    fn mean_return(&self) -> Option<f64> {
+        match self {
+            Self::Walking(row) => Some(row.figures.total_reward.mean),
+            Self::Commands(_) => None,
+        }
+    }
+}
+
 impl TrainingRequest {
     /// Trains, and writes all files into the folder. A training that is stopped leaves a checkpoint.
     pub fn run(&self, progress: &dyn Progress) -> Result<TrainingOutcome> {
@@ -121,6 +135,7 @@ impl TrainingRequest {
             progress: &part,
             told: (0.0, "the training".into()),
             asked: Instant::now(),
+            updates: 0,
         };
         notices.extend(diary.curve.notice.take());
         let learnt = match plan.run(learnt, remote.as_deref_mut(), &mut diary) {
@@ -131,12 +146,9 @@ impl TrainingRequest {
         drop(remote);
         diary.save()?;
         notices.extend(diary.left_out.take());
-        let score = self.keep(&plan, &learnt, options, &PartialProgress::new(progress, [TRAINING, 1.0]))?;
-        let reached = match &score {
-            Some(PolicyScore::Walking(row)) => Some(row.figures.total_reward.mean),
-            _ => None,
-        };
-        diary.curve.draw(&self.out.join("curve.svg"), &self.task, reached)?;
+        let score = self.keep(&plan, &learnt, options, &PartialProgress::new(progress, [TRAINING, 1.0]));
+        let score = score.map_err(|error| self.after_training(error))?;
+        diary.curve.draw(&self.out.join("curve.svg"), &self.task, score.as_ref().and_then(PolicyScore::mean_return))?;
         let mut about = about;
         about["steps"] = learnt.steps.into();
         about["seconds"] = learnt.seconds.into();
@@ -207,11 +219,7 @@ impl TrainingRequest {
         options: Value,
         progress: &dyn Progress,
     ) -> Result<Option<PolicyScore>> {
-        let onnx = export::onnx(plan, learnt);
-        self.write("policy.onnx", &onnx)?;
-        self.write("policy.json", format!("{:#}\n", describe::policy(plan)).as_bytes())?;
-        let policy = TrainingState { environments: None, ..learnt.clone() };
-        checkpoint::save(&self.out.join("policy.safetensors"), plan, &policy, &OpenPoint::default())?;
+        let onnx = self.keep_policy(plan, learnt)?;
         let Some(blueprint) = &plan.spec.blueprint else { return Ok(None) };
         let spec = blueprint.task.spec();
         let network = Network::new(&onnx, spec)?;
@@ -242,6 +250,27 @@ impl TrainingRequest {
         Ok(rows.into_iter().next().map(PolicyScore::Walking))
     }
 
+    /// The error if the work after the training is stopped: the policy is already in the folder.
+    fn after_training(&self, error: Error) -> Error {
+        match error {
+            Error::Cancelled(why) => {
+                let policy = self.out.join(POLICY);
+                Error::Cancelled(format!("{why}; the training is over, and its policy is kept in {}", policy.display()))
+            }
+            other => other,
+        }
+    }
+
+    /// Writes the policy as ONNX, its description and its weights; returns the ONNX file's bytes.
+    fn keep_policy(&self, plan: &TrainingPlan, learnt: &TrainingState) -> Result<Vec<u8>> {
+        let onnx = export::onnx(plan, learnt);
+        self.write(POLICY, &onnx)?;
+        self.write("policy.json", format!("{:#}\n", describe::policy(plan)).as_bytes())?;
+        let policy = TrainingState { environments: None, ..learnt.clone() };
+        checkpoint::save(&self.out.join("policy.safetensors"), plan, &policy, &OpenPoint::default())?;
+        Ok(onnx)
+    }
+
     fn write(&self, name: &str, content: &[u8]) -> Result<()> {
         files::write(&self.out.join(name), content)
     }
@@ -265,6 +294,8 @@ struct TrainingFiles<'a> {
     /// The last progress report, and when we last asked whether to stop.
     told: (f64, String),
     asked: Instant,
+    /// Number of updates in this process.
+    updates: u32,
 }
 
 impl Observer for TrainingFiles<'_> {
@@ -287,6 +318,10 @@ impl Observer for TrainingFiles<'_> {
             self.save()?;
         }
         self.last = Some(report.clone());
+        self.updates += 1;
+        if let (Some(level), OUTLOOK) = (report.level, self.updates) {
+            self.progress.note(&outlook(level, report.steps, rate));
+        }
         let reached = self.curve.points.last().map_or(String::new(), |p| format!(", return {:.0}", p.mean_return));
         let level = report.level.map_or(String::new(), |level| format!(", level {level:.2}"));
         let (millions, thousands) = (report.steps as f64 / 1e6, rate / 1e3);
@@ -330,16 +365,17 @@ impl TrainingFiles<'_> {
         Ok(path)
     }
 
-    /// Writes a checkpoint of the last valid state. Returns the error with a note on this checkpoint.
+    /// Writes the policy and a checkpoint of the last valid state. Returns the error with a note on them.
     fn abandon(mut self, error: Error) -> Error {
         let steps = self.newest.steps;
-        let kept =
-            |path: &Path| format!("; the policy of {steps} steps is kept in {}, go on with --resume", path.display());
+        let kept = |policy: &Path| {
+            format!("; the policy of {steps} steps is kept in {}, go on with --resume", policy.display())
+        };
         let note = match steps {
-            0 => String::new(),
-            _ => match self.save() {
-                Ok(path) => kept(&path),
-                Err(e) => format!("; no checkpoint: {e}"),
+            0 => "; no policy was learnt yet".to_owned(),
+            _ => match self.save().and_then(|_| self.request.keep_policy(self.plan, &self.newest)) {
+                Ok(_) => kept(&self.request.out.join(POLICY)),
+                Err(e) => format!("; neither policy nor checkpoint: {e}"),
             },
         };
         error.with_note(&note)

@@ -23,7 +23,7 @@ const OWN_DISCS: &str = include_str!("../../tests/data/real_wheel/discs.csv");
 
 /// The discs that were pushed into the wheels' sand, included in the program.
 pub fn own_discs() -> Result<Vec<Penetration>> {
-    Ok(read::text(Path::new("discs.csv"), OWN_DISCS)?.pushes)
+    Ok(read::text(Path::new("discs.csv"), OWN_DISCS, crate::calibrate::PLATE)?.pushes)
 }
 
 /// Largest number of rows of a folder: our choice, because it bounds the time of a comparison.

@@ -25,6 +25,10 @@ const SIDES: usize = 32;
 /// Distance at which plates are drawn outside their surface, in robot radii, so that the surface does not hide
 /// them.
 const BEFORE: f64 = 2e-3;
+/// Width of a plate's outline, in robot radii: our choice, about a pixel of a picture of 800 × 600. The next number is
+/// its greatest share of half the plate, so that small plates stay outlines.
+const LINE: f64 = 4e-3;
+const WIDEST: f64 = 0.2;
 
 /// A PNG of `size` [px] that shows `tree` in its standing pose with its lowest point on the ground, or at `state` with
 /// the ground at z = 0. `seen` (visual shapes) and `plates` have one list for each body, in the frame of the body.
@@ -60,7 +64,7 @@ pub fn draw(
     let [low, high] = if faces.is_empty() { [V::repeat(-0.1), V::repeat(0.1)] } else { [low, high] };
     let radius = (0.5 * (high - low).norm()).max(1e-3);
     for (b, plates) in plates.iter().enumerate() {
-        faces.extend(plates.iter().flat_map(|p| quad(p, &frames[b], BEFORE * radius)).map(|t| (t, PLATES)));
+        faces.extend(plates.iter().flat_map(|p| outline(p, &frames[b], radius)).map(|t| (t, PLATES)));
     }
     let samples = size.map(|s| s * SAMPLES as u32);
     let camera = Camera::around(&camera.check()?, (low + high) / 2.0, 0.72 * radius, samples);
@@ -82,15 +86,22 @@ pub(super) fn depth(tree: &Tree, body: usize) -> usize {
     depth
 }
 
-fn quad(plate: &IntruderPlate, frame: &Isometry3<f64>, before: f64) -> [[V; 3]; 2] {
+/// The thin outline of a plate, so that the robot behind it is seen; `radius`: the robot's.
+fn outline(plate: &IntruderPlate, frame: &Isometry3<f64>, radius: f64) -> Vec<[V; 3]> {
     let vector = |v: crate::number::Vec3<f64>| frame.rotation * V::from(v.lane(0));
     let center = frame * nalgebra::Point3::from(V::from(plate.center.lane(0)));
-    let middle = center.coords + vector(plate.normal) * before;
-    // Drawn slightly smaller, so that each plate is visible.
-    let [u, v] = plate.half.map(|h| vector(h) * 0.85);
-    let [a, b, c, d] = [middle - u - v, middle + u - v, middle + u + v, middle - u + v];
-    let out = (b - a).cross(&(c - a)).dot(&vector(plate.normal)) > 0.0;
-    if out { [[a, b, c], [a, c, d]] } else { [[a, c, b], [a, d, c]] }
+    let middle = center.coords + vector(plate.normal) * (BEFORE * radius);
+    // Drawn slightly smaller, so that the outlines of neighbours are apart.
+    let halves = plate.half.map(|h| vector(h) * 0.9);
+    let corners = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]];
+    let inner = halves.map(|half| 1.0 - (LINE * radius / half.norm().max(f64::MIN_POSITIVE)).min(WIDEST));
+    let at = |[u, v]: [f64; 2], [a, b]: [f64; 2]| middle + halves[0] * (u * a) + halves[1] * (v * b);
+    let strip = |k: usize| {
+        let (one, two) = (corners[k], corners[(k + 1) % 4]);
+        let [a, b, c, d] = [at(one, [1.0; 2]), at(two, [1.0; 2]), at(two, inner), at(one, inner)];
+        [[a, b, c], [a, c, d]]
+    };
+    (0..4).flat_map(strip).collect()
 }
 
 /// Triangles of a round shape from its profile along z: (distance from the axis, height), from below.
@@ -209,5 +220,30 @@ impl TreeCanvas {
             text::write(&mut pixels, width as usize, [8, 6 + (n * text::CELL[1]) as i64], caption, INK);
         }
         png(&pixels, [width, height])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::number::Vec3;
+
+    /// An outline covers a small part of a large plate and leaves the middle of each plate free.
+    #[test]
+    fn plates_are_thin_outlines() {
+        for (half, share) in [(0.1, 0.05), (0.001, 0.4)] {
+            let axis = |v: [f64; 3]| Vec3::new(v[0], v[1], v[2]);
+            let plate = IntruderPlate {
+                center: Vec3::zero(),
+                normal: axis([0.0, 0.0, 1.0]),
+                area: 4.0 * half * half,
+                half: [axis([half, 0.0, 0.0]), axis([0.0, half, 0.0])],
+                bend: [0.0; 2],
+            };
+            let faces = outline(&plate, &Isometry3::identity(), 0.5);
+            let area: f64 = faces.iter().map(|[a, b, c]| 0.5 * (b - a).cross(&(c - a)).norm()).sum();
+            assert!(area < share * 4.0 * half * half && area > 0.0, "{area} of {}", 4.0 * half * half);
+            assert!(faces.iter().flatten().all(|p| p.x.abs().max(p.y.abs()) > 0.5 * half));
+        }
     }
 }

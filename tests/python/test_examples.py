@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import os
 import re
@@ -158,6 +159,18 @@ def test_the_bench_of_the_client_measures() -> None:
     assert rows[0]["env_steps_per_second"] > 0
 
 
+def run_cell(source: str, names: dict[str, object]) -> str:
+    """Runs a cell; returns what a notebook shows of its last expression, unless the cell ends with a semicolon."""
+    tree = ast.parse(source)
+    last = tree.body[-1] if tree.body and not source.rstrip().endswith(";") else None
+    if isinstance(last, ast.Expr):
+        tree.body.pop()
+    exec(compile(tree, "docs/ten_minutes.ipynb", "exec"), names)
+    if not isinstance(last, ast.Expr):
+        return ""
+    return repr(eval(compile(ast.Expression(last.value), "docs/ten_minutes.ipynb", "eval"), names))
+
+
 def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     matplotlib = pytest.importorskip("matplotlib")
     matplotlib.use("Agg")
@@ -168,5 +181,6 @@ def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     for cell in cells:
         if cell["cell_type"] == "code":
             assert not cell["outputs"], "the notebook is kept without outputs"
-            exec(compile("".join(cell["source"]), "docs/ten_minutes.ipynb", "exec"), names)
+            shown = run_cell("".join(cell["source"]), names)
+            assert not re.search(r" at 0x[0-9a-f]+>", shown), f"the cell shows {shown}"
     assert "inertial_drag" in names["report"].summary  # type: ignore[attr-defined]

@@ -53,3 +53,29 @@ fn wrong_files_are_refused_by_name_and_key() {
     fs::write(&file, "listen = \"0.0.0.0:0\"").unwrap();
     assert!(refused(&["--config", text(&file)]).contains("--insecure"));
 }
+
+/// The first lines of the log say what the server is and what it allows; a line at SIGTERM says what becomes of
+/// sessions.
+#[test]
+fn the_log_says_what_the_server_is_and_what_it_keeps() {
+    let directory = tempfile::tempdir().unwrap();
+    let token = directory.path().join("token");
+    fs::write(&token, "0123456789abcdef0123456789abcdef\n").unwrap();
+    let state = directory.path().join("state");
+    for saves in [true, false] {
+        let keeping: &[&str] = if saves { &["--state-dir", text(&state)] } else { &[] };
+        let listen = ["--listen", "127.0.0.1:0", "--token-file", text(&token), "--max-envs", "77"];
+        let server = Process::start(&[&listen[..], keeping].concat());
+        let address = server.address.clone();
+        let (_, log) = server.end();
+        let lines: Vec<&str> = log.lines().filter(|line| line.contains(" INFO ")).collect();
+        for word in
+            [&format!("version=\"{}\"", env!("CARGO_PKG_VERSION")), &address, "tls=\"none\"", "token=\"needed\""]
+        {
+            assert!(lines[0].contains(word), "{word}: {log}");
+        }
+        assert!(lines[1].contains("environments=77") && lines[1].contains("memory_mib="), "{log}");
+        let kept = if saves { "saves its sessions" } else { "sessions are not saved" };
+        assert!(lines.iter().any(|line| line.contains("SIGTERM") && line.contains(kept)), "{log}");
+    }
+}

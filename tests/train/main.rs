@@ -4,6 +4,8 @@
 mod cuts;
 mod servers;
 
+use sandgait::env::registry::Blueprint;
+use sandgait::policy::Network;
 use sandgait::progress::{Progress, Silent};
 use sandgait::train::{Hyperparameters, TrainingRequest};
 use sandgait::{Error, Result};
@@ -159,6 +161,11 @@ fn a_resumed_training_gives_the_same_bits() {
             let stopped = of(&parts, k > 0).run(&Stop(Mutex::new((updates, 0.0))));
             let Err(Error::Cancelled(why)) = stopped else { panic!("{task}: not stopped") };
             assert!(why.contains("is kept in") && why.ends_with("go on with --resume"), "{why}");
+            // The policy of the last update is there.
+            let policy = parts.join("policy.onnx");
+            assert!(why.contains(policy.to_str().unwrap()), "{why}");
+            let spec = Blueprint::new(task, options.clone()).unwrap();
+            Network::new(&std::fs::read(policy).unwrap(), spec.task.spec()).unwrap();
         }
         let outcome = of(&parts, true).run(&Silent).unwrap();
         assert!(outcome.notices.is_empty(), "{task}: {:?}", outcome.notices);

@@ -132,9 +132,16 @@ impl Out<'_> {
         fill(terminated, rows().map(|r| &r.terminated));
         fill(truncated, rows().map(|r| &r.truncated));
         let (envs, width) = (batch.envs(), batch.spec().info.len());
-        let all = rows().flat_map(|r| r.infos.chunks_exact(width.max(1)));
-        for (i, row) in all.enumerate() {
-            row.iter().enumerate().for_each(|(k, value)| self.infos[k * envs + i] = *value);
+        // Shard by shard, because a shard's rows stay in the processor's own cache while their columns are gathered.
+        let mut first = 0;
+        for part in rows() {
+            let count = part.rewards.len();
+            for k in 0..width {
+                let column = &mut self.infos[k * envs + first..][..count];
+                let values = part.infos[k..].iter().step_by(width);
+                column.iter_mut().zip(values).for_each(|(out, value)| *out = *value);
+            }
+            first += count;
         }
         // Indices in shards start at the shard's first environment, those in batches at the batch's.
         let starts = batch.shards().iter().scan(0, |next, shard| Some(std::mem::replace(next, *next + shard.envs())));

@@ -74,6 +74,12 @@ fn pack_heights(py: Python<'_>, path: std::path::PathBuf) -> PyResult<String> {
     py.detach(|| sandgait::cli::pack_heights(&path)).map_err(|error| errors::raise(&error))
 }
 
+/// What a message says of an unknown name: the known name that may be meant, and all known names.
+#[pyfunction]
+fn unknown_name(name: &str, known: Vec<String>) -> String {
+    sandgait::error::unknown_name(name, &known)
+}
+
 #[pymodule]
 mod _native {
     #[pymodule_export]
@@ -102,6 +108,8 @@ mod _native {
     use super::tables::describe;
     #[pymodule_export]
     use super::train::{mirror, train};
+    #[pymodule_export]
+    use super::unknown_name;
     #[pymodule_export]
     const MOST_ENVIRONMENTS: usize = sandgait::session::MOST_ENVIRONMENTS;
     #[pymodule_export]

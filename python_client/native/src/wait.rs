@@ -16,6 +16,7 @@ pub const PATIENCE: Duration = Duration::from_millis(20);
 /// Messages from a working thread to Python.
 enum Event<T> {
     Progress(f64, String),
+    Note(String),
     Done(Result<T>),
 }
 
@@ -43,6 +44,10 @@ impl<T: Send> Progress for ProgressSender<T> {
         // A caller that has left has set `stop`.
         let _ = self.events.send(Event::Progress(done, stage.to_owned()));
         Ok(())
+    }
+
+    fn note(&self, line: &str) {
+        let _ = self.events.send(Event::Note(line.to_owned()));
     }
 }
 
@@ -108,6 +113,11 @@ pub fn spawn(work: impl FnOnce() + Send + 'static) -> PyResult<()> {
     started.map(drop).map_err(|e| raise(&Error::Exhausted(format!("no thread can be started: {e}"))))
 }
 
+/// Prints a line on Python's stderr, as progress is shown there.
+fn print(py: Python<'_>, line: &str) -> PyResult<()> {
+    py.import("sys")?.getattr("stderr")?.call_method1("write", (format!("{line}\n"),)).map(drop)
+}
+
 fn wait<T: Send>(py: Python<'_>, events: &Events<T>, stop: &Stop, told: Option<&Bound<'_, PyAny>>) -> PyResult<T> {
     let mut last = (0.0, String::new());
     loop {
@@ -124,6 +134,10 @@ fn wait<T: Send>(py: Python<'_>, events: &Events<T>, stop: &Stop, told: Option<&
                     None => Ok(()),
                 }
             }
+            Ok(Event::Note(line)) => match told {
+                Some(_) => print(py, &line),
+                None => Ok(()),
+            },
             Err(RecvTimeoutError::Timeout) => Ok(()),
             // A panic; the thread has printed the reason on stderr.
             Err(RecvTimeoutError::Disconnected) => {

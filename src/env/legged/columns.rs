@@ -71,7 +71,7 @@ pub fn observation(joints: &[String], motors: &[String], heights: bool) -> Featu
         .sensed(Sensor::Heights)
 }
 
-/// Is a foot in the ground?
+/// Does a foot bear load?
 pub fn contact(foot: &String) -> Column {
     Column::new(format!("contact, {foot}"), "1", 0.0, 1.0)
 }

@@ -176,7 +176,7 @@ impl LeggedEpisode {
 
 /// What an episode learns from a step.
 pub struct StepFeedback<'a> {
-    /// 1 for each foot that touches the ground, else 0.
+    /// 1 for each foot that bears load, else 0.
     pub feet: &'a [f32],
     /// Forward, to the left [m/s] and yaw [rad/s].
     pub velocity: [f64; 3],

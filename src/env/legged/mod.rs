@@ -58,8 +58,9 @@ are multiplied by the level. A reset with a seed begins at the first level again
 with `curriculum=None`.
 
 The names of the reward terms and the order of the observation are those of legged_gym (Rudin et al. 2022) and
-of Isaac Lab's velocity tasks; velocities, times and torques in rewards are in units of the robot: √(gℓ), √(ℓ/g), Wℓ, with its legs' length ℓ and weight W. As in these, a term is multiplied by its weight and by the control step's duration. A foot is in contact, and
-another body collides, when it is in the ground. Velocities are those of the base link's origin, in the base's frame. There are three differences to
+of Isaac Lab's velocity tasks; velocities, times and torques in rewards are in units of the robot: √(gℓ), √(ℓ/g), Wℓ, with its legs' length ℓ and weight W. As in these, a term is multiplied by its weight and by the control step's duration. A foot is in contact
+when it bears load: when the ground's force on it is above 2 % of the robot's weight, which is 8 % of its share on four legs. Another body collides
+when it is in the ground. Velocities are those of the base link's origin, in the base's frame. There are three differences to
 legged_gym: observations are not scaled, a negative sum of rewards is not clipped at zero, and actions are within ±1. Therefore
 `action_scale` is larger than the 0.25 of legged_gym.
 
@@ -282,7 +283,7 @@ impl Task for LeggedVelocity {
 
     fn evaluate(&self, _setup: &Setup<LeggedOptions>, t: &Transition, info: &mut [f32]) -> bool {
         let Some(legged) = &t.task_state.legged else { return false };
-        let contacts = Contacts::of(t.model, t.after);
+        let contacts = Contacts::of(t.model, t.after, t.foot_loads);
         let [gravity, velocity, angular_velocity] = base(Some(t.model), t.after);
         let fallen = gravity[2] > FALLEN;
         let base_contact = (contacts.base || contacts.upper) && !t.model.has_sand();

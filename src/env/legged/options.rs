@@ -90,7 +90,7 @@ impl LeggedOptions {
     pub(super) fn draws(&self, units: &Units) -> Draws {
         let rand = self.domain_rand.unwrap_or(DomainRand::NONE);
         let (commands, resampling_time) = (units.ranges(&self.commands), self.commands.resampling_time);
-        Draws { commands, resampling_time, small: SMALL * units.speed, rand, steps: self.max_episode_steps }
+        Draws { commands, resampling_time, small: units.small(), rand, steps: self.max_episode_steps }
     }
 
     pub(super) fn model(&self) -> Result<Model> {
@@ -132,10 +132,6 @@ impl LeggedOptions {
         Ok(if self.self_contact { tree.with_self_contact() } else { tree })
     }
 }
-
-/// Commanded speeds below this part of √(gℓ) are zero: legged_gym has a limit of 0.2 m/s, for commands of at most 1 m/s. Our choice
-/// is smaller, so that a policy also learns slow steps to the side.
-const SMALL: f64 = 0.05;
 
 /// Least and greatest scale of an action [rad]. The least is our choice: with it a foot moves by some 0.4 lengths of the leg.
 /// The greatest is that of Isaac Lab's velocity tasks; joints without a known torque limit have it, too.

@@ -5,6 +5,7 @@ use super::episode::LeggedEpisode;
 use super::units::Units;
 use crate::feature::flag;
 use crate::reward_terms;
+use crate::sim::pose::bearing_force;
 use crate::sim::tree::kinematics::{frames, lowest};
 use crate::sim::{Model, State};
 use crate::spec::CONTROL_RATE;
@@ -22,9 +23,10 @@ const AIR: f64 = 2.2;
 /// Share of a joint's range, at each of its two ends, that the joint should avoid (A1 in legged_gym: soft limits of 0.9).
 const OUTER: f64 = 0.05;
 
-/// The bodies that touch the ground.
+/// The feet that bear load, and the other bodies that touch the ground.
 pub struct Contacts {
-    /// Contact of each foot, in the order of the stance's feet.
+    /// Does each foot bear load? In the order of the stance's feet. A foot that only touches grains, as every foot of a
+    /// robot that wades does, is in the air.
     pub feet: Vec<bool>,
     pub base: bool,
     /// Does a body that is neither the base nor part of a leg touch the ground?
@@ -34,7 +36,8 @@ pub struct Contacts {
 }
 
 impl Contacts {
-    pub fn of(model: &Model, state: &State) -> Self {
+    /// `foot_loads`: the ground's force on each foot [N].
+    pub fn of(model: &Model, state: &State, foot_loads: &[f64]) -> Self {
         let Some(tree) = &model.tree else { return Self { feet: Vec::new(), base: false, upper: false, others: 0 } };
         let frames = frames(&tree.tree, state);
         let touches = |i: usize| {
@@ -44,7 +47,8 @@ impl Contacts {
         let feet = &tree.stance.feet;
         let others = (1..frames.len()).filter(|i| !feet.contains(i) && touches(*i)).count();
         let upper = tree.stance.upper.iter().any(|i| touches(*i));
-        Self { feet: feet.iter().map(|i| touches(*i)).collect(), base: touches(0), upper, others }
+        let bearing = bearing_force(model);
+        Self { feet: foot_loads.iter().map(|load| *load > bearing).collect(), base: touches(0), upper, others }
     }
 }
 

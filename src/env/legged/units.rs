@@ -22,6 +22,10 @@ pub struct Units {
 /// ends are 1.1 m/s, 0.55 m/s and 0.9 rad/s; legged_gym has 1, 1 and 1.
 pub const COMMANDED: [f64; 3] = [0.5, 0.25, 0.2];
 
+/// Commanded speeds below this part of √(gℓ) are zero: legged_gym has a limit of 0.2 m/s, for commands of at most 1 m/s. Our choice
+/// is smaller, so that a policy also learns slow steps to the side.
+const SMALL: f64 = 0.05;
+
 impl Units {
     pub fn of(model: &Model) -> Self {
         // Our choice of the least length, so that no unit is 0.
@@ -31,6 +35,11 @@ impl Units {
             rate: (GRAVITY / length).sqrt(),
             torque: model.total_mass() * GRAVITY * length,
         }
+    }
+
+    /// Commanded speeds below this are zero [m/s].
+    pub fn small(&self) -> f64 {
+        SMALL * self.speed
     }
 
     /// The ends of the commands' default ranges: forward, to the left [m/s], yaw [rad/s].

@@ -33,6 +33,7 @@ macro_rules! options {
                     help: $help,
                     at_reset: $crate::options!(@reset $($reset)?),
                     bounds: $crate::options!(@bounds $([$($bound),+])?),
+                    is_range: <$type as $crate::options::OptionValue>::IS_RANGE,
                     keys: <$type as $crate::options::OptionValue>::keys(),
                 },)*];
                 $(if true { return [<$Base as $crate::options::Options>::rows(), own].concat(); })?

@@ -21,7 +21,7 @@ mod robot;
 mod value;
 
 pub use robot::RobotName;
-pub use value::{Bounded, OptionValue, changed};
+pub use value::{Bounded, NumberPair, OptionValue, changed};
 
 use crate::error::{Error, Result};
 use crate::sensors::Hardware;
@@ -36,6 +36,8 @@ pub struct OptionRow {
     pub at_reset: bool,
     /// Least and greatest value of its numbers, if they do not depend on other options.
     pub bounds: Option<[f64; 2]>,
+    /// Is it a range [low, high]? A number then stands for the range of that number alone.
+    pub is_range: bool,
     /// For a dictionary: its keys.
     pub keys: Vec<OptionRow>,
 }

@@ -2,17 +2,20 @@
 
 use super::OptionRow;
 use super::robot::RobotName;
-use crate::error::{Error, Result, check_range};
+use crate::error::{Error, Result, check_range, unknown_name};
 use crate::sand::Law;
 use crate::sim::engine::EngineKind;
-use serde::Serialize;
 use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 
 /// The value of an option; its type determines the checks.
 pub trait OptionValue {
+    /// Is it a range [low, high]?
+    const IS_RANGE: bool = false;
+
     /// Refuses values that deserialisation accepts but the option does not.
     fn check(&self, _name: &str) -> Result<()> {
         Ok(())
@@ -32,7 +35,6 @@ pub trait OptionValue {
 impl OptionValue for bool {}
 impl OptionValue for u64 {}
 impl OptionValue for f64 {}
-impl OptionValue for [f64; 2] {}
 impl OptionValue for String {}
 impl OptionValue for [f64; 3] {}
 impl OptionValue for Vec<Vec<f64>> {}
@@ -42,6 +44,17 @@ impl OptionValue for RobotName {}
 impl OptionValue for BTreeMap<String, f64> {}
 impl OptionValue for u32 {}
 impl OptionValue for usize {}
+
+impl OptionValue for [f64; 2] {
+    const IS_RANGE: bool = true;
+}
+
+/// Two numbers that are no range.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct NumberPair(pub [f64; 2]);
+
+impl OptionValue for NumberPair {}
 
 impl OptionValue for EngineKind {
     fn check(&self, _name: &str) -> Result<()> {
@@ -57,6 +70,8 @@ impl OptionValue for EngineKind {
 }
 
 impl<T: OptionValue> OptionValue for Option<T> {
+    const IS_RANGE: bool = T::IS_RANGE;
+
     fn check(&self, name: &str) -> Result<()> {
         self.as_ref().map_or(Ok(()), |value| value.check(name))
     }
@@ -172,9 +187,7 @@ fn unknown(name: &'static str, message: &str, names: &[&str]) -> Option<Error> {
     };
     match *parts.first()? {
         "unknown variant " => Some(Error::unknown(name, given, &known)),
-        "unknown field " => {
-            Some(Error::invalid(name, format!("key {given:?} is unknown; known: {}", known.join(", "))))
-        }
+        "unknown field " => Some(Error::invalid(name, format!("key {}", unknown_name(given, &known)))),
         _ => None,
     }
 }
@@ -191,6 +204,21 @@ fn check_dictionaries(name: &str, keys: &[OptionRow], given: &Value) -> Result<(
     }
 }
 
+/// `given` with [x, x] in place of a number x where a range is expected.
+fn with_ranges(given: &Value, is_range: bool, keys: &[OptionRow]) -> Value {
+    match given {
+        Value::Number(number) if is_range => Value::Array(vec![number.clone().into(); 2]),
+        Value::Object(given) => {
+            let of = |(name, value): (&String, &Value)| {
+                let key = keys.iter().find(|key| key.name == name);
+                (name.clone(), key.map_or_else(|| value.clone(), |key| with_ranges(value, key.is_range, &key.keys)))
+            };
+            Value::Object(given.iter().map(of).collect())
+        }
+        _ => given.clone(),
+    }
+}
+
 /// The value after `given` was set; in a dictionary, only the keys in `given` change.
 pub fn changed<T>(name: &'static str, old: &T, given: &Value) -> Result<T>
 where
@@ -203,6 +231,7 @@ where
             unknown(name, &message, &T::names()).unwrap_or_else(|| Error::invalid(name, in_words(&message)))
         }
     };
+    let given = &with_ranges(given, T::IS_RANGE, &T::keys());
     let mut whole = serde_json::to_value(old).map_err(refused)?;
     // Weights of rewards name no keys.
     if whole.is_object() && given.is_array() {
@@ -220,6 +249,19 @@ where
 mod tests {
     use super::*;
     use serde_json::json;
+
+    /// A number stands for a range of that number, also in dictionaries; two other numbers need both.
+    #[test]
+    fn a_number_stands_for_a_range() {
+        use crate::legged::draws::Commands;
+        assert_eq!(changed("action_delay", &[0.0, 0.0], &json!(0.02)).unwrap(), [0.02, 0.02]);
+        assert_eq!(changed("x", &None::<[f64; 2]>, &json!(1)).unwrap(), Some([1.0, 1.0]));
+        let commands =
+            changed("commands", &Commands::default(), &json!({"lin_vel_x": 0.4, "resampling_time": 5})).unwrap();
+        assert_eq!((commands.lin_vel_x, commands.resampling_time), (Some([0.4, 0.4]), 5.0));
+        let error = changed("start", &NumberPair([0.0; 2]), &json!(1)).unwrap_err().to_string();
+        assert!(error.starts_with("start: "), "{error}");
+    }
 
     #[test]
     fn refusals_name_no_types_of_rust() {

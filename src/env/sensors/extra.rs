@@ -2,7 +2,7 @@
 
 use super::{Sensor, SensorInput, Sensors};
 use crate::feature::Features;
-use crate::sim::pose::Pose;
+use crate::sim::pose::{Pose, bearing_force};
 use crate::sim::{Model, State};
 use std::cell::OnceCell;
 
@@ -12,9 +12,6 @@ const TORQUE: f64 = 1e4; // [N·m]
 const FORCE: f64 = 1e6; // [N]
 /// Range of the range finder [m]: our choice, as small lidars have.
 const RANGE: f64 = 10.0;
-/// A foot's switch closes if the force on the foot is above this share of the robot's weight, the same share as for a
-/// standing leg (`Pose::stance`).
-const SWITCH: f64 = 0.02;
 
 /// A control step, for sensors.
 pub struct MeasuredStep<'a> {
@@ -26,8 +23,8 @@ pub struct MeasuredStep<'a> {
     imu_position: [f64; 3],
     forces: OnceCell<Vec<f64>>,
     specific_force: OnceCell<[f64; 3]>,
-    /// [N]
-    weight: OnceCell<f64>,
+    /// The force above which a foot bears load [N].
+    bearing: OnceCell<f64>,
 }
 
 /// Computes one number.
@@ -44,7 +41,7 @@ impl<'a> MeasuredStep<'a> {
             imu_position,
             forces: OnceCell::new(),
             specific_force: OnceCell::new(),
-            weight: OnceCell::new(),
+            bearing: OnceCell::new(),
         }
     }
 
@@ -107,8 +104,7 @@ pub fn columns(sensor: Sensor, model: &Model) -> Option<Features<Measure>> {
         }
         Sensor::ContactForce => none.each(&feet, "contact force", "N", FORCE, |m, i| m.forces()[i]),
         Sensor::ContactSwitch => none.each(&feet, "contact switch", "1", 1.0, |m, i| {
-            let weight = m.weight.get_or_init(|| m.model.total_mass() * m.model.gravity.norm());
-            f64::from(u8::from(m.forces()[i] > SWITCH * weight))
+            f64::from(u8::from(m.forces()[i] > *m.bearing.get_or_init(|| bearing_force(m.model))))
         }),
         Sensor::RangeFinder => none.each(&["base".into()], "range finder", "m", RANGE, |m, _| m.range()),
         _ => return None,

@@ -1,8 +1,9 @@
-//! The page of one environment that its viewers steer: the live page, and also arrow keys or a gamepad.
+//! The page of one environment that its viewers steer: the live page, and also arrow keys, a gamepad, or sticks on a
+//! touch screen.
 //!
 //! ```text
 //!  GET /, /sessions, /watch/play/0    as the live page of a server
-//!  POST /steer                        a command, with the key of this page as a bearer token
+//!  POST /steer                        a command of keys, gamepad or sticks, with the key of this page as a bearer token
 //! ```
 
 use super::frames::{Frames, Latest, ViewedState, encode, next_blocks};
@@ -77,8 +78,10 @@ impl PlayedEnvironment {
 }
 
 async fn list(State(play): State<Arc<PlayedEnvironment>>) -> Response {
-    let keys = play.task.command_ranges().map(|ranges| keys(&ranges));
-    json(&value!([{"name": "play", "task": play.task.spec().id, "envs": 1, "steered": true, "keys": keys}]))
+    let ranges = play.task.command_ranges().unwrap_or_default();
+    let axes = ranges.map(|[low, high]| low < high);
+    let (keys, task) = (keys(&ranges), play.task.spec().id);
+    json(&value!([{"name": "play", "task": task, "envs": 1, "steered": true, "keys": keys, "axes": axes}]))
 }
 
 /// The command in the range [`low`, `high`] that is nearest to standing still.
@@ -111,7 +114,7 @@ fn keys(ranges: &[[f64; 2]; 3]) -> String {
     let parts: Vec<_> = parts.into_iter().flatten().collect();
     match parts[..] {
         [] => "The policy was trained with one command only.".into(),
-        _ => format!("{}. Or a gamepad.", parts.join("; ")),
+        _ => format!("{}. Or a gamepad, or the sticks on a touch screen.", parts.join("; ")),
     }
 }
 
@@ -150,12 +153,15 @@ mod tests {
     fn only_keys_with_an_effect_are_named() {
         let [none, both] = [[0.0, 0.0], [-1.0, 1.5]];
         for (ranges, said) in [
-            ([[0.1, 0.4], none, none], "↑: forward, 0.1 to 0.4 m/s (without a key 0.1). Or a gamepad."),
-            ([[-0.2, 0.0], none, none], "↓: back, −0.2 to 0 m/s. Or a gamepad."),
+            (
+                [[0.1, 0.4], none, none],
+                "↑: forward, 0.1 to 0.4 m/s (without a key 0.1). Or a gamepad, or the sticks on a touch screen.",
+            ),
+            ([[-0.2, 0.0], none, none], "↓: back, −0.2 to 0 m/s. Or a gamepad, or the sticks on a touch screen."),
             (
                 [both, [-0.5, 0.5], both],
                 "↑ ↓: forward and back, −1 to 1.5 m/s; ← →: turn left and right, −1 to 1.5 rad/s; \
-                 Shift ← Shift →: to the left and right, −0.5 to 0.5 m/s. Or a gamepad.",
+                 Shift ← Shift →: to the left and right, −0.5 to 0.5 m/s. Or a gamepad, or the sticks on a touch screen.",
             ),
             ([[0.3, 0.3], none, none], "The policy was trained with one command only."),
         ] {

@@ -6,7 +6,7 @@ use super::model::TreeModel;
 use super::relief::LaneRelief;
 use super::sand::{self, Feeler};
 use super::servo::LaneMotor;
-use super::step::{LaneTree, TreeScratch, step};
+use super::step::{GroundForces, LaneTree, TreeScratch, step};
 use crate::blocks::{LaneEngine, LaneState};
 use crate::command::Command;
 use crate::error::{Error, Result};
@@ -70,7 +70,8 @@ impl<R: Real> TreeLanes<R> {
             gravity: Vec3::zero(),
             dt: R::splat(model.scene.dt),
         };
-        let scratch = TreeScratch::new(joints + 1);
+        let mut scratch = TreeScratch::new(joints + 1);
+        scratch.ground_forces = GroundForces::on(tree.stance.feet.clone());
         let memory = LaneMemory::new(model, tree.tree.bodies.len())
             .map(|memory| (memory, Feeler::all(&tree.plates, model.scene.memory.map_or(1.0, |m| m.cell))));
         Self { tree: lanes, state: LaneState::hovering(joints), scratch, memory, endless }
@@ -108,7 +109,8 @@ impl<R: Real> Kernel for AdvanceTrees<'_, R> {
     #[inline(always)]
     fn run(self) {
         let TreeLanes { tree, state, scratch, memory, .. } = &mut *self.block;
-        for _ in 0..self.steps {
+        for k in 0..self.steps {
+            scratch.ground_forces.weigh = self.ends && k + 1 == self.steps;
             step(tree, state, scratch, memory.as_ref().map(|(memory, _)| &memory.surfaces));
             if let Some((memory, feelers)) = memory
                 && memory.tick()
@@ -173,6 +175,11 @@ impl<R: Real> Integrator for TreeLanes<R> {
 
     fn sand(&self, lane: usize) -> Option<&Moved> {
         self.memory.as_ref().map(|(memory, _)| memory.sand(lane))
+    }
+
+    fn foot_loads(&self, lane: usize, out: &mut Vec<f64>) {
+        out.clear();
+        out.extend(self.scratch.ground_forces.normal.iter().map(|force| force.lane(lane)));
     }
 
     fn command(&mut self, lane: usize, command: &Command) {

@@ -35,6 +35,44 @@ pub struct LaneTree<R> {
     pub dt: R,
 }
 
+/// The ground's forces on some bodies. Only a step that is asked to weigh computes them.
+pub struct GroundForces<R> {
+    /// The bodies that are weighed.
+    bodies: Vec<usize>,
+    /// The ground's force on each of them along the world's z in the last step that was weighed [N].
+    pub normal: Vec<R>,
+    pub weigh: bool,
+    /// The loads of each body without and with the ground.
+    loads: Vec<[LinkLoad<R>; 2]>,
+}
+
+impl<R: Real> GroundForces<R> {
+    pub fn on(bodies: Vec<usize>) -> Self {
+        let count = bodies.len();
+        Self { bodies, normal: vec![R::zero(); count], weigh: false, loads: vec![[LinkLoad::none(); 2]; count] }
+    }
+
+    /// Keeps the loads: `part` 0 without the ground, 1 with it.
+    #[inline(always)]
+    fn keep(&mut self, part: usize, loads: &[LinkLoad<R>]) {
+        if self.weigh {
+            self.loads.iter_mut().zip(&self.bodies).for_each(|(kept, body)| kept[part] = loads[*body]);
+        }
+    }
+
+    /// What the ground adds to a body's load at the body's acceleration is the ground's force.
+    #[inline(always)]
+    fn end(&mut self, accelerations: &[Twist<R>]) {
+        if self.weigh {
+            for ((normal, loads), body) in self.normal.iter_mut().zip(&self.loads).zip(&self.bodies) {
+                let [without, with] =
+                    [0, 1].map(|k| loads[k].inertia.apply(&accelerations[*body]).force.z + loads[k].bias.force.z);
+                *normal = without - with;
+            }
+        }
+    }
+}
+
 /// Work space of a step; its contents are not kept.
 pub struct TreeScratch<R> {
     pub frames: Vec<LinkFrame<R>>,
@@ -49,6 +87,7 @@ pub struct TreeScratch<R> {
     limits: Vec<LimitedTorque<R>>,
     pub touches: Vec<Touch<R>>,
     self_contact: SelfContactScratch<R>,
+    pub ground_forces: GroundForces<R>,
 }
 
 impl<R: Real> TreeScratch<R> {
@@ -64,6 +103,7 @@ impl<R: Real> TreeScratch<R> {
             limits: vec![LimitedTorque::none(); bodies - 1],
             touches: Vec::new(),
             self_contact: SelfContactScratch::new(),
+            ground_forces: GroundForces::on(Vec::new()),
         }
     }
 }
@@ -101,9 +141,11 @@ pub fn accelerate<R: Real>(
     let place = state.place();
     dynamics::place(&model.bodies, state, &mut scratch.frames);
     dynamics::load(&model.bodies, &scratch.frames, model.gravity, &mut scratch.loads);
+    scratch.ground_forces.keep(0, &scratch.loads);
     sand::press(&model.ground, &model.patches, &scratch.frames, &place, surface, found, &mut scratch.loads, dt);
     model.floor.find(&model.contacts, &scratch.frames, &place, surface, &mut scratch.touches);
     if scratch.touches.is_empty() {
+        scratch.ground_forces.keep(1, &scratch.loads);
         solve(model, state, scratch);
     } else {
         scratch.bare.copy_from_slice(&scratch.loads);
@@ -112,6 +154,7 @@ pub fn accelerate<R: Real>(
         model.floor.classify(&mut scratch.touches, &scratch.accelerations, dt);
         scratch.loads.copy_from_slice(&scratch.bare);
         model.floor.press(&scratch.touches, &mut scratch.loads, dt);
+        scratch.ground_forces.keep(1, &scratch.loads);
         solve(model, state, scratch);
     }
     if let Some(contact) = &model.self_contact {
@@ -119,6 +162,7 @@ pub fn accelerate<R: Real>(
         let folded = Folded { bodies: &model.bodies, frames, hinges, base: &loads[0].inertia };
         contact.keep_apart(&folded, &mut StepAccelerations { bodies: accelerations, joints }, self_contact, dt);
     }
+    scratch.ground_forces.end(&scratch.accelerations);
 }
 
 #[inline(always)]

@@ -187,11 +187,56 @@ function main() {
 /** Interval between two looks at keys and gamepad [ms]. */
 const STEERING = 50;
 
+/** A stick in less than this share of its way is at rest. */
+const AT_REST = 0.15;
+
+/** Makes `element` a stick for a finger or mouse: `set` gets its shares to the right and up, from -1 to 1. */
+function stick(element, set) {
+  const knob = element.querySelector("i");
+  let pointer = null;
+  const move = (event) => {
+    const box = element.getBoundingClientRect();
+    const radius = box.width / 2;
+    const [x, y] = [(event.clientX - box.left - radius) / radius, (box.top + radius - event.clientY) / radius];
+    const far = Math.max(Math.hypot(x, y), 1);
+    knob.style.transform = `translate(${(x / far) * radius * 0.6}px, ${(-y / far) * radius * 0.6}px)`;
+    set(...[x / far, y / far].map((share) => (Math.abs(share) < AT_REST ? 0 : share)));
+  };
+  element.onpointerdown = (event) => {
+    event.preventDefault();
+    pointer = event.pointerId;
+    element.setPointerCapture(pointer);
+    move(event);
+  };
+  element.onpointermove = (event) => { if (event.pointerId === pointer) move(event); };
+  element.onpointerup = element.onpointercancel = (event) => {
+    if (event.pointerId !== pointer) return;
+    pointer = null;
+    knob.style.transform = "";
+    set(0, 0);
+  };
+}
+
 /**
- * Sends the command of arrow keys or a gamepad whenever it changes: shares from -1 to 1, forward, to the left, yaw to the left.
- * `keys`: what they do, in words.
+ * Shows the sticks where fingers can reach them. `axes`: whether the policy walks forward, to the side, and turns.
+ * Returns their present command.
  */
-function steer(keys) {
+function sticks([forward, aside, turn]) {
+  const command = [0, 0, 0];
+  $("sticks").hidden = !matchMedia("(any-pointer: coarse)").matches;
+  $("stick-walk").hidden = !forward && !turn;
+  $("stick-aside").hidden = !aside;
+  // A share to the right is one of a speed to the right, which is negative.
+  stick($("stick-walk"), (x, y) => { [command[0], command[2]] = [forward ? y : 0, turn ? -x : 0]; });
+  stick($("stick-aside"), (x) => { command[1] = -x; });
+  return command;
+}
+
+/**
+ * Sends the command of arrow keys, a gamepad or the sticks whenever it changes: shares from -1 to 1, forward, to the left, yaw to
+ * the left. `keys`: what they do, in words; `axes`: as for `sticks`.
+ */
+function steer(keys, axes) {
   const key = new URLSearchParams(location.hash.slice(1)).get("key") || "";
   const held = new Set();
   const arrows = ["ArrowUp", "ArrowDown", "ArrowLeft", "ArrowRight"];
@@ -201,15 +246,18 @@ function steer(keys) {
   });
   document.addEventListener("keyup", (event) => held.delete(event.code));
   window.addEventListener("blur", () => held.clear());
+  const dragged = sticks(axes);
   const pressed = (...codes) => (codes.some((code) => held.has(code)) ? 1 : 0);
   const commanded_now = () => {
     const aside = pressed("ArrowLeft") - pressed("ArrowRight");
     const shift = pressed("ShiftLeft", "ShiftRight");
     const command = [pressed("ArrowUp") - pressed("ArrowDown"), shift * aside, (1 - shift) * aside];
+    const add = (shares) => shares.forEach((share, k) => { command[k] = Math.min(Math.max(command[k] + share, -1), 1); });
+    add(dragged);
     for (const pad of navigator.getGamepads ? navigator.getGamepads() : []) {
       if (!pad) continue;
       const axis = (k) => (Math.abs(pad.axes[k] || 0) < 0.1 ? 0 : -pad.axes[k]);
-      [axis(1), axis(0), axis(2)].forEach((share, k) => { command[k] = Math.min(Math.max(command[k] + share, -1), 1); });
+      add([axis(1), axis(0), axis(2)]);
     }
     return command;
   };
@@ -239,7 +287,7 @@ async function follow_server() {
     const reply = await fetch("sessions");
     const sessions = await reply.json();
     const steered = sessions.find((session) => session.steered);
-    if (steered && $("steering").hidden) steer(steered.keys);
+    if (steered && $("steering").hidden) steer(steered.keys, steered.axes);
     const options = sessions.flatMap(({ name, task, envs }) => Array.from({ length: Math.min(envs, 64) }, (_, i) =>
       [`${name}/${i}`, `${name} · ${task.replace("sandgait/", "")} · ${i + 1} of ${envs}`]));
     const known = Array.from(choice.options, (o) => o.value).join();

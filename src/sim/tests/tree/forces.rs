@@ -55,6 +55,38 @@ fn forces_change_the_momentum() {
     }
 }
 
+/// The load on a foot that an engine keeps is the sum of the forces on the foot in the last time step, in every lane.
+#[test]
+fn foot_loads_are_the_forces_on_the_feet() {
+    for (name, model) in grounds() {
+        let weight = model.total_mass() * sandgait_sand::GRAVITY;
+        let feet = model.tree.as_ref().unwrap().stance.feet.clone();
+        for (isa, within) in [(Isa::F64, 1e-3), (Isa::Baseline, 5e-3)] {
+            let mut engine = sandgait_sim::tree::engine(isa, &model, 2).unwrap();
+            let mut state = standing(&quadruped());
+            let mut loads = Vec::new();
+            (0..2).for_each(|i| engine.set_state(i, &state));
+            let (mut largest, mut least) = (0.0_f64, f64::INFINITY);
+            for step in 0..40 {
+                (0..2).for_each(|i| engine.command(i, &trot(0, step)));
+                engine.advance(19);
+                engine.state(1, &mut state);
+                let pushes = pushes(&model, &state);
+                engine.advance(1);
+                engine.foot_loads(1, &mut loads);
+                assert_eq!(loads.len(), feet.len());
+                for (load, foot) in loads.iter().zip(&feet) {
+                    let force: f64 = pushes.iter().filter(|p| p.body == *foot).map(|p| p.force.z).sum();
+                    assert!((load - force).abs() < within * weight, "{name}, {isa:?}: {load} {force}");
+                    (largest, least) = (largest.max(force / weight), least.min(force.abs() / weight));
+                }
+            }
+            // The trot loads feet and lifts them.
+            assert!(largest > 0.3 && least < 0.02, "{name}: {least} to {largest}");
+        }
+    }
+}
+
 /// The ground carries a standing robot at its feet.
 #[test]
 fn forces_carry_a_standing_robot() {

@@ -1,0 +1,84 @@
+//! Task and options of a learnt policy: `sandgait train` and `examples/train.py` leave them in settings.json beside it.
+
+use super::options::OptionArgs;
+use sandgait::env::registry::task_id;
+use sandgait::{Error, Result};
+use serde_json::{Map, Value};
+use std::path::Path;
+
+/// The task and the options of a training.
+pub struct TrainedTask {
+    pub id: String,
+    options: Map<String, Value>,
+}
+
+impl TrainedTask {
+    /// From the text of a settings.json; `path` names it in errors.
+    pub fn from_settings(path: &Path, text: &[u8]) -> Result<Self> {
+        let settings: Value = serde_json::from_slice(text).map_err(|e| Error::file(path, e))?;
+        let id = settings["task"].as_str().ok_or_else(|| Error::file(path, "it has no task"))?;
+        let options = settings["options"].as_object().cloned().unwrap_or_default();
+        Ok(Self { id: task_id(id).to_owned(), options })
+    }
+
+    /// From settings.json in the folder of `policy`; None if there is no such file.
+    pub fn beside(policy: &Path) -> Result<Option<Self>> {
+        let path = policy.with_file_name("settings.json");
+        match std::fs::read(&path) {
+            Ok(text) => Self::from_settings(&path, &text).map(Some),
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(None),
+            Err(e) => Err(Error::file(&path, e)),
+        }
+    }
+
+    /// The options of the training, with those `given` in their place.
+    pub fn options(&self, given: &OptionArgs) -> Result<Value> {
+        given.over(self.options.clone())
+    }
+}
+
+/// The task and the options with which a command runs `policy`: those of its training where `task` and `given` say
+/// nothing. A policy without settings.json, and one that runs in another task, has the options that are given only.
+pub fn task_and_options(
+    policy: Option<&Path>,
+    task: Option<&str>,
+    given: &OptionArgs,
+    default: &str,
+) -> Result<(String, Value)> {
+    let trained = policy.map_or(Ok(None), TrainedTask::beside)?;
+    match (trained, task.map(task_id)) {
+        (Some(trained), None) => Ok((trained.id.clone(), trained.options(given)?)),
+        (Some(trained), Some(task)) if trained.id == task => Ok((trained.id.clone(), trained.options(given)?)),
+        (Some(trained), Some(task)) => {
+            eprintln!(
+                "sandgait: warning: the policy was trained in {}: its options are not those of {task}",
+                trained.id
+            );
+            Ok((task.to_owned(), Value::Object(given.read()?)))
+        }
+        (None, task) => Ok((task.unwrap_or(default).to_owned(), Value::Object(given.read()?))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_policy_s_folder_has_its_task_and_options() {
+        let folder = tempfile::tempdir().unwrap();
+        let policy = folder.path().join("policy.onnx");
+        let none = OptionArgs::default();
+        let run = |task: Option<&str>| task_and_options(Some(&policy), task, &none, "sandgait/HexapodGait-v1").unwrap();
+        assert_eq!(run(None), ("sandgait/HexapodGait-v1".into(), serde_json::json!({})));
+        let settings = r#"{"task": "sandgait/HexapodLegs-v2", "options": {"slope_deg": 5}}"#;
+        std::fs::write(folder.path().join("settings.json"), settings).unwrap();
+        for task in [None, Some("HexapodLegs")] {
+            assert_eq!(run(task), ("sandgait/HexapodLegs-v2".into(), serde_json::json!({"slope_deg": 5})));
+        }
+        assert_eq!(run(Some("HexapodGait")), ("sandgait/HexapodGait-v1".into(), serde_json::json!({})));
+        std::fs::write(folder.path().join("settings.json"), "{}").unwrap();
+        let refused = task_and_options(Some(&policy), None, &none, "").unwrap_err().to_string();
+        assert!(refused.ends_with("settings.json: it has no task"), "{refused}");
+    }
+}
