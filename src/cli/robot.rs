@@ -159,7 +159,8 @@ pub fn check(
 fn check_walks(import: &Import) -> Result<Option<(f64, String)>> {
     import.check_legged()?;
     let step = if import.packed.is_some() { None } else { import.needed_step()? };
-    Ok(step.map(|dt| (dt, format!("the robot's motion needs a time step of {} ms, which is taken (option dt)", 1e3 * dt))))
+    Ok(step
+        .map(|dt| (dt, format!("the robot's motion needs a time step of {} ms, which is taken (option dt)", 1e3 * dt))))
 }
 
 /// Draws the robot in its default pose, or at the end of a check.

@@ -26,7 +26,9 @@ pub fn of_attribute(tag: &str, name: &str, value: &str) -> Option<&'static str> 
         ("joint", "springyield") => "a spring that yields",
         ("geom", "adhesion") => "the surface sticks",
         ("geom", "surfacevel") => "the surface moves as a belt does",
-        ("general" | "motor" | "position" | "velocity" | "pid", "delay") => "the command acts later; see option action_delay",
+        ("general" | "motor" | "position" | "velocity" | "pid", "delay") => {
+            "the command acts later; see option action_delay"
+        }
         ("general", "actdim" | "actearly") => "the actuator's own dynamics",
         ("pid", "ki" | "imax" | "slewmax") => "the integral part of the controller",
         ("dynamics", "spring_stiffness" | "spring_reference") => "a spring at the joint",
@@ -43,7 +45,9 @@ pub fn of_element(element: &Element) -> Option<&'static str> {
     };
     match element.tag.as_str() {
         "tendon" if with(&["stiffness", "springlength"]) => Some("springs between bodies"),
-        "tendon" if with(&["damping", "frictionloss", "armature"]) => Some("damping, friction or inertia between joints"),
+        "tendon" if with(&["damping", "frictionloss", "armature"]) => {
+            Some("damping, friction or inertia between joints")
+        }
         "tendon" if with(&["range"]) => Some("cables that limit joints"),
         "body" => Some("bodies beside the robot"),
         "geom" if element.get("type") != Some("plane") => Some("obstacles or ground of other shape"),

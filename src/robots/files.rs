@@ -171,7 +171,8 @@ impl Files {
             [] => Err(Error::file(own, self.outside(true, &self.root))),
             [a, b, ..] => {
                 let [a, b] = [a, b].map(|path| path.strip_prefix(&self.root).unwrap_or(path).display().to_string());
-                let reason = format!("is a path of another computer, and the package has {a} and {b}: name one of them");
+                let reason =
+                    format!("is a path of another computer, and the package has {a} and {b}: name one of them");
                 Err(Error::file(own, reason))
             }
         }
@@ -192,7 +193,11 @@ impl Files {
             true => "absolute paths are read only inside of it; give one relative to the robot's file",
             false => "a package.xml in a folder above the robot's file makes that folder the package",
         };
-        format!("lies outside of the robot's package {}: {hint}, or allow its folder: {}", root.display(), packages::DOOR)
+        format!(
+            "lies outside of the robot's package {}: {hint}, or allow its folder: {}",
+            root.display(),
+            packages::DOOR
+        )
     }
 
     fn unknown(&self, name: &str, package: &str) -> Error {

@@ -100,7 +100,14 @@ fn no_mesh(bytes: &[u8]) -> Option<String> {
         return Some("is a web page in place of the mesh: download the file itself (on GitHub, \"raw\")".into());
     }
     // What servers answer in place of a file.
-    let answer = ["404", "403", "not found", "{\"message\"", "access denied", "<?xml version=\"1.0\" encoding=\"utf-8\"?><error"];
+    let answer = [
+        "404",
+        "403",
+        "not found",
+        "{\"message\"",
+        "access denied",
+        "<?xml version=\"1.0\" encoding=\"utf-8\"?><error",
+    ];
     let said = start.lines().next().unwrap_or_default();
     let short = bytes.len() < 2000 && answer.iter().any(|text| start.starts_with(text));
     short.then(|| format!("is a server's answer in place of the mesh: {said:?}; download it again"))

@@ -83,7 +83,10 @@ impl Notes {
                 _ => format!("{count} {what} ({effect})"),
             };
             let all: Vec<_> = self.missing.iter().take(MOST_LINES).map(one).collect();
-            lines.push(format!("changes the motion in other programs or on the robot, and is not simulated here: {}", all.join("; ")));
+            lines.push(format!(
+                "changes the motion in other programs or on the robot, and is not simulated here: {}",
+                all.join("; ")
+            ));
         }
         lines.extend(self.lines);
         lines.extend(self.alike.iter().map(SimilarNotes::line));

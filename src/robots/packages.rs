@@ -65,8 +65,7 @@ fn is_shared(folder: &Path) -> bool {
     let home = std::env::var_os("HOME").map(PathBuf::from).and_then(real);
     let temporary = real(std::env::temp_dir());
     // `/` and `/name` have one and two components.
-    folder.components().count() < 3
-        || [home, temporary].into_iter().flatten().any(|shared| shared.starts_with(folder))
+    folder.components().count() < 3 || [home, temporary].into_iter().flatten().any(|shared| shared.starts_with(folder))
 }
 
 /// Has the folder this name, or does its `package.xml` declare it?

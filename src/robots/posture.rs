@@ -5,13 +5,13 @@ use super::Import;
 use super::draft::{self, BaseFrame, DraftLink, Merged};
 use super::notes::Notes;
 use crate::error::{Error, Result};
-use crate::sim::tree::contact::{ContactPoint, contact_points};
-use crate::sim::tree::joint_values::by_pattern;
-use crate::sim::tree::stance::Stance;
 use crate::sand::Medium;
 use crate::sim::Model;
 use crate::sim::model::Scene;
+use crate::sim::tree::contact::{ContactPoint, contact_points};
+use crate::sim::tree::joint_values::by_pattern;
 use crate::sim::tree::stability::first_to_diverge;
+use crate::sim::tree::stance::Stance;
 use crate::sim::tree::{HardGround, Tree, TreeJoint, TreeModel, gains};
 use nalgebra::Vector3;
 use serde::Deserialize;
@@ -192,7 +192,8 @@ impl Import {
         for dt in STEPS {
             let plates = vec![Vec::new(); self.tree.bodies.len()];
             let tree = TreeModel::new(self.tree.clone(), plates)?.with_self_contact();
-            let scene = Scene { dt, hard: vec![HardGround::everywhere()], ..Scene::flat(Medium::named(Medium::DEFAULT)?) };
+            let scene =
+                Scene { dt, hard: vec![HardGround::everywhere()], ..Scene::flat(Medium::named(Medium::DEFAULT)?) };
             match first_to_diverge(&Model::of_tree(tree, &scene)?)? {
                 None => return Ok((dt < STEPS[0]).then_some(dt)),
                 Some(fastest) => joint = fastest,

@@ -169,7 +169,9 @@ impl UrdfReader<'_> {
             let name = collision.get("name").unwrap_or_default().to_owned();
             let geometry = match self.look(collision)? {
                 DraftShape::Shape(geometry) => geometry,
-                DraftShape::Mesh(file) => collision_mesh(self.meshes, &file, self.notes).map_err(|e| collision.error(e))?,
+                DraftShape::Mesh(file) => {
+                    collision_mesh(self.meshes, &file, self.notes).map_err(|e| collision.error(e))?
+                }
             };
             shapes.push(TreeShape { name, origin: origin(collision)?, geometry, friction });
         }

@@ -110,7 +110,9 @@ impl Actuators<'_> {
         let bias = |k: usize| Ok::<_, crate::error::Error>(-first("biasprm", k)?.unwrap_or(0.0));
         // A servo controls a position or a speed; other actuators use their control as a force.
         let (kp, kd) = match (kind, element.get("biastype")) {
-            ("position", _) => (element.not_negative("kp")?.unwrap_or(gain), element.not_negative("kv")?.unwrap_or(0.0)),
+            ("position", _) => {
+                (element.not_negative("kp")?.unwrap_or(gain), element.not_negative("kv")?.unwrap_or(0.0))
+            }
             ("velocity", _) => (0.0, element.not_negative("kv")?.unwrap_or(gain)),
             ("general", Some("affine")) => (bias(1)?, bias(2)?),
             ("motor" | "general", _) => (0.0, 0.0),
@@ -152,7 +154,11 @@ impl Actuators<'_> {
             ("position", _) => element.not_negative("timeconst")?.unwrap_or(0.0),
             ("general", Some("filter" | "filterexact")) => own.unwrap_or(1.0),
             ("general", Some(other)) if other != "none" => {
-                self.notes.part("joint", &joint.name, format!("its actuator's own dynamics ({other}) are not simulated"));
+                self.notes.part(
+                    "joint",
+                    &joint.name,
+                    format!("its actuator's own dynamics ({other}) are not simulated"),
+                );
                 return Ok(());
             }
             _ => return Ok(()),

@@ -27,7 +27,8 @@ use std::path::PathBuf;
 /// Sections that are refused, because leaving them out would change how the robot moves.
 const REFUSED: [&str; 2] = ["deformable", "extension"];
 /// Sections that are read.
-const READ: [&str; 9] = ["option", "equality", "compiler", "default", "asset", "worldbody", "actuator", "keyframe", "include"];
+const READ: [&str; 9] =
+    ["option", "equality", "compiler", "default", "asset", "worldbody", "actuator", "keyframe", "include"];
 /// Largest number of files of a model: our choice, to bound the time of reading.
 const MOST_FILES: usize = 50;
 /// Largest number of elements of a model with all its includes: our choice, as for one file.
@@ -68,8 +69,7 @@ pub fn robot(
     }
     let (base, beside) = base(&root, notes)?;
     let (links, references) = (Vec::new(), HashMap::new());
-    let mut builder =
-        Builder { compiler: &compiler, defaults: &defaults, assets: &assets, notes, links, references };
+    let mut builder = Builder { compiler: &compiler, defaults: &defaults, assets: &assets, notes, links, references };
     builder.body(base.element, None, &Isometry3::identity(), &base.class)?;
     let Builder { mut links, references, .. } = builder;
     if let Some(wanted) = compiler.total_mass {
