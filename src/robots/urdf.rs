@@ -187,7 +187,7 @@ impl UrdfReader<'_> {
         let at = joint.map_or(Ok(Isometry3::identity()), origin)?;
         let joint = joint.map(|j| self.joint(j)).transpose()?.flatten();
         let massless = element.first("inertial").is_none();
-        Ok(DraftLink { name, parent, origin: at, joint, massless, inertial, shapes, visuals })
+        Ok(DraftLink { name, parent, origin: at, joint, massless, inertial, held: 0.0, shapes, visuals })
     }
 
     fn inertial(&mut self, element: &Element, joint: Option<&Element>) -> Result<Inertial> {
