@@ -171,6 +171,13 @@ pub fn load_from(path: &Path, posture: &Posture, packages: &Packages) -> Result<
             "its position in the standing pose is outside of its range; its stop holds it there",
         );
     }
+    for name in touch::on_balls(&tree) {
+        notes.part(
+            "body",
+            name,
+            "its small separate balls touch sand as one sole, their hull (--touches names others)",
+        );
+    }
     let warnings = notes.into_lines();
     Ok(Import { warnings, links, visuals, base_is_free, base_at, ..Import::whole(format, tree, stance, found) })
 }

@@ -32,7 +32,8 @@ fn shapes(import: &Import) -> usize {
 #[test]
 fn texts_of_other_programs_are_read() {
     let root = tempfile::tempdir().unwrap();
-    let robot = |declaration: &str| format!("{declaration}<robot name=\"Läufer\"><link name=\"base\">{SOLID}</link></robot>");
+    let robot =
+        |declaration: &str| format!("{declaration}<robot name=\"Läufer\"><link name=\"base\">{SOLID}</link></robot>");
     let latin = |text: &str| text.chars().map(|c| u8::try_from(u32::from(c)).unwrap()).collect::<Vec<u8>>();
     let wide = |text: &str| text.encode_utf16().flat_map(u16::to_le_bytes).collect::<Vec<u8>>();
     let declared = |encoding: &str| robot(&format!("<?xml version=\"1.0\" encoding=\"{encoding}\"?>\n"));
@@ -54,7 +55,11 @@ fn texts_of_other_programs_are_read() {
     }
     let wrong = read_at(root.path(), "r.urdf", "\n\n<?xml version=\"1.0\"?>\n<robot>\n<link/></robot>").err().unwrap();
     assert!(wrong.contains("line 5"), "{wrong}");
-    let cut = read_at(root.path(), "r.urdf", [&b"<?xml version=\"1.0\" encoding=\"EUC-KR\"?>"[..], b"<!-- \xff -->"].concat());
+    let cut = read_at(
+        root.path(),
+        "r.urdf",
+        [&b"<?xml version=\"1.0\" encoding=\"EUC-KR\"?>"[..], b"<!-- \xff -->"].concat(),
+    );
     assert!(cut.err().unwrap().contains("EUC-KR"));
 }
 
@@ -97,7 +102,10 @@ fn packages_are_read_where_the_user_allows_them() {
     write(root.path().join("src/my_bot/meshes/trunk.obj"), FACETS).unwrap();
     let sibling = with_mesh("package://other_pkg/meshes/lidar.obj");
     let said = read_at(root.path(), "src/my_bot/urdf/r.urdf", &sibling).err().unwrap();
-    assert!(said.contains("--packages") && said.contains("SANDGAIT_PACKAGES") && said.contains("src has one"), "{said}");
+    assert!(
+        said.contains("--packages") && said.contains("SANDGAIT_PACKAGES") && said.contains("src has one"),
+        "{said}"
+    );
     let path = root.path().join("src/my_bot/urdf/r.urdf");
     for allowed in ["src", "src/other_pkg", "."] {
         let packages = Packages(vec![root.path().join(allowed)]);
@@ -124,7 +132,9 @@ fn paths_of_another_computer_are_found_by_their_names() {
     write(bot.join("meshes/trunk.obj"), FACETS).unwrap();
     let read = |name: &str| read_at(&bot, "urdf/r.urdf", with_mesh(name));
     assert_eq!(shapes(&read(r"..\meshes\trunk.obj").unwrap()), 1);
-    for away in [r"C:\Users\me\bot\meshes\trunk.obj", "/home/me/ws/trunk.obj", "file:///home/me/Trunk.obj", r"D:\right\leg.obj"] {
+    for away in
+        [r"C:\Users\me\bot\meshes\trunk.obj", "/home/me/ws/trunk.obj", "file:///home/me/Trunk.obj", r"D:\right\leg.obj"]
+    {
         let import = read(away).unwrap_or_else(|e| panic!("{away}: {e}"));
         assert!(import.warnings.iter().any(|w| w.contains("another computer")), "{away}: {:?}", import.warnings);
     }
@@ -216,7 +226,8 @@ fn limits_in_degrees_are_refused_with_their_line() {
 fn effects_that_are_not_simulated_are_named() {
     let root = tempfile::tempdir().unwrap();
     let world = r#"<worldbody><light pos="0 0 1"/><body><freejoint/><geom size="0.1" solref="0.01 1"/><site name="s"/></body></worldbody>"#;
-    let read = |sections: &str| read_at(root.path(), "r.xml", format!("<mujoco>{sections}{world}</mujoco>")).unwrap().warnings;
+    let read =
+        |sections: &str| read_at(root.path(), "r.xml", format!("<mujoco>{sections}{world}</mujoco>")).unwrap().warnings;
     let harmless = read(r#"<option timestep="0.001" wind="0 0 0" gravity="0 0 -9.81"/><visual/><sensor/>"#);
     assert!(harmless.iter().all(|w| !w.contains("not simulated")), "{harmless:?}");
     let line = harmless.iter().find(|w| w.contains("without effect")).unwrap();

@@ -3,11 +3,11 @@
 
 use nalgebra::Vector3;
 use sandgait_robots::{Import, load};
+use sandgait_sand::Medium;
 use sandgait_sim::engine::{Command, Engine, EngineKind};
 use sandgait_sim::model::Scene;
 use sandgait_sim::tree::{HardGround, TreeModel, standing};
 use sandgait_sim::{Model, State};
-use sandgait_sand::Medium;
 use std::f64::consts::TAU;
 use std::path::Path;
 
@@ -46,7 +46,9 @@ fn servos_are_those_of_mujoco() {
 /// itself; `turns`: whole turns by which the knees' range is away; `tail`: links and joints of a tail.
 fn urdf(below: f64, bare: bool, turns: f64, tail: &str) -> String {
     let inertial = |mass: f64, z: f64, i: f64| {
-        format!(r#"<inertial><origin xyz="0 0 {z}"/><mass value="{mass}"/><inertia ixx="{i}" iyy="{i}" izz="{i}" ixy="0" ixz="0" iyz="0"/></inertial>"#)
+        format!(
+            r#"<inertial><origin xyz="0 0 {z}"/><mass value="{mass}"/><inertia ixx="{i}" iyy="{i}" izz="{i}" ixy="0" ixz="0" iyz="0"/></inertial>"#
+        )
     };
     let up = if bare { 0.0 } else { below };
     let mut text = r#"<robot name="cat">"#.to_owned();
@@ -74,7 +76,8 @@ fn urdf(below: f64, bare: bool, turns: f64, tail: &str) -> String {
 
 fn model(import: &Import, dt: f64) -> Model {
     let plates = vec![Vec::new(); import.tree.bodies.len()];
-    let scene = Scene { dt, hard: vec![HardGround::everywhere()], ..Scene::flat(Medium::named(Medium::DEFAULT).unwrap()) };
+    let scene =
+        Scene { dt, hard: vec![HardGround::everywhere()], ..Scene::flat(Medium::named(Medium::DEFAULT).unwrap()) };
     Model::of_tree(TreeModel::new(import.tree.clone(), plates).unwrap(), &scene).unwrap()
 }
 
@@ -125,7 +128,8 @@ fn tail(links: usize, mass: f64, ratio: f64, effort: f64) -> String {
     let mut text = String::new();
     for k in 0..links {
         let parent = if k == 0 { "trunk".into() } else { format!("tail{}", k - 1) };
-        let mimic = if k == 0 { String::new() } else { format!(r#"<mimic joint="wag0" multiplier="{ratio}" offset="0.1"/>"#) };
+        let mimic =
+            if k == 0 { String::new() } else { format!(r#"<mimic joint="wag0" multiplier="{ratio}" offset="0.1"/>"#) };
         text += &format!(
             r#"<link name="tail{k}"><inertial><origin xyz="-0.025 0 0"/><mass value="{mass}"/><inertia ixx="{inertia}" iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0" iyz="0"/></inertial></link>
             <joint name="wag{k}" type="revolute"><parent link="{parent}"/><child link="tail{k}"/><origin xyz="-0.05 0 0"/><axis xyz="0 1 0"/>
@@ -140,8 +144,14 @@ fn tail(links: usize, mass: f64, ratio: f64, effort: f64) -> String {
 #[test]
 fn followers_do_not_diverge() {
     for (links, mass, ratio, effort) in [
-        (2, 0.05, 1.0, 0.0), (2, 0.05, 1.0, 1000.0), (2, 0.005, 1.0, 0.0), (3, 0.02, -1.0, 0.0), (4, 0.01, 2.0, 0.0),
-        (3, 0.05, -3.0, 0.0), (2, 1.0, 0.5, 0.0), (5, 0.002, 0.3, 0.0),
+        (2, 0.05, 1.0, 0.0),
+        (2, 0.05, 1.0, 1000.0),
+        (2, 0.005, 1.0, 0.0),
+        (3, 0.02, -1.0, 0.0),
+        (4, 0.01, 2.0, 0.0),
+        (3, 0.05, -3.0, 0.0),
+        (2, 1.0, 0.5, 0.0),
+        (5, 0.002, 0.3, 0.0),
     ] {
         let import = read("r.urdf", &urdf(0.0, true, 0.0, &tail(links, mass, ratio, effort)));
         let what = format!("{links} {mass} {ratio} {effort}");
@@ -176,11 +186,14 @@ fn followers_do_not_diverge() {
 #[test]
 fn followers_load_their_leaders() {
     let hanging = |ratio: f64| {
-        let text = urdf(0.0, true, 0.0, "").replace("</robot>", "") + &tail(1, 0.5, 1.0, 0.0)
-            + &tail(1, 0.5, 1.0, 0.0).replace("tail0", "fin").replace("wag0", "flap").replace("-0.05 0 0", "-0.05 0.2 0").replace(
-                "</joint>",
-                &format!(r#"<mimic joint="wag0" multiplier="{ratio}"/></joint>"#),
-            ) + "</robot>";
+        let text = urdf(0.0, true, 0.0, "").replace("</robot>", "")
+            + &tail(1, 0.5, 1.0, 0.0)
+            + &tail(1, 0.5, 1.0, 0.0)
+                .replace("tail0", "fin")
+                .replace("wag0", "flap")
+                .replace("-0.05 0 0", "-0.05 0.2 0")
+                .replace("</joint>", &format!(r#"<mimic joint="wag0" multiplier="{ratio}"/></joint>"#))
+            + "</robot>";
         let import = read("r.urdf", &text);
         let found = standing::stand(&model(&import, 2e-3)).unwrap();
         assert!(found.stands, "{}", found.reason);
@@ -237,7 +250,12 @@ fn gravity_is_that_of_the_file() {
     assert!((model(&moon, 2e-3).weight() / (mass * 1.62) - 1.0).abs() < 1e-12);
     let sand = model(&moon, 2e-3).sand().coefficients.a00 / model(&earth, 2e-3).sand().coefficients.a00;
     assert!((sand - 1.62 / 9.80665).abs() < 1e-12, "{sand}");
-    for wrong in [r#"<option gravity="0 0 0"/>"#, r#"<option gravity="0 0 9.81"/>"#, r#"<option gravity="1 0 -9.81"/>"#, r#"<option><flag gravity="disable"/></option>"#] {
+    for wrong in [
+        r#"<option gravity="0 0 0"/>"#,
+        r#"<option gravity="0 0 9.81"/>"#,
+        r#"<option gravity="1 0 -9.81"/>"#,
+        r#"<option><flag gravity="disable"/></option>"#,
+    ] {
         let root = tempfile::tempdir().unwrap();
         std::fs::write(root.path().join("r.xml"), mjcf(wrong, "", "")).unwrap();
         let said = load(&root.path().join("r.xml")).err().unwrap().to_string();
@@ -273,5 +291,39 @@ fn targets_with_a_time_constant_lag() {
         let part = (state.references[0] - import.stance.angles[0]) / 0.2;
         let wanted = 1.0 - (-0.02 * f64::from(k) / 0.05).exp();
         assert!((part - wanted).abs() < 1e-4, "{k}: {part} {wanted}");
+    }
+}
+
+/// Small balls at the corners of a sole touch sand as one sole, with a line that says so; single balls and balls that touch
+/// do not.
+#[test]
+fn small_balls_are_one_sole() {
+    let feet = |balls: &[[f64; 4]]| {
+        let shapes: String = balls
+            .iter()
+            .map(|[x, y, z, r]| {
+                format!(
+                    r#"<collision><origin xyz="{x} {y} {z}"/><geometry><sphere radius="{r}"/></geometry></collision>"#
+                )
+            })
+            .collect();
+        let one = r#"<collision><origin xyz="0 0 -0.2"/><geometry><sphere radius="0.02"/></geometry></collision>"#;
+        read("r.urdf", &urdf(0.0, true, 0.0, "").replace(one, &shapes))
+    };
+    let area = |import: &Import| {
+        let shapes = import.touching(None).unwrap();
+        let plates = sandgait_sim::tree::of_touching(&import.on_soles(), &shapes, None).unwrap();
+        plates[2].iter().map(|p| p.area).sum::<f64>()
+    };
+    let sole =
+        [[0.1, 0.03, -0.2, 0.005], [0.1, -0.03, -0.2, 0.005], [-0.05, 0.03, -0.2, 0.005], [-0.05, -0.03, -0.2, 0.005]];
+    let import = feet(&sole);
+    assert!(import.warnings.iter().any(|w| w.contains("FL_calf") && w.contains("one sole")), "{:?}", import.warnings);
+    // Both sides of a plate of 0.15 m × 0.06 m, and its edges.
+    let wanted = 2.0 * 0.15 * 0.06;
+    assert!((1.0..1.6).contains(&(area(&import) / wanted)), "{}", area(&import));
+    assert_eq!(import.tree.bodies[2].shapes.len(), 4);
+    for balls in [&sole[..2], &[[0.0, 0.0, -0.2, 0.02], [0.02, 0.0, -0.2, 0.02], [0.04, 0.0, -0.2, 0.02]]] {
+        assert!(feet(balls).warnings.iter().all(|w| !w.contains("sole")));
     }
 }
