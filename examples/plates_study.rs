@@ -74,9 +74,10 @@ fn alone(plates: Vec<IntruderPlate>, law: &str) -> Result<Model> {
         mass: 1.0,
         center: V::zeros(),
         inertia: Matrix3::identity(),
+        held: Default::default(),
         shapes: Vec::new(),
     };
-    let tree = TreeModel::new(Tree { name: "body".into(), bodies: vec![body] }, vec![plates])?;
+    let tree = TreeModel::new(Tree { name: "body".into(), bodies: vec![body], gravity: None }, vec![plates])?;
     Model::of_tree(
         tree,
         &Scene { law: Law::named(law)?, surface: Regularization::SOLID, ..Scene::flat(Medium::named(MEDIUM)?) },

@@ -37,7 +37,11 @@ def with_files(options: Mapping[str, Any]) -> Mapping[str, Any]:
         texts["robot"] = str(robot)
         if _native.is_description(str(robot)):
             # with its meshes cut into plates, as servers require
-            texts["robot"], lines = _native.pack_robot(str(robot), packages())
+            allowed = folders(options.get("packages", ()))
+            texts["robot"], lines, dt = _native.pack_robot(str(robot), packages(), allowed)
+            options = {name: value for name, value in options.items() if name != "packages"}
+            if dt is not None and "dt" not in options:
+                texts["dt"] = dt
             warn(lines, f"`sandgait robot {robot}` lists them")
     relief = options.get("relief")
     if isinstance(relief, Mapping) and relief.get("file"):
@@ -72,6 +76,16 @@ def _heights(file: object) -> str:
     if not isinstance(file, (str, Path)):
         raise InvalidRequest(f"relief.file: {file!r} is not a path")
     return file if isinstance(file, str) and file.startswith("heights:") else _native.pack_heights(str(file))
+
+
+def folders(allowed: Any) -> list[str]:
+    """The option `packages`, one folder or several, in which the files of a robot's description may lie."""
+    if isinstance(allowed, (str, Path)):
+        return [str(allowed)]
+    try:
+        return [str(Path(folder)) for folder in allowed]
+    except TypeError as error:
+        raise InvalidRequest(f"packages: {allowed!r} is no folder, and no list of folders") from error
 
 
 def packages() -> list[str]:

@@ -4,7 +4,7 @@ use super::layout::{WIDTH, narrow_table, wrapped};
 use super::robot_check::StandingReport;
 use super::robot_json::{SandContacts, as_json, geometry, kind};
 use sandgait::env::options::RobotName;
-use sandgait::robots::{self, Import, states};
+use sandgait::robots::{self, Import, Packages, states};
 use sandgait::sim::tree::looks::Looks;
 use sandgait::sim::tree::packed;
 use sandgait::{Error, Result, sim, view};
@@ -60,6 +60,10 @@ pub struct RobotArgs {
     /// is 1 if it does not stand
     #[arg(long, conflicts_with_all = ["pack", "accelerations"])]
     pub check: bool,
+    /// Folder in which meshes and packages of the description may lie; may be repeated. Variables: SANDGAIT_PACKAGES,
+    /// ROS_PACKAGE_PATH, AMENT_PREFIX_PATH
+    #[arg(long, value_name = "FOLDER")]
+    packages: Vec<PathBuf>,
     /// Ground of --check besides hard ground: a medium's name, zeta=VALUE or mu=VALUE,rho=VALUE; default: poppy-close
     #[arg(long, value_name = "GROUND", requires = "check")]
     ground: Option<String>,
@@ -79,15 +83,15 @@ fn png_path(text: &str) -> std::result::Result<PathBuf, String> {
 
 impl RobotArgs {
     pub fn run(self) -> Result<String> {
-        let mut import = load(&self.file)?;
+        let mut import = load(&self.file, &Packages(self.packages.clone()))?;
         if let Some(rows) = &self.accelerations {
-            let rows = states::compute(&import.tree, rows)?;
+            let rows = states::compute(&import.as_in_file(), rows)?;
             let rows: Vec<Value> = rows.iter().map(|r| json!({"a": r.a, "alpha": r.alpha, "qdd": r.qdd})).collect();
             return Ok(super::json(&rows.into()));
         }
-        match import.check_legged() {
+        match check_walks(&import) {
             Err(e) if !self.pack => import.warnings.insert(0, e.to_string()),
-            legged => legged?,
+            walks => import.warnings.splice(0..0, walks?.map(|(_, line)| line)).for_each(drop),
         }
         let touching = SandContacts::of(&import, self.touches.as_deref(), self.plate_size)?;
         if let (true, Some(packed)) = (self.pack, &import.packed) {
@@ -121,8 +125,9 @@ impl RobotArgs {
 
     /// The sheet of `--check`, and whether the robot stands everywhere.
     pub fn run_check(&self) -> Result<(String, bool)> {
-        let import = load(&self.file)?;
-        import.check_legged()?;
+        let mut import = load(&self.file, &Packages(self.packages.clone()))?;
+        let step = check_walks(&import)?;
+        import.warnings.splice(0..0, step.map(|(_, line)| line));
         let touching = SandContacts::of(&import, self.touches.as_deref(), self.plate_size)?;
         let text = match &import.packed {
             Some(packed) => packed.compressed()?,
@@ -139,9 +144,23 @@ impl RobotArgs {
 }
 
 /// The sheet of `--check` for a robot, as JSON, and notes on its description.
-pub fn check(robot: &str, ground: Option<&str>, folders: &[PathBuf]) -> Result<(String, Vec<String>)> {
-    let (text, notes) = pack(robot, folders)?;
+pub fn check(
+    robot: &str,
+    ground: Option<&str>,
+    folders: &[PathBuf],
+    packages: Vec<PathBuf>,
+) -> Result<(String, Vec<String>)> {
+    let Packed { text, notes, .. } = pack(robot, folders, packages)?;
     Ok((StandingReport::of(&text, ground)?.json().to_string(), notes))
+}
+
+/// Refuses what is no legged robot, and a robot whose motion cannot be computed. Returns the time step that the motion
+/// needs if it is finer than the default, and a line that says so.
+fn check_walks(import: &Import) -> Result<Option<(f64, String)>> {
+    import.check_legged()?;
+    let step = if import.packed.is_some() { None } else { import.needed_step()? };
+    Ok(step
+        .map(|dt| (dt, format!("the robot's motion needs a time step of {} ms, which is taken (option dt)", 1e3 * dt))))
 }
 
 /// Draws the robot in its default pose, or at the end of a check.
@@ -160,12 +179,29 @@ fn draw(
 
 /// Replaces a robot's name or file in a task's options by its packed text.
 pub fn read_option(options: &mut Value) -> Result<()> {
-    let Some(robot) = options.get_mut("robot") else { return Ok(()) };
-    let Some(name) = robot.as_str().filter(|name| is_description(name)) else { return Ok(()) };
-    let (text, warnings) = pack(name, &[])?;
-    super::warn(&warnings, &format!("`sandgait robot {name}` lists them"));
-    *robot = text.into();
+    let packages = packages(options.as_object_mut().and_then(|all| all.remove("packages")))?;
+    let name = options.get("robot").and_then(Value::as_str).filter(|name| is_description(name)).map(str::to_owned);
+    let Some(name) = name else {
+        return match packages.is_empty() {
+            true => Ok(()),
+            false => Err(Error::invalid("packages", "is for a robot that is read from a file")),
+        };
+    };
+    let Packed { text, notes, dt } = pack(&name, &[], packages)?;
+    super::warn(&notes, &format!("`sandgait robot {name}` lists them"));
+    options["robot"] = text.into();
+    if let (Some(dt), None) = (dt, options.get("dt")) {
+        options["dt"] = dt.into();
+    }
     Ok(())
+}
+
+/// The option `packages`: a folder, or a list of folders.
+fn packages(option: Option<Value>) -> Result<Vec<PathBuf>> {
+    let Some(option) = option else { return Ok(Vec::new()) };
+    let list = if option.is_string() { vec![option] } else { option.as_array().cloned().unwrap_or_default() };
+    let all: Option<Vec<PathBuf>> = list.iter().map(|folder| folder.as_str().map(PathBuf::from)).collect();
+    all.filter(|all| !all.is_empty()).ok_or_else(|| Error::invalid("packages", "is no folder, and no list of folders"))
 }
 
 /// Does the option `robot` name a description, and not a robot that every server knows?
@@ -178,17 +214,27 @@ pub fn is_description(robot: &str) -> bool {
 /// The robot that is the default of LeggedVelocity.
 const SANDCAT: &str = RobotName::TREE;
 
-/// A robot as one text, with its meshes cut into plates, and notes on the parts that were left out. `robot`: a file, a name,
-/// or `name=file`; `folders`: further folders with packages of descriptions.
-pub fn pack(robot: &str, folders: &[PathBuf]) -> Result<(String, Vec<String>)> {
-    let import = robots::named::load_any(robot, folders)?;
+/// A robot as one text, with its meshes cut into plates.
+pub struct Packed {
+    pub text: String,
+    /// Notes on the parts that were left out.
+    pub notes: Vec<String>,
+    /// The time step that the robot's motion needs [s]; None: the default.
+    pub dt: Option<f64>,
+}
+
+/// Packs a robot. `robot`: a file, a name, or `name=file`; `folders`: further folders with named robots; `packages`: folders
+/// in which the files of a description may lie.
+pub fn pack(robot: &str, folders: &[PathBuf], packages: Vec<PathBuf>) -> Result<Packed> {
+    let import = robots::named::load_any(robot, folders, &Packages(packages))?;
     if let Some(packed) = &import.packed {
-        return Ok((packed.compressed()?, Vec::new()));
+        return Ok(Packed { text: packed.compressed()?, notes: Vec::new(), dt: None });
     }
-    import.check_legged()?;
+    let step = check_walks(&import)?;
     let touching = SandContacts::of(&import, None, None)?;
     let (text, note) = compressed(&import, &touching)?;
-    Ok((text, import.warnings.into_iter().chain(note).collect()))
+    let (dt, line) = step.unzip();
+    Ok(Packed { text, notes: line.into_iter().chain(import.warnings).chain(note).collect(), dt })
 }
 
 /// The packed text. If shapes for pictures do not fit into it, they are left out, and the note says so.
@@ -212,12 +258,12 @@ fn looks(import: &Import) -> (Option<Looks>, Option<String>) {
     }
 }
 
-fn load(file: &Path) -> Result<Import> {
+fn load(file: &Path, packages: &Packages) -> Result<Import> {
     match file.to_str() {
         Some(SANDCAT) => Import::of_packed_text(RobotName::built_in()),
         Some(name) if sim::Robot::names().contains(&name) => Import::built_in(name),
-        Some(name) => robots::named::load_any(name, &[]),
-        None => robots::load(file),
+        Some(name) => robots::named::load_any(name, &[], packages),
+        None => robots::load_from(file, &Default::default(), packages),
     }
 }
 
@@ -247,10 +293,10 @@ fn stance(import: &Import) -> String {
         bodies.iter().map(|b| import.tree.bodies[*b].name.as_str()).collect::<Vec<_>>().join(", ")
     });
     let line = format!(
-        "{} legs of {:.3} m; the base stands at {:.3} m; feet: {}",
+        "{} legs of {:.3} m; the hips stand at {:.3} m; feet: {}",
         stance.legs.len(),
         stance.leg_length,
-        stance.height,
+        stance.hips_height(),
         names(&stance.feet)
     );
     format!("\n{}\n", wrapped(&line, WIDTH).join("\n"))

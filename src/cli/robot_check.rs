@@ -2,7 +2,7 @@
 
 use sandgait::env::registry::Blueprint;
 use sandgait::sim::tree::standing::{self, Standing};
-use sandgait::sim::{Model, tree::TreeModel};
+use sandgait::sim::{Model, tree::TreeModel, tree::packed};
 use sandgait::{Error, Result};
 use serde_json::{Value, json};
 
@@ -46,6 +46,25 @@ fn tree(model: &Model) -> Result<&TreeModel> {
     model.tree.as_deref().ok_or_else(|| Error::invalid("robot", "is no tree of bodies"))
 }
 
+/// A line for the beginning of a training, if `--check` asks for a finer time step than the default of the packed robot.
+pub fn finer_step(packed: &str) -> Result<Option<String>> {
+    if !packed::is_packed(packed) {
+        return Ok(None);
+    }
+    let model = |dt: Option<f64>| Ok((**blueprint(packed, GROUNDS[0], dt)?.task.model()).clone());
+    let usual = model(None)?.scene.dt;
+    let needed = standing::needed_step(|dt| model(Some(dt)))?;
+    if needed.is_some_and(|dt| dt >= usual) {
+        return Ok(None);
+    }
+    let needed = needed.map_or("less than 0.25 ms".into(), |dt| format!("{} ms", 1e3 * dt));
+    Ok(Some(format!(
+        "by `sandgait robot --check` the robot needs a time step of {needed}, and the training takes {} ms: set option dt, \
+         which makes it slower",
+        1e3 * usual
+    )))
+}
+
 impl StandingReport {
     /// The packed robot on hard ground and on `ground`, or on sand if that is None.
     pub fn of(packed: &str, ground: Option<&str>) -> Result<Self> {
@@ -58,7 +77,7 @@ impl StandingReport {
             let standing = standing::stand(model)?;
             let bodies = &tree(model)?.tree.bodies;
             let feet = standing.feet.iter().map(|f| bodies[f.body].name.clone()).collect();
-            let weight = model.total_mass() * sandgait::sim::model::GRAVITY;
+            let weight = model.weight();
             let speed = standing::speed(model, rate, MEASURED)?;
             grounds.push(GroundReport { ground: name.into(), standing, feet, weight, speed });
         }
@@ -131,7 +150,7 @@ impl StandingReport {
             let verdict = if s.stands { "stands".into() } else { format!("does not stand: {}", s.reason) };
             text.push_str(&format!("{} on {}: {verdict}\n", self.name, g.ground));
             text.push_str(&format!(
-                "  base at {:.3} m ({:.3} m in the default pose), tilted by {:.1}°\n",
+                "  hips at {:.3} m ({:.3} m in the default pose), tilted by {:.1}°\n",
                 s.height[0],
                 s.height[1],
                 s.tilt.to_degrees()

@@ -21,7 +21,8 @@ impl SandContacts {
             return Ok(Self { shapes: Vec::new(), plates: (*packed.model.plates).clone() });
         }
         let shapes = import.touching(names)?;
-        let plates = plates::of_touching(&import.tree, &shapes, plate_size)?;
+        let soles = if names.is_none() { &import.on_soles() } else { &import.tree };
+        let plates = plates::of_touching(soles, &shapes, plate_size)?;
         Ok(Self { shapes, plates })
     }
 

@@ -216,6 +216,10 @@ fn connected(place: ServerAddress) -> Box<Connect> {
 
 /// Trains, and writes all files; returns the results, also as text.
 pub fn learn(request: &TrainingRequest, progress: &dyn Progress) -> Result<(TrainingOutcome, String)> {
+    let robot = request.options.get("robot").and_then(Value::as_str).filter(|_| request.external.is_none());
+    if let (Some(robot), None) = (robot, request.options.get("dt")) {
+        super::warn(super::robot_check::finer_step(robot)?.as_slice(), "");
+    }
     let outcome = request.run(progress)?;
     let text = report(request, &outcome);
     let path = request.out.join("evaluation.txt");

@@ -60,7 +60,7 @@ impl EpisodeSums {
     /// Stores the state of environment `i` before a step of `period` [s].
     pub fn look(&mut self, shard: &Shard, i: usize, period: f64) {
         let (model, state) = (shard.model(i), shard.state(i));
-        self.weight = model.total_mass() * crate::sand::GRAVITY;
+        self.weight = model.weight();
         let in_sand = feet(model, state).filter(|foot| foot.position[2] < 0.0);
         let (count, sliding) = in_sand.fold((0.0, 0.0), |(n, sum), foot| (n + 1.0, sum + foot.velocity[0]));
         if count > 0.0 {

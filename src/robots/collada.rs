@@ -30,7 +30,8 @@ struct ColladaReader<'a> {
 pub fn read(source: &SourceFile) -> Result<Vec<Triangle>> {
     xml_bounds::check(source.text()?).map_err(|reason| Error::file(&source.path, reason))?;
     let options = roxmltree::ParsingOptions { allow_dtd: false, nodes_limit: MOST_NODES, ..Default::default() };
-    let document = roxmltree::Document::parse_with_options(source.text()?, options)
+    let (text, _) = source.xml()?;
+    let document = roxmltree::Document::parse_with_options(&text, options)
         .map_err(|e| Error::file(&source.path, format!("no COLLADA: {e}")))?;
     let root = document.root_element();
     let ids = root.descendants().filter_map(|n| n.attribute("id").map(|id| (id, n)));

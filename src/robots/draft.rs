@@ -2,8 +2,9 @@
 
 use super::mesh::MeshFile;
 use crate::error::{Error, Result};
-use crate::sim::tree::{Geometry, Tree, TreeBody, TreeJoint, TreeShape};
+use crate::sim::tree::{Geometry, HeldMass, JointKind, Tree, TreeBody, TreeJoint, TreeShape};
 use nalgebra::{Isometry3, Matrix3, Translation3, Vector3};
+use std::f64::consts::TAU;
 
 /// Largest number of links of a file, and of joints that move: our choice, several times a humanoid's with hands.
 pub const MOST_LINKS: usize = 2000;
@@ -107,6 +108,8 @@ pub struct DraftLink {
     /// May the link move although it has no mass?
     pub massless: bool,
     pub inertial: Inertial,
+    /// The part of its weight that is held from outside.
+    pub held: f64,
     pub shapes: Vec<TreeShape>,
     pub visuals: Vec<Visual>,
 }
@@ -116,7 +119,8 @@ impl DraftLink {
     pub fn new(name: String, parent: Option<usize>, origin: Isometry3<f64>, joint: Option<TreeJoint>) -> Self {
         let parent = parent.unwrap_or(0);
         let inertial = Inertial::none();
-        Self { name, parent, origin, joint, massless: false, inertial, shapes: Vec::new(), visuals: Vec::new() }
+        let (shapes, visuals) = (Vec::new(), Vec::new());
+        Self { name, parent, origin, joint, massless: false, inertial, held: 0.0, shapes, visuals }
     }
 }
 
@@ -132,14 +136,51 @@ pub struct Merged {
     pub base_is_free: bool,
 }
 
+/// Where the base's frame is: at a link that is fixed to the root, or away from it; its axes are the root's.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct BaseFrame {
+    link: usize,
+    shift: Vector3<f64>,
+}
+
+impl BaseFrame {
+    /// The frames that may take the place of the root's: of the links to which links without mass and shapes lead, and the
+    /// last one moved to `place` in the frame of the root.
+    pub fn others(links: &[DraftLink], place: Vector3<f64>) -> Vec<Self> {
+        let (mut all, mut at) = (Vec::new(), 0);
+        loop {
+            let bare = links[at].inertial.mass == 0.0 && links[at].shapes.is_empty();
+            let mut children = (1..links.len()).filter(|i| links[*i].parent == at);
+            match (bare, children.next(), children.next()) {
+                (true, Some(child), None) if links[child].joint.is_none() => at = child,
+                _ => break,
+            }
+            all.push(Self { link: at, shift: Vector3::zeros() });
+        }
+        all.push(Self { link: 0, shift: place });
+        all
+    }
+
+    /// The base's origin in the frame of the root.
+    pub fn place(&self, links: &[DraftLink]) -> Vector3<f64> {
+        let (mut place, mut at) = (Isometry3::identity(), self.link);
+        while at > 0 {
+            place = links[at].origin * place;
+            at = links[at].parent;
+        }
+        place.translation.vector + self.shift
+    }
+}
+
 /// Merges fixed links into the links that carry them. Each link comes after its parent, the root first.
-pub fn merged(name: &str, links: Vec<DraftLink>) -> Result<Merged> {
+pub fn merged(name: &str, links: &[DraftLink], base: BaseFrame) -> Result<Merged> {
+    let root = shift(-base.place(links));
     let mut children = vec![Vec::new(); links.len()];
     for (i, link) in links.iter().enumerate().skip(1) {
         children[link.parent].push(i);
     }
     let mut out = Merged {
-        tree: Tree { name: name.to_owned(), bodies: Vec::new() },
+        tree: Tree { name: name.to_owned(), bodies: Vec::new(), gravity: None },
         visuals: Vec::new(),
         links: Vec::new(),
         massless: Vec::new(),
@@ -150,12 +191,19 @@ pub fn merged(name: &str, links: Vec<DraftLink>) -> Result<Merged> {
     let mut left = vec![(0, 0, Isometry3::identity())];
     while let Some((i, carrier, within)) = left.pop() {
         let link = &links[i];
-        let at = within * link.origin;
+        let mut at = if i == 0 { root } else { within * link.origin };
+        if i > 0 && i == base.link {
+            // Exactly, so that frames of links without mass do not change a bit of the motion.
+            at.translation = Translation3::identity();
+        }
         if at.translation.vector.norm() > FARTHEST {
             return Err(Error::invalid(&link.name, format!("lies more than {FARTHEST} m from its parent")));
         }
         let moves = i == 0 || link.joint.is_some();
-        let (body, frame) = if moves { (out.tree.bodies.len(), Isometry3::identity()) } else { (carrier, at) };
+        let (body, frame) = match moves {
+            true => (out.tree.bodies.len(), if i == 0 { at } else { Isometry3::identity() }),
+            false => (carrier, at),
+        };
         if moves {
             out.tree.bodies.push(TreeBody {
                 name: link.name.clone(),
@@ -165,6 +213,7 @@ pub fn merged(name: &str, links: Vec<DraftLink>) -> Result<Merged> {
                 mass: 0.0,
                 center: Vector3::zeros(),
                 inertia: Matrix3::zeros(),
+                held: HeldMass::default(),
                 shapes: Vec::new(),
             });
             out.visuals.push(Vec::new());
@@ -189,6 +238,9 @@ impl Merged {
         // Makes the inertia exactly symmetric after rounding.
         let inertia = (sum.inertia + sum.inertia.transpose()) * 0.5;
         (to.mass, to.center, to.inertia) = (sum.mass, sum.center, inertia);
+        let held = link.held * link.inertial.mass;
+        to.held.mass += held;
+        to.held.moment += frame.transform_point(&link.inertial.center.into()).coords * held;
         let shapes = link.shapes.iter().cloned();
         to.shapes.extend(shapes.map(|s| TreeShape { origin: frame * s.origin, ..s }));
         let visuals = link.visuals.iter().cloned();
@@ -197,6 +249,25 @@ impl Merged {
             self.links[body].push(link.name.clone());
         }
     }
+}
+
+/// Largest range of a hinge [turns], and the largest end that may be one in degrees [rad]: our choice. Cables and winches
+/// make some turns; larger ends are a way to write that there is no end.
+const MOST_TURNS: f64 = 4.0;
+const MOST_DEGREES: f64 = 720.0;
+
+/// Refuses the range of a hinge that looks like degrees.
+pub fn check_range_of(joint: &TreeJoint) -> std::result::Result<(), String> {
+    let Some([low, high]) = joint.range.filter(|_| joint.kind == JointKind::Hinge) else { return Ok(()) };
+    let turns = (high - low) / TAU;
+    if turns <= MOST_TURNS || low.abs().max(high.abs()) > MOST_DEGREES {
+        return Ok(());
+    }
+    Err(format!(
+        "joint {:?}: limits {low} to {high} look like degrees (the larger one is {:.0} turns): give radians, or no limits",
+        joint.name,
+        low.abs().max(high.abs()) / TAU
+    ))
 }
 
 /// A translation without a rotation.

@@ -1,6 +1,10 @@
-//! The files of a robot: the description, and the files that it names, which must lie in its package.
+//! The files of a robot: the description, and the files that it names, which must lie in its package or in a folder that
+//! the user allows.
 
+use super::packages::{self, Packages};
 use crate::error::{Error, Result};
+use encoding_rs::{Encoding, UTF_8, UTF_16BE, UTF_16LE, WINDOWS_1252};
+use std::cell::RefCell;
 use std::io::Read as _;
 use std::path::{Component, Path, PathBuf};
 
@@ -8,11 +12,6 @@ use std::path::{Component, Path, PathBuf};
 pub const MOST_TEXT: u64 = 8 << 20;
 /// Largest mesh file [bytes]: our choice; the largest we have seen has 28 MiB.
 pub const MOST_MESH: u64 = 64 << 20;
-/// Number of folders, the description's own and those above it, that are tried as the root of the package: our choice,
-/// because `package/robots/name/urdf` needs four.
-const HIGHEST: usize = 4;
-/// Usual names of folders with descriptions (ROS, MuJoCo Menagerie); meshes lie in folders beside them.
-const CUSTOM: [&str; 6] = ["urdf", "robots", "robot", "mjcf", "xml", "models"];
 
 /// A file as it was read.
 pub struct SourceFile {
@@ -44,79 +43,186 @@ impl SourceFile {
         let text = std::str::from_utf8(&self.bytes).map_err(|_| Error::file(&self.path, "no text in UTF-8"))?;
         Ok(text.trim_start_matches('\u{feff}'))
     }
+
+    /// The text of an XML file, and a note if it is not in the encoding that it should have. Other programs read blank
+    /// lines before the XML declaration, so the declaration becomes blanks then; lines keep their numbers.
+    pub fn xml(&self) -> Result<(String, Option<String>)> {
+        let (mut text, note) = self.decoded()?;
+        let before = text.len() - text.trim_start().len();
+        if before > 0 && text[before..].starts_with("<?xml") {
+            let end = text[before..].find("?>").map_or(text.len(), |end| before + end + 2);
+            let blank: String = text[before..end].chars().map(|c| if c == '\n' { c } else { ' ' }).collect();
+            text.replace_range(before..end, &blank);
+        }
+        Ok((text, note))
+    }
+
+    /// The text in its byte order mark's encoding, in UTF-16 if every other byte is 0, or else in the encoding that the
+    /// XML declaration names. Text that should be UTF-8 and is not is read as Latin-1 (Windows-1252).
+    fn decoded(&self) -> Result<(String, Option<String>)> {
+        let bytes = &self.bytes[..];
+        let wide = match bytes {
+            [b'<', 0, ..] => Some(UTF_16LE),
+            [0, b'<', ..] => Some(UTF_16BE),
+            _ => None,
+        };
+        let declared = declared(bytes);
+        let named = match &declared {
+            // The file's bytes show that it is not UTF-16, whatever programs on Windows have written.
+            Some(label) => Encoding::for_label(label.as_bytes()).filter(|e| *e != UTF_16LE && *e != UTF_16BE),
+            None => None,
+        };
+        let encoding = Encoding::for_bom(bytes).map(|(encoding, _)| encoding).or(wide).or(named).unwrap_or(UTF_8);
+        let (text, _, wrong) = encoding.decode(bytes);
+        if !wrong {
+            return Ok((text.into_owned(), None));
+        }
+        if encoding != UTF_8 {
+            return Err(Error::file(&self.path, format!("is no text in {}, its encoding", encoding.name())));
+        }
+        let (text, _, _) = WINDOWS_1252.decode(bytes);
+        let of = declared.filter(|_| named.is_none()).map_or(String::new(), |name| format!(" (it declares {name:?})"));
+        Ok((text.into_owned(), Some(format!("the file is no text in UTF-8{of}; it was read as Latin-1"))))
+    }
+}
+
+/// The encoding that an XML declaration names.
+fn declared(bytes: &[u8]) -> Option<String> {
+    let start = String::from_utf8_lossy(&bytes[..bytes.len().min(400)]).into_owned();
+    let declaration = start.trim_start().strip_prefix("<?xml")?.split_once("?>")?.0.to_owned();
+    let value = declaration.split_once("encoding")?.1.trim_start().strip_prefix('=')?.trim_start().to_owned();
+    let quote = value.chars().next().filter(|c| matches!(c, '"' | '\''))?;
+    Some(value[1..].split_once(quote)?.0.to_owned())
 }
 
 /// The folders in which a robot's files may lie.
 pub struct Files {
     /// Folder of the description.
     folder: PathBuf,
-    /// Root folder of its package. No file outside of the package is opened.
+    /// Its package, in which `package://` and the author's absolute paths are searched.
     root: PathBuf,
+    /// The outermost folder that paths relative to the description may lead to.
+    reach: PathBuf,
+    /// Folders that the user allows in addition.
+    allowed: Vec<PathBuf>,
+    /// What was taken in place of a path of the author's computer.
+    taken: RefCell<Vec<String>>,
 }
 
 impl Files {
-    /// The folders of a description. Its package begins at the nearest folder above that has a `package.xml`;
-    /// without one, at the parent folder if the description's folder has one of the usual names; otherwise at the
-    /// description's folder.
-    pub fn around(description: &Path) -> Result<Self> {
+    /// The folders of a description ([`packages`] has the rules), and those that the user allows.
+    pub fn around(description: &Path, allowed: &Packages) -> Result<Self> {
         let failed = |e| Error::file(description, e);
         let whole = description.canonicalize().map_err(failed)?;
         let folder = whole.parent().unwrap_or(Path::new("/")).to_owned();
-        let above = folder.ancestors().take(HIGHEST);
-        let marked = above.clone().find(|f| f.join("package.xml").is_file());
-        let customary = || {
-            let named = folder.file_name().and_then(|n| n.to_str()).is_some_and(|n| CUSTOM.contains(&n));
-            folder.parent().filter(|above| named && above.parent().is_some())
-        };
-        let root = marked.or_else(customary).unwrap_or(&folder).to_owned();
-        Ok(Self { folder, root })
+        let [root, reach] = packages::around(&folder);
+        Ok(Self { folder, root, reach, allowed: allowed.folders()?, taken: RefCell::default() })
+    }
+
+    /// Notes on files that were taken in place of others.
+    pub fn into_notes(self) -> Vec<String> {
+        self.taken.into_inner()
     }
 
     /// Finds a file that a description names. The name is relative to the folder `within`, which is relative to the
-    /// description's folder. `package://NAME/…` is searched in the package NAME.
+    /// description's folder. `package://NAME/…` is searched in the package NAME. `\` separates folders, as `/` does.
     pub fn find(&self, within: &str, name: &str) -> Result<PathBuf> {
-        let (start, rest, root) = match name.strip_prefix("package://").or_else(|| name.strip_prefix("model://")) {
-            Some(rest) => {
-                // Some files have three slashes.
-                let rest = rest.trim_start_matches('/');
-                let (package, rest) = rest.split_once('/').unwrap_or((rest, ""));
-                let root = self.package(package).ok_or_else(|| {
-                    let reason = format!("{name}: the file lies in no folder called {package:?}");
-                    Error::file(&self.folder, reason)
-                })?;
-                (root.clone(), rest, root)
+        let [within, name] = [within, name].map(|text| text.replace('\\', "/"));
+        if let Some(rest) = name.strip_prefix("package://").or_else(|| name.strip_prefix("model://")) {
+            // Some files have three slashes.
+            let rest = rest.trim_start_matches('/');
+            let (package, rest) = rest.split_once('/').unwrap_or((rest, ""));
+            let root = self.package(package).ok_or_else(|| self.unknown(&name, package))?;
+            return self.inside(&root.join(rest), Path::new(rest), &[&root]);
+        }
+        let plain = name.strip_prefix("file://").unwrap_or(&name);
+        let start = self.folder.join(&within);
+        if is_absolute(plain) || (is_absolute(&within) && !start.is_dir()) {
+            return self.absolute(plain);
+        }
+        let inside: Vec<&PathBuf> = [&self.root, &self.reach].into_iter().chain(&self.allowed).collect();
+        let found = self.inside(&start.join(plain), Path::new(plain), &inside);
+        match (found, packages::same_name(&self.root, plain).as_slice()) {
+            (Err(Error::File { path, reason }), [other]) if !reason.contains("outside") => {
+                let other = other.strip_prefix(&self.root).unwrap_or(other).display();
+                Err(Error::File { path, reason: format!("{reason}; the package has {other}") })
             }
-            None => {
-                let plain = name.strip_prefix("file://").unwrap_or(name);
-                (self.folder.join(within), plain, self.root.clone())
-            }
-        };
-        let wanted = Path::new(rest);
-        let absolute = wanted.is_absolute() || Path::new(within).is_absolute();
-        let outside = || {
-            let hint = match absolute {
-                true => "absolute paths are read only inside of it; give one relative to the robot's file",
-                false => "a package.xml in a folder above the robot's file makes that folder the package",
-            };
-            Error::file(wanted, format!("lies outside of the robot's package {}: {hint}", root.display()))
-        };
-        let whole = plain_path(&start.join(wanted));
-        let whole = whole.filter(|w| w.starts_with(&root)).ok_or_else(outside)?;
-        // Symbolic links must also stay inside the package.
-        let real = whole.canonicalize().map_err(|e| Error::file(&whole, e))?;
-        if real.starts_with(&root) { Ok(real) } else { Err(outside()) }
+            (found, _) => found,
+        }
     }
 
-    /// The folder of package `name`: the folder of this name that contains the description, or else the package's root,
-    /// if its `package.xml` has this name.
-    fn package(&self, name: &str) -> Option<PathBuf> {
-        let own = self.folder.ancestors().take(HIGHEST).find(|f| f.file_name().is_some_and(|n| n == name));
-        let declared = || {
-            let text = SourceFile::read(&self.root.join("package.xml"), MOST_TEXT).ok()?;
-            text.text().ok()?.contains(&format!("<name>{name}</name>")).then_some(self.root.as_path())
-        };
-        own.or_else(declared).map(Path::to_owned)
+    /// A file by an absolute path. If it does not lie in the package or in a folder that the user allows, the only file
+    /// that has its name, or the same folders before its name, is taken in its place.
+    fn absolute(&self, name: &str) -> Result<PathBuf> {
+        let inside: Vec<&PathBuf> = [&self.root].into_iter().chain(&self.allowed).collect();
+        let own = Path::new(name);
+        if own.is_absolute()
+            && let Ok(found) = self.inside(own, own, &inside)
+        {
+            return Ok(found);
+        }
+        let all: Vec<PathBuf> = inside.iter().flat_map(|root| packages::same_name(root, name)).collect();
+        match &all[..] {
+            [one] => {
+                let shown = one.strip_prefix(&self.root).unwrap_or(one).display();
+                self.taken.borrow_mut().push(format!("{name} is a path of another computer; {shown} was taken"));
+                Ok(one.clone())
+            }
+            [] => Err(Error::file(own, self.outside(true, &self.root))),
+            [a, b, ..] => {
+                let [a, b] = [a, b].map(|path| path.strip_prefix(&self.root).unwrap_or(path).display().to_string());
+                let reason =
+                    format!("is a path of another computer, and the package has {a} and {b}: name one of them");
+                Err(Error::file(own, reason))
+            }
+        }
     }
+
+    /// The path, if it lies in one of `roots`.
+    fn inside(&self, path: &Path, named: &Path, roots: &[&PathBuf]) -> Result<PathBuf> {
+        let outside = || Error::file(named, self.outside(named.is_absolute(), roots[0]));
+        let within = |path: &Path| roots.iter().any(|root| path.starts_with(root));
+        let whole = plain_path(path).filter(|whole| within(whole)).ok_or_else(outside)?;
+        // Symbolic links must also stay inside the package.
+        let real = whole.canonicalize().map_err(|e| Error::file(&whole, e))?;
+        if within(&real) { Ok(real) } else { Err(outside()) }
+    }
+
+    fn outside(&self, absolute: bool, root: &Path) -> String {
+        let hint = match absolute {
+            true => "absolute paths are read only inside of it; give one relative to the robot's file",
+            false => "a package.xml in a folder above the robot's file makes that folder the package",
+        };
+        format!(
+            "lies outside of the robot's package {}: {hint}, or allow its folder: {}",
+            root.display(),
+            packages::DOOR
+        )
+    }
+
+    fn unknown(&self, name: &str, package: &str) -> Error {
+        let beside = self.root.parent().filter(|above| above.join(package).is_dir());
+        let here = beside.map_or(String::new(), |above| format!(" ({} has one)", above.display()));
+        let reason = format!(
+            "{name}: the file lies in no folder called {package:?}; name the folder that has it{here}: {}",
+            packages::DOOR
+        );
+        Error::file(&self.folder, reason)
+    }
+
+    /// The folder of package `name`.
+    fn package(&self, name: &str) -> Option<PathBuf> {
+        let own = self.folder.ancestors().take_while(|f| f.starts_with(&self.root));
+        let beyond = self.folder.ancestors().take(packages::HIGHEST);
+        let above = own.chain(beyond).find(|f| packages::is_called(f, name)).map(Path::to_owned);
+        above.or_else(|| [&self.root].into_iter().chain(&self.allowed).find_map(|root| packages::below(root, name)))
+    }
+}
+
+/// Is the path absolute, on this computer or on Windows?
+fn is_absolute(path: &str) -> bool {
+    let drive = matches!(path.as_bytes(), [letter, b':', b'/', ..] if letter.is_ascii_alphabetic());
+    drive || path.starts_with('/')
 }
 
 /// The path without `.` and `..`, computed from its text alone; None if it leads above its start.

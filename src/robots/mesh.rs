@@ -48,11 +48,18 @@ impl Meshes {
             return Ok(found.clone());
         }
         let source = SourceFile::read(path, MOST_MESH)?;
+        no_mesh(source.bytes()).map_or(Ok(()), |reason| Err(Error::file(path, reason)))?;
         let ending = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
         let triangles = match ending.as_deref() {
             Some("dae") => collada::read(&source)?,
             Some("stl" | "obj") => {
-                let read = intruder::read_mesh(path, source.bytes(), MOST_TRIANGLES)?;
+                let stl = ending.as_deref() == Some("stl");
+                let bytes = if stl { stl_text(source.bytes()) } else { None };
+                if stl && bytes.is_none() {
+                    binary_stl(source.bytes()).map_err(|reason| Error::file(path, reason))?;
+                }
+                let read = intruder::read_mesh(path, bytes.as_deref().unwrap_or(source.bytes()), MOST_TRIANGLES);
+                let read = read.map_err(|e| cut_text(e, path, bytes.as_deref()))?;
                 read.into_iter().map(|t| t.map(|p| Vector3::from(p.lane(0)))).collect()
             }
             _ => return Err(Error::file(path, "meshes are read from .stl, .obj and .dae")),
@@ -76,6 +83,74 @@ impl Meshes {
             return Err(Error::file(path, format!("the robot's meshes have more than {MOST_TOGETHER} triangles")));
         }
         Ok(())
+    }
+}
+
+/// Why a file is no mesh, though it is called one; None: it may be one.
+fn no_mesh(bytes: &[u8]) -> Option<String> {
+    let start = String::from_utf8_lossy(&bytes[..bytes.len().min(200)]).trim_start().to_lowercase();
+    if bytes.is_empty() {
+        return Some("is empty: download it again".into());
+    }
+    if start.starts_with("version https://git-lfs") {
+        return Some("is a Git LFS pointer in place of the mesh: run `git lfs pull` in its folder".into());
+    }
+    let page = ["<!doctype html", "<html", "<head", "<body"].iter().any(|tag| start.starts_with(tag));
+    if page {
+        return Some("is a web page in place of the mesh: download the file itself (on GitHub, \"raw\")".into());
+    }
+    // What servers answer in place of a file.
+    let answer = [
+        "404",
+        "403",
+        "not found",
+        "{\"message\"",
+        "access denied",
+        "<?xml version=\"1.0\" encoding=\"utf-8\"?><error",
+    ];
+    let said = start.lines().next().unwrap_or_default();
+    let short = bytes.len() < 2000 && answer.iter().any(|text| start.starts_with(text));
+    short.then(|| format!("is a server's answer in place of the mesh: {said:?}; download it again"))
+}
+
+/// Bytes before the triangles of a binary STL, and of each triangle.
+const BINARY_STL: [usize; 2] = [84, 50];
+
+/// The length that a binary STL of as many triangles as it says has; None: it has no whole head.
+fn stl_length(bytes: &[u8]) -> Option<usize> {
+    let count = bytes.get(BINARY_STL[0] - 4..BINARY_STL[0])?.first_chunk::<4>()?;
+    Some(BINARY_STL[0] + BINARY_STL[1] * u32::from_le_bytes(*count) as usize)
+}
+
+/// A text STL in the form that our reader takes: in small letters, without blanks before it; None: the STL is binary.
+fn stl_text(bytes: &[u8]) -> Option<Vec<u8>> {
+    let start = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes).trim_ascii_start();
+    let solid = start.len() > 5 && start[..5].eq_ignore_ascii_case(b"solid");
+    // Some binary files begin with "solid", too: their length or their bytes show it.
+    let text = solid && stl_length(bytes) != Some(bytes.len()) && !bytes.contains(&0);
+    text.then(|| start.to_ascii_lowercase())
+}
+
+fn binary_stl(bytes: &[u8]) -> std::result::Result<(), String> {
+    match stl_length(bytes) {
+        None => Err(format!("ends early: {} bytes; even the head of a binary STL has {}", bytes.len(), BINARY_STL[0])),
+        Some(wanted) if bytes.len() < wanted => {
+            Err(format!("ends early: {} bytes of {wanted}; download it again", bytes.len()))
+        }
+        Some(wanted) if bytes.len() > wanted => {
+            Err(format!("is no STL: {} bytes, and its number of triangles needs {wanted}", bytes.len()))
+        }
+        Some(_) => Ok(()),
+    }
+}
+
+/// Says of a text STL without its last line that it ends early.
+fn cut_text(error: Error, path: &std::path::Path, text: Option<&[u8]>) -> Error {
+    match text {
+        Some(text) if !String::from_utf8_lossy(text).contains("endsolid") => {
+            Error::file(path, format!("ends early: {} bytes without \"endsolid\"; download it again", text.len()))
+        }
+        _ => error,
     }
 }
 

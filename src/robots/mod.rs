@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!  file ─▶ xml (bounded) ─▶ urdf | mjcf ─▶ draft (links and joints, fixed ones too) ─▶ merged, checked ─▶ Tree
-//!                              └─▶ files (inside of the package only) ─▶ mesh (STL, OBJ, DAE)
+//!                              └─▶ files (in the packages only) ─▶ mesh (STL, OBJ, DAE)
 //! ```
 //!
 //! `roxmltree` reads both XML formats; the program needs it for figures anyway. Bytes, nodes and depth are checked
@@ -17,12 +17,14 @@ mod check;
 mod coarse;
 mod collada;
 mod draft;
+mod effects;
 mod files;
 mod hull;
 mod mesh;
 mod mjcf;
 pub mod named;
 mod notes;
+mod packages;
 pub mod posture;
 mod shapes;
 pub mod states;
@@ -32,6 +34,7 @@ mod xml;
 mod xml_bounds;
 
 pub use mesh::{Closed, closed};
+pub use packages::Packages;
 pub use shapes::ellipsoid;
 
 use crate::error::{Error, Result};
@@ -39,10 +42,12 @@ use crate::sim::tree::looks::{Looks, MOST_TRIANGLES};
 use crate::sim::tree::packed;
 use crate::sim::tree::stance::Stance;
 use crate::sim::tree::{Geometry, Tree, TreeModel, TreeShape};
+use draft::BaseFrame;
 use files::{Files, MOST_TEXT, SourceFile};
 use mesh::Meshes;
+use nalgebra::Vector3;
 use notes::Notes;
-use posture::{FoundJoints, Posture};
+use posture::{FoundJoints, Posture, StandingRobot};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -86,6 +91,8 @@ pub struct Import {
     /// The packed robot in the file; None: the file is no packed robot.
     pub packed: Option<Box<PackedRobot>>,
     visuals: Vec<Vec<draft::Visual>>,
+    /// The base's origin in the frame of the file's root [m]; 0 if that frame is in the body.
+    base_at: Vector3<f64>,
 }
 
 /// A robot that was packed before.
@@ -114,6 +121,11 @@ pub fn load(path: &Path) -> Result<Import> {
 
 /// Reads a robot, and replaces poses and gains by the values in `posture`.
 pub fn load_with(path: &Path, posture: &Posture) -> Result<Import> {
+    load_from(path, posture, &Packages::default())
+}
+
+/// The same as [`load_with`]; files may also lie in the folders `packages`.
+pub fn load_from(path: &Path, posture: &Posture, packages: &Packages) -> Result<Import> {
     let ending = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
     match ending.as_deref() {
         Some("toml") => return Import::of_toml(path),
@@ -122,31 +134,34 @@ pub fn load_with(path: &Path, posture: &Posture) -> Result<Import> {
         _ => return Err(Error::file(path, "robots are read from .urdf, .xml (MJCF), .toml and packed .json")),
     }
     let source = SourceFile::read(path, MOST_TEXT)?;
-    let root = xml::parse(&source)?;
-    let files = Files::around(path)?;
     let (mut meshes, mut notes) = (Meshes::default(), Notes::default());
+    let root = xml::parse(&source, &mut notes)?;
+    let files = Files::around(path, packages)?;
     let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let named = |e: Error| match e {
         Error::Invalid { field, reason } => Error::file(path, format!("{field}: {reason}")),
         other => other,
     };
-    let (format, merged) = match root.tag.as_str() {
+    let (format, merged, draft) = match root.tag.as_str() {
         "robot" => {
             let (links, free) = urdf::links(&root, &files, &mut meshes, &mut notes)?;
-            let merged = draft::merged(root.get("name").unwrap_or(&stem), links).map_err(named)?;
-            (Format::Urdf, draft::Merged { base_is_free: free, ..merged })
+            let name = root.get("name").unwrap_or(&stem);
+            let merged = draft::merged(name, &links, BaseFrame::default()).map_err(named)?;
+            (Format::Urdf, draft::Merged { base_is_free: free, ..merged }, links)
         }
         "mujoco" => {
             let main = path.canonicalize().map_err(|e| Error::file(path, e))?;
-            (Format::Mjcf, mjcf::robot(root, &stem, main, &files, &mut meshes, &mut notes).map_err(named)?)
+            let (merged, links) = mjcf::robot(root, &stem, main, &files, &mut meshes, &mut notes).map_err(named)?;
+            (Format::Mjcf, merged, links)
         }
         _ => return Err(root.error("is neither <robot> (URDF) nor <mujoco> (MJCF)")),
     };
+    files.into_notes().into_iter().for_each(|note| notes.say(note));
     check::check(&merged, &mut notes).map_err(named)?;
-    let draft::Merged { mut tree, visuals, links, base_is_free, .. } = merged;
-    packed::check(&tree).map_err(named)?;
-    posture.lay_over(&mut tree).map_err(named)?;
-    let (stance, found, ignored) = posture::settle(&mut tree, posture);
+    packed::check(&merged.tree).map_err(named)?;
+    let standing = StandingRobot::in_body(merged, &draft, posture, &mut notes).map_err(named)?;
+    let StandingRobot { merged, stance, found, ignored, base_at } = standing;
+    let draft::Merged { tree, visuals, links, base_is_free, .. } = merged;
     if let Some(reason) = ignored {
         notes.say(format!("the file's standing pose is left out, because {reason}; a pose was found in its place"));
     }
@@ -157,8 +172,15 @@ pub fn load_with(path: &Path, posture: &Posture) -> Result<Import> {
             "its position in the standing pose is outside of its range; its stop holds it there",
         );
     }
+    for name in touch::on_balls(&tree) {
+        notes.part(
+            "body",
+            name,
+            "its small separate balls touch sand as one sole, their hull (--touches names others)",
+        );
+    }
     let warnings = notes.into_lines();
-    Ok(Import { warnings, links, visuals, base_is_free, ..Import::whole(format, tree, stance, found) })
+    Ok(Import { warnings, links, visuals, base_is_free, base_at, ..Import::whole(format, tree, stance, found) })
 }
 
 impl Import {
@@ -200,8 +222,20 @@ impl Import {
     fn whole(format: Format, tree: Tree, stance: Stance, found: FoundJoints) -> Self {
         let links = tree.bodies.iter().map(|b| vec![b.name.clone()]).collect();
         let visuals = vec![Vec::new(); tree.bodies.len()];
-        let warnings = Vec::new();
-        Self { tree, format, warnings, links, visuals, stance, found, base_is_free: true, touches: None, packed: None }
+        let (warnings, base_at) = (Vec::new(), Vector3::zeros());
+        let (base_is_free, touches, packed) = (true, None, None);
+        Self { tree, format, warnings, links, visuals, stance, found, base_is_free, touches, packed, base_at }
+    }
+
+    /// The tree with the base's frame where the file has it, for comparison with other programs.
+    pub fn as_in_file(&self) -> Tree {
+        let (mut tree, at) = (self.tree.clone(), draft::shift(self.base_at));
+        let base = &mut tree.bodies[0];
+        base.center += self.base_at;
+        base.held.moment += self.base_at * base.held.mass;
+        base.shapes.iter_mut().for_each(|shape| shape.origin = at * shape.origin);
+        tree.bodies.iter_mut().skip(1).filter(|b| b.parent == 0).for_each(|body| body.origin = at * body.origin);
+        tree
     }
 
     /// The visual shapes of each body: the file's visuals, or else its collision shapes. Meshes of visuals are read

@@ -3,7 +3,7 @@
 //! numbers; they replace the description's values.
 
 use super::posture::Posture;
-use super::{Import, load_with};
+use super::{Import, Packages, load_from};
 use crate::error::{Error, Result};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
@@ -84,8 +84,8 @@ impl NamedRobot {
     }
 
     /// This robot from a description.
-    pub fn load(&self, path: &Path) -> Result<Import> {
-        Ok(Import { touches: self.touches.clone(), ..load_with(path, &self.posture())? })
+    pub fn load(&self, path: &Path, packages: &Packages) -> Result<Import> {
+        Ok(Import { touches: self.touches.clone(), ..load_from(path, &self.posture(), packages)? })
     }
 }
 
@@ -106,17 +106,20 @@ pub fn folders() -> Vec<PathBuf> {
     all
 }
 
-/// A robot by name, by name and description (`go2=my/go2.urdf`), or from a file. `more`: further folders with packages.
-pub fn load_any(robot: &str, more: &[PathBuf]) -> Result<Import> {
+/// A robot by name, by name and description (`go2=my/go2.urdf`), or from a file. `more`: further folders with packages of
+/// named robots; `packages`: folders in which the files of a description may lie.
+pub fn load_any(robot: &str, more: &[PathBuf], packages: &Packages) -> Result<Import> {
     if let Some((name, path)) = robot.split_once('=').filter(|(name, _)| names().contains(name)) {
         let named = NamedRobot::of(name).ok_or_else(|| Error::unknown("robot", name, &names()))??;
-        return named.load(Path::new(path));
+        return named.load(Path::new(path), packages);
     }
-    let Some(named) = NamedRobot::of(robot) else { return super::load(Path::new(robot)) };
+    let Some(named) = NamedRobot::of(robot) else {
+        return load_from(Path::new(robot), &Posture::default(), packages);
+    };
     let named = named?;
     let folders = [more, &folders()].concat();
     match named.description(&folders) {
-        Some(path) => named.load(&path),
+        Some(path) => named.load(&path, packages),
         None => Err(Error::invalid(
             "robot",
             format!(

@@ -1,6 +1,7 @@
 //! Notes on the parts of a description that this project changes or does not use. One line names all parts that are treated
 //! alike, and says what was done with them.
 
+use super::effects;
 use super::xml::Element;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -21,6 +22,8 @@ struct SimilarNotes {
 pub struct Notes {
     lines: Vec<String>,
     alike: Vec<SimilarNotes>,
+    /// Parts that change the motion and are not simulated: what each is, and its effect.
+    missing: BTreeMap<String, (usize, &'static str)>,
     elements: BTreeMap<String, usize>,
     attributes: BTreeMap<String, BTreeSet<String>>,
 }
@@ -47,12 +50,20 @@ impl Notes {
 
     /// Notes that an element is left out.
     pub fn left_out(&mut self, element: &Element) {
+        if let Some(effect) = effects::of_element(element) {
+            self.missing.entry(format!("<{}>", shortened(&element.tag))).or_insert((0, effect)).0 += 1;
+            return;
+        }
         *self.elements.entry(element.tag.chars().take(60).collect()).or_default() += 1;
     }
 
     /// Notes the attributes of `element` that are not in `known`.
     pub fn others(&mut self, element: &Element, known: &[&str]) {
-        for (name, _) in element.attributes.iter().filter(|(n, _)| !known.contains(&n.as_str())) {
+        for (name, value) in element.attributes.iter().filter(|(n, _)| !known.contains(&n.as_str())) {
+            if let Some(effect) = effects::of_attribute(&element.tag, name, value) {
+                self.missing.insert(format!("{} of <{}>", shortened(name), shortened(&element.tag)), (0, effect));
+                continue;
+            }
             let of = self.attributes.entry(element.tag.chars().take(60).collect()).or_default();
             of.insert(name.chars().take(60).collect());
         }
@@ -65,7 +76,19 @@ impl Notes {
 
     /// All notes, the important ones first.
     pub fn into_lines(self) -> Vec<String> {
-        let mut lines = self.lines;
+        let mut lines = Vec::new();
+        if !self.missing.is_empty() {
+            let one = |(what, (count, effect)): (&String, &(usize, &str))| match count {
+                0 => format!("{what} ({effect})"),
+                _ => format!("{count} {what} ({effect})"),
+            };
+            let all: Vec<_> = self.missing.iter().take(MOST_LINES).map(one).collect();
+            lines.push(format!(
+                "changes the motion in other programs or on the robot, and is not simulated here: {}",
+                all.join("; ")
+            ));
+        }
+        lines.extend(self.lines);
         lines.extend(self.alike.iter().map(SimilarNotes::line));
         if lines.len() > MOST_LINES {
             let more = lines.len() - MOST_LINES;
@@ -78,10 +101,15 @@ impl Notes {
             left.push(format!("of <{tag}> {}", names.join(", ")));
         }
         if !left.is_empty() {
-            lines.push(format!("left out, because the motion does not use it: {}", left.join("; ")));
+            lines.push(format!("left out, without effect on the motion here: {}", left.join("; ")));
         }
         lines
     }
+}
+
+/// A name, so short that a message stays readable.
+fn shortened(name: &str) -> String {
+    name.chars().take(60).collect()
 }
 
 impl SimilarNotes {

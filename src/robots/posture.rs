@@ -2,11 +2,18 @@
 //! ([`crate::sim::tree::stance`], [`crate::sim::tree::gains`]).
 
 use super::Import;
+use super::draft::{self, BaseFrame, DraftLink, Merged};
+use super::notes::Notes;
 use crate::error::{Error, Result};
+use crate::sand::Medium;
+use crate::sim::Model;
+use crate::sim::model::Scene;
 use crate::sim::tree::contact::{ContactPoint, contact_points};
 use crate::sim::tree::joint_values::by_pattern;
+use crate::sim::tree::stability::first_to_diverge;
 use crate::sim::tree::stance::Stance;
-use crate::sim::tree::{Tree, TreeJoint, gains};
+use crate::sim::tree::{HardGround, Tree, TreeJoint, TreeModel, gains};
+use nalgebra::Vector3;
 use serde::Deserialize;
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
@@ -68,6 +75,65 @@ fn joints(tree: &mut Tree) -> impl Iterator<Item = &mut TreeJoint> {
     tree.bodies.iter_mut().filter_map(|b| b.joint.as_mut())
 }
 
+/// Height of an origin above the ground, as a part of that of the hips, for which the origin counts as in the body: our
+/// choice. Robots have their origins between their bellies and their chests; `base_footprint` (ROS, REP 120) is near 0.
+const IN_BODY: std::ops::RangeInclusive<f64> = 0.5..=2.0;
+
+/// A robot that stands in its pose.
+pub struct StandingRobot {
+    pub merged: Merged,
+    pub stance: Stance,
+    pub found: FoundJoints,
+    /// Why the file's pose is ignored.
+    pub ignored: Option<&'static str>,
+    /// The base's origin in the frame of the file's root [m].
+    pub base_at: Vector3<f64>,
+}
+
+impl StandingRobot {
+    fn of(mut merged: Merged, posture: &Posture, base_at: Vector3<f64>) -> Result<Self> {
+        posture.lay_over(&mut merged.tree)?;
+        let (stance, found, ignored) = settle(&mut merged.tree, posture);
+        Ok(Self { merged, stance, found, ignored, base_at })
+    }
+
+    /// The robot with its base's frame in the body. A root's frame on the ground is replaced by that of the first link in
+    /// the body, or else by the middle of the hips, so that heights and velocities of the base are those of the body.
+    pub fn in_body(merged: Merged, links: &[DraftLink], posture: &Posture, notes: &mut Notes) -> Result<Self> {
+        let joints: Vec<Option<TreeJoint>> = merged.tree.bodies.iter().map(|b| b.joint.clone()).collect();
+        let own = Self::of(merged, posture, Vector3::zeros())?;
+        let (tree, stance) = (&own.merged.tree, &own.stance);
+        if stance.legs.is_empty() || is_in_body(tree, stance, Vector3::zeros()) {
+            return Ok(own);
+        }
+        let others = BaseFrame::others(links, stance.hips);
+        let Some(frame) = others.into_iter().find(|frame| is_in_body(tree, stance, frame.place(links))) else {
+            return Ok(own);
+        };
+        let mut moved = draft::merged(&tree.name, links, frame)?;
+        (moved.base_is_free, moved.tree.gravity) = (own.merged.base_is_free, tree.gravity);
+        for (body, joint) in moved.tree.bodies.iter_mut().zip(joints) {
+            body.joint = joint;
+        }
+        let place = frame.place(links);
+        let [x, y, z]: [f64; 3] = place.into();
+        notes.say(format!(
+            "the root's frame lies outside of the body; here the base's origin is at {x:.3} {y:.3} {z:.3} m in it"
+        ));
+        Self::of(moved, posture, place)
+    }
+}
+
+/// Is this place of the base's frame in the body: near the height of the hips, or between the base's lowest and highest point?
+fn is_in_body(tree: &Tree, stance: &Stance, place: Vector3<f64>) -> bool {
+    let share = (stance.height + place.z) / stance.hips_height();
+    let points = contact_points(tree);
+    let ends = |p: &ContactPoint| [p.center.add_scalar(-p.radius), p.center.add_scalar(p.radius)];
+    let corners = points[0].iter().flat_map(ends).chain([tree.bodies[0].center, stance.hips]);
+    let [low, high] = corners.fold([f64::MAX, f64::MIN], |[low, high], p| [low.min(p.z), high.max(p.z)]);
+    IN_BODY.contains(&share) || (low..=high).contains(&place.z)
+}
+
 /// Computes pose and gains for the joints that have none. Returns the stance, these joints, and, if the file's pose is
 /// ignored, the reason.
 pub fn settle(tree: &mut Tree, laid_over: &Posture) -> (Stance, FoundJoints, Option<&'static str>) {
@@ -112,7 +178,36 @@ pub fn stands_outside(joint: &TreeJoint) -> bool {
     joint.rest.zip(joint.range).is_some_and(|(q, range)| beyond(q, range))
 }
 
+/// Time steps that are tried for a robot's file [s]: LeggedVelocity's default, and by halves to the finest that `--check`
+/// can ask for.
+const STEPS: [f64; 4] = [2e-3, 1e-3, 5e-4, 2.5e-4];
+
 impl Import {
+    /// The time step that the robot's motion needs to be computed at all; None: the default.
+    ///
+    /// # Errors
+    /// No time step suffices; names the joint that moves fastest.
+    pub fn needed_step(&self) -> Result<Option<f64>> {
+        let mut joint = String::new();
+        for dt in STEPS {
+            let plates = vec![Vec::new(); self.tree.bodies.len()];
+            let tree = TreeModel::new(self.tree.clone(), plates)?.with_self_contact();
+            let scene =
+                Scene { dt, hard: vec![HardGround::everywhere()], ..Scene::flat(Medium::named(Medium::DEFAULT)?) };
+            match first_to_diverge(&Model::of_tree(tree, &scene)?)? {
+                None => return Ok((dt < STEPS[0]).then_some(dt)),
+                Some(fastest) => joint = fastest,
+            }
+        }
+        let reason = format!(
+            "{:?}: its motion cannot be computed, even with time steps of {} ms; joint {joint:?} moves fastest: look at its \
+             limits, gains and inertia",
+            self.tree.name,
+            1e3 * STEPS[STEPS.len() - 1]
+        );
+        Err(Error::invalid("robot", reason))
+    }
+
     /// Refuses what is no legged robot.
     pub fn check_legged(&self) -> Result<()> {
         let (legs, tree) = (&self.stance.legs, &self.tree);

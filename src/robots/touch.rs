@@ -1,12 +1,21 @@
 //! Which shapes touch sand: the named ones, or feet, lower links and belly.
 
 use super::Import;
+use super::hull::hull;
 use crate::error::{Error, Result};
-use crate::sim::tree::Tree;
 use crate::sim::tree::stance::Stance;
+use crate::sim::tree::{Geometry, Tree, TreeBody, TreeShape};
+use nalgebra::{Isometry3, Vector3};
+use std::sync::Arc;
 
 /// Largest number of names that a message lists: our choice, so that the message stays readable.
 const MOST_NAMES: usize = 40;
+
+/// Balls of a foot count as small and separate if each radius is at most this part of the distance to the nearest other ball:
+/// our choice. Humanoids' files have balls of 5 mm at the corners of a sole (5 cm apart), which support it on hard ground.
+const SMALL: f64 = 0.25;
+/// Least number of such balls: three support a sole.
+const SUPPORTS: usize = 3;
 
 /// Index of a body and of one of its shapes.
 pub type ShapeIndex = (usize, usize);
@@ -38,6 +47,19 @@ impl Import {
         Ok(found)
     }
 
+    /// The tree whose shapes push on sand, unless the user names shapes: the same, but where a body has a few small separate
+    /// balls in place of its sole, the first of them is their hull.
+    pub fn on_soles(&self) -> Tree {
+        let mut tree = self.tree.clone();
+        for body in tree.bodies.iter_mut().skip(1) {
+            if let Some((ball, sole)) = sole(body) {
+                body.shapes[ball] =
+                    TreeShape { origin: Isometry3::identity(), geometry: sole, ..body.shapes[ball].clone() };
+            }
+        }
+        tree
+    }
+
     fn no_shape(&self, name: &str) -> Error {
         if self.tree.bodies.iter().any(|b| b.name == name) || self.links.iter().flatten().any(|l| l == name) {
             return Error::invalid("touches", format!("{name:?} has no collision shape"));
@@ -52,6 +74,34 @@ impl Import {
         known.truncate(MOST_NAMES);
         Error::unknown("body", name, &known)
     }
+}
+
+/// Names of the bodies on small balls.
+pub fn on_balls(tree: &Tree) -> impl Iterator<Item = &str> {
+    tree.bodies.iter().skip(1).filter(|body| sole(body).is_some()).map(|body| body.name.as_str())
+}
+
+/// The hull of a body's small separate balls, in the body's frame, and the index of the first ball.
+fn sole(body: &TreeBody) -> Option<(usize, Geometry)> {
+    let ball = |(k, shape): (usize, &TreeShape)| match shape.geometry {
+        Geometry::Sphere { radius } => Some((k, shape.origin.translation.vector, radius)),
+        _ => None,
+    };
+    let balls: Vec<(usize, Vector3<f64>, f64)> = body.shapes.iter().enumerate().filter_map(ball).collect();
+    let small = |(k, center, radius): &(usize, Vector3<f64>, f64)| {
+        let others = balls.iter().filter(|other| other.0 != *k);
+        *radius <= SMALL * others.map(|other| (other.1 - center).norm()).fold(f64::INFINITY, f64::min)
+    };
+    if balls.len() < SUPPORTS || !balls.iter().all(small) {
+        return None;
+    }
+    let toward = |i: i32| Vector3::new(f64::from(i % 3 - 1), f64::from(i / 3 % 3 - 1), f64::from(i / 9 - 1));
+    let around = |(_, center, radius): &(usize, Vector3<f64>, f64)| {
+        let (center, radius) = (*center, *radius);
+        (0..27).filter_map(move |i| Some(center + toward(i).try_normalize(0.5)? * radius))
+    };
+    let points: Vec<Vector3<f64>> = balls.iter().flat_map(around).collect();
+    Some((balls[0].0, Geometry::Mesh(Arc::new(hull(&points)?))))
 }
 
 /// All shapes of base, feet, and the last body of each leg.

@@ -1,6 +1,6 @@
 //! URDF (wiki.ros.org/urdf/XML), as urdfdom reads it.
 
-use super::draft::{DraftLink, DraftShape, Inertial, MOST_LINKS, Visual, name_shapes};
+use super::draft::{DraftLink, DraftShape, Inertial, MOST_LINKS, Visual, check_range_of, name_shapes};
 use super::files::Files;
 use super::mesh::{MeshFile, Meshes};
 use super::notes::Notes;
@@ -169,7 +169,9 @@ impl UrdfReader<'_> {
             let name = collision.get("name").unwrap_or_default().to_owned();
             let geometry = match self.look(collision)? {
                 DraftShape::Shape(geometry) => geometry,
-                DraftShape::Mesh(file) => collision_mesh(self.meshes, &file, self.notes)?,
+                DraftShape::Mesh(file) => {
+                    collision_mesh(self.meshes, &file, self.notes).map_err(|e| collision.error(e))?
+                }
             };
             shapes.push(TreeShape { name, origin: origin(collision)?, geometry, friction });
         }
@@ -185,7 +187,7 @@ impl UrdfReader<'_> {
         let at = joint.map_or(Ok(Isometry3::identity()), origin)?;
         let joint = joint.map(|j| self.joint(j)).transpose()?.flatten();
         let massless = element.first("inertial").is_none();
-        Ok(DraftLink { name, parent, origin: at, joint, massless, inertial, shapes, visuals })
+        Ok(DraftLink { name, parent, origin: at, joint, massless, inertial, held: 0.0, shapes, visuals })
     }
 
     fn inertial(&mut self, element: &Element, joint: Option<&Element>) -> Result<Inertial> {
@@ -284,8 +286,10 @@ impl UrdfReader<'_> {
             kp: None,
             kd: None,
             rest: None,
+            target_time: None,
         };
         if let Some(dynamics) = element.first("dynamics") {
+            self.notes.others(dynamics, &["damping", "friction"]);
             joint.damping = dynamics.not_negative("damping")?.unwrap_or(0.0);
             joint.friction = dynamics.not_negative("friction")?.unwrap_or(0.0);
         }
@@ -317,6 +321,7 @@ impl UrdfReader<'_> {
             return Err(limit.error(format!("joint {name}: lower {} is above upper {}", ends[0], ends[1])));
         }
         joint.range = Some(ends).filter(|e| e[0] < e[1]);
+        check_range_of(joint).map_err(|reason| limit.error(reason))?;
         if joint.range.is_none() {
             self.notes.part("joint", &name, "lower = upper is taken as no limit");
         }

@@ -9,8 +9,10 @@ use super::solid::Solid;
 use super::state::{ObjectState, State};
 use super::tree::{HardGround, TreeModel};
 use crate::error::{Error, Result};
-use crate::sand::Medium;
+use crate::number::Real;
 use crate::sand::memory::Moved;
+use crate::sand::{Medium, SandBed};
+use std::borrow::Cow;
 use std::sync::Arc;
 
 pub use super::links::{LinkBody, StripPiece};
@@ -63,7 +65,7 @@ impl Model {
             belly: belly(robot),
             legs: legs.collect::<Result<_>>()?,
             motor: Motor::new(&robot.servo, &scene.mechanisms),
-            gravity: gravity(scene),
+            gravity: gravity(scene, GRAVITY),
             solids: solids(&scene.obstacles)?,
             robot: robot.clone(),
             scene: scene.clone(),
@@ -82,6 +84,7 @@ impl Model {
             return Err(Error::invalid("hard", reason));
         }
         scene.hard.iter().try_for_each(HardGround::validate)?;
+        check_gravity(&tree, scene)?;
         if let Some(relief) = scene.relief.as_ref().filter(|_| !scene.hard.iter().any(HardGround::is_everything)) {
             relief.check_repose()?;
         }
@@ -94,12 +97,44 @@ impl Model {
             belly: Vec::new(),
             legs: Vec::new(),
             motor: Motor::new(&robot.servo, &scene.mechanisms),
-            gravity: gravity(scene),
+            gravity: gravity(scene, tree.tree.gravity()),
             solids: Vec::new(),
             robot,
             scene: scene.clone(),
             tree: Some(Arc::new(tree)),
         })
+    }
+
+    /// Gravity [m/s²].
+    pub fn gravity_size(&self) -> f64 {
+        self.tree.as_ref().map_or(GRAVITY, |tree| tree.tree.gravity())
+    }
+
+    /// The robot's weight [N], without what its file holds from outside.
+    pub fn weight(&self) -> f64 {
+        let held = self.tree.as_ref().map_or(0.0, |tree| tree.tree.held_mass());
+        (self.total_mass() - held) * self.gravity_size()
+    }
+
+    /// The sand under the robot's gravity. The stress on a slow body is that of the weight of grains above and around it,
+    /// so it grows in proportion to gravity (Slonaker et al., Phys. Rev. E 95 (2017) 052901).
+    pub fn sand(&self) -> Cow<'_, Medium> {
+        let medium = &self.scene.medium;
+        match self.tree.as_ref().and_then(|tree| tree.tree.gravity) {
+            None => Cow::Borrowed(medium),
+            Some(gravity) => {
+                let coefficients = medium.coefficients.scaled(gravity / GRAVITY);
+                Cow::Owned(Medium { coefficients, ..medium.clone() })
+            }
+        }
+    }
+
+    /// The sand, ready for evaluation.
+    pub fn ground<R: Real>(&self) -> SandBed<R> {
+        match self.sand() {
+            Cow::Borrowed(_) => self.scene.ground(),
+            Cow::Owned(medium) => Scene { medium, ..self.scene.clone() }.ground(),
+        }
     }
 
     /// Does the scene have sand?
@@ -185,7 +220,7 @@ impl Model {
         self.scene.slope_deg = slope_deg.clamp(-Scene::MAX_SLOPE_DEG, Scene::MAX_SLOPE_DEG);
         self.scene.payload = payload.clamp(0.0, Scene::MAX_PAYLOAD);
         self.base_mass = self.robot.base.mass + self.scene.payload;
-        self.gravity = gravity(&self.scene);
+        self.gravity = gravity(&self.scene, self.gravity_size());
     }
 
     /// The same model, whose motors all get the properties that are known in `motors`.
@@ -261,10 +296,24 @@ impl Model {
     }
 }
 
+/// Refuses sand that was compared with grains under the Earth's gravity alone.
+fn check_gravity(tree: &TreeModel, scene: &Scene) -> Result<()> {
+    let Some(gravity) = tree.tree.gravity else { return Ok(()) };
+    let only = |option: &str, what: &str| {
+        let reason = format!("{what} is known under the Earth's gravity only, and the robot's file has {gravity} m/s²");
+        Err(Error::invalid(option, reason))
+    };
+    match (scene.memory.is_some(), scene.medium.terms.is_empty()) {
+        (true, _) => only("memory", "the memory of sand"),
+        (_, false) => only("sand", "a term that was found in data"),
+        _ => Ok(()),
+    }
+}
+
 /// Gravity in the surface's frame [m/s²].
-fn gravity(scene: &Scene) -> V {
+fn gravity(scene: &Scene, size: f64) -> V {
     let slope = scene.slope_deg.to_radians() + scene.mechanisms.slope;
-    V::new(-slope.sin(), 0.0, -slope.cos()) * GRAVITY
+    V::new(-slope.sin(), 0.0, -slope.cos()) * size
 }
 
 fn solids(obstacles: &[Obstacle]) -> Result<Vec<Solid>> {

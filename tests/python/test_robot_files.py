@@ -135,7 +135,7 @@ def test_wrong_files_give_one_clear_line(tmp_path: Path, remote: RemoteServer) -
 
 def test_a_packed_file_is_a_robot(tmp_path: Path, remote: RemoteServer) -> None:
     packed = tmp_path / "cat.json"
-    packed.write_text(_native.pack_robot(str(ROOT / "robots" / "sandcat.xml"), [])[0])
+    packed.write_text(_native.pack_robot(str(ROOT / "robots" / "sandcat.xml"), [], [])[0])
     plain = walk(ROOT / "robots" / "sandcat.xml")
     for door in ({}, {"address": remote.address}):
         for ours, theirs in zip(plain, walk(packed, **door), strict=True):
@@ -158,6 +158,26 @@ def test_check_robot() -> None:
         assert sum(foot["load"] for foot in ground["feet"]) == pytest.approx(ground["weight"], rel=0.05)
     with pytest.raises(sandgait.InvalidRequest, match="lava"):
         sandgait.check_robot(ROOT / "robots" / "sandcat.xml", ground="lava")
+
+
+def test_packages_that_the_user_allows(tmp_path: Path) -> None:
+    """Meshes of another package are read if an option names its folder."""
+    (tmp_path / "bot").mkdir()
+    (tmp_path / "bot" / "package.xml").write_text("<package><name>bot</name></package>")
+    (tmp_path / "shells").mkdir()
+    (tmp_path / "shells" / "trunk.obj").write_text(
+        "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+    )
+    text = (ROOT / "robots" / "sandcat.urdf").read_text()
+    text = text.replace('<box size="0.36 0.16 0.08"/>', '<mesh filename="package://shells/trunk.obj"/>')
+    path = tmp_path / "bot" / "cat.urdf"
+    path.write_text(text)
+    with pytest.raises(sandgait.InvalidRequest, match="packages"):
+        sandgait.SandgaitVectorEnv(TASK, 2, robot=path)
+    for allowed in (tmp_path, [str(tmp_path / "shells")]):
+        sandgait.SandgaitVectorEnv(TASK, 2, robot=path, packages=allowed).close()
+    with pytest.raises(sandgait.InvalidRequest, match="no folder"):
+        sandgait.SandgaitVectorEnv(TASK, 2, robot=path, packages=tmp_path / "absent")
 
 
 def test_what_is_no_legged_robot_is_refused(tmp_path: Path) -> None:

@@ -43,11 +43,18 @@ fn main(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
     py.detach(|| sandgait::cli::main(arguments))
 }
 
-/// A robot as one text, with notes on the parts of its description that were left out. `robot`: a file, a name, or
-/// `name=file`; `folders`: where packages with descriptions may lie.
+/// A robot as one text, with notes on the parts of its description that were left out, and the time step that it needs
+/// [s] or None. `robot`: a file, a name, or `name=file`; `folders`: where packages with named robots may lie; `packages`:
+/// where the files of the description may lie.
 #[pyfunction]
-fn pack_robot(py: Python<'_>, robot: String, folders: Vec<PathBuf>) -> PyResult<(String, Vec<String>)> {
-    py.detach(|| sandgait::cli::pack_robot(&robot, &folders)).map_err(|error| errors::raise(&error))
+fn pack_robot(
+    py: Python<'_>,
+    robot: String,
+    folders: Vec<PathBuf>,
+    packages: Vec<PathBuf>,
+) -> PyResult<(String, Vec<String>, Option<f64>)> {
+    let packed = py.detach(|| sandgait::cli::pack_robot(&robot, &folders, packages));
+    packed.map(|packed| (packed.text, packed.notes, packed.dt)).map_err(|error| errors::raise(&error))
 }
 
 /// Is this option `robot` a description that must be packed, and not a robot that every server knows?
@@ -63,8 +70,9 @@ fn check_robot(
     robot: String,
     ground: Option<String>,
     folders: Vec<PathBuf>,
+    packages: Vec<PathBuf>,
 ) -> PyResult<(String, Vec<String>)> {
-    let sheet = py.detach(|| sandgait::cli::check_robot(&robot, ground.as_deref(), &folders));
+    let sheet = py.detach(|| sandgait::cli::check_robot(&robot, ground.as_deref(), &folders, packages));
     sheet.map_err(|error| errors::raise(&error))
 }
 

@@ -4,7 +4,6 @@ use super::draws::MOST_COMMAND;
 use super::reward::LeggedStep;
 use crate::feature::{Features, flag};
 use crate::sensors::Sensor;
-use crate::sim::model::GRAVITY;
 use crate::sim::{Model, State};
 use crate::spec::Column;
 use crate::task::TaskState;
@@ -88,12 +87,9 @@ pub fn figures(feet: &[String]) -> Features<Figure> {
         .free("command_ang_vel_yaw", "rad/s", |s, _| s.legged.now[2])
         .free("feet_in_contact", "1", |s, _| s.contacts.feet.iter().filter(|touches| **touches).count() as f64)
         .group(feet.iter().map(contact), |s, i| flag(s.contacts.feet[i]))
-        .free("base_height", "m", |s, _| {
-            let [x, y, z] = s.t.after.position;
-            z - s.t.model.surface_height(x, y)
-        })
+        .free("base_height", "m", |s, _| hips_height(s.t.model, s.t.after))
         .free("work", "J", |s, _| s.t.after.work - s.t.before.work)
-        .free("weight", "N", |s, _| s.t.model.total_mass() * GRAVITY)
+        .free("weight", "N", |s, _| s.t.model.weight())
         .free("friction", "1", |s, _| s.legged.friction)
         .free("sand", "1", |s, _| s.legged.sand)
         .free("level", "1", |s, _| s.legged.level)
@@ -103,6 +99,12 @@ pub fn figures(feet: &[String]) -> Features<Figure> {
         .free("base_contact", "1", |s, _| flag(s.base_contact && !s.t.diverged))
         .free("diverged", "1", |s, _| flag(s.t.diverged))
         .free("base_low", "1", |s, _| flag(s.too_low && !s.t.diverged))
+}
+
+/// Height of the middle of the hips above the ground [m].
+pub fn hips_height(model: &Model, state: &State) -> f64 {
+    let over = |x, y| model.surface_height(x, y);
+    model.tree.as_ref().map_or(0.0, |tree| tree.hips_over(state, over))
 }
 
 /// Gravity's direction, velocity and angular velocity in the base's frame. On inclined sand gravity is not along −z,

@@ -2,7 +2,6 @@
 //! its commands in the episode before, as in legged_gym (`_update_terrain_curriculum`).
 
 use crate::options;
-use crate::sim::model::GRAVITY;
 use crate::sim::tree::forces::support;
 use crate::sim::{Model, State};
 use serde::{Deserialize, Serialize};
@@ -103,7 +102,7 @@ pub fn ease(model: &Model) -> f64 {
     let (angles, length) = (&tree.stance.angles, tree.stance.leg_length);
     let mut state = State::at_rest(tree.height_over(angles, |x, y| model.surface_height(x, y)), angles);
     state.position[2] -= FIRM * length;
-    state.velocity[2] = -SLOW * (GRAVITY * length).sqrt();
+    state.velocity[2] = -SLOW * (model.gravity_size() * length).sqrt();
     let support = support(model, &state);
-    if support > 0.0 { (model.total_mass() * GRAVITY / support).clamp(1.0, MOST_EASE) } else { MOST_EASE }
+    if support > 0.0 { (model.weight() / support).clamp(1.0, MOST_EASE) } else { MOST_EASE }
 }

@@ -29,7 +29,7 @@ use super::task::{Setup, Task, TaskState, Transition};
 use crate::error::{Error, Result};
 use crate::sim::engine::{Command, EngineKind};
 use crate::sim::{Model, State};
-use columns::{Figure, LeggedObserved, Observe, base, contact, figures, observation};
+use columns::{Figure, LeggedObserved, Observe, base, contact, figures, hips_height, observation};
 use episode::{Difficulty, LeggedEpisode, StepFeedback};
 use reward::{Contacts, LeggedStep};
 use std::sync::Arc;
@@ -38,8 +38,8 @@ use std::sync::Arc;
 /// choice, between the steepest slope of sand (35°) and a robot that lies on its side (90°).
 const FALLEN: f64 = -0.5;
 
-/// A robot with fewer than four legs has fallen if its base is lower than this part of its standing height: our choice,
-/// because a robot with such a low base kneels or sits. A robot with four or more may lie on its belly in sand and stand
+/// A robot with fewer than four legs has fallen if its hips are lower than this part of their standing height: our choice,
+/// because a robot with such low hips kneels or sits. A robot with four or more may lie on its belly in sand and stand
 /// up again.
 const LOW: f64 = 0.5;
 
@@ -65,7 +65,7 @@ legged_gym: observations are not scaled, a negative sum of rewards is not clippe
 `action_scale` is larger than the 0.25 of legged_gym.
 
 An episode terminates when the base has tilted by more than 60° (`bad_orientation`); on `rigid` ground also when the base, or a body that is part of
-no leg (trunk, arm, head), touches it (`base_contact`); for a robot with fewer than four feet also when its base is lower than half of its standing
+no leg (trunk, arm, head), touches it (`base_contact`); for a robot with fewer than four feet also when the middle of its hips is lower than half of its standing
 height (`base_low`). It is truncated after `max_episode_steps`, or when its state can no longer be computed (`diverged`).
 
 On ground with heights (`relief`, or ground `dunes`) an episode begins at a random position. `measure_heights` adds legged_gym's
@@ -337,11 +337,10 @@ impl Task for LeggedVelocity {
     }
 }
 
-/// Is the base of a robot with fewer than four legs lower than [`LOW`] of its standing height?
+/// Are the hips of a robot with fewer than four legs lower than [`LOW`] of their standing height?
 fn is_too_low(model: &Model, state: &State) -> bool {
     let Some(tree) = &model.tree else { return false };
-    let [x, y, z] = state.position;
-    tree.stance.legs.len() < 4 && z - model.surface_height(x, y) < LOW * tree.stance.height
+    tree.stance.legs.len() < 4 && hips_height(model, state) < LOW * tree.stance.hips_height()
 }
 
 /// Height of the base's origin above `at` at which the lowest point touches the ground [m].

@@ -124,6 +124,7 @@ impl LeggedOptions {
         let angles = values("default_joint_angles", &self.default_joint_angles)?;
         let (stiffness, damping) = (values("stiffness", &self.stiffness)?, values("damping", &self.damping)?);
         if !self.default_joint_angles.is_empty() {
+            within_ranges(&tree, &angles)?;
             tree = tree.standing_at(&angles);
         }
         for (motor, (kp, kd)) in tree.motors.iter_mut().zip(stiffness.into_iter().zip(damping)) {
@@ -131,6 +132,18 @@ impl LeggedOptions {
         }
         Ok(if self.self_contact { tree.with_self_contact() } else { tree })
     }
+}
+
+/// Refuses a default pose that a joint cannot take: its stop would throw the robot. A thousandth is rounding.
+fn within_ranges(tree: &TreeModel, angles: &[Option<f64>]) -> Result<()> {
+    for (joint, angle) in tree.tree.joints().zip(angles) {
+        let (Some(angle), Some([low, high])) = (angle, joint.range) else { continue };
+        if !(low - 1e-3..=high + 1e-3).contains(angle) {
+            let reason = format!("{:?} at {angle} is outside of its range, {low} to {high}", joint.name);
+            return Err(Error::invalid("default_joint_angles", reason));
+        }
+    }
+    Ok(())
 }
 
 /// Least and greatest scale of an action [rad]. The least is our choice: with it a foot moves by some 0.4 lengths of the leg.

@@ -2,7 +2,6 @@
 
 use super::draws::{Commands, MOST_COMMAND};
 use crate::sim::Model;
-use crate::sim::model::GRAVITY;
 
 /// Units from the legs' length ℓ and the weight W. Two robots whose motions have equal numbers in these units move alike, one
 /// only larger than the other (R. McN. Alexander & A. S. Jayes, J. Zool. 201 (1983) 135). v²/(gℓ) is the Froude number.
@@ -30,10 +29,11 @@ impl Units {
     pub fn of(model: &Model) -> Self {
         // Our choice of the least length, so that no unit is 0.
         let length = model.tree.as_ref().map_or(1.0, |tree| tree.stance.leg_length).max(1e-3);
+        let gravity = model.gravity_size();
         Self {
-            speed: (GRAVITY * length).sqrt(),
-            rate: (GRAVITY / length).sqrt(),
-            torque: model.total_mass() * GRAVITY * length,
+            speed: (gravity * length).sqrt(),
+            rate: (gravity / length).sqrt(),
+            torque: model.total_mass() * gravity * length,
         }
     }
 

@@ -3,17 +3,18 @@
 use super::compiler::{Compiler, FromGeoms, limited};
 use super::defaults::Defaults;
 use super::geom::{Assets, Geom, geom, unreadable_look};
-use crate::draft::{DraftLink, Inertial, MOST_LINKS, Visual, name_shapes, shift};
+use crate::draft::{DraftLink, Inertial, MOST_LINKS, Visual, check_range_of, name_shapes, shift};
 use crate::error::Result;
 use crate::notes::Notes;
 use crate::sim::tree::{JointKind, TreeJoint, TreeShape};
 use crate::xml::Element;
 use nalgebra::{Isometry3, Matrix3, Unit, UnitQuaternion, Vector3};
+use std::collections::HashMap;
 
 /// Elements for pictures, sensors and visibility, which have no effect on motion.
 const PASSIVE: [&str; 3] = ["site", "camera", "light"];
-const BODY_KNOWN: [&str; 10] =
-    ["name", "childclass", "pos", "quat", "axisangle", "euler", "xyaxes", "zaxis", "user", "sleep"];
+const BODY_KNOWN: [&str; 11] =
+    ["gravcomp", "name", "childclass", "pos", "quat", "axisangle", "euler", "xyaxes", "zaxis", "user", "sleep"];
 const JOINT_KNOWN: [&str; 17] = [
     "name",
     "class",
@@ -47,6 +48,8 @@ pub struct Builder<'a> {
     pub assets: &'a Assets,
     pub notes: &'a mut Notes,
     pub links: Vec<DraftLink>,
+    /// Positions of the joints in the reference pose, by name [rad or m].
+    pub references: HashMap<String, f64>,
 }
 
 /// Does the body move freely?
@@ -126,6 +129,7 @@ impl Builder<'_> {
         }
         let link = &mut self.links[own];
         link.inertial = inertial;
+        link.held = element.number("gravcomp")?.unwrap_or(0.0);
         for geom in geoms {
             match geom.collision {
                 Some(geometry) => {
@@ -237,6 +241,7 @@ impl Builder<'_> {
             kp: None,
             kd: None,
             rest: None,
+            target_time: None,
         };
         if limited(element, "limited", range.is_some(), self.compiler.autolimits)? {
             let [low, high] = range.ok_or_else(|| element.error("is limited without a range"))?;
@@ -244,6 +249,7 @@ impl Builder<'_> {
                 return Err(element.wrong("range", format!("{low} is not below {high}")));
             }
             joint.range = Some([low * unit, high * unit]);
+            check_range_of(&joint).map_err(|reason| element.wrong("range", reason))?;
         }
         let stiffness = self.first(element, "stiffness")?;
         if stiffness > 0.0 {
@@ -254,6 +260,7 @@ impl Builder<'_> {
             joint.torque_limit = force.map(|[low, high]| high.min(-low)).filter(|f| *f > 0.0);
         }
         let reference = element.number("ref")?.unwrap_or(0.0) * unit;
+        self.references.insert(joint.name.clone(), reference);
         let start = match kind {
             JointKind::Hinge => {
                 Isometry3::from_parts(Default::default(), UnitQuaternion::from_axis_angle(&axis, -reference))

@@ -6,24 +6,29 @@ mod compiler;
 mod defaults;
 mod equality;
 mod geom;
+mod inertia;
 
-use super::draft::{DraftLink, Inertial, Merged, merged};
+use super::draft::{BaseFrame, DraftLink, Inertial, Merged, merged};
 use super::files::{Files, MOST_TEXT, SourceFile};
 use super::mesh::Meshes;
 use super::notes::Notes;
 use super::xml::{self, Element};
 use crate::error::Result;
+use crate::sim::tree::packed;
+use actuator::Actuators;
 use body::Builder;
 use compiler::Compiler;
 use defaults::Defaults;
 use nalgebra::Isometry3;
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
 /// Sections that are refused, because leaving them out would change how the robot moves.
 const REFUSED: [&str; 2] = ["deformable", "extension"];
 /// Sections that are read.
-const READ: [&str; 8] = ["equality", "compiler", "default", "asset", "worldbody", "actuator", "keyframe", "include"];
+const READ: [&str; 9] =
+    ["option", "equality", "compiler", "default", "asset", "worldbody", "actuator", "keyframe", "include"];
 /// Largest number of files of a model: our choice, to bound the time of reading.
 const MOST_FILES: usize = 50;
 /// Largest number of elements of a model with all its includes: our choice, as for one file.
@@ -37,16 +42,14 @@ pub fn robot(
     files: &Files,
     meshes: &mut Meshes,
     notes: &mut Notes,
-) -> Result<Merged> {
-    let mut including = Including { files, seen: HashSet::from([main]), elements: 0 };
+) -> Result<(Merged, Vec<DraftLink>)> {
+    let mut including = Including { files, notes, seen: HashSet::from([main]), elements: 0 };
     let mut root = including.expanded(root)?;
+    let gravity = gravity(&root, notes)?;
     for section in &root.children {
         let tag = section.tag.as_str();
         if REFUSED.contains(&tag) && !section.children.is_empty() {
             return Err(section.error(format!("<{}> is not simulated", section.children[0].tag)));
-        }
-        if tag == "tendon" {
-            notes.say("tendons are left out with their effects");
         }
         if !READ.contains(&tag) {
             notes.left_out(section);
@@ -65,19 +68,52 @@ pub fn robot(
         }
     }
     let (base, beside) = base(&root, notes)?;
-    let mut builder = Builder { compiler: &compiler, defaults: &defaults, assets: &assets, notes, links: Vec::new() };
+    let (links, references) = (Vec::new(), HashMap::new());
+    let mut builder = Builder { compiler: &compiler, defaults: &defaults, assets: &assets, notes, links, references };
     builder.body(base.element, None, &Isometry3::identity(), &base.class)?;
-    let mut links = builder.links;
+    let Builder { mut links, references, .. } = builder;
     if let Some(wanted) = compiler.total_mass {
         rescale(&mut links, wanted);
     }
     let name = root.get("model").unwrap_or(name);
-    let mut merged = merged(name, links)?;
-    merged.base_is_free = base.free;
-    actuator::apply(&root, &defaults, compiler.autolimits, &mut merged.tree, &beside.joints, notes)?;
+    let mut merged = merged(name, &links, BaseFrame::default())?;
+    (merged.base_is_free, merged.tree.gravity) = (base.free, gravity);
+    let mut actuators = Actuators { defaults: &defaults, autolimits: compiler.autolimits, notes, ratios: Vec::new() };
+    actuators.apply(&root, &mut merged.tree, &beside.joints)?;
+    actuators.damp(&mut merged.tree, &references, base.free);
     actuator::rest(&root, &mut merged.tree, beside.positions, notes)?;
     equality::apply(&root, &mut merged.tree)?;
-    Ok(merged)
+    Ok((merged, links))
+}
+
+/// Gravity on the Earth's surface, from Nevado Huascarán to the Arctic Ocean [m/s²] (Hirt et al., Geophys. Res. Lett. 40
+/// (2013) 4279). Within it, differences between files are rounding, and gravity is the standard one.
+const EARTH: RangeInclusive<f64> = 9.76..=9.84;
+
+/// Gravity of the file [m/s²]; None: the Earth's, also MuJoCo's default.
+fn gravity(root: &Element, notes: &mut Notes) -> Result<Option<f64>> {
+    let mut found = None;
+    for option in root.all("option") {
+        notes.others(option, &["gravity"]);
+        if let Some([x, y, z]) = option.numbers("gravity")? {
+            if x != 0.0 || y != 0.0 {
+                let reason = "must point along −z; option slope_deg inclines the ground";
+                return Err(option.wrong("gravity", reason));
+            }
+            packed::check_gravity(-z).map_err(|e| option.error(format!("a robot cannot walk: {e} downward")))?;
+            found = Some(-z).filter(|g| !EARTH.contains(g));
+        }
+        for flag in option.all("flag") {
+            notes.others(flag, &["gravity"]);
+            if flag.get("gravity") == Some("disable") {
+                return Err(flag.wrong("gravity", "is switched off: a robot cannot walk without it"));
+            }
+        }
+    }
+    if let Some(gravity) = found {
+        notes.say(format!("gravity is {gravity} m/s², as in the file; the sand's stress is in proportion to it"));
+    }
+    Ok(found)
 }
 
 /// The two geoms of a `<pair>`.
@@ -197,6 +233,7 @@ fn top<'a>(world: &'a Element, class: &str, bodies: &mut Vec<MjcfBase<'a>>, note
 
 struct Including<'a> {
     files: &'a Files,
+    notes: &'a mut Notes,
     seen: HashSet<PathBuf>,
     elements: usize,
 }
@@ -222,7 +259,7 @@ impl Including<'_> {
             if self.seen.len() > MOST_FILES {
                 return Err(child.error(format!("more than {MOST_FILES} files")));
             }
-            let included = xml::parse(&SourceFile::read(&path, MOST_TEXT)?)?;
+            let included = xml::parse(&SourceFile::read(&path, MOST_TEXT)?, self.notes)?;
             children.extend(self.expanded(included)?.children);
         }
         element.children = children;

@@ -127,10 +127,13 @@ fn absolute_paths_are_read_inside_of_the_package() {
         let said = outside(&name);
         assert!(said.contains("outside") && said.contains("absolute"), "{said}");
     }
-    let said = outside("../shell.obj");
+    let deepest = deeper.join("deepest");
+    std::fs::create_dir(&deepest).unwrap();
+    let climbs = urdf(&mesh("collision", "../../../shell.obj"), "");
+    let said = read_in(&deepest, "r.urdf", &climbs).err().unwrap();
     assert!(said.contains("outside") && said.contains("package.xml"), "{said}");
     std::fs::write(root.path().join("package.xml"), "<package><name>p</name></package>").unwrap();
-    read_in(&deeper, "r.urdf", &urdf(&mesh("collision", "../shell.obj"), "")).unwrap();
+    read_in(&deepest, "r.urdf", &climbs).unwrap();
 }
 
 /// An equality that is refused is named by its kind and both ends.

@@ -5,7 +5,7 @@
 //! classical one of its origin. A step is [`place`] (poses and velocities of all bodies), [`load`] (the wrench that
 //! each body's own motion needs), the forces of sand and ground, [`fold`] toward the base, and [`unfold`] outward.
 
-use super::{JointKind, Tree};
+use super::{HeldMass, JointKind, Tree};
 use crate::blocks::{LaneJoint, LaneState, LinkFrame, turned_about};
 use crate::number::{Mat3, Real, Vec3};
 use crate::spatial::{Inertia, Symmetric, Twist, Wrench};
@@ -24,6 +24,10 @@ pub struct LaneTreeBody<R> {
     pub center: Vec3<R>,
     pub inertia: Symmetric<R>,
     pub armature: R,
+    /// Mass without weight, and its moment.
+    held: (R, Vec3<R>),
+    /// Has any lane such a mass? A step skips it otherwise; the results are bit-identical.
+    holds: bool,
 }
 
 /// The wrench that moves a body: `inertia` times its acceleration, plus `bias`.
@@ -68,6 +72,8 @@ impl<R: Real> LaneTreeBody<R> {
                 center: zero,
                 inertia,
                 armature: R::zero(),
+                held: (R::zero(), zero),
+                holds: false,
             }
         });
         let mut all: Vec<Self> = bodies.collect();
@@ -88,6 +94,9 @@ impl<R: Real> LaneTreeBody<R> {
             let i = &body.inertia;
             out.inertia.diagonal.set_lane(lane, i.diagonal().into());
             out.inertia.off.set_lane(lane, [i[(0, 1)], i[(0, 2)], i[(1, 2)]]);
+            out.held.0.set_lane(lane, body.held.mass);
+            out.held.1.set_lane(lane, body.held.moment.map(exact).into());
+            out.holds |= body.held != HeldMass::default();
             if let Some(joint) = &body.joint {
                 out.axis.set_lane(lane, joint.axis.into_inner().map(exact).into());
                 out.armature.set_lane(lane, joint.armature);
@@ -135,6 +144,11 @@ pub fn load<R: Real>(bodies: &[LaneTreeBody<R>], frames: &[LinkFrame<R>], gravit
         let force = acceleration * body.mass;
         let moment = inertia.apply(frame.bias.angular) + spin.cross(inertia.apply(spin)) + c.cross(force);
         *load = LinkLoad { inertia: Inertia::at(body.mass, c, inertia), bias: Wrench { moment, force } };
+        if body.holds {
+            let (mass, moment) = body.held;
+            let about = frame.origin.scale_add(mass, frame.rotation.apply(moment));
+            load.bias.add(&Wrench { moment: about.cross(gravity), force: gravity * mass });
+        }
     }
 }
 
@@ -212,6 +226,35 @@ pub fn respond<R: Real>(
     for i in (1..bodies.len()).rev() {
         let hinge = &hinges[i - 1];
         let drive = -wrenches[i].dot(&frames[i].axis);
+        joints[i - 1] = drive;
+        let through = hinge.inertia_axis.scale_add(drive * hinge.inverse, &wrenches[i]);
+        wrenches[bodies[i].parent].add(&through);
+    }
+    accelerations[0] = base.solve(&wrenches[0].scale_add(-R::one(), &Wrench::zero()));
+    for i in 1..bodies.len() {
+        let (hinge, parent) = (&hinges[i - 1], accelerations[bodies[i].parent]);
+        joints[i - 1] = (joints[i - 1] - hinge.inertia_axis.dot(&parent)) * hinge.inverse;
+        accelerations[i] = frames[i].axis.scale_add(joints[i - 1], &parent);
+    }
+}
+
+/// Changes of the accelerations from the folded solution if `torques` act on two joints in addition. `wrenches` is work
+/// space.
+#[inline(always)]
+pub fn respond_to_torques<R: Real>(
+    folded: &Folded<R>,
+    torques: [(usize, R); 2],
+    wrenches: &mut [Wrench<R>],
+    accelerations: &mut [Twist<R>],
+    joints: &mut [R],
+) {
+    let Folded { bodies, frames, hinges, base } = *folded;
+    wrenches.fill(Wrench::zero());
+    joints.fill(R::zero());
+    torques.iter().for_each(|(joint, torque)| joints[*joint] += *torque);
+    for i in (1..bodies.len()).rev() {
+        let hinge = &hinges[i - 1];
+        let drive = joints[i - 1] - wrenches[i].dot(&frames[i].axis);
         joints[i - 1] = drive;
         let through = hinge.inertia_axis.scale_add(drive * hinge.inverse, &wrenches[i]);
         wrenches[bodies[i].parent].add(&through);

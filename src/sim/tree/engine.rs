@@ -2,11 +2,12 @@
 
 use super::dynamics::{self, LaneTreeBody};
 use super::floor::{BodyContacts, Floor};
+use super::gear::LaneGear;
 use super::model::TreeModel;
 use super::relief::LaneRelief;
 use super::sand::{self, Feeler};
 use super::servo::LaneMotor;
-use super::step::{GroundForces, LaneTree, TreeScratch, step};
+use super::step::{GroundForces, LaneTree, TargetLag, TreeScratch, step};
 use crate::blocks::{LaneEngine, LaneState};
 use crate::command::Command;
 use crate::error::{Error, Result};
@@ -54,13 +55,19 @@ struct TreeLanes<R: Real> {
 impl<R: Real> TreeLanes<R> {
     fn new(model: &Model, tree: &Arc<TreeModel>) -> Self {
         let joints = tree.joints();
-        let endless = tree.tree.joints().map(|j| j.range.is_none() && j.kind == super::JointKind::Hinge).collect();
+        let mut endless: Vec<bool> =
+            tree.tree.joints().map(|j| j.range.is_none() && j.kind == super::JointKind::Hinge).collect();
+        // A follower's place depends on the leader's whole turns.
+        for follower in tree.tree.followers() {
+            (endless[follower.joint], endless[follower.leader]) = (false, false);
+        }
         let mut bodies = LaneTreeBody::all(&tree.tree);
         bodies[0].mass = R::splat(tree.base_mass);
         let lanes = LaneTree {
             bodies,
             motors: LaneMotor::all(tree),
-            followers: tree.tree.followers(),
+            gears: LaneGear::all(&tree.tree),
+            lags: TargetLag::all(&tree.tree, model.scene.dt),
             patches: if model.has_sand() { tree.patches.clone() } else { Arc::default() },
             contacts: if model.scene.hard.is_empty() { Vec::new() } else { BodyContacts::all(tree) },
             ground: model.scene.ground(),
@@ -70,7 +77,7 @@ impl<R: Real> TreeLanes<R> {
             gravity: Vec3::zero(),
             dt: R::splat(model.scene.dt),
         };
-        let mut scratch = TreeScratch::new(joints + 1);
+        let mut scratch = TreeScratch::new(joints + 1, lanes.gears.len());
         scratch.ground_forces = GroundForces::on(tree.stance.feet.clone());
         let memory = LaneMemory::new(model, tree.tree.bodies.len())
             .map(|memory| (memory, Feeler::all(&tree.plates, model.scene.memory.map_or(1.0, |m| m.cell))));
@@ -81,8 +88,12 @@ impl<R: Real> TreeLanes<R> {
     #[inline(always)]
     fn fold(&mut self) {
         self.state.fold();
-        for (joint, _) in self.state.joints.iter_mut().zip(&self.endless).filter(|(_, endless)| **endless) {
-            joint.turn_back(joint.whole_turns());
+        for (i, joint) in self.state.joints.iter_mut().enumerate().filter(|(i, _)| self.endless[*i]) {
+            let turns = joint.whole_turns();
+            joint.turn_back(turns);
+            for lag in self.tree.lags.iter_mut().filter(|lag| lag.joint == i) {
+                lag.target -= turns;
+            }
         }
     }
 }
@@ -137,7 +148,7 @@ impl<R: Real> TreeLanes<R> {
             if self.tree.patches.is_empty() {
                 self.tree.patches = tree.patches.clone();
             }
-            self.tree.ground.set_lane(lane, &model.scene.medium, &model.scene.mechanisms);
+            self.tree.ground.set_lane(lane, &model.sand(), &model.scene.mechanisms);
         }
         if self.tree.contacts.is_empty() && !model.scene.hard.is_empty() {
             self.tree.contacts = BodyContacts::all(tree);
@@ -151,6 +162,7 @@ impl<R: Real> Integrator for TreeLanes<R> {
         LaneTreeBody::set_lane(&mut self.tree.bodies, lane, &tree.tree);
         self.tree.bodies[0].mass.set_lane(lane, tree.base_mass);
         LaneMotor::set_lane(&mut self.tree.motors, lane, tree);
+        LaneGear::set_lane(&mut self.tree.gears, lane, tree);
         self.set_ground(lane, model, tree);
         if let Some((memory, _)) = &mut self.memory {
             memory.set_model(lane, model);
@@ -164,6 +176,9 @@ impl<R: Real> Integrator for TreeLanes<R> {
 
     fn set_state(&mut self, lane: usize, state: &State) {
         self.state.set_lane(lane, state);
+        for lag in &mut self.tree.lags {
+            lag.target.set_lane(lane, state.references[lag.joint]);
+        }
         if let Some((memory, _)) = &mut self.memory {
             memory.set_state(lane, state);
         }
@@ -183,7 +198,14 @@ impl<R: Real> Integrator for TreeLanes<R> {
     }
 
     fn command(&mut self, lane: usize, command: &Command) {
-        self.state.command(lane, command);
+        let Self { state, tree, .. } = self;
+        let before: Vec<f64> = tree.lags.iter().map(|lag| state.joints[lag.joint].reference.lane(lane)).collect();
+        state.command(lane, command);
+        for (lag, before) in tree.lags.iter_mut().zip(before) {
+            let reference = &mut state.joints[lag.joint].reference;
+            lag.target.set_lane(lane, reference.lane(lane));
+            reference.set_lane(lane, before);
+        }
     }
 
     fn advance_in_parts(&mut self, steps: usize, ends: bool) {

@@ -9,7 +9,7 @@ use crate::number::{Real, Vec3};
 use crate::spatial::Twist;
 use crate::stop::ImplicitTorque;
 
-/// Gravity in [`accelerations`] [m/s²], as in the reference programs.
+/// Gravity in [`accelerations`] [m/s²] unless the robot's file has another, as in the reference programs.
 pub const GRAVITY: f64 = 9.81;
 
 /// Applies given torques; joints have no resistance.
@@ -68,7 +68,7 @@ pub fn sand_loads(model: &Model, position: [f64; 3], pose: &TreePose) -> Vec<[[f
     let count = bodies.len();
     let (mut frames, mut loads) = (vec![LinkFrame::at_rest(); count], vec![LinkLoad::none(); count]);
     place(&bodies, &pose.state(), &mut frames);
-    let ground = model.scene.ground();
+    let ground = model.ground();
     let relief = model.scene.relief.as_ref().map(|r| LaneRelief(vec![r.clone()]));
     sand::press(&ground, &tree.patches, &frames, &Vec3::splat(position), &relief, None, &mut loads, model.scene.dt);
     let of_body = |(frame, load): (&LinkFrame<f64>, &LinkLoad<f64>)| {
@@ -78,7 +78,7 @@ pub fn sand_loads(model: &Model, position: [f64; 3], pose: &TreePose) -> Vec<[[f
     frames.iter().zip(&loads).map(of_body).collect()
 }
 
-/// Accelerations in free flight under gravity (0, 0, −9.81); armature, damping, friction and limits are left out.
+/// Accelerations in free flight under gravity (0, 0, −9.81), or that of the robot's file; armature, damping, friction and limits are left out.
 /// `pose` has as many joints as the tree.
 pub fn accelerations(tree: &Tree, pose: &TreePose) -> TreeAccelerations {
     accelerations_by::<f64>(tree, pose)
@@ -94,7 +94,7 @@ pub fn accelerations_by<R: Real>(tree: &Tree, pose: &TreePose) -> TreeAccelerati
     let (mut hinges, mut moved) = (vec![TreeHinge::free(); count - 1], vec![Twist::zero(); count]);
     let mut joints = vec![R::zero(); count - 1];
     place(&bodies, &pose.state(), &mut frames);
-    load(&bodies, &frames, Vec3::splat([0.0, 0.0, -GRAVITY]), &mut loads);
+    load(&bodies, &frames, Vec3::splat([0.0, 0.0, -tree.gravity.unwrap_or(GRAVITY)]), &mut loads);
     let base = fold(&bodies, &frames, &mut FixedTorques(&torques), &mut loads, &mut hinges);
     unfold(&bodies, &frames, &hinges, &base, &mut moved, &mut joints);
     TreeAccelerations {

@@ -36,7 +36,7 @@ pub fn touching(model: &Model) -> Vec<usize> {
 /// of momentum per time.
 pub fn pushes(model: &Model, state: &State) -> Vec<PointForce> {
     let Some((tree, state, found)) = engine::alone(model, state) else { return Vec::new() };
-    let mut s = TreeScratch::new(tree.bodies.len());
+    let mut s = TreeScratch::new(tree.bodies.len(), tree.gears.len());
     accelerate(&tree, &state, &mut s, found.as_ref());
     let place = state.place();
     let world = |from_base: Vec3<f64>| V::from((place + from_base).lane(0));
@@ -66,7 +66,7 @@ pub fn pushes(model: &Model, state: &State) -> Vec<PointForce> {
 /// Upward force of the sand on a robot that moves at the velocities of `state` without acceleration [N].
 pub fn support(model: &Model, state: &State) -> f64 {
     let Some((tree, state, found)) = engine::alone(model, state) else { return 0.0 };
-    let mut s = TreeScratch::new(tree.bodies.len());
+    let mut s = TreeScratch::new(tree.bodies.len(), tree.gears.len());
     let (found, place) = (found.as_ref(), state.place());
     accelerate(&tree, &state, &mut s, found);
     let mut loads = vec![LinkLoad::none(); tree.bodies.len()];

@@ -1,6 +1,7 @@
 //! The joints that a search for a pose may move, their ranges, and where the search starts.
 
-use super::Tree;
+use super::{JointKind, Tree, TreeJoint};
+use std::f64::consts::TAU;
 
 /// Largest number of joints of a limb that a search moves, counted from the limb's end: our choice, more than any limb we
 /// know has; it bounds the time of a search.
@@ -32,10 +33,7 @@ impl FreeJoints {
 
     /// All joints are free in their range, also joints with a position in the file.
     pub fn free(tree: &Tree) -> Self {
-        let range =
-            |j: &super::TreeJoint| j.range.unwrap_or([-FARTHEST, FARTHEST]).map(|end| end.clamp(-FARTHEST, FARTHEST));
-        let ranges: Vec<[f64; 2]> = tree.joints().map(range).collect();
-        let preferred = ranges.iter().map(|[low, high]| 0.0_f64.clamp(*low, *high)).collect();
+        let (ranges, preferred) = tree.joints().map(within).unzip();
         Self { ranges, preferred }
     }
 
@@ -50,6 +48,20 @@ impl FreeJoints {
         }
         angles
     }
+}
+
+/// The positions that a search tries for a joint, and the preferred one of them. A hinge whose whole range lies beyond
+/// [`FARTHEST`] is searched as one whose range is whole turns nearer to 0.
+fn within(joint: &TreeJoint) -> ([f64; 2], f64) {
+    let [low, high] = joint.range.unwrap_or([-FARTHEST, FARTHEST]);
+    let middle = (low + high) / 2.0;
+    let away = match (low >= FARTHEST || high <= -FARTHEST, joint.kind) {
+        (false, _) => 0.0,
+        (true, JointKind::Hinge) => (middle / TAU).round() * TAU,
+        (true, JointKind::Slide) => middle,
+    };
+    let range = [low, high].map(|end| (end - away).clamp(-FARTHEST, FARTHEST));
+    (range.map(|end| end + away), 0.0_f64.clamp(range[0], range[1]) + away)
 }
 
 fn halton(mut k: usize, base: usize) -> f64 {

@@ -25,7 +25,6 @@ use super::kinematics::{chain, lowest};
 use super::stance::Stance;
 use super::{JointKind, Tree, TreeJoint};
 use crate::actuator::Actuator;
-use crate::sand::GRAVITY;
 use nalgebra::{Isometry3, Vector2, Vector3};
 
 type V = Vector3<f64>;
@@ -70,8 +69,8 @@ struct Gains {
 
 impl Gains {
     /// `softness`: g/ω² [m].
-    fn of(kp: f64, softness: f64) -> Self {
-        let omega = (GRAVITY / softness).sqrt();
+    fn of(kp: f64, softness: f64, gravity: f64) -> Self {
+        let omega = (gravity / softness).sqrt();
         Self { kp, kd: 2.0 * DAMPING * kp / omega }
     }
 }
@@ -117,16 +116,16 @@ fn of_leg(
     leg: &[usize],
 ) -> Gains {
     let (end, count) = (leg[leg.len() - 1], stance.legs.len());
-    let tip = standing_point(&frames[end], &contacts[end], stance.height);
+    let tip = standing_point(&frames[end], &contacts[end], stance.hips_height());
     let square = |i: &usize| {
         let axis = tree.bodies[*i].hinge_axis(&frames[*i])?;
         Some(axis.cross(&(tip - frames[*i].translation.vector)).z.powi(2))
     };
     let length = stance.leg_length.max(NEAREST);
-    let load = tree.mass() * GRAVITY / count as f64;
+    let load = tree.mass() * tree.gravity() / count as f64;
     let posture = if count < 4 { UPRIGHT * tipping(tree, frames, leg, tip.z) } else { POSTURE * length };
     let levers: f64 = leg.iter().filter_map(square).sum();
-    Gains::of(load * (LEGS * levers / length).max(posture), length / LEGS)
+    Gains::of(load * (LEGS * levers / length).max(posture), length / LEGS, tree.gravity())
 }
 
 /// Σ (h − yᵢ) over the hinges of a leg, about the horizontal axis for which it is larger [m]. `ground`: height of the foot.
@@ -164,11 +163,11 @@ fn carriers(tree: &Tree, frames: &[Isometry3<f64>], stance: &Stance) -> Vec<Gain
         match kind {
             JointKind::Hinge => {
                 let arm = (moment / mass - frames[i].translation.vector).cross(&axis).norm().max(NEAREST);
-                Gains::of(OTHERS * mass * GRAVITY * arm, arm / OTHERS)
+                Gains::of(OTHERS * mass * tree.gravity() * arm, arm / OTHERS, tree.gravity())
             }
             JointKind::Slide => {
                 let length = stance.leg_length.max(NEAREST);
-                Gains::of(LEGS * mass * GRAVITY / length, length / LEGS)
+                Gains::of(LEGS * mass * tree.gravity() / length, length / LEGS, tree.gravity())
             }
         }
     };

@@ -15,6 +15,7 @@
 //! * [`kinematics`]: frames of bodies and their lowest points; [`joint_values`]: values for joints by patterns of their
 //!   names; [`limbs`]: legs, arms and tails, and how each moves; [`stance`]: the standing pose; [`gains`]: servo gains;
 //!   [`standing`]: does the robot stand?
+//! * [`gear`]: joints that follow others; [`stability`]: the joint whose motion cannot be computed.
 //! * [`symmetry`]: left and right; [`looks`]: shapes for pictures; [`packed`]: a robot as one text.
 //! * [`plates`]: cuts collision shapes into the plates that push on sand; [`cluster`]: replaces many plates by few;
 //!   [`patches`]: gathers plates with nearly the same normal; [`eights`]: eight patches in lanes; [`robot`]: our own
@@ -30,6 +31,7 @@ pub mod floor;
 pub mod forces;
 mod free_joints;
 pub mod gains;
+mod gear;
 pub mod hard;
 pub mod heights;
 pub mod joint_values;
@@ -47,6 +49,7 @@ mod robot;
 pub mod sand;
 mod self_contact;
 mod servo;
+pub mod stability;
 pub mod stance;
 pub mod standing;
 mod step;
@@ -60,6 +63,7 @@ pub use plates::{MOST_PLATES, PLATE_SIZES, of_body, of_shapes, of_touching};
 pub use robot::of_robot;
 
 use crate::actuator::Actuator;
+use crate::sand::GRAVITY;
 use nalgebra::{Isometry3, Matrix3, Unit, Vector3};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -70,6 +74,17 @@ pub struct Tree {
     pub name: String,
     /// The bodies. The first one is the base, which has no parent and no joint.
     pub bodies: Vec<TreeBody>,
+    /// Gravity where the robot walks [m/s²]; None: standard gravity, the Earth's.
+    pub gravity: Option<f64>,
+}
+
+/// The part of a body's mass whose weight is held from outside (MJCF's `gravcomp`).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct HeldMass {
+    /// [kg]
+    pub mass: f64,
+    /// Mass times position in the body's frame [kg·m].
+    pub moment: Vector3<f64>,
 }
 
 /// A rigid body and the joint that carries it.
@@ -88,6 +103,8 @@ pub struct TreeBody {
     pub center: Vector3<f64>,
     /// About the centre of mass, along the body's axes [kg·m²].
     pub inertia: Matrix3<f64>,
+    /// The part of `mass` that has no weight.
+    pub held: HeldMass,
     /// Shapes that may touch ground or sand.
     pub shapes: Vec<TreeShape>,
 }
@@ -124,6 +141,8 @@ pub struct TreeJoint {
     /// Position in the standing pose [rad or m], if the file has it (MJCF: in keyframe `home`, or else in the first
     /// keyframe).
     pub rest: Option<f64>,
+    /// Time in which the servo's reference follows its target, as a first-order lag [s]; None: at once.
+    pub target_time: Option<f64>,
 }
 
 /// A joint's position is `ratio` times the position of joint `leader`, plus `offset` [rad or m]. A stiff servo holds the joint at this position.
@@ -206,6 +225,16 @@ impl Tree {
     /// [kg]
     pub fn mass(&self) -> f64 {
         self.bodies.iter().map(|b| b.mass).sum()
+    }
+
+    /// Gravity [m/s²].
+    pub fn gravity(&self) -> f64 {
+        self.gravity.unwrap_or(GRAVITY)
+    }
+
+    /// The part of the mass that has no weight [kg].
+    pub fn held_mass(&self) -> f64 {
+        self.bodies.iter().map(|b| b.held.mass).sum()
     }
 
     /// The centre of mass [m], with bodies at `frames`.

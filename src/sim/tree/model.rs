@@ -8,9 +8,11 @@ use super::looks::Looks;
 use super::patches::BodyPatches;
 use super::self_contact::SelfContact;
 use super::stance::Stance;
+use crate::State;
 use crate::error::{Error, Result, check_range};
+use crate::sand::Law;
 use crate::sand::intruder::IntruderPlate;
-use crate::sand::{GRAVITY, Law};
+use nalgebra::Vector3;
 use std::sync::Arc;
 
 /// Compliance of hard ground at each point of contact, and the speed of creep.
@@ -50,11 +52,11 @@ pub struct TreeModel {
 }
 
 impl Compliance {
-    /// The whole weight on one point sinks it by 1 mm. Damping is half of the critical damping of a quarter of the
+    /// The whole weight of a robot of `mass` under `gravity` on one point sinks it by 1 mm. Damping is half of the critical damping of a quarter of the
     /// mass. A held point creeps with up to 1e-5 m/s, as on sand. Our choices, because one of four feet at rest then
     /// sinks by less than 0.3 mm, which changes no gait noticeably.
-    pub fn of_mass(mass: f64) -> Self {
-        let weight = mass * GRAVITY;
+    pub fn of_mass(mass: f64, gravity: f64) -> Self {
+        let weight = mass * gravity;
         let stiffness = weight / 1e-3;
         Self { stiffness, damping: (stiffness * mass / 4.0).sqrt(), creep: 1e-5 }
     }
@@ -74,7 +76,7 @@ impl TreeModel {
         contacts: Vec<Vec<ContactPoint>>,
     ) -> Result<Self> {
         check(&tree)?;
-        let compliance = Compliance::of_mass(tree.mass());
+        let compliance = Compliance::of_mass(tree.mass(), tree.gravity());
         let stance = Arc::new(Stance::of(&tree, &contacts));
         let motors = motors(&tree, &contacts, &stance);
         let looks = Looks::of(tree.bodies.iter().map(|b| &b.shapes[..]), false).or_plates(&plates);
@@ -125,6 +127,21 @@ impl TreeModel {
         self
     }
 
+    /// Height above `ground` of the middle of the hips, with the base in `state` [m].
+    pub fn hips_over(&self, state: &State, ground: impl Fn(f64, f64) -> f64) -> f64 {
+        let [x, y, z] = state.position;
+        let rows = state.rotation();
+        let hips = self.stance.hips;
+        let [dx, dy, dz] = rows.map(|row| row[0] * hips.x + row[1] * hips.y + row[2] * hips.z);
+        z + dz - ground(x + dx, y + dy)
+    }
+
+    /// Velocity of the middle of the hips [m/s], world axes.
+    pub fn hips_velocity(&self, state: &State) -> Vector3<f64> {
+        let arm = state.rotation().map(|row| Vector3::from(row).dot(&self.stance.hips));
+        Vector3::from(state.velocity) + Vector3::from(state.angular_velocity).cross(&Vector3::from(arm))
+    }
+
     /// Height of the level base's origin at which the lowest point touches flat ground [m], with joints at `angles`.
     pub fn standing_height(&self, angles: &[f64]) -> f64 {
         self.height_over(angles, |_, _| 0.0)
@@ -132,8 +149,8 @@ impl TreeModel {
 
     /// The same as [`Self::standing_height`], over ground with the heights `ground`; the base's origin is at x = y = 0.
     pub fn height_over(&self, angles: &[f64], ground: impl Fn(f64, f64) -> f64) -> f64 {
-        let frames = frames(&self.tree, &crate::State::at_rest(0.0, angles));
-        let over = |low: nalgebra::Vector3<f64>| low.z - ground(low.x, low.y);
+        let frames = frames(&self.tree, &State::at_rest(0.0, angles));
+        let over = |low: Vector3<f64>| low.z - ground(low.x, low.y);
         let low =
             frames.iter().zip(self.contacts.iter()).map(|(f, p)| over(lowest(f, p))).fold(f64::INFINITY, f64::min);
         if low.is_finite() { -low } else { 0.0 }
@@ -141,7 +158,7 @@ impl TreeModel {
 
     /// Horizontal distance of the farthest plate from the base's origin in the standing pose [m].
     pub fn reach(&self) -> f64 {
-        let frames = frames(&self.tree, &crate::State::at_rest(0.0, &self.stance.angles));
+        let frames = frames(&self.tree, &State::at_rest(0.0, &self.stance.angles));
         let of = |(frame, plates): (&nalgebra::Isometry3<f64>, &Vec<IntruderPlate>)| {
             let far = |p: &IntruderPlate| (frame * nalgebra::Point3::from(p.center.lane(0))).coords.xy().norm();
             plates.iter().map(far).fold(0.0, f64::max)

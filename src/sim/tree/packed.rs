@@ -4,7 +4,7 @@
 use super::contact::{ContactPoint, contact_points};
 use super::looks::Looks;
 use super::model::TreeModel;
-use super::{Geometry, JointKind, Mimic, Tree, TreeBody, TreeJoint, TreeShape};
+use super::{Geometry, HeldMass, JointKind, Mimic, Tree, TreeBody, TreeJoint, TreeShape};
 use crate::actuator::Actuator;
 use crate::error::{Error, Result, check_range};
 use crate::number::Vec3;
@@ -38,6 +38,9 @@ struct PackedTree {
     /// Shapes for pictures; None: the primitives among the bodies' shapes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     looks: Option<Looks>,
+    /// [m/s²]; None: the Earth's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    gravity: Option<f64>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -52,6 +55,9 @@ struct PackedBody {
     center: [f64; 3],
     /// xx, yy, zz, xy, xz, yz.
     inertia: [f64; 6],
+    /// Mass without weight, and its moment.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    held: Option<[f64; 4]>,
     shapes: Vec<PackedShape>,
     /// Centre, radius, friction, axis (zero: a ball).
     contacts: Vec<[f64; 8]>,
@@ -81,6 +87,8 @@ struct PackedJoint {
     kp: Option<f64>,
     kd: Option<f64>,
     rest: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    target_time: Option<f64>,
 }
 
 fn is_unknown(motor: &Actuator) -> bool {
@@ -112,7 +120,7 @@ enum PackedForm {
 pub fn pack(tree: &Tree, plates: &[Vec<IntruderPlate>], looks: Option<&Looks>) -> Result<String> {
     let contacts = contact_points(tree);
     let bodies = tree.bodies.iter().enumerate().map(|(i, b)| body(b, &contacts[i], &plates[i])).collect();
-    let packed = PackedTree { name: tree.name.clone(), bodies, looks: looks.cloned() };
+    let packed = PackedTree { name: tree.name.clone(), bodies, looks: looks.cloned(), gravity: tree.gravity };
     serde_json::to_string(&packed).map_err(|e| Error::invalid("robot", e.to_string()))
 }
 
@@ -125,6 +133,10 @@ fn body(b: &TreeBody, contacts: &[ContactPoint], plates: &[IntruderPlate]) -> Pa
         mass: b.mass,
         center: b.center.into(),
         inertia: [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)].map(|at| b.inertia[at]),
+        held: (b.held != HeldMass::default()).then(|| {
+            let [x, y, z] = b.held.moment.into();
+            [b.held.mass, x, y, z]
+        }),
         shapes: b.shapes.iter().filter_map(shape).collect(),
         contacts: contacts.iter().map(contact).collect(),
         plates: plates.iter().map(plate).collect(),
@@ -176,7 +188,7 @@ pub fn unpack(text: &str) -> Result<TreeModel> {
     if text.len() > MOST_BYTES {
         return Err(Error::invalid("robot", format!("{} bytes are more than {MOST_BYTES}", text.len())));
     }
-    let PackedTree { name, bodies, looks } =
+    let PackedTree { name, bodies, looks, gravity } =
         serde_json::from_str(text).map_err(|e| Error::invalid("robot", format!("not a packed robot: {e}")))?;
     check_range("number of bodies", bodies.len() as f64, 1.0..=MOST_BODIES as f64)?;
     let pieces: usize = bodies.iter().map(|b| b.contacts.len() + b.plates.len()).sum();
@@ -184,12 +196,13 @@ pub fn unpack(text: &str) -> Result<TreeModel> {
     let shapes: usize = bodies.iter().map(|b| b.shapes.len()).sum();
     check_range("number of shapes", shapes as f64, 0.0..=MOST_SHAPES as f64)?;
     check_name(&name)?;
+    gravity.map(check_gravity).transpose()?;
     bodies.iter().try_for_each(PackedBody::check)?;
     let count = bodies.len();
     looks.iter().try_for_each(|looks| looks.check(count))?;
     let contacts = bodies.iter().map(|b| b.contacts.iter().map(contact_of).collect()).collect();
     let plates = bodies.iter().map(|b| b.plates.iter().map(plate_of).collect()).collect();
-    let tree = Tree { name, bodies: bodies.into_iter().map(PackedBody::unpacked).collect() };
+    let tree = Tree { name, bodies: bodies.into_iter().map(PackedBody::unpacked).collect(), gravity };
     let model = TreeModel::with_contacts(tree, plates, contacts)?;
     match looks {
         Some(looks) => Ok(model.with_looks(looks)),
@@ -199,6 +212,11 @@ pub fn unpack(text: &str) -> Result<TreeModel> {
 
 fn check_name(name: &str) -> Result<()> {
     check_range("length of a name", name.len() as f64, 0.0..=LONGEST_NAME as f64).map(drop)
+}
+
+/// Gravity at which a robot can walk [m/s²]: our choice, from that of an asteroid of 50 km to four times Jupiter's.
+pub fn check_gravity(gravity: f64) -> Result<f64> {
+    check_range("gravity", gravity, 0.01..=100.0)
 }
 
 impl PackedBody {
@@ -213,7 +231,7 @@ impl PackedBody {
         });
         let pieces = self.contacts.iter().flatten().chain(self.plates.iter().flatten()).copied();
         let shapes = self.shapes.iter().flat_map(|s| s.origin.into_iter().chain(s.size).chain([s.friction]));
-        let own = self.origin.into_iter().chain(self.center).chain(self.inertia);
+        let own = self.origin.into_iter().chain(self.center).chain(self.inertia).chain(self.held.into_iter().flatten());
         // The bound is far beyond any robot. Joint limits may be large, because some files write a large number for "no limit".
         for x in own.chain(joint).chain(pieces).chain(shapes) {
             check_range(&format!("a number of {}", self.name), x, -1e12..=1e12)?;
@@ -236,6 +254,7 @@ impl PackedBody {
         for (what, x) in [("torque_limit", joint.torque_limit), ("speed_limit", joint.speed_limit)] {
             check_range(&name(what), x.unwrap_or(1.0), 1e-9..=1e12)?;
         }
+        check_range(&name("target_time"), joint.target_time.unwrap_or(0.0), 0.0..=10.0)?;
         let [stiffness, rest] = joint.spring.unwrap_or_default();
         check_range(&name("spring"), stiffness, 0.0..=1e9)?;
         check_range(&name("spring"), rest, -1e6..=1e6)?;
@@ -257,6 +276,9 @@ impl PackedBody {
             mass: self.mass,
             center: self.center.into(),
             inertia: Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz),
+            held: self
+                .held
+                .map_or_else(HeldMass::default, |[mass, x, y, z]| HeldMass { mass, moment: Vector3::new(x, y, z) }),
             shapes: self.shapes.into_iter().map(shape_of).collect(),
         }
     }
@@ -288,6 +310,7 @@ fn joint(j: &TreeJoint) -> PackedJoint {
         kp: j.kp,
         kd: j.kd,
         rest: j.rest,
+        target_time: j.target_time,
     }
 }
 
@@ -308,6 +331,7 @@ fn joint_of(j: PackedJoint) -> TreeJoint {
         kp: j.kp,
         kd: j.kd,
         rest: j.rest,
+        target_time: j.target_time,
     }
 }
 

@@ -1,6 +1,6 @@
 //! Our own robots, of identical legs, as trees.
 
-use super::{Geometry, JointKind, Tree, TreeBody, TreeJoint, TreeShape};
+use super::{Geometry, HeldMass, JointKind, Tree, TreeBody, TreeJoint, TreeShape};
 use crate::error::Result;
 use crate::model::{Model, Scene, StripPiece};
 use crate::robot::Robot;
@@ -25,6 +25,7 @@ pub fn of_robot(name: &str, robot: &Robot) -> Result<Tree> {
         mass: model.base_mass,
         center: Vector3::zeros(),
         inertia: Matrix3::from_diagonal(&model.base_inertia),
+        held: HeldMass::default(),
         shapes: vec![shape("base".into(), Isometry3::identity(), Vector3::from(robot.base.size) / 2.0)],
     }];
     let mut names = robot.joint_names().into_iter();
@@ -57,17 +58,19 @@ pub fn of_robot(name: &str, robot: &Robot) -> Result<Tree> {
                     kp: Some(robot.servo.kp),
                     kd: Some(robot.servo.kd),
                     rest: None,
+                    target_time: None,
                 }),
                 mass: body.mass,
                 center: body.center,
                 inertia: body.inertia,
+                held: HeldMass::default(),
                 shapes: if body.plates.is_empty() { Vec::new() } else { shapes.collect() },
                 name,
             });
             parent = bodies.len() - 1;
         }
     }
-    Ok(Tree { name: name.to_owned(), bodies })
+    Ok(Tree { name: name.to_owned(), bodies, gravity: None })
 }
 
 fn place(piece: &StripPiece) -> Isometry3<f64> {

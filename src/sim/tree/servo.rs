@@ -46,9 +46,13 @@ impl<R: Real> LaneMotor<R> {
 
     pub fn set_lane(all: &mut [Self], lane: usize, model: &TreeModel) {
         for ((out, motor), joint) in all.iter_mut().zip(&model.motors).zip(model.tree.joints()) {
-            out.kp.set_lane(lane, motor.kp);
-            out.kd.set_lane(lane, motor.kd);
-            out.actuator.set_lane(lane, &motor.actuator);
+            // A gear moves a follower (`super::gear`), so its servo does nothing.
+            let follows = joint.mimic.is_some();
+            let gain = |own: f64| if follows { 0.0 } else { own };
+            out.kp.set_lane(lane, gain(motor.kp));
+            out.kd.set_lane(lane, gain(motor.kd));
+            let rigid = Actuator { torque_time: None, torque_constant: None, ..motor.actuator };
+            out.actuator.set_lane(lane, if follows { &rigid } else { &motor.actuator });
             out.speed_limit.set_lane(lane, motor.speed_limit.unwrap_or(NO_LIMIT));
             // If a property of the gear is known, it replaces the joint's value from the file.
             let of_joint = |gear: Option<f64>, joint: f64| if gear.is_some() { 0.0 } else { joint };
@@ -83,6 +87,8 @@ pub struct JointTorques<'a, R> {
     pub motors: &'a [LaneMotor<R>],
     pub joints: &'a [LaneJoint<R>],
     pub limits: &'a mut [LimitedTorque<R>],
+    /// Torques of gears between joints; None: there are none.
+    pub geared: Option<&'a [R]>,
     pub dt: R,
 }
 
@@ -109,7 +115,10 @@ impl<R: Real> Drive<R> for JointTorques<'_, R> {
         let [stiffness, rest] = motor.spring;
         let pulled = joint.rate.mul_add(dt, joint.position) - rest;
         let spring = ImplicitTorque { torque: -(stiffness * pulled), yielding: stiffness * (dt * dt) };
-        let always = damping.plus(rub).plus(spring).plus(gear);
+        let mut always = damping.plus(rub).plus(spring).plus(gear);
+        if let Some(geared) = self.geared {
+            always.torque += geared[i];
+        }
         let all = servo.plus(always).plus(stops.push);
         let first = all.moves(own, load);
         let stop = stops.at(first);

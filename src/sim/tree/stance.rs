@@ -68,6 +68,9 @@ pub struct Stance {
     pub upper: Vec<usize>,
     /// Height of the base's origin above the lowest point [m].
     pub height: f64,
+    /// The middle of the legs' hips, in the base's frame [m]. It does not depend on where a file has the base's origin,
+    /// so it stands for the body where heights are compared.
+    pub hips: V,
     /// Mean height of the hips above the feet [m].
     pub leg_length: f64,
 }
@@ -116,8 +119,14 @@ impl Stance {
         let upper = (1..frames.len()).filter(|i| !of_leg(i)).collect();
         let lengths = legs.iter().map(|l| frames[l.hip].translation.vector.z - height_of(l.end()));
         let leg_length = lengths.sum::<f64>() / legs.len().max(1) as f64;
+        let hips = legs.iter().map(|l| frames[l.hip].translation.vector).sum::<V>() / legs.len().max(1) as f64;
         let legs = legs.iter().map(|l| l.path.clone()).collect();
-        Self { angles, feet, legs, upper, height, leg_length }
+        Self { angles, feet, legs, upper, height, hips, leg_length }
+    }
+
+    /// Height of the hips above the lowest point [m].
+    pub fn hips_height(&self) -> f64 {
+        self.height + self.hips.z
     }
 }
 

@@ -1,7 +1,9 @@
-//! Does a robot stand? It is set down gently in its default pose, and stands for five seconds under the servos alone.
+//! Does a robot stand? As in an episode with the action 0, it starts in its default pose just above the ground, and stands
+//! for five seconds under its servos. A robot that stands is also set down gently, to measure how deep its feet sink.
 
 use super::forces::pushes;
 use super::kinematics::{frames, lowest};
+use super::stability::fastest;
 use crate::engine::{Command, Engine, EngineKind};
 use crate::error::{Error, Result};
 use crate::{Model, State};
@@ -10,13 +12,12 @@ use nalgebra::Vector3;
 /// Time in which the weight grows from 0 to its full value [s]. Our choice, several periods of a robot on its legs: one
 /// that is dropped sinks deeper into sand than one that is set down, because the sand must dissipate its energy.
 const SETTING_DOWN: f64 = 2.0;
-/// Time for which the robot then stands [s]: our choice, so that a slow fall shows; a longer time makes the check
-/// slower.
+/// Time for which the robot stands [s]: our choice, so that a slow fall shows; a longer time makes the check slower.
 const STANDING: f64 = 5.0;
 /// Time between two changes of the weight [s]: our choice, a control step. All of `STEPS` divide it, and the weight
 /// changes by less than 2 % at once.
 const PERIOD: f64 = 0.02;
-/// A robot stands if its base has tilted by at most 30°, is not lower than half of its standing height, moves with at
+/// A robot stands if its base has tilted by at most 30°, its hips are not lower than half of their standing height, move with at
 /// most 5 cm/s, and at most a twentieth of the weight rests on bodies other than legs and feet. Our choice: a robot may
 /// lean or sink, but one that falls, slides or lies on its belly does not stand.
 const UPRIGHT: f64 = 0.866;
@@ -34,7 +35,7 @@ const BOB: f64 = 2.0;
 /// Amplitude of this motion [rad], for robots with at least four legs and with fewer: our choice, because a robot on
 /// two feet tips over more easily.
 const BOB_SIZE: [f64; 2] = [0.2, 0.05];
-/// Accepted mean difference of the base's height, as a part of the standing height: our choice, because a smaller one
+/// Accepted mean difference of the hips' height, as a part of the standing height: our choice, because a smaller one
 /// asks for finer steps, which make the simulation slower.
 const ACCEPTED: f64 = 0.01;
 
@@ -57,7 +58,7 @@ pub struct Standing {
     /// Why it does not stand, in a few words.
     pub reason: String,
     pub state: State,
-    /// Height of the base's origin above the ground at the end, and in the default pose [m].
+    /// Height of the middle of the hips above the ground at the end, and in the default pose [m].
     pub height: [f64; 2],
     /// Angle of the base's z axis against the ground's normal [rad].
     pub tilt: f64,
@@ -82,15 +83,25 @@ fn start(model: &Model) -> Result<State> {
     Ok(state)
 }
 
-/// Sets the robot down and lets it stand.
+/// Lets the robot stand as in an episode, and measures it set down gently if it then stands, too.
 pub fn stand(model: &Model) -> Result<Standing> {
+    let dropped = let_down(model, 0.0)?;
+    if !dropped.stands {
+        return Ok(dropped);
+    }
+    let set_down = let_down(model, SETTING_DOWN)?;
+    Ok(if set_down.stands { set_down } else { dropped })
+}
+
+/// The robot after its weight has grown from 0 within `growing` [s] and it has then stood for [`STANDING`].
+fn let_down(model: &Model, growing: f64) -> Result<Standing> {
     let mut state = start(model)?;
     let mut engine = engine(model, &state)?;
     let substeps = (PERIOD / model.scene.dt).round().max(1.0) as usize;
     let count = |seconds: f64| (seconds / PERIOD).round() as usize;
-    for k in 0..count(SETTING_DOWN + STANDING) {
-        let part = ((k + 1) as f64 * PERIOD / SETTING_DOWN).min(1.0);
-        if part < 1.0 || k == count(SETTING_DOWN) {
+    for k in 0..count(growing + STANDING) {
+        let part = ((k + 1) as f64 * PERIOD / growing).min(1.0);
+        if growing > 0.0 && (part < 1.0 || k == count(growing)) {
             let smooth = (1.0 - (std::f64::consts::PI * part).cos()) / 2.0;
             let gravity = model.gravity * if part < 1.0 { smooth } else { 1.0 };
             engine.set_model(0, &Model { gravity, ..model.clone() });
@@ -99,8 +110,9 @@ pub fn stand(model: &Model) -> Result<Standing> {
         let mut next = state.clone();
         engine.state(0, &mut next);
         if !next.is_sound() {
+            let joint = fastest(model, &state).map_or(String::new(), |name| format!(": joint {name:?} moves fastest"));
             let mut fallen = judged(model, state)?;
-            (fallen.stands, fallen.reason) = (false, "its motion cannot be computed".into());
+            (fallen.stands, fallen.reason) = (false, format!("its motion cannot be computed{joint}"));
             return Ok(fallen);
         }
         state = next;
@@ -110,7 +122,7 @@ pub fn stand(model: &Model) -> Result<Standing> {
 
 fn judged(model: &Model, state: State) -> Result<Standing> {
     let Some(tree) = &model.tree else { return Err(Error::invalid("robot", "is no tree of bodies")) };
-    let weight = model.total_mass() * Vector3::from(model.gravity).norm();
+    let weight = model.weight();
     let frames = frames(&tree.tree, &state);
     let mut loads = vec![0.0; frames.len()];
     pushes(model, &state).iter().for_each(|push| loads[push.body] += push.force.z);
@@ -131,10 +143,9 @@ fn judged(model: &Model, state: State) -> Result<Standing> {
     let of_feet: f64 = feet.iter().map(|f| f.load).sum();
     let of_legs: f64 = tree.stance.legs.iter().flatten().map(|b| loads[*b]).sum();
     let belly = (1.0 - of_legs.max(of_feet) / weight).max(0.0);
-    let [x, y, z] = state.position;
-    let height = [z - model.surface_height(x, y), tree.stance.height];
+    let height = [tree.hips_over(&state, |x, y| model.surface_height(x, y)), tree.stance.hips_height()];
     let up = state.rotation()[2][2];
-    let speed = Vector3::from(state.velocity).norm();
+    let speed = tree.hips_velocity(&state).norm();
     let torque = |(t, motor): (&f64, &super::gains::TreeMotor)| {
         (t.abs(), motor.actuator.torque_limit.map(|limit| t.abs() / limit))
     };
@@ -176,12 +187,12 @@ pub fn needed_step(model_at: impl Fn(f64) -> Result<Model>) -> Result<Option<f64
             engine.command(0, &command);
             engine.advance((PERIOD / dt).round() as usize);
             engine.state(0, &mut state);
-            all.push(state.position[2]);
+            all.push(tree.hips_over(&state, |_, _| 0.0));
         }
         Ok(all)
     };
     let finest = heights(STEPS[STEPS.len() - 1])?;
-    let most = ACCEPTED * model_at(STEPS[0])?.tree.map_or(0.0, |tree| tree.stance.height);
+    let most = ACCEPTED * model_at(STEPS[0])?.tree.map_or(0.0, |tree| tree.stance.hips_height());
     for dt in &STEPS[..STEPS.len() - 1] {
         let own = heights(*dt)?;
         let off = own.iter().zip(&finest).map(|(a, b)| (a - b).abs()).sum::<f64>() / own.len() as f64;

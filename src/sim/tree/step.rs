@@ -1,13 +1,14 @@
 //! One time step of a tree robot: positions → sand → hard ground → joints → accelerations → motion.
 
-use super::Follower;
 use super::dynamics::{self, Folded, LaneTreeBody, LinkLoad, TreeHinge};
 use super::floor::{BodyContacts, Floor, Touch};
+use super::gear::{GearScratch, LaneGear, couple};
 use super::patches::BodyPatches;
 use super::relief::LaneRelief;
 use super::sand;
 use super::self_contact::{SelfContact, SelfContactScratch, StepAccelerations};
 use super::servo::{JointTorques, LaneMotor};
+use super::{Tree, TreeJoint};
 use crate::actuator::{self, LimitedTorque, NEWTON};
 use crate::blocks::{LaneState, LinkFrame};
 use crate::number::{Real, Vec3};
@@ -20,8 +21,10 @@ use std::sync::Arc;
 pub struct LaneTree<R> {
     pub bodies: Vec<LaneTreeBody<R>>,
     pub motors: Vec<LaneMotor<R>>,
-    /// Joints that follow others, the same in all lanes.
-    pub followers: Vec<Follower>,
+    /// Joints that follow others.
+    pub gears: Vec<LaneGear<R>>,
+    /// Servos whose references follow their targets with a lag, the same in all lanes.
+    pub lags: Vec<TargetLag<R>>,
     pub patches: Arc<Vec<BodyPatches>>,
     pub contacts: Vec<BodyContacts>,
     /// None: parts of the robot pass through each other.
@@ -73,6 +76,25 @@ impl<R: Real> GroundForces<R> {
     }
 }
 
+/// A servo's reference that follows its target as a first-order lag, as MuJoCo's `filterexact`.
+pub struct TargetLag<R> {
+    pub joint: usize,
+    pub target: R,
+    /// The part of the way to the target that the reference goes in a time step.
+    share: R,
+}
+
+impl<R: Real> TargetLag<R> {
+    /// The lags of a robot's servos for the time step `dt` [s].
+    pub fn all(tree: &Tree, dt: f64) -> Vec<Self> {
+        let lag = |(joint, own): (usize, &TreeJoint)| {
+            let share = 1.0 - (-dt / own.target_time.filter(|time| *time > 0.0)?).exp();
+            Some(Self { joint, target: R::zero(), share: R::splat(share) })
+        };
+        tree.joints().enumerate().filter_map(lag).collect()
+    }
+}
+
 /// Work space of a step; its contents are not kept.
 pub struct TreeScratch<R> {
     pub frames: Vec<LinkFrame<R>>,
@@ -88,10 +110,13 @@ pub struct TreeScratch<R> {
     pub touches: Vec<Touch<R>>,
     self_contact: SelfContactScratch<R>,
     pub ground_forces: GroundForces<R>,
+    gears: GearScratch<R>,
+    /// Torques of gears on the joints in the step before.
+    geared: Vec<R>,
 }
 
 impl<R: Real> TreeScratch<R> {
-    pub fn new(bodies: usize) -> Self {
+    pub fn new(bodies: usize, gears: usize) -> Self {
         Self {
             frames: vec![LinkFrame::at_rest(); bodies],
             loads: vec![LinkLoad::none(); bodies],
@@ -104,6 +129,8 @@ impl<R: Real> TreeScratch<R> {
             touches: Vec::new(),
             self_contact: SelfContactScratch::new(),
             ground_forces: GroundForces::on(Vec::new()),
+            gears: GearScratch::new(bodies, gears),
+            geared: vec![R::zero(); bodies - 1],
         }
     }
 }
@@ -116,15 +143,18 @@ pub fn step<R: Real>(
     scratch: &mut TreeScratch<R>,
     found: Option<&Surfaces<R>>,
 ) {
-    for follower in &model.followers {
-        let leader = state.joints[follower.leader];
-        let (ratio, joint) = (R::splat(follower.ratio), &mut state.joints[follower.joint]);
-        joint.reference = ratio.mul_add(leader.position, R::splat(follower.offset));
-        // The leader is expected to accelerate as in the step before.
-        joint.command_rate = ratio * (leader.rate + leader.change);
+    for gear in &model.gears {
+        state.joints[gear.joint].reference = gear.place(&state.joints);
     }
     accelerate(model, state, scratch, found);
     move_joints(model, state, &scratch.joints, &scratch.limits);
+    for (gear, torque) in model.gears.iter().zip(&scratch.gears.torques) {
+        state.joints[gear.joint].torque = *torque;
+    }
+    for lag in &model.lags {
+        let joint = &mut state.joints[lag.joint];
+        joint.reference = lag.share.mul_add(lag.target - joint.reference, joint.reference);
+    }
     state.move_base(&scratch.accelerations[0], model.dt);
 }
 
@@ -139,6 +169,10 @@ pub fn accelerate<R: Real>(
     let surface = &model.relief;
     let dt = model.dt;
     let place = state.place();
+    scratch.geared.fill(R::zero());
+    for (joint, torque) in model.gears.iter().flat_map(|gear| gear.torques(&state.joints)) {
+        scratch.geared[joint] += torque;
+    }
     dynamics::place(&model.bodies, state, &mut scratch.frames);
     dynamics::load(&model.bodies, &scratch.frames, model.gravity, &mut scratch.loads);
     scratch.ground_forces.keep(0, &scratch.loads);
@@ -157,6 +191,12 @@ pub fn accelerate<R: Real>(
         scratch.ground_forces.keep(1, &scratch.loads);
         solve(model, state, scratch);
     }
+    if !model.gears.is_empty() {
+        let TreeScratch { frames, loads, hinges, accelerations, joints, gears, .. } = scratch;
+        let folded = Folded { bodies: &model.bodies, frames, hinges, base: &loads[0].inertia };
+        let mut step = StepAccelerations { bodies: accelerations, joints };
+        couple(&model.gears, &model.motors, &state.joints, &folded, &mut step, (gears, dt));
+    }
     if let Some(contact) = &model.self_contact {
         let TreeScratch { frames, loads, hinges, accelerations, joints, self_contact, .. } = scratch;
         let folded = Folded { bodies: &model.bodies, frames, hinges, base: &loads[0].inertia };
@@ -169,13 +209,14 @@ pub fn accelerate<R: Real>(
 fn solve<R: Real>(model: &LaneTree<R>, state: &LaneState<R>, s: &mut TreeScratch<R>) {
     let (dt, joints) = (model.dt, &state.joints);
     s.limits.iter_mut().for_each(LimitedTorque::begin);
+    let geared = (!model.gears.is_empty()).then_some(&s.geared[..]);
     // `fold` changes the loads, so a copy is needed if it runs several times, which it does for motors with lines of torque over speed.
     let lines = model.motors.iter().any(|motor| motor.actuator.has_lines());
     if lines {
         s.unfolded.copy_from_slice(&s.loads);
     }
     for pass in 0..NEWTON + joints.len() {
-        let mut drive = JointTorques { motors: &model.motors, joints, limits: &mut s.limits, dt };
+        let mut drive = JointTorques { motors: &model.motors, joints, limits: &mut s.limits, geared, dt };
         let base = dynamics::fold(&model.bodies, &s.frames, &mut drive, &mut s.loads, &mut s.hinges);
         dynamics::unfold(&model.bodies, &s.frames, &s.hinges, &base, &mut s.accelerations, &mut s.joints);
         let joint = |i: usize| (&model.motors[i].actuator, joints[i].rate, s.joints[i]);

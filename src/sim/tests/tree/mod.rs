@@ -69,6 +69,7 @@ pub fn random_tree(draw: &mut SignedDraw, count: usize) -> Tree {
             kp: None,
             kd: None,
             rest: None,
+            target_time: None,
         });
         bodies.push(TreeBody {
             name: format!("body {i}"),
@@ -81,10 +82,11 @@ pub fn random_tree(draw: &mut SignedDraw, count: usize) -> Tree {
             mass,
             center: draw.vector() * 0.1,
             inertia: turn.to_rotation_matrix() * principal * turn.to_rotation_matrix().inverse(),
+            held: Default::default(),
             shapes: Vec::new(),
         });
     }
-    Tree { name: "random".into(), bodies }
+    Tree { name: "random".into(), bodies, gravity: None }
 }
 
 pub fn random_pose(draw: &mut SignedDraw, joints: usize) -> TreePose {

@@ -59,9 +59,10 @@ pub fn block(half: [f64; 3], mass: f64, friction: f64) -> Tree {
         mass,
         center: V::zeros(),
         inertia: M::from_diagonal(&V::new(y + z, x + z, x + y)),
+        held: Default::default(),
         shapes: vec![shape],
     };
-    Tree { name: "block".into(), bodies: vec![body] }
+    Tree { name: "block".into(), bodies: vec![body], gravity: None }
 }
 
 pub fn on_hard(tree: Tree, slope_deg: f64, dt: f64) -> Model {
@@ -89,7 +90,7 @@ pub fn quadruped() -> Tree {
         let square = half.map(|h| h * h * mass / 3.0);
         let inertia = M::from_diagonal(&V::new(square.y + square.z, square.x + square.z, square.x + square.y));
         let origin = Isometry3::from_parts(at.into(), UnitQuaternion::identity());
-        TreeBody { name, parent, origin, joint, mass, center, inertia, shapes: shape }
+        TreeBody { name, parent, origin, joint, mass, center, inertia, held: Default::default(), shapes: shape }
     };
     let joint = |name: String, axis: V, range, rest| {
         Some(TreeJoint {
@@ -108,6 +109,7 @@ pub fn quadruped() -> Tree {
             kp: Some(60.0),
             kd: Some(1.5),
             rest: Some(rest),
+            target_time: None,
         })
     };
     let shape = |geometry, at: V| {
@@ -130,7 +132,7 @@ pub fn quadruped() -> Tree {
         let foot = shape(Geometry::Sphere { radius: 0.02 }, V::new(0.0, 0.0, -0.2));
         bodies.push(body(format!("{name}_calf"), first + 1, V::new(0.0, 0.0, -0.2), calf, 0.15, thin, middle, foot));
     }
-    Tree { name: "quadruped".into(), bodies }
+    Tree { name: "quadruped".into(), bodies, gravity: None }
 }
 
 pub fn standing(tree: &Tree) -> State {

@@ -1,0 +1,60 @@
+//! What the parts of a description that are not simulated do to the motion in other programs or on the robot.
+//!
+//! Parts without an entry have no effect on the motion here: pictures, sensors, settings of solvers, and the stiffness of
+//! other programs' contacts, in whose place hard ground and sand have their own laws.
+
+use super::xml::Element;
+
+/// The effect of an attribute; None: it has none.
+pub fn of_attribute(tag: &str, name: &str, value: &str) -> Option<&'static str> {
+    let zero = value.split_whitespace().all(|word| word.parse::<f64>().is_ok_and(|x| x == 0.0));
+    let off = value == "disable";
+    let effect = match (tag, name) {
+        ("option", "wind") => "moving air pushes on the robot",
+        ("option", "density") => "drag and lift in air or water",
+        ("option", "viscosity") => "viscous drag in air or water",
+        ("option", "o_friction") => "the friction of all contacts",
+        ("flag", "contact") if off => "contacts are switched off",
+        ("flag", "limit") if off => "joints do not stop at their limits",
+        ("flag", "actuation") if off => "motors are switched off",
+        ("flag", "constraint") if off => "contacts and limits are switched off",
+        ("flag", "equality") if off => "joints do not follow others",
+        ("flag", "frictionloss") if off => "joints have no dry friction",
+        ("flag", "spring") if off => "joints have no springs",
+        ("flag", "damper") if off => "joints have no damping",
+        ("joint", "springdamper") => "a spring and a damper at the joint",
+        ("joint", "springyield") => "a spring that yields",
+        ("geom", "adhesion") => "the surface sticks",
+        ("geom", "surfacevel") => "the surface moves as a belt does",
+        ("general" | "motor" | "position" | "velocity" | "pid", "delay") => {
+            "the command acts later; see option action_delay"
+        }
+        ("general", "actdim" | "actearly") => "the actuator's own dynamics",
+        ("pid", "ki" | "imax" | "slewmax") => "the integral part of the controller",
+        ("dynamics", "spring_stiffness" | "spring_reference") => "a spring at the joint",
+        _ => return None,
+    };
+    (!zero).then_some(effect)
+}
+
+/// The effect of an element; None: it has none.
+pub fn of_element(element: &Element) -> Option<&'static str> {
+    let with = |names: &[&str]| {
+        let has = |e: &Element| names.iter().any(|name| e.get(name).is_some_and(|value| value != "0"));
+        element.children.iter().any(has)
+    };
+    match element.tag.as_str() {
+        "tendon" if with(&["stiffness", "springlength"]) => Some("springs between bodies"),
+        "tendon" if with(&["damping", "frictionloss", "armature"]) => {
+            Some("damping, friction or inertia between joints")
+        }
+        "tendon" if with(&["range"]) => Some("cables that limit joints"),
+        "body" => Some("bodies beside the robot"),
+        "geom" if element.get("type") != Some("plane") => Some("obstacles or ground of other shape"),
+        "drake:rotor_inertia" => Some("the motor's inertia; see option actuator"),
+        "muscle" | "cylinder" | "damper" | "intvelocity" | "adhesion" | "dcmotor" | "pid" | "plugin" => {
+            Some("an actuator of another kind; a servo drives the joint")
+        }
+        _ => None,
+    }
+}
