@@ -25,6 +25,9 @@ from .user_warnings import warn
 #: First bytes of each format that is converted.
 MARKS = {b"PAR1": "parquet", b"\x89MCAP": "mcap", b"#ROSBAG": "bag", b"SQLite format 3\0": "bag"}
 
+#: Keys of [topics].
+TOPICS = ("joints", "imu", "wrench")
+
 #: Largest table [bytes]: the most that a diagnosis reads (src/table/mod.rs).
 MOST_BYTES = 256 << 20
 
@@ -43,6 +46,9 @@ def kind(source: str | PathLike[str]) -> str | None:
             return "bag"
         if (path / "meta" / "info.json").is_file():
             return "parquet"
+        # A bag without metadata.yaml: its recorder has crashed.
+        if path.is_dir() and any(file.suffix in (".mcap", ".db3") for file in path.iterdir()):
+            return "bag"
         with path.open("rb") as file:
             first = file.read(max(map(len, MARKS)))
     except (OSError, TypeError, ValueError):
@@ -54,16 +60,16 @@ def kind(source: str | PathLike[str]) -> str | None:
 def to_csv(path: str | PathLike[str], topics: Mapping[str, str] | None = None) -> bytes:
     """The table in a recording, as CSV.
 
-    `topics` names the topics of a bag, `joints` and `imu`, if it has several of the same type. Raises InvalidRequest
-    with one line if the file cannot be read.
+    `topics` names the topics of a bag, `joints`, `imu` and `wrench`, if it has several of the same type. Raises
+    InvalidRequest with one line if the file cannot be read.
     """
     source = Path(path)
     form = kind(source)
     if form is None:
         raise InvalidRequest(f"{source}: neither Parquet, LeRobot, MCAP nor a bag of ROS 1 or ROS 2")
-    wrong = [name for name in topics or {} if name not in ("joints", "imu")]
+    wrong = [name for name in topics or {} if name not in TOPICS]
     if wrong:
-        raise InvalidRequest(f"topics: {wrong[0]!r} is unknown; known: joints, imu")
+        raise InvalidRequest(f"topics: {wrong[0]!r} is unknown; known: {', '.join(TOPICS)}")
     chosen = [f"{name}={topic}" for name, topic in (topics or {}).items()]
     command = [sys.executable, "-P", "-W", "ignore", READER, form, str(source.resolve()), *chosen]
     # OpenBLAS reserves memory for each of its threads, which would count as memory that the file needs.
@@ -92,8 +98,11 @@ def main() -> int:
     parser.add_argument("--out", required=True, type=Path, help="the CSV file to write")
     parser.add_argument("--joints", help="topic of sensor_msgs/JointState, if a bag has several")
     parser.add_argument("--imu", help="topic of sensor_msgs/Imu, if a bag has several")
+    parser.add_argument(
+        "--wrench", help="topic of geometry_msgs/WrenchStamped; without it the IMU is read, if there is one"
+    )
     given = parser.parse_args()
-    topics = {name: topic for name, topic in (("joints", given.joints), ("imu", given.imu)) if topic}
+    topics = {name: topic for name in TOPICS if (topic := getattr(given, name))}
     try:
         table = to_csv(given.file, topics)
         given.out.write_bytes(table)

@@ -24,7 +24,7 @@ impl Channels<'_> {
     }
 
     fn name(&self, channel: usize) -> &str {
-        self.observations.channels[channel].name
+        &self.observations.channels[channel].name
     }
 
     fn units(&self) -> impl Iterator<Item = (usize, &Unit)> {

@@ -82,7 +82,7 @@ pub fn check(trials: &[LoggedTrial], observations: &Observations, predicted: &[f
 fn pairs<'a>(observations: &'a Observations, predicted: &[f64], channel: usize) -> ChannelPairs<'a> {
     let numbers = observations.units.iter().flat_map(|unit| unit.block(channel));
     ChannelPairs {
-        name: observations.channels[channel].name,
+        name: &observations.channels[channel].name,
         quantity: if channel < 2 { Quantity::Force } else { Quantity::Torque },
         pairs: numbers.map(|k| (predicted[k], observations.values[k])).collect(),
     }

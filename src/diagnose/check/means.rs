@@ -18,7 +18,7 @@ fn channel(observations: &Observations, predicted: &[f64], channel: usize) -> Op
     let all = observations.units.iter().flat_map(|unit| unit.block(channel));
     let pairs: Vec<(f64, f64)> = all.map(|k| (predicted[k], observations.values[k])).collect();
     let pairs: Vec<(f64, f64)> = pairs.into_iter().filter(|p| p.0.is_finite()).collect();
-    let (name, unit) = (observations.channels[channel].name, observations.channels[channel].unit);
+    let (name, unit): (&str, &str) = (&observations.channels[channel].name, observations.channels[channel].unit);
     let [said, own] = [0, 1].map(|k| root_mean_square(pairs.iter().map(|p| [p.0, p.1][k])));
     if name == "depth" && own > 0.0 && pairs.iter().all(|p| p.1 <= 0.0) {
         return Some(Finding::new(Refuse, name, "is negative in all rows", "depth is positive below the surface"));
