@@ -1,6 +1,7 @@
 """Recordings of robots and test benches as CSV: Parquet, LeRobot data sets, MCAP, and bags of ROS 1 and ROS 2.
 
     python -m sandgait.logs walk.mcap --out walk.csv
+    python -m sandgait.logs pushes.bag --experiment pushes.toml --out pushes.csv
 
 `sandgait.diagnose` does the same with a recording. Files are read by pyarrow, mcap and rosbags, which
 `pip install 'sandgait[logs]'` installs, in a process of their own with limits on memory and size. So a damaged or
@@ -13,11 +14,14 @@ import argparse
 import os
 import subprocess
 import sys
+import tomllib
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 from tempfile import TemporaryFile
+from typing import Any
 
+from . import logs_arm
 from .arguments import checked
 from .errors import InvalidRequest
 from .user_warnings import warn
@@ -54,6 +58,15 @@ def kind(source: str | PathLike[str]) -> str | None:
     except (OSError, TypeError, ValueError):
         return None
     return next((name for mark, name in MARKS.items() if first.startswith(mark)), None)
+
+
+def for_experiment(path: str | PathLike[str], tables: Mapping[str, Any], folder: Path) -> bytes:
+    """The table in a recording, as an experiment needs it: with its topics, and as a force log if it has [arm].
+
+    `folder` is where the files are that the experiment names.
+    """
+    table = to_csv(path, tables.get("topics"))
+    return logs_arm.force_log(table, tables, folder) if "arm" in tables else table
 
 
 @checked
@@ -101,12 +114,17 @@ def main() -> int:
     parser.add_argument(
         "--wrench", help="topic of geometry_msgs/WrenchStamped; without it the IMU is read, if there is one"
     )
+    parser.add_argument(
+        "--experiment", type=Path, help="EXPERIMENT.toml with [topics], and with [arm] for the pushes of an arm"
+    )
     given = parser.parse_args()
     topics = {name: topic for name in TOPICS if (topic := getattr(given, name))}
     try:
-        table = to_csv(given.file, topics)
+        experiment = tomllib.loads(given.experiment.read_text(encoding="utf-8")) if given.experiment else {}
+        tables = experiment | {"topics": experiment.get("topics", {}) | topics}
+        table = for_experiment(given.file, tables, given.experiment.parent if given.experiment else Path())
         given.out.write_bytes(table)
-    except (InvalidRequest, OSError) as error:
+    except (InvalidRequest, OSError, tomllib.TOMLDecodeError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     return 0
