@@ -66,16 +66,20 @@ const SHOWN: usize = 3;
 /// The findings of the file `path`, worst first; an error in one line if one of them is certain.
 pub fn settled(path: &Path, mut findings: Vec<Finding>) -> Result<Vec<Finding>> {
     findings.sort_by_key(|f| f.severity);
-    let refused: Vec<_> = findings.iter().filter(|f| f.severity == Severity::Refuse).map(Finding::line).collect();
+    let mut refused: Vec<&Finding> = findings.iter().filter(|f| f.severity == Severity::Refuse).collect();
+    // What one remedy mends is said once.
+    let mut remedies = std::collections::HashSet::new();
+    refused.retain(|f| remedies.insert(f.remedy.as_str()));
     if !refused.is_empty() {
-        return Err(Error::file(path, refused[..refused.len().min(SHOWN)].join(" · ")));
+        let lines: Vec<String> = refused.into_iter().take(SHOWN).map(Finding::line).collect();
+        return Err(Error::file(path, lines.join(" · ")));
     }
     let name = path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into());
     findings.iter_mut().for_each(|f| f.place.file.clone_from(&name));
     Ok(findings)
 }
 
-/// Joins findings that say the same of several trials or runs; `of` is the number of trials. The rows are those of the first.
+/// Joins findings that say the same of several trials or runs. The rows are those of the first.
 pub fn joined(each: Vec<Option<Finding>>) -> Vec<Finding> {
     let of = each.len();
     let mut all: Vec<(Finding, usize)> = Vec::new();
@@ -88,7 +92,7 @@ pub fn joined(each: Vec<Option<Finding>>) -> Vec<Finding> {
     }
     let told = |(mut finding, count): (Finding, usize)| {
         if count > 1 {
-            finding.what += &format!(" (so in {count} of {of} trials)");
+            finding.what += &format!(" (and so in {count} of {of})");
         }
         finding
     };

@@ -74,7 +74,10 @@ pub fn check(trials: &[LoggedTrial], observations: &Observations, predicted: &[f
     if found.is_empty() {
         found.extend(signs(&channels[..2], force));
     }
-    found.extend(channels.get(2).and_then(|torque| torque_of(torque, size, trials)));
+    // A wrong force has a wrong torque, and both have one remedy.
+    if found.is_empty() {
+        found.extend(channels.get(2).and_then(|torque| torque_of(torque, size, trials)));
+    }
     found.extend(without_contact(trials, observations, predicted, size));
     found
 }

@@ -71,10 +71,16 @@ fn contradiction(trial: &LoggedTrial) -> Option<Finding> {
         let what = format!("{low:.1} to {high:.1}, but x and z turn by {:.1} rad", (high - low).to_radians());
         return degrees.map(|_| Finding::new(Refuse, "theta", what, "state [units] theta = \"deg\""));
     }
-    too_large("x", &x, chord)
-        .or_else(|| too_large("z", &z, chord))
-        .or_else(|| inverted(trial, &x, &z))
-        .or_else(|| hip(trial, &z, chord))
+    let sizes = [too_large("x", &x, chord), too_large("z", &z, chord)];
+    let size = match sizes {
+        [Some(mut x), Some(z)] if x.severity == z.severity => {
+            x.place.column = Some("x, z".into());
+            x.remedy = format!("{}; {}", x.remedy, z.remedy);
+            Some(x)
+        }
+        [x, z] => x.or(z),
+    };
+    size.or_else(|| inverted(trial, &x, &z)).or_else(|| hip(trial, &z, chord))
 }
 
 /// Looks for a unit in which the radius is that of a point of the leg. Its centroid is at half the chord or more, its tip at the

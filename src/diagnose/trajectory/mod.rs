@@ -34,7 +34,11 @@ use replay::ReplayRobot;
 use std::path::Path;
 
 /// Reads the runs of a log, with what a look at them has found; refuses the log if units or signs are wrong.
-fn read(data: &Path, experiment: &Experiment, progress: &dyn Progress) -> Result<(Vec<Run>, Summary, Vec<Finding>)> {
+pub fn read(
+    data: &Path,
+    experiment: &Experiment,
+    progress: &dyn Progress,
+) -> Result<(Vec<Run>, Summary, Vec<Finding>)> {
     let file = &experiment.file;
     let joints = ReplayRobot::of(experiment)?.joint_names();
     let names = JointColumns::new(&joints, file)?;
