@@ -188,4 +188,5 @@ def _content(data: Any, experiment: FilePath | Mapping[str, Any]) -> tuple[str, 
         return "data", data.to_csv(index=False).encode()
     if logs.kind(data) is None:
         return file(data, "data")
-    return str(data), logs.to_csv(data, _tables(experiment).get("topics"))
+    folder = Path() if isinstance(experiment, Mapping) else Path(experiment).parent
+    return str(data), logs.for_experiment(data, _tables(experiment), folder)

@@ -1,10 +1,12 @@
 """Recordings of robots and test benches as CSV: Parquet, LeRobot data sets, MCAP, and bags of ROS 1 and ROS 2.
 
     python -m sandgait.logs walk.mcap --out walk.csv
+    python -m sandgait.logs pushes.bag --experiment pushes.toml --out pushes.csv
 
 `sandgait.diagnose` does the same with a recording. Files are read by pyarrow, mcap and rosbags, which
-`pip install 'sandgait[logs]'` installs, in a process of their own with limits on memory, size and time, which ends with
-this one. So a damaged or hostile file ends with one error, even if a library crashes on it. Only the table is passed on.
+`pip install 'sandgait[logs]'` installs, in a process of their own with limits on memory, size and time, which ends
+with this one. So a damaged or hostile file ends with one error, even if a library crashes on it. Only the table is
+passed on.
 """
 
 from __future__ import annotations
@@ -14,17 +16,23 @@ import os
 import subprocess
 import sys
 import threading
+import tomllib
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 from tempfile import TemporaryFile
+from typing import Any
 
+from . import logs_arm
 from .arguments import checked
 from .errors import InvalidRequest, unknown
 from .user_warnings import warn
 
 #: First bytes of each format that is converted.
 MARKS = {b"PAR1": "parquet", b"\x89MCAP": "mcap", b"#ROSBAG": "bag", b"SQLite format 3\0": "bag"}
+
+#: Keys of [topics].
+TOPICS = ("joints", "imu", "wrench")
 
 #: Largest table [bytes]: the most that a diagnosis reads (src/table/mod.rs).
 MOST_BYTES = 256 << 20
@@ -47,6 +55,9 @@ def kind(source: str | PathLike[str]) -> str | None:
             return "bag"
         if (path / "meta" / "info.json").is_file():
             return "parquet"
+        # A bag without metadata.yaml: its recorder has crashed.
+        if path.is_dir() and any(file.suffix in (".mcap", ".db3") for file in path.iterdir()):
+            return "bag"
         with path.open("rb") as file:
             first = file.read(max(map(len, MARKS)))
     except (OSError, TypeError, ValueError):
@@ -54,20 +65,29 @@ def kind(source: str | PathLike[str]) -> str | None:
     return next((name for mark, name in MARKS.items() if first.startswith(mark)), None)
 
 
+def for_experiment(path: str | PathLike[str], tables: Mapping[str, Any], folder: Path) -> bytes:
+    """The table in a recording, as an experiment needs it: with its topics, and as a force log if it has [arm].
+
+    `folder` is where the files are that the experiment names.
+    """
+    table = to_csv(path, tables.get("topics"))
+    return logs_arm.force_log(table, tables, folder) if "arm" in tables else table
+
+
 @checked
 def to_csv(path: str | PathLike[str], topics: Mapping[str, str] | None = None) -> bytes:
     """The table in a recording, as CSV.
 
-    `topics` names the topics of a bag, `joints` and `imu`, if it has several of the same type. Raises InvalidRequest
-    with one line if the file cannot be read.
+    `topics` names the topics of a bag, `joints`, `imu` and `wrench`, if it has several of the same type. Raises
+    InvalidRequest with one line if the file cannot be read.
     """
     source = Path(path)
     form = kind(source)
     if form is None:
         raise InvalidRequest(f"{source}: neither Parquet, LeRobot, MCAP nor a bag of ROS 1 or ROS 2")
-    wrong = [name for name in topics or {} if name not in ("joints", "imu")]
+    wrong = [name for name in topics or {} if name not in TOPICS]
     if wrong:
-        raise unknown("topics:", wrong[0], ("joints", "imu"))
+        raise unknown("topics:", wrong[0], TOPICS)
     chosen = [f"{name}={topic}" for name, topic in (topics or {}).items()]
     own = [str(os.getpid()), str(LONGEST)]
     command = [sys.executable, "-P", "-W", "ignore", READER, *own, form, str(source.resolve()), *chosen]
@@ -107,18 +127,26 @@ def to_csv(path: str | PathLike[str], topics: Mapping[str, str] | None = None) -
 
 
 def main() -> int:
-    """Writes a recording as CSV. If the recording cannot be read, nothing is written, and the exit code is 2. It is 1 if
-    the table cannot be written."""
+    """Writes a recording as CSV. If the recording cannot be read, nothing is written, and the exit code is 2. It is 1
+    if the table cannot be written."""
     parser = argparse.ArgumentParser(prog="python -m sandgait.logs", description="Writes a recording as CSV.")
     parser.add_argument("file", help="a Parquet, MCAP or bag file, or the folder of a LeRobot data set or a ROS 2 bag")
     parser.add_argument("--out", required=True, type=Path, help="the CSV file to write")
     parser.add_argument("--joints", help="topic of sensor_msgs/JointState, if a bag has several")
     parser.add_argument("--imu", help="topic of sensor_msgs/Imu, if a bag has several")
+    parser.add_argument(
+        "--wrench", help="topic of geometry_msgs/WrenchStamped; without it the IMU is read, if there is one"
+    )
+    parser.add_argument(
+        "--experiment", type=Path, help="EXPERIMENT.toml with [topics], and with [arm] for the pushes of an arm"
+    )
     given = parser.parse_args()
-    topics = {name: topic for name, topic in (("joints", given.joints), ("imu", given.imu)) if topic}
+    topics = {name: topic for name in TOPICS if (topic := getattr(given, name))}
     try:
-        table = to_csv(given.file, topics)
-    except (InvalidRequest, OSError) as error:
+        experiment = tomllib.loads(given.experiment.read_text(encoding="utf-8")) if given.experiment else {}
+        tables = experiment | {"topics": experiment.get("topics", {}) | topics}
+        table = for_experiment(given.file, tables, given.experiment.parent if given.experiment else Path())
+    except (InvalidRequest, OSError, tomllib.TOMLDecodeError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     try:

@@ -1,6 +1,7 @@
 //! `sandgait diagnose`
 
 use sandgait::Result;
+use sandgait::diagnose::check::finding::Severity;
 use sandgait::diagnose::diagnose;
 use sandgait::diagnose::experiment::Experiment;
 use sandgait::progress::Silent;
@@ -26,6 +27,8 @@ impl DiagnoseArgs {
     pub fn run(self) -> Result<String> {
         let diagnosis = diagnose(&self.data, &Experiment::load(&self.experiment)?, &Silent)?;
         diagnosis.write(&self.out)?;
+        let warned = diagnosis.report.check.findings.iter().filter(|f| f.severity == Severity::Warn);
+        warned.for_each(|finding| eprintln!("warning: {}: {}", self.data.display(), finding.line()));
         Ok(format!("{}\n", diagnosis.report.summary))
     }
 }

@@ -20,9 +20,9 @@ pub const MOST_ROWS: usize = 40_000;
 /// Largest number of runs in a log, and of runs that an experiment file lists: our choice.
 pub const MOST_RUNS: usize = 1000;
 
-/// Keys that only `kind = "trajectory"` has. The key `topics` has no effect on a CSV file; it is for recordings that `sandgait.logs` (Python) reads.
-const TRAJECTORY_KEYS: [&str; 10] =
-    ["imu", "motor", "slope_deg", "stride_frequency", "leg", "touches", "window", "topics", "run", "hardware"];
+/// Keys that only `kind = "trajectory"` has.
+const TRAJECTORY_KEYS: [&str; 9] =
+    ["imu", "motor", "slope_deg", "stride_frequency", "leg", "touches", "window", "run", "hardware"];
 
 /// The kind of data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
@@ -172,8 +172,11 @@ pub struct ExperimentFile {
     #[serde(default = "usual_window")]
     pub window: f64,
     hardware: Option<String>,
+    /// This key and the next have no effect on a CSV file; they are for recordings that `sandgait.logs` (Python) reads.
     #[serde(rename = "topics")]
     _topics: Option<IgnoredAny>,
+    #[serde(rename = "arm")]
+    _arm: Option<IgnoredAny>,
     #[serde(default, rename = "run")]
     pub runs: Vec<RunTable>,
 }

@@ -1,5 +1,6 @@
 //! Reads force logs of plates and legs (intrusion CSV) into trials.
 
+use super::check::logged::LoggedTrial;
 use super::experiment::{Experiment, Intruder};
 use super::motion::{Heading, heading, moving, progress};
 use super::observations::{Channel, MeasuredLog, Names, Observations, Size, Unit, columns};
@@ -13,26 +14,27 @@ use std::path::Path;
 /// A force log; the setting of a trial is its track.
 pub type ForceLog = MeasuredLog<Track>;
 
+// A column is not required if its cells may be blank: columns of plates in a file of legs, and the reverse.
 columns! {
     TRIAL = "trial" Text true;
     CONDITION = "condition" Text true;
     REP = "rep" Text true;
     KIND = "kind" Text true;
     SHAPE = "shape" Text true;
-    MEDIUM = "medium" Text true;
-    HIP_Z = "hip_z" Length true;
-    BETA = "plate_beta" Angle true;
-    GAMMA = "plate_gamma" Angle true;
+    MEDIUM = "medium" Text false;
+    HIP_Z = "hip_z" Length false;
+    BETA = "plate_beta" Angle false;
+    GAMMA = "plate_gamma" Angle false;
     PASS = "pass" Number false;
     PASS_DX = "pass_dx" Length false;
     X_BED = "x_bed" Length false;
     T = "t" Time true;
-    THETA = "theta" Angle true;
-    OMEGA = "omega" AngularSpeed true;
-    X = "x" Length true;
-    Z = "z" Length true;
-    VX = "vx" Speed true;
-    VZ = "vz" Speed true;
+    THETA = "theta" Angle false;
+    OMEGA = "omega" AngularSpeed false;
+    X = "x" Length false;
+    Z = "z" Length false;
+    VX = "vx" Speed false;
+    VZ = "vz" Speed false;
     FX = "Fx" Force true;
     FZ = "Fz" Force true;
     TY = "Ty" Torque false;
@@ -47,10 +49,22 @@ struct Growing {
     gammas: Vec<Option<f64>>,
     /// Fx, Fz and Ty of each row; not all logs have Ty.
     loads: Vec<[Option<f64>; 3]>,
+    logged: LoggedTrial,
+    /// The first time in the file; the trial's own times begin at 0.
+    start: f64,
 }
 
 /// Reads the log; `experiment` names shapes, medium and units.
 pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Result<ForceLog> {
+    read_rows(path, experiment, progress).map(|read| read.0)
+}
+
+/// The log, and its trials as they were logged, for checks.
+pub fn read_rows(
+    path: &Path,
+    experiment: &Experiment,
+    progress: &dyn Progress,
+) -> Result<(ForceLog, Vec<LoggedTrial>)> {
     let (mut conditions, mut ids) = (Names::default(), Names::default());
     let mut trials: Vec<Growing> = Vec::new();
     let mut medium = None;
@@ -66,16 +80,17 @@ pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Re
         let place = ids.place(id);
         let track = track_header(row, experiment)?;
         if place == trials.len() {
-            trials.push(Growing { id: id.into(), condition, track, gammas: Vec::new(), loads: Vec::new() });
+            trials.push(Growing::new(row, condition, track)?);
         } else {
             check_same(row, &trials[place], &track, condition)?;
         }
         let trial = &mut trials[place];
-        let pose = pose(row, &trial.track.intruder)?;
+        let pose = pose(row, &trial.track.intruder, trial.start)?;
         if trial.track.poses.last().is_some_and(|last| pose.t <= last.t) {
             return Err(row.error(T, format!("time does not increase within trial {}", trial.id)));
         }
         trial.track.poses.push(pose);
+        log_row(&mut trial.logged, row, pose.t);
         trial.gammas.push(row.within(GAMMA, MOST)?);
         let forces = [row.needed_within(FX, MOST)?, row.needed_within(FZ, MOST)?];
         trial.loads.push([Some(forces[0]), Some(forces[1]), row.within(TY, MOST)?]);
@@ -88,7 +103,40 @@ pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Re
         missing.push("Ty");
     }
     trials.iter_mut().for_each(mirror);
-    Ok(assemble(trials, conditions.list, torque, missing, summary.sha256))
+    let logged = trials.iter_mut().map(|trial| std::mem::take(&mut trial.logged)).collect();
+    let mut log = assemble(trials, conditions.list, torque, missing, summary.sha256);
+    log.notes.extend(summary.notes);
+    Ok((log, logged))
+}
+
+impl Growing {
+    /// The trial that begins with this row.
+    fn new(row: &Row, condition: usize, track: Track) -> Result<Self> {
+        let id = row.needed_text(TRIAL)?;
+        let logged = LoggedTrial {
+            id: id.into(),
+            intruder: Some(track.intruder),
+            hip_z: row.within(HIP_Z, MOST)?,
+            beta: row.within(BETA, MOST)?,
+            gamma: row.within(GAMMA, MOST)?,
+            ..LoggedTrial::default()
+        };
+        let (gammas, loads, start) = (Vec::new(), Vec::new(), row.needed_time(T)?);
+        Ok(Self { id: id.into(), condition, track, gammas, loads, logged, start })
+    }
+}
+
+/// Adds a row to a trial as it is in the file. A cell that the model does not need may be no number.
+fn log_row(logged: &mut LoggedTrial, row: &Row, t: f64) {
+    let number = |column: usize| row.within(column, MOST).ok().flatten().unwrap_or(f64::NAN);
+    logged.lines.push(row.line);
+    logged.t.push(t);
+    logged.theta.push(number(THETA));
+    logged.omega.push(number(OMEGA));
+    for (k, columns) in [[X, VX], [Z, VZ]].into_iter().enumerate() {
+        logged.place[k].push(number(columns[0]));
+        logged.velocity[k].push(number(columns[1]));
+    }
 }
 
 /// Above 1 MN, or 1e6 of anything, a value is broken or in the wrong unit, and squares would overflow: our choice.
@@ -173,8 +221,9 @@ fn check_same(row: &Row, trial: &Growing, now: &Track, condition: usize) -> Resu
     }
 }
 
-fn pose(row: &Row, intruder: &Intruder) -> Result<ArmPose> {
-    let t = row.needed_within(T, MOST)?;
+/// The pose in a row, with the time since `start`: clocks may count from 1970.
+fn pose(row: &Row, intruder: &Intruder, start: f64) -> Result<ArmPose> {
+    let t = row.needed_time(T)? - start;
     Ok(match intruder {
         Intruder::Leg { .. } => ArmPose {
             t,
@@ -252,7 +301,9 @@ pub fn planned(trials: Vec<(Track, String)>, channels: usize) -> ForceLog {
         .enumerate()
         .map(|(i, track)| {
             let samples = track.poses.len();
-            Growing { id: i.to_string(), condition: i, track, gammas: Vec::new(), loads: vec![[Some(0.0); 3]; samples] }
+            let (id, loads) = (i.to_string(), vec![[Some(0.0); 3]; samples]);
+            let (gammas, logged, start) = (Vec::new(), LoggedTrial::default(), 0.0);
+            Growing { id, condition: i, track, gammas, loads, logged, start }
         })
         .collect();
     assemble(trials, names, channels > 2, Vec::new(), String::new())

@@ -84,7 +84,8 @@ pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Re
     })?;
     let observations =
         Observations::of_rows(Size::Force, CHANNELS.to_vec(), &[0.0], rows.into_iter(), values, conditions.list);
-    let (setting_of, missing, notes) = ((0..settings.len()).collect(), Vec::new(), notes(experiment));
+    let (setting_of, missing) = ((0..settings.len()).collect(), Vec::new());
+    let notes = [notes(experiment), summary.notes].concat();
     Ok(IntruderLog { observations, settings, setting_of, missing, notes, sha256: summary.sha256 })
 }
 

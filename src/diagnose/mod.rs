@@ -2,7 +2,7 @@
 //!
 //! 1. [`force_log`], [`walking_log`], [`intruder_log`] or [`trajectory`] reads the data, and [`experiment`] reads the
 //!    facts about the data.
-//! 2. A [`forward`] model predicts the data.
+//! 2. [`check`] looks at the data before any fit, and refuses what is certainly wrong. A [`forward`] model predicts the data.
 //! 3. [`noise_search`] learns the [`noise`] from repetitions, with the errors that a trial shares ([`shared`]), and
 //!    [`whiten`] whitens the residuals.
 //! 4. [`gauss_newton`] makes [`fit`]s, in which [`nuisance`]s are marginalised.
@@ -25,6 +25,7 @@ use sandgait_table as table;
 mod acceleration;
 mod arm;
 mod candidates;
+pub mod check;
 mod conditions;
 mod errors;
 mod evidence;
@@ -82,6 +83,8 @@ use crate::progress::{Latch, Progress};
 use crate::sand::SandDescription;
 use crate::sand::mechanism::CATALOG;
 use candidates::SearchSpace;
+use check::Check;
+use check::finding::{Finding, settled};
 use experiment::{DataKind, Experiment};
 use force_model::ForceLogModel;
 use forward::ForwardModel;
@@ -109,33 +112,52 @@ pub fn diagnose(data: &Path, experiment: &Experiment, progress: &dyn Progress) -
 fn diagnose_kind(data: &Path, experiment: &Experiment, progress: &Latch) -> Result<Diagnosis> {
     match experiment.file.kind {
         DataKind::Intrusion => {
-            let log = force_log::read(data, experiment, progress)?;
+            let (log, trials) = force_log::read_rows(data, experiment, progress)?;
             let model = ForceLogModel::new(&log, experiment)?.stopped_by(progress);
-            diagnose_measured(&log.observations, log.sha256, log.notes, &model, progress)
+            let findings = check::force_log::check(data, &trials, &log, &model)?;
+            let source = DataSource { sha256: log.sha256, notes: log.notes, findings };
+            diagnose_measured(&log.observations, source, &model, progress)
         }
         DataKind::Walking => {
             let log = walking_log::read(data, experiment, progress)?;
             let model = WalkingModel::new(&log, experiment, progress)?;
-            diagnose_measured(&log.observations, log.sha256, vec![model.step_note()], &model, progress)
+            let findings = means_checked(data, &log.observations, &model)?;
+            let notes = [vec![model.step_note()], log.notes].concat();
+            let source = DataSource { sha256: log.sha256, notes, findings };
+            diagnose_measured(&log.observations, source, &model, progress)
         }
         DataKind::Trajectory => {
-            let (observations, sha256, notes, model) = trajectory::measured(data, experiment, progress)?;
-            diagnose_measured(&observations, sha256, notes, &model, progress)
+            let log = trajectory::measured(data, experiment, progress)?;
+            let source = DataSource { sha256: log.sha256, notes: log.notes, findings: log.findings };
+            diagnose_measured(&log.observations, source, &log.model, progress)
         }
         DataKind::Intruder => {
             let log = intruder_log::read(data, experiment, progress)?;
             let model = IntruderModel::new(&log, experiment, progress)?;
-            diagnose_measured(&log.observations, log.sha256, log.notes, &model, progress)
+            let findings = means_checked(data, &log.observations, &model)?;
+            let source = DataSource { sha256: log.sha256, notes: log.notes, findings };
+            diagnose_measured(&log.observations, source, &model, progress)
         }
     }
 }
 
-/// Diagnoses measured numbers with a forward model for them; `notes` say how they were prepared, and `sha256` is the
-/// checksum of their file.
+/// What a look at means has found.
+fn means_checked(data: &Path, observations: &Observations, model: &dyn ForwardModel) -> Result<Vec<Finding>> {
+    settled(data, check::means::check(observations, &model.predict(&model.plain_sand())))
+}
+
+/// What is known of a file beside its numbers.
+struct DataSource {
+    sha256: String,
+    /// How the numbers were prepared.
+    notes: Vec<String>,
+    findings: Vec<Finding>,
+}
+
+/// Diagnoses measured numbers with a forward model for them.
 fn diagnose_measured(
     observations: &Observations,
-    sha256: String,
-    notes: Vec<String>,
+    data: DataSource,
     model: &dyn ForwardModel,
     progress: &dyn Progress,
 ) -> Result<Diagnosis> {
@@ -164,7 +186,8 @@ fn diagnose_measured(
         false => None,
     };
     progress.report(0.95, "report")?;
-    let report = without_verdict(&study, untestable, sha256, notes);
+    let mut report = without_verdict(&study, untestable, data.sha256, data.notes);
+    report.check = Check { findings: data.findings, design: check::design::design(&study, &all) };
     let mut report = match &selection {
         Some(selection) => ReportView { study: &study, source: &source, noise: &noise, selection }.report(report),
         None => report,

@@ -1,11 +1,11 @@
 //! Writes the results of a diagnosis: `report.json`, `sand.toml`, and `report.html`, one self-contained page.
 
-use super::figures;
 use super::report::{Diagnosis, EvidenceRow, NuisanceValue, Report, RunMeans, Tried};
 use super::series::root_mean_square;
 use super::summary::clauses;
 use super::verdict::{Verdict, Written};
 use super::words::{after, capital, digits, span};
+use super::{check, figures};
 use crate::error::{Error, Result};
 use crate::plot::{color, escape};
 use crate::sand::mechanism::{CATALOG, Mechanism};
@@ -63,6 +63,7 @@ fn page(diagnosis: &Diagnosis, json: &str) -> String {
     if !r.runs.is_empty() {
         runs(&mut html, diagnosis);
     }
+    check::section::write(&mut html, &r.check);
     compared(&mut html, r);
     beside(&mut html, r);
     unknowns(&mut html, r);

@@ -1,5 +1,6 @@
 //! Contents of the report: `report.json`, as documented, and `sand.toml`.
 
+use super::check::Check;
 use super::misfit::Misfit;
 use super::next_experiment::Proposal;
 use super::speed_exponent::SpeedExponent;
@@ -149,6 +150,8 @@ pub struct NextExperiment {
 pub struct Report {
     pub schema: &'static str,
     pub verdict: Verdict,
+    /// What a look at the data has found before any fit.
+    pub check: Check,
     /// What `sand.toml` contains.
     pub written: Written,
     /// The models that the verdict compares, the plain one first.

@@ -106,7 +106,7 @@ pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Re
     let values = measured.iter().flat_map(|own| kept.iter().filter_map(|&c| own[c])).collect();
     let (channels, rows) = (kept.iter().map(|&c| CHANNELS[c].1.clone()).collect(), rows.into_iter());
     let observations = Observations::of_rows(Size::Channel, channels, &[0.0], rows, values, conditions.list);
-    let notes = Vec::new();
+    let notes = summary.notes;
     Ok(WalkingLog { observations, settings: setups, setting_of, missing, notes, sha256: summary.sha256 })
 }
 

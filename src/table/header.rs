@@ -1,5 +1,6 @@
 //! Finds the requested columns and their units in a header.
 
+use super::dialect::plain;
 use super::quantity::Quantity;
 use super::shown;
 use crate::error::{Error, Result, unknown_name};
@@ -44,6 +45,8 @@ pub struct ReadOptions<'a> {
 pub(super) struct ColumnPosition {
     pub index: usize,
     pub factor: f64,
+    /// Is the unit stated?
+    pub stated: bool,
 }
 
 impl<'a> ReadOptions<'a> {
@@ -76,6 +79,52 @@ impl<'a> ReadOptions<'a> {
             }
         }
         self.columns.iter().map(|column| self.place(path, header, column)).collect()
+    }
+
+    /// Number of requested columns whose name the header has.
+    pub(super) fn named_in(&self, header: &[String]) -> usize {
+        let has = |name: &str| header.iter().any(|cell| cell == name || split(cell).0 == name);
+        self.columns.iter().filter(|column| has(self.theirs(column))).count()
+    }
+
+    /// Reads the units in the first row below the header, if it has units and no numbers. Returns whether it has.
+    pub(super) fn units_below(
+        &self,
+        path: &Path,
+        places: &mut [Option<ColumnPosition>],
+        record: &csv::StringRecord,
+        line: u64,
+    ) -> Result<bool> {
+        let mut units = Vec::new();
+        for (k, (column, place)) in self.columns.iter().zip(places.iter()).enumerate() {
+            let Some(place) = place.as_ref().filter(|_| column.quantity != Quantity::Text) else { continue };
+            let cell = record.get(place.index).unwrap_or_default().trim();
+            if plain(&cell.replace(',', ".")).is_some() {
+                return Ok(false);
+            }
+            let unit = cell.trim_matches(['[', ']', '(', ')', ' ']);
+            if !matches!(unit, "" | "-" | "–") {
+                units.push((k, unit));
+            }
+        }
+        for &(k, unit) in &units {
+            let (column, place) = (&self.columns[k], &mut places[k]);
+            let wrong = |reason: &str| {
+                Error::file(path, format!("row {line}, column {}: {:?} {reason}", self.theirs(column), shown(unit)))
+            };
+            let Some(factor) = column.quantity.factor(unit) else {
+                let known: Vec<_> = column.quantity.units().iter().map(|u| u.0).collect();
+                return Err(wrong(&format!("is no number, and no unit of this column; known: {}", known.join(", "))));
+            };
+            match place {
+                Some(place) if place.stated && place.factor != factor => {
+                    return Err(wrong("is another unit than the one that is stated in the header or separately"));
+                }
+                Some(place) => (place.factor, place.stated) = (factor, true),
+                None => (),
+            }
+        }
+        Ok(!units.is_empty())
     }
 
     fn theirs<'b>(&'b self, column: &HeaderColumn<'b>) -> &'b str {
@@ -114,7 +163,10 @@ impl<'a> ReadOptions<'a> {
             (Some(given), Some(own)) if given != own => {
                 Err(wrong("the header gives another unit than the one that is stated separately".into()))
             }
-            _ => Ok(Some(ColumnPosition { index, factor: given.or(own).unwrap_or(1.0) })),
+            _ => {
+                let unit = given.or(own);
+                Ok(Some(ColumnPosition { index, factor: unit.unwrap_or(1.0), stated: unit.is_some() }))
+            }
         }
     }
 }

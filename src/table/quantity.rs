@@ -28,7 +28,7 @@ impl Quantity {
             Quantity::Text => &[],
             Quantity::Number => &[("1", 1.0), ("%", 0.01)],
             Quantity::Length => &[("m", 1.0), ("cm", 1e-2), ("mm", 1e-3), ("um", 1e-6), ("µm", 1e-6), ("in", 0.0254)],
-            Quantity::Time => &[("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("µs", 1e-6), ("min", 60.0)],
+            Quantity::Time => &[("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("µs", 1e-6), ("ns", 1e-9), ("min", 60.0)],
             Quantity::Angle => &[("rad", 1.0), ("deg", DEGREE), ("°", DEGREE), ("mrad", 1e-3)],
             Quantity::Degrees => &[("deg", 1.0), ("°", 1.0), ("rad", 1.0 / DEGREE)],
             Quantity::AngularSpeed => {

@@ -7,29 +7,14 @@
 use super::log::Run;
 use super::sensors::Layout;
 use super::windows::BINS;
+use crate::check::ratio::{NEAR, products, proportion};
 use crate::error::{Error, Result};
 use crate::series::{central_difference, ends};
 use crate::sim::model::GRAVITY;
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
 
-/// A ratio counts as a known ratio if it differs from it by less than this share: our choice, much less than the distance between
-/// any two known ratios.
-const NEAR: f64 = 0.2;
-/// Least correlation for which a ratio is evaluated: our choice, because a ratio of unrelated signals has no meaning.
-const CLEAR: f64 = 0.7;
 const DEGREES: f64 = 180.0 / PI;
-
-/// The sums of a², a b and b².
-fn products(pairs: impl Iterator<Item = (f64, f64)>) -> (f64, f64, f64) {
-    pairs.fold((0.0, 0.0, 0.0), |(aa, ab, bb), (a, b)| (aa + a * a, ab + a * b, bb + b * b))
-}
-
-/// The ratio of the rms of `b` to the rms of `a`, with the sign of their correlation; None if the correlation is weaker than [`CLEAR`].
-fn proportion(pairs: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
-    let (aa, ab, bb) = products(pairs);
-    (ab.abs() > CLEAR * (aa * bb).sqrt() && aa > 0.0 && bb > 0.0).then(|| ab.signum() * (bb / aa).sqrt())
-}
 
 /// What belongs to the known ratio that `ratio` is near to.
 fn named<T: Clone>(ratio: f64, known: &[(f64, T)]) -> Option<T> {

@@ -31,8 +31,11 @@ pub struct Run {
     pub slope_deg: f64,
     /// Commanded turns of the hips a second [Hz].
     pub frequency: Option<f64>,
-    /// [s]
+    /// Time [s] since the run's first row, whose time in the file is `start`: clocks may count from 1970.
     pub t: Vec<f64>,
+    pub start: f64,
+    /// Row of the file of each sample.
+    pub lines: Vec<u64>,
     /// Angles, joint by joint [rad].
     pub q: Vec<Vec<f64>>,
     /// Joint speeds [rad/s]; empty if the log has none.
@@ -150,17 +153,21 @@ impl<'a> Gather<'a> {
         });
         let constant = self.file.motor.torque_constant.unwrap_or(1.0);
         let number = |column: usize| row.within(column, MOST)?.ok_or_else(|| row.blank(column));
-        let t = number(T)?;
+        let t = row.needed_time(T)?;
         let cut = self.file.runs.iter().find(|cut| cut.holds(t));
         if cut.is_none() && !self.file.runs.is_empty() {
             return Ok(()); // the experiment file lists runs, and the row belongs to none of them
         }
         let place = self.place(row, cut, there[0])?;
         let run = &mut self.runs[place];
-        if run.t.last().is_some_and(|last| t <= *last) {
+        if run.t.is_empty() {
+            run.start = t;
+        }
+        if run.t.last().is_some_and(|last| t - run.start <= *last) {
             return Err(row.error(T, format!("{t} s is not after the previous sample of the same run")));
         }
-        run.t.push(t);
+        run.t.push(t - run.start);
+        run.lines.push(row.line);
         let base = COLUMNS.len();
         for j in 0..joints {
             run.q[j].push(number(base + j)?);
@@ -274,6 +281,11 @@ impl Run {
         steps.get(steps.len() / 2).copied().unwrap_or(0.0)
     }
 
+    /// Row of the file of a sample.
+    pub fn line(&self, sample: usize) -> u64 {
+        self.lines.get(sample).copied().unwrap_or(0)
+    }
+
     fn validate(&self) -> std::result::Result<(), String> {
         if self.t.len() < FEWEST_SAMPLES {
             return Err(format!("it has {} samples; at least {FEWEST_SAMPLES} are needed", self.t.len()));
@@ -287,7 +299,10 @@ impl Run {
             ));
         }
         match self.t.windows(2).find(|w| w[1] - w[0] > LONGEST_GAP * step) {
-            Some(w) => Err(format!("nothing is logged from t = {} to {} s: split it into two runs", w[0], w[1])),
+            Some(w) => {
+                let [from, to] = [self.start + w[0], self.start + w[1]];
+                Err(format!("nothing is logged from t = {from} to {to} s: split it into two runs"))
+            }
             None => Ok(()),
         }
     }

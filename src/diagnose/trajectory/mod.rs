@@ -9,7 +9,7 @@ mod consistency;
 mod forecast;
 #[cfg(test)]
 mod generate;
-mod log;
+pub mod log;
 mod measuring;
 mod model;
 mod plan;
@@ -21,18 +21,24 @@ mod simulate;
 mod tests;
 mod windows;
 
+use super::check;
+use super::check::finding::{Finding, settled};
 use super::experiment::Experiment;
 use super::observations::Observations;
 use crate::error::Result;
 use crate::progress::{Latch, Progress};
-use crate::table::{self, ReadOptions};
+use crate::table::{self, ReadOptions, Summary};
 use log::{Gather, JointColumns, Run};
 use model::TrajectoryModel;
 use replay::ReplayRobot;
 use std::path::Path;
 
-/// Reads the runs of a log and the checksum of its file; refuses the log if units or signs are wrong.
-fn read(data: &Path, experiment: &Experiment, progress: &dyn Progress) -> Result<(Vec<Run>, String)> {
+/// Reads the runs of a log, with what a look at them has found; refuses the log if units or signs are wrong.
+pub fn read(
+    data: &Path,
+    experiment: &Experiment,
+    progress: &dyn Progress,
+) -> Result<(Vec<Run>, Summary, Vec<Finding>)> {
     let file = &experiment.file;
     let joints = ReplayRobot::of(experiment)?.joint_names();
     let names = JointColumns::new(&joints, file)?;
@@ -43,16 +49,22 @@ fn read(data: &Path, experiment: &Experiment, progress: &dyn Progress) -> Result
     let summary = table::read(data, &asked, |row| gather.take(row))?;
     let runs = gather.finish(data)?;
     consistency::check(data, &runs, &joints, file.imu.quat)?;
-    Ok((runs, summary.sha256))
+    let findings = settled(data, check::robot::check(&runs, &joints))?;
+    Ok((runs, summary, findings))
 }
 
-/// The measured numbers, the checksum of their file, notes on how they were prepared, and the model that predicts them.
-pub fn measured<'a>(
-    data: &Path,
-    experiment: &Experiment,
-    latch: &'a Latch<'a>,
-) -> Result<(Observations, String, Vec<String>, TrajectoryModel<'a>)> {
-    let (runs, sha256) = read(data, experiment, latch)?;
+/// A log that was read: the measured numbers, the checksum of their file, notes on how they were prepared, what a look at them has
+/// found, and the model that predicts them.
+pub struct MeasuredTrajectory<'a> {
+    pub observations: Observations,
+    pub sha256: String,
+    pub notes: Vec<String>,
+    pub findings: Vec<Finding>,
+    pub model: TrajectoryModel<'a>,
+}
+
+pub fn measured<'a>(data: &Path, experiment: &Experiment, latch: &'a Latch<'a>) -> Result<MeasuredTrajectory<'a>> {
+    let (runs, summary, findings) = read(data, experiment, latch)?;
     let (model, observations) = TrajectoryModel::new(runs, experiment, latch)?;
     consistency::against_replay(data, &model.layout, &observations.values, &model.plain())?;
     let note = format!(
@@ -61,5 +73,6 @@ pub fn measured<'a>(
         observations.units.len(),
         model.torque_channels(&observations.channels),
     );
-    Ok((observations, sha256, vec![note], model))
+    let notes = [vec![note], summary.notes].concat();
+    Ok(MeasuredTrajectory { observations, sha256: summary.sha256, notes, findings, model })
 }
