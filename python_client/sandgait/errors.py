@@ -6,7 +6,6 @@ from collections.abc import Iterable
 
 from . import _native
 
-
 #: Longest message: that of the native module (src/base/error.rs). A message may repeat a text that was given as a name.
 LONGEST = 4300
 
