@@ -1,6 +1,7 @@
 //! Slow clients, clients with large requests, many clients, and clients that disappear: they do not delay others, and
 //! memory stays bounded.
 
+mod abuse;
 mod doors;
 #[expect(dead_code, reason = "the rest is for other tests")]
 #[path = "../grpc/harness.rs"]

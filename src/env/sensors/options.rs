@@ -4,6 +4,7 @@ use super::Sensor;
 use crate::error::{Error, Result, check_range};
 use crate::options;
 use crate::options::OptionValue;
+use crate::sim::MemoryCount;
 use crate::sim::actuator::Actuator;
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 use serde_json::Value;
@@ -79,6 +80,10 @@ impl<'de> Deserialize<'de> for SensorOptions {
 }
 
 impl OptionValue for SensorOptions {
+    fn count_memory(&self, count: &mut MemoryCount) {
+        OptionValue::count_memory(&self.0, count);
+    }
+
     fn check(&self, name: &str) -> Result<()> {
         self.0.check(name)?;
         for x in self.0.imu_rotation {

@@ -6,7 +6,7 @@ use crate::diagnose::experiment::Experiment;
 use crate::error::{Error, Result, check_range};
 use crate::evaluate::{Evaluation, EvaluationRequest, PolicySource};
 use crate::parallel;
-use crate::price::MOST_TRIALS;
+use crate::fields::MOST_TRIALS;
 use crate::progress::Progress;
 use crate::proto::diagnose_request::Experiment as Source;
 use crate::proto::evaluate_request::Policy;
