@@ -32,7 +32,10 @@ fn probes(present: &Value, keys: &[OptionRow]) -> Vec<Value> {
     let text = "a long comment, twenty thousand bytes of it; ".repeat(450);
     let names = ["lanes", "rapier", "C", "mixed", "dunes", "rigid", "xplorer18", "torque", "agarwal2023"];
     all.extend(names.map(Value::from));
-    all.extend([json!(format!("medium = \"poppy-close\"\nlaw = \"li2013\"\n# {text}")), json!(format!("source = {text:?}"))]);
+    all.extend([
+        json!(format!("medium = \"poppy-close\"\nlaw = \"li2013\"\n# {text}")),
+        json!(format!("source = {text:?}")),
+    ]);
     all.extend([json!(format!("# {text}\n"))]);
     // Patterns of joints' names.
     all.push((1..200).map(|k| ("*".repeat(k), json!(0.1))).collect::<Map<_, _>>().into());

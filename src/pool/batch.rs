@@ -56,7 +56,16 @@ impl Batch {
     /// `envs` environments of `blueprint`, which need a first reset.
     pub(super) fn of(blueprint: &Blueprint, shards: Vec<Shard>) -> Self {
         let envs = shards.iter().map(Shard::envs).sum();
-        Self { shards, task: blueprint.task.clone(), envs, account: None, stop: None, stopped: false, spent: Default::default(), begun: vec![false; envs] }
+        Self {
+            shards,
+            task: blueprint.task.clone(),
+            envs,
+            account: None,
+            stop: None,
+            stopped: false,
+            spent: Default::default(),
+            begun: vec![false; envs],
+        }
     }
 
     pub fn envs(&self) -> usize {

@@ -15,14 +15,14 @@ use std::time::{Duration, Instant};
 
 /// An [`Operation`] whose tasks and episodes are not all made yet.
 pub struct Preparing {
-    plan: Plan,
+    plan: PreparationPlan,
     /// The next environment.
     next: usize,
     /// Memory of the tasks so far.
     count: MemoryCount,
 }
 
-enum Plan {
+enum PreparationPlan {
     Reset(ResetPlan),
     Restore(RestorePlan),
 }
@@ -63,7 +63,7 @@ impl Batch {
         seeds.as_ref().map_or(Ok(()), |s| count("seeds", s.len()))?;
         let tasks = ResetTasks { all: Vec::new(), of: Vec::new() };
         let plan = ResetPlan { chosen, seeds, options, tasks, known: HashMap::new() };
-        Ok(Preparing { plan: Plan::Reset(plan), next: 0, count: MemoryCount::default() })
+        Ok(Preparing { plan: PreparationPlan::Reset(plan), next: 0, count: MemoryCount::default() })
     }
 
     /// A restore: environment i goes on as environment `sources[i]` of `snapshot`. Without `sources`, environment i
@@ -79,7 +79,7 @@ impl Batch {
         }
         let (tasks, resumed) = (HashMap::new(), HashMap::new());
         let plan = RestorePlan { snapshot, sources, tasks, resumed, episodes: Vec::new() };
-        Ok(Preparing { plan: Plan::Restore(plan), next: 0, count: MemoryCount::default() })
+        Ok(Preparing { plan: PreparationPlan::Restore(plan), next: 0, count: MemoryCount::default() })
     }
 }
 
@@ -91,13 +91,13 @@ impl Preparing {
     /// The request is refused.
     pub fn go_on(mut self, batch: &Batch, time: Duration) -> Result<Prepared> {
         let begun = Instant::now();
-        if matches!(&self.plan, Plan::Reset(plan) if plan.options == ResetOptions::default()) {
+        if matches!(&self.plan, PreparationPlan::Reset(plan) if plan.options == ResetOptions::default()) {
             self.next = batch.envs();
         }
         while self.next < batch.envs() {
             match &mut self.plan {
-                Plan::Reset(plan) => plan.make(self.next, batch, &mut self.count)?,
-                Plan::Restore(plan) => plan.make(self.next, batch, &mut self.count)?,
+                PreparationPlan::Reset(plan) => plan.make(self.next, batch, &mut self.count)?,
+                PreparationPlan::Restore(plan) => plan.make(self.next, batch, &mut self.count)?,
             }
             self.next += 1;
             if self.next < batch.envs() && begun.elapsed() >= time {
@@ -105,11 +105,11 @@ impl Preparing {
             }
         }
         Ok(Prepared::Now(match self.plan {
-            Plan::Reset(ResetPlan { chosen, seeds, tasks, .. }) => {
+            PreparationPlan::Reset(ResetPlan { chosen, seeds, tasks, .. }) => {
                 let tasks = (!tasks.of.is_empty()).then_some(tasks);
                 Operation::Reset { chosen, seeds, tasks }
             }
-            Plan::Restore(plan) => Operation::Restore { episodes: plan.episodes },
+            PreparationPlan::Restore(plan) => Operation::Restore { episodes: plan.episodes },
         }))
     }
 

@@ -212,7 +212,10 @@ impl Pool {
         let start = Instant::now();
         let mut queue = self.shared.queue.lock();
         while queue.active < self.most_active && start.elapsed() < time {
-            let Some(place) = queue.jobs.iter().position(|job| !matches!(job.work.operation, Operation::Roll(_))) else { break };
+            let Some(place) = queue.jobs.iter().position(|job| !matches!(job.work.operation, Operation::Roll(_)))
+            else {
+                break;
+            };
             let Some((id, work, queued)) = take(&mut queue, place) else { break };
             drop(queue);
             queue = carry_out(&self.shared, id, work, queued);

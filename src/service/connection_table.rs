@@ -4,6 +4,7 @@ use parking_lot::Mutex;
 use std::collections::HashMap;
 use std::net::SocketAddr;
 use std::sync::Arc;
+use std::sync::atomic::AtomicUsize;
 use std::time::{Duration, Instant};
 use tokio_util::sync::CancellationToken;
 
@@ -88,7 +89,8 @@ impl ConnectionTable {
             end: end.clone(),
         };
         entries.all.insert(id, entry);
-        Some(ConnectionHandle(Arc::new(ConnectionState { table: self.clone(), id, peer, end })))
+        let unread = AtomicUsize::new(0);
+        Some(ConnectionHandle(Arc::new(ConnectionState { table: self.clone(), id, peer, end, unread })))
     }
 
     /// Closes connections that have been without a call, or without an admitted call, for too long.
@@ -120,6 +122,8 @@ pub struct ConnectionState {
     pub peer: Option<SocketAddr>,
     /// Cancelled when the connection must end.
     pub end: CancellationToken,
+    /// Memory of the answers that its client has not read [bytes].
+    pub unread: AtomicUsize,
 }
 
 impl std::ops::Deref for ConnectionHandle {
@@ -250,7 +254,8 @@ mod tests {
         assert_eq!((many.len(), alive(&links)), (30, vec![0, 1, 2]), "a client with the token may do more");
         let others: Vec<_> = (0..5).filter_map(|_| links[2].begin(false)).collect();
         assert_eq!((others.len(), alive(&links)), (5, vec![1, 2]), "the oldest makes room");
-        let age = |k: usize| table.change(k as u64, |e| e.since_admitted = Instant::now().checked_sub(2 * IDLE).unwrap());
+        let age =
+            |k: usize| table.change(k as u64, |e| e.since_admitted = Instant::now().checked_sub(2 * IDLE).unwrap());
         (1..3).for_each(age);
         table.close_idle();
         assert_eq!(alive(&links), [1], "a health that is watched keeps no connection open");

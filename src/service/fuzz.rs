@@ -37,7 +37,7 @@ fn floats(count: usize) -> bytes::Bytes {
 
 /// A batch in the middle of its episodes.
 fn begun(task: &str, pool: &Pool) -> Batch {
-    let mut batch = Batch::new(&Blueprint::new(task, Value::Null).unwrap(), ENVS).unwrap();
+    let batch = Batch::new(&Blueprint::new(task, Value::Null).unwrap(), ENVS).unwrap();
     let reset = batch.reset(None, Some(vec![1, 2, 3]), Default::default()).unwrap();
     pool.wait(batch, reset).unwrap()
 }

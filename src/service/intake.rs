@@ -82,6 +82,12 @@ impl Intake {
         (self.room / 64).clamp(64 << 10, 4 << 20) as u32
     }
 
+    /// Largest memory of the answers that one connection leaves unread [bytes], unless a single answer takes more: our
+    /// choice, so that eight such connections leave room for others.
+    pub fn most_unread(&self) -> usize {
+        self.room / 16
+    }
+
     /// A share for a request's work and results, if it is free now.
     pub fn try_share(&self, bytes: usize) -> Option<Share> {
         let permit = self.shares.clone().try_acquire_many_owned(units(bytes)).ok()?;
@@ -133,7 +139,11 @@ impl Messages {
 
     pub fn of<T>(request: &tonic::Request<T>) -> Self {
         // Only calls in tests have none, because they do not come through [`pass`].
-        request.extensions().get::<Self>().cloned().unwrap_or_else(|| Self::new(price::of_call(""), Limits::DEFAULT.stall, None))
+        request
+            .extensions()
+            .get::<Self>()
+            .cloned()
+            .unwrap_or_else(|| Self::new(price::of_call(""), Limits::DEFAULT.stall, None))
     }
 
     /// From now on messages of up to `bytes` need no share, because the session's reservation includes them.
@@ -153,8 +163,13 @@ impl Messages {
     /// An answer's hold on `share`, until its client has read its `bytes`.
     pub fn unread(&self, share: Arc<Share>, bytes: usize) -> UnreadShare {
         // Of the earlier answers, only the last can still be in the queue.
-        let queued = self.0.ahead.swap(bytes, Ordering::Relaxed) + bytes;
-        UnreadShare::new(share, queued, self.0.stall, self.0.link.clone())
+        let ahead = self.0.ahead.swap(bytes, Ordering::Relaxed);
+        UnreadShare::new(share, [bytes, ahead], self.0.stall, self.0.link.clone())
+    }
+
+    /// Memory of the answers that the connection's client has not read [bytes].
+    pub fn unread_bytes(&self) -> usize {
+        self.0.link.as_ref().map_or(0, |link| link.unread.load(Ordering::Relaxed))
     }
 
     /// The call's next answer holds `share` until it has been sent.

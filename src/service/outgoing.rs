@@ -13,7 +13,7 @@ use super::intake::{Intake, Messages};
 use super::price;
 use super::status;
 use super::unread::UnreadShare;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use axum::body::Body;
 use axum::extract::Request;
 use axum::middleware::Next;
@@ -64,6 +64,11 @@ pub async fn answer<T: Message>(
     let mut answer = make().map_err(refused)?;
     let bytes = price::answer_bytes(&answer);
     if bytes > price::SMALL_ANSWER {
+        let unread = messages.unread_bytes();
+        if unread > 0 && unread + bytes > intake.most_unread() {
+            let reason = format!("this connection's client must first read {} KiB of other answers", unread >> 10);
+            return Err(refused(Error::Exhausted(reason)));
+        }
         let share = match intake.try_share(bytes) {
             Some(share) => share,
             None => {

@@ -3,6 +3,7 @@
 use super::connection_table::ConnectionHandle;
 use super::share::Share;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 use tokio::task::AbortHandle;
 
@@ -14,13 +15,29 @@ const SLOWEST: usize = 1 << 20;
 pub struct UnreadShare {
     _share: Arc<Share>,
     _limit: Option<TimeLimit>,
+    /// The size of the answer, and the connection that counts it.
+    bytes: usize,
+    link: Option<ConnectionHandle>,
 }
 
 impl UnreadShare {
-    /// `bytes`: size of the answer and of those before it in the queue. `link`: the connection, which only tests lack.
-    pub fn new(share: Arc<Share>, bytes: usize, stall: Duration, link: Option<ConnectionHandle>) -> Self {
-        let time = stall + Duration::from_secs((bytes / SLOWEST) as u64);
-        Self { _share: share, _limit: link.map(|link| TimeLimit::new(link, time)) }
+    /// `bytes`: size of the answer; `ahead`: of those before it in the queue. `link`: the connection, which only tests
+    /// lack.
+    pub fn new(share: Arc<Share>, [bytes, ahead]: [usize; 2], stall: Duration, link: Option<ConnectionHandle>) -> Self {
+        let time = stall + Duration::from_secs(((bytes + ahead) / SLOWEST) as u64);
+        if let Some(link) = &link {
+            link.unread.fetch_add(bytes, Ordering::Relaxed);
+        }
+        let limit = link.clone().map(|link| TimeLimit::new(link, time));
+        Self { _share: share, _limit: limit, bytes, link }
+    }
+}
+
+impl Drop for UnreadShare {
+    fn drop(&mut self) {
+        if let Some(link) = &self.link {
+            link.unread.fetch_sub(self.bytes, Ordering::Relaxed);
+        }
     }
 }
 

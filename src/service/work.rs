@@ -2,10 +2,10 @@
 
 use super::building::LastAnswer;
 use super::encode;
-use super::share::Share;
 use super::proto::RunSessionResponse;
 use super::proto::run_session_response::Response;
 use super::sessions::{SessionGuard, broken};
+use super::share::Share;
 use super::status;
 use crate::error::{Error, Result};
 use crate::pool::{Batch, Operation, Pool};

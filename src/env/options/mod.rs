@@ -20,8 +20,8 @@ mod declare;
 mod robot;
 mod value;
 
-pub use robot::RobotName;
 pub use crate::sim::MemoryCount;
+pub use robot::RobotName;
 pub use value::{Bounded, OptionValue, changed};
 
 use crate::error::{Error, Result};

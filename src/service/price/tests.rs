@@ -36,8 +36,11 @@ fn answers_say_their_size() {
     let column = |column: &proto::Column| size_of::<proto::Column>() + column.name.capacity() + column.unit.capacity();
     for blueprint in [wide, plain] {
         let task = crate::encode::task(&blueprint);
-        let columns: usize = [&task.observation, &task.action, &task.info].iter().map(|c| c.iter().map(column).sum::<usize>()).sum();
-        let option = |o: &proto::Option| size_of::<proto::Option>() + o.name.len() + o.summary.len() + value_bytes(&o.default_value);
+        let columns: usize =
+            [&task.observation, &task.action, &task.info].iter().map(|c| c.iter().map(column).sum::<usize>()).sum();
+        let option = |o: &proto::Option| {
+            size_of::<proto::Option>() + o.name.len() + o.summary.len() + value_bytes(&o.default_value)
+        };
         let unpacked = columns + task.options.iter().map(option).sum::<usize>();
         let whole = unpacked + task.encoded_len();
         println!("{}: {unpacked} bytes unpacked, {} on the wire", task.id, task.encoded_len());
