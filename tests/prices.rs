@@ -133,6 +133,7 @@ fn the_dearest_value_of_every_option_takes_what_is_reserved() {
     let (mut failures, mut tried, mut accepted) = (Vec::new(), 0, 0);
     for task in TASK_IDS {
         let blueprint = Blueprint::new(task, Value::Null).unwrap();
+        let plain = environments(task, &Value::Null).unwrap();
         for place in places(&blueprint) {
             let name = place.path.join(".");
             let mut dearest: Option<([usize; 2], Value)> = None;
@@ -155,6 +156,9 @@ fn the_dearest_value_of_every_option_takes_what_is_reserved() {
             for (how, found) in [("made", dearest), ("reset", of_resets)] {
                 let Some((sizes, value)) = found else { continue };
                 accepted += usize::from(how == "made");
+                // What the option adds.
+                let added = |k: usize| sizes[k].saturating_sub(if how == "made" { plain[k] } else { 0 });
+                let sizes = [added(0), added(1)];
                 check(&format!("{task} {how} with {name} = {}", short(&value)), sizes, &mut failures);
             }
         }

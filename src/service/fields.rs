@@ -33,12 +33,12 @@ const DEEPEST: usize = 48;
 /// Longest id [bytes]: our choice; an id has 32 characters, and the longest task's id 30.
 const ID: usize = 256;
 
-/// Largest mesh of a body, with its name [bytes]: our choice, 80,000 triangles in binary STL.
-pub const LARGEST_MESH: usize = (4 << 20) + SMALL;
+/// Largest mesh of a body [bytes]: our choice, 80,000 triangles in binary STL.
+const LARGEST_MESH: usize = 4 << 20;
 
 /// Largest measured data of a diagnosis [bytes]: our choice. 40,000 rows of a force log, the most that a diagnosis takes,
 /// have about 8 MB; logs of robots may have more rows.
-pub const LARGEST_DATA: usize = 64 << 20;
+const LARGEST_DATA: usize = 64 << 20;
 
 /// Largest number of a body's motions in one request: our choice, some ten minutes of computing.
 pub const MOST_TRIALS: usize = 1_000_000;
@@ -47,9 +47,10 @@ pub const MOST_TRIALS: usize = 1_000_000;
 const COLUMN: usize = 8 * MOST_TRIALS;
 
 /// Bounds of fields [bytes]; of all its values together, if a field may occur more than once. Any other text, list of
-/// numbers or field of `bytes` has at most [`SMALL`] bytes, and any `Struct` at most [`LONGEST_OPTIONS`]. Fields without
-/// an end are bounded by `--max-message-mib`, and by the number of the session's environments.
-const LONGEST: [(&str, usize); 30] = [
+/// numbers or field of `bytes` has at most [`SMALL`] bytes, and any `Struct` at most [`LONGEST_OPTIONS`]. The bound of a
+/// file is that of its content. Fields without an end are bounded by `--max-message-mib`, and by the number of the
+/// session's environments.
+const LONGEST: &[(&str, usize)] = &[
     ("sandgait.v1.CreateSessionRequest.task_id", ID),
     ("sandgait.v1.DescribeSessionRequest.session_id", ID),
     ("sandgait.v1.CloseSessionRequest.session_id", ID),
@@ -76,20 +77,29 @@ const LONGEST: [(&str, usize); 30] = [
     ("sandgait.v1.TrialsRequest.load", COLUMN),
     ("sandgait.v1.WalkRequest.frequency", LONGEST_OPTIONS),
     ("sandgait.v1.SweepRequest.vary", LONGEST_OPTIONS),
-    ("sandgait.v1.EvaluateRequest.onnx", crate::policy::MOST_BYTES + SMALL),
+    ("sandgait.v1.Variation.numbers", LONGEST_OPTIONS),
+    ("sandgait.v1.Variation.names", LONGEST_OPTIONS),
+    ("sandgait.v1.EvaluateRequest.onnx", crate::policy::MOST_BYTES),
     ("sandgait.v1.DiagnoseRequest.data", LARGEST_DATA),
     ("sandgait.v1.DiagnoseRequest.file", LONGEST_OPTIONS),
     ("dm_env_rpc.v1.CreateWorldRequest.settings", LONGEST_OPTIONS),
     ("dm_env_rpc.v1.JoinWorldRequest.settings", LONGEST_OPTIONS),
+    ("dm_env_rpc.v1.ResetRequest.settings", LONGEST_OPTIONS),
     ("dm_env_rpc.v1.ResetWorldRequest.settings", LONGEST_OPTIONS),
 ];
 
-/// The longest value of a field that contains other fields and has no bound of its own.
+/// Messages that are values of the field that holds them, with its name and bound: options, files, tensors. Entries of
+/// maps are values, too.
+const VALUES: [&str; 3] = ["google.protobuf.", "sandgait.v1.File", "dm_env_rpc.v1.Tensor"];
+
+/// The bound of a field that has none of its own, because it contains other fields or is a part of a value.
 const UNBOUNDED: usize = usize::MAX;
 
 /// The fields of a message.
 pub struct MessageLayout {
     fields: HashMap<u64, FieldLayout>,
+    /// Is it a value of the field that holds it?
+    is_value: bool,
 }
 
 struct FieldLayout {
@@ -144,6 +154,8 @@ impl Layouts {
     fn add(&mut self, scope: &str, message: &DescriptorProto) {
         let name = format!("{scope}.{}", message.name());
         message.nested_type.iter().for_each(|nested| self.add(&name, nested));
+        let is_entry = message.options.as_ref().is_some_and(|options| options.map_entry());
+        let is_value = is_entry || VALUES.iter().any(|value| name.starts_with(value));
         let field = |field: &prost_types::FieldDescriptorProto| {
             let inside =
                 (field.r#type() == Type::Message).then(|| field.type_name().trim_start_matches('.').to_owned());
@@ -152,6 +164,7 @@ impl Layouts {
             let longest = longest.unwrap_or(match inside.as_deref() {
                 Some("google.protobuf.Struct") => LONGEST_OPTIONS,
                 Some(_) => UNBOUNDED,
+                None if is_value => UNBOUNDED,
                 None => SMALL,
             });
             let repeated = field.label() == Label::Repeated;
@@ -160,7 +173,7 @@ impl Layouts {
             (field.number() as u64, layout)
         };
         let fields = message.field.iter().map(field).collect();
-        self.messages.insert(name, MessageLayout { fields });
+        self.messages.insert(name, MessageLayout { fields, is_value });
     }
 }
 
@@ -173,7 +186,8 @@ impl MessageLayout {
 
     fn long_fields(&self, depth: usize) -> usize {
         let (mut sum, mut alternatives) = (0_usize, HashMap::<i32, usize>::new());
-        for field in self.fields.values() {
+        // The bound of a value is that of the field that holds it.
+        for field in self.fields.values().filter(|_| !self.is_value) {
             let inside = field.inside.as_ref().and_then(|name| LAYOUTS.messages.get(name));
             let size = match inside {
                 Some(inside) if field.longest == UNBOUNDED && depth < DEEPEST => inside.long_fields(depth + 1),
@@ -193,7 +207,7 @@ impl MessageLayout {
 
     /// Refuses a message that would unpack to more than it may.
     pub fn check(&self, bytes: &[u8]) -> Result<()> {
-        FieldCount::default().message(bytes, self, 0)
+        FieldCount::default().message(bytes, self, None, 0)
     }
 }
 
@@ -205,7 +219,14 @@ struct FieldCount {
 }
 
 impl FieldCount {
-    fn message(&mut self, mut bytes: &[u8], layout: &MessageLayout, depth: usize) -> Result<()> {
+    /// `holder`: name and bound of the field that holds the message.
+    fn message(
+        &mut self,
+        mut bytes: &[u8],
+        layout: &MessageLayout,
+        holder: Option<(&str, usize)>,
+        depth: usize,
+    ) -> Result<()> {
         let mut sizes: HashMap<u64, usize> = HashMap::new();
         while !bytes.is_empty() {
             self.fields += 1;
@@ -215,21 +236,28 @@ impl FieldCount {
             let (number, value) = field(&mut bytes).ok_or_else(unreadable)?;
             let (Some(field), Some(value)) = (layout.fields.get(&number), value) else { continue };
             let FieldLayout { name, longest, repeated, inside, .. } = field;
+            let inside = inside.as_ref().and_then(|name| LAYOUTS.messages.get(name));
+            let (name, longest) = match holder.filter(|_| layout.is_value) {
+                Some((name, longest)) => (name, longest),
+                None => (&name[..], *longest),
+            };
             let before = sizes.insert(number, value.len());
             if before.is_some() && !repeated {
                 return Err(Error::invalid(name, "given twice"));
             }
             let size = before.unwrap_or(0) + value.len();
             sizes.insert(number, size);
-            if size > *longest {
+            // A file has a name beside its content.
+            let beside = if inside.is_some_and(|inside| inside.is_value) { SMALL } else { 0 };
+            if size > longest.saturating_add(beside) {
                 return Err(Error::invalid(name, format!("{size} bytes are more than {longest}")));
             }
-            let Some(inside) = inside.as_ref().and_then(|name| LAYOUTS.messages.get(name)) else { continue };
+            let Some(inside) = inside else { continue };
             self.messages += 1;
             if self.messages > MOST_MESSAGES || depth >= DEEPEST {
                 return Err(Error::invalid(name, "too many values, or nested too deeply"));
             }
-            self.message(value, inside, depth + 1)?;
+            self.message(value, inside, Some((name, longest)), depth + 1)?;
         }
         Ok(())
     }

@@ -149,9 +149,10 @@ impl Model {
     }
 }
 
-/// Memory of an obstacle in a world of engine `rapier` [bytes]: its body, its collider, its shape and its contacts.
-/// Measured as resident memory of environments with 16 and with 64 loose rocks.
-const ROCK: usize = 12_000;
+/// Memory of an obstacle in a world of engine `rapier` [bytes]: its body, collider, shape and contacts, some 10 kB, and
+/// the engine's copy of its geometry. 1,111 MiB were resident for 700 environments of 64 rocks, half of which was for
+/// two copies of the geometry.
+const ROCK: usize = 16_500;
 
 /// Memory of a lane of engine `tree`, of each of its bodies, and of each point that may touch hard ground [bytes]:
 /// counted in the structures of [`super::tree::engine`], where a list of touching points may have room for twice as many.

@@ -4,7 +4,7 @@
 
 use crate::harness::{Bearer, Client, Session, client, create, number, options, step, text, wave};
 use crate::process::{self, Process};
-use crate::{ALONE, resident};
+use crate::{ALONE, resident, table};
 use prost::Message as _;
 use sandgait::service::proto::run_session_request::Request;
 use sandgait::service::proto::run_session_response::Response;
@@ -71,11 +71,6 @@ impl Target {
         tokio::spawn(connection);
         client.ready().await.ok()
     }
-}
-
-/// A dictionary as an option.
-fn table(fields: &[(&str, prost_types::Value)]) -> prost_types::Value {
-    prost_types::Value { kind: options(fields).map(prost_types::value::Kind::StructValue) }
 }
 
 fn rocks(count: f64) -> prost_types::Value {

@@ -40,6 +40,11 @@ fn resident(process: u32) -> f64 {
     line.trim().trim_end_matches(" kB").parse::<f64>().unwrap() / 1024.0
 }
 
+/// A dictionary as an option.
+fn table(fields: &[(&str, prost_types::Value)]) -> prost_types::Value {
+    prost_types::Value { kind: harness::options(fields).map(prost_types::value::Kind::StructValue) }
+}
+
 fn rollout(envs: usize, steps: usize, trajectories: bool) -> Request {
     let actions: Vec<u8> = wave(0..envs, 0).repeat(steps).iter().flat_map(|a| a.to_le_bytes()).collect();
     Request::Rollout(Rollout { actions: actions.into(), trajectories })
@@ -181,7 +186,8 @@ async fn build(mut client: harness::Client, stop: &AtomicBool) -> Vec<f64> {
     let mut times = Vec::new();
     while !stop.load(Ordering::Relaxed) {
         let begun = Instant::now();
-        let rocks = CreateSessionRequest { task_id: "sandgait/HexapodRocks-v1".into(), ..create(MANY, &[]) };
+        let few = [("rocks", table(&[("count", harness::number(1.0))]))];
+        let rocks = CreateSessionRequest { task_id: "sandgait/HexapodRocks-v1".into(), ..create(MANY, &few) };
         let session_id = client.create_session(rocks).await.unwrap().into_inner().session_id;
         times.push(begun.elapsed().as_secs_f64() * 1e3);
         client.close_session(CloseSessionRequest { session_id }).await.unwrap();

@@ -132,7 +132,7 @@ impl StudyQueue {
                     };
                     match done.map(A::result) {
                         Ok(result) => match shared(&intake, share, price::answer_bytes(&result)).await {
-                            Ok(share) => (Ok(result), Some(share)),
+                            Ok(share) => (Ok(result), share),
                             Err(error) => (Err(status::status(&error)), None),
                         },
                         Err(error) => (Err(status::status(&error)), share),
@@ -155,15 +155,16 @@ impl StudyQueue {
 }
 
 /// The share of a result of `bytes`, which is not smaller than the share of its request.
-async fn shared(intake: &Intake, request: Option<Share>, bytes: usize) -> Result<Share> {
+async fn shared(intake: &Intake, request: Option<Share>, bytes: usize) -> Result<Option<Share>> {
     match request {
         // The request's memory is free now, but its share covers the result. It cannot wait for more while it holds
         // this.
         Some(share) => {
             share.grow(bytes.saturating_sub(share.bytes()))?;
-            Ok(share)
+            Ok(Some(share))
         }
-        None => intake.share(bytes).await,
+        None if bytes <= price::SMALL_ANSWER => Ok(None),
+        None => intake.share(bytes).await.map(Some),
     }
 }
 
