@@ -148,3 +148,70 @@ impl Shard {
         self.environments[i].begun
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::registry::{Blueprint, TASK_IDS};
+    use serde_json::json;
+
+    /// A step in the smallest parts has the bits of a step in one part, in every task and with actions that arrive late.
+    #[test]
+    fn parts_change_no_bit() {
+        for task in TASK_IDS {
+            let options = json!({"dt": 2.5e-4, "action_delay": [0.003, 0.017]});
+            let blueprint = Blueprint::new(task, options).unwrap();
+            let envs = blueprint.engine.shard_size();
+            let seeds: Vec<u64> = (0..envs as u64).collect();
+            let begun = || {
+                let mut shard = Shard::new(&blueprint, envs).unwrap();
+                shard.reset(|_| true, Some(&seeds), |_| None);
+                shard
+            };
+            let [mut whole, mut divided] = [begun(), begun()];
+            for step in 0..5 {
+                let action = |k: usize| ((k * 3 + step) as f32 * 0.37).sin();
+                let actions: Vec<f32> = (0..envs * whole.actions()).map(action).collect();
+                whole.step(&actions);
+                let mut parts = 1;
+                while !divided.step_part(&actions, |_| false, Duration::ZERO) {
+                    parts += 1;
+                }
+                assert!(parts > 3, "{task}: {parts} parts");
+                assert_eq!(whole.rows, divided.rows, "{task}");
+                (0..envs).for_each(|i| assert_eq!(whole.state(i), divided.state(i), "{task}"));
+            }
+        }
+    }
+
+    /// A step that is undone in the middle leaves the bits of the next steps as they were.
+    #[test]
+    fn an_undone_step_leaves_no_trace() {
+        for task in TASK_IDS {
+            let blueprint = Blueprint::new(task, json!({"dt": 2.5e-4})).unwrap();
+            let envs = blueprint.engine.shard_size();
+            let seeds: Vec<u64> = (0..envs as u64).collect();
+            let begun = || {
+                let mut shard = Shard::new(&blueprint, envs).unwrap();
+                shard.reset(|_| true, Some(&seeds), |_| None);
+                shard.step(&vec![0.3; envs * shard.actions()]);
+                shard
+            };
+            let [mut calm, mut undone] = [begun(), begun()];
+            let actions = vec![-0.2; envs * calm.actions()];
+            for parts in [1, 2, 100] {
+                undone.keep_all();
+                for _ in 0..parts {
+                    if undone.step_part(&actions, |_| false, Duration::ZERO) {
+                        break;
+                    }
+                }
+                undone.undo();
+                assert!(!undone.is_in_step());
+                calm.step(&actions);
+                undone.step(&actions);
+                assert_eq!(calm.rows, undone.rows, "{task} after {parts} parts");
+            }
+        }
+    }
+}
