@@ -149,7 +149,7 @@ fn snapshots_keep_what_resets_changed() {
     let rows = session.walk(20);
     let mut other = Session::new(TERRAIN, json!({}), 2);
     let mut batch = other.batch.take().unwrap();
-    let operation = batch.restore(&Snapshot::from_bytes(&bytes, &Seal::default()).unwrap(), None).unwrap();
+    let operation = batch.restore(Snapshot::from_bytes(&bytes, &Seal::default()).unwrap(), None).unwrap();
     other.batch = Some(other.pool.wait(batch, operation).unwrap());
     assert_eq!(other.walk(20), rows);
     other.reset(None, json!({"payload": 0.01})).unwrap();
@@ -176,7 +176,7 @@ fn snapshots_hold_large_reliefs() {
         let snapshot = Snapshot::from_bytes(&bytes, &Seal::default()).unwrap();
         let mut other = Session::new("sandgait/LeggedVelocity-v1", options, 2);
         let mut batch = other.batch.take().unwrap();
-        let operation = batch.restore(&snapshot, None).unwrap();
+        let operation = batch.restore(snapshot, None).unwrap();
         other.batch = Some(other.pool.wait(batch, operation).unwrap());
         assert_eq!(other.walk(10), rows, "{side}");
     }

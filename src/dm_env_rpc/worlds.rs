@@ -227,6 +227,12 @@ impl JoinedWorld {
                     return;
                 }
             };
+            let changed = guard.batch().bytes_during(&operation);
+            if let Some(Err(error)) = changed.map(|bytes| guard.reserve(bytes)) {
+                drop(guard);
+                let _ = sender.send(Err(error));
+                return;
+            }
             let batch = guard.take();
             let ran = guard.sessions.metrics.begin(&operation, batch.envs());
             pool.run(batch, operation, move |done| {
@@ -235,6 +241,9 @@ impl JoinedWorld {
                     ran(&batch);
                     guard.sessions.watchers.saw(&guard.id, &batch);
                     guard.put(batch);
+                    if changed.is_some() {
+                        guard.release();
+                    }
                     seen
                 });
                 if let Err(error) = &seen {

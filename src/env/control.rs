@@ -5,7 +5,7 @@ use super::options::OptionValue;
 use super::reference::{TOP_SPEED, toward};
 use super::spec::{CONTROL_RATE, Column};
 use crate::sim::engine::Command;
-use crate::sim::{Robot, State};
+use crate::sim::{MemoryCount, Robot, State};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
 
@@ -28,7 +28,9 @@ impl Control {
     pub const NAMES: [&'static str; 4] = ["hip_speed", "hip_target", "torque", "clock"];
 }
 
-impl OptionValue for Control {}
+impl OptionValue for Control {
+    fn count_memory(&self, _count: &mut MemoryCount) {}
+}
 
 /// A control mode with the numbers of a certain robot.
 pub struct Driver {

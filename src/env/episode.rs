@@ -33,6 +33,8 @@ pub(super) struct Ended {
 /// One environment of a shard.
 pub(super) struct Environment {
     pub episode: Episode,
+    /// Was there a reset or a restore?
+    pub begun: bool,
     /// True if a reset may have changed the task's options since the engine got them.
     pub stale: bool,
     /// The state before the last step; if that step ended an episode, the final state of that episode.
@@ -57,6 +59,11 @@ pub(super) enum Before {
 }
 
 impl Episode {
+    /// The task with the environment's options.
+    pub fn task(&self) -> &Arc<dyn AnyTask> {
+        &self.task
+    }
+
     /// The model that simulates the episode.
     pub(super) fn model(&self) -> &Arc<Model> {
         self.task_state.model.as_ref().unwrap_or(self.task.model())
@@ -78,7 +85,15 @@ impl Environment {
             delay: ActionDelay::default(),
             task,
         };
-        Self { episode, stale: false, before: still, normal_forces: Vec::new(), foot_loads: Vec::new(), ended: None }
+        Self {
+            episode,
+            begun: false,
+            stale: false,
+            before: still,
+            normal_forces: Vec::new(),
+            foot_loads: Vec::new(),
+            ended: None,
+        }
     }
 
     /// Fills an observation row, and the sensors' part of an info row. `before`: the event before the present state;

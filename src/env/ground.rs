@@ -104,8 +104,9 @@ impl UsedGround {
                 _ => (),
             }
         }
+        // In this order the list never has room for more.
+        self.prints.drain(..(self.prints.len() + left.len()).saturating_sub(PRINTS));
         self.prints.extend(left);
-        self.prints.drain(..self.prints.len().saturating_sub(PRINTS));
         let patch = self.patch_at(state.position[0]);
         if patch != self.patch {
             (self.patch, change) = (patch, Change::Patch);

@@ -3,7 +3,7 @@
 //! This crate turns simulated robots into episodes. It has no threads, sessions or messages.
 //!
 //! * [`spec`]: observation, action and info tables; they generate vectors, replies, Python spaces and docs.
-//! * [`task`]: the trait a task implements; [`registry`]: the list of tasks.
+//! * [`task`]: the trait a task implements; `setup`: a task with its options; [`registry`]: the list of tasks.
 //! * [`options`]: how a task declares its keywords, [`feature`]: the numbers of its rows, [`reward`]: its reward's
 //!   terms.
 //! * [`locomotion`], [`walking`]: the parts that walking tasks share; [`gait`]: the task HexapodGait, [`legs`]:
@@ -13,7 +13,7 @@
 //! * [`control`]: control modes of hips; [`clock`]: the mode with a gait's parameters as action;
 //!   [`reference`](mod@reference): how the servos' references move.
 //! * [`sensors`]: from exact values to observations, and the delay of actions.
-//! * [`shard`]: environments that advance together on one engine; reset, step, autoreset. [`episode`]: what each of them
+//! * [`shard`]: environments that advance together on one engine; reset, autoreset; `stepping`: a step, in parts. [`episode`]: what each of them
 //!   goes on from; [`snapshot`]: episodes as data; [`rollout`]: many steps in one call.
 //! * [`look`]: one environment for viewers.
 //! * [`random`]: the stream of random numbers of an episode.
@@ -42,9 +42,11 @@ pub mod rocks;
 pub mod rollout;
 mod rows;
 pub mod sensors;
+mod setup;
 pub mod shard;
 pub mod snapshot;
 pub mod spec;
+mod stepping;
 pub mod stroke;
 pub mod task;
 pub mod terrain;

@@ -5,13 +5,14 @@ use super::legged::LeggedVelocity;
 use super::legs::HexapodLegs;
 use super::options::{self, OptionRow, Options, ResetOptions, TaskOptions};
 use super::rocks::HexapodRocks;
-use super::sensors::{Motors, SensorModel};
-use super::spec::Column;
+use super::sensors::Motors;
+use super::setup::TaskSetup;
 use super::stroke::LegStroke;
-use super::task::{AnyTask, Task, TaskSetup};
+use super::task::{AnyTask, Task};
 use super::terrain::HexapodTerrain;
 use crate::error::{Error, Result};
 use crate::sim::engine::EngineKind;
+use crate::sim::{MemoryCount, Model};
 use serde_json::Value;
 use std::sync::Arc;
 
@@ -125,7 +126,6 @@ pub fn no_task(id: &str) -> Error {
 pub struct Blueprint {
     pub task: Arc<dyn AnyTask>,
     pub engine: EngineKind,
-    episode_bytes: usize,
 }
 
 impl Blueprint {
@@ -160,7 +160,7 @@ impl Blueprint {
         if (steps - steps.round()).abs() > 1e-6 * steps {
             return Err(Error::invalid("dt", format!("{dt} does not divide the control period {period} s")));
         }
-        Ok(Self { task, engine, episode_bytes: T::EPISODE_BYTES })
+        Ok(Self { task, engine })
     }
 
     /// See [`AnyTask::changed`].
@@ -186,31 +186,18 @@ impl Blueprint {
 
     /// Estimated memory of `envs` environments with these options [bytes].
     pub fn bytes(&self, envs: usize) -> usize {
-        self.shared_bytes() + envs * self.bytes_per_env()
+        self.shared_bytes() + envs * self.task.bytes_per_env()
     }
 
-    /// Memory of one environment [bytes]: its rows twice (because of final observations), its robot, its episode, the
-    /// previous episode, and the copy of the episode, with sand, that a rollout or restore makes.
-    /// [`Task::EPISODE_BYTES`] is for two episodes. Each episode of a tree robot has its own model.
+    /// See [`AnyTask::bytes_per_env`].
     pub fn bytes_per_env(&self) -> usize {
-        let (spec, model) = (self.task.spec(), self.task.model());
-        let rows = 4 * (2 * spec.observation.len() + spec.info.len() + spec.action.len());
-        let sensed = 3 * 4 * self.task.sensing().map_or(0, SensorModel::numbers);
-        let drawn = match (&model.tree, self.task.draws_motors()) {
-            (None, false) => 0,
-            (None, true) => model.memory_bytes(),
-            (Some(_), _) => model.episode_bytes(),
-        };
-        let copy = model.sand_bytes();
-        rows + sensed + self.episode_bytes / 2 * 3 + 3 * drawn + model.robot_bytes(self.engine) + copy
+        self.task.bytes_per_env()
     }
 
-    /// Memory that environments with the same options share [bytes]: the model, and the names of all columns, which the
-    /// task stores twice. Each reset or restore with other options needs this memory again.
+    /// Memory that environments with these options share [bytes]; see [`AnyTask::count_memory`].
     pub fn shared_bytes(&self) -> usize {
-        let spec = self.task.spec();
-        let columns = spec.observation.iter().chain(&spec.action).chain(&spec.info);
-        let columns: usize = columns.map(|c| size_of::<Column>() + c.name.len()).sum();
-        self.task.model().memory_bytes() + 2 * columns
+        let mut count = MemoryCount::default();
+        self.task.count_memory(&mut count);
+        count.bytes()
     }
 }

@@ -40,6 +40,8 @@ macro_rules! reward_terms {
         }
 
         impl $crate::options::OptionValue for $Name {
+            fn count_memory(&self, _count: &mut $crate::options::MemoryCount) {}
+
             fn check(&self, name: &str) -> $crate::error::Result<()> {
                 $($crate::options::Bounded::within(
                     &self.$term,

@@ -239,6 +239,13 @@ impl Task for HexapodRocks {
         self.gait.evaluate(&setup.with(&setup.options.gait), transition, info)
     }
 
+    fn drawn_bytes(setup: &Setup<RocksOptions>) -> usize {
+        // A random rock has more corners and sides than a step.
+        let rock = Obstacle::fixed(rock(RockOptions::default().size[1], &mut Random::new(0, 0)), [0.0; 3]);
+        // Its numbers are within every range, which a test checks.
+        setup.model.episode_bytes() + setup.options.rocks.count * rock.memory_bytes().unwrap_or_default()
+    }
+
     fn most_obstacles(options: &RocksOptions) -> usize {
         options.rocks.count
     }

@@ -7,11 +7,13 @@ use super::registry::Blueprint;
 use super::rollout::{Recorded, Rollout};
 use super::sensors::{ActionDelay, SensorModel};
 use super::spec::Spec;
+use super::stepping::UnfinishedStep;
 use super::task::{AnyTask, Transition};
 use crate::error::Result;
 use crate::sim::engine::{Command, Engine};
 use crate::sim::{Model, State};
 use std::sync::Arc;
+use std::time::Duration;
 
 pub use super::rows::Rows;
 
@@ -20,11 +22,15 @@ pub struct Shard {
     task: Arc<dyn AnyTask>,
     pub(super) engine: Engine,
     pub(super) environments: Vec<Environment>,
-    command: Command,
-    substeps: usize,
+    pub(super) command: Command,
+    pub(super) substeps: usize,
     period: f64,
     pub rows: Rows,
     pub rollout: Rollout,
+    /// The control step that is not finished yet.
+    pub(super) unfinished: Option<UnfinishedStep>,
+    /// Copies of the environments before the present operation, if it can be undone.
+    pub(super) kept: Vec<Option<Episode>>,
 }
 
 impl Shard {
@@ -42,6 +48,8 @@ impl Shard {
             period,
             rows: Rows::new(envs, spec.observation.len(), spec.info.len()),
             rollout: Rollout::default(),
+            unfinished: None,
+            kept: Vec::new(),
         })
     }
 
@@ -109,62 +117,8 @@ impl Shard {
         environment.observe(Before::Restore, self.period, self.engine.sand(i), row, &mut []);
     }
 
-    /// Makes one control step of every environment; `actions` is f32 [envs, action] within its bounds. If an episode
-    /// ends, the next episode begins at once, and the row has the first observation of the next episode.
-    pub fn step(&mut self, actions: &[f32]) {
-        self.rows.clear();
-        let width = self.task.spec().action.len();
-        for (i, Environment { episode, before, .. }) in self.environments.iter_mut().enumerate() {
-            std::mem::swap(before, &mut episode.state);
-            let mut action = &actions[i * width..][..width];
-            if !episode.delay.is_none() {
-                episode.delay.push(action);
-                action = episode.delay.first();
-            }
-            episode.task.command(action, before, &mut self.command);
-            self.engine.command(i, &self.command);
-        }
-        self.advance();
-        for i in 0..self.environments.len() {
-            self.finish(i, &actions[i * width..][..width]);
-        }
-    }
-
-    /// Advances all environments by a control step. An action that arrives in the middle of the step acts from its
-    /// arrival on.
-    fn advance(&mut self) {
-        let arrivals = self.environments.iter().filter_map(|e| e.episode.delay.second().map(|(at, _)| at));
-        let mut times: Vec<usize> = arrivals.collect();
-        times.sort_unstable();
-        times.dedup();
-        let mut now = 0;
-        for time in times {
-            self.engine.advance_in_parts(time - now, false);
-            now = time;
-            for (i, Environment { episode, .. }) in self.environments.iter_mut().enumerate() {
-                let Some((_, action)) = episode.delay.second().filter(|(at, _)| *at == now) else { continue };
-                self.engine.state(i, &mut episode.state);
-                episode.task.command(action, &episode.state, &mut self.command);
-                self.engine.command(i, &self.command);
-            }
-        }
-        self.engine.advance(self.substeps - now);
-    }
-
-    /// The same as [`Shard::step`], except for environments for which `held` is true. Those keep their state, and their rows
-    /// are zeros except for the observation. Because lanes advance together, held environments also make the step and are then
-    /// restored.
-    pub fn step_but(&mut self, actions: &[f32], held: impl Fn(usize) -> bool) {
-        let kept: Vec<_> = (0..self.envs()).filter(|i| held(*i)).map(|i| (i, self.keep(i))).collect();
-        self.step(actions);
-        for (i, episode) in kept {
-            self.rows.clear_env(i);
-            self.restore(i, &episode);
-        }
-    }
-
     /// Evaluates environment `i`'s step, and begins the next episode if the present one has ended.
-    fn finish(&mut self, i: usize, action: &[f32]) {
+    pub(super) fn finish(&mut self, i: usize, action: &[f32]) {
         let spec = self.task.spec();
         let (wide, info) = (spec.observation.len(), spec.info.len());
         let Environment { episode, before, normal_forces, foot_loads, .. } = &mut self.environments[i];
@@ -221,7 +175,8 @@ impl Shard {
 
     /// Starts environment `i`'s episode with its present number, and fills its observation row.
     fn begin(&mut self, i: usize, before: Before) {
-        let Environment { episode, stale, .. } = &mut self.environments[i];
+        let Environment { episode, stale, begun, .. } = &mut self.environments[i];
+        *begun = true;
         let mut random = Random::new(episode.seed, episode.number);
         // A new seed begins a new series of episodes.
         let last = (episode.number > 0).then_some(&episode.task_state);
@@ -270,10 +225,13 @@ impl Shard {
         self.rollout = Rollout::begin(self.envs());
     }
 
-    /// Continues a rollout by one step; `actions` is f32 [envs, action] within its bounds.
-    pub fn roll(&mut self, actions: &[f32], record: bool) {
+    /// Goes on with the next step of a rollout for about `time`; returns whether the step is done. `actions` is f32
+    /// [envs, action] within its bounds, the same until the step is done.
+    pub fn roll_part(&mut self, actions: &[f32], record: bool, time: Duration) -> bool {
+        if !self.step_part(actions, |_| false, time) {
+            return false;
+        }
         let over: Vec<bool> = (0..self.envs()).map(|i| self.rollout.is_over(i)).collect();
-        self.step(actions);
         let (rows, rollout) = (&self.rows, &mut self.rollout);
         for i in (0..over.len()).filter(|i| !over[*i]) {
             rollout.returns[i] += f64::from(rows.rewards[i]);
@@ -285,6 +243,12 @@ impl Shard {
             let step = self.recorded(actions, &over);
             self.rollout.steps.push(step);
         }
+        true
+    }
+
+    /// Continues a rollout by one step; `actions` is f32 [envs, action] within its bounds.
+    pub fn roll(&mut self, actions: &[f32], record: bool) {
+        self.roll_part(actions, record, Duration::MAX);
     }
 
     /// The last step's rows, with zeros for environments that are `over`.

@@ -169,8 +169,9 @@ impl Shard {
 
     /// Continues environment `i` with `episode`, and fills its observation row.
     pub fn restore(&mut self, i: usize, episode: &Episode) {
+        self.unfinished = None;
         let environment = &mut self.environments[i];
-        environment.stale = false;
+        (environment.begun, environment.stale) = (true, false);
         environment.episode.clone_from(episode);
         self.engine.set_model(i, episode.model());
         self.take_up(i, Before::Restore);

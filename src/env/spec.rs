@@ -23,6 +23,11 @@ impl Column {
         Self { name: name.into(), unit, low, high, sensor: None }
     }
 
+    /// Memory of a list of columns with their names [bytes].
+    pub fn list_bytes(columns: &[Self]) -> usize {
+        size_of_val(columns) + columns.iter().map(|column| column.name.len()).sum::<usize>()
+    }
+
     /// Refuses a value beyond the bounds, or NaN; `field` names it.
     pub fn check(&self, value: f32, field: impl FnOnce() -> String) -> Result<()> {
         if (self.low..=self.high).contains(&f64::from(value)) {
@@ -82,4 +87,12 @@ pub struct Spec {
     pub max_episode_steps: u32,
     /// Control steps in a second of simulated time [Hz].
     pub control_rate: f64,
+}
+
+impl Spec {
+    /// Memory of the tables with their texts [bytes].
+    pub fn memory_bytes(&self) -> usize {
+        let tables = [&self.observation, &self.action, &self.info].map(|table| Column::list_bytes(table));
+        size_of::<Self>() + self.summary.len() + tables.iter().sum::<usize>() + size_of_val(&self.reward[..])
+    }
 }

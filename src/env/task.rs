@@ -1,15 +1,14 @@
 //! The definition of a task by its author ([`Task`]), and the form in which environments hold it ([`AnyTask`]).
 
 use super::ground::{Change, UsedGround};
-use super::legged::draws::MOST_COMMAND;
 use super::legged::episode::LeggedEpisode;
-use super::options::{OptionRow, Options, ResetOptions, TaskOptions};
+use super::options::{OptionRow, Options, ResetOptions};
 use super::random::Random;
-use super::sensors::{self, HardwareFiles, SensorModel};
+use super::sensors::SensorModel;
 use super::spec::Spec;
-use crate::error::{Error, Result, check_range};
+use crate::error::Result;
 use crate::sim::engine::{Command, EngineKind};
-use crate::sim::{Model, State};
+use crate::sim::{MemoryCount, Model, State};
 use serde_json::{Map, Value};
 use std::sync::Arc;
 
@@ -128,6 +127,11 @@ pub trait Task: Send + Sync + Sized + 'static {
         0
     }
 
+    /// Largest memory of the model that an episode draws [bytes]; 0: episodes draw none.
+    fn drawn_bytes(_setup: &Setup<Self::Options>) -> usize {
+        0
+    }
+
     /// Refuses a reset after which the model would not fit the environments' engine and rows.
     fn check_change(_old: &Model, _new: &Model) -> Result<()> {
         Ok(())
@@ -162,13 +166,20 @@ pub trait AnyTask: Send + Sync {
     /// Draws the motors of an episode, if they are random.
     fn draw_motors(&self, task_state: &mut TaskState, seed: u64, number: u64);
 
-    /// Does each episode have motors of its own?
-    fn draws_motors(&self) -> bool;
-
     /// Range of the delay of actions [s].
     fn action_delay(&self) -> [f64; 2];
 
     fn most_obstacles(&self) -> usize;
+
+    /// Adds the memory that environments with these options share: the model, the options with their texts, and the
+    /// names of all columns. Parts that tasks with other options share count once.
+    fn count_memory(&self, count: &mut MemoryCount);
+
+    /// Largest memory of one environment [bytes], besides what it shares: its rows twice (because of final observations),
+    /// its robot in the engine, its episode, the previous episode, and the copy of the episode, with sand, that a
+    /// rollout, a restore or a step makes. [`Task::EPISODE_BYTES`] is for two episodes.
+    fn bytes_per_env(&self) -> usize;
+
     fn resume(&self, task_state: &mut TaskState) -> std::result::Result<(), String>;
     /// See [`Task::command_ranges`].
     fn command_ranges(&self) -> Option<[[f64; 2]; 3]>;
@@ -216,171 +227,5 @@ pub trait AnyTask: Send + Sync {
             }
         }
         ResetOptions::new(Value::Object(all)).ok()
-    }
-}
-
-/// Refuses a keyword that is not an option of the task with this id.
-pub(super) type CheckKeyword = fn(&str, &[OptionRow], &str) -> Result<()>;
-
-/// [`AnyTask`] of one type of task.
-pub(super) struct TaskSetup<T: Task> {
-    check_keyword: CheckKeyword,
-    task: Arc<T>,
-    options: TaskOptions<T::Options>,
-    model: Arc<Model>,
-    /// The task's spec, with the columns of sensors.
-    spec: Spec,
-    hardware: HardwareFiles,
-    sensing: Option<SensorModel>,
-}
-
-impl<T: Task> TaskSetup<T> {
-    /// `options` are checked here.
-    pub fn new(options: TaskOptions<T::Options>, check_keyword: CheckKeyword) -> Result<Self> {
-        options.check_all("")?;
-        let hardware = HardwareFiles::new(&options.hardware)?;
-        let motors = sensors::motors(options.hardware.actuator, &hardware.values());
-        let model = T::model(&options.task)?.with_motors(&motors.into())?;
-        Self::with(options, hardware, Arc::new(model), check_keyword)
-    }
-
-    fn with(
-        options: TaskOptions<T::Options>,
-        hardware: HardwareFiles,
-        model: Arc<Model>,
-        check_keyword: CheckKeyword,
-    ) -> Result<Self> {
-        let task = Arc::new(T::new(&Setup { options: &options.task, model: &model })?);
-        let mut spec = task.spec().clone();
-        let sensing = SensorModel::new(&options.hardware, &hardware, &model, &mut spec)?;
-        Ok(Self { check_keyword, task, options, model, spec, hardware, sensing })
-    }
-
-    fn setup(&self) -> Setup<'_, T::Options> {
-        Setup { options: &self.options.task, model: &self.model }
-    }
-
-    /// The task's own part of an info row.
-    fn own<'a>(&self, info: &'a [f32]) -> &'a [f32] {
-        &info[..self.task.spec().info.len()]
-    }
-}
-
-impl<T: Task> AnyTask for TaskSetup<T> {
-    fn spec(&self) -> &Spec {
-        &self.spec
-    }
-
-    fn model(&self) -> &Arc<Model> {
-        &self.model
-    }
-
-    fn begin(&self, last: Option<&TaskState>, random: &mut Random) -> (State, TaskState) {
-        match last {
-            Some(last) => self.task.begin_after(&self.setup(), last, random),
-            None => self.task.begin(&self.setup(), random),
-        }
-    }
-
-    fn command(&self, action: &[f32], state: &State, command: &mut Command) {
-        self.task.command(action, state, command);
-    }
-
-    fn after_step(&self, task_state: &mut TaskState, state: &State, info: &[f32]) -> Change {
-        self.task.after_step(&self.setup(), task_state, state, self.own(info))
-    }
-
-    fn observe(&self, task_state: &TaskState, state: &State, last_action: &[f32], row: &mut [f32]) {
-        self.task.observe(task_state, state, last_action, row);
-    }
-
-    fn evaluate(&self, transition: &Transition, info: &mut [f32]) -> bool {
-        self.task.evaluate(&self.setup(), transition, &mut info[..self.task.spec().info.len()])
-    }
-
-    fn sensing(&self) -> Option<&SensorModel> {
-        self.sensing.as_ref()
-    }
-
-    fn draw_motors(&self, task_state: &mut TaskState, seed: u64, number: u64) {
-        if !self.hardware.is_random() {
-            return;
-        }
-        let motors = sensors::motors(self.options.hardware.actuator, &self.hardware.of_episode(seed, number));
-        let model = task_state.model.as_ref().unwrap_or(&self.model);
-        // The ends of the intervals were checked, so this cannot fail for the values between them.
-        if let Ok(model) = Model::clone(model).with_motors(&motors.into()) {
-            task_state.model = Some(Arc::new(model));
-        }
-    }
-
-    fn draws_motors(&self) -> bool {
-        self.hardware.is_random()
-    }
-
-    fn action_delay(&self) -> [f64; 2] {
-        self.hardware.action_delay(self.options.hardware.action_delay)
-    }
-
-    fn most_obstacles(&self) -> usize {
-        T::most_obstacles(&self.options.task)
-    }
-
-    fn resume(&self, task_state: &mut TaskState) -> std::result::Result<(), String> {
-        match T::resume(&self.setup(), task_state) {
-            // If the task itself draws no model, the model in the state is the session's model with drawn motors;
-            // `draw_motors` makes it again.
-            Err(_) if self.hardware.is_random() && task_state.model.take().is_some() => {
-                T::resume(&self.setup(), task_state)
-            }
-            result => result,
-        }
-    }
-
-    fn command_ranges(&self) -> Option<[[f64; 2]; 3]> {
-        self.task.command_ranges(&self.setup())
-    }
-
-    fn check_command(&self, name: &str, command: [f64; 3]) -> Result<()> {
-        if self.command_ranges().is_none() {
-            return Err(Error::invalid(name, format!("{} has no commands", T::ID)));
-        }
-        for value in command {
-            check_range(name, value, -MOST_COMMAND..=MOST_COMMAND)?;
-        }
-        match command[1] == 0.0 || T::SIDEWAYS {
-            true => Ok(()),
-            false => {
-                Err(Error::invalid(name, format!("{} has no command to the left; the second number must be 0", T::ID)))
-            }
-        }
-    }
-
-    fn set_command(&self, task_state: &mut TaskState, command: [f64; 3]) {
-        self.task.set_command(task_state, command);
-    }
-
-    fn rows(&self) -> Vec<OptionRow> {
-        TaskOptions::<T::Options>::rows()
-    }
-
-    fn option(&self, name: &str) -> Value {
-        self.options.get(name).unwrap_or_default()
-    }
-
-    fn changed(&self, reset: &ResetOptions) -> Result<Arc<dyn AnyTask>> {
-        let rows = TaskOptions::<T::Options>::rows();
-        let mut options = self.options.clone();
-        for (name, value) in reset.keywords() {
-            (self.check_keyword)(T::ID, &rows, name)?;
-            if !rows.iter().any(|row| row.name == name && row.at_reset) {
-                let can: Vec<_> = rows.iter().filter(|row| row.at_reset).map(|row| row.name).collect();
-                return Err(Error::invalid(name, format!("no reset changes it; resets change: {}", can.join(", "))));
-            }
-            options.set(name, value)?;
-        }
-        let changed = Self::new(options, self.check_keyword)?;
-        T::check_change(&self.model, &changed.model)?;
-        Ok(Arc::new(changed))
     }
 }

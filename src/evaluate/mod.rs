@@ -50,7 +50,7 @@ const MOST_EPISODES: usize = 1_000_000;
 /// Number of episodes that are played together, unless one condition has more seeds: our choice, because all processors
 /// then have work, and the sums over the episodes take some 2 MB.
 const TOGETHER: usize = 1 << 14;
-/// Largest memory of the models of conditions that are played together [bytes], unless one model is larger: our choice,
+/// Largest memory of the tasks of conditions that are played together [bytes], unless one model is larger: our choice,
 /// thousands of flat beds, or some dozens with a relief.
 const MODELS: usize = 16 << 20;
 
@@ -135,7 +135,7 @@ impl Evaluation {
     /// stops the work. Only the episodes of some conditions are in memory at a time.
     pub fn run(&self, progress: &dyn Progress) -> Result<Vec<EvaluationRow>> {
         let searched = if self.gait.is_none() { RATES.count() * SEARCH_SEEDS.count() } else { 0 };
-        let models = MODELS / self.base.task.model().memory_bytes().max(1);
+        let models = MODELS / self.base.shared_bytes().max(1);
         let groups = self.conditions.chunks((TOGETHER / (searched + self.seeds)).min(models).max(1));
         let (count, share) = (groups.len() as f64, searched as f64 / (searched + self.seeds) as f64);
         let mut rows = Vec::with_capacity(self.conditions.len());

@@ -8,6 +8,7 @@ use crate::error::Result;
 use crate::parallel;
 use crate::progress::Progress;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
 
 /// Episodes of one gait, one for each seed.
 pub struct EpisodeJob<'a> {
@@ -18,6 +19,8 @@ pub struct EpisodeJob<'a> {
 
 /// Control steps between two reports of progress: some milliseconds of work, our choice.
 const REPORT_STEPS: usize = 50;
+/// A report follows sooner after this time, because control steps of many time steps are long: our choice.
+const REPORT_TIME: Duration = Duration::from_millis(50);
 
 /// The episodes of every job, in order of its seeds. An episode depends on its seed alone, not on its neighbours,
 /// the threads or the other jobs. An error of `progress` stops the work.
@@ -36,7 +39,7 @@ pub fn play(jobs: &[EpisodeJob], progress: &dyn Progress) -> Result<Vec<Vec<Epis
     let played = parallel::map(&blocks, |(job, seeds)| {
         // After a stop no further block starts.
         advance(0)?;
-        let (steps, episodes) = block(job, seeds, &|| advance(REPORT_STEPS))?;
+        let (steps, episodes) = block(job, seeds, &advance)?;
         // Reports the steps that episodes did not make because they ended early, and the last steps that were not
         // reported yet.
         advance(longest(job) - steps / REPORT_STEPS * REPORT_STEPS)?;
@@ -52,8 +55,8 @@ pub fn play(jobs: &[EpisodeJob], progress: &dyn Progress) -> Result<Vec<Vec<Epis
 }
 
 /// Runs until the last of these episodes has ended; returns the number of steps. `report` is called after every
-/// [`REPORT_STEPS`] steps.
-fn block(job: &EpisodeJob, seeds: &[u64], report: &dyn Fn() -> Result<()>) -> Result<(usize, Vec<EpisodeSums>)> {
+/// [`REPORT_STEPS`] steps with their number, and sooner if they are long.
+fn block(job: &EpisodeJob, seeds: &[u64], report: &dyn Fn(usize) -> Result<()>) -> Result<(usize, Vec<EpisodeSums>)> {
     let spec = job.blueprint.task.spec();
     let (columns, period) = (Columns::of(spec)?, 1.0 / spec.control_rate);
     let mut shard = Shard::new(job.blueprint, seeds.len())?;
@@ -61,7 +64,7 @@ fn block(job: &EpisodeJob, seeds: &[u64], report: &dyn Fn() -> Result<()>) -> Re
     let mut player = job.gait.player(seeds);
     let mut actions = vec![0.0; seeds.len() * spec.action.len()];
     let mut episodes: Vec<_> = seeds.iter().map(|seed| EpisodeSums { seed: *seed, ..EpisodeSums::default() }).collect();
-    let mut steps = 0;
+    let (mut steps, mut reported) = (0, Instant::now());
     while episodes.iter().any(|e| !e.over) {
         let running: Vec<usize> = (0..seeds.len()).filter(|i| !episodes[*i].over).collect();
         running.iter().for_each(|i| episodes[*i].look(&shard, *i, period));
@@ -70,8 +73,13 @@ fn block(job: &EpisodeJob, seeds: &[u64], report: &dyn Fn() -> Result<()>) -> Re
         running.iter().for_each(|i| episodes[*i].add(&shard, *i, columns, period));
         steps += 1;
         if steps % REPORT_STEPS == 0 {
-            report()?;
+            report(REPORT_STEPS)?;
+        } else if reported.elapsed() > REPORT_TIME {
+            report(0)?;
+        } else {
+            continue;
         }
+        reported = Instant::now();
     }
     Ok((steps, episodes))
 }

@@ -1,13 +1,14 @@
 //! All environments of one session, cut into shards.
 
-use super::operation::{ActionSource, Operation, ResetTasks, Roll};
+use super::operation::{ActionSource, Operation, Roll};
 use crate::env::registry::Blueprint;
 use crate::env::{AnyTask, EnvView, ResetOptions, Shard, Spec};
 use crate::error::{Error, Result, check_range};
 use crate::policy::Network;
+use crate::sim::MemoryCount;
 use std::collections::HashMap;
-use std::collections::hash_map::Entry;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// A function that is called with the memory [bytes] that a request needs, before the request takes it. An error
 /// refuses the request.
@@ -33,8 +34,19 @@ pub struct Batch {
     task: Arc<dyn AnyTask>,
     envs: usize,
     account: Option<Account>,
-    pub(super) begun: Vec<bool>,
+    pub(super) stop: Option<Stop>,
+    stopped: bool,
+    /// Processor time of the last operation of each kind, if environments have still the options that they had then.
+    spent: [Option<Duration>; Operation::KINDS],
+    begun: Vec<bool>,
 }
+
+/// A function that says whether nobody waits for an operation any more.
+pub type Stop = Arc<dyn Fn() -> bool + Send + Sync>;
+
+/// An operation that takes at least this for each environment can be undone: our choice, a hundred times what the copy
+/// of an episode takes. A step of engine `lanes` or `tree` takes a tenth of this.
+const DEAR: Duration = Duration::from_micros(100);
 
 /// Memory [bytes] of the rows of one part of a rollout, unless one step needs more: our choice, the rows of some 2,700
 /// steps of one environment of HexapodGait.
@@ -44,7 +56,16 @@ impl Batch {
     /// `envs` environments of `blueprint`, which need a first reset.
     pub(super) fn of(blueprint: &Blueprint, shards: Vec<Shard>) -> Self {
         let envs = shards.iter().map(Shard::envs).sum();
-        Self { shards, task: blueprint.task.clone(), envs, account: None, begun: vec![false; envs] }
+        Self {
+            shards,
+            task: blueprint.task.clone(),
+            envs,
+            account: None,
+            stop: None,
+            stopped: false,
+            spent: Default::default(),
+            begun: vec![false; envs],
+        }
     }
 
     pub fn envs(&self) -> usize {
@@ -69,11 +90,50 @@ impl Batch {
         self.account.as_ref().map_or(Ok(()), |account| account(bytes))
     }
 
-    /// Memory of the environments' models [bytes]. Resets and restores make models.
-    pub fn model_bytes(&self) -> usize {
-        let tasks = self.shards.iter().flat_map(|shard| (0..shard.envs()).map(|i| shard.task(i)));
-        let models: HashMap<usize, &Arc<dyn AnyTask>> = tasks.map(|task| (task.id(), task)).collect();
-        models.values().map(|task| task.model().memory_bytes()).sum()
+    /// From now on an operation ends, and is undone, when `stop` returns true.
+    pub fn set_stop(&mut self, stop: Option<Stop>) {
+        self.stop = stop;
+    }
+
+    /// Was the last operation undone, because nobody waited for it any more?
+    pub fn was_stopped(&self) -> bool {
+        self.stopped
+    }
+
+    /// Memory of the environments, estimated [bytes].
+    pub fn bytes(&self) -> usize {
+        self.bytes_with(|_| None)
+    }
+
+    /// Memory of the environments while `operation` replaces tasks of theirs [bytes]; None if it replaces none.
+    pub fn bytes_during(&self, operation: &Operation) -> Option<usize> {
+        match operation {
+            Operation::Reset { tasks: Some(tasks), .. } => Some(self.bytes_with(|env| tasks.get(env))),
+            Operation::Restore { episodes } => Some(self.bytes_with(|env| Some(episodes[env].task()))),
+            _ => None,
+        }
+    }
+
+    /// Memory of the environments with their present tasks and the tasks `next`, if there are any [bytes].
+    fn bytes_with<'a>(&'a self, next: impl Fn(usize) -> Option<&'a Arc<dyn AnyTask>>) -> usize {
+        let (mut count, mut known) = (MemoryCount::default(), HashMap::new());
+        let mut size = |task: &Arc<dyn AnyTask>| {
+            *known.entry(task.id()).or_insert_with(|| {
+                task.count_memory(&mut count);
+                task.bytes_per_env()
+            })
+        };
+        size(&self.task);
+        let largest = |env| size(self.task_of(env)).max(next(env).map_or(0, &mut size));
+        let own: usize = (0..self.envs).map(largest).sum();
+        own + count.bytes()
+    }
+
+    /// The task of an environment with its present options.
+    pub(super) fn task_of(&self, env: usize) -> &Arc<dyn AnyTask> {
+        // All shards but the last are full.
+        let full = self.shards[0].envs();
+        self.shards[env / full].task(env % full)
     }
 
     /// The shards in order of the environments. Their `rows` hold the results of the last operation.
@@ -81,51 +141,50 @@ impl Batch {
         &self.shards
     }
 
-    /// Checks a reset. If given, `chosen` and `seeds` must have one entry for each environment. `options` change the
-    /// present options of each chosen environment, and must suit all of them.
+    /// See [`Batch::prepare_reset`].
     pub fn reset(
-        &mut self,
+        &self,
         chosen: Option<Vec<bool>>,
         seeds: Option<Vec<u64>>,
         options: ResetOptions,
     ) -> Result<Operation> {
-        let count = |field: &str, n: usize| match n == self.envs {
-            true => Ok(()),
-            false => Err(Error::invalid(field, format!("{n} entries for {} environments", self.envs))),
-        };
-        chosen.as_ref().map_or(Ok(()), |c| count("mask", c.len()))?;
-        seeds.as_ref().map_or(Ok(()), |s| count("seeds", s.len()))?;
-        let changes = options != ResetOptions::default();
-        let tasks = changes.then(|| self.changed(chosen.as_deref(), &options)).transpose()?;
-        for (i, begun) in self.begun.iter_mut().enumerate() {
-            *begun |= chosen.as_ref().is_none_or(|c| c[i]);
-        }
-        Ok(Operation::Reset { chosen, seeds, tasks })
+        self.prepare_reset(chosen, seeds, options)?.finish(self)
     }
 
-    /// The tasks of the `chosen` environments, changed by `options`. Environments that share a task also share the
-    /// changed task.
-    fn changed(&self, chosen: Option<&[bool]>, options: &ResetOptions) -> Result<ResetTasks> {
-        let mut tasks = ResetTasks { all: Vec::new(), of: Vec::with_capacity(self.envs) };
-        let mut known: HashMap<usize, u32> = HashMap::new();
-        let own = self.shards.iter().flat_map(|shard| (0..shard.envs()).map(|i| shard.task(i)));
-        for (env, old) in own.enumerate() {
-            if chosen.is_some_and(|chosen| !chosen[env]) {
-                tasks.of.push(None);
-                continue;
+    /// Notes which environments begin with `operation`.
+    pub(super) fn begin(&mut self, operation: &Operation) {
+        match operation {
+            Operation::Reset { chosen: Some(chosen), .. } => {
+                self.begun.iter_mut().zip(chosen).for_each(|(begun, chosen)| *begun |= chosen);
             }
-            let index = match known.entry(old.id()) {
-                Entry::Occupied(known) => *known.get(),
-                Entry::Vacant(new) => {
-                    let task = old.changed(options)?;
-                    self.charge(task.model().memory_bytes())?;
-                    tasks.all.push(task);
-                    *new.insert(tasks.all.len() as u32 - 1)
-                }
-            };
-            tasks.of.push(Some(index));
+            Operation::Reset { .. } | Operation::Restore { .. } => self.begun.fill(true),
+            _ => (),
         }
-        Ok(tasks)
+    }
+
+    /// Ends an operation: `stopped` undoes it. `spent`: the processor time that it took.
+    pub(super) fn end(&mut self, kind: usize, stopped: bool, spent: Duration) {
+        self.stopped = stopped;
+        if stopped {
+            self.shards.iter_mut().for_each(Shard::undo);
+            let begun = self.shards.iter().flat_map(|shard| (0..shard.envs()).map(|i| shard.is_begun(i)));
+            self.begun = begun.collect();
+        } else {
+            self.shards.iter_mut().for_each(Shard::settle);
+            self.spent[kind] = Some(spent);
+        }
+    }
+
+    /// Is the operation so dear that copies of all environments cost little in comparison, so that it can be undone? An
+    /// operation whose cost is not known yet counts as dear.
+    pub(super) fn keeps(&mut self, operation: &Operation) -> bool {
+        let kept = matches!(operation, Operation::Reset { .. } | Operation::Step { .. } | Operation::Restore { .. });
+        let is_dear = |spent: Duration| spent >= DEAR * self.envs as u32;
+        let keeps = self.stop.is_some() && kept && self.spent[operation.kind()].is_none_or(is_dear);
+        if matches!(operation, Operation::Reset { tasks: Some(_), .. } | Operation::Restore { .. }) {
+            self.spent = Default::default();
+        }
+        keeps
     }
 
     /// Checks a step: `actions` is f32 [envs, action], each number within its column's bounds.

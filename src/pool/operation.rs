@@ -4,6 +4,7 @@ use crate::env::episode::Episode;
 use crate::env::{AnyTask, Shard};
 use crate::policy::Network;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// A checked request. Only [`super::Batch`] makes operations, so a pool gets no malformed operations.
 pub enum Operation {
@@ -14,6 +15,10 @@ pub enum Operation {
     Roll(Roll),
 }
 
+/// After this time of work on a shard a worker looks whether other sessions wait, and whether anybody still waits for
+/// this operation: our choice. A shard's step with the default time step takes a tenth of it, so it is in one part.
+const PART: Duration = Duration::from_millis(5);
+
 /// New tasks, with changed options, of the environments that a reset chooses.
 pub struct ResetTasks {
     /// Each different task once.
@@ -23,7 +28,7 @@ pub struct ResetTasks {
 }
 
 impl ResetTasks {
-    fn get(&self, env: usize) -> Option<&Arc<dyn AnyTask>> {
+    pub(super) fn get(&self, env: usize) -> Option<&Arc<dyn AnyTask>> {
         self.all.get(self.of[env]? as usize)
     }
 }
@@ -94,25 +99,26 @@ impl Operation {
         }
     }
 
-    /// Number of parts. After each part a worker checks whether other sessions wait. In a rollout one control step is
-    /// one part; every other operation is one part.
-    pub(super) fn parts(&self) -> usize {
+    /// Number of kinds of operations, and the index of this one's kind.
+    pub(super) const KINDS: usize = 5;
+    pub(super) fn kind(&self) -> usize {
         match self {
-            Self::Roll(roll) => roll.steps.len(),
-            _ => 1,
+            Self::Reset { .. } => 0,
+            Self::Step { .. } => 1,
+            Self::Restore { .. } => 2,
+            Self::Command(_) => 3,
+            Self::Roll(_) => 4,
         }
     }
 
-    /// Computes part `part` on one shard whose first environment is number `start` of the batch.
-    pub(super) fn run(&self, shard: &mut Shard, start: usize, part: usize) {
+    /// Computes for about [`PART`] on one shard whose first environment is number `start` of the batch; returns whether
+    /// the operation is done there. `done`: number of control steps of a rollout that were made on this shard.
+    pub(super) fn run(&self, shard: &mut Shard, start: usize, done: &mut usize) -> bool {
         let (envs, width) = (shard.envs(), shard.actions());
         match self {
             Self::Step { actions, held } => {
                 let actions = &actions[start * width..][..envs * width];
-                match held {
-                    Some(held) => shard.step_but(actions, |i| held[start + i]),
-                    None => shard.step(actions),
-                }
+                return shard.step_part(actions, |i| held.as_ref().is_some_and(|held| held[start + i]), PART);
             }
             Self::Reset { chosen, seeds, tasks } => {
                 let chosen = |i: usize| chosen.as_ref().is_none_or(|c| c[start + i]);
@@ -131,36 +137,45 @@ impl Operation {
                 shard.rows.clear();
                 (0..envs).for_each(|i| shard.set_command(i, commands[start + i]));
             }
-            Self::Roll(roll) => roll.run(shard, start, part),
+            Self::Roll(roll) => {
+                *done += usize::from(roll.run(shard, start, *done));
+                return *done >= roll.steps.len();
+            }
         }
+        true
     }
 }
 
 impl Roll {
-    /// Makes step `part` of this part of a rollout on one shard whose first environment is number `start` of the
-    /// batch.
-    fn run(&self, shard: &mut Shard, start: usize, part: usize) {
+    /// Goes on with step `part` of this part of a rollout on one shard whose first environment is number `start` of the
+    /// batch; returns whether the step is done.
+    fn run(&self, shard: &mut Shard, start: usize, part: usize) -> bool {
         let step = self.steps.start + part;
-        if step == 0 {
-            shard.begin_rollout();
-        }
-        if part == 0 {
-            shard.rollout.steps.clear();
+        if !shard.is_in_step() {
+            if step == 0 {
+                shard.begin_rollout();
+            }
+            if part == 0 {
+                shard.rollout.steps.clear();
+            }
         }
         let (first, count) = (start * shard.actions(), shard.envs() * shard.actions());
         match &self.plan {
             ActionSource::Actions(actions) => {
                 let row = actions.len() / self.total;
-                shard.roll(&actions[step * row + first..][..count], self.record);
+                shard.roll_part(&actions[step * row + first..][..count], self.record, PART)
             }
             ActionSource::Network(network) if shard.rollout.failed.is_none() => {
                 let mut actions = vec![0.0; count];
                 match network.act(&shard.rows.observations, &mut actions) {
-                    Ok(()) => shard.roll(&actions, self.record),
-                    Err(error) => shard.rollout.failed = Some(error),
+                    Ok(()) => shard.roll_part(&actions, self.record, PART),
+                    Err(error) => {
+                        shard.rollout.failed = Some(error);
+                        true
+                    }
                 }
             }
-            ActionSource::Network(_) => (),
+            ActionSource::Network(_) => true,
         }
     }
 }

@@ -13,13 +13,10 @@ use super::batch::Batch;
 use super::operation::Operation;
 use super::seal::Seal;
 use crate::env::AnyTask;
-use crate::env::episode::Episode;
-use crate::env::snapshot::SavedEpisode;
 use crate::error::{Error, Result};
 use serde::de::{DeserializeOwned, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use serde_json::{Map, Value};
-use std::collections::HashMap;
 use std::sync::Arc;
 
 const MAGIC: &[u8] = b"sandgait snapshot\n";
@@ -47,9 +44,9 @@ pub struct Snapshot {
 
 /// CBOR that is not unpacked yet.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
-struct PackedPart(Vec<u8>);
+pub(super) struct PackedPart(Vec<u8>);
 
-fn broken(why: impl std::fmt::Display) -> Error {
+pub(super) fn broken(why: impl std::fmt::Display) -> Error {
     Error::invalid("snapshot", why.to_string())
 }
 
@@ -64,7 +61,7 @@ impl PackedPart {
         }
     }
 
-    fn unpack<T: DeserializeOwned>(&self) -> Result<T> {
+    pub(super) fn unpack<T: DeserializeOwned>(&self) -> Result<T> {
         ciborium::from_reader(&self.0[..]).map_err(|e| broken(format!("it cannot be read: {e}")))
     }
 }
@@ -103,6 +100,15 @@ impl<'de> Deserialize<'de> for PackedPart {
 impl Snapshot {
     pub fn envs(&self) -> usize {
         self.episodes.len()
+    }
+
+    pub(super) fn episodes(&self) -> &[(u32, PackedPart)] {
+        &self.episodes
+    }
+
+    /// The options with this index.
+    pub(super) fn options_of(&self, index: u32) -> Result<Map<String, Value>> {
+        self.options.get(index as usize).ok_or_else(|| broken("it is inconsistent"))?.unpack()
     }
 
     pub fn to_bytes(&self, seal: &Seal) -> Result<Vec<u8>> {
@@ -154,57 +160,14 @@ impl Batch {
         Ok(Snapshot { task: self.spec().id.into(), options, episodes })
     }
 
-    /// Checks that environment i can go on as environment `sources[i]` of `snapshot`. Without `sources`, environment i
-    /// goes on as environment i modulo n of a snapshot of n environments, so a snapshot of one environment is copied to
-    /// all.
-    pub fn restore(&mut self, snapshot: &Snapshot, sources: Option<&[u32]>) -> Result<Operation> {
-        let episodes = self.resumed(snapshot, sources)?;
-        self.begun.fill(true);
-        Ok(Operation::Restore { episodes })
-    }
-
-    /// Checks that environment i of this batch can go on as environment `sources[i]` of `snapshot`. Without `sources`
-    /// it must be able to go on as environment i modulo the snapshot's number of environments.
-    fn resumed(&self, snapshot: &Snapshot, sources: Option<&[u32]>) -> Result<Vec<Arc<Episode>>> {
-        if snapshot.task != self.spec().id {
-            return Err(broken(format!("it is of {}, not of {}", snapshot.task, self.spec().id)));
-        }
-        if sources.is_some_and(|s| s.len() != self.envs()) || snapshot.envs() == 0 {
-            let got = sources.map_or(0, <[u32]>::len);
-            return Err(Error::invalid("sources", format!("{got} entries for {} environments", self.envs())));
-        }
-        let all = &snapshot.episodes;
-        let mut tasks: HashMap<&PackedPart, Arc<dyn AnyTask>> = HashMap::new();
-        let mut resumed: HashMap<usize, Arc<Episode>> = HashMap::new();
-        let mut one = |i: usize| {
-            let source = sources.map_or(i % all.len(), |s| s[i] as usize);
-            if let Some(known) = resumed.get(&source) {
-                return Ok(known.clone());
-            }
-            let range = || Error::invalid(format!("sources[{i}]"), format!("{source} is outside [0, {})", all.len()));
-            let (index, episode) = all.get(source).ok_or_else(range)?;
-            let options = snapshot.options.get(*index as usize).ok_or_else(|| broken("it is inconsistent"))?;
-            let task = match tasks.get(options) {
-                Some(task) => task,
-                None => {
-                    let task = self.task_with(options.unpack()?)?;
-                    if task.id() != self.task().id() {
-                        self.charge(task.model().memory_bytes())?;
-                    }
-                    tasks.entry(options).or_insert(task)
-                }
-            };
-            let episode: SavedEpisode = episode.unpack()?;
-            let new = Arc::new(Episode::resume(&episode, task)?);
-            resumed.insert(source, new.clone());
-            Ok(new)
-        };
-        (0..self.envs()).map(&mut one).collect()
+    /// See [`Batch::prepare_restore`].
+    pub fn restore(&self, snapshot: Snapshot, sources: Option<Vec<u32>>) -> Result<Operation> {
+        self.prepare_restore(snapshot, sources)?.finish(self)
     }
 
     /// This session's task with `options`, which may differ from the session's own only in options that a reset can
     /// change.
-    fn task_with(&self, options: Map<String, Value>) -> Result<Arc<dyn AnyTask>> {
+    pub(super) fn task_with(&self, options: Map<String, Value>) -> Result<Arc<dyn AnyTask>> {
         let fixed = "it was taken with options that this session does not have and a reset cannot change";
         let changes = self.task().reset_to(options).ok_or_else(|| broken(fixed))?;
         match changes.keywords().is_empty() {

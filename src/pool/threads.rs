@@ -1,6 +1,6 @@
 //! Worker threads and the queue that feeds them.
 
-use super::batch::Batch;
+use super::batch::{Batch, Stop};
 use super::operation::Operation;
 use crate::env::Shard;
 use crate::error::{Error, Result};
@@ -10,7 +10,7 @@ use std::collections::VecDeque;
 use std::hint::spin_loop;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::TryRecvError;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -28,13 +28,40 @@ struct QueuedShard {
     /// Index of its first environment in the batch.
     start: usize,
     shard: Shard,
-    /// Finished parts of the operation.
+    /// Has a worker worked on it?
+    begun: bool,
+    /// Finished control steps of a rollout.
     done: usize,
+    /// Time that workers have worked on it.
+    spent: Duration,
+}
+
+/// An operation on a batch.
+struct PoolWork {
+    operation: Operation,
+    /// Says whether nobody waits for the operation any more.
+    stop: Option<Stop>,
+    /// Do shards keep copies of their environments, so that the operation can be undone?
+    keeps: bool,
+    /// Has the operation ended before it was done?
+    stopped: AtomicBool,
+}
+
+impl PoolWork {
+    /// Must the operation end? An operation that cannot be undone goes on, except a rollout, whose caller restores the
+    /// environments.
+    fn must_end(&self) -> bool {
+        let can_end = self.keeps || matches!(self.operation, Operation::Roll(_));
+        if can_end && self.stop.as_ref().is_some_and(|stop| stop()) {
+            self.stopped.store(true, Ordering::Relaxed);
+        }
+        self.stopped.load(Ordering::Relaxed)
+    }
 }
 
 /// A batch whose shards wait for workers.
 struct Job {
-    operation: Arc<Operation>,
+    work: Arc<PoolWork>,
     /// Shards on which no worker works now; the last shard is taken first.
     waiting: Vec<QueuedShard>,
     id: u64,
@@ -48,6 +75,9 @@ struct Pending {
     finished: Vec<(usize, Shard)>,
     expected: usize,
     panicked: bool,
+    /// The kind of the operation, and the time that workers have worked on it.
+    kind: usize,
+    spent: Duration,
     done: Done,
 }
 
@@ -129,11 +159,14 @@ impl Pool {
         helpers: usize,
         done: impl FnOnce(Result<Batch>) + Send + 'static,
     ) -> u64 {
+        let (keeps, stop, kind) = (batch.keeps(&operation), batch.stop.clone(), operation.kind());
+        batch.begin(&operation);
+        let work = Arc::new(PoolWork { operation, stop, keeps, stopped: AtomicBool::new(false) });
         let mut start = 0;
         let mut waiting: Vec<QueuedShard> = Vec::with_capacity(batch.shards.len());
         for shard in batch.shards.drain(..) {
             let envs = shard.envs();
-            waiting.push(QueuedShard { start, shard, done: 0 });
+            waiting.push(QueuedShard { start, shard, begun: false, done: 0, spent: Duration::ZERO });
             start += envs;
         }
         waiting.reverse();
@@ -142,8 +175,9 @@ impl Pool {
         let id = queue.next_id;
         queue.next_id += 1;
         let finished = Vec::with_capacity(expected);
-        queue.pending.push(Pending { id, batch, finished, expected, panicked: false, done: Box::new(done) });
-        queue.jobs.push_back(Job { operation: Arc::new(operation), waiting, id });
+        let (panicked, spent, done) = (false, Duration::ZERO, Box::new(done));
+        queue.pending.push(Pending { id, batch, finished, expected, panicked, kind, spent, done });
+        queue.jobs.push_back(Job { work, waiting, id });
         let wanted = expected.min(self.workers.len()).saturating_sub(helpers + queue.watching);
         let woken = wanted.min(queue.asleep);
         self.shared.wake_watching(&mut queue);
@@ -163,9 +197,9 @@ impl Pool {
         });
         let mut queue = self.shared.queue.lock();
         while let Some(place) = queue.jobs.iter().position(|job| job.id == id) {
-            let Some((id, operation, queued)) = take(&mut queue, place) else { break };
+            let Some((id, work, queued)) = take(&mut queue, place) else { break };
             drop(queue);
-            queue = carry_out(&self.shared, id, operation, queued);
+            queue = carry_out(&self.shared, id, work, queued);
         }
         drop(queue);
         // The last shards are nearly done. Waking up takes longer than they do, so this thread watches for them, as a
@@ -184,15 +218,18 @@ impl Pool {
     /// Works on shards that wait for a worker, on the thread of a caller that has nothing else to do. It ends if no
     /// shard waits, or after `time`. In a pool with fewer threads than processors it also ends when that many threads
     /// are working. In a larger pool workers may share a processor while the caller's processor is free, so there the
-    /// caller assists even then. Operations of several parts are left to the workers, because they may take long.
+    /// caller assists even then. Rollouts are left to the workers, because they may take long.
     pub fn assist(&self, time: Duration) {
         let start = Instant::now();
         let mut queue = self.shared.queue.lock();
         while queue.active < self.most_active && start.elapsed() < time {
-            let Some(place) = queue.jobs.iter().position(|job| job.operation.parts() == 1) else { break };
-            let Some((id, operation, queued)) = take(&mut queue, place) else { break };
+            let Some(place) = queue.jobs.iter().position(|job| !matches!(job.work.operation, Operation::Roll(_)))
+            else {
+                break;
+            };
+            let Some((id, work, queued)) = take(&mut queue, place) else { break };
             drop(queue);
-            queue = carry_out(&self.shared, id, operation, queued);
+            queue = carry_out(&self.shared, id, work, queued);
         }
     }
 
@@ -225,32 +262,32 @@ impl Drop for Pool {
 }
 
 /// Takes one shard of the job at `place`, and puts the job behind all others.
-fn take(queue: &mut Queue, place: usize) -> Option<(u64, Arc<Operation>, QueuedShard)> {
+fn take(queue: &mut Queue, place: usize) -> Option<(u64, Arc<PoolWork>, QueuedShard)> {
     let mut job = queue.jobs.remove(place)?;
     let queued = job.waiting.pop()?;
-    let (id, operation) = (job.id, job.operation.clone());
+    let (id, work) = (job.id, job.work.clone());
     if !job.waiting.is_empty() {
         queue.jobs.push_back(job);
     }
     queue.active += 1;
-    Some((id, operation, queued))
+    Some((id, work, queued))
 }
 
 /// Puts an unfinished shard back into the queue: behind the other waiting shards of its job or, if there are none,
 /// behind all other jobs.
-fn put_back(queue: &mut Queue, id: u64, operation: Arc<Operation>, queued: QueuedShard) {
+fn put_back(queue: &mut Queue, id: u64, work: Arc<PoolWork>, queued: QueuedShard) {
     match queue.jobs.iter_mut().find(|job| job.id == id) {
         Some(job) => job.waiting.insert(0, queued),
-        None => queue.jobs.push_back(Job { operation, waiting: vec![queued], id }),
+        None => queue.jobs.push_back(Job { work, waiting: vec![queued], id }),
     }
 }
 
 fn worker(shared: &PoolState) {
     let mut queue = shared.queue.lock();
     loop {
-        if let Some((id, operation, queued)) = take(&mut queue, 0) {
+        if let Some((id, work, queued)) = take(&mut queue, 0) {
             drop(queue);
-            queue = carry_out(shared, id, operation, queued);
+            queue = carry_out(shared, id, work, queued);
         } else if queue.closed {
             return;
         } else {
@@ -282,54 +319,74 @@ fn rest<'a>(shared: &'a PoolState, mut queue: MutexGuard<'a, Queue>) -> MutexGua
 }
 
 /// Works on a shard and returns it to its batch or to the queue.
-fn carry_out(shared: &PoolState, id: u64, operation: Arc<Operation>, mut queued: QueuedShard) -> MutexGuard<'_, Queue> {
-    let outcome = catch_unwind(AssertUnwindSafe(|| work(shared, id, &operation, &mut queued)));
+fn carry_out(shared: &PoolState, id: u64, work: Arc<PoolWork>, mut queued: QueuedShard) -> MutexGuard<'_, Queue> {
+    let outcome = catch_unwind(AssertUnwindSafe(|| compute(shared, id, &work, &mut queued)));
     if matches!(outcome, Ok(false)) {
         let mut queue = shared.queue.lock();
         queue.active -= 1;
         if !queue.closed {
-            put_back(&mut queue, id, operation, queued);
+            put_back(&mut queue, id, work, queued);
         }
         return queue;
     }
-    drop(operation);
-    give_back(shared, id, queued.start, queued.shard, outcome.is_err())
+    give_back(shared, id, work, queued, outcome.is_err())
 }
 
-/// Works on a shard until its operation is done, and then returns true. If another session waits, it stops earlier,
-/// after at least one part. So a rollout does not delay the steps of other sessions, and a rollout without other
-/// sessions does not return to the queue.
-fn work(shared: &PoolState, id: u64, operation: &Operation, queued: &mut QueuedShard) -> bool {
-    loop {
-        operation.run(&mut queued.shard, queued.start, queued.done);
-        queued.done += 1;
-        if queued.done >= operation.parts() {
-            return true;
+/// Works on a shard until its operation is done or must end, and then returns true. If another session waits, it stops
+/// earlier, after at least one part. So long operations do not delay the steps of other sessions, and an operation
+/// without other sessions does not return to the queue.
+fn compute(shared: &PoolState, id: u64, work: &PoolWork, queued: &mut QueuedShard) -> bool {
+    let begun = Instant::now();
+    let is_over = loop {
+        if work.must_end() {
+            break true;
+        }
+        if work.keeps && !queued.begun {
+            queued.shard.keep_all();
+        }
+        queued.begun = true;
+        if work.operation.run(&mut queued.shard, queued.start, &mut queued.done) {
+            break true;
         }
         let queue = shared.queue.lock();
         if queue.closed || queue.jobs.iter().any(|job| job.id != id) {
-            return false;
+            break false;
         }
-    }
+    };
+    queued.spent += begun.elapsed();
+    is_over
 }
 
 /// Returns a shard to its batch; the last shard completes the batch.
-fn give_back(shared: &PoolState, id: u64, start: usize, shard: Shard, panicked: bool) -> MutexGuard<'_, Queue> {
+fn give_back(
+    shared: &PoolState,
+    id: u64,
+    work: Arc<PoolWork>,
+    queued: QueuedShard,
+    panicked: bool,
+) -> MutexGuard<'_, Queue> {
+    let QueuedShard { start, shard, spent, .. } = queued;
     let mut queue = shared.queue.lock();
     queue.active -= 1;
     let Some(index) = queue.pending.iter().position(|p| p.id == id) else { return queue };
     let pending = &mut queue.pending[index];
     pending.panicked |= panicked;
+    pending.spent += spent;
     pending.finished.push((start, shard));
     if pending.finished.len() < pending.expected {
         return queue;
     }
     let mut pending = queue.pending.swap_remove(index);
     drop(queue);
+    let stopped = work.stopped.load(Ordering::Relaxed);
+    drop(work);
     pending.finished.sort_unstable_by_key(|f| f.0);
     pending.batch.shards.extend(pending.finished.into_iter().map(|f| f.1));
     let lost = || Error::Internal("the simulation of this session failed".into());
-    let Pending { batch, panicked, done, .. } = pending;
+    let Pending { mut batch, mut panicked, kind, spent, done, .. } = pending;
+    if !panicked {
+        panicked = catch_unwind(AssertUnwindSafe(|| batch.end(kind, stopped, spent))).is_err();
+    }
     // If `done` panics, the values that it holds are dropped, and whoever waits for them notices this. This thread goes
     // on with the work of other sessions.
     drop(catch_unwind(AssertUnwindSafe(|| done(if panicked { Err(lost()) } else { Ok(batch) }))));

@@ -4,6 +4,7 @@ use parking_lot::Mutex;
 use std::collections::HashMap;
 use std::net::SocketAddr;
 use std::sync::Arc;
+use std::sync::atomic::AtomicUsize;
 use std::time::{Duration, Instant};
 use tokio_util::sync::CancellationToken;
 
@@ -11,12 +12,23 @@ use tokio_util::sync::CancellationToken;
 /// milliseconds.
 pub const OPENING: Duration = Duration::from_secs(10);
 
-/// How long a connection may be without a call: our choice, as long as a session's default lease.
+/// How long a connection may be without a call, and without an admitted call: our choice, as long as a session's default
+/// lease. A program that watches the health connects again after this time.
 const IDLE: Duration = Duration::from_secs(300);
+
+/// Largest number of calls at the same time on a connection without an admitted call: our choice, twice the number of
+/// services whose health a program may watch.
+const STRANGE: usize = 16;
+
+/// Largest number of calls on a connection that never had an admitted call: our choice, three checks of the health in
+/// each second of [`IDLE`]. The answers to so many calls fit into a socket's buffers, so they do not stay in ours.
+const STRANGE_TOTAL: usize = 1000;
 
 /// The present connections of one listener.
 pub struct ConnectionTable {
     pub most: usize,
+    /// Largest number of calls at the same time on all connections without an admitted call.
+    strangers: usize,
     entries: Mutex<ConnectionEntries>,
 }
 
@@ -33,15 +45,26 @@ struct ConnectionEntry {
     admitted: usize,
     /// When the connection was accepted, or when its last call ended.
     since: Instant,
+    /// When the connection was accepted, or when its last admitted call ended.
+    since_admitted: Instant,
+    /// Number of calls that it has begun; None after an admitted one.
+    strange: Option<usize>,
     /// Has the connection begun a call?
     used: bool,
     pub end: CancellationToken,
 }
 
+impl ConnectionEntry {
+    /// Number of calls at the same time that nobody vouches for.
+    fn strangers(&self) -> usize {
+        if self.admitted == 0 { self.calls } else { 0 }
+    }
+}
+
 impl ConnectionTable {
-    /// A table of at most `most` connections.
-    pub fn new(most: usize) -> Arc<Self> {
-        Arc::new(Self { most, entries: Mutex::default() })
+    /// A table of at most `most` connections, with at most `strangers` calls on those without an admitted call.
+    pub fn new(most: usize, strangers: usize) -> Arc<Self> {
+        Arc::new(Self { most, strangers, entries: Mutex::default() })
     }
 
     /// Adds a connection. If there is no room, this closes the connection that has been without an admitted call for
@@ -55,14 +78,25 @@ impl ConnectionTable {
         }
         let (id, end) = (entries.next, CancellationToken::new());
         entries.next += 1;
-        let entry = ConnectionEntry { calls: 0, admitted: 0, since: Instant::now(), used: false, end: end.clone() };
+        let (since, strange) = (Instant::now(), Some(0));
+        let entry = ConnectionEntry {
+            calls: 0,
+            admitted: 0,
+            since,
+            since_admitted: since,
+            strange,
+            used: false,
+            end: end.clone(),
+        };
         entries.all.insert(id, entry);
-        Some(ConnectionHandle(Arc::new(ConnectionState { table: self.clone(), id, peer, end })))
+        let unread = AtomicUsize::new(0);
+        Some(ConnectionHandle(Arc::new(ConnectionState { table: self.clone(), id, peer, end, unread })))
     }
 
-    /// Closes connections that have been without a call for too long.
+    /// Closes connections that have been without a call, or without an admitted call, for too long.
     pub fn close_idle(&self) {
-        let late = |e: &ConnectionEntry| e.calls == 0 && e.since.elapsed() > if e.used { IDLE } else { OPENING };
+        let idle = |e: &ConnectionEntry| e.calls == 0 && e.since.elapsed() > if e.used { IDLE } else { OPENING };
+        let late = |e: &ConnectionEntry| idle(e) || (e.admitted == 0 && e.since_admitted.elapsed() > IDLE);
         self.entries.lock().all.extract_if(|_, e| late(e)).for_each(|(_, e)| e.end.cancel());
     }
 
@@ -88,6 +122,8 @@ pub struct ConnectionState {
     pub peer: Option<SocketAddr>,
     /// Cancelled when the connection must end.
     pub end: CancellationToken,
+    /// Memory of the answers that its client has not read [bytes].
+    pub unread: AtomicUsize,
 }
 
 impl std::ops::Deref for ConnectionHandle {
@@ -110,14 +146,32 @@ impl ConnectionHandle {
         self.peer.map_or_else(|| "a Unix socket".into(), |a| a.to_string())
     }
 
-    /// Counts a call until the returned value is dropped.
-    pub fn begin(&self, admitted: bool) -> OpenCall {
-        self.table.change(self.id, |e| {
-            e.calls += 1;
-            e.admitted += usize::from(admitted);
-            e.used = true;
-        });
-        OpenCall { link: self.clone(), admitted }
+    /// Counts a call until the returned value is dropped. None: it is one too many on a connection without an admitted
+    /// call. If all such connections together have too many, the oldest other one is closed.
+    pub fn begin(&self, admitted: bool) -> Option<OpenCall> {
+        let mut entries = self.table.entries.lock();
+        if let Some(entry) = entries.all.get_mut(&self.id) {
+            entry.strange = entry.strange.filter(|_| !admitted).map(|n| n + 1);
+            if entry.strange.is_some_and(|n| n > STRANGE_TOTAL) {
+                entry.end.cancel();
+            }
+            if !admitted && entry.admitted == 0 && entry.calls >= STRANGE {
+                return None;
+            }
+            entry.calls += 1;
+            entry.admitted += usize::from(admitted);
+            entry.used = true;
+        }
+        let strangers: usize = entries.all.values().map(ConnectionEntry::strangers).sum();
+        if !admitted && strangers > self.table.strangers {
+            let others = entries.all.iter().filter(|(id, e)| **id != self.id && e.strangers() > 0);
+            if let Some(oldest) = others.min_by_key(|(id, e)| (e.since_admitted, **id)).map(|(id, _)| *id)
+                && let Some(entry) = entries.all.remove(&oldest)
+            {
+                entry.end.cancel();
+            }
+        }
+        Some(OpenCall { link: self.clone(), admitted })
     }
 
     /// Counts a call until the connection ends.
@@ -143,6 +197,7 @@ impl Drop for OpenCall {
             e.calls = e.calls.saturating_sub(1);
             e.admitted = e.admitted.saturating_sub(usize::from(self.admitted));
             e.since = Instant::now();
+            e.since_admitted = if self.admitted { e.since } else { e.since_admitted };
         });
     }
 }
@@ -158,7 +213,7 @@ mod tests {
     /// Calls that need no token do not keep a connection open for ever, and do not keep others out.
     #[test]
     fn connections_without_admitted_calls_make_room() {
-        let table = ConnectionTable::new(3);
+        let table = ConnectionTable::new(3, 100);
         let mut links: Vec<_> = (0..3).map(|_| table.admit(None).unwrap()).collect();
         let call = links[0].begin(true);
         let _health = links[1].begin(false);
@@ -175,16 +230,40 @@ mod tests {
 
     #[test]
     fn connections_are_closed_that_never_began_a_call_or_ended_it_long_ago() {
-        let table = ConnectionTable::new(9);
+        let table = ConnectionTable::new(9, 100);
         let links: Vec<_> = (0..4).map(|_| table.admit(None).unwrap()).collect();
         let age = |k: usize, age| table.change(k as u64, |e| e.since = Instant::now().checked_sub(age).unwrap());
         let second = Duration::from_secs(1);
         let _call = links[0].begin(false);
         drop((links[1].begin(true), links[2].begin(true)));
-        [(0, IDLE + second), (1, IDLE - second), (2, IDLE + second), (3, OPENING + second)]
+        [(0, IDLE - second), (1, IDLE - second), (2, IDLE + second), (3, OPENING + second)]
             .into_iter()
             .for_each(|(k, time)| age(k, time));
         table.close_idle();
         assert_eq!(alive(&links), [0, 1]);
+    }
+    /// Connections without an admitted call have few calls at the same time, alone and together, and an end.
+    #[test]
+    fn calls_without_a_token_are_few_and_end() {
+        let table = ConnectionTable::new(9, 20);
+        let links: Vec<_> = (0..3).map(|_| table.admit(None).unwrap()).collect();
+        let watches: Vec<_> = (0..30).filter_map(|_| links[0].begin(false)).collect();
+        assert_eq!(watches.len(), STRANGE);
+        let own = links[1].begin(true);
+        let many: Vec<_> = (0..30).filter_map(|_| links[1].begin(false)).collect();
+        assert_eq!((many.len(), alive(&links)), (30, vec![0, 1, 2]), "a client with the token may do more");
+        let others: Vec<_> = (0..5).filter_map(|_| links[2].begin(false)).collect();
+        assert_eq!((others.len(), alive(&links)), (5, vec![1, 2]), "the oldest makes room");
+        let age =
+            |k: usize| table.change(k as u64, |e| e.since_admitted = Instant::now().checked_sub(2 * IDLE).unwrap());
+        (1..3).for_each(age);
+        table.close_idle();
+        assert_eq!(alive(&links), [1], "a health that is watched keeps no connection open");
+        drop(own);
+        let again = table.admit(None).unwrap();
+        (0..STRANGE_TOTAL).for_each(|_| drop(again.begin(false)));
+        assert!(!again.end.is_cancelled());
+        drop(again.begin(false));
+        assert!(again.end.is_cancelled());
     }
 }

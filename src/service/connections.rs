@@ -53,10 +53,6 @@ const CLOSING: usize = 16;
 /// Number of file descriptors for other purposes: files of sessions, listeners, the runtime. Our choice.
 const RESERVE: usize = 64;
 
-/// Largest HTTP/2 frame that is accepted [bytes]: our choice. Frames of the default 16 KiB (RFC 9113, 6.5.2) cut large
-/// messages into many; a whole frame is held in memory.
-const FRAME: u32 = 1 << 20;
-
 /// Number of connections, at most `wanted`, for which the limit of file descriptors leaves room besides `others`
 /// connections on other listeners. The room is at least 4.
 pub fn room(wanted: usize, others: usize) -> usize {
@@ -114,6 +110,8 @@ pub enum Protocol {
         streams: u32,
         /// Bytes that a client may send on a stream before the server has read them.
         window: u32,
+        /// Largest frame [bytes].
+        frame: u32,
     },
     /// One request for a page.
     Http1,
@@ -231,14 +229,14 @@ impl Connections {
         let stream = TokioIo::new(stream);
         // Errors on a connection concern its peer only.
         match self.protocol {
-            Protocol::Http2 { streams, window } => {
+            Protocol::Http2 { streams, window, frame } => {
                 let mut builder = http2::Builder::new(TokioExecutor::new());
                 builder
                     .timer(TokioTimer::new())
                     .max_concurrent_streams(streams)
                     .initial_stream_window_size(window)
                     .initial_connection_window_size(2 * window)
-                    .max_frame_size(window.min(FRAME));
+                    .max_frame_size(frame);
                 if link.peer.is_some() {
                     builder.keep_alive_interval(SILENCE).keep_alive_timeout(SILENCE);
                 }
@@ -270,6 +268,6 @@ pub async fn pages(
     stop: CancellationToken,
 ) {
     let connections =
-        Connections { table: ConnectionTable::new(most), tls: None, protocol: Protocol::Http1, routes, refusals };
+        Connections { table: ConnectionTable::new(most, most), tls: None, protocol: Protocol::Http1, routes, refusals };
     connections.serve(ListenSocket::Tcp(listener), stop).await;
 }

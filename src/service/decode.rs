@@ -4,7 +4,7 @@ use super::proto::{self, run_session_request::Request};
 use super::values;
 use crate::env::ResetOptions;
 use crate::error::{Error, Result};
-use crate::pool::{Batch, Operation, Seal, Snapshot};
+use crate::pool::{Batch, Operation, Preparing, Seal, Snapshot};
 
 /// The operation on `batch` that `request` describes; after an error the batch is unchanged.
 pub fn operation(batch: &mut Batch, request: Option<Request>, seal: &Seal) -> Result<Operation> {
@@ -17,25 +17,35 @@ pub fn operation(batch: &mut Batch, request: Option<Request>, seal: &Seal) -> Re
                 false => batch.step_but(actions, flags("held", held, envs)?),
             }
         }
-        Some(Request::Reset(reset)) => {
+        Some(request @ (Request::Reset(_) | Request::Restore(_))) => preparing(batch, request, seal)?.finish(batch),
+        Some(Request::SetCommand(set)) => batch.set_command(&floats("commands", &set.commands)?),
+        // The other requests are not operations; they were answered before.
+        Some(_) | None => Err(unknown()),
+    }
+}
+
+fn unknown() -> Error {
+    let known = "neither reset, step, attach, save, restore, rollout, policy_rollout, render, observe nor set_command";
+    Error::invalid("request", known)
+}
+
+/// The reset or restore that `request` describes, before its tasks and episodes are made.
+pub fn preparing(batch: &Batch, request: Request, seal: &Seal) -> Result<Preparing> {
+    let envs = batch.envs();
+    match request {
+        Request::Reset(reset) => {
             let chosen = if reset.mask.is_empty() { None } else { Some(flags("mask", &reset.mask, envs)?) };
             let seeds = if reset.seeds.is_empty() { None } else { Some(reset.seeds) };
             let changes = ResetOptions::new(values::to_json(reset.options)?)?;
-            batch.reset(chosen, seeds, changes)
+            batch.prepare_reset(chosen, seeds, changes)
         }
-        Some(Request::Restore(restore)) => {
+        Request::Restore(restore) => {
             let sources =
                 if restore.sources.is_empty() { None } else { Some(indices("sources", &restore.sources, envs)?) };
             let snapshot = Snapshot::from_bytes(&restore.snapshot, seal)?;
-            batch.restore(&snapshot, sources.as_deref())
+            batch.prepare_restore(snapshot, sources)
         }
-        Some(Request::SetCommand(set)) => batch.set_command(&floats("commands", &set.commands)?),
-        // The other requests are not operations; they were answered before.
-        Some(_) | None => {
-            let known =
-                "neither reset, step, attach, save, restore, rollout, policy_rollout, render, observe nor set_command";
-            Err(Error::invalid("request", known))
-        }
+        _ => Err(unknown()),
     }
 }
 

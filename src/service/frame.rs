@@ -1,7 +1,8 @@
 //! A request as it arrived: bytes that are not unpacked yet.
 
-use super::intake::{Messages, Share};
-use super::price::{self, SMALL};
+use super::fields::SMALL;
+use super::intake::Messages;
+use super::share::Share;
 use super::{off_runtime, status};
 use crate::error::{Error, Result};
 use bytes::{Buf as _, Bytes};
@@ -27,7 +28,7 @@ impl<T: Message + Default + 'static> RequestFrame<T> {
         let (bytes, share) = (self.0, messages.take_share());
         let layout = messages.layout();
         let unpack = move |bytes: Bytes| -> Result<T> {
-            price::check(&bytes, layout)?;
+            layout.map_or(Ok(()), |layout| layout.check(&bytes))?;
             T::decode(bytes).map_err(|e| Error::invalid("message", format!("cannot be read: {e}")))
         };
         let message = match bytes.len() <= SMALL {

@@ -7,7 +7,7 @@ use super::limits::Limits;
 use super::proto::run_session_request::Request;
 use super::proto::{CreateSessionRequest, PolicyRollout, Reset, Restore, Rollout, RunSessionRequest, SetCommand, Step};
 use super::sessions::Sessions;
-use super::{decode, price, values};
+use super::{decode, fields, values};
 use crate::env::Task;
 use crate::env::registry::{Blueprint, TASK_IDS};
 use crate::env::rocks::HexapodRocks;
@@ -37,7 +37,7 @@ fn floats(count: usize) -> bytes::Bytes {
 
 /// A batch in the middle of its episodes.
 fn begun(task: &str, pool: &Pool) -> Batch {
-    let mut batch = Batch::new(&Blueprint::new(task, Value::Null).unwrap(), ENVS).unwrap();
+    let batch = Batch::new(&Blueprint::new(task, Value::Null).unwrap(), ENVS).unwrap();
     let reset = batch.reset(None, Some(vec![1, 2, 3]), Default::default()).unwrap();
     pool.wait(batch, reset).unwrap()
 }
@@ -172,6 +172,7 @@ fn wrong_requests_are_refused_or_carried_out() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(20);
     let (mut read, mut carried_out) = (0, 0);
     let mut asked = 0;
+    let layout = fields::of_method("/sandgait.v1.EnvironmentService/RunSession").unwrap();
     for task in TASK_IDS {
         let mut batch = begun(task, &pool);
         let valid = requests(&batch);
@@ -182,10 +183,10 @@ fn wrong_requests_are_refused_or_carried_out() {
             let [one, other] = [(); 2].map(|()| &valid[random.random_range(0..valid.len())]);
             let request = if k % 2 == 0 {
                 let message = mutate::mutated(&mut random, one, other);
-                let sized = price::check(&message, price::of_call("RunSession").layout).is_ok();
+                let sized = layout.check(&message).is_ok();
                 sized.then(|| RunSessionRequest::decode(&message[..]).ok()).flatten().map(|message| message.request)
             } else {
-                price::check(one, price::of_call("RunSession").layout).unwrap();
+                layout.check(one).unwrap();
                 let whole = RunSessionRequest::decode(&one[..]).unwrap().request;
                 Some(whole.map(|request| spoiled(&mut random, request)))
             };

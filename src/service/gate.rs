@@ -12,6 +12,7 @@ use axum::middleware::Next;
 use axum::response::Response;
 use http_body_util::BodyExt as _;
 use std::sync::Arc;
+use tokio::sync::Semaphore;
 use tonic::{Code, Status};
 
 /// Calls of this service need no token: a client that checks a server's health seldom has a token, and the answer
@@ -23,7 +24,18 @@ pub struct Gate {
     pub token: Option<Token>,
     pub metrics: Arc<Metrics>,
     pub refusals: Arc<Refusals>,
+    /// Room for admitted calls, [`super::limits::Limits::calls`]. tower's limit of concurrency ends with the head of an
+    /// answer, but a call with a stream of answers goes on after it.
+    pub calls: Arc<Semaphore>,
+    /// Room for calls of [`REFLECTION`].
+    pub reflections: Arc<Semaphore>,
 }
+
+/// Calls of this service hold descriptions of the protos, some 0.2 MB each, until their client has read them.
+const REFLECTION: &str = "/grpc.reflection.";
+
+/// Largest number of calls of [`REFLECTION`] at the same time: our choice, for some people with tools.
+pub const REFLECTIONS: usize = 16;
 
 /// Answers a call, or refuses it.
 pub async fn pass(State(gate): State<Gate>, call: Request, next: Next) -> Response {
@@ -33,6 +45,16 @@ pub async fn pass(State(gate): State<Gate>, call: Request, next: Next) -> Respon
     let link = call.extensions().get::<ConnectionHandle>().cloned();
     // The call counts until the body of its answer is dropped.
     let begun = link.as_ref().map(|link| link.begin(admitted && !open));
+    let Some(begun) = begun.map_or(Some(None), |begun| begun.map(Some)) else {
+        return exhausted(&gate.metrics, "this connection has too many calls without the server's token");
+    };
+    let place = if admitted && !open { gate.calls.clone().try_acquire_owned().map(Some) } else { Ok(None) };
+    let reflects = admitted && call.uri().path().starts_with(REFLECTION);
+    let looks = if reflects { gate.reflections.clone().try_acquire_owned().map(Some) } else { Ok(None) };
+    let (Ok(place), Ok(looks)) = (place, looks) else {
+        return exhausted(&gate.metrics, "this server has as many calls as its memory allows; try again");
+    };
+    let held = (begun, place, looks);
     let answer = if admitted {
         next.run(call).await
     } else {
@@ -44,12 +66,18 @@ pub async fn pass(State(gate): State<Gate>, call: Request, next: Next) -> Respon
     count(&gate.metrics, answer.headers());
     answer.map(|body| {
         let counted = body.map_frame(move |frame| {
-            let _ = &begun;
+            let _ = &held;
             frame.trailers_ref().into_iter().for_each(|trailers| count(&gate.metrics, trailers));
             frame
         });
         Body::new(counted)
     })
+}
+
+fn exhausted(metrics: &Metrics, reason: &str) -> Response {
+    let answer = Status::resource_exhausted(reason).into_http();
+    count(metrics, answer.headers());
+    answer
 }
 
 fn count(metrics: &Metrics, headers: &HeaderMap) {

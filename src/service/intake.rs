@@ -8,8 +8,12 @@
 //! waits for its share, HTTP/2's flow control stops its sender. A request holds its [`Share`] until it has released its
 //! memory and its answer has been sent; see `outgoing.rs`.
 
+use super::connection_table::ConnectionHandle;
+use super::fields::{LONGEST_OPTIONS, MessageLayout, SMALL};
 use super::limits::Limits;
-use super::price::{self, COPIES, CallBounds, LONGEST_OPTIONS, MessageLayout, SMALL};
+use super::price::{self, COPIES, CallBounds};
+use super::share::{Share, UNIT, units};
+use super::unread::UnreadShare;
 use crate::error::{Error, Result};
 use axum::body::{Body, BodyDataStream};
 use axum::extract::{Request, State};
@@ -21,12 +25,9 @@ use parking_lot::Mutex;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::sync::Semaphore;
 use tokio::time::{Instant, timeout, timeout_at};
 use tonic::Status;
-
-/// Unit of shares [bytes]: our choice, because a semaphore takes its permits as `u32`, and bytes would end at 4 GiB.
-const UNIT: usize = 1 << 10;
 
 /// Longest wait of a request for its share: our choice, longer than the largest step and shorter than the time limits
 /// of clients.
@@ -48,33 +49,8 @@ pub struct Intake {
     room: usize,
     /// Largest message of any call [bytes].
     largest: usize,
-}
-
-/// Part of the memory for requests. Dropping it releases the memory.
-pub struct Share {
-    permit: Mutex<OwnedSemaphorePermit>,
-    room: usize,
-}
-
-impl Share {
-    pub fn bytes(&self) -> usize {
-        self.permit.lock().num_permits() * UNIT
-    }
-
-    /// Takes `bytes` more, if so many are free now.
-    pub fn grow(&self, bytes: usize) -> Result<()> {
-        let mut permit = self.permit.lock();
-        let more = permit.semaphore().clone().try_acquire_many_owned(units(bytes)).map_err(|_| {
-            let room = self.room >> 20;
-            Error::Exhausted(format!("needs more than is left of the {room} MiB that requests may take"))
-        })?;
-        permit.merge(more);
-        Ok(())
-    }
-}
-
-fn units(bytes: usize) -> u32 {
-    u32::try_from(bytes.div_ceil(UNIT)).unwrap_or(u32::MAX)
+    /// See [`Limits::stall`].
+    stall: Duration,
 }
 
 impl Limits {
@@ -96,7 +72,7 @@ impl Intake {
         // twice the longest options, is our choice.
         let room = (limits.of_requests() / 2).max(COPIES * 2 * LONGEST_OPTIONS);
         let shares = Arc::new(Semaphore::new(room / UNIT));
-        Arc::new(Self { shares, room, largest: limits.request.min(room / COPIES) })
+        Arc::new(Self { shares, room, largest: limits.request.min(room / COPIES), stall: limits.stall })
     }
 
     /// Bytes that a client may send on a stream before the server has read them; on a connection twice as many. Our
@@ -106,10 +82,16 @@ impl Intake {
         (self.room / 64).clamp(64 << 10, 4 << 20) as u32
     }
 
+    /// Largest memory of the answers that one connection leaves unread [bytes], unless a single answer takes more: our
+    /// choice, so that eight such connections leave room for others.
+    pub fn most_unread(&self) -> usize {
+        self.room / 16
+    }
+
     /// A share for a request's work and results, if it is free now.
     pub fn try_share(&self, bytes: usize) -> Option<Share> {
         let permit = self.shares.clone().try_acquire_many_owned(units(bytes)).ok()?;
-        Some(Share { permit: Mutex::new(permit), room: self.room })
+        Some(Share::new(permit, self.room))
     }
 
     /// Waits for a share.
@@ -120,7 +102,7 @@ impl Intake {
         }
         let units = units(bytes).min((self.room / UNIT) as u32);
         match timeout(WAIT, self.shares.clone().acquire_many_owned(units)).await {
-            Ok(Ok(permit)) => Ok(Share { permit: Mutex::new(permit), room: self.room }),
+            Ok(Ok(permit)) => Ok(Share::new(permit, self.room)),
             _ => Err(Error::Exhausted("the memory for large requests is taken by others; try again".into())),
         }
     }
@@ -135,22 +117,33 @@ struct MessagesState {
     /// Size of messages [bytes] for which the call's session has reserved memory already.
     free: AtomicUsize,
     share: Mutex<Option<Share>>,
-    answer: Mutex<Option<Arc<Share>>>,
+    answer: Mutex<Option<UnreadShare>>,
+    /// Size of the last answer [bytes].
+    ahead: AtomicUsize,
+    stall: Duration,
+    link: Option<ConnectionHandle>,
 }
 
 impl Messages {
-    fn new(call: &'static CallBounds) -> Self {
+    fn new(call: &'static CallBounds, stall: Duration, link: Option<ConnectionHandle>) -> Self {
         Self(Arc::new(MessagesState {
             call,
             free: AtomicUsize::new(SMALL),
             share: Mutex::default(),
             answer: Mutex::default(),
+            ahead: AtomicUsize::new(0),
+            stall,
+            link,
         }))
     }
 
     pub fn of<T>(request: &tonic::Request<T>) -> Self {
         // Only calls in tests have none, because they do not come through [`pass`].
-        request.extensions().get::<Self>().cloned().unwrap_or_else(|| Self::new(price::of_call("")))
+        request
+            .extensions()
+            .get::<Self>()
+            .cloned()
+            .unwrap_or_else(|| Self::new(price::of_call(""), Limits::DEFAULT.stall, None))
     }
 
     /// From now on messages of up to `bytes` need no share, because the session's reservation includes them.
@@ -158,7 +151,7 @@ impl Messages {
         self.0.free.store(bytes.max(SMALL), Ordering::Relaxed);
     }
 
-    pub fn layout(&self) -> MessageLayout {
+    pub fn layout(&self) -> Option<&'static MessageLayout> {
         self.0.call.layout
     }
 
@@ -167,12 +160,24 @@ impl Messages {
         self.0.share.lock().take()
     }
 
+    /// An answer's hold on `share`, until its client has read its `bytes`.
+    pub fn unread(&self, share: Arc<Share>, bytes: usize) -> UnreadShare {
+        // Of the earlier answers, only the last can still be in the queue.
+        let ahead = self.0.ahead.swap(bytes, Ordering::Relaxed);
+        UnreadShare::new(share, [bytes, ahead], self.0.stall, self.0.link.clone())
+    }
+
+    /// Memory of the answers that the connection's client has not read [bytes].
+    pub fn unread_bytes(&self) -> usize {
+        self.0.link.as_ref().map_or(0, |link| link.unread.load(Ordering::Relaxed))
+    }
+
     /// The call's next answer holds `share` until it has been sent.
-    pub fn hold_for_answer(&self, share: Option<Arc<Share>>) {
+    pub fn hold_for_answer(&self, share: Option<UnreadShare>) {
         *self.0.answer.lock() = share;
     }
 
-    pub fn take_answer_share(&self) -> Option<Arc<Share>> {
+    pub fn take_answer_share(&self) -> Option<UnreadShare> {
         self.0.answer.lock().take()
     }
 }
@@ -180,7 +185,8 @@ impl Messages {
 /// Reads a call's messages one by one, each when there is memory for it.
 pub async fn pass(State(intake): State<Arc<Intake>>, mut call: Request, next: Next) -> Response {
     let bounds = price::of_call(call.uri().path());
-    let messages = Messages::new(bounds);
+    let link = call.extensions().get::<ConnectionHandle>().cloned();
+    let messages = Messages::new(bounds, intake.stall, link);
     call.extensions_mut().insert(messages.clone());
     let metered = |body: Body| {
         let limit = bounds.largest.min(intake.largest).min(intake.room / bounds.copies);

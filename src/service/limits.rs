@@ -1,11 +1,13 @@
 //! The limits of a server, and what sessions have reserved of them.
 
 use super::metrics::Usage;
+use super::price::CALL;
 use crate::error::{Error, Result};
 use crate::session::{MOST_ENVIRONMENTS, MOST_MEMORY};
 use parking_lot::Mutex;
 use std::sync::Arc;
 use std::time::Duration;
+use tokio::sync::Semaphore;
 
 /// The limits of one server.
 #[derive(Clone, Debug)]
@@ -47,6 +49,27 @@ impl Limits {
     };
 }
 
+impl Limits {
+    /// Number of admitted calls at the same time: they may take an eighth of the memory.
+    pub fn calls(&self) -> usize {
+        (self.memory / 8 / CALL).clamp(64, Semaphore::MAX_PERMITS)
+    }
+
+    /// Largest HTTP/2 frame that is accepted [bytes]. A frame is held in memory until it is whole, also of peers without
+    /// the token, so all connections together may take an eighth of the memory. The least is the least that HTTP/2 allows
+    /// (RFC 9113, 6.5.2), which cuts large messages into many frames; the most is our choice.
+    pub fn frame(&self) -> u32 {
+        (self.memory / 8 / self.connections.max(1) as usize).clamp(16 << 10, 1 << 20) as u32
+    }
+
+    /// Number of calls at the same time on all connections without an admitted call: they may take 1/128 of the memory.
+    /// Health is all that they can ask for, so our choice of the most is far above the number of programs that monitor
+    /// a server.
+    pub fn strangers(&self) -> usize {
+        (self.memory / 128 / CALL).clamp(32, 1024)
+    }
+}
+
 impl Default for Limits {
     fn default() -> Self {
         Self::DEFAULT
@@ -58,8 +81,6 @@ pub struct Reservation {
     pub(super) usage: Arc<Mutex<Usage>>,
     pub(super) environments: usize,
     pub(super) memory: usize,
-    /// The part of `memory` that is for models.
-    pub(super) models: usize,
     /// Memory for all sessions [bytes].
     pub(super) most: usize,
 }
@@ -74,22 +95,17 @@ pub fn fits(field: &str, needed: usize, free: usize) -> Result<()> {
 }
 
 impl Reservation {
-    /// Reserves `models` bytes for models, in place of the bytes that were reserved for models before.
-    pub fn set_models(&mut self, models: usize) -> Result<()> {
+    /// Reserves `memory` bytes in place of what was reserved before.
+    pub fn set(&mut self, memory: usize) -> Result<()> {
         let mut usage = self.usage.lock();
-        let others = usage.memory - self.models;
+        let others = usage.memory - self.memory;
         // A smaller reservation is always possible.
-        if models > self.models {
-            fits("models", models, self.most.saturating_sub(others))?;
+        if memory > self.memory {
+            fits("models", memory - self.memory, self.most.saturating_sub(usage.memory))?;
         }
-        usage.memory = others + models;
-        self.memory = self.memory - self.models + models;
-        self.models = models;
+        usage.memory = others + memory;
+        self.memory = memory;
         Ok(())
-    }
-
-    pub fn models(&self) -> usize {
-        self.models
     }
 }
 

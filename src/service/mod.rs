@@ -11,8 +11,9 @@
 //! * [`stream`]: one RunSession stream, request by request; [`work`]: the work of one request; [`rollout`]: the work of a request for a rollout.
 //! * [`view`]: requests for pictures and moments; [`viewer`]: the page that follows sessions.
 //! * [`studies`]: the offline tools, one at a time.
-//! * [`price`]: what each call may cost; [`intake`]: the memory of requests; [`outgoing`]: the memory of answers; [`frame`]: requests that are not
-//!   unpacked.
+//! * [`price`]: what each call may cost; [`fields`]: what a message may contain; [`intake`]: the memory of requests;
+//!   [`outgoing`]: the memory of answers; [`share`]: a part of it, and [`unread`]: until its client has read an answer;
+//!   [`frame`]: requests that are not unpacked.
 //! * [`decode`], [`encode`], [`values`]: messages from and to the crate's types.
 //! * [`status`]: the map from errors to gRPC codes.
 
@@ -33,6 +34,7 @@ mod connection_table;
 mod connections;
 mod decode;
 mod encode;
+mod fields;
 pub mod frame;
 #[cfg(test)]
 mod fuzz;
@@ -48,10 +50,12 @@ mod rollout;
 mod security;
 pub mod server;
 pub mod sessions;
+mod share;
 mod state;
 pub mod status;
 mod stream;
 pub mod studies;
+mod unread;
 pub mod values;
 mod view;
 mod viewer;
@@ -90,6 +94,7 @@ use serde_json::Value;
 use sessions::Sessions;
 use std::pin::Pin;
 use std::sync::Arc;
+use tokio::sync::OnceCell;
 use tonic::{Request, Response, Status, Streaming};
 
 /// Version of the protocol. It is increased by every change after which an old client would misread this server.
@@ -102,6 +107,8 @@ pub struct Service {
     sessions: Arc<Sessions>,
     pool: Arc<Pool>,
     intake: Arc<Intake>,
+    /// The answer of Describe, which is always the same.
+    described: OnceCell<DescribeResponse>,
 }
 
 /// Runs `work` on a blocking thread.
@@ -126,12 +133,18 @@ fn check_protocol(client: u32) -> crate::error::Result<()> {
 
 #[tonic::async_trait]
 impl EnvironmentService for Service {
-    async fn describe(&self, _: Request<RequestFrame<DescribeRequest>>) -> Result<Response<DescribeResponse>, Status> {
-        let tasks = off_runtime(|| {
+    async fn describe(
+        &self,
+        request: Request<RequestFrame<DescribeRequest>>,
+    ) -> Result<Response<DescribeResponse>, Status> {
+        let messages = Messages::of(&request);
+        let describe = || async {
             let describe = |id: &&str| Blueprint::new(id, Value::Null).map(|b| encode::task(&b));
-            TASK_IDS.iter().map(describe).collect()
-        });
-        Ok(Response::new(DescribeResponse { version: VERSION.into(), protocol: PROTOCOL, tasks: tasks.await? }))
+            let tasks = off_runtime(move || TASK_IDS.iter().map(describe).collect()).await?;
+            Ok::<_, Status>(DescribeResponse { version: VERSION.into(), protocol: PROTOCOL, tasks })
+        };
+        let described = self.described.get_or_try_init(describe).await?;
+        outgoing::answer(&self.intake, &messages, || Ok(described.clone())).await
     }
 
     async fn create_session(
@@ -139,6 +152,7 @@ impl EnvironmentService for Service {
         request: Request<RequestFrame<CreateSessionRequest>>,
     ) -> Result<Response<CreateSessionResponse>, Status> {
         let lease_seconds = self.sessions.limits().lease.as_secs_f64();
+        let messages = Messages::of(&request);
         let (request, _share) = RequestFrame::only(request).await?;
         let CreateSessionRequest { task_id, num_envs, options, protocol } = request;
         let made = async {
@@ -146,8 +160,13 @@ impl EnvironmentService for Service {
             self.sessions.create(task_id, num_envs as usize, values::to_json(options)?).await
         };
         let (session_id, blueprint) = made.await.map_err(|e| status::status(&e))?;
-        let (task, warnings) = (Some(encode::task(&blueprint)), blueprint.warnings());
-        Ok(Response::new(CreateSessionResponse { session_id, task, lease_seconds, warnings }))
+        let made = || {
+            let (task, warnings) = (Some(encode::task(&blueprint)), blueprint.warnings());
+            Ok(CreateSessionResponse { session_id: session_id.clone(), task, lease_seconds, warnings })
+        };
+        let answer = outgoing::answer(&self.intake, &messages, made).await;
+        // Nobody knows the id of a session whose answer is refused.
+        answer.inspect_err(|_| drop(self.sessions.close(&session_id)))
     }
 
     type RunSessionStream = Pin<Box<dyn Stream<Item = Result<RunSessionResponse, Status>> + Send>>;
@@ -170,18 +189,25 @@ impl EnvironmentService for Service {
         &self,
         request: Request<RequestFrame<DescribeSessionRequest>>,
     ) -> Result<Response<DescribeSessionResponse>, Status> {
+        let messages = Messages::of(&request);
         let (request, _) = RequestFrame::only(request).await?;
-        let summary = self.sessions.describe(&request.session_id).map_err(|e| status::status(&e))?;
-        let task = Some(encode::task(&summary.blueprint));
-        Ok(Response::new(DescribeSessionResponse { task, summary: Some(encode::summary(&summary)) }))
+        let describe = || {
+            let summary = self.sessions.describe(&request.session_id)?;
+            let task = Some(encode::task(&summary.blueprint));
+            Ok(DescribeSessionResponse { task, summary: Some(encode::summary(&summary)) })
+        };
+        outgoing::answer(&self.intake, &messages, describe).await
     }
 
     async fn list_sessions(
         &self,
-        _: Request<RequestFrame<ListSessionsRequest>>,
+        request: Request<RequestFrame<ListSessionsRequest>>,
     ) -> Result<Response<ListSessionsResponse>, Status> {
-        let sessions = self.sessions.list().iter().map(encode::summary).collect();
-        Ok(Response::new(ListSessionsResponse { sessions }))
+        let list = || {
+            let sessions = self.sessions.list().iter().map(encode::summary).collect();
+            Ok(ListSessionsResponse { sessions })
+        };
+        outgoing::answer(&self.intake, &Messages::of(&request), list).await
     }
 
     async fn close_session(

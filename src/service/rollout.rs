@@ -38,7 +38,11 @@ fn begin(mut work: SessionWork, roll: impl FnOnce(&Batch) -> Result<Roll>, traje
 async fn run(mut work: SessionWork, roll: Roll, back: Operation, trajectories: bool, pool: Arc<Pool>) {
     let rolled = parts(&mut work, &roll, trajectories, &pool).await;
     let restored = match rolled {
-        Ok(rolled) => pooled(&mut work, &pool, back, |_| ()).await.map(|()| rolled),
+        Ok(rolled) => {
+            // The environments are restored in any case.
+            work.batch().set_stop(None);
+            pooled(&mut work, &pool, back, |_| ()).await.map(|()| rolled)
+        }
         Err(error) => Err(error),
     };
     match restored {
@@ -81,6 +85,9 @@ async fn parts(
             Ok(part) => part,
             Err(error) => return Ok(Err(error)),
         };
+        if work.batch().was_stopped() {
+            return stopped();
+        }
         rolling.went();
         if is_last {
             sessions.metrics.rolled(begun.elapsed(), work.batch());

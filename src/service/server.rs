@@ -27,6 +27,7 @@ use axum::middleware;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::net::TcpListener;
+use tokio::sync::{OnceCell, Semaphore};
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 use tonic::body::Body;
@@ -67,7 +68,7 @@ pub type AddServices = Box<dyn FnOnce(&mut Services, &Arc<Sessions>, &Arc<Pool>)
 pub async fn serve(listener: Listener, setup: ServerSetup, stop: CancellationToken) -> Result<()> {
     let ServerSetup { threads, limits, tls, token, seal, metrics, viewer, state, others: add_others } = setup;
     // The connections of the pages need file descriptors, too.
-    let (most, streams) = (limits.connections as usize, limits.streams);
+    let (most, streams, frame) = (limits.connections as usize, limits.streams, limits.frame());
     let watched = limits.watchers + connections::BESIDE_WATCHERS;
     let others = [(metrics.is_some(), connections::METRICS), (viewer.is_some(), watched)];
     let others = others.iter().filter(|(given, _)| *given).map(|(_, connections)| connections).sum();
@@ -94,15 +95,17 @@ pub async fn serve(listener: Listener, setup: ServerSetup, stop: CancellationTok
         add(&mut services, &sessions, &pool);
     }
     let intake = Intake::new(sessions.limits());
-    let (window, stall) = (intake.window(), sessions.limits().stall);
+    let (window, strangers) = (intake.window(), sessions.limits().strangers());
     add_services(&mut services, &sessions, pool.clone(), &intake, &health)?;
     for name in &services.names {
         health.set_service_status(name, ServingStatus::Serving).await;
     }
-    let gate = Gate { token, metrics: sessions.metrics.clone(), refusals: refusals.clone() };
+    let calls = Arc::new(Semaphore::new(sessions.limits().calls()));
+    let reflections = Arc::new(Semaphore::new(gate::REFLECTIONS));
+    let gate = Gate { token, metrics: sessions.metrics.clone(), refusals: refusals.clone(), calls, reflections };
     let routes = services.routes.routes().into_axum_router();
     // The outermost layer comes last.
-    let routes = routes.layer(middleware::from_fn_with_state(stall, outgoing::pass));
+    let routes = routes.layer(middleware::from_fn(outgoing::pass));
     let routes = routes.layer(middleware::from_fn_with_state(intake, intake::pass));
     let routes = routes.layer(middleware::from_fn_with_state(gate, gate::pass));
     let saved = tokio::spawn(end(sessions, health, services.names, state));
@@ -111,8 +114,8 @@ pub async fn serve(listener: Listener, setup: ServerSetup, stop: CancellationTok
         Listener::Tcp(listener) => (ListenSocket::Tcp(listener), None),
         Listener::Unix(listener, file) => (ListenSocket::Unix(listener), Some(file)),
     };
-    let table = ConnectionTable::new(connections::room(most, others));
-    let protocol = Protocol::Http2 { streams, window };
+    let table = ConnectionTable::new(connections::room(most, others), strangers);
+    let protocol = Protocol::Http2 { streams, window, frame };
     Connections { table, tls, protocol, routes, refusals }.serve(socket, stop).await;
     let saved = saved.await;
     // The pool ends last, because it then drops the batches whose clients have left.
@@ -151,7 +154,7 @@ fn add_services(
 ) -> Result<()> {
     // The intake refuses larger messages before tonic reads them.
     let largest = sessions.limits().request;
-    let environments = Service { sessions: sessions.clone(), pool, intake: intake.clone() };
+    let environments = Service { sessions: sessions.clone(), pool, intake: intake.clone(), described: OnceCell::new() };
     let reflection = || {
         tonic_reflection::server::Builder::configure()
             .register_encoded_file_descriptor_set(DESCRIPTORS)
@@ -165,7 +168,7 @@ fn add_services(
                 .max_encoding_message_size(u32::MAX as usize),
         )
         .add(
-            StudyServiceServer::new(Studies::new(sessions.stop().clone(), sessions.limits().memory))
+            StudyServiceServer::new(Studies::new(sessions.stop().clone(), sessions.limits().memory, intake.clone()))
                 .max_decoding_message_size(largest)
                 .max_encoding_message_size(u32::MAX as usize),
         )

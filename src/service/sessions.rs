@@ -202,7 +202,7 @@ impl Sessions {
     }
 
     fn reserve(&self, environments: usize, blueprint: &Blueprint) -> Result<Reservation> {
-        let (memory, models) = (blueprint.bytes(environments), blueprint.shared_bytes());
+        let memory = blueprint.bytes(environments);
         let mut usage = self.usage.lock();
         if usage.sessions >= self.limits.sessions {
             return Err(Error::Exhausted(format!("all {} sessions of this server are taken", self.limits.sessions)));
@@ -212,7 +212,7 @@ impl Sessions {
         usage.sessions += 1;
         usage.environments += environments;
         usage.memory += memory;
-        Ok(Reservation { usage: self.usage.clone(), environments, memory, models, most })
+        Ok(Reservation { usage: self.usage.clone(), environments, memory, most })
     }
 
     /// Attaches a new stream to the session, in place of its present one.

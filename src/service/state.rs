@@ -252,9 +252,9 @@ fn adopt(saved: SessionFile, sessions: &Sessions, pool: &Pool) -> Result<String>
     let blueprint = Blueprint::new(&task, options)?;
     let mut environments = sessions.build(&blueprint, envs as usize)?;
     if let Some(snapshot) = snapshot {
-        let operation = environments.batch.restore(&Snapshot::from_bytes(&snapshot, &sessions.seal)?, None)?;
+        let operation = environments.batch.restore(Snapshot::from_bytes(&snapshot, &sessions.seal)?, None)?;
         environments.batch = pool.wait(environments.batch, operation)?;
-        environments.books.reservation.set_models(environments.batch.model_bytes())?;
+        environments.books.reservation.set(environments.batch.bytes())?;
     }
     environments.books.done = LastAnswer { sequence, answer };
     let name = name(&id);

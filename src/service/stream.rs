@@ -9,23 +9,24 @@
 //! answered the last one, so flow control slows a fast sender. This file does not compute: a light request is checked
 //! on the async thread, a heavy one on a blocking thread, and the pool's threads step and encode.
 
-use super::building::LastAnswer;
+use super::building::{LastAnswer, TURN};
 use super::decode::RequestWeight;
 use super::frame::RequestFrame;
-use super::intake::{Intake, Messages, Share};
+use super::intake::{Intake, Messages};
 use super::proto::run_session_request::Request;
 use super::proto::run_session_response::Response;
 use super::proto::{Attached, RunSessionRequest, RunSessionResponse, Snapshot};
 use super::sessions::SessionGuard;
 use super::sessions::{Sessions, StreamHold};
+use super::share::Share;
 use super::work::SessionWork;
 use super::{decode, price, rollout, status, view};
 use crate::error::{Error, Result as Checked};
-use crate::pool::Pool;
+use crate::pool::{Pool, Prepared};
 use futures_util::{Stream, stream};
+use prost::Message;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 use tokio::sync::mpsc;
 use tonic::{Status, Streaming};
 
@@ -48,7 +49,9 @@ pub fn run(
         if let Some(RunSessionResponse { response: Some(Response::Failure(refused)), .. }) = &answer {
             run.sessions.metrics.ended(refused.code.into());
         }
-        run.call.messages.hold_for_answer(run.share.clone());
+        let messages = &run.call.messages;
+        let bytes = answer.as_ref().map_or(0, Message::encoded_len);
+        messages.hold_for_answer(run.share.clone().map(|share| messages.unread(share, bytes)));
         Ok(answer.map(|answer| (answer, run)))
     })
 }
@@ -223,6 +226,12 @@ impl SessionStream {
             tokio::spawn(view::render(work, render));
             return;
         }
+        if weight == RequestWeight::Long
+            && let Some(request @ (Request::Reset(_) | Request::Restore(_))) = request.request
+        {
+            tokio::spawn(prepare(work, request, self.sessions.clone(), pool));
+            return;
+        }
         // A panic drops the work, which then ends its session; this thread's other work must go on.
         let begin = move || drop(catch_unwind(AssertUnwindSafe(|| carry_out(work, request.request, &pool))));
         match weight {
@@ -259,10 +268,42 @@ fn repeated(done: &LastAnswer, sequence: u64) -> Option<RunSessionResponse> {
     }
 }
 
+/// Prepares a reset or a restore in turns, until nobody waits for it any more, and starts it.
+async fn prepare(mut work: SessionWork, request: Request, sessions: Arc<Sessions>, pool: Arc<Pool>) {
+    let (seal, end) = (sessions.seal.clone(), work.end.clone());
+    let begin = move || {
+        work.watch();
+        let preparing = decode::preparing(work.batch(), request, &seal);
+        Ok((work, preparing))
+    };
+    // If nobody waits any more, or the turn panics, the work is dropped, which returns the environments or ends the
+    // session.
+    let Some(Ok((mut work, mut preparing))) = end.run_until_cancelled(sessions.turn(begin)).await else { return };
+    loop {
+        let part = match preparing {
+            Ok(part) => part,
+            Err(error) => return work.refuse(&error),
+        };
+        let own = pool.clone();
+        let turn = move || {
+            Ok(match part.go_on(work.batch(), TURN) {
+                Ok(Prepared::Later(part)) => Some((work, Ok(part))),
+                Ok(Prepared::Now(operation)) => {
+                    work.run(operation, &own);
+                    None
+                }
+                Err(error) => Some((work, Err(error))),
+            })
+        };
+        let Some(Ok(Some(rest))) = end.run_until_cancelled(sessions.turn(turn)).await else { return };
+        (work, preparing) = rest;
+    }
+}
+
 /// Checks a request and starts its operation.
 fn carry_out(mut work: SessionWork, request: Option<Request>, pool: &Arc<Pool>) {
     let seal = work.guard.sessions.seal.clone();
-    let made = work.count_memory();
+    work.watch();
     let operation = match request {
         Some(Request::Save(_)) => {
             let saved = work.batch().save().and_then(|s| s.to_bytes(&seal));
@@ -277,7 +318,7 @@ fn carry_out(mut work: SessionWork, request: Option<Request>, pool: &Arc<Pool>) 
         request => decode::operation(work.batch(), request, &seal),
     };
     match operation {
-        Ok(operation) => work.run(operation, made.load(Ordering::Relaxed), pool),
+        Ok(operation) => work.run(operation, pool),
         Err(error) => work.refuse(&error),
     }
 }

@@ -2,15 +2,14 @@
 
 use super::building::LastAnswer;
 use super::encode;
-use super::intake::Share;
 use super::proto::RunSessionResponse;
 use super::proto::run_session_response::Response;
 use super::sessions::{SessionGuard, broken};
+use super::share::Share;
 use super::status;
 use crate::error::{Error, Result};
 use crate::pool::{Batch, Operation, Pool};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
@@ -51,39 +50,48 @@ impl SessionWork {
         RunSessionResponse { sequence: self.sequence, response: Some(response) }
     }
 
-    /// From now on the memory of models and snapshots that the batch makes is taken from the request's share. The
-    /// returned number is the sum of this memory [bytes].
-    pub fn count_memory(&mut self) -> Arc<AtomicUsize> {
-        let made = Arc::<AtomicUsize>::default();
+    /// From now on the memory of models and snapshots that the batch makes is taken from the request's share, and an
+    /// operation ends when nobody waits for it any more.
+    pub fn watch(&mut self) {
+        let end = self.end.clone();
+        self.batch().set_stop(Some(Arc::new(move || end.is_cancelled())));
         if let Some(share) = self.share.clone() {
-            let made = made.clone();
-            self.batch().set_account(Some(Arc::new(move |bytes| {
-                made.fetch_add(bytes, Ordering::Relaxed);
-                share.grow(bytes)
-            })));
+            self.batch().set_account(Some(Arc::new(move |bytes| share.grow(bytes))));
         }
-        made
     }
 
-    /// Runs `operation` and answers with its batch. `made`: memory of the models that the operation gives to the
-    /// environments [bytes].
-    pub fn run(mut self, operation: Operation, made: usize, pool: &Pool) {
-        if let Err(error) = self.guard.reserve_models(made) {
+    /// Runs `operation` and answers with its batch.
+    pub fn run(mut self, operation: Operation, pool: &Pool) {
+        let changed = self.batch().bytes_during(&operation);
+        if let Some(bytes) = changed
+            && let Err(error) = self.guard.reserve(bytes)
+        {
             return self.refuse(&error);
         }
         let batch = self.guard.take();
         let ran = self.guard.sessions.metrics.begin(&operation, batch.envs());
         pool.run(batch, operation, move |batch| match batch {
+            // Nobody waits for an answer; the next stream may make the request again.
+            Ok(batch) if batch.was_stopped() => {
+                self.guard.put(batch);
+                self.released(changed);
+            }
             Ok(batch) => {
                 let response = Response::Batch(encode::batch(&batch));
                 ran(&batch);
                 self.guard.sessions.watchers.saw(&self.guard.id, &batch);
                 self.guard.put(batch);
-                self.guard.release_models(made);
+                self.released(changed);
                 self.finish(response, true);
             }
             Err(error) => self.lose(&error),
         });
+    }
+
+    fn released(&mut self, changed: Option<usize>) {
+        if changed.is_some() {
+            self.guard.release();
+        }
     }
 
     /// Answers a request that changes nothing.

@@ -98,6 +98,16 @@ impl Engine {
     pub fn advance_in_parts(&mut self, steps: usize, ends: bool) {
         flushed(|| self.0.advance_in_parts(steps, ends));
     }
+
+    /// See [`Integrator::begin_part`].
+    pub fn begin_part(&mut self, steps: usize) {
+        flushed(|| self.0.begin_part(steps));
+    }
+
+    /// See [`Integrator::go_on`].
+    pub fn go_on(&mut self, steps: usize, ends: bool) {
+        flushed(|| self.0.go_on(steps, ends));
+    }
 }
 
 impl Deref for Engine {

@@ -32,6 +32,15 @@ pub trait Integrator: Send {
     /// obstacles.
     fn advance_in_parts(&mut self, steps: usize, ends: bool);
 
+    /// Begins a part of `steps` time steps, which calls of [`Integrator::go_on`] then make. However they divide it, the
+    /// results have the bits of one call of [`Integrator::advance_in_parts`], in every engine.
+    fn begin_part(&mut self, _steps: usize) {}
+
+    /// Makes `steps` time steps of the part that has begun; `ends`: they are the last ones of the control step.
+    fn go_on(&mut self, steps: usize, ends: bool) {
+        self.advance_in_parts(steps, ends);
+    }
+
     /// Advances every robot by `steps` time steps.
     fn advance(&mut self, steps: usize) {
         self.advance_in_parts(steps, true);

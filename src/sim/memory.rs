@@ -2,10 +2,14 @@
 
 use super::engine::EngineKind;
 use super::model::LinkBody;
-use super::obstacle::ObstacleShape;
+use super::obstacle::{Obstacle, ObstacleShape};
+use super::solid::Solid;
 use super::tree::patches::Patch;
 use super::tree::{Geometry, Tree, TreeModel};
 use super::{Model, Robot};
+use crate::error::Result;
+use std::collections::HashSet;
+use std::sync::Arc;
 
 /// Bytes of a list's items, without what they refer to.
 fn list<T>(items: &[T]) -> usize {
@@ -14,6 +18,21 @@ fn list<T>(items: &[T]) -> usize {
 
 fn sum<T>(items: &[T], of: impl Fn(&T) -> usize) -> usize {
     list(items) + items.iter().map(of).sum::<usize>()
+}
+
+fn corners(obstacle: &Obstacle) -> usize {
+    if let ObstacleShape::Hull { points } = &obstacle.shape { list(points) } else { 0 }
+}
+
+impl Obstacle {
+    /// Memory of an obstacle in a model, with its geometry [bytes].
+    ///
+    /// # Errors
+    /// Its numbers are out of range.
+    pub fn memory_bytes(&self) -> Result<usize> {
+        let solid = self.solid()?;
+        Ok(size_of::<Self>() + corners(self) + size_of::<Solid>() + solid.list_bytes())
+    }
 }
 
 fn of_robot(robot: &Robot) -> usize {
@@ -32,37 +51,73 @@ fn of_tree(tree: &Tree) -> usize {
     tree.name.len() + sum(&tree.bodies, body)
 }
 
-/// The parts of a tree robot that all its copies share.
-fn of_shared(tree: &TreeModel) -> usize {
-    let patch = |p: &Patch| list(&p.facets) + list(&p.panels) + list(&p.tiles);
-    let stance = list(&tree.stance.angles) + list(&tree.stance.feet);
-    let looks = sum(&tree.looks.meshes, |m| list(&m.corners) + list(&m.faces)) + list(&tree.looks.shapes);
-    of_tree(&tree.tree)
-        + sum(&tree.plates, |plates| list(plates))
-        + sum(&tree.patches, |body| sum(&body.patches, patch))
-        + sum(&tree.contacts, |points| list(points))
-        + stance
-        + looks
-        + tree.looks.json().len()
+/// Adds up memory. A part that several things share counts once.
+#[derive(Default)]
+pub struct MemoryCount {
+    /// Addresses of the shared parts so far.
+    shared: HashSet<usize>,
+    bytes: usize,
+}
+
+impl MemoryCount {
+    /// The sum so far [bytes].
+    pub fn bytes(&self) -> usize {
+        self.bytes
+    }
+
+    /// Adds memory that nothing else shares [bytes].
+    pub fn add(&mut self, bytes: usize) {
+        self.bytes += bytes;
+    }
+
+    /// Adds a part that others may share; `bytes`: its size. Returns whether it is counted for the first time.
+    pub fn add_shared<T: ?Sized>(&mut self, part: &Arc<T>, bytes: impl FnOnce(&T) -> usize) -> bool {
+        let new = self.shared.insert(Arc::as_ptr(part).addr());
+        self.bytes += if new { bytes(part) } else { 0 };
+        new
+    }
+}
+
+impl TreeModel {
+    /// Adds the parts that copies share.
+    fn count_shared(&self, count: &mut MemoryCount) {
+        let patch = |p: &Patch| list(&p.facets) + list(&p.panels) + list(&p.tiles);
+        count.add_shared(&self.tree, of_tree);
+        count.add_shared(&self.plates, |all| sum(all, |plates| list(plates)));
+        count.add_shared(&self.patches, |all| sum(all, |body| sum(&body.patches, patch)));
+        count.add_shared(&self.contacts, |all| sum(all, |points| list(points)));
+        count.add_shared(&self.stance, |stance| list(&stance.angles) + list(&stance.feet));
+        count.add_shared(&self.looks, |looks| {
+            sum(&looks.meshes, |m| list(&m.corners) + list(&m.faces)) + list(&looks.shapes) + looks.json().len()
+        });
+    }
 }
 
 impl Model {
-    /// Memory of the model with everything that it refers to [bytes]. Environments with the same options share it.
+    /// Memory of the model with everything that it refers to [bytes].
     pub fn memory_bytes(&self) -> usize {
-        let relief = self.scene.relief.as_ref().map_or(0, |relief| relief.memory_bytes());
-        self.episode_bytes() + self.tree.as_ref().map_or(0, |tree| of_shared(tree)) + relief
+        let mut count = MemoryCount::default();
+        self.count_memory(&mut count);
+        count.bytes()
+    }
+
+    /// Adds the model with everything that it refers to.
+    pub fn count_memory(&self, count: &mut MemoryCount) {
+        count.add(self.episode_bytes());
+        if let Some(tree) = &self.tree {
+            tree.count_shared(count);
+        }
+        if let Some(relief) = &self.scene.relief {
+            count.add_shared(relief, |relief| relief.memory_bytes());
+        }
     }
 
     /// Memory of a copy whose masses, motors, sand or obstacles an episode has drawn [bytes]. Parts that the copy
     /// shares with the original model do not count.
     pub fn episode_bytes(&self) -> usize {
         let body = |body: &LinkBody| list(&body.plates) + list(&body.chord) + list(&body.pieces);
-        let corners = |o: &super::Obstacle| match &o.shape {
-            ObstacleShape::Hull { points } => list(points),
-            _ => 0,
-        };
         let scene = self.scene.medium.name.len() + sum(&self.scene.obstacles, corners) + list(&self.scene.hard);
-        let solids = sum(&self.solids, |s| list(&s.facets) + list(&s.corners) + list(&s.faces));
+        let solids = sum(&self.solids, Solid::list_bytes);
         let tree = self.tree.as_ref().map_or(0, |tree| size_of::<TreeModel>() + list(&tree.motors));
         let legs = sum(&self.legs, |chain| sum(chain, body));
         size_of::<Self>() + of_robot(&self.robot) + scene + list(&self.belly) + legs + solids + tree
@@ -74,9 +129,9 @@ impl Model {
         shapes + self.scene.relief.as_ref().map_or(0, |relief| relief.json().len())
     }
 
-    /// Memory of one robot in an engine [bytes], without its model.
-    pub fn robot_bytes(&self, engine: EngineKind) -> usize {
-        self.sand_bytes() + self.engine_bytes(engine)
+    /// Memory of one robot in an engine [bytes], without its model. `obstacles`: their largest number in an episode.
+    pub fn robot_bytes(&self, engine: EngineKind, obstacles: usize) -> usize {
+        self.sand_bytes() + self.engine_bytes(engine) + if engine == EngineKind::Rapier { obstacles * ROCK } else { 0 }
     }
 
     fn engine_bytes(&self, engine: EngineKind) -> usize {
@@ -94,7 +149,12 @@ impl Model {
     }
 }
 
-/// Memory of a lane of engine `tree`, of each of its bodies, of each point that may touch hard ground, and of each foot [bytes]:
+/// Memory of an obstacle in a world of engine `rapier` [bytes]: its body, collider, shape and contacts, some 10 kB, and
+/// the engine's copy of its geometry. 1,111 MiB were resident for 700 environments of 64 rocks, half of which was for
+/// two copies of the geometry.
+const ROCK: usize = 16_500;
+
+/// Memory of a lane of engine `tree`, of each of its bodies, and of each point that may touch hard ground [bytes]:
 /// counted in the structures of [`super::tree::engine`], where a list of touching points may have room for twice as many.
 const LANE: usize = 2_000;
 const LANE_BODY: usize = 800;

@@ -91,6 +91,12 @@ impl RigidPose {
 }
 
 impl Solid {
+    /// Memory of the body's lists [bytes].
+    pub fn list_bytes(&self) -> usize {
+        let sides = if let SolidKind::Sides(sides) = &self.kind { size_of_val(&sides[..]) } else { 0 };
+        size_of_val(&self.facets[..]) + size_of_val(&self.corners[..]) + size_of_val(&self.faces[..]) + sides
+    }
+
     pub fn sphere(radius: f64) -> Self {
         let volume = 4.0 / 3.0 * PI * radius.powi(3);
         let mut facets = Vec::with_capacity(RINGS * SECTORS);

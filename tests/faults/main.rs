@@ -1,6 +1,7 @@
 //! Slow clients, clients with large requests, many clients, and clients that disappear: they do not delay others, and
 //! memory stays bounded.
 
+mod abuse;
 mod doors;
 #[expect(dead_code, reason = "the rest is for other tests")]
 #[path = "../grpc/harness.rs"]
@@ -37,6 +38,11 @@ fn resident(process: u32) -> f64 {
     let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap();
     let line = status.lines().find_map(|l| l.strip_prefix("VmRSS:")).unwrap();
     line.trim().trim_end_matches(" kB").parse::<f64>().unwrap() / 1024.0
+}
+
+/// A dictionary as an option.
+fn table(fields: &[(&str, prost_types::Value)]) -> prost_types::Value {
+    prost_types::Value { kind: harness::options(fields).map(prost_types::value::Kind::StructValue) }
 }
 
 fn rollout(envs: usize, steps: usize, trajectories: bool) -> Request {
@@ -180,7 +186,8 @@ async fn build(mut client: harness::Client, stop: &AtomicBool) -> Vec<f64> {
     let mut times = Vec::new();
     while !stop.load(Ordering::Relaxed) {
         let begun = Instant::now();
-        let rocks = CreateSessionRequest { task_id: "sandgait/HexapodRocks-v1".into(), ..create(MANY, &[]) };
+        let few = [("rocks", table(&[("count", harness::number(1.0))]))];
+        let rocks = CreateSessionRequest { task_id: "sandgait/HexapodRocks-v1".into(), ..create(MANY, &few) };
         let session_id = client.create_session(rocks).await.unwrap().into_inner().session_id;
         times.push(begun.elapsed().as_secs_f64() * 1e3);
         client.close_session(CloseSessionRequest { session_id }).await.unwrap();

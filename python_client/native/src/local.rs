@@ -158,7 +158,7 @@ impl Local {
         let sources: Option<Vec<u32>> =
             sources.map(|bytes| bytes.as_chunks().0.iter().map(|b| u32::from_ne_bytes(*b)).collect());
         let check = move |b: &mut Batch| -> sandgait::Result<Operation> {
-            b.restore(&Snapshot::from_bytes(&snapshot, &Seal::default())?, sources.as_deref())
+            b.restore(Snapshot::from_bytes(&snapshot, &Seal::default())?, sources)
         };
         self.start(py, |guard, pool| guard.run(pool, check))
     }

@@ -162,6 +162,10 @@ impl Task for LeggedVelocity {
         EngineKind::Tree
     }
 
+    fn drawn_bytes(setup: &Setup<LeggedOptions>) -> usize {
+        setup.model.episode_bytes()
+    }
+
     fn model(options: &LeggedOptions) -> Result<Model> {
         options.model()
     }

@@ -63,6 +63,11 @@ macro_rules! options {
                 })
             }
 
+            fn count_memory(&self, count: &mut $crate::options::MemoryCount) {
+                $($crate::options::Options::count_memory(&self.$base, count);)?
+                $($crate::options::OptionValue::count_memory(&self.$field, count);)*
+            }
+
             fn check_all(&self, prefix: &str) -> $crate::error::Result<()> {
                 $($crate::options::Options::check_all(&self.$base, prefix)?;)?
                 $($crate::options!(@check self.$field, &format!("{prefix}{}", stringify!($field)), $([$($bound),+])?);)*
@@ -72,6 +77,10 @@ macro_rules! options {
 
         /// The struct as a dictionary among other options.
         impl $crate::options::OptionValue for $Name {
+            fn count_memory(&self, count: &mut $crate::options::MemoryCount) {
+                $crate::options::Options::count_memory(self, count);
+            }
+
             fn check(&self, name: &str) -> $crate::error::Result<()> {
                 $crate::options::Options::check_all(self, &format!("{name}."))
             }

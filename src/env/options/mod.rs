@@ -20,6 +20,7 @@ mod declare;
 mod robot;
 mod value;
 
+pub use crate::sim::MemoryCount;
 pub use robot::RobotName;
 pub use value::{Bounded, NumberPair, OptionValue, changed};
 
@@ -51,6 +52,9 @@ pub trait Options: Clone + Default + PartialEq + std::fmt::Debug + Send + Sync +
 
     /// Sets option `name`; in a dictionary, only the keys in `value` change. Returns false if there is no such option.
     fn set(&mut self, name: &str, value: &Value) -> Result<bool>;
+
+    /// Adds the memory of the options' texts and lists.
+    fn count_memory(&self, count: &mut MemoryCount);
 
     /// Refuses values out of bounds. In errors, `prefix` precedes each name.
     fn check_all(&self, prefix: &str) -> Result<()>;
@@ -110,6 +114,11 @@ impl<O: Options> Options for TaskOptions<O> {
             return self.set_draws(value);
         }
         Ok(self.task.set(name, value)? || self.hardware.set(name, value)?)
+    }
+
+    fn count_memory(&self, count: &mut MemoryCount) {
+        self.task.count_memory(count);
+        Options::count_memory(&self.hardware, count);
     }
 
     fn check_all(&self, prefix: &str) -> Result<()> {

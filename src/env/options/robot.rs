@@ -1,6 +1,8 @@
 //! The option `robot`: a name, or a whole robot as text.
 
+use super::value::OptionValue;
 use crate::error::{Error, Result};
+use crate::sim::MemoryCount;
 use crate::sim::tree::{TreeModel, packed};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::sync::{Arc, OnceLock};
@@ -47,6 +49,13 @@ impl RobotName {
             }
         };
         Ok(self.0.tree.get_or_init(|| tree).clone())
+    }
+}
+
+impl OptionValue for RobotName {
+    /// The tree is a part of the model that is made from it.
+    fn count_memory(&self, count: &mut MemoryCount) {
+        count.add_shared(&self.0, |held| size_of::<Held>() + held.text.len());
     }
 }
 

@@ -4,6 +4,7 @@ use super::OptionRow;
 use super::robot::RobotName;
 use crate::error::{Error, Result, check_range, unknown_name};
 use crate::sand::Law;
+use crate::sim::MemoryCount;
 use crate::sim::engine::EngineKind;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -15,6 +16,9 @@ use std::ops::RangeInclusive;
 pub trait OptionValue {
     /// Is it a range [low, high]?
     const IS_RANGE: bool = false;
+
+    /// Adds the memory that the value has besides its own size: texts and lists.
+    fn count_memory(&self, count: &mut MemoryCount);
 
     /// Refuses values that deserialisation accepts but the option does not.
     fn check(&self, _name: &str) -> Result<()> {
@@ -32,21 +36,49 @@ pub trait OptionValue {
     }
 }
 
-impl OptionValue for bool {}
-impl OptionValue for u64 {}
-impl OptionValue for f64 {}
-impl OptionValue for String {}
-impl OptionValue for [f64; 3] {}
-impl OptionValue for Vec<Vec<f64>> {}
-impl OptionValue for Vec<String> {}
-impl OptionValue for Law {}
-impl OptionValue for RobotName {}
-impl OptionValue for BTreeMap<String, f64> {}
-impl OptionValue for u32 {}
-impl OptionValue for usize {}
+/// Options without texts and lists.
+macro_rules! plain {
+    ($($Type:ty),*) => {$(
+        impl OptionValue for $Type {
+            fn count_memory(&self, _count: &mut MemoryCount) {}
+        }
+    )*};
+}
+
+plain!(bool, u32, u64, usize, f64, [f64; 3], Law);
+
+impl OptionValue for String {
+    fn count_memory(&self, count: &mut MemoryCount) {
+        count.add(self.len());
+    }
+}
+
+impl OptionValue for Vec<Vec<f64>> {
+    fn count_memory(&self, count: &mut MemoryCount) {
+        count.add(size_of_val(&self[..]) + self.iter().map(|row| size_of_val(&row[..])).sum::<usize>());
+    }
+}
+
+impl OptionValue for Vec<String> {
+    fn count_memory(&self, count: &mut MemoryCount) {
+        count.add(size_of_val(&self[..]) + self.iter().map(String::len).sum::<usize>());
+    }
+}
+
+/// Memory of an entry of a map with its share of the map's nodes [bytes]: measured with maps of 1,000 texts, whose
+/// nodes are half to fully used.
+const ENTRY: usize = 64;
+
+impl OptionValue for BTreeMap<String, f64> {
+    fn count_memory(&self, count: &mut MemoryCount) {
+        count.add(self.keys().map(|key| ENTRY + key.len()).sum());
+    }
+}
 
 impl OptionValue for [f64; 2] {
     const IS_RANGE: bool = true;
+
+    fn count_memory(&self, _count: &mut MemoryCount) {}
 }
 
 /// Two numbers that are no range.
@@ -54,9 +86,13 @@ impl OptionValue for [f64; 2] {
 #[serde(transparent)]
 pub struct NumberPair(pub [f64; 2]);
 
-impl OptionValue for NumberPair {}
+impl OptionValue for NumberPair {
+    fn count_memory(&self, _count: &mut MemoryCount) {}
+}
 
 impl OptionValue for EngineKind {
+    fn count_memory(&self, _count: &mut MemoryCount) {}
+
     fn check(&self, _name: &str) -> Result<()> {
         match Self::ALL.contains(self) {
             true => Ok(()),
@@ -71,6 +107,10 @@ impl OptionValue for EngineKind {
 
 impl<T: OptionValue> OptionValue for Option<T> {
     const IS_RANGE: bool = T::IS_RANGE;
+
+    fn count_memory(&self, count: &mut MemoryCount) {
+        self.iter().for_each(|value| value.count_memory(count));
+    }
 
     fn check(&self, name: &str) -> Result<()> {
         self.as_ref().map_or(Ok(()), |value| value.check(name))

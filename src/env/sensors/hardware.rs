@@ -47,6 +47,13 @@ impl HardwareFiles {
         })
     }
 
+    /// Memory of what was read from the files [bytes].
+    pub fn memory_bytes(&self) -> usize {
+        let entry = |path: &String| 2 * size_of::<HardwareQuantity>() + 2 * size_of::<String>() + path.len();
+        let file = |file: &HardwareDescription| file.source.len() + file.quantities.keys().map(entry).sum::<usize>();
+        file(&self.values) + self.random.as_ref().map_or(0, file)
+    }
+
     pub fn is_random(&self) -> bool {
         self.random.is_some()
     }

@@ -7,9 +7,10 @@ use super::signal::{Senses, Signal, wrapped};
 use super::{Hardware, HardwareFiles, Part, Sensor, Sensors, hardware};
 use crate::error::{Error, Result};
 use crate::feature::Features;
+use crate::options::OptionValue;
 use crate::sand::memory::Moved;
 use crate::sim::hardware::HardwareDescription;
-use crate::sim::{Model, State};
+use crate::sim::{MemoryCount, Model, State};
 use crate::spec::{Column, Spec};
 use nalgebra::{Rotation3, Vector3};
 use rand::Rng as _;
@@ -23,7 +24,7 @@ const IMU: [Sensor; 3] = [Sensor::Gravity, Sensor::Gyroscope, Sensor::Accelerome
 pub struct SensorModel {
     sensors: Sensors,
     /// Columns of exact values: the task's columns, then the columns of added sensors.
-    exact: Vec<Column>,
+    exact: Arc<[Column]>,
     added: Features<Measure>,
     senses: Senses,
     files: HardwareFiles,
@@ -131,7 +132,7 @@ impl SensorModel {
         let privileged = *privileged;
         Ok(Some(Self {
             sensors,
-            exact,
+            exact: exact.into(),
             added,
             senses,
             files,
@@ -149,6 +150,31 @@ impl SensorModel {
     /// May a column need the ground's force on each leg? Only columns of added sensors may.
     pub fn needs_normal_forces(&self) -> bool {
         !self.added.is_empty()
+    }
+
+    /// Shares the columns of `other` if they are the same.
+    pub fn share_columns(&mut self, other: &Self) {
+        if self.exact == other.exact {
+            self.exact = other.exact.clone();
+        }
+    }
+
+    /// Adds the memory of the session's sensors; that of an episode's is in [`Self::numbers`].
+    pub fn count_memory(&self, count: &mut MemoryCount) {
+        let signals = &self.senses.signals;
+        let places = signals.iter().map(|signal| size_of_val(&signal.places[..])).sum::<usize>();
+        let lists = size_of_val(&self.shown[..]) + size_of_val(&self.copied[..]) + size_of_val(&self.imu[..]);
+        let added = Column::list_bytes(&self.exact[self.own()..]);
+        count.add(size_of_val(&signals[..]) + places + lists + size_of_val(&self.speeds[..]) + added);
+        count.add(self.files.memory_bytes());
+        OptionValue::count_memory(&self.sensors, count);
+        count.add_shared(&self.exact, Column::list_bytes);
+    }
+
+    /// Memory of what the sensors of one episode remember [bytes]; an episode may have drawn sensors of its own.
+    pub fn episode_bytes(&self) -> usize {
+        let drawn = if self.files.is_random() { size_of_val(&self.senses.signals[..]) } else { 0 };
+        size_of::<f32>() * self.numbers() + drawn
     }
 
     /// Number of the task's own columns.

@@ -4,6 +4,7 @@ use super::Sensor;
 use crate::error::{Error, Result};
 use crate::options;
 use crate::options::OptionValue;
+use crate::sim::MemoryCount;
 use crate::sim::actuator::Actuator;
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 use serde_json::Value;
@@ -82,6 +83,10 @@ impl<'de> Deserialize<'de> for SensorOptions {
 }
 
 impl OptionValue for SensorOptions {
+    fn count_memory(&self, count: &mut MemoryCount) {
+        OptionValue::count_memory(&self.0, count);
+    }
+
     fn check(&self, name: &str) -> Result<()> {
         self.0.check(name)?;
         let known = Sensor::ALL.map(Sensor::name);

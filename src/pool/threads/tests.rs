@@ -77,3 +77,43 @@ fn no_job_is_forgotten() {
         }
     }
 }
+
+/// Nobody waits for a step any more: it ends on all shards, those that have made it go back, and the step can be made
+/// again with the same bits. A first reset that ends leaves environments that need one.
+#[test]
+fn an_operation_that_nobody_waits_for_is_undone() {
+    const ENVS: usize = 40;
+    let blueprint = Blueprint::new("sandgait/HexapodGait-v1", serde_json::json!({"dt": 1e-5})).unwrap();
+    let pool = Pool::new(1);
+    let stop_after = |looks: usize| -> Option<Stop> {
+        let seen = std::sync::atomic::AtomicUsize::new(0);
+        Some(Arc::new(move || seen.fetch_add(1, Ordering::Relaxed) >= looks))
+    };
+    let reset = |batch: &Batch| batch.reset(None, Some((0..ENVS as u64).collect()), Default::default()).unwrap();
+    let begun = || {
+        let mut batch = Batch::new(&blueprint, ENVS).unwrap();
+        batch.set_stop(stop_after(1));
+        let first = reset(&batch);
+        batch = pool.wait(batch, first).unwrap();
+        assert!(batch.was_stopped() && batch.is_untouched());
+        batch.set_stop(None);
+        let again = reset(&batch);
+        pool.wait(batch, again).unwrap()
+    };
+    let (mut batch, mut calm) = (begun(), begun());
+    let before = batch.save().unwrap();
+    let actions = vec![0.3; ENVS * batch.spec().action.len()];
+    for looks in [0, 1, 4] {
+        batch.set_stop(stop_after(looks));
+        let step = batch.step(actions.clone()).unwrap();
+        batch = pool.wait(batch, step).unwrap();
+        assert!(batch.was_stopped() && batch.save().unwrap() == before, "{looks}");
+    }
+    batch.set_stop(stop_after(usize::MAX));
+    for _ in 0..3 {
+        let [own, other] = [&batch, &calm].map(|batch| batch.step(actions.clone()).unwrap());
+        (batch, calm) = (pool.wait(batch, own).unwrap(), pool.wait(calm, other).unwrap());
+        assert!(!batch.was_stopped());
+        assert!(batch.shards().iter().zip(calm.shards()).all(|(a, b)| a.rows == b.rows));
+    }
+}

@@ -47,21 +47,20 @@ impl SessionGuard {
         self.batch = Some(batch);
     }
 
-    /// Reserves memory for `made` bytes of models that an operation gives to the environments.
-    pub fn reserve_models(&mut self, made: usize) -> Result<()> {
+    /// Reserves `bytes` for the environments while an operation changes their tasks.
+    pub fn reserve(&mut self, bytes: usize) -> Result<()> {
         match &mut self.books {
-            Some(books) if made > 0 => books.reservation.set_models(books.reservation.models() + made),
-            _ => Ok(()),
+            // Before the operation the environments still have what is reserved now.
+            Some(books) => books.reservation.set(bytes.max(books.reservation.memory)),
+            None => Ok(()),
         }
     }
 
-    /// Releases the memory of the models that no environment has any more, after [`Self::reserve_models`].
-    pub fn release_models(&mut self, made: usize) {
-        if made > 0
-            && let (Some(books), Some(batch)) = (&mut self.books, &self.batch)
-        {
-            // This is less than was reserved, so it is always possible.
-            let _ = books.reservation.set_models(batch.model_bytes());
+    /// Reserves what the environments take after [`Self::reserve`] and the operation.
+    pub fn release(&mut self) {
+        if let (Some(books), Some(batch)) = (&mut self.books, &self.batch) {
+            // This is not more than was reserved, so it is always possible.
+            let _ = books.reservation.set(batch.bytes());
         }
     }
 
@@ -87,6 +86,7 @@ impl Drop for SessionGuard {
         }
         if let (Some(mut batch), Some(books)) = (self.batch.take(), self.books.take()) {
             batch.set_account(None);
+            batch.set_stop(None);
             self.sessions.give_back(&self.id, SessionEnvironments { batch, books });
         }
     }

@@ -7,13 +7,17 @@
 
 use super::compute::StudyWork;
 use crate::error::{Error, Result};
-use crate::intake::{Messages, Share};
+use crate::intake::{Intake, Messages};
+use crate::price;
 use crate::progress::Progress;
 use crate::proto::Progress as Event;
+use crate::share::Share;
 use crate::status;
+use crate::unread::UnreadShare;
 use futures_util::StreamExt as _;
 use futures_util::stream::BoxStream;
 use parking_lot::Mutex;
+use prost::Message;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use tokio::sync::{Semaphore, mpsc};
@@ -32,7 +36,7 @@ const EVENTS: usize = 8;
 const STEP: f64 = 0.005;
 
 /// A message of a study's stream.
-pub trait StudyMessage: Send + 'static {
+pub trait StudyMessage: Message + 'static {
     type Result: Send + 'static;
     fn progress(event: Event) -> Self;
     fn result(result: Self::Result) -> Self;
@@ -43,6 +47,7 @@ pub struct StudyQueue {
     slot: Arc<Semaphore>,
     taken: Arc<AtomicUsize>,
     stop: CancellationToken,
+    intake: Arc<Intake>,
 }
 
 /// A place in the queue; returned when dropped.
@@ -71,13 +76,13 @@ impl Drop for QueuePlace {
 /// A study's progress, and its result at the end.
 pub type Events<A> = BoxStream<'static, std::result::Result<A, Status>>;
 
-/// What a study sends: an event; the result also carries the memory share of the request.
-type StudyItem<A> = (std::result::Result<A, Status>, Option<Share>);
+/// What a study sends: an event; the result also carries its share of the memory.
+type StudyItem<A> = (std::result::Result<A, Status>, Option<UnreadShare>);
 
 impl StudyQueue {
     /// Cancelling `stop` ends every study.
-    pub fn new(stop: CancellationToken) -> Self {
-        Self { slot: Arc::new(Semaphore::new(1)), taken: Arc::default(), stop }
+    pub fn new(stop: CancellationToken, intake: Arc<Intake>) -> Self {
+        Self { slot: Arc::new(Semaphore::new(1)), taken: Arc::default(), stop, intake }
     }
 
     /// Computes `work` in its turn. The stream reports its progress and ends with its result or a status; dropping
@@ -91,7 +96,8 @@ impl StudyQueue {
     ) -> std::result::Result<Events<A>, Status> {
         let place = QueuePlace::take(&self.taken).map_err(|e| status::status(&e))?;
         let (events, receiver) = mpsc::channel(EVENTS);
-        let (slot, stop) = (self.slot.clone(), self.stop.clone());
+        let (slot, stop, intake) = (self.slot.clone(), self.stop.clone(), self.intake.clone());
+        let own = messages.clone();
         tokio::spawn(async move {
             let turn = async {
                 if place.ahead > 0 {
@@ -115,27 +121,50 @@ impl StudyQueue {
                 Some(permit) => {
                     let progress =
                         ProgressSender { events: events.clone(), stop: stop.clone(), last: Mutex::default() };
-                    // The place and the slot are held until the work has actually ended.
+                    // The place and the slot are held until the work has actually ended, and its result has a share of
+                    // the memory: clients may leave results unread.
                     let held = (permit, place);
-                    let done = tokio::task::spawn_blocking(move || {
-                        let _held = held;
-                        (work(&progress), share)
-                    });
-                    let failed = |_| (Err(Error::Internal("the study failed inside the server".into())), None);
-                    let (done, share) = done.await.unwrap_or_else(failed);
-                    (done.map(A::result).map_err(|e| status::status(&e)), share)
+                    let done = tokio::task::spawn_blocking(move || (work(&progress), share, held));
+                    let failed = Err(Error::Internal("the study failed inside the server".into()));
+                    let (done, share, _held) = match done.await {
+                        Ok((done, share, held)) => (done, share, Some(held)),
+                        Err(_) => (failed, None, None),
+                    };
+                    match done.map(A::result) {
+                        Ok(result) => match shared(&intake, share, price::answer_bytes(&result)).await {
+                            Ok(share) => (Ok(result), share),
+                            Err(error) => (Err(status::status(&error)), None),
+                        },
+                        Err(error) => (Err(status::status(&error)), share),
+                    }
                 }
             };
             let stopped = answer.is_err() && stop.is_cancelled();
             let answer = if stopped { Err(Status::unavailable("the server stops")) } else { answer };
             // If the caller has left, the result is not needed.
+            let bytes = answer.as_ref().map_or(0, Message::encoded_len);
+            let share = share.map(|share| own.unread(Arc::new(share), bytes));
             let _ = events.send((answer, share)).await;
         });
         let sent = ReceiverStream::new(receiver).map(move |(event, share): StudyItem<A>| {
-            messages.hold_for_answer(share.map(Arc::new));
+            messages.hold_for_answer(share);
             event
         });
         Ok(sent.boxed())
+    }
+}
+
+/// The share of a result of `bytes`, which is not smaller than the share of its request.
+async fn shared(intake: &Intake, request: Option<Share>, bytes: usize) -> Result<Option<Share>> {
+    match request {
+        // The request's memory is free now, but its share covers the result. It cannot wait for more while it holds
+        // this.
+        Some(share) => {
+            share.grow(bytes.saturating_sub(share.bytes()))?;
+            Ok(Some(share))
+        }
+        None if bytes <= price::SMALL_ANSWER => Ok(None),
+        None => intake.share(bytes).await.map(Some),
     }
 }
 

@@ -9,15 +9,16 @@ mod encode;
 mod line;
 
 use super::frame::RequestFrame;
-use super::intake::Messages;
+use super::intake::{Intake, Messages};
 use super::proto::study_service_server::StudyService;
 use super::proto::{self, Diagnosis, EvaluateRequest, SweepRequest, Table, TableResponse, TrialsRequest, WalkRequest};
 use super::proto::{DiagnoseRequest, DiagnoseResponse, IntrudeRequest, IntrudeResponse};
-use super::{off_runtime, price};
+use super::{off_runtime, outgoing, price};
 use crate::error::Result as Checked;
 use compute::StudyWork;
 use line::{Events, StudyMessage, StudyQueue};
 use prost::Message;
+use std::sync::Arc;
 use tokio_util::sync::CancellationToken;
 use tonic::{Request, Response, Status};
 
@@ -26,12 +27,13 @@ pub struct Studies {
     line: StudyQueue,
     /// All memory that the server may use [bytes].
     memory: usize,
+    intake: Arc<Intake>,
 }
 
 impl Studies {
     /// Cancelling `stop` ends every study. `memory`: all that the server may use [bytes].
-    pub fn new(stop: CancellationToken, memory: usize) -> Self {
-        Self { line: StudyQueue::new(stop), memory }
+    pub fn new(stop: CancellationToken, memory: usize, intake: Arc<Intake>) -> Self {
+        Self { line: StudyQueue::new(stop, intake.clone()), memory, intake }
     }
 
     /// Checks a request, and computes its study in its turn.
@@ -53,9 +55,11 @@ impl StudyService for Studies {
         &self,
         request: Request<RequestFrame<IntrudeRequest>>,
     ) -> Result<Response<IntrudeResponse>, Status> {
+        let messages = Messages::of(&request);
         let (request, _share) = RequestFrame::only(request).await?;
         let table = off_runtime(move || compute::intrude(request)).await?;
-        Ok(Response::new(IntrudeResponse { table: Some(table) }))
+        let answer = || Ok(IntrudeResponse { table: Some(table.clone()) });
+        outgoing::answer(&self.intake, &messages, answer).await
     }
 
     type TrialsStream = Events<TableResponse>;

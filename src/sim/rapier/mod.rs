@@ -11,7 +11,8 @@
 //!
 //! rapier's contacts keep data between steps: impulses to start from, points, the order of pairs. A world with
 //! obstacles is therefore built anew at the start of every `advance`, so that a state that is read and set again gives
-//! bit-identical results. In such worlds the results depend on how a duration is divided into calls of `advance`.
+//! bit-identical results. In such worlds the results depend on how a duration is divided into calls of `advance`, but
+//! not on how a part that has begun is divided into calls of `go_on`.
 
 mod contact;
 pub mod inertia;
@@ -68,11 +69,17 @@ impl Integrator for RapierEngine {
         self.robots[index].set_command(command);
     }
 
-    fn advance_in_parts(&mut self, steps: usize, _ends: bool) {
-        for robot in &mut self.robots {
-            robot.renew(steps);
-            (0..steps).for_each(|_| robot.step());
-        }
+    fn advance_in_parts(&mut self, steps: usize, ends: bool) {
+        self.begin_part(steps);
+        self.go_on(steps, ends);
+    }
+
+    fn begin_part(&mut self, steps: usize) {
+        self.robots.iter_mut().for_each(|robot| robot.renew(steps));
+    }
+
+    fn go_on(&mut self, steps: usize, _ends: bool) {
+        self.robots.iter_mut().for_each(|robot| (0..steps).for_each(|_| robot.step()));
     }
 }
 
