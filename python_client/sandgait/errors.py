@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 #: Longest message: that of the native module (src/base/error.rs). A message may repeat a text that was given as a name.
 LONGEST = 4300
 

@@ -4,7 +4,8 @@
 
 `sandgait.diagnose` does the same with a recording. Files are read by pyarrow, mcap and rosbags, which
 `pip install 'sandgait[logs]'` installs, in a process of their own with limits on memory, size and time, which ends with
-this one. So a damaged or hostile file ends with one error, even if a library crashes on it. Only the table is passed on.
+this one. So a damaged or hostile file ends with one error, even if a library crashes on it. Only the table is passed
+on.
 """
 
 from __future__ import annotations
@@ -107,8 +108,8 @@ def to_csv(path: str | PathLike[str], topics: Mapping[str, str] | None = None) -
 
 
 def main() -> int:
-    """Writes a recording as CSV. If the recording cannot be read, nothing is written, and the exit code is 2. It is 1 if
-    the table cannot be written."""
+    """Writes a recording as CSV. If the recording cannot be read, nothing is written, and the exit code is 2. It is 1
+    if the table cannot be written."""
     parser = argparse.ArgumentParser(prog="python -m sandgait.logs", description="Writes a recording as CSV.")
     parser.add_argument("file", help="a Parquet, MCAP or bag file, or the folder of a LeRobot data set or a ROS 2 bag")
     parser.add_argument("--out", required=True, type=Path, help="the CSV file to write")

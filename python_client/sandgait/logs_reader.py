@@ -2,8 +2,8 @@
 
     python -P logs_reader.py PARENT SECONDS FORM FILE [joints=TOPIC] [imu=TOPIC]
 
-It ends with the process PARENT, and after SECONDS of processor time. It imports nothing of sandgait, so that it starts fast. An error is one line on stderr and exit code 2; other lines on
-stderr are notes.
+It ends with the process PARENT, and after SECONDS of processor time. It imports nothing of sandgait, so that it starts
+fast. An error is one line on stderr and exit code 2; other lines on stderr are notes.
 """
 
 from __future__ import annotations
@@ -258,8 +258,8 @@ def _joints(messages: list[Any]) -> dict[str, Numbers]:
 
 
 def end_with(parent: int) -> None:
-    """This process is killed when the thread that started it ends, for whatever reason. Only Linux can do this; on other
-    systems the limit of processor time ends it."""
+    """This process is killed when the thread that started it ends, for whatever reason. Only Linux can do this; on
+    other systems the limit of processor time ends it."""
     if sys.platform == "linux":
         import ctypes
 

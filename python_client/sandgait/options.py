@@ -12,7 +12,6 @@ from . import _native
 from .errors import InvalidRequest, UnknownOption, shortened
 from .user_warnings import warn
 
-
 #: Longest part of a path in a message: our choice, a line of a terminal. A whole file's text may be given by mistake.
 SHOWN = 100
 
