@@ -69,7 +69,11 @@ impl LinkEnds {
         open.extend([client.try_clone().unwrap(), server.try_clone().unwrap()]);
         let ends = self.clone();
         let (from, to) = (client.try_clone().unwrap(), server.try_clone().unwrap());
-        thread::spawn(move || pass(from, to, || drop(ends.messages.fetch_add(1, Ordering::SeqCst))));
+        thread::spawn(move || {
+            pass(from, to, move || {
+                ends.messages.fetch_add(1, Ordering::SeqCst);
+            })
+        });
         thread::spawn(move || pass(server, client, || ()));
     }
 }
