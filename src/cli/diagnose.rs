@@ -26,6 +26,9 @@ impl DiagnoseArgs {
     pub fn run(self) -> Result<String> {
         let diagnosis = diagnose(&self.data, &Experiment::load(&self.experiment)?, &Silent)?;
         diagnosis.write(&self.out)?;
-        Ok(format!("{}\n", diagnosis.report.summary))
+        let report = &diagnosis.report;
+        let split = report.split.as_ref().map(|split| format!("Measured against predicted forces: {}\n", split.said()));
+        let page = self.out.join("report.html");
+        Ok(format!("{}\n{}\n{}{}\n", report.headline, report.action, split.unwrap_or_default(), page.display()))
     }
 }

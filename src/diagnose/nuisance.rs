@@ -120,7 +120,7 @@ macro_rules! kinds {
         /// request; offsets of torques and friction of joints within 5 % of the torques' rms; beds that scatter by 5 %; errors of the
         /// simulation of 10 % of a channel's standard deviation within a stride, independent between parts of a stride. Two
         /// simulators of the same robot on the same sand differ by half of that, but the differences in neighbouring parts are similar.
-        /// A payload has no bound: its prior is as wide as the robot's own mass.
+        /// The mass is known within 2 %; as an answer, a payload has no bound.
         const KINDS: &[NuisanceKind] = &[$(NuisanceKind {
             id: $id, unit: $unit, sd: $sd, kind: CauseKind::$kind, mechanism: &$mechanism, geometry: $geometry, words: $words,
             remedy: $remedy,
@@ -152,7 +152,7 @@ kinds! {
     "servo_gain" "1" 0.02 Robot false [], "motors give another torque than requested", "Check the motors' gains and supply, or train with hardware.toml";
     "torque_offset" "1" 0.05 Robot false [], "the zero of the torques is off", "Calibrate the torque sensors";
     "friction" "N·m" 0.05 Robot false [], "the joints have friction", "Train with hardware.toml";
-    "payload" "1" 1.0 Robot true [], "the robot carries more or less than its description", "Weigh the robot, and state its mass";
+    "payload" "1" 0.02 Robot true [], "the robot carries more or less than its description", "Weigh the robot, and state its mass";
     "bed_strength" "1" 0.05 Measurement false [], "beds differ in strength", "Prepare the beds alike";
     "model_error" "1" 0.1 Robot false [], "the simulation is inexact", "";
 }
