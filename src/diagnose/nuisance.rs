@@ -103,7 +103,8 @@ pub struct NuisanceKind {
     geometry: bool,
     /// What is wrong, in words.
     pub words: &'static str,
-    /// What to do about it.
+    /// What to do about it; empty if it is no answer. Clocks differ by far less than one percent, so a clock that would have to differ by
+    /// more only stands in for something else.
     pub remedy: &'static str,
 }
 
@@ -135,7 +136,7 @@ kinds! {
     "depth_zero" "m" 2e-3 Measurement false [("", "depth_zero")], "the height of the surface is off", "Add the value to the logged depths, or measure the surface again";
     "delay" "s" 2e-3 Measurement false [], "the force log is late", "Shift the rows of these channels earlier by the value";
     "lowpass" "s" 5e-3 Measurement false [], "the force channels are filtered", "Switch off the filter of these channels, or filter the motion with the same constant";
-    "clock" "1" 1e-3 Measurement false [], "the clock of the force log runs at another rate", "Multiply the force log's times by 1 − the value";
+    "clock" "1" 1e-3 Measurement false [], "the clock of the force log runs at another rate", "";
     "attitude" "rad" 0.035 Measurement true [], "the plate or leg is tilted", "Add the value to the logged angle, or align the intruder";
     "joint_zero" "rad" 0.02 Measurement true [], "the zero of the leg's angle is off", "Add the value to the logged angle, or calibrate the encoder";
     "size" "1" 0.02 Measurement true [], "the intruder has another size than stated", "Measure the intruder, and state its true length and width";

@@ -154,7 +154,8 @@ fn gain(r: &Value, all: &mut Vec<String>) {
     if written == "plain" && reduction.is_some_and(|share| share != 0.0) {
         all.push("plain sand is written, but a gain is reported".into());
     }
-    if ["cause", "description", "recalibrated"].contains(&written) && reduction.is_some_and(|share| share < 0.0) {
+    let answer = ["cause", "description"].contains(&written) || r["verdict"] == "recalibrated";
+    if answer && reduction.is_some_and(|share| share < 0.0) {
         all.push(format!("{written} is written, although it raises the left-out error"));
     }
     if r["verdict"] == "named" {
