@@ -187,6 +187,10 @@ impl Tests<'_> {
             if !self.entries[row].beats[reference] {
                 failed.push("it does not predict left-out conditions better beyond twice the standard error".into());
             }
+            let [before, after] = [reference, row].map(|k| &self.table.rows[k].held_out);
+            if simpler(self.entries, row).len() > 1 && before.reduction_interval(after)[0] <= 0.0 {
+                failed.push("the second cause does not certainly lower the left-out error of the first".into());
+            }
             failed.extend(self.carried(row, reference));
         }
         failed.extend(own.powers.iter().filter_map(FreePower::said));

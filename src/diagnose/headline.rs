@@ -185,7 +185,7 @@ pub fn action(r: &Report) -> String {
         Verdict::NoneOfThese => match r.split.as_ref() {
             Some(split) => {
                 let stand_in = if r.written == Written::Plain { "" } else { " sand.toml is a stand-in until then." };
-                format!("Look for what differs between {} and {}.{stand_in}", split.parts[0].name, split.parts[1].name)
+                format!("Look for what differs {}, against {}.{stand_in}", split.parts[1].name, split.parts[0].name)
             }
             None => next(),
         },

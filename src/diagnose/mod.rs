@@ -78,6 +78,9 @@ pub mod study;
 mod summary;
 mod track;
 mod trajectory;
+#[cfg(test)]
+#[path = "../../tests/testbed/truth.rs"]
+mod truth;
 pub mod verdict;
 mod view;
 pub mod walking_log;

@@ -25,6 +25,8 @@ pub struct Proposal {
 
 /// Number of repetitions that a proposal assumes: our choice, as many as docs/diagnosis.md recommends.
 const REPETITIONS: usize = 3;
+/// Greatest separation that is stated [σ]: our choice; more says only that the noise of a channel is nearly 0.
+const FAR: f64 = 1000.0;
 /// Number of proposed conditions: our choice.
 const PROPOSED: usize = 3;
 
@@ -84,7 +86,7 @@ fn propose(menu: &Menu, noise: &KnownNoise, pair: [&Explanation; 2]) -> Vec<Prop
     let proposal = |k: usize| Proposal {
         condition: menu.observations.conditions[k].clone(),
         repetitions: REPETITIONS,
-        expected_separation: Some(separations[k]),
+        expected_separation: Some(separations[k].min(FAR)),
     };
     order.into_iter().take(PROPOSED).map(proposal).collect()
 }

@@ -103,7 +103,8 @@ pub struct NuisanceKind {
     geometry: bool,
     /// What is wrong, in words.
     pub words: &'static str,
-    /// What to do about it.
+    /// What to do about it; empty if it is no answer. Clocks differ by far less than one percent, so a clock that would have to differ by
+    /// more only stands in for something else.
     pub remedy: &'static str,
 }
 
@@ -120,7 +121,7 @@ macro_rules! kinds {
         /// request; offsets of torques and friction of joints within 5 % of the torques' rms; beds that scatter by 5 %; errors of the
         /// simulation of 10 % of a channel's standard deviation within a stride, independent between parts of a stride. Two
         /// simulators of the same robot on the same sand differ by half of that, but the differences in neighbouring parts are similar.
-        /// A payload has no bound: its prior is as wide as the robot's own mass.
+        /// The mass is known within 2 %; as an answer, a payload has no bound.
         const KINDS: &[NuisanceKind] = &[$(NuisanceKind {
             id: $id, unit: $unit, sd: $sd, kind: CauseKind::$kind, mechanism: &$mechanism, geometry: $geometry, words: $words,
             remedy: $remedy,
@@ -135,7 +136,7 @@ kinds! {
     "depth_zero" "m" 2e-3 Measurement false [("", "depth_zero")], "the height of the surface is off", "Add the value to the logged depths, or measure the surface again";
     "delay" "s" 2e-3 Measurement false [], "the force log is late", "Shift the rows of these channels earlier by the value";
     "lowpass" "s" 5e-3 Measurement false [], "the force channels are filtered", "Switch off the filter of these channels, or filter the motion with the same constant";
-    "clock" "1" 1e-3 Measurement false [], "the clock of the force log runs at another rate", "Multiply the force log's times by 1 − the value";
+    "clock" "1" 1e-3 Measurement false [], "the clock of the force log runs at another rate", "";
     "attitude" "rad" 0.035 Measurement true [], "the plate or leg is tilted", "Add the value to the logged angle, or align the intruder";
     "joint_zero" "rad" 0.02 Measurement true [], "the zero of the leg's angle is off", "Add the value to the logged angle, or calibrate the encoder";
     "size" "1" 0.02 Measurement true [], "the intruder has another size than stated", "Measure the intruder, and state its true length and width";
@@ -152,7 +153,7 @@ kinds! {
     "servo_gain" "1" 0.02 Robot false [], "motors give another torque than requested", "Check the motors' gains and supply, or train with hardware.toml";
     "torque_offset" "1" 0.05 Robot false [], "the zero of the torques is off", "Calibrate the torque sensors";
     "friction" "N·m" 0.05 Robot false [], "the joints have friction", "Train with hardware.toml";
-    "payload" "1" 1.0 Robot true [], "the robot carries more or less than its description", "Weigh the robot, and state its mass";
+    "payload" "1" 0.02 Robot true [], "the robot carries more or less than its description", "Weigh the robot, and state its mass";
     "bed_strength" "1" 0.05 Measurement false [], "beds differ in strength", "Prepare the beds alike";
     "model_error" "1" 0.1 Robot false [], "the simulation is inexact", "";
 }

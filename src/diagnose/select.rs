@@ -15,7 +15,7 @@ use super::nuisance::Nuisance;
 use super::profile;
 use super::study::FitInputs;
 use super::verdict::{
-    Compared, Effect, Role, Ruling, Tested, Verdict, base, leading, leading_law, verdict, without_cause,
+    Compared, Effect, Role, Ruling, Tested, Verdict, Written, base, leading, leading_law, verdict, without_cause,
 };
 use super::whiten::Whitener;
 use crate::error::Result;
@@ -285,12 +285,26 @@ fn judged(with: &Judging, fits: Fits, table: EvidenceTable, entries: Vec<Compare
             withheld.push((row, failed));
         }
     }
-    let ruling = verdict(&entries, tested);
-    let known = results.into_iter().find(|r| r.0 == ruling.model).map(|r| (r.1, r.2));
-    let (nested, standing) = known.unwrap_or_else(|| {
-        let nested = self::nested(with, &fits, &entries, ruling.model);
-        (nested, with.assess(&fits, &table, &entries, ruling.model))
-    });
+    let mut ruling = verdict(&entries, tested);
+    let mut measure = |row: usize| match results.iter().position(|r| r.0 == row) {
+        Some(k) => {
+            let (_, nested, standing) = results.swap_remove(k);
+            (nested, standing)
+        }
+        None => (nested(with, &fits, &entries, row), with.assess(&fits, &table, &entries, row)),
+    };
+    let (mut nested, mut standing) = measure(ruling.model);
+    // What is chosen anew without the predicted conditions must lower the error, too.
+    if ruling.set.is_empty() && ruling.model > 0 && nested[2].rmse() >= nested[0].rmse() {
+        let base = base(&entries);
+        ruling.verdict = Verdict::NoneOfThese;
+        if ruling.model != base && entries[base].beats[0] {
+            ruling = Ruling { model: base, written: Written::Recalibrated, ..ruling };
+            (nested, standing) = measure(base);
+        } else if ruling.model != base {
+            ruling.written = Written::Proxy;
+        }
+    }
     Selection { fits, table, entries, ruling, standing, withheld, nested, unseen: with.asked.unseen.to_vec() }
 }
 

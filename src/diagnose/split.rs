@@ -89,7 +89,7 @@ fn divisions(o: &Observations, model: &dyn ForwardModel) -> Vec<Division> {
             continue;
         };
         let [name, unit] = [feature.name.trim_end_matches("_deg").replace('_', " "), after(feature.unit)];
-        let names = ["up to", "above"].map(|side| format!("at {name} {side} {}{unit}", digits(edge)));
+        let names = ["at up to", "at more than"].map(|side| format!("{side} {} {name}", digits(edge) + &unit));
         let parts = feature.values.iter().map(|own| own.iter().map(|v| Some(*v > edge)).collect()).collect();
         all.push(Division { by: feature.name, names, parts });
     }
@@ -98,7 +98,7 @@ fn divisions(o: &Observations, model: &dyn ForwardModel) -> Vec<Division> {
     };
     let shapes: BTreeSet<&str> = (0..o.units.len()).map(|u| model.group(u)).collect();
     for shape in shapes.iter().filter(|_| shapes.len() > 1) {
-        let names = ["for the other shapes".to_string(), format!("for {shape}")];
+        let names = ["with the other shapes".to_string(), format!("with {shape}")];
         all.push(Division { by: "shape", names, parts: of_unit(&|u| model.group(u) == *shape) });
     }
     let half = o.units.len() / 2;

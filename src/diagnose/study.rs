@@ -140,7 +140,11 @@ impl<'a> FitInputs<'a> {
         let values = self.nuisances.iter().zip(&adjusted.deviations[COEFFICIENTS..]);
         let values: Vec<NuisanceState> = values.map(|(n, d)| NuisanceState { value: n.sd * d, ..n.into() }).collect();
         let there = self.model.nuisances(&self.sand(fit), &values);
-        let own = |n: Nuisance| self.nuisances.iter().find(|own| own.is(&n)).map(|own| n.with_prior(own.sd));
+        // The sizes of some priors follow from the prediction; those of the plain model's stay.
+        let own = |n: Nuisance| {
+            let own = self.nuisances.iter().find(|own| own.is(&n))?;
+            Some(Nuisance { stated_sd: own.stated_sd, ..n.with_prior(own.sd) })
+        };
         there.into_iter().filter_map(own).collect()
     }
 

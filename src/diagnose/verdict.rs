@@ -216,13 +216,13 @@ fn unexplained(table: &[Compared]) -> Ruling {
         _ => Written::Proxy,
     };
     if recalibrates(table) {
-        return match stand_in(base) {
+        // The law fits if noise may cause the errors that fitted coefficients leave, or if nothing predicts better.
+        let fits = table[base].misfit <= 0.0 || over(base).next().is_none();
+        return match stand_in(base).filter(|_| !fits) {
             Some(model) => of(Verdict::NoneOfThese, written(model), model),
+            None if fits => of(Verdict::Recalibrated, Written::Recalibrated, base),
             // Something predicts better, but with a larger error.
-            None if over(base).next().is_some() && table[base].misfit > 0.0 => {
-                of(Verdict::NoneOfThese, Written::Recalibrated, base)
-            }
-            None => of(Verdict::Recalibrated, Written::Recalibrated, base),
+            None => of(Verdict::NoneOfThese, Written::Recalibrated, base),
         };
     }
     match stand_in(0) {
@@ -324,11 +324,15 @@ mod tests {
             all.extend(rest);
             ruled(&table(all), false)
         };
-        assert_eq!(of(vec![entry(Causes, &[0], 0.0)]), (Verdict::NoneOfThese, Written::Proxy, 2, vec![]));
+        // If fitted coefficients leave no misfit, the law fits.
+        assert_eq!(of(vec![entry(Causes, &[0], 0.0)]), (Verdict::Recalibrated, Written::Recalibrated, 1, vec![]));
+        let mut misfit = table(vec![plain(-120.0), entry(Base, &[], -100.0), entry(Causes, &[0], 0.0)]);
+        misfit[1].misfit = 9.0;
+        assert_eq!(ruled(&misfit, false), (Verdict::NoneOfThese, Written::Proxy, 2, vec![]));
         assert_eq!(of(vec![entry(Causes, &[0], -95.0)]), (Verdict::Recalibrated, Written::Recalibrated, 1, vec![]));
         // The smaller part is not the main part.
         let mut small = table(vec![plain(-120.0), entry(Base, &[], -100.0), entry(Causes, &[0], 0.0)]);
-        small[2].unexplained = 0.6;
+        (small[1].misfit, small[2].unexplained) = (9.0, 0.6);
         assert_eq!(ruled(&small, true).0, Verdict::NoneOfThese);
     }
 

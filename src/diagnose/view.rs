@@ -238,13 +238,23 @@ impl ReportView<'_> {
     fn nuisances(&self, study: &FitInputs) -> Vec<NuisanceValue> {
         let (selection, own) = (self.selection, &self.selection.standing);
         let reach = if own.fit.slopes.is_empty() { Vec::new() } else { study.reach(&own.fit, selection.table.degrees) };
+        let quiet = selection.ruling.verdict == Verdict::NoiseFloor;
+        let alone = quiet.then(|| measured::alone(study, &own.fit)).flatten();
         let all = own.nuisances.iter().zip(&own.fit.deviations[COEFFICIENTS..]).enumerate();
         let mut values: Vec<NuisanceValue> = all
             .map(|(k, (n, d))| {
                 let reach = reach.get(own.fit.ids.len() + COEFFICIENTS + k).filter(|reach| reach.is_finite());
                 let share = reach.map_or(1.0, |reach| reach / NORMAL);
                 let (id, of) = (n.id.to_string(), n.of.clone());
-                NuisanceValue { id, of, level: "log", value: d * n.sd, sd: share * n.sd, unit: n.unit, alone: false }
+                NuisanceValue {
+                    id,
+                    of,
+                    level: "log",
+                    value: d * n.sd,
+                    sd: share * n.sd,
+                    unit: n.unit,
+                    alone: alone == Some(k),
+                }
             })
             .collect();
         let split = |id: &str| match id.split_once('_').filter(|(_, c)| ["Fx", "Fz", "Ty"].contains(c)) {
