@@ -169,11 +169,16 @@ impl Shard {
 
     /// Continues environment `i` with `episode`, and fills its observation row.
     pub fn restore(&mut self, i: usize, episode: &Episode) {
+        self.engine.set_model(i, episode.model());
+        self.put_back(i, episode);
+    }
+
+    /// Continues environment `i`, whose engine has the model of `episode`, with `episode`.
+    pub(super) fn put_back(&mut self, i: usize, episode: &Episode) {
         self.unfinished = None;
         let environment = &mut self.environments[i];
         (environment.begun, environment.stale) = (true, false);
         environment.episode.clone_from(episode);
-        self.engine.set_model(i, episode.model());
         self.take_up(i, Before::Restore);
     }
 }

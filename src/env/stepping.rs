@@ -3,6 +3,7 @@
 
 use super::episode::{Environment, Episode};
 use super::shard::Shard;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// Number of time steps between two looks at the clock: our choice, a control step with the default time step.
@@ -132,6 +133,10 @@ impl Shard {
         self.rows.clear();
         for (i, kept) in std::mem::take(&mut self.kept).into_iter().enumerate() {
             match kept {
+                // A model with rocks takes milliseconds, and most episodes go on in a step.
+                Some(episode) if Arc::ptr_eq(episode.model(), self.environments[i].episode.model()) => {
+                    self.put_back(i, &episode);
+                }
                 Some(episode) => self.restore(i, &episode),
                 None => self.environments[i].begun = false,
             }

@@ -36,7 +36,7 @@ pub struct Batch {
     account: Option<Account>,
     pub(super) stop: Option<Stop>,
     stopped: bool,
-    /// Processor time of the last operation of each kind, if environments have still the options that they had then.
+    /// Least time of an operation of each kind with the present options: other programs can only lengthen it.
     spent: [Option<Duration>; Operation::KINDS],
     begun: Vec<bool>,
 }
@@ -162,7 +162,7 @@ impl Batch {
         }
     }
 
-    /// Ends an operation: `stopped` undoes it. `spent`: the processor time that it took.
+    /// Ends an operation: `stopped` undoes it. `spent`: the time that workers have worked on it.
     pub(super) fn end(&mut self, kind: usize, stopped: bool, spent: Duration) {
         self.stopped = stopped;
         if stopped {
@@ -171,7 +171,8 @@ impl Batch {
             self.begun = begun.collect();
         } else {
             self.shards.iter_mut().for_each(Shard::settle);
-            self.spent[kind] = Some(spent);
+            let least = self.spent[kind].map_or(spent, |least| least.min(spent));
+            self.spent[kind] = Some(least);
         }
     }
 

@@ -20,6 +20,11 @@ const IDLE: Duration = Duration::from_secs(300);
 /// services whose health a program may watch.
 const STRANGE: usize = 16;
 
+/// While so many connections never had an admitted call, further connections may have few streams: our choice. HTTP/2
+/// keeps some kB of each stream, before any of our code sees the call, and no connection can change its number of
+/// streams later.
+const CROWD: usize = 4;
+
 /// Largest number of calls on a connection that never had an admitted call: our choice, three checks of the health in
 /// each second of [`IDLE`]. The answers to so many calls fit into a socket's buffers, so they do not stay in ours.
 const STRANGE_TOTAL: usize = 1000;
@@ -49,6 +54,8 @@ struct ConnectionEntry {
     since_admitted: Instant,
     /// Number of calls that it has begun; None after an admitted one.
     strange: Option<usize>,
+    /// Number of its calls that were refused, because it had [`STRANGE`] others.
+    refused: usize,
     /// Has the connection begun a call?
     used: bool,
     pub end: CancellationToken,
@@ -76,6 +83,7 @@ impl ConnectionTable {
             let oldest = *idle.min_by_key(|(id, e)| (e.since, **id))?.0;
             entries.all.remove(&oldest)?.end.cancel();
         }
+        let is_in_crowd = entries.all.values().filter(|e| e.strange.is_some()).count() >= CROWD;
         let (id, end) = (entries.next, CancellationToken::new());
         entries.next += 1;
         let (since, strange) = (Instant::now(), Some(0));
@@ -85,12 +93,13 @@ impl ConnectionTable {
             since,
             since_admitted: since,
             strange,
+            refused: 0,
             used: false,
             end: end.clone(),
         };
         entries.all.insert(id, entry);
         let unread = AtomicUsize::new(0);
-        Some(ConnectionHandle(Arc::new(ConnectionState { table: self.clone(), id, peer, end, unread })))
+        Some(ConnectionHandle(Arc::new(ConnectionState { table: self.clone(), id, peer, end, unread, is_in_crowd })))
     }
 
     /// Closes connections that have been without a call, or without an admitted call, for too long.
@@ -124,6 +133,8 @@ pub struct ConnectionState {
     pub end: CancellationToken,
     /// Memory of the answers that its client has not read [bytes].
     pub unread: AtomicUsize,
+    /// Were there [`CROWD`] strangers when it was accepted?
+    pub is_in_crowd: bool,
 }
 
 impl std::ops::Deref for ConnectionHandle {
@@ -156,6 +167,11 @@ impl ConnectionHandle {
                 entry.end.cancel();
             }
             if !admitted && entry.admitted == 0 && entry.calls >= STRANGE {
+                entry.refused += 1;
+                // Its streams would take memory of HTTP/2, a thousand of them 1 MB.
+                if entry.refused > STRANGE {
+                    entry.end.cancel();
+                }
                 return None;
             }
             entry.calls += 1;
@@ -247,8 +263,13 @@ mod tests {
     fn calls_without_a_token_are_few_and_end() {
         let table = ConnectionTable::new(9, 20);
         let links: Vec<_> = (0..3).map(|_| table.admit(None).unwrap()).collect();
+        let flood = table.admit(None).unwrap();
+        let calls: Vec<_> = (0..2 * STRANGE).filter_map(|_| flood.begin(false)).collect();
+        assert!(calls.len() == STRANGE && !flood.end.is_cancelled());
+        assert!(flood.begin(false).is_none() && flood.end.is_cancelled(), "it goes on and on");
+        drop((calls, flood));
         let watches: Vec<_> = (0..30).filter_map(|_| links[0].begin(false)).collect();
-        assert_eq!(watches.len(), STRANGE);
+        assert_eq!((watches.len(), alive(&links)), (STRANGE, vec![0, 1, 2]));
         let own = links[1].begin(true);
         let many: Vec<_> = (0..30).filter_map(|_| links[1].begin(false)).collect();
         assert_eq!((many.len(), alive(&links)), (30, vec![0, 1, 2]), "a client with the token may do more");

@@ -108,6 +108,8 @@ pub enum Protocol {
     Http2 {
         /// Largest number of calls at a time on one connection.
         streams: u32,
+        /// The same, for connections that come while there are many strangers.
+        few: u32,
         /// Bytes that a client may send on a stream before the server has read them.
         window: u32,
         /// Largest frame [bytes].
@@ -229,11 +231,11 @@ impl Connections {
         let stream = TokioIo::new(stream);
         // Errors on a connection concern its peer only.
         match self.protocol {
-            Protocol::Http2 { streams, window, frame } => {
+            Protocol::Http2 { streams, few, window, frame } => {
                 let mut builder = http2::Builder::new(TokioExecutor::new());
                 builder
                     .timer(TokioTimer::new())
-                    .max_concurrent_streams(streams)
+                    .max_concurrent_streams(if link.is_in_crowd { few } else { streams })
                     .initial_stream_window_size(window)
                     .initial_connection_window_size(2 * window)
                     .max_frame_size(frame);

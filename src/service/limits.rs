@@ -62,6 +62,14 @@ impl Limits {
         (self.memory / 8 / self.connections.max(1) as usize).clamp(16 << 10, 1 << 20) as u32
     }
 
+    /// Number of streams of a connection that comes while there are many strangers. All connections together may then take
+    /// a sixteenth of the memory: HTTP/2 keeps some 1 KiB of each stream (measured). The least is our choice, the number of
+    /// calls that a stranger may have.
+    pub fn few_streams(&self) -> u32 {
+        let few = self.memory / 16 / self.connections.max(1) as usize / 1024;
+        (few.clamp(16, 1 << 20) as u32).min(self.streams)
+    }
+
     /// Number of calls at the same time on all connections without an admitted call: they may take 1/128 of the memory.
     /// Health is all that they can ask for, so our choice of the most is far above the number of programs that monitor
     /// a server.

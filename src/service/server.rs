@@ -68,7 +68,8 @@ pub type AddServices = Box<dyn FnOnce(&mut Services, &Arc<Sessions>, &Arc<Pool>)
 pub async fn serve(listener: Listener, setup: ServerSetup, stop: CancellationToken) -> Result<()> {
     let ServerSetup { threads, limits, tls, token, seal, metrics, viewer, state, others: add_others } = setup;
     // The connections of the pages need file descriptors, too.
-    let (most, streams, frame) = (limits.connections as usize, limits.streams, limits.frame());
+    let (most, streams) = (limits.connections as usize, limits.streams);
+    let (few, frame) = (limits.few_streams(), limits.frame());
     let watched = limits.watchers + connections::BESIDE_WATCHERS;
     let others = [(metrics.is_some(), connections::METRICS), (viewer.is_some(), watched)];
     let others = others.iter().filter(|(given, _)| *given).map(|(_, connections)| connections).sum();
@@ -115,7 +116,7 @@ pub async fn serve(listener: Listener, setup: ServerSetup, stop: CancellationTok
         Listener::Unix(listener, file) => (ListenSocket::Unix(listener), Some(file)),
     };
     let table = ConnectionTable::new(connections::room(most, others), strangers);
-    let protocol = Protocol::Http2 { streams, window, frame };
+    let protocol = Protocol::Http2 { streams, few, window, frame };
     Connections { table, tls, protocol, routes, refusals }.serve(socket, stop).await;
     let saved = saved.await;
     // The pool ends last, because it then drops the batches whose clients have left.
