@@ -11,7 +11,7 @@ import sys
 from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -145,12 +145,12 @@ def robot(messages: Iterator[Message], topics: dict[str, str]) -> dict[str, Any]
     """Columns with one row for each message of the joints, and the other readings interpolated at its time."""
     read = _decoded(messages, topics)
     senders = _senders(read, by_recorder=False)
-    joints = _main(senders)
+    joints = _main(senders, topics)
     other = _sensor(senders, topics)
     if not _overlap(joints, other):
         said = f"the stamps of {_clock(other)} and of {_clock(joints)} do not overlap"
         senders = _senders(read, by_recorder=True)
-        joints, other = _main(senders), _sensor(senders, topics)
+        joints, other = _main(senders, topics), _sensor(senders, topics)
         if not _overlap(joints, other):
             raise Wrong(f"{said}: log both with one clock")
         note(f"{said}: the times at which the recorder got the messages are taken instead")
@@ -232,11 +232,11 @@ def _only_topic(kind: str, senders: list[tuple[str, Sender]]) -> list[Sender]:
     return own
 
 
-def _main(senders: list[tuple[str, Sender]]) -> Sender:
+def _main(senders: list[tuple[str, Sender]], topics: dict[str, str]) -> Sender:
     """The sender of the most joints: its messages are the rows."""
     own = _only_topic(JOINTS, senders)
     if not own:
-        raise Wrong(f"no message of {JOINTS}")
+        _absent((JOINTS,), topics)
     return max(own, key=lambda sender: (len(sender.names), len(sender.entries)))
 
 
@@ -246,8 +246,15 @@ def _sensor(senders: list[tuple[str, Sender]], topics: dict[str, str]) -> Sender
         own = _only_topic(kind, senders)
         if own:
             return own[0]
-    asked = [f"topic {topics[key]}, which {key} names" for key in ("imu", "wrench") if key in topics]
-    raise Wrong(f"no message of {IMU}, and none of {WRENCH}" + (f" in {asked[0]}" if asked else ""))
+    _absent((WRENCH, IMU) if "wrench" in topics else (IMU, WRENCH), topics)
+
+
+def _absent(kinds: tuple[str, ...], topics: dict[str, str]) -> NoReturn:
+    """No topic has messages of these types, or the one that is named has none."""
+    key = KEYS[kinds[0]]
+    if key in topics:
+        raise Wrong(f"no message of {kinds[0]} in topic {topics[key]}, which {key} names")
+    raise Wrong("no message of " + ", and none of ".join(kinds))
 
 
 def _overlap(a: Sender, b: Sender) -> bool:

@@ -92,6 +92,7 @@ impl Channels<'_> {
 
     /// A value that stays the same to the last digit while the sand's force must change.
     fn still(&self, channel: usize) -> Option<Finding> {
+        let edges = ends(self.units().flat_map(|(_, u)| self.measured(u, channel).iter().copied()));
         self.units().find_map(|(u, unit)| {
             let (own, said) = (self.measured(unit, channel), self.predicted(unit, channel));
             let same = (0..own.len()).map(|i| i > 0 && own[i] == own[i - 1]);
@@ -99,7 +100,8 @@ impl Channels<'_> {
             let [low, high] = ends(said[a.saturating_sub(1)..=b].iter().copied());
             // A quarter of a trial, and a change by half of the channel's rms: our choice.
             let frozen = b - a + 2 > (own.len() / 4).max(6) && high - low > 0.5 * self.rms(channel);
-            let saturated = own[a].abs() >= 0.99 * ends(own.iter().map(|v| v.abs()))[1] && own[a] != own[0];
+            // The largest value of the file is that of a saturated sensor.
+            let saturated = edges.contains(&own[a]);
             (frozen && !saturated).then(|| {
                 let what =
                     format!("stays at {} in trial {} while the intruder moves in the sand", own[a], self.trials[u].id);
