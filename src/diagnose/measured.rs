@@ -1,11 +1,11 @@
 //! Effects of measuring as answers: models in which one of them may be far larger than stated.
 
-use super::candidates::settled_nuisances;
 use super::evidence::EvidenceTable;
 use super::fit::{COEFFICIENTS, Fit};
 use super::gauss_newton::MOST_DEVIATION;
 use super::left_out::Contender;
 use super::nuisance::{CauseKind, Nuisance, kind};
+use super::settling::settled_nuisances;
 use super::study::FitInputs;
 use crate::parallel;
 

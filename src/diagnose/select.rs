@@ -4,15 +4,14 @@
 use super::candidates::{Candidates, SECOND, SearchSpace, candidates};
 use super::errors::SquaredErrors;
 use super::evidence::EvidenceTable;
-use super::fit::Fit;
 use super::gate::{self, Assessment, Tests};
 use super::laws::{Laws, laws};
-use super::left_out::{Contender, held_out};
+use super::left_out::held_out;
 use super::measured::{MeasuredFit, WIDE};
 use super::noise::NoiseData;
 use super::normal_equations::NormalEquations;
-use super::nuisance::Nuisance;
 use super::profile;
+use super::rows::{Fits, Place};
 use super::study::FitInputs;
 use super::verdict::{
     Compared, Effect, Role, Ruling, Tested, Verdict, Written, base, leading, leading_law, verdict, without_cause,
@@ -21,7 +20,6 @@ use super::whiten::Whitener;
 use crate::error::Result;
 use crate::parallel;
 use crate::progress::Progress;
-use crate::sand::Term;
 use crate::sand::mechanism::CATALOG;
 use crate::student;
 
@@ -34,110 +32,6 @@ const ESTABLISHED: usize = 2;
 /// If the place in the bed or the number of earlier passes is unknown, these mechanisms may multiply the stress by the same factor
 /// everywhere, as `scale` does.
 pub const FACTORS: [&str; 2] = ["packing_grad", "footprint"];
-
-/// Where the fit of a row is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Place {
-    /// The stated sand, with the stated priors of all effects of measuring.
-    Plain,
-    /// The stated sand, with the present priors.
-    Stated,
-    Base,
-    Candidate(usize),
-    Measured(usize),
-}
-
-/// A row of the table: a fit, and laws of which it may have one.
-#[derive(Clone, Copy, Debug)]
-struct Row {
-    role: Role,
-    place: Place,
-    laws: Option<usize>,
-}
-
-/// All fits of one selection.
-pub struct Fits {
-    pub candidates: Candidates,
-    /// The plain model; its nuisances have their stated priors.
-    plain: MeasuredFit,
-    /// Laws alone, and laws beside the leading cause.
-    laws: [Laws; 2],
-    rows: Vec<Row>,
-}
-
-impl Fits {
-    pub fn fit(&self, row: usize) -> &Fit {
-        let c = &self.candidates;
-        match self.rows[row].place {
-            Place::Plain => &self.plain.fit,
-            Place::Stated => &c.stated,
-            Place::Base => &c.base,
-            Place::Candidate(k) => &c.fits[k],
-            Place::Measured(k) => &c.measured[k].fit,
-        }
-    }
-
-    pub fn nuisances(&self, row: usize) -> &[Nuisance] {
-        match self.rows[row].place {
-            Place::Plain => &self.plain.nuisances,
-            Place::Measured(k) => &self.candidates.measured[k].nuisances,
-            _ => &self.candidates.around.nuisances,
-        }
-    }
-
-    fn contender(&self, row: usize) -> Contender<'_> {
-        let columns = self.rows[row].laws.map_or(&[][..], |l| &self.laws[l].columns);
-        Contender { fit: self.fit(row), nuisances: self.nuisances(row), columns }
-    }
-
-    fn contenders(&self) -> Vec<Contender<'_>> {
-        (0..self.rows.len()).map(|k| self.contender(k)).collect()
-    }
-
-    /// Are the coefficients of a row the stated ones?
-    pub fn is_stated(&self, row: usize) -> bool {
-        matches!(self.rows[row].role, Role::Plain | Role::Established)
-    }
-
-    /// What a row names, with what is established.
-    fn effects(&self, row: usize) -> Vec<Effect> {
-        if self.rows[row].role == Role::Plain {
-            return Vec::new();
-        }
-        let wide = self.nuisances(row).iter().enumerate().filter(|(_, n)| n.sd > n.stated_sd);
-        let measuring = wide.map(|(k, _)| Effect::Measuring(k));
-        measuring.chain(self.fit(row).ids.iter().map(|id| Effect::Mechanism(*id))).collect()
-    }
-
-    /// The law that a row chose with no condition left out, with the coefficient of the linear fit.
-    pub fn law(&self, table: &EvidenceTable, row: usize) -> Option<Term> {
-        let own = &table.rows[row].predicted;
-        let term = &self.laws[self.rows[row].laws?].terms[own.law?];
-        Some(Term { coefficient: *own.step.as_slice().last()?, ..term.clone() })
-    }
-
-    /// The rows: the plain model, the established one, the base, all candidates, and the laws.
-    fn with_rows(mut self) -> Self {
-        let row = |role, place| Row { role, place, laws: None };
-        let mut rows = vec![row(Role::Plain, Place::Plain)];
-        if self.candidates.around.nuisances.iter().any(|n| n.sd > n.stated_sd) {
-            rows.push(row(Role::Established, Place::Stated));
-        }
-        rows.push(row(Role::Base, Place::Base));
-        // A fit in which a cause has its value of the plain sand is left out, because this cause explains nothing.
-        let fits = self.candidates.fits.iter().enumerate().filter(|(_, fit)| !fit.is_idle());
-        rows.extend(fits.map(|(k, _)| row(Role::Causes, Place::Candidate(k))));
-        rows.extend((0..self.candidates.measured.len()).map(|k| row(Role::Causes, Place::Measured(k))));
-        if !self.laws[0].columns.is_empty() {
-            rows.push(Row { laws: Some(0), ..row(Role::Law, Place::Base) });
-        }
-        if let Some(k) = self.candidates.leading.filter(|_| !self.laws[1].columns.is_empty()) {
-            rows.push(Row { laws: Some(1), ..row(Role::Beside, Place::Candidate(k)) });
-        }
-        self.rows = rows;
-        self
-    }
-}
 
 /// All results of one diagnosis.
 pub struct Selection {

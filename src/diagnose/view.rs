@@ -2,25 +2,23 @@
 
 use super::evidence::NORMAL;
 use super::fit::{COEFFICIENTS, Fit, slope};
-use super::forward::Feature;
 use super::gate::FoundEffect;
 use super::gauss_newton::MOST_DEVIATION;
-use super::headline::{ALARM, action, headline, kind_of_mechanism};
+use super::headline::{ALARM, kind_of_mechanism};
 use super::laws::FittedLaw;
 use super::next_experiment::KnownNoise;
 use super::noise::{Noise, NoiseData};
 use super::normal_equations::Further;
+use super::opening::{runs, worded};
 use super::report::{
-    Cause, EvidenceRow, Gain, LackOfFit, NextExperiment, NoiseSummary, NuisanceValue, Recalibration, Remainder, Report,
-    RunMeans, TermFound, Tried, Untestable, UpperLimit, Withheld,
+    Cause, EvidenceRow, Gain, LackOfFit, NextExperiment, NoiseSummary, NuisanceValue, Remainder, Report, TermFound,
+    Tried, Untestable, UpperLimit, Withheld,
 };
 use super::select::Selection;
-use super::series::ends;
 use super::study::FitInputs;
-use super::summary::summary;
 use super::verdict::{Effect, Role, Verdict, Written};
 use super::words::after;
-use super::{measured, misfit, next_experiment, speed_exponent, split};
+use super::{measured, misfit, next_experiment, speed_exponent};
 use crate::number::dot;
 use crate::sand::mechanism::{CATALOG, Side};
 use crate::student;
@@ -28,49 +26,6 @@ use std::collections::BTreeMap;
 
 /// Names of the stress coefficients in sand.toml.
 const COEFFICIENT_NAMES: [&str; COEFFICIENTS] = ["a00", "a10", "b11", "b01", "bm11", "c11", "c01", "cm11", "d10"];
-
-/// The part of a report on the data and the plain model. If the data do not suffice for a verdict, this is the whole report; then
-/// `lacks` says what they lack.
-pub fn without_verdict(
-    study: &FitInputs,
-    untestable: Vec<Untestable>,
-    data_sha256: String,
-    notes: Vec<String>,
-    lacks: Option<&str>,
-) -> Report {
-    let (observations, model, plain) = (study.observations, study.model, study.plain().prediction);
-    let range = |f: Feature| (f.name.to_string(), ends(f.values.iter().flatten().copied()));
-    let recalibration = split::factor(observations, &plain);
-    let mut report = Report {
-        schema: "sandgait.diagnosis.v4",
-        misfit: misfit::misfit(observations, model, &plain, |_| true),
-        split: split::split(observations, model, &plain),
-        recalibration: recalibration.map(|(factor, ci95)| Recalibration {
-            factor,
-            ci95,
-            coefficients: BTreeMap::new(),
-        }),
-        untestable,
-        valid_range: model.features().into_iter().map(range).collect(),
-        warnings: lacks.map(String::from).into_iter().collect(),
-        notes,
-        runs: runs(study, None),
-        data_sha256,
-        ..Report::default()
-    };
-    if model.experiment().file.states_interest() {
-        report.notes.push("[nuisances] interest has no effect: every effect of measuring may be the answer".into());
-    }
-    report
-}
-
-/// Completes a report by the texts that follow from it.
-pub fn worded(mut report: Report) -> Report {
-    report.headline = headline(&report);
-    report.action = action(&report);
-    report.summary = summary(&report);
-    report
-}
 
 /// The inputs of a report with a verdict.
 pub struct ReportView<'a> {
@@ -390,31 +345,6 @@ impl ReportView<'_> {
         let of_interest: Vec<(usize, String)> = of_interest.filter_map(|u| Some((id(u)?, u.why.clone()))).collect();
         next_experiment::next(self.study, self.selection, &noise, &of_interest)
     }
-}
-
-/// Measured and predicted means of every condition, for runs, which have one number for each channel.
-fn runs(study: &FitInputs, extended: Option<&Fit>) -> Vec<RunMeans> {
-    let o = study.observations;
-    if o.units.iter().any(|u| u.samples > 1) {
-        return Vec::new();
-    }
-    let simulated = |prediction: &[f64]| study.model.as_simulated(prediction);
-    let plain = simulated(&study.plain().prediction);
-    let extended = extended.map(|f| simulated(&f.prediction));
-    let groups = o.repetitions();
-    let row = |(condition, units): (usize, &Vec<usize>), c: usize| {
-        let mean =
-            |stack: &[f64]| units.iter().map(|&u| stack[o.units[u].block(c).start]).sum::<f64>() / units.len() as f64;
-        RunMeans {
-            condition: o.conditions[condition].clone(),
-            channel: o.channels[c].name.to_string(),
-            unit: o.channels[c].unit.into(),
-            measured: mean(&o.values),
-            plain: mean(&plain),
-            extended: extended.as_ref().map(|e| mean(e)),
-        }
-    };
-    groups.iter().enumerate().flat_map(|g| (0..o.channels.len()).map(move |c| row(g, c))).collect()
 }
 
 /// A warning if the fit needs coefficients that deviate by more than three of their stated standard deviations: our choice.
