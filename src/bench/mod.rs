@@ -52,7 +52,7 @@ impl Direct {
     /// `envs` environments reset with seeds 0, 1, …; `threads` as in [`Pool::new`].
     pub fn new(blueprint: &Blueprint, envs: usize, threads: usize) -> Result<Self> {
         let pool = Pool::new(threads);
-        let mut batch = Batch::new(blueprint, envs)?;
+        let batch = Batch::new(blueprint, envs)?;
         let reset = batch.reset(None, Some((0..envs as u64).collect()), ResetOptions::default())?;
         let batch = Some(pool.wait(batch, reset)?);
         Ok(Self { pool, batch })

@@ -11,8 +11,8 @@ use super::stroke::LegStroke;
 use super::task::{AnyTask, Task};
 use super::terrain::HexapodTerrain;
 use crate::error::{Error, Result};
+use crate::sim::MemoryCount;
 use crate::sim::engine::EngineKind;
-use crate::sim::{MemoryCount, Model};
 use serde_json::Value;
 use std::sync::Arc;
 

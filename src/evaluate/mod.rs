@@ -7,7 +7,6 @@
 use sandgait_base::{error, parallel, progress};
 use sandgait_env as env;
 use sandgait_policy as policy;
-use sandgait_sand as sand;
 use sandgait_sim as sim;
 
 pub mod commands;

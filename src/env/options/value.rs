@@ -1,7 +1,6 @@
 //! The types that an option can have.
 
 use super::OptionRow;
-use super::robot::RobotName;
 use crate::error::{Error, Result, check_range, unknown_name};
 use crate::sand::Law;
 use crate::sim::MemoryCount;
