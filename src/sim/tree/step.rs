@@ -10,7 +10,7 @@ use super::self_contact::{SelfContact, SelfContactScratch, StepAccelerations};
 use super::servo::{JointTorques, LaneMotor};
 use crate::actuator::{self, LimitedTorque, NEWTON};
 use crate::blocks::{LaneState, LinkFrame};
-use crate::number::{Real, Vec3};
+use crate::number::{Kernel, Real, Vec3};
 use crate::sand::SandBed;
 use crate::spatial::Twist;
 use crate::used::Surfaces;
@@ -96,6 +96,31 @@ pub fn accelerate<R: Real>(
     scratch: &mut TreeScratch<R>,
     found: Option<&Surfaces<R>>,
 ) {
+    R::dispatch(AccelerateTrees { model, state, scratch, found });
+}
+
+/// A call of [`accelerate`], the same for steps and pictures.
+struct AccelerateTrees<'a, R: Real> {
+    model: &'a LaneTree<R>,
+    state: &'a LaneState<R>,
+    scratch: &'a mut TreeScratch<R>,
+    found: Option<&'a Surfaces<R>>,
+}
+
+impl<R: Real> Kernel for AccelerateTrees<'_, R> {
+    #[inline(always)]
+    fn run(self) {
+        accelerations(self.model, self.state, self.scratch, self.found);
+    }
+}
+
+#[inline(always)]
+fn accelerations<R: Real>(
+    model: &LaneTree<R>,
+    state: &LaneState<R>,
+    scratch: &mut TreeScratch<R>,
+    found: Option<&Surfaces<R>>,
+) {
     let surface = &model.relief;
     let dt = model.dt;
     let place = state.place();
@@ -103,21 +128,37 @@ pub fn accelerate<R: Real>(
     dynamics::load(&model.bodies, &scratch.frames, model.gravity, &mut scratch.loads);
     sand::press(&model.ground, &model.patches, &scratch.frames, &place, surface, found, &mut scratch.loads, dt);
     model.floor.find(&model.contacts, &scratch.frames, &place, surface, &mut scratch.touches);
-    if scratch.touches.is_empty() {
-        solve(model, state, scratch);
-    } else {
+    // The first solution on hard ground tells which points push, hold and slide in the second.
+    let rounds = if scratch.touches.is_empty() { 1 } else { 2 };
+    if rounds > 1 {
         scratch.bare.copy_from_slice(&scratch.loads);
+    }
+    for round in 0..rounds {
+        if round > 0 {
+            model.floor.classify(&mut scratch.touches, &scratch.accelerations, dt);
+            scratch.loads.copy_from_slice(&scratch.bare);
+        }
         model.floor.press(&scratch.touches, &mut scratch.loads, dt);
-        solve(model, state, scratch);
-        model.floor.classify(&mut scratch.touches, &scratch.accelerations, dt);
-        scratch.loads.copy_from_slice(&scratch.bare);
-        model.floor.press(&scratch.touches, &mut scratch.loads, dt);
-        solve(model, state, scratch);
+        R::dispatch(SolveTrees { model, state, scratch });
     }
     if let Some(contact) = &model.self_contact {
         let TreeScratch { frames, loads, hinges, accelerations, joints, self_contact, .. } = scratch;
         let folded = Folded { bodies: &model.bodies, frames, hinges, base: &loads[0].inertia };
         contact.keep_apart(&folded, &mut StepAccelerations { bodies: accelerations, joints }, self_contact, dt);
+    }
+}
+
+/// Solves for the accelerations of base and joints under the present loads.
+struct SolveTrees<'a, R: Real> {
+    model: &'a LaneTree<R>,
+    state: &'a LaneState<R>,
+    scratch: &'a mut TreeScratch<R>,
+}
+
+impl<R: Real> Kernel for SolveTrees<'_, R> {
+    #[inline(always)]
+    fn run(self) {
+        solve(self.model, self.state, self.scratch);
     }
 }
 
