@@ -1,9 +1,10 @@
 """Searches for a leg together with its gait: Optuna chooses the leg, and `sandgait.train` learns a gait for it.
 
-Each trial is a leg of HexapodGait with a knee angle ξ. `sandgait.sweep` simulates walks at one constant rate first, which
-takes seconds, and the search begins with the leg that is fastest there. Each leg has several trainings with different
-random numbers, because trainings of one leg differ. The value of a trial is the mean return at the end of the learning
-curves. The best legs are then compared by their returns on 100 seeds that neither the trainings nor the choice used.
+Each trial is a leg of HexapodGait with a knee angle ξ. `sandgait.sweep` simulates walks at one constant rate first,
+which takes seconds, and the search begins with the leg that is fastest there. Each leg has several trainings with
+different random numbers, because trainings of one leg differ. The value of a trial is the mean return at the end of
+the learning curves. The best legs are then compared by their returns on 100 seeds that neither the trainings nor the
+choice used.
 
     python examples/codesign.py --trials 24 --timesteps 3000000
     python examples/codesign.py --grid 25 --timesteps 3000000      (25 legs from -75° to 75° instead of a search)
@@ -31,8 +32,8 @@ COMPARED = 3
 
 
 def learn(folder: Path, xi: float, seed: int, timesteps: int) -> tuple[float, float]:
-    """Trains a gait for the leg with knee angle `xi` [°]. Returns the end of the learning curve, and the return over 100
-    seeds that the training did not use."""
+    """Trains a gait for the leg with knee angle `xi` [°]. Returns the end of the learning curve, and the return over
+    100 seeds that the training did not use."""
     training = sandgait.train(
         "HexapodGait",
         out=folder,
@@ -44,8 +45,10 @@ def learn(folder: Path, xi: float, seed: int, timesteps: int) -> tuple[float, fl
     )
     returns = np.asarray(training.curve["return"])
     assert training.score is not None
+    if not len(returns):
+        raise SystemExit(f"--timesteps: no episode ends within {timesteps} steps")
     last = returns[-max(1, round(END * len(returns))) :]
-    return float(last.mean()), float(training.score["return"]["mean"])
+    return float(last.mean()), float(training.score["total_reward"]["mean"])
 
 
 def main() -> None:

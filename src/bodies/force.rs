@@ -108,7 +108,29 @@ fn on_each<R: Real>(
     place: &Vec3<R>,
     travel: [R; 2],
 ) -> Option<Total<R>> {
-    let local = under.under(*place + frame.point(Vec3::splat(body.ball.center)));
-    let gate = sand.surface.leading_edge_gate;
-    on_plates(bed, &body.pieces, frame, &frame.velocity, place, travel, &local, gate)
+    let mut total = None;
+    R::dispatch(PlateForces { sand, bed, under, body, frame, place, travel, total: &mut total });
+    total
+}
+
+/// A call of [`on_each`], the same for all callers.
+struct PlateForces<'a, R> {
+    sand: &'a SandGround,
+    bed: &'a SandBed<R>,
+    under: &'a Under<R>,
+    body: &'a CutBody,
+    frame: &'a LinkFrame<R>,
+    place: &'a Vec3<R>,
+    travel: [R; 2],
+    total: &'a mut Option<Total<R>>,
+}
+
+impl<R: Real> Kernel for PlateForces<'_, R> {
+    #[inline(always)]
+    fn run(self) {
+        let Self { sand, bed, under, body, frame, place, travel, total } = self;
+        let local = under.under(*place + frame.point(Vec3::splat(body.ball.center)));
+        let gate = sand.surface.leading_edge_gate;
+        *total = on_plates(bed, &body.pieces, frame, &frame.velocity, place, travel, &local, gate);
+    }
 }

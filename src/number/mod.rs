@@ -30,8 +30,9 @@ pub use vector::{Mat3, Vec3};
 
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
-/// Work that is compiled for an instruction set, see [`Real::dispatch`]. All functions that `run` calls must be
-/// inlined.
+/// Work that is compiled for an instruction set, see [`Real::dispatch`]. All functions that `run` calls must be inlined, or must
+/// dispatch kernels of their own. A part that several places need, or that rarely runs, is a kernel of its own: inlined everywhere,
+/// such parts were three fifths of the machine code.
 pub trait Kernel {
     fn run(self);
 }
@@ -82,8 +83,8 @@ pub trait Real:
         Self::bits(mask) != 0
     }
 
-    /// Runs `kernel` compiled for the instruction set of this type.
-    #[inline(always)]
+    /// Runs `kernel` compiled for the instruction set of this type, as one function for all callers.
+    #[inline(never)]
     fn dispatch<K: Kernel>(kernel: K) {
         kernel.run();
     }

@@ -1,6 +1,8 @@
 //! Sixteen lanes of `i16`, for work on many cells of one grid. All operations are exact, so every instruction set gives
 //! the same result.
 
+use super::Kernel;
+
 /// Number of lanes of [`Shorts`]: a register of AVX2.
 pub const SHORTS: usize = 16;
 
@@ -42,6 +44,12 @@ pub trait Shorts: Copy {
     /// Is any bit set?
     fn any(self) -> bool;
     fn sum(self) -> i32;
+
+    /// Runs `kernel` compiled for the instruction set of this type, as one function for all callers: see [`super::Real::dispatch`].
+    #[inline(never)]
+    fn dispatch<K: Kernel>(kernel: K) {
+        kernel.run();
+    }
 
     /// The lanes of `slice` from `at` on.
     #[inline(always)]

@@ -106,6 +106,7 @@ macro_rules! lanes {
             }
             #[inline(always)]
             fn dispatch<K: Kernel>(kernel: K) {
+                #[inline(never)]
                 #[target_feature(enable = $features)]
                 fn inside<K: Kernel>(kernel: K) {
                     kernel.run();
@@ -220,6 +221,16 @@ macro_rules! shorts {
 
 // SAFETY of each block: inside `dispatch`, see the module; arrays have sixteen numbers.
 impl Shorts for Avx2Shorts {
+    #[inline(always)]
+    fn dispatch<K: Kernel>(kernel: K) {
+        #[inline(never)]
+        #[target_feature(enable = "avx2,fma")]
+        fn inside<K: Kernel>(kernel: K) {
+            kernel.run();
+        }
+        unsafe { inside(kernel) }
+    }
+
     shorts! {
         plus _mm256_add_epi16
         minus _mm256_sub_epi16

@@ -243,7 +243,7 @@ def test_cleanrl_ppo_continuous_action(tmp_path: Path) -> None:
 
 def test_optuna_searches_for_a_leg(tmp_path: Path) -> None:
     """The same command continues a study and finds the trials that are finished."""
-    short = ["--trainings", "1", "--timesteps", "8192", "--out", str(tmp_path)]
+    short = ["--trainings", "1", "--timesteps", "150000", "--out", str(tmp_path)]
     command = [sys.executable, str(HOME / "examples/codesign.py"), "--trials", "3", *short]
     outputs = [subprocess.run(command, capture_output=True, text=True, check=True).stdout for _ in range(2)]
     assert outputs[0] == outputs[1]

@@ -1,7 +1,7 @@
 //! Heights of the sand on a square grid that moves with a body.
 #![allow(clippy::needless_range_loop)] // Loops over indices become straight vector code; iterators with closures may not.
 
-use sandgait_number::{SHORTS, Shorts};
+use sandgait_number::{Kernel, SHORTS, Shorts};
 
 /// Heights are whole multiples of the cell's size over this: our choice. So sums are exact, volume is conserved to the
 /// last bit, and 16 bits reach 32 cells up and down.
@@ -210,11 +210,7 @@ impl Grid {
     pub fn slide<S: Shorts>(&mut self, steepest: f64) {
         let limit = (steepest * STEPS).round().clamp(f64::from(SLIDES_ON), 32_000.0) as i16 - SLIDES_ON;
         let slope = Slope { rest: S::splat(limit), start: S::splat(limit + SLIDES_ON) };
-        match self.frame.bits {
-            6 => self.sweep::<S, 64, 4>(&slope),
-            7 => self.sweep::<S, 128, 8>(&slope),
-            _ => self.sweep::<S, 256, 16>(&slope),
-        }
+        S::dispatch(Sliding { grid: self, slope });
     }
 
     /// `W` heights a line, in `V` vectors.
@@ -321,6 +317,24 @@ struct Slope<S> {
     /// Sand that slides comes to rest at `rest`, and sand at rest begins to slide beyond `start`.
     rest: S,
     start: S,
+}
+
+/// A sweep of [`Grid::slide`], the same for all engines.
+struct Sliding<'a, S> {
+    grid: &'a mut Grid,
+    slope: Slope<S>,
+}
+
+impl<S: Shorts> Kernel for Sliding<'_, S> {
+    #[inline(always)]
+    fn run(self) {
+        let Self { grid, slope } = self;
+        match grid.frame.bits {
+            6 => grid.sweep::<S, 64, 4>(&slope),
+            7 => grid.sweep::<S, 128, 8>(&slope),
+            _ => grid.sweep::<S, 256, 16>(&slope),
+        }
+    }
 }
 
 impl<S: Shorts> Slope<S> {

@@ -33,9 +33,10 @@ pub use settings::{MemorySettings, REPOSE_DEG};
 
 use cut::Taking;
 use disc::{Disc, SMALLEST, ahead};
-use sandgait_number::{PlainShorts, Shorts};
+use sandgait_number::{Kernel, PlainShorts, Shorts};
 use serde::{Deserialize, Serialize};
 use settings::{AHEAD, DENSER, LOST, WAY};
+use std::marker::PhantomData;
 
 /// The level and the compaction of the sand that a body has found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -116,6 +117,24 @@ pub struct BodyMotion {
     pub way: Option<[f64; 2]>,
     /// [s]
     pub time: f64,
+}
+
+/// A call of [`Moved::meet`], the same for all engines.
+struct Meeting<'a, S> {
+    moved: &'a mut Moved,
+    settings: &'a MemorySettings,
+    body: usize,
+    pieces: &'a [GridPiece],
+    motion: &'a BodyMotion,
+    marks: &'a mut Marks,
+    shorts: PhantomData<S>,
+}
+
+impl<S: Shorts> Kernel for Meeting<'_, S> {
+    #[inline(always)]
+    fn run(self) {
+        self.moved.met::<S>(self.settings, self.body, self.pieces, self.motion, self.marks);
+    }
 }
 
 impl Moved {
@@ -199,6 +218,18 @@ impl Moved {
     /// The same for pieces in the units of the grid.
     #[inline(always)]
     pub fn meet<S: Shorts>(
+        &mut self,
+        s: &MemorySettings,
+        body: usize,
+        pieces: &[GridPiece],
+        motion: &BodyMotion,
+        marks: &mut Marks,
+    ) {
+        S::dispatch(Meeting { moved: self, settings: s, body, pieces, motion, marks, shorts: PhantomData::<S> });
+    }
+
+    #[inline(always)]
+    fn met<S: Shorts>(
         &mut self,
         s: &MemorySettings,
         body: usize,

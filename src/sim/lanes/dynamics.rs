@@ -81,14 +81,13 @@ pub fn step<R: Real, const J: usize>(
         normal_forces[l] = load_leg(model, leg, &base, &found, joints, hinges, &mut links[l]);
     }
     limits.iter_mut().for_each(LimitedTorque::begin);
-    let mut acceleration = solve(model, &state.joints, links, hinges, limits, inertia, bias);
-    if model.actuator.has_lines() {
-        for pass in 0..NEWTON + hinges.len() {
-            let joint = |i: usize| (&model.actuator, state.joints[i].rate, hinges[i].acceleration);
-            if !actuator::next_pass(limits, joint, model.dt, pass) {
-                break;
-            }
-            acceleration = solve(model, &state.joints, links, hinges, limits, inertia, bias);
+    let lines = model.actuator.has_lines();
+    let mut acceleration = Twist::zero();
+    for pass in 0..=NEWTON + hinges.len() {
+        acceleration = solve(model, &state.joints, links, hinges, limits, inertia, bias);
+        let joint = |i: usize| (&model.actuator, state.joints[i].rate, hinges[i].acceleration);
+        if !lines || pass == NEWTON + hinges.len() || !actuator::next_pass(limits, joint, model.dt, pass) {
+            break;
         }
     }
     for ((joint, hinge), limits) in state.joints.iter_mut().zip(hinges).zip(limits) {

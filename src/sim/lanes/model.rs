@@ -42,17 +42,23 @@ pub struct LaneBody<R> {
     pub bulge: R,
 }
 
+/// The underside of the base.
+#[derive(Clone)]
+pub struct LaneBelly<R> {
+    /// x and y of the plates, whose normals are −z.
+    pub plates: Vec<LanePlate<R>>,
+    /// z of all these plates [m].
+    pub height: R,
+    /// Half of the belly's length and width [m].
+    pub corner: [R; 2],
+}
+
 /// See [`Model`]; `J` joints a leg.
 #[derive(Clone)]
 pub struct LaneModel<R, const J: usize> {
     pub base_mass: R,
     pub base_inertia: Vec3<R>,
-    /// x and y of the plates, whose normals are −z.
-    pub belly: Vec<LanePlate<R>>,
-    /// z of all these plates [m].
-    pub belly_height: R,
-    /// Half of the belly's length and width [m].
-    pub belly_corner: [R; 2],
+    pub belly: LaneBelly<R>,
     pub legs: Vec<[LaneBody<R>; J]>,
     /// Lowest and highest angle of each leg's joints, ∓[`NO_LIMIT`] without a range; empty if no lane has ranges.
     pub ranges: Vec<[[R; 2]; J]>,
@@ -205,9 +211,11 @@ impl<R: Real, const J: usize> LaneModel<R, J> {
         let mut all = Self {
             base_mass: R::splat(model.base_mass),
             base_inertia: Vec3::splat(model.base_inertia.into()),
-            belly: model.belly.iter().map(|p| plate(p, level())).collect(),
-            belly_height: R::splat(belly_height(model)),
-            belly_corner: belly_corner(model).map(R::splat),
+            belly: LaneBelly {
+                plates: model.belly.iter().map(|p| plate(p, level())).collect(),
+                height: R::splat(belly_height(model)),
+                corner: belly_corner(model).map(R::splat),
+            },
             legs: model.legs.iter().map(|leg| std::array::from_fn(|j| LaneBody::splat(&leg[j]))).collect(),
             ranges: Vec::new(),
             kp: R::splat(model.motor.kp),
@@ -237,9 +245,10 @@ impl<R: Real, const J: usize> LaneModel<R, J> {
     pub fn set_lane(&mut self, lane: usize, model: &Model) {
         self.base_mass.set_lane(lane, model.base_mass);
         self.base_inertia.set_lane(lane, model.base_inertia.into());
-        self.belly.iter_mut().zip(&model.belly).for_each(|(out, p)| set_plate(out, lane, p, level()));
-        self.belly_height.set_lane(lane, belly_height(model));
-        self.belly_corner.iter_mut().zip(belly_corner(model)).for_each(|(out, x)| out.set_lane(lane, x));
+        let belly = &mut self.belly;
+        belly.plates.iter_mut().zip(&model.belly).for_each(|(out, p)| set_plate(out, lane, p, level()));
+        belly.height.set_lane(lane, belly_height(model));
+        belly.corner.iter_mut().zip(belly_corner(model)).for_each(|(out, x)| out.set_lane(lane, x));
         for (chain, bodies) in self.legs.iter_mut().zip(&model.legs) {
             chain.iter_mut().zip(bodies).for_each(|(out, b)| out.set_lane(lane, b));
         }

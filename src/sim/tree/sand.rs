@@ -9,7 +9,7 @@ use super::leading::{Own, leading};
 use super::patches::{BodyPatches, Patch};
 use super::terrain::{Local, Surface};
 use crate::blocks::{LaneState, LinkFrame};
-use crate::number::{Mat3, Real, Spread, Vec3};
+use crate::number::{Kernel, Mat3, Real, Spread, Vec3};
 use crate::sand::intruder::IntruderPlate;
 use crate::sand::law::{Normals, StressLaw};
 use crate::sand::{LawCoefficients, Plain, SandBed, SegmentState, StressModel};
@@ -203,8 +203,34 @@ pub fn on_body<R: Real, const SECANT: bool>(
     strength: Option<R>,
     dt: R,
 ) -> Option<Total<R>> {
-    let all = (plates, &plates.patches[..]);
-    on_patches::<R, _, _, SECANT>(ground, all, frame, velocity, place, travel, under, strength, dt)
+    let mut total = None;
+    let kernel =
+        OnBody::<R, SECANT> { ground, plates, frame, velocity, place, travel, under, strength, dt, total: &mut total };
+    R::dispatch(kernel);
+    total
+}
+
+/// A call of [`on_body`], the same for steps, pictures and studies.
+struct OnBody<'a, R, const SECANT: bool> {
+    ground: &'a SandBed<R>,
+    plates: &'a BodyPatches,
+    frame: &'a LinkFrame<R>,
+    velocity: &'a Twist<R>,
+    place: &'a Vec3<R>,
+    travel: [R; 2],
+    under: &'a Local<R>,
+    strength: Option<R>,
+    dt: R,
+    total: &'a mut Option<Total<R>>,
+}
+
+impl<R: Real, const SECANT: bool> Kernel for OnBody<'_, R, SECANT> {
+    #[inline(always)]
+    fn run(self) {
+        let Self { ground, plates, frame, velocity, place, travel, under, strength, dt, total } = self;
+        let all = (plates, &plates.patches[..]);
+        *total = on_patches::<R, _, _, SECANT>(ground, all, frame, velocity, place, travel, under, strength, dt);
+    }
 }
 
 /// The same as [`on_body`] for a body's patches. Either all lanes share each patch, or each lane has a patch of its
@@ -286,15 +312,13 @@ fn by<R: Real, S: Spread<R>, D: Spread<R>, M: StressModel<R>, const SECANT: bool
         let area = strength.map_or(area, |strength| area * strength);
         let site = SegmentState::fresh(depth, place.x + at.x).travelling(travel).wide(width);
         let growth = part.growth * inverse;
-        let (contact, normal) = match &axes {
-            None => (ground.leading_part_by(law, stress_model, &site, area, loaded, &normals, v, growth), normals.unit),
-            Some(axes) => {
-                let v = axes.apply_transposed(v);
-                let mut contact = ground.leading_part_by(law, stress_model, &site, area, loaded, &normals, v, growth);
-                contact.force = axes.apply(contact.force);
-                (contact, axes.apply(normals.unit))
-            }
-        };
+        // The law is in the code once, for level and for tilted surfaces.
+        let along = axes.as_ref().map_or(v, |axes| axes.apply_transposed(v));
+        let mut contact = ground.leading_part_by(law, stress_model, &site, area, loaded, &normals, along, growth);
+        let mut normal = normals.unit;
+        if let Some(axes) = &axes {
+            (contact.force, normal) = (axes.apply(contact.force), axes.apply(normal));
+        }
         wet = true;
         total.wrench.force += contact.force;
         total.wrench.moment += at.cross(contact.force);

@@ -11,7 +11,7 @@ use super::servo::{JointTorques, LaneMotor};
 use super::{Tree, TreeJoint};
 use crate::actuator::{self, LimitedTorque, NEWTON};
 use crate::blocks::{LaneState, LinkFrame};
-use crate::number::{Real, Vec3};
+use crate::number::{Kernel, Real, Vec3};
 use crate::sand::SandBed;
 use crate::spatial::Twist;
 use crate::used::Surfaces;
@@ -166,6 +166,31 @@ pub fn accelerate<R: Real>(
     scratch: &mut TreeScratch<R>,
     found: Option<&Surfaces<R>>,
 ) {
+    R::dispatch(AccelerateTrees { model, state, scratch, found });
+}
+
+/// A call of [`accelerate`], the same for steps and pictures.
+struct AccelerateTrees<'a, R: Real> {
+    model: &'a LaneTree<R>,
+    state: &'a LaneState<R>,
+    scratch: &'a mut TreeScratch<R>,
+    found: Option<&'a Surfaces<R>>,
+}
+
+impl<R: Real> Kernel for AccelerateTrees<'_, R> {
+    #[inline(always)]
+    fn run(self) {
+        accelerations(self.model, self.state, self.scratch, self.found);
+    }
+}
+
+#[inline(always)]
+fn accelerations<R: Real>(
+    model: &LaneTree<R>,
+    state: &LaneState<R>,
+    scratch: &mut TreeScratch<R>,
+    found: Option<&Surfaces<R>>,
+) {
     let surface = &model.relief;
     let dt = model.dt;
     let place = state.place();
@@ -178,18 +203,19 @@ pub fn accelerate<R: Real>(
     scratch.ground_forces.keep(0, &scratch.loads);
     sand::press(&model.ground, &model.patches, &scratch.frames, &place, surface, found, &mut scratch.loads, dt);
     model.floor.find(&model.contacts, &scratch.frames, &place, surface, &mut scratch.touches);
-    if scratch.touches.is_empty() {
-        scratch.ground_forces.keep(1, &scratch.loads);
-        solve(model, state, scratch);
-    } else {
+    // The first solution on hard ground tells which points push, hold and slide in the second.
+    let rounds = if scratch.touches.is_empty() { 1 } else { 2 };
+    if rounds > 1 {
         scratch.bare.copy_from_slice(&scratch.loads);
-        model.floor.press(&scratch.touches, &mut scratch.loads, dt);
-        solve(model, state, scratch);
-        model.floor.classify(&mut scratch.touches, &scratch.accelerations, dt);
-        scratch.loads.copy_from_slice(&scratch.bare);
+    }
+    for round in 0..rounds {
+        if round > 0 {
+            model.floor.classify(&mut scratch.touches, &scratch.accelerations, dt);
+            scratch.loads.copy_from_slice(&scratch.bare);
+        }
         model.floor.press(&scratch.touches, &mut scratch.loads, dt);
         scratch.ground_forces.keep(1, &scratch.loads);
-        solve(model, state, scratch);
+        R::dispatch(SolveTrees { model, state, scratch });
     }
     if !model.gears.is_empty() {
         let TreeScratch { frames, loads, hinges, accelerations, joints, gears, .. } = scratch;
@@ -203,6 +229,20 @@ pub fn accelerate<R: Real>(
         contact.keep_apart(&folded, &mut StepAccelerations { bodies: accelerations, joints }, self_contact, dt);
     }
     scratch.ground_forces.end(&scratch.accelerations);
+}
+
+/// Solves for the accelerations of base and joints under the present loads.
+struct SolveTrees<'a, R: Real> {
+    model: &'a LaneTree<R>,
+    state: &'a LaneState<R>,
+    scratch: &'a mut TreeScratch<R>,
+}
+
+impl<R: Real> Kernel for SolveTrees<'_, R> {
+    #[inline(always)]
+    fn run(self) {
+        solve(self.model, self.state, self.scratch);
+    }
 }
 
 #[inline(always)]
