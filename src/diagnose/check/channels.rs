@@ -52,20 +52,24 @@ impl Channels<'_> {
     /// two trials, or ten in one: our choice; noise repeats its largest value less often.
     fn saturated(&self, channel: usize) -> Option<Finding> {
         let [low, high] = ends(self.units().flat_map(|(_, u)| self.measured(u, channel).iter().copied()));
-        [low, high].into_iter().filter(|end| end.abs() >= 0.5 * low.abs().max(high.abs())).find_map(|end| {
-            let mut longest = Vec::new();
-            for (u, unit) in self.units() {
-                let all = runs_of(self.measured(unit, channel).iter().map(|v| *v == end));
-                longest.extend(all.filter(|[a, b]| b - a >= 2).map(|run| (u, run)));
-            }
-            let (trial, [a, b]) = *longest.iter().max_by_key(|(_, [a, b])| b - a)?;
-            (longest.len() > 1 || b - a >= 9).then(|| {
-                let what =
-                    format!("stands at {end} in {} trials: the sensor or its amplifier is saturated", longest.len());
-                let remedy = "measure with a larger range, or leave these rows out";
-                Finding::new(Warn, self.name(channel), what, remedy).at(self.rows(trial, a, b))
-            })
-        })
+        [low, high].into_iter().filter(|end| high > low && end.abs() >= 0.5 * low.abs().max(high.abs())).find_map(
+            |end| {
+                let mut longest = Vec::new();
+                for (u, unit) in self.units() {
+                    let all = runs_of(self.measured(unit, channel).iter().map(|v| *v == end));
+                    longest.extend(all.filter(|[a, b]| b - a >= 2).map(|run| (u, run)));
+                }
+                let (trial, [a, b]) = *longest.iter().max_by_key(|(_, [a, b])| b - a)?;
+                (longest.len() > 1 || b - a >= 9).then(|| {
+                    let what = format!(
+                        "stands at {end} in {} trials: the sensor or its amplifier is saturated",
+                        longest.len()
+                    );
+                    let remedy = "measure with a larger range, or leave these rows out";
+                    Finding::new(Warn, self.name(channel), what, remedy).at(self.rows(trial, a, b))
+                })
+            },
+        )
     }
 
     /// A single sample far from its neighbours.
