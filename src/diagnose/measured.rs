@@ -15,8 +15,9 @@ pub const WIDE: f64 = 20.0;
 /// Least gain of a wide prior [χ²] by a linear estimate for which the model is fitted: our choice, below the 4 that a difference of
 /// elpd needs at least.
 const WORTH: f64 = 2.0;
-/// Number of such models, the most promising ones: our choice, because each fit takes time.
-const MOST: usize = 10;
+/// Number of such models, the most promising ones, and the number for a rough model, whose derivatives need simulations: our choices,
+/// because each fit takes time.
+const MOST: [usize; 2] = [10, 3];
 
 /// A model in which one effect of measuring has a wide prior.
 pub struct MeasuredFit {
@@ -44,7 +45,7 @@ pub fn measured(study: &FitInputs, base: &Fit) -> Vec<MeasuredFit> {
     // Of equally promising ones, those of all channels or shapes come first.
     let common = |k: usize| study.nuisances[k].of.is_none();
     promising.sort_by(|a, b| b.1.total_cmp(&a.1).then(common(b.0).cmp(&common(a.0))));
-    promising.truncate(MOST);
+    promising.truncate(MOST[usize::from(study.model.roughness().is_some())]);
     // Where effects at their bounds stand in for a larger one, the fit begins anew, without any of them.
     let bound = base.deviations[COEFFICIENTS..].iter().any(|d| d.abs() >= MOST_DEVIATION * (1.0 - 1e-6));
     let mut still = base.clone();
