@@ -31,7 +31,7 @@ fn edges(blueprint: &Blueprint) -> BTreeMap<(&'static str, &'static str), Vec<Ed
         let (at_reset, help) = (option.at_reset, option.help);
         paths(
             &[],
-            &OptionRow { name: option.name, help, at_reset, bounds: option.bounds, keys: option.keys },
+            &OptionRow { name: option.name, help, at_reset, bounds: option.bounds, is_range: false, keys: option.keys },
             &mut all,
         );
     }
@@ -99,7 +99,7 @@ fn live(pool: &Pool, id: &str, options: &Value) -> Result<(), String> {
     let again = Blueprint::new(id, keywords).unwrap_or_else(|e| panic!("{id} {options}: its options: {e}"));
     let mut restored = Batch::new(&again, 2).unwrap();
     let snapshot = Snapshot::from_bytes(&saved, &Seal::default()).unwrap();
-    let restore = restored.restore(&snapshot, None).unwrap_or_else(|e| panic!("{id} {options}: {e}"));
+    let restore = restored.restore(snapshot, None).unwrap_or_else(|e| panic!("{id} {options}: {e}"));
     restored = step(pool, pool.wait(restored, restore).unwrap());
     batch = step(pool, batch);
     let [own, other] = [&batch, &restored].map(|b| rows(b).iter().map(|x| x.to_bits()).collect::<Vec<_>>());
