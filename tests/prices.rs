@@ -78,7 +78,7 @@ fn places(blueprint: &Blueprint) -> Vec<Place> {
     }
     let mut all = Vec::new();
     for Keyword { name, help, value, at_reset, keys, .. } in blueprint.keywords() {
-        add(&mut all, &[], OptionRow { name, help, at_reset, keys }, &value);
+        add(&mut all, &[], OptionRow { name, help, at_reset, bounds: None, is_range: false, keys }, &value);
     }
     all
 }
