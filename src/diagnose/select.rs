@@ -4,7 +4,7 @@
 use super::candidates::{Candidates, SECOND, SearchSpace, candidates};
 use super::errors::SquaredErrors;
 use super::evidence::EvidenceTable;
-use super::gate::{self, Assessment, Tests};
+use super::gate::{self, Assessment, NameTests};
 use super::laws::{Laws, laws};
 use super::left_out::held_out;
 use super::measured::{MeasuredFit, WIDE};
@@ -141,7 +141,7 @@ struct Judging<'a> {
     profiled: Option<&'a [[f64; 2]]>,
 }
 
-/// Tests the leading explanation and the leading law, and gives the verdict.
+/// NameTests the leading explanation and the leading law, and gives the verdict.
 fn judged(with: &Judging, fits: Fits, table: EvidenceTable, entries: Vec<Compared>) -> Selection {
     let mut withheld = Vec::new();
     let mut tested = Tested::default();
@@ -150,7 +150,7 @@ fn judged(with: &Judging, fits: Fits, table: EvidenceTable, entries: Vec<Compare
         let assessment = with.assess(&fits, &table, &entries, row);
         let contenders = fits.contenders();
         let tests =
-            Tests { study: with.study, table: &table, entries: &entries, contenders: &contenders, nested: &nested };
+            NameTests { study: with.study, table: &table, entries: &entries, contenders: &contenders, nested: &nested };
         let failed = tests.failed(row, &assessment);
         (nested, assessment, failed)
     };
