@@ -141,7 +141,7 @@ struct Judging<'a> {
     profiled: Option<&'a [[f64; 2]]>,
 }
 
-/// NameTests the leading explanation and the leading law, and gives the verdict.
+/// Tests the leading explanation and the leading law, and gives the verdict.
 fn judged(with: &Judging, fits: Fits, table: EvidenceTable, entries: Vec<Compared>) -> Selection {
     let mut withheld = Vec::new();
     let mut tested = Tested::default();
