@@ -248,7 +248,7 @@ impl ForceLogModel<'_> {
 }
 
 impl Measuring {
-    /// RigChange of the data per unit.
+    /// Change of the data per unit.
     fn rate(&self, change: RigChange) -> &[f64] {
         match change {
             RigChange::Delay => &self.late,
@@ -260,7 +260,7 @@ impl Measuring {
         }
     }
 
-    /// RigChange of the data by a filter of time constant `tau`.
+    /// Change of the data by a filter of time constant `tau`.
     fn filtered(&self, model: &ForceLogModel, tau: f64) -> Vec<f64> {
         let m = &self.mechanisms;
         let through = |(steps, track): (&Vec<[Wrench; 1]>, &Track)| {
