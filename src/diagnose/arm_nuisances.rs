@@ -49,7 +49,7 @@ struct Present<'a> {
 
 /// A change of the apparatus.
 #[derive(Clone, Copy)]
-enum Change {
+enum RigChange {
     Delay,
     Depth,
     Tilt,
@@ -58,7 +58,7 @@ enum Change {
     Size,
 }
 
-impl Change {
+impl RigChange {
     fn step(self) -> f64 {
         match self {
             Self::Delay => TIME_STEP,
@@ -72,18 +72,18 @@ impl Change {
 
 impl ForceLogModel<'_> {
     /// The prediction with a changed apparatus.
-    fn changed(&self, (m, c): &SandParameters, change: Change, by: f64) -> Vec<f64> {
+    fn changed(&self, (m, c): &SandParameters, change: RigChange, by: f64) -> Vec<f64> {
         let with = |m: Mechanisms| self.predict(&(m, *c));
         match change {
-            Change::Delay => with(Mechanisms { delay: m.delay + by, ..*m }),
-            Change::Depth => with(Mechanisms { depth_zero: m.depth_zero + by, ..*m }),
-            Change::Tilt => with(Mechanisms { sensor_tilt: m.sensor_tilt + by, ..*m }),
-            Change::Plates | Change::Legs => {
+            RigChange::Delay => with(Mechanisms { delay: m.delay + by, ..*m }),
+            RigChange::Depth => with(Mechanisms { depth_zero: m.depth_zero + by, ..*m }),
+            RigChange::Tilt => with(Mechanisms { sensor_tilt: m.sensor_tilt + by, ..*m }),
+            RigChange::Plates | RigChange::Legs => {
                 let turned = |track: &Track| {
                     let mut track = track.clone();
                     match (track.intruder, change) {
-                        (Intruder::Plate { .. }, Change::Plates) => track.beta += by,
-                        (Intruder::Leg { .. }, Change::Legs) => track.poses.iter_mut().for_each(|p| p.theta += by),
+                        (Intruder::Plate { .. }, RigChange::Plates) => track.beta += by,
+                        (Intruder::Leg { .. }, RigChange::Legs) => track.poses.iter_mut().for_each(|p| p.theta += by),
                         _ => (),
                     }
                     track
@@ -91,7 +91,7 @@ impl ForceLogModel<'_> {
                 let tracks = self.tracks.iter().map(turned).collect();
                 self.with_tracks(tracks).predict(&(*m, *c))
             }
-            Change::Size => {
+            RigChange::Size => {
                 let larger = |intruder: Intruder| match intruder {
                     Intruder::Leg { chord, width, xi_deg, thickness } => {
                         Intruder::Leg { chord: chord * (1.0 + by), width: width * (1.0 + by), xi_deg, thickness }
@@ -113,8 +113,9 @@ impl ForceLogModel<'_> {
 
     fn measuring(&self, sand: &SandParameters) -> Measuring {
         let here = self.predict(sand);
-        let by = |change: Change| slope(&self.changed(sand, change, change.step()), &here, change.step());
-        let all = [Change::Delay, Change::Depth, Change::Tilt, Change::Plates, Change::Legs, Change::Size];
+        let by = |change: RigChange| slope(&self.changed(sand, change, change.step()), &here, change.step());
+        let all =
+            [RigChange::Delay, RigChange::Depth, RigChange::Tilt, RigChange::Plates, RigChange::Legs, RigChange::Size];
         let [late, deep, tilted, plates, legs, larger] = all.map(by);
         let grounds = [self.ground(&sand.1)];
         let steps = parallel::map(&self.tracks, |t| self.arm(t, &sand.0, &grounds).between());
@@ -143,11 +144,12 @@ impl ForceLogModel<'_> {
         let time = self.stack(|t, _, _| t);
         all.push(self.linear("clock", m.late.iter().zip(time).map(|(l, t)| l * t).collect()));
         let whole = |stack: &[f64]| stack.to_vec();
-        for (id, change) in [("delay", Change::Delay), ("depth_zero", Change::Depth), ("tilt", Change::Tilt)] {
+        for (id, change) in [("delay", RigChange::Delay), ("depth_zero", RigChange::Depth), ("tilt", RigChange::Tilt)] {
             all.push(self.far(&present, (id, None), change, &whole));
         }
         // A mount tilts all plates alike, and each plate is mounted a little differently. The zero of the motor turns all legs.
-        for (common, plates, change) in [("attitude", true, Change::Plates), ("joint_zero", false, Change::Legs)] {
+        for (common, plates, change) in [("attitude", true, RigChange::Plates), ("joint_zero", false, RigChange::Legs)]
+        {
             let shapes = self.shapes(plates);
             if !shapes.is_empty() {
                 all.push(self.far(&present, (common, None), change, &whole));
@@ -159,7 +161,7 @@ impl ForceLogModel<'_> {
         }
         for shape in [self.shapes(true), self.shapes(false)].concat() {
             let own = |stack: &[f64]| self.only_shape(stack, shape);
-            all.push(self.far(&present, ("size", Some(shape)), Change::Size, &own));
+            all.push(self.far(&present, ("size", Some(shape)), RigChange::Size, &own));
         }
         all.retain(|n| n.sd > 0.0);
         all
@@ -174,7 +176,7 @@ impl ForceLogModel<'_> {
         &self,
         &Present { sand, m, values }: &Present,
         (id, of): (&'static str, Option<&str>),
-        change: Change,
+        change: RigChange,
         part: &dyn Fn(&[f64]) -> Vec<f64>,
     ) -> Nuisance {
         let rate = m.rate(change);
@@ -206,7 +208,7 @@ impl ForceLogModel<'_> {
             all.push(Nuisance::linear("offset", own.unit, zero, constant).of(own.name.clone()));
             all.push(self.linear("gain", only(&m.here)).of(own.name.clone()));
             all.push(self.filter(m, values, Some(&own.name), &only));
-            all.push(self.far(present, ("delay", Some(&own.name)), Change::Delay, &only));
+            all.push(self.far(present, ("delay", Some(&own.name)), RigChange::Delay, &only));
         }
         all.push(self.filter(m, values, None, &|stack| stack.to_vec()));
         let units = &self.layout.units;
@@ -247,14 +249,14 @@ impl ForceLogModel<'_> {
 
 impl Measuring {
     /// Change of the data per unit.
-    fn rate(&self, change: Change) -> &[f64] {
+    fn rate(&self, change: RigChange) -> &[f64] {
         match change {
-            Change::Delay => &self.late,
-            Change::Depth => &self.deep,
-            Change::Tilt => &self.tilted,
-            Change::Plates => &self.plates,
-            Change::Legs => &self.legs,
-            Change::Size => &self.larger,
+            RigChange::Delay => &self.late,
+            RigChange::Depth => &self.deep,
+            RigChange::Tilt => &self.tilted,
+            RigChange::Plates => &self.plates,
+            RigChange::Legs => &self.legs,
+            RigChange::Size => &self.larger,
         }
     }
 

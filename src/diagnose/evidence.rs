@@ -38,7 +38,7 @@
 //! 2020).
 
 use super::fit::{Fit, Stack};
-use super::left_out::{Column, Contender, LeftOutRow, Linear};
+use super::left_out::{Contender, LawColumn, LeftOutRow, Linear};
 use super::normal_equations::value_prior;
 use super::study::FitInputs;
 use super::whiten::Whitener;
@@ -194,7 +194,7 @@ impl EvidenceTable {
         let known: HashMap<_, _> = unique.iter().map(place).zip(&projected).collect();
         // The projected columns of each law, and the prior standard deviations of their coefficients.
         let laws = |m: &Contender| {
-            let of = |law: &Column| {
+            let of = |law: &LawColumn| {
                 let column: Vec<f64> = law.iter().copied().map(f64::from).collect();
                 (projection.apply(&column), width(&column, &m.fit.prediction))
             };

@@ -4,7 +4,7 @@
 
 use super::evidence::EvidenceTable;
 use super::fit::slope;
-use super::left_out::{Column, Contender};
+use super::left_out::{Contender, LawColumn};
 use super::study::FitInputs;
 use crate::sand::mechanism::{CATALOG, Mechanisms, Side};
 use crate::student;
@@ -71,7 +71,7 @@ fn quantities(study: &FitInputs) -> Vec<(&'static str, Vec<Vec<f64>>)> {
 pub fn free_powers(study: &FitInputs, model: &Contender, degrees: f64) -> Vec<FreePower> {
     let now = study.with_nuisances(model.nuisances.to_vec());
     let quantities = quantities(study);
-    let mut columns: Vec<Column> = Vec::new();
+    let mut columns: Vec<LawColumn> = Vec::new();
     let mut of: Vec<(usize, &'static str)> = Vec::new();
     for &id in model.fit.ids.iter().filter(|id| CATALOG[**id].side == Side::Sand) {
         let without = model.fit.mechanisms.with(id, Mechanisms::PLAIN.get(id));

@@ -146,7 +146,7 @@ pub fn simpler(entries: &[Compared], row: usize) -> Vec<usize> {
 }
 
 /// The inputs of the tests.
-pub struct Tests<'a> {
+pub struct NameTests<'a> {
     pub study: &'a FitInputs<'a>,
     pub table: &'a EvidenceTable,
     pub entries: &'a [Compared],
@@ -156,7 +156,7 @@ pub struct Tests<'a> {
     pub nested: &'a [SquaredErrors; 3],
 }
 
-impl Tests<'_> {
+impl NameTests<'_> {
     /// The tests that `row` fails, in words.
     pub fn failed(&self, row: usize, own: &Assessment) -> Vec<String> {
         let mut failed = Vec::new();

@@ -5,7 +5,7 @@
 //! anew with each condition left out, so a large dictionary gains nothing by chance ([`super::evidence`]).
 
 use super::fit::{Fit, slope};
-use super::left_out::Column;
+use super::left_out::LawColumn;
 use super::study::FitInputs;
 use crate::number::dot;
 use crate::parallel;
@@ -37,7 +37,7 @@ pub const COLLINEAR: f64 = 0.9;
 #[derive(Default)]
 pub struct Laws {
     pub terms: Vec<Term>,
-    pub columns: Vec<Column>,
+    pub columns: Vec<LawColumn>,
 }
 
 /// A law with its coefficient.

@@ -16,12 +16,12 @@ const FOUND: f64 = 0.1;
 pub struct Contender<'a> {
     pub fit: &'a Fit,
     pub nuisances: &'a [Nuisance],
-    pub columns: &'a [Column],
+    pub columns: &'a [LawColumn],
 }
 
 /// The change of a fit's prediction by a further effect of strength 1, such as a law. These columns take the most memory of a
 /// diagnosis, and single precision is far more than a law needs.
-pub type Column = Vec<f32>;
+pub type LawColumn = Vec<f32>;
 
 impl Contender<'_> {
     /// The readings that the fit predicts.

@@ -24,7 +24,7 @@ pub enum Place {
 
 /// A row of the table: a fit, and laws of which it may have one.
 #[derive(Clone, Copy, Debug)]
-pub struct Row {
+pub struct ModelRow {
     pub role: Role,
     pub place: Place,
     pub laws: Option<usize>,
@@ -37,7 +37,7 @@ pub struct Fits {
     pub plain: MeasuredFit,
     /// Laws alone, and laws beside the leading cause.
     pub laws: [Laws; 2],
-    pub rows: Vec<Row>,
+    pub rows: Vec<ModelRow>,
 }
 
 impl Fits {
@@ -93,7 +93,7 @@ impl Fits {
 
     /// The rows: the plain model, the established one, the base, all candidates, and the laws.
     pub fn with_rows(mut self) -> Self {
-        let row = |role, place| Row { role, place, laws: None };
+        let row = |role, place| ModelRow { role, place, laws: None };
         let mut rows = vec![row(Role::Plain, Place::Plain)];
         if self.candidates.around.nuisances.iter().any(|n| n.sd > n.stated_sd) {
             rows.push(row(Role::Established, Place::Stated));
@@ -104,10 +104,10 @@ impl Fits {
         rows.extend(fits.map(|(k, _)| row(Role::Causes, Place::Candidate(k))));
         rows.extend((0..self.candidates.measured.len()).map(|k| row(Role::Causes, Place::Measured(k))));
         if !self.laws[0].columns.is_empty() {
-            rows.push(Row { laws: Some(0), ..row(Role::Law, Place::Base) });
+            rows.push(ModelRow { laws: Some(0), ..row(Role::Law, Place::Base) });
         }
         if let Some(k) = self.candidates.leading.filter(|_| !self.laws[1].columns.is_empty()) {
-            rows.push(Row { laws: Some(1), ..row(Role::Beside, Place::Candidate(k)) });
+            rows.push(ModelRow { laws: Some(1), ..row(Role::Beside, Place::Candidate(k)) });
         }
         self.rows = rows;
         self

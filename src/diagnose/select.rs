@@ -4,7 +4,7 @@
 use super::candidates::{Candidates, SECOND, SearchSpace, candidates};
 use super::errors::SquaredErrors;
 use super::evidence::EvidenceTable;
-use super::gate::{self, Assessment, Tests};
+use super::gate::{self, Assessment, NameTests};
 use super::laws::{Laws, laws};
 use super::left_out::held_out;
 use super::measured::{MeasuredFit, WIDE};
@@ -150,7 +150,7 @@ fn judged(with: &Judging, fits: Fits, table: EvidenceTable, entries: Vec<Compare
         let assessment = with.assess(&fits, &table, &entries, row);
         let contenders = fits.contenders();
         let tests =
-            Tests { study: with.study, table: &table, entries: &entries, contenders: &contenders, nested: &nested };
+            NameTests { study: with.study, table: &table, entries: &entries, contenders: &contenders, nested: &nested };
         let failed = tests.failed(row, &assessment);
         (nested, assessment, failed)
     };

@@ -5,7 +5,7 @@
 
 use super::evidence::EvidenceTable;
 use super::laws::laws;
-use super::left_out::{Column, Contender};
+use super::left_out::{Contender, LawColumn};
 use super::select::Selection;
 use super::study::FitInputs;
 use super::words::digits;
@@ -58,7 +58,7 @@ pub fn form(study: &FitInputs, selection: &Selection) -> Option<SpeedExponent> {
         let alone = term.on == On::Normal && term.groups.keys().all(|g| g == "froude" || g == "depth_over_width");
         (alone && speed > 0.0 && (depth - speed + 1.0).abs() < 1e-9).then_some(2.0 * speed)
     };
-    let each: Vec<(f64, &Column)> =
+    let each: Vec<(f64, &LawColumn)> =
         laws.terms.iter().zip(&laws.columns).filter_map(|(term, column)| Some((power(term)?, column))).collect();
     let nuisances = &study.nuisances[..];
     let model = |&(_, column)| Contender { fit, nuisances, columns: std::slice::from_ref(column) };
