@@ -1,7 +1,7 @@
 //! Rigid obstacles in the engine `rapier`: physical laws first, then robots among rocks.
 
 use sandgait::env::ResetOptions;
-use sandgait::env::options::Options;
+use sandgait::env::options::{NumberPair, Options};
 use sandgait::env::random::Random;
 use sandgait::env::registry::Blueprint;
 use sandgait::env::rocks::RockOptions;
@@ -316,7 +316,8 @@ fn a_robot_with_random_actions_does_not_pass_through_rocks() {
 fn random_rocks_depend_on_scene_and_seed() {
     let options = RockOptions::default();
     options.check_all("").unwrap();
-    let widest = RockOptions { count: 64, size: [5e-3, 0.5], step_height: [0.0, 0.5], field: [100.0; 2], ..options };
+    let widest =
+        RockOptions { count: 64, size: [5e-3, 0.5], step_height: [0.0, 0.5], field: NumberPair([100.0; 2]), ..options };
     widest.check_all("").unwrap();
     for seed in 0..50 {
         for options in [options, widest] {
