@@ -68,7 +68,10 @@ fn texts_fit_a_terminal() {
     let names = ["HexapodGait", "HexapodGait-v1", "sandgait/HexapodGait-v1"].map(|name| text(&["tasks", name]));
     assert!(names.iter().all(|t| *t == names[0]) && names[0].starts_with("sandgait/HexapodGait-v1\n"));
     assert_eq!(json(&["tasks", "LeggedVelocity", "--json"])["id"], "sandgait/LeggedVelocity-v1");
-    refused(&["tasks", "HexapodGate"], &["task \"HexapodGate\" is unknown; known: sandgait/HexapodGait-v1"]);
+    refused(
+        &["tasks", "HexapodGate"],
+        &["task \"HexapodGate\" is unknown; did you mean \"sandgait/HexapodGait-v1\"? known: sandgait/HexapodGait-v1"],
+    );
     refused(&["tasks", "HexapodGait", "--markdown", "x"], &["--markdown"]);
     let robot = text(&["robot", "robots/sandcat.urdf"]);
     for unit in ["[kg]", "[kg·m²]", "[rad]", "[N·m]", "[rad/s]", "[N·m·s/rad]", "[N·m/rad]"] {

@@ -9,7 +9,7 @@ use std::path::PathBuf;
 
 /// Find where the simulation disagrees with measured data, name the cause, extend the model and measure the gain.
 #[derive(clap::Args)]
-#[command(after_help = "Example:
+#[command(after_help = "Examples:
   sandgait diagnose forces.csv --experiment experiment.toml --out report")]
 pub struct DiagnoseArgs {
     /// Measured data as CSV; `python -m sandgait.logs` converts Parquet, LeRobot data sets, MCAP and ROS bags

@@ -160,13 +160,14 @@ impl EnvironmentService for Service {
             self.sessions.create(task_id, num_envs as usize, values::to_json(options)?).await
         };
         let (session_id, blueprint) = made.await.map_err(|e| status::status(&e))?;
+        let unanswered = self.sessions.unanswered(&session_id).map_err(|e| status::status(&e))?;
         let made = || {
             let (task, warnings) = (Some(encode::task(&blueprint)), blueprint.warnings());
             Ok(CreateSessionResponse { session_id: session_id.clone(), task, lease_seconds, warnings })
         };
-        let answer = outgoing::answer(&self.intake, &messages, made).await;
-        // Nobody knows the id of a session whose answer is refused.
-        answer.inspect_err(|_| drop(self.sessions.close(&session_id)))
+        let answer = outgoing::answer(&self.intake, &messages, made).await?;
+        unanswered.answered();
+        Ok(answer)
     }
 
     type RunSessionStream = Pin<Box<dyn Stream<Item = Result<RunSessionResponse, Status>> + Send>>;

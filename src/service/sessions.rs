@@ -97,6 +97,31 @@ pub struct Sessions {
     pub forget: OnceLock<Box<dyn Fn(&str) + Send + Sync>>,
 }
 
+/// See [`Sessions::unanswered`].
+pub struct UnansweredSession {
+    sessions: Arc<Sessions>,
+    hold: StreamHold,
+    answered: bool,
+}
+
+impl UnansweredSession {
+    /// The client gets its answer now.
+    pub fn answered(mut self) {
+        self.answered = true;
+    }
+}
+
+impl Drop for UnansweredSession {
+    fn drop(&mut self) {
+        if self.answered {
+            self.sessions.detach(&self.hold);
+        } else {
+            // It may have ended meanwhile.
+            drop(self.sessions.close(&self.hold.id));
+        }
+    }
+}
+
 impl Sessions {
     /// Cancelling `stop` ends every stream after its present operation.
     pub fn new(limits: Limits, seal: Seal, stop: CancellationToken) -> Arc<Self> {
@@ -236,6 +261,12 @@ impl Sessions {
         entry.stream += 1;
         entry.attached = true;
         Ok(StreamHold { id: id.into(), stream: entry.stream, end: entry.stream_end.clone() })
+    }
+
+    /// Holds a session whose client does not know its id yet. Its lease begins with the answer, which may have to wait for
+    /// memory; if there is no answer, the session ends.
+    pub fn unanswered(self: &Arc<Self>, id: &str) -> Result<UnansweredSession> {
+        Ok(UnansweredSession { sessions: self.clone(), hold: self.attach(id)?, answered: false })
     }
 
     /// Has another stream taken this session?
