@@ -90,7 +90,7 @@ fn typing_errors_get_a_suggestion() {
         (&["bench", "--option", "slope=5"], "slope_deg"),
         (&["bench", "--option", "weights={\"trackin\": 1}"], "tracking"),
         (&["train", "--set", "gama=0.9"], "gamma"),
-        (&["evaluate", "tripot"], "tripod"),
+        (&["evaluate", "tripot"], "tripod[:HZ]"),
         (&["robot", "go3"], "go1"),
     ] {
         refused(arguments, &["is unknown", &format!("did you mean \"{meant}\"?")]);

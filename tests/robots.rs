@@ -322,7 +322,7 @@ fn unsupported_elements_are_named() {
     let knee = read.tree.joints().find(|j| j.name == "FL_knee").unwrap();
     assert_eq!(knee.spring, Some([3.0, 0.5]));
     let said = read.warnings.join("\n");
-    for word in ["<site>", "<camera>", "<sensor>", "tendons", "margin"] {
+    for word in ["<site>", "<camera>", "<sensor>", "<tendon>", "margin"] {
         assert!(said.contains(word), "{word} is missing: {said}");
     }
 }

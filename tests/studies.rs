@@ -75,7 +75,7 @@ fn data_that_are_no_penetration_test_are_refused() {
         (&depth, line(-400.0), "pulling"),
         (&back, line(400.0), "on the way up"),
         (&depth, constant, "constant"),
-        (&depth[..10].to_vec(), line(400.0)[..10].to_vec(), "short"),
+        (&depth[..5].to_vec(), line(400.0)[..5].to_vec(), "short"),
         (&depth.iter().map(|z| z * 1e3).collect(), line(400.0), "millimetres taken for metres"),
     ] {
         let error = calibrate(depth, &force, PLATE).expect_err(what).to_string();

@@ -325,7 +325,10 @@ fn earlier_versions_name_the_present_one() {
         let id = if id == LEGS { "sandgait/HexapodLegs-v2" } else { id };
         assert_eq!(refused(&old, Value::Null), format!("task {old:?} has been replaced by {id:?}; see CHANGELOG"));
     }
-    assert!(refused("sandgait/HexapodGait-v2", Value::Null).contains("is unknown; known: sandgait/HexapodGait-v1"));
+    assert!(
+        refused("sandgait/HexapodGait-v2", Value::Null)
+            .contains("is unknown; did you mean \"sandgait/HexapodGait-v1\"?")
+    );
 }
 
 #[test]

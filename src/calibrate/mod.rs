@@ -70,7 +70,8 @@ pub fn calibrate(depth: &[f64], force: &[f64], area: f64) -> Result<Calibration>
     let greatest = depth.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     refuse(depth, force, greatest)?;
     let from = TRANSIENT * greatest;
-    let kept: Vec<[f64; 2]> = depth.iter().zip(force).filter(|(z, _)| **z >= from).map(|(z, f)| [*z, *f]).collect();
+    let kept: Vec<[f64; 2]> =
+        depth.iter().zip(force).filter(|(z, _)| **z >= from * (1.0 - 1e-9)).map(|(z, f)| [*z, *f]).collect();
     if kept.len() < LEAST_SAMPLES {
         return Err(refused(format!("{} samples below {:.1} mm; {LEAST_SAMPLES} are needed", kept.len(), 1e3 * from)));
     }

@@ -70,6 +70,9 @@ pub struct Actuator {
     pub rotor_inertia: Option<f64>,
 }
 
+/// Greatest factor of an episode's draw on a property of a motor, up or down: our choice, above those of all tasks.
+const DRAWN: f64 = 1e3;
+
 /// Ranges of a motor's properties, for the options of tasks, for files and for saved episodes alike. They catch wrong
 /// units: our choice, beyond the motor of any robot. An excavator's arm needs some 1e5 N·m.
 impl Actuator {
@@ -106,7 +109,8 @@ impl Actuator {
         Ok(all)
     }
 
-    /// Refuses numbers that no motor of a robot has. `owner` names the motor's owner.
+    /// Refuses numbers that no motor of a robot has. `owner` names the motor's owner. An episode may draw a strength that
+    /// takes a motor beyond the ranges of options, by less than a factor of [`DRAWN`].
     pub fn validate(&self, owner: &str) -> Result<()> {
         for (name, value, range) in [
             ("torque_limit", self.torque_limit, Self::TORQUE_LIMIT),
@@ -119,6 +123,7 @@ impl Actuator {
             ("efficiency", self.efficiency, Self::EFFICIENCY),
             ("rotor_inertia", self.rotor_inertia, Self::ROTOR_INERTIA),
         ] {
+            let range = range.start() / DRAWN..=range.end() * DRAWN;
             value.map(|value| check_range(&format!("{owner}.{name}"), value, range)).transpose()?;
         }
         Ok(())

@@ -110,7 +110,7 @@ impl<'a> ReadOptions<'a> {
         for &(k, unit) in &units {
             let (column, place) = (&self.columns[k], &mut places[k]);
             let wrong = |reason: &str| {
-                Error::file(path, format!("row {line}, column {}: {:?} {reason}", self.theirs(column), shown(unit)))
+                Error::file(path, format!("row {line}, column {}: {:?} {reason}", self.theirs(column), brief(unit)))
             };
             let Some(factor) = column.quantity.factor(unit) else {
                 let known: Vec<_> = column.quantity.units().iter().map(|u| u.0).collect();
@@ -184,4 +184,9 @@ fn factor(column: &HeaderColumn, unit: &str) -> std::result::Result<f64, String>
 fn split(header: &str) -> (&str, Option<&str>) {
     let Some((name, rest)) = header.split_once(['[', '(']) else { return (header, None) };
     (name.trim(), Some(rest.trim_end_matches([']', ')']).trim()))
+}
+
+/// The beginning of a cell, for a message: our choice, longer than any unit.
+fn brief(cell: &str) -> String {
+    shown(cell).chars().take(40).collect()
 }

@@ -162,7 +162,7 @@ mod tests {
     fn wrong_settings_are_refused_in_a_line() {
         let id = task_id("HexapodGait");
         for (change, says) in [
-            ("gama=0.9", "setting \"gama\" is unknown; known: n_envs"),
+            ("gama=0.9", "setting \"gama\" is unknown; did you mean \"gamma\"? known: n_envs"),
             ("gamma", "--set: \"gamma\" is not NAME=VALUE"),
             ("gamma=2", "gamma: 2 is outside [0, 1]"),
             ("gamma=high", "gamma: \"high\" is no number"),

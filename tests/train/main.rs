@@ -46,7 +46,7 @@ fn wrong_settings_are_one_line_and_write_nothing() {
         (&["--set", "seconds=nan"], "seconds: NaN is outside"),
         (&["--threads", "5000"], "threads: 5000 is outside [0, 1024]"),
         (&["--seed", "99999999999"], "seed: 99999999999 is outside"),
-        (&["--task", "Hexapod"], "sandgait: task \"Hexapod\" is unknown; known: sandgait/HexapodGait-v1"),
+        (&["--task", "Hexapod"], "sandgait: task \"Hexapod\" is unknown; did you mean \"sandgait/HexapodGait-v1\"?"),
         (&["--option", "leg=Q"], "leg"),
         (&["--option", "legs=L"], "legs"),
         (&["--hyperparameters", &file], "broken.yml: YAML: "),

@@ -17,8 +17,8 @@ const STANDING: f64 = 5.0;
 /// Time between two changes of the weight [s]: our choice, a control step. All of `STEPS` divide it, and the weight
 /// changes by less than 2 % at once.
 const PERIOD: f64 = 0.02;
-/// A robot stands if its base has tilted by at most 30°, its hips are not lower than half of their standing height, move with at
-/// most 5 cm/s, and at most a twentieth of the weight rests on bodies other than legs and feet. Our choice: a robot may
+/// A robot stands if its base has tilted by at most 30°, its hips move with at most 5 cm/s, those of a robot with fewer than four
+/// legs are not lower than half of their standing height, as in an episode, and at most a twentieth of the weight rests on bodies other than legs and feet. Our choice: a robot may
 /// lean or sink, but one that falls, slides or lies on its belly does not stand.
 const UPRIGHT: f64 = 0.866;
 const LOW: f64 = 0.5;
@@ -140,9 +140,9 @@ fn judged(model: &Model, state: State) -> Result<Standing> {
         FootPrint { body, sinkage: model.surface_height(low.x, low.y) - low.z, load: loads[body], pressure }
     };
     let feet: Vec<FootPrint> = tree.stance.feet.iter().map(foot).collect();
-    let of_feet: f64 = feet.iter().map(|f| f.load).sum();
-    let of_legs: f64 = tree.stance.legs.iter().flatten().map(|b| loads[*b]).sum();
-    let belly = (1.0 - of_legs.max(of_feet) / weight).max(0.0);
+    let carries =
+        |body: &usize| tree.stance.feet.contains(body) || tree.stance.legs.iter().flatten().any(|b| b == body);
+    let belly = (0..loads.len()).filter(|body| !carries(body)).map(|body| loads[body]).sum::<f64>().max(0.0) / weight;
     let height = [tree.hips_over(&state, |x, y| model.surface_height(x, y)), tree.stance.hips_height()];
     let up = state.rotation()[2][2];
     let speed = tree.hips_velocity(&state).norm();
@@ -152,7 +152,9 @@ fn judged(model: &Model, state: State) -> Result<Standing> {
     let torques = state.torques.iter().zip(&tree.motors).map(torque).collect();
     let reason = match () {
         () if up < UPRIGHT => "it tips over",
-        () if height[0] < LOW * height[1] => "its base is lower than half of its standing height",
+        () if tree.stance.legs.len() < 4 && height[0] < LOW * height[1] => {
+            "its base is lower than half of its standing height"
+        }
         () if speed > STILL => "it does not come to rest",
         () if belly > BELLY => "its belly carries it",
         () => "",
