@@ -165,5 +165,5 @@ fn readings_by_hand_calibrate_a_sand() {
     let by_trial: serde_json::Value = serde_json::from_str(&by_trial).unwrap();
     assert_eq!(by_trial["sizes"], study["sizes"]);
     refused(&["calibrate", &files[0], &path("all.csv")], &["all.csv", "without a column trial"]);
-    refused(&["calibrate", &files[0], "--area", "5"], &["area", "[0.0000001, 1]"]);
+    refused(&["calibrate", &files[0], "--area", "5"], &["area", "[1e-7, 1]"]);
 }

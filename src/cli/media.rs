@@ -6,7 +6,11 @@ use sandgait::sand::Medium;
 
 /// List the built-in sands with the sources of their numbers.
 #[derive(clap::Args)]
-#[command(after_help = "Any other sand is zeta=VALUE (N/cm³) on the generic set, for example --medium zeta=0.5.")]
+#[command(after_help = "Any other sand is zeta=VALUE (N/cm³) on the generic set.
+
+Examples:
+  sandgait media
+  sandgait walk --leg L --frequency 2 --medium zeta=0.5")]
 pub struct MediaArgs {
     /// Print JSON with all coefficients
     #[arg(long)]

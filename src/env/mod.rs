@@ -50,6 +50,7 @@ mod stepping;
 pub mod stroke;
 pub mod task;
 pub mod terrain;
+mod unfinished;
 pub mod walking;
 
 pub use look::EnvView;

@@ -1,26 +1,14 @@
 //! A control step, in parts of some milliseconds: with the shortest time step it takes a tenth of a second. Other
 //! sessions have their turns between the parts, and a step that nobody waits for any more ends there.
 
-use super::episode::{Environment, Episode};
+use super::episode::Environment;
 use super::shard::Shard;
+use super::unfinished::UnfinishedStep;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// Number of time steps between two looks at the clock: our choice, a control step with the default time step.
 const CHUNK: usize = 20;
-
-/// A control step that has begun.
-pub(super) struct UnfinishedStep {
-    /// Times at which delayed actions arrive [time steps], in ascending order, and how many of them are over.
-    arrivals: Vec<usize>,
-    arrived: usize,
-    /// Time steps so far.
-    now: usize,
-    /// Has the engine begun the part up to the next arrival?
-    begun: bool,
-    /// Environments that keep their states.
-    held: Vec<(usize, Episode)>,
-}
 
 impl Shard {
     /// Makes one control step of every environment; `actions` is f32 [envs, action] within its bounds. If an episode

@@ -114,6 +114,10 @@ pub fn load_any(robot: &str, more: &[PathBuf], packages: &Packages) -> Result<Im
         return named.load(Path::new(path), packages);
     }
     let Some(named) = NamedRobot::of(robot) else {
+        let path = Path::new(robot);
+        if path.extension().is_none() && !path.exists() {
+            return Err(Error::unknown("robot", robot, &names()));
+        }
         return load_from(Path::new(robot), &Posture::default(), packages);
     };
     let named = named?;

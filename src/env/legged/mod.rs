@@ -341,10 +341,10 @@ impl Task for LeggedVelocity {
     }
 }
 
-/// Are the hips of a robot with fewer than four legs lower than [`LOW`] of their standing height?
+/// Is the base of a robot with fewer than four legs lower than [`LOW`] of its standing height?
 fn is_too_low(model: &Model, state: &State) -> bool {
     let Some(tree) = &model.tree else { return false };
-    tree.stance.legs.len() < 4 && hips_height(model, state) < LOW * tree.stance.hips_height()
+    tree.stance.legs.len() < 4 && tree.is_low(state, LOW, |x, y| model.surface_height(x, y))
 }
 
 /// Height of the base's origin above `at` at which the lowest point touches the ground [m].

@@ -30,7 +30,8 @@ fn headers_of_observations_are_priced() {
 /// options, and lists of sessions.
 #[test]
 fn answers_say_their_size() {
-    let options = serde_json::json!({"history": 64, "sand": format!("medium = \"poppy-close\"\nlaw = \"li2013\"\n{}", "# note\n".repeat(20_000))});
+    let note = "a long note; ".repeat(10_000);
+    let options = serde_json::json!({"history": 64, "hardware": format!("source = {note:?}")});
     let wide = Blueprint::new("sandgait/HexapodGait-v1", options).unwrap();
     let plain = Blueprint::new("sandgait/LeggedVelocity-v1", Value::Null).unwrap();
     let column = |column: &proto::Column| size_of::<proto::Column>() + column.name.capacity() + column.unit.capacity();

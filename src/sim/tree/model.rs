@@ -129,11 +129,14 @@ impl TreeModel {
 
     /// Height above `ground` of the middle of the hips, with the base in `state` [m].
     pub fn hips_over(&self, state: &State, ground: impl Fn(f64, f64) -> f64) -> f64 {
-        let [x, y, z] = state.position;
-        let rows = state.rotation();
-        let hips = self.stance.hips;
-        let [dx, dy, dz] = rows.map(|row| row[0] * hips.x + row[1] * hips.y + row[2] * hips.z);
-        z + dz - ground(x + dx, y + dy)
+        over(&self.stance.hips, state, ground)
+    }
+
+    /// Is the middle of the hips, or the base's centre of mass, lower than this `part` of its standing height? A robot that
+    /// sits has high hips and a low centre of mass.
+    pub fn is_low(&self, state: &State, part: f64, ground: impl Fn(f64, f64) -> f64) -> bool {
+        let low = |point: &Vector3<f64>| over(point, state, &ground) < part * (self.stance.height + point.z);
+        low(&self.stance.hips) || low(&self.tree.bodies[0].center)
     }
 
     /// Velocity of the middle of the hips [m/s], world axes.
@@ -188,4 +191,11 @@ fn check(tree: &Tree) -> Result<()> {
         Some(_) => check_range("mass", tree.mass(), 1e-6..=1e6).map(drop),
         None => Err(Error::invalid("robot", "it has no bodies")),
     }
+}
+
+/// Height of a `point` of the base above the ground [m].
+fn over(point: &Vector3<f64>, state: &State, ground: impl Fn(f64, f64) -> f64) -> f64 {
+    let [x, y, z] = state.position;
+    let [dx, dy, dz] = state.rotation().map(|row| Vector3::from(row).dot(point));
+    z + dz - ground(x + dx, y + dy)
 }

@@ -152,7 +152,7 @@ fn judged(model: &Model, state: State) -> Result<Standing> {
     let torques = state.torques.iter().zip(&tree.motors).map(torque).collect();
     let reason = match () {
         () if up < UPRIGHT => "it tips over",
-        () if tree.stance.legs.len() < 4 && height[0] < LOW * height[1] => {
+        () if tree.stance.legs.len() < 4 && tree.is_low(&state, LOW, |x, y| model.surface_height(x, y)) => {
             "its base is lower than half of its standing height"
         }
         () if speed > STILL => "it does not come to rest",
