@@ -26,7 +26,7 @@ impl Session {
 
     /// Resets the environments in `mask`, or all; environment i gets seed i.
     fn reset(&mut self, mask: Option<&[bool]>, options: Value) -> Result<(), String> {
-        let mut batch = self.batch.take().unwrap();
+        let batch = self.batch.take().unwrap();
         let changes = ResetOptions::new(options).unwrap();
         let seeds = Some((0..batch.envs() as u64).collect());
         let (batch, outcome) = match batch.reset(mask.map(<[bool]>::to_vec), seeds, changes) {
@@ -148,7 +148,7 @@ fn snapshots_keep_what_resets_changed() {
     let bytes = session.batch().save().unwrap().to_bytes(&Seal::default()).unwrap();
     let rows = session.walk(20);
     let mut other = Session::new(TERRAIN, json!({}), 2);
-    let mut batch = other.batch.take().unwrap();
+    let batch = other.batch.take().unwrap();
     let operation = batch.restore(Snapshot::from_bytes(&bytes, &Seal::default()).unwrap(), None).unwrap();
     other.batch = Some(other.pool.wait(batch, operation).unwrap());
     assert_eq!(other.walk(20), rows);
@@ -175,7 +175,7 @@ fn snapshots_hold_large_reliefs() {
         let rows = session.walk(10);
         let snapshot = Snapshot::from_bytes(&bytes, &Seal::default()).unwrap();
         let mut other = Session::new("sandgait/LeggedVelocity-v1", options, 2);
-        let mut batch = other.batch.take().unwrap();
+        let batch = other.batch.take().unwrap();
         let operation = batch.restore(snapshot, None).unwrap();
         other.batch = Some(other.pool.wait(batch, operation).unwrap());
         assert_eq!(other.walk(10), rows, "{side}");

@@ -49,9 +49,15 @@ pub struct Intake {
     room: usize,
     /// Largest message of any call [bytes].
     largest: usize,
+    /// Memory of the answers of single calls. Large requests, which may hold their shares for long, cannot take it.
+    answers: Arc<Semaphore>,
     /// See [`Limits::stall`].
     stall: Duration,
 }
+
+/// Part of the memory for requests that only the answers of single calls may take: our choice, hundreds of descriptions of
+/// sessions under the smallest limit.
+const ANSWERS: usize = 8;
 
 impl Limits {
     /// Memory for requests: a quarter of all memory, but at most twice what the largest request needs.
@@ -72,7 +78,8 @@ impl Intake {
         // twice the longest options, is our choice.
         let room = (limits.of_requests() / 2).max(COPIES * 2 * LONGEST_OPTIONS);
         let shares = Arc::new(Semaphore::new(room / UNIT));
-        Arc::new(Self { shares, room, largest: limits.request.min(room / COPIES), stall: limits.stall })
+        let answers = Arc::new(Semaphore::new(room / ANSWERS / UNIT));
+        Arc::new(Self { shares, room, answers, largest: limits.request.min(room / COPIES), stall: limits.stall })
     }
 
     /// Bytes that a client may send on a stream before the server has read them; on a connection twice as many. Our
@@ -92,6 +99,25 @@ impl Intake {
     pub fn try_share(&self, bytes: usize) -> Option<Share> {
         let permit = self.shares.clone().try_acquire_many_owned(units(bytes)).ok()?;
         Some(Share::new(permit, self.room))
+    }
+
+    /// A share for a single call's answer, if it is free now.
+    pub fn try_answer_share(&self, bytes: usize) -> Option<Share> {
+        let permit = self.answers.clone().try_acquire_many_owned(self.of_answer(bytes)).ok()?;
+        Some(Share::new(permit, self.room / ANSWERS))
+    }
+
+    /// Waits for a share for a single call's answer.
+    pub async fn answer_share(&self, bytes: usize) -> Result<Share> {
+        match timeout(WAIT, self.answers.clone().acquire_many_owned(self.of_answer(bytes))).await {
+            Ok(Ok(permit)) => Ok(Share::new(permit, self.room / ANSWERS)),
+            _ => Err(Error::Exhausted("the memory for answers is taken by others; try again".into())),
+        }
+    }
+
+    /// An answer that is larger than all memory for answers takes all of it.
+    fn of_answer(&self, bytes: usize) -> u32 {
+        units(bytes).min((self.room / ANSWERS / UNIT) as u32)
     }
 
     /// Waits for a share.

@@ -69,12 +69,12 @@ pub async fn answer<T: Message>(
             let reason = format!("this connection's client must first read {} KiB of other answers", unread >> 10);
             return Err(refused(Error::Exhausted(reason)));
         }
-        let share = match intake.try_share(bytes) {
+        let share = match intake.try_answer_share(bytes) {
             Some(share) => share,
             None => {
                 // While it waits, it takes no memory.
                 drop(answer);
-                let share = intake.share(bytes).await.map_err(refused)?;
+                let share = intake.answer_share(bytes).await.map_err(refused)?;
                 answer = make().map_err(refused)?;
                 share
             }

@@ -224,6 +224,10 @@ async fn all_sessions_are_saved_beside_slow_requests() {
         busy.push(session);
     }
     tokio::time::sleep(Duration::from_millis(300)).await;
+    for session in &mut busy {
+        let early = tokio::time::timeout(Duration::from_millis(1), session.receive()).await;
+        assert!(early.is_err(), "answered early: {early:.300?}");
+    }
     let (_, log) = tokio::task::spawn_blocking(|| server.end()).await.unwrap();
     assert_eq!(log.matches("a session was saved").count(), 7, "{log}");
     let server = place.start();

@@ -29,7 +29,7 @@ use super::task::{Setup, Task, TaskState, Transition};
 use crate::error::{Error, Result};
 use crate::sim::engine::{Command, EngineKind};
 use crate::sim::{Model, State};
-use columns::{Figure, LeggedObserved, Observe, base, contact, figures, hips_height, observation};
+use columns::{Figure, LeggedObserved, Observe, base, contact, figures, observation};
 use episode::{Difficulty, LeggedEpisode, StepFeedback};
 use reward::{Contacts, LeggedStep};
 use std::sync::Arc;

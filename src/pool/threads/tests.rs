@@ -7,7 +7,7 @@ use std::sync::mpsc;
 
 fn begun() -> (Batch, Operation) {
     let blueprint = Blueprint::new("sandgait/HexapodGait-v1", Value::Null).unwrap();
-    let mut batch = Batch::new(&blueprint, 40).unwrap();
+    let batch = Batch::new(&blueprint, 40).unwrap();
     let reset = batch.reset(None, None, Default::default()).unwrap();
     (batch, reset)
 }
