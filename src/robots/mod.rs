@@ -135,7 +135,7 @@ pub fn load_from(path: &Path, posture: &Posture, packages: &Packages) -> Result<
     }
     let source = SourceFile::read(path, MOST_TEXT)?;
     let (mut meshes, mut notes) = (Meshes::default(), Notes::default());
-    let root = xml::parse(&source, &mut notes)?;
+    let root = xml::parse(&source, |note| notes.say(note))?;
     let files = Files::around(path, packages)?;
     let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let named = |e: Error| match e {

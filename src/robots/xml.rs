@@ -1,7 +1,6 @@
 //! XML as elements with attributes. Size, number and depth are bounded, and every error names its line.
 
 use super::files::SourceFile;
-use super::notes::Notes;
 use super::xml_bounds;
 use crate::error::{Error, Result};
 use std::path::Path;
@@ -26,10 +25,10 @@ pub struct Element {
 }
 
 /// The root element of a file. Entities and other document types are refused: no robot needs them, and entities can
-/// expand without bound.
-pub fn parse(source: &SourceFile, notes: &mut Notes) -> Result<Element> {
+/// expand without bound. `say` gets a note on the file's encoding, if there is one.
+pub fn parse(source: &SourceFile, say: impl FnMut(String)) -> Result<Element> {
     let (text, note) = source.xml()?;
-    note.into_iter().for_each(|note| notes.say(note));
+    note.into_iter().for_each(say);
     let text = &text[..];
     xml_bounds::check(text).map_err(|reason| Error::file(&source.path, reason))?;
     let options = roxmltree::ParsingOptions { allow_dtd: false, nodes_limit: MOST_NODES, ..Default::default() };

@@ -259,7 +259,7 @@ impl Including<'_> {
             if self.seen.len() > MOST_FILES {
                 return Err(child.error(format!("more than {MOST_FILES} files")));
             }
-            let included = xml::parse(&SourceFile::read(&path, MOST_TEXT)?, self.notes)?;
+            let included = xml::parse(&SourceFile::read(&path, MOST_TEXT)?, |note| self.notes.say(note))?;
             children.extend(self.expanded(included)?.children);
         }
         element.children = children;
