@@ -326,7 +326,7 @@ fn by_size(pushes: &[Penetration]) -> Result<Vec<OfSize>> {
         let scatter = (zetas.iter().map(|z| (z - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
         let repeatability_percent = (zetas.len() > 1).then(|| 100.0 * scatter / mean);
         let half = student::two_sided_95(n - 1.0) * scatter / n.sqrt();
-        let zeta_interval = (zetas.len() > 1).then(|| [mean - half, mean + half]);
+        let zeta_interval = (zetas.len() > 1).then_some([mean - half, mean + half]);
         Ok(OfSize { diameter, pushes: zetas.len(), zeta: mean, zeta_interval, repeatability_percent })
     };
     diameters(pushes).into_iter().map(of).collect()

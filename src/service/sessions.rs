@@ -81,6 +81,9 @@ pub struct SessionSummary {
     pub idle: Duration,
 }
 
+/// Called with the id of a session that has ended.
+type Forget = Box<dyn Fn(&str) + Send + Sync>;
+
 /// All sessions of a server.
 pub struct Sessions {
     limits: Limits,
@@ -94,7 +97,7 @@ pub struct Sessions {
     pub metrics: Arc<Metrics>,
     pub watchers: Arc<Watchers>,
     /// Called with the name of each session that ends, if the server keeps files of sessions.
-    pub forget: OnceLock<Box<dyn Fn(&str) + Send + Sync>>,
+    pub forget: OnceLock<Forget>,
 }
 
 /// See [`Sessions::unanswered`].

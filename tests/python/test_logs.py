@@ -168,7 +168,7 @@ def test_wrong_use_is_one_line(tmp_path: Path) -> None:
     refused(bag, "topics /imu and /other have the same type: name one of them as imu under")
     alike(read(bag, {"imu": "/imu"}), FIRST, 1e-14)
     refused(mcap, "no message of sensor_msgs/msg/Imu in topic /nowhere", {"imu": "/nowhere"})
-    refused(mcap, "'mood' is unknown; known: joints, imu", {"mood": "/imu"})
+    refused(mcap, '"mood" is unknown; known: joints, imu', {"mood": "/imu"})
     refused(mcap, "topics: expected a dictionary of names or None, got 3", 3)  # type: ignore[arg-type]
     refused(DATA / "walk.csv", "neither Parquet, LeRobot, MCAP nor a bag")
     refused(tmp_path / "none.parquet", "neither Parquet")

@@ -51,7 +51,7 @@ def test_a_recording_has_the_numbers_of_the_steps(tmp_path: Path) -> None:
     assert first["angles"].shape == (41, 6) == first["torques"].shape
     assert recording["position"].shape == (82, 3)
     assert path.stat().st_size < 82 * 1200
-    with pytest.raises(sandgait.InvalidRequest, match="column 'nothing' is unknown; known: time, position"):
+    with pytest.raises(sandgait.InvalidRequest, match='column "nothing" is unknown; known: time, position'):
         recording["nothing"]
 
 

@@ -134,7 +134,7 @@ def test_next_step_over_several_servers() -> None:
     one.restore(one.save())
     one.close()
     two.close()
-    with pytest.raises(sandgait.InvalidRequest, match=r"^autoreset_mode: 'NEVER' is unknown; known: NEXT_STEP, SAME_"):
+    with pytest.raises(sandgait.InvalidRequest, match=r'^autoreset_mode: "NEVER" is unknown; known: NEXT_STEP, SAME_'):
         make(2, autoreset_mode="NEVER")
 
 

@@ -144,7 +144,8 @@ fn units_of_legs_are_named() {
         let keep = |row: &Vec<String>| {
             row.iter().enumerate().filter(|(k, _)| !gone.contains(k)).map(|(_, c)| c.clone()).collect::<Vec<_>>()
         };
-        table.header = keep(&table.header);
+        let header = table.header.clone();
+        table.header = keep(&header);
         table.rows = table.rows.iter().map(keep).collect();
         table
     };
@@ -184,13 +185,12 @@ fn broken_channels_are_warned_of() {
     );
     // The force of the sample before: late by one sample in each trial.
     let late = |columns: &[&str]| {
-        let of = columns.iter().fold(log.clone(), |table, column| {
+        columns.iter().fold(log.clone(), |table, column| {
             table.with(
                 &[column],
                 |i, v| if i > 0 && trial_of(i) == trial_of(i - 1) { log.number(i - 1, column) } else { v },
             )
-        });
-        of
+        })
     };
     warned(&late(&["Fx", "Fz", "Ty"]), &experiment, "column Fx, Fz: fits the motion best if it is");
     warned(&late(&["Fz"]), &experiment, "column Fz: fits the motion best if it is");
