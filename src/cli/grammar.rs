@@ -139,7 +139,7 @@ mod tests {
             let examples = help.rsplit_once("Examples:\n").map_or("", |(_, examples)| examples);
             assert!(examples.contains("sandgait "), "{}", command.get_name());
             for line in examples.replace("\\\n", " ").lines().filter(|l| !l.is_empty() && !l.trim().starts_with('#')) {
-                let line = line.split(['&', '>']).next().unwrap().trim();
+                let line = line.split(" && ").next().unwrap().split(" > ").next().unwrap().trim();
                 let words = line.split_whitespace().skip_while(|word| word.contains("SANDGAIT_")).map(OsString::from);
                 // An option of a JSON object would need a shell here.
                 if line.contains('\'') {
