@@ -1,6 +1,6 @@
 //! The ways in which programs write tables: separator of the columns, sign of the decimals, mark of the encoding.
 
-use super::header::ReadOptions;
+use super::header::{ReadOptions, plain};
 use std::cell::Cell;
 use std::io::{BufRead, Read};
 
@@ -118,9 +118,4 @@ impl DecimalSign {
     pub fn is_comma(&self) -> bool {
         self.seen.get().is_some_and(|seen| seen.0 == ',')
     }
-}
-
-/// A number with a decimal point. Some programs write the mathematical sign for minus.
-pub fn plain(cell: &str) -> Option<f64> {
-    cell.parse().ok().or_else(|| cell.contains('\u{2212}').then(|| cell.replace('\u{2212}', "-").parse().ok())?)
 }

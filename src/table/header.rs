@@ -1,6 +1,5 @@
 //! Finds the requested columns and their units in a header.
 
-use super::dialect::plain;
 use super::quantity::Quantity;
 use super::shown;
 use crate::error::{Error, Result, unknown_name};
@@ -189,4 +188,9 @@ fn split(header: &str) -> (&str, Option<&str>) {
 /// The beginning of a cell, for a message: our choice, longer than any unit.
 fn brief(cell: &str) -> String {
     shown(cell).chars().take(40).collect()
+}
+
+/// A number with a decimal point. Some programs write the mathematical sign for minus.
+pub fn plain(cell: &str) -> Option<f64> {
+    cell.parse().ok().or_else(|| cell.contains('\u{2212}').then(|| cell.replace('\u{2212}', "-").parse().ok())?)
 }

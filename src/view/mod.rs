@@ -24,6 +24,7 @@ mod hard;
 mod header;
 pub mod page;
 pub mod picture;
+mod png;
 
 mod raster;
 pub mod recording;
@@ -34,5 +35,6 @@ pub mod tree;
 pub use crate::sim::pose::Pose;
 pub use camera::CameraOptions;
 pub use header::{About, header};
-pub use picture::{draw, png};
+pub use picture::draw;
+pub use png::png;
 pub use recording::{RecordedState, RecordingHeader, RecordingWriter, Section, read, row};

@@ -12,8 +12,8 @@ use crate::sim::robot::Tripod;
 use crate::sim::tree::TreeModel;
 use crate::sim::{Model, State};
 use tiny_skia::{
-    Color, FillRule, GradientStop, IntSize, LineCap, LinearGradient, Paint, Path, PathBuilder, Pixmap, Point, Rect,
-    Shader, SpreadMode, Stroke, Transform,
+    Color, FillRule, GradientStop, LineCap, LinearGradient, Paint, Path, PathBuilder, Pixmap, Point, Rect, Shader,
+    SpreadMode, Stroke, Transform,
 };
 
 const SKY: [Rgb; 2] = [[226.0, 234.0, 241.0], [247.0, 246.0, 242.0]];
@@ -78,15 +78,6 @@ pub fn draw(
         text::write(&mut pixels, width, [8, 6 + (n * text::CELL[1]) as i64], caption, INK);
     }
     Ok(pixels)
-}
-
-/// Encodes RGB rows, from the top, as a PNG image.
-pub fn png(rgb: &[u8], [width, height]: [u32; 2]) -> Result<Vec<u8>> {
-    let rgba = rgb.as_chunks::<3>().0.iter().flat_map(|[r, g, b]| [*r, *g, *b, 255]).collect();
-    let size = IntSize::from_wh(width, height);
-    let map = size.and_then(|size| Pixmap::from_vec(rgba, size));
-    let map = map.ok_or_else(|| Error::Internal(format!("an image is not {width} × {height}")))?;
-    map.encode_png().map_err(|e| Error::Exhausted(format!("the picture cannot be written: {e}")))
 }
 
 /// Six faces of a box about `center`, `half` its half sizes along the columns of `axes`.

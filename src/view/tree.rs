@@ -1,7 +1,7 @@
 //! An image of any robot: every visible triangle, with a depth buffer.
 
 use super::camera::{Camera, CameraOptions, check_size};
-use super::picture::png;
+use super::png::png;
 use super::raster::{LIGHT, PixelRows, RasterTriangle, Rgb, SAMPLES};
 use super::text;
 use crate::error::Result;
