@@ -74,7 +74,7 @@ async fn a_client_goes_on_where_it_was_with_the_same_bits() {
                 server = place.start();
                 let (again, last) = Session::resume(server.client().await, &id, sent - 1).await.unwrap();
                 assert!(last == sent || last == sent - 1, "{last} {sent}");
-                assert_eq!(place.files(), std::slice::from_ref(&file), "the file stays while the session goes on");
+                assert_eq!(place.files(), std::slice::from_ref(file), "the file stays while the session goes on");
                 one = again;
             }
             assert_eq!(one.batch(actions(time as usize, width)).await, expected, "{task}, step {time}");
