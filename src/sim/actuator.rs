@@ -110,7 +110,7 @@ impl Actuator {
     }
 
     /// Refuses numbers that no motor of a robot has. `owner` names the motor's owner. An episode may draw a strength that
-    /// takes a motor beyond the ranges of options, by less than a factor of [`DRAWN`].
+    /// takes a motor beyond the ranges of options, by less than a factor of [`DRAWN`]. No episode draws an efficiency.
     pub fn validate(&self, owner: &str) -> Result<()> {
         for (name, value, range) in [
             ("torque_limit", self.torque_limit, Self::TORQUE_LIMIT),
@@ -120,12 +120,13 @@ impl Actuator {
             ("torque_constant", self.torque_constant, Self::TORQUE_CONSTANT),
             ("friction", self.friction, Self::FRICTION),
             ("damping", self.damping, Self::DAMPING),
-            ("efficiency", self.efficiency, Self::EFFICIENCY),
             ("rotor_inertia", self.rotor_inertia, Self::ROTOR_INERTIA),
         ] {
             let range = range.start() / DRAWN..=range.end() * DRAWN;
             value.map(|value| check_range(&format!("{owner}.{name}"), value, range)).transpose()?;
         }
+        let efficiency = |value| check_range(&format!("{owner}.efficiency"), value, Self::EFFICIENCY);
+        self.efficiency.map(efficiency).transpose()?;
         Ok(())
     }
 
