@@ -83,7 +83,8 @@ impl CommandStudy {
         }
         let base = Blueprint::new(LeggedVelocity::ID, options.clone())?;
         let gait = policy.gait(&base)?.ok_or_else(no_policy)?;
-        let units = Units::of(base.task.model());
+        let ends = serde_json::from_value(base.task.option("max_velocity")).unwrap_or_default();
+        let units = Units::of(base.task.model()).up_to(ends);
         let ranges = base.task.command_ranges().unwrap_or_default();
         let mut commands: Vec<[f64; 3]> = Vec::new();
         for command in SHARES.iter().filter_map(|shares| trained(&ranges, units.small(), *shares)) {

@@ -7,6 +7,7 @@ use super::normal::{BatchMoments, NormalizerScales};
 use super::remote::of_part;
 use super::settings::Hyperparameters;
 use super::spec::TrainingSpec;
+use super::teacher::Teacher;
 use crate::env::Shard;
 use crate::env::episode::Episode;
 use crate::env::shard::Rows;
@@ -45,8 +46,11 @@ impl GroupEnvironments {
 /// Some of the environments, and their transitions in this rollout; rows of a step are contiguous.
 pub struct RolloutGroup {
     place: GroupEnvironments,
-    /// Number of environments.
+    /// Index of the first environment among all of the training, and number of environments.
+    first: usize,
     pub envs: usize,
+    /// If the teacher acts in this rollout: the control steps of the training before it.
+    imitates: Option<u64>,
     random: Xoshiro256PlusPlus,
     pass: NetworkPass,
     spread: ActionNoise,
@@ -79,6 +83,7 @@ pub struct RolloutGroup {
 pub struct PolicyContext<'a> {
     pub settings: &'a Hyperparameters,
     pub networks: &'a Networks,
+    pub teacher: Option<&'a Teacher>,
     pub parameters: &'a [f32],
     pub scales: Option<&'a NormalizerScales>,
 }
@@ -95,7 +100,7 @@ impl RolloutGroup {
                 true => GroupEnvironments::Away(Rows::default()),
                 false => GroupEnvironments::Here(Box::new(Shard::new(spec.task()?, envs)?)),
             };
-            Ok(Self::new(spec, envs, settings, networks, place))
+            Ok(Self { first: start, ..Self::new(spec, envs, settings, networks, place) })
         };
         starts.map(piece).collect()
     }
@@ -111,7 +116,9 @@ impl RolloutGroup {
         let task = spec.blueprint.as_ref().map(|blueprint| blueprint.task.spec());
         Self {
             place,
+            first: 0,
             envs,
+            imitates: None,
             random: Xoshiro256PlusPlus::seed_from_u64(0),
             pass: networks.pass(envs),
             spread: ActionNoise::default(),
@@ -160,8 +167,10 @@ impl RolloutGroup {
         }
     }
 
-    /// Prepares a rollout; its noise is a function of `seed`.
-    pub fn begin(&mut self, seed: u64) {
+    /// Prepares a rollout; its noise is a function of `seed`. `imitates`: if the teacher acts, the control steps of the
+    /// training before this rollout.
+    pub fn begin(&mut self, seed: u64, imitates: Option<u64>) {
+        self.imitates = imitates;
         self.random = Xoshiro256PlusPlus::seed_from_u64(seed);
         self.finished.clear();
         self.skipped.clear();
@@ -179,6 +188,12 @@ impl RolloutGroup {
         let observations = &mut self.data.observations[rows.start * wide..rows.end * wide];
         observe(play, &self.place.rows().observations, observations);
         play.networks.forward(play.parameters, &mut self.pass, self.envs, |out| out.copy_from_slice(observations));
+        if let (Some(teacher), Some(before)) = (play.teacher, self.imitates) {
+            let rows = self.place.rows().observations.chunks_exact(wide);
+            for (i, (row, mean)) in rows.zip(self.pass.means.chunks_exact_mut(width)).enumerate() {
+                teacher.act(row, before + step as u64, self.first + i, mean);
+            }
+        }
         self.spread.set(&play.parameters[shape.log_std.clone()]);
         let deviations = &play.parameters[shape.log_std.clone()];
         let actions = &mut self.data.actions[rows.start * width..rows.end * width];
@@ -196,6 +211,10 @@ impl RolloutGroup {
             let part = k * width..(k + 1) * width;
             let (action, mean) = (&actions[part.clone()], &self.pass.means[part]);
             self.data.log_probabilities[row] = self.spread.log_probability(action, mean);
+        }
+        if self.imitates.is_some() {
+            self.data.actions[rows.start * width..rows.end * width]
+                .copy_from_slice(&self.pass.means[..self.envs * width]);
         }
         self.data.values[rows.clone()].copy_from_slice(&self.pass.values[..self.envs]);
         if let GroupEnvironments::Here(shard) = &mut self.place {

@@ -118,7 +118,7 @@ fn the_gradient_is_the_slope_of_the_loss() {
     for mirrored in [false, true] {
         for clip_value in [None, Some(0.3)] {
             let networks = networks(mirrored);
-            let weights = LossWeights { clip: 0.2, clip_value, value: 0.5, samples: rows };
+            let weights = LossWeights { clip: 0.2, clip_value, value: 0.5, imitates: false, samples: rows };
             let mut p = networks.shape.begin(-0.2, &mut Xoshiro256PlusPlus::seed_from_u64(2));
             p.iter_mut().enumerate().for_each(|(k, p)| *p += 0.2 * (k as f32 * 1.1).cos());
             let got = gradient(&networks, &p, &rollout, &weights);

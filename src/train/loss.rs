@@ -15,6 +15,8 @@ pub struct LossWeights {
     pub clip_value: Option<f32>,
     /// Weight of the value's squared error; the policy's part has weight 1.
     pub value: f32,
+    /// Are the actions those of a teacher, which the means imitate? The policy's part is then half of the squared distance.
+    pub imitates: bool,
     /// Number of samples in the whole minibatch, of which these may be a part.
     pub samples: usize,
 }
@@ -108,6 +110,21 @@ pub fn slopes(
     for (i, goal) in samples.returns.iter().enumerate() {
         let row = i * width..(i + 1) * width;
         let (action, mean) = (&samples.actions[row.clone()], &means[row.clone()]);
+        let moved = values[i] - samples.values[i];
+        let (predicted, follows) = match weights.clip_value {
+            Some(clip) => (samples.values[i] + moved.clamp(-clip, clip), moved.abs() <= clip),
+            None => (values[i], true),
+        };
+        let missed = predicted - goal;
+        out.values[i] = if follows { 2.0 * weights.value * missed * share } else { 0.0 };
+        sums.value += f64::from(missed * missed);
+        if weights.imitates {
+            for ((slope, a), m) in out.means[row].iter_mut().zip(action).zip(mean) {
+                *slope = (m - a) * share;
+                sums.policy += 0.5 * f64::from((m - a) * (m - a));
+            }
+            continue;
+        }
         let log_ratio = spread.log_probability(action, mean) - samples.log_probabilities[i];
         let (ratio, advantage) = (log_ratio.exp(), samples.advantages[i]);
         let held = ratio.clamp(1.0 - weights.clip, 1.0 + weights.clip);
@@ -119,15 +136,7 @@ pub fn slopes(
             *mean_slope = slope * z * scale;
             *std_slope += slope * (z * z - 1.0);
         }
-        let moved = values[i] - samples.values[i];
-        let (predicted, follows) = match weights.clip_value {
-            Some(clip) => (samples.values[i] + moved.clamp(-clip, clip), moved.abs() <= clip),
-            None => (values[i], true),
-        };
-        let missed = predicted - goal;
-        out.values[i] = if follows { 2.0 * weights.value * missed * share } else { 0.0 };
         sums.policy -= f64::from(if free.is_nan() { free } else { free.min(bound) });
-        sums.value += f64::from(missed * missed);
         sums.clipped += f64::from(u8::from((ratio - 1.0).abs() > weights.clip));
         sums.kl += f64::from(ratio - 1.0 - log_ratio);
     }

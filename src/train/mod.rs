@@ -42,6 +42,7 @@ mod run;
 mod saved_environments;
 pub mod settings;
 mod spec;
+mod teacher;
 mod tensors;
 mod training;
 mod work;

@@ -1,12 +1,14 @@
 //! The plan of a training, its state, and the interface of its observers.
 
 use super::adam::Adam;
+use super::collect::PolicyContext;
 use super::mirror::Mirror;
 use super::network::{NetworkSizes, Networks};
-use super::normal::Normalizer;
+use super::normal::{Normalizer, NormalizerScales};
 use super::saved_environments::SavedEnvironments;
 use super::settings::Hyperparameters;
 use super::spec::TrainingSpec;
+use super::teacher::Teacher;
 use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
 use crate::number::Isa;
@@ -55,6 +57,10 @@ pub struct TrainingPlan {
     pub spec: TrainingSpec,
     pub settings: Hyperparameters,
     pub networks: Networks,
+    /// What the policy first imitates.
+    pub teacher: Option<Teacher>,
+    /// Sentences on what the training does without having been told to.
+    pub notes: Vec<String>,
     pub seed: u64,
     pub threads: usize,
 }
@@ -88,12 +94,19 @@ pub struct UpdateReport {
 
 impl TrainingPlan {
     pub fn new(blueprint: Blueprint, settings: Hyperparameters, seed: u64, threads: usize) -> Result<Self> {
-        let mirror = match settings.mirror {
-            Some(true) => Some(Mirror::both(&blueprint)?),
-            Some(false) => None,
-            None => Mirror::both(&blueprint).ok(),
+        let mut notes = Vec::new();
+        let mirror = match (settings.mirror, Mirror::both(&blueprint)) {
+            (Some(false), _) => None,
+            (_, Ok(mirror)) => Some(mirror),
+            (Some(true), Err(reason)) => return Err(reason),
+            (None, Err(reason)) => {
+                notes.push(format!("left and right are learnt apart: {reason}"));
+                None
+            }
         };
-        Self::with(TrainingSpec::of_task(blueprint), mirror, settings, [seed, threads as u64])
+        let teacher = Teacher::of(&blueprint, &settings)?;
+        let plan = Self::with(TrainingSpec::of_task(blueprint), mirror, settings, [seed, threads as u64])?;
+        Ok(Self { teacher, notes, ..plan })
     }
 
     /// The plan for another program's environments.
@@ -118,7 +131,8 @@ impl TrainingPlan {
         let shape = NetworkSizes::new(spec.observation.len(), spec.action.len(), &settings.net_arch);
         let settings = Hyperparameters { mirror: Some(mirror.is_some()), ..settings };
         let networks = Networks { shape, mirror, isa: Isa::choose()? };
-        Ok(Self { spec, settings, networks, seed, threads: (threads as usize).max(1) })
+        let threads = (threads as usize).max(1);
+        Ok(Self { spec, settings, networks, teacher: None, notes: Vec::new(), seed, threads })
     }
 
     /// The initial state.
@@ -139,6 +153,22 @@ impl TrainingPlan {
     /// The initial state, but with the networks and the normalization of `other`.
     pub fn begin_from(&self, other: &TrainingState) -> TrainingState {
         TrainingState { parameters: other.parameters.clone(), normal: other.normal.clone(), ..self.begin() }
+    }
+
+    /// Does the policy imitate its teacher in update `update`?
+    pub(crate) fn imitates(&self, update: u64) -> bool {
+        let samples = (self.settings.n_envs * self.settings.n_steps) as u64;
+        self.teacher.is_some() && update.saturating_mul(samples) < self.settings.gait_prior
+    }
+
+    /// What the pieces need to play with these parameters.
+    pub(crate) fn context<'a>(
+        &'a self,
+        parameters: &'a [f32],
+        scales: Option<&'a NormalizerScales>,
+    ) -> PolicyContext<'a> {
+        let Self { settings, networks, teacher, .. } = self;
+        PolicyContext { settings, networks, teacher: teacher.as_ref(), parameters, scales }
     }
 
     /// Random numbers for purpose `what` in update `update`.

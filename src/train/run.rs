@@ -26,6 +26,9 @@ use std::time::{Duration, Instant};
 /// The training's share of the progress; the rest is for the evaluation, which is shorter: our choice.
 const TRAINING: f64 = 0.97;
 
+/// Option of LeggedVelocity with the greatest speeds of commands.
+const SPEEDS: &str = "max_velocity";
+
 /// File name of the policy.
 const POLICY: &str = "policy.onnx";
 
@@ -95,8 +98,15 @@ impl PolicyScore {
 impl TrainingRequest {
     /// Trains, and writes all files into the folder. A training that is stopped leaves a checkpoint.
     pub fn run(&self, progress: &dyn Progress) -> Result<TrainingOutcome> {
-        let options = self.options()?;
-        let plan = self.plan(&options)?;
+        let mut options = self.options()?;
+        let mut plan = self.plan(&options)?;
+        let found = self.suit(&plan, &mut options)?;
+        if found {
+            plan = self.plan(&options)?;
+        }
+        let taught = plan.teacher.as_ref().map(|teacher| teacher.note(self.settings.gait_prior, found));
+        taught.iter().for_each(|note| progress.note(note));
+        plan.notes.iter().for_each(|note| progress.note(note));
         let lock = self.out.is_dir().then(|| self.lock()).transpose()?;
         let checkpoint::Checkpoint { learnt, open, mut notices } = self.begin(&plan)?;
         let mut remote = match &self.connect {
@@ -170,6 +180,25 @@ impl TrainingRequest {
             }
             None => TrainingPlan::new(Blueprint::new(&self.task, options.clone())?, settings, self.seed, self.threads),
         }
+    }
+
+    /// Sets the greatest speeds of commands to those of the plain gait, where a policy begins with one and the options do
+    /// not set them; says whether it did.
+    fn suit(&self, plan: &TrainingPlan, options: &mut Value) -> Result<bool> {
+        let Some(teacher) = &plan.teacher else { return Ok(false) };
+        let ranges = ["lin_vel_x", "lin_vel_y", "ang_vel_yaw"];
+        let given = |name: &str| options["commands"].get(name).is_some_and(|range| !range.is_null());
+        if !options[SPEEDS].is_null() || ranges.into_iter().any(given) {
+            return Ok(false);
+        }
+        // A training that goes on keeps its ranges, also on another processor, whose simulation rounds differently.
+        let kept = || {
+            let text = std::fs::read(self.out.join("settings.json")).ok()?;
+            Some(serde_json::from_slice::<Value>(&text).ok()?["options"][SPEEDS].clone())
+        };
+        let speeds = self.resume.then(kept).flatten().unwrap_or_else(|| json!(teacher.prior.speeds()));
+        options[SPEEDS] = speeds;
+        Ok(true)
     }
 
     fn lock(&self) -> Result<Lock> {

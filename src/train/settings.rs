@@ -53,12 +53,15 @@ pub struct Hyperparameters {
     /// Hidden layers of actor and critic.
     pub net_arch: [Vec<usize>; 2],
     pub log_std_init: f64,
+    /// Steps in which the policy of a robot with six or more legs first imitates a plain gait, which also finds the
+    /// ranges of its commands; 0: it starts from nothing.
+    pub gait_prior: u64,
     /// Options of the task.
     pub env_kwargs: Map<String, Value>,
 }
 
 /// Names in files; `policy` exists for stable-baselines3 and is always MlpPolicy.
-const NAMES: [&str; 21] = [
+const NAMES: [&str; 22] = [
     "n_envs",
     "n_timesteps",
     "seconds",
@@ -79,6 +82,7 @@ const NAMES: [&str; 21] = [
     "max_grad_norm",
     "target_kl",
     "policy_kwargs",
+    "gait_prior",
     "env_kwargs",
 ];
 
@@ -114,6 +118,7 @@ impl Default for Hyperparameters {
             target_kl: None,
             net_arch: [vec![64, 64], vec![64, 64]],
             log_std_init: 0.0,
+            gait_prior: 0,
             env_kwargs: Map::new(),
         }
     }
@@ -153,6 +158,7 @@ impl Hyperparameters {
             "max_grad_norm" => self.max_grad_norm = number(name, value, 1e-9, 1e9)?,
             "target_kl" => self.target_kl = optional(value, |v| number(name, v, 1e-9, 1e9))?,
             "policy_kwargs" => self.policy_kwargs(object(name, value)?)?,
+            "gait_prior" => self.gait_prior = whole(name, value, 0.0, 1e12)? as u64,
             "env_kwargs" => self.env_kwargs = object(name, value)?.clone(),
             _ => return Err(Error::unknown("setting", name, &NAMES)),
         }
@@ -219,6 +225,7 @@ impl Hyperparameters {
                 "log_std_init": self.log_std_init,
                 "net_arch": {"pi": self.net_arch[0], "vf": self.net_arch[1]},
             },
+            "gait_prior": self.gait_prior,
             "env_kwargs": self.env_kwargs,
         })
     }

@@ -1,6 +1,6 @@
 //! The loop of a training: rollout, update, rollout, …
 
-use super::collect::{PolicyContext, RolloutGroup, deal};
+use super::collect::{RolloutGroup, deal};
 use super::crew::WorkCrew;
 use super::loss::{LossSums, LossWeights, entropy};
 use super::normal::{BatchMoments, RunningStatistics};
@@ -108,7 +108,9 @@ impl<'a, 'r> Training<'a, 'r> {
     fn roll(&mut self, crew: &WorkCrew<'_, Phase>, observer: &mut dyn Observer) -> Result<(Vec<f64>, f64)> {
         let (settings, pieces) = (&self.plan.settings, &self.shared.pieces);
         for (k, piece) in pieces.iter().enumerate() {
-            piece.lock().begin(self.plan.noise(self.learnt.updates, k as u64));
+            let imitates =
+                self.plan.imitates(self.learnt.updates).then_some(self.learnt.updates * settings.n_steps as u64);
+            piece.lock().begin(self.plan.noise(self.learnt.updates, k as u64), imitates);
         }
         if self.learnt.steps == 0 {
             self.normalize(false);
@@ -141,8 +143,7 @@ impl<'a, 'r> Training<'a, 'r> {
         let actions: Vec<f32> = pieces.iter().flat_map(|piece| piece.lock().clipped.clone()).collect();
         let rows = remote.step(&actions, &mut || observer.pause())?;
         let (parameters, scales) = (self.shared.parameters.read(), self.shared.scales.read());
-        let TrainingPlan { settings, networks, .. } = self.plan;
-        let play = PolicyContext { settings, networks, parameters: &parameters, scales: scales.as_ref() };
+        let play = self.plan.context(&parameters, scales.as_ref());
         let mut skipped = remote.skipped();
         deal(pieces.iter().map(Mutex::lock), &rows, |piece, part| {
             let own = skipped.split_off(..piece.envs.min(skipped.len())).unwrap_or_default();
@@ -199,6 +200,7 @@ impl<'a, 'r> Training<'a, 'r> {
     ) -> Result<LossSums> {
         let (plan, shared) = (self.plan, self.shared);
         let settings = &plan.settings;
+        let imitates = plan.imitates(self.learnt.updates);
         let rows = shared.rollout.read().rows();
         let mut random = plan.random(self.learnt.updates, u64::MAX - 1);
         let mut all = LossSums::default();
@@ -215,6 +217,7 @@ impl<'a, 'r> Training<'a, 'r> {
                     clip: settings.clip_range.at(done) as f32,
                     clip_value: settings.clip_range_vf.map(|clip| clip.at(done) as f32),
                     value: settings.vf_coef as f32,
+                    imitates,
                     samples,
                 };
                 crew.run(Phase::Learn { weights }, chunks);
@@ -224,7 +227,8 @@ impl<'a, 'r> Training<'a, 'r> {
                     return Ok(all);
                 }
                 // The derivative of the entropy by each logarithm of a deviation is 1.
-                gradient[plan.networks.shape.log_std.clone()].iter_mut().for_each(|g| *g -= settings.ent_coef as f32);
+                let entropy = if imitates { 0.0 } else { settings.ent_coef as f32 };
+                gradient[plan.networks.shape.log_std.clone()].iter_mut().for_each(|g| *g -= entropy);
                 let mut parameters = shared.parameters.write();
                 let norm =
                     self.learnt.adam.step(&mut parameters, &gradient, rate, settings.max_grad_norm, plan.networks.isa);

@@ -1,6 +1,6 @@
 //! What the threads of a training share, and their work in each phase.
 
-use super::collect::{PolicyContext, RolloutGroup, deal};
+use super::collect::{RolloutGroup, deal};
 use super::learn::{Chunk, Minibatches, RolloutBuffer};
 use super::loss::LossWeights;
 use super::normal::NormalizerScales;
@@ -83,7 +83,7 @@ impl<'a> TrainingWork<'a> {
     }
 
     pub fn work(&self, phase: Phase, item: usize) {
-        let TrainingPlan { settings, networks, .. } = self.plan;
+        let networks = &self.plan.networks;
         let parameters = self.parameters.read();
         match phase {
             Phase::Learn { weights } => {
@@ -92,7 +92,7 @@ impl<'a> TrainingWork<'a> {
             }
             Phase::Act { .. } | Phase::Finish => {
                 let scales = self.scales.read();
-                let play = PolicyContext { settings, networks, parameters: &parameters, scales: scales.as_ref() };
+                let play = self.plan.context(&parameters, scales.as_ref());
                 let mut piece = self.pieces[item].lock();
                 match phase {
                     Phase::Act { step } => piece.act(&play, step),

@@ -12,6 +12,7 @@ mod curriculum;
 pub mod draws;
 pub mod episode;
 mod options;
+pub mod prior;
 mod reward;
 mod units;
 
@@ -205,7 +206,7 @@ impl Task for LeggedVelocity {
         let contacts = first.as_ref().map_or(0, |name| at(name));
         let velocity = ["speed", "lin_vel_y", "ang_vel_yaw"].map(at);
         let falls = ["bad_orientation", "base_contact", "base_low"].map(at);
-        let units = Units::of(setup.model);
+        let units = Units::of(setup.model).up_to(options.max_velocity);
         let ease = options.curriculum.map_or(1.0, |_| curriculum::ease(setup.model));
         Ok(Self { spec, rewards, observation, figures, contacts, velocity, falls, angles, driven, units, ease })
     }
@@ -333,7 +334,8 @@ impl Task for LeggedVelocity {
         let TaskState { model: None, ground: None, legged: Some(legged), .. } = task_state else {
             return Err("its robot".into());
         };
-        if !legged.is_sound(setup.options.draws(&Units::of(setup.model)), setup.model) {
+        let units = Units::of(setup.model).up_to(setup.options.max_velocity);
+        if !legged.is_sound(setup.options.draws(&units), setup.model) {
             return Err("its drawn values".into());
         }
         task_state.model = Some(Arc::new(legged.model(setup.model).map_err(|e| e.to_string())?));

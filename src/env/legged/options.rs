@@ -2,7 +2,7 @@
 //! them.
 
 use super::curriculum::Curriculum;
-use super::draws::{Commands, DomainRand, Draws};
+use super::draws::{Commands, DomainRand, Draws, MOST_COMMAND};
 use super::reward::Rewards;
 use super::units::Units;
 use crate::error::{Error, Result, check_range};
@@ -20,6 +20,9 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
 use std::sync::Arc;
+
+/// Least of `max_velocity` [m/s or rad/s]: our choice, which catches wrong units.
+const LEAST_VELOCITY: f64 = 1e-3;
 
 options! {
     /// Options of LeggedVelocity. `dt`: our choice, twice the hexapods' time step, because hexapods' feet move faster.
@@ -39,6 +42,7 @@ options! {
         max_episode_steps: u32 = 1000, [1.0, MAX_STEPS], "number of control steps after which an episode is truncated";
         ground: String = Medium::DEFAULT.into(), reset, "rigid, mixed (slabs of hard ground in loose poppy seeds), dunes (of loose poppy seeds), a medium's name, zeta=VALUE, or mu=VALUE,rho=VALUE";
         curriculum: Option<Curriculum> = Some(Curriculum::default()), reset, "an environment's episodes become harder while its robot follows its commands, and easier while it does not; None: all have full difficulty";
+        max_velocity: Option<[f64; 3]> = None, [LEAST_VELOCITY, MOST_COMMAND], reset, "greatest speeds forward, to the left [m/s] and yaw [rad/s]: ends of the commands' default ranges, and units of tracking terms; None: 0.5 √(gℓ), 0.25 √(gℓ) and 0.2 √(g/ℓ) with the legs' length ℓ (sandgait train finds it for six and more legs)";
         commands: Commands = Commands::default(), reset, "ranges [low, high] of commands, which are drawn at the start and repeatedly during the episode";
         rewards: Rewards = Rewards::default(), reset, "weight of each reward term [1/s]";
         domain_rand: Option<DomainRand> = Some(DomainRand::default()), reset, "ranges [low, high] of the quantities that an episode draws; None: nothing is drawn";

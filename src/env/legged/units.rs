@@ -13,6 +13,8 @@ pub struct Units {
     pub rate: f64,
     /// Wℓ [N·m]
     pub torque: f64,
+    /// Ends of the commands' ranges: forward, to the left [m/s], yaw [rad/s].
+    commanded: [f64; 3],
 }
 
 /// Ends of the commands' default ranges in these units, forward, to the left and yaw: our choice. The speed forward has
@@ -30,22 +32,25 @@ impl Units {
         // Our choice of the least length, so that no unit is 0.
         let length = model.tree.as_ref().map_or(1.0, |tree| tree.stance.leg_length).max(1e-3);
         let gravity = model.gravity_size();
-        Self {
-            speed: (gravity * length).sqrt(),
-            rate: (gravity / length).sqrt(),
-            torque: model.total_mass() * gravity * length,
-        }
+        let (speed, rate) = ((gravity * length).sqrt(), (gravity / length).sqrt());
+        let [x, y, yaw] = COMMANDED;
+        let commanded = [x * speed, y * speed, yaw * rate].map(|end| end.min(MOST_COMMAND));
+        Self { speed, rate, torque: model.total_mass() * gravity * length, commanded }
+    }
+
+    /// The same units, with these ends of the commands' ranges.
+    pub fn up_to(self, ends: Option<[f64; 3]>) -> Self {
+        Self { commanded: ends.unwrap_or(self.commanded), ..self }
     }
 
     /// Commanded speeds below this are zero [m/s].
     pub fn small(&self) -> f64 {
-        SMALL * self.speed
+        SMALL * self.speed * (self.commanded[0] / (COMMANDED[0] * self.speed)).min(1.0)
     }
 
     /// The ends of the commands' default ranges: forward, to the left [m/s], yaw [rad/s].
     pub fn commanded(&self) -> [f64; 3] {
-        let [x, y, yaw] = COMMANDED;
-        [x * self.speed, y * self.speed, yaw * self.rate].map(|end| end.min(MOST_COMMAND))
+        self.commanded
     }
 
     /// The ranges of the commands: the given range, or, where none is given, the robot's default range.

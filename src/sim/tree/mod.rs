@@ -21,6 +21,7 @@
 //!   [`patches`]: gathers plates with nearly the same normal; [`eights`]: eight patches in lanes; [`robot`]: our own
 //!   robots as trees.
 
+pub mod alternating;
 mod cluster;
 pub mod contact;
 pub mod dynamics;

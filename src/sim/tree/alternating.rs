@@ -1,0 +1,88 @@
+//! A plain gait of any robot with an even number of legs, at least four: neighbouring legs step in turn. With four legs
+//! this is a trot, with six an alternating tripod.
+
+use super::TreeModel;
+use super::kinematics::chain;
+use super::limbs::limbs;
+use nalgebra::{Isometry3, Matrix3, Vector3};
+use std::f64::consts::PI;
+
+type V = Vector3<f64>;
+
+/// Share of a stride in which a foot is on the ground: one half, so that one of the two groups always stands.
+const STANCE: f64 = 0.5;
+/// Damping of the inverse kinematics, as a part of the legs' length: our choice. Directions in which a foot moves by
+/// less than this for 1 rad are left out smoothly.
+const STIFF: f64 = 0.1;
+
+/// How legs step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stride {
+    /// Strides in a second [Hz].
+    pub frequency: f64,
+    /// Height to which a foot is lifted [m].
+    pub lift: f64,
+}
+
+/// A leg in the standing pose.
+#[derive(Clone, Debug, PartialEq)]
+struct SteppingLeg {
+    /// The foot in the base's frame [m].
+    foot: V,
+    /// Does the leg step in the second half of a stride?
+    second: bool,
+    /// Joints, and the change of each joint's position for a displacement of the foot [rad/m].
+    joints: Vec<(usize, V)>,
+}
+
+/// The gait, as offsets of the joints from the standing pose.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AlternatingGait {
+    legs: Vec<SteppingLeg>,
+    joints: usize,
+}
+
+impl AlternatingGait {
+    /// None: the robot has fewer than four legs, or an odd number.
+    pub fn of(robot: &TreeModel) -> Option<Self> {
+        let (tree, stance) = (&robot.tree, &robot.stance);
+        if stance.legs.len() < 4 || stance.legs.len() % 2 == 1 {
+            return None;
+        }
+        let softness = (STIFF * stance.leg_length).powi(2);
+        let leg = |limb: &super::limbs::Limb| {
+            let moves = limb.velocities(tree, &robot.contacts, &stance.angles);
+            let square = moves.iter().map(|(_, v)| v * v.transpose()).sum::<Matrix3<f64>>();
+            // Damped least squares (Wampler, IEEE Trans. Syst. Man Cybern. 16 (1986) 93).
+            let inverse = (square + Matrix3::identity() * softness).try_inverse().unwrap_or_default();
+            let joints = moves.iter().map(|(body, v)| (body - 1, inverse * v)).collect();
+            SteppingLeg { foot: limb.tip(tree, &robot.contacts, &stance.angles), second: false, joints }
+        };
+        let limbs = limbs(tree, &robot.contacts);
+        let mut legs: Vec<SteppingLeg> = limbs.iter().filter(|l| stance.legs.contains(&l.path)).map(leg).collect();
+        let middle = legs.iter().map(|l| l.foot).sum::<V>() / legs.len() as f64;
+        let azimuth = |leg: &SteppingLeg| (leg.foot.y - middle.y).atan2(leg.foot.x - middle.x);
+        legs.sort_by(|a, b| azimuth(a).total_cmp(&azimuth(b)));
+        legs.iter_mut().enumerate().for_each(|(k, leg)| leg.second = k % 2 == 1);
+        Some(Self { legs, joints: chain(tree, Isometry3::identity(), &stance.angles).len() - 1 })
+    }
+
+    /// Fills `out` with the offset of each joint [rad or m] at `phase` of a stride, 0 to 1, for a robot that is to move
+    /// with `velocity`: forward, to the left [m/s], yaw [rad/s].
+    pub fn offsets(&self, stride: Stride, velocity: [f64; 3], phase: f64, out: &mut [f64]) {
+        let [vx, vy, turn] = velocity;
+        out[..self.joints].fill(0.0);
+        for leg in &self.legs {
+            let half =
+                V::new(vx - turn * leg.foot.y, vy + turn * leg.foot.x, 0.0) * (STANCE / (2.0 * stride.frequency));
+            let own = (phase + if leg.second { 0.5 } else { 0.0 }).rem_euclid(1.0);
+            let moved = if own < STANCE {
+                half * (1.0 - 2.0 * own / STANCE)
+            } else {
+                let swing = PI * (own - STANCE) / (1.0 - STANCE);
+                V::z() * (stride.lift * swing.sin()) - half * swing.cos()
+            };
+            leg.joints.iter().for_each(|(joint, by)| out[*joint] += by.dot(&moved));
+        }
+    }
+}
