@@ -20,6 +20,7 @@ mod draft;
 mod effects;
 mod files;
 mod hull;
+mod inertia;
 mod mesh;
 mod mjcf;
 pub mod named;
@@ -157,6 +158,8 @@ pub fn load_from(path: &Path, posture: &Posture, packages: &Packages) -> Result<
         _ => return Err(root.error("is neither <robot> (URDF) nor <mujoco> (MJCF)")),
     };
     files.into_notes().into_iter().for_each(|note| notes.say(note));
+    let mut merged = merged;
+    inertia::replace_implausible(&mut merged.tree, &mut notes);
     check::check(&merged, &mut notes).map_err(named)?;
     packed::check(&merged.tree).map_err(named)?;
     let standing = StandingRobot::in_body(merged, &draft, posture, &mut notes).map_err(named)?;

@@ -46,11 +46,10 @@ impl GroupEnvironments {
 /// Some of the environments, and their transitions in this rollout; rows of a step are contiguous.
 pub struct RolloutGroup {
     place: GroupEnvironments,
-    /// Index of the first environment among all of the training, and number of environments.
-    first: usize,
+    /// Number of environments.
     pub envs: usize,
-    /// If the teacher acts in this rollout: the control steps of the training before it.
-    imitates: Option<u64>,
+    /// Does the teacher act in this rollout?
+    imitates: bool,
     random: Xoshiro256PlusPlus,
     pass: NetworkPass,
     spread: ActionNoise,
@@ -100,7 +99,7 @@ impl RolloutGroup {
                 true => GroupEnvironments::Away(Rows::default()),
                 false => GroupEnvironments::Here(Box::new(Shard::new(spec.task()?, envs)?)),
             };
-            Ok(Self { first: start, ..Self::new(spec, envs, settings, networks, place) })
+            Ok(Self::new(spec, envs, settings, networks, place))
         };
         starts.map(piece).collect()
     }
@@ -116,9 +115,8 @@ impl RolloutGroup {
         let task = spec.blueprint.as_ref().map(|blueprint| blueprint.task.spec());
         Self {
             place,
-            first: 0,
             envs,
-            imitates: None,
+            imitates: false,
             random: Xoshiro256PlusPlus::seed_from_u64(0),
             pass: networks.pass(envs),
             spread: ActionNoise::default(),
@@ -167,9 +165,8 @@ impl RolloutGroup {
         }
     }
 
-    /// Prepares a rollout; its noise is a function of `seed`. `imitates`: if the teacher acts, the control steps of the
-    /// training before this rollout.
-    pub fn begin(&mut self, seed: u64, imitates: Option<u64>) {
+    /// Prepares a rollout; its noise is a function of `seed`. `imitates`: does the teacher act?
+    pub fn begin(&mut self, seed: u64, imitates: bool) {
         self.imitates = imitates;
         self.random = Xoshiro256PlusPlus::seed_from_u64(seed);
         self.finished.clear();
@@ -188,11 +185,9 @@ impl RolloutGroup {
         let observations = &mut self.data.observations[rows.start * wide..rows.end * wide];
         observe(play, &self.place.rows().observations, observations);
         play.networks.forward(play.parameters, &mut self.pass, self.envs, |out| out.copy_from_slice(observations));
-        if let (Some(teacher), Some(before)) = (play.teacher, self.imitates) {
+        if let Some(teacher) = play.teacher.filter(|_| self.imitates) {
             let rows = self.place.rows().observations.chunks_exact(wide);
-            for (i, (row, mean)) in rows.zip(self.pass.means.chunks_exact_mut(width)).enumerate() {
-                teacher.act(row, before + step as u64, self.first + i, mean);
-            }
+            rows.zip(self.pass.means.chunks_exact_mut(width)).for_each(|(row, mean)| teacher.act(row, mean));
         }
         self.spread.set(&play.parameters[shape.log_std.clone()]);
         let deviations = &play.parameters[shape.log_std.clone()];
@@ -212,7 +207,7 @@ impl RolloutGroup {
             let (action, mean) = (&actions[part.clone()], &self.pass.means[part]);
             self.data.log_probabilities[row] = self.spread.log_probability(action, mean);
         }
-        if self.imitates.is_some() {
+        if self.imitates {
             self.data.actions[rows.start * width..rows.end * width]
                 .copy_from_slice(&self.pass.means[..self.envs * width]);
         }

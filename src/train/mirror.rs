@@ -1,6 +1,7 @@
 //! Observations and actions of a robot mirrored left to right. See "Left and right" in `docs/learning.md`.
 
 use crate::env::Column;
+use crate::env::legged::columns::CLOCK;
 use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
 use crate::sim::tree::symmetry::LeftRight;
@@ -74,6 +75,8 @@ fn legged_image(name: &str, joints: &[String], sides: &LeftRight) -> Option<(Str
         "base_ang_vel x" | "base_ang_vel z" | "commanded ang_vel_yaw" => -1.0,
         "base_lin_vel x" | "base_lin_vel z" | "projected_gravity x" | "projected_gravity z" => 1.0,
         "base_ang_vel y" | "commanded lin_vel_x" => 1.0,
+        // The legs of one side do what those of the other side do half a stride later.
+        _ if CLOCK.contains(&name) => -1.0,
         _ => return None,
     };
     Some((name.to_owned(), sign))

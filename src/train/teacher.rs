@@ -5,41 +5,48 @@
 use super::settings::Hyperparameters;
 use crate::env::Task;
 use crate::env::legged::LeggedVelocity;
+use crate::env::legged::columns::CLOCK;
 use crate::env::legged::prior::GaitPrior;
 use crate::env::registry::Blueprint;
-use crate::env::spec::CONTROL_RATE;
 use crate::error::Result;
+use std::f64::consts::TAU;
 
 /// Names of the observation's columns with the command.
 const COMMANDS: [&str; 3] = ["commanded lin_vel_x", "commanded lin_vel_y", "commanded ang_vel_yaw"];
-/// Part of a stride by which the gaits of neighbouring environments differ: the golden ratio, whose multiples spread evenly.
-const APART: f64 = 0.618_033_988_749_895;
-
 /// The gait that a policy imitates.
 pub struct Teacher {
     pub prior: GaitPrior,
     /// Columns of the observation with the command: forward, to the left, yaw.
     columns: [usize; 3],
+    /// Columns with sine and cosine of the clock.
+    clock: [usize; 2],
+}
+
+/// The plain gait of the robot of LeggedVelocity in `blueprint`; None: it has fewer than six legs, or an odd number.
+pub fn plain_gait(blueprint: &Blueprint) -> Result<Option<GaitPrior>> {
+    let task = &blueprint.task;
+    let number = |name: &str| task.option(name).as_f64();
+    GaitPrior::of(task.model(), number("action_scale"), number("gait_clock"))
 }
 
 impl Teacher {
-    /// None: the settings or the robot have no such start.
+    /// None: the settings, the robot or the observation, which needs a clock, have no such start.
     pub fn of(blueprint: &Blueprint, settings: &Hyperparameters) -> Result<Option<Self>> {
-        let (spec, task) = (blueprint.task.spec(), &blueprint.task);
+        let spec = blueprint.task.spec();
         if spec.id != LeggedVelocity::ID || settings.gait_prior == 0 {
             return Ok(None);
         }
-        let prior = GaitPrior::of(task.model(), task.option("action_scale").as_f64())?;
-        let at = |name: &str| spec.observation.iter().position(|c| c.name == name).unwrap_or(0);
-        Ok(prior.map(|prior| Self { prior, columns: COMMANDS.map(at) }))
+        let at = |name: &str| spec.observation.iter().position(|c| c.name == name);
+        let ([Some(sine), Some(cosine)], Some(x)) = (CLOCK.map(at), at(COMMANDS[0])) else { return Ok(None) };
+        let columns = COMMANDS.map(|name| at(name).unwrap_or(x));
+        Ok(plain_gait(blueprint)?.map(|prior| Self { prior, columns, clock: [sine, cosine] }))
     }
 
-    /// Fills `action` with the gait's action in control step `step` of the training, for environment `index`, which has
-    /// this observation.
-    pub fn act(&self, observation: &[f32], step: u64, index: usize, action: &mut [f32]) {
-        let command = self.columns.map(|k| f64::from(observation[k]));
-        let phase = self.prior.stride.frequency * step as f64 / CONTROL_RATE + APART * index as f64;
-        self.prior.action(command, phase.fract(), action);
+    /// Fills `action` with the gait's action for a robot that has this observation.
+    pub fn act(&self, observation: &[f32], action: &mut [f32]) {
+        let number = |k: usize| f64::from(observation[k]);
+        let [sine, cosine] = self.clock.map(number);
+        self.prior.action(self.columns.map(number), sine.atan2(cosine) / TAU, action);
     }
 
     /// What the training says of it.

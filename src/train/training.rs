@@ -107,9 +107,8 @@ impl<'a, 'r> Training<'a, 'r> {
     /// Fills the rollout; gives the returns of the episodes that ended, and the explained variance of the values.
     fn roll(&mut self, crew: &WorkCrew<'_, Phase>, observer: &mut dyn Observer) -> Result<(Vec<f64>, f64)> {
         let (settings, pieces) = (&self.plan.settings, &self.shared.pieces);
+        let imitates = self.plan.imitates(self.learnt.updates);
         for (k, piece) in pieces.iter().enumerate() {
-            let imitates =
-                self.plan.imitates(self.learnt.updates).then_some(self.learnt.updates * settings.n_steps as u64);
             piece.lock().begin(self.plan.noise(self.learnt.updates, k as u64), imitates);
         }
         if self.learnt.steps == 0 {

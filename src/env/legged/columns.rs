@@ -27,7 +27,12 @@ pub struct LeggedObserved<'a> {
     pub angular_velocity: [f64; 3],
     /// Direction of the base's x axis: sine and cosine of the heading.
     pub heading: (f64, f64),
+    /// Sine and cosine of the clock's phase.
+    pub clock: [f64; 2],
 }
+
+/// Columns of the clock. A mirror image is half a stride later, so both change sign.
+pub const CLOCK: [&str; 2] = ["clock sine", "clock cosine"];
 
 impl LeggedObserved<'_> {
     /// Height of the base's origin above the ground at measured point `i`, less 0.5 m, as in legged_gym.
@@ -45,7 +50,8 @@ pub type Observe = fn(&LeggedObserved, usize) -> f64;
 /// Computes one figure of a step.
 pub type Figure = fn(&LeggedStep, usize) -> f64;
 
-pub fn observation(joints: &[String], motors: &[String], heights: bool) -> Features<Observe> {
+/// `clock`: does the observation have a clock? `heights`: the ground's heights?
+pub fn observation(joints: &[String], motors: &[String], clock: bool, heights: bool) -> Features<Observe> {
     let height = |i: usize| {
         let [x, y] = measured(i);
         Column::new(format!("measured_heights {x:.1} {y:.1}"), "m", -1.0, 1.0)
@@ -66,6 +72,9 @@ pub fn observation(joints: &[String], motors: &[String], heights: bool) -> Featu
         .each(joints, "joint_vel", "rad/s", JOINT_SPEED, |o, i| o.state.rates[i])
         .sensed(Sensor::JointVelocity)
         .each(motors, "last action", "1", 1.0, |o, i| o.last_action[i].into())
+        .group(CLOCK[..if clock { 2 } else { 0 }].iter().map(|name| Column::new(*name, "1", -1.0, 1.0)), |o, i| {
+            o.clock[i]
+        })
         .group((0..measured).map(height), |o, i| o.measured_height(i))
         .sensed(Sensor::Heights)
 }

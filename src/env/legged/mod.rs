@@ -7,7 +7,7 @@
 //! * [`options`]: its options; [`draws`]: the ranges that an episode draws from; [`episode`]: the values that an
 //!   episode has drawn and updates; [`reward`]: the terms.
 
-mod columns;
+pub mod columns;
 mod curriculum;
 pub mod draws;
 pub mod episode;
@@ -33,6 +33,7 @@ use crate::sim::{Model, State};
 use columns::{Figure, LeggedObserved, Observe, base, contact, figures, observation};
 use episode::{Difficulty, LeggedEpisode, StepFeedback};
 use reward::{Contacts, LeggedStep};
+use std::f64::consts::TAU;
 use std::sync::Arc;
 
 /// The robot has fallen if the component of gravity's direction along the base's z axis is above this: −cos 60°. Our
@@ -91,6 +92,8 @@ pub struct LeggedVelocity {
     units: Units,
     /// Factor on the sand's stress at level 0 of the curriculum.
     ease: f64,
+    /// Strides in a second of the observed clock [Hz]; 0: it stands.
+    clock: f64,
 }
 
 /// How an action moves a joint: the joint's target is `default` plus the action times `scale`, and a servo follows the
@@ -186,7 +189,8 @@ impl Task for LeggedVelocity {
         let scales = action_scales(tree, options.action_scale).into_iter().enumerate();
         let driven: Vec<_> = scales.filter(|(i, _)| followers.iter().all(|f| f.joint != *i)).collect();
         let motors: Vec<String> = driven.iter().map(|(i, _)| joints[*i].clone()).collect();
-        let (observation, figures) = (observation(joints, &motors, options.measure_heights), figures(&feet));
+        let (observation, figures) =
+            (observation(joints, &motors, options.gait_clock.is_some(), options.measure_heights), figures(&feet));
         let reward = rewards.terms();
         let spec = Spec {
             id: Self::ID,
@@ -208,7 +212,8 @@ impl Task for LeggedVelocity {
         let falls = ["bad_orientation", "base_contact", "base_low"].map(at);
         let units = Units::of(setup.model).up_to(options.max_velocity);
         let ease = options.curriculum.map_or(1.0, |_| curriculum::ease(setup.model));
-        Ok(Self { spec, rewards, observation, figures, contacts, velocity, falls, angles, driven, units, ease })
+        let clock = options.gait_clock.unwrap_or(0.0);
+        Ok(Self { spec, rewards, observation, figures, contacts, velocity, falls, angles, driven, units, ease, clock })
     }
 
     fn spec(&self) -> &Spec {
@@ -271,6 +276,8 @@ impl Task for LeggedVelocity {
         let command = task_state.legged.as_ref().map_or([0.0; 3], |l| l.now);
         let ahead = state.rotation();
         let heading = ahead[1][0].atan2(ahead[0][0]).sin_cos();
+        let seconds = task_state.legged.as_ref().map_or(0.0, |l| f64::from(l.step) / CONTROL_RATE);
+        let (sine, cosine) = (TAU * (self.clock * seconds).fract()).sin_cos();
         let default = &self.angles;
         let observed = LeggedObserved {
             task_state,
@@ -282,6 +289,7 @@ impl Task for LeggedVelocity {
             velocity,
             angular_velocity,
             heading,
+            clock: [sine, cosine],
         };
         self.observation.fill(row, |value, i| value(&observed, i));
     }

@@ -41,17 +41,21 @@ pub struct GaitPrior {
 }
 
 impl GaitPrior {
-    /// Tries strides with the robot of `model` on its ground; `action_scale` is the option. None: the robot has fewer
+    /// Tries strides with the robot of `model` on its ground; `action_scale` is the option, `clock` the strides in a
+    /// second, if they are given [Hz]. None: the robot has fewer
     /// than six legs, or an odd number.
-    pub fn of(model: &Model, action_scale: Option<f64>) -> Result<Option<Self>> {
+    pub fn of(model: &Model, action_scale: Option<f64>, clock: Option<f64>) -> Result<Option<Self>> {
         let Some(tree) = &model.tree else { return Ok(None) };
         let Some(gait) = AlternatingGait::of(tree).filter(|_| tree.stance.legs.len() >= LEGS) else { return Ok(None) };
         let followers = tree.tree.followers();
         let scales = action_scales(tree, action_scale).into_iter().enumerate();
         let driven = scales.filter(|(i, _)| followers.iter().all(|f| f.joint != *i)).collect();
         let (units, asked) = (Units::of(model), Units::of(model).commanded());
-        let stride = |f: f64, lift: f64| Stride { frequency: f * units.rate, lift: lift * tree.stance.leg_length };
-        let strides: Vec<Stride> = FREQUENCIES.iter().flat_map(|f| LIFTS.map(|lift| stride(*f, lift))).collect();
+        // Two digits, so that it reads well.
+        let rounded = |f: f64| (f * 1e2).round().max(1.0) / 1e2;
+        let frequencies = FREQUENCIES.map(|f| clock.unwrap_or_else(|| rounded(f * units.rate)));
+        let stride = |frequency: f64, lift: f64| Stride { frequency, lift: lift * tree.stance.leg_length };
+        let strides: Vec<Stride> = frequencies.iter().flat_map(|f| LIFTS.map(|lift| stride(*f, lift))).collect();
         let (stride, reached, joints) = (strides[0], [0.0; 3], tree.joints());
         let mut own = Self { gait, stride, asked, reached, driven, joints };
         let all = own.trials(model, tree, &strides)?;
