@@ -13,25 +13,35 @@ type V = Vector3<f64>;
 const MOST: f64 = 1.5;
 
 /// Replaces inertias whose radius of gyration is far beyond the body's size by those of a box around its shapes, with
-/// the same mass and centre.
-pub fn replace_implausible(tree: &mut Tree, notes: &mut Notes) {
+/// the same mass and centre. `links`: for each body the links that are merged into it.
+pub fn replace_implausible(tree: &mut Tree, links: &[Vec<String>], notes: &mut Notes) {
     let points = contact_points(tree);
+    let mut worst: Option<(f64, String)> = None;
+    let mut count = 0;
     for i in 0..tree.bodies.len() {
         let body = &tree.bodies[i];
         if body.mass <= 0.0 || points[i].is_empty() {
             continue;
         }
-        let most = body.inertia.symmetric_eigenvalues().max();
-        let gyration = (most / body.mass).sqrt();
-        let size = size(tree, i, &points[i]);
-        if gyration > MOST * size {
-            let reason = format!(
-                "the inertia is implausible and that of a box around the shapes takes its place; some radius of gyration is {:.0} times the body's size",
-                gyration / size
-            );
-            notes.part("body", &tree.bodies[i].name.clone(), reason);
-            tree.bodies[i].inertia = of_box(&tree.bodies[i], &points[i]);
+        let gyration = (body.inertia.symmetric_eigenvalues().max() / body.mass).sqrt();
+        let times = gyration / size(tree, i, &points[i]);
+        if times <= MOST {
+            continue;
         }
+        if worst.as_ref().is_none_or(|w| w.0 < times) {
+            worst = Some((
+                times,
+                format!("{} of {:.2} kg has a radius of gyration of {gyration:.2} m", body.name, body.mass),
+            ));
+        }
+        links[i].iter().for_each(|link| notes.forget("link", link));
+        notes.forget("body", &tree.bodies[i].name);
+        tree.bodies[i].inertia = of_box(&tree.bodies[i], &points[i]);
+        count += 1;
+    }
+    if let Some((_, example)) = worst {
+        let plural = if count == 1 { "body: its inertia is" } else { "bodies: their inertias are" };
+        notes.say(format!("{count} {plural} replaced by that of a box around the shapes, because {example}"));
     }
 }
 

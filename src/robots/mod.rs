@@ -159,7 +159,7 @@ pub fn load_from(path: &Path, posture: &Posture, packages: &Packages) -> Result<
     };
     files.into_notes().into_iter().for_each(|note| notes.say(note));
     let mut merged = merged;
-    inertia::replace_implausible(&mut merged.tree, &mut notes);
+    inertia::replace_implausible(&mut merged.tree, &merged.links, &mut notes);
     check::check(&merged, &mut notes).map_err(named)?;
     packed::check(&merged.tree).map_err(named)?;
     let standing = StandingRobot::in_body(merged, &draft, posture, &mut notes).map_err(named)?;

@@ -48,6 +48,12 @@ impl Notes {
         }
     }
 
+    /// Takes back what was said of the parts called `name`.
+    pub fn forget(&mut self, noun: &str, name: &str) {
+        self.alike.iter_mut().filter(|a| a.noun == noun).for_each(|a| a.names.retain(|n| n != name));
+        self.alike.retain(|a| !a.names.is_empty());
+    }
+
     /// Notes that an element is left out.
     pub fn left_out(&mut self, element: &Element) {
         if let Some(effect) = effects::of_element(element) {

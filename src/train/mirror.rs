@@ -27,6 +27,17 @@ impl Mirror {
         Ok([Self::of(&spec.observation, of_name)?, Self::of(&spec.action, of_name)?])
     }
 
+    /// A sentence on the masses of a robot from a file, if they differ clearly between left and right.
+    pub fn lopsided(blueprint: &Blueprint) -> Option<String> {
+        let robot = blueprint.task.model().tree.as_ref()?;
+        let off = LeftRight::of(robot).ok()?.lopsided(robot)?;
+        Some(format!(
+            "the policy is symmetric in left and right, the robot's masses are not: mirrored, its accelerations differ by {:.0} % \
+             (--set mirror=false learns both sides apart)",
+            100.0 * off
+        ))
+    }
+
     /// The mirror of rows with these columns. `image` gives the name of the column that a column's value moves to, and the
     /// sign.
     fn of(columns: &[Column], image: impl Fn(&str) -> Option<(String, f32)>) -> Result<Self> {

@@ -97,7 +97,10 @@ impl TrainingPlan {
         let mut notes = Vec::new();
         let mirror = match (settings.mirror, Mirror::both(&blueprint)) {
             (Some(false), _) => None,
-            (_, Ok(mirror)) => Some(mirror),
+            (_, Ok(mirror)) => {
+                notes.extend(Mirror::lopsided(&blueprint));
+                Some(mirror)
+            }
             (Some(true), Err(reason)) => return Err(reason),
             (None, Err(reason)) => {
                 notes.push(format!("left and right are learnt apart: {reason}"));

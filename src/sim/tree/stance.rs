@@ -51,6 +51,9 @@ const MOST_FRAMES: usize = 10_000_000;
 const FAR_HALF: f64 = 0.5;
 const KNEELS: f64 = 1e3;
 
+/// Lengths of limbs that are built alike differ by less than this part: our choice, more than the errors of drawings.
+const ALIKE: f64 = 0.02;
+
 /// Axes count as parallel if the cosine of their angle is above this: our choice, 2.6°, more than the rounding of
 /// files.
 const PARALLEL: f64 = 0.999;
@@ -142,12 +145,14 @@ fn is_under(tree: &Tree, end: usize, body: usize, of: &Limb) -> bool {
     false
 }
 
-/// Removes limbs in the middle of a robot if at least two other limbs are at its sides: a neck, an arm or a tail.
+/// Removes limbs in the middle of a robot if at least two other limbs are at its sides: a neck, an arm or a tail. Limbs
+/// built as those at the sides stay: a robot whose legs are on a circle may have one in front and one behind.
 fn beside(legs: &mut Vec<&Limb>, frames: &[Isometry3<f64>]) {
     let aside = |l: &Limb| frames[l.hip].translation.vector.y.abs() > 0.05 * l.length;
-    let sides = legs.iter().filter(|l| aside(l)).count();
-    if sides >= 2 && sides < legs.len() {
-        legs.retain(|l| aside(l));
+    let sides: Vec<(usize, f64)> = legs.iter().filter(|l| aside(l)).map(|l| (l.path.len(), l.length)).collect();
+    if sides.len() >= 2 && sides.len() < legs.len() {
+        let alike = |l: &Limb| sides.iter().any(|s| s.0 == l.path.len() && (s.1 / l.length - 1.0).abs() < ALIKE);
+        legs.retain(|l| aside(l) || alike(l));
     }
 }
 

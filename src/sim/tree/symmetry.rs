@@ -1,5 +1,5 @@
 //! The left–right symmetry of a robot, from its geometry in the standing pose. A robot is symmetric if each joint and each
-//! body has a mirror image across the base's x–z plane: another joint or body, or itself. Names are not used.
+//! body has a mirror image across the base's x–z plane: another joint or body, or itself. Names and masses are not used.
 //!
 //! The mirror S = diag(1, −1, 1) takes a point p to S p. A hinge's axis is a pseudovector: its image is −S a. So if a
 //! hinge with axis a has the image hinge with axis b = −s S a, s = ±1, the positions off the standing pose mirror as
@@ -20,8 +20,9 @@ type V = Vector3<f64>;
 const PLACE: f64 = 0.02;
 /// Least cosine of the angle between axes: our choice, 2.6°, more than the rounding of files.
 const ALONG: f64 = 0.999;
-/// Largest difference between the accelerations of a mirrored robot and the mirrored accelerations, as a share of them: our
-/// choice. Real robots carry their computers and batteries away from the middle plane; a symmetric policy suits them, too.
+/// Difference between the accelerations of a mirrored robot and the mirrored accelerations, as a share of them, from which on
+/// the robot counts as lopsided: our choice. Real robots carry their computers and batteries away from the middle plane; a
+/// symmetric policy suits them, too, because it feels how they lean.
 const ACCELERATIONS: f64 = 0.25;
 /// Poses in which accelerations are compared: our choice. In each pose all joints are turned, moving and driven, so few
 /// suffice.
@@ -46,6 +47,11 @@ struct StandingBody {
     low: Option<f64>,
 }
 
+/// The largest distance of a joint or a body's centre from the base's origin [m].
+fn size(all: &[StandingBody]) -> f64 {
+    all.iter().flat_map(|s| [s.at, s.center]).map(|p| p.norm()).fold(1e-9, f64::max)
+}
+
 fn mirrored(v: V) -> V {
     V::new(v.x, -v.y, v.z)
 }
@@ -68,7 +74,7 @@ impl LeftRight {
     /// Finds the symmetry; the error names what has no mirror image.
     pub fn of(robot: &TreeModel) -> Result<Self> {
         let (tree, all) = (&robot.tree, standing(robot));
-        let size = all.iter().flat_map(|s| [s.at, s.center]).map(|p| p.norm()).fold(1e-9, f64::max);
+        let size = size(&all);
         let mut images: Vec<Option<(usize, f64)>> = vec![None; tree.bodies.len()];
         let mut taken = vec![false; tree.bodies.len()];
         (images[0], taken[0]) = (Some((0, 1.0)), true);
@@ -91,12 +97,13 @@ impl LeftRight {
             let name = tree.joints().nth(k).map_or("", |j| &j.name);
             return Err(none(&format!("the mirror image of joint {name:?} is not mirrored back to it")));
         }
-        let off = found.off(robot, size);
-        if off > ACCELERATIONS {
-            let reason = format!("mirrored, its accelerations differ by {:.0} % because of its masses", 100.0 * off);
-            return Err(none(&reason));
-        }
         Ok(found)
+    }
+
+    /// How much the accelerations of the mirrored robot differ from the mirrored accelerations because of its masses, as
+    /// a share of them, if they differ clearly.
+    pub fn lopsided(&self, robot: &TreeModel) -> Option<f64> {
+        Some(self.off(robot, size(&standing(robot)))).filter(|off| *off > ACCELERATIONS)
     }
 
     /// The mirror image of a position and motion whose joints stand at `rest` in the standing pose.
