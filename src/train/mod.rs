@@ -42,7 +42,7 @@ mod run;
 mod saved_environments;
 pub mod settings;
 mod spec;
-mod teacher;
+pub mod teacher;
 mod tensors;
 mod training;
 mod work;

@@ -51,6 +51,11 @@ const MOST_FRAMES: usize = 10_000_000;
 const FAR_HALF: f64 = 0.5;
 const KNEELS: f64 = 1e3;
 
+/// A leg is drawn level if its foot is less than this part of its length below its hip: our choice. The last body of such a
+/// leg with two joints stands at 45°.
+const LEVEL: f64 = 0.1;
+const SLANT: f64 = std::f64::consts::FRAC_1_SQRT_2;
+
 /// Lengths of limbs that are built alike differ by less than this part: our choice, more than the errors of drawings.
 const ALIKE: f64 = 0.02;
 
@@ -259,6 +264,15 @@ impl<'a> Search<'a> {
                 last = Some(found.angles);
             } else if depths.is_some() {
                 break;
+            }
+        }
+        if depths.is_none() && many && hip.z - tip.z < LEVEL * length {
+            // A leg of two joints that is drawn level: its last body leads down and outward.
+            let (end, foot) = (frames[limb.end()].translation.vector, tip - frames[limb.end()].translation.vector);
+            let down =
+                end + (foot.xy().push(0.0).try_normalize(1e-9).unwrap_or_default() - V::z()) * (foot.norm() * SLANT);
+            if self.reach(limb, down, None, true).off < REACHED {
+                (place, depths) = (V::new(down.x, down.y, hip.z), Some([hip.z - down.z; 2]));
             }
         }
         // A limb that has too few joints to reach such a place stands as it is.

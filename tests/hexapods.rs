@@ -1,0 +1,254 @@
+//! Robots with six legs from files: their plain gait, the commands that suit them, and what a training starts from.
+
+use sandgait::env::legged::Units;
+use sandgait::env::legged::prior::GaitPrior;
+use sandgait::env::registry::Blueprint;
+use sandgait::robots::{self, Import};
+use sandgait::sim::tree::alternating::{AlternatingGait, Stride};
+use sandgait::sim::tree::kinematics::chain;
+use sandgait::sim::tree::symmetry::LeftRight;
+use sandgait::sim::tree::{TreeModel, packed, plates::of_touching};
+use sandgait::train::teacher::Teacher;
+use sandgait::train::{Hyperparameters, TrainingRequest, entry};
+use serde_json::{Value, json};
+use std::f64::consts::PI;
+use std::fmt::Write as _;
+
+const ID: &str = "sandgait/LeggedVelocity-v1";
+
+/// A hexapod whose two or three joints a leg turn with at most `speed` [rad/s]: the first turns the leg about the
+/// vertical, the others lift it. `places`: x, y [m] and direction [rad] of each leg; `inertia`: factor on all inertias.
+fn hexapod(places: &[[f64; 3]], knees: bool, speed: f64, inertia: f64) -> String {
+    let mut text = String::from("<robot name=\"hexapod\">");
+    let inertial = |mass: f64, moment: f64, x: f64| {
+        let i = moment * inertia;
+        format!(
+            "<inertial><origin xyz=\"{x} 0 0\"/><mass value=\"{mass}\"/>\
+             <inertia ixx=\"{i}\" ixy=\"0\" ixz=\"0\" iyy=\"{i}\" iyz=\"0\" izz=\"{i}\"/></inertial>"
+        )
+    };
+    let rod = |x: f64, length: f64, radius: f64| {
+        format!(
+            "<collision><origin xyz=\"{x} 0 0\" rpy=\"0 {} 0\"/><geometry>\
+             <cylinder radius=\"{radius}\" length=\"{length}\"/></geometry></collision>",
+            PI / 2.0
+        )
+    };
+    let body = "<collision><geometry><box size=\"0.2 0.14 0.05\"/></geometry></collision>";
+    write!(text, "<link name=\"base\">{}{body}</link>", inertial(1.4, 6e-3, 0.0)).unwrap();
+    for (k, [x, y, yaw]) in places.iter().enumerate() {
+        let lengths: &[f64] = if knees { &[0.05, 0.08, 0.13] } else { &[0.06, 0.16] };
+        let (mut parent, mut at) = ("base".to_owned(), format!("xyz=\"{x} {y} 0\" rpy=\"0 0 {yaw}\""));
+        for (j, length) in lengths.iter().enumerate() {
+            let name = format!("leg{k}_{j}");
+            let foot = if j + 1 == lengths.len() {
+                format!(
+                    "<collision><origin xyz=\"{length} 0 0\"/><geometry><sphere radius=\"0.012\"/></geometry></collision>"
+                )
+            } else {
+                String::new()
+            };
+            let axis = if j == 0 { "0 0 1" } else { "0 1 0" };
+            write!(
+                text,
+                "<link name=\"{name}\">{}{}{foot}</link><joint name=\"{name}\" type=\"revolute\"><parent link=\"{parent}\"/>\
+                 <child link=\"{name}\"/><origin {at}/><axis xyz=\"{axis}\"/>\
+                 <limit lower=\"-1.5\" upper=\"1.5\" effort=\"2\" velocity=\"{speed}\"/></joint>",
+                inertial(0.08, 1e-4, length / 2.0),
+                rod(length / 2.0, *length, 0.01),
+            )
+            .unwrap();
+            (parent, at) = (name, format!("xyz=\"{length} 0 0\""));
+        }
+    }
+    text + "</robot>"
+}
+
+/// Three legs at each side.
+const BESIDE: [[f64; 3]; 6] = [
+    [0.1, 0.07, 0.6],
+    [0.0, 0.08, PI / 2.0],
+    [-0.1, 0.07, PI - 0.6],
+    [0.1, -0.07, -0.6],
+    [0.0, -0.08, -PI / 2.0],
+    [-0.1, -0.07, 0.6 - PI],
+];
+
+/// Six legs on a circle, one of them in front and one behind.
+fn around() -> Vec<[f64; 3]> {
+    (0..6).map(|k| f64::from(k) * PI / 3.0).map(|yaw| [0.1 * yaw.cos(), 0.1 * yaw.sin(), yaw]).collect()
+}
+
+fn read(text: &str) -> Import {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("robot.urdf");
+    std::fs::write(&path, text).unwrap();
+    robots::load(&path).unwrap()
+}
+
+fn model(text: &str) -> TreeModel {
+    let tree = read(text).tree;
+    let bodies = tree.bodies.len();
+    TreeModel::new(tree, vec![Vec::new(); bodies]).unwrap()
+}
+
+/// LeggedVelocity on packed seeds with this robot.
+fn options(text: &str) -> Value {
+    let import = read(text);
+    let plates = of_touching(&import.tree, &import.touching(None).unwrap(), Some(0.02)).unwrap();
+    let count = plates.iter().map(Vec::len).sum();
+    let robot = packed::compressed(&packed::pack(&import.tree, &plates, None).unwrap(), count).unwrap();
+    json!({"robot": robot, "ground": "poppy-close"})
+}
+
+/// In the middle of a swing three feet are up, and no two of them are neighbours.
+#[test]
+fn six_legs_step_as_a_tripod() {
+    for text in
+        [hexapod(&BESIDE, true, 6.0, 1.0), hexapod(&BESIDE, false, 6.0, 1.0), hexapod(&around(), true, 6.0, 1.0)]
+    {
+        let robot = model(&text);
+        assert_eq!(robot.stance.legs.len(), 6);
+        let gait = AlternatingGait::of(&robot).unwrap();
+        let mut offsets = vec![0.0; robot.joints()];
+        gait.offsets(Stride { frequency: 2.0, lift: 0.03 }, [0.0; 3], 0.25, &mut offsets);
+        let angles: Vec<f64> = robot.stance.angles.iter().zip(&offsets).map(|(q, off)| q + off).collect();
+        let base = nalgebra::Isometry3::identity();
+        let [still, moved] = [&robot.stance.angles, &angles].map(|q| chain(&robot.tree, base, q));
+        let mut feet: Vec<(f64, bool)> = robot
+            .stance
+            .legs
+            .iter()
+            .map(|leg| {
+                let end = leg[leg.len() - 1];
+                let low = |frames: &[nalgebra::Isometry3<f64>]| {
+                    sandgait::sim::tree::kinematics::lowest(&frames[end], &robot.contacts[end])
+                };
+                let at = low(&still);
+                (at.y.atan2(at.x), low(&moved).z > at.z + 0.01)
+            })
+            .collect();
+        feet.sort_by(|a, b| a.0.total_cmp(&b.0));
+        assert_eq!(feet.iter().filter(|f| f.1).count(), 3, "{feet:?}");
+        assert!((0..6).all(|k| feet[k].1 != feet[(k + 1) % 6].1), "{feet:?}");
+    }
+}
+
+/// Robots with fewer legs have no such start, and on sand slow servos ask for slow commands.
+#[test]
+fn commands_follow_from_servos_and_sand() {
+    let speeds = |speed: f64, ground: &str| {
+        let mut options = options(&hexapod(&BESIDE, true, speed, 1.0));
+        options["ground"] = ground.into();
+        let blueprint = Blueprint::new(ID, options).unwrap();
+        let prior = GaitPrior::of(blueprint.task.model(), None, None).unwrap().unwrap();
+        (prior.speeds(), Units::of(blueprint.task.model()).commanded())
+    };
+    let ((fast, ends), (slow, _), (hard, _)) =
+        (speeds(7.0, "poppy-close"), speeds(1.0, "poppy-close"), speeds(7.0, "rigid"));
+    for k in 0..3 {
+        assert!(fast[k] <= ends[k] + 5e-3 && slow[k] >= 0.29 * ends[k], "{fast:?} {slow:?} {ends:?}");
+    }
+    assert!(slow[1] < 0.8 * fast[1], "{fast:?} {slow:?}");
+    assert!(fast[0] < 0.8 * hard[0], "{fast:?} {hard:?}");
+    let sandcat = Blueprint::new(ID, json!({})).unwrap();
+    assert_eq!(GaitPrior::of(sandcat.task.model(), None, None).unwrap(), None);
+}
+
+/// Legs on a circle: those in front and behind are legs, and each is its own mirror image.
+#[test]
+fn a_circle_of_legs_has_a_mirror_image() {
+    let robot = model(&hexapod(&around(), true, 6.0, 1.0));
+    let sides = LeftRight::of(&robot).unwrap();
+    // Leg 0 in front, then to the left and around: 1 mirrors to 5, 2 to 4, and 3 to itself.
+    let legs: Vec<usize> = sides.joints.iter().step_by(3).map(|k| k / 3).collect();
+    assert_eq!(legs, [0, 5, 4, 3, 2, 1]);
+    assert_eq!(sides.signs, [-1.0, 1.0, 1.0].repeat(6));
+}
+
+/// Inertias of other units are replaced, which the first line says; plausible ones stay to the bit.
+#[test]
+fn implausible_inertias_are_replaced() {
+    let [own, large] = [1.0, 800.0].map(|factor| read(&hexapod(&BESIDE, true, 6.0, factor)));
+    assert!(own.warnings.iter().all(|line| !line.contains("inertia")), "{:?}", own.warnings);
+    assert_eq!(own.tree.bodies[0].inertia[(0, 0)], 6e-3);
+    let said = &large.warnings[0];
+    assert!(said.contains("19 bodies: their inertias are replaced by that of a box around the shapes"), "{said}");
+    for body in &large.tree.bodies {
+        let gyration = (body.inertia.symmetric_eigenvalues().max() / body.mass).sqrt();
+        assert!((0.003..0.1).contains(&gyration), "{}: {gyration} m", body.name);
+    }
+    // A box of 0.2 m × 0.14 m × 0.05 m.
+    let x = large.tree.bodies[0].inertia[(0, 0)];
+    assert!((x / (1.4 * (0.14_f64.powi(2) + 0.05_f64.powi(2)) / 12.0) - 1.0).abs() < 0.02, "{x}");
+}
+
+fn request(options: Value, out: &std::path::Path, changes: &[&str], timesteps: u64) -> TrainingRequest {
+    let mut all: Vec<_> = changes.iter().map(|c| entry::pair("--set", c).unwrap()).collect();
+    all.extend(entry::ends(Some(timesteps), None).unwrap());
+    TrainingRequest {
+        task: ID.into(),
+        options,
+        external: None,
+        settings: entry::settings(None, ID, all).unwrap(),
+        seed: 3,
+        threads: 1,
+        out: out.to_owned(),
+        resume: false,
+        start_from: None,
+        checkpoint_every: 1_000_000,
+        connect: None,
+    }
+}
+
+/// The plain command sets clock and commands of a hexapod, the policy comes near to the gait while it imitates it, and
+/// options that are given stay.
+#[test]
+fn a_training_begins_with_the_plain_gait() {
+    let folder = tempfile::tempdir().unwrap();
+    let options = options(&hexapod(&BESIDE, true, 6.0, 1.0));
+    let small = ["n_envs=32", "n_steps=16", "batch_size=256", "n_epochs=10"];
+    let out = folder.path().join("own");
+    let trained = request(options.clone(), &out, &small, 20_000).run(&sandgait::progress::Silent).unwrap();
+    let settings: Value = serde_json::from_slice(&std::fs::read(out.join("settings.json")).unwrap()).unwrap();
+    let (clock, speeds) = (&settings["options"]["gait_clock"], &settings["options"]["max_velocity"]);
+    assert!(clock.as_f64().unwrap() > 0.5 && speeds[0].as_f64().unwrap() > 0.05, "{clock} {speeds}");
+    // While it imitates, the policy's loss is half of the squared distance from the gait's action.
+    let distance = trained.last.unwrap().policy_loss;
+    assert!(distance > 0.0 && distance < 0.6, "{distance}");
+    // A mirror image is half a stride later.
+    let blueprint = Blueprint::new(ID, settings["options"].clone()).unwrap();
+    let [observation, action] = sandgait::train::Mirror::both(&blueprint).unwrap();
+    let teacher =
+        Teacher::of(&blueprint, &Hyperparameters { gait_prior: 1, ..Hyperparameters::default() }).unwrap().unwrap();
+    let spec = blueprint.task.spec();
+    let at = |name: &str| spec.observation.iter().position(|c| c.name == name).unwrap();
+    let mut row = vec![0.0; spec.observation.len()];
+    for (name, value) in
+        [("commanded lin_vel_x", 0.1), ("commanded lin_vel_y", 0.05), ("clock sine", 0.6), ("clock cosine", 0.8)]
+    {
+        row[at(name)] = value;
+    }
+    let (mut image, width) = (row.clone(), spec.action.len());
+    observation.reflect(&row, &mut image);
+    let [mut here, mut there, mut mirrored] = [vec![0.0; width], vec![0.0; width], vec![0.0; width]];
+    teacher.act(&row, &mut here);
+    teacher.act(&image, &mut there);
+    action.reflect(&here, &mut mirrored);
+    assert!(here.iter().any(|a| a.abs() > 0.05));
+    mirrored.iter().zip(&there).for_each(|(a, b)| assert!((a - b).abs() < 0.02, "{mirrored:?} {there:?}"));
+    // Given options stay, and without the setting nothing is added.
+    let mut given = options.clone();
+    (given["max_velocity"], given["gait_clock"]) = (json!([0.1, 0.1, 0.5]), json!(1.5));
+    let out = folder.path().join("given");
+    request(given, &out, &small, 512).run(&sandgait::progress::Silent).unwrap();
+    let settings: Value = serde_json::from_slice(&std::fs::read(out.join("settings.json")).unwrap()).unwrap();
+    assert_eq!(
+        (&settings["options"]["max_velocity"], &settings["options"]["gait_clock"]),
+        (&json!([0.1, 0.1, 0.5]), &json!(1.5))
+    );
+    let out = folder.path().join("plain");
+    request(options, &out, &[&small[..], &["gait_prior=0"]].concat(), 512).run(&sandgait::progress::Silent).unwrap();
+    let settings: Value = serde_json::from_slice(&std::fs::read(out.join("settings.json")).unwrap()).unwrap();
+    assert!(settings["options"].get("gait_clock").is_none());
+}
