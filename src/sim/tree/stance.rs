@@ -50,6 +50,9 @@ const MOST_FRAMES: usize = 10_000_000;
 /// for kneeling, larger than any other difference between two solutions.
 const FAR_HALF: f64 = 0.5;
 const KNEELS: f64 = 1e3;
+/// A leg kneels, too, if its knee is less than this part of its length above its foot: our choice, more than the thickness of
+/// a knee.
+const KNEE: f64 = 0.1;
 
 /// A leg is drawn level if its foot is less than this part of its length below its hip: our choice. The last body of such a
 /// leg with two joints stands at 45°.
@@ -293,7 +296,10 @@ impl<'a> Search<'a> {
         // Of several solutions, the one that is less bent and has its knee farther back is preferred.
         let worth = |r: &Reached| {
             let (knee, from) = (limb.knee(self.tree, &r.angles), limb.frame(self.tree, &r.angles, hip));
-            let kneels = KNEELS * (FAR_HALF - limb.tip_distance(self.tree, self.contacts, &r.angles)).max(0.0);
+            let tip = limb.tip(self.tree, self.contacts, &r.angles);
+            let low = (KNEE - (knee.z - tip.z) / limb.length).max(0.0);
+            let near = (FAR_HALF - limb.tip_distance(self.tree, self.contacts, &r.angles)).max(0.0);
+            let kneels = KNEELS * (near + low);
             r.bent + 3.0 * (knee.x - from.translation.vector.x) / limb.length + kneels
         };
         let starts = if widely || first.is_none() { self.starts } else { 0 };
