@@ -12,7 +12,7 @@ pub fn outlook(level: f64, steps: u64, rate: f64) -> String {
     let minutes = USUAL.map(|millions| ((1e6 * millions - steps as f64) / rate / 60.0).max(0.0).ceil());
     format!(
         "the curriculum is at level {level:.2} of 1: it rises when the robot follows its commands. Robots with four legs usually \
-         walk at level 1 after {} to {} M steps, here in {} to {} min; six legs and two legs can need several times as long",
+         walk at level 1 after {} to {} M steps, here in {} to {} min, with six legs earlier; two legs can need several times as long",
         USUAL[0], USUAL[1], minutes[0], minutes[1]
     )
 }

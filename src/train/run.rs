@@ -8,8 +8,7 @@ use super::plan::{Observer, TrainingPlan, TrainingState, UpdateReport};
 use super::remote::{Pause, RemoteEnvironments};
 use super::settings::Hyperparameters;
 use super::spec::{ExternalSpaces, TrainingSpec};
-use super::teacher::plain_gait;
-use super::{checkpoint, describe, export, film};
+use super::{checkpoint, describe, export, film, teacher};
 use crate::env::Task;
 use crate::env::legged::LeggedVelocity;
 use crate::env::registry::Blueprint;
@@ -26,11 +25,6 @@ use std::time::{Duration, Instant};
 
 /// The training's share of the progress; the rest is for the evaluation, which is shorter: our choice.
 const TRAINING: f64 = 0.97;
-
-/// Option of LeggedVelocity with the greatest speeds of commands.
-const SPEEDS: &str = "max_velocity";
-/// Option with the frequency of the observed clock.
-const CLOCK: &str = "gait_clock";
 
 /// File name of the policy.
 const POLICY: &str = "policy.onnx";
@@ -104,7 +98,7 @@ impl TrainingRequest {
         let mut options = self.options()?;
         let found = self.suit(&mut options)?;
         let plan = self.plan(&options)?;
-        let taught = plan.teacher.as_ref().map(|teacher| teacher.note(self.settings.gait_prior, found));
+        let taught = plan.teacher.as_ref().map(|own| own.note(self.settings.gait_prior, found));
         taught.iter().for_each(|note| progress.note(note));
         plan.notes.iter().for_each(|note| progress.note(note));
         let lock = self.out.is_dir().then(|| self.lock()).transpose()?;
@@ -182,26 +176,15 @@ impl TrainingRequest {
         }
     }
 
-    /// Where a policy begins with a plain gait, sets the clock in its observation to the gait's strides, and the
-    /// greatest speeds of commands to what the gait reaches; options that are given stay. Says whether it set speeds.
+    /// Sets options that suit a plain gait, where the policy begins with one; says whether it set speeds.
     fn suit(&self, options: &mut Value) -> Result<bool> {
         if self.external.is_some() || self.task != LeggedVelocity::ID || self.settings.gait_prior == 0 {
             return Ok(false);
         }
-        let Some(prior) = plain_gait(&Blueprint::new(&self.task, options.clone())?)? else { return Ok(false) };
         // A training that goes on keeps its options, also on another processor, whose simulation rounds differently.
         let kept = self.resume.then(|| std::fs::read(self.out.join("settings.json")).ok()).flatten();
         let kept: Value = kept.and_then(|text| serde_json::from_slice(&text).ok()).unwrap_or_default();
-        let old = |name: &str| Some(kept["options"][name].clone()).filter(|value| !value.is_null());
-        if options[CLOCK].is_null() {
-            options[CLOCK] = old(CLOCK).unwrap_or_else(|| json!(prior.stride.frequency));
-        }
-        let given = |name: &str| options["commands"].get(name).is_some_and(|range| !range.is_null());
-        if !options[SPEEDS].is_null() || ["lin_vel_x", "lin_vel_y", "ang_vel_yaw"].into_iter().any(given) {
-            return Ok(false);
-        }
-        options[SPEEDS] = old(SPEEDS).unwrap_or_else(|| json!(prior.speeds()));
-        Ok(true)
+        teacher::suit(options, &kept["options"])
     }
 
     fn lock(&self) -> Result<Lock> {

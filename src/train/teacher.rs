@@ -9,10 +9,40 @@ use crate::env::legged::columns::CLOCK;
 use crate::env::legged::prior::GaitPrior;
 use crate::env::registry::Blueprint;
 use crate::error::Result;
+use serde_json::{Value, json};
 use std::f64::consts::TAU;
 
 /// Names of the observation's columns with the command.
 const COMMANDS: [&str; 3] = ["commanded lin_vel_x", "commanded lin_vel_y", "commanded ang_vel_yaw"];
+/// Options with the frequency of the observed clock and with the greatest speeds of commands, and the reward term for
+/// long steps.
+const CLOCK_RATE: &str = "gait_clock";
+const SPEEDS: &str = "max_velocity";
+const AIR_TIME: &str = "feet_air_time";
+
+/// For a robot with a plain gait, sets in `options` of LeggedVelocity the clock of the observation to the gait's strides,
+/// the greatest speeds of commands to what the gait reaches, and the weight of the term for long steps to 0: its
+/// threshold is made for the strides of four legs, and on six it makes standing the best gait. Options that are given
+/// stay; values in `kept`, the options of a training that goes on, come before the gait's. Says whether it set speeds.
+pub fn suit(options: &mut Value, kept: &Value) -> Result<bool> {
+    let Some(prior) = plain_gait(&Blueprint::new(LeggedVelocity::ID, options.clone())?)? else { return Ok(false) };
+    let old = |name: &str| Some(kept[name].clone()).filter(|value| !value.is_null());
+    if options[CLOCK_RATE].is_null() {
+        options[CLOCK_RATE] = old(CLOCK_RATE).unwrap_or_else(|| json!(prior.stride.frequency));
+    }
+    if options["rewards"][AIR_TIME].is_null() {
+        let mut rewards = options["rewards"].as_object().cloned().unwrap_or_default();
+        rewards.insert(AIR_TIME.into(), json!(0.0));
+        options["rewards"] = Value::Object(rewards);
+    }
+    let given = |name: &str| options["commands"].get(name).is_some_and(|range| !range.is_null());
+    if !options[SPEEDS].is_null() || ["lin_vel_x", "lin_vel_y", "ang_vel_yaw"].into_iter().any(given) {
+        return Ok(false);
+    }
+    options[SPEEDS] = old(SPEEDS).unwrap_or_else(|| json!(prior.speeds()));
+    Ok(true)
+}
+
 /// The gait that a policy imitates.
 pub struct Teacher {
     pub prior: GaitPrior,
@@ -26,7 +56,7 @@ pub struct Teacher {
 pub fn plain_gait(blueprint: &Blueprint) -> Result<Option<GaitPrior>> {
     let task = &blueprint.task;
     let number = |name: &str| task.option(name).as_f64();
-    GaitPrior::of(task.model(), number("action_scale"), number("gait_clock"))
+    GaitPrior::of(task.model(), number("action_scale"), number(CLOCK_RATE))
 }
 
 impl Teacher {
@@ -61,7 +91,8 @@ impl Teacher {
             "commands are those of the options".to_owned()
         };
         format!(
-            "the policy imitates a plain gait of {:.1} strides a second for {:.2} M steps (--set gait_prior=0: from nothing); {commands}",
+            "the policy imitates a plain gait of {:.1} strides a second for {:.2} M steps and observes a clock of them (--set gait_prior=0: neither); \
+             reward term feet_air_time is 0 unless it is given; {commands}",
             self.prior.stride.frequency,
             steps as f64 / 1e6
         )

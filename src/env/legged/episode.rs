@@ -58,6 +58,9 @@ pub struct LeggedEpisode {
     pub level: f64,
     #[serde(default)]
     pub followed: Followed,
+    /// Velocity averaged over about a stride, if the observation has a clock: forward, to the left [m/s], yaw [rad/s].
+    #[serde(default)]
+    pub average: [f64; 3],
 }
 
 /// The level of an episode without a curriculum.
@@ -99,6 +102,7 @@ impl LeggedEpisode {
             air: vec![0.0; feet],
             level: difficulty.level,
             followed: Followed::default(),
+            average: [0.0; 3],
         }
     }
 
@@ -113,6 +117,7 @@ impl LeggedEpisode {
             && (*SAND.start()..=SAND.end() * MOST_EASE).contains(&self.sand)
             && (0.0..=1.0).contains(&self.level)
             && self.followed.is_sound()
+            && self.average.iter().all(|v| v.is_finite())
             && ADDED_MASS.contains(&(self.added_mass / model.total_mass()))
             && MOTOR_STRENGTH.contains(&self.motor_strength)
             && (1..=MOST).contains(&self.commands.len())
@@ -144,6 +149,14 @@ impl LeggedEpisode {
         Ok(model)
     }
 
+    /// The velocity that tracking terms compare with the command after a step with `velocity`. With a clock of
+    /// `frequency` [Hz] it is the average with a time constant of a stride, because a walking robot sways in each
+    /// stride; at 0 it is the velocity itself.
+    pub fn tracked(&self, velocity: [f64; 3], frequency: f64) -> [f64; 3] {
+        let share = if frequency > 0.0 { (frequency / CONTROL_RATE).min(1.0) } else { 1.0 };
+        std::array::from_fn(|k| self.average[k] + share * (velocity[k] - self.average[k]))
+    }
+
     /// The command of the present step.
     fn command(&self, from: Draws) -> [f64; 3] {
         let k = (f64::from(self.step) / command_steps(from)) as usize;
@@ -155,6 +168,7 @@ impl LeggedEpisode {
         for (air, touches) in self.air.iter_mut().zip(seen.feet) {
             *air = if *touches == 1.0 { 0.0 } else { *air + 1.0 / CONTROL_RATE };
         }
+        self.average = self.tracked(seen.velocity, seen.clock);
         let every = command_steps(from);
         self.followed.fell |= seen.fell;
         if f64::from(self.step) % every >= (BEGINNING * CONTROL_RATE).min(every / 2.0) {
@@ -181,6 +195,8 @@ pub struct StepFeedback<'a> {
     /// Forward, to the left [m/s] and yaw [rad/s].
     pub velocity: [f64; 3],
     pub fell: bool,
+    /// Frequency of the clock in the observation [Hz]; 0: it has none.
+    pub clock: f64,
 }
 
 /// Time between two commands [control steps].

@@ -254,6 +254,7 @@ impl Task for LeggedVelocity {
             feet: &info[self.contacts..][..legged.air.len()],
             velocity: self.velocity.map(|k| info[k].into()),
             fell: self.falls.iter().any(|k| info[*k] > 0.0),
+            clock: self.clock,
         };
         let push = legged.after_step(setup.options.draws(&self.units), self.units.commanded(), &seen);
         [task_state.speed, _, task_state.turn] = legged.now;
@@ -302,8 +303,10 @@ impl Task for LeggedVelocity {
         let base_contact = (contacts.base || contacts.upper) && !t.model.has_sand();
         let too_low = is_too_low(t.model, t.after);
         let default = &self.angles;
+        let tracked = legged.tracked([velocity[0], velocity[1], angular_velocity[2]], self.clock);
         let step = LeggedStep {
             t,
+            tracked,
             legged,
             contacts,
             default,

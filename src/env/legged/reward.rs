@@ -57,6 +57,8 @@ pub struct LeggedStep<'a> {
     pub t: &'a Transition<'a>,
     pub legged: &'a LeggedEpisode,
     pub contacts: Contacts,
+    /// Velocity that follows the command: forward, to the left [m/s], yaw [rad/s].
+    pub tracked: [f64; 3],
     /// Default position of each joint [rad].
     pub default: &'a [f64],
     pub units: &'a Units,
@@ -89,10 +91,10 @@ reward_terms! {
     pub struct Rewards of LeggedStep<'_>, weights in [-1e4, 1e4] {
         tracking_lin_vel: 1.0, "exp(−(((v_x − commanded) / v_max,x)² + ((v_y − commanded) / v_max,y)²) / 0.1)", |s| {
             let [x, y, _] = s.units.commanded();
-            (-(square((s.velocity[0] - s.legged.now[0]) / x) + square((s.velocity[1] - s.legged.now[1]) / y)) / TRACKING).exp()
+            (-(square((s.tracked[0] - s.legged.now[0]) / x) + square((s.tracked[1] - s.legged.now[1]) / y)) / TRACKING).exp()
         };
         tracking_ang_vel: 0.5, "exp(−((ω_z − commanded) / ω_max)² / 0.1)", |s| {
-            (-square((s.angular_velocity[2] - s.legged.now[2]) / s.units.commanded()[2]) / TRACKING).exp()
+            (-square((s.tracked[2] - s.legged.now[2]) / s.units.commanded()[2]) / TRACKING).exp()
         };
         lin_vel_z: -10.0, "v_z² / (gℓ)", |s| square(s.velocity[2] / s.units.speed);
         ang_vel_xy: -1.0, "(ω_x² + ω_y²) ℓ/g", |s| (square(s.angular_velocity[0]) + square(s.angular_velocity[1])) / square(s.units.rate);
