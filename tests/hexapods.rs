@@ -109,6 +109,7 @@ fn six_legs_step_as_a_tripod() {
     {
         let robot = model(&text);
         assert_eq!(robot.stance.legs.len(), 6);
+        assert!(robot.stance.angles.iter().all(|q| q.abs() < 1.4), "a joint stands at its stop");
         let gait = AlternatingGait::of(&robot).unwrap();
         let mut offsets = vec![0.0; robot.joints()];
         gait.offsets(Stride { frequency: 2.0, lift: 0.03 }, [0.0; 3], 0.25, &mut offsets);

@@ -55,7 +55,7 @@ const KNEELS: f64 = 1e3;
 const KNEE: f64 = 0.1;
 
 /// A leg is drawn level if its foot is less than this part of its length below its hip: our choice. The last body of such a
-/// leg with two joints stands at 45°.
+/// leg with two joints stands at about 45°; a ball at its end moves the foot by its radius, which is less than this part, too.
 const LEVEL: f64 = 0.1;
 const SLANT: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
@@ -269,14 +269,14 @@ impl<'a> Search<'a> {
                 break;
             }
         }
-        if depths.is_none() && many && hip.z - tip.z < LEVEL * length {
-            // A leg of two joints that is drawn level: its last body leads down and outward.
-            let (end, foot) = (frames[limb.end()].translation.vector, tip - frames[limb.end()].translation.vector);
-            let down =
-                end + (foot.xy().push(0.0).try_normalize(1e-9).unwrap_or_default() - V::z()) * (foot.norm() * SLANT);
-            if self.reach(limb, down, None, true).off < REACHED {
-                (place, depths) = (V::new(down.x, down.y, hip.z), Some([hip.z - down.z; 2]));
-            }
+        if depths.is_none() && many {
+            // Too few joints to reach such a place. If the leg is drawn level, its last body leads down and outward.
+            let end = frames[limb.end()].translation.vector;
+            let outward = (tip - end).xy().push(0.0).try_normalize(1e-9).unwrap_or_default();
+            let slanted = end + (outward - V::z()) * ((tip - end).norm() * SLANT);
+            let is_level = hip.z - tip.z < LEVEL * length && self.reach(limb, slanted, None, true).off < LEVEL;
+            let foot = if is_level { slanted } else { tip };
+            (place, depths) = (V::new(foot.x, foot.y, hip.z), Some([hip.z - foot.z; 2]));
         }
         // A limb that has too few joints to reach such a place stands as it is.
         let depths = depths.unwrap_or([hip.z - tip.z; 2]);
