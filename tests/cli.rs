@@ -92,9 +92,17 @@ fn a_warning_of_a_kind_is_one_line() {
     let directory = tempfile::tempdir().unwrap();
     let file = directory.path().join("robot.urdf");
     let urdf = std::fs::read_to_string("robots/sandcat.urdf").unwrap();
-    let (first, rest) = urdf.split_once("izz=\"").unwrap();
-    let links = rest.split("izz=\"").map(|part| format!("izz=\"0.5{}", &part[part.find('"').unwrap()..]));
-    std::fs::write(&file, format!("{first}{}", links.collect::<String>())).unwrap();
+    // One moment a little above the sum of the others, so that the size stays plausible.
+    let doubtful = urdf.lines().map(|line| {
+        let value =
+            |name: &str| line.split_once(&format!("{name}=\"")).map(|(_, rest)| rest.split('"').next().unwrap());
+        let (Some(x), Some(y), Some(z)) = (value("ixx"), value("iyy"), value("izz")) else {
+            return format!("{line}\n");
+        };
+        let sum: f64 = [x, y].map(|x| x.parse::<f64>().unwrap()).iter().sum();
+        format!("{}\n", line.replace(&format!("izz=\"{z}\""), &format!("izz=\"{}\"", 1.1 * sum)))
+    });
+    std::fs::write(&file, doubtful.collect::<String>()).unwrap();
     let option = format!("robot={}", file.display());
     let legged =
         ["bench", "--task", "sandgait/LeggedVelocity-v1", "--option", &option, "--envs", "1", "--seconds", "0.01"];

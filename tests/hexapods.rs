@@ -4,7 +4,7 @@ use sandgait::env::legged::Units;
 use sandgait::env::legged::prior::GaitPrior;
 use sandgait::env::registry::Blueprint;
 use sandgait::robots::{self, Import};
-use sandgait::sim::tree::alternating::{AlternatingGait, Stride};
+use sandgait::sim::tree::alternating::{AlternatingGait, LegStride};
 use sandgait::sim::tree::kinematics::chain;
 use sandgait::sim::tree::symmetry::LeftRight;
 use sandgait::sim::tree::{TreeModel, packed, plates::of_touching};
@@ -112,7 +112,7 @@ fn six_legs_step_as_a_tripod() {
         assert!(robot.stance.angles.iter().all(|q| q.abs() < 1.4), "a joint stands at its stop");
         let gait = AlternatingGait::of(&robot).unwrap();
         let mut offsets = vec![0.0; robot.joints()];
-        gait.offsets(Stride { frequency: 2.0, lift: 0.03 }, [0.0; 3], 0.25, &mut offsets);
+        gait.offsets(LegStride { frequency: 2.0, lift: 0.03 }, [0.0; 3], 0.25, &mut offsets);
         let angles: Vec<f64> = robot.stance.angles.iter().zip(&offsets).map(|(q, off)| q + off).collect();
         let base = nalgebra::Isometry3::identity();
         let [still, moved] = [&robot.stance.angles, &angles].map(|q| chain(&robot.tree, base, q));

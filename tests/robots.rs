@@ -285,7 +285,7 @@ fn meshes_of_all_kinds_are_the_same() {
     {
         let urdf = format!(
             r#"<robot name="r"><link name="base"><inertial><mass value="1"/>
-            <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+            <inertia ixx="0.05" iyy="0.05" izz="0.05" ixy="0" ixz="0" iyz="0"/></inertial>
             <collision><geometry><mesh filename="{file}" scale="{scale}"/></geometry></collision></link></robot>"#
         );
         std::fs::write(at("r.urdf"), urdf).unwrap();

@@ -7,13 +7,13 @@ use super::units::Units;
 use crate::error::Result;
 use crate::sim::engine::{Command, Engine, EngineKind};
 use crate::sim::tree::TreeModel;
-use crate::sim::tree::alternating::{AlternatingGait, Stride};
+use crate::sim::tree::alternating::{AlternatingGait, LegStride};
 use crate::sim::{Model, State};
 use crate::spec::CONTROL_RATE;
 
 /// Fewest legs of a robot that walks without balancing: three stand while three step.
 const LEGS: usize = 6;
-/// Stride frequencies that are tried, in units of √(g/ℓ), and heights to which feet are lifted, in lengths ℓ of the legs:
+/// LegStride frequencies that are tried, in units of √(g/ℓ), and heights to which feet are lifted, in lengths ℓ of the legs:
 /// our choice. For legs of 12 cm the frequencies are 1.4, 2 and 2.9 Hz.
 const FREQUENCIES: [f64; 3] = [0.16, 0.22, 0.32];
 const LIFTS: [f64; 2] = [0.2, 0.4];
@@ -34,7 +34,7 @@ const SLOW: f64 = 0.25;
 #[derive(Clone, Debug, PartialEq)]
 pub struct GaitPrior {
     gait: AlternatingGait,
-    pub stride: Stride,
+    pub stride: LegStride,
     /// Speeds forward, to the left [m/s] and yaw [rad/s] that the gait is asked for, and what it reaches then.
     pub asked: [f64; 3],
     pub reached: [f64; 3],
@@ -57,8 +57,8 @@ impl GaitPrior {
         // Two digits, so that it reads well.
         let rounded = |f: f64| (f * 1e2).round().max(1.0) / 1e2;
         let frequencies = FREQUENCIES.map(|f| clock.unwrap_or_else(|| rounded(f * units.rate)));
-        let stride = |frequency: f64, lift: f64| Stride { frequency, lift: lift * tree.stance.leg_length };
-        let strides: Vec<Stride> = frequencies.iter().flat_map(|f| LIFTS.map(|lift| stride(*f, lift))).collect();
+        let stride = |frequency: f64, lift: f64| LegStride { frequency, lift: lift * tree.stance.leg_length };
+        let strides: Vec<LegStride> = frequencies.iter().flat_map(|f| LIFTS.map(|lift| stride(*f, lift))).collect();
         let (stride, reached, joints) = (strides[0], [0.0; 3], tree.joints());
         let mut own = Self { gait, stride, asked, reached, driven, joints };
         let all = own.trials(model, tree, &strides)?;
@@ -86,10 +86,10 @@ impl GaitPrior {
         let fed = std::array::from_fn(|k| command[k] * self.asked[k] / self.reached[k].min(self.asked[k]));
         let size = (0..3).map(|k| (command[k] / self.reached[k]).powi(2)).sum::<f64>().sqrt();
         let lift = self.stride.lift * (size / SLOW).min(1.0);
-        self.fill(Stride { lift, ..self.stride }, fed, phase, action);
+        self.fill(LegStride { lift, ..self.stride }, fed, phase, action);
     }
 
-    fn fill(&self, stride: Stride, velocity: [f64; 3], phase: f64, action: &mut [f32]) {
+    fn fill(&self, stride: LegStride, velocity: [f64; 3], phase: f64, action: &mut [f32]) {
         let mut offsets = vec![0.0; self.joints];
         self.gait.offsets(stride, velocity, phase, &mut offsets);
         for (action, (joint, scale)) in action.iter_mut().zip(&self.driven) {
@@ -99,7 +99,7 @@ impl GaitPrior {
 
     /// The speed along each direction that is reached with each stride when the robot is asked for the greatest speed in
     /// this direction.
-    fn trials(&self, model: &Model, tree: &TreeModel, strides: &[Stride]) -> Result<Vec<[f64; 3]>> {
+    fn trials(&self, model: &Model, tree: &TreeModel, strides: &[LegStride]) -> Result<Vec<[f64; 3]>> {
         let angles = &tree.stance.angles;
         let mut start = State::at_rest(tree.height_over(angles, |x, y| model.surface_height(x, y)), angles);
         start.references.copy_from_slice(angles);

@@ -17,7 +17,7 @@ const STIFF: f64 = 0.1;
 
 /// How legs step.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Stride {
+pub struct LegStride {
     /// Strides in a second [Hz].
     pub frequency: f64,
     /// Height to which a foot is lifted [m].
@@ -69,7 +69,7 @@ impl AlternatingGait {
 
     /// Fills `out` with the offset of each joint [rad or m] at `phase` of a stride, 0 to 1, for a robot that is to move
     /// with `velocity`: forward, to the left [m/s], yaw [rad/s].
-    pub fn offsets(&self, stride: Stride, velocity: [f64; 3], phase: f64, out: &mut [f64]) {
+    pub fn offsets(&self, stride: LegStride, velocity: [f64; 3], phase: f64, out: &mut [f64]) {
         let [vx, vy, turn] = velocity;
         out[..self.joints].fill(0.0);
         for leg in &self.legs {
