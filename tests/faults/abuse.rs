@@ -181,7 +181,7 @@ async fn evaluations(target: Target) {
         let mut studies = StudyServiceClient::with_interceptor(channel, Bearer(Some(TOKEN.into())));
         let request = EvaluateRequest {
             policy: Some(sandgait::service::proto::evaluate_request::Policy::Gait("tripod:2".into())),
-            task_id: "HexapodGait".into(),
+            task_id: "sandgait/HexapodGait-v1".into(),
             options: options(&[("history", number(64.0))]),
             slopes: (0..300).map(|k| f64::from(k) * 0.01).collect(),
             seeds: Some(2),

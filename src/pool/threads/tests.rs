@@ -83,7 +83,7 @@ fn no_job_is_forgotten() {
 #[test]
 fn an_operation_that_nobody_waits_for_is_undone() {
     const ENVS: usize = 40;
-    let blueprint = Blueprint::new("sandgait/HexapodGait-v1", serde_json::json!({"dt": 1e-5})).unwrap();
+    let blueprint = Blueprint::new("sandgait/HexapodGait-v1", serde_json::json!({"dt": 2e-6})).unwrap();
     let pool = Pool::new(1);
     let stop_after = |looks: usize| -> Option<Stop> {
         let seen = std::sync::atomic::AtomicUsize::new(0);
