@@ -61,7 +61,7 @@ def rollout(env: sandgait.SandgaitVectorEnv, steps: int) -> None:
 WAITS = {
     "step": ("envs(20_000).reset(seed=0)", "for _ in range(1000): env.step(zeros)"),
     "rollout": ("envs(2_000).reset(seed=0)", "env.rollout(np.zeros((2000, 2000, 6), np.float32))"),
-    "making": ("", "sandgait.SandgaitVectorEnv('sandgait/HexapodRocks-v1', 40_000)"),
+    "making": ("", "sandgait.SandgaitVectorEnv('sandgait/HexapodRocks-v1', 8_000)"),
     "sweep": ("", "sandgait.sweep({'xi': np.arange(-75, 75, 0.5), 'frequency': np.linspace(1, 4, 300)})"),
     "pictures": (
         "envs(300).reset(seed=0)",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import os
 import shutil
 import subprocess
 import sys
@@ -217,7 +218,8 @@ def test_a_library_that_cannot_be_loaded_is_no_fault_of_the_file(tmp_path: Path)
     (fake / "__init__.py").write_text("raise ImportError('pyarrow requires NumPy 2.0 or newer, found 1.26.4')")
     script = f"import sys; sys.path.insert(0, {str(fake.parent)!r}); import runpy; sys.argv = sys.argv[1:]; "
     script += "runpy.run_path(sys.argv[0], run_name='__main__')"
-    command = [sys.executable, "-c", script, logs.READER, "mcap", str(path)]
+    parent, seconds = str(os.getpid()), "60"
+    command = [sys.executable, "-c", script, logs.READER, parent, seconds, "mcap", str(path)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert "pyarrow, which reads this file, cannot be loaded: pyarrow requires NumPy 2.0" in done.stderr

@@ -99,7 +99,7 @@ def test_several_servers_show_their_environments(remote: object) -> None:
 
 
 def test_wrong_use_is_refused() -> None:
-    with pytest.raises(sandgait.InvalidRequest, match="render_mode: 'ansi' is unknown; known: rgb_array, human"):
+    with pytest.raises(sandgait.InvalidRequest, match='render_mode: "ansi" is unknown; known: rgb_array, human'):
         sandgait.SandgaitEnv(ID, render_mode="ansi")
     with pytest.raises(sandgait.InvalidRequest, match=r"render_size: height 8 is outside \[16, 4096\]"):
         sandgait.SandgaitVectorEnv(ID, 2, render_mode="rgb_array", render_size=(64, 8))
@@ -355,7 +355,11 @@ def test_the_camera_stands_where_it_is_told(remote: RemoteServer) -> None:
 @pytest.mark.parametrize(
     ("camera", "says"),
     [
-        ({"azimuth": 3}, "render_camera: 'azimuth' is unknown; known: azimuth_deg, elevation_deg, distance, follow"),
+        (
+            {"azimuth": 3},
+            'render_camera: "azimuth" is unknown; did you mean "azimuth_deg"? '
+            "known: azimuth_deg, elevation_deg, distance, follow",
+        ),
         ({"elevation_deg": 90}, "render_camera.elevation_deg: 90 is outside [1, 89]"),
         ({"distance": float("nan")}, "render_camera.distance: NaN is outside [0.01, 1000]"),
         ({"distance": "far"}, "render_camera: distance 'far' is not a number"),

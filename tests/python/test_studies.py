@@ -337,7 +337,10 @@ def test_another_server(remote: RemoteServer) -> None:
         (lambda: sandgait.intrude(body="sphere:radius=0.1"), "give shape, or body with rows"),  # type: ignore[call-overload]
         (lambda: sandgait.intrude(body="ball:radius=1", rows={"depth": 0.1}), 'body "ball:radius=1" is unknown'),
         (lambda: sandgait.intrude(body="nowhere.stl", rows={"depth": 0.1}), "body: .*cannot be read"),
-        (lambda: sandgait.intrude(body=SPHERE, rows={"deep": 0.1}), "rows: column 'deep' is unknown"),
+        (
+            lambda: sandgait.intrude(body=SPHERE, rows={"deep": 0.1}),
+            'rows: column "deep" is unknown; did you mean "depth"',
+        ),
         (lambda: sandgait.intrude(body=SPHERE, rows={"vx": 0.1}), "trial 1: neither depth nor load is given"),
         (lambda: sandgait.intrude(body=SPHERE, rows={"depth": [0, 1], "vx": [1, 2, 3]}), "rows: "),
         (lambda: sandgait.intrude(body=SPHERE, rows={"depth": [0.01, np.inf]}), "trial 2: depth"),

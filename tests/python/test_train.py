@@ -122,7 +122,8 @@ def test_ctrl_c_interrupts_an_update_and_leaves_a_checkpoint(tmp_path: Path) -> 
     update, stop, note = done.stdout.split("|")
     assert float(stop) < 0.4 * float(update), done.stdout
     (kept,) = (tmp_path / "checkpoints").glob("*.safetensors")
-    assert str(kept) in note
+    assert str(tmp_path / "policy.onnx") in note
+    assert "--resume" in note
     assert int(kept.stem) % (64 * 512) == 0
 
 
