@@ -143,7 +143,7 @@ pub fn load_from(path: &Path, posture: &Posture, packages: &Packages) -> Result<
         Error::Invalid { field, reason } => Error::file(path, format!("{field}: {reason}")),
         other => other,
     };
-    let (format, merged, draft) = match root.tag.as_str() {
+    let (format, mut merged, draft) = match root.tag.as_str() {
         "robot" => {
             let (links, free) = urdf::links(&root, &files, &mut meshes, &mut notes)?;
             let name = root.get("name").unwrap_or(&stem);
@@ -158,7 +158,6 @@ pub fn load_from(path: &Path, posture: &Posture, packages: &Packages) -> Result<
         _ => return Err(root.error("is neither <robot> (URDF) nor <mujoco> (MJCF)")),
     };
     files.into_notes().into_iter().for_each(|note| notes.say(note));
-    let mut merged = merged;
     inertia::replace_implausible(&mut merged.tree, &merged.links, &mut notes);
     check::check(&merged, &mut notes).map_err(named)?;
     packed::check(&merged.tree).map_err(named)?;

@@ -20,6 +20,13 @@ const CLOCK_RATE: &str = "gait_clock";
 const SPEEDS: &str = "max_velocity";
 const AIR_TIME: &str = "feet_air_time";
 
+/// The plain gait of the robot of LeggedVelocity in `blueprint`; None: it has fewer than six legs, or an odd number.
+pub fn plain_gait(blueprint: &Blueprint) -> Result<Option<GaitPrior>> {
+    let task = &blueprint.task;
+    let number = |name: &str| task.option(name).as_f64();
+    GaitPrior::of(task.model(), number("action_scale"), number(CLOCK_RATE))
+}
+
 /// For a robot with a plain gait, sets in `options` of LeggedVelocity the clock of the observation to the gait's strides,
 /// the greatest speeds of commands to what the gait reaches, and the weight of the term for long steps to 0: its
 /// threshold is made for the strides of four legs, and on six it makes standing the best gait. Options that are given
@@ -50,13 +57,6 @@ pub struct Teacher {
     columns: [usize; 3],
     /// Columns with sine and cosine of the clock.
     clock: [usize; 2],
-}
-
-/// The plain gait of the robot of LeggedVelocity in `blueprint`; None: it has fewer than six legs, or an odd number.
-pub fn plain_gait(blueprint: &Blueprint) -> Result<Option<GaitPrior>> {
-    let task = &blueprint.task;
-    let number = |name: &str| task.option(name).as_f64();
-    GaitPrior::of(task.model(), number("action_scale"), number(CLOCK_RATE))
 }
 
 impl Teacher {

@@ -174,8 +174,10 @@ async fn columns(target: Target) {
     }
 }
 
-/// An evaluation on hundreds of slopes of a task with many columns; its client leaves after a while.
+/// An evaluation on hundreds of slopes of a task with many columns; its client leaves after a while. Evaluations begin when
+/// all others have gone on for a time.
 async fn evaluations(target: Target) {
+    tokio::time::sleep(Duration::from_secs(TIME)).await;
     while target.goes_on() {
         let channel = target.channel().await;
         let mut studies = StudyServiceClient::with_interceptor(channel, Bearer(Some(TOKEN.into())));
@@ -238,7 +240,8 @@ async fn dear_requests_keep_within_memory_all_at_once() {
         tokio::spawn(evaluations(target.clone())),
         tokio::spawn(time_steps(target.clone())),
     ];
-    let (begun, mut most, mut times) = (Instant::now(), 0.0_f64, Vec::new());
+    // Steps before the evaluations, and beside them.
+    let (begun, mut most, mut times) = (Instant::now(), 0.0_f64, [Vec::new(), Vec::new()]);
     let mut steps = 0;
     for (time, expected) in expected[..1400].iter().enumerate() {
         let finished = target.done.iter().all(|n| n.load(Ordering::Relaxed) > 0);
@@ -247,7 +250,7 @@ async fn dear_requests_keep_within_memory_all_at_once() {
         }
         let start = Instant::now();
         assert_eq!(&witness.step(time).await.encode_to_vec(), expected, "step {time}");
-        times.push(start.elapsed().as_secs_f64() * 1e3);
+        times[usize::from(begun.elapsed().as_secs() >= TIME)].push(start.elapsed().as_secs_f64() * 1e3);
         most = most.max(resident(server.id()));
         steps = time + 1;
         tokio::time::sleep(Duration::from_millis(20)).await;
@@ -256,16 +259,19 @@ async fn dear_requests_keep_within_memory_all_at_once() {
     for client in all {
         client.await.unwrap();
     }
-    times.sort_by(f64::total_cmp);
-    let [median, late, longest] = [50, 95, 100].map(|part| times[(times.len() * part / 100).min(times.len() - 1)]);
+    let [before, beside] = times.map(|mut times| {
+        times.sort_by(f64::total_cmp);
+        [50, 95, 100].map(|part| times[(times.len() * part / 100).min(times.len() - 1)])
+    });
     let done: Vec<_> = KINDS.iter().zip(target.done.iter().map(|n| n.load(Ordering::Relaxed))).collect();
     println!(
-        "{done:?}; memory at most {most:.0} MiB; {steps} steps [ms]: median {median:.1}, 95 % {late:.1}, longest {longest:.1}"
+        "{done:?}; memory at most {most:.0} MiB; {steps} steps, median, 95 % and longest [ms]: {before:.1?}, beside evaluations {beside:.1?}"
     );
     assert!(most < MOST, "{most} MiB");
-    // Wanted is that 95 % of the steps take less than this. Beside evaluations they do not yet: 87 to 283 ms were measured on
-    // two Sapphire Rapids cores on 2026-11-27, with a median of 2.5 to 2.9 ms.
-    assert!(median < WAIT, "{median} ms");
+    assert!(before[1] < WAIT, "{before:?} ms");
+    // 95 % should stay below this beside evaluations, too. They do not yet: up to 283 ms were measured on two Sapphire Rapids
+    // cores on 2026-11-27, with medians of 2.5 to 5.5 ms.
+    assert!(beside[0] < WAIT, "{beside:?} ms");
     assert!(done.iter().all(|(_, n)| *n > 0), "{done:?}");
     let id = witness.id.clone();
     let (ended, log) = server.end();

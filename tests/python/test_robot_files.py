@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -101,15 +102,30 @@ def test_gymnasium_takes_a_file_by_its_path(meshed: Path) -> None:
     ("mesh", "said"),
     [
         ("absent.obj", "absent.obj"),
+        ("../../outside.obj", "outside.obj"),
         ("/etc/passwd", "passwd"),
     ],
 )
 def test_an_unreadable_mesh_gives_one_clear_line(mesh: str, said: str, meshed: Path, remote: RemoteServer) -> None:
+    folder = meshed.parent / "robot" / "urdf"
+    folder.mkdir(parents=True)
+    (meshed.parent / "robot" / "package.xml").touch()
+    shutil.move(meshed.parent / "foot.obj", meshed.parent / "outside.obj")
+    meshed = folder / "meshed.urdf"
     meshed.write_text(MESHED.format(mesh=mesh))
     for door in ({}, {"address": remote.address}):
         with pytest.raises(sandgait.SandgaitError, match=said) as error:
             sandgait.SandgaitVectorEnv(TASK, 2, robot=meshed, **door)
         assert "\n" not in str(error.value)
+
+
+def test_a_mesh_may_lie_beside_the_folder_of_the_robot(meshed: Path) -> None:
+    folder = meshed.parent / "urdf"
+    folder.mkdir()
+    beside = folder / "meshed.urdf"
+    beside.write_text(MESHED.format(mesh="../foot.obj"))
+    for one, other in zip(walk(beside), walk(meshed), strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_wrong_files_give_one_clear_line(tmp_path: Path, remote: RemoteServer) -> None:

@@ -13,7 +13,7 @@ use crate::spec::CONTROL_RATE;
 
 /// Fewest legs of a robot that walks without balancing: three stand while three step.
 const LEGS: usize = 6;
-/// LegStride frequencies that are tried, in units of √(g/ℓ), and heights to which feet are lifted, in lengths ℓ of the legs:
+/// Frequencies of strides that are tried, in units of √(g/ℓ), and heights to which feet are lifted, in lengths ℓ of the legs:
 /// our choice. For legs of 12 cm the frequencies are 1.4, 2 and 2.9 Hz.
 const FREQUENCIES: [f64; 3] = [0.16, 0.22, 0.32];
 const LIFTS: [f64; 2] = [0.2, 0.4];
@@ -30,6 +30,11 @@ const FASTER: f64 = 1.2;
 /// Length of a command, in units of the greatest speeds, from which on feet are lifted fully: our choice.
 const SLOW: f64 = 0.25;
 
+/// With two digits, so that it reads well.
+fn rounded(x: f64) -> f64 {
+    (x * 1e2).round().max(1.0) / 1e2
+}
+
 /// The plain gait of a robot on a ground.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GaitPrior {
@@ -45,18 +50,17 @@ pub struct GaitPrior {
 
 impl GaitPrior {
     /// Tries strides with the robot of `model` on its ground; `action_scale` is the option, `clock` the strides in a
-    /// second, if they are given [Hz]. None: the robot has fewer
-    /// than six legs, or an odd number.
+    /// second, if they are given [Hz]. None: the robot has fewer than six legs, or an odd number.
     pub fn of(model: &Model, action_scale: Option<f64>, clock: Option<f64>) -> Result<Option<Self>> {
         let Some(tree) = &model.tree else { return Ok(None) };
         let Some(gait) = AlternatingGait::of(tree).filter(|_| tree.stance.legs.len() >= LEGS) else { return Ok(None) };
         let followers = tree.tree.followers();
         let scales = action_scales(tree, action_scale).into_iter().enumerate();
         let driven = scales.filter(|(i, _)| followers.iter().all(|f| f.joint != *i)).collect();
-        let (units, asked) = (Units::of(model), Units::of(model).commanded());
-        // Two digits, so that it reads well.
-        let rounded = |f: f64| (f * 1e2).round().max(1.0) / 1e2;
-        let frequencies = FREQUENCIES.map(|f| clock.unwrap_or_else(|| rounded(f * units.rate)));
+        let units = Units::of(model);
+        let asked = units.commanded();
+        let usual = FREQUENCIES.map(|f| rounded(f * units.rate));
+        let frequencies = clock.map_or(usual.to_vec(), |given| vec![given]);
         let stride = |frequency: f64, lift: f64| LegStride { frequency, lift: lift * tree.stance.leg_length };
         let strides: Vec<LegStride> = frequencies.iter().flat_map(|f| LIFTS.map(|lift| stride(*f, lift))).collect();
         let (stride, reached, joints) = (strides[0], [0.0; 3], tree.joints());
@@ -72,10 +76,9 @@ impl GaitPrior {
 
     /// The greatest speeds forward, to the left [m/s] and yaw [rad/s] that suit robot and ground: somewhat more than the
     /// gait reaches, but not above the default ranges' ends. Turning is slowed down as much as walking, so curves keep
-    /// their radius. Two digits, so that they read well.
+    /// their radius.
     pub fn speeds(&self) -> [f64; 3] {
         let share = |k: usize| (FASTER * self.reached[k] / self.asked[k]).min(1.0);
-        let rounded = |x: f64| (x * 1e2).round().max(1.0) / 1e2;
         let [x, y, yaw] = self.asked;
         [share(0) * x, share(1) * y, share(0) * yaw].map(rounded)
     }
