@@ -269,9 +269,7 @@ async fn dear_requests_keep_within_memory_all_at_once() {
     );
     assert!(most < MOST, "{most} MiB");
     assert!(before[1] < WAIT, "{before:?} ms");
-    // 95 % should stay below this beside evaluations, too. They do not yet: up to 283 ms were measured on two Sapphire Rapids
-    // cores on 2026-11-27, with medians of 2.5 to 5.5 ms.
-    assert!(beside[0] < WAIT, "{beside:?} ms");
+    assert!(beside[1] < WAIT, "{beside:?} ms");
     assert!(done.iter().all(|(_, n)| *n > 0), "{done:?}");
     let id = witness.id.clone();
     let (ended, log) = server.end();

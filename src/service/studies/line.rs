@@ -1,11 +1,12 @@
 //! One study at a time on all cores; others wait in a queue.
 //!
 //! ```text
-//!  enter ──▶ in line ──▶ computed on a blocking thread ──▶ result
+//!  enter ──▶ in line ──▶ computed on a thread of lower priority ──▶ result
 //!              └── call cancelled, or server stops ──▶ gone, its place and the cores free
 //! ```
 
 use super::compute::StudyWork;
+use super::thread;
 use crate::error::{Error, Result};
 use crate::intake::{Intake, Messages};
 use crate::price;
@@ -124,11 +125,16 @@ impl StudyQueue {
                     // The place and the slot are held until the work has actually ended, and its result has a share of
                     // the memory: clients may leave results unread.
                     let held = (permit, place);
-                    let done = tokio::task::spawn_blocking(move || (work(&progress), share, held));
+                    let done = thread::run(move || (work(&progress), share, held));
                     let failed = Err(Error::Internal("the study failed inside the server".into()));
-                    let (done, share, _held) = match done.await {
-                        Ok((done, share, held)) => (done, share, Some(held)),
-                        Err(_) => (failed, None, None),
+                    let (done, share, _held) = match done {
+                        Ok(done) => match done.await {
+                            Ok((done, share, held)) => (done, share, Some(held)),
+                            Err(_) => (failed, None, None),
+                        },
+                        Err(error) => {
+                            (Err(Error::Exhausted(format!("cannot start a thread for a study: {error}"))), None, None)
+                        }
                     };
                     match done.map(A::result) {
                         Ok(result) => match shared(&intake, share, price::answer_bytes(&result)).await {

@@ -3,10 +3,12 @@
 //! * [`compute`]: checks requests and computes the studies, also for callers in this process.
 //! * [`encode`]: their results as tables.
 //! * [`line`]: runs one study at a time while the others wait in a queue, and reports progress.
+//! * [`thread`]: the threads of studies, which yield to steps.
 
 pub mod compute;
 mod encode;
 mod line;
+mod thread;
 
 use super::frame::RequestFrame;
 use super::intake::{Intake, Messages};
