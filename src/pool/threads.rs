@@ -65,6 +65,10 @@ struct Job {
     /// Shards on which no worker works now; the last shard is taken first.
     waiting: Vec<QueuedShard>,
     id: u64,
+    /// Time that workers have worked on it, and [`Queue::floor`] when it came. The job with the smallest value is next, so
+    /// a short job waits for one part of a long job, and not for one part of every long job (start-time fair queueing;
+    /// Goyal, Vin & Cheng 1997).
+    used: Duration,
 }
 
 /// The batch of a [`Job`], to which its finished shards return.
@@ -81,9 +85,20 @@ struct Pending {
     done: Done,
 }
 
+/// A shard that a worker has taken from its job.
+struct Taken {
+    id: u64,
+    work: Arc<PoolWork>,
+    queued: QueuedShard,
+    /// [`Job::used`] of its job when it was taken.
+    used: Duration,
+}
+
 #[derive(Default)]
 struct Queue {
     jobs: VecDeque<Job>,
+    /// Largest [`Job::used`] of the jobs that were next so far; a new job begins with it.
+    floor: Duration,
     pending: Vec<Pending>,
     next_id: u64,
     /// Number of threads that now work on a shard.
@@ -177,7 +192,8 @@ impl Pool {
         let finished = Vec::with_capacity(expected);
         let (panicked, spent, done) = (false, Duration::ZERO, Box::new(done));
         queue.pending.push(Pending { id, batch, finished, expected, panicked, kind, spent, done });
-        queue.jobs.push_back(Job { work, waiting, id });
+        let used = queue.floor;
+        queue.jobs.push_back(Job { work, waiting, id, used });
         let wanted = expected.min(self.workers.len()).saturating_sub(helpers + queue.watching);
         let woken = wanted.min(queue.asleep);
         self.shared.wake_watching(&mut queue);
@@ -197,9 +213,9 @@ impl Pool {
         });
         let mut queue = self.shared.queue.lock();
         while let Some(place) = queue.jobs.iter().position(|job| job.id == id) {
-            let Some((id, work, queued)) = take(&mut queue, place) else { break };
+            let Some(taken) = take(&mut queue, place) else { break };
             drop(queue);
-            queue = carry_out(&self.shared, id, work, queued);
+            queue = carry_out(&self.shared, taken);
         }
         drop(queue);
         // The last shards are nearly done. Waking up takes longer than they do, so this thread watches for them, as a
@@ -223,13 +239,11 @@ impl Pool {
         let start = Instant::now();
         let mut queue = self.shared.queue.lock();
         while queue.active < self.most_active && start.elapsed() < time {
-            let Some(place) = queue.jobs.iter().position(|job| !matches!(job.work.operation, Operation::Roll(_)))
-            else {
-                break;
-            };
-            let Some((id, work, queued)) = take(&mut queue, place) else { break };
+            let is_short = |job: &Job| !matches!(job.work.operation, Operation::Roll(_));
+            let Some(place) = next(&queue, is_short) else { break };
+            let Some(taken) = take(&mut queue, place) else { break };
             drop(queue);
-            queue = carry_out(&self.shared, id, work, queued);
+            queue = carry_out(&self.shared, taken);
         }
     }
 
@@ -261,33 +275,44 @@ impl Drop for Pool {
     }
 }
 
+/// The place of the job that is next among those that `may` be; of equal jobs the first in the queue.
+fn next(queue: &Queue, may: impl Fn(&Job) -> bool) -> Option<usize> {
+    let places = (0..queue.jobs.len()).filter(|place| may(&queue.jobs[*place]));
+    places.min_by_key(|place| queue.jobs[*place].used)
+}
+
 /// Takes one shard of the job at `place`, and puts the job behind all others.
-fn take(queue: &mut Queue, place: usize) -> Option<(u64, Arc<PoolWork>, QueuedShard)> {
+fn take(queue: &mut Queue, place: usize) -> Option<Taken> {
     let mut job = queue.jobs.remove(place)?;
     let queued = job.waiting.pop()?;
-    let (id, work) = (job.id, job.work.clone());
+    let (id, work, used) = (job.id, job.work.clone(), job.used);
     if !job.waiting.is_empty() {
         queue.jobs.push_back(job);
     }
     queue.active += 1;
-    Some((id, work, queued))
+    Some(Taken { id, work, queued, used })
 }
 
 /// Puts an unfinished shard back into the queue: behind the other waiting shards of its job or, if there are none,
 /// behind all other jobs.
-fn put_back(queue: &mut Queue, id: u64, work: Arc<PoolWork>, queued: QueuedShard) {
+fn put_back(queue: &mut Queue, Taken { id, work, queued, used }: Taken, time: Duration) {
     match queue.jobs.iter_mut().find(|job| job.id == id) {
-        Some(job) => job.waiting.insert(0, queued),
-        None => queue.jobs.push_back(Job { work, waiting: vec![queued], id }),
+        Some(job) => {
+            job.waiting.insert(0, queued);
+            job.used += time;
+        }
+        None => queue.jobs.push_back(Job { work, waiting: vec![queued], id, used: used + time }),
     }
 }
 
 fn worker(shared: &PoolState) {
     let mut queue = shared.queue.lock();
     loop {
-        if let Some((id, work, queued)) = take(&mut queue, 0) {
+        if let Some(place) = next(&queue, |_| true) {
+            let Some(taken) = take(&mut queue, place) else { continue };
+            queue.floor = queue.floor.max(taken.used);
             drop(queue);
-            queue = carry_out(shared, id, work, queued);
+            queue = carry_out(shared, taken);
         } else if queue.closed {
             return;
         } else {
@@ -319,55 +344,52 @@ fn rest<'a>(shared: &'a PoolState, mut queue: MutexGuard<'a, Queue>) -> MutexGua
 }
 
 /// Works on a shard and returns it to its batch or to the queue.
-fn carry_out(shared: &PoolState, id: u64, work: Arc<PoolWork>, mut queued: QueuedShard) -> MutexGuard<'_, Queue> {
-    let outcome = catch_unwind(AssertUnwindSafe(|| compute(shared, id, &work, &mut queued)));
+fn carry_out(shared: &PoolState, mut taken: Taken) -> MutexGuard<'_, Queue> {
+    let begun = Instant::now();
+    let outcome = catch_unwind(AssertUnwindSafe(|| compute(shared, taken.id, &taken.work, &mut taken.queued)));
+    let time = begun.elapsed();
+    taken.queued.spent += time;
     if matches!(outcome, Ok(false)) {
         let mut queue = shared.queue.lock();
         queue.active -= 1;
         if !queue.closed {
-            put_back(&mut queue, id, work, queued);
+            put_back(&mut queue, taken, time);
         }
         return queue;
     }
-    give_back(shared, id, work, queued, outcome.is_err())
+    give_back(shared, taken, time, outcome.is_err())
 }
 
 /// Works on a shard until its operation is done or must end, and then returns true. If another session waits, it stops
 /// earlier, after at least one part. So long operations do not delay the steps of other sessions, and an operation
 /// without other sessions does not return to the queue.
 fn compute(shared: &PoolState, id: u64, work: &PoolWork, queued: &mut QueuedShard) -> bool {
-    let begun = Instant::now();
-    let is_over = loop {
+    loop {
         if work.must_end() {
-            break true;
+            return true;
         }
         if work.keeps && !queued.begun {
             queued.shard.keep_all();
         }
         queued.begun = true;
         if work.operation.run(&mut queued.shard, queued.start, &mut queued.done) {
-            break true;
+            return true;
         }
         let queue = shared.queue.lock();
         if queue.closed || queue.jobs.iter().any(|job| job.id != id) {
-            break false;
+            return false;
         }
-    };
-    queued.spent += begun.elapsed();
-    is_over
+    }
 }
 
-/// Returns a shard to its batch; the last shard completes the batch.
-fn give_back(
-    shared: &PoolState,
-    id: u64,
-    work: Arc<PoolWork>,
-    queued: QueuedShard,
-    panicked: bool,
-) -> MutexGuard<'_, Queue> {
-    let QueuedShard { start, shard, spent, .. } = queued;
+/// Returns a shard to its batch; the last shard completes the batch. `time`: of the work on this shard since it was taken.
+fn give_back(shared: &PoolState, taken: Taken, time: Duration, panicked: bool) -> MutexGuard<'_, Queue> {
+    let Taken { id, work, queued: QueuedShard { start, shard, spent, .. }, .. } = taken;
     let mut queue = shared.queue.lock();
     queue.active -= 1;
+    if let Some(job) = queue.jobs.iter_mut().find(|job| job.id == id) {
+        job.used += time;
+    }
     let Some(index) = queue.pending.iter().position(|p| p.id == id) else { return queue };
     let pending = &mut queue.pending[index];
     pending.panicked |= panicked;

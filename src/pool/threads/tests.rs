@@ -39,6 +39,53 @@ fn who_waits_computes() {
     drop(busy);
 }
 
+/// Ten long jobs have had a turn of some 10 ms each. From then on a new job waits for one turn at most, and each long job
+/// goes on even while new jobs come all the time.
+#[test]
+fn a_short_job_waits_for_one_turn_of_ten_long_ones() {
+    let time = |index: usize| Duration::from_micros(10_000 + 7 * index as u64);
+    let mut queue = Queue::default();
+    let add = |queue: &mut Queue| {
+        let (mut batch, operation) = begun();
+        let work = Arc::new(PoolWork { operation, stop: None, keeps: false, stopped: AtomicBool::new(false) });
+        let shard = batch.shards.remove(0);
+        let waiting = vec![QueuedShard { start: 0, shard, begun: false, done: 0, spent: Duration::ZERO }];
+        queue.next_id += 1;
+        queue.jobs.push_back(Job { work, waiting, id: queue.next_id, used: queue.floor });
+        queue.next_id
+    };
+    let turn = |queue: &mut Queue| {
+        let place = next(queue, |_| true).unwrap();
+        let taken = take(queue, place).unwrap();
+        queue.floor = queue.floor.max(taken.used);
+        taken
+    };
+    let long: Vec<u64> = (0..10).map(|_| add(&mut queue)).collect();
+    let mut turns = [0; 10];
+    for round in 0..300 {
+        let taken = turn(&mut queue);
+        if let Some(index) = long.iter().position(|id| *id == taken.id) {
+            put_back(&mut queue, taken, time(index));
+            turns[index] += 1;
+        }
+        if round > 10 && round % 3 == 2 {
+            let new = add(&mut queue);
+            let waited = (0..3).take_while(|_| {
+                let taken = turn(&mut queue);
+                let id = taken.id;
+                if let Some(index) = long.iter().position(|long| *long == id) {
+                    put_back(&mut queue, taken, time(index));
+                    turns[index] += 1;
+                }
+                id != new
+            });
+            let waited = waited.count();
+            assert!(waited <= 1, "round {round}: {waited} turns");
+        }
+    }
+    assert!(turns.iter().all(|n| *n >= 25), "{turns:?}");
+}
+
 /// `done` of a batch panics: the only worker goes on with other batches, and the values that `done` held are
 /// dropped.
 #[test]
