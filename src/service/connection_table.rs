@@ -4,7 +4,7 @@ use parking_lot::Mutex;
 use std::collections::HashMap;
 use std::net::SocketAddr;
 use std::sync::Arc;
-use std::sync::atomic::AtomicUsize;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 use tokio_util::sync::CancellationToken;
 
@@ -98,8 +98,8 @@ impl ConnectionTable {
             end: end.clone(),
         };
         entries.all.insert(id, entry);
-        let unread = AtomicUsize::new(0);
-        Some(ConnectionHandle(Arc::new(ConnectionState { table: self.clone(), id, peer, end, unread, is_in_crowd })))
+        let (table, unread, is_known) = (self.clone(), AtomicUsize::new(0), AtomicBool::new(false));
+        Some(ConnectionHandle(Arc::new(ConnectionState { table, id, peer, end, unread, is_in_crowd, is_known })))
     }
 
     /// Closes connections that have been without a call, or without an admitted call, for too long.
@@ -135,6 +135,8 @@ pub struct ConnectionState {
     pub unread: AtomicUsize,
     /// Were there [`CROWD`] strangers when it was accepted?
     pub is_in_crowd: bool,
+    /// Has it begun an admitted call?
+    is_known: AtomicBool,
 }
 
 impl std::ops::Deref for ConnectionHandle {
@@ -157,9 +159,15 @@ impl ConnectionHandle {
         self.peer.map_or_else(|| "a Unix socket".into(), |a| a.to_string())
     }
 
+    /// Has the connection begun an admitted call?
+    pub fn is_known(&self) -> bool {
+        self.is_known.load(Ordering::Relaxed)
+    }
+
     /// Counts a call until the returned value is dropped. None: it is one too many on a connection without an admitted
     /// call. If all such connections together have too many, the oldest other one is closed.
     pub fn begin(&self, admitted: bool) -> Option<OpenCall> {
+        self.is_known.fetch_or(admitted, Ordering::Relaxed);
         let mut entries = self.table.entries.lock();
         if let Some(entry) = entries.all.get_mut(&self.id) {
             entry.strange = entry.strange.filter(|_| !admitted).map(|n| n + 1);

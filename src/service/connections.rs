@@ -12,6 +12,7 @@
 use super::connection_table::{ConnectionHandle, ConnectionTable, OPENING};
 use super::refusals::{Refusal, Refusals};
 use super::security::Tls;
+use super::sliced::{SlicedStream, Turn};
 use axum::Router;
 use axum::extract::Request;
 use hyper::body::Incoming;
@@ -228,7 +229,6 @@ impl Connections {
                 answer
             }
         });
-        let stream = TokioIo::new(stream);
         // Errors on a connection concern its peer only.
         match self.protocol {
             Protocol::Http2 { streams, few, window, frame } => {
@@ -242,13 +242,15 @@ impl Connections {
                 if link.peer.is_some() {
                     builder.keep_alive_interval(SILENCE).keep_alive_timeout(SILENCE);
                 }
-                drop(watcher.watch(builder.serve_connection(stream, service)).await);
+                let turn = Turn::default();
+                let stream = TokioIo::new(SlicedStream::new(stream, link.clone(), turn.clone()));
+                drop(turn.of_each_poll(watcher.watch(builder.serve_connection(stream, service))).await);
             }
             Protocol::Http1 => {
                 let mut builder = http1::Builder::new();
                 // A connection that waits for another request would only take a place.
                 builder.timer(TokioTimer::new()).header_read_timeout(OPENING).keep_alive(false);
-                drop(watcher.watch(builder.serve_connection(stream, service)).await);
+                drop(watcher.watch(builder.serve_connection(TokioIo::new(stream), service)).await);
             }
         }
     }

@@ -51,6 +51,7 @@ mod security;
 pub mod server;
 pub mod sessions;
 mod share;
+mod sliced;
 mod state;
 pub mod status;
 mod stream;

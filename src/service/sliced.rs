@@ -1,0 +1,91 @@
+//! The bytes of a connection that has not begun an admitted call yet come in slices.
+
+use super::connection_table::ConnectionHandle;
+use std::future::poll_fn;
+use std::io;
+use std::pin::{Pin, pin};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::task::{Context, Poll, ready};
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+
+/// Largest number of bytes that are read at once from a connection without an admitted call: our choice, some 16 heads of
+/// calls, as many as such a connection may have at the same time.
+const SLICE: usize = 2048;
+
+/// A stream of bytes. Until its connection has begun an admitted call, other tasks run between two slices. Without this,
+/// HTTP/2 takes up a thousand calls of a stranger before our code sees the first one and closes the connection: 19 ms of
+/// processor time instead of 2.
+pub struct SlicedStream<S> {
+    stream: S,
+    link: ConnectionHandle,
+    turn: Turn,
+}
+
+/// The right to read one slice, which a connection gets each time that its task runs. HTTP/2 tries to read more than once
+/// before it lets other tasks run.
+#[derive(Clone, Default)]
+pub struct Turn(Arc<AtomicBool>);
+
+impl Turn {
+    /// Gives `connection` a turn each time that it is polled.
+    pub async fn of_each_poll<F: Future>(self, connection: F) -> F::Output {
+        let mut connection = pin!(connection);
+        poll_fn(|context| {
+            self.0.store(true, Ordering::Relaxed);
+            connection.as_mut().poll(context)
+        })
+        .await
+    }
+}
+
+impl<S> SlicedStream<S> {
+    pub fn new(stream: S, link: ConnectionHandle, turn: Turn) -> Self {
+        Self { stream, link, turn }
+    }
+}
+
+impl<S: AsyncRead + Unpin> AsyncRead for SlicedStream<S> {
+    fn poll_read(mut self: Pin<&mut Self>, context: &mut Context<'_>, into: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
+        if self.link.is_known() {
+            return Pin::new(&mut self.stream).poll_read(context, into);
+        }
+        if !self.turn.0.load(Ordering::Relaxed) {
+            context.waker().wake_by_ref();
+            return Poll::Pending;
+        }
+        let length = SLICE.min(into.remaining());
+        let mut slice = ReadBuf::new(into.initialize_unfilled_to(length));
+        ready!(Pin::new(&mut self.stream).poll_read(context, &mut slice))?;
+        let read = slice.filled().len();
+        into.advance(read);
+        self.turn.0.store(false, Ordering::Relaxed);
+        Poll::Ready(Ok(()))
+    }
+}
+
+impl<S: AsyncWrite + Unpin> AsyncWrite for SlicedStream<S> {
+    fn poll_write(mut self: Pin<&mut Self>, context: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
+        Pin::new(&mut self.stream).poll_write(context, bytes)
+    }
+
+    fn poll_write_vectored(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        bytes: &[io::IoSlice<'_>],
+    ) -> Poll<io::Result<usize>> {
+        Pin::new(&mut self.stream).poll_write_vectored(context, bytes)
+    }
+
+    fn is_write_vectored(&self) -> bool {
+        self.stream.is_write_vectored()
+    }
+
+    fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_flush(context)
+    }
+
+    fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_shutdown(context)
+    }
+}
