@@ -1,5 +1,5 @@
 """The command `sandgait`. It loads only the native module, because importing `sandgait` would load gymnasium and
-numpy."""
+numpy. `sandgait certify` is written in Python, so it loads the package."""
 
 from __future__ import annotations
 
@@ -11,7 +11,18 @@ from typing import Any
 
 def main() -> int:
     """Runs the command line of this process and returns its exit code."""
+    if sys.argv[1:2] == ["certify"]:
+        return _certify(sys.argv[2:])
     return int(_native().main(["sandgait", *sys.argv[1:]]))
+
+
+def _certify(arguments: list[str]) -> int:
+    try:
+        from sandgait.certify.__main__ import main
+    except ImportError as error:
+        print(f"sandgait: certify: {error}; pip install 'sandgait[deploy]'", file=sys.stderr)
+        return 2
+    return main(arguments)
 
 
 def _native() -> Any:
