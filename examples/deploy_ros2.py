@@ -3,12 +3,11 @@
     python examples/deploy_ros2.py POLICY --simulated ROBOT.xml
     python examples/deploy_ros2.py POLICY          # in a sourced ROS 2, with the controllers below running
 
-The node hears `/joint_states` (sensor_msgs/JointState), `/imu` (sensor_msgs/Imu, whose quaternion is x, y, z, w),
-`/odom` (nav_msgs/Odometry, velocity of the base in its own frame) and `/cmd_vel` (geometry_msgs/Twist). It publishes the
-targets in the order of the controller's parameter `joints` to `/joint_group_position_controller/commands`
-(std_msgs/Float64MultiArray). The gains of policy.json belong into the drives. Tests run the simulated robot with messages
-that have the same fields; the functions of `rclpy` were never run here.
-"""
+The node hears `/joint_states` (sensor_msgs/JointState), `/imu` (sensor_msgs/Imu, its quaternion is x, y, z, w), `/odom`
+(nav_msgs/Odometry, velocity of the base in its own frame) and `/cmd_vel` (geometry_msgs/Twist). It publishes the
+targets in the order of the policy to `/joint_group_position_controller/commands` (std_msgs/Float64MultiArray); the
+parameter `joints` of that controller must have the same order. The gains of policy.json belong into the drives. Tests
+run the simulated robot with messages that have the same fields; the functions of `rclpy` were never run here. """
 
 from __future__ import annotations
 

@@ -4,10 +4,9 @@
     python examples/deploy_serial.py POLICY --port /dev/ttyUSB0
 
 The protocol is a line of text in each direction, fifty times a second. The robot sends `time`, then positions and
-speeds of its joints, the quaternion w, x, y, z, the gyroscope and the base's velocity. It gets a target for each joint and
-a 1, or a 0 in place of the 1: then its motors only damp. Tests run this with a simulated robot at the other end of a
-pseudo-terminal. Not tested here: a real port's speed, and what a cable loses.
-"""
+speeds of its joints, the quaternion w, x, y, z, the gyroscope and the base's velocity. It gets a target for each joint
+and a 1, or a 0 in place of the 1: then its motors only damp. Tests run this with a simulated robot at the other end of
+a pseudo-terminal. Not tested here: a real port's speed, and what a cable loses. """
 
 from __future__ import annotations
 

@@ -4,9 +4,9 @@
     python examples/deploy_unitree.py POLICY --interface enp3s0        # the robot, hanging in its gantry
 
 Tests run the simulated robot, whose messages have the fields of `LowState_` and `LowCmd_`. The class `Robot` below was
-never run here: it needs a robot. The SDK gives no velocity of the base in low-level mode, so on a robot the policy must be
-trained without it (`--option 'sensors={"without": ["lin_vel"]}'`); with another policy the Controller refuses to start.
-"""
+never run here: it needs a robot. The SDK gives no velocity of the base in low-level mode, so on a robot the policy must
+be trained without it (`--option 'sensors={"without": ["lin_vel"]}'`); with another policy the Controller refuses to
+start. """
 
 from __future__ import annotations
 
@@ -113,7 +113,9 @@ class Simulated:
 
     def state(self) -> Any:
         read = self.plant.readings()
-        rows = zip(*(read[name][self._order] for name in ("joint_position", "joint_velocity", "joint_torque")), strict=True)
+        rows = zip(
+            *(read[name][self._order] for name in ("joint_position", "joint_velocity", "joint_torque")), strict=True
+        )
         imu = SimpleNamespace(**{name: read[name] for name in ("quaternion", "gyroscope", "accelerometer")})
         motors = [SimpleNamespace(q=q, dq=dq, tau_est=tau) for q, dq, tau in rows]
         return SimpleNamespace(time=self.plant.time, motor_state=motors, imu_state=imu, velocity=read["lin_vel"])
@@ -133,7 +135,9 @@ class Simulated:
         """Time has passed in `send`."""
 
 
-def run(controller: Controller, link: Link, joints: tuple[str, ...], command: tuple[float, float, float], seconds: float) -> None:
+def run(
+    controller: Controller, link: Link, joints: tuple[str, ...], command: tuple[float, float, float], seconds: float
+) -> None:
     """Checks, stands up, walks for some seconds, stops and stands. Ends at once if the controller stops the robot."""
     period, end = 1.0 / controller.policy.rate, None
     next_time = link.now()

@@ -67,8 +67,8 @@ class Motors:
 
 
 class Plant:
-    """The robot of the MJCF or URDF `file`. `joints`: names of the driven joints, in the order of targets; `all_joints`:
-    those of readings."""
+    """The robot of the MJCF or URDF `file`. `joints`: names of the driven joints, in the order of targets;
+    `all_joints`: those of readings."""
 
     def __init__(
         self,

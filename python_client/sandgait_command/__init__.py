@@ -17,6 +17,10 @@ def main() -> int:
 
 
 def _certify(arguments: list[str]) -> int:
+    if "site" not in sys.modules:  # Python was started with -S, without the folder of installed packages
+        import site
+
+        site.main()
     try:
         from sandgait.certify.__main__ import main
     except ImportError as error:

@@ -144,7 +144,9 @@ class Controller:
         action = self._network.act(observation)
         return np.clip(action, self.policy.action_low, self.policy.action_high)
 
-    def step(self, readings: Mapping[str, Any], command: Sequence[float] = (0.0, 0.0, 0.0), now: float | None = None) -> Output:
+    def step(
+        self, readings: Mapping[str, Any], command: Sequence[float] = (0.0, 0.0, 0.0), now: float | None = None
+    ) -> Output:
         """One control step. `readings`: by name, `time` [s] among them; `command`: forward, to the left [m/s], yaw
         [rad/s], clipped to the ranges of the training; `now`: the present time on the clock of `time`, without which
         the readings' age is not checked."""
@@ -189,7 +191,9 @@ class Controller:
             behind = np.abs(position - self._targets)
             if behind.max() > MOST_BEHIND:
                 joint = self.policy.servos[int(behind.argmax())].joint
-                reason = f"{joint} is {behind.max():.2f} rad away from its target: check order, signs and gains of joints"
+                reason = (
+                    f"{joint} is {behind.max():.2f} rad away from its target: check order, signs and gains of joints"
+                )
                 return self._end("stopped", reason, read)
         observation = action = None
         wanted: Floats | None = None

@@ -1,9 +1,8 @@
 """The golden trace: one walk of the simulator, by which a program that runs the policy is checked.
 
-`golden.csv` beside `policy.json` has a row for each control step: readings, observation, action, targets and the torques
-that the servos' law demands. A program is right if at each boundary it turns the left side of the row into the right
-side. This module checks this package; ten lines in any other language do the same with the same file.
-"""
+`golden.csv` beside `policy.json` has a row for each control step: readings, observation, action, targets and the
+torques that the servos' law demands. A program is right if at each boundary it turns the left side of the row into the
+right side. This module checks this package; ten lines in any other language do the same with the same file. """
 
 from __future__ import annotations
 
@@ -46,7 +45,9 @@ class Boundary:
         if self.identical:
             return f"{self.name}: equal to the last bit"
         verdict = "within" if self.holds else "BEYOND"
-        return f"{self.name}: differs by {self.worst:.3g} in {self.column}, row {self.row} ({verdict} {self.tolerance:g})"
+        return (
+            f"{self.name}: differs by {self.worst:.3g} in {self.column}, row {self.row} ({verdict} {self.tolerance:g})"
+        )
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,9 @@ def verify(policy: Policy, network: Network) -> Verification:
         made["action"].append(np.clip(network.act(observation[k]), policy.action_low, policy.action_high))
         made["target"].append(policy.target(action[k]).astype(np.float32))
         driven = policy.driven
-        torque = policy.torque(policy.target(action[k]), read["joint_position"][driven], trace_joints(trace, "qd", policy, k))
+        torque = policy.torque(
+            policy.target(action[k]), read["joint_position"][driven], trace_joints(trace, "qd", policy, k)
+        )
         made["effort"].append(torque.astype(np.float32))
     return Verification(tuple(_boundary(name, np.array(made[name]), wanted[name], policy) for name in wanted))
 
@@ -94,7 +97,9 @@ def read_trace(policy: Policy) -> dict[str, Floats]:
             names, *rows = list(csv.reader(file))
         table = np.array(rows, np.float64).reshape(len(rows), len(names))
     except FileNotFoundError:
-        raise Refused(f"{path}: there is no golden trace; make it: python -m sandgait_deploy describe {policy.folder}") from None
+        raise Refused(
+            f"{path}: there is no golden trace; make it: python -m sandgait_deploy describe {policy.folder}"
+        ) from None
     except (OSError, ValueError) as error:
         raise Refused(f"{path}: is no golden trace ({error}); python -m sandgait_deploy describe writes it") from None
     return dict(zip(names, table.T, strict=True))

@@ -77,7 +77,9 @@ class _Program:
         try:
             graph = _field(_fields(content), 7)
             parts = list(_fields(graph))
-            self._constants = dict(_tensor(value) for number, value in parts if number == 5 and isinstance(value, bytes))
+            self._constants = dict(
+                _tensor(value) for number, value in parts if number == 5 and isinstance(value, bytes)
+            )
             self._nodes = [_node(value) for number, value in parts if number == 1 and isinstance(value, bytes)]
             self._input = _field(_fields(_field(parts, 11)), 1).decode()
             self._output = _field(_fields(_field(parts, 12)), 1).decode()

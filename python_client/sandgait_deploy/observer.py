@@ -47,7 +47,9 @@ class Observer:
             own["joint_velocity"] = (read["joint_position"] - before) * policy.rate
             self._positions = read["joint_position"]
         all = {**read, **own}
-        row = np.array([_value(all[c.reading][c.index] - c.subtract, c.part) for c in policy.observation[: self._width]])
+        row = np.array(
+            [_value(all[c.reading][c.index] - c.subtract, c.part) for c in policy.observation[: self._width]]
+        )
         row = np.clip(row.astype(np.float32), self._low, self._high)
         before_rows = self._rows or [row] * (policy.history - 1)
         self._rows = [row, *before_rows][: policy.history - 1]

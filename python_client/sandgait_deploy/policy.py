@@ -142,7 +142,9 @@ def read_policy(folder: str | Path) -> Policy:
     try:
         about = json.loads(path.read_bytes())
     except FileNotFoundError:
-        hint = "give the folder that `sandgait train` wrote, or make the file: python -m sandgait_deploy describe FOLDER"
+        hint = (
+            "give the folder that `sandgait train` wrote, or make the file: python -m sandgait_deploy describe FOLDER"
+        )
         raise Refused(f"{path}: there is no such file; {hint}") from None
     except (OSError, ValueError) as error:
         raise Refused(f"{path}: cannot be read: {error}") from None

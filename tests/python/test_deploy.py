@@ -128,10 +128,14 @@ def test_joints_come_in_the_robot_s_order() -> None:
     outputs = []
     for controller in (by_name, by_place):
         still = Still(controller)
-        position = {joint: float(angle) + 0.01 * k for k, (joint, angle) in enumerate(still()["joint_position"].items())}
+        position = {
+            joint: float(angle) + 0.01 * k for k, (joint, angle) in enumerate(still()["joint_position"].items())
+        }
         speed = {joint: 0.1 * k for k, joint in enumerate(position)}
 
-        def read(controller: Controller = controller, still: Still = still, position: Any = position, speed: Any = speed) -> Any:
+        def read(
+            controller: Controller = controller, still: Still = still, position: Any = position, speed: Any = speed
+        ) -> Any:
             if controller is by_name:
                 return still(joint_position=position, joint_velocity=speed)
             return still(joint_position=[position[j] for j in order], joint_velocity=[speed[j] for j in order])
@@ -276,7 +280,7 @@ def test_old_folders_are_refused_and_described(cat: Path, capsys: pytest.Capture
     assert change(cat, version=3)
     with pytest.raises(Refused, match="is of version 3, this program reads version 2: update sandgait"):
         Controller(cat)
-    with pytest.raises(Refused, match="its|are no targets of joints"):
+    with pytest.raises(Refused, match="are no targets of joints"):
         Controller(gait(cat.parent))
 
 

@@ -52,10 +52,18 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("policy", type=Path, help="the folder that sandgait train wrote, or its policy.onnx")
     parser.add_argument("--robot", type=Path, required=True, help="the robot's MJCF or URDF file, for MuJoCo")
     parser.add_argument("--ground", help="rigid or a medium [default: the ground of the training]")
-    parser.add_argument("--latency", type=float, default=LATENCY, metavar="S", help="from a reading to the motors [%(default)s]")
-    parser.add_argument("--noise", type=float, default=1.0, metavar="F", help="factor on legged_gym's noise [%(default)s]")
-    parser.add_argument("--motors", type=float, default=1.0, metavar="F", help="factor on the motors' torques [%(default)s]")
-    parser.add_argument("--payload", type=float, default=0.0, metavar="F", help="part of the robot's mass [%(default)s]")
+    parser.add_argument(
+        "--latency", type=float, default=LATENCY, metavar="S", help="from a reading to the motors [%(default)s]"
+    )
+    parser.add_argument(
+        "--noise", type=float, default=1.0, metavar="F", help="factor on legged_gym's noise [%(default)s]"
+    )
+    parser.add_argument(
+        "--motors", type=float, default=1.0, metavar="F", help="factor on the motors' torques [%(default)s]"
+    )
+    parser.add_argument(
+        "--payload", type=float, default=0.0, metavar="F", help="part of the robot's mass [%(default)s]"
+    )
     parser.add_argument("--quick", action="store_true", help="only the cases that the verdict needs")
     parser.add_argument("--jobs", type=int, metavar="N", help="processes [default: one for each processor]")
     parser.add_argument("--out", type=Path, metavar="PAGE.html", help="write the certificate as a page")

@@ -1,15 +1,16 @@
-"""What fails first: the contract between policy and robot, the physics, or the task. It is said only if a counterfactual
-shows it: with this one thing changed, the robot walks."""
+"""What fails first: the contract between policy and robot, the physics, or the task. It is said only if a
+counterfactual shows it: with this one thing changed, the robot walks."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 from sandgait_deploy import Policy
 
 from ..plant import Conditions
-from .walk import Command, Job, Outcome, Wiring, outcome
+from .walk import Command, Job, Wiring, outcome
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,9 @@ def of_ground(job: Job, told: Callable[[str], None]) -> Cause | None:
     made = outcome(replace(job, conditions=replace(job.conditions, ground="rigid")))
     if not made.holds:
         return None
-    return Cause("physics", f"on hard ground it walks ({made.words}): the sand of the two engines differs for this gait")
+    return Cause(
+        "physics", f"on hard ground it walks ({made.words}): the sand of the two engines differs for this gait"
+    )
 
 
 _REMEDIES = {
@@ -92,7 +95,7 @@ def wirings(policy: Policy) -> Iterator[Wiring]:
     yield Wiring("joints ordered by kind in place of by leg", joints=by_kind)
     yield Wiring("joints ordered by leg in place of by kind", joints=tuple(by_kind.index(j) for j in range(count)))
     for leg in legs:
-        for a, b in zip(leg, leg[1:], strict=False):
+        for a, b in pairwise(leg):
             order = list(range(count))
             order[a], order[b] = b, a
             yield Wiring(f"{policy.joints[a]} and {policy.joints[b]} exchanged", joints=tuple(order))
@@ -118,11 +121,14 @@ def first_failure(
     engine: tuple[str, bool],
     told: Callable[[str], None],
 ) -> Cause:
-    """Why the policy does not hold. `nominal`: walks of a robot without imperfections, `stated`: those of the robot as it
-    is, `holds`: of each; `engine`: what the policy does in its own simulator, and whether it follows its commands."""
+    """Why the policy does not hold. `nominal`: walks of a robot without imperfections, `stated`: those of the robot as
+    it is, `holds`: of each; `engine`: what the policy does in its own simulator, and whether it follows its
+    commands."""
     said, follows = engine
     if not follows:
-        return Cause("task", f"in the simulator in which it was trained it does not follow its commands either ({said})")
+        return Cause(
+            "task", f"in the simulator in which it was trained it does not follow its commands either ({said})"
+        )
     short = few(nominal.commands)
     if not holds[0]:
         job = replace(nominal, commands=short)

@@ -16,7 +16,7 @@ from .. import server
 from ..plant import Conditions
 from .causes import Cause, few, first_failure
 from .grid import Case, cases, sand_of
-from .walk import FOLLOWS, Command, Job, Line, Outcome, Wiring, all_outcomes
+from .walk import Command, Job, Line, Outcome, Wiring, all_outcomes
 
 #: Latency of a robot that is not stated [s]: our choice, half a control step, for a bus, a driver and a computer.
 LATENCY = 0.01
@@ -85,7 +85,8 @@ class Certificate:
 
 
 def certify(request: Request, told: Callable[[str], None] = lambda _: None) -> Certificate:
-    """Drives the robot by the policy in MuJoCo and judges it. Raises Refused if policy, robot or ground cannot be used."""
+    """Drives the robot by the policy in MuJoCo and judges it. Raises Refused if policy, robot or ground cannot be
+    used."""
     controller = Controller(request.folder)
     policy = controller.policy
     ground = sand_of(policy, request.ground)
@@ -119,7 +120,7 @@ def certify(request: Request, told: Callable[[str], None] = lambda _: None) -> C
         cause = Cause("contract", f"policy.json and the golden trace disagree at the boundary {worst.name}: {worst}")
     elif reasons:
         own = engine[ground]
-        follows = _mean(own) <= FOLLOWS and not any(line.fell for line in own)
+        follows = Outcome(Conditions(), own).holds
         failing = next((jobs[len(first) + 1 + k] for k, (c, o) in enumerate(grid) if c.required and not o.holds), None)
         tried = jobs[len(first)] if not outcome.holds or failing is None else failing
         holds = nominal[ground].holds, outcome.holds
@@ -138,7 +139,7 @@ def _reasons(
     reasons = []
     if not verification:
         reasons.append("this program does not reproduce the golden trace of the training")
-    if _mean(own) > FOLLOWS or any(line.fell for line in own):
+    if not Outcome(Conditions(), own).holds:
         reasons.append(f"in the simulator of its training it does not follow its commands: {_words(own)}")
     if not nominal.holds:
         reasons.append(f"in MuJoCo, without any imperfection, it does not hold: {nominal.words}")
@@ -155,9 +156,7 @@ def _own(policy: Policy, ground: str) -> tuple[Line, ...]:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "made.json"
         command = [*server.command(), "evaluate", str(policy.network), "--commands", "--json", str(file)]
-        done = subprocess.run(
-            [*command, "--option", f"ground={ground}"], capture_output=True, text=True, check=False
-        )
+        done = subprocess.run([*command, "--option", f"ground={ground}"], capture_output=True, text=True, check=False)
         if done.returncode:
             said = (done.stderr.strip().splitlines() or ["it says nothing"])[-1]
             raise Refused(f"{policy.folder}: the policy cannot be evaluated: {said}")
@@ -168,10 +167,6 @@ def _own(policy: Policy, ground: str) -> tuple[Line, ...]:
 def _line(line: dict[str, Any]) -> Line:
     command, velocity = ((float(x), float(y), float(z)) for x, y, z in (line["command"], line["velocity"]))
     return Line(command, velocity, float(line["error"]), line["falls"] > 0)
-
-
-def _mean(lines: tuple[Line, ...]) -> float:
-    return sum(line.error for line in lines) / len(lines)
 
 
 def _words(lines: tuple[Line, ...]) -> str:
@@ -187,7 +182,7 @@ def ranges(certificate: Certificate) -> list[str]:
     for what, rows in kinds.items():
         held = [case.value for case, outcome in rows if outcome.holds]
         failed = [case.value for case, outcome in rows if not outcome.holds]
-        lines.append(f"{what}: holds at {', '.join(held) or 'none'}" + (f"; fails at {', '.join(failed)}" if failed else ""))
+        lines.append(
+            f"{what}: holds at {', '.join(held) or 'none'}" + (f"; fails at {', '.join(failed)}" if failed else "")
+        )
     return lines
-
-

@@ -11,8 +11,8 @@ from ..errors import InvalidRequest
 from ..plant import Conditions
 from ..sand import Sand
 
-#: Factors on the nominal sand's strength that are tried. 95 pushes of a robot's leg into dunes differed by a factor of 18
-#: between the 10th and the 90th percentile; these are its square roots, and steps between them.
+#: Factors on the nominal sand's strength that are tried. 95 pushes of a robot's leg into dunes differed by a factor of
+#: 18 between the 10th and the 90th percentile; these span this factor.
 SANDS = (18**-0.5, 18**-0.25, 18**0.25, 18**0.5)
 SLOPES = (-10.0, -5.0, 5.0, 10.0)
 PAYLOADS = (0.1, 0.2)

@@ -32,8 +32,8 @@ def page(certificate: Certificate) -> str:
         "<h2>Nine commands</h2>",
         *(_commands(c, ground, outcome) for ground, outcome in c.nominal.items()),
         "<h2>One thing at a time</h2>",
-        f"<p>Mean error of three commands around the robot as stated; a case holds up to {FOLLOWS:.0%} and without a fall. "
-        "The verdict needs the cases in bold.</p>",
+        f"<p>Mean error of three commands around the robot as stated; a case holds if no command's error is above "
+        f"{FOLLOWS:.0%}, and without a fall. The verdict needs the cases in bold.</p>",
         _grid(c),
         "".join(f"<p>{html.escape(line)}</p>" for line in ranges(c)),
         "<h2>The whole sheet</h2>",
@@ -49,7 +49,9 @@ def _commands(c: Certificate, ground: str, outcome: Outcome) -> str:
     others: list[Line | None] = [*outcome.lines] or [None] * len(c.engine[ground])
     for own, other in zip(c.engine[ground], others, strict=True):
         command = ", ".join(f"{x:.2f}" for x in own.command)
-        rows.append(f"<tr><td>{command}</td><td>{_error(own)}</td><td>{'–' if other is None else _error(other)}</td></tr>")
+        rows.append(
+            f"<tr><td>{command}</td><td>{_error(own)}</td><td>{'–' if other is None else _error(other)}</td></tr>"
+        )
     head = "<tr><th>forward, left [m/s], yaw [rad/s]</th><th>this simulator</th><th>MuJoCo</th></tr>"
     return f"<h3>{html.escape(ground)}</h3><table>{head}{''.join(rows)}</table>"
 
@@ -65,5 +67,7 @@ def _grid(c: Certificate) -> str:
         length = _BAR * min(1.0, outcome.error if outcome.lines else 1.0)
         bar = f"<span class='bar' style='width:{length:.1f}rem'></span> {html.escape(outcome.words)}"
         label = f"<b>{name}</b>" if case.required else name
-        rows.append(f"<tr class='{'' if outcome.holds else 'bad'}'><td>{label}</td><td style='text-align:left'>{bar}</td></tr>")
+        rows.append(
+            f"<tr class='{'' if outcome.holds else 'bad'}'><td>{label}</td><td style='text-align:left'>{bar}</td></tr>"
+        )
     return f"<table>{''.join(rows)}</table>"

@@ -18,7 +18,11 @@ def sheet(certificate: Certificate) -> str:
         *(f"golden trace, {line}" for line in str(c.verification).splitlines()),
     ]
     for ground, outcome in c.nominal.items():
-        lines += ["", f"nine commands on {ground}, no imperfections: this simulator | MuJoCo", *_commands(c, ground, outcome)]
+        lines += [
+            "",
+            f"nine commands on {ground}, no imperfections: this simulator | MuJoCo",
+            *_commands(c, ground, outcome),
+        ]
     lines += ["", f"the robot as stated, in MuJoCo: {c.stated.words}", *_strain(c.stated), "", "one thing at a time:"]
     lines += ["  " + line for line in ranges(c)]
     lines += ["", *verdict(c)]
@@ -28,7 +32,9 @@ def sheet(certificate: Certificate) -> str:
 def verdict(c: Certificate) -> list[str]:
     """The verdict, its reasons, and what fails first."""
     if c.deploy:
-        return [f"DEPLOY: golden trace, both engines and all required cases hold (mean error up to {FOLLOWS:.0%}, no fall)"]
+        return [
+            f"DEPLOY: golden trace, both engines and all required cases hold (no fall, each command within {FOLLOWS:.0%})"
+        ]
     lines = [f"reason: {reason}" for reason in c.reasons]
     if c.cause is not None:
         lines.append(f"first cause ({c.cause.kind}): {c.cause.words}")
