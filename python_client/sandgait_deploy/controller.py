@@ -150,6 +150,8 @@ class Controller:
         """One control step. `readings`: by name, `time` [s] among them; `command`: forward, to the left [m/s], yaw
         [rad/s], clipped to the ranges of the training; `now`: the present time on the clock of `time`, without which
         the readings' age is not checked."""
+        if self.state in ("fallen", "stopped"):
+            return self._end(self.state, self.reason, None)
         try:
             read = self._readings.read(readings)
             self._check_time(float(read["time"][0]), now)

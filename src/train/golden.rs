@@ -10,9 +10,9 @@ use crate::policy::Network;
 use serde_json::{Map, Value, json};
 use std::fmt::Write as _;
 
-/// Control steps before the trace, and in it: our choice, so that the robot walks, and the trace has two strides.
+/// Control steps before the trace, and in it: our choice, so that the robot walks, and the trace has a stride or more.
 const BEFORE: usize = 50;
-const STEPS: usize = 40;
+const STEPS: usize = 25;
 /// The command as a part of its greatest values: our choice, so that each of its numbers differs from 0.
 const COMMAND: [f64; 3] = [0.6, 0.3, 0.6];
 
