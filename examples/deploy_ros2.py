@@ -7,7 +7,7 @@ The node hears `/joint_states` (sensor_msgs/JointState), `/imu` (sensor_msgs/Imu
 (nav_msgs/Odometry, velocity of the base in its own frame) and `/cmd_vel` (geometry_msgs/Twist). It publishes the
 targets in the order of the policy to `/joint_group_position_controller/commands` (std_msgs/Float64MultiArray); the
 parameter `joints` of that controller must have the same order. The gains of policy.json belong into the drives. Tests
-run the simulated robot with messages that have the same fields; the functions of `rclpy` were never run here. """
+run the simulated robot with messages that have the same fields; the functions of `rclpy` were never run here."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def simulate(policy: Path, file: Path, log: Path | None, seconds: float) -> None
 
     with Controller(policy, quaternion="xyzw", log=log) as controller:
         bridge, own = Bridge(controller), controller.policy
-        plant = make_plant(own, file, Conditions(latency=0.005), seed=0)
+        plant = make_plant(own, file, Conditions(ground=str(own.trained_with["ground"]), latency=0.005), seed=0)
         plant.reset({servo.joint: servo.default for servo in own.servos})
         period, output = 1.0 / own.rate, None
         walked = False

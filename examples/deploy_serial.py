@@ -6,12 +6,13 @@
 The protocol is a line of text in each direction, fifty times a second. The robot sends `time`, then positions and
 speeds of its joints, the quaternion w, x, y, z, the gyroscope and the base's velocity. It gets a target for each joint
 and a 1, or a 0 in place of the 1: then its motors only damp. Tests run this with a simulated robot at the other end of
-a pseudo-terminal. Not tested here: a real port's speed, and what a cable loses. """
+a pseudo-terminal. Not tested here: a real port's speed, and what a cable loses."""
 
 from __future__ import annotations
 
 import argparse
 import os
+import termios
 import threading
 import tty
 from pathlib import Path
@@ -26,7 +27,7 @@ class Port:
     """Lines of numbers over a serial port. Set its speed before: `stty -F /dev/ttyUSB0 921600 raw`."""
 
     def __init__(self, file: int) -> None:
-        tty.setraw(file)
+        tty.setraw(file, termios.TCSANOW)  # keeps what has come already
         self._in = os.fdopen(os.dup(file), "r", encoding="ascii", newline="\n")
         self._out = os.fdopen(file, "w", encoding="ascii", newline="\n")
 
@@ -74,7 +75,7 @@ def simulated(controller: Controller, file: Path, port: Port) -> Any:
     from sandgait.plant import Conditions
 
     policy = controller.policy
-    plant = make_plant(policy, file, Conditions(latency=0.005), seed=0)
+    plant = make_plant(policy, file, Conditions(ground=str(policy.trained_with["ground"]), latency=0.005), seed=0)
     plant.reset({servo.joint: servo.default for servo in policy.servos})
     own = {name: np.array([getattr(servo, name) for servo in policy.servos]) for name in ("stiffness", "damping")}
 

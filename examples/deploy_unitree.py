@@ -6,7 +6,7 @@
 Tests run the simulated robot, whose messages have the fields of `LowState_` and `LowCmd_`. The class `Robot` below was
 never run here: it needs a robot. The SDK gives no velocity of the base in low-level mode, so on a robot the policy must
 be trained without it (`--option 'sensors={"without": ["lin_vel"]}'`); with another policy the Controller refuses to
-start. """
+start."""
 
 from __future__ import annotations
 
@@ -106,7 +106,9 @@ class Simulated:
         from sandgait.plant import Conditions
 
         policy = controller.policy
-        self.plant = make_plant(policy, file, Conditions(latency=0.005), seed=0)
+        self.plant = make_plant(
+            policy, file, Conditions(ground=str(policy.trained_with["ground"]), latency=0.005), seed=0
+        )
         self.plant.reset({servo.joint: servo.default for servo in policy.servos})
         self._controller, self._driven = controller, [servo.joint for servo in policy.servos]
         self._order = [policy.joints.index(joint) for joint in joints]

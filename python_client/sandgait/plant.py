@@ -79,12 +79,18 @@ class Plant:
         conditions: Conditions,
         seed: int = 0,
     ) -> None:
-        self.conditions, self._motors = conditions, motors
+        self.conditions = conditions
+        self._limit = conditions.motor_strength * motors.torque_limit
+        self._stall, self._fastest = conditions.motor_strength * motors.stall_torque, motors.no_load_speed
+        # A motor without a known line has a constant limit: a stall torque that is never reached.
+        known = np.isfinite(self._stall) & np.isfinite(self._fastest)
+        self._has_line = bool(known.any())
+        self._stall, self._fastest = np.where(known, self._stall, 1e30), np.where(known, self._fastest, 1e30)
         self.model = _model(Path(file), conditions)
         model = self.model
         self._joints = [_joint(model, name, Path(file)) for name in joints]
         read = [_joint(model, name, Path(file)) for name in all_joints]
-        self._dofs = model.jnt_dofadr[self._joints]
+        self._dofs, self._places = model.jnt_dofadr[self._joints], model.jnt_qposadr[self._joints]
         self._read = model.jnt_qposadr[read], model.jnt_dofadr[read]
         self._base = int(model.body_rootid[model.jnt_bodyid[self._joints[0]]])
         self._names = all_joints
@@ -189,23 +195,22 @@ class Plant:
             _, *now = self._late.pop(0)
             self._now = tuple(now)
         target, stiffness, damping = self._now
-        position, speed = data.qpos[self.model.jnt_qposadr[self._joints]], data.qvel[dofs]
-        strength, motors = self.conditions.motor_strength, self._motors
-        wanted = strength * (stiffness * (target - position) - damping * speed)
-        with np.errstate(invalid="ignore"):
-            line = strength * motors.stall_torque * (1.0 - np.abs(speed) / motors.no_load_speed)
-        limit = strength * motors.torque_limit
-        drives = np.where(np.isfinite(line), np.clip(line, 0.0, limit), limit)
-        forward = wanted * speed > 0.0
-        self.torque = np.clip(wanted, -np.where(forward, drives, limit), np.where(forward, drives, limit))
+        position, speed = data.qpos[self._places], data.qvel[dofs]
+        wanted = self.conditions.motor_strength * (stiffness * (target - position) - damping * speed)
+        most, least = self._limit, -self._limit
+        if self._has_line:
+            line = np.clip(self._stall * (1.0 - np.abs(speed) / self._fastest), 0.0, self._limit)
+            most, least = np.where(speed > 0.0, line, most), np.where(speed < 0.0, -line, least)
+        self.torque = np.minimum(np.maximum(wanted, least), most)
         data.qfrc_applied[dofs] = self.torque
         if self.sand is None:
             mujoco.mj_step(self.model, data)
         else:
             self.sand.step(data)
-        self.most_torque = np.maximum(self.most_torque, np.abs(self.torque))
-        self.most_speed = np.maximum(self.most_speed, np.abs(speed))
-        self._squares, self._count = self._squares + self.torque**2, self._count + 1
+        np.maximum(self.most_torque, np.abs(self.torque), out=self.most_torque)
+        np.maximum(self.most_speed, np.abs(speed), out=self.most_speed)
+        self._squares += self.torque * self.torque
+        self._count += 1
 
     def _exact(self) -> dict[str, Any]:
         data = self.data

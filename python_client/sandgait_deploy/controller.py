@@ -1,8 +1,9 @@
 """The program between a robot's sensors and its motors: it checks readings, runs the policy and limits targets.
 
 ```text
- checking ──▶ ready ──stand()──▶ rising ──▶ standing ◀──stop()── walking
-                                              └──────walk()───────▶ ┘
+ checking ──▶ ready ──stand()──▶ rising ──▶ standing ──walk()──▶ walking
+                                   ▲                               │ stop()
+                                   └────────── stopping ◀──────────┘
  any state with a tilt beyond the policy's limit ──▶ fallen;  any moving state with bad readings ──▶ stopped
 ```
 """
@@ -42,14 +43,18 @@ RISE_SECONDS = 2.0
 #: servos of usual robots give their full torque (0.3 rad for Go1).
 MOST_BEHIND = 0.5
 
-MOVING = ("rising", "standing", "walking")
+#: Time in which the policy brings the robot to a halt, commanded to stand, before it goes to its default pose [s]: our
+#: choice, some two strides.
+STOP_SECONDS = 1.0
+
+MOVING = ("rising", "standing", "walking", "stopping")
 
 
 @dataclass(frozen=True)
 class Output:
     """What the motors are to do in the next control period. Arrays have one number for each of `joints`."""
 
-    #: checking, ready, rising, standing, walking, fallen or stopped.
+    #: checking, ready, rising, standing, walking, stopping, fallen or stopped.
     state: str
     joints: tuple[str, ...]
     #: Targets [rad]; None: none. Then the motors only damp: stiffness 0.
@@ -116,7 +121,7 @@ class Controller:
         self._checked, self._last_time = 0, None
         self._targets: Floats | None = None
         self._from: Floats = self._default
-        self._steps = 0
+        self._steps = self._halted = 0
         self._last_action = np.zeros(len(self._default), np.float32)
         self._observer.forget()
 
@@ -135,9 +140,9 @@ class Controller:
         self._observer.forget()
 
     def stop(self) -> None:
-        """Ends the walk: the robot goes to its default pose and stands."""
+        """Ends the walk: the policy halts the robot within 1 s; then it goes to its default pose and stands."""
         if self.state == "walking":
-            self.state, self._steps = "rising", 0
+            self.state, self._halted = "stopping", self._steps + round(STOP_SECONDS * self.policy.rate)
 
     def act(self, observation: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
         """The policy's action for an observation of the simulator, to the last bit as in the simulator."""
@@ -210,7 +215,8 @@ class Controller:
             self.state = "standing" if part == 1.0 else "rising"
         elif self.state == "standing":
             wanted = self._default
-        elif self.state == "walking":
+        elif self.state in ("walking", "stopping"):
+            command = np.zeros(3) if self.state == "stopping" else command
             seconds = self._steps / self.policy.rate
             observation = self._observer.observe(read, command, self._last_action, seconds)
             try:
@@ -219,6 +225,8 @@ class Controller:
                 return self._end("stopped", str(error), read)
             self._last_action, self._steps = action, self._steps + 1
             wanted = self.policy.target(action)
+            if self.state == "stopping" and self._steps >= self._halted:
+                self.state, self._steps = "rising", 0
         return self._output(read, command, wanted, observation, action)
 
     def _check_time(self, time: float, now: float | None) -> None:

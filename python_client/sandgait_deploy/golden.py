@@ -2,7 +2,7 @@
 
 `golden.csv` beside `policy.json` has a row for each control step: readings, observation, action, targets and the
 torques that the servos' law demands. A program is right if at each boundary it turns the left side of the row into the
-right side. This module checks this package; ten lines in any other language do the same with the same file. """
+right side. This module checks this package; ten lines in any other language do the same with the same file."""
 
 from __future__ import annotations
 
