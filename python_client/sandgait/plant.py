@@ -106,7 +106,7 @@ class Plant:
             self.sand = add_sand(model, Sand(conditions.ground), floor=[_FLOOR])
         self._random = np.random.default_rng(seed)
         self._late: list[tuple[float, Array, Array, Array]] = []
-        self._now = np.zeros(len(joints)), np.zeros(len(joints)), np.zeros(len(joints))
+        self._now: tuple[Array, ...] = ()
         #: Torques of the driven joints in the last time step [N·m].
         self.torque = np.zeros(len(joints))
         #: Largest torque as a part of its limit, largest speed [rad/s], and rms torque, since `reset`.
@@ -126,7 +126,7 @@ class Plant:
         data.qpos[2] -= _lowest(self.model, data)
         mujoco.mj_forward(self.model, data)
         self._late = []
-        self._now = tuple(np.zeros(len(self._dofs)) for _ in range(3))
+        self._now = tuple(np.zeros(len(self._dofs)) for _ in range(3))  # no target yet
         self.torque = np.zeros(len(self._dofs))
         self.most_torque, self.most_speed = np.zeros(len(self._dofs)), np.zeros(len(self._dofs))
         self._squares, self._count = np.zeros(len(self._dofs)), 0

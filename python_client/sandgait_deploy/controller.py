@@ -118,7 +118,8 @@ class Controller:
     def reset(self) -> None:
         """Back to the first state, in which readings are checked and nothing moves."""
         self.state, self.reason = "checking", ""
-        self._checked, self._last_time = 0, None
+        self._checked = 0
+        self._last_time: float | None = None
         self._targets: Floats | None = None
         self._from: Floats = self._default
         self._steps = self._halted = 0

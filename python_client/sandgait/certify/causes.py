@@ -96,9 +96,9 @@ def wirings(policy: Policy) -> Iterator[Wiring]:
     yield Wiring("joints ordered by leg in place of by kind", joints=tuple(by_kind.index(j) for j in range(count)))
     for leg in legs:
         for a, b in pairwise(leg):
-            order = list(range(count))
-            order[a], order[b] = b, a
-            yield Wiring(f"{policy.joints[a]} and {policy.joints[b]} exchanged", joints=tuple(order))
+            swapped = list(range(count))
+            swapped[a], swapped[b] = b, a
+            yield Wiring(f"{policy.joints[a]} and {policy.joints[b]} exchanged", joints=tuple(swapped))
 
 
 def _with(first: Wiring, then: Wiring) -> Wiring:

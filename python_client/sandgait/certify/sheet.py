@@ -20,7 +20,7 @@ def sheet(certificate: Certificate) -> str:
     for ground, outcome in c.nominal.items():
         lines += [
             "",
-            f"nine commands on {ground}, no imperfections: this simulator | MuJoCo",
+            f"nine commands on {ground}, ideal robot: this simulator | MuJoCo",
             *_commands(c, ground, outcome),
         ]
     lines += ["", f"the robot as stated, in MuJoCo: {c.stated.words}", *_strain(c.stated), "", "one thing at a time:"]
