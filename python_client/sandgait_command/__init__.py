@@ -22,7 +22,7 @@ def _certify(arguments: list[str]) -> int:
 
         site.main()
     try:
-        from sandgait.certify.__main__ import main
+        from sandgait.certify.command import main
     except ImportError as error:
         print(f"sandgait: certify: {error}; pip install 'sandgait[deploy]'", file=sys.stderr)
         return 2

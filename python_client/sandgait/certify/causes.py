@@ -3,14 +3,14 @@ counterfactual shows it: with this one thing changed, the robot walks."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from sandgait_deploy import Policy
 
 from ..plant import Conditions
-from .walk import Command, Job, Wiring, outcome
+from .walk import Command, Job, Outcome, Wiring, outcome
 
 
 @dataclass(frozen=True)
@@ -21,14 +21,19 @@ class Cause:
     words: str
 
 
-def of_wiring(job: Job, policy: Policy, told: Callable[[str], None]) -> Cause | None:
-    """Tries usual errors of wiring, one at a time. If the robot walks with one of them undone, it is the cause."""
-    for wiring in wirings(policy):
+def of_wiring(job: Job, tried: Iterable[Wiring], told: Callable[[str], None]) -> Cause | None:
+    """Tries errors of wiring, one at a time. If the robot walks with some of them undone, the one with which it walks
+    best is the cause."""
+    made: list[tuple[Wiring, Outcome]] = []
+    for wiring in tried:
         told(f"contract: {wiring.name}")
-        made = outcome(replace(job, wiring=_with(job.wiring, wiring)))
-        if made.holds:
-            return Cause("contract", f"with {wiring.name} it walks ({made.words}): check this in the robot's program")
-    return None
+        made.append((wiring, outcome(replace(job, wiring=joined(job.wiring, wiring)))))
+    walking = sorted((pair for pair in made if pair[1].holds), key=lambda pair: pair[1].error)
+    if not walking:
+        return None
+    (best, how), others = walking[0], [wiring.name for wiring, _ in walking[1:]]
+    also = f"; it also walks, worse, with {', '.join(others)}" if others else ""
+    return Cause("contract", f"with {best.name} it walks ({how.words}){also}: check this in the robot's program")
 
 
 def of_conditions(job: Job, told: Callable[[str], None]) -> Cause | None:
@@ -101,7 +106,8 @@ def wirings(policy: Policy) -> Iterator[Wiring]:
             yield Wiring(f"{policy.joints[a]} and {policy.joints[b]} exchanged", joints=tuple(swapped))
 
 
-def _with(first: Wiring, then: Wiring) -> Wiring:
+def joined(first: Wiring, then: Wiring) -> Wiring:
+    """The wiring `first`, then `then`; what both reverse or turn is as it should be."""
     joints = then.joints
     if first.joints is not None:
         joints = tuple(first.joints[j] for j in then.joints) if then.joints is not None else first.joints
@@ -114,27 +120,17 @@ def _with(first: Wiring, then: Wiring) -> Wiring:
 
 
 def first_failure(
-    policy: Policy,
-    nominal: Job,
-    stated: Job,
-    holds: tuple[bool, bool],
-    engine: tuple[str, bool],
-    told: Callable[[str], None],
+    policy: Policy, nominal: Job, tried: Job, walks: bool, own: Outcome, told: Callable[[str], None]
 ) -> Cause:
-    """Why the policy does not hold. `nominal`: walks of a robot without imperfections, `stated`: those of the robot as
-    it is, `holds`: of each; `engine`: what the policy does in its own simulator, and whether it follows its
-    commands."""
-    said, follows = engine
-    if not follows:
-        return Cause(
-            "task", f"in the simulator in which it was trained it does not follow its commands either ({said})"
-        )
-    short = few(nominal.commands)
-    if not holds[0]:
-        job = replace(nominal, commands=short)
-        cause = of_wiring(job, policy, told) or of_ground(job, told)
+    """Why the policy does not hold. `nominal`: walks of a robot without imperfections, `walks`: do they hold; `tried`:
+    walks that do not hold; `own`: those in the simulator of the training."""
+    if not own.holds:
+        return Cause("task", f"in the simulator of its training it does not follow its commands either ({own.words})")
+    if walks:
+        cause = of_conditions(replace(tried, commands=few(tried.commands)), told)
     else:
-        cause = of_conditions(replace(stated, commands=short), told)
+        job = replace(nominal, commands=few(nominal.commands))
+        cause = of_wiring(job, wirings(policy), told) or of_ground(job, told)
     unknown = "no single change that was tried makes it walk, so the cause is not known; the imperfections may add up"
     return cause or Cause("unknown", unknown)
 

@@ -16,7 +16,7 @@ from .. import server
 from ..plant import Conditions
 from .causes import Cause, few, first_failure
 from .grid import Case, cases, sand_of
-from .walk import Command, Job, Line, Outcome, Wiring, all_outcomes
+from .walk import Command, Job, Line, Outcome, Wiring, all_outcomes, make_plant
 
 #: Latency of a robot that is not stated [s]: our choice, half a control step, for a bus, a driver and a computer.
 LATENCY = 0.01
@@ -92,7 +92,13 @@ def certify(request: Request, told: Callable[[str], None] = lambda _: None) -> C
     ground = sand_of(policy, request.ground)
     if not request.robot.is_file():
         raise Refused(f"robot: {request.robot} is no file; give the MJCF or URDF with which the policy was trained")
+    make_plant(policy, request.robot, Conditions(), request.seed)  # refuses a file that is not this robot
     verification = controller.verify()
+    if not verification:
+        worst = next(b for b in verification.boundaries if not b.holds)
+        broken = Cause("contract", f"policy.json and the golden trace disagree at the boundary {worst.name}: {worst}")
+        reason = "the golden trace of the training is not reproduced, so nothing was driven"
+        return Certificate(policy, request, verification, {}, {}, Outcome(Conditions(), ()), (), broken, (reason,))
     told("the simulator of the training")
     engine = {name: _own(policy, name) for name in dict.fromkeys((ground, "rigid"))}
     commands = tuple(line.command for line in engine[ground])
@@ -108,28 +114,22 @@ def certify(request: Request, told: Callable[[str], None] = lambda _: None) -> C
     def job(conditions: Conditions, of: tuple[Command, ...]) -> Job:
         return Job(str(request.folder), str(request.robot), conditions, of, request.seed, request.wiring)
 
-    first = [job(Conditions(ground=name), commands) for name in engine]
-    jobs = [*first, job(stated, commands), *(job(case.conditions, few(commands)) for case in rows)]
+    walks = [*(job(Conditions(ground=name), commands) for name in engine), job(stated, commands)]
+    jobs = [*walks, *(job(case.conditions, few(commands)) for case in rows)]
     made = all_outcomes(jobs, lambda done, count: told(f"MuJoCo: {done} of {count}"), request.processes)
-    nominal, outcome = dict(zip(engine, made, strict=False)), made[len(first)]
-    grid = tuple(zip(rows, made[len(first) + 1 :], strict=True))
-    reasons = _reasons(verification, engine[ground], nominal[ground], outcome, grid)
+    nominal, outcome = dict(zip(engine, made, strict=False)), made[len(engine)]
+    grid = tuple(zip(rows, made[len(walks) :], strict=True))
+    reasons = _reasons(engine[ground], nominal[ground], outcome, grid)
     cause = None
-    if not verification:
-        worst = next(b for b in verification.boundaries if not b.holds)
-        cause = Cause("contract", f"policy.json and the golden trace disagree at the boundary {worst.name}: {worst}")
-    elif reasons:
-        own = engine[ground]
-        follows = Outcome(Conditions(), own).holds
-        failing = next((jobs[len(first) + 1 + k] for k, (c, o) in enumerate(grid) if c.required and not o.holds), None)
-        tried = jobs[len(first)] if not outcome.holds or failing is None else failing
-        holds = nominal[ground].holds, outcome.holds
-        cause = first_failure(policy, first[0], tried, holds, (_words(own), follows), told)
+    if reasons:
+        own = Outcome(Conditions(), engine[ground])
+        failing = next((jobs[len(walks) + k] for k, (c, o) in enumerate(grid) if c.required and not o.holds), None)
+        tried = walks[-1] if not outcome.holds or failing is None else failing
+        cause = first_failure(policy, walks[0], tried, nominal[ground].holds, own, told)
     return Certificate(policy, request, verification, engine, nominal, outcome, grid, cause, reasons)
 
 
 def _reasons(
-    verification: Verification,
     own: tuple[Line, ...],
     nominal: Outcome,
     stated: Outcome,
@@ -137,10 +137,9 @@ def _reasons(
 ) -> tuple[str, ...]:
     """Everything that speaks against it."""
     reasons = []
-    if not verification:
-        reasons.append("this program does not reproduce the golden trace of the training")
-    if not Outcome(Conditions(), own).holds:
-        reasons.append(f"in the simulator of its training it does not follow its commands: {_words(own)}")
+    trained = Outcome(Conditions(), own)
+    if not trained.holds:
+        reasons.append(f"in the simulator of its training it does not follow its commands: {trained.words}")
     if not nominal.holds:
         reasons.append(f"in MuJoCo, without any imperfection, it does not hold: {nominal.words}")
     if not stated.holds:
@@ -167,10 +166,6 @@ def _own(policy: Policy, ground: str) -> tuple[Line, ...]:
 def _line(line: dict[str, Any]) -> Line:
     command, velocity = ((float(x), float(y), float(z)) for x, y, z in (line["command"], line["velocity"]))
     return Line(command, velocity, float(line["error"]), line["falls"] > 0)
-
-
-def _words(lines: tuple[Line, ...]) -> str:
-    return Outcome(Conditions(), lines).words
 
 
 def ranges(certificate: Certificate) -> list[str]:
