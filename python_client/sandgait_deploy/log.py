@@ -19,14 +19,14 @@ _JOINTS = {"joint_position": "q", "joint_velocity": "qd", "joint_torque": "tau"}
 
 
 class Log:
-    """Writes one row for each control step. Each walk is a run of its own. A reading that is absent is blank."""
+    """Writes one row for each step of a walk. Each walk is a run. A reading that is absent is blank."""
 
     def __init__(self, path: str | Path, policy: Policy) -> None:
         self._policy = policy
         self._runs, self._before = 0, ""
         names = ["run", "t", *_QUATERNION, *(f"{short}_{axis}" for short in _XYZ.values() for axis in "xyz")]
         names += [f"{short}:{joint}" for short in _JOINTS.values() for joint in policy.joints]
-        names += ["state", "command_x", "command_y", "command_yaw"]
+        names += ["command_x", "command_y", "command_yaw"]
         driven = [servo.joint for servo in policy.servos]
         names += [f"{kind}:{joint}" for kind in ("target", "action") for joint in driven]
         try:
@@ -36,17 +36,17 @@ class Log:
         self._file.write(",".join(names) + "\n")
 
     def row(self, read: dict[str, Floats], command: Floats, targets: Floats | None, output: Output) -> None:
-        policy = self._policy
-        if output.state == "walking" and self._before != "walking":
-            self._runs += 1
+        policy, before = self._policy, self._before
         self._before = output.state
-        run = f"walk{self._runs}" if output.state == "walking" else output.state
-        cells = [run, _text(read["time"][0]), *_cells(read.get("quaternion"), 4)]
+        if output.state != "walking":
+            return
+        self._runs += before != "walking"
+        cells = [f"walk{self._runs}", _text(read["time"][0]), *_cells(read.get("quaternion"), 4)]
         for name in _XYZ:
             cells += _cells(read.get(name), 3)
         for name in _JOINTS:
             cells += _cells(read.get(name), len(policy.joints))
-        cells += [output.state, *_cells(command, 3)]
+        cells += _cells(command, 3)
         cells += _cells(targets, len(policy.servos)) + _cells(output.action, len(policy.servos))
         self._file.write(",".join(cells) + "\n")
 

@@ -117,6 +117,7 @@ commands! {
     Robots: robots::RobotsArgs,
     Calibrate: calibrate::CalibrateArgs,
     Certify: python::CertifyArgs,
+    Adapt: python::AdaptArgs,
     Sweep: sweep::SweepArgs,
     Tasks: tasks::TasksArgs,
     Train: train::TrainArgs,
