@@ -26,7 +26,7 @@ def _in_python(command: str, arguments: list[str]) -> int:
 
         site.main()
     try:
-        module = import_module(f"sandgait.{command}.command")
+        module: Any = import_module(f"sandgait.{command}.command")
     except ImportError as error:
         print(f"sandgait: {command}: {error}; pip install 'sandgait[deploy]'", file=sys.stderr)
         return 2

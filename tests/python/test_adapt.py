@@ -42,21 +42,26 @@ scale = 0.7
 HARDWARE = 'source = "a test"\n'
 
 
-class Found:
-    """A finished diagnosis."""
-
-    def __init__(self, verdict: str, causes: list[dict[str, Any]]) -> None:
-        self.verdict, self.causes, self.summary = verdict, causes, f"it is {verdict}"
-        self.sand, self.hardware = SAND, HARDWARE
-        self.report = {"next_experiment": None}
-
-    def save(self, out: Path) -> None:
-        out.mkdir()
-        (out / "sand.toml").write_text(self.sand)
-        (out / "hardware.toml").write_text(self.hardware)
+WEAK = {
+    "verdict": "named",
+    "summary": "it is named",
+    "causes": [{"id": "scale", "value": 0.7, "unit": "1", "ci95": [0.6, 0.8]}],
+    "next_experiment": None,
+}
 
 
-WEAK = Found("named", [{"id": "scale", "value": 0.7, "unit": "1", "ci95": [0.6, 0.8]}])
+def found(verdict: str) -> dict[str, Any]:
+    """The report of a diagnosis that names no cause."""
+    return {"verdict": verdict, "summary": f"it is {verdict}", "causes": [], "next_experiment": None}
+
+
+def written(report: dict[str, Any], out: Path) -> Path:
+    """The folder of a finished diagnosis."""
+    out.mkdir()
+    (out / "report.json").write_text(json.dumps(report))
+    (out / "sand.toml").write_text(SAND)
+    (out / "hardware.toml").write_text(HARDWARE)
+    return out
 
 
 @pytest.fixture
@@ -69,7 +74,7 @@ def asked(tmp_path: Path) -> Request:
     return Request(log, folder, ROBOT, tmp_path / "out", timesteps=1)
 
 
-def stub(monkeypatch: pytest.MonkeyPatch, found: Found, errors: dict[str, float]) -> list[dict[str, Any]]:
+def stub(monkeypatch: pytest.MonkeyPatch, report: dict[str, Any], errors: dict[str, float]) -> list[dict[str, Any]]:
     """Replaces diagnosis, training and evaluation; returns what the training was asked."""
     trained: list[dict[str, Any]] = []
 
@@ -81,7 +86,7 @@ def stub(monkeypatch: pytest.MonkeyPatch, found: Found, errors: dict[str, float]
         key = "old" if folder.name == "cat" else "new"
         return errors[key] if draw is not None else errors["trained"]
 
-    monkeypatch.setattr(loop, "diagnose", lambda *_, **__: found)
+    monkeypatch.setattr(loop, "diagnose", lambda _request, _medium, place: written(report, place / "diagnosis"))
     monkeypatch.setattr(loop, "train", train)
     monkeypatch.setattr(loop, "_error", error)
     return trained
@@ -107,12 +112,12 @@ def log_of(path: Path, strength: float, steps: int) -> Path:
 
 @pytest.mark.parametrize(("strength", "steps"), [(1.0, 1), (0.88, 1), (1.1, 2)])
 def test_the_motors_strength_follows_from_targets_and_torques(tmp_path: Path, strength: float, steps: int) -> None:
-    found = motors(log_of(tmp_path / "walk.csv", strength, steps), read_policy(CAT))
-    assert found is not None
-    assert found.interval[0] <= strength <= found.interval[1]
-    assert found.interval[1] - found.interval[0] < 0.06
-    assert found.steps == steps
-    assert found.differ == (strength != 1.0)
+    fitted = motors(log_of(tmp_path / "walk.csv", strength, steps), read_policy(CAT))
+    assert fitted is not None
+    assert fitted.interval[0] <= strength <= fitted.interval[1]
+    assert fitted.interval[1] - fitted.interval[0] < 0.06
+    assert fitted.steps == steps
+    assert fitted.differ == (strength != 1.0)
 
 
 def test_torques_of_other_servos_say_nothing(tmp_path: Path) -> None:
@@ -128,7 +133,7 @@ def test_torques_of_other_servos_say_nothing(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("verdict", ["noise_floor", "ambiguous", "insufficient_data", "none_of_these"])
 def test_a_log_that_cannot_tell_changes_nothing(asked: Request, monkeypatch: pytest.MonkeyPatch, verdict: str) -> None:
-    trained = stub(monkeypatch, Found(verdict, []), {})
+    trained = stub(monkeypatch, found(verdict), {})
     made = adapt(asked)
     assert not made.adapted
     assert not trained
@@ -175,10 +180,10 @@ def test_a_training_that_did_not_help_is_said(asked: Request, monkeypatch: pytes
     assert summary(made)[-1].startswith("KEEP THE OLD POLICY: the training did not help")
 
 
-def test_worlds_are_drawn_from_the_intervals() -> None:
-    found = posterior(WEAK, Motors(0.88, (0.86, 0.9), 1, 0.99))  # type: ignore[arg-type]
-    worlds = found.draws(40, seed=0)
-    assert worlds == found.draws(40, seed=0)
+def test_worlds_are_drawn_from_the_intervals(tmp_path: Path) -> None:
+    said = posterior(written(WEAK, tmp_path / "diagnosis"), Motors(0.88, (0.86, 0.9), 1, 0.99))
+    worlds = said.draws(40, seed=0)
+    assert worlds == said.draws(40, seed=0)
     values = [float(world.sand.split("scale = ")[1]) for world in worlds]
     assert 0.6 <= min(values) < 0.66
     assert 0.74 < max(values) <= 0.8

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable
@@ -15,9 +16,7 @@ import numpy as np
 
 from sandgait_deploy import Refused, read_policy
 
-from .. import server
-from ..diagnosis import diagnose
-from ..errors import InvalidRequest
+from .. import logs, server
 from ..training import train
 from .posterior import Draw, Posterior, posterior
 from .servo import motors
@@ -101,20 +100,11 @@ def adapt(request: Request, told: Callable[[str], None] = lambda _: None) -> Ada
         raise Refused(f"{weights}: there is no such file; give the whole folder that sandgait train wrote")
     if request.out.exists() and any(request.out.iterdir()):
         raise Refused(f"{request.out}: is not empty; give another folder with --out")
-    experiment = {
-        "kind": "trajectory",
-        "robot": str(request.robot.resolve()),
-        "medium": medium,
-        "coefficient_sd": request.coefficient_sd,
-    }
     told("the diagnosis of the log")
-    try:
-        diagnosis = diagnose(request.log, experiment, progress=False)
-    except InvalidRequest as error:
-        raise Refused(f"{request.log}: {error}") from None
-    found = posterior(diagnosis, motors(request.log, policy))
-    request.out.mkdir(parents=True, exist_ok=True)
-    diagnosis.save(request.out / "diagnosis")
+    with tempfile.TemporaryDirectory() as place:
+        made = diagnose(request, medium, Path(place))
+        found = posterior(made, motors(request.log, policy))
+        shutil.copytree(made, request.out / "diagnosis", dirs_exist_ok=True)
     (request.out / "diagnosis" / "hardware.toml").write_text(found.best.hardware, encoding="utf-8")
     if not found.tells:
         return Adaptation(request, found, None, None, _untold(found))
@@ -135,6 +125,25 @@ def adapt(request: Request, told: Callable[[str], None] = lambda _: None) -> Ada
     gain = Gain(tuple(before), tuple(after))
     reason = "" if gain.interval[0] > 0.0 else "the training did not help: the interval of its gain reaches 0"
     return Adaptation(request, found, present, gain, reason)
+
+
+def diagnose(request: Request, medium: str, place: Path) -> Path:
+    """Diagnoses the log by `sandgait diagnose`, which reads robots from files; returns the folder of its results."""
+    experiment, out, log = place / "experiment.toml", place / "diagnosis", request.log
+    experiment.write_text(
+        f'kind = "trajectory"\nrobot = {json.dumps(str(request.robot.resolve()))}\nmedium = {json.dumps(medium)}\n'
+        f"coefficient_sd = {request.coefficient_sd!r}\n"
+    )
+    if logs.kind(log) is not None:
+        log = place / "log.csv"
+        log.write_bytes(logs.to_csv(request.log))
+    command = [*server.command(), "diagnose", str(log), "--experiment", str(experiment), "--out", str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise Refused(
+            (done.stderr.strip().splitlines() or ["the diagnosis says nothing"])[-1].removeprefix("sandgait: ")
+        )
+    return out
 
 
 def _untold(found: Posterior) -> str:

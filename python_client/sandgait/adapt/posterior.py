@@ -3,13 +3,14 @@ intervals."""
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..diagnosis import Diagnosis
 from .servo import Motors
 
 #: Verdicts after which a log says what to change.
@@ -71,16 +72,17 @@ class Posterior:
         return text
 
 
-def posterior(diagnosis: Diagnosis, motors: Motors | None = None) -> Posterior:
-    """The posterior of a finished diagnosis, and of the motors' strength if the log shows it."""
-    proposed = diagnosis.report.get("next_experiment")
+def posterior(folder: Path, motors: Motors | None = None) -> Posterior:
+    """The posterior of the diagnosis in `folder`, and of the motors' strength if the log shows it."""
+    report = json.loads((folder / "report.json").read_bytes())
+    proposed = report.get("next_experiment")
     words = proposed if isinstance(proposed, str) else (proposed or {}).get("text", "")
-    causes = tuple(diagnosis.causes) if diagnosis.verdict in TELLING else ()
-    hardware = diagnosis.hardware
+    causes = tuple(report["causes"]) if report["verdict"] in TELLING else ()
+    hardware = (folder / "hardware.toml").read_text(encoding="utf-8")
     if motors is not None and motors.differ:
         hardware = _with_strength(hardware, motors)
-    best = Draw(diagnosis.sand, hardware)
-    return Posterior(diagnosis.verdict, diagnosis.summary, causes, best, str(words), motors)
+    best = Draw((folder / "sand.toml").read_text(encoding="utf-8"), hardware)
+    return Posterior(report["verdict"], report["summary"], causes, best, str(words), motors)
 
 
 def _with_strength(hardware: str, motors: Motors) -> str:
