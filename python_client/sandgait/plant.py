@@ -17,6 +17,7 @@ import numpy.typing as npt
 from .errors import InvalidRequest
 from .mujoco import ModelSand, add_sand
 from .sand import Sand
+from .user_warnings import warn
 
 try:
     import mujoco
@@ -36,6 +37,9 @@ NOISE = {"joint_position": 0.01, "joint_velocity": 1.5, "lin_vel": 0.1, "gyrosco
 _FLOOR = "sandgait floor"
 
 _SHAPES = mujoco.mjtGeom
+
+#: Inertia of a body that has none [kg·m²]: our choice, that of a ball of 10 g and 16 mm.
+_LEAST = 1e-6
 
 
 @dataclass(frozen=True)
@@ -236,9 +240,15 @@ def _model(file: Path, conditions: Conditions) -> mujoco.MjModel:
     """The robot of `file` above a plane, without the file's actuators, with a free base."""
     try:
         spec = mujoco.MjSpec.from_file(str(file))
+        if file.suffix == ".urdf":
+            _weigh_as_urdf(spec)
+        return _compiled(spec, conditions)
     except (ValueError, OSError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InvalidRequest(f"robot: {file}: MuJoCo cannot read it: {reason}; give an MJCF or URDF file") from None
+
+
+def _compiled(spec: mujoco.MjSpec, conditions: Conditions) -> mujoco.MjModel:
     for geom in list(spec.worldbody.geoms):
         if geom.type in (_SHAPES.mjGEOM_PLANE, _SHAPES.mjGEOM_HFIELD):
             spec.delete(geom)
@@ -246,11 +256,33 @@ def _model(file: Path, conditions: Conditions) -> mujoco.MjModel:
     for base in spec.worldbody.bodies:
         if not any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in base.joints):
             base.add_freejoint()
+    spec.compiler.fusestatic = False  # a URDF's base would become a part of the world
+    spec.compiler.balanceinertia = True  # URDFs have cameras with impossible inertias
+    mended = [body.name for body in spec.bodies if _mend_inertia(body)]
+    if mended:
+        warn([f"robot: the inertia of {', '.join(mended)} is not possible; it is set to {_LEAST} kg·m²"])
     spec.option.timestep = TIME_STEP
     model = spec.compile()
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
     model.geom_friction[:, 0] *= conditions.friction
     return model
+
+
+def _weigh_as_urdf(spec: mujoco.MjSpec) -> None:
+    """A URDF's link without an `inertial` has no mass; MuJoCo would weigh its shapes."""
+    for body in spec.bodies:
+        if not body.explicitinertial:
+            for geom in body.geoms:
+                geom.density = 0.0
+
+
+def _mend_inertia(body: mujoco.MjsBody) -> bool:
+    """Gives a body whose inertia has no positive eigenvalues, as URDFs have it for sensors, a small one."""
+    xx, yy, zz, xy, xz, yz = body.fullinertia
+    if not np.isfinite(xx) or np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]).min() > 0.0:
+        return False
+    body.fullinertia = [_LEAST, _LEAST, _LEAST, 0.0, 0.0, 0.0]
+    return True
 
 
 def _joint(model: mujoco.MjModel, name: str, file: Path) -> int:

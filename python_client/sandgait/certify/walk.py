@@ -28,6 +28,9 @@ SECONDS, BEGINNING = 4.0, 1.5
 #: level rises up to it (`docs/robots.md`).
 FOLLOWS = 0.4
 
+#: Difference of the masses above which a file is of another robot, as a part of the mass: our choice.
+_OTHER_MASS = 0.05
+
 #: Longest time in which the robot rises and is checked [s]: our choice, twice what it takes.
 _RISES = 4.5
 
@@ -127,7 +130,13 @@ def make_plant(policy: Policy, robot: str | Path, conditions: Conditions, seed: 
     limits = [[s.torque_limit, s.stall_torque, s.no_load_speed] for s in policy.servos]
     motors = Motors(*np.array(limits).T)
     driven = tuple(servo.joint for servo in policy.servos)
-    return Plant(robot, driven, policy.joints, motors, conditions, seed)
+    plant = Plant(robot, driven, policy.joints, motors, conditions, seed)
+    mass, own = float(plant.model.body_mass.sum()) / (1.0 + conditions.payload), float(policy.robot["mass"])
+    if abs(mass - own) > _OTHER_MASS * own:
+        raise Refused(
+            f"robot: {robot} weighs {mass:.4g} kg in MuJoCo, the policy's robot {own:.4g} kg: give the same file"
+        )
+    return plant
 
 
 def outcome(job: Job) -> Outcome:
