@@ -126,7 +126,7 @@ TASKS = (
 
 
 #: Modules for other packages. They are imported when they are first used, because those packages may not be installed.
-_LAZY = ("export", "logs", "mujoco", "ray", "sb3", "wrappers")
+_LAZY = ("adapt", "certify", "deploy", "export", "logs", "mujoco", "plant", "ray", "sb3", "wrappers")
 
 
 def __getattr__(name: str) -> Any:

@@ -14,6 +14,7 @@ mod media;
 mod options;
 mod play;
 mod progress;
+mod python;
 mod replay;
 mod reproduce;
 mod robot;
@@ -115,6 +116,8 @@ commands! {
     Robot: robot::RobotArgs,
     Robots: robots::RobotsArgs,
     Calibrate: calibrate::CalibrateArgs,
+    Certify: python::CertifyArgs,
+    Adapt: python::AdaptArgs,
     Sweep: sweep::SweepArgs,
     Tasks: tasks::TasksArgs,
     Train: train::TrainArgs,

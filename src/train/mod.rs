@@ -21,11 +21,12 @@ mod checkpoint;
 mod collect;
 mod crew;
 mod curve;
-mod describe;
+pub mod describe;
 pub mod entry;
 mod events;
 mod export;
 mod film;
+pub mod golden;
 #[cfg(test)]
 mod gradients;
 mod learn;

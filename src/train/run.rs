@@ -8,7 +8,7 @@ use super::plan::{Observer, TrainingPlan, TrainingState, UpdateReport};
 use super::remote::{Pause, RemoteEnvironments};
 use super::settings::Hyperparameters;
 use super::spec::{ExternalSpaces, TrainingSpec};
-use super::{checkpoint, describe, export, film, teacher};
+use super::{checkpoint, describe, export, film, golden, teacher};
 use crate::env::Task;
 use crate::env::legged::LeggedVelocity;
 use crate::env::registry::Blueprint;
@@ -246,6 +246,9 @@ impl TrainingRequest {
         }
         let shown = Blueprint::new(&self.task, shown)?;
         film::film(&shown, &network, evaluate::FIRST_SEED, &recording, &picture)?;
+        if let Some(trace) = golden::golden(&self.task, &options, &onnx)? {
+            self.write("golden.csv", trace.as_bytes())?;
+        }
         let policy = PolicySource::Network { name: "policy.onnx".into(), bytes: onnx };
         if spec.id == LeggedVelocity::ID {
             return CommandStudy::new(&policy, &options)?.run(progress).map(PolicyScore::Commands).map(Some);
@@ -280,7 +283,7 @@ impl TrainingRequest {
     fn keep_policy(&self, plan: &TrainingPlan, learnt: &TrainingState) -> Result<Vec<u8>> {
         let onnx = export::onnx(plan, learnt);
         self.write(POLICY, &onnx)?;
-        self.write("policy.json", format!("{:#}\n", describe::policy(plan)).as_bytes())?;
+        self.write("policy.json", format!("{:#}\n", describe::policy(plan, &onnx)).as_bytes())?;
         let policy = TrainingState { environments: None, ..learnt.clone() };
         checkpoint::save(&self.out.join("policy.safetensors"), plan, &policy, &OpenPoint::default())?;
         Ok(onnx)

@@ -36,7 +36,7 @@ def imports(path: Path) -> set[str]:
         ("mcap", {"logs_ros.py"}),
         ("rosbags", {"logs_ros.py"}),
         ("matplotlib", set()),
-        ("mujoco", {"mujoco.py", "mujoco_floor.py", "wrappers.py"}),
+        ("mujoco", {"mujoco.py", "mujoco_floor.py", "plant.py", "wrappers.py"}),
         ("pygame", {"view.py"}),
     ],
 )

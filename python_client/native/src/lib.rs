@@ -115,7 +115,7 @@ mod _native {
     #[pymodule_export]
     use super::tables::describe;
     #[pymodule_export]
-    use super::train::{mirror, train};
+    use super::train::{describe_policy, mirror, train};
     #[pymodule_export]
     use super::unknown_name;
     #[pymodule_export]

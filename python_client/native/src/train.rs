@@ -14,6 +14,7 @@ use sandgait::env::registry::Blueprint;
 use sandgait::progress::Progress;
 use sandgait::train::remote::{Pause, RemoteEnvironments};
 use sandgait::train::{CurvePoint, ExternalSpaces, Mirror, TrainingPlan, TrainingRequest};
+use sandgait::train::{describe, golden};
 use serde_json::{Value, json};
 use std::path::PathBuf;
 
@@ -123,4 +124,21 @@ fn learnt(request: &TrainingRequest, progress: &dyn Progress) -> Result<Learnt> 
 pub fn mirror(task: &str, options: &Bound<'_, PyMapping>) -> PyResult<[(Vec<usize>, Vec<f32>); 2]> {
     let mirrors = Blueprint::new(task, keywords(options)?).and_then(|blueprint| Mirror::both(&blueprint));
     Ok(mirrors.map_err(|error| raise(&error))?.map(|mirror| (mirror.order, mirror.signs)))
+}
+
+/// `policy.json` and `golden.csv` of the policy `onnx` of a task with these options, as texts; no trace if the task's
+/// actions are no joint targets.
+#[pyfunction]
+pub fn describe_policy(
+    py: Python<'_>,
+    task: &str,
+    options: &Bound<'_, PyMapping>,
+    onnx: Vec<u8>,
+) -> PyResult<(String, Option<String>)> {
+    let options = keywords(options)?;
+    let described = py.detach(|| {
+        let about = describe::of_task(&Blueprint::new(task, options.clone())?, &onnx);
+        Ok((format!("{about:#}\n"), golden::golden(task, &options, &onnx)?))
+    });
+    described.map_err(|error| raise(&error))
 }

@@ -39,6 +39,8 @@ use std::sync::Arc;
 /// The robot has fallen if the component of gravity's direction along the base's z axis is above this: −cos 60°. Our
 /// choice, between the steepest slope of sand (35°) and a robot that lies on its side (90°).
 const FALLEN: f64 = -0.5;
+/// The same limit as an angle [rad].
+pub const MOST_TILT: f64 = std::f64::consts::FRAC_PI_3;
 
 /// A robot with fewer than four legs has fallen if its hips are lower than this part of their standing height: our choice,
 /// because a robot with such low hips kneels or sits. A robot with four or more may lie on its belly in sand and stand
@@ -108,6 +110,13 @@ pub struct JointTarget {
     pub stiffness: f64,
     pub damping: f64,
     pub torque_limit: Option<f64>,
+    /// Line of the motor [N·m, rad/s] (`sim::actuator`), if it is known.
+    pub stall_torque: Option<f64>,
+    pub no_load_speed: Option<f64>,
+    /// Lowest and highest position, if the joint has stops.
+    pub range: Option<[f64; 2]>,
+    /// Time in which the servo's reference follows its target, as a first-order lag [s]; None: at once.
+    pub target_time: Option<f64>,
 }
 
 /// The target of each action of LeggedVelocity in `model`; `action_scale`: the option.
@@ -116,6 +125,7 @@ pub fn joint_targets(model: &Model, action_scale: Option<f64>) -> Vec<JointTarge
     let (names, followers) = (model.joint_names(), tree.tree.followers());
     let scales = action_scales(tree, action_scale);
     let driven = (0..names.len()).filter(|i| followers.iter().all(|f| f.joint != *i));
+    let joints: Vec<_> = tree.tree.joints().collect();
     let target = |i: usize| JointTarget {
         joint: names[i].clone(),
         default: tree.stance.angles[i],
@@ -123,6 +133,10 @@ pub fn joint_targets(model: &Model, action_scale: Option<f64>) -> Vec<JointTarge
         stiffness: tree.motors[i].kp,
         damping: tree.motors[i].kd,
         torque_limit: tree.motors[i].actuator.torque_limit,
+        stall_torque: tree.motors[i].actuator.stall_torque,
+        no_load_speed: tree.motors[i].actuator.no_load_speed,
+        range: joints[i].range,
+        target_time: joints[i].target_time,
     };
     driven.map(target).collect()
 }

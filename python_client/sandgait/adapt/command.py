@@ -1,0 +1,76 @@
+"""The command line of `sandgait adapt`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from sandgait_deploy import Refused
+
+from ..errors import SandgaitError
+from .loop import COEFFICIENT_SD, Request, adapt
+from .page import page, summary
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Exit code 0: there is a new policy, and its predicted gain is above 0; 1: nothing changed, or keep the old
+    policy; 2: something cannot be used, and nothing is written."""
+    given = _parser().parse_args(arguments)
+    folder = given.policy if given.policy.suffix not in (".onnx", ".json") else given.policy.parent
+    out = given.out or folder.with_name(f"{folder.name}-adapted")
+    request = Request(
+        log=given.log,
+        policy=folder,
+        robot=given.robot,
+        out=out,
+        medium=given.medium,
+        coefficient_sd=given.coefficient_sd,
+        seconds=given.seconds,
+        timesteps=given.timesteps,
+        seed=given.seed,
+    )
+    try:
+        adaptation = adapt(request, lambda stage: print(f"sandgait: {stage}", file=sys.stderr))
+    except (Refused, SandgaitError) as error:
+        print(f"sandgait: {error}", file=sys.stderr)
+        return 2
+    (out / "adapt.html").write_text(page(adaptation), encoding="utf-8")
+    print("\n".join(summary(adaptation)))
+    return 0 if adaptation.adapted else 1
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> None:  # type: ignore[override]
+        """One line, without the usage."""
+        print(f"sandgait: adapt: {message}; see sandgait adapt --help", file=sys.stderr)
+        raise SystemExit(2)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="sandgait adapt",
+        description="Trains a policy on over what its robot's log says of sand and motors, if the log can tell, and "
+        "predicts the gain.",
+    )
+    parser.add_argument("log", type=Path, help="the CSV of the Controller, or any robot's log that diagnose reads")
+    parser.add_argument("--policy", type=Path, required=True, help="the folder that sandgait train wrote")
+    parser.add_argument("--robot", type=Path, required=True, help="the robot's file with which the policy was trained")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder of the results [default: POLICY-adapted]")
+    parser.add_argument("--medium", help="the sand that was assumed [default: that of the training]")
+    parser.add_argument(
+        "--coefficient-sd",
+        type=float,
+        default=COEFFICIENT_SD,
+        metavar="F",
+        help="scatter of the assumed sand's coefficients, relative [%(default)s]",
+    )
+    parser.add_argument("--seconds", type=float, default=300.0, metavar="S", help="of training [%(default)s]")
+    parser.add_argument(
+        "--timesteps", type=int, metavar="N", help="end the training after this number of steps instead"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="of the training and of the worlds [%(default)s]"
+    )
+    return parser

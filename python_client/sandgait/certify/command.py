@@ -1,0 +1,106 @@
+"""The command line of `sandgait certify`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from sandgait_deploy import Refused
+
+from ..errors import SandgaitError
+from .certificate import LATENCY, Request, certify
+from .page import page
+from .sheet import sheet
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Exit code 0: deploy; 1: do not deploy; 2: policy, robot or an argument cannot be used, and nothing is written."""
+    given = _parser().parse_args(arguments)
+    try:
+        request = _request(given)
+        certificate = certify(request, _Told())
+    except (Refused, SandgaitError) as error:
+        print(f"sandgait: {error}", file=sys.stderr)
+        return 2
+    print(sheet(certificate), end="")
+    try:
+        if given.out:
+            given.out.write_text(page(certificate), encoding="utf-8")
+        if given.json:
+            given.json.write_text(certificate.to_json() + "\n", encoding="utf-8")
+    except OSError as error:
+        print(f"sandgait: {error}", file=sys.stderr)
+        return 2
+    return 0 if certificate.deploy else 1
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> None:  # type: ignore[override]
+        """One line, without the usage."""
+        print(f"sandgait: certify: {message}; see sandgait certify --help", file=sys.stderr)
+        raise SystemExit(2)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="sandgait certify",
+        description="Drives a robot by its policy in MuJoCo, on sand and on hard ground, and says whether it may leave "
+        "the simulator. Exit code 0: deploy; 1: do not deploy.",
+    )
+    parser.add_argument("policy", type=Path, help="the folder that sandgait train wrote, or its policy.onnx")
+    parser.add_argument("--robot", type=Path, required=True, help="the robot's MJCF or URDF file, for MuJoCo")
+    parser.add_argument("--ground", help="rigid or a medium [default: the ground of the training]")
+    parser.add_argument(
+        "--latency", type=float, default=LATENCY, metavar="S", help="from a reading to the motors [%(default)s]"
+    )
+    parser.add_argument(
+        "--noise", type=float, default=1.0, metavar="F", help="factor on legged_gym's noise [%(default)s]"
+    )
+    parser.add_argument(
+        "--motors", type=float, default=1.0, metavar="F", help="factor on the motors' torques [%(default)s]"
+    )
+    parser.add_argument(
+        "--payload", type=float, default=0.0, metavar="F", help="part of the robot's mass [%(default)s]"
+    )
+    parser.add_argument("--quick", action="store_true", help="only the cases that the verdict needs")
+    parser.add_argument("--jobs", type=int, metavar="N", help="processes [default: one for each processor]")
+    parser.add_argument("--out", type=Path, metavar="PAGE.html", help="write the certificate as a page")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write all numbers as JSON")
+    return parser
+
+
+def _request(given: argparse.Namespace) -> Request:
+    for name, value, low, high in (
+        ("latency", given.latency, 0.0, 0.5),
+        ("noise", given.noise, 0.0, 100.0),
+        ("motors", given.motors, 0.01, 10.0),
+        ("payload", given.payload, 0.0, 10.0),
+        ("jobs", given.jobs or 1, 1, 1024),
+    ):
+        if not low <= value <= high:
+            raise Refused(f"--{name}: {value} is outside [{low:g}, {high:g}]")
+    for path in (given.out, given.json):
+        if path is not None and not path.parent.is_dir():
+            raise Refused(f"{path}: its folder does not exist; make it first")
+    folder = given.policy if given.policy.suffix not in (".onnx", ".json") else given.policy.parent
+    return Request(
+        folder=folder,
+        robot=given.robot,
+        ground=given.ground,
+        latency=given.latency,
+        noise=given.noise,
+        motor_strength=given.motors,
+        payload=given.payload,
+        quick=given.quick,
+        processes=given.jobs,
+    )
+
+
+class _Told:
+    """A line of progress on a terminal."""
+
+    def __call__(self, stage: str) -> None:
+        if sys.stderr.isatty():
+            print(f"{stage:<70}", end="\r", file=sys.stderr, flush=True)
