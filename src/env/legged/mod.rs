@@ -48,7 +48,7 @@ const LOW: f64 = 0.5;
 const ABOUT: &str = "\
 The robot starts in its default pose just above the ground, with random errors of the joint angles of up to `angle_noise`. The target of a
 joint is its default position plus its action times `action_scale`. A servo at each joint follows the target. Default positions and gains are those of
-`default_joint_angles`, `stiffness` and `damping`, or else of the robot's file, or else found (docs/robots.md has the formulas). A pattern of these
+`default_joint_angles`, `stiffness` and `damping`, or else of the robot's file, or else found (docs/robots_rules.md has the formulas). A pattern of these
 options is a joint's name, a part of it, or has a `*` for any letters. Commands are drawn from `commands` at the start and every `resampling_time`; speeds
 below 0.05 √(gℓ) are set to zero. `domain_rand` has the other quantities that an episode draws, and the pushes of the base.
 
