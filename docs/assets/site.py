@@ -49,7 +49,7 @@ def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
     """Converts formulas (```math, which GitHub also shows) to MathML for browsers, and links to files of `ELSEWHERE` to
     links to their pages."""
     for source, target in ELSEWHERE.items():
-        markdown = markdown.replace(f"](../{source}", f"]({target}")
+        markdown = markdown.replace(f"](../{source}", f"]({target}").replace(f"]({source})", f"]({target})")
     if page.file.src_uri == "index.md":
         markdown = markdown.replace(f"]({NOTEBOOK.name})", "](ten_minutes.md)")
     markdown = markdown.replace("<!-- proto/sandgait/v1 -->", protocol())
