@@ -221,10 +221,12 @@ $(VENV)/sb3 $(VENV)/plot $(VENV)/docs $(VENV)/dev: $(VENV)/wheel
 	$(BIN)/pip install --quiet --constraint $(PINS) "$$(echo dist/*.whl)[$(@F)]"
 	@touch $@
 
-# The latest version of each task has a page. A page has the program's output, then a line "<!-- measured -->", then measured results. The latter are kept.
+# The latest version of each task has a page, and so have the options of most tasks. A task's page has the program's output, then a line
+# "<!-- measured -->", then measured results. The latter are kept.
 task-pages:
 	cargo build --release
 	mkdir -p docs/tasks
+	target/release/sandgait tasks --markdown common > docs/tasks/common.md
 	for id in $$(target/release/sandgait tasks --json | grep -o '"sandgait/[^"]*"' | tr -d '"' \
 			| sort -V | awk -F-v '{latest[$$1] = $$0} END {for (name in latest) print latest[name]}'); do \
 		page=docs/tasks/$${id#sandgait/}.md; \
