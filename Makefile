@@ -25,7 +25,7 @@ help:
 	@echo "make test-clients   test TorchRL, Minari, RLlib, skrl, Tianshou and CleanRL, in versions of their own (gigabytes)"
 	@echo "make notices   write THIRD_PARTY_NOTICES.txt, which releases contain"
 	@echo "make docs    build the documentation as a site in site/; make test runs every command in it"
-	@echo "make film    make the animations of README again"
+	@echo "make film    make the animations of README again, with Chromium"
 	@echo "make diagnosis-picture   make the picture of a diagnosis again, with Chromium"
 	@echo "make native   build the native module into the folder of the Python sources, for work on these sources"
 	@echo "make bench   measure the speed of the Python environments and of the engine"

@@ -1,4 +1,4 @@
-"""Films of recordings with the look of the page that `sandgait replay --html` writes: meshes, shadows, footprints, arrows."""
+"""Films of recordings with the look of the page of `sandgait replay --html`: meshes, shadows, footprints, arrows."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Hooks of mkdocs for the site: formulas, pages from files of the root folder and from the notebook, the page of the protocol,
-llms.txt."""
+"""Hooks of mkdocs for the site: formulas, pages from files of the root folder and from the notebook, the page of the
+protocol, llms.txt."""
 
 from __future__ import annotations
 
