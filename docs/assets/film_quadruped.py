@@ -1,27 +1,26 @@
 """Makes the film of a quadruped in README and the site: ANYmal C on packed poppy seeds follows commands of arrow keys.
-`make film` runs this file, with Chromium."""
+`make film` runs this file."""
 
 from __future__ import annotations
 
 import json
-import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from page_film import ROOT, film
 from PIL import Image, ImageDraw
 
 import sandgait
 
+ROOT = Path(__file__).parents[2]
 OUT = ROOT / "docs/images/steered.webp"
 FOLDER = ROOT / "examples/policies/LeggedVelocity-anymal_c"
 #: Keys that are held and for how many control steps of 20 ms; the first part is not filmed.
 KEYS = [("", 50), ("up", 125), ("up left", 150), ("right", 125), ("up", 100)]
 #: Forward [m/s] and to the left [rad/s] while a key is held.
 FORWARD, TURN = 0.8, 0.7
-#: Control steps from frame to frame.
-EVERY = 5
+#: Control steps from frame to frame, and the picture's width [px].
+EVERY, WIDTH = 5, 480
 #: Places of the keys in the picture: column and row; and the ends of their arrows.
 ARROWS = {"left": (0, 1), "down": (1, 1), "up": (1, 0), "right": (2, 1)}
 SIDE = 22
@@ -42,25 +41,30 @@ def draw_keys(picture: Image.Image, held: list[str]) -> None:
 
 
 settings: dict[str, Any] = json.loads((FOLDER / "settings.json").read_text(encoding="utf-8"))
-with tempfile.TemporaryDirectory() as folder:
-    recording = Path(folder) / "steered.rec"
-    options = {**settings["options"], "curriculum": None, "max_episode_steps": 2000}
-    env = sandgait.SandgaitVectorEnv(settings["task"], 1, **options)
-    env.record(recording)
-    env.reset(seed=0)
-    times: list[float] = []
-    held: list[list[str]] = []
-    made = 0
-    for keys, steps in KEYS:
-        held_now = keys.split()
-        yaw = TURN * (("left" in held_now) - ("right" in held_now))
-        env.set_command([[FORWARD * ("up" in held_now), 0.0, yaw]])
-        walk = env.rollout_policy(FOLDER / "policy.onnx", steps, trajectories=True)
-        for actions in walk.actions:
-            env.step(np.asarray(actions))
-            made += 1
-            if keys and made % EVERY == 0:
-                times.append(0.02 * made)
-                held.append(held_now)
-    env.close()
-    film(recording, OUT, times, size=(480, 360), draw=lambda picture, k: draw_keys(picture, held[k]))
+env = sandgait.SandgaitVectorEnv(
+    settings["task"],
+    1,
+    render_mode="rgb_array",
+    **{**settings["options"], "curriculum": None, "max_episode_steps": 2000},
+)
+env.reset(seed=0)
+frames: list[Image.Image] = []
+made = 0
+for keys, steps in KEYS:
+    held = keys.split()
+    yaw = TURN * (("left" in held) - ("right" in held))
+    env.set_command([[FORWARD * ("up" in held), 0.0, yaw]])
+    walk = env.rollout_policy(FOLDER / "policy.onnx", steps, trajectories=True)
+    for actions in walk.actions:
+        env.step(actions)
+        made += 1
+        if keys and made % EVERY == 0:
+            pictures = env.render()
+            assert pictures is not None
+            picture = Image.fromarray(np.asarray(pictures[0]))
+            picture = picture.resize((WIDTH, round(WIDTH * picture.height / picture.width)), Image.Resampling.LANCZOS)
+            draw_keys(picture, held)
+            frames.append(picture)
+env.close()
+frames[0].save(OUT, save_all=True, append_images=frames[1:], duration=20 * EVERY, loop=0, quality=35, method=6)
+print(f"{OUT.name}: {len(frames)} frames, {OUT.stat().st_size // 1024} KiB")

@@ -134,6 +134,9 @@ def test_the_site_is_whole_and_needs_no_other_host(tmp_path: Path) -> None:
         if file.suffix == ".css":
             assert not re.findall(r"(?:url\(|@import )[\"']?(?:https?:)?//", file.read_text(encoding="utf-8")), file
     assert "<math" in (tmp_path / "physics.html").read_text(encoding="utf-8")
+    # The index of a search without a server, and the notebook as a page.
+    assert (tmp_path / "search" / "search_index.js").read_text(encoding="utf-8").startswith("var __index")
+    assert "diagnose" in (tmp_path / "ten_minutes.html").read_text(encoding="utf-8")
     page = (tmp_path / "reference" / "python.html").read_text(encoding="utf-8")
     shown = set(re.findall(r'<h2 id="sandgait\.([^"]*)"', page))
     # The version is of the native module, which only a build puts beside the sources.
