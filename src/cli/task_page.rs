@@ -27,14 +27,14 @@ pub fn page(id: &str) -> Result<String> {
     let (terms, figures) = info.split_at(reward.len());
     let joints = parts_of(action);
     let actions = if keywords.iter().any(|k| k.name == "control") {
-        let one = |name: &&str| action_rows(id, json!({"control": name}), &joints, Some(name));
+        let one = |name: &&str| action_rows(id, json!({"control": name}), &joints, Some(*name));
         Control::NAMES.iter().map(one).collect::<Result<Vec<_>>>()?.concat()
     } else {
         action_rows(id, Value::Null, &joints, None)?
     };
     let (shared, own): (Vec<_>, Vec<_>) = keywords.iter().partition(|k| common.iter().any(|c| c.rows == option(k)));
     let shared: Vec<_> = shared.iter().map(|k| code(k.name)).collect();
-    let name = id.trim_start_matches("sandgait/").split("-v").next().unwrap_or(id);
+    let name = short(id);
     Ok(format!(
         "# {id}\n\n{summary}\n\n{about}\n\n{control_rate} control steps per second, at most {max_episode_steps} in an episode. \
          `sandgait tasks --markdown {id}` prints this part of the page, and `sandgait tasks {name}` each single column. {}\n\n\
@@ -48,7 +48,7 @@ pub fn page(id: &str) -> Result<String> {
         rows(&["", "name", "unit", "range"], actions.into_iter()),
         rows(&["column", "term", "weight"], terms.iter().zip(reward).map(term)),
         rows(&["columns", "unit", "range"], figure_rows(figures).into_iter()),
-        rows(&["", "name", "unit", "range"], runs(observation, &joints).into_iter().map(Run::into_row)),
+        rows(&["", "name", "unit", "range"], runs(observation, &joints).into_iter().map(ColumnRun::into_row)),
         shared.join(", "),
         rows(&["option", "default", "", "meaning"], own.into_iter().flat_map(option)),
     ))
@@ -62,8 +62,12 @@ struct CommonOption {
 
 /// The latest version of each task.
 fn latest() -> impl Iterator<Item = &'static str> {
-    let name = |id: &'static str| id.trim_start_matches("sandgait/").split("-v").next().unwrap_or(id);
-    TASK_IDS.into_iter().filter(move |id| task_id(name(id)) == *id)
+    TASK_IDS.into_iter().filter(|id| task_id(short(id)) == *id)
+}
+
+/// A task's id without `sandgait/` and without its version.
+fn short(id: &str) -> &str {
+    id.trim_start_matches("sandgait/").split("-v").next().unwrap_or(id)
 }
 
 /// The options that at least [`MOST`] tasks have in the same form, in the order of the first task that has them.
@@ -105,7 +109,7 @@ fn common_page(common: &[CommonOption]) -> String {
 /// The rows of actions, for one control mode if there are several.
 fn action_rows(id: &str, options: Value, joints: &[String], control: Option<&str>) -> Result<Vec<Vec<String>>> {
     let task = Blueprint::new(id, options)?;
-    let mut rows: Vec<_> = runs(&task.task.spec().action, joints).into_iter().map(Run::into_row).collect();
+    let mut rows: Vec<_> = runs(&task.task.spec().action, joints).into_iter().map(ColumnRun::into_row).collect();
     if let Some(control) = control {
         rows[0][1].insert_str(0, &format!("`control=\"{control}\"`: "));
     }
@@ -113,7 +117,7 @@ fn action_rows(id: &str, options: Value, joints: &[String], control: Option<&str
 }
 
 /// Neighbouring columns that differ in the last part of their names only.
-struct Run {
+struct ColumnRun {
     first: usize,
     stem: String,
     parts: Vec<String>,
@@ -124,7 +128,7 @@ struct Run {
     ranges: Vec<String>,
 }
 
-impl Run {
+impl ColumnRun {
     /// The name of all columns together.
     fn name(&self) -> String {
         let Self { stem, parts, joints, .. } = self;
@@ -169,8 +173,8 @@ fn each_joint(joints: &[String]) -> String {
 }
 
 /// Gathers neighbouring columns.
-fn runs(columns: &[Column], joints: &[String]) -> Vec<Run> {
-    let mut all: Vec<Run> = Vec::new();
+fn runs(columns: &[Column], joints: &[String]) -> Vec<ColumnRun> {
+    let mut all: Vec<ColumnRun> = Vec::new();
     for (i, c) in columns.iter().enumerate() {
         let (stem, part) = split(&c.name);
         let range = range(c);
@@ -184,7 +188,7 @@ fn runs(columns: &[Column], joints: &[String]) -> Vec<Run> {
             _ => {
                 let parts = if part.is_empty() { Vec::new() } else { vec![part.to_owned()] };
                 let ranges = vec![range];
-                all.push(Run { first: i, stem: stem.into(), parts, joints: false, unit: c.unit, ranges });
+                all.push(ColumnRun { first: i, stem: stem.into(), parts, joints: false, unit: c.unit, ranges });
             }
         }
     }
