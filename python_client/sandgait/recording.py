@@ -1,6 +1,6 @@
 """Recordings: files with the state of a robot after each control step, which `sandgait replay` shows.
 
-A file is a gzip stream of blocks; `docs/seeing.md` has the format. No server is needed to read a recording.
+A file is a gzip stream of blocks; `docs/recordings.md` has the format. No server is needed to read a recording.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Section:
     """The recorded states of one episode; for example `section["angles"]` is f32 [states, joints]."""
 
     def __init__(self, header: dict[str, Any], rows: Floats) -> None:
-        #: Names, units and shapes of the columns, geometry of the robot, seed and more: see docs/seeing.md.
+        #: Names, units and shapes of the columns, geometry of the robot, seed and more: see docs/recordings.md.
         self.header = header
         #: f32 [states, all columns]
         self.rows = rows

@@ -179,7 +179,7 @@ class Bodies:
     `plate_size` [m]: size of the plates. The law is then evaluated for each plate by itself, as in `sandgait intrude`.
     Without `plate_size` a shape has 256 plates, or up to 512 if it is curved, and the law is evaluated for patches of
     plates. The code for this is that of the engine for robots from files, which itself uses fewer plates.
-    docs/simulators.md has the errors.
+    docs/wrench.md has the errors.
     """
 
     @checked

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 /// Describe a recording, or write it as a page for browsers.
 ///
 /// `sandgait walk --record FILE` records a walk; `env.unwrapped.record(FILE)` in Python records any environment.
-/// docs/seeing.md has the format of recordings.
+/// docs/recordings.md has the format of recordings.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait replay walk.rec                       (prints its contents)

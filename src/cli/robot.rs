@@ -344,7 +344,7 @@ fn as_text(import: &Import, touching: &SandContacts) -> String {
     text.push('\n');
     text.push_str(&narrow_table(&rows, 2));
     if import.found.any() {
-        text.push_str("* found, because the file has none: docs/robots.md, \"Pose and gains\"\n");
+        text.push_str("* found, because the file has none: docs/robots_rules.md, \"Pose and gains\"\n");
     }
     text.push_str(&stance(import));
     let mut rows = vec![heads(&["touches sand", "body", "shape", "area [m²]"])];

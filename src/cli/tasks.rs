@@ -20,7 +20,7 @@ pub struct TasksArgs {
     /// Print JSON; without NAME of all tasks
     #[arg(long)]
     json: bool,
-    /// Print the page of one task, as in docs/tasks
+    /// Print the page of one task, as in docs/tasks, or of the options of most tasks (`common`)
     #[arg(long, value_name = "ID", conflicts_with = "json")]
     markdown: Option<String>,
 }

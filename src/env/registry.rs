@@ -1,4 +1,9 @@
 //! The list of tasks, and how an id and options become a session's environments.
+//!
+//! A task is one file and one row here: each option, reward term and figure is declared in one line of its file, from which
+//! keywords, help, checks, resets and pages follow. A version of a task is a parameter of its type and a row of its own:
+//! HexapodLegs-v1 is older than the joint limits, so it removes the ranges after the robot is built, and its results stay the
+//! same to the bit.
 
 use super::gait::HexapodGait;
 use super::legged::LeggedVelocity;

@@ -2,6 +2,9 @@
 //!
 //! [`Shard::save`] and [`Shard::restore`] keep every bit: a restored environment goes on exactly as the saved
 //! environment, in any lane of any batch of the same task.
+//!
+//! Snapshots of another version are refused, because their continuation might differ. `Task::resume` checks what an episode has
+//! drawn; these values must not determine how much memory is allocated.
 
 use super::episode::{Before, Episode};
 use super::ground::UsedGround;

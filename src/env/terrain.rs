@@ -30,7 +30,7 @@ options! {
     /// loosely packed poppy seeds, from plastic pellets to 1.1 times closely packed seeds. Batches of one medium differ
     /// by 20-40 % (Li, Zhang & Goldman 2013). The other ranges are also our choice: patches of one to four body
     /// lengths, payloads of up to a third of the robot's mass, slopes on which a policy from flat ground follows speeds
-    /// badly (docs/learning.md), motors that keep twice the rms torque of a 2 Hz walk, turning points after two to
+    /// badly (docs/learning_results.md), motors that keep twice the rms torque of a 2 Hz walk, turning points after two to
     /// eight body lengths; we found no published law for `footprint`. [`Randomize::quantities`] has the bounds.
     #[derive(Copy, Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]

@@ -1,4 +1,6 @@
 //! All environments of one session, cut into shards.
+//!
+//! A request is checked completely before it changes anything. The refusal is a message in the stream, so the session goes on.
 
 use super::operation::{ActionSource, Operation, Roll};
 use crate::env::registry::Blueprint;

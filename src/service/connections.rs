@@ -8,6 +8,8 @@
 //!
 //! Accepting never waits for a peer. Limits for single peers, such as connections a second, are the work of a reverse
 //! proxy; `docs/serving.md` has an example.
+//!
+//! rustls and hyper are called directly, because tonic and `axum::serve` cannot close a chosen connection.
 
 use super::connection_table::{ConnectionHandle, ConnectionTable, OPENING};
 use super::refusals::{Refusal, Refusals};

@@ -1,4 +1,8 @@
 //! The layer around all calls: checks the token, and counts failures.
+//!
+//! Services need no code for authentication. Only the health can be asked for without the token; such calls are bounded in
+//! number for a connection, for all connections together, and in time. hyper cannot change the number of streams of an open
+//! connection, and tower's limit of concurrency ends with the head of an answer, so this layer counts calls itself.
 
 use super::connection_table::ConnectionHandle;
 use super::metrics::Metrics;

@@ -1,4 +1,4 @@
-//! What each call may cost at most, checked before its work begins. `docs/serving.md` has this as a table.
+//! What each call may cost at most, checked before its work begins. `docs/limits.md` has this as a table.
 //!
 //! ```text
 //!  length of the message ≤ CallBounds::largest ──▶ its fields and values are counted (fields.rs) ──▶ unpacked

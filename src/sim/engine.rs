@@ -1,5 +1,10 @@
 //! The interface between a model and the engines that integrate it. No code above this file depends on which engine
 //! runs.
+//!
+//! `lanes` computes hexapods in SIMD lanes; it is our own code, because its speed is the purpose of the project. `rapier` builds
+//! the same robot from rapier3d's multibodies: the reference for `lanes`, and the only engine with rigid obstacles. `carriage`
+//! drives a leg through sand, for LegStroke alone. `tree` simulates any robot. It could simulate the hexapods, too; `lanes`
+//! computes identical legs of flat strips in two coordinates, which is twice as fast.
 
 use super::carriage::CarriageEngine;
 use super::model::Scene;

@@ -1,4 +1,7 @@
 //! Robot, sand and options as numbers for an engine. Immutable; randomization makes a new model.
+//!
+//! The world's frame is the surface's frame: x runs uphill along the surface, z along its normal, sand is at z < 0. A slope only
+//! tilts gravity, so engines need no code for slopes.
 
 use super::actuator::Actuator;
 use super::links::{belly, leg};

@@ -5,6 +5,9 @@
 //!                  │                         └── network, mirror, matrix            of threads; saved_environments: to go on bit-identically
 //!                  └──▶ run: one training, with policy.onnx, checkpoints, learning curve, events, film
 //! ```
+//!
+//! A training calls `Observer` every few milliseconds; an error of the observer ends the training between parts of an update,
+//! and the checkpoint has the state after the last one.
 
 use sandgait_base::{error, files, progress};
 use sandgait_env as env;

@@ -1,4 +1,7 @@
 //! What a training knows of its environments, which are those of a task or of another program.
+//!
+//! Environments on a server, and those of other packages, are behind `RemoteEnvironments`. Those of other packages step in the
+//! thread that called `sandgait.train`, where their code expects to run.
 
 use crate::env::Column;
 use crate::env::registry::Blueprint;

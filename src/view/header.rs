@@ -28,7 +28,7 @@ pub struct About<'a> {
     pub actions: usize,
 }
 
-/// The header of a section as JSON text; `docs/seeing.md` has its fields.
+/// The header of a section as JSON text; `docs/recordings.md` has its fields.
 pub fn header(model: &Model, about: &About) -> String {
     let robot = &model.robot;
     let hips: Vec<_> = robot.hip.iter().map(|h| json!({"name": h.name, "tripod": h.tripod})).collect();

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import yaml
 
 import sandgait
 from pages import PAGES, ROOT, RUN, SHOWN, Run, blocks, inline_code, links
@@ -134,6 +135,9 @@ def test_the_site_is_whole_and_needs_no_other_host(tmp_path: Path) -> None:
         if file.suffix == ".css":
             assert not re.findall(r"(?:url\(|@import )[\"']?(?:https?:)?//", file.read_text(encoding="utf-8")), file
     assert "<math" in (tmp_path / "physics.html").read_text(encoding="utf-8")
+    # The index of a search without a server, and the notebook as a page.
+    assert (tmp_path / "search" / "search_index.js").read_text(encoding="utf-8").startswith("var __index")
+    assert "diagnose" in (tmp_path / "ten_minutes.html").read_text(encoding="utf-8")
     page = (tmp_path / "reference" / "python.html").read_text(encoding="utf-8")
     shown = set(re.findall(r'<h2 id="sandgait\.([^"]*)"', page))
     # The version is of the native module, which only a build puts beside the sources.
@@ -183,3 +187,20 @@ def test_the_page_on_physics_has_the_numbers_of_the_sources() -> None:
     for numbers in sets:
         shown = [re.sub(r"^(-?)0(?=\.\d*[1-9])", r"\1", n) if float(n) else "0" for n in numbers.split(", ")]
         assert f" | {' | '.join(shown)} |" in page, shown
+
+
+def test_the_dashboard_and_the_compose_file_name_what_exists() -> None:
+    """Metrics of the dashboard are those of the table in docs/serving.md; mounted files are there."""
+    folder = ROOT / "examples/server"
+    shown = set(re.findall(r"sandgait_[a-z_]+", (folder / "grafana.json").read_text(encoding="utf-8")))
+    page = (ROOT / "docs/serving.md").read_text(encoding="utf-8")
+    known = set(re.findall(r"`(sandgait_[a-z_]+)", page))
+    assert {metric.removesuffix("_bucket") for metric in shown} == known
+    compose = yaml.safe_load((folder / "compose.yaml").read_text(encoding="utf-8"))
+    mounts = [mount for service in compose["services"].values() for mount in service.get("volumes", [])]
+    files = [mount.partition(":")[0] for mount in mounts if mount.startswith("./") and "keys" not in mount]
+    assert len(files) == 5
+    for file in files:
+        assert (folder / file).is_file(), file
+    for option in compose["services"]["sandgait"]["command"][1:]:
+        assert option.partition("=")[0] in options("serve"), option

@@ -1,5 +1,8 @@
 //! The curriculum of LeggedVelocity: an episode's difficulty follows from how well the same environment's robot followed
 //! its commands in the episode before, as in legged_gym (`_update_terrain_curriculum`).
+//!
+//! The level is in the episode's `TaskState`, and `Task::begin_after` gets that of the episode before. So it is in snapshots,
+//! depends on no neighbour, and works with every learner.
 
 use crate::options;
 use crate::sim::tree::forces::support;

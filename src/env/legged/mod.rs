@@ -48,35 +48,27 @@ pub const MOST_TILT: f64 = std::f64::consts::FRAC_PI_3;
 const LOW: f64 = 0.5;
 
 const ABOUT: &str = "\
-The robot starts in its default pose just above the ground, with random errors of the joint angles of up to `angle_noise`. The target of a
-joint is its default position plus its action times `action_scale`. A servo at each joint follows the target. Default positions and gains are those of
-`default_joint_angles`, `stiffness` and `damping`, or else of the robot's file, or else found (docs/robots.md has the formulas). A pattern of these
-options is a joint's name, a part of it, or has a `*` for any letters. Commands are drawn from `commands` at the start and every `resampling_time`; speeds
-below 0.05 √(gℓ) are set to zero. `domain_rand` has the other quantities that an episode draws, and the pushes of the base.
+The robot starts in its default pose just above the ground, with random errors of the joint angles of up to `angle_noise`. A servo at each joint
+follows its target, the default position plus the action times `action_scale`. Default positions and gains are those of `default_joint_angles`,
+`stiffness` and `damping`, or else of the robot's file, or else found (docs/robots_rules.md has the formulas). Commands are drawn from `commands` at
+the start and every `resampling_time`; speeds below 0.05 √(gℓ) are set to zero. `domain_rand` has what else an episode draws, and the pushes.
 
-With `curriculum` an environment has a level from 0 to 1, which is in `info`. It rises by `step` after an episode whose mean error was at
-most `rise`, and falls by `step` after one whose error was at least `fall` or in which the robot fell. A command's error is
-|mean velocity − command| / |command|, each component divided by the end of its default range, without the first two seconds. The sand's stress is
-multiplied by e^(1 − level): with the factor e, the standing robot's feet sink by 2 % of the legs' length; on sand that carries it better e is 1. Pushes
-are multiplied by the level. A reset with a seed begins at the first level again. Level 1, and `curriculum=None`, are the task itself; evaluate policies
-with `curriculum=None`.
+With `curriculum` an environment has a level from 0 to 1, which is in `info` (docs/robots.md has the formula). A command's error is |mean velocity −
+command| / |command|, each component divided by the end of its default range, without the first two seconds. Evaluate policies with `curriculum=None`.
 
-The names of the reward terms and the order of the observation are those of legged_gym (Rudin et al. 2022) and
-of Isaac Lab's velocity tasks; velocities, times and torques in rewards are in units of the robot: √(gℓ), √(ℓ/g), Wℓ, with its legs' length ℓ and weight W. As in these, a term is multiplied by its weight and by the control step's duration. A foot is in contact
-when it bears load: when the ground's force on it is above 2 % of the robot's weight, which is 8 % of its share on four legs. Another body collides
-when it is in the ground. Velocities are those of the base link's origin, in the base's frame. There are three differences to
-legged_gym: observations are not scaled, a negative sum of rewards is not clipped at zero, and actions are within ±1. Therefore
-`action_scale` is larger than the 0.25 of legged_gym.
+The names of the reward terms and the order of the observation are those of legged_gym (Rudin et al. 2022) and of Isaac Lab's velocity tasks;
+velocities, times and torques in rewards are in units of the robot: √(gℓ), √(ℓ/g), Wℓ, with its legs' length ℓ and weight W. A term is multiplied by its
+weight and by the control step's duration. A foot is in contact when the ground's force on it is above 2 % of the weight; another body collides when
+it is in the ground. Velocities are those of the base link's origin, in the base's frame. In contrast to legged_gym observations are not scaled, a
+negative sum of rewards is not clipped at zero, and actions are within ±1, so `action_scale` is larger than 0.25.
 
-An episode terminates when the base has tilted by more than 60° (`bad_orientation`); on `rigid` ground also when the base, or a body that is part of
-no leg (trunk, arm, head), touches it (`base_contact`); for a robot with fewer than four feet also when the middle of its hips is lower than half of its standing
-height (`base_low`). It is truncated after `max_episode_steps`, or when its state can no longer be computed (`diverged`).
+An episode terminates when the base has tilted by more than 60° (`bad_orientation`); on `rigid` ground when a body that is part of no leg touches it
+(`base_contact`); with fewer than four feet when the middle of the hips is lower than half of its standing height (`base_low`). It is truncated after
+`max_episode_steps`, or when its state can no longer be computed (`diverged`).
 
-On ground with heights (`relief`, or ground `dunes`) an episode begins at a random position. `measure_heights` adds legged_gym's
-`measured_heights` to the observation: the base's height above 17 × 11 points of the ground, minus 0.5 m, clipped to ± 1 m. On a slope, depths and
-forces refer to the normal of the sand's surface.
-
-Resistive force theory was measured for segments that move with up to about 0.5 m/s in the sand. Forces at higher speeds are extrapolated.";
+On ground with heights (`relief`, or ground `dunes`) an episode begins at a random position. `measure_heights` adds the base's height above 17 × 11
+points, minus 0.5 m, clipped to ± 1 m. Resistive force theory was measured for up to about 0.5 m/s in the sand; forces at higher speeds are
+extrapolated.";
 
 pub struct LeggedVelocity {
     spec: Spec,

@@ -25,7 +25,7 @@ const BEGINNING: f64 = 1.0;
 /// another one does not, and commands near zero teach nothing.
 const LEAST: f64 = 0.25;
 /// A learnt gait is faster than the plain one by this factor: clocks that CMA-ES found walk 1.23 to 1.32 times as fast as the
-/// fastest tripod (docs/learning.md); our choice is a little less.
+/// fastest tripod (docs/learning_results.md); our choice is a little less.
 const FASTER: f64 = 1.2;
 /// Length of a command, in units of the greatest speeds, from which on feet are lifted fully: our choice.
 const SLOW: f64 = 0.25;

@@ -323,7 +323,7 @@ pub struct Pictures {
     #[prost(bytes = "bytes", tag = "1")]
     pub pixels: ::prost::bytes::Bytes,
 }
-/// The state of an environment as in a recording; docs/seeing.md has the format.
+/// The state of an environment as in a recording; docs/recordings.md defines it.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct Observation {
     /// Header of a section of a recording, as JSON. It is the same for a whole episode.

@@ -1,4 +1,7 @@
 //! A session's environments while a request works on them.
+//!
+//! When the guard is dropped, the environments go back to the session. If a panic has destroyed them, the request gets INTERNAL
+//! and the session ends.
 
 use super::Sessions;
 use crate::building::{LastAnswer, SessionEnvironments, SessionRecord};

@@ -1,5 +1,7 @@
 //! A tree robot as one text, which a client sends to a server: `tree:` and a zlib stream of JSON in base64. Instead of
 //! meshes it contains their plates and points of contact, and only small meshes for pictures.
+//!
+//! So a server reads no file that a client names, no XML and no mesh, and checks numbers only.
 
 use super::contact::{ContactPoint, contact_points};
 use super::looks::Looks;
