@@ -22,11 +22,9 @@ def main() -> int:
 
 def _in_python(command: str, arguments: list[str]) -> int:
     if "site" not in sys.modules:  # Python was started with -S, without the folder of installed packages
-        import site
-
-        site.main()
+        import_module("site").main()
     try:
-        module: Any = import_module(f"sandgait.{command}.command")
+        module = import_module(f"sandgait.{command}.command")
     except ImportError as error:
         print(f"sandgait: {command}: {error}; pip install 'sandgait[deploy]'", file=sys.stderr)
         return 2

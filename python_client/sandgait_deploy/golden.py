@@ -71,13 +71,13 @@ def verify(policy: Policy, network: Network) -> Verification:
     made: dict[str, list[npt.NDArray[np.floating]]] = {name: [] for name in wanted}
     observer = Observer(policy)
     observation, action = wanted["observation"].astype(np.float32), wanted["action"].astype(np.float32)
+    positions = np.array([trace[f"q:{joint}"] for joint in policy.joints]).T
     for k in range(rows):
         read, command = _readings(policy, trace, k, observation[k])
-        if k == 0:
-            observer.remember(observation[0])
-        seen = observer.observe(read, command, _last_action(policy, observation[k]), float(trace["t"][k]))
-        if policy.velocity_by_differences and k == 0:
-            seen = observation[0]  # the positions of the step before are not in the trace
+        seen = observation[0]  # what was before the first row is not in the trace
+        if k > 0:
+            observer.remember(observation[k - 1], positions[k - 1])
+            seen = observer.observe(read, command, action[k - 1], float(trace["t"][k]))
         made["observation"].append(seen)
         made["action"].append(np.clip(network.act(observation[k]), policy.action_low, policy.action_high))
         made["target"].append(policy.target(action[k]).astype(np.float32))
@@ -130,12 +130,6 @@ def _readings(
         places = [i for i, c in enumerate(policy.observation[:width]) if c.reading == reading]
         read[reading] = observation[places].astype(np.float64)
     return read, row("command_x", "command_y", "command_yaw")
-
-
-def _last_action(policy: Policy, observation: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-    width = len(policy.observation) // policy.history
-    places = [i for i, c in enumerate(policy.observation[:width]) if c.reading == "last_action"]
-    return observation[places]
 
 
 def _names(name: str, policy: Policy) -> list[str]:

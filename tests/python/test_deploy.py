@@ -327,3 +327,25 @@ def test_the_log_is_one_that_diagnose_reads(tmp_path: Path) -> None:
     assert {len(row) for row in rows} == {len(names)}
     assert [row[0] for row in rows] == ["walk1"]
     assert rows[0][names.index("acc_x")] == ""
+
+
+def test_a_new_training_leaves_all_that_a_robot_needs(tmp_path: Path) -> None:
+    """With a history, a clock and other sensors than the kept policies have."""
+    settings = {"n_envs": 4, "n_steps": 32, "batch_size": 64, "n_epochs": 1, "policy_kwargs": {"net_arch": [8]}}
+    options = {
+        "ground": "rigid",
+        "history": 2,
+        "gait_clock": 1.5,
+        "sensors": {"without": ["lin_vel"], "velocity_by_differences": True, "joint_torque": {"noise_density": 0.1}},
+        "action_delay": [0.0, 0.03],
+    }
+    training = sandgait.train(
+        "LeggedVelocity", out=tmp_path / "cat", timesteps=256, settings=settings, progress=False, **options
+    )
+    controller = Controller(training.out, quaternion="wxyz")
+    policy = controller.policy
+    assert policy.readings == ("gyroscope", "gravity", "joint_position", "joint_torque")
+    assert (policy.history, policy.clock_frequency, policy.velocity_by_differences) == (2, 1.5, True)
+    assert policy.trained_with["action_delay"] == [0.0, 0.03]
+    verified = controller.verify()
+    assert verified, str(verified)

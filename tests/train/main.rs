@@ -298,6 +298,8 @@ fn a_legged_training_is_scored_by_commands() {
         (about["rate"].as_f64(), about["observation"][9]["name"].as_str()),
         (Some(50.0), Some("commanded lin_vel_x"))
     );
+    let golden = std::fs::read_to_string(out.join("golden.csv")).unwrap();
+    assert!(golden.starts_with("t,command_x,") && golden.lines().count() > 20);
     let targets = about["targets"].as_array().unwrap();
     assert_eq!((targets.len(), about["action"].as_array().unwrap().len()), (12, 12));
     assert!(
