@@ -86,7 +86,7 @@ struct Pending {
 }
 
 /// A shard that a worker has taken from its job.
-struct Taken {
+struct TakenShard {
     id: u64,
     work: Arc<PoolWork>,
     queued: QueuedShard,
@@ -282,7 +282,7 @@ fn next(queue: &Queue, may: impl Fn(&Job) -> bool) -> Option<usize> {
 }
 
 /// Takes one shard of the job at `place`, and puts the job behind all others.
-fn take(queue: &mut Queue, place: usize) -> Option<Taken> {
+fn take(queue: &mut Queue, place: usize) -> Option<TakenShard> {
     let mut job = queue.jobs.remove(place)?;
     let queued = job.waiting.pop()?;
     let (id, work, used) = (job.id, job.work.clone(), job.used);
@@ -290,12 +290,12 @@ fn take(queue: &mut Queue, place: usize) -> Option<Taken> {
         queue.jobs.push_back(job);
     }
     queue.active += 1;
-    Some(Taken { id, work, queued, used })
+    Some(TakenShard { id, work, queued, used })
 }
 
 /// Puts an unfinished shard back into the queue: behind the other waiting shards of its job or, if there are none,
 /// behind all other jobs.
-fn put_back(queue: &mut Queue, Taken { id, work, queued, used }: Taken, time: Duration) {
+fn put_back(queue: &mut Queue, TakenShard { id, work, queued, used }: TakenShard, time: Duration) {
     match queue.jobs.iter_mut().find(|job| job.id == id) {
         Some(job) => {
             job.waiting.insert(0, queued);
@@ -344,7 +344,7 @@ fn rest<'a>(shared: &'a PoolState, mut queue: MutexGuard<'a, Queue>) -> MutexGua
 }
 
 /// Works on a shard and returns it to its batch or to the queue.
-fn carry_out(shared: &PoolState, mut taken: Taken) -> MutexGuard<'_, Queue> {
+fn carry_out(shared: &PoolState, mut taken: TakenShard) -> MutexGuard<'_, Queue> {
     let begun = Instant::now();
     let outcome = catch_unwind(AssertUnwindSafe(|| compute(shared, taken.id, &taken.work, &mut taken.queued)));
     let time = begun.elapsed();
@@ -383,8 +383,8 @@ fn compute(shared: &PoolState, id: u64, work: &PoolWork, queued: &mut QueuedShar
 }
 
 /// Returns a shard to its batch; the last shard completes the batch. `time`: of the work on this shard since it was taken.
-fn give_back(shared: &PoolState, taken: Taken, time: Duration, panicked: bool) -> MutexGuard<'_, Queue> {
-    let Taken { id, work, queued: QueuedShard { start, shard, spent, .. }, .. } = taken;
+fn give_back(shared: &PoolState, taken: TakenShard, time: Duration, panicked: bool) -> MutexGuard<'_, Queue> {
+    let TakenShard { id, work, queued: QueuedShard { start, shard, spent, .. }, .. } = taken;
     let mut queue = shared.queue.lock();
     queue.active -= 1;
     if let Some(job) = queue.jobs.iter_mut().find(|job| job.id == id) {

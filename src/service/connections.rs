@@ -14,7 +14,7 @@
 use super::connection_table::{ConnectionHandle, ConnectionTable, OPENING};
 use super::refusals::{Refusal, Refusals};
 use super::security::Tls;
-use super::sliced::{SlicedStream, Turn};
+use super::sliced::{ReadTurn, SlicedStream};
 use axum::Router;
 use axum::extract::Request;
 use hyper::body::Incoming;
@@ -244,7 +244,7 @@ impl Connections {
                 if link.peer.is_some() {
                     builder.keep_alive_interval(SILENCE).keep_alive_timeout(SILENCE);
                 }
-                let turn = Turn::default();
+                let turn = ReadTurn::default();
                 let stream = TokioIo::new(SlicedStream::new(stream, link.clone(), turn.clone()));
                 drop(turn.of_each_poll(watcher.watch(builder.serve_connection(stream, service))).await);
             }

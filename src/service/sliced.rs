@@ -19,15 +19,15 @@ const SLICE: usize = 2048;
 pub struct SlicedStream<S> {
     stream: S,
     link: ConnectionHandle,
-    turn: Turn,
+    turn: ReadTurn,
 }
 
 /// The right to read one slice, which a connection gets each time that its task runs. HTTP/2 tries to read more than once
 /// before it lets other tasks run.
 #[derive(Clone, Default)]
-pub struct Turn(Arc<AtomicBool>);
+pub struct ReadTurn(Arc<AtomicBool>);
 
-impl Turn {
+impl ReadTurn {
     /// Gives `connection` a turn each time that it is polled.
     pub async fn of_each_poll<F: Future>(self, connection: F) -> F::Output {
         let mut connection = pin!(connection);
@@ -40,7 +40,7 @@ impl Turn {
 }
 
 impl<S> SlicedStream<S> {
-    pub fn new(stream: S, link: ConnectionHandle, turn: Turn) -> Self {
+    pub fn new(stream: S, link: ConnectionHandle, turn: ReadTurn) -> Self {
         Self { stream, link, turn }
     }
 }
