@@ -19,9 +19,7 @@ POLICY = ROOT / "examples/policies/HexapodGait-ppo/policy.onnx"
 
 with tempfile.TemporaryDirectory() as folder:
     recording = Path(folder) / "walk.rec"
-    env = sandgait.SandgaitVectorEnv(
-        "sandgait/HexapodGait-v1", 1, command=[0.3, 0.3], autoreset_mode="DISABLED"
-    )
+    env = sandgait.SandgaitVectorEnv("sandgait/HexapodGait-v1", 1, command=[0.3, 0.3], autoreset_mode="DISABLED")
     env.record(recording)
     env.reset(seed=0)
     walk = env.rollout_policy(POLICY, SETTLE + FILM, trajectories=True)
