@@ -33,7 +33,7 @@ print(log.groupby("shape").agg(trials=("trial", "nunique"), slowest=("omega", "m
 
 # %%
 diagnosis = sandgait.diagnose(log, DATA / "force_log.toml")
-print(diagnosis.verdict, "-", diagnosis.summary)
+print(diagnosis.verdict, "-", diagnosis.headline)
 for cause in diagnosis.causes:
     low, high = cause["ci95"]
     print(f"{cause['id']}: {cause['value']:.3f}, 95 % interval {low:.3f} to {high:.3f}")

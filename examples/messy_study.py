@@ -356,8 +356,9 @@ def main() -> None:
             report = json.loads(Path(directory, "report.json").read_text())
         truth = sorted(k for k in hidden if k in CAUSES)
         found = [sorted(s) for s in report["ambiguity_set"]]
-        right = {"nulls": "noise_floor", "laws": "described", "outside": "none_of_these"}.get(kind)
-        exact = report["verdict"] == right if right else report["verdict"] == "named" and found == [truth]
+        quiet = ("noise_floor", "recalibrated")
+        right = {"nulls": quiet, "laws": ("described",), "outside": ("none_of_these", "described", *quiet)}.get(kind)
+        exact = report["verdict"] in right if right else report["verdict"] == "named" and found == [truth]
         wrong = report["verdict"] == "named" and found != [truth]
         named = "exact" if exact else "wrong" if wrong else "in the set" if truth and truth in found else "other"
         tally[named] += 1

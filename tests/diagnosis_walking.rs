@@ -4,6 +4,8 @@
 mod hall;
 #[path = "testbed/long.rs"]
 mod long;
+#[path = "testbed/truth.rs"]
+mod truth;
 
 use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -11,7 +13,6 @@ use sandgait::Error;
 use sandgait::diagnose::diagnose;
 use sandgait::diagnose::experiment::Experiment;
 use sandgait::diagnose::report::Diagnosis;
-use sandgait::diagnose::statements::violations;
 use sandgait::diagnose::verdict::Verdict;
 use sandgait::diagnose::walking_log;
 use sandgait::progress::{Progress, Silent};
@@ -40,7 +41,8 @@ fn file(directory: &Path, text: &str) -> PathBuf {
 fn diagnosis(directory: &Path, conditions: &[hall::Condition], hidden: Mechanisms) -> Diagnosis {
     let experiment = Experiment::from_toml(hall::EXPERIMENT).unwrap();
     let diagnosis = diagnose(&file(directory, &hall::runs(5, conditions, hidden, 0.05)), &experiment, &Silent).unwrap();
-    assert_eq!(violations(&diagnosis.report), Vec::<String>::new());
+    let json = serde_json::from_str(&diagnosis.json().unwrap()).unwrap();
+    assert_eq!(truth::contradictions(&json), Vec::<String>::new());
     diagnosis
 }
 

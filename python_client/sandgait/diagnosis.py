@@ -44,8 +44,18 @@ class Diagnosis:
 
     @property
     def verdict(self) -> str:
-        """The verdict: noise_floor, named, ambiguous, described, none_of_these or insufficient_data."""
+        """The verdict: noise_floor, recalibrated, named, ambiguous, described, none_of_these or insufficient_data."""
         return cast(str, self.report["verdict"])
+
+    @property
+    def headline(self) -> str:
+        """What is wrong, how much and how sure, in at most 160 characters."""
+        return cast(str, self.report["headline"])
+
+    @property
+    def action(self) -> str:
+        """What to do."""
+        return cast(str, self.report["action"])
 
     @property
     def summary(self) -> str:
@@ -54,14 +64,15 @@ class Diagnosis:
 
     @property
     def causes(self) -> list[dict[str, Any]]:
-        """The causes, each with id, value, unit and ci95; empty unless the verdict is named or ambiguous."""
+        """The causes, each with id, kind (sand, measurement or robot), value, unit and ci95; empty unless the verdict is named or
+        ambiguous."""
         return cast(list[dict[str, Any]], self.report["causes"])
 
     def __repr__(self) -> str:
-        return f"<Diagnosis: {self.verdict}: {self.summary}>"
+        return f"<Diagnosis: {self.verdict}: {self.headline}>"
 
     def _repr_html_(self) -> str:
-        return f"<b>{self.verdict}</b>: {self.summary}"
+        return f"<b>{self.verdict}</b>: {self.headline}"
 
     def save(self, out: FilePath) -> None:
         """Writes report.json, report.html, sand.toml and hardware.toml into the directory `out`, as the command line

@@ -27,8 +27,11 @@ impl DiagnoseArgs {
     pub fn run(self) -> Result<String> {
         let diagnosis = diagnose(&self.data, &Experiment::load(&self.experiment)?, &Silent)?;
         diagnosis.write(&self.out)?;
-        let warned = diagnosis.report.check.findings.iter().filter(|f| f.severity == Severity::Warn);
+        let report = &diagnosis.report;
+        let warned = report.check.findings.iter().filter(|f| f.severity == Severity::Warn);
         warned.for_each(|finding| eprintln!("warning: {}: {}", self.data.display(), finding.line()));
-        Ok(format!("{}\n", diagnosis.report.summary))
+        let split = report.split.as_ref().map(|split| format!("Measured against predicted forces: {}\n", split.said()));
+        let page = self.out.join("report.html");
+        Ok(format!("{}\n{}\n{}{}\n", report.headline, report.action, split.unwrap_or_default(), page.display()))
     }
 }

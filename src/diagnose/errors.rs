@@ -1,6 +1,7 @@
 //! Sizes of errors, and the fraction by which one is smaller than another.
 
 use super::observations::Observations;
+use crate::student;
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
@@ -47,4 +48,16 @@ impl SquaredErrors {
         draws.sort_by(f64::total_cmp);
         [draws[49], draws[1949]]
     }
+}
+
+/// Mean of some values and half of its 95 % interval by Student's t; infinite for a single value. None without values.
+pub fn mean_and_interval(values: &[f64]) -> Option<(f64, f64)> {
+    let n = values.len() as f64;
+    if values.is_empty() {
+        return None;
+    }
+    let mean = values.iter().sum::<f64>() / n;
+    let variance = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    let half = student::two_sided_95((n - 1.0).max(1.0)) * (variance / n).sqrt();
+    Some((mean, if half.is_finite() { half } else { f64::INFINITY }))
 }

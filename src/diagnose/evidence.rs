@@ -38,7 +38,7 @@
 //! 2020).
 
 use super::fit::{Fit, Stack};
-use super::left_out::{CandidateLaw, Contender, LeftOutRow, Linear};
+use super::left_out::{Contender, LawColumn, LeftOutRow, Linear};
 use super::normal_equations::value_prior;
 use super::study::FitInputs;
 use super::whiten::Whitener;
@@ -194,17 +194,17 @@ impl EvidenceTable {
         let known: HashMap<_, _> = unique.iter().map(place).zip(&projected).collect();
         // The projected columns of each law, and the prior standard deviations of their coefficients.
         let laws = |m: &Contender| {
-            let of = |law: &CandidateLaw| {
-                let column: Vec<f64> = law.column.iter().copied().map(f64::from).collect();
+            let of = |law: &LawColumn| {
+                let column: Vec<f64> = law.iter().copied().map(f64::from).collect();
                 (projection.apply(&column), width(&column, &m.fit.prediction))
             };
-            parallel::map(m.laws.unwrap_or_default(), of)
+            parallel::map(m.columns, of)
         };
         let models: Vec<(&Contender, _)> = models.iter().map(|m| (m, laws(m))).collect();
-        let residual = |fit: &Fit| -> Vec<f64> {
-            study.observations.values.iter().zip(study.reading(fit)).map(|(y, m)| y - m).collect()
+        let residual = |m: &Contender| -> Vec<f64> {
+            study.observations.values.iter().zip(m.reading()).map(|(y, m)| y - m).collect()
         };
-        let degrees = models.first().map_or(1.0, |(m, _)| projection.degrees(&residual(m.fit)));
+        let degrees = models.first().map_or(1.0, |(m, _)| projection.degrees(&residual(m)));
         let rows = parallel::map(&models, |(m, laws)| {
             // The stated priors of coefficients and nuisances are one more condition, whose numbers are the deviations, each 0 ± 1.
             let (count, values) = (m.fit.deviations.len(), m.fit.ids.len());
@@ -216,10 +216,7 @@ impl EvidenceTable {
             };
             let slopes = m.fit.slopes.iter().enumerate();
             let linear = Linear {
-                residual: with(
-                    projection.apply(&residual(m.fit)),
-                    DVector::from_fn(count, |i, _| -m.fit.deviations[i]),
-                ),
+                residual: with(projection.apply(&residual(m)), DVector::from_fn(count, |i, _| -m.fit.deviations[i])),
                 slopes: slopes.map(|(k, c)| with(own(c), stated(k))).collect(),
                 laws: laws.iter().map(|law| with(law.0.clone(), DVector::zeros(count))).collect(),
                 prior: prior(m.fit),
@@ -286,10 +283,11 @@ impl EvidenceTable {
         difference > 2.0 * error
     }
 
-    /// Does `k` predict left-out conditions better than the plain model, beyond the standard error?
-    pub fn ahead(&self, k: usize) -> bool {
-        let [difference, error] = self.difference(k, 0);
-        difference > error
+    /// By how much each measured condition speaks for `a` and against `b`.
+    pub fn shares(&self, a: usize, b: usize) -> Vec<f64> {
+        let measured = self.sizes.len() - 1;
+        let each = self.rows[a].elpd.iter().zip(&self.rows[b].elpd).map(|(a, b)| a - b);
+        each.take(measured).collect()
     }
 
     /// Mean square of the errors of row `k`, in units of the noise's variance: 1 for noise alone.
@@ -302,13 +300,13 @@ impl EvidenceTable {
         if self.lack(k) <= self.limit { 0.0 } else { self.lack(k) - 1.0 }
     }
 
-    /// The misfit of row `k` as a share of the plain model's misfit. If the plain model's errors are smaller than noise and the stated
+    /// The misfit of row `k` as a share of that of row `base`. If the errors of `base` are smaller than noise and the stated
     /// errors of the model would give, by more than chance, the mean square of all errors takes the place of the misfit.
-    pub fn unexplained(&self, k: usize) -> f64 {
-        if self.lack(0) * self.limit < 1.0 {
-            return self.lack(k) / self.lack(0).max(1e-9);
+    pub fn unexplained(&self, k: usize, base: usize) -> f64 {
+        if self.lack(base) * self.limit < 1.0 {
+            return self.lack(k) / self.lack(base).max(1e-9);
         }
-        self.misfit(k) / self.misfit(0).max(1e-9)
+        self.misfit(k) / self.misfit(base).max(1e-9)
     }
 }
 

@@ -1,6 +1,6 @@
 //! EXPERIMENT.toml: facts that the data file does not contain.
 
-use super::nuisance::{PriorEntry, Priors};
+use super::nuisance::Priors;
 use crate::error::{Error, Result, check_range};
 use crate::progress::Progress;
 use crate::sand::intruder::BodyShape;
@@ -147,8 +147,12 @@ pub struct ExperimentFile {
     law: Option<String>,
     #[serde(default, rename = "body")]
     pub bodies: BTreeMap<String, BodyDescription>,
+    /// Kind → prior standard deviation; 0 excludes the nuisance. `interest` is of older files and has no effect.
     #[serde(default)]
-    nuisances: BTreeMap<String, PriorEntry>,
+    nuisances: BTreeMap<String, toml::Value>,
+    /// The same for errors of stated geometry.
+    #[serde(default)]
+    uncertainty: BTreeMap<String, f64>,
     /// Column → unit, for columns that are not in SI.
     #[serde(default)]
     pub units: BTreeMap<String, String>,
@@ -275,13 +279,28 @@ impl Experiment {
             check_range(&format!("body.{name}.friction"), body.friction, 0.1..=10.0)?;
         }
         let law = file.law.as_deref().map_or(Ok(Law::Agarwal2023), Law::named)?;
-        let nuisances = Priors::from_table(&file.nuisances)?;
+        let nuisances = file.priors()?;
         file.check_trajectory()?;
         Ok(Self { file, medium, law, nuisances, given })
     }
 }
 
 impl ExperimentFile {
+    fn priors(&self) -> Result<Priors> {
+        let mut stated = BTreeMap::new();
+        for (name, entry) in self.nuisances.iter().filter(|(name, _)| *name != "interest") {
+            let sd = entry.as_float().or_else(|| entry.as_integer().map(|whole| whole as f64));
+            let wrong = || Error::invalid("nuisances", format!("{name} has the wrong type"));
+            stated.insert(name.clone(), sd.ok_or_else(wrong)?);
+        }
+        Priors::from_tables(&stated, &self.uncertainty)
+    }
+
+    /// Has the file the key `interest`, which has no effect any more?
+    pub fn states_interest(&self) -> bool {
+        self.nuisances.contains_key("interest")
+    }
+
     /// Checks the keys of a robot's log, gives runs without a name their number, and normalises the quaternion.
     fn check_trajectory(&mut self) -> Result<()> {
         // A sensor more than 10 m from the base, or a torque constant above 1000 N·m/A, has a wrong unit: our choices.

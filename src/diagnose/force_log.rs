@@ -312,7 +312,7 @@ pub fn planned(trials: Vec<(Track, String)>, channels: usize) -> ForceLog {
 /// Number of samples in a planned trial: our choice, as many as a log needs (docs/diagnosis.md, 1).
 const PLANNED_SAMPLES: usize = 60;
 
-/// Trials that the apparatus of `tracks` could make: each intruder at its slowest, a middle and its fastest speed, at two
+/// Trials that the apparatus of `tracks` could make and that are not in the data: each intruder at its slowest, a middle and its fastest speed, at two
 /// depths, on used ground and on fresh ground, on fresh ground also 10 cm to either side; plates at several angles.
 pub fn possible(tracks: &[Track]) -> Vec<(Track, String)> {
     let mut shapes: Vec<&Track> = Vec::new();
@@ -338,10 +338,31 @@ pub fn possible(tracks: &[Track]) -> Vec<(Track, String)> {
             }
         }
     }
+    out.retain(|(planned, _)| !tracks.iter().any(|made| planned.resembles(made)));
     out
 }
 
 impl Track {
+    /// Would another log call these two the same condition? Speeds and depths may differ by a fifth, angles by 10°, places by 2 cm:
+    /// our choices, the steps of a usual design.
+    fn resembles(&self, other: &Self) -> bool {
+        let near = |a: f64, b: f64, share: f64, least: f64| (a - b).abs() <= (share * a.abs().max(b.abs())).max(least);
+        let deepest = |t: &Self| t.poses.iter().map(|p| -t.place(p)[1]).fold(f64::MIN, f64::max);
+        let way = |t: &Self| {
+            let (first, last) = (t.place(&t.poses[0]), t.place(&t.poses[t.poses.len() - 1]));
+            (last[1] - first[1]).atan2(last[0] - first[0])
+        };
+        let turn = (way(self) - way(other)).sin().abs() < 0.17 && (way(self) - way(other)).cos() > 0.0;
+        self.shape == other.shape
+            && self.pass.min(2) == other.pass.min(2)
+            && near(self.x_bed, other.x_bed, 0.0, 0.02)
+            && near(self.rate(), other.rate(), 0.2, 0.0)
+            && near(self.hip_height, other.hip_height, 0.2, 0.002)
+            && near(self.beta, other.beta, 0.0, 0.17)
+            && (matches!(self.intruder, Intruder::Leg { .. })
+                || turn && near(deepest(self), deepest(other), 0.2, 0.002))
+    }
+
     /// Fastest angular speed of a leg [rad/s] or speed of a plate [m/s].
     fn rate(&self) -> f64 {
         self.poses.iter().map(|pose| self.speed(pose)).fold(0.0, f64::max)

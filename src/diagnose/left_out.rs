@@ -2,8 +2,8 @@
 
 use super::errors::SquaredErrors;
 use super::fit::{COEFFICIENTS, Fit, Stack};
+use super::nuisance::Nuisance;
 use super::study::FitInputs;
-use crate::sand::Term;
 use nalgebra::{DMatrix, DVector};
 
 /// Largest number of rounds to find the scale of a model's errors. The next constant is the relative change below which
@@ -11,17 +11,35 @@ use nalgebra::{DMatrix, DVector};
 const ROUNDS: usize = 4;
 const FOUND: f64 = 0.1;
 
-/// A model to compare: a fit, and laws, of which at most one is added to the fit.
+/// A model to compare: a fit with its nuisances, and columns, of which at most one is added to the fit.
+#[derive(Clone, Copy)]
 pub struct Contender<'a> {
     pub fit: &'a Fit,
-    pub laws: Option<&'a [CandidateLaw]>,
+    pub nuisances: &'a [Nuisance],
+    pub columns: &'a [LawColumn],
 }
 
-/// A law that a model may have. Its column is the change of a fit's prediction by the law with the coefficient 1. The columns take
-/// the most memory of a diagnosis, and single precision is far more than a law needs.
-pub struct CandidateLaw {
-    pub term: Term,
-    pub column: Vec<f32>,
+/// The change of a fit's prediction by a further effect of strength 1, such as a law. These columns take the most memory of a
+/// diagnosis, and single precision is far more than a law needs.
+pub type LawColumn = Vec<f32>;
+
+impl Contender<'_> {
+    /// The readings that the fit predicts.
+    pub fn reading(&self) -> Vec<f64> {
+        reading(self.fit, self.nuisances)
+    }
+}
+
+/// The readings that `fit` predicts: the sand and the nuisances.
+pub fn reading(fit: &Fit, nuisances: &[Nuisance]) -> Vec<f64> {
+    let mut reading = fit.prediction.clone();
+    for (nuisance, d) in nuisances.iter().zip(&fit.deviations[COEFFICIENTS..]) {
+        reading.iter_mut().zip(nuisance.column.iter()).for_each(|(r, c)| *r += d * c);
+        if let Some(bend) = &nuisance.bend {
+            reading.iter_mut().zip(bend.iter()).for_each(|(r, b)| *r += b);
+        }
+    }
+    reading
 }
 
 /// How one model predicts each condition from the others.
@@ -32,7 +50,7 @@ pub struct LeftOutRow {
     pub predicted: Predicted,
     /// For each condition, φ as the other conditions give it.
     pub scales: Vec<f64>,
-    /// Held-out errors in the data's own unit, of the sand without nuisances.
+    /// Held-out errors in the data's own unit. The effects of measuring, too, are predicted from the other conditions.
     pub held_out: SquaredErrors,
 }
 
@@ -225,18 +243,24 @@ impl Linear {
         }
         let scales: Vec<f64> =
             (0..each.len()).map(|c| if c < used.len() { self.scale(&now.left, Some(c)) } else { 1.0 }).collect();
-        let density = |(own, scale): (&LeftOut, &f64)| {
+        let density = |(c, (own, scale)): (usize, (&LeftOut, &f64))| {
             let n = own.error.len() as f64;
             let square = own.square / scale;
+            // The stated priors count by how far the model is from them, and not by whether the data could predict them:
+            // a model without these parameters predicts them exactly.
+            let wider = if c < self.measured() { own.wider } else { 0.0 };
             // A simulation that diverges predicts nothing.
-            let density = -0.5 * (own.wider + n * scale.ln() + (degrees + n) * (square / degrees).ln_1p());
+            let density = -0.5 * (wider + n * scale.ln() + (degrees + n) * (square / degrees).ln_1p());
             density.max(-1e12)
         };
+        let reading = model.reading();
         let held_out = |(own, condition): (&LeftOut, &usize)| {
-            held_out(study, model, own.law, own.step.as_slice(), std::slice::from_ref(condition)).0
+            let held = std::slice::from_ref(condition);
+            held_out(study, model, &reading, (own.law, own.step.as_slice()), held).0
         };
         let held_out = SquaredErrors(now.left.iter().zip(used).flat_map(held_out).collect());
-        LeftOutRow { elpd: now.left.iter().zip(&scales).map(density).collect(), predicted: now, scales, held_out }
+        let elpd = now.left.iter().zip(&scales).enumerate().map(density).collect();
+        LeftOutRow { elpd, predicted: now, scales, held_out }
     }
 
     fn jacobian(&self, c: usize, law: Option<usize>) -> DMatrix<f64> {
@@ -257,22 +281,21 @@ fn inverted(a: DMatrix<f64>) -> DMatrix<f64> {
     a.cholesky().map_or_else(|| DMatrix::zeros(n, n), |f| f.inverse())
 }
 
-/// Errors of the prediction on the conditions `held`, for the sand alone without nuisances, with the parameters changed by `step`.
+/// Errors of the predicted readings on the conditions `held`, with the parameters of the model changed by `step`, of which the last
+/// belongs to the `law`. `reading` is that of the model's fit.
 pub fn held_out(
     study: &FitInputs,
     model: &Contender,
-    law: Option<usize>,
-    step: &[f64],
+    reading: &[f64],
+    (law, step): (Option<usize>, &[f64]),
     held: &[usize],
 ) -> SquaredErrors {
-    let fit = model.fit;
-    let sand = fit.ids.len() + COEFFICIENTS;
-    let parts: Vec<(f64, &Stack)> = step[..sand].iter().copied().zip(&fit.slopes[..sand]).collect();
-    let law = law.and_then(|l| Some((step[step.len() - 1], &model.laws?[l].column)));
+    let parts: Vec<(f64, &Stack)> = step.iter().copied().zip(&model.fit.slopes).collect();
+    let law = law.and_then(|l| Some((step[step.len() - 1], model.columns.get(l)?)));
     let described = |k: usize| law.map_or(0.0, |(coefficient, column)| coefficient * f64::from(column[k]));
     SquaredErrors::of(
         study.observations,
-        |k| fit.prediction[k] + parts.iter().map(|(d, s)| d * s[k]).sum::<f64>() + described(k),
+        |k| reading[k] + parts.iter().map(|(d, s)| d * s[k]).sum::<f64>() + described(k),
         held,
     )
 }

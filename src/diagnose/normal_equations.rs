@@ -42,8 +42,10 @@ impl NormalEquations {
 }
 
 /// A further cause in addition to a fitted model, from a linear estimate.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Further {
+    /// Whitened effect of one unit of its coordinate.
+    pub white: Vec<f64>,
     /// Catalogue index.
     pub id: usize,
     /// Value from which a fit begins.
@@ -147,6 +149,7 @@ impl FitInputs<'_> {
                 gain: if held * estimate > 0.0 { score * estimate } else { 0.0 },
                 estimate,
                 sd: left.max(1e-300).sqrt().recip(),
+                white,
             }
         });
         found.sort_by(|a, b| b.gain.total_cmp(&a.gain));

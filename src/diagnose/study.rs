@@ -2,13 +2,15 @@
 
 use super::fit::{COEFFICIENTS, Fit, Stack, slope};
 use super::forward::{ForwardModel, SandParameters};
-use super::nuisance::Nuisance;
+use super::left_out::reading;
+use super::nuisance::{Nuisance, NuisanceState};
 use super::observations::Observations;
 use super::whiten::Whitener;
 use crate::number::dot;
 use crate::parallel;
 use crate::sand::Coefficients;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
+use std::sync::Arc;
 
 /// Step of numerical slopes of a smooth model, in typical strengths: our choice, small, and far above the rounding of
 /// laws that are computed in double precision.
@@ -24,6 +26,8 @@ pub struct FitInputs<'a> {
     /// Derivatives of the plain model's prediction by the coefficients and the nuisances: not whitened, and whitened.
     /// They are accurate enough for the steps of a fit.
     pub marginal_slopes: [Vec<Stack>; 2],
+    /// Relative prior standard deviation of each stress coefficient; 0: they have their stated values.
+    pub coefficient_sd: f64,
     /// Step of the numerical slope by each mechanism, in its coordinate.
     pub steps: [f64; Mechanisms::COUNT],
 }
@@ -32,7 +36,8 @@ impl<'a> FitInputs<'a> {
     pub fn new(observations: &'a Observations, model: &'a dyn ForwardModel, whitener: &'a Whitener) -> Self {
         let steps = CATALOG.map(|entry| SMOOTH_STEP * entry.coordinate_typical());
         let (nuisances, marginal_slopes) = (Vec::new(), [Vec::new(), Vec::new()]);
-        let mut study = Self { observations, model, whitener, nuisances, marginal_slopes, steps };
+        let coefficient_sd = model.experiment().file.coefficient_sd;
+        let mut study = Self { observations, model, whitener, nuisances, marginal_slopes, coefficient_sd, steps };
         study.set_nuisances(model.nuisances(&model.plain_sand(), &[]));
         let plain = study.plain();
         if let Some(roughness) = model.roughness() {
@@ -101,28 +106,51 @@ impl<'a> FitInputs<'a> {
         study
     }
 
+    /// The same study with other nuisances under the same whitening. The slopes by the coefficients stay.
+    pub fn with_nuisances(&self, nuisances: Vec<Nuisance>) -> Self {
+        let of = |n: &Nuisance| {
+            let known = self.nuisances.iter().position(|own| Arc::ptr_eq(&own.column, &n.column));
+            let known = known.and_then(|k| self.marginal_slopes[1].get(COEFFICIENTS + k));
+            known.map_or_else(|| Arc::new(self.whitener.apply(&n.column)), Stack::clone)
+        };
+        let white = parallel::map(&nuisances, of);
+        let own = nuisances.iter().map(|n| n.column.clone()).collect();
+        let [slopes, whitened] = [(0, own), (1, white)].map(|(k, rest): (usize, Vec<Stack>)| {
+            [&self.marginal_slopes[k][..COEFFICIENTS.min(self.marginal_slopes[k].len())], &rest].concat()
+        });
+        FitInputs { nuisances, marginal_slopes: [slopes, whitened], ..*self }
+    }
+
+    /// The same study in which the stress coefficients have their stated values.
+    pub fn stated(&self) -> Self {
+        let nuisances = self.nuisances.clone();
+        let still: Stack = Arc::new(vec![0.0; self.observations.values.len()]);
+        let slopes = |k: usize| {
+            let rest = self.marginal_slopes[k].iter().skip(COEFFICIENTS).cloned();
+            std::iter::repeat_n(still.clone(), COEFFICIENTS).chain(rest).collect()
+        };
+        FitInputs { nuisances, marginal_slopes: [slopes(0), slopes(1)], coefficient_sd: 0.0, ..*self }
+    }
+
     /// This study's nuisances at `fit`, with the nuisances' values of the fit `adjusted`.
     pub fn nuisances_of(&self, fit: &Fit, adjusted: &Fit) -> Vec<Nuisance> {
         if self.nuisances.is_empty() {
             return Vec::new();
         }
         let values = self.nuisances.iter().zip(&adjusted.deviations[COEFFICIENTS..]);
-        let values: Vec<_> = values.map(|(n, d)| (n.id.clone(), n.sd * d)).collect();
-        let mut there = self.model.nuisances(&self.sand(fit), &values);
-        there.retain(|n| self.nuisances.iter().any(|own| own.id == n.id));
-        there
+        let values: Vec<NuisanceState> = values.map(|(n, d)| NuisanceState { value: n.sd * d, ..n.into() }).collect();
+        let there = self.model.nuisances(&self.sand(fit), &values);
+        // The sizes of some priors follow from the prediction; those of the plain model's stay.
+        let own = |n: Nuisance| {
+            let own = self.nuisances.iter().find(|own| own.is(&n))?;
+            Some(Nuisance { stated_sd: own.stated_sd, ..n.with_prior(own.sd) })
+        };
+        there.into_iter().filter_map(own).collect()
     }
 
     /// The readings that `fit` predicts: the sand and the nuisances.
     pub fn reading(&self, fit: &Fit) -> Vec<f64> {
-        let mut reading = fit.prediction.clone();
-        for (nuisance, d) in self.nuisances.iter().zip(&fit.deviations[COEFFICIENTS..]) {
-            reading.iter_mut().zip(nuisance.column.iter()).for_each(|(r, c)| *r += d * c);
-            if let Some(bend) = &nuisance.bend {
-                reading.iter_mut().zip(bend.iter()).for_each(|(r, b)| *r += b);
-            }
-        }
-        reading
+        reading(fit, &self.nuisances)
     }
 
     /// Coefficients at given deviations. A relative sd has no meaning for a coefficient that is published as (nearly)
@@ -130,7 +158,7 @@ impl<'a> FitInputs<'a> {
     /// set's root mean square: our choice.
     pub fn coefficients(&self, deviations: &[f64]) -> Coefficients {
         let mut c = self.model.medium().coefficients.to_array();
-        let sd = self.model.experiment().file.coefficient_sd;
+        let sd = self.coefficient_sd;
         let floor = 0.5 * (c.iter().map(|c| c * c).sum::<f64>() / COEFFICIENTS as f64).sqrt();
         for (c, d) in c.iter_mut().zip(deviations) {
             *c += c.abs().max(floor) * sd * d;

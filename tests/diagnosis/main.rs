@@ -6,6 +6,8 @@ mod input;
 mod long;
 #[path = "../testbed/mod.rs"]
 mod testbed;
+#[path = "../testbed/truth.rs"]
+mod truth;
 
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -15,8 +17,8 @@ use sandgait::diagnose::experiment::{self, Experiment};
 use sandgait::diagnose::force_log;
 use sandgait::diagnose::force_model::ForceLogModel;
 use sandgait::diagnose::forward::ForwardModel;
+use sandgait::diagnose::nuisance::CauseKind;
 use sandgait::diagnose::report::{Diagnosis, Report};
-use sandgait::diagnose::statements::violations;
 use sandgait::diagnose::verdict::{Verdict, Written};
 use sandgait::progress::{Progress, Silent};
 use sandgait::sand::SandDescription;
@@ -40,7 +42,8 @@ fn file(directory: &Path, text: &str) -> PathBuf {
 /// A diagnosis whose report violates none of the statements that hold for every report.
 fn sound(data: &Path, experiment: &Experiment) -> Diagnosis {
     let diagnosis = diagnose(data, experiment, &Silent).unwrap();
-    assert_eq!(violations(&diagnosis.report), Vec::<String>::new());
+    let json = serde_json::from_str(&diagnosis.json().unwrap()).unwrap();
+    assert_eq!(truth::contradictions(&json), Vec::<String>::new());
     diagnosis
 }
 
@@ -100,6 +103,8 @@ fn hidden_causes_are_named() {
             "{id}: {}",
             r.summary
         );
+        let kind = if id == "sensor_tilt" { CauseKind::Measurement } else { CauseKind::Sand };
+        assert_eq!(r.causes[0].kind, kind, "{id}");
         assert!((r.causes[0].value / value - 1.0).abs() < 0.15, "{id}: {}", r.summary);
         assert!(r.gain.reduction.unwrap() > 0.0 && r.gain.ci95.unwrap()[0] > 0.0, "{id}: {:?}", r.gain);
     }
@@ -113,10 +118,11 @@ fn a_pair_is_named() {
     assert!(r.terms.is_empty() && r.notes.is_empty(), "{:?} {:?}", r.terms, r.notes);
 }
 
+/// The coefficients of the hidden sand are off by 5 %, which a fit may find. No cause is given.
 #[test]
-fn without_a_hidden_cause_the_verdict_is_noise_floor() {
+fn without_a_hidden_cause_none_is_given() {
     let r = hidden(&[]);
-    assert_eq!(r.verdict, Verdict::NoiseFloor, "{}", r.summary);
+    assert!(quiet(&r), "{}", r.summary);
     assert!(r.causes.is_empty() && r.ambiguity_set.is_empty());
 }
 
@@ -130,6 +136,106 @@ fn a_cause_outside_the_library_is_none_of_these() {
     let value = Xoshiro256PlusPlus::seed_from_u64(158).random_range(0.4..1.5);
     let log = testbed::log(7515, &Hidden { causes: vec![("wall", value)] }, 0.05);
     assert_eq!(diagnosis(&log.noisy).report.verdict, Verdict::NoneOfThese);
+}
+
+/// Says the report that the law holds, with the stated coefficients or with others?
+fn quiet(r: &Report) -> bool {
+    matches!(r.verdict, Verdict::NoiseFloor | Verdict::Recalibrated)
+}
+
+/// The log with some columns changed; `change` gets the old value, and leaves blank cells alone.
+fn changed(log: &str, columns: &[&str], change: impl Fn(f64) -> f64) -> String {
+    let header: Vec<&str> = log.lines().next().unwrap().split(',').collect();
+    let places: Vec<usize> = columns.iter().map(|c| header.iter().position(|h| h == c).unwrap()).collect();
+    let line = |line: &str| {
+        let mut cells: Vec<String> = line.split(',').map(String::from).collect();
+        for &k in &places {
+            if let Ok(value) = cells[k].parse::<f64>() {
+                cells[k] = change(value).to_string();
+            }
+        }
+        cells.join(",")
+    };
+    std::iter::once(header.join(",")).chain(log.lines().skip(1).map(line)).collect::<Vec<_>>().join("\n")
+}
+
+/// The sand is 30 % weaker than its table, which is within the stated uncertainty: the answer is another table, and not "no misfit". No
+/// upper limit excludes what the fit absorbed (`contradictions`).
+#[test]
+fn another_table_is_the_answer_if_only_coefficients_are_wrong() {
+    let directory = tempfile::tempdir().unwrap();
+    let log = testbed::log(11, &Hidden { causes: vec![("scale", -0.3)] }, 0.0).noisy;
+    let text = testbed::EXPERIMENT.replace("coefficient_sd = 0.08", "coefficient_sd = 0.3");
+    let d = sound(&file(directory.path(), &log), &Experiment::from_toml(&text).unwrap());
+    let r = &d.report;
+    assert_eq!((r.verdict, r.written), (Verdict::Recalibrated, Written::Recalibrated), "{}", r.summary);
+    let found = r.recalibration.as_ref().unwrap();
+    assert!((found.factor - 0.7).abs() < 0.05 && found.coefficients.len() == 9, "{found:?}");
+    assert!(r.gain.reduction.unwrap() > 0.3, "{:?}", r.gain);
+    assert!(r.headline.contains("below the prediction"), "{}", r.headline);
+    assert!((d.sand.coefficients.to_array()[0] / 51e3 - 0.7).abs() < 0.1, "{:?}", d.sand.coefficients);
+}
+
+/// A plate that is tilted is no slope of the sand, whether the tilt is within what is stated or far beyond it.
+#[test]
+fn a_tilted_plate_is_no_cause_of_the_sand() {
+    let log = testbed::log(11, &Hidden::default(), 0.02).noisy;
+    for degrees in [2.0_f64, 12.0] {
+        let r = diagnosis(&changed(&log, &["plate_beta"], |beta| beta - degrees.to_radians())).report;
+        assert!(r.causes.iter().all(|c| c.kind == CauseKind::Measurement), "{degrees}: {}", r.summary);
+        if degrees > 10.0 {
+            assert_eq!((r.verdict, &*r.causes[0].id), (Verdict::Named, "attitude"), "{}", r.summary);
+            assert!((r.causes[0].value.to_degrees() - degrees).abs() < 2.0, "{}", r.summary);
+        }
+    }
+}
+
+/// A log that is late is late, and the report says which rows to shift.
+#[test]
+fn a_late_log_is_late() {
+    let r = hidden(&[("delay", 0.02)]);
+    assert_eq!((r.verdict, &*r.causes[0].id), (Verdict::Named, "delay"), "{}", r.summary);
+    assert!(
+        (r.causes[0].value - 0.02).abs() < 0.004 && r.action.contains("Shift the rows"),
+        "{} {}",
+        r.summary,
+        r.action
+    );
+}
+
+/// With one condition no cause can be named, but the report says how far forces are off, and what to measure.
+#[test]
+fn one_condition_names_no_cause() {
+    let log = testbed::log(11, &Hidden { causes: vec![("scale", -0.3)] }, 0.0).noisy;
+    let one: Vec<&str> = log.lines().filter(|l| l.starts_with("trial") || l.split(',').nth(1) == Some("0")).collect();
+    let r = diagnosis(&one.join("\n")).report;
+    assert_eq!(r.verdict, Verdict::InsufficientData, "{}", r.summary);
+    assert!((r.recalibration.unwrap().factor - 0.7).abs() < 0.1 && r.headline.contains("below the prediction"));
+    assert!(!r.next_experiment.unwrap().conditions.is_empty());
+}
+
+/// Effects that one condition shows, or one trial, are not named.
+#[test]
+fn the_evidence_of_one_trial_names_no_cause() {
+    let log = testbed::log(11, &Hidden::default(), 0.02).noisy;
+    // In one trial of a used bed all forces are 60 % greater.
+    let used =
+        log.lines().skip(1).find(|l| l.split(',').nth(9) == Some("2")).unwrap().split(',').next().unwrap().to_string();
+    let louder = changed(&log, &["Fx", "Fz", "Ty"], |force| 1.6 * force);
+    let own = |line: &str| line.split(',').next() == Some(&used);
+    let lines = log.lines().zip(louder.lines()).map(|(line, louder)| if own(line) { louder } else { line });
+    let r = diagnosis(&lines.collect::<Vec<_>>().join("\n")).report;
+    assert!(r.causes.is_empty(), "{}", r.summary);
+}
+
+/// Measured discs: their pressure grows with their size, which no mechanism of the catalogue has.
+#[test]
+fn what_depends_on_size_is_not_named_as_a_power_of_depth() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/real_wheel");
+    let experiment = Experiment::load(&folder.join("discs_force_log.toml")).unwrap();
+    let r = sound(&folder.join("discs_force_log.csv"), &experiment).report;
+    assert!(r.verdict != Verdict::Named, "{}", r.summary);
+    assert!(r.next_experiment.is_some());
 }
 
 /// A log of simulated grains, which no force theory made, and facts about it.
@@ -222,7 +328,7 @@ fn a_dirty_load_cell_changes_no_verdict() {
         diagnosis(&dirty(&testbed::log(11, &Hidden { causes }, 0.05).noisy, 0.06)).report
     };
     let r = of(Vec::new());
-    assert_eq!(r.verdict, Verdict::NoiseFloor, "{}", r.summary);
+    assert!(quiet(&r), "{}", r.summary);
     let offset = r.nuisances.iter().find(|n| (n.id.as_str(), n.level) == ("offset", "trial")).unwrap();
     assert!((0.04..0.08).contains(&offset.sd), "{offset:?}");
     let limit = r.upper_limits.iter().find(|l| l.id == "inertial_drag").unwrap();
@@ -237,7 +343,7 @@ fn a_dirty_load_cell_changes_no_verdict() {
     let cause = &r.causes[0];
     assert!((cause.ci95[0]..=cause.ci95[1]).contains(&1.0), "{}", r.summary);
     assert!(!r.remainder.as_ref().unwrap().significant && r.gain.nested && r.degrees_of_freedom.unwrap() > 5.0);
-    assert_eq!(r.schema, "sandgait.diagnosis.v3");
+    assert_eq!(r.schema, "sandgait.diagnosis.v4");
 }
 
 /// The velocity of the first row is exactly zero, but the trial does not begin with a rest.

@@ -221,7 +221,7 @@ def test_diagnose_is_the_command(diagnosis: sandgait.Diagnosis, tmp_path: Path) 
         assert (tmp_path / "ours" / name).read_bytes() == (tmp_path / "theirs" / name).read_bytes(), name
     assert diagnosis.verdict == "named"
     assert diagnosis.causes[0]["id"] == "inertial_drag"
-    assert diagnosis.summary in repr(diagnosis)
+    assert diagnosis.headline in repr(diagnosis)
 
 
 def test_data_frames_and_tables_replace_files(diagnosis: sandgait.Diagnosis) -> None:
@@ -280,7 +280,7 @@ def whole_diagnoses_of_a_robots_own_log(experiment: dict[str, Any], tmp_path: Pa
     # With what was found, nothing more is.
     given = {"medium": str(tmp_path / "sand.toml"), "hardware": str(tmp_path / "hardware.toml")}
     again = sandgait.diagnose(WALK / "walk.mcap", {**experiment, **given}, progress=False)
-    assert again.verdict == "noise_floor"
+    assert again.verdict in ("noise_floor", "recalibrated")
 
 
 def test_curves_contain_the_data(diagnosis: sandgait.Diagnosis) -> None:

@@ -109,8 +109,8 @@ impl<'a> TrajectoryModel<'a> {
     }
 
     /// Does the experiment file state the hardware that a nuisance changes?
-    pub(super) fn is_given(&self, nuisance: &str) -> bool {
-        quantities_of(nuisance).iter().any(|path| self.experiment.given.hardware.value(path).is_some())
+    pub(super) fn is_given(&self, nuisance: &str, axis: Option<&str>) -> bool {
+        quantities_of(nuisance, axis).iter().any(|path| self.experiment.given.hardware.value(path).is_some())
     }
 
     /// Prior standard deviation of a kind of nuisances.

@@ -1,0 +1,121 @@
+//! Effects of measuring as answers: models in which one of them may be far larger than stated.
+
+use super::evidence::EvidenceTable;
+use super::fit::{COEFFICIENTS, Fit};
+use super::gauss_newton::MOST_DEVIATION;
+use super::left_out::Contender;
+use super::nuisance::{CauseKind, Nuisance, kind};
+use super::settling::settled_nuisances;
+use super::study::FitInputs;
+use crate::parallel;
+
+/// Factor on the prior standard deviation of an effect that may be the answer: our choice, so wide that the prior has no say
+/// (a log that is late by 120 ms, a plate that is turned by 40°).
+pub const WIDE: f64 = 20.0;
+/// Least gain of a wide prior [χ²] by a linear estimate for which the model is fitted: our choice, below the 4 that a difference of
+/// elpd needs at least.
+const WORTH: f64 = 2.0;
+/// Number of such models, the most promising ones, and the number for a rough model, whose derivatives need simulations: our choices,
+/// because each fit takes time.
+const MOST: [usize; 2] = [10, 3];
+
+/// A model in which one effect of measuring has a wide prior.
+pub struct MeasuredFit {
+    pub fit: Fit,
+    pub nuisances: Vec<Nuisance>,
+}
+
+/// Fits of the model of `base` with a wide prior for each effect of measuring that promises something.
+pub fn measured(study: &FitInputs, base: &Fit) -> Vec<MeasuredFit> {
+    let covariance = study.covariance(base);
+    let first = base.ids.len() + COEFFICIENTS;
+    let less = 1.0 - WIDE.powi(-2);
+    // The drop of the least objective of a linear model if the prior of one parameter becomes wide.
+    let gain = |k: usize| {
+        let d = base.deviations[COEFFICIENTS + k];
+        let left = 1.0 - covariance[(first + k, first + k)].min(1.0) * less;
+        if d.abs() >= MOST_DEVIATION * (1.0 - 1e-6) { f64::INFINITY } else { d * d * less / left.max(1e-9) }
+    };
+    let open = |&k: &usize| {
+        let n = &study.nuisances[k];
+        n.sd == n.stated_sd && n.sd > 0.0 && kind(n.id).is_some_and(|k| !k.remedy.is_empty())
+    };
+    let mut promising: Vec<(usize, f64)> = (0..study.nuisances.len()).filter(open).map(|k| (k, gain(k))).collect();
+    promising.retain(|p| p.1 > WORTH);
+    // Of equally promising ones, those of all channels or shapes come first.
+    let common = |k: usize| study.nuisances[k].of.is_none();
+    promising.sort_by(|a, b| b.1.total_cmp(&a.1).then(common(b.0).cmp(&common(a.0))));
+    promising.truncate(MOST[usize::from(study.model.roughness().is_some())]);
+    // Where effects at their bounds stand in for a larger one, the fit begins anew, without any of them.
+    let bound = base.deviations[COEFFICIENTS..].iter().any(|d| d.abs() >= MOST_DEVIATION * (1.0 - 1e-6));
+    let mut still = base.clone();
+    still.deviations[COEFFICIENTS..].fill(0.0);
+    let fresh = bound.then(|| study.nuisances_of(base, &still));
+    parallel::map(&promising, |&(index, _)| {
+        let mut from = base.clone();
+        from.deviations[COEFFICIENTS + index] /= WIDE;
+        let near = widened(study, base, study.nuisances.clone(), (index, from));
+        let anew = fresh.clone().map(|nuisances| widened(study, base, nuisances, (index, still.clone())));
+        match anew {
+            Some(anew) if anew.fit.objective < near.fit.objective => anew,
+            _ => near,
+        }
+    })
+}
+
+/// A fit with a wide prior for the nuisance `index`, begun at `from`.
+fn widened(study: &FitInputs, base: &Fit, mut nuisances: Vec<Nuisance>, (index, from): (usize, Fit)) -> MeasuredFit {
+    nuisances[index] = nuisances[index].with_prior(WIDE * nuisances[index].stated_sd);
+    let now = study.with_nuisances(nuisances);
+    let at = now.fit_from(&[&from]).swap_remove(0);
+    let (nuisances, at) = settled_nuisances(now, base, at);
+    let last = study.with_nuisances(nuisances);
+    let fit = last.fit_from(&[&at]).swap_remove(0);
+    MeasuredFit { fit, nuisances: last.nuisances }
+}
+
+/// The one effect of measuring that, within its stated prior, alone gives what all of them give to the plain model. None if they give
+/// nothing, or if more than one is needed or possible. `study` has the plain model.
+pub fn alone(study: &FitInputs, plain: &Fit) -> Option<usize> {
+    let count = study.nuisances.len();
+    let only = |kept: Option<usize>| {
+        let of = |(k, n): (usize, &Nuisance)| if Some(k) == kept { n.clone() } else { n.with_prior(0.0) };
+        let nuisances: Vec<Nuisance> = study.nuisances.iter().enumerate().map(of).collect();
+        let now = study.with_nuisances(nuisances);
+        let mut from = Fit { slopes: Vec::new(), ..plain.clone() };
+        from.deviations
+            .iter_mut()
+            .skip(COEFFICIENTS)
+            .enumerate()
+            .filter(|(k, _)| Some(*k) != kept)
+            .for_each(|(_, d)| *d = 0.0);
+        let fit = now.fit_from(&[&from]).swap_remove(0);
+        (fit, now.nuisances)
+    };
+    let reach = study.reach(plain, 1e6);
+    let first = plain.ids.len() + COEFFICIENTS;
+    let certain = |k: &usize| plain.deviations[COEFFICIENTS + k].abs() > reach[first + k];
+    let promising: Vec<usize> = (0..count).filter(certain).collect();
+    let mut made = vec![only(None)];
+    made.extend(parallel::map(&promising, |&k| only(Some(k))));
+    let mut models = vec![Contender { fit: plain, nuisances: &study.nuisances, columns: &[] }];
+    models.extend(made.iter().map(|(fit, nuisances)| Contender { fit, nuisances, columns: &[] }));
+    let all: Vec<usize> = (0..study.observations.conditions.len()).collect();
+    let table = EvidenceTable::new(study, study.whitener, &models, &all);
+    if !table.beats(0, 1) {
+        return None;
+    }
+    let mut enough = (0..promising.len()).filter(|k| !table.beats(0, k + 2) && table.beats(k + 2, 1));
+    let found = enough.next()?;
+    enough.next().is_none().then_some(promising[found])
+}
+
+/// Is what is wrong the robot, the measurement, or the sand?
+pub fn kind_of(nuisance: &Nuisance) -> CauseKind {
+    kind(nuisance.id).map_or(CauseKind::Measurement, |k| k.kind)
+}
+
+/// The id in reports of an effect of measuring.
+pub fn answer(nuisance: &Nuisance) -> &'static str {
+    kind(nuisance.id).map_or(nuisance.id, |k| k.answer(nuisance.of.as_deref()))
+}
