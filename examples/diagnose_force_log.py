@@ -37,9 +37,9 @@ print(diagnosis.verdict, "-", diagnosis.headline)
 for cause in diagnosis.causes:
     low, high = cause["ci95"]
     print(f"{cause['id']}: {cause['value']:.3f}, 95 % interval {low:.3f} to {high:.3f}")
-gain = diagnosis.report["gain"]
-print(f"error on held-out conditions: {gain['held_out_rmse_plain']:.3f} N plain, ", end="")
-print(f"{gain['held_out_rmse_extended']:.3f} N extended; repetitions scatter by {gain['noise_floor']:.3f} N")
+gain = diagnosis.report["gain"]["in_units"]
+print(f"error on held-out conditions: {gain['plain']:.3f} {gain['unit']} plain, {gain['extended']:.3f} {gain['unit']} extended; ", end="")
+print(f"repetitions scatter by {gain['noise_floor']:.3f} {gain['unit']}")
 
 # %%
 diagnosis.save(OUT)  # writes the report with figures (report.html) and the extended sand for simulations (sand.toml)

@@ -141,9 +141,8 @@ pub fn contenders<'a>(base: &'a Fit, fits: &'a [Fit], nuisances: &'a [Nuisance])
 
 /// The candidate that predicts left-out conditions best, if its prediction is better than the plain model's.
 fn leading(study: &FitInputs, base: &Fit, fits: &[Fit]) -> Option<usize> {
-    let all: Vec<usize> = (0..study.observations.conditions.len()).collect();
     let models = contenders(base, fits, &study.nuisances);
-    let table = EvidenceTable::new(study, study.whitener, &models, &all);
+    let table = EvidenceTable::new(study, study.whitener, &models);
     let leads = verdict::leading(&bare(&models, &table), SECOND)?;
     fits.iter().position(|fit| std::ptr::eq(fit, models[leads].fit))
 }

@@ -1,9 +1,7 @@
-//! Sizes of errors, and the fraction by which one is smaller than another.
+//! Sizes of errors.
 
 use super::observations::Observations;
 use crate::student;
-use rand::{Rng, SeedableRng};
-use rand_xoshiro::Xoshiro256PlusPlus;
 
 /// Errors over the channels that count in the error, condition by condition: sum of squares [unit of the channels, squared]
 /// and number of values.
@@ -26,27 +24,6 @@ impl SquaredErrors {
             o.counted(units).fold([0.0; 2], add)
         };
         Self(held.iter().map(of).collect())
-    }
-
-    /// 95 % interval of the fraction by which `other` is smaller than these errors: bootstrap over conditions. 2000
-    /// draws are our choice, because 50 of them are then beyond each end; a fixed seed makes reports repeatable.
-    pub fn reduction_interval(&self, other: &SquaredErrors) -> [f64; 2] {
-        let mut rng = Xoshiro256PlusPlus::seed_from_u64(3);
-        let n = self.0.len();
-        let mut draws: Vec<f64> = (0..2000)
-            .map(|_| {
-                let (mut own, mut others) = ([0.0; 2], [0.0; 2]);
-                for _ in 0..n {
-                    let k = rng.random_range(0..n);
-                    own = [own[0] + self.0[k][0], own[1] + self.0[k][1]];
-                    others = [others[0] + other.0[k][0], others[1] + other.0[k][1]];
-                }
-                let share = own[1] / f64::max(others[1], 1.0);
-                if own[0] > 0.0 { 1.0 - (others[0] / own[0] * share).sqrt() } else { 0.0 }
-            })
-            .collect();
-        draws.sort_by(f64::total_cmp);
-        [draws[49], draws[1949]]
     }
 }
 

@@ -86,8 +86,7 @@ pub fn free_powers(study: &FitInputs, model: &Contender, degrees: f64) -> Vec<Fr
     }
     let free = |k: usize| Contender { columns: std::slice::from_ref(&columns[k]), ..*model };
     let models: Vec<Contender> = [*model].into_iter().chain((0..columns.len()).map(free)).collect();
-    let all: Vec<usize> = (0..study.observations.conditions.len()).collect();
-    let table = EvidenceTable::new(&now, now.whitener, &models, &all);
+    let table = EvidenceTable::new(&now, now.whitener, &models);
     let normal = now.normal_equations(model.fit);
     let reach = student::two_sided_95(degrees.max(2.0));
     let tested = |(k, (id, by)): (usize, &(usize, &'static str))| {

@@ -1,6 +1,6 @@
 //! `hardware.toml`: what a diagnosis has found of the robot's motors, sensors and delays, for [`crate::sim::hardware`].
 
-use super::evidence::NORMAL;
+use super::differences::NORMAL;
 use super::report::Report;
 use crate::sim::hardware::{HardwareDescription, HardwareQuantity};
 

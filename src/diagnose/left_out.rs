@@ -50,8 +50,6 @@ pub struct LeftOutRow {
     pub predicted: Predicted,
     /// For each condition, φ as the other conditions give it.
     pub scales: Vec<f64>,
-    /// Held-out errors in the data's own unit. The effects of measuring, too, are predicted from the other conditions.
-    pub held_out: SquaredErrors,
 }
 
 /// The linear approximation of a model near its fit, for the numbers of each condition. The last condition is the stated priors
@@ -78,9 +76,10 @@ struct Products {
 /// A condition, predicted from the others.
 pub struct LeftOut {
     /// The law chosen without the condition.
-    law: Option<usize>,
-    step: DVector<f64>,
-    error: DVector<f64>,
+    pub law: Option<usize>,
+    /// Change of the parameters that the other conditions give.
+    pub step: DVector<f64>,
+    pub error: DVector<f64>,
     /// V⁻¹ e: the expected error of the condition itself, without the error of the parameters.
     pub solved: DVector<f64>,
     /// Q = eᵀ V⁻¹ e
@@ -228,8 +227,22 @@ impl Linear {
         Predicted { law, step, left }
     }
 
+    /// The same model in the conditions `used` alone.
+    pub fn of(&self, used: &[usize]) -> Self {
+        let kept = |all: &Vec<DVector<f64>>| {
+            used.iter().map(|&c| all[c].clone()).chain(all.last().cloned()).collect::<Vec<_>>()
+        };
+        Self {
+            residual: kept(&self.residual),
+            slopes: self.slopes.iter().map(kept).collect(),
+            laws: self.laws.iter().map(kept).collect(),
+            prior: self.prior.clone(),
+            widths: self.widths.clone(),
+        }
+    }
+
     /// The row of the table; `degrees` are the degrees of freedom of the noise.
-    pub fn row(&self, study: &FitInputs, model: &Contender, used: &[usize], degrees: f64) -> LeftOutRow {
+    pub fn row(&self, degrees: f64) -> LeftOutRow {
         let each: Vec<Products> = (0..self.residual.len()).map(|c| self.products(c)).collect();
         let mut scale = 1.0;
         let mut now = self.predicted(&each, scale);
@@ -242,7 +255,7 @@ impl Linear {
             now = self.predicted(&each, scale);
         }
         let scales: Vec<f64> =
-            (0..each.len()).map(|c| if c < used.len() { self.scale(&now.left, Some(c)) } else { 1.0 }).collect();
+            (0..each.len()).map(|c| if c < self.measured() { self.scale(&now.left, Some(c)) } else { 1.0 }).collect();
         let density = |(c, (own, scale)): (usize, (&LeftOut, &f64))| {
             let n = own.error.len() as f64;
             let square = own.square / scale;
@@ -253,14 +266,8 @@ impl Linear {
             let density = -0.5 * (wider + n * scale.ln() + (degrees + n) * (square / degrees).ln_1p());
             density.max(-1e12)
         };
-        let reading = model.reading();
-        let held_out = |(own, condition): (&LeftOut, &usize)| {
-            let held = std::slice::from_ref(condition);
-            held_out(study, model, &reading, (own.law, own.step.as_slice()), held).0
-        };
-        let held_out = SquaredErrors(now.left.iter().zip(used).flat_map(held_out).collect());
         let elpd = now.left.iter().zip(&scales).enumerate().map(density).collect();
-        LeftOutRow { elpd, predicted: now, scales, held_out }
+        LeftOutRow { elpd, predicted: now, scales }
     }
 
     fn jacobian(&self, c: usize, law: Option<usize>) -> DMatrix<f64> {

@@ -100,8 +100,7 @@ pub fn alone(study: &FitInputs, plain: &Fit) -> Option<usize> {
     made.extend(parallel::map(&promising, |&k| only(Some(k))));
     let mut models = vec![Contender { fit: plain, nuisances: &study.nuisances, columns: &[] }];
     models.extend(made.iter().map(|(fit, nuisances)| Contender { fit, nuisances, columns: &[] }));
-    let all: Vec<usize> = (0..study.observations.conditions.len()).collect();
-    let table = EvidenceTable::new(study, study.whitener, &models, &all);
+    let table = EvidenceTable::new(study, study.whitener, &models);
     if !table.beats(0, 1) {
         return None;
     }

@@ -195,16 +195,14 @@ fn gain(html: &mut String, diagnosis: &Diagnosis) {
         ("plain model", g.held_out_rmse_plain, color::BLUE),
         ("coefficients fitted within their prior", g.held_out_rmse_recalibrated, color::BLUE),
         ("extended model", g.held_out_rmse_extended, color::VERMILION),
-        ("scatter between repetitions, which no model removes", g.noise_floor, "#999"),
+        ("noise, which no model removes", g.noise_floor, "#999"),
     ];
-    let rows: Vec<_> = rows
-        .into_iter()
-        .filter_map(|(name, value, hue)| value.map(|v| (name.to_string(), v, format!("{} {unit}", digits(v)), hue)))
-        .collect();
+    let of = |(name, value, hue): (&str, Option<f64>, _)| value.map(|v| (name.to_string(), v, digits(v), hue));
+    let rows: Vec<_> = rows.into_iter().filter_map(of).collect();
     if rows.is_empty() {
         return;
     }
-    html.push_str("<h2>Error on left-out conditions</h2><p class=small>Root mean square over the components of the force, or over the speed of a walk. Each condition is predicted by models that were chosen and fitted without it.</p>");
+    html.push_str("<h2>Error on left-out conditions</h2><p class=small>Root mean square in units of the noise: 1 is what a perfect model would leave. Each condition is predicted by models that were chosen and fitted without it.</p>");
     figures::bars(html, &rows);
     if let (Some(reduction), Some([low, high])) = (g.reduction, g.ci95) {
         let [reduction, low, high] = [reduction, low, high].map(|v| 100.0 * v);
@@ -223,6 +221,13 @@ fn gain(html: &mut String, diagnosis: &Diagnosis) {
             None => {}
         }
         html.push_str("</p>");
+    }
+    if let Some(raw) = &g.in_units {
+        let [plain, extended, floor] = [raw.plain, raw.extended, raw.noise_floor].map(|v| digits(v) + &after(&raw.unit));
+        let _ = write!(
+            html,
+            "<p>The readings themselves: {plain} with the plain model, {extended} with the extended one; repetitions scatter by {floor}.</p>"
+        );
     }
     by_shape(html, diagnosis, unit);
 }

@@ -92,24 +92,38 @@ pub struct LackOfFit {
     pub limit: Option<f64>,
 }
 
-/// The gain of the extension on held-out conditions.
+/// The gain of the extension on held-out conditions. Errors are root mean squares in units of the noise: after whitening and the mean
+/// over repetitions, noise alone gives 1.
 #[derive(Clone, Debug, Default, Serialize, PartialEq)]
 pub struct Gain {
-    /// Error of the simulation without changes [N].
+    /// Error of the simulation without changes [1].
     pub held_out_rmse_plain: Option<f64>,
-    /// Error of the simulation with coefficients fitted within their prior, without a cause [N].
+    /// Error of the simulation with coefficients fitted within their prior, without a cause [1].
     pub held_out_rmse_recalibrated: Option<f64>,
     pub held_out_rmse_extended: Option<f64>,
-    /// Standard deviation between repetitions, which no model can predict [N].
+    /// Error of a perfect model: 1.
     pub noise_floor: Option<f64>,
+    /// Fraction by which the error of what is written is less than the plain model's, and its 95 % interval.
     pub reduction: Option<f64>,
     pub ci95: Option<[f64; 2]>,
-    /// Reduction of the error as a share of the achievable reduction, which is the plain model's error minus the
-    /// scatter between repetitions. None if 0 is in the 95 % interval of the achievable reduction. By chance the share
-    /// may be slightly above 1.
+    /// Reduction of the error as a share of the achievable reduction, which is the plain model's error minus that of a perfect
+    /// model. None if the plain model's error is no larger than noise may cause. By chance the share may be slightly above 1.
     pub achievable_fraction: Option<f64>,
     /// Were cause, noise and whitening chosen without the held-out conditions in each fold?
     pub nested: bool,
+    /// The same errors of the readings themselves.
+    pub in_units: Option<RawErrors>,
+}
+
+/// Root mean square errors of readings on left-out conditions [unit].
+#[derive(Clone, Debug, Default, Serialize, PartialEq)]
+pub struct RawErrors {
+    pub unit: String,
+    pub plain: f64,
+    pub recalibrated: f64,
+    pub extended: f64,
+    /// Standard deviation between repetitions, which no model can predict.
+    pub noise_floor: f64,
 }
 
 /// Effects of measuring, marginalised and not named as causes.

@@ -2,13 +2,11 @@
 //! the model that `sand.toml` gets.
 
 use super::candidates::{Candidates, SECOND, SearchSpace, candidates};
-use super::errors::SquaredErrors;
 use super::evidence::EvidenceTable;
 use super::gate::{self, Assessment, NameTests};
 use super::laws::{Laws, laws};
-use super::left_out::held_out;
 use super::measured::{MeasuredFit, WIDE};
-use super::noise::NoiseData;
+use super::nested::{Folds, Nested};
 use super::normal_equations::NormalEquations;
 use super::profile;
 use super::rows::{Fits, Place};
@@ -16,15 +14,11 @@ use super::study::FitInputs;
 use super::verdict::{
     Compared, Effect, Role, Ruling, Tested, Verdict, Written, base, leading, leading_law, verdict, without_cause,
 };
-use super::whiten::Whitener;
 use crate::error::Result;
 use crate::parallel;
 use crate::progress::Progress;
 use crate::sand::mechanism::CATALOG;
 use crate::student;
-
-/// Number of folds in which noise, model and values are chosen anew: our choice; each needs its own noise.
-const FOLDS: usize = 6;
 
 /// Most effects of measuring that are established one after the other: our choice; each repeats all fits.
 const ESTABLISHED: usize = 2;
@@ -43,8 +37,8 @@ pub struct Selection {
     pub standing: Assessment,
     /// Models that lead by their evidence but are not named, with the tests that they failed.
     pub withheld: Vec<(usize, Vec<String>)>,
-    /// Held-out errors of the plain model, of the base, and of the written model, which is chosen anew in each fold.
-    pub nested: [SquaredErrors; 3],
+    /// How the written model predicts if it is chosen anew in each fold.
+    pub nested: Nested,
     /// See [`SearchSpace::unseen`].
     pub unseen: Vec<usize>,
 }
@@ -112,9 +106,7 @@ fn attempt(study: &FitInputs, stated: &FitInputs, asked: &SearchSpace, progress:
     let plain = plain(&renewed, stated, &candidates);
     let fits = Fits { candidates, plain, laws: [alone, beside], rows: Vec::new() }.with_rows();
     progress.report(0.85, "held-out conditions")?;
-    let conditions = study.observations.conditions.len();
-    let table =
-        EvidenceTable::new(&renewed, renewed.whitener, &fits.contenders(), &(0..conditions).collect::<Vec<_>>());
+    let table = EvidenceTable::new(&renewed, renewed.whitener, &fits.contenders());
     let entries = entries(&renewed, &table, &fits, asked);
     Ok(judged(&Judging { study: &renewed, asked, profiled: profiled.as_deref() }, fits, table, entries))
 }
@@ -145,10 +137,11 @@ struct Judging<'a> {
 fn judged(with: &Judging, fits: Fits, table: EvidenceTable, entries: Vec<Compared>) -> Selection {
     let mut withheld = Vec::new();
     let mut tested = Tested::default();
+    let contenders = fits.contenders();
+    let folds = Folds::new(with.study, with.asked, &fits, &contenders);
+    let nested = |row: usize| folds.nested(&table, &entries, row);
     let test = |row: usize| {
-        let nested = nested(with, &fits, &entries, row);
-        let assessment = with.assess(&fits, &table, &entries, row);
-        let contenders = fits.contenders();
+        let (nested, assessment) = (nested(row), with.assess(&fits, &table, &entries, row));
         let tests =
             NameTests { study: with.study, table: &table, entries: &entries, contenders: &contenders, nested: &nested };
         let failed = tests.failed(row, &assessment);
@@ -185,21 +178,23 @@ fn judged(with: &Judging, fits: Fits, table: EvidenceTable, entries: Vec<Compare
             let (_, nested, standing) = results.swap_remove(k);
             (nested, standing)
         }
-        None => (nested(with, &fits, &entries, row), with.assess(&fits, &table, &entries, row)),
+        None => (nested(row), with.assess(&fits, &table, &entries, row)),
     };
-    let (mut nested, mut standing) = measure(ruling.model);
+    let (mut predicted, mut standing) = measure(ruling.model);
     // What is chosen anew without the predicted conditions must lower the error, too.
-    if ruling.set.is_empty() && ruling.model > 0 && nested[2].rmse() >= nested[0].rmse() {
+    if ruling.set.is_empty() && ruling.model > 0 && predicted.errors[2] >= predicted.errors[0] {
         let base = base(&entries);
         ruling.verdict = Verdict::NoneOfThese;
         if ruling.model != base && entries[base].beats[0] {
             ruling = Ruling { model: base, written: Written::Recalibrated, ..ruling };
-            (nested, standing) = measure(base);
+            (predicted, standing) = measure(base);
         } else if ruling.model != base {
             ruling.written = Written::Proxy;
         }
     }
-    Selection { fits, table, entries, ruling, standing, withheld, nested, unseen: with.asked.unseen.to_vec() }
+    drop((folds, contenders));
+    let unseen = with.asked.unseen.to_vec();
+    Selection { fits, table, entries, ruling, standing, withheld, nested: predicted, unseen }
 }
 
 impl Judging<'_> {
@@ -226,7 +221,6 @@ impl Judging<'_> {
 
 /// The entries of a table, for the verdict.
 fn entries(study: &FitInputs, table: &EvidenceTable, fits: &Fits, asked: &SearchSpace) -> Vec<Compared> {
-    let errors = |k: usize| &table.rows[k].held_out;
     let base = fits.rows.iter().position(|row| row.role == Role::Base).unwrap_or(0);
     let numbers: Vec<usize> = (0..fits.rows.len()).collect();
     let normal: Vec<Option<NormalEquations>> = parallel::map(&numbers, |&k| {
@@ -253,8 +247,8 @@ fn entries(study: &FitInputs, table: &EvidenceTable, fits: &Fits, asked: &Search
             misfit: table.misfit(k),
             unexplained: table.unexplained(k, base),
             beats: (0..fits.rows.len()).map(|j| table.beats(k, j)).collect(),
-            error: errors(k).rmse(),
-            lowers: k > 0 && errors(0).reduction_interval(errors(k))[0] > 0.0,
+            error: table.error(k),
+            lowers: table.lowers(k, 0),
         }
     };
     (0..fits.rows.len()).map(of).collect()
@@ -289,68 +283,4 @@ fn explored(study: &FitInputs, candidates: &mut Candidates) -> Option<Vec<[f64; 
         candidates.fits[leading] = lowest;
     }
     Some(intervals)
-}
-
-/// Held-out errors of the plain model, of the base, and of a model of the kind of `row`: in each fold the noise is learnt, the data are
-/// whitened, and the model is chosen without the held-out conditions. In each fold, values are those of the full fits, changed by
-/// one Gauss-Newton step, which is exact for a linear model.
-fn nested(with: &Judging, fits: &Fits, entries: &[Compared], row: usize) -> [SquaredErrors; 3] {
-    let (study, asked) = (with.study, with.asked);
-    let conditions = study.observations.conditions.len();
-    let folds = folds(conditions);
-    let models = fits.contenders();
-    let base = base(entries);
-    let made = parallel::map(&folds, |held| {
-        let source = NoiseData { left_out: held, sizes: &fits.candidates.around.sizes, ..*asked.source };
-        let noise = source.noise(Some(&fits.candidates.around.noise), &|| study.model.stopped());
-        let whitener = Whitener::new(&source, &noise);
-        let rest: Vec<usize> = (0..conditions).filter(|k| !held.contains(k)).collect();
-        let table = EvidenceTable::new(study, &whitener, &models, &rest);
-        let chosen = chosen(fits, &table, entries, row);
-        [0, base, chosen].map(|k| {
-            let own = &table.rows[k].predicted;
-            held_out(study, &models[k], &models[k].reading(), (own.law, own.step.as_slice()), held)
-        })
-    });
-    let mut total = [(); 3].map(|()| SquaredErrors(vec![[0.0; 2]; conditions]));
-    for (held, parts) in folds.iter().zip(made) {
-        for (total, part) in total.iter_mut().zip(parts) {
-            held.iter().zip(part.0).for_each(|(&condition, own)| total.0[condition] = own);
-        }
-    }
-    total
-}
-
-/// The model that a fold's own table would write, if models of the kind of `row` may be written.
-fn chosen(fits: &Fits, table: &EvidenceTable, entries: &[Compared], row: usize) -> usize {
-    let again: Vec<Compared> = (0..entries.len())
-        .map(|k| Compared {
-            elpd: table.elpd(k),
-            beats: (0..entries.len()).map(|j| table.beats(k, j)).collect(),
-            error: table.rows[k].held_out.rmse(),
-            lowers: false,
-            ..entries[k].clone()
-        })
-        .collect();
-    let found = match fits.rows[row].role {
-        Role::Plain => Some(0),
-        Role::Base if table.elpd(base(entries)) > table.elpd(0) => Some(base(entries)),
-        Role::Established | Role::Base => None,
-        Role::Causes | Role::Beside => leading(&again, SECOND),
-        Role::Law => leading_law(&again),
-    };
-    found.unwrap_or_else(|| without_cause(&again))
-}
-
-/// Conditions held out in each fold.
-fn folds(conditions: usize) -> Vec<Vec<usize>> {
-    let folds = FOLDS.min(conditions);
-    // Neighbouring conditions of a design are similar. A stride that has no common divisor with the number of
-    // conditions distributes them over the folds.
-    let stride = (conditions / 2 + 1..conditions + 2).find(|s| gcd(*s, conditions) == 1).unwrap_or(1);
-    (0..folds).map(|f| (f..conditions).step_by(folds).map(|k| k * stride % conditions).collect()).collect()
-}
-
-fn gcd(a: usize, b: usize) -> usize {
-    if b == 0 { a } else { gcd(b, a % b) }
 }

@@ -63,8 +63,7 @@ pub fn form(study: &FitInputs, selection: &Selection) -> Option<SpeedExponent> {
     let nuisances = &study.nuisances[..];
     let model = |&(_, column)| Contender { fit, nuisances, columns: std::slice::from_ref(column) };
     let models: Vec<Contender> = each.iter().map(model).collect();
-    let all: Vec<usize> = (0..study.observations.conditions.len()).collect();
-    let table = EvidenceTable::new(study, study.whitener, &models, &all);
+    let table = EvidenceTable::new(study, study.whitener, &models);
     let top = (0..models.len()).max_by(|a, b| table.elpd(*a).total_cmp(&table.elpd(*b)))?;
     let stay: Vec<f64> = (0..models.len()).filter(|&k| !table.beats(top, k)).map(|k| each[k].0).collect();
     let ci95 = [stay.iter().copied().fold(f64::MAX, f64::min), stay.iter().copied().fold(f64::MIN, f64::max)];

@@ -1,6 +1,7 @@
 //! Converts a diagnosis to a report.
 
-use super::evidence::NORMAL;
+use super::differences::NORMAL;
+use super::errors::SquaredErrors;
 use super::fit::{COEFFICIENTS, Fit, slope};
 use super::gate::FoundEffect;
 use super::gauss_newton::MOST_DEVIATION;
@@ -11,7 +12,7 @@ use super::noise::{Noise, NoiseData};
 use super::normal_equations::Further;
 use super::opening::{runs, worded};
 use super::report::{
-    Cause, EvidenceRow, Gain, LackOfFit, NextExperiment, NoiseSummary, NuisanceValue, Remainder, Report, TermFound,
+    Cause, EvidenceRow, Gain, LackOfFit, NextExperiment, NoiseSummary, NuisanceValue, RawErrors, Remainder, Report, TermFound,
     Tried, Untestable, UpperLimit, Withheld,
 };
 use super::select::Selection;
@@ -290,7 +291,7 @@ impl ReportView<'_> {
     fn tried(&self) -> Vec<Tried> {
         let s = self.selection;
         let base = super::verdict::base(&s.entries);
-        let before = s.table.rows[base].held_out.rmse();
+        let before = s.table.error(base);
         let n = (self.study.observations.values.len() as f64).ln();
         let best = s.ruling.set.first().map(|&k| s.fits.fit(k));
         let best = best.or_else(|| s.fits.candidates.leading.map(|k| &s.fits.candidates.fits[k]));
@@ -299,7 +300,7 @@ impl ReportView<'_> {
             Tried {
                 values: fit.values(),
                 delta_chi2: gained,
-                cv_gain: entry.filter(|_| before > 0.0).map(|k| 1.0 - s.table.rows[k].held_out.rmse() / before),
+                cv_gain: entry.filter(|_| before > 0.0).map(|k| 1.0 - s.table.error(k) / before),
                 lack_of_fit: entry.map(|k| s.table.lack(k)),
                 delta_aic: gained - 2.0 * ids.len() as f64,
                 delta_bic: gained - n * ids.len() as f64,
@@ -317,22 +318,29 @@ impl ReportView<'_> {
     }
 
     fn gain(&self) -> Gain {
-        let selection = self.selection;
-        let [plain, base, chosen] = &selection.nested;
-        let extended = if selection.ruling.written == Written::Plain { plain } else { chosen };
-        let repetitions = self.source.floor();
-        let (before, after, floor) = (plain.rmse(), extended.rmse(), repetitions.rmse());
-        // If the plain model's error is hardly larger than the scatter between repetitions, a share of the difference between the two has no meaning.
-        let told = plain.reduction_interval(&repetitions)[0] > 0.0;
+        let (own, plain) = (&self.selection.nested, self.selection.ruling.written == Written::Plain);
+        let [before, base, chosen] = own.errors;
+        let after = if plain { before } else { chosen };
+        let (reduction, ci95) = if plain { (0.0, [0.0; 2]) } else { own.reduction() };
+        // If the plain model's error is hardly larger than noise, a share of the difference between the two has no meaning.
+        let told = self.selection.table.misfit(0) > 0.0 && before > 1.0;
+        let [raw, raw_base, raw_chosen] = own.raw.each_ref().map(SquaredErrors::rmse);
         Gain {
             held_out_rmse_plain: Some(before),
-            held_out_rmse_recalibrated: Some(base.rmse()),
-            nested: true,
+            held_out_rmse_recalibrated: Some(base),
             held_out_rmse_extended: Some(after),
-            noise_floor: Some(floor),
-            reduction: (before > 0.0).then(|| 1.0 - after / before),
-            ci95: Some(plain.reduction_interval(extended)),
-            achievable_fraction: (told && before > floor).then(|| (before - after) / (before - floor)),
+            noise_floor: Some(1.0),
+            reduction: Some(reduction),
+            ci95: Some(ci95),
+            achievable_fraction: told.then(|| (before - after) / (before - 1.0)),
+            nested: true,
+            in_units: Some(RawErrors {
+                unit: self.study.observations.error_unit().into(),
+                plain: raw,
+                recalibrated: raw_base,
+                extended: if plain { raw } else { raw_chosen },
+                noise_floor: self.source.floor().rmse(),
+            }),
         }
     }
 

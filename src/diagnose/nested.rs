@@ -1,0 +1,152 @@
+//! Nested predictions: in each fold the noise is learnt, the data are whitened, and the model is chosen without the held-out conditions.
+//! Values are those of the full fits, changed by one Gauss-Newton step without the predicted condition, which is exact for a
+//! linear model.
+
+use super::candidates::{SECOND, SearchSpace};
+use super::differences::{NORMAL, Part, summed};
+use super::errors::SquaredErrors;
+use super::evidence::{EvidenceTable, LEAST, Numbers};
+use super::gate::simpler;
+use super::left_out::{Contender, held_out};
+use super::noise::NoiseData;
+use super::rows::Fits;
+use super::study::FitInputs;
+use super::verdict::{Compared, Role, base, leading, leading_law, without_cause};
+use super::whiten::Whitener;
+use crate::parallel;
+
+/// Number of folds: our choice; each needs its own noise.
+const FOLDS: usize = 6;
+
+/// How a model predicts if it is chosen anew in each fold.
+pub struct Nested {
+    /// Errors of the plain model, of the base, and of the model [unit of the data].
+    pub raw: [SquaredErrors; 3],
+    /// Root mean square errors of the same models, in units of the noise.
+    pub errors: [f64; 3],
+    /// By how much each condition's squared errors are less than the plain model's.
+    lowered: Vec<Part>,
+    /// What each condition adds to the elpd of the chosen models minus that of each reference.
+    gains: Vec<Vec<Part>>,
+    /// Number of all numbers that are predicted.
+    numbers: f64,
+    degrees: f64,
+}
+
+impl Nested {
+    /// Fraction by which the error is less than the plain model's, and its 95 % interval: by how much it would change if the same
+    /// conditions were measured again.
+    pub fn reduction(&self) -> (f64, [f64; 2]) {
+        let before = (self.numbers * self.errors[0].powi(2)).max(1e-300);
+        let [gain, error] = summed(&self.lowered, self.degrees);
+        let share = |square: f64| 1.0 - (1.0 - square / before).max(0.0).sqrt();
+        (share(gain), [share(gain - NORMAL * error), share(gain + NORMAL * error)])
+    }
+
+    /// Does it predict better than each reference, beyond twice the standard error?
+    pub fn earns(&self) -> bool {
+        self.gains.iter().all(|parts| {
+            let [gain, error] = summed(parts, self.degrees);
+            gain > 2.0 * error.max(LEAST)
+        })
+    }
+}
+
+/// One fold: the conditions that are held out, and the tables without them and with them, under a noise that does not know them.
+struct Fold {
+    held: Vec<usize>,
+    rest: EvidenceTable,
+    all: EvidenceTable,
+}
+
+/// All folds of one selection.
+pub struct Folds<'a> {
+    study: &'a FitInputs<'a>,
+    fits: &'a Fits,
+    models: &'a [Contender<'a>],
+    folds: Vec<Fold>,
+}
+
+impl<'a> Folds<'a> {
+    pub fn new(study: &'a FitInputs, asked: &SearchSpace, fits: &'a Fits, models: &'a [Contender]) -> Self {
+        let conditions = study.observations.conditions.len();
+        let folds = parallel::map(&held(conditions), |held| {
+            let source = NoiseData { left_out: held, sizes: &fits.candidates.around.sizes, ..*asked.source };
+            let noise = source.noise(Some(&fits.candidates.around.noise), &|| study.model.stopped());
+            let whitener = Whitener::new(&source, &noise);
+            let rest: Vec<usize> = (0..conditions).filter(|k| !held.contains(k)).collect();
+            let numbers = Numbers::new(study, &whitener, models, &rest);
+            let all: Vec<usize> = (0..conditions).collect();
+            Fold { held: held.clone(), rest: numbers.table(&rest), all: numbers.table(&all) }
+        });
+        Self { study, fits, models, folds }
+    }
+
+    /// How a model of the kind of `row` predicts. `table` is that of all data.
+    pub fn nested(&self, table: &EvidenceTable, entries: &[Compared], row: usize) -> Nested {
+        let (base, conditions) = (base(entries), self.study.observations.conditions.len());
+        let references = simpler(entries, row);
+        let mut raw = [(); 3].map(|()| SquaredErrors(vec![[0.0; 2]; conditions]));
+        let (mut squares, mut numbers) = ([0.0; 3], 0.0);
+        let (mut lowered, mut gains) = (Vec::new(), vec![Vec::new(); references.len()]);
+        for fold in &self.folds {
+            let (chosen, all) = (self.chosen(&fold.rest, entries, row), &fold.all);
+            for &c in &fold.held {
+                for (kind, model) in [0, base, chosen].into_iter().enumerate() {
+                    let own = &all.rows[model].predicted.left[c];
+                    squares[kind] += own.error.norm_squared();
+                    let (contender, step) = (&self.models[model], (own.law, own.step.as_slice()));
+                    let error = held_out(self.study, contender, &contender.reading(), step, &[c]);
+                    raw[kind].0[c] = error.0[0];
+                }
+                numbers += all.sizes[c];
+                let part = |better: bool, reference: usize| match (chosen == reference, better) {
+                    (true, _) => Part::default(),
+                    (false, true) => all.part(chosen, reference, c),
+                    (false, false) => all.lowered(chosen, reference, c),
+                };
+                lowered.push(part(false, 0));
+                references.iter().zip(&mut gains).for_each(|(&reference, own)| own.push(part(true, reference)));
+            }
+        }
+        // The stated priors count as one more condition, which no fold leaves out.
+        for (&reference, own) in references.iter().zip(&mut gains).filter(|g| *g.0 != row) {
+            own.push(table.part(row, reference, table.sizes.len() - 1));
+        }
+        let errors = squares.map(|square| (square / f64::max(numbers, 1.0)).sqrt());
+        Nested { raw, errors, lowered, gains, numbers, degrees: table.degrees }
+    }
+
+    /// The model that a fold's own table would write, if models of the kind of `row` may be written.
+    fn chosen(&self, table: &EvidenceTable, entries: &[Compared], row: usize) -> usize {
+        let of = |k: usize| Compared {
+            elpd: table.elpd(k),
+            beats: (0..entries.len()).map(|j| table.beats(k, j)).collect(),
+            error: table.error(k),
+            lowers: false,
+            ..entries[k].clone()
+        };
+        let again: Vec<Compared> = (0..entries.len()).map(of).collect();
+        let found = match self.fits.rows[row].role {
+            Role::Plain => Some(0),
+            Role::Base if table.elpd(base(entries)) > table.elpd(0) => Some(base(entries)),
+            Role::Established | Role::Base => None,
+            Role::Causes | Role::Beside => leading(&again, SECOND),
+            Role::Law => leading_law(&again),
+        };
+        found.unwrap_or_else(|| without_cause(&again))
+    }
+}
+
+/// Conditions held out in each fold.
+fn held(conditions: usize) -> Vec<Vec<usize>> {
+    let folds = FOLDS.min(conditions);
+    // Neighbouring conditions of a design are similar. A stride that has no common divisor with the number of
+    // conditions distributes them over the folds.
+    let stride = (conditions / 2 + 1..conditions + 2).find(|s| gcd(*s, conditions) == 1).unwrap_or(1);
+    (0..folds).map(|f| (f..conditions).step_by(folds).map(|k| k * stride % conditions).collect()).collect()
+}
+
+fn gcd(a: usize, b: usize) -> usize {
+    if b == 0 { a } else { gcd(b, a % b) }
+}
