@@ -70,6 +70,8 @@ pub struct Candidates {
     pub stated: Fit,
     /// The base, and the leading cause, each with one effect of measuring that may be far larger than stated.
     pub measured: Vec<MeasuredFit>,
+    /// The base without each of the effects of `measured`; those beside the leading cause have none.
+    pub absent: Vec<MeasuredFit>,
     /// Singles, then pairs, each best first, fitted with the final noise.
     pub fits: Vec<Fit>,
     /// The fit that predicts left-out conditions best, if its prediction is better than the plain model's.
@@ -105,8 +107,8 @@ pub fn candidates(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progres
     }
     let leading = leading(&straight, &base, &fits);
     let screened = screen.candidates.clone();
-    let (around, stated, measured) = (around.clone(), base.clone(), Vec::new());
-    let mut found = Candidates { screened, around, base, stated, measured, fits, leading, behind, earlier };
+    let (around, stated, measured, absent) = (around.clone(), base.clone(), Vec::new(), Vec::new());
+    let mut found = Candidates { screened, around, base, stated, measured, absent, fits, leading, behind, earlier };
     progress.report(0.5, "singles under the noise of the best")?;
     found.settle(study, asked);
     if leading.is_some() {
@@ -119,6 +121,7 @@ pub fn candidates(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progres
     progress.report(0.78, "effects of measuring")?;
     found.stated = plain_fit(&renewed, &found.base);
     found.measured = measured::measured(&renewed, &found.base);
+    found.absent = measured::absent(&renewed, &found.base, &found.measured);
     if let Some(leading) = found.leading.map(|k| &found.fits[k]).filter(|fit| fit.ids.len() == 1) {
         found.measured.extend(measured::measured(&renewed, leading));
     }

@@ -1,5 +1,6 @@
 //! The tests that every answer must pass before it is given a name, of whatever kind it is. What fails is said in words.
 
+use super::differences::NORMAL;
 use super::evidence::EvidenceTable;
 use super::fit::{COEFFICIENTS, Fit};
 use super::form::{FreePower, free_powers};
@@ -131,18 +132,32 @@ fn place(effect: Effect, fit: &Fit) -> Option<usize> {
     }
 }
 
-/// The rows with which a row is compared: for a pair, those of its causes alone; for anything else, the base.
+/// The rows with which a row is compared: for a pair, those of its causes alone; for an effect of measuring, the base without it; for
+/// anything else, the base.
 pub fn simpler(entries: &[Compared], row: usize) -> Vec<usize> {
     let base = base(entries);
-    let before = entries[base].effects.len();
+    let (before, own) = (entries[base].effects.len(), &entries[row].effects);
     let single = |k: &usize| {
         entries[*k].role == Role::Causes
             && entries[*k].effects.len() == before + 1
-            && entries[*k].effects.iter().all(|e| entries[row].effects.contains(e))
+            && entries[*k].effects.iter().all(|e| own.contains(e))
     };
-    let singles =
-        if entries[row].effects.len() > before + 1 { (0..entries.len()).filter(single).collect() } else { Vec::new() };
-    if singles.is_empty() { vec![base] } else { singles }
+    let absent = |k: &usize| entries[*k].role == Role::Absent && entries[*k].effects == *own;
+    let found: Vec<usize> = match entries[row].role == Role::Causes && own.len() > before + 1 {
+        true => (0..entries.len()).filter(single).collect(),
+        false => (0..entries.len()).filter(absent).collect(),
+    };
+    if found.is_empty() { vec![base] } else { found }
+}
+
+/// The rows with one effect that beat the base.
+pub fn singles(entries: &[Compared]) -> impl Iterator<Item = usize> {
+    let base = base(entries);
+    let one = move |k: &usize| {
+        let own = &entries[*k];
+        own.role == Role::Causes && own.effects.len() == entries[base].effects.len() + 1 && own.beats[base]
+    };
+    (0..entries.len()).filter(one)
 }
 
 /// The inputs of the tests.
@@ -174,10 +189,12 @@ impl NameTests<'_> {
             failed.push("the 95 % interval of its coefficient reaches 0".into());
         }
         let (_, [low, high]) = self.nested.reduction();
-        if low <= 0.0 || !self.nested.earns() {
-            let interval = format!("{:.0} to {:.0} %", 100.0 * low, 100.0 * high).replace('-', "−");
+        let [gain, error] = self.nested.least();
+        if low <= 0.0 || gain <= NORMAL * error {
+            let said = format!("{:.0} to {:.0} %, elpd {gain:+.0} ± {error:.0}", 100.0 * low, 100.0 * high);
+            let said = said.replace('-', "−");
             failed.push(format!(
-                "chosen anew without the predicted conditions, it lowers the error by {interval}, which is not certain"
+                "chosen anew without the predicted conditions, it lowers the error by {said}, which is not certain"
             ));
         }
         for reference in simpler(self.entries, row) {

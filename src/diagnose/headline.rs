@@ -102,19 +102,7 @@ pub fn headline(r: &Report) -> String {
             clauses.extend(r.warnings.last().filter(|_| alarm.is_none()).cloned());
         }
         Verdict::NoiseFloor => {
-            let tilt = r.nuisances.iter().filter(|n| n.alone).map(|n| {
-                let words = kind(&n.id).map_or(&*n.id, |k| k.words);
-                let degrees = if n.unit == "rad" {
-                    format!("{:.1}° (±{:.1}°)", n.value.to_degrees(), 1.96 * n.sd.to_degrees())
-                } else {
-                    format!("{} ± {}{}", digits(n.value), digits(1.96 * n.sd), after(n.unit))
-                };
-                format!("{words} by {degrees}, within what is stated; the sand is as stated")
-            });
-            clauses.extend(tilt.take(1));
-            if clauses.is_empty() {
-                clauses.push("no error of the sand shows: the plain model is as good as the repetitions allow".into());
-            }
+            clauses.push("no error of the sand shows: the plain model is as good as the repetitions allow".into());
         }
         Verdict::Recalibrated => {
             clauses.extend(below(r));

@@ -5,7 +5,7 @@ use super::fit::{COEFFICIENTS, Fit};
 use super::gauss_newton::MOST_DEVIATION;
 use super::left_out::Contender;
 use super::nuisance::{CauseKind, Nuisance, kind};
-use super::settling::settled_nuisances;
+use super::settling::{bound, settled_nuisances};
 use super::study::FitInputs;
 use crate::parallel;
 
@@ -18,6 +18,9 @@ const WORTH: f64 = 2.0;
 /// Number of such models, the most promising ones, and the number for a rough model, whose derivatives need simulations: our choices,
 /// because each fit takes time.
 const MOST: [usize; 2] = [10, 3];
+
+/// Start values of far fits, in stated standard deviations: our choice; between them Gauss-Newton steps converge.
+const FAR: [f64; 5] = [0.0, 5.0, -5.0, 10.0, -10.0];
 
 /// A model in which one effect of measuring has a wide prior.
 pub struct MeasuredFit {
@@ -46,21 +49,48 @@ pub fn measured(study: &FitInputs, base: &Fit) -> Vec<MeasuredFit> {
     let common = |k: usize| study.nuisances[k].of.is_none();
     promising.sort_by(|a, b| b.1.total_cmp(&a.1).then(common(b.0).cmp(&common(a.0))));
     promising.truncate(MOST[usize::from(study.model.roughness().is_some())]);
-    // Where effects at their bounds stand in for a larger one, the fit begins anew, without any of them.
-    let bound = base.deviations[COEFFICIENTS..].iter().any(|d| d.abs() >= MOST_DEVIATION * (1.0 - 1e-6));
-    let mut still = base.clone();
-    still.deviations[COEFFICIENTS..].fill(0.0);
-    let fresh = bound.then(|| study.nuisances_of(base, &still));
-    parallel::map(&promising, |&(index, _)| {
+    // Where effects at their bounds stand in for a larger one, the fit begins anew, without any of them, and at larger values.
+    let far: &[f64] = if bound(base) { &FAR } else { &[] };
+    let free = study.observations.repetitions().iter().map(|g| g.len() as f64 - 1.0).sum::<f64>().max(2.0);
+    // An effect whose value is not certain explains nothing, as a cause with the value of the plain sand does.
+    let certain = |own: &MeasuredFit, index: usize| {
+        let reach = study.with_nuisances(own.nuisances.clone()).reach(&own.fit, free);
+        let d = own.fit.deviations[COEFFICIENTS + index].abs();
+        d > reach[own.fit.ids.len() + COEFFICIENTS + index]
+    };
+    let made = parallel::map(&promising, |&(index, _)| {
         let mut from = base.clone();
         from.deviations[COEFFICIENTS + index] /= WIDE;
-        let near = widened(study, base, study.nuisances.clone(), (index, from));
-        let anew = fresh.clone().map(|nuisances| widened(study, base, nuisances, (index, still.clone())));
-        match anew {
-            Some(anew) if anew.fit.objective < near.fit.objective => anew,
-            _ => near,
+        let mut best = widened(study, base, study.nuisances.clone(), (index, from));
+        for &start in far.iter().filter(|_| study.nuisances[index].nearly_linear.is_finite()) {
+            let mut still = base.clone();
+            still.deviations[COEFFICIENTS..].fill(0.0);
+            still.deviations[COEFFICIENTS + index] = start;
+            let nuisances = study.nuisances_of(base, &still);
+            still.deviations[COEFFICIENTS + index] /= WIDE;
+            let anew = widened(study, base, nuisances, (index, still));
+            if anew.fit.objective < best.fit.objective {
+                best = anew;
+            }
         }
-    })
+        certain(&best, index).then_some(best)
+    });
+    made.into_iter().flatten().collect()
+}
+
+/// The model of `base` without one effect of measuring, for each of `wide`.
+pub fn absent(study: &FitInputs, base: &Fit, wide: &[MeasuredFit]) -> Vec<MeasuredFit> {
+    let of = |own: &MeasuredFit| {
+        let index = own.nuisances.iter().position(|n| n.sd > n.stated_sd).unwrap_or(0);
+        let mut nuisances = study.nuisances.clone();
+        nuisances[index] = nuisances[index].with_prior(0.0);
+        let now = study.with_nuisances(nuisances);
+        let mut from = Fit { slopes: Vec::new(), ..base.clone() };
+        from.deviations[COEFFICIENTS + index] = 0.0;
+        let fit = now.fit_from(&[&from]).swap_remove(0);
+        MeasuredFit { fit, nuisances: now.nuisances }
+    };
+    parallel::map(wide, of)
 }
 
 /// A fit with a wide prior for the nuisance `index`, begun at `from`.

@@ -43,12 +43,13 @@ impl Nested {
         (share(gain), [share(gain - NORMAL * error), share(gain + NORMAL * error)])
     }
 
-    /// Does it predict better than each reference, beyond twice the standard error?
-    pub fn earns(&self) -> bool {
-        self.gains.iter().all(|parts| {
+    /// The least gain of elpd over a reference, in standard errors, with its standard error.
+    pub fn least(&self) -> [f64; 2] {
+        let each = self.gains.iter().map(|parts| {
             let [gain, error] = summed(parts, self.degrees);
-            gain > 2.0 * error.max(LEAST)
-        })
+            [gain, error.max(LEAST)]
+        });
+        each.min_by(|a, b| (a[0] / a[1]).total_cmp(&(b[0] / b[1]))).unwrap_or([0.0, LEAST])
     }
 }
 
@@ -130,7 +131,7 @@ impl<'a> Folds<'a> {
         let found = match self.fits.rows[row].role {
             Role::Plain => Some(0),
             Role::Base if table.elpd(base(entries)) > table.elpd(0) => Some(base(entries)),
-            Role::Established | Role::Base => None,
+            Role::Established | Role::Base | Role::Absent => None,
             Role::Causes | Role::Beside => leading(&again, SECOND),
             Role::Law => leading_law(&again),
         };

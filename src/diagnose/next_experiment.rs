@@ -8,6 +8,7 @@ use super::observations::{Observations, Unit};
 use super::report::NextExperiment;
 use super::select::Selection;
 use super::study::FitInputs;
+use super::verdict::Role;
 use super::whiten::Whitener;
 use super::words::{after, digits};
 use crate::sand::mechanism::{CATALOG, Mechanisms};
@@ -182,7 +183,7 @@ pub fn next(
     // The best other model that does not contain what is written.
     let model = selection.ruling.model;
     let contains = |k: usize| rows[model].effects.iter().all(|e| rows[k].effects.contains(e));
-    let other = |k: &usize| *k != model && *k != 0 && (rows[model].effects.is_empty() || !contains(*k));
+    let other = |k: &usize| *k != model && *k != 0 && rows[*k].role != Role::Absent && (rows[model].effects.is_empty() || !contains(*k));
     let ranked = selection.table.ranked((0..rows.len()).filter(other));
     let rival = ranked.first().copied().unwrap_or(0);
     match selection.ruling.verdict {

@@ -138,8 +138,6 @@ pub struct NuisanceValue {
     /// For a value of the whole log: the width of its 95 % interval divided by the width for a normal distribution with standard deviation 1.
     pub sd: f64,
     pub unit: &'static str,
-    /// Does it alone explain what the stated sand leaves without effects of measuring?
-    pub alone: bool,
 }
 
 /// The misfit that the final model leaves.

@@ -20,6 +20,7 @@ pub enum Place {
     Base,
     Candidate(usize),
     Measured(usize),
+    Absent(usize),
 }
 
 /// A row of the table: a fit, and laws of which it may have one.
@@ -49,6 +50,7 @@ impl Fits {
             Place::Base => &c.base,
             Place::Candidate(k) => &c.fits[k],
             Place::Measured(k) => &c.measured[k].fit,
+            Place::Absent(k) => &c.absent[k].fit,
         }
     }
 
@@ -56,6 +58,7 @@ impl Fits {
         match self.rows[row].place {
             Place::Plain => &self.plain.nuisances,
             Place::Measured(k) => &self.candidates.measured[k].nuisances,
+            Place::Absent(k) => &self.candidates.absent[k].nuisances,
             _ => &self.candidates.around.nuisances,
         }
     }
@@ -79,7 +82,12 @@ impl Fits {
         if self.rows[row].role == Role::Plain {
             return Vec::new();
         }
-        let wide = self.nuisances(row).iter().enumerate().filter(|(_, n)| n.sd > n.stated_sd);
+        // The base without an effect has the effects of the row that it is compared with.
+        let with = match self.rows[row].place {
+            Place::Absent(k) => &self.candidates.measured[k].nuisances,
+            _ => self.nuisances(row),
+        };
+        let wide = with.iter().enumerate().filter(|(_, n)| n.sd > n.stated_sd);
         let measuring = wide.map(|(k, _)| Effect::Measuring(k));
         measuring.chain(self.fit(row).ids.iter().map(|id| Effect::Mechanism(*id))).collect()
     }
@@ -109,6 +117,7 @@ impl Fits {
         if let Some(k) = self.candidates.leading.filter(|_| !self.laws[1].columns.is_empty()) {
             rows.push(ModelRow { laws: Some(1), ..row(Role::Beside, Place::Candidate(k)) });
         }
+        rows.extend((0..self.candidates.absent.len()).map(|k| row(Role::Absent, Place::Absent(k))));
         self.rows = rows;
         self
     }

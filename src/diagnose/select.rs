@@ -7,12 +7,13 @@ use super::gate::{self, Assessment, NameTests};
 use super::laws::{Laws, laws};
 use super::measured::{MeasuredFit, WIDE};
 use super::nested::{Folds, Nested};
+use super::nuisance::Nuisance;
 use super::normal_equations::NormalEquations;
 use super::profile;
 use super::rows::{Fits, Place};
 use super::study::FitInputs;
 use super::verdict::{
-    Compared, Effect, Role, Ruling, Tested, Verdict, Written, base, leading, leading_law, verdict, without_cause,
+    Compared, Effect, Role, Ruling, Tested, Verdict, Written, base, leading, leading_law, verdict,
 };
 use crate::error::Result;
 use crate::parallel;
@@ -22,6 +23,9 @@ use crate::student;
 
 /// Most effects of measuring that are established one after the other: our choice; each repeats all fits.
 const ESTABLISHED: usize = 2;
+
+/// Most explanations that are tested, the best first: our choice; the next ones are beaten anyway.
+const TRIED: usize = 4;
 
 /// If the place in the bed or the number of earlier passes is unknown, these mechanisms may multiply the stress by the same factor
 /// everywhere, as `scale` does.
@@ -64,6 +68,14 @@ impl Selection {
         self.entries[row].effects.iter().map(id).collect()
     }
 
+    /// The one effect of measuring that shows although nothing is wrong with the sand.
+    fn shows(&self, study: &FitInputs) -> Option<usize> {
+        let quiet = matches!(self.ruling.verdict, Verdict::NoiseFloor | Verdict::Recalibrated);
+        let around = self.fits.candidates.around.about(study);
+        let own = if self.standing.stated { around.stated() } else { around };
+        quiet.then(|| super::measured::alone(&own, self.fits.fit(self.ruling.model))).flatten()
+    }
+
     /// The effect of measuring that this selection names alone.
     fn establishes(&self) -> Option<usize> {
         let effects = &self.entries[*self.ruling.set.first()?].effects;
@@ -81,11 +93,15 @@ pub fn select(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -
     let mut selection = attempt(study, study, asked, progress)?;
     let mut nuisances = study.nuisances.clone();
     for _ in 0..ESTABLISHED {
-        let Some(k) = selection.establishes() else { break };
+        let Some(k) = selection.establishes().or_else(|| selection.shows(study)) else { break };
         nuisances[k] = nuisances[k].with_prior(WIDE * nuisances[k].stated_sd);
         let wide = study.with_nuisances(nuisances.clone());
         let next = attempt(&wide, study, asked, progress)?;
-        if !matches!(next.ruling.verdict, Verdict::Named | Verdict::Ambiguous) {
+        let gain = next.nested.reduction().1[0];
+        if !matches!(next.ruling.verdict, Verdict::Named | Verdict::Ambiguous)
+            || gain <= 0.0
+            || next.standing.found.iter().any(|found| !found.certain)
+        {
             break;
         }
         selection = next;
@@ -108,7 +124,10 @@ fn attempt(study: &FitInputs, stated: &FitInputs, asked: &SearchSpace, progress:
     progress.report(0.85, "held-out conditions")?;
     let table = EvidenceTable::new(&renewed, renewed.whitener, &fits.contenders());
     let entries = entries(&renewed, &table, &fits, asked);
-    Ok(judged(&Judging { study: &renewed, asked, profiled: profiled.as_deref() }, fits, table, entries))
+    let with = Judging { study: &renewed, asked, profiled: profiled.as_deref() };
+    let Judged { ruling, standing, withheld, nested } = judged(&with, &fits, &table, &entries);
+    drop(renewed);
+    Ok(Selection { fits, table, entries, ruling, standing, withheld, nested, unseen: asked.unseen.to_vec() })
 }
 
 /// The plain model, with the stated priors of all effects of measuring.
@@ -118,7 +137,12 @@ fn plain(study: &FitInputs, stated: &FitInputs, candidates: &Candidates) -> Meas
     }
     let mut from = candidates.stated.clone();
     from.deviations.iter_mut().for_each(|d| *d = 0.0);
-    let nuisances = stated.nuisances_of(&from, &from);
+    // What is established is what the plain model does not know.
+    let known = |n: Nuisance| match study.nuisances.iter().find(|own| own.is(&n)) {
+        Some(own) if own.sd > own.stated_sd => n.with_prior(0.0),
+        _ => n,
+    };
+    let nuisances: Vec<Nuisance> = stated.nuisances_of(&from, &from).into_iter().map(known).collect();
     let now = study.with_nuisances(nuisances.clone());
     let fit = super::candidates::plain_fit(&now, &from);
     MeasuredFit { fit, nuisances }
@@ -133,22 +157,30 @@ struct Judging<'a> {
     profiled: Option<&'a [[f64; 2]]>,
 }
 
+/// What the tests of a table lead to.
+struct Judged {
+    ruling: Ruling,
+    standing: Assessment,
+    withheld: Vec<(usize, Vec<String>)>,
+    nested: Nested,
+}
+
 /// Tests the leading explanation and the leading law, and gives the verdict.
-fn judged(with: &Judging, fits: Fits, table: EvidenceTable, entries: Vec<Compared>) -> Selection {
+fn judged(with: &Judging, fits: &Fits, table: &EvidenceTable, entries: &[Compared]) -> Judged {
     let mut withheld = Vec::new();
     let mut tested = Tested::default();
     let contenders = fits.contenders();
-    let folds = Folds::new(with.study, with.asked, &fits, &contenders);
-    let nested = |row: usize| folds.nested(&table, &entries, row);
+    let folds = Folds::new(with.study, with.asked, fits, &contenders);
+    let nested = |row: usize| folds.nested(table, entries, row);
     let test = |row: usize| {
-        let (nested, assessment) = (nested(row), with.assess(&fits, &table, &entries, row));
+        let (nested, assessment) = (nested(row), with.assess(fits, table, entries, row));
         let tests =
-            NameTests { study: with.study, table: &table, entries: &entries, contenders: &contenders, nested: &nested };
+            NameTests { study: with.study, table, entries, contenders: &contenders, nested: &nested };
         let failed = tests.failed(row, &assessment);
         (nested, assessment, failed)
     };
     let mut results = Vec::new();
-    let mut lead = leading(&entries, SECOND);
+    let mut lead = leading(entries, SECOND);
     while let Some(row) = lead {
         let (nested, assessment, failed) = test(row);
         let passes = failed.is_empty();
@@ -158,13 +190,12 @@ fn judged(with: &Judging, fits: Fits, table: EvidenceTable, entries: Vec<Compare
             break;
         }
         withheld.push((row, failed));
-        // If the second cause of a pair fails, the first one may stand alone.
-        let before = entries[base(&entries)].effects.len() + 1;
-        let best = |a: &usize, b: &usize| entries[*a].elpd.total_cmp(&entries[*b].elpd);
-        let single = gate::simpler(&entries, row).into_iter().max_by(best);
-        lead = single.filter(|_| entries[row].effects.len() > before);
+        // If the second cause of a pair fails, one cause may stand alone; if that fails, the next best one.
+        let tried = |k: &usize| withheld.iter().any(|w: &(usize, Vec<String>)| w.0 == *k);
+        let next = gate::singles(entries).filter(|k| !tried(k));
+        lead = next.max_by(|a, b| entries[*a].elpd.total_cmp(&entries[*b].elpd)).filter(|_| withheld.len() < TRIED);
     }
-    if let Some(row) = leading_law(&entries) {
+    if let Some(row) = leading_law(entries) {
         let (nested, assessment, failed) = test(row);
         tested.law = Some((row, failed.is_empty()));
         results.push((row, nested, assessment));
@@ -172,18 +203,18 @@ fn judged(with: &Judging, fits: Fits, table: EvidenceTable, entries: Vec<Compare
             withheld.push((row, failed));
         }
     }
-    let mut ruling = verdict(&entries, tested);
+    let mut ruling = verdict(entries, tested);
     let mut measure = |row: usize| match results.iter().position(|r| r.0 == row) {
         Some(k) => {
             let (_, nested, standing) = results.swap_remove(k);
             (nested, standing)
         }
-        None => (nested(row), with.assess(&fits, &table, &entries, row)),
+        None => (nested(row), with.assess(fits, table, entries, row)),
     };
     let (mut predicted, mut standing) = measure(ruling.model);
     // What is chosen anew without the predicted conditions must lower the error, too.
     if ruling.set.is_empty() && ruling.model > 0 && predicted.errors[2] >= predicted.errors[0] {
-        let base = base(&entries);
+        let base = base(entries);
         ruling.verdict = Verdict::NoneOfThese;
         if ruling.model != base && entries[base].beats[0] {
             ruling = Ruling { model: base, written: Written::Recalibrated, ..ruling };
@@ -192,9 +223,7 @@ fn judged(with: &Judging, fits: Fits, table: EvidenceTable, entries: Vec<Compare
             ruling.written = Written::Proxy;
         }
     }
-    drop((folds, contenders));
-    let unseen = with.asked.unseen.to_vec();
-    Selection { fits, table, entries, ruling, standing, withheld, nested: predicted, unseen }
+    Judged { ruling, standing, withheld, nested: predicted }
 }
 
 impl Judging<'_> {

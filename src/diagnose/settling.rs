@@ -1,6 +1,7 @@
 //! Nuisances with nonlinear effects: fit and linearisation are adjusted to each other.
 
 use super::fit::{COEFFICIENTS, Fit};
+use super::gauss_newton::MOST_DEVIATION;
 use super::nuisance::Nuisance;
 use super::study::FitInputs;
 use super::whiten::Whitener;
@@ -11,14 +12,30 @@ const BENDS: usize = 6;
 /// of the nuisance is right to a fiftieth of what its prior allows.
 const STRAIGHT: f64 = 0.02;
 
-/// Nuisances linearised at `fit` under a whitening.
+/// Nuisances linearised at `fit` under a whitening. Where nuisances at their bounds only stand in for something else, the fit may be
+/// stuck there, so it is made again from the stated apparatus.
 pub fn bent(study: &FitInputs, whitener: &Whitener, fit: &Fit) -> Vec<Nuisance> {
     if study.nuisances.is_empty() {
         return Vec::new();
     }
-    let now = study.under(whitener, study.nuisances_of(fit, fit));
-    let at = now.fit_from(&[fit]).swap_remove(0);
-    settled_nuisances(now, fit, at).0
+    let from = |start: &Fit| {
+        let now = study.under(whitener, study.nuisances_of(fit, start));
+        let at = now.fit_from(&[start]).swap_remove(0);
+        settled_nuisances(now, fit, at)
+    };
+    let (near, at) = from(fit);
+    if !bound(&at) && !bound(fit) {
+        return near;
+    }
+    let mut still = fit.clone();
+    still.deviations[COEFFICIENTS..].fill(0.0);
+    let (fresh, anew) = from(&still);
+    if anew.objective < at.objective { fresh } else { near }
+}
+
+/// Is a nuisance of a fit at its bound?
+pub fn bound(fit: &Fit) -> bool {
+    fit.deviations[COEFFICIENTS..].iter().any(|d| d.abs() >= MOST_DEVIATION * (1.0 - 1e-6))
 }
 
 /// The nuisances of a study, linearised at their estimates about `fit`, from the fit `at` with them; and the fit there. Fit and

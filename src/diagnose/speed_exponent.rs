@@ -47,7 +47,8 @@ impl SpeedExponent {
 /// Replaces the power of the speed in the best cause's law by other powers, and compares them. None if the law has no such power, or if
 /// these data cannot test laws.
 pub fn form(study: &FitInputs, selection: &Selection) -> Option<SpeedExponent> {
-    let best = selection.fits.fit(*selection.ruling.set.first()?);
+    let lead = selection.ruling.set.first().copied().or(selection.withheld.first().map(|w| w.0))?;
+    let best = selection.fits.fit(lead);
     let [own] = best.ids[..] else { return None };
     let (id, law) = (CATALOG[own].id, CATALOG[own].exponent?);
     let fit = &selection.fits.candidates.base;

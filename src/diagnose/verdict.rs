@@ -54,6 +54,8 @@ pub enum Role {
     Base,
     /// Causes in the sand, in the drive or in the measurement.
     Causes,
+    /// The base without an effect of measuring, with which this effect is compared. It is no answer.
+    Absent,
     /// A law found in the data.
     Law,
     /// A law beside causes.
@@ -205,7 +207,9 @@ pub fn verdict(table: &[Compared], tested: Tested) -> Ruling {
 fn unexplained(table: &[Compared]) -> Ruling {
     let base = base(table);
     let of = |verdict, written, model| Ruling { verdict, written, model, set: Vec::new() };
-    let over = |than: usize| (1..table.len()).filter(move |&k| k != base && table[k].beats[than]);
+    let over = |than: usize| {
+        (1..table.len()).filter(move |&k| k != base && table[k].role != Role::Absent && table[k].beats[than])
+    };
     let stand_in = |from: usize| {
         let best = over(from).max_by(|a, b| table[*a].elpd.total_cmp(&table[*b].elpd))?;
         let as_good = over(from).filter(|&k| !table[best].beats[k] && table[k].error < table[from].error);

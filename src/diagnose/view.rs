@@ -76,7 +76,7 @@ impl ReportView<'_> {
             terms: s.standing.law.iter().map(|law| self.term(law)).collect(),
             upper_limits: self.upper_limits(&renewed, &without.untestable),
             degrees_of_freedom: Some(s.table.degrees),
-            form: named.and_then(|s| speed_exponent::form(&s.fits.candidates.around.about(study), s)),
+            form: speed_exponent::form(&s.fits.candidates.around.about(study), s),
             free_powers: s.standing.powers.clone(),
             next_experiment: self.next_experiment(&without.untestable),
             noise: Some(NoiseSummary {
@@ -91,14 +91,15 @@ impl ReportView<'_> {
 
     fn evidence(&self) -> Vec<EvidenceRow> {
         let s = self.selection;
-        let best = s.table.ranked(0..s.entries.len())[0];
+        let shown = |k: &usize| s.entries[*k].role != Role::Absent;
+        let best = s.table.ranked((0..s.entries.len()).filter(shown))[0];
         let of = |k: usize| {
             let [difference, standard_error] = s.table.difference(k, best);
             let model = match s.entries[k].role {
                 Role::Plain => "plain",
                 Role::Established => "established",
                 Role::Base => "recalibrated",
-                Role::Causes | Role::Beside => "causes",
+                Role::Causes | Role::Beside | Role::Absent => "causes",
                 Role::Law => "law",
             };
             let lawful = matches!(s.entries[k].role, Role::Law | Role::Beside);
@@ -106,7 +107,7 @@ impl ReportView<'_> {
             let (ids, written) = (s.ids(k), k == s.ruling.model);
             EvidenceRow { model, ids, terms, elpd: s.table.elpd(k), difference, standard_error, written }
         };
-        [0].into_iter().chain(s.table.ranked(1..s.entries.len())).map(of).collect()
+        [0].into_iter().chain(s.table.ranked((1..s.entries.len()).filter(shown))).map(of).collect()
     }
 
     fn withheld(&self) -> Vec<Withheld> {
@@ -194,8 +195,6 @@ impl ReportView<'_> {
     fn nuisances(&self, study: &FitInputs) -> Vec<NuisanceValue> {
         let (selection, own) = (self.selection, &self.selection.standing);
         let reach = if own.fit.slopes.is_empty() { Vec::new() } else { study.reach(&own.fit, selection.table.degrees) };
-        let quiet = selection.ruling.verdict == Verdict::NoiseFloor;
-        let alone = quiet.then(|| measured::alone(study, &own.fit)).flatten();
         let all = own.nuisances.iter().zip(&own.fit.deviations[COEFFICIENTS..]).enumerate();
         let mut values: Vec<NuisanceValue> = all
             .map(|(k, (n, d))| {
@@ -209,7 +208,6 @@ impl ReportView<'_> {
                     value: d * n.sd,
                     sd: share * n.sd,
                     unit: n.unit,
-                    alone: alone == Some(k),
                 }
             })
             .collect();
@@ -221,7 +219,7 @@ impl ReportView<'_> {
         values.extend(shared.map(|(s, sd)| {
             let (id, of) = split(s.name);
             let level = if id == "bed_strength" { "bed" } else { "trial" };
-            NuisanceValue { id, of, level, value: 0.0, sd: *sd, unit: s.unit, alone: false }
+            NuisanceValue { id, of, level, value: 0.0, sd: *sd, unit: s.unit }
         }));
         values
     }
