@@ -53,6 +53,9 @@ const TOGETHER: usize = 1 << 14;
 /// thousands of flat beds, or some dozens with a relief.
 const MODELS: usize = 16 << 20;
 
+/// Memory of the sums over [`TOGETHER`] episodes [bytes].
+const SUMS: usize = 2 << 20;
+
 /// A request for an evaluation.
 pub struct EvaluationRequest {
     pub policy: PolicySource,
@@ -124,6 +127,11 @@ impl Evaluation {
         let study = Self { conditions: all.collect(), base, gait, seeds: *seeds };
         study.conditions.iter().try_for_each(|condition| study.blueprint(condition).map(drop))?;
         Ok(study)
+    }
+
+    /// Memory of the tasks that are played together, and of their episodes' sums [bytes].
+    pub fn bytes(&self) -> usize {
+        MODELS.max(self.base.shared_bytes()) + SUMS
     }
 
     fn blueprint(&self, (medium, slope_deg): &Condition) -> Result<Blueprint> {
