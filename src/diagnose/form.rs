@@ -26,7 +26,7 @@ pub struct FreePower {
     /// Power that the data add to the law's own, and its 95 % interval.
     pub power: f64,
     pub ci95: [f64; 2],
-    /// Does a model with this power predict left-out conditions better beyond twice the standard error?
+    /// Does a model with this power predict left-out conditions better beyond twice the standard error, and does the interval exclude 0?
     pub rejected: bool,
 }
 
@@ -98,7 +98,7 @@ pub fn free_powers(study: &FitInputs, model: &Contender, degrees: f64) -> Vec<Fr
             by: (*by).into(),
             power,
             ci95: [power - reach * sd, power + reach * sd],
-            rejected: table.beats(k + 1, 0),
+            rejected: table.beats(k + 1, 0) && power.abs() > reach * sd,
         })
     };
     of.iter().enumerate().filter_map(tested).collect()

@@ -24,7 +24,9 @@ pub struct Nested {
     pub raw: [SquaredErrors; 3],
     /// Root mean square errors of the same models, in units of the noise.
     pub errors: [f64; 3],
-    /// By how much each condition's squared errors are less than the plain model's.
+    /// Root mean square error of the model that has to be improved: the base without an effect of measuring, or the plain model.
+    before: f64,
+    /// By how much each condition's squared errors are less than those of that model.
     lowered: Vec<Part>,
     /// What each condition adds to the elpd of the chosen models minus that of each reference.
     gains: Vec<Vec<Part>>,
@@ -34,10 +36,10 @@ pub struct Nested {
 }
 
 impl Nested {
-    /// Fraction by which the error is less than the plain model's, and its 95 % interval: by how much it would change if the same
-    /// conditions were measured again.
+    /// Fraction by which the error is less than that of the model that has to be improved, and its 95 % interval: by how much it
+    /// would change if the same conditions were measured again.
     pub fn reduction(&self) -> (f64, [f64; 2]) {
-        let before = (self.numbers * self.errors[0].powi(2)).max(1e-300);
+        let before = (self.numbers * self.before.powi(2)).max(1e-300);
         let [gain, error] = summed(&self.lowered, self.degrees);
         let share = |square: f64| 1.0 - (1.0 - square / before).max(0.0).sqrt();
         (share(gain), [share(gain - NORMAL * error), share(gain + NORMAL * error)])
@@ -87,15 +89,19 @@ impl<'a> Folds<'a> {
     pub fn nested(&self, table: &EvidenceTable, entries: &[Compared], row: usize) -> Nested {
         let (base, conditions) = (base(entries), self.study.observations.conditions.len());
         let references = simpler(entries, row);
+        let improved = references.iter().copied().find(|&k| entries[k].role == Role::Absent).unwrap_or(0);
         let mut raw = [(); 3].map(|()| SquaredErrors(vec![[0.0; 2]; conditions]));
-        let (mut squares, mut numbers) = ([0.0; 3], 0.0);
+        let (mut squares, mut numbers) = ([0.0; 4], 0.0);
         let (mut lowered, mut gains) = (Vec::new(), vec![Vec::new(); references.len()]);
         for fold in &self.folds {
             let (chosen, all) = (self.chosen(&fold.rest, entries, row), &fold.all);
             for &c in &fold.held {
-                for (kind, model) in [0, base, chosen].into_iter().enumerate() {
+                for (kind, model) in [0, base, chosen, improved].into_iter().enumerate() {
                     let own = &all.rows[model].predicted.left[c];
                     squares[kind] += own.error.norm_squared();
+                    if kind == raw.len() {
+                        break;
+                    }
                     let (contender, step) = (&self.models[model], (own.law, own.step.as_slice()));
                     let error = held_out(self.study, contender, &contender.reading(), step, &[c]);
                     raw[kind].0[c] = error.0[0];
@@ -106,7 +112,7 @@ impl<'a> Folds<'a> {
                     (false, true) => all.part(chosen, reference, c),
                     (false, false) => all.lowered(chosen, reference, c),
                 };
-                lowered.push(part(false, 0));
+                lowered.push(part(false, improved));
                 references.iter().zip(&mut gains).for_each(|(&reference, own)| own.push(part(true, reference)));
             }
         }
@@ -114,8 +120,9 @@ impl<'a> Folds<'a> {
         for (&reference, own) in references.iter().zip(&mut gains).filter(|g| *g.0 != row) {
             own.push(table.part(row, reference, table.sizes.len() - 1));
         }
-        let errors = squares.map(|square| (square / f64::max(numbers, 1.0)).sqrt());
-        Nested { raw, errors, lowered, gains, numbers, degrees: table.degrees }
+        let [plain, recalibrated, own, before] = squares.map(|square| (square / f64::max(numbers, 1.0)).sqrt());
+        let errors = [plain, recalibrated, own];
+        Nested { raw, errors, before, lowered, gains, numbers, degrees: table.degrees }
     }
 
     /// The model that a fold's own table would write, if models of the kind of `row` may be written.

@@ -250,7 +250,6 @@ impl Judging<'_> {
 
 /// The entries of a table, for the verdict.
 fn entries(study: &FitInputs, table: &EvidenceTable, fits: &Fits, asked: &SearchSpace) -> Vec<Compared> {
-    let base = fits.rows.iter().position(|row| row.role == Role::Base).unwrap_or(0);
     let numbers: Vec<usize> = (0..fits.rows.len()).collect();
     let normal: Vec<Option<NormalEquations>> = parallel::map(&numbers, |&k| {
         let cause = fits.rows[k].role == Role::Causes;
@@ -274,7 +273,7 @@ fn entries(study: &FitInputs, table: &EvidenceTable, fits: &Fits, asked: &Search
             repeats: repeated(study, table, fits, &normal, k),
             elpd: table.elpd(k),
             misfit: table.misfit(k),
-            unexplained: table.unexplained(k, base),
+            unexplained: table.unexplained(k, 0),
             beats: (0..fits.rows.len()).map(|j| table.beats(k, j)).collect(),
             error: table.error(k),
             lowers: table.lowers(k, 0),

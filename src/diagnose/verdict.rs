@@ -40,7 +40,7 @@ pub enum Written {
     Plain,
 }
 
-/// A cause must explain more than this share of the misfit that fitted coefficients leave: our choice. A smaller part is not the main part.
+/// A cause must explain more than this share of the plain model's misfit: our choice. A smaller part is not the main part.
 pub const MAIN_PART: f64 = 0.5;
 
 /// What a model of the table adds to the plain one.
@@ -87,7 +87,7 @@ pub struct Compared {
     pub elpd: f64,
     /// Variance of its errors beyond the noise's variance, in units of the noise's variance; 0 if noise alone may cause such errors.
     pub misfit: f64,
-    /// Share of the base's misfit that remains with this model.
+    /// Share of the plain model's misfit that remains with this model.
     pub unexplained: f64,
     /// Does it predict better than entry `k`, beyond twice the standard error?
     pub beats: Vec<bool>,
