@@ -22,7 +22,8 @@ const MOST: [usize; 2] = [10, 3];
 /// Start values of far fits, in stated standard deviations: our choice; between them Gauss-Newton steps converge.
 const FAR: [f64; 5] = [0.0, 5.0, -5.0, 10.0, -10.0];
 
-/// Number of effects, the most promising ones, whose fits always begin at far values, too: our choice, because each fit takes time.
+/// Number of effects, the most promising ones, whose fits begin at far values, too, beside those of all channels or shapes: our choice,
+/// because each fit takes time.
 const FAR_FITTED: usize = 3;
 
 /// A model in which one effect of measuring has a wide prior.
@@ -53,7 +54,7 @@ pub fn measured(study: &FitInputs, base: &Fit) -> Vec<MeasuredFit> {
     promising.sort_by(|a, b| b.1.total_cmp(&a.1).then(common(b.0).cmp(&common(a.0))));
     promising.truncate(MOST[usize::from(study.model.roughness().is_some())]);
     // Others may stand in for a large effect that is not linear, so its fit begins anew, without any of them, and at larger values.
-    let far = |index: usize| promising.iter().take(FAR_FITTED).any(|p| p.0 == index) || bound(base);
+    let far = |k: usize| bound(base) || common(k) || promising.iter().take(FAR_FITTED).any(|p| p.0 == k);
     let free = study.observations.repetitions().iter().map(|g| g.len() as f64 - 1.0).sum::<f64>().max(2.0);
     // An effect whose value is not certain explains nothing, as a cause with the value of the plain sand does.
     let certain = |own: &MeasuredFit, index: usize| {

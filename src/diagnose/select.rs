@@ -96,7 +96,7 @@ pub fn select(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -
         let Some(k) = selection.establishes().or_else(|| selection.shows(study)) else { break };
         nuisances[k] = nuisances[k].with_prior(WIDE * nuisances[k].stated_sd);
         let wide = study.with_nuisances(nuisances.clone());
-        let next = attempt(&wide, study, asked, progress)?;
+        let next = attempt(&wide, study, asked, &Later(progress))?;
         let gain = next.nested.reduction().1[0];
         if !matches!(next.ruling.verdict, Verdict::Named | Verdict::Ambiguous)
             || gain <= 0.0
@@ -107,6 +107,19 @@ pub fn select(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -
         selection = next;
     }
     Ok(selection)
+}
+
+/// The progress of a later attempt, which follows on that of the first one.
+struct Later<'a>(&'a dyn Progress);
+
+impl Progress for Later<'_> {
+    fn report(&self, done: f64, stage: &str) -> Result<()> {
+        self.0.report(0.9 + 0.05 * done, stage)
+    }
+
+    fn note(&self, line: &str) {
+        self.0.note(line);
+    }
 }
 
 /// Makes all fits and compares them. `stated` has the stated priors.

@@ -43,6 +43,9 @@ pub enum Written {
 /// A cause must explain more than this share of the plain model's misfit: our choice. A smaller part is not the main part.
 pub const MAIN_PART: f64 = 0.5;
 
+/// A rival has more than this share of the evidence of what it rivals: our choice.
+const HALF: f64 = 0.5;
+
 /// What a model of the table adds to the plain one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
@@ -166,12 +169,17 @@ pub fn leading_law(table: &[Compared]) -> Option<usize> {
     (0..table.len()).find(|&k| table[k].role == Role::Law && table[k].beats[base])
 }
 
-/// Other explanations that `k` does not beat. Models that contain its effects are no rivals.
+/// Other explanations that `k` does not beat, and whose evidence is more than half of that of `k`: what hardly predicts better than the
+/// base explains nothing. Models that contain the effects of `k` are no rivals.
 pub fn rivals(table: &[Compared], k: usize) -> Vec<usize> {
-    let rival = |&r: &usize| match table[r].role {
-        Role::Causes => !table[r].contains(&table[k]) && !table[k].beats[r],
-        Role::Law => !table[r].repeats.contains(&k) && !table[k].beats[r],
-        _ => false,
+    let evidence = |r: usize| table[r].elpd - table[base(table)].elpd;
+    let rival = |&r: &usize| {
+        let explains = match table[r].role {
+            Role::Causes => !table[r].contains(&table[k]),
+            Role::Law => !table[r].repeats.contains(&k),
+            _ => false,
+        };
+        explains && !table[k].beats[r] && evidence(r) > HALF * evidence(k)
     };
     let mut all: Vec<usize> = (0..table.len()).filter(rival).collect();
     all.sort_by(|a, b| table[*b].elpd.total_cmp(&table[*a].elpd));
@@ -183,14 +191,10 @@ pub fn verdict(table: &[Compared], tested: Tested) -> Ruling {
     let main = |k: &usize| 1.0 - table[*k].unexplained > MAIN_PART;
     let passed = |of: Option<(usize, bool)>| of.filter(|o| o.1).map(|o| o.0).filter(main);
     let (cause, law) = (passed(tested.leading), passed(tested.law));
-    let better_law = |c: usize| rivals(table, c).into_iter().find(|&r| table[r].role == Role::Law);
-    match cause {
-        Some(cause) if better_law(cause).is_none() => return named(table, cause),
-        Some(cause) if law.is_none() => {
-            // A law that may not be given describes the data as well, so the cause is only a stand-in.
-            return Ruling { verdict: Verdict::NoneOfThese, written: Written::Proxy, model: cause, set: Vec::new() };
-        }
-        _ => (),
+    // A law that failed its own tests describes nothing, so it is no rival.
+    let better_law = |c: usize| law.filter(|l| rivals(table, c).contains(l));
+    if let Some(cause) = cause.filter(|c| better_law(*c).is_none()) {
+        return named(table, cause, law);
     }
     let beaten = |l: &usize| tested.leading.is_some_and(|(c, _)| table[c].beats[*l]);
     if let Some(model) = law.filter(|l| !beaten(l)) {
@@ -237,9 +241,9 @@ fn unexplained(table: &[Compared]) -> Ruling {
 }
 
 /// The verdict if `cause` passed all tests.
-fn named(table: &[Compared], cause: usize) -> Ruling {
+fn named(table: &[Compared], cause: usize, law: Option<usize>) -> Ruling {
     let mut set = vec![cause];
-    set.extend(rivals(table, cause));
+    set.extend(rivals(table, cause).into_iter().filter(|r| table[*r].role != Role::Law || Some(*r) == law));
     set.extend(table[cause].alike.iter().filter(|k| !set.contains(k)).copied().collect::<Vec<_>>());
     // The best that may be named comes first.
     if let Some(place) = set.iter().position(|&k| !table[k].unnamed) {
