@@ -48,10 +48,12 @@ pub fn measured(study: &FitInputs, base: &Fit) -> Vec<MeasuredFit> {
         n.sd == n.stated_sd && n.sd > 0.0 && kind(n.id).is_some_and(|k| !k.remedy.is_empty())
     };
     let mut promising: Vec<(usize, f64)> = (0..study.nuisances.len()).filter(open).map(|k| (k, gain(k))).collect();
-    promising.retain(|p| p.1 > WORTH);
-    // Of equally promising ones, those of all channels or shapes come first.
+    // Of equally promising ones, those of all channels or shapes come first. Filters take the place of a long delay, and from there no
+    // derivative shows it, so a delay is always tried.
     let common = |k: usize| study.nuisances[k].of.is_none();
-    promising.sort_by(|a, b| b.1.total_cmp(&a.1).then(common(b.0).cmp(&common(a.0))));
+    let late = |k: usize| common(k) && study.nuisances[k].id == "delay";
+    promising.retain(|p| p.1 > WORTH || late(p.0));
+    promising.sort_by(|a, b| late(b.0).cmp(&late(a.0)).then(b.1.total_cmp(&a.1)).then(common(b.0).cmp(&common(a.0))));
     promising.truncate(MOST[usize::from(study.model.roughness().is_some())]);
     // Others may stand in for a large effect that is not linear, so its fit begins anew, without any of them, and at larger values.
     let far = |k: usize| bound(base) || common(k) || promising.iter().take(FAR_FITTED).any(|p| p.0 == k);

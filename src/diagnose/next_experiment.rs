@@ -183,7 +183,9 @@ pub fn next(
     // The best other model that does not contain what is written.
     let model = selection.ruling.model;
     let contains = |k: usize| rows[model].effects.iter().all(|e| rows[k].effects.contains(e));
-    let other = |k: &usize| *k != model && *k != 0 && rows[*k].role != Role::Absent && (rows[model].effects.is_empty() || !contains(*k));
+    let other = |k: &usize| {
+        *k != model && *k != 0 && rows[*k].role != Role::Absent && (rows[model].effects.is_empty() || !contains(*k))
+    };
     let ranked = selection.table.ranked((0..rows.len()).filter(other));
     let rival = ranked.first().copied().unwrap_or(0);
     match selection.ruling.verdict {

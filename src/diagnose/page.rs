@@ -223,7 +223,8 @@ fn gain(html: &mut String, diagnosis: &Diagnosis) {
         html.push_str("</p>");
     }
     if let Some(raw) = &g.in_units {
-        let [plain, extended, floor] = [raw.plain, raw.extended, raw.noise_floor].map(|v| digits(v) + &after(&raw.unit));
+        let [plain, extended, floor] =
+            [raw.plain, raw.extended, raw.noise_floor].map(|v| digits(v) + &after(&raw.unit));
         let _ = write!(
             html,
             "<p>The readings themselves: {plain} with the plain model, {extended} with the extended one; repetitions scatter by {floor}.</p>"

@@ -7,14 +7,12 @@ use super::gate::{self, Assessment, NameTests};
 use super::laws::{Laws, laws};
 use super::measured::{MeasuredFit, WIDE};
 use super::nested::{Folds, Nested};
-use super::nuisance::Nuisance;
 use super::normal_equations::NormalEquations;
+use super::nuisance::Nuisance;
 use super::profile;
 use super::rows::{Fits, Place};
 use super::study::FitInputs;
-use super::verdict::{
-    Compared, Effect, Role, Ruling, Tested, Verdict, Written, base, leading, leading_law, verdict,
-};
+use super::verdict::{Compared, Effect, Role, Ruling, Tested, Verdict, Written, base, leading, leading_law, verdict};
 use crate::error::Result;
 use crate::parallel;
 use crate::progress::Progress;
@@ -187,8 +185,7 @@ fn judged(with: &Judging, fits: &Fits, table: &EvidenceTable, entries: &[Compare
     let nested = |row: usize| folds.nested(table, entries, row);
     let test = |row: usize| {
         let (nested, assessment) = (nested(row), with.assess(fits, table, entries, row));
-        let tests =
-            NameTests { study: with.study, table, entries, contenders: &contenders, nested: &nested };
+        let tests = NameTests { study: with.study, table, entries, contenders: &contenders, nested: &nested };
         let failed = tests.failed(row, &assessment);
         (nested, assessment, failed)
     };

@@ -12,8 +12,8 @@ use super::noise::{Noise, NoiseData};
 use super::normal_equations::Further;
 use super::opening::{runs, worded};
 use super::report::{
-    Cause, EvidenceRow, Gain, LackOfFit, NextExperiment, NoiseSummary, NuisanceValue, RawErrors, Remainder, Report, TermFound,
-    Tried, Untestable, UpperLimit, Withheld,
+    Cause, EvidenceRow, Gain, LackOfFit, NextExperiment, NoiseSummary, NuisanceValue, RawErrors, Remainder, Report,
+    TermFound, Tried, Untestable, UpperLimit, Withheld,
 };
 use super::select::Selection;
 use super::study::FitInputs;
@@ -201,14 +201,7 @@ impl ReportView<'_> {
                 let reach = reach.get(own.fit.ids.len() + COEFFICIENTS + k).filter(|reach| reach.is_finite());
                 let share = reach.map_or(1.0, |reach| reach / NORMAL);
                 let (id, of) = (n.id.to_string(), n.of.clone());
-                NuisanceValue {
-                    id,
-                    of,
-                    level: "log",
-                    value: d * n.sd,
-                    sd: share * n.sd,
-                    unit: n.unit,
-                }
+                NuisanceValue { id, of, level: "log", value: d * n.sd, sd: share * n.sd, unit: n.unit }
             })
             .collect();
         let split = |id: &str| match id.split_once('_').filter(|(_, c)| ["Fx", "Fz", "Ty"].contains(c)) {
