@@ -13,7 +13,7 @@ SOURCES := $(shell find src tests/data/real_wheel python_client Cargo.toml Cargo
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help train policies test test-long test-rust test-python test-browser test-clients notices page-three native film diagnosis-picture bench bench-peers bench-network study \
+.PHONY: help train policies test test-long test-rust test-python test-browser test-clients notices page-three native film diagnosis-picture bench bench-peers bench-network study studies \
 	study-messy study-convergence study-plates study-robots study-drop study-rocks study-load study-starts study-hardware proto task-pages docs
 
 help:
@@ -43,6 +43,7 @@ help:
 	@echo "make page-three   bundle the parts of three.js that the page needs; needs npm"
 	@echo "make study-load   run 24 clients against one server, and check its memory and results (5 minutes)"
 	@echo "make proto   generate the code for messages from proto/ again"
+	@echo "make studies   write the functions of the Python package and docs/reference/studies.md again from src/study/"
 	@echo "make task-pages   write docs/tasks/ again from the tasks' tables, and keep the measured parts"
 
 train: $(VENV)/sb3
@@ -220,6 +221,12 @@ $(VENV)/wheel: $(SOURCES) $(VENV)/tools
 $(VENV)/sb3 $(VENV)/plot $(VENV)/docs $(VENV)/dev: $(VENV)/wheel
 	$(BIN)/pip install --quiet --constraint $(PINS) "$$(echo dist/*.whl)[$(@F)]"
 	@touch $@
+
+# Tests fail if these files are not up to date.
+studies:
+	cargo build --release --bin sandgait
+	target/release/sandgait studies --python > python_client/sandgait/study_functions.py
+	target/release/sandgait studies --markdown > docs/reference/studies.md
 
 # The latest version of each task has a page. A page has the program's output, then a line "<!-- measured -->", then measured results. The latter are kept.
 task-pages:

@@ -45,7 +45,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         "ξ_n fitted on discs only. The range of forces and μ_s were chosen after a first comparison with the wheels.",
         &discs,
     )?;
-    let wheels = data::folder(&folder)?.wheels;
+    let read = |file: &Path| std::fs::read(folder.join(file)).map_err(|e| sandgait::Error::file(file, e));
+    let wheels = data::gather(&folder, &read)?.wheels;
     let rows: Vec<_> = wheels.iter().map(|w| w.rows.clone()).collect();
     let parameters = fit::fit(&wheels, &rows)?.rounded();
     println!("{parameters:?}");

@@ -214,11 +214,11 @@ fn contradictions_are_refused() {
     let sweep = |arguments: &[&str], words: &[&str]| {
         refused(&[&["sweep", "--vary", "frequency=1:2:2", "--out", "/none/study"], arguments].concat(), words);
     };
-    sweep(&["--vary", "frequency=3:4:2"], &["--vary: frequency is given already by --vary"]);
-    sweep(&["--frequency", "3"], &["--vary: frequency is given already by --frequency"]);
-    sweep(&["--set", "frequency=3"], &["--set: frequency is given already by --vary"]);
-    sweep(&["--set", "kp=1", "--set", "kp=2"], &["--set: kp is given already by --set"]);
-    sweep(&["--set", "zeta=0.3", "--medium", "poppy-close"], &["--set: zeta is given already by --medium"]);
+    sweep(&["--vary", "frequency=3:4:2"], &["vary: frequency is given already by vary"]);
+    sweep(&["--frequency", "3"], &["vary: frequency is given already by frequency"]);
+    sweep(&["--set", "frequency=3"], &["set: frequency is given already by vary"]);
+    sweep(&["--set", "kp=1", "--set", "kp=2"], &["set: kp is given already by set"]);
+    sweep(&["--set", "zeta=0.3", "--medium", "poppy-close"], &["set: zeta is given already by medium"]);
     for option in [&["--memory"] as &[&str], &["--mu-s", "0.3"], &["--surface", "s.csv"]] {
         refused(&[&["intrude", "--shape", "L"], option].concat(), &["--shape", option[0]]);
     }

@@ -34,7 +34,7 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 
 from ._native import __version__
-from .diagnosis import Diagnosis, diagnose
+from .diagnosis import Diagnosis
 from .door import describe
 from .env import SandgaitEnv
 from .errors import (
@@ -49,13 +49,13 @@ from .errors import (
     UnknownOption,
     WrongType,
 )
-from .policies import Evaluation, evaluate
 from .recording import Recording, Section, read_recording
 from .remote import Remote
+from .results import Evaluation, Intrusion, Sweep, Trials, Walks
 from .robots import check_robot
 from .sand import Bodies, Sand, implicit_wrench
 from .spaces import Column, Option, Task
-from .studies import Intrusion, Sweep, Trials, Walks, intrude, sweep, walk
+from .study_functions import diagnose, evaluate, intrude, sweep, walk
 from .tables import Table
 from .training import Training, mirror, train
 from .vector_env import SandgaitVectorEnv

@@ -154,8 +154,20 @@ def pack_robot(robot: str, folders: list[str], packages: list[str]) -> tuple[str
 def is_description(robot: str) -> bool: ...
 def check_robot(robot: str, ground: str | None, folders: list[str], packages: list[str]) -> tuple[str, list[str]]: ...
 def study(
-    place: Address | None, name: str, request: Mapping[str, Any], told: Callable[[float, str], None] | None
-) -> Any: ...
+    place: Address | None,
+    name: str,
+    words: Sequence[str],
+    files: Mapping[str, bytes | Sequence[tuple[str, str, bytes]]],
+    told: Callable[[float, str], None] | None,
+) -> tuple[
+    str,
+    str,
+    list[str],
+    list[tuple[str, list[tuple[str, str, Any]]]],
+    list[tuple[str, bytes]],
+    list[tuple[str, bytes]],
+]: ...
+def option_words(options: Mapping[str, Any]) -> list[tuple[str, str]]: ...
 def threads() -> int | None: ...
 def train(
     asked: Mapping[str, Any], told: Callable[[float, str], None] | None

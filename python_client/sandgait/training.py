@@ -18,7 +18,7 @@ from .errors import InvalidRequest
 from .external import VectorEnvironments, check_vector
 from .options import task_id, with_files
 from .snapshots import FilePath
-from .studies import Display, ProgressOption
+from .study_call import Display, ProgressOption
 from .tables import Table
 
 

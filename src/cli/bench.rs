@@ -1,7 +1,6 @@
 //! `sandgait bench`
 
-use super::options::OptionArgs;
-use super::trained::task_and_options;
+use super::OptionArgs;
 use clap::ValueEnum as _;
 use sandgait::bench::{Actions, Direct, RolloutStepper, ServerStepper, Stepper, measure, random_actions};
 use sandgait::env::gait::HexapodGait;
@@ -12,6 +11,7 @@ use sandgait::number::Isa;
 use sandgait::policy::Network;
 use sandgait::session::MOST_ENVIRONMENTS;
 use sandgait::sim::engine::EngineKind;
+use sandgait::study::trained::{TrainedTask, task_and_options};
 use sandgait::{Error, Result};
 use serde_json::{Value, json};
 use std::path::PathBuf;
@@ -112,12 +112,14 @@ impl BenchArgs {
             return Err(Error::invalid("--seconds", format!("{} is outside (0, 3600]", self.seconds)));
         }
         if self.task.as_deref() != Some("all") {
-            let (task, options) =
-                task_and_options(self.policy.as_deref(), self.task.as_deref(), &self.options, HexapodGait::ID)?;
+            let trained = self.policy.as_deref().map_or(Ok(None), TrainedTask::beside)?;
+            let (task, options, line) =
+                task_and_options(trained, self.task.as_deref(), &self.options, HexapodGait::ID, super::read_files)?;
+            super::warn_each(line.as_slice());
             let (json, line) = self.bench(&task, options)?;
             return Ok(if self.json { super::json(&json) } else { line });
         }
-        let options = Value::Object(self.options.read()?);
+        let options = Value::Object(self.options.read(super::read_files)?);
         let of_each = TASK_IDS.iter().map(|id| self.bench(id, options.clone())).collect::<Result<Vec<_>>>()?;
         let (all, lines): (Vec<_>, Vec<_>) = of_each.into_iter().unzip();
         Ok(if self.json { super::json(&all.into()) } else { lines.concat() })

@@ -2,51 +2,42 @@
 //! machine end with exit code 1.
 
 mod bench;
-mod calibrate;
 mod config;
-mod diagnose;
-mod evaluate;
 mod grammar;
 mod heights;
-mod intrude;
-mod layout;
 mod media;
-mod options;
 mod play;
 mod progress;
 mod replay;
-mod reproduce;
 mod robot;
 mod robot_check;
 mod robot_json;
 mod robots;
 mod serve;
 mod stress;
-mod sweep;
+mod studies;
+mod study;
 mod task_page;
 mod tasks;
 mod train;
-mod trained;
-mod trials;
-mod validate;
-mod walk;
-
-use layout::table;
 
 pub use heights::pack as pack_heights;
 pub use robot::{check as check_robot, is_description, pack as pack_robot};
 pub use train::{TrainingArgs, learn};
 
-use self::grammar::{one_line, parse};
+use self::grammar::parse;
 use self::progress::Bar;
 use clap::error::ErrorKind;
 use clap::{CommandFactory as _, Parser, Subcommand};
-use sandgait::sand::{Law, Medium, SandDescription};
+use sandgait::sand::{Medium, SandDescription};
+use sandgait::study::arguments::whole;
+use sandgait::study::layout::table;
+use sandgait::study::options::{OptionArgs, unfelt_option};
+use sandgait::study::refusal::one_line;
 use sandgait::{Error, Result, error::bounded};
 use std::ffi::OsString;
 use std::io::Write as _;
-use std::ops::RangeInclusive;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Batched reinforcement-learning environments of legged robots on sand.
 #[derive(Parser)]
@@ -83,17 +74,20 @@ fn read_text(option: Option<&mut serde_json::Value>) -> Result<()> {
     Ok(())
 }
 
-/// The commands, each with the file and the type of its arguments.
+/// The commands beside the studies, each with the file and the type of its arguments.
 macro_rules! commands {
     ($($name:ident: $file:ident::$arguments:ident),* $(,)?) => {
         #[derive(Subcommand)]
         enum CliCommand {
+            #[command(flatten)]
+            Study(study::StudyCommand),
             $($name($file::$arguments)),*
         }
 
         /// Runs a command; its text goes to stdout.
         fn run(command: CliCommand) -> Result<String> {
             match command {
+                CliCommand::Study(study) => study.run(),
                 $(CliCommand::$name(arguments) => arguments.run()),*
             }
         }
@@ -102,23 +96,16 @@ macro_rules! commands {
 
 commands! {
     Serve: serve::ServeArgs,
-    Walk: walk::WalkArgs,
     Bench: bench::BenchArgs,
-    Diagnose: diagnose::DiagnoseArgs,
-    Evaluate: evaluate::EvaluateArgs,
-    Intrude: intrude::IntrudeArgs,
     Media: media::MediaArgs,
     Stress: stress::StressArgs,
     Play: play::PlayArgs,
     Replay: replay::ReplayArgs,
-    Reproduce: reproduce::ReproduceArgs,
     Robot: robot::RobotArgs,
     Robots: robots::RobotsArgs,
-    Calibrate: calibrate::CalibrateArgs,
-    Sweep: sweep::SweepArgs,
+    Studies: studies::StudiesArgs,
     Tasks: tasks::TasksArgs,
     Train: train::TrainArgs,
-    Validate: validate::ValidateArgs,
 }
 
 /// Runs the command line `arguments`, the program's name first, and returns the exit code.
@@ -166,17 +153,6 @@ fn with_file(file: &Path, given: Vec<OsString>) -> Result<Cli> {
     parse(&all.into_iter().chain(given).collect::<Vec<_>>()).map_err(|e| Error::file(file, one_line(&e)))
 }
 
-/// A parser of whole numbers in `range`. Its refusals name the range.
-fn whole<T: TryFrom<u64>>(
-    range: RangeInclusive<u64>,
-) -> impl Fn(&str) -> std::result::Result<T, String> + Clone + Send + Sync {
-    move |text| {
-        let number: i128 = text.parse().map_err(|_| "no whole number".to_owned())?;
-        let within = u64::try_from(number).ok().filter(|n| range.contains(n)).and_then(|n| T::try_from(n).ok());
-        within.ok_or_else(|| format!("{number} is outside [{}, {}]", range.start(), range.end()))
-    }
-}
-
 fn exit_code(error: &Error) -> u8 {
     match error {
         Error::Invalid { .. } | Error::Unknown { .. } | Error::Replaced { .. } | Error::File { .. } => 2,
@@ -202,56 +178,20 @@ fn print(text: &str) -> u8 {
 /// Largest number of threads: our choice, because usual machines have fewer cores.
 const MOST_THREADS: u64 = 1024;
 
-/// The sand of a command.
-#[derive(clap::Args)]
-struct SandArgs {
-    /// Sand: a name from `sandgait media`, zeta=VALUE or mu=VALUE,rho=VALUE
-    #[arg(long, default_value = Medium::DEFAULT)]
-    medium: String,
-    /// Resistive force law: li2013, penetration-drag-1d or agarwal2023
-    #[arg(long, default_value = Law::Li2013.name())]
-    law: String,
-    /// A sand.toml, for example from a diagnosis, instead of --medium and --law
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["medium", "law"])]
-    sand: Option<PathBuf>,
-}
-
-impl SandArgs {
-    /// The sand of the file, or of medium and law by their names. Warns on stderr if its numbers are extrapolated.
-    fn sand(&self) -> Result<SandDescription> {
-        match &self.sand {
-            Some(file) => SandDescription::load(file),
-            None => named_sand(&self.medium, &self.law),
-        }
-    }
-
-    /// Like [`Self::sand`], for walking robots. Also warns on stderr of each mechanism that has no effect on them.
-    fn sand_to_walk_on(&self) -> Result<SandDescription> {
-        let sand = self.sand()?;
-        warn_of_unfelt(&sand);
-        Ok(sand)
-    }
-}
-
+/// Sand by names. Warns on stderr if its numbers are extrapolated.
 fn named_sand(medium: &str, law: &str) -> Result<SandDescription> {
-    if let Some(caution) = Medium::caution(medium) {
-        eprintln!("sandgait: warning: {caution}");
-    }
+    warn_each(Medium::caution(medium).as_slice());
     SandDescription::named(medium, law)
 }
 
 /// Warns of mechanisms without effect in the `sand` among a task's options.
 fn warn_of_unfelt_option(options: &serde_json::Value) {
-    let text = options.get("sand").and_then(serde_json::Value::as_str);
-    // If the text is not a sand, the task refuses it with its own message.
-    if let Some(sand) = text.and_then(|text| SandDescription::from_toml(text).ok()) {
-        warn_of_unfelt(&sand);
-    }
+    warn_each(unfelt_option(options).as_slice());
 }
 
-fn warn_of_unfelt(sand: &SandDescription) {
-    let lines = sand.mechanisms.unfelt_by_walkers();
-    warn(&lines.iter().map(|line| format!("sand {}: {line}", sand.name)).collect::<Vec<_>>(), "");
+/// Writes each line as a warning of its own.
+fn warn_each(lines: &[String]) {
+    lines.iter().for_each(|line| eprintln!("sandgait: warning: {line}"));
 }
 
 /// Number of notes of one kind that a warning shows: our choice, so that it can be read at a glance.

@@ -1,7 +1,6 @@
 //! `sandgait play`
 
-use super::options::OptionArgs;
-use super::trained::TrainedTask;
+use super::OptionArgs;
 use sandgait::env::Shard;
 use sandgait::env::Task;
 use sandgait::env::gait::HexapodGait;
@@ -9,6 +8,7 @@ use sandgait::env::legged::LeggedVelocity;
 use sandgait::env::registry::{Blueprint, task_id};
 use sandgait::policy::Network;
 use sandgait::service::{Address, PlayedEnvironment, bind_tcp, resting};
+use sandgait::study::trained::TrainedTask;
 use sandgait::{Error, Result};
 use serde_json::{Value, json};
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
@@ -123,7 +123,7 @@ impl PlayArgs {
 
     /// The task, without randomness and with long episodes, and its policy.
     fn prepare(&self, onnx: &[u8], trained: &TrainedTask) -> Result<(Blueprint, Network)> {
-        let (task, mut options) = (trained.id.as_str(), trained.options(&self.options)?);
+        let (task, mut options) = (trained.id.as_str(), trained.options(&self.options, super::read_files)?);
         options["max_episode_steps"] = json!(STEPS);
         if task == LeggedVelocity::ID {
             options["domain_rand"] = Value::Null;

@@ -1,12 +1,12 @@
 //! `sandgait robot`
 
-use super::layout::{WIDTH, narrow_table, wrapped};
 use super::robot_check::StandingReport;
 use super::robot_json::{SandContacts, as_json, geometry, kind};
 use sandgait::env::options::RobotName;
 use sandgait::robots::{self, Import, Packages, states};
 use sandgait::sim::tree::looks::Looks;
 use sandgait::sim::tree::packed;
+use sandgait::study::layout::{WIDTH, narrow_table, wrapped};
 use sandgait::{Error, Result, sim, view};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};

@@ -1,7 +1,7 @@
 //! `sandgait train`
 
 use super::Bar;
-use super::options::OptionArgs;
+use super::OptionArgs;
 use sandgait::client::ServerAddress;
 use sandgait::client::training::TrainingSession;
 use sandgait::env::Task;
@@ -106,7 +106,7 @@ impl TrainArgs {
 
     fn request(self) -> Result<TrainingRequest> {
         let changes = self.set.iter().map(|change| entry::pair("--set", change)).collect::<Result<_>>()?;
-        let options = Value::Object(self.options.read()?);
+        let options = Value::Object(self.options.read(super::read_files)?);
         let place = self.address.map(|address| place(address, self.token_file.as_deref(), self.ca.as_deref()));
         self.training.request(changes, options, place.transpose()?)
     }
@@ -248,12 +248,15 @@ fn report(request: &TrainingRequest, outcome: &TrainingOutcome) -> String {
             let last = FIRST_SEED + EvaluationRequest::SEEDS as u64 - 1;
             let (cells, notes) = (table::cells(&rows), table::notes(&rows));
             let head = format!("without noise, unseen seeds {FIRST_SEED} to {last}:");
-            text += &format!("\n{head}\n\n{}\n{}\n", super::layout::narrow_table(&cells, 2), notes.join("\n"));
+            text +=
+                &format!("\n{head}\n\n{}\n{}\n", sandgait::study::layout::narrow_table(&cells, 2), notes.join("\n"));
         }
         Some(PolicyScore::Commands(followed)) => {
             let (cells, summary) = (commands::cells(followed), commands::summary(followed));
             let level = outcome.last.as_ref().and_then(|report| report.level);
-            let limit = super::layout::wrapped(&commands::limit(followed, level), super::layout::WIDTH).join("\n");
+            let limit =
+                sandgait::study::layout::wrapped(&commands::limit(followed, level), sandgait::study::layout::WIDTH)
+                    .join("\n");
             let table = super::table(&cells);
             text += &format!("\nwithout noise and randomness, by command:\n\n{table}\n{summary}\n\n{limit}\n");
         }

@@ -212,13 +212,15 @@ impl Experiment {
     pub fn load(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).map_err(|e| Error::file(path, e))?;
         let read = |name: &str| std::fs::read_to_string(name).map_err(|e| Error::file(Path::new(name), e));
-        Self::parse(&text, &read).map_err(|e| Error::file(path, e))
+        Self::with_files(&text, &read).map_err(|e| Error::file(path, e))
     }
 
     /// Reads the text of an experiment file that contains the texts of other files instead of their names: a server reads no files that a
     /// client names.
     pub fn from_toml(text: &str) -> Result<Self> {
-        Self::parse(text, &|name| Err(Error::invalid(name, "a server reads no files; send the content of this one")))
+        Self::with_files(text, &|name| {
+            Err(Error::invalid(name, "a server reads no files; send the content of this one"))
+        })
     }
 
     /// Calls `take` with each row of the data, with the experiment's columns and units.
@@ -233,7 +235,8 @@ impl Experiment {
         table::read(data, &ReadOptions { columns, renamed, units, most_rows: Some(MOST_ROWS), progress }, take)
     }
 
-    fn parse(text: &str, read_file: &dyn Fn(&str) -> Result<String>) -> Result<Self> {
+    /// The same; `read_file` gives the texts of the files that the experiment names.
+    pub fn with_files(text: &str, read_file: &dyn Fn(&str) -> Result<String>) -> Result<Self> {
         let read = |name: &str| if name.contains('\n') { Ok(name.to_string()) } else { read_file(name) };
         let mut file: ExperimentFile = toml::from_str(text).map_err(|e| {
             let line = e.span().map(|s| text[..s.start.min(text.len())].lines().count().max(1));

@@ -239,17 +239,6 @@ fn percent(share: f64) -> String {
     format!("{:.0} %", 100.0 * share)
 }
 
-/// One line for each command.
-pub fn csv(followed: &CommandTracking) -> String {
-    let mut text = String::from("command_lin_vel_x,command_lin_vel_y,command_ang_vel_yaw,");
-    text += "lin_vel_x,lin_vel_y,ang_vel_yaw,error,falls\n";
-    for line in &followed.lines {
-        let numbers = line.command.iter().chain(&line.velocity).chain([&line.error, &line.falls]);
-        text += &format!("{}\n", numbers.map(f64::to_string).collect::<Vec<_>>().join(","));
-    }
-    text
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -95,6 +95,11 @@ impl Intake {
         self.room / 16
     }
 
+    /// Largest memory that is reserved for the work of a study [bytes]: our choice, so that other requests go on beside it.
+    pub fn most_of_a_study(&self) -> usize {
+        self.room / 4
+    }
+
     /// A share for a request's work and results, if it is free now.
     pub fn try_share(&self, bytes: usize) -> Option<Share> {
         let permit = self.shares.clone().try_acquire_many_owned(units(bytes)).ok()?;
@@ -215,7 +220,7 @@ pub async fn pass(State(intake): State<Arc<Intake>>, mut call: Request, next: Ne
     let messages = Messages::new(bounds, intake.stall, link);
     call.extensions_mut().insert(messages.clone());
     let metered = |body: Body| {
-        let limit = bounds.largest.min(intake.largest).min(intake.room / bounds.copies);
+        let limit = bounds.largest.min(intake.largest).min(intake.room / COPIES);
         let (body, first) = (body.into_data_stream(), Some(Instant::now() + ARRIVAL));
         let reader =
             MessageReader { body, arrived: Bytes::new(), missing: 0, deadline: first, messages, intake, limit };
@@ -298,8 +303,7 @@ impl MessageReader {
         if self.messages.0.share.lock().is_some() {
             return Err(Status::invalid_argument("message: this call takes only one message"));
         }
-        let share =
-            self.intake.share(self.messages.0.call.copies * length).await.map_err(|e| refused(e.to_string()))?;
+        let share = self.intake.share(COPIES * length).await.map_err(|e| refused(e.to_string()))?;
         *self.messages.0.share.lock() = Some(share);
         self.missing = HEADER + length;
         self.deadline = Some(Instant::now() + ARRIVAL + Duration::from_secs((length >> 20) as u64));

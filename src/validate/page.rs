@@ -3,10 +3,9 @@
 use super::data::{DataSet, SteadyState, Wheel};
 use super::fit;
 use super::score::{FIGURES, ForceErrors, MeasuredPair, REGIMES, errors, intervals, predict, scatter};
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::plot::{Axis, Figure, FigurePanel, Mark, Style, color};
 use std::fmt::Write as _;
-use std::path::Path;
 
 /// The series of a figure: measured and predicted values, if both exist.
 type FigureOf = fn(&MeasuredPair) -> Option<[f64; 2]>;
@@ -165,26 +164,12 @@ impl Scoreboard {
         })
     }
 
-    /// CSV with one row for each measured row and comparison.
-    pub fn rows(&self) -> String {
-        let mut text = String::from(
-            "comparison,wheel,slip_angle_deg,slip,depth,Fx,Fy,Fz,Fx_predicted,Fy_predicted,Fz_predicted,depth_predicted,\
-             Fx_under_load,Fy_under_load\n",
-        );
-        for (number, c) in self.comparisons.iter().enumerate() {
-            for p in &c.pairs {
-                let SteadyState { depth, force: [x, y, z], slip_angle, slip, .. } = p.row;
-                let [px, py, pz] = p.prediction.force;
-                let (d, [lx, ly, _]) = p.prediction.carried.unwrap_or((f64::NAN, [f64::NAN; 3]));
-                let name = &self.data.wheels[p.wheel].name;
-                let _ = writeln!(
-                    text,
-                    "{number},{name},{slip_angle},{slip:.3},{depth:.5},{x:.3},{y:.3},{z:.3},{px:.3},{py:.3},{pz:.3},{d:.5},\
-                     {lx:.3},{ly:.3}"
-                );
-            }
-        }
-        text
+    /// Every measured row in every comparison, with the number of the comparison and the name of the wheel.
+    pub fn rows(&self) -> Vec<(usize, &str, MeasuredPair)> {
+        let each = |(number, c): (usize, &'_ Comparison)| {
+            c.pairs.iter().map(|p| (number, self.data.wheels[p.wheel].name.as_str(), *p)).collect::<Vec<_>>()
+        };
+        self.comparisons.iter().enumerate().flat_map(each).collect()
     }
 
     /// A figure of one comparison: predicted over measured values, with one panel for each quantity.
@@ -215,25 +200,21 @@ impl Scoreboard {
         Figure { title: c.short.into(), columns: 2, panels: panels.collect(), note: self.data.source.clone() }
     }
 
-    /// Writes `validation.md` with `others` at its end, `validation_rows.csv`, and in `images/` a figure for each comparison.
-    pub fn write(&self, folder: &Path, others: &str) -> Result<()> {
-        let images = folder.join("images");
-        std::fs::create_dir_all(&images).map_err(|e| Error::unwritten(&images, &e))?;
-        let save = |name: &str, text: String| {
-            let path = folder.join(name);
-            std::fs::write(&path, text).map_err(|e| Error::unwritten(&path, &e))
-        };
+    /// `validation.md` with `others` at its end, and in `images/` a figure for each comparison: names and texts.
+    pub fn files(&self, others: &str) -> Vec<(String, String)> {
         let mut page = format!("# Scoreboard\n\n{}\n\n{INTRODUCTION}\n{}", self.worst(), self.text().trim_end());
         page.push('\n');
+        let mut files = Vec::new();
         for (number, c) in self.comparisons.iter().enumerate() {
-            self.figure(c).write(&images.join(format!("validation_{number}.svg")))?;
-            let _ = write!(page, "\n![{}](images/validation_{number}.svg)\n", capital(&c.title));
+            let name = format!("images/validation_{number}.svg");
+            let _ = write!(page, "\n![{}]({name})\n", capital(&c.title));
+            files.push((name, self.figure(c).svg()));
         }
         if !others.is_empty() {
             let _ = write!(page, "\n{}\n", others.trim_end());
         }
-        save("validation.md", page)?;
-        save("validation_rows.csv", self.rows())
+        files.push(("validation.md".to_owned(), page));
+        files
     }
 }
 

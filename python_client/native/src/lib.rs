@@ -111,7 +111,7 @@ mod _native {
     #[pymodule_export]
     use super::remote::{Request, Response, Stream, close_session, create_session, describe_server, rollout};
     #[pymodule_export]
-    use super::studies::study;
+    use super::studies::{option_words, study};
     #[pymodule_export]
     use super::tables::describe;
     #[pymodule_export]

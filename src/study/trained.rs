@@ -1,8 +1,9 @@
 //! Task and options of a learnt policy: `sandgait train` and `examples/train.py` leave them in settings.json beside it.
 
+use super::inputs::OptionReader;
 use super::options::OptionArgs;
-use sandgait::env::registry::task_id;
-use sandgait::{Error, Result};
+use crate::env::registry::task_id;
+use crate::error::{Error, Result};
 use serde_json::{Map, Value};
 use std::path::Path;
 
@@ -32,31 +33,33 @@ impl TrainedTask {
     }
 
     /// The options of the training, with those `given` in their place.
-    pub fn options(&self, given: &OptionArgs) -> Result<Value> {
-        given.over(self.options.clone())
+    pub fn options(&self, given: &OptionArgs, files: OptionReader) -> Result<Value> {
+        given.over(self.options.clone(), files)
     }
 }
 
-/// The task and the options with which a command runs `policy`: those of its training where `task` and `given` say
-/// nothing. A policy without settings.json, and one that runs in another task, has the options that are given only.
+/// A task, its options, and a line for the user.
+pub type ChosenTask = (String, Value, Option<String>);
+
+/// The task and the options with which a policy runs: those of its training where `task` and `given` say nothing. A policy
+/// without settings.json, and one that runs in another task, has the options that are given only.
 pub fn task_and_options(
-    policy: Option<&Path>,
+    trained: Option<TrainedTask>,
     task: Option<&str>,
     given: &OptionArgs,
     default: &str,
-) -> Result<(String, Value)> {
-    let trained = policy.map_or(Ok(None), TrainedTask::beside)?;
+    files: OptionReader,
+) -> Result<ChosenTask> {
     match (trained, task.map(task_id)) {
-        (Some(trained), None) => Ok((trained.id.clone(), trained.options(given)?)),
-        (Some(trained), Some(task)) if trained.id == task => Ok((trained.id.clone(), trained.options(given)?)),
-        (Some(trained), Some(task)) => {
-            eprintln!(
-                "sandgait: warning: the policy was trained in {}: its options are not those of {task}",
-                trained.id
-            );
-            Ok((task.to_owned(), Value::Object(given.read()?)))
+        (Some(trained), None) => Ok((trained.id.clone(), trained.options(given, files)?, None)),
+        (Some(trained), Some(task)) if trained.id == task => {
+            Ok((trained.id.clone(), trained.options(given, files)?, None))
         }
-        (None, task) => Ok((task.unwrap_or(default).to_owned(), Value::Object(given.read()?))),
+        (Some(trained), Some(task)) => {
+            let line = format!("the policy was trained in {}: its options are not those of {task}", trained.id);
+            Ok((task.to_owned(), Value::Object(given.read(files)?), Some(line)))
+        }
+        (None, task) => Ok((task.unwrap_or(default).to_owned(), Value::Object(given.read(files)?), None)),
     }
 }
 
@@ -69,7 +72,12 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let policy = folder.path().join("policy.onnx");
         let none = OptionArgs::default();
-        let run = |task: Option<&str>| task_and_options(Some(&policy), task, &none, "sandgait/HexapodGait-v1").unwrap();
+        let beside = || TrainedTask::beside(&policy);
+        let run = |task: Option<&str>| {
+            let (task, options, _) =
+                task_and_options(beside().unwrap(), task, &none, "sandgait/HexapodGait-v1", |_| Ok(())).unwrap();
+            (task, options)
+        };
         assert_eq!(run(None), ("sandgait/HexapodGait-v1".into(), serde_json::json!({})));
         let settings = r#"{"task": "sandgait/HexapodLegs-v2", "options": {"slope_deg": 5}}"#;
         std::fs::write(folder.path().join("settings.json"), settings).unwrap();
@@ -78,7 +86,7 @@ mod tests {
         }
         assert_eq!(run(Some("HexapodGait")), ("sandgait/HexapodGait-v1".into(), serde_json::json!({})));
         std::fs::write(folder.path().join("settings.json"), "{}").unwrap();
-        let refused = task_and_options(Some(&policy), None, &none, "").unwrap_err().to_string();
+        let refused = beside().err().unwrap().to_string();
         assert!(refused.ends_with("settings.json: it has no task"), "{refused}");
     }
 }

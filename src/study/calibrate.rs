@@ -1,12 +1,15 @@
-//! `sandgait calibrate`
+//! `calibrate`: the scale of a user's sand from slow penetrations.
 
-use sandgait::calibrate::pushes::{self, Penetration, Pushes, Value};
-use sandgait::calibrate::read::{self, Tests};
-use sandgait::calibrate::{self, Calibration, PLATE, figure};
-use sandgait::files;
-use sandgait::sand::{Law, SandDescription};
-use sandgait::{Error, Result};
-use std::path::{Path, PathBuf};
+use super::arguments::{InputPath, OutputPath};
+use super::declare::{Study, StudyWork};
+use super::inputs::Inputs;
+use super::result::{StudyColumn, StudyFile, StudyResult, StudyTable};
+use crate::error::{Error, Result};
+use crate::sand::{Law, SandDescription};
+use sandgait_calibrate::pushes::{self, Penetration, Pushes, Value};
+use sandgait_calibrate::read::{self, Tests};
+use sandgait_calibrate::{Calibration, PLATE, figure};
+use std::path::Path;
 
 /// Measure the scale ζ of your sand with slow vertical penetrations of a horizontal plate.
 ///
@@ -27,12 +30,12 @@ use std::path::{Path, PathBuf};
   sandgait calibrate push.csv --depth-unit mm --plot push.svg
   sandgait calibrate discs.csv                                     (columns trial, diameter, depth, force)
   sandgait calibrate discs.csv --compliance 5e-5")]
-pub struct CalibrateArgs {
+pub struct Calibrate {
     /// CSV with columns depth and force; of several files each is one push
     #[arg(required = true, value_name = "FILE")]
-    data: Vec<PathBuf>,
+    data: Vec<InputPath>,
     /// Area of the plate [m²]; default: 3.8 × 2.5 cm, the plate of Li et al. 2012
-    #[arg(long, value_name = "M2", allow_negative_numbers = true)]
+    #[arg(long, value_name = "M2")]
     area: Option<f64>,
     /// Unit of the depths: m, cm, mm or in
     #[arg(long)]
@@ -42,35 +45,41 @@ pub struct CalibrateArgs {
     force_unit: Option<String>,
     /// Write the sand to this file, for --sand of other commands and option sand of the tasks
     #[arg(long, value_name = "FILE")]
-    out: Option<PathBuf>,
+    out: Option<OutputPath>,
     /// Draw the test and the fitted line to this SVG file
     #[arg(long, value_name = "FILE")]
-    plot: Option<PathBuf>,
+    plot: Option<OutputPath>,
     /// Compliance of the rig for several pushes [m/N]; default: it is fitted
-    #[arg(long, value_name = "M_PER_N", allow_negative_numbers = true)]
+    #[arg(long, value_name = "M_PER_N")]
     compliance: Option<f64>,
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
 }
 
-impl CalibrateArgs {
-    pub fn run(self) -> Result<String> {
-        if self.plot.as_ref().is_some_and(|p| p.extension().is_none_or(|e| e != "svg")) {
-            return Err(Error::invalid("--plot", "give a file name that ends in .svg"));
+impl Study for Calibrate {
+    const NAME: &'static str = "calibrate";
+
+    fn read(&self, inputs: &mut Inputs) -> Result<()> {
+        self.data.iter().try_for_each(|file| inputs.read(&file.0))
+    }
+
+    fn check(self, inputs: &Inputs) -> Result<StudyWork> {
+        if self.plot.as_ref().is_some_and(|plot| Path::new(&plot.0).extension().is_none_or(|end| end != "svg")) {
+            return Err(Error::invalid("plot", "give a file name that ends in .svg"));
         }
-        let tests = self.data.iter().map(|file| self.read(file)).collect::<Result<Vec<_>>>()?;
-        match &tests[..] {
+        let tests = self.data.iter().map(|file| self.tests(&file.0, inputs)).collect::<Result<Vec<_>>>()?;
+        let result = match &tests[..] {
             [one] if one.pushes.is_empty() => self.single(one),
             [one] => self.compare(&one.pushes),
             several => self.compare(&self.each(several)?),
-        }
+        }?;
+        Ok(StudyWork::new(move |_| Ok(result)).quick())
     }
+}
 
-    fn read(&self, file: &Path) -> Result<Tests> {
+impl Calibrate {
+    fn tests(&self, file: &str, inputs: &Inputs) -> Result<Tests> {
         let units = [("depth", self.depth_unit.clone()), ("force", self.force_unit.clone())];
         let units = units.into_iter().filter_map(|(name, unit)| Some((name.to_owned(), unit?)));
-        let tests = read::file(file, units.collect(), self.area.unwrap_or(PLATE))?;
+        let tests = read::parse(Path::new(file), inputs.bytes(file)?, units.collect(), self.area.unwrap_or(PLATE))?;
         if self.area.is_some() && !tests.pushes.is_empty() && !tests.without_size {
             let reason = "the pushes have their sizes in columns diameter, or length and width";
             return Err(Error::invalid("--area", reason));
@@ -81,78 +90,130 @@ impl CalibrateArgs {
     /// One push for each file.
     fn each(&self, tests: &[Tests]) -> Result<Vec<Penetration>> {
         let diameter = read::diameter(self.area.unwrap_or(PLATE));
-        let push = |(test, file): (&Tests, &PathBuf)| {
+        let push = |(test, InputPath(file)): (&Tests, &InputPath)| {
             if !test.pushes.is_empty() {
-                return Err(Error::file(file, "of several files each is one push, without a column trial"));
+                return Err(Error::file(Path::new(file), "of several files each is one push, without a column trial"));
             }
             let points = test.depth.iter().zip(&test.force).map(|(z, f)| [*z, *f]).collect();
-            Ok(Penetration { name: file.display().to_string(), diameter, points, speeds: None })
+            Ok(Penetration { name: file.clone(), diameter, points, speeds: None })
         };
         tests.iter().zip(&self.data).map(push).collect()
     }
 
-    fn single(&self, test: &Tests) -> Result<String> {
+    fn single(&self, test: &Tests) -> Result<StudyResult> {
         if self.compliance.is_some() {
             return Err(Error::invalid("--compliance", "it needs several pushes: several files, or a column trial"));
         }
-        let result = calibrate::calibrate(&test.depth, &test.force, self.area.unwrap_or(PLATE))?;
-        let interval = result.zeta_interval.map(|zeta| format!("{zeta:.4}")).join(" to ");
+        let found = sandgait_calibrate::calibrate(&test.depth, &test.force, self.area.unwrap_or(PLATE))?;
+        let interval = found.zeta_interval.map(|zeta| format!("{zeta:.4}")).join(" to ");
         let words = format!("one push; 95 % confidence {interval} N/cm³, without the scatter between pushes");
-        self.write(result.zeta, 0.0, &words)?;
-        if let Some(path) = &self.plot {
-            figure::single(&test.depth, &test.force, &result).write(path)?;
-        }
-        for caution in &result.cautions {
-            eprintln!("sandgait: warning: {caution}");
-        }
-        Ok(match self.json {
-            true => super::json(&serde_json::to_value(&result).unwrap_or_default()),
-            false => describe(&result, self.area.is_none()) + &self.told(),
+        let mut named_files = self.sand(found.zeta, 0.0, &words)?;
+        named_files.extend(
+            self.plot
+                .iter()
+                .map(|OutputPath(name)| StudyFile::new(name, figure::single(&test.depth, &test.force, &found).svg())),
+        );
+        let columns = StudyColumn::of_rows::<Calibration>(
+            std::slice::from_ref(&found),
+            &[
+                ("zeta", "N/cm³", |c| c.zeta),
+                ("zeta_low", "N/cm³", |c| c.zeta_interval[0]),
+                ("zeta_high", "N/cm³", |c| c.zeta_interval[1]),
+                ("xi_n", "N/cm³", |c| c.xi_n),
+                ("xi_n_low", "N/cm³", |c| c.xi_n_interval[0]),
+                ("xi_n_high", "N/cm³", |c| c.xi_n_interval[1]),
+                ("r_squared", "1", |c| c.r_squared),
+                ("surface_offset", "m", |c| c.surface_offset),
+                ("samples", "1", |c| c.samples as f64),
+                ("area", "m²", |c| c.area),
+            ],
+        );
+        Ok(StudyResult {
+            summary: describe(&found, self.area.is_none()) + &self.told(),
+            warnings: found.cautions.clone(),
+            about: object(&found),
+            named_files,
+            ..StudyResult::table(StudyTable::new("calibration", columns))
         })
     }
 
-    fn compare(&self, pushes: &[Penetration]) -> Result<String> {
-        let study = pushes::compare(pushes, self.compliance)?;
-        if let Some(size) = study.sizes.first() {
-            let (zeta, power) = study.sand(size);
+    fn compare(&self, pushes: &[Penetration]) -> Result<StudyResult> {
+        let found = pushes::compare(pushes, self.compliance)?;
+        let mut named_files = Vec::new();
+        if let Some(size) = found.sizes.first() {
+            let (zeta, power) = found.sand(size);
             let scatter = size.zeta_interval.map_or_else(
                 || "one push of this size".to_owned(),
                 |[low, high]| format!("95 % confidence {low:.4} to {high:.4} N/cm³ from {} pushes", size.pushes),
             );
-            let words = format!("{:.1} mm, law {}; {scatter}", 1e3 * size.diameter, study.law.formula());
-            self.write(zeta, power, &words)?;
+            let words = format!("{:.1} mm, law {}; {scatter}", 1e3 * size.diameter, found.law.formula());
+            named_files = self.sand(zeta, power, &words)?;
         }
-        if let Some(path) = &self.plot {
-            figure::several(pushes, &study).write(path)?;
-        }
-        for caution in &study.cautions {
-            eprintln!("sandgait: warning: {caution}");
-        }
-        Ok(match self.json {
-            true => super::json(&serde_json::to_value(&study).unwrap_or_default()),
-            false => describe_several(&study) + &self.told(),
+        let svg = |OutputPath(name): &OutputPath| StudyFile::new(name, figure::several(pushes, &found).svg());
+        named_files.extend(self.plot.iter().map(svg));
+        Ok(StudyResult {
+            summary: describe_several(&found) + &self.told(),
+            warnings: found.cautions.clone(),
+            about: object(&found),
+            tables: vec![sizes(&found), laws(&found)],
+            named_files,
+            ..StudyResult::default()
         })
     }
 
-    /// Writes the sand, if a file is given for it.
-    fn write(&self, zeta: f64, depth_power: f64, words: &str) -> Result<()> {
-        let Some(path) = &self.out else { return Ok(()) };
+    /// The sand as a file, if a name is given for it.
+    fn sand(&self, zeta: f64, depth_power: f64, words: &str) -> Result<Vec<StudyFile>> {
+        let Some(OutputPath(name)) = &self.out else { return Ok(Vec::new()) };
         let mut sand = SandDescription::named(&format!("zeta={zeta}"), Law::Li2013.name())?;
-        let files = self.data.iter().map(|file| file.display().to_string()).collect::<Vec<_>>().join(", ");
+        let files = self.data.iter().map(|file| file.0.as_str()).collect::<Vec<_>>().join(", ");
         sand.name = format!("zeta={zeta:.4}");
         sand.source = format!("sandgait calibrate {files}: {words}");
         sand.mechanisms.depth_power = depth_power;
         sand.mechanisms.validated()?;
-        files::write(path, sand.to_toml()?.as_bytes())
+        Ok(vec![StudyFile::new(name, sand.to_toml()?)])
     }
 
     /// Where the sand is.
     fn told(&self) -> String {
         match &self.out {
-            Some(path) => format!("the sand is in {}, for --sand and option sand\n", path.display()),
+            Some(OutputPath(path)) => format!("the sand is in {path}, for --sand and option sand\n"),
             None => "--out sand.toml writes it to a file\n".into(),
         }
     }
+}
+
+/// A result as a JSON object.
+fn object(found: &impl serde::Serialize) -> serde_json::Map<String, serde_json::Value> {
+    serde_json::to_value(found).ok().and_then(|value| value.as_object().cloned()).unwrap_or_default()
+}
+
+fn sizes(found: &Pushes) -> StudyTable {
+    let end = |size: &pushes::OfSize, k: usize| size.zeta_interval.map_or(f64::NAN, |ends| ends[k]);
+    let columns = StudyColumn::of_rows::<pushes::OfSize>(
+        &found.sizes,
+        &[
+            ("diameter", "m", |s| s.diameter),
+            ("pushes", "1", |s| s.pushes as f64),
+            ("zeta", "N/cm³", |s| s.zeta),
+            ("repeatability_percent", "%", |s| s.repeatability_percent.unwrap_or(f64::NAN)),
+        ],
+    );
+    let ends = [("zeta_low", 0), ("zeta_high", 1)];
+    let ends = ends.map(|(name, k)| StudyColumn::numbers(name, "N/cm³", found.sizes.iter().map(|s| end(s, k))));
+    StudyTable::new("sizes", columns.into_iter().chain(ends).collect())
+}
+
+fn laws(found: &Pushes) -> StudyTable {
+    let formula = StudyColumn::names("formula", found.laws.iter().map(|law| law.formula));
+    let errors = StudyColumn::of_rows::<pushes::LawScore>(
+        &found.laws,
+        &[
+            ("fitted_percent", "%", |l| l.fitted_percent),
+            ("other_push_percent", "%", |l| l.other_push_percent),
+            ("other_size_percent", "%", |l| l.other_size_percent.unwrap_or(f64::NAN)),
+        ],
+    );
+    StudyTable::new("laws", std::iter::once(formula).chain(errors).collect())
 }
 
 fn describe_several(study: &Pushes) -> String {

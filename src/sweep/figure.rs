@@ -1,30 +1,8 @@
-//! A sweep's results as CSV and as a figure.
+//! A sweep's results as a figure.
 
 use super::{SweepAxis, SweepMeasure};
 use crate::plot::{self, Figure, FigurePanel, Mark, Style, color};
 use crate::sim::walk::WalkResult;
-
-/// Rows in the order of the grid; the last axis varies fastest.
-pub fn csv(axes: &[SweepAxis], results: &[WalkResult]) -> String {
-    let names = axes.iter().map(|a| match a.parameter.unit {
-        "" => a.parameter.name.to_owned(),
-        unit => format!("{} [{unit}]", a.parameter.name),
-    });
-    let heading = "speed [m/s],cost of transport,base height [m],pitch rms [rad],hip torque rms [N·m],hip speed error rms [rad/s]";
-    let mut text = names.chain([heading.to_owned()]).collect::<Vec<_>>().join(",") + "\n";
-    for (i, r) in results.iter().enumerate() {
-        let cells = values(axes, i);
-        let numbers =
-            [r.speed, r.cost_of_transport, r.base_height, r.pitch_rms, r.hip_torque_rms, r.hip_speed_error_rms];
-        text += &cells.into_iter().map(quoted).chain(numbers.map(|n| format!("{n:.6}"))).collect::<Vec<_>>().join(",");
-        text.push('\n');
-    }
-    text
-}
-
-fn quoted(cell: &str) -> String {
-    if cell.contains(',') { format!("\"{cell}\"") } else { cell.to_owned() }
-}
 
 /// The value on each axis of grid point `index`.
 pub fn values(axes: &[SweepAxis], mut index: usize) -> Vec<&str> {

@@ -1,7 +1,10 @@
-//! Options of a task on the command line: one way for all commands.
+//! Options of a task: one way for all commands and studies.
 
-use sandgait::train::entry;
-use sandgait::{Error, Result};
+use super::arguments::{TaskOption, unfelt};
+use super::inputs::OptionReader;
+use crate::error::{Error, Result};
+use crate::sand::SandDescription;
+use crate::train::entry;
 use serde_json::{Map, Value};
 
 /// Options of the task.
@@ -11,7 +14,7 @@ pub struct OptionArgs {
     /// [0.1,0.6] or {"key": 1}; a number stands for a range of that number, and null for None. Of sand, hardware and
     /// robot VALUE can be a path
     #[arg(long = "option", value_name = "NAME=VALUE", allow_hyphen_values = true)]
-    option_words: Vec<String>,
+    options: Vec<TaskOption>,
     /// The same as one JSON object
     #[arg(long = "options", value_name = "JSON", hide = true, allow_hyphen_values = true)]
     options_json: Option<String>,
@@ -19,23 +22,23 @@ pub struct OptionArgs {
 
 impl OptionArgs {
     pub fn is_empty(&self) -> bool {
-        self.option_words.is_empty() && self.options_json.is_none()
+        self.options.is_empty() && self.options_json.is_none()
     }
 
     /// The options as the user wrote them.
     pub fn words(&self) -> Vec<String> {
-        self.option_words.iter().chain(&self.options_json).cloned().collect()
+        self.options.iter().map(|option| &option.0).chain(&self.options_json).cloned().collect()
     }
 
     /// The options, with the contents of the files that they name.
-    pub fn read(&self) -> Result<Map<String, Value>> {
+    pub fn read(&self, files: OptionReader) -> Result<Map<String, Value>> {
         let mut options = Value::Object(self.named()?);
-        super::read_files(&mut options)?;
+        files(&mut options)?;
         Ok(options.as_object().cloned().unwrap_or_default())
     }
 
     /// `base` with these options in place of its own. In a dictionary only the given keys change.
-    pub fn over(&self, mut base: Map<String, Value>) -> Result<Value> {
+    pub fn over(&self, mut base: Map<String, Value>, files: OptionReader) -> Result<Value> {
         for (name, value) in self.named()? {
             match (base.get_mut(&name), value) {
                 (Some(Value::Object(old)), Value::Object(new)) => old.extend(new),
@@ -43,7 +46,7 @@ impl OptionArgs {
             }
         }
         let mut options = Value::Object(base);
-        super::read_files(&mut options)?;
+        files(&mut options)?;
         Ok(options)
     }
 
@@ -54,7 +57,7 @@ impl OptionArgs {
             Some(Ok(other)) => return Err(Error::invalid("--options", format!("{other} is no JSON object"))),
             Some(Err(e)) => return Err(Error::invalid("--options", format!("not JSON: {e}"))),
         };
-        for word in &self.option_words {
+        for TaskOption(word) in &self.options {
             let (name, value) = named(word)?;
             if options.insert(name.clone(), value).is_some() {
                 return Err(Error::invalid(format!("--option {name}"), "is given twice"));
@@ -75,6 +78,13 @@ fn named(word: &str) -> Result<(String, Value)> {
     }
 }
 
+/// A line that names the mechanisms without effect in the `sand` among a task's options.
+pub fn unfelt_option(options: &Value) -> Option<String> {
+    let text = options.get("sand").and_then(Value::as_str);
+    // If the text is not a sand, the task refuses it with its own message.
+    text.and_then(|text| SandDescription::from_toml(text).ok()).and_then(|sand| unfelt(&sand))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -82,7 +92,7 @@ mod tests {
 
     fn args(words: &[&str], given: Option<&str>) -> OptionArgs {
         OptionArgs {
-            option_words: words.iter().map(|w| (*w).to_owned()).collect(),
+            options: words.iter().map(|w| TaskOption((*w).to_owned())).collect(),
             options_json: given.map(str::to_owned),
         }
     }
@@ -128,7 +138,7 @@ mod tests {
     fn given_options_change_keys_of_dictionaries() {
         let base = json!({"leg": "C", "weights": {"tracking": 2.0, "action_rate": 1.0}});
         let args = args(&["weights={\"tracking\": 3}", "slope_deg=5"], None);
-        let options = args.over(base.as_object().unwrap().clone()).unwrap();
+        let options = args.over(base.as_object().unwrap().clone(), |_| Ok(())).unwrap();
         let wanted = json!({"leg": "C", "slope_deg": 5, "weights": {"tracking": 3, "action_rate": 1.0}});
         assert_eq!(options, wanted);
     }
