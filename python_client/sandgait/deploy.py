@@ -14,6 +14,7 @@ from sandgait_deploy import (
     Refused,
     Servo,
     Verification,
+    policy_folder,
     read_policy,
     verify,
 )
@@ -33,6 +34,7 @@ __all__ = [
     "Servo",
     "Verification",
     "describe",
+    "policy_folder",
     "read_policy",
     "verify",
 ]

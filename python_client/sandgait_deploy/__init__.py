@@ -17,7 +17,7 @@ from __future__ import annotations
 from .controller import Controller, Output
 from .errors import Refused
 from .golden import Boundary, Verification, verify
-from .policy import Column, Policy, Servo, read_policy
+from .policy import Column, Policy, Servo, policy_folder, read_policy
 
 __all__ = [
     "Boundary",
@@ -28,6 +28,7 @@ __all__ = [
     "Refused",
     "Servo",
     "Verification",
+    "policy_folder",
     "read_policy",
     "verify",
 ]

@@ -132,13 +132,18 @@ class Policy:
         return np.array([getattr(servo, name) for servo in self.servos])
 
 
+def policy_folder(path: str | Path) -> Path:
+    """The folder of a policy, which may be given by a file in it: policy.onnx or policy.json."""
+    place = Path(path)
+    return place.parent if place.suffix in (".onnx", ".json") else place
+
+
 def read_policy(folder: str | Path) -> Policy:
     """The policy in `folder`, which `sandgait train` wrote.
 
     Raises Refused if there is none, if it is of another version, or if its actions drive no joints.
     """
-    place = Path(folder)
-    path = place / "policy.json" if place.suffix not in (".onnx", ".json") else place.with_name("policy.json")
+    path = policy_folder(folder) / "policy.json"
     try:
         about = json.loads(path.read_bytes())
     except FileNotFoundError:

@@ -7,8 +7,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from sandgait_deploy import Refused
+from sandgait_deploy import Refused, policy_folder
 
+from ..command_line import CommandParser
 from ..errors import SandgaitError
 from .loop import COEFFICIENT_SD, Request, adapt
 from .page import page, summary
@@ -18,7 +19,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Exit code 0: there is a new policy, and its predicted gain is above 0; 1: nothing changed, or keep the old
     policy; 2: something cannot be used, and nothing is written."""
     given = _parser().parse_args(arguments)
-    folder = given.policy if given.policy.suffix not in (".onnx", ".json") else given.policy.parent
+    folder = policy_folder(given.policy)
     out = given.out or folder.with_name(f"{folder.name}-adapted")
     request = Request(
         log=given.log,
@@ -41,17 +42,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if adaptation.adapted else 1
 
 
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> None:  # type: ignore[override]
-        """One line, without the usage."""
-        print(f"sandgait: adapt: {message}; see sandgait adapt --help", file=sys.stderr)
-        raise SystemExit(2)
-
-
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(
-        prog="sandgait adapt",
-        description="Trains a policy on over what its robot's log says of sand and motors, if the log can tell, and "
+    parser = CommandParser(
+        "adapt",
+        "Trains a policy on over what its robot's log says of sand and motors, if the log can tell, and "
         "predicts the gain.",
     )
     parser.add_argument("log", type=Path, help="the CSV of the Controller, or any robot's log that diagnose reads")

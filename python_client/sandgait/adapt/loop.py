@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import shutil
-import subprocess
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,7 +15,8 @@ import numpy as np
 
 from sandgait_deploy import Refused, read_policy
 
-from .. import logs, server
+from .. import logs
+from ..command_line import failure, nine_commands
 from ..training import train
 from .posterior import Draw, Posterior, posterior
 from .servo import motors
@@ -137,12 +137,9 @@ def diagnose(request: Request, medium: str, place: Path) -> Path:
     if logs.kind(log) is not None:
         log = place / "log.csv"
         log.write_bytes(logs.to_csv(request.log))
-    command = [*server.command(), "diagnose", str(log), "--experiment", str(experiment), "--out", str(out)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise Refused(
-            (done.stderr.strip().splitlines() or ["the diagnosis says nothing"])[-1].removeprefix("sandgait: ")
-        )
+    said = failure("diagnose", str(log), "--experiment", str(experiment), "--out", str(out))
+    if said is not None:
+        raise Refused((said or "the diagnosis says nothing").removeprefix("sandgait: "))
     return out
 
 
@@ -185,17 +182,12 @@ def _train(request: Request, found: Posterior, weights: Path, told: Callable[[st
 def _error(folder: Path, draw: Draw | None) -> float:
     """Mean error of the nine commands in a world; None: that of the policy's training."""
     with tempfile.TemporaryDirectory() as place:
-        made, sand, hardware = (Path(place) / name for name in ("made.json", "sand.toml", "hardware.toml"))
-        command = [*server.command(), "evaluate", str(folder / "policy.onnx"), "--commands", "--json", str(made)]
+        sand, hardware, options = Path(place) / "sand.toml", Path(place) / "hardware.toml", []
         if draw is not None:
             sand.write_text(draw.sand)
-            command += ["--option", f"sand={sand}"]
+            options.append(f"sand={sand}")
             if "interval" in draw.hardware:
                 hardware.write_text(draw.hardware)
-                command += ["--option", f"hardware={hardware}"]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode:
-            said = (done.stderr.strip().splitlines() or ["it says nothing"])[-1]
-            raise Refused(f"{folder}: the policy cannot be evaluated: {said}")
-        lines = json.loads(made.read_text())["results"]["lines"]
+                options.append(f"hardware={hardware}")
+        lines = nine_commands(folder / "policy.onnx", *options)
     return float(np.mean([1.0 if line["falls"] > 0 else line["error"] for line in lines]))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import html
 
+from ..command_line import html_page
 from .loop import Adaptation
 
-_STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; max-width: 50rem; margin: 2rem auto; padding: 0 1rem; color: #222; }
-h1 { font-size: 1.5rem; } table { border-collapse: collapse; } td, th { padding: .2rem .7rem; text-align: left; }
+_STYLE = """\
+table { border-collapse: collapse; } td, th { padding: .2rem .7rem; text-align: left; }
 """
 
 
@@ -65,8 +65,7 @@ def page(adaptation: Adaptation) -> str:
     if a.found.next:
         parts.append(f"<h2>What to log next</h2><p>{html.escape(a.found.next)}</p>")
     parts.append("<p><a href='diagnosis/report.html'>The diagnosis of the log</a></p>")
-    head = f"<meta charset='utf-8'><title>{verdict.split(':')[0]}</title><style>{_STYLE}</style>"
-    return f"<!doctype html><html lang='en'><head>{head}</head><body>{''.join(parts)}</body></html>\n"
+    return html_page(verdict.split(":")[0], 50, _STYLE, parts)
 
 
 def _mean(values: tuple[float, ...]) -> float:

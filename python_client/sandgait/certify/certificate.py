@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import tempfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -12,7 +10,7 @@ from typing import Any
 
 from sandgait_deploy import Controller, Policy, Refused, Verification
 
-from .. import server
+from ..command_line import nine_commands
 from ..plant import Conditions
 from .causes import Cause, few, first_failure
 from .grid import Case, cases, sand_of
@@ -152,15 +150,7 @@ def _reasons(
 
 def _own(policy: Policy, ground: str) -> tuple[Line, ...]:
     """The nine commands in the simulator of the training, as `sandgait evaluate --commands` plays them."""
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "made.json"
-        command = [*server.command(), "evaluate", str(policy.network), "--commands", "--json", str(file)]
-        done = subprocess.run([*command, "--option", f"ground={ground}"], capture_output=True, text=True, check=False)
-        if done.returncode:
-            said = (done.stderr.strip().splitlines() or ["it says nothing"])[-1]
-            raise Refused(f"{policy.folder}: the policy cannot be evaluated: {said}")
-        lines = json.loads(file.read_text())["results"]["lines"]
-    return tuple(_line(line) for line in lines)
+    return tuple(_line(line) for line in nine_commands(policy.network, f"ground={ground}"))
 
 
 def _line(line: dict[str, Any]) -> Line:

@@ -7,8 +7,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from sandgait_deploy import Refused
+from sandgait_deploy import Refused, policy_folder
 
+from ..command_line import CommandParser
 from ..errors import SandgaitError
 from .certificate import LATENCY, Request, certify
 from .page import page
@@ -36,17 +37,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if certificate.deploy else 1
 
 
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> None:  # type: ignore[override]
-        """One line, without the usage."""
-        print(f"sandgait: certify: {message}; see sandgait certify --help", file=sys.stderr)
-        raise SystemExit(2)
-
-
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(
-        prog="sandgait certify",
-        description="Drives a robot by its policy in MuJoCo, on sand and on hard ground, and says whether it may leave "
+    parser = CommandParser(
+        "certify",
+        "Drives a robot by its policy in MuJoCo, on sand and on hard ground, and says whether it may leave "
         "the simulator. Exit code 0: deploy; 1: do not deploy.",
     )
     parser.add_argument("policy", type=Path, help="the folder that sandgait train wrote, or its policy.onnx")
@@ -84,7 +78,7 @@ def _request(given: argparse.Namespace) -> Request:
     for path in (given.out, given.json):
         if path is not None and not path.parent.is_dir():
             raise Refused(f"{path}: its folder does not exist; make it first")
-    folder = given.policy if given.policy.suffix not in (".onnx", ".json") else given.policy.parent
+    folder = policy_folder(given.policy)
     return Request(
         folder=folder,
         robot=given.robot,

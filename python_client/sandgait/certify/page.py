@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import html
 
+from ..command_line import html_page
 from .certificate import Certificate, ranges
 from .sheet import sheet, verdict
 from .walk import FOLLOWS, Line, Outcome
 
-_STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; color: #222; }
-h1 { font-size: 1.5rem; } .no { color: #a00; } .yes { color: #060; }
+_STYLE = """\
+.no { color: #a00; } .yes { color: #060; }
 table { border-collapse: collapse; margin: 1rem 0; } td, th { padding: .2rem .7rem; text-align: right; }
 th { text-align: left; border-bottom: 1px solid #999; } td:first-child { text-align: left; }
 .bar { display: inline-block; height: .8rem; background: #47a; vertical-align: middle; } .bad .bar { background: #c55; }
@@ -40,8 +40,7 @@ def page(certificate: Certificate) -> str:
         f"<pre>{html.escape(sheet(c))}</pre>",
     ]
     title = html.escape(f"{c.policy.robot['name']}: {'deploy' if c.deploy else 'do not deploy'}")
-    head = f"<meta charset='utf-8'><title>{title}</title><style>{_STYLE}</style>"
-    return f"<!doctype html><html lang='en'><head>{head}</head><body>{''.join(parts)}</body></html>\n"
+    return html_page(title, 60, _STYLE, parts)
 
 
 def _commands(c: Certificate, ground: str, outcome: Outcome) -> str:
