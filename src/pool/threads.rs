@@ -240,8 +240,7 @@ impl Pool {
         let mut queue = self.shared.queue.lock();
         while queue.active < self.most_active && start.elapsed() < time {
             let is_short = |job: &Job| !matches!(job.work.operation, Operation::Roll(_));
-            let Some(place) = next(&queue, is_short) else { break };
-            let Some(taken) = take(&mut queue, place) else { break };
+            let Some(taken) = take_next(&mut queue, is_short) else { break };
             drop(queue);
             queue = carry_out(&self.shared, taken);
         }
@@ -275,10 +274,12 @@ impl Drop for Pool {
     }
 }
 
-/// The place of the job that is next among those that `may` be; of equal jobs the first in the queue.
-fn next(queue: &Queue, may: impl Fn(&Job) -> bool) -> Option<usize> {
+/// Takes one shard of the job that is next among those that `may` be; of equal jobs the first in the queue.
+fn take_next(queue: &mut Queue, may: impl Fn(&Job) -> bool) -> Option<TakenShard> {
     let places = (0..queue.jobs.len()).filter(|place| may(&queue.jobs[*place]));
-    places.min_by_key(|place| queue.jobs[*place].used)
+    let taken = take(queue, places.min_by_key(|place| queue.jobs[*place].used)?)?;
+    queue.floor = queue.floor.max(taken.used);
+    Some(taken)
 }
 
 /// Takes one shard of the job at `place`, and puts the job behind all others.
@@ -308,9 +309,7 @@ fn put_back(queue: &mut Queue, TakenShard { id, work, queued, used }: TakenShard
 fn worker(shared: &PoolState) {
     let mut queue = shared.queue.lock();
     loop {
-        if let Some(place) = next(&queue, |_| true) {
-            let Some(taken) = take(&mut queue, place) else { continue };
-            queue.floor = queue.floor.max(taken.used);
+        if let Some(taken) = take_next(&mut queue, |_| true) {
             drop(queue);
             queue = carry_out(shared, taken);
         } else if queue.closed {

@@ -9,6 +9,7 @@ use crate::env::sensors::{Part, Sensor};
 use crate::env::spec::{Column, Spec};
 use serde_json::{Value, json};
 use sha2::{Digest as _, Sha256};
+use std::collections::HashMap;
 
 /// Version of the format. Version 1 had no key `version`, and none of the keys that [`robot`] and [`reading`] add.
 const VERSION: u32 = 2;
@@ -124,21 +125,13 @@ fn robot(blueprint: &Blueprint) -> Value {
 fn add_readings(columns: &mut Value, observation: &[Column], history: usize, default: &[f64]) {
     let Some(columns) = columns.as_array_mut() else { return };
     let width = observation.len() / history.max(1);
-    let mut counts: Vec<((usize, &str), usize)> = Vec::new();
+    let mut counts: HashMap<(usize, &str), usize> = HashMap::new();
     for (i, (out, column)) in columns.iter_mut().zip(observation).enumerate() {
         let (reading, part) = reading(column);
         let back = i / width.max(1);
-        let key = (back, reading);
-        let index = match counts.iter_mut().find(|(known, _)| *known == key) {
-            Some((_, count)) => {
-                *count += 1;
-                *count
-            }
-            None => {
-                counts.push((key, 0));
-                0
-            }
-        };
+        let count = counts.entry((back, reading)).or_default();
+        let index = *count;
+        *count += 1;
         let subtract = if reading == Sensor::JointPosition.name() { default.get(index).copied() } else { None };
         out["reading"] = reading.into();
         out["index"] = index.into();
