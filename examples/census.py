@@ -1,8 +1,8 @@
 """Tests all legged robots of two public packages with default settings: plates, standing, speeds, divergence, messages.
 
-`make study-robots` installs the packages and writes the table of docs/robots_results.md again. Each robot stands in
-its default pose (`sandgait.check_robot`). Then it moves with random actions for 20 s on packed poppy seeds, on a
-slope of loose poppy seeds, and on hard ground. Speeds are those of one thread. Other robots: `python
+`make study-robots` installs the packages and prints the table; docs/robots_results.md has the results. Each robot
+stands in its default pose (`sandgait.check_robot`). Then it moves with random actions for 20 s on packed poppy seeds,
+on a slope of loose poppy seeds, and on hard ground. Speeds are those of one thread. Other robots: `python
 examples/census.py FILE …`.
 """
 

@@ -20,7 +20,8 @@ OUT.parent.mkdir(exist_ok=True)
 # ## A map of two parameters
 
 # %%
-walks = sandgait.sweep({"xi": np.arange(-75, 76, 5), "frequency": np.arange(1.0, 5.01, 0.25)})
+XI, FREQUENCY = np.arange(-75, 76, 5), np.arange(1.0, 5.01, 0.25)
+walks = sandgait.sweep({"xi": XI, "frequency": FREQUENCY})
 fastest = walks.best()
 cheapest = walks.best("cost-of-transport")
 print(f"{len(walks.speed)} walks")
@@ -46,10 +47,14 @@ by_medium = sandgait.sweep({"medium": MEDIA, "xi": np.arange(-75, 76, 5)})
 
 # %%
 figure, (speed, cost, sands) = plt.subplots(1, 3, figsize=(14, 4.2), layout="constrained")
-walks.plot(axes=speed)
-walks.plot("cost-of-transport", axes=cost)
 by_medium.plot(axes=sands)
-for axes, best, title in ((speed, fastest, "Speed"), (cost, cheapest, "Cost of transport")):
+for axes, best, title, values in (
+    (speed, fastest, "Speed [cm/s]", 100 * walks.speed),
+    (cost, cheapest, "Cost of transport", walks.cost_of_transport),
+):
+    # The last parameter varies fastest. A notebook shows a map like this as `walks`.
+    mesh = axes.pcolormesh(FREQUENCY, XI, values.reshape(len(XI), len(FREQUENCY)), shading="nearest")
+    figure.colorbar(mesh, ax=axes)
     axes.plot(best["frequency"], best["xi"], "*", color="white", markeredgecolor="black", markersize=13, label="best")
     axes.set(title=title, xlabel="stride frequency [Hz]", ylabel="knee angle ξ [°]", yticks=range(-60, 61, 30))
     axes.legend(loc="lower left")

@@ -33,13 +33,13 @@ print(log.groupby("shape").agg(trials=("trial", "nunique"), slowest=("omega", "m
 
 # %%
 diagnosis = sandgait.diagnose(log, DATA / "force_log.toml")
-print(diagnosis.verdict, "-", diagnosis.summary)
+print(diagnosis.verdict, "-", diagnosis.headline)
 for cause in diagnosis.causes:
     low, high = cause["ci95"]
     print(f"{cause['id']}: {cause['value']:.3f}, 95 % interval {low:.3f} to {high:.3f}")
-gain = diagnosis.report["gain"]
-print(f"error on held-out conditions: {gain['held_out_rmse_plain']:.3f} N plain, ", end="")
-print(f"{gain['held_out_rmse_extended']:.3f} N extended; repetitions scatter by {gain['noise_floor']:.3f} N")
+gain = diagnosis.report["gain"]["in_units"]
+errors = [f"{gain[key]:.3f} {gain['unit']}" for key in ("plain", "extended", "noise_floor")]
+print("error on held-out conditions: {} plain, {} extended; repetitions scatter by {}".format(*errors))
 
 # %%
 diagnosis.save(OUT)  # writes the report with figures (report.html) and the extended sand for simulations (sand.toml)

@@ -10,6 +10,8 @@
 mod hall;
 #[path = "../tests/testbed/mod.rs"]
 mod testbed;
+#[path = "../tests/testbed/truth.rs"]
+mod truth;
 
 use rand::{Rng, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
@@ -22,7 +24,6 @@ use sandgait::diagnose::forward::ForwardModel;
 use sandgait::diagnose::noise::{ChannelNoise, Noise, NoiseClock, NoiseData, sizes};
 use sandgait::diagnose::report::{Cause, Report, Tried};
 use sandgait::diagnose::shared::{SharedNoise, Uncertainty};
-use sandgait::diagnose::statements::violations;
 use sandgait::diagnose::study::FitInputs;
 use sandgait::diagnose::verdict::Verdict;
 use sandgait::diagnose::whiten::Whitener;
@@ -46,8 +47,9 @@ fn report(log: &Log, name: &str) -> Outcome<Report> {
     std::fs::write(&path, &log.noisy)?;
     let diagnosis = diagnose(&path, &experiment()?, &Silent);
     std::fs::remove_file(&path)?;
-    let report = diagnosis?.report;
-    let violated = violations(&report);
+    let diagnosis = diagnosis?;
+    let violated = truth::contradictions(&serde_json::from_str(&diagnosis.json()?)?);
+    let report = diagnosis.report;
     if violated.is_empty() { Ok(report) } else { Err(violated.join("; ").into()) }
 }
 

@@ -1,4 +1,4 @@
-"""Does a policy need sensors, motors and delays in its training? Makes the table of docs/hardware.md.
+"""Does a policy need sensors, motors and delays in its training? Makes the table of docs/hardware_results.md.
 
 For each task it trains policies with exact sensors and ideal motors, and policies with randomised ones, and evaluates
 all of them with (a) exact sensors and ideal motors, (b) the motors, noise and a 40 ms delay of a real robot, (c) motors

@@ -3,6 +3,8 @@
 //! `sand_discs.toml` is calibrated on the discs only; `sand_smooth.toml` and `sand_grouser.toml` share four numbers
 //! that are fitted on the rows of both wheels at slip angles up to 60°, and differ in the friction of the surface.
 
+use sandgait::progress::{Latch, Silent};
+use sandgait::sand::intruder::PlatedBody;
 use sandgait::sand::{Law, Mechanisms, Medium, SandDescription};
 use sandgait::table::{self, HeaderColumn, Quantity, ReadOptions};
 use sandgait::validate::{DENSITY, data, fit};
@@ -45,9 +47,10 @@ fn main() -> Result<(), Box<dyn Error>> {
         "ξ_n fitted on discs only. The range of forces and μ_s were chosen after a first comparison with the wheels.",
         &discs,
     )?;
-    let wheels = data::folder(&folder)?.wheels;
+    let read = |file: &Path| std::fs::read(folder.join(file)).map_err(|e| sandgait::Error::file(file, e));
+    let wheels = data::gather(&folder, PlatedBody::MOST_PLATES, &read)?.wheels;
     let rows: Vec<_> = wheels.iter().map(|w| w.rows.clone()).collect();
-    let parameters = fit::fit(&wheels, &rows)?.rounded();
+    let parameters = fit::fit(&wheels, &rows, &Latch::new(&Silent))?.rounded();
     println!("{parameters:?}");
     let said =
         "Fitted on both wheels up to 60°: ζ, depth_power, skid_loss, graze_loss shared; friction_clip of this wheel.";

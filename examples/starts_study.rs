@@ -1,5 +1,5 @@
 //! Compares the walking speed at a time step of 1 ms with the converged reference: means over 24 starts for gaits that
-//! stick and slip, and walks with each mechanism alone. It prints the tables at the end of docs/convergence.md.
+//! stick and slip, and walks with each mechanism alone. docs/convergence.md has the errors of the tables that it prints.
 //! `cargo run --release --example starts_study` (or `make study-starts`)
 
 use sandgait::Result;

@@ -27,7 +27,7 @@ fn what_cannot_be_written_is_the_machines_failure() {
         ("/dev/full", 1, "No space left on device"),
         ("/sys/force.csv", 1, "/sys/force.csv: "),
         ("/none/force.csv", 2, "No such file or directory"),
-        ("/dev", 2, "Is a directory"),
+        ("/dev", 2, "is a directory"),
     ] {
         let said = line(&intrude(file), code);
         assert!(said.contains(words), "{said}");

@@ -1,9 +1,11 @@
 //! Diagnosis with `kind = "intruder"`, on the published measurements of two wheels in sand.
 
+#[path = "testbed/truth.rs"]
+mod truth;
+
 use sandgait::diagnose::diagnose;
 use sandgait::diagnose::experiment::Experiment;
 use sandgait::diagnose::report::Diagnosis;
-use sandgait::diagnose::statements::violations;
 use sandgait::diagnose::verdict::Verdict;
 use sandgait::progress::Silent;
 use sandgait::sand::intruder::{BodyShape, DepthOrLoad, PlatedBody, Trial, compute, with_friction};
@@ -31,7 +33,8 @@ fn diagnosed(keep: impl Fn(&str) -> bool) -> Diagnosis {
     let path = directory.path().join("rows.csv");
     std::fs::write(&path, kept.join("\n")).unwrap();
     let diagnosis = diagnose(&path, &experiment(), &Silent).unwrap();
-    assert_eq!(violations(&diagnosis.report), Vec::<String>::new());
+    let json = serde_json::from_str(&diagnosis.json().unwrap()).unwrap();
+    assert_eq!(truth::contradictions(&json), Vec::<String>::new());
     diagnosis
 }
 

@@ -4,6 +4,8 @@
 mod hall;
 #[path = "testbed/long.rs"]
 mod long;
+#[path = "testbed/truth.rs"]
+mod truth;
 
 use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -11,7 +13,6 @@ use sandgait::Error;
 use sandgait::diagnose::diagnose;
 use sandgait::diagnose::experiment::Experiment;
 use sandgait::diagnose::report::Diagnosis;
-use sandgait::diagnose::statements::violations;
 use sandgait::diagnose::verdict::Verdict;
 use sandgait::diagnose::walking_log;
 use sandgait::progress::{Progress, Silent};
@@ -40,7 +41,8 @@ fn file(directory: &Path, text: &str) -> PathBuf {
 fn diagnosis(directory: &Path, conditions: &[hall::Condition], hidden: Mechanisms) -> Diagnosis {
     let experiment = Experiment::from_toml(hall::EXPERIMENT).unwrap();
     let diagnosis = diagnose(&file(directory, &hall::runs(5, conditions, hidden, 0.05)), &experiment, &Silent).unwrap();
-    assert_eq!(violations(&diagnosis.report), Vec::<String>::new());
+    let json = serde_json::from_str(&diagnosis.json().unwrap()).unwrap();
+    assert_eq!(truth::contradictions(&json), Vec::<String>::new());
     diagnosis
 }
 
@@ -130,11 +132,14 @@ fn a_diagnosis_stops_during_its_simulations() {
     assert!(stopped.elapsed() < Duration::from_secs(10), "{:?}", stopped.elapsed());
 }
 
+/// The coefficients of the hall's sand are off by 5 %, which lowers the error on left-out runs if it is fitted (by 12 to 58 %). A verdict of
+/// `noise_floor` would contradict this. No cause is given.
 #[test]
-fn without_a_hidden_cause_the_verdict_is_noise_floor() {
+fn without_a_hidden_cause_none_is_given() {
     let directory = tempfile::tempdir().unwrap();
     let r = diagnosis(directory.path(), &hall::drawn(5), Mechanisms::PLAIN).report;
-    assert_eq!(r.verdict, Verdict::NoiseFloor, "{}", r.summary);
+    assert!(matches!(r.verdict, Verdict::NoiseFloor | Verdict::Recalibrated), "{}", r.summary);
+    assert!(r.causes.is_empty() && r.ambiguity_set.is_empty(), "{}", r.summary);
 }
 
 /// A motor that stalls changes the whole gait; the diagnosis still finds it as the only cause.

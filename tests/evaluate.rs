@@ -253,7 +253,7 @@ fn a_cost_of_transport_without_distance_is_nan() {
 fn wrong_gaits_are_refused() {
     let read = |file: &str| std::fs::read(file).map_err(|e| sandgait::Error::file(file.as_ref(), e));
     let refused = |text: &str| PolicySource::parse(text, read).unwrap_err().to_string();
-    assert!(refused("crawl").contains("policy \"crawl\" is unknown; known: FILE.onnx, tripod"));
+    assert!(refused("crawl").contains("policy \"crawl\" is unknown; known: FOLDER or FILE.onnx, tripod"));
     assert_eq!(refused("tripod:7"), "tripod: 7 is outside [-5, 5]");
     assert_eq!(refused("tripod:fast"), "tripod: \"fast\" is not a number of Hz");
     assert_eq!(refused("clock:1,x"), "clock: \"x\" is no number");

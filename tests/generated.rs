@@ -1,7 +1,8 @@
-//! The committed code in `generated` folders is what the generators make from `proto/` now. It is committed so that a
+//! Committed files that programs make: the code in `generated` folders is what the generators make from `proto/` now. It is committed so that a
 //! build needs neither the generators nor protoc. `make proto` writes it again.
 
 use prost::Message as _;
+use sandgait::study::{page, python};
 use std::path::{Path, PathBuf};
 
 /// Generates all files into the folder `out`, without protoc.
@@ -61,5 +62,17 @@ fn the_generated_code_is_current() {
             std::fs::write(committed(&name), &made).unwrap();
         }
         assert!(made == std::fs::read(committed(&name)).unwrap(), "{}: make proto writes it anew", name.display());
+    }
+}
+
+/// The functions in Python and the page of the reference are made from the declarations of the studies. `make studies` writes
+/// them again.
+#[test]
+fn functions_and_pages_of_studies_are_current() {
+    for (name, made) in
+        [("python_client/sandgait/study_functions.py", python::module()), ("docs/reference/studies.md", page::page())]
+    {
+        let committed = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(name)).unwrap_or_default();
+        assert!(made == committed, "{name}: make studies writes it anew");
     }
 }

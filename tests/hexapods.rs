@@ -3,7 +3,7 @@
 use sandgait::env::legged::Units;
 use sandgait::env::legged::prior::GaitPrior;
 use sandgait::env::registry::Blueprint;
-use sandgait::robots::{self, Import};
+use sandgait::robots::{self, Import, InertiaSource, Reading};
 use sandgait::sim::tree::alternating::{AlternatingGait, LegStride};
 use sandgait::sim::tree::kinematics::chain;
 use sandgait::sim::tree::symmetry::LeftRight;
@@ -182,6 +182,47 @@ fn implausible_inertias_are_replaced() {
     // A box of 0.2 m × 0.14 m × 0.05 m.
     let x = large.tree.bodies[0].inertia[(0, 0)];
     assert!((x / (1.4 * (0.14_f64.powi(2) + 0.05_f64.powi(2)) / 12.0) - 1.0).abs() < 0.02, "{x}");
+}
+
+/// In URDF and MJCF a moment above the sum of the others is replaced, and a thin plate's stays; `file` keeps all.
+#[test]
+fn moments_above_the_sum_of_the_others_are_replaced() {
+    let urdf = |moments: [f64; 3]| {
+        let [x, y, z] = moments;
+        format!(
+            "<robot name=\"r\"><link name=\"base\"><inertial><mass value=\"2\"/><inertia ixx=\"{x}\" iyy=\"{y}\" izz=\"{z}\" \
+             ixy=\"0\" ixz=\"0\" iyz=\"0\"/></inertial><collision><geometry><box size=\"0.3 0.3 0.3\"/></geometry></collision>\
+             </link></robot>"
+        )
+    };
+    let mjcf = |[x, y, z]: [f64; 3]| {
+        format!(
+            "<mujoco model=\"r\"><worldbody><body name=\"base\"><freejoint/><inertial pos=\"0 0 0\" mass=\"2\" \
+             diaginertia=\"{x} {y} {z}\"/><geom type=\"box\" size=\"0.15 0.15 0.15\"/></body></worldbody></mujoco>"
+        )
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let moments = |name: &str, text: String, inertia| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        let reading = Reading { inertia, ..Reading::default() };
+        let import = robots::load_from(&path, &Default::default(), &reading).unwrap();
+        let said = import.warnings.iter().any(|line| line.contains("a principal moment above the sum of the others"));
+        let replaced = import.warnings.first().is_some_and(|line| line.contains("is replaced by that of a box"));
+        assert!(said == replaced || inertia == InertiaSource::File, "{:?}", import.warnings);
+        (import.tree.bodies[0].inertia.diagonal().as_slice().to_owned(), replaced)
+    };
+    let plausible = InertiaSource::default();
+    for (impossible, flat) in [([0.01, 0.01, 0.03], [0.015, 0.015, 0.03]), ([0.002, 0.04, 0.03], [0.01, 0.04, 0.03])] {
+        for (name, text) in [("r.urdf", urdf as fn([f64; 3]) -> String), ("r.xml", mjcf)] {
+            let (found, replaced) = moments(name, text(impossible), plausible);
+            // A cube of 0.3 m and 2 kg.
+            assert!(replaced && found.iter().all(|m| (m - 0.03).abs() < 1e-12), "{name}: {found:?}");
+            assert_eq!(moments(name, text(impossible), InertiaSource::File), (impossible.to_vec(), false));
+            assert_eq!(moments(name, text(flat), plausible), (flat.to_vec(), false));
+        }
+    }
+    assert!("moon".parse::<InertiaSource>().unwrap_err().to_string().contains("plausible"));
 }
 
 fn request(options: Value, out: &std::path::Path, changes: &[&str], timesteps: u64) -> TrainingRequest {

@@ -4,6 +4,7 @@
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::number::Vec3;
+use sandgait::progress::{Latch, Silent};
 use sandgait::sand::intruder::{BodyShape, DepthOrLoad, PlatedBody, Status, Trial, TrialOutcome, compute};
 use sandgait::sand::{Law, Mechanisms, Medium, Regularization, SandBed, SandDescription, SegmentState};
 use sandgait::validate::{data, fit, score};
@@ -248,7 +249,7 @@ fn measured_wheels_are_predicted_within_bounds() {
     let pairs = |fitted: bool| -> Vec<score::MeasuredPair> {
         let wheels = set.wheels.iter().enumerate();
         let sand = |w: &data::Wheel| if fitted { w.fitted.clone().unwrap() } else { w.sand.clone() };
-        wheels.flat_map(|(k, w)| score::predict(k, w, &sand(w), &w.rows)).collect()
+        wheels.flat_map(|(k, w)| score::predict(k, w, &sand(w), &w.rows, &Latch::new(&Silent))).collect()
     };
     let within = |pairs: &[score::MeasuredPair], bounds: [f64; 6]| {
         let e = score::errors(pairs);
@@ -266,7 +267,7 @@ fn measured_wheels_are_predicted_within_bounds() {
 fn the_sand_files_equal_a_new_fit() {
     let set = data::own().unwrap();
     let rows: Vec<_> = set.wheels.iter().map(|w| w.rows.clone()).collect();
-    let parameters = fit::fit(&set.wheels, &rows).unwrap();
+    let parameters = fit::fit(&set.wheels, &rows, &Latch::new(&Silent)).unwrap();
     for wheel in &set.wheels {
         let file = wheel.fitted.as_ref().unwrap();
         let fitted = parameters.sand(wheel, &file.name, &file.source).unwrap();

@@ -8,7 +8,7 @@ use sandgait::evaluate::commands::CommandStudy;
 use sandgait::evaluate::{Evaluation, EvaluationRequest, PolicySource};
 use sandgait::policy::write::OnnxWriter;
 use sandgait::progress::Silent;
-use sandgait::robots::{self, Packages};
+use sandgait::robots::{self, Reading};
 use sandgait::sim::tree::{packed, plates::of_touching};
 use serde_json::{Value, json};
 use std::path::Path;
@@ -48,7 +48,7 @@ fn the_built_in_robot_equals_its_file() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/env/options/sandcat.json");
     let import = robots::named::NamedRobot::of("sandcat").unwrap().unwrap();
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/sandcat.urdf");
-    let import = import.load(&file, &Packages::default()).unwrap();
+    let import = import.load(&file, &Reading::default()).unwrap();
     let (own, packed) = (std::fs::read_to_string(path).unwrap(), packed_text(&import));
     assert!(own.trim() == packed, "pack the file again");
 }

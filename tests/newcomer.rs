@@ -35,6 +35,14 @@ fn a_policy_brings_its_task_and_options() {
     assert!(table.contains("policy.onnx, sandgait/HexapodTerrain-v1"), "{table}");
     let report = text(&["bench", "--policy", TERRAIN, "--envs", "4", "--repeats", "5", "--seconds", "0.001"]);
     assert!(report.contains("sandgait/HexapodTerrain-v1") && report.contains("actions policy"), "{report}");
+    // The folder stands for its policy, also where a policy is wanted for something else.
+    let folder = Path::new(TERRAIN).parent().unwrap().to_str().unwrap();
+    assert_eq!(text(&[&["evaluate", folder][..], &short].concat()), table);
+    let report = text(&["bench", "--policy", folder, "--envs", "4", "--repeats", "5", "--seconds", "0.001"]);
+    assert!(report.contains("sandgait/HexapodTerrain-v1"), "{report}");
+    for command in ["evaluate", "play"] {
+        refused(&[command, "src"], &["src/policy.onnx"]);
+    }
     // Another task takes none of the training's options, and says so.
     let other = sandgait(&[&["evaluate", TERRAIN, "--task", "HexapodGait"][..], &short].concat());
     let said = String::from_utf8(other.stderr).unwrap();

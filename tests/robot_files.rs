@@ -240,3 +240,84 @@ fn legs_stand_on_their_feet_not_on_their_knees() {
     }
     assert!(stance.leg_length > 0.25, "{stance:?}");
 }
+
+/// Two legs as MJCF. `parts` are the joints of a leg from the trunk outward: its name, its axis, and how far it is below the
+/// one before it. A foot 0.05 m high hangs on the last joint.
+fn legs_of(parts: &[(&str, &str, f64)]) -> String {
+    let leg = |side: &str, y: f64| {
+        let mut text = String::new();
+        for (k, (name, axis, below)) in parts.iter().enumerate() {
+            let y = if k == 0 { y } else { 0.0 };
+            text += &format!(
+                r#"<body name="{side}_{name}" pos="0 {y} {}"><joint name="{side}_{name}" axis="{axis}" range="-1 1.5"/>
+                <inertial pos="0 0 -0.05" mass="1" diaginertia="0.01 0.01 0.01"/>"#,
+                -below
+            );
+        }
+        text + r#"<geom type="box" size="0.1 0.04 0.02" pos="0.04 0 -0.03"/>"# + &"</body>".repeat(parts.len())
+    };
+    let zeros = "0 ".repeat(2 * parts.len());
+    format!(
+        r#"<mujoco><compiler angle="radian"/><worldbody><body name="pelvis" pos="0 0 0.8"><freejoint/>
+          <geom type="box" size="0.08 0.12 0.07" mass="10"/>{}{}</body></worldbody>
+          <keyframe><key name="home" qpos="0 0 0.8 1 0 0 0 {zeros}"/></keyframe></mujoco>"#,
+        leg("L", 0.1),
+        leg("R", -0.1)
+    )
+}
+
+/// A leg is as long as from its hip to its sole, also where joints divide the thigh (Unitree's G1, Booster's T1) or the thigh is
+/// much shorter than the shank; the base's frame stays where the file has it.
+#[test]
+fn legs_begin_at_their_hips() {
+    let divided = [
+        ("pitch", "0 1 0", 0.07),
+        ("roll", "1 0 0", 0.03),
+        ("yaw", "0 0 1", 0.15),
+        ("knee", "0 1 0", 0.18),
+        ("ankle", "0 1 0", 0.31),
+    ];
+    let short = [
+        ("yaw", "0 0 1", 0.07),
+        ("roll", "1 0 0", 0.0),
+        ("pitch", "0 1 0", 0.02),
+        ("knee", "0 1 0", 0.11),
+        ("ankle", "0 1 0", 0.33),
+        ("ankle_roll", "1 0 0", 0.0),
+    ];
+    for (parts, length) in [(&divided[..], 0.03 + 0.15 + 0.18 + 0.31 + 0.05), (&short[..], 0.11 + 0.33 + 0.05)] {
+        let import = read(&legs_of(parts)).unwrap();
+        assert_eq!(import.stance.legs.len(), 2);
+        assert!((import.stance.leg_length - length).abs() < 1e-3, "{} {length}", import.stance.leg_length);
+        assert!(import.warnings.iter().all(|w| !w.contains("root's frame")), "{:?}", import.warnings);
+        // Without the file's pose each foot stands under its thigh, and the robot is nearly upright.
+        let text = legs_of(parts);
+        let (before, after) =
+            (text.find("<keyframe>").unwrap(), "</keyframe>".len() + text.find("</keyframe>").unwrap());
+        let found = read(&(text[..before].to_owned() + &text[after..])).unwrap().stance;
+        assert!((0.8 * length..length).contains(&found.leg_length), "{found:?}");
+    }
+}
+
+/// A keyframe with an arm's joint, or slightly with a leg's, outside of its range is the standing pose, at the ranges' ends.
+#[test]
+fn a_pose_slightly_outside_of_the_ranges_is_kept() {
+    let key = |knee: f64, thumb: f64| {
+        let inertial = r#"<inertial pos="0.1 0 0" mass="0.1" diaginertia="1e-4 1e-4 1e-4"/>"#;
+        let arm = format!(
+            r#"<body pos="0.3 0 0">{inertial}<joint name="thumb" axis="0 1 0" range="-1 1" limited="true"/></body>"#
+        );
+        let pose = format!("0.15 {knee} ") + &"0.15 -0.3 ".repeat(3);
+        let key = format!(r#"<keyframe><key qpos="0 0 0.3 1 0 0 0 {thumb} {pose}"/></keyframe>"#);
+        read(&quadruped("", &arm, "", &key)).unwrap()
+    };
+    for (knee, thumb, named) in
+        [(-0.3, 1.05, Some("thumb")), (-0.3, 1.9, Some("thumb")), (-0.27, 0.0, Some("FL_knee")), (-0.3, 0.0, None)]
+    {
+        let import = key(knee, thumb);
+        assert_eq!(import.stance.angles[..3], [thumb.min(1.0), 0.15, knee.min(-0.3)], "{:?}", import.warnings);
+        let said = import.warnings.iter().find(|w| w.contains("at the end of its range"));
+        assert_eq!(said.is_some(), named.is_some(), "{:?}", import.warnings);
+        assert!(named.is_none_or(|name| said.unwrap().contains(name)), "{said:?}");
+    }
+}

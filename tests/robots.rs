@@ -312,7 +312,7 @@ fn unsupported_elements_are_named() {
     let path = folder.path().join("r.xml");
     let text = std::fs::read_to_string(here("robots/sandcat.xml")).unwrap();
     let text = text.replace("<freejoint/>", r#"<freejoint/><site name="imu"/><camera name="eye"/>"#);
-    let text = text.replace("<keyframe>", r#"<sensor><gyro site="imu"/></sensor><tendon/><keyframe>"#);
+    let text = text.replace("<keyframe>", r#"<sensor><gyro site="imu"/></sensor><tendon><fixed name="t" stiffness="3"><joint joint="FL_knee" coef="1"/></fixed></tendon><keyframe>"#);
     let text = text.replace(
         r#"name="FL_knee" class="knee""#,
         r#"name="FL_knee" class="knee" stiffness="3" springref="0.5" margin="0.1""#,

@@ -136,8 +136,9 @@ fn broken_urdf() -> Vec<Broken> {
         entry("too many elements", robot(&"<gazebo/>".repeat(300_000)), &["nodes"]),
         entry("too large", format!("<robot name=\"{}\"/>", "x".repeat(9 << 20)), &["MiB"]),
         entry("cut off", urdf[..urdf.len() / 2].into(), &["no XML"]),
-        entry("nothing", String::new(), &["no XML"]),
-        entry("another root", "<html/>".into(), &["neither"]),
+        entry("nothing", String::new(), &["is empty"]),
+        entry("a web page", "<html/>".into(), &["web page"]),
+        entry("another root", "<sdf/>".into(), &["neither"]),
         entry("no links", robot(""), &["no <link>"]),
         entry("too far", changed("xyz=\"0 0 -0.18\"", "xyz=\"0 0 -1e9\""), &["100 m"]),
     ]

@@ -24,7 +24,7 @@ fn refused(id: &str, options: Value) -> String {
     Blueprint::new(id, options).err().unwrap().to_string()
 }
 
-/// A task may be called without `sandgait/`, and its latest version without the version.
+/// A task may be called without `sandgait/`, and its latest version without the version, as Python does it.
 #[test]
 fn short_names_are_ids() {
     for id in TASK_IDS {
@@ -33,9 +33,10 @@ fn short_names_are_ids() {
         let short = bare.split("-v").next().unwrap();
         let versions = || TASK_IDS.into_iter().filter(|id| id.starts_with(&format!("sandgait/{short}-v")));
         assert_eq!(task_id(short), versions().max().unwrap());
+        assert_eq!(task_id(&format!("sandgait/{short}")), task_id(short));
     }
     assert_eq!(task_id("HexapodLegs"), "sandgait/HexapodLegs-v2");
-    for other in ["HexapodGait-v0", "Pendulum-v1", "sandgait/HexapodGait", ""] {
+    for other in ["HexapodGait-v0", "Pendulum-v1", "sandgait/Hexapod", ""] {
         assert_eq!(task_id(other), other);
     }
 }

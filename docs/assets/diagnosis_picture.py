@@ -28,7 +28,7 @@ def picture(page: Path, out: Path, width: int, height: int) -> None:
         tab.close()
 
 
-def main(program: str, out: str = "docs/images/diagnosis.png", width: str = "1000", height: str = "1240") -> None:
+def main(program: str, out: str = "docs/images/diagnosis.png", width: str = "1000", height: str = "900") -> None:
     """Makes the diagnosis and the picture."""
     log = ROOT / "examples/data/force_log"
     with tempfile.TemporaryDirectory() as folder:

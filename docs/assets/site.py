@@ -1,5 +1,5 @@
 """Hooks of mkdocs for the site: formulas, pages from files of the root folder and from the notebook, the page of the
-protocol, llms.txt."""
+protocol, the table of mechanisms, llms.txt."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ ROOT = Path(__file__).parents[2]
 
 #: Pages of the site whose files are not in docs/, because people look for them in the root folder.
 ELSEWHERE = {
+    "README.md": "index.md",
     "ARCHITECTURE.md": "architecture.md",
     "CONTRIBUTING.md": "contributing.md",
     "CHANGELOG.md": "changelog.md",
@@ -48,11 +49,12 @@ def notebook() -> str:
 def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
     """Converts formulas (```math, which GitHub also shows) to MathML for browsers, and links to files of `ELSEWHERE` to
     links to their pages."""
+    if page.file.src_uri == "index.md":
+        markdown = markdown.replace("](docs/", "](").replace(f"]({NOTEBOOK.name})", "](ten_minutes.md)")
     for source, target in ELSEWHERE.items():
         markdown = markdown.replace(f"](../{source}", f"]({target}").replace(f"]({source})", f"]({target})")
-    if page.file.src_uri == "index.md":
-        markdown = markdown.replace(f"]({NOTEBOOK.name})", "](ten_minutes.md)")
     markdown = markdown.replace("<!-- proto/sandgait/v1 -->", protocol())
+    markdown = markdown.replace("<!-- src/sand/mechanism.rs -->", mechanisms())
     TEXTS[page.file.dest_uri] = markdown
     return re.sub(r"^```math\n(.*?)\n```$", _formula, markdown, flags=re.DOTALL | re.MULTILINE)
 
@@ -85,6 +87,19 @@ def protocol() -> str:
             elif not line.strip():
                 comment = []
     return "\n".join(parts)
+
+
+def mechanisms() -> str:
+    """The rows of `mechanisms!` in src/sand/mechanism.rs as a table."""
+    entry = r'^    (\w+): "(.*?)", "(.*?)", \[(.*?), (.*?)\], [\d.]+, (\w+),.*\n\s*"(.*?)", "(.*?)"'
+    text = (ROOT / "src/sand/mechanism.rs").read_text(encoding="utf-8")
+    lines = ["| id | value | law | acts in | bounds | source |", "|---|---|---|---|---|---|"]
+    for name, symbol, unit, low, high, side, law, source in re.findall(entry, text, flags=re.MULTILINE):
+        value = symbol if unit == "1" else f"{symbol} [{unit}]"
+        bounds = f"{float(low):g} to {float(high):g}".replace("-", "−")
+        cells = [f"`{name}`", value, law, side.lower(), bounds, source]
+        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+    return "\n".join(lines)
 
 
 def first_sentence(markdown: str) -> str:

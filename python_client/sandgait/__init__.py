@@ -18,6 +18,10 @@ Sand for other simulators:
 
     sandgait.Sand("poppy-loose").wrench(sandgait.Bodies({"foot": "sphere:radius=0.02"}), position, ...)
 
+Any simulator of sand beside ours, in the same measured rows:
+
+    sandgait.scoreboard({"mine": entry}).to_html("scoreboard.html")
+
 Learning a gait takes a minute, without torch:
 
     sandgait.train("sandgait/HexapodGait-v1", seconds=60).policy
@@ -33,8 +37,9 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
+from . import study_functions
 from ._native import __version__
-from .diagnosis import Diagnosis, diagnose
+from .diagnosis import Diagnosis
 from .door import describe
 from .env import SandgaitEnv
 from .errors import (
@@ -49,13 +54,14 @@ from .errors import (
     UnknownOption,
     WrongType,
 )
-from .policies import Evaluation, evaluate
 from .recording import Recording, Section, read_recording
 from .remote import Remote
+from .results import Evaluation, Intrusion, Sweep, Trials, Walks
 from .robots import check_robot
 from .sand import Bodies, Sand, implicit_wrench
+from .scoring import Scoreboard, scoreboard
 from .spaces import Column, Option, Task
-from .studies import Intrusion, Sweep, Trials, Walks, intrude, sweep, walk
+from .study_functions import *  # noqa: F403 - every study is a function of this package
 from .tables import Table
 from .training import Training, mirror, train
 from .vector_env import SandgaitVectorEnv
@@ -85,6 +91,7 @@ __all__ = [
     "SandgaitEnv",
     "SandgaitError",
     "SandgaitVectorEnv",
+    "Scoreboard",
     "Section",
     "ServerLost",
     "SessionLost",
@@ -100,18 +107,15 @@ __all__ = [
     "__version__",
     "check_robot",
     "describe",
-    "diagnose",
-    "evaluate",
     "export_onnx",
     "implicit_wrench",
-    "intrude",
     "make_sb3",
     "mirror",
     "read_recording",
-    "sweep",
+    "scoreboard",
     "train",
-    "walk",
 ]
+__all__ += study_functions.__all__
 
 TASKS = (
     "sandgait/HexapodGait-v1",

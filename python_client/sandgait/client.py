@@ -66,10 +66,10 @@ def describe(address: str) -> tuple[str, tuple[Task, ...]]:
     return version, tuple(Task.of(task) for task in tasks)
 
 
-def study(address: str, name: str, request: Mapping[str, Any], told: Any = None) -> Any:
-    """Result of a study at `address`; see `door.study`."""
+def study(address: str, name: str, words: Sequence[str], files: Mapping[str, Any], told: Any) -> Any:
+    """The study `name` with its arguments as words, at `address`; see `study_call`."""
     try:
-        return _native.study(place(address), name, request, told)
+        return _native.study(place(address), name, words, files, told)
     except _native.StatusError as error:
         raise _error(*error.args, address) from None
 

@@ -50,7 +50,7 @@ def describe(folder: str | Path) -> str:
         raise Refused(f"{settings}: there is no such file; describe a folder that `sandgait train` wrote")
     try:
         onnx = (place / "policy.onnx").read_bytes()
-        task, options = trained(settings, None, {})
+        task, options = trained(settings)
         about, trace = _native.describe_policy(task, with_files(options), onnx)
     except OSError as error:
         raise Refused(f"{place / 'policy.onnx'}: cannot be read: {error.strerror}") from None

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import html as markup
 import json
+import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,19 +12,17 @@ from typing import Any, cast
 
 import numpy as np
 
-from .arguments import checked
-from .door import study
-from .errors import InvalidRequest, LimitReached
-from .studies import Display, FilePath, ProgressOption, columns, file
+from . import notebook
+from .errors import InvalidRequest
+from .snapshots import FilePath
 from .tables import Table, new_axes
-
-#: Largest size of the data [bytes]: our choice, 1 MiB less than the request that a server accepts, for the experiment.
-#: `sandgait diagnose` on the command line reads larger files.
-MOST_BYTES = 63 * 2**20
 
 #: Default number of conditions in a figure: those with the largest errors of the plain model. Our choice, because each
 #: has a row of panels.
 CONDITIONS = 4
+
+#: What the colours of the report's panels mean (src/diagnose/page.rs).
+_COLOURS = "measured (black), plain model (blue), extended model (orange), ± σ of a repetition (band)"
 
 
 class Diagnosis:
@@ -44,8 +44,18 @@ class Diagnosis:
 
     @property
     def verdict(self) -> str:
-        """The verdict: noise_floor, named, ambiguous, described, none_of_these or insufficient_data."""
+        """The verdict: noise_floor, recalibrated, named, ambiguous, described, none_of_these or insufficient_data."""
         return cast(str, self.report["verdict"])
+
+    @property
+    def headline(self) -> str:
+        """What is wrong, how much and how sure, in at most 160 characters."""
+        return cast(str, self.report["headline"])
+
+    @property
+    def action(self) -> str:
+        """What to do."""
+        return cast(str, self.report["action"])
 
     @property
     def summary(self) -> str:
@@ -54,14 +64,29 @@ class Diagnosis:
 
     @property
     def causes(self) -> list[dict[str, Any]]:
-        """The causes, each with id, value, unit and ci95; empty unless the verdict is named or ambiguous."""
+        """Each cause with id, kind (sand, measurement or robot), value, unit and ci95.
+
+        Empty unless the verdict is named or ambiguous.
+        """
         return cast(list[dict[str, Any]], self.report["causes"])
 
     def __repr__(self) -> str:
-        return f"<Diagnosis: {self.verdict}: {self.summary}>"
+        return f"<Diagnosis: {self.verdict}: {self.headline}>"
 
     def _repr_html_(self) -> str:
-        return f"<b>{self.verdict}</b>: {self.summary}"
+        """The headline, what to do, where the plain model's error differs most, and the panels of the condition that
+        fits worst."""
+        lines = notebook.title(f"{self.verdict}: {self.headline}") + notebook.paragraph(self.action)
+        if split := self.report["split"]:
+            said = ", ".join(f"{part['error']:+.0%} {part['name']}" for part in split["parts"])
+            lines += notebook.paragraph(f"Measured against predicted forces of the plain model: {said}")
+        panels = re.search(r"<h3>([^<]*)</h3><div class=panels>(.*?)</div>", self.html, flags=re.DOTALL)
+        if panels is None:
+            return lines + notebook.paragraph("No picture: the report has none.")
+        condition = markup.unescape(panels[1])
+        drawings = re.findall(r"<svg .*?</svg>", panels[2], flags=re.DOTALL)
+        pictures = "".join(notebook.drawing(svg, f"forces, {condition}") for svg in drawings)
+        return lines + notebook.paragraph(f"{condition}: {_COLOURS}") + pictures
 
     def save(self, out: FilePath) -> None:
         """Writes report.json, report.html, sand.toml and hardware.toml into the directory `out`, as the command line
@@ -134,59 +159,23 @@ class Diagnosis:
         ax.axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
 
 
-@checked
-def diagnose(
-    data: Any, experiment: FilePath | Mapping[str, Any], address: str | None = None, progress: ProgressOption = True
-) -> Diagnosis:
-    """Finds where the simulation differs from `data`, names the cause, extends the model and measures its gain.
-
-    `data`: path of a CSV file, or a pandas DataFrame with the same columns; at most 63 MiB as CSV. It may also be a
-    recording that `sandgait.logs` reads: Parquet, MCAP, a bag of ROS 1 or ROS 2, a LeRobot data set. `experiment`: path
-    of an EXPERIMENT.toml, or the same tables as a dict. Files that it names (`medium = "sand.toml"`, `hardware =
-    "hardware.toml"`) are read here. Ctrl-C stops the work, also on a server.
-    """
-    experiment = _with_files(experiment)
-    name, content = _content(data, experiment)
-    if len(content) > MOST_BYTES:
-        size = len(content) / 2**20
-        raise LimitReached(
-            f"data: {size:.0f} MiB are more than the {MOST_BYTES >> 20} MiB a server takes; "
-            "`sandgait diagnose` on the command line reads files of up to 256 MiB"
-        )
-    tables = experiment if isinstance(experiment, Mapping) else None
-    toml = None if isinstance(experiment, Mapping) else file(experiment, "experiment")
-    request = {"data": (name, content), "values": tables, "file": toml}
-    with Display(progress) as told:
-        report, html, sand, hardware, curves = study(address, "Diagnose", request, told)
-    return Diagnosis(report, html, sand, hardware, Table(*columns(curves)))
-
-
-def _tables(experiment: FilePath | Mapping[str, Any]) -> Mapping[str, Any]:
+def tables_of(experiment: FilePath | Mapping[str, Any]) -> Mapping[str, Any]:
+    """The tables of an experiment; none if its file cannot be read, which the study refuses with the line."""
     if isinstance(experiment, Mapping):
         return experiment
-    name, text = file(experiment, "experiment")
     try:
-        return tomllib.loads(text.decode())
-    except ValueError as error:
-        raise InvalidRequest(f"{name}: {error}") from None
+        return tomllib.loads(Path(experiment).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
 
 
-def _with_files(experiment: FilePath | Mapping[str, Any]) -> FilePath | Mapping[str, Any]:
-    """The tables with the texts of the files that they name; `experiment` itself if they name none."""
-    try:
-        tables = _tables(experiment)
-    except InvalidRequest:
-        return experiment  # refused later, with the line of the error
-    named = [key for key in ("medium", "hardware") if str(tables.get(key, "")).endswith(".toml")]
-    return {**tables, **{key: file(tables[key], key)[1].decode() for key in named}} if named else experiment
-
-
-def _content(data: Any, experiment: FilePath | Mapping[str, Any]) -> tuple[str, bytes]:
+def content(data: Any, experiment: FilePath | Mapping[str, Any]) -> tuple[str, bytes] | None:
+    """Name and bytes of measured data that are no CSV file: a frame, or a recording as a table. None: a CSV file."""
     from . import logs  # not above, so that `python -m sandgait.logs` loads it once
 
     if hasattr(data, "to_csv"):
         return "data", data.to_csv(index=False).encode()
     if logs.kind(data) is None:
-        return file(data, "data")
+        return None
     folder = Path() if isinstance(experiment, Mapping) else Path(experiment).parent
-    return str(data), logs.for_experiment(data, _tables(experiment), folder)
+    return str(data), logs.for_experiment(data, tables_of(experiment), folder)

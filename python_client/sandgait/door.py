@@ -23,9 +23,6 @@ from .user_warnings import warn
 #: Azimuth and elevation of a camera [°], its distance [m], and whether it follows the robot. None: the default.
 Camera = tuple[float | None, float | None, float | None, bool]
 
-#: A study calls this function with its progress: the finished share of the work, and the present stage.
-Told = Callable[[float, str], None]
-
 
 class Held(NamedTuple):
     """Closes a session when no other object refers to it any more."""
@@ -154,15 +151,3 @@ def describe(address: str | None = None) -> tuple[str, tuple[Task, ...]]:
     from . import client
 
     return client.describe(address)
-
-
-def study(address: str | None, name: str, request: Mapping[str, Any], told: Told | None = None) -> Any:
-    """Result of a study at `address` or in this process. It is a table; for a diagnosis, three files and a table.
-
-    Ctrl-C, or an exception that `told` raises, stops the study.
-    """
-    if address is None:
-        return _native.study(None, name, request, told)
-    from . import client
-
-    return client.study(address, name, request, told)

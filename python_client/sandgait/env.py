@@ -160,6 +160,16 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     def _in_step(self) -> bool:
         return self._in_flight is not None
 
+    def _first_over(self) -> bool:
+        return self._over
+
+    def _asked(self) -> dict[str, Any]:
+        """Without the limit of `registered`, which no user gave."""
+        given = super()._asked()
+        if given.get("max_episode_steps") != LONGEST_EPISODE:
+            return given
+        return {name: value for name, value in given.items() if name != "max_episode_steps"}
+
     def _require_rest(self, call: str) -> None:
         if self._in_flight is not None:
             raise OutOfOrder(f"{call}: a step was interrupted; call step for its answer, or reset")

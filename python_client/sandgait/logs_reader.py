@@ -150,7 +150,10 @@ def main(parent: str, seconds: str, form: str, file: str, *topics: str) -> None:
             table = parquet(path)
         else:
             chosen = dict(cast(tuple[str, str], tuple(topic.split("=", 1))) for topic in topics)
-            table = pyarrow.table(ros.robot(ros.mcap(path) if form == "mcap" else ros.bag(path), chosen))
+            messages = ros.mcap(path) if form == "mcap" else ros.bag(path)
+            of_controller, messages = walk.split(messages)
+            columns = walk.table(messages, ros.bound) if of_controller else ros.robot(messages, chosen)
+            table = pyarrow.table(columns)
         if not table.num_rows or not table.num_columns:
             raise ros.Wrong("no rows")
         pyarrow.csv.write_csv(table, sys.stdout.buffer)
@@ -185,6 +188,7 @@ def end(reason: str) -> None:
 
 
 ros = _beside("logs_ros")
+walk = _beside("logs_walk")
 
 if __name__ == "__main__":
     main(*sys.argv[1:])

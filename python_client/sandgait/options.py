@@ -37,8 +37,9 @@ def with_files(options: Mapping[str, Any]) -> Mapping[str, Any]:
         if _native.is_description(str(robot)):
             # with its meshes cut into plates, as servers require
             allowed = folders(options.get("packages", ()))
-            texts["robot"], lines, dt = _native.pack_robot(str(robot), packages(), allowed)
-            options = {name: value for name, value in options.items() if name != "packages"}
+            inertia = str(options.get("inertia", "plausible"))
+            texts["robot"], lines, dt = _native.pack_robot(str(robot), packages(), allowed, inertia)
+            options = {name: value for name, value in options.items() if name not in ("packages", "inertia")}
             if dt is not None and "dt" not in options:
                 texts["dt"] = dt
             warn(lines, f"`sandgait robot {robot}` lists them")

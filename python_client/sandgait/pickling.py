@@ -12,7 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from . import notebook
 from .attributes import refusal
+from .door import describe
 from .errors import OutOfOrder, SandgaitError
 from .options import task_id
 from .shards import Address, Shards, open_shards
@@ -111,6 +113,35 @@ class Pickled:
     def _in_step(self) -> bool:
         """Has the answer of a step not been received yet?"""
         raise NotImplementedError
+
+    def _first_over(self) -> bool:
+        """Is the first environment's episode over, and is its last state still the present one?"""
+        raise NotImplementedError
+
+    def _asked(self) -> dict[str, Any]:
+        """The task options that the user gave."""
+        return self._origin.options
+
+    def _repr_html_(self) -> str:
+        """The first robot as it stands, the task, and the options that differ from their defaults."""
+        task = self.task
+        defaults = {o.name: o.default for known in describe()[1] if known.id == task.id for o in known.options}
+        about = {"environments": self._origin.num_envs, **notebook.differing(self._asked(), defaults)}
+        return notebook.title(task.id) + notebook.paragraph(task.summary) + self._picture() + notebook.facts(about)
+
+    def _picture(self) -> str:
+        """A picture of the first robot, or why there is none. It opens no session and waits for no step."""
+        if self._shut or self._opened is None:
+            return notebook.paragraph(
+                f"No picture: the environment is {'closed' if self._shut else 'a copy, not used yet'}."
+            )
+        if self._in_step():
+            return notebook.paragraph("No picture: a step is in flight.")
+        try:
+            pixels = self._view.pictures([0], self._first_over())[0]
+        except SandgaitError as error:
+            return notebook.paragraph(f"No picture: {error}.")
+        return notebook.picture(pixels, f"the robot of {self.task.id}")
 
     def __getstate__(self) -> dict[str, Any]:
         if self._in_step():

@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from .errors import InvalidRequest
+from .grounds import make_sand
 from .mujoco import ModelSand, add_sand
-from .sand import Sand
 from .user_warnings import warn
 
 try:
@@ -46,8 +46,12 @@ _LEAST = 1e-6
 class Conditions:
     """What a robot and its ground are like."""
 
-    #: "rigid", or a medium's name.
+    #: "rigid", a medium's name, or the text of a sand.toml.
     ground: str = "rigid"
+    #: The force law of a medium that is named.
+    law: str = "li2013"
+    #: Factor on the sand's stress.
+    sand_strength: float = 1.0
     slope_deg: float = 0.0
     #: Mass added at the base's centre of mass, as a part of the robot's mass.
     payload: float = 0.0
@@ -107,10 +111,11 @@ class Plant:
         self.data = mujoco.MjData(model)
         self.sand: ModelSand | None = None
         if conditions.ground != "rigid":
-            self.sand = add_sand(model, Sand(conditions.ground), floor=[_FLOOR])
+            sand = make_sand(conditions.ground, conditions.law, conditions.sand_strength)
+            self.sand = add_sand(model, sand, floor=[_FLOOR])
         self._random = np.random.default_rng(seed)
         self._late: list[tuple[float, Array, Array, Array]] = []
-        self._now: tuple[Array, ...] = ()
+        self._now: tuple[Array, ...] = tuple(np.zeros(len(joints)) for _ in range(3))  # no target yet
         #: Torques of the driven joints in the last time step [N·m].
         self.torque = np.zeros(len(joints))
         #: Largest torque as a part of its limit, largest speed [rad/s], and rms torque, since `reset`.
@@ -164,12 +169,18 @@ class Plant:
         out["time"] = self.time
         return out
 
-    def drive(self, targets: Array | None, stiffness: Array, damping: Array, seconds: float) -> None:
-        """Lets time pass; from `latency` on the motors follow these targets. None: they only damp."""
+    def drive(
+        self, targets: Array | None, stiffness: Array, damping: Array, seconds: float, held: bool = False
+    ) -> None:
+        """Lets time pass; from `latency` on the motors follow these targets. None: they only damp. `held`: the base
+        stays where it is, as in a gantry."""
         goal = np.zeros(len(self._dofs)) if targets is None else np.asarray(targets, np.float64)
         self._late.append((self.time + self.conditions.latency, goal, np.asarray(stiffness), np.asarray(damping)))
+        base = self.data.qpos[:7].copy()
         for _ in range(round(seconds / self.model.opt.timestep)):
             self._step()
+            if held:
+                self.data.qpos[:7], self.data.qvel[:6] = base, 0.0
 
     def wait(self, seconds: float) -> None:
         """Time passes while the robot hangs or is held."""
@@ -198,14 +209,8 @@ class Plant:
         while self._late and self._late[0][0] <= data.time + 1e-9:
             _, *now = self._late.pop(0)
             self._now = tuple(now)
-        target, stiffness, damping = self._now
-        position, speed = data.qpos[self._places], data.qvel[dofs]
-        wanted = self.conditions.motor_strength * (stiffness * (target - position) - damping * speed)
-        most, least = self._limit, -self._limit
-        if self._has_line:
-            line = np.clip(self._stall * (1.0 - np.abs(speed) / self._fastest), 0.0, self._limit)
-            most, least = np.where(speed > 0.0, line, most), np.where(speed < 0.0, -line, least)
-        self.torque = np.minimum(np.maximum(wanted, least), most)
+        speed = data.qvel[dofs]
+        self.torque = self._servos()
         data.qfrc_applied[dofs] = self.torque
         if self.sand is None:
             mujoco.mj_step(self.model, data)
@@ -216,8 +221,21 @@ class Plant:
         self._squares += self.torque * self.torque
         self._count += 1
 
+    def _servos(self) -> Array:
+        """Torques of the driven joints in the present state [N·m]."""
+        target, stiffness, damping = self._now
+        position, speed = self.data.qpos[self._places], self.data.qvel[self._dofs]
+        wanted = self.conditions.motor_strength * (stiffness * (target - position) - damping * speed)
+        most, least = self._limit, -self._limit
+        if self._has_line:
+            line = np.clip(self._stall * (1.0 - np.abs(speed) / self._fastest), 0.0, self._limit)
+            most, least = np.where(speed > 0.0, line, most), np.where(speed < 0.0, -line, least)
+        return np.asarray(np.minimum(np.maximum(wanted, least), most))
+
     def _exact(self) -> dict[str, Any]:
         data = self.data
+        applied = data.qfrc_applied.copy()
+        applied[self._dofs] = self._servos()  # sampled with the positions, not in the step that led to them
         turn = data.xmat[self._base].reshape(3, 3)
         quaternion = _product(self._tilt, data.qpos[3:7])
         down = np.zeros(3)
@@ -232,7 +250,7 @@ class Plant:
             "accelerometer": turn.T @ (data.qacc[:3] - self.model.opt.gravity),
             "joint_position": data.qpos[self._read[0]].copy(),
             "joint_velocity": data.qvel[self._read[1]].copy(),
-            "joint_torque": data.qfrc_applied[self._read[1]].copy(),
+            "joint_torque": applied[self._read[1]],
         }
 
 
@@ -295,7 +313,8 @@ def _joint(model: mujoco.MjModel, name: str, file: Path) -> int:
 def _lowest(model: mujoco.MjModel, data: mujoco.MjData) -> float:
     """Height of the lowest point of the shapes that touch the floor [m]."""
     floor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, _FLOOR)
-    touching = [g for g in range(model.ngeom) if g != floor and model.geom_bodyid[g] and model.geom_contype[g]]
+    collides = model.geom_contype | model.geom_conaffinity
+    touching = [g for g in range(model.ngeom) if g != floor and model.geom_bodyid[g] and collides[g]]
     heights = [_lowest_of(model, data, g) for g in touching]
     if not heights:
         raise InvalidRequest("robot: no shape of it collides; give a description with collision shapes")

@@ -18,6 +18,7 @@ from typing import IO, Any, cast
 import numpy as np
 import numpy.typing as npt
 
+from . import notebook
 from .arguments import checked
 from .errors import InvalidRequest, SandgaitError, unknown
 
@@ -93,6 +94,32 @@ class Recording:
     def columns(self) -> tuple[str, ...]:
         """Names of the columns of the first section."""
         return self.sections[0].columns
+
+    def _repr_html_(self) -> str:
+        """What the recording holds, its columns, and the way of the robot. The film needs the file."""
+        known = ("task", "robot", "medium", "slope_deg", "law", "seed", "sandgait")
+        about: dict[str, Any] = {name: self.header[name] for name in known if name in self.header}
+        rate = self.header.get("rate")
+        length = f", {len(self) / rate:.4g} s" if isinstance(rate, (int, float)) and rate > 0 else ""
+        about |= {
+            "episodes": len(self.sections),
+            "states": f"{len(self)}{length}",
+            "columns": ", ".join(map(str, self.columns)),
+        }
+        return (
+            notebook.title("Recording")
+            + notebook.facts(about)
+            + self._way()
+            + notebook.paragraph("The film of its file FILE: sandgait replay FILE --html film.html")
+        )
+
+    def _way(self) -> str:
+        """The way of the first episode, if it has columns for it."""
+        first = self.sections[0]
+        shapes = [first[name].shape[1:] if name in first.columns else None for name in ("time", "position")]
+        if shapes != [(), (3,)]:
+            return notebook.paragraph("No curve: the recording has no times or no positions of a robot.")
+        return notebook.curve(first["time"], first["position"][:, 0], "time [s]", "x of the first episode [m]")
 
     def __getitem__(self, name: str) -> Floats:
         parts = [s[name] for s in self.sections]

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from . import notebook
+
 Numbers = npt.NDArray[np.float64]
 
 
@@ -32,6 +34,9 @@ class Table(Mapping[str, npt.NDArray[Any]]):
     def __repr__(self) -> str:
         rows = len(next(iter(self._columns.values()), []))
         return f"<{type(self).__name__}: {rows} rows of {', '.join(self.label(name) for name in self)}>"
+
+    def _repr_html_(self) -> str:
+        return notebook.table([self.label(name) for name in self], list(self.values()))
 
     def label(self, name: str) -> str:
         """The label of an axis: name and unit, for example `Fx [N]`."""

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from gymnasium.vector import VectorEnv
 
-from . import _native
+from . import _native, notebook
 from .arguments import checked
 from .errors import InvalidRequest
 from .external import VectorEnvironments, check_vector
 from .options import task_id, with_files
 from .snapshots import FilePath
-from .studies import Display, ProgressOption
+from .study_call import Display, ProgressOption
 from .tables import Table
 
 
@@ -59,6 +59,13 @@ class Training:
 
     def __repr__(self) -> str:
         return f"<Training: {self.steps} steps in {self.seconds:.1f} s, in {self.out}>"
+
+    def _repr_html_(self) -> str:
+        """The learning curve, the results and the score."""
+        curve = notebook.curve(self.curve["steps"], self.curve["return"], "environment steps", "return")
+        score = {name: value for name, value in (self.score or {}).items() if value is not None}
+        about = {"steps": self.steps, "duration [s]": self.seconds, "folder": self.out, **score}
+        return notebook.title(self.summary.partition("\n")[0]) + curve + notebook.facts(about)
 
 
 @checked

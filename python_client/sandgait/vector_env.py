@@ -448,6 +448,9 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
     def _in_step(self) -> bool:
         return self._turn.in_flight
 
+    def _first_over(self) -> bool:
+        return bool(self._turn.ended[0])
+
     def close_extras(self, **kwargs: Any) -> None:
         """Ends the session and frees the environments' memory."""
         self._close()

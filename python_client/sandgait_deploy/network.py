@@ -1,9 +1,9 @@
 """The network of a policy: an ONNX file, computed by numpy to the same bits as the simulator computes it.
 
-`sandgait train` writes networks of a few operators. Here each sum is made in the order of the simulator
-(`src/policy/operator.rs`): it begins with the bias and adds the inputs one by one, in 32 bits, without fused
-multiply-add; tanh is that of the C library, as in the simulator. So actions are equal to the last bit on a machine with
-the same C library. onnxruntime adds in another order, and its actions differ in the last places.
+`sandgait train` and `sandgait.foreign` write networks of a few operators. Here each sum is made in the order of the
+simulator (`src/policy/operator.rs`): it begins with the bias and adds the inputs one by one, in 32 bits, without fused
+multiply-add; tanh, exp and expm1 are those of the C library, as in the simulator. So actions are equal to the last bit
+on a machine with the same C library. onnxruntime adds in another order, and its actions differ in the last places.
 """
 
 from __future__ import annotations
@@ -102,35 +102,49 @@ def _dense(x: Row, weights: Row, bias: Row) -> Row:
     return np.asarray(np.add.accumulate(products, axis=0, dtype=np.float32)[-1])
 
 
-def _library_tanh() -> Callable[[float], float]:
-    """tanhf of the C library; without it that of Python, rounded to 32 bits, which may differ in the last bit."""
-    name = ctypes.util.find_library("m") or ctypes.util.find_library("c")
+def _library(name: str, otherwise: Callable[[float], float]) -> Callable[[Row], Row]:
+    """The function `name` of the C library for each number of a row; without it `otherwise`, rounded to 32 bits, which
+    may differ in the last bit."""
+    library = ctypes.util.find_library("m") or ctypes.util.find_library("c")
     try:
-        function = ctypes.CDLL(name).tanhf if name else None
+        function: Any = getattr(ctypes.CDLL(library), name) if library else None
     except (OSError, AttributeError):
         function = None
     if function is None:
-        return math.tanh
-    function.restype, function.argtypes = ctypes.c_float, [ctypes.c_float]
-    return function
+        function = otherwise
+    else:
+        function.restype, function.argtypes = ctypes.c_float, [ctypes.c_float]
+    return lambda x: np.array([function(number) for number in x.tolist()], np.float32)
 
 
-_TANH = _library_tanh()
+_TANH, _EXPM1 = _library("tanhf", math.tanh), _library("expm1f", math.expm1)
+#: Of the exponent's overflow, beyond 88.7 in 32 bits, nothing else has to be known: 1 / (1 + inf) is 0.
+_EXP = _library("expf", lambda x: math.exp(x) if x < 700.0 else math.inf)
 
 
-def _tanh(x: Row) -> Row:
-    return np.array([_TANH(number) for number in x.tolist()], np.float32)
+def _elu(x: Row) -> Row:
+    return np.where(x < 0.0, _EXPM1(np.minimum(x, np.float32(0.0))), x)
+
+
+def _sigmoid(x: Row) -> Row:
+    one = np.float32(1.0)
+    with np.errstate(over="ignore"):
+        return np.asarray(one / (one + _EXP(-x)))
 
 
 _OPERATORS: dict[str, Callable[..., Row]] = {
     "Add": lambda a, b: a + b,
     "Sub": lambda a, b: a - b,
+    "Mul": lambda a, b: a * b,
     "Div": lambda a, b: a / b,
     "Max": np.maximum,
     "Min": np.minimum,
     "Clip": lambda x, low, high: np.minimum(np.maximum(x, low), high),
     "Gemm": _dense,
-    "Tanh": _tanh,
+    "Elu": _elu,
+    "Relu": lambda x: np.where(x < 0.0, np.float32(0.0), x),
+    "Sigmoid": _sigmoid,
+    "Tanh": _TANH,
     "Identity": lambda x: x,
 }
 

@@ -152,6 +152,18 @@ pub fn check_range(field: &str, value: f64, range: std::ops::RangeInclusive<f64>
     Err(Error::invalid(field, format!("{} is outside [{}, {}]", short(value), short(*low), short(*high))))
 }
 
+/// Longest TOML text of a sand, of hardware or of a hexapod [bytes]: our choice; such files have some kilobytes. A text of keys
+/// alone takes 160 times its length while it is read.
+const LONGEST_TOML: usize = 64 << 10;
+
+/// Refuses a TOML text that is too long to be read.
+pub fn check_toml(field: &str, text: &str) -> Result<()> {
+    match text.len() > LONGEST_TOML {
+        true => Err(Error::invalid(field, format!("its text has {} bytes; {LONGEST_TOML} are read", text.len()))),
+        false => Ok(()),
+    }
+}
+
 /// A number in a message: `0.25`, and `1e308` instead of 309 digits.
 pub fn short(value: f64) -> String {
     match value.abs() {
@@ -163,6 +175,13 @@ pub fn short(value: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn long_toml_is_not_read() {
+        assert!(check_toml("sand", &" ".repeat(LONGEST_TOML)).is_ok());
+        let refused = check_toml("sand", &" ".repeat(LONGEST_TOML + 1)).unwrap_err().to_string();
+        assert_eq!(refused, "sand: its text has 65537 bytes; 65536 are read");
+    }
 
     #[test]
     fn an_unknown_name_has_a_suggestion() {

@@ -196,6 +196,7 @@ pub fn closed_surface(triangles: Vec<[[f64; 3]; 3]>) -> Option<(Vec<[[f64; 3]; 3
     let vectors: Vec<_> = triangles.iter().map(|t| t.map(Vector3::from)).collect();
     match closed(&vectors) {
         Closed::Itself => Some((triangles, false)),
+        Closed::Turned(turned) => Some((turned.iter().map(|t| t.map(Into::into)).collect(), false)),
         Closed::Hull(hull) => Some((hull.iter().map(|t| t.map(Into::into)).collect(), true)),
         Closed::Nothing => None,
     }

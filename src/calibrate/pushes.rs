@@ -336,10 +336,13 @@ fn by_size(pushes: &[Penetration]) -> Result<Vec<OfSize>> {
 /// twice the scatter of beds that the diagnosis assumes for a robot's log (`bed_strength` in `diagnose/nuisance.rs`).
 const MOST_SCATTER: f64 = 10.0;
 
+/// Exponents of depth this close to 1 are not worth a warning: our choice; twice the depth then changes ζ by 3 %.
+const STRAIGHT: f64 = 0.05;
+
 fn cautions(study: &Pushes, pushes: &[Penetration]) -> Vec<String> {
     let mut cautions = Vec::new();
     let [low, high] = study.depth_exponent.interval;
-    if low > 1.0 || high < 1.0 {
+    if (low > 1.0 || high < 1.0) && (study.depth_exponent.value - 1.0).abs() > STRAIGHT {
         let [depth, _] = study.greatest;
         cautions.push(format!(
             "force grows as depth to the power {:.2} [{low:.2}, {high:.2}], not in proportion: ζ holds near {:.0} mm only",

@@ -45,21 +45,14 @@ pub fn diameter(area: f64) -> f64 {
     (area / std::f64::consts::FRAC_PI_4).sqrt()
 }
 
-/// Reads a file. `units` gives the units of depth and force if the header does not, `area` [m²] the size of pushes that
-/// state none.
-pub fn file(path: &Path, units: BTreeMap<String, String>, area: f64) -> Result<Tests> {
+/// Reads the `bytes` of a file; `path` names it in errors. `units` gives the units of depth and force if the header does not,
+/// `area` [m²] the size of pushes that state none.
+pub fn parse(path: &Path, bytes: &[u8], units: BTreeMap<String, String>, area: f64) -> Result<Tests> {
     // The same range as for one push.
     check_range("area", area, super::AREAS)?;
     let mut tests = Tests { assumed: diameter(area), ..Tests::default() };
     let asked = ReadOptions { units, ..ReadOptions::new(&COLUMNS) };
-    table::read(path, &asked, |row| tests.take(row))?;
-    tests.checked(path)
-}
-
-/// Reads tests from `text`; `path` names them in errors.
-pub fn text(path: &Path, text: &str, area: f64) -> Result<Tests> {
-    let mut tests = Tests { assumed: diameter(area), ..Tests::default() };
-    table::parse(path, text.as_bytes(), &ReadOptions::new(&COLUMNS), |row| tests.take(row))?;
+    table::parse(path, bytes, &asked, |row| tests.take(row))?;
     tests.checked(path)
 }
 

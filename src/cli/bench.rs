@@ -1,7 +1,6 @@
 //! `sandgait bench`
 
-use super::options::OptionArgs;
-use super::trained::task_and_options;
+use super::OptionArgs;
 use clap::ValueEnum as _;
 use sandgait::bench::{Actions, Direct, RolloutStepper, ServerStepper, Stepper, measure, random_actions};
 use sandgait::env::gait::HexapodGait;
@@ -12,6 +11,7 @@ use sandgait::number::Isa;
 use sandgait::policy::Network;
 use sandgait::session::MOST_ENVIRONMENTS;
 use sandgait::sim::engine::EngineKind;
+use sandgait::study::trained::{TrainedTask, policy_file, task_and_options};
 use sandgait::{Error, Result};
 use serde_json::{Value, json};
 use std::path::PathBuf;
@@ -28,7 +28,7 @@ use std::time::Duration;
   sandgait bench --threads 1 --json
   sandgait bench --envs 256 --through grpc-uds
   sandgait bench --task all --actions zero      (robots that stand)
-  sandgait bench --policy runs/gait/policy.onnx
+  sandgait bench --policy runs/gait
   sandgait bench --task LeggedVelocity --option ground=rigid --option robot=robots/sandcat.urdf
   sandgait bench --option sand=sand.toml --option leg=C
   SANDGAIT_ISA=avx2 sandgait bench            (avx512, avx2, baseline or f64)")]
@@ -53,7 +53,7 @@ pub struct BenchArgs {
     actions: Option<ActionChoice>,
     /// Network that computes the actions. Task and options are those in settings.json beside it where --task and
     /// --option say nothing
-    #[arg(long, value_name = "FILE.onnx")]
+    #[arg(long, value_name = "FOLDER")]
     policy: Option<PathBuf>,
     /// Interface through which steps are requested
     #[arg(long, value_enum, default_value_t = Transport::Process)]
@@ -112,12 +112,14 @@ impl BenchArgs {
             return Err(Error::invalid("--seconds", format!("{} is outside (0, 3600]", self.seconds)));
         }
         if self.task.as_deref() != Some("all") {
-            let (task, options) =
-                task_and_options(self.policy.as_deref(), self.task.as_deref(), &self.options, HexapodGait::ID)?;
+            let trained = self.policy().as_deref().map_or(Ok(None), TrainedTask::beside)?;
+            let (task, options, line) =
+                task_and_options(trained, self.task.as_deref(), &self.options, HexapodGait::ID, super::read_files)?;
+            super::warn_each(line.as_slice());
             let (json, line) = self.bench(&task, options)?;
             return Ok(if self.json { super::json(&json) } else { line });
         }
-        let options = Value::Object(self.options.read()?);
+        let options = Value::Object(self.options.read(super::read_files)?);
         let of_each = TASK_IDS.iter().map(|id| self.bench(id, options.clone())).collect::<Result<Vec<_>>>()?;
         let (all, lines): (Vec<_>, Vec<_>) = of_each.into_iter().unzip();
         Ok(if self.json { super::json(&all.into()) } else { lines.concat() })
@@ -147,6 +149,10 @@ impl BenchArgs {
         Ok(self.report(task, engine, &rates))
     }
 
+    fn policy(&self) -> Option<PathBuf> {
+        self.policy.as_deref().map(policy_file)
+    }
+
     /// Actions for calls of `at_once` control steps.
     fn actions(&self, spec: &Spec, at_once: usize) -> Result<Actions> {
         let rows = at_once * self.envs;
@@ -154,12 +160,12 @@ impl BenchArgs {
             let row = spec.action.iter().map(|c| (share * c.high) as f32);
             Ok(Actions::Made(vec![std::iter::repeat_n(row, rows).flatten().collect()]))
         };
-        match (self.chosen(), &self.policy) {
+        match (self.chosen(), self.policy()) {
             (ActionChoice::Policy, Some(file)) => {
-                let bytes = std::fs::read(file).map_err(|e| Error::file(file, e))?;
+                let bytes = std::fs::read(&file).map_err(|e| Error::file(&file, e))?;
                 Network::new(&bytes, spec).map(Actions::Policy)
             }
-            (ActionChoice::Policy, None) => Err(Error::invalid("--actions", "policy needs --policy FILE.onnx")),
+            (ActionChoice::Policy, None) => Err(Error::invalid("--actions", "policy needs --policy FOLDER")),
             (_, Some(_)) => Err(Error::invalid("--policy", "it is used only with --actions policy")),
             (ActionChoice::Random, None) => Ok(Actions::Made(random_actions(rows, spec.action.len()))),
             (ActionChoice::Zero, None) => held(0.0),

@@ -1,11 +1,8 @@
-//! The grammar of the command line, and refusals in one line.
+//! The grammar of the command line.
 
-use super::{Cli, layout};
-use clap::error::{ContextKind, ContextValue, ErrorKind};
+use super::Cli;
 use clap::{CommandFactory as _, FromArgMatches as _};
-use sandgait::Error;
-use sandgait::error::unknown_name;
-use std::error::Error as _;
+use sandgait::study::layout;
 use std::ffi::OsString;
 
 /// The command line's grammar. `-1` is a value, so that a number below its range is refused with the range. Examples are
@@ -27,56 +24,10 @@ pub(super) fn parse(arguments: &[OsString]) -> std::result::Result<Cli, clap::Er
     Cli::from_arg_matches(&grammar().try_get_matches_from(arguments)?)
 }
 
-/// clap's refusal in one line, in the words of this program's other messages.
-pub(super) fn one_line(error: &clap::Error) -> String {
-    let context = |kind| match error.get(kind) {
-        Some(ContextValue::String(text)) => Some(text.clone()),
-        Some(ContextValue::Strings(all)) if !all.is_empty() => Some(all.join(", ")),
-        _ => None,
-    };
-    // `--repeats <N>` without its placeholder
-    let name = |argument: String| argument.split(" <").next().unwrap_or_default().to_owned();
-    let argument = context(ContextKind::InvalidArg);
-    match (error.kind(), argument, context(ContextKind::InvalidValue)) {
-        (ErrorKind::MissingRequiredArgument, Some(missing), _) => format!("missing: {missing}"),
-        (ErrorKind::InvalidValue, Some(argument), Some(value)) if !value.is_empty() => {
-            let known = context(ContextKind::ValidValue).unwrap_or_default();
-            let known: Vec<&str> = known.split(", ").collect();
-            format!("{}: {}", name(argument), unknown_name(&value, &known))
-        }
-        (ErrorKind::ValueValidation, Some(argument), Some(value)) => {
-            let reason = error.source().map_or_else(String::new, |e| match e.downcast_ref::<Error>() {
-                Some(Error::Invalid { reason, .. }) => reason.clone(),
-                _ => range(&e.to_string()),
-            });
-            let repeats = reason.starts_with(&value) || reason.starts_with(&format!("{value:?}"));
-            let said = if repeats { reason } else { format!("{value:?}: {reason}") };
-            format!("{}: {said}", name(argument))
-        }
-        _ => without_usage(&error.to_string()),
-    }
-}
-
-/// Changes Rust's words for a number outside its range, such as `3 is not in 5..=65535`, into mathematical notation.
-fn range(reason: &str) -> String {
-    let Some((value, range)) = reason.split_once(" is not in ") else { return reason.to_owned() };
-    let (low, high) = range.split_once("..").unwrap_or((range, ""));
-    match high.strip_prefix('=') {
-        Some(high) => format!("{value} is outside [{low}, {high}]"),
-        None => format!("{value} is outside [{low}, {high})"),
-    }
-}
-
-/// clap's message without its usage block: `error: a … tip: b`.
-fn without_usage(message: &str) -> String {
-    let said = message.split("\nUsage:").next().unwrap_or(message);
-    let lines = said.lines().map(str::trim).filter(|l| !l.is_empty() && !l.starts_with("For more information"));
-    lines.collect::<Vec<_>>().join(" ").trim_start_matches("error: ").replace(" tip:", "; tip:")
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use sandgait::study::refusal::one_line;
 
     fn refused(line: &str) -> String {
         let words: Vec<_> = line.split(' ').map(OsString::from).collect();

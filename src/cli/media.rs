@@ -1,8 +1,8 @@
 //! `sandgait media`
 
-use super::layout::glossary;
 use sandgait::Result;
 use sandgait::sand::Medium;
+use sandgait::study::layout::glossary;
 
 /// List the built-in sands with the sources of their numbers.
 #[derive(clap::Args)]

@@ -2,57 +2,52 @@
 //! machine end with exit code 1.
 
 mod bench;
-mod calibrate;
+mod completions;
 mod config;
-mod diagnose;
-mod evaluate;
 mod grammar;
 mod heights;
-mod intrude;
-mod layout;
 mod media;
-mod options;
 mod play;
 mod progress;
 mod python;
 mod replay;
-mod reproduce;
 mod robot;
 mod robot_check;
 mod robot_json;
 mod robots;
 mod serve;
 mod stress;
-mod sweep;
+mod studies;
+mod study;
 mod task_page;
 mod tasks;
 mod train;
-mod trained;
-mod trials;
-mod validate;
-mod walk;
-
-use layout::table;
 
 pub use heights::pack as pack_heights;
 pub use robot::{check as check_robot, is_description, pack as pack_robot};
 pub use train::{TrainingArgs, learn};
 
-use self::grammar::{one_line, parse};
+use self::grammar::parse;
 use self::progress::Bar;
 use clap::error::ErrorKind;
 use clap::{CommandFactory as _, Parser, Subcommand};
-use sandgait::sand::{Law, Medium, SandDescription};
+use sandgait::sand::{Medium, SandDescription};
+use sandgait::study::arguments::whole;
+use sandgait::study::layout::table;
+use sandgait::study::options::{OptionArgs, unfelt_option};
+use sandgait::study::refusal::one_line;
 use sandgait::{Error, Result, error::bounded};
 use std::ffi::OsString;
 use std::io::Write as _;
-use std::ops::RangeInclusive;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Batched reinforcement-learning environments of legged robots on sand.
 #[derive(Parser)]
 #[command(version, max_term_width = 100, arg_required_else_help = true, after_help = EXAMPLES)]
 struct Cli {
+    /// Write no progress, notes and next steps to stderr; warnings and errors stay
+    #[arg(long, short, global = true)]
+    quiet: bool,
     #[command(subcommand)]
     command: CliCommand,
 }
@@ -84,17 +79,20 @@ fn read_text(option: Option<&mut serde_json::Value>) -> Result<()> {
     Ok(())
 }
 
-/// The commands, each with the file and the type of its arguments.
+/// The commands beside the studies, each with the file and the type of its arguments.
 macro_rules! commands {
     ($($name:ident: $file:ident::$arguments:ident),* $(,)?) => {
         #[derive(Subcommand)]
         enum CliCommand {
+            #[command(flatten)]
+            Study(study::StudyCommand),
             $($name($file::$arguments)),*
         }
 
         /// Runs a command; its text goes to stdout.
         fn run(command: CliCommand) -> Result<String> {
             match command {
+                CliCommand::Study(study) => study.run(),
                 $(CliCommand::$name(arguments) => arguments.run()),*
             }
         }
@@ -103,25 +101,19 @@ macro_rules! commands {
 
 commands! {
     Serve: serve::ServeArgs,
-    Walk: walk::WalkArgs,
     Bench: bench::BenchArgs,
-    Diagnose: diagnose::DiagnoseArgs,
-    Evaluate: evaluate::EvaluateArgs,
-    Intrude: intrude::IntrudeArgs,
     Media: media::MediaArgs,
     Stress: stress::StressArgs,
     Play: play::PlayArgs,
     Replay: replay::ReplayArgs,
-    Reproduce: reproduce::ReproduceArgs,
     Robot: robot::RobotArgs,
     Robots: robots::RobotsArgs,
-    Calibrate: calibrate::CalibrateArgs,
+    Studies: studies::StudiesArgs,
     Certify: python::CertifyArgs,
     Adapt: python::AdaptArgs,
-    Sweep: sweep::SweepArgs,
     Tasks: tasks::TasksArgs,
     Train: train::TrainArgs,
-    Validate: validate::ValidateArgs,
+    Completions: completions::CompletionsArgs,
 }
 
 /// Runs the command line `arguments`, the program's name first, and returns the exit code.
@@ -131,18 +123,29 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     if arguments.get(1).is_some_and(|command| command == "help") {
         arguments.retain(|argument| argument != "--help" && argument != "-h");
     }
-    let outcome = match parse(&arguments) {
-        Ok(Cli { command: CliCommand::Serve(serve::ServeArgs { config: Some(file), .. }) }) => {
+    let parsed = parse(&arguments);
+    if parsed.as_ref().is_ok_and(|cli| cli.quiet) {
+        progress::silence();
+    }
+    let outcome = match parsed {
+        Ok(Cli { command: CliCommand::Serve(serve::ServeArgs { config: Some(file), .. }), .. }) => {
             with_file(&file, arguments).and_then(|cli| run(cli.command))
         }
-        Ok(Cli { command: CliCommand::Robot(robot) }) if robot.check => match robot.run_check() {
+        Ok(Cli { command: CliCommand::Robot(robot), .. }) if robot.check => match robot.run_check() {
             Ok((text, stands)) => return print(&text).max(u8::from(!stands)),
             Err(error) => Err(error),
         },
         Ok(cli) => run(cli.command),
-        Err(e) if matches!(e.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion) => Ok(e.to_string()),
-        Err(e) if e.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => {
-            Err(Error::invalid("command", "missing; see sandgait --help"))
+        // Without a command clap's error is the help.
+        Err(e)
+            if matches!(
+                e.kind(),
+                ErrorKind::DisplayHelp
+                    | ErrorKind::DisplayVersion
+                    | ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand
+            ) =>
+        {
+            Ok(e.to_string())
         }
         Err(e) => {
             eprintln!("sandgait: {}", bounded(one_line(&e)));
@@ -150,7 +153,11 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         }
     };
     match outcome {
-        Ok(text) => print(&text),
+        Ok(text) => {
+            let code = print(&text);
+            progress::say_next();
+            code
+        }
         Err(error) => {
             eprintln!("sandgait: {}", bounded(error.to_string().replace('\n', " ")));
             exit_code(&error)
@@ -167,17 +174,6 @@ fn with_file(file: &Path, given: Vec<OsString>) -> Result<Cli> {
     all.extend(config::arguments(command.unwrap_or(&cli), file)?);
     // The command line alone was valid, so the error is in the file.
     parse(&all.into_iter().chain(given).collect::<Vec<_>>()).map_err(|e| Error::file(file, one_line(&e)))
-}
-
-/// A parser of whole numbers in `range`. Its refusals name the range.
-fn whole<T: TryFrom<u64>>(
-    range: RangeInclusive<u64>,
-) -> impl Fn(&str) -> std::result::Result<T, String> + Clone + Send + Sync {
-    move |text| {
-        let number: i128 = text.parse().map_err(|_| "no whole number".to_owned())?;
-        let within = u64::try_from(number).ok().filter(|n| range.contains(n)).and_then(|n| T::try_from(n).ok());
-        within.ok_or_else(|| format!("{number} is outside [{}, {}]", range.start(), range.end()))
-    }
 }
 
 fn exit_code(error: &Error) -> u8 {
@@ -205,56 +201,20 @@ fn print(text: &str) -> u8 {
 /// Largest number of threads: our choice, because usual machines have fewer cores.
 const MOST_THREADS: u64 = 1024;
 
-/// The sand of a command.
-#[derive(clap::Args)]
-struct SandArgs {
-    /// Sand: a name from `sandgait media`, zeta=VALUE or mu=VALUE,rho=VALUE
-    #[arg(long, default_value = Medium::DEFAULT)]
-    medium: String,
-    /// Resistive force law: li2013, penetration-drag-1d or agarwal2023
-    #[arg(long, default_value = Law::Li2013.name())]
-    law: String,
-    /// A sand.toml, for example from a diagnosis, instead of --medium and --law
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["medium", "law"])]
-    sand: Option<PathBuf>,
-}
-
-impl SandArgs {
-    /// The sand of the file, or of medium and law by their names. Warns on stderr if its numbers are extrapolated.
-    fn sand(&self) -> Result<SandDescription> {
-        match &self.sand {
-            Some(file) => SandDescription::load(file),
-            None => named_sand(&self.medium, &self.law),
-        }
-    }
-
-    /// Like [`Self::sand`], for walking robots. Also warns on stderr of each mechanism that has no effect on them.
-    fn sand_to_walk_on(&self) -> Result<SandDescription> {
-        let sand = self.sand()?;
-        warn_of_unfelt(&sand);
-        Ok(sand)
-    }
-}
-
+/// Sand by names. Warns on stderr if its numbers are extrapolated.
 fn named_sand(medium: &str, law: &str) -> Result<SandDescription> {
-    if let Some(caution) = Medium::caution(medium) {
-        eprintln!("sandgait: warning: {caution}");
-    }
+    warn_each(Medium::caution(medium).as_slice());
     SandDescription::named(medium, law)
 }
 
 /// Warns of mechanisms without effect in the `sand` among a task's options.
 fn warn_of_unfelt_option(options: &serde_json::Value) {
-    let text = options.get("sand").and_then(serde_json::Value::as_str);
-    // If the text is not a sand, the task refuses it with its own message.
-    if let Some(sand) = text.and_then(|text| SandDescription::from_toml(text).ok()) {
-        warn_of_unfelt(&sand);
-    }
+    warn_each(unfelt_option(options).as_slice());
 }
 
-fn warn_of_unfelt(sand: &SandDescription) {
-    let lines = sand.mechanisms.unfelt_by_walkers();
-    warn(&lines.iter().map(|line| format!("sand {}: {line}", sand.name)).collect::<Vec<_>>(), "");
+/// Writes each line as a warning of its own.
+fn warn_each(lines: &[String]) {
+    lines.iter().for_each(|line| eprintln!("sandgait: warning: {line}"));
 }
 
 /// Number of notes of one kind that a warning shows: our choice, so that it can be read at a glance.

@@ -1,7 +1,6 @@
 //! `sandgait play`
 
-use super::options::OptionArgs;
-use super::trained::TrainedTask;
+use super::OptionArgs;
 use sandgait::env::Shard;
 use sandgait::env::Task;
 use sandgait::env::gait::HexapodGait;
@@ -9,6 +8,7 @@ use sandgait::env::legged::LeggedVelocity;
 use sandgait::env::registry::{Blueprint, task_id};
 use sandgait::policy::Network;
 use sandgait::service::{Address, PlayedEnvironment, bind_tcp, resting};
+use sandgait::study::trained::{TrainedTask, policy_file};
 use sandgait::{Error, Result};
 use serde_json::{Value, json};
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
@@ -18,7 +18,7 @@ use tokio_util::sync::CancellationToken;
 
 /// Walk a robot with the arrow keys, in a browser on this machine or, with --listen, on a phone.
 ///
-/// POLICY is an ONNX file of `sandgait train`, with settings.json beside it, or the task HexapodGait, whose policy is part of this
+/// POLICY is the folder of `sandgait train`, its ONNX file with settings.json beside it, or the task HexapodGait, whose policy is part of this
 /// program. Up and down: forward and back; left and right: turn; with Shift: to the side. A gamepad's sticks do the same, and on a touch screen the page has sticks. A
 /// policy follows only the commands of its training: that of HexapodGait walks forward at 0.1 to 0.4 m/s and does not turn,
 /// and without a key it walks at 0.1 m/s. The page names the keys that have an effect. The address that is printed has the key
@@ -26,11 +26,11 @@ use tokio_util::sync::CancellationToken;
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait play HexapodGait
-  sandgait play runs/go1/policy.onnx
-  sandgait play runs/go1/policy.onnx --option ground=rigid --no-browser
+  sandgait play runs/go1
+  sandgait play runs/go1 --option ground=rigid --no-browser
   sandgait play HexapodGait --listen 0.0.0.0:8080      (a phone in the same network can steer)")]
 pub struct PlayArgs {
-    /// FILE.onnx or HexapodGait
+    /// Folder of a training, FILE.onnx, or HexapodGait
     policy: String,
     #[command(flatten)]
     options: OptionArgs,
@@ -108,22 +108,23 @@ impl PlayArgs {
             let own = TrainedTask::from_settings(Path::new("settings.json"), HEXAPOD_SETTINGS.as_bytes())?;
             return Ok((HEXAPOD.to_vec(), own));
         }
-        if !self.policy.ends_with(".onnx") {
+        let path = policy_file(Path::new(&self.policy));
+        if path.extension().is_none_or(|ending| ending != "onnx") {
             let reason = format!(
-                "{:?} is neither an .onnx file nor HexapodGait, the task whose policy is part of this program",
+                "{:?} is neither the folder of a training, nor an .onnx file, nor HexapodGait, the task whose policy is part of this program",
                 self.policy
             );
             return Err(Error::invalid("policy", reason));
         }
-        let path = Path::new(&self.policy);
-        let onnx = std::fs::read(path).map_err(|e| Error::file(path, e))?;
-        let missing = || Error::file(path, "there is no settings.json beside it, which names the task and its options");
-        Ok((onnx, TrainedTask::beside(path)?.ok_or_else(missing)?))
+        let onnx = std::fs::read(&path).map_err(|e| Error::file(&path, e))?;
+        let missing =
+            || Error::file(&path, "there is no settings.json beside it, which names the task and its options");
+        Ok((onnx, TrainedTask::beside(&path)?.ok_or_else(missing)?))
     }
 
     /// The task, without randomness and with long episodes, and its policy.
     fn prepare(&self, onnx: &[u8], trained: &TrainedTask) -> Result<(Blueprint, Network)> {
-        let (task, mut options) = (trained.id.as_str(), trained.options(&self.options)?);
+        let (task, mut options) = (trained.id.as_str(), trained.options(&self.options, super::read_files)?);
         options["max_episode_steps"] = json!(STEPS);
         if task == LeggedVelocity::ID {
             options["domain_rand"] = Value::Null;

@@ -5,7 +5,36 @@ use parking_lot::Mutex;
 use sandgait::Result;
 use sandgait::progress::Progress;
 use std::io::IsTerminal as _;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
+
+/// `--quiet`.
+static QUIET: AtomicBool = AtomicBool::new(false);
+
+/// From now on neither progress nor notes are written.
+pub fn silence() {
+    QUIET.store(true, Ordering::Relaxed);
+}
+
+pub fn is_silent() -> bool {
+    QUIET.load(Ordering::Relaxed)
+}
+
+/// What a user may do next.
+static NEXT: Mutex<Option<String>> = Mutex::new(None);
+
+/// Keeps what a user may do next until the result has been printed.
+pub fn next_step(line: Option<String>) {
+    *NEXT.lock() = line;
+}
+
+/// Says what a user may do next, if a person reads: on terminals, without `--quiet`.
+pub fn say_next() {
+    let person = !is_silent() && std::io::stdout().is_terminal() && std::io::stderr().is_terminal();
+    if let Some(line) = NEXT.lock().take().filter(|_| person) {
+        eprintln!("next: {line}");
+    }
+}
 
 /// A log gets a line at every tenth of the work, but no line within [`SHORT`] after the start or the last line. It gets
 /// at least one line in every [`LONG`]. Our choice, so that short work writes nothing.
@@ -42,6 +71,9 @@ impl Bar {
 
     pub fn new() -> Self {
         let style = ProgressStyle::with_template("{bar:20} {percent:>3} %, {eta} left: {wide_msg}");
+        if is_silent() {
+            return Self { bar: ProgressBar::hidden(), log: None };
+        }
         let bar = ProgressBar::new(Self::STEPS).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
         let log = (!std::io::stderr().is_terminal()).then(|| Mutex::new(ProgressLog { tenth: 0, at: Instant::now() }));
         Self { bar, log }
@@ -61,7 +93,9 @@ impl Progress for Bar {
     }
 
     fn note(&self, line: &str) {
-        self.bar.suspend(|| eprintln!("sandgait: {line}"));
+        if !is_silent() {
+            self.bar.suspend(|| eprintln!("sandgait: {line}"));
+        }
     }
 }
 

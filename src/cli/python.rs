@@ -5,7 +5,7 @@ use sandgait::{Error, Result};
 
 /// Drive a robot by its policy in MuJoCo, on sand and on hard ground, and say whether it may leave the simulator.
 ///
-/// Needs the Python package: pip install 'sandgait[deploy]'. docs/deploy.md explains the sheet.
+/// Needs the Python package: pip install 'sandgait[deploy]'. docs/certify.md explains the sheet.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait certify runs/go1 --robot go1.xml
@@ -18,7 +18,7 @@ pub struct CertifyArgs {
 
 /// Train a policy on over what the log of its robot says of sand and motors, if the log can tell.
 ///
-/// Needs the Python package: pip install sandgait. docs/deploy.md explains the page.
+/// Needs the Python package: pip install sandgait. docs/certify.md explains the page.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait adapt walk.csv --policy runs/go1 --robot go1.xml --out runs/go1-adapted")]

@@ -1,6 +1,6 @@
 //! `sandgait replay`
 
-use super::layout::narrow_table;
+use sandgait::study::layout::narrow_table;
 use sandgait::view::{self, Section, page};
 use sandgait::{Error, Result};
 use serde_json::Value;

@@ -1,15 +1,16 @@
 //! `sandgait robot`
 
-use super::layout::{WIDTH, narrow_table, wrapped};
 use super::robot_check::StandingReport;
 use super::robot_json::{SandContacts, as_json, geometry, kind};
 use sandgait::env::options::RobotName;
-use sandgait::robots::{self, Import, Packages, states};
+use sandgait::robots::{self, Import, InertiaSource, Reading, states};
 use sandgait::sim::tree::looks::Looks;
 use sandgait::sim::tree::packed;
+use sandgait::study::layout::{WIDTH, narrow_table, wrapped};
 use sandgait::{Error, Result, sim, view};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 
 /// Width and height of pictures [px]: our choice, the ratio 4:3 for which the camera chooses its distance.
 const PICTURE: [u32; 2] = [960, 720];
@@ -64,6 +65,9 @@ pub struct RobotArgs {
     /// ROS_PACKAGE_PATH, AMENT_PREFIX_PATH
     #[arg(long, value_name = "FOLDER")]
     packages: Vec<PathBuf>,
+    /// `file` keeps inertias that no body can have; `plausible` replaces them by those of the body's shapes
+    #[arg(long, value_name = "SOURCE", value_parser = InertiaSource::from_str, default_value = "plausible")]
+    inertia: InertiaSource,
     /// Ground of --check besides hard ground: a medium's name, zeta=VALUE or mu=VALUE,rho=VALUE; default: poppy-close
     #[arg(long, value_name = "GROUND", requires = "check")]
     ground: Option<String>,
@@ -83,7 +87,7 @@ fn png_path(text: &str) -> std::result::Result<PathBuf, String> {
 
 impl RobotArgs {
     pub fn run(self) -> Result<String> {
-        let mut import = load(&self.file, &Packages(self.packages.clone()))?;
+        let mut import = load(&self.file, &self.reading())?;
         if let Some(rows) = &self.accelerations {
             let rows = states::compute(&import.as_in_file(), rows)?;
             let rows: Vec<Value> = rows.iter().map(|r| json!({"a": r.a, "alpha": r.alpha, "qdd": r.qdd})).collect();
@@ -118,6 +122,10 @@ impl RobotArgs {
 }
 
 impl RobotArgs {
+    fn reading(&self) -> Reading {
+        Reading { packages: self.packages.clone(), inertia: self.inertia }
+    }
+
     fn camera(&self) -> Result<view::CameraOptions> {
         let Self { azimuth_deg, elevation_deg, distance, .. } = *self;
         view::CameraOptions { azimuth_deg, elevation_deg, distance, fixed: false }.check()
@@ -125,7 +133,7 @@ impl RobotArgs {
 
     /// The sheet of `--check`, and whether the robot stands everywhere.
     pub fn run_check(&self) -> Result<(String, bool)> {
-        let mut import = load(&self.file, &Packages(self.packages.clone()))?;
+        let mut import = load(&self.file, &self.reading())?;
         let step = check_walks(&import)?;
         import.warnings.splice(0..0, step.map(|(_, line)| line));
         let touching = SandContacts::of(&import, self.touches.as_deref(), self.plate_size)?;
@@ -148,9 +156,9 @@ pub fn check(
     robot: &str,
     ground: Option<&str>,
     folders: &[PathBuf],
-    packages: Vec<PathBuf>,
+    reading: &Reading,
 ) -> Result<(String, Vec<String>)> {
-    let Packed { text, notes, .. } = pack(robot, folders, packages)?;
+    let Packed { text, notes, .. } = pack(robot, folders, reading)?;
     Ok((StandingReport::of(&text, ground)?.json().to_string(), notes))
 }
 
@@ -179,15 +187,19 @@ fn draw(
 
 /// Replaces a robot's name or file in a task's options by its packed text.
 pub fn read_option(options: &mut Value) -> Result<()> {
-    let packages = packages(options.as_object_mut().and_then(|all| all.remove("packages")))?;
+    let mut taken = |name| options.as_object_mut().and_then(|all| all.remove(name));
+    let (packages, inertia) = (packages(taken("packages"))?, inertia(taken("inertia"))?);
+    let reading = Reading { packages, inertia };
     let name = options.get("robot").and_then(Value::as_str).filter(|name| is_description(name)).map(str::to_owned);
     let Some(name) = name else {
-        return match packages.is_empty() {
-            true => Ok(()),
-            false => Err(Error::invalid("packages", "is for a robot that is read from a file")),
+        let of_files = "is for a robot that is read from a file";
+        return match (reading.packages.is_empty(), reading.inertia) {
+            (false, _) => Err(Error::invalid("packages", of_files)),
+            (true, InertiaSource::File) => Err(Error::invalid("inertia", of_files)),
+            (true, InertiaSource::Plausible) => Ok(()),
         };
     };
-    let Packed { text, notes, dt } = pack(&name, &[], packages)?;
+    let Packed { text, notes, dt } = pack(&name, &[], &reading)?;
     super::warn(&notes, &format!("`sandgait robot {name}` lists them"));
     options["robot"] = text.into();
     if let (Some(dt), None) = (dt, options.get("dt")) {
@@ -202,6 +214,15 @@ fn packages(option: Option<Value>) -> Result<Vec<PathBuf>> {
     let list = if option.is_string() { vec![option] } else { option.as_array().cloned().unwrap_or_default() };
     let all: Option<Vec<PathBuf>> = list.iter().map(|folder| folder.as_str().map(PathBuf::from)).collect();
     all.filter(|all| !all.is_empty()).ok_or_else(|| Error::invalid("packages", "is no folder, and no list of folders"))
+}
+
+/// The option `inertia`.
+fn inertia(option: Option<Value>) -> Result<InertiaSource> {
+    match option {
+        None => Ok(InertiaSource::default()),
+        Some(Value::String(name)) => name.parse(),
+        Some(other) => Err(Error::unknown("inertia", &other.to_string(), &["plausible", "file"])),
+    }
 }
 
 /// Does the option `robot` name a description, and not a robot that every server knows?
@@ -223,10 +244,9 @@ pub struct Packed {
     pub dt: Option<f64>,
 }
 
-/// Packs a robot. `robot`: a file, a name, or `name=file`; `folders`: further folders with named robots; `packages`: folders
-/// in which the files of a description may lie.
-pub fn pack(robot: &str, folders: &[PathBuf], packages: Vec<PathBuf>) -> Result<Packed> {
-    let import = robots::named::load_any(robot, folders, &Packages(packages))?;
+/// Packs a robot. `robot`: a file, a name, or `name=file`; `folders`: further folders with named robots.
+pub fn pack(robot: &str, folders: &[PathBuf], reading: &Reading) -> Result<Packed> {
+    let import = robots::named::load_any(robot, folders, reading)?;
     if let Some(packed) = &import.packed {
         return Ok(Packed { text: packed.compressed()?, notes: Vec::new(), dt: None });
     }
@@ -258,12 +278,12 @@ fn looks(import: &Import) -> (Option<Looks>, Option<String>) {
     }
 }
 
-fn load(file: &Path, packages: &Packages) -> Result<Import> {
+fn load(file: &Path, reading: &Reading) -> Result<Import> {
     match file.to_str() {
         Some(SANDCAT) => Import::of_packed_text(RobotName::built_in()),
         Some(name) if sim::Robot::names().contains(&name) => Import::built_in(name),
-        Some(name) => robots::named::load_any(name, &[], packages),
-        None => robots::load_from(file, &Default::default(), packages),
+        Some(name) => robots::named::load_any(name, &[], reading),
+        None => robots::load_from(file, &Default::default(), reading),
     }
 }
 

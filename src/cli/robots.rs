@@ -1,6 +1,6 @@
 //! `sandgait robots`
 
-use sandgait::robots::Packages;
+use sandgait::robots::Reading;
 use sandgait::robots::named::{NamedRobot, folders, names};
 use sandgait::{Error, Result, view};
 use serde_json::json;
@@ -39,7 +39,7 @@ impl RobotsArgs {
             let named = named?;
             let file = named.description(&folders);
             if let (Some(folder), Some(file)) = (&self.pictures, &file) {
-                let (import, camera) = (named.load(file, &Packages::default())?, view::CameraOptions::default());
+                let (import, camera) = (named.load(file, &Reading::default())?, view::CameraOptions::default());
                 let (tree, seen) = (&import.tree, import.seen()?);
                 let caption = format!("{name}: {:.1} kg, {} joints", tree.mass(), tree.joints().count());
                 let png = view::tree::draw(tree, &seen, &[], None, PICTURE, &camera, &[caption])?;

@@ -337,11 +337,16 @@ fn bind_plain(name: &str, address: SocketAddr) -> Result<(TcpListener, SocketAdd
 impl LogFormat {
     fn start(self) {
         let asked = std::env::var("SANDGAIT_LOG").ok().and_then(|text| text.parse().ok());
-        let filter = asked.unwrap_or_else(|| Targets::new().with_default(tracing::Level::INFO));
+        let least = if super::progress::is_silent() { tracing::Level::WARN } else { tracing::Level::INFO };
+        let filter = asked.unwrap_or_else(|| Targets::new().with_default(least));
         let log = tracing_subscriber::registry().with(filter);
         let lines = tracing_subscriber::fmt::layer().with_writer(std::io::stderr);
         match self {
-            Self::Text => log.with(lines.with_ansi(std::io::stderr().is_terminal())).init(),
+            Self::Text => {
+                // As https://no-color.org says.
+                let plain = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
+                log.with(lines.with_ansi(!plain && std::io::stderr().is_terminal())).init();
+            }
             Self::Json => log.with(lines.json()).init(),
         }
     }

@@ -1,10 +1,10 @@
 //! `sandgait tasks`
 
-use super::layout::{WIDTH, glossary, table, wrapped};
 use super::task_page;
 use sandgait::Result;
 use sandgait::env::Column;
 use sandgait::env::registry::{Blueprint, Keyword, TASK_IDS, task_id};
+use sandgait::study::layout::{WIDTH, glossary, table, wrapped};
 use serde_json::{Value, json};
 
 /// List the tasks, or describe one: observations, actions, rewards, and options with their defaults

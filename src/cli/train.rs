@@ -1,7 +1,7 @@
 //! `sandgait train`
 
 use super::Bar;
-use super::options::OptionArgs;
+use super::OptionArgs;
 use sandgait::client::ServerAddress;
 use sandgait::client::training::TrainingSession;
 use sandgait::env::Task;
@@ -17,13 +17,14 @@ use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use tokio::signal::unix::{SignalKind, signal};
 
 /// Learn a gait by PPO in the same process as the environments, without Python.
 ///
 /// Settings have the names of stable-baselines3's PPO and of examples/hyperparameters/ppo.yml. Without a file those of
 /// src/train/ppo_fast.yml are used. The command writes into the directory: policy.onnx (for evaluate, rollout_policy
-/// and export), policy.safetensors, settings.json, curve.csv, curve.svg, evaluation.txt, walk.rec (for replay),
-/// walk.png, checkpoints/ and tensorboard/. docs/learning.md explains them.
+/// and export), policy.safetensors, settings.json, curve.csv, curve.svg, evaluation.txt, walk.html, walk.png (moving), walk.rec
+/// (for replay), checkpoints/ and tensorboard/. docs/learning.md explains them.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait train                                     (HexapodGait, a minute)
@@ -99,14 +100,15 @@ impl TrainArgs {
         super::warn_of_unfelt_option(&request.options);
         let (_, text) = learn(&request, &Interruptible { bar: Bar::new(), stop: interrupted() })?;
         let out = request.out.display();
+        super::progress::next_step(Some(format!("to steer it: sandgait play {out}")));
         Ok(format!(
-            "{text}\nEverything is in {out}/. To see the walk: sandgait replay {out}/walk.rec --html walk.html\n"
+            "{text}\nEverything is in {out}/. The walk: {out}/walk.html in a browser, or the moving picture {out}/walk.png\n"
         ))
     }
 
     fn request(self) -> Result<TrainingRequest> {
         let changes = self.set.iter().map(|change| entry::pair("--set", change)).collect::<Result<_>>()?;
-        let options = Value::Object(self.options.read()?);
+        let options = Value::Object(self.options.read(super::read_files)?);
         let place = self.address.map(|address| place(address, self.token_file.as_deref(), self.ca.as_deref()));
         self.training.request(changes, options, place.transpose()?)
     }
@@ -248,12 +250,15 @@ fn report(request: &TrainingRequest, outcome: &TrainingOutcome) -> String {
             let last = FIRST_SEED + EvaluationRequest::SEEDS as u64 - 1;
             let (cells, notes) = (table::cells(&rows), table::notes(&rows));
             let head = format!("without noise, unseen seeds {FIRST_SEED} to {last}:");
-            text += &format!("\n{head}\n\n{}\n{}\n", super::layout::narrow_table(&cells, 2), notes.join("\n"));
+            text +=
+                &format!("\n{head}\n\n{}\n{}\n", sandgait::study::layout::narrow_table(&cells, 2), notes.join("\n"));
         }
         Some(PolicyScore::Commands(followed)) => {
             let (cells, summary) = (commands::cells(followed), commands::summary(followed));
             let level = outcome.last.as_ref().and_then(|report| report.level);
-            let limit = super::layout::wrapped(&commands::limit(followed, level), super::layout::WIDTH).join("\n");
+            let limit =
+                sandgait::study::layout::wrapped(&commands::limit(followed, level), sandgait::study::layout::WIDTH)
+                    .join("\n");
             let table = super::table(&cells);
             text += &format!("\nwithout noise and randomness, by command:\n\n{table}\n{summary}\n\n{limit}\n");
         }
@@ -262,7 +267,7 @@ fn report(request: &TrainingRequest, outcome: &TrainingOutcome) -> String {
     text
 }
 
-/// The first Ctrl-C sets this flag. The second one ends the process.
+/// The first Ctrl-C or SIGTERM sets this flag. The second one ends the process.
 fn interrupted() -> Arc<AtomicBool> {
     let stop = Arc::new(AtomicBool::new(false));
     let heard = stop.clone();
@@ -271,7 +276,12 @@ fn interrupted() -> Arc<AtomicBool> {
         // If signals cannot be handled, Ctrl-C ends the process at once, as usual.
         let Ok(runtime) = runtime else { return };
         runtime.block_on(async {
-            while tokio::signal::ctrl_c().await.is_ok() {
+            let Ok(mut terminate) = signal(SignalKind::terminate()) else { return };
+            loop {
+                tokio::select! {
+                    heard = tokio::signal::ctrl_c() => if heard.is_err() { return },
+                    _ = terminate.recv() => (),
+                }
                 if heard.swap(true, Ordering::Relaxed) {
                     std::process::exit(130);
                 }

@@ -4,23 +4,24 @@
 //! no thread waits, [`keeper`] answers the server's pings and sends queued requests.
 //!
 //! * [`address`]: a server's address and credentials.
-//! * [`stream`]: one RunSession stream; [`call`]: calls with one answer; [`study`]: studies with progress reports.
+//! * [`stream`]: one RunSession stream; [`call`]: calls with one answer; [`studies`]: studies with progress reports.
 //! * [`training`]: a training's environments.
 
 use sandgait_base::error;
 use sandgait_service as service;
+use sandgait_study as study;
 use sandgait_train as train;
 
 mod address;
 pub mod call;
 mod keeper;
 mod stream;
-mod study;
+mod studies;
 pub mod training;
 
 pub use address::ServerAddress;
 pub use stream::{PATIENCE, Stream};
-pub use study::{StudyEvent, next, study};
+pub use studies::{StudyCall, StudyEvent, next, study};
 
 use crate::service::proto::environment_service_client::EnvironmentServiceClient;
 use crate::service::proto::study_service_client::StudyServiceClient;
@@ -55,7 +56,7 @@ pub async fn environments(place: &ServerAddress) -> Result<Environments, Status>
 }
 
 /// A client for studies at `place`.
-pub async fn studies(place: &ServerAddress) -> Result<Studies, Status> {
+pub async fn study_client(place: &ServerAddress) -> Result<Studies, Status> {
     let (channel, bearer) = place.connect().await?;
     let client = StudyServiceClient::with_interceptor(channel, bearer);
     Ok(client.max_decoding_message_size(usize::MAX).max_encoding_message_size(usize::MAX))

@@ -15,7 +15,7 @@ use crate::sand::shape::{Segment, straight};
 use crate::sand::{LegShape, SandBed};
 
 /// Number of segments of a plate or leg: our choice, because the error is then below the scatter of repetitions, unless
-/// they scatter by less than 0.5 % (docs/diagnosis.md, 5). If a segment crosses the surface, only its submerged part
+/// they scatter by less than 0.5 % (docs/diagnosis.md, "What it cannot do"). If a segment crosses the surface, only its submerged part
 /// counts; otherwise a fit would give a pressure that does not vanish at the surface, such as `cohesion`, 2 % too
 /// small.
 const SEGMENTS: usize = 40;
@@ -321,7 +321,8 @@ impl<const N: usize> Kernel for Sum<'_, N> {
             let lead = Doubles::select(along.lt(zero), splat(-1.0), splat(1.0));
             // The stress acts on the leading face, half a thickness ahead of the mid-surface.
             let ahead = lead * splat(arm.cut.half_thickness);
-            let (x, z) = (at[0] + n[0] * ahead, at[1] + n[1] * ahead);
+            let [x, z] = [0, 1].map(|k| at[k] + n[k] * ahead);
+            let arm_of_force = [0, 1].map(|k| r[k] + n[k] * ahead);
             let (normal, velocity) = (into(n), into(v));
             // If a segment crosses the surface, its submerged share counts, at the mean depth of this share. A
             // horizontal segment has no extent; 1e-12 avoids 0/0.
@@ -346,7 +347,7 @@ impl<const N: usize> Kernel for Sum<'_, N> {
                 let fz = (stress.x * s_sin + stress.z * s_cos) * area;
                 *sum_x += fx;
                 *sum_z += fz;
-                *sum_turn += r[0] * fz - r[1] * fx;
+                *sum_turn += arm_of_force[0] * fz - arm_of_force[1] * fx;
             }
         }
         *loads = sums.map(|own| own.map(Doubles::sum));
@@ -357,6 +358,19 @@ impl<const N: usize> Kernel for Sum<'_, N> {
 mod tests {
     use super::super::force_model::tests::forces;
     use super::*;
+
+    /// A level plate that moves down and forward has its leading face half a thickness below its centre. There the sand holds back with Fx,
+    /// so Ty = x Fz − z Fx is half a thickness times Fx.
+    #[test]
+    fn the_stress_on_a_thick_plate_turns_it_about_its_leading_face() {
+        let thickness = 0.006;
+        let intruder = Intruder::Plate { length: 0.038, width: 0.025, thickness: Some(thickness) };
+        let pose = |t: f64| ArmPose { t, center: [0.1 * t, -0.03], velocity: [0.1, -0.05], ..ArmPose::default() };
+        let [fx, fz, turn]: [f64; 3] =
+            forces(Mechanisms::default(), &Track::leg(intruder, 0.0, vec![pose(0.0)])).try_into().unwrap();
+        assert!(fx < -0.1 && fz > 0.1, "{fx} {fz}");
+        assert!((turn / (0.5 * thickness * fx) - 1.0).abs() < 1e-6, "{turn} {fx}");
+    }
 
     /// Cohesion pushes with the same stress on the whole submerged area, so its force on a vertical plate grows with
     /// every step into the sand, however small the step is against a segment.

@@ -3,11 +3,13 @@
 use super::evidence::EvidenceTable;
 use super::fit::{COEFFICIENTS, Fit, slope};
 use super::left_out::Contender;
+use super::measured::{self, MeasuredFit};
 use super::noise::{Noise, NoiseData, Sizes, sizes_of};
 use super::nuisance::Nuisance;
 use super::screen::{FELT, Scores, Screen, USUAL, starts};
+use super::settling::bent;
 use super::study::FitInputs;
-use super::verdict;
+use super::verdict::{self, Compared, Effect, Role};
 use super::whiten::Whitener;
 use crate::error::Result;
 use crate::number::dot;
@@ -52,8 +54,6 @@ pub struct SearchSpace<'a> {
     pub ids: &'a [usize],
     /// Causes that act on these data, but cannot be tested with them.
     pub untestable: &'a [usize],
-    /// Causes that are fitted, but may not be named; they are in no pair.
-    pub unnamed: &'a [usize],
     /// Causes that would look like `scale`, and that have no effect on the prediction because a column is missing.
     pub unseen: &'a [usize],
 }
@@ -66,6 +66,12 @@ pub struct Candidates {
     pub around: Surroundings,
     /// Plain model with coefficients and nuisances fitted within their priors.
     pub base: Fit,
+    /// The plain model: its coefficients are the stated ones, and nuisances are fitted within their priors.
+    pub stated: Fit,
+    /// The base, and the leading cause, each with one effect of measuring that may be far larger than stated.
+    pub measured: Vec<MeasuredFit>,
+    /// The base without each of the effects of `measured`; those beside the leading cause have none.
+    pub absent: Vec<MeasuredFit>,
     /// Singles, then pairs, each best first, fitted with the final noise.
     pub fits: Vec<Fit>,
     /// The fit that predicts left-out conditions best, if its prediction is better than the plain model's.
@@ -74,15 +80,6 @@ pub struct Candidates {
     pub behind: Vec<Fit>,
     /// Objective of the plain model under that earlier noise.
     pub earlier: f64,
-}
-
-impl Candidates {
-    /// Removes all candidates with a mechanism for which `kind` is true.
-    pub fn without(&mut self, kind: &dyn Fn(&usize) -> bool) {
-        let leading = self.leading.map(|k| self.fits[k].ids.clone());
-        self.fits.retain(|fit| !fit.ids.iter().any(kind));
-        self.leading = self.fits.iter().position(|fit| Some(&fit.ids) == leading.as_ref());
-    }
 }
 
 /// Fits singles and pairs. Pairs are tried if a single cause predicts left-out conditions better than the plain model.
@@ -94,7 +91,7 @@ pub fn candidates(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progres
     progress.report(0.3, "single causes")?;
     // Nuisances have nonlinear effects, so they are linearised at the plain model's fit before causes are tested.
     let plain = study.recalibrated();
-    let nuisances = study.nuisances_of(&plain, &plain);
+    let nuisances = bent(study, study.whitener, &plain);
     let (noise, sizes, whitener) = (asked.noise.clone(), asked.source.sizes.clone(), study.whitener.clone());
     let around = Surroundings { noise, sizes, whitener, nuisances };
     let straight = around.about(study);
@@ -110,31 +107,66 @@ pub fn candidates(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progres
     }
     let leading = leading(&straight, &base, &fits);
     let screened = screen.candidates.clone();
-    let mut found = Candidates { screened, around: around.clone(), base, fits, leading, behind, earlier };
+    let (around, stated, measured, absent) = (around.clone(), base.clone(), Vec::new(), Vec::new());
+    let mut found = Candidates { screened, around, base, stated, measured, absent, fits, leading, behind, earlier };
     progress.report(0.5, "singles under the noise of the best")?;
     found.settle(study, asked);
     if leading.is_some() {
         progress.report(0.6, "pairs of causes")?;
         found.add_pairs(study, asked, &screen, progress)?;
     }
-    found.leading = self::leading(&found.around.about(study), &found.base, &found.fits);
+    let around = found.around.clone();
+    let renewed = around.about(study);
+    found.leading = self::leading(&renewed, &found.base, &found.fits);
+    progress.report(0.78, "effects of measuring")?;
+    found.stated = plain_fit(&renewed, &found.base);
+    found.measured = measured::measured(&renewed, &found.base);
+    found.absent = measured::absent(&renewed, &found.base, &found.measured);
+    if let Some(leading) = found.leading.map(|k| &found.fits[k]).filter(|fit| fit.ids.len() == 1) {
+        found.measured.extend(measured::measured(&renewed, leading));
+    }
     Ok(found)
 }
 
-/// The plain model and the fits. A fit in which a cause has its value of the plain sand is left out, because this cause explains nothing.
-pub fn contenders<'a>(base: &'a Fit, fits: &'a [Fit]) -> Vec<Contender<'a>> {
+/// The plain model, fitted from the nuisances of `base`.
+pub fn plain_fit(study: &FitInputs, base: &Fit) -> Fit {
+    let mut deviations = base.deviations.clone();
+    deviations[..COEFFICIENTS].fill(0.0);
+    let from = Fit { deviations, slopes: Vec::new(), ..base.clone() };
+    study.stated().fit_from(&[&from]).swap_remove(0)
+}
+
+/// The base and the fits. A fit in which a cause has its value of the plain sand is left out, because this cause explains nothing.
+pub fn contenders<'a>(base: &'a Fit, fits: &'a [Fit], nuisances: &'a [Nuisance]) -> Vec<Contender<'a>> {
     let fits = [base].into_iter().chain(fits.iter().filter(|fit| !fit.is_idle()));
-    fits.map(|fit| Contender { fit, laws: None }).collect()
+    fits.map(|fit| Contender { fit, nuisances, columns: &[] }).collect()
 }
 
 /// The candidate that predicts left-out conditions best, if its prediction is better than the plain model's.
 fn leading(study: &FitInputs, base: &Fit, fits: &[Fit]) -> Option<usize> {
-    let all: Vec<usize> = (0..study.observations.conditions.len()).collect();
-    let models = contenders(base, fits);
-    let table = EvidenceTable::new(study, study.whitener, &models, &all);
-    let size = |k: usize| models[k].fit.ids.len();
-    let leads = verdict::leading(models.len(), size, |k| table.elpd(k), |a, b| table.beats(a, b), SECOND)?;
+    let models = contenders(base, fits, &study.nuisances);
+    let table = EvidenceTable::new(study, study.whitener, &models);
+    let leads = verdict::leading(&bare(&models, &table), SECOND)?;
     fits.iter().position(|fit| std::ptr::eq(fit, models[leads].fit))
+}
+
+/// The models of a table as entries, the first of them as the base.
+fn bare(models: &[Contender], table: &EvidenceTable) -> Vec<Compared> {
+    let of = |k: usize| Compared {
+        role: if k == 0 { Role::Base } else { Role::Causes },
+        effects: models[k].fit.ids.iter().map(|id| Effect::Mechanism(*id)).collect(),
+        unnamed: false,
+        unseen: false,
+        alike: Vec::new(),
+        repeats: Vec::new(),
+        elpd: table.elpd(k),
+        misfit: 0.0,
+        unexplained: 0.0,
+        beats: (0..models.len()).map(|j| table.beats(k, j)).collect(),
+        error: 0.0,
+        lowers: false,
+    };
+    (0..models.len()).map(of).collect()
 }
 
 impl Candidates {
@@ -194,16 +226,16 @@ impl Candidates {
         let (fits, around) = (&self.fits, self.around.clone());
         let renewed = around.about(study);
         let scores = screen.scores(renewed.whitener, &study.observations.values);
-        let Some(best) = fits.iter().find(|f| !asked.unnamed.contains(&f.ids[0])) else { return Ok(()) };
+        let Some(best) = fits.iter().find(|f| !asked.untestable.contains(&f.ids[0])) else { return Ok(()) };
         let id = best.ids[0];
         let second = renewed.further(best, &screen.candidates);
         let linear = screen.pairs(&scores.gram, &scores.score);
         let from_best = second.iter().map(|s| [id, s.id]);
         let from_all = linear.iter().map(|&(_, i, j)| [screen.candidates[i].0, screen.candidates[j].0]);
         let mut tried: Vec<[usize; 2]> = Vec::new();
-        for pair in from_best.filter(|p| !asked.unnamed.contains(&p[1])).take(PAIRS_FITTED / 2).chain(from_all) {
+        for pair in from_best.filter(|p| !asked.untestable.contains(&p[1])).take(PAIRS_FITTED / 2).chain(from_all) {
             if tried.len() < PAIRS_FITTED
-                && !pair.iter().any(|id| asked.unnamed.contains(id))
+                && !pair.iter().any(|id| asked.untestable.contains(id))
                 && !tried.iter().any(|t| *t == pair || *t == [pair[1], pair[0]])
             {
                 tried.push(pair);
@@ -329,45 +361,4 @@ fn surroundings(study: &FitInputs, asked: &SearchSpace, fit: &Fit) -> Surroundin
     let whitener = Whitener::new(&source, &noise);
     let nuisances = bent(study, &whitener, fit);
     Surroundings { noise, sizes, whitener, nuisances }
-}
-
-/// Largest number of rounds for nuisances with a nonlinear effect: our choice; most fits need two.
-const BENDS: usize = 6;
-/// A change by less than this share of a prior standard deviation counts as converged: our choice, so that the effect
-/// of the nuisance is right to a fiftieth of what its prior allows.
-const STRAIGHT: f64 = 0.02;
-
-/// Nuisances linearised at `fit` under a whitening. Fit and nuisances are adjusted to each other in turns, because the
-/// first estimate is inaccurate if a filter is slow compared with the fastest trials. A step that does not help is
-/// halved.
-fn bent(study: &FitInputs, whitener: &Whitener, fit: &Fit) -> Vec<Nuisance> {
-    if study.nuisances.is_empty() {
-        return Vec::new();
-    }
-    let mut now = study.under(whitener, study.nuisances_of(fit, fit));
-    let mut at = now.fit_from(&[fit]).swap_remove(0);
-    let mut least = f64::INFINITY;
-    let mut before = fit.clone();
-    for _ in 0..BENDS {
-        let bends = study.nuisances.iter().zip(&at.deviations[COEFFICIENTS..]).zip(&before.deviations[COEFFICIENTS..]);
-        let turned = bends
-            .filter(|((n, _), _)| n.id.starts_with("lowpass") || n.id.starts_with("imu"))
-            .map(|((_, a), b)| (a - b).abs());
-        if turned.fold(0.0, f64::max) < STRAIGHT {
-            break;
-        }
-        // The effect of a filter depends on its time constant, and hardly on the small changes of the other parameters
-        // in these rounds.
-        let next = study.under(whitener, now.nuisances_of(fit, &at));
-        let there = next.restated(&at);
-        if there.objective > least {
-            let half = at.deviations.iter().zip(&before.deviations).map(|(a, b)| 0.5 * (a + b)).collect();
-            at = Fit { deviations: half, ..at };
-            continue;
-        }
-        (least, before) = (there.objective, at);
-        at = next.fit_from(&[&there]).swap_remove(0);
-        now = next;
-    }
-    now.nuisances_of(fit, &at)
 }

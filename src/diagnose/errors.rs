@@ -1,8 +1,7 @@
-//! Sizes of errors, and the fraction by which one is smaller than another.
+//! Sizes of errors.
 
 use super::observations::Observations;
-use rand::{Rng, SeedableRng};
-use rand_xoshiro::Xoshiro256PlusPlus;
+use crate::student;
 
 /// Errors over the channels that count in the error, condition by condition: sum of squares [unit of the channels, squared]
 /// and number of values.
@@ -26,25 +25,16 @@ impl SquaredErrors {
         };
         Self(held.iter().map(of).collect())
     }
+}
 
-    /// 95 % interval of the fraction by which `other` is smaller than these errors: bootstrap over conditions. 2000
-    /// draws are our choice, because 50 of them are then beyond each end; a fixed seed makes reports repeatable.
-    pub fn reduction_interval(&self, other: &SquaredErrors) -> [f64; 2] {
-        let mut rng = Xoshiro256PlusPlus::seed_from_u64(3);
-        let n = self.0.len();
-        let mut draws: Vec<f64> = (0..2000)
-            .map(|_| {
-                let (mut own, mut others) = ([0.0; 2], [0.0; 2]);
-                for _ in 0..n {
-                    let k = rng.random_range(0..n);
-                    own = [own[0] + self.0[k][0], own[1] + self.0[k][1]];
-                    others = [others[0] + other.0[k][0], others[1] + other.0[k][1]];
-                }
-                let share = own[1] / f64::max(others[1], 1.0);
-                if own[0] > 0.0 { 1.0 - (others[0] / own[0] * share).sqrt() } else { 0.0 }
-            })
-            .collect();
-        draws.sort_by(f64::total_cmp);
-        [draws[49], draws[1949]]
+/// Mean of some values and half of its 95 % interval by Student's t; infinite for a single value. None without values.
+pub fn mean_and_interval(values: &[f64]) -> Option<(f64, f64)> {
+    let n = values.len() as f64;
+    if values.is_empty() {
+        return None;
     }
+    let mean = values.iter().sum::<f64>() / n;
+    let variance = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    let half = student::two_sided_95((n - 1.0).max(1.0)) * (variance / n).sqrt();
+    Some((mean, if half.is_finite() { half } else { f64::INFINITY }))
 }

@@ -37,21 +37,24 @@
 //! conditions. The standard error is at least 2, because differences below 4 are no evidence (Sivula, Magnusson, Matamoros & Vehtari
 //! 2020).
 
+use super::differences::{NORMAL, SumPart, summed};
 use super::fit::{Fit, Stack};
-use super::left_out::{CandidateLaw, Contender, LeftOutRow, Linear};
+use super::left_out::{Contender, LawColumn, LeftOutRow, Linear};
 use super::normal_equations::value_prior;
 use super::study::FitInputs;
 use super::whiten::Whitener;
 use crate::number::dot;
 use crate::parallel;
-use crate::student;
-use nalgebra::DVector;
+use nalgebra::{DMatrix, DVector};
+use std::borrow::Borrow;
 use std::collections::HashMap;
 use std::f64::consts::PI;
 use std::sync::Arc;
 
 /// Number of cosines along a trial: our choice; features shorter than a sixteenth of a trial count as noise.
 const WAVES: usize = 16;
+/// Stacks that are whitened together: our choice, as many as a filter takes.
+const TOGETHER: usize = super::noise::LANES;
 /// The scatter along a cosine replaces the noise model's if it is larger by this many standard errors: our choice, so that
 /// chance hardly ever does it (one in 740 times).
 const DRIFTS: f64 = 3.0;
@@ -60,8 +63,6 @@ const DRIFTS: f64 = 3.0;
 const UNSTATED: f64 = 10.0;
 /// Least standard error: see the text of this module.
 pub const LEAST: f64 = 2.0;
-/// Half of the 95 % interval of a normal distribution in standard deviations. Quantiles of Student's t are divided by this.
-pub const NORMAL: f64 = 1.96;
 
 /// The comparison of all models under one noise.
 pub struct EvidenceTable {
@@ -87,20 +88,20 @@ struct Projection<'a> {
 }
 
 impl<'a> Projection<'a> {
-    fn new(study: &'a FitInputs, whitener: &'a Whitener, used: &[usize]) -> Self {
-        let all = study.observations.repetitions();
-        let groups = used.iter().map(|&k| all[k].clone()).collect();
+    /// The scatter of the repetitions is that of the conditions `known`.
+    fn new(study: &'a FitInputs, whitener: &'a Whitener, known: &[usize]) -> Self {
+        let groups = study.observations.repetitions();
         let cosines = study.observations.units.iter().map(|u| (u.samples, cosines(u.samples))).collect();
         let shares = vec![[1.0; WAVES]; study.observations.channels.len()];
         let even = Self { study, whitener, groups, cosines, shares };
-        Self { shares: even.scatter(), ..even }
+        Self { shares: even.scatter(known), ..even }
     }
 
     /// `shares` from the scatter of the repetitions about their means, which no model changes.
-    fn scatter(&self) -> Vec<[f64; WAVES]> {
+    fn scatter(&self, known: &[usize]) -> Vec<[f64; WAVES]> {
         let white = self.whitener.apply(&self.study.observations.values);
         let mut sums = vec![[[0.0; 2]; WAVES]; self.shares.len()];
-        for group in self.groups.iter().filter(|g| g.len() > 1) {
+        for group in known.iter().map(|&c| &self.groups[c]).filter(|g| g.len() > 1) {
             let (each, waves, count) = (self.each(&white, group), self.waves(group), group.len() as f64);
             for k in 0..each[0].len() {
                 let mean = each.iter().map(|e| e[k]).sum::<f64>() / count;
@@ -135,12 +136,31 @@ impl<'a> Projection<'a> {
         group.iter().map(of).collect()
     }
 
-    /// The numbers of every condition of a stack.
-    fn apply(&self, stack: &[f64]) -> Vec<DVector<f64>> {
-        let white = self.whitener.apply(stack);
+    /// The numbers of every condition of several stacks.
+    fn apply(&self, stacks: &[impl Borrow<Vec<f64>> + Sync]) -> Vec<Vec<DVector<f64>>> {
+        // A few at a time, because whitened stacks of all models together would take the most memory.
+        let some: Vec<_> = stacks.chunks(TOGETHER).collect();
+        let made = parallel::map(&some, |some| {
+            self.whitener.apply_all(some).into_iter().map(|white| self.means(white)).collect::<Vec<_>>()
+        });
+        made.into_iter().flatten().collect()
+    }
+
+    /// The numbers of every condition of a whitened stack.
+    fn means(&self, mut white: Vec<f64>) -> Vec<DVector<f64>> {
+        let units = &self.study.observations.units;
         let mean = |group: &Vec<usize>| {
-            let each = self.each(&white, group);
             let root = (group.len() as f64).sqrt();
+            // The projection is linear, so repetitions with equally many samples are added before it.
+            let alike = group.windows(2).all(|pair| units[pair[0]].samples == units[pair[1]].samples);
+            if let (Some((&first, others)), true) = (group.split_first(), alike) {
+                let own = self.study.observations.span(&units[first]);
+                for &u in others {
+                    let other = self.study.observations.span(&units[u]);
+                    own.clone().zip(other).for_each(|(to, from)| white[to] += white[from]);
+                }
+            }
+            let each = self.each(&white, if alike { &group[..group.len().min(1)] } else { group });
             let at = |k: usize| each.iter().map(|e| e[k]).sum::<f64>() / root;
             DVector::from_fn(each.first().map_or(0, Vec::len), |k, _| at(k))
         };
@@ -150,10 +170,10 @@ impl<'a> Projection<'a> {
     /// Degrees of freedom of the noise: those of the repetitions, or fewer if the scatter of repetitions differs
     /// between conditions. If a variance is itself distributed as inverse χ² with ν degrees of freedom, its relative
     /// variance is 2/(ν − 4). Fewer than three conditions show no difference (our choice).
-    fn degrees(&self, residual: &[f64]) -> f64 {
+    fn degrees(&self, residual: &[f64], used: &[usize]) -> f64 {
         let white = self.whitener.apply(residual);
         let (mut squares, mut free, mut expected) = (Vec::new(), 0.0, 0.0);
-        for group in self.groups.iter().filter(|g| g.len() > 1) {
+        for group in used.iter().map(|&c| &self.groups[c]).filter(|g| g.len() > 1) {
             let each = self.each(&white, group);
             let n = each[0].len();
             let mean = |k: usize| each.iter().map(|e| e[k]).sum::<f64>() / each.len() as f64;
@@ -181,58 +201,78 @@ fn cosines(n: usize) -> Vec<Vec<f64>> {
     (0..n.min(WAVES)).map(of).collect()
 }
 
-impl EvidenceTable {
-    /// Compares `models`; the first is the plain one. Only the conditions `used` count.
-    pub fn new(study: &FitInputs, whitener: &Whitener, models: &[Contender], used: &[usize]) -> Self {
-        let projection = Projection::new(study, whitener, used);
+/// Models near their fits, as numbers of every condition. A table of any conditions follows from them.
+pub struct EvidenceNumbers<'a> {
+    study: &'a FitInputs<'a>,
+    models: &'a [Contender<'a>],
+    projection: Projection<'a>,
+    linear: Vec<Linear>,
+}
+
+impl<'a> EvidenceNumbers<'a> {
+    /// The numbers of `models` in all conditions; the first model is the plain one. The scatter of repetitions is that of the conditions `known`.
+    pub fn new(study: &'a FitInputs, whitener: &'a Whitener, models: &'a [Contender], known: &[usize]) -> Self {
+        let projection = Projection::new(study, whitener, known);
         // Fits share columns; two columns are the same if they have the same address.
         let place = |c: &Stack| Arc::as_ptr(c) as usize;
         let mut unique: Vec<Stack> = models.iter().flat_map(|m| &m.fit.slopes).cloned().collect();
         unique.sort_by_key(place);
         unique.dedup_by_key(|c| place(c));
-        let projected = parallel::map(&unique, |c| projection.apply(c));
-        let known: HashMap<_, _> = unique.iter().map(place).zip(&projected).collect();
+        let projected = projection.apply(&unique);
+        let columns: HashMap<_, _> = unique.iter().map(place).zip(&projected).collect();
         // The projected columns of each law, and the prior standard deviations of their coefficients.
         let laws = |m: &Contender| {
-            let of = |law: &CandidateLaw| {
-                let column: Vec<f64> = law.column.iter().copied().map(f64::from).collect();
-                (projection.apply(&column), width(&column, &m.fit.prediction))
+            let doubles = |law: &LawColumn| law.iter().copied().map(f64::from).collect();
+            let of = |some: &&[LawColumn]| {
+                let columns: Vec<Vec<f64>> = some.iter().map(doubles).collect();
+                let widths = columns.iter().map(|column| width(column, &m.fit.prediction));
+                projection.apply(&columns).into_iter().zip(widths).collect::<Vec<_>>()
             };
-            parallel::map(m.laws.unwrap_or_default(), of)
+            let made = parallel::map(&m.columns.chunks(TOGETHER).collect::<Vec<_>>(), of);
+            made.into_iter().flatten().collect::<Vec<_>>()
         };
-        let models: Vec<(&Contender, _)> = models.iter().map(|m| (m, laws(m))).collect();
-        let residual = |fit: &Fit| -> Vec<f64> {
-            study.observations.values.iter().zip(study.reading(fit)).map(|(y, m)| y - m).collect()
-        };
-        let degrees = models.first().map_or(1.0, |(m, _)| projection.degrees(&residual(m.fit)));
-        let rows = parallel::map(&models, |(m, laws)| {
+        let residuals = projection.apply(&models.iter().map(|m| residual(study, m)).collect::<Vec<_>>());
+        let of = |(m, residual): (&Contender, Vec<DVector<f64>>)| {
             // The stated priors of coefficients and nuisances are one more condition, whose numbers are the deviations, each 0 ± 1.
             let (count, values) = (m.fit.deviations.len(), m.fit.ids.len());
-            let own = |c: &Stack| known[&place(c)].clone();
-            let stated = |k: usize| DVector::from_fn(count, |i, _| if k == values + i { 1.0 } else { 0.0 });
-            let with = |mut numbers: Vec<DVector<f64>>, last: DVector<f64>| {
-                numbers.push(last);
-                numbers
+            let own: Vec<&Vec<DVector<f64>>> = m.fit.slopes.iter().map(|c| columns[&place(c)]).collect();
+            let of_condition = |c: usize| {
+                DMatrix::from_fn(residual[c].len(), own.len(), |number, parameter| own[parameter][c][number])
             };
-            let slopes = m.fit.slopes.iter().enumerate();
-            let linear = Linear {
-                residual: with(
-                    projection.apply(&residual(m.fit)),
-                    DVector::from_fn(count, |i, _| -m.fit.deviations[i]),
-                ),
-                slopes: slopes.map(|(k, c)| with(own(c), stated(k))).collect(),
-                laws: laws.iter().map(|law| with(law.0.clone(), DVector::zeros(count))).collect(),
-                prior: prior(m.fit),
-                widths: laws.iter().map(|law| law.1).collect(),
-            };
-            linear.row(study, m, used, degrees)
-        });
-        let size = |g: &Vec<usize>| (projection.waves(g) * study.observations.channels.len()) as f64;
-        let stated = models.first().map(|(m, _)| m.fit.deviations.len() as f64);
-        let sizes: Vec<f64> = projection.groups.iter().map(size).chain(stated).collect();
-        let free: f64 = projection.groups.iter().map(|g| g.len() as f64 - 1.0).sum::<f64>().min(degrees).max(1.0);
+            let stated = DMatrix::from_fn(count, own.len(), |i, k| if k == values + i { 1.0 } else { 0.0 });
+            let slopes = (0..residual.len()).map(of_condition).chain([stated]).collect();
+            let deviations = DVector::from_fn(count, |i, _| -m.fit.deviations[i]);
+            let (laws, widths) = laws(m).into_iter().unzip();
+            let residual = residual.into_iter().chain([deviations]).collect();
+            Linear { residual, slopes, laws, prior: prior(m.fit), widths }
+        };
+        let linear = models.iter().zip(residuals).map(of).collect();
+        Self { study, models, projection, linear }
+    }
+
+    /// The table of the conditions `used` alone.
+    pub fn table(&self, used: &[usize]) -> EvidenceTable {
+        let (projection, models) = (&self.projection, self.models);
+        let degrees = models.first().map_or(1.0, |m| projection.degrees(&residual(self.study, m), used));
+        let rows = parallel::map(&self.linear, |linear| linear.row(used, degrees));
+        let size = |&c: &usize| (projection.waves(&projection.groups[c]) * projection.shares.len()) as f64;
+        let stated = models.first().map(|m| m.fit.deviations.len() as f64);
+        let sizes: Vec<f64> = used.iter().map(size).chain(stated).collect();
+        let free = used.iter().map(|&c| projection.groups[c].len() as f64 - 1.0).sum::<f64>().min(degrees).max(1.0);
         let limit = 1.0 + 2.0 * (2.0 / sizes.iter().sum::<f64>().max(1.0) + 2.0 / free).sqrt();
-        Self { rows, sizes, degrees, limit }
+        EvidenceTable { rows, sizes, degrees, limit }
+    }
+}
+
+fn residual(study: &FitInputs, m: &Contender) -> Vec<f64> {
+    study.observations.values.iter().zip(m.reading()).map(|(y, m)| y - m).collect()
+}
+
+impl EvidenceTable {
+    /// Compares `models` in all conditions; the first is the plain one.
+    pub fn new(study: &FitInputs, whitener: &Whitener, models: &[Contender]) -> Self {
+        let all: Vec<usize> = (0..study.observations.conditions.len()).collect();
+        EvidenceNumbers::new(study, whitener, models, &all).table(&all)
     }
 
     /// The elpd of row `k`.
@@ -252,26 +292,48 @@ impl EvidenceTable {
         if a == b {
             return [0.0; 2];
         }
-        let difference = self.elpd(a) - self.elpd(b);
-        let (best, other) =
-            if difference >= 0.0 { (&self.rows[a], &self.rows[b]) } else { (&self.rows[b], &self.rows[a]) };
-        let (mut noise, mut clusters) = (0.0, 0.0);
-        for (c, n) in self.sizes.iter().enumerate() {
-            let [own, others] = [best, other].map(|row| self.weight(row, c));
-            let variance = own.recip();
-            let (ours, theirs) = (&best.predicted.left[c], &other.predicted.left[c]);
-            let apart = &theirs.solved - &ours.solved;
-            noise += variance * others.powi(2) * apart.norm_squared() + 0.5 * n * (1.0 - others * variance).powi(2);
-            let along = others * apart.dot(&ours.solved);
-            clusters += (along - 0.5 * (own - others) * (ours.square - n * variance)).powi(2);
+        let (best, other, sign) = if self.elpd(a) >= self.elpd(b) { (a, b, 1.0) } else { (b, a, -1.0) };
+        let parts: Vec<SumPart> = (0..self.sizes.len()).map(|c| self.part(best, other, c)).collect();
+        let [difference, error] = summed(&parts, self.degrees);
+        [sign * difference, error.max(LEAST)]
+    }
+
+    /// What condition `c` adds to the elpd of `best` minus the elpd of `other`.
+    pub fn part(&self, best: usize, other: usize, c: usize) -> SumPart {
+        let [own, others] = [best, other].map(|k| self.weight(&self.rows[k], c));
+        let [ours, theirs] = [best, other].map(|k| &self.rows[k].predicted.left[c]);
+        let (n, variance, apart) = (self.sizes[c], own.recip(), &theirs.solved - &ours.solved);
+        let along = others * apart.dot(&ours.solved);
+        SumPart {
+            gain: self.rows[best].elpd[c] - self.rows[other].elpd[c],
+            noise: variance * others.powi(2) * apart.norm_squared() + 0.5 * n * (1.0 - others * variance).powi(2),
+            clusters: (along - 0.5 * (own - others) * (ours.square - n * variance)).powi(2),
         }
-        let each = best.elpd.iter().zip(&other.elpd).map(|(a, b)| a - b);
-        let count = self.sizes.len() as f64;
-        let mean = difference.abs() / count;
-        let spread = each.map(|d| (d - mean).powi(2)).sum::<f64>() * count / (count - 1.0).max(1.0);
-        let (clusters, count) = (clusters.min(spread), (count - 1.0).max(1.0));
-        let of = |variance: f64, degrees: f64| variance.max(0.0).sqrt() * student::two_sided_95(degrees) / NORMAL;
-        [difference, of(noise, self.degrees).max(of(clusters, count)).max(LEAST)]
+    }
+
+    /// The same for squares of errors: by how much those of `best` are less than those of `other`, in units of the noise's variance.
+    pub fn lowered(&self, best: usize, other: usize, c: usize) -> SumPart {
+        let [ours, theirs] = [best, other].map(|k| &self.rows[k].predicted.left[c].error);
+        let (apart, variance) = (theirs - ours, self.weight(&self.rows[best], c).recip());
+        SumPart {
+            gain: theirs.norm_squared() - ours.norm_squared(),
+            noise: 4.0 * variance * apart.norm_squared(),
+            clusters: (2.0 * apart.dot(ours)).powi(2),
+        }
+    }
+
+    /// Root mean square of the errors of row `k` in measured conditions, in units of the noise.
+    pub fn error(&self, k: usize) -> f64 {
+        let measured = self.sizes.len() - 1;
+        let square: f64 = self.rows[k].predicted.left[..measured].iter().map(|own| own.error.norm_squared()).sum();
+        (square / self.sizes[..measured].iter().sum::<f64>().max(1.0)).sqrt()
+    }
+
+    /// Are the errors of row `a` less than those of row `b`, beyond the 95 % interval of the difference of their squares?
+    pub fn lowers(&self, a: usize, b: usize) -> bool {
+        let parts: Vec<SumPart> = (0..self.sizes.len() - 1).map(|c| self.lowered(a, b, c)).collect();
+        let [difference, error] = summed(&parts, self.degrees);
+        a != b && difference > NORMAL * error
     }
 
     /// w of condition `c`: one over the variance of the errors of the row's model in this condition, in units of the noise's variance.
@@ -286,10 +348,11 @@ impl EvidenceTable {
         difference > 2.0 * error
     }
 
-    /// Does `k` predict left-out conditions better than the plain model, beyond the standard error?
-    pub fn ahead(&self, k: usize) -> bool {
-        let [difference, error] = self.difference(k, 0);
-        difference > error
+    /// By how much each measured condition speaks for `a` and against `b`.
+    pub fn shares(&self, a: usize, b: usize) -> Vec<f64> {
+        let measured = self.sizes.len() - 1;
+        let each = self.rows[a].elpd.iter().zip(&self.rows[b].elpd).map(|(a, b)| a - b);
+        each.take(measured).collect()
     }
 
     /// Mean square of the errors of row `k`, in units of the noise's variance: 1 for noise alone.
@@ -302,13 +365,13 @@ impl EvidenceTable {
         if self.lack(k) <= self.limit { 0.0 } else { self.lack(k) - 1.0 }
     }
 
-    /// The misfit of row `k` as a share of the plain model's misfit. If the plain model's errors are smaller than noise and the stated
+    /// The misfit of row `k` as a share of that of row `base`. If the errors of `base` are smaller than noise and the stated
     /// errors of the model would give, by more than chance, the mean square of all errors takes the place of the misfit.
-    pub fn unexplained(&self, k: usize) -> f64 {
-        if self.lack(0) * self.limit < 1.0 {
-            return self.lack(k) / self.lack(0).max(1e-9);
+    pub fn unexplained(&self, k: usize, base: usize) -> f64 {
+        if self.lack(base) * self.limit < 1.0 {
+            return self.lack(k) / self.lack(base).max(1e-9);
         }
-        self.misfit(k) / self.misfit(0).max(1e-9)
+        self.misfit(k) / self.misfit(base).max(1e-9)
     }
 }
 

@@ -1,6 +1,6 @@
 //! EXPERIMENT.toml: facts that the data file does not contain.
 
-use super::nuisance::{PriorEntry, Priors};
+use super::nuisance::Priors;
 use crate::error::{Error, Result, check_range};
 use crate::progress::Progress;
 use crate::sand::intruder::BodyShape;
@@ -147,8 +147,12 @@ pub struct ExperimentFile {
     law: Option<String>,
     #[serde(default, rename = "body")]
     pub bodies: BTreeMap<String, BodyDescription>,
+    /// Kind → prior standard deviation; 0 excludes the nuisance. `interest` is of older files and has no effect.
     #[serde(default)]
-    nuisances: BTreeMap<String, PriorEntry>,
+    nuisances: BTreeMap<String, toml::Value>,
+    /// The same for errors of stated geometry.
+    #[serde(default)]
+    uncertainty: BTreeMap<String, f64>,
     /// Column → unit, for columns that are not in SI.
     #[serde(default)]
     pub units: BTreeMap<String, String>,
@@ -212,13 +216,15 @@ impl Experiment {
     pub fn load(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).map_err(|e| Error::file(path, e))?;
         let read = |name: &str| std::fs::read_to_string(name).map_err(|e| Error::file(Path::new(name), e));
-        Self::parse(&text, &read).map_err(|e| Error::file(path, e))
+        Self::with_files(&text, &read).map_err(|e| Error::file(path, e))
     }
 
     /// Reads the text of an experiment file that contains the texts of other files instead of their names: a server reads no files that a
     /// client names.
     pub fn from_toml(text: &str) -> Result<Self> {
-        Self::parse(text, &|name| Err(Error::invalid(name, "a server reads no files; send the content of this one")))
+        Self::with_files(text, &|name| {
+            Err(Error::invalid(name, "a server reads no files; send the content of this one"))
+        })
     }
 
     /// Calls `take` with each row of the data, with the experiment's columns and units.
@@ -233,7 +239,8 @@ impl Experiment {
         table::read(data, &ReadOptions { columns, renamed, units, most_rows: Some(MOST_ROWS), progress }, take)
     }
 
-    fn parse(text: &str, read_file: &dyn Fn(&str) -> Result<String>) -> Result<Self> {
+    /// The same; `read_file` gives the texts of the files that the experiment names.
+    pub fn with_files(text: &str, read_file: &dyn Fn(&str) -> Result<String>) -> Result<Self> {
         let read = |name: &str| if name.contains('\n') { Ok(name.to_string()) } else { read_file(name) };
         let mut file: ExperimentFile = toml::from_str(text).map_err(|e| {
             let line = e.span().map(|s| text[..s.start.min(text.len())].lines().count().max(1));
@@ -275,13 +282,28 @@ impl Experiment {
             check_range(&format!("body.{name}.friction"), body.friction, 0.1..=10.0)?;
         }
         let law = file.law.as_deref().map_or(Ok(Law::Agarwal2023), Law::named)?;
-        let nuisances = Priors::from_table(&file.nuisances)?;
+        let nuisances = file.priors()?;
         file.check_trajectory()?;
         Ok(Self { file, medium, law, nuisances, given })
     }
 }
 
 impl ExperimentFile {
+    fn priors(&self) -> Result<Priors> {
+        let mut stated = BTreeMap::new();
+        for (name, entry) in self.nuisances.iter().filter(|(name, _)| *name != "interest") {
+            let sd = entry.as_float().or_else(|| entry.as_integer().map(|whole| whole as f64));
+            let wrong = || Error::invalid("nuisances", format!("{name} has the wrong type"));
+            stated.insert(name.clone(), sd.ok_or_else(wrong)?);
+        }
+        Priors::from_tables(&stated, &self.uncertainty)
+    }
+
+    /// Has the file the key `interest`, which has no effect any more?
+    pub fn states_interest(&self) -> bool {
+        self.nuisances.contains_key("interest")
+    }
+
     /// Checks the keys of a robot's log, gives runs without a name their number, and normalises the quaternion.
     fn check_trajectory(&mut self) -> Result<()> {
         // A sensor more than 10 m from the base, or a torque constant above 1000 N·m/A, has a wrong unit: our choices.

@@ -309,11 +309,11 @@ pub fn planned(trials: Vec<(Track, String)>, channels: usize) -> ForceLog {
     assemble(trials, names, channels > 2, Vec::new(), String::new())
 }
 
-/// Number of samples in a planned trial: our choice, as many as a log needs (docs/diagnosis.md, 1).
+/// Number of samples in a planned trial: our choice, as many as a log needs (docs/diagnosis.md, "What it needs").
 const PLANNED_SAMPLES: usize = 60;
 
-/// Trials that the apparatus of `tracks` could make: each intruder at its slowest, a middle and its fastest speed, at two
-/// depths, on used ground and on fresh ground, on fresh ground also 10 cm to either side; plates at several angles.
+/// Trials that the apparatus of `tracks` could make and that are not in the data: each intruder at its slowest, a middle and its fastest
+/// speed, at two depths, on used ground and on fresh ground, on fresh ground also 10 cm to either side; plates at several angles.
 pub fn possible(tracks: &[Track]) -> Vec<(Track, String)> {
     let mut shapes: Vec<&Track> = Vec::new();
     for track in tracks {
@@ -338,12 +338,13 @@ pub fn possible(tracks: &[Track]) -> Vec<(Track, String)> {
             }
         }
     }
+    out.retain(|(planned, _)| !tracks.iter().any(|made| planned.resembles(made)));
     out
 }
 
 impl Track {
     /// Fastest angular speed of a leg [rad/s] or speed of a plate [m/s].
-    fn rate(&self) -> f64 {
+    pub(super) fn rate(&self) -> f64 {
         self.poses.iter().map(|pose| self.speed(pose)).fold(0.0, f64::max)
     }
 

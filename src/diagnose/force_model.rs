@@ -1,15 +1,16 @@
 //! The forward model of force logs: predicts the readings of an arm's force sensor, track by track ([`super::arm`]).
 
 use super::acceleration::Accelerations;
-use super::arm::{Arm, IntruderSegments, filtered, read};
+use super::arm::{Arm, IntruderSegments};
 use super::experiment::{Experiment, Intruder};
 use super::fit::slope;
 use super::force_log::{ForceLog, planned, possible};
-use super::forward::{Feature, ForwardModel, Menu, SandParameters, Testable, stronger, testable};
+use super::forward::{Division, Feature, ForwardModel, Menu, SandParameters, Testable, stronger, testable};
 use super::known::Recent;
+use super::measuring::Measuring;
 use super::motion::moving;
-use super::nuisance::Nuisance;
-use super::observations::{Channel, Observations};
+use super::nuisance::{Nuisance, NuisanceState};
+use super::observations::Observations;
 use super::response::{CoefficientResponse, is_linear};
 use super::series::root_mean_square;
 use super::shared::{SharedNoise, Uncertainty};
@@ -30,40 +31,22 @@ const PRESCRIBED: Regularization = Regularization { rest_speed: 1e-9, ..Regulari
 #[derive(Clone)]
 pub struct ForceLogModel<'a> {
     latch: Option<&'a Latch<'a>>,
-    experiment: Experiment,
-    tracks: Vec<Track>,
+    pub(super) experiment: Experiment,
+    pub(super) tracks: Vec<Track>,
     /// For each track the indices of the samples in motion.
     kept: Vec<Vec<usize>>,
-    cuts: BTreeMap<String, IntruderSegments>,
+    pub(super) cuts: BTreeMap<String, IntruderSegments>,
     /// Channels and units of the log; its values are not used.
-    layout: Observations,
+    pub(super) layout: Observations,
     /// Track of each unit.
-    track_of: Vec<usize>,
+    pub(super) track_of: Vec<usize>,
     missing: Vec<&'static str>,
     responses: Recent<Mechanisms, CoefficientResponse>,
-    measuring: Recent<SandParameters, Measuring>,
+    pub(super) measuring: Recent<SandParameters, Measuring>,
 }
 
-/// Effects of nuisances on the data, for one state of the sand.
-struct Measuring {
-    /// Tilt, offsets and filter of the sensor in this state.
-    mechanisms: Mechanisms,
-    here: Vec<f64>,
-    /// Change of the data per unit of delay, depth and tilt.
-    late: Vec<f64>,
-    deep: Vec<f64>,
-    tilt: Vec<f64>,
-    /// Loads of each track at the steps of a filter.
-    steps: Vec<Vec<[Wrench; 1]>>,
-}
-
-/// Step of the depth [m] for derivatives with respect to nuisances: our choice. This step and the three below are at
-/// most half of the nuisance's prior standard deviation.
+/// Step of the depth [m] for the derivative by the height of the surface: our choice, far below the nuisance's prior standard deviation.
 const DEPTH_STEP: f64 = 2e-4;
-/// Step of times [s].
-const TIME_STEP: f64 = 1e-3;
-/// Step of angles [rad].
-const TILT_STEP: f64 = 1e-4;
 /// Relative step of the sand's strength.
 const STRENGTH_STEP: f64 = 0.02;
 /// Names of the nuisances that have their own value in each channel of each trial.
@@ -102,8 +85,18 @@ impl<'a> ForceLogModel<'a> {
         Self { latch: Some(latch), ..self }
     }
 
+    /// The same apparatus on other tracks.
+    pub(super) fn with_tracks(&self, tracks: Vec<Track>) -> Self {
+        Self { tracks, ..self.clone() }
+    }
+
+    /// The same with intruders of other sizes.
+    pub(super) fn with_cuts(&self, cuts: BTreeMap<String, IntruderSegments>) -> Self {
+        Self { cuts, ..self.clone() }
+    }
+
     /// A stack of f(time since the trial began, share of the trial's time, channel).
-    fn stack(&self, f: impl Fn(f64, f64, usize) -> f64) -> Vec<f64> {
+    pub(super) fn stack(&self, f: impl Fn(f64, f64, usize) -> f64) -> Vec<f64> {
         self.layout.stack(|u, channel, i| {
             let (track, kept) = (&self.tracks[self.track_of[u]], &self.kept[self.track_of[u]]);
             let (first, last) = (track.poses[0].t, track.poses[track.poses.len() - 1].t);
@@ -113,13 +106,13 @@ impl<'a> ForceLogModel<'a> {
     }
 
     /// `stack` with all other channels 0.
-    fn only(&self, stack: &[f64], channel: usize) -> Vec<f64> {
+    pub(super) fn only(&self, stack: &[f64], channel: usize) -> Vec<f64> {
         let units = &self.layout.units;
         self.layout.stack(|u, c, i| if c == channel { stack[units[u].block(c).start + i] } else { 0.0 })
     }
 
     /// Root mean square of one channel of a prediction; at least 1e-6 of its unit, so that no size is 0.
-    fn rms(&self, prediction: &[f64], channel: usize) -> f64 {
+    pub(super) fn rms(&self, prediction: &[f64], channel: usize) -> f64 {
         let blocks = self.layout.units.iter().flat_map(|u| u.block(channel));
         root_mean_square(blocks.map(|k| prediction[k])).max(1e-6)
     }
@@ -133,11 +126,11 @@ impl<'a> ForceLogModel<'a> {
         sand.for_prescribed_motion()
     }
 
-    fn ground(&self, coefficients: &Coefficients) -> SandBed<Doubles> {
+    pub(super) fn ground(&self, coefficients: &Coefficients) -> SandBed<Doubles> {
         SandBed::new(Law::Li2013, &Medium { coefficients: *coefficients, ..self.medium().clone() }, &PRESCRIBED)
     }
 
-    fn arm<'b, const N: usize>(
+    pub(super) fn arm<'b, const N: usize>(
         &'b self,
         track: &'b Track,
         m: &'b Mechanisms,
@@ -156,7 +149,7 @@ impl<'a> ForceLogModel<'a> {
     }
 
     /// Puts loads, given track by track and pose by pose, into stacks: one stack for each of the N beds.
-    fn stacks<const N: usize>(&self, loads: &[Vec<[Wrench; N]>]) -> Vec<Vec<f64>> {
+    pub(super) fn stacks<const N: usize>(&self, loads: &[Vec<[Wrench; N]>]) -> Vec<Vec<f64>> {
         let at = |bed: usize| {
             self.layout.stack(|u, channel, i| {
                 let track = self.track_of[u];
@@ -185,37 +178,15 @@ impl<'a> ForceLogModel<'a> {
         });
         slope(&self.stacks(&loads)[0], prediction, 1.0).into_iter().map(f64::abs).collect()
     }
-
-    /// Effects of nuisances on the data with this sand.
-    fn measuring(&self, sand: &SandParameters) -> Measuring {
-        let (here, (m, c)) = (self.predict(sand), sand);
-        let by = |changed: Mechanisms, step: f64| slope(&self.predict(&(changed, *c)), &here, step);
-        let late = by(Mechanisms { delay: m.delay + TIME_STEP, ..*m }, TIME_STEP);
-        let deep = by(Mechanisms { depth_zero: m.depth_zero + DEPTH_STEP, ..*m }, DEPTH_STEP);
-        let tilt = by(Mechanisms { sensor_tilt: m.sensor_tilt + TILT_STEP, ..*m }, TILT_STEP);
-        let grounds = [self.ground(c)];
-        let steps = parallel::map(&self.tracks, |t| self.arm(t, m, &grounds).between());
-        Measuring { mechanisms: *m, here, late, deep, tilt, steps }
-    }
-}
-
-impl Measuring {
-    /// Change of the data by a filter of time constant `tau`.
-    fn filtered(&self, model: &ForceLogModel, tau: f64) -> Vec<f64> {
-        let m = &self.mechanisms;
-        let through = |(steps, track): (&Vec<[Wrench; 1]>, &Track)| {
-            let mut loads = filtered(&track.poses, steps, m.lowpass + tau);
-            read(m, &mut loads);
-            loads
-        };
-        let loads: Vec<_> = self.steps.iter().zip(&model.tracks).map(through).collect();
-        slope(&model.stacks(&loads)[0], &self.here, 1.0)
-    }
 }
 
 impl ForwardModel for ForceLogModel<'_> {
     fn stopped(&self) -> bool {
         self.latch.is_some_and(Latch::stopped)
+    }
+
+    fn is_linear(&self, mechanisms: &Mechanisms) -> bool {
+        is_linear(mechanisms)
     }
 
     /// Each trial has its own bed strength, its own zero of the surface, and its own zero of each channel of the
@@ -239,37 +210,8 @@ impl ForwardModel for ForceLogModel<'_> {
         Uncertainty { shared, own: self.doubt(sand, prediction), ..Uncertainty::default() }
     }
 
-    fn nuisances(&self, sand: &SandParameters, values: &[(String, f64)]) -> Vec<Nuisance> {
-        if self.stopped() {
-            return Vec::new();
-        }
-        let measuring = self.measuring.of(sand, || self.measuring(sand));
-        let Measuring { here, late, deep, tilt, .. } = &*measuring;
-        let sd = |kind: &str| self.experiment.nuisances.sd(kind);
-        let mut all = Vec::new();
-        for (channel, Channel { name, unit, .. }) in self.layout.channels.iter().enumerate() {
-            let own = |stack: &[f64]| self.only(stack, channel);
-            let zero = sd("offset") * self.rms(here, channel);
-            all.push(Nuisance::linear(format!("offset_{name}"), unit, zero, own(&vec![1.0; here.len()])));
-            all.push(Nuisance::linear(format!("gain_{name}"), "1", sd("gain"), own(here)));
-            let id = format!("lowpass_{name}");
-            // A filter's time constant cannot be negative.
-            let tau = values.iter().find(|v| v.0 == id).map_or(0.0, |v| v.1.max(0.0));
-            let filtered = |tau: f64| own(&measuring.filtered(self, tau));
-            let (at, beyond) =
-                (if tau > 0.0 { filtered(tau) } else { vec![0.0; here.len()] }, filtered(tau + TIME_STEP));
-            let rate = slope(&beyond, &at, TIME_STEP);
-            let bend = slope(&at, &rate.iter().map(|r| r * tau).collect::<Vec<_>>(), 1.0);
-            all.push(Nuisance::linear(id, "s", sd("lowpass"), rate).bent(bend));
-        }
-        let time = self.stack(|t, _, _| t);
-        let skewed = late.iter().zip(time).map(|(l, t)| l * t).collect();
-        all.push(Nuisance::linear("clock".into(), "1", sd("clock"), skewed));
-        all.push(Nuisance::linear("delay".into(), "s", sd("delay"), late.clone()));
-        all.push(Nuisance::linear("depth_zero".into(), "m", sd("depth_zero"), deep.clone()));
-        all.push(Nuisance::linear("tilt".into(), "rad", sd("tilt"), tilt.clone()));
-        all.retain(|n| n.sd > 0.0);
-        all
+    fn nuisances(&self, sand: &SandParameters, values: &[NuisanceState]) -> Vec<Nuisance> {
+        if self.stopped() { Vec::new() } else { self.effects_of_measuring(sand, values) }
     }
 
     /// For states that differ only in the coefficients, the response to the coefficients is computed once.
@@ -346,7 +288,51 @@ impl ForwardModel for ForceLogModel<'_> {
         ]
     }
 
-    /// Other tracks with the same intruders.
+    fn sizes(&self) -> Vec<f64> {
+        let size = |t: &Track| match t.intruder {
+            Intruder::Leg { chord, width, .. } => (chord * width).sqrt(),
+            Intruder::Plate { length, width, .. } => (length * width).sqrt(),
+        };
+        // A plate and a leg differ in more than their size, so each is compared with others of its type.
+        let plate = |t: &Track| matches!(t.intruder, Intruder::Plate { .. });
+        let mean = |plates: bool| {
+            let own: Vec<f64> = self.tracks.iter().filter(|t| plate(t) == plates).map(|t| size(t).ln()).collect();
+            (own.iter().sum::<f64>() / own.len().max(1) as f64).exp()
+        };
+        let means = [false, true].map(mean);
+        let of = |t: &Track| size(t) / means[usize::from(plate(t))];
+        self.track_of.iter().map(|&t| of(&self.tracks[t])).collect()
+    }
+
+    fn divisions(&self) -> Vec<Division> {
+        let of = |by, names: [&str; 2], f: &dyn Fn(&Track, &ArmPose) -> f64| Division {
+            by,
+            names: names.map(Into::into),
+            parts: (self.track_of.iter())
+                .map(|&t| {
+                    let track = &self.tracks[t];
+                    let usual = track.poses.iter().map(|p| f(track, p).abs()).fold(0.0, f64::max);
+                    // A speed below a tenth of the greatest is neither: our choice.
+                    let part = |&i: &usize| Some(f(track, &track.poses[i])).filter(|v| v.abs() > 0.1 * usual);
+                    self.kept[t].iter().map(|i| part(i).map(|v| v > 0.0)).collect()
+                })
+                .collect(),
+        };
+        let rise = |t: &Track, p: &ArmPose| match t.intruder {
+            Intruder::Leg { chord, .. } => chord * p.omega * p.theta.sin(),
+            Intruder::Plate { .. } => p.velocity[1],
+        };
+        let forward = |t: &Track, p: &ArmPose| match t.intruder {
+            Intruder::Leg { chord, .. } => chord * p.omega * p.theta.cos(),
+            Intruder::Plate { .. } => p.velocity[0],
+        };
+        vec![
+            of("direction", ["going in", "coming out"], &rise),
+            of("side", ["moving to the left", "moving to the right"], &forward),
+        ]
+    }
+
+    /// Other tracks with the same intruders, none of which is in the data.
     fn menu(&self) -> Option<Menu<'_>> {
         let log = planned(possible(&self.tracks), self.layout.channels.len());
         let model = Self { latch: self.latch, ..Self::along(&log, self.experiment.clone(), self.cuts.clone()) };

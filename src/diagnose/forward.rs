@@ -1,7 +1,7 @@
 //! Forward models: predictions of a data set. All statistics use only [`ForwardModel`].
 
 use super::experiment::Experiment;
-use super::nuisance::Nuisance;
+use super::nuisance::{Nuisance, NuisanceState};
 use super::observations::Observations;
 use super::shared::Uncertainty;
 use crate::sand::mechanism::{CATALOG, Mechanism, Mechanisms};
@@ -37,6 +37,14 @@ pub struct Feature {
     pub values: Vec<Vec<f64>>,
 }
 
+/// A division of the data in two.
+pub struct Division {
+    pub by: &'static str,
+    pub names: [String; 2],
+    /// The part of each sample, unit by unit; None: in neither.
+    pub parts: Vec<Vec<Option<bool>>>,
+}
+
 /// Trials that could be made next. Each is a condition, whose name describes it.
 pub struct Menu<'a> {
     pub model: Box<dyn ForwardModel + 'a>,
@@ -60,10 +68,14 @@ pub trait ForwardModel: Sync {
     fn roughness(&self) -> Option<f64> {
         None
     }
+    /// Is the prediction linear in the stress coefficients with these mechanisms? Then its slopes by them are the same everywhere.
+    fn is_linear(&self, _mechanisms: &Mechanisms) -> bool {
+        false
+    }
     /// Causes of differences between repetitions, and errors of the model, at the prediction with `sand`.
     fn uncertainty(&self, sand: &SandParameters, prediction: &[f64]) -> Uncertainty;
     /// Nuisances that all data share, computed at the prediction with `sand`; `values` are their present estimates.
-    fn nuisances(&self, _sand: &SandParameters, _values: &[(String, f64)]) -> Vec<Nuisance> {
+    fn nuisances(&self, _sand: &SandParameters, _values: &[NuisanceState]) -> Vec<Nuisance> {
         Vec::new()
     }
     /// A prediction of the simulator, without the corrections of [`Self::predict`].
@@ -98,6 +110,14 @@ pub trait ForwardModel: Sync {
     fn testable(&self) -> Testable;
     /// The features of the data.
     fn features(&self) -> Vec<Feature>;
+    /// The size of the body of each unit, relative to those of its type; empty if it is not known.
+    fn sizes(&self) -> Vec<f64> {
+        Vec::new()
+    }
+    /// Divisions of the data in two by the motion, for each sample of each unit.
+    fn divisions(&self) -> Vec<Division> {
+        Vec::new()
+    }
     /// Trials that the same apparatus could make next.
     fn menu(&self) -> Option<Menu<'_>> {
         None

@@ -30,7 +30,7 @@ const ROUNDS: usize = 12;
 const HEAD_START: usize = 2;
 /// A fit is abandoned if its objective is higher than the best by more than this many times the gain of its last step:
 /// our choice; gains shrink from step to step.
-const REACH: f64 = 4.0;
+pub const REACH: f64 = 4.0;
 
 impl FitInputs<'_> {
     /// The plain model without any fit.
@@ -218,6 +218,11 @@ impl FitInputs<'_> {
 
     /// Sets the slopes of the active fits by the coefficients; [`Self::set_value_slopes`] sets the slopes by the values.
     pub(super) fn set_coefficient_slopes(&self, fits: &mut [Fit], active: &[usize]) {
+        // Those of a linear model without mechanisms are the plain model's, which are known.
+        let plain = |fit: &Fit| fit.mechanisms == Mechanisms::default() && self.model.is_linear(&fit.mechanisms);
+        let is_known = |k: &usize| !self.marginal_slopes[0].is_empty() && plain(&fits[*k]);
+        let (known, active): (Vec<usize>, Vec<usize>) = active.iter().partition(|k| is_known(k));
+        known.into_iter().for_each(|k| fits[k].slopes.clone_from(&self.marginal_slopes[0]));
         // The step in prior standard deviations; large for a rough model. Our choices.
         let step = if self.model.roughness().is_some() { 1.0 } else { 0.1 };
         let state = |fit: &Fit, k: usize| {

@@ -1,6 +1,6 @@
 //! `hardware.toml`: what a diagnosis has found of the robot's motors, sensors and delays, for [`crate::sim::hardware`].
 
-use super::evidence::NORMAL;
+use super::differences::NORMAL;
 use super::report::Report;
 use crate::sim::hardware::{HardwareDescription, HardwareQuantity};
 
@@ -14,22 +14,25 @@ pub const TORQUE_CONSTANT: &str = "actuator.torque_constant";
 pub const TORQUE_LIMIT: &str = "actuator.torque_limit";
 pub const FRICTION: &str = "actuator.friction";
 
+/// An effect: its id, its axis, the quantities, and its least value.
+type KnownEffect = (&'static str, Option<&'static str>, &'static [&'static str], Option<f64>);
+
 /// Effects of measuring that a report names for a robot's own log, each with the quantities of a simulation that it
 /// changes. If the effect is itself the first of these quantities, the last entry is its least possible value.
-const EFFECTS: [(&str, &[&str], Option<f64>); 8] = [
-    ("imu_rotation_x", &[ROTATION[0]], Some(f64::NEG_INFINITY)),
-    ("imu_rotation_y", &[ROTATION[1]], Some(f64::NEG_INFINITY)),
-    ("imu_rotation_z", &[ROTATION[2]], Some(f64::NEG_INFINITY)),
-    ("imu_delay", &[DELAY[0], DELAY[1], DELAY[2], FILTER[0], FILTER[1], FILTER[2]], None),
-    ("imu_blur", &[DELAY[0], DELAY[1], DELAY[2], FILTER[0], FILTER[1], FILTER[2]], None),
-    ("torque_constant", &[TORQUE_GAIN, TORQUE_CONSTANT], Some(f64::NEG_INFINITY)),
-    ("servo_gain", &[TORQUE_GAIN, TORQUE_CONSTANT], None),
-    ("friction", &[FRICTION], Some(0.0)),
+const EFFECTS: [KnownEffect; 8] = [
+    ("imu_rotation", Some("x"), &[ROTATION[0]], Some(f64::NEG_INFINITY)),
+    ("imu_rotation", Some("y"), &[ROTATION[1]], Some(f64::NEG_INFINITY)),
+    ("imu_rotation", Some("z"), &[ROTATION[2]], Some(f64::NEG_INFINITY)),
+    ("imu_delay", None, &[DELAY[0], DELAY[1], DELAY[2], FILTER[0], FILTER[1], FILTER[2]], None),
+    ("imu_blur", None, &[DELAY[0], DELAY[1], DELAY[2], FILTER[0], FILTER[1], FILTER[2]], None),
+    ("torque_constant", None, &[TORQUE_GAIN, TORQUE_CONSTANT], Some(f64::NEG_INFINITY)),
+    ("servo_gain", None, &[TORQUE_GAIN, TORQUE_CONSTANT], None),
+    ("friction", None, &[FRICTION], Some(0.0)),
 ];
 
 /// The quantities of a simulation that a nuisance of a robot's log changes.
-pub fn quantities_of(nuisance: &str) -> &'static [&'static str] {
-    EFFECTS.iter().find(|effect| effect.0 == nuisance).map_or(&[], |effect| effect.1)
+pub fn quantities_of(nuisance: &str, axis: Option<&str>) -> &'static [&'static str] {
+    EFFECTS.iter().find(|effect| (effect.0, effect.1) == (nuisance, axis)).map_or(&[], |effect| effect.2)
 }
 
 /// A value and the half width of its 95 % interval, which does not reach below `least`.
@@ -42,10 +45,14 @@ fn quantity(value: f64, half: f64, least: f64) -> HardwareQuantity {
 pub fn found(report: &Report) -> HardwareDescription {
     let source = format!("sandgait diagnose, data {}: {}", report.data_sha256, report.summary);
     let mut all = HardwareDescription { source, ..HardwareDescription::default() };
-    let measured = |id: &str| report.nuisances.iter().find(|n| n.id == id && n.level == "log").map(|n| (n.value, n.sd));
-    for (id, paths, least) in EFFECTS {
+    let of = |id: &str, axis: Option<&str>| {
+        let own = report.nuisances.iter().find(|n| n.id == id && n.of.as_deref() == axis && n.level == "log");
+        own.map(|n| (n.value, n.sd))
+    };
+    let measured = |id: &str| of(id, None);
+    for (id, axis, paths, least) in EFFECTS {
         let Some(least) = least else { continue };
-        if let Some((value, sd)) = measured(id).filter(|(v, sd)| v.abs() > NORMAL * sd && *v > least) {
+        if let Some((value, sd)) = of(id, axis).filter(|(v, sd)| v.abs() > NORMAL * sd && *v > least) {
             all.quantities.insert(paths[0].into(), quantity(value, NORMAL * sd, least));
         }
     }

@@ -4,7 +4,7 @@ use super::experiment::{BodyDescription, Experiment};
 use super::fit::slope;
 use super::forward::{Feature, ForwardModel, SandParameters, Testable, stronger};
 use super::intruder_log::{CHANNELS, IntruderLog, SteadyRow};
-use super::nuisance::{Nuisance, Priors};
+use super::nuisance::{Nuisance, NuisanceState, Priors};
 use super::shared::{SharedNoise, Uncertainty};
 use crate::error::{Error, Result};
 use crate::parallel;
@@ -164,7 +164,7 @@ impl ForwardModel for IntruderModel<'_> {
     }
 
     /// Nuisances: zero of the sinkage, size of the body, friction of its surface.
-    fn nuisances(&self, sand: &SandParameters, _values: &[(String, f64)]) -> Vec<Nuisance> {
+    fn nuisances(&self, sand: &SandParameters, _values: &[NuisanceState]) -> Vec<Nuisance> {
         let zero = (0..3 * self.states.len()).map(|k| if k % 3 == 2 { -1.0 } else { 0.0 }).collect();
         let larger = Changed { larger: true, ..Changed::default() };
         let rougher = Changed { friction: FRICTION_STEP, ..Changed::default() };
@@ -173,8 +173,8 @@ impl ForwardModel for IntruderModel<'_> {
             ("geometry", self.felt(sand, larger, GEOMETRY_STEP)),
             ("surface_friction", self.felt(sand, rougher, FRICTION_STEP)),
         ];
-        let of = |(id, slope): (&str, Vec<f64>)| {
-            Nuisance::linear(id.into(), Priors::unit(id), self.experiment.nuisances.sd(id), slope)
+        let of = |(id, slope): (&'static str, Vec<f64>)| {
+            Nuisance::linear(id, Priors::unit(id), self.experiment.nuisances.sd(id), slope)
         };
         slopes.into_iter().map(of).filter(|n| n.sd > 0.0).collect()
     }

@@ -5,7 +5,7 @@
 //! anew with each condition left out, so a large dictionary gains nothing by chance ([`super::evidence`]).
 
 use super::fit::{Fit, slope};
-use super::left_out::CandidateLaw;
+use super::left_out::LawColumn;
 use super::study::FitInputs;
 use crate::number::dot;
 use crate::parallel;
@@ -31,7 +31,14 @@ const ROUNDS: usize = 3;
 
 /// A law and a cause are fitted together only if the cause explains at most this share of the law's effect: with a larger share,
 /// the variance inflation factor is above 10, the usual limit of collinearity (Marquardt, Technometrics 12:591, 1970).
-const COLLINEAR: f64 = 0.9;
+pub const COLLINEAR: f64 = 0.9;
+
+/// Laws that a model may have, and the change of its prediction by each with the coefficient 1.
+#[derive(Default)]
+pub struct Laws {
+    pub terms: Vec<Term>,
+    pub columns: Vec<LawColumn>,
+}
 
 /// A law with its coefficient.
 pub struct FittedLaw {
@@ -87,28 +94,34 @@ fn dictionary([speed, depth, width]: [f64; 3]) -> Vec<Term> {
     all
 }
 
-/// The laws that are physically possible about `base`, with their columns; None if the model supports no laws. A law is
+/// The laws that are physically possible about `base`, with their columns; none if the model supports no laws. A law is
 /// left out if its effect on these data is nearly that of a cause of `base`: it would describe this cause a second
 /// time, and take a part of the cause's value.
-pub fn laws(study: &FitInputs, base: &Fit) -> Option<Vec<CandidateLaw>> {
-    study.model.with_terms(&[])?;
+pub fn laws(study: &FitInputs, base: &Fit) -> Laws {
+    if study.model.with_terms(&[]).is_none() {
+        return Laws::default();
+    }
     let sand = study.sand(base);
     let normal = study.normal_equations(base);
     let column = |law: &Term| {
         let model = study.model.with_terms(std::slice::from_ref(law))?;
         let column = slope(&model.predict(&sand), &base.prediction, 1.0);
         let white = study.whitener.apply(&column);
-        if !base.ids.is_empty() && normal.explained(&white, base.ids.len())? > COLLINEAR {
+        // What coefficients and effects of measuring leave of two equal effects may differ, so the whole effects are compared, too.
+        let causes = base.ids.len();
+        let same = |share: Option<f64>| share.is_none_or(|share| share > COLLINEAR);
+        if causes > 0 && (same(normal.explained(&white, causes)) || same(normal.alike(&white, causes))) {
             return None;
         }
         // Whether a law is physically possible depends on the sign of its coefficient, which a fit of this law alone gives.
         let estimate = dot(&white, &base.white) / dot(&white, &white).max(1e-300);
         let fitted = Term { coefficient: estimate, ..law.clone() };
         fitted.check(&sand.1, study.model.medium().bulk_density).ok()?;
-        Some(CandidateLaw { term: law.clone(), column: column.iter().map(|v| *v as f32).collect() })
+        Some((law.clone(), column.iter().map(|v| *v as f32).collect()))
     };
     let made = parallel::map(&dictionary(study.model.reach()), column);
-    Some(made.into_iter().flatten().collect())
+    let (terms, columns) = made.into_iter().flatten().unzip();
+    Laws { terms, columns }
 }
 
 /// The law `term`, fitted in addition to `base`, starting from the coefficient in `term`. With `held`, the values of
@@ -194,9 +207,9 @@ pub(super) mod tests {
     fn a_law_that_repeats_a_cause_is_left_out_beside_it() {
         with_cohesion(|study, fit| {
             let still = term(&[("depth_over_width", -1.0)]);
-            let beside = |fit: &Fit| laws(study, fit).unwrap().iter().any(|law| law.term.groups == still.groups);
+            let beside = |fit: &Fit| laws(study, fit).terms.iter().any(|law| law.groups == still.groups);
             assert!(beside(&study.recalibrated()) && !beside(fit));
-            assert!(laws(study, fit).unwrap().len() > 20);
+            assert!(laws(study, fit).terms.len() > 20);
         });
     }
 

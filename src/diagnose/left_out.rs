@@ -1,27 +1,34 @@
 //! Predicts every condition from the others, with a model that is linear near its fit.
 
 use super::errors::SquaredErrors;
-use super::fit::{COEFFICIENTS, Fit, Stack};
-use super::study::FitInputs;
-use crate::sand::Term;
-use nalgebra::{DMatrix, DVector};
+use super::fit::{Fit, Stack};
+use super::gram::gram_of;
+use super::nuisance::Nuisance;
+use super::study::{FitInputs, reading};
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 /// Largest number of rounds to find the scale of a model's errors. The next constant is the relative change below which
 /// the scale counts as found. Our choices; the scale affects the prediction only through the weight of the priors.
 const ROUNDS: usize = 4;
 const FOUND: f64 = 0.1;
 
-/// A model to compare: a fit, and laws, of which at most one is added to the fit.
+/// A model to compare: a fit with its nuisances, and columns, of which at most one is added to the fit.
+#[derive(Clone, Copy)]
 pub struct Contender<'a> {
     pub fit: &'a Fit,
-    pub laws: Option<&'a [CandidateLaw]>,
+    pub nuisances: &'a [Nuisance],
+    pub columns: &'a [LawColumn],
 }
 
-/// A law that a model may have. Its column is the change of a fit's prediction by the law with the coefficient 1. The columns take
-/// the most memory of a diagnosis, and single precision is far more than a law needs.
-pub struct CandidateLaw {
-    pub term: Term,
-    pub column: Vec<f32>,
+/// The change of a fit's prediction by a further effect of strength 1, such as a law. These columns take the most memory of a
+/// diagnosis, and single precision is far more than a law needs.
+pub type LawColumn = Vec<f32>;
+
+impl Contender<'_> {
+    /// The readings that the fit predicts.
+    pub fn reading(&self) -> Vec<f64> {
+        reading(self.fit, self.nuisances)
+    }
 }
 
 /// How one model predicts each condition from the others.
@@ -32,15 +39,15 @@ pub struct LeftOutRow {
     pub predicted: Predicted,
     /// For each condition, φ as the other conditions give it.
     pub scales: Vec<f64>,
-    /// Held-out errors in the data's own unit, of the sand without nuisances.
-    pub held_out: SquaredErrors,
 }
 
 /// The linear approximation of a model near its fit, for the numbers of each condition. The last condition is the stated priors
-/// of coefficients and nuisances.
+/// of coefficients and nuisances, in which laws have no effect.
 pub struct Linear {
     pub residual: Vec<DVector<f64>>,
-    pub slopes: Vec<Vec<DVector<f64>>>,
+    /// Derivatives of the numbers, one column for each parameter.
+    pub slopes: Vec<DMatrix<f64>>,
+    /// The effect of each law on the numbers of each measured condition.
     pub laws: Vec<Vec<DVector<f64>>>,
     /// Precision and score of each parameter's prior at the fit.
     pub prior: Vec<[f64; 2]>,
@@ -48,21 +55,13 @@ pub struct Linear {
     pub widths: Vec<f64>,
 }
 
-/// Products of a condition: information and score of the parameters; for each law its products with the parameters and with itself,
-/// and its score.
-#[derive(Clone)]
-struct Products {
-    information: DMatrix<f64>,
-    score: DVector<f64>,
-    laws: Vec<(DVector<f64>, [f64; 2])>,
-}
-
 /// A condition, predicted from the others.
 pub struct LeftOut {
     /// The law chosen without the condition.
-    law: Option<usize>,
-    step: DVector<f64>,
-    error: DVector<f64>,
+    pub law: Option<usize>,
+    /// Change of the parameters that the other conditions give.
+    pub step: DVector<f64>,
+    pub error: DVector<f64>,
     /// V⁻¹ e: the expected error of the condition itself, without the error of the parameters.
     pub solved: DVector<f64>,
     /// Q = eᵀ V⁻¹ e
@@ -81,12 +80,46 @@ pub struct Predicted {
     pub left: Vec<LeftOut>,
 }
 
+/// Products of a condition: information and score of the parameters; for each law its products with the parameters and with itself,
+/// and its score.
+#[derive(Clone)]
+struct Products {
+    information: DMatrix<f64>,
+    score: DVector<f64>,
+    laws: Vec<(DVector<f64>, [f64; 2])>,
+}
+
+/// The solution of normal equations.
+struct Solution {
+    factor: Option<Cholesky<f64, Dyn>>,
+    step: DVector<f64>,
+    /// ln |information|; infinite if the normal equations have no solution.
+    ln_determinant: f64,
+}
+
+impl Solution {
+    fn new(information: DMatrix<f64>, score: &DVector<f64>) -> Self {
+        let factor = information.cholesky();
+        let (step, ln_determinant) = match &factor {
+            Some(factor) => (factor.solve(score), factor.ln_determinant()),
+            None => (DVector::zeros(score.len()), f64::INFINITY),
+        };
+        Self { factor, step, ln_determinant }
+    }
+
+    fn inverse(&self) -> DMatrix<f64> {
+        let n = self.step.len();
+        self.factor.as_ref().map_or_else(|| DMatrix::zeros(n, n), Cholesky::inverse)
+    }
+}
+
 impl Products {
     fn add(&mut self, other: &Products, weight: f64) {
-        self.information += &other.information * weight;
-        self.score += &other.score * weight;
+        let information = self.information.iter_mut().zip(&other.information);
+        information.for_each(|(sum, own)| *sum += own * weight);
+        self.score.axpy(weight, &other.score, 1.0);
         for (sum, law) in self.laws.iter_mut().zip(&other.laws) {
-            sum.0 += &law.0 * weight;
+            sum.0.axpy(weight, &law.0, 1.0);
             sum.1 = [sum.1[0] + weight * law.1[0], sum.1[1] + weight * law.1[1]];
         }
     }
@@ -97,60 +130,76 @@ impl Products {
         rest
     }
 
-    /// The law that reduces the errors most.
-    fn best_law(&self) -> Option<usize> {
-        if self.laws.is_empty() {
-            return None;
-        }
-        let factor = self.information.clone().cholesky()?;
-        let adjusted = factor.solve(&self.score);
+    /// The law that reduces the errors most beside the parameters, whose solution is `without`.
+    fn best_law(&self, without: &Solution) -> Option<usize> {
+        let factor = without.factor.as_ref()?;
         let gain = |(cross, own): &(DVector<f64>, [f64; 2])| {
             let left = own[0] - cross.dot(&factor.solve(cross));
-            if left > 1e-9 * own[0] { (own[1] - cross.dot(&adjusted)).powi(2) / left } else { 0.0 }
+            if left > 1e-9 * own[0] { (own[1] - cross.dot(&without.step)).powi(2) / left } else { 0.0 }
         };
         let gains: Vec<f64> = self.laws.iter().map(gain).collect();
         (0..gains.len()).max_by(|a, b| gains[*a].total_cmp(&gains[*b]))
     }
 
-    /// Information and score with a law as the last parameter.
-    fn with(&self, law: Option<usize>) -> (DMatrix<f64>, DVector<f64>) {
-        let Some((cross, own)) = law.map(|l| &self.laws[l]) else {
-            return (self.information.clone(), self.score.clone());
+    /// The solution with a law as the last parameter, or without any.
+    fn solution_with(&self, law: Option<usize>) -> Solution {
+        let Some((cross, own)) = law.map(|law| &self.laws[law]) else {
+            return Solution::new(self.information.clone(), &self.score);
         };
         let n = self.score.len();
-        let (mut information, mut score) = (
+        let (mut information, score) = (
             self.information.clone().resize(n + 1, n + 1, own[0]),
             self.score.clone().resize_vertically(n + 1, own[1]),
         );
         for k in 0..n {
             (information[(k, n)], information[(n, k)]) = (cross[k], cross[k]);
         }
-        (information[(n, n)], score[n]) = (own[0], own[1]);
-        (information, score)
+        Solution::new(information, &score)
     }
+
+    /// The solution with the best law, if there are laws.
+    fn solution(&self) -> (Option<usize>, Solution) {
+        let without = self.solution_with(None);
+        match self.best_law(&without) {
+            None => (None, without),
+            law => (law, self.solution_with(law)),
+        }
+    }
+}
+
+/// A model in some of its conditions, and the products of each.
+struct InConditions<'a> {
+    model: &'a Linear,
+    /// The conditions; the last one is the stated priors.
+    used: Vec<usize>,
+    each: Vec<Products>,
 }
 
 impl Linear {
     fn products(&self, c: usize) -> Products {
-        let n = self.slopes.len();
-        let mut information = DMatrix::zeros(n, n);
-        for i in 0..n {
-            for j in 0..=i {
-                let product = self.slopes[i][c].dot(&self.slopes[j][c]);
-                (information[(i, j)], information[(j, i)]) = (product, product);
-            }
-        }
-        let law = |l: &Vec<DVector<f64>>| {
-            let cross = DVector::from_fn(n, |i, _| self.slopes[i][c].dot(&l[c]));
-            (cross, [l[c].norm_squared(), l[c].dot(&self.residual[c])])
+        let (slopes, residual, n) = (&self.slopes[c], &self.residual[c], self.prior.len());
+        let column = |k: usize| &slopes.as_slice()[k * residual.len()..(k + 1) * residual.len()];
+        let columns: Vec<&[f64]> = (0..n).map(column).collect();
+        let law = |l: &Vec<DVector<f64>>| match l.get(c) {
+            Some(own) => (slopes.tr_mul(own), [own.norm_squared(), own.dot(residual)]),
+            None => (DVector::zeros(n), [0.0; 2]),
         };
-        let score = DVector::from_fn(n, |i, _| self.slopes[i][c].dot(&self.residual[c]));
-        Products { information, score, laws: self.laws.iter().map(law).collect() }
+        let laws = self.laws.iter().map(law).collect();
+        Products { information: gram_of(&columns), score: slopes.tr_mul(residual), laws }
     }
 
+    /// The row of the table in the conditions `used` alone; `degrees` are the degrees of freedom of the noise.
+    pub fn row(&self, used: &[usize], degrees: f64) -> LeftOutRow {
+        let used: Vec<usize> = used.iter().copied().chain([self.residual.len() - 1]).collect();
+        let each = used.iter().map(|&c| self.products(c)).collect();
+        InConditions { model: self, used, each }.row(degrees)
+    }
+}
+
+impl InConditions<'_> {
     /// Number of measured conditions.
     fn measured(&self) -> usize {
-        self.residual.len() - 1
+        self.used.len() - 1
     }
 
     /// Weight of a condition if the variance of errors is `scale` times that of the noise. The weight of the last condition, the stated
@@ -160,14 +209,15 @@ impl Linear {
     }
 
     /// Sum of the products of all conditions, together with the prior.
-    fn total(&self, each: &[Products], scale: f64) -> Products {
-        let n = self.slopes.len();
+    fn total(&self, scale: f64) -> Products {
+        let Linear { prior, widths, .. } = self.model;
+        let n = prior.len();
         let mut all = Products {
-            information: DMatrix::from_diagonal(&DVector::from_fn(n, |k, _| self.prior[k][0].max(1e-12))),
-            score: DVector::from_fn(n, |k, _| self.prior[k][1]),
-            laws: self.widths.iter().map(|w| (DVector::zeros(n), [w.powi(-2), 0.0])).collect(),
+            information: DMatrix::from_diagonal(&DVector::from_fn(n, |k, _| prior[k][0].max(1e-12))),
+            score: DVector::from_fn(n, |k, _| prior[k][1]),
+            laws: widths.iter().map(|w| (DVector::zeros(n), [w.powi(-2), 0.0])).collect(),
         };
-        each.iter().enumerate().for_each(|(c, own)| all.add(own, self.weight(c, scale)));
+        self.each.iter().enumerate().for_each(|(c, own)| all.add(own, self.weight(c, scale)));
         all
     }
 
@@ -184,95 +234,94 @@ impl Linear {
         f64::max(sum / count, 1.0)
     }
 
-    fn predicted(&self, each: &[Products], scale: f64) -> Predicted {
-        let all = self.total(each, scale);
-        let law = all.best_law();
-        let (information, score) = all.with(law);
-        let step = solved(&information, &score).0;
-        let inverse = inverted(information);
-        let of = |c: usize| {
-            let weight = self.weight(c, scale);
-            let rest = all.less(&each[c], weight);
-            let own = rest.best_law();
-            let (without, score) = rest.with(own);
-            let (with, total) = all.with(own);
-            let (step, determinant) = solved(&without, &score);
-            let jacobian = self.jacobian(c, own);
-            let error = &self.residual[c] - &jacobian * &step;
-            let back = jacobian.transpose() * &error;
-            let along = if own == law { &inverse * back } else { inverted(with.clone()) * back };
-            let solved_error = &error - (&jacobian * along) * weight;
-            let square = error.dot(&solved_error).max(0.0);
-            let wider = (solved(&with, &total).1 - determinant).max(0.0);
-            LeftOut { law: own, step, error, solved: solved_error, square, wider }
-        };
-        let left = (0..each.len()).map(of).collect();
-        Predicted { law, step, left }
+    /// The effect of a change of the parameters on the numbers of a condition.
+    fn effect(&self, c: usize, law: Option<usize>, step: &DVector<f64>) -> DVector<f64> {
+        let (c, n) = (self.used[c], self.model.prior.len());
+        let mut effect = &self.model.slopes[c] * step.rows(0, n);
+        if let Some(own) = law.and_then(|law| self.model.laws[law].get(c)) {
+            effect.axpy(step[n], own, 1.0);
+        }
+        effect
     }
 
-    /// The row of the table; `degrees` are the degrees of freedom of the noise.
-    pub fn row(&self, study: &FitInputs, model: &Contender, used: &[usize], degrees: f64) -> LeftOutRow {
-        let each: Vec<Products> = (0..self.residual.len()).map(|c| self.products(c)).collect();
+    /// The products of each parameter with the numbers of a condition.
+    fn along(&self, c: usize, law: Option<usize>, numbers: &DVector<f64>) -> DVector<f64> {
+        let c = self.used[c];
+        let products = self.model.slopes[c].tr_mul(numbers);
+        let Some(law) = law else { return products };
+        let own = self.model.laws[law].get(c).map_or(0.0, |own| own.dot(numbers));
+        products.push(own)
+    }
+
+    fn predicted(&self, scale: f64) -> Predicted {
+        let all = self.total(scale);
+        let (law, whole) = all.solution();
+        let inverse = whole.inverse();
+        let of = |c: usize| {
+            let weight = self.weight(c, scale);
+            let (own, without) = all.less(&self.each[c], weight).solution();
+            let error = &self.model.residual[self.used[c]] - self.effect(c, own, &without.step);
+            let back = self.along(c, own, &error);
+            // Usually the same law is chosen without the condition.
+            let (along, ln_determinant) = if own == law {
+                (&inverse * back, whole.ln_determinant)
+            } else {
+                let with = all.solution_with(own);
+                (with.inverse() * back, with.ln_determinant)
+            };
+            let solved = &error - self.effect(c, own, &along) * weight;
+            let square = error.dot(&solved).max(0.0);
+            let wider = (ln_determinant - without.ln_determinant).max(0.0);
+            LeftOut { law: own, step: without.step, error, solved, square, wider }
+        };
+        let left = (0..self.each.len()).map(of).collect();
+        Predicted { law, step: whole.step, left }
+    }
+
+    fn row(&self, degrees: f64) -> LeftOutRow {
         let mut scale = 1.0;
-        let mut now = self.predicted(&each, scale);
+        let mut now = self.predicted(scale);
         for _ in 0..ROUNDS {
             let next = self.scale(&now.left, None);
             if (next / scale - 1.0).abs() < FOUND {
                 break;
             }
             scale = next;
-            now = self.predicted(&each, scale);
+            now = self.predicted(scale);
         }
-        let scales: Vec<f64> =
-            (0..each.len()).map(|c| if c < used.len() { self.scale(&now.left, Some(c)) } else { 1.0 }).collect();
-        let density = |(own, scale): (&LeftOut, &f64)| {
+        let scales: Vec<f64> = (0..self.each.len())
+            .map(|c| if c < self.measured() { self.scale(&now.left, Some(c)) } else { 1.0 })
+            .collect();
+        let density = |(c, (own, scale)): (usize, (&LeftOut, &f64))| {
             let n = own.error.len() as f64;
             let square = own.square / scale;
+            // The stated priors count by how far the model is from them, and not by whether the data could predict them:
+            // a model without these parameters predicts them exactly.
+            let wider = if c < self.measured() { own.wider } else { 0.0 };
             // A simulation that diverges predicts nothing.
-            let density = -0.5 * (own.wider + n * scale.ln() + (degrees + n) * (square / degrees).ln_1p());
+            let density = -0.5 * (wider + n * scale.ln() + (degrees + n) * (square / degrees).ln_1p());
             density.max(-1e12)
         };
-        let held_out = |(own, condition): (&LeftOut, &usize)| {
-            held_out(study, model, own.law, own.step.as_slice(), std::slice::from_ref(condition)).0
-        };
-        let held_out = SquaredErrors(now.left.iter().zip(used).flat_map(held_out).collect());
-        LeftOutRow { elpd: now.left.iter().zip(&scales).map(density).collect(), predicted: now, scales, held_out }
-    }
-
-    fn jacobian(&self, c: usize, law: Option<usize>) -> DMatrix<f64> {
-        let columns: Vec<_> =
-            self.slopes.iter().map(|s| s[c].clone()).chain(law.map(|l| self.laws[l][c].clone())).collect();
-        DMatrix::from_columns(&columns)
+        let elpd = now.left.iter().zip(&scales).enumerate().map(density).collect();
+        LeftOutRow { elpd, predicted: now, scales }
     }
 }
 
-/// Solution of a b = x, and ln |a|.
-fn solved(a: &DMatrix<f64>, b: &DVector<f64>) -> (DVector<f64>, f64) {
-    let factor = a.clone().cholesky();
-    factor.map_or_else(|| (DVector::zeros(b.len()), f64::INFINITY), |f| (f.solve(b), f.ln_determinant()))
-}
-
-fn inverted(a: DMatrix<f64>) -> DMatrix<f64> {
-    let n = a.nrows();
-    a.cholesky().map_or_else(|| DMatrix::zeros(n, n), |f| f.inverse())
-}
-
-/// Errors of the prediction on the conditions `held`, for the sand alone without nuisances, with the parameters changed by `step`.
+/// Errors of the predicted readings on the conditions `held`, with the parameters of the model changed by `step`, of which the last
+/// belongs to the `law`. `reading` is that of the model's fit.
 pub fn held_out(
     study: &FitInputs,
     model: &Contender,
-    law: Option<usize>,
-    step: &[f64],
+    reading: &[f64],
+    (law, step): (Option<usize>, &[f64]),
     held: &[usize],
 ) -> SquaredErrors {
-    let fit = model.fit;
-    let sand = fit.ids.len() + COEFFICIENTS;
-    let parts: Vec<(f64, &Stack)> = step[..sand].iter().copied().zip(&fit.slopes[..sand]).collect();
-    let law = law.and_then(|l| Some((step[step.len() - 1], &model.laws?[l].column)));
+    let parts: Vec<(f64, &Stack)> = step.iter().copied().zip(&model.fit.slopes).collect();
+    let law = law.and_then(|l| Some((step[step.len() - 1], model.columns.get(l)?)));
     let described = |k: usize| law.map_or(0.0, |(coefficient, column)| coefficient * f64::from(column[k]));
     SquaredErrors::of(
         study.observations,
-        |k| fit.prediction[k] + parts.iter().map(|(d, s)| d * s[k]).sum::<f64>() + described(k),
+        |k| reading[k] + parts.iter().map(|(d, s)| d * s[k]).sum::<f64>() + described(k),
         held,
     )
 }

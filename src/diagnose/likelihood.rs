@@ -4,10 +4,11 @@
 //! at a time, so the contributions of the other channels are stored. If the size of a shared direction changes, the
 //! stored products are only scaled.
 
+use super::gram::gram;
 use super::known::Recent;
 use super::noise::{ChannelFilter, ChannelNoise, Noise, NoiseClock};
 use super::repeats::Repeats;
-use super::shared::{Likelihood, gram};
+use super::shared::Likelihood;
 use nalgebra::{DMatrix, DVector};
 use std::sync::Arc;
 

@@ -79,7 +79,7 @@ pub fn misfit(
 }
 
 /// Ranges of a feature with equal numbers of samples; if the feature has only few different values, these values.
-fn ranges(values: &[Vec<f64>]) -> Vec<[f64; 2]> {
+pub fn ranges(values: &[Vec<f64>]) -> Vec<[f64; 2]> {
     let mut all: Vec<f64> = values.iter().flatten().copied().collect();
     all.sort_by(f64::total_cmp);
     let mut distinct = all.clone();

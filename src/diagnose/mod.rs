@@ -8,7 +8,8 @@
 //! 4. [`gauss_newton`] makes [`fit`]s, in which [`nuisance`]s are marginalised.
 //! 5. [`select`] chooses: it fits the [`candidates`] and the [`laws`], compares them in one table of [`evidence`], and
 //!    takes the [`verdict`] from this table.
-//! 6. [`view`] and [`report`] show the result, for which all [`statements`] must hold.
+//! 6. The leading model must pass the tests of [`gate`]; what passes has a name in the [`verdict`].
+//! 7. [`view`] and [`report`] show the result, and [`guard`] looks at it once more.
 //!
 //! Steps 3 to 6 use only [`observations`] and a [`forward::ForwardModel`]. Another kind of data needs only its own
 //! reader and forward model.
@@ -24,9 +25,12 @@ use sandgait_table as table;
 
 mod acceleration;
 mod arm;
+mod arm_nuisances;
 mod candidates;
 pub mod check;
+mod compared;
 mod conditions;
+mod differences;
 mod errors;
 mod evidence;
 pub mod experiment;
@@ -34,9 +38,14 @@ mod figures;
 mod fit;
 pub mod force_log;
 pub mod force_model;
+mod form;
 pub mod forward;
+mod gate;
 mod gauss_newton;
+mod gram;
+mod guard;
 pub mod hardware;
+mod headline;
 mod intruder_log;
 mod intruder_model;
 mod known;
@@ -46,31 +55,43 @@ mod likelihood;
 #[cfg(test)]
 #[path = "../../tests/testbed/long.rs"]
 mod long;
+mod measured;
+mod measuring;
 mod minimise;
 mod misfit;
 mod motion;
+mod nested;
 mod next_experiment;
 pub mod noise;
 mod noise_search;
 mod normal_equations;
-mod nuisance;
+pub mod nuisance;
 mod observations;
+mod opening;
 mod page;
 mod profile;
 mod repeats;
 pub mod report;
 mod response;
+mod rivals;
+mod rows;
 mod screen;
 mod select;
 mod series;
+mod settling;
 pub mod shared;
 mod sides;
 mod speed_exponent;
-pub mod statements;
+pub mod split;
+mod strength;
+mod structure;
 pub mod study;
 mod summary;
 mod track;
 mod trajectory;
+#[cfg(test)]
+#[path = "../../tests/testbed/truth.rs"]
+mod truth;
 pub mod verdict;
 mod view;
 pub mod walking_log;
@@ -81,7 +102,7 @@ mod words;
 use crate::error::Result;
 use crate::progress::{Latch, Progress};
 use crate::sand::SandDescription;
-use crate::sand::mechanism::CATALOG;
+use crate::sand::mechanism::{CATALOG, Side};
 use candidates::SearchSpace;
 use check::Check;
 use check::finding::{Finding, settled};
@@ -89,15 +110,21 @@ use experiment::{DataKind, Experiment};
 use force_model::ForceLogModel;
 use forward::ForwardModel;
 use intruder_model::IntruderModel;
+use next_experiment::{KnownNoise, after_too_few};
 use noise::{NoiseData, sizes};
 use observations::Observations;
-use report::{Curves, Diagnosis, Untestable};
+use opening::{without_verdict, worded};
+use report::{Curves, Diagnosis, Report, Untestable};
 use select::{FACTORS, select};
 use std::path::Path;
 use study::FitInputs;
-use view::{ReportView, without_verdict};
+use view::ReportView;
 use walking_model::WalkingModel;
 use whiten::Whitener;
+
+/// Least number of conditions from which a cause may be named: with fewer, no condition can be predicted from others that differ
+/// among themselves.
+const LEAST_CONDITIONS: usize = 3;
 
 /// Reads the data and diagnoses them. If data cannot be read, the error names file, row and column. An error of
 /// `progress` stops the work and is returned.
@@ -177,34 +204,38 @@ fn diagnose_measured(
     let whitener = Whitener::new(&source, &noise);
     let study = FitInputs::new(observations, model, &whitener);
     let Causes { ids, unknown, unseen, untestable } = testable(&study);
-    let selection = match source.scatters() {
-        true => {
-            let (ids, untestable, unnamed, unseen) = (&ids[..], &unknown[..], &unknown[..], &unseen[..]);
-            let asked = SearchSpace { source: &source, noise: &noise, ids, untestable, unnamed, unseen };
+    let lacks = lacks(&source);
+    let selection = match &lacks {
+        None => {
+            let (ids, untestable, unseen) = (&ids[..], &unknown[..], &unseen[..]);
+            let asked = SearchSpace { source: &source, noise: &noise, ids, untestable, unseen };
             Some(select(&study, &asked, progress)?)
         }
-        false => None,
+        Some(_) => None,
     };
     progress.report(0.95, "report")?;
-    let mut report = without_verdict(&study, untestable, data.sha256, data.notes);
+    let mut report = without_verdict(&study, untestable, data.sha256, data.notes, lacks.as_deref());
     report.check = Check { findings: data.findings, design: check::design::design(&study, &all) };
     let mut report = match &selection {
         Some(selection) => ReportView { study: &study, source: &source, noise: &noise, selection }.report(report),
-        None => report,
+        None => {
+            let names = uncertainty.shared.iter().map(|s| s.name).collect();
+            let known = KnownNoise { noise: &noise, names };
+            let next = Some(after_too_few(model, &known, lacks.as_deref().unwrap_or_default()));
+            worded(Report { next_experiment: next, ..report })
+        }
     };
-    let violated = statements::violations(&report);
-    debug_assert_eq!(violated, Vec::<String>::new());
-    let contradicts =
-        |what: String| format!("this report contradicts itself, which is a defect of this program: {what}");
-    report.warnings.extend(violated.into_iter().map(contradicts));
-    let fit = selection.as_ref().and_then(|s| s.fit());
+    let found = guard::guard(&mut report);
+    debug_assert_eq!(found, Vec::<String>::new());
+    let standing = selection.as_ref().filter(|s| s.ruling.model > 0).map(|s| &s.standing);
+    let fit = standing.map(|own| &own.fit);
     let mut sand = SandDescription::plain(model.medium());
-    if let Some(fit) = fit {
+    if let Some(own) = standing.filter(|own| !(own.stated && own.fit.ids.is_empty())) {
         sand.name = format!("{}-extended", sand.name);
         sand.source = format!("sandgait diagnose, data {}: {}", report.data_sha256, report.summary);
-        sand.coefficients = study.coefficients(&fit.deviations);
-        sand.mechanisms = fit.mechanisms;
-        sand.terms = selection.as_ref().and_then(|s| s.law.as_ref()).map(|law| law.term.clone()).into_iter().collect();
+        sand.coefficients = own.study(&study).coefficients(&own.fit.deviations);
+        sand.mechanisms = own.fit.mechanisms;
+        sand.terms = own.law.as_ref().map(|law| law.term.clone()).into_iter().collect();
     }
     // The diagnosis does not look for hardware that the experiment file states, so the two have no quantity in common.
     let hardware = hardware::found(&report).or(&model.experiment().given.hardware);
@@ -219,6 +250,20 @@ fn diagnose_measured(
     let (sand_is_plain, observations) = (fit.is_none(), observations.clone());
     let curves = Curves { groups, conditions, medium, plain, extended, sand_is_plain, band, observations };
     Ok(Diagnosis { report, sand, hardware, curves, name: "the data".into() })
+}
+
+/// Why data do not suffice to name a cause; None if they do.
+fn lacks(source: &NoiseData) -> Option<String> {
+    let groups = source.observations.repetitions();
+    let made = groups.iter().filter(|units| !units.is_empty()).count();
+    if !groups.iter().any(|units| units.len() > 1) {
+        return Some("no condition is repeated".into());
+    }
+    if !source.scatters() {
+        return Some("repetitions are copies of each other, so their scatter is no noise floor".into());
+    }
+    let said = |count| if count == 1 { "condition is" } else { "conditions are" };
+    (made < LEAST_CONDITIONS).then(|| format!("{made} {} measured", said(made)))
 }
 
 /// The causes, by what the data can say of them; ids are indices of the catalogue.
@@ -236,7 +281,9 @@ struct Causes {
 
 fn testable(study: &FitInputs) -> Causes {
     let mut causes = Causes::default();
+    // Effects of the sensor are nuisances, and each of them may be the answer.
     let asked = study.model.testable();
+    let asked: Vec<_> = asked.into_iter().filter(|a| CATALOG[a.0].side != Side::Sensor).collect();
     let (tried, there) = screen::tried(study, &asked.iter().map(|a| a.0).collect::<Vec<_>>());
     let plain = study.plain().prediction;
     let felt = |moved: &[f64]| {

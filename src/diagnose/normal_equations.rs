@@ -2,9 +2,9 @@
 //! causes.
 
 use super::fit::{Fit, Stack, slope};
+use super::gram::{crosses, gram};
 use super::screen::USUAL;
-use super::shared::gram;
-use super::study::FitInputs;
+use super::study::{FitInputs, SlopeProducts};
 use crate::number::dot;
 use crate::parallel;
 use crate::sand::mechanism::CATALOG;
@@ -39,11 +39,20 @@ impl NormalEquations {
         };
         Some(1.0 - free(0)? / free(count)?.max(1e-300))
     }
+
+    /// Share of a further whitened column that the first `count` parameters alone explain.
+    pub fn alike(&self, column: &[f64], count: usize) -> Option<f64> {
+        let own = &self.white[..count];
+        let cross = DVector::from_iterator(count, own.iter().map(|own| dot(own, column)));
+        Some(cross.dot(&gram(own).cholesky()?.solve(&cross)) / dot(column, column).max(1e-300))
+    }
 }
 
 /// A further cause in addition to a fitted model, from a linear estimate.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Further {
+    /// Whitened effect of one unit of its coordinate.
+    pub white: Vec<f64>,
     /// Catalogue index.
     pub id: usize,
     /// Value from which a fit begins.
@@ -55,18 +64,44 @@ pub struct Further {
 }
 
 impl FitInputs<'_> {
-    /// A slope, whitened. Slopes that fits share are stored whitened. Other slopes are whitened when they are needed, because
-    /// all of them together would take as much memory as everything else.
+    /// A slope, whitened.
     pub fn whitened(&self, slope: &Stack) -> Stack {
-        let known = self.marginal_slopes[0].iter().position(|own| Arc::ptr_eq(own, slope));
-        let known = known.and_then(|k| self.marginal_slopes[1].get(k));
+        let known = self.known(slope).and_then(|k| self.marginal_slopes[1].get(k));
         known.map_or_else(|| Arc::new(self.whitener.apply(slope)), Stack::clone)
+    }
+
+    /// The place of a slope among those that fits share.
+    fn known(&self, slope: &Stack) -> Option<usize> {
+        self.marginal_slopes[0].iter().position(|own| Arc::ptr_eq(own, slope))
+    }
+
+    /// Slopes, whitened, and their products with each other. Those of slopes that fits share are stored. Other slopes are whitened when
+    /// they are needed, because all of them together would take as much memory as everything else.
+    pub fn products_of(&self, slopes: &[Stack]) -> SlopeProducts {
+        let known: Vec<Option<usize>> = slopes.iter().map(|slope| self.known(slope)).collect();
+        let new: Vec<usize> = (0..slopes.len()).filter(|&k| known[k].is_none()).collect();
+        let made = self.whitener.apply_all(&new.iter().map(|&k| slopes[k].clone()).collect::<Vec<_>>());
+        let made: Vec<Stack> = made.into_iter().map(Arc::new).collect();
+        let mut others = made.iter();
+        let stored = |k: usize| self.marginal_slopes[1][k].clone();
+        let white: Vec<Stack> = known.iter().filter_map(|k| k.map(stored).or_else(|| others.next().cloned())).collect();
+        let own = crosses(&made, &white);
+        let mut products = DMatrix::from_fn(slopes.len(), slopes.len(), |i, j| match (known[i], known[j]) {
+            (Some(i), Some(j)) => self.marginal_products[(i, j)],
+            _ => 0.0,
+        });
+        for (row, &i) in new.iter().enumerate() {
+            for j in 0..slopes.len() {
+                (products[(i, j)], products[(j, i)]) = (own[(row, j)], own[(row, j)]);
+            }
+        }
+        SlopeProducts { white, products }
     }
 
     /// The normal equations at a fit, the prior of the deviations included.
     pub fn normal_equations(&self, fit: &Fit) -> NormalEquations {
-        let white: Vec<Stack> = fit.slopes.iter().map(|s| self.whitened(s)).collect();
-        let (mut information, count) = (gram(&white), fit.ids.len());
+        let (SlopeProducts { white, products: mut information }, count) =
+            (self.products_of(&fit.slopes), fit.ids.len());
         let mut score = DVector::from_fn(white.len(), |i, _| dot(&white[i], &fit.white));
         for (k, deviation) in fit.deviations.iter().enumerate() {
             information[(count + k, count + k)] += 1.0;
@@ -82,12 +117,12 @@ impl FitInputs<'_> {
         inverse.unwrap_or_else(|| DMatrix::from_element(count, count, f64::INFINITY))
     }
 
-    /// The same covariance for errors that are correlated within a condition in an unknown way, such as the errors of a law that
-    /// is not quite right: the scatter of fits that leave out one condition each (the jackknife over clusters, CV3 of MacKinnon,
-    /// Nielsen & Webb, Journal of Applied Econometrics 38:671, 2023), with the stated uncertainty of coefficients and nuisances
-    /// added. One Gauss-Newton step leaves out a condition. If only this condition contains information on a value, the value
-    /// returns to its prior.
-    fn jackknife(&self, fit: &Fit) -> Option<DMatrix<f64>> {
+    /// The same covariance for errors that are correlated within each of these clusters of units in an unknown way, such as the errors
+    /// of a law that is not quite right within a condition: the scatter of fits that leave out one cluster each (the jackknife over
+    /// clusters, CV3 of MacKinnon, Nielsen & Webb, Journal of Applied Econometrics 38:671, 2023), with the stated uncertainty of
+    /// coefficients and nuisances added. One Gauss-Newton step leaves out a cluster. If only this cluster contains information on a
+    /// value, the value returns to its prior.
+    fn jackknife(&self, fit: &Fit, clusters: &[Vec<usize>]) -> Option<DMatrix<f64>> {
         let normal = self.normal_equations(fit);
         let (mut information, mut pull) = (normal.information.clone(), DVector::zeros(normal.score.len()));
         for (k, (&id, at)) in fit.ids.iter().zip(fit.coordinates()).enumerate() {
@@ -96,12 +131,11 @@ impl FitInputs<'_> {
             pull[k] = score;
         }
         let all = information.clone().cholesky()?.solve(&pull);
-        let groups = self.observations.repetitions();
         let step = |units: &Vec<usize>| {
             let (own, score) = self.products(&normal.white, fit, units);
             Some((&information - own).cholesky()?.solve(&(&pull - score)) - &all)
         };
-        let steps: Vec<DVector<f64>> = groups.iter().filter(|units| !units.is_empty()).filter_map(step).collect();
+        let steps: Vec<DVector<f64>> = clusters.iter().filter(|units| !units.is_empty()).filter_map(step).collect();
         let size = normal.white.len();
         let count = steps.len() as f64;
         let scatter = steps.iter().fold(DMatrix::zeros(size, size), |sum, step| sum + step * step.transpose());
@@ -116,14 +150,23 @@ impl FitInputs<'_> {
     /// small if few conditions matter. Both are widened by Student's t, because the noise is only estimated and conditions are
     /// few. Infinite if the normal equations have no solution.
     pub fn reach(&self, fit: &Fit, degrees: f64) -> Vec<f64> {
-        let (noise, scatter) = (self.covariance(fit), self.jackknife(fit));
-        let others = (self.observations.conditions.len() as f64 - 1.0).max(2.0);
-        let reach = |variance: f64, degrees: f64| (student::square_at_95(degrees) * variance.max(0.0)).sqrt();
+        let clusters = self.observations.repetitions();
+        let (noise, scatter) = (self.covariance(fit), self.jackknife(fit, &clusters));
         let of = |k: usize| {
-            let scatter = scatter.as_ref().map_or(f64::INFINITY, |covariance| covariance[(k, k)]);
-            reach(noise[(k, k)], degrees.max(2.0)).max(reach(scatter, others))
+            half([noise[(k, k)], scatter.as_ref().map_or(f64::INFINITY, |s| s[(k, k)])], degrees, clusters.len())
         };
         (0..noise.nrows()).map(of).collect()
+    }
+
+    /// The same of a sum of all parameters, each multiplied by its entry of `direction`, with other `clusters` of units than conditions.
+    pub fn reach_along(&self, fit: &Fit, direction: &DVector<f64>, degrees: f64, clusters: &[Vec<usize>]) -> f64 {
+        // Covariances are infinite if the normal equations have no solution.
+        let along = |covariance: &DMatrix<f64>| match covariance.iter().all(|v| v.is_finite()) {
+            true => direction.dot(&(covariance * direction)),
+            false => f64::INFINITY,
+        };
+        let scatter = self.jackknife(fit, clusters).map_or(f64::INFINITY, |scatter| along(&scatter));
+        half([along(&self.covariance(fit)), scatter], degrees, clusters.len())
     }
 
     /// Further causes in addition to a fitted model, in order of their gain [χ²], largest first.
@@ -132,10 +175,12 @@ impl FitInputs<'_> {
         let others: Vec<_> = candidates.iter().filter(|c| !first.ids.contains(&c.0)).copied().collect();
         let coefficients = self.coefficients(&first.deviations);
         let states: Vec<_> = others.iter().map(|&(id, v)| (first.mechanisms.with(id, v), coefficients)).collect();
-        let moved: Vec<_> = others.into_iter().zip(self.model.predict_many(&states)).collect();
-        let mut found: Vec<_> = parallel::map(&moved, |&((id, value), ref moved)| {
-            let white = self.whitener.apply(&slope(moved, &first.prediction, value));
-            let [score, left] = normal.beside(&white, &first.white).unwrap_or_default();
+        let moved = self.model.predict_many(&states);
+        let effects = others.iter().zip(&moved).map(|(other, moved)| slope(moved, &first.prediction, other.1));
+        let white = self.whitener.apply_all(&effects.collect::<Vec<_>>());
+        let effects: Vec<_> = others.into_iter().zip(white).collect();
+        let mut found: Vec<_> = parallel::map(&effects, |&((id, value), ref white)| {
+            let [score, left] = normal.beside(white, &first.white).unwrap_or_default();
             let estimate = if left > 1e-12 { score / left } else { 0.0 };
             let entry = &CATALOG[id];
             let held =
@@ -147,6 +192,7 @@ impl FitInputs<'_> {
                 gain: if held * estimate > 0.0 { score * estimate } else { 0.0 },
                 estimate,
                 sd: left.max(1e-300).sqrt().recip(),
+                white: white.clone(),
             }
         });
         found.sort_by(|a, b| b.gain.total_cmp(&a.gain));
@@ -172,6 +218,13 @@ impl FitInputs<'_> {
     }
 }
 
+/// Half of a 95 % interval from the variance under the noise and that from the scatter between clusters.
+fn half([noise, scatter]: [f64; 2], degrees: f64, clusters: usize) -> f64 {
+    let others = (clusters as f64 - 1.0).max(2.0);
+    let reach = |variance: f64, degrees: f64| (student::square_at_95(degrees) * variance.max(0.0)).sqrt();
+    reach(noise, degrees.max(2.0)).max(reach(scatter, others))
+}
+
 /// Precision and score of a value's prior at coordinate `at`. The prior is normal about 0, with a standard deviation of [`USUAL`] typical strengths.
 pub fn value_prior(id: usize, at: f64) -> [f64; 2] {
     let precision = (USUAL * CATALOG[id].coordinate_typical()).powi(-2);
@@ -180,7 +233,51 @@ pub fn value_prior(id: usize, at: f64) -> [f64; 2] {
 
 #[cfg(test)]
 mod tests {
+    use super::super::fit::{COEFFICIENTS, slope};
     use super::super::laws::tests::with_cohesion;
+    use super::gram;
+    use std::sync::Arc;
+
+    /// Stored products of shared slopes, with those of a fit's own slopes, are the products of all.
+    #[test]
+    fn products_of_shared_and_own_slopes_are_those_of_all() {
+        with_cohesion(|study, fit| {
+            let fit = study.fit_from(&[fit]).swap_remove(0);
+            let all = study.products_of(&fit.slopes);
+            assert!(Arc::ptr_eq(&fit.slopes[12], &study.marginal_slopes[0][11]));
+            assert_eq!(all.products, gram(&study.whitener.apply_all(&fit.slopes)));
+            let wide = study.nuisances.iter().map(|n| n.with_prior(2.0 * n.sd)).collect();
+            let wide = study.with_nuisances(wide);
+            assert_eq!(wide.marginal_products, gram(&wide.marginal_slopes[1]));
+        });
+    }
+
+    /// Without mechanisms the slopes by the coefficients are the plain model's everywhere.
+    #[test]
+    fn slopes_by_the_coefficients_are_the_plain_models() {
+        with_cohesion(|study, _| {
+            let fit = study.recalibrated();
+            assert!(fit.deviations[..COEFFICIENTS].iter().any(|d| d.abs() > 0.1));
+            for k in 0..COEFFICIENTS {
+                let mut deviations = fit.deviations.clone();
+                deviations[k] += 1.0;
+                let moved = study.model.predict(&(fit.mechanisms, study.coefficients(&deviations)));
+                let there = slope(&moved, &fit.prediction, 1.0);
+                assert!(there.iter().zip(&*fit.slopes[k]).all(|(a, b)| (a - b).abs() < 1e-9), "coefficient {k}");
+            }
+        });
+    }
+
+    /// Effects of measuring that are nearly linear are computed once for each sand.
+    #[test]
+    fn effects_of_measuring_are_computed_once_for_each_sand() {
+        with_cohesion(|study, _| {
+            let plain = study.plain();
+            let again = study.nuisances_of(&plain, &plain);
+            assert_eq!(again.len(), study.nuisances.len());
+            assert!(again.iter().zip(&study.nuisances).all(|(a, b)| Arc::ptr_eq(&a.column, &b.column)));
+        });
+    }
 
     /// The jackknife is the scatter of fits that are made anew without one condition each, with the stated uncertainty of
     /// coefficients and nuisances added.
@@ -198,7 +295,7 @@ mod tests {
             let scatter = scatter.sum::<f64>() * (conditions as f64 - 1.0) / conditions as f64;
             let inverse = study.normal_equations(&fit).information.try_inverse().unwrap();
             let stated: f64 = (1..inverse.nrows()).map(|k| inverse[(0, k)].powi(2)).sum();
-            let found = study.jackknife(&fit).unwrap()[(0, 0)];
+            let found = study.jackknife(&fit, &study.observations.repetitions()).unwrap()[(0, 0)];
             assert!((found / (scatter + stated) - 1.0).abs() < 0.02, "{found} and not {scatter} + {stated}");
         });
     }

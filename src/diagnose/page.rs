@@ -3,7 +3,7 @@
 use super::report::{Diagnosis, EvidenceRow, NuisanceValue, Report, RunMeans, Tried};
 use super::series::root_mean_square;
 use super::summary::clauses;
-use super::verdict::{Verdict, Written};
+use super::verdict::Verdict;
 use super::words::{after, capital, digits, span};
 use super::{check, figures};
 use crate::error::{Error, Result};
@@ -92,47 +92,35 @@ fn table<const N: usize>(heads: [&str; N], rows: impl IntoIterator<Item = [Strin
 /// Writes the beginning of the summary, and returns its other clauses.
 fn verdict(html: &mut String, r: &Report) -> Vec<String> {
     let own = clauses(r);
-    let (first, rest) = own.split_at(own.len().min(2));
-    let _ = write!(html, "<p class=verdict>{}.</p>", sentence(&first.join("; ")));
+    let _ = write!(html, "<p class=verdict>{}.</p>", escape(&r.headline));
+    if let Some(split) = &r.split {
+        let _ = write!(html, "<p>Measured against predicted forces of the plain model: {}.</p>", escape(&split.said()));
+    }
     for warning in &r.warnings {
         let _ = write!(html, "<p><b>Warning:</b> {}</p>", escape(warning));
     }
-    [rest, &r.whereabouts].concat()
+    [own, r.whereabouts.clone()].concat()
 }
 
 /// What to do, by the verdict.
 fn next(html: &mut String, r: &Report, hardware: bool) {
-    let what = match r.verdict {
-        Verdict::NoiseFloor => {
-            "The sand needs no change. More accurate data, or more repetitions, could still show a cause."
-        }
-        Verdict::Named => "Simulate with <code>sand.toml</code>, within the range of validity below.",
-        Verdict::Ambiguous => {
-            "Make the experiment below: it separates the explanations. Until then <code>sand.toml</code> holds the best of them."
-        }
-        Verdict::Described => {
-            "Simulate with <code>sand.toml</code>, within the range of validity below. Its law describes these data and names no cause."
-        }
-        Verdict::NoneOfThese => {
-            "Look at <i>Errors of the plain model</i>: where the error is large, an effect acts that is not in the list of causes."
-        }
-        Verdict::InsufficientData => "Repeat each condition at least twice, better three times.",
-    };
-    let stand_in = match r.verdict == Verdict::NoneOfThese && r.written != Written::Plain {
-        true => " <code>sand.toml</code> predicts left-out conditions better, but as a stand-in for that effect.",
-        false => "",
-    };
     let found = match hardware {
         true => " Train with <code>hardware.toml</code>: it has what was found of motors, sensors and delays.",
         false => "",
     };
-    let _ = write!(html, "<div class=next><p><b>What to do next.</b> {what}{stand_in}{found}</p>");
+    let _ = write!(html, "<div class=next><p><b>What to do next.</b> {}{found}</p>", escape(&r.action));
     if let Some(next) = &r.next_experiment {
-        let trials = next
-            .conditions
-            .iter()
-            .map(|p| format!("{} × {}: {:.1} σ", p.repetitions, escape(&p.condition), p.expected_separation));
-        let _ = write!(html, "<p>{}:</p>{}", sentence(&next.why), list(trials));
+        let trials = next.conditions.iter().map(|p| {
+            let expected = p.expected_separation.map_or(String::new(), |sigma| format!(": {sigma:.1} σ"));
+            format!("{} × {}{expected}", p.repetitions, escape(&p.condition))
+        });
+        let decides = escape(&next.decides.join(" or "));
+        let _ = write!(
+            html,
+            "<p><b>Next experiment</b>, to decide between {decides}. {}:</p>{}",
+            sentence(&next.why),
+            list(trials)
+        );
     }
     if matches!(r.verdict, Verdict::Named | Verdict::Ambiguous | Verdict::Described) {
         html.push_str(
@@ -162,7 +150,7 @@ fn found(html: &mut String, r: &Report) {
         let _ = write!(
             html,
             "<p><b>{}</b>: {} = {}{}, 95 % interval {} to {}{}.<br>{}.<br><span class=small>Source: {}</span></p>",
-            c.id,
+            c.of.as_ref().map_or_else(|| c.id.clone(), |of| format!("{} of {}", c.id, escape(of))),
             entry.map_or("value", |m| m.symbol),
             digits(c.value),
             after(&c.unit),
@@ -207,16 +195,14 @@ fn gain(html: &mut String, diagnosis: &Diagnosis) {
         ("plain model", g.held_out_rmse_plain, color::BLUE),
         ("coefficients fitted within their prior", g.held_out_rmse_recalibrated, color::BLUE),
         ("extended model", g.held_out_rmse_extended, color::VERMILION),
-        ("scatter between repetitions, which no model removes", g.noise_floor, "#999"),
+        ("noise, which no model removes", g.noise_floor, "#999"),
     ];
-    let rows: Vec<_> = rows
-        .into_iter()
-        .filter_map(|(name, value, hue)| value.map(|v| (name.to_string(), v, format!("{} {unit}", digits(v)), hue)))
-        .collect();
+    let of = |(name, value, hue): (&str, Option<f64>, _)| value.map(|v| (name.to_string(), v, digits(v), hue));
+    let rows: Vec<_> = rows.into_iter().filter_map(of).collect();
     if rows.is_empty() {
         return;
     }
-    html.push_str("<h2>Error on left-out conditions</h2><p class=small>Root mean square over the components of the force, or over the speed of a walk. Each condition is predicted by models that were chosen and fitted without it.</p>");
+    html.push_str("<h2>Error on left-out conditions</h2><p class=small>Root mean square in units of the noise: 1 is what a perfect model would leave. Each condition is predicted by models that were chosen and fitted without it.</p>");
     figures::bars(html, &rows);
     if let (Some(reduction), Some([low, high])) = (g.reduction, g.ci95) {
         let [reduction, low, high] = [reduction, low, high].map(|v| 100.0 * v);
@@ -235,6 +221,14 @@ fn gain(html: &mut String, diagnosis: &Diagnosis) {
             None => {}
         }
         html.push_str("</p>");
+    }
+    if let Some(raw) = &g.in_units {
+        let [plain, extended, floor] =
+            [raw.plain, raw.extended, raw.noise_floor].map(|v| digits(v) + &after(&raw.unit));
+        let _ = write!(
+            html,
+            "<p>The readings themselves: {plain} with the plain model, {extended} with the extended one; repetitions scatter by {floor}.</p>"
+        );
     }
     by_shape(html, diagnosis, unit);
 }
@@ -279,7 +273,11 @@ fn compared(html: &mut String, r: &Report) {
     if !r.evidence.is_empty() {
         let row = |m: &EvidenceRow| {
             let parts: Vec<&str> = m.ids.iter().chain(&m.terms).map(String::as_str).collect();
-            let name = if parts.is_empty() { "plain model".into() } else { escape(&parts.join(" + ")) };
+            let name = match (parts.is_empty(), m.model) {
+                (true, "plain") => "plain model".into(),
+                (true, _) => "fitted coefficients".into(),
+                _ => escape(&parts.join(" + ")),
+            };
             let name = if m.written { format!("<b>{name}</b>") } else { name };
             let [elpd, difference, error] = [m.elpd, m.difference, m.standard_error].map(|v| format!("{v:.1}"));
             [name, elpd, difference, error]
@@ -311,7 +309,7 @@ fn beside(html: &mut String, r: &Report) {
         let _ = write!(html, "<h2>What remains</h2><p>{}</p>", escape(&text));
     }
     let nuisance = |n: &NuisanceValue| {
-        let channel = n.channel.as_ref().map_or(String::new(), |c| format!(" {c}"));
+        let channel = n.of.as_ref().map_or(String::new(), |c| format!(" {c}"));
         let value = if n.level == "log" { format!("{} ± ", digits(n.value)) } else { "scatters by ".into() };
         format!("{}{channel} ({}): {value}{}{}", n.id, n.level, digits(n.sd), after(n.unit))
     };
@@ -325,7 +323,7 @@ fn beside(html: &mut String, r: &Report) {
         let limits = limits.map(|l| format!("{} &lt; {}{}", l.id, digits(l.value), after(&l.unit)));
         let _ = write!(
             html,
-            "<h2>Causes that were not found</h2><p class=small>Upper limits of their strengths, at 95 %.</p>{}",
+            "<h2>Causes that were not found</h2><p class=small>Upper limits of their strengths, at 95 %. They contain what fitted coefficients and effects of measuring may have taken from them.</p>{}",
             list(limits)
         );
     }

@@ -1,9 +1,11 @@
 //! Contents of the report: `report.json`, as documented, and `sand.toml`.
 
 use super::check::Check;
+use super::form::FreePower;
 use super::misfit::Misfit;
-use super::next_experiment::Proposal;
+use super::nuisance::CauseKind;
 use super::speed_exponent::SpeedExponent;
+use super::split::Split;
 use super::verdict::{Verdict, Written};
 use crate::error::{Error, Result};
 use crate::sand::SandDescription;
@@ -15,6 +17,10 @@ use std::collections::BTreeMap;
 #[derive(Clone, Debug, Serialize, PartialEq)]
 pub struct Cause {
     pub id: String,
+    /// The channel or the shape whose error this is, for an effect of measuring; null: of all.
+    pub of: Option<String>,
+    /// What is wrong: the sand, the measurement, or the robot.
+    pub kind: CauseKind,
     pub value: f64,
     pub unit: String,
     pub ci95: [f64; 2],
@@ -22,9 +28,32 @@ pub struct Cause {
     pub at_bound: bool,
 }
 
+/// A model that leads by its evidence, but that is not named.
+#[derive(Clone, Debug, Serialize, PartialEq)]
+pub struct Withheld {
+    pub ids: Vec<String>,
+    pub terms: Vec<String>,
+    /// The tests that it failed.
+    pub why: Vec<String>,
+}
+
+/// The stated coefficients against the fitted ones.
+#[derive(Clone, Debug, Serialize, PartialEq)]
+pub struct Recalibration {
+    /// Measured over predicted stress of the sand, with effects of measuring marginalised ([`super::strength`]). If the data do not
+    /// suffice for a verdict or for such a fit: measured over predicted force, geometric mean over conditions.
+    pub factor: f64,
+    pub ci95: [f64; 2],
+    /// Coefficient → [stated, fitted, standard deviation of the fitted one] [N/m³].
+    pub coefficients: BTreeMap<String, [f64; 3]>,
+}
+
 /// One model in the comparison by its predictions of left-out conditions.
 #[derive(Clone, Debug, Serialize, PartialEq)]
 pub struct EvidenceRow {
+    /// `plain`, `recalibrated` (fitted coefficients), `established` (the plain sand with the effects of measuring that are
+    /// named), `causes` or `law`.
+    pub model: &'static str,
     /// Ids of its causes; empty for the plain model and for a law alone.
     pub ids: Vec<String>,
     /// Formulas of its laws found in the data.
@@ -63,32 +92,46 @@ pub struct LackOfFit {
     pub limit: Option<f64>,
 }
 
-/// The gain of the extension on held-out conditions.
+/// The gain of the extension on held-out conditions. Errors are root mean squares in units of the noise: after whitening and the mean
+/// over repetitions, noise alone gives 1.
 #[derive(Clone, Debug, Default, Serialize, PartialEq)]
 pub struct Gain {
-    /// Error of the simulation without changes [N].
+    /// Error of the simulation without changes [1].
     pub held_out_rmse_plain: Option<f64>,
-    /// Error of the simulation with coefficients fitted within their prior, without a cause [N].
+    /// Error of the simulation with coefficients fitted within their prior, without a cause [1].
     pub held_out_rmse_recalibrated: Option<f64>,
     pub held_out_rmse_extended: Option<f64>,
-    /// Standard deviation between repetitions, which no model can predict [N].
+    /// Error of a perfect model: 1.
     pub noise_floor: Option<f64>,
+    /// Fraction by which the error of what is written is less than the plain model's, and its 95 % interval.
     pub reduction: Option<f64>,
     pub ci95: Option<[f64; 2]>,
-    /// Reduction of the error as a share of the achievable reduction, which is the plain model's error minus the
-    /// scatter between repetitions. None if 0 is in the 95 % interval of the achievable reduction. By chance the share
-    /// may be slightly above 1.
+    /// Reduction of the error as a share of the achievable reduction, which is the plain model's error minus that of a perfect
+    /// model. None if the plain model's error is no larger than noise may cause. By chance the share may be slightly above 1.
     pub achievable_fraction: Option<f64>,
     /// Were cause, noise and whitening chosen without the held-out conditions in each fold?
     pub nested: bool,
+    /// The same errors of the readings themselves.
+    pub in_units: Option<RawErrors>,
+}
+
+/// Root mean square errors of readings on left-out conditions [unit].
+#[derive(Clone, Debug, Default, Serialize, PartialEq)]
+pub struct RawErrors {
+    pub unit: String,
+    pub plain: f64,
+    pub recalibrated: f64,
+    pub extended: f64,
+    /// Standard deviation between repetitions, which no model can predict.
+    pub noise_floor: f64,
 }
 
 /// Effects of measuring, marginalised and not named as causes.
 #[derive(Clone, Debug, Serialize, PartialEq)]
 pub struct NuisanceValue {
     pub id: String,
-    /// The channel, if each channel has its own value.
-    pub channel: Option<String>,
+    /// The channel or the shape, if each has its own value.
+    pub of: Option<String>,
     /// `log`: all data have one value. `trial`, `bed`: each trial or bed has its own value, with mean 0 and standard deviation `sd`.
     pub level: &'static str,
     pub value: f64,
@@ -139,10 +182,26 @@ pub struct Untestable {
     pub why: String,
 }
 
+/// A proposed condition.
+#[derive(Clone, Debug, Serialize, PartialEq)]
+pub struct Proposal {
+    pub condition: String,
+    pub repetitions: usize,
+    /// Whitened distance between the predictions of the two explanations for `REPETITIONS` repetitions of this condition [σ]; null if it
+    /// is not known.
+    pub expected_separation: Option<f64>,
+}
+
 #[derive(Clone, Debug, Serialize, PartialEq)]
 pub struct NextExperiment {
+    /// One sentence.
     pub why: String,
+    /// Between what the experiment decides.
+    pub decides: Vec<String>,
+    /// None of them is in the data.
     pub conditions: Vec<Proposal>,
+    /// Greatest expected separation [σ]; null if it is not known.
+    pub expected: Option<f64>,
 }
 
 /// All results of a diagnosis.
@@ -156,8 +215,17 @@ pub struct Report {
     pub written: Written,
     /// The models that the verdict compares, the plain one first.
     pub evidence: Vec<EvidenceRow>,
-    /// The verdict in one sentence.
+    /// What is wrong, how much, and how sure: at most 160 characters.
+    pub headline: String,
+    /// What to do.
+    pub action: String,
+    /// The verdict in one sentence, with all that follows from the table.
     pub summary: String,
+    /// The division of the data in which the plain model's error differs most.
+    pub split: Option<Split>,
+    /// How the measured forces differ from the plain model's.
+    pub recalibration: Option<Recalibration>,
+    pub withheld: Vec<Withheld>,
     pub causes: Vec<Cause>,
     /// Correlation of the causes' values, row by row; empty for fewer than two.
     pub correlations: Vec<Vec<f64>>,
@@ -175,6 +243,8 @@ pub struct Report {
     /// Does the law of the best cause have the right exponent of the speed? None if the law has no such exponent, or if
     /// the data cannot test it.
     pub form: Option<SpeedExponent>,
+    /// Free powers in the laws of the causes.
+    pub free_powers: Vec<FreePower>,
     pub misfit: Vec<Misfit>,
     /// The ranges with the largest errors of the plain model, in clauses; none without significant misfit.
     #[serde(rename = "where", serialize_with = "as_sentence")]

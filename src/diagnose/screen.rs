@@ -1,7 +1,7 @@
 //! The linear effect of every candidate on the data. It gives the start values of fits, and the pairs that are worth a fit.
 
 use super::fit::{Stack, slope};
-use super::shared::gram;
+use super::gram::{crosses, gram};
 use super::study::FitInputs;
 use super::whiten::Whitener;
 use crate::number::dot;
@@ -55,12 +55,11 @@ impl Screen {
     pub fn scores(&self, whitener: &Whitener, values: &[f64]) -> Scores {
         let residual: Vec<f64> = values.iter().zip(&self.plain).map(|(y, m)| y - m).collect();
         let white = whitener.apply(&residual);
-        let c: Vec<_> = self.marginal_columns.iter().map(|c| whitener.apply(c)).collect();
-        let z: Vec<_> = self.columns.iter().map(|c| whitener.apply(c)).collect();
+        let (c, z) = (whitener.apply_all(&self.marginal_columns), whitener.apply_all(&self.columns));
         let count = c.len();
         let prior = gram(&c) + DMatrix::identity(count, count);
         let inverse = prior.try_inverse().unwrap_or_else(|| DMatrix::identity(count, count));
-        let cz = DMatrix::from_fn(count, z.len(), |i, j| dot(&c[i], &z[j]));
+        let cz = crosses(&c, &z);
         let cr = DVector::from_fn(count, |i, _| dot(&c[i], &white));
         let gram = gram(&z) - cz.transpose() * &inverse * &cz;
         let score = DVector::from_fn(z.len(), |i, _| dot(&z[i], &white)) - cz.transpose() * &inverse * &cr;

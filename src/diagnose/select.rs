@@ -1,28 +1,32 @@
-//! Selects the cause: fits the candidates, compares them by one table of evidence, and measures the gain of the model that
-//! `sand.toml` gets.
+//! Selects the answer: fits the candidates, compares them by one table of evidence, tests the leading one, and measures the gain of
+//! the model that `sand.toml` gets.
 
-use super::candidates::{Candidates, SECOND, SearchSpace, candidates, contenders};
-use super::errors::SquaredErrors;
-use super::evidence::{EvidenceTable, LEAST};
-use super::fit::Fit;
-use super::gauss_newton::MOST_DEVIATION;
-use super::laws::{FittedLaw, fitted, laws};
-use super::left_out::{CandidateLaw, Contender, held_out};
-use super::noise::NoiseData;
-use super::nuisance::stated;
+use super::candidates::{Candidates, SECOND, SearchSpace, candidates};
+use super::evidence::EvidenceTable;
+use super::gate::{self, Assessment, NameTests};
+use super::laws::{Laws, laws};
+use super::measured::{MeasuredFit, WIDE};
+use super::nested::{Folds, Nested};
+use super::normal_equations::NormalEquations;
+use super::nuisance::Nuisance;
 use super::profile;
+use super::rows::{Fits, Place};
+use super::structure;
 use super::study::FitInputs;
-use super::verdict::{Compared, Ruling, Verdict, Written, verdict};
-use super::whiten::Whitener;
+use super::verdict::{
+    Compared, Effect, Role, Ruling, Tested, Verdict, Written, base, leading, leading_law, passed_over, verdict,
+};
 use crate::error::Result;
 use crate::parallel;
 use crate::progress::Progress;
-use crate::sand::Term;
-use crate::sand::mechanism::{CATALOG, Side};
+use crate::sand::mechanism::CATALOG;
 use crate::student;
 
-/// Number of folds in which noise, model and values are chosen anew: our choice; each needs its own noise.
-const FOLDS: usize = 6;
+/// Most effects of measuring that are established one after the other: our choice; each repeats all fits.
+const ESTABLISHED: usize = 2;
+
+/// Most explanations that are tested, the best first: our choice; the next ones are beaten anyway.
+const TRIED: usize = 4;
 
 /// If the place in the bed or the number of earlier passes is unknown, these mechanisms may multiply the stress by the same factor
 /// everywhere, as `scale` does.
@@ -30,238 +34,301 @@ pub const FACTORS: [&str; 2] = ["packing_grad", "footprint"];
 
 /// All results of one diagnosis.
 pub struct Selection {
-    pub candidates: Candidates,
-    /// For each model of the table its index in `candidates.fits`; None for the plain model and for a law alone.
-    pub places: Vec<Option<usize>>,
+    pub fits: Fits,
     pub table: EvidenceTable,
     pub entries: Vec<Compared>,
     pub ruling: Ruling,
-    /// The fit of the written model, or of the plain model, with the noise scaled to its errors.
-    pub standing: Fit,
-    /// The whitening with the noise scaled to the errors of `standing`.
-    pub whitener: Whitener,
-    pub law: Option<FittedLaw>,
-    /// Formula of the law of each entry of the table that has one.
-    pub formulas: Vec<Option<String>>,
-    /// 95 % intervals of the coordinates of the best cause, and the correlations of its values.
-    pub intervals: Intervals,
-    /// Held-out errors of the fitted plain model, and of the written model, which is chosen anew in each fold.
-    pub nested: [SquaredErrors; 2],
-    /// Errors of the plain model without any fit.
-    pub plain: SquaredErrors,
+    /// The written model, fitted with the noise scaled to its errors, and what it was tested for.
+    pub standing: Assessment,
+    /// Models that lead by their evidence but are not named, with the tests that they failed.
+    pub withheld: Vec<(usize, Vec<String>)>,
+    /// How the written model predicts if it is chosen anew in each fold.
+    pub nested: Nested,
     /// See [`SearchSpace::unseen`].
     pub unseen: Vec<usize>,
 }
 
-/// Uncertainty of a fit's values.
-#[derive(Default)]
-pub struct Intervals {
-    pub ranges: Vec<[f64; 2]>,
-    /// Row by row; empty for fewer than two values.
-    pub correlations: Vec<Vec<f64>>,
-}
-
 impl Selection {
-    /// The fit of an entry of the table.
-    pub fn fit_of(&self, entry: usize) -> &Fit {
-        self.places[entry].map_or(&self.candidates.base, |k| &self.candidates.fits[k])
-    }
-
-    /// The fit that is written; None for the plain model.
-    pub fn fit(&self) -> Option<&Fit> {
-        (self.ruling.model > 0).then_some(&self.standing)
-    }
-
-    /// The causes of each explanation that the data cannot distinguish. What they cannot see may be in place of `scale`.
+    /// The causes of each explanation that the data cannot distinguish, or the formula of a law. What they cannot see may be in place of `scale`.
     pub fn explanations(&self) -> Vec<Vec<String>> {
-        let mut all: Vec<Vec<String>> = self.ruling.set.iter().map(|&k| self.fit_of(k).names()).collect();
+        let mut all: Vec<Vec<String>> = self.ruling.set.iter().map(|&k| self.named(k)).collect();
+        all.dedup();
         if self.ruling.set.first().is_some_and(|&k| self.entries[k].unseen) {
             all.extend(self.unseen.iter().map(|&id| vec![CATALOG[id].id.to_owned()]));
         }
         all
     }
 
-    /// The best cause, if one is named.
-    pub fn best(&self) -> Option<&Fit> {
-        self.ruling.set.first().map(|&k| self.fit_of(k))
+    /// Ids of what a row names; a law has none.
+    pub fn ids(&self, row: usize) -> Vec<String> {
+        let nuisances = self.fits.nuisances(row);
+        let id = |effect: &Effect| match effect {
+            Effect::Mechanism(id) => CATALOG[*id].id.to_string(),
+            Effect::Measuring(k) => super::measured::answer(&nuisances[*k]).to_string(),
+        };
+        self.entries[row].effects.iter().map(id).collect()
+    }
+
+    /// Ids of what a row names, or the formula of its law.
+    pub fn named(&self, row: usize) -> Vec<String> {
+        let law = self.fits.law(&self.table, row).filter(|_| self.entries[row].role == Role::Law);
+        law.map_or_else(|| self.ids(row), |law| vec![law.formula()])
+    }
+
+    /// The one effect of measuring that shows although nothing is wrong with the sand.
+    fn shows(&self, study: &FitInputs) -> Option<usize> {
+        let quiet = matches!(self.ruling.verdict, Verdict::NoiseFloor | Verdict::Recalibrated);
+        let around = self.fits.candidates.around.about(study);
+        let own = if self.standing.stated { around.stated() } else { around };
+        quiet.then(|| super::measured::alone(&own, self.fits.fit(self.ruling.model))).flatten()
+    }
+
+    /// The effect of measuring that this selection names alone.
+    fn establishes(&self) -> Option<usize> {
+        let effects = &self.entries[*self.ruling.set.first()?].effects;
+        let before = self.entries[base(&self.entries)].effects.len();
+        match effects.last()? {
+            Effect::Measuring(k) if self.ruling.verdict == Verdict::Named && effects.len() == before + 1 => Some(*k),
+            _ => None,
+        }
     }
 }
 
-/// Runs the whole selection. Effects of the sensor are nuisances, which are marginalised. Only if the plain model with
-/// nuisances leaves no misfit, mechanisms of the sensor are tried in place of nuisances; they must predict as well as
-/// the nuisances.
+/// Runs the whole selection. Effects of measuring are marginalised within their stated priors. If one of them is the answer because it
+/// is far larger than stated, it becomes a part of every model, and the causes are compared again.
 pub fn select(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -> Result<Selection> {
-    let interest = &study.model.experiment().nuisances.interest;
-    let marginalised = |id: &usize| {
-        let entry = &CATALOG[*id];
-        entry.side == Side::Sensor && !interest.iter().any(|own| own == entry.id)
-    };
-    let sensor: Vec<usize> = asked.ids.iter().copied().filter(marginalised).collect();
-    let unnamed = [&sensor[..], asked.untestable].concat();
-    let selection = attempt(study, &SearchSpace { unnamed: &unnamed, ..*asked }, progress)?;
-    if sensor.is_empty() || selection.ruling.verdict != Verdict::NoiseFloor || study.nuisances.is_empty() {
-        return Ok(selection);
+    let mut selection = attempt(study, study, asked, progress)?;
+    let mut nuisances = study.nuisances.clone();
+    for _ in 0..ESTABLISHED {
+        let Some(k) = selection.establishes().or_else(|| selection.shows(study)) else { break };
+        nuisances[k] = nuisances[k].with_prior(WIDE * nuisances[k].stated_sd);
+        let wide = study.with_nuisances(nuisances.clone());
+        let next = attempt(&wide, study, asked, &Later(progress))?;
+        let gain = next.nested.reduction().1[0];
+        if !matches!(next.ruling.verdict, Verdict::Named | Verdict::Ambiguous)
+            || gain <= 0.0
+            || next.standing.found.iter().any(|found| !found.certain)
+        {
+            break;
+        }
+        selection = next;
     }
-    // Selections with and without nuisances are compared under the noise of the selection with nuisances. Their
-    // nuisances differ, so the densities of the stated priors are left out of the comparison. A gain below 4 is chance.
-    let conditions = study.observations.conditions.len();
-    let measured = |table: &EvidenceTable| table.rows[0].elpd[..conditions].iter().sum::<f64>();
-    let with = measured(&selection.table);
-    let bare = study.under(&selection.candidates.around.whitener, Vec::new());
-    let all: Vec<usize> = (0..conditions).collect();
-    let elpd =
-        |fit: Fit| measured(&EvidenceTable::new(&bare, bare.whitener, &[Contender { fit: &fit, laws: None }], &all));
-    if with - elpd(bare.recalibrated()) < 2.0 * LEAST {
-        return Ok(selection);
-    }
-    let other = attempt(&bare, asked, progress)?;
-    let as_well = |best: &Fit| elpd(bare.fit_from(&[best]).swap_remove(0)) > with - 2.0 * LEAST;
-    Ok(if other.best().is_some_and(as_well) { other } else { selection })
+    Ok(selection)
 }
 
-/// Makes all fits and compares them once.
-fn attempt(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -> Result<Selection> {
+/// The progress of a later attempt, which follows on that of the first one.
+struct Later<'a>(&'a dyn Progress);
+
+impl Progress for Later<'_> {
+    fn report(&self, done: f64, stage: &str) -> Result<()> {
+        self.0.report(0.9 + 0.05 * done, stage)
+    }
+
+    fn note(&self, line: &str) {
+        self.0.note(line);
+    }
+}
+
+/// Makes all fits and compares them. `stated` has the stated priors.
+fn attempt(study: &FitInputs, stated: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -> Result<Selection> {
     let mut candidates = candidates(study, asked, progress)?;
     progress.report(0.8, "laws in the data")?;
     let around = candidates.around.clone();
     let renewed = around.about(study);
     let profiled = explored(&renewed, &mut candidates);
     let alone = laws(&renewed, &candidates.base);
-    let leading = candidates.leading.map(|k| &candidates.fits[k]);
-    let beside = leading.filter(|_| alone.is_some()).and_then(|fit| laws(&renewed, fit));
+    let leading = candidates.leading.map(|k| &candidates.fits[k]).filter(|_| !alone.terms.is_empty());
+    let beside = leading.map_or_else(Laws::default, |fit| laws(&renewed, fit));
+    let plain = plain(&renewed, stated, &candidates);
+    let fits = Fits { candidates, plain, laws: [alone, beside], rows: Vec::new() }.with_rows();
     progress.report(0.85, "held-out conditions")?;
-    Ok(judged(study, &renewed, asked, candidates, [alone, beside], profiled))
+    let table = EvidenceTable::new(&renewed, renewed.whitener, &fits.contenders());
+    let entries = entries(&renewed, &table, &fits, asked);
+    let with = Judging { study: &renewed, asked, profiled: profiled.as_deref() };
+    let Judged { ruling, standing, withheld, nested } = judged(&with, &fits, &table, &entries);
+    drop(renewed);
+    Ok(Selection { fits, table, entries, ruling, standing, withheld, nested, unseen: asked.unseen.to_vec() })
 }
 
-/// Compares all models and gives the verdict. If the errors of the plain model, with nuisances, are no larger than noise may cause,
-/// mechanisms of the sensor are no separate explanations, because the plain model contains them as nuisances; then all models are compared
-/// again without these mechanisms. If sand cannot follow a law that was fitted with everything else, the law is taken out of the
-/// dictionary, and all models are compared again.
-fn judged(
-    study: &FitInputs,
-    renewed: &FitInputs,
-    asked: &SearchSpace,
-    mut candidates: Candidates,
-    mut dictionary: [Option<Vec<CandidateLaw>>; 2],
-    profiled: Option<Vec<[f64; 2]>>,
-) -> Selection {
-    let all: Vec<usize> = (0..study.observations.conditions.len()).collect();
-    let marginalised = |id: &usize| asked.unnamed.contains(id) && !asked.untestable.contains(id);
-    let plain = study.plain();
-    let plain = SquaredErrors::of(study.observations, |k| plain.prediction[k], &all);
-    loop {
-        let models = models(&candidates, dictionary.each_ref().map(Option::as_deref));
-        let table = EvidenceTable::new(renewed, renewed.whitener, &models, &all);
-        let mut entries = entries(renewed, &table, &models, &all, asked);
-        let mut ruling = verdict(&entries, SECOND);
-        let measured = |&&k: &&usize| models[k].fit.ids.iter().any(marginalised);
-        let mut explanations = ruling.set.iter().filter(|k| Some(**k) != ruling.added).peekable();
-        if entries[0].misfit <= 0.0 && explanations.peek().is_some() && explanations.all(|k| measured(&k)) {
-            candidates.without(&marginalised);
-            dictionary[1] = dictionary[1].take().filter(|_| candidates.leading.is_some());
-            continue;
+/// The plain model, with the stated priors of all effects of measuring.
+fn plain(study: &FitInputs, stated: &FitInputs, candidates: &Candidates) -> MeasuredFit {
+    if study.nuisances.iter().all(|n| n.sd == n.stated_sd) {
+        return MeasuredFit { fit: candidates.stated.clone(), nuisances: study.nuisances.clone() };
+    }
+    let mut from = candidates.stated.clone();
+    from.deviations.iter_mut().for_each(|d| *d = 0.0);
+    // What is established is what the plain model does not know.
+    let known = |n: Nuisance| match study.nuisances.iter().find(|own| own.is(&n)) {
+        Some(own) if own.sd > own.stated_sd => n.with_prior(0.0),
+        _ => n,
+    };
+    let nuisances: Vec<Nuisance> = stated.nuisances_of(&from, &from).into_iter().map(known).collect();
+    let now = study.with_nuisances(nuisances.clone());
+    let fit = super::candidates::plain_fit(&now, &from);
+    MeasuredFit { fit, nuisances }
+}
+
+/// The inputs of a judgement.
+struct Judging<'a> {
+    /// The study with the noise about the best model.
+    study: &'a FitInputs<'a>,
+    asked: &'a SearchSpace<'a>,
+    /// Intervals of the leading fit's values, for models whose slopes are not reliable.
+    profiled: Option<&'a [[f64; 2]]>,
+}
+
+/// What the tests of a table lead to.
+struct Judged {
+    ruling: Ruling,
+    standing: Assessment,
+    withheld: Vec<(usize, Vec<String>)>,
+    nested: Nested,
+}
+
+/// Tests the leading explanation and the leading law, and gives the verdict.
+fn judged(with: &Judging, fits: &Fits, table: &EvidenceTable, entries: &[Compared]) -> Judged {
+    let mut withheld = Vec::new();
+    let mut tested = Tested::default();
+    let contenders = fits.contenders();
+    let folds = Folds::new(with.study, with.asked, fits, &contenders, entries);
+    let nested = |row: usize| folds.nested(table, entries, row);
+    let test = |row: usize| {
+        let (nested, assessment) = (nested(row), with.assess(fits, table, entries, row));
+        let tests = NameTests { study: with.study, table, entries, contenders: &contenders, nested: &nested };
+        let failed = tests.failed(row, &assessment);
+        (nested, assessment, failed)
+    };
+    let mut results = Vec::new();
+    let mut lead = leading(entries, SECOND);
+    while let Some(row) = lead {
+        let (nested, assessment, failed) = test(row);
+        let passes = failed.is_empty();
+        tested.leading = Some((row, passes));
+        results.push((row, nested, assessment));
+        if passes {
+            break;
         }
-        let mut nested = nested(renewed, asked, &candidates, &models, &ruling);
-        // If the models chosen anew in the folds have no smaller error than the plain model, their error replaces the written model's error, and
-        // the verdict is given again.
-        while !matches!(ruling.written, Written::Cause | Written::Plain) && nested[1].rmse() >= entries[0].error {
-            entries[ruling.model].error = nested[1].rmse();
-            ruling = verdict(&entries, SECOND);
-            nested = self::nested(renewed, asked, &candidates, &models, &ruling);
+        withheld.push((row, failed));
+        // If the second cause of a pair fails, one cause may stand alone; if that fails, the next best one.
+        let tried = |k: &usize| withheld.iter().any(|w: &(usize, Vec<String>)| w.0 == *k);
+        let next = gate::singles(entries).filter(|k| !tried(k));
+        lead = next.max_by(|a, b| entries[*a].elpd.total_cmp(&entries[*b].elpd)).filter(|_| withheld.len() < TRIED);
+    }
+    if let Some(row) = leading_law(entries) {
+        let (nested, assessment, failed) = test(row);
+        tested.law = Some((row, failed.is_empty()));
+        tested.refuted = (assessment.impossible || !nested.is_certain()).then_some(row);
+        results.push((row, nested, assessment));
+        if !failed.is_empty() {
+            withheld.push((row, failed));
         }
-        // The model is fitted once more, with the variance of its errors in each condition, which is at least the variance of the noise.
-        let (model, row) = (&models[ruling.model], &table.rows[ruling.model]);
-        let weights = study.observations.units.iter().map(|unit| table.weight(row, unit.condition).min(1.0));
-        let whitener = renewed.whitener.weighted(weights);
-        let last = study.under(&whitener, renewed.nuisances.clone());
-        let fit = last.fit_from(&[model.fit]).swap_remove(0);
-        let term = law_of(&table, &models, ruling.model);
-        let held = ruling.written == Written::Cause;
-        let law = term.as_ref().and_then(|term| fitted(&last, &fit, term.clone(), held));
-        if let (Some(place), None) = (table.rows[ruling.model].predicted.law.filter(|_| term.is_some()), &law) {
-            let own = usize::from(entries[ruling.model].causes > 0);
-            dictionary[own].iter_mut().for_each(|laws| drop(laws.remove(place)));
-            continue;
+    }
+    let mut ruling = verdict(entries, tested);
+    if ruling.verdict == Verdict::Recalibrated
+        && let Some(left) = structure::left(with.study, &fits.contender(ruling.model))
+    {
+        withheld.push((ruling.model, vec![left]));
+        ruling = verdict(entries, Tested { uneven: true, ..tested });
+    }
+    // If nothing is named, what passed all tests is said, too.
+    let passed = [tested.leading, tested.law].into_iter().flatten().filter(|t| t.1 && t.0 != ruling.model);
+    let passed = passed.filter(|_| ruling.set.is_empty()).map(|(row, _)| (row, vec![passed_over(entries, row)]));
+    withheld.extend(passed);
+    let mut measure = |row: usize| match results.iter().position(|r| r.0 == row) {
+        Some(k) => {
+            let (_, nested, standing) = results.swap_remove(k);
+            (nested, standing)
         }
-        let formulas = (0..models.len()).map(|k| law_of(&table, &models, k).map(|t| t.formula())).collect();
-        let of = |m: &Contender| candidates.fits.iter().position(|f| std::ptr::eq(f, m.fit));
-        let places: Vec<Option<usize>> = models.iter().map(of).collect();
-        let best = ruling.set.first().or((ruling.model > 0).then_some(&ruling.model)).copied();
-        let standing = law.as_ref().map_or(fit, |law| law.fit.clone());
-        let profiled = profiled.filter(|_| best.is_some_and(|k| places[k] == candidates.leading));
-        let intervals = best.map_or(Intervals::default(), |_| intervals(&last, &standing, table.degrees, profiled));
-        return Selection {
-            candidates,
-            places,
-            table,
-            entries,
-            ruling,
-            standing,
-            whitener,
-            law,
-            formulas,
-            intervals,
-            nested,
-            plain,
-            unseen: asked.unseen.to_vec(),
-        };
+        None => (nested(row), with.assess(fits, table, entries, row)),
+    };
+    let (mut predicted, mut standing) = measure(ruling.model);
+    // What is chosen anew without the predicted conditions must lower the error, too.
+    if ruling.set.is_empty() && ruling.model > 0 && predicted.errors[2] >= predicted.errors[0] {
+        let base = base(entries);
+        ruling.verdict = Verdict::NoneOfThese;
+        if ruling.model != base && entries[base].beats[0] {
+            ruling = Ruling { model: base, written: Written::Recalibrated, ..ruling };
+            (predicted, standing) = measure(base);
+        } else if ruling.model != base {
+            ruling.written = Written::Proxy;
+        }
+    }
+    Judged { ruling, standing, withheld, nested: predicted }
+}
+
+impl Judging<'_> {
+    fn assess(&self, fits: &Fits, table: &EvidenceTable, entries: &[Compared], row: usize) -> Assessment {
+        let leads = fits.candidates.leading.is_some_and(|k| fits.rows[row].place == Place::Candidate(k));
+        let weights = self.study.observations.units.iter().map(|unit| {
+            // One over the variance of the model's errors in the condition, which is at least the variance of the noise.
+            table.weight(&table.rows[row], unit.condition).min(1.0)
+        });
+        gate::Assessing {
+            study: self.study,
+            whitener: self.study.whitener.weighted(weights),
+            contender: fits.contender(row),
+            effects: &entries[row].effects,
+            stated: fits.is_stated(row),
+            law: fits.law(table, row),
+            held: fits.rows[row].role == Role::Beside,
+            profiled: self.profiled.filter(|_| leads),
+            degrees: table.degrees,
+        }
+        .assess()
     }
 }
 
-/// The models of the table: the plain one, all fits, a law alone, and a law beside the leading cause.
-fn models<'a>(candidates: &'a Candidates, [alone, beside]: [Option<&'a [CandidateLaw]>; 2]) -> Vec<Contender<'a>> {
-    let mut models = contenders(&candidates.base, &candidates.fits);
-    models.extend(alone.map(|laws| Contender { fit: &candidates.base, laws: Some(laws) }));
-    let leading = candidates.leading.map(|k| &candidates.fits[k]);
-    models.extend(leading.zip(beside).map(|(fit, laws)| Contender { fit, laws: Some(laws) }));
-    models
-}
-
-/// The law that entry `k` chose with no condition left out, with the coefficient of the linear fit.
-fn law_of(table: &EvidenceTable, models: &[Contender], k: usize) -> Option<Term> {
-    let row = &table.rows[k].predicted;
-    let coefficient = *row.step.as_slice().last()?;
-    models[k].laws.zip(row.law).map(|(laws, l)| Term { coefficient, ..laws[l].term.clone() })
-}
-
-/// The entries of a table over the conditions `used`, for the verdict.
-fn entries(
-    study: &FitInputs,
-    table: &EvidenceTable,
-    models: &[Contender],
-    used: &[usize],
-    asked: &SearchSpace,
-) -> Vec<Compared> {
-    let plain = study.plain();
-    let plain = SquaredErrors::of(study.observations, |k| plain.prediction[k], used).rmse();
-    let unlikely = |(&id, value): (&usize, f64)| {
-        stated(&study.nuisances, CATALOG[id].id).is_some_and(|sd| value.abs() > MOST_DEVIATION * sd)
-    };
+/// The entries of a table, for the verdict.
+fn entries(study: &FitInputs, table: &EvidenceTable, fits: &Fits, asked: &SearchSpace) -> Vec<Compared> {
+    let numbers: Vec<usize> = (0..fits.rows.len()).collect();
+    let normal: Vec<Option<NormalEquations>> = parallel::map(&numbers, |&k| {
+        let cause = fits.rows[k].role == Role::Causes;
+        cause.then(|| study.with_nuisances(fits.nuisances(k).to_vec()).normal_equations(fits.fit(k)))
+    });
     let of = |k: usize| {
-        let ids = &models[k].fit.ids;
-        let scaled = ids.iter().any(|&id| CATALOG[id].id == "scale");
-        let hidden = |j: &usize| match models[*j].fit.ids[..] {
-            [other] => scaled && asked.untestable.contains(&other) && FACTORS.contains(&CATALOG[other].id),
+        let ids = &fits.fit(k).ids;
+        let scaled = fits.rows[k].role == Role::Causes && ids.iter().any(|&id| CATALOG[id].id == "scale");
+        let hidden = |j: &usize| match fits.fit(*j).ids[..] {
+            [other] if fits.rows[*j].role == Role::Causes => {
+                scaled && asked.untestable.contains(&other) && FACTORS.contains(&CATALOG[other].id)
+            }
             _ => false,
         };
-        let inside = |j: &usize| models[*j].laws.is_none() && *j != k && models[*j].fit.ids == *ids;
         Compared {
-            causes: ids.len(),
-            law: models[k].laws.is_some_and(|_| table.rows[k].predicted.law.is_some()),
-            unnamed: ids.iter().any(|id| asked.unnamed.contains(id)),
-            unlikely: ids.iter().zip(models[k].fit.values()).any(unlikely),
-            within: (0..models.len()).filter(inside).collect(),
-            alike: (0..models.len()).filter(hidden).collect(),
+            role: fits.rows[k].role,
+            effects: fits.effects(k),
+            unnamed: ids.iter().any(|id| asked.untestable.contains(id)),
             unseen: scaled && !asked.unseen.is_empty(),
+            alike: (0..fits.rows.len()).filter(hidden).collect(),
+            repeats: repeated(study, table, fits, &normal, k),
             elpd: table.elpd(k),
             misfit: table.misfit(k),
-            unexplained: table.unexplained(k),
-            beats: (0..models.len()).map(|j| table.beats(k, j)).collect(),
-            ahead: table.ahead(k),
-            error: if k == 0 { plain } else { table.rows[k].held_out.rmse() },
+            unexplained: table.unexplained(k, 0),
+            beats: (0..fits.rows.len()).map(|j| table.beats(k, j)).collect(),
+            error: table.error(k),
+            lowers: table.lowers(k, 0),
         }
     };
-    (0..models.len()).map(of).collect()
+    (0..fits.rows.len()).map(of).collect()
+}
+
+/// The rows of causes whose effect the law of row `k` repeats.
+fn repeated(
+    study: &FitInputs,
+    table: &EvidenceTable,
+    fits: &Fits,
+    normal: &[Option<NormalEquations>],
+    k: usize,
+) -> Vec<usize> {
+    let (Role::Law, Some(law)) = (fits.rows[k].role, table.rows[k].predicted.law) else { return Vec::new() };
+    let column: Vec<f64> = fits.contender(k).columns[law].iter().copied().map(f64::from).collect();
+    let white = study.whitener.apply(&column);
+    let same = |j: &usize| {
+        let count = fits.fit(*j).ids.len();
+        let share = normal[*j].as_ref().filter(|_| count > 0).and_then(|n| n.explained(&white, count));
+        share.is_some_and(|share| share > super::laws::COLLINEAR)
+    };
+    (0..fits.rows.len()).filter(same).collect()
 }
 
 /// For models whose slopes are not reliable: moves the leading fit to the lowest state about it. Returns the intervals
@@ -274,71 +341,4 @@ fn explored(study: &FitInputs, candidates: &mut Candidates) -> Option<Vec<[f64; 
         candidates.fits[leading] = lowest;
     }
     Some(intervals)
-}
-
-/// 95 % intervals of the values, and their correlations.
-fn intervals(study: &FitInputs, fit: &Fit, degrees: f64, profiled: Option<Vec<[f64; 2]>>) -> Intervals {
-    let (count, covariance, reach) = (fit.ids.len(), study.covariance(fit), study.reach(fit, degrees));
-    let range = |k: usize| {
-        let at = fit.coordinates()[k];
-        let profiled = profiled.as_ref().and_then(|p| p.get(k)).filter(|i| i.iter().all(|u| u.is_finite()));
-        let [low, high] = profiled.copied().unwrap_or([at - reach[k], at + reach[k]]);
-        let bounds = CATALOG[fit.ids[k]].coordinate_bounds();
-        [low.clamp(bounds[0], bounds[1]), high.clamp(bounds[0], bounds[1])]
-    };
-    let of = |i: usize, j: usize| covariance[(i, j)] / (covariance[(i, i)] * covariance[(j, j)]).sqrt();
-    let correlations = (0..count).map(|i| (0..count).map(|j| of(i, j)).collect());
-    Intervals {
-        ranges: (0..count).map(range).collect(),
-        correlations: if count < 2 { Vec::new() } else { correlations.collect() },
-    }
-}
-
-/// Held-out errors of the fitted plain model and of the written model: in each fold the noise is learnt, the data are
-/// whitened, and the model to write is chosen without the held-out conditions. In each fold, values are those of the
-/// full fits, changed by one Gauss-Newton step, which is exact for a linear model.
-fn nested(
-    study: &FitInputs,
-    asked: &SearchSpace,
-    candidates: &Candidates,
-    models: &[Contender],
-    ruling: &Ruling,
-) -> [SquaredErrors; 2] {
-    let conditions = study.observations.conditions.len();
-    let folds = folds(conditions);
-    let made = parallel::map(&folds, |held| {
-        let source = NoiseData { left_out: held, sizes: &candidates.around.sizes, ..*asked.source };
-        let noise = source.noise(Some(&candidates.around.noise), &|| study.model.stopped());
-        let whitener = Whitener::new(&source, &noise);
-        let rest: Vec<usize> = (0..conditions).filter(|k| !held.contains(k)).collect();
-        let table = EvidenceTable::new(study, &whitener, models, &rest);
-        let chosen = match ruling.written {
-            Written::Plain => 0,
-            _ => verdict(&entries(study, &table, models, &rest, asked), SECOND).model,
-        };
-        [0, chosen].map(|k| {
-            let row = &table.rows[k].predicted;
-            held_out(study, &models[k], row.law, row.step.as_slice(), held)
-        })
-    });
-    let mut total = [(); 2].map(|()| SquaredErrors(vec![[0.0; 2]; conditions]));
-    for (held, parts) in folds.iter().zip(made) {
-        for (total, part) in total.iter_mut().zip(parts) {
-            held.iter().zip(part.0).for_each(|(&condition, own)| total.0[condition] = own);
-        }
-    }
-    total
-}
-
-/// Conditions held out in each fold.
-fn folds(conditions: usize) -> Vec<Vec<usize>> {
-    let folds = FOLDS.min(conditions);
-    // Neighbouring conditions of a design are similar. A stride that has no common divisor with the number of
-    // conditions distributes them over the folds.
-    let stride = (conditions / 2 + 1..conditions + 2).find(|s| gcd(*s, conditions) == 1).unwrap_or(1);
-    (0..folds).map(|f| (f..conditions).step_by(folds).map(|k| k * stride % conditions).collect()).collect()
-}
-
-fn gcd(a: usize, b: usize) -> usize {
-    if b == 0 { a } else { gcd(b, a % b) }
 }

@@ -5,9 +5,9 @@
 //! multiplied by its standard deviation. Then the covariance of a unit is D + U Uᵀ, where D is the covariance of the
 //! noise of its channels.
 
+use super::gram::gram;
 use crate::number::{add_scaled, dot};
 use nalgebra::{DMatrix, DVector};
-use std::borrow::Borrow;
 use std::ops::Range;
 
 /// Directions with a common standard deviation, which is learnt from the repetitions.
@@ -80,18 +80,6 @@ impl LowRank {
             add_scaled(own, -dot(row, &along), column);
         }
     }
-}
-
-/// Products of every column with every other.
-pub fn gram(columns: &[impl Borrow<Vec<f64>>]) -> DMatrix<f64> {
-    let mut gram = DMatrix::zeros(columns.len(), columns.len());
-    for i in 0..columns.len() {
-        for j in 0..=i {
-            let product = dot(columns[i].borrow(), columns[j].borrow());
-            (gram[(i, j)], gram[(j, i)]) = (product, product);
-        }
-    }
-    gram
 }
 
 /// Computes ln |M| and quadratic forms of M⁻¹ for M = 1 + S G S. S is diagonal with standard deviations; G has the

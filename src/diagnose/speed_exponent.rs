@@ -5,12 +5,12 @@
 
 use super::evidence::EvidenceTable;
 use super::laws::laws;
-use super::left_out::{CandidateLaw, Contender};
+use super::left_out::{Contender, LawColumn};
 use super::select::Selection;
 use super::study::FitInputs;
 use super::words::digits;
 use crate::sand::mechanism::CATALOG;
-use crate::sand::term::On;
+use crate::sand::term::{On, Term};
 use serde::Serialize;
 
 /// Result of the comparison of powers of the speed.
@@ -47,20 +47,24 @@ impl SpeedExponent {
 /// Replaces the power of the speed in the best cause's law by other powers, and compares them. None if the law has no such power, or if
 /// these data cannot test laws.
 pub fn form(study: &FitInputs, selection: &Selection) -> Option<SpeedExponent> {
-    let best = selection.best().filter(|b| b.ids.len() == 1)?;
-    let (id, law) = (CATALOG[best.ids[0]].id, CATALOG[best.ids[0]].exponent?);
-    let laws = laws(study, &selection.candidates.base)?;
-    let power = |CandidateLaw { term, .. }: &CandidateLaw| {
+    let lead = selection.ruling.set.first().copied().or(selection.withheld.first().map(|w| w.0))?;
+    let best = selection.fits.fit(lead);
+    let [own] = best.ids[..] else { return None };
+    let (id, law) = (CATALOG[own].id, CATALOG[own].exponent?);
+    let fit = &selection.fits.candidates.base;
+    let laws = laws(study, fit);
+    let power = |term: &Term| {
         let at = |name: &str| term.groups.get(name).copied().unwrap_or(0.0);
         let (speed, depth) = (at("froude"), at("depth_over_width"));
         let alone = term.on == On::Normal && term.groups.keys().all(|g| g == "froude" || g == "depth_over_width");
         (alone && speed > 0.0 && (depth - speed + 1.0).abs() < 1e-9).then_some(2.0 * speed)
     };
-    let each: Vec<(f64, &CandidateLaw)> = laws.iter().filter_map(|law| Some((power(law)?, law))).collect();
-    let model = |&(_, law)| Contender { fit: &selection.candidates.base, laws: Some(std::slice::from_ref(law)) };
+    let each: Vec<(f64, &LawColumn)> =
+        laws.terms.iter().zip(&laws.columns).filter_map(|(term, column)| Some((power(term)?, column))).collect();
+    let nuisances = &study.nuisances[..];
+    let model = |&(_, column)| Contender { fit, nuisances, columns: std::slice::from_ref(column) };
     let models: Vec<Contender> = each.iter().map(model).collect();
-    let all: Vec<usize> = (0..study.observations.conditions.len()).collect();
-    let table = EvidenceTable::new(study, study.whitener, &models, &all);
+    let table = EvidenceTable::new(study, study.whitener, &models);
     let top = (0..models.len()).max_by(|a, b| table.elpd(*a).total_cmp(&table.elpd(*b)))?;
     let stay: Vec<f64> = (0..models.len()).filter(|&k| !table.beats(top, k)).map(|k| each[k].0).collect();
     let ci95 = [stay.iter().copied().fold(f64::MAX, f64::min), stay.iter().copied().fold(f64::MIN, f64::max)];

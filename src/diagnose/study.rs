@@ -2,13 +2,21 @@
 
 use super::fit::{COEFFICIENTS, Fit, Stack, slope};
 use super::forward::{ForwardModel, SandParameters};
-use super::nuisance::Nuisance;
+use super::gram::gram;
+use super::nuisance::{Nuisance, NuisanceState};
 use super::observations::Observations;
 use super::whiten::Whitener;
 use crate::number::dot;
-use crate::parallel;
 use crate::sand::Coefficients;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
+use nalgebra::DMatrix;
+use std::sync::Arc;
+
+/// Whitened slopes, and their products with each other.
+pub struct SlopeProducts {
+    pub white: Vec<Stack>,
+    pub products: DMatrix<f64>,
+}
 
 /// Step of numerical slopes of a smooth model, in typical strengths: our choice, small, and far above the rounding of
 /// laws that are computed in double precision.
@@ -24,6 +32,10 @@ pub struct FitInputs<'a> {
     /// Derivatives of the plain model's prediction by the coefficients and the nuisances: not whitened, and whitened.
     /// They are accurate enough for the steps of a fit.
     pub marginal_slopes: [Vec<Stack>; 2],
+    /// Products of the whitened ones with each other.
+    pub marginal_products: DMatrix<f64>,
+    /// Relative prior standard deviation of each stress coefficient; 0: they have their stated values.
+    pub coefficient_sd: f64,
     /// Step of the numerical slope by each mechanism, in its coordinate.
     pub steps: [f64; Mechanisms::COUNT],
 }
@@ -31,8 +43,16 @@ pub struct FitInputs<'a> {
 impl<'a> FitInputs<'a> {
     pub fn new(observations: &'a Observations, model: &'a dyn ForwardModel, whitener: &'a Whitener) -> Self {
         let steps = CATALOG.map(|entry| SMOOTH_STEP * entry.coordinate_typical());
-        let (nuisances, marginal_slopes) = (Vec::new(), [Vec::new(), Vec::new()]);
-        let mut study = Self { observations, model, whitener, nuisances, marginal_slopes, steps };
+        let mut study = Self {
+            observations,
+            model,
+            whitener,
+            nuisances: Vec::new(),
+            marginal_slopes: [Vec::new(), Vec::new()],
+            marginal_products: DMatrix::zeros(0, 0),
+            coefficient_sd: model.experiment().file.coefficient_sd,
+            steps,
+        };
         study.set_nuisances(model.nuisances(&model.plain_sand(), &[]));
         let plain = study.plain();
         if let Some(roughness) = model.roughness() {
@@ -70,7 +90,8 @@ impl<'a> FitInputs<'a> {
         let mut plain = vec![self.plain()];
         self.set_coefficient_slopes(&mut plain, &[0]);
         let slopes = plain.swap_remove(0).slopes;
-        let white = parallel::map(&slopes, |slope| self.whitened(slope));
+        let white: Vec<Stack> = self.whitener.apply_all(&slopes).into_iter().map(Arc::new).collect();
+        self.marginal_products = gram(&white);
         self.marginal_slopes = [slopes, white];
     }
 
@@ -87,18 +108,39 @@ impl<'a> FitInputs<'a> {
     /// The same study with another model, which gives the same predictions if there are no mechanisms.
     pub fn with_model<'b>(&'b self, model: &'b dyn ForwardModel) -> FitInputs<'b> {
         let (nuisances, marginal_slopes) = (self.nuisances.clone(), self.marginal_slopes.clone());
-        FitInputs { model, nuisances, marginal_slopes, ..*self }
+        FitInputs { model, nuisances, marginal_slopes, marginal_products: self.marginal_products.clone(), ..*self }
     }
 
     /// The same study with another whitening and other nuisances.
     pub fn under(&self, whitener: &'a Whitener, nuisances: Vec<Nuisance>) -> Self {
-        let mut study =
-            FitInputs { whitener, nuisances: Vec::new(), marginal_slopes: [Vec::new(), Vec::new()], ..*self };
+        let (marginal_slopes, marginal_products) = ([Vec::new(), Vec::new()], DMatrix::zeros(0, 0));
+        let mut study = FitInputs { whitener, nuisances: Vec::new(), marginal_slopes, marginal_products, ..*self };
         study.set_nuisances(nuisances);
         if let Some(roughness) = self.model.roughness() {
             study.find_steps(roughness, &study.plain().prediction);
         }
         study
+    }
+
+    /// The same study with other nuisances under the same whitening. The slopes by the coefficients stay.
+    pub fn with_nuisances(&self, nuisances: Vec<Nuisance>) -> Self {
+        let coefficients = self.marginal_slopes[0].iter().take(COEFFICIENTS);
+        let slopes = coefficients.chain(nuisances.iter().map(|n| &n.column)).cloned().collect();
+        self.with_marginals(nuisances, slopes)
+    }
+
+    /// The same study in which the stress coefficients have their stated values.
+    pub fn stated(&self) -> Self {
+        let still: Stack = Arc::new(vec![0.0; self.observations.values.len()]);
+        let rest = self.marginal_slopes[0].iter().skip(COEFFICIENTS).cloned();
+        let slopes = std::iter::repeat_n(still, COEFFICIENTS).chain(rest).collect();
+        FitInputs { coefficient_sd: 0.0, ..self.with_marginals(self.nuisances.clone(), slopes) }
+    }
+
+    /// The same study with other nuisances and derivatives by coefficients and nuisances. What is known of a derivative stays.
+    fn with_marginals(&self, nuisances: Vec<Nuisance>, slopes: Vec<Stack>) -> Self {
+        let SlopeProducts { white, products } = self.products_of(&slopes);
+        FitInputs { nuisances, marginal_slopes: [slopes, white], marginal_products: products, ..*self }
     }
 
     /// This study's nuisances at `fit`, with the nuisances' values of the fit `adjusted`.
@@ -107,22 +149,19 @@ impl<'a> FitInputs<'a> {
             return Vec::new();
         }
         let values = self.nuisances.iter().zip(&adjusted.deviations[COEFFICIENTS..]);
-        let values: Vec<_> = values.map(|(n, d)| (n.id.clone(), n.sd * d)).collect();
-        let mut there = self.model.nuisances(&self.sand(fit), &values);
-        there.retain(|n| self.nuisances.iter().any(|own| own.id == n.id));
-        there
+        let values: Vec<NuisanceState> = values.map(|(n, d)| NuisanceState { value: n.sd * d, ..n.into() }).collect();
+        let there = self.model.nuisances(&self.sand(fit), &values);
+        // The sizes of some priors follow from the prediction; those of the plain model's stay.
+        let own = |n: Nuisance| {
+            let own = self.nuisances.iter().find(|own| own.is(&n))?;
+            Some(Nuisance { stated_sd: own.stated_sd, ..n.with_prior(own.sd) })
+        };
+        there.into_iter().filter_map(own).collect()
     }
 
     /// The readings that `fit` predicts: the sand and the nuisances.
     pub fn reading(&self, fit: &Fit) -> Vec<f64> {
-        let mut reading = fit.prediction.clone();
-        for (nuisance, d) in self.nuisances.iter().zip(&fit.deviations[COEFFICIENTS..]) {
-            reading.iter_mut().zip(nuisance.column.iter()).for_each(|(r, c)| *r += d * c);
-            if let Some(bend) = &nuisance.bend {
-                reading.iter_mut().zip(bend.iter()).for_each(|(r, b)| *r += b);
-            }
-        }
-        reading
+        reading(fit, &self.nuisances)
     }
 
     /// Coefficients at given deviations. A relative sd has no meaning for a coefficient that is published as (nearly)
@@ -130,11 +169,23 @@ impl<'a> FitInputs<'a> {
     /// set's root mean square: our choice.
     pub fn coefficients(&self, deviations: &[f64]) -> Coefficients {
         let mut c = self.model.medium().coefficients.to_array();
-        let sd = self.model.experiment().file.coefficient_sd;
+        let sd = self.coefficient_sd;
         let floor = 0.5 * (c.iter().map(|c| c * c).sum::<f64>() / COEFFICIENTS as f64).sqrt();
         for (c, d) in c.iter_mut().zip(deviations) {
             *c += c.abs().max(floor) * sd * d;
         }
         Coefficients::from_array(c)
     }
+}
+
+/// The readings that `fit` predicts: the sand and the nuisances.
+pub fn reading(fit: &Fit, nuisances: &[Nuisance]) -> Vec<f64> {
+    let mut reading = fit.prediction.clone();
+    for (nuisance, d) in nuisances.iter().zip(&fit.deviations[COEFFICIENTS..]) {
+        reading.iter_mut().zip(nuisance.column.iter()).for_each(|(r, c)| *r += d * c);
+        if let Some(bend) = &nuisance.bend {
+            reading.iter_mut().zip(bend.iter()).for_each(|(r, b)| *r += b);
+        }
+    }
+    reading
 }

@@ -1,6 +1,7 @@
 //! Makes one sentence from the table of a report.
 
-use super::report::{EvidenceRow, Report};
+use super::headline::below;
+use super::report::{Cause, EvidenceRow, Report};
 use super::verdict::{Verdict, Written};
 use super::words::{after, digits};
 
@@ -14,11 +15,18 @@ pub fn clauses(r: &Report) -> Vec<String> {
     let mut all: Vec<String> = match r.verdict {
         Verdict::InsufficientData => {
             let why = r.warnings.last().map_or("no condition is repeated", String::as_str);
-            vec![format!("{why}: without a noise floor there is no verdict")]
+            let mut all = vec![format!("{why}: no cause can be named")];
+            all.extend(below(r));
+            all
+        }
+        Verdict::Recalibrated => {
+            let mut all: Vec<String> = below(r).into_iter().collect();
+            all.push("the law fits with other coefficients, which the sand file has".into());
+            all
         }
         Verdict::NoiseFloor => vec![
-            "no significant misfit: no cause or law predicts left-out conditions better than the plain model, whose error is \
-             within the scatter of the repetitions and the stated uncertainties"
+            "no significant misfit: neither fitted coefficients nor a cause or law predict left-out conditions better than the plain \
+             model"
                 .into(),
         ],
         Verdict::Named => vec![format!("the misfit is explained by {}", found(r))],
@@ -30,9 +38,8 @@ pub fn clauses(r: &Report) -> Vec<String> {
     };
     all.extend(lowers(r).filter(|_| r.written != Written::Plain));
     all.extend(next_best(r).filter(|_| r.verdict == Verdict::Named));
+    all.extend(r.withheld.iter().map(withheld));
     if matches!(r.verdict, Verdict::Named | Verdict::Ambiguous) {
-        all.extend(few_conditions(r));
-        all.extend(within_noise(r));
         let rest = r.remainder.as_ref().filter(|rest| rest.significant);
         all.extend(rest.map(|rest| format!("misfit beyond noise remains ({:.0} % of it)", 100.0 * rest.fraction)));
         let beside = (!r.terms.is_empty()).then(|| law(r));
@@ -44,9 +51,10 @@ pub fn clauses(r: &Report) -> Vec<String> {
 
 /// The causes with their values.
 fn found(r: &Report) -> String {
-    let said = |c: &super::report::Cause| {
+    let said = |c: &Cause| {
+        let of = c.of.as_ref().map_or(String::new(), |of| format!(" of {of}"));
         let [value, low, high] = [c.value, c.ci95[0], c.ci95[1]].map(digits);
-        format!("{} = {value}{} (95 % interval {low} to {high})", c.id, after(&c.unit))
+        format!("{}{of} = {value}{} (95 % interval {low} to {high})", c.id, after(&c.unit))
     };
     r.causes.iter().map(said).collect::<Vec<_>>().join(" with ")
 }
@@ -62,10 +70,11 @@ fn law(r: &Report) -> String {
 /// The gain of the written model.
 fn lowers(r: &Report) -> Option<String> {
     let (share, [low, high]) = r.gain.reduction.zip(r.gain.ci95)?;
-    let verb = if share >= 0.0 { "lowers" } else { "raises" };
-    let [share, low, high] = [share.abs(), low, high].map(|v| format!("{:.0}", 100.0 * v));
-    let interval = if verb == "lowers" { format!(" (95 % interval {low} to {high} %)") } else { String::new() };
-    Some(format!("on held-out conditions it {verb} the error by {share} %{interval}"))
+    if share <= 0.0 {
+        return Some("it does not lower the error on held-out conditions".into());
+    }
+    let [share, low, high] = [share, low, high].map(|v| format!("{:.0}", 100.0 * v));
+    Some(format!("on held-out conditions it lowers the error by {share} % (95 % interval {low} to {high} %)"))
 }
 
 fn ambiguous(r: &Report) -> String {
@@ -93,6 +102,7 @@ fn none(r: &Report) -> Vec<String> {
             "misfit remains, and no cause or law predicts left-out conditions better than the plain model, so the sand stays plain"
                 .into(),
         ],
+        Written::Recalibrated => vec![unexplained, "fitted coefficients predict better, and sand.toml has them".into()],
         Written::Description => vec![unexplained, format!("the best description, {}, does not either", law(r))],
         _ => {
             let own = r.evidence.iter().find(|c| c.written).map_or(String::new(), |c| c.ids.join(" with "));
@@ -102,24 +112,21 @@ fn none(r: &Report) -> Vec<String> {
     }
 }
 
-/// Says that a cause may also be absent, if its interval reaches 0: the evidence is then in few of the conditions.
-fn few_conditions(r: &Report) -> Option<String> {
-    let reaches = |c: &&super::report::Cause| c.ci95[0] <= 0.0 && c.ci95[1] >= 0.0;
-    let ids: Vec<&str> = r.causes.iter().filter(reaches).map(|c| c.id.as_str()).collect();
-    (!ids.is_empty())
-        .then(|| format!("the interval of {} reaches 0, because few conditions carry the evidence", ids.join(" and ")))
-}
-
-/// Says so, if the errors of the plain model as a whole may be noise, although a model predicts better.
-fn within_noise(r: &Report) -> Option<String> {
-    let small = r.lack_of_fit.plain.zip(r.lack_of_fit.limit).is_some_and(|(lack, limit)| lack <= limit);
-    small.then(|| "the plain model's errors as a whole are no larger than noise may cause".into())
+/// A model that leads but is not named, and why.
+fn withheld(w: &super::report::Withheld) -> String {
+    let name = w.ids.iter().chain(&w.terms).cloned().collect::<Vec<_>>().join(" with ");
+    let why = w.why.join(", and ");
+    match name.is_empty() {
+        true => format!("the law does not fit with other coefficients either, because {why}"),
+        false => format!("{name} is not named, because {why}"),
+    }
 }
 
 /// The best explanation besides the named one, and how much worse it predicts.
 fn next_best(r: &Report) -> Option<String> {
     let own = r.ambiguity_set.first()?;
-    let rival = |c: &&EvidenceRow| c.ids.len() == own.len() && c.ids != *own && c.terms.is_empty();
+    let rival =
+        |c: &&EvidenceRow| c.model == "causes" && c.ids.len() == own.len() && c.ids != *own && c.terms.is_empty();
     let next = r.evidence.iter().filter(rival).max_by(|a, b| a.elpd.total_cmp(&b.elpd))?;
     let name = next.ids.join(" + ");
     let best = r.evidence.iter().find(|c| c.ids == *own && c.terms.is_empty()).filter(|c| c.difference < 0.0);

@@ -66,6 +66,26 @@ impl Track {
         }
     }
 
+    /// Would another log call these two the same condition? Speeds and depths may differ by a fifth, angles by 10°, places by 2 cm:
+    /// our choices, the steps of a usual design.
+    pub(super) fn resembles(&self, other: &Self) -> bool {
+        let near = |a: f64, b: f64, share: f64, least: f64| (a - b).abs() <= (share * a.abs().max(b.abs())).max(least);
+        let deepest = |t: &Self| t.poses.iter().map(|p| -t.place(p)[1]).fold(f64::MIN, f64::max);
+        let way = |t: &Self| {
+            let (first, last) = (t.place(&t.poses[0]), t.place(&t.poses[t.poses.len() - 1]));
+            (last[1] - first[1]).atan2(last[0] - first[0])
+        };
+        let turn = (way(self) - way(other)).sin().abs() < 0.17 && (way(self) - way(other)).cos() > 0.0;
+        self.shape == other.shape
+            && self.pass.min(2) == other.pass.min(2)
+            && near(self.x_bed, other.x_bed, 0.0, 0.02)
+            && near(self.rate(), other.rate(), 0.2, 0.0)
+            && near(self.hip_height, other.hip_height, 0.2, 0.002)
+            && near(self.beta, other.beta, 0.0, 0.17)
+            && (matches!(self.intruder, Intruder::Leg { .. })
+                || turn && near(deepest(self), deepest(other), 0.2, 0.002))
+    }
+
     /// A leg on fresh ground at x = 0.
     #[cfg(test)]
     pub fn leg(intruder: Intruder, hip_height: f64, poses: Vec<ArmPose>) -> Self {

@@ -1,54 +1,32 @@
 //! Converts a diagnosis to a report.
 
-use super::evidence::NORMAL;
-use super::fit::{COEFFICIENTS, Fit};
-use super::forward::Feature;
+use super::differences::NORMAL;
+use super::errors::SquaredErrors;
+use super::fit::{COEFFICIENTS, Fit, slope};
+use super::gate::FoundEffect;
 use super::gauss_newton::MOST_DEVIATION;
+use super::headline::{ALARM, kind_of_mechanism};
 use super::laws::FittedLaw;
+use super::next_experiment::KnownNoise;
 use super::noise::{Noise, NoiseData};
 use super::normal_equations::Further;
-use super::nuisance::stated;
+use super::opening::{runs, worded};
 use super::report::{
-    Cause, EvidenceRow, Gain, LackOfFit, NextExperiment, NoiseSummary, NuisanceValue, Remainder, Report, RunMeans,
-    TermFound, Tried, Untestable, UpperLimit,
+    Cause, EvidenceRow, Gain, LackOfFit, NextExperiment, NoiseSummary, NuisanceValue, RawErrors, Recalibration,
+    Remainder, Report, TermFound, Tried, Untestable, UpperLimit, Withheld,
 };
 use super::select::Selection;
-use super::series::ends;
 use super::study::FitInputs;
-use super::summary::summary;
-use super::verdict::{Verdict, Written};
-use super::words::{after, digits};
-use super::{misfit, next_experiment, speed_exponent};
-use crate::sand::mechanism::CATALOG;
+use super::verdict::{Effect, Role, Verdict, Written};
+use super::words::after;
+use super::{measured, misfit, next_experiment, speed_exponent, strength};
+use crate::number::dot;
+use crate::sand::mechanism::{CATALOG, Side};
 use crate::student;
+use std::collections::BTreeMap;
 
-/// The part of a report on the data and the plain model. If there are no repetitions, this is the whole report.
-pub fn without_verdict(
-    study: &FitInputs,
-    untestable: Vec<Untestable>,
-    data_sha256: String,
-    notes: Vec<String>,
-) -> Report {
-    let (observations, model, plain) = (study.observations, study.model, study.plain().prediction);
-    let range = |f: Feature| (f.name.to_string(), ends(f.values.iter().flatten().copied()));
-    let why = match observations.repetitions().iter().any(|units| units.len() > 1) {
-        true => "repetitions are copies of each other, so their scatter is no noise floor",
-        false => "no condition is repeated",
-    };
-    let mut report = Report {
-        schema: "sandgait.diagnosis.v3",
-        misfit: misfit::misfit(observations, model, &plain, |_| true),
-        untestable,
-        valid_range: model.features().into_iter().map(range).collect(),
-        warnings: vec![why.into()],
-        notes,
-        runs: runs(study, None),
-        data_sha256,
-        ..Report::default()
-    };
-    report.summary = summary(&report);
-    report
-}
+/// Names of the stress coefficients in sand.toml.
+const COEFFICIENT_NAMES: [&str; COEFFICIENTS] = ["a00", "a10", "b11", "b01", "bm11", "c11", "c01", "cm11", "d10"];
 
 /// The inputs of a report with a verdict.
 pub struct ReportView<'a> {
@@ -69,126 +47,150 @@ impl ReportView<'_> {
         };
         let causes = self.causes();
         // The study with the noise scaled to the errors that remain.
-        let renewed = study.under(&s.whitener, s.candidates.around.nuisances.clone());
+        let renewed = s.standing.study(study);
         let shared = self.source.uncertainty.shared.iter().zip(&self.noise.shared);
         let channels = study.observations.channels.iter().zip(&self.noise.channels);
-        without.notes.extend(self.left_out());
-        let mut report = Report {
+        self.recalibrate(&mut without);
+        let named = (s.ruling.written == Written::Cause).then_some(s);
+        let report = Report {
             verdict: s.ruling.verdict,
             written: s.ruling.written,
             evidence: self.evidence(),
             whereabouts,
-            correlations: self.named().map(|s| s.intervals.correlations.clone()).unwrap_or_default(),
+            correlations: named.map(|s| s.standing.correlations.clone()).unwrap_or_default(),
             warnings: self.warnings(&causes),
             causes,
             ambiguity_set: s.explanations(),
+            withheld: self.withheld(),
             candidates: self.tried(),
             lack_of_fit: LackOfFit {
                 plain: Some(s.table.lack(0)),
-                extended: s.fit().map(|_| s.table.lack(s.ruling.model)),
+                extended: (s.ruling.model > 0).then(|| s.table.lack(s.ruling.model)),
                 limit: Some(s.table.limit),
             },
             gain: self.gain(),
             nuisances: self.nuisances(&renewed),
             remainder: Some(self.remainder()),
-            terms: s.law.iter().map(|law| self.term(law)).collect(),
+            terms: s.standing.law.iter().map(|law| self.term(law)).collect(),
             upper_limits: self.upper_limits(&renewed, &without.untestable),
             degrees_of_freedom: Some(s.table.degrees),
-            form: self.named().and_then(|s| speed_exponent::form(&renewed, s)),
+            form: speed_exponent::form(&s.fits.candidates.around.about(study), s),
+            free_powers: s.standing.powers.clone(),
             next_experiment: self.next_experiment(&without.untestable),
             noise: Some(NoiseSummary {
                 shared: shared.map(|(s, sd)| (s.name.into(), *sd)).collect(),
                 channels: channels.map(|(c, n)| (c.name.to_string(), [n.grain, n.sensor, n.phi])).collect(),
             }),
-            runs: runs(study, s.fit()),
+            runs: runs(study, (s.ruling.model > 0).then_some(&s.standing.fit)),
             ..without
         };
-        report.summary = summary(&report);
-        report
-    }
-
-    /// The selection, if a cause is named.
-    fn named(&self) -> Option<&Selection> {
-        Some(self.selection).filter(|s| s.ruling.written == Written::Cause)
+        worded(report)
     }
 
     fn evidence(&self) -> Vec<EvidenceRow> {
         let s = self.selection;
-        let compared = |k: &usize| !s.ruling.left_out.contains(k);
-        let best = s.table.ranked((0..s.entries.len()).filter(compared))[0];
+        let shown = |k: &usize| s.entries[*k].role != Role::Absent;
+        let best = s.table.ranked((0..s.entries.len()).filter(shown))[0];
         let of = |k: usize| {
             let [difference, standard_error] = s.table.difference(k, best);
-            let terms = s.formulas[k].iter().cloned().collect();
-            let (ids, written) = (s.fit_of(k).names(), k == s.ruling.model);
-            EvidenceRow { ids, terms, elpd: s.table.elpd(k), difference, standard_error, written }
+            let model = match s.entries[k].role {
+                Role::Plain => "plain",
+                Role::Established => "established",
+                Role::Base => "recalibrated",
+                Role::Causes | Role::Beside | Role::Absent => "causes",
+                Role::Law => "law",
+            };
+            let lawful = matches!(s.entries[k].role, Role::Law | Role::Beside);
+            let terms = s.fits.law(&s.table, k).filter(|_| lawful).map(|law| law.formula()).into_iter().collect();
+            let (ids, written) = (s.ids(k), k == s.ruling.model);
+            EvidenceRow { model, ids, terms, elpd: s.table.elpd(k), difference, standard_error, written }
         };
-        let order = s.table.ranked((1..s.entries.len()).filter(compared));
-        [0].into_iter().chain(order).map(of).collect()
+        [0].into_iter().chain(s.table.ranked((1..s.entries.len()).filter(shown))).map(of).collect()
     }
 
-    /// A note on the models that are not compared.
-    fn left_out(&self) -> Option<String> {
+    fn withheld(&self) -> Vec<Withheld> {
         let s = self.selection;
-        let error = |k: usize| s.entries[k].error;
-        let best = *s.table.ranked(s.ruling.left_out.iter().copied()).first()?;
-        let law = s.formulas[best].iter().map(|law| format!("the law {law}"));
-        let named: Vec<String> = s.fit_of(best).names().into_iter().chain(law).collect();
-        let count = match s.ruling.left_out.len() {
-            1 => "one model is".to_string(),
-            more => format!("{more} models are"),
+        let of = |(k, why): &(usize, Vec<String>)| {
+            let lawful = s.entries[*k].role == Role::Law;
+            let terms = s.fits.law(&s.table, *k).filter(|_| lawful).map(|law| law.formula()).into_iter().collect();
+            Withheld { ids: s.ids(*k), terms, why: why.clone() }
         };
-        Some(format!(
-            "{count} not compared, because the sand alone would err more on left-out conditions than the plain one, although their \
-             density is higher; the best, {}, errs by {}{}, and the plain one by {}",
-            named.join(" with "),
-            digits(error(best)),
-            after(self.study.observations.error_unit()),
-            digits(error(0))
-        ))
+        s.withheld.iter().map(of).collect()
+    }
+
+    /// Says how strong the sand is, and its coefficients. If no fit gives the strength, the ratio of the forces remains, and a note says so.
+    fn recalibrate(&self, report: &mut Report) {
+        let c = &self.selection.fits.candidates;
+        let around = c.around.about(self.study);
+        let coefficients = self.coefficients();
+        match (strength::factor(&around, &c.base, &c.fits, self.selection.table.degrees), &mut report.recalibration) {
+            (Some((factor, ci95)), own) => *own = Some(Recalibration { factor, ci95, coefficients }),
+            (None, Some(own)) => {
+                own.coefficients = coefficients;
+                report.notes.push(
+                    "no fit gives the strength of the sand, so the ratio of measured to predicted values stands for it"
+                        .into(),
+                );
+            }
+            (None, None) => (),
+        }
+    }
+
+    /// Each coefficient: stated, fitted without a cause, and the standard deviation of the fitted one.
+    fn coefficients(&self) -> BTreeMap<String, [f64; 3]> {
+        let s = self.selection;
+        let standing = s.ruling.model > 0 && !s.standing.stated;
+        let own = standing.then(|| (s.standing.study(self.study), &s.standing.fit));
+        let around = s.fits.candidates.around.about(self.study);
+        let (study, fit) = own.unwrap_or((around, &s.fits.candidates.base));
+        let reach = study.reach(fit, s.table.degrees);
+        let [stated, fitted, moved] = [0.0, 1.0, 2.0].map(|step| {
+            // At 2: each coefficient one stated standard deviation above its fitted value.
+            let d = fit.deviations[..COEFFICIENTS].iter().map(|d| if step == 0.0 { 0.0 } else { d + step - 1.0 });
+            study.coefficients(&d.collect::<Vec<_>>()).to_array()
+        });
+        let of = |k: usize| {
+            let half = reach.get(fit.ids.len() + k).copied().filter(|r| r.is_finite()).unwrap_or(NORMAL);
+            (COEFFICIENT_NAMES[k].to_string(), [stated[k], fitted[k], (moved[k] - fitted[k]).abs() * half / NORMAL])
+        };
+        (0..COEFFICIENTS).map(of).collect()
     }
 
     fn warnings(&self, causes: &[Cause]) -> Vec<String> {
         let mut warnings: Vec<String> =
             causes.iter().filter(|c| c.at_bound).map(|c| format!("{} is at its bound", c.id)).collect();
-        let fit = self.selection.fit();
-        warnings.extend(far_coefficients(&self.selection.standing));
-        let nuisances = self.selection.candidates.around.nuisances.iter();
-        let at_end = nuisances.zip(self.selection.standing.deviations.iter().skip(COEFFICIENTS));
-        let at_end = at_end.filter(|(_, d)| d.abs() >= MOST_DEVIATION * (1.0 - 1e-6));
+        let own = &self.selection.standing;
+        warnings.extend(far_coefficients(&own.fit));
+        let nuisances = own.nuisances.iter();
+        let at_end = nuisances.zip(own.fit.deviations.iter().skip(COEFFICIENTS));
+        let at_end = at_end.filter(|(n, d)| n.sd == n.stated_sd && d.abs() >= MOST_DEVIATION * (1.0 - 1e-6));
         warnings.extend(at_end.map(|(nuisance, d)| {
-            format!(
-                "nuisance {} is {:.3}{}, at its bound of {MOST_DEVIATION} stated standard deviations: it may hide a cause, or the \
-                 stated uncertainty is too small",
-                nuisance.id,
-                d * nuisance.sd,
-                after(nuisance.unit)
-            )
+            let of = nuisance.of.as_ref().map_or(String::new(), |of| format!(" of {of}"));
+            format!("{ALARM}{}{of} is at its bound, {:.3}{}", nuisance.id, d * nuisance.sd, after(nuisance.unit))
         }));
-        let unfelt = fit.map(|fit| fit.mechanisms.unfelt_by_walkers()).unwrap_or_default();
+        let unfelt = own.fit.mechanisms.unfelt_by_walkers();
         warnings.extend(unfelt.into_iter().map(|line| format!("sand.toml: {line}")));
         warnings
     }
 
     /// Values with 95 % intervals.
     fn causes(&self) -> Vec<Cause> {
-        let Some(selection) = self.named() else { return Vec::new() };
-        let Some(fit) = selection.fit() else { return Vec::new() };
-        let cause = |(k, &id): (usize, &usize)| {
-            let (entry, at) = (&CATALOG[id], fit.coordinates()[k]);
-            let range = selection.intervals.ranges.get(k).copied().unwrap_or([at, at]);
-            let [low, high] = [range[0].min(at), range[1].max(at)].map(|u| entry.value(u));
-            // For a mechanism whose value is an upper limit, the end of the interval may be infinite; the largest
-            // allowed value replaces it.
-            let most = if entry.ceiling && low == 0.0 { entry.bounds[1] } else { low };
-            Cause {
-                id: entry.id.into(),
-                value: entry.value(at),
-                unit: entry.unit.into(),
-                ci95: if entry.ceiling { [high, most] } else { [low, high] },
-                at_bound: entry.coordinate_bounds().contains(&at),
-            }
+        let s = self.selection;
+        if s.ruling.written != Written::Cause {
+            return Vec::new();
+        }
+        let cause = |found: &FoundEffect| {
+            let (id, of, kind, unit) = match found.effect {
+                Effect::Mechanism(id) => (CATALOG[id].id, None, kind_of_mechanism(id), CATALOG[id].unit),
+                Effect::Measuring(k) => {
+                    let own = &s.standing.nuisances[k];
+                    (measured::answer(own), own.of.clone(), measured::kind_of(own), own.unit)
+                }
+            };
+            let (id, unit) = (id.into(), unit.into());
+            Cause { id, of, kind, value: found.value, unit, ci95: found.ci95, at_bound: found.at_bound }
         };
-        fit.ids.iter().enumerate().map(cause).collect()
+        s.standing.found.iter().map(cause).collect()
     }
 
     fn term(&self, law: &FittedLaw) -> TermFound {
@@ -207,28 +209,27 @@ impl ReportView<'_> {
     /// Values of the nuisances that all data share, and standard deviations of the nuisances that differ between trials
     /// or beds.
     fn nuisances(&self, study: &FitInputs) -> Vec<NuisanceValue> {
-        let (selection, fit) = (self.selection, &self.selection.standing);
-        let reach = if fit.slopes.is_empty() { Vec::new() } else { study.reach(fit, selection.table.degrees) };
+        let (selection, own) = (self.selection, &self.selection.standing);
+        let reach = if own.fit.slopes.is_empty() { Vec::new() } else { study.reach(&own.fit, selection.table.degrees) };
+        let all = own.nuisances.iter().zip(&own.fit.deviations[COEFFICIENTS..]).enumerate();
+        let mut values: Vec<NuisanceValue> = all
+            .map(|(k, (n, d))| {
+                let reach = reach.get(own.fit.ids.len() + COEFFICIENTS + k).filter(|reach| reach.is_finite());
+                let share = reach.map_or(1.0, |reach| reach / NORMAL);
+                let (id, of) = (n.id.to_string(), n.of.clone());
+                NuisanceValue { id, of, level: "log", value: d * n.sd, sd: share * n.sd, unit: n.unit }
+            })
+            .collect();
         let split = |id: &str| match id.split_once('_').filter(|(_, c)| ["Fx", "Fz", "Ty"].contains(c)) {
             Some((kind, channel)) => (kind.to_string(), Some(channel.to_string())),
             None => (id.to_string(), None),
         };
-        let all = selection.candidates.around.nuisances.iter().zip(&fit.deviations[COEFFICIENTS..]).enumerate();
-        let mut values: Vec<NuisanceValue> = all
-            .map(|(k, (n, d))| {
-                let (id, channel) = split(&n.id);
-                let reach = reach.get(fit.ids.len() + COEFFICIENTS + k).filter(|reach| reach.is_finite());
-                let share = reach.map_or(1.0, |reach| reach / NORMAL);
-                NuisanceValue { id, channel, level: "log", value: d * n.sd, sd: share * n.sd, unit: n.unit }
-            })
-            .collect();
-        values.extend(self.source.uncertainty.shared.iter().zip(&selection.candidates.around.noise.shared).map(
-            |(s, sd)| {
-                let (id, channel) = split(s.name);
-                let level = if id == "bed_strength" { "bed" } else { "trial" };
-                NuisanceValue { id, channel, level, value: 0.0, sd: *sd, unit: s.unit }
-            },
-        ));
+        let shared = self.source.uncertainty.shared.iter().zip(&selection.fits.candidates.around.noise.shared);
+        values.extend(shared.map(|(s, sd)| {
+            let (id, of) = split(s.name);
+            let level = if id == "bed_strength" { "bed" } else { "trial" };
+            NuisanceValue { id, of, level, value: 0.0, sd: *sd, unit: s.unit }
+        }));
         values
     }
 
@@ -236,9 +237,9 @@ impl ReportView<'_> {
         let (study, selection) = (self.study, self.selection);
         let (table, entry) = (&selection.table, selection.ruling.model);
         let significant = table.lack(entry) > table.limit;
-        let left = &selection.standing.prediction;
+        let left = &selection.standing.fit.prediction;
         let place = misfit::whereabouts(study.observations, study.model, left, "what remains");
-        let left = selection.entries[entry].unexplained;
+        let left = table.unexplained(entry, 0);
         Remainder {
             significant,
             fraction: if significant { left.clamp(0.0, 1.0) } else { 0.0 },
@@ -252,10 +253,11 @@ impl ReportView<'_> {
         }
     }
 
-    /// Upper limits of the causes that were not found. No limit is given for an explanation that the data cannot
-    /// exclude, for a cause that they cannot test, and for an effect that a nuisance already has.
+    /// Upper limits of the causes that were not found. They limit the sum of what the fit absorbed and of what it did not: fitted
+    /// coefficients and effects of measuring may have taken the place of the cause. No limit is given for an explanation that the
+    /// data cannot exclude, and for a cause that they cannot test.
     fn upper_limits(&self, study: &FitInputs, untestable: &[Untestable]) -> Vec<UpperLimit> {
-        let (selection, standing) = (self.selection, &self.selection.standing);
+        let (selection, standing) = (self.selection, &self.selection.standing.fit);
         if standing.slopes.is_empty() {
             return Vec::new();
         }
@@ -264,24 +266,28 @@ impl ReportView<'_> {
             let entry = &CATALOG[id];
             !entry.ceiling
                 && !untestable.iter().any(|u| u.id == entry.id)
-                && !set.iter().any(|&k| selection.fit_of(k).ids.contains(&id))
-                && stated(&study.nuisances, entry.id).is_none()
+                && !set.iter().any(|&k| selection.fits.fit(k).ids.contains(&id))
         };
-        let asked = selection.candidates.screened.iter().filter(|c| limited(c.0)).copied();
+        let asked = selection.fits.candidates.screened.iter().filter(|c| limited(c.0)).copied();
         let asked: Vec<(usize, f64)> = asked.collect();
+        // What coefficients and nuisances changed in the readings.
+        let bare = study.model.predict(&(standing.mechanisms, study.model.medium().coefficients));
+        let taken = study.whitener.apply(&slope(&study.reading(standing), &bare, 1.0));
         let limit = |further: &Further| {
             let entry = &CATALOG[further.id];
             let (degrees, sd) = (table.degrees.max(2.0), further.sd);
+            let sum = further.estimate + dot(&further.white, &taken) / dot(&further.white, &further.white).max(1e-300);
             let most = match entry.bounds[0] < 0.0 {
-                true => further.estimate.abs() + student::two_sided_95(degrees) * sd,
-                false => further.estimate.max(0.0) + student::one_sided_95(degrees) * sd,
+                true => further.estimate.abs().max(sum.abs()) + student::two_sided_95(degrees) * sd,
+                false => further.estimate.max(sum).max(0.0) + student::one_sided_95(degrees) * sd,
             };
             let limit = UpperLimit { id: entry.id.into(), value: most, unit: entry.unit.into(), level: 0.95 };
             // Upper limits beyond the bound of the mechanism's law are left out.
             Some(limit).filter(|_| most < entry.bounds[1])
         };
         // The prediction of the written model has its law, so the predictions that it is compared with need the law too.
-        let law = selection.law.as_ref().and_then(|law| study.model.with_terms(std::slice::from_ref(&law.term)));
+        let law = selection.standing.law.as_ref();
+        let law = law.and_then(|law| study.model.with_terms(std::slice::from_ref(&law.term)));
         let further = match &law {
             Some(model) => study.with_model(&**model).further(standing, &asked),
             None => study.further(standing, &asked),
@@ -291,101 +297,73 @@ impl ReportView<'_> {
 
     fn tried(&self) -> Vec<Tried> {
         let s = self.selection;
-        let base = s.table.rows[0].held_out.rmse();
+        let base = super::verdict::base(&s.entries);
+        let before = s.table.error(base);
         let n = (self.study.observations.values.len() as f64).ln();
-        let best = s.best().or_else(|| s.candidates.leading.map(|k| &s.candidates.fits[k]));
-        let tried = |fit: &Fit, earlier: f64, entry: Option<usize>| {
+        let best = s.ruling.set.first().map(|&k| s.fits.fit(k));
+        let best = best.or_else(|| s.fits.candidates.leading.map(|k| &s.fits.candidates.fits[k]));
+        let tried = |fit: &Fit, ids: Vec<String>, earlier: f64, entry: Option<usize>| {
             let gained = earlier - fit.objective;
             Tried {
-                ids: fit.names(),
                 values: fit.values(),
                 delta_chi2: gained,
-                cv_gain: entry.filter(|_| base > 0.0).map(|k| 1.0 - s.table.rows[k].held_out.rmse() / base),
+                cv_gain: entry.filter(|_| before > 0.0).map(|k| 1.0 - s.table.error(k) / before),
                 lack_of_fit: entry.map(|k| s.table.lack(k)),
-                delta_aic: gained - 2.0 * fit.ids.len() as f64,
-                delta_bic: gained - n * fit.ids.len() as f64,
-                distance_to_best: best.filter(|_| entry.is_some()).map(|b| b.distance_squared(fit).sqrt()),
+                delta_aic: gained - 2.0 * ids.len() as f64,
+                delta_bic: gained - n * ids.len() as f64,
+                distance_to_best: best
+                    .filter(|b| entry.is_some() && b.deviations.len() == fit.deviations.len())
+                    .map(|b| b.distance_squared(fit).sqrt()),
+                ids,
             }
         };
-        // Entries with a law are not candidates.
-        let alone = (1..s.entries.len()).filter(|&k| s.formulas[k].is_none() && s.entries[k].causes > 0);
-        let compared =
-            s.table.ranked(alone).into_iter().map(|k| tried(s.fit_of(k), s.candidates.base.objective, Some(k)));
-        compared.chain(s.candidates.behind.iter().map(|fit| tried(fit, s.candidates.earlier, None))).collect()
+        let causes = (1..s.entries.len()).filter(|&k| s.entries[k].role == Role::Causes);
+        let objective = s.fits.candidates.base.objective;
+        let compared = s.table.ranked(causes).into_iter().map(|k| tried(s.fits.fit(k), s.ids(k), objective, Some(k)));
+        let behind = &s.fits.candidates.behind;
+        compared.chain(behind.iter().map(|fit| tried(fit, fit.names(), s.fits.candidates.earlier, None))).collect()
     }
 
     fn gain(&self) -> Gain {
-        let selection = self.selection;
-        let (plain, [base, chosen]) = (&selection.plain, &selection.nested);
-        let extended = if selection.ruling.written == Written::Plain { plain } else { chosen };
-        let repetitions = self.source.floor();
-        let (before, after, floor) = (plain.rmse(), extended.rmse(), repetitions.rmse());
-        // If the plain model's error is hardly larger than the scatter between repetitions, a share of the difference between the two has no meaning.
-        let told = plain.reduction_interval(&repetitions)[0] > 0.0;
+        let (own, plain) = (&self.selection.nested, self.selection.ruling.written == Written::Plain);
+        let [before, base, chosen] = own.errors;
+        let after = if plain { before } else { chosen };
+        let (reduction, ci95) = if plain { (0.0, [0.0; 2]) } else { own.reduction() };
+        // If the plain model's error is hardly larger than noise, a share of the difference between the two has no meaning.
+        let told = self.selection.table.misfit(0) > 0.0 && before > 1.0;
+        let [raw, raw_base, raw_chosen] = own.raw.each_ref().map(SquaredErrors::rmse);
         Gain {
             held_out_rmse_plain: Some(before),
-            held_out_rmse_recalibrated: Some(base.rmse()),
-            nested: true,
+            held_out_rmse_recalibrated: Some(base),
             held_out_rmse_extended: Some(after),
-            noise_floor: Some(floor),
-            reduction: (before > 0.0).then(|| 1.0 - after / before),
-            ci95: Some(plain.reduction_interval(extended)),
-            achievable_fraction: (told && before > floor).then(|| (before - after) / (before - floor)),
+            noise_floor: Some(1.0),
+            reduction: Some(reduction),
+            ci95: Some(ci95),
+            achievable_fraction: told.then(|| (before - after) / (before - 1.0)),
+            nested: true,
+            in_units: Some(RawErrors {
+                unit: self.study.observations.error_unit().into(),
+                plain: raw,
+                recalibrated: raw_base,
+                extended: if plain { raw } else { raw_chosen },
+                noise_floor: self.source.floor().rmse(),
+            }),
         }
     }
 
-    /// The experiment that separates the explanations of the set, of at most three conditions (our choice).
     fn next_experiment(&self, untestable: &[Untestable]) -> Option<NextExperiment> {
-        let explanations = Some(self.selection.explanations()).filter(|all| all.len() > 1)?;
-        let selection = self.selection;
-        let set: Vec<&Fit> = selection.ruling.set.iter().map(|&k| selection.fit_of(k)).collect();
-        let menu = self.study.model.menu();
-        let noise = &selection.candidates.around.noise;
-        let conditions = menu.filter(|_| set.len() > 1);
-        let conditions =
-            conditions.map_or(Vec::new(), |menu| next_experiment::propose(&menu, noise, self.study, &set, 3));
-        let unknown = untestable.iter().filter(|u| explanations.iter().any(|ids| ids.contains(&u.id)));
-        let mut why: Vec<String> =
-            unknown.map(|u| format!("a test of {} needs a log that says more: {}", u.id, u.why)).collect();
-        if !conditions.is_empty() {
-            why.push("these conditions separate the two explanations that the data distinguish least".into());
-        }
-        (!why.is_empty()).then(|| NextExperiment { why: why.join("; "), conditions })
+        let names = self.source.uncertainty.shared.iter().map(|s| s.name).collect();
+        let noise = KnownNoise { noise: &self.selection.fits.candidates.around.noise, names };
+        // Causes that act on the data if a column says so.
+        let id = |u: &Untestable| CATALOG.iter().position(|m| m.id == u.id && m.side == Side::Sand);
+        let of_interest = untestable.iter().filter(|u| u.why.starts_with("the data have no column"));
+        let of_interest: Vec<(usize, String)> = of_interest.filter_map(|u| Some((id(u)?, u.why.clone()))).collect();
+        next_experiment::next(self.study, self.selection, &noise, &of_interest)
     }
-}
-
-/// Measured and predicted means of every condition, for runs, which have one number for each channel.
-fn runs(study: &FitInputs, extended: Option<&Fit>) -> Vec<RunMeans> {
-    let o = study.observations;
-    if o.units.iter().any(|u| u.samples > 1) {
-        return Vec::new();
-    }
-    let simulated = |prediction: &[f64]| study.model.as_simulated(prediction);
-    let plain = simulated(&study.plain().prediction);
-    let extended = extended.map(|f| simulated(&f.prediction));
-    let groups = o.repetitions();
-    let row = |(condition, units): (usize, &Vec<usize>), c: usize| {
-        let mean =
-            |stack: &[f64]| units.iter().map(|&u| stack[o.units[u].block(c).start]).sum::<f64>() / units.len() as f64;
-        RunMeans {
-            condition: o.conditions[condition].clone(),
-            channel: o.channels[c].name.to_string(),
-            unit: o.channels[c].unit.into(),
-            measured: mean(&o.values),
-            plain: mean(&plain),
-            extended: extended.as_ref().map(|e| mean(e)),
-        }
-    };
-    groups.iter().enumerate().flat_map(|g| (0..o.channels.len()).map(move |c| row(g, c))).collect()
 }
 
 /// A warning if the fit needs coefficients that deviate by more than three of their stated standard deviations: our choice.
 fn far_coefficients(fit: &Fit) -> Option<String> {
     let furthest = fit.deviations[..COEFFICIENTS].iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs()))?;
-    (furthest.abs() > 3.0).then(|| {
-        format!(
-            "the fit moves a stress coefficient by {furthest:+.1} of its declared standard deviations: the medium's table or \
-             coefficient_sd does not fit this sand"
-        )
-    })
+    (furthest.abs() > 3.0).then(|| format!("{ALARM}a stress coefficient moved by {furthest:+.1} stated sd"))
 }

@@ -163,6 +163,18 @@ fn leg(row: &Row) -> Result<String> {
     Ok(if named { name.into() } else { format!("xi={}", if name == "revL" { -xi.abs() } else { xi }) })
 }
 
+impl WalkSetup {
+    /// Would another log call these two the same condition? Frequencies may differ by a tenth, slopes by 2°, payloads by 5 g, places by
+    /// 5 cm: our choices.
+    fn resembles(&self, other: &Self) -> bool {
+        self.leg == other.leg
+            && (self.frequency.abs() - other.frequency.abs()).abs() <= 0.1 * self.frequency.abs()
+            && (self.slope_deg - other.slope_deg).abs() <= 2.0
+            && (self.payload - other.payload).abs() <= 5e-3
+            && (self.x_bed - other.x_bed).abs() <= 0.05
+    }
+}
+
 /// Planned runs, each with a description: one condition for each, and zeros for measurements.
 pub fn planned(runs: Vec<(WalkSetup, String)>, channels: Vec<Channel>) -> WalkingLog {
     let (setups, names): (Vec<WalkSetup>, Vec<String>) = runs.into_iter().unzip();
@@ -172,7 +184,7 @@ pub fn planned(runs: Vec<(WalkSetup, String)>, channels: Vec<Channel>) -> Walkin
     WalkingLog { observations, settings: setups, setting_of, missing: Vec::new(), notes, sha256: String::new() }
 }
 
-/// Runs that a laboratory with these `setups` could make: its legs, and legs L and revL, at the lowest, a middle and
+/// Runs that a laboratory with these `setups` could make and that are not in the data: its legs, and legs L and revL, at the lowest, a middle and
 /// the highest stride frequency in the log, on level sand, 10° up and down, with a payload of 50 g (a third of the mass
 /// of `xplorer`), and 30 cm behind the usual start: our choice.
 pub fn possible(setups: &[WalkSetup]) -> Vec<(WalkSetup, String)> {
@@ -196,7 +208,10 @@ pub fn possible(setups: &[WalkSetup]) -> Vec<(WalkSetup, String)> {
                 );
                 let leg = leg.clone();
                 let robot = first.robot.clone();
-                out.push((WalkSetup { robot, leg, frequency, slope_deg, payload, x_bed, strides: STRIDES }, words));
+                let planned = WalkSetup { robot, leg, frequency, slope_deg, payload, x_bed, strides: STRIDES };
+                if !setups.iter().any(|made| planned.resembles(made)) {
+                    out.push((planned, words));
+                }
             }
         }
     }

@@ -50,6 +50,9 @@ pub enum Change {
 }
 
 impl UsedGround {
+    /// Memory of the patches and of the most footprints [bytes].
+    pub const LIST_BYTES: usize = PATCHES * size_of::<f64>() + PRINTS * size_of::<[f64; 2]>();
+
     /// For snapshots: can an episode of a robot with `legs` legs have reached this ground?
     pub fn is_sound(&self, legs: usize) -> bool {
         let number = |x: &f64| x.is_finite();

@@ -16,8 +16,8 @@ use super::stroke::LegStroke;
 use super::task::{AnyTask, Task};
 use super::terrain::HexapodTerrain;
 use crate::error::{Error, Result};
-use crate::sim::MemoryCount;
 use crate::sim::engine::EngineKind;
+use crate::sim::{MemoryCount, resident};
 use serde_json::Value;
 use std::sync::Arc;
 
@@ -61,8 +61,8 @@ pub const TASK_IDS: [&str; KINDS.len()] = {
 /// other name is returned unchanged.
 pub fn task_id(name: &str) -> &str {
     let bare = |id: &'static str| id.trim_start_matches("sandgait/");
-    let short = |id| bare(id).split("-v").next();
-    let means = |id: &&'static str| *id == name || bare(id) == name || short(id) == Some(name);
+    let called = name.strip_prefix("sandgait/").unwrap_or(name);
+    let means = |id: &&'static str| bare(id) == called || bare(id).split("-v").next() == Some(called);
     TASK_IDS.into_iter().rev().find(means).unwrap_or(name)
 }
 
@@ -191,7 +191,7 @@ impl Blueprint {
 
     /// Estimated memory of `envs` environments with these options [bytes].
     pub fn bytes(&self, envs: usize) -> usize {
-        self.shared_bytes() + envs * self.task.bytes_per_env()
+        resident(self.shared_bytes()) + envs * self.task.bytes_per_env()
     }
 
     /// See [`AnyTask::bytes_per_env`].

@@ -9,12 +9,16 @@ use super::spec::Spec;
 use super::task::{AnyTask, Setup, Task, TaskState, Transition};
 use crate::error::{Error, Result, check_range};
 use crate::sim::engine::Command;
-use crate::sim::{MemoryCount, Model, State};
+use crate::sim::{MemoryCount, Model, State, resident};
 use serde_json::Value;
 use std::sync::Arc;
 
 /// Refuses a keyword that is not an option of the task with this id.
 pub(super) type CheckKeyword = fn(&str, &[OptionRow], &str) -> Result<()>;
+
+/// Memory of an environment with two states, its episode's numbers and a copy of them [bytes]; counted by
+/// `tests/prices.rs`.
+const ENVIRONMENT: usize = 3_000;
 
 /// [`AnyTask`] of one type of task.
 pub(super) struct TaskSetup<T: Task> {
@@ -140,14 +144,15 @@ impl<T: Task> AnyTask for TaskSetup<T> {
 
     fn bytes_per_env(&self) -> usize {
         let (spec, model, setup) = (&self.spec, &self.model, self.setup());
-        let rows = 4 * (2 * spec.observation.len() + spec.info.len() + spec.action.len());
-        let sensed = 3 * self.sensing.as_ref().map_or(0, SensorModel::episode_bytes);
+        let rows = 4 * (3 * spec.observation.len() + spec.info.len() + spec.action.len());
+        let sensed = self.sensing.as_ref().map_or(0, SensorModel::episode_bytes);
         let drawn = match T::drawn_bytes(&setup) {
             0 if self.hardware.is_random() => model.episode_bytes(),
             bytes => bytes,
         };
-        let robot = model.robot_bytes(T::engine(&self.options.task), self.most_obstacles());
-        rows + sensed + T::EPISODE_BYTES / 2 * 3 + 3 * drawn + robot + model.sand_bytes()
+        let robot = model.engine_bytes(T::engine(&self.options.task), self.most_obstacles());
+        let episodes = ENVIRONMENT + 2 * (sensed + T::list_bytes(&setup) + drawn);
+        resident(rows + episodes + robot) + 2 * model.sand_bytes()
     }
 
     fn resume(&self, task_state: &mut TaskState) -> std::result::Result<(), String> {

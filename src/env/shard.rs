@@ -92,7 +92,8 @@ impl Shard {
     ) {
         self.rows.clear();
         for i in (0..self.environments.len()).filter(|i| chosen(*i)) {
-            let Environment { episode, stale, .. } = &mut self.environments[i];
+            let Environment { episode, stale, ended, .. } = &mut self.environments[i];
+            *ended = None;
             if let Some(task) = task(i) {
                 *stale = true;
                 episode.task = task.clone();

@@ -50,7 +50,8 @@ impl Shard {
         let held = (0..self.envs()).filter(|i| held(*i)).map(|i| (i, self.keep(i))).collect();
         self.rows.clear();
         let width = self.actions();
-        for (i, Environment { episode, before, .. }) in self.environments.iter_mut().enumerate() {
+        for (i, Environment { episode, before, ended, .. }) in self.environments.iter_mut().enumerate() {
+            *ended = None;
             std::mem::swap(before, &mut episode.state);
             let mut action = &actions[i * width..][..width];
             if !episode.delay.is_none() {

@@ -65,9 +65,6 @@ pub trait Task: Send + Sync + Sized + 'static {
     /// For example `sandgait/HexapodGait-v1`.
     const ID: &'static str;
 
-    /// Memory of an episode's state, options and bookkeeping [bytes], and its share of the messages in flight;
-    /// measured.
-    const EPISODE_BYTES: usize = 2_000;
     /// Does the task command velocities to the left?
     const SIDEWAYS: bool = false;
 
@@ -132,6 +129,11 @@ pub trait Task: Send + Sync + Sized + 'static {
         0
     }
 
+    /// Largest memory of an episode's own lists [bytes], such as its commands.
+    fn list_bytes(_setup: &Setup<Self::Options>) -> usize {
+        0
+    }
+
     /// Refuses a reset after which the model would not fit the environments' engine and rows.
     fn check_change(_old: &Model, _new: &Model) -> Result<()> {
         Ok(())
@@ -175,9 +177,9 @@ pub trait AnyTask: Send + Sync {
     /// names of all columns. Parts that tasks with other options share count once.
     fn count_memory(&self, count: &mut MemoryCount);
 
-    /// Largest memory of one environment [bytes], besides what it shares: its rows twice (because of final observations),
-    /// its robot in the engine, its episode, the previous episode, and the copy of the episode, with sand, that a
-    /// rollout, a restore or a step makes. [`Task::EPISODE_BYTES`] is for two episodes.
+    /// Largest resident memory of one environment [bytes], besides what it shares: its rows with the final observation
+    /// and its part of an answer, its robot in the engine, its episode, and a second one: the copy with its sand that a
+    /// rollout, a restore or a step makes, or the episode that has just ended.
     fn bytes_per_env(&self) -> usize;
 
     fn resume(&self, task_state: &mut TaskState) -> std::result::Result<(), String>;

@@ -195,8 +195,6 @@ fn sand(model: &Model, ground: &UsedGround) -> Medium {
 
 impl Task for HexapodTerrain {
     const ID: &'static str = "sandgait/HexapodTerrain-v1";
-    /// Counted: 512 footprints in each of two episodes, and the usual 2 kB.
-    const EPISODE_BYTES: usize = 18_400;
     type Options = TerrainOptions;
 
     fn engine(options: &TerrainOptions) -> EngineKind {
@@ -205,6 +203,10 @@ impl Task for HexapodTerrain {
 
     fn drawn_bytes(setup: &Setup<TerrainOptions>) -> usize {
         setup.model.episode_bytes()
+    }
+
+    fn list_bytes(_setup: &Setup<TerrainOptions>) -> usize {
+        UsedGround::LIST_BYTES
     }
 
     fn model(options: &TerrainOptions) -> Result<Model> {

@@ -99,6 +99,11 @@ impl CommandStudy {
         Ok(Self { blueprints, gait, small: units.small() })
     }
 
+    /// Memory of all tasks with their episodes [bytes].
+    pub fn bytes(&self) -> usize {
+        self.blueprints.iter().map(|blueprint| blueprint.bytes(ROBOTS)).sum()
+    }
+
     /// Plays all episodes. An error of `progress` stops the work.
     pub fn run(&self, progress: &dyn Progress) -> Result<CommandTracking> {
         let (done, count) = (AtomicUsize::new(0), self.blueprints.len());
@@ -237,17 +242,6 @@ const TRAINED: f64 = 0.9;
 
 fn percent(share: f64) -> String {
     format!("{:.0} %", 100.0 * share)
-}
-
-/// One line for each command.
-pub fn csv(followed: &CommandTracking) -> String {
-    let mut text = String::from("command_lin_vel_x,command_lin_vel_y,command_ang_vel_yaw,");
-    text += "lin_vel_x,lin_vel_y,ang_vel_yaw,error,falls\n";
-    for line in &followed.lines {
-        let numbers = line.command.iter().chain(&line.velocity).chain([&line.error, &line.falls]);
-        text += &format!("{}\n", numbers.map(f64::to_string).collect::<Vec<_>>().join(","));
-    }
-    text
 }
 
 #[cfg(test)]

@@ -26,7 +26,8 @@ pub enum PolicySource {
     Random,
 }
 
-const KNOWN: [&str; 5] = ["FILE.onnx", "tripod[:HZ]", "clock:FILE.json or clock:NUMBERS", "standing", "random"];
+const KNOWN: [&str; 5] =
+    ["FOLDER or FILE.onnx", "tripod[:HZ]", "clock:FILE.json or clock:NUMBERS", "standing", "random"];
 
 impl PolicySource {
     /// Parses the name of a gait. `read` reads files; it gives an error if files are not allowed.

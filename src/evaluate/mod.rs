@@ -1,7 +1,7 @@
 //! Evaluates gaits: returns, speeds, costs and falls over seeds that no training uses, on several media and slopes.
 //!
 //! [`gait`]: the evaluated gait → [`run`]: episodes over lanes and cores, each an [`episode`] of sums →
-//! [`figures`]: means with intervals → [`table`]: text, CSV and JSON. [`commands`]: how well a policy of LeggedVelocity
+//! [`figures`]: means with intervals → [`table`]: columns and text. [`commands`]: how well a policy of LeggedVelocity
 //! follows commands. `docs/evaluate.md` defines every figure.
 
 use sandgait_base::{error, parallel, progress};
@@ -52,6 +52,9 @@ const TOGETHER: usize = 1 << 14;
 /// Largest memory of the tasks of conditions that are played together [bytes], unless one model is larger: our choice,
 /// thousands of flat beds, or some dozens with a relief.
 const MODELS: usize = 16 << 20;
+
+/// Memory of the sums over [`TOGETHER`] episodes [bytes].
+const SUMS: usize = 2 << 20;
 
 /// A request for an evaluation.
 pub struct EvaluationRequest {
@@ -124,6 +127,11 @@ impl Evaluation {
         let study = Self { conditions: all.collect(), base, gait, seeds: *seeds };
         study.conditions.iter().try_for_each(|condition| study.blueprint(condition).map(drop))?;
         Ok(study)
+    }
+
+    /// Memory of the tasks that are played together, and of their episodes' sums [bytes].
+    pub fn bytes(&self) -> usize {
+        MODELS.max(self.base.shared_bytes()) + SUMS
     }
 
     fn blueprint(&self, (medium, slope_deg): &Condition) -> Result<Blueprint> {

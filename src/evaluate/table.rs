@@ -1,7 +1,6 @@
-//! Results as a text table, as CSV and as JSON.
+//! Results as columns, and as a text table.
 
 use super::{Estimate, EvaluationRow};
-use serde_json::{Value, json};
 
 /// Every figure: its name in files, its heading and unit in the text table, and its decimals.
 const FIGURES: [FigureFormat; 6] = [
@@ -52,35 +51,6 @@ pub fn columns(rows: &[EvaluationRow]) -> Vec<FigureColumn> {
     }
     all.push(column("diverged", "1", &|r| r.figures.diverged as f64));
     all
-}
-
-/// One line for each row; NaN is an empty cell.
-pub fn csv(rows: &[EvaluationRow]) -> String {
-    let columns = columns(rows);
-    let mut text = String::from("medium");
-    columns.iter().for_each(|c| text += &format!(",{}", c.name));
-    text.push('\n');
-    for (i, row) in rows.iter().enumerate() {
-        let medium = &row.medium;
-        text += &if medium.contains(',') { format!("\"{medium}\"") } else { medium.clone() };
-        for value in columns.iter().map(|c| c.values[i]) {
-            text += &if value.is_finite() { format!(",{value}") } else { ",".into() };
-        }
-        text.push('\n');
-    }
-    text
-}
-
-/// `about` and one object for each row; NaN is null.
-pub fn json(mut about: Value, rows: &[EvaluationRow]) -> Value {
-    let columns = columns(rows);
-    let object = |(i, row): (usize, &EvaluationRow)| {
-        let mut object = json!({"medium": row.medium});
-        columns.iter().for_each(|c| object[&c.name] = json!(c.values[i]));
-        object
-    };
-    about["results"] = rows.iter().enumerate().map(object).collect();
-    about
 }
 
 /// Cells of the text table, the heading first.

@@ -7,7 +7,7 @@ use crate::env::registry::Blueprint;
 use crate::env::{AnyTask, EnvView, ResetOptions, Shard, Spec};
 use crate::error::{Error, Result, check_range};
 use crate::policy::Network;
-use crate::sim::MemoryCount;
+use crate::sim::{MemoryCount, resident};
 use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::Duration;
@@ -128,7 +128,7 @@ impl Batch {
         size(&self.task);
         let largest = |env| size(self.task_of(env)).max(next(env).map_or(0, &mut size));
         let own: usize = (0..self.envs).map(largest).sum();
-        own + count.bytes()
+        own + resident(count.bytes())
     }
 
     /// The task of an environment with its present options.

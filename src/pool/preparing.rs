@@ -8,7 +8,7 @@ use crate::env::episode::Episode;
 use crate::env::snapshot::SavedEpisode;
 use crate::env::{AnyTask, ResetOptions};
 use crate::error::{Error, Result};
-use crate::sim::MemoryCount;
+use crate::sim::{MemoryCount, resident};
 use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -152,7 +152,7 @@ fn added(count: &mut MemoryCount, old: &Arc<dyn AnyTask>, task: &Arc<dyn AnyTask
     old.count_memory(count);
     let before = count.bytes();
     task.count_memory(count);
-    count.bytes() - before
+    resident(count.bytes() - before)
 }
 
 impl RestorePlan {

@@ -34,7 +34,7 @@ pub use claims::{Claim, ClaimVerdict};
 
 use crate::error::{Error, Result};
 use crate::plot::Figure;
-use std::path::Path;
+use crate::progress::Progress;
 
 /// Our version of one figure of the paper, with its claims.
 pub struct FigureSection {
@@ -61,16 +61,18 @@ impl ReportTable {
 /// Figures of the paper that are reproduced.
 pub const FIGURES: [u8; 4] = [2, 3, 4, 5];
 
-/// Computes the parts for the given figures; with all four, also the claims of the conclusions.
-pub fn compute(figures: &[u8]) -> Result<Vec<FigureSection>> {
+/// Computes the parts for the given figures; with all four, also the claims of the conclusions. An error of `progress` stops
+/// the work before the next figure.
+pub fn compute(figures: &[u8], progress: &dyn Progress) -> Result<Vec<FigureSection>> {
     let mut parts = Vec::new();
-    for figure in figures {
+    for (done, figure) in figures.iter().enumerate() {
+        progress.report(done as f64 / figures.len() as f64, &format!("figure {figure}"))?;
         parts.push(match figure {
             2 => stresses::part()?,
             3 => legs::part(grains::part()?)?,
             4 => speeds::part()?,
             5 => shapes::part()?,
-            other => return Err(Error::invalid("--figure", format!("{other} is not one of 2, 3, 4, 5"))),
+            other => return Err(unknown_figure(*other)),
         });
     }
     if figures.len() == FIGURES.len() {
@@ -79,23 +81,21 @@ pub fn compute(figures: &[u8]) -> Result<Vec<FigureSection>> {
     Ok(parts)
 }
 
+/// The error for a figure that is not reproduced.
+pub fn unknown_figure(figure: u8) -> Error {
+    Error::invalid("figure", format!("{figure} is not one of 2, 3, 4, 5"))
+}
+
 /// Laws compared with legs rotated through grains that were simulated one by one.
 pub fn grains() -> Result<ReportTable> {
     Ok(grains::part()?.table)
 }
 
-/// Writes figures, `report.html` and `claims.json` into `out`.
-pub fn write(parts: &[FigureSection], out: &Path) -> Result<()> {
-    std::fs::create_dir_all(out).map_err(|e| Error::unwritten(out, &e))?;
-    let put = |name: &str, text: &str| {
-        let path = out.join(name);
-        std::fs::write(&path, text).map_err(|e| Error::unwritten(&path, &e))
-    };
-    for (name, figure) in parts.iter().flat_map(|p| &p.figures) {
-        figure.write(&out.join(format!("{name}.svg")))?;
-    }
+/// Figures, `report.html` and `claims.json`: names and texts.
+pub fn files(parts: &[FigureSection]) -> Result<Vec<(String, String)>> {
     let claims: Vec<&Claim> = parts.iter().flat_map(|p| &p.claims).collect();
     let json = serde_json::to_string_pretty(&claims).map_err(|e| Error::Exhausted(e.to_string()))?;
-    put("claims.json", &(json + "\n"))?;
-    put("report.html", &page::page(parts))
+    let figures = parts.iter().flat_map(|p| &p.figures).map(|(name, figure)| (format!("{name}.svg"), figure.svg()));
+    let texts = [("claims.json".to_owned(), json + "\n"), ("report.html".to_owned(), page::page(parts))];
+    Ok(figures.chain(texts).collect())
 }

@@ -64,9 +64,7 @@ impl Inertial {
         if !(0.0..=MOST_MASS).contains(&self.mass) {
             return Err(format!("mass {} kg is outside [0, {MOST_MASS}]", self.mass));
         }
-        let mut principal: [f64; 3] = self.inertia.symmetric_eigenvalues().into();
-        principal.sort_by(f64::total_cmp);
-        let [least, middle, most] = principal;
+        let [least, middle, most] = principal_moments(&self.inertia);
         if least < -ROUNDING * most.abs() - NOTHING || most < -NOTHING {
             return Err(format!(
                 "inertia is not positive definite: its principal moments are {least:.3e}, {middle:.3e}, {most:.3e} kg·m²"
@@ -75,13 +73,24 @@ impl Inertial {
         if self.mass == 0.0 && most > 0.0 {
             return Ok(Some("has an inertia without a mass; it is used as it is".into()));
         }
-        // Our choice of a tolerance of 0.1 %: files round numbers to three digits.
-        let most_of_flat = (least + middle) * (1.0 + 1e-3);
-        let doubtful = most > most_of_flat && most - least - middle > NOTHING;
-        Ok(doubtful.then(|| {
+        Ok(exceeds_sum(&self.inertia).then(|| {
             "no body has such an inertia (one principal moment above the sum of the others); it is used as it is".into()
         }))
     }
+}
+
+/// In ascending order.
+fn principal_moments(inertia: &Matrix3<f64>) -> [f64; 3] {
+    let mut principal: [f64; 3] = inertia.symmetric_eigenvalues().into();
+    principal.sort_by(f64::total_cmp);
+    principal
+}
+
+/// Is a principal moment above the sum of the others, as that of no body? Our choice of a tolerance of 0.1 %: files round
+/// numbers to three digits.
+pub fn exceeds_sum(inertia: &Matrix3<f64>) -> bool {
+    let [least, middle, most] = principal_moments(inertia);
+    most > (least + middle) * (1.0 + 1e-3) && most - least - middle > NOTHING
 }
 
 /// A visual shape of a link.
@@ -111,6 +120,8 @@ pub struct DraftLink {
     /// The part of its weight that is held from outside.
     pub held: f64,
     pub shapes: Vec<TreeShape>,
+    /// The file's names of shapes, and those that they have here.
+    pub given: Vec<[String; 2]>,
     pub visuals: Vec<Visual>,
 }
 
@@ -119,8 +130,8 @@ impl DraftLink {
     pub fn new(name: String, parent: Option<usize>, origin: Isometry3<f64>, joint: Option<TreeJoint>) -> Self {
         let parent = parent.unwrap_or(0);
         let inertial = Inertial::none();
-        let (shapes, visuals) = (Vec::new(), Vec::new());
-        Self { name, parent, origin, joint, massless: false, inertial, held: 0.0, shapes, visuals }
+        let (shapes, given, visuals) = (Vec::new(), Vec::new(), Vec::new());
+        Self { name, parent, origin, joint, massless: false, inertial, held: 0.0, shapes, given, visuals }
     }
 }
 
@@ -276,14 +287,20 @@ pub fn shift(by: Vector3<f64>) -> Isometry3<f64> {
 }
 
 /// Names a link's shapes. A single shape gets the link's name. Of several, each gets `link/name`, or `link/number` if
-/// it has no name.
-pub fn name_shapes(link: &str, shapes: &mut [TreeShape]) {
+/// it has no name. Returns the file's names, and those that the shapes have now.
+pub fn name_shapes(link: &str, shapes: &mut [TreeShape]) -> Vec<[String; 2]> {
     let many = shapes.len() > 1;
+    let mut given = Vec::new();
     for (k, shape) in shapes.iter_mut().enumerate() {
+        let own = shape.name.clone();
         shape.name = match (many, shape.name.is_empty()) {
             (false, _) => link.to_owned(),
             (true, false) => format!("{link}/{}", shape.name),
             (true, true) => format!("{link}/{}", k + 1),
         };
+        if !own.is_empty() {
+            given.push([own, shape.name.clone()]);
+        }
     }
+    given
 }

@@ -2,6 +2,8 @@
 //!
 //! Parts without an entry have no effect on the motion here: pictures, sensors, settings of solvers, and the stiffness of
 //! other programs' contacts, in whose place hard ground and sand have their own laws.
+//!
+//! Elements of Gazebo: <https://classic.gazebosim.org/tutorials?tut=ros_urdf>, and SDFormat inside of them.
 
 use super::xml::Element;
 
@@ -10,6 +12,14 @@ pub fn of_attribute(tag: &str, name: &str, value: &str) -> Option<&'static str> 
     let zero = value.split_whitespace().all(|word| word.parse::<f64>().is_ok_and(|x| x == 0.0));
     let off = value == "disable";
     let effect = match (tag, name) {
+        ("option", "actuatorgroupdisable") => return Some("the motors of these groups are switched off"),
+        ("compiler", "balanceinertia" | "boundmass" | "boundinertia" | "settotalmass" | "inertiafromgeom")
+            if value != "false" =>
+        {
+            "masses and inertias are others"
+        }
+        ("safety_controller", "soft_lower_limit" | "soft_upper_limit") => "the robot's own controller limits the joint",
+        ("safety_controller", "k_velocity") => "the robot's own controller limits the torque by the speed",
         ("option", "wind") => "moving air pushes on the robot",
         ("option", "density") => "drag and lift in air or water",
         ("option", "viscosity") => "viscous drag in air or water",
@@ -37,8 +47,50 @@ pub fn of_attribute(tag: &str, name: &str, value: &str) -> Option<&'static str> 
     (!zero).then_some(effect)
 }
 
+/// The parts of an element that have an effect, and the effects.
+pub fn of_parts(element: &Element) -> Vec<(String, &'static str)> {
+    let mut parts = Vec::new();
+    match of_element(element) {
+        Some(effect) => parts.push((format!("<{}>", shortened(&element.tag)), effect)),
+        None if element.tag == "gazebo" => gazebo(element, &mut parts),
+        None => {}
+    }
+    parts
+}
+
+/// A name, so short that a message stays readable.
+pub fn shortened(name: &str) -> String {
+    name.chars().take(60).collect()
+}
+
+fn gazebo(element: &Element, parts: &mut Vec<(String, &'static str)>) {
+    for part in &element.children {
+        let (yes, no) = (matches!(&part.text[..], "true" | "1"), matches!(&part.text[..], "false" | "0"));
+        let some = part.text.parse::<f64>().is_ok_and(|x| x != 0.0);
+        let effect = match part.tag.as_str() {
+            "turnGravityOff" if yes => "a link has no weight",
+            "gravity" if no => "a link has no weight",
+            "gravity" if part.text.contains(' ') => "gravity",
+            "mu" | "mu1" => "the friction of a surface",
+            // The friction across the first one's direction.
+            "mu2" if element.first("mu1").is_none() && element.first("mu").is_none() => "the friction of a surface",
+            "springStiffness" | "spring_stiffness" if some => "a spring at a joint",
+            "dampingFactor" if some => "damping of a link's motion",
+            "joint" => "closes a chain of bodies",
+            "link" => "bodies beside the robot",
+            "static" if yes => "the robot does not move",
+            "sensor" | "plugin" | "visual" | "material" => continue,
+            _ => {
+                gazebo(part, parts);
+                continue;
+            }
+        };
+        parts.push((format!("<{}> of <gazebo>", part.tag), effect));
+    }
+}
+
 /// The effect of an element; None: it has none.
-pub fn of_element(element: &Element) -> Option<&'static str> {
+fn of_element(element: &Element) -> Option<&'static str> {
     let with = |names: &[&str]| {
         let has = |e: &Element| names.iter().any(|name| e.get(name).is_some_and(|value| value != "0"));
         element.children.iter().any(has)
@@ -51,6 +103,7 @@ pub fn of_element(element: &Element) -> Option<&'static str> {
         "tendon" if with(&["range"]) => Some("cables that limit joints"),
         "body" => Some("bodies beside the robot"),
         "geom" if element.get("type") != Some("plane") => Some("obstacles or ground of other shape"),
+        "loop_joint" => Some("closes a chain of bodies"),
         "drake:rotor_inertia" => Some("the motor's inertia; see option actuator"),
         "muscle" | "cylinder" | "damper" | "intvelocity" | "adhesion" | "dcmotor" | "pid" | "plugin" => {
             Some("an actuator of another kind; a servo drives the joint")

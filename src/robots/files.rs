@@ -1,7 +1,7 @@
 //! The files of a robot: the description, and the files that it names, which must lie in its package or in a folder that
 //! the user allows.
 
-use super::packages::{self, Packages};
+use super::packages::{self, Reading};
 use crate::error::{Error, Result};
 use encoding_rs::{Encoding, UTF_8, UTF_16BE, UTF_16LE, WINDOWS_1252};
 use std::cell::RefCell;
@@ -44,10 +44,40 @@ impl SourceFile {
         Ok(text.trim_start_matches('\u{feff}'))
     }
 
+    /// Why the file is not `what` it is called; None: it may be.
+    pub fn stand_in(&self, what: &str) -> Option<String> {
+        let bytes = &self.bytes;
+        let start = String::from_utf8_lossy(&bytes[..bytes.len().min(200)]).trim_start().to_lowercase();
+        if start.is_empty() && bytes.len() < 200 {
+            return Some("is empty: download it again".into());
+        }
+        if start.starts_with("version https://git-lfs") {
+            return Some(format!("is a Git LFS pointer in place of {what}: run `git lfs pull` in its folder"));
+        }
+        let page = ["<!doctype html", "<html", "<head", "<body"].iter().any(|tag| start.starts_with(tag));
+        if page {
+            return Some(format!("is a web page in place of {what}: download the file itself (on GitHub, \"raw\")"));
+        }
+        // What servers answer in place of a file.
+        let answer = [
+            "404",
+            "403",
+            "not found",
+            "{\"message\"",
+            "access denied",
+            "<?xml version=\"1.0\" encoding=\"utf-8\"?><error",
+        ];
+        let said = start.lines().next().unwrap_or_default();
+        let short = bytes.len() < 2000 && answer.iter().any(|text| start.starts_with(text));
+        short.then(|| format!("is a server's answer in place of {what}: {said:?}; download it again"))
+    }
+
     /// The text of an XML file, and a note if it is not in the encoding that it should have. Other programs read blank
-    /// lines before the XML declaration, so the declaration becomes blanks then; lines keep their numbers.
+    /// lines before the XML declaration, so the declaration becomes blanks then; lines keep their numbers. Some programs end
+    /// a text with a NUL, or with the Ctrl-Z of DOS.
     pub fn xml(&self) -> Result<(String, Option<String>)> {
         let (mut text, note) = self.decoded()?;
+        text.truncate(text.trim_end_matches(|c: char| c.is_whitespace() || matches!(c, '\0' | '\u{1a}')).len());
         let before = text.len() - text.trim_start().len();
         if before > 0 && text[before..].starts_with("<?xml") {
             let end = text[before..].find("?>").map_or(text.len(), |end| before + end + 2);
@@ -111,12 +141,12 @@ pub struct Files {
 
 impl Files {
     /// The folders of a description ([`packages`] has the rules), and those that the user allows.
-    pub fn around(description: &Path, allowed: &Packages) -> Result<Self> {
+    pub fn around(description: &Path, reading: &Reading) -> Result<Self> {
         let failed = |e| Error::file(description, e);
         let whole = description.canonicalize().map_err(failed)?;
         let folder = whole.parent().unwrap_or(Path::new("/")).to_owned();
         let [root, reach] = packages::around(&folder);
-        Ok(Self { folder, root, reach, allowed: allowed.folders()?, taken: RefCell::default() })
+        Ok(Self { folder, root, reach, allowed: reading.folders()?, taken: RefCell::default() })
     }
 
     /// Notes on files that were taken in place of others.
@@ -125,8 +155,17 @@ impl Files {
     }
 
     /// Finds a file that a description names. The name is relative to the folder `within`, which is relative to the
-    /// description's folder. `package://NAME/…` is searched in the package NAME. `\` separates folders, as `/` does.
+    /// description's folder. `package://NAME/…` is searched in the package NAME. `\` separates folders, as `/` does. A name
+    /// that is not found may be that of a URI, with `%20` for a blank.
     pub fn find(&self, within: &str, name: &str) -> Result<PathBuf> {
+        let found = self.find_named(within, name);
+        match plain_uri(name) {
+            Some(plain) if found.is_err() => self.find_named(within, &plain).or(found),
+            _ => found,
+        }
+    }
+
+    fn find_named(&self, within: &str, name: &str) -> Result<PathBuf> {
         let [within, name] = [within, name].map(|text| text.replace('\\', "/"));
         if let Some(rest) = name.strip_prefix("package://").or_else(|| name.strip_prefix("model://")) {
             // Some files have three slashes.
@@ -217,6 +256,17 @@ impl Files {
         let above = own.chain(beyond).find(|f| packages::is_called(f, name)).map(Path::to_owned);
         above.or_else(|| [&self.root].into_iter().chain(&self.allowed).find_map(|root| packages::below(root, name)))
     }
+}
+
+/// A URI without its `%` codes (RFC 3986); None: it has none, or is no text without them.
+fn plain_uri(name: &str) -> Option<String> {
+    let mut parts = name.split('%');
+    let mut bytes = parts.next()?.as_bytes().to_vec();
+    for part in parts {
+        bytes.push(u8::from_str_radix(part.get(..2)?, 16).ok()?);
+        bytes.extend(&part.as_bytes()[2..]);
+    }
+    String::from_utf8(bytes).ok().filter(|plain| plain != name)
 }
 
 /// Is the path absolute, on this computer or on Windows?

@@ -1,7 +1,7 @@
 //! The convex hull of points: quickhull (Barber, Dobkin & Huhdanpaa 1996).
 
 use nalgebra::Vector3;
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 type V = Vector3<f64>;
 
@@ -9,6 +9,13 @@ type V = Vector3<f64>;
 /// number is a hundredth of single precision's rounding; the next numbers are tried if rounding leaves gaps in the
 /// surface.
 const ON_FACE: [f64; 3] = [1e-9, 1e-7, 1e-5];
+
+/// If rounding leaves gaps with all of these, points are moved at random by at most these shares of the size of the whole
+/// (Qhull's "joggled input", Barber, Dobkin & Huhdanpaa 1996): then no four points are in a plane but for rounding. Our
+/// choice: from the rounding of files in single precision to what closing a surface merges.
+const MOVED: [f64; 3] = [1e-7, 1e-6, 1e-5];
+/// A point counts as on a face of moved points below this share: our choice, a thousand times double precision's rounding.
+const ON_MOVED: f64 = 1e-13;
 
 struct HullFace {
     corners: [usize; 3],
@@ -28,16 +35,42 @@ struct Hull<'a> {
 
 /// Triangles, counterclockwise seen from outside; None if all points lie in a plane.
 pub fn hull(points: &[V]) -> Option<Vec<[V; 3]>> {
-    ON_FACE.iter().find_map(|on_face| hull_within(points, *on_face))
+    let corners = |hull: Vec<[usize; 3]>| hull.into_iter().map(|f| f.map(|c| points[c])).collect();
+    let found = ON_FACE.iter().find_map(|on_face| hull_within(points, *on_face));
+    found.or_else(|| hull_of_moved(points)).map(corners)
 }
 
-fn hull_within(points: &[V], on_face: f64) -> Option<Vec<[V; 3]>> {
-    let extent = |k: usize| {
-        let ends = points.iter().fold([f64::MAX, f64::MIN], |[a, b], p| [a.min(p[k]), b.max(p[k])]);
-        ends[1] - ends[0]
-    };
-    let least = on_face * extent(0).max(extent(1)).max(extent(2));
-    let mut hull = Hull { points, faces: Vec::new(), least };
+/// Middle and size of the box around points.
+pub fn middle_and_size(points: &[V]) -> (V, f64) {
+    let start = [V::repeat(f64::MAX), V::repeat(f64::MIN)];
+    let [low, high] = points.iter().fold(start, |[a, b], p| [a.inf(p), b.sup(p)]);
+    ((low + high) / 2.0, (high - low).max())
+}
+
+/// The hull of points that are moved a little; None if they lie in a plane.
+fn hull_of_moved(points: &[V]) -> Option<Vec<[usize; 3]>> {
+    let (middle, size) = middle_and_size(points);
+    let flat = ON_FACE[ON_FACE.len() - 1];
+    Hull { points, faces: Vec::new(), least: flat * size }.start()?;
+    let mut single = HashSet::new();
+    let kept: Vec<usize> = (0..points.len()).filter(|i| single.insert(points[*i].map(f64::to_bits))).collect();
+    MOVED.iter().find_map(|share| {
+        let mut random = 0_u64;
+        let mut part = || {
+            // Knuth's generator (MMIX).
+            random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            ((random >> 11) as f64 / (1_u64 << 52) as f64 - 1.0) * share * size
+        };
+        let moved: Vec<V> = kept.iter().map(|i| points[*i] - middle + V::new(part(), part(), part())).collect();
+        let hull = hull_within(&moved, ON_MOVED)?;
+        Some(hull.into_iter().map(|f| f.map(|c| kept[c])).collect())
+    })
+}
+
+/// The corners of the hull's triangles.
+fn hull_within(points: &[V], on_face: f64) -> Option<Vec<[usize; 3]>> {
+    let (_, size) = middle_and_size(points);
+    let mut hull = Hull { points, faces: Vec::new(), least: on_face * size };
     let start = hull.start()?;
     hull.assign(&(0..points.len()).collect::<Vec<_>>(), &start);
     let mut left = start;
@@ -47,7 +80,7 @@ fn hull_within(points: &[V], on_face: f64) -> Option<Vec<[V; 3]>> {
         }
     }
     let kept = hull.faces.iter().filter(|f| !f.gone);
-    Some(kept.map(|f| f.corners.map(|c| points[c])).collect())
+    Some(kept.map(|f| f.corners).collect())
 }
 
 impl Hull<'_> {
@@ -154,6 +187,61 @@ mod tests {
 
     fn volume(hull: &[[V; 3]]) -> f64 {
         hull.iter().map(|[a, b, c]| a.dot(&b.cross(c))).sum::<f64>() / 6.0
+    }
+
+    /// Corners of a rounded edge [nm], on which three tolerances left gaps: of z1_GripperStator.STL (Unitree Z1, BSD-3-Clause,
+    /// example-robot-data 4).
+    const EDGE: [[i32; 3]; 36] = [
+        [-7000002, -21770371, 24130912],
+        [101076454, -36159538, -36261879],
+        [100633793, -39516028, -34321003],
+        [83603621, -40919393, -34888107],
+        [83603248, -40855642, -35075545],
+        [85397609, -39624132, -36199857],
+        [86330868, -40946886, -34316394],
+        [95386967, -40219992, -34179058],
+        [88083036, -39108314, -36254477],
+        [59165459, -40519372, -36250696],
+        [59165459, -40355697, -36315687],
+        [56224272, -40467694, -36321651],
+        [59165180, -40105999, -36350001],
+        [59165459, -40985160, -35622858],
+        [53283080, -40723294, -36250386],
+        [82694963, -40772140, -35266358],
+        [82694963, -40845726, -35120256],
+        [82694963, -40857442, -35085469],
+        [81224367, -40991940, -34536622],
+        [82694963, -39586954, -36261931],
+        [79753771, -39571710, -36273938],
+        [82694963, -40355135, -35820920],
+        [76812588, -40968467, -34804817],
+        [46728157, -40773604, -36221843],
+        [47063440, -40773604, -36256768],
+        [83409473, 38987216, -36350001],
+        [82694963, 39179582, -36339682],
+        [59165459, 40272854, -36335159],
+        [56224272, 40399253, -36337741],
+        [59165459, 40355697, -36315687],
+        [56224272, 40467694, -36321651],
+        [79753771, 39388068, -36317103],
+        [79753771, 39571710, -36273938],
+        [76812588, 39454818, -36318466],
+        [24224777, 40853553, -22870602],
+        [149000004, 25980430, -19292306],
+    ];
+
+    /// Rounding leaves no gap in the hull, whatever the unit. Its volume is that of scipy 1.17's ConvexHull.
+    #[test]
+    fn hulls_of_rounded_edges_have_no_gaps() {
+        for unit in [1e-9, 1e-8, 1e-6] {
+            let single = |x: i32| f64::from((f64::from(x) * unit) as f32);
+            let points: Vec<V> = EDGE.iter().map(|p| V::from(p.map(single))).collect();
+            let share = volume(&hull(&points).expect("a hull")) / (unit / 1e-9).powi(3) / 1.774_221_296_990_3e-4;
+            assert!((share - 1.0).abs() < 1e-6, "{unit}: {share}");
+            // Moved points in a plane have no hull either.
+            let plane: Vec<V> = points.iter().map(|p| V::new(p.x, p.y, 0.0)).collect();
+            assert!(hull(&plane).is_none() && hull_of_moved(&plane).is_none(), "{unit}");
+        }
     }
 
     /// Hulls of a box's dense lattice of points and of random points on a ball contain every point.

@@ -1,5 +1,6 @@
 //! Inertias that no body of the robot's size can have, as of files whose numbers have other units.
 
+use super::draft::exceeds_sum;
 use super::notes::Notes;
 use crate::sim::tree::contact::{ContactPoint, contact_points};
 use crate::sim::tree::{Tree, TreeBody};
@@ -12,8 +13,8 @@ type V = Vector3<f64>;
 /// because some files add the inertia of a motor's rotor to that of its link.
 const MOST: f64 = 1.5;
 
-/// Replaces inertias whose radius of gyration is far beyond the body's size by those of a box around its shapes, with
-/// the same mass and centre. `links`: for each body the links that are merged into it.
+/// Replaces inertias whose radius of gyration is far beyond the body's size, and those with a principal moment above the
+/// sum of the others, by those of a box around the body's shapes, with the same mass and centre. `links`: for each body the links that are merged into it.
 pub fn replace_implausible(tree: &mut Tree, links: &[Vec<String>], notes: &mut Notes) {
     let points = contact_points(tree);
     let mut worst: Option<(f64, String)> = None;
@@ -25,14 +26,13 @@ pub fn replace_implausible(tree: &mut Tree, links: &[Vec<String>], notes: &mut N
         }
         let gyration = (body.inertia.symmetric_eigenvalues().max() / body.mass).sqrt();
         let times = gyration / size(tree, i, &points[i]);
-        if times <= MOST {
-            continue;
-        }
+        let why = match times > MOST {
+            true => format!("a radius of gyration of {gyration:.2} m"),
+            false if exceeds_sum(&body.inertia) => "a principal moment above the sum of the others".into(),
+            false => continue,
+        };
         if worst.as_ref().is_none_or(|w| w.0 < times) {
-            worst = Some((
-                times,
-                format!("{} of {:.2} kg has a radius of gyration of {gyration:.2} m", body.name, body.mass),
-            ));
+            worst = Some((times, format!("{} of {:.2} kg has {why}", body.name, body.mass)));
         }
         links[i].iter().for_each(|link| notes.forget("link", link));
         notes.forget("body", &tree.bodies[i].name);
@@ -41,7 +41,7 @@ pub fn replace_implausible(tree: &mut Tree, links: &[Vec<String>], notes: &mut N
     }
     if let Some((_, example)) = worst {
         let plural = if count == 1 { "body: its inertia is" } else { "bodies: their inertias are" };
-        notes.say(format!("{count} {plural} replaced by that of a box around the shapes, because {example}"));
+        notes.say(format!("{count} {plural} replaced by that of a box around the shapes, because {example}; inertia = \"file\" keeps what the file says"));
     }
 }
 

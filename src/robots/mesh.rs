@@ -15,6 +15,10 @@ const MOST_TOGETHER: usize = 2_000_000;
 /// Corners closer than this share of the mesh's size are merged: our choice, ten times single precision's rounding.
 const SAME: f64 = 1e-6;
 
+/// A closed surface is flat if its volume is below this share of its size cubed: our choice, a thousand times the rounding of
+/// sums in double precision.
+const FLAT: f64 = 1e-13;
+
 pub type Triangle = [Vector3<f64>; 3];
 /// Volume or area, centre, and inertia about this centre for density 1.
 type MassMoments = (f64, Vector3<f64>, Matrix3<f64>);
@@ -48,7 +52,7 @@ impl Meshes {
             return Ok(found.clone());
         }
         let source = SourceFile::read(path, MOST_MESH)?;
-        no_mesh(source.bytes()).map_or(Ok(()), |reason| Err(Error::file(path, reason)))?;
+        source.stand_in("the mesh").map_or(Ok(()), |reason| Err(Error::file(path, reason)))?;
         let ending = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
         let triangles = match ending.as_deref() {
             Some("dae") => collada::read(&source)?,
@@ -84,33 +88,6 @@ impl Meshes {
         }
         Ok(())
     }
-}
-
-/// Why a file is no mesh, though it is called one; None: it may be one.
-fn no_mesh(bytes: &[u8]) -> Option<String> {
-    let start = String::from_utf8_lossy(&bytes[..bytes.len().min(200)]).trim_start().to_lowercase();
-    if bytes.is_empty() {
-        return Some("is empty: download it again".into());
-    }
-    if start.starts_with("version https://git-lfs") {
-        return Some("is a Git LFS pointer in place of the mesh: run `git lfs pull` in its folder".into());
-    }
-    let page = ["<!doctype html", "<html", "<head", "<body"].iter().any(|tag| start.starts_with(tag));
-    if page {
-        return Some("is a web page in place of the mesh: download the file itself (on GitHub, \"raw\")".into());
-    }
-    // What servers answer in place of a file.
-    let answer = [
-        "404",
-        "403",
-        "not found",
-        "{\"message\"",
-        "access denied",
-        "<?xml version=\"1.0\" encoding=\"utf-8\"?><error",
-    ];
-    let said = start.lines().next().unwrap_or_default();
-    let short = bytes.len() < 2000 && answer.iter().any(|text| start.starts_with(text));
-    short.then(|| format!("is a server's answer in place of the mesh: {said:?}; download it again"))
 }
 
 /// Bytes before the triangles of a binary STL, and of each triangle.
@@ -167,6 +144,8 @@ pub fn scaled(triangles: &[Triangle], scale: &Vector3<f64>) -> Vec<Triangle> {
 /// A surface that sand can push on, and how it was made.
 pub enum Closed {
     Itself,
+    /// The mesh with its triangles turned, because it is inside out.
+    Turned(Vec<Triangle>),
     /// The convex hull, because the mesh is open or has no volume.
     Hull(Vec<Triangle>),
     /// The mesh is flat.
@@ -174,18 +153,25 @@ pub enum Closed {
 }
 
 pub fn closed(triangles: &[Triangle]) -> Closed {
-    if is_closed(triangles) && volume(triangles) > 0.0 {
-        return Closed::Itself;
-    }
     let points: Vec<_> = triangles.iter().flatten().copied().collect();
+    let (middle, size) = hull::middle_and_size(&points);
+    if is_closed(triangles, &middle, size) {
+        let centred: Vec<Triangle> = triangles.iter().map(|t| t.map(|p| p - middle)).collect();
+        let volume = volume(&centred) / size.powi(3);
+        if volume > FLAT {
+            return Closed::Itself;
+        }
+        if volume < -FLAT {
+            return Closed::Turned(triangles.iter().map(|[a, b, c]| [*a, *c, *b]).collect());
+        }
+    }
     hull::hull(&points).map_or(Closed::Nothing, Closed::Hull)
 }
 
 /// Does every edge have one triangle on each side, with the same winding?
-fn is_closed(triangles: &[Triangle]) -> bool {
-    let extent = triangles.iter().flatten().map(|p| p.amax()).fold(0.0, f64::max);
-    let cell = (SAME * extent).max(f64::MIN_POSITIVE);
-    let key = |p: &Vector3<f64>| [p.x, p.y, p.z].map(|x| (x / cell).round() as i64);
+fn is_closed(triangles: &[Triangle], middle: &Vector3<f64>, size: f64) -> bool {
+    let cell = (SAME * size).max(f64::MIN_POSITIVE);
+    let key = |p: &Vector3<f64>| [0, 1, 2].map(|k| ((p[k] - middle[k]) / cell).round() as i64);
     let mut edges: HashMap<[[i64; 3]; 2], i32> = HashMap::new();
     for [a, b, c] in triangles.iter().map(|t| [key(&t[0]), key(&t[1]), key(&t[2])]) {
         for [from, to] in [[a, b], [b, c], [c, a]] {

@@ -35,7 +35,7 @@ mod xml;
 mod xml_bounds;
 
 pub use mesh::{Closed, closed};
-pub use packages::Packages;
+pub use packages::{InertiaSource, Reading};
 pub use shapes::ellipsoid;
 
 use crate::error::{Error, Result};
@@ -48,7 +48,7 @@ use files::{Files, MOST_TEXT, SourceFile};
 use mesh::Meshes;
 use nalgebra::Vector3;
 use notes::Notes;
-use posture::{FoundJoints, Posture, StandingRobot};
+use posture::{FilePose, FoundJoints, Posture, StandingRobot};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -92,6 +92,8 @@ pub struct Import {
     /// The packed robot in the file; None: the file is no packed robot.
     pub packed: Option<Box<PackedRobot>>,
     visuals: Vec<Vec<draft::Visual>>,
+    /// The file's names of shapes, and those that they have here.
+    given: Vec<[String; 2]>,
     /// The base's origin in the frame of the file's root [m]; 0 if that frame is in the body.
     base_at: Vector3<f64>,
 }
@@ -122,22 +124,24 @@ pub fn load(path: &Path) -> Result<Import> {
 
 /// Reads a robot, and replaces poses and gains by the values in `posture`.
 pub fn load_with(path: &Path, posture: &Posture) -> Result<Import> {
-    load_from(path, posture, &Packages::default())
+    load_from(path, posture, &Reading::default())
 }
 
-/// The same as [`load_with`]; files may also lie in the folders `packages`.
-pub fn load_from(path: &Path, posture: &Posture, packages: &Packages) -> Result<Import> {
+/// The same as [`load_with`], read as `reading` says.
+pub fn load_from(path: &Path, posture: &Posture, reading: &Reading) -> Result<Import> {
     let ending = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
     match ending.as_deref() {
         Some("toml") => return Import::of_toml(path),
         Some("json") => return Import::of_packed(path),
         Some("urdf" | "xml" | "mjcf") => {}
+        Some("xacro") => return Err(Error::file(path, format!("robots are read from URDF: {}", urdf::RUN_XACRO))),
         _ => return Err(Error::file(path, "robots are read from .urdf, .xml (MJCF), .toml and packed .json")),
     }
     let source = SourceFile::read(path, MOST_TEXT)?;
+    source.stand_in("the robot").map_or(Ok(()), |reason| Err(Error::file(path, reason)))?;
     let (mut meshes, mut notes) = (Meshes::default(), Notes::default());
     let root = xml::parse(&source, |note| notes.say(note))?;
-    let files = Files::around(path, packages)?;
+    let files = Files::around(path, reading)?;
     let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let named = |e: Error| match e {
         Error::Invalid { field, reason } => Error::file(path, format!("{field}: {reason}")),
@@ -145,10 +149,13 @@ pub fn load_from(path: &Path, posture: &Posture, packages: &Packages) -> Result<
     };
     let (format, mut merged, draft) = match root.tag.as_str() {
         "robot" => {
+            urdf::check_expanded(&root)?;
+            let gravity = urdf::gravity(&root, &mut notes)?;
             let (links, free) = urdf::links(&root, &files, &mut meshes, &mut notes)?;
             let name = root.get("name").unwrap_or(&stem);
-            let merged = draft::merged(name, &links, BaseFrame::default()).map_err(named)?;
-            (Format::Urdf, draft::Merged { base_is_free: free, ..merged }, links)
+            let mut merged = draft::merged(name, &links, BaseFrame::default()).map_err(named)?;
+            (merged.base_is_free, merged.tree.gravity) = (free, gravity);
+            (Format::Urdf, merged, links)
         }
         "mujoco" => {
             let main = path.canonicalize().map_err(|e| Error::file(path, e))?;
@@ -158,15 +165,23 @@ pub fn load_from(path: &Path, posture: &Posture, packages: &Packages) -> Result<
         _ => return Err(root.error("is neither <robot> (URDF) nor <mujoco> (MJCF)")),
     };
     files.into_notes().into_iter().for_each(|note| notes.say(note));
-    inertia::replace_implausible(&mut merged.tree, &merged.links, &mut notes);
+    if reading.inertia == InertiaSource::Plausible {
+        inertia::replace_implausible(&mut merged.tree, &merged.links, &mut notes);
+    }
     check::check(&merged, &mut notes).map_err(named)?;
     packed::check(&merged.tree).map_err(named)?;
     let standing = StandingRobot::in_body(merged, &draft, posture, &mut notes).map_err(named)?;
-    let StandingRobot { merged, stance, found, ignored, base_at } = standing;
+    let StandingRobot { merged, stance, found, pose, base_at } = standing;
     let draft::Merged { tree, visuals, links, base_is_free, .. } = merged;
-    if let Some(reason) = ignored {
-        notes.say(format!("the file's standing pose is left out, because {reason}; a pose was found in its place"));
-    }
+    note_stance(&tree, &pose, &mut notes);
+    let warnings = notes.into_lines();
+    let given = draft.iter().flat_map(|link| link.given.iter().cloned()).collect();
+    Ok(Import { warnings, links, visuals, given, base_is_free, base_at, ..Import::whole(format, tree, stance, found) })
+}
+
+/// Notes what is unusual in the way in which the robot stands.
+fn note_stance(tree: &Tree, pose: &FilePose, notes: &mut Notes) {
+    pose.note(notes);
     for joint in tree.joints().filter(|j| posture::stands_outside(j)) {
         notes.part(
             "joint",
@@ -174,15 +189,13 @@ pub fn load_from(path: &Path, posture: &Posture, packages: &Packages) -> Result<
             "its position in the standing pose is outside of its range; its stop holds it there",
         );
     }
-    for name in touch::on_balls(&tree) {
+    for name in touch::on_balls(tree) {
         notes.part(
             "body",
             name,
             "its small separate balls touch sand as one sole, their hull (--touches names others)",
         );
     }
-    let warnings = notes.into_lines();
-    Ok(Import { warnings, links, visuals, base_is_free, base_at, ..Import::whole(format, tree, stance, found) })
 }
 
 impl Import {
@@ -225,8 +238,8 @@ impl Import {
         let links = tree.bodies.iter().map(|b| vec![b.name.clone()]).collect();
         let visuals = vec![Vec::new(); tree.bodies.len()];
         let (warnings, base_at) = (Vec::new(), Vector3::zeros());
-        let (base_is_free, touches, packed) = (true, None, None);
-        Self { tree, format, warnings, links, visuals, stance, found, base_is_free, touches, packed, base_at }
+        let (base_is_free, touches, packed, given) = (true, None, None, Vec::new());
+        Self { tree, format, warnings, links, visuals, given, stance, found, base_is_free, touches, packed, base_at }
     }
 
     /// The tree with the base's frame where the file has it, for comparison with other programs.

@@ -3,7 +3,7 @@
 //! numbers; they replace the description's values.
 
 use super::posture::Posture;
-use super::{Import, Packages, load_from};
+use super::{Import, Reading, load_from};
 use crate::error::{Error, Result};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
@@ -84,8 +84,8 @@ impl NamedRobot {
     }
 
     /// This robot from a description.
-    pub fn load(&self, path: &Path, packages: &Packages) -> Result<Import> {
-        Ok(Import { touches: self.touches.clone(), ..load_from(path, &self.posture(), packages)? })
+    pub fn load(&self, path: &Path, reading: &Reading) -> Result<Import> {
+        Ok(Import { touches: self.touches.clone(), ..load_from(path, &self.posture(), reading)? })
     }
 }
 
@@ -107,23 +107,23 @@ pub fn folders() -> Vec<PathBuf> {
 }
 
 /// A robot by name, by name and description (`go2=my/go2.urdf`), or from a file. `more`: further folders with packages of
-/// named robots; `packages`: folders in which the files of a description may lie.
-pub fn load_any(robot: &str, more: &[PathBuf], packages: &Packages) -> Result<Import> {
+/// named robots.
+pub fn load_any(robot: &str, more: &[PathBuf], reading: &Reading) -> Result<Import> {
     if let Some((name, path)) = robot.split_once('=').filter(|(name, _)| names().contains(name)) {
         let named = NamedRobot::of(name).ok_or_else(|| Error::unknown("robot", name, &names()))??;
-        return named.load(Path::new(path), packages);
+        return named.load(Path::new(path), reading);
     }
     let Some(named) = NamedRobot::of(robot) else {
         let path = Path::new(robot);
         if path.extension().is_none() && !path.exists() {
             return Err(Error::unknown("robot", robot, &names()));
         }
-        return load_from(Path::new(robot), &Posture::default(), packages);
+        return load_from(Path::new(robot), &Posture::default(), reading);
     };
     let named = named?;
     let folders = [more, &folders()].concat();
     match named.description(&folders) {
-        Some(path) => named.load(&path, packages),
+        Some(path) => named.load(&path, reading),
         None => Err(Error::invalid(
             "robot",
             format!(

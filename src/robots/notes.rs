@@ -1,8 +1,9 @@
 //! Notes on the parts of a description that this project changes or does not use. One line names all parts that are treated
 //! alike, and says what was done with them.
 
-use super::effects;
+use super::effects::{self, shortened};
 use super::xml::Element;
+use crate::error::Error;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Largest number of lines, and of names in a line: our choice, because the lines then fit on a screen. Names are
@@ -26,6 +27,8 @@ pub struct Notes {
     missing: BTreeMap<String, (usize, &'static str)>,
     elements: BTreeMap<String, usize>,
     attributes: BTreeMap<String, BTreeSet<String>>,
+    /// Number of visuals that cannot be read, and why the first of them cannot.
+    undrawn: Option<(usize, String)>,
 }
 
 impl Notes {
@@ -56,11 +59,22 @@ impl Notes {
 
     /// Notes that an element is left out.
     pub fn left_out(&mut self, element: &Element) {
-        if let Some(effect) = effects::of_element(element) {
-            self.missing.entry(format!("<{}>", shortened(&element.tag))).or_insert((0, effect)).0 += 1;
+        let parts = effects::of_parts(element);
+        if !parts.is_empty() {
+            parts.into_iter().for_each(|(what, effect)| self.not_simulated(what, effect));
             return;
         }
         *self.elements.entry(element.tag.chars().take(60).collect()).or_default() += 1;
+    }
+
+    /// Notes a part that changes the motion and is not simulated: what it is, and its effect.
+    pub fn not_simulated(&mut self, what: impl Into<String>, effect: &'static str) {
+        self.missing.entry(what.into()).or_insert((0, effect)).0 += 1;
+    }
+
+    /// Notes a visual that cannot be read, and so is not drawn.
+    pub fn undrawn(&mut self, reason: &Error) {
+        self.undrawn.get_or_insert_with(|| (0, reason.to_string())).0 += 1;
     }
 
     /// Notes the attributes of `element` that are not in `known`.
@@ -95,6 +109,10 @@ impl Notes {
             ));
         }
         lines.extend(self.lines);
+        if let Some((count, first)) = self.undrawn {
+            let visuals = if count == 1 { "visual is" } else { "visuals are" };
+            lines.push(format!("{count} {visuals} not drawn, because of errors in the file; the first: {first}"));
+        }
         lines.extend(self.alike.iter().map(SimilarNotes::line));
         if lines.len() > MOST_LINES {
             let more = lines.len() - MOST_LINES;
@@ -111,11 +129,6 @@ impl Notes {
         }
         lines
     }
-}
-
-/// A name, so short that a message stays readable.
-fn shortened(name: &str) -> String {
-    name.chars().take(60).collect()
 }
 
 impl SimilarNotes {

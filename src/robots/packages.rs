@@ -28,19 +28,45 @@ const CUSTOM: [&str; 6] = ["urdf", "robots", "robot", "mjcf", "xml", "models"];
 const MOST_SEARCHED: usize = 50_000;
 const DEEPEST: usize = 8;
 
-/// Folders that the user allows besides the robot's own package.
+/// How a description is read.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Packages(pub Vec<PathBuf>);
+pub struct Reading {
+    /// Folders that the user allows besides the robot's own package.
+    pub packages: Vec<PathBuf>,
+    pub inertia: InertiaSource,
+}
 
-impl Packages {
-    /// These folders, those of `SANDGAIT_PACKAGES`, and, where ROS is set up, those of its packages.
+/// Which inertias a robot has.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum InertiaSource {
+    /// Those of the file, but those of the shapes for bodies whose inertia no body can have.
+    #[default]
+    Plausible,
+    /// Those of the file.
+    File,
+}
+
+impl std::str::FromStr for InertiaSource {
+    type Err = Error;
+
+    fn from_str(name: &str) -> Result<Self> {
+        match name {
+            "plausible" => Ok(Self::Plausible),
+            "file" => Ok(Self::File),
+            other => Err(Error::unknown("inertia", other, &["plausible", "file"])),
+        }
+    }
+}
+
+impl Reading {
+    /// The allowed folders, those of `SANDGAIT_PACKAGES`, and, where ROS is set up, those of its packages.
     pub fn folders(&self) -> Result<Vec<PathBuf>> {
-        if let Some(none) = self.0.iter().find(|folder| !folder.is_dir()) {
+        if let Some(none) = self.packages.iter().find(|folder| !folder.is_dir()) {
             return Err(Error::invalid("packages", format!("{} is no folder", none.display())));
         }
         let variables = ["SANDGAIT_PACKAGES", "ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"];
         let given: Vec<_> = variables.iter().filter_map(std::env::var_os).collect();
-        let all = self.0.iter().cloned().chain(given.iter().flat_map(std::env::split_paths));
+        let all = self.packages.iter().cloned().chain(given.iter().flat_map(std::env::split_paths));
         Ok(all.filter_map(|folder| folder.canonicalize().ok()).collect())
     }
 }

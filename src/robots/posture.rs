@@ -12,7 +12,7 @@ use crate::sim::tree::contact::{ContactPoint, contact_points};
 use crate::sim::tree::joint_values::by_pattern;
 use crate::sim::tree::stability::first_to_diverge;
 use crate::sim::tree::stance::Stance;
-use crate::sim::tree::{HardGround, Tree, TreeJoint, TreeModel, gains};
+use crate::sim::tree::{HardGround, JointKind, Tree, TreeJoint, TreeModel, gains};
 use nalgebra::Vector3;
 use serde::Deserialize;
 use std::cmp::Ordering;
@@ -21,6 +21,9 @@ use std::collections::BTreeMap;
 /// A joint's position counts as within its range if it is at most this far outside [rad or m]: our choice, because
 /// files round numbers to three digits.
 const ROUNDING: f64 = 1e-3;
+/// A joint of a leg that is at most this far outside of its range [rad; a tenth of it in m] stands at the range's end instead:
+/// our choice, 3°, which moves a foot by a twentieth of the leg's length.
+const SLIGHTLY: f64 = 0.05;
 
 /// Values that replace a description's values, by patterns of joint names.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
@@ -84,8 +87,7 @@ pub struct StandingRobot {
     pub merged: Merged,
     pub stance: Stance,
     pub found: FoundJoints,
-    /// Why the file's pose is ignored.
-    pub ignored: Option<&'static str>,
+    pub pose: FilePose,
     /// The base's origin in the frame of the file's root [m].
     pub base_at: Vector3<f64>,
 }
@@ -93,12 +95,13 @@ pub struct StandingRobot {
 impl StandingRobot {
     fn of(mut merged: Merged, posture: &Posture, base_at: Vector3<f64>) -> Result<Self> {
         posture.lay_over(&mut merged.tree)?;
-        let (stance, found, ignored) = settle(&mut merged.tree, posture);
-        Ok(Self { merged, stance, found, ignored, base_at })
+        let (stance, found, pose) = settle(&mut merged.tree, posture);
+        Ok(Self { merged, stance, found, pose, base_at })
     }
 
-    /// The robot with its base's frame in the body. A root's frame on the ground is replaced by that of the first link in
-    /// the body, or else by the middle of the hips, so that heights and velocities of the base are those of the body.
+    /// The robot with its base's frame in the body. A root's frame outside, as one on the ground, is replaced by that of the
+    /// link in the body that is nearest to the hips' height, or else by the middle of the hips, so that heights and velocities
+    /// of the base are those of the body.
     pub fn in_body(merged: Merged, links: &[DraftLink], posture: &Posture, notes: &mut Notes) -> Result<Self> {
         let joints: Vec<Option<TreeJoint>> = merged.tree.bodies.iter().map(|b| b.joint.clone()).collect();
         let own = Self::of(merged, posture, Vector3::zeros())?;
@@ -107,9 +110,11 @@ impl StandingRobot {
             return Ok(own);
         }
         let others = BaseFrame::others(links, stance.hips);
-        let Some(frame) = others.into_iter().find(|frame| is_in_body(tree, stance, frame.place(links))) else {
-            return Ok(own);
-        };
+        let off = |frame: &BaseFrame| (frame.place(links).z - stance.hips.z).abs();
+        let (hips, linked) = others.split_last().map_or((None, &others[..]), |(last, linked)| (Some(last), linked));
+        let inside = |frame: &&BaseFrame| is_in_body(tree, stance, frame.place(links));
+        let nearest = linked.iter().filter(inside).min_by(|a, b| off(a).total_cmp(&off(b)));
+        let Some(frame) = nearest.or(hips.filter(inside)).copied() else { return Ok(own) };
         let mut moved = draft::merged(&tree.name, links, frame)?;
         (moved.base_is_free, moved.tree.gravity) = (own.merged.base_is_free, tree.gravity);
         for (body, joint) in moved.tree.bodies.iter_mut().zip(joints) {
@@ -124,21 +129,54 @@ impl StandingRobot {
     }
 }
 
-/// Is this place of the base's frame in the body: near the height of the hips, or between the base's lowest and highest point?
+/// Is this place of the base's frame in the body: near the height of the hips, or between the base's lowest and highest
+/// point, and not farther than half of the hips' height (our choice, as for heights) beside base and hips?
 fn is_in_body(tree: &Tree, stance: &Stance, place: Vector3<f64>) -> bool {
     let share = (stance.height + place.z) / stance.hips_height();
     let points = contact_points(tree);
     let ends = |p: &ContactPoint| [p.center.add_scalar(-p.radius), p.center.add_scalar(p.radius)];
-    let corners = points[0].iter().flat_map(ends).chain([tree.bodies[0].center, stance.hips]);
-    let [low, high] = corners.fold([f64::MAX, f64::MIN], |[low, high], p| [low.min(p.z), high.max(p.z)]);
-    IN_BODY.contains(&share) || (low..=high).contains(&place.z)
+    let corners = || points[0].iter().flat_map(ends).chain([tree.bodies[0].center, stance.hips]);
+    let within = |k: usize, beside: f64, more: &[Vector3<f64>]| {
+        let all = corners().chain(more.iter().copied());
+        let [low, high] = all.fold([f64::MAX, f64::MIN], |[low, high], p| [low.min(p[k]), high.max(p[k])]);
+        (low - beside..=high + beside).contains(&place[k])
+    };
+    let first = |leg: &Vec<usize>| leg.first().map(|body| tree.bodies[*body].origin.translation.vector);
+    let starts: Vec<Vector3<f64>> = stance.legs.iter().filter_map(first).collect();
+    let beside = IN_BODY.start() * stance.hips_height();
+    (IN_BODY.contains(&share) || within(2, 0.0, &[])) && (0..2).all(|k| within(k, beside, &starts))
 }
 
-/// Computes pose and gains for the joints that have none. Returns the stance, these joints, and, if the file's pose is
-/// ignored, the reason.
-pub fn settle(tree: &mut Tree, laid_over: &Posture) -> (Stance, FoundJoints, Option<&'static str>) {
+/// What became of the file's standing pose.
+#[derive(Clone, Debug, PartialEq)]
+pub enum FilePose {
+    Kept,
+    /// These joints were moved to the ends of their ranges.
+    Clamped(Vec<String>),
+    /// Why another pose was found.
+    Ignored(&'static str),
+}
+
+impl FilePose {
+    pub fn note(&self, notes: &mut Notes) {
+        match self {
+            Self::Kept => {}
+            Self::Clamped(joints) => joints.iter().for_each(|joint| {
+                let done = "its position in the file's standing pose is outside of its range; it stands at the end of its range";
+                notes.part("joint", joint, done);
+            }),
+            Self::Ignored(reason) => notes.say(format!(
+                "the file's standing pose is left out, because {reason}; a pose was found in its place"
+            )),
+        }
+    }
+}
+
+/// Computes pose and gains for the joints that have none. Returns the stance, these joints, and what became of the file's
+/// pose.
+pub fn settle(tree: &mut Tree, laid_over: &Posture) -> (Stance, FoundJoints, FilePose) {
     let contacts = contact_points(tree);
-    let (stance, ignored) = standing(tree, &contacts, laid_over);
+    let (stance, pose) = standing(tree, &contacts, laid_over);
     let motors = gains::motors(tree, &contacts, &stance);
     let found = FoundJoints {
         rest: tree.joints().map(|j| j.rest.is_none()).collect(),
@@ -149,27 +187,52 @@ pub fn settle(tree: &mut Tree, laid_over: &Posture) -> (Stance, FoundJoints, Opt
         (joint.kp, joint.kd) = (joint.kp.or(Some(motor.kp)), joint.kd.or(Some(motor.kd)));
         joint.rest = joint.rest.or(Some(*angle));
     }
-    (stance, found, ignored)
+    (stance, found, pose)
 }
 
 /// The stance in the file's pose. A computed pose replaces the file's pose if more legs stand in it, or if as many legs
-/// stand in it and the joints' ranges exclude the file's pose. If the file's pose is ignored, also returns the reason.
-fn standing(tree: &mut Tree, contacts: &[Vec<ContactPoint>], laid_over: &Posture) -> (Stance, Option<&'static str>) {
-    let own = Stance::of(tree, contacts);
+/// stand in it and the joints' ranges exclude the file's pose.
+fn standing(tree: &mut Tree, contacts: &[Vec<ContactPoint>], laid_over: &Posture) -> (Stance, FilePose) {
+    let mut own = Stance::of(tree, contacts);
     if tree.joints().any(|j| j.rest.is_none()) {
-        return (own, None);
+        return (own, FilePose::Kept);
     }
-    let outside = laid_over.default_joint_angles.is_empty() && tree.joints().any(stands_outside);
+    let (mut outside, mut pose) = (false, FilePose::Kept);
+    if laid_over.default_joint_angles.is_empty() && tree.joints().any(stands_outside) {
+        let clamped = clamp(tree, &own.legs);
+        if !clamped.is_empty() {
+            (own, pose) = (Stance::of(tree, contacts), FilePose::Clamped(clamped));
+        }
+        outside = tree.joints().any(stands_outside);
+    }
     let mut free = tree.clone();
     joints(&mut free).for_each(|j| j.rest = None);
     let found = Stance::of(&free, contacts);
     let reason = match found.legs.len().cmp(&own.legs.len()) {
         Ordering::Greater => "not all legs stand in it",
         Ordering::Equal if outside => "joints cannot take it within their ranges",
-        _ => return (own, None),
+        _ => return (own, pose),
     };
     *tree = free;
-    (found, Some(reason))
+    (found, FilePose::Ignored(reason))
+}
+
+/// Moves joints that stand outside of their ranges to the ends of these: those beside the legs, and those that are slightly
+/// outside.
+/// Returns their names.
+fn clamp(tree: &mut Tree, legs: &[Vec<usize>]) -> Vec<String> {
+    let mut names = Vec::new();
+    for (i, body) in tree.bodies.iter_mut().enumerate() {
+        let Some(joint) = body.joint.as_mut().filter(|joint| stands_outside(joint)) else { continue };
+        let Some((q, [low, high])) = joint.rest.zip(joint.range) else { continue };
+        let (end, beside) = (q.clamp(low, high), !legs.is_empty() && !legs.iter().any(|leg| leg.contains(&i)));
+        let slight = SLIGHTLY * if joint.kind == JointKind::Slide { 0.1 } else { 1.0 };
+        if beside || (q - end).abs() <= slight {
+            joint.rest = Some(end);
+            names.push(joint.name.clone());
+        }
+    }
+    names
 }
 
 /// Is the joint's position in the standing pose outside of its range?

@@ -22,6 +22,10 @@ pub fn collision_mesh(meshes: &mut Meshes, file: &MeshFile, notes: &mut Notes) -
 pub fn closed_mesh(name: &str, triangles: Arc<Vec<Triangle>>, notes: &mut Notes) -> Option<Geometry> {
     Some(Geometry::Mesh(match closed(&triangles) {
         Closed::Itself => triangles,
+        Closed::Turned(turned) => {
+            notes.part("mesh", name, "the surface is inside out; it was turned");
+            Arc::new(turned)
+        }
         Closed::Hull(hull) => {
             notes.part("mesh", name, "the surface is not closed; its convex hull takes its place");
             Arc::new(hull)

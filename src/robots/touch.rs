@@ -23,7 +23,7 @@ pub type ShapeIndex = (usize, usize);
 impl Import {
     /// The shapes with these names, in the order of bodies. A name is that of a body, of a link of the file, or of a
     /// shape. Without names, these are the shapes that the robot's own file names, or else all shapes of feet, lower
-    /// links (the last bodies of the legs) and base.
+    /// links (the last bodies of the legs) and base. A shape's name in the file stands for it if no other shape has this name.
     pub fn touching(&self, names: Option<&[String]>) -> Result<Vec<ShapeIndex>> {
         let Some(names) = names.or(self.touches.as_deref()) else { return Ok(lowest_parts(&self.tree, &self.stance)) };
         let mut found = Vec::new();
@@ -39,7 +39,7 @@ impl Import {
                 }
             }
             if found.len() == before {
-                return Err(self.no_shape(name));
+                found.push(self.by_own_name(name)?);
             }
         }
         found.sort_unstable();
@@ -58,6 +58,21 @@ impl Import {
             }
         }
         tree
+    }
+
+    /// The only shape that has this name in the file.
+    fn by_own_name(&self, name: &str) -> Result<ShapeIndex> {
+        let named: Vec<&str> =
+            self.given.iter().filter(|[own, _]| own == name).map(|[_, here]| here.as_str()).collect();
+        match named[..] {
+            [] => Err(self.no_shape(name)),
+            [here] => {
+                let shapes = |b: usize| (0..self.tree.bodies[b].shapes.len()).map(move |s| (b, s));
+                let mut all = (0..self.tree.bodies.len()).flat_map(shapes);
+                all.find(|(b, s)| self.tree.bodies[*b].shapes[*s].name == here).ok_or_else(|| self.no_shape(name))
+            }
+            _ => Err(Error::invalid("touches", format!("several shapes are called {name:?}: {}", named.join(", ")))),
+        }
     }
 
     fn no_shape(&self, name: &str) -> Error {

@@ -3,6 +3,7 @@
 use super::draft::{DraftLink, DraftShape, Inertial, MOST_LINKS, Visual, check_range_of, name_shapes};
 use super::files::Files;
 use super::mesh::{MeshFile, Meshes};
+use super::mjcf;
 use super::notes::Notes;
 use super::shapes::collision_mesh;
 use super::xml::Element;
@@ -18,8 +19,6 @@ struct UrdfReader<'a> {
     files: &'a Files,
     meshes: &'a mut Meshes,
     notes: &'a mut Notes,
-    /// Number of visuals that cannot be read, and why the first of them cannot.
-    undrawn: Option<(usize, Error)>,
 }
 
 /// A joint, with the indices of its parent link and its child link in the file.
@@ -31,7 +30,7 @@ struct UrdfJoint<'a> {
 
 /// The links of a file, each after its parent, and whether the file says that the base moves freely.
 pub fn links(root: &Element, files: &Files, meshes: &mut Meshes, notes: &mut Notes) -> Result<(Vec<DraftLink>, bool)> {
-    notes.other_children(root, &["link", "joint", "material"]);
+    notes.other_children(root, &["link", "joint", "material", "mujoco"]);
     let elements: Vec<&Element> = root.all("link").collect();
     if elements.is_empty() {
         return Err(root.error("has no <link>"));
@@ -49,19 +48,40 @@ pub fn links(root: &Element, files: &Files, meshes: &mut Meshes, notes: &mut Not
     let mut order = ordered(root, &elements, &joints)?;
     let base_is_free = frees_base(&elements, &mut order)?;
     let mut place = vec![0; elements.len()];
-    let mut reader = UrdfReader { files, meshes, notes, undrawn: None };
+    let mut reader = UrdfReader { files, meshes, notes };
     let mut links = Vec::with_capacity(order.len());
     for (link, joint) in order {
         place[link] = links.len();
         let parent = joint.map_or(0, |j: &UrdfJoint| place[j.parent]);
         links.push(reader.link(elements[link], joint.map(|j| j.element), parent)?);
     }
-    if let Some((count, first)) = reader.undrawn {
-        let visuals = if count == 1 { "visual is" } else { "visuals are" };
-        notes.say(format!("{count} {visuals} not drawn, because of errors in the file; the first: {first}"));
-    }
     Ok((links, base_is_free))
 }
+
+/// Gravity [m/s²] of the `<mujoco>` extension, as MuJoCo reads it from a URDF; None: the Earth's.
+pub fn gravity(root: &Element, notes: &mut Notes) -> Result<Option<f64>> {
+    let mut found = None;
+    for extension in root.all("mujoco") {
+        found = mjcf::gravity(extension, notes)?.or(found);
+        extension.all("compiler").for_each(|compiler| notes.others(compiler, &["meshdir", "strippath"]));
+        notes.other_children(extension, &["compiler", "option"]);
+    }
+    Ok(found)
+}
+
+/// Refuses xacro, from which programs of ROS make URDF: its properties, macros and substitutions are not known here.
+pub fn check_expanded(element: &Element) -> Result<()> {
+    let open = |(_, value): &(String, String)| value.contains("${") || value.contains("$(");
+    if element.tag.contains("xacro:") || element.attributes.iter().any(open) {
+        return Err(element.error(format!("is xacro: {RUN_XACRO}")));
+    }
+    // Programs that read these sections replace what is in them.
+    let mut own = element.children.iter().filter(|c| !["gazebo", "ros2_control"].contains(&c.tag.as_str()));
+    own.try_for_each(check_expanded)
+}
+
+/// The remedy for a file of xacro.
+pub const RUN_XACRO: &str = "run xacro first (`xacro robot.urdf.xacro > robot.urdf`)";
 
 /// A link in the file's order, and the joint that carries it.
 type OrderedLink<'a, 'b> = (usize, Option<&'b UrdfJoint<'a>>);
@@ -175,19 +195,20 @@ impl UrdfReader<'_> {
             };
             shapes.push(TreeShape { name, origin: origin(collision)?, geometry, friction });
         }
-        name_shapes(&name, &mut shapes);
+        let given = name_shapes(&name, &mut shapes);
         let mut visuals = Vec::new();
         for visual in element.all("visual") {
             // Motion does not use visuals, so one that cannot be read does not refuse the robot.
             match origin(visual).and_then(|origin| Ok(Visual { origin, look: self.look(visual)? })) {
                 Ok(visual) => visuals.push(visual),
-                Err(reason) => self.undrawn.get_or_insert((0, reason)).0 += 1,
+                Err(reason) => self.notes.undrawn(&reason),
             }
         }
         let at = joint.map_or(Ok(Isometry3::identity()), origin)?;
         let joint = joint.map(|j| self.joint(j)).transpose()?.flatten();
         let massless = element.first("inertial").is_none();
-        Ok(DraftLink { name, parent, origin: at, joint, massless, inertial, held: 0.0, shapes, visuals })
+        let own = DraftLink::new(name, Some(parent), at, joint);
+        Ok(DraftLink { massless, inertial, shapes, given, visuals, ..own })
     }
 
     fn inertial(&mut self, element: &Element, joint: Option<&Element>) -> Result<Inertial> {
@@ -250,8 +271,9 @@ impl UrdfReader<'_> {
 
     /// Reads a joint; None if it is fixed.
     fn joint(&mut self, element: &Element) -> Result<Option<TreeJoint>> {
-        let known = ["origin", "parent", "child", "axis", "limit", "dynamics", "mimic"];
+        let known = ["origin", "parent", "child", "axis", "limit", "dynamics", "mimic", "safety_controller"];
         self.notes.other_children(element, &known);
+        element.all("safety_controller").for_each(|controller| self.notes.others(controller, &["k_position"]));
         let name = element.required("name")?;
         let kind = match element.required("type")? {
             "fixed" => return Ok(None),

@@ -14,27 +14,32 @@ const DEEPEST: usize = 100;
 /// Largest number of characters of a malformed number in a message: our choice, so that the message stays readable.
 const QUOTED: usize = 40;
 
-/// An element; its text is dropped, because robots do not use it.
+/// An element. Of its text only the beginning is kept, because robots' own elements have none.
 #[derive(Clone, Debug)]
 pub struct Element {
     pub tag: String,
+    /// Trimmed, at most [`QUOTED`] characters.
+    pub text: String,
     pub attributes: Vec<(String, String)>,
     pub children: Vec<Element>,
     file: Arc<Path>,
     line: u32,
 }
 
-/// The root element of a file. Entities and other document types are refused: no robot needs them, and entities can
-/// expand without bound. `say` gets a note on the file's encoding, if there is one.
+/// The root element of a file. Document types with entities are refused: no robot needs them, and entities can expand
+/// without bound. `say` gets a note on the file's encoding, if there is one.
 pub fn parse(source: &SourceFile, say: impl FnMut(String)) -> Result<Element> {
     let (text, note) = source.xml()?;
     note.into_iter().for_each(say);
     let text = &text[..];
     xml_bounds::check(text).map_err(|reason| Error::file(&source.path, reason))?;
-    let options = roxmltree::ParsingOptions { allow_dtd: false, nodes_limit: MOST_NODES, ..Default::default() };
+    let allow_dtd = !text.contains("<!ENTITY");
+    let options = roxmltree::ParsingOptions { allow_dtd, nodes_limit: MOST_NODES, ..Default::default() };
     let document = roxmltree::Document::parse_with_options(text, options).map_err(|e| match e {
         roxmltree::Error::NodesLimitReached => Error::file(&source.path, format!("more than {MOST_NODES} nodes")),
-        roxmltree::Error::DtdDetected => Error::file(&source.path, "a document type (<!DOCTYPE …>) is not read"),
+        roxmltree::Error::DtdDetected => {
+            Error::file(&source.path, "a document type with entities (<!ENTITY …>) is not read")
+        }
         other => Error::file(&source.path, format!("no XML: {}", shortened(&other.to_string(), 200))),
     })?;
     let lines = LineStarts::of(text);
@@ -56,7 +61,8 @@ fn element(node: &roxmltree::Node, file: &Arc<Path>, lines: &LineStarts, depth: 
     let attributes = node.attributes().map(|a| (name(a.namespace(), a.name()), a.value().to_owned())).collect();
     let inner = node.children().filter(roxmltree::Node::is_element);
     let children = inner.map(|c| element(&c, file, lines, depth + 1)).collect::<Result<_>>()?;
-    Ok(Element { tag, attributes, children, file: file.clone(), line })
+    let text = node.text().unwrap_or_default().trim().chars().take(QUOTED).collect();
+    Ok(Element { tag, text, attributes, children, file: file.clone(), line })
 }
 
 /// Offsets at which lines end.

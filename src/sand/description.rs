@@ -4,7 +4,7 @@ use super::law::Law;
 use super::mechanism::Mechanisms;
 use super::media::{Coefficients, Medium};
 use super::term::{self, Term};
-use crate::error::{Error, Result, check_range};
+use crate::error::{Error, Result, check_range, check_toml};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -55,6 +55,7 @@ impl SandDescription {
     }
 
     pub fn from_toml(text: &str) -> Result<Self> {
+        check_toml("sand", text)?;
         let sand: Self = toml::from_str(text).map_err(|e| Error::invalid("sand", e.message().to_string()))?;
         // Our choice, because no sand is outside of these bounds.
         check_range("bulk_density", sand.bulk_density, 1.0..=20_000.0)?;

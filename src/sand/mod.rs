@@ -15,7 +15,7 @@
 //! * [`intruder`]: any rigid body in steady motion, from plates on its surface.
 //! * [`intrusion`]: a leg rotated about a fixed hip, as on a force-measuring arm.
 
-use sandgait_base::{error, parallel};
+use sandgait_base::error;
 use sandgait_number as number;
 
 mod coefficients;

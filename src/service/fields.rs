@@ -33,18 +33,9 @@ const DEEPEST: usize = 48;
 /// Longest id [bytes]: our choice; an id has 32 characters, and the longest task's id 30.
 const ID: usize = 256;
 
-/// Largest mesh of a body [bytes]: our choice, 80,000 triangles in binary STL.
-const LARGEST_MESH: usize = 4 << 20;
-
-/// Largest measured data of a diagnosis [bytes]: our choice. 40,000 rows of a force log, the most that a diagnosis takes,
-/// have about 8 MB; logs of robots may have more rows.
-const LARGEST_DATA: usize = 64 << 20;
-
-/// Largest number of a body's motions in one request: our choice, some ten minutes of computing.
-pub const MOST_TRIALS: usize = 1_000_000;
-
-/// Largest column of a request of trials [bytes]: a number for each motion.
-const COLUMN: usize = 8 * MOST_TRIALS;
+/// Largest files of a study together [bytes]: our choice. 40,000 rows of a force log, the most that a diagnosis takes, have
+/// about 8 MB; logs of robots may have more rows. A million motions of a body have 64 MB.
+const LARGEST_FILES: usize = 65 << 20;
 
 /// Bounds of fields [bytes]; of all its values together, if a field may occur more than once. Any other text, list of
 /// numbers or field of `bytes` has at most [`SMALL`] bytes, and any `Struct` at most [`LONGEST_OPTIONS`]. The bound of a
@@ -67,21 +58,10 @@ const LONGEST: &[(&str, usize)] = &[
     ("sandgait.v1.PolicyRollout.onnx", usize::MAX),
     // Indices of environments: one byte of a message can become four.
     ("sandgait.v1.Render.indices", 256 << 10),
-    ("sandgait.v1.Sand.file", LONGEST_OPTIONS),
-    ("sandgait.v1.Robot.file", LONGEST_OPTIONS),
-    ("sandgait.v1.TrialsRequest.shape", 1 << 10),
-    ("sandgait.v1.TrialsRequest.mesh", LARGEST_MESH),
-    ("sandgait.v1.TrialsRequest.velocity", 3 * COLUMN),
-    ("sandgait.v1.TrialsRequest.spin", 3 * COLUMN),
-    ("sandgait.v1.TrialsRequest.depth", COLUMN),
-    ("sandgait.v1.TrialsRequest.load", COLUMN),
-    ("sandgait.v1.WalkRequest.frequency", LONGEST_OPTIONS),
-    ("sandgait.v1.SweepRequest.vary", LONGEST_OPTIONS),
-    ("sandgait.v1.Variation.numbers", LONGEST_OPTIONS),
-    ("sandgait.v1.Variation.names", LONGEST_OPTIONS),
-    ("sandgait.v1.EvaluateRequest.onnx", crate::policy::MOST_BYTES),
-    ("sandgait.v1.DiagnoseRequest.data", LARGEST_DATA),
-    ("sandgait.v1.DiagnoseRequest.file", LONGEST_OPTIONS),
+    ("sandgait.v1.StudyRequest.name", ID),
+    // A packed robot, or lists of some ten thousand numbers.
+    ("sandgait.v1.StudyRequest.arguments", LONGEST_OPTIONS + SMALL),
+    ("sandgait.v1.StudyRequest.files", LARGEST_FILES),
     ("dm_env_rpc.v1.CreateWorldRequest.settings", LONGEST_OPTIONS),
     ("dm_env_rpc.v1.JoinWorldRequest.settings", LONGEST_OPTIONS),
     ("dm_env_rpc.v1.ResetRequest.settings", LONGEST_OPTIONS),
@@ -90,7 +70,14 @@ const LONGEST: &[(&str, usize)] = &[
 
 /// Messages that are values of the field that holds them, with its name and bound: options, files, tensors. Entries of
 /// maps are values, too.
-const VALUES: [&str; 3] = ["google.protobuf.", "sandgait.v1.File", "dm_env_rpc.v1.Tensor"];
+const VALUES: [&str; 6] = [
+    "google.protobuf.",
+    "sandgait.v1.File",
+    "sandgait.v1.StudyInput",
+    "sandgait.v1.Table",
+    "sandgait.v1.Series",
+    "dm_env_rpc.v1.Tensor",
+];
 
 /// The bound of a field that has none of its own, because it contains other fields or is a part of a value.
 const UNBOUNDED: usize = usize::MAX;

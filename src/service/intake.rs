@@ -33,6 +33,9 @@ use tonic::Status;
 /// of clients.
 const WAIT: Duration = Duration::from_secs(30);
 
+/// Time between two attempts to get more for a share: our choice, short against most requests.
+const AGAIN: Duration = Duration::from_millis(20);
+
 /// Time limit for the arrival of a call's first message. A large message has this time in addition to the time of its
 /// transfer at 1 MiB/s. Our choice, because a slow or busy client may pause for some seconds.
 const ARRIVAL: Duration = Duration::from_secs(10);
@@ -51,6 +54,9 @@ pub struct Intake {
     largest: usize,
     /// Memory of the answers of single calls. Large requests, which may hold their shares for long, cannot take it.
     answers: Arc<Semaphore>,
+    /// Whoever makes the answer of a single call. Long answers are made one after the other, so that other work of the runtime has its turn
+    /// in between.
+    maker: tokio::sync::Mutex<()>,
     /// See [`Limits::stall`].
     stall: Duration,
 }
@@ -79,7 +85,8 @@ impl Intake {
         let room = (limits.of_requests() / 2).max(COPIES * 2 * LONGEST_OPTIONS);
         let shares = Arc::new(Semaphore::new(room / UNIT));
         let answers = Arc::new(Semaphore::new(room / ANSWERS / UNIT));
-        Arc::new(Self { shares, room, answers, largest: limits.request.min(room / COPIES), stall: limits.stall })
+        let maker = tokio::sync::Mutex::default();
+        Arc::new(Self { shares, room, answers, maker, largest: limits.request.min(room / COPIES), stall: limits.stall })
     }
 
     /// Bytes that a client may send on a stream before the server has read them; on a connection twice as many. Our
@@ -93,6 +100,17 @@ impl Intake {
     /// choice, so that eight such connections leave room for others.
     pub fn most_unread(&self) -> usize {
         self.room / 16
+    }
+
+    /// Largest memory that is reserved for the work of a study [bytes]: our choice, so that other requests go on beside it.
+    pub fn most_of_a_study(&self) -> usize {
+        self.room / 4
+    }
+
+    /// Makes the answer of a single call when no other one is being made.
+    pub async fn make<T>(&self, make: &impl Fn() -> T) -> T {
+        let _turn = self.maker.lock().await;
+        make()
     }
 
     /// A share for a request's work and results, if it is free now.
@@ -120,12 +138,31 @@ impl Intake {
         units(bytes).min((self.room / ANSWERS / UNIT) as u32)
     }
 
+    /// Waits until `share` can take `bytes` more. Whoever holds a share must not stand in the queue for another one, where all others
+    /// would wait for it; so it asks again and again.
+    pub async fn grow(&self, share: &Share, bytes: usize) -> Result<()> {
+        self.fits(bytes + share.bytes())?;
+        let end = Instant::now() + WAIT;
+        loop {
+            match share.grow(bytes) {
+                Err(_) if Instant::now() < end => tokio::time::sleep(AGAIN).await,
+                done => return done,
+            }
+        }
+    }
+
+    /// Refuses more than all requests may take.
+    fn fits(&self, bytes: usize) -> Result<()> {
+        if bytes <= self.room {
+            return Ok(());
+        }
+        let [needed, room] = [bytes, self.room].map(|b| b.div_ceil(1 << 20));
+        Err(Error::Exhausted(format!("needs about {needed} MiB, requests may take {room} MiB")))
+    }
+
     /// Waits for a share.
     pub async fn share(&self, bytes: usize) -> Result<Share> {
-        if bytes > self.room {
-            let [needed, room] = [bytes, self.room].map(|b| b.div_ceil(1 << 20));
-            return Err(Error::Exhausted(format!("needs about {needed} MiB, requests may take {room} MiB")));
-        }
+        self.fits(bytes)?;
         let units = units(bytes).min((self.room / UNIT) as u32);
         match timeout(WAIT, self.shares.clone().acquire_many_owned(units)).await {
             Ok(Ok(permit)) => Ok(Share::new(permit, self.room)),
@@ -215,7 +252,7 @@ pub async fn pass(State(intake): State<Arc<Intake>>, mut call: Request, next: Ne
     let messages = Messages::new(bounds, intake.stall, link);
     call.extensions_mut().insert(messages.clone());
     let metered = |body: Body| {
-        let limit = bounds.largest.min(intake.largest).min(intake.room / bounds.copies);
+        let limit = bounds.largest.min(intake.largest).min(intake.room / COPIES);
         let (body, first) = (body.into_data_stream(), Some(Instant::now() + ARRIVAL));
         let reader =
             MessageReader { body, arrived: Bytes::new(), missing: 0, deadline: first, messages, intake, limit };
@@ -298,8 +335,7 @@ impl MessageReader {
         if self.messages.0.share.lock().is_some() {
             return Err(Status::invalid_argument("message: this call takes only one message"));
         }
-        let share =
-            self.intake.share(self.messages.0.call.copies * length).await.map_err(|e| refused(e.to_string()))?;
+        let share = self.intake.share(COPIES * length).await.map_err(|e| refused(e.to_string()))?;
         *self.messages.0.share.lock() = Some(share);
         self.missing = HEADER + length;
         self.deadline = Some(Instant::now() + ARRIVAL + Duration::from_secs((length >> 20) as u64));

@@ -18,15 +18,11 @@
 //! * [`status`]: the map from errors to gRPC codes.
 
 use sandgait_base::{error, parallel, progress};
-use sandgait_diagnose as diagnose;
 use sandgait_env as env;
-use sandgait_evaluate as evaluate;
-use sandgait_policy as policy;
 use sandgait_pool as pool;
-use sandgait_sand as sand;
 use sandgait_session as session;
 use sandgait_sim as sim;
-use sandgait_sweep as sweep;
+use sandgait_study as study;
 
 pub mod address;
 mod building;

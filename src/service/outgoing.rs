@@ -61,7 +61,7 @@ pub async fn answer<T: Message>(
     make: impl Fn() -> Result<T>,
 ) -> std::result::Result<Response<T>, Status> {
     let refused = |e| status::status(&e);
-    let mut answer = make().map_err(refused)?;
+    let mut answer = intake.make(&make).await.map_err(refused)?;
     let bytes = price::answer_bytes(&answer);
     if bytes > price::SMALL_ANSWER {
         let unread = messages.unread_bytes();
@@ -75,7 +75,7 @@ pub async fn answer<T: Message>(
                 // While it waits, it takes no memory.
                 drop(answer);
                 let share = intake.answer_share(bytes).await.map_err(refused)?;
-                answer = make().map_err(refused)?;
+                answer = intake.make(&make).await.map_err(refused)?;
                 share
             }
         };

@@ -1,4 +1,4 @@
-//! What each call may cost at most, checked before its work begins. `docs/limits.md` has this as a table.
+//! What each call may cost at most, checked before its work begins. `docs/limits.md` has the bounds.
 //!
 //! ```text
 //!  length of the message ≤ CallBounds::largest ──▶ its fields and values are counted (fields.rs) ──▶ unpacked
@@ -9,8 +9,8 @@
 //! memory nor time. Therefore all fields of a message are counted before it is unpacked, down to the values of its
 //! options.
 //!
-//! A thing says its own size: a task with its model, names and texts (`AnyTask::count_memory`), an environment with its
-//! rocks (`AnyTask::bytes_per_env`), a message with its fields (`fields`) and an answer with its bytes
+//! A thing says its own size: the work of a study (`Study::cost`, `StudyWork::bytes`), a task with its model, names and texts
+//! (`AnyTask::count_memory`), an environment with its rocks (`AnyTask::bytes_per_env`), a message with its fields (`fields`) and an answer with its bytes
 //! ([`answer_bytes`]). The server adds up what they say.
 //!
 //! Time has another bound: all work of more than some 10 ms is done in parts, and ends after the present part if nobody
@@ -30,17 +30,11 @@ use std::sync::LazyLock;
 pub struct CallBounds {
     /// Largest message [bytes].
     pub largest: usize,
-    /// Memory of a message and of what is made from it, as a multiple of its size.
-    pub copies: usize,
     pub layout: Option<&'static MessageLayout>,
 }
 
 /// Memory of a message with its unpacked parts, as a multiple of its size: actions are copied once.
 pub const COPIES: usize = 2;
-
-/// Memory of a study of trials as a multiple of its message. A row of 32 bytes is unpacked to 32 bytes. It becomes a
-/// motion of 64 bytes, then an outcome of 72 bytes, then 64 bytes of a table, which is encoded once.
-const TRIAL_COPIES: usize = 10;
 
 /// Memory of a call with a small message and a small answer [bytes]: 6 to 8 kB were measured for the call, its stream of
 /// HTTP/2 and its task; a small message seldom waits.
@@ -49,15 +43,14 @@ pub const CALL: usize = 16 << 10;
 /// The bounds of the methods of our services, by their paths.
 static CALLS: LazyLock<HashMap<&'static str, CallBounds>> = LazyLock::new(|| {
     let bounds = |path: &'static str| {
-        let copies = if path == "/sandgait.v1.StudyService/Trials" { TRIAL_COPIES } else { COPIES };
         let layout = fields::of_method(path);
-        (path, CallBounds { largest: layout.map_or(SMALL, MessageLayout::largest), copies, layout })
+        (path, CallBounds { largest: layout.map_or(SMALL, MessageLayout::largest), layout })
     };
     fields::methods().map(bounds).collect()
 });
 
 /// Any other call: its messages are not unpacked by us.
-static OTHER: CallBounds = CallBounds { largest: SMALL, copies: COPIES, layout: None };
+static OTHER: CallBounds = CallBounds { largest: SMALL, layout: None };
 
 /// The bounds of the call with this path: `/package.Service/Method`.
 pub fn of_call(path: &str) -> &'static CallBounds {
@@ -121,28 +114,6 @@ fn pixels(render: &proto::Render) -> Result<(usize, usize)> {
         return Err(Error::invalid("indices", format!("{count} pictures are more than {MOST_PICTURES}")));
     }
     Ok((view::check_pixels(count, size)?, view::check_pixels(count.min(1), size)?))
-}
-
-/// Memory of a diagnosis for each row of its data [bytes]: 929 MiB were measured for 40,000 rows of a force log, when
-/// all models ran at the same time (2026-11-23).
-const DIAGNOSED_ROW: usize = 24 << 10;
-
-/// Refuses data whose diagnosis would take more than `memory` [bytes], which is all memory that a server may use.
-/// Nothing reserves this memory, but only one study runs at a time.
-///
-/// # Errors
-/// The data have too many rows.
-pub fn check_diagnosis(data: &[u8], memory: usize) -> Result<()> {
-    // The reader ends a row at a line feed, at a carriage return, and at both together.
-    let alone = data.windows(2).filter(|pair| pair[0] == b'\r' && pair[1] != b'\n').count();
-    let (rows, most) = (alone + data.iter().filter(|byte| **byte == b'\n').count(), memory / DIAGNOSED_ROW);
-    if rows > most {
-        let limit = memory >> 20;
-        return Err(Error::Exhausted(format!(
-            "data: {rows} rows are more than {most}, which a diagnosis within this server's {limit} MiB may have"
-        )));
-    }
-    Ok(())
 }
 
 #[cfg(test)]

@@ -78,9 +78,12 @@ async fn parts(
     let stopped = || Ok(Err(Error::Cancelled("nobody waits for the rollout any more".into())));
     while let Some(operation) = rolling.next_part() {
         let (made, is_last, chooses) = (rolling.made(), rolling.is_last(), roll.chooses());
-        // Encoded on the thread that made the last step.
-        let encoded =
-            move |batch: &Batch| Rolling::check(batch).map(|()| encode::rollout(batch, made, is_last, chooses));
+        // Encoded on the thread that made the last step. If the part was stopped, only some shards have its steps, and nobody
+        // waits for it.
+        let encoded = move |batch: &Batch| match batch.was_stopped() {
+            true => Ok(RolloutPart::default()),
+            false => Rolling::check(batch).map(|()| encode::rollout(batch, made, is_last, chooses)),
+        };
         let part = match pooled(work, pool, operation, encoded).await? {
             Ok(part) => part,
             Err(error) => return Ok(Err(error)),

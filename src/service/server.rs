@@ -19,7 +19,7 @@ use super::refusals::Refusals;
 use super::security::{Tls, Token};
 use super::sessions::Sessions;
 use super::state::StateDir;
-use super::studies::Studies;
+use super::studies::{self, Studies};
 use super::{Service, off_runtime, viewer};
 use crate::error::{Error, Result};
 use crate::pool::{Pool, Seal};
@@ -106,6 +106,7 @@ pub async fn serve(listener: Listener, setup: ServerSetup, stop: CancellationTok
     let gate = Gate { token, metrics: sessions.metrics.clone(), refusals: refusals.clone(), calls, reflections };
     let routes = services.routes.routes().into_axum_router();
     // The outermost layer comes last.
+    let routes = routes.layer(middleware::from_fn(studies::refuse_old));
     let routes = routes.layer(middleware::from_fn(outgoing::pass));
     let routes = routes.layer(middleware::from_fn_with_state(intake, intake::pass));
     let routes = routes.layer(middleware::from_fn_with_state(gate, gate::pass));

@@ -3,7 +3,7 @@
 //! Each entry is a quantity with its value and its 95 % interval. The file's tables have the names of the tasks'
 //! options: `actuator`, `sensors.gyroscope` and so on; `action_delay` is an entry without a table.
 
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, check_toml};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -34,6 +34,7 @@ impl HardwareDescription {
     /// # Errors
     /// It is no TOML, an entry is no quantity, or a value is not within its interval.
     pub fn from_toml(text: &str) -> Result<Self> {
+        check_toml("hardware", text)?;
         let table: toml::Table =
             toml::from_str(text).map_err(|e| Error::invalid("hardware", e.message().to_string()))?;
         let mut all = Self::default();

@@ -129,34 +129,43 @@ impl Model {
         shapes + self.scene.relief.as_ref().map_or(0, |relief| relief.json().len())
     }
 
-    /// Memory of one robot in an engine [bytes], without its model. `obstacles`: their largest number in an episode.
-    pub fn robot_bytes(&self, engine: EngineKind, obstacles: usize) -> usize {
-        self.sand_bytes() + self.engine_bytes(engine) + if engine == EngineKind::Rapier { obstacles * ROCK } else { 0 }
-    }
-
-    fn engine_bytes(&self, engine: EngineKind) -> usize {
+    /// Memory that one robot takes in an engine [bytes], without its model and its sand. `obstacles`: their largest
+    /// number in an episode.
+    pub fn engine_bytes(&self, engine: EngineKind, obstacles: usize) -> usize {
+        let links = self.joints();
         match (engine, &self.tree) {
             (EngineKind::Tree, Some(tree)) => {
                 let points = if self.scene.hard.is_empty() { 0 } else { tree.contacts.iter().map(Vec::len).sum() };
                 LANE + tree.tree.bodies.len() * LANE_BODY + points * LANE_POINT + tree.stance.feet.len() * LANE_FOOT
             }
-            // The resident memory of a session of thousands of environments divided by their number, without the data of
-            // an episode.
-            (EngineKind::Lanes | EngineKind::Tree, _) => 10_000,
-            (EngineKind::Rapier, _) => 170_000, // measured with 18 joints; 86,000 with 6
-            (EngineKind::Carriage, _) => 12_000, // counted: two links of 12 plates, twice, and the robot's description
+            (EngineKind::Lanes | EngineKind::Tree, _) => 4_000 + links * 380,
+            (EngineKind::Rapier, _) => RAPIER + links * RAPIER_LINK + obstacles * ROCK,
+            (EngineKind::Carriage, _) => 6_700, // two links of 12 plates, twice
         }
     }
 }
 
-/// Memory of an obstacle in a world of engine `rapier` [bytes]: its body, collider, shape and contacts, some 10 kB, and
-/// the engine's copy of its geometry. 1,111 MiB were resident for 700 environments of 64 rocks, half of which was for
-/// two copies of the geometry.
-const ROCK: usize = 16_500;
+// The sizes below were counted: `tests/prices.rs` adds up what is allocated for environments of each task after their
+// episodes have ended, and holds the sums to these numbers.
 
-/// Memory of a lane of engine `tree`, of each of its bodies, and of each point that may touch hard ground [bytes]:
-/// counted in the structures of [`super::tree::engine`], where a list of touching points may have room for twice as many.
+/// Memory of a body in a world of engine `rapier` with the sand on it, and of what each joint adds [bytes].
+const RAPIER: usize = 40_000;
+const RAPIER_LINK: usize = 8_500;
+
+/// Memory of an obstacle in a world of engine `rapier` [bytes]: its body, collider, shape and contacts, and the engine's
+/// copy of its geometry.
+const ROCK: usize = 15_000;
+
+/// Memory of a lane of engine `tree`, of each of its bodies, and of each point that may touch hard ground [bytes], where
+/// all points may touch at once.
 const LANE: usize = 2_000;
 const LANE_BODY: usize = 800;
-const LANE_POINT: usize = 250;
+const LANE_POINT: usize = 140;
 const LANE_FOOT: usize = 220;
+
+/// Resident memory [bytes] where `allocated` bytes are in use: the allocator keeps blocks of some sizes, and pages that
+/// are partly free. Measured: 1.25 to 1.41 times as much in sessions of all tasks; `tests/faults/environments.rs`
+/// measures it again.
+pub fn resident(allocated: usize) -> usize {
+    allocated * 13 / 10
+}

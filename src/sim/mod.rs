@@ -55,7 +55,7 @@ pub mod tree;
 mod used;
 pub mod walk;
 
-pub use memory::MemoryCount;
+pub use memory::{MemoryCount, resident};
 pub use model::Model;
 pub use obstacle::Obstacle;
 pub use robot::Robot;

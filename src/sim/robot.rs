@@ -1,7 +1,7 @@
 //! A robot as its user describes it in a TOML file. Unknown keys are refused.
 
 use super::actuator::Actuator;
-use crate::error::{Error, Result, check_range};
+use crate::error::{Error, Result, check_range, check_toml};
 use crate::sand::LegShape;
 use serde::{Deserialize, Serialize};
 
@@ -218,11 +218,24 @@ impl Robot {
         }
         match BUILT_IN.iter().any(|r| r.0 == name) {
             true => Self::built_in(name),
-            false => Err(Error::unknown("robot", name, &[&Self::names()[..], &["FILE.toml"]].concat())),
+            false => Err(Self::unknown(name)),
+        }
+    }
+
+    /// The refusal of a robot that is no hexapod of ours.
+    pub fn unknown(name: &str) -> Error {
+        match crate::tree::packed::is_packed(name) || [".urdf", ".xml"].iter().any(|ending| name.ends_with(ending)) {
+            true => Error::invalid(
+                "robot",
+                "this task has hexapods with one drive in each leg only: xplorer, xplorer18 or FILE.toml; a robot of a URDF or MJCF file \
+                 walks in task LeggedVelocity",
+            ),
+            false => Error::unknown("robot", name, &[&Self::names()[..], &["FILE.toml"]].concat()),
         }
     }
 
     pub fn from_toml(text: &str) -> Result<Self> {
+        check_toml("robot", text)?;
         let robot: Self =
             toml::from_str(text).map_err(|e| Error::invalid("robot", e.to_string().replace('\n', " ").trim()))?;
         robot.validate()?;

@@ -153,10 +153,15 @@ pub struct Watch<'a> {
     pub see: &'a mut dyn FnMut(f64, &State),
 }
 
-/// The same as [`walk`]; also passes the states, from the first one on, to `watch`.
-pub fn walk_watched(kind: EngineKind, trial: &WalkTrial, watch: &mut Watch) -> Result<WalkResult> {
+/// The same as [`walk`]; also passes the states, from the first one on, to `watch`. `advanced` as in [`walk_many`].
+pub fn walk_watched(
+    kind: EngineKind,
+    trial: &WalkTrial,
+    advanced: &dyn Fn(f64) -> Result<()>,
+    watch: &mut Watch,
+) -> Result<WalkResult> {
     check_range("rate", watch.rate, 1.0..=1.0 / TICK)?;
-    let results = run(kind, std::slice::from_ref(trial), &|_| Ok(()), Some(watch))?;
+    let results = run(kind, std::slice::from_ref(trial), advanced, Some(watch))?;
     results.first().copied().ok_or_else(|| Error::invalid("trials", "none"))
 }
 

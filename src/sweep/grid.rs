@@ -1,6 +1,6 @@
 //! Simulates a walk for every design of a grid.
 
-use super::table::values;
+use super::figure::values;
 use super::{Design, SweepAxis, walk_all};
 use crate::error::{Result, check_range};
 use crate::progress::{PartialProgress, Progress};

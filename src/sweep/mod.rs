@@ -1,18 +1,18 @@
 //! Design studies: how a robot's walk changes with its design and its sand.
 //!
 //! [`parameter`]: a number that can vary → [`grid`]: every design; [`run`]: its walks on lanes and cores →
-//! [`table`]: CSV and figure, or [`optimize`]: a search for the best design. After Li et al. 2012, section 5.
+//! [`figure`], or [`optimize`]: a search for the best design. After Li et al. 2012, section 5.
 
 use sandgait_base::{error, parallel, progress};
 use sandgait_plot as plot;
 use sandgait_sand as sand;
 use sandgait_sim as sim;
 
+pub mod figure;
 pub mod grid;
 pub mod optimize;
 pub mod parameter;
 pub mod run;
-pub mod table;
 
 pub use grid::grid;
 pub use parameter::{Parameter, SweepAxis};
@@ -61,7 +61,14 @@ impl SweepMeasure {
         match name {
             "speed" => Ok(Self::Speed),
             "cost-of-transport" => Ok(Self::CostOfTransport),
-            _ => Err(Error::unknown("measure", name, &["speed", "cost-of-transport"])),
+            _ => Err(Error::unknown("measure", name, &[Self::Speed, Self::CostOfTransport].map(Self::name))),
+        }
+    }
+
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Speed => "speed",
+            Self::CostOfTransport => "cost-of-transport",
         }
     }
 

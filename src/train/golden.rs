@@ -76,7 +76,7 @@ fn line<T: std::fmt::Display>(text: &mut String, numbers: impl Iterator<Item = T
     }
 }
 
-/// The columns have the names of a robot's log (docs/diagnosis.md).
+/// The columns have the names of a robot's log (docs/diagnosis_files.md).
 fn header(blueprint: &Blueprint) -> String {
     let (spec, joints) = (blueprint.task.spec(), blueprint.task.model().joint_names());
     let targets = joint_targets(blueprint.task.model(), None);

@@ -3,12 +3,13 @@
 
 use super::curve::{CurvePoint, LearningCurve, OpenPoint};
 use super::events::EventFile;
+use super::film::Film;
 use super::outlook::{OUTLOOK, outlook};
 use super::plan::{Observer, TrainingPlan, TrainingState, UpdateReport};
 use super::remote::{Pause, RemoteEnvironments};
 use super::settings::Hyperparameters;
 use super::spec::{ExternalSpaces, TrainingSpec};
-use super::{checkpoint, describe, export, film, golden, teacher};
+use super::{checkpoint, describe, export, golden, teacher};
 use crate::env::Task;
 use crate::env::legged::LeggedVelocity;
 use crate::env::registry::Blueprint;
@@ -238,14 +239,13 @@ impl TrainingRequest {
         let Some(blueprint) = &plan.spec.blueprint else { return Ok(None) };
         let spec = blueprint.task.spec();
         let network = Network::new(&onnx, spec)?;
-        let (recording, picture) = (self.out.join("walk.rec"), self.out.join("walk.png"));
         let mut shown = options.clone();
         if spec.id == LeggedVelocity::ID {
             // Shows the ground of the task itself, not the ground of the curriculum's first level.
             shown["curriculum"] = Value::Null;
         }
         let shown = Blueprint::new(&self.task, shown)?;
-        film::film(&shown, &network, evaluate::FIRST_SEED, &recording, &picture)?;
+        Film::of(&self.out).shoot(&shown, &network, evaluate::FIRST_SEED)?;
         if let Some(trace) = golden::golden(&self.task, &options, &onnx)? {
             self.write("golden.csv", trace.as_bytes())?;
         }

@@ -7,6 +7,7 @@ use crate::sand::SandDescription;
 use crate::sand::intruder::{BodyShape, DepthOrLoad, PlatedBody, Trial};
 use crate::table::{self, HeaderColumn, Quantity, ReadOptions};
 use serde::Deserialize;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// The two wheels and their sands, included in the program.
@@ -23,7 +24,8 @@ const OWN_DISCS: &str = include_str!("../../tests/data/real_wheel/discs.csv");
 
 /// The discs that were pushed into the wheels' sand, included in the program.
 pub fn own_discs() -> Result<Vec<Penetration>> {
-    Ok(read::text(Path::new("discs.csv"), OWN_DISCS, crate::calibrate::PLATE)?.pushes)
+    let tests = read::parse(Path::new("discs.csv"), OWN_DISCS.as_bytes(), BTreeMap::new(), crate::calibrate::PLATE)?;
+    Ok(tests.pushes)
 }
 
 /// Largest number of rows of a folder: our choice, because it bounds the time of a comparison.
@@ -100,44 +102,62 @@ pub struct DataSet {
 
 /// The measurements that come with the program.
 pub fn own() -> Result<DataSet> {
-    let text = |file: &Path| {
+    gather(Path::new(""), PlatedBody::MOST_PLATES, &|file| {
         let found = OWN.iter().find(|(name, _)| Path::new(name) == file);
-        found.map(|(_, text)| (*text).to_owned()).ok_or_else(|| Error::file(file, "is not compiled in"))
-    };
-    gather(Path::new(""), text)
-}
-
-/// A folder of the user.
-pub fn folder(folder: &Path) -> Result<DataSet> {
-    gather(folder, |file| {
-        let path = folder.join(file);
-        std::fs::read_to_string(&path).map_err(|e| Error::file(&path, e))
+        found.map(|(_, text)| text.as_bytes().to_vec()).ok_or_else(|| Error::file(file, "is not compiled in"))
     })
 }
 
-fn gather(folder: &Path, text: impl Fn(&Path) -> Result<String>) -> Result<DataSet> {
-    let name = Path::new("validation.toml");
-    let description: Description =
-        toml::from_str(&text(name)?).map_err(|e| Error::file(&folder.join(name), e.message()))?;
+/// The description of a folder.
+pub const DESCRIPTION: &str = "validation.toml";
+
+fn description(folder: &Path, text: &str) -> Result<Description> {
+    toml::from_str(text).map_err(|e| Error::file(&folder.join(DESCRIPTION), e.message()))
+}
+
+/// The files in `folder` that the `text` of its description names.
+pub fn named_files(folder: &Path, text: &str) -> Result<Vec<PathBuf>> {
+    let mut all = Vec::new();
+    for one in description(folder, text)?.intruder {
+        all.extend([one.rows, one.sand].into_iter().chain(one.fitted));
+        if let BodyShape::Mesh(file) = BodyShape::named(&one.body)? {
+            all.push(file);
+        }
+    }
+    Ok(all)
+}
+
+/// A folder of the user; `read` gives the contents of its files. The bodies have at most `most_plates` together.
+pub fn gather(folder: &Path, most_plates: usize, read: &dyn Fn(&Path) -> Result<Vec<u8>>) -> Result<DataSet> {
+    let text =
+        |file: &Path| String::from_utf8(read(file)?).map_err(|_| Error::file(&folder.join(file), "not UTF-8 text"));
+    let description = description(folder, &text(Path::new(DESCRIPTION))?)?;
     let sand = |file: &Path| SandDescription::from_toml(&text(file)?).map_err(|e| Error::file(&folder.join(file), e));
-    let mut wheels = Vec::new();
+    let mut wheels: Vec<Wheel> = Vec::new();
+    let [mut plates, mut count] = [0, 0];
     for one in description.intruder {
+        let most = most_plates - plates;
         let body = match BodyShape::named(&one.body)? {
-            BodyShape::Mesh(file) => BodyShape::Mesh(folder.join(file)),
-            shape => shape,
+            BodyShape::Mesh(file) => PlatedBody::of_mesh(&folder.join(&file), &read(&file)?, None, most)?,
+            shape => PlatedBody::cut_within(&shape, None, most)?,
         };
+        let rows = rows(&folder.join(&one.rows), &text(&one.rows)?, description.most_slip_angle_deg)?;
+        (plates, count) = (plates + body.plates.len(), count + rows.len());
+        if count > MOST_ROWS {
+            return Err(Error::file(&folder.join(&one.rows), format!("more than {MOST_ROWS} rows with those before")));
+        }
         wheels.push(Wheel {
             name: one.name,
-            body: PlatedBody::cut(&body, None)?,
+            body,
             shape: one.body,
-            rows: rows(&folder.join(&one.rows), &text(&one.rows)?, description.most_slip_angle_deg)?,
+            rows,
             sand: sand(&one.sand)?,
             fitted: one.fitted.as_deref().map(sand).transpose()?,
             carries_sand: one.carries_sand,
         });
     }
     if wheels.is_empty() {
-        return Err(Error::file(&folder.join(name), "no [[intruder]]"));
+        return Err(Error::file(&folder.join(DESCRIPTION), "no [[intruder]]"));
     }
     Ok(DataSet { title: description.title, source: description.source, licence: description.licence, wheels })
 }

@@ -3,6 +3,7 @@
 use super::data::{SteadyState, Wheel};
 use crate::error::Result;
 use crate::parallel;
+use crate::progress::Latch;
 use crate::sand::intruder::{DepthOrLoad, Trial, compute};
 use crate::sand::{Law, Mechanisms, Medium, SandDescription};
 use nalgebra::{DMatrix, DVector};
@@ -87,17 +88,18 @@ fn within(v: DVector<f64>) -> DVector<f64> {
     v.map_with_location(|k, _, x| x.clamp(LOW[k], HIGH[k]))
 }
 
-/// Least squares over `rows` of each wheel (Levenberg–Marquardt with numerical derivatives).
-pub fn fit(wheels: &[Wheel], rows: &[Vec<SteadyState>]) -> Result<Parameters> {
+/// Least squares over `rows` of each wheel (Levenberg–Marquardt with numerical derivatives). The error of a stop is returned.
+pub fn fit(wheels: &[Wheel], rows: &[Vec<SteadyState>], latch: &Latch) -> Result<Parameters> {
+    let residuals = |x: &DVector<f64>| residuals(wheels, rows, x, latch);
     let mut x = DVector::from_row_slice(&START);
-    let mut r = residuals(wheels, rows, &x)?;
+    let mut r = residuals(&x)?;
     let mut damping = 1e-2;
     for _ in 0..40 {
         let mut jacobian = DMatrix::zeros(r.len(), x.len());
         for k in 0..x.len() {
             let mut moved = x.clone();
             moved[k] += 2e-3;
-            jacobian.set_column(k, &((residuals(wheels, rows, &moved)? - &r) / 2e-3));
+            jacobian.set_column(k, &((residuals(&moved)? - &r) / 2e-3));
         }
         let (normal, gradient) = (jacobian.transpose() * &jacobian, jacobian.transpose() * &r);
         let before = r.norm_squared();
@@ -106,7 +108,7 @@ pub fn fit(wheels: &[Wheel], rows: &[Vec<SteadyState>]) -> Result<Parameters> {
             (0..x.len()).for_each(|k| damped[(k, k)] *= 1.0 + damping);
             let step = damped.lu().solve(&gradient).unwrap_or_else(|| DVector::zeros(x.len()));
             let next = within(&x - step);
-            let after = residuals(wheels, rows, &next)?;
+            let after = residuals(&next)?;
             if after.norm_squared() < before {
                 (x, r) = (next, after);
                 damping = (damping / 5.0).max(1e-9);
@@ -126,14 +128,16 @@ pub fn fit(wheels: &[Wheel], rows: &[Vec<SteadyState>]) -> Result<Parameters> {
 
 /// Residuals: Fx, Fy, Fz at the measured sinkage; the sinkage, Fx and Fy under the measured load (to first order); and
 /// the deviation of the friction from its expected value.
-fn residuals(wheels: &[Wheel], rows: &[Vec<SteadyState>], x: &DVector<f64>) -> Result<DVector<f64>> {
+fn residuals(wheels: &[Wheel], rows: &[Vec<SteadyState>], x: &DVector<f64>, latch: &Latch) -> Result<DVector<f64>> {
     let parameters = Parameters::from_vector(x);
     let mut all = Vec::new();
     for (wheel, rows) in wheels.iter().zip(rows) {
         let sand = parameters.sand(wheel, "", "")?;
         let mean = rows.iter().map(|r| r.force[2]).sum::<f64>() / rows.len().max(1) as f64;
-        all.extend(parallel::map(rows, |row| of_row(wheel, &sand, row, mean)).into_iter().flatten());
+        let each = |row: &SteadyState| if latch.stopped() { [0.0; 6] } else { of_row(wheel, &sand, row, mean) };
+        all.extend(parallel::map(rows, each).into_iter().flatten());
     }
+    latch.error().map_or(Ok(()), Err)?;
     all.push((parameters.friction - SMOOTH[0]) / SMOOTH[1]);
     Ok(DVector::from_vec(all))
 }

@@ -1,5 +1,14 @@
 //! The scoreboard: predictions of the model compared with independent measurements.
 
+use sandgait_base::{error, parallel, progress};
+use sandgait_calibrate as calibrate;
+use sandgait_number as number;
+use sandgait_plot as plot;
+use sandgait_reproduce as reproduce;
+use sandgait_sand as sand;
+use sandgait_sim as sim;
+use sandgait_table as table;
+
 pub mod data;
 pub mod fit;
 pub mod others;

@@ -4,6 +4,7 @@ use super::{data, robots};
 use crate::calibrate::pushes::{self, PressureLaw};
 use crate::error::Result;
 use crate::parallel;
+use crate::progress::Progress;
 use crate::reproduce;
 use crate::sand::Medium;
 use crate::sim::engine::EngineKind;
@@ -21,9 +22,17 @@ const FREQUENCIES: [f64; 4] = [1.0, 2.0, 3.0, 5.0];
 const WALKS: [(&str, [f64; 4]); 2] =
     [("L", [0.1201, 0.2870, 0.4161, 0.7139]), ("revL", [0.0715, 0.1308, 0.2401, 0.4387])];
 
-/// The comparisons as Markdown.
-pub fn text() -> Result<String> {
-    Ok(format!("{}\n{}\n{}\n{}", discs()?, grains()?, walks()?, robots::text()?))
+/// A comparison: its name, and what computes its text.
+type ComparedPart = (&'static str, fn() -> Result<String>);
+
+/// The comparisons as Markdown. An error of `progress` stops the work before the next one.
+pub fn text(progress: &dyn Progress) -> Result<String> {
+    const PARTS: [ComparedPart; 4] = [("discs", discs), ("grains", grains), ("walks", walks), ("robots", robots::text)];
+    let part = |(k, (name, text)): (usize, &ComparedPart)| {
+        progress.report(k as f64 / PARTS.len() as f64, name)?;
+        text()
+    };
+    Ok(PARTS.iter().enumerate().map(part).collect::<Result<Vec<_>>>()?.join("\n"))
 }
 
 /// Compares laws for discs: each predicts pushes and disc sizes to which it was not fitted.
@@ -56,7 +65,7 @@ fn discs() -> Result<String> {
 fn grains() -> Result<String> {
     let table = reproduce::grains()?;
     let mut text =
-        format!("## Comparison with simulated grains\n\n{}\n\n| {} |\n", table.caption, table.head.join(" | "));
+        format!("## ComparedPart with simulated grains\n\n{}\n\n| {} |\n", table.caption, table.head.join(" | "));
     let _ = writeln!(text, "|{}", "---|".repeat(table.head.len()));
     for row in &table.rows {
         let _ = writeln!(text, "| {} |", row.join(" | "));
@@ -75,7 +84,7 @@ fn walks() -> Result<String> {
     let trials = each.clone().map(|(leg, f, _)| trial(leg, f)).collect::<Result<Vec<_>>>()?;
     let speeds = parallel::map(&trials, |trial| walk::walk(EngineKind::Lanes, trial).map(|r| r.speed));
     let mut text = String::from(
-        "## Comparison with walks of independent programs\n\nForward speed of `xplorer` on loose poppy seeds. The reference comes from two \
+        "## ComparedPart with walks of independent programs\n\nForward speed of `xplorer` on loose poppy seeds. The reference comes from two \
          other programs, which share no code with sandgait. They solve the same equations with explicit steps of 10⁻⁵ s, at which they \
          have converged. With a hard leading edge MuJoCo 4.0.0 and rapier's multibodies agree with them within 1 %. This is a test of \
          the integration and not of the sand, because no walk of a real robot was compared.\n\n\

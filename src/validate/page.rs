@@ -3,10 +3,10 @@
 use super::data::{DataSet, SteadyState, Wheel};
 use super::fit;
 use super::score::{FIGURES, ForceErrors, MeasuredPair, REGIMES, errors, intervals, predict, scatter};
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::plot::{Axis, Figure, FigurePanel, Mark, Style, color};
+use crate::progress::{Latch, Progress};
 use std::fmt::Write as _;
-use std::path::Path;
 
 /// The series of a figure: measured and predicted values, if both exist.
 type FigureOf = fn(&MeasuredPair) -> Option<[f64; 2]>;
@@ -53,12 +53,14 @@ pub struct Scoreboard {
 }
 
 impl Scoreboard {
-    /// Predicts every row. Also repeats the fit with each slip angle left out.
-    pub fn new(data: DataSet) -> Result<Self> {
+    /// Predicts every row. Also repeats the fit with each slip angle left out. An error of `progress` stops the work.
+    pub fn new(data: DataSet, progress: &dyn Progress) -> Result<Self> {
+        let latch = Latch::new(progress);
+        latch.report(0.0, "measured rows")?;
         let mut comparisons = Vec::new();
         let each = |of: &dyn Fn(&Wheel) -> Option<crate::sand::SandDescription>| -> Vec<MeasuredPair> {
             let wheels = data.wheels.iter().enumerate();
-            wheels.filter_map(|(k, w)| of(w).map(|sand| predict(k, w, &sand, &w.rows))).flatten().collect()
+            wheels.filter_map(|(k, w)| of(w).map(|sand| predict(k, w, &sand, &w.rows, &latch))).flatten().collect()
         };
         let names = |of: &dyn Fn(&Wheel) -> Option<String>| data.wheels.iter().find_map(of).unwrap_or_default();
         comparisons.push(Comparison {
@@ -67,14 +69,14 @@ impl Scoreboard {
             pairs: each(&|w| Some(w.sand.clone())),
         });
         if data.wheels.iter().all(|w| w.fitted.is_some()) {
-            let left_out = cross_validated(&data.wheels)?;
+            let left_out = cross_validated(&data.wheels, &latch)?;
             comparisons.push(Comparison {
                 short: "Left out: slip angles",
                 title: "left out: each slip angle is predicted from a fit on the other slip angles of all wheels"
                     .into(),
                 pairs: left_out,
             });
-            let unseen = positive(&data.wheels)?;
+            let unseen = positive(&data.wheels, &latch)?;
             if !unseen.is_empty() {
                 comparisons.push(Comparison {
                     short: "Left out: positive slip ratios",
@@ -92,7 +94,7 @@ impl Scoreboard {
                 pairs: each(&|w| w.fitted.clone()),
             });
         }
-        Ok(Self { data, comparisons })
+        latch.error().map_or(Ok(Self { data, comparisons }), Err)
     }
 
     /// The scoreboard as Markdown.
@@ -165,26 +167,12 @@ impl Scoreboard {
         })
     }
 
-    /// CSV with one row for each measured row and comparison.
-    pub fn rows(&self) -> String {
-        let mut text = String::from(
-            "comparison,wheel,slip_angle_deg,slip,depth,Fx,Fy,Fz,Fx_predicted,Fy_predicted,Fz_predicted,depth_predicted,\
-             Fx_under_load,Fy_under_load\n",
-        );
-        for (number, c) in self.comparisons.iter().enumerate() {
-            for p in &c.pairs {
-                let SteadyState { depth, force: [x, y, z], slip_angle, slip, .. } = p.row;
-                let [px, py, pz] = p.prediction.force;
-                let (d, [lx, ly, _]) = p.prediction.carried.unwrap_or((f64::NAN, [f64::NAN; 3]));
-                let name = &self.data.wheels[p.wheel].name;
-                let _ = writeln!(
-                    text,
-                    "{number},{name},{slip_angle},{slip:.3},{depth:.5},{x:.3},{y:.3},{z:.3},{px:.3},{py:.3},{pz:.3},{d:.5},\
-                     {lx:.3},{ly:.3}"
-                );
-            }
-        }
-        text
+    /// Every measured row in every comparison, with the number of the comparison and the name of the wheel.
+    pub fn rows(&self) -> Vec<(usize, &str, MeasuredPair)> {
+        let each = |(number, c): (usize, &'_ Comparison)| {
+            c.pairs.iter().map(|p| (number, self.data.wheels[p.wheel].name.as_str(), *p)).collect::<Vec<_>>()
+        };
+        self.comparisons.iter().enumerate().flat_map(each).collect()
     }
 
     /// A figure of one comparison: predicted over measured values, with one panel for each quantity.
@@ -215,25 +203,21 @@ impl Scoreboard {
         Figure { title: c.short.into(), columns: 2, panels: panels.collect(), note: self.data.source.clone() }
     }
 
-    /// Writes `validation.md` with `others` at its end, `validation_rows.csv`, and in `images/` a figure for each comparison.
-    pub fn write(&self, folder: &Path, others: &str) -> Result<()> {
-        let images = folder.join("images");
-        std::fs::create_dir_all(&images).map_err(|e| Error::unwritten(&images, &e))?;
-        let save = |name: &str, text: String| {
-            let path = folder.join(name);
-            std::fs::write(&path, text).map_err(|e| Error::unwritten(&path, &e))
-        };
+    /// `validation.md` with `others` at its end, and in `images/` a figure for each comparison: names and texts.
+    pub fn files(&self, others: &str) -> Vec<(String, String)> {
         let mut page = format!("# Scoreboard\n\n{}\n\n{INTRODUCTION}\n{}", self.worst(), self.text().trim_end());
         page.push('\n');
+        let mut files = Vec::new();
         for (number, c) in self.comparisons.iter().enumerate() {
-            self.figure(c).write(&images.join(format!("validation_{number}.svg")))?;
-            let _ = write!(page, "\n![{}](images/validation_{number}.svg)\n", capital(&c.title));
+            let name = format!("images/validation_{number}.svg");
+            let _ = write!(page, "\n![{}]({name})\n", capital(&c.title));
+            files.push((name, self.figure(c).svg()));
         }
         if !others.is_empty() {
             let _ = write!(page, "\n{}\n", others.trim_end());
         }
-        save("validation.md", page)?;
-        save("validation_rows.csv", self.rows())
+        files.push(("validation.md".to_owned(), page));
+        files
     }
 }
 
@@ -247,7 +231,7 @@ fn capital(text: &str) -> String {
 }
 
 /// Predicts the rows with positive slip ratios from a fit on all other rows.
-fn positive(wheels: &[Wheel]) -> Result<Vec<MeasuredPair>> {
+fn positive(wheels: &[Wheel], latch: &Latch) -> Result<Vec<MeasuredPair>> {
     // The measured slip ratio of a wheel that rolls freely is up to 3 %.
     let split = |wheel: &Wheel, above: bool| -> Vec<SteadyState> {
         wheel.rows.iter().filter(|r| (r.slip > 0.03) == above).copied().collect()
@@ -256,16 +240,16 @@ fn positive(wheels: &[Wheel]) -> Result<Vec<MeasuredPair>> {
     if kept.iter().any(Vec::is_empty) || asked.iter().all(Vec::is_empty) {
         return Ok(Vec::new());
     }
-    let parameters = fit::fit(wheels, &kept)?;
+    let parameters = fit::fit(wheels, &kept, latch)?;
     let mut pairs = Vec::new();
     for (k, wheel) in wheels.iter().enumerate() {
-        pairs.extend(predict(k, wheel, &parameters.sand(wheel, "", "")?, &asked[k]));
+        pairs.extend(predict(k, wheel, &parameters.sand(wheel, "", "")?, &asked[k], latch));
     }
     Ok(pairs)
 }
 
 /// Predicts each slip angle from a fit on the other slip angles.
-fn cross_validated(wheels: &[Wheel]) -> Result<Vec<MeasuredPair>> {
+fn cross_validated(wheels: &[Wheel], latch: &Latch) -> Result<Vec<MeasuredPair>> {
     let angle = |row: &SteadyState| row.slip_angle.round() as i64;
     let mut angles: Vec<i64> = wheels.iter().flat_map(|w| w.rows.iter().map(angle)).collect();
     angles.sort_unstable();
@@ -273,10 +257,10 @@ fn cross_validated(wheels: &[Wheel]) -> Result<Vec<MeasuredPair>> {
     let mut pairs = Vec::new();
     for left_out in angles {
         let kept = |w: &Wheel| w.rows.iter().filter(|r| angle(r) != left_out).copied().collect::<Vec<_>>();
-        let parameters = fit::fit(wheels, &wheels.iter().map(kept).collect::<Vec<_>>())?;
+        let parameters = fit::fit(wheels, &wheels.iter().map(kept).collect::<Vec<_>>(), latch)?;
         for (k, wheel) in wheels.iter().enumerate() {
             let rows: Vec<SteadyState> = wheel.rows.iter().filter(|r| angle(r) == left_out).copied().collect();
-            pairs.extend(predict(k, wheel, &parameters.sand(wheel, "", "")?, &rows));
+            pairs.extend(predict(k, wheel, &parameters.sand(wheel, "", "")?, &rows, latch));
         }
     }
     Ok(pairs)

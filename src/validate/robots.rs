@@ -3,13 +3,13 @@
 
 use crate::error::{Error, Result};
 use crate::number::Isa;
-use crate::robots::{self, states};
 use crate::sand::{Medium, Regularization};
 use crate::sim::engine::{Command, Integrator as _};
 use crate::sim::model::Scene;
 use crate::sim::tree::plates::of_touching;
 use crate::sim::tree::{self, HardGround, TreeModel};
 use crate::sim::{Model, State};
+use sandgait_robots::{self as robots, states};
 use serde::Deserialize;
 use std::fmt::Write as _;
 use std::path::Path;

@@ -2,6 +2,7 @@
 
 use super::data::{SteadyState, Wheel};
 use crate::parallel;
+use crate::progress::Latch;
 use crate::sand::SandDescription;
 use crate::sand::intruder::{DepthOrLoad, Status, Trial, compute};
 use rand::{Rng, SeedableRng};
@@ -28,9 +29,19 @@ pub struct MeasuredPair {
     pub prediction: Prediction,
 }
 
-/// Predicts every row of a wheel in `sand`.
-pub fn predict(index: usize, wheel: &Wheel, sand: &SandDescription, rows: &[SteadyState]) -> Vec<MeasuredPair> {
+/// Predicts every row of a wheel in `sand`. After a stop the predictions are unfinished.
+pub fn predict(
+    index: usize,
+    wheel: &Wheel,
+    sand: &SandDescription,
+    rows: &[SteadyState],
+    latch: &Latch,
+) -> Vec<MeasuredPair> {
     parallel::map(rows, |row| {
+        if latch.stopped() {
+            let prediction = Prediction { force: [f64::NAN; 3], carried: None };
+            return MeasuredPair { wheel: index, row: *row, prediction };
+        }
         let at = |given| compute(&wheel.body, sand, &Trial { given, ..row.trial });
         let under = at(DepthOrLoad::Load(row.force[2]));
         let carried = (under.status == Status::Ok).then_some((under.depth, under.force));

@@ -36,5 +36,5 @@ pub use crate::sim::pose::Pose;
 pub use camera::CameraOptions;
 pub use header::{About, header};
 pub use picture::draw;
-pub use png::png;
+pub use png::{animation, png};
 pub use recording::{RecordedState, RecordingHeader, RecordingWriter, Section, read, row};

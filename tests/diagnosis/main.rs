@@ -4,8 +4,11 @@ mod damage;
 mod input;
 #[path = "../testbed/long.rs"]
 mod long;
+mod recalibration;
 #[path = "../testbed/mod.rs"]
 mod testbed;
+#[path = "../testbed/truth.rs"]
+mod truth;
 
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -15,8 +18,8 @@ use sandgait::diagnose::experiment::{self, Experiment};
 use sandgait::diagnose::force_log;
 use sandgait::diagnose::force_model::ForceLogModel;
 use sandgait::diagnose::forward::ForwardModel;
+use sandgait::diagnose::nuisance::CauseKind;
 use sandgait::diagnose::report::{Diagnosis, Report};
-use sandgait::diagnose::statements::violations;
 use sandgait::diagnose::verdict::{Verdict, Written};
 use sandgait::progress::{Progress, Silent};
 use sandgait::sand::SandDescription;
@@ -40,7 +43,8 @@ fn file(directory: &Path, text: &str) -> PathBuf {
 /// A diagnosis whose report violates none of the statements that hold for every report.
 fn sound(data: &Path, experiment: &Experiment) -> Diagnosis {
     let diagnosis = diagnose(data, experiment, &Silent).unwrap();
-    assert_eq!(violations(&diagnosis.report), Vec::<String>::new());
+    let json = serde_json::from_str(&diagnosis.json().unwrap()).unwrap();
+    assert_eq!(truth::contradictions(&json), Vec::<String>::new());
     diagnosis
 }
 
@@ -90,19 +94,43 @@ fn forward_model_agrees_with_the_test_bed() {
 #[test]
 fn hidden_causes_are_named() {
     // Other tests here have logs with drag and cohesion, too.
-    let all =
-        [("slope", -0.05), ("concave_fill", 0.3), ("sensor_tilt", 0.08), ("inertial_drag", 1.0), ("cohesion", 150.0)];
-    for (id, value) in long::first(3, all) {
+    let all = [("slope", -0.05), ("concave_fill", 0.3), ("inertial_drag", 1.0), ("cohesion", 150.0)];
+    for (id, value) in long::first(2, all) {
         let r = hidden(&[(id, value)]);
-        assert_eq!(
-            (r.verdict, r.ambiguity_set.clone()),
-            (Verdict::Named, vec![vec![id.to_string()]]),
-            "{id}: {}",
-            r.summary
-        );
+        named_alone(&r, id, CauseKind::Sand);
         assert!((r.causes[0].value / value - 1.0).abs() < 0.15, "{id}: {}", r.summary);
-        assert!(r.gain.reduction.unwrap() > 0.0 && r.gain.ci95.unwrap()[0] > 0.0, "{id}: {:?}", r.gain);
+        holds(&r, value);
     }
+}
+
+/// Cross-talk of 2 % in each force channel, which a data sheet may state, is a tilt of 0.014 rad, and with it the uncertain coefficients
+/// take a part of a tilt. So the interval of one log is ±0.033 rad, and its value may be off by more than 15 %; the mean of several is
+/// not: values are not biased.
+#[test]
+fn a_tilted_sensor_is_named() {
+    let seeds = [11, 12, 13, 14, 15];
+    let value = |seed: u64| {
+        let r = diagnosis(&testbed::log(seed, &Hidden { causes: vec![("sensor_tilt", 0.08)] }, 0.05).noisy).report;
+        named_alone(&r, "sensor_tilt", CauseKind::Measurement);
+        holds(&r, 0.08);
+        r.causes[0].value
+    };
+    let mean = seeds.map(value).iter().sum::<f64>() / seeds.len() as f64;
+    assert!((mean / 0.08 - 1.0).abs() < 0.15, "{mean}");
+}
+
+/// The report names this cause alone, of this kind, with a gain that is certain.
+fn named_alone(r: &Report, id: &str, kind: CauseKind) {
+    let set = vec![vec![id.to_string()]];
+    assert_eq!((r.verdict, &r.ambiguity_set), (Verdict::Named, &set), "{id}: {}", r.summary);
+    assert_eq!(r.causes[0].kind, kind, "{id}");
+    assert!(r.gain.reduction.unwrap() > 0.0 && r.gain.ci95.unwrap()[0] > 0.0, "{id}: {:?}", r.gain);
+}
+
+/// The interval of the first cause holds its true value.
+fn holds(r: &Report, value: f64) {
+    let [low, high] = r.causes[0].ci95;
+    assert!((low..=high).contains(&value), "{value}: {}", r.summary);
 }
 
 #[test]
@@ -113,10 +141,11 @@ fn a_pair_is_named() {
     assert!(r.terms.is_empty() && r.notes.is_empty(), "{:?} {:?}", r.terms, r.notes);
 }
 
+/// The coefficients of the hidden sand are off by 5 %, which a fit may find. No cause is given.
 #[test]
-fn without_a_hidden_cause_the_verdict_is_noise_floor() {
+fn without_a_hidden_cause_none_is_given() {
     let r = hidden(&[]);
-    assert_eq!(r.verdict, Verdict::NoiseFloor, "{}", r.summary);
+    assert!(quiet(&r), "{}", r.summary);
     assert!(r.causes.is_empty() && r.ambiguity_set.is_empty());
 }
 
@@ -130,6 +159,89 @@ fn a_cause_outside_the_library_is_none_of_these() {
     let value = Xoshiro256PlusPlus::seed_from_u64(158).random_range(0.4..1.5);
     let log = testbed::log(7515, &Hidden { causes: vec![("wall", value)] }, 0.05);
     assert_eq!(diagnosis(&log.noisy).report.verdict, Verdict::NoneOfThese);
+}
+
+/// Says the report that the law holds, with the stated coefficients or with others?
+fn quiet(r: &Report) -> bool {
+    matches!(r.verdict, Verdict::NoiseFloor | Verdict::Recalibrated)
+}
+
+/// The log with some columns changed; `change` gets the old value, and leaves blank cells alone.
+fn changed(log: &str, columns: &[&str], change: impl Fn(f64) -> f64) -> String {
+    let header: Vec<&str> = log.lines().next().unwrap().split(',').collect();
+    let places: Vec<usize> = columns.iter().map(|c| header.iter().position(|h| h == c).unwrap()).collect();
+    let line = |line: &str| {
+        let mut cells: Vec<String> = line.split(',').map(String::from).collect();
+        for &k in &places {
+            if let Ok(value) = cells[k].parse::<f64>() {
+                cells[k] = change(value).to_string();
+            }
+        }
+        cells.join(",")
+    };
+    std::iter::once(header.join(",")).chain(log.lines().skip(1).map(line)).collect::<Vec<_>>().join("\n")
+}
+
+/// A plate that is tilted is no slope of the sand, whether the tilt is within what is stated or far beyond it.
+#[test]
+fn a_tilted_plate_is_no_cause_of_the_sand() {
+    let log = testbed::log(11, &Hidden::default(), 0.02).noisy;
+    for degrees in [2.0_f64, 12.0] {
+        let r = diagnosis(&changed(&log, &["plate_beta"], |beta| beta - degrees.to_radians())).report;
+        assert!(r.causes.iter().all(|c| c.kind == CauseKind::Measurement), "{degrees}: {}", r.summary);
+        if degrees > 10.0 {
+            assert_eq!((r.verdict, &*r.causes[0].id), (Verdict::Named, "attitude"), "{}", r.summary);
+            assert!((r.causes[0].value.to_degrees() - degrees).abs() < 2.0, "{}", r.summary);
+        }
+    }
+}
+
+/// A log that is late is late, and the report says which rows to shift.
+#[test]
+fn a_late_log_is_late() {
+    let r = hidden(&[("delay", 0.02)]);
+    assert_eq!((r.verdict, &*r.causes[0].id), (Verdict::Named, "delay"), "{}", r.summary);
+    assert!(
+        (r.causes[0].value - 0.02).abs() < 0.004 && r.action.contains("Shift the rows"),
+        "{} {}",
+        r.summary,
+        r.action
+    );
+}
+
+/// With one condition no cause can be named, but the report says how far forces are off, and what to measure.
+#[test]
+fn one_condition_names_no_cause() {
+    let log = testbed::log(11, &Hidden { causes: vec![("scale", -0.3)] }, 0.0).noisy;
+    let one: Vec<&str> = log.lines().filter(|l| l.starts_with("trial") || l.split(',').nth(1) == Some("0")).collect();
+    let r = diagnosis(&one.join("\n")).report;
+    assert_eq!(r.verdict, Verdict::InsufficientData, "{}", r.summary);
+    assert!((r.recalibration.unwrap().factor - 0.7).abs() < 0.1 && r.headline.contains("below the prediction"));
+    assert!(!r.next_experiment.unwrap().conditions.is_empty());
+}
+
+/// Effects that one condition shows, or one trial, are not named.
+#[test]
+fn the_evidence_of_one_trial_names_no_cause() {
+    let log = testbed::log(11, &Hidden::default(), 0.02).noisy;
+    // In one trial of a used bed all forces are 60 % greater.
+    let used =
+        log.lines().skip(1).find(|l| l.split(',').nth(9) == Some("2")).unwrap().split(',').next().unwrap().to_string();
+    let louder = changed(&log, &["Fx", "Fz", "Ty"], |force| 1.6 * force);
+    let own = |line: &str| line.split(',').next() == Some(&used);
+    let lines = log.lines().zip(louder.lines()).map(|(line, louder)| if own(line) { louder } else { line });
+    let r = diagnosis(&lines.collect::<Vec<_>>().join("\n")).report;
+    assert!(r.causes.is_empty(), "{}", r.summary);
+}
+
+/// Measured discs: their pressure grows with their size, which no mechanism of the catalogue has.
+#[test]
+fn what_depends_on_size_is_not_named_as_a_power_of_depth() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/real_wheel");
+    let experiment = Experiment::load(&folder.join("discs_force_log.toml")).unwrap();
+    let r = sound(&folder.join("discs_force_log.csv"), &experiment).report;
+    assert!(r.verdict != Verdict::Named, "{}", r.summary);
+    assert!(r.next_experiment.is_some());
 }
 
 /// A log of simulated grains, which no force theory made, and facts about it.
@@ -150,17 +262,26 @@ fn the_concave_side_is_the_main_cause_in_grains() {
     assert!(r.remainder.as_ref().unwrap().significant);
 }
 
-/// The model's error is much larger than the noise. The verdict still names the cause, with its gain, and the extended
-/// sand gives the report's prediction. The error falls by 48 %. It fell by 50 % before the scatter of drifting repetitions
-/// counted as noise, and by 62 % with equal weights, drag on both sides of the plate and a law, all developed with these six
-/// conditions; no rule that holds for other data makes them here.
+/// The model's error is much larger than the noise. The verdict still names the cause, with a gain beside all effects of measuring, and
+/// the extended sand gives the report's prediction. The error on left-out conditions is less than that of the stated sand alone by more
+/// than 55 %: 3.08 to 1.25 N. (Version 3 of the report: to 1.60 N, 48 %.) The report's own gain is less, because effects of measuring
+/// lower the error of the plain model, too, to 1.76 N. The sand without these effects, of which a delay is the largest, gives 1.79 N, 42 %.
 #[test]
 fn drag_is_the_main_cause_of_plates_in_grains() {
     let (data, experiment) = grains("plates.csv");
     let Diagnosis { report: r, sand, curves, .. } = sound(&data, &experiment);
     assert_eq!(r.verdict, Verdict::Named, "{}", r.summary);
     assert_eq!(r.ambiguity_set, [["inertial_drag"]], "{}", r.summary);
-    assert!(r.gain.nested && r.gain.reduction.unwrap() >= 0.45, "{:?}", r.gain);
+    assert!(r.gain.nested && r.gain.ci95.unwrap()[0] > 0.0, "{:?}", r.gain);
+    let o = &curves.observations;
+    let rms = |p: &[f64]| {
+        let squares: Vec<f64> = o.counted(o.units.iter()).map(|k| (o.values[k] - p[k]).powi(2)).collect();
+        (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
+    };
+    let (stated, left_out) = (rms(&curves.plain), r.gain.in_units.as_ref().unwrap().extended);
+    assert!(left_out < 0.45 * stated, "{left_out} of {stated}");
+    let alone = rms(curves.extended.as_ref().unwrap());
+    assert!(alone < 0.6 * stated, "{alone} of {stated}");
     assert_eq!(r.causes[0].value, sand.mechanisms.inertial_drag);
     assert_eq!(r.terms.len(), sand.terms.len());
     let log = force_log::read(&data, &experiment, &Silent).unwrap();
@@ -222,7 +343,7 @@ fn a_dirty_load_cell_changes_no_verdict() {
         diagnosis(&dirty(&testbed::log(11, &Hidden { causes }, 0.05).noisy, 0.06)).report
     };
     let r = of(Vec::new());
-    assert_eq!(r.verdict, Verdict::NoiseFloor, "{}", r.summary);
+    assert!(quiet(&r), "{}", r.summary);
     let offset = r.nuisances.iter().find(|n| (n.id.as_str(), n.level) == ("offset", "trial")).unwrap();
     assert!((0.04..0.08).contains(&offset.sd), "{offset:?}");
     let limit = r.upper_limits.iter().find(|l| l.id == "inertial_drag").unwrap();
@@ -237,7 +358,7 @@ fn a_dirty_load_cell_changes_no_verdict() {
     let cause = &r.causes[0];
     assert!((cause.ci95[0]..=cause.ci95[1]).contains(&1.0), "{}", r.summary);
     assert!(!r.remainder.as_ref().unwrap().significant && r.gain.nested && r.degrees_of_freedom.unwrap() > 5.0);
-    assert_eq!(r.schema, "sandgait.diagnosis.v3");
+    assert_eq!(r.schema, "sandgait.diagnosis.v4");
 }
 
 /// The velocity of the first row is exactly zero, but the trial does not begin with a rest.

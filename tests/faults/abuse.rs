@@ -9,7 +9,7 @@ use prost::Message as _;
 use sandgait::service::proto::run_session_request::Request;
 use sandgait::service::proto::run_session_response::Response;
 use sandgait::service::proto::study_service_client::StudyServiceClient;
-use sandgait::service::proto::{CreateSessionRequest, DescribeSessionRequest, EvaluateRequest, Reset};
+use sandgait::service::proto::{CreateSessionRequest, DescribeSessionRequest, Reset, StudyRequest};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
@@ -181,15 +181,11 @@ async fn evaluations(target: Target) {
     while target.goes_on() {
         let channel = target.channel().await;
         let mut studies = StudyServiceClient::with_interceptor(channel, Bearer(Some(TOKEN.into())));
-        let request = EvaluateRequest {
-            policy: Some(sandgait::service::proto::evaluate_request::Policy::Gait("tripod:2".into())),
-            task_id: "sandgait/HexapodGait-v1".into(),
-            options: options(&[("history", number(64.0))]),
-            slopes: (0..300).map(|k| f64::from(k) * 0.01).collect(),
-            seeds: Some(2),
-            ..Default::default()
-        };
-        if let Ok(answers) = studies.evaluate(request).await {
+        let slopes = (0..300).map(|k| (f64::from(k) * 0.01).to_string()).collect::<Vec<_>>().join(",");
+        let words = ["--option=history=64".to_owned(), format!("--slopes={slopes}"), "--seeds=2".into()];
+        let arguments = words.into_iter().chain(["--".into(), "tripod:2".into()]).collect();
+        let request = StudyRequest { name: "evaluate".into(), arguments, ..Default::default() };
+        if let Ok(answers) = studies.study(request).await {
             let mut answers = answers.into_inner();
             let first = tokio::time::timeout(Duration::from_secs(2), answers.message()).await;
             if matches!(first, Ok(Ok(_))) {

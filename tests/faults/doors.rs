@@ -6,12 +6,12 @@ use crate::process::{self, Process};
 use crate::robots::{long_chain, many_shapes, robot};
 use crate::{ALONE, long, onnx, resident, rollout};
 use prost::Message as _;
-use sandgait::service::proto::evaluate_request::Policy;
 use sandgait::service::proto::run_session_request::Request;
 use sandgait::service::proto::run_session_response::Response;
+use sandgait::service::proto::study_input::Form;
 use sandgait::service::proto::study_service_client::StudyServiceClient;
 use sandgait::service::proto::{
-    CloseSessionRequest, CreateSessionRequest, DiagnoseRequest, EvaluateRequest, File, PolicyRollout, Render, Reset,
+    CloseSessionRequest, CreateSessionRequest, PolicyRollout, Render, Reset, StudyInput, StudyRequest,
 };
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -143,10 +143,14 @@ async fn logs(target: Target) {
     let rows = "depth,Fz\n".to_owned() + &"0.01,1.5\n".repeat(300_000);
     while target.goes_on() {
         for content in [parquet.clone(), columns.clone().into_bytes(), rows.clone().into_bytes()] {
-            let data = Some(File { name: "log.csv".into(), content: content.into() });
-            let request = DiagnoseRequest { data, ..Default::default() };
+            let form = Some(Form::Content(content.into()));
+            let experiment = Some(Form::Content("kind = \"intruder\"\nmedium = \"poppy-loose\"\n".into()));
+            let file = |name: &str, form| StudyInput { name: name.into(), form };
+            let arguments = ["--experiment=e.toml", "--", "log.csv"].map(str::to_owned).to_vec();
+            let files = vec![file("log.csv", form), file("e.toml", experiment)];
+            let request = StudyRequest { name: "diagnose".into(), arguments, files };
             let mut studies = target.studies().await;
-            let asked = async { studies.diagnose(request).await?.into_inner().message().await };
+            let asked = async { studies.study(request).await?.into_inner().message().await };
             if let Ok(Err(refused)) = tokio::time::timeout(Duration::from_millis(500), asked).await {
                 assert!(!refused.message().contains("panic"), "{refused}");
                 target.count(2);
@@ -194,16 +198,11 @@ async fn connections(target: Target) {
 /// Evaluations of 10⁹ episodes.
 async fn evaluations(target: Target) {
     while target.goes_on() {
-        let slopes = (0..1000).map(|k| f64::from(k) * 1e-3).collect();
-        let request = EvaluateRequest {
-            policy: Some(Policy::Gait("tripod:2".into())),
-            task_id: "HexapodGait".into(),
-            seeds: Some(1_000_000),
-            slopes,
-            ..Default::default()
-        };
+        let slopes = (0..1000).map(|k| (f64::from(k) * 1e-3).to_string()).collect::<Vec<_>>().join(",");
+        let words = ["--seeds=1000000".to_owned(), format!("--slopes={slopes}"), "--".into(), "tripod:2".into()];
+        let request = StudyRequest { name: "evaluate".into(), arguments: words.to_vec(), ..Default::default() };
         let mut studies = target.studies().await;
-        let asked: Result<_, Status> = async { studies.evaluate(request).await?.into_inner().message().await }.await;
+        let asked: Result<_, Status> = async { studies.study(request).await?.into_inner().message().await }.await;
         let refused = asked.unwrap_err();
         target.refused(5, "seeds", refused.code(), refused.message());
         tokio::time::sleep(Duration::from_millis(100)).await;

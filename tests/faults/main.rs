@@ -3,6 +3,7 @@
 
 mod abuse;
 mod doors;
+mod environments;
 #[expect(dead_code, reason = "the rest is for other tests")]
 #[path = "../grpc/harness.rs"]
 mod harness;

@@ -9,11 +9,11 @@ use rand::{Rng as _, SeedableRng as _};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::service::proto::run_session_request::Request;
 use sandgait::service::proto::run_session_response::Response;
+use sandgait::service::proto::study_input::Form;
 use sandgait::service::proto::study_service_client::StudyServiceClient;
-use sandgait::service::proto::trials_request::Body;
 use sandgait::service::proto::{
-    CreateSessionRequest, Observe, PolicyRollout, Render, Reset, Restore, Rollout, Save, SweepRequest, TrialsRequest,
-    Variation,
+    CreateSessionRequest, Observe, PolicyRollout, Render, Reset, Restore, Rollout, Save, Series, StudyInput,
+    StudyRequest, Table,
 };
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -148,24 +148,28 @@ async fn use_session(address: &str, seed: u64, envs: u32, [stop, late]: [&Atomic
 async fn use_studies(channel: Channel, stop: &AtomicBool, done: &Answered) {
     let mut client = StudyServiceClient::new(channel);
     while !stop.load(Ordering::Relaxed) {
-        // The memory of trials is ten times their message, and requests may take 8 MiB.
-        let rows = (MESSAGE / 5 - 4096) / 32;
-        let column = |x: f64, n: usize| x.to_le_bytes().repeat(n).into();
-        let trials = TrialsRequest {
-            body: Some(Body::Shape("sphere:radius=0.05".into())),
-            velocity: column(0.1, 3 * rows),
-            depth: Some(column(0.02, rows)),
+        // The memory of trials is ten times their message and what their work says, of which a quarter of the 8 MiB is reserved that
+        // requests may take.
+        let rows = (MESSAGE / 5 * 3 / 4 - 4096) / 32;
+        let column = |name: &str, x: f64| Series {
+            name: name.into(),
+            numbers: x.to_le_bytes().repeat(rows).into(),
             ..Default::default()
         };
-        if let Ok(answers) = client.trials(trials).await {
+        let columns = [("vx", 0.1), ("vy", 0.1), ("vz", 0.1), ("depth", 0.02)].map(|(name, x)| column(name, x));
+        let form = Some(Form::Table(Table { columns: columns.to_vec(), ..Default::default() }));
+        let arguments = ["--body=sphere:radius=0.05", "--trials=rows"].map(str::to_owned).to_vec();
+        let files = vec![StudyInput { name: "rows".into(), form }];
+        let trials = StudyRequest { name: "intrude".into(), arguments, files };
+        if let Ok(answers) = client.study(trials).await {
             let answer = tokio::time::timeout(Duration::from_secs(2), answers.into_inner().message()).await;
             done[KINDS].fetch_add(usize::from(matches!(answer, Ok(Ok(_)))), Ordering::Relaxed);
         }
         // Others' large requests have their turns, too.
         tokio::time::sleep(Duration::from_millis(300)).await;
-        let numbers = (0..100).map(|k| 0.5 + 0.01 * f64::from(k)).collect();
-        let vary = vec![Variation { parameter: "frequency".into(), numbers, ..Default::default() }];
-        if let Ok(answers) = client.sweep(SweepRequest { vary, ..Default::default() }).await {
+        let arguments = vec!["--vary=frequency=0.5:1.49:100".to_owned()];
+        let sweep = StudyRequest { name: "sweep".into(), arguments, ..Default::default() };
+        if let Ok(answers) = client.study(sweep).await {
             let answer = tokio::time::timeout(Duration::from_secs(2), answers.into_inner().message()).await;
             done[KINDS + 1].fetch_add(usize::from(matches!(answer, Ok(Ok(_)))), Ordering::Relaxed);
         }

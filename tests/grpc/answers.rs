@@ -1,43 +1,31 @@
-//! Reads the streams of studies.
+//! Requests of studies, and their streams.
 
-use sandgait::service::proto::{DiagnoseResponse, Progress, TableResponse, diagnose_response, table_response};
+use sandgait::service::proto::{Progress, StudyInput, StudyRequest, StudyResponse, StudyResult};
+use sandgait::service::proto::{study_input, study_response};
 use tonic::Streaming;
 
-/// What a message has.
-pub enum Event {
-    Progress(Progress),
-    Result,
+/// A study with its arguments as words, without files.
+pub fn request(name: &str, words: &[&str]) -> StudyRequest {
+    let arguments = words.iter().map(|word| (*word).to_owned()).collect();
+    StudyRequest { name: name.into(), arguments, files: Vec::new() }
 }
 
-/// A message of any study's stream.
-pub trait Message {
-    fn event(&self) -> Event;
+/// The same with a file.
+pub fn with_file(mut request: StudyRequest, name: &str, content: impl Into<Vec<u8>>) -> StudyRequest {
+    let form = Some(study_input::Form::Content(content.into().into()));
+    request.files.push(StudyInput { name: name.into(), form });
+    request
 }
 
-macro_rules! message {
-    ($response:ty, $module:ident) => {
-        impl Message for $response {
-            fn event(&self) -> Event {
-                match &self.event {
-                    Some($module::Event::Progress(p)) => Event::Progress(p.clone()),
-                    _ => Event::Result,
-                }
-            }
-        }
-    };
-}
-message!(TableResponse, table_response);
-message!(DiagnoseResponse, diagnose_response);
-
-/// All progress messages of a study, and its last message.
-pub async fn whole<T: Message>(mut stream: Streaming<T>) -> (Vec<Progress>, T) {
+/// All progress messages of a study, and its result.
+pub async fn whole(mut stream: Streaming<StudyResponse>) -> (Vec<Progress>, StudyResult) {
     let mut told = Vec::new();
     while let Some(message) = stream.message().await.unwrap() {
-        match message.event() {
-            Event::Progress(progress) => told.push(progress),
-            Event::Result => {
+        match message.event.unwrap() {
+            study_response::Event::Progress(progress) => told.push(progress),
+            study_response::Event::Result(result) => {
                 assert!(stream.message().await.unwrap().is_none(), "the result comes last");
-                return (told, message);
+                return (told, result);
             }
         }
     }
@@ -45,9 +33,9 @@ pub async fn whole<T: Message>(mut stream: Streaming<T>) -> (Vec<Progress>, T) {
 }
 
 /// The first message, which has to be progress.
-pub async fn first_progress<T: Message>(stream: &mut Streaming<T>) -> Progress {
-    match stream.message().await.unwrap().unwrap().event() {
-        Event::Progress(progress) => progress,
-        Event::Result => panic!("a result before any progress"),
+pub async fn first_progress(stream: &mut Streaming<StudyResponse>) -> Progress {
+    match stream.message().await.unwrap().unwrap().event.unwrap() {
+        study_response::Event::Progress(progress) => progress,
+        study_response::Event::Result(_) => panic!("a result before any progress"),
     }
 }

@@ -109,6 +109,26 @@ async fn a_cancelled_rollout_restores_the_state() {
     assert_eq!(session.step(0).await, undisturbed.step(0).await);
 }
 
+/// The same at moments when some parts of the batch have made steps that others have not. In an earlier version the answer, which
+/// nobody waited for, was made of both, and the session was lost.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_rollout_may_be_cancelled_at_any_moment() {
+    const ENVS: usize = 100;
+    let server = Server::start(2).await;
+    let mut session = server.session(ENVS as u32).await;
+    session.reset(2).await;
+    let mut undisturbed = server.session(ENVS as u32).await;
+    undisturbed.reset(2).await;
+    for k in 0..12 {
+        let sent = session.send(Some(rollout(ENVS, 200, true))).await;
+        tokio::time::sleep(Duration::from_millis(4 + 6 * k)).await;
+        let id = session.id.clone();
+        drop(session);
+        session = Session::resume(server.client().await, &id, sent - 1).await.unwrap().0;
+        assert_eq!(session.step(0).await, undisturbed.step(0).await, "after {k} rollouts");
+    }
+}
+
 /// The client of a rollout reads nothing, and its connection lives. A new stream of the same session does not wait for
 /// it, nor does CloseSession leave it running. In an earlier version the new stream waited for ever.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -7,12 +7,11 @@ mod trials;
 
 use crate::harness::Server;
 use crate::{long, testbed};
-use answers::{first_progress, whole};
+use answers::{first_progress, request, whole, with_file};
+use sandgait::sand::SandDescription;
 use sandgait::service::Limits;
 use sandgait::service::proto::study_service_client::StudyServiceClient;
-use sandgait::service::proto::{DiagnoseRequest, diagnose_request, diagnose_response};
-use sandgait::service::proto::{File, IntrudeRequest, Robot, Sand, Series, SweepRequest, Table};
-use sandgait::service::proto::{TrialsRequest, Variation, WalkRequest, table_response, trials_request};
+use sandgait::service::proto::{File, Series, StudyRequest, StudyResult, Table};
 use std::path::Path;
 use std::process::Command;
 use std::time::{Duration, Instant};
@@ -37,23 +36,17 @@ fn refused<T>(answer: Result<T, Status>, says: &str) {
     assert_eq!((status.code(), status.message()), (Code::InvalidArgument, says));
 }
 
-fn file(name: &str, content: &str) -> Option<File> {
-    Some(File { name: name.into(), content: content.to_owned().into() })
+fn walk(frequencies: &str) -> StudyRequest {
+    request("walk", &[&format!("--frequency={frequencies}")])
 }
 
-fn walk(frequency: &[f64]) -> WalkRequest {
-    WalkRequest { frequency: frequency.to_vec(), ..Default::default() }
-}
-
-fn vary(parameter: &str, numbers: &[f64]) -> Variation {
-    Variation { parameter: parameter.into(), numbers: numbers.to_vec(), names: Vec::new() }
+fn leg(words: &[&str]) -> StudyRequest {
+    request("intrude", words)
 }
 
 /// A grid that takes minutes.
-fn long_sweep() -> SweepRequest {
-    let many = |low: f64, step: f64| (0..300).map(|i| low + step * f64::from(i)).collect::<Vec<_>>();
-    let vary = vec![vary("xi", &many(-75.0, 0.5)), vary("frequency", &many(1.0, 0.01))];
-    SweepRequest { vary, ..Default::default() }
+fn long_sweep() -> StudyRequest {
+    request("sweep", &["--vary=xi=-75:74.5:300", "--vary=frequency=1:3.99:300"])
 }
 
 /// A diagnosis takes some 24 KiB for each row.
@@ -61,18 +54,19 @@ fn long_sweep() -> SweepRequest {
 async fn a_diagnosis_that_needs_more_than_the_servers_memory_is_refused() {
     let server = Server::with_limits(1, Limits { memory: 8 << 20, ..Limits::default() }).await;
     let mut client = StudyServiceClient::new(server.channel().await);
-    let refused = client.diagnose(diagnose()).await.unwrap_err();
+    let refused = client.study(diagnose()).await.unwrap_err();
     assert_eq!(refused.code(), Code::ResourceExhausted);
-    let words = "rows are more than 341, which a diagnosis within this server's 8 MiB may have";
-    assert!(refused.message().contains(words), "{}", refused.message());
+    assert!(refused.message().contains("MiB, more than this server's 8 MiB"), "{}", refused.message());
 }
 
-fn diagnose() -> DiagnoseRequest {
+fn diagnosis(data: (&str, &str), experiment: (&str, &str)) -> StudyRequest {
+    let call = request("diagnose", &[&format!("--experiment={}", experiment.0), "--", data.0]);
+    with_file(with_file(call, data.0, data.1), experiment.0, experiment.1)
+}
+
+fn diagnose() -> StudyRequest {
     let hidden = testbed::Hidden { causes: vec![("inertial_drag", 0.4)] };
-    DiagnoseRequest {
-        data: file("force.csv", &testbed::log(3, &hidden, 0.05).noisy),
-        experiment: file("experiment.toml", testbed::EXPERIMENT).map(diagnose_request::Experiment::File),
-    }
+    diagnosis(("force.csv", &testbed::log(3, &hidden, 0.05).noisy), ("experiment.toml", testbed::EXPERIMENT))
 }
 
 fn column<'a>(table: &'a Table, name: &str) -> &'a Series {
@@ -83,72 +77,91 @@ fn numbers(table: &Table, name: &str) -> Vec<f64> {
     column(table, name).numbers.chunks_exact(8).map(|b| f64::from_le_bytes(b.try_into().unwrap())).collect()
 }
 
-async fn walked(client: &mut Client, request: WalkRequest) -> Table {
-    match whole(client.walk(request).await.unwrap().into_inner()).await.1.event {
-        Some(table_response::Event::Table(table)) => table,
-        other => panic!("{other:?}"),
+async fn done(client: &mut Client, request: StudyRequest) -> StudyResult {
+    whole(client.study(request).await.unwrap().into_inner()).await.1
+}
+
+async fn walked(client: &mut Client, request: StudyRequest) -> Table {
+    done(client, request).await.tables.swap_remove(0)
+}
+
+#[tokio::test]
+async fn wrong_arguments_are_refused_as_on_the_command_line() {
+    let server = Server::start(1).await;
+    let mut client = client(&server).await;
+    let directory = tempfile::tempdir().unwrap();
+    let out = directory.path().to_str().unwrap();
+    for words in [
+        &["intrude", "--shape=Q"] as &[&str],
+        &["intrude", "--shape=xi=95"],
+        &["intrude", "--shape=L", "--chord=-1"],
+        &["intrude", "--shape=L", "--omega=NaN"],
+        &["intrude", "--shape=L", "--medium=moon"],
+        &["walk", "--frequency=2", "--law=newton"],
+        &["walk", "--frequency=21"],
+        &["walk", "--frequency=[]"],
+        &["walk", "--frequency=2", "--slope-deg=50"],
+        &["walk", "--frequency=2", "--engine=warp"],
+        &["walk", "--frequency=2", "--robot=nobody"],
+        &["walk", "--frequency=2", "--option=torque_limit=-1"],
+        &["walk", "--frequency=2", "--option=control=torque"],
+        &["sweep", "--vary=mood=1"],
+        &["sweep", "--vary=xi=0,95"],
+        &["sweep", "--vary=width=0.01,-1"],
+        &["sweep", "--vary=xi=steep"],
+        &["sweep", "--vary=xi=3", "--optimize=speed"],
+        &["sweep", "--vary=xi=0,3", "--optimize=joy"],
+        &["sweep", "--vary=xi=3", "--set=kp=-1"],
+        &["sweep", "--vary=xi=3", "--set=xi=4"],
+        &["sweep", "--vary=xi=3", "--frequency=2", "--set=frequency=4"],
+        &["sweep", "--vary=zeta=0.3", "--medium=poppy-close"],
+        &["evaluate", "--", "tripod", "--task=Nope"],
+        &["reproduce", "--figure=6"],
+    ] {
+        let end = if words[0] == "sweep" { vec!["--out", out] } else { Vec::new() };
+        let own: Vec<&str> = words.iter().copied().filter(|word| *word != "--").chain(end).collect();
+        let mut asked: Vec<&str> = words[1..].iter().copied().filter(|word| *word != "--").collect();
+        // Words without a name come last.
+        asked.sort_by_key(|word| !word.starts_with("--"));
+        // A request names arguments by keywords.
+        let said = command_line(&own).replace("--", "");
+        refused(client.study(request(words[0], &asked)).await, &said);
+    }
+    let thousand: Vec<String> = (0..1000).map(|i| (1.0 + 1e-3 * f64::from(i)).to_string()).collect();
+    let [frequency, width] = ["frequency", "width"].map(|name| format!("--vary={name}={}", thousand.join(",")));
+    let huge = request("sweep", &[&frequency, &width]);
+    refused(client.study(huge).await, "number of walks: 1000000 is outside [1, 500000]");
+}
+
+#[tokio::test]
+async fn requests_that_no_command_makes_are_refused() {
+    let server = Server::start(1).await;
+    let mut client = client(&server).await;
+    let sand = format!("medium = \"poppy-loose\"\n#{}", "x".repeat(256 << 10));
+    let words = vec!["--frequency=2"; 1025];
+    for (request, says) in [
+        (with_file(request("walk", &["--frequency=2", "--sand=s.toml"]), "s.toml", sand), "more than the 262144"),
+        (request("walk", &words), "number of arguments: 1025"),
+        (request("dance", &[]), "study \"dance\" is unknown; did you mean \"diagnose\"? known: walk, intrude"),
+        (request("walk", &[]), "frequency: missing"),
+        (request("walk", &["--frequency=fast"]), "frequency: \"fast\" is no number"),
+        (request("walk", &["--frequency=2", "--help"]), "--help"),
+        (request("walk", &["--frequency=2", "--csv=/tmp/x.csv"]), "--csv"),
+        (request("walk", &["--frequency=2", "--sand=/etc/passwd"]), "/etc/passwd: a server reads no files"),
+        (request("walk", &["--frequency=2", "--robot=/etc/passwd.toml"]), "/etc/passwd.toml: a server reads no files"),
+        (request("walk", &["--frequency=2", "--option=sand=/etc/passwd"]), "sand"),
+        (request("intrude", &["--shape=L", "--sand=x.toml", "--law=li2013"]), "cannot be given with"),
+        (request("validate", &["--data=/etc"]), "/etc/validation.toml: a server reads no files"),
+    ] {
+        let status = client.study(request).await.err().unwrap_or_else(|| panic!("not refused: {says}"));
+        assert_eq!(status.code(), Code::InvalidArgument, "{status}");
+        assert!(status.message().contains(says) && !status.message().contains('\n'), "{says}: {status}");
     }
 }
 
-#[tokio::test]
-async fn wrong_sand_legs_and_robots_are_refused_as_on_the_command_line() {
-    let server = Server::start(1).await;
-    let mut client = client(&server).await;
-    let leg = |shape: &str| IntrudeRequest { shape: shape.into(), ..Default::default() };
-    let sand = |medium: &str, law: &str| Some(Sand { medium: Some(medium.into()), law: Some(law.into()), file: None });
-    refused(client.intrude(leg("Q")).await, &command_line(&["intrude", "--shape", "Q"]));
-    refused(client.intrude(leg("xi=95")).await, &command_line(&["intrude", "--shape", "xi=95"]));
-    let request = IntrudeRequest { chord: Some(-1.0), ..leg("L") };
-    refused(client.intrude(request).await, &command_line(&["intrude", "--shape", "L", "--chord=-1"]));
-    let request = IntrudeRequest { omega: Some(f64::NAN), ..leg("L") };
-    refused(client.intrude(request).await, &command_line(&["intrude", "--shape", "L", "--omega", "NaN"]));
-    let request = IntrudeRequest { sand: sand("moon", "li2013"), ..leg("L") };
-    refused(client.intrude(request).await, &command_line(&["intrude", "--shape", "L", "--medium", "moon"]));
-    let request = WalkRequest { sand: sand("poppy-loose", "newton"), ..walk(&[2.0]) };
-    refused(client.walk(request).await, &command_line(&["walk", "--frequency", "2", "--law", "newton"]));
-    refused(client.walk(walk(&[1.0, 21.0])).await, &command_line(&["walk", "--frequency", "21"]));
-    let request = WalkRequest { slope_deg: 50.0, ..walk(&[2.0]) };
-    refused(client.walk(request).await, &command_line(&["walk", "--frequency", "2", "--slope-deg", "50"]));
-    let request = WalkRequest { engine: Some("warp".into()), ..walk(&[2.0]) };
-    refused(client.walk(request).await, &command_line(&["walk", "--frequency", "2", "--engine", "warp"]));
-    refused(client.walk(walk(&[])).await, "number of frequencies: 0 is outside [1, 4096]");
-    let robot = |name: &str| Some(Robot { name: Some(name.into()), file: None });
-    let request = WalkRequest { robot: robot("/etc/passwd.toml"), ..walk(&[2.0]) };
-    refused(client.walk(request).await, "robot \"/etc/passwd.toml\" is unknown; known: xplorer, xplorer18");
-    let both = Some(Sand { file: file("sand.toml", ""), ..sand("poppy-loose", "li2013").unwrap() });
-    let request = WalkRequest { sand: both, ..walk(&[2.0]) };
-    refused(client.walk(request).await, "sand: give either a sand file, or medium and law");
-}
-
-#[tokio::test]
-async fn wrong_sweeps_are_refused_as_on_the_command_line() {
-    let server = Server::start(1).await;
-    let mut client = client(&server).await;
-    let sweep = |vary: Vec<Variation>| SweepRequest { vary, ..Default::default() };
-    let cli = |arguments: &[&str]| {
-        let directory = tempfile::tempdir().unwrap();
-        command_line(&[&["sweep", "--out", directory.path().to_str().unwrap()], arguments].concat())
-    };
-    refused(client.sweep(sweep(vec![vary("mood", &[1.0])])).await, &cli(&["--vary", "mood=1"]));
-    refused(client.sweep(sweep(vec![vary("xi", &[0.0, 95.0])])).await, &cli(&["--vary", "xi=0,95"]));
-    refused(client.sweep(sweep(vec![vary("width", &[0.01, -1.0])])).await, &cli(&["--vary", "width=0.01,-1"]));
-    let names = Variation { parameter: "xi".into(), names: vec!["steep".into()], ..Default::default() };
-    refused(client.sweep(sweep(vec![names])).await, &cli(&["--vary", "xi=steep"]));
-    let search = SweepRequest { optimize: Some("speed".into()), ..sweep(vec![vary("xi", &[3.0])]) };
-    refused(client.sweep(search).await, &cli(&["--vary", "xi=3", "--optimize", "speed"]));
-    let search = SweepRequest { optimize: Some("joy".into()), ..sweep(vec![vary("xi", &[0.0, 3.0])]) };
-    refused(client.sweep(search).await, &cli(&["--vary", "xi=0,3", "--optimize", "joy"]));
-    let fixed = SweepRequest { set: vec![vary("kp", &[-1.0])], ..sweep(vec![vary("xi", &[3.0])]) };
-    refused(client.sweep(fixed).await, &cli(&["--vary", "xi=3", "--set", "kp=-1"]));
-    refused(client.sweep(sweep(vec![])).await, "number of parameters in vary: 0 is outside [1, 17]");
-    let thousand: Vec<f64> = (0..1000).map(|i| 1.0 + 1e-3 * f64::from(i)).collect();
-    let huge = sweep(vec![vary("frequency", &thousand), vary("width", &thousand)]);
-    refused(client.sweep(huge).await, "number of walks: 1000000 is outside [1, 500000]");
-}
-
 /// The status that a diagnosis ends with.
-async fn failed(client: &mut Client, request: DiagnoseRequest) -> Result<(), Status> {
-    let mut stream = client.diagnose(request).await?.into_inner();
+async fn failed(client: &mut Client, request: StudyRequest) -> Result<(), Status> {
+    let mut stream = client.study(request).await?.into_inner();
     while stream.message().await?.is_some() {}
     Ok(())
 }
@@ -158,8 +171,7 @@ async fn wrong_data_are_refused_as_on_the_command_line() {
     let server = Server::start(1).await;
     let mut client = client(&server).await;
     let directory = tempfile::tempdir().unwrap();
-    let good = diagnose();
-    let data = String::from_utf8(good.data.unwrap().content.to_vec()).unwrap();
+    let data = testbed::log(3, &testbed::Hidden { causes: vec![("inertial_drag", 0.4)] }, 0.05).noisy;
     let spoiled = data.replacen("revL", "wheel", 1);
     let headless = data.replacen("Fx", "force", 1);
     let cases = [
@@ -176,117 +188,144 @@ async fn wrong_data_are_refused_as_on_the_command_line() {
         let [d, e] = [&d, &e].map(|p| p.to_str().unwrap());
         let out = directory.path().join("out");
         let said = command_line(&["diagnose", d, "--experiment", e, "--out", out.to_str().unwrap()]);
-        let request = DiagnoseRequest {
-            data: file(d, data),
-            experiment: file(e, experiment).map(diagnose_request::Experiment::File),
-        };
-        refused(failed(&mut client, request).await, &said);
+        assert!(!out.exists(), "a folder was left");
+        refused(failed(&mut client, diagnosis((d, data), (e, experiment))).await, &said);
     }
-    refused(failed(&mut client, DiagnoseRequest::default()).await, "data: none given");
-    let values = prost_types::Struct {
-        fields: [
-            ("kind".to_owned(), crate::harness::text("intrusion")),
-            ("mood".to_owned(), crate::harness::text("x")),
-        ]
-        .into(),
-    };
-    let request = DiagnoseRequest {
-        data: file("force.csv", &data),
-        experiment: Some(diagnose_request::Experiment::Values(values)),
-    };
-    let status = failed(&mut client, request).await.unwrap_err();
+    let values = diagnosis(("force.csv", &data), ("experiment", r#"{"kind": "intrusion", "mood": "x"}"#));
+    let status = failed(&mut client, values).await.unwrap_err();
     assert!(status.code() == Code::InvalidArgument && status.message().contains("mood"), "{status}");
-    let large = DiagnoseRequest { data: file("force.csv", &"x".repeat(65 << 20)), experiment: None };
+    let large = diagnosis(("force.csv", &"x".repeat(66 << 20)), ("experiment.toml", testbed::EXPERIMENT));
     assert_eq!(failed(&mut client, large).await.unwrap_err().code(), Code::ResourceExhausted);
 }
 
-/// A file of tests/data/trajectory.
-fn walk_log(name: &str) -> Option<File> {
+/// Path and text of a file of tests/data/trajectory.
+fn walk_log(name: &str) -> (String, Vec<u8>) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/trajectory").join(name);
-    Some(File { name: path.to_str().unwrap().into(), content: std::fs::read(path).unwrap().into() })
+    (path.to_str().unwrap().into(), std::fs::read(path).unwrap())
 }
 
 #[tokio::test]
 async fn a_diagnosis_takes_tables_alone() {
     let server = Server::start(1).await;
     let mut client = client(&server).await;
-    let experiment = walk_log("walk.toml").map(diagnose_request::Experiment::File);
-    let request = DiagnoseRequest { data: walk_log("walk.csv"), experiment };
+    let call = |data: (String, Vec<u8>), experiment: (String, Vec<u8>)| {
+        let words = [format!("--experiment={}", experiment.0), "--".into(), data.0.clone()];
+        let call = request("diagnose", &words.each_ref().map(String::as_str));
+        with_file(with_file(call, &data.0, data.1), &experiment.0, experiment.1)
+    };
+    let request = call(walk_log("walk.csv"), walk_log("walk.toml"));
     // The log is taken: it has been read and is compared with the model. tests/trajectory_logs.rs checks the result of this log.
-    let mut stream = client.diagnose(request.clone()).await.unwrap().into_inner();
+    let mut stream = client.study(request.clone()).await.unwrap().into_inner();
     while first_progress(&mut stream).await.stage.contains("reading") {}
     drop(stream);
     for request in long::first(0, [request]) {
-        let (_, last) = whole(client.diagnose(request).await.unwrap().into_inner()).await;
-        let Some(diagnose_response::Event::Diagnosis(diagnosis)) = last.event else { panic!() };
-        assert!(diagnosis.report_json.contains("\"named\"") && diagnosis.report_json.contains("inertial_drag"));
-        assert!(diagnosis.sand_toml.contains("inertial_drag"));
+        let result = done(&mut client, request).await;
+        assert!(
+            text(&result, "report.json").contains("\"named\"") && text(&result, "sand.toml").contains("inertial_drag")
+        );
     }
     let out = tempfile::tempdir().unwrap();
     for log in ["walk.mcap", "walk.parquet", "walk.csv"] {
         // The experiment file lists runs, as walk.csv does too.
-        let mut wrong = walk_log("walk_mcap.toml").unwrap();
-        let data = walk_log(log);
-        let [d, e] = [&data.as_ref().unwrap().name, &wrong.name];
-        let said = command_line(&["diagnose", d, "--experiment", e, "--out", out.path().join("x").to_str().unwrap()]);
+        let (data, wrong) = (walk_log(log), walk_log("walk_mcap.toml"));
+        let out = out.path().join("x");
+        let said = command_line(&["diagnose", &data.0, "--experiment", &wrong.0, "--out", out.to_str().unwrap()]);
         assert!(said.contains("sandgait.logs") == (log != "walk.csv"), "{said}");
-        wrong.name = "experiment.toml".into();
-        let request = DiagnoseRequest { data, experiment: Some(diagnose_request::Experiment::File(wrong)) };
-        refused(failed(&mut client, request).await, &said);
+        refused(failed(&mut client, call(data, wrong)).await, &said);
     }
+}
+
+/// The text of a file of a result.
+fn text<'a>(result: &'a StudyResult, name: &str) -> &'a str {
+    let file: &File = result.files.iter().find(|file| file.name == name).unwrap();
+    std::str::from_utf8(&file.content).unwrap()
 }
 
 #[tokio::test]
 async fn a_sweep_reports_progress_and_gives_one_row_a_design() {
     let server = Server::start(1).await;
     let mut client = client(&server).await;
-    let legs = Variation { parameter: "leg".into(), names: vec!["L".into(), "C".into()], ..Default::default() };
     let frequencies: Vec<f64> = (0..60).map(|i| 1.0 + 0.05 * f64::from(i)).collect();
-    let vary = vec![legs, vary("frequency", &frequencies)];
-    let stream = client.sweep(SweepRequest { vary, ..Default::default() }).await.unwrap().into_inner();
-    let (told, last) = whole(stream).await;
-    let Some(table_response::Event::Table(table)) = last.event else { panic!() };
+    let listed = frequencies.iter().map(f64::to_string).collect::<Vec<_>>().join(",");
+    let sweep = request("sweep", &["--vary=leg=L,C", &format!("--vary=frequency={listed}")]);
+    let (told, result) = whole(client.study(sweep).await.unwrap().into_inner()).await;
+    let table = &result.tables[0];
     assert!(told.len() > 3 && told.iter().all(|p| p.ahead == 0 && !p.stage.is_empty()), "{told:?}");
     assert!(told.is_sorted_by(|a, b| a.fraction <= b.fraction), "{told:?}");
     assert!(told.iter().all(|p| (0.0..=1.0).contains(&p.fraction)) && told.last().unwrap().fraction > 0.5);
-    assert_eq!(column(&table, "leg").names.len(), 120);
-    assert_eq!(numbers(&table, "frequency")[60..], frequencies);
+    assert_eq!(column(table, "leg").names.len(), 120);
+    assert_eq!(numbers(table, "frequency")[60..], frequencies);
     assert!(table.columns.iter().all(|c| c.names.len() == 120 || (c.numbers.len() == 8 * 120 && !c.unit.is_empty())));
     // The same bits as a walk of this design alone.
-    let alone = walked(&mut client, WalkRequest { leg: Some("C".into()), ..walk(&[1.5]) }).await;
-    assert_eq!(numbers(&table, "speed")[60 + 10], numbers(&alone, "speed")[0]);
+    let alone = walked(&mut client, request("walk", &["--frequency=1.5", "--leg=C"])).await;
+    assert_eq!(numbers(table, "speed")[60 + 10], numbers(&alone, "speed")[0]);
 }
 
 #[tokio::test]
 async fn a_search_reports_progress_and_gives_the_best_design() {
     let server = Server::start(1).await;
-    let request =
-        SweepRequest { vary: vec![vary("xi", &[0.0, 75.0])], optimize: Some("speed".into()), ..Default::default() };
-    let (told, last) = whole(client(&server).await.sweep(request).await.unwrap().into_inner()).await;
-    let Some(table_response::Event::Table(table)) = last.event else { panic!() };
+    let request = request("sweep", &["--vary=xi=0,75", "--optimize=speed"]);
+    let (told, result) = whole(client(&server).await.study(request).await.unwrap().into_inner()).await;
+    let table = &result.tables[0];
     assert!(told.len() > 20 && told.is_sorted_by(|a, b| a.fraction <= b.fraction), "{told:?}");
-    assert!((0.0..=75.0).contains(&numbers(&table, "xi")[0]) && numbers(&table, "speed")[0] > 0.1);
+    assert!((0.0..=75.0).contains(&numbers(table, "xi")[0]) && numbers(table, "speed")[0] > 0.1);
 }
 
 #[tokio::test]
 async fn walks_of_both_engines_and_of_standing_robots() {
     let server = Server::start(1).await;
     let mut client = client(&server).await;
-    let table = walked(&mut client, walk(&[2.0, 0.0, -1.0])).await;
+    let table = walked(&mut client, walk("2,0,-1")).await;
     let speed = numbers(&table, "speed");
     assert!(speed[0] > 0.05 && speed[2] < 0.0, "{speed:?}");
     assert!(numbers(&table, "sink")[1].abs() < 1e-3 && numbers(&table, "cost_of_transport")[1].is_nan());
-    let other = walked(&mut client, WalkRequest { engine: Some("rapier".into()), ..walk(&[2.0]) }).await;
+    let other = walked(&mut client, request("walk", &["--frequency=2", "--engine=rapier"])).await;
     assert!((numbers(&other, "speed")[0] / speed[0] - 1.0).abs() < 0.03);
 }
 
 #[tokio::test]
 async fn extrapolated_sand_comes_with_a_warning() {
     let server = Server::start(1).await;
-    let sand = Some(Sand { medium: Some("mu=1.3,rho=1500".into()), ..Default::default() });
-    let request = IntrudeRequest { shape: "L".into(), sand, ..Default::default() };
-    let table = client(&server).await.intrude(request).await.unwrap().into_inner().table.unwrap();
-    assert!(table.warnings[0].contains("extrapolated"), "{:?}", table.warnings);
+    let result = done(&mut client(&server).await, leg(&["--shape=L", "--medium=mu=1.3,rho=1500"])).await;
+    assert!(result.warnings[0].contains("extrapolated"), "{:?}", result.warnings);
+}
+
+/// A walk says which mechanisms of its sand have no effect, as the command does.
+#[tokio::test]
+async fn mechanisms_without_effect_are_named() {
+    let server = Server::start(1).await;
+    let mut sand = SandDescription::named("poppy-loose", "li2013").unwrap();
+    sand.mechanisms.added_mass = 0.1;
+    let sand = sand.to_toml().unwrap();
+    let walk = with_file(request("walk", &["--frequency=2", "--sand=s.toml"]), "s.toml", sand);
+    let result = done(&mut client(&server).await, walk).await;
+    assert!(result.warnings[0].contains("added_mass has no effect on a walking robot"), "{:?}", result.warnings);
+}
+
+/// A leg is computed at once, beside a sweep of minutes.
+#[tokio::test]
+async fn quick_studies_do_not_wait() {
+    let server = Server::start(1).await;
+    let mut client = client(&server).await;
+    let mut sweep = client.study(long_sweep()).await.unwrap().into_inner();
+    first_progress(&mut sweep).await;
+    let quick = tokio::time::timeout(Duration::from_secs(10), done(&mut client, leg(&["--shape=L"]))).await;
+    assert_eq!(quick.unwrap().tables[0].name, "intrusion");
+}
+
+/// Clients of earlier versions are told what to do.
+#[tokio::test]
+async fn calls_of_older_clients_are_refused_with_advice() {
+    let server = Server::start(1).await;
+    let mut client = tonic::client::Grpc::new(server.channel().await);
+    for method in ["Walk", "Intrude", "Trials", "Sweep", "Evaluate", "Diagnose"] {
+        client.ready().await.unwrap();
+        let path = format!("/sandgait.v1.StudyService/{method}").parse().unwrap();
+        let codec = tonic_prost::ProstCodec::<StudyRequest, StudyResult>::default();
+        let refused = client.unary(tonic::Request::new(StudyRequest::default()), path, codec).await.unwrap_err();
+        assert_eq!(refused.code(), Code::Unimplemented);
+        assert!(refused.message().contains("use rpc Study; update the client"), "{refused}");
+    }
 }
 
 /// A sweep of several minutes is cancelled; the walk that waits for its place is then answered soon.
@@ -294,16 +333,16 @@ async fn extrapolated_sand_comes_with_a_warning() {
 async fn a_cancelled_sweep_frees_its_place_and_the_cores() {
     let server = Server::start(1).await;
     let (mut first, mut second) = (client(&server).await, client(&server).await);
-    let mut sweep = first.sweep(long_sweep()).await.unwrap().into_inner();
+    let mut sweep = first.study(long_sweep()).await.unwrap().into_inner();
     assert_eq!(first_progress(&mut sweep).await.ahead, 0);
-    let mut waiting = second.walk(walk(&[2.0])).await.unwrap().into_inner();
+    let mut waiting = second.study(walk("2")).await.unwrap().into_inner();
     let told = first_progress(&mut waiting).await;
     assert!(told.ahead == 1 && told.stage.contains("waiting"), "{told:?}");
     let more = tokio::time::timeout(Duration::from_millis(300), waiting.message()).await;
     assert!(more.is_err(), "the walk did not wait its turn");
     drop(sweep);
     let rest = tokio::time::timeout(Duration::from_secs(10), whole(waiting)).await.expect("the slot was not freed");
-    assert!(matches!(rest.1.event, Some(table_response::Event::Table(_))));
+    assert_eq!(rest.1.tables.len(), 1);
 }
 
 /// A request that is cancelled while it waits leaves the queue, so the next one gets its place.
@@ -313,13 +352,13 @@ async fn the_queue_is_limited_and_can_be_left() {
     let mut client = client(&server).await;
     let mut streams = Vec::new();
     for _ in 0..16 {
-        streams.push(client.sweep(long_sweep()).await.unwrap().into_inner());
+        streams.push(client.study(long_sweep()).await.unwrap().into_inner());
     }
-    let status = client.walk(walk(&[2.0])).await.unwrap_err();
+    let status = client.study(walk("2")).await.unwrap_err();
     assert_eq!(status.code(), Code::ResourceExhausted);
     assert!(status.message().contains("all 16 places"), "{status}");
     streams.clear();
-    crate::harness::until(async || client.walk(walk(&[2.0])).await.is_ok()).await;
+    crate::harness::until(async || client.study(walk("2")).await.is_ok()).await;
 }
 
 #[tokio::test]
@@ -327,22 +366,24 @@ async fn a_diagnosis_reports_progress_and_a_cancelled_one_frees_the_slot() {
     let server = Server::start(1).await;
     let mut client = client(&server).await;
     let start = Instant::now();
-    let (told, last) = whole(client.diagnose(diagnose()).await.unwrap().into_inner()).await;
+    let (told, result) = whole(client.study(diagnose()).await.unwrap().into_inner()).await;
     let whole_time = start.elapsed();
     assert!(told.len() > 4 && told.is_sorted_by(|a, b| a.fraction <= b.fraction), "{told:?}");
-    let Some(diagnose_response::Event::Diagnosis(diagnosis)) = last.event else { panic!() };
-    assert!(diagnosis.report_json.contains("\"named\"") && diagnosis.report_json.contains("inertial_drag"));
-    assert!(diagnosis.report_html.starts_with("<!doctype html>") && diagnosis.sand_toml.contains("inertial_drag"));
-    let curves = diagnosis.curves.unwrap();
+    assert!(
+        text(&result, "report.json").contains("\"named\"") && text(&result, "report.json").contains("inertial_drag")
+    );
+    assert!(text(&result, "report.html").starts_with("<!doctype html>"));
+    assert!(text(&result, "sand.toml").contains("inertial_drag"));
+    let curves = result.tables[0].clone();
     let rows = column(&curves, "trial").names.len();
     for name in ["progress", "Fx", "Fx_plain", "Fz_extended", "Ty_sd"] {
         assert_eq!(numbers(&curves, name).len(), rows, "{name}");
     }
-    let mut stream = client.diagnose(diagnose()).await.unwrap().into_inner();
+    let mut stream = client.study(diagnose()).await.unwrap().into_inner();
     first_progress(&mut stream).await;
     drop(stream);
     let start = Instant::now();
-    walked(&mut client, walk(&[5.0])).await;
+    walked(&mut client, walk("5")).await;
     let wait = start.elapsed();
     assert!(wait < whole_time / 2, "the walk waited {wait:?}; a whole diagnosis takes {whole_time:?}");
 }
@@ -350,7 +391,7 @@ async fn a_diagnosis_reports_progress_and_a_cancelled_one_frees_the_slot() {
 #[tokio::test]
 async fn a_server_that_stops_ends_its_studies() {
     let mut server = Server::start(1).await;
-    let mut stream = client(&server).await.sweep(long_sweep()).await.unwrap().into_inner();
+    let mut stream = client(&server).await.study(long_sweep()).await.unwrap().into_inner();
     first_progress(&mut stream).await;
     server.stop.cancel();
     let ended = async {

@@ -11,12 +11,16 @@ from typing import Any
 
 import pytest
 
-from sandgait.certify import Line, Outcome, Request, Wiring, certify, page, sheet, walk
+from reports import POPPY
+from sandgait.certify import Certificate, Line, Outcome, Request, Wiring, certify, page, sheet, walk
 from sandgait.certify.causes import joined, of_conditions, of_wiring, wirings
 from sandgait.certify.command import main
+from sandgait.certify.grid import cases
+from sandgait.certify.ground import ground_of
 from sandgait.certify.walk import Job, outcome
+from sandgait.grounds import stronger
 from sandgait.plant import Conditions
-from sandgait_deploy import read_policy
+from sandgait_deploy import Verification, read_policy
 
 ROOT = Path(__file__).parents[2]
 CAT = ROOT / "examples/policies/LeggedVelocity-sandcat"
@@ -129,6 +133,45 @@ def test_a_spoiled_folder_is_not_deployed(tmp_path: Path) -> None:
     assert "<h1 class='no'>" in page(certificate)
 
 
+@pytest.mark.parametrize(
+    ("ground", "first", "varies"),
+    [
+        ("dunes", "note: the ground (--ground, dunes) is flat poppy-loose here, without its dunes", "sand's strength"),
+        ("mixed", "without its slabs of hard ground", "sand's strength"),
+        ("mu=0.5,rho=1500", "sandgait/LeggedVelocity-v1, sandcat", "sand's strength"),
+        ("rigid", "sandgait/LeggedVelocity-v1, sandcat", "friction of the ground"),
+    ],
+)
+def test_the_first_line_says_what_stands_in(ground: str, first: str, varies: str) -> None:
+    """And on every sand its strength is varied, never the friction of hard ground in its place."""
+    policy = read_policy(CAT)
+    made = ground_of(policy, ground)
+    failed = Verification(())
+    certificate = Certificate(
+        policy, Request(CAT, ROBOT), made, failed, {}, {}, Outcome(made.conditions(), ()), (), None, ("no walk",)
+    )
+    assert first in sheet(certificate).splitlines()[0]
+    assert not made.note or made.note in page(certificate)
+    tried = cases(policy, made.conditions(), quick=False)
+    assert {c.what for c in tried} & {"sand's strength", "friction of the ground"} == {varies}
+    if ground != "rigid":
+        factors = sorted(c.conditions.sand_strength for c in tried if c.what == varies)
+        assert factors[-1] / factors[0] == pytest.approx(18.0)
+
+
+def test_the_sand_of_a_training_is_that_of_its_file(tmp_path: Path) -> None:
+    """As after `sandgait adapt`, which trains in a diagnosed sand."""
+    folder = Path(shutil.copytree(CAT, tmp_path / "cat"))
+    settings = json.loads((folder / "settings.json").read_text())
+    text = stronger(POPPY, 0.7)
+    settings["options"]["sand"] = text
+    (folder / "settings.json").write_text(json.dumps(settings))
+    made = ground_of(read_policy(folder), None)
+    assert (made.name, made.conditions().ground) == ("poppy-close", text)
+    assert made.options()["sand"] == text
+    assert ground_of(read_policy(folder), "glass-beads").options()["sand"] == ""
+
+
 def test_words_of_an_outcome() -> None:
     fell = Outcome(Conditions(), (Line((0.4, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0, True),))
     assert (fell.words, fell.holds) == ("mean error 100 %, worst 100 %, falls in 1 of 1", False)
@@ -143,6 +186,10 @@ def test_words_of_an_outcome() -> None:
         ([str(CAT), "--robot", str(ROBOT), "--latency", "9"], "--latency: 9.0 is outside [0, 0.5]"),
         (["nowhere", "--robot", str(ROBOT)], "there is no such file"),
         ([str(CAT), "--robot", str(ROBOT), "--out", "nowhere/page.html"], "its folder does not exist"),
+        ([str(CAT), "--robot", str(ROBOT), "--out", str(ROOT)], "cannot be written: Is a directory"),
+        ([str(CAT), "--robot", str(ROBOT), "--json", "/proc/numbers.json"], "/proc/numbers.json: cannot be written"),
+        ([str(CAT), "--robot", str(ROBOT), "--ground", "no.toml"], "no.toml cannot be read"),
+        ([str(CAT), "--robot", str(ROBOT), "--ground", "zeta=30"], "with 4.24 times the stress"),
         ([str(CAT), "--robot", str(CAT / "curve.csv")], "MuJoCo cannot read it"),
     ],
 )

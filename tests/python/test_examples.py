@@ -153,6 +153,21 @@ def test_close_the_loop_writes_its_figures(tmp_path: Path) -> None:
     assert (tmp_path / "diagnosis/sand.toml").exists()
 
 
+def test_the_loop_study_changes_nothing_where_nothing_is_hidden(tmp_path: Path) -> None:
+    """On hard ground, where no sand is diagnosed; a second run takes the results as they are."""
+    policy = Path(shutil.copytree(ROOT / "examples/policies/LeggedVelocity-sandcat", tmp_path / "cat"))
+    settings, about = (json.loads((policy / name).read_text()) for name in ("settings.json", "policy.json"))
+    settings["options"]["ground"] = about["trained_with"]["ground"] = "rigid"
+    (policy / "settings.json").write_text(json.dumps(settings))
+    (policy / "policy.json").write_text(json.dumps(about))
+    short = [str(policy), "--robot", "robots/sandcat.xml", "--out", str(tmp_path / "loop"), "--plants", "nothing"]
+    output = run("examples/loop_study.py", *short)
+    row = output.splitlines()[-1]
+    assert re.match(r"\| nothing \| (\d+\.\d%) \| \1 \| 0.0% \| – \| – \| nothing changed \| \d+ s \|", row), output
+    assert (tmp_path / "loop/nothing/adapted/adapt.html").exists()
+    assert run("examples/loop_study.py", *short).splitlines()[-1] == row
+
+
 def test_the_bench_of_the_client_measures() -> None:
     rows = json.loads(run("benches/client.py", "--envs", "8", "--seconds", "0.2", "--json"))
     assert rows[0]["envs"] == 8

@@ -30,7 +30,7 @@ def imports(path: Path) -> set[str]:
         ("google", set()),
         ("stable_baselines3", {"sb3.py", "export.py", "from_rust.py"}),
         ("ray", {"ray.py"}),
-        ("torch", {"export.py", "from_rust.py", "sb3.py"}),
+        ("torch", {"export.py", "from_rust.py", "identified.py", "sb3.py"}),
         ("pandas", set()),
         ("pyarrow", {"logs_reader.py"}),
         ("mcap", {"logs_ros.py"}),

@@ -72,7 +72,7 @@ def test_a_policy_s_folder_has_its_task_and_options(tmp_path: Path) -> None:
     assert sandgait.evaluate(policy, **short)["slope_deg"][0] == 5
     assert sandgait.evaluate(policy, slope_deg=2, **short)["slope_deg"][0] == 2
     (tmp_path / "settings.json").write_text("[]")
-    with pytest.raises(sandgait.InvalidRequest, match=r"settings\.json: no settings of a training"):
+    with pytest.raises(sandgait.InvalidRequest, match=r"settings\.json: it has no task"):
         sandgait.evaluate(policy, **short)
 
 

@@ -148,7 +148,7 @@ def test_wrong_files_give_one_clear_line(tmp_path: Path, remote: RemoteServer) -
 
 def test_a_packed_file_is_a_robot(tmp_path: Path, remote: RemoteServer) -> None:
     packed = tmp_path / "cat.json"
-    packed.write_text(_native.pack_robot(str(ROOT / "robots" / "sandcat.xml"), [], [])[0])
+    packed.write_text(_native.pack_robot(str(ROOT / "robots" / "sandcat.xml"), [], [], "plausible")[0])
     plain = walk(ROOT / "robots" / "sandcat.xml")
     for door in ({}, {"address": remote.address}):
         for ours, theirs in zip(plain, walk(packed, **door), strict=True):

@@ -22,7 +22,7 @@ import pytest
 
 import sandgait
 from conftest import HEARS_CTRL_C, LONG, RemoteServer
-from sandgait import logs, server
+from sandgait import logs, notebook, server
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -84,7 +84,7 @@ def test_intrude_is_the_command(options: dict[str, Any], tmp_path: Path) -> None
     command("intrude", *words, "--csv", tmp_path / "f.csv")
     forces, theirs = sandgait.intrude(**options), rows(tmp_path / "f.csv")
     assert list(forces) == list(theirs) == ["theta", "Fx", "Fz", "Ty"]
-    close(forces.theta, theirs["theta"], 2)
+    close(forces.theta, theirs["theta"], 12)
     close(forces.Fx, theirs["Fx"])
     close(forces.Fz, theirs["Fz"])
     close(forces.Ty, theirs["Ty"], 8)
@@ -144,6 +144,7 @@ def test_trials_are_the_command(tmp_path: Path) -> None:
         assert ours.depth[0] == 0.01
         assert ours.units["Tx"] == "N·m"
         same = sandgait.intrude(body=body, rows=frame, **options)
+        assert list(same) == ["Fx", "Fy", "Fz", "Tx", "Ty", "Tz", "depth", "status"]
         assert all(np.array_equal(ours[name], same[name], equal_nan=name != "status") for name in ours)
 
 
@@ -173,7 +174,7 @@ def test_walk_is_the_command() -> None:
     for k, frequency in enumerate(walks.frequency):
         words = ["--leg=revC", "--medium=zeta=0.4", "--slope-deg=-5", "--dt=2.5e-4", f"--frequency={frequency}"]
         theirs = json.loads(command("walk", *words, "--json"))
-        for name in ("speed", "base_height", "pitch_rms", "hip_torque_rms", "cost_of_transport", "sink", "drift"):
+        for name in walks:
             ours = walks[name][k]
             assert ours == theirs[name] if theirs[name] is not None else np.isnan(ours), name
     assert sandgait.walk(2).speed == json.loads(command("walk", "--frequency=2", "--json"))["speed"]
@@ -190,16 +191,10 @@ def test_sweep_is_the_command(tmp_path: Path) -> None:
     theirs = rows(tmp_path / "sweep.csv")
     assert ours["leg"].tolist() == theirs["leg"]
     assert ours.parameters == ("leg", "frequency")
-    for name, label in (
-        ("frequency", "frequency [Hz]"),
-        ("speed", "speed [m/s]"),
-        ("cost_of_transport", "cost of transport"),
-        ("base_height", "base height [m]"),
-        ("pitch_rms", "pitch rms [rad]"),
-        ("hip_torque_rms", "hip torque rms [N·m]"),
-        ("hip_speed_error_rms", "hip speed error rms [rad/s]"),
-    ):
-        close(ours[name], theirs[label])
+    assert list(ours) == list(theirs)
+    for name in ours:
+        if name != "leg":
+            close(ours[name], theirs[name], 12)
     best = ours.best()
     assert best["speed"] == ours.speed.max()
     assert best["frequency"] == 2.5
@@ -210,8 +205,9 @@ def test_a_search_is_the_command(tmp_path: Path) -> None:
     ours = sandgait.sweep({"xi": [0, 75]}, optimize="cost-of-transport", progress=False)
     command("sweep", "--vary=xi=0:75:2", "--optimize=cost-of-transport", "--out", tmp_path)
     theirs = rows(tmp_path / "optimum.csv")
-    close(ours["xi"], theirs["ξ [°]"])
-    close(ours.cost_of_transport, theirs["cost of transport"])
+    close(ours["xi"], theirs["xi"], 12)
+    close(ours.cost_of_transport, theirs["cost_of_transport"], 12)
+    assert ours.measure == "cost-of-transport"
 
 
 def test_diagnose_is_the_command(diagnosis: sandgait.Diagnosis, tmp_path: Path) -> None:
@@ -221,7 +217,7 @@ def test_diagnose_is_the_command(diagnosis: sandgait.Diagnosis, tmp_path: Path) 
         assert (tmp_path / "ours" / name).read_bytes() == (tmp_path / "theirs" / name).read_bytes(), name
     assert diagnosis.verdict == "named"
     assert diagnosis.causes[0]["id"] == "inertial_drag"
-    assert diagnosis.summary in repr(diagnosis)
+    assert diagnosis.headline in repr(diagnosis)
 
 
 def test_data_frames_and_tables_replace_files(diagnosis: sandgait.Diagnosis) -> None:
@@ -254,7 +250,7 @@ def taken(data: Any, experiment: Any) -> None:
 
 
 def test_a_robots_own_log_in_each_format(diagnosis: sandgait.Diagnosis, tmp_path: Path) -> None:
-    """Recordings give the table of which docs/diagnosis.md and a test of the command make a whole diagnosis."""
+    """Recordings give the table of which docs/diagnosis_files.md and a test of the command make a whole diagnosis."""
     experiment = tomllib.loads((WALK / "walk_mcap.toml").read_text())
     taken(WALK / "walk.mcap", experiment)
     # What was found is given to the next diagnosis.
@@ -280,7 +276,7 @@ def whole_diagnoses_of_a_robots_own_log(experiment: dict[str, Any], tmp_path: Pa
     # With what was found, nothing more is.
     given = {"medium": str(tmp_path / "sand.toml"), "hardware": str(tmp_path / "hardware.toml")}
     again = sandgait.diagnose(WALK / "walk.mcap", {**experiment, **given}, progress=False)
-    assert again.verdict == "noise_floor"
+    assert again.verdict in ("noise_floor", "recalibrated")
 
 
 def test_curves_contain_the_data(diagnosis: sandgait.Diagnosis) -> None:
@@ -327,16 +323,17 @@ def test_another_server(remote: RemoteServer) -> None:
         (lambda: sandgait.intrude("Q"), 'leg shape "Q" is unknown; known: L, revL'),
         (lambda: sandgait.intrude("L", width=-1), r"width: -1 is outside \[0.0001, 10\]"),
         (lambda: sandgait.intrude("L", medium="moon"), "moon"),
-        (lambda: sandgait.intrude("L", sand="/no/such/sand.toml"), "sand: .*/no/such/sand.toml"),
+        (lambda: sandgait.intrude("L", sand="/no/such/sand.toml"), "/no/such/sand.toml: No such file"),
         (lambda: sandgait.intrude("L", sand=LOG), r"force_log.csv: sand"),
         (
             lambda: sandgait.intrude("L", medium="poppy-loose", sand=EXPERIMENT),
-            "sand: give either a sand file, or medium and law",
+            "cannot be given with",
         ),
-        (lambda: sandgait.intrude("L", body="sphere:radius=0.1", rows={"depth": 0}), "give shape, or body with rows"),
-        (lambda: sandgait.intrude(body="sphere:radius=0.1"), "give shape, or body with rows"),  # type: ignore[call-overload]
+        (lambda: sandgait.intrude("L", body="sphere:radius=0.1", rows={"depth": 0}), "cannot be given with"),
+        (lambda: sandgait.intrude(body="sphere:radius=0.1"), "rows: missing"),
+        (lambda: sandgait.intrude(), "shape: missing"),
         (lambda: sandgait.intrude(body="ball:radius=1", rows={"depth": 0.1}), 'body "ball:radius=1" is unknown'),
-        (lambda: sandgait.intrude(body="nowhere.stl", rows={"depth": 0.1}), "body: .*cannot be read"),
+        (lambda: sandgait.intrude(body="nowhere.stl", rows={"depth": 0.1}), "nowhere.stl: No such file"),
         (
             lambda: sandgait.intrude(body=SPHERE, rows={"deep": 0.1}),
             'rows: column "deep" is unknown; did you mean "depth"',
@@ -349,6 +346,7 @@ def test_another_server(remote: RemoteServer) -> None:
         (lambda: sandgait.intrude(body=SPHERE, rows={"depth": 0.1}, plate_size=1e-5), "plate-size"),
         (lambda: sandgait.walk([1, 30]), r"frequency: 30 is outside \[-20, 20\]"),
         (lambda: sandgait.walk([]), "number of frequencies: 0"),
+        (lambda: sandgait.walk(2, legg="C"), "unexpected keyword argument 'legg'; did you mean 'leg'"),
         (lambda: sandgait.walk(1, robot="tank"), 'robot "tank" is unknown'),
         (lambda: sandgait.walk(1, address="nowhere"), "address"),
         (lambda: sandgait.sweep({"mood": [1]}), 'parameter "mood" is unknown'),
@@ -358,8 +356,8 @@ def test_another_server(remote: RemoteServer) -> None:
         (lambda: sandgait.sweep({"xi": [1], "kp": [1], "chord": [0.04]}), "vary: a grid takes one or two"),
         (lambda: sandgait.sweep({"xi": [1]}, measure="joy"), 'measure "joy" is unknown'),
         (lambda: sandgait.sweep({"xi": [1]}, set={"kp": -1}), "kp: -1 is outside"),
-        (lambda: sandgait.diagnose("nowhere.csv", EXPERIMENT), "data: 'nowhere.csv' cannot be read"),
-        (lambda: sandgait.diagnose(LOG, "nowhere.toml"), "experiment: 'nowhere.toml' cannot be read"),
+        (lambda: sandgait.diagnose("nowhere.csv", EXPERIMENT), "nowhere.csv: No such file"),
+        (lambda: sandgait.diagnose(LOG, "nowhere.toml"), "nowhere.toml: No such file"),
         (lambda: sandgait.diagnose(LOG, {"kind": "digging"}), "experiment: .*digging"),
         (lambda: sandgait.diagnose(LOG, {**TABLES, "mood": 1}), "experiment: .*mood"),
         (lambda: sandgait.diagnose(pd.DataFrame({"trial": [1]}), EXPERIMENT), "data: "),
@@ -375,13 +373,13 @@ def test_wrong_use(call: Any, says: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_too_many_data_are_refused() -> None:
+def test_too_many_data_are_refused(remote: RemoteServer) -> None:
     class Large:
         def to_csv(self, index: bool) -> str:
-            return "x" * (64 * 2**20)
+            return "x" * (66 * 2**20)
 
-    with pytest.raises(sandgait.LimitReached, match="64 MiB are more than the 63 MiB"):
-        sandgait.diagnose(Large(), EXPERIMENT)
+    with pytest.raises(sandgait.LimitReached, match="bytes are more than this call takes"):
+        sandgait.diagnose(Large(), EXPERIMENT, address=remote.address)
 
 
 def test_extrapolated_sand_warns() -> None:
@@ -427,11 +425,13 @@ def test_figures_have_axes_units_and_legends(diagnosis: sandgait.Diagnosis) -> N
     assert [t.get_text() for t in forces.get_legend().get_texts()] == ["Fx L", "Fz L"]
     assert sandgait.walk([2, 1]).plot().get_xlabel() == "stride frequency [Hz]"
     grid = sandgait.sweep({"xi": [40, -40, 0], "frequency": [1, 2]}, progress=False)
-    heat = grid.plot()
-    assert (heat.get_xlabel(), heat.get_ylabel()) == ("frequency [Hz]", "xi [°]")
-    shown = np.asarray(heat.collections[0].get_array()).reshape(3, 2)
-    # Rows are in ascending order, whatever the order of the values: ξ = −40, 0, 40.
-    assert np.array_equal(shown, 100 * grid.speed.reshape(3, 2)[[1, 2, 0]])
+    lines = grid.plot()
+    assert (lines.get_xlabel(), lines.get_ylabel()) == ("frequency [Hz]", "forward speed [cm/s]")
+    assert np.array_equal(lines.lines[1].get_ydata(), 100 * grid.speed[2:4])
+    # The heat map is that of the command.
+    assert grid.figure.startswith("<svg")
+    assert "best" not in grid.figure
+    assert grid._repr_html_() == notebook.drawing(grid.figure, "speed of xi, frequency")
     lines = sandgait.sweep({"leg": ["L", "C"], "frequency": [1, 2]}, progress=False).plot("cost-of-transport")
     assert lines.get_ylabel() == "cost of transport"
     assert len(lines.get_legend().get_texts()) == 2

@@ -222,7 +222,7 @@ fn servers_that_would_be_open_by_mistake_are_refused() {
         (&[&["--listen", "unix:/nowhere/sock"][..], &tls].concat(), &["needs no TLS"]),
         (&[&["--listen", "unix:/nowhere/sock"][..], &own].concat(), &["--tls-self-signed", "needs no TLS"]),
         (&[&everywhere[..], &own, &["--token-file", token]].concat(), &["--tls-self-signed", "not an address"]),
-        (&[&own[..], &tls].concat(), &["--tls-self-signed", "cannot be used with"]),
+        (&[&own[..], &tls].concat(), &["--tls-self-signed", "cannot be given with"]),
         (&["--tls-self-signed", "/nowhere/certificate"], &["/nowhere/certificate"]),
     ];
     for (arguments, words) in cases {

@@ -230,10 +230,9 @@ pub fn parts<'py>(
     PyTuple::new(py, all)
 }
 
-/// f64 [n] of little-endian bytes.
-pub fn doubles<'py>(py: Python<'py>, bytes: &[u8]) -> PyResult<Bound<'py, PyAny>> {
-    let numbers: Vec<f64> = bytes.as_chunks().0.iter().map(|b| f64::from_le_bytes(*b)).collect();
-    array(py, Kind::F64, &[numbers.len()], &numbers)
+/// f64 in one dimension.
+pub fn doubles<'py>(py: Python<'py>, numbers: &[f64]) -> PyResult<Bound<'py, PyAny>> {
+    array(py, Kind::F64, &[numbers.len()], numbers)
 }
 
 /// Returns, lengths, terminated, truncated, observations, rewards and actions of a rollout.

@@ -26,6 +26,7 @@ mod values;
 mod wait;
 
 use pyo3::prelude::*;
+use sandgait::robots::Reading;
 use std::ffi::OsString;
 use std::path::PathBuf;
 
@@ -45,15 +46,17 @@ fn main(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
 
 /// A robot as one text, with notes on the parts of its description that were left out, and the time step that it needs
 /// [s] or None. `robot`: a file, a name, or `name=file`; `folders`: where packages with named robots may lie; `packages`:
-/// where the files of the description may lie.
+/// where the files of the description may lie; `inertia`: "plausible" or "file".
 #[pyfunction]
 fn pack_robot(
     py: Python<'_>,
     robot: String,
     folders: Vec<PathBuf>,
     packages: Vec<PathBuf>,
+    inertia: &str,
 ) -> PyResult<(String, Vec<String>, Option<f64>)> {
-    let packed = py.detach(|| sandgait::cli::pack_robot(&robot, &folders, packages));
+    let reading = reading(packages, inertia)?;
+    let packed = py.detach(|| sandgait::cli::pack_robot(&robot, &folders, &reading));
     packed.map(|packed| (packed.text, packed.notes, packed.dt)).map_err(|error| errors::raise(&error))
 }
 
@@ -71,9 +74,17 @@ fn check_robot(
     ground: Option<String>,
     folders: Vec<PathBuf>,
     packages: Vec<PathBuf>,
+    inertia: &str,
 ) -> PyResult<(String, Vec<String>)> {
-    let sheet = py.detach(|| sandgait::cli::check_robot(&robot, ground.as_deref(), &folders, packages));
+    let reading = reading(packages, inertia)?;
+    let sheet = py.detach(|| sandgait::cli::check_robot(&robot, ground.as_deref(), &folders, &reading));
     sheet.map_err(|error| errors::raise(&error))
+}
+
+/// How a description is read.
+fn reading(packages: Vec<PathBuf>, inertia: &str) -> PyResult<Reading> {
+    let inertia = inertia.parse().map_err(|error| errors::raise(&error))?;
+    Ok(Reading { packages, inertia })
 }
 
 /// The heights of a CSV or NPY as one text.
@@ -111,7 +122,7 @@ mod _native {
     #[pymodule_export]
     use super::remote::{Request, Response, Stream, close_session, create_session, describe_server, rollout};
     #[pymodule_export]
-    use super::studies::study;
+    use super::studies::{option_words, study};
     #[pymodule_export]
     use super::tables::describe;
     #[pymodule_export]

@@ -7,12 +7,12 @@ use crate::tables;
 use crate::values::keywords;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyMapping, PyTuple};
-use sandgait::client::{self, PATIENCE, ServerAddress, StudyEvent, call};
+use sandgait::client::{self, PATIENCE, ServerAddress, StudyCall, StudyEvent, call};
 use sandgait::service::from_json;
 use sandgait::service::proto::run_session_request::Request as SessionRequest;
 use sandgait::service::proto::run_session_response::Response as SessionResponse;
 use sandgait::service::proto::{self, RunSessionRequest, RunSessionResponse};
-use sandgait::service::studies::compute::{StudyRequest, StudyResult};
+use sandgait::study::StudyResult;
 use std::future::Future;
 use std::mem::ManuallyDrop;
 use std::pin::pin;
@@ -73,16 +73,16 @@ pub fn close_session(py: Python<'_>, address: Address, session_id: String, timeo
     drive(py, call::close_session(&place, session_id, Duration::from_secs_f64(timeout)))
 }
 
-/// A study on a server; an exception during the wait stops it there.
+/// A study on a server: its result, and its `about` as text. An exception during the wait stops it there.
 pub fn study(
     py: Python<'_>,
     address: Address,
-    study: StudyRequest,
+    call: StudyCall,
     told: Option<&Bound<'_, PyAny>>,
-) -> PyResult<StudyResult> {
+) -> PyResult<(StudyResult, String)> {
     let runtime = client::runtime().map_err(|e| raise(&e))?;
     let place = place(address);
-    let mut opening = Box::pin(client::study(&place, study));
+    let mut opening = Box::pin(client::study(&place, call));
     let mut events = loop {
         let (runtime, opening) = (&runtime, opening.as_mut());
         match py.detach(move || client::wait(runtime, opening, PATIENCE)) {
@@ -93,7 +93,7 @@ pub fn study(
     loop {
         let (runtime, events) = (&runtime, &mut events);
         match py.detach(move || client::wait(runtime, pin!(client::next(events)), PATIENCE)) {
-            Some(Some(Ok(StudyEvent::Done(outcome)))) => return Ok(outcome),
+            Some(Some(Ok(StudyEvent::Done(outcome, about)))) => return Ok((outcome, about)),
             Some(Some(Ok(StudyEvent::Progress(done, stage)))) => {
                 if let Some(told) = told {
                     told.call1((done, stage))?;

@@ -1,208 +1,98 @@
-//! Studies: requests as dicts with the names of the messages' fields. They run the same code as a client's
-//! messages.
+//! Studies by their names, with the words of the command line.
 
-use crate::errors::invalid;
+use crate::arrays;
+use crate::errors::raise;
 use crate::remote::{self, Address};
-use crate::tables::table;
 use crate::values::keywords;
 use crate::wait;
 use pyo3::prelude::*;
-use pyo3::types::PyMapping;
-use sandgait::service::from_json;
-use sandgait::service::proto::{self, diagnose_request, evaluate_request, trials_request};
-use sandgait::service::studies::compute::{StudyRequest, StudyResult};
+use pyo3::types::{PyBytes, PyMapping};
+use sandgait::client::StudyCall;
+use sandgait::study::{ColumnValues, Content, Inputs, StudyColumn, StudyResult, StudyTable, named};
+use std::collections::HashMap;
 
-/// Name and content.
-type File = (String, Vec<u8>);
-
-/// A parameter and the values it takes: numbers, or names in place of numbers.
-type Variation = (String, Vec<f64>, Vec<String>);
-
+/// What a study reads: the bytes of a file, or columns of a table with name, unit and f64.
 #[derive(FromPyObject)]
-#[pyo3(from_item_all)]
-struct Sand {
-    medium: Option<String>,
-    law: Option<String>,
-    file: Option<File>,
+pub enum Given {
+    File(Vec<u8>),
+    Table(Vec<(String, String, Vec<u8>)>),
 }
 
-#[derive(FromPyObject)]
-#[pyo3(from_item_all)]
-struct Robot {
-    name: Option<String>,
-    file: Option<File>,
-}
-
-#[derive(FromPyObject)]
-#[pyo3(from_item_all)]
-struct Intrude {
-    shape: String,
-    chord: f64,
-    width: f64,
-    hip_height: f64,
-    omega: f64,
-    sand: Sand,
-}
-
-/// Columns as bytes.
-#[derive(FromPyObject)]
-#[pyo3(from_item_all)]
-struct Trials {
-    shape: Option<String>,
-    mesh: Option<File>,
-    velocity: Vec<u8>,
-    spin: Vec<u8>,
-    depth: Vec<u8>,
-    load: Vec<u8>,
-    sand: Sand,
-    friction: Option<f64>,
-    plate_size: Option<f64>,
-}
-
-#[derive(FromPyObject)]
-#[pyo3(from_item_all)]
-struct Walk {
-    leg: Option<String>,
-    frequency: Vec<f64>,
-    engine: String,
-    sand: Sand,
-    slope_deg: f64,
-    dt: Option<f64>,
-    robot: Robot,
-}
-
-#[derive(FromPyObject)]
-#[pyo3(from_item_all)]
-struct Sweep {
-    vary: Vec<Variation>,
-    set: Vec<Variation>,
-    robot: Robot,
-    frequency: f64,
-    sand: Sand,
-    optimize: Option<String>,
-}
-
-#[derive(FromPyObject)]
-#[pyo3(from_item_all)]
-struct Evaluate<'py> {
-    onnx: Option<File>,
-    gait: Option<String>,
-    task_id: String,
-    options: Bound<'py, PyMapping>,
-    seeds: u32,
-    media: Vec<String>,
-    slopes: Vec<f64>,
-}
-
-#[derive(FromPyObject)]
-#[pyo3(from_item_all)]
-struct Diagnose<'py> {
-    data: File,
-    file: Option<File>,
-    values: Option<Bound<'py, PyMapping>>,
-}
-
-fn file((name, content): File) -> proto::File {
-    proto::File { name, content: content.into() }
-}
-
-fn variation((parameter, numbers, names): Variation) -> proto::Variation {
-    proto::Variation { parameter, numbers, names }
-}
-
-impl Sand {
-    fn message(self) -> Option<proto::Sand> {
-        Some(proto::Sand { medium: self.medium, law: self.law, file: self.file.map(file) })
+impl From<Given> for Content {
+    fn from(given: Given) -> Self {
+        match given {
+            Given::File(bytes) => Self::Bytes(bytes.into()),
+            Given::Table(columns) => {
+                let column = |(name, unit, bytes): (String, String, Vec<u8>)| {
+                    let numbers = bytes.as_chunks().0.iter().map(|b| f64::from_le_bytes(*b));
+                    StudyColumn::numbers(&name, &unit, numbers)
+                };
+                Self::Table(StudyTable::new("", columns.into_iter().map(column).collect()))
+            }
+        }
     }
 }
 
-impl Robot {
-    fn message(self) -> Option<proto::Robot> {
-        Some(proto::Robot { name: self.name, file: self.file.map(file) })
-    }
-}
-
-fn structure(given: &Bound<'_, PyMapping>) -> PyResult<Option<prost_types::Struct>> {
-    match from_json(&keywords(given)?).kind {
-        Some(prost_types::value::Kind::StructValue(fields)) => Ok(Some(fields)),
-        _ => Ok(None),
-    }
-}
-
-fn requested(name: &str, given: &Bound<'_, PyAny>) -> PyResult<StudyRequest> {
-    Ok(match name {
-        "Intrude" => {
-            let Intrude { shape, chord, width, hip_height, omega, sand } = given.extract()?;
-            let [chord, width, hip_height, omega] = [chord, width, hip_height, omega].map(Some);
-            StudyRequest::Intrude(proto::IntrudeRequest {
-                shape,
-                chord,
-                width,
-                hip_height,
-                omega,
-                sand: sand.message(),
-            })
-        }
-        "Trials" => {
-            let Trials { shape, mesh, velocity, spin, depth, load, sand, friction, plate_size } = given.extract()?;
-            let mesh = mesh.map(|mesh| trials_request::Body::Mesh(file(mesh)));
-            let body = mesh.or(shape.map(trials_request::Body::Shape));
-            let [spin, depth, load] = [spin, depth, load].map(|column| Some(column.into()));
-            let (velocity, sand) = (velocity.into(), sand.message());
-            let request = proto::TrialsRequest { body, velocity, spin, depth, load, sand, friction, plate_size };
-            StudyRequest::Trials(request)
-        }
-        "Walk" => {
-            let Walk { leg, frequency, engine, sand, slope_deg, dt, robot } = given.extract()?;
-            let (engine, sand, robot) = (Some(engine), sand.message(), robot.message());
-            StudyRequest::Walk(proto::WalkRequest { leg, frequency, engine, sand, slope_deg, dt, robot })
-        }
-        "Sweep" => {
-            let Sweep { vary, set, robot, frequency, sand, optimize } = given.extract()?;
-            let [vary, set] = [vary, set].map(|all| all.into_iter().map(variation).collect());
-            let (robot, frequency, sand) = (robot.message(), Some(frequency), sand.message());
-            StudyRequest::Sweep(proto::SweepRequest { vary, set, robot, frequency, sand, optimize })
-        }
-        "Evaluate" => {
-            let Evaluate { onnx, gait, task_id, options, seeds, media, slopes } = given.extract()?;
-            let onnx = onnx.map(|network| evaluate_request::Policy::Onnx(file(network)));
-            let policy = onnx.or(gait.map(evaluate_request::Policy::Gait));
-            let (options, seeds) = (structure(&options)?, Some(seeds));
-            StudyRequest::Evaluate(proto::EvaluateRequest { policy, task_id, options, seeds, media, slopes })
-        }
-        "Diagnose" => {
-            let Diagnose { data, file: given, values } = given.extract()?;
-            let tables = values.map(|values| structure(&values)).transpose()?.flatten();
-            let experiment = given.map(|given| diagnose_request::Experiment::File(file(given)));
-            let experiment = experiment.or(tables.map(diagnose_request::Experiment::Values));
-            StudyRequest::Diagnose(proto::DiagnoseRequest { data: Some(file(data)), experiment })
-        }
-        other => return Err(invalid("study", format!("{other:?} is unknown"))),
-    })
-}
-
-/// Study `name` at `place`, or in this process. Returns a table, or for a diagnosis its three files and the table
-/// of curves. `told` is called with the finished share and the stage; its exception stops the study.
+/// The study `name` with its arguments as words, at `place` or in this process. `files`: what is in memory; other files that
+/// the words name are read here. Returns summary, what the JSON form states beside the rows,
+/// warnings, tables, files, and files that the arguments name. `told` is
+/// called with the finished share and the stage; its exception stops the study.
 #[pyfunction]
-#[pyo3(signature = (place, name, request, told))]
+#[pyo3(signature = (place, name, words, files, told))]
 pub fn study<'py>(
     py: Python<'py>,
     place: Option<Address>,
     name: &str,
-    request: &Bound<'py, PyAny>,
-    told: Option<&Bound<'py, PyAny>>,
+    words: Vec<String>,
+    files: HashMap<String, Given>,
+    told: Option<&Bound<'_, PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let study = requested(name, request)?;
-    let outcome = match place {
-        None => wait::study(py, told, move |progress| study.compute(progress))?,
-        Some(place) => remote::study(py, place, study, told)?,
-    };
-    match outcome {
-        StudyResult::Table(made) => table(py, &made),
-        StudyResult::Diagnosis(diagnosis) => {
-            let proto::Diagnosis { report_json, report_html, sand_toml, curves, hardware_toml } = diagnosis;
-            let curves = table(py, &curves.unwrap_or_default())?;
-            Ok((report_json, report_html, sand_toml, hardware_toml, curves).into_pyobject(py)?.into_any())
+    // Options have the contents of their files already.
+    let mut inputs = Inputs::local(|_| Ok(()));
+    files.into_iter().for_each(|(name, given)| inputs.add(&name, given.into()));
+    let prepared = named(name).and_then(|entry| {
+        let study = entry.parse(&words)?;
+        study.read(&mut inputs)?;
+        Ok(study)
+    });
+    let study = prepared.map_err(|e| raise(&e))?;
+    let (result, about) = match place {
+        None => {
+            let result = wait::study(py, told, move |progress| study.check(&inputs)?.finish(progress))?;
+            let about = serde_json::Value::Object(result.about.clone()).to_string();
+            (result, about)
         }
-    }
+        Some(place) => {
+            let call = StudyCall { name: name.to_owned(), words, files: inputs.into_contents() };
+            remote::study(py, place, call, told)?
+        }
+    };
+    let StudyResult { summary, mut warnings, failure, tables, files, named_files, .. } = result;
+    warnings.extend(failure);
+    let tables = tables.iter().map(|table| columns(py, table)).collect::<PyResult<Vec<_>>>()?;
+    let [files, named] = [files, named_files]
+        .map(|all| all.into_iter().map(|file| (file.name, PyBytes::new(py, &file.content))).collect::<Vec<_>>());
+    Ok((summary, about, warnings, tables, files, named).into_pyobject(py)?.into_any())
+}
+
+/// Name and columns of a table, each with name, unit and numbers or names.
+fn columns<'py>(py: Python<'py>, table: &StudyTable) -> PyResult<(String, Vec<PyColumn<'py>>)> {
+    let column = |column: &StudyColumn| {
+        let values = match &column.values {
+            ColumnValues::Numbers(numbers) => arrays::doubles(py, numbers)?,
+            ColumnValues::Names(names) => arrays::names(py, names)?,
+        };
+        Ok((column.name.clone(), column.unit.clone(), values))
+    };
+    Ok((table.name.clone(), table.columns.iter().map(column).collect::<PyResult<_>>()?))
+}
+
+type PyColumn<'py> = (String, String, Bound<'py, PyAny>);
+
+/// Options of a task, each with its value as JSON.
+#[pyfunction]
+pub fn option_words(given: &Bound<'_, PyMapping>) -> PyResult<Vec<(String, String)>> {
+    let options = keywords(given)?;
+    let options = options.as_object().into_iter().flatten();
+    Ok(options.map(|(name, value)| (name.clone(), value.to_string())).collect())
 }

@@ -1,10 +1,8 @@
-//! Tables of tasks and studies, as tuples that Python converts to its own types.
+//! Tables of tasks, as tuples that Python converts to its own types.
 
-use crate::arrays::{doubles, names};
 use crate::errors::raise;
 use crate::values::python;
 use pyo3::prelude::*;
-use pyo3::types::PyList;
 use sandgait::env::registry::{Blueprint, TASK_IDS};
 use sandgait::service::proto;
 use serde_json::Value;
@@ -36,14 +34,4 @@ pub fn task<'py>(py: Python<'py>, task: &proto::Task) -> PyResult<Bound<'py, PyA
     let (terms, steps, rate) = numbers;
     let all = (&task.id, &task.summary, observation, action, info, terms, steps, rate, options);
     Ok(all.into_pyobject(py)?.into_any())
-}
-
-/// Columns, each with name, unit and numbers or names; and warnings.
-pub fn table<'py>(py: Python<'py>, table: &proto::Table) -> PyResult<Bound<'py, PyAny>> {
-    let mut columns = Vec::new();
-    for series in &table.columns {
-        let values = if series.names.is_empty() { doubles(py, &series.numbers)? } else { names(py, &series.names)? };
-        columns.push((&series.name, &series.unit, values));
-    }
-    Ok((PyList::new(py, columns)?, table.warnings.clone()).into_pyobject(py)?.into_any())
 }

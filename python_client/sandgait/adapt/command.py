@@ -9,15 +9,15 @@ from pathlib import Path
 
 from sandgait_deploy import Refused, policy_folder
 
-from ..command_line import CommandParser
+from ..command_line import CommandParser, unwritten
 from ..errors import SandgaitError
 from .loop import COEFFICIENT_SD, Request, adapt
 from .page import page, summary
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Exit code 0: there is a new policy, and its predicted gain is above 0; 1: nothing changed, or keep the old
-    policy; 2: something cannot be used, and nothing is written."""
+    """Exit code 0: there is a new policy, and its predicted gain is above 0; 1: nothing changed, keep the old policy,
+    or the results cannot be written after all; 2: something cannot be used, and nothing is written."""
     given = _parser().parse_args(arguments)
     folder = policy_folder(given.policy)
     out = given.out or folder.with_name(f"{folder.name}-adapted")
@@ -34,10 +34,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     try:
         adaptation = adapt(request, lambda stage: print(f"sandgait: {stage}", file=sys.stderr))
+        (out / "adapt.html").write_text(page(adaptation), encoding="utf-8")
+    except OSError as error:
+        print(f"sandgait: {unwritten(out, error)}", file=sys.stderr)
+        return 1
     except (Refused, SandgaitError) as error:
         print(f"sandgait: {error}", file=sys.stderr)
         return 2
-    (out / "adapt.html").write_text(page(adaptation), encoding="utf-8")
     print("\n".join(summary(adaptation)))
     return 0 if adaptation.adapted else 1
 

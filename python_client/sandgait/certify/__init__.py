@@ -1,7 +1,7 @@
 """`sandgait certify`: may a policy leave the simulator?
 
 The Controller of `sandgait.deploy` drives the robot in MuJoCo, an independent engine, on sand and on hard ground, with
-the latency, noise and motors of a real robot. `docs/deploy.md` explains the sheet. Needs `sandgait[deploy]`.
+the latency, noise and motors of a real robot. `docs/certify.md` explains the sheet. Needs `sandgait[deploy]`.
 """
 
 from __future__ import annotations

@@ -38,13 +38,14 @@ def of_wiring(job: Job, tried: Iterable[Wiring], told: Callable[[str], None]) ->
 
 def of_conditions(job: Job, told: Callable[[str], None]) -> Cause | None:
     """Takes away one imperfection of the robot at a time."""
-    ideal = Conditions(ground=job.conditions.ground, slope_deg=job.conditions.slope_deg)
+    ideal = Conditions()
     for field, words in (
         ("latency", f"without the latency of {1e3 * job.conditions.latency:.0f} ms"),
         ("noise", "without the noise of sensors"),
         ("motor_strength", "with motors of full strength"),
         ("payload", "without the payload"),
         ("friction", "with the ground's full friction"),
+        ("sand_strength", "with sand of the nominal strength"),
     ):
         value = getattr(ideal, field)
         if getattr(job.conditions, field) == value:
@@ -75,6 +76,7 @@ _REMEDIES = {
     "motor_strength": """--option 'domain_rand={"motor_strength_range": [0.7, 1.1]}'""",
     "payload": """--option 'domain_rand={"added_mass_range": [0, 0.3]}'""",
     "friction": """--option 'domain_rand={"friction_range": [0.4, 1.25]}'""",
+    "sand_strength": """--option 'domain_rand={"sand_range": [0.2, 4.3]}'""",
 }
 
 
@@ -123,9 +125,9 @@ def first_failure(
     policy: Policy, nominal: Job, tried: Job, walks: bool, own: Outcome, told: Callable[[str], None]
 ) -> Cause:
     """Why the policy does not hold. `nominal`: walks of a robot without imperfections, `walks`: do they hold; `tried`:
-    walks that do not hold; `own`: those in the simulator of the training."""
+    walks that do not hold; `own`: those in this simulator."""
     if not own.holds:
-        return Cause("task", f"in the simulator of its training it does not follow its commands either ({own.words})")
+        return Cause("task", f"in this simulator it does not follow its commands either ({own.words})")
     if walks:
         cause = of_conditions(replace(tried, commands=few(tried.commands)), told)
     else:

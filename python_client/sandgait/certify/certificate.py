@@ -8,12 +8,16 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from sandgait_deploy import Controller, Policy, Refused, Verification
 
+from .. import notebook
 from ..command_line import nine_commands
 from ..plant import Conditions
 from .causes import Cause, few, first_failure
-from .grid import Case, cases, sand_of
+from .grid import Case, cases
+from .ground import Ground, check_sands, ground_of
 from .walk import Command, Job, Line, Outcome, Wiring, all_outcomes, make_plant
 
 #: Latency of a robot that is not stated [s]: our choice, half a control step, for a bus, a driver and a computer.
@@ -36,6 +40,8 @@ class Request:
     seed: int = 0
     #: How the robot is wired, for tests: errors that its program does not know of.
     wiring: Wiring = field(default_factory=Wiring)
+    #: What the sheet calls the policy; empty: its folder.
+    shown: str = ""
 
 
 @dataclass(frozen=True)
@@ -44,8 +50,9 @@ class Certificate:
 
     policy: Policy
     request: Request
+    ground: Ground
     verification: Verification
-    #: Walks in the simulator of the training: on the ground of the verdict, and on hard ground.
+    #: Walks in this simulator: on the ground of the verdict, and on hard ground.
     engine: dict[str, tuple[Line, ...]]
     #: Walks in MuJoCo without imperfections, by ground.
     nominal: dict[str, Outcome]
@@ -61,6 +68,22 @@ class Certificate:
         """The verdict."""
         return not self.reasons
 
+    def _repr_html_(self) -> str:
+        """The verdict with its reasons, and a row for each case."""
+        from .sheet import verdict  # not above, because that module imports this one
+
+        *reasons, said = verdict(self)
+        names = [f"{case.what} {case.value}" for case, _ in self.grid]
+        columns = {
+            "case": names,
+            "required": ["yes" if case.required else "no" for case, _ in self.grid],
+            "holds": ["yes" if outcome.holds else "no" for _, outcome in self.grid],
+            "walk": [outcome.words for _, outcome in self.grid],
+        }
+        cases = notebook.table(list(columns), [np.array(column, dtype=str) for column in columns.values()])
+        stated = f"the robot as stated: {self.stated.words}" if self.nominal else "nothing was driven"
+        return "".join([notebook.title(said), *map(notebook.paragraph, [*reasons, stated]), cases if names else ""])
+
     def to_json(self) -> str:
         """All numbers as JSON."""
         rows = [
@@ -70,6 +93,7 @@ class Certificate:
         return json.dumps(
             {
                 "deploy": self.deploy,
+                "note": self.ground.note,
                 "reasons": list(self.reasons),
                 "cause": None if self.cause is None else asdict(self.cause),
                 "golden": str(self.verification),
@@ -87,7 +111,7 @@ def certify(request: Request, told: Callable[[str], None] = lambda _: None) -> C
     used."""
     controller = Controller(request.folder)
     policy = controller.policy
-    ground = sand_of(policy, request.ground)
+    ground = ground_of(policy, request.ground)
     if not request.robot.is_file():
         raise Refused(f"robot: {request.robot} is no file; give the MJCF or URDF with which the policy was trained")
     make_plant(policy, request.robot, Conditions(), request.seed)  # refuses a file that is not this robot
@@ -96,35 +120,37 @@ def certify(request: Request, told: Callable[[str], None] = lambda _: None) -> C
         worst = next(b for b in verification.boundaries if not b.holds)
         broken = Cause("contract", f"policy.json and the golden trace disagree at the boundary {worst.name}: {worst}")
         reason = "the golden trace of the training is not reproduced, so nothing was driven"
-        return Certificate(policy, request, verification, {}, {}, Outcome(Conditions(), ()), (), broken, (reason,))
-    told("the simulator of the training")
-    engine = {name: _own(policy, name) for name in dict.fromkeys((ground, "rigid"))}
-    commands = tuple(line.command for line in engine[ground])
-    stated = Conditions(
-        ground=ground,
+        empty = Outcome(ground.conditions(), ())
+        return Certificate(policy, request, ground, verification, {}, {}, empty, (), broken, (reason,))
+    stated = ground.conditions(
         latency=request.latency,
         noise=request.noise,
         motor_strength=request.motor_strength,
         payload=request.payload,
     )
     rows = cases(policy, stated, request.quick)
+    check_sands(case.conditions for case in rows)
+    told("this simulator")
+    grounds = {one.name: one for one in (ground, Ground("rigid", ground.law))}
+    engine = {name: _own(policy, one) for name, one in grounds.items()}
+    commands = tuple(line.command for line in engine[ground.name])
 
     def job(conditions: Conditions, of: tuple[Command, ...]) -> Job:
         return Job(str(request.folder), str(request.robot), conditions, of, request.seed, request.wiring)
 
-    walks = [*(job(Conditions(ground=name), commands) for name in engine), job(stated, commands)]
+    walks = [*(job(one.conditions(), commands) for one in grounds.values()), job(stated, commands)]
     jobs = [*walks, *(job(case.conditions, few(commands)) for case in rows)]
     made = all_outcomes(jobs, lambda done, count: told(f"MuJoCo: {done} of {count}"), request.processes)
     nominal, outcome = dict(zip(engine, made, strict=False)), made[len(engine)]
     grid = tuple(zip(rows, made[len(walks) :], strict=True))
-    reasons = _reasons(engine[ground], nominal[ground], outcome, grid)
+    reasons = _reasons(engine[ground.name], nominal[ground.name], outcome, grid)
     cause = None
     if reasons:
-        own = Outcome(Conditions(), engine[ground])
+        own = Outcome(Conditions(), engine[ground.name])
         failing = next((jobs[len(walks) + k] for k, (c, o) in enumerate(grid) if c.required and not o.holds), None)
         tried = walks[-1] if not outcome.holds or failing is None else failing
-        cause = first_failure(policy, walks[0], tried, nominal[ground].holds, own, told)
-    return Certificate(policy, request, verification, engine, nominal, outcome, grid, cause, reasons)
+        cause = first_failure(policy, walks[0], tried, nominal[ground.name].holds, own, told)
+    return Certificate(policy, request, ground, verification, engine, nominal, outcome, grid, cause, reasons)
 
 
 def _reasons(
@@ -137,7 +163,7 @@ def _reasons(
     reasons = []
     trained = Outcome(Conditions(), own)
     if not trained.holds:
-        reasons.append(f"in the simulator of its training it does not follow its commands: {trained.words}")
+        reasons.append(f"in this simulator it does not follow its commands: {trained.words}")
     if not nominal.holds:
         reasons.append(f"in MuJoCo, without any imperfection, it does not hold: {nominal.words}")
     if not stated.holds:
@@ -148,9 +174,9 @@ def _reasons(
     return tuple(reasons)
 
 
-def _own(policy: Policy, ground: str) -> tuple[Line, ...]:
-    """The nine commands in the simulator of the training, as `sandgait evaluate --commands` plays them."""
-    return tuple(_line(line) for line in nine_commands(policy.network, f"ground={ground}"))
+def _own(policy: Policy, ground: Ground) -> tuple[Line, ...]:
+    """The nine commands in this simulator, as `sandgait evaluate --commands` plays them."""
+    return tuple(_line(line) for line in nine_commands(policy.network, ground.options()))
 
 
 def _line(line: dict[str, Any]) -> Line:

@@ -4,36 +4,38 @@ from __future__ import annotations
 
 import argparse
 import sys
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
 from sandgait_deploy import Refused, policy_folder
 
-from ..command_line import CommandParser
+from ..command_line import CommandParser, check_file, unwritten
 from ..errors import SandgaitError
+from ..foreign import import_policy, read_description
 from .certificate import LATENCY, Request, certify
 from .page import page
 from .sheet import sheet
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Exit code 0: deploy; 1: do not deploy; 2: policy, robot or an argument cannot be used, and nothing is written."""
+    """Exit code 0: deploy; 1: do not deploy, or the page cannot be written after all; 2: policy, robot or an argument
+    cannot be used, and nothing is written."""
     given = _parser().parse_args(arguments)
     try:
-        request = _request(given)
-        certificate = certify(request, _Told())
+        with tempfile.TemporaryDirectory() as folder:
+            certificate = certify(_request(given, Path(folder)), _Told())
     except (Refused, SandgaitError) as error:
         print(f"sandgait: {error}", file=sys.stderr)
         return 2
     print(sheet(certificate), end="")
-    try:
-        if given.out:
-            given.out.write_text(page(certificate), encoding="utf-8")
-        if given.json:
-            given.json.write_text(certificate.to_json() + "\n", encoding="utf-8")
-    except OSError as error:
-        print(f"sandgait: {error}", file=sys.stderr)
-        return 2
+    for path, text in ((given.out, page(certificate)), (given.json, certificate.to_json() + "\n")):
+        try:
+            if path:
+                path.write_text(text, encoding="utf-8")
+        except OSError as error:
+            print(f"sandgait: {unwritten(path, error)}", file=sys.stderr)
+            return 1
     return 0 if certificate.deploy else 1
 
 
@@ -43,9 +45,15 @@ def _parser() -> argparse.ArgumentParser:
         "Drives a robot by its policy in MuJoCo, on sand and on hard ground, and says whether it may leave "
         "the simulator. Exit code 0: deploy; 1: do not deploy.",
     )
-    parser.add_argument("policy", type=Path, help="the folder that sandgait train wrote, or its policy.onnx")
-    parser.add_argument("--robot", type=Path, required=True, help="the robot's MJCF or URDF file, for MuJoCo")
-    parser.add_argument("--ground", help="rigid or a medium [default: the ground of the training]")
+    parser.add_argument(
+        "policy",
+        type=Path,
+        help="the folder that sandgait train wrote, or its policy.onnx, or the TOML file of a foreign policy",
+    )
+    parser.add_argument(
+        "--robot", type=Path, help="the robot's MJCF or URDF file, for MuJoCo [default: that of the TOML file]"
+    )
+    parser.add_argument("--ground", help="rigid, a medium or a sand.toml [default: that of the training]")
     parser.add_argument(
         "--latency", type=float, default=LATENCY, metavar="S", help="from a reading to the motors [%(default)s]"
     )
@@ -65,7 +73,8 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _request(given: argparse.Namespace) -> Request:
+def _request(given: argparse.Namespace, temporary: Path) -> Request:
+    """`temporary`: an empty folder, for a foreign policy."""
     for name, value, low, high in (
         ("latency", given.latency, 0.0, 0.5),
         ("noise", given.noise, 0.0, 100.0),
@@ -76,12 +85,12 @@ def _request(given: argparse.Namespace) -> Request:
         if not low <= value <= high:
             raise Refused(f"--{name}: {value} is outside [{low:g}, {high:g}]")
     for path in (given.out, given.json):
-        if path is not None and not path.parent.is_dir():
-            raise Refused(f"{path}: its folder does not exist; make it first")
-    folder = policy_folder(given.policy)
+        if path is not None:
+            check_file(path)
+    folder, robot = _policy(given, temporary)
     return Request(
         folder=folder,
-        robot=given.robot,
+        robot=robot,
         ground=given.ground,
         latency=given.latency,
         noise=given.noise,
@@ -89,7 +98,22 @@ def _request(given: argparse.Namespace) -> Request:
         payload=given.payload,
         quick=given.quick,
         processes=given.jobs,
+        shown=str(given.policy) if _is_foreign(given.policy) else "",
     )
+
+
+def _is_foreign(policy: Path) -> bool:
+    return policy.suffix == ".toml"
+
+
+def _policy(given: argparse.Namespace, temporary: Path) -> tuple[Path, Path]:
+    """The folder of the policy, which for a foreign one is made, and the robot's file."""
+    if _is_foreign(given.policy):
+        robot: Path = given.robot or read_description(given.policy).robot
+        return import_policy(given.policy, temporary), robot
+    if given.robot is None:
+        raise Refused("--robot: is missing; give the MJCF or URDF with which the policy was trained")
+    return policy_folder(given.policy), given.robot
 
 
 class _Told:

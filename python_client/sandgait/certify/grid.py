@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from sandgait_deploy import Policy, Refused
+from sandgait_deploy import Policy
 
-from .. import _native
-from ..errors import InvalidRequest
 from ..plant import Conditions
-from ..sand import Sand
 
 #: Factors on the nominal sand's strength that are tried. 95 pushes of a robot's leg into dunes differed by a factor of
 #: 18 between the 10th and the 90th percentile; these span this factor.
@@ -20,16 +17,6 @@ MOTORS = (0.9, 0.8, 0.7)
 LATENCIES = (0.0, 0.01, 0.02, 0.03, 0.04, 0.06)
 NOISES = (0.0, 1.0, 2.0)
 FRICTIONS = (0.5, 0.75)
-
-#: ζ of the named media [N/cm³] (docs/physics.md); of others it is not known.
-ZETA = {
-    "poppy-loose": 0.254,
-    "poppy-close": 0.464,
-    "glass-beads": 0.33,
-    "plastic-pellets": 0.111,
-    "quikrete-medium": 2.02,
-    "quikrete-fine": 3.05,
-}
 
 
 @dataclass(frozen=True)
@@ -42,26 +29,6 @@ class Case:
     required: bool = False
 
 
-def sand_of(policy: Policy, ground: str | None) -> str:
-    """The ground on which the policy must walk: the given one, or that of its training."""
-    name = ground or str(policy.trained_with["ground"])
-    if name in ("dunes", "mixed"):
-        name = "poppy-loose"  # their sand (docs/tasks/LeggedVelocity-v1.md)
-    if name != "rigid":
-        try:
-            Sand(name)
-        except (InvalidRequest, _native.StatusError) as error:
-            raise Refused(f"ground: {error}; or rigid") from None
-    return name
-
-
-def zeta(ground: str) -> float | None:
-    """ζ of a medium [N/cm³]; None if it is not known."""
-    if ground.startswith("zeta="):
-        return float(ground.removeprefix("zeta="))
-    return ZETA.get(ground)
-
-
 def cases(policy: Policy, stated: Conditions, quick: bool) -> list[Case]:
     """What is tried one at a time around the robot as it is `stated`. Required are those that the training drew."""
     drawn = policy.trained_with.get("domain_rand") or {}
@@ -70,14 +37,13 @@ def cases(policy: Policy, stated: Conditions, quick: bool) -> list[Case]:
     def add(what: str, text: str, required: bool = False, **changes: object) -> None:
         found.append(Case(what, text, replace(stated, **changes), required))  # type: ignore[arg-type]
 
-    strength = zeta(stated.ground)
-    if strength is not None:
-        trained = [f for f in drawn.get("sand_range", ()) if f != 1.0]
-        for factor in sorted({*trained, *(() if quick else SANDS)}):
-            add("sand's strength", f"× {factor:.2f}", factor in trained, ground=f"zeta={strength * factor:.4g}")
-    else:
+    if stated.ground == "rigid":
         for factor in () if quick else FRICTIONS:
             add("friction of the ground", f"× {factor:g}", friction=factor)
+    else:
+        trained = [f for f in drawn.get("sand_range", ()) if f != 1.0]
+        for factor in sorted({*trained, *(() if quick else SANDS)}):
+            add("sand's strength", f"× {factor:.2f}", factor in trained, sand_strength=factor)
     for degrees in () if quick else SLOPES:
         add("slope", f"{degrees:+g}°", slope_deg=degrees)
     mass = max([0.0, *drawn.get("added_mass_range", ())])

@@ -27,6 +27,7 @@ def page(certificate: Certificate) -> str:
     said = [html.escape(line) for line in verdict(c)]
     kind = "yes" if c.deploy else "no"
     parts = [
+        *([f"<p class='no'>Note: {html.escape(c.ground.note)}.</p>"] if c.ground.note else []),
         f"<h1 class='{kind}'>{said[-1]}</h1>",
         *(f"<p>{line}</p>" for line in said[:-1]),
         "<h2>Nine commands</h2>",

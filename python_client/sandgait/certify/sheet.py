@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from ..grounds import ground_name
 from .certificate import Certificate, ranges
 from .walk import FOLLOWS, Line, Outcome
 
@@ -12,7 +13,8 @@ def sheet(certificate: Certificate) -> str:
     """One page of text; the last line is the verdict."""
     c = certificate
     lines = [
-        f"{c.policy.task}, {c.policy.robot['name']}, {c.policy.folder}",
+        *([f"note: {c.ground.note}"] if c.ground.note else []),
+        f"{c.policy.task}, {c.policy.robot['name']}, {c.request.shown or c.policy.folder}",
         *([f"robot as stated: {_stated(c.stated)}"] if c.nominal else []),
         "",
         *(f"golden trace, {line}" for line in str(c.verification).splitlines()),
@@ -49,8 +51,8 @@ def verdict(c: Certificate) -> list[str]:
 def _stated(outcome: Outcome) -> str:
     s = outcome.conditions
     return (
-        f"ground {s.ground}, latency {1e3 * s.latency:.0f} ms, noise × {s.noise:g}, motors × {s.motor_strength:g}, "
-        f"payload {100 * s.payload:.0f} %"
+        f"ground {ground_name(s.ground)}, latency {1e3 * s.latency:.0f} ms, noise × {s.noise:g}, "
+        f"motors × {s.motor_strength:g}, payload {100 * s.payload:.0f} %"
     )
 
 

@@ -169,6 +169,26 @@ def outcome(job: Job) -> Outcome:
     return Outcome(job.conditions, tuple(lines), most(torque), most(plant.most_speed), most(load))
 
 
+def record(job: Job, log: Path, seconds: float = 5.0) -> bool:
+    """Writes the log of a robot that follows the job's commands one after another, for so many seconds each, as its
+    Controller writes it; between two of them it stops and stands. Returns whether it did not fall."""
+    with Controller(job.folder, quaternion="wxyz", log=log) as controller:
+        policy = controller.policy
+        plant = make_plant(policy, job.robot, job.conditions, job.seed)
+        wires, period = _Wires(policy, plant, job.wiring), 1.0 / policy.rate
+        _rise(controller, plant, wires)
+        for command in job.commands:
+            if controller.state != "standing":
+                return False
+            controller.walk()
+            for _ in range(round(seconds / period)):
+                wires.drive(controller.step(wires.readings(), command, now=plant.time), period)
+            controller.stop()
+            while controller.state in ("stopping", "rising"):
+                wires.drive(controller.step(wires.readings(), now=plant.time), period)
+        return controller.state == "standing"
+
+
 class _Wires:
     """What the controller gets from the plant, and the plant from the controller."""
 
@@ -192,27 +212,28 @@ class _Wires:
             read[name] = self._plant.to_world(read[name])
         return read
 
-    def drive(self, output: Any, seconds: float) -> None:
+    def drive(self, output: Any, seconds: float, held: bool = False) -> None:
         def wired(values: Any) -> Any:
             out = np.empty(len(values))
             out[self._targets] = values
             return out
 
         targets = None if output.targets is None else wired(output.targets)
-        self._plant.drive(targets, wired(output.stiffness), wired(output.damping), seconds)
+        self._plant.drive(targets, wired(output.stiffness), wired(output.damping), seconds, held)
 
 
 def _rise(controller: Controller, plant: Plant, wires: _Wires) -> None:
-    """Held by hand while the readings are checked, then rising to the default pose."""
+    """Held by hand while the readings are checked, then rising to the default pose. A robot on two feet hangs in a
+    gantry until it walks, because a stiff pose does not balance it."""
     policy = controller.policy
-    period = 1.0 / policy.rate
+    period, held = 1.0 / policy.rate, len(policy.robot["feet"] or ()) == 2
     plant.reset({servo.joint: servo.default for servo in policy.servos})
     for _ in range(CHECKS):
         controller.step(wires.readings(), now=plant.time)
         plant.wait(period)
     controller.stand()
     for _ in range(round(_RISES * policy.rate)):
-        wires.drive(controller.step(wires.readings(), now=plant.time), period)
+        wires.drive(controller.step(wires.readings(), now=plant.time), period, held)
         if controller.state != "rising":
             return
 

@@ -5,11 +5,12 @@
 //! is the distance of the two in standard deviations. All of this depends on the motions and on the experiment file alone.
 
 use crate::fit::slope;
+use crate::gram::gram;
 use crate::noise::{ChannelNoise, Noise, NoiseClock, NoiseData, sizes_of};
-use crate::nuisance::stated;
+use crate::nuisance::{Nuisance, kind};
 use crate::sand::mechanism::CATALOG;
 use crate::series::root_mean_square;
-use crate::shared::{Uncertainty, gram};
+use crate::shared::Uncertainty;
 use crate::study::FitInputs;
 use crate::whiten::Whitener;
 use nalgebra::DMatrix;
@@ -144,15 +145,15 @@ fn effects(study: &FitInputs, uncertainty: &Uncertainty) -> Effects {
     };
     let whitener = Whitener::new(&source, &noise);
     // A mechanism of the sensor that is a nuisance, too, is only listed as a nuisance.
-    let tested = model
-        .testable()
-        .into_iter()
-        .filter(|(id, why)| why.is_none() && stated(&study.nuisances, CATALOG[*id].id).is_none());
+    let answer = |n: &Nuisance| kind(n.id).map(|kind| kind.answer(n.of.as_deref()));
+    let stated = |id: usize| study.nuisances.iter().any(|n| answer(n) == Some(CATALOG[id].id));
+    let tested = model.testable().into_iter().filter(|(id, why)| why.is_none() && !stated(*id));
     let causes: Vec<usize> = tested.map(|t| t.0).collect();
     let sands: Vec<_> = causes.iter().map(|&id| (plain_sand.0.with(id, CATALOG[id].typical), plain_sand.1)).collect();
     let moved = model.predict_many(&sands);
-    let mut columns: Vec<Vec<f64>> = moved.iter().map(|m| whitener.apply(&slope(m, plain, 1.0))).collect();
-    columns.extend(study.marginal_slopes[0].iter().map(|slope| whitener.apply(slope)));
-    let nuisances = study.nuisances.iter().map(|n| n.id.clone()).collect();
+    let mut columns = whitener.apply_all(&moved.iter().map(|m| slope(m, plain, 1.0)).collect::<Vec<_>>());
+    columns.extend(whitener.apply_all(&study.marginal_slopes[0]));
+    let name = |n: &Nuisance| n.of.as_ref().map_or_else(|| n.id.to_owned(), |of| format!("{}_{of}", n.id));
+    let nuisances = study.nuisances.iter().map(name).collect();
     Effects { causes, nuisances, products: gram(&columns) }
 }

@@ -6,7 +6,7 @@ use super::windows::{BINS, Window};
 use crate::experiment::Experiment;
 use crate::fit::slope;
 use crate::forward::{Feature, ForwardModel, Menu, SandParameters, Testable, stronger};
-use crate::nuisance::Nuisance;
+use crate::nuisance::{Nuisance, NuisanceState};
 use crate::sand::SandDescription;
 use crate::sand::mechanism::CATALOG;
 use crate::shared::Uncertainty;
@@ -65,10 +65,14 @@ impl ForwardModel for TrajectoryModel<'_> {
         Uncertainty { shared: Vec::new(), common, own }
     }
 
-    fn nuisances(&self, sand: &SandParameters, values: &[(String, f64)]) -> Vec<Nuisance> {
+    fn nuisances(&self, sand: &SandParameters, values: &[NuisanceState]) -> Vec<Nuisance> {
         let here = self.predict(sand);
-        let tracks = self.tracks(&[*sand], 0.0, 1.0).swap_remove(0);
-        let mut all = self.mounting(&tracks, values);
+        let replays = self.replays.of(sand, || {
+            let tracks = self.tracks(&[*sand], 0.0, 1.0).swap_remove(0);
+            (tracks, self.replayed(sand, MASS_STEP, 1.0, &self.hardware))
+        });
+        let (tracks, heavier) = &*replays;
+        let mut all = self.mounting(tracks, values);
         // A wrong torque constant changes the logged torques of a given motion. The ratio of logged to requested torques is
         // a separate nuisance, because if a drive also computes with the wrong constant, the logged torque equals the
         // requested torque.
@@ -77,12 +81,13 @@ impl ForwardModel for TrajectoryModel<'_> {
         for (id, own) in gains.into_iter().filter(|g| !g.1.is_empty()) {
             let of = |(k, v): (usize, &f64)| if own.contains(&(k % self.span() / BINS)) { *v } else { 0.0 };
             let gain = here.iter().enumerate().map(of).collect();
-            all.push(Nuisance::linear(id.into(), "1", self.prior(id), gain));
+            all.push(Nuisance::linear(id, "1", self.prior(id), gain));
         }
         all.push(self.friction(self.torque_rms(&here)));
-        let by_mass = slope(&self.replayed(sand, MASS_STEP, 1.0, &self.hardware), &here, MASS_STEP);
-        all.push(Nuisance::linear("mass".into(), "1", self.prior("mass"), by_mass));
-        all.retain(|n| n.sd > 0.0 && !self.is_given(&n.id));
+        let mass = self.mass();
+        let by_mass = slope(heavier, &here, MASS_STEP * mass);
+        all.push(Nuisance::linear("payload", "kg", self.prior("payload") * mass, by_mass));
+        all.retain(|n| n.sd > 0.0 && !self.is_given(n.id, n.of.as_deref()));
         all
     }
 

@@ -94,7 +94,7 @@ fn rows(
 ) {
     let mut states: Vec<State> = Vec::new();
     let mut watch = Watch { rate: 1000.0, see: &mut |_, state| states.push(state.clone()) };
-    walk_watched(EngineKind::Rapier, trial, &mut watch).unwrap();
+    walk_watched(EngineKind::Rapier, trial, &|_| Ok(()), &mut watch).unwrap();
     let joints = trial.model.joints();
     let imu = [0.01, 0.0, 0.0];
     let (model, drive) = (&trial.model, ReplayedJoint::still(joints, 1e-3));

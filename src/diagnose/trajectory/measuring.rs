@@ -8,7 +8,7 @@ use super::sensors::{LoggedHardware, Mounting};
 use super::servo;
 use super::windows::{BINS, Integral};
 use crate::fit::slope;
-use crate::nuisance::Nuisance;
+use crate::nuisance::{Nuisance, NuisanceState, Priors, estimate};
 use crate::series::{central_difference, root_mean_square};
 
 /// Steps of the IMU's rotation [rad] and delay [s] for derivatives: our choices, small against the priors.
@@ -59,21 +59,21 @@ impl TrajectoryModel<'_> {
     }
 
     pub(super) fn friction(&self, rms: f64) -> Nuisance {
-        Nuisance::linear("friction".into(), "N·m", self.prior("friction") * rms, self.moving.clone())
+        Nuisance::linear("friction", "N·m", self.prior("friction") * rms, self.moving.clone())
     }
 
     /// Rotation, lag and blur of the IMU, linearised at `values`. The lag is the mean of the IMU's impulse response over time, the blur
     /// its variance (Elmore, J. Appl. Phys. 19, 1948): a delay adds to the mean alone, a first-order filter of time constant T adds T to
     /// the mean and T² to the variance. The effects of these quantities are not linear. So the first nuisance also contains, in its
     /// `bend`, the effect at `values` minus the linear terms from 0.
-    pub(super) fn mounting(&self, tracks: &[Signals], values: &[(String, f64)]) -> Vec<Nuisance> {
-        // Name, unit, kind of the prior, and step of the derivative.
-        const ALL: [(&str, &str, &str, f64); 5] = [
-            ("imu_rotation_x", "rad", "imu_rotation", TURN_STEP),
-            ("imu_rotation_y", "rad", "imu_rotation", TURN_STEP),
-            ("imu_rotation_z", "rad", "imu_rotation", TURN_STEP),
-            ("imu_delay", "s", "imu_delay", DELAY_STEP),
-            ("imu_blur", "s²", "imu_blur", BLUR_STEP),
+    pub(super) fn mounting(&self, tracks: &[Signals], values: &[NuisanceState]) -> Vec<Nuisance> {
+        // Id, axis, and step of the derivative.
+        const ALL: [(&str, Option<&str>, f64); 5] = [
+            ("imu_rotation", Some("x"), TURN_STEP),
+            ("imu_rotation", Some("y"), TURN_STEP),
+            ("imu_rotation", Some("z"), TURN_STEP),
+            ("imu_delay", None, DELAY_STEP),
+            ("imu_blur", None, BLUR_STEP),
         ];
         let given = self.hardware.mounting;
         // Limits the delay: the simulation ends `BEYOND` after the window, and a log is early by at most 10 ms: our
@@ -84,20 +84,24 @@ impl TrajectoryModel<'_> {
             let turn = [0, 1, 2].map(|k| given.turn[k] + v[k]);
             Mounting { turn, delay: given.delay + delay, low_pass: given.low_pass + low_pass }
         };
-        let at = ALL.map(|(name, ..)| values.iter().find(|v| v.0 == name).map_or(0.0, |v| v.1));
+        let at = ALL.map(|(id, axis, _)| estimate(values, id, axis));
         let here = self.read(tracks, mounted(at));
         let mut bend = slope(&here, &self.read(tracks, given), 1.0);
         let mut all = Vec::new();
-        for (k, (name, unit, prior, step)) in ALL.into_iter().enumerate() {
-            let sd = self.prior(prior);
-            if sd == 0.0 || self.is_given(name) {
+        for (k, (id, axis, step)) in ALL.into_iter().enumerate() {
+            let sd = self.prior(id);
+            if sd == 0.0 || self.is_given(id, axis) {
                 continue;
             }
             let mut moved = at;
-            moved[k] = if name == "imu_blur" { at[k].max(0.0) } else { at[k] } + step;
+            moved[k] = if id == "imu_blur" { at[k].max(0.0) } else { at[k] } + step;
             let rate = slope(&self.read(tracks, mounted(moved)), &here, step);
             bend.iter_mut().zip(&rate).for_each(|(b, r)| *b -= at[k] * r);
-            all.push(Nuisance::linear(name.into(), unit, sd, rate));
+            let own = Nuisance::linear(id, Priors::unit(id), sd, rate);
+            all.push(match axis {
+                Some(axis) => own.of(axis),
+                None => own,
+            });
         }
         if !all.is_empty() {
             let first = all.remove(0).bent(bend);

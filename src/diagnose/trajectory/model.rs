@@ -1,15 +1,15 @@
 //! The model of a robot's log: predicts what its sensors read while its joints move as logged.
 
 use super::log::Run;
-use super::replay::{ReplayRobot, ReplayedJoint};
+use super::replay::{ReplayRobot, ReplayedJoint, Signals};
 use super::sensors::{Layout, LoggedHardware};
 use super::servo::{self, RequestedTorques};
 use super::windows::{BINS, Integral, Window, bins, windows};
 use crate::error::{Error, Result};
 use crate::experiment::Experiment;
-use crate::forward::ForwardModel;
+use crate::forward::{ForwardModel, SandParameters};
 use crate::hardware::{TORQUE_CONSTANT, TORQUE_LIMIT, quantities_of};
-use crate::known::Known;
+use crate::known::{Known, Recent};
 use crate::observations::{Channel, Observations, Size};
 use crate::progress::Latch;
 use crate::sim::model::Scene;
@@ -38,6 +38,8 @@ pub struct TrajectoryModel<'a> {
     /// See [`Self::moving`].
     pub(super) moving: Vec<f64>,
     pub(super) known: Known<Vec<f64>>,
+    /// For the last sands the replay and the predicted numbers of a heavier robot, which nuisances are asked for again and again.
+    pub(super) replays: Recent<SandParameters, (Vec<Signals>, Vec<f64>)>,
 }
 
 impl<'a> TrajectoryModel<'a> {
@@ -97,6 +99,7 @@ impl<'a> TrajectoryModel<'a> {
             asked: None,
             moving: Vec::new(),
             known: Known::up_to(KNOWN),
+            replays: Recent::up_to(2),
             latch,
             experiment,
             runs,
@@ -109,8 +112,8 @@ impl<'a> TrajectoryModel<'a> {
     }
 
     /// Does the experiment file state the hardware that a nuisance changes?
-    pub(super) fn is_given(&self, nuisance: &str) -> bool {
-        quantities_of(nuisance).iter().any(|path| self.experiment.given.hardware.value(path).is_some())
+    pub(super) fn is_given(&self, nuisance: &str, axis: Option<&str>) -> bool {
+        quantities_of(nuisance, axis).iter().any(|path| self.experiment.given.hardware.value(path).is_some())
     }
 
     /// Prior standard deviation of a kind of nuisances.

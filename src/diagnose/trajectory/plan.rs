@@ -61,7 +61,14 @@ impl TrajectoryModel<'_> {
         let (mut runs, mut bodies, mut descriptions) = (Vec::new(), Vec::new(), Vec::new());
         for frequency in offered {
             for slope_deg in SLOPES_DEG {
-                for leg in &legs {
+                // Walks of the log, within a tenth of the frequency and 2° of the slope (our choices), are not proposed.
+                let made = |leg: &Option<String>| {
+                    let frequencies = self.runs.iter().zip(&known);
+                    let mut own =
+                        frequencies.filter(|(run, _)| run.leg == *leg && (run.slope_deg - slope_deg).abs() <= 2.0);
+                    own.any(|(_, f)| (f.abs() - frequency).abs() <= 0.1 * frequency)
+                };
+                for leg in legs.iter().filter(|leg| !made(leg)) {
                     bodies.push(self.bodies[0].with_leg(leg.as_deref()).ok()?);
                     descriptions.push(words(*frequency, slope_deg, leg.as_deref()));
                     runs.push(walk(&self.runs[0], frequency.copysign(known[0]), slope_deg, leg.clone()));

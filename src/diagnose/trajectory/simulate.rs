@@ -45,6 +45,12 @@ impl TrajectoryModel<'_> {
         (0..self.runs.len()).map(of).collect()
     }
 
+    /// Mass of the robot as described [kg].
+    pub(super) fn mass(&self) -> f64 {
+        let models = self.models(&self.plain_sand(), 0.0, Scene::DEFAULT_DT);
+        models.ok().and_then(|all| all.first().map(Model::total_mass)).unwrap_or(1.0)
+    }
+
     /// Tracks of several states, state by state and window by window. `payload` is given as a share of the robot's mass; the time step
     /// is divided by `finer`.
     pub(super) fn tracks(&self, states: &[SandParameters], payload: f64, finer: f64) -> Vec<Vec<Signals>> {

@@ -1,6 +1,7 @@
 //! The ranges that an episode of LeggedVelocity draws from.
 
 use crate::options;
+use crate::spec::CONTROL_RATE;
 use serde::{Deserialize, Serialize};
 use std::ops::RangeInclusive;
 
@@ -30,6 +31,26 @@ pub struct Draws {
     pub rand: DomainRand,
     /// Longest episode [control steps].
     pub steps: u32,
+}
+
+/// Largest number of commands, and of pushes, that an episode draws; after that they repeat. Our choice: with the default
+/// time between two commands they last 17 minutes.
+pub(super) const MOST: usize = 100;
+
+impl Draws {
+    /// Numbers of commands and of pushes in an episode.
+    pub fn counts(&self) -> [usize; 2] {
+        let seconds = f64::from(self.steps) / CONTROL_RATE;
+        let within =
+            |interval: f64| if interval > 0.0 { ((seconds / interval).ceil() as usize).clamp(1, MOST) } else { 0 };
+        [within(self.resampling_time), within(self.rand.push_interval)]
+    }
+
+    /// Memory of an episode's commands and pushes [bytes].
+    pub fn list_bytes(&self) -> usize {
+        let [commands, pushes] = self.counts();
+        commands * size_of::<[f64; 3]>() + pushes * size_of::<[f64; 2]>()
+    }
 }
 
 options! {

@@ -1,7 +1,7 @@
 //! The values that an episode of LeggedVelocity draws when it begins, and the values that it updates.
 
 use super::curriculum::{Followed, MOST_EASE};
-use super::draws::{ADDED_MASS, Draws, FRICTION, MOST_COMMAND, MOST_PUSH, MOTOR_STRENGTH, SAND};
+use super::draws::{ADDED_MASS, Draws, FRICTION, MOST, MOST_COMMAND, MOST_PUSH, MOTOR_STRENGTH, SAND};
 use crate::error::Result;
 use crate::random::Random;
 use crate::sim::Model;
@@ -9,9 +9,6 @@ use crate::spec::CONTROL_RATE;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// Largest number of commands, and of pushes, that an episode draws; after that they repeat. Our choice: with the default
-/// time between two commands they last 17 minutes.
-const MOST: usize = 100;
 /// The curriculum ignores this time at the start of a command [s], as does `sandgait evaluate --commands`; but at most
 /// half of the time between two commands. Our choice, because a robot walks steadily after a second.
 const BEGINNING: f64 = 2.0;
@@ -71,23 +68,21 @@ fn full() -> f64 {
 impl LeggedEpisode {
     /// Draws an episode's values. The number and order of the draws are always the same.
     pub fn draw(from: Draws, difficulty: Difficulty, model: &Model, random: &mut Random) -> Self {
-        let Draws { commands, rand, steps, .. } = from;
+        let Draws { commands, rand, .. } = from;
+        let counts = from.counts();
         let mut one = |[low, high]: [f64; 2]| random.uniform(low, high);
         let friction = one(rand.friction_range);
         let sand = one(rand.sand_range) * difficulty.ease;
         let added_mass = one(rand.added_mass_range) * model.total_mass();
         let motor_strength = one(rand.motor_strength_range);
-        let seconds = f64::from(steps) / CONTROL_RATE;
-        let count =
-            |interval: f64| if interval > 0.0 { ((seconds / interval).ceil() as usize).clamp(1, MOST) } else { 0 };
         let mut command = || {
             let drawn = commands.map(|range| difficulty.commands * one(range));
             let small = drawn[0].hypot(drawn[1]) < from.small;
             if small { [0.0, 0.0, drawn[2]] } else { drawn }
         };
-        let all: Vec<_> = (0..count(from.resampling_time)).map(|_| command()).collect();
+        let all: Vec<_> = (0..counts[0]).map(|_| command()).collect();
         let most = [-rand.max_push_vel_xy, rand.max_push_vel_xy].map(|v| difficulty.pushes * v);
-        let pushes = (0..count(rand.push_interval)).map(|_| [one(most), one(most)]).collect();
+        let pushes = (0..counts[1]).map(|_| [one(most), one(most)]).collect();
         let feet = model.tree.as_ref().map_or(0, |tree| tree.stance.feet.len());
         let now = all.first().copied().unwrap_or_default();
         Self {

@@ -162,9 +162,6 @@ impl LeggedVelocity {
 
 impl Task for LeggedVelocity {
     const ID: &'static str = "sandgait/LeggedVelocity-v1";
-
-    /// Counted: 100 commands and 100 pushes, 4 kB, in the present and in the last episode, and the usual 2 kB.
-    const EPISODE_BYTES: usize = 10_000;
     const SIDEWAYS: bool = true;
     type Options = LeggedOptions;
 
@@ -174,6 +171,10 @@ impl Task for LeggedVelocity {
 
     fn drawn_bytes(setup: &Setup<LeggedOptions>) -> usize {
         setup.model.episode_bytes()
+    }
+
+    fn list_bytes(setup: &Setup<LeggedOptions>) -> usize {
+        setup.options.draws(&Units::of(setup.model)).list_bytes()
     }
 
     fn model(options: &LeggedOptions) -> Result<Model> {

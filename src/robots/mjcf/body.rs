@@ -1,5 +1,6 @@
 //! `<body>`, `<joint>`, `<inertial>`: the links of the robot.
 
+use super::actuator::limit;
 use super::compiler::{Compiler, FromGeoms, limited};
 use super::defaults::Defaults;
 use super::geom::{Assets, Geom, geom, unreadable_look};
@@ -33,6 +34,14 @@ const JOINT_KNOWN: [&str; 17] = [
     "actuatorfrclimited",
     "stiffness",
     "springref",
+];
+
+/// Attributes that a free joint has besides its freedom, and their effects.
+const FREE_EFFECTS: [(&str, &str); 4] = [
+    ("damping", "drag on the base"),
+    ("armature", "the base has more inertia"),
+    ("frictionloss", "friction holds the base"),
+    ("stiffness", "a spring pulls the base to its place in the file"),
 ];
 
 /// The geoms of a body.
@@ -83,6 +92,9 @@ impl Builder<'_> {
                 if let Some(extra) = joints.iter().find(|j| j.tag == "joint" && j.get("type") != Some("free")) {
                     return Err(extra.error("the base moves freely: it can have no other joint"));
                 }
+                for joint in joints.iter().filter(|j| j.tag == "joint") {
+                    self.free_joint(&self.defaults.applied(joint, class)?)?;
+                }
                 at = Isometry3::identity();
             }
             Some(_) => {
@@ -103,6 +115,17 @@ impl Builder<'_> {
         // Children of the body use the body's own frame, which is fixed to the frame of its last joint.
         let own = self.push(DraftLink::new(name, carrier, at, None));
         self.content(element, own, class)
+    }
+
+    /// Notes what a free joint does but free the base. MuJoCo takes it from default classes, too, and applies it to all six
+    /// directions; a `<freejoint>` has none of it.
+    fn free_joint(&mut self, joint: &Element) -> Result<()> {
+        for (name, effect) in FREE_EFFECTS {
+            if joint.list(name)?.is_some_and(|list| list.iter().any(|x| *x != 0.0)) {
+                self.notes.not_simulated(format!("{name} of the base's free joint"), effect);
+            }
+        }
+        Ok(())
     }
 
     fn push(&mut self, link: DraftLink) -> usize {
@@ -140,7 +163,7 @@ impl Builder<'_> {
             }
         }
         let name = link.name.clone();
-        name_shapes(&name, &mut link.shapes);
+        link.given = name_shapes(&name, &mut link.shapes);
         Ok(())
     }
 
@@ -257,7 +280,7 @@ impl Builder<'_> {
         }
         let force = element.numbers::<2>("actuatorfrcrange")?;
         if limited(element, "actuatorfrclimited", force.is_some(), self.compiler.autolimits)? {
-            joint.torque_limit = force.map(|[low, high]| high.min(-low)).filter(|f| *f > 0.0);
+            limit(&mut joint, force, 1.0, self.notes);
         }
         let reference = element.number("ref")?.unwrap_or(0.0) * unit;
         self.references.insert(joint.name.clone(), reference);

@@ -51,7 +51,9 @@ pub struct GeomReader<'a> {
     pub notes: &'a mut Notes,
 }
 
-const MESH_KNOWN: [&str; 12] = [
+const MESH_KNOWN: [&str; 14] = [
+    "builtin",
+    "params",
     "name",
     "class",
     "file",
@@ -83,6 +85,12 @@ impl GeomReader<'_> {
             Some("shell") => Filling::Shell,
             Some(other) => return Err(element.wrong("inertia", format!("{other:?} is not known"))),
         };
+        if let Some(builtin) = element.get("builtin").filter(|kind| *kind != "none") {
+            let reason = format!(
+                "MuJoCo makes this {builtin:?} itself; it is not read here: give a file, or a geom of this type"
+            );
+            return Ok((element.required("name")?.to_owned(), Err(element.wrong("builtin", reason))));
+        }
         let (stem, whole) = match (element.get("file"), element.list("vertex")?) {
             (Some(file), None) => {
                 let file = if self.compiler.strippath { file.rsplit(['/', '\\']).next().unwrap_or(file) } else { file };
@@ -182,13 +190,13 @@ const KNOWN: [&str; 25] = [
 /// body's mass does not come from its geoms.
 pub fn unreadable_look(element: &Element, assets: &Assets, weighed: bool, notes: &mut Notes) -> Result<bool> {
     let name = element.get("mesh").unwrap_or_default();
-    let Some(Err(_)) = assets.get(name) else { return Ok(false) };
+    let Some(Err(reason)) = assets.get(name) else { return Ok(false) };
     let nothing = |attribute| Ok::<_, Error>(element.number(attribute)? == Some(0.0));
     let light = weighed || nothing("mass")? || (element.get("mass").is_none() && nothing("density")?);
     if collides(element)? || !light {
         return Ok(false);
     }
-    notes.part("mesh", name, "its file cannot be read; it is not drawn");
+    notes.undrawn(reason);
     Ok(true)
 }
 
@@ -203,6 +211,9 @@ pub fn geom(element: &Element, compiler: &Compiler, assets: &Assets, notes: &mut
         return Err(element.error("shellinertia is not read: give an <inertial>"));
     }
     let kind = element.get("type").unwrap_or("sphere");
+    if kind != "mesh" && element.get("mesh").is_some() {
+        return Err(element.error(format!("a {kind} fitted to a mesh is not read: give its pos and size, and no mesh")));
+    }
     let mut origin = compiler.pose(element)?;
     let mut size = element.list("size")?.unwrap_or_default();
     if let Some(ends) = element.numbers::<6>("fromto")? {
@@ -233,9 +244,6 @@ pub fn geom(element: &Element, compiler: &Compiler, assets: &Assets, notes: &mut
         "mesh" => Geometry::Mesh(found(element, assets)?.triangles.clone()),
         other => return Err(unknown(other)),
     };
-    if kind != "mesh" && element.get("mesh").is_some() {
-        return Err(element.error(format!("a {kind} fitted to a mesh is not read")));
-    }
     let (volume, own) = match kind {
         "mesh" => filled(element, found(element, assets)?)?,
         "ellipsoid" => of_ellipsoid([side(0)?, side(1)?, side(2)?]),

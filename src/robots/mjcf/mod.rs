@@ -51,7 +51,8 @@ pub fn robot(
         if REFUSED.contains(&tag) && !section.children.is_empty() {
             return Err(section.error(format!("<{}> is not simulated", section.children[0].tag)));
         }
-        if !READ.contains(&tag) {
+        let levers = tag == "tendon" && section.children.iter().all(actuator::is_lever);
+        if !READ.contains(&tag) && !levers {
             notes.left_out(section);
         }
     }
@@ -91,7 +92,7 @@ pub fn robot(
 const EARTH: RangeInclusive<f64> = 9.76..=9.84;
 
 /// Gravity of the file [m/s²]; None: the Earth's, also MuJoCo's default.
-fn gravity(root: &Element, notes: &mut Notes) -> Result<Option<f64>> {
+pub fn gravity(root: &Element, notes: &mut Notes) -> Result<Option<f64>> {
     let mut found = None;
     for option in root.all("option") {
         notes.others(option, &["gravity"]);

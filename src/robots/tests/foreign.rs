@@ -2,7 +2,7 @@
 //! degrees, and what is said of parts that are not simulated.
 
 use sandgait_robots::posture::Posture;
-use sandgait_robots::{Import, Packages, load, load_from};
+use sandgait_robots::{Import, Reading, load, load_from};
 use std::fs::{create_dir_all, write};
 use std::path::Path;
 
@@ -108,11 +108,12 @@ fn packages_are_read_where_the_user_allows_them() {
     );
     let path = root.path().join("src/my_bot/urdf/r.urdf");
     for allowed in ["src", "src/other_pkg", "."] {
-        let packages = Packages(vec![root.path().join(allowed)]);
+        let packages = Reading { packages: vec![root.path().join(allowed)], ..Reading::default() };
         let import = load_from(&path, &Posture::default(), &packages).unwrap();
         assert_eq!(shapes(&import), 1, "{allowed}");
     }
-    let none = load_from(&path, &Posture::default(), &Packages(vec![root.path().join("absent")])).err().unwrap();
+    let absent = Reading { packages: vec![root.path().join("absent")], ..Reading::default() };
+    let none = load_from(&path, &Posture::default(), &absent).err().unwrap();
     assert!(none.to_string().contains("packages") && none.to_string().contains("no folder"), "{none}");
     // Inside of the allowed package, a path still cannot climb out of it.
     let climbs = read_at(root.path(), "src/my_bot/urdf/r.urdf", with_mesh("package://my_bot/../../../etc/hostname"));

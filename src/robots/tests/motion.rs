@@ -107,6 +107,33 @@ fn the_roots_frame_does_not_matter() {
     }
 }
 
+/// A root's frame far beside the body is replaced, too, and of two frames below the body the one in it is taken.
+#[test]
+fn the_base_is_in_the_body() {
+    let plain = urdf(0.0, true, 0.0, "");
+    let rooted = |frames: &[(&str, [f64; 3])]| {
+        let mut links = String::new();
+        for (k, (name, [x, y, z])) in frames.iter().enumerate() {
+            let child = frames.get(k + 1).map_or("trunk", |next| next.0);
+            links += &format!(
+                r#"<link name="{name}"/><joint name="to_{child}" type="fixed"><parent link="{name}"/><child link="{child}"/><origin xyz="{x} {y} {z}"/></joint>"#
+            );
+        }
+        read("r.urdf", &plain.replace(r#"<link name="trunk">"#, &(links + r#"<link name="trunk">"#)))
+    };
+    for frames in [
+        &[("ahead", [-0.7, 0.0, 0.0])][..],
+        &[("beside", [0.0, 0.6, 0.1])],
+        &[("base_footprint", [0.0, 0.0, 0.25]), ("base_link", [0.0, 0.0, 0.1])],
+    ] {
+        let import = rooted(frames);
+        assert!(import.warnings[0].contains("root's frame"), "{frames:?}: {:?}", import.warnings);
+        assert_eq!(import.tree.bodies[0].center, Vector3::zeros(), "{frames:?}");
+    }
+    let near = rooted(&[("base", [-0.2, 0.0, 0.0])]);
+    assert!(near.warnings.is_empty(), "{:?}", near.warnings);
+}
+
 /// The standing pose is found inside of ranges that are whole turns away: the same pose, turned.
 #[test]
 fn a_pose_is_found_within_ranges_a_turn_away() {

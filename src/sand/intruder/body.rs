@@ -127,6 +127,8 @@ enum Corners {
 }
 
 impl PlatedBody {
+    pub const MOST_PLATES: usize = mesh::MOST_PLATES;
+
     /// Cuts a body into plates of about `size` [m]; None: a fiftieth of its longest side.
     pub fn cut(shape: &BodyShape, size: Option<f64>) -> Result<Self> {
         Self::cut_within(shape, size, mesh::MOST_PLATES)

@@ -14,9 +14,7 @@ mod trials;
 pub use body::{BodyShape, PlatedBody, sizes_of};
 pub use gather::gathered;
 pub use mesh::{Triangle, read as read_file, read_mesh};
-pub use trials::{
-    DepthOrLoad, Status, Trial, TrialOutcome, check_all, compute, compute_all, with_friction, without_effect,
-};
+pub use trials::{DepthOrLoad, Status, Trial, TrialOutcome, check_all, compute, with_friction, without_effect};
 
 use crate::number::Vec3;
 

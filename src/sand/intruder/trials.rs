@@ -3,7 +3,6 @@
 use super::{IntruderPlate, PlatedBody};
 use crate::error::{Error, Result, check_range};
 use crate::number::Vec3;
-use crate::parallel;
 use crate::{Regularization, SandBed, SandDescription, SegmentState, Term};
 
 /// Number of depths, from no part of the body covered to all covered, at which the search for a load begins: our
@@ -98,12 +97,6 @@ pub fn with_friction(sand: &SandDescription, mu: f64) -> Result<SandDescription>
     // A coefficient of 10 is rougher than any surface. Below 0.1, 1/μ would exceed the catalogue's bound.
     sand.mechanisms.friction_clip = 1.0 / check_range("mu-s", mu, 0.1..=10.0)?;
     Ok(sand)
-}
-
-/// Computes every trial, on all processors.
-pub fn compute_all(body: &PlatedBody, sand: &SandDescription, trials: &[Trial]) -> Result<Vec<TrialOutcome>> {
-    check_all(sand, trials)?;
-    Ok(parallel::map(trials, |trial| compute(body, sand, trial)))
 }
 
 /// Refuses trials that cannot be computed.

@@ -8,48 +8,38 @@
 //!   This is the bulldozing of soil contact models (SCM: Krenn & Hirzinger, ISTVS, Bremen 2009: displaced soil is counted and
 //!   put around the contact; Holz, Beer & Kuhlen 2009).
 //! * **Where it goes.** Ahead of the body, within the reach L = D tan(45° + φ/2) of the passive wedge (Rankine 1857; the
-//!   failure surface of excavation models, Reece 1964, McKyes 1985), D the depth of the body and φ the angle of repose.
+//!   failure surface of excavation models, Reece 1964, McKyes 1985), D the depth of the body and φ the angle of repose. Sand
+//!   that the body's shape does not hold (`heap.rs`) flows around it, to both sides of its way.
 //!   A body that moves straight down spreads it around itself within the same reach.
 //! * **Sliding.** Slopes above the angle of repose slide (Grid::slide; a cellular rule as in Bak, Tang & Wiesenfeld 1987
 //!   and in SCM's erosion step).
 //! * **What a body finds.** Depths count from a level: when the body enters, the mean height below its lowest pieces. While the body
 //!   travels, the level follows the mean height ahead of the heap that the body pushes now. The theory's measured
-//!   coefficients contain that heap. So a body that goes straight down in fresh sand has the force of the theory, and a
-//!   wheel or a narrow plate that travels over fresh sand nearly so. Balls and wider plates get up to twice the drag
-//!   (docs/memory.md, "Limits").
+//!   coefficients contain that heap, so where a body has not pushed it yet, the level is lower (`heap.rs`). So the force in
+//!   fresh sand is that of the theory, except where an upright plate begins to travel.
 //! * **Compaction.** Pressing down takes volume out of loose sand until the sand is closely packed. Compacted sand is
 //!   stronger: [`MemorySettings::gain`].
 
 mod cut;
 mod disc;
 mod grid;
+mod heap;
+mod local;
 mod piece;
 mod settings;
 
 pub use disc::PAIRS;
 pub use grid::{Grid, GridFrame};
+pub use local::LocalSand;
 pub use piece::{GridPiece, MOST_CELLS, SurfacePiece, swept};
 pub use settings::{MemorySettings, REPOSE_DEG};
 
 use cut::Taking;
-use disc::{Disc, SMALLEST, ahead};
+use disc::{Disc, SMALLEST, receiving};
+use heap::{Pushing, Taken};
 use sandgait_number::{Kernel, PlainShorts, Shorts};
-use serde::{Deserialize, Serialize};
 use settings::{AHEAD, DENSER, LOST, WAY};
 use std::marker::PhantomData;
-
-/// The level and the compaction of the sand that a body has found.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct LocalSand {
-    /// Height of the surface from which its depth counts [m].
-    pub level: f32,
-    /// How compacted the sand is, from 0 to 1.
-    pub packed: f32,
-    /// Radius of a disc with the second moment of the area with which the body has entered [m].
-    pub size: f32,
-    /// Is the body in the sand?
-    pub inside: bool,
-}
 
 /// How many numbers of the sequence of chances a body uses in a turn, one for each piece: our choice, about as many as a leg or a belly
 /// has pieces.
@@ -91,19 +81,6 @@ impl Marks {
     fn is_set(&self, index: usize) -> bool {
         self.cells[index] == self.round
     }
-}
-
-/// What a body has taken out of its cells.
-#[derive(Default)]
-struct Taken {
-    /// [steps of the grid]
-    amount: i32,
-    lost: f64,
-    /// Means weighted by the amount: place [m], and the horizontal part of the normals.
-    place: [f64; 2],
-    push: [f64; 2],
-    /// Mean velocity along x and y of the pieces in the sand, weighted by their area [m/s].
-    velocity: [f64; 2],
 }
 
 /// How a body has moved since sand was moved last.
@@ -158,10 +135,7 @@ impl Moved {
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut out = Vec::with_capacity(3 * self.grid.heights.len() + 100);
         out.extend([self.pending, self.turns, self.sliding.to_bits()].iter().flat_map(|n| n.to_le_bytes()));
-        for found in &self.found {
-            out.extend([found.level, found.packed, found.size].iter().flat_map(|x| x.to_le_bytes()));
-            out.push(u8::from(found.inside));
-        }
+        self.found.iter().for_each(|found| out.extend(found.to_bytes()));
         self.grid.write(&mut out);
         out
     }
@@ -175,18 +149,8 @@ impl Moved {
         (new.pending, new.turns) = (u32::from_le_bytes([a, b, c, d]), u32::from_le_bytes([e, f, g, h]));
         new.sliding = f32::from_le_bytes([i, j, k, l]);
         for found in &mut new.found {
-            let (one, others) = rest.split_first_chunk::<13>()?;
-            let [a, b, c, d, e, f, g, h, i, j, k, l, inside] = *one;
-            (found.level, found.packed) = (f32::from_le_bytes([a, b, c, d]), f32::from_le_bytes([e, f, g, h]));
-            found.size = f32::from_le_bytes([i, j, k, l]);
-            found.inside = inside == 1;
-            // Heights end at 32 cells; twice that for levels and sizes is our choice.
-            let possible = f64::from(found.level.abs()) < 64.0 * s.cell
-                && (0.0..=1.0).contains(&found.packed)
-                && (0.0..=64.0 * s.cell).contains(&f64::from(found.size));
-            if !possible || inside > 1 {
-                return None;
-            }
+            let (one, others) = rest.split_first_chunk()?;
+            *found = LocalSand::from_bytes(s, one)?;
             rest = others;
         }
         (new.pending < 1 << 30 && (0.0..1.0).contains(&new.sliding) && new.grid.read(rest).is_some()).then_some(new)
@@ -238,45 +202,39 @@ impl Moved {
         marks: &mut Marks,
     ) {
         let BodyMotion { low, time, .. } = *motion;
-        let LocalSand { level, packed, size, inside } = self.found[body];
-        let (mut level, mut packed, mut size) = (f64::from(level), f64::from(packed), f64::from(size));
-        if !inside || low >= level {
-            let (under, dense, wide) = self.below(pieces, low, s.least);
-            if !inside || low >= under {
-                let inside = low < under;
-                let [level, packed, size] = [under, dense, wide].map(|x| x as f32);
-                self.found[body] = LocalSand { level, packed, size, inside };
+        let mut found = self.found[body];
+        if !found.inside || low >= f64::from(found.ground) {
+            let under = self.below(pieces, low, s.least);
+            let outside = low >= under[0];
+            if !found.inside || outside {
+                found = LocalSand::at(under, !outside);
             }
-            if low >= under {
+            if outside {
+                self.found[body] = found;
                 return;
-            }
-            if !inside {
-                (level, packed, size) = (under, dense, wide);
             }
         }
         marks.begin(self.grid.heights.len());
+        let size = f64::from(found.size);
         let taken = self.take::<S>(s, pieces, motion, size, marks);
         if taken.amount > 0 {
-            let reach = s.wedge() * (level - low).max(s.least);
-            self.put(s, &ahead(&taken, reach, size, s.least), &taken, marks, size);
-            let way = motion.way.unwrap_or(taken.velocity.map(|v| v * time));
-            let travelled = (way[0] * way[0] + way[1] * way[1]).sqrt();
-            if travelled > 0.0 {
+            let reach = s.wedge() * (f64::from(found.ground) - low).max(s.least);
+            let pushing = Pushing::new(s, &taken, motion.way.unwrap_or(taken.velocity.map(|v| v * time)));
+            self.put(s, &receiving(&taken, &pushing, reach, size, s.least, self.turns), &taken, marks, size);
+            if pushing.length > 0.0 {
                 let radius = disc::before(reach, size).max(SMALLEST * s.least);
-                let (height, dense) = self.beyond(s, &taken, radius, way.map(|w| w / travelled));
-                let share = (travelled / (WAY * radius)).min(1.0);
-                level += (height - level) * share;
-                packed += (dense - packed) * share;
+                let beyond = self.beyond(s, &taken, radius, pushing.along);
+                found.go_on(beyond, pushing.length / (WAY * radius));
             }
+            found.push_heap(s, &pushing, low, reach);
         }
-        let [level, packed, size] = [level, packed, size].map(|x| x as f32);
-        self.found[body] = LocalSand { level, packed, size, inside: true };
+        self.found[body] = found;
         self.turns = self.turns.wrapping_add(1);
     }
 
     /// Mean height [m] and compaction below the lowest pieces of a body, and the radius of a disc of their area [m].
     #[inline(always)]
-    fn below(&self, pieces: &[GridPiece], low: f64, least: f64) -> (f64, f64, f64) {
+    fn below(&self, pieces: &[GridPiece], low: f64, least: f64) -> [f64; 3] {
         let frame = &self.grid.frame;
         let lowest = ((low + least) / frame.quantum()) as f32;
         let (mut area, mut sums) = (0.0, [0.0; 2]);
@@ -290,12 +248,12 @@ impl Moved {
             squares += own * (x * x + y * y);
         }
         if area == 0.0 {
-            return (0.0, 0.0, 0.0);
+            return [0.0; 3];
         }
         let middle = middle.map(|m| m / area);
         // The radius is that of a disc with the same second moment.
         let spread = (squares / area - middle[0] * middle[0] - middle[1] * middle[1]).max(0.0);
-        (sums[0] / area, sums[1] / area, frame.cell * (2.0 * spread).sqrt())
+        [sums[0] / area, sums[1] / area, frame.cell * (2.0 * spread).sqrt()]
     }
 
     /// Takes the sand that the pieces sweep out of their cells.
@@ -333,11 +291,16 @@ impl Moved {
             }
             taken.amount += amount;
             taken.place = add(taken.place, a, p.place);
+            let [x, y] = p.place.map(f64::from);
+            taken.spread = [taken.spread[0] + a * x * x, taken.spread[1] + a * y * y, taken.spread[2] + a * x * y];
             taken.push = add(taken.push, a, [p.normal[0], p.normal[1]]);
             taken.lost += f64::from(loose) * lost * down;
         }
         let amount = f64::from(taken.amount.max(1));
-        taken.place = [0, 1].map(|k| (taken.place[k] / amount + f64::from(motion.origin[k])) * s.cell);
+        let [x, y] = taken.place.map(|sum| sum / amount);
+        let squares = [x * x, y * y, x * y];
+        taken.spread = [0, 1, 2].map(|k| (taken.spread[k] / amount - squares[k]) * s.cell * s.cell);
+        taken.place = [0, 1].map(|k| ([x, y][k] + f64::from(motion.origin[k])) * s.cell);
         taken.push = taken.push.map(|p| p / amount);
         taken.velocity = taken.velocity.map(|v| v / area.max(1e-12)); // avoids 0/0
         taken
@@ -384,9 +347,9 @@ impl Moved {
     /// Mean height [m] and compaction of the sand that the body will find next: in a disc of this radius, ahead of the sand
     /// that the body pushes now.
     #[inline(always)]
-    fn beyond(&self, s: &MemorySettings, taken: &Taken, radius: f64, along: [f64; 2]) -> (f64, f64) {
+    fn beyond(&self, s: &MemorySettings, taken: &Taken, radius: f64, along: [f64; 2]) -> [f64; 2] {
         let next = |k: usize| taken.place[k] + AHEAD * radius * along[k];
-        let next = Disc { center: [next(0), next(1)], radius, along };
+        let next = Disc { center: [next(0), next(1)], radius, along, gap: 0.0 };
         let (mut count, mut height, mut packed) = (0, 0, 0);
         next.visit(self.grid.frame, s.pairs, self.turns, |at| {
             count += 1;
@@ -394,7 +357,7 @@ impl Moved {
             packed += i32::from(self.grid.packed[at]);
         });
         let mean = |sum: i32| f64::from(sum) / f64::from(count.max(1));
-        (mean(height) * self.grid.frame.quantum(), mean(packed) / 255.0)
+        [mean(height) * self.grid.frame.quantum(), mean(packed) / 255.0]
     }
 }
 

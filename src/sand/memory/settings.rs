@@ -1,7 +1,7 @@
 //! The sand's constants for its memory.
 
-use super::LocalSand;
 use super::disc::{FEW, PAIRS};
+use super::local::LocalSand;
 use crate::error::{Result, check_range};
 use crate::{GRAVITY, Medium};
 use serde::{Deserialize, Serialize};
@@ -20,13 +20,13 @@ const GAIN: f64 = 0.464 / 0.254;
 /// with 8 and 16 they are alike. A piece never takes sand from below itself.
 pub(super) const CLEARING: f64 = 16.0;
 /// Distance from the sand that a body pushes to the middle of the sand that it finds next, in radii of the disc that gets the
-/// pushed sand. That disc ends at 2; the sand that the body finds next begins at 2.5, because some of the pushed sand slides ahead. Our
-/// choice, on the furrows of `tests/data/memory`. With 2, half of a body's own heap counted, and wheels were 6 mm too high in fresh
-/// sand; with 4, furrows are as good.
-pub(super) const AHEAD: f64 = 3.5;
-/// The level follows the sand that the body finds next as a first-order lag; this is the lag's length, in the same
-/// radii: our choice, the far end of the disc that gets the pushed sand.
-pub(super) const WAY: f64 = 2.0;
+/// pushed sand. That disc ends at 2; the sand that the body finds next begins at 3, because some of the pushed sand slides ahead. Our
+/// choice: with 3.5, a plate's own heap reaches it after 10 cm, and its drag grows without end.
+pub(super) const AHEAD: f64 = 4.0;
+/// The level follows the sand that the body finds next as two first-order lags, one after the other; this is the length of each, in the same
+/// radii: our choice, so that both together are delayed to a place 1.5 ahead of the sand that the body pushes, within its wedge. One lag of that
+/// delay would blur the end of a furrow.
+pub(super) const WAY: f64 = 1.25;
 /// Angle of repose [°]: our choice from the published 25 to 35° of dry sand, in their lower half, because loose sand rests less
 /// steeply than packed sand. Of glass beads: our choice from the published 22 to 26° of smooth spheres.
 pub const REPOSE_DEG: f64 = 28.0;

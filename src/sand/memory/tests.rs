@@ -3,6 +3,8 @@
 #[path = "../../../tests/testbed/long.rs"]
 mod long;
 
+mod fresh;
+
 use super::*;
 use crate::Medium;
 use crate::SandDescription;

@@ -78,7 +78,7 @@ fn bounds_are_those_of_fields() {
     for (name, _) in LONGEST {
         assert!(exists(name), "{name}");
     }
-    assert_eq!(methods().count(), 13, "the methods of three services");
+    assert_eq!(methods().count(), 8, "the methods of three services");
 }
 
 /// Walks through all fields of all requests: a message, text or list may come once only, unless it is a list, and none

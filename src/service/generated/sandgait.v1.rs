@@ -669,35 +669,52 @@ pub mod environment_service_client {
         }
     }
 }
-/// A file that the client sends.
-#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
-pub struct File {
-    /// Name of the file in messages. The server opens no file of this name.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct StudyRequest {
+    /// For example walk.
     #[prost(string, tag = "1")]
     pub name: ::prost::alloc::string::String,
-    #[prost(bytes = "bytes", tag = "2")]
-    pub content: ::prost::bytes::Bytes,
+    /// The words behind the command's name: `--frequency=2`, or the name alone for a switch. Absent arguments have the defaults
+    /// of the command. Arguments that have no name follow after the word `--`.
+    #[prost(string, repeated, tag = "2")]
+    pub arguments: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
+    /// The contents of the files that the arguments name. The server opens no file of these names.
+    #[prost(message, repeated, tag = "3")]
+    pub files: ::prost::alloc::vec::Vec<StudyInput>,
 }
-#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
-pub struct Sand {
-    /// A name from `sandgait media`, zeta=VALUE or mu=VALUE,rho=VALUE. Absent: poppy-loose.
-    #[prost(string, optional, tag = "1")]
-    pub medium: ::core::option::Option<::prost::alloc::string::String>,
-    /// The force law: li2013, penetration-drag-1d or agarwal2023. Absent: li2013.
-    #[prost(string, optional, tag = "2")]
-    pub law: ::core::option::Option<::prost::alloc::string::String>,
-    /// A sand.toml, instead of medium and law.
-    #[prost(message, optional, tag = "3")]
-    pub file: ::core::option::Option<File>,
+/// A file, or a table that stands for one.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct StudyInput {
+    /// As the arguments have it.
+    #[prost(string, tag = "1")]
+    pub name: ::prost::alloc::string::String,
+    #[prost(oneof = "study_input::Form", tags = "2, 3")]
+    pub form: ::core::option::Option<study_input::Form>,
 }
-#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
-pub struct Robot {
-    /// A built-in robot. Absent: xplorer.
-    #[prost(string, optional, tag = "1")]
-    pub name: ::core::option::Option<::prost::alloc::string::String>,
-    /// A robot's TOML file, instead of a name.
-    #[prost(message, optional, tag = "2")]
-    pub file: ::core::option::Option<File>,
+/// Nested message and enum types in `StudyInput`.
+pub mod study_input {
+    #[derive(Clone, PartialEq, ::prost::Oneof)]
+    pub enum Form {
+        #[prost(bytes, tag = "2")]
+        Content(::prost::bytes::Bytes),
+        #[prost(message, tag = "3")]
+        Table(super::Table),
+    }
+}
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct StudyResponse {
+    #[prost(oneof = "study_response::Event", tags = "1, 2")]
+    pub event: ::core::option::Option<study_response::Event>,
+}
+/// Nested message and enum types in `StudyResponse`.
+pub mod study_response {
+    #[derive(Clone, PartialEq, ::prost::Oneof)]
+    pub enum Event {
+        #[prost(message, tag = "1")]
+        Progress(super::Progress),
+        #[prost(message, tag = "2")]
+        Result(super::StudyResult),
+    }
 }
 /// The progress of a study.
 #[derive(Clone, PartialEq, ::prost::Message)]
@@ -712,14 +729,47 @@ pub struct Progress {
     #[prost(uint32, tag = "3")]
     pub ahead: u32,
 }
-/// Columns of equal length.
 #[derive(Clone, PartialEq, ::prost::Message)]
-pub struct Table {
-    #[prost(message, repeated, tag = "1")]
-    pub columns: ::prost::alloc::vec::Vec<Series>,
+pub struct StudyResult {
+    /// The result in words, for people.
+    #[prost(string, tag = "1")]
+    pub summary: ::prost::alloc::string::String,
     /// Lines for people. One may say, for example, that the sand's numbers are extrapolated.
     #[prost(string, repeated, tag = "2")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
+    /// What the JSON form of the command states beside the rows: a JSON object.
+    #[prost(string, tag = "3")]
+    pub about: ::prost::alloc::string::String,
+    /// The first table is the result; others are beside it.
+    #[prost(message, repeated, tag = "4")]
+    pub tables: ::prost::alloc::vec::Vec<Table>,
+    /// Files that the command writes into the folder of its `--out`.
+    #[prost(message, repeated, tag = "5")]
+    pub files: ::prost::alloc::vec::Vec<File>,
+    /// Files whose names the arguments give.
+    #[prost(message, repeated, tag = "6")]
+    pub named_files: ::prost::alloc::vec::Vec<File>,
+    /// Time that was simulated \[s\].
+    #[prost(double, tag = "7")]
+    pub simulated: f64,
+    /// Why the result is of no use; empty if it is of use. All walks may have diverged, for example.
+    #[prost(string, tag = "8")]
+    pub failure: ::prost::alloc::string::String,
+}
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct File {
+    #[prost(string, tag = "1")]
+    pub name: ::prost::alloc::string::String,
+    #[prost(bytes = "bytes", tag = "2")]
+    pub content: ::prost::bytes::Bytes,
+}
+/// Columns of equal length.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct Table {
+    #[prost(string, tag = "1")]
+    pub name: ::prost::alloc::string::String,
+    #[prost(message, repeated, tag = "2")]
+    pub columns: ::prost::alloc::vec::Vec<Series>,
 }
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct Series {
@@ -728,230 +778,12 @@ pub struct Series {
     /// SI unit; "1" for dimensionless numbers, "" for names.
     #[prost(string, tag = "2")]
     pub unit: ::prost::alloc::string::String,
-    /// f64, little-endian. The numbers of a walk that diverged are NaN.
+    /// f64, little-endian. Undefined numbers are NaN.
     #[prost(bytes = "bytes", tag = "3")]
     pub numbers: ::prost::bytes::Bytes,
     /// Names, instead of numbers.
     #[prost(string, repeated, tag = "4")]
     pub names: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
-}
-/// The answers of a study with a table: some messages of progress, then the table.
-#[derive(Clone, PartialEq, ::prost::Message)]
-pub struct TableResponse {
-    #[prost(oneof = "table_response::Event", tags = "1, 2")]
-    pub event: ::core::option::Option<table_response::Event>,
-}
-/// Nested message and enum types in `TableResponse`.
-pub mod table_response {
-    #[derive(Clone, PartialEq, ::prost::Oneof)]
-    pub enum Event {
-        #[prost(message, tag = "1")]
-        Progress(super::Progress),
-        #[prost(message, tag = "2")]
-        Table(super::Table),
-    }
-}
-#[derive(Clone, PartialEq, ::prost::Message)]
-pub struct IntrudeRequest {
-    /// Shape of the leg: L, revL, C, revC, flat or xi=DEGREES.
-    #[prost(string, tag = "1")]
-    pub shape: ::prost::alloc::string::String,
-    /// Distance from hip to tip \[m\].
-    #[prost(double, optional, tag = "2")]
-    pub chord: ::core::option::Option<f64>,
-    /// Width of the leg \[m\].
-    #[prost(double, optional, tag = "3")]
-    pub width: ::core::option::Option<f64>,
-    /// Height of the hip above the surface \[m\].
-    #[prost(double, optional, tag = "4")]
-    pub hip_height: ::core::option::Option<f64>,
-    /// Angular speed \[rad/s\]; with a negative one the tip moves backward.
-    #[prost(double, optional, tag = "5")]
-    pub omega: ::core::option::Option<f64>,
-    #[prost(message, optional, tag = "6")]
-    pub sand: ::core::option::Option<Sand>,
-}
-#[derive(Clone, PartialEq, ::prost::Message)]
-pub struct IntrudeResponse {
-    /// Columns theta, Fx, Fz and Ty: the leg's angle (0: tip straight down, positive: tip forward), the forces on the leg and
-    /// the torque about the hip.
-    #[prost(message, optional, tag = "1")]
-    pub table: ::core::option::Option<Table>,
-}
-/// Computes the same as `sandgait intrude --body`. Each column has one f64, little-endian, for each motion; up to 1,000,000
-/// motions.
-#[derive(Clone, PartialEq, ::prost::Message)]
-pub struct TrialsRequest {
-    /// Velocity of the body's origin \[m/s\]: vx, vy, vz, row by row. x is the heading, y the axle, z points up.
-    #[prost(bytes = "bytes", tag = "3")]
-    pub velocity: ::prost::bytes::Bytes,
-    /// Angular velocity \[rad/s\]: wx, wy, wz, row by row. Absent: 0.
-    #[prost(bytes = "bytes", optional, tag = "4")]
-    pub spin: ::core::option::Option<::prost::bytes::Bytes>,
-    /// Depth of the body's lowest point below the surface \[m\]; NaN in a row with a load. Absent: all rows have loads.
-    #[prost(bytes = "bytes", optional, tag = "5")]
-    pub depth: ::core::option::Option<::prost::bytes::Bytes>,
-    /// Load that the sand carries \[N\]; NaN in a row with a depth. Absent: all rows have depths.
-    #[prost(bytes = "bytes", optional, tag = "6")]
-    pub load: ::core::option::Option<::prost::bytes::Bytes>,
-    #[prost(message, optional, tag = "7")]
-    pub sand: ::core::option::Option<Sand>,
-    /// Friction coefficient μ_s of the body's surface, instead of the sand's friction_clip.
-    #[prost(double, optional, tag = "8")]
-    pub friction: ::core::option::Option<f64>,
-    /// Size of the plates into which the surface is cut \[m\]. Absent: a fiftieth of the body's longest side.
-    #[prost(double, optional, tag = "9")]
-    pub plate_size: ::core::option::Option<f64>,
-    #[prost(oneof = "trials_request::Body", tags = "1, 2")]
-    pub body: ::core::option::Option<trials_request::Body>,
-}
-/// Nested message and enum types in `TrialsRequest`.
-pub mod trials_request {
-    #[derive(Clone, PartialEq, Eq, Hash, ::prost::Oneof)]
-    pub enum Body {
-        /// cylinder:radius=M,width=M (axle along y), box:length=M,width=M,height=M or sphere:radius=M.
-        #[prost(string, tag = "1")]
-        Shape(::prost::alloc::string::String),
-        /// A mesh \[m\], up to 4 MiB. The ending of its name tells the format: STL or OBJ.
-        #[prost(message, tag = "2")]
-        Mesh(super::File),
-    }
-}
-#[derive(Clone, PartialEq, ::prost::Message)]
-pub struct WalkRequest {
-    /// Shape of the legs, as in IntrudeRequest. Absent: the robot's own shape.
-    #[prost(string, optional, tag = "1")]
-    pub leg: ::core::option::Option<::prost::alloc::string::String>,
-    /// Stride frequencies: turns of the hips in a second \[Hz\]. With a negative frequency the robot walks backward; with 0 it
-    /// stands for 10 s.
-    #[prost(double, repeated, tag = "2")]
-    pub frequency: ::prost::alloc::vec::Vec<f64>,
-    /// The engine: lanes or rapier. Absent: lanes.
-    #[prost(string, optional, tag = "3")]
-    pub engine: ::core::option::Option<::prost::alloc::string::String>,
-    #[prost(message, optional, tag = "4")]
-    pub sand: ::core::option::Option<Sand>,
-    /// Slope of the surface \[°\]; a positive slope rises in the walking direction.
-    #[prost(double, tag = "5")]
-    pub slope_deg: f64,
-    /// Time step \[s\].
-    #[prost(double, optional, tag = "6")]
-    pub dt: ::core::option::Option<f64>,
-    #[prost(message, optional, tag = "7")]
-    pub robot: ::core::option::Option<Robot>,
-}
-/// A parameter of `sandgait sweep` and its values: names, or numbers in the parameter's unit.
-#[derive(Clone, PartialEq, ::prost::Message)]
-pub struct Variation {
-    #[prost(string, tag = "1")]
-    pub parameter: ::prost::alloc::string::String,
-    #[prost(double, repeated, tag = "2")]
-    pub numbers: ::prost::alloc::vec::Vec<f64>,
-    /// Names, instead of numbers.
-    #[prost(string, repeated, tag = "3")]
-    pub names: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
-}
-#[derive(Clone, PartialEq, ::prost::Message)]
-pub struct SweepRequest {
-    #[prost(message, repeated, tag = "1")]
-    pub vary: ::prost::alloc::vec::Vec<Variation>,
-    /// Parameters with one value each. They are set in order, before the parameters of `vary`.
-    #[prost(message, repeated, tag = "2")]
-    pub set: ::prost::alloc::vec::Vec<Variation>,
-    #[prost(message, optional, tag = "3")]
-    pub robot: ::core::option::Option<Robot>,
-    /// Stride frequency \[Hz\].
-    #[prost(double, optional, tag = "4")]
-    pub frequency: ::core::option::Option<f64>,
-    #[prost(message, optional, tag = "5")]
-    pub sand: ::core::option::Option<Sand>,
-    /// Measure to be optimized: speed or cost-of-transport. The search stays between the least and the greatest value of each
-    /// parameter. Absent: the study computes the whole grid.
-    #[prost(string, optional, tag = "6")]
-    pub optimize: ::core::option::Option<::prost::alloc::string::String>,
-}
-#[derive(Clone, PartialEq, ::prost::Message)]
-pub struct EvaluateRequest {
-    #[prost(string, tag = "3")]
-    pub task_id: ::prost::alloc::string::String,
-    #[prost(message, optional, tag = "4")]
-    pub options: ::core::option::Option<::prost_types::Struct>,
-    /// Number of episodes for each medium and slope. Their seeds count up from 1,000,000. Absent: 100.
-    #[prost(uint32, optional, tag = "5")]
-    pub seeds: ::core::option::Option<u32>,
-    /// Media and slopes \[°\], instead of those in `options`.
-    #[prost(string, repeated, tag = "6")]
-    pub media: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
-    #[prost(double, repeated, tag = "7")]
-    pub slopes: ::prost::alloc::vec::Vec<f64>,
-    #[prost(oneof = "evaluate_request::Policy", tags = "1, 2")]
-    pub policy: ::core::option::Option<evaluate_request::Policy>,
-}
-/// Nested message and enum types in `EvaluateRequest`.
-pub mod evaluate_request {
-    #[derive(Clone, PartialEq, Eq, Hash, ::prost::Oneof)]
-    pub enum Policy {
-        /// A policy as an ONNX file.
-        #[prost(message, tag = "1")]
-        Onnx(super::File),
-        /// A gait without a file: tripod:HZ, tripod, clock:NUMBERS, standing or random.
-        #[prost(string, tag = "2")]
-        Gait(::prost::alloc::string::String),
-    }
-}
-#[derive(Clone, PartialEq, ::prost::Message)]
-pub struct DiagnoseRequest {
-    /// Measured data as CSV.
-    #[prost(message, optional, tag = "1")]
-    pub data: ::core::option::Option<File>,
-    /// Medium, shapes, units and all else that is not in the data file.
-    #[prost(oneof = "diagnose_request::Experiment", tags = "2, 3")]
-    pub experiment: ::core::option::Option<diagnose_request::Experiment>,
-}
-/// Nested message and enum types in `DiagnoseRequest`.
-pub mod diagnose_request {
-    /// Medium, shapes, units and all else that is not in the data file.
-    #[derive(Clone, PartialEq, ::prost::Oneof)]
-    pub enum Experiment {
-        /// An experiment.toml.
-        #[prost(message, tag = "2")]
-        File(super::File),
-        /// The tables of an experiment.toml as values.
-        #[prost(message, tag = "3")]
-        Values(::prost_types::Struct),
-    }
-}
-#[derive(Clone, PartialEq, ::prost::Message)]
-pub struct DiagnoseResponse {
-    #[prost(oneof = "diagnose_response::Event", tags = "1, 2")]
-    pub event: ::core::option::Option<diagnose_response::Event>,
-}
-/// Nested message and enum types in `DiagnoseResponse`.
-pub mod diagnose_response {
-    #[derive(Clone, PartialEq, ::prost::Oneof)]
-    pub enum Event {
-        #[prost(message, tag = "1")]
-        Progress(super::Progress),
-        #[prost(message, tag = "2")]
-        Diagnosis(super::Diagnosis),
-    }
-}
-/// The files that `sandgait diagnose` writes, and the curves of its HTML page.
-#[derive(Clone, PartialEq, ::prost::Message)]
-pub struct Diagnosis {
-    #[prost(string, tag = "1")]
-    pub report_json: ::prost::alloc::string::String,
-    #[prost(string, tag = "2")]
-    pub report_html: ::prost::alloc::string::String,
-    #[prost(string, tag = "3")]
-    pub sand_toml: ::prost::alloc::string::String,
-    /// One row for each sample. Columns trial, condition, shape and progress (angle \[rad\] or position along the path \[m\]). Each
-    /// measured channel C has four columns more: C, the predictions C_plain and C_extended of the two models, and C_sd, the
-    /// standard deviation of one repetition.
-    #[prost(message, optional, tag = "4")]
-    pub curves: ::core::option::Option<Table>,
-    #[prost(string, tag = "5")]
-    pub hardware_toml: ::prost::alloc::string::String,
 }
 /// Generated client implementations.
 pub mod study_service_client {
@@ -1044,12 +876,12 @@ pub mod study_service_client {
             self.inner = self.inner.max_encoding_message_size(limit);
             self
         }
-        /// Rotates a leg about a hip that is fixed above the sand. The table has one row for each angle.
-        pub async fn intrude(
+        /// Computes a study. First come messages of progress, then one result.
+        pub async fn study(
             &mut self,
-            request: impl tonic::IntoRequest<super::IntrudeRequest>,
+            request: impl tonic::IntoRequest<super::StudyRequest>,
         ) -> std::result::Result<
-            tonic::Response<super::IntrudeResponse>,
+            tonic::Response<tonic::codec::Streaming<super::StudyResponse>>,
             tonic::Status,
         > {
             self.inner
@@ -1062,144 +894,11 @@ pub mod study_service_client {
                 })?;
             let codec = tonic_prost::ProstCodec::default();
             let path = http::uri::PathAndQuery::from_static(
-                "/sandgait.v1.StudyService/Intrude",
+                "/sandgait.v1.StudyService/Study",
             );
             let mut req = request.into_request();
             req.extensions_mut()
-                .insert(GrpcMethod::new("sandgait.v1.StudyService", "Intrude"));
-            self.inner.unary(req, path, codec).await
-        }
-        /// Moves any body with constant velocity through sand. The table has one row for each motion, with columns Fx, Fy, Fz, Tx,
-        /// Ty, Tz, depth and no_equilibrium. no_equilibrium is 1 if the sand cannot carry the load; all other columns of this row are
-        /// then NaN.
-        pub async fn trials(
-            &mut self,
-            request: impl tonic::IntoRequest<super::TrialsRequest>,
-        ) -> std::result::Result<
-            tonic::Response<tonic::codec::Streaming<super::TableResponse>>,
-            tonic::Status,
-        > {
-            self.inner
-                .ready()
-                .await
-                .map_err(|e| {
-                    tonic::Status::unknown(
-                        format!("Service was not ready: {}", e.into()),
-                    )
-                })?;
-            let codec = tonic_prost::ProstCodec::default();
-            let path = http::uri::PathAndQuery::from_static(
-                "/sandgait.v1.StudyService/Trials",
-            );
-            let mut req = request.into_request();
-            req.extensions_mut()
-                .insert(GrpcMethod::new("sandgait.v1.StudyService", "Trials"));
-            self.inner.server_streaming(req, path, codec).await
-        }
-        /// Simulates walks at constant stride frequencies. The table has one row for each frequency, with columns frequency, speed,
-        /// base_height, pitch_rms, hip_torque_rms, hip_speed_error_rms, cost_of_transport, sink and drift.
-        pub async fn walk(
-            &mut self,
-            request: impl tonic::IntoRequest<super::WalkRequest>,
-        ) -> std::result::Result<
-            tonic::Response<tonic::codec::Streaming<super::TableResponse>>,
-            tonic::Status,
-        > {
-            self.inner
-                .ready()
-                .await
-                .map_err(|e| {
-                    tonic::Status::unknown(
-                        format!("Service was not ready: {}", e.into()),
-                    )
-                })?;
-            let codec = tonic_prost::ProstCodec::default();
-            let path = http::uri::PathAndQuery::from_static(
-                "/sandgait.v1.StudyService/Walk",
-            );
-            let mut req = request.into_request();
-            req.extensions_mut()
-                .insert(GrpcMethod::new("sandgait.v1.StudyService", "Walk"));
-            self.inner.server_streaming(req, path, codec).await
-        }
-        /// Simulates a walk of each design of a grid. The table has one row for each design; the last parameter varies fastest.
-        /// With `optimize` it searches for the best design instead, and the table has one row. First come the varied parameters, then
-        /// the columns of a walk.
-        pub async fn sweep(
-            &mut self,
-            request: impl tonic::IntoRequest<super::SweepRequest>,
-        ) -> std::result::Result<
-            tonic::Response<tonic::codec::Streaming<super::TableResponse>>,
-            tonic::Status,
-        > {
-            self.inner
-                .ready()
-                .await
-                .map_err(|e| {
-                    tonic::Status::unknown(
-                        format!("Service was not ready: {}", e.into()),
-                    )
-                })?;
-            let codec = tonic_prost::ProstCodec::default();
-            let path = http::uri::PathAndQuery::from_static(
-                "/sandgait.v1.StudyService/Sweep",
-            );
-            let mut req = request.into_request();
-            req.extensions_mut()
-                .insert(GrpcMethod::new("sandgait.v1.StudyService", "Sweep"));
-            self.inner.server_streaming(req, path, codec).await
-        }
-        /// Runs episodes of a gait or policy with evaluation seeds. The table has one row for each medium and slope, with columns
-        /// medium, slope_deg, rate (only for gait tripod: the best stride frequency found), episodes, return, speed, speed_error,
-        /// cost_of_transport, slip, falls and diverged. After each column from return to falls two more columns have the ends of its
-        /// 95 % interval.
-        pub async fn evaluate(
-            &mut self,
-            request: impl tonic::IntoRequest<super::EvaluateRequest>,
-        ) -> std::result::Result<
-            tonic::Response<tonic::codec::Streaming<super::TableResponse>>,
-            tonic::Status,
-        > {
-            self.inner
-                .ready()
-                .await
-                .map_err(|e| {
-                    tonic::Status::unknown(
-                        format!("Service was not ready: {}", e.into()),
-                    )
-                })?;
-            let codec = tonic_prost::ProstCodec::default();
-            let path = http::uri::PathAndQuery::from_static(
-                "/sandgait.v1.StudyService/Evaluate",
-            );
-            let mut req = request.into_request();
-            req.extensions_mut()
-                .insert(GrpcMethod::new("sandgait.v1.StudyService", "Evaluate"));
-            self.inner.server_streaming(req, path, codec).await
-        }
-        /// Finds where the simulation disagrees with measured data, and why.
-        pub async fn diagnose(
-            &mut self,
-            request: impl tonic::IntoRequest<super::DiagnoseRequest>,
-        ) -> std::result::Result<
-            tonic::Response<tonic::codec::Streaming<super::DiagnoseResponse>>,
-            tonic::Status,
-        > {
-            self.inner
-                .ready()
-                .await
-                .map_err(|e| {
-                    tonic::Status::unknown(
-                        format!("Service was not ready: {}", e.into()),
-                    )
-                })?;
-            let codec = tonic_prost::ProstCodec::default();
-            let path = http::uri::PathAndQuery::from_static(
-                "/sandgait.v1.StudyService/Diagnose",
-            );
-            let mut req = request.into_request();
-            req.extensions_mut()
-                .insert(GrpcMethod::new("sandgait.v1.StudyService", "Diagnose"));
+                .insert(GrpcMethod::new("sandgait.v1.StudyService", "Study"));
             self.inner.server_streaming(req, path, codec).await
         }
     }

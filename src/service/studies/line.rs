@@ -5,15 +5,16 @@
 //!              └── call cancelled, or server stops ──▶ gone, its place and the cores free
 //! ```
 
-use super::compute::StudyWork;
-use super::thread;
+use super::{convert, of_client, thread};
 use crate::error::{Error, Result};
 use crate::intake::{Intake, Messages};
 use crate::price;
 use crate::progress::Progress;
-use crate::proto::Progress as Event;
+use crate::proto::study_response::Event;
+use crate::proto::{self, StudyResponse};
 use crate::share::Share;
 use crate::status;
+use crate::study::StudyWork;
 use crate::unread::UnreadShare;
 use futures_util::StreamExt as _;
 use futures_util::stream::BoxStream;
@@ -21,7 +22,7 @@ use parking_lot::Mutex;
 use prost::Message;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use tokio::sync::{Semaphore, mpsc};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use tokio_stream::wrappers::ReceiverStream;
 use tokio_util::sync::CancellationToken;
 use tonic::Status;
@@ -33,15 +34,10 @@ const PLACES: usize = 16;
 /// are left out, but the result is always sent.
 const EVENTS: usize = 8;
 
+const STOPPED: &str = "the study was stopped";
+
 /// Smallest progress that is reported: our choice, some 200 events a study.
 const STEP: f64 = 0.005;
-
-/// A message of a study's stream.
-pub trait StudyMessage: Message + 'static {
-    type Result: Send + 'static;
-    fn progress(event: Event) -> Self;
-    fn result(result: Self::Result) -> Self;
-}
 
 /// The queue of one server.
 pub struct StudyQueue {
@@ -75,10 +71,14 @@ impl Drop for QueuePlace {
 }
 
 /// A study's progress, and its result at the end.
-pub type Events<A> = BoxStream<'static, std::result::Result<A, Status>>;
+pub type Events = BoxStream<'static, std::result::Result<StudyResponse, Status>>;
 
 /// What a study sends: an event; the result also carries its share of the memory.
-type StudyItem<A> = (std::result::Result<A, Status>, Option<UnreadShare>);
+type StudyItem = (std::result::Result<StudyResponse, Status>, Option<UnreadShare>);
+
+fn progress(fraction: f64, stage: String, ahead: u32) -> StudyResponse {
+    StudyResponse { event: Some(Event::Progress(proto::Progress { fraction, stage, ahead })) }
+}
 
 impl StudyQueue {
     /// Cancelling `stop` ends every study.
@@ -86,77 +86,108 @@ impl StudyQueue {
         Self { slot: Arc::new(Semaphore::new(1)), taken: Arc::default(), stop, intake }
     }
 
-    /// Computes `work` in its turn. The stream reports its progress and ends with its result or a status; dropping
-    /// the stream stops the work at its next report. `share`, the memory of the request, is held until the result has
-    /// been sent.
-    pub fn enter<A: StudyMessage>(
+    /// A request's `share` with `bytes` more, for what will be made of its files. It may wait for them.
+    pub async fn more(&self, share: Option<Share>, bytes: usize) -> Result<Option<Share>> {
+        grown(&self.intake, share, bytes).await
+    }
+
+    /// Computes `work` in its turn, and at once if it is quick. The stream reports its progress and ends with its result or a
+    /// status; dropping the stream stops the work at its next report. `share`, the memory of the request, is held until the
+    /// result has been sent.
+    pub fn enter(
         &self,
         share: Option<Share>,
         messages: Messages,
-        work: StudyWork<A::Result>,
-    ) -> std::result::Result<Events<A>, Status> {
-        let place = QueuePlace::take(&self.taken).map_err(|e| status::status(&e))?;
+        work: StudyWork,
+    ) -> std::result::Result<Events, Status> {
+        let place = (!work.quick).then(|| QueuePlace::take(&self.taken)).transpose().map_err(|e| status::status(&e))?;
         let (events, receiver) = mpsc::channel(EVENTS);
         let (slot, stop, intake) = (self.slot.clone(), self.stop.clone(), self.intake.clone());
         let own = messages.clone();
         tokio::spawn(async move {
-            let turn = async {
-                if place.ahead > 0 {
-                    let stage = match place.ahead {
-                        1 => "waiting for another study of this server".to_owned(),
-                        n => format!("waiting for {n} other studies of this server"),
-                    };
-                    let event = Event { fraction: 0.0, stage, ahead: place.ahead as u32 };
-                    // The code below notices a client that has disconnected.
-                    let _ = events.send((Ok(A::progress(event)), None)).await;
-                }
-                slot.acquire_owned().await.ok()
-            };
-            let permit = tokio::select! {
-                permit = turn => permit,
+            let turn = turn(place, slot, &events);
+            let turn = tokio::select! {
+                turn = turn => turn,
                 () = events.closed() => None,
                 () = stop.cancelled() => None,
             };
-            let (answer, share) = match permit {
-                None => (Err(Status::cancelled("the study was stopped before its turn came")), share),
-                Some(permit) => {
-                    let progress =
-                        ProgressSender { events: events.clone(), stop: stop.clone(), last: Mutex::default() };
-                    // The place and the slot are held until the work has actually ended, and its result has a share of
-                    // the memory: clients may leave results unread.
-                    let held = (permit, place);
-                    let done = thread::run(move || (work(&progress), share, held));
-                    let failed = Err(Error::Internal("the study failed inside the server".into()));
-                    let (done, share, _held) = match done {
-                        Ok(done) => match done.await {
-                            Ok((done, share, held)) => (done, share, Some(held)),
-                            Err(_) => (failed, None, None),
-                        },
-                        Err(error) => {
-                            (Err(Error::Exhausted(format!("cannot start a thread for a study: {error}"))), None, None)
-                        }
-                    };
-                    match done.map(A::result) {
-                        Ok(result) => match shared(&intake, share, price::answer_bytes(&result)).await {
-                            Ok(share) => (Ok(result), share),
-                            Err(error) => (Err(status::status(&error)), None),
-                        },
-                        Err(error) => (Err(status::status(&error)), share),
-                    }
+            let answer = match turn {
+                None => Err(Status::cancelled("the study was stopped before its turn came")),
+                Some(turn) => {
+                    let sender = ProgressSender { events: events.clone(), stop: stop.clone(), last: Mutex::default() };
+                    compute(work, turn, share, &intake, sender).await.map_err(|e| status::status(&e))
                 }
             };
             let stopped = answer.is_err() && stop.is_cancelled();
-            let answer = if stopped { Err(Status::unavailable("the server stops")) } else { answer };
+            let (answer, share) = match answer {
+                Ok((result, share)) => (Ok(StudyResponse { event: Some(Event::Result(result)) }), share),
+                Err(_) if stopped => (Err(Status::unavailable("the server stops")), None),
+                Err(status) => (Err(status), None),
+            };
             // If the caller has left, the result is not needed.
             let bytes = answer.as_ref().map_or(0, Message::encoded_len);
             let share = share.map(|share| own.unread(Arc::new(share), bytes));
             let _ = events.send((answer, share)).await;
         });
-        let sent = ReceiverStream::new(receiver).map(move |(event, share): StudyItem<A>| {
+        let sent = ReceiverStream::new(receiver).map(move |(event, share): StudyItem| {
             messages.hold_for_answer(share);
             event
         });
         Ok(sent.boxed())
+    }
+}
+
+/// What a study holds while it is computed: the cores and its place. A quick study holds nothing.
+type Turn = Option<(OwnedSemaphorePermit, QueuePlace)>;
+
+/// Waits for the cores; None: the server stops.
+async fn turn(place: Option<QueuePlace>, slot: Arc<Semaphore>, events: &mpsc::Sender<StudyItem>) -> Option<Turn> {
+    let Some(place) = place else { return Some(None) };
+    if place.ahead > 0 {
+        let stage = match place.ahead {
+            1 => "waiting for another study of this server".to_owned(),
+            n => format!("waiting for {n} other studies of this server"),
+        };
+        // `enter` notices a client that has disconnected.
+        let _ = events.send((Ok(progress(0.0, stage, place.ahead as u32)), None)).await;
+    }
+    let permit = slot.acquire_owned().await.ok()?;
+    Some(Some((permit, place)))
+}
+
+/// Does the work on a thread of lower priority; returns the result with its share of the memory. `turn` is held until the work has
+/// actually ended and its result has a share: clients may leave results unread.
+async fn compute(
+    work: StudyWork,
+    turn: Turn,
+    share: Option<Share>,
+    intake: &Intake,
+    sender: ProgressSender,
+) -> Result<(proto::StudyResult, Option<Share>)> {
+    // One study runs at a time, and it may need more than requests may take; so only a part is reserved.
+    let share = tokio::select! {
+        share = grown(intake, share, work.bytes.min(intake.most_of_a_study())) => share?,
+        () = sender.events.closed() => return Err(Error::Cancelled(STOPPED.into())),
+        () = sender.stop.cancelled() => return Err(Error::Cancelled(STOPPED.into())),
+    };
+    if work.quick {
+        return Ok((convert::result(work.finish(&sender).map_err(of_client)?), share));
+    }
+    let run = move || (work.finish(&sender).map(convert::result).map_err(of_client), share, turn);
+    let done = thread::run(run).map_err(|e| Error::Exhausted(format!("cannot start a thread for a study: {e}")))?;
+    let failed = |_| Error::Internal("the study failed inside the server".into());
+    let (result, share, _turn) = done.await.map_err(failed)?;
+    let result = result?;
+    let share = shared(intake, share, price::answer_bytes(&result)).await?;
+    Ok((result, share))
+}
+
+/// A share of `bytes` more.
+async fn grown(intake: &Intake, share: Option<Share>, bytes: usize) -> Result<Option<Share>> {
+    match share {
+        _ if bytes <= price::SMALL_ANSWER => Ok(share),
+        Some(share) => intake.grow(&share, bytes).await.map(|()| Some(share)),
+        None => intake.share(bytes).await.map(Some),
     }
 }
 
@@ -175,24 +206,23 @@ async fn shared(intake: &Intake, request: Option<Share>, bytes: usize) -> Result
 }
 
 /// Reports a study's progress to its client, and stops the study when its client has left.
-struct ProgressSender<A> {
-    events: mpsc::Sender<StudyItem<A>>,
+struct ProgressSender {
+    events: mpsc::Sender<StudyItem>,
     stop: CancellationToken,
     /// The last report. Several threads report, so the order varies; only larger values are sent.
     last: Mutex<Option<(f64, String)>>,
 }
 
-impl<A: StudyMessage> Progress for ProgressSender<A> {
+impl Progress for ProgressSender {
     fn report(&self, done: f64, stage: &str) -> Result<()> {
         if self.events.is_closed() || self.stop.is_cancelled() {
-            return Err(Error::Cancelled("the study was stopped".into()));
+            return Err(Error::Cancelled(STOPPED.into()));
         }
         let mut last = self.last.lock();
         let before = last.as_ref().map_or(0.0, |l| l.0);
         let fraction = done.clamp(before, 1.0);
         let news = last.as_ref().is_none_or(|l| l.1 != stage) || fraction >= before + STEP;
-        let event = Event { fraction, stage: stage.to_owned(), ahead: 0 };
-        if news && self.events.try_send((Ok(A::progress(event)), None)).is_ok() {
+        if news && self.events.try_send((Ok(progress(fraction, stage.to_owned(), 0)), None)).is_ok() {
             *last = Some((fraction, stage.to_owned()));
         }
         Ok(())

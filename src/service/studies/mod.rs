@@ -1,25 +1,24 @@
-//! `sandgait.v1.StudyService`: the offline tools, as the command line has them.
+//! `sandgait.v1.StudyService`: the studies of the command line.
 //!
-//! * [`compute`]: checks requests and computes the studies, also for callers in this process.
-//! * [`encode`]: their results as tables.
-//! * [`line`]: runs one study at a time while the others wait in a queue, and reports progress.
+//! * [`convert`]: files and results as messages.
+//! * [`line`]: computes one study at a time while the others wait in a queue, and reports progress.
 //! * [`thread`]: the threads of studies, which yield to steps.
 
-pub mod compute;
-mod encode;
+pub mod convert;
 mod line;
 mod thread;
 
 use super::frame::RequestFrame;
 use super::intake::{Intake, Messages};
+use super::proto::StudyRequest;
 use super::proto::study_service_server::StudyService;
-use super::proto::{self, Diagnosis, EvaluateRequest, SweepRequest, Table, TableResponse, TrialsRequest, WalkRequest};
-use super::proto::{DiagnoseRequest, DiagnoseResponse, IntrudeRequest, IntrudeResponse};
-use super::{off_runtime, outgoing, price};
-use crate::error::Result as Checked;
-use compute::StudyWork;
-use line::{Events, StudyMessage, StudyQueue};
-use prost::Message;
+use super::{off_runtime, status};
+use crate::error::{Error, Result as Checked};
+use crate::study::{self, AnyStudy, Inputs, StudyWork};
+use axum::body::Body;
+use axum::extract::Request as Call;
+use axum::middleware::Next;
+use line::{Events, StudyQueue};
 use std::sync::Arc;
 use tokio_util::sync::CancellationToken;
 use tonic::{Request, Response, Status};
@@ -29,100 +28,68 @@ pub struct Studies {
     line: StudyQueue,
     /// All memory that the server may use [bytes].
     memory: usize,
-    intake: Arc<Intake>,
 }
 
 impl Studies {
     /// Cancelling `stop` ends every study. `memory`: all that the server may use [bytes].
     pub fn new(stop: CancellationToken, memory: usize, intake: Arc<Intake>) -> Self {
-        Self { line: StudyQueue::new(stop, intake.clone()), memory, intake }
-    }
-
-    /// Checks a request, and computes its study in its turn.
-    async fn run<R: Message + Default + 'static, A: StudyMessage>(
-        &self,
-        request: Request<RequestFrame<R>>,
-        check: impl FnOnce(R) -> Checked<StudyWork<A::Result>> + Send + 'static,
-    ) -> Result<Response<Events<A>>, Status> {
-        let messages = Messages::of(&request);
-        let (request, share) = RequestFrame::only(request).await?;
-        let work = off_runtime(move || check(request)).await?;
-        self.line.enter(share, messages, work).map(Response::new)
+        Self { line: StudyQueue::new(stop, intake), memory }
     }
 }
 
 #[tonic::async_trait]
 impl StudyService for Studies {
-    async fn intrude(
-        &self,
-        request: Request<RequestFrame<IntrudeRequest>>,
-    ) -> Result<Response<IntrudeResponse>, Status> {
+    type StudyStream = Events;
+
+    async fn study(&self, request: Request<RequestFrame<StudyRequest>>) -> Result<Response<Events>, Status> {
         let messages = Messages::of(&request);
-        let (request, _share) = RequestFrame::only(request).await?;
-        let table = off_runtime(move || compute::intrude(request)).await?;
-        let answer = || Ok(IntrudeResponse { table: Some(table.clone()) });
-        outgoing::answer(&self.intake, &messages, answer).await
-    }
-
-    type TrialsStream = Events<TableResponse>;
-
-    async fn trials(&self, request: Request<RequestFrame<TrialsRequest>>) -> Answers<TableResponse> {
-        self.run(request, compute::trials).await
-    }
-
-    type WalkStream = Events<TableResponse>;
-
-    async fn walk(&self, request: Request<RequestFrame<WalkRequest>>) -> Answers<TableResponse> {
-        self.run(request, compute::walk).await
-    }
-
-    type SweepStream = Events<TableResponse>;
-
-    async fn sweep(&self, request: Request<RequestFrame<SweepRequest>>) -> Answers<TableResponse> {
-        self.run(request, compute::sweep).await
-    }
-
-    type EvaluateStream = Events<TableResponse>;
-
-    async fn evaluate(&self, request: Request<RequestFrame<EvaluateRequest>>) -> Answers<TableResponse> {
-        self.run(request, compute::evaluate).await
-    }
-
-    type DiagnoseStream = Events<DiagnoseResponse>;
-
-    async fn diagnose(&self, request: Request<RequestFrame<DiagnoseRequest>>) -> Answers<DiagnoseResponse> {
+        let (request, share) = RequestFrame::only(request).await?;
         let memory = self.memory;
-        let check = move |request: DiagnoseRequest| {
-            let data = request.data.as_ref().map_or(&[][..], |data| &data.content);
-            price::check_diagnosis(data, memory)?;
-            compute::diagnose(request)
-        };
-        self.run(request, check).await
+        let (study, inputs) = off_runtime(move || read(request).map_err(of_client)).await?;
+        let cost = study.cost(&inputs);
+        let share = self.line.more(share, cost).await.map_err(|e| status::status(&e))?;
+        let work = off_runtime(move || checked(study, &inputs, memory).map_err(of_client)).await?;
+        self.line.enter(share, messages, work).map(Response::new)
     }
 }
 
-type Answers<A> = Result<Response<Events<A>>, Status>;
+/// The study of a request, with its files.
+fn read(request: StudyRequest) -> Checked<(Box<dyn AnyStudy>, Inputs)> {
+    let StudyRequest { name, arguments, files } = request;
+    let study = study::named(&name)?.parse(&arguments)?;
+    Ok((study, Inputs::sent(convert::inputs(files)?)))
+}
 
-impl StudyMessage for TableResponse {
-    type Result = Table;
-
-    fn progress(progress: proto::Progress) -> Self {
-        Self { event: Some(proto::table_response::Event::Progress(progress)) }
+/// The work of a study, within `memory` [bytes].
+fn checked(study: Box<dyn AnyStudy>, inputs: &Inputs, memory: usize) -> Checked<StudyWork> {
+    let work = study.check(inputs)?;
+    if work.bytes > memory {
+        let [needed, limit] = [work.bytes, memory].map(|bytes| bytes >> 20);
+        let reason = format!("the study needs about {needed} MiB, more than this server's {limit} MiB");
+        return Err(Error::Exhausted(reason));
     }
+    Ok(work)
+}
 
-    fn result(table: Table) -> Self {
-        Self { event: Some(proto::table_response::Event::Table(table)) }
+/// An error about a file is the client's, because all files are.
+fn of_client(error: Error) -> Error {
+    match error {
+        Error::File { path, reason } => Error::invalid(path, reason),
+        other => other,
     }
 }
 
-impl StudyMessage for DiagnoseResponse {
-    type Result = Diagnosis;
+/// The calls of clients of earlier versions, one for each study.
+const OLD_CALLS: [&str; 6] = ["Intrude", "Trials", "Walk", "Sweep", "Evaluate", "Diagnose"];
 
-    fn progress(progress: proto::Progress) -> Self {
-        Self { event: Some(proto::diagnose_response::Event::Progress(progress)) }
-    }
-
-    fn result(diagnosis: Diagnosis) -> Self {
-        Self { event: Some(proto::diagnose_response::Event::Diagnosis(diagnosis)) }
+/// Refuses the calls of older clients with a line that says what to do.
+pub async fn refuse_old(call: Call, next: Next) -> axum::response::Response {
+    let method = call.uri().path().strip_prefix("/sandgait.v1.StudyService/");
+    match method.filter(|method| OLD_CALLS.contains(method)) {
+        None => next.run(call).await,
+        Some(method) => {
+            let reason = format!("StudyService/{method} is gone, because all studies use rpc Study; update the client");
+            Status::unimplemented(reason).into_http::<Body>()
+        }
     }
 }

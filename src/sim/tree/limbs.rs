@@ -17,6 +17,9 @@ const SHARED: f64 = 0.5;
 /// more than this in both horizontal directions. Our choice: a sole's rounded edges count, and a point or ball is no
 /// sole.
 const SOLE: f64 = 0.03;
+/// A leg folds about two hinges if the cosine of their axes' angle is above this: our choice, 26°, between parallel axes
+/// (hip and knee, apart by the yaw of a leg that is drawn turned out) and axes that are perpendicular (pitch and roll).
+const FOLDS: f64 = 0.9;
 
 /// A branch of the tree from the base to its last body with a shape.
 #[derive(Clone, Debug)]
@@ -29,7 +32,9 @@ pub struct Limb {
     pub(super) moving: Vec<usize>,
     /// Sum of the distances between joints, and from the last one to its farthest point [m].
     pub length: f64,
-    /// The first joint that a long part of the limb follows (more than a quarter of its length): the hip of a leg, the shoulder of an arm.
+    /// The first joint that a long part of the limb follows: more than a quarter of its length.
+    pub(super) long: usize,
+    /// The hip of a leg, the shoulder of an arm: the joint `long`, or an earlier one about which the limb folds.
     pub hip: usize,
     pub(super) sole: Option<Sole>,
 }
@@ -66,13 +71,17 @@ pub fn limbs(tree: &Tree, contacts: &[Vec<ContactPoint>]) -> Vec<Limb> {
             }
         } else if all.len() < MOST_LIMBS {
             let moving = path[path.len().saturating_sub(MOST_MOVING)..].to_vec();
-            let hip = path[0];
-            all.push(Limb { path, ends: vec![end], moving, length, hip, sole: None });
+            let first = path[0];
+            all.push(Limb { path, ends: vec![end], moving, length, long: first, hip: first, sole: None });
         }
     }
     let joints = FreeJoints::of(tree);
+    let mut limbs_on = vec![0; tree.bodies.len()];
+    all.iter().flat_map(|limb| &limb.path).for_each(|i| limbs_on[*i] += 1);
     for limb in &mut all {
         limb.complete(tree, contacts, &joints.preferred);
+        let folds = limb.folds(tree, &joints.preferred, |i| limbs_on[i] == 1);
+        limb.hip = folds.map_or(limb.long, |hip| hip.min(limb.long));
     }
     all
 }
@@ -97,7 +106,22 @@ impl Limb {
         self.ends[0]
     }
 
-    /// Finds hip and sole, with joints at `angles`.
+    /// The first of the first two hinges with parallel axes, in which a leg folds: of a leg the hip's pitch, before the knee. A
+    /// thigh may be short, or have joints in it. Only joints that carry no other limb are its `own`; a waist is none.
+    fn folds(&self, tree: &Tree, angles: &[f64], own: impl Fn(usize) -> bool) -> Option<usize> {
+        let (mut at, mut before) = (Isometry3::identity(), Vec::<(usize, V)>::new());
+        for &i in &self.path {
+            at *= moved(&tree.bodies[i], angles[i - 1]);
+            let Some(axis) = tree.bodies[i].hinge_axis(&at).filter(|_| own(i)) else { continue };
+            if let Some((first, _)) = before.iter().find(|(_, other)| axis.dot(other).abs() > FOLDS) {
+                return Some(*first);
+            }
+            before.push((i, axis));
+        }
+        None
+    }
+
+    /// Finds the joint before the first long part, and the sole, with joints at `angles`.
     fn complete(&mut self, tree: &Tree, contacts: &[Vec<ContactPoint>], angles: &[f64]) {
         let next = |k: usize| {
             self.path
@@ -105,7 +129,7 @@ impl Limb {
                 .map_or(farthest(&contacts[self.end()]), |i| tree.bodies[*i].origin.translation.vector.norm())
         };
         let long = (0..self.path.len()).find(|k| next(*k) > 0.25 * self.length);
-        self.hip = self.path[long.unwrap_or(0)];
+        self.long = self.path[long.unwrap_or(0)];
         let points = &contacts[self.end()];
         let frame = self.frame(tree, angles, self.end());
         if self.path.len() < 4 {
@@ -130,8 +154,11 @@ impl Limb {
     }
 
     /// Position of the knee in the base's frame [m]. The knee is the first joint after the hip that is far from the
-    /// joint before it; if there is none, it is the joint of the last body.
+    /// joint before it, or that a long part follows; if there is none, it is the joint of the last body.
     pub fn knee(&self, tree: &Tree, angles: &[f64]) -> V {
+        if self.hip < self.long {
+            return self.frame(tree, angles, self.long).translation.vector;
+        }
         let after = self
             .path
             .iter()

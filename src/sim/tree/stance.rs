@@ -284,11 +284,17 @@ impl<'a> Search<'a> {
     }
 
     /// The part of `to_foot` perpendicular to the plane in which the foot moves, if all hinges of the leg have parallel axes.
-    /// Such a leg cannot change this part.
+    /// Such a leg cannot change this part. In other legs it is the way along the hip's axis to the thigh, which joints may
+    /// separate from the hip.
     fn beside_plane(&self, limb: &Limb, frames: &[Isometry3<f64>], to_foot: V) -> V {
         let mut axes = limb.path.iter().filter_map(|i| self.tree.bodies[*i].hinge_axis(&frames[*i]));
         let Some(axis) = axes.next() else { return V::zeros() };
-        if axes.all(|other| axis.dot(&other).abs() > PARALLEL) { axis * axis.dot(&to_foot) } else { V::zeros() }
+        if axes.all(|other| axis.dot(&other).abs() > PARALLEL) {
+            return axis * axis.dot(&to_foot);
+        }
+        let to_thigh = frames[limb.long].translation.vector - frames[limb.hip].translation.vector;
+        let axis = self.tree.bodies[limb.hip].hinge_axis(&frames[limb.hip]);
+        axis.map_or(V::zeros(), |axis| (axis * axis.dot(&to_thigh)).xy().push(0.0))
     }
 
     fn reach(&self, limb: &Limb, target: V, first: Option<&[f64]>, widely: bool) -> Reached {

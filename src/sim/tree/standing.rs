@@ -39,6 +39,9 @@ const BOB_SIZE: [f64; 2] = [0.2, 0.05];
 /// asks for finer steps, which make the simulation slower.
 const ACCEPTED: f64 = 0.01;
 
+/// How much higher the robot starts in a run that shows what any small change does [m]: our choice, a tenth of a usual grain.
+const LIFT: f64 = 1e-4;
+
 /// A foot of a standing robot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FootPrint {
@@ -171,13 +174,15 @@ fn judged(model: &Model, state: State) -> Result<Standing> {
     })
 }
 
-/// The largest time step in `STEPS` that is fine enough, or None. In the test all joints bend with 2 Hz. On average the
-/// base's height may differ from that of a run at 0.125 ms by at most 1 % of the standing height. `model_at`: makes the
-/// model with a given time step.
+/// The largest time step in `STEPS` that is fine enough, or None. In the test all joints bend with 2 Hz. The distribution of the
+/// hips' heights may differ from that of a run at 0.125 ms, on average over its quantiles, by at most 1 % of the standing height,
+/// and by what another start, 0.1 mm higher, changes at 0.125 ms: a robot that hops or slides goes its own way after any small
+/// change, which says nothing of the step. `model_at`: makes the model with a given time step.
 pub fn needed_step(model_at: impl Fn(f64) -> Result<Model>) -> Result<Option<f64>> {
-    let heights = |dt: f64| -> Result<Vec<f64>> {
+    let heights = |dt: f64, lift: f64| -> Result<Vec<f64>> {
         let model = model_at(dt)?;
         let mut state = start(&model)?;
+        state.position[2] += lift;
         let mut engine = engine(&model, &state)?;
         let tree = model.tree.as_ref().ok_or_else(|| Error::invalid("robot", "is no tree of bodies"))?;
         let size = BOB_SIZE[usize::from(tree.stance.legs.len() < 4)];
@@ -191,14 +196,16 @@ pub fn needed_step(model_at: impl Fn(f64) -> Result<Model>) -> Result<Option<f64
             engine.state(0, &mut state);
             all.push(tree.hips_over(&state, |_, _| 0.0));
         }
+        all.sort_by(f64::total_cmp);
         Ok(all)
     };
-    let finest = heights(STEPS[STEPS.len() - 1])?;
+    let off = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum::<f64>() / a.len() as f64;
+    let finest = STEPS[STEPS.len() - 1];
+    let (lifted, finest) = (heights(finest, LIFT)?, heights(finest, 0.0)?);
     let most = ACCEPTED * model_at(STEPS[0])?.tree.map_or(0.0, |tree| tree.stance.hips_height());
+    let most = most + off(&lifted, &finest);
     for dt in &STEPS[..STEPS.len() - 1] {
-        let own = heights(*dt)?;
-        let off = own.iter().zip(&finest).map(|(a, b)| (a - b).abs()).sum::<f64>() / own.len() as f64;
-        if off <= most {
+        if off(&heights(*dt, 0.0)?, &finest) <= most {
             return Ok(Some(*dt));
         }
     }

@@ -515,89 +515,19 @@ pub mod study_service_server {
     /// Generated trait containing gRPC methods that should be implemented for use with StudyServiceServer.
     #[async_trait]
     pub trait StudyService: std::marker::Send + std::marker::Sync + 'static {
-        /// Rotates a leg about a hip that is fixed above the sand. The table has one row for each angle.
-        async fn intrude(
-            &self,
-            request: tonic::Request<
-                crate::frame::RequestFrame<crate::proto::IntrudeRequest>,
-            >,
-        ) -> std::result::Result<
-            tonic::Response<crate::proto::IntrudeResponse>,
-            tonic::Status,
-        >;
-        /// Server streaming response type for the Trials method.
-        type TrialsStream: tonic::codegen::tokio_stream::Stream<
-                Item = std::result::Result<crate::proto::TableResponse, tonic::Status>,
+        /// Server streaming response type for the Study method.
+        type StudyStream: tonic::codegen::tokio_stream::Stream<
+                Item = std::result::Result<crate::proto::StudyResponse, tonic::Status>,
             >
             + std::marker::Send
             + 'static;
-        /// Moves any body with constant velocity through sand. The table has one row for each motion, with columns Fx, Fy, Fz, Tx,
-        /// Ty, Tz, depth and no_equilibrium. no_equilibrium is 1 if the sand cannot carry the load; all other columns of this row are
-        /// then NaN.
-        async fn trials(
+        /// Computes a study. First come messages of progress, then one result.
+        async fn study(
             &self,
             request: tonic::Request<
-                crate::frame::RequestFrame<crate::proto::TrialsRequest>,
+                crate::frame::RequestFrame<crate::proto::StudyRequest>,
             >,
-        ) -> std::result::Result<tonic::Response<Self::TrialsStream>, tonic::Status>;
-        /// Server streaming response type for the Walk method.
-        type WalkStream: tonic::codegen::tokio_stream::Stream<
-                Item = std::result::Result<crate::proto::TableResponse, tonic::Status>,
-            >
-            + std::marker::Send
-            + 'static;
-        /// Simulates walks at constant stride frequencies. The table has one row for each frequency, with columns frequency, speed,
-        /// base_height, pitch_rms, hip_torque_rms, hip_speed_error_rms, cost_of_transport, sink and drift.
-        async fn walk(
-            &self,
-            request: tonic::Request<
-                crate::frame::RequestFrame<crate::proto::WalkRequest>,
-            >,
-        ) -> std::result::Result<tonic::Response<Self::WalkStream>, tonic::Status>;
-        /// Server streaming response type for the Sweep method.
-        type SweepStream: tonic::codegen::tokio_stream::Stream<
-                Item = std::result::Result<crate::proto::TableResponse, tonic::Status>,
-            >
-            + std::marker::Send
-            + 'static;
-        /// Simulates a walk of each design of a grid. The table has one row for each design; the last parameter varies fastest.
-        /// With `optimize` it searches for the best design instead, and the table has one row. First come the varied parameters, then
-        /// the columns of a walk.
-        async fn sweep(
-            &self,
-            request: tonic::Request<
-                crate::frame::RequestFrame<crate::proto::SweepRequest>,
-            >,
-        ) -> std::result::Result<tonic::Response<Self::SweepStream>, tonic::Status>;
-        /// Server streaming response type for the Evaluate method.
-        type EvaluateStream: tonic::codegen::tokio_stream::Stream<
-                Item = std::result::Result<crate::proto::TableResponse, tonic::Status>,
-            >
-            + std::marker::Send
-            + 'static;
-        /// Runs episodes of a gait or policy with evaluation seeds. The table has one row for each medium and slope, with columns
-        /// medium, slope_deg, rate (only for gait tripod: the best stride frequency found), episodes, return, speed, speed_error,
-        /// cost_of_transport, slip, falls and diverged. After each column from return to falls two more columns have the ends of its
-        /// 95 % interval.
-        async fn evaluate(
-            &self,
-            request: tonic::Request<
-                crate::frame::RequestFrame<crate::proto::EvaluateRequest>,
-            >,
-        ) -> std::result::Result<tonic::Response<Self::EvaluateStream>, tonic::Status>;
-        /// Server streaming response type for the Diagnose method.
-        type DiagnoseStream: tonic::codegen::tokio_stream::Stream<
-                Item = std::result::Result<crate::proto::DiagnoseResponse, tonic::Status>,
-            >
-            + std::marker::Send
-            + 'static;
-        /// Finds where the simulation disagrees with measured data, and why.
-        async fn diagnose(
-            &self,
-            request: tonic::Request<
-                crate::frame::RequestFrame<crate::proto::DiagnoseRequest>,
-            >,
-        ) -> std::result::Result<tonic::Response<Self::DiagnoseStream>, tonic::Status>;
+        ) -> std::result::Result<tonic::Response<Self::StudyStream>, tonic::Status>;
     }
     #[derive(Debug)]
     pub struct StudyServiceServer<T> {
@@ -675,64 +605,16 @@ pub mod study_service_server {
         }
         fn call(&mut self, req: http::Request<B>) -> Self::Future {
             match req.uri().path() {
-                "/sandgait.v1.StudyService/Intrude" => {
+                "/sandgait.v1.StudyService/Study" => {
                     #[allow(non_camel_case_types)]
-                    struct IntrudeSvc<T: StudyService>(pub Arc<T>);
-                    impl<
-                        T: StudyService,
-                    > tonic::server::UnaryService<
-                        crate::frame::RequestFrame<crate::proto::IntrudeRequest>,
-                    > for IntrudeSvc<T> {
-                        type Response = crate::proto::IntrudeResponse;
-                        type Future = BoxFuture<
-                            tonic::Response<Self::Response>,
-                            tonic::Status,
-                        >;
-                        fn call(
-                            &mut self,
-                            request: tonic::Request<
-                                crate::frame::RequestFrame<crate::proto::IntrudeRequest>,
-                            >,
-                        ) -> Self::Future {
-                            let inner = Arc::clone(&self.0);
-                            let fut = async move {
-                                <T as StudyService>::intrude(&inner, request).await
-                            };
-                            Box::pin(fut)
-                        }
-                    }
-                    let accept_compression_encodings = self.accept_compression_encodings;
-                    let send_compression_encodings = self.send_compression_encodings;
-                    let max_decoding_message_size = self.max_decoding_message_size;
-                    let max_encoding_message_size = self.max_encoding_message_size;
-                    let inner = self.inner.clone();
-                    let fut = async move {
-                        let method = IntrudeSvc(inner);
-                        let codec = crate::frame::FrameCodec::default();
-                        let mut grpc = tonic::server::Grpc::new(codec)
-                            .apply_compression_config(
-                                accept_compression_encodings,
-                                send_compression_encodings,
-                            )
-                            .apply_max_message_size_config(
-                                max_decoding_message_size,
-                                max_encoding_message_size,
-                            );
-                        let res = grpc.unary(method, req).await;
-                        Ok(res)
-                    };
-                    Box::pin(fut)
-                }
-                "/sandgait.v1.StudyService/Trials" => {
-                    #[allow(non_camel_case_types)]
-                    struct TrialsSvc<T: StudyService>(pub Arc<T>);
+                    struct StudySvc<T: StudyService>(pub Arc<T>);
                     impl<
                         T: StudyService,
                     > tonic::server::ServerStreamingService<
-                        crate::frame::RequestFrame<crate::proto::TrialsRequest>,
-                    > for TrialsSvc<T> {
-                        type Response = crate::proto::TableResponse;
-                        type ResponseStream = T::TrialsStream;
+                        crate::frame::RequestFrame<crate::proto::StudyRequest>,
+                    > for StudySvc<T> {
+                        type Response = crate::proto::StudyResponse;
+                        type ResponseStream = T::StudyStream;
                         type Future = BoxFuture<
                             tonic::Response<Self::ResponseStream>,
                             tonic::Status,
@@ -740,12 +622,12 @@ pub mod study_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::frame::RequestFrame<crate::proto::TrialsRequest>,
+                                crate::frame::RequestFrame<crate::proto::StudyRequest>,
                             >,
                         ) -> Self::Future {
                             let inner = Arc::clone(&self.0);
                             let fut = async move {
-                                <T as StudyService>::trials(&inner, request).await
+                                <T as StudyService>::study(&inner, request).await
                             };
                             Box::pin(fut)
                         }
@@ -756,203 +638,7 @@ pub mod study_service_server {
                     let max_encoding_message_size = self.max_encoding_message_size;
                     let inner = self.inner.clone();
                     let fut = async move {
-                        let method = TrialsSvc(inner);
-                        let codec = crate::frame::FrameCodec::default();
-                        let mut grpc = tonic::server::Grpc::new(codec)
-                            .apply_compression_config(
-                                accept_compression_encodings,
-                                send_compression_encodings,
-                            )
-                            .apply_max_message_size_config(
-                                max_decoding_message_size,
-                                max_encoding_message_size,
-                            );
-                        let res = grpc.server_streaming(method, req).await;
-                        Ok(res)
-                    };
-                    Box::pin(fut)
-                }
-                "/sandgait.v1.StudyService/Walk" => {
-                    #[allow(non_camel_case_types)]
-                    struct WalkSvc<T: StudyService>(pub Arc<T>);
-                    impl<
-                        T: StudyService,
-                    > tonic::server::ServerStreamingService<
-                        crate::frame::RequestFrame<crate::proto::WalkRequest>,
-                    > for WalkSvc<T> {
-                        type Response = crate::proto::TableResponse;
-                        type ResponseStream = T::WalkStream;
-                        type Future = BoxFuture<
-                            tonic::Response<Self::ResponseStream>,
-                            tonic::Status,
-                        >;
-                        fn call(
-                            &mut self,
-                            request: tonic::Request<
-                                crate::frame::RequestFrame<crate::proto::WalkRequest>,
-                            >,
-                        ) -> Self::Future {
-                            let inner = Arc::clone(&self.0);
-                            let fut = async move {
-                                <T as StudyService>::walk(&inner, request).await
-                            };
-                            Box::pin(fut)
-                        }
-                    }
-                    let accept_compression_encodings = self.accept_compression_encodings;
-                    let send_compression_encodings = self.send_compression_encodings;
-                    let max_decoding_message_size = self.max_decoding_message_size;
-                    let max_encoding_message_size = self.max_encoding_message_size;
-                    let inner = self.inner.clone();
-                    let fut = async move {
-                        let method = WalkSvc(inner);
-                        let codec = crate::frame::FrameCodec::default();
-                        let mut grpc = tonic::server::Grpc::new(codec)
-                            .apply_compression_config(
-                                accept_compression_encodings,
-                                send_compression_encodings,
-                            )
-                            .apply_max_message_size_config(
-                                max_decoding_message_size,
-                                max_encoding_message_size,
-                            );
-                        let res = grpc.server_streaming(method, req).await;
-                        Ok(res)
-                    };
-                    Box::pin(fut)
-                }
-                "/sandgait.v1.StudyService/Sweep" => {
-                    #[allow(non_camel_case_types)]
-                    struct SweepSvc<T: StudyService>(pub Arc<T>);
-                    impl<
-                        T: StudyService,
-                    > tonic::server::ServerStreamingService<
-                        crate::frame::RequestFrame<crate::proto::SweepRequest>,
-                    > for SweepSvc<T> {
-                        type Response = crate::proto::TableResponse;
-                        type ResponseStream = T::SweepStream;
-                        type Future = BoxFuture<
-                            tonic::Response<Self::ResponseStream>,
-                            tonic::Status,
-                        >;
-                        fn call(
-                            &mut self,
-                            request: tonic::Request<
-                                crate::frame::RequestFrame<crate::proto::SweepRequest>,
-                            >,
-                        ) -> Self::Future {
-                            let inner = Arc::clone(&self.0);
-                            let fut = async move {
-                                <T as StudyService>::sweep(&inner, request).await
-                            };
-                            Box::pin(fut)
-                        }
-                    }
-                    let accept_compression_encodings = self.accept_compression_encodings;
-                    let send_compression_encodings = self.send_compression_encodings;
-                    let max_decoding_message_size = self.max_decoding_message_size;
-                    let max_encoding_message_size = self.max_encoding_message_size;
-                    let inner = self.inner.clone();
-                    let fut = async move {
-                        let method = SweepSvc(inner);
-                        let codec = crate::frame::FrameCodec::default();
-                        let mut grpc = tonic::server::Grpc::new(codec)
-                            .apply_compression_config(
-                                accept_compression_encodings,
-                                send_compression_encodings,
-                            )
-                            .apply_max_message_size_config(
-                                max_decoding_message_size,
-                                max_encoding_message_size,
-                            );
-                        let res = grpc.server_streaming(method, req).await;
-                        Ok(res)
-                    };
-                    Box::pin(fut)
-                }
-                "/sandgait.v1.StudyService/Evaluate" => {
-                    #[allow(non_camel_case_types)]
-                    struct EvaluateSvc<T: StudyService>(pub Arc<T>);
-                    impl<
-                        T: StudyService,
-                    > tonic::server::ServerStreamingService<
-                        crate::frame::RequestFrame<crate::proto::EvaluateRequest>,
-                    > for EvaluateSvc<T> {
-                        type Response = crate::proto::TableResponse;
-                        type ResponseStream = T::EvaluateStream;
-                        type Future = BoxFuture<
-                            tonic::Response<Self::ResponseStream>,
-                            tonic::Status,
-                        >;
-                        fn call(
-                            &mut self,
-                            request: tonic::Request<
-                                crate::frame::RequestFrame<crate::proto::EvaluateRequest>,
-                            >,
-                        ) -> Self::Future {
-                            let inner = Arc::clone(&self.0);
-                            let fut = async move {
-                                <T as StudyService>::evaluate(&inner, request).await
-                            };
-                            Box::pin(fut)
-                        }
-                    }
-                    let accept_compression_encodings = self.accept_compression_encodings;
-                    let send_compression_encodings = self.send_compression_encodings;
-                    let max_decoding_message_size = self.max_decoding_message_size;
-                    let max_encoding_message_size = self.max_encoding_message_size;
-                    let inner = self.inner.clone();
-                    let fut = async move {
-                        let method = EvaluateSvc(inner);
-                        let codec = crate::frame::FrameCodec::default();
-                        let mut grpc = tonic::server::Grpc::new(codec)
-                            .apply_compression_config(
-                                accept_compression_encodings,
-                                send_compression_encodings,
-                            )
-                            .apply_max_message_size_config(
-                                max_decoding_message_size,
-                                max_encoding_message_size,
-                            );
-                        let res = grpc.server_streaming(method, req).await;
-                        Ok(res)
-                    };
-                    Box::pin(fut)
-                }
-                "/sandgait.v1.StudyService/Diagnose" => {
-                    #[allow(non_camel_case_types)]
-                    struct DiagnoseSvc<T: StudyService>(pub Arc<T>);
-                    impl<
-                        T: StudyService,
-                    > tonic::server::ServerStreamingService<
-                        crate::frame::RequestFrame<crate::proto::DiagnoseRequest>,
-                    > for DiagnoseSvc<T> {
-                        type Response = crate::proto::DiagnoseResponse;
-                        type ResponseStream = T::DiagnoseStream;
-                        type Future = BoxFuture<
-                            tonic::Response<Self::ResponseStream>,
-                            tonic::Status,
-                        >;
-                        fn call(
-                            &mut self,
-                            request: tonic::Request<
-                                crate::frame::RequestFrame<crate::proto::DiagnoseRequest>,
-                            >,
-                        ) -> Self::Future {
-                            let inner = Arc::clone(&self.0);
-                            let fut = async move {
-                                <T as StudyService>::diagnose(&inner, request).await
-                            };
-                            Box::pin(fut)
-                        }
-                    }
-                    let accept_compression_encodings = self.accept_compression_encodings;
-                    let send_compression_encodings = self.send_compression_encodings;
-                    let max_decoding_message_size = self.max_decoding_message_size;
-                    let max_encoding_message_size = self.max_encoding_message_size;
-                    let inner = self.inner.clone();
-                    let fut = async move {
-                        let method = DiagnoseSvc(inner);
+                        let method = StudySvc(inner);
                         let codec = crate::frame::FrameCodec::default();
                         let mut grpc = tonic::server::Grpc::new(codec)
                             .apply_compression_config(

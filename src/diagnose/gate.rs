@@ -1,0 +1,218 @@
+//! The tests that every answer must pass before it is given a name, of whatever kind it is. What fails is said in words.
+
+use super::evidence::EvidenceTable;
+use super::fit::{COEFFICIENTS, Fit};
+use super::form::{FreePower, free_powers};
+use super::laws::{FittedLaw, fitted};
+use super::left_out::Contender;
+use super::nested::{Nested, simpler};
+use super::nuisance::Nuisance;
+use super::study::FitInputs;
+use super::verdict::{Compared, Effect, Role, base};
+use super::whiten::Whitener;
+use super::words::digits;
+use crate::number::dot;
+use crate::sand::Term;
+use crate::sand::mechanism::CATALOG;
+use crate::student;
+
+/// No condition and no trial may carry more than this share of the evidence (docs/diagnosis_method.md).
+const MOST_SHARE: f64 = 0.5;
+
+/// An effect with its strength.
+#[derive(Clone, Debug)]
+pub struct FoundEffect {
+    pub effect: Effect,
+    pub value: f64,
+    pub ci95: [f64; 2],
+    pub at_bound: bool,
+    /// Does the interval exclude that the effect is absent?
+    pub certain: bool,
+}
+
+/// A model, fitted with the noise scaled to its errors, and the strengths that it gives.
+pub struct Assessment {
+    pub fit: Fit,
+    pub nuisances: Vec<Nuisance>,
+    pub whitener: Whitener,
+    /// Are its coefficients the stated ones?
+    pub stated: bool,
+    pub found: Vec<FoundEffect>,
+    /// Correlations of the strengths, row by row; empty for fewer than two.
+    pub correlations: Vec<Vec<f64>>,
+    /// Does it have a law that turned out to be impossible in sand?
+    pub impossible: bool,
+    pub law: Option<FittedLaw>,
+    pub powers: Vec<FreePower>,
+}
+
+impl Assessment {
+    /// A study in which this fit was made.
+    pub fn study<'a>(&'a self, study: &FitInputs<'a>) -> FitInputs<'a> {
+        let own = study.under(&self.whitener, self.nuisances.clone());
+        if self.stated { own.stated() } else { own }
+    }
+}
+
+/// The inputs of an assessment.
+pub struct Assessing<'a> {
+    pub study: &'a FitInputs<'a>,
+    pub whitener: Whitener,
+    pub contender: Contender<'a>,
+    pub effects: &'a [Effect],
+    pub stated: bool,
+    pub law: Option<Term>,
+    /// Is the law fitted to what the causes leave?
+    pub held: bool,
+    /// Intervals of the coordinates, if slopes are not reliable.
+    pub profiled: Option<&'a [[f64; 2]]>,
+    pub degrees: f64,
+}
+
+impl Assessing<'_> {
+    pub fn assess(self) -> Assessment {
+        let nuisances = self.contender.nuisances.to_vec();
+        let own = self.study.under(&self.whitener, nuisances.clone());
+        let last = if self.stated { own.stated() } else { own };
+        let mut fit = last.fit_from(&[self.contender.fit]).swap_remove(0);
+        let law = self.law.as_ref().and_then(|term| fitted(&last, &fit, term.clone(), self.held));
+        if let Some(law) = &law {
+            fit = law.fit.clone();
+        }
+        let reach = last.reach(&fit, self.degrees);
+        let found = self.effects.iter().map(|effect| self.found(*effect, &fit, &nuisances, &reach)).collect();
+        let covariance = last.covariance(&fit);
+        let places: Vec<usize> = self.effects.iter().filter_map(|effect| place(*effect, &fit)).collect();
+        let of = |i: usize, j: usize| covariance[(i, j)] / (covariance[(i, i)] * covariance[(j, j)]).sqrt();
+        let correlations = places.iter().map(|&i| places.iter().map(|&j| of(i, j)).collect());
+        let correlations = if places.len() < 2 { Vec::new() } else { correlations.collect() };
+        let powers = match self.effects.iter().any(|e| matches!(e, Effect::Mechanism(_))) {
+            true => free_powers(self.study, &self.contender, self.degrees),
+            false => Vec::new(),
+        };
+        let (impossible, stated) = (self.law.is_some() && law.is_none(), self.stated);
+        drop(last);
+        Assessment { fit, nuisances, whitener: self.whitener, stated, found, correlations, impossible, law, powers }
+    }
+
+    fn found(&self, effect: Effect, fit: &Fit, nuisances: &[Nuisance], reach: &[f64]) -> FoundEffect {
+        match effect {
+            Effect::Measuring(k) => {
+                let (own, d) = (&nuisances[k], fit.deviations[COEFFICIENTS + k]);
+                let half = reach[fit.ids.len() + COEFFICIENTS + k];
+                let ci95 = [own.sd * (d - half), own.sd * (d + half)];
+                let at_bound = d.abs() >= super::gauss_newton::MOST_DEVIATION * (1.0 - 1e-6);
+                FoundEffect { effect, value: own.sd * d, ci95, at_bound, certain: d.abs() > half }
+            }
+            Effect::Mechanism(id) => {
+                let k = fit.ids.iter().position(|own| *own == id).unwrap_or(0);
+                let (entry, at) = (&CATALOG[id], fit.coordinates()[k]);
+                let profiled = self.profiled.and_then(|p| p.get(k)).filter(|i| i.iter().all(|u| u.is_finite()));
+                let range = profiled.copied().unwrap_or([at - reach[k], at + reach[k]]);
+                let certain = range[0] > 0.0 || range[1] < 0.0;
+                let bounds = entry.coordinate_bounds();
+                let [low, high] = [range[0].min(at), range[1].max(at)]
+                    .map(|u| entry.value(if u.is_nan() { at } else { u.clamp(bounds[0], bounds[1]) }));
+                // For a mechanism whose value is an upper limit, the end of the interval may be infinite; the largest
+                // allowed value replaces it.
+                let most = if entry.ceiling && low == 0.0 { entry.bounds[1] } else { low };
+                let ci95 = if entry.ceiling { [high, most] } else { [low, high] };
+                FoundEffect { effect, value: entry.value(at), ci95, at_bound: bounds.contains(&at), certain }
+            }
+        }
+    }
+}
+
+/// The place of an effect among a fit's parameters.
+fn place(effect: Effect, fit: &Fit) -> Option<usize> {
+    match effect {
+        Effect::Mechanism(id) => fit.ids.iter().position(|own| *own == id),
+        Effect::Measuring(k) => Some(fit.ids.len() + COEFFICIENTS + k),
+    }
+}
+
+/// The rows with one effect that beat the base.
+pub fn singles(entries: &[Compared]) -> impl Iterator<Item = usize> {
+    let base = base(entries);
+    let one = move |k: &usize| {
+        let own = &entries[*k];
+        own.role == Role::Causes && own.effects.len() == entries[base].effects.len() + 1 && own.beats[base]
+    };
+    (0..entries.len()).filter(one)
+}
+
+/// The inputs of the tests.
+pub struct NameTests<'a> {
+    pub study: &'a FitInputs<'a>,
+    pub table: &'a EvidenceTable,
+    pub entries: &'a [Compared],
+    /// The readings that each row predicts.
+    pub contenders: &'a [Contender<'a>],
+    /// How the row's kind of model predicts if it is chosen anew in each fold.
+    pub nested: &'a Nested,
+}
+
+impl NameTests<'_> {
+    /// The tests that `row` fails, in words.
+    pub fn failed(&self, row: usize, own: &Assessment) -> Vec<String> {
+        let mut failed = Vec::new();
+        if own.impossible {
+            failed.push("sand cannot follow this law".into());
+        }
+        if own.found.iter().any(|found| !found.certain) {
+            failed.push("the 95 % interval of its value does not exclude that it is absent".into());
+        }
+        if own
+            .law
+            .as_ref()
+            .is_some_and(|law| law.term.coefficient.abs() < student::two_sided_95(self.table.degrees.max(2.0)) * law.sd)
+        {
+            failed.push("the 95 % interval of its coefficient reaches 0".into());
+        }
+        let (_, [low, high]) = self.nested.reduction();
+        let [gain, error] = self.nested.least();
+        if !self.nested.is_certain() {
+            let said = format!("{:.0} to {:.0} %, elpd {gain:+.0} ± {error:.0}", 100.0 * low, 100.0 * high);
+            let said = said.replace('-', "−");
+            failed.push(format!(
+                "chosen anew without the predicted conditions, it lowers the error by {said}, which is not certain"
+            ));
+        }
+        for reference in simpler(self.entries, row) {
+            if !self.entries[row].beats[reference] {
+                failed.push("it does not predict left-out conditions better beyond twice the standard error".into());
+            }
+            failed.extend(self.carried(row, reference));
+        }
+        failed.extend(own.powers.iter().filter_map(FreePower::said));
+        failed.dedup();
+        failed
+    }
+
+    /// Whether one condition or one trial carries more than half of the evidence for `row` against `reference`.
+    fn carried(&self, row: usize, reference: usize) -> Option<String> {
+        let o = self.study.observations;
+        let share = |parts: &[f64]| {
+            let total: f64 = parts.iter().sum();
+            let most = (0..parts.len()).max_by(|a, b| parts[*a].total_cmp(&parts[*b]))?;
+            let share = parts[most] / total;
+            (total > 0.0 && share > MOST_SHARE).then_some((most, share.min(1.0)))
+        };
+        if let Some((most, share)) = share(&self.table.shares(row, reference)) {
+            let name = &o.conditions[most];
+            return Some(format!("condition {name} alone carries {} % of the evidence", digits(100.0 * share)));
+        }
+        let square = |k: usize| -> Vec<f64> {
+            let residual: Vec<f64> = o.values.iter().zip(self.contenders[k].reading()).map(|(y, m)| y - m).collect();
+            let white = self.study.whitener.apply(&residual);
+            o.units.iter().map(|u| dot(&white[o.span(u)], &white[o.span(u)])).collect()
+        };
+        // A law's reading is not that of its fit, and conditions are enough to say who carries it.
+        if self.entries[row].role == Role::Law {
+            return None;
+        }
+        let parts: Vec<f64> = square(reference).iter().zip(square(row)).map(|(before, after)| before - after).collect();
+        let (most, share) = share(&parts)?;
+        Some(format!("trial {} alone carries {} % of the evidence", o.units[most].id, digits(100.0 * share)))
+    }
+}
