@@ -1,17 +1,48 @@
 //! The number of processors, and work on many items spread over them.
 
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
+/// Threads of all [`map`]s that run now, besides their callers.
+static HELPERS: AtomicUsize = AtomicUsize::new(0);
+
 /// Number of processors that this process may use; 1 if the system does not report it.
 pub fn processors() -> usize {
-    thread::available_parallelism().map_or(1, usize::from)
+    // Linux reads several files for the answer.
+    static COUNT: OnceLock<usize> = OnceLock::new();
+    *COUNT.get_or_init(|| thread::available_parallelism().map_or(1, usize::from))
 }
 
-/// Applies `f` to every item; the results have the items' order.
+/// Threads that help one [`map`], until it ends or panics.
+struct Helpers(usize);
+
+impl Helpers {
+    /// At most `wanted`, and fewer if other maps have taken the processors.
+    fn take(wanted: usize) -> Self {
+        let most = processors() - 1;
+        let mut taken = 0;
+        let add = |now: usize| {
+            taken = wanted.min(most.saturating_sub(now));
+            Some(now + taken)
+        };
+        // The closure never refuses.
+        let _ = HELPERS.fetch_update(Ordering::Relaxed, Ordering::Relaxed, add);
+        Self(taken)
+    }
+}
+
+impl Drop for Helpers {
+    fn drop(&mut self) {
+        HELPERS.fetch_sub(self.0, Ordering::Relaxed);
+    }
+}
+
+/// Applies `f` to every item; the results have the items' order. The caller's thread works, too; others help while
+/// processors are free. So a map within a map starts no threads that would only wait for each other.
 pub fn map<T: Sync, R: Send>(items: &[T], f: impl Fn(&T) -> R + Sync) -> Vec<R> {
-    let threads = processors().min(items.len());
-    if threads < 2 {
+    let helpers = Helpers::take(items.len().saturating_sub(1));
+    if helpers.0 == 0 {
         return items.iter().map(f).collect();
     }
     let next = AtomicUsize::new(0);
@@ -24,10 +55,28 @@ pub fn map<T: Sync, R: Send>(items: &[T], f: impl Fn(&T) -> R + Sync) -> Vec<R> 
         }
     };
     let mut all: Vec<(usize, R)> = thread::scope(|scope| {
-        let handles: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
+        let handles: Vec<_> = (0..helpers.0).map(|_| scope.spawn(work)).collect();
+        let own = work();
         // A panic in the work is passed on to the caller.
-        handles.into_iter().flat_map(|h| h.join().unwrap_or_else(|e| std::panic::resume_unwind(e))).collect()
+        let others = handles.into_iter().flat_map(|h| h.join().unwrap_or_else(|e| std::panic::resume_unwind(e)));
+        own.into_iter().chain(others.collect::<Vec<_>>()).collect()
     });
     all.sort_by_key(|(index, _)| *index);
     all.into_iter().map(|(_, r)| r).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn results_are_in_order_and_threads_are_given_back() {
+        let items: Vec<usize> = (0..100).collect();
+        let inner = |i: &usize| map(&items, |j| i * j).iter().sum::<usize>();
+        let expected: Vec<usize> = items.iter().map(|i| i * 4950).collect();
+        assert_eq!(map(&items, inner), expected);
+        let panicked = std::panic::catch_unwind(|| map(&items, |i| assert_ne!(*i, 57, "on purpose")));
+        assert!(panicked.is_err());
+        assert_eq!(HELPERS.load(Ordering::Relaxed), 0);
+    }
 }

@@ -6,7 +6,7 @@ use super::candidates::{SECOND, SearchSpace};
 use super::differences::{NORMAL, SumPart, summed};
 use super::errors::SquaredErrors;
 use super::evidence::{EvidenceNumbers, EvidenceTable, LEAST};
-use super::left_out::{Contender, held_out};
+use super::left_out::{Contender, LeftOutRow, held_out};
 use super::noise::NoiseData;
 use super::rows::Fits;
 use super::study::FitInputs;
@@ -61,12 +61,30 @@ impl Nested {
     }
 }
 
-/// One fold: the conditions that are held out, the entries of a table without them, and the table with them, under a noise that does not
-/// know them.
+/// One fold: the conditions that are held out and those that are not, the entries of a table without the former, and the noise that does
+/// not know them.
 struct Fold {
     held: Vec<usize>,
+    known: Vec<usize>,
     rest: Vec<Compared>,
-    all: EvidenceTable,
+    whitener: Whitener,
+}
+
+/// Some rows of the table of all conditions, under the noise of one fold. Row 0, the plain model, is always among them.
+struct FoldTable {
+    /// The numbers that the rows have among all models, in ascending order.
+    rows: Vec<usize>,
+    table: EvidenceTable,
+}
+
+impl FoldTable {
+    fn place(&self, model: usize) -> usize {
+        self.rows.partition_point(|k| *k < model)
+    }
+
+    fn row(&self, model: usize) -> &LeftOutRow {
+        &self.table.rows[self.place(model)]
+    }
 }
 
 /// All folds of one selection.
@@ -90,10 +108,9 @@ impl<'a> Folds<'a> {
             let source = NoiseData { left_out: held, sizes: &fits.candidates.around.sizes, ..*asked.source };
             let noise = source.noise(Some(&fits.candidates.around.noise), &|| study.model.stopped());
             let whitener = Whitener::new(&source, &noise);
-            let rest: Vec<usize> = (0..conditions).filter(|k| !held.contains(k)).collect();
-            let numbers = EvidenceNumbers::new(study, &whitener, models, &rest);
-            let all: Vec<usize> = (0..conditions).collect();
-            Fold { held: held.clone(), rest: again(&numbers.table(&rest), entries), all: numbers.table(&all) }
+            let known: Vec<usize> = (0..conditions).filter(|k| !held.contains(k)).collect();
+            let rest = again(&EvidenceNumbers::new(study, &whitener, models, &known).table(&known), entries);
+            Fold { held: held.clone(), known, rest, whitener }
         });
         Self { study, fits, models, folds }
     }
@@ -107,11 +124,16 @@ impl<'a> Folds<'a> {
         let (mut squares, mut numbers) = ([0.0; 4], 0.0);
         let (mut lowered, mut gains) = (Vec::new(), vec![Vec::new(); references.len()]);
         let mut readings = BTreeMap::new();
-        for fold in &self.folds {
-            let (chosen, all) = (self.chosen(&fold.rest, row), &fold.all);
+        let fits: Vec<(usize, FoldTable)> = parallel::map(&self.folds, |fold| {
+            let chosen = self.chosen(&fold.rest, row);
+            let used = [0, base, chosen, improved].into_iter().chain(references.iter().copied());
+            (chosen, self.table(fold, used))
+        });
+        for (fold, (chosen, all)) in self.folds.iter().zip(&fits) {
+            let chosen = *chosen;
             for &c in &fold.held {
                 for (kind, model) in [0, base, chosen, improved].into_iter().enumerate() {
-                    let own = &all.rows[model].predicted.left[c];
+                    let own = &all.row(model).predicted.left[c];
                     squares[kind] += own.error.norm_squared();
                     if kind == raw.len() {
                         break;
@@ -121,11 +143,11 @@ impl<'a> Folds<'a> {
                     let error = held_out(self.study, contender, reading, step, &[c]);
                     raw[kind].0[c] = error.0[0];
                 }
-                numbers += all.sizes[c];
+                numbers += all.table.sizes[c];
                 let part = |better: bool, reference: usize| match (chosen == reference, better) {
                     (true, _) => SumPart::default(),
-                    (false, true) => all.part(chosen, reference, c),
-                    (false, false) => all.lowered(chosen, reference, c),
+                    (false, true) => all.table.part(all.place(chosen), all.place(reference), c),
+                    (false, false) => all.table.lowered(all.place(chosen), all.place(reference), c),
                 };
                 lowered.push(part(false, improved));
                 references.iter().zip(&mut gains).for_each(|(&reference, own)| own.push(part(true, reference)));
@@ -138,6 +160,17 @@ impl<'a> Folds<'a> {
         let [plain, recalibrated, own, before] = squares.map(|square| (square / f64::max(numbers, 1.0)).sqrt());
         let errors = [plain, recalibrated, own];
         Nested { raw, errors, before, lowered, gains, numbers, degrees: table.degrees }
+    }
+
+    /// The table of all conditions with the rows `used`, under the noise of a fold.
+    fn table(&self, fold: &Fold, used: impl Iterator<Item = usize>) -> FoldTable {
+        let mut rows: Vec<usize> = used.collect();
+        rows.sort_unstable();
+        rows.dedup();
+        let models: Vec<Contender> = rows.iter().map(|&k| self.models[k]).collect();
+        let all: Vec<usize> = (0..self.study.observations.conditions.len()).collect();
+        let table = EvidenceNumbers::new(self.study, &fold.whitener, &models, &fold.known).table(&all);
+        FoldTable { rows, table }
     }
 
     /// The model that a fold's own `entries` would write, if models of the kind of `row` may be written.
