@@ -1,10 +1,12 @@
-//! Observations and actions of a robot mirrored left to right. See "Left and right" in `docs/learning.md`.
+//! Observations and actions of a robot, mirrored. See "Left and right" in `docs/learning.md`.
 
 use crate::env::Column;
 use crate::env::legged::columns::CLOCK;
 use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
-use crate::sim::tree::symmetry::LeftRight;
+use crate::sim::tree::TreeModel;
+use crate::sim::tree::alternating::AlternatingGait;
+use crate::sim::tree::symmetry::{Sides, Symmetry};
 
 /// For each column of a mirror image, the column that its value comes from, and the sign.
 #[derive(Clone, Debug, PartialEq)]
@@ -22,20 +24,27 @@ impl Mirror {
             let of_name = |name: &str| Some((image(name), if turned(name) { -1.0 } else { 1.0 }));
             return Ok([Self::of(&spec.observation, of_name)?, Self::of(&spec.action, of_name)?]);
         };
-        let (sides, joints) = (LeftRight::of(robot).map_err(|e| refused(&e.to_string()))?, model.joint_names());
-        let of_name = |name: &str| legged_image(name, &joints, &sides);
+        let legged = LeggedMirror::of(robot, model.joint_names())?;
+        let of_name = |name: &str| legged.image(name);
         Ok([Self::of(&spec.observation, of_name)?, Self::of(&spec.action, of_name)?])
     }
 
-    /// A sentence on the masses of a robot from a file, if they differ clearly between left and right.
-    pub fn lopsided(blueprint: &Blueprint) -> Option<String> {
-        let robot = blueprint.task.model().tree.as_ref()?;
-        let off = LeftRight::of(robot).ok()?.lopsided(robot)?;
-        Some(format!(
-            "the policy is symmetric in left and right, the robot's masses are not: mirrored, its accelerations differ by {:.0} % \
-             (--set mirror=false learns both sides apart)",
-            100.0 * off
-        ))
+    /// What the training says of the mirror of a robot from a file: that it is not the one of left and right, and that masses
+    /// differ clearly between both sides.
+    pub fn notes(blueprint: &Blueprint) -> Vec<String> {
+        let Some(robot) = &blueprint.task.model().tree else { return Vec::new() };
+        let Ok(symmetry) = Symmetry::of(robot) else { return Vec::new() };
+        let sides = symmetry.sides.name();
+        let other = (symmetry.sides != Sides::LeftRight)
+            .then(|| format!("the robot is symmetric in {sides}, not in left and right, and so is the policy (--set mirror=false: neither)"));
+        let lopsided = symmetry.lopsided(robot).map(|off| {
+            format!(
+                "the policy is symmetric in {sides}, the robot's masses are not: mirrored, its accelerations differ by {:.0} % \
+                 (--set mirror=false learns both sides apart)",
+                100.0 * off
+            )
+        });
+        other.into_iter().chain(lopsided).collect()
     }
 
     /// The mirror of rows with these columns. `image` gives the name of the column that a column's value moves to, and the
@@ -68,29 +77,54 @@ fn refused(why: &str) -> Error {
     Error::invalid("mirror", format!("{why}; --set mirror=false"))
 }
 
-/// The column of LeggedVelocity that a column's value moves to, and the sign.
-fn legged_image(name: &str, joints: &[String], sides: &LeftRight) -> Option<(String, f32)> {
-    if let Some((what, joint)) = name.split_once(", ")
-        && let Some(k) = joints.iter().position(|j| j == joint)
-    {
-        return Some((format!("{what}, {}", joints[sides.joints[k]]), sides.signs[k] as f32));
+/// The mirror of a robot from a file.
+struct LeggedMirror {
+    symmetry: Symmetry,
+    joints: Vec<String>,
+    /// Sign of the clock's columns. If the legs of one group have images of the other, they do the same half a stride later.
+    clock: f32,
+}
+
+impl LeggedMirror {
+    fn of(robot: &TreeModel, joints: Vec<String>) -> Result<Self> {
+        let symmetry = Symmetry::of(robot).map_err(|e| refused(&e.to_string()))?;
+        let swaps = AlternatingGait::of(robot).and_then(|gait| gait.swaps(&symmetry.joints));
+        Ok(Self { symmetry, joints, clock: if swaps == Some(false) { 1.0 } else { -1.0 } })
     }
-    if let Some((x, y)) = name.strip_prefix("measured_heights ").and_then(|place| place.split_once(' ')) {
-        let y = y.strip_prefix('-').map_or_else(|| format!("-{y}"), str::to_owned);
-        let y = if y == "-0.0" { "0.0" } else { &y };
-        return Some((format!("measured_heights {x} {y}"), 1.0));
+
+    /// The column of LeggedVelocity that a column's value moves to, and the sign.
+    fn image(&self, name: &str) -> Option<(String, f32)> {
+        if let Some((what, joint)) = name.split_once(", ")
+            && let Some(k) = self.joints.iter().position(|j| j == joint)
+        {
+            return Some((format!("{what}, {}", self.joints[self.symmetry.joints[k]]), self.symmetry.signs[k] as f32));
+        }
+        let across = self.symmetry.sides.across();
+        if let Some(place) = name.strip_prefix("measured_heights ") {
+            let mut place: Vec<String> = place.split(' ').map(str::to_owned).collect();
+            let own = place.get_mut(across)?;
+            *own = match own.strip_prefix('-') {
+                Some(positive) => positive.to_owned(),
+                None if own == "0.0" => own.clone(),
+                None => format!("-{own}"),
+            };
+            return Some((format!("measured_heights {}", place.join(" ")), 1.0));
+        }
+        if CLOCK.contains(&name) {
+            return Some((name.to_owned(), self.clock));
+        }
+        // One coordinate of a vector changes its sign, and two of a rotation.
+        let (axis, vector) = match name {
+            "base_lin_vel x" | "projected_gravity x" | "commanded lin_vel_x" => (0, true),
+            "base_lin_vel y" | "projected_gravity y" | "commanded lin_vel_y" => (1, true),
+            "base_lin_vel z" | "projected_gravity z" => (2, true),
+            "base_ang_vel x" => (0, false),
+            "base_ang_vel y" => (1, false),
+            "base_ang_vel z" | "commanded ang_vel_yaw" => (2, false),
+            _ => return None,
+        };
+        Some((name.to_owned(), if (axis == across) == vector { -1.0 } else { 1.0 }))
     }
-    // Vectors change sign along y, rotations about x and z.
-    let sign = match name {
-        "base_lin_vel y" | "projected_gravity y" | "commanded lin_vel_y" => -1.0,
-        "base_ang_vel x" | "base_ang_vel z" | "commanded ang_vel_yaw" => -1.0,
-        "base_lin_vel x" | "base_lin_vel z" | "projected_gravity x" | "projected_gravity z" => 1.0,
-        "base_ang_vel y" | "commanded lin_vel_x" => 1.0,
-        // The legs of one side do what those of the other side do half a stride later.
-        _ if CLOCK.contains(&name) => -1.0,
-        _ => return None,
-    };
-    Some((name.to_owned(), sign))
 }
 
 /// The column of a hexapod that a column's value moves to: left and right change places, and positions to the left change

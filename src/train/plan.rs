@@ -98,7 +98,7 @@ impl TrainingPlan {
         let mirror = match (settings.mirror, Mirror::both(&blueprint)) {
             (Some(false), _) => None,
             (_, Ok(mirror)) => {
-                notes.extend(Mirror::lopsided(&blueprint));
+                notes.extend(Mirror::notes(&blueprint));
                 Some(mirror)
             }
             (Some(true), Err(reason)) => return Err(reason),

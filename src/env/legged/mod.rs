@@ -302,7 +302,7 @@ impl Task for LeggedVelocity {
         self.observation.fill(row, |value, i| value(&observed, i));
     }
 
-    fn evaluate(&self, _setup: &Setup<LeggedOptions>, t: &Transition, info: &mut [f32]) -> bool {
+    fn evaluate(&self, setup: &Setup<LeggedOptions>, t: &Transition, info: &mut [f32]) -> bool {
         let Some(legged) = &t.task_state.legged else { return false };
         let contacts = Contacts::of(t.model, t.after, t.foot_loads);
         let [gravity, velocity, angular_velocity] = base(Some(t.model), t.after);
@@ -318,6 +318,7 @@ impl Task for LeggedVelocity {
             contacts,
             default,
             units: &self.units,
+            sigma: setup.options.tracking_sigma,
             gravity,
             velocity,
             angular_velocity,

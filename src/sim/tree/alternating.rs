@@ -67,6 +67,18 @@ impl AlternatingGait {
         Some(Self { legs, joints: chain(tree, Isometry3::identity(), &stance.angles).len() - 1 })
     }
 
+    /// Do legs of one group have mirror images of the other group? `images` has the image of each joint. None: some do.
+    pub fn swaps(&self, images: &[usize]) -> Option<bool> {
+        let group =
+            |joint: usize| self.legs.iter().find(|l| l.joints.iter().any(|(j, _)| *j == joint)).map(|l| l.second);
+        let mut all = self.legs.iter().filter_map(|leg| {
+            let (joint, _) = leg.joints.first()?;
+            Some(group(images[*joint])? != leg.second)
+        });
+        let first = all.next()?;
+        all.all(|other| other == first).then_some(first)
+    }
+
     /// Fills `out` with the offset of each joint [rad or m] at `phase` of a stride, 0 to 1, for a robot that is to move
     /// with `velocity`: forward, to the left [m/s], yaw [rad/s].
     pub fn offsets(&self, stride: LegStride, velocity: [f64; 3], phase: f64, out: &mut [f64]) {

@@ -7,6 +7,7 @@ use super::free_joints::FreeJoints;
 use super::kinematics::{chain, lowest};
 use super::limbs::{Limb, limbs};
 use super::reach::{Reached, STEPS};
+use super::symmetry::{Sides, Symmetry};
 use nalgebra::{Isometry3, Vector3};
 
 type V = Vector3<f64>;
@@ -90,7 +91,11 @@ impl Stance {
     pub fn of(tree: &Tree, contacts: &[Vec<ContactPoint>]) -> Self {
         let limbs = limbs(tree, contacts);
         let known: Option<Vec<f64>> = tree.joints().map(|j| j.rest).collect();
-        let angles = known.unwrap_or_else(|| Search::of(tree, contacts, &limbs).pose(&limbs));
+        let angles = known.unwrap_or_else(|| {
+            let search = Search::of(tree, contacts, &limbs);
+            let start = search.joints.preferred.clone();
+            even(tree, contacts, &start, search.pose(&limbs))
+        });
         Self::with(tree, contacts, &limbs, angles)
     }
 
@@ -138,6 +143,16 @@ impl Stance {
     /// Height of the hips above the lowest point [m].
     pub fn hips_height(&self) -> f64 {
         self.height + self.hips.z
+    }
+}
+
+/// The pose that was found, or its mean with its mirror image if the robot is symmetric at `start` and not in this pose: one
+/// mesh for the legs of both sides turns all of them the same way.
+fn even(tree: &Tree, contacts: &[Vec<ContactPoint>], start: &[f64], found: Vec<f64>) -> Vec<f64> {
+    let at = |angles: &[f64]| Symmetry::at(tree, contacts, angles, Sides::LeftRight).ok();
+    match at(start).filter(|_| at(&found).is_none()) {
+        Some(symmetry) => symmetry.evened(start, &found),
+        None => found,
     }
 }
 
