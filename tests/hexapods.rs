@@ -6,8 +6,9 @@ use sandgait::env::registry::Blueprint;
 use sandgait::robots::{self, Import, InertiaSource, Reading};
 use sandgait::sim::tree::alternating::{AlternatingGait, LegStride};
 use sandgait::sim::tree::kinematics::chain;
-use sandgait::sim::tree::symmetry::LeftRight;
+use sandgait::sim::tree::symmetry::{Sides, Symmetry};
 use sandgait::sim::tree::{TreeModel, packed, plates::of_touching};
+use sandgait::train::mirror::Mirror;
 use sandgait::train::teacher::Teacher;
 use sandgait::train::{Hyperparameters, TrainingRequest, entry};
 use serde_json::{Value, json};
@@ -160,11 +161,27 @@ fn commands_follow_from_servos_and_sand() {
 #[test]
 fn a_circle_of_legs_has_a_mirror_image() {
     let robot = model(&hexapod(&around(), true, 6.0, 1.0));
-    let sides = LeftRight::of(&robot).unwrap();
+    let sides = Symmetry::of(&robot).unwrap();
     // Leg 0 in front, then to the left and around: 1 mirrors to 5, 2 to 4, and 3 to itself.
     let legs: Vec<usize> = sides.joints.iter().step_by(3).map(|k| k / 3).collect();
     assert_eq!(legs, [0, 5, 4, 3, 2, 1]);
     assert_eq!(sides.signs, [-1.0, 1.0, 1.0].repeat(6));
+    // The leg in front steps with its own mirror image, so both groups of a tripod keep their legs. With three legs at each
+    // side a leg's image is in the other group.
+    let swaps = |robot: &TreeModel, sides: &Symmetry| AlternatingGait::of(robot).unwrap().swaps(&sides.joints);
+    assert_eq!(swaps(&robot, &sides), Some(false));
+    let beside = model(&hexapod(&BESIDE, true, 6.0, 1.0));
+    assert_eq!(swaps(&beside, &Symmetry::of(&beside).unwrap()), Some(true));
+}
+
+/// A robot whose front is along y is symmetric in front and back.
+#[test]
+fn a_front_along_y_is_mirrored() {
+    let turned = BESIDE.map(|[x, y, yaw]| [-y, x + 0.03, yaw + PI / 2.0]);
+    let robot = model(&hexapod(&turned, true, 6.0, 1.0));
+    assert_eq!(Symmetry::of(&robot).unwrap().sides, Sides::FrontBack);
+    let notes = Mirror::notes(&Blueprint::new(ID, options(&hexapod(&turned, true, 6.0, 1.0))).unwrap());
+    assert!(notes[0].contains("symmetric in front and back, not in left and right"), "{notes:?}");
 }
 
 /// Inertias of other units are replaced, which the first line says; plausible ones stay to the bit.

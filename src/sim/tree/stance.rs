@@ -67,6 +67,9 @@ const ALIKE: f64 = 0.02;
 /// files.
 const PARALLEL: f64 = 0.999;
 
+/// Least cosine of the angle between a vertical axis and z: our choice, 30°.
+const VERTICAL: f64 = 0.87;
+
 /// A robot's standing pose.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stance {
@@ -256,13 +259,17 @@ impl<'a> Search<'a> {
         let tip = limb.tip(tree, contacts, &self.joints.preferred);
         let length = limb.length_behind_hip(tree, contacts);
         let mut place = hip;
-        // A leg whose knee is beside its hip, as a spider's, stands as far out as its knee.
+        // A leg whose knee is beside its hip, as a spider's, stands as far out as its knee. It points to the side, or, as the legs of
+        // a hexagon, anywhere: then one of its first joints turns about a vertical axis. A dog's leg that is drawn level points ahead.
+        let to_hip = limb.path.iter().position(|i| *i == limb.hip).map_or(0, |k| k + 1);
+        let upright = |i: &usize| tree.bodies[*i].hinge_axis(&frames[*i]).is_some_and(|axis| axis.z.abs() > VERTICAL);
+        let turns = limb.path[..to_hip].iter().any(upright);
         let knee = limb.path.iter().skip_while(|i| **i != limb.hip).nth(1);
         let out = knee.and_then(|i| {
             let (_, axis) = tree.bodies[*i].axis(&frames[*i])?;
             let out = V::new(axis.y, -axis.x, 0.0).try_normalize(0.5)?;
             let away = (tip - hip).xy().norm() > (hip.z - tip.z);
-            (many && away && out.y.abs() > out.x.abs()).then_some(out * (tip - hip).dot(&out).signum())
+            (many && away && (turns || out.y.abs() > out.x.abs())).then_some(out * (tip - hip).dot(&out).signum())
         });
         if let (Some(out), Some(knee)) = (out, knee) {
             place += out * tree.bodies[*knee].origin.translation.vector.norm();
