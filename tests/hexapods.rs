@@ -8,9 +8,8 @@ use sandgait::sim::tree::alternating::{AlternatingGait, LegStride};
 use sandgait::sim::tree::kinematics::chain;
 use sandgait::sim::tree::symmetry::{Sides, Symmetry};
 use sandgait::sim::tree::{TreeModel, packed, plates::of_touching};
-use sandgait::train::mirror::Mirror;
 use sandgait::train::teacher::Teacher;
-use sandgait::train::{Hyperparameters, TrainingRequest, entry};
+use sandgait::train::{Hyperparameters, Mirror, TrainingRequest, entry};
 use serde_json::{Value, json};
 use std::f64::consts::PI;
 use std::fmt::Write as _;
@@ -277,7 +276,7 @@ fn a_training_begins_with_the_plain_gait() {
     assert!(distance > 0.0 && distance < 0.6, "{distance}");
     // A mirror image is half a stride later.
     let blueprint = Blueprint::new(ID, settings["options"].clone()).unwrap();
-    let [observation, action] = sandgait::train::Mirror::both(&blueprint).unwrap();
+    let [observation, action] = Mirror::both(&blueprint).unwrap();
     let teacher =
         Teacher::of(&blueprint, &Hyperparameters { gait_prior: 1, ..Hyperparameters::default() }).unwrap().unwrap();
     let spec = blueprint.task.spec();
