@@ -274,30 +274,11 @@ fn a_training_begins_with_the_plain_gait() {
     // While it imitates, the policy's loss is half of the squared distance from the gait's action.
     let distance = trained.last.unwrap().policy_loss;
     assert!(distance > 0.0 && distance < 0.6, "{distance}");
-    // A mirror image is half a stride later.
-    let blueprint = Blueprint::new(ID, settings["options"].clone()).unwrap();
-    let [observation, action] = Mirror::both(&blueprint).unwrap();
-    let teacher =
-        Teacher::of(&blueprint, &Hyperparameters { gait_prior: 1, ..Hyperparameters::default() }).unwrap().unwrap();
-    let spec = blueprint.task.spec();
-    let at = |name: &str| spec.observation.iter().position(|c| c.name == name).unwrap();
-    let mut row = vec![0.0; spec.observation.len()];
-    for (name, value) in
-        [("commanded lin_vel_x", 0.1), ("commanded lin_vel_y", 0.05), ("clock sine", 0.6), ("clock cosine", 0.8)]
-    {
-        row[at(name)] = value;
-    }
-    let (mut image, width) = (row.clone(), spec.action.len());
-    observation.reflect(&row, &mut image);
-    let [mut here, mut there, mut mirrored] = [vec![0.0; width], vec![0.0; width], vec![0.0; width]];
-    teacher.act(&row, &mut here);
-    teacher.act(&image, &mut there);
-    action.reflect(&here, &mut mirrored);
-    assert!(here.iter().any(|a| a.abs() > 0.05));
-    mirrored.iter().zip(&there).for_each(|(a, b)| assert!((a - b).abs() < 0.02, "{mirrored:?} {there:?}"));
+    assert_eq!(settings["options"]["tracking_sigma"], json!(0.03));
     // Given options stay, and without the setting nothing is added.
     let mut given = options.clone();
     (given["max_velocity"], given["gait_clock"]) = (json!([0.1, 0.1, 0.5]), json!(1.5));
+    given["tracking_sigma"] = json!(0.2);
     let out = folder.path().join("given");
     request(given, &out, &small, 512).run(&sandgait::progress::Silent).unwrap();
     let settings: Value = serde_json::from_slice(&std::fs::read(out.join("settings.json")).unwrap()).unwrap();
@@ -305,8 +286,40 @@ fn a_training_begins_with_the_plain_gait() {
         (&settings["options"]["max_velocity"], &settings["options"]["gait_clock"]),
         (&json!([0.1, 0.1, 0.5]), &json!(1.5))
     );
+    assert_eq!(settings["options"]["tracking_sigma"], json!(0.2));
     let out = folder.path().join("plain");
     request(options, &out, &[&small[..], &["gait_prior=0"]].concat(), 512).run(&sandgait::progress::Silent).unwrap();
     let settings: Value = serde_json::from_slice(&std::fs::read(out.join("settings.json")).unwrap()).unwrap();
     assert!(settings["options"].get("gait_clock").is_none());
+}
+
+/// The gait of the mirrored robot is the mirror image of the gait: half a stride later if both groups of legs change places, else
+/// at the same time.
+#[test]
+fn the_gait_of_the_mirror_image() {
+    let turned = BESIDE.map(|[x, y, yaw]| [-y, x + 0.03, yaw + PI / 2.0]);
+    for (places, clock) in [(BESIDE.to_vec(), -1.0), (around(), 1.0), (turned.to_vec(), -1.0)] {
+        let mut options = options(&hexapod(&places, true, 6.0, 1.0));
+        (options["max_velocity"], options["gait_clock"]) = (json!([0.2, 0.1, 0.5]), json!(2.0));
+        let blueprint = Blueprint::new(ID, options).unwrap();
+        let [observation, action] = Mirror::both(&blueprint).unwrap();
+        let settings = Hyperparameters { gait_prior: 1, ..Hyperparameters::default() };
+        let teacher = Teacher::of(&blueprint, &settings).unwrap().unwrap();
+        let spec = blueprint.task.spec();
+        let at = |name: &str| spec.observation.iter().position(|c| c.name == name).unwrap();
+        assert_eq!(observation.signs[at("clock sine")], clock);
+        let (mut row, width) = (vec![0.0; spec.observation.len()], spec.action.len());
+        let asked = [("commanded lin_vel_x", 0.1), ("commanded lin_vel_y", 0.05), ("commanded ang_vel_yaw", 0.2)];
+        for (name, value) in asked.into_iter().chain([("clock sine", 0.6), ("clock cosine", 0.8)]) {
+            row[at(name)] = value;
+        }
+        let mut image = row.clone();
+        observation.reflect(&row, &mut image);
+        let [mut here, mut there, mut mirrored] = [vec![0.0; width], vec![0.0; width], vec![0.0; width]];
+        teacher.act(&row, &mut here);
+        teacher.act(&image, &mut there);
+        action.reflect(&here, &mut mirrored);
+        assert!(here.iter().any(|a| a.abs() > 0.05));
+        mirrored.iter().zip(&there).for_each(|(a, b)| assert!((a - b).abs() < 0.02, "{mirrored:?} {there:?}"));
+    }
 }
