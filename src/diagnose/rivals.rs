@@ -3,7 +3,7 @@
 use super::compared::{Compared, Role, base};
 
 /// Other explanations that no model with the effects of `k` beats, or that the best model of all does not beat: the table of a report
-/// has the differences to this one. Models that have the effects of `k`, and laws that repeat its effect, are no rivals.
+/// has the differences to this one. Models that have the effects of `k`, and laws that repeat its effect and do not beat it, are no rivals.
 pub fn rivals(table: &[Compared], k: usize) -> Vec<usize> {
     let base = base(table);
     let with: Vec<usize> = (0..table.len())
@@ -14,7 +14,7 @@ pub fn rivals(table: &[Compared], k: usize) -> Vec<usize> {
     let rival = |&r: &usize| {
         let explains = match table[r].role {
             Role::Causes => !table[r].contains(&table[k]),
-            Role::Law => !table[r].repeats.contains(&k) && table[r].beats[base],
+            Role::Law => (!table[r].repeats.contains(&k) || table[r].beats[k]) && table[r].beats[base],
             _ => false,
         };
         let best_beats = table[r].role == Role::Law || best.is_none_or(|b| table[b].beats[r]);

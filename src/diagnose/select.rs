@@ -224,11 +224,15 @@ fn judged(with: &Judging, fits: &Fits, table: &EvidenceTable, entries: &[Compare
         }
     }
     let mut ruling = verdict(entries, tested);
-    if ruling.verdict == Verdict::Recalibrated
+    // Sand of another strength is a recalibration with one factor, so the same test holds for both.
+    let factor = ruling.verdict == Verdict::Named && is_strength(&entries[ruling.model].effects);
+    if (factor || ruling.verdict == Verdict::Recalibrated)
         && let Some(left) = structure::left(with.study, &fits.contender(ruling.model))
     {
         withheld.push((ruling.model, vec![left]));
-        ruling = verdict(entries, Tested { uneven: true, ..tested });
+        tested.leading = tested.leading.map(|(row, passes)| (row, passes && !factor));
+        tested.uneven = true;
+        ruling = verdict(entries, tested);
     }
     // If nothing is named, what passed all tests is said, too.
     let passed = [tested.leading, tested.law].into_iter().flatten().filter(|t| t.1 && t.0 != ruling.model);
@@ -254,6 +258,11 @@ fn judged(with: &Judging, fits: &Fits, table: &EvidenceTable, entries: &[Compare
         }
     }
     Judged { ruling, standing, withheld, nested: predicted }
+}
+
+/// Is sand of another strength the only effect?
+fn is_strength(effects: &[Effect]) -> bool {
+    matches!(effects, [Effect::Mechanism(id)] if CATALOG[*id].id == "scale")
 }
 
 impl Judging<'_> {

@@ -135,7 +135,8 @@ pub fn passed_over(table: &[Compared], k: usize) -> String {
 pub fn verdict(table: &[Compared], tested: Tested) -> Ruling {
     let passed = |of: Option<(usize, bool)>| of.filter(|o| o.1).map(|o| o.0).filter(|k| is_main(&table[*k]));
     let (cause, law) = (passed(tested.leading).filter(|c| !is_beaten(table, *c)), passed(tested.law));
-    let better_law = |c: usize| law.is_some_and(|l| table[l].beats[c] && !table[l].repeats.contains(&c));
+    // Data in which a free law beats the cause whose effect it repeats reject the form of this cause.
+    let better_law = |c: usize| law.is_some_and(|l| table[l].beats[c]);
     if let Some(cause) = cause.filter(|c| !better_law(*c)) {
         return named(table, cause, tested.refuted);
     }
@@ -284,7 +285,10 @@ mod tests {
         assert_eq!(law(15.0), (Verdict::Described, Written::Description, 3, vec![]));
         let mut same = entry(Law, &[], -5.0);
         same.repeats = vec![2];
-        assert_eq!(of(vec![entry(Causes, &[0], 0.0), same]), named);
+        assert_eq!(of(vec![entry(Causes, &[0], 0.0), same.clone()]), named);
+        // A law that repeats a cause and beats it rejects the cause's form.
+        same.elpd = 15.0;
+        assert_eq!(of(vec![entry(Causes, &[0], 0.0), same]).0, Verdict::Described);
     }
 
     #[test]
