@@ -190,9 +190,7 @@ fn unexplained(table: &[Compared], uneven: bool) -> Ruling {
 fn named(table: &[Compared], cause: usize, refuted: Option<usize>) -> Ruling {
     let mut set = vec![cause];
     set.extend(rivals(table, cause).into_iter().filter(|r| Some(*r) != refuted));
-    // What these data cannot test may look the same, but not if it predicts worse.
-    let alike = table[cause].alike.iter().filter(|&&k| !set.contains(&k) && !table[cause].beats[k]);
-    set.extend(alike.copied().collect::<Vec<_>>());
+    set.extend(table[cause].alike.iter().filter(|k| !set.contains(k)).copied().collect::<Vec<_>>());
     // The best that may be named comes first.
     if let Some(place) = set.iter().position(|&k| !table[k].unnamed && table[k].role != Role::Law) {
         let own = set.remove(place);
@@ -340,15 +338,6 @@ mod tests {
             table(vec![plain(-120.0), entry(Base, &[], -100.0), entry(Causes, &[0], -5.0), entry(Causes, &[1], 0.0)]);
         near[3].unnamed = true;
         assert_eq!(ruled(&near, true), (Verdict::Ambiguous, Written::Cause, 2, vec![2, 3]));
-        // What cannot be tested may look the same, unless it predicts worse.
-        let alike = |elpd: f64| {
-            let mut both =
-                vec![plain(-120.0), entry(Base, &[], -100.0), entry(Causes, &[0], 0.0), entry(Causes, &[1], elpd)];
-            both[2].alike = vec![3];
-            ruled(&table(both), true)
-        };
-        assert_eq!(alike(-5.0), (Verdict::Ambiguous, Written::Cause, 2, vec![2, 3]));
-        assert_eq!(alike(-50.0), (Verdict::Named, Written::Cause, 2, vec![2]));
         near[3].unnamed = false;
         near[3].unseen = true;
         near[2].elpd = -90.0;
