@@ -45,7 +45,7 @@ options! {
         max_velocity: Option<[f64; 3]> = None, [LEAST_VELOCITY, MOST_COMMAND], reset, "greatest speeds forward, to the left [m/s] and yaw [rad/s]: ends of the commands' default ranges, and units of tracking terms; None: 0.5 √(gℓ), 0.25 √(gℓ) and 0.2 √(g/ℓ) with the legs' length ℓ (sandgait train finds it for six and more legs)";
         commands: Commands = Commands::default(), reset, "ranges [low, high] of commands, which are drawn at the start and repeatedly during the episode";
         rewards: Rewards = Rewards::default(), reset, "weight of each reward term [1/s]";
-        tracking_sigma: f64 = TRACKING_SIGMA, [1e-3, 10.0], reset, "σ of the tracking terms exp(−error² / σ), with velocities in units of the ends of the commands' default ranges (legged_gym: 0.25)";
+        tracking_sigma: f64 = TRACKING_SIGMA, [1e-3, 10.0], reset, "width of the tracking terms (legged_gym: 0.25)";
         domain_rand: Option<DomainRand> = Some(DomainRand::default()), reset, "ranges [low, high] of the quantities that an episode draws; None: nothing is drawn";
         default_joint_angles: BTreeMap<String, f64> = BTreeMap::new(), [-100.0, 100.0], reset, "default positions of joints by pattern of their names [rad], in place of the robot's";
         stiffness: BTreeMap<String, f64> = BTreeMap::new(), [0.0, 1e6], reset, "position gains kp of servos by pattern of joint names [N·m/rad], in place of the robot's";
