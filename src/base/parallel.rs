@@ -56,10 +56,10 @@ pub fn map<T: Sync, R: Send>(items: &[T], f: impl Fn(&T) -> R + Sync) -> Vec<R> 
     };
     let mut all: Vec<(usize, R)> = thread::scope(|scope| {
         let handles: Vec<_> = (0..helpers.0).map(|_| scope.spawn(work)).collect();
-        let own = work();
+        let mut all = work();
         // A panic in the work is passed on to the caller.
-        let others = handles.into_iter().flat_map(|h| h.join().unwrap_or_else(|e| std::panic::resume_unwind(e)));
-        own.into_iter().chain(others.collect::<Vec<_>>()).collect()
+        all.extend(handles.into_iter().flat_map(|h| h.join().unwrap_or_else(|e| std::panic::resume_unwind(e))));
+        all
     });
     all.sort_by_key(|(index, _)| *index);
     all.into_iter().map(|(_, r)| r).collect()

@@ -124,13 +124,12 @@ impl<'a> Folds<'a> {
         let (mut squares, mut numbers) = ([0.0; 4], 0.0);
         let (mut lowered, mut gains) = (Vec::new(), vec![Vec::new(); references.len()]);
         let mut readings = BTreeMap::new();
-        let fits: Vec<(usize, FoldTable)> = parallel::map(&self.folds, |fold| {
+        let tables: Vec<(usize, FoldTable)> = parallel::map(&self.folds, |fold| {
             let chosen = self.chosen(&fold.rest, row);
             let used = [0, base, chosen, improved].into_iter().chain(references.iter().copied());
             (chosen, self.table(fold, used))
         });
-        for (fold, (chosen, all)) in self.folds.iter().zip(&fits) {
-            let chosen = *chosen;
+        for (fold, (chosen, all)) in self.folds.iter().zip(tables) {
             for &c in &fold.held {
                 for (kind, model) in [0, base, chosen, improved].into_iter().enumerate() {
                     let own = &all.row(model).predicted.left[c];
