@@ -8,11 +8,11 @@ use sandgait::env::legged::LeggedVelocity;
 use sandgait::env::registry::{Blueprint, TASK_IDS};
 use sandgait::env::{Spec, Task};
 use sandgait::number::Isa;
-use sandgait::policy::Network;
+use sandgait::policy::{self, Network};
 use sandgait::session::MOST_ENVIRONMENTS;
 use sandgait::sim::engine::EngineKind;
 use sandgait::study::trained::{TrainedTask, policy_file, task_and_options};
-use sandgait::{Error, Result};
+use sandgait::{Error, Result, files};
 use serde_json::{Value, json};
 use std::path::PathBuf;
 use std::time::Duration;
@@ -162,7 +162,7 @@ impl BenchArgs {
         };
         match (self.chosen(), self.policy()) {
             (ActionChoice::Policy, Some(file)) => {
-                let bytes = std::fs::read(&file).map_err(|e| Error::file(&file, e))?;
+                let bytes = files::read(&file, policy::MOST_BYTES as u64)?;
                 Network::new(&bytes, spec).map(Actions::Policy)
             }
             (ActionChoice::Policy, None) => Err(Error::invalid("--actions", "policy needs --policy FOLDER")),

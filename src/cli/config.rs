@@ -3,9 +3,8 @@
 
 use clap::Command;
 use sandgait::error::unknown_name;
-use sandgait::{Error, Result};
+use sandgait::{Error, Result, files};
 use std::ffi::OsString;
-use std::fs;
 use std::path::Path;
 
 /// Options that only the command line has.
@@ -16,7 +15,7 @@ const NOT_IN_FILES: [&str; 2] = ["config", "help"];
 /// # Errors
 /// Names the file and the key that `command` does not know or whose value is no text, number or truth value.
 pub fn arguments(command: &Command, path: &Path) -> Result<Vec<OsString>> {
-    let text = fs::read_to_string(path).map_err(|e| Error::file(path, e))?;
+    let text = files::read_text(path)?;
     let table: toml::Table = text.parse().map_err(|e: toml::de::Error| {
         let line = e.span().map_or(1, |s| 1 + text[..s.start].matches('\n').count());
         Error::file(path, format!("line {line}: {}", e.message()))

@@ -1,9 +1,8 @@
 //! Reads files with heights of the ground: `.csv` and `.npy`.
 
 use sandgait::sim::tree::{heights, relief::Relief};
-use sandgait::{Error, Result};
+use sandgait::{Error, Result, files};
 use serde_json::Value;
-use std::io::Read as _;
 use std::path::Path;
 
 /// Largest file [bytes]: our choice, because `numpy.savetxt` writes the largest number of heights, 512 × 512, in 6.5
@@ -20,15 +19,7 @@ pub fn read_option(options: &mut Value) -> Result<()> {
 
 /// The heights of a file as one text.
 pub fn pack(path: &Path) -> Result<String> {
-    let failed = |e: std::io::Error| Error::file(path, e);
-    if std::fs::metadata(path).map_err(failed)?.is_dir() {
-        return Err(Error::file(path, "is a folder"));
-    }
-    let mut bytes = Vec::new();
-    std::fs::File::open(path).map_err(failed)?.take(MOST_BYTES + 1).read_to_end(&mut bytes).map_err(failed)?;
-    if bytes.len() as u64 > MOST_BYTES {
-        return Err(Error::file(path, format!("it is larger than {} MiB", MOST_BYTES >> 20)));
-    }
+    let bytes = files::read(path, MOST_BYTES)?;
     let ending = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
     let rows = match ending.as_deref() {
         Some("csv") => from_text(&bytes),

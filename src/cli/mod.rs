@@ -36,7 +36,7 @@ use sandgait::study::arguments::whole;
 use sandgait::study::layout::table;
 use sandgait::study::options::{OptionArgs, unfelt_option};
 use sandgait::study::refusal::one_line;
-use sandgait::{Error, Result, error::bounded};
+use sandgait::{Error, Result, error::bounded, files};
 use std::ffi::OsString;
 use std::io::Write as _;
 use std::path::Path;
@@ -74,7 +74,7 @@ fn read_text(option: Option<&mut serde_json::Value>) -> Result<()> {
     let Some(option) = option else { return Ok(()) };
     // The text of a file has several lines, and a path has one.
     if let Some(path) = option.as_str().filter(|text| !text.is_empty() && !text.contains('\n')) {
-        *option = std::fs::read_to_string(path).map_err(|e| Error::file(path.as_ref(), e))?.into();
+        *option = files::read_text(path.as_ref())?.into();
     }
     Ok(())
 }

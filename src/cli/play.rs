@@ -6,10 +6,10 @@ use sandgait::env::Task;
 use sandgait::env::gait::HexapodGait;
 use sandgait::env::legged::LeggedVelocity;
 use sandgait::env::registry::{Blueprint, task_id};
-use sandgait::policy::Network;
+use sandgait::policy::{self, Network};
 use sandgait::service::{Address, PlayedEnvironment, bind_tcp, resting};
 use sandgait::study::trained::{TrainedTask, policy_file};
-use sandgait::{Error, Result};
+use sandgait::{Error, Result, files};
 use serde_json::{Value, json};
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::path::Path;
@@ -116,7 +116,7 @@ impl PlayArgs {
             );
             return Err(Error::invalid("policy", reason));
         }
-        let onnx = std::fs::read(&path).map_err(|e| Error::file(&path, e))?;
+        let onnx = files::read(&path, policy::MOST_BYTES as u64)?;
         let missing =
             || Error::file(&path, "there is no settings.json beside it, which names the task and its options");
         Ok((onnx, TrainedTask::beside(&path)?.ok_or_else(missing)?))

@@ -120,7 +120,7 @@ fn place(address: String, token: Option<&Path>, ca: Option<&Path>) -> Result<Ser
     if !port && !address.starts_with("unix:") {
         return Err(Error::invalid("--address", format!("{address:?} is neither host:port nor unix:/path")));
     }
-    let read = |path: &Path| std::fs::read(path).map_err(|e| Error::file(path, e));
+    let read = |path: &Path| files::read(path, files::MOST_TEXT);
     let token = token.map(read).transpose()?.map(|token| String::from_utf8_lossy(&token).trim().to_owned());
     let ca = ca.map(read).transpose()?;
     let host = address.rsplit_once(':').map_or(address.as_str(), |(host, _)| host).trim_matches(['[', ']']);

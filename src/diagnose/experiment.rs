@@ -214,8 +214,8 @@ fn usual_coefficient_sd() -> f64 {
 impl Experiment {
     /// Reads the file, and the files that it names.
     pub fn load(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path).map_err(|e| Error::file(path, e))?;
-        let read = |name: &str| std::fs::read_to_string(name).map_err(|e| Error::file(Path::new(name), e));
+        let text = sandgait_base::files::read_text(path)?;
+        let read = |name: &str| sandgait_base::files::read_text(Path::new(name));
         Self::with_files(&text, &read).map_err(|e| Error::file(path, e))
     }
 

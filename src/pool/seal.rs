@@ -22,7 +22,7 @@ impl Seal {
     /// # Errors
     /// The file cannot be read or is too short.
     pub fn load(path: &Path) -> Result<Self> {
-        let key = std::fs::read(path).map_err(|e| Error::file(path, e))?;
+        let key = sandgait_base::files::read(path, sandgait_base::files::MOST_TEXT)?;
         Self::new(&key).ok_or_else(|| Error::file(path, format!("{} bytes are no key; at least {SHORTEST}", key.len())))
     }
 

@@ -5,11 +5,10 @@ use super::packages::{self, Reading};
 use crate::error::{Error, Result};
 use encoding_rs::{Encoding, UTF_8, UTF_16BE, UTF_16LE, WINDOWS_1252};
 use std::cell::RefCell;
-use std::io::Read as _;
 use std::path::{Component, Path, PathBuf};
 
-/// Largest description that is read [bytes]: our choice, fifty times the largest robot we have seen.
-pub const MOST_TEXT: u64 = 8 << 20;
+pub use sandgait_base::files::MOST_TEXT;
+
 /// Largest mesh file [bytes]: our choice; the largest we have seen has 28 MiB.
 pub const MOST_MESH: u64 = 64 << 20;
 
@@ -22,17 +21,11 @@ pub struct SourceFile {
 impl SourceFile {
     /// Reads a regular file of at most `most` bytes.
     pub fn read(path: &Path, most: u64) -> Result<Self> {
-        let failed = |e| Error::file(path, e);
-        let about = std::fs::metadata(path).map_err(failed)?;
+        let about = std::fs::metadata(path).map_err(|e| Error::file(path, e))?;
         if !about.is_file() {
             return Err(Error::file(path, "is no file"));
         }
-        let mut bytes = Vec::new();
-        std::fs::File::open(path).map_err(failed)?.take(most + 1).read_to_end(&mut bytes).map_err(failed)?;
-        if bytes.len() as u64 > most {
-            return Err(Error::file(path, format!("more than the {} MiB that are read", most >> 20)));
-        }
-        Ok(Self { path: path.to_owned(), bytes })
+        Ok(Self { path: path.to_owned(), bytes: sandgait_base::files::read(path, most)? })
     }
 
     pub fn bytes(&self) -> &[u8] {

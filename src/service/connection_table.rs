@@ -198,9 +198,14 @@ impl ConnectionHandle {
         Some(OpenCall { link: self.clone(), admitted })
     }
 
-    /// Counts a call until the connection ends.
-    pub fn keep(&self) {
-        self.table.change(self.id, |e| (e.calls, e.admitted, e.used) = (1, 1, true));
+    /// Number of its admitted calls that have not ended.
+    pub fn admitted(&self) -> usize {
+        self.table.entries.lock().all.get(&self.id).map_or(0, |entry| entry.admitted)
+    }
+
+    /// Counts a call until the connection ends. A call that is not `admitted` makes room for others.
+    pub fn keep(&self, admitted: bool) {
+        self.table.change(self.id, |e| (e.calls, e.admitted, e.used) = (1, usize::from(admitted), true));
     }
 
     /// Closes the connection.

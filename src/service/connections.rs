@@ -17,6 +17,7 @@ use super::security::Tls;
 use super::sliced::{ReadTurn, SlicedStream};
 use axum::Router;
 use axum::extract::Request;
+use axum::response::Response;
 use hyper::body::Incoming;
 use hyper::server::conn::{http1, http2};
 use hyper::service::service_fn;
@@ -226,7 +227,8 @@ impl Connections {
                 let answer = routes.call(request).await;
                 // Until its request has been read to its end, a connection is idle: it may not hold a place.
                 if is_page {
-                    link.keep();
+                    let gives_way = |answer: &Response| answer.extensions().get::<GivesWay>().is_some();
+                    link.keep(!answer.as_ref().is_ok_and(gives_way));
                 }
                 answer
             }
@@ -257,6 +259,10 @@ impl Connections {
         }
     }
 }
+
+/// Marks an answer whose connection is closed if others need its place.
+#[derive(Clone, Copy)]
+pub struct GivesWay;
 
 /// Largest number of connections to the page of metrics: our choice, for some programs that ask at the same time.
 pub const METRICS: usize = 32;

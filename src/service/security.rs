@@ -29,7 +29,7 @@ impl Token {
     /// # Errors
     /// The file cannot be read, is empty, or has characters that do not fit into a header.
     pub fn load(path: &Path) -> Result<Self> {
-        let text = fs::read_to_string(path).map_err(|e| Error::file(path, e))?;
+        let text = sandgait_base::files::read_text(path)?;
         let token = text.trim();
         if token.is_empty() {
             return Err(Error::file(path, "the token is empty"));

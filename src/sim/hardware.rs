@@ -70,7 +70,7 @@ impl HardwareDescription {
     }
 
     pub fn load(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path).map_err(|e| Error::file(path, e))?;
+        let text = sandgait_base::files::read_text(path)?;
         Self::from_toml(&text).map_err(|e| Error::file(path, e))
     }
 

@@ -214,7 +214,7 @@ impl Robot {
     pub fn load(name: &str) -> Result<Self> {
         if name.ends_with(".toml") {
             let path = std::path::Path::new(name);
-            return Self::from_toml(&std::fs::read_to_string(path).map_err(|e| Error::file(path, e))?);
+            return Self::from_toml(&sandgait_base::files::read_text(path)?);
         }
         match BUILT_IN.iter().any(|r| r.0 == name) {
             true => Self::built_in(name),

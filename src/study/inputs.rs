@@ -63,13 +63,7 @@ impl Inputs {
     /// Reads a file, unless its content is there already.
     pub fn read(&mut self, name: &str) -> Result<()> {
         if !self.has(name) {
-            let wrong = |e: std::io::Error| Error::file(Path::new(name), e);
-            let size = std::fs::metadata(name).map_err(wrong)?.len();
-            if size > MOST_BYTES {
-                let reason = format!("{} MiB is more than the {} MiB this reads", size >> 20, MOST_BYTES >> 20);
-                return Err(Error::file(Path::new(name), reason));
-            }
-            let bytes = std::fs::read(name).map_err(wrong)?;
+            let bytes = sandgait_base::files::read(Path::new(name), MOST_BYTES)?;
             self.add(name, Content::Bytes(bytes.into()));
         }
         Ok(())

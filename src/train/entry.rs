@@ -86,7 +86,7 @@ fn change(entry: &mut Map<String, Value>, changes: Vec<(String, Value)>) {
 
 fn entry(file: Option<&Path>, task: &str) -> Result<Map<String, Value>> {
     let (name, text) = match file {
-        Some(path) => (path.display().to_string(), std::fs::read_to_string(path).map_err(|e| Error::file(path, e))?),
+        Some(path) => (path.display().to_string(), crate::files::read_text(path)?),
         None => (BUILT_IN.to_owned(), OWN.to_owned()),
     };
     let all = yaml::read(&text).map_err(|e| Error::File { path: name.clone(), reason: e.to_string() })?;

@@ -78,7 +78,7 @@ WRONG: list[tuple[str, Any, str]] = [
     ("small.csv", "0,0,0,0\n" * 3, "rows: 3 is outside [4, 512]"),
     ("wide.csv", ("0," * 512 + "0\n") * 4, "columns: 513 is outside [4, 512]"),
     ("high.csv", "0,0,0,200\n" * 4, "200 is outside [-100, 100]"),
-    ("large.csv", "0,0,0,0\n" * 1_100_000, "it is larger than 8 MiB"),
+    ("large.csv", "0,0,0,0\n" * 1_100_000, "is more than the 8 MiB"),
     ("binary.csv", b"\xff\xfe\x00", "it is not a text in UTF-8"),
     ("heights.txt", "0,0,0,0\n" * 4, "heights are read from .csv and .npy"),
     ("flat.npy", np.zeros(16), "its shape is (16,), but it must be (rows, columns)"),

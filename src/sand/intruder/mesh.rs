@@ -3,8 +3,7 @@
 use super::{IntruderPlate, area as plates_area, volume};
 use crate::error::{Error, Result};
 use crate::number::Vec3;
-use std::fs::File;
-use std::io::{BufRead, BufReader, Seek, SeekFrom};
+use std::io::{BufRead, Seek, SeekFrom};
 use std::path::Path;
 
 pub type Triangle = [Vec3<f64>; 3];
@@ -23,15 +22,7 @@ const OPEN: f64 = 1e-3;
 
 /// The triangles of a file, without triangles of zero area.
 pub fn read(path: &Path) -> Result<Vec<Triangle>> {
-    let file = File::open(path).map_err(|e| Error::file(path, e))?;
-    let bytes = file.metadata().map_err(|e| Error::file(path, e))?.len();
-    if bytes > MOST_BYTES {
-        return Err(Error::file(
-            path,
-            format!("{} MiB is more than the {} MiB this reads", bytes >> 20, MOST_BYTES >> 20),
-        ));
-    }
-    some(path, read_from(path, BufReader::new(file), MOST_TRIANGLES)?)
+    read_bytes(path, &sandgait_base::files::read(path, MOST_BYTES)?, MOST_TRIANGLES)
 }
 
 /// The same as [`read`], from a file's `bytes`, with at most `most` triangles.

@@ -59,6 +59,11 @@ impl PlayedEnvironment {
         *self.command.lock()
     }
 
+    /// Does the request have this page's key?
+    fn admits(&self, headers: &HeaderMap) -> bool {
+        headers.get(AUTHORIZATION).is_some_and(|value| self.key.admits(value.as_bytes()))
+    }
+
     /// Answers browsers until `stop` is cancelled.
     pub async fn serve(self: Arc<Self>, listener: TcpListener, stop: CancellationToken) {
         let refusals = Arc::new(Refusals::default());
@@ -118,18 +123,23 @@ fn keys(ranges: &[[f64; 2]; 3]) -> String {
     }
 }
 
-async fn watch(State(play): State<Arc<PlayedEnvironment>>) -> Response {
+/// A watcher without the key gives way to others, so that strangers lock nobody out.
+async fn watch(State(play): State<Arc<PlayedEnvironment>>, headers: HeaderMap) -> Response {
     let start = (play.frames.subscribe(), Bytes::new());
     let blocks = stream::unfold(start, |(mut frames, mut head)| async move {
         let block = next_blocks(&mut frames, &mut head).await?;
         Some((Ok::<_, Infallible>(block), (frames, head)))
     });
-    recording(Body::from_stream(blocks))
+    let mut answer = recording(Body::from_stream(blocks));
+    if !play.admits(&headers) {
+        answer.extensions_mut().insert(connections::GivesWay);
+    }
+    answer
 }
 
 /// A JSON list of three shares from −1 to 1.
 async fn steer(State(play): State<Arc<PlayedEnvironment>>, headers: HeaderMap, body: Bytes) -> Response {
-    if !headers.get(AUTHORIZATION).is_some_and(|value| play.key.admits(value.as_bytes())) {
+    if !play.admits(&headers) {
         return (
             StatusCode::UNAUTHORIZED,
             "open this page by the address that sandgait play printed; it has the key\n",
@@ -198,6 +208,34 @@ mod tests {
         let read = tokio::time::timeout(std::time::Duration::from_secs(5), stream.read_to_string(&mut answer));
         read.await.expect("an answer").unwrap();
         assert!(answer.starts_with("HTTP/1.1 200"), "{answer}");
+        stop.cancel();
+    }
+
+    /// Finished requests for the picture, without the key, make room for viewers with the key.
+    #[tokio::test]
+    async fn strangers_who_watch_make_room() {
+        use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+        let blueprint = Blueprint::new("sandgait/HexapodGait-v1", serde_json::Value::Null).unwrap();
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let (address, stop) = (listener.local_addr().unwrap(), CancellationToken::new());
+        tokio::spawn(PlayedEnvironment::new(blueprint.task, "secret").serve(listener, stop.clone()));
+        let watch = async |key: &str| {
+            let mut stream = tokio::net::TcpStream::connect(address).await.unwrap();
+            let head = format!("GET /watch/play/0 HTTP/1.1\r\nhost: localhost\r\nauthorization: Bearer {key}\r\n\r\n");
+            stream.write_all(head.as_bytes()).await.unwrap();
+            let mut start = [0; 12];
+            let read = tokio::time::timeout(std::time::Duration::from_secs(5), stream.read_exact(&mut start)).await;
+            let answered = matches!(read, Ok(Ok(_))) && start.ends_with(b"200");
+            (stream, answered)
+        };
+        let (_own, answered) = watch("secret").await;
+        assert!(answered);
+        let mut strangers = Vec::new();
+        for _ in 0..2 * MOST {
+            strangers.push(watch("").await);
+        }
+        let (_late, answered) = watch("secret").await;
+        assert!(answered, "a viewer with the key finds a place");
         stop.cancel();
     }
 

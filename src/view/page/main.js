@@ -232,12 +232,16 @@ function sticks([forward, aside, turn]) {
   return command;
 }
 
+/** The header with the key in this page's address. */
+function authorization() {
+  return { authorization: `Bearer ${new URLSearchParams(location.hash.slice(1)).get("key") || ""}` };
+}
+
 /**
  * Sends the command of arrow keys, a gamepad or the sticks whenever it changes: shares from -1 to 1, forward, to the left, yaw to
  * the left. `keys`: what they do, in words; `axes`: as for `sticks`.
  */
 function steer(keys, axes) {
-  const key = new URLSearchParams(location.hash.slice(1)).get("key") || "";
   const held = new Set();
   const arrows = ["ArrowUp", "ArrowDown", "ArrowLeft", "ArrowRight"];
   document.addEventListener("keydown", (event) => {
@@ -266,7 +270,7 @@ function steer(keys, axes) {
     const body = JSON.stringify(commanded_now());
     if (body === sent) return;
     sent = body;
-    const reply = await fetch("steer", { method: "POST", body, headers: { authorization: `Bearer ${key}` } }).catch(() => null);
+    const reply = await fetch("steer", { method: "POST", body, headers: authorization() }).catch(() => null);
     $("steering").textContent = reply && reply.ok ? keys : reply ? await reply.text() : "The program has ended.";
   }, STEERING);
   $("steering").hidden = false;
@@ -278,10 +282,13 @@ async function follow_server() {
   const choice = $("environment");
   $("source").hidden = false;
   let stop = new AbortController();
-  choice.onchange = () => {
+  let cut = false;
+  choice.onchange = async () => {
     stop.abort();
-    stop = new AbortController();
-    watch(choice.value, stop.signal);
+    const own = (stop = new AbortController());
+    cut = false;
+    await watch(choice.value, own.signal);
+    cut = cut || !own.signal.aborted;
   };
   const list = async () => {
     const reply = await fetch("sessions");
@@ -297,6 +304,8 @@ async function follow_server() {
       if (options.some((o) => o[0] === before)) choice.value = before;
       else if (options.length) choice.onchange();
     }
+    // The server has closed the connection, to make room for another viewer, and the session goes on.
+    if (cut && options.some((o) => o[0] === choice.value)) choice.onchange();
     if (!options.length) $("status").textContent = "No session yet: make an environment on this server.";
   };
   await list();
@@ -309,7 +318,7 @@ async function watch(place, signal) {
   $("status").textContent = "Waiting for its next step.";
   let described = null;
   try {
-    const reply = await fetch(`watch/${place}`, { signal });
+    const reply = await fetch(`watch/${place}`, { signal, headers: authorization() });
     if (!reply.ok) throw new Error(await reply.text());
     const reader = reply.body.getReader();
     for (let part = await reader.read(); !part.done; part = await reader.read()) {
