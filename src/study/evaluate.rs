@@ -104,7 +104,12 @@ impl Study for Evaluate {
             let reason = format!("the policy's task is {task}, not {}", LeggedVelocity::ID);
             return Err(Error::invalid("--commands", reason));
         }
-        let lines: Vec<String> = line.into_iter().chain(unfelt_option(&options)).collect();
+        let bare = matches!(policy, PolicySource::Network { .. }) && !inputs.has(&settings);
+        let assumed = bare.then(|| {
+            let short = task.trim_start_matches("sandgait/");
+            format!("{settings} is missing: the policy runs in {short}, with the task's defaults where --option says nothing")
+        });
+        let lines: Vec<String> = assumed.into_iter().chain(line).chain(unfelt_option(&options)).collect();
         if task == LeggedVelocity::ID {
             self.check_commands()?;
             let study = CommandStudy::new(&policy, &options)?;

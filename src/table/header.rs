@@ -134,12 +134,18 @@ impl<'a> ReadOptions<'a> {
         let theirs = self.theirs(column);
         let wrong = |reason: String| Error::file(path, format!("row 1, column {theirs}: {reason}"));
         let exact = header.iter().any(|h| h == theirs);
+        let loose = !exact && !header.iter().any(|cell| split(cell).0 == theirs);
+        let parts = |cell| if loose { split_loosely(cell, column) } else { split(cell) };
         // A header with the same name and a unit is a duplicate. With other words in brackets it is another column.
         let doubles = |(name, unit): (&str, Option<&str>)| {
             name == theirs && unit.is_some_and(|unit| column.quantity.factor(unit).is_some())
         };
-        let is = |cell: &str| if exact { cell == theirs || doubles(split(cell)) } else { split(cell).0 == theirs };
-        let mut found = header.iter().enumerate().filter(|(_, cell)| is(cell));
+        let is = |cell| match (exact, loose) {
+            (true, _) => cell == theirs || doubles(split(cell)),
+            (false, true) => is_alike(parts(cell).0, theirs),
+            (false, false) => split(cell).0 == theirs,
+        };
+        let mut found = header.iter().enumerate().filter(|(_, cell)| is(cell.as_str()));
         let place = found.next();
         if found.next().is_some() {
             return Err(wrong("is in the header twice".into()));
@@ -152,7 +158,7 @@ impl<'a> ReadOptions<'a> {
         };
         let given = self.units.get(column.name).or_else(|| self.units.get(theirs));
         let given = given.map(|unit| factor(column, unit).map_err(wrong)).transpose()?;
-        let own = match split(cell).1 {
+        let own = match parts(cell).1 {
             // If the requested name has brackets, they may be part of the name.
             Some(unit) if exact => column.quantity.factor(unit),
             Some(unit) if column.quantity != Quantity::Text => Some(factor(column, unit).map_err(wrong)?),
@@ -183,6 +189,19 @@ fn factor(column: &HeaderColumn, unit: &str) -> std::result::Result<f64, String>
 fn split(header: &str) -> (&str, Option<&str>) {
     let Some((name, rest)) = header.split_once(['[', '(']) else { return (header, None) };
     (name.trim(), Some(rest.trim_end_matches([']', ')']).trim()))
+}
+
+/// The same, or name and unit of `name_unit`, if the column has such a unit.
+fn split_loosely<'a>(header: &'a str, column: &HeaderColumn) -> (&'a str, Option<&'a str>) {
+    match header.rsplit_once('_') {
+        Some((name, unit)) if column.quantity.factor(unit).is_some() => (name, Some(unit)),
+        _ => split(header),
+    }
+}
+
+/// Are two names the same but for small and capital letters? Names of one letter are not: t is the time, T a temperature.
+fn is_alike(name: &str, ours: &str) -> bool {
+    ours.len() > 1 && name.eq_ignore_ascii_case(ours)
 }
 
 /// The beginning of a cell, for a message: our choice, longer than any unit.
