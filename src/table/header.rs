@@ -82,8 +82,12 @@ impl<'a> ReadOptions<'a> {
 
     /// Number of requested columns whose name the header has.
     pub(super) fn named_in(&self, header: &[String]) -> usize {
-        let has = |name: &str| header.iter().any(|cell| cell == name || split(cell).0 == name);
-        self.columns.iter().filter(|column| has(self.theirs(column))).count()
+        let has = |column: &HeaderColumn| {
+            let name = self.theirs(column);
+            let is = |cell: &str| split(cell).0 == name || is_alike(split_loosely(cell, column).0, name);
+            header.iter().any(|cell| cell == name || is(cell))
+        };
+        self.columns.iter().filter(|column| has(column)).count()
     }
 
     /// Reads the units in the first row below the header, if it has units and no numbers. Returns whether it has.
