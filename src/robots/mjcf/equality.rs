@@ -4,16 +4,27 @@ use crate::error::{Error, Result};
 use crate::sim::tree::{Mimic, Tree};
 use crate::xml::Element;
 
+/// The equalities that are not switched off.
+fn active(root: &Element) -> impl Iterator<Item = &Element> {
+    root.all("equality").flat_map(|section| &section.children).filter(|e| e.get("active") != Some("false"))
+}
+
+/// Refuses equalities that are not between joints. This comes before the bodies are read: rods that close a chain often
+/// have ball joints, and their refusal would hide the cause.
+///
+/// # Errors
+/// Names the bodies, and how many other equalities there are.
+pub fn check(root: &Element) -> Result<()> {
+    let mut others = active(root).filter(|e| e.tag != "joint");
+    others.next().map_or(Ok(()), |first| Err(refusal(first, others.count())))
+}
+
 /// Gives joints their leaders.
 ///
 /// # Errors
-/// Names the bodies or joints of an equality that is not simulated.
+/// Names the joints of an equality that is not simulated.
 pub fn apply(root: &Element, tree: &mut Tree) -> Result<()> {
-    let active = |e: &&Element| e.get("active") != Some("false");
-    for element in root.all("equality").flat_map(|section| &section.children).filter(active) {
-        if element.tag != "joint" {
-            return Err(refusal(element));
-        }
+    for element in active(root) {
         let follower = element.required("joint1")?;
         let coefficients = element.list("polycoef")?.unwrap_or_else(|| vec![0.0, 1.0]);
         if coefficients.iter().skip(2).any(|c| *c != 0.0) {
@@ -38,8 +49,8 @@ pub fn apply(root: &Element, tree: &mut Tree) -> Result<()> {
     Ok(())
 }
 
-/// Why an equality that is not between joints is refused.
-fn refusal(element: &Element) -> Error {
+/// Why an equality that is not between joints is refused; there are `more` of them.
+fn refusal(element: &Element, more: usize) -> Error {
     let end = |names: [&str; 2]| names.iter().find_map(|name| element.get(name));
     let reason = match (element.tag.as_str(), end(["body1", "site1"]), end(["body2", "site2"])) {
         ("tendon", ..) => {
@@ -60,5 +71,6 @@ fn refusal(element: &Element) -> Error {
         }
         _ => "is not simulated: delete this line".to_owned(),
     };
-    element.error(reason)
+    let more = if more > 0 { format!(" ({more} more like it)") } else { String::new() };
+    element.error(reason + &more)
 }

@@ -58,6 +58,7 @@ pub fn robot(
     }
     let paired: HashSet<String> = root.all("contact").flat_map(|section| section.all("pair")).flat_map(ends).collect();
     collide(&mut root, &paired);
+    equality::check(&root)?;
     let compiler = Compiler::read(&root, notes)?;
     let defaults = Defaults::read(&root)?;
     let mut reader = geom::GeomReader { compiler: &compiler, files, meshes, notes };
